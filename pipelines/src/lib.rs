@@ -1,0 +1,3 @@
+//! Scenes in, products out.
+
+pub mod scene;

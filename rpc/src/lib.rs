@@ -1,0 +1,13 @@
+//! Rational cameras, local frames, pinhole fits and the sun: the geometry of the camera, the Earth and the sun.
+//!
+//! Everything here is `f64`, knows no pixels and no files' locations: readers take text and tags, not paths. Image
+//! coordinates have pixel centres at integers (RPC00B); heights are metres above the WGS84 ellipsoid.
+
+pub mod frame;
+pub mod pinhole;
+pub mod rpc;
+pub mod sun;
+
+pub use frame::LocalFrame;
+pub use pinhole::{ImageWindow, PinholeFit, ProjectiveMap};
+pub use rpc::{GeoPoint, ImagePoint, Rpc, RpcError};

@@ -1,0 +1,74 @@
+//! A small planar image: what the engine sees of pixels.
+
+/// `bands` planes of `height × width` values, band after band, row after row. `NaN` marks a missing value.
+#[derive(Debug, Clone, PartialEq, Default)]
+pub struct Raster {
+    /// Columns.
+    pub width: usize,
+    /// Rows.
+    pub height: usize,
+    /// Planes.
+    pub bands: usize,
+    /// Values, `[band][row][column]`.
+    pub values: Vec<f32>,
+}
+
+impl Raster {
+    /// A raster of one value.
+    pub fn filled(width: usize, height: usize, bands: usize, value: f32) -> Self {
+        Self {
+            width,
+            height,
+            bands,
+            values: vec![value; width * height * bands],
+        }
+    }
+
+    /// Pixels of one plane.
+    pub fn plane_len(&self) -> usize {
+        self.width * self.height
+    }
+
+    /// One plane.
+    pub fn plane(&self, band: usize) -> &[f32] {
+        &self.values[band * self.plane_len()..(band + 1) * self.plane_len()]
+    }
+
+    /// One plane, to write.
+    pub fn plane_mut(&mut self, band: usize) -> &mut [f32] {
+        let len = self.plane_len();
+        &mut self.values[band * len..(band + 1) * len]
+    }
+
+    /// The value at a pixel.
+    #[inline]
+    pub fn at(&self, band: usize, col: usize, row: usize) -> f32 {
+        self.values[(band * self.height + row) * self.width + col]
+    }
+
+    /// The mean over `factor × factor` blocks; a block is NaN when all of it is, else the mean of what is there.
+    pub fn downscaled(&self, factor: usize) -> Self {
+        let (width, height) = (self.width / factor, self.height / factor);
+        let mut out = Self::filled(width, height, self.bands, f32::NAN);
+        for band in 0..self.bands {
+            for row in 0..height {
+                for col in 0..width {
+                    let (mut sum, mut count) = (0.0, 0);
+                    for r in row * factor..(row + 1) * factor {
+                        for c in col * factor..(col + 1) * factor {
+                            let value = self.at(band, c, r);
+                            if value.is_finite() {
+                                sum += value;
+                                count += 1;
+                            }
+                        }
+                    }
+                    if count > 0 {
+                        out.values[(band * height + row) * width + col] = sum / count as f32;
+                    }
+                }
+            }
+        }
+        out
+    }
+}
