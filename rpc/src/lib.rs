@@ -3,6 +3,9 @@
 //! Everything here is `f64`, knows no pixels and no files' locations: readers take text and tags, not paths. Image
 //! coordinates have pixel centres at integers (RPC00B); heights are metres above the WGS84 ellipsoid.
 
+mod localise;
+mod polynomial;
+
 pub mod frame;
 pub mod pinhole;
 pub mod rpc;
@@ -11,3 +14,4 @@ pub mod sun;
 pub use frame::LocalFrame;
 pub use pinhole::{ImageWindow, PinholeFit, ProjectiveMap};
 pub use rpc::{GeoPoint, ImagePoint, Rpc, RpcError};
+pub use sun::{SunPosition, sun_position};

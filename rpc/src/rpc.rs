@@ -1,5 +1,6 @@
 //! The rational polynomial camera (RPC00B): projection, its analytic Jacobian, and localisation.
 
+use crate::polynomial::{gradient, monomials, value};
 use nalgebra::Matrix2x3;
 
 /// A point on or above the Earth: WGS84 longitude and latitude in degrees, ellipsoidal height in metres.
@@ -34,6 +35,16 @@ pub enum RpcError {
         row: f64,
         /// Height asked for, metres.
         height_m: f64,
+    },
+    /// A model whose own scales contradict its polynomials.
+    #[error(
+        "this RPC cannot be localised: one half range of its image spans {span:.1} half ranges of its ground \
+         (a sound model has at most about 1), so its polynomials are used far outside what they were fitted on; \
+         ask the vendor for a refitted RPC"
+    )]
+    Inconsistent {
+        /// Ground half ranges that one image half range covers at the model's centre.
+        span: f64,
     },
     /// A model that cannot be fitted or read.
     #[error("{0}")]
@@ -80,21 +91,56 @@ pub struct Rpc {
 
 impl Rpc {
     /// Image position of a ground point.
-    pub fn project(&self, _point: GeoPoint) -> ImagePoint {
-        unimplemented!()
-    }
-
-    /// Image position and its Jacobian `d(col, row) / d(lon_deg, lat_deg, height_m)`.
-    pub fn project_with_jacobian(&self, _point: GeoPoint) -> (ImagePoint, Matrix2x3<f64>) {
-        unimplemented!()
-    }
-
-    /// The ground point at ellipsoidal height `height_m` that projects to `point`.
     ///
-    /// # Errors
-    /// [`RpcError::NoConvergence`] when no such point is found.
-    pub fn localise(&self, _point: ImagePoint, _height_m: f64) -> Result<GeoPoint, RpcError> {
-        unimplemented!()
+    /// Any finite point gives an answer, but it means something only near the ground the model was made for; where a
+    /// denominator vanishes the answer is not finite. Longitudes on the two sides of the date line are the same to it.
+    pub fn project(&self, point: GeoPoint) -> ImagePoint {
+        let m = monomials(self.normalised(point));
+        let row = value(&self.line_numerator, &m) / value(&self.line_denominator, &m);
+        let col = value(&self.sample_numerator, &m) / value(&self.sample_denominator, &m);
+        ImagePoint {
+            col: col * self.sample_scale + self.sample_offset,
+            row: row * self.line_scale + self.line_offset,
+        }
+    }
+
+    /// Image position and its Jacobian `d(col, row) / d(lon_deg, lat_deg, height_m)`, pixels per degree and per metre.
+    pub fn project_with_jacobian(&self, point: GeoPoint) -> (ImagePoint, Matrix2x3<f64>) {
+        let m = monomials(self.normalised(point));
+        let ground_scale = [self.longitude_scale_deg, self.latitude_scale_deg, self.height_scale_m];
+        let rational = |numerator: &[f64; 20], denominator: &[f64; 20], scale: f64| {
+            let bottom = value(denominator, &m);
+            let ratio = value(numerator, &m) / bottom;
+            let (top_slope, bottom_slope) = (gradient(numerator, &m), gradient(denominator, &m));
+            let slope: [f64; 3] = std::array::from_fn(|axis| {
+                (top_slope[axis] - ratio * bottom_slope[axis]) / bottom * scale / ground_scale[axis]
+            });
+            (ratio, slope)
+        };
+        let (row, row_slope) = rational(&self.line_numerator, &self.line_denominator, self.line_scale);
+        let (col, col_slope) = rational(&self.sample_numerator, &self.sample_denominator, self.sample_scale);
+        let image = ImagePoint {
+            col: col * self.sample_scale + self.sample_offset,
+            row: row * self.line_scale + self.line_offset,
+        };
+        let jacobian = Matrix2x3::new(
+            col_slope[0],
+            col_slope[1],
+            col_slope[2],
+            row_slope[0],
+            row_slope[1],
+            row_slope[2],
+        );
+        (image, jacobian)
+    }
+
+    /// Longitude, latitude and height in the model's half ranges from its centre, the short way round the Earth.
+    pub(crate) fn normalised(&self, point: GeoPoint) -> [f64; 3] {
+        [
+            wrapped_difference_deg(point.lon_deg, self.longitude_offset_deg) / self.longitude_scale_deg,
+            (point.lat_deg - self.latitude_offset_deg) / self.latitude_scale_deg,
+            (point.height_m - self.height_offset_m) / self.height_scale_m,
+        ]
     }
 
     /// The camera of a crop whose upper-left pixel is (`col0`, `row0`) of this camera's image.
@@ -105,4 +151,20 @@ impl Rpc {
             ..self.clone()
         }
     }
+}
+
+/// `a - b` degrees of longitude, the short way round.
+pub(crate) fn wrapped_difference_deg(a_deg: f64, b_deg: f64) -> f64 {
+    let difference = a_deg - b_deg;
+    if difference.abs() <= 180.0 {
+        // Untouched, so that nothing is rounded where there is nothing to wrap.
+        difference
+    } else {
+        difference - 360.0 * (difference / 360.0).round()
+    }
+}
+
+/// The same longitude in [-180, 180] degrees.
+pub(crate) fn wrapped_longitude_deg(longitude_deg: f64) -> f64 {
+    wrapped_difference_deg(longitude_deg, 0.0)
 }
