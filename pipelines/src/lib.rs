@@ -1,3 +1,4 @@
 //! Scenes in, products out.
 
+pub mod raster;
 pub mod scene;

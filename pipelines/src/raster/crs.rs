@@ -1,0 +1,242 @@
+//! Coordinate reference systems: which one a scene gets, and transformations by PROJ.
+
+use super::{RasterError, messages};
+use gdal::spatial_ref::SpatialRef;
+use heliosplat_rpc::GeoPoint;
+use proj::Proj;
+
+/// A coordinate reference system PROJ and GDAL both understand.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Crs {
+    definition: String,
+    wkt: String,
+    name: String,
+    vertical: bool,
+    metres_per_unit: f64,
+}
+
+/// Length of a degree of longitude on the WGS 84 equator, metres.
+const METRES_PER_DEGREE: f64 = 111_319.490_793;
+
+impl Crs {
+    /// From `EPSG:N`, WKT or anything else PROJ accepts.
+    ///
+    /// # Errors
+    /// [`RasterError::UnknownCrs`].
+    pub fn from_definition(definition: &str) -> Result<Self, RasterError> {
+        let unknown = |reason: String| RasterError::UnknownCrs {
+            definition: shortened(definition),
+            reason,
+        };
+        let read = || {
+            let reference = SpatialRef::from_definition(definition)?;
+            Ok((reference.to_wkt()?, reference))
+        };
+        let (wkt, reference) = messages::collect(read).map_err(unknown)?;
+        let authority = if reference.is_compound() {
+            None
+        } else {
+            messages::collect(|| reference.authority()).ok()
+        };
+        Ok(Self {
+            definition: authority.unwrap_or_else(|| wkt.clone()),
+            name: reference.name().unwrap_or_else(|| shortened(definition)),
+            vertical: reference.is_compound() || reference.is_vertical(),
+            metres_per_unit: if reference.is_geographic() {
+                METRES_PER_DEGREE
+            } else {
+                reference.linear_units()
+            },
+            wkt,
+        })
+    }
+
+    /// By EPSG code.
+    ///
+    /// # Errors
+    /// [`RasterError::UnknownCrs`].
+    pub fn from_epsg(code: u32) -> Result<Self, RasterError> {
+        Self::from_definition(&format!("EPSG:{code}"))
+    }
+
+    /// The WGS 84 / UTM zone of a place; polar stereographic (UPS) beyond 84° N and 80° S.
+    ///
+    /// # Errors
+    /// [`RasterError::UnknownCrs`] when PROJ's database is missing.
+    pub fn utm(at: GeoPoint) -> Result<Self, RasterError> {
+        Self::from_epsg(utm_epsg(at.lon_deg, at.lat_deg))
+    }
+
+    /// A short name, such as `WGS 84 / UTM zone 37N`.
+    pub fn name(&self) -> &str {
+        &self.name
+    }
+
+    /// `EPSG:N` where known, else the whole WKT.
+    pub fn definition(&self) -> &str {
+        &self.definition
+    }
+
+    /// The WKT.
+    pub fn wkt(&self) -> &str {
+        &self.wkt
+    }
+
+    /// Whether heights are tied to a vertical datum of their own; without, they are ellipsoidal.
+    pub fn has_vertical_datum(&self) -> bool {
+        self.vertical
+    }
+
+    /// Metres per unit of its coordinates; for degrees, along the equator.
+    pub fn metres_per_unit(&self) -> f64 {
+        self.metres_per_unit
+    }
+}
+
+fn shortened(definition: &str) -> String {
+    const LONGEST: usize = 60;
+    if definition.chars().count() <= LONGEST {
+        return definition.to_owned();
+    }
+    definition.chars().take(LONGEST).chain("...".chars()).collect()
+}
+
+/// EPSG code of the UTM zone (UPS near the poles) of a longitude and latitude in degrees, with the exceptions of
+/// south-west Norway and Svalbard (DMA TM 8358.2, §2-1).
+pub fn utm_epsg(lon_deg: f64, lat_deg: f64) -> u32 {
+    if lat_deg >= 84.0 {
+        return 32661;
+    }
+    if lat_deg < -80.0 {
+        return 32761;
+    }
+    let lon = (lon_deg + 180.0).rem_euclid(360.0) - 180.0;
+    let regular = (((lon + 180.0) / 6.0).floor() as u32).min(59) + 1;
+    let zone = if (56.0..64.0).contains(&lat_deg) && (3.0..12.0).contains(&lon) {
+        32
+    } else if lat_deg >= 72.0 && (0.0..42.0).contains(&lon) {
+        match lon {
+            x if x < 9.0 => 31,
+            x if x < 21.0 => 33,
+            x if x < 33.0 => 35,
+            _ => 37,
+        }
+    } else {
+        regular
+    };
+    if lat_deg >= 0.0 { 32600 + zone } else { 32700 + zone }
+}
+
+/// A transformation between two coordinate systems; x is east (or longitude), y north (or latitude), always.
+///
+/// PROJ objects are neither `Send` nor `Sync` and cost milliseconds to make: one per worker, never in a loop.
+pub struct CrsTransform {
+    proj: Proj,
+    target: String,
+}
+
+impl CrsTransform {
+    /// From WGS 84 longitude and latitude in degrees to `target`.
+    ///
+    /// # Errors
+    /// [`RasterError::UnknownCrs`].
+    pub fn from_lon_lat(target: &Crs) -> Result<Self, RasterError> {
+        Self::between("EPSG:4326", target.definition(), target.name())
+    }
+
+    /// From `source` to WGS 84 longitude and latitude in degrees.
+    ///
+    /// # Errors
+    /// [`RasterError::UnknownCrs`].
+    pub fn to_lon_lat(source: &Crs) -> Result<Self, RasterError> {
+        Self::between(source.definition(), "EPSG:4326", "WGS 84")
+    }
+
+    /// From one system to another.
+    ///
+    /// # Errors
+    /// [`RasterError::UnknownCrs`].
+    pub fn new(source: &Crs, target: &Crs) -> Result<Self, RasterError> {
+        Self::between(source.definition(), target.definition(), target.name())
+    }
+
+    fn between(source: &str, target: &str, name: &str) -> Result<Self, RasterError> {
+        let proj = Proj::new_known_crs(source, target, None).map_err(|error| RasterError::UnknownCrs {
+            definition: name.to_owned(),
+            reason: error.to_string(),
+        })?;
+        Ok(Self {
+            proj,
+            target: name.to_owned(),
+        })
+    }
+
+    /// Transforms one point.
+    ///
+    /// # Errors
+    /// [`RasterError::Transform`].
+    pub fn apply(&self, x: f64, y: f64) -> Result<(f64, f64), RasterError> {
+        let failed = |reason: String| RasterError::Transform {
+            crs: self.target.clone(),
+            reason,
+        };
+        let (x, y) = self.proj.convert((x, y)).map_err(|error| failed(error.to_string()))?;
+        if x.is_finite() && y.is_finite() {
+            Ok((x, y))
+        } else {
+            Err(failed("the point lies outside of it".to_owned()))
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use gdal::spatial_ref::{AxisMappingStrategy, CoordTransform};
+
+    #[test]
+    fn utm_zones_follow_the_grid_and_its_exceptions() {
+        let cases = [
+            (36.91, 37.58, 32637),
+            (-81.66, 30.35, 32617),
+            (5.0, 60.0, 32632),
+            (8.9, 78.0, 32631),
+            (9.1, 78.0, 32633),
+            (180.0, 10.0, 32601),
+            (-180.0, -10.0, 32701),
+            (179.999, -10.0, 32760),
+            (10.0, 85.0, 32661),
+            (10.0, -81.0, 32761),
+        ];
+        for (lon, lat, epsg) in cases {
+            assert_eq!(utm_epsg(lon, lat), epsg, "{lon} {lat}");
+        }
+    }
+
+    #[test]
+    fn proj_and_gdal_agree_below_a_millimetre() {
+        for (lon0, lat0) in [(36.9, 37.58), (-81.66, 30.35), (151.2, -33.9), (15.0, 78.2)] {
+            let crs = Crs::from_epsg(utm_epsg(lon0, lat0)).expect("EPSG codes of UTM zones are known");
+            let ours = CrsTransform::from_lon_lat(&crs).expect("PROJ knows the zone");
+            let mut source = SpatialRef::from_epsg(4326).expect("WGS 84");
+            let mut target = SpatialRef::from_wkt(crs.wkt()).expect("its own WKT");
+            source.set_axis_mapping_strategy(AxisMappingStrategy::TraditionalGisOrder);
+            target.set_axis_mapping_strategy(AxisMappingStrategy::TraditionalGisOrder);
+            let osr = CoordTransform::new(&source, &target).expect("OSR transform");
+            for step in 0..100 {
+                let (lon, lat) = (lon0 + f64::from(step % 10) * 0.05, lat0 + f64::from(step / 10) * 0.05);
+                let (mut x, mut y) = ([lon], [lat]);
+                osr.transform_coords(&mut x, &mut y, &mut [])
+                    .expect("inside the zone");
+                let (east, north) = ours.apply(lon, lat).expect("inside the zone");
+                assert!((east - x[0]).hypot(north - y[0]) < 1e-3, "{lon} {lat}");
+            }
+        }
+    }
+
+    #[test]
+    fn an_unknown_code_is_an_error_that_names_it() {
+        let error = Crs::from_definition("EPSG:999999").expect_err("there is no such code");
+        assert!(error.to_string().contains("EPSG:999999"), "{error}");
+    }
+}

@@ -1,0 +1,56 @@
+//! What GDAL says: kept per thread for our error messages, sent to the log, never printed by GDAL itself.
+
+use gdal::config::set_error_handler;
+use gdal::errors::CplErrType;
+use std::cell::RefCell;
+use std::sync::Once;
+
+thread_local! {
+    static FAILURES: RefCell<Vec<String>> = const { RefCell::new(Vec::new()) };
+}
+
+static INSTALL: Once = Once::new();
+
+/// Routes GDAL's messages to the log and to [`collect`]; safe to call often.
+pub fn install() {
+    INSTALL.call_once(|| {
+        set_error_handler(|class, _, message| match class {
+            CplErrType::Failure | CplErrType::Fatal => {
+                tracing::debug!("GDAL: {message}");
+                FAILURES.with_borrow_mut(|failures| failures.push(one_line(message)));
+            }
+            CplErrType::Warning => tracing::debug!("GDAL warns: {message}"),
+            _ => tracing::trace!("GDAL: {message}"),
+        });
+    });
+}
+
+/// Runs `action`; an error carries GDAL's first failure message, which is closest to the cause.
+///
+/// # Errors
+/// The message, on one line.
+pub fn collect<T>(action: impl FnOnce() -> gdal::errors::Result<T>) -> Result<T, String> {
+    install();
+    FAILURES.with_borrow_mut(Vec::clear);
+    let result = action();
+    let first = FAILURES.with_borrow_mut(|failures| failures.drain(..).next());
+    result.map_err(|error| first.unwrap_or_else(|| one_line(&error.to_string())))
+}
+
+/// Like [`collect`], and a failure GDAL reported without returning an error counts as one.
+///
+/// # Errors
+/// The message, on one line.
+pub fn collect_strictly<T>(action: impl FnOnce() -> gdal::errors::Result<T>) -> Result<T, String> {
+    install();
+    FAILURES.with_borrow_mut(Vec::clear);
+    let result = action();
+    match (FAILURES.with_borrow_mut(|failures| failures.drain(..).next()), result) {
+        (Some(message), _) => Err(message),
+        (None, result) => result.map_err(|error| one_line(&error.to_string())),
+    }
+}
+
+fn one_line(message: &str) -> String {
+    message.split_whitespace().collect::<Vec<_>>().join(" ")
+}

@@ -1,0 +1,279 @@
+//! Writing: cloud-optimised GeoTIFFs and plain GeoTIFFs, whole or not at all.
+//!
+//! GDAL writes into memory; the finished bytes go to a temporary file beside the target, which is renamed when it is
+//! complete. So a full disk or a refused permission is an error of the operating system with its own name, and nothing
+//! half-written is ever seen under the target's name.
+
+use super::{Crs, GeoTransform, RasterError, messages};
+use gdal::raster::{Buffer, GdalType, RasterCreationOptions};
+use gdal::{Dataset, DriverManager, Metadata};
+use heliosplat::Raster;
+use std::io::Write;
+use std::path::{Path, PathBuf};
+use std::sync::atomic::{AtomicU64, Ordering};
+
+/// What stands for "nothing known" in the float rasters we write.
+pub const NODATA: f32 = -9999.0;
+
+/// A raster to write and what is to be said about it.
+#[derive(Debug, Clone, Copy)]
+pub struct ImageSpec<'a> {
+    /// The values; `NaN` becomes nodata in float files and 0 in integer files.
+    pub raster: &'a Raster,
+    /// One description per band, or none at all.
+    pub band_descriptions: &'a [&'a str],
+    /// Where it lies on the map, if it does.
+    pub georeference: Option<(&'a GeoTransform, &'a Crs)>,
+    /// Items of the default metadata domain.
+    pub metadata: &'a [(String, String)],
+    /// Items of the `RPC` domain (pixel centres at integers), if it has a rational camera.
+    pub rpc: &'a [(String, String)],
+}
+
+impl<'a> ImageSpec<'a> {
+    /// A raster about which nothing is said.
+    pub fn plain(raster: &'a Raster) -> Self {
+        Self {
+            raster,
+            band_descriptions: &[],
+            georeference: None,
+            metadata: &[],
+            rpc: &[],
+        }
+    }
+}
+
+/// The sample type of a file.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Sample {
+    /// 8 bits, 0..=255.
+    U8,
+    /// 16 bits, 0..=65535.
+    U16,
+    /// 32-bit float.
+    F32,
+}
+
+/// Writes a float32 cloud-optimised GeoTIFF: tiled, deflated with the floating-point predictor, overviews, nodata -9999.
+///
+/// # Errors
+/// [`RasterError::DiskFull`], [`RasterError::Permission`] or [`RasterError::Write`]; nothing is left behind.
+pub fn write_cog(path: &Path, spec: &ImageSpec) -> Result<(), RasterError> {
+    let options = [
+        "COMPRESS=DEFLATE",
+        "PREDICTOR=YES",
+        "BLOCKSIZE=256",
+        "OVERVIEWS=AUTO",
+        "RESAMPLING=AVERAGE",
+        "BIGTIFF=IF_SAFER",
+    ];
+    let dataset = in_memory(path, spec, Sample::F32)?;
+    write_copy(path, &dataset, "COG", &options)
+}
+
+/// Writes a plain deflated GeoTIFF with samples of the given type; integers are rounded and clamped.
+///
+/// # Errors
+/// As [`write_cog`].
+pub fn write_geotiff(path: &Path, spec: &ImageSpec, sample: Sample) -> Result<(), RasterError> {
+    let predictor = if sample == Sample::F32 { "PREDICTOR=3" } else { "PREDICTOR=2" };
+    let options = ["COMPRESS=DEFLATE", predictor, "INTERLEAVE=BAND", "BIGTIFF=IF_SAFER"];
+    let dataset = in_memory(path, spec, sample)?;
+    write_copy(path, &dataset, "GTiff", &options)
+}
+
+fn in_memory(path: &Path, spec: &ImageSpec, sample: Sample) -> Result<Dataset, RasterError> {
+    let built = match sample {
+        Sample::F32 => build(spec, |value| if value.is_finite() { value } else { NODATA }, Some(NODATA)),
+        // `as` saturates and turns NaN into 0.
+        Sample::U8 => build(spec, |value| value.round() as u8, None),
+        Sample::U16 => build(spec, |value| value.round() as u16, None),
+    };
+    built.map_err(|reason| RasterError::Write {
+        path: path.to_owned(),
+        reason,
+    })
+}
+
+fn build<T: GdalType + Copy>(
+    spec: &ImageSpec,
+    convert: impl Fn(f32) -> T,
+    nodata: Option<f32>,
+) -> Result<Dataset, String> {
+    let raster = spec.raster;
+    let size = (raster.width, raster.height);
+    messages::collect_strictly(|| {
+        let driver = DriverManager::get_driver_by_name("MEM")?;
+        let mut dataset = driver.create_with_band_type::<T, _>("", size.0, size.1, raster.bands)?;
+        if let Some((transform, crs)) = spec.georeference {
+            dataset.set_geo_transform(&transform.to_gdal())?;
+            dataset.set_projection(crs.wkt())?;
+        }
+        for (key, value) in spec.metadata {
+            dataset.set_metadata_item(key, value, "")?;
+        }
+        for (key, value) in spec.rpc {
+            dataset.set_metadata_item(key, value, "RPC")?;
+        }
+        for index in 0..raster.bands {
+            let mut band = dataset.rasterband(index + 1)?;
+            if let Some(nodata) = nodata {
+                band.set_no_data_value(Some(f64::from(nodata)))?;
+            }
+            if let Some(text) = spec.band_descriptions.get(index) {
+                band.set_description(text)?;
+            }
+            let values = raster.plane(index).iter().map(|&value| convert(value)).collect();
+            band.write((0, 0), size, &mut Buffer::new(size, values))?;
+        }
+        Ok(dataset)
+    })
+}
+
+/// A file in GDAL's memory, gone when dropped.
+struct MemoryFile(PathBuf);
+
+impl MemoryFile {
+    fn new() -> Self {
+        static COUNTER: AtomicU64 = AtomicU64::new(0);
+        let number = COUNTER.fetch_add(1, Ordering::Relaxed);
+        Self(PathBuf::from(format!("/vsimem/heliosplat_{number}.tif")))
+    }
+}
+
+impl Drop for MemoryFile {
+    fn drop(&mut self) {
+        // Already gone when its bytes were taken.
+        let _ = messages::collect(|| gdal::vsi::unlink_mem_file(&self.0));
+    }
+}
+
+fn write_copy(path: &Path, dataset: &Dataset, driver: &str, options: &[&str]) -> Result<(), RasterError> {
+    let memory = MemoryFile::new();
+    let bytes = messages::collect_strictly(|| {
+        let driver = DriverManager::get_driver_by_name(driver)?;
+        let options = RasterCreationOptions::from_iter(options.iter().copied());
+        dataset.create_copy(&driver, &memory.0, &options)?.close()?;
+        gdal::vsi::get_vsi_mem_file_bytes_owned(&memory.0)
+    })
+    .map_err(|reason| RasterError::Write {
+        path: path.to_owned(),
+        reason,
+    })?;
+    write_atomically(path, &bytes)
+}
+
+/// Writes `bytes` to a temporary file beside `path` and renames it; parent folders are made.
+///
+/// # Errors
+/// As [`write_cog`].
+pub fn write_atomically(path: &Path, bytes: &[u8]) -> Result<(), RasterError> {
+    let failed = |error: &std::io::Error| RasterError::from_io(path, error);
+    let folder = match path.parent() {
+        Some(parent) if !parent.as_os_str().is_empty() => parent,
+        _ => Path::new("."),
+    };
+    std::fs::create_dir_all(folder).map_err(|error| failed(&error))?;
+    let mut builder = tempfile::Builder::new();
+    builder.prefix(".heliosplat-");
+    #[cfg(unix)]
+    {
+        // A temporary file is private by default; the finished one follows the user's umask like any other.
+        use std::os::unix::fs::PermissionsExt;
+        builder.permissions(std::fs::Permissions::from_mode(0o666));
+    }
+    let mut file = builder.tempfile_in(folder).map_err(|error| failed(&error))?;
+    file.write_all(bytes).map_err(|error| failed(&error))?;
+    file.as_file().sync_all().map_err(|error| failed(&error))?;
+    file.persist(path).map_err(|error| failed(&error.error))?;
+    Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::raster::{GeoRaster, RasterFile};
+
+    fn sample_raster(width: usize, height: usize, bands: usize) -> Raster {
+        let mut raster = Raster::filled(width, height, bands, 0.0);
+        for (index, value) in raster.values.iter_mut().enumerate() {
+            *value = (index % 977) as f32 * 0.25 - 20.0;
+        }
+        raster.values[5] = f32::NAN;
+        raster
+    }
+
+    #[test]
+    fn a_cog_comes_back_as_it_was_and_says_it_is_one() {
+        let folder = tempfile::tempdir().expect("a temporary folder");
+        let path = folder.path().join("new/dsm.tif");
+        let raster = sample_raster(700, 530, 3);
+        let transform = GeoTransform::north_up(312_000.0, 4_160_500.0, 0.5);
+        let crs = Crs::from_epsg(32637).expect("UTM 37N");
+        let spec = ImageSpec {
+            band_descriptions: &["altitude", "standard deviation", "coverage"],
+            georeference: Some((&transform, &crs)),
+            metadata: &[("SEED".to_owned(), "7".to_owned())],
+            ..ImageSpec::plain(&raster)
+        };
+        write_cog(&path, &spec).expect("written");
+
+        let file = RasterFile::open(&path).expect("readable");
+        assert_eq!(
+            file.domain("IMAGE_STRUCTURE").get("LAYOUT").map(String::as_str),
+            Some("COG")
+        );
+        assert_eq!(file.domain("").get("SEED").map(String::as_str), Some("7"));
+        assert_eq!(file.bands[2].description, "coverage");
+        assert_eq!(file.bands[0].nodata, Some(-9999.0));
+        let back = GeoRaster::read(&path).expect("georeferenced");
+        assert_eq!(back.transform, transform);
+        assert_eq!(back.crs.expect("a CRS").definition(), "EPSG:32637");
+        for (got, want) in back.raster.values.iter().zip(&raster.values) {
+            assert!(got == want || (got.is_nan() && want.is_nan()), "{got} {want}");
+        }
+        let left: Vec<_> = std::fs::read_dir(path.parent().expect("a parent"))
+            .expect("listable")
+            .collect();
+        assert_eq!(left.len(), 1, "only the product is left");
+    }
+
+    #[test]
+    fn integers_are_rounded_clamped_and_an_rpc_domain_is_kept() {
+        let folder = tempfile::tempdir().expect("a temporary folder");
+        let path = folder.path().join("image.tif");
+        let raster = Raster {
+            width: 4,
+            height: 1,
+            bands: 1,
+            values: vec![-3.0, 1.6, 70_000.0, f32::NAN],
+        };
+        write_geotiff(&path, &ImageSpec::plain(&raster), Sample::U16).expect("written");
+        let back = RasterFile::open(&path).expect("readable").read_all().expect("pixels");
+        assert_eq!(back.values, vec![0.0, 2.0, 65535.0, 0.0]);
+    }
+
+    #[test]
+    fn a_target_that_cannot_be_a_folder_is_a_clear_error() {
+        let folder = tempfile::tempdir().expect("a temporary folder");
+        let blocker = folder.path().join("file");
+        std::fs::write(&blocker, b"x").expect("written");
+        let error = write_cog(&blocker.join("dsm.tif"), &ImageSpec::plain(&sample_raster(8, 8, 1)))
+            .expect_err("a file is no folder");
+        assert!(error.to_string().contains("dsm.tif"), "{error}");
+        assert!(!error.is_input_fault());
+    }
+
+    #[test]
+    fn a_full_disk_is_named_and_leaves_nothing() {
+        // /dev/full refuses every byte the way a full disk does; it exists on Linux only.
+        let full = Path::new("/dev/full");
+        if !full.exists() {
+            return;
+        }
+        let mut file = std::fs::OpenOptions::new().write(true).open(full).expect("writable");
+        let error = file.write_all(b"x").expect_err("it is full");
+        let error = RasterError::from_io(Path::new("dsm.tif"), &error);
+        assert!(matches!(error, RasterError::DiskFull(_)), "{error}");
+    }
+}
