@@ -6,10 +6,13 @@
 mod localise;
 mod polynomial;
 
+pub mod fit;
 pub mod frame;
 pub mod pinhole;
+pub mod read;
 pub mod rpc;
 pub mod sun;
+pub mod write;
 
 pub use frame::LocalFrame;
 pub use pinhole::{ImageWindow, PinholeFit, ProjectiveMap};
