@@ -12,6 +12,7 @@ pub mod pinhole;
 pub mod read;
 pub mod rpc;
 pub mod sun;
+pub mod triangulate;
 pub mod write;
 
 pub use frame::LocalFrame;

@@ -1,0 +1,72 @@
+//! The statements of vendors' text files: `key = value;` with groups and lists (IMD, RPB, PVL), and `key: value` lines.
+
+/// A `key = value` statement; the value is a slice of the text, brackets of a list included.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) struct Statement<'a> {
+    pub(super) key: &'a str,
+    pub(super) value: &'a str,
+}
+
+/// The statements of an IMD, RPB or PVL text, in order; groups are entered and left without a trace, since the keys this
+/// crate reads mean the same in every group.
+pub(super) fn assignments(text: &str) -> Vec<Statement<'_>> {
+    let mut statements = Vec::new();
+    let mut rest = text;
+    while let Some(equals) = rest.find('=') {
+        // The key is what stands before "=" on its own line.
+        let before = &rest[..equals];
+        let key = before.rsplit(['\n', '\r', ';']).next().unwrap_or(before).trim();
+        let after = rest[equals + 1..].trim_start();
+        let end = if after.starts_with('(') {
+            after.find(')').map_or(after.len(), |close| close + 1)
+        } else {
+            after.find(['\n', '\r', ';']).unwrap_or(after.len())
+        };
+        let value = after[..end].trim();
+        rest = &after[end..];
+        if !matches!(key.to_ascii_uppercase().as_str(), "BEGIN_GROUP" | "END_GROUP" | "GROUP" | "OBJECT") {
+            statements.push(Statement { key, value });
+        }
+    }
+    statements
+}
+
+/// The `key: value` lines of a text, in order.
+pub(super) fn colon_lines(text: &str) -> impl Iterator<Item = Statement<'_>> {
+    text.lines().filter_map(|line| {
+        let (key, value) = line.split_once(':')?;
+        Some(Statement {
+            key: key.trim(),
+            value: value.trim(),
+        })
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn groups_lists_and_quotes_are_told_apart() {
+        let text = "satId = \"WV03\";\r\nBEGIN_GROUP = IMAGE\n\terrBias =    1.49;\n lineNumCoef = (\n +1E-03,\n-2);\n\
+                    pixelScale = \n(\n 7\n);\nEND_GROUP = IMAGE\nEND;";
+        let found: Vec<(&str, &str)> = assignments(text).iter().map(|s| (s.key, s.value)).collect();
+        assert_eq!(
+            found,
+            [
+                ("satId", "\"WV03\""),
+                ("errBias", "1.49"),
+                ("lineNumCoef", "(\n +1E-03,\n-2)"),
+                ("pixelScale", "(\n 7\n)")
+            ]
+        );
+    }
+
+    #[test]
+    fn text_cut_anywhere_still_ends() {
+        let text = "a = (1, 2);\nb = 3;\n=\n= =;c=(";
+        for end in 0..=text.len() {
+            assert!(assignments(&text[..end]).len() <= 8);
+        }
+    }
+}
