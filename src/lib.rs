@@ -1,7 +1,17 @@
 //! Gaussians that are seen and lit: rasterise, trace, shade, optimise. No files, no coordinate systems, no command line.
 
 pub mod camera;
+pub mod gaussians;
+pub mod light;
+pub mod loss;
+pub mod metrics;
+pub mod model;
+pub mod optim;
 pub mod raster;
+pub mod render;
+pub mod splat;
+pub mod trace;
+pub mod train;
 
 pub use camera::ProjectiveCamera;
 pub use raster::Raster;

@@ -1,1 +1,3 @@
-//! placeholder
+//! What the end-to-end tests share: a slow, obvious f64 reference of the engine's forward pass, and where things are.
+
+pub mod reference;

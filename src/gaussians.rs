@@ -1,0 +1,280 @@
+//! The parameter table: every trained number, in named groups.
+//!
+//! One [`Table`] holds the Gaussians, another the numbers a scene model shares between them (sky, per-image colour).
+//! Gradients and Adam's moments are tables of the same shape, so optimiser, density control and checkpoint all walk the
+//! same groups and none of them knows what a group means.
+
+use glam::{Mat3, Quat, Vec3};
+
+/// Index of the group of centres, metres from the scene centre.
+pub const POSITION: usize = 0;
+/// Index of the group of log scales: natural logarithm of the standard deviation in metres along each own axis.
+pub const LOG_SCALE: usize = 1;
+/// Index of the group of rotations: quaternion `x, y, z, w`, not necessarily unit.
+pub const ROTATION: usize = 2;
+/// Index of the group of opacity logits.
+pub const OPACITY: usize = 3;
+/// Index of the first group a scene model adds.
+pub const FEATURES: usize = 4;
+
+/// What a group is called and how many numbers an element has in it.
+#[derive(Debug, Clone, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
+pub struct GroupSpec {
+    /// Name, as written in checkpoints and learning rates.
+    pub name: String,
+    /// Numbers per element.
+    pub width: usize,
+}
+
+impl GroupSpec {
+    /// A group `name` of `width` numbers per element.
+    pub fn new(name: &str, width: usize) -> Self {
+        Self {
+            name: name.into(),
+            width,
+        }
+    }
+}
+
+/// The four groups every Gaussian has.
+pub fn core_groups() -> Vec<GroupSpec> {
+    vec![
+        GroupSpec::new("position", 3),
+        GroupSpec::new("log_scale", 3),
+        GroupSpec::new("rotation", 4),
+        GroupSpec::new("opacity", 1),
+    ]
+}
+
+/// One named group: `values[element * width + component]`.
+#[derive(Debug, Clone, PartialEq, serde::Serialize, serde::Deserialize)]
+pub struct Group {
+    /// Name and width.
+    pub spec: GroupSpec,
+    /// Values, element after element.
+    pub values: Vec<f32>,
+}
+
+/// Elements with the same named groups of numbers.
+#[derive(Debug, Clone, PartialEq, Default, serde::Serialize, serde::Deserialize)]
+pub struct Table {
+    /// Number of elements.
+    pub count: usize,
+    /// The groups.
+    pub groups: Vec<Group>,
+}
+
+impl Table {
+    /// `count` elements, all zero.
+    pub fn zeros(specs: Vec<GroupSpec>, count: usize) -> Self {
+        let groups = specs
+            .into_iter()
+            .map(|spec| Group {
+                values: vec![0.0; spec.width * count],
+                spec,
+            })
+            .collect();
+        Self { count, groups }
+    }
+
+    /// A table of the same shape, all zero.
+    pub fn zeros_like(&self) -> Self {
+        Self::zeros(self.groups.iter().map(|g| g.spec.clone()).collect(), self.count)
+    }
+
+    /// Sets every value to zero, keeping the memory; grows or shrinks to `count` elements.
+    pub fn reset(&mut self, count: usize) {
+        self.count = count;
+        for group in &mut self.groups {
+            group.values.clear();
+            group.values.resize(group.spec.width * count, 0.0);
+        }
+    }
+
+    /// The values of a group.
+    pub fn group(&self, index: usize) -> &[f32] {
+        &self.groups[index].values
+    }
+
+    /// The values of a group, to write.
+    pub fn group_mut(&mut self, index: usize) -> &mut [f32] {
+        &mut self.groups[index].values
+    }
+
+    /// Index of the group called `name`.
+    pub fn index_of(&self, name: &str) -> Option<usize> {
+        self.groups.iter().position(|g| g.spec.name == name)
+    }
+
+    /// The elements `indices`, in that order; an index may come more than once.
+    pub fn gather(&self, indices: &[u32]) -> Self {
+        let groups = self
+            .groups
+            .iter()
+            .map(|group| {
+                let width = group.spec.width;
+                let mut values = Vec::with_capacity(width * indices.len());
+                for &index in indices {
+                    let start = index as usize * width;
+                    values.extend_from_slice(&group.values[start..start + width]);
+                }
+                Group {
+                    spec: group.spec.clone(),
+                    values,
+                }
+            })
+            .collect();
+        Self {
+            count: indices.len(),
+            groups,
+        }
+    }
+
+    /// Whether every value is finite.
+    pub fn is_finite(&self) -> bool {
+        self.groups.iter().all(|g| g.values.iter().all(|v| v.is_finite()))
+    }
+
+    /// Bytes of memory that one element takes in one table.
+    pub fn bytes_per_element(&self) -> usize {
+        self.groups.iter().map(|g| g.spec.width * size_of::<f32>()).sum()
+    }
+
+    /// Centre of a Gaussian, metres.
+    #[inline]
+    pub fn position(&self, index: usize) -> Vec3 {
+        Vec3::from_slice(&self.groups[POSITION].values[index * 3..])
+    }
+
+    /// Standard deviations of a Gaussian along its own axes, metres.
+    #[inline]
+    pub fn scale(&self, index: usize) -> Vec3 {
+        let log = &self.groups[LOG_SCALE].values[index * 3..index * 3 + 3];
+        Vec3::new(log[0].exp(), log[1].exp(), log[2].exp())
+    }
+
+    /// Rotation of a Gaussian as stored, not normalised.
+    #[inline]
+    pub fn raw_rotation(&self, index: usize) -> [f32; 4] {
+        let q = &self.groups[ROTATION].values[index * 4..index * 4 + 4];
+        [q[0], q[1], q[2], q[3]]
+    }
+
+    /// Rotation matrix of a Gaussian: its columns are its own axes in the scene frame.
+    #[inline]
+    pub fn rotation(&self, index: usize) -> Mat3 {
+        Mat3::from_quat(normalised(self.raw_rotation(index)))
+    }
+
+    /// Opacity of a Gaussian, 0 to 1.
+    #[inline]
+    pub fn opacity(&self, index: usize) -> f32 {
+        sigmoid(self.groups[OPACITY].values[index])
+    }
+}
+
+/// The unit quaternion along `q`; identity when `q` is degenerate.
+#[inline]
+pub fn normalised(q: [f32; 4]) -> Quat {
+    let norm = (q[0] * q[0] + q[1] * q[1] + q[2] * q[2] + q[3] * q[3]).sqrt();
+    if norm < 1e-12 || !norm.is_finite() {
+        return Quat::IDENTITY;
+    }
+    Quat::from_xyzw(q[0] / norm, q[1] / norm, q[2] / norm, q[3] / norm)
+}
+
+/// Gradient of a loss to a raw quaternion from its gradient to the rotation matrix built of the normalised one.
+///
+/// `d_rotation` holds `∂L/∂R` column by column. The result is projected on the tangent of the sphere and divided by
+/// the norm, which is the derivative of the normalisation; zero when the quaternion is degenerate.
+pub fn rotation_backward(raw: [f32; 4], d_rotation: Mat3) -> [f32; 4] {
+    let norm = (raw[0] * raw[0] + raw[1] * raw[1] + raw[2] * raw[2] + raw[3] * raw[3]).sqrt();
+    if norm < 1e-12 || !norm.is_finite() {
+        return [0.0; 4];
+    }
+    let [x, y, z, w] = raw.map(|c| c / norm);
+    let g = |row: usize, col: usize| d_rotation.col(col)[row];
+    let unit = [
+        2.0 * (y * (g(0, 1) + g(1, 0)) + z * (g(0, 2) + g(2, 0)) - 2.0 * x * (g(1, 1) + g(2, 2))
+            + w * (g(2, 1) - g(1, 2))),
+        2.0 * (x * (g(0, 1) + g(1, 0)) + z * (g(1, 2) + g(2, 1)) - 2.0 * y * (g(0, 0) + g(2, 2))
+            + w * (g(0, 2) - g(2, 0))),
+        2.0 * (x * (g(0, 2) + g(2, 0)) + y * (g(1, 2) + g(2, 1)) - 2.0 * z * (g(0, 0) + g(1, 1))
+            + w * (g(1, 0) - g(0, 1))),
+        2.0 * (x * (g(2, 1) - g(1, 2)) + y * (g(0, 2) - g(2, 0)) + z * (g(1, 0) - g(0, 1))),
+    ];
+    let q = [x, y, z, w];
+    let along: f32 = (0..4).map(|i| unit[i] * q[i]).sum();
+    [0, 1, 2, 3].map(|i| (unit[i] - along * q[i]) / norm)
+}
+
+/// `1 / (1 + e^-x)`, without overflow.
+#[inline]
+pub fn sigmoid(x: f32) -> f32 {
+    if x >= 0.0 {
+        1.0 / (1.0 + (-x).exp())
+    } else {
+        let e = x.exp();
+        e / (1.0 + e)
+    }
+}
+
+/// The inverse of [`sigmoid`], for probabilities inside (0, 1).
+#[inline]
+pub fn logit(p: f32) -> f32 {
+    (p / (1.0 - p)).ln()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_gradient_to_a_quaternion_matches_central_differences() {
+        let raw = [0.3f32, -0.5, 0.2, 0.9];
+        // L = Σ weights ⊙ R
+        let weights = Mat3::from_cols(
+            Vec3::new(0.2, -1.0, 0.4),
+            Vec3::new(0.9, 0.1, -0.3),
+            Vec3::new(0.5, 0.7, -0.6),
+        );
+        let loss = |q: [f32; 4]| {
+            let r = Mat3::from_quat(normalised(q));
+            (0..3).map(|c| r.col(c).dot(weights.col(c))).sum::<f32>()
+        };
+        let analytic = rotation_backward(raw, weights);
+        for i in 0..4 {
+            let (mut hi, mut lo) = (raw, raw);
+            hi[i] += 1e-2;
+            lo[i] -= 1e-2;
+            let numeric = (loss(hi) - loss(lo)) / 2e-2;
+            assert!(
+                (numeric - analytic[i]).abs() < 2e-3,
+                "component {i}: {numeric} against {}",
+                analytic[i]
+            );
+        }
+    }
+
+    #[test]
+    fn a_degenerate_quaternion_is_the_identity_with_no_gradient() {
+        assert_eq!(normalised([0.0; 4]), Quat::IDENTITY);
+        assert_eq!(rotation_backward([0.0; 4], Mat3::IDENTITY), [0.0; 4]);
+    }
+
+    #[test]
+    fn gathering_repeats_and_reorders_elements() {
+        let mut table = Table::zeros(core_groups(), 3);
+        table.group_mut(OPACITY).copy_from_slice(&[1.0, 2.0, 3.0]);
+        let gathered = table.gather(&[2, 0, 2]);
+        assert_eq!(gathered.group(OPACITY), &[3.0, 1.0, 3.0]);
+        assert_eq!(gathered.count, 3);
+    }
+
+    #[test]
+    fn sigmoid_stays_in_bounds_at_the_extremes() {
+        for x in [-1e30f32, -100.0, -20.0, 0.0, 20.0, 100.0, 1e30] {
+            assert!((0.0..=1.0).contains(&sigmoid(x)), "{x}");
+        }
+    }
+}

@@ -1,0 +1,31 @@
+//! A light is a direction or a position, with one question: what transmittance does a Gaussian have toward it?
+
+use glam::Vec3;
+
+/// Where light comes from.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub enum Light {
+    /// Parallel light; unit vector toward the light.
+    Directional(Vec3),
+    /// A point light; its position in metres.
+    Point(Vec3),
+}
+
+impl Light {
+    /// Unit direction from `from` toward the light, and the distance to it in metres (infinite for parallel light).
+    #[inline]
+    pub fn seen_from(&self, from: Vec3) -> (Vec3, f32) {
+        match *self {
+            Light::Directional(direction) => (direction, f32::INFINITY),
+            Light::Point(position) => {
+                let offset = position - from;
+                let distance = offset.length();
+                if distance > 1e-12 {
+                    (offset / distance, distance)
+                } else {
+                    (Vec3::Z, 0.0)
+                }
+            }
+        }
+    }
+}

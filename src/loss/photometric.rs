@@ -1,0 +1,195 @@
+//! `(1-λ) L1 + λ (1 - SSIM)`, masked; SSIM after Wang et al. 2004 with a Gaussian window of 11 pixels, σ 1.5.
+
+use crate::raster::Raster;
+use rayon::prelude::*;
+
+/// Half size of the window, pixels.
+const RADIUS: usize = 5;
+/// Standard deviation of the window, pixels.
+const SIGMA: f32 = 1.5;
+const C1: f32 = 0.01 * 0.01;
+const C2: f32 = 0.03 * 0.03;
+
+/// Weights of the one-dimensional window; they sum to one.
+fn window() -> [f32; 2 * RADIUS + 1] {
+    let mut weights = [0.0; 2 * RADIUS + 1];
+    for (i, w) in weights.iter_mut().enumerate() {
+        let x = i as f32 - RADIUS as f32;
+        *w = (-0.5 * x * x / (SIGMA * SIGMA)).exp();
+    }
+    let sum: f32 = weights.iter().sum();
+    weights.map(|w| w / sum)
+}
+
+/// Convolves a plane with the window; outside the plane is zero, which makes the operation its own adjoint.
+fn blur(plane: &[f32], width: usize) -> Vec<f32> {
+    let height = plane.len() / width;
+    let weights = window();
+    let mut across = vec![0.0f32; plane.len()];
+    across
+        .par_chunks_mut(width)
+        .with_min_len(16)
+        .zip(plane.par_chunks(width))
+        .for_each(|(out, row)| {
+            for (tap, &w) in weights.iter().enumerate() {
+                let (from, to) = if tap >= RADIUS {
+                    (tap - RADIUS, 0)
+                } else {
+                    (0, RADIUS - tap)
+                };
+                let len = width.saturating_sub(from.max(to));
+                for (o, r) in out[to.min(width)..].iter_mut().zip(&row[from.min(width)..]).take(len) {
+                    *o += w * r;
+                }
+            }
+        });
+    let mut out = vec![0.0f32; plane.len()];
+    out.par_chunks_mut(width)
+        .with_min_len(16)
+        .enumerate()
+        .for_each(|(r, out)| {
+            for (tap, &w) in weights.iter().enumerate() {
+                let source = r + tap;
+                if source >= RADIUS && source - RADIUS < height {
+                    let row = &across[(source - RADIUS) * width..(source - RADIUS + 1) * width];
+                    for (o, v) in out.iter_mut().zip(row) {
+                        *o += w * v;
+                    }
+                }
+            }
+        });
+    out
+}
+
+/// SSIM per pixel of two planes, and the gradient of `Σ weight · SSIM` to the first.
+fn ssim_plane(x: &[f32], y: &[f32], width: usize, weight: &[f32]) -> (f64, Vec<f32>) {
+    let product = |a: &[f32], b: &[f32]| -> Vec<f32> { a.iter().zip(b).map(|(a, b)| a * b).collect() };
+    let (mx, my) = (blur(x, width), blur(y, width));
+    let (xx, yy, xy) = (
+        blur(&product(x, x), width),
+        blur(&product(y, y), width),
+        blur(&product(x, y), width),
+    );
+    let mut d_mx = vec![0.0; x.len()];
+    let mut d_xx = vec![0.0; x.len()];
+    let mut d_xy = vec![0.0; x.len()];
+    let mut total = 0.0f64;
+    for i in 0..x.len() {
+        let (a, b) = (mx[i], my[i]);
+        let (vx, vy, cov) = (xx[i] - a * a, yy[i] - b * b, xy[i] - a * b);
+        let (l_num, l_den) = (2.0 * a * b + C1, a * a + b * b + C1);
+        let (c_num, c_den) = (2.0 * cov + C2, vx + vy + C2);
+        let ssim = (l_num * c_num) / (l_den * c_den);
+        total += f64::from(weight[i] * ssim);
+        // Partial derivatives with vx = xx - a², cov = xy - a b.
+        let d_cov = weight[i] * 2.0 * l_num / (l_den * c_den);
+        let d_vx = -weight[i] * ssim / c_den;
+        d_xx[i] = d_vx;
+        d_xy[i] = d_cov;
+        d_mx[i] = weight[i] * (2.0 * b * c_num / (l_den * c_den) - 2.0 * a * ssim / l_den) - 2.0 * a * d_vx - b * d_cov;
+    }
+    let (d_mx, d_xx, d_xy) = (blur(&d_mx, width), blur(&d_xx, width), blur(&d_xy, width));
+    let gradient = (0..x.len())
+        .map(|i| d_mx[i] + 2.0 * x[i] * d_xx[i] + y[i] * d_xy[i])
+        .collect();
+    (total, gradient)
+}
+
+/// The loss between a rendered and a true image, and its gradient to the rendered one.
+///
+/// `weight` is per pixel; a pixel of weight zero, or whose truth is missing in a band, counts for nothing there. The
+/// value is a mean over the weighted pixels and bands.
+pub fn photometric(image: &Raster, truth: &Raster, weight: &[f32], lambda_ssim: f32) -> (f64, Raster) {
+    let mut gradient = Raster::filled(image.width, image.height, image.bands, 0.0);
+    let mut value = 0.0;
+    let plane = image.plane_len();
+    for band in 0..image.bands {
+        let (x, t) = (image.plane(band), truth.plane(band));
+        let weight: Vec<f32> = weight
+            .iter()
+            .zip(t)
+            .map(|(&w, t)| if t.is_finite() { w } else { 0.0 })
+            .collect();
+        let norm: f64 = weight.iter().map(|&w| f64::from(w)).sum::<f64>() * image.bands as f64;
+        if norm <= 0.0 {
+            continue;
+        }
+        // Where nothing counts, the truth is taken to be what was rendered: the window must not see a made-up edge.
+        let y: Vec<f32> = (0..plane).map(|i| if weight[i] > 0.0 { t[i] } else { x[i] }).collect();
+        let inverse = (1.0 / norm) as f32;
+        let (ssim, d_ssim) = if lambda_ssim > 0.0 {
+            ssim_plane(x, &y, image.width, &weight)
+        } else {
+            (norm / image.bands as f64, vec![0.0; plane])
+        };
+        let mut l1 = 0.0f64;
+        let out = gradient.plane_mut(band);
+        for i in 0..plane {
+            let difference = x[i] - y[i];
+            l1 += f64::from(weight[i] * difference.abs());
+            // At equality the derivative is zero (`signum` of zero is one).
+            let sign = if difference == 0.0 { 0.0 } else { difference.signum() };
+            let l1_part = (1.0 - lambda_ssim) * weight[i] * sign;
+            let own = if weight[i] > 0.0 { d_ssim[i] } else { 0.0 };
+            out[i] = (l1_part - lambda_ssim * own) * inverse;
+        }
+        let lambda = f64::from(lambda_ssim);
+        value += (1.0 - lambda) * l1 / norm + lambda * (1.0 / image.bands as f64 - ssim / norm);
+    }
+    (value, gradient)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn pattern(seed: u32) -> Raster {
+        let mut raster = Raster::filled(23, 17, 2, 0.0);
+        for (i, v) in raster.values.iter_mut().enumerate() {
+            let h = (i as u32)
+                .wrapping_mul(2_654_435_761)
+                .wrapping_add(seed.wrapping_mul(40_503));
+            *v = 0.1 + 0.8 * ((h >> 8) & 0xffff) as f32 / 65_535.0;
+        }
+        raster
+    }
+
+    #[test]
+    fn equal_images_have_no_loss_and_no_gradient() {
+        let a = pattern(1);
+        let (value, gradient) = photometric(&a, &a, &vec![1.0; a.plane_len()], 0.2);
+        assert!(value.abs() < 1e-6);
+        assert!(gradient.values.iter().all(|g| g.abs() < 1e-6));
+    }
+
+    #[test]
+    fn the_gradient_matches_central_differences() {
+        let (image, truth) = (pattern(1), pattern(2));
+        let mut weight = vec![1.0; image.plane_len()];
+        weight[40] = 0.5;
+        let (_, gradient) = photometric(&image, &truth, &weight, 0.6);
+        let step = 1e-3;
+        let (mut error, mut norm) = (0.0, 0.0);
+        for i in 0..image.values.len() {
+            let (mut hi, mut lo) = (image.clone(), image.clone());
+            hi.values[i] += step;
+            lo.values[i] -= step;
+            let numeric = (photometric(&hi, &truth, &weight, 0.6).0 - photometric(&lo, &truth, &weight, 0.6).0)
+                / (2.0 * f64::from(step));
+            error += (numeric - f64::from(gradient.values[i])).powi(2);
+            norm += numeric.powi(2);
+        }
+        assert!(error < 2e-2f64.powi(2) * norm, "relative error {}", (error / norm).sqrt());
+    }
+
+    #[test]
+    fn masked_and_missing_pixels_count_for_nothing() {
+        let (image, mut truth) = (pattern(1), pattern(1));
+        truth.values[30] = 99.0;
+        truth.values[31] = f32::NAN;
+        let mut weight = vec![1.0; image.plane_len()];
+        weight[30] = 0.0;
+        let (value, gradient) = photometric(&image, &truth, &weight, 0.2);
+        assert!(value.abs() < 1e-6 && gradient.values.iter().all(|g| g.abs() < 1e-6));
+    }
+}

@@ -1,0 +1,96 @@
+//! Losses on what light reaches: shadows are hard, and what is seen from the light is lit.
+
+use crate::camera::ProjectiveCamera;
+use crate::gaussians::Table;
+use crate::light::Light;
+use crate::splat::{MapGradients, Projected, ProjectionOptions, Rasteriser, project::project_backward};
+use crate::trace::{OccluderTree, TraceOptions, transmittance, transmittance_backward};
+
+/// Visibilities outside `[CLAMP, 1 - CLAMP]` are settled: no gradient.
+const CLAMP: f32 = 0.02;
+
+/// Mean binary entropy (bits) of a visibility map; adds `weight` times its gradient to `d_visibility`.
+///
+/// Pushes shadows to be either there or not (ShadowGS eq. 18, EOGS's opaqueness).
+pub fn opaqueness(visibility: &[f32], mask: &[f32], weight: f32, d_visibility: &mut [f32]) -> f64 {
+    let count = mask.iter().filter(|&&m| m > 0.0).count().max(1) as f32;
+    let mut total = 0.0f64;
+    for ((&s, &m), d) in visibility.iter().zip(mask).zip(d_visibility) {
+        if m <= 0.0 {
+            continue;
+        }
+        let c = s.clamp(CLAMP, 1.0 - CLAMP);
+        total += f64::from(-(c * c.log2() + (1.0 - c) * (1.0 - c).log2()));
+        if s > CLAMP && s < 1.0 - CLAMP {
+            *d += weight / count * ((1.0 - s) / s).log2();
+        }
+    }
+    total / f64::from(count)
+}
+
+/// What a pass of [`consistency`] needs besides the Gaussians.
+pub struct ConsistencyPass<'a> {
+    /// The view.
+    pub camera: &'a ProjectiveCamera,
+    /// How Gaussians become splats.
+    pub projection: &'a ProjectionOptions,
+    /// How light is traced.
+    pub trace: &'a TraceOptions,
+    /// The occluders.
+    pub tree: &'a OccluderTree,
+    /// Weight of the loss.
+    pub weight: f32,
+}
+
+/// Mean of `1 - S` with the light moved onto the view (ShadowGS eq. 16): whatever the camera sees, a light at the camera
+/// reaches. Adds `weight` times its gradient to `out`.
+///
+/// With a nadir camera this is the paper's second form, light and view both at the zenith.
+pub fn consistency(gaussians: &Table, projected: &Projected, pass: &ConsistencyPass, out: &mut Table) -> f64 {
+    let light = Light::Directional(-pass.camera.depth_axis);
+    let traced = transmittance(gaussians, pass.tree, &projected.gaussian, &light, pass.trace);
+    let rasteriser = Rasteriser::new(projected, pass.camera.width, pass.camera.height);
+    let maps = rasteriser.forward(&traced.values, 1);
+    let pixels = pass.camera.width * pass.camera.height;
+    // Where nothing is seen there is nothing to light: the shadow is alpha - Σ w S.
+    let shadow: f64 = maps
+        .alpha
+        .iter()
+        .zip(&maps.channels[0])
+        .map(|(a, s)| f64::from(a - s))
+        .sum::<f64>()
+        / pixels as f64;
+    let mut d_maps = MapGradients::zeros(1, pixels);
+    let unit = pass.weight / pixels as f32;
+    d_maps.alpha.fill(unit);
+    d_maps.channels[0].fill(-unit);
+    let back = rasteriser.backward(&traced.values, 1, &maps, &d_maps);
+    project_backward(gaussians, pass.camera, pass.projection, projected, &back.splats, out);
+    transmittance_backward(
+        gaussians,
+        pass.tree,
+        &projected.gaussian,
+        &light,
+        pass.trace,
+        &traced,
+        &back.features,
+        out,
+    );
+    shadow
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn entropy_is_least_where_shadows_are_settled_and_points_away_from_doubt() {
+        let mask = [1.0; 4];
+        let mut d = [0.0; 4];
+        let value = opaqueness(&[0.001, 0.3, 0.7, 0.999], &mask, 1.0, &mut d);
+        assert!(value > 0.0 && value < 1.0);
+        // The gradient raises the loss toward one half: descending moves 0.3 down and 0.7 up.
+        assert!(d[1] > 0.0 && d[2] < 0.0);
+        assert_eq!((d[0], d[3]), (0.0, 0.0));
+    }
+}

@@ -1,0 +1,110 @@
+//! Adam (Kingma and Ba 2015), one learning rate per group.
+
+use crate::gaussians::Table;
+use rayon::prelude::*;
+
+const BETA1: f32 = 0.9;
+const BETA2: f32 = 0.999;
+const EPSILON: f32 = 1e-15;
+
+/// First and second moments of one table.
+#[derive(Debug, Clone, PartialEq, serde::Serialize, serde::Deserialize)]
+pub struct Adam {
+    /// Mean of the gradients.
+    pub first: Table,
+    /// Mean of their squares.
+    pub second: Table,
+    /// Steps taken.
+    pub steps: u32,
+}
+
+impl Adam {
+    /// No memory yet, for tables shaped like `parameters`.
+    pub fn new(parameters: &Table) -> Self {
+        Self {
+            first: parameters.zeros_like(),
+            second: parameters.zeros_like(),
+            steps: 0,
+        }
+    }
+
+    /// One step down `gradients`; `rates[group]` is each group's learning rate (a group of rate zero stays as it is).
+    pub fn step(&mut self, parameters: &mut Table, gradients: &Table, rates: &[f32]) {
+        self.steps += 1;
+        let correction1 = 1.0 - BETA1.powi(self.steps as i32);
+        let correction2 = (1.0 - BETA2.powi(self.steps as i32)).sqrt();
+        for (group, &rate) in rates.iter().enumerate() {
+            if rate == 0.0 {
+                continue;
+            }
+            let step = rate / correction1;
+            let values = parameters.group_mut(group).par_chunks_mut(4096);
+            let gradients = gradients.group(group).par_chunks(4096);
+            let first = self.first.group_mut(group).par_chunks_mut(4096);
+            let second = self.second.group_mut(group).par_chunks_mut(4096);
+            values
+                .zip(gradients)
+                .zip(first)
+                .zip(second)
+                .for_each(|(((values, gradients), first), second)| {
+                    for (((p, &g), m), v) in values.iter_mut().zip(gradients).zip(first).zip(second) {
+                        *m = BETA1 * *m + (1.0 - BETA1) * g;
+                        *v = BETA2 * *v + (1.0 - BETA2) * g * g;
+                        *p -= step * *m / (v.sqrt() / correction2 + EPSILON);
+                    }
+                });
+        }
+    }
+
+    /// Follows a rebuild of the table: element `i` of the new one was `sources[i]` of the old one; from `fresh` on, elements
+    /// are new and start without memory.
+    pub fn follow(&mut self, sources: &[u32], fresh: usize) {
+        for table in [&mut self.first, &mut self.second] {
+            *table = table.gather(sources);
+            for group in &mut table.groups {
+                let width = group.spec.width;
+                group.values[fresh * width..].fill(0.0);
+            }
+        }
+    }
+}
+
+/// `from · (to / from)^fraction`: a learning rate that falls by a constant factor per step; `fraction` 0 to 1.
+pub fn exponential_decay(from: f32, to: f32, fraction: f32) -> f32 {
+    from * (to / from).powf(fraction.clamp(0.0, 1.0))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::gaussians::GroupSpec;
+
+    #[test]
+    fn a_quadratic_is_descended_to_its_minimum() {
+        let mut parameters = Table::zeros(vec![GroupSpec::new("x", 2)], 1);
+        parameters.group_mut(0).copy_from_slice(&[3.0, -2.0]);
+        let mut adam = Adam::new(&parameters);
+        let mut gradients = parameters.zeros_like();
+        for step in 0..2000 {
+            let x: Vec<f32> = parameters.group(0).to_vec();
+            gradients
+                .group_mut(0)
+                .copy_from_slice(&[2.0 * (x[0] - 1.0), 20.0 * (x[1] + 1.0)]);
+            adam.step(
+                &mut parameters,
+                &gradients,
+                &[exponential_decay(0.05, 1e-4, step as f32 / 2000.0)],
+            );
+        }
+        assert!((parameters.group(0)[0] - 1.0).abs() < 1e-2 && (parameters.group(0)[1] + 1.0).abs() < 1e-2);
+    }
+
+    #[test]
+    fn a_rate_of_zero_freezes_a_group() {
+        let mut parameters = Table::zeros(vec![GroupSpec::new("x", 1)], 1);
+        let mut gradients = parameters.zeros_like();
+        gradients.group_mut(0)[0] = 1.0;
+        Adam::new(&parameters.clone()).step(&mut parameters, &gradients, &[0.0]);
+        assert_eq!(parameters.group(0), &[0.0]);
+    }
+}

@@ -1,0 +1,230 @@
+//! Density control: more Gaussians where the image pulls, none where nothing is seen.
+//!
+//! The pull is the mean length of a splat's gradient in the image (Kerbl et al. 2023). Above a threshold a Gaussian larger
+//! than the split size becomes two of a smaller one, a small one is doubled; faint and oversized ones go. A cap on the
+//! number, which follows from the memory budget, takes the strongest pulls first. No opacity reset (ShadowGS).
+
+use crate::gaussians::{LOG_SCALE, OPACITY, POSITION, Table};
+use crate::splat::{Projected, SplatGradient};
+use glam::Vec3;
+use rand::{RngExt, SeedableRng};
+use rand_pcg::Pcg32;
+
+/// When and how the number of Gaussians changes.
+#[derive(Debug, Clone, PartialEq, serde::Serialize, serde::Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct DensityOptions {
+    /// Steps between two looks; 0 is never.
+    pub every: usize,
+    /// First step.
+    pub from: usize,
+    /// Last step, as a fraction of all.
+    pub until_fraction: f32,
+    /// Fraction of the Gaussians that may be added at one look, strongest pulls first.
+    pub growth: f32,
+    /// Pull (per pixel, on a loss that is a mean over pixels times the pixels) below which nothing grows.
+    pub pull: f32,
+    /// Larger than this many ground sampling distances: split instead of double.
+    pub split_gsd: f32,
+    /// Below this opacity a Gaussian goes.
+    pub prune_opacity: f32,
+    /// Larger than this many ground sampling distances: goes.
+    pub prune_gsd: f32,
+    /// At most this many Gaussians.
+    pub cap: usize,
+}
+
+impl Default for DensityOptions {
+    fn default() -> Self {
+        Self {
+            every: 300,
+            from: 300,
+            until_fraction: 0.6,
+            growth: 0.05,
+            pull: 0.2,
+            split_gsd: 1.2,
+            prune_opacity: 0.02,
+            prune_gsd: 12.0,
+            cap: 2_000_000,
+        }
+    }
+}
+
+/// What was seen of each Gaussian since the last look.
+#[derive(Debug, Clone, Default, PartialEq, serde::Serialize, serde::Deserialize)]
+pub struct DensityStatistics {
+    pull: Vec<f32>,
+    seen: Vec<u32>,
+}
+
+/// How a table was rebuilt.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Rebuild {
+    /// Old element of each new one.
+    pub sources: Vec<u32>,
+    /// From here on, elements are new.
+    pub fresh: usize,
+    /// Elements that went.
+    pub pruned: usize,
+}
+
+impl DensityStatistics {
+    /// Nothing seen, for `count` Gaussians.
+    pub fn new(count: usize) -> Self {
+        Self {
+            pull: vec![0.0; count],
+            seen: vec![0; count],
+        }
+    }
+
+    /// Adds one view; `pixels` turns the gradient of a mean over pixels into one per pixel.
+    pub fn add(&mut self, projected: &Projected, grads: &[SplatGradient], pixels: usize) {
+        for (&g, d) in projected.gaussian.iter().zip(grads) {
+            self.pull[g as usize] += (d.col * d.col + d.row * d.row).sqrt() * pixels as f32;
+            self.seen[g as usize] += 1;
+        }
+    }
+
+    /// Rebuilds `gaussians` and forgets what was seen.
+    pub fn apply(
+        &mut self,
+        gaussians: &mut Table,
+        options: &DensityOptions,
+        gsd_m: f32,
+        bounds: (Vec3, Vec3),
+        seed: u64,
+    ) -> Rebuild {
+        let keep: Vec<u32> = (0..gaussians.count as u32)
+            .filter(|&i| keeps(gaussians, i as usize, options, gsd_m, bounds))
+            .collect();
+        let pull = |i: u32| self.pull[i as usize] / self.seen[i as usize].max(1) as f32;
+        let mut grow: Vec<u32> = keep.iter().copied().filter(|&i| pull(i) > options.pull).collect();
+        grow.sort_by(|&a, &b| pull(b).total_cmp(&pull(a)).then(a.cmp(&b)));
+        let room = options
+            .cap
+            .saturating_sub(keep.len())
+            .min((options.growth * keep.len() as f32) as usize);
+        grow.truncate(room);
+        grow.sort_unstable();
+
+        let pruned = gaussians.count - keep.len();
+        let fresh = keep.len();
+        let mut sources = keep;
+        sources.extend(&grow);
+        let mut rebuilt = gaussians.gather(&sources);
+        let mut place_of = vec![u32::MAX; gaussians.count];
+        for (place, &source) in sources[..fresh].iter().enumerate() {
+            place_of[source as usize] = place as u32;
+        }
+        let mut random = Pcg32::seed_from_u64(seed);
+        for (n, &source) in grow.iter().enumerate() {
+            part(
+                &mut rebuilt,
+                place_of[source as usize] as usize,
+                fresh + n,
+                options.split_gsd * gsd_m,
+                &mut random,
+            );
+        }
+        *gaussians = rebuilt;
+        *self = Self::new(gaussians.count);
+        Rebuild { sources, fresh, pruned }
+    }
+}
+
+fn keeps(gaussians: &Table, index: usize, options: &DensityOptions, gsd_m: f32, bounds: (Vec3, Vec3)) -> bool {
+    let position = gaussians.position(index);
+    let inside = position.cmpge(bounds.0).all() && position.cmple(bounds.1).all();
+    inside
+        && gaussians.opacity(index) > options.prune_opacity
+        && gaussians.scale(index).max_element() < options.prune_gsd * gsd_m
+}
+
+/// Makes two of one: a large Gaussian is split along its longest axis, a small one doubled where it stands, each of the two
+/// with the opacity that lets both together take what the one took.
+fn part(table: &mut Table, old: usize, new: usize, split_m: f32, random: &mut Pcg32) {
+    let scale = table.scale(old);
+    let longest = if scale.x >= scale.y && scale.x >= scale.z {
+        0
+    } else if scale.y >= scale.z {
+        1
+    } else {
+        2
+    };
+    let axis = table.rotation(old).col(longest);
+    let (offset, shrink) = if scale[longest] > split_m {
+        (axis * (0.5 * scale[longest]), 0.6f32.ln())
+    } else {
+        let jitter = 0.1 * (random.random::<f32>() - 0.5);
+        let opacity = table.opacity(old);
+        let half = crate::gaussians::logit((1.0 - (1.0 - opacity).max(1e-4).sqrt()).clamp(1e-4, 0.9999));
+        table.group_mut(OPACITY)[old] = half;
+        table.group_mut(OPACITY)[new] = half;
+        (axis * (jitter * scale[longest]), 0.0)
+    };
+    for (element, sign) in [(old, 1.0), (new, -1.0)] {
+        for k in 0..3 {
+            table.group_mut(POSITION)[element * 3 + k] += sign * offset[k];
+        }
+        table.group_mut(LOG_SCALE)[element * 3 + longest] += shrink;
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::gaussians::{ROTATION, core_groups, logit};
+
+    fn table() -> Table {
+        let mut table = Table::zeros(core_groups(), 3);
+        for i in 0..3 {
+            table.group_mut(ROTATION)[i * 4 + 3] = 1.0;
+            table.group_mut(OPACITY)[i] = logit(0.5);
+            table.group_mut(POSITION)[i * 3] = i as f32;
+        }
+        table
+    }
+
+    const BOUNDS: (Vec3, Vec3) = (Vec3::splat(-100.0), Vec3::splat(100.0));
+
+    #[test]
+    fn faint_gaussians_go_and_pulled_ones_are_parted() {
+        let mut gaussians = table();
+        gaussians.group_mut(OPACITY)[1] = logit(0.001);
+        let mut statistics = DensityStatistics::new(3);
+        statistics.pull = vec![0.0, 9.0, 9.0];
+        statistics.seen = vec![1; 3];
+        let options = DensityOptions {
+            growth: 1.0,
+            ..DensityOptions::default()
+        };
+        let rebuild = statistics.apply(&mut gaussians, &options, 0.5, BOUNDS, 1);
+        assert_eq!(
+            rebuild,
+            Rebuild {
+                sources: vec![0, 2, 2],
+                fresh: 2,
+                pruned: 1
+            }
+        );
+        assert_eq!(gaussians.count, 3);
+        // The pair stands on both sides of where the one stood.
+        let (a, b) = (gaussians.position(1), gaussians.position(2));
+        assert!(a != b && ((a + b) * 0.5 - Vec3::new(2.0, 0.0, 0.0)).length() < 1e-6);
+    }
+
+    #[test]
+    fn the_cap_holds() {
+        let mut gaussians = table();
+        let mut statistics = DensityStatistics::new(3);
+        statistics.pull = vec![9.0; 3];
+        statistics.seen = vec![1; 3];
+        let options = DensityOptions {
+            growth: 10.0,
+            cap: 4,
+            ..DensityOptions::default()
+        };
+        statistics.apply(&mut gaussians, &options, 0.5, BOUNDS, 1);
+        assert_eq!(gaussians.count, 4);
+    }
+}

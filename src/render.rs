@@ -1,0 +1,188 @@
+//! One whole look at a model: project, trace, make features, rasterise.
+//!
+//! Training and products go through the same pass; training keeps it to walk back.
+
+use crate::camera::ProjectiveCamera;
+use crate::light::Light;
+use crate::model::{Context, Parameters, SceneModel, Seen};
+use crate::raster::Raster;
+use crate::splat::rasterise::padded_channels;
+use crate::splat::{
+    MapGradients, Maps, Projected, ProjectionOptions, Rasteriser, SplatGradient, project::project,
+    project::project_backward,
+};
+use crate::trace::{OccluderTree, TraceOptions, Transmittance, transmittance, transmittance_backward};
+
+/// How a pass is made.
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
+pub struct PassOptions {
+    /// Gaussians to splats.
+    pub projection: ProjectionOptions,
+    /// Light to Gaussians.
+    pub trace: TraceOptions,
+    /// Whether three channels with the splats' normals follow the model's.
+    pub normals: bool,
+}
+
+/// A pass over one view, with what is needed to walk it back.
+pub struct Pass<'a> {
+    model: &'a dyn SceneModel,
+    context: Context<'a>,
+    tree: Option<&'a OccluderTree>,
+    options: PassOptions,
+    /// The splats.
+    pub projected: Projected,
+    traced: Transmittance,
+    features: Vec<f32>,
+    stride: usize,
+    /// The composited maps.
+    pub maps: Maps,
+}
+
+impl<'a> Pass<'a> {
+    /// Looks at the model of `context` through its camera. `tree` must be given when the model asks for transmittance and the
+    /// context has a light; without one, everything is lit.
+    pub fn new(
+        model: &'a dyn SceneModel,
+        context: Context<'a>,
+        tree: Option<&'a OccluderTree>,
+        options: PassOptions,
+    ) -> Self {
+        let gaussians = &context.parameters.gaussians;
+        let projected = project(gaussians, context.camera, &options.projection);
+        let traced = match (tree, &context.light) {
+            (Some(tree), Some(light)) if model.needs_transmittance() => {
+                transmittance(gaussians, tree, &projected.gaussian, light, &options.trace)
+            }
+            _ => Transmittance::all_lit(projected.splats.len()),
+        };
+        let channels = model.channels() + if options.normals { 3 } else { 0 };
+        let stride = padded_channels(channels);
+        let mut features = vec![0.0; projected.splats.len() * stride];
+        let seen = Seen {
+            projected: &projected,
+            transmittance: &traced.values,
+            stride,
+        };
+        model.features(&context, &seen, &mut features);
+        if options.normals {
+            let at = model.channels();
+            for (feature, splat) in features.chunks_mut(stride).zip(&projected.splats) {
+                feature[at..at + 3].copy_from_slice(&splat.normal);
+            }
+        }
+        let rasteriser = Rasteriser::new(&projected, context.camera.width, context.camera.height);
+        let maps = rasteriser.forward(&features, stride);
+        Self {
+            model,
+            context,
+            tree,
+            options,
+            traced,
+            features,
+            stride,
+            maps,
+            projected,
+        }
+    }
+
+    /// The image that the maps make.
+    pub fn image(&self) -> Raster {
+        self.model.compose(&self.context, &self.maps)
+    }
+
+    /// Channel of the first component of the normals.
+    pub fn normal_channel(&self) -> usize {
+        self.model.channels()
+    }
+
+    /// Zero gradients for the maps.
+    pub fn zero_gradients(&self) -> MapGradients {
+        let channels = self.model.channels() + if self.options.normals { 3 } else { 0 };
+        MapGradients::zeros(channels, self.maps.alpha.len())
+    }
+
+    /// Walks back from gradients of the maps to those of all parameters; returns the splats' own for density control.
+    pub fn backward(&self, d_maps: &MapGradients, grads: &mut Parameters) -> Vec<SplatGradient> {
+        let camera = self.context.camera;
+        let gaussians = &self.context.parameters.gaussians;
+        let rasteriser = Rasteriser::new(&self.projected, camera.width, camera.height);
+        let mut back = rasteriser.backward(&self.features, self.stride, &self.maps, d_maps);
+        if self.options.normals {
+            let at = self.model.channels();
+            for (splat, feature) in back.splats.iter_mut().zip(back.features.chunks(self.stride)) {
+                splat.normal.copy_from_slice(&feature[at..at + 3]);
+            }
+        }
+        let seen = Seen {
+            projected: &self.projected,
+            transmittance: &self.traced.values,
+            stride: self.stride,
+        };
+        let mut d_transmittance = vec![0.0; self.projected.splats.len()];
+        self.model
+            .features_backward(&self.context, &seen, &back.features, grads, &mut d_transmittance);
+        project_backward(
+            gaussians,
+            camera,
+            &self.options.projection,
+            &self.projected,
+            &back.splats,
+            &mut grads.gaussians,
+        );
+        if let (Some(tree), Some(light)) = (self.tree, &self.context.light) {
+            let origins = &self.projected.gaussian;
+            let trace = &self.options.trace;
+            transmittance_backward(
+                gaussians,
+                tree,
+                origins,
+                light,
+                trace,
+                &self.traced,
+                &d_transmittance,
+                &mut grads.gaussians,
+            );
+        }
+        back.splats
+    }
+}
+
+/// Everything a product wants to know of a view.
+pub struct Rendering {
+    /// The image.
+    pub image: Raster,
+    /// The maps, the model's channels first, then the normals.
+    pub maps: Maps,
+}
+
+/// Renders a model once, without keeping anything to walk back.
+pub fn render(
+    model: &dyn SceneModel,
+    parameters: &Parameters,
+    camera: &ProjectiveCamera,
+    light: Option<Light>,
+    appearance: Option<usize>,
+    options: PassOptions,
+) -> Rendering {
+    let tree = (model.needs_transmittance() && light.is_some()).then(|| OccluderTree::build(&parameters.gaussians));
+    let context = Context {
+        parameters,
+        camera,
+        light,
+        appearance,
+    };
+    let pass = Pass::new(
+        model,
+        context,
+        tree.as_ref(),
+        PassOptions {
+            normals: true,
+            ..options
+        },
+    );
+    Rendering {
+        image: pass.image(),
+        maps: pass.maps,
+    }
+}

@@ -1,0 +1,10 @@
+//! Seeing Gaussians: project, bin, rasterise; each with its backward pass beside it.
+
+pub mod bins;
+pub mod kernel;
+pub mod project;
+pub mod rasterise;
+
+pub use bins::Bins;
+pub use project::{Projected, ProjectionOptions, Splat, SplatGradient};
+pub use rasterise::{MapGradients, Maps, Rasteriser, SplatGradients};

@@ -1,0 +1,30 @@
+//! Where training starts from: a surface in seconds, swept through the views in object space.
+//!
+//! For each cell of a local ground grid and each altitude of a ladder, [`sweep::sweep`] asks how well the views agree
+//! on what they see there (census over a window on the ground plane, pairs of views, robustly combined), makes the
+//! answers consistent with their neighbours (semi-global matching on the ground grid), drops the views that the surface
+//! itself hides, and refines below the step of the ladder. Views of other dates take part with less weight: what
+//! changed, moved with the sun or is hidden must not veto. [`align::estimate_shifts`] finds the pointing bias between
+//! the images with the same machinery.
+//!
+//! Limits: one altitude per cell (no overhangs, façades are steps), and a surface a few cells wide at best: trees
+//! without leaves, wires and narrow courtyards are left to training.
+
+pub mod align;
+mod bands;
+mod census;
+mod cost;
+mod grid;
+mod pairs;
+mod pick;
+mod refine;
+mod sgm;
+pub mod surface;
+pub mod sweep;
+mod tidy;
+mod views;
+mod visibility;
+
+pub use surface::Surface;
+pub use sweep::{SweepOptions, SweepRequest};
+pub use views::SweepView;

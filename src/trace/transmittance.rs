@@ -1,0 +1,475 @@
+//! Transmittance from Gaussians to a light, and its gradients.
+//!
+//! From the centre of Gaussian 0 toward the light `r`, every Gaussian `i` whose 1-D density along the ray peaks beyond
+//! the self-shadow bias takes `α̃_i = o_i exp(-½ ‖e×d‖²/‖d‖²)` (whitened offset `e` and direction `d`), and
+//! `S = Π (1 - α̃_i) = exp(Σ ln1p(-α̃_i))`. The product has no order, so nothing is sorted (ShadowGS, Luo et al. 2026, eq. 10–12).
+//!
+//! Self-shadow. A surface is a sheet of overlapping flat Gaussians; a ray that starts inside the sheet meets its own
+//! neighbours. Two rules keep a lit plane lit at every elevation without moving the feet of shadows at ordinary suns:
+//! the ray starts above the sheet, lifted along the origin's own thinnest axis (turned to the light) by
+//! `LIFT · σ_min · (1 - cos θ)`, `θ` the angle between that axis and the light, so that a grazing ray clears the
+//! neighbours' whole reach and a steep one hardly moves; and only peaks further along the ray than the origin's own
+//! extent `sqrt(rᵀΣr)` count.
+
+use super::bvh::OccluderTree;
+use crate::gaussians::{LOG_SCALE, OPACITY, POSITION, ROTATION, Table, rotation_backward};
+use crate::light::Light;
+use crate::splat::project::{ALPHA_MAX, add3};
+use glam::{Mat3, Vec3};
+use rayon::prelude::*;
+
+/// Standard deviations that a grazing ray is lifted off its own sheet: the reach of an opaque Gaussian, `sqrt(2 ln 1000)`.
+const LIFT: f32 = 3.717;
+/// Rays per parallel job; fixed, so that results do not depend on the number of threads.
+const CHUNK: usize = 1024;
+
+/// How light is traced.
+#[derive(Debug, Clone, Copy, PartialEq, serde::Serialize, serde::Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct TraceOptions {
+    /// Peaks nearer than this many standard deviations of the origin (along the ray) do not count.
+    pub bias_sigmas: f32,
+    /// Fraction of the full lift off the own sheet.
+    pub lift: f32,
+    /// Whether gradients reach the occluders; without them only the origins move.
+    pub occluder_gradients: bool,
+}
+
+impl Default for TraceOptions {
+    fn default() -> Self {
+        Self {
+            bias_sigmas: 1.0,
+            lift: 1.0,
+            occluder_gradients: true,
+        }
+    }
+}
+
+/// One occluder on one ray.
+#[derive(Debug, Clone, Copy)]
+struct Hit {
+    occluder: u32,
+    /// `α̃`, below [`ALPHA_MAX`].
+    alpha: f32,
+}
+
+/// Transmittances of some Gaussians toward one light, with the hits that made them.
+#[derive(Debug, Clone, Default)]
+pub struct Transmittance {
+    /// Transmittance of each origin, 0 to 1.
+    pub values: Vec<f32>,
+    /// `hit_starts[i]..hit_starts[i + 1]`: the hits of origin `i`.
+    hit_starts: Vec<u32>,
+    hits: Vec<Hit>,
+}
+
+impl Transmittance {
+    /// `count` origins that nothing shades.
+    pub fn all_lit(count: usize) -> Self {
+        Self {
+            values: vec![1.0; count],
+            ..Self::default()
+        }
+    }
+
+    /// Number of occluders met by all rays together.
+    pub fn hit_count(&self) -> usize {
+        self.hits.len()
+    }
+}
+
+/// A ray from a Gaussian toward the light.
+struct LightRay {
+    origin: Vec3,
+    direction: Vec3,
+    length: f32,
+    bias: f32,
+    lift: Lift,
+}
+
+/// How far and along which own axis a ray was lifted off its sheet.
+struct Lift {
+    thin: usize,
+    /// The axis, turned to the light.
+    axis: Vec3,
+    /// 1 or -1: whether it was turned.
+    sign: f32,
+    height: f32,
+    /// Lift of a ray at right angles to the axis.
+    full: f32,
+}
+
+fn light_ray(gaussians: &Table, index: usize, light: &Light, options: &TraceOptions) -> LightRay {
+    let position = gaussians.position(index);
+    let (direction, distance) = light.seen_from(position);
+    let scale = gaussians.scale(index);
+    let rotation = gaussians.rotation(index);
+    let thin = if scale.x <= scale.y && scale.x <= scale.z {
+        0
+    } else if scale.y <= scale.z {
+        1
+    } else {
+        2
+    };
+    let sign = if rotation.col(thin).dot(direction) < 0.0 {
+        -1.0
+    } else {
+        1.0
+    };
+    let axis = rotation.col(thin) * sign;
+    let full = options.lift * LIFT * scale[thin];
+    let height = full * (1.0 - axis.dot(direction));
+    let extent = ((rotation.transpose() * direction) * scale).length();
+    let lift = Lift {
+        thin,
+        axis,
+        sign,
+        height,
+        full,
+    };
+    LightRay {
+        origin: position + axis * height,
+        direction,
+        length: distance,
+        bias: options.bias_sigmas * extent,
+        lift,
+    }
+}
+
+/// Transmittance of the Gaussians `origins` toward `light` through all of `tree`.
+pub fn transmittance(
+    gaussians: &Table,
+    tree: &OccluderTree,
+    origins: &[u32],
+    light: &Light,
+    options: &TraceOptions,
+) -> Transmittance {
+    let chunks: Vec<Transmittance> = origins
+        .par_chunks(CHUNK)
+        .map(|chunk| {
+            let mut out = Transmittance::default();
+            for &origin in chunk {
+                let ray = light_ray(gaussians, origin as usize, light, options);
+                let mut optical_depth = 0.0f32;
+                tree.visit(ray.origin, ray.direction, ray.length, |id| {
+                    if id == origin {
+                        return;
+                    }
+                    if let Some(alpha) = peak_alpha(tree, id, &ray) {
+                        optical_depth -= (-alpha).ln_1p();
+                        out.hits.push(Hit { occluder: id, alpha });
+                    }
+                });
+                out.values.push((-optical_depth).exp());
+                out.hit_starts.push(out.hits.len() as u32);
+            }
+            out
+        })
+        .collect();
+    let mut all = Transmittance {
+        hit_starts: vec![0],
+        ..Transmittance::default()
+    };
+    for chunk in chunks {
+        let base = all.hits.len() as u32;
+        all.values.extend(chunk.values);
+        all.hit_starts
+            .extend(chunk.hit_starts.into_iter().map(|end| base + end));
+        all.hits.extend(chunk.hits);
+    }
+    all
+}
+
+/// `α̃` of a Gaussian on a ray, when it counts.
+#[inline]
+fn peak_alpha(tree: &OccluderTree, id: u32, ray: &LightRay) -> Option<f32> {
+    let occluder = &tree.occluders[id as usize];
+    let e = occluder.whiten * (ray.origin - occluder.position);
+    let d = occluder.whiten * ray.direction;
+    let dd = d.length_squared();
+    let peak = -e.dot(d) / dd;
+    let miss_square = e.cross(d).length_squared() / dd;
+    // Written so that a NaN counts as a miss.
+    if !(miss_square < occluder.reach_square && peak > ray.bias && peak < ray.length) {
+        return None;
+    }
+    Some((occluder.opacity * (-0.5 * miss_square).exp()).min(ALPHA_MAX))
+}
+
+/// Adds the gradients of `grads` (to each origin's transmittance) to the parameters of occluders and origins.
+pub fn transmittance_backward(
+    gaussians: &Table,
+    tree: &OccluderTree,
+    origins: &[u32],
+    light: &Light,
+    options: &TraceOptions,
+    traced: &Transmittance,
+    grads: &[f32],
+    out: &mut Table,
+) {
+    if traced.hits.is_empty() {
+        return;
+    }
+    let rays: Vec<LightRay> = origins
+        .par_iter()
+        .with_min_len(256)
+        .map(|&o| light_ray(gaussians, o as usize, light, options))
+        .collect();
+    origins_backward(gaussians, tree, origins, traced, grads, &rays, out);
+    if options.occluder_gradients {
+        occluders_backward(gaussians, tree, traced, grads, &rays, out);
+    }
+}
+
+/// `∂L/∂(-½‖e×d‖²/‖d‖²)` of one hit: `S = Π(1-α̃)`, so `∂S/∂α̃ = -S/(1-α̃)`; zero where `α̃` is saturated.
+#[inline]
+fn exponent_gradient(value: f32, gradient: f32, alpha: f32) -> f32 {
+    if alpha >= ALPHA_MAX {
+        0.0
+    } else {
+        -gradient * value / (1.0 - alpha) * alpha
+    }
+}
+
+/// The closest point of the ray in the occluder's whitened space: `e - d (e·d)/(d·d)`, whose square is `‖e×d‖²/‖d‖²`.
+#[inline]
+fn nearest(e: Vec3, d: Vec3) -> Vec3 {
+    e - d * (e.dot(d) / d.length_squared())
+}
+
+fn origins_backward(
+    gaussians: &Table,
+    tree: &OccluderTree,
+    origins: &[u32],
+    traced: &Transmittance,
+    grads: &[f32],
+    rays: &[LightRay],
+    out: &mut Table,
+) {
+    let starts: Vec<Vec3> = rays
+        .par_iter()
+        .with_min_len(256)
+        .enumerate()
+        .map(|(i, ray)| {
+            let mut total = Vec3::ZERO;
+            for hit in &traced.hits[traced.hit_starts[i] as usize..traced.hit_starts[i + 1] as usize] {
+                let occluder = &tree.occluders[hit.occluder as usize];
+                let e = occluder.whiten * (ray.origin - occluder.position);
+                let d = occluder.whiten * ray.direction;
+                let h = exponent_gradient(traced.values[i], grads[i], hit.alpha);
+                // exponent = -½‖n‖², n the nearest point; ∂/∂e = -n because n is normal to d.
+                total -= occluder.whiten.transpose() * nearest(e, d) * h;
+            }
+            total
+        })
+        .collect();
+    for ((&origin, &d_start), ray) in origins.iter().zip(&starts).zip(rays) {
+        if d_start == Vec3::ZERO {
+            continue;
+        }
+        let (i, lift) = (origin as usize, &ray.lift);
+        add3(&mut out.groups[POSITION].values, i, d_start);
+        // start = position + axis · full · (1 - axis·r), full proportional to the thinnest scale.
+        let d_height = d_start.dot(lift.axis);
+        out.groups[LOG_SCALE].values[i * 3 + lift.thin] += d_height * lift.height;
+        let d_axis = (d_start * lift.height - ray.direction * (d_height * lift.full)) * lift.sign;
+        let mut d_rotation = Mat3::ZERO;
+        *d_rotation.col_mut(lift.thin) = d_axis;
+        let d_quaternion = rotation_backward(gaussians.raw_rotation(i), d_rotation);
+        for (slot, v) in out.groups[ROTATION].values[i * 4..i * 4 + 4]
+            .iter_mut()
+            .zip(d_quaternion)
+        {
+            *slot += v;
+        }
+    }
+}
+
+/// The hits by occluder: starts per occluder, and for each hit its origin's place and `α̃`.
+fn by_occluder(traced: &Transmittance, count: usize) -> (Vec<u32>, Vec<(u32, f32)>) {
+    let mut starts = vec![0u32; count + 1];
+    for hit in &traced.hits {
+        starts[hit.occluder as usize + 1] += 1;
+    }
+    for i in 0..count {
+        starts[i + 1] += starts[i];
+    }
+    let mut cursor = starts.clone();
+    let mut sorted = vec![(0, 0.0); traced.hits.len()];
+    for (i, span) in traced.hit_starts.windows(2).enumerate() {
+        for hit in &traced.hits[span[0] as usize..span[1] as usize] {
+            let place = &mut cursor[hit.occluder as usize];
+            sorted[*place as usize] = (i as u32, hit.alpha);
+            *place += 1;
+        }
+    }
+    (starts, sorted)
+}
+
+struct OccluderGradient {
+    position: Vec3,
+    log_scale: Vec3,
+    rotation: [f32; 4],
+    opacity: f32,
+}
+
+fn occluders_backward(
+    gaussians: &Table,
+    tree: &OccluderTree,
+    traced: &Transmittance,
+    grads: &[f32],
+    rays: &[LightRay],
+    out: &mut Table,
+) {
+    let (starts, sorted) = by_occluder(traced, gaussians.count);
+    let touched: Vec<u32> = (0..gaussians.count as u32)
+        .filter(|&g| starts[g as usize] < starts[g as usize + 1])
+        .collect();
+    let gradients: Vec<OccluderGradient> = touched
+        .par_iter()
+        .with_min_len(256)
+        .map(|&g| {
+            let hits = &sorted[starts[g as usize] as usize..starts[g as usize + 1] as usize];
+            one_occluder(gaussians, tree, g as usize, hits, traced, grads, rays)
+        })
+        .collect();
+    for (&g, d) in touched.iter().zip(&gradients) {
+        let i = g as usize;
+        add3(&mut out.groups[POSITION].values, i, d.position);
+        add3(&mut out.groups[LOG_SCALE].values, i, d.log_scale);
+        for (slot, v) in out.groups[ROTATION].values[i * 4..i * 4 + 4].iter_mut().zip(d.rotation) {
+            *slot += v;
+        }
+        out.groups[OPACITY].values[i] += d.opacity;
+    }
+}
+
+fn one_occluder(
+    gaussians: &Table,
+    tree: &OccluderTree,
+    index: usize,
+    hits: &[(u32, f32)],
+    traced: &Transmittance,
+    grads: &[f32],
+    rays: &[LightRay],
+) -> OccluderGradient {
+    let occluder = &tree.occluders[index];
+    let scale = gaussians.scale(index);
+    let (mut position, mut log_scale, mut opacity) = (Vec3::ZERO, Vec3::ZERO, 0.0);
+    let mut d_rotation = Mat3::ZERO;
+    for &(origin, alpha) in hits {
+        let (ray, h) = (
+            &rays[origin as usize],
+            exponent_gradient(traced.values[origin as usize], grads[origin as usize], alpha),
+        );
+        let offset = ray.origin - occluder.position;
+        let e = occluder.whiten * offset;
+        let d = occluder.whiten * ray.direction;
+        let n = nearest(e, d);
+        // n = e + t d with t the peak, so with X = offset + t r: n = S⁻¹Rᵀ X and ∂(-½‖n‖²) = -n · ∂(S⁻¹Rᵀ) X at fixed t.
+        let t = -e.dot(d) / d.length_squared();
+        let through = offset + ray.direction * t;
+        position += occluder.whiten.transpose() * n * h;
+        log_scale += n * n * h;
+        let scaled = n / scale * -h;
+        d_rotation += Mat3::from_cols(through * scaled.x, through * scaled.y, through * scaled.z);
+        opacity += h;
+    }
+    OccluderGradient {
+        position,
+        log_scale,
+        rotation: rotation_backward(gaussians.raw_rotation(index), d_rotation),
+        // h is ∂L/∂ ln α̃ = ∂L/∂ ln o, and do/dlogit = o (1 - o).
+        opacity: opacity * (1.0 - gaussians.opacity(index)),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::gaussians::{core_groups, logit};
+
+    /// A horizontal sheet of overlapping flat discs, one metre apart, plus optional further discs.
+    fn sheet(side: i32, spacing: f32, sigma: f32, thickness: f32) -> Table {
+        let count = (side * side) as usize;
+        let mut table = Table::zeros(core_groups(), count);
+        for i in 0..count {
+            let (x, y) = ((i as i32 % side - side / 2) as f32, (i as i32 / side - side / 2) as f32);
+            table.group_mut(POSITION)[i * 3] = x * spacing;
+            table.group_mut(POSITION)[i * 3 + 1] = y * spacing;
+            table.group_mut(LOG_SCALE)[i * 3..i * 3 + 3].copy_from_slice(&[sigma.ln(), sigma.ln(), thickness.ln()]);
+            table.group_mut(ROTATION)[i * 4 + 3] = 1.0;
+            table.group_mut(OPACITY)[i] = logit(0.95);
+        }
+        table
+    }
+
+    fn sun(elevation_deg: f32) -> Light {
+        let (s, c) = elevation_deg.to_radians().sin_cos();
+        Light::Directional(Vec3::new(0.6 * c, 0.8 * c, s))
+    }
+
+    #[test]
+    fn a_lit_plane_is_lit_at_every_elevation_and_size() {
+        for (spacing, sigma, thickness) in [
+            (0.5, 0.4, 0.05),
+            (0.01, 0.01, 0.001),
+            (30.0, 25.0, 2.0),
+            (0.5, 0.6, 0.2),
+        ] {
+            let table = sheet(41, spacing, sigma, thickness);
+            let tree = OccluderTree::build(&table);
+            let origins: Vec<u32> = (0..table.count as u32).collect();
+            for elevation in [1.0, 2.0, 3.0, 5.0, 10.0, 20.0, 35.0, 50.0, 70.0, 85.0, 90.0] {
+                let traced = transmittance(&table, &tree, &origins, &sun(elevation), &TraceOptions::default());
+                let least = traced.values.iter().copied().fold(1.0, f32::min);
+                assert!(least >= 0.99, "elevation {elevation}, sigma {sigma}: {least}");
+            }
+        }
+    }
+
+    #[test]
+    fn a_disc_overhead_casts_its_shadow_where_the_sun_says() {
+        let mut table = sheet(21, 0.5, 0.4, 0.05);
+        // Element 0 becomes an opaque disc of one metre, ten metres up over the origin.
+        table.group_mut(POSITION)[..3].copy_from_slice(&[0.0, 0.0, 10.0]);
+        table.group_mut(LOG_SCALE)[..3].copy_from_slice(&[0.0, 0.0, 0.05f32.ln()]);
+        table.group_mut(OPACITY)[0] = logit(0.999);
+        let tree = OccluderTree::build(&table);
+        let origins: Vec<u32> = (1..table.count as u32).collect();
+        let light = Light::Directional(Vec3::new(0.0, 0.2, 1.0).normalize());
+        let traced = transmittance(&table, &tree, &origins, &light, &TraceOptions::default());
+        let value_at = |x: f32, y: f32| {
+            let place = origins.iter().position(|&o| {
+                let p = table.position(o as usize);
+                (p.x - x).abs() < 0.01 && (p.y - y).abs() < 0.01
+            });
+            traced.values[place.expect("a disc of the sheet stands there")]
+        };
+        // The sun stands to the north, so the shadow falls two metres to the south.
+        assert!(value_at(0.0, -2.0) < 0.05);
+        assert!(value_at(0.0, 2.0) > 0.95);
+    }
+
+    #[test]
+    fn a_point_light_is_not_blocked_by_what_lies_behind_it() {
+        let mut table = sheet(3, 1.0, 0.5, 0.05);
+        table.group_mut(POSITION)[..3].copy_from_slice(&[0.0, 0.0, 10.0]);
+        let tree = OccluderTree::build(&table);
+        let near = transmittance(
+            &table,
+            &tree,
+            &[4],
+            &Light::Point(Vec3::new(0.0, 0.0, 5.0)),
+            &TraceOptions::default(),
+        );
+        let far = transmittance(
+            &table,
+            &tree,
+            &[4],
+            &Light::Point(Vec3::new(0.0, 0.0, 15.0)),
+            &TraceOptions::default(),
+        );
+        assert!(near.values[0] > 0.99 && far.values[0] < 0.1);
+    }
+}

@@ -1,0 +1,382 @@
+//! The trainer: one view a step, whatever the model.
+
+mod holdout;
+mod options;
+
+pub use holdout::EarlyStop;
+pub use options::TrainOptions;
+
+use crate::camera::ProjectiveCamera;
+use crate::gaussians::{FEATURES, LOG_SCALE, OPACITY, POSITION};
+use crate::loss::geometry::{depth_normal, one_surface};
+use crate::loss::photometric::photometric;
+use crate::loss::shadow::{ConsistencyPass, consistency};
+use crate::model::{Context, NamedLoss, Parameters, SceneModel, View};
+use crate::optim::{Adam, DensityStatistics, exponential_decay};
+use crate::render::{Pass, PassOptions};
+use crate::splat::project::project;
+use crate::trace::OccluderTree;
+use glam::Vec3;
+use holdout::Holdout;
+use rand::{SeedableRng, seq::SliceRandom};
+use rand_pcg::Pcg32;
+use rayon::prelude::*;
+
+/// Why training cannot go on.
+#[derive(Debug, thiserror::Error)]
+pub enum TrainError {
+    /// Too many steps in a row had numbers that are not finite.
+    #[error("{rejected} steps in a row gave numbers that are not finite; the last good state is kept")]
+    NotFinite {
+        /// Steps rejected in a row.
+        rejected: usize,
+    },
+    /// Nothing is left to train.
+    #[error("no Gaussians are left; the images may not overlap or the altitude range may miss the ground")]
+    Empty,
+    /// There is nothing to learn from.
+    #[error("a model needs at least one view")]
+    NoViews,
+}
+
+/// Rejected steps in a row after which training stops.
+const REJECTED_LIMIT: usize = 20;
+
+/// What one step did.
+#[derive(Debug, Clone, Default)]
+pub struct StepReport {
+    /// The step, counted from one.
+    pub step: usize,
+    /// The view, by index.
+    pub view: usize,
+    /// Named loss values, unweighted.
+    pub losses: Vec<NamedLoss>,
+    /// Mean absolute difference to the image over the pixels trained on.
+    pub l1: f64,
+    /// (splat, pixel) pairs of the forward pass.
+    pub pairs: u64,
+    /// Gaussians after the step.
+    pub gaussians: usize,
+    /// Whether the step was rejected because of a number that is not finite.
+    pub rejected: bool,
+}
+
+/// A model in training.
+pub struct Trainer<'a> {
+    model: &'a dyn SceneModel,
+    views: &'a [View],
+    options: TrainOptions,
+    nadir: Option<ProjectiveCamera>,
+    bounds: (Vec3, Vec3),
+    /// What is trained.
+    pub parameters: Parameters,
+    gaussians_adam: Adam,
+    globals_adam: Adam,
+    statistics: DensityStatistics,
+    holdout: Holdout,
+    gradients: Parameters,
+    tree: Option<OccluderTree>,
+    tree_step: usize,
+    order: Vec<usize>,
+    step: usize,
+    rejected: usize,
+    rejected_in_a_row: usize,
+}
+
+impl<'a> Trainer<'a> {
+    /// A trainer of `model` on `views`, from `parameters`; Gaussians that leave `bounds` (metres) are pruned. With a `nadir`
+    /// camera, shadow consistency is also asked for with view and light at the zenith.
+    ///
+    /// # Errors
+    /// Without views or without Gaussians.
+    pub fn new(
+        model: &'a dyn SceneModel,
+        views: &'a [View],
+        parameters: Parameters,
+        options: TrainOptions,
+        bounds: (Vec3, Vec3),
+        nadir: Option<ProjectiveCamera>,
+    ) -> Result<Self, TrainError> {
+        if views.is_empty() {
+            return Err(TrainError::NoViews);
+        }
+        if parameters.gaussians.count == 0 {
+            return Err(TrainError::Empty);
+        }
+        Ok(Self {
+            gaussians_adam: Adam::new(&parameters.gaussians),
+            globals_adam: Adam::new(&parameters.globals),
+            statistics: DensityStatistics::new(parameters.gaussians.count),
+            holdout: Holdout::new(views, &options),
+            gradients: parameters.zeros_like(),
+            tree: None,
+            tree_step: 0,
+            order: Vec::new(),
+            step: 0,
+            rejected: 0,
+            rejected_in_a_row: 0,
+            model,
+            views,
+            options,
+            nadir,
+            bounds,
+            parameters,
+        })
+    }
+
+    /// Steps done.
+    pub fn steps(&self) -> usize {
+        self.step
+    }
+
+    /// Steps rejected because of a number that is not finite.
+    pub fn rejected(&self) -> usize {
+        self.rejected
+    }
+
+    /// Whether all steps are done, or the held-out tiles stopped improving.
+    pub fn finished(&self) -> bool {
+        self.step >= self.options.iterations || self.holdout.stop()
+    }
+
+    /// The state to keep: the best on held-out tiles when early stopping is on and saw one, else the last.
+    pub fn into_best(self) -> (Parameters, EarlyStop) {
+        let summary = self.holdout.summary(self.step);
+        (self.holdout.into_best().unwrap_or(self.parameters), summary)
+    }
+
+    fn fraction(&self) -> f32 {
+        self.step as f32 / self.options.iterations.max(1) as f32
+    }
+
+    /// Views come in a new random order every round; the order depends on the seed and the round alone.
+    fn next_view(&mut self) -> usize {
+        let place = self.step % self.views.len();
+        if place == 0 || self.order.len() != self.views.len() {
+            let round = (self.step / self.views.len()) as u64;
+            self.order = (0..self.views.len()).collect();
+            self.order.shuffle(&mut Pcg32::seed_from_u64(
+                self.options.seed.wrapping_mul(1_000_003) ^ round,
+            ));
+        }
+        self.order[place]
+    }
+
+    fn refresh_tree(&mut self) {
+        let due = self.step >= self.tree_step + self.options.tree_every || self.tree.is_none();
+        let stale = self
+            .tree
+            .as_ref()
+            .is_some_and(|t| t.occluders.len() != self.parameters.gaussians.count);
+        if self.model.needs_transmittance() && (due || stale) {
+            self.tree = Some(OccluderTree::build(&self.parameters.gaussians));
+            self.tree_step = self.step;
+        }
+    }
+
+    /// One step.
+    ///
+    /// # Errors
+    /// When too many steps in a row are rejected, or no Gaussian is left.
+    pub fn step(&mut self) -> Result<StepReport, TrainError> {
+        let index = self.next_view();
+        self.refresh_tree();
+        self.gradients.gaussians.reset(self.parameters.gaussians.count);
+        self.gradients.globals.reset(1);
+        let mut report = self.descend_view(index);
+        if self.options.consistency_weight > 0.0 && self.step % self.options.consistency_every.max(1) == 0 {
+            report
+                .losses
+                .push(("shadow_consistency", self.descend_consistency(index)));
+        }
+        let finite = report.losses.iter().all(|(_, v)| v.is_finite()) && all_finite(&self.gradients);
+        self.step += 1;
+        report.step = self.step;
+        if finite {
+            self.rejected_in_a_row = 0;
+            self.update();
+            self.control_density();
+        } else {
+            report.rejected = true;
+            self.rejected += 1;
+            self.rejected_in_a_row += 1;
+            if self.rejected_in_a_row >= REJECTED_LIMIT {
+                return Err(TrainError::NotFinite {
+                    rejected: self.rejected_in_a_row,
+                });
+            }
+        }
+        self.holdout.round_done(self.step, self.views.len(), &self.parameters);
+        report.gaussians = self.parameters.gaussians.count;
+        if report.gaussians == 0 {
+            return Err(TrainError::Empty);
+        }
+        Ok(report)
+    }
+
+    fn descend_view(&mut self, index: usize) -> StepReport {
+        let view = &self.views[index];
+        let options = &self.options;
+        let context = Context {
+            parameters: &self.parameters,
+            camera: &view.camera,
+            light: view.light,
+            appearance: Some(view.appearance),
+        };
+        let normals = options.depth_normal_weight > 0.0;
+        let pass_options = PassOptions {
+            projection: options.projection,
+            trace: options.trace,
+            normals,
+        };
+        let pass = Pass::new(self.model, context, self.tree.as_ref(), pass_options);
+        let image = pass.image();
+        let weight = self.holdout.training_weight(index);
+        let (photo, mut d_image) = photometric(&image, &view.image, weight, options.lambda_ssim);
+        for d in &mut d_image.values {
+            *d *= options.photometric_weight;
+        }
+        let held_out = self.holdout.loss(index, &image, &view.image);
+        let mut losses = vec![("photometric", photo)];
+        let mut d_maps = pass.zero_gradients();
+        self.model
+            .compose_backward(&context, &pass.maps, &d_image, &mut d_maps, &mut self.gradients);
+        losses.extend(self.model.map_losses(&context, &pass.maps, weight, &mut d_maps));
+        if normals {
+            let edge_m = options.depth_normal_edge_gsd * options.gsd_m;
+            let at = pass.normal_channel();
+            let value = depth_normal(
+                &view.camera,
+                &pass.maps,
+                at,
+                edge_m,
+                options.depth_normal_weight,
+                &mut d_maps,
+            );
+            losses.push(("depth_normal", value));
+        }
+        if options.one_surface_weight > 0.0 {
+            let scale_m = options.one_surface_gsd * options.gsd_m;
+            losses.push((
+                "one_surface",
+                one_surface(&pass.maps, weight, scale_m, options.one_surface_weight, &mut d_maps),
+            ));
+        }
+        let splat_gradients = pass.backward(&d_maps, &mut self.gradients);
+        self.statistics.add(
+            &pass.projected,
+            &splat_gradients,
+            view.camera.width * view.camera.height,
+        );
+        let l1 = mean_absolute(&image.values, &view.image.values);
+        let pairs = pass.maps.pairs;
+        self.holdout.record(index, held_out);
+        StepReport {
+            view: index,
+            losses,
+            l1,
+            pairs,
+            ..StepReport::default()
+        }
+    }
+
+    /// Shadow consistency: in turn for the step's own view and, where there is one, from the zenith.
+    fn descend_consistency(&mut self, index: usize) -> f64 {
+        let turn = self.step / self.options.consistency_every.max(1);
+        let camera = match &self.nadir {
+            Some(nadir) if turn % 2 == 1 => nadir,
+            _ => &self.views[index].camera,
+        };
+        let Some(tree) = &self.tree else { return 0.0 };
+        let gaussians = &self.parameters.gaussians;
+        let projected = project(gaussians, camera, &self.options.projection);
+        let pass = ConsistencyPass {
+            camera,
+            projection: &self.options.projection,
+            trace: &self.options.trace,
+            tree,
+            // Asked for on one step in `consistency_every` only, so it weighs that much more there.
+            weight: self.options.consistency_weight * self.options.consistency_every.max(1) as f32,
+        };
+        consistency(gaussians, &projected, &pass, &mut self.gradients.gaussians)
+    }
+
+    fn update(&mut self) {
+        let o = &self.options;
+        let f = self.fraction();
+        let mut rates: Vec<f32> = Vec::new();
+        for (index, group) in self.parameters.gaussians.groups.iter().enumerate() {
+            let rate = match index {
+                POSITION => exponential_decay(o.position_rate_gsd, o.position_rate_gsd * o.final_rate, f) * o.gsd_m,
+                _ if index == LOG_SCALE => o.log_scale_rate,
+                _ if index == OPACITY => o.opacity_rate,
+                _ if index < FEATURES => o.rotation_rate,
+                _ => exponential_decay(1.0, o.final_rate.max(0.1), f) * self.model.learning_rate(&group.spec.name),
+            };
+            rates.push(rate);
+        }
+        self.gaussians_adam
+            .step(&mut self.parameters.gaussians, &self.gradients.gaussians, &rates);
+        let rates: Vec<f32> = self
+            .parameters
+            .globals
+            .groups
+            .iter()
+            .map(|g| self.model.learning_rate(&g.spec.name))
+            .collect();
+        self.globals_adam
+            .step(&mut self.parameters.globals, &self.gradients.globals, &rates);
+        let (least, most) = ((o.scale_gsd.0 * o.gsd_m).ln(), (o.scale_gsd.1 * o.gsd_m).ln());
+        self.parameters
+            .gaussians
+            .group_mut(LOG_SCALE)
+            .par_iter_mut()
+            .for_each(|s| *s = s.clamp(least, most));
+        self.parameters
+            .gaussians
+            .group_mut(OPACITY)
+            .par_iter_mut()
+            .for_each(|s| *s = s.clamp(-12.0, 12.0));
+    }
+
+    fn control_density(&mut self) {
+        let d = &self.options.density;
+        let due = d.every > 0 && self.step >= d.from && self.step % d.every == 0;
+        if !due || self.step as f32 > d.until_fraction * self.options.iterations as f32 {
+            return;
+        }
+        let seed = self.options.seed.wrapping_add(self.step as u64);
+        let rebuild = self
+            .statistics
+            .apply(&mut self.parameters.gaussians, d, self.options.gsd_m, self.bounds, seed);
+        self.gaussians_adam.follow(&rebuild.sources, rebuild.fresh);
+        self.tree = None;
+        tracing::debug!(
+            step = self.step,
+            gaussians = self.parameters.gaussians.count,
+            pruned = rebuild.pruned,
+            added = self.parameters.gaussians.count - rebuild.fresh,
+            "density"
+        );
+    }
+}
+
+fn all_finite(gradients: &Parameters) -> bool {
+    gradients.globals.is_finite()
+        && gradients.gaussians.groups.iter().all(|g| {
+            g.values
+                .par_chunks(1 << 16)
+                .all(|chunk| chunk.iter().all(|v| v.is_finite()))
+        })
+}
+
+fn mean_absolute(a: &[f32], b: &[f32]) -> f64 {
+    let (mut sum, mut count) = (0.0f64, 0usize);
+    for (a, b) in a.iter().zip(b) {
+        if b.is_finite() {
+            sum += f64::from((a - b).abs());
+            count += 1;
+        }
+    }
+    sum / count.max(1) as f64
+}

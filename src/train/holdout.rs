@@ -1,0 +1,136 @@
+//! Early stopping: some tiles of every image are not learnt from; when they stop improving, training has begun to overfit.
+
+use super::TrainOptions;
+use crate::model::{Parameters, View};
+use crate::raster::Raster;
+
+/// Side of a held-out tile, pixels: several times the SSIM window, so that its inside sees little of what is trained on.
+const TILE: usize = 24;
+/// Relative progress that counts.
+const PROGRESS: f64 = 1e-3;
+
+/// How a run ended, as seen on the held-out tiles.
+#[derive(Debug, Clone, Copy, PartialEq, serde::Serialize, serde::Deserialize)]
+pub struct EarlyStop {
+    /// Steps done.
+    pub steps: usize,
+    /// Step of the state that is kept.
+    pub best_step: usize,
+    /// Mean absolute difference on held-out tiles at that step, if any were held out.
+    pub best_l1: Option<f64>,
+}
+
+pub(super) struct Holdout {
+    training: Vec<Vec<f32>>,
+    held: Vec<Vec<u32>>,
+    losses: Vec<Option<f64>>,
+    best: Option<(usize, f64, Parameters)>,
+    rounds_without: usize,
+    patience: usize,
+    keep_from: usize,
+}
+
+/// A number from 0 to 1 that depends on the tile alone.
+fn tile_draw(seed: u64, view: usize, column: usize, row: usize) -> f32 {
+    let mut h = seed ^ (view as u64) << 40 ^ (column as u64) << 20 ^ row as u64;
+    h = (h ^ (h >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
+    h = (h ^ (h >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
+    ((h ^ (h >> 31)) >> 40) as f32 / (1u64 << 24) as f32
+}
+
+impl Holdout {
+    pub(super) fn new(views: &[View], options: &TrainOptions) -> Self {
+        let (mut training, mut held) = (Vec::new(), Vec::new());
+        for (v, view) in views.iter().enumerate() {
+            let width = view.image.width;
+            let mut weight = view.weight.clone();
+            let mut out = Vec::new();
+            for (i, w) in weight.iter_mut().enumerate() {
+                let (column, row) = (i % width / TILE, i / width / TILE);
+                if *w > 0.0 && tile_draw(options.seed, v, column, row) < options.holdout {
+                    *w = 0.0;
+                    out.push(i as u32);
+                }
+            }
+            training.push(weight);
+            held.push(out);
+        }
+        let losses = vec![None; views.len()];
+        let keep_from = options.iterations / 4;
+        Self {
+            training,
+            held,
+            losses,
+            best: None,
+            rounds_without: 0,
+            patience: options.patience,
+            keep_from,
+        }
+    }
+
+    pub(super) fn training_weight(&self, view: usize) -> &[f32] {
+        &self.training[view]
+    }
+
+    /// Mean absolute difference over the held-out pixels of a view; `None` when it has none.
+    pub(super) fn loss(&self, view: usize, image: &Raster, truth: &Raster) -> Option<f64> {
+        let plane = image.plane_len();
+        let (mut sum, mut count) = (0.0f64, 0usize);
+        for &i in &self.held[view] {
+            for band in 0..image.bands {
+                let t = truth.values[band * plane + i as usize];
+                if t.is_finite() {
+                    sum += f64::from((image.values[band * plane + i as usize] - t).abs());
+                    count += 1;
+                }
+            }
+        }
+        (count > 0).then(|| sum / count as f64)
+    }
+
+    pub(super) fn record(&mut self, view: usize, loss: Option<f64>) {
+        self.losses[view] = loss;
+    }
+
+    /// After every round over all views: is this the best state so far?
+    pub(super) fn round_done(&mut self, step: usize, views: usize, parameters: &Parameters) {
+        if self.patience == 0 || step % views != 0 || step < self.keep_from {
+            return;
+        }
+        let known: Vec<f64> = self.losses.iter().flatten().copied().collect();
+        if known.is_empty() {
+            return;
+        }
+        let mean = known.iter().sum::<f64>() / known.len() as f64;
+        match &self.best {
+            Some((_, best, _)) if mean > best * (1.0 - PROGRESS) => self.rounds_without += 1,
+            _ => {
+                self.best = Some((step, mean, parameters.clone()));
+                self.rounds_without = 0;
+            }
+        }
+    }
+
+    pub(super) fn stop(&self) -> bool {
+        self.patience > 0 && self.rounds_without >= self.patience
+    }
+
+    pub(super) fn summary(&self, steps: usize) -> EarlyStop {
+        match &self.best {
+            Some((step, loss, _)) => EarlyStop {
+                steps,
+                best_step: *step,
+                best_l1: Some(*loss),
+            },
+            None => EarlyStop {
+                steps,
+                best_step: steps,
+                best_l1: None,
+            },
+        }
+    }
+
+    pub(super) fn into_best(self) -> Option<Parameters> {
+        self.best.map(|(_, _, parameters)| parameters)
+    }
+}

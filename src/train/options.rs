@@ -1,0 +1,87 @@
+//! What a training run is made of; each entry has a default and a reason.
+
+use crate::optim::DensityOptions;
+use crate::splat::ProjectionOptions;
+use crate::trace::TraceOptions;
+
+/// Options of a training run. Lengths are in ground sampling distances where they should follow the imagery.
+#[derive(Debug, Clone, PartialEq, serde::Serialize, serde::Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct TrainOptions {
+    /// Steps, one view each.
+    pub iterations: usize,
+    /// Seed of everything random.
+    pub seed: u64,
+    /// Ground sampling distance, metres.
+    pub gsd_m: f32,
+    /// Gaussians to splats.
+    pub projection: ProjectionOptions,
+    /// Light to Gaussians.
+    pub trace: TraceOptions,
+    /// How the number of Gaussians changes.
+    pub density: DensityOptions,
+    /// First learning rate of positions, ground sampling distances per step.
+    pub position_rate_gsd: f32,
+    /// What remains of the learning rates of positions and features at the last step.
+    pub final_rate: f32,
+    /// Learning rate of log scales.
+    pub log_scale_rate: f32,
+    /// Learning rate of rotations.
+    pub rotation_rate: f32,
+    /// Learning rate of opacity logits.
+    pub opacity_rate: f32,
+    /// Smallest and largest standard deviation, ground sampling distances.
+    pub scale_gsd: (f32, f32),
+    /// Weight of the photometric loss.
+    pub photometric_weight: f32,
+    /// Share of the structural part in it.
+    pub lambda_ssim: f32,
+    /// Weight of depth–normal consistency; 0 is off.
+    pub depth_normal_weight: f32,
+    /// Depth range, ground sampling distances, beyond which neighbouring pixels are an edge and not a slope.
+    pub depth_normal_edge_gsd: f32,
+    /// Weight of shadow consistency; 0 is off.
+    pub consistency_weight: f32,
+    /// Steps between two passes of shadow consistency, which weigh that much more.
+    pub consistency_every: usize,
+    /// Weight of one surface per ray; 0 is off.
+    pub one_surface_weight: f32,
+    /// Standard deviation of depth, ground sampling distances, at which that loss saturates.
+    pub one_surface_gsd: f32,
+    /// Steps between two builds of the occluders' hierarchy.
+    pub tree_every: usize,
+    /// Share of each image's tiles held out to watch for overfitting; 0 is none.
+    pub holdout: f32,
+    /// Rounds over all views without progress on held-out tiles after which training stops; 0 is never.
+    pub patience: usize,
+}
+
+impl Default for TrainOptions {
+    fn default() -> Self {
+        Self {
+            iterations: 2000,
+            seed: 1,
+            gsd_m: 0.5,
+            projection: ProjectionOptions::default(),
+            trace: TraceOptions::default(),
+            density: DensityOptions::default(),
+            position_rate_gsd: 0.02,
+            final_rate: 0.05,
+            log_scale_rate: 5e-3,
+            rotation_rate: 2e-3,
+            opacity_rate: 0.02,
+            scale_gsd: (0.1, 8.0),
+            photometric_weight: 10.0,
+            lambda_ssim: 0.2,
+            depth_normal_weight: 0.5,
+            depth_normal_edge_gsd: 3.0,
+            consistency_weight: 0.2,
+            consistency_every: 8,
+            one_surface_weight: 0.0,
+            one_surface_gsd: 2.0,
+            tree_every: 25,
+            holdout: 0.04,
+            patience: 25,
+        }
+    }
+}

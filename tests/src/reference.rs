@@ -1,0 +1,213 @@
+//! The forward pass of the satellite model in f64, written to be obvious: every pixel loops over every Gaussian, every light
+//! ray meets every Gaussian. It shares no code with the engine.
+
+use nalgebra::{Matrix2, Matrix3, Quaternion, UnitQuaternion, Vector2, Vector3};
+
+/// One Gaussian.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Gaussian {
+    /// Centre, metres.
+    pub position: Vector3<f64>,
+    /// Log standard deviations.
+    pub log_scale: Vector3<f64>,
+    /// Raw quaternion `x, y, z, w`.
+    pub rotation: [f64; 4],
+    /// Opacity logit.
+    pub opacity: f64,
+    /// Albedo per band.
+    pub albedo: Vec<f64>,
+}
+
+/// A projective camera: `col = (u·p + u0)/(1 + w·p)`.
+#[derive(Debug, Clone)]
+pub struct Camera {
+    /// Column numerator.
+    pub u: [f64; 4],
+    /// Row numerator.
+    pub v: [f64; 4],
+    /// Denominator.
+    pub w: Vector3<f64>,
+    /// Depth axis.
+    pub axis: Vector3<f64>,
+    /// Columns.
+    pub width: usize,
+    /// Rows.
+    pub height: usize,
+}
+
+/// The light: a direction toward it (infinitely far).
+pub type Sun = Vector3<f64>;
+
+/// What a pixel shows.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Pixel {
+    /// Composited albedo.
+    pub albedo: Vec<f64>,
+    /// Composited visibility.
+    pub visibility: f64,
+    /// Composited normal.
+    pub normal: Vector3<f64>,
+    /// `Σ w`.
+    pub alpha: f64,
+    /// `Σ w z`.
+    pub depth: f64,
+    /// `Σ w z²`.
+    pub depth_square: f64,
+}
+
+const ALPHA_MIN: f64 = 1.0 / 255.0;
+const ALPHA_MAX: f64 = 0.99;
+const DEPTH_FILTER: f64 = 0.05;
+const OPACITY_MIN: f64 = 0.001;
+const LIFT: f64 = 3.717;
+
+struct Splat {
+    centre: Vector2<f64>,
+    conic: Matrix2<f64>,
+    opacity: f64,
+    depth: f64,
+    slope: Vector2<f64>,
+    normal: Vector3<f64>,
+    index: usize,
+}
+
+fn sigmoid(x: f64) -> f64 {
+    1.0 / (1.0 + (-x).exp())
+}
+
+impl Gaussian {
+    fn rotation_matrix(&self) -> Matrix3<f64> {
+        let [x, y, z, w] = self.rotation;
+        UnitQuaternion::from_quaternion(Quaternion::new(w, x, y, z))
+            .to_rotation_matrix()
+            .into_inner()
+    }
+
+    fn covariance(&self) -> Matrix3<f64> {
+        let r = self.rotation_matrix();
+        let s = Matrix3::from_diagonal(&self.log_scale.map(f64::exp));
+        r * s * s * r.transpose()
+    }
+}
+
+fn project(g: &Gaussian, index: usize, camera: &Camera, filter: f64, antialias: bool) -> Splat {
+    let p = g.position;
+    let (u, v) = (
+        Vector3::from_row_slice(&camera.u[..3]),
+        Vector3::from_row_slice(&camera.v[..3]),
+    );
+    let den = 1.0 + camera.w.dot(&p);
+    let centre = Vector2::new((u.dot(&p) + camera.u[3]) / den, (v.dot(&p) + camera.v[3]) / den);
+    let ju = (u - camera.w * centre.x) / den;
+    let jv = (v - camera.w * centre.y) / den;
+    let sigma = g.covariance();
+    let cov = Matrix2::new(
+        ju.dot(&(sigma * ju)),
+        ju.dot(&(sigma * jv)),
+        ju.dot(&(sigma * jv)),
+        jv.dot(&(sigma * jv)),
+    );
+    let filtered = cov + Matrix2::identity() * filter;
+    let cross = Vector2::new(camera.axis.dot(&(sigma * ju)), camera.axis.dot(&(sigma * jv)));
+    let slope = (cov + Matrix2::identity() * DEPTH_FILTER)
+        .try_inverse()
+        .expect("filtered")
+        * cross;
+    let dim = if antialias {
+        (cov.determinant().max(0.0) / filtered.determinant()).sqrt()
+    } else {
+        1.0
+    };
+    Splat {
+        centre,
+        conic: filtered.try_inverse().expect("filtered"),
+        opacity: sigmoid(g.opacity) * dim,
+        depth: camera.axis.dot(&p),
+        slope,
+        normal: (ju * slope.x + jv * slope.y - camera.axis).normalize(),
+        index,
+    }
+}
+
+/// Transmittance from Gaussian `origin` toward the sun through all others.
+pub fn transmittance(gaussians: &[Gaussian], origin: usize, sun: &Sun) -> f64 {
+    let own = &gaussians[origin];
+    let rotation = own.rotation_matrix();
+    let scale = own.log_scale.map(f64::exp);
+    let thin = scale.imin();
+    let axis = rotation.column(thin).into_owned();
+    let axis = if axis.dot(sun) < 0.0 { -axis } else { axis };
+    let start = own.position + axis * (LIFT * scale[thin] * (1.0 - axis.dot(sun)));
+    let bias = (sun.transpose() * own.covariance() * sun)[0].sqrt();
+    let mut product = 1.0;
+    for (i, g) in gaussians.iter().enumerate() {
+        if i == origin {
+            continue;
+        }
+        let whiten = Matrix3::from_diagonal(&g.log_scale.map(|s| (-s).exp())) * g.rotation_matrix().transpose();
+        let e = whiten * (start - g.position);
+        let d = whiten * sun;
+        let peak = -e.dot(&d) / d.dot(&d);
+        let miss = e.cross(&d).norm_squared() / d.norm_squared();
+        let opacity = sigmoid(g.opacity);
+        if peak > bias && opacity > OPACITY_MIN && miss < 2.0 * (opacity / OPACITY_MIN).ln() {
+            product *= 1.0 - (opacity * (-0.5 * miss).exp()).min(ALPHA_MAX);
+        }
+    }
+    product
+}
+
+/// Every pixel of a view, row by row. `visibility` is each Gaussian's transmittance toward the light.
+pub fn render(gaussians: &[Gaussian], camera: &Camera, visibility: &[f64], filter: f64, antialias: bool) -> Vec<Pixel> {
+    let bands = gaussians[0].albedo.len();
+    let mut splats: Vec<Splat> = gaussians
+        .iter()
+        .enumerate()
+        .map(|(i, g)| project(g, i, camera, filter, antialias))
+        .collect();
+    splats.sort_by(|a, b| a.depth.total_cmp(&b.depth));
+    let mut pixels = Vec::new();
+    for row in 0..camera.height {
+        for col in 0..camera.width {
+            let mut t = 1.0;
+            let mut pixel = Pixel {
+                albedo: vec![0.0; bands],
+                visibility: 0.0,
+                normal: Vector3::zeros(),
+                alpha: 0.0,
+                depth: 0.0,
+                depth_square: 0.0,
+            };
+            for s in &splats {
+                let d = Vector2::new(col as f64, row as f64) - s.centre;
+                let raw = s.opacity * (-0.5 * (d.transpose() * s.conic * d)[0]).exp();
+                if raw < ALPHA_MIN {
+                    continue;
+                }
+                let w = t * raw.min(ALPHA_MAX);
+                let z = s.depth + s.slope.dot(&d);
+                for (a, g) in pixel.albedo.iter_mut().zip(&gaussians[s.index].albedo) {
+                    *a += w * g;
+                }
+                pixel.visibility += w * visibility[s.index];
+                pixel.normal += s.normal * w;
+                pixel.alpha += w;
+                pixel.depth += w * z;
+                pixel.depth_square += w * z * z;
+                t -= w;
+            }
+            pixels.push(pixel);
+        }
+    }
+    pixels
+}
+
+/// The composed colour of a pixel: `A (F ⊙ (S + (1 - S) sky)) + b`.
+pub fn compose(pixel: &Pixel, sky: &[f64], matrix: &[f64], offset: &[f64]) -> Vec<f64> {
+    let bands = sky.len();
+    let s = pixel.visibility;
+    let colour: Vec<f64> = (0..bands).map(|k| pixel.albedo[k] * (s + (1.0 - s) * sky[k])).collect();
+    (0..bands)
+        .map(|r| offset[r] + (0..bands).map(|k| matrix[r * bands + k] * colour[k]).sum::<f64>())
+        .collect()
+}
