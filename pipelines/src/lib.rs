@@ -1,4 +1,7 @@
-//! Scenes in, products out.
+//! Scenes in, products out: ingest, the satellite pipeline, evaluation and the command line.
 
+pub mod cli;
+pub mod evaluate;
 pub mod raster;
+pub mod satellite;
 pub mod scene;

@@ -1,0 +1,239 @@
+//! The command line: one binary, verbs first.
+//!
+//! Every verb ends in an [`Outcome`], printed as text or as one JSON object on stdout (`--json`); logs and progress go to
+//! stderr. Exit codes: 0 done, 1 failed, 2 bad usage or bad input (one line: what, where, what to do), 130 interrupted
+//! after saving.
+
+pub mod evaluate;
+pub mod inspect;
+pub mod log;
+pub mod parse;
+pub mod rpc;
+pub mod satellite;
+pub mod session;
+pub mod sun;
+pub mod synth;
+
+pub use session::{Progress, Session};
+
+use crate::evaluate::EvaluateError;
+use crate::raster::{RasterError, library_versions};
+use crate::scene::{IngestOptions, RpcPreference, SceneError};
+use clap::{Args, Parser, Subcommand};
+use std::process::ExitCode;
+use std::sync::LazyLock;
+
+static VERSION: LazyLock<String> = LazyLock::new(|| {
+    let (gdal, proj) = library_versions();
+    format!("{} (GDAL {gdal}, PROJ {proj})", env!("CARGO_PKG_VERSION"))
+});
+
+/// Real satellite images in, a surface model for GIS out.
+#[derive(Debug, Parser)]
+#[command(name = "heliosplat", version = VERSION.as_str(), max_term_width = 110, subcommand_required = true)]
+#[command(after_help = "Example: heliosplat demo --out demo")]
+pub struct Cli {
+    /// Print one JSON object on stdout instead of text
+    #[arg(long, global = true)]
+    pub json: bool,
+    /// Say more on stderr (twice: everything)
+    #[arg(short, long, global = true, action = clap::ArgAction::Count)]
+    pub verbose: u8,
+    /// Threads to use [default: all cores]
+    #[arg(long, global = true, value_name = "N")]
+    pub threads: Option<usize>,
+    /// What to do
+    #[command(subcommand)]
+    pub command: Command,
+}
+
+/// The verbs.
+#[derive(Debug, Subcommand)]
+pub enum Command {
+    /// Synthesise a site, train on it, write the DSM, its picture and its error against truth
+    #[command(after_help = "Example: heliosplat demo --out demo")]
+    Demo(satellite::DemoArgs),
+    /// Make a scene with known truth
+    #[command(after_help = "Example: heliosplat synth satellite --out site --site block --seed 1")]
+    Synth(synth::SynthArgs),
+    /// Show what a scene is: cameras and their fit, suns, bands, overlap, truth
+    #[command(after_help = "Example: heliosplat inspect my_images --altitude 640,780")]
+    Inspect(inspect::InspectArgs),
+    /// Train a model of a scene
+    #[command(after_help = "Example: heliosplat train my_images --out run --preset balanced --time-budget 10m")]
+    Train(satellite::TrainArgs),
+    /// Write the surface model of a run as a cloud-optimised GeoTIFF
+    #[command(after_help = "Example: heliosplat dsm run --out dsm.tif --gsd 0.5 --crs EPSG:32637")]
+    Dsm(satellite::DsmArgs),
+    /// Write the scene under another sun, and its shadow mask
+    #[command(after_help = "Example: heliosplat relight run --out evening.tif --sun 270,20")]
+    Relight(satellite::RelightArgs),
+    /// Render the views of a run
+    #[command(after_help = "Example: heliosplat render run --out rendered --split test")]
+    Render(satellite::RenderArgs),
+    /// Measure a run, or any DSM, against truth
+    #[command(after_help = "Examples: heliosplat evaluate run\n          \
+                            heliosplat evaluate --dsm dsm.tif --truth lidar.tif --protocol aligned --json")]
+    Evaluate(evaluate::EvaluateArgs),
+    /// Use an image's RPC camera by hand
+    #[command(after_help = "Example: echo '36.91 37.58 700' | heliosplat rpc project image.tif")]
+    Rpc(rpc::RpcArgs),
+    /// Where the sun stands: azimuth and geometric elevation, degrees
+    #[command(after_help = "Example: heliosplat sun --time 2016-04-23T08:34:00Z --at 37.58,36.91,700")]
+    Sun(sun::SunArgs),
+}
+
+/// What a user may say about a scene that its files do not.
+#[derive(Debug, Clone, Args)]
+pub struct IngestArgs {
+    /// Lowest and highest altitude of the surface, metres above the ellipsoid
+    #[arg(long, value_name = "MIN,MAX", value_parser = parse::pair, allow_hyphen_values = true)]
+    pub altitude: Option<[f64; 2]>,
+    /// Which camera counts where an image's own RPC and a Sat-NeRF JSON differ
+    #[arg(long, value_name = "SOURCE", default_value = "json")]
+    pub rpc: RpcPreference,
+}
+
+impl IngestArgs {
+    /// As the scene reader takes it.
+    pub fn options(&self) -> IngestOptions {
+        IngestOptions {
+            altitude_range_m: self.altitude.map(|[low, high]| (low, high)),
+            rpc: self.rpc,
+        }
+    }
+}
+
+/// What a verb has to say when it is done.
+#[derive(Debug, Clone)]
+pub struct Outcome {
+    /// For machines.
+    pub json: serde_json::Value,
+    /// For people.
+    pub text: String,
+}
+
+/// Why a verb did not get done.
+#[derive(Debug, thiserror::Error)]
+pub enum CliError {
+    /// Bad usage or bad input: exit code 2.
+    #[error("{0}")]
+    Input(String),
+    /// The machine failed: exit code 1.
+    #[error("{0}")]
+    Failed(String),
+    /// Stopped by the user after saving what there was: exit code 130.
+    #[error("{0}")]
+    Interrupted(String),
+}
+
+impl CliError {
+    /// The process's exit code.
+    pub fn exit_code(&self) -> u8 {
+        match self {
+            Self::Input(_) => 2,
+            Self::Failed(_) => 1,
+            Self::Interrupted(_) => 130,
+        }
+    }
+
+    fn sorted(is_input_fault: bool, message: String) -> Self {
+        if is_input_fault { Self::Input(message) } else { Self::Failed(message) }
+    }
+}
+
+impl From<SceneError> for CliError {
+    fn from(error: SceneError) -> Self {
+        Self::sorted(error.is_input_fault(), error.to_string())
+    }
+}
+
+impl From<RasterError> for CliError {
+    fn from(error: RasterError) -> Self {
+        Self::sorted(error.is_input_fault(), error.to_string())
+    }
+}
+
+impl From<EvaluateError> for CliError {
+    fn from(error: EvaluateError) -> Self {
+        Self::sorted(error.is_input_fault(), error.to_string())
+    }
+}
+
+/// Parses the arguments of the process and runs the verb.
+pub fn main() -> ExitCode {
+    let cli = Cli::parse();
+    log::start(cli.verbose);
+    crate::raster::messages::install();
+    let outcome = run(&cli);
+    match &outcome {
+        Ok(outcome) if cli.json => print_line(&outcome.json.to_string()),
+        Ok(outcome) => print_line(outcome.text.trim_end()),
+        Err(error) => report(error, cli.json),
+    }
+    ExitCode::from(outcome.err().map_or(0, |error| error.exit_code()))
+}
+
+fn run(cli: &Cli) -> Result<Outcome, CliError> {
+    if let Some(threads) = cli.threads {
+        if threads == 0 {
+            return Err(CliError::Input("--threads 0: give at least 1".to_owned()));
+        }
+        rayon::ThreadPoolBuilder::new()
+            .num_threads(threads)
+            .build_global()
+            .map_err(|error| CliError::Failed(format!("threads cannot be started: {error}")))?;
+    }
+    let session = Session::start()?;
+    match &cli.command {
+        Command::Demo(args) => satellite::demo(args, &session),
+        Command::Synth(args) => synth::run(args, &session),
+        Command::Inspect(args) => inspect::run(args),
+        Command::Train(args) => satellite::train(args, &session),
+        Command::Dsm(args) => satellite::dsm(args, &session),
+        Command::Relight(args) => satellite::relight(args, &session),
+        Command::Render(args) => satellite::render(args, &session),
+        Command::Evaluate(args) => evaluate::run(args, &session),
+        Command::Rpc(args) => rpc::run(args),
+        Command::Sun(args) => sun::run(args),
+    }
+}
+
+fn report(error: &CliError, json: bool) {
+    let line = error.to_string().split_whitespace().collect::<Vec<_>>().join(" ");
+    log::line_on_stderr(&format!("error: {line}"));
+    if json {
+        print_line(&serde_json::json!({ "error": line, "exit_code": error.exit_code() }).to_string());
+    }
+}
+
+/// Prints to stdout; a reader that went away (`| head`) is no failure.
+fn print_line(text: &str) {
+    use std::io::Write;
+    if !text.is_empty() {
+        let _ = writeln!(std::io::stdout().lock(), "{text}");
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use clap::CommandFactory;
+
+    #[test]
+    fn the_command_line_is_consistent_and_every_verb_shows_an_example() {
+        let command = Cli::command();
+        command.clone().debug_assert();
+        for verb in command.get_subcommands() {
+            let help = verb.get_after_help().map(ToString::to_string).unwrap_or_default();
+            assert!(help.contains("Example"), "{} has no example", verb.get_name());
+        }
+    }
+
+    #[test]
+    fn faults_have_the_exit_codes_of_the_conventions() {
+        assert_eq!(CliError::from(SceneError::NoRpc("a.tif".into())).exit_code(), 2);
+        assert_eq!(CliError::from(RasterError::DiskFull("a.tif".into())).exit_code(), 1);
+        assert_eq!(CliError::Interrupted("saved".to_owned()).exit_code(), 130);
+    }
+}

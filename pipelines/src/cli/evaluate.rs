@@ -1,0 +1,90 @@
+//! `heliosplat evaluate`.
+
+use super::{CliError, Outcome, Session};
+use crate::evaluate::{DsmEvaluation, DsmMetrics, HeightErrors, Protocol, error_map, evaluate_dsm};
+use crate::raster::preview::write_png;
+use clap::Args;
+use std::fmt::Write;
+use std::path::{Path, PathBuf};
+
+/// What to compare, and how.
+#[derive(Debug, Args)]
+pub struct EvaluateArgs {
+    /// A run, measured against the truth of its scene
+    #[arg(value_name = "RUN", required_unless_present = "dsm", conflicts_with = "dsm")]
+    pub run: Option<PathBuf>,
+    /// A DSM
+    #[arg(long, value_name = "FILE", requires = "truth")]
+    pub dsm: Option<PathBuf>,
+    /// The true DSM
+    #[arg(long, value_name = "FILE")]
+    pub truth: Option<PathBuf>,
+    /// LAS classes on the truth's grid
+    #[arg(long, value_name = "FILE", requires = "truth")]
+    pub classes: Option<PathBuf>,
+    /// How the DSM is registered to the truth before it is measured
+    #[arg(long, value_name = "NAME", default_value = "raw")]
+    pub protocol: Protocol,
+    /// Write a picture of the errors (PNG, blue too low, red too high, 5 m)
+    #[arg(long, value_name = "FILE")]
+    pub error_map: Option<PathBuf>,
+}
+
+/// Compares and reports.
+pub(super) fn run(args: &EvaluateArgs, session: &Session) -> Result<Outcome, CliError> {
+    let dsm = match (&args.dsm, &args.run) {
+        (Some(dsm), _) => dsm.clone(),
+        (None, Some(run)) if args.truth.is_some() => run.join("dsm.tif"),
+        (None, Some(run)) => return super::satellite::evaluate(run, args, session),
+        (None, None) => return Err(CliError::Input("evaluate: give a RUN, or --dsm and --truth".to_owned())),
+    };
+    let Some(truth) = &args.truth else {
+        return Err(CliError::Input("evaluate: --dsm needs --truth FILE".to_owned()));
+    };
+    let evaluation = evaluate_dsm(&dsm, truth, args.classes.as_deref(), args.protocol)?;
+    for warning in &evaluation.warnings {
+        tracing::warn!("{warning}");
+    }
+    if let Some(path) = &args.error_map {
+        write_error_map(path, &evaluation)?;
+    }
+    Ok(Outcome {
+        json: serde_json::json!({ "dsm": evaluation.metrics }),
+        text: table(&evaluation.metrics),
+    })
+}
+
+/// Writes the errors of an evaluation as a picture.
+///
+/// # Errors
+/// When the file cannot be written.
+pub fn write_error_map(path: &Path, evaluation: &DsmEvaluation) -> Result<(), CliError> {
+    Ok(write_png(path, &error_map::draw(&evaluation.errors))?)
+}
+
+/// The metrics as a table for people.
+pub fn table(metrics: &DsmMetrics) -> String {
+    let mut text = format!(
+        "protocol {}   shift east {:.2} north {:.2} up {:.2} m\n",
+        metrics.protocol, metrics.shift_m[0], metrics.shift_m[1], metrics.shift_m[2]
+    );
+    text.push_str("class          MAE m   RMSE m  median m   NMAD m  within 1 m  complete\n");
+    let mut line = |name: &str, errors: &HeightErrors| {
+        // Writing to a String cannot fail.
+        let _ = writeln!(
+            text,
+            "{name:<12} {:>7.3}  {:>7.3}   {:>7.3}  {:>7.3}     {:>5.1} %   {:>5.1} %",
+            errors.mae_m,
+            errors.rmse_m,
+            errors.median_m,
+            errors.nmad_m,
+            100.0 * errors.within_1m,
+            100.0 * errors.completeness
+        );
+    };
+    line("all", &metrics.all);
+    for (name, errors) in &metrics.by_class {
+        line(name, errors);
+    }
+    text
+}

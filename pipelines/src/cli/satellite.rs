@@ -1,0 +1,159 @@
+//! `demo`, `train`, `dsm`, `relight`, `render`: arguments, and their way to the satellite pipeline.
+
+use super::{CliError, IngestArgs, Outcome, Session, evaluate::EvaluateArgs, parse};
+use crate::satellite as pipeline;
+use clap::{Args, ValueEnum};
+use std::path::{Path, PathBuf};
+use std::time::Duration;
+
+/// How much time a training may take for how good a result.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, ValueEnum)]
+pub enum Preset {
+    /// A first look.
+    Fast,
+    /// The default.
+    #[default]
+    Balanced,
+    /// As good as it gets.
+    Accurate,
+}
+
+impl Preset {
+    /// Its name in configurations.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Fast => "fast",
+            Self::Balanced => "balanced",
+            Self::Accurate => "accurate",
+        }
+    }
+}
+
+/// `demo`.
+#[derive(Debug, Clone, Args)]
+pub struct DemoArgs {
+    /// Folder to write to
+    #[arg(long, value_name = "DIR", default_value = "demo")]
+    pub out: PathBuf,
+    /// Seed of the site and of the training
+    #[arg(long, default_value_t = 1)]
+    pub seed: u64,
+}
+
+/// `train`.
+#[derive(Debug, Clone, Args)]
+pub struct TrainArgs {
+    /// A folder of images, a scene.toml, or a folder of Sat-NeRF or EOGS
+    #[arg(value_name = "SCENE")]
+    pub scene: PathBuf,
+    /// Folder of the run, made if absent
+    #[arg(long, value_name = "RUN")]
+    pub out: PathBuf,
+    /// How much time for how good a result
+    #[arg(long, value_enum, default_value_t)]
+    pub preset: Preset,
+    /// Stop training after this time, such as 90s, 5m, 1h
+    #[arg(long, value_parser = parse::duration, value_name = "TIME")]
+    pub time_budget: Option<Duration>,
+    /// Stay below this much memory, such as 4GiB
+    #[arg(long, value_parser = parse::bytes, value_name = "SIZE")]
+    pub memory: Option<u64>,
+    /// Seed of everything random
+    #[arg(long, default_value_t = 1)]
+    pub seed: u64,
+    /// Change one value of the configuration, as in --set optimiser.steps=2000
+    #[arg(long = "set", value_parser = parse::key_value, value_name = "KEY=VALUE")]
+    pub set: Vec<(String, String)>,
+    /// Go on from the run's last checkpoint
+    #[arg(long)]
+    pub resume: bool,
+    /// What is said about the scene
+    #[command(flatten)]
+    pub ingest: IngestArgs,
+}
+
+/// `dsm`.
+#[derive(Debug, Clone, Args)]
+pub struct DsmArgs {
+    /// A finished run
+    #[arg(value_name = "RUN")]
+    pub run: PathBuf,
+    /// The GeoTIFF to write
+    #[arg(long, value_name = "FILE.tif")]
+    pub out: PathBuf,
+    /// Ground sampling distance, metres [default: that of the images]
+    #[arg(long, value_parser = parse::positive, value_name = "M")]
+    pub gsd: Option<f64>,
+    /// Coordinate reference system [default: the local UTM zone]
+    #[arg(long, value_name = "EPSG:N")]
+    pub crs: Option<String>,
+}
+
+/// `relight`.
+#[derive(Debug, Clone, Args)]
+pub struct RelightArgs {
+    /// A finished run
+    #[arg(value_name = "RUN")]
+    pub run: PathBuf,
+    /// The GeoTIFF or PNG to write; its shadow mask is written beside it
+    #[arg(long, value_name = "FILE")]
+    pub out: PathBuf,
+    /// Azimuth (clockwise from north) and elevation of the sun, degrees
+    #[arg(long, value_parser = parse::pair, allow_hyphen_values = true, value_name = "AZ,EL", required_unless_present = "time", conflicts_with = "time")]
+    pub sun: Option<[f64; 2]>,
+    /// The sun of this moment, RFC 3339
+    #[arg(long, value_parser = parse::time, value_name = "RFC3339")]
+    pub time: Option<jiff::Timestamp>,
+    /// From above (nadir), or as the image of this name saw it
+    #[arg(long, value_name = "nadir|NAME", default_value = "nadir")]
+    pub view: String,
+}
+
+/// `render`.
+#[derive(Debug, Clone, Args)]
+pub struct RenderArgs {
+    /// A finished run
+    #[arg(value_name = "RUN")]
+    pub run: PathBuf,
+    /// Folder to write to
+    #[arg(long, value_name = "DIR")]
+    pub out: PathBuf,
+    /// Which views
+    #[arg(long, value_enum, default_value = "test")]
+    pub split: RenderSplit,
+}
+
+/// Which views are rendered.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+pub enum RenderSplit {
+    /// Those trained on.
+    Train,
+    /// Those held out.
+    Test,
+    /// All.
+    All,
+}
+
+pub(super) fn demo(args: &DemoArgs, session: &Session) -> Result<Outcome, CliError> {
+    pipeline::demo(args, session)
+}
+
+pub(super) fn train(args: &TrainArgs, session: &Session) -> Result<Outcome, CliError> {
+    pipeline::train(args, session)
+}
+
+pub(super) fn dsm(args: &DsmArgs, session: &Session) -> Result<Outcome, CliError> {
+    pipeline::dsm(args, session)
+}
+
+pub(super) fn relight(args: &RelightArgs, session: &Session) -> Result<Outcome, CliError> {
+    pipeline::relight(args, session)
+}
+
+pub(super) fn render(args: &RenderArgs, session: &Session) -> Result<Outcome, CliError> {
+    pipeline::render(args, session)
+}
+
+pub(super) fn evaluate(run: &Path, args: &EvaluateArgs, session: &Session) -> Result<Outcome, CliError> {
+    pipeline::evaluate(run, args, session)
+}

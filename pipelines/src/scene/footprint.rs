@@ -1,0 +1,150 @@
+//! Footprints on the ground: convex polygons, what they share, and the ground two views cover.
+
+use super::Area;
+
+/// A convex polygon in the plane, corners in order, metres.
+#[derive(Debug, Clone, PartialEq)]
+pub(super) struct Footprint(Vec<[f64; 2]>);
+
+impl Footprint {
+    /// From corners in either order of turning.
+    pub(super) fn new(mut corners: Vec<[f64; 2]>) -> Self {
+        if signed_area(&corners) < 0.0 {
+            corners.reverse();
+        }
+        Self(corners)
+    }
+
+    /// Square metres.
+    pub(super) fn area_m2(&self) -> f64 {
+        signed_area(&self.0)
+    }
+
+    /// The part inside `other` (Sutherland and Hodgman 1974), which may be empty.
+    pub(super) fn intersection(&self, other: &Self) -> Self {
+        let mut kept = self.0.clone();
+        for (index, &a) in other.0.iter().enumerate() {
+            let b = other.0[(index + 1) % other.0.len()];
+            let side = |p: [f64; 2]| (b[0] - a[0]) * (p[1] - a[1]) - (b[1] - a[1]) * (p[0] - a[0]);
+            let mut next = Vec::with_capacity(kept.len() + 1);
+            for (position, &p) in kept.iter().enumerate() {
+                let q = kept[(position + 1) % kept.len()];
+                let (sp, sq) = (side(p), side(q));
+                if sp >= 0.0 {
+                    next.push(p);
+                }
+                if (sp > 0.0 && sq < 0.0) || (sp < 0.0 && sq > 0.0) {
+                    let t = sp / (sp - sq);
+                    next.push([p[0] + t * (q[0] - p[0]), p[1] + t * (q[1] - p[1])]);
+                }
+            }
+            kept = next;
+            if kept.is_empty() {
+                break;
+            }
+        }
+        Self(kept)
+    }
+
+    /// Centre of area; `None` for an empty polygon.
+    pub(super) fn centre(&self) -> Option<[f64; 2]> {
+        let twice = 2.0 * self.area_m2();
+        if self.0.len() < 3 || twice <= 0.0 {
+            return None;
+        }
+        // Relative to the first corner, so that far-away polygons do not lose digits.
+        let origin = self.0[0];
+        let mut sum = [0.0; 2];
+        for (index, p) in self.0.iter().enumerate() {
+            let q = self.0[(index + 1) % self.0.len()];
+            let (px, py, qx, qy) = (p[0] - origin[0], p[1] - origin[1], q[0] - origin[0], q[1] - origin[1]);
+            let cross = px * qy - qx * py;
+            sum[0] += (px + qx) * cross;
+            sum[1] += (py + qy) * cross;
+        }
+        Some([origin[0] + sum[0] / (3.0 * twice), origin[1] + sum[1] / (3.0 * twice)])
+    }
+
+    fn extend(&self, area: Option<Area>) -> Option<Area> {
+        self.0.iter().fold(area, |area, &[x, y]| {
+            Some(match area {
+                None => Area {
+                    west_m: x,
+                    south_m: y,
+                    east_m: x,
+                    north_m: y,
+                },
+                Some(a) => Area {
+                    west_m: a.west_m.min(x),
+                    south_m: a.south_m.min(y),
+                    east_m: a.east_m.max(x),
+                    north_m: a.north_m.max(y),
+                },
+            })
+        })
+    }
+}
+
+fn signed_area(corners: &[[f64; 2]]) -> f64 {
+    let Some(&origin) = corners.first() else {
+        return 0.0;
+    };
+    let mut twice = 0.0;
+    for (index, p) in corners.iter().enumerate() {
+        let q = corners[(index + 1) % corners.len()];
+        twice += (p[0] - origin[0]) * (q[1] - origin[1]) - (q[0] - origin[0]) * (p[1] - origin[1]);
+    }
+    twice / 2.0
+}
+
+/// Bounding rectangle of the ground that at least two footprints cover; `None` when no two overlap by `least_m2`.
+pub(super) fn covered_twice(footprints: &[Footprint], least_m2: f64) -> Option<Area> {
+    let mut area = None;
+    for (index, first) in footprints.iter().enumerate() {
+        for second in &footprints[index + 1..] {
+            let shared = first.intersection(second);
+            if shared.area_m2() >= least_m2 {
+                area = shared.extend(area);
+            }
+        }
+    }
+    area
+}
+
+/// The ground all footprints cover, which may be empty.
+pub(super) fn common(footprints: &[Footprint]) -> Footprint {
+    let mut footprints = footprints.iter();
+    let first = footprints.next().cloned().unwrap_or(Footprint(Vec::new()));
+    footprints.fold(first, |shared, next| shared.intersection(next))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn square(x: f64, y: f64, size: f64) -> Footprint {
+        Footprint::new(vec![[x, y], [x, y + size], [x + size, y + size], [x + size, y]])
+    }
+
+    #[test]
+    fn overlapping_squares_share_their_corner() {
+        let shared = square(0.0, 0.0, 10.0).intersection(&square(6.0, 7.0, 10.0));
+        assert!((shared.area_m2() - 12.0).abs() < 1e-9);
+        assert_eq!(shared.centre(), Some([8.0, 8.5]));
+    }
+
+    #[test]
+    fn squares_apart_share_nothing() {
+        let shared = square(0.0, 0.0, 10.0).intersection(&square(20.0, 0.0, 10.0));
+        assert_eq!((shared.area_m2(), shared.centre()), (0.0, None));
+        assert_eq!(covered_twice(&[square(0.0, 0.0, 1.0), square(5.0, 5.0, 1.0)], 0.01), None);
+    }
+
+    #[test]
+    fn the_area_is_what_two_views_cover_not_what_all_do() {
+        let views = [square(0.0, 0.0, 10.0), square(5.0, 0.0, 10.0), square(10.0, 0.0, 10.0)];
+        let area = covered_twice(&views, 1.0).expect("neighbours overlap");
+        assert_eq!((area.west_m, area.east_m, area.south_m, area.north_m), (5.0, 15.0, 0.0, 10.0));
+        assert!(common(&views).area_m2() < 1e-9);
+    }
+}
