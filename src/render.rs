@@ -11,7 +11,7 @@ use crate::splat::{
     MapGradients, Maps, Projected, ProjectionOptions, Rasteriser, SplatGradient, project::project,
     project::project_backward,
 };
-use crate::trace::{OccluderTree, TraceOptions, Transmittance, transmittance, transmittance_backward};
+use crate::trace::{OccluderTree, TraceOptions, Transmittance, transmittance};
 
 /// How a pass is made.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
@@ -130,19 +130,10 @@ impl<'a> Pass<'a> {
             &back.splats,
             &mut grads.gaussians,
         );
-        if let (Some(tree), Some(light)) = (self.tree, &self.context.light) {
+        if let Some(tree) = self.tree {
             let origins = &self.projected.gaussian;
-            let trace = &self.options.trace;
-            transmittance_backward(
-                gaussians,
-                tree,
-                origins,
-                light,
-                trace,
-                &self.traced,
-                &d_transmittance,
-                &mut grads.gaussians,
-            );
+            self.traced
+                .backward(gaussians, tree, origins, &d_transmittance, &mut grads.gaussians);
         }
         back.splats
     }

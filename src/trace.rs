@@ -4,4 +4,4 @@ pub mod bvh;
 pub mod transmittance;
 
 pub use bvh::{Occluder, OccluderTree};
-pub use transmittance::{TraceOptions, Transmittance, transmittance, transmittance_backward};
+pub use transmittance::{TraceOptions, Transmittance, transmittance};

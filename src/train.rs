@@ -184,7 +184,7 @@ impl<'a> Trainer<'a> {
         self.gradients.gaussians.reset(self.parameters.gaussians.count);
         self.gradients.globals.reset(1);
         let mut report = self.descend_view(index);
-        if self.options.consistency_weight > 0.0 && self.step % self.options.consistency_every.max(1) == 0 {
+        if self.options.consistency_weight > 0.0 && self.step.is_multiple_of(self.options.consistency_every.max(1)) {
             report
                 .losses
                 .push(("shadow_consistency", self.descend_consistency(index)));
@@ -341,7 +341,7 @@ impl<'a> Trainer<'a> {
 
     fn control_density(&mut self) {
         let d = &self.options.density;
-        let due = d.every > 0 && self.step >= d.from && self.step % d.every == 0;
+        let due = d.every > 0 && self.step >= d.from && self.step.is_multiple_of(d.every);
         if !due || self.step as f32 > d.until_fraction * self.options.iterations as f32 {
             return;
         }

@@ -179,7 +179,11 @@ mod tests {
             error += (numeric - f64::from(gradient.values[i])).powi(2);
             norm += numeric.powi(2);
         }
-        assert!(error < 2e-2f64.powi(2) * norm, "relative error {}", (error / norm).sqrt());
+        assert!(
+            error < 2e-2f64.powi(2) * norm,
+            "relative error {}",
+            (error / norm).sqrt()
+        );
     }
 
     #[test]

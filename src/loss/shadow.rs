@@ -4,7 +4,7 @@ use crate::camera::ProjectiveCamera;
 use crate::gaussians::Table;
 use crate::light::Light;
 use crate::splat::{MapGradients, Projected, ProjectionOptions, Rasteriser, project::project_backward};
-use crate::trace::{OccluderTree, TraceOptions, transmittance, transmittance_backward};
+use crate::trace::{OccluderTree, TraceOptions, transmittance};
 
 /// Visibilities outside `[CLAMP, 1 - CLAMP]` are settled: no gradient.
 const CLAMP: f32 = 0.02;
@@ -66,16 +66,7 @@ pub fn consistency(gaussians: &Table, projected: &Projected, pass: &ConsistencyP
     d_maps.channels[0].fill(-unit);
     let back = rasteriser.backward(&traced.values, 1, &maps, &d_maps);
     project_backward(gaussians, pass.camera, pass.projection, projected, &back.splats, out);
-    transmittance_backward(
-        gaussians,
-        pass.tree,
-        &projected.gaussian,
-        &light,
-        pass.trace,
-        &traced,
-        &back.features,
-        out,
-    );
+    traced.backward(gaussians, pass.tree, &projected.gaussian, &back.features, out);
     shadow
 }
 

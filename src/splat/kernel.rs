@@ -133,7 +133,7 @@ fn rows(splat: &Splat, frame: &TileFrame) -> (usize, usize) {
 fn groups(splat: &Splat, frame: &TileFrame, y: f32) -> (usize, usize) {
     let [a, b, c] = splat.conic;
     let discriminant = b * b * y * y - a * (c * y * y - splat.reach);
-    if !(discriminant > 0.0) {
+    if discriminant.is_nan() || discriminant <= 0.0 {
         return (0, 0);
     }
     let root = discriminant.sqrt();

@@ -193,7 +193,8 @@ fn project_one(gaussians: &Table, index: usize, camera: &ProjectiveCamera, optio
     ];
     let normal = (white.ju * slope[0] + white.jv * slope[1] - camera.depth_axis).normalize_or_zero();
     let finite = opacity.is_finite() && depth.is_finite() && conic.iter().chain(&slope).all(|v| v.is_finite());
-    if !finite || !(det > 0.0) || !(depth_det > 0.0) {
+    // Both determinants are finite here: the conic and the slopes were divided by them.
+    if !finite || det <= 0.0 || depth_det <= 0.0 {
         return Fate::NotFinite;
     }
     if opacity <= ALPHA_MIN {

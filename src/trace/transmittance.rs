@@ -11,7 +11,7 @@
 //! neighbours' whole reach and a steep one hardly moves; and only peaks further along the ray than the origin's own
 //! extent `sqrt(rᵀΣr)` count.
 
-use super::bvh::OccluderTree;
+use super::bvh::{Occluder, OccluderTree};
 use crate::gaussians::{LOG_SCALE, OPACITY, POSITION, ROTATION, Table, rotation_backward};
 use crate::light::Light;
 use crate::splat::project::{ALPHA_MAX, add3};
@@ -61,6 +61,8 @@ pub struct Transmittance {
     /// `hit_starts[i]..hit_starts[i + 1]`: the hits of origin `i`.
     hit_starts: Vec<u32>,
     hits: Vec<Hit>,
+    rays: Vec<LightRay>,
+    occluder_gradients: bool,
 }
 
 impl Transmittance {
@@ -79,6 +81,7 @@ impl Transmittance {
 }
 
 /// A ray from a Gaussian toward the light.
+#[derive(Debug, Clone)]
 struct LightRay {
     origin: Vec3,
     direction: Vec3,
@@ -88,6 +91,7 @@ struct LightRay {
 }
 
 /// How far and along which own axis a ray was lifted off its sheet.
+#[derive(Debug, Clone)]
 struct Lift {
     thin: usize,
     /// The axis, turned to the light.
@@ -161,6 +165,7 @@ pub fn transmittance(
                     }
                 });
                 out.values.push((-optical_depth).exp());
+                out.rays.push(ray);
                 out.hit_starts.push(out.hits.len() as u32);
             }
             out
@@ -168,6 +173,7 @@ pub fn transmittance(
         .collect();
     let mut all = Transmittance {
         hit_starts: vec![0],
+        occluder_gradients: options.occluder_gradients,
         ..Transmittance::default()
     };
     for chunk in chunks {
@@ -176,6 +182,7 @@ pub fn transmittance(
         all.hit_starts
             .extend(chunk.hit_starts.into_iter().map(|end| base + end));
         all.hits.extend(chunk.hits);
+        all.rays.extend(chunk.rays);
     }
     all
 }
@@ -196,28 +203,148 @@ fn peak_alpha(tree: &OccluderTree, id: u32, ray: &LightRay) -> Option<f32> {
     Some((occluder.opacity * (-0.5 * miss_square).exp()).min(ALPHA_MAX))
 }
 
-/// Adds the gradients of `grads` (to each origin's transmittance) to the parameters of occluders and origins.
-pub fn transmittance_backward(
-    gaussians: &Table,
-    tree: &OccluderTree,
-    origins: &[u32],
-    light: &Light,
-    options: &TraceOptions,
-    traced: &Transmittance,
-    grads: &[f32],
-    out: &mut Table,
-) {
-    if traced.hits.is_empty() {
-        return;
+impl Transmittance {
+    /// Adds the gradients that `grads` (to each origin's transmittance) gives the parameters of occluders and origins.
+    /// `gaussians`, `tree` and `origins` are those the transmittance was traced with.
+    pub fn backward(&self, gaussians: &Table, tree: &OccluderTree, origins: &[u32], grads: &[f32], out: &mut Table) {
+        if self.hits.is_empty() {
+            return;
+        }
+        self.origins_backward(gaussians, tree, origins, grads, out);
+        if self.occluder_gradients {
+            self.occluders_backward(gaussians, tree, grads, out);
+        }
     }
-    let rays: Vec<LightRay> = origins
-        .par_iter()
-        .with_min_len(256)
-        .map(|&o| light_ray(gaussians, o as usize, light, options))
-        .collect();
-    origins_backward(gaussians, tree, origins, traced, grads, &rays, out);
-    if options.occluder_gradients {
-        occluders_backward(gaussians, tree, traced, grads, &rays, out);
+
+    fn origins_backward(
+        &self,
+        gaussians: &Table,
+        tree: &OccluderTree,
+        origins: &[u32],
+        grads: &[f32],
+        out: &mut Table,
+    ) {
+        let starts: Vec<Vec3> = self
+            .rays
+            .par_iter()
+            .with_min_len(256)
+            .enumerate()
+            .map(|(i, ray)| {
+                let mut total = Vec3::ZERO;
+                for hit in &self.hits[self.hit_starts[i] as usize..self.hit_starts[i + 1] as usize] {
+                    let occluder = &tree.occluders[hit.occluder as usize];
+                    let e = occluder.whiten * (ray.origin - occluder.position);
+                    let d = occluder.whiten * ray.direction;
+                    let h = exponent_gradient(self.values[i], grads[i], hit.alpha);
+                    // exponent = -½‖n‖², n the nearest point; ∂/∂e = -n because n is normal to d.
+                    total -= occluder.whiten.transpose() * nearest(e, d) * h;
+                }
+                total
+            })
+            .collect();
+        for ((&origin, &d_start), ray) in origins.iter().zip(&starts).zip(&self.rays) {
+            if d_start == Vec3::ZERO {
+                continue;
+            }
+            let (i, lift) = (origin as usize, &ray.lift);
+            add3(&mut out.groups[POSITION].values, i, d_start);
+            // start = position + axis · full · (1 - axis·r), full proportional to the thinnest scale.
+            let d_height = d_start.dot(lift.axis);
+            out.groups[LOG_SCALE].values[i * 3 + lift.thin] += d_height * lift.height;
+            let d_axis = (d_start * lift.height - ray.direction * (d_height * lift.full)) * lift.sign;
+            let mut d_rotation = Mat3::ZERO;
+            *d_rotation.col_mut(lift.thin) = d_axis;
+            let d_quaternion = rotation_backward(gaussians.raw_rotation(i), d_rotation);
+            for (slot, v) in out.groups[ROTATION].values[i * 4..i * 4 + 4]
+                .iter_mut()
+                .zip(d_quaternion)
+            {
+                *slot += v;
+            }
+        }
+    }
+
+    /// The hits by occluder: starts per occluder, and for each hit its origin's place and `α̃`.
+    fn by_occluder(&self, count: usize) -> (Vec<u32>, Vec<(u32, f32)>) {
+        let mut starts = vec![0u32; count + 1];
+        for hit in &self.hits {
+            starts[hit.occluder as usize + 1] += 1;
+        }
+        for i in 0..count {
+            starts[i + 1] += starts[i];
+        }
+        let mut cursor = starts.clone();
+        let mut sorted = vec![(0, 0.0); self.hits.len()];
+        for (i, span) in self.hit_starts.windows(2).enumerate() {
+            for hit in &self.hits[span[0] as usize..span[1] as usize] {
+                let place = &mut cursor[hit.occluder as usize];
+                sorted[*place as usize] = (i as u32, hit.alpha);
+                *place += 1;
+            }
+        }
+        (starts, sorted)
+    }
+
+    fn occluders_backward(&self, gaussians: &Table, tree: &OccluderTree, grads: &[f32], out: &mut Table) {
+        let (starts, sorted) = self.by_occluder(gaussians.count);
+        let touched: Vec<u32> = (0..gaussians.count as u32)
+            .filter(|&g| starts[g as usize] < starts[g as usize + 1])
+            .collect();
+        let gradients: Vec<OccluderGradient> = touched
+            .par_iter()
+            .with_min_len(256)
+            .map(|&g| {
+                let hits = &sorted[starts[g as usize] as usize..starts[g as usize + 1] as usize];
+                self.one_occluder(gaussians, &tree.occluders[g as usize], g as usize, hits, grads)
+            })
+            .collect();
+        for (&g, d) in touched.iter().zip(&gradients) {
+            let i = g as usize;
+            add3(&mut out.groups[POSITION].values, i, d.position);
+            add3(&mut out.groups[LOG_SCALE].values, i, d.log_scale);
+            for (slot, v) in out.groups[ROTATION].values[i * 4..i * 4 + 4].iter_mut().zip(d.rotation) {
+                *slot += v;
+            }
+            out.groups[OPACITY].values[i] += d.opacity;
+        }
+    }
+
+    fn one_occluder(
+        &self,
+        gaussians: &Table,
+        occluder: &Occluder,
+        index: usize,
+        hits: &[(u32, f32)],
+        grads: &[f32],
+    ) -> OccluderGradient {
+        let scale = gaussians.scale(index);
+        let (mut position, mut log_scale, mut opacity) = (Vec3::ZERO, Vec3::ZERO, 0.0);
+        let mut d_rotation = Mat3::ZERO;
+        for &(origin, alpha) in hits {
+            let (ray, h) = (
+                &self.rays[origin as usize],
+                exponent_gradient(self.values[origin as usize], grads[origin as usize], alpha),
+            );
+            let offset = ray.origin - occluder.position;
+            let e = occluder.whiten * offset;
+            let d = occluder.whiten * ray.direction;
+            let n = nearest(e, d);
+            // n = e + t d with t the peak, so with X = offset + t r: n = S⁻¹Rᵀ X and ∂(-½‖n‖²) = -n · ∂(S⁻¹Rᵀ) X at fixed t.
+            let t = -e.dot(d) / d.length_squared();
+            let through = offset + ray.direction * t;
+            position += occluder.whiten.transpose() * n * h;
+            log_scale += n * n * h;
+            let scaled = n / scale * -h;
+            d_rotation += Mat3::from_cols(through * scaled.x, through * scaled.y, through * scaled.z);
+            opacity += h;
+        }
+        OccluderGradient {
+            position,
+            log_scale,
+            rotation: rotation_backward(gaussians.raw_rotation(index), d_rotation),
+            // h is ∂L/∂ ln α̃ = ∂L/∂ ln o, and do/dlogit = o (1 - o).
+            opacity: opacity * (1.0 - gaussians.opacity(index)),
+        }
     }
 }
 
@@ -237,151 +364,11 @@ fn nearest(e: Vec3, d: Vec3) -> Vec3 {
     e - d * (e.dot(d) / d.length_squared())
 }
 
-fn origins_backward(
-    gaussians: &Table,
-    tree: &OccluderTree,
-    origins: &[u32],
-    traced: &Transmittance,
-    grads: &[f32],
-    rays: &[LightRay],
-    out: &mut Table,
-) {
-    let starts: Vec<Vec3> = rays
-        .par_iter()
-        .with_min_len(256)
-        .enumerate()
-        .map(|(i, ray)| {
-            let mut total = Vec3::ZERO;
-            for hit in &traced.hits[traced.hit_starts[i] as usize..traced.hit_starts[i + 1] as usize] {
-                let occluder = &tree.occluders[hit.occluder as usize];
-                let e = occluder.whiten * (ray.origin - occluder.position);
-                let d = occluder.whiten * ray.direction;
-                let h = exponent_gradient(traced.values[i], grads[i], hit.alpha);
-                // exponent = -½‖n‖², n the nearest point; ∂/∂e = -n because n is normal to d.
-                total -= occluder.whiten.transpose() * nearest(e, d) * h;
-            }
-            total
-        })
-        .collect();
-    for ((&origin, &d_start), ray) in origins.iter().zip(&starts).zip(rays) {
-        if d_start == Vec3::ZERO {
-            continue;
-        }
-        let (i, lift) = (origin as usize, &ray.lift);
-        add3(&mut out.groups[POSITION].values, i, d_start);
-        // start = position + axis · full · (1 - axis·r), full proportional to the thinnest scale.
-        let d_height = d_start.dot(lift.axis);
-        out.groups[LOG_SCALE].values[i * 3 + lift.thin] += d_height * lift.height;
-        let d_axis = (d_start * lift.height - ray.direction * (d_height * lift.full)) * lift.sign;
-        let mut d_rotation = Mat3::ZERO;
-        *d_rotation.col_mut(lift.thin) = d_axis;
-        let d_quaternion = rotation_backward(gaussians.raw_rotation(i), d_rotation);
-        for (slot, v) in out.groups[ROTATION].values[i * 4..i * 4 + 4]
-            .iter_mut()
-            .zip(d_quaternion)
-        {
-            *slot += v;
-        }
-    }
-}
-
-/// The hits by occluder: starts per occluder, and for each hit its origin's place and `α̃`.
-fn by_occluder(traced: &Transmittance, count: usize) -> (Vec<u32>, Vec<(u32, f32)>) {
-    let mut starts = vec![0u32; count + 1];
-    for hit in &traced.hits {
-        starts[hit.occluder as usize + 1] += 1;
-    }
-    for i in 0..count {
-        starts[i + 1] += starts[i];
-    }
-    let mut cursor = starts.clone();
-    let mut sorted = vec![(0, 0.0); traced.hits.len()];
-    for (i, span) in traced.hit_starts.windows(2).enumerate() {
-        for hit in &traced.hits[span[0] as usize..span[1] as usize] {
-            let place = &mut cursor[hit.occluder as usize];
-            sorted[*place as usize] = (i as u32, hit.alpha);
-            *place += 1;
-        }
-    }
-    (starts, sorted)
-}
-
 struct OccluderGradient {
     position: Vec3,
     log_scale: Vec3,
     rotation: [f32; 4],
     opacity: f32,
-}
-
-fn occluders_backward(
-    gaussians: &Table,
-    tree: &OccluderTree,
-    traced: &Transmittance,
-    grads: &[f32],
-    rays: &[LightRay],
-    out: &mut Table,
-) {
-    let (starts, sorted) = by_occluder(traced, gaussians.count);
-    let touched: Vec<u32> = (0..gaussians.count as u32)
-        .filter(|&g| starts[g as usize] < starts[g as usize + 1])
-        .collect();
-    let gradients: Vec<OccluderGradient> = touched
-        .par_iter()
-        .with_min_len(256)
-        .map(|&g| {
-            let hits = &sorted[starts[g as usize] as usize..starts[g as usize + 1] as usize];
-            one_occluder(gaussians, tree, g as usize, hits, traced, grads, rays)
-        })
-        .collect();
-    for (&g, d) in touched.iter().zip(&gradients) {
-        let i = g as usize;
-        add3(&mut out.groups[POSITION].values, i, d.position);
-        add3(&mut out.groups[LOG_SCALE].values, i, d.log_scale);
-        for (slot, v) in out.groups[ROTATION].values[i * 4..i * 4 + 4].iter_mut().zip(d.rotation) {
-            *slot += v;
-        }
-        out.groups[OPACITY].values[i] += d.opacity;
-    }
-}
-
-fn one_occluder(
-    gaussians: &Table,
-    tree: &OccluderTree,
-    index: usize,
-    hits: &[(u32, f32)],
-    traced: &Transmittance,
-    grads: &[f32],
-    rays: &[LightRay],
-) -> OccluderGradient {
-    let occluder = &tree.occluders[index];
-    let scale = gaussians.scale(index);
-    let (mut position, mut log_scale, mut opacity) = (Vec3::ZERO, Vec3::ZERO, 0.0);
-    let mut d_rotation = Mat3::ZERO;
-    for &(origin, alpha) in hits {
-        let (ray, h) = (
-            &rays[origin as usize],
-            exponent_gradient(traced.values[origin as usize], grads[origin as usize], alpha),
-        );
-        let offset = ray.origin - occluder.position;
-        let e = occluder.whiten * offset;
-        let d = occluder.whiten * ray.direction;
-        let n = nearest(e, d);
-        // n = e + t d with t the peak, so with X = offset + t r: n = S⁻¹Rᵀ X and ∂(-½‖n‖²) = -n · ∂(S⁻¹Rᵀ) X at fixed t.
-        let t = -e.dot(d) / d.length_squared();
-        let through = offset + ray.direction * t;
-        position += occluder.whiten.transpose() * n * h;
-        log_scale += n * n * h;
-        let scaled = n / scale * -h;
-        d_rotation += Mat3::from_cols(through * scaled.x, through * scaled.y, through * scaled.z);
-        opacity += h;
-    }
-    OccluderGradient {
-        position,
-        log_scale,
-        rotation: rotation_backward(gaussians.raw_rotation(index), d_rotation),
-        // h is ∂L/∂ ln α̃ = ∂L/∂ ln o, and do/dlogit = o (1 - o).
-        opacity: opacity * (1.0 - gaussians.opacity(index)),
-    }
 }
 
 #[cfg(test)]

@@ -94,7 +94,7 @@ impl Holdout {
 
     /// After every round over all views: is this the best state so far?
     pub(super) fn round_done(&mut self, step: usize, views: usize, parameters: &Parameters) {
-        if self.patience == 0 || step % views != 0 || step < self.keep_from {
+        if self.patience == 0 || !step.is_multiple_of(views) || step < self.keep_from {
             return;
         }
         let known: Vec<f64> = self.losses.iter().flatten().copied().collect();

@@ -1,0 +1,174 @@
+//! How badly the views agree on each cell at each altitude.
+
+use super::bands::Bands;
+use super::census::{self, COMPARISONS, INVALID, RADIUS};
+use super::grid::{Grid, Ladder};
+use super::pairs::Pair;
+use super::views::LevelView;
+use super::visibility::FirstHits;
+use rayon::prelude::*;
+
+/// Cells of a block: rows × columns small enough for the cache, large enough that the window's margin stays cheap.
+const BLOCK: (usize, usize) = (16, 64);
+/// Distances beyond this share of the comparisons say only "no match": a hidden or changed view is no worse than that.
+fn env(k: &str, d: f32) -> f32 { std::env::var(k).map_or(d, |v| v.parse().unwrap()) }
+
+/// Weight, as a share of all pairs, of the assumption that nothing matches: altitudes that few views see must not win
+/// by chance.
+
+
+/// What the search compares, and where.
+pub(super) struct Matching<'a> {
+    pub(super) grid: Grid,
+    pub(super) ladder: Ladder,
+    pub(super) views: &'a [LevelView],
+    pub(super) pairs: &'a [Pair],
+    pub(super) alike: f32,
+    /// What each view sees first, where a surface is known already.
+    pub(super) hits: Option<&'a [FirstHits]>,
+}
+
+impl Matching<'_> {
+    /// Costs 0 (all agree) to 255 of all levels of all cells, in the order of `bands`.
+    pub(super) fn costs(&self, bands: &Bands) -> Vec<u8> {
+        let mut costs = vec![0; bands.total()];
+        let mut strips = Vec::new();
+        let mut rest = costs.as_mut_slice();
+        for row0 in (0..self.grid.height).step_by(BLOCK.0) {
+            let row1 = (row0 + BLOCK.0).min(self.grid.height);
+            let values = bands.start[row1 * self.grid.width] - bands.start[row0 * self.grid.width];
+            let (strip, tail) = rest.split_at_mut(values);
+            strips.push((row0, row1, strip));
+            rest = tail;
+        }
+        strips.into_par_iter().for_each(|(row0, row1, strip)| {
+            let mut scratch = Scratch::new(self.views.len());
+            for col0 in (0..self.grid.width).step_by(BLOCK.1) {
+                let col1 = (col0 + BLOCK.1).min(self.grid.width);
+                let block = Block { row0, row1, col0, col1 };
+                self.fill_block(&block, bands, &mut scratch, strip);
+            }
+        });
+        costs
+    }
+
+    fn fill_block(&self, block: &Block, bands: &Bands, scratch: &mut Scratch, strip: &mut [u8]) {
+        let strip_start = bands.start[block.row0 * self.grid.width];
+        let (mut first, mut last) = (usize::MAX, 0);
+        block.cells(&self.grid, |_, cell| {
+            first = first.min(usize::from(bands.low[cell]));
+            last = last.max(usize::from(bands.low[cell]) + bands.count(cell));
+        });
+        for level in first..last {
+            self.block_costs(block, self.ladder.altitude(level as f32), scratch);
+            block.cells(&self.grid, |k, cell| {
+                let low = usize::from(bands.low[cell]);
+                if level >= low && level < low + bands.count(cell) {
+                    strip[bands.start[cell] - strip_start + level - low] = scratch.cost[k];
+                }
+            });
+        }
+    }
+
+    /// Costs of a block at one altitude, into `scratch.cost`.
+    fn block_costs(&self, block: &Block, altitude_m: f32, scratch: &mut Scratch) {
+        let (width, height) = (block.col1 - block.col0, block.row1 - block.row0);
+        let cells = width * height;
+        for (view, index) in self.views.iter().zip(0..) {
+            self.sample_block(view, block, altitude_m, &mut scratch.values);
+            let words = &mut scratch.words[index][..cells];
+            census::describe(&scratch.values, width, height, self.alike * view.gradient, words);
+            if let Some(hits) = self.hits {
+                self.drop_hidden(index, &hits[index], block, altitude_m, words);
+            }
+        }
+        let (sum, weights) = (&mut scratch.sum[..cells], &mut scratch.weights[..cells]);
+        sum.fill(0);
+        weights.fill(0);
+        let cut = (env("CUT",0.36) * COMPARISONS as f32) as u32;
+        let mut full = 0;
+        for pair in self.pairs {
+            let (a, b) = (&scratch.words[pair.a][..cells], &scratch.words[pair.b][..cells]);
+            census::compare(a, b, pair.weight, cut, sum, weights);
+            full += pair.weight;
+        }
+        let doubt = ((full as f32 * env("DOUBT",0.15)) as u32).max(1);
+        for ((cost, sum), weights) in scratch.cost.iter_mut().zip(sum).zip(weights) {
+            *cost = (255 * (*sum + doubt * cut) / ((*weights + doubt) * cut)) as u8;
+        }
+    }
+
+    /// Values of a view on the block and its margin at one altitude.
+    fn sample_block(&self, view: &LevelView, block: &Block, altitude_m: f32, out: &mut [f32]) {
+        let columns = block.col1 - block.col0 + 2 * RADIUS;
+        let rows = block.row1 - block.row0 + 2 * RADIUS;
+        let camera = &view.camera;
+        let step = self.grid.cell_m;
+        let (du, dv, dw) = (camera.u.x * step, camera.v.x * step, camera.w.x * step);
+        let (col0, row0) = (block.col0 as isize - RADIUS as isize, block.row0 as isize - RADIUS as isize);
+        for row in 0..rows {
+            let p = self.grid.point(col0, row0 + row as isize, altitude_m);
+            let (u, v) = (camera.u.dot(p) + camera.u0, camera.v.dot(p) + camera.v0);
+            let w = 1.0 + camera.w.dot(p);
+            for (k, value) in out[row * columns..(row + 1) * columns].iter_mut().enumerate() {
+                let k = k as f32;
+                let inverse = 1.0 / (w + k * dw);
+                *value = view.sample((u + k * du) * inverse, (v + k * dv) * inverse);
+            }
+        }
+    }
+
+    fn drop_hidden(&self, index: usize, hits: &FirstHits, block: &Block, altitude_m: f32, words: &mut [u64]) {
+        let camera = &self.views[index].camera;
+        for (k, word) in words.iter_mut().enumerate() {
+            let width = block.col1 - block.col0;
+            let (col, row) = ((block.col0 + k % width) as isize, (block.row0 + k / width) as isize);
+            let (image_col, image_row, _) = camera.project(self.grid.point(col, row, altitude_m));
+            if hits.hides(image_col, image_row, altitude_m) {
+                *word |= INVALID;
+            }
+        }
+    }
+}
+
+/// A rectangle of cells.
+struct Block {
+    row0: usize,
+    row1: usize,
+    col0: usize,
+    col1: usize,
+}
+
+impl Block {
+    /// Calls with the index inside the block and the index on the grid of each cell.
+    fn cells(&self, grid: &Grid, mut each: impl FnMut(usize, usize)) {
+        let mut k = 0;
+        for row in self.row0..self.row1 {
+            for col in self.col0..self.col1 {
+                each(k, row * grid.width + col);
+                k += 1;
+            }
+        }
+    }
+}
+
+struct Scratch {
+    values: Vec<f32>,
+    words: Vec<Vec<u64>>,
+    sum: Vec<u32>,
+    weights: Vec<u32>,
+    cost: Vec<u8>,
+}
+
+impl Scratch {
+    fn new(views: usize) -> Self {
+        let cells = BLOCK.0 * BLOCK.1;
+        Self {
+            values: vec![0.0; (BLOCK.0 + 2 * RADIUS) * (BLOCK.1 + 2 * RADIUS)],
+            words: vec![vec![0; cells]; views],
+            sum: vec![0; cells],
+            weights: vec![0; cells],
+            cost: vec![0; cells],
+        }
+    }
+}

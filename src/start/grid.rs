@@ -1,0 +1,83 @@
+//! The ground grid and the altitude ladder: the two axes of the search.
+
+use glam::Vec3;
+
+/// Cells of a ground grid; row 0 is the northern one, `west_m` and `north_m` are the grid's outer edges.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(super) struct Grid {
+    pub(super) width: usize,
+    pub(super) height: usize,
+    pub(super) west_m: f32,
+    pub(super) north_m: f32,
+    pub(super) cell_m: f32,
+}
+
+impl Grid {
+    pub(super) fn len(&self) -> usize {
+        self.width * self.height
+    }
+
+    /// The centre of a cell at an altitude; cells outside the grid are as good as any.
+    pub(super) fn point(&self, col: isize, row: isize, altitude_m: f32) -> Vec3 {
+        Vec3::new(
+            self.west_m + (col as f32 + 0.5) * self.cell_m,
+            self.north_m - (row as f32 + 0.5) * self.cell_m,
+            altitude_m,
+        )
+    }
+
+    /// The same ground in cells `factor` times as wide; the last column and row may reach beyond the edge.
+    pub(super) fn coarser(&self, factor: usize) -> Self {
+        Self {
+            width: self.width.div_ceil(factor),
+            height: self.height.div_ceil(factor),
+            cell_m: self.cell_m * factor as f32,
+            ..*self
+        }
+    }
+
+    /// The nearest cell of a ground position, held inside the grid.
+    pub(super) fn nearest(&self, x_m: f32, y_m: f32) -> usize {
+        let col = ((x_m - self.west_m) / self.cell_m).max(0.0) as usize;
+        let row = ((self.north_m - y_m) / self.cell_m).max(0.0) as usize;
+        row.min(self.height - 1) * self.width + col.min(self.width - 1)
+    }
+
+    /// Whether a ground position lies on the grid.
+    pub(super) fn contains(&self, x_m: f32, y_m: f32) -> bool {
+        let (col, row) = ((x_m - self.west_m) / self.cell_m, (self.north_m - y_m) / self.cell_m);
+        col >= 0.0 && row >= 0.0 && col < self.width as f32 && row < self.height as f32
+    }
+}
+
+/// Regular altitudes `base_m + level · step_m`.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(super) struct Ladder {
+    pub(super) base_m: f32,
+    pub(super) step_m: f32,
+    pub(super) levels: usize,
+}
+
+/// Levels are counted in 16 bits, and more of them than this is never useful.
+const MOST_LEVELS: usize = 8192;
+
+impl Ladder {
+    pub(super) fn new(low_m: f32, high_m: f32, step_m: f32) -> Self {
+        let range = (high_m - low_m).max(0.0);
+        let step = step_m.max(range / (MOST_LEVELS - 2) as f32).max(1e-4);
+        Self {
+            base_m: low_m,
+            step_m: step,
+            levels: (range / step).ceil() as usize + 1,
+        }
+    }
+
+    pub(super) fn altitude(&self, level: f32) -> f32 {
+        self.base_m + level * self.step_m
+    }
+
+    /// The level of an altitude, not rounded and not held inside the ladder.
+    pub(super) fn level(&self, altitude_m: f32) -> f32 {
+        (altitude_m - self.base_m) / self.step_m
+    }
+}

@@ -1,0 +1,82 @@
+//! The surface a sweep finds.
+
+use glam::Vec3;
+
+/// Altitudes on a regular ground grid, with what is known of their worth.
+#[derive(Debug, Clone, PartialEq, Default)]
+pub struct Surface {
+    /// Columns.
+    pub width: usize,
+    /// Rows; row 0 is the northern one.
+    pub height: usize,
+    /// Western edge of the grid, metres; the first cell's centre lies half a cell further east.
+    pub west_m: f32,
+    /// Northern edge of the grid, metres; the first cell's centre lies half a cell further south.
+    pub north_m: f32,
+    /// Width of a cell, metres.
+    pub cell_m: f32,
+    /// Altitude of each cell, metres; never NaN.
+    pub altitude: Vec<f32>,
+    /// Trust in each altitude, 0 (filled or guessed) to 1.
+    pub confidence: Vec<f32>,
+    /// How many views agree on each cell.
+    pub views: Vec<u8>,
+    /// Cells whose altitude was not matched but taken from their neighbours.
+    pub filled: Vec<bool>,
+}
+
+impl Surface {
+    /// Whether the ground position lies on the grid.
+    pub fn contains(&self, x_m: f32, y_m: f32) -> bool {
+        self.cell_at(x_m, y_m).is_some()
+    }
+
+    /// Index of the cell that holds a ground position; `None` off the grid.
+    pub fn cell_at(&self, x_m: f32, y_m: f32) -> Option<usize> {
+        let (col, row) = ((x_m - self.west_m) / self.cell_m, (self.north_m - y_m) / self.cell_m);
+        let inside = col >= 0.0 && row >= 0.0 && col < self.width as f32 && row < self.height as f32;
+        inside.then(|| row as usize * self.width + col as usize)
+    }
+
+    /// Centre of a cell on the surface, metres.
+    pub fn point(&self, col: usize, row: usize) -> Vec3 {
+        Vec3::new(
+            self.west_m + (col as f32 + 0.5) * self.cell_m,
+            self.north_m - (row as f32 + 0.5) * self.cell_m,
+            self.altitude[row * self.width + col],
+        )
+    }
+
+    /// Altitude at a ground position, bilinear between cell centres and constant beyond the outermost ones; `None` off
+    /// the grid.
+    pub fn altitude_at(&self, x_m: f32, y_m: f32) -> Option<f32> {
+        self.cell_at(x_m, y_m)?;
+        let col = ((x_m - self.west_m) / self.cell_m - 0.5).clamp(0.0, self.width as f32 - 1.0);
+        let row = ((self.north_m - y_m) / self.cell_m - 0.5).clamp(0.0, self.height as f32 - 1.0);
+        let (c0, r0) = (col as usize, row as usize);
+        let (c1, r1) = ((c0 + 1).min(self.width - 1), (r0 + 1).min(self.height - 1));
+        let (fc, fr) = (col - c0 as f32, row - r0 as f32);
+        let at = |c: usize, r: usize| self.altitude[r * self.width + c];
+        let north = at(c0, r0) * (1.0 - fc) + at(c1, r0) * fc;
+        let south = at(c0, r1) * (1.0 - fc) + at(c1, r1) * fc;
+        Some(north * (1.0 - fr) + south * fr)
+    }
+
+    /// East and north slope of the surface at a cell (metres per metre), from the neighbour on the side where the
+    /// surface changes less, so that a wall does not tilt the roof and the ground beside it.
+    pub fn slope(&self, col: usize, row: usize) -> (f32, f32) {
+        let at = |c: usize, r: usize| self.altitude[r * self.width + c];
+        let here = at(col, row);
+        let gentler = |back: Option<f32>, ahead: Option<f32>| match (back, ahead) {
+            (Some(b), Some(a)) if b.abs() < a.abs() => b,
+            (_, Some(a)) => a,
+            (Some(b), None) => b,
+            (None, None) => 0.0,
+        };
+        let west = (col > 0).then(|| here - at(col - 1, row));
+        let east = (col + 1 < self.width).then(|| at(col + 1, row) - here);
+        let south = (row + 1 < self.height).then(|| here - at(col, row + 1));
+        let north = (row > 0).then(|| at(col, row - 1) - here);
+        (gentler(west, east) / self.cell_m, gentler(south, north) / self.cell_m)
+    }
+}

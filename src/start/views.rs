@@ -1,0 +1,133 @@
+//! What the sweep sees of a view: one band, at the resolution of the grid.
+
+use crate::{ProjectiveCamera, Raster};
+use glam::{Vec2, Vec3};
+
+/// One image with its camera, in the frame of the request.
+#[derive(Debug, Clone, Copy)]
+pub struct SweepView<'a> {
+    /// Where ground points fall in the image.
+    pub camera: ProjectiveCamera,
+    /// Linear values, any number of bands, NaN where there is nothing.
+    pub image: &'a Raster,
+    /// Views of one date agree radiometrically: same shadows, same season.
+    pub date_group: u32,
+    /// Unit vector toward the sun, east-north-up.
+    pub sun: Vec3,
+}
+
+impl SweepView<'_> {
+    /// Ground distance between pixels at `centre`, metres.
+    pub(super) fn ground_sampling_m(&self, centre: Vec3) -> f32 {
+        let (col, row, denominator) = self.camera.project(centre);
+        let (u, v) = self.camera.jacobian(col, row, denominator);
+        let det = (u.x * v.y - u.y * v.x).abs();
+        if det > 0.0 { det.sqrt().recip() } else { f32::INFINITY }
+    }
+
+    /// How far the pixel that sees `centre` moves over the ground per metre of altitude: east, north.
+    pub(super) fn parallax(&self, centre: Vec3) -> Vec2 {
+        let (col, row, _) = self.camera.project(centre);
+        let ray = self.camera.ray_direction(col, row);
+        ray.truncate() / if ray.z.abs() > 1e-3 { ray.z } else { -1e-3 }
+    }
+
+    /// Unit vector from the scene toward the camera.
+    pub(super) fn toward(&self, centre: Vec3) -> Vec3 {
+        let (col, row, _) = self.camera.project(centre);
+        -self.camera.ray_direction(col, row)
+    }
+}
+
+/// The mean of the bands of one view, averaged down to about one pixel per cell.
+#[derive(Debug, Clone)]
+pub(super) struct LevelView {
+    pub(super) camera: ProjectiveCamera,
+    pub(super) pixels: Vec<f32>,
+    pub(super) gradient: f32,
+    pub(super) width: usize,
+    pub(super) height: usize,
+}
+
+impl LevelView {
+    pub(super) fn new(view: &SweepView, cell_m: f32, centre: Vec3) -> Self {
+        let ratio = (cell_m / view.ground_sampling_m(centre)).round();
+        let largest = (view.image.width.min(view.image.height) / 8).max(1);
+        let factor = (ratio as usize).clamp(1, largest);
+        let mean = mean_of_bands(view.image);
+        let (image, camera) = if factor > 1 {
+            (mean.downscaled(factor), view.camera.downscaled(factor))
+        } else {
+            (mean, view.camera)
+        };
+        let mut g: Vec<f32> = image.values.windows(2).map(|w| (w[1] - w[0]).abs()).filter(|x| x.is_finite()).collect();
+        let m = g.len() / 2;
+        let gradient = *g.select_nth_unstable_by(m, f32::total_cmp).1;
+        Self {
+            camera, gradient,
+            width: image.width,
+            height: image.height,
+            pixels: image.values,
+        }
+    }
+
+    /// Bilinear value at a pixel position; NaN outside the image and beside missing pixels.
+    #[inline]
+    pub(super) fn sample(&self, col: f32, row: f32) -> f32 {
+        // Written so that a NaN position fails the test too.
+        let inside = col >= 0.0 && row >= 0.0 && col < (self.width - 1) as f32 && row < (self.height - 1) as f32;
+        if !inside {
+            return f32::NAN;
+        }
+        let (c, r) = (col as usize, row as usize);
+        let (fc, fr) = (col - c as f32, row - r as f32);
+        let i = r * self.width + c;
+        let upper = &self.pixels[i..i + 2];
+        let lower = &self.pixels[i + self.width..i + self.width + 2];
+        let top = upper[0] + (upper[1] - upper[0]) * fc;
+        let bottom = lower[0] + (lower[1] - lower[0]) * fc;
+        top + (bottom - top) * fr
+    }
+
+    /// Catmull-Rom value at a pixel position: bilinear blurs by how far the position is from a pixel centre, which
+    /// pulls a sub-pixel match toward half pixels. NaN outside the image and beside missing pixels.
+    #[inline]
+    pub(super) fn sample_cubic(&self, col: f32, row: f32) -> f32 {
+        let inside = col >= 1.0 && row >= 1.0 && col < self.width as f32 - 2.0 && row < self.height as f32 - 2.0;
+        if !inside {
+            return self.sample(col, row);
+        }
+        let (c, r) = (col as usize, row as usize);
+        let (wc, wr) = (cubic_weights(col - c as f32), cubic_weights(row - r as f32));
+        let mut sum = 0.0;
+        for (k, weight) in wr.iter().enumerate() {
+            let start = (r + k - 1) * self.width + c - 1;
+            let p = &self.pixels[start..start + 4];
+            sum += weight * (p[0] * wc[0] + p[1] * wc[1] + p[2] * wc[2] + p[3] * wc[3]);
+        }
+        sum
+    }
+}
+
+/// Catmull-Rom weights of the four pixels around a position `t` in [0, 1) past the second.
+#[inline]
+fn cubic_weights(t: f32) -> [f32; 4] {
+    let (t2, t3) = (t * t, t * t * t);
+    [
+        0.5 * (2.0 * t2 - t - t3),
+        0.5 * (3.0 * t3 - 5.0 * t2 + 2.0),
+        0.5 * (4.0 * t2 - 3.0 * t3 + t),
+        0.5 * (t3 - t2),
+    ]
+}
+
+fn mean_of_bands(image: &Raster) -> Raster {
+    let mut mean = Raster::filled(image.width, image.height, 1, 0.0);
+    let scale = 1.0 / image.bands.max(1) as f32;
+    for band in 0..image.bands {
+        for (sum, value) in mean.values.iter_mut().zip(image.plane(band)) {
+            *sum += value * scale;
+        }
+    }
+    mean
+}
