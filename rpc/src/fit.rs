@@ -1,23 +1,29 @@
-//! An RPC fitted to ground-image pairs: iteratively reweighted, regularised linear least squares.
+//! An RPC fitted to ground-image pairs: regularised least squares, reweighted as it goes.
 //!
-//! Each rational `r = N/D` has 39 unknowns (`D` starts with 1). `N - r D = 0` is linear in them but weighs samples by
-//! `D`; dividing by the last round's `D` brings the residual back to the image (C. V. Tao, Y. Hu, *A comprehensive study
-//! of the rational function model*, PE&RS 67(12), 2001). The unknowns are strongly correlated, so a ridge holds what the
-//! samples do not determine near zero; two rounds of refinement then take the ridge's bias out of what they do.
+//! Each rational `r = N/D` has 39 unknowns (`D` starts with 1); starting from `D = 1`, where the problem is linear, each
+//! round solves the equations linearised at the last one, which weighs every sample by `1/D` (C. V. Tao, Y. Hu, *A
+//! comprehensive study of the rational function model*, PE&RS 67(12), 2001, with the predicted image in place of the
+//! observed one, so that noise does not bias the denominator). The unknowns are strongly correlated: a prior as strong as
+//! the residuals' noise warrants keeps the denominator near 1, so that it gains no poles.
 
-use crate::polynomial::monomials;
+use crate::polynomial::{Monomials, monomials, value};
 use crate::rpc::{wrapped_difference_deg, wrapped_longitude_deg};
 use crate::{GeoPoint, ImagePoint, Rpc, RpcError};
-use nalgebra::{Cholesky, DMatrix, DVector, Dyn};
+use nalgebra::{SMatrix, SVector};
 
 /// Fewest samples: the 39 unknowns of one rational.
 pub const FEWEST_SAMPLES: usize = 39;
 const UNKNOWNS: usize = 39;
-const REWEIGHTINGS: usize = 4;
-const REFINEMENTS: usize = 3;
-/// Of one sample's weight, in normalised units: coefficients that change the image by less than about 1e-6 of its half
-/// range are not worth having.
-const RIDGE: f64 = 1e-11;
+const MAX_ROUNDS: usize = 20;
+/// A round that improves the sum of squares by less than this share is the last but one.
+const LAST_IMPROVEMENT: f64 = 1e-6;
+/// Standard deviation of the denominator's coefficients; those of real cameras are 0.001 to 0.1 as a rule.
+const DENOMINATOR_SIGMA: f64 = 0.1;
+/// Per sample, on the diagonal of the normal equations: lets Cholesky pass where samples determine nothing. It slows the
+/// rounds and does not bias their end.
+const LEAST_DAMPING: f64 = 1e-12;
+
+type Unknowns = SVector<f64, UNKNOWNS>;
 
 /// A fitted RPC and its residuals over the samples it was fitted to.
 #[derive(Debug, Clone, PartialEq)]
@@ -46,10 +52,18 @@ pub fn fit_rpc(samples: &[(GeoPoint, ImagePoint)]) -> Result<RpcFit, RpcError> {
         )));
     }
     let mut rpc = normalisation(samples)?;
-    let design: Vec<[f64; 20]> = samples.iter().map(|(ground, _)| monomials(rpc.normalised(*ground))).collect();
-    let rows: Vec<f64> = samples.iter().map(|(_, image)| (image.row - rpc.line_offset) / rpc.line_scale).collect();
-    let cols: Vec<f64> =
-        samples.iter().map(|(_, image)| (image.col - rpc.sample_offset) / rpc.sample_scale).collect();
+    let design: Vec<Monomials> = samples
+        .iter()
+        .map(|(ground, _)| monomials(rpc.normalised(*ground)))
+        .collect();
+    let rows: Vec<f64> = samples
+        .iter()
+        .map(|(_, image)| (image.row - rpc.line_offset) / rpc.line_scale)
+        .collect();
+    let cols: Vec<f64> = samples
+        .iter()
+        .map(|(_, image)| (image.col - rpc.sample_offset) / rpc.sample_scale)
+        .collect();
     (rpc.line_numerator, rpc.line_denominator) = fit_rational(&design, &rows)?;
     (rpc.sample_numerator, rpc.sample_denominator) = fit_rational(&design, &cols)?;
     let (mut sum, mut max_px) = (0.0, 0.0_f64);
@@ -61,7 +75,9 @@ pub fn fit_rpc(samples: &[(GeoPoint, ImagePoint)]) -> Result<RpcFit, RpcError> {
     }
     let rms_px = (sum / samples.len() as f64).sqrt();
     if !rms_px.is_finite() {
-        return Err(RpcError::Invalid("the fitted RPC is not finite over its own samples".into()));
+        return Err(RpcError::Invalid(
+            "the fitted RPC is not finite over its own samples".into(),
+        ));
     }
     Ok(RpcFit { rpc, rms_px, max_px })
 }
@@ -70,10 +86,17 @@ pub fn fit_rpc(samples: &[(GeoPoint, ImagePoint)]) -> Result<RpcFit, RpcError> {
 fn normalisation(samples: &[(GeoPoint, ImagePoint)]) -> Result<Rpc, RpcError> {
     let first_lon_deg = samples[0].0.lon_deg;
     let centre_and_half = |name: &str, least: f64, of: &dyn Fn(&(GeoPoint, ImagePoint)) -> f64| {
-        let (low, high) = samples.iter().map(of).fold((f64::INFINITY, f64::NEG_INFINITY), |(low, high), v| {
-            // NaN must survive: `min` and `max` would drop it.
-            if v.is_finite() { (low.min(v), high.max(v)) } else { (f64::NAN, f64::NAN) }
-        });
+        let (low, high) = samples
+            .iter()
+            .map(of)
+            .fold((f64::INFINITY, f64::NEG_INFINITY), |(low, high), v| {
+                // Once not a number, always not a number: `min` and `max` alone would forget it.
+                if v.is_nan() || low.is_nan() {
+                    (f64::NAN, f64::NAN)
+                } else {
+                    (low.min(v), high.max(v))
+                }
+            });
         let half = 0.5 * (high - low);
         if half.is_finite() && half >= least {
             Ok((low + half, half))
@@ -86,8 +109,9 @@ fn normalisation(samples: &[(GeoPoint, ImagePoint)]) -> Result<Rpc, RpcError> {
     let (line_offset, line_scale) = centre_and_half("rows", 1e-6, &|s| s.1.row)?;
     let (sample_offset, sample_scale) = centre_and_half("columns", 1e-6, &|s| s.1.col)?;
     let (latitude_offset_deg, latitude_scale_deg) = centre_and_half("latitudes", 1e-12, &|s| s.0.lat_deg)?;
-    let (from_first_deg, longitude_scale_deg) =
-        centre_and_half("longitudes", 1e-12, &|s| wrapped_difference_deg(s.0.lon_deg, first_lon_deg))?;
+    let (from_first_deg, longitude_scale_deg) = centre_and_half("longitudes", 1e-12, &|s| {
+        wrapped_difference_deg(s.0.lon_deg, first_lon_deg)
+    })?;
     // One height alone is a legal, if poor, set of samples: the ridge then leaves height out of the model.
     let (height_offset_m, height_half_m) = centre_and_half("heights", 0.0, &|s| s.0.height_m)?;
     Ok(Rpc {
@@ -111,57 +135,93 @@ fn normalisation(samples: &[(GeoPoint, ImagePoint)]) -> Result<Rpc, RpcError> {
 }
 
 /// Numerator and denominator of one rational.
-fn fit_rational(design: &[[f64; 20]], ratios: &[f64]) -> Result<([f64; 20], [f64; 20]), RpcError> {
-    let mut unknowns = DVector::zeros(UNKNOWNS);
-    for _ in 0..REWEIGHTINGS {
-        let rows: Vec<([f64; UNKNOWNS], f64)> = design
-            .iter()
-            .zip(ratios)
-            .map(|(m, &ratio)| weighted_row(m, ratio, &unknowns))
-            .collect();
-        unknowns = solve_ridge(&rows)?;
+fn fit_rational(design: &[Monomials], ratios: &[f64]) -> Result<([f64; 20], [f64; 20]), RpcError> {
+    let undetermined = || RpcError::Invalid("an RPC cannot be fitted: the samples do not determine it".into());
+    let mut here = Linearised::at(design, ratios, Unknowns::zeros());
+    let mut damping = LEAST_DAMPING;
+    for _ in 0..MAX_ROUNDS {
+        let noise_squared = here.squared / ratios.len() as f64;
+        let prior = noise_squared / (DENOMINATOR_SIGMA * DENOMINATOR_SIGMA);
+        let step = here
+            .step(prior, damping * ratios.len() as f64)
+            .ok_or_else(undetermined)?;
+        let there = Linearised::at(design, ratios, here.unknowns + step);
+        // The prior may raise the sum of squares a little when it weakens; a wild step raises it a lot.
+        if there.squared.is_finite() && there.squared <= here.squared * (1.0 + 1e-3) {
+            let improved = there.squared < here.squared * (1.0 - LAST_IMPROVEMENT);
+            here = there;
+            damping = f64::max(damping * 0.1, LEAST_DAMPING);
+            if !improved {
+                break;
+            }
+        } else if damping < 1.0 {
+            damping *= 100.0;
+        } else {
+            break;
+        }
     }
-    let mut numerator = [0.0; 20];
-    let mut denominator = [1.0; 20];
-    numerator.copy_from_slice(&unknowns.as_slice()[..20]);
-    denominator[1..].copy_from_slice(&unknowns.as_slice()[20..]);
-    Ok((numerator, denominator))
+    Ok(here.coefficients())
 }
 
-/// One equation `(N - r D_without_one) / D_last = r / D_last`.
-fn weighted_row(m: &[f64; 20], ratio: f64, last: &DVector<f64>) -> ([f64; UNKNOWNS], f64) {
-    let denominator = 1.0 + (1..20).map(|i| last[19 + i] * m[i]).sum::<f64>();
-    // A denominator near zero is a round gone astray: such a weight would let one sample rule.
-    let weight = 1.0 / denominator.max(0.1);
-    let row = std::array::from_fn(|i| if i < 20 { m[i] * weight } else { -ratio * m[i - 19] * weight });
-    (row, ratio * weight)
+/// The squared residuals of one rational and their normal equations at some unknowns.
+struct Linearised {
+    unknowns: Unknowns,
+    squared: f64,
+    normal: SMatrix<f64, UNKNOWNS, UNKNOWNS>,
+    gradient: Unknowns,
 }
 
-/// Least squares with a ridge, the ridge's bias reduced by refinement on the residual.
-fn solve_ridge(rows: &[([f64; UNKNOWNS], f64)]) -> Result<DVector<f64>, RpcError> {
-    let mut normal = DMatrix::<f64>::zeros(UNKNOWNS, UNKNOWNS);
-    for (row, _) in rows {
+impl Linearised {
+    fn at(design: &[Monomials], ratios: &[f64], unknowns: Unknowns) -> Self {
+        let mut system = Self {
+            unknowns,
+            squared: 0.0,
+            normal: SMatrix::zeros(),
+            gradient: Unknowns::zeros(),
+        };
+        let (numerator, denominator) = system.coefficients();
+        for (m, ratio) in design.iter().zip(ratios) {
+            let bottom = value(&denominator, m);
+            let predicted = value(&numerator, m) / bottom;
+            if bottom < 0.1 {
+                // Near a pole: whatever the residual, this is no camera.
+                system.squared = f64::INFINITY;
+                return system;
+            }
+            let residual = ratio - predicted;
+            let row = Unknowns::from_fn(|i, _| {
+                if i < 20 {
+                    m[i] / bottom
+                } else {
+                    -predicted * m[i - 19] / bottom
+                }
+            });
+            system.squared += residual * residual;
+            system.gradient.axpy(residual, &row, 1.0);
+            system.normal.syger(1.0, &row, &row, 1.0);
+        }
+        system
+    }
+
+    fn coefficients(&self) -> ([f64; 20], [f64; 20]) {
+        let mut numerator = [0.0; 20];
+        let mut denominator = [1.0; 20];
+        numerator.copy_from_slice(&self.unknowns.as_slice()[..20]);
+        denominator[1..].copy_from_slice(&self.unknowns.as_slice()[20..]);
+        (numerator, denominator)
+    }
+
+    fn step(&self, prior: f64, damping: f64) -> Option<Unknowns> {
+        let mut normal = self.normal;
+        let mut gradient = self.gradient;
         for i in 0..UNKNOWNS {
-            for j in 0..=i {
-                normal[(i, j)] += row[i] * row[j];
+            normal[(i, i)] += damping;
+            if i >= 20 {
+                normal[(i, i)] += prior;
+                gradient[i] -= prior * self.unknowns[i];
             }
         }
+        let step = normal.cholesky()?.solve(&gradient);
+        step.iter().all(|v| v.is_finite()).then_some(step)
     }
-    for i in 0..UNKNOWNS {
-        normal[(i, i)] += RIDGE * rows.len() as f64;
-    }
-    let factor: Cholesky<f64, Dyn> = Cholesky::new(normal)
-        .ok_or_else(|| RpcError::Invalid("an RPC cannot be fitted: the samples do not determine it".into()))?;
-    let mut unknowns = DVector::<f64>::zeros(UNKNOWNS);
-    for _ in 0..REFINEMENTS {
-        let mut gradient = DVector::<f64>::zeros(UNKNOWNS);
-        for (row, right) in rows {
-            let residual = right - row.iter().zip(unknowns.iter()).map(|(a, x)| a * x).sum::<f64>();
-            for i in 0..UNKNOWNS {
-                gradient[i] += row[i] * residual;
-            }
-        }
-        unknowns += factor.solve(&gradient);
-    }
-    Ok(unknowns)
 }

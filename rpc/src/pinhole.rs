@@ -191,7 +191,10 @@ impl Normalisation {
     fn of(samples: &[Sample], window: ImageWindow) -> Self {
         let ground_centre_m =
             samples.iter().fold(Vector3::zeros(), |sum, sample| sum + sample.enu_m) / samples.len() as f64;
-        let reach_m = samples.iter().map(|s| (s.enu_m - ground_centre_m).amax()).fold(0.0, f64::max);
+        let reach_m = samples
+            .iter()
+            .map(|s| (s.enu_m - ground_centre_m).amax())
+            .fold(0.0, f64::max);
         Self {
             ground_centre_m,
             ground_scale_m: reach_m.max(f64::MIN_POSITIVE),
@@ -209,9 +212,8 @@ impl Normalisation {
 
     /// The map in pixels and metres from the frame's origin, its denominator 1 there.
     fn undo(&self, parameters: &Parameters) -> Result<ProjectiveMap, RpcError> {
-        let per_metre = |offset: usize| -> Vector3<f64> {
-            parameters.fixed_rows::<3>(offset).into_owned() / self.ground_scale_m
-        };
+        let per_metre =
+            |offset: usize| -> Vector3<f64> { parameters.fixed_rows::<3>(offset).into_owned() / self.ground_scale_m };
         let w = per_metre(8);
         let at_origin = 1.0 - w.dot(&self.ground_centre_m);
         if !at_origin.is_finite() || at_origin < LEAST_DENOMINATOR {
@@ -245,11 +247,14 @@ fn fit_normalised(samples: &[Sample], normalisation: &Normalisation) -> Result<P
         parameters += normal_step(samples, &weights, normalisation, &parameters)?;
     }
     for _ in 0..MAX_LEVELLINGS {
-        let residuals: Vec<f64> = samples.iter().map(|s| (predict(&parameters, &s.enu_m) - s.pixel).norm()).collect();
+        let residuals: Vec<f64> = samples
+            .iter()
+            .map(|s| (predict(&parameters, &s.enu_m) - s.pixel).norm())
+            .collect();
         let largest = residuals.iter().copied().fold(0.0, f64::max);
         let rms = (residuals.iter().map(|r| r * r).sum::<f64>() / residuals.len() as f64).sqrt();
-        // The comparison is false for NaN, which the check of the finished map reports.
-        if largest * normalisation.image_scale_px < LEVELLED_PX || !(largest > LEVEL * rms) {
+        // What is not a number is left to the check of the finished map.
+        if largest * normalisation.image_scale_px < LEVELLED_PX || largest <= LEVEL * rms || !rms.is_finite() {
             break;
         }
         for (weight, residual) in weights.iter_mut().zip(&residuals) {
@@ -266,7 +271,10 @@ fn dot(parameters: &Parameters, offset: usize, p: &Vector3<f64>) -> f64 {
 
 /// The map in normalised coordinates.
 fn predict(parameters: &Parameters, p: &Vector3<f64>) -> Vector2<f64> {
-    let numerators = Vector2::new(dot(parameters, 0, p) + parameters[3], dot(parameters, 4, p) + parameters[7]);
+    let numerators = Vector2::new(
+        dot(parameters, 0, p) + parameters[3],
+        dot(parameters, 4, p) + parameters[7],
+    );
     numerators / (1.0 + dot(parameters, 8, p))
 }
 
@@ -301,7 +309,10 @@ fn normal_step(
         normal[(i, i)] += prior;
         right[i] -= prior * parameters[i];
     }
-    let step = normal.cholesky().map(|factor| factor.solve(&right)).filter(|step| step.iter().all(|v| v.is_finite()));
+    let step = normal
+        .cholesky()
+        .map(|factor| factor.solve(&right))
+        .filter(|step| step.iter().all(|v| v.is_finite()));
     step.ok_or_else(|| {
         RpcError::Invalid("no pinhole camera fits this RPC: its window does not spread over the ground".into())
     })

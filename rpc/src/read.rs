@@ -104,11 +104,13 @@ pub fn rpc_from_text(file_name: &str, text: &str) -> Result<Rpc, ReadError> {
 
 /// Whether a list of assignments holds a camera and not only image metadata.
 fn has_rpc_assignments(text: &str) -> bool {
-    ["lineOffset", "lineNumCoef", "lineNumeratorCoefficients"].iter().any(|key| text.contains(key))
+    ["lineOffset", "lineNumCoef", "lineNumeratorCoefficients"]
+        .iter()
+        .any(|key| text.contains(key))
 }
 
 fn kind(text: &str) -> TextKind {
-    let start = text.trim_start_matches('\u{feff}').trim_start();
+    let start = statements::without_mark(text).trim_start();
     if start.starts_with('<') {
         return match root_name(start) {
             "Dimap_Document" | "PHR_DIMAP_Document" => TextKind::Dimap,
@@ -146,7 +148,9 @@ fn root_name(start: &str) -> &str {
             _ => (false, ""),
         };
         if !skipped {
-            let end = after.find(|c: char| c.is_whitespace() || c == '>' || c == '/').unwrap_or(after.len());
+            let end = after
+                .find(|c: char| c.is_whitespace() || c == '>' || c == '/')
+                .unwrap_or(after.len());
             let name = &after[..end];
             return name.rsplit(':').next().unwrap_or(name);
         }

@@ -28,7 +28,10 @@ const LEAST_CURVATURE_RATIO: f64 = 1e-10;
 /// when the iteration fails.
 pub fn triangulate(views: &[(&Rpc, ImagePoint)]) -> Result<Triangulation, RpcError> {
     let &[(first, seen), _, ..] = views else {
-        return Err(RpcError::Invalid(format!("triangulation needs at least two views, got {}", views.len())));
+        return Err(RpcError::Invalid(format!(
+            "triangulation needs at least two views, got {}",
+            views.len()
+        )));
     };
     let start = best_start(views)?;
     let frame = LocalFrame::new(start);
@@ -71,7 +74,10 @@ fn best_start(views: &[(&Rpc, ImagePoint)]) -> Result<GeoPoint, RpcError> {
     for level in START_HEIGHTS {
         match first.localise(seen, first.height_offset_m + level * first.height_scale_m.abs()) {
             Ok(point) => {
-                let squared_px: f64 = views.iter().map(|(rpc, seen)| residual(rpc, *seen, point).norm_squared()).sum();
+                let squared_px: f64 = views
+                    .iter()
+                    .map(|(rpc, seen)| residual(rpc, *seen, point).norm_squared())
+                    .sum();
                 if squared_px.is_finite() && best.is_none_or(|(least, _)| squared_px < least) {
                     best = Some((squared_px, point));
                 }
@@ -131,9 +137,11 @@ impl NormalSystem {
 
     fn finished(&self, views: usize, frame: &LocalFrame, enu_m: Vector3<f64>) -> Result<Triangulation, RpcError> {
         let curvatures = self.curvature.symmetric_eigenvalues();
-        if !(curvatures.min() > LEAST_CURVATURE_RATIO * curvatures.max()) {
+        let ratio = curvatures.min() / curvatures.max();
+        if ratio.is_nan() || ratio <= LEAST_CURVATURE_RATIO {
             return Err(RpcError::Invalid(
-                "triangulation: the views are parallel, so that height is undetermined; add a view from elsewhere".into(),
+                "triangulation: the views are parallel, so that height is undetermined; add a view from elsewhere"
+                    .into(),
             ));
         }
         Ok(Triangulation {
@@ -149,7 +157,10 @@ fn geo_slope(frame: &LocalFrame, enu_m: Vector3<f64>) -> Matrix3<f64> {
     let columns: [Vector3<f64>; 3] = std::array::from_fn(|axis| {
         let mut offset_m = Vector3::zeros();
         offset_m[axis] = 1.0;
-        let (high, low) = (frame.geo_from_enu(enu_m + offset_m), frame.geo_from_enu(enu_m - offset_m));
+        let (high, low) = (
+            frame.geo_from_enu(enu_m + offset_m),
+            frame.geo_from_enu(enu_m - offset_m),
+        );
         Vector3::new(
             crate::rpc::wrapped_difference_deg(high.lon_deg, low.lon_deg),
             high.lat_deg - low.lat_deg,

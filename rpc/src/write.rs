@@ -64,13 +64,21 @@ pub fn satnerf_json_rpc(rpc: &Rpc) -> Value {
 
 /// The items of GDAL's `RPC` metadata domain.
 pub fn gdal_domain(rpc: &Rpc) -> BTreeMap<String, String> {
-    let errors = errors(rpc).into_iter().filter_map(|(name, value)| Some((name, seventeen_digits(value?))));
-    let scalars = scalars(rpc).into_iter().map(|(name, value)| (name, seventeen_digits(value)));
+    let errors = errors(rpc)
+        .into_iter()
+        .filter_map(|(name, value)| Some((name, seventeen_digits(value?))));
+    let scalars = scalars(rpc)
+        .into_iter()
+        .map(|(name, value)| (name, seventeen_digits(value)));
     let polynomials = polynomials(rpc).into_iter().map(|(name, values)| {
         let texts: Vec<String> = values.iter().map(|value| seventeen_digits(*value)).collect();
         (name, texts.join(" "))
     });
-    errors.chain(scalars).chain(polynomials).map(|(name, text)| (name.to_owned(), text)).collect()
+    errors
+        .chain(scalars)
+        .chain(polynomials)
+        .map(|(name, text)| (name.to_owned(), text))
+        .collect()
 }
 
 fn seventeen_digits(value: f64) -> String {

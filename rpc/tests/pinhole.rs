@@ -42,11 +42,16 @@ fn real_crops_are_pinholes_to_a_fiftieth_of_a_pixel_over_their_altitude_range() 
         let off = LocalFrame::new(frame.geo_from_enu(nalgebra::Vector3::new(800.0, -600.0, 40.0)));
         for frame in [frame, off] {
             let fit = PinholeFit::fit(&rpc, &frame, window, range).expect("the crop fits");
-            println!("{name:<18} rms {:.5} px, max {:.5} px, w {:?}", fit.rms_px, fit.max_px, fit.map.w);
+            println!(
+                "{name:<18} rms {:.5} px, max {:.5} px, w {:?}",
+                fit.rms_px, fit.max_px, fit.map.w
+            );
             assert!(fit.rms_px <= 0.02 && fit.max_px <= 0.05, "{name}: {fit:?}");
             // The residuals reported are those of the map returned, here at a pixel no grid holds.
             let image = ImagePoint { col: 123.4, row: 321.7 };
-            let ground = rpc.localise(image, range.0 + 0.37 * (range.1 - range.0)).expect("localises");
+            let ground = rpc
+                .localise(image, range.0 + 0.37 * (range.1 - range.0))
+                .expect("localises");
             let [col, row] = fit.map.project(frame.enu_from_geo(ground));
             assert!((col - image.col).hypot(row - image.row) <= fit.max_px * 1.05 + 1e-9);
             // Over the area the denominator stays near 1.
@@ -65,13 +70,21 @@ fn every_golden_camera_has_a_pinhole_for_a_small_window() {
         }
         let rpc = golden_camera(&golden);
         let (image, ground) = common::localisation_table(&golden)[62];
-        let window = ImageWindow { col0: image.col - 150.0, row0: image.row - 150.0, width: 300, height: 300 };
+        let window = ImageWindow {
+            col0: image.col - 150.0,
+            row0: image.row - 150.0,
+            width: 300,
+            height: 300,
+        };
         let frame = LocalFrame::new(ground);
         let fit = PinholeFit::fit(&rpc, &frame, window, (ground.height_m - 30.0, ground.height_m + 30.0))
             .unwrap_or_else(|e| panic!("{name}: {e}"));
         println!("{name:<28} rms {:.2e} px, max {:.2e} px", fit.rms_px, fit.max_px);
         // IKONOS San Diego is a chip of a map-projected product: 0.13 px of it is no perspective.
-        assert!(fit.max_px < if name == "ikonos_sandiego_noichipb" { 0.2 } else { 0.1 }, "{name}: {fit:?}");
+        assert!(
+            fit.max_px < if name == "ikonos_sandiego_noichipb" { 0.2 } else { 0.1 },
+            "{name}: {fit:?}"
+        );
     }
 }
 
@@ -79,17 +92,34 @@ fn every_golden_camera_has_a_pinhole_for_a_small_window() {
 fn a_window_counts_from_its_own_corner() {
     let Some(shared) = shared() else { return };
     let rpc = golden_camera(&common::golden(&shared, "phr1b_ventoux"));
-    let window = ImageWindow { col0: 9_000.0, row0: 12_000.0, width: 400, height: 300 };
+    let window = ImageWindow {
+        col0: 9_000.0,
+        row0: 12_000.0,
+        width: 400,
+        height: 300,
+    };
     let frame = frame_at(&rpc, window, 500.0);
     let fit = PinholeFit::fit(&rpc, &frame, window, (450.0, 550.0)).expect("fits");
     let crop = PinholeFit::fit(
         &rpc.cropped(9_000.0, 12_000.0),
         &frame,
-        ImageWindow { col0: 0.0, row0: 0.0, ..window },
+        ImageWindow {
+            col0: 0.0,
+            row0: 0.0,
+            ..window
+        },
         (450.0, 550.0),
     )
     .expect("fits");
-    let ground = rpc.localise(ImagePoint { col: 9_100.0, row: 12_050.0 }, 500.0).expect("localises");
+    let ground = rpc
+        .localise(
+            ImagePoint {
+                col: 9_100.0,
+                row: 12_050.0,
+            },
+            500.0,
+        )
+        .expect("localises");
     for map in [fit.map, crop.map] {
         let [col, row] = map.project(frame.enu_from_geo(ground));
         assert!((col - 100.0).hypot(row - 50.0) < 0.02, "{col}, {row}");
@@ -100,11 +130,32 @@ fn a_window_counts_from_its_own_corner() {
 fn requests_that_make_no_sense_are_errors() {
     let Some(shared) = shared() else { return };
     let rpc = golden_camera(&common::golden(&shared, "phr1b_ventoux"));
-    let frame = LocalFrame::new(GeoPoint { lon_deg: 5.2, lat_deg: 44.2, height_m: 500.0 });
-    let window = ImageWindow { col0: 0.0, row0: 0.0, width: 400, height: 300 };
+    let frame = LocalFrame::new(GeoPoint {
+        lon_deg: 5.2,
+        lat_deg: 44.2,
+        height_m: 500.0,
+    });
+    let window = ImageWindow {
+        col0: 0.0,
+        row0: 0.0,
+        width: 400,
+        height: 300,
+    };
     let fit = |window, range| PinholeFit::fit(&rpc, &frame, window, range);
-    assert!(matches!(fit(ImageWindow { width: 0, ..window }, (0.0, 1.0)), Err(RpcError::Invalid(_))));
+    assert!(matches!(
+        fit(ImageWindow { width: 0, ..window }, (0.0, 1.0)),
+        Err(RpcError::Invalid(_))
+    ));
     assert!(matches!(fit(window, (10.0, 1.0)), Err(RpcError::Invalid(_))));
     assert!(matches!(fit(window, (f64::NAN, 1.0)), Err(RpcError::Invalid(_))));
-    assert!(fit(ImageWindow { col0: f64::INFINITY, ..window }, (0.0, 1.0)).is_err());
+    assert!(
+        fit(
+            ImageWindow {
+                col0: f64::INFINITY,
+                ..window
+            },
+            (0.0, 1.0)
+        )
+        .is_err()
+    );
 }

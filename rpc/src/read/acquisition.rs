@@ -12,7 +12,7 @@ pub use domain::gdal_domain;
 use super::TextKind;
 use super::fields::number;
 use super::json::json_number;
-use super::statements::{Statement, assignments, colon_lines};
+use super::statements::{Statement, assignments, colon_lines, without_mark};
 use super::xml::{child_text, find, find_all, parse, text as text_of};
 use crate::{GeoPoint, SunPosition, sun_position};
 use jiff::Timestamp;
@@ -60,12 +60,17 @@ impl Acquisition {
 
     /// The sun as the vendor says, when both angles are there.
     pub fn stated_sun(&self) -> Option<SunPosition> {
-        Some(SunPosition::from_degrees(self.sun_azimuth_deg?, self.sun_elevation_deg?))
+        Some(SunPosition::from_degrees(
+            self.sun_azimuth_deg?,
+            self.sun_elevation_deg?,
+        ))
     }
 
     /// The sun at `at`: computed where the time is known, else as the vendor says.
     pub fn sun_at(&self, at: GeoPoint) -> Option<SunPosition> {
-        self.time.map(|time| sun_position(time, at)).or_else(|| self.stated_sun())
+        self.time
+            .map(|time| sun_position(time, at))
+            .or_else(|| self.stated_sun())
     }
 
     /// The angle between the computed and the stated sun, degrees; `None` unless both are there.
@@ -78,7 +83,9 @@ impl Acquisition {
     fn new(time: Option<Timestamp>, azimuth_deg: Option<f64>, elevation_deg: Option<f64>) -> Self {
         Self {
             time,
-            sun_azimuth_deg: azimuth_deg.filter(|v| (-360.0..=360.0).contains(v)).map(|v| v.rem_euclid(360.0)),
+            sun_azimuth_deg: azimuth_deg
+                .filter(|v| (-360.0..=360.0).contains(v))
+                .map(|v| v.rem_euclid(360.0)),
             sun_elevation_deg: elevation_deg.filter(|v| (-90.0..=90.0).contains(v)),
         }
     }
@@ -129,7 +136,12 @@ fn maxar_values<'a>(value: impl Fn(&[&str]) -> Option<&'a str>) -> Acquisition {
 }
 
 fn first_of<'a>(statements: &[Statement<'a>], names: &[&str]) -> Option<&'a str> {
-    let of_name = |name: &&str| statements.iter().find(|s| s.key.eq_ignore_ascii_case(name)).map(|s| s.value);
+    let of_name = |name: &&str| {
+        statements
+            .iter()
+            .find(|s| s.key.eq_ignore_ascii_case(name))
+            .map(|s| s.value)
+    };
     names.iter().find_map(of_name)
 }
 
@@ -151,22 +163,31 @@ pub fn dimap(text: &str) -> Acquisition {
     };
     let from_source = |node: Node| {
         Acquisition::new(
-            child_text(node, "IMAGING_DATE").zip(child_text(node, "IMAGING_TIME")).and_then(utc_of_date_and_time),
+            child_text(node, "IMAGING_DATE")
+                .zip(child_text(node, "IMAGING_TIME"))
+                .and_then(utc_of_date_and_time),
             child_text(node, "SUN_AZIMUTH").and_then(number),
             child_text(node, "SUN_ELEVATION").and_then(number),
         )
     };
     let centre = located.iter().find(is_centre).map(from_located).unwrap_or_default();
     let sources = find_all(root, "IMAGING_DATE").filter_map(|date| date.parent());
-    let source = sources.map(from_source).find(|found| !found.is_empty()).unwrap_or_default();
-    let anywhere = located.iter().map(from_located).find(|found| !found.is_empty()).unwrap_or_default();
+    let source = sources
+        .map(from_source)
+        .find(|found| !found.is_empty())
+        .unwrap_or_default();
+    let anywhere = located
+        .iter()
+        .map(from_located)
+        .find(|found| !found.is_empty())
+        .unwrap_or_default();
     centre.merge(source).merge(anywhere)
 }
 
 /// From a Sat-NeRF or VisSat image JSON: `acquisition_utc` or `acquisition_date`, `sun_azimuth`, `sun_elevation`;
 /// `capTime`, `sunAzim`, `sunElev`.
 pub fn satnerf_json(text: &str) -> Acquisition {
-    let document = serde_json::from_str(text).unwrap_or(Value::Null);
+    let document = serde_json::from_str(without_mark(text)).unwrap_or(Value::Null);
     json_values(
         &document,
         &["acquisition_utc", "acquisition_date", "capTime"],
@@ -177,11 +198,14 @@ pub fn satnerf_json(text: &str) -> Acquisition {
 /// From a STAC item (`datetime`, `view:sun_azimuth`, `view:sun_elevation`) or a Planet item (`acquired`, `sun_azimuth`,
 /// `sun_elevation`).
 pub fn stac(text: &str) -> Acquisition {
-    let document: Value = serde_json::from_str(text).unwrap_or(Value::Null);
+    let document: Value = serde_json::from_str(without_mark(text)).unwrap_or(Value::Null);
     json_values(
         document.get("properties").unwrap_or(&Value::Null),
         &["datetime", "start_datetime", "acquired"],
-        [&["view:sun_azimuth", "sun_azimuth"], &["view:sun_elevation", "sun_elevation"]],
+        [
+            &["view:sun_azimuth", "sun_azimuth"],
+            &["view:sun_elevation", "sun_elevation"],
+        ],
     )
 }
 

@@ -49,13 +49,17 @@ pub(super) fn camera(dialect: &Dialect, source: &impl Source) -> Result<Rpc, Rea
     let offset = |index: usize| {
         let name = dialect.scalars[index];
         let value = source.number(dialect, name)?;
-        value.is_finite().then_some(value).ok_or_else(|| bad(name, value, "a finite number"))
+        value
+            .is_finite()
+            .then_some(value)
+            .ok_or_else(|| bad(name, value, "a finite number"))
     };
     let scale = |index: usize| {
         let name = dialect.scalars[index];
         let value = source.number(dialect, name)?;
         let ok = value.is_finite() && value != 0.0;
-        ok.then_some(value).ok_or_else(|| bad(name, value, "a finite number that is not zero"))
+        ok.then_some(value)
+            .ok_or_else(|| bad(name, value, "a finite number that is not zero"))
     };
     let polynomial = |index: usize| {
         let name = dialect.polynomials[index];
@@ -70,7 +74,12 @@ pub(super) fn camera(dialect: &Dialect, source: &impl Source) -> Result<Rpc, Rea
         Ok(values)
     };
     // Absent, or negative as the tag's way to say "unknown".
-    let error = |index: usize| source.number(dialect, dialect.errors[index]).ok().filter(|v| v.is_finite() && *v >= 0.0);
+    let error = |index: usize| {
+        source
+            .number(dialect, dialect.errors[index])
+            .ok()
+            .filter(|v| v.is_finite() && *v >= 0.0)
+    };
     Ok(Rpc {
         line_offset: offset(0)?,
         sample_offset: offset(1)?,
@@ -120,11 +129,17 @@ impl Dialect {
         let mut count = 0;
         for token in text.split(is_separator).filter(|token| !token.is_empty()) {
             let value = number(token).ok_or_else(|| self.bad(field, token, "20 numbers"))?;
-            let slot = values.get_mut(count).ok_or_else(|| self.bad(field, text, "20 numbers and no more"))?;
+            let slot = values
+                .get_mut(count)
+                .ok_or_else(|| self.bad(field, text, "20 numbers and no more"))?;
             *slot = value;
             count += 1;
         }
-        if count == 20 { Ok(values) } else { Err(self.bad(field, text, "20 numbers")) }
+        if count == 20 {
+            Ok(values)
+        } else {
+            Err(self.bad(field, text, "20 numbers"))
+        }
     }
 }
 
@@ -168,7 +183,9 @@ pub(super) struct OrderedSource<'a> {
 impl Source for OrderedSource<'_> {
     fn number(&self, dialect: &Dialect, name: &str) -> Result<f64, ReadError> {
         let mut names = dialect.errors.iter().chain(&dialect.scalars);
-        let index = names.position(|known| *known == name).ok_or_else(|| dialect.missing(name))?;
+        let index = names
+            .position(|known| *known == name)
+            .ok_or_else(|| dialect.missing(name))?;
         Ok(self.values[index])
     }
 
@@ -188,7 +205,10 @@ pub(super) fn number(text: &str) -> Option<f64> {
     if !first.bytes().any(|b| b.is_ascii_digit()) {
         return None;
     }
-    first.parse().ok().or_else(|| first.replace(['D', 'd'], "e").parse().ok())
+    first
+        .parse()
+        .ok()
+        .or_else(|| first.replace(['D', 'd'], "e").parse().ok())
 }
 
 /// At most a few dozen characters of a value, for an error.

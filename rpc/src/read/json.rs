@@ -2,6 +2,7 @@
 
 use super::ReadError;
 use super::fields::{Dialect, Source, camera, customary, number};
+use super::statements::without_mark;
 use crate::Rpc;
 use serde_json::{Map, Value};
 
@@ -12,13 +13,16 @@ use serde_json::{Map, Value};
 /// # Errors
 /// When the text is not JSON, or a key is missing or is not a number.
 pub fn satnerf_json(text: &str) -> Result<Rpc, ReadError> {
-    let document: Value = serde_json::from_str(text).map_err(|error| ReadError::Malformed {
+    let document: Value = serde_json::from_str(without_mark(text)).map_err(|error| ReadError::Malformed {
         format: "RPC JSON",
         reason: error.to_string(),
     })?;
     let object = document.get("rpc").unwrap_or(&document).as_object();
     let object = object.ok_or_else(|| SATNERF.missing("the object \"rpc\""))?;
-    let dialect = [&SATNERF, &VISSAT, &GDAL].into_iter().rev().max_by_key(|dialect| keys_present(dialect, object));
+    let dialect = [&SATNERF, &VISSAT, &GDAL]
+        .into_iter()
+        .rev()
+        .max_by_key(|dialect| keys_present(dialect, object));
     camera(dialect.unwrap_or(&SATNERF), &JsonSource { object })
 }
 
@@ -52,7 +56,12 @@ const VISSAT: Dialect = Dialect {
 const GDAL: Dialect = customary("RPC JSON");
 
 fn keys_present(dialect: &Dialect, object: &Map<String, Value>) -> usize {
-    dialect.scalars.iter().chain(&dialect.polynomials).filter(|key| object.contains_key(**key)).count()
+    dialect
+        .scalars
+        .iter()
+        .chain(&dialect.polynomials)
+        .filter(|key| object.contains_key(**key))
+        .count()
 }
 
 struct JsonSource<'a> {

@@ -1,5 +1,10 @@
 //! The statements of vendors' text files: `key = value;` with groups and lists (IMD, RPB, PVL), and `key: value` lines.
 
+/// `text` without the byte order mark some editors put in front.
+pub(super) fn without_mark(text: &str) -> &str {
+    text.trim_start_matches('\u{feff}')
+}
+
 /// A `key = value` statement; the value is a slice of the text, brackets of a list included.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) struct Statement<'a> {
@@ -11,7 +16,7 @@ pub(super) struct Statement<'a> {
 /// crate reads mean the same in every group.
 pub(super) fn assignments(text: &str) -> Vec<Statement<'_>> {
     let mut statements = Vec::new();
-    let mut rest = text;
+    let mut rest = without_mark(text);
     while let Some(equals) = rest.find('=') {
         // The key is what stands before "=" on its own line.
         let before = &rest[..equals];
@@ -24,7 +29,10 @@ pub(super) fn assignments(text: &str) -> Vec<Statement<'_>> {
         };
         let value = after[..end].trim();
         rest = &after[end..];
-        if !matches!(key.to_ascii_uppercase().as_str(), "BEGIN_GROUP" | "END_GROUP" | "GROUP" | "OBJECT") {
+        if !matches!(
+            key.to_ascii_uppercase().as_str(),
+            "BEGIN_GROUP" | "END_GROUP" | "GROUP" | "OBJECT"
+        ) {
             statements.push(Statement { key, value });
         }
     }
@@ -33,7 +41,7 @@ pub(super) fn assignments(text: &str) -> Vec<Statement<'_>> {
 
 /// The `key: value` lines of a text, in order.
 pub(super) fn colon_lines(text: &str) -> impl Iterator<Item = Statement<'_>> {
-    text.lines().filter_map(|line| {
+    without_mark(text).lines().filter_map(|line| {
         let (key, value) = line.split_once(':')?;
         Some(Statement {
             key: key.trim(),

@@ -2,7 +2,7 @@
 
 use super::ReadError;
 use super::fields::{Dialect, OrderedSource, TextSource, camera, customary, number, numbered_from_one};
-use super::statements::{assignments, colon_lines};
+use super::statements::{assignments, colon_lines, without_mark};
 use crate::Rpc;
 use std::collections::HashMap;
 
@@ -18,7 +18,9 @@ const NITF_WIDTH: usize = 15 + FIXED_WIDTH;
 pub fn rpb(text: &str) -> Result<Rpc, ReadError> {
     let mut values: HashMap<String, &str> = HashMap::new();
     for statement in assignments(text) {
-        values.entry(statement.key.to_ascii_lowercase()).or_insert(statement.value);
+        values
+            .entry(statement.key.to_ascii_lowercase())
+            .or_insert(statement.value);
     }
     let dialect = if values.contains_key("pixeloffset") { &PVL } else { &RPB };
     if let Some(specification) = values.get("specid") {
@@ -93,9 +95,11 @@ pub(super) fn check_specification(format: &'static str, field: &str, value: &str
 /// When a value is missing or is not a number.
 pub fn rpc_txt(text: &str) -> Result<Rpc, ReadError> {
     let mut values: HashMap<String, &str> = HashMap::new();
-    for line in text.lines() {
+    for line in without_mark(text).lines() {
         let line = line.trim();
-        let end = line.find(|c: char| c == ':' || c == '=' || c.is_whitespace()).unwrap_or(line.len());
+        let end = line
+            .find(|c: char| c == ':' || c == '=' || c.is_whitespace())
+            .unwrap_or(line.len());
         let value = line[end..].trim_start_matches(|c: char| c == ':' || c == '=' || c.is_whitespace());
         values.entry(line[..end].to_ascii_uppercase()).or_insert(value);
     }
@@ -135,7 +139,7 @@ pub fn ossim_geom(text: &str) -> Result<Rpc, ReadError> {
 /// When the text is too short, or a field is not a number.
 pub fn fixed_width(text: &str) -> Result<Rpc, ReadError> {
     let dialect = customary("fixed-width RPC00B");
-    let text = text.trim_end();
+    let text = without_mark(text).trim_end();
     let is_nitf = text.len() == NITF_WIDTH;
     let start = if is_nitf { 15 } else { 0 };
     if text.len() < start + FIXED_WIDTH || !text.is_ascii() {
@@ -149,7 +153,9 @@ pub fn fixed_width(text: &str) -> Result<Rpc, ReadError> {
         values[0] = dialect.number_in("ERR_BIAS", &text[1..8])?;
         values[1] = dialect.number_in("ERR_RAND", &text[8..15])?;
     }
-    let widths = [6, 5, 8, 9, 5, 6, 5, 8, 9, 5].into_iter().chain(std::iter::repeat_n(12, 80));
+    let widths = [6, 5, 8, 9, 5, 6, 5, 8, 9, 5]
+        .into_iter()
+        .chain(std::iter::repeat_n(12, 80));
     let mut at = start;
     for (index, width) in widths.enumerate() {
         let field = &text[at..at + width];
@@ -166,5 +172,7 @@ pub(super) fn looks_fixed_width(text: &str) -> bool {
     let first = text.get(..6).and_then(number);
     text.len() >= FIXED_WIDTH
         && first.is_some()
-        && text.bytes().all(|b| b.is_ascii_digit() || matches!(b, b'+' | b'-' | b'.' | b'E' | b'e' | b'\n' | b'\r'))
+        && text
+            .bytes()
+            .all(|b| b.is_ascii_digit() || matches!(b, b'+' | b'-' | b'.' | b'E' | b'e' | b'\n' | b'\r'))
 }

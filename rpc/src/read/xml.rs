@@ -4,6 +4,7 @@
 //! bounded here, far above any product description, before it sees the text.
 
 use super::ReadError;
+use super::statements::without_mark;
 use roxmltree::{Document, Node};
 
 /// Product descriptions reach half a megabyte; this much larger is a mistake or an attack.
@@ -20,19 +21,24 @@ pub(super) fn parse<'a>(format: &'static str, text: &'a str) -> Result<Document<
     let malformed = |reason: String| ReadError::Malformed { format, reason };
     check_limits(text).map_err(malformed)?;
     // Byte order marks and blank lines before the declaration are common and harmless.
-    let text = text.trim_start_matches('\u{feff}').trim_start();
+    let text = without_mark(text).trim_start();
     Document::parse(text).map_err(|error| malformed(error.to_string()))
 }
 
 fn check_limits(text: &str) -> Result<(), String> {
     let within = |count: usize, most: usize, what: &str| {
-        (count <= most).then_some(()).ok_or_else(|| format!("{count} {what}, more than the {most} that are read"))
+        (count <= most)
+            .then_some(())
+            .ok_or_else(|| format!("{count} {what}, more than the {most} that are read"))
     };
     within(text.len(), LARGEST_BYTES, "bytes of XML")?;
     within(text.bytes().filter(|b| *b == b'<').count(), MOST_TAGS, "tags")?;
     within(text.bytes().filter(|b| *b == b'=').count(), MOST_EQUALS, "attributes")?;
     within(text.matches("xmlns").count(), MOST_NAMESPACES, "namespaces")?;
-    let per_tag = text.split('<').map(|tag| tag.bytes().filter(|b| *b == b'=').count()).max();
+    let per_tag = text
+        .split('<')
+        .map(|tag| tag.bytes().filter(|b| *b == b'=').count())
+        .max();
     within(per_tag.unwrap_or(0), MOST_EQUALS_PER_TAG, "attributes of one element")
 }
 
@@ -43,12 +49,15 @@ pub(super) fn find<'a, 'i>(node: Node<'a, 'i>, name: &str) -> Option<Node<'a, 'i
 
 /// All elements called `name` at or below `node`.
 pub(super) fn find_all<'a, 'i>(node: Node<'a, 'i>, name: &str) -> impl Iterator<Item = Node<'a, 'i>> {
-    node.descendants().filter(move |n| n.is_element() && n.tag_name().name() == name)
+    node.descendants()
+        .filter(move |n| n.is_element() && n.tag_name().name() == name)
 }
 
 /// The text of the first child element called `name`.
 pub(super) fn child_text<'a>(node: Node<'a, '_>, name: &str) -> Option<&'a str> {
-    node.children().find(|n| n.is_element() && n.tag_name().name() == name)?.text()
+    node.children()
+        .find(|n| n.is_element() && n.tag_name().name() == name)?
+        .text()
 }
 
 /// The text of the first element called `name` at or below `node`.
@@ -78,8 +87,15 @@ mod tests {
             ("unclosed", "<".repeat(1 << 20)),
         ] {
             let start = Instant::now();
-            assert!(matches!(parse("test", &text), Err(ReadError::Malformed { .. })), "{name}");
-            assert!(start.elapsed() < Duration::from_secs(5), "{name} took {:?}", start.elapsed());
+            assert!(
+                matches!(parse("test", &text), Err(ReadError::Malformed { .. })),
+                "{name}"
+            );
+            assert!(
+                start.elapsed() < Duration::from_secs(5),
+                "{name} took {:?}",
+                start.elapsed()
+            );
         }
         // Deep is harmless: neither parsing, searching nor dropping recurses.
         let document = parse("test", &deep).expect("well-formed");

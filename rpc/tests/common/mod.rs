@@ -1,6 +1,8 @@
 //! Where the tests find shared material, and how golden files become cameras.
 #![allow(dead_code, unreachable_pub)] // Each test binary uses its own part.
 
+pub mod push_broom;
+
 use heliosplat_rpc::{GeoPoint, ImagePoint, Rpc};
 use serde_json::Value;
 use std::path::{Path, PathBuf};

@@ -15,7 +15,10 @@ pub fn gdal_domain(items: &BTreeMap<String, String>) -> Acquisition {
     // The pairs stay pairs: an azimuth of one record does not go with an elevation of another.
     let pairs: [[&[&str]; 2]; 4] = [
         [&["meansunaz", "sunaz"], &["meansunel", "sunel"]],
-        [&["sun_azimuth", "sun angle azimuth"], &["sun_elevation", "sun angle elevation"]],
+        [
+            &["sun_azimuth", "sun angle azimuth"],
+            &["sun_elevation", "sun angle elevation"],
+        ],
         [&["nitf_use00a_sun_az"], &["nitf_use00a_sun_el"]],
         [&["nitf_csexra_sun_azimuth"], &["nitf_csexra_sun_elevation"]],
     ];
@@ -52,14 +55,22 @@ impl<'a> Items<'a> {
             "nitf_idatim",
             "earliestacqtime",
         ];
-        let imaging = || self.get("imaging_date").zip(self.get("imaging_time")).and_then(utc_of_date_and_time);
+        let imaging = || {
+            self.get("imaging_date")
+                .zip(self.get("imaging_time"))
+                .and_then(utc_of_date_and_time)
+        };
         let kompsat = || {
-            let (date, time) = self.get("aux_strip_acq_date_ut").zip(self.get("aux_strip_acq_start_ut"))?;
+            let (date, time) = self
+                .get("aux_strip_acq_date_ut")
+                .zip(self.get("aux_strip_acq_start_ut"))?;
             utc(&format!("{date}{time}"))
         };
         // GDAL writes midnight where the product gives the date alone.
         let imagery = || {
-            let text = self.get("acquisitiondatetime").filter(|text| !text.trim_end().ends_with(" 00:00:00"))?;
+            let text = self
+                .get("acquisitiondatetime")
+                .filter(|text| !text.trim_end().ends_with(" 00:00:00"))?;
             utc(text)
         };
         let exact = EXACT.iter().find_map(|name| utc(self.get(name)?));

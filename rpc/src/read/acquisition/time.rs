@@ -20,7 +20,10 @@ pub(super) fn utc(text: &str) -> Option<Timestamp> {
     if let Ok(time) = text.parse::<Timestamp>() {
         return Some(time);
     }
-    let bare = ["GMT", "UTC", "Z", "z"].iter().find_map(|zone| text.strip_suffix(zone)).unwrap_or(text);
+    let bare = ["GMT", "UTC", "Z", "z"]
+        .iter()
+        .find_map(|zone| text.strip_suffix(zone))
+        .unwrap_or(text);
     utc_of_civil(bare.trim_end())
 }
 
@@ -38,7 +41,9 @@ fn utc_of_civil(text: &str) -> Option<Timestamp> {
 fn compact(text: &str) -> Option<String> {
     let (digits, fraction) = text.split_at_checked(14)?;
     let fraction_ok = fraction.is_empty()
-        || fraction.strip_prefix('.').is_some_and(|f| !f.is_empty() && f.bytes().all(|b| b.is_ascii_digit()));
+        || fraction
+            .strip_prefix('.')
+            .is_some_and(|f| !f.is_empty() && f.bytes().all(|b| b.is_ascii_digit()));
     if !fraction_ok || !digits.bytes().all(|b| b.is_ascii_digit()) {
         return None;
     }
