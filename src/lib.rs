@@ -4,12 +4,12 @@ pub mod camera;
 pub mod gaussians;
 pub mod light;
 pub mod loss;
-pub mod metrics;
 pub mod model;
 pub mod optim;
 pub mod raster;
 pub mod render;
 pub mod splat;
+pub mod start;
 pub mod trace;
 pub mod train;
 

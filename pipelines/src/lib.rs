@@ -2,6 +2,8 @@
 
 pub mod cli;
 pub mod evaluate;
+pub mod product;
 pub mod raster;
+pub mod run;
 pub mod satellite;
 pub mod scene;

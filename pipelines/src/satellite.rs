@@ -1,10 +1,63 @@
 //! The satellite pipeline: a scene in, a trained model and its products out.
 
-use crate::cli::evaluate::EvaluateArgs;
-use crate::cli::satellite::{DemoArgs, DsmArgs, RelightArgs, RenderArgs, TrainArgs};
+pub mod config;
+pub mod fit;
+mod initial;
+mod measure;
+mod radiometry;
+pub mod views;
+
+use crate::cli::evaluate::{EvaluateArgs, table, write_error_map};
+use crate::cli::satellite::{DemoArgs, DsmArgs, RelightArgs, RenderArgs, RenderSplit, TrainArgs};
 use crate::cli::{CliError, Outcome, Session};
-use crate::scene::Scene;
+use crate::evaluate::Protocol;
+use crate::product::{dsm, relight, views as rendered};
+use crate::raster::preview;
+use crate::raster::write::{ImageSpec, Sample, write_geotiff};
+use crate::run::{self, Input, LoadedModel, ModelFile, RunError, RunFile};
+use crate::scene::{Scene, SceneError, Split};
+use config::{ConfigError, SatelliteConfig};
+use fit::{FitError, Fitted};
+use heliosplat_rpc::sun::sun_position;
+use relight::RelightError;
+use serde_json::json;
 use std::path::Path;
+use std::time::{Duration, Instant};
+
+impl From<RunError> for CliError {
+    fn from(error: RunError) -> Self {
+        match error {
+            RunError::Write(raster) => raster.into(),
+            RunError::NotARun(_) | RunError::Damaged { .. } => Self::Input(error.to_string()),
+            RunError::Io { .. } => Self::Failed(error.to_string()),
+        }
+    }
+}
+
+impl From<ConfigError> for CliError {
+    fn from(error: ConfigError) -> Self {
+        Self::Input(error.to_string())
+    }
+}
+
+impl From<FitError> for CliError {
+    fn from(error: FitError) -> Self {
+        match error {
+            FitError::TooFewViews { .. } => Self::Input(error.to_string()),
+            FitError::Train(_) => Self::Failed(error.to_string()),
+        }
+    }
+}
+
+impl From<RelightError> for CliError {
+    fn from(error: RelightError) -> Self {
+        match error {
+            RelightError::Run(error) => error.into(),
+            RelightError::Raster(error) => error.into(),
+            RelightError::Night { .. } | RelightError::NoView { .. } => Self::Input(error.to_string()),
+        }
+    }
+}
 
 /// One component of the model, whether the scene requires it, and why.
 #[derive(Debug, Clone, PartialEq, serde::Serialize, serde::Deserialize)]
@@ -18,58 +71,261 @@ pub struct PlanItem {
 }
 
 /// Which components of the model this scene requires.
-pub fn plan(_scene: &Scene) -> Vec<PlanItem> {
-    Vec::new()
+pub fn plan(scene: &Scene) -> Vec<PlanItem> {
+    let images: Vec<_> = scene.training().collect();
+    let dates = views::date_groups(&images).into_iter().max().map_or(0, |last| last + 1);
+    let item = |component: &str, on: bool, reason: String| PlanItem { component: component.into(), on, reason };
+    vec![
+        item("sun", true, format!("{dates} date(s) with known suns: cast shadows are traced through the geometry")),
+        item(
+            "model.image_colour",
+            dates > 1,
+            if dates > 1 {
+                format!("{dates} dates differ in haze, exposure and season: each image gets an affine colour")
+            } else {
+                "all images are of one date: one colour serves".into()
+            },
+        ),
+        item("cameras.align", images.len() > 1, "relative pointing is estimated, and corrected where it is off".into()),
+        item("model.near_light", false, "light reflected into shadows is below what one ground sample shows".into()),
+    ]
 }
 
-fn not_built(verb: &str) -> CliError {
-    CliError::Failed(format!("{verb}: not built yet"))
+/// Fits a scene and writes the run, with its DSM and, where there is truth, its errors.
+fn train_into(
+    scene: &Scene,
+    out: &Path,
+    config: &SatelliteConfig,
+    told: (&str, Option<(f64, f64)>, Option<Duration>),
+    session: &Session,
+) -> Result<(LoadedModel, serde_json::Value, bool), CliError> {
+    let (preset, altitude_range_m, time_budget) = told;
+    let started = Instant::now();
+    let mut config = config.clone();
+    let plan = plan(scene);
+    if config.model.image_colour.is_none() {
+        config.model.image_colour = plan.iter().find(|p| p.component == "model.image_colour").map(|p| p.on);
+    }
+    create_folder(out)?;
+    let mut fitted = fit::fit(scene, &config, session, time_budget)?;
+    let file = model_file(scene, &config, &fitted);
+    let mut inputs = Vec::new();
+    for image in &scene.images {
+        inputs.push(Input { path: image.path.clone(), sha256: run::hash(&image.path)? });
+    }
+    let run_file = RunFile {
+        version: env!("CARGO_PKG_VERSION").into(),
+        preset: preset.into(),
+        seed: config.train.seed,
+        scene: std::fs::canonicalize(&scene.source).unwrap_or_else(|_| scene.source.clone()),
+        altitude_range_m,
+        plan,
+        inputs,
+        config,
+    };
+    run::save(out, &run_file, &file, &fitted.parameters.gaussians)?;
+    let parameters = std::mem::take(&mut fitted.parameters);
+    let frame = scene.frame;
+    let model = LoadedModel { folder: out.to_owned(), model: fitted.model.clone(), parameters, file, frame };
+    let surface = dsm::dsm(&model, model.file.gsd_m, None)?;
+    surface.write(&out.join("dsm.tif"))?;
+    preview::write_png(&out.join("dsm.png"), &preview::hillshade(&surface.altitude(), model.file.gsd_m))?;
+    measure::write_start(out, &fitted, &model)?;
+    let mut metrics = measure::metrics(scene, &model, out, Protocol::Raw)?;
+    measure::add_fit(&mut metrics, &fitted, &model, started.elapsed().as_secs_f64());
+    run::save_metrics(out, &metrics)?;
+    Ok((model, metrics, fitted.interrupted))
+}
+
+fn create_folder(out: &Path) -> Result<(), CliError> {
+    std::fs::create_dir_all(out).map_err(|error| {
+        CliError::Failed(format!("{}: the folder cannot be made ({error}); choose another --out", out.display()))
+    })
+}
+
+fn model_file(scene: &Scene, config: &SatelliteConfig, fitted: &Fitted) -> ModelFile {
+    ModelFile {
+        schema: run::SCHEMA,
+        model: "shadow_gs".into(),
+        options: fitted.model.options.clone(),
+        globals: fitted.parameters.globals.clone(),
+        origin: scene.origin(),
+        altitude_range_m: scene.altitude_range_m,
+        area: scene.area,
+        gsd_m: scene.gsd_m,
+        counts_per_unit: scene.counts_per_unit,
+        projection: config.train.projection,
+        trace: config.train.trace,
+        bands: scene.bands().to_vec(),
+        images: run::model_images(scene, fitted, config.start.margin_m),
+    }
 }
 
 /// Synthesises a site, trains on it and writes its products.
 ///
 /// # Errors
-/// Always, as long as this pipeline is not built.
-pub fn demo(_args: &DemoArgs, _session: &Session) -> Result<Outcome, CliError> {
-    Err(not_built("demo"))
+/// When the folder cannot be written, or a stage fails.
+pub fn demo(args: &DemoArgs, session: &Session) -> Result<Outcome, CliError> {
+    let scene_folder = args.out.join("scene");
+    create_folder(&args.out)?;
+    let request = heliosplat_synth::SatelliteRequest {
+        site: heliosplat_synth::Site::Block,
+        seed: args.seed,
+        ..Default::default()
+    };
+    let progress = session.progress("synthesise", 100);
+    heliosplat_synth::write_satellite(&request, &scene_folder, &|done, total| {
+        progress.set((100 * done / total.max(1)) as u64);
+    })
+    .map_err(|error| CliError::Failed(error.to_string()))?;
+    drop(progress);
+    let scene = Scene::open(&scene_folder, &Default::default())?;
+    let config = SatelliteConfig::resolve("fast", &[], args.seed)?;
+    let run_folder = args.out.join("run");
+    let (model, metrics, interrupted) = train_into(&scene, &run_folder, &config, ("fast", None, None), session)?;
+    if interrupted {
+        return Err(CliError::Interrupted("stopped; what there was is saved".into()));
+    }
+    let evening = heliosplat_rpc::sun::SunPosition::from_degrees(250.0, 20.0);
+    relight::relight(&model, &evening, "nadir")?.write(&args.out.join("evening.png"))?;
+    let mae = metrics.pointer("/dsm/mae_m").and_then(serde_json::Value::as_f64).unwrap_or(f64::NAN);
+    let folder = args.out.display();
+    Ok(Outcome {
+        text: format!(
+            "{}\nDSM            {folder}/run/dsm.tif   (open it in QGIS)\npicture        {folder}/run/dsm.png\nerrors         {folder}/run/error.png\nanother sun    {folder}/evening.png\nmean absolute error against truth: {mae:.3} m (protocol raw)",
+            measure::summary(&metrics)
+        ),
+        json: metrics,
+    })
 }
 
 /// Trains a model.
 ///
 /// # Errors
-/// Always, as long as this pipeline is not built.
-pub fn train(_args: &TrainArgs, _session: &Session) -> Result<Outcome, CliError> {
-    Err(not_built("train"))
+/// When the scene or the configuration is at fault, training gives up, or a file cannot be written.
+pub fn train(args: &TrainArgs, session: &Session) -> Result<Outcome, CliError> {
+    if args.resume {
+        return Err(CliError::Input("train --resume: runs are not checkpointed yet; train again without it".into()));
+    }
+    if args.memory.is_some() {
+        return Err(CliError::Input(
+            "train --memory: not built yet; limit the Gaussians with --set train.density.cap=N".into(),
+        ));
+    }
+    let options = args.ingest.options();
+    let scene = Scene::open(&args.scene, &options)?;
+    for warning in &scene.warnings {
+        tracing::warn!("{warning}");
+    }
+    let config = SatelliteConfig::resolve(args.preset.name(), &args.set, args.seed)?;
+    let told = (args.preset.name(), options.altitude_range_m, args.time_budget);
+    let (_, metrics, interrupted) = train_into(&scene, &args.out, &config, told, session)?;
+    if interrupted {
+        return Err(CliError::Interrupted(format!("stopped; what there was is saved in {}", args.out.display())));
+    }
+    let text = format!("{}\nrun            {}", measure::summary(&metrics), args.out.display());
+    Ok(Outcome { json: metrics, text })
 }
 
 /// Writes the surface model of a run.
 ///
 /// # Errors
-/// Always, as long as this pipeline is not built.
-pub fn dsm(_args: &DsmArgs, _session: &Session) -> Result<Outcome, CliError> {
-    Err(not_built("dsm"))
+/// When the run, the coordinate system or the file to write is at fault.
+pub fn dsm(args: &DsmArgs, _session: &Session) -> Result<Outcome, CliError> {
+    let model = run::load(&args.run)?;
+    let gsd_m = args.gsd.unwrap_or(model.file.gsd_m);
+    let surface = dsm::dsm(&model, gsd_m, args.crs.as_deref())?;
+    surface.write(&args.out)?;
+    let known = surface.raster.plane(0).iter().filter(|v| v.is_finite()).count();
+    let share = known as f64 / surface.raster.plane_len().max(1) as f64;
+    let (width, height) = (surface.grid.width, surface.grid.height);
+    let crs = surface.grid.crs.name().to_owned();
+    Ok(Outcome {
+        text: format!("{}: {width} x {height} cells of {gsd_m} m, {crs}, {:.1} % known", args.out.display(), 100.0 * share),
+        json: json!({"dsm": args.out, "width": width, "height": height, "gsd_m": gsd_m, "crs": crs, "completeness": share}),
+    })
 }
 
 /// Writes the scene of a run under another sun.
 ///
 /// # Errors
-/// Always, as long as this pipeline is not built.
-pub fn relight(_args: &RelightArgs, _session: &Session) -> Result<Outcome, CliError> {
-    Err(not_built("relight"))
+/// When the run, the sun, the view or the file to write is at fault.
+pub fn relight(args: &RelightArgs, _session: &Session) -> Result<Outcome, CliError> {
+    let model = run::load(&args.run)?;
+    let sun = match (args.sun, args.time) {
+        (Some([azimuth, elevation]), _) => heliosplat_rpc::sun::SunPosition::from_degrees(azimuth, elevation),
+        (None, Some(time)) => sun_position(time, model.frame.origin),
+        (None, None) => return Err(CliError::Input("relight: give --sun AZ,EL or --time RFC3339".into())),
+    };
+    let relit = relight::relight(&model, &sun, &args.view)?;
+    let mask = relit.write(&args.out)?;
+    let (azimuth, elevation) = (sun.azimuth_rad.to_degrees(), sun.elevation_rad.to_degrees());
+    Ok(Outcome {
+        text: format!("{} and {}: sun at azimuth {azimuth:.2}, elevation {elevation:.2}", args.out.display(), mask.display()),
+        json: json!({"image": args.out, "shadow": mask, "sun_azimuth_deg": azimuth, "sun_elevation_deg": elevation}),
+    })
 }
 
 /// Renders the views of a run.
 ///
 /// # Errors
-/// Always, as long as this pipeline is not built.
-pub fn render(_args: &RenderArgs, _session: &Session) -> Result<Outcome, CliError> {
-    Err(not_built("render"))
+/// When the run is at fault, or a file cannot be written.
+pub fn render(args: &RenderArgs, session: &Session) -> Result<Outcome, CliError> {
+    let model = run::load(&args.run)?;
+    let wanted = |split: Split| match args.split {
+        RenderSplit::Train => split == Split::Train,
+        RenderSplit::Test => split == Split::Test,
+        RenderSplit::All => true,
+    };
+    let images: Vec<_> = model.file.images.iter().filter(|image| wanted(image.split)).collect();
+    if images.is_empty() {
+        return Err(CliError::Input(format!("{}: the run has no image of that split", args.run.display())));
+    }
+    create_folder(&args.out)?;
+    let scene = reopen(&args.run).ok();
+    let progress = session.progress("render", images.len() as u64);
+    let mut written = Vec::new();
+    for (done, image) in images.iter().enumerate() {
+        let truth = scene.as_ref().and_then(|s| s.images.iter().find(|i| i.name == image.name));
+        let truth = truth.map(|i| image.crop.cut(&i.pixels));
+        let view = rendered::render_view(&model, image, truth.as_ref());
+        let path = args.out.join(format!("{}.tif", image.name));
+        let mut counts = view.image;
+        counts.values.iter_mut().for_each(|v| *v *= model.file.counts_per_unit as f32);
+        write_geotiff(&path, &ImageSpec::plain(&counts), Sample::F32)?;
+        written.push(json!({"image": path, "name": image.name, "colour": view.colour}));
+        progress.set(done as u64 + 1);
+    }
+    Ok(Outcome {
+        text: format!("{} views in {}", written.len(), args.out.display()),
+        json: json!({"views": written}),
+    })
+}
+
+/// The scene a run was trained on.
+fn reopen(run: &Path) -> Result<Scene, CliError> {
+    let file = run::load_run(run)?;
+    let options = crate::scene::IngestOptions { altitude_range_m: file.altitude_range_m, ..Default::default() };
+    Scene::open(&file.scene, &options).map_err(|error: SceneError| {
+        CliError::Input(format!("{}: the scene of the run: {error}", run.display()))
+    })
 }
 
 /// Measures a run against the truth of its scene.
 ///
 /// # Errors
-/// Always, as long as this pipeline is not built.
-pub fn evaluate(_run: &Path, _args: &EvaluateArgs, _session: &Session) -> Result<Outcome, CliError> {
-    Err(not_built("evaluate"))
+/// When the run or its scene cannot be read.
+pub fn evaluate(run: &Path, args: &EvaluateArgs, _session: &Session) -> Result<Outcome, CliError> {
+    let model = run::load(run)?;
+    let scene = reopen(run)?;
+    let evaluation = measure::dsm(&scene, run, args.protocol)?;
+    let metrics = measure::metrics(&scene, &model, run, args.protocol)?;
+    let mut text = String::new();
+    if let Some(evaluation) = &evaluation {
+        text = table(&evaluation.metrics);
+        if let Some(path) = &args.error_map {
+            write_error_map(path, evaluation)?;
+        }
+    }
+    Ok(Outcome { text: text + &measure::summary(&metrics), json: metrics })
 }

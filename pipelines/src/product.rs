@@ -1,0 +1,5 @@
+//! What a model is turned into.
+
+pub mod dsm;
+pub mod relight;
+pub mod views;

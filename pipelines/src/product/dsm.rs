@@ -1,0 +1,135 @@
+//! The surface model: altitude seen from straight above, on a map grid.
+
+use crate::raster::grid::{EnuGrid, GridSpec};
+use crate::raster::write::{ImageSpec, write_cog};
+use crate::raster::{Crs, RasterError};
+use crate::run::LoadedModel;
+use glam::DVec3;
+use heliosplat::render::{Rendering, render};
+use heliosplat::{ProjectiveCamera, Raster};
+use std::path::Path;
+
+/// Alpha below which a pixel has no altitude.
+const ALPHA_KNOWN: f32 = 0.5;
+
+/// Names of the bands of a surface model.
+pub const BANDS: [&str; 3] = ["altitude", "standard_deviation", "coverage"];
+
+/// A surface model on its grid: altitude (metres above the ellipsoid; NaN where unknown), standard deviation (metres) and
+/// coverage (accumulated alpha, 0 to 1).
+pub struct Dsm {
+    /// The three bands.
+    pub raster: Raster,
+    /// Where they lie.
+    pub grid: GridSpec,
+}
+
+/// A grid over the model's area and the camera that looks straight down on it.
+pub struct NadirGrid {
+    /// The grid.
+    pub grid: GridSpec,
+    /// Its camera: one pixel per grid cell.
+    pub camera: ProjectiveCamera,
+    enu: EnuGrid,
+}
+
+impl NadirGrid {
+    /// The grid of `crs` (the local UTM zone by default) with pixels of `gsd_m` metres over the model's area.
+    ///
+    /// # Errors
+    /// When the coordinate system does not cover the place.
+    pub fn new(model: &LoadedModel, gsd_m: f64, crs: Option<&str>) -> Result<Self, RasterError> {
+        let crs = match crs {
+            Some(definition) => Crs::from_definition(definition)?,
+            None => Crs::utm(model.frame.origin)?,
+        };
+        let area = &model.file.area;
+        let rectangle = [area.west_m, area.south_m, area.east_m, area.north_m];
+        let grid = GridSpec::covering(&model.frame, rectangle, &crs, gsd_m)?;
+        let enu = EnuGrid::new(&model.frame, &grid, model.file.altitude_range_m)?;
+        let camera = nadir_camera(&enu, &grid, model.frame.origin.height_m);
+        Ok(Self { grid, camera, enu })
+    }
+
+    /// Ellipsoidal height of a grid cell where the model's surface is `up_m` above the frame's origin.
+    pub fn height(&self, col: usize, row: usize, up_m: f32) -> f64 {
+        self.enu.height(col as f64, row as f64, f64::from(up_m))
+    }
+}
+
+/// The affine map from the local frame to grid cells, least squares over nine nodes: over a few kilometres a map projection
+/// is affine to far below a pixel.
+fn nadir_camera(enu: &EnuGrid, grid: &GridSpec, height_m: f64) -> ProjectiveCamera {
+    let (w, h) = ((grid.width - 1) as f64, (grid.height - 1) as f64);
+    let mut normal = nalgebra::Matrix3::<f64>::zeros();
+    let mut right = nalgebra::Matrix3x2::<f64>::zeros();
+    for fx in [0.0, 0.5, 1.0] {
+        for fy in [0.0, 0.5, 1.0] {
+            let (col, row) = (fx * w, fy * h);
+            let [e, n, _] = enu.enu(col, row, height_m);
+            let x = nalgebra::Vector3::new(e, n, 1.0);
+            normal += x * x.transpose();
+            right += x * nalgebra::RowVector2::new(col, row);
+        }
+    }
+    // A grid of one row or column does not fix the map: then the pixel size does.
+    let solved = normal.try_inverse().map(|inverse| inverse * right).filter(|m| m.iter().all(|v| v.is_finite()));
+    let map = solved.filter(|_| grid.width > 1 && grid.height > 1).unwrap_or_else(|| {
+        let [e, n, _] = enu.enu(0.0, 0.0, height_m);
+        let inverse = 1.0 / (grid.transform.pixel_size().0 * grid.crs.metres_per_unit());
+        nalgebra::Matrix3x2::new(inverse, 0.0, 0.0, -inverse, -e * inverse, n * inverse)
+    });
+    let row = |k: usize| [map[(0, k)], map[(1, k)], 0.0, map[(2, k)]];
+    ProjectiveCamera::new(row(0), row(1), [0.0; 3], (grid.width, grid.height), -DVec3::Z)
+}
+
+/// The surface model of `model`.
+///
+/// # Errors
+/// When the coordinate system does not cover the place.
+pub fn dsm(model: &LoadedModel, gsd_m: f64, crs: Option<&str>) -> Result<Dsm, RasterError> {
+    let nadir = NadirGrid::new(model, gsd_m, crs)?;
+    let Rendering { maps, .. } =
+        render(&model.model, &model.parameters, &nadir.camera, None, None, model.pass_options());
+    let (width, height) = (nadir.grid.width, nadir.grid.height);
+    let mut raster = Raster::filled(width, height, 3, f32::NAN);
+    let pixels = width * height;
+    for row in 0..height {
+        for col in 0..width {
+            let i = row * width + col;
+            let alpha = maps.alpha[i];
+            raster.values[2 * pixels + i] = alpha;
+            if alpha < ALPHA_KNOWN {
+                continue;
+            }
+            raster.values[i] = nadir.height(col, row, -maps.median_depth[i]) as f32;
+            let mean = maps.depth[i] / alpha;
+            raster.values[pixels + i] = (maps.depth_square[i] / alpha - mean * mean).max(0.0).sqrt();
+        }
+    }
+    Ok(Dsm { raster, grid: nadir.grid })
+}
+
+impl Dsm {
+    /// Writes the surface model as a cloud-optimised GeoTIFF.
+    ///
+    /// # Errors
+    /// When the file cannot be written; nothing is left behind then.
+    pub fn write(&self, path: &Path) -> Result<(), RasterError> {
+        let items = [("VERTICAL_DATUM", "WGS84 ellipsoid"), ("UNIT", "metre"), ("SOFTWARE", concat!("heliosplat ", env!("CARGO_PKG_VERSION")))];
+        let metadata: Vec<(String, String)> = items.map(|(k, v)| (k.into(), v.into())).to_vec();
+        let spec = ImageSpec {
+            band_descriptions: &BANDS,
+            georeference: Some((&self.grid.transform, &self.grid.crs)),
+            metadata: &metadata,
+            ..ImageSpec::plain(&self.raster)
+        };
+        write_cog(path, &spec)
+    }
+
+    /// The altitude alone.
+    pub fn altitude(&self) -> Raster {
+        let Raster { width, height, .. } = self.raster;
+        Raster { width, height, bands: 1, values: self.raster.plane(0).to_vec() }
+    }
+}

@@ -1,0 +1,268 @@
+//! The folder of a run: what was trained, from what, with what, and the model itself.
+//!
+//! `run.toml` (resolved configuration, version, seed, inputs with hashes), `model.ply` (the Gaussians), `model.json` (what is
+//! shared, the frame and the cameras), `metrics.json`, `dsm.tif`, pictures. Everything is written to a temporary name and
+//! renamed.
+
+pub mod ply;
+
+use crate::raster::RasterError;
+use crate::raster::write::write_atomically;
+use crate::satellite::config::SatelliteConfig;
+use crate::satellite::views::Crop;
+use crate::satellite::{PlanItem, fit::Fitted, views};
+use crate::scene::{Area, BandKind, Scene, Split};
+use heliosplat::gaussians::Table;
+use heliosplat::model::Parameters;
+use heliosplat::model::shadow_gs::{ShadowGs, ShadowGsOptions};
+use heliosplat::render::PassOptions;
+use heliosplat::splat::ProjectionOptions;
+use heliosplat::trace::TraceOptions;
+use heliosplat_rpc::{GeoPoint, LocalFrame, ProjectiveMap, sun::SunPosition};
+use sha2::{Digest, Sha256};
+use std::path::{Path, PathBuf};
+
+/// Version of `model.json`.
+pub const SCHEMA: u32 = 1;
+
+/// Why a run cannot be read or written.
+#[derive(Debug, thiserror::Error)]
+pub enum RunError {
+    /// There is no such run.
+    #[error("{0}: not a finished run (it has no model.json); train one with `heliosplat train SCENE --out {0}`")]
+    NotARun(PathBuf),
+    /// A file of the run that is not what it should be.
+    #[error("{path}: {reason}; train the run again")]
+    Damaged {
+        /// The file.
+        path: PathBuf,
+        /// What is wrong with it.
+        reason: String,
+    },
+    /// A file that cannot be read.
+    #[error("{path}: {reason}")]
+    Io {
+        /// The file.
+        path: PathBuf,
+        /// What the operating system says.
+        reason: std::io::Error,
+    },
+    /// A file that cannot be written.
+    #[error(transparent)]
+    Write(#[from] RasterError),
+}
+
+/// One image as the model knows it.
+#[derive(Debug, Clone, PartialEq, serde::Serialize, serde::Deserialize)]
+pub struct ModelImage {
+    /// Its name.
+    pub name: String,
+    /// Train or test.
+    pub split: Split,
+    /// Its own colour in the model, if it was trained on.
+    pub appearance: Option<usize>,
+    /// The pinhole camera of the whole image.
+    pub map: ProjectiveMap,
+    /// The rectangle of it that shows the area.
+    pub crop: Crop,
+    /// Correction of its pointing, pixels.
+    pub shift_px: [f32; 2],
+    /// Its sun.
+    pub sun: SunPosition,
+}
+
+/// `model.json`: all of a model besides its Gaussians.
+#[derive(Debug, Clone, PartialEq, serde::Serialize, serde::Deserialize)]
+pub struct ModelFile {
+    /// Version of this layout.
+    pub schema: u32,
+    /// Kind of scene.
+    pub model: String,
+    /// What the model is made of.
+    pub options: ShadowGsOptions,
+    /// What all Gaussians share.
+    pub globals: Table,
+    /// Origin of the local east-north-up frame.
+    pub origin: GeoPoint,
+    /// Lowest and highest ellipsoidal altitude, metres.
+    pub altitude_range_m: (f64, f64),
+    /// Ground that is modelled, metres of the local frame.
+    pub area: Area,
+    /// Ground sampling distance of the images, metres.
+    pub gsd_m: f64,
+    /// Counts of the files per unit of the model's colours.
+    pub counts_per_unit: f64,
+    /// How Gaussians become splats.
+    pub projection: ProjectionOptions,
+    /// How light is traced.
+    pub trace: TraceOptions,
+    /// What the bands are.
+    pub bands: Vec<BandKind>,
+    /// The images.
+    pub images: Vec<ModelImage>,
+}
+
+/// One input of a run.
+#[derive(Debug, Clone, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
+pub struct Input {
+    /// The file.
+    pub path: PathBuf,
+    /// Its SHA-256, hexadecimal.
+    pub sha256: String,
+}
+
+/// `run.toml`.
+#[derive(Debug, Clone, PartialEq, serde::Serialize, serde::Deserialize)]
+pub struct RunFile {
+    /// Version of the program.
+    pub version: String,
+    /// Preset the configuration started from.
+    pub preset: String,
+    /// Seed of everything random.
+    pub seed: u64,
+    /// The scene.
+    pub scene: PathBuf,
+    /// The altitude range asked for, if any, metres.
+    pub altitude_range_m: Option<(f64, f64)>,
+    /// Which components the scene required, and why.
+    pub plan: Vec<PlanItem>,
+    /// The images, hashed.
+    pub inputs: Vec<Input>,
+    /// The resolved configuration.
+    pub config: SatelliteConfig,
+}
+
+/// A model read back from its run.
+pub struct LoadedModel {
+    /// The folder.
+    pub folder: PathBuf,
+    /// What `model.json` says.
+    pub file: ModelFile,
+    /// The model.
+    pub model: ShadowGs,
+    /// Its parameters.
+    pub parameters: Parameters,
+    /// The local frame.
+    pub frame: LocalFrame,
+}
+
+impl LoadedModel {
+    /// How products look at the model: as training did.
+    pub fn pass_options(&self) -> PassOptions {
+        PassOptions { projection: self.file.projection, trace: self.file.trace, normals: true }
+    }
+}
+
+fn read(path: &Path) -> Result<String, RunError> {
+    std::fs::read_to_string(path).map_err(|reason| RunError::Io { path: path.to_owned(), reason })
+}
+
+/// SHA-256 of a file, hexadecimal.
+///
+/// # Errors
+/// When the file cannot be read.
+pub fn hash(path: &Path) -> Result<String, RunError> {
+    let io = |reason| RunError::Io { path: path.to_owned(), reason };
+    let mut file = std::fs::File::open(path).map_err(io)?;
+    let mut hasher = Sha256::new();
+    std::io::copy(&mut file, &mut hasher).map_err(io)?;
+    Ok(hasher.finalize().iter().map(|byte| format!("{byte:02x}")).collect())
+}
+
+/// What `model.json` says of a scene's images: all that show the area, those trained on with their colours.
+pub fn model_images(scene: &Scene, fitted: &Fitted, margin_m: f64) -> Vec<ModelImage> {
+    let area = views::grown(&scene.area, margin_m);
+    let up_m = views::altitude_range(scene);
+    scene
+        .images
+        .iter()
+        .filter_map(|image| {
+            let appearance = fitted.images.iter().position(|name| *name == image.name && image.split == Split::Train);
+            Some(ModelImage {
+                name: image.name.clone(),
+                split: image.split,
+                appearance,
+                map: image.pinhole.map,
+                crop: Crop::of(image, &area, up_m)?,
+                shift_px: appearance.map_or([0.0; 2], |a| fitted.shifts_px[a]),
+                sun: image.sun,
+            })
+        })
+        .collect()
+}
+
+/// Writes model and configuration into `folder`, which must exist; `model.json` last, which makes the run a run.
+///
+/// # Errors
+/// When a file cannot be written.
+pub fn save(folder: &Path, run: &RunFile, model: &ModelFile, gaussians: &Table) -> Result<(), RunError> {
+    let damaged = |name: &str, reason: String| RunError::Damaged { path: folder.join(name), reason };
+    let text = toml::to_string_pretty(run).map_err(|e| damaged("run.toml", e.to_string()))?;
+    write_atomically(&folder.join("run.toml"), text.as_bytes())?;
+    write_atomically(&folder.join("model.ply"), &ply::encode(gaussians, model.options.bands))?;
+    let text = serde_json::to_string_pretty(model).map_err(|e| damaged("model.json", e.to_string()))?;
+    write_atomically(&folder.join("model.json"), text.as_bytes())?;
+    Ok(())
+}
+
+/// The `run.toml` of a run.
+///
+/// # Errors
+/// When it is missing or damaged.
+pub fn load_run(folder: &Path) -> Result<RunFile, RunError> {
+    let path = folder.join("run.toml");
+    if !path.is_file() {
+        return Err(RunError::NotARun(folder.to_owned()));
+    }
+    toml::from_str(&read(&path)?).map_err(|e| RunError::Damaged { path, reason: e.message().to_owned() })
+}
+
+/// The model of a run.
+///
+/// # Errors
+/// When a file is missing or damaged.
+pub fn load(folder: &Path) -> Result<LoadedModel, RunError> {
+    let path = folder.join("model.json");
+    if !path.is_file() {
+        return Err(RunError::NotARun(folder.to_owned()));
+    }
+    let damaged = |path: &Path, reason: String| RunError::Damaged { path: path.to_owned(), reason };
+    let file: ModelFile = serde_json::from_str(&read(&path)?).map_err(|e| damaged(&path, e.to_string()))?;
+    if file.schema != SCHEMA || file.model != "shadow_gs" {
+        return Err(damaged(&path, format!("schema {} of model {} is not known", file.schema, file.model)));
+    }
+    let model = ShadowGs::new(file.options.clone());
+    if !fits(&file.globals, &model.initial_globals(1.0)) {
+        return Err(damaged(&path, "its shared parameters do not fit its options".into()));
+    }
+    let ply_path = folder.join("model.ply");
+    let bytes = std::fs::read(&ply_path).map_err(|reason| RunError::Io { path: ply_path.clone(), reason })?;
+    let gaussians = ply::decode(&bytes, &model).map_err(|reason| damaged(&ply_path, reason))?;
+    let frame = LocalFrame::new(file.origin);
+    let parameters = Parameters { gaussians, globals: file.globals.clone() };
+    Ok(LoadedModel { folder: folder.to_owned(), file, model, parameters, frame })
+}
+
+/// Whether two tables have the same groups with as many values.
+fn fits(table: &Table, expected: &Table) -> bool {
+    table.count == expected.count
+        && table.groups.len() == expected.groups.len()
+        && table.groups.iter().zip(&expected.groups).all(|(a, b)| a.spec == b.spec && a.values.len() == b.values.len())
+}
+
+/// Writes `metrics.json`.
+///
+/// # Errors
+/// When it cannot be written.
+pub fn save_metrics(folder: &Path, metrics: &serde_json::Value) -> Result<(), RunError> {
+    let text = format!("{metrics:#}\n");
+    Ok(write_atomically(&folder.join("metrics.json"), text.as_bytes())?)
+}
+
+/// The most memory this process has used, bytes; zero where the system does not tell.
+pub fn peak_rss_bytes() -> u64 {
+    let status = std::fs::read_to_string("/proc/self/status").unwrap_or_default();
+    let line = status.lines().find(|line| line.starts_with("VmHWM:"));
+    let kib = line.and_then(|line| line.split_whitespace().nth(1)).and_then(|n| n.parse::<u64>().ok());
+    kib.unwrap_or(0) * 1024
+}

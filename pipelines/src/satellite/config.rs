@@ -1,0 +1,221 @@
+//! The configuration of a satellite run: data, not code. Presets are files, `--set a.b=c` changes one value, and the
+//! resolved configuration is written beside every result.
+
+use heliosplat::train::TrainOptions;
+
+/// Why a configuration cannot be used.
+#[derive(Debug, thiserror::Error)]
+pub enum ConfigError {
+    /// A preset file that does not parse (a fault of the program, not of the user).
+    #[error("preset {name}: {reason}")]
+    Preset {
+        /// The preset.
+        name: String,
+        /// What the parser says.
+        reason: String,
+    },
+    /// A `--set` that does not fit.
+    #[error("--set {key}={value}: {reason}; the keys are those of run.toml, such as train.iterations=2000")]
+    Set {
+        /// The key.
+        key: String,
+        /// The value.
+        value: String,
+        /// What is wrong.
+        reason: String,
+    },
+}
+
+/// How Gaussians start on the swept surface. Lengths in cells, which are one ground sampling distance wide.
+#[derive(Debug, Clone, PartialEq, serde::Serialize, serde::Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct StartOptions {
+    /// Width of a cell, ground sampling distances: one Gaussian per cell.
+    pub cell_gsd: f64,
+    /// Standard deviation in the surface, cells.
+    pub spread_cells: f32,
+    /// Standard deviation across the surface, cells.
+    pub thickness_cells: f32,
+    /// Opacity.
+    pub opacity: f32,
+    /// Steps higher than this many cells get a wall of their own.
+    pub wall_cells: f32,
+    /// Ground added around the area, metres, so that shadows can fall into it.
+    pub margin_m: f64,
+}
+
+impl Default for StartOptions {
+    fn default() -> Self {
+        Self {
+            cell_gsd: 1.0,
+            spread_cells: 0.6,
+            thickness_cells: 0.2,
+            opacity: 0.8,
+            wall_cells: 2.5,
+            margin_m: 4.0,
+        }
+    }
+}
+
+/// When the images' relative pointing is estimated and corrected.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Align {
+    /// Estimate; correct when an image is off by more than the threshold.
+    Auto,
+    /// Estimate and correct.
+    On,
+    /// Believe the cameras.
+    Off,
+}
+
+/// What is done about the cameras.
+#[derive(Debug, Clone, PartialEq, serde::Serialize, serde::Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct CameraOptions {
+    /// Relative pointing.
+    pub align: Align,
+    /// Shift above which `auto` corrects, pixels.
+    pub threshold_px: f32,
+}
+
+impl Default for CameraOptions {
+    fn default() -> Self {
+        Self {
+            align: Align::Auto,
+            threshold_px: 0.25,
+        }
+    }
+}
+
+/// The satellite model's components.
+#[derive(Debug, Clone, PartialEq, serde::Serialize, serde::Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct ModelOptions {
+    /// Per-image affine colour: on when images are of more than one date.
+    pub image_colour: Option<bool>,
+    /// Near-surface light in shadows, per Gaussian.
+    pub near_light: bool,
+    /// Weight of the shadow opaqueness loss.
+    pub opaqueness_weight: f32,
+    /// Sky light at the start, as a share of the sun's.
+    pub sky: f32,
+}
+
+impl Default for ModelOptions {
+    fn default() -> Self {
+        Self {
+            image_colour: None,
+            near_light: false,
+            opaqueness_weight: 0.3,
+            sky: 0.3,
+        }
+    }
+}
+
+/// Everything that decides a satellite run besides its scene.
+#[derive(Debug, Clone, PartialEq, Default, serde::Serialize, serde::Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct SatelliteConfig {
+    /// Training.
+    pub train: TrainOptions,
+    /// The start.
+    pub start: StartOptions,
+    /// Cameras.
+    pub cameras: CameraOptions,
+    /// The model.
+    pub model: ModelOptions,
+}
+
+fn preset_text(name: &str) -> &'static str {
+    match name {
+        "fast" => include_str!("../../presets/fast.toml"),
+        "accurate" => include_str!("../../presets/accurate.toml"),
+        _ => include_str!("../../presets/balanced.toml"),
+    }
+}
+
+impl SatelliteConfig {
+    /// The defaults, then the preset's file, then the `--set` pairs in their order.
+    ///
+    /// # Errors
+    /// [`ConfigError::Set`] for a key that does not exist or a value of another kind.
+    pub fn resolve(preset: &str, set: &[(String, String)], seed: u64) -> Result<Self, ConfigError> {
+        let fault = |reason: String| ConfigError::Preset {
+            name: preset.into(),
+            reason,
+        };
+        let mut table: toml::Table = preset_text(preset)
+            .parse()
+            .map_err(|e: toml::de::Error| fault(e.to_string()))?;
+        let parse = |table: &toml::Table| table.clone().try_into::<Self>().map_err(|e| e.to_string());
+        parse(&table).map_err(fault)?;
+        for (key, value) in set {
+            let error = |reason: String| ConfigError::Set {
+                key: key.clone(),
+                value: value.clone(),
+                reason,
+            };
+            insert(&mut table, key, parse_value(value)).map_err(error)?;
+            parse(&table).map_err(|e| error(e.lines().next().unwrap_or("does not fit").to_owned()))?;
+        }
+        let mut config = parse(&table).map_err(fault)?;
+        config.train.seed = seed;
+        Ok(config)
+    }
+}
+
+/// A TOML value where the text is one, a string otherwise.
+fn parse_value(text: &str) -> toml::Value {
+    format!("v = {text}")
+        .parse::<toml::Table>()
+        .ok()
+        .and_then(|mut t| t.remove("v"))
+        .unwrap_or_else(|| toml::Value::String(text.into()))
+}
+
+fn insert(table: &mut toml::Table, key: &str, value: toml::Value) -> Result<(), String> {
+    match key.split_once('.') {
+        None => {
+            table.insert(key.into(), value);
+            Ok(())
+        }
+        Some((head, rest)) => {
+            let inner = table
+                .entry(head)
+                .or_insert_with(|| toml::Value::Table(toml::Table::new()));
+            let inner = inner.as_table_mut().ok_or_else(|| format!("{head} is not a section"))?;
+            insert(inner, rest, value)
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn set(key: &str, value: &str) -> Vec<(String, String)> {
+        vec![(key.into(), value.into())]
+    }
+
+    #[test]
+    fn every_preset_parses() {
+        for preset in ["fast", "balanced", "accurate"] {
+            assert!(SatelliteConfig::resolve(preset, &[], 3).is_ok_and(|c| c.train.seed == 3));
+        }
+    }
+
+    #[test]
+    fn one_value_can_be_set() {
+        let config = SatelliteConfig::resolve("fast", &set("train.density.cap", "1000"), 1).expect("a known key");
+        assert_eq!(config.train.density.cap, 1000);
+        let config = SatelliteConfig::resolve("fast", &set("cameras.align", "off"), 1).expect("a known key");
+        assert_eq!(config.cameras.align, Align::Off);
+    }
+
+    #[test]
+    fn an_unknown_key_is_named() {
+        let error = SatelliteConfig::resolve("fast", &set("train.iteration", "5"), 1).expect_err("no such key");
+        assert!(error.to_string().contains("train.iteration=5"), "{error}");
+    }
+}

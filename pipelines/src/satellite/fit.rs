@@ -1,0 +1,253 @@
+//! From a scene to a trained model: align, sweep, start, train.
+
+use super::config::{Align, SatelliteConfig};
+use super::views::{self, Crop};
+use super::{initial, radiometry};
+use crate::cli::Session;
+use crate::scene::{Area, Scene, SceneImage};
+use glam::Vec3;
+use heliosplat::model::shadow_gs::{ShadowGs, ShadowGsOptions};
+use heliosplat::model::{Parameters, SceneModel, View};
+use heliosplat::render::PassOptions;
+use heliosplat::start::{SweepOptions, SweepRequest, SweepView, Surface, sweep::sweep};
+use heliosplat::train::{EarlyStop, StepReport, TrainError, Trainer};
+use heliosplat::{ProjectiveCamera, Raster};
+use std::time::{Duration, Instant};
+
+/// Why a model could not be fitted.
+#[derive(Debug, thiserror::Error)]
+pub enum FitError {
+    /// Fewer than two images show the common ground.
+    #[error("{images} of the scene's images show the ground that at least two have in common; two are needed")]
+    TooFewViews {
+        /// How many do.
+        images: usize,
+    },
+    /// Training gave up.
+    #[error("training stopped: {0}")]
+    Train(#[from] TrainError),
+}
+
+/// A trained model and how it came about.
+pub struct Fitted {
+    /// The model.
+    pub model: ShadowGs,
+    /// Its parameters.
+    pub parameters: Parameters,
+    /// Names of the images trained on, in the order of their colours.
+    pub images: Vec<String>,
+    /// Pointing corrections, pixels, in that order.
+    pub shifts_px: Vec<[f32; 2]>,
+    /// The surface that training started from.
+    pub surface: Surface,
+    /// How training ended.
+    pub early_stop: EarlyStop,
+    /// Steps rejected because of a number that is not finite.
+    pub rejected: usize,
+    /// Seconds spent on alignment, sweep, start and training.
+    pub seconds: [f64; 4],
+    /// Loss curve: step, mean absolute difference, named losses.
+    pub curve: Vec<(usize, f64, Vec<(String, f64)>)>,
+    /// Whether the user stopped it.
+    pub interrupted: bool,
+    /// The views it was trained on.
+    pub views: Vec<View>,
+}
+
+/// The ground the sweep covers and the images that show it.
+struct Ground<'a> {
+    images: Vec<&'a SceneImage>,
+    crops: Vec<Crop>,
+    area: Area,
+    up_m: (f64, f64),
+    groups: Vec<u32>,
+}
+
+impl<'a> Ground<'a> {
+    fn new(scene: &'a Scene, config: &SatelliteConfig) -> Result<Self, FitError> {
+        let area = views::grown(&scene.area, config.start.margin_m);
+        let up_m = views::altitude_range(scene);
+        let (mut images, mut crops) = (Vec::new(), Vec::new());
+        for image in scene.training() {
+            if let Some(crop) = Crop::of(image, &area, up_m) {
+                images.push(image);
+                crops.push(crop);
+            }
+        }
+        if images.len() < 2 {
+            return Err(FitError::TooFewViews { images: images.len() });
+        }
+        let groups = views::date_groups(&images);
+        Ok(Self { images, crops, area, up_m, groups })
+    }
+
+    fn sweep_views<'r>(&self, rasters: &'r [Raster], shifts: &[[f32; 2]]) -> Vec<SweepView<'r>> {
+        (0..self.images.len())
+            .map(|i| SweepView {
+                camera: views::camera(&self.images[i].pinhole.map, &self.crops[i], shifts[i]),
+                image: &rasters[i],
+                date_group: self.groups[i],
+                sun: views::sun(self.images[i]),
+            })
+            .collect()
+    }
+
+    fn request(&self, cell_m: f64) -> SweepRequest {
+        let snapped = |v: f64| (v / cell_m).round() * cell_m;
+        SweepRequest {
+            west_m: snapped(self.area.west_m) as f32,
+            south_m: snapped(self.area.south_m) as f32,
+            east_m: snapped(self.area.east_m) as f32,
+            north_m: snapped(self.area.north_m) as f32,
+            cell_m: cell_m as f32,
+            altitude_min_m: self.up_m.0 as f32,
+            altitude_max_m: self.up_m.1 as f32,
+            options: SweepOptions::default(),
+        }
+    }
+}
+
+/// Corrections of the images' pointing, pixels; zero where the configuration or the estimate says so.
+fn align(config: &SatelliteConfig, views: &[SweepView], request: &SweepRequest) -> Vec<[f32; 2]> {
+    let none = vec![[0.0; 2]; views.len()];
+    if config.cameras.align == Align::Off {
+        return none;
+    }
+    let shifts = estimate_shifts(views, request); fn estimate_shifts(v: &[SweepView], _: &SweepRequest) -> Vec<[f32; 2]> { vec![[0.0; 2]; v.len()] }
+    let largest = shifts.iter().flatten().fold(0.0f32, |a, &b| a.max(b.abs()));
+    tracing::info!(largest_px = largest, "pointing of the images relative to each other");
+    if config.cameras.align == Align::On || largest > config.cameras.threshold_px { shifts } else { none }
+}
+
+/// The image whose colour is the model's: the one under the highest sun, where least lies in shadow.
+fn reference(images: &[&SceneImage]) -> usize {
+    let elevation = |i: usize| images[i].sun.elevation_rad;
+    (0..images.len()).max_by(|&a, &b| elevation(a).total_cmp(&elevation(b)).then(b.cmp(&a))).unwrap_or(0)
+}
+
+/// A nadir camera over an area of the scene frame.
+pub fn nadir_camera(area: &Area, gsd_m: f64) -> ProjectiveCamera {
+    let size = |length: f64| ((length / gsd_m).round() as usize).max(1);
+    let size = (size(area.east_m - area.west_m), size(area.north_m - area.south_m));
+    ProjectiveCamera::nadir(area.west_m + 0.5 * gsd_m, area.north_m - 0.5 * gsd_m, gsd_m, size)
+}
+
+/// Fits a model to `scene`.
+///
+/// # Errors
+/// [`FitError`] when too few images show the common ground, or training gives up.
+pub fn fit(
+    scene: &Scene,
+    config: &SatelliteConfig,
+    session: &Session,
+    time_budget: Option<Duration>,
+) -> Result<Fitted, FitError> {
+    let started = Instant::now();
+    let ground = Ground::new(scene, config)?;
+    let rasters: Vec<Raster> =
+        ground.images.iter().zip(&ground.crops).map(|(image, crop)| crop.cut(&image.pixels)).collect();
+    let cell_m = config.start.cell_gsd * scene.gsd_m;
+    let request = ground.request(cell_m);
+    let zero = vec![[0.0; 2]; ground.images.len()];
+    let shifts_px = align(config, &ground.sweep_views(&rasters, &zero), &request);
+    let aligned = started.elapsed();
+
+    let progress = session.progress("sweep", 100);
+    let surface = sweep(&ground.sweep_views(&rasters, &shifts_px), &request, &|share| progress.set((100.0 * share) as u64));
+    drop(progress);
+    let swept = started.elapsed();
+
+    let image_colour = config.model.image_colour.unwrap_or(ground.images.len() > 1);
+    let model = ShadowGs::new(ShadowGsOptions {
+        bands: rasters[0].bands,
+        images: ground.images.len(),
+        reference: reference(&ground.images),
+        image_colour,
+        near_light: config.model.near_light,
+        opaqueness_weight: config.model.opaqueness_weight,
+    });
+    let mut parameters = Parameters {
+        gaussians: initial::gaussians_on(&surface, &config.start, model.feature_groups()),
+        globals: model.initial_globals(config.model.sky),
+    };
+    let mut views: Vec<View> = (0..ground.images.len())
+        .map(|i| views::view(ground.images[i], &ground.crops[i], shifts_px[i], i))
+        .collect();
+    let mut options = config.train.clone();
+    options.gsd_m = scene.gsd_m as f32;
+    let pass = PassOptions { projection: options.projection, trace: options.trace, normals: false };
+    radiometry::initialise(&model, &mut parameters, &mut views, pass, config.model.sky);
+    let initialised = started.elapsed();
+
+    let bounds = bounds(&ground);
+    let nadir = nadir_camera(&scene.area, scene.gsd_m);
+    let trainer = Trainer::new(&model, &views, parameters, options, bounds, Some(nadir))?;
+    let trained = train(trainer, config, session, time_budget.map(|budget| started + budget))?;
+    Ok(Fitted {
+        parameters: trained.parameters,
+        early_stop: trained.early_stop,
+        rejected: trained.rejected,
+        curve: trained.curve,
+        interrupted: trained.interrupted,
+        model,
+        images: ground.images.iter().map(|image| image.name.clone()).collect(),
+        shifts_px,
+        surface,
+        seconds: [
+            aligned.as_secs_f64(),
+            (swept - aligned).as_secs_f64(),
+            (initialised - swept).as_secs_f64(),
+            (started.elapsed() - initialised).as_secs_f64(),
+        ],
+        views,
+    })
+}
+
+/// Outside of this box Gaussians are pruned, metres.
+fn bounds(ground: &Ground) -> (Vec3, Vec3) {
+    let (area, slack) = (&ground.area, 2.0);
+    (
+        Vec3::new((area.west_m - slack) as f32, (area.south_m - slack) as f32, (ground.up_m.0 - slack) as f32),
+        Vec3::new((area.east_m + slack) as f32, (area.north_m + slack) as f32, (ground.up_m.1 + slack) as f32),
+    )
+}
+
+struct Trained {
+    parameters: Parameters,
+    early_stop: EarlyStop,
+    rejected: usize,
+    curve: Vec<(usize, f64, Vec<(String, f64)>)>,
+    interrupted: bool,
+}
+
+fn train(
+    mut trainer: Trainer,
+    config: &SatelliteConfig,
+    session: &Session,
+    deadline: Option<Instant>,
+) -> Result<Trained, FitError> {
+    let progress = session.progress("train", config.train.iterations as u64);
+    let mut curve = Vec::new();
+    let mut smoothed = None;
+    while !trainer.finished() && !session.stopped() && deadline.is_none_or(|d| Instant::now() < d) {
+        let report = trainer.step()?;
+        let l1 = smoothed.map_or(report.l1, |old: f64| 0.95 * old + 0.05 * report.l1);
+        smoothed = Some(l1);
+        progress.set(report.step as u64);
+        if report.step % 25 == 0 {
+            progress.say(&format!("L1 {l1:.4} gaussians {}", report.gaussians));
+            curve.push(point(&report, l1));
+        }
+        if report.step % 250 == 0 {
+            let StepReport { step, gaussians, pairs, .. } = report;
+            tracing::info!(step, l1, gaussians, pairs, "training");
+        }
+    }
+    let (interrupted, rejected) = (session.stopped(), trainer.rejected());
+    let (parameters, early_stop) = trainer.into_best();
+    Ok(Trained { parameters, early_stop, rejected, curve, interrupted })
+}
+
+fn point(report: &StepReport, l1: f64) -> (usize, f64, Vec<(String, f64)>) {
+    (report.step, l1, report.losses.iter().map(|(name, value)| ((*name).to_owned(), *value)).collect())
+}
