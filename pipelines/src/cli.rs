@@ -138,7 +138,11 @@ impl CliError {
     }
 
     fn sorted(is_input_fault: bool, message: String) -> Self {
-        if is_input_fault { Self::Input(message) } else { Self::Failed(message) }
+        if is_input_fault {
+            Self::Input(message)
+        } else {
+            Self::Failed(message)
+        }
     }
 }
 
@@ -213,6 +217,18 @@ fn print_line(text: &str) {
     if !text.is_empty() {
         let _ = writeln!(std::io::stdout().lock(), "{text}");
     }
+}
+
+/// Latitude and longitude with their letters, as in `22.890968 S 47.027328 W`.
+fn place_in_words(place: heliosplat_rpc::GeoPoint) -> String {
+    let (north, east) = (place.lat_deg >= 0.0, place.lon_deg >= 0.0);
+    format!(
+        "{:.6} {} {:.6} {}",
+        place.lat_deg.abs(),
+        if north { 'N' } else { 'S' },
+        place.lon_deg.abs(),
+        if east { 'E' } else { 'W' }
+    )
 }
 
 #[cfg(test)]

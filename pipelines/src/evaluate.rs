@@ -133,7 +133,14 @@ pub fn evaluate_dsm(
     let mut warnings = Vec::new();
     let prediction = GeoRaster::read(prediction_path)?;
     let truth = truth::read(truth_path, &prediction, &mut warnings)?;
-    check_vertical(prediction_path, &prediction, truth_path, &truth, protocol, &mut warnings)?;
+    check_vertical(
+        prediction_path,
+        &prediction,
+        truth_path,
+        &truth,
+        protocol,
+        &mut warnings,
+    )?;
     let classes = match classes_path {
         Some(path) => Some(truth::read_classes(path, &truth.raster)?),
         None => None,
@@ -150,7 +157,13 @@ pub fn evaluate_dsm(
         });
     };
     let wanted = wanted_cells(&truth.raster, classes.as_ref(), protocol);
-    let metrics = DsmMetrics::new(&errors, &wanted, classes.as_ref(), protocol, shift.metres(&truth.transform, metres));
+    let metrics = DsmMetrics::new(
+        &errors,
+        &wanted,
+        classes.as_ref(),
+        protocol,
+        shift.metres(&truth.transform, metres),
+    );
     Ok(DsmEvaluation {
         metrics,
         errors,
@@ -193,7 +206,11 @@ pub fn compare(
             *error = moved.values[index] - truth.values[index];
         }
     }
-    errors.values.iter().any(|error| error.is_finite()).then_some((errors, shift))
+    errors
+        .values
+        .iter()
+        .any(|error| error.is_finite())
+        .then_some((errors, shift))
 }
 
 /// Cells a complete prediction would have a value in.

@@ -183,8 +183,12 @@ impl Scene {
         let drafts = read_drafts(&layout, options, &mut warnings)?;
         check_bands(&drafts)?;
         let ranges: Vec<altitude::Stated> = drafts.iter().map(Draft::stated_altitude).collect();
-        let (altitude_range_m, altitude_source) =
-            altitude::choose(options.altitude_range_m, layout.altitude_range_m, &ranges, &mut warnings)?;
+        let (altitude_range_m, altitude_source) = altitude::choose(
+            options.altitude_range_m,
+            layout.altitude_range_m,
+            &ranges,
+            &mut warnings,
+        )?;
         let ground = Ground::find(path, drafts, altitude_range_m, &mut warnings)?;
         ground.finish(path, layout, (altitude_range_m, altitude_source), warnings)
     }
@@ -321,11 +325,7 @@ impl Draft {
     }
 }
 
-fn read_drafts(
-    layout: &Layout,
-    options: &IngestOptions,
-    warnings: &mut Vec<String>,
-) -> Result<Vec<Draft>, SceneError> {
+fn read_drafts(layout: &Layout, options: &IngestOptions, warnings: &mut Vec<String>) -> Result<Vec<Draft>, SceneError> {
     let mut drafts = Vec::with_capacity(layout.images.len());
     for entry in &layout.images {
         let file = RasterFile::open(&entry.path)?;
@@ -426,7 +426,12 @@ impl Ground {
         let Self { drafts, frame, area } = self;
         let mut suns = Vec::with_capacity(drafts.len());
         for draft in &drafts {
-            suns.push(acquisition::sun(&draft.file, &draft.acquisition, frame.origin, &mut warnings)?);
+            suns.push(acquisition::sun(
+                &draft.file,
+                &draft.acquisition,
+                frame.origin,
+                &mut warnings,
+            )?);
         }
         let mut rasters = Vec::with_capacity(drafts.len());
         for draft in &drafts {
@@ -476,11 +481,7 @@ impl Ground {
     }
 }
 
-fn training_footprints(
-    drafts: &[Draft],
-    frame: &LocalFrame,
-    altitude_m: f64,
-) -> Result<Vec<Footprint>, SceneError> {
+fn training_footprints(drafts: &[Draft], frame: &LocalFrame, altitude_m: f64) -> Result<Vec<Footprint>, SceneError> {
     let training = drafts.iter().filter(|draft| draft.entry.split == Split::Train);
     training.map(|draft| draft.footprint(frame, altitude_m)).collect()
 }
@@ -506,7 +507,9 @@ fn drop_strangers(
             })
         })
         .collect();
-    let remaining = (0..drafts.len()).filter(|&index| is_training(index) && has_company[index]).count();
+    let remaining = (0..drafts.len())
+        .filter(|&index| is_training(index) && has_company[index])
+        .count();
     if remaining < 2 {
         let mut training = (0..drafts.len()).filter(|&index| is_training(index));
         let first = training.next().unwrap_or(0);

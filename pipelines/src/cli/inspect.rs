@@ -84,9 +84,7 @@ fn describe(scene: &Scene, coverage: &Coverage, plan: &[crate::satellite::PlanIt
 }
 
 fn describe_image(image: &SceneImage) -> Value {
-    let sun = |sun: heliosplat_rpc::sun::SunPosition| {
-        json!({ "azimuth_deg": sun.azimuth_rad.to_degrees(), "elevation_deg": sun.elevation_rad.to_degrees() })
-    };
+    let sun = |sun: heliosplat_rpc::sun::SunPosition| json!({ "azimuth_deg": sun.azimuth_rad.to_degrees(), "elevation_deg": sun.elevation_rad.to_degrees() });
     json!({
         "name": image.name,
         "path": image.path,
@@ -133,10 +131,14 @@ fn table(scene: &Scene, coverage: &Coverage, plan: &[crate::satellite::PlanItem]
     let mut line = |args: std::fmt::Arguments| {
         let _ = writeln!(text, "{args}");
     };
-    line(format_args!("satellite scene (images with RPC cameras): {}", scene.source.display()));
     line(format_args!(
-        "centre    {:.6} N {:.6} E, altitudes {low:.0} to {high:.0} m ({})",
-        origin.lat_deg, origin.lon_deg, scene.altitude_source
+        "satellite scene (images with RPC cameras): {}",
+        scene.source.display()
+    ));
+    line(format_args!(
+        "centre    {}, altitudes {low:.0} to {high:.0} m ({})",
+        super::place_in_words(origin),
+        scene.altitude_source
     ));
     line(format_args!(
         "area      {:.0} x {:.0} m seen twice; {:.0} % of it by 2 or more, {:.0} % by all {} training images",
@@ -146,15 +148,28 @@ fn table(scene: &Scene, coverage: &Coverage, plan: &[crate::satellite::PlanItem]
         100.0 * coverage.by(coverage.at_least.len()),
         coverage.at_least.len()
     ));
-    line(format_args!("bands     {} ({:.2} m per pixel)", bands.join(", "), scene.gsd_m));
-    let truth = |path: &Option<PathBuf>| path.as_ref().map_or("none".to_owned(), |path| path.display().to_string());
+    line(format_args!(
+        "bands     {} ({:.2} m per pixel)",
+        bands.join(", "),
+        scene.gsd_m
+    ));
+    let truth = |path: &Option<PathBuf>| {
+        path.as_ref()
+            .map_or("none".to_owned(), |path| path.display().to_string())
+    };
     line(format_args!(
         "truth     DSM {}, classes {}, {} shadow masks",
         truth(&scene.truth.dsm),
         truth(&scene.truth.classes),
         scene.truth.shadows.len()
     ));
-    let longest = scene.images.iter().map(|image| image.name.len()).max().unwrap_or(0).max(5);
+    let longest = scene
+        .images
+        .iter()
+        .map(|image| image.name.len())
+        .max()
+        .unwrap_or(0)
+        .max(5);
     line(format_args!(
         "\n{:<longest$}  split  pixels       type     off-nadir  fit rms / max px  sun az / el          time",
         "image"

@@ -18,7 +18,11 @@ pub fn pair(text: &str) -> Result<[f64; 2], String> {
 pub fn numbers(text: &str) -> Result<Vec<f64>, String> {
     let number = |word: &str| {
         let value: f64 = word.trim().parse().map_err(|_| format!("'{word}' is not a number"))?;
-        if value.is_finite() { Ok(value) } else { Err(format!("'{word}' is not a finite number")) }
+        if value.is_finite() {
+            Ok(value)
+        } else {
+            Err(format!("'{word}' is not a finite number"))
+        }
     };
     text.split(',').map(number).collect()
 }
@@ -35,7 +39,9 @@ pub fn duration(text: &str) -> Result<Duration, String> {
         "h" => 3600.0,
         _ => return Err("expected a time such as 90s, 5m or 1h".to_owned()),
     };
-    let value: f64 = number.parse().map_err(|_| "expected a time such as 90s, 5m or 1h".to_owned())?;
+    let value: f64 = number
+        .parse()
+        .map_err(|_| "expected a time such as 90s, 5m or 1h".to_owned())?;
     Duration::try_from_secs_f64(value * factor).map_err(|_| "expected a time that is not negative".to_owned())
 }
 

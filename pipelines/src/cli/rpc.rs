@@ -105,7 +105,13 @@ mod tests {
 
     #[test]
     fn seventeen_digits_read_back_as_the_same_number() {
-        for value in [36.909_441_225_382_15, -0.000_123_456_789_012_345_67, 12_345_678.901_234_567, 1.0, -5e-17] {
+        for value in [
+            36.909_441_225_382_15,
+            -0.000_123_456_789_012_345_67,
+            12_345_678.901_234_567,
+            1.0,
+            -5e-17,
+        ] {
             let text = digits17(value);
             assert_eq!(text.parse::<f64>(), Ok(value), "{text}");
         }

@@ -1,12 +1,164 @@
 //! `heliosplat synth`: scenes with known truth.
 
-use super::{CliError, Outcome, Session};
-use clap::Args;
+use super::{CliError, Outcome, Session, parse};
+use clap::{Args, ValueEnum};
+use heliosplat_synth::{BandSet, SatelliteRequest, Site, Summary, SynthError, write_satellite};
+use std::cell::RefCell;
+use std::fmt::Write;
+use std::path::{Path, PathBuf};
 
-/// Placeholder.
+/// What to make.
 #[derive(Debug, Args)]
-pub struct SynthArgs {}
+pub struct SynthArgs {
+    /// Kind of scene
+    #[arg(value_enum, value_name = "KIND")]
+    kind: Kind,
+    /// Folder to write to
+    #[arg(long, value_name = "DIR")]
+    out: PathBuf,
+    /// Size and make-up of the site
+    #[arg(long, value_enum, default_value = "block")]
+    site: SiteName,
+    /// Everything random follows from it
+    #[arg(long, default_value_t = 1, value_name = "N")]
+    seed: u64,
+    /// Images [default: as the site has them]
+    #[arg(long, value_name = "N")]
+    views: Option<usize>,
+    /// Acquisition dates [default: as the site has them]
+    #[arg(long, value_name = "N")]
+    dates: Option<usize>,
+    /// Ground sampling distance, metres [default: 0.5]
+    #[arg(long, value_parser = parse::positive, value_name = "M")]
+    gsd: Option<f64>,
+    /// Width and height of every image, pixels [default: what covers the site]
+    #[arg(long, value_name = "PX")]
+    size: Option<usize>,
+    /// Bands
+    #[arg(long, value_enum, default_value = "rgb-nir")]
+    bands: BandName,
+    /// 16: linear counts; 8: display images
+    #[arg(long, default_value_t = 16, value_name = "8|16")]
+    bits: u8,
+    /// Constant error of each image's RPC, root mean square, pixels
+    #[arg(long, default_value_t = 0.0, value_name = "PX")]
+    pointing_bias: f64,
+    /// Sensor noise relative to a good sensor's
+    #[arg(long, default_value_t = 1.0, value_name = "FACTOR")]
+    noise: f64,
+}
 
-pub(super) fn run(_args: &SynthArgs, _session: &Session) -> Result<Outcome, CliError> {
-    Err(CliError::Failed("synth".to_owned()))
+/// Kinds of scenes.
+#[derive(Debug, Clone, Copy, ValueEnum)]
+enum Kind {
+    /// Satellite images of several dates, with RPC cameras
+    Satellite,
+}
+
+#[derive(Debug, Clone, Copy, ValueEnum)]
+enum SiteName {
+    /// 48 m x 48 m, for tests
+    Tiny,
+    /// 128 m x 128 m: a few city blocks
+    Block,
+    /// 256 m x 256 m: a neighbourhood
+    City,
+}
+
+#[derive(Debug, Clone, Copy, ValueEnum)]
+enum BandName {
+    /// Panchromatic
+    Pan,
+    /// Red, green, blue
+    Rgb,
+    /// Red, green, blue, near infrared
+    RgbNir,
+}
+
+impl SynthArgs {
+    fn request(&self) -> SatelliteRequest {
+        SatelliteRequest {
+            site: match self.site {
+                SiteName::Tiny => Site::Tiny,
+                SiteName::Block => Site::Block,
+                SiteName::City => Site::City,
+            },
+            seed: self.seed,
+            views: self.views,
+            dates: self.dates,
+            gsd_m: self.gsd,
+            size_px: self.size,
+            bands: match self.bands {
+                BandName::Pan => BandSet::Pan,
+                BandName::Rgb => BandSet::Rgb,
+                BandName::RgbNir => BandSet::RgbNir,
+            },
+            bits: self.bits,
+            pointing_bias_px: self.pointing_bias,
+            noise: self.noise,
+        }
+    }
+}
+
+impl From<SynthError> for CliError {
+    fn from(error: SynthError) -> Self {
+        match &error {
+            SynthError::BadRequest(_) => Self::Input(error.to_string()),
+            _ => Self::Failed(error.to_string()),
+        }
+    }
+}
+
+/// Makes the scene.
+pub(super) fn run(args: &SynthArgs, session: &Session) -> Result<Outcome, CliError> {
+    let summary = match args.kind {
+        Kind::Satellite => synthesise(&args.request(), &args.out, session)?,
+    };
+    let json = serde_json::to_value(&summary)
+        .map_err(|error| CliError::Failed(format!("the summary cannot be written: {error}")))?;
+    Ok(Outcome {
+        json,
+        text: table(&summary, &args.out),
+    })
+}
+
+/// Makes a satellite scene, with a progress bar.
+///
+/// # Errors
+/// [`CliError::Input`] for a request that cannot be met, [`CliError::Failed`] when it cannot be written.
+pub fn synthesise(request: &SatelliteRequest, out: &Path, session: &Session) -> Result<Summary, CliError> {
+    let bar = RefCell::new(None);
+    let progress = |done: usize, total: usize| {
+        let mut bar = bar.borrow_mut();
+        let bar = bar.get_or_insert_with(|| session.progress("synthesise", total as u64));
+        bar.set(done as u64);
+    };
+    Ok(write_satellite(request, out, &progress)?)
+}
+
+fn table(summary: &Summary, out: &Path) -> String {
+    let mut text = format!(
+        "{}: {} images of {}, altitudes {:.1} to {:.1} m, truth in {}\n",
+        out.display(),
+        summary.images.len(),
+        super::place_in_words(summary.origin),
+        summary.altitude_range_m[0],
+        summary.altitude_range_m[1],
+        out.join("truth").display()
+    );
+    for image in &summary.images {
+        // Writing to a String cannot fail.
+        let _ = writeln!(
+            text,
+            "{:<16} {:<5} {}  sun {:>5.1} / {:>4.1}  off-nadir {:>4.1}  shadow {:>4.1} %",
+            image.name,
+            if image.held_out { "test" } else { "train" },
+            image.time,
+            image.sun_azimuth_deg,
+            image.sun_elevation_deg,
+            image.off_nadir_deg,
+            100.0 * image.shadow_share
+        );
+    }
+    text
 }

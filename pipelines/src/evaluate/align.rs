@@ -42,9 +42,8 @@ impl Shift {
 
     /// East, north and up, metres, on a grid with `metres` per map unit.
     pub fn metres(&self, transform: &GeoTransform, metres: f64) -> [f64; 3] {
-        let along = |axis: usize| {
-            (self.columns * transform.per_col[axis] + self.rows * transform.per_row[axis]) * metres
-        };
+        let along =
+            |axis: usize| (self.columns * transform.per_col[axis] + self.rows * transform.per_row[axis]) * metres;
         [along(0), along(1), self.height_m]
     }
 }
@@ -113,7 +112,10 @@ fn search(truth: &Raster, prediction: &Raster, around: (i64, i64)) -> (i64, i64)
     let candidates: Vec<(i64, i64)> = (-RANGE..=RANGE)
         .flat_map(|dr| (-RANGE..=RANGE).map(move |dc| (around.0 + dc, around.1 + dr)))
         .collect();
-    best_of(&candidates, |(columns, rows)| correlation(truth, prediction, columns, rows)).unwrap_or(around)
+    best_of(&candidates, |(columns, rows)| {
+        correlation(truth, prediction, columns, rows)
+    })
+    .unwrap_or(around)
 }
 
 /// The candidate of highest score; the first of equals, so that the result does not depend on threads.
@@ -121,10 +123,10 @@ fn best_of<T: Copy + Send + Sync>(candidates: &[T], score: impl Fn(T) -> Option<
     let scores: Vec<Option<f64>> = candidates.par_iter().map(|&candidate| score(candidate)).collect();
     let mut best: Option<(f64, T)> = None;
     for (score, &candidate) in scores.into_iter().zip(candidates) {
-        if let Some(score) = score {
-            if best.is_none_or(|(highest, _)| score > highest) {
-                best = Some((score, candidate));
-            }
+        if let Some(score) = score
+            && best.is_none_or(|(highest, _)| score > highest)
+        {
+            best = Some((score, candidate));
         }
     }
     best.map(|(_, candidate)| candidate)

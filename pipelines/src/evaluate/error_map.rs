@@ -30,7 +30,11 @@ fn colour(error_m: f32) -> Rgb<u8> {
         return NOT_MEASURED;
     }
     let share = (error_m / FULL_COLOUR_M).clamp(-1.0, 1.0);
-    let end = if share < 0.0 { [33.0, 102.0, 172.0] } else { [178.0, 24.0, 43.0] };
+    let end = if share < 0.0 {
+        [33.0, 102.0, 172.0]
+    } else {
+        [178.0, 24.0, 43.0]
+    };
     // The square root shows small errors, which are most.
     let strength = share.abs().sqrt();
     Rgb(end.map(|value: f32| (255.0 + (value - 255.0) * strength).round() as u8))
@@ -46,7 +50,11 @@ fn draw_legend(picture: &mut RgbImage, top: u32) {
             picture.put_pixel(col, row, colour(error_m));
         }
     }
-    let labels = [format!("-{FULL_COLOUR_M} m"), "0".to_owned(), format!("+{FULL_COLOUR_M} m")];
+    let labels = [
+        format!("-{FULL_COLOUR_M} m"),
+        "0".to_owned(),
+        format!("+{FULL_COLOUR_M} m"),
+    ];
     let centred = (width - text_width(&labels[1])) / 2;
     let right = width - 4 - text_width(&labels[2]);
     for (text, col) in labels.iter().zip([4, centred, right]) {

@@ -46,13 +46,17 @@ pub fn ssim(rendered: &Raster, real: &Raster) -> Option<f64> {
         .into_par_iter()
         .map(|band| ssim_of_band(rendered.plane(band), real.plane(band), width, &kernel))
         .collect();
-    let (sum, count) = bands.iter().fold((0.0, 0), |(sum, count), band| (sum + band.0, count + band.1));
+    let (sum, count) = bands
+        .iter()
+        .fold((0.0, 0), |(sum, count), band| (sum + band.0, count + band.1));
     (count > 0).then(|| sum / count as f64)
 }
 
 fn gaussian_kernel(radius: usize, sigma: f64) -> Vec<f64> {
     let weight = |offset: f64| (-0.5 * (offset / sigma).powi(2)).exp();
-    let weights: Vec<f64> = (0..=2 * radius).map(|index| weight(index as f64 - radius as f64)).collect();
+    let weights: Vec<f64> = (0..=2 * radius)
+        .map(|index| weight(index as f64 - radius as f64))
+        .collect();
     let sum: f64 = weights.iter().sum();
     weights.iter().map(|weight| weight / sum).collect()
 }
@@ -90,7 +94,11 @@ fn smoothed(value: &dyn Fn(usize) -> f64, width: usize, height: usize, kernel: &
     for row in 0..height {
         let line: Vec<f64> = (0..width).map(|col| value(row * width + col)).collect();
         for col in 0..inner {
-            across[row * inner + col] = kernel.iter().zip(&line[col..]).map(|(weight, value)| weight * value).sum();
+            across[row * inner + col] = kernel
+                .iter()
+                .zip(&line[col..])
+                .map(|(weight, value)| weight * value)
+                .sum();
         }
     }
     let rows = height + 1 - kernel.len();

@@ -45,7 +45,14 @@ impl DsmMetrics {
         protocol: Protocol,
         shift_m: [f64; 3],
     ) -> Self {
-        let all = statistics(errors.plane(0).iter().zip(wanted).filter(|(_, wanted)| **wanted).map(|(error, _)| *error));
+        let all = statistics(
+            errors
+                .plane(0)
+                .iter()
+                .zip(wanted)
+                .filter(|(_, wanted)| **wanted)
+                .map(|(error, _)| *error),
+        );
         let mut by_name: BTreeMap<String, Vec<f32>> = BTreeMap::new();
         if let Some(classes) = classes {
             let cells = classes.plane(0).iter().zip(errors.plane(0)).zip(wanted);

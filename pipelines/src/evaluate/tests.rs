@@ -12,7 +12,11 @@ fn town(width: usize, height: usize, col0: f64, row0: f64) -> Raster {
             let (block_x, block_y) = ((x / 17.0).floor(), (y / 23.0).floor());
             let street = (x - block_x * 17.0) < 5.0 || (y - block_y * 23.0) < 6.0;
             let seed = (block_x * 12.9898 + block_y * 78.233).sin() * 43758.5453;
-            let roof = if street { 0.0 } else { 4.0 + 12.0 * (seed - seed.floor()) };
+            let roof = if street {
+                0.0
+            } else {
+                4.0 + 12.0 * (seed - seed.floor())
+            };
             raster.values[row * width + col] = (700.0 + 0.02 * x + 0.05 * y + roof) as f32;
         }
     }
@@ -47,7 +51,10 @@ fn a_sub_pixel_shift_is_found_by_the_sub_pixel_protocol() {
     };
     let truth = hills(50.0, 50.0);
     let shift = align::subpixel(&truth, &hills(51.375, 49.25));
-    assert!((shift.columns - 1.375).abs() < 0.05 && (shift.rows + 0.75).abs() < 0.05, "{shift:?}");
+    assert!(
+        (shift.columns - 1.375).abs() < 0.05 && (shift.rows + 0.75).abs() < 0.05,
+        "{shift:?}"
+    );
 }
 
 #[test]
@@ -144,7 +151,12 @@ fn a_dfc_truth_is_placed_by_its_text() {
     crate::raster::write_geotiff(&truth_path, &ImageSpec::plain(&town), crate::raster::Sample::F32).expect("written");
     std::fs::write(folder.path().join("JAX_001_DSM.txt"), "433000.0\n3358000.0\n120\n0.5\n").expect("written");
     let prediction_path = folder.path().join("p.tif");
-    write(&prediction_path, &town, &GeoTransform::north_up(433_000.0, 3_358_060.0, 0.5), 32617);
+    write(
+        &prediction_path,
+        &town,
+        &GeoTransform::north_up(433_000.0, 3_358_060.0, 0.5),
+        32617,
+    );
     let outcome = evaluate_dsm(&prediction_path, &truth_path, None, Protocol::Raw).expect("comparable");
     assert!(outcome.metrics.all.mae_m < 1e-6 && outcome.metrics.all.completeness == 1.0);
     assert_eq!(outcome.warnings.len(), 1);
@@ -159,7 +171,10 @@ fn rasters_of_different_places_are_an_error_that_names_both() {
     write(&b, &town, &GeoTransform::north_up(533_000.0, 3_358_060.0, 0.5), 32617);
     let error = evaluate_dsm(&a, &b, None, Protocol::Raw).expect_err("no common ground");
     let line = error.to_string();
-    assert!(line.contains("a.tif") && line.contains("b.tif") && !line.contains('\n'), "{line}");
+    assert!(
+        line.contains("a.tif") && line.contains("b.tif") && !line.contains('\n'),
+        "{line}"
+    );
 }
 
 #[test]
@@ -170,7 +185,16 @@ fn the_json_has_the_keys_of_the_conventions() {
     let wanted = wanted_cells(&truth, Some(&classes), Protocol::Raw);
     let metrics = DsmMetrics::new(&errors, &wanted, Some(&classes), Protocol::Raw, [0.0; 3]);
     let json = serde_json::to_value(metrics).expect("serialisable");
-    for key in ["mae_m", "rmse_m", "median_m", "nmad_m", "within_1m", "completeness", "shift_m", "protocol"] {
+    for key in [
+        "mae_m",
+        "rmse_m",
+        "median_m",
+        "nmad_m",
+        "within_1m",
+        "completeness",
+        "shift_m",
+        "protocol",
+    ] {
         assert!(json.get(key).is_some(), "{key}");
     }
     assert_eq!(json["protocol"], "raw");

@@ -7,7 +7,11 @@ use std::path::Path;
 
 /// Reads a truth DSM. Without a geotransform its place is read from the text of the same name (`X_DSM.txt`: easting and
 /// northing of the lower-left corner, size in pixels, metres per pixel), in the prediction's coordinate system.
-pub(super) fn read(path: &Path, prediction: &GeoRaster, warnings: &mut Vec<String>) -> Result<GeoRaster, EvaluateError> {
+pub(super) fn read(
+    path: &Path,
+    prediction: &GeoRaster,
+    warnings: &mut Vec<String>,
+) -> Result<GeoRaster, EvaluateError> {
     let file = RasterFile::open(path)?;
     let mut raster = file.read(file.whole(), &[0])?;
     blank_absurd_heights(&mut raster);

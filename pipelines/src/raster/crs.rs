@@ -226,8 +226,7 @@ mod tests {
             for step in 0..100 {
                 let (lon, lat) = (lon0 + f64::from(step % 10) * 0.05, lat0 + f64::from(step / 10) * 0.05);
                 let (mut x, mut y) = ([lon], [lat]);
-                osr.transform_coords(&mut x, &mut y, &mut [])
-                    .expect("inside the zone");
+                osr.transform_coords(&mut x, &mut y, &mut []).expect("inside the zone");
                 let (east, north) = ours.apply(lon, lat).expect("inside the zone");
                 assert!((east - x[0]).hypot(north - y[0]) < 1e-3, "{lon} {lat}");
             }

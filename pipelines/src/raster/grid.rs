@@ -23,10 +23,7 @@ impl GeoTransform {
     /// From GDAL's six numbers, which count from the outer corner of the upper-left pixel.
     pub fn from_gdal(six: [f64; 6]) -> Self {
         Self {
-            origin: [
-                six[0] + 0.5 * (six[1] + six[2]),
-                six[3] + 0.5 * (six[4] + six[5]),
-            ],
+            origin: [six[0] + 0.5 * (six[1] + six[2]), six[3] + 0.5 * (six[4] + six[5])],
             per_col: [six[1], six[4]],
             per_row: [six[2], six[5]],
         }
@@ -91,12 +88,7 @@ impl GridSpec {
     ///
     /// # Errors
     /// When `crs` does not cover the place, or the grid would have no or far too many pixels.
-    pub fn covering(
-        frame: &LocalFrame,
-        rectangle_m: [f64; 4],
-        crs: &Crs,
-        gsd_m: f64,
-    ) -> Result<Self, RasterError> {
+    pub fn covering(frame: &LocalFrame, rectangle_m: [f64; 4], crs: &Crs, gsd_m: f64) -> Result<Self, RasterError> {
         const POINTS_PER_EDGE: usize = 16;
         let size = gsd_m / crs.metres_per_unit();
         let transform = CrsTransform::from_lon_lat(crs)?;

@@ -76,7 +76,11 @@ pub fn write_cog(path: &Path, spec: &ImageSpec) -> Result<(), RasterError> {
 /// # Errors
 /// As [`write_cog`].
 pub fn write_geotiff(path: &Path, spec: &ImageSpec, sample: Sample) -> Result<(), RasterError> {
-    let predictor = if sample == Sample::F32 { "PREDICTOR=3" } else { "PREDICTOR=2" };
+    let predictor = if sample == Sample::F32 {
+        "PREDICTOR=3"
+    } else {
+        "PREDICTOR=2"
+    };
     let options = ["COMPRESS=DEFLATE", predictor, "INTERLEAVE=BAND", "BIGTIFF=IF_SAFER"];
     let dataset = in_memory(path, spec, sample)?;
     write_copy(path, &dataset, "GTiff", &options)
@@ -84,7 +88,11 @@ pub fn write_geotiff(path: &Path, spec: &ImageSpec, sample: Sample) -> Result<()
 
 fn in_memory(path: &Path, spec: &ImageSpec, sample: Sample) -> Result<Dataset, RasterError> {
     let built = match sample {
-        Sample::F32 => build(spec, |value| if value.is_finite() { value } else { NODATA }, Some(NODATA)),
+        Sample::F32 => build(
+            spec,
+            |value| if value.is_finite() { value } else { NODATA },
+            Some(NODATA),
+        ),
         // `as` saturates and turns NaN into 0.
         Sample::U8 => build(spec, |value| value.round() as u8, None),
         Sample::U16 => build(spec, |value| value.round() as u16, None),

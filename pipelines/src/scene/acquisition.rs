@@ -93,8 +93,7 @@ fn check_height(
     warnings: &mut Vec<String>,
 ) -> Result<(), SceneError> {
     let elevation_deg = found.sun.elevation_rad.to_degrees();
-    // Written so that a sun that is not a number fails too.
-    if !(elevation_deg > 0.0) {
+    if elevation_deg.is_nan() || elevation_deg <= 0.0 {
         let stated = found.metadata.map(|sun| sun.elevation_rad.to_degrees());
         let (origin, remedy) = match (known.time, stated) {
             (Some(time), Some(stated)) if stated > 0.0 => (

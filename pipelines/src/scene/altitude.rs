@@ -27,13 +27,16 @@ pub(super) fn choose(
     if let Some(range) = manifest_m {
         return checked(range, "from scene.toml");
     }
-    let from_json = stated.iter().filter_map(|image| image.json_m).reduce(|a, b| (a.0.min(b.0), a.1.max(b.1)));
+    let from_json = stated
+        .iter()
+        .filter_map(|image| image.json_m)
+        .reduce(|a, b| (a.0.min(b.0), a.1.max(b.1)));
     if let Some(range) = from_json {
         return checked(range, "from min_alt and max_alt of the JSON files");
     }
-    let valid = stated
-        .iter()
-        .fold(EARTH_M, |range, image| (range.0.max(image.rpc_m.0), range.1.min(image.rpc_m.1)));
+    let valid = stated.iter().fold(EARTH_M, |range, image| {
+        (range.0.max(image.rpc_m.0), range.1.min(image.rpc_m.1))
+    });
     let (range, source) = checked(valid, "from the RPC cameras' height range")?;
     warnings.push(format!(
         "altitudes from {:.0} to {:.0} m are searched, which is all its RPC cameras allow; --altitude MIN,MAX makes it faster and safer",
@@ -65,11 +68,13 @@ mod tests {
 
     #[test]
     fn the_user_wins_then_the_files_then_the_cameras() {
-        let images = [image(Some((10.0, 50.0)), (-50.0, 900.0)), image(Some((5.0, 40.0)), (0.0, 950.0))];
+        let images = [
+            image(Some((10.0, 50.0)), (-50.0, 900.0)),
+            image(Some((5.0, 40.0)), (0.0, 950.0)),
+        ];
         let mut warnings = Vec::new();
-        let mut range = |option, manifest, images: &[Stated]| {
-            choose(option, manifest, images, &mut warnings).expect("a range").0
-        };
+        let mut range =
+            |option, manifest, images: &[Stated]| choose(option, manifest, images, &mut warnings).expect("a range").0;
         assert_eq!(range(Some((1.0, 2.0)), Some((3.0, 4.0)), &images), (1.0, 2.0));
         assert_eq!(range(None, Some((3.0, 4.0)), &images), (3.0, 4.0));
         assert_eq!(range(None, None, &images), (5.0, 50.0));

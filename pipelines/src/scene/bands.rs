@@ -49,7 +49,10 @@ fn from_infos(bands: &[BandInfo], maxar: bool) -> BandPlan {
     use BandKind::{Blue, Green, NearInfrared, Other, Pan, Red};
     let alpha = bands.iter().position(|band| band.colour == Colour::Alpha);
     let data: Vec<usize> = (0..bands.len()).filter(|&index| Some(index) != alpha).collect();
-    let described: Vec<BandKind> = data.iter().map(|&index| from_description(&bands[index].description)).collect();
+    let described: Vec<BandKind> = data
+        .iter()
+        .map(|&index| from_description(&bands[index].description))
+        .collect();
     if described.iter().any(|&kind| kind != Other) {
         return ordered(&described, &data, alpha, None);
     }
@@ -83,7 +86,9 @@ fn from_infos(bands: &[BandInfo], maxar: bool) -> BandPlan {
             &[Other, Blue, Green, Other, Red, Other, NearInfrared, Other],
             &data,
             alpha,
-            assumed("the eight bands of WorldView-2 and -3, of which red, green, blue and the first near infrared are used"),
+            assumed(
+                "the eight bands of WorldView-2 and -3, of which red, green, blue and the first near infrared are used",
+            ),
         ),
         count => ordered(&vec![Other; count], &data, alpha, assumed("just different")),
     }
@@ -115,7 +120,13 @@ fn from_description(description: &str) -> BandKind {
         "r" => return BandKind::Red,
         "g" => return BandKind::Green,
         "b" => return BandKind::Blue,
-        "n" | "p" => return if text == "n" { BandKind::NearInfrared } else { BandKind::Pan },
+        "n" | "p" => {
+            return if text == "n" {
+                BandKind::NearInfrared
+            } else {
+                BandKind::Pan
+            };
+        }
         _ => {}
     }
     // The second near-infrared band of WorldView is not the one whose colours are known from other satellites.

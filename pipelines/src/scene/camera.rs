@@ -181,7 +181,17 @@ pub(super) fn belonging_texts(image: &Path) -> Result<Vec<PathBuf>, SceneError> 
     let product = product.strip_suffix("_r1c1").unwrap_or(product);
     let mut wanted: Vec<String> = Vec::new();
     for end in [
-        ".rpb", "_rpc.txt", ".rpc", "_rpc.xml", ".imd", ".xml", ".json", ".txt", ".pvl", "_metadata.txt", "_dim.xml",
+        ".rpb",
+        "_rpc.txt",
+        ".rpc",
+        "_rpc.xml",
+        ".imd",
+        ".xml",
+        ".json",
+        ".txt",
+        ".pvl",
+        "_metadata.txt",
+        "_dim.xml",
         "_stac.json",
     ] {
         wanted.push(format!("{name}{end}"));
@@ -192,7 +202,12 @@ pub(super) fn belonging_texts(image: &Path) -> Result<Vec<PathBuf>, SceneError> 
     let files = files_in(folder.unwrap_or_else(|| Path::new(".")))?;
     Ok(wanted
         .iter()
-        .filter_map(|want| files.iter().find(|path| file_name(path).to_lowercase() == *want).cloned())
+        .filter_map(|want| {
+            files
+                .iter()
+                .find(|path| file_name(path).to_lowercase() == *want)
+                .cloned()
+        })
         .collect())
 }
 
@@ -203,7 +218,9 @@ pub(super) fn read_text(path: &Path) -> Result<String, SceneError> {
         path: path.to_owned(),
         reason,
     };
-    let length = std::fs::metadata(path).map_err(|error| unreadable(error.to_string()))?.len();
+    let length = std::fs::metadata(path)
+        .map_err(|error| unreadable(error.to_string()))?
+        .len();
     if length > LARGEST_BYTES {
         return Err(unreadable(format!("{length} bytes is no metadata file")));
     }
@@ -221,7 +238,10 @@ mod tests {
         assert_eq!(pixel_origin(&crop), Some((5000.0, 5000.0)));
         let half = GeoTransform::from_gdal([12114.5, 1.0, 0.0, 300.0, 0.0, -1.0]);
         assert_eq!(pixel_origin(&half), Some((12114.5, 300.0)));
-        assert_eq!(pixel_origin(&GeoTransform::from_gdal([0.0, 1.0, 0.0, 0.0, 0.0, 1.0])), None);
+        assert_eq!(
+            pixel_origin(&GeoTransform::from_gdal([0.0, 1.0, 0.0, 0.0, 0.0, 1.0])),
+            None
+        );
         let map = GeoTransform::from_gdal([312_000.0, 0.5, 0.0, 4_160_000.0, 0.0, -0.5]);
         assert_eq!(pixel_origin(&map), None);
     }

@@ -121,7 +121,9 @@ pub enum SceneError {
         altitude_m: f64,
     },
     /// An altitude range that is none.
-    #[error("altitude range {low_m} to {high_m} m ({origin}) is not usable; give --altitude MIN,MAX in metres above the ellipsoid, MIN below MAX")]
+    #[error(
+        "altitude range {low_m} to {high_m} m ({origin}) is not usable; give --altitude MIN,MAX in metres above the ellipsoid, MIN below MAX"
+    )]
     AltitudeRange {
         /// Lower end, metres.
         low_m: f64,

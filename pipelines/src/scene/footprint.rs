@@ -137,14 +137,20 @@ mod tests {
     fn squares_apart_share_nothing() {
         let shared = square(0.0, 0.0, 10.0).intersection(&square(20.0, 0.0, 10.0));
         assert_eq!((shared.area_m2(), shared.centre()), (0.0, None));
-        assert_eq!(covered_twice(&[square(0.0, 0.0, 1.0), square(5.0, 5.0, 1.0)], 0.01), None);
+        assert_eq!(
+            covered_twice(&[square(0.0, 0.0, 1.0), square(5.0, 5.0, 1.0)], 0.01),
+            None
+        );
     }
 
     #[test]
     fn the_area_is_what_two_views_cover_not_what_all_do() {
         let views = [square(0.0, 0.0, 10.0), square(5.0, 0.0, 10.0), square(10.0, 0.0, 10.0)];
         let area = covered_twice(&views, 1.0).expect("neighbours overlap");
-        assert_eq!((area.west_m, area.east_m, area.south_m, area.north_m), (5.0, 15.0, 0.0, 10.0));
+        assert_eq!(
+            (area.west_m, area.east_m, area.south_m, area.north_m),
+            (5.0, 15.0, 0.0, 10.0)
+        );
         assert!(common(&views).area_m2() < 1e-9);
     }
 }

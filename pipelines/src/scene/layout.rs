@@ -25,7 +25,7 @@ pub(super) struct Layout {
     pub(super) images: Vec<ImageEntry>,
     pub(super) altitude_range_m: Option<(f64, f64)>,
     pub(super) bands: Option<Vec<BandKind>>,
-    pub(super) counts: Counts,
+    pub(super) counts: Option<Counts>,
     pub(super) truth: Truth,
     pub(super) warnings: Vec<String>,
 }
@@ -51,7 +51,11 @@ pub(super) fn find(path: &Path) -> Result<Layout, SceneError> {
         return Err(SceneError::Missing(path.to_owned()));
     }
     let manifest = path.join("scene.toml");
-    if manifest.is_file() { from_manifest(&manifest) } else { from_folder(path) }
+    if manifest.is_file() {
+        from_manifest(&manifest)
+    } else {
+        from_folder(path)
+    }
 }
 
 fn from_manifest(path: &Path) -> Result<Layout, SceneError> {
@@ -138,7 +142,7 @@ fn from_folder(folder: &Path) -> Result<Layout, SceneError> {
         images: with_distinct_names(entries),
         altitude_range_m: None,
         bands: None,
-        counts: Counts::Linear,
+        counts: None,
         truth: super::truth::find(&home),
         warnings,
     })
@@ -168,7 +172,11 @@ fn scene_folder(folder: &Path) -> Result<PathBuf, SceneError> {
             with_images.push(candidate);
         }
     }
-    let mut candidates = if with_cameras.is_empty() { with_images } else { with_cameras };
+    let mut candidates = if with_cameras.is_empty() {
+        with_images
+    } else {
+        with_cameras
+    };
     match candidates.len() {
         0 => Err(SceneError::Empty(folder.to_owned())),
         1 => Ok(candidates.remove(0)),

@@ -12,9 +12,8 @@ pub(super) struct Manifest {
     pub(super) altitude_range_m: Option<[f64; 2]>,
     /// What the bands of every file are, in file order.
     pub(super) bands: Option<Vec<BandKind>>,
-    /// Whether values are proportional to radiance or encoded for display (sRGB).
-    #[serde(default)]
-    pub(super) counts: Counts,
+    /// Whether values are proportional to radiance or encoded for display (sRGB); absent: as each file says.
+    pub(super) counts: Option<Counts>,
     /// The images.
     #[serde(default)]
     pub(super) images: Vec<ManifestImage>,
@@ -23,11 +22,10 @@ pub(super) struct Manifest {
 }
 
 /// What pixel values mean.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, serde::Deserialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, serde::Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub(super) enum Counts {
     /// Radiance up to a gain.
-    #[default]
     Linear,
     /// sRGB-encoded 8-bit display values.
     Display,
@@ -69,7 +67,9 @@ impl Manifest {
         })?;
         let mut manifest: Self = toml::from_str(&text).map_err(|error| fault(one_line(&error, &text)))?;
         if manifest.images.is_empty() {
-            return Err(fault("it lists no images; add [[images]] tables with a path each".to_owned()));
+            return Err(fault(
+                "it lists no images; add [[images]] tables with a path each".to_owned(),
+            ));
         }
         let folder = path.parent().unwrap_or_else(|| Path::new("."));
         for image in &mut manifest.images {

@@ -9,11 +9,14 @@ use heliosplat::Raster;
 /// The share of values below the scene's unit: the brightest glints lie above 1.
 const UNIT_QUANTILE: f64 = 0.999;
 
-/// Reads the planned bands of a file; opaque-band zeros and black borders become `NaN`.
+/// Reads the planned bands of a file; transparent pixels and black borders become `NaN`, display values linear.
+///
+/// Satellite counts are proportional to radiance, with 8 bits too, unless `declared` or the file (item `RADIOMETRY`)
+/// says that they are encoded for display.
 pub(super) fn read(
     file: &RasterFile,
     plan: &BandPlan,
-    counts: Counts,
+    declared: Option<Counts>,
     warnings: &mut Vec<String>,
 ) -> Result<Raster, SceneError> {
     let mut raster = file.read(file.whole(), &plan.file_bands)?;
@@ -26,12 +29,19 @@ pub(super) fn read(
     if !known_and_lit {
         return Err(SceneError::NoPixels(file.path().to_owned()));
     }
-    if counts == Counts::Display {
+    if declared.unwrap_or_else(|| stated_counts(file)) == Counts::Display {
         for value in &mut raster.values {
             *value = linear_from_srgb(*value / 255.0);
         }
     }
     Ok(raster)
+}
+
+fn stated_counts(file: &RasterFile) -> Counts {
+    match file.domain("").get("RADIOMETRY") {
+        Some(radiometry) if radiometry.to_lowercase().contains("srgb") => Counts::Display,
+        _ => Counts::Linear,
+    }
 }
 
 /// Divides all images by the 99.9 % quantile of all their values; returns that quantile.
@@ -41,7 +51,12 @@ pub(super) fn scale_together(images: &mut [Raster]) -> f64 {
     let step = (total / SAMPLES).max(1);
     let mut sample: Vec<f32> = Vec::with_capacity(total / step + images.len());
     for image in images.iter() {
-        let finite = image.values.iter().step_by(step).copied().filter(|value| value.is_finite());
+        let finite = image
+            .values
+            .iter()
+            .step_by(step)
+            .copied()
+            .filter(|value| value.is_finite());
         sample.extend(finite);
     }
     if sample.is_empty() {
@@ -50,7 +65,11 @@ pub(super) fn scale_together(images: &mut [Raster]) -> f64 {
     let index = ((sample.len() - 1) as f64 * UNIT_QUANTILE).round() as usize;
     let unit = *sample.select_nth_unstable_by(index, f32::total_cmp).1;
     // An image that is dark almost everywhere still needs a unit.
-    let unit = if unit > 0.0 { unit } else { sample.iter().copied().fold(f32::MIN_POSITIVE, f32::max) };
+    let unit = if unit > 0.0 {
+        unit
+    } else {
+        sample.iter().copied().fold(f32::MIN_POSITIVE, f32::max)
+    };
     for value in images.iter_mut().flat_map(|image| image.values.iter_mut()) {
         *value /= unit;
     }

@@ -55,11 +55,11 @@ impl JsonIndex {
     pub(super) fn read(folder: &Path) -> Result<Self, SceneError> {
         let mut index = Self::default();
         for path in files_in(folder)? {
-            if has_extension(&path, &["json"]) {
-                if let Some(description) = describe(&path) {
-                    let image = stem(Path::new(&description.img));
-                    index.by_image.insert(image, (path, description.img));
-                }
+            if has_extension(&path, &["json"])
+                && let Some(description) = describe(&path)
+            {
+                let image = stem(Path::new(&description.img));
+                index.by_image.insert(image, (path, description.img));
             }
         }
         Ok(index)

@@ -25,9 +25,8 @@ pub(super) fn find(home: &Path) -> Truth {
     }
     for folder in neighbours(home) {
         let tail: Vec<_> = folder.components().rev().take(2).collect();
-        let is_truth_folder = |part: &std::path::Component| {
-            part.as_os_str().to_string_lossy().to_lowercase().contains("truth")
-        };
+        let is_truth_folder =
+            |part: &std::path::Component| part.as_os_str().to_string_lossy().to_lowercase().contains("truth");
         if tail.iter().any(is_truth_folder) {
             let truth = in_folder(&folder, &scene, false);
             if truth.dsm.is_some() {
@@ -46,20 +45,25 @@ fn in_folder(folder: &Path, scene: &str, own_folder: bool) -> Truth {
         .collect();
     // A folder of many scenes' truth has one raster per scene: the one of this scene counts.
     let pick = |own: &str, ends: &[&str]| -> Option<PathBuf> {
-        let named = |name: String| rasters.iter().find(|path| stem(path).eq_ignore_ascii_case(&name)).cloned();
+        let named = |name: String| {
+            rasters
+                .iter()
+                .find(|path| stem(path).eq_ignore_ascii_case(&name))
+                .cloned()
+        };
         let by_scene = ends.iter().find_map(|end| named(format!("{scene}{end}")));
         if !own_folder {
             return by_scene;
         }
         named(own.to_owned()).or(by_scene).or_else(|| {
-                let mut fitting = rasters.iter().filter(|path| {
-                    let name = stem(path).to_lowercase();
-                    ends.iter().any(|end| name.ends_with(&end.to_lowercase()))
-                });
-                match (fitting.next(), fitting.next()) {
-                    (Some(only), None) => Some(only.clone()),
-                    _ => None,
-                }
+            let mut fitting = rasters.iter().filter(|path| {
+                let name = stem(path).to_lowercase();
+                ends.iter().any(|end| name.ends_with(&end.to_lowercase()))
+            });
+            match (fitting.next(), fitting.next()) {
+                (Some(only), None) => Some(only.clone()),
+                _ => None,
+            }
         })
     };
     let shadows = rasters.iter().filter_map(|path| {
