@@ -13,6 +13,8 @@ use nalgebra::{Matrix2, Vector2};
 const TARGET_RESIDUAL_PX: f64 = 2e-10;
 /// What rounding may leave on a model with large coordinates and still be a solution.
 const ACCEPTED_RESIDUAL_PX: f64 = 1e-6;
+/// The same with longitude and latitude rounded to f64, 2 nm.
+const ACCEPTED_REPROJECTION_PX: f64 = 1e-5;
 /// Longest Newton step, in the model's half ranges: the area itself is two across.
 const LONGEST_STEP: f64 = 1.0;
 const MAX_ITERATIONS: usize = 60;
@@ -76,11 +78,19 @@ impl Rpc {
             .or_else(|| problem.continuation(centre.image))
             .or_else(|| problem.grid_of_starts())
             .ok_or_else(failure)?;
-        Ok(GeoPoint {
+        let ground = GeoPoint {
             lon_deg: wrapped_longitude_deg(solution.x * self.longitude_scale_deg + self.longitude_offset_deg),
             lat_deg: solution.y * self.latitude_scale_deg + self.latitude_offset_deg,
             height_m,
-        })
+        };
+        // What counts is the point handed out: scales that are zero or not numbers show here and nowhere before.
+        let seen = self.project(ground);
+        let off_px = (seen.col - point.col).hypot(seen.row - point.row);
+        if off_px < ACCEPTED_REPROJECTION_PX {
+            Ok(ground)
+        } else {
+            Err(failure())
+        }
     }
 }
 

@@ -1,6 +1,6 @@
 //! Where the sun stands, from time and place.
 //!
-//! Earth's heliocentric longitude, latitude and distance come from the leading terms of the VSOP87 theory ([`vsop`]),
+//! Earth's heliocentric longitude, latitude and distance come from the leading terms of the VSOP87 theory,
 //! corrected for nutation and aberration, turned by apparent sidereal time, and seen from the place itself (parallax).
 //! Formulas: J. Meeus, *Astronomical Algorithms*, 2nd ed., chapters 12, 22, 25 and 32. Against the NREL algorithm over
 //! 1972-2100 the direction is good to 0.001 degree; the largest part left is that UT1 is taken to be UTC (within 0.9 s).
