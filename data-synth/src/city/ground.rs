@@ -1,0 +1,162 @@
+//! What covers the ground: zones in city coordinates, the later over the earlier, and the shape they give the terrain.
+
+use super::streets::Bend;
+use crate::materials::{Class, Material, Season, Spectrum, Spot, grey};
+use crate::noise::{noise, smoothstep};
+use crate::terrain::Relief;
+use std::collections::HashMap;
+
+/// How far carriageways lie below the pavements, metres.
+const KERB_M: f64 = 0.12;
+/// Side of the squares by which zones are found, metres.
+const LOOKUP_M: f64 = 6.0;
+
+/// The outline of a zone.
+#[derive(Debug, Clone, Copy)]
+pub(crate) enum Outline {
+    /// A rectangle with corners rounded to a radius in metres.
+    Rounded(f64),
+    /// An ellipse with a wavering shore.
+    Blob,
+}
+
+/// A piece of ground in city coordinates.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Zone {
+    pub(crate) centre: [f64; 2],
+    pub(crate) half: [f64; 2],
+    /// Turn of the zone's own axes, radians.
+    pub(crate) turn_rad: f64,
+    pub(crate) outline: Outline,
+    pub(crate) class: Class,
+    pub(crate) material: Material,
+    pub(crate) seed: u32,
+}
+
+impl Zone {
+    fn local(&self, uv: [f64; 2]) -> [f64; 2] {
+        let (sin, cos) = self.turn_rad.sin_cos();
+        let (du, dv) = (uv[0] - self.centre[0], uv[1] - self.centre[1]);
+        [du * cos + dv * sin, dv * cos - du * sin]
+    }
+
+    /// Distance outside the outline, negative inside, metres (to a tenth for blobs).
+    pub(crate) fn distance_m(&self, uv: [f64; 2]) -> f64 {
+        let [a, b] = self.local(uv);
+        let [l, w] = self.half;
+        match self.outline {
+            Outline::Rounded(radius) => {
+                let (da, db) = (a.abs() - l + radius, b.abs() - w + radius);
+                da.max(0.0).hypot(db.max(0.0)) + da.max(db).min(0.0) - radius
+            }
+            Outline::Blob => {
+                let angle = (b / w).atan2(a / l);
+                let waver = 1.0 + 0.13 * noise(self.seed, 1.5 * angle.cos() + 4.0, 1.5 * angle.sin() + 4.0);
+                ((a / l).hypot(b / w) / waver - 1.0) * l.min(w)
+            }
+        }
+    }
+
+    fn reach_m(&self) -> f64 {
+        1.2 * self.half[0].hypot(self.half[1])
+    }
+}
+
+/// A sheet of still water.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Pond {
+    pub(crate) zone: Zone,
+    /// Altitude of the water, metres of the scene's frame.
+    pub(crate) level_m: f64,
+}
+
+/// Everything that covers the ground.
+pub(crate) struct Ground {
+    bend: Bend,
+    zones: Vec<Zone>,
+    by_square: HashMap<(i64, i64), Vec<u32>>,
+    /// What lies between all zones: a junction's asphalt.
+    between: Zone,
+}
+
+impl Ground {
+    /// Sorts the zones for look-up. Later zones lie over earlier ones.
+    pub(crate) fn new(bend: Bend, zones: Vec<Zone>, seed: u32) -> Self {
+        let mut by_square: HashMap<(i64, i64), Vec<u32>> = HashMap::new();
+        for (index, zone) in zones.iter().enumerate() {
+            let reach_m = zone.reach_m();
+            let square = |v: f64| (v / LOOKUP_M).floor() as i64;
+            for j in square(zone.centre[1] - reach_m)..=square(zone.centre[1] + reach_m) {
+                for i in square(zone.centre[0] - reach_m)..=square(zone.centre[0] + reach_m) {
+                    let middle = [(i as f64 + 0.5) * LOOKUP_M, (j as f64 + 0.5) * LOOKUP_M];
+                    // A blob's distance is stretched: be generous with what may touch the square.
+                    if matches!(zone.outline, Outline::Blob) || zone.distance_m(middle) < 0.75 * LOOKUP_M {
+                        by_square.entry((i, j)).or_default().push(index as u32);
+                    }
+                }
+            }
+        }
+        Self {
+            bend,
+            zones,
+            by_square,
+            between: Zone {
+                centre: [0.0; 2],
+                half: [1.0; 2],
+                turn_rad: 0.0,
+                outline: Outline::Rounded(0.0),
+                class: Class::Road,
+                material: Material::Asphalt(grey(0.10)),
+                seed,
+            },
+        }
+    }
+
+    /// The topmost zone at a place, and where the place is in it.
+    fn zone_at(&self, x: f64, y: f64) -> (&Zone, Spot) {
+        let uv = self.bend.uv_from_xy(x, y);
+        let square = uv.map(|v| (v / LOOKUP_M).floor() as i64);
+        let candidates = self.by_square.get(&(square[0], square[1]));
+        let zone = (candidates.into_iter().flatten().rev())
+            .map(|&index| &self.zones[index as usize])
+            .find(|zone| zone.distance_m(uv) <= 0.0)
+            .unwrap_or(&self.between);
+        let [u, v] = zone.local(uv);
+        (zone, Spot { u, v, seed: zone.seed })
+    }
+
+    /// Class of the ground at a place.
+    pub(crate) fn class_at(&self, x: f64, y: f64) -> Class {
+        self.zone_at(x, y).0.class
+    }
+
+    /// Class and albedo of the ground at a place in a season.
+    pub(crate) fn albedo(&self, x: f64, y: f64, season: &Season) -> (Class, Spectrum) {
+        let (zone, spot) = self.zone_at(x, y);
+        (zone.class, zone.material.albedo(spot, season))
+    }
+}
+
+/// The shape of the ground: the relief, lowered streets and level ponds.
+pub(crate) struct Landform<'a> {
+    pub(crate) relief: Relief,
+    pub(crate) bend: Bend,
+    /// The blocks, pavement included.
+    pub(crate) blocks: &'a [Zone],
+    pub(crate) ponds: &'a [Pond],
+}
+
+impl Landform<'_> {
+    /// Altitude at a place, metres of the scene's frame.
+    pub(crate) fn height_m(&self, x: f64, y: f64) -> f64 {
+        let uv = self.bend.uv_from_xy(x, y);
+        let from_block = (self.blocks.iter()).map(|block| block.distance_m(uv)).fold(f64::INFINITY, f64::min);
+        let mut height_m = self.relief.height_m(x, y) - KERB_M * smoothstep(-0.2, 0.6, from_block);
+        for pond in self.ponds {
+            // Level for 2 m beyond the shore, so that no cell under the water is tilted; then a bank.
+            let bank = smoothstep(2.0, 8.0, pond.zone.distance_m(uv));
+            height_m = pond.level_m + (height_m - pond.level_m) * bank;
+        }
+        height_m
+    }
+}

@@ -1,0 +1,261 @@
+//! A city quarter from a seed: streets, blocks, what is built and planted in them, and what covers the ground.
+
+mod building;
+mod ground;
+mod homes;
+mod palette;
+mod planner;
+mod streets;
+mod works;
+
+pub(crate) use ground::Ground;
+
+use crate::cars::CarSlot;
+use crate::materials::{Class, Material};
+use crate::noise::{hash2, stream};
+use crate::solid::Solids;
+use crate::terrain::{HeightField, Relief};
+use crate::vegetation::{Hedge, Tree, TreeKind};
+use building::Building;
+use ground::{Landform, Outline, Zone};
+use planner::{Planner, Plot};
+use rand::RngExt;
+use rand::seq::SliceRandom;
+use streets::{Bend, Block, Street, StreetPlan};
+
+/// Width of the pavement between kerb and building line, metres.
+const PAVEMENT_M: f64 = 2.4;
+/// Side of a terrain cell, metres.
+const TERRAIN_CELL_M: f64 = 1.0;
+
+/// How large and how fine a city to make.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct CityPlan {
+    /// Half the side of the square that is built, metres.
+    pub(crate) half_extent_m: f64,
+    /// Longest side of a block, metres.
+    pub(crate) longest_block_m: f64,
+}
+
+/// A city and the ground it stands on.
+pub(crate) struct City {
+    pub(crate) terrain: HeightField,
+    pub(crate) ground: Ground,
+    buildings: Vec<Building>,
+    trees: Vec<Tree>,
+    hedges: Vec<Hedge>,
+    car_slots: Vec<CarSlot>,
+}
+
+/// What a block is used for.
+#[derive(Debug, Clone, Copy)]
+enum Use {
+    Houses,
+    Apartments,
+    Commerce,
+    Tower,
+    Park,
+}
+
+impl City {
+    /// Draws up a city.
+    pub(crate) fn new(seed: u64, plan: CityPlan) -> Self {
+        let bend = Bend::new(seed);
+        let relief = Relief::new(seed);
+        // A turned square must still reach into the corners of the terrain.
+        let streets = StreetPlan::new(seed, 1.5 * plan.half_extent_m, plan.longest_block_m);
+        let mut planner = Planner::new(seed, bend, relief);
+        let kept = near_blocks(&bend, &streets.blocks, plan.half_extent_m);
+        for street in &streets.streets {
+            lay_street(&mut planner, street);
+        }
+        let pavements: Vec<Zone> = kept.iter().map(|block| lay_pavement(&mut planner, block)).collect();
+        for (block, purpose) in kept.iter().zip(purposes(seed, kept.len())) {
+            fill(&mut planner, block, purpose);
+        }
+        for block in &kept {
+            street_trees(&mut planner, block);
+        }
+        planner.grow();
+        for street in &streets.streets {
+            parked_cars(&mut planner, street);
+        }
+        let landform = Landform {
+            relief,
+            bend,
+            blocks: &pavements,
+            ponds: &planner.ponds,
+        };
+        let terrain = HeightField::sample(plan.half_extent_m, TERRAIN_CELL_M, |x, y| landform.height_m(x, y));
+        Self {
+            terrain,
+            ground: Ground::new(bend, planner.zones, hash2(seed, 0x60) as u32),
+            buildings: planner.buildings,
+            trees: planner.trees,
+            hedges: planner.hedges,
+            car_slots: planner.car_slots,
+        }
+    }
+
+    /// Everything that stands still: the scene of the truth rasters.
+    pub(crate) fn solids(&self) -> Solids {
+        let mut solids = Solids::default();
+        let height_at = |x: f64, y: f64| self.terrain.height_m(x, y);
+        for building in &self.buildings {
+            building.build(&mut solids);
+        }
+        for tree in &self.trees {
+            tree.build(&mut solids, height_at(tree.x, tree.y));
+        }
+        for hedge in &self.hedges {
+            hedge.build(&mut solids, height_at);
+        }
+        solids
+    }
+
+    /// The scene of one date: what stands still, and the cars that are there.
+    pub(crate) fn solids_with_cars(&self, date: u64, occupancy: f64) -> Solids {
+        let mut solids = self.solids();
+        for slot in &self.car_slots {
+            slot.build(&mut solids, date, occupancy, |x, y| self.terrain.height_m(x, y));
+        }
+        solids
+    }
+}
+
+/// Blocks that touch the built square, nearest to its centre first.
+fn near_blocks(bend: &Bend, blocks: &[Block], half_extent_m: f64) -> Vec<Block> {
+    let distance_m = |block: &Block| {
+        let [u, v] = block.centre();
+        let [x, y] = bend.xy_from_uv(u, v);
+        (x.abs().max(y.abs()), block.half()[0].hypot(block.half()[1]))
+    };
+    let mut kept: Vec<(f64, Block)> = (blocks.iter())
+        .map(|block| (distance_m(block), *block))
+        .filter(|((far_m, reach_m), _)| far_m - reach_m < half_extent_m)
+        .map(|((far_m, _), block)| (far_m, block))
+        .collect();
+    kept.sort_by(|a, b| a.0.total_cmp(&b.0));
+    kept.into_iter().map(|(_, block)| block).collect()
+}
+
+/// One use for each block, dealt from shuffled hands so that every neighbourhood has some of each.
+fn purposes(seed: u64, count: usize) -> Vec<Use> {
+    let mut random = stream(seed, 0xDEA1);
+    // What lies nearest the centre is in every site: one of each kind.
+    let mut dealt = vec![Use::Houses, Use::Apartments, Use::Park, if random.random_bool(0.5) { Use::Commerce } else { Use::Tower }];
+    dealt.shuffle(&mut random);
+    while dealt.len() < count {
+        let mut hand =
+            [Use::Houses, Use::Apartments, Use::Houses, Use::Commerce, Use::Tower, Use::Apartments, Use::Park];
+        hand.shuffle(&mut random);
+        dealt.extend(hand);
+    }
+    dealt.truncate(count);
+    dealt
+}
+
+fn fill(planner: &mut Planner, block: &Block, purpose: Use) {
+    let plot = Plot::inside(block, PAVEMENT_M);
+    match purpose {
+        Use::Houses => homes::houses(planner, &plot),
+        Use::Apartments => homes::apartments(planner, &plot),
+        Use::Commerce => works::commerce(planner, &plot),
+        Use::Tower => works::tower(planner, &plot),
+        Use::Park => works::park(planner, &plot),
+    }
+}
+
+fn lay_street(planner: &mut Planner, street: &Street) {
+    let asphalt = palette::asphalt(planner);
+    let seed = planner.next_seed() as u32;
+    planner.zones.push(Zone {
+        centre: street.centre,
+        half: [street.half_length, street.half_width],
+        turn_rad: if street.along_u { 0.0 } else { std::f64::consts::FRAC_PI_2 },
+        outline: Outline::Rounded(0.0),
+        class: Class::Road,
+        material: Material::Street(asphalt, [street.half_length, street.half_width]),
+        seed,
+    });
+}
+
+/// The block as the streets see it: a kerb stone around a pavement. Returns the outer outline.
+fn lay_pavement(planner: &mut Planner, block: &Block) -> Zone {
+    let kerb = Zone {
+        centre: block.centre(),
+        half: block.half(),
+        turn_rad: 0.0,
+        outline: Outline::Rounded(3.0),
+        class: Class::Ground,
+        material: Material::Concrete(crate::materials::grey(0.40)),
+        seed: planner.next_seed() as u32,
+    };
+    let slabs = palette::paving(planner);
+    let pavement = Zone {
+        half: block.half().map(|h| h - 0.3),
+        material: slabs,
+        seed: planner.next_seed() as u32,
+        ..kerb
+    };
+    planner.zones.extend([kerb, pavement]);
+    kerb
+}
+
+fn street_trees(planner: &mut Planner, block: &Block) {
+    let plot = Plot::inside(block, 1.1);
+    let kind = planner.pick(&[TreeKind::Broadleaf, TreeKind::Broadleaf, TreeKind::Evergreen]);
+    for side in [-1.0, 1.0] {
+        for (axis, chance) in [(0, 0.75), (1, 0.6)] {
+            if !planner.chance(chance) {
+                continue;
+            }
+            let spacing_m = planner.range(8.5, 13.0);
+            let radius_m = planner.range(1.9, 3.1);
+            let reach = plot.half[axis] - 4.0;
+            let mut place = -reach;
+            while place < reach {
+                let mut at = [place; 2];
+                at[1 - axis] = side * plot.half[1 - axis];
+                if planner.chance(0.85) {
+                    let grown = radius_m * planner.range(0.85, 1.15);
+                    planner.plant(&plot, at, grown, kind);
+                }
+                place += spacing_m;
+            }
+        }
+    }
+}
+
+/// Bays along the kerbs of streets wide enough for them.
+fn parked_cars(planner: &mut Planner, street: &Street) {
+    if street.half_width < 4.4 {
+        return;
+    }
+    let mut half = [street.half_length, street.half_width];
+    if !street.along_u {
+        half.swap(0, 1);
+    }
+    let carriageway = Block {
+        low: [street.centre[0] - half[0], street.centre[1] - half[1]],
+        high: [street.centre[0] + half[0], street.centre[1] + half[1]],
+    };
+    let plot = Plot::inside(&carriageway, 0.0);
+    for side in [-1.0, 1.0] {
+        let mut a = 9.0 - street.half_length;
+        while a < street.half_length - 9.0 {
+            if planner.chance(0.6) {
+                planner.park(&plot, [a, side * (street.half_width - 1.1)], false);
+            }
+            a += 6.0;
+        }
+    }
+    // Traffic.
+    let mut a = 12.0 - street.half_length;
+    while a < street.half_length - 12.0 {
+        let side = planner.pick(&[-1.0, 1.0]);
+        let lane = 0.25 * street.half_width + 0.3;
+        planner.park(&plot, [a, side * lane], false);
+        a += planner.range(22.0, 60.0);
+    }
+}

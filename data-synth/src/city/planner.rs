@@ -1,0 +1,256 @@
+//! The drawing board: one block at a time, in its own two axes, with a record of what stands where.
+
+use super::building::{Building, Roof};
+use super::ground::{Outline, Pond, Zone};
+use super::palette;
+use super::streets::{Bend, Block};
+use crate::cars::CarSlot;
+use crate::materials::{Class, Material};
+use crate::noise::{hash2, stream};
+use crate::solid::Footprint;
+use crate::terrain::Relief;
+use crate::vegetation::{Hedge, Tree, TreeKind};
+use rand::RngExt;
+use rand_pcg::Pcg64Mcg;
+
+/// Everything that has been put into the city so far.
+pub(crate) struct Planner {
+    pub(crate) bend: Bend,
+    pub(crate) relief: Relief,
+    pub(crate) random: Pcg64Mcg,
+    pub(crate) zones: Vec<Zone>,
+    pub(crate) buildings: Vec<Building>,
+    pub(crate) trees: Vec<Tree>,
+    pub(crate) hedges: Vec<Hedge>,
+    pub(crate) car_slots: Vec<CarSlot>,
+    pub(crate) ponds: Vec<Pond>,
+    /// Trees that are wanted: place in city coordinates, crown radius, kind.
+    wishes: Vec<([f64; 2], f64, TreeKind)>,
+    seed: u64,
+}
+
+/// A block's interior on its own axes: `a` along its longer side, `b` across, metres from the centre.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Plot {
+    pub(crate) centre: [f64; 2],
+    /// Half length and half width, metres.
+    pub(crate) half: [f64; 2],
+    /// Whether `a` runs along u.
+    along_u: bool,
+}
+
+impl Plot {
+    /// The inside of a block, `margin_m` from its edge.
+    pub(crate) fn inside(block: &Block, margin_m: f64) -> Self {
+        let half = block.half().map(|h| h - margin_m);
+        let along_u = half[0] >= half[1];
+        Self {
+            centre: block.centre(),
+            half: if along_u { half } else { [half[1], half[0]] },
+            along_u,
+        }
+    }
+
+    /// City coordinates of (a, b).
+    pub(crate) fn uv(&self, a: f64, b: f64) -> [f64; 2] {
+        let [u, v] = self.centre;
+        if self.along_u { [u + a, v + b] } else { [u - b, v + a] }
+    }
+
+    /// On which side along the length the origin of the city lies: -1 or 1.
+    pub(crate) fn towards_centre(&self) -> f64 {
+        let [u, v] = self.centre;
+        if (if self.along_u { u } else { v }) > 0.0 { -1.0 } else { 1.0 }
+    }
+
+    fn turn_rad(&self) -> f64 {
+        if self.along_u { 0.0 } else { std::f64::consts::FRAC_PI_2 }
+    }
+}
+
+/// A building before it has a place.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Design {
+    pub(crate) half: [f64; 2],
+    pub(crate) eaves_m: f64,
+    pub(crate) roof: Roof,
+    pub(crate) wall: Material,
+    pub(crate) cover: Material,
+}
+
+impl Planner {
+    pub(crate) fn new(seed: u64, bend: Bend, relief: Relief) -> Self {
+        Self {
+            bend,
+            relief,
+            random: stream(seed, 0x91A),
+            zones: Vec::new(),
+            buildings: Vec::new(),
+            trees: Vec::new(),
+            hedges: Vec::new(),
+            car_slots: Vec::new(),
+            ponds: Vec::new(),
+            wishes: Vec::new(),
+            seed,
+        }
+    }
+
+    /// A fresh seed for the next thing.
+    pub(crate) fn next_seed(&mut self) -> u64 {
+        hash2(self.seed, self.random.random())
+    }
+
+    pub(crate) fn range(&mut self, low: f64, high: f64) -> f64 {
+        self.random.random_range(low..high)
+    }
+
+    pub(crate) fn chance(&mut self, probability: f64) -> bool {
+        self.random.random_bool(probability)
+    }
+
+    pub(crate) fn pick<T: Copy>(&mut self, options: &[T]) -> T {
+        options[self.random.random_range(0..options.len())]
+    }
+
+    /// Covers a rectangle of a plot.
+    pub(crate) fn cover(&mut self, plot: &Plot, at: [f64; 2], half: [f64; 2], class: Class, material: Material) {
+        let seed = self.next_seed() as u32;
+        self.zones.push(Zone {
+            centre: plot.uv(at[0], at[1]),
+            half,
+            turn_rad: plot.turn_rad(),
+            outline: Outline::Rounded(0.0),
+            class,
+            material,
+            seed,
+        });
+    }
+
+    /// A footprint on a plot, turned as the plot is.
+    pub(crate) fn footprint(&self, plot: &Plot, at: [f64; 2], half: [f64; 2]) -> Footprint {
+        let [u, v] = plot.uv(at[0], at[1]);
+        let [x, y] = self.bend.xy_from_uv(u, v);
+        Footprint {
+            x,
+            y,
+            angle_rad: self.bend.direction_rad(u, v) + plot.turn_rad(),
+            half,
+        }
+    }
+
+    /// Puts up a building and returns its plan. The floor is level with the highest ground around it.
+    pub(crate) fn erect(&mut self, plot: &Plot, at: [f64; 2], design: Design) -> Footprint {
+        let plan = self.footprint(plot, at, design.half);
+        let corners = plan.corners(0.0);
+        let ground = (corners.iter()).map(|c| self.relief.height_m(c.x, c.y)).fold(f64::NEG_INFINITY, f64::max);
+        let seed = self.next_seed();
+        self.buildings.push(Building {
+            footprint: plan,
+            floor_z: ground + 0.15,
+            eaves_m: design.eaves_m,
+            roof: design.roof,
+            wall: design.wall,
+            cover: design.cover,
+            seed,
+        });
+        plan
+    }
+
+    /// A number in [0, 1).
+    pub(crate) fn share(&mut self) -> f64 {
+        self.random.random()
+    }
+
+    /// Wants a tree at a place of a plot. It grows when [`Self::grow`] is called, if nothing is in its way by then.
+    pub(crate) fn plant(&mut self, plot: &Plot, at: [f64; 2], radius_m: f64, kind: TreeKind) {
+        self.wishes.push((plot.uv(at[0], at[1]), radius_m, kind));
+    }
+
+    /// Grows the trees that were wanted, except where a wall, another tree or water is in the way.
+    pub(crate) fn grow(&mut self) {
+        for (uv, radius_m, kind) in std::mem::take(&mut self.wishes) {
+            self.grow_one(uv, radius_m, kind);
+        }
+    }
+
+    fn grow_one(&mut self, uv: [f64; 2], radius_m: f64, kind: TreeKind) {
+        let [x, y] = self.bend.xy_from_uv(uv[0], uv[1]);
+        let near_wall = (self.buildings.iter()).any(|b| b.footprint.distance_m(x, y) < 0.7 * radius_m + 0.4);
+        let near_tree = (self.trees.iter()).any(|t| (t.x - x).hypot(t.y - y) < 0.62 * (t.radius_m + radius_m));
+        let near_water = (self.ponds.iter()).any(|p| p.zone.distance_m(uv) < 0.6 * radius_m + 0.5);
+        if near_wall || near_tree || near_water {
+            return;
+        }
+        let seed = self.next_seed();
+        let slender = match kind {
+            TreeKind::Conifer => self.range(2.6, 3.6),
+            _ => self.range(1.9, 2.6),
+        };
+        let height_m = (slender * radius_m + self.range(0.5, 2.5)).min(16.0);
+        let leaf = palette::leaf(self, kind);
+        self.trees.push(Tree {
+            x,
+            y,
+            radius_m,
+            height_m,
+            kind,
+            leaf,
+            seed,
+        });
+    }
+
+    /// A tree of any common kind.
+    pub(crate) fn any_tree(&mut self) -> TreeKind {
+        match self.random.random_range(0..10) {
+            0..7 => TreeKind::Broadleaf,
+            7..9 => TreeKind::Evergreen,
+            _ => TreeKind::Conifer,
+        }
+    }
+
+    /// A bay a car may stand in, pointing along the plot's length or across it.
+    pub(crate) fn park(&mut self, plot: &Plot, at: [f64; 2], across: bool) {
+        let plan = self.footprint(plot, at, [2.5, 1.1]);
+        let seed = self.next_seed();
+        self.car_slots.push(CarSlot {
+            x: plan.x,
+            y: plan.y,
+            angle_rad: plan.angle_rad + if across { std::f64::consts::FRAC_PI_2 } else { 0.0 },
+            seed,
+        });
+    }
+
+    /// A hedge between two points of a plot.
+    pub(crate) fn hedge(&mut self, plot: &Plot, from: [f64; 2], to: [f64; 2]) {
+        let ends = [from, to].map(|[a, b]| {
+            let [u, v] = plot.uv(a, b);
+            self.bend.xy_from_uv(u, v)
+        });
+        let seed = self.next_seed();
+        let height_m = self.range(1.2, 2.0);
+        self.hedges.push(Hedge { ends, height_m, seed });
+    }
+
+    /// A pond as an ellipse with a wavering shore, level with the lowest ground at its rim.
+    pub(crate) fn pond(&mut self, plot: &Plot, at: [f64; 2], half: [f64; 2]) {
+        let seed = self.next_seed() as u32;
+        let zone = Zone {
+            centre: plot.uv(at[0], at[1]),
+            half,
+            turn_rad: plot.turn_rad(),
+            outline: Outline::Blob,
+            class: Class::Water,
+            material: Material::Water,
+            seed,
+        };
+        let rim = |k: u32| {
+            let angle = f64::from(k) * 0.4;
+            let [u, v] = plot.uv(at[0] + 1.2 * half[0] * angle.cos(), at[1] + 1.2 * half[1] * angle.sin());
+            let [x, y] = self.bend.xy_from_uv(u, v);
+            self.relief.height_m(x, y)
+        };
+        let level_m = (0..16).map(rim).fold(f64::INFINITY, f64::min) - 0.5;
+        self.ponds.push(Pond { zone, level_m });
+        self.zones.push(zone);
+    }
+}

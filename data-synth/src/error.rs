@@ -1,0 +1,35 @@
+//! What can go wrong while a scene is made.
+
+use std::path::PathBuf;
+
+/// Why a scene could not be made.
+#[derive(Debug, thiserror::Error)]
+pub enum SynthError {
+    /// A request that cannot be met.
+    #[error("cannot make this scene: {0}")]
+    BadRequest(String),
+    /// A file or folder that cannot be written.
+    #[error("cannot write {path}: {source}; check the folder's permissions and the space left on the disk")]
+    Write {
+        /// The file or folder.
+        path: PathBuf,
+        /// What the system said.
+        source: std::io::Error,
+    },
+    /// A TIFF that cannot be encoded.
+    #[error("cannot write {path} as TIFF: {source}")]
+    Tiff {
+        /// The file.
+        path: PathBuf,
+        /// What the encoder said.
+        source: tiff::TiffError,
+    },
+    /// The synthetic sensor's rational camera cannot be fitted.
+    #[error("no rational camera fits the sensor of {image}: {source}")]
+    Camera {
+        /// Name of the image.
+        image: String,
+        /// What the fit said.
+        source: heliosplat_rpc::RpcError,
+    },
+}

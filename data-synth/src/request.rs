@@ -1,0 +1,183 @@
+//! What a caller asks for.
+
+use crate::SynthError;
+use serde::{Deserialize, Serialize};
+
+/// The size and make-up of a site.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Site {
+    /// 48 m x 48 m: a street corner, for tests.
+    Tiny,
+    /// 128 m x 128 m: a few city blocks.
+    Block,
+    /// 256 m x 256 m: a neighbourhood.
+    City,
+}
+
+impl Site {
+    /// Side of the square for which there is truth, metres.
+    pub fn extent_m(self) -> f64 {
+        match self {
+            Site::Tiny => 48.0,
+            Site::Block => 128.0,
+            Site::City => 256.0,
+        }
+    }
+
+    /// Views made unless the request says otherwise.
+    pub fn default_views(self) -> usize {
+        match self {
+            Site::Tiny => 8,
+            Site::Block => 12,
+            Site::City => 16,
+        }
+    }
+
+    /// Acquisition dates unless the request says otherwise.
+    pub fn default_dates(self) -> usize {
+        match self {
+            Site::Tiny => 5,
+            Site::Block => 7,
+            Site::City => 9,
+        }
+    }
+
+    /// Lower-case name, the stem of the image names.
+    pub fn name(self) -> &'static str {
+        match self {
+            Site::Tiny => "tiny",
+            Site::Block => "block",
+            Site::City => "city",
+        }
+    }
+}
+
+/// Which bands the images have.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum BandSet {
+    /// One panchromatic band.
+    Pan,
+    /// Red, green, blue.
+    Rgb,
+    /// Red, green, blue, near infrared.
+    RgbNir,
+}
+
+impl BandSet {
+    /// Names of the bands, in file order.
+    pub fn names(self) -> &'static [&'static str] {
+        match self {
+            BandSet::Pan => &["Panchromatic"],
+            BandSet::Rgb => &["Red", "Green", "Blue"],
+            BandSet::RgbNir => &["Red", "Green", "Blue", "NIR"],
+        }
+    }
+}
+
+/// A satellite scene to be made.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct SatelliteRequest {
+    /// Size and make-up of the site.
+    pub site: Site,
+    /// Everything random follows from it: place, city, dates, sensors, noise.
+    pub seed: u64,
+    /// Images; the site's own number if absent.
+    pub views: Option<usize>,
+    /// Acquisition dates, at most one per view; the site's own number if absent.
+    pub dates: Option<usize>,
+    /// Ground sampling distance, metres; 0.5 if absent. Also the resolution of the truth rasters.
+    pub gsd_m: Option<f64>,
+    /// Width and height of every image, pixels; if absent, what covers the site at all its altitudes.
+    pub size_px: Option<usize>,
+    /// Bands of the images.
+    pub bands: BandSet,
+    /// 16: linear counts of 11 bits, as vendors deliver them. 8: display images, sRGB transfer curve.
+    pub bits: u8,
+    /// Root mean square length of the constant (column, row) error put into the RPC of each image, pixels.
+    pub pointing_bias_px: f64,
+    /// Sensor noise relative to a good sensor's (1 = signal-to-noise about 100 at middle grey, 0 = none).
+    pub noise: f64,
+}
+
+impl Default for SatelliteRequest {
+    fn default() -> Self {
+        Self {
+            site: Site::Block,
+            seed: 1,
+            views: None,
+            dates: None,
+            gsd_m: None,
+            size_px: None,
+            bands: BandSet::RgbNir,
+            bits: 16,
+            pointing_bias_px: 0.0,
+            noise: 1.0,
+        }
+    }
+}
+
+impl SatelliteRequest {
+    /// Ground sampling distance, metres.
+    pub fn gsd(&self) -> f64 {
+        self.gsd_m.unwrap_or(0.5)
+    }
+
+    /// Number of images.
+    pub fn view_count(&self) -> usize {
+        self.views.unwrap_or(self.site.default_views())
+    }
+
+    /// Number of acquisition dates.
+    pub fn date_count(&self) -> usize {
+        self.dates
+            .unwrap_or(self.site.default_dates())
+            .min(self.view_count())
+    }
+
+    /// Images held out for testing: none below 4 views, one below 8, else two.
+    pub fn test_count(&self) -> usize {
+        match self.view_count() {
+            0..4 => 0,
+            4..8 => 1,
+            _ => 2,
+        }
+    }
+
+    /// Says what is wrong with the request, if anything is.
+    ///
+    /// # Errors
+    /// [`SynthError::BadRequest`] naming the first field that cannot be met and the values it may have.
+    pub fn check(&self) -> Result<(), SynthError> {
+        let bad = |text: String| Err(SynthError::BadRequest(text));
+        if !(1..=500).contains(&self.view_count()) {
+            return bad(format!("{} views; ask for 1 to 500", self.view_count()));
+        }
+        if self.dates == Some(0) {
+            return bad("0 dates; ask for at least 1".into());
+        }
+        if !(0.1..=4.0).contains(&self.gsd()) {
+            return bad(format!("a sampling distance of {} m; ask for 0.1 to 4 m", self.gsd()));
+        }
+        if let Some(size) = self.size_px
+            && !(16..=8192).contains(&size)
+        {
+            return bad(format!("images of {size} px; ask for 16 to 8192"));
+        }
+        if self.size_px.is_some_and(|size| size as f64 * self.gsd() > 2000.0) {
+            return bad("images wider than 2 km; lower the size or the sampling distance".into());
+        }
+        if self.bits != 8 && self.bits != 16 {
+            return bad(format!("{} bits per sample; ask for 8 or 16", self.bits));
+        }
+        if !(0.0..=100.0).contains(&self.pointing_bias_px) {
+            return bad(format!("a pointing bias of {} px; ask for 0 to 100", self.pointing_bias_px));
+        }
+        if !(0.0..=100.0).contains(&self.noise) {
+            return bad(format!("noise {}; ask for 0 to 100", self.noise));
+        }
+        Ok(())
+    }
+}

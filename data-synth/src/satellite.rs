@@ -1,0 +1,384 @@
+//! A satellite scene from a request: city, dates, images, truth, files.
+
+use crate::SynthError;
+use crate::city::{City, CityPlan};
+use crate::materials::Class;
+use crate::plan::{Collection, ViewPlan};
+use crate::radiometry::{Encoding, Light, LitScene, MEAN_GAIN};
+use crate::raytrace::Tracer;
+use crate::render::{Crop, Exposure, Image, render};
+use crate::request::{SatelliteRequest, Site};
+use crate::sensor::PushBroom;
+use crate::truth::{Truth, TruthGrid, survey};
+use crate::write::geotiff::{Raster, Samples, write};
+use crate::write::metadata::{image_items, loose_altitudes_m, satnerf_json};
+use crate::write::Staging;
+use heliosplat_rpc::fit::RpcFit;
+use heliosplat_rpc::{GeoPoint, LocalFrame, Rpc};
+use serde::{Deserialize, Serialize};
+use std::path::Path;
+
+/// Pixels that every image shows beyond the site on all sides, at all its altitudes.
+const MARGIN_PX: f64 = 12.0;
+/// How far the city goes on beyond what any image shows, so that shadows fall into the images, metres.
+const SURROUNDINGS_M: f64 = 50.0;
+/// Altitudes above and below the site's centre that images are made to cover, metres.
+const COVERED_ALTITUDES_M: [f64; 2] = [-8.0, 38.0];
+/// NaN would do, but not every tool reads it.
+const NODATA: &str = "-9999";
+
+/// What was made.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Summary {
+    /// The request, as it was met.
+    pub request: SatelliteRequest,
+    /// Centre of the site.
+    pub origin: GeoPoint,
+    /// Grid of the truth rasters.
+    pub grid: TruthGrid,
+    /// Lowest and highest altitude of the truth DSM, metres above the ellipsoid.
+    pub altitude_range_m: [f64; 2],
+    /// Share of the truth's cells in each class, by name.
+    pub class_share: std::collections::BTreeMap<String, f64>,
+    /// The images in order of time.
+    pub images: Vec<ImageSummary>,
+}
+
+/// What was made of one image.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct ImageSummary {
+    /// File name without extension.
+    pub name: String,
+    /// Acquisition time, UTC.
+    pub time: jiff::Timestamp,
+    /// Which of the dates.
+    pub date: usize,
+    /// Whether it is listed in `test.txt`.
+    pub held_out: bool,
+    /// Columns and rows.
+    pub size_px: [usize; 2],
+    /// Ground sampling distance, metres.
+    pub gsd_m: f64,
+    /// Angle of the sun clockwise from north, degrees.
+    pub sun_azimuth_deg: f64,
+    /// Angle of the sun above the horizon, degrees.
+    pub sun_elevation_deg: f64,
+    /// Direction in which the satellite stands, clockwise from north, degrees.
+    pub satellite_azimuth_deg: f64,
+    /// Angle at the satellite between nadir and line of sight, degrees.
+    pub off_nadir_deg: f64,
+    /// Root mean square residual of the fitted RPC over the vendor's full scene, pixels.
+    pub rpc_rms_px: f64,
+    /// Largest residual, pixels.
+    pub rpc_max_px: f64,
+    /// (column, row) error put into the RPC, pixels.
+    pub pointing_bias_px: [f64; 2],
+    /// Share of the image in shadow.
+    pub shadow_share: f64,
+}
+
+/// One image's camera: the sensor, the part of it that is the image, and the RPC to be delivered.
+struct Camera {
+    sensor: PushBroom,
+    crop: Crop,
+    fit: RpcFit,
+    /// Of the crop, with the pointing bias.
+    rpc: Rpc,
+}
+
+/// Makes a satellite scene in `out_dir`: images with RPC, sun and date as a vendor would deliver them, Sat-NeRF style
+/// metadata beside them, `train.txt` and `test.txt`, and `truth/` (DSM, classes, shadow masks, albedo).
+///
+/// `progress` is told how much of how much is done, from the calling thread. The same request gives the same bytes,
+/// for any number of threads.
+///
+/// # Errors
+/// [`SynthError::BadRequest`] for a request that cannot be met, [`SynthError::Write`] or [`SynthError::Tiff`] when a
+/// file cannot be written; `out_dir` then holds nothing new.
+pub fn write_satellite(
+    request: &SatelliteRequest,
+    out_dir: &Path,
+    progress: &dyn Fn(usize, usize),
+) -> Result<Summary, SynthError> {
+    request.check()?;
+    let staging = Staging::new(out_dir)?;
+    let collection = Collection::new(request);
+    let frame = LocalFrame::new(collection.origin);
+    let grid = TruthGrid::around(collection.origin, request.site.extent_m(), request.gsd());
+    let cameras = (collection.views.iter())
+        .map(|view| camera(request, &frame, &grid, view))
+        .collect::<Result<Vec<_>, _>>()?;
+    let city = City::new(request.seed, city_plan(request, &cameras));
+    let truth = survey_city(request, &city, &frame, &grid);
+    write_truth(&staging, request, &grid, &truth)?;
+    let altitudes_m = loose_altitudes_m(truth.altitude_range_m(), request.seed);
+    let total: usize = cameras.iter().map(|camera| camera.crop.height).sum();
+    let mut done = 0;
+    let mut images: Vec<Option<ImageSummary>> = vec![None; cameras.len()];
+    for date in 0..collection.dates.len() {
+        let plan = &collection.dates[date];
+        let solids = city.solids_with_cars(date as u64, plan.car_occupancy);
+        let tracer = Tracer::new(&city.terrain, solids.primitives);
+        let scene = LitScene {
+            tracer: &tracer,
+            surfaces: &solids.surfaces,
+            ground: &city.ground,
+        };
+        for (index, view) in collection.views.iter().enumerate().filter(|(_, view)| view.date == date) {
+            let camera = &cameras[index];
+            let light = Light::new(&view.sun, plan.weather, plan.season, view.geometry.off_nadir_rad);
+            let exposure = Exposure {
+                sensor: &camera.sensor,
+                crop: camera.crop,
+                light: &light,
+                bands: request.bands,
+                encoding: Encoding {
+                    gain: MEAN_GAIN * plan.weather.exposure,
+                    noise: request.noise,
+                    bits: request.bits,
+                },
+                seed: view.geometry.seed,
+            };
+            let image = render(&scene, &exposure, &mut |rows| {
+                done += rows;
+                progress(done, total);
+            });
+            write_image(&staging, request, view, camera, &image, altitudes_m)?;
+            images[index] = Some(image_summary(view, camera, &image));
+        }
+    }
+    let summary = Summary {
+        request: request.clone(),
+        origin: collection.origin,
+        grid,
+        altitude_range_m: truth.altitude_range_m(),
+        class_share: class_share(&truth),
+        images: images.into_iter().flatten().collect(),
+    };
+    write_lists(&staging, &summary)?;
+    staging.finish()?;
+    Ok(summary)
+}
+
+/// The sensor of a view, the crop that covers the site at all altitudes, and the RPC a vendor would deliver with it.
+fn camera(
+    request: &SatelliteRequest,
+    frame: &LocalFrame,
+    grid: &TruthGrid,
+    view: &ViewPlan,
+) -> Result<Camera, SynthError> {
+    let sensor = PushBroom::new(frame, &view.geometry, view.aim_px);
+    let crop = crop_of(request, frame, grid, &sensor);
+    let fit = sensor.fit_rational_camera(frame).map_err(|source| SynthError::Camera {
+        image: view.name.clone(),
+        source,
+    })?;
+    let mut rpc = fit.rpc.cropped(crop.col0, crop.row0);
+    rpc.sample_offset += view.pointing_bias_px[0];
+    rpc.line_offset += view.pointing_bias_px[1];
+    Ok(Camera { sensor, crop, fit, rpc })
+}
+
+fn crop_of(request: &SatelliteRequest, frame: &LocalFrame, grid: &TruthGrid, sensor: &PushBroom) -> Crop {
+    let side = grid.size as f64;
+    let (mut low, mut high) = ([f64::INFINITY; 2], [f64::NEG_INFINITY; 2]);
+    for [col, row] in [[0.0, 0.0], [side, 0.0], [0.0, side], [side, side]] {
+        for altitude_m in COVERED_ALTITUDES_M {
+            let [lon_deg, lat_deg] = grid.lon_lat(col, row);
+            let height_m = frame.origin.height_m + altitude_m;
+            let pixel = sensor.project(frame.enu_from_geo(GeoPoint { lon_deg, lat_deg, height_m }));
+            for k in 0..2 {
+                low[k] = low[k].min(pixel[k]);
+                high[k] = high[k].max(pixel[k]);
+            }
+        }
+    }
+    match request.size_px {
+        Some(size) => {
+            let first = [0, 1].map(|k| (0.5 * (low[k] + high[k]) - 0.5 * (size as f64 - 1.0)).round());
+            Crop { col0: first[0], row0: first[1], width: size, height: size }
+        }
+        None => {
+            let first = low.map(|v| (v - MARGIN_PX).floor());
+            let last = high.map(|v| (v + MARGIN_PX).ceil());
+            Crop {
+                col0: first[0],
+                row0: first[1],
+                width: (last[0] - first[0]) as usize + 1,
+                height: (last[1] - first[1]) as usize + 1,
+            }
+        }
+    }
+}
+
+/// A city that fills every image and stands around it.
+fn city_plan(request: &SatelliteRequest, cameras: &[Camera]) -> CityPlan {
+    let mut reach_m = 0.5 * request.site.extent_m();
+    for Camera { sensor, crop, .. } in cameras {
+        for (col, row) in [(0, 0), (crop.width, 0), (0, crop.height), (crop.width, crop.height)] {
+            let ray = sensor.ray(&sensor.at_line(crop.row0 + row as f64), crop.col0 + col as f64);
+            let ground = ray.at((COVERED_ALTITUDES_M[0] - ray.origin.z) / ray.direction.z);
+            reach_m = reach_m.max(ground.x.abs()).max(ground.y.abs());
+        }
+    }
+    CityPlan {
+        half_extent_m: reach_m + SURROUNDINGS_M,
+        longest_block_m: if request.site == Site::Tiny { 54.0 } else { 92.0 },
+    }
+}
+
+fn survey_city(request: &SatelliteRequest, city: &City, frame: &LocalFrame, grid: &TruthGrid) -> Truth {
+    let solids = city.solids();
+    let tracer = Tracer::new(&city.terrain, solids.primitives);
+    let scene = LitScene {
+        tracer: &tracer,
+        surfaces: &solids.surfaces,
+        ground: &city.ground,
+    };
+    survey(&scene, frame, grid, request.bands)
+}
+
+fn write_truth(
+    staging: &Staging,
+    request: &SatelliteRequest,
+    grid: &TruthGrid,
+    truth: &Truth,
+) -> Result<(), SynthError> {
+    let about = |text: &str| ("DESCRIPTION".to_string(), text.to_string());
+    let datum = ("VERTICAL_DATUM".to_string(), "WGS84 ellipsoid, metres".to_string());
+    let write_grid = |name: &str, samples: Samples, bands: &[&str], items: &[(String, String)], nodata| {
+        let raster = Raster {
+            width: grid.size,
+            height: grid.size,
+            samples,
+            bands,
+            items,
+            rpc: None,
+            grid: Some(grid),
+            nodata,
+        };
+        write(&staging.path(name)?, &raster)
+    };
+    let dsm = [about("highest surface at the centre of each cell, without cars"), datum];
+    write_grid("truth/dsm.tif", Samples::F32(&truth.altitude_m), &["altitude"], &dsm, Some(NODATA))?;
+    let classes: Vec<_> = (Class::NAMES.iter())
+        .map(|(class, name)| ((*class as u8).to_string(), name.to_string()))
+        .collect();
+    write_grid("truth/classes.tif", Samples::U8(&truth.class), &["class"], &classes, None)?;
+    let albedo = [about("mean albedo of the highest surface in each cell, in the reference season, without cars")];
+    write_grid("truth/albedo.tif", Samples::F32(&truth.albedo), request.bands.names(), &albedo, None)?;
+    let [south_m, cell_m] = [grid.north_m - grid.size as f64 * grid.cell_m, grid.cell_m];
+    let text = format!("{}\n{}\n{}\n{}\n", grid.west_m, south_m, grid.size, cell_m);
+    staging.text("truth/dsm.txt", &text)
+}
+
+fn write_image(
+    staging: &Staging,
+    request: &SatelliteRequest,
+    view: &ViewPlan,
+    camera: &Camera,
+    image: &Image,
+    altitudes_m: [f64; 2],
+) -> Result<(), SynthError> {
+    let items = image_items(view, request.bits);
+    let bytes: Vec<u8>;
+    let samples = if request.bits == 8 {
+        bytes = image.counts.iter().map(|&count| count.min(255) as u8).collect();
+        Samples::U8(&bytes)
+    } else {
+        Samples::U16(&image.counts)
+    };
+    let raster = Raster {
+        width: image.width,
+        height: image.height,
+        samples,
+        bands: request.bands.names(),
+        items: &items,
+        rpc: Some(heliosplat_rpc::write::geotiff_tag(&camera.rpc)),
+        grid: None,
+        nodata: None,
+    };
+    write(&staging.path(&format!("{}.tif", view.name))?, &raster)?;
+    let what = "1 where the sun reaches less than half of the pixel: cast shadow, and surfaces that face away from it";
+    let shadow = Raster {
+        samples: Samples::U8(&image.shadow),
+        bands: &["shadow"],
+        items: &[("DESCRIPTION".to_string(), what.to_string())],
+        ..raster
+    };
+    write(&staging.path(&format!("truth/shadow_{}.tif", view.name))?, &shadow)?;
+    let json = satnerf_json(view, &camera.crop, &camera.rpc, altitudes_m).map_err(|source| SynthError::Camera {
+        image: view.name.clone(),
+        source,
+    })?;
+    staging.text(&format!("{}.json", view.name), &format!("{json:#}\n"))
+}
+
+fn write_lists(staging: &Staging, summary: &Summary) -> Result<(), SynthError> {
+    let list = |held_out: bool| -> String {
+        let names = summary.images.iter().filter(|image| image.held_out == held_out);
+        names.map(|image| format!("{}.json\n", image.name)).collect()
+    };
+    staging.text("train.txt", &list(false))?;
+    staging.text("test.txt", &list(true))?;
+    // A map with string keys and finite numbers cannot fail to serialise; an empty file would show it.
+    let text = serde_json::to_string_pretty(summary).unwrap_or_default();
+    staging.text("truth/summary.json", &(text + "\n"))
+}
+
+fn image_summary(view: &ViewPlan, camera: &Camera, image: &Image) -> ImageSummary {
+    let shadowed = image.shadow.iter().filter(|&&shadow| shadow == 1).count();
+    ImageSummary {
+        name: view.name.clone(),
+        time: view.time,
+        date: view.date,
+        held_out: view.held_out,
+        size_px: [image.width, image.height],
+        gsd_m: view.geometry.gsd_m,
+        sun_azimuth_deg: view.sun.azimuth_rad.to_degrees(),
+        sun_elevation_deg: view.sun.elevation_rad.to_degrees(),
+        satellite_azimuth_deg: view.geometry.azimuth_rad.to_degrees(),
+        off_nadir_deg: view.geometry.off_nadir_rad.to_degrees(),
+        rpc_rms_px: camera.fit.rms_px,
+        rpc_max_px: camera.fit.max_px,
+        pointing_bias_px: view.pointing_bias_px,
+        shadow_share: shadowed as f64 / image.shadow.len().max(1) as f64,
+    }
+}
+
+fn class_share(truth: &Truth) -> std::collections::BTreeMap<String, f64> {
+    let share = |class: Class| {
+        truth.class.iter().filter(|&&code| code == class as u8).count() as f64 / truth.class.len().max(1) as f64
+    };
+    let present = Class::NAMES.iter().map(|&(class, name)| (name.to_string(), share(class)));
+    present.filter(|(_, share)| *share > 0.0).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_site_has_the_make_up_of_a_city() {
+        let mut all = Vec::new();
+        for seed in 1..=6 {
+            let request = SatelliteRequest { seed, gsd_m: Some(1.0), ..Default::default() };
+            let collection = Collection::new(&request);
+            let frame = LocalFrame::new(collection.origin);
+            let grid = TruthGrid::around(collection.origin, 128.0, 1.0);
+            let plan = CityPlan { half_extent_m: 100.0, longest_block_m: 92.0 };
+            let truth = survey_city(&request, &City::new(seed, plan), &frame, &grid);
+            let [low_m, high_m] = truth.altitude_range_m();
+            let share = class_share(&truth);
+            println!("{seed}: {:.1} m {share:?}", high_m - low_m);
+            assert!((12.0..48.0).contains(&(high_m - low_m)), "{seed}: {}", high_m - low_m);
+            assert!(!share.contains_key("car"), "no cars in the truth");
+            all.push(share);
+        }
+        let mean = |name: &str| all.iter().filter_map(|share| share.get(name)).sum::<f64>() / all.len() as f64;
+        assert!((0.17..0.35).contains(&mean("building")), "{}", mean("building"));
+        assert!((0.10..0.18).contains(&mean("vegetation")), "{}", mean("vegetation"));
+        assert!((0.15..0.32).contains(&mean("road")), "{}", mean("road"));
+        assert!((0.003..0.05).contains(&mean("water")), "{}", mean("water"));
+    }
+}

@@ -1,0 +1,209 @@
+//! Puts surfaces and primitives together: the vocabulary in which buildings, trees and cars are described.
+
+use crate::materials::{Class, Material, Season, Spectrum, Spot};
+use crate::raytrace::{Ellipsoid, Primitives, SurfaceId, Triangle};
+use nalgebra::Vector3;
+
+/// A surface: what it is, what it is made of, and the coordinates its texture lives in.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Surface {
+    pub(crate) class: Class,
+    pub(crate) material: Material,
+    pub(crate) seed: u32,
+    pub(crate) origin: Vector3<f64>,
+    pub(crate) along_u: Vector3<f64>,
+    pub(crate) along_v: Vector3<f64>,
+}
+
+impl Surface {
+    /// Albedo at a point of the surface.
+    pub(crate) fn albedo(&self, point: Vector3<f64>, season: &Season) -> Spectrum {
+        let offset = point - self.origin;
+        let at = Spot {
+            u: offset.dot(&self.along_u),
+            v: offset.dot(&self.along_v),
+            seed: self.seed,
+        };
+        self.material.albedo(at, season)
+    }
+}
+
+/// Class, material and random number of a part; its texture frame is found from its shape.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Finish {
+    pub(crate) class: Class,
+    pub(crate) material: Material,
+    pub(crate) seed: u32,
+}
+
+/// A horizontal rectangle: centre, direction of its length in radians from east, half length and half width.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(crate) struct Footprint {
+    pub(crate) x: f64,
+    pub(crate) y: f64,
+    pub(crate) angle_rad: f64,
+    pub(crate) half: [f64; 2],
+}
+
+impl Footprint {
+    /// The point at `a` along the length and `b` along the width from the centre, metres.
+    pub(crate) fn at(&self, a: f64, b: f64) -> [f64; 2] {
+        let (sin, cos) = self.angle_rad.sin_cos();
+        [self.x + a * cos - b * sin, self.y + a * sin + b * cos]
+    }
+
+    /// (along the length, along the width) of a point, metres from the centre.
+    pub(crate) fn local(&self, x: f64, y: f64) -> [f64; 2] {
+        let (sin, cos) = self.angle_rad.sin_cos();
+        let (dx, dy) = (x - self.x, y - self.y);
+        [dx * cos + dy * sin, dy * cos - dx * sin]
+    }
+
+    /// Distance of a point outside the rectangle, negative inside, metres.
+    pub(crate) fn distance_m(&self, x: f64, y: f64) -> f64 {
+        let [a, b] = self.local(x, y);
+        let (da, db) = (a.abs() - self.half[0], b.abs() - self.half[1]);
+        da.max(0.0).hypot(db.max(0.0)) + da.max(db).min(0.0)
+    }
+
+    /// A rectangle of other size around a point given in this one's coordinates.
+    pub(crate) fn part(&self, a: f64, b: f64, half: [f64; 2]) -> Self {
+        let [x, y] = self.at(a, b);
+        Self { x, y, half, ..*self }
+    }
+
+    /// The four corners at an altitude, counter-clockwise from (-, -).
+    pub(crate) fn corners(&self, z: f64) -> [Vector3<f64>; 4] {
+        let [l, w] = self.half;
+        [(-l, -w), (l, -w), (l, w), (-l, w)].map(|(a, b)| {
+            let [x, y] = self.at(a, b);
+            Vector3::new(x, y, z)
+        })
+    }
+}
+
+/// Surfaces and the primitives that refer to them.
+#[derive(Debug, Clone, Default)]
+pub(crate) struct Solids {
+    pub(crate) surfaces: Vec<Surface>,
+    pub(crate) primitives: Primitives,
+}
+
+impl Solids {
+    /// A surface of its own for a flat polygon whose first edge is the texture's u axis.
+    fn flat_surface(&mut self, finish: Finish, origin: Vector3<f64>, edge: Vector3<f64>, normal: Vector3<f64>) -> SurfaceId {
+        let along_u = edge.normalize();
+        self.surfaces.push(Surface {
+            class: finish.class,
+            material: finish.material,
+            seed: finish.seed,
+            origin,
+            along_u,
+            along_v: normal.cross(&along_u),
+        });
+        (self.surfaces.len() - 1) as SurfaceId
+    }
+
+    /// A convex flat polygon, corners in order; the texture's u axis is its first edge, v points inwards.
+    pub(crate) fn polygon(&mut self, corners: &[Vector3<f64>], finish: Finish) {
+        let normal = (corners[1] - corners[0]).cross(&(corners[2] - corners[0])).normalize();
+        let surface = self.flat_surface(finish, corners[0], corners[1] - corners[0], normal);
+        for k in 1..corners.len() - 1 {
+            let triangle = Triangle::new([corners[0], corners[k], corners[k + 1]], surface);
+            self.primitives.triangles.push(triangle);
+        }
+    }
+
+    /// The four walls of a rectangle from one altitude to another.
+    pub(crate) fn walls(&mut self, footprint: &Footprint, from_z: f64, to_z: f64, finish: Finish) {
+        let (low, high) = (footprint.corners(from_z), footprint.corners(to_z));
+        for k in 0..4 {
+            let n = (k + 1) % 4;
+            self.polygon(&[low[k], low[n], high[n], high[k]], finish);
+        }
+    }
+
+    /// A box with a flat top.
+    pub(crate) fn block(&mut self, footprint: &Footprint, from_z: f64, to_z: f64, sides: Finish, top: Finish) {
+        self.walls(footprint, from_z, to_z, sides);
+        self.polygon(&footprint.corners(to_z), top);
+    }
+
+    /// An ellipsoid textured in plan, shifted with height so that its sides are textured too.
+    pub(crate) fn ellipsoid(&mut self, centre: Vector3<f64>, radii: Vector3<f64>, surface: SurfaceId) {
+        self.primitives.ellipsoids.push(Ellipsoid { centre, radii, surface });
+    }
+
+    /// A surface to be shared by many ellipsoids, textured along two slanted axes.
+    pub(crate) fn foliage_surface(&mut self, origin: Vector3<f64>, finish: Finish) -> SurfaceId {
+        self.surfaces.push(Surface {
+            class: finish.class,
+            material: finish.material,
+            seed: finish.seed,
+            origin,
+            along_u: Vector3::new(1.0, 0.0, 0.8),
+            along_v: Vector3::new(0.0, 1.0, -0.6),
+        });
+        (self.surfaces.len() - 1) as SurfaceId
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::materials::grey;
+    use crate::raytrace::{Ray, Tracer};
+    use crate::terrain::HeightField;
+
+    fn plain(class: Class) -> Finish {
+        Finish {
+            class,
+            material: Material::Plain(grey(0.3)),
+            seed: 0,
+        }
+    }
+
+    #[test]
+    fn a_box_has_its_top_where_its_corners_say_and_throws_a_shadow_of_h_over_tan_e() {
+        let ground = HeightField::sample(60.0, 1.0, |_, _| 0.0);
+        let footprint = Footprint { x: 3.0, y: -2.0, angle_rad: 0.4, half: [6.0, 4.0] };
+        let mut solids = Solids::default();
+        let height_m = 11.0;
+        solids.block(&footprint, -1.0, height_m, plain(Class::Building), plain(Class::Building));
+        let tracer = Tracer::new(&ground, solids.primitives);
+        let down = |x: f64, y: f64| {
+            let ray = Ray { origin: Vector3::new(x, y, 100.0), direction: -Vector3::z() };
+            tracer.trace(&ray).map(|hit| hit.point.z)
+        };
+        for k in 0..2000 {
+            let (x, y) = (f64::from(k % 50) * 0.531 - 10.0, f64::from(k / 50) * 0.517 - 12.0);
+            let distance_m = footprint.distance_m(x, y);
+            if distance_m.abs() > 1e-6 {
+                let expected = if distance_m < 0.0 { height_m } else { 0.0 };
+                let z = down(x, y).unwrap_or(f64::NAN);
+                assert!((z - expected).abs() < 1e-9, "({x}, {y}): {z}");
+            }
+        }
+        // Away from the sun, from the middle of the wall on the shadow's side.
+        let elevation = 35f64.to_radians();
+        let (sin, cos) = footprint.angle_rad.sin_cos();
+        let sun = Vector3::new(-cos * elevation.cos(), -sin * elevation.cos(), elevation.sin());
+        let reach_m = height_m / elevation.tan();
+        let lit = |beyond_m: f64| {
+            let [x, y] = footprint.at(footprint.half[0] + beyond_m, 0.0);
+            let ray = Ray { origin: Vector3::new(x, y, 1e-6), direction: sun };
+            !tracer.occluded(&ray, f64::INFINITY)
+        };
+        assert!(!lit(reach_m - 0.001) && lit(reach_m + 0.001) && !lit(0.01));
+    }
+
+    #[test]
+    fn the_texture_of_a_wall_runs_along_it_and_up() {
+        let mut solids = Solids::default();
+        let footprint = Footprint { x: 0.0, y: 0.0, angle_rad: 0.0, half: [5.0, 4.0] };
+        solids.walls(&footprint, 0.0, 9.0, plain(Class::Building));
+        let wall = solids.surfaces[0];
+        assert!((wall.along_u - Vector3::x()).norm() < 1e-12);
+        assert!((wall.along_v - Vector3::z()).norm() < 1e-12);
+    }
+}

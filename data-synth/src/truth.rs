@@ -1,0 +1,157 @@
+//! Truth on the ground: altitude, class and albedo, straight down the ellipsoid's normal through each cell's centre.
+
+use crate::materials::Season;
+use crate::radiometry::{LitScene, bands_of};
+use crate::raytrace::{Hit, Ray};
+use crate::request::BandSet;
+use crate::utm::UtmZone;
+use heliosplat_rpc::{GeoPoint, LocalFrame};
+use rayon::prelude::*;
+use serde::{Deserialize, Serialize};
+
+/// Albedo samples along each side of a cell.
+const FINE: usize = 3;
+
+/// A north-up grid of square cells in a UTM zone.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+pub struct TruthGrid {
+    /// The zone.
+    pub zone: UtmZone,
+    /// Easting of the upper-left cell's upper-left corner, metres.
+    pub west_m: f64,
+    /// Northing of the upper-left cell's upper-left corner, metres.
+    pub north_m: f64,
+    /// Side of a cell, metres.
+    pub cell_m: f64,
+    /// Cells along each side.
+    pub size: usize,
+}
+
+impl TruthGrid {
+    /// A square of `extent_m` around a place, its corners on multiples of the cell's side.
+    pub(crate) fn around(centre: GeoPoint, extent_m: f64, cell_m: f64) -> Self {
+        let zone = UtmZone::of(centre.lon_deg, centre.lat_deg);
+        let [east_m, north_m] = zone.project(centre.lon_deg, centre.lat_deg);
+        let size = (extent_m / cell_m).round().max(1.0) as usize;
+        let half_m = 0.5 * size as f64 * cell_m;
+        let snapped = |value: f64| (value / cell_m).round() * cell_m;
+        Self {
+            zone,
+            west_m: snapped(east_m - half_m),
+            north_m: snapped(north_m + half_m),
+            cell_m,
+            size,
+        }
+    }
+
+    /// Longitude and latitude of a place in cells: (0.5, 0.5) is the centre of the upper-left cell.
+    pub(crate) fn lon_lat(&self, col: f64, row: f64) -> [f64; 2] {
+        self.zone.unproject(self.west_m + col * self.cell_m, self.north_m - row * self.cell_m)
+    }
+}
+
+/// The truth rasters, row by row from the north-west.
+pub(crate) struct Truth {
+    /// Ellipsoidal altitude of the highest surface at each cell's centre, metres.
+    pub(crate) altitude_m: Vec<f32>,
+    /// LAS code of that surface.
+    pub(crate) class: Vec<u8>,
+    /// Mean albedo of each cell, bands interleaved.
+    pub(crate) albedo: Vec<f32>,
+}
+
+impl Truth {
+    /// Lowest and highest altitude, metres.
+    pub(crate) fn altitude_range_m(&self) -> [f64; 2] {
+        let fold = |start: f32, pick: fn(f32, f32) -> f32| f64::from(self.altitude_m.iter().copied().fold(start, pick));
+        [fold(f32::INFINITY, f32::min), fold(f32::NEG_INFINITY, f32::max)]
+    }
+}
+
+/// Looks straight down on every cell of the grid.
+pub(crate) fn survey(scene: &LitScene, frame: &LocalFrame, grid: &TruthGrid, bands: BandSet) -> Truth {
+    let rows: Vec<Truth> = (0..grid.size)
+        .into_par_iter()
+        .map(|row| survey_row(scene, frame, grid, bands, row))
+        .collect();
+    let mut truth = Truth {
+        altitude_m: Vec::new(),
+        class: Vec::new(),
+        albedo: Vec::new(),
+    };
+    for row in rows {
+        truth.altitude_m.extend(row.altitude_m);
+        truth.class.extend(row.class);
+        truth.albedo.extend(row.albedo);
+    }
+    truth
+}
+
+fn survey_row(scene: &LitScene, frame: &LocalFrame, grid: &TruthGrid, bands: BandSet, row: usize) -> Truth {
+    let band_count = bands.names().len();
+    let mut truth = Truth {
+        altitude_m: Vec::with_capacity(grid.size),
+        class: Vec::with_capacity(grid.size),
+        albedo: Vec::with_capacity(grid.size * band_count),
+    };
+    for col in 0..grid.size {
+        let centre = look_down(scene, frame, grid, [col as f64 + 0.5, row as f64 + 0.5]);
+        truth.altitude_m.push(centre.map_or(f32::NAN, |hit| frame.geo_from_enu(hit.point).height_m as f32));
+        truth.class.push(centre.map_or(0, |hit| scene.class(&hit) as u8));
+        let mut sum = [0f32; 4];
+        for k in 0..FINE * FINE {
+            let place = |index: usize, fine: usize| index as f64 + (fine as f64 + 0.5) / FINE as f64;
+            let at = [place(col, k % FINE), place(row, k / FINE)];
+            if let Some(hit) = look_down(scene, frame, grid, at) {
+                let (albedo, _) = bands_of(&scene.albedo(&hit, &Season::REFERENCE).1, bands);
+                for (total, value) in sum.iter_mut().zip(albedo) {
+                    *total += value / (FINE * FINE) as f32;
+                }
+            }
+        }
+        truth.albedo.extend_from_slice(&sum[..band_count]);
+    }
+    truth
+}
+
+/// The highest surface at a place of the grid (columns and rows of cells), along the ellipsoid's normal.
+pub(crate) fn look_down(scene: &LitScene, frame: &LocalFrame, grid: &TruthGrid, [col, row]: [f64; 2]) -> Option<Hit> {
+    let [lon_deg, lat_deg] = grid.lon_lat(col, row);
+    let at = |height_m: f64| {
+        frame.enu_from_geo(GeoPoint {
+            lon_deg,
+            lat_deg,
+            height_m: frame.origin.height_m + height_m,
+        })
+    };
+    let (top, bottom) = (at(scene.tracer.top_m() + 1.0), at(scene.tracer.bottom_m() - 1.0));
+    scene.tracer.trace(&Ray {
+        origin: top,
+        direction: (bottom - top).normalize(),
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn grid_is_snapped_and_centred_and_its_cells_are_areas() {
+        let centre = GeoPoint {
+            lon_deg: -3.70,
+            lat_deg: 40.42,
+            height_m: 700.0,
+        };
+        let grid = TruthGrid::around(centre, 48.0, 0.5);
+        assert_eq!(grid.size, 96);
+        assert_eq!((grid.west_m / 0.5).fract(), 0.0);
+        let [lon_deg, lat_deg] = grid.lon_lat(48.0, 48.0);
+        let [east, north] = grid.zone.project(lon_deg, lat_deg);
+        let [east_0, north_0] = grid.zone.project(centre.lon_deg, centre.lat_deg);
+        assert!((east - east_0).abs() <= 0.26 && (north - north_0).abs() <= 0.26);
+        // The first cell's centre lies half a cell inside its corner.
+        let [lon_deg, lat_deg] = grid.lon_lat(0.5, 0.5);
+        let [east, north] = grid.zone.project(lon_deg, lat_deg);
+        assert!((east - grid.west_m - 0.25).abs() < 1e-6 && (grid.north_m - north - 0.25).abs() < 1e-6);
+    }
+}

@@ -1,0 +1,204 @@
+//! GeoTIFF, written tag by tag: rational cameras, georeferencing, GDAL's metadata.
+
+use super::failed;
+use crate::SynthError;
+use crate::truth::TruthGrid;
+use std::fs::File;
+use std::io::BufWriter;
+use std::path::Path;
+use tiff::TiffResult;
+use tiff::encoder::{DirectoryEncoder, TiffEncoder, TiffKindStandard, TiffValue};
+use tiff::tags::Tag;
+
+/// RPCCoefficientTag.
+const RPC_TAG: u16 = 50_844;
+const MODEL_PIXEL_SCALE: u16 = 33_550;
+const MODEL_TIEPOINT: u16 = 33_922;
+const GEO_KEY_DIRECTORY: u16 = 34_735;
+const GDAL_METADATA: u16 = 42_112;
+const GDAL_NODATA: u16 = 42_113;
+/// Bytes of a strip, about.
+const STRIP_BYTES: usize = 1 << 16;
+
+/// Samples, bands interleaved by pixel.
+pub(crate) enum Samples<'a> {
+    U8(&'a [u8]),
+    U16(&'a [u16]),
+    F32(&'a [f32]),
+}
+
+/// A raster and everything its file says about it.
+pub(crate) struct Raster<'a> {
+    pub(crate) width: usize,
+    pub(crate) height: usize,
+    pub(crate) samples: Samples<'a>,
+    /// Name of each band.
+    pub(crate) bands: &'a [&'a str],
+    /// Items of GDAL's default metadata domain.
+    pub(crate) items: &'a [(String, String)],
+    /// The rational camera as the tag has it.
+    pub(crate) rpc: Option<[f64; 92]>,
+    pub(crate) grid: Option<&'a TruthGrid>,
+    pub(crate) nodata: Option<&'a str>,
+}
+
+impl Samples<'_> {
+    fn bits(&self) -> u16 {
+        match self {
+            Samples::U8(_) => 8,
+            Samples::U16(_) => 16,
+            Samples::F32(_) => 32,
+        }
+    }
+
+    /// TIFF's SampleFormat: unsigned integer or floating point.
+    fn format(&self) -> u16 {
+        if matches!(self, Samples::F32(_)) { 3 } else { 1 }
+    }
+}
+
+/// Writes a raster as a TIFF in strips.
+pub(crate) fn write(path: &Path, raster: &Raster) -> Result<(), SynthError> {
+    let file = File::create(path).map_err(failed(path))?;
+    let mut buffered = BufWriter::new(file);
+    let encoded = encode(&mut buffered, raster).map_err(|source| match source {
+        tiff::TiffError::IoError(source) => failed(path)(source),
+        source => SynthError::Tiff {
+            path: path.to_owned(),
+            source,
+        },
+    });
+    encoded?;
+    let file = buffered.into_inner().map_err(|error| failed(path)(error.into_error()))?;
+    file.sync_all().map_err(failed(path))
+}
+
+type Directory<'a, W> = DirectoryEncoder<'a, W, TiffKindStandard>;
+
+fn encode<W: std::io::Write + std::io::Seek>(writer: W, raster: &Raster) -> TiffResult<()> {
+    let mut encoder = TiffEncoder::new(writer)?;
+    let mut directory = encoder.image_directory()?;
+    match raster.samples {
+        Samples::U8(samples) => strips(&mut directory, raster, samples)?,
+        Samples::U16(samples) => strips(&mut directory, raster, samples)?,
+        Samples::F32(samples) => strips(&mut directory, raster, samples)?,
+    }
+    baseline_tags(&mut directory, raster)?;
+    if let Some(rpc) = &raster.rpc {
+        directory.write_tag(Tag::Unknown(RPC_TAG), &rpc[..])?;
+    }
+    if let Some(grid) = raster.grid {
+        grid_tags(&mut directory, grid)?;
+    }
+    directory.write_tag(Tag::Unknown(GDAL_METADATA), metadata_xml(raster).as_str())?;
+    if let Some(nodata) = raster.nodata {
+        directory.write_tag(Tag::Unknown(GDAL_NODATA), nodata)?;
+    }
+    directory.finish()
+}
+
+fn strips<W: std::io::Write + std::io::Seek, T>(
+    directory: &mut Directory<W>,
+    raster: &Raster,
+    samples: &[T],
+) -> TiffResult<()>
+where
+    [T]: TiffValue,
+{
+    let row = raster.width * raster.bands.len();
+    let rows = (STRIP_BYTES / (row * size_of::<T>())).clamp(1, raster.height);
+    let mut offsets = Vec::new();
+    let mut lengths = Vec::new();
+    for strip in samples.chunks(row * rows) {
+        offsets.push(u32::try_from(directory.write_data(strip)?)?);
+        lengths.push(u32::try_from(size_of_val(strip))?);
+    }
+    directory.write_tag(Tag::RowsPerStrip, u32::try_from(rows)?)?;
+    directory.write_tag(Tag::StripOffsets, &offsets[..])?;
+    directory.write_tag(Tag::StripByteCounts, &lengths[..])
+}
+
+fn baseline_tags<W: std::io::Write + std::io::Seek>(directory: &mut Directory<W>, raster: &Raster) -> TiffResult<()> {
+    const BLACK_IS_ZERO: u16 = 1;
+    const RGB: u16 = 2;
+    let bands = raster.bands.len();
+    let colour = raster.bands.first() == Some(&"Red") && bands >= 3;
+    directory.write_tag(Tag::ImageWidth, u32::try_from(raster.width)?)?;
+    directory.write_tag(Tag::ImageLength, u32::try_from(raster.height)?)?;
+    directory.write_tag(Tag::BitsPerSample, &vec![raster.samples.bits(); bands][..])?;
+    directory.write_tag(Tag::Compression, 1u16)?;
+    directory.write_tag(Tag::PhotometricInterpretation, if colour { RGB } else { BLACK_IS_ZERO })?;
+    directory.write_tag(Tag::SamplesPerPixel, u16::try_from(bands)?)?;
+    directory.write_tag(Tag::PlanarConfiguration, 1u16)?;
+    directory.write_tag(Tag::SampleFormat, &vec![raster.samples.format(); bands][..])?;
+    let extra = bands - if colour { 3 } else { 1 };
+    if extra > 0 {
+        // 0: unspecified, in particular not transparency.
+        directory.write_tag(Tag::ExtraSamples, &vec![0u16; extra][..])?;
+    }
+    Ok(())
+}
+
+fn grid_tags<W: std::io::Write + std::io::Seek>(directory: &mut Directory<W>, grid: &TruthGrid) -> TiffResult<()> {
+    let scale = [grid.cell_m, grid.cell_m, 0.0];
+    let tiepoint = [0.0, 0.0, 0.0, grid.west_m, grid.north_m, 0.0];
+    // Version 1.1.0 and three keys: a projected model, pixels that are areas, the zone's EPSG code.
+    let keys = [1u16, 1, 0, 3, 1024, 0, 1, 1, 1025, 0, 1, 1, 3072, 0, 1, grid.zone.epsg()];
+    directory.write_tag(Tag::Unknown(MODEL_PIXEL_SCALE), &scale[..])?;
+    directory.write_tag(Tag::Unknown(MODEL_TIEPOINT), &tiepoint[..])?;
+    directory.write_tag(Tag::Unknown(GEO_KEY_DIRECTORY), &keys[..])
+}
+
+/// GDAL's metadata tag: items of the default domain, and a description for each band.
+fn metadata_xml(raster: &Raster) -> String {
+    let mut xml = String::from("<GDALMetadata>\n");
+    for (name, value) in raster.items {
+        xml += &format!("  <Item name=\"{}\">{}</Item>\n", escaped(name), escaped(value));
+    }
+    for (index, name) in raster.bands.iter().enumerate() {
+        xml += &format!("  <Item name=\"DESCRIPTION\" sample=\"{index}\" role=\"description\">{}</Item>\n", escaped(name));
+    }
+    xml + "</GDALMetadata>\n"
+}
+
+fn escaped(text: &str) -> String {
+    text.replace('&', "&amp;").replace('<', "&lt;").replace('>', "&gt;").replace('"', "&quot;")
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use std::io::Cursor;
+    use tiff::decoder::{Decoder, DecodingResult};
+
+    #[test]
+    fn samples_and_tags_come_back() {
+        let counts: Vec<u16> = (0..4 * 30 * 20).collect();
+        let rpc: [f64; 92] = std::array::from_fn(|k| k as f64 * 1.1);
+        let items = [("A<B".to_string(), "1 & 2".to_string())];
+        let raster = Raster {
+            width: 30,
+            height: 20,
+            samples: Samples::U16(&counts),
+            bands: &["Red", "Green", "Blue", "NIR"],
+            items: &items,
+            rpc: Some(rpc),
+            grid: None,
+            nodata: None,
+        };
+        let mut bytes = Cursor::new(Vec::new());
+        encode(&mut bytes, &raster).expect("encoded");
+        bytes.set_position(0);
+        let mut decoder = Decoder::new(bytes).expect("a TIFF");
+        assert_eq!(decoder.dimensions().expect("size"), (30, 20));
+        assert_eq!(decoder.get_tag_f64_vec(Tag::Unknown(RPC_TAG)).expect("tag"), rpc);
+        assert_eq!(decoder.get_tag_u16_vec(Tag::ExtraSamples).expect("tag"), [0]);
+        let xml = decoder.get_tag_ascii_string(Tag::Unknown(GDAL_METADATA)).expect("tag");
+        assert!(xml.contains("<Item name=\"A&lt;B\">1 &amp; 2</Item>") && xml.contains(">NIR</Item>"));
+        match decoder.read_image().expect("samples") {
+            // The decoder leaves out samples that are neither colour nor transparency.
+            DecodingResult::U16(samples) => assert!(samples.iter().eq(counts.iter().filter(|&&count| count % 4 != 3))),
+            _ => panic!("not 16-bit samples"),
+        }
+    }
+}

@@ -1,0 +1,77 @@
+//! What vendors say about an image: acquisition time, sun, footprint, camera.
+
+use crate::plan::ViewPlan;
+use crate::render::Crop;
+use heliosplat_rpc::{GeoPoint, ImagePoint, Rpc, RpcError};
+use serde_json::{Value, json};
+
+/// Items for GDAL's default metadata domain.
+pub(crate) fn image_items(view: &ViewPlan, bits: u8) -> Vec<(String, String)> {
+    let time = view.time.strftime("%Y-%m-%dT%H:%M:%SZ").to_string();
+    let radiometry = if bits == 8 { "display, sRGB" } else { "linear counts, 11 bits" };
+    [
+        ("ACQUISITIONDATETIME", time),
+        ("NITF_USE00A_SUN_AZ", format!("{:.1}", view.sun.azimuth_rad.to_degrees())),
+        ("NITF_USE00A_SUN_EL", format!("{:.1}", view.sun.elevation_rad.to_degrees())),
+        ("SATELLITEID", "HELIOSPLAT-SYNTH".to_string()),
+        ("CLOUDCOVER", "0".to_string()),
+        ("RADIOMETRY", radiometry.to_string()),
+    ]
+    .map(|(name, value)| (name.to_string(), value))
+    .to_vec()
+}
+
+/// Altitude bounds that a public elevation model would give: wider than the truth by 10 to 25 m on either side.
+pub(crate) fn loose_altitudes_m([low_m, high_m]: [f64; 2], seed: u64) -> [f64; 2] {
+    let slack_m = |salt: u64| 10.0 + 10.0 * crate::noise::unit(crate::noise::hash2(seed, salt));
+    [
+        ((low_m - slack_m(0xA1)) / 5.0).floor() * 5.0,
+        ((high_m + slack_m(0xA2)) / 5.0).ceil() * 5.0,
+    ]
+}
+
+/// The JSON that Sat-NeRF's data sets have beside each image.
+pub(crate) fn satnerf_json(view: &ViewPlan, crop: &Crop, rpc: &Rpc, altitudes_m: [f64; 2]) -> Result<Value, RpcError> {
+    let middle_m = 0.5 * (altitudes_m[0] + altitudes_m[1]);
+    let place = |col: f64, row: f64| {
+        rpc.localise(ImagePoint { col, row }, middle_m)
+            .map(|GeoPoint { lon_deg, lat_deg, .. }| json!([lon_deg, lat_deg]))
+    };
+    // Edges of the image lie half a pixel outside the centres of its outermost pixels.
+    let (right, bottom) = (crop.width as f64 - 0.5, crop.height as f64 - 0.5);
+    let ring = [(-0.5, -0.5), (-0.5, bottom), (right, bottom), (right, -0.5), (-0.5, -0.5)]
+        .map(|(col, row)| place(col, row))
+        .into_iter()
+        .collect::<Result<Vec<_>, _>>()?;
+    Ok(json!({
+        "img": format!("{}.tif", view.name),
+        "height": crop.height,
+        "width": crop.width,
+        "sun_elevation": format!("{:+.1}", view.sun.elevation_rad.to_degrees()),
+        "sun_azimuth": format!("{:.1}", view.sun.azimuth_rad.to_degrees()),
+        "acquisition_date": view.time.strftime("%Y%m%d%H%M%S").to_string(),
+        "geojson": {
+            "coordinates": [ring],
+            "type": "Polygon",
+            "center": place(0.5 * (right - 0.5), 0.5 * (bottom - 0.5))?,
+        },
+        "min_alt": altitudes_m[0],
+        "max_alt": altitudes_m[1],
+        "rpc": heliosplat_rpc::write::satnerf_json_rpc(rpc),
+    }))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn altitude_bounds_do_not_leak_the_truth() {
+        for seed in 0..50 {
+            let [low, high] = loose_altitudes_m([101.3, 140.9], seed);
+            assert!((75.0..=91.3).contains(&low), "{low}");
+            assert!((150.9..=167.0).contains(&high), "{high}");
+            assert_eq!((low % 5.0, high % 5.0), (0.0, 0.0));
+        }
+    }
+}

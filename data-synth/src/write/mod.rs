@@ -1,0 +1,112 @@
+//! Files as a vendor would deliver them, and the truth beside them. Everything is written into a folder of its own
+//! inside the target and moved into place at the end: what fails leaves nothing behind.
+
+pub(crate) mod geotiff;
+pub(crate) mod metadata;
+
+use crate::SynthError;
+use std::fs;
+use std::io;
+use std::path::{Path, PathBuf};
+
+/// A folder that becomes part of its parent when everything in it is done.
+pub(crate) struct Staging {
+    target: PathBuf,
+    staged: PathBuf,
+}
+
+impl Staging {
+    /// Makes the target if it is not there, and the staging folder in it.
+    pub(crate) fn new(target: &Path) -> Result<Self, SynthError> {
+        let staged = target.join(".synth-part");
+        if staged.exists() {
+            fs::remove_dir_all(&staged).map_err(failed(&staged))?;
+        }
+        fs::create_dir_all(&staged).map_err(failed(&staged))?;
+        Ok(Self {
+            target: target.to_owned(),
+            staged,
+        })
+    }
+
+    /// Where a file is written until it is done; its folder exists.
+    pub(crate) fn path(&self, relative: &str) -> Result<PathBuf, SynthError> {
+        let path = self.staged.join(relative);
+        if let Some(folder) = path.parent() {
+            fs::create_dir_all(folder).map_err(failed(folder))?;
+        }
+        Ok(path)
+    }
+
+    /// Writes a text file.
+    pub(crate) fn text(&self, relative: &str, text: &str) -> Result<(), SynthError> {
+        let path = self.path(relative)?;
+        fs::write(&path, text).map_err(failed(&path))
+    }
+
+    /// Moves everything into place.
+    pub(crate) fn finish(self) -> Result<(), SynthError> {
+        move_into(&self.staged, &self.target)
+    }
+}
+
+impl Drop for Staging {
+    fn drop(&mut self) {
+        // Nothing more can be done if the leavings of a failure cannot be removed.
+        let _ = fs::remove_dir_all(&self.staged);
+    }
+}
+
+fn move_into(from: &Path, to: &Path) -> Result<(), SynthError> {
+    fs::create_dir_all(to).map_err(failed(to))?;
+    for entry in fs::read_dir(from).map_err(failed(from))? {
+        let entry = entry.map_err(failed(from))?;
+        let (source, target) = (entry.path(), to.join(entry.file_name()));
+        if source.is_dir() {
+            move_into(&source, &target)?;
+        } else {
+            fs::rename(&source, &target).map_err(failed(&target))?;
+        }
+    }
+    Ok(())
+}
+
+/// Names the file an input/output error is about.
+pub(crate) fn failed(path: &Path) -> impl FnOnce(io::Error) -> SynthError + use<> {
+    let path = path.to_owned();
+    move |source| SynthError::Write { path, source }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn what_is_not_finished_leaves_nothing_behind() {
+        let folder = tempfile::tempdir().expect("a temporary folder");
+        let staging = Staging::new(folder.path()).expect("staging");
+        staging.text("truth/a.txt", "a").expect("text");
+        drop(staging);
+        assert_eq!(fs::read_dir(folder.path()).expect("folder").count(), 0);
+    }
+
+    #[test]
+    fn what_is_finished_lies_in_place() {
+        let folder = tempfile::tempdir().expect("a temporary folder");
+        let target = folder.path().join("deep/scene");
+        let staging = Staging::new(&target).expect("staging");
+        staging.text("truth/a.txt", "a").expect("text");
+        staging.finish().expect("finished");
+        assert_eq!(fs::read_to_string(target.join("truth/a.txt")).expect("file"), "a");
+        assert!(!target.join(".synth-part").exists());
+    }
+
+    #[test]
+    fn a_target_that_cannot_be_made_is_named() {
+        let folder = tempfile::tempdir().expect("a temporary folder");
+        let file = folder.path().join("taken");
+        fs::write(&file, "x").expect("file");
+        let error = Staging::new(&file).err().map(|error| error.to_string()).unwrap_or_default();
+        assert!(error.contains("taken"), "{error}");
+    }
+}
