@@ -168,6 +168,23 @@ fn what_cannot_be_localised_is_a_clear_error() {
     assert!(collapsed.localise(ImagePoint { col: 5.0, row: 5.0 }, 0.0).is_err());
 }
 
+#[test]
+fn a_model_whose_image_spans_far_more_than_its_ground_is_refused_when_localised() {
+    let rpc = &CAMERAS[0];
+    let inconsistent = Rpc {
+        sample_numerator: rpc.sample_numerator.map(|c| c * 0.1),
+        ..rpc.clone()
+    };
+    let image = ImagePoint {
+        col: rpc.sample_offset,
+        row: rpc.line_offset,
+    };
+    match inconsistent.localise(image, 100.0) {
+        Err(RpcError::Inconsistent { span }) => assert!((5.0..20.0).contains(&span), "{span}"),
+        other => panic!("{other:?}"),
+    }
+}
+
 proptest! {
     #[test]
     fn localising_what_was_projected_returns_it(

@@ -2,7 +2,9 @@
 
 mod common;
 
+use common::push_broom::PushBroom;
 use common::{golden_camera, golden_rpcs, read_json, read_text, shared};
+use heliosplat_rpc::fit::fit_rpc;
 use heliosplat_rpc::{GeoPoint, ImagePoint, ImageWindow, LocalFrame, PinholeFit, Rpc, RpcError, read};
 
 fn frame_at(rpc: &Rpc, window: ImageWindow, height_m: f64) -> LocalFrame {
@@ -158,4 +160,55 @@ fn requests_that_make_no_sense_are_errors() {
         )
         .is_err()
     );
+}
+
+#[test]
+fn a_push_broom_is_a_pinhole_over_a_small_window_anywhere_on_earth() {
+    for (lon_deg, lat_deg) in [
+        (36.9, 37.6),
+        (179.9999, -17.0),
+        (-180.0, 0.0),
+        (15.0, 78.0),
+        (100.0, -89.0),
+    ] {
+        let sensor = PushBroom::over(lon_deg, lat_deg);
+        let rpc = fit_rpc(&sensor.samples(12, &[-100.0, 200.0, 500.0])).expect("fits").rpc;
+        let window = ImageWindow {
+            col0: 1_700.0,
+            row0: 1_900.0,
+            width: 500,
+            height: 500,
+        };
+        let frame = frame_at(&rpc, window, 150.0);
+        let fit = PinholeFit::fit(&rpc, &frame, window, (100.0, 200.0)).expect("fits");
+        println!(
+            "{lon_deg} {lat_deg}: rms {:.2e} px, max {:.2e} px",
+            fit.rms_px, fit.max_px
+        );
+        assert!(fit.rms_px <= fit.max_px && fit.max_px < 0.02);
+        // Against the sensor itself, with no RPC between.
+        let image = ImagePoint {
+            col: 1_834.5,
+            row: 2_215.25,
+        };
+        let [col, row] = fit.map.project(frame.enu_from_geo(sensor.ground(image, 163.0)));
+        assert!((col - 134.5).hypot(row - 315.25) < fit.max_px + 1e-6, "{col}, {row}");
+    }
+}
+
+#[test]
+fn a_flat_range_and_a_window_of_one_pixel_still_fit() {
+    let rpc = fit_rpc(&PushBroom::over(36.9, 37.6).samples(12, &[-100.0, 200.0, 500.0]))
+        .expect("fits")
+        .rpc;
+    let window = ImageWindow {
+        col0: 2_000.0,
+        row0: 2_000.0,
+        width: 1,
+        height: 1,
+    };
+    let frame = frame_at(&rpc, window, 150.0);
+    let fit = PinholeFit::fit(&rpc, &frame, window, (150.0, 150.0)).expect("fits");
+    assert!(fit.max_px < 1e-4, "{fit:?}");
+    assert!(fit.map.w.iter().all(|w| w.abs() < 1e-2), "{fit:?}");
 }
