@@ -19,9 +19,11 @@ const MAX_ROUNDS: usize = 20;
 const LAST_IMPROVEMENT: f64 = 1e-6;
 /// Standard deviation of the denominator's coefficients; those of real cameras are 0.001 to 0.1 as a rule.
 const DENOMINATOR_SIGMA: f64 = 0.1;
-/// Per sample, on the diagonal of the normal equations: lets Cholesky pass where samples determine nothing. It slows the
-/// rounds and does not bias their end.
-const LEAST_DAMPING: f64 = 1e-12;
+/// Per sample, on the diagonal of the normal equations, for terms of the highest order: decides what the samples leave
+/// open (three heights cannot tell `H` from `HHH`). It slows the rounds and does not bias their end.
+const LEAST_DAMPING: f64 = 1e-10;
+/// Of that, for terms of orders 0 to 3: what could be said by two terms is said by the one of lower order.
+const DAMPING_BY_ORDER: [f64; 4] = [1e-8, 1e-8, 1e-4, 1.0];
 
 type Unknowns = SVector<f64, UNKNOWNS>;
 
@@ -38,8 +40,8 @@ pub struct RpcFit {
 
 /// Fits an RPC to pairs of a ground point and where it is seen.
 ///
-/// The samples should fill the volume the model is to be used in (a grid of the image at several heights); between them
-/// the model is smooth, outside it means nothing.
+/// The samples should fill the volume the model is to be used in: a grid of the image at four heights or more. With
+/// fewer the model is only quadratic (three) or linear (two) in height. Outside the samples it means nothing.
 ///
 /// # Errors
 /// [`RpcError::Invalid`] with fewer than [`FEWEST_SAMPLES`] samples, with values that are not finite, or with samples
@@ -136,31 +138,48 @@ fn normalisation(samples: &[(GeoPoint, ImagePoint)]) -> Result<Rpc, RpcError> {
 
 /// Numerator and denominator of one rational.
 fn fit_rational(design: &[Monomials], ratios: &[f64]) -> Result<([f64; 20], [f64; 20]), RpcError> {
-    let undetermined = || RpcError::Invalid("an RPC cannot be fitted: the samples do not determine it".into());
     let mut here = Linearised::at(design, ratios, Unknowns::zeros());
     let mut damping = LEAST_DAMPING;
+    let mut has_moved = false;
     for _ in 0..MAX_ROUNDS {
         let noise_squared = here.squared / ratios.len() as f64;
         let prior = noise_squared / (DENOMINATOR_SIGMA * DENOMINATOR_SIGMA);
-        let step = here
+        let next = here
             .step(prior, damping * ratios.len() as f64)
-            .ok_or_else(undetermined)?;
-        let there = Linearised::at(design, ratios, here.unknowns + step);
-        // The prior may raise the sum of squares a little when it weakens; a wild step raises it a lot.
-        if there.squared.is_finite() && there.squared <= here.squared * (1.0 + 1e-3) {
-            let improved = there.squared < here.squared * (1.0 - LAST_IMPROVEMENT);
-            here = there;
-            damping = f64::max(damping * 0.1, LEAST_DAMPING);
-            if !improved {
-                break;
+            .map(|step| Linearised::at(design, ratios, here.unknowns + step))
+            // The prior may raise the sum of squares a little when it weakens; a wild step raises it a lot.
+            .filter(|next| next.squared <= here.squared * (1.0 + 1e-3));
+        match next {
+            Some(next) => {
+                let improved = next.squared < here.squared * (1.0 - LAST_IMPROVEMENT);
+                here = next;
+                has_moved = true;
+                damping = f64::max(damping * 0.1, LEAST_DAMPING);
+                if !improved {
+                    break;
+                }
             }
-        } else if damping < 1.0 {
-            damping *= 100.0;
-        } else {
-            break;
+            None if damping < 1.0 => damping *= 100.0,
+            None => break,
         }
     }
+    if !has_moved {
+        return Err(RpcError::Invalid(
+            "an RPC cannot be fitted: the samples do not determine it; spread them over the image at several heights"
+                .into(),
+        ));
+    }
     Ok(here.coefficients())
+}
+
+/// Degree of a monomial, by its place.
+fn order_of(monomial: usize) -> usize {
+    match monomial {
+        0 => 0,
+        1..=3 => 1,
+        4..=9 => 2,
+        _ => 3,
+    }
 }
 
 /// The squared residuals of one rational and their normal equations at some unknowns.
@@ -215,7 +234,13 @@ impl Linearised {
         let mut normal = self.normal;
         let mut gradient = self.gradient;
         for i in 0..UNKNOWNS {
-            normal[(i, i)] += damping;
+            // A term of the denominator acts as one of the next order.
+            let order = if i < 20 {
+                order_of(i)
+            } else {
+                (order_of(i - 19) + 1).min(3)
+            };
+            normal[(i, i)] += damping * DAMPING_BY_ORDER[order];
             if i >= 20 {
                 normal[(i, i)] += prior;
                 gradient[i] -= prior * self.unknowns[i];

@@ -19,8 +19,8 @@ const LEVELLED_PX: f64 = 1e-3;
 const MAX_LEVELLINGS: usize = 60;
 /// Standard deviation given to the residuals, pixels: what a map can be expected to leave.
 const RESIDUAL_SIGMA_PX: f64 = 1e-3;
-/// Standard deviation of the denominator over the normalised area: a view from orbit has 0.001, from an aircraft 0.1.
-const DENOMINATOR_SIGMA: f64 = 0.3;
+/// Standard deviation of the denominator's coefficients, per metre: a camera in orbit has 1e-6, at 10 km 1e-4.
+const DENOMINATOR_SIGMA_PER_M: f64 = 1e-4;
 /// The denominator may not fall below this share of its value at the frame's origin.
 const LEAST_DENOMINATOR: f64 = 0.05;
 
@@ -304,7 +304,7 @@ fn normal_step(
         }
     }
     let sigma = RESIDUAL_SIGMA_PX / normalisation.image_scale_px;
-    let prior = (sigma / DENOMINATOR_SIGMA).powi(2);
+    let prior = (sigma / (DENOMINATOR_SIGMA_PER_M * normalisation.ground_scale_m)).powi(2);
     for i in 8..11 {
         normal[(i, i)] += prior;
         right[i] -= prior * parameters[i];

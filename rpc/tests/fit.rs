@@ -95,6 +95,25 @@ fn a_push_broom_is_fitted_to_a_thousandth_of_a_pixel_anywhere_on_earth() {
 }
 
 #[test]
+fn few_heights_leave_the_height_smooth_between_them() {
+    let sensor = PushBroom::over(36.9, 37.6);
+    let between = sensor.samples(8, &[-20.0, 130.0, 420.0]);
+    for (heights_m, bar_px) in [(&[-100.0, 200.0, 500.0][..], 0.01), (&[-100.0, 500.0][..], 0.5)] {
+        let fit = fit_rpc(&sensor.samples(15, heights_m)).expect("fits");
+        let check_px = between
+            .iter()
+            .map(|(ground, image)| distance_px(fit.rpc.project(*ground), *image))
+            .fold(0.0, f64::max);
+        println!("{} heights: {check_px:.2e} px between", heights_m.len());
+        assert!(
+            fit.max_px < 1e-3 && check_px < bar_px,
+            "{} heights: {check_px}",
+            heights_m.len()
+        );
+    }
+}
+
+#[test]
 fn noise_in_the_samples_is_smoothed_and_not_followed() {
     let sensor = PushBroom::over(36.9, 37.6);
     let truth = sensor.samples(20, &[0.0, 150.0, 300.0]);

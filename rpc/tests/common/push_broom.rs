@@ -50,7 +50,7 @@ impl PushBroom {
         let middle = -Vector3::new(side_m, ahead_m, ORBIT_HEIGHT_M).normalize();
         let across = Vector3::new(1.0, 0.0, 0.0);
         // The whole sensor turns with the orbit, and a little yaw drift bends the image.
-        let drift = 1e-5 * (image.row / half - 1.0).powi(2);
+        let drift = 2e-7 * (image.row / half - 1.0).powi(2);
         let turned = middle + across * (across_rad + drift);
         let (sin, cos) = arc_rad.sin_cos();
         let turned = Vector3::new(
