@@ -1,0 +1,60 @@
+//! Running the program `heliosplat` from tests.
+
+use assert_cmd::Command;
+use std::path::{Path, PathBuf};
+use std::sync::LazyLock;
+
+/// The binary belongs to another package, so cargo does not build it for us: it is built here, once per test process,
+/// which costs nothing when it is up to date. `HELIOSPLAT_BIN` names another one.
+static BINARY: LazyLock<PathBuf> = LazyLock::new(|| match std::env::var_os("HELIOSPLAT_BIN") {
+    Some(path) => path.into(),
+    None => build(),
+});
+
+fn build() -> PathBuf {
+    let workspace = Path::new(env!("CARGO_MANIFEST_DIR")).join("..");
+    let cargo = std::env::var_os("CARGO").unwrap_or_else(|| "cargo".into());
+    let output = std::process::Command::new(cargo)
+        .current_dir(workspace)
+        .args(["build", "--profile", "test", "--package", "heliosplat-pipelines", "--bin", "heliosplat"])
+        .args(["--message-format", "json-render-diagnostics"])
+        .output()
+        .expect("cargo runs");
+    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+    let messages = String::from_utf8_lossy(&output.stdout).into_owned();
+    let executable = messages
+        .lines()
+        .filter_map(|line| serde_json::from_str::<serde_json::Value>(line).ok())
+        .find_map(|message| message["executable"].as_str().map(PathBuf::from));
+    executable.expect("cargo names the executable")
+}
+
+/// Path of the binary.
+pub fn binary() -> &'static Path {
+    &BINARY
+}
+
+/// The program with its arguments.
+pub fn heliosplat<S: AsRef<std::ffi::OsStr>>(arguments: &[S]) -> Command {
+    let mut command = Command::new(binary());
+    command.args(arguments).env_remove("HELIOSPLAT_LOG");
+    command
+}
+
+/// Runs the program with `--json`, which must succeed, and parses the one object it prints.
+pub fn json<S: AsRef<std::ffi::OsStr>>(arguments: &[S]) -> serde_json::Value {
+    let output = heliosplat(arguments).arg("--json").assert().success();
+    serde_json::from_slice(&output.get_output().stdout).expect("one JSON object on stdout")
+}
+
+/// Runs the program, which must fail with this exit code; returns its one line of error.
+pub fn fault<S: AsRef<std::ffi::OsStr>>(arguments: &[S], exit_code: i32) -> String {
+    let assert = heliosplat(arguments).assert().code(exit_code);
+    let output = assert.get_output();
+    assert!(output.stdout.is_empty(), "nothing on stdout");
+    let text = String::from_utf8_lossy(&output.stderr).into_owned();
+    let errors: Vec<&str> = text.lines().filter(|line| line.starts_with("error: ")).collect();
+    assert_eq!(errors.len(), 1, "one line of error in:\n{text}");
+    assert!(!text.contains("panicked"), "{text}");
+    errors[0].to_owned()
+}

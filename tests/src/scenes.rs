@@ -1,0 +1,145 @@
+//! Small satellite scenes to break: textured images over flat ground with simple, exact RPC cameras.
+
+use heliosplat::Raster;
+use heliosplat_pipelines::raster::{Crs, GeoTransform, ImageSpec, Sample, write_geotiff};
+use heliosplat_rpc::{Rpc, write};
+use serde_json::{Value, json};
+use std::path::{Path, PathBuf};
+
+/// Width and height of the images, pixels.
+pub const SIZE_PX: usize = 64;
+/// Ground sampling distance, metres.
+pub const GSD_M: f64 = 0.5;
+const METRES_PER_DEGREE: f64 = 111_320.0;
+
+/// One image to write.
+#[derive(Debug, Clone)]
+pub struct View {
+    /// File name without extension.
+    pub name: String,
+    /// How far the image moves east and north per metre of height, metres.
+    pub tilt: [f64; 2],
+    /// Centre of the image east and north of the scene's centre, metres.
+    pub centre_m: [f64; 2],
+    /// Bands.
+    pub bands: usize,
+    /// Acquisition time as Sat-NeRF writes it, if any.
+    pub date: Option<&'static str>,
+    /// Azimuth and elevation of the sun in the JSON, degrees, if any.
+    pub sun_deg: Option<[f64; 2]>,
+    /// Whether the GeoTIFF has an RPC.
+    pub has_rpc: bool,
+}
+
+impl View {
+    /// A panchromatic view in full order, tilted by its number.
+    pub fn new(number: usize) -> Self {
+        let tilts = [[0.0, 0.0], [0.2, 0.05], [-0.1, 0.15], [0.05, -0.2]];
+        Self {
+            name: format!("view_{number}"),
+            tilt: tilts[number % tilts.len()],
+            centre_m: [0.0, 0.0],
+            bands: 1,
+            date: Some("20160423083400"),
+            sun_deg: None,
+            has_rpc: true,
+        }
+    }
+
+    /// The camera: a parallel projection, columns to the east, rows to the south, over 36.91 E 37.58 N at 700 m.
+    pub fn rpc(&self) -> Rpc {
+        let half_m = SIZE_PX as f64 / 2.0 * GSD_M;
+        let (height_scale_m, latitude) = (100.0, 37.58_f64);
+        let latitude_scale_deg = half_m / METRES_PER_DEGREE;
+        let longitude_scale_deg = latitude_scale_deg / latitude.to_radians().cos();
+        let numerator = |longitude: f64, latitude: f64, height: f64| {
+            let mut coefficients = [0.0; 20];
+            coefficients[1..4].copy_from_slice(&[longitude, latitude, height]);
+            coefficients
+        };
+        let mut one = [0.0; 20];
+        one[0] = 1.0;
+        let per_height = |tilt: f64| tilt * height_scale_m / half_m;
+        Rpc {
+            line_offset: (SIZE_PX as f64 - 1.0) / 2.0,
+            sample_offset: (SIZE_PX as f64 - 1.0) / 2.0,
+            latitude_offset_deg: latitude + self.centre_m[1] / METRES_PER_DEGREE,
+            longitude_offset_deg: 36.91 + self.centre_m[0] / half_m * longitude_scale_deg,
+            height_offset_m: 700.0,
+            line_scale: SIZE_PX as f64 / 2.0,
+            sample_scale: SIZE_PX as f64 / 2.0,
+            latitude_scale_deg,
+            longitude_scale_deg,
+            height_scale_m,
+            line_numerator: numerator(0.0, -1.0, -per_height(self.tilt[1])),
+            line_denominator: one,
+            sample_numerator: numerator(1.0, 0.0, per_height(self.tilt[0])),
+            sample_denominator: one,
+            error_bias_m: None,
+            error_random_m: None,
+        }
+    }
+
+    /// Writes the GeoTIFF, and a JSON with what is known besides the camera if there is anything.
+    pub fn write(&self, folder: &Path) -> PathBuf {
+        let path = folder.join(format!("{}.tif", self.name));
+        let rpc: Vec<(String, String)> = if self.has_rpc {
+            write::gdal_domain(&self.rpc()).into_iter().collect()
+        } else {
+            Vec::new()
+        };
+        let raster = texture(self.bands);
+        let spec = ImageSpec {
+            rpc: &rpc,
+            ..ImageSpec::plain(&raster)
+        };
+        write_geotiff(&path, &spec, Sample::U16).expect("the image is written");
+        if self.date.is_some() || self.sun_deg.is_some() {
+            let text = self.metadata().to_string();
+            std::fs::write(path.with_extension("json"), text).expect("the JSON is written");
+        }
+        path
+    }
+
+    fn metadata(&self) -> Value {
+        let mut metadata = json!({ "img": format!("{}.tif", self.name), "min_alt": 690, "max_alt": 720 });
+        if let Some(date) = self.date {
+            metadata["acquisition_date"] = json!(date);
+        }
+        if let Some([azimuth, elevation]) = self.sun_deg {
+            metadata["sun_azimuth"] = json!(azimuth.to_string());
+            metadata["sun_elevation"] = json!(format!("{elevation:+}"));
+        }
+        if self.has_rpc {
+            metadata["rpc"] = write::satnerf_json_rpc(&self.rpc());
+        }
+        metadata
+    }
+}
+
+fn texture(bands: usize) -> Raster {
+    let mut raster = Raster::filled(SIZE_PX, SIZE_PX, bands, 0.0);
+    for (index, value) in raster.values.iter_mut().enumerate() {
+        let (col, row) = (index % SIZE_PX, index / SIZE_PX % SIZE_PX);
+        *value = 400.0 + 200.0 * ((col as f32 * 0.7).sin() + (row as f32 * 0.4).cos());
+    }
+    raster
+}
+
+/// Writes views into a folder.
+pub fn write_scene(folder: &Path, views: &[View]) {
+    for view in views {
+        view.write(folder);
+    }
+}
+
+/// Writes a single-band altitude raster in UTM 37N with 0.5 m cells.
+pub fn write_altitudes(path: &Path, raster: &Raster, west_m: f64, north_m: f64) {
+    let crs = Crs::from_epsg(32637).expect("UTM 37N");
+    let transform = GeoTransform::north_up(west_m, north_m, 0.5);
+    let spec = ImageSpec {
+        georeference: Some((&transform, &crs)),
+        ..ImageSpec::plain(raster)
+    };
+    heliosplat_pipelines::raster::write_cog(path, &spec).expect("the raster is written");
+}

@@ -1,0 +1,242 @@
+//! What a user can get wrong: each gets one line that names the file and what to do, the right exit code, and nothing
+//! half-written.
+
+use heliosplat_tests::program::{fault, heliosplat, json};
+use heliosplat_tests::scenes::{View, write_altitudes, write_scene};
+use std::ffi::OsString;
+use std::path::Path;
+use tempfile::{TempDir, tempdir};
+
+/// Files in a folder, sorted.
+fn listing(folder: &Path) -> Vec<OsString> {
+    let mut names: Vec<OsString> = std::fs::read_dir(folder)
+        .expect("listable")
+        .map(|entry| entry.expect("readable").file_name())
+        .collect();
+    names.sort();
+    names
+}
+
+/// Inspects and trains a broken scene: both must fail with the same line and leave the disk as it was.
+fn refused(scene: &Path, said: &[&str]) {
+    let home = tempdir().expect("a temporary folder");
+    let run = home.path().join("run");
+    let before = scene.is_dir().then(|| listing(scene));
+    let inspected = fault(&["inspect".as_ref(), scene.as_os_str()], 2);
+    let trained = fault(&["train".as_ref(), scene.as_os_str(), "--out".as_ref(), run.as_os_str()], 2);
+    assert_eq!(inspected, trained);
+    for part in said {
+        assert!(inspected.contains(part), "'{part}' is not in '{inspected}'");
+    }
+    assert!(!run.exists(), "no run is begun");
+    assert_eq!(before, scene.is_dir().then(|| listing(scene)), "the scene is left alone");
+}
+
+fn scene(views: &[View]) -> TempDir {
+    let folder = tempdir().expect("a temporary folder");
+    write_scene(folder.path(), views);
+    folder
+}
+
+#[test]
+fn a_sound_scene_is_accepted() {
+    let folder = scene(&[View::new(0), View::new(1), View::new(2)]);
+    let seen = json(&["inspect".as_ref(), folder.path().as_os_str()]);
+    assert_eq!(seen["images"].as_array().map(Vec::len), Some(3));
+    assert_eq!(seen["warnings"].as_array().map(Vec::len), Some(0), "{}", seen["warnings"]);
+    assert_eq!(seen["altitude_range_m"], serde_json::json!([690.0, 720.0]));
+    assert!((seen["gsd_m"].as_f64().expect("a number") - 0.5).abs() < 0.005);
+}
+
+#[test]
+fn a_missing_path_is_named() {
+    refused(Path::new("no/such/scene"), &["no/such/scene", "no such file or folder", "scene.toml"]);
+}
+
+#[test]
+fn an_address_is_not_fetched() {
+    refused(Path::new("https://example.org/scene"), &["https://example.org/scene", "download"]);
+}
+
+#[test]
+fn an_empty_folder_is_named() {
+    let folder = scene(&[]);
+    refused(folder.path(), &[&folder.path().display().to_string(), "no images found"]);
+}
+
+#[test]
+fn a_missing_rpc_names_the_image_and_what_to_add() {
+    let bare = View {
+        has_rpc: false,
+        ..View::new(1)
+    };
+    let folder = scene(&[View::new(0), bare]);
+    refused(folder.path(), &["view_1.tif", "no RPC", ".RPB"]);
+}
+
+#[test]
+fn a_file_that_is_no_image_is_named() {
+    let folder = scene(&[View::new(0), View::new(1)]);
+    std::fs::write(folder.path().join("view_2.tif"), "this is no image").expect("written");
+    refused(folder.path(), &["view_2.tif", "not an image"]);
+}
+
+#[test]
+fn a_truncated_image_is_named() {
+    let folder = scene(&[View::new(0), View::new(1)]);
+    let path = folder.path().join("view_1.tif");
+    let bytes = std::fs::read(&path).expect("readable");
+    std::fs::write(&path, &bytes[..bytes.len() / 2]).expect("written");
+    refused(folder.path(), &["view_1.tif", "fetch it again"]);
+}
+
+#[test]
+fn images_that_do_not_overlap_are_both_named() {
+    let far = View {
+        centre_m: [500.0, 0.0],
+        ..View::new(1)
+    };
+    let folder = scene(&[View::new(0), far]);
+    refused(folder.path(), &["view_0.tif", "view_1.tif", "does not overlap"]);
+}
+
+#[test]
+fn one_stranger_among_many_is_left_out_with_a_warning() {
+    let far = View {
+        centre_m: [0.0, 900.0],
+        ..View::new(3)
+    };
+    let folder = scene(&[View::new(0), View::new(1), View::new(2), far]);
+    let seen = json(&["inspect".as_ref(), folder.path().as_os_str()]);
+    assert_eq!(seen["images"].as_array().map(Vec::len), Some(3));
+    assert!(seen["warnings"][0].as_str().is_some_and(|line| line.contains("view_3.tif")), "{seen}");
+}
+
+#[test]
+fn a_sun_below_the_horizon_names_the_image_and_its_time() {
+    let night = View {
+        date: Some("20160423203400"),
+        ..View::new(1)
+    };
+    let folder = scene(&[View::new(0), night]);
+    refused(folder.path(), &["view_1.tif", "below the horizon", "2016-04-23T20:34:00Z", "acquisition time"]);
+}
+
+#[test]
+fn metadata_that_put_the_sun_below_the_horizon_are_refused_too() {
+    let night = View {
+        date: None,
+        sun_deg: Some([150.0, -3.0]),
+        ..View::new(1)
+    };
+    let folder = scene(&[View::new(0), night]);
+    refused(folder.path(), &["view_1.tif", "below the horizon", "-3.0"]);
+}
+
+#[test]
+fn a_single_view_is_not_enough() {
+    let folder = scene(&[View::new(0)]);
+    refused(folder.path(), &["1 training image;", "at least two"]);
+}
+
+#[test]
+fn neither_time_nor_sun_is_named_with_the_remedy() {
+    let timeless = View {
+        date: None,
+        ..View::new(1)
+    };
+    let folder = scene(&[View::new(0), timeless]);
+    refused(folder.path(), &["view_1.tif", "neither acquisition time nor sun angles", ".IMD"]);
+}
+
+#[test]
+fn mixed_band_counts_name_both_images() {
+    let colour = View {
+        bands: 3,
+        ..View::new(1)
+    };
+    let folder = scene(&[View::new(0), colour]);
+    refused(folder.path(), &["view_1.tif", "view_0.tif", "3 bands", "1 band (pan)"]);
+}
+
+#[test]
+fn a_mistake_in_a_scene_toml_names_its_line() {
+    let folder = scene(&[View::new(0), View::new(1)]);
+    let manifest = folder.path().join("scene.toml");
+    std::fs::write(&manifest, "[[images]]\npath = \"view_0.tif\"\nsplitt = \"train\"\n").expect("written");
+    refused(folder.path(), &["scene.toml", "line 3", "splitt"]);
+    std::fs::write(&manifest, "[[images]]\npath = \"view_9.tif\"\n").expect("written");
+    refused(&manifest, &["view_9.tif", "no such file"]);
+    std::fs::write(&manifest, "[[images]]\npath = \"http://example.org/a.tif\"\n").expect("written");
+    refused(folder.path(), &["http://example.org/a.tif", "download"]);
+}
+
+#[test]
+fn an_altitude_range_upside_down_is_explained() {
+    let folder = scene(&[View::new(0), View::new(1)]);
+    let scene = folder.path().as_os_str();
+    let line = fault(&["inspect".as_ref(), scene, "--altitude".as_ref(), "780,640".as_ref()], 2);
+    assert!(line.contains("780") && line.contains("MIN below MAX"), "{line}");
+}
+
+#[test]
+fn with_json_a_fault_is_one_object_on_stdout_too() {
+    let assert = heliosplat(&["inspect", "no/such/scene", "--json"]).assert().code(2);
+    let object: serde_json::Value = serde_json::from_slice(&assert.get_output().stdout).expect("one JSON object");
+    assert_eq!(object["exit_code"], 2);
+    assert!(object["error"].as_str().is_some_and(|line| line.contains("no/such/scene")));
+}
+
+#[test]
+fn bad_usage_is_exit_code_2() {
+    for arguments in [&["train"][..], &["relight", "run", "--out", "a.tif"], &["nonsense"], &["sun", "--at", "1,2"]] {
+        heliosplat(arguments).assert().code(2);
+    }
+}
+
+/// Runs a command whose output folder is a file system of 32 KiB; `None` where such a thing cannot be made here.
+fn on_a_full_disk(arguments: &str, folder: &Path) -> Option<std::process::Output> {
+    let probe = "mount -t tmpfs -o size=32k tmpfs \"$FOLDER\"";
+    let unshare = |script: &str| {
+        let mut command = std::process::Command::new("unshare");
+        command.args(["--user", "--map-root-user", "--mount", "sh", "-c", script]).env("FOLDER", folder);
+        command.output().ok()
+    };
+    if !unshare(probe)?.status.success() {
+        return None;
+    }
+    let program = heliosplat_tests::program::binary().display();
+    let script = format!("{probe} && \"{program}\" {arguments}; code=$?; ls -A \"$FOLDER\"; exit $code");
+    unshare(&script)
+}
+
+#[test]
+fn a_full_disk_is_exit_code_1_names_the_file_and_leaves_nothing() {
+    let home = tempdir().expect("a temporary folder");
+    let full = home.path().join("full");
+    std::fs::create_dir(&full).expect("made");
+    let mut noise = heliosplat::Raster::filled(300, 300, 1, 0.0);
+    let mut state = 1u32;
+    for value in &mut noise.values {
+        state = state.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
+        *value = 700.0 + (state >> 16) as f32 / 6553.6;
+    }
+    let dsm = home.path().join("dsm.tif");
+    write_altitudes(&dsm, &noise, 312_000.0, 4_160_000.0);
+    let truth = home.path().join("truth.tif");
+    write_altitudes(&truth, &heliosplat::Raster::filled(300, 300, 1, 705.0), 312_000.0, 4_160_000.0);
+    let arguments = format!(
+        "evaluate --dsm {} --truth {} --error-map {}/errors.png",
+        dsm.display(),
+        truth.display(),
+        full.display()
+    );
+    let Some(output) = on_a_full_disk(&arguments, &full) else {
+        println!("skipped: no small file system can be mounted here");
+        return;
+    };
+    let said = String::from_utf8_lossy(&output.stderr);
+    assert_eq!(output.status.code(), Some(1), "{said}");
+    assert!(said.contains("errors.png") && said.contains("disk is full"), "{said}");
+    assert!(output.stdout.is_empty(), "nothing is left: {}", String::from_utf8_lossy(&output.stdout));
+}
