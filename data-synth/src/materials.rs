@@ -209,9 +209,9 @@ fn bitumen(mean: Spectrum, at: Spot) -> Spectrum {
 fn metal(mean: Spectrum, at: Spot) -> Spectrum {
     let seam = if at.u.rem_euclid(0.6) < 0.06 { -0.16 } else { 0.0 };
     let sheet = 0.05 * cell_noise(at.seed ^ 1, at.u / 0.6, at.v / 6.0);
-    let rust = smoothstep(0.35, 0.6, at.fractal(2, 5.0, 3));
+    let rust = smoothstep(0.5, 0.75, at.fractal(2, 4.0, 4));
     let surface = mean * (1.0 + seam + sheet + 0.04 * noise(at.seed ^ 3, at.u / 0.5, at.v / 5.0));
-    surface * (1.0 - 0.5 * rust) + Spectrum::new(0.20, 0.12, 0.08, 0.24) * (0.5 * rust)
+    surface * (1.0 - 0.4 * rust) + Spectrum::new(0.20, 0.14, 0.10, 0.24) * (0.4 * rust)
 }
 
 fn facade(mean: Spectrum, at: Spot) -> Spectrum {

@@ -155,6 +155,142 @@ fn finish_row(exposure: &Exposure, kernel: &[f32], row: usize, fine: &[FineRow],
 mod tests {
     use super::*;
 
+    use crate::city::Ground;
+    use crate::materials::{Class, Material, Season, grey};
+    use crate::radiometry::{MEAN_GAIN, Weather};
+    use crate::sensor::ViewGeometry;
+    use crate::solid::{Finish, Footprint, Solids, Surface};
+    use crate::terrain::HeightField;
+    use heliosplat_rpc::sun::SunPosition;
+    use heliosplat_rpc::{GeoPoint, LocalFrame};
+    use nalgebra::Vector3;
+
+    /// Flat dark ground with what a test puts on it, seen from one side.
+    struct Studio {
+        frame: LocalFrame,
+        sensor: PushBroom,
+        crop: Crop,
+        terrain: HeightField,
+        ground: Ground,
+        sun: SunPosition,
+    }
+
+    impl Studio {
+        fn new(off_nadir_deg: f64, sun: SunPosition) -> Self {
+            let frame = LocalFrame::new(GeoPoint {
+                lon_deg: 11.6,
+                lat_deg: 48.1,
+                height_m: 560.0,
+            });
+            let view = ViewGeometry {
+                azimuth_rad: 2.2,
+                off_nadir_rad: off_nadir_deg.to_radians(),
+                orbit_m: 620e3,
+                tilt_rad: 0.09,
+                gsd_m: 0.5,
+                full_px: 2400.0,
+                seed: 11,
+            };
+            let sensor = PushBroom::new(&frame, &view, [1000.0, 1300.0]);
+            let [col, row] = sensor.project(Vector3::zeros()).map(|v| v.floor() - 80.0);
+            Self {
+                frame,
+                sensor,
+                crop: Crop { col0: col, row0: row, width: 160, height: 160 },
+                terrain: HeightField::sample(90.0, 1.0, |_, _| 0.0),
+                ground: Ground::plain(Material::Plain(grey(0.05))),
+                sun,
+            }
+        }
+
+        fn shoot(&self, solids: Solids, bits: u8) -> Image {
+            let tracer = Tracer::new(&self.terrain, solids.primitives);
+            let surfaces: &[Surface] = &solids.surfaces;
+            let scene = LitScene { tracer: &tracer, surfaces, ground: &self.ground };
+            let weather = Weather { aerosol: 0.1, exposure: 1.0, water_slope_variance: 0.02, seed: 3 };
+            let light = Light::new(&self.sun, weather, Season::REFERENCE, 0.3);
+            let exposure = Exposure {
+                sensor: &self.sensor,
+                crop: self.crop,
+                light: &light,
+                bands: BandSet::Pan,
+                encoding: Encoding { gain: MEAN_GAIN, noise: 0.0, bits },
+                seed: 8,
+            };
+            render(&scene, &exposure, &mut |_| {})
+        }
+    }
+
+    fn white(class: Class) -> Finish {
+        Finish { class, material: Material::Plain(grey(0.8)), seed: 0 }
+    }
+
+    /// Column and row of the middle of what is brighter than the background.
+    fn centroid(image: &Image) -> [f64; 2] {
+        let background = f64::from(image.counts[0]);
+        let mut sums = [0.0; 3];
+        for (index, &count) in image.counts.iter().enumerate() {
+            let weight = (f64::from(count) - background - 6.0).max(0.0);
+            let (col, row) = (index % image.width, index / image.width);
+            sums = [sums[0] + weight, sums[1] + weight * col as f64, sums[2] + weight * row as f64];
+        }
+        [sums[1] / sums[0], sums[2] / sums[0]]
+    }
+
+    #[test]
+    fn a_marker_lies_where_the_delivered_camera_says() {
+        let studio = Studio::new(24.0, SunPosition::from_degrees(130.0, 50.0));
+        let fit = studio.sensor.fit_rational_camera(&studio.frame).expect("a camera");
+        let rpc = fit.rpc.cropped(studio.crop.col0, studio.crop.row0);
+        for (x, y, z) in [(3.3, -7.1, 0.02), (-14.2, 11.8, 0.02), (18.0, 16.5, 22.0)] {
+            let plan = Footprint { x, y, angle_rad: 0.3, half: [2.5, 2.5] };
+            let mut solids = Solids::default();
+            solids.polygon(&plan.corners(z), white(Class::Building));
+            let image = studio.shoot(solids, 16);
+            let [col, row] = centroid(&image);
+            let pixel = rpc.project(studio.frame.geo_from_enu(Vector3::new(x, y, z)));
+            let error_px = (pixel.col - col).hypot(pixel.row - row);
+            assert!(error_px < 0.12, "({x}, {y}, {z}): {error_px}");
+        }
+    }
+
+    #[test]
+    fn the_shadow_of_a_tower_ends_at_h_over_tan_e_from_it_away_from_the_sun() {
+        let (azimuth_deg, elevation_deg, height_m) = (118.0f64, 41.0f64, 14.0);
+        let studio = Studio::new(12.0, SunPosition::from_degrees(azimuth_deg, elevation_deg));
+        let plan = Footprint { x: 4.0, y: -5.0, angle_rad: 0.0, half: [3.0, 3.0] };
+        let mut solids = Solids::default();
+        solids.block(&plan, -1.0, height_m, white(Class::Building), white(Class::Building));
+        let image = studio.shoot(solids, 16);
+        let (sin, cos) = azimuth_deg.to_radians().sin_cos();
+        let length_m = height_m / elevation_deg.to_radians().tan();
+        // From the tower's middle, straight away from the sun: the shadow's far edge is that of the top.
+        let inside_m = 3.0 / sin.abs().max(cos.abs());
+        let shadow_at = |distance_m: f64| {
+            let point = Vector3::new(plan.x - sin * distance_m, plan.y - cos * distance_m, 0.0);
+            let [col, row] = studio.sensor.project(point);
+            let pixel = [col - studio.crop.col0, row - studio.crop.row0].map(|v| v.round() as usize);
+            image.shadow[pixel[1] * image.width + pixel[0]] == 1
+        };
+        assert!(shadow_at(length_m + inside_m - 0.8) && shadow_at(0.5 * length_m + inside_m));
+        assert!(!shadow_at(length_m + inside_m + 0.8) && !shadow_at(-inside_m - 3.0));
+    }
+
+    #[test]
+    fn eight_bit_images_have_the_same_marker_in_the_same_place() {
+        let studio = Studio::new(20.0, SunPosition::from_degrees(130.0, 50.0));
+        let plan = Footprint { x: 1.0, y: 2.0, angle_rad: 0.0, half: [3.0, 2.0] };
+        let marker = || {
+            let mut solids = Solids::default();
+            solids.polygon(&plan.corners(0.02), white(Class::Building));
+            solids
+        };
+        let (linear, display) = (studio.shoot(marker(), 16), studio.shoot(marker(), 8));
+        assert!(display.counts.iter().all(|&count| count <= 255));
+        let (a, b) = (centroid(&linear), centroid(&display));
+        assert!((a[0] - b[0]).hypot(a[1] - b[1]) < 0.1, "{a:?} {b:?}");
+    }
+
     #[test]
     fn point_spread_is_symmetric_and_keeps_the_light() {
         let kernel = point_spread();

@@ -154,4 +154,40 @@ mod tests {
         let [east, north] = grid.zone.project(lon_deg, lat_deg);
         assert!((east - grid.west_m - 0.25).abs() < 1e-6 && (grid.north_m - north - 0.25).abs() < 1e-6);
     }
+
+    #[test]
+    fn a_roof_raises_exactly_the_cells_whose_centres_it_covers_to_exactly_its_altitude() {
+        use crate::city::Ground;
+        use crate::materials::{Class, Material, grey};
+        use crate::raytrace::Tracer;
+        use crate::solid::{Finish, Solids};
+        use crate::terrain::HeightField;
+        let origin = GeoPoint { lon_deg: 150.93, lat_deg: -33.82, height_m: 61.5 };
+        let frame = LocalFrame::new(origin);
+        let grid = TruthGrid::around(origin, 24.0, 0.5);
+        // A flat roof whose corners are given in the grid: columns 10.25 to 20.75, rows 5.25 to 14.75.
+        let corner = |col: f64, row: f64| {
+            let [lon_deg, lat_deg] = grid.lon_lat(col, row);
+            frame.enu_from_geo(GeoPoint { lon_deg, lat_deg, height_m: 73.25 })
+        };
+        let corners = [corner(10.25, 5.25), corner(10.25, 14.75), corner(20.75, 14.75), corner(20.75, 5.25)];
+        let mut solids = Solids::default();
+        let finish = Finish { class: Class::Building, material: Material::Plain(grey(0.4)), seed: 0 };
+        solids.polygon(&corners, finish);
+        let terrain = HeightField::sample(30.0, 1.0, |_, _| 0.0);
+        let tracer = Tracer::new(&terrain, solids.primitives);
+        let ground = Ground::plain(Material::Plain(grey(0.1)));
+        let scene = LitScene { tracer: &tracer, surfaces: &solids.surfaces, ground: &ground };
+        let truth = survey(&scene, &frame, &grid, BandSet::Rgb);
+        for (index, (&altitude_m, &class)) in truth.altitude_m.iter().zip(&truth.class).enumerate() {
+            let (col, row) = (index % grid.size, index / grid.size);
+            let covered = (10..=20).contains(&col) && (5..=14).contains(&row);
+            let expected_m = if covered { 73.25 } else { 61.5 };
+            assert!((altitude_m - expected_m).abs() < 1e-4, "({col}, {row}): {altitude_m}");
+            assert_eq!(class, if covered { 6 } else { 2 });
+        }
+        // The roof covers two thirds of cell 10 and all of cell 12, in steps of a third.
+        let albedo = |col: usize| truth.albedo[(8 * grid.size + col) * 3];
+        assert!((albedo(12) - 0.4).abs() < 1e-6 && (albedo(10) - 0.3).abs() < 1e-6 && (albedo(9) - 0.1).abs() < 1e-6);
+    }
 }

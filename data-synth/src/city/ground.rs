@@ -51,14 +51,15 @@ impl Zone {
             }
             Outline::Blob => {
                 let angle = (b / w).atan2(a / l);
-                let waver = 1.0 + 0.13 * noise(self.seed, 1.5 * angle.cos() + 4.0, 1.5 * angle.sin() + 4.0);
+                let waver = |speed: f64| noise(self.seed, speed * angle.cos() + 9.0, speed * angle.sin() + 9.0);
+                let waver = 1.0 + 0.16 * waver(1.3) + 0.06 * waver(3.5);
                 ((a / l).hypot(b / w) / waver - 1.0) * l.min(w)
             }
         }
     }
 
     fn reach_m(&self) -> f64 {
-        1.2 * self.half[0].hypot(self.half[1])
+        1.25 * self.half[0].hypot(self.half[1])
     }
 }
 
@@ -110,6 +111,15 @@ impl Ground {
                 seed,
             },
         }
+    }
+
+    /// The same material everywhere.
+    #[cfg(test)]
+    pub(crate) fn plain(material: Material) -> Self {
+        let mut ground = Self::new(Bend::new(0), Vec::new(), 0);
+        ground.between.material = material;
+        ground.between.class = Class::Ground;
+        ground
     }
 
     /// The topmost zone at a place, and where the place is in it.

@@ -114,8 +114,8 @@ impl StreetPlan {
         }
         let share: f64 = random.random_range(0.42..0.58);
         let width_m = match size[axis] / longest_m {
-            r if r > 2.6 => random.random_range(11.5..13.5),
-            r if r > 1.7 => random.random_range(9.5..11.0),
+            r if r > 2.6 => random.random_range(11.0..13.0),
+            r if r > 1.7 => random.random_range(9.0..10.5),
             _ => random.random_range(8.0..9.0),
         };
         let at = block.low[axis] + share * size[axis];
