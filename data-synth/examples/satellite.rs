@@ -13,7 +13,11 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
         Some(other) => return Err(format!("no site is called {other}: tiny, block or city").into()),
     };
     let seed = arguments.next().map_or(Ok(1), |text| text.parse())?;
-    let request = SatelliteRequest { site, seed, ..Default::default() };
+    let request = SatelliteRequest {
+        site,
+        seed,
+        ..Default::default()
+    };
     let start = std::time::Instant::now();
     let summary = write_satellite(&request, &out, &|_, _| {})?;
     println!("{}", serde_json::to_string_pretty(&summary)?);

@@ -65,8 +65,14 @@ mod tests {
 
     #[test]
     fn a_bay_is_full_on_some_dates_only() {
-        let slots: Vec<CarSlot> =
-            (0..200).map(|seed| CarSlot { x: 0.0, y: 0.0, angle_rad: 0.0, seed }).collect();
+        let slots: Vec<CarSlot> = (0..200)
+            .map(|seed| CarSlot {
+                x: 0.0,
+                y: 0.0,
+                angle_rad: 0.0,
+                seed,
+            })
+            .collect();
         let parked = |date: u64| -> Vec<bool> {
             let stands = |slot: &CarSlot| {
                 let mut solids = Solids::default();

@@ -28,6 +28,7 @@ mod request;
 mod satellite;
 mod sensor;
 mod solid;
+mod summary;
 mod terrain;
 mod truth;
 pub mod utm;
@@ -36,5 +37,6 @@ mod write;
 
 pub use error::SynthError;
 pub use request::{BandSet, SatelliteRequest, Site};
-pub use satellite::{ImageSummary, Summary, write_satellite};
+pub use satellite::write_satellite;
+pub use summary::{ImageSummary, Summary};
 pub use truth::TruthGrid;

@@ -180,7 +180,11 @@ fn parking(mean: Spectrum, [bay, pitch]: [f64; 2], at: Spot) -> Spectrum {
     let in_bay = row < 5.0 || row > pitch - 5.0;
     let line = (at.u.rem_euclid(bay) - 0.5 * bay).abs() > 0.5 * bay - 0.07;
     let back = row < 0.1 || row > pitch - 0.1;
-    if (in_bay && line) || back { painted(surface, at) } else { surface }
+    if (in_bay && line) || back {
+        painted(surface, at)
+    } else {
+        surface
+    }
 }
 
 fn slabs(mean: Spectrum, side: f64, at: Spot) -> Spectrum {
@@ -222,7 +226,11 @@ fn facade(mean: Spectrum, at: Spot) -> Spectrum {
     let window = (0.9..2.4).contains(&in_floor) && (0.6..2.0).contains(&in_bay);
     if window {
         let blind = cell_noise(at.seed ^ 1, bay, floor);
-        return if blind > 0.55 { grey(0.35) } else { Spectrum::new(0.05, 0.06, 0.07, 0.05) * (1.2 + 0.6 * blind) };
+        return if blind > 0.55 {
+            grey(0.35)
+        } else {
+            Spectrum::new(0.05, 0.06, 0.07, 0.05) * (1.2 + 0.6 * blind)
+        };
     }
     let slab = if in_floor < 0.25 { -0.12 } else { 0.0 };
     let streak = 0.10 * noise(at.seed ^ 2, at.u / 0.7, at.v / 6.0);
@@ -287,8 +295,15 @@ mod tests {
     #[test]
     fn leaves_change_colour_with_the_season_and_keep_reflecting_infrared() {
         let leaves = Material::Leaves(Spectrum::new(0.045, 0.08, 0.03, 0.45), false);
-        let at = Spot { u: 1.0, v: 2.0, seed: 9 };
-        let bare = Season { green: 0.0, ..Season::REFERENCE };
+        let at = Spot {
+            u: 1.0,
+            v: 2.0,
+            seed: 9,
+        };
+        let bare = Season {
+            green: 0.0,
+            ..Season::REFERENCE
+        };
         let (summer, winter) = (leaves.albedo(at, &Season::REFERENCE), leaves.albedo(at, &bare));
         assert!(summer.y > summer.x && winter.x > winter.y);
         assert!(summer.w > 3.0 * summer.x && winter.w > 1.5 * winter.x);
@@ -299,7 +314,11 @@ mod tests {
         let spread = |material: Material| {
             let values: Vec<f64> = (0..400)
                 .map(|k| {
-                    let at = Spot { u: f64::from(k % 20) * 0.5, v: f64::from(k / 20) * 0.5, seed: 5 };
+                    let at = Spot {
+                        u: f64::from(k % 20) * 0.5,
+                        v: f64::from(k / 20) * 0.5,
+                        seed: 5,
+                    };
                     material.albedo(at, &Season::REFERENCE).x
                 })
                 .collect();

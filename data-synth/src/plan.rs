@@ -131,6 +131,7 @@ fn date_plan(random: &mut Pcg64Mcg, origin: GeoPoint, index: usize, count: usize
             aerosol: random.random_range(0.03..0.16),
             exposure: random.random_range(0.86..1.14),
             water_slope_variance: random.random_range(0.008..0.03),
+            water_turbidity: random.random_range(0.7..1.8),
             seed: random.random(),
         },
         car_occupancy: random.random_range(0.4..0.7),
@@ -150,12 +151,19 @@ fn season(random: &mut Pcg64Mcg, day: f64, lat_deg: f64) -> Season {
     }
 }
 
-fn view_plans(request: &SatelliteRequest, random: &mut Pcg64Mcg, origin: GeoPoint, dates: &[DatePlan]) -> Vec<ViewPlan> {
+fn view_plans(
+    request: &SatelliteRequest,
+    random: &mut Pcg64Mcg,
+    origin: GeoPoint,
+    dates: &[DatePlan],
+) -> Vec<ViewPlan> {
     let count = request.view_count();
     let mut order: Vec<usize> = (0..count).collect();
     order.shuffle(random);
     let first_azimuth_deg: f64 = random.random_range(0.0..360.0);
-    let full_px = (FULL_SCENE_FACTOR * image_width_px(request)).max(FULL_SCENE_LEAST_PX).round();
+    let full_px = (FULL_SCENE_FACTOR * image_width_px(request))
+        .max(FULL_SCENE_LEAST_PX)
+        .round();
     let mut views: Vec<ViewPlan> = (0..count)
         .map(|index| {
             let date = index % dates.len();
@@ -248,7 +256,10 @@ mod tests {
     #[test]
     fn every_date_has_a_high_sun_in_the_morning_and_every_view_its_angles() {
         for seed in 0..30 {
-            let collection = Collection::new(&SatelliteRequest { seed, ..Default::default() });
+            let collection = Collection::new(&SatelliteRequest {
+                seed,
+                ..Default::default()
+            });
             assert_eq!(collection.views.len(), 12);
             assert_eq!(collection.dates.len(), 7);
             for view in &collection.views {
@@ -270,7 +281,10 @@ mod tests {
 
     #[test]
     fn bias_has_the_root_mean_square_asked_for() {
-        let request = SatelliteRequest { pointing_bias_px: 3.0, ..Default::default() };
+        let request = SatelliteRequest {
+            pointing_bias_px: 3.0,
+            ..Default::default()
+        };
         let views = Collection::new(&request).views;
         let square = |view: &ViewPlan| view.pointing_bias_px[0].powi(2) + view.pointing_bias_px[1].powi(2);
         let mean = views.iter().map(square).sum::<f64>() / views.len() as f64;
@@ -280,7 +294,11 @@ mod tests {
     #[test]
     fn one_view_and_one_date_per_view_can_be_planned() {
         for views in [1, 2, 5] {
-            let request = SatelliteRequest { views: Some(views), dates: Some(20), ..Default::default() };
+            let request = SatelliteRequest {
+                views: Some(views),
+                dates: Some(20),
+                ..Default::default()
+            };
             let collection = Collection::new(&request);
             assert_eq!((collection.views.len(), collection.dates.len()), (views, views));
         }

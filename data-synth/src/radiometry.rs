@@ -41,6 +41,8 @@ pub(crate) struct Weather {
     pub(crate) exposure: f64,
     /// Mean square slope of ripples.
     pub(crate) water_slope_variance: f64,
+    /// Brightness of what floats in the water, relative to the mean.
+    pub(crate) water_turbidity: f64,
     pub(crate) seed: u64,
 }
 
@@ -106,7 +108,10 @@ impl Light {
                 lit: true,
             };
         };
-        let (class, albedo) = scene.albedo(&hit, &self.season);
+        let (class, mut albedo) = scene.albedo(&hit, &self.season);
+        if class == Class::Water {
+            albedo *= self.weather.water_turbidity;
+        }
         let start = hit.point + hit.normal * SURFACE_BIAS_M;
         let facing = hit.normal.dot(&self.to_sun);
         let to_sun = Ray {
@@ -228,7 +233,11 @@ impl Encoding {
 
 /// The transfer curve of sRGB (IEC 61966-2-1).
 fn srgb(linear: f64) -> f64 {
-    if linear <= 0.003_130_8 { 12.92 * linear } else { 1.055 * linear.powf(1.0 / 2.4) - 0.055 }
+    if linear <= 0.003_130_8 {
+        12.92 * linear
+    } else {
+        1.055 * linear.powf(1.0 / 2.4) - 0.055
+    }
 }
 
 #[cfg(test)]
@@ -240,9 +249,15 @@ mod tests {
             aerosol,
             exposure: 1.0,
             water_slope_variance: 0.02,
+            water_turbidity: 1.0,
             seed: 1,
         };
-        Light::new(&SunPosition::from_degrees(140.0, elevation_deg), weather, Season::REFERENCE, 0.3)
+        Light::new(
+            &SunPosition::from_degrees(140.0, elevation_deg),
+            weather,
+            Season::REFERENCE,
+            0.3,
+        )
     }
 
     #[test]
@@ -269,10 +284,17 @@ mod tests {
     #[test]
     fn a_white_roof_in_the_sun_is_not_saturated_and_dark_asphalt_is_well_above_noise() {
         let light = light(60.0, 0.1);
-        let encoding = Encoding { gain: MEAN_GAIN, noise: 1.0, bits: 16 };
+        let encoding = Encoding {
+            gain: MEAN_GAIN,
+            noise: 1.0,
+            bits: 16,
+        };
         let count = |albedo: f64| {
             let level = light.sun * 60f64.to_radians().sin() + light.sky;
-            encoding.count((level * (albedo / PI)).component_mul(&light.transmittance).x + light.haze.x, 0.0)
+            encoding.count(
+                (level * (albedo / PI)).component_mul(&light.transmittance).x + light.haze.x,
+                0.0,
+            )
         };
         assert!((1200..2000).contains(&count(0.6)), "{}", count(0.6));
         assert!((200..500).contains(&count(0.1)), "{}", count(0.1));
@@ -280,7 +302,11 @@ mod tests {
 
     #[test]
     fn display_images_are_srgb_of_the_linear_counts() {
-        let linear = Encoding { gain: MEAN_GAIN, noise: 0.0, bits: 16 };
+        let linear = Encoding {
+            gain: MEAN_GAIN,
+            noise: 0.0,
+            bits: 16,
+        };
         let display = Encoding { bits: 8, ..linear };
         let radiance = 0.5 * DISPLAY_WHITE / MEAN_GAIN;
         assert_eq!(linear.count(radiance, 0.0), 750);

@@ -227,7 +227,11 @@ impl<'a> Tracer<'a> {
         let mut blocked = false;
         self.walk(ray, reach_m, |cell, t_in, t_out| {
             let within = |t: &f64| *t > SELF_HIT_M && *t < reach_m;
-            blocked = self.terrain.intersect_cell(cell, ray, t_in, t_out).filter(within).is_some()
+            blocked = self
+                .terrain
+                .intersect_cell(cell, ray, t_in, t_out)
+                .filter(within)
+                .is_some()
                 || (self.members_of(cell).iter()).any(|&member| self.intersect(member, ray).filter(within).is_some());
             blocked
         });
@@ -259,7 +263,11 @@ impl<'a> Tracer<'a> {
                 }
             },
         };
-        let facing = if normal.dot(&ray.direction) > 0.0 { -normal } else { normal };
+        let facing = if normal.dot(&ray.direction) > 0.0 {
+            -normal
+        } else {
+            normal
+        };
         Hit {
             point,
             normal: facing,

@@ -132,9 +132,7 @@ impl SatelliteRequest {
 
     /// Number of acquisition dates.
     pub fn date_count(&self) -> usize {
-        self.dates
-            .unwrap_or(self.site.default_dates())
-            .min(self.view_count())
+        self.dates.unwrap_or(self.site.default_dates()).min(self.view_count())
     }
 
     /// Images held out for testing: none below 4 views, one below 8, else two.
@@ -173,7 +171,10 @@ impl SatelliteRequest {
             return bad(format!("{} bits per sample; ask for 8 or 16", self.bits));
         }
         if !(0.0..=100.0).contains(&self.pointing_bias_px) {
-            return bad(format!("a pointing bias of {} px; ask for 0 to 100", self.pointing_bias_px));
+            return bad(format!(
+                "a pointing bias of {} px; ask for 0 to 100",
+                self.pointing_bias_px
+            ));
         }
         if !(0.0..=100.0).contains(&self.noise) {
             return bad(format!("noise {}; ask for 0 to 100", self.noise));

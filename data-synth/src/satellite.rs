@@ -9,13 +9,13 @@ use crate::raytrace::Tracer;
 use crate::render::{Crop, Exposure, Image, render};
 use crate::request::{SatelliteRequest, Site};
 use crate::sensor::PushBroom;
+use crate::summary::{ImageSummary, Summary};
 use crate::truth::{Truth, TruthGrid, survey};
+use crate::write::Staging;
 use crate::write::geotiff::{Raster, Samples, write};
 use crate::write::metadata::{image_items, loose_altitudes_m, satnerf_json};
-use crate::write::Staging;
 use heliosplat_rpc::fit::RpcFit;
 use heliosplat_rpc::{GeoPoint, LocalFrame, Rpc};
-use serde::{Deserialize, Serialize};
 use std::path::Path;
 
 /// Pixels that every image shows beyond the site on all sides, at all its altitudes.
@@ -23,59 +23,9 @@ const MARGIN_PX: f64 = 12.0;
 /// How far the city goes on beyond what any image shows, so that shadows fall into the images, metres.
 const SURROUNDINGS_M: f64 = 50.0;
 /// Altitudes above and below the site's centre that images are made to cover, metres.
-const COVERED_ALTITUDES_M: [f64; 2] = [-8.0, 38.0];
+const COVERED_ALTITUDES_M: [f64; 2] = [-10.0, 44.0];
 /// NaN would do, but not every tool reads it.
-const NODATA: &str = "-9999";
-
-/// What was made.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-pub struct Summary {
-    /// The request, as it was met.
-    pub request: SatelliteRequest,
-    /// Centre of the site.
-    pub origin: GeoPoint,
-    /// Grid of the truth rasters.
-    pub grid: TruthGrid,
-    /// Lowest and highest altitude of the truth DSM, metres above the ellipsoid.
-    pub altitude_range_m: [f64; 2],
-    /// Share of the truth's cells in each class, by name.
-    pub class_share: std::collections::BTreeMap<String, f64>,
-    /// The images in order of time.
-    pub images: Vec<ImageSummary>,
-}
-
-/// What was made of one image.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-pub struct ImageSummary {
-    /// File name without extension.
-    pub name: String,
-    /// Acquisition time, UTC.
-    pub time: jiff::Timestamp,
-    /// Which of the dates.
-    pub date: usize,
-    /// Whether it is listed in `test.txt`.
-    pub held_out: bool,
-    /// Columns and rows.
-    pub size_px: [usize; 2],
-    /// Ground sampling distance, metres.
-    pub gsd_m: f64,
-    /// Angle of the sun clockwise from north, degrees.
-    pub sun_azimuth_deg: f64,
-    /// Angle of the sun above the horizon, degrees.
-    pub sun_elevation_deg: f64,
-    /// Direction in which the satellite stands, clockwise from north, degrees.
-    pub satellite_azimuth_deg: f64,
-    /// Angle at the satellite between nadir and line of sight, degrees.
-    pub off_nadir_deg: f64,
-    /// Root mean square residual of the fitted RPC over the vendor's full scene, pixels.
-    pub rpc_rms_px: f64,
-    /// Largest residual, pixels.
-    pub rpc_max_px: f64,
-    /// (column, row) error put into the RPC, pixels.
-    pub pointing_bias_px: [f64; 2],
-    /// Share of the image in shadow.
-    pub shadow_share: f64,
-}
+const NODATA: f32 = -9999.0;
 
 /// One image's camera: the sensor, the part of it that is the image, and the RPC to be delivered.
 struct Camera {
@@ -124,9 +74,14 @@ pub fn write_satellite(
             surfaces: &solids.surfaces,
             ground: &city.ground,
         };
-        for (index, view) in collection.views.iter().enumerate().filter(|(_, view)| view.date == date) {
+        for (index, view) in collection
+            .views
+            .iter()
+            .enumerate()
+            .filter(|(_, view)| view.date == date)
+        {
             let camera = &cameras[index];
-            let light = Light::new(&view.sun, plan.weather, plan.season, view.geometry.off_nadir_rad);
+            let light = Light::new(&view.sun, plan.weather, plan.season, view.geometry.zenith_rad());
             let exposure = Exposure {
                 sensor: &camera.sensor,
                 crop: camera.crop,
@@ -186,7 +141,11 @@ fn crop_of(request: &SatelliteRequest, frame: &LocalFrame, grid: &TruthGrid, sen
         for altitude_m in COVERED_ALTITUDES_M {
             let [lon_deg, lat_deg] = grid.lon_lat(col, row);
             let height_m = frame.origin.height_m + altitude_m;
-            let pixel = sensor.project(frame.enu_from_geo(GeoPoint { lon_deg, lat_deg, height_m }));
+            let pixel = sensor.project(frame.enu_from_geo(GeoPoint {
+                lon_deg,
+                lat_deg,
+                height_m,
+            }));
             for k in 0..2 {
                 low[k] = low[k].min(pixel[k]);
                 high[k] = high[k].max(pixel[k]);
@@ -196,7 +155,12 @@ fn crop_of(request: &SatelliteRequest, frame: &LocalFrame, grid: &TruthGrid, sen
     match request.size_px {
         Some(size) => {
             let first = [0, 1].map(|k| (0.5 * (low[k] + high[k]) - 0.5 * (size as f64 - 1.0)).round());
-            Crop { col0: first[0], row0: first[1], width: size, height: size }
+            Crop {
+                col0: first[0],
+                row0: first[1],
+                width: size,
+                height: size,
+            }
         }
         None => {
             let first = low.map(|v| (v - MARGIN_PX).floor());
@@ -259,14 +223,39 @@ fn write_truth(
         };
         write(&staging.path(name)?, &raster)
     };
+    let altitudes_m: Vec<f32> = truth
+        .altitude_m
+        .iter()
+        .map(|m| if m.is_nan() { NODATA } else { *m })
+        .collect();
     let dsm = [about("highest surface at the centre of each cell, without cars"), datum];
-    write_grid("truth/dsm.tif", Samples::F32(&truth.altitude_m), &["altitude"], &dsm, Some(NODATA))?;
+    write_grid(
+        "truth/dsm.tif",
+        Samples::F32(&altitudes_m),
+        &["altitude"],
+        &dsm,
+        Some(NODATA),
+    )?;
     let classes: Vec<_> = (Class::NAMES.iter())
         .map(|(class, name)| ((*class as u8).to_string(), name.to_string()))
         .collect();
-    write_grid("truth/classes.tif", Samples::U8(&truth.class), &["class"], &classes, None)?;
-    let albedo = [about("mean albedo of the highest surface in each cell, in the reference season, without cars")];
-    write_grid("truth/albedo.tif", Samples::F32(&truth.albedo), request.bands.names(), &albedo, None)?;
+    write_grid(
+        "truth/classes.tif",
+        Samples::U8(&truth.class),
+        &["class"],
+        &classes,
+        None,
+    )?;
+    let albedo = [about(
+        "mean albedo of the highest surface in each cell, in the reference season, without cars",
+    )];
+    write_grid(
+        "truth/albedo.tif",
+        Samples::F32(&truth.albedo),
+        request.bands.names(),
+        &albedo,
+        None,
+    )?;
     let [south_m, cell_m] = [grid.north_m - grid.size as f64 * grid.cell_m, grid.cell_m];
     let text = format!("{}\n{}\n{}\n{}\n", grid.west_m, south_m, grid.size, cell_m);
     staging.text("truth/dsm.txt", &text)
@@ -350,7 +339,9 @@ fn class_share(truth: &Truth) -> std::collections::BTreeMap<String, f64> {
     let share = |class: Class| {
         truth.class.iter().filter(|&&code| code == class as u8).count() as f64 / truth.class.len().max(1) as f64
     };
-    let present = Class::NAMES.iter().map(|&(class, name)| (name.to_string(), share(class)));
+    let present = Class::NAMES
+        .iter()
+        .map(|&(class, name)| (name.to_string(), share(class)));
     present.filter(|(_, share)| *share > 0.0).collect()
 }
 
@@ -362,11 +353,18 @@ mod tests {
     fn a_site_has_the_make_up_of_a_city() {
         let mut all = Vec::new();
         for seed in 1..=6 {
-            let request = SatelliteRequest { seed, gsd_m: Some(1.0), ..Default::default() };
+            let request = SatelliteRequest {
+                seed,
+                gsd_m: Some(1.0),
+                ..Default::default()
+            };
             let collection = Collection::new(&request);
             let frame = LocalFrame::new(collection.origin);
             let grid = TruthGrid::around(collection.origin, 128.0, 1.0);
-            let plan = CityPlan { half_extent_m: 100.0, longest_block_m: 92.0 };
+            let plan = CityPlan {
+                half_extent_m: 100.0,
+                longest_block_m: 92.0,
+            };
             let truth = survey_city(&request, &City::new(seed, plan), &frame, &grid);
             let [low_m, high_m] = truth.altitude_range_m();
             let share = class_share(&truth);
@@ -380,5 +378,32 @@ mod tests {
         assert!((0.10..0.18).contains(&mean("vegetation")), "{}", mean("vegetation"));
         assert!((0.15..0.32).contains(&mean("road")), "{}", mean("road"));
         assert!((0.003..0.05).contains(&mean("water")), "{}", mean("water"));
+    }
+
+    #[test]
+    fn every_site_stays_within_the_altitudes_that_images_are_made_to_cover() {
+        for seed in 100..116 {
+            for site in [Site::Tiny, Site::Block, Site::City] {
+                let request = SatelliteRequest {
+                    site,
+                    seed,
+                    gsd_m: Some(4.0),
+                    ..Default::default()
+                };
+                let collection = Collection::new(&request);
+                let frame = LocalFrame::new(collection.origin);
+                let grid = TruthGrid::around(collection.origin, site.extent_m(), 4.0);
+                let plan = CityPlan {
+                    half_extent_m: 0.5 * site.extent_m() + 20.0,
+                    longest_block_m: 70.0,
+                };
+                let truth = survey_city(&request, &City::new(seed, plan), &frame, &grid);
+                let [low_m, high_m] = truth.altitude_range_m().map(|m| m - collection.origin.height_m);
+                assert!(
+                    low_m > COVERED_ALTITUDES_M[0] && high_m < COVERED_ALTITUDES_M[1],
+                    "{seed}: {low_m} {high_m}"
+                );
+            }
+        }
     }
 }

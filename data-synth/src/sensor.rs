@@ -37,6 +37,14 @@ pub(crate) struct ViewGeometry {
     pub(crate) seed: u64,
 }
 
+impl ViewGeometry {
+    /// Angle at the site between the zenith and the satellite, on a round Earth, radians.
+    pub(crate) fn zenith_rad(&self) -> f64 {
+        const EARTH_RADIUS_M: f64 = 6_371_000.0;
+        ((1.0 + self.orbit_m / EARTH_RADIUS_M) * self.off_nadir_rad.sin()).asin()
+    }
+}
+
 /// The sensor in the scene's frame (east, north, up). Lines and samples are those of the vendor's full scene.
 #[derive(Debug, Clone)]
 pub(crate) struct PushBroom {
@@ -94,7 +102,8 @@ impl PushBroom {
         let columns_on_ground = Vector3::new(cos_t, sin_t, 0.0);
         let rows_on_ground = Vector3::new(sin_t, -cos_t, 0.0);
         let centre_px = 0.5 * (view.full_px - 1.0);
-        let offset_m = (columns_on_ground * (centre_px - aim_px[0]) + rows_on_ground * (centre_px - aim_px[1])) * view.gsd_m;
+        let offset_m =
+            (columns_on_ground * (centre_px - aim_px[0]) + rows_on_ground * (centre_px - aim_px[1])) * view.gsd_m;
         let ground_speed_m_s = random.random_range(5500.0..7000.0);
         let cross = columns_on_ground.dot(&sight);
         Self {

@@ -91,7 +91,13 @@ pub(crate) struct Solids {
 
 impl Solids {
     /// A surface of its own for a flat polygon whose first edge is the texture's u axis.
-    fn flat_surface(&mut self, finish: Finish, origin: Vector3<f64>, edge: Vector3<f64>, normal: Vector3<f64>) -> SurfaceId {
+    fn flat_surface(
+        &mut self,
+        finish: Finish,
+        origin: Vector3<f64>,
+        edge: Vector3<f64>,
+        normal: Vector3<f64>,
+    ) -> SurfaceId {
         let along_u = edge.normalize();
         self.surfaces.push(Surface {
             class: finish.class,
@@ -166,13 +172,27 @@ mod tests {
     #[test]
     fn a_box_has_its_top_where_its_corners_say_and_throws_a_shadow_of_h_over_tan_e() {
         let ground = HeightField::sample(60.0, 1.0, |_, _| 0.0);
-        let footprint = Footprint { x: 3.0, y: -2.0, angle_rad: 0.4, half: [6.0, 4.0] };
+        let footprint = Footprint {
+            x: 3.0,
+            y: -2.0,
+            angle_rad: 0.4,
+            half: [6.0, 4.0],
+        };
         let mut solids = Solids::default();
         let height_m = 11.0;
-        solids.block(&footprint, -1.0, height_m, plain(Class::Building), plain(Class::Building));
+        solids.block(
+            &footprint,
+            -1.0,
+            height_m,
+            plain(Class::Building),
+            plain(Class::Building),
+        );
         let tracer = Tracer::new(&ground, solids.primitives);
         let down = |x: f64, y: f64| {
-            let ray = Ray { origin: Vector3::new(x, y, 100.0), direction: -Vector3::z() };
+            let ray = Ray {
+                origin: Vector3::new(x, y, 100.0),
+                direction: -Vector3::z(),
+            };
             tracer.trace(&ray).map(|hit| hit.point.z)
         };
         for k in 0..2000 {
@@ -191,7 +211,10 @@ mod tests {
         let reach_m = height_m / elevation.tan();
         let lit = |beyond_m: f64| {
             let [x, y] = footprint.at(footprint.half[0] + beyond_m, 0.0);
-            let ray = Ray { origin: Vector3::new(x, y, 1e-6), direction: sun };
+            let ray = Ray {
+                origin: Vector3::new(x, y, 1e-6),
+                direction: sun,
+            };
             !tracer.occluded(&ray, f64::INFINITY)
         };
         assert!(!lit(reach_m - 0.001) && lit(reach_m + 0.001) && !lit(0.01));
@@ -200,7 +223,12 @@ mod tests {
     #[test]
     fn the_texture_of_a_wall_runs_along_it_and_up() {
         let mut solids = Solids::default();
-        let footprint = Footprint { x: 0.0, y: 0.0, angle_rad: 0.0, half: [5.0, 4.0] };
+        let footprint = Footprint {
+            x: 0.0,
+            y: 0.0,
+            angle_rad: 0.0,
+            half: [5.0, 4.0],
+        };
         solids.walls(&footprint, 0.0, 9.0, plain(Class::Building));
         let wall = solids.surfaces[0];
         assert!((wall.along_u - Vector3::x()).norm() < 1e-12);

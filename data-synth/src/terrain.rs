@@ -3,6 +3,7 @@
 use crate::noise::{hash2, noise};
 use crate::raytrace::Ray;
 use nalgebra::Vector3;
+use rayon::prelude::*;
 
 /// Altitudes on a square lattice centred on the origin; each cell is cut along its rising diagonal.
 pub(crate) struct HeightField {
@@ -14,10 +15,11 @@ pub(crate) struct HeightField {
 
 impl HeightField {
     /// Samples `height_m(x, y)` on a lattice of `cell_m` that reaches at least `half_extent_m` from the origin.
-    pub(crate) fn sample(half_extent_m: f64, cell_m: f64, height_m: impl Fn(f64, f64) -> f64) -> Self {
+    pub(crate) fn sample(half_extent_m: f64, cell_m: f64, height_m: impl Fn(f64, f64) -> f64 + Sync) -> Self {
         let half_cells = (half_extent_m / cell_m).ceil() as usize;
         let (cells, half_extent_m) = (2 * half_cells, half_cells as f64 * cell_m);
         let heights_m = (0..(cells + 1) * (cells + 1))
+            .into_par_iter()
             .map(|k| {
                 let (i, j) = (k % (cells + 1), k / (cells + 1));
                 height_m(i as f64 * cell_m - half_extent_m, j as f64 * cell_m - half_extent_m)
@@ -96,7 +98,11 @@ impl HeightField {
         let (ox, oy) = ((ray.origin.x - x0) / self.cell_m, (ray.origin.y - y0) / self.cell_m);
         let (dx, dy) = (ray.direction.x / self.cell_m, ray.direction.y / self.cell_m);
         let t_diagonal = (oy - ox) / (dx - dy);
-        let split = if t_diagonal > t_in && t_diagonal < t_out { t_diagonal } else { t_out };
+        let split = if t_diagonal > t_in && t_diagonal < t_out {
+            t_diagonal
+        } else {
+            t_out
+        };
         for (from, to) in [(t_in, split), (split, t_out)] {
             if from >= to {
                 continue;
@@ -107,7 +113,11 @@ impl HeightField {
                 |t: f64| ray.origin.z + ray.direction.z * t - base - along_x * (ox + dx * t) - along_y * (oy + dy * t);
             let (start, end) = (above(from), above(to));
             if end <= 0.0 && end < start {
-                return Some(if start <= 0.0 { from } else { from + (to - from) * start / (start - end) });
+                return Some(if start <= 0.0 {
+                    from
+                } else {
+                    from + (to - from) * start / (start - end)
+                });
             }
         }
         None
@@ -123,7 +133,11 @@ impl HeightField {
     /// Rise per cell along x and y, and altitude at the cell's origin, of the lower-right or upper-left triangle.
     fn plane(&self, cell: usize, lower_right: bool) -> (f64, f64, f64) {
         let [a, b, c, d] = self.corners_m(cell);
-        if lower_right { (b - a, d - b, a) } else { (d - c, c - a, a) }
+        if lower_right {
+            (b - a, d - b, a)
+        } else {
+            (d - c, c - a, a)
+        }
     }
 
     fn locate(&self, x: f64, y: f64) -> (usize, f64, f64) {
@@ -196,7 +210,12 @@ mod tests {
     fn a_ray_along_lattice_lines_and_diagonals_does_not_slip_through() {
         let field = HeightField::sample(10.0, 1.0, |x, y| 0.1 * x - 0.2 * y);
         let tracer = crate::raytrace::Tracer::new(&field, Default::default());
-        for (x, y, dx, dy) in [(0.0, 0.0, 0.0, 0.0), (2.0, 3.0, 0.3, 0.3), (1.0, -4.0, 0.4, 0.0), (0.5, 0.5, -0.2, -0.2)] {
+        for (x, y, dx, dy) in [
+            (0.0, 0.0, 0.0, 0.0),
+            (2.0, 3.0, 0.3, 0.3),
+            (1.0, -4.0, 0.4, 0.0),
+            (0.5, 0.5, -0.2, -0.2),
+        ] {
             let direction = Vector3::new(dx, dy, -1.0).normalize();
             let target = Vector3::new(x, y, 0.1 * x - 0.2 * y);
             let ray = Ray {

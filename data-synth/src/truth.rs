@@ -46,7 +46,8 @@ impl TruthGrid {
 
     /// Longitude and latitude of a place in cells: (0.5, 0.5) is the centre of the upper-left cell.
     pub(crate) fn lon_lat(&self, col: f64, row: f64) -> [f64; 2] {
-        self.zone.unproject(self.west_m + col * self.cell_m, self.north_m - row * self.cell_m)
+        self.zone
+            .unproject(self.west_m + col * self.cell_m, self.north_m - row * self.cell_m)
     }
 }
 
@@ -96,7 +97,9 @@ fn survey_row(scene: &LitScene, frame: &LocalFrame, grid: &TruthGrid, bands: Ban
     };
     for col in 0..grid.size {
         let centre = look_down(scene, frame, grid, [col as f64 + 0.5, row as f64 + 0.5]);
-        truth.altitude_m.push(centre.map_or(f32::NAN, |hit| frame.geo_from_enu(hit.point).height_m as f32));
+        truth
+            .altitude_m
+            .push(centre.map_or(f32::NAN, |hit| frame.geo_from_enu(hit.point).height_m as f32));
         truth.class.push(centre.map_or(0, |hit| scene.class(&hit) as u8));
         let mut sum = [0f32; 4];
         for k in 0..FINE * FINE {
@@ -162,22 +165,43 @@ mod tests {
         use crate::raytrace::Tracer;
         use crate::solid::{Finish, Solids};
         use crate::terrain::HeightField;
-        let origin = GeoPoint { lon_deg: 150.93, lat_deg: -33.82, height_m: 61.5 };
+        let origin = GeoPoint {
+            lon_deg: 150.93,
+            lat_deg: -33.82,
+            height_m: 61.5,
+        };
         let frame = LocalFrame::new(origin);
         let grid = TruthGrid::around(origin, 24.0, 0.5);
         // A flat roof whose corners are given in the grid: columns 10.25 to 20.75, rows 5.25 to 14.75.
         let corner = |col: f64, row: f64| {
             let [lon_deg, lat_deg] = grid.lon_lat(col, row);
-            frame.enu_from_geo(GeoPoint { lon_deg, lat_deg, height_m: 73.25 })
+            frame.enu_from_geo(GeoPoint {
+                lon_deg,
+                lat_deg,
+                height_m: 73.25,
+            })
         };
-        let corners = [corner(10.25, 5.25), corner(10.25, 14.75), corner(20.75, 14.75), corner(20.75, 5.25)];
+        let corners = [
+            corner(10.25, 5.25),
+            corner(10.25, 14.75),
+            corner(20.75, 14.75),
+            corner(20.75, 5.25),
+        ];
         let mut solids = Solids::default();
-        let finish = Finish { class: Class::Building, material: Material::Plain(grey(0.4)), seed: 0 };
+        let finish = Finish {
+            class: Class::Building,
+            material: Material::Plain(grey(0.4)),
+            seed: 0,
+        };
         solids.polygon(&corners, finish);
         let terrain = HeightField::sample(30.0, 1.0, |_, _| 0.0);
         let tracer = Tracer::new(&terrain, solids.primitives);
         let ground = Ground::plain(Material::Plain(grey(0.1)));
-        let scene = LitScene { tracer: &tracer, surfaces: &solids.surfaces, ground: &ground };
+        let scene = LitScene {
+            tracer: &tracer,
+            surfaces: &solids.surfaces,
+            ground: &ground,
+        };
         let truth = survey(&scene, &frame, &grid, BandSet::Rgb);
         for (index, (&altitude_m, &class)) in truth.altitude_m.iter().zip(&truth.class).enumerate() {
             let (col, row) = (index % grid.size, index / grid.size);

@@ -66,7 +66,12 @@ impl Tree {
 
     fn trunk(&self, solids: &mut Solids, ground_z: f64) {
         let thickness_m = 0.04 * self.radius_m + 0.06;
-        let plan = Footprint { x: self.x, y: self.y, angle_rad: 0.0, half: [thickness_m; 2] };
+        let plan = Footprint {
+            x: self.x,
+            y: self.y,
+            angle_rad: 0.0,
+            half: [thickness_m; 2],
+        };
         let bark = Finish {
             class: Class::Vegetation,
             material: Material::Bark,
@@ -114,7 +119,11 @@ impl Tree {
                 let radius_m = 0.38 * reach_m + 0.08;
                 let out_m = 0.62 * reach_m;
                 let centre = Vector3::new(self.x + out_m * turn.cos(), self.y + out_m * turn.sin(), z - 0.2);
-                solids.ellipsoid(centre, Vector3::new(radius_m, radius_m, 0.5 * thick_m), leaves[arm as usize % 3]);
+                solids.ellipsoid(
+                    centre,
+                    Vector3::new(radius_m, radius_m, 0.5 * thick_m),
+                    leaves[arm as usize % 3],
+                );
             }
         }
     }
@@ -170,14 +179,20 @@ mod tests {
             let mut top_m = 0.0f64;
             for k in 0..10_000 {
                 let (x, y) = (f64::from(k % 100) * 0.1 - 5.0, f64::from(k / 100) * 0.1 - 5.0);
-                let ray = Ray { origin: Vector3::new(x, y, 30.0), direction: -Vector3::z() };
+                let ray = Ray {
+                    origin: Vector3::new(x, y, 30.0),
+                    direction: -Vector3::z(),
+                };
                 let z = tracer.trace(&ray).map_or(0.0, |hit| hit.point.z);
                 top_m = top_m.max(z);
                 covered_m2 += if z > 0.01 { 0.01 } else { 0.0 };
             }
             assert!((8.0..=9.0 + 1e-9).contains(&top_m), "{kind:?}: {top_m}");
             let disc_m2 = std::f64::consts::PI * 9.0;
-            assert!((0.6 * disc_m2..1.15 * disc_m2).contains(&covered_m2), "{kind:?}: {covered_m2}");
+            assert!(
+                (0.6 * disc_m2..1.15 * disc_m2).contains(&covered_m2),
+                "{kind:?}: {covered_m2}"
+            );
         }
     }
 }

@@ -30,7 +30,11 @@ fn bytes_of(folder: &Path) -> BTreeMap<String, Vec<u8>> {
         let path = entry.expect("entry").path();
         let name = path.file_name().expect("name").to_string_lossy().into_owned();
         if path.is_dir() {
-            files.extend(bytes_of(&path).into_iter().map(|(inner, bytes)| (format!("{name}/{inner}"), bytes)));
+            files.extend(
+                bytes_of(&path)
+                    .into_iter()
+                    .map(|(inner, bytes)| (format!("{name}/{inner}"), bytes)),
+            );
         } else {
             files.insert(name, fs::read(&path).expect("file"));
         }
@@ -46,7 +50,10 @@ fn open(path: &Path) -> Decoder<fs::File> {
 fn the_same_request_gives_the_same_bytes_for_any_number_of_threads() {
     let with_threads = |threads: usize| {
         let folder = tempfile::tempdir().expect("a temporary folder");
-        let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().expect("threads");
+        let pool = rayon::ThreadPoolBuilder::new()
+            .num_threads(threads)
+            .build()
+            .expect("threads");
         pool.install(|| make(&small(), folder.path()));
         bytes_of(folder.path())
     };
@@ -60,9 +67,25 @@ fn the_same_request_gives_the_same_bytes_for_any_number_of_threads() {
 
 #[test]
 fn another_seed_gives_another_scene() {
-    let (a, b) = (tempfile::tempdir().expect("folder"), tempfile::tempdir().expect("folder"));
-    let first = make(&SatelliteRequest { views: Some(1), ..small() }, a.path());
-    let second = make(&SatelliteRequest { views: Some(1), seed: 5, ..small() }, b.path());
+    let (a, b) = (
+        tempfile::tempdir().expect("folder"),
+        tempfile::tempdir().expect("folder"),
+    );
+    let first = make(
+        &SatelliteRequest {
+            views: Some(1),
+            ..small()
+        },
+        a.path(),
+    );
+    let second = make(
+        &SatelliteRequest {
+            views: Some(1),
+            seed: 5,
+            ..small()
+        },
+        b.path(),
+    );
     assert_ne!(first.origin, second.origin);
     let dsm = |folder: &Path| fs::read(folder.join("truth/dsm.tif")).expect("file");
     assert!(dsm(a.path()) != dsm(b.path()));
@@ -84,8 +107,13 @@ fn the_tag_and_the_json_of_an_image_hold_the_same_camera_and_it_covers_the_site_
         for (east, north) in [(0.0, 0.0), (far, 0.0), (0.0, -far), (far, -far)] {
             for height_m in [low_m, high_m] {
                 let [lon_deg, lat_deg] = grid.zone.unproject(grid.west_m + east, grid.north_m + north);
-                let ImagePoint { col, row } = rpc.project(GeoPoint { lon_deg, lat_deg, height_m });
-                let inside = (0.0..image.size_px[0] as f64).contains(&col) && (0.0..image.size_px[1] as f64).contains(&row);
+                let ImagePoint { col, row } = rpc.project(GeoPoint {
+                    lon_deg,
+                    lat_deg,
+                    height_m,
+                });
+                let inside =
+                    (0.0..image.size_px[0] as f64).contains(&col) && (0.0..image.size_px[1] as f64).contains(&row);
                 assert!(inside, "{}: ({col}, {row}) of {:?}", image.name, image.size_px);
             }
         }
@@ -102,7 +130,10 @@ fn the_json_has_what_satnerf_readers_look_for_and_bounds_that_do_not_give_the_tr
         let text = fs::read_to_string(folder.path().join(format!("{}.json", image.name))).expect("file");
         let json: serde_json::Value = serde_json::from_str(&text).expect("JSON");
         assert_eq!(json["img"], format!("{}.tif", image.name));
-        assert_eq!((json["width"].as_u64(), json["height"].as_u64()), (Some(image.size_px[0] as u64), Some(image.size_px[1] as u64)));
+        assert_eq!(
+            (json["width"].as_u64(), json["height"].as_u64()),
+            (Some(image.size_px[0] as u64), Some(image.size_px[1] as u64))
+        );
         assert_eq!(json["sun_elevation"], format!("{:+.1}", image.sun_elevation_deg));
         assert_eq!(json["acquisition_date"].as_str().map(str::len), Some(14));
         assert_eq!(json["geojson"]["coordinates"][0].as_array().map(Vec::len), Some(5));
@@ -114,10 +145,18 @@ fn the_json_has_what_satnerf_readers_look_for_and_bounds_that_do_not_give_the_tr
 #[test]
 fn images_are_split_between_train_and_test() {
     let folder = tempfile::tempdir().expect("a temporary folder");
-    let request = SatelliteRequest { views: Some(5), gsd_m: Some(2.0), ..small() };
+    let request = SatelliteRequest {
+        views: Some(5),
+        gsd_m: Some(2.0),
+        ..small()
+    };
     let summary = make(&request, folder.path());
     let lines = |name: &str| -> Vec<String> {
-        fs::read_to_string(folder.path().join(name)).expect("file").lines().map(str::to_string).collect()
+        fs::read_to_string(folder.path().join(name))
+            .expect("file")
+            .lines()
+            .map(str::to_string)
+            .collect()
     };
     let (train, test) = (lines("train.txt"), lines("test.txt"));
     assert_eq!((train.len(), test.len()), (4, 1));
@@ -131,7 +170,13 @@ fn images_are_split_between_train_and_test() {
 fn every_kind_of_image_has_its_bands_and_depth() {
     for (bands, bits, samples) in [(BandSet::Pan, 16, 1), (BandSet::Rgb, 8, 3), (BandSet::RgbNir, 16, 4)] {
         let folder = tempfile::tempdir().expect("a temporary folder");
-        let request = SatelliteRequest { bands, bits, views: Some(1), size_px: Some(40), ..small() };
+        let request = SatelliteRequest {
+            bands,
+            bits,
+            views: Some(1),
+            size_px: Some(40),
+            ..small()
+        };
         let summary = make(&request, folder.path());
         let path = folder.path().join(format!("{}.tif", summary.images[0].name));
         let mut decoder = open(&path);
@@ -155,21 +200,38 @@ fn every_kind_of_image_has_its_bands_and_depth() {
 fn progress_reaches_its_total_and_never_goes_back() {
     let folder = tempfile::tempdir().expect("a temporary folder");
     let seen = std::cell::RefCell::new(Vec::new());
-    write_satellite(&small(), folder.path(), &|done, total| seen.borrow_mut().push((done, total))).expect("a scene");
+    write_satellite(&small(), folder.path(), &|done, total| {
+        seen.borrow_mut().push((done, total))
+    })
+    .expect("a scene");
     let seen = seen.into_inner();
-    assert!(seen.windows(2).all(|pair| pair[0].0 < pair[1].0 && pair[0].1 == pair[1].1));
+    assert!(
+        seen.windows(2)
+            .all(|pair| pair[0].0 < pair[1].0 && pair[0].1 == pair[1].1)
+    );
     assert_eq!(seen.last().map(|(done, total)| done == total), Some(true));
 }
 
 #[test]
 fn a_pointing_bias_moves_the_camera_and_nothing_else() {
-    let (a, b) = (tempfile::tempdir().expect("folder"), tempfile::tempdir().expect("folder"));
+    let (a, b) = (
+        tempfile::tempdir().expect("folder"),
+        tempfile::tempdir().expect("folder"),
+    );
     let plain = make(&small(), a.path());
-    let biased = make(&SatelliteRequest { pointing_bias_px: 2.5, ..small() }, b.path());
+    let biased = make(
+        &SatelliteRequest {
+            pointing_bias_px: 2.5,
+            ..small()
+        },
+        b.path(),
+    );
     let mut square = 0.0;
     for (before, after) in plain.images.iter().zip(&biased.images) {
         let tag = |folder: &Path, name: &str| {
-            open(&folder.join(format!("{name}.tif"))).get_tag_f64_vec(Tag::Unknown(50_844)).expect("tag")
+            open(&folder.join(format!("{name}.tif")))
+                .get_tag_f64_vec(Tag::Unknown(50_844))
+                .expect("tag")
         };
         let (from, to) = (tag(a.path(), &before.name), tag(b.path(), &after.name));
         for (index, (x, y)) in from.iter().zip(&to).enumerate() {
@@ -177,7 +239,8 @@ fn a_pointing_bias_moves_the_camera_and_nothing_else() {
             assert!(x == y || index == 2 || index == 3, "value {index}");
         }
         square += (to[2] - from[2]).powi(2) + (to[3] - from[3]).powi(2);
-        let mask = |folder: &Path| fs::read(folder.join(format!("truth/shadow_{}.tif", before.name))).map(|bytes| bytes.len());
+        let mask =
+            |folder: &Path| fs::read(folder.join(format!("truth/shadow_{}.tif", before.name))).map(|bytes| bytes.len());
         assert_eq!(mask(a.path()).ok(), mask(b.path()).ok());
     }
     assert!(((square / 3.0).sqrt() - 2.5).abs() < 1e-9);
@@ -190,13 +253,31 @@ fn requests_that_cannot_be_met_are_refused_before_anything_is_written() {
     let folder = tempfile::tempdir().expect("a temporary folder");
     let out = folder.path().join("scene");
     for request in [
-        SatelliteRequest { views: Some(0), ..small() },
-        SatelliteRequest { dates: Some(0), ..small() },
+        SatelliteRequest {
+            views: Some(0),
+            ..small()
+        },
+        SatelliteRequest {
+            dates: Some(0),
+            ..small()
+        },
         SatelliteRequest { bits: 12, ..small() },
-        SatelliteRequest { gsd_m: Some(f64::NAN), ..small() },
-        SatelliteRequest { size_px: Some(3), ..small() },
-        SatelliteRequest { pointing_bias_px: -1.0, ..small() },
-        SatelliteRequest { noise: f64::INFINITY, ..small() },
+        SatelliteRequest {
+            gsd_m: Some(f64::NAN),
+            ..small()
+        },
+        SatelliteRequest {
+            size_px: Some(3),
+            ..small()
+        },
+        SatelliteRequest {
+            pointing_bias_px: -1.0,
+            ..small()
+        },
+        SatelliteRequest {
+            noise: f64::INFINITY,
+            ..small()
+        },
     ] {
         let error = write_satellite(&request, &out, &|_, _| {}).expect_err("refused");
         assert!(matches!(error, SynthError::BadRequest(_)), "{error}");

@@ -35,7 +35,7 @@ pub(crate) struct Building {
 }
 
 /// How far walls reach below the floor: more than any slope drops across a building.
-const FOUNDATION_M: f64 = 4.0;
+const FOUNDATION_M: f64 = 8.0;
 
 impl Building {
     fn finish(&self, material: Material, part: u32) -> Finish {
@@ -98,7 +98,13 @@ impl Building {
             let plan = self.free_spot(&mut random, plan, [2.2, 1.6], &mut taken);
             let height_m = random.random_range(2.2..3.0);
             let top = self.finish(Material::Bitumen(grey(0.12)), 5);
-            solids.block(&plan, roof_z, roof_z + height_m, self.finish(Material::Plain(grey(0.42)), 4), top);
+            solids.block(
+                &plan,
+                roof_z,
+                roof_z + height_m,
+                self.finish(Material::Plain(grey(0.42)), 4),
+                top,
+            );
         }
         let machines = (area_m2 / 90.0 * random.random_range(0.5..1.4)) as u32;
         for part in 0..machines.min(12) {
@@ -124,10 +130,16 @@ impl Building {
         half: [f64; 2],
         taken: &mut Vec<Footprint>,
     ) -> Footprint {
-        let room = [(plan.half[0] - half[0] - 0.8).max(0.01), (plan.half[1] - half[1] - 0.8).max(0.01)];
+        let room = [
+            (plan.half[0] - half[0] - 0.8).max(0.01),
+            (plan.half[1] - half[1] - 0.8).max(0.01),
+        ];
         let mut spot = plan.part(0.0, 0.0, half);
         for _ in 0..12 {
-            let (a, b) = (random.random_range(-room[0]..room[0]), random.random_range(-room[1]..room[1]));
+            let (a, b) = (
+                random.random_range(-room[0]..room[0]),
+                random.random_range(-room[1]..room[1]),
+            );
             spot = plan.part(a, b, half);
             let reach = half[0].hypot(half[1]) + 0.4;
             if taken.iter().all(|other| other.distance_m(spot.x, spot.y) > reach) {
@@ -172,7 +184,10 @@ impl Building {
             self.parapet(solids, &plan, roof_z, 0.7);
             // Each storey keeps to one end or one side, as terraces do.
             let back = [random.random_range(0.10..0.22) * l, random.random_range(0.10..0.22) * w];
-            let lean = [random.random_range(-1.0..1.0) * back[0], random.random_range(-1.0..1.0) * back[1]];
+            let lean = [
+                random.random_range(-1.0..1.0) * back[0],
+                random.random_range(-1.0..1.0) * back[1],
+            ];
             let next = plan.part(lean[0], lean[1], [l - back[0] - 0.4, w - back[1] - 0.4]);
             solids.walls(&next, roof_z, roof_z + tier_m, self.finish(self.wall, 1));
             plan = next;
@@ -220,7 +235,12 @@ mod tests {
 
     fn house(roof: Roof) -> Building {
         Building {
-            footprint: Footprint { x: 1.0, y: 2.0, angle_rad: 0.7, half: [8.0, 4.5] },
+            footprint: Footprint {
+                x: 1.0,
+                y: 2.0,
+                angle_rad: 0.7,
+                half: [8.0, 4.5],
+            },
             floor_z: 0.3,
             eaves_m: 5.0,
             roof,
@@ -241,7 +261,10 @@ mod tests {
         for k in 0..1500 {
             let (a, b) = (f64::from(k % 50) * 0.32 - 7.9, f64::from(k / 50) * 0.3 - 4.4);
             let [x, y] = building.footprint.at(a, b);
-            let ray = Ray { origin: Vector3::new(x, y, 50.0), direction: -Vector3::z() };
+            let ray = Ray {
+                origin: Vector3::new(x, y, 50.0),
+                direction: -Vector3::z(),
+            };
             let z = tracer.trace(&ray).map_or(f64::NAN, |hit| hit.point.z);
             worst = worst.max((z - building.floor_z - building.eaves_m - expected(a, b)).abs());
             assert!(z.is_finite());
@@ -274,11 +297,17 @@ mod tests {
         let tracer = Tracer::new(&ground, solids.primitives);
         let ray = |a: f64, b: f64| {
             let [x, y] = stepped.footprint.at(a, b);
-            let ray = Ray { origin: Vector3::new(x, y, 50.0), direction: -Vector3::z() };
+            let ray = Ray {
+                origin: Vector3::new(x, y, 50.0),
+                direction: -Vector3::z(),
+            };
             tracer.trace(&ray).map_or(f64::NAN, |hit| hit.point.z)
         };
         let eaves_z = stepped.floor_z + stepped.eaves_m;
-        assert!((ray(7.85, 4.35) - eaves_z - 0.7).abs() < 1e-9, "the corner is the lowest parapet");
+        assert!(
+            (ray(7.85, 4.35) - eaves_z - 0.7).abs() < 1e-9,
+            "the corner is the lowest parapet"
+        );
         assert!(ray(0.0, 0.0) >= eaves_z + 6.0 - 1e-9 && ray(0.0, 0.0) < eaves_z + 9.1);
     }
 }

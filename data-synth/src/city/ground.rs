@@ -160,7 +160,14 @@ impl Landform<'_> {
     /// Altitude at a place, metres of the scene's frame.
     pub(crate) fn height_m(&self, x: f64, y: f64) -> f64 {
         let uv = self.bend.uv_from_xy(x, y);
-        let from_block = (self.blocks.iter()).map(|block| block.distance_m(uv)).fold(f64::INFINITY, f64::min);
+        // Only the edge of the block that the place is in, or next to, matters.
+        let near = |block: &&Zone| (0..2).all(|k| (uv[k] - block.centre[k]).abs() < block.half[k] + 1.0);
+        let from_block = self
+            .blocks
+            .iter()
+            .filter(near)
+            .map(|block| block.distance_m(uv))
+            .fold(f64::INFINITY, f64::min);
         let mut height_m = self.relief.height_m(x, y) - KERB_M * smoothstep(-0.2, 0.6, from_block);
         for pond in self.ponds {
             // Level for 2 m beyond the shore, so that no cell under the water is tilted; then a bank.

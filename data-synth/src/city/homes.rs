@@ -12,7 +12,7 @@ pub(crate) fn houses(planner: &mut Planner, plot: &Plot) {
     let rows: &[f64] = if width > 13.0 { &[-1.0, 1.0] } else { &[1.0] };
     let depth = if rows.len() == 2 { width } else { 2.0 * width };
     for &side in rows {
-        let lots = ((2.0 * length) / planner.range(12.5, 16.0)).floor().max(1.0);
+        let lots = ((2.0 * length) / planner.range(11.5, 14.5)).floor().max(1.0);
         let lot = length / lots;
         for k in 0..lots as u32 {
             let a = -length + lot * (2.0 * f64::from(k) + 1.0);
@@ -29,10 +29,16 @@ pub(crate) fn houses(planner: &mut Planner, plot: &Plot) {
 fn house_lot(planner: &mut Planner, plot: &Plot, a: f64, [lot, depth]: [f64; 2], side: f64) {
     let front = side * plot.half[1];
     let material = planner.pick(&[Material::Lawn, Material::Lawn, Material::Garden]);
-    planner.cover(plot, [a, front - side * 0.5 * depth], [lot, 0.5 * depth], Class::Ground, material);
+    planner.cover(
+        plot,
+        [a, front - side * 0.5 * depth],
+        [lot, 0.5 * depth],
+        Class::Ground,
+        material,
+    );
     let setback = planner.range(2.5, 4.5);
-    let half_width = planner.range(4.6, 6.2).min(lot - 1.3);
-    let half_depth = planner.range(4.6, 6.4).min(0.5 * (depth - setback) - 1.5).max(2.5);
+    let half_width = planner.range(4.6, 6.2).min(lot - 1.1);
+    let half_depth = planner.range(5.0, 7.0).min(0.5 * (depth - setback) - 1.5).max(2.5);
     let shift = planner.range(-0.4, 0.4);
     let middle = front - side * (setback + half_depth);
     if half_width < 2.5 {
@@ -40,9 +46,20 @@ fn house_lot(planner: &mut Planner, plot: &Plot, a: f64, [lot, depth]: [f64; 2],
     }
     let design = house_design(planner, [half_width, half_depth]);
     erect_house(planner, plot, [a + shift, middle], design);
-    drive_and_shed(planner, plot, [a + shift, middle], [half_width, half_depth], [lot, depth, side]);
+    drive_and_shed(
+        planner,
+        plot,
+        [a + shift, middle],
+        [half_width, half_depth],
+        [lot, depth, side],
+    );
     for _ in 0..planner.pick(&[3, 4, 5, 6]) {
-        let b = front - side * planner.range(setback + 2.0 * half_depth + 0.5, depth.max(setback + 2.0 * half_depth + 1.0));
+        let b = front
+            - side
+                * planner.range(
+                    setback + 2.0 * half_depth + 0.5,
+                    depth.max(setback + 2.0 * half_depth + 1.0),
+                );
         let (at, radius) = ([a + planner.range(-0.8, 0.8) * lot, b], planner.range(1.8, 4.2));
         let kind = planner.any_tree();
         planner.plant(plot, at, radius, kind);
@@ -58,8 +75,18 @@ fn house_design(planner: &mut Planner, half: [f64; 2]) -> Design {
     let shorter = half[0].min(half[1]);
     let pitch = planner.range(0.45, 0.80);
     let (roof, cover) = match planner.share() {
-        s if s < 0.50 => (Roof::Gabled { rise_m: pitch * shorter }, palette::pitched_cover(planner)),
-        s if s < 0.85 => (Roof::Hipped { rise_m: pitch * shorter }, palette::pitched_cover(planner)),
+        s if s < 0.50 => (
+            Roof::Gabled {
+                rise_m: pitch * shorter,
+            },
+            palette::pitched_cover(planner),
+        ),
+        s if s < 0.85 => (
+            Roof::Hipped {
+                rise_m: pitch * shorter,
+            },
+            palette::pitched_cover(planner),
+        ),
         _ => (Roof::Flat { parapet_m: 0.4 }, palette::flat_cover(planner)),
     };
     let storeys = planner.pick(&[1.0, 2.0, 2.0]);
@@ -98,10 +125,22 @@ fn drive_and_shed(
     let drive_end = house[1];
     let half_length = 0.5 * (front - drive_end).abs();
     let material = palette::paving(planner);
-    planner.cover(plot, [a, 0.5 * (front + drive_end)], [1.25, half_length], Class::Ground, material);
+    planner.cover(
+        plot,
+        [a, 0.5 * (front + drive_end)],
+        [1.25, half_length],
+        Class::Ground,
+        material,
+    );
     planner.park(plot, [a, front - side * 3.0], true);
     let patio = house[1] - side * (half_depth + 1.4);
-    planner.cover(plot, [house[0], patio], [0.6 * half_width, 1.4], Class::Ground, material);
+    planner.cover(
+        plot,
+        [house[0], patio],
+        [0.6 * half_width, 1.4],
+        Class::Ground,
+        material,
+    );
     let rear = front - side * (depth - 2.2);
     if planner.chance(0.4) && (rear - house[1]).abs() > half_depth + 3.0 {
         let design = Design {
@@ -145,9 +184,19 @@ fn apartment_row(planner: &mut Planner, plot: &Plot, b: f64, [half_length, depth
         }
         let pitched = pitched_row != planner.chance(0.15);
         let (roof, cover) = if pitched {
-            (Roof::Gabled { rise_m: common_pitch * depth }, palette::pitched_cover(planner))
+            (
+                Roof::Gabled {
+                    rise_m: common_pitch * depth,
+                },
+                palette::pitched_cover(planner),
+            )
         } else {
-            (Roof::Flat { parapet_m: planner.range(0.5, 1.0) }, palette::flat_cover(planner))
+            (
+                Roof::Flat {
+                    parapet_m: planner.range(0.5, 1.0),
+                },
+                palette::flat_cover(planner),
+            )
         };
         let design = Design {
             half: [0.5 * piece, depth],
@@ -157,7 +206,12 @@ fn apartment_row(planner: &mut Planner, plot: &Plot, b: f64, [half_length, depth
             cover,
         };
         planner.erect(plot, [a + 0.5 * piece, b], design);
-        a += piece + if planner.chance(0.3) { planner.range(3.0, 6.0) } else { 0.0 };
+        a += piece
+            + if planner.chance(0.3) {
+                planner.range(3.0, 6.0)
+            } else {
+                0.0
+            };
     }
 }
 

@@ -143,11 +143,27 @@ fn near_blocks(bend: &Bend, blocks: &[Block], half_extent_m: f64) -> Vec<Block> 
 fn purposes(seed: u64, count: usize) -> Vec<Use> {
     let mut random = stream(seed, 0xDEA1);
     // What lies nearest the centre is in every site: one of each kind.
-    let mut dealt = vec![Use::Houses, Use::Apartments, Use::Park, if random.random_bool(0.5) { Use::Commerce } else { Use::Tower }];
+    let mut dealt = vec![
+        Use::Houses,
+        Use::Apartments,
+        Use::Park,
+        if random.random_bool(0.5) {
+            Use::Commerce
+        } else {
+            Use::Tower
+        },
+    ];
     dealt.shuffle(&mut random);
     while dealt.len() < count {
-        let mut hand =
-            [Use::Houses, Use::Apartments, Use::Houses, Use::Commerce, Use::Tower, Use::Apartments, Use::Park];
+        let mut hand = [
+            Use::Houses,
+            Use::Apartments,
+            Use::Houses,
+            Use::Commerce,
+            Use::Tower,
+            Use::Apartments,
+            Use::Park,
+        ];
         hand.shuffle(&mut random);
         dealt.extend(hand);
     }
@@ -172,7 +188,11 @@ fn lay_street(planner: &mut Planner, street: &Street) {
     planner.zones.push(Zone {
         centre: street.centre,
         half: [street.half_length, street.half_width],
-        turn_rad: if street.along_u { 0.0 } else { std::f64::consts::FRAC_PI_2 },
+        turn_rad: if street.along_u {
+            0.0
+        } else {
+            std::f64::consts::FRAC_PI_2
+        },
         outline: Outline::Rounded(0.0),
         class: Class::Road,
         material: Material::Street(asphalt, [street.half_length, street.half_width]),

@@ -34,7 +34,11 @@ pub(crate) fn pitched_cover(planner: &mut Planner) -> Material {
         [0.19, 0.18, 0.17, 0.21],
     ]);
     let colour = tinted(planner, mean, 0.15);
-    if planner.chance(0.1) { Material::Metal(colour * 1.2) } else { Material::Tiles(colour) }
+    if planner.chance(0.1) {
+        Material::Metal(colour * 1.2)
+    } else {
+        Material::Tiles(colour)
+    }
 }
 
 /// The covering of a flat roof; one in six has almost no texture.
@@ -42,7 +46,10 @@ pub(crate) fn flat_cover(planner: &mut Planner) -> Material {
     match planner.pick(&[0, 0, 1, 1, 2, 3, 4]) {
         0 => Material::Gravel(tinted(planner, [0.25, 0.24, 0.22, 0.27], 0.2)),
         1 => Material::Bitumen(tinted(planner, [0.115, 0.115, 0.12, 0.13], 0.3)),
-        2 => Material::Slabs(tinted(planner, [0.32, 0.31, 0.28, 0.35], 0.15), planner.pick(&[1.2, 2.4])),
+        2 => Material::Slabs(
+            tinted(planner, [0.32, 0.31, 0.28, 0.35], 0.15),
+            planner.pick(&[1.2, 2.4]),
+        ),
         3 => Material::Membrane(tinted(planner, [0.56, 0.56, 0.54, 0.54], 0.12)),
         _ => Material::Concrete(tinted(planner, [0.30, 0.29, 0.27, 0.33], 0.2)),
     }
@@ -59,7 +66,11 @@ pub(crate) fn hall_cover(planner: &mut Planner) -> Material {
 
 /// Paving of yards and squares.
 pub(crate) fn paving(planner: &mut Planner) -> Material {
-    let colour = planner.pick(&[[0.28, 0.26, 0.23, 0.32], [0.22, 0.21, 0.20, 0.25], [0.30, 0.23, 0.18, 0.34]]);
+    let colour = planner.pick(&[
+        [0.28, 0.26, 0.23, 0.32],
+        [0.22, 0.21, 0.20, 0.25],
+        [0.30, 0.23, 0.18, 0.34],
+    ]);
     let side = planner.pick(&[0.8, 1.5, 3.0]);
     Material::Slabs(tinted(planner, colour, 0.12), side)
 }
@@ -72,7 +83,11 @@ pub(crate) fn asphalt(planner: &mut Planner) -> Spectrum {
 /// Mean colour of a tree's leaves in summer.
 pub(crate) fn leaf(planner: &mut Planner, kind: TreeKind) -> Spectrum {
     let mean = match kind {
-        TreeKind::Broadleaf => planner.pick(&[[0.045, 0.080, 0.030, 0.46], [0.060, 0.092, 0.034, 0.44], [0.040, 0.066, 0.028, 0.42]]),
+        TreeKind::Broadleaf => planner.pick(&[
+            [0.045, 0.080, 0.030, 0.46],
+            [0.060, 0.092, 0.034, 0.44],
+            [0.040, 0.066, 0.028, 0.42],
+        ]),
         TreeKind::Evergreen => [0.042, 0.064, 0.033, 0.37],
         TreeKind::Conifer => [0.030, 0.050, 0.028, 0.30],
     };

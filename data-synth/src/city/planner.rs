@@ -60,7 +60,11 @@ impl Plot {
     /// On which side along the length the origin of the city lies: -1 or 1.
     pub(crate) fn towards_centre(&self) -> f64 {
         let [u, v] = self.centre;
-        if (if self.along_u { u } else { v }) > 0.0 { -1.0 } else { 1.0 }
+        if (if self.along_u { u } else { v }) > 0.0 {
+            -1.0
+        } else {
+            1.0
+        }
     }
 
     fn turn_rad(&self) -> f64 {
@@ -142,7 +146,9 @@ impl Planner {
     pub(crate) fn erect(&mut self, plot: &Plot, at: [f64; 2], design: Design) -> Footprint {
         let plan = self.footprint(plot, at, design.half);
         let corners = plan.corners(0.0);
-        let ground = (corners.iter()).map(|c| self.relief.height_m(c.x, c.y)).fold(f64::NEG_INFINITY, f64::max);
+        let ground = (corners.iter())
+            .map(|c| self.relief.height_m(c.x, c.y))
+            .fold(f64::NEG_INFINITY, f64::max);
         let seed = self.next_seed();
         self.buildings.push(Building {
             footprint: plan,

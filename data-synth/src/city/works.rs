@@ -21,9 +21,21 @@ pub(crate) fn commerce(planner: &mut Planner, plot: &Plot) {
     let eaves_m = planner.range(6.0, 9.5);
     let wall = palette::facade(planner);
     let cover = palette::hall_cover(planner);
-    let roof = Roof::Flat { parapet_m: planner.range(0.3, 0.9) };
+    let roof = Roof::Flat {
+        parapet_m: planner.range(0.3, 0.9),
+    };
     let at = side * (length - hall[0] - 0.5);
-    planner.erect(plot, [at, 0.0], Design { half: hall, eaves_m, roof, wall, cover });
+    planner.erect(
+        plot,
+        [at, 0.0],
+        Design {
+            half: hall,
+            eaves_m,
+            roof,
+            wall,
+            cover,
+        },
+    );
     annexe(planner, plot, [at, hall[0], hall[1]], eaves_m, wall);
     car_park(planner, plot, -side, [length, width, (1.0 - share) * length]);
 }
@@ -34,7 +46,10 @@ fn annexe(planner: &mut Planner, plot: &Plot, [at, half_length, half_width]: [f6
     if half[0] < 2.0 || half[1] < 2.0 {
         return;
     }
-    let (a, b) = (at + planner.range(-0.5, 0.5) * half_length, planner.range(-0.45, 0.45) * half_width);
+    let (a, b) = (
+        at + planner.range(-0.5, 0.5) * half_length,
+        planner.range(-0.45, 0.45) * half_width,
+    );
     let design = Design {
         half,
         eaves_m: eaves_m + planner.range(2.5, 4.5),
@@ -49,7 +64,13 @@ fn car_park(planner: &mut Planner, plot: &Plot, side: f64, [length, width, reach
     let asphalt = palette::asphalt(planner);
     let half = [reach - 1.0, width - 0.8];
     let middle = side * (length - reach);
-    planner.cover(plot, [middle, 0.0], half, Class::Ground, Material::Parking(asphalt, [BAY_M, ROW_PITCH_M]));
+    planner.cover(
+        plot,
+        [middle, 0.0],
+        half,
+        Class::Ground,
+        Material::Parking(asphalt, [BAY_M, ROW_PITCH_M]),
+    );
     let bays = (half[0] / BAY_M).floor() as i32;
     for row in -3..=3 {
         // As the markings have it: bays reach 5 m to both sides of each multiple of the row pitch.
@@ -93,8 +114,18 @@ pub(crate) fn tower(planner: &mut Planner, plot: &Plot) {
     let cover = palette::flat_cover(planner);
     let eaves_m = (planner.range(20.0, 29.0) - tier_m * f64::from(tiers)).max(9.0);
     let at = [side * (length - half[0] - 2.0), planner.range(-0.2, 0.2) * width];
-    planner.erect(plot, at, Design { half, eaves_m, roof: Roof::Stepped { tier_m, tiers }, wall, cover });
-    let slab = [(0.36 * length).min(16.0), (0.30 * width).clamp(3.5, 6.5)];
+    planner.erect(
+        plot,
+        at,
+        Design {
+            half,
+            eaves_m,
+            roof: Roof::Stepped { tier_m, tiers },
+            wall,
+            cover,
+        },
+    );
+    let slab = [(0.42 * length).min(20.0), (0.32 * width).clamp(3.5, 7.5)];
     let design = Design {
         half: slab,
         eaves_m: 3.0 * planner.pick(&[3.0, 4.0, 5.0]) + 1.0,
@@ -111,7 +142,10 @@ fn square_green(planner: &mut Planner, plot: &Plot, a: f64, b: f64) {
     let half = [0.45 * plot.half[0], 0.32 * plot.half[1]];
     planner.cover(plot, [a, b], half, Class::Ground, Material::Lawn);
     for _ in 0..20 {
-        let at = [a + planner.range(-1.0, 1.0) * half[0], b + planner.range(-1.0, 1.0) * half[1]];
+        let at = [
+            a + planner.range(-1.0, 1.0) * half[0],
+            b + planner.range(-1.0, 1.0) * half[1],
+        ];
         let (radius, kind) = (planner.range(1.8, 3.2), planner.any_tree());
         planner.plant(plot, at, radius, kind);
     }
@@ -149,6 +183,16 @@ pub(crate) fn park(planner: &mut Planner, plot: &Plot) {
 
 fn field(planner: &mut Planner, plot: &Plot, at: [f64; 2]) {
     let half = [(0.36 * plot.half[0]).min(8.0), (0.34 * plot.half[1]).min(5.0)];
-    let colour = planner.pick(&[[0.10, 0.17, 0.10, 0.20], [0.28, 0.13, 0.09, 0.33], [0.08, 0.13, 0.20, 0.16]]);
-    planner.cover(plot, at, half, Class::Ground, Material::Court(Spectrum::from(colour), half));
+    let colour = planner.pick(&[
+        [0.10, 0.17, 0.10, 0.20],
+        [0.28, 0.13, 0.09, 0.33],
+        [0.08, 0.13, 0.20, 0.16],
+    ]);
+    planner.cover(
+        plot,
+        at,
+        half,
+        Class::Ground,
+        Material::Court(Spectrum::from(colour), half),
+    );
 }

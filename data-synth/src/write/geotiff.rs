@@ -39,7 +39,7 @@ pub(crate) struct Raster<'a> {
     /// The rational camera as the tag has it.
     pub(crate) rpc: Option<[f64; 92]>,
     pub(crate) grid: Option<&'a TruthGrid>,
-    pub(crate) nodata: Option<&'a str>,
+    pub(crate) nodata: Option<f32>,
 }
 
 impl Samples<'_> {
@@ -69,7 +69,9 @@ pub(crate) fn write(path: &Path, raster: &Raster) -> Result<(), SynthError> {
         },
     });
     encoded?;
-    let file = buffered.into_inner().map_err(|error| failed(path)(error.into_error()))?;
+    let file = buffered
+        .into_inner()
+        .map_err(|error| failed(path)(error.into_error()))?;
     file.sync_all().map_err(failed(path))
 }
 
@@ -92,7 +94,7 @@ fn encode<W: std::io::Write + std::io::Seek>(writer: W, raster: &Raster) -> Tiff
     }
     directory.write_tag(Tag::Unknown(GDAL_METADATA), metadata_xml(raster).as_str())?;
     if let Some(nodata) = raster.nodata {
-        directory.write_tag(Tag::Unknown(GDAL_NODATA), nodata)?;
+        directory.write_tag(Tag::Unknown(GDAL_NODATA), nodata.to_string().as_str())?;
     }
     directory.finish()
 }
@@ -143,7 +145,24 @@ fn grid_tags<W: std::io::Write + std::io::Seek>(directory: &mut Directory<W>, gr
     let scale = [grid.cell_m, grid.cell_m, 0.0];
     let tiepoint = [0.0, 0.0, 0.0, grid.west_m, grid.north_m, 0.0];
     // Version 1.1.0 and three keys: a projected model, pixels that are areas, the zone's EPSG code.
-    let keys = [1u16, 1, 0, 3, 1024, 0, 1, 1, 1025, 0, 1, 1, 3072, 0, 1, grid.zone.epsg()];
+    let keys = [
+        1u16,
+        1,
+        0,
+        3,
+        1024,
+        0,
+        1,
+        1,
+        1025,
+        0,
+        1,
+        1,
+        3072,
+        0,
+        1,
+        grid.zone.epsg(),
+    ];
     directory.write_tag(Tag::Unknown(MODEL_PIXEL_SCALE), &scale[..])?;
     directory.write_tag(Tag::Unknown(MODEL_TIEPOINT), &tiepoint[..])?;
     directory.write_tag(Tag::Unknown(GEO_KEY_DIRECTORY), &keys[..])
@@ -156,13 +175,19 @@ fn metadata_xml(raster: &Raster) -> String {
         xml += &format!("  <Item name=\"{}\">{}</Item>\n", escaped(name), escaped(value));
     }
     for (index, name) in raster.bands.iter().enumerate() {
-        xml += &format!("  <Item name=\"DESCRIPTION\" sample=\"{index}\" role=\"description\">{}</Item>\n", escaped(name));
+        xml += &format!(
+            "  <Item name=\"DESCRIPTION\" sample=\"{index}\" role=\"description\">{}</Item>\n",
+            escaped(name)
+        );
     }
     xml + "</GDALMetadata>\n"
 }
 
 fn escaped(text: &str) -> String {
-    text.replace('&', "&amp;").replace('<', "&lt;").replace('>', "&gt;").replace('"', "&quot;")
+    text.replace('&', "&amp;")
+        .replace('<', "&lt;")
+        .replace('>', "&gt;")
+        .replace('"', "&quot;")
 }
 
 #[cfg(test)]

@@ -8,11 +8,21 @@ use serde_json::{Value, json};
 /// Items for GDAL's default metadata domain.
 pub(crate) fn image_items(view: &ViewPlan, bits: u8) -> Vec<(String, String)> {
     let time = view.time.strftime("%Y-%m-%dT%H:%M:%SZ").to_string();
-    let radiometry = if bits == 8 { "display, sRGB" } else { "linear counts, 11 bits" };
+    let radiometry = if bits == 8 {
+        "display, sRGB"
+    } else {
+        "linear counts, 11 bits"
+    };
     [
         ("ACQUISITIONDATETIME", time),
-        ("NITF_USE00A_SUN_AZ", format!("{:.1}", view.sun.azimuth_rad.to_degrees())),
-        ("NITF_USE00A_SUN_EL", format!("{:.1}", view.sun.elevation_rad.to_degrees())),
+        (
+            "NITF_USE00A_SUN_AZ",
+            format!("{:.1}", view.sun.azimuth_rad.to_degrees()),
+        ),
+        (
+            "NITF_USE00A_SUN_EL",
+            format!("{:.1}", view.sun.elevation_rad.to_degrees()),
+        ),
         ("SATELLITEID", "HELIOSPLAT-SYNTH".to_string()),
         ("CLOUDCOVER", "0".to_string()),
         ("RADIOMETRY", radiometry.to_string()),
@@ -39,10 +49,16 @@ pub(crate) fn satnerf_json(view: &ViewPlan, crop: &Crop, rpc: &Rpc, altitudes_m:
     };
     // Edges of the image lie half a pixel outside the centres of its outermost pixels.
     let (right, bottom) = (crop.width as f64 - 0.5, crop.height as f64 - 0.5);
-    let ring = [(-0.5, -0.5), (-0.5, bottom), (right, bottom), (right, -0.5), (-0.5, -0.5)]
-        .map(|(col, row)| place(col, row))
-        .into_iter()
-        .collect::<Result<Vec<_>, _>>()?;
+    let ring = [
+        (-0.5, -0.5),
+        (-0.5, bottom),
+        (right, bottom),
+        (right, -0.5),
+        (-0.5, -0.5),
+    ]
+    .map(|(col, row)| place(col, row))
+    .into_iter()
+    .collect::<Result<Vec<_>, _>>()?;
     Ok(json!({
         "img": format!("{}.tif", view.name),
         "height": crop.height,

@@ -106,7 +106,10 @@ mod tests {
         let folder = tempfile::tempdir().expect("a temporary folder");
         let file = folder.path().join("taken");
         fs::write(&file, "x").expect("file");
-        let error = Staging::new(&file).err().map(|error| error.to_string()).unwrap_or_default();
+        let error = Staging::new(&file)
+            .err()
+            .map(|error| error.to_string())
+            .unwrap_or_default();
         assert!(error.contains("taken"), "{error}");
     }
 }

@@ -1,0 +1,57 @@
+//! What a caller is told about a scene that was made.
+
+use crate::request::SatelliteRequest;
+use crate::truth::TruthGrid;
+use heliosplat_rpc::GeoPoint;
+use serde::{Deserialize, Serialize};
+use std::collections::BTreeMap;
+
+/// What was made.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Summary {
+    /// The request, as it was met.
+    pub request: SatelliteRequest,
+    /// Centre of the site.
+    pub origin: GeoPoint,
+    /// Grid of the truth rasters.
+    pub grid: TruthGrid,
+    /// Lowest and highest altitude of the truth DSM, metres above the ellipsoid.
+    pub altitude_range_m: [f64; 2],
+    /// Share of the truth's cells in each class, by name.
+    pub class_share: BTreeMap<String, f64>,
+    /// The images in order of time.
+    pub images: Vec<ImageSummary>,
+}
+
+/// What was made of one image.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct ImageSummary {
+    /// File name without extension.
+    pub name: String,
+    /// Acquisition time, UTC.
+    pub time: jiff::Timestamp,
+    /// Which of the dates.
+    pub date: usize,
+    /// Whether it is listed in `test.txt`.
+    pub held_out: bool,
+    /// Columns and rows.
+    pub size_px: [usize; 2],
+    /// Ground sampling distance, metres.
+    pub gsd_m: f64,
+    /// Angle of the sun clockwise from north, degrees.
+    pub sun_azimuth_deg: f64,
+    /// Angle of the sun above the horizon, degrees.
+    pub sun_elevation_deg: f64,
+    /// Direction in which the satellite stands, clockwise from north, degrees.
+    pub satellite_azimuth_deg: f64,
+    /// Angle at the satellite between nadir and line of sight, degrees.
+    pub off_nadir_deg: f64,
+    /// Root mean square residual of the fitted RPC over the vendor's full scene, pixels.
+    pub rpc_rms_px: f64,
+    /// Largest residual, pixels.
+    pub rpc_max_px: f64,
+    /// (column, row) error put into the RPC, pixels.
+    pub pointing_bias_px: [f64; 2],
+    /// Share of the image in shadow.
+    pub shadow_share: f64,
+}
