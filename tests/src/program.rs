@@ -16,7 +16,7 @@ fn build() -> PathBuf {
     let cargo = std::env::var_os("CARGO").unwrap_or_else(|| "cargo".into());
     let output = std::process::Command::new(cargo)
         .current_dir(workspace)
-        .args(["build", "--profile", "test", "--package", "heliosplat-pipelines", "--bin", "heliosplat"])
+        .args(["build", "--profile", "test", "--workspace", "--bin", "heliosplat"])
         .args(["--message-format", "json-render-diagnostics"])
         .output()
         .expect("cargo runs");

@@ -23,13 +23,20 @@ fn refused(scene: &Path, said: &[&str]) {
     let run = home.path().join("run");
     let before = scene.is_dir().then(|| listing(scene));
     let inspected = fault(&["inspect".as_ref(), scene.as_os_str()], 2);
-    let trained = fault(&["train".as_ref(), scene.as_os_str(), "--out".as_ref(), run.as_os_str()], 2);
+    let trained = fault(
+        &["train".as_ref(), scene.as_os_str(), "--out".as_ref(), run.as_os_str()],
+        2,
+    );
     assert_eq!(inspected, trained);
     for part in said {
         assert!(inspected.contains(part), "'{part}' is not in '{inspected}'");
     }
     assert!(!run.exists(), "no run is begun");
-    assert_eq!(before, scene.is_dir().then(|| listing(scene)), "the scene is left alone");
+    assert_eq!(
+        before,
+        scene.is_dir().then(|| listing(scene)),
+        "the scene is left alone"
+    );
 }
 
 fn scene(views: &[View]) -> TempDir {
@@ -43,25 +50,39 @@ fn a_sound_scene_is_accepted() {
     let folder = scene(&[View::new(0), View::new(1), View::new(2)]);
     let seen = json(&["inspect".as_ref(), folder.path().as_os_str()]);
     assert_eq!(seen["images"].as_array().map(Vec::len), Some(3));
-    assert_eq!(seen["warnings"].as_array().map(Vec::len), Some(0), "{}", seen["warnings"]);
+    assert_eq!(
+        seen["warnings"].as_array().map(Vec::len),
+        Some(0),
+        "{}",
+        seen["warnings"]
+    );
     assert_eq!(seen["altitude_range_m"], serde_json::json!([690.0, 720.0]));
     assert!((seen["gsd_m"].as_f64().expect("a number") - 0.5).abs() < 0.005);
 }
 
 #[test]
 fn a_missing_path_is_named() {
-    refused(Path::new("no/such/scene"), &["no/such/scene", "no such file or folder", "scene.toml"]);
+    refused(
+        Path::new("no/such/scene"),
+        &["no/such/scene", "no such file or folder", "scene.toml"],
+    );
 }
 
 #[test]
 fn an_address_is_not_fetched() {
-    refused(Path::new("https://example.org/scene"), &["https://example.org/scene", "download"]);
+    refused(
+        Path::new("https://example.org/scene"),
+        &["https://example.org/scene", "download"],
+    );
 }
 
 #[test]
 fn an_empty_folder_is_named() {
     let folder = scene(&[]);
-    refused(folder.path(), &[&folder.path().display().to_string(), "no images found"]);
+    refused(
+        folder.path(),
+        &[&folder.path().display().to_string(), "no images found"],
+    );
 }
 
 #[test]
@@ -109,7 +130,12 @@ fn one_stranger_among_many_is_left_out_with_a_warning() {
     let folder = scene(&[View::new(0), View::new(1), View::new(2), far]);
     let seen = json(&["inspect".as_ref(), folder.path().as_os_str()]);
     assert_eq!(seen["images"].as_array().map(Vec::len), Some(3));
-    assert!(seen["warnings"][0].as_str().is_some_and(|line| line.contains("view_3.tif")), "{seen}");
+    assert!(
+        seen["warnings"][0]
+            .as_str()
+            .is_some_and(|line| line.contains("view_3.tif")),
+        "{seen}"
+    );
 }
 
 #[test]
@@ -119,7 +145,15 @@ fn a_sun_below_the_horizon_names_the_image_and_its_time() {
         ..View::new(1)
     };
     let folder = scene(&[View::new(0), night]);
-    refused(folder.path(), &["view_1.tif", "below the horizon", "2016-04-23T20:34:00Z", "acquisition time"]);
+    refused(
+        folder.path(),
+        &[
+            "view_1.tif",
+            "below the horizon",
+            "2016-04-23T20:34:00Z",
+            "acquisition time",
+        ],
+    );
 }
 
 #[test]
@@ -146,7 +180,10 @@ fn neither_time_nor_sun_is_named_with_the_remedy() {
         ..View::new(1)
     };
     let folder = scene(&[View::new(0), timeless]);
-    refused(folder.path(), &["view_1.tif", "neither acquisition time nor sun angles", ".IMD"]);
+    refused(
+        folder.path(),
+        &["view_1.tif", "neither acquisition time nor sun angles", ".IMD"],
+    );
 }
 
 #[test]
@@ -175,7 +212,10 @@ fn a_mistake_in_a_scene_toml_names_its_line() {
 fn an_altitude_range_upside_down_is_explained() {
     let folder = scene(&[View::new(0), View::new(1)]);
     let scene = folder.path().as_os_str();
-    let line = fault(&["inspect".as_ref(), scene, "--altitude".as_ref(), "780,640".as_ref()], 2);
+    let line = fault(
+        &["inspect".as_ref(), scene, "--altitude".as_ref(), "780,640".as_ref()],
+        2,
+    );
     assert!(line.contains("780") && line.contains("MIN below MAX"), "{line}");
 }
 
@@ -184,12 +224,21 @@ fn with_json_a_fault_is_one_object_on_stdout_too() {
     let assert = heliosplat(&["inspect", "no/such/scene", "--json"]).assert().code(2);
     let object: serde_json::Value = serde_json::from_slice(&assert.get_output().stdout).expect("one JSON object");
     assert_eq!(object["exit_code"], 2);
-    assert!(object["error"].as_str().is_some_and(|line| line.contains("no/such/scene")));
+    assert!(
+        object["error"]
+            .as_str()
+            .is_some_and(|line| line.contains("no/such/scene"))
+    );
 }
 
 #[test]
 fn bad_usage_is_exit_code_2() {
-    for arguments in [&["train"][..], &["relight", "run", "--out", "a.tif"], &["nonsense"], &["sun", "--at", "1,2"]] {
+    for arguments in [
+        &["train"][..],
+        &["relight", "run", "--out", "a.tif"],
+        &["nonsense"],
+        &["sun", "--at", "1,2"],
+    ] {
         heliosplat(arguments).assert().code(2);
     }
 }
@@ -199,7 +248,9 @@ fn on_a_full_disk(arguments: &str, folder: &Path) -> Option<std::process::Output
     let probe = "mount -t tmpfs -o size=32k tmpfs \"$FOLDER\"";
     let unshare = |script: &str| {
         let mut command = std::process::Command::new("unshare");
-        command.args(["--user", "--map-root-user", "--mount", "sh", "-c", script]).env("FOLDER", folder);
+        command
+            .args(["--user", "--map-root-user", "--mount", "sh", "-c", script])
+            .env("FOLDER", folder);
         command.output().ok()
     };
     if !unshare(probe)?.status.success() {
@@ -224,7 +275,12 @@ fn a_full_disk_is_exit_code_1_names_the_file_and_leaves_nothing() {
     let dsm = home.path().join("dsm.tif");
     write_altitudes(&dsm, &noise, 312_000.0, 4_160_000.0);
     let truth = home.path().join("truth.tif");
-    write_altitudes(&truth, &heliosplat::Raster::filled(300, 300, 1, 705.0), 312_000.0, 4_160_000.0);
+    write_altitudes(
+        &truth,
+        &heliosplat::Raster::filled(300, 300, 1, 705.0),
+        312_000.0,
+        4_160_000.0,
+    );
     let arguments = format!(
         "evaluate --dsm {} --truth {} --error-map {}/errors.png",
         dsm.display(),
@@ -238,5 +294,9 @@ fn a_full_disk_is_exit_code_1_names_the_file_and_leaves_nothing() {
     let said = String::from_utf8_lossy(&output.stderr);
     assert_eq!(output.status.code(), Some(1), "{said}");
     assert!(said.contains("errors.png") && said.contains("disk is full"), "{said}");
-    assert!(output.stdout.is_empty(), "nothing is left: {}", String::from_utf8_lossy(&output.stdout));
+    assert!(
+        output.stdout.is_empty(),
+        "nothing is left: {}",
+        String::from_utf8_lossy(&output.stdout)
+    );
 }

@@ -33,7 +33,12 @@ fn kahramanmaras_fits_pinhole_cameras_within_a_twentieth_of_a_pixel() {
     }
     assert_eq!(scene["altitude_range_m"], serde_json::json!([640.0, 780.0]));
     assert!(number(&scene["covered_by_at_least"][1]) > 0.9);
-    assert_eq!(scene["warnings"].as_array().map(Vec::len), Some(0), "{}", scene["warnings"]);
+    assert_eq!(
+        scene["warnings"].as_array().map(Vec::len),
+        Some(0),
+        "{}",
+        scene["warnings"]
+    );
 }
 
 #[test]
@@ -52,6 +57,11 @@ fn giza_and_ventoux_are_scenes_of_two_overlapping_views() {
         let range = &scene["altitude_range_m"];
         assert!(number(&range[0]) < ground_m && ground_m < number(&range[1]));
         assert!(number(&scene["covered_by_at_least"][1]) > 0.6, "{scene}");
-        assert_eq!(scene["warnings"].as_array().map(Vec::len), Some(0), "{}", scene["warnings"]);
+        assert_eq!(
+            scene["warnings"].as_array().map(Vec::len),
+            Some(0),
+            "{}",
+            scene["warnings"]
+        );
     }
 }

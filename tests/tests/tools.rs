@@ -8,7 +8,11 @@ use std::path::Path;
 use tempfile::tempdir;
 
 fn numbers(text: &str) -> Vec<Vec<f64>> {
-    let line = |line: &str| line.split_whitespace().map(|word| word.parse().expect("a number")).collect();
+    let line = |line: &str| {
+        line.split_whitespace()
+            .map(|word| word.parse().expect("a number"))
+            .collect()
+    };
     text.lines().map(line).collect()
 }
 
@@ -63,7 +67,10 @@ fn an_image_and_its_json_are_one_camera() {
     let json_file = image.with_extension("json");
     let project = |file: &Path| {
         let file = file.to_str().expect("UTF-8");
-        run_lines(&["rpc", "project", file], "36.91 37.58 710\n\n36.9101,37.5801,690\n".to_owned())
+        run_lines(
+            &["rpc", "project", file],
+            "36.91 37.58 710\n\n36.9101,37.5801,690\n".to_owned(),
+        )
     };
     let (from_tag, from_json) = (project(&image), project(&json_file));
     assert_eq!(from_tag.len(), 2);
@@ -77,7 +84,10 @@ fn a_line_that_is_no_point_is_named() {
     let folder = tempdir().expect("a temporary folder");
     let image = View::new(0).write(folder.path());
     let image = image.to_str().expect("UTF-8");
-    let assert = heliosplat(&["rpc", "project", image]).write_stdin("36.9 37.5 700\n36.9 north\n").assert().code(2);
+    let assert = heliosplat(&["rpc", "project", image])
+        .write_stdin("36.9 37.5 700\n36.9 north\n")
+        .assert()
+        .code(2);
     let said = String::from_utf8_lossy(&assert.get_output().stderr).into_owned();
     assert!(said.contains("line 2") && said.contains("three numbers"), "{said}");
 }
@@ -115,11 +125,20 @@ fn the_sun_meets_the_golden_values() {
 #[test]
 fn the_sun_prints_two_numbers() {
     let rows = run_lines(
-        &["sun", "--time", "2003-10-17T19:30:30Z", "--at", "39.742476,-105.1786,1830.14"],
+        &[
+            "sun",
+            "--time",
+            "2003-10-17T19:30:30Z",
+            "--at",
+            "39.742476,-105.1786,1830.14",
+        ],
         String::new(),
     );
     // NREL's report: azimuth 194.340241, geometric elevation 39.872046.
-    assert!((rows[0][0] - 194.34024).abs() < 0.01 && (rows[0][1] - 39.87205).abs() < 0.01, "{rows:?}");
+    assert!(
+        (rows[0][0] - 194.34024).abs() < 0.01 && (rows[0][1] - 39.87205).abs() < 0.01,
+        "{rows:?}"
+    );
 }
 
 #[test]
@@ -137,7 +156,15 @@ fn evaluation_by_hand_tells_raw_from_aligned() {
     write_altitudes(&dsm, &hills, 312_001.5, 4_159_999.0);
     let evaluate = |protocol: &str| {
         let files = [dsm.to_str().expect("UTF-8"), truth.to_str().expect("UTF-8")];
-        json(&["evaluate", "--dsm", files[0], "--truth", files[1], "--protocol", protocol])
+        json(&[
+            "evaluate",
+            "--dsm",
+            files[0],
+            "--truth",
+            files[1],
+            "--protocol",
+            protocol,
+        ])
     };
     let (raw, aligned) = (evaluate("raw"), evaluate("aligned"));
     assert!(raw["dsm"]["mae_m"].as_f64().expect("MAE") > 1.5);
@@ -154,13 +181,34 @@ fn a_synthetic_site_is_a_scene_with_truth() {
     let folder = tempdir().expect("a temporary folder");
     let site = folder.path().join("site");
     let out = site.to_str().expect("UTF-8");
-    let made = json(&["synth", "satellite", "--out", out, "--site", "tiny", "--seed", "3", "--views", "4", "--gsd", "1"]);
+    let made = json(&[
+        "synth",
+        "satellite",
+        "--out",
+        out,
+        "--site",
+        "tiny",
+        "--seed",
+        "3",
+        "--views",
+        "4",
+        "--gsd",
+        "1",
+    ]);
     assert_eq!(made["images"].as_array().map(Vec::len), Some(4));
     let seen = json(&["inspect", out]);
-    assert_eq!(seen["bands"], serde_json::json!(["red", "green", "blue", "near_infrared"]));
+    assert_eq!(
+        seen["bands"],
+        serde_json::json!(["red", "green", "blue", "near_infrared"])
+    );
     assert_eq!(seen["truth"]["shadows"], 4);
     assert!(seen["truth"]["dsm"].is_string() && seen["truth"]["classes"].is_string());
-    assert_eq!(seen["warnings"].as_array().map(Vec::len), Some(0), "{}", seen["warnings"]);
+    assert_eq!(
+        seen["warnings"].as_array().map(Vec::len),
+        Some(0),
+        "{}",
+        seen["warnings"]
+    );
     for image in seen["images"].as_array().expect("images") {
         assert!(image["pinhole_max_px"].as_f64().expect("a residual") < 0.05, "{image}");
         assert_eq!(image["sun_source"], "time");

@@ -1,0 +1,314 @@
+//! How scenes lie on disk: folders of Sat-NeRF and EOGS with images, cameras and truth apart, lists, `scene.toml`, crops.
+
+use heliosplat_pipelines::raster::{ImageSpec, RasterFile, Sample, write_geotiff};
+use heliosplat_pipelines::scene::{IngestOptions, RpcPreference, Scene, SceneError, Split};
+use heliosplat_tests::scenes::{SIZE_PX, View, write_altitudes, write_scene};
+use std::fs;
+use std::path::Path;
+use tempfile::{TempDir, tempdir};
+
+fn open(path: &Path) -> Result<Scene, SceneError> {
+    Scene::open(path, &IngestOptions::default())
+}
+
+fn names(scene: &Scene, split: Split) -> Vec<&str> {
+    let of_split = scene.images.iter().filter(|image| image.split == split);
+    of_split.map(|image| image.name.as_str()).collect()
+}
+
+/// `images/SITE/*.tif` without cameras, `rpcs/SITE/*.json` with them, `train.txt`, `test.txt` and `truth/SITE/SITE_DSM.tif`.
+fn eogs(home: &Path, site: &str) {
+    let images = home.join("images").join(site);
+    let cameras = home.join("rpcs").join(site);
+    let truth = home.join("truth").join(site);
+    for folder in [&images, &cameras, &truth] {
+        fs::create_dir_all(folder).expect("made");
+    }
+    for number in 0..4 {
+        let view = View {
+            name: format!("{site}_{number:03}_RGB"),
+            bands: 3,
+            ..View::new(number)
+        };
+        let with_tag = view.write(&images);
+        fs::rename(
+            with_tag.with_extension("json"),
+            cameras.join(format!("{}.json", view.name)),
+        )
+        .expect("moved");
+        // The image again, without its tag.
+        let pixels = RasterFile::open(&with_tag)
+            .expect("an image")
+            .read_all()
+            .expect("pixels");
+        fs::remove_file(&with_tag).expect("removed");
+        write_geotiff(&with_tag, &ImageSpec::plain(&pixels), Sample::U16).expect("written");
+    }
+    let line = |number: usize| format!("{site}_{number:03}_RGB.json\n");
+    fs::write(cameras.join("train.txt"), line(0) + &line(1) + &line(2)).expect("written");
+    fs::write(cameras.join("test.txt"), line(3)).expect("written");
+    let ground = heliosplat::Raster::filled(8, 8, 1, 700.0);
+    write_altitudes(&truth.join(format!("{site}_DSM.tif")), &ground, 312_000.0, 4_160_000.0);
+}
+
+#[test]
+fn an_eogs_scene_is_found_from_its_cameras_its_images_and_its_root() {
+    let home = tempdir().expect("a temporary folder");
+    eogs(home.path(), "JAX_068");
+    for start in ["rpcs/JAX_068", "images/JAX_068", "."] {
+        let scene = open(&home.path().join(start)).unwrap_or_else(|error| panic!("{start}: {error}"));
+        assert_eq!(
+            names(&scene, Split::Train),
+            ["JAX_068_000_RGB", "JAX_068_001_RGB", "JAX_068_002_RGB"],
+            "{start}"
+        );
+        assert_eq!(names(&scene, Split::Test), ["JAX_068_003_RGB"], "{start}");
+        assert_eq!(scene.altitude_range_m, (690.0, 720.0), "{start}");
+        assert!(
+            scene.images.iter().all(|image| image.rpc_source.ends_with("_RGB.json")),
+            "{start}"
+        );
+        let dsm = scene
+            .truth
+            .dsm
+            .as_deref()
+            .unwrap_or_else(|| panic!("{start}: no truth"));
+        assert!(
+            dsm.ends_with("truth/JAX_068/JAX_068_DSM.tif"),
+            "{start}: {}",
+            dsm.display()
+        );
+    }
+}
+
+#[test]
+fn a_root_of_several_scenes_names_them() {
+    let home = tempdir().expect("a temporary folder");
+    eogs(home.path(), "JAX_068");
+    eogs(home.path(), "JAX_214");
+    let error = open(home.path()).expect_err("which one?").to_string();
+    assert!(
+        error.contains("several scenes") && error.contains("JAX_068") && error.contains("JAX_214"),
+        "{error}"
+    );
+    let scene = open(&home.path().join("rpcs/JAX_214")).expect("one of them");
+    assert_eq!(scene.images.len(), 4);
+    assert!(scene.truth.dsm.is_some_and(|dsm| dsm.ends_with("JAX_214_DSM.tif")));
+}
+
+#[test]
+fn a_camera_whose_image_is_missing_names_both() {
+    let home = tempdir().expect("a temporary folder");
+    eogs(home.path(), "JAX_068");
+    fs::remove_file(home.path().join("images/JAX_068/JAX_068_001_RGB.tif")).expect("removed");
+    let error = open(&home.path().join("rpcs/JAX_068"))
+        .expect_err("an image is gone")
+        .to_string();
+    assert!(
+        error.contains("JAX_068_001_RGB.tif") && error.contains("JAX_068_001_RGB.json"),
+        "{error}"
+    );
+}
+
+fn three_views() -> (TempDir, Vec<View>) {
+    let folder = tempdir().expect("a temporary folder");
+    let views: Vec<View> = (0..3).map(View::new).collect();
+    write_scene(folder.path(), &views);
+    (folder, views)
+}
+
+#[test]
+fn truth_in_the_same_folder_is_no_image() {
+    let (folder, _) = three_views();
+    let ground = heliosplat::Raster::filled(8, 8, 1, 700.0);
+    write_altitudes(&folder.path().join("site_DSM.tif"), &ground, 312_000.0, 4_160_000.0);
+    let scene = open(folder.path()).expect("a scene");
+    assert_eq!(scene.images.len(), 3);
+    assert!(scene.truth.dsm.is_some());
+}
+
+#[test]
+fn a_scene_toml_says_what_the_files_do_not() {
+    let (folder, _) = three_views();
+    for number in 0..3 {
+        fs::remove_file(folder.path().join(format!("view_{number}.json"))).expect("removed");
+    }
+    let manifest = "altitude_range_m = [650, 750]\nbands = [\"near_infrared\"]\n\
+        [[images]]\npath = \"view_0.tif\"\ntime = \"2016-04-23T08:34:00Z\"\n\
+        [[images]]\npath = \"view_1.tif\"\nsun_azimuth_deg = 150\nsun_elevation_deg = 60\n\
+        [[images]]\npath = \"view_2.tif\"\ntime = \"2016-04-23T08:34:00Z\"\nsplit = \"test\"\n";
+    let path = folder.path().join("scene.toml");
+    fs::write(&path, manifest).expect("written");
+    let scene = open(&path).expect("a scene");
+    assert_eq!(scene.altitude_range_m, (650.0, 750.0));
+    assert_eq!(names(&scene, Split::Test), ["view_2"]);
+    assert_eq!(scene.images[0].sun_source, "time");
+    assert_eq!(scene.images[1].sun_source, "metadata");
+    assert!((scene.images[1].sun.elevation_rad.to_degrees() - 60.0).abs() < 1e-9);
+    assert_eq!(scene.bands()[0].name(), "near_infrared");
+}
+
+#[test]
+fn the_frame_is_centred_and_the_views_cover_it() {
+    let (folder, _) = three_views();
+    let scene = open(folder.path()).expect("a scene");
+    let origin = scene.origin();
+    assert!((origin.height_m - 705.0).abs() < 1e-9);
+    assert!(
+        (origin.lon_deg - 36.91).abs() < 2e-5 && (origin.lat_deg - 37.58).abs() < 2e-5,
+        "{origin:?}"
+    );
+    assert_eq!(scene.views_covering(0.0, 0.0, 0.0), 3);
+    assert_eq!(scene.views_covering(100.0, 0.0, 0.0), 0);
+    assert!(scene.area.east_m - scene.area.west_m > 25.0 && scene.area.east_m - scene.area.west_m < 34.0);
+    // Most pixels lie between 0 and 1, and the brightest near 1.
+    let brightest = scene.images[0].pixels.values.iter().copied().fold(0.0, f32::max);
+    assert!((0.9..1.1).contains(&brightest), "{brightest}");
+}
+
+/// Writes view 1 as a crop: its camera is that of a larger image, whose origin is only in the geotransform.
+fn write_crop(folder: &Path, view: &View, origin: [f64; 2]) {
+    let path = view.write(folder);
+    let pixels = RasterFile::open(&path).expect("an image").read_all().expect("pixels");
+    let mut full = view.rpc().cropped(-origin[0], -origin[1]);
+    // The same camera, made for an image forty times as wide: only heights keep their scale.
+    full.sample_scale *= 40.0;
+    full.line_scale *= 40.0;
+    full.latitude_scale_deg *= 40.0;
+    full.longitude_scale_deg *= 40.0;
+    full.sample_numerator[3] /= 40.0;
+    full.line_numerator[3] /= 40.0;
+    let rpc: Vec<(String, String)> = heliosplat_rpc::write::gdal_domain(&full).into_iter().collect();
+    let spec = ImageSpec {
+        rpc: &rpc,
+        ..ImageSpec::plain(&pixels)
+    };
+    write_geotiff(&path, &spec, Sample::U16).expect("written");
+    let metadata = path.with_extension("json");
+    fs::write(
+        metadata,
+        "{\"img\": \"view_1.tif\", \"acquisition_date\": \"20160423083400\"}",
+    )
+    .expect("written");
+    // A world file is the only way to a geotransform without a coordinate system that GDAL keeps apart from the image.
+    let centre = origin.map(|value| value + 0.5);
+    let world = format!("1\n0\n0\n1\n{}\n{}\n", centre[0], centre[1]);
+    fs::write(path.with_extension("tfw"), world).expect("written");
+}
+
+#[test]
+fn a_crop_whose_origin_is_only_in_the_geotransform_gets_its_own_camera() {
+    let (folder, views) = three_views();
+    write_crop(folder.path(), &views[1], [700.0, 300.5]);
+    let scene = open(folder.path()).expect("a scene");
+    let image = scene
+        .images
+        .iter()
+        .find(|image| image.name == "view_1")
+        .expect("view 1");
+    let want = views[1].rpc();
+    assert!(
+        (image.rpc.sample_offset - want.sample_offset).abs() < 1e-6,
+        "{}",
+        image.rpc.sample_offset
+    );
+    assert!(
+        (image.rpc.line_offset - want.line_offset).abs() < 1e-6,
+        "{}",
+        image.rpc.line_offset
+    );
+    assert_eq!(scene.views_covering(0.0, 0.0, 0.0), 3);
+    assert!(
+        scene
+            .warnings
+            .iter()
+            .any(|line| line.contains("view_1.tif") && line.contains("crop origin"))
+    );
+}
+
+#[test]
+fn two_cameras_that_differ_are_a_warning_and_the_option_chooses() {
+    let (folder, views) = three_views();
+    let path = folder.path().join("view_1.json");
+    let mut metadata: serde_json::Value = serde_json::from_slice(&fs::read(&path).expect("readable")).expect("JSON");
+    let moved = views[1].rpc().sample_offset + 2.0;
+    metadata["rpc"]["col_offset"] = serde_json::json!(moved);
+    fs::write(&path, metadata.to_string()).expect("written");
+    for (preference, want) in [(RpcPreference::Json, moved), (RpcPreference::Image, moved - 2.0)] {
+        let options = IngestOptions {
+            rpc: preference,
+            ..IngestOptions::default()
+        };
+        let scene = Scene::open(folder.path(), &options).expect("a scene");
+        let image = scene
+            .images
+            .iter()
+            .find(|image| image.name == "view_1")
+            .expect("view 1");
+        assert!((image.rpc.sample_offset - want).abs() < 1e-9);
+        assert!(
+            scene.warnings.iter().any(|line| line.contains("differ by 2.0 px")),
+            "{:?}",
+            scene.warnings
+        );
+    }
+}
+
+#[test]
+fn a_time_that_contradicts_the_stated_sun_is_a_warning_and_the_time_counts() {
+    let folder = tempdir().expect("a temporary folder");
+    let contradictory = View {
+        sun_deg: Some([100.0, 30.0]),
+        ..View::new(1)
+    };
+    write_scene(folder.path(), &[View::new(0), contradictory]);
+    let scene = open(folder.path()).expect("a scene");
+    let image = &scene.images[1];
+    assert_eq!(image.sun_source, "time");
+    assert!((image.sun.elevation_rad.to_degrees() - 62.1).abs() < 0.1);
+    assert!(
+        scene
+            .warnings
+            .iter()
+            .any(|line| line.contains("view_1.tif") && line.contains("degrees off"))
+    );
+}
+
+#[test]
+fn without_any_altitude_the_cameras_range_is_searched_with_a_warning() {
+    let (folder, _) = three_views();
+    for number in 0..3 {
+        let path = folder.path().join(format!("view_{number}.json"));
+        fs::write(
+            path,
+            format!("{{\"img\": \"view_{number}.tif\", \"acquisition_date\": \"20160423083400\"}}"),
+        )
+        .expect("written");
+    }
+    let scene = open(folder.path()).expect("a scene");
+    assert_eq!(scene.altitude_range_m, (600.0, 800.0));
+    assert!(
+        scene.warnings.iter().any(|line| line.contains("--altitude")),
+        "{:?}",
+        scene.warnings
+    );
+}
+
+#[test]
+fn nodata_is_missing_and_does_not_count_as_seen() {
+    let (folder, _) = three_views();
+    let path = folder.path().join("view_1.tif");
+    let file = RasterFile::open(&path).expect("an image");
+    let mut pixels = file.read_all().expect("pixels");
+    let rpc: Vec<(String, String)> = file.domain("RPC").into_iter().collect();
+    // The northern half is missing.
+    pixels.values[..SIZE_PX * SIZE_PX / 2].fill(f32::NAN);
+    let spec = ImageSpec {
+        rpc: &rpc,
+        ..ImageSpec::plain(&pixels)
+    };
+    write_geotiff(&path, &spec, Sample::F32).expect("written");
+    let scene = open(folder.path()).expect("a scene");
+    assert_eq!(scene.views_covering(0.0, 8.0, 0.0), 2);
+    assert_eq!(scene.views_covering(0.0, -8.0, 0.0), 3);
+}
