@@ -348,10 +348,18 @@ mod tests {
             let (frame, sensor, _) = sensor(seed);
             let fit = sensor.fit_rational_camera(&frame).expect("a camera");
             assert!((1e-4..0.03).contains(&fit.rms_px), "{}", fit.rms_px);
-            let point = Vector3::new(40.0, -25.0, 12.0);
-            let [sample, line] = sensor.project(point);
-            let by_rpc = fit.rpc.project(frame.geo_from_enu(point));
-            assert!((by_rpc.col - sample).hypot(by_rpc.row - line) < 0.06);
+            // Between the samples of the fit too.
+            for k in 0..300 {
+                let share = |step: f64| (f64::from(k) * step).fract() - 0.5;
+                let point = Vector3::new(
+                    400.0 * share(0.618_03),
+                    400.0 * share(0.754_88),
+                    120.0 * share(0.569_84),
+                );
+                let [sample, line] = sensor.project(point);
+                let by_rpc = fit.rpc.project(frame.geo_from_enu(point));
+                assert!((by_rpc.col - sample).hypot(by_rpc.row - line) < 0.05);
+            }
         }
     }
 }
