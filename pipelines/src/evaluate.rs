@@ -145,12 +145,12 @@ pub fn evaluate_dsm(
         Some(path) => Some(truth::read_classes(path, &truth.raster)?),
         None => None,
     };
-    let on_truth_grid = resample::onto(&prediction, &truth)?;
     let (pixel_width, pixel_height) = truth.transform.pixel_size();
     let metres = truth.crs.as_ref().map_or(1.0, |crs| crs.metres_per_unit());
     let gsd_m = (pixel_width * pixel_height).sqrt() * metres;
-    let comparison = compare(&on_truth_grid, &truth.raster, classes.as_ref(), protocol);
-    let Some((errors, shift)) = comparison else {
+    let placement = resample::Placement::new(&prediction, &truth)?;
+    let moved = |columns: f64, rows: f64| placement.moved(columns, rows);
+    let Some((errors, shift)) = register(&moved, &truth.raster, classes.as_ref(), protocol) else {
         return Err(EvaluateError::NoOverlap {
             prediction: prediction_path.to_owned(),
             truth: truth_path.to_owned(),
@@ -180,30 +180,40 @@ pub fn compare(
     classes: Option<&Raster>,
     protocol: Protocol,
 ) -> Option<(Raster, Shift)> {
+    let moved = |columns: f64, rows: f64| align::moved(prediction, columns, rows);
+    register(&moved, truth, classes, protocol)
+}
+
+/// As [`compare`]; `prediction` gives the prediction on the truth's grid after a move of columns and rows, so that a move
+/// below a cell is interpolated once, from the prediction as it came.
+fn register(
+    prediction: &(impl Fn(f64, f64) -> Raster + Sync),
+    truth: &Raster,
+    classes: Option<&Raster>,
+    protocol: Protocol,
+) -> Option<(Raster, Shift)> {
     let is_water = |index: usize| classes.is_some_and(|classes| classes.values[index] == WATER);
-    let without_water = |raster: &Raster| {
-        let mut dry = raster.clone();
-        for (index, value) in dry.values.iter_mut().enumerate() {
-            if is_water(index) {
-                *value = f32::NAN;
-            }
+    let without_water = |mut raster: Raster| {
+        for index in (0..raster.values.len()).filter(|&index| is_water(index)) {
+            raster.values[index] = f32::NAN;
         }
-        dry
+        raster
     };
-    let mut prediction = prediction.clone();
-    if matches!(protocol, Protocol::Aligned | Protocol::Subpixel) {
-        prediction = without_water(&prediction);
-    }
     let shift = match protocol {
         Protocol::Raw => Shift::default(),
-        Protocol::Aligned | Protocol::AlignedWater => align::integer(truth, &prediction),
-        Protocol::Subpixel => align::subpixel(truth, &prediction),
+        Protocol::Aligned => align::integer(truth, &without_water(prediction(0.0, 0.0))),
+        Protocol::AlignedWater => align::integer(truth, &prediction(0.0, 0.0)),
+        Protocol::Subpixel => align::subpixel(truth, &|columns, rows| without_water(prediction(columns, rows))),
     };
-    let moved = shift.apply(&prediction);
+    let moved = match protocol {
+        // Water is taken out where the prediction shows it, before it is moved: as Sat-NeRF and EOGS do.
+        Protocol::Aligned => align::moved(&without_water(prediction(0.0, 0.0)), shift.columns, shift.rows),
+        Protocol::Raw | Protocol::AlignedWater | Protocol::Subpixel => prediction(shift.columns, shift.rows),
+    };
     let mut errors = Raster::filled(truth.width, truth.height, 1, f32::NAN);
     for (index, error) in errors.values.iter_mut().enumerate() {
         if !(protocol.excludes_water() && is_water(index)) {
-            *error = moved.values[index] - truth.values[index];
+            *error = moved.values[index] + shift.height_m as f32 - truth.values[index];
         }
     }
     errors

@@ -27,19 +27,6 @@ const SMALLEST_SIDE: usize = 100;
 const LEAST_OVERLAP: f64 = 0.25;
 
 impl Shift {
-    /// The shifted raster (first band): missing where it comes from outside or from missing cells.
-    pub fn apply(&self, raster: &Raster) -> Raster {
-        let mut out = Raster::filled(raster.width, raster.height, 1, f32::NAN);
-        let width = raster.width;
-        out.values.par_chunks_mut(width).enumerate().for_each(|(row, line)| {
-            for (col, value) in line.iter_mut().enumerate() {
-                let sample = super::resample::bilinear(raster, col as f64 - self.columns, row as f64 - self.rows);
-                *value = sample + self.height_m as f32;
-            }
-        });
-        out
-    }
-
     /// East, north and up, metres, on a grid with `metres` per map unit.
     pub fn metres(&self, transform: &GeoTransform, metres: f64) -> [f64; 3] {
         let along =
@@ -48,43 +35,45 @@ impl Shift {
     }
 }
 
+/// A raster (first band) moved by columns to the right and rows down: missing where it comes from outside or from missing
+/// cells.
+pub fn moved(raster: &Raster, columns: f64, rows: f64) -> Raster {
+    let mut out = Raster::filled(raster.width, raster.height, 1, f32::NAN);
+    let lines = out.values.par_chunks_mut(raster.width).enumerate();
+    lines.for_each(|(row, line)| {
+        for (col, value) in line.iter_mut().enumerate() {
+            *value = super::resample::bilinear(raster, col as f64 - columns, row as f64 - rows);
+        }
+    });
+    out
+}
+
 /// The integer shift of largest correlation, and the mean height difference after it.
 pub fn integer(truth: &Raster, prediction: &Raster) -> Shift {
     let (columns, rows) = integer_cells(truth, prediction);
-    with_height(truth, prediction, columns as f64, rows as f64)
+    let (columns, rows) = (columns as f64, rows as f64);
+    with_height(truth, &moved(prediction, columns, rows), columns, rows)
 }
 
 /// As [`integer`], with the shift refined below a cell: the peak of the NCC on successively finer steps down to 1/32.
-pub fn subpixel(truth: &Raster, prediction: &Raster) -> Shift {
-    let (columns, rows) = integer_cells(truth, prediction);
+/// `prediction` gives the prediction moved by columns and rows.
+pub fn subpixel(truth: &Raster, prediction: &(impl Fn(f64, f64) -> Raster + Sync)) -> Shift {
+    let (columns, rows) = integer_cells(truth, &prediction(0.0, 0.0));
     let (mut best, mut step) = ((columns as f64, rows as f64), 0.5);
     while step >= 1.0 / 32.0 {
         let around: Vec<(f64, f64)> = (-1..=1)
             .flat_map(|dr| (-1..=1).map(move |dc| (f64::from(dc), f64::from(dr))))
             .map(|(dc, dr)| (best.0 + dc * step, best.1 + dr * step))
             .collect();
-        best = best_of(&around, |(columns, rows)| {
-            let moved = Shift {
-                columns,
-                rows,
-                height_m: 0.0,
-            }
-            .apply(prediction);
-            correlation(truth, &moved, 0, 0)
-        })
-        .unwrap_or(best);
+        let score = |(columns, rows)| correlation(truth, &prediction(columns, rows), 0, 0);
+        best = best_of(&around, score).unwrap_or(best);
         step /= 2.0;
     }
-    with_height(truth, prediction, best.0, best.1)
+    with_height(truth, &prediction(best.0, best.1), best.0, best.1)
 }
 
-fn with_height(truth: &Raster, prediction: &Raster, columns: f64, rows: f64) -> Shift {
-    let mut shift = Shift {
-        columns,
-        rows,
-        height_m: 0.0,
-    };
-    let moved = shift.apply(prediction);
+/// A shift whose prediction has been moved already, completed by the mean height difference that is left.
+fn with_height(truth: &Raster, moved: &Raster, columns: f64, rows: f64) -> Shift {
     let (mut sum, mut count) = (0.0, 0usize);
     for (want, got) in truth.plane(0).iter().zip(moved.plane(0)) {
         let difference = f64::from(want - got);
@@ -93,10 +82,11 @@ fn with_height(truth: &Raster, prediction: &Raster, columns: f64, rows: f64) -> 
             count += 1;
         }
     }
-    if count > 0 {
-        shift.height_m = sum / count as f64;
+    Shift {
+        columns,
+        rows,
+        height_m: if count > 0 { sum / count as f64 } else { 0.0 },
     }
-    shift
 }
 
 fn integer_cells(truth: &Raster, prediction: &Raster) -> (i64, i64) {

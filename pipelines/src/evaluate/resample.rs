@@ -2,34 +2,63 @@
 
 use crate::raster::{CrsTransform, GeoRaster, RasterError};
 use heliosplat::Raster;
+use rayon::prelude::*;
 
-/// Altitude (first band) of `source` at the cell centres of `target`, bilinear; `NaN` where nothing is known. Where one
-/// of the two does not say its coordinate system, both are taken to be in the same.
-///
-/// # Errors
-/// When a coordinate system cannot be used.
-pub fn onto(source: &GeoRaster, target: &GeoRaster) -> Result<Raster, RasterError> {
-    let transform = match (&target.crs, &source.crs) {
-        (Some(from), Some(to)) if from.wkt() != to.wkt() => Some(CrsTransform::new(from, to)?),
-        _ => None,
-    };
-    let mut out = Raster::filled(target.raster.width, target.raster.height, 1, f32::NAN);
-    for row in 0..out.height {
-        for col in 0..out.width {
-            let [x, y] = target.transform.map_from_pixel(col as f64, row as f64);
+/// Where the cell centres of a target grid lie in a source raster.
+pub struct Placement<'a> {
+    source: &'a Raster,
+    width: usize,
+    height: usize,
+    /// Column and row in the source per target cell; not finite where there is none.
+    positions: Vec<[f64; 2]>,
+    /// Change of position per column and per row of the target, at its centre.
+    per_cell: [[f64; 2]; 2],
+}
+
+impl<'a> Placement<'a> {
+    /// Finds the places. Where one of the two does not say its coordinate system, both are taken to be in the same.
+    ///
+    /// # Errors
+    /// When a coordinate system cannot be used.
+    pub fn new(source: &'a GeoRaster, target: &GeoRaster) -> Result<Self, RasterError> {
+        let transform = match (&target.crs, &source.crs) {
+            (Some(from), Some(to)) if from.wkt() != to.wkt() => Some(CrsTransform::new(from, to)?),
+            _ => None,
+        };
+        let place = |col: f64, row: f64| {
+            let [x, y] = target.transform.map_from_pixel(col, row);
             let (x, y) = match &transform {
-                // A cell outside the source's coordinate system has no altitude there.
-                Some(transform) => match transform.apply(x, y) {
-                    Ok(point) => point,
-                    Err(_) => continue,
-                },
+                // A cell outside the source's coordinate system has no place there.
+                Some(transform) => transform.apply(x, y).unwrap_or((f64::NAN, f64::NAN)),
                 None => (x, y),
             };
-            let [from_col, from_row] = source.transform.pixel_from_map(x, y);
-            out.values[row * target.raster.width + col] = bilinear(&source.raster, from_col, from_row);
-        }
+            source.transform.pixel_from_map(x, y)
+        };
+        let (width, height) = (target.raster.width, target.raster.height);
+        let cells = (0..width * height).map(|index| place((index % width) as f64, (index / width) as f64));
+        let (col, row) = (width as f64 / 2.0, height as f64 / 2.0);
+        let centre = place(col, row);
+        let step = |[c, r]: [f64; 2]| [c - centre[0], r - centre[1]];
+        Ok(Self {
+            source: &source.raster,
+            width,
+            height,
+            positions: cells.collect(),
+            per_cell: [step(place(col + 1.0, row)), step(place(col, row + 1.0))],
+        })
     }
-    Ok(out)
+
+    /// First band of the source on the target's grid, bilinear, `NaN` where nothing is known, after moving the source by
+    /// `columns` to the right and `rows` down (target cells). Between different coordinate systems the move is that of the
+    /// grid's centre: over a kilometre, 50 cells elsewhere differ by some thousandths of a cell.
+    pub fn moved(&self, columns: f64, rows: f64) -> Raster {
+        let [per_col, per_row] = self.per_cell;
+        let offset = [0, 1].map(|axis| columns * per_col[axis] + rows * per_row[axis]);
+        let mut out = Raster::filled(self.width, self.height, 1, f32::NAN);
+        let cells = out.values.par_iter_mut().zip(&self.positions);
+        cells.for_each(|(value, [col, row])| *value = bilinear(self.source, col - offset[0], row - offset[1]));
+        out
+    }
 }
 
 /// First band at a fractional pixel position. Missing neighbours make the value missing, except those whose weight is

@@ -50,7 +50,9 @@ fn a_sub_pixel_shift_is_found_by_the_sub_pixel_protocol() {
         raster
     };
     let truth = hills(50.0, 50.0);
-    let shift = align::subpixel(&truth, &hills(51.375, 49.25));
+    let shift = align::subpixel(&truth, &|columns, rows| {
+        align::moved(&hills(51.375, 49.25), columns, rows)
+    });
     assert!(
         (shift.columns - 1.375).abs() < 0.05 && (shift.rows + 0.75).abs() < 0.05,
         "{shift:?}"
@@ -141,6 +143,38 @@ fn grids_of_another_spacing_and_coordinate_system_are_brought_together() {
     assert_eq!(outcome.metrics.all.completeness, 1.0);
     assert!((outcome.metrics.all.mae_m - 0.25).abs() < 1e-3, "{:?}", outcome.metrics);
     assert!(outcome.metrics.all.nmad_m < 1e-3);
+}
+
+#[test]
+fn a_prediction_on_a_grid_of_its_own_loses_nothing_to_sub_pixel_registration() {
+    let folder = tempfile::tempdir().expect("a temporary folder");
+    let (truth_path, prediction_path) = (folder.path().join("t.tif"), folder.path().join("p.tif"));
+    let town = town(150, 140, 0.0, 0.0);
+    write(
+        &truth_path,
+        &town,
+        &GeoTransform::north_up(312_000.0, 4_160_000.0, 0.5),
+        32637,
+    );
+    // The same cells, 1.3 m to the east and 0.7 m to the south: 2.6 and 1.4 cells.
+    write(
+        &prediction_path,
+        &town,
+        &GeoTransform::north_up(312_001.3, 4_159_999.3, 0.5),
+        32637,
+    );
+    let evaluate = |protocol| {
+        evaluate_dsm(&prediction_path, &truth_path, None, protocol)
+            .expect("comparable")
+            .metrics
+    };
+    let (aligned, subpixel) = (evaluate(Protocol::Aligned), evaluate(Protocol::Subpixel));
+    // The finest step is 1/32 of a cell, 16 mm.
+    assert!(
+        (subpixel.shift_m[0] + 1.3).abs() < 0.02 && (subpixel.shift_m[1] - 0.7).abs() < 0.02,
+        "{subpixel:?}"
+    );
+    assert!(subpixel.all.mae_m < 0.1 * aligned.all.mae_m, "{subpixel:?} {aligned:?}");
 }
 
 #[test]
