@@ -11,7 +11,7 @@ use crate::splat::{
     MapGradients, Maps, Projected, ProjectionOptions, Rasteriser, SplatGradient, project::project,
     project::project_backward,
 };
-use crate::trace::{OccluderTree, TraceOptions, Transmittance, transmittance};
+use crate::trace::{Occluders, TraceOptions, Transmittance, transmittance};
 
 /// How a pass is made.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
@@ -28,7 +28,7 @@ pub struct PassOptions {
 pub struct Pass<'a> {
     model: &'a dyn SceneModel,
     context: Context<'a>,
-    tree: Option<&'a OccluderTree>,
+    occluders: Option<&'a Occluders>,
     options: PassOptions,
     /// The splats.
     pub projected: Projected,
@@ -40,19 +40,19 @@ pub struct Pass<'a> {
 }
 
 impl<'a> Pass<'a> {
-    /// Looks at the model of `context` through its camera. `tree` must be given when the model asks for transmittance and the
+    /// Looks at the model of `context` through its camera. `occluders` must be given when the model asks for transmittance and the
     /// context has a light; without one, everything is lit.
     pub fn new(
         model: &'a dyn SceneModel,
         context: Context<'a>,
-        tree: Option<&'a OccluderTree>,
+        occluders: Option<&'a Occluders>,
         options: PassOptions,
     ) -> Self {
         let gaussians = &context.parameters.gaussians;
         let projected = project(gaussians, context.camera, &options.projection);
-        let traced = match (tree, &context.light) {
-            (Some(tree), Some(light)) if model.needs_transmittance() => {
-                transmittance(gaussians, tree, &projected.gaussian, light, &options.trace)
+        let traced = match (occluders, &context.light) {
+            (Some(occluders), Some(light)) if model.needs_transmittance() => {
+                transmittance(gaussians, occluders, &projected.gaussian, light, &options.trace)
             }
             _ => Transmittance::all_lit(projected.splats.len()),
         };
@@ -76,7 +76,7 @@ impl<'a> Pass<'a> {
         Self {
             model,
             context,
-            tree,
+            occluders,
             options,
             traced,
             features,
@@ -130,10 +130,10 @@ impl<'a> Pass<'a> {
             &back.splats,
             &mut grads.gaussians,
         );
-        if let Some(tree) = self.tree {
+        if let Some(occluders) = self.occluders {
             let origins = &self.projected.gaussian;
             self.traced
-                .backward(gaussians, tree, origins, &d_transmittance, &mut grads.gaussians);
+                .backward(gaussians, occluders, origins, &d_transmittance, &mut grads.gaussians);
         }
         back.splats
     }
@@ -156,7 +156,7 @@ pub fn render(
     appearance: Option<usize>,
     options: PassOptions,
 ) -> Rendering {
-    let tree = (model.needs_transmittance() && light.is_some()).then(|| OccluderTree::build(&parameters.gaussians));
+    let occluders = (model.needs_transmittance() && light.is_some()).then(|| Occluders::new(&parameters.gaussians));
     let context = Context {
         parameters,
         camera,
@@ -166,7 +166,7 @@ pub fn render(
     let pass = Pass::new(
         model,
         context,
-        tree.as_ref(),
+        occluders.as_ref(),
         PassOptions {
             normals: true,
             ..options

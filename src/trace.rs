@@ -1,7 +1,8 @@
 //! Light that reaches Gaussians: proxies, a bounding volume hierarchy, transmittance and its gradients.
 
 pub mod bvh;
+mod sun_plane;
 pub mod transmittance;
 
-pub use bvh::{Occluder, OccluderTree};
-pub use transmittance::{TraceOptions, Transmittance, transmittance};
+pub use bvh::{Occluder, Occluders};
+pub use transmittance::{Route, TraceOptions, Transmittance, transmittance};

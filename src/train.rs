@@ -15,7 +15,7 @@ use crate::model::{Context, NamedLoss, Parameters, SceneModel, View};
 use crate::optim::{Adam, DensityStatistics, exponential_decay};
 use crate::render::{Pass, PassOptions};
 use crate::splat::project::project;
-use crate::trace::OccluderTree;
+use crate::trace::{Occluders, Route};
 use glam::Vec3;
 use holdout::Holdout;
 use rand::{SeedableRng, seq::SliceRandom};
@@ -75,8 +75,8 @@ pub struct Trainer<'a> {
     statistics: DensityStatistics,
     holdout: Holdout,
     gradients: Parameters,
-    tree: Option<OccluderTree>,
-    tree_step: usize,
+    occluders: Option<Occluders>,
+    occluders_step: usize,
     order: Vec<usize>,
     step: usize,
     rejected: usize,
@@ -109,8 +109,8 @@ impl<'a> Trainer<'a> {
             statistics: DensityStatistics::new(parameters.gaussians.count),
             holdout: Holdout::new(views, &options),
             gradients: parameters.zeros_like(),
-            tree: None,
-            tree_step: 0,
+            occluders: None,
+            occluders_step: 0,
             order: Vec::new(),
             step: 0,
             rejected: 0,
@@ -162,15 +162,21 @@ impl<'a> Trainer<'a> {
         self.order[place]
     }
 
-    fn refresh_tree(&mut self) {
-        let due = self.step >= self.tree_step + self.options.tree_every || self.tree.is_none();
-        let stale = self
-            .tree
-            .as_ref()
-            .is_some_and(|t| t.occluders.len() != self.parameters.gaussians.count);
-        if self.model.needs_transmittance() && (due || stale) {
-            self.tree = Some(OccluderTree::build(&self.parameters.gaussians));
-            self.tree_step = self.step;
+    /// The sun plane is listed anew for every light anyway, so its occluders are always those of the moment; a hierarchy is
+    /// dear to build and may be some steps old.
+    fn refresh_occluders(&mut self) {
+        if !self.model.needs_transmittance() {
+            return;
+        }
+        let age_limit = match self.options.trace.route {
+            Route::SunPlane => 1,
+            Route::Hierarchy => self.options.hierarchy_every,
+        };
+        let count = self.parameters.gaussians.count;
+        let usable = |o: &Occluders| o.list.len() == count && self.step < self.occluders_step + age_limit;
+        if !self.occluders.as_ref().is_some_and(usable) {
+            self.occluders = Some(Occluders::new(&self.parameters.gaussians));
+            self.occluders_step = self.step;
         }
     }
 
@@ -180,7 +186,7 @@ impl<'a> Trainer<'a> {
     /// When too many steps in a row are rejected, or no Gaussian is left.
     pub fn step(&mut self) -> Result<StepReport, TrainError> {
         let index = self.next_view();
-        self.refresh_tree();
+        self.refresh_occluders();
         self.gradients.gaussians.reset(self.parameters.gaussians.count);
         self.gradients.globals.reset(1);
         let mut report = self.descend_view(index);
@@ -229,7 +235,7 @@ impl<'a> Trainer<'a> {
             trace: options.trace,
             normals,
         };
-        let pass = Pass::new(self.model, context, self.tree.as_ref(), pass_options);
+        let pass = Pass::new(self.model, context, self.occluders.as_ref(), pass_options);
         let image = pass.image();
         let weight = self.holdout.training_weight(index);
         let (photo, mut d_image) = photometric(&image, &view.image, weight, options.lambda_ssim);
@@ -287,14 +293,14 @@ impl<'a> Trainer<'a> {
             Some(nadir) if turn % 2 == 1 => nadir,
             _ => &self.views[index].camera,
         };
-        let Some(tree) = &self.tree else { return 0.0 };
+        let Some(occluders) = &self.occluders else { return 0.0 };
         let gaussians = &self.parameters.gaussians;
         let projected = project(gaussians, camera, &self.options.projection);
         let pass = ConsistencyPass {
             camera,
             projection: &self.options.projection,
             trace: &self.options.trace,
-            tree,
+            occluders,
             // Asked for on one step in `consistency_every` only, so it weighs that much more there.
             weight: self.options.consistency_weight * self.options.consistency_every.max(1) as f32,
         };
@@ -350,7 +356,7 @@ impl<'a> Trainer<'a> {
             .statistics
             .apply(&mut self.parameters.gaussians, d, self.options.gsd_m, self.bounds, seed);
         self.gaussians_adam.follow(&rebuild.sources, rebuild.fresh);
-        self.tree = None;
+        self.occluders = None;
         tracing::debug!(
             step = self.step,
             gaussians = self.parameters.gaussians.count,

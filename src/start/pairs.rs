@@ -9,6 +9,7 @@ pub(super) struct Pair {
     pub(super) a: usize,
     pub(super) b: usize,
     pub(super) weight: u32,
+    pub(super) same: bool,
     /// Base-to-height ratio: ground metres of relative parallax per metre of altitude.
     pub(super) base_to_height: f32,
 }
@@ -46,6 +47,7 @@ pub(super) fn choose(views: &[SweepView], centre: Vec3) -> Vec<Pair> {
                 b,
                 weight: ((worth * FULL_WEIGHT).round() as u32).max(1),
                 base_to_height,
+                same: views[a].date_group == views[b].date_group,
             }
         })
         .collect()

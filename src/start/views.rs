@@ -44,9 +44,11 @@ impl SweepView<'_> {
 pub(super) struct LevelView {
     pub(super) camera: ProjectiveCamera,
     pub(super) pixels: Vec<f32>,
-    pub(super) gradient: f32,
     pub(super) width: usize,
     pub(super) height: usize,
+    /// Typical difference between neighbouring pixels.
+    pub(super) contrast: f32,
+    pub(super) middle: f32,
 }
 
 impl LevelView {
@@ -60,11 +62,9 @@ impl LevelView {
         } else {
             (mean, view.camera)
         };
-        let mut g: Vec<f32> = image.values.windows(2).map(|w| (w[1] - w[0]).abs()).filter(|x| x.is_finite()).collect();
-        let m = g.len() / 2;
-        let gradient = *g.select_nth_unstable_by(m, f32::total_cmp).1;
         Self {
-            camera, gradient,
+            camera,
+            contrast: contrast(&image), middle: { let mut v: Vec<f32> = image.values.iter().copied().filter(|x| x.is_finite()).collect(); let m = v.len() / 2; *v.select_nth_unstable_by(m, f32::total_cmp).1 },
             width: image.width,
             height: image.height,
             pixels: image.values,
@@ -130,4 +130,12 @@ fn mean_of_bands(image: &Raster) -> Raster {
         }
     }
     mean
+}
+
+/// Median absolute difference between neighbours along rows.
+fn contrast(image: &Raster) -> f32 {
+    let differences = image.values.windows(2).map(|pair| (pair[1] - pair[0]).abs());
+    let mut differences: Vec<f32> = differences.filter(|d| d.is_finite()).collect();
+    let middle = differences.len() / 2;
+    if differences.is_empty() { 0.0 } else { *differences.select_nth_unstable_by(middle, f32::total_cmp).1 }
 }

@@ -8,6 +8,7 @@ use crate::gaussians::Table;
 use glam::{Mat3, Vec3, Vec3A};
 use obvhs::{BvhBuildParams, aabb::Aabb, cwbvh::CwBvh, cwbvh::builder::build_cwbvh, ray::Ray};
 use rayon::prelude::*;
+use std::sync::OnceLock;
 use std::time::Duration;
 
 /// Opacity at which a Gaussian ends for the light.
@@ -20,6 +21,8 @@ pub struct Occluder {
     pub position: Vec3,
     /// `S⁻¹ Rᵀ`: scene metres to standard deviations.
     pub whiten: Mat3,
+    /// `R S`: standard deviations to scene metres.
+    pub spread: Mat3,
     /// Opacity, 0 to 1.
     pub opacity: f32,
     /// Squared radius of its reach, in standard deviations; zero when it occludes nothing.
@@ -33,6 +36,7 @@ impl Occluder {
         let scale = gaussians.scale(index);
         let rotation = gaussians.rotation(index);
         let whiten = Mat3::from_diagonal(scale.recip()) * rotation.transpose();
+        let spread = rotation * Mat3::from_diagonal(scale);
         let position = gaussians.position(index);
         let finite = position.is_finite() && whiten.is_finite() && opacity.is_finite();
         let reach_square = if finite && opacity > OPACITY_MIN {
@@ -43,59 +47,62 @@ impl Occluder {
         Self {
             position,
             whiten,
+            spread,
             opacity,
             reach_square,
         }
     }
 
     /// Axis-aligned bounds of its reach.
-    fn bounds(&self, gaussians: &Table, index: usize) -> Aabb {
+    fn bounds(&self) -> Aabb {
         if self.reach_square <= 0.0 {
             // A point that no ray meets; the index must keep its place.
             return Aabb::from_point(Vec3A::from(self.position.clamp(Vec3::splat(-1e18), Vec3::splat(1e18))));
         }
-        let scale = gaussians.scale(index);
-        let axes = gaussians.rotation(index) * Mat3::from_diagonal(scale);
-        let variance = |r: usize| axes.row(r).length_squared();
+        let variance = |r: usize| self.spread.row(r).length_squared();
         let half = Vec3::new(variance(0), variance(1), variance(2)).map(f32::sqrt) * self.reach_square.sqrt();
         Aabb::new(Vec3A::from(self.position - half), Vec3A::from(self.position + half))
     }
 }
 
-/// A hierarchy over all Gaussians of a table, as they stood when it was built.
-pub struct OccluderTree {
-    tree: CwBvh,
+/// All Gaussians of a table as the light meets them, as they stood when this was made. The hierarchy over them is built
+/// when it is first asked for.
+pub struct Occluders {
     /// The occluders, by Gaussian.
-    pub occluders: Vec<Occluder>,
+    pub list: Vec<Occluder>,
+    bounds: Vec<Aabb>,
+    hierarchy: OnceLock<CwBvh>,
 }
 
-impl OccluderTree {
-    /// Builds the hierarchy.
-    pub fn build(gaussians: &Table) -> Self {
-        let occluders: Vec<Occluder> = (0..gaussians.count)
+impl Occluders {
+    /// The occluders of a table.
+    pub fn new(gaussians: &Table) -> Self {
+        let (list, bounds) = (0..gaussians.count)
             .into_par_iter()
             .with_min_len(512)
-            .map(|i| Occluder::new(gaussians, i))
-            .collect();
-        let bounds: Vec<Aabb> = occluders
-            .par_iter()
-            .with_min_len(512)
-            .enumerate()
-            .map(|(i, occluder)| occluder.bounds(gaussians, i))
-            .collect();
-        let mut spent = Duration::default();
-        let tree = build_cwbvh(&bounds, BvhBuildParams::fast_build(), &mut spent);
-        Self { tree, occluders }
+            .map(|i| {
+                let occluder = Occluder::new(gaussians, i);
+                (occluder, occluder.bounds())
+            })
+            .unzip();
+        Self { list, bounds, hierarchy: OnceLock::new() }
+    }
+
+    fn hierarchy(&self) -> &CwBvh {
+        self.hierarchy.get_or_init(|| {
+            let mut spent = Duration::default();
+            build_cwbvh(&self.bounds, BvhBuildParams::fast_build(), &mut spent)
+        })
     }
 
     /// Calls `visit` with every Gaussian whose leaf bounds meet the ray; some of those are not truly met.
     #[inline]
     pub fn visit(&self, origin: Vec3, direction: Vec3, length: f32, mut visit: impl FnMut(u32)) {
-        if self.occluders.is_empty() {
+        if self.list.is_empty() {
             return;
         }
+        let tree = self.hierarchy();
         let ray = Ray::new(Vec3A::from(origin), Vec3A::from(direction), 0.0, length);
-        self.tree
-            .ray_traverse_anyhit(ray, |_, place| visit(self.tree.primitive_indices[place]));
+        tree.ray_traverse_anyhit(ray, |_, place| visit(tree.primitive_indices[place]));
     }
 }

@@ -11,7 +11,8 @@
 //! neighbours' whole reach and a steep one hardly moves; and only peaks further along the ray than the origin's own
 //! extent `sqrt(rᵀΣr)` count.
 
-use super::bvh::{Occluder, OccluderTree};
+use super::bvh::{Occluder, Occluders};
+use super::sun_plane::SunPlane;
 use crate::gaussians::{LOG_SCALE, OPACITY, POSITION, ROTATION, Table, rotation_backward};
 use crate::light::Light;
 use crate::splat::project::{ALPHA_MAX, add3};
@@ -23,6 +24,16 @@ const LIFT: f32 = 3.717;
 /// Rays per parallel job; fixed, so that results do not depend on the number of threads.
 const CHUNK: usize = 1024;
 
+/// How the Gaussians on a ray of parallel light are found; the answers are the same.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Route {
+    /// A grid in the plane normal to the light: cheapest, parallel light only.
+    SunPlane,
+    /// The bounding volume hierarchy that also answers point lights.
+    Hierarchy,
+}
+
 /// How light is traced.
 #[derive(Debug, Clone, Copy, PartialEq, serde::Serialize, serde::Deserialize)]
 #[serde(default, deny_unknown_fields)]
@@ -31,6 +42,8 @@ pub struct TraceOptions {
     pub bias_sigmas: f32,
     /// Fraction of the full lift off the own sheet.
     pub lift: f32,
+    /// How parallel light is answered.
+    pub route: Route,
     /// Whether gradients reach the occluders; without them only the origins move.
     pub occluder_gradients: bool,
 }
@@ -40,6 +53,7 @@ impl Default for TraceOptions {
         Self {
             bias_sigmas: 1.0,
             lift: 1.0,
+            route: Route::SunPlane,
             occluder_gradients: true,
         }
     }
@@ -140,14 +154,18 @@ fn light_ray(gaussians: &Table, index: usize, light: &Light, options: &TraceOpti
     }
 }
 
-/// Transmittance of the Gaussians `origins` toward `light` through all of `tree`.
+/// Transmittance of the Gaussians `origins` toward `light` through all of `occluders`.
 pub fn transmittance(
     gaussians: &Table,
-    tree: &OccluderTree,
+    occluders: &Occluders,
     origins: &[u32],
     light: &Light,
     options: &TraceOptions,
 ) -> Transmittance {
+    let plane = match (light, options.route) {
+        (Light::Directional(direction), Route::SunPlane) => Some(SunPlane::new(&occluders.list, *direction)),
+        _ => None,
+    };
     let chunks: Vec<Transmittance> = origins
         .par_chunks(CHUNK)
         .map(|chunk| {
@@ -155,15 +173,21 @@ pub fn transmittance(
             for &origin in chunk {
                 let ray = light_ray(gaussians, origin as usize, light, options);
                 let mut optical_depth = 0.0f32;
-                tree.visit(ray.origin, ray.direction, ray.length, |id| {
-                    if id == origin {
-                        return;
-                    }
-                    if let Some(alpha) = peak_alpha(tree, id, &ray) {
+                let mut meet = |id: u32, alpha: f32| {
+                    if id != origin {
+                        let alpha = alpha.min(ALPHA_MAX);
                         optical_depth -= (-alpha).ln_1p();
                         out.hits.push(Hit { occluder: id, alpha });
                     }
-                });
+                };
+                match &plane {
+                    Some(plane) => plane.visit(ray.origin, ray.bias, meet),
+                    None => occluders.visit(ray.origin, ray.direction, ray.length, |id| {
+                        if let Some(alpha) = peak_alpha(&occluders.list[id as usize], &ray) {
+                            meet(id, alpha);
+                        }
+                    }),
+                }
                 out.values.push((-optical_depth).exp());
                 out.rays.push(ray);
                 out.hit_starts.push(out.hits.len() as u32);
@@ -187,39 +211,36 @@ pub fn transmittance(
     all
 }
 
-/// `α̃` of a Gaussian on a ray, when it counts.
+/// `α̃` (before saturation) of a Gaussian on a ray, when it counts.
 #[inline]
-fn peak_alpha(tree: &OccluderTree, id: u32, ray: &LightRay) -> Option<f32> {
-    let occluder = &tree.occluders[id as usize];
+fn peak_alpha(occluder: &Occluder, ray: &LightRay) -> Option<f32> {
     let e = occluder.whiten * (ray.origin - occluder.position);
     let d = occluder.whiten * ray.direction;
     let dd = d.length_squared();
     let peak = -e.dot(d) / dd;
     let miss_square = e.cross(d).length_squared() / dd;
     // Written so that a NaN counts as a miss.
-    if !(miss_square < occluder.reach_square && peak > ray.bias && peak < ray.length) {
-        return None;
-    }
-    Some((occluder.opacity * (-0.5 * miss_square).exp()).min(ALPHA_MAX))
+    let met = miss_square < occluder.reach_square && peak > ray.bias && peak < ray.length;
+    met.then(|| occluder.opacity * (-0.5 * miss_square).exp())
 }
 
 impl Transmittance {
     /// Adds the gradients that `grads` (to each origin's transmittance) gives the parameters of occluders and origins.
-    /// `gaussians`, `tree` and `origins` are those the transmittance was traced with.
-    pub fn backward(&self, gaussians: &Table, tree: &OccluderTree, origins: &[u32], grads: &[f32], out: &mut Table) {
+    /// `gaussians`, `occluders` and `origins` are those the transmittance was traced with.
+    pub fn backward(&self, gaussians: &Table, occluders: &Occluders, origins: &[u32], grads: &[f32], out: &mut Table) {
         if self.hits.is_empty() {
             return;
         }
-        self.origins_backward(gaussians, tree, origins, grads, out);
+        self.origins_backward(gaussians, occluders, origins, grads, out);
         if self.occluder_gradients {
-            self.occluders_backward(gaussians, tree, grads, out);
+            self.occluders_backward(gaussians, occluders, grads, out);
         }
     }
 
     fn origins_backward(
         &self,
         gaussians: &Table,
-        tree: &OccluderTree,
+        occluders: &Occluders,
         origins: &[u32],
         grads: &[f32],
         out: &mut Table,
@@ -232,7 +253,7 @@ impl Transmittance {
             .map(|(i, ray)| {
                 let mut total = Vec3::ZERO;
                 for hit in &self.hits[self.hit_starts[i] as usize..self.hit_starts[i + 1] as usize] {
-                    let occluder = &tree.occluders[hit.occluder as usize];
+                    let occluder = &occluders.list[hit.occluder as usize];
                     let e = occluder.whiten * (ray.origin - occluder.position);
                     let d = occluder.whiten * ray.direction;
                     let h = exponent_gradient(self.values[i], grads[i], hit.alpha);
@@ -285,7 +306,7 @@ impl Transmittance {
         (starts, sorted)
     }
 
-    fn occluders_backward(&self, gaussians: &Table, tree: &OccluderTree, grads: &[f32], out: &mut Table) {
+    fn occluders_backward(&self, gaussians: &Table, occluders: &Occluders, grads: &[f32], out: &mut Table) {
         let (starts, sorted) = self.by_occluder(gaussians.count);
         let touched: Vec<u32> = (0..gaussians.count as u32)
             .filter(|&g| starts[g as usize] < starts[g as usize + 1])
@@ -295,7 +316,7 @@ impl Transmittance {
             .with_min_len(256)
             .map(|&g| {
                 let hits = &sorted[starts[g as usize] as usize..starts[g as usize + 1] as usize];
-                self.one_occluder(gaussians, &tree.occluders[g as usize], g as usize, hits, grads)
+                self.one_occluder(gaussians, &occluders.list[g as usize], g as usize, hits, grads)
             })
             .collect();
         for (&g, d) in touched.iter().zip(&gradients) {
@@ -405,12 +426,39 @@ mod tests {
             (0.5, 0.6, 0.2),
         ] {
             let table = sheet(41, spacing, sigma, thickness);
-            let tree = OccluderTree::build(&table);
+            let occluders = Occluders::new(&table);
             let origins: Vec<u32> = (0..table.count as u32).collect();
             for elevation in [1.0, 2.0, 3.0, 5.0, 10.0, 20.0, 35.0, 50.0, 70.0, 85.0, 90.0] {
-                let traced = transmittance(&table, &tree, &origins, &sun(elevation), &TraceOptions::default());
+                let traced = transmittance(&table, &occluders, &origins, &sun(elevation), &TraceOptions::default());
                 let least = traced.values.iter().copied().fold(1.0, f32::min);
                 assert!(least >= 0.99, "elevation {elevation}, sigma {sigma}: {least}");
+            }
+        }
+    }
+
+    #[test]
+    fn the_two_routes_meet_the_same_occluders() {
+        let mut table = sheet(25, 0.5, 0.4, 0.05);
+        for i in 0..table.count {
+            // Scattered over a slab and turned every way.
+            let h = |k: usize| ((i * 7919 + k * 104_729) % 1000) as f32 / 1000.0;
+            table.group_mut(POSITION)[i * 3 + 2] = 12.0 * h(1);
+            for k in 0..4 {
+                table.group_mut(ROTATION)[i * 4 + k] = h(k + 2) - 0.5;
+            }
+            table.group_mut(OPACITY)[i] = 6.0 * h(7) - 3.0;
+        }
+        let occluders = Occluders::new(&table);
+        let origins: Vec<u32> = (0..table.count as u32).collect();
+        for elevation in [2.0, 35.0, 90.0] {
+            let trace = |route| {
+                let options = TraceOptions { route, ..TraceOptions::default() };
+                transmittance(&table, &occluders, &origins, &sun(elevation), &options)
+            };
+            let (plane, tree) = (trace(Route::SunPlane), trace(Route::Hierarchy));
+            assert!(plane.hit_count() > 1000);
+            for (a, b) in plane.values.iter().zip(&tree.values) {
+                assert!((a - b).abs() < 2e-3, "elevation {elevation}: {a} against {b}");
             }
         }
     }
@@ -422,10 +470,10 @@ mod tests {
         table.group_mut(POSITION)[..3].copy_from_slice(&[0.0, 0.0, 10.0]);
         table.group_mut(LOG_SCALE)[..3].copy_from_slice(&[0.0, 0.0, 0.05f32.ln()]);
         table.group_mut(OPACITY)[0] = logit(0.999);
-        let tree = OccluderTree::build(&table);
+        let occluders = Occluders::new(&table);
         let origins: Vec<u32> = (1..table.count as u32).collect();
         let light = Light::Directional(Vec3::new(0.0, 0.2, 1.0).normalize());
-        let traced = transmittance(&table, &tree, &origins, &light, &TraceOptions::default());
+        let traced = transmittance(&table, &occluders, &origins, &light, &TraceOptions::default());
         let value_at = |x: f32, y: f32| {
             let place = origins.iter().position(|&o| {
                 let p = table.position(o as usize);
@@ -442,17 +490,17 @@ mod tests {
     fn a_point_light_is_not_blocked_by_what_lies_behind_it() {
         let mut table = sheet(3, 1.0, 0.5, 0.05);
         table.group_mut(POSITION)[..3].copy_from_slice(&[0.0, 0.0, 10.0]);
-        let tree = OccluderTree::build(&table);
+        let occluders = Occluders::new(&table);
         let near = transmittance(
             &table,
-            &tree,
+            &occluders,
             &[4],
             &Light::Point(Vec3::new(0.0, 0.0, 5.0)),
             &TraceOptions::default(),
         );
         let far = transmittance(
             &table,
-            &tree,
+            &occluders,
             &[4],
             &Light::Point(Vec3::new(0.0, 0.0, 15.0)),
             &TraceOptions::default(),

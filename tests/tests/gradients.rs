@@ -8,7 +8,7 @@ use heliosplat::model::shadow_gs::{COLOUR, OFFSET, SKY, ShadowGs, ShadowGsOption
 use heliosplat::model::{Context, Parameters, SceneModel};
 use heliosplat::render::{Pass, PassOptions};
 use heliosplat::splat::ProjectionOptions;
-use heliosplat::trace::OccluderTree;
+use heliosplat::trace::Occluders;
 use heliosplat::{ProjectiveCamera, Raster};
 use heliosplat_tests::reference::{self, Gaussian};
 use nalgebra::Vector3;
@@ -174,14 +174,14 @@ fn reference_values(case: &Case, flat: &Flat) -> Vec<f64> {
 }
 
 fn engine_pass(case: &Case) -> (Vec<f64>, Parameters) {
-    let tree = OccluderTree::build(&case.parameters.gaussians);
+    let occluders = Occluders::new(&case.parameters.gaussians);
     let context = Context {
         parameters: &case.parameters,
         camera: &case.camera,
         light: Some(Light::Directional(case.sun)),
         appearance: Some(1),
     };
-    let pass = Pass::new(&case.model, context, Some(&tree), case.options);
+    let pass = Pass::new(&case.model, context, Some(&occluders), case.options);
     let image = pass.image();
     let (maps, n) = (&pass.maps, pass.normal_channel());
     let pixels = SIZE * SIZE;

@@ -8,7 +8,7 @@ use heliosplat::model::shadow_gs::{ALBEDO, COLOUR, OFFSET, ShadowGs};
 use heliosplat::model::Parameters;
 use heliosplat::render::{PassOptions, render};
 use heliosplat::splat::Maps;
-use heliosplat::trace::{OccluderTree, TraceOptions, transmittance};
+use heliosplat::trace::{Occluders, TraceOptions, transmittance};
 use rayon::prelude::*;
 
 /// Depth behind the visible surface within which a Gaussian still counts as visible, metres.
@@ -26,11 +26,11 @@ struct Sample {
     lit: bool,
 }
 
-fn samples(gaussians: &Table, tree: &OccluderTree, view: &View, maps: &Maps) -> Vec<Sample> {
+fn samples(gaussians: &Table, occluders: &Occluders, view: &View, maps: &Maps) -> Vec<Sample> {
     let all: Vec<u32> = (0..gaussians.count as u32).collect();
     let lit: Vec<f32> = match &view.light {
         Some(light @ Light::Directional(_)) => {
-            transmittance(gaussians, tree, &all, light, &TraceOptions::default()).values
+            transmittance(gaussians, occluders, &all, light, &TraceOptions::default()).values
         }
         _ => vec![1.0; all.len()],
     };
@@ -103,12 +103,12 @@ fn cover(view: &mut View, maps: &Maps) {
 /// Sets albedo and per-image colour of `parameters` from `views`, and the views' weights to what the surface covers.
 pub fn initialise(model: &ShadowGs, parameters: &mut Parameters, views: &mut [View], pass: PassOptions, sky: f32) {
     let bands = model.options.bands;
-    let tree = OccluderTree::build(&parameters.gaussians);
+    let occluders = Occluders::new(&parameters.gaussians);
     let mut shown = Vec::new();
     for view in views.iter_mut() {
         let maps = render(model, parameters, &view.camera, None, None, pass).maps;
         cover(view, &maps);
-        shown.push(samples(&parameters.gaussians, &tree, view, &maps));
+        shown.push(samples(&parameters.gaussians, &occluders, view, &maps));
     }
     let reference = views.iter().position(|v| v.appearance == model.options.reference).unwrap_or(0);
     let colours: Vec<Vec<(f32, f32)>> = (0..views.len())

@@ -1,0 +1,60 @@
+//! Views laid on a surface.
+
+use super::grid::Grid;
+use super::views::LevelView;
+use rayon::prelude::*;
+
+/// What a view shows at each cell of a surface; NaN where it shows nothing.
+pub(super) fn ortho(grid: &Grid, view: &LevelView, altitude: &[f32]) -> Vec<f32> {
+    let mut values = vec![f32::NAN; grid.len()];
+    values.par_chunks_mut(grid.width.max(1)).enumerate().for_each(|(row, line)| {
+        for (col, value) in line.iter_mut().enumerate() {
+            let p = grid.point(col as isize, row as isize, altitude[row * grid.width + col]);
+            let (image_col, image_row, _) = view.camera.project(p);
+            *value = view.sample(image_col, image_row);
+        }
+    });
+    values
+}
+
+/// Mean of the views on a surface, each in units of its own typical difference between neighbours.
+pub(super) fn guide(grid: &Grid, views: &[LevelView], altitude: &[f32]) -> Vec<f32> {
+    let mut sum = vec![0.0; grid.len()];
+    let mut count = vec![0.0; grid.len()];
+    for view in views {
+        let scale = 1.0 / view.contrast.max(f32::MIN_POSITIVE);
+        for ((sum, count), value) in sum.iter_mut().zip(&mut count).zip(ortho(grid, view, altitude)) {
+            if value.is_finite() {
+                *sum += value * scale;
+                *count += 1.0;
+            }
+        }
+    }
+    sum.iter().zip(count).map(|(sum, count)| sum / count).collect()
+}
+
+/// A coarser grid's values on a finer one.
+pub(super) fn repeated(grid: &Grid, coarse: &Grid, factor: usize, values: &[f32]) -> Vec<f32> {
+    (0..grid.len())
+        .map(|i| values[i / grid.width / factor * coarse.width + i % grid.width / factor])
+        .collect()
+}
+
+/// The median of the values within `radius` cells each way.
+pub(super) fn median(grid: &Grid, values: &[f32], radius: usize) -> Vec<f32> {
+    let mut out = vec![0.0; grid.len()];
+    out.par_chunks_mut(grid.width.max(1)).enumerate().for_each(|(row, line)| {
+        let rows = row.saturating_sub(radius)..(row + radius + 1).min(grid.height);
+        let mut near = Vec::new();
+        for (col, value) in line.iter_mut().enumerate() {
+            let cols = col.saturating_sub(radius)..(col + radius + 1).min(grid.width);
+            near.clear();
+            for r in rows.clone() {
+                near.extend_from_slice(&values[r * grid.width + cols.start..r * grid.width + cols.end]);
+            }
+            let middle = near.len() / 2;
+            *value = *near.select_nth_unstable_by(middle, f32::total_cmp).1;
+        }
+    });
+    out
+}

@@ -1,0 +1,155 @@
+//! From coarse to fine: the pyramid of volumes that both the sweep and the alignment descend.
+
+use super::bands::Bands;
+use super::cost::Matching;
+use super::grid::{Grid, Ladder};
+use super::ortho;
+use super::pairs::{self, Pair};
+use super::pick::{self, Choice};
+use super::sgm::{Penalties, Volume};
+use super::sweep::SweepRequest;
+use super::views::{LevelView, SweepView};
+use super::visibility::FirstHits;
+use glam::Vec3;
+use rayon::prelude::*;
+
+/// Coarsest cells of the pyramid, in cells of the request.
+const COARSEST: usize = 8;
+/// A level needs this many cells each way to be worth its own search.
+const FEWEST_CELLS: usize = 16;
+
+/// What is searched and with which views; the same on every level.
+pub(super) struct Search<'a> {
+    pub(super) views: &'a [SweepView<'a>],
+    pub(super) request: &'a SweepRequest,
+    pub(super) grid: Grid,
+    pub(super) centre: Vec3,
+    pub(super) pairs: Vec<Pair>,
+}
+
+/// What a level found.
+pub(super) struct Found {
+    pub(super) grid: Grid,
+    /// Cells of the request per cell of this level.
+    pub(super) factor: usize,
+    /// Step of this level's ladder.
+    pub(super) step_m: f32,
+    pub(super) choices: Vec<Choice>,
+}
+
+impl Found {
+    pub(super) fn altitude(&self) -> Vec<f32> {
+        self.choices.iter().map(|choice| choice.altitude_m).collect()
+    }
+}
+
+impl<'a> Search<'a> {
+    pub(super) fn new(views: &'a [SweepView<'a>], request: &'a SweepRequest) -> Self {
+        let centre = request.centre();
+        Self {
+            views,
+            request,
+            grid: request.grid(),
+            centre,
+            pairs: pairs::choose(views, centre),
+        }
+    }
+
+    /// Factors from the coarsest useful level down to `finest`.
+    pub(super) fn factors(&self, finest: usize) -> Vec<usize> {
+        let side = self.grid.width.min(self.grid.height);
+        let mut factors = Vec::new();
+        let mut factor = COARSEST.max(finest);
+        while factor >= finest {
+            if factor == finest || side >= FEWEST_CELLS * factor {
+                factors.push(factor);
+            }
+            factor /= 2;
+        }
+        factors
+    }
+
+    /// Searches all levels down to `finest`; `None` when there is nothing to search.
+    pub(super) fn descend(&self, finest: usize, heard: &dyn Fn(usize)) -> Option<Found> {
+        let mut found = None;
+        for factor in self.factors(finest) {
+            found = Some(self.level(factor, found.as_ref(), None));
+            heard(factor);
+        }
+        found
+    }
+
+    /// The views averaged down for a level.
+    pub(super) fn level_views(&self, factor: usize) -> Vec<LevelView> {
+        let cell_m = self.grid.cell_m * factor as f32;
+        let one = |view: &SweepView| LevelView::new(view, cell_m, self.centre);
+        self.views.par_iter().map(one).collect()
+    }
+
+    /// Searches one level: everywhere, or around what a coarser (or equal) level found; with `hits`, hidden views are
+    /// left out.
+    pub(super) fn level(&self, factor: usize, before: Option<&Found>, hits: Option<&[FirstHits]>) -> Found {
+        let grid = self.grid.coarser(factor);
+        let views = self.level_views(factor);
+        let ladder = self.ladder(grid.cell_m);
+        let (bands, guide) = match before {
+            None => (Bands::full(grid.len(), &ladder), None),
+            Some(found) => self.narrowed(&grid, &ladder, &views, factor, found),
+        };
+        let options = &self.request.options;
+        let matching = Matching {
+            grid,
+            ladder,
+            views: &views,
+            pairs: &self.pairs,
+            hits,
+            alike: options.alike,
+        };
+        let t = std::time::Instant::now();
+        let costs = matching.costs(&bands);
+        if std::env::var("VERBOSE").is_ok() { eprintln!("factor {factor} total {} per cell {} cost {:?}", bands.total(), bands.total() / grid.len(), t.elapsed()); }
+        let t = std::time::Instant::now();
+        let volume = Volume {
+            width: grid.width,
+            height: grid.height,
+            bands: &bands,
+            costs: &costs,
+            guide: guide.as_deref(),
+            penalties: Penalties {
+                one_level: (options.one_level_penalty as f32 * (factor as f32).powf(-super::cost::env("PC", 0.0))) as u16,
+                jump: (options.jump_penalty as f32 * (factor as f32).powf(-super::cost::env("PC", 0.0))) as u16,
+                edge: options.edge,
+            },
+        };
+        let sums = volume.aggregate();
+        if std::env::var("VERBOSE").is_ok() { eprintln!("sgm {:?}", t.elapsed()); }
+        let choices = pick::choose(&bands, &ladder, &sums, 8 * super::cost::env("TOLER", 10.0) as u16);
+        Found {
+            grid,
+            factor,
+            step_m: ladder.step_m,
+            choices,
+        }
+    }
+
+    fn ladder(&self, cell_m: f32) -> Ladder {
+        let widest = self.pairs.iter().map(|pair| pair.base_to_height).fold(0.0, f32::max);
+        let step_m = self.request.options.step_cells * cell_m / widest.max(1e-3);
+        Ladder::new(self.request.altitude_min_m, self.request.altitude_max_m, step_m)
+    }
+
+    fn narrowed(
+        &self,
+        grid: &Grid,
+        ladder: &Ladder,
+        views: &[LevelView],
+        factor: usize,
+        found: &Found,
+    ) -> (Bands, Option<Vec<f32>>) {
+        let finer = found.factor / factor;
+        let possible: Vec<_> = found.choices.iter().map(|choice| choice.possible).collect();
+        let bands = Bands::around(grid, ladder, &found.grid, finer, &possible, super::cost::env("REACH", 2.0) as usize, 3.0 * found.step_m);
+        let altitude = ortho::repeated(grid, &found.grid, finer, &found.altitude());
+        (bands, Some(ortho::guide(grid, views, &altitude)))
+    }
+}
