@@ -33,8 +33,8 @@ pub struct ProjectionOptions {
 impl Default for ProjectionOptions {
     fn default() -> Self {
         Self {
-            filter_px2: 0.3,
-            antialias: false,
+            filter_px2: 0.2,
+            antialias: true,
         }
     }
 }

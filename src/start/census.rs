@@ -4,7 +4,7 @@
 use multiversion::multiversion;
 
 /// Cells from the centre to the edge of the window.
-pub(super) const RADIUS: usize = 2;
+pub(super) const RADIUS: usize = 3;
 /// Neighbours compared: the full 5 × 5 window, and every other cell of the ring around it for reach.
 pub(super) const COMPARISONS: u32 = 24;
 /// Set where the window is not complete.
@@ -13,13 +13,11 @@ const MASK: u64 = (1 << COMPARISONS) - 1;
 
 const fn offsets() -> [(isize, isize); COMPARISONS as usize] {
     let mut list = [(0, 0); COMPARISONS as usize];
-    let (mut n, mut row) = (0, -2);
-    while row <= 2 {
-        let mut col = -2;
-        while col <= 2 {
-            let ring = row == -3 || row == 3 || col == -3 || col == 3;
-            let wanted = if ring { (row + col) % 2 == 0 } else { row != 0 || col != 0 };
-            if wanted {
+    let (mut n, mut row) = (0, -3);
+    while row <= 3 {
+        let mut col = -3;
+        while col <= 3 {
+            if (row + col) % 2 == 0 && (row != 0 || col != 0) {
                 list[n] = (col, row);
                 n += 1;
             }

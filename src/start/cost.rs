@@ -130,7 +130,7 @@ impl Matching<'_> {
     fn wncc(&self, width: usize, height: usize, scratch: &mut Scratch) {
         let st = width + 2 * RADIUS; let len = st * (height + 2 * RADIUS); let cells = width * height;
         let nv = self.views.len(); let np = self.pairs.len();
-        let nr = env("NCCR", 3.0) as isize; let sig = 1.0 / env("SIG", 1e6); let spat = env("SPAT", 1e6); let floor = env("NCCF", 0.1).powi(2); let cc = 1.0 / env("NCCC", 1.0);
+        let nr = if self.hits.is_some() { env("NCCR2", 3.0) } else { env("NCCR", 3.0) } as isize; let sig = 1.0 / if self.hits.is_some() { env("SIG2", 1e6) } else { env("SIG", 1e6) }; let spat = env("SPAT", 1e6); let floor = env("NCCF", 0.1).powi(2); let cc = 1.0 / env("NCCC", 1.0);
         let mut m = vec![0.0f32; len]; let mut n = vec![0.0f32; len];
         for v in &scratch.raw { for k in 0..len { if v[k] == v[k] { m[k] += v[k]; n[k] += 1.0; } } }
         for k in 0..len { m[k] /= n[k].max(1.0); }

@@ -11,8 +11,8 @@ use rayon::prelude::*;
 
 /// Cells across the plane in either direction, at most.
 const CELLS_MAX: usize = 4096;
-/// Width of a cell in mean distances between Gaussians.
-const CELL_SPACINGS: f32 = 2.0;
+/// Width of a cell in mean half sizes of an ellipse: each is then listed about nine times.
+const CELL_HALVES: f32 = 1.0;
 
 /// One Gaussian on the plane.
 #[derive(Debug, Clone, Copy)]
@@ -84,7 +84,9 @@ impl SunPlane {
             .collect();
         let (mut low, mut high) = (Vec2::INFINITY, Vec2::NEG_INFINITY);
         let mut count = 0usize;
-        for (shape, _) in found.iter().flatten() {
+        let mut halves = 0.0f64;
+        for (shape, half) in found.iter().flatten() {
+            halves += f64::from((half.x * half.y).sqrt());
             low = low.min(shape.centre);
             high = high.max(shape.centre);
             count += 1;
@@ -93,8 +95,8 @@ impl SunPlane {
             (low, high) = (Vec2::ZERO, Vec2::ZERO);
         }
         let extent = (high - low).max(Vec2::splat(1e-6));
-        let spacing = (extent.x * extent.y / count.max(1) as f32).sqrt();
-        let cell = (CELL_SPACINGS * spacing).max(extent.max_element() / CELLS_MAX as f32);
+        let half = (halves / count.max(1) as f64) as f32;
+        let cell = (CELL_HALVES * half).max(extent.max_element() / CELLS_MAX as f32);
         let cells = |length: f32| ((length / cell) as usize + 1).min(CELLS_MAX + 1);
         let mut plane = Self {
             right,

@@ -12,6 +12,7 @@ use heliosplat::render::PassOptions;
 use heliosplat::start::{SweepOptions, SweepRequest, SweepView, Surface, sweep::sweep};
 use heliosplat::train::{EarlyStop, StepReport, TrainError, Trainer};
 use heliosplat::{ProjectiveCamera, Raster};
+use rayon::prelude::*;
 use std::time::{Duration, Instant};
 
 /// Why a model could not be fitted.
@@ -92,6 +93,20 @@ impl<'a> Ground<'a> {
             .collect()
     }
 
+    /// Cells that enough of the images show: `share` of them, and at least two. At the ragged edge of the common ground, where
+    /// two dates meet at best, a swept surface is mostly noise.
+    fn covered(&self, surface: &Surface, share: f64) -> Vec<bool> {
+        let needed = ((self.images.len() as f64 * share).ceil() as usize).max(2);
+        let shows = |image: &SceneImage, cell: usize| {
+            let p = surface.point(cell % surface.width, cell / surface.width);
+            image.sees(nalgebra::Vector3::new(p.x.into(), p.y.into(), p.z.into()))
+        };
+        (0..surface.altitude.len())
+            .into_par_iter()
+            .map(|cell| self.images.iter().filter(|image| shows(image, cell)).count() >= needed)
+            .collect()
+    }
+
     fn request(&self, cell_m: f64) -> SweepRequest {
         let snapped = |v: f64| (v / cell_m).round() * cell_m;
         SweepRequest {
@@ -166,10 +181,12 @@ pub fn fit(
         near_light: config.model.near_light,
         opaqueness_weight: config.model.opaqueness_weight,
     });
+    let covered = ground.covered(&surface, config.start.coverage);
     let mut parameters = Parameters {
-        gaussians: initial::gaussians_on(&surface, &config.start, model.feature_groups()),
+        gaussians: initial::gaussians_on(&surface, &covered, &config.start, model.feature_groups()),
         globals: model.initial_globals(config.model.sky),
     };
+    tracing::info!(gaussians = parameters.gaussians.count, cells = surface.altitude.len(), "start");
     let mut views: Vec<View> = (0..ground.images.len())
         .map(|i| views::view(ground.images[i], &ground.crops[i], shifts_px[i], i))
         .collect();
@@ -238,7 +255,7 @@ fn train(
             progress.say(&format!("L1 {l1:.4} gaussians {}", report.gaussians));
             curve.push(point(&report, l1));
         }
-        if report.step % 250 == 0 {
+        if report.step % 100 == 0 {
             let StepReport { step, gaussians, pairs, .. } = report;
             tracing::info!(step, l1, gaussians, pairs, "training");
         }
