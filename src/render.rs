@@ -24,11 +24,22 @@ pub struct PassOptions {
     pub normals: bool,
 }
 
+/// What is known of the light that reaches the Gaussians.
+#[derive(Clone, Copy)]
+pub enum Lit<'a> {
+    /// All of it.
+    Everywhere,
+    /// It is traced through these, and gradients go back along it.
+    Traced(&'a Occluders),
+    /// These transmittances, one per Gaussian, from a trace not long ago; no gradients go back.
+    Known(&'a [f32]),
+}
+
 /// A pass over one view, with what is needed to walk it back.
 pub struct Pass<'a> {
     model: &'a dyn SceneModel,
     context: Context<'a>,
-    occluders: Option<&'a Occluders>,
+    light: Lit<'a>,
     options: PassOptions,
     /// The splats.
     pub projected: Projected,
@@ -40,21 +51,18 @@ pub struct Pass<'a> {
 }
 
 impl<'a> Pass<'a> {
-    /// Looks at the model of `context` through its camera. `occluders` must be given when the model asks for transmittance and the
-    /// context has a light; without one, everything is lit.
-    pub fn new(
-        model: &'a dyn SceneModel,
-        context: Context<'a>,
-        occluders: Option<&'a Occluders>,
-        options: PassOptions,
-    ) -> Self {
+    /// Looks at the model of `context` through its camera. `light` says how the transmittance toward the context's light is found.
+    pub fn new(model: &'a dyn SceneModel, context: Context<'a>, light: Lit<'a>, options: PassOptions) -> Self {
         let gaussians = &context.parameters.gaussians;
         let projected = project(gaussians, context.camera, &options.projection);
-        let traced = match (occluders, &context.light) {
-            (Some(occluders), Some(light)) if model.needs_transmittance() => {
-                transmittance(gaussians, occluders, &projected.gaussian, light, &options.trace)
+        let traced = match (light, &context.light) {
+            (Lit::Traced(occluders), Some(source)) if model.needs_transmittance() => {
+                transmittance(gaussians, occluders, &projected.gaussian, source, &options.trace)
             }
-            _ => Transmittance::all_lit(projected.splats.len()),
+            (Lit::Known(values), _) => {
+                Transmittance::known(projected.gaussian.iter().map(|&g| values[g as usize]).collect())
+            }
+            _ => Transmittance::known(vec![1.0; projected.splats.len()]),
         };
         let channels = model.channels() + if options.normals { 3 } else { 0 };
         let stride = padded_channels(channels);
@@ -76,7 +84,7 @@ impl<'a> Pass<'a> {
         Self {
             model,
             context,
-            occluders,
+            light,
             options,
             traced,
             features,
@@ -84,6 +92,11 @@ impl<'a> Pass<'a> {
             maps,
             projected,
         }
+    }
+
+    /// The transmittances of the splats toward the light.
+    pub fn transmittances(&self) -> &[f32] {
+        &self.traced.values
     }
 
     /// The image that the maps make.
@@ -130,7 +143,7 @@ impl<'a> Pass<'a> {
             &back.splats,
             &mut grads.gaussians,
         );
-        if let Some(occluders) = self.occluders {
+        if let Lit::Traced(occluders) = self.light {
             let origins = &self.projected.gaussian;
             self.traced
                 .backward(gaussians, occluders, origins, &d_transmittance, &mut grads.gaussians);
@@ -163,10 +176,11 @@ pub fn render(
         light,
         appearance,
     };
+    let lit = occluders.as_ref().map_or(Lit::Everywhere, Lit::Traced);
     let pass = Pass::new(
         model,
         context,
-        occluders.as_ref(),
+        lit,
         PassOptions {
             normals: true,
             ..options

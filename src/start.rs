@@ -18,12 +18,10 @@ mod grid;
 mod ortho;
 mod pairs;
 mod pick;
-mod refine;
 mod search;
 mod sgm;
 pub mod surface;
 pub mod sweep;
-mod tidy;
 mod views;
 mod visibility;
 

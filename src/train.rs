@@ -13,7 +13,7 @@ use crate::loss::photometric::photometric;
 use crate::loss::shadow::{ConsistencyPass, consistency};
 use crate::model::{Context, NamedLoss, Parameters, SceneModel, View};
 use crate::optim::{Adam, DensityStatistics, exponential_decay};
-use crate::render::{Pass, PassOptions};
+use crate::render::{Lit, Pass, PassOptions};
 use crate::splat::project::project;
 use crate::trace::{Occluders, Route};
 use glam::Vec3;
@@ -61,6 +61,13 @@ pub struct StepReport {
     pub rejected: bool,
 }
 
+/// A view's transmittances of an earlier step, by Gaussian.
+#[derive(Debug, Clone)]
+struct KnownLight {
+    values: Vec<f32>,
+    visits: usize,
+}
+
 /// A model in training.
 pub struct Trainer<'a> {
     model: &'a dyn SceneModel,
@@ -77,6 +84,7 @@ pub struct Trainer<'a> {
     gradients: Parameters,
     occluders: Option<Occluders>,
     occluders_step: usize,
+    known_light: Vec<Option<KnownLight>>,
     order: Vec<usize>,
     step: usize,
     rejected: usize,
@@ -111,6 +119,7 @@ impl<'a> Trainer<'a> {
             gradients: parameters.zeros_like(),
             occluders: None,
             occluders_step: 0,
+            known_light: vec![None; views.len()],
             order: Vec::new(),
             step: 0,
             rejected: 0,
@@ -162,6 +171,18 @@ impl<'a> Trainer<'a> {
         self.order[place]
     }
 
+    /// Whether this step traces light: for its view, or for shadow consistency.
+    fn light_is_due(&self, index: usize) -> bool {
+        let known = self.known_light[index]
+            .as_ref()
+            .is_some_and(|known| known.visits < self.options.light_every);
+        !known || self.consistency_is_due()
+    }
+
+    fn consistency_is_due(&self) -> bool {
+        self.options.consistency_weight > 0.0 && self.step.is_multiple_of(self.options.consistency_every.max(1))
+    }
+
     /// The sun plane is listed anew for every light anyway, so its occluders are always those of the moment; a hierarchy is
     /// dear to build and may be some steps old.
     fn refresh_occluders(&mut self) {
@@ -186,11 +207,13 @@ impl<'a> Trainer<'a> {
     /// When too many steps in a row are rejected, or no Gaussian is left.
     pub fn step(&mut self) -> Result<StepReport, TrainError> {
         let index = self.next_view();
-        self.refresh_occluders();
+        if self.light_is_due(index) {
+            self.refresh_occluders();
+        }
         self.gradients.gaussians.reset(self.parameters.gaussians.count);
         self.gradients.globals.reset(1);
         let mut report = self.descend_view(index);
-        if self.options.consistency_weight > 0.0 && self.step.is_multiple_of(self.options.consistency_every.max(1)) {
+        if self.consistency_is_due() {
             report
                 .losses
                 .push(("shadow_consistency", self.descend_consistency(index)));
@@ -235,7 +258,15 @@ impl<'a> Trainer<'a> {
             trace: options.trace,
             normals,
         };
-        let pass = Pass::new(self.model, context, self.occluders.as_ref(), pass_options);
+        let known = self.known_light[index]
+            .take()
+            .filter(|known| known.visits < options.light_every);
+        let lit = match (&known, &self.occluders) {
+            (Some(known), _) => Lit::Known(&known.values),
+            (None, Some(occluders)) => Lit::Traced(occluders),
+            (None, None) => Lit::Everywhere,
+        };
+        let pass = Pass::new(self.model, context, lit, pass_options);
         let image = pass.image();
         let weight = self.holdout.training_weight(index);
         let (photo, mut d_image) = photometric(&image, &view.image, weight, options.lambda_ssim);
@@ -274,8 +305,20 @@ impl<'a> Trainer<'a> {
             &splat_gradients,
             view.camera.width * view.camera.height,
         );
-        let l1 = mean_absolute(&image.values, &view.image.values);
+        let traced = known.is_none().then(|| {
+            // What this view does not show counts as lit; it is asked again before long.
+            let mut values = vec![1.0; self.parameters.gaussians.count];
+            for (&g, &t) in pass.projected.gaussian.iter().zip(pass.transmittances()) {
+                values[g as usize] = t;
+            }
+            KnownLight { values, visits: 0 }
+        });
         let pairs = pass.maps.pairs;
+        self.known_light[index] = known.or(traced).map(|light| KnownLight {
+            visits: light.visits + 1,
+            ..light
+        });
+        let l1 = mean_absolute(&image.values, &view.image.values);
         self.holdout.record(index, held_out);
         StepReport {
             view: index,
@@ -357,6 +400,7 @@ impl<'a> Trainer<'a> {
             .apply(&mut self.parameters.gaussians, d, self.options.gsd_m, self.bounds, seed);
         self.gaussians_adam.follow(&rebuild.sources, rebuild.fresh);
         self.occluders = None;
+        self.known_light.fill(None);
         tracing::debug!(
             step = self.step,
             gaussians = self.parameters.gaussians.count,

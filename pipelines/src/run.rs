@@ -149,12 +149,19 @@ pub struct LoadedModel {
 impl LoadedModel {
     /// How products look at the model: as training did.
     pub fn pass_options(&self) -> PassOptions {
-        PassOptions { projection: self.file.projection, trace: self.file.trace, normals: true }
+        PassOptions {
+            projection: self.file.projection,
+            trace: self.file.trace,
+            normals: true,
+        }
     }
 }
 
 fn read(path: &Path) -> Result<String, RunError> {
-    std::fs::read_to_string(path).map_err(|reason| RunError::Io { path: path.to_owned(), reason })
+    std::fs::read_to_string(path).map_err(|reason| RunError::Io {
+        path: path.to_owned(),
+        reason,
+    })
 }
 
 /// SHA-256 of a file, hexadecimal.
@@ -162,7 +169,10 @@ fn read(path: &Path) -> Result<String, RunError> {
 /// # Errors
 /// When the file cannot be read.
 pub fn hash(path: &Path) -> Result<String, RunError> {
-    let io = |reason| RunError::Io { path: path.to_owned(), reason };
+    let io = |reason| RunError::Io {
+        path: path.to_owned(),
+        reason,
+    };
     let mut file = std::fs::File::open(path).map_err(io)?;
     let mut hasher = Sha256::new();
     std::io::copy(&mut file, &mut hasher).map_err(io)?;
@@ -177,7 +187,10 @@ pub fn model_images(scene: &Scene, fitted: &Fitted, margin_m: f64) -> Vec<ModelI
         .images
         .iter()
         .filter_map(|image| {
-            let appearance = fitted.images.iter().position(|name| *name == image.name && image.split == Split::Train);
+            let appearance = fitted
+                .images
+                .iter()
+                .position(|name| *name == image.name && image.split == Split::Train);
             Some(ModelImage {
                 name: image.name.clone(),
                 split: image.split,
@@ -196,7 +209,10 @@ pub fn model_images(scene: &Scene, fitted: &Fitted, margin_m: f64) -> Vec<ModelI
 /// # Errors
 /// When a file cannot be written.
 pub fn save(folder: &Path, run: &RunFile, model: &ModelFile, gaussians: &Table) -> Result<(), RunError> {
-    let damaged = |name: &str, reason: String| RunError::Damaged { path: folder.join(name), reason };
+    let damaged = |name: &str, reason: String| RunError::Damaged {
+        path: folder.join(name),
+        reason,
+    };
     let text = toml::to_string_pretty(run).map_err(|e| damaged("run.toml", e.to_string()))?;
     write_atomically(&folder.join("run.toml"), text.as_bytes())?;
     write_atomically(&folder.join("model.ply"), &ply::encode(gaussians, model.options.bands))?;
@@ -214,7 +230,10 @@ pub fn load_run(folder: &Path) -> Result<RunFile, RunError> {
     if !path.is_file() {
         return Err(RunError::NotARun(folder.to_owned()));
     }
-    toml::from_str(&read(&path)?).map_err(|e| RunError::Damaged { path, reason: e.message().to_owned() })
+    toml::from_str(&read(&path)?).map_err(|e| RunError::Damaged {
+        path,
+        reason: e.message().to_owned(),
+    })
 }
 
 /// The model of a run.
@@ -226,28 +245,50 @@ pub fn load(folder: &Path) -> Result<LoadedModel, RunError> {
     if !path.is_file() {
         return Err(RunError::NotARun(folder.to_owned()));
     }
-    let damaged = |path: &Path, reason: String| RunError::Damaged { path: path.to_owned(), reason };
+    let damaged = |path: &Path, reason: String| RunError::Damaged {
+        path: path.to_owned(),
+        reason,
+    };
     let file: ModelFile = serde_json::from_str(&read(&path)?).map_err(|e| damaged(&path, e.to_string()))?;
     if file.schema != SCHEMA || file.model != "shadow_gs" {
-        return Err(damaged(&path, format!("schema {} of model {} is not known", file.schema, file.model)));
+        return Err(damaged(
+            &path,
+            format!("schema {} of model {} is not known", file.schema, file.model),
+        ));
     }
     let model = ShadowGs::new(file.options.clone());
     if !fits(&file.globals, &model.initial_globals(1.0)) {
         return Err(damaged(&path, "its shared parameters do not fit its options".into()));
     }
     let ply_path = folder.join("model.ply");
-    let bytes = std::fs::read(&ply_path).map_err(|reason| RunError::Io { path: ply_path.clone(), reason })?;
+    let bytes = std::fs::read(&ply_path).map_err(|reason| RunError::Io {
+        path: ply_path.clone(),
+        reason,
+    })?;
     let gaussians = ply::decode(&bytes, &model).map_err(|reason| damaged(&ply_path, reason))?;
     let frame = LocalFrame::new(file.origin);
-    let parameters = Parameters { gaussians, globals: file.globals.clone() };
-    Ok(LoadedModel { folder: folder.to_owned(), file, model, parameters, frame })
+    let parameters = Parameters {
+        gaussians,
+        globals: file.globals.clone(),
+    };
+    Ok(LoadedModel {
+        folder: folder.to_owned(),
+        file,
+        model,
+        parameters,
+        frame,
+    })
 }
 
 /// Whether two tables have the same groups with as many values.
 fn fits(table: &Table, expected: &Table) -> bool {
     table.count == expected.count
         && table.groups.len() == expected.groups.len()
-        && table.groups.iter().zip(&expected.groups).all(|(a, b)| a.spec == b.spec && a.values.len() == b.values.len())
+        && table
+            .groups
+            .iter()
+            .zip(&expected.groups)
+            .all(|(a, b)| a.spec == b.spec && a.values.len() == b.values.len())
 }
 
 /// Writes `metrics.json`.
@@ -263,6 +304,8 @@ pub fn save_metrics(folder: &Path, metrics: &serde_json::Value) -> Result<(), Ru
 pub fn peak_rss_bytes() -> u64 {
     let status = std::fs::read_to_string("/proc/self/status").unwrap_or_default();
     let line = status.lines().find(|line| line.starts_with("VmHWM:"));
-    let kib = line.and_then(|line| line.split_whitespace().nth(1)).and_then(|n| n.parse::<u64>().ok());
+    let kib = line
+        .and_then(|line| line.split_whitespace().nth(1))
+        .and_then(|n| n.parse::<u64>().ok());
     kib.unwrap_or(0) * 1024
 }

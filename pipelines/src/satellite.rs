@@ -74,9 +74,17 @@ pub struct PlanItem {
 pub fn plan(scene: &Scene) -> Vec<PlanItem> {
     let images: Vec<_> = scene.training().collect();
     let dates = views::date_groups(&images).into_iter().max().map_or(0, |last| last + 1);
-    let item = |component: &str, on: bool, reason: String| PlanItem { component: component.into(), on, reason };
+    let item = |component: &str, on: bool, reason: String| PlanItem {
+        component: component.into(),
+        on,
+        reason,
+    };
     vec![
-        item("sun", true, format!("{dates} date(s) with known suns: cast shadows are traced through the geometry")),
+        item(
+            "sun",
+            true,
+            format!("{dates} date(s) with known suns: cast shadows are traced through the geometry"),
+        ),
         item(
             "model.image_colour",
             dates > 1,
@@ -86,8 +94,16 @@ pub fn plan(scene: &Scene) -> Vec<PlanItem> {
                 "all images are of one date: one colour serves".into()
             },
         ),
-        item("cameras.align", images.len() > 1, "relative pointing is estimated, and corrected where it is off".into()),
-        item("model.near_light", false, "light reflected into shadows is below what one ground sample shows".into()),
+        item(
+            "cameras.align",
+            images.len() > 1,
+            "relative pointing is estimated, and corrected where it is off".into(),
+        ),
+        item(
+            "model.near_light",
+            false,
+            "light reflected into shadows is below what one ground sample shows".into(),
+        ),
     ]
 }
 
@@ -111,7 +127,10 @@ fn train_into(
     let file = model_file(scene, &config, &fitted);
     let mut inputs = Vec::new();
     for image in &scene.images {
-        inputs.push(Input { path: image.path.clone(), sha256: run::hash(&image.path)? });
+        inputs.push(Input {
+            path: image.path.clone(),
+            sha256: run::hash(&image.path)?,
+        });
     }
     let run_file = RunFile {
         version: env!("CARGO_PKG_VERSION").into(),
@@ -126,10 +145,19 @@ fn train_into(
     run::save(out, &run_file, &file, &fitted.parameters.gaussians)?;
     let parameters = std::mem::take(&mut fitted.parameters);
     let frame = scene.frame;
-    let model = LoadedModel { folder: out.to_owned(), model: fitted.model.clone(), parameters, file, frame };
+    let model = LoadedModel {
+        folder: out.to_owned(),
+        model: fitted.model.clone(),
+        parameters,
+        file,
+        frame,
+    };
     let surface = dsm::dsm(&model, model.file.gsd_m, None)?;
     surface.write(&out.join("dsm.tif"))?;
-    preview::write_png(&out.join("dsm.png"), &preview::hillshade(&surface.altitude(), model.file.gsd_m))?;
+    preview::write_png(
+        &out.join("dsm.png"),
+        &preview::hillshade(&surface.altitude(), model.file.gsd_m),
+    )?;
     measure::write_start(out, &fitted, &model)?;
     let mut metrics = measure::metrics(scene, &model, out, Protocol::Raw)?;
     measure::add_fit(&mut metrics, &fitted, &model, started.elapsed().as_secs_f64());
@@ -139,7 +167,10 @@ fn train_into(
 
 fn create_folder(out: &Path) -> Result<(), CliError> {
     std::fs::create_dir_all(out).map_err(|error| {
-        CliError::Failed(format!("{}: the folder cannot be made ({error}); choose another --out", out.display()))
+        CliError::Failed(format!(
+            "{}: the folder cannot be made ({error}); choose another --out",
+            out.display()
+        ))
     })
 }
 
@@ -188,7 +219,10 @@ pub fn demo(args: &DemoArgs, session: &Session) -> Result<Outcome, CliError> {
     }
     let evening = heliosplat_rpc::sun::SunPosition::from_degrees(250.0, 20.0);
     relight::relight(&model, &evening, "nadir")?.write(&args.out.join("evening.png"))?;
-    let mae = metrics.pointer("/dsm/mae_m").and_then(serde_json::Value::as_f64).unwrap_or(f64::NAN);
+    let mae = metrics
+        .pointer("/dsm/mae_m")
+        .and_then(serde_json::Value::as_f64)
+        .unwrap_or(f64::NAN);
     let folder = args.out.display();
     Ok(Outcome {
         text: format!(
@@ -205,7 +239,9 @@ pub fn demo(args: &DemoArgs, session: &Session) -> Result<Outcome, CliError> {
 /// When the scene or the configuration is at fault, training gives up, or a file cannot be written.
 pub fn train(args: &TrainArgs, session: &Session) -> Result<Outcome, CliError> {
     if args.resume {
-        return Err(CliError::Input("train --resume: runs are not checkpointed yet; train again without it".into()));
+        return Err(CliError::Input(
+            "train --resume: runs are not checkpointed yet; train again without it".into(),
+        ));
     }
     if args.memory.is_some() {
         return Err(CliError::Input(
@@ -221,7 +257,10 @@ pub fn train(args: &TrainArgs, session: &Session) -> Result<Outcome, CliError> {
     let told = (args.preset.name(), options.altitude_range_m, args.time_budget);
     let (_, metrics, interrupted) = train_into(&scene, &args.out, &config, told, session)?;
     if interrupted {
-        return Err(CliError::Interrupted(format!("stopped; what there was is saved in {}", args.out.display())));
+        return Err(CliError::Interrupted(format!(
+            "stopped; what there was is saved in {}",
+            args.out.display()
+        )));
     }
     let text = format!("{}\nrun            {}", measure::summary(&metrics), args.out.display());
     Ok(Outcome { json: metrics, text })
@@ -241,7 +280,11 @@ pub fn dsm(args: &DsmArgs, _session: &Session) -> Result<Outcome, CliError> {
     let (width, height) = (surface.grid.width, surface.grid.height);
     let crs = surface.grid.crs.name().to_owned();
     Ok(Outcome {
-        text: format!("{}: {width} x {height} cells of {gsd_m} m, {crs}, {:.1} % known", args.out.display(), 100.0 * share),
+        text: format!(
+            "{}: {width} x {height} cells of {gsd_m} m, {crs}, {:.1} % known",
+            args.out.display(),
+            100.0 * share
+        ),
         json: json!({"dsm": args.out, "width": width, "height": height, "gsd_m": gsd_m, "crs": crs, "completeness": share}),
     })
 }
@@ -261,7 +304,11 @@ pub fn relight(args: &RelightArgs, _session: &Session) -> Result<Outcome, CliErr
     let mask = relit.write(&args.out)?;
     let (azimuth, elevation) = (sun.azimuth_rad.to_degrees(), sun.elevation_rad.to_degrees());
     Ok(Outcome {
-        text: format!("{} and {}: sun at azimuth {azimuth:.2}, elevation {elevation:.2}", args.out.display(), mask.display()),
+        text: format!(
+            "{} and {}: sun at azimuth {azimuth:.2}, elevation {elevation:.2}",
+            args.out.display(),
+            mask.display()
+        ),
         json: json!({"image": args.out, "shadow": mask, "sun_azimuth_deg": azimuth, "sun_elevation_deg": elevation}),
     })
 }
@@ -279,19 +326,27 @@ pub fn render(args: &RenderArgs, session: &Session) -> Result<Outcome, CliError>
     };
     let images: Vec<_> = model.file.images.iter().filter(|image| wanted(image.split)).collect();
     if images.is_empty() {
-        return Err(CliError::Input(format!("{}: the run has no image of that split", args.run.display())));
+        return Err(CliError::Input(format!(
+            "{}: the run has no image of that split",
+            args.run.display()
+        )));
     }
     create_folder(&args.out)?;
     let scene = reopen(&args.run).ok();
     let progress = session.progress("render", images.len() as u64);
     let mut written = Vec::new();
     for (done, image) in images.iter().enumerate() {
-        let truth = scene.as_ref().and_then(|s| s.images.iter().find(|i| i.name == image.name));
+        let truth = scene
+            .as_ref()
+            .and_then(|s| s.images.iter().find(|i| i.name == image.name));
         let truth = truth.map(|i| image.crop.cut(&i.pixels));
         let view = rendered::render_view(&model, image, truth.as_ref());
         let path = args.out.join(format!("{}.tif", image.name));
         let mut counts = view.image;
-        counts.values.iter_mut().for_each(|v| *v *= model.file.counts_per_unit as f32);
+        counts
+            .values
+            .iter_mut()
+            .for_each(|v| *v *= model.file.counts_per_unit as f32);
         write_geotiff(&path, &ImageSpec::plain(&counts), Sample::F32)?;
         written.push(json!({"image": path, "name": image.name, "colour": view.colour}));
         progress.set(done as u64 + 1);
@@ -305,10 +360,12 @@ pub fn render(args: &RenderArgs, session: &Session) -> Result<Outcome, CliError>
 /// The scene a run was trained on.
 fn reopen(run: &Path) -> Result<Scene, CliError> {
     let file = run::load_run(run)?;
-    let options = crate::scene::IngestOptions { altitude_range_m: file.altitude_range_m, ..Default::default() };
-    Scene::open(&file.scene, &options).map_err(|error: SceneError| {
-        CliError::Input(format!("{}: the scene of the run: {error}", run.display()))
-    })
+    let options = crate::scene::IngestOptions {
+        altitude_range_m: file.altitude_range_m,
+        ..Default::default()
+    };
+    Scene::open(&file.scene, &options)
+        .map_err(|error: SceneError| CliError::Input(format!("{}: the scene of the run: {error}", run.display())))
 }
 
 /// Measures a run against the truth of its scene.
@@ -327,5 +384,8 @@ pub fn evaluate(run: &Path, args: &EvaluateArgs, _session: &Session) -> Result<O
             write_error_map(path, evaluation)?;
         }
     }
-    Ok(Outcome { text: text + &measure::summary(&metrics), json: metrics })
+    Ok(Outcome {
+        text: text + &measure::summary(&metrics),
+        json: metrics,
+    })
 }

@@ -125,16 +125,28 @@ fn offset(grid: &Grid, a: &[f32], b: &[f32]) -> Option<(DVec2, f64)> {
         }
     }
     let peak = scores[row][col];
-    if !(peak > 0.0) {
+    if peak.is_nan() || peak <= 0.0 {
         return None;
     }
     let fraction = |before: f64, after: f64| {
         let bend = 2.0 * peak - before - after;
-        if bend > 0.0 { (0.5 * (after - before) / bend).clamp(-0.5, 0.5) } else { 0.0 }
+        if bend > 0.0 {
+            (0.5 * (after - before) / bend).clamp(-0.5, 0.5)
+        } else {
+            0.0
+        }
     };
     let inner = |i: usize| i > 0 && i + 1 < SIDE;
-    let dc = if inner(col) { fraction(scores[row][col - 1], scores[row][col + 1]) } else { 0.0 };
-    let dr = if inner(row) { fraction(scores[row - 1][col], scores[row + 1][col]) } else { 0.0 };
+    let dc = if inner(col) {
+        fraction(scores[row][col - 1], scores[row][col + 1])
+    } else {
+        0.0
+    };
+    let dr = if inner(row) {
+        fraction(scores[row - 1][col], scores[row + 1][col])
+    } else {
+        0.0
+    };
     let cells = DVec2::new(col as f64 + dc - REACH as f64, row as f64 + dr - REACH as f64);
     // Rows run south.
     Some((DVec2::new(cells.x, -cells.y), peak))
@@ -207,7 +219,9 @@ fn remove_translation(views: &[SweepView], centre: Vec3, shifts: &mut [DVec2]) {
         right += u * shift.x + v * shift.y;
     }
     // Views from one direction leave one component open; a trace of damping sets it to zero.
-    normal += DMat3::from_diagonal(DVec3::splat(1e-9 * (normal.x_axis.x + normal.y_axis.y + normal.z_axis.z)));
+    normal += DMat3::from_diagonal(DVec3::splat(
+        1e-9 * (normal.x_axis.x + normal.y_axis.y + normal.z_axis.z),
+    ));
     let translation = normal.inverse() * right;
     for (view, shift) in views.iter().zip(shifts) {
         let (u, v) = jacobian(&view.camera, centre);

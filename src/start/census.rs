@@ -45,7 +45,9 @@ pub(super) fn describe(values: &[f32], width: usize, height: usize, alike: f32, 
             let near = &values[at..at + width];
             for ((word, value), other) in out.iter_mut().zip(centre).zip(near) {
                 let missing = if other.is_nan() { INVALID } else { 0 };
-                *word |= (u64::from(other < value) << bit) | (u64::from((other - value).abs() < alike) << (bit + 24)) | missing;
+                *word |= (u64::from(other < value) << bit)
+                    | (u64::from((other - value).abs() < alike) << (bit + 24))
+                    | missing;
             }
         }
     }
@@ -53,10 +55,7 @@ pub(super) fn describe(values: &[f32], width: usize, height: usize, alike: f32, 
 
 /// Adds to `sum` the weighted distance between two blocks of descriptors, cut off at `cut`, and to `weights` the weight,
 /// where both are valid.
-#[multiversion(targets(
-    "x86_64+avx512f+avx512vl+avx512bw+avx512dq+avx512vpopcntdq",
-    "x86_64+avx2+popcnt"
-))]
+#[multiversion(targets("x86_64+avx512f+avx512vl+avx512bw+avx512dq+avx512vpopcntdq", "x86_64+avx2+popcnt"))]
 pub(super) fn compare(a: &[u64], b: &[u64], weight: u32, cut: u32, sum: &mut [u32], weights: &mut [u32]) {
     for (((a, b), sum), weights) in a.iter().zip(b).zip(sum.iter_mut()).zip(weights.iter_mut()) {
         let both = ((a & b) >> 24) & MASK;
@@ -83,8 +82,8 @@ mod tests {
     fn the_descriptor_does_not_see_gain_and_offset() {
         let (width, stride) = (6, 6 + 2 * RADIUS);
         let (mut a, mut b) = (vec![0; 36], vec![0; 36]);
-        describe(&ramp(stride, 1.0), width, width, &mut a);
-        describe(&ramp(stride, 3.5), width, width, &mut b);
+        describe(&ramp(stride, 1.0), width, width, 1.0, &mut a);
+        describe(&ramp(stride, 3.5), width, width, 3.5, &mut b);
         assert_eq!(a, b);
         assert!(a.iter().any(|&word| word != a[0]));
     }
@@ -95,7 +94,7 @@ mod tests {
         let mut values = ramp(stride, 1.0);
         values[0] = f32::NAN;
         let mut words = vec![0; 36];
-        describe(&values, width, width, &mut words);
+        describe(&values, width, width, 1.0, &mut words);
         assert_ne!(words[0] & INVALID, 0, "the window of the first cell holds the hole");
         assert_eq!(words[35] & INVALID, 0);
         let (mut sum, mut weights) = (vec![0; 36], vec![0; 36]);

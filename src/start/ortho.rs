@@ -7,13 +7,16 @@ use rayon::prelude::*;
 /// What a view shows at each cell of a surface; NaN where it shows nothing.
 pub(super) fn ortho(grid: &Grid, view: &LevelView, altitude: &[f32]) -> Vec<f32> {
     let mut values = vec![f32::NAN; grid.len()];
-    values.par_chunks_mut(grid.width.max(1)).enumerate().for_each(|(row, line)| {
-        for (col, value) in line.iter_mut().enumerate() {
-            let p = grid.point(col as isize, row as isize, altitude[row * grid.width + col]);
-            let (image_col, image_row, _) = view.camera.project(p);
-            *value = view.sample(image_col, image_row);
-        }
-    });
+    values
+        .par_chunks_mut(grid.width.max(1))
+        .enumerate()
+        .for_each(|(row, line)| {
+            for (col, value) in line.iter_mut().enumerate() {
+                let p = grid.point(col as isize, row as isize, altitude[row * grid.width + col]);
+                let (image_col, image_row, _) = view.camera.project(p);
+                *value = view.sample(image_col, image_row);
+            }
+        });
     values
 }
 
@@ -43,18 +46,20 @@ pub(super) fn repeated(grid: &Grid, coarse: &Grid, factor: usize, values: &[f32]
 /// The median of the values within `radius` cells each way.
 pub(super) fn median(grid: &Grid, values: &[f32], radius: usize) -> Vec<f32> {
     let mut out = vec![0.0; grid.len()];
-    out.par_chunks_mut(grid.width.max(1)).enumerate().for_each(|(row, line)| {
-        let rows = row.saturating_sub(radius)..(row + radius + 1).min(grid.height);
-        let mut near = Vec::new();
-        for (col, value) in line.iter_mut().enumerate() {
-            let cols = col.saturating_sub(radius)..(col + radius + 1).min(grid.width);
-            near.clear();
-            for r in rows.clone() {
-                near.extend_from_slice(&values[r * grid.width + cols.start..r * grid.width + cols.end]);
+    out.par_chunks_mut(grid.width.max(1))
+        .enumerate()
+        .for_each(|(row, line)| {
+            let rows = row.saturating_sub(radius)..(row + radius + 1).min(grid.height);
+            let mut near = Vec::new();
+            for (col, value) in line.iter_mut().enumerate() {
+                let cols = col.saturating_sub(radius)..(col + radius + 1).min(grid.width);
+                near.clear();
+                for r in rows.clone() {
+                    near.extend_from_slice(&values[r * grid.width + cols.start..r * grid.width + cols.end]);
+                }
+                let middle = near.len() / 2;
+                *value = *near.select_nth_unstable_by(middle, f32::total_cmp).1;
             }
-            let middle = near.len() / 2;
-            *value = *near.select_nth_unstable_by(middle, f32::total_cmp).1;
-        }
-    });
+        });
     out
 }

@@ -22,7 +22,14 @@ const SAME: usize = 2;
 pub(super) fn choose(bands: &Bands, ladder: &Ladder, sums: &[u16], tolerance: u16) -> Vec<Choice> {
     (0..bands.low.len())
         .into_par_iter()
-        .map(|cell| one(&sums[bands.range(cell)], usize::from(bands.low[cell]), ladder, tolerance))
+        .map(|cell| {
+            one(
+                &sums[bands.range(cell)],
+                usize::from(bands.low[cell]),
+                ladder,
+                tolerance,
+            )
+        })
         .collect()
 }
 
@@ -50,10 +57,17 @@ fn one(sums: &[u16], low: usize, ladder: &Ladder, tolerance: u16) -> Choice {
     } else {
         0.0
     };
-    let margin = if second == u16::MAX { 0.0 } else { f32::from(second - sums[best]) / f32::from(second.max(1)) };
+    let margin = if second == u16::MAX {
+        0.0
+    } else {
+        f32::from(second - sums[best]) / f32::from(second.max(1))
+    };
     Choice {
         altitude_m: ladder.altitude((low + best) as f32 + fraction),
-        possible: (ladder.altitude((low + least) as f32), ladder.altitude((low + most) as f32)),
+        possible: (
+            ladder.altitude((low + least) as f32),
+            ladder.altitude((low + most) as f32),
+        ),
         margin,
     }
 }
@@ -61,5 +75,9 @@ fn one(sums: &[u16], low: usize, ladder: &Ladder, tolerance: u16) -> Choice {
 /// Where the parabola through three equidistant values has its least value, in steps from the middle one, held to ±½.
 pub(super) fn vertex([before, here, after]: [f32; 3]) -> f32 {
     let bend = before - 2.0 * here + after;
-    if bend > 0.0 { (0.5 * (before - after) / bend).clamp(-0.5, 0.5) } else { 0.0 }
+    if bend > 0.0 {
+        (0.5 * (before - after) / bend).clamp(-0.5, 0.5)
+    } else {
+        0.0
+    }
 }

@@ -13,6 +13,11 @@ use super::visibility::FirstHits;
 use glam::Vec3;
 use rayon::prelude::*;
 
+/// Summed cost above the best within which another level stays possible at the next, finer round.
+const TOLERANCE: u16 = 80;
+/// Coarse cells around a fine one whose altitudes stay possible for it.
+const REACH_CELLS: usize = 2;
+
 /// Coarsest cells of the pyramid, in cells of the request.
 const COARSEST: usize = 8;
 /// A level needs this many cells each way to be worth its own search.
@@ -105,10 +110,7 @@ impl<'a> Search<'a> {
             hits,
             alike: options.alike,
         };
-        let t = std::time::Instant::now();
         let costs = matching.costs(&bands);
-        if std::env::var("VERBOSE").is_ok() { eprintln!("factor {factor} total {} per cell {} cost {:?}", bands.total(), bands.total() / grid.len(), t.elapsed()); }
-        let t = std::time::Instant::now();
         let volume = Volume {
             width: grid.width,
             height: grid.height,
@@ -116,14 +118,13 @@ impl<'a> Search<'a> {
             costs: &costs,
             guide: guide.as_deref(),
             penalties: Penalties {
-                one_level: (options.one_level_penalty as f32 * (factor as f32).powf(-super::cost::env("PC", 0.0))) as u16,
-                jump: (options.jump_penalty as f32 * (factor as f32).powf(-super::cost::env("PC", 0.0))) as u16,
+                one_level: options.one_level_penalty,
+                jump: options.jump_penalty,
                 edge: options.edge,
             },
         };
         let sums = volume.aggregate();
-        if std::env::var("VERBOSE").is_ok() { eprintln!("sgm {:?}", t.elapsed()); }
-        let choices = pick::choose(&bands, &ladder, &sums, 8 * super::cost::env("TOLER", 10.0) as u16);
+        let choices = pick::choose(&bands, &ladder, &sums, TOLERANCE);
         Found {
             grid,
             factor,
@@ -148,7 +149,15 @@ impl<'a> Search<'a> {
     ) -> (Bands, Option<Vec<f32>>) {
         let finer = found.factor / factor;
         let possible: Vec<_> = found.choices.iter().map(|choice| choice.possible).collect();
-        let bands = Bands::around(grid, ladder, &found.grid, finer, &possible, super::cost::env("REACH", 2.0) as usize, 3.0 * found.step_m);
+        let bands = Bands::around(
+            grid,
+            ladder,
+            &found.grid,
+            finer,
+            &possible,
+            REACH_CELLS,
+            3.0 * found.step_m,
+        );
         let altitude = ortho::repeated(grid, &found.grid, finer, &found.altitude());
         (bands, Some(ortho::guide(grid, views, &altitude)))
     }

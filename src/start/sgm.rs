@@ -78,7 +78,8 @@ impl Volume<'_> {
                     };
                     let previous = before.map(|b| Cell {
                         low: usize::from(self.bands.low[b]),
-                        costs: &done[self.bands.start[b] - start - done_from..self.bands.start[b + 1] - start - done_from],
+                        costs: &done
+                            [self.bands.start[b] - start - done_from..self.bands.start[b + 1] - start - done_from],
                         least: path.1[b % self.width],
                     });
                     let jump = before.map_or(0, |b| self.jump(b, cell));
@@ -114,7 +115,12 @@ impl Volume<'_> {
             work.for_each(|(k, (((west, straight), east), sums))| {
                 let mut aligned = Vec::new();
                 for (direction, (costs, least)) in [west, straight, east].into_iter().enumerate() {
-                    let entry = Entry { row, previous_row, col0: k * CHUNK, direction };
+                    let entry = Entry {
+                        row,
+                        previous_row,
+                        col0: k * CHUNK,
+                        direction,
+                    };
                     self.chunk(&entry, &before[direction], costs, least, &mut aligned);
                     add(sums, costs);
                 }
@@ -125,7 +131,12 @@ impl Volume<'_> {
 
     /// One path through a chunk of columns.
     fn chunk(&self, entry: &Entry, before: &PathRow, costs: &mut [u16], least: &mut [u16], aligned: &mut Vec<u16>) {
-        let Entry { row, previous_row, col0, direction } = *entry;
+        let Entry {
+            row,
+            previous_row,
+            col0,
+            direction,
+        } = *entry;
         let chunk_start = self.bands.start[row * self.width + col0];
         for (k, least) in least.iter_mut().enumerate() {
             let col = col0 + k;
@@ -161,9 +172,13 @@ impl Volume<'_> {
         let low = usize::from(self.bands.low[cell]);
         aligned.clear();
         aligned.resize(costs.len() + 2, UNREACHABLE);
-        let (from, to) = (previous.low.max(low.saturating_sub(1)), (previous.low + previous.costs.len()).min(low + costs.len() + 1));
+        let (from, to) = (
+            previous.low.max(low.saturating_sub(1)),
+            (previous.low + previous.costs.len()).min(low + costs.len() + 1),
+        );
         if from < to {
-            aligned[from + 1 - low..to + 1 - low].copy_from_slice(&previous.costs[from - previous.low..to - previous.low]);
+            aligned[from + 1 - low..to + 1 - low]
+                .copy_from_slice(&previous.costs[from - previous.low..to - previous.low]);
         }
         recurse(costs, aligned, previous.least, self.penalties.one_level, jump, out)
     }

@@ -39,9 +39,9 @@ pub struct SweepOptions {
     pub one_level_penalty: u16,
     /// Cost of a jump between neighbours, in the same units.
     pub jump_penalty: u16,
-    /// lab
+    /// Image difference between neighbours, in units of the guide image, that makes a jump between them half as dear.
     pub edge: f32,
-    /// lab
+    /// Differences below this many median differences count as none in the census.
     pub alike: f32,
 }
 
@@ -85,10 +85,12 @@ pub fn sweep(views: &[SweepView], request: &SweepRequest, progress: &dyn Fn(f32)
     let search = Search::new(views, request);
     let mut found = search.descend(1, &|factor| progress(0.5 / factor as f32)).unwrap();
     for _ in 0..request.options.visibility_rounds {
-        let mut altitude = found.altitude();
-        if let Some(o) = ORACLE.get() { altitude = o.clone(); }
+        let altitude = found.altitude();
         let lv = search.level_views(1);
-        let hits: Vec<_> = lv.iter().map(|v| FirstHits::new(v, &grid, &altitude, 1.0f32.max(2.0 * found.step_m))).collect();
+        let hits: Vec<_> = lv
+            .iter()
+            .map(|v| FirstHits::new(v, &grid, &altitude, 1.0f32.max(2.0 * found.step_m)))
+            .collect();
         found = search.level(1, Some(&found), Some(&hits));
     }
     Surface {
@@ -103,5 +105,3 @@ pub fn sweep(views: &[SweepView], request: &SweepRequest, progress: &dyn Fn(f32)
         altitude: found.choices.iter().map(|c| c.altitude_m).collect(),
     }
 }
-
-pub static ORACLE: std::sync::OnceLock<Vec<f32>> = std::sync::OnceLock::new();

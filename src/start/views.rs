@@ -48,7 +48,6 @@ pub(super) struct LevelView {
     pub(super) height: usize,
     /// Typical difference between neighbouring pixels.
     pub(super) contrast: f32,
-    pub(super) middle: f32,
 }
 
 impl LevelView {
@@ -64,7 +63,7 @@ impl LevelView {
         };
         Self {
             camera,
-            contrast: contrast(&image), middle: { let mut v: Vec<f32> = image.values.iter().copied().filter(|x| x.is_finite()).collect(); let m = v.len() / 2; *v.select_nth_unstable_by(m, f32::total_cmp).1 },
+            contrast: contrast(&image),
             width: image.width,
             height: image.height,
             pixels: image.values,
@@ -88,37 +87,6 @@ impl LevelView {
         let bottom = lower[0] + (lower[1] - lower[0]) * fc;
         top + (bottom - top) * fr
     }
-
-    /// Catmull-Rom value at a pixel position: bilinear blurs by how far the position is from a pixel centre, which
-    /// pulls a sub-pixel match toward half pixels. NaN outside the image and beside missing pixels.
-    #[inline]
-    pub(super) fn sample_cubic(&self, col: f32, row: f32) -> f32 {
-        let inside = col >= 1.0 && row >= 1.0 && col < self.width as f32 - 2.0 && row < self.height as f32 - 2.0;
-        if !inside {
-            return self.sample(col, row);
-        }
-        let (c, r) = (col as usize, row as usize);
-        let (wc, wr) = (cubic_weights(col - c as f32), cubic_weights(row - r as f32));
-        let mut sum = 0.0;
-        for (k, weight) in wr.iter().enumerate() {
-            let start = (r + k - 1) * self.width + c - 1;
-            let p = &self.pixels[start..start + 4];
-            sum += weight * (p[0] * wc[0] + p[1] * wc[1] + p[2] * wc[2] + p[3] * wc[3]);
-        }
-        sum
-    }
-}
-
-/// Catmull-Rom weights of the four pixels around a position `t` in [0, 1) past the second.
-#[inline]
-fn cubic_weights(t: f32) -> [f32; 4] {
-    let (t2, t3) = (t * t, t * t * t);
-    [
-        0.5 * (2.0 * t2 - t - t3),
-        0.5 * (3.0 * t3 - 5.0 * t2 + 2.0),
-        0.5 * (4.0 * t2 - 3.0 * t3 + t),
-        0.5 * (t3 - t2),
-    ]
 }
 
 fn mean_of_bands(image: &Raster) -> Raster {
@@ -137,5 +105,9 @@ fn contrast(image: &Raster) -> f32 {
     let differences = image.values.windows(2).map(|pair| (pair[1] - pair[0]).abs());
     let mut differences: Vec<f32> = differences.filter(|d| d.is_finite()).collect();
     let middle = differences.len() / 2;
-    if differences.is_empty() { 0.0 } else { *differences.select_nth_unstable_by(middle, f32::total_cmp).1 }
+    if differences.is_empty() {
+        0.0
+    } else {
+        *differences.select_nth_unstable_by(middle, f32::total_cmp).1
+    }
 }

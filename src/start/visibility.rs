@@ -62,11 +62,13 @@ impl FirstHits {
         let altitude = &eroded(grid, altitude, std::env::var("ERODE").map_or(1, |v| v.parse().unwrap()));
         let roof = Roof::new(grid, altitude);
         let mut hits = vec![f32::MIN; view.width * view.height];
-        hits.par_chunks_mut(view.width.max(1)).enumerate().for_each(|(row, line)| {
-            for (col, hit) in line.iter_mut().enumerate() {
-                *hit = first_hit(view, (col as f32, row as f32), grid, altitude, &roof);
-            }
-        });
+        hits.par_chunks_mut(view.width.max(1))
+            .enumerate()
+            .for_each(|(row, line)| {
+                for (col, hit) in line.iter_mut().enumerate() {
+                    *hit = first_hit(view, (col as f32, row as f32), grid, altitude, &roof);
+                }
+            });
         Self {
             altitude: hits,
             width: view.width,
@@ -79,7 +81,8 @@ impl FirstHits {
     #[inline]
     pub(super) fn hides(&self, col: f32, row: f32, altitude_m: f32) -> bool {
         let inside = col > -0.5 && row > -0.5 && col < self.width as f32 - 0.5 && row < self.height as f32 - 0.5;
-        inside && altitude_m + self.tolerance_m < self.altitude[(row + 0.5) as usize * self.width + (col + 0.5) as usize]
+        inside
+            && altitude_m + self.tolerance_m < self.altitude[(row + 0.5) as usize * self.width + (col + 0.5) as usize]
     }
 }
 
@@ -94,7 +97,9 @@ fn first_hit(view: &LevelView, (col, row): (f32, f32), grid: &Grid, altitude: &[
         let top = roof.over(start, end).min(start.z);
         start = at(top).unwrap_or(start);
     }
-    let steps = ((end - start).truncate().length() / (0.7 * grid.cell_m)).ceil().max(1.0);
+    let steps = ((end - start).truncate().length() / (0.7 * grid.cell_m))
+        .ceil()
+        .max(1.0);
     let mut above = start.z;
     for step in 0..=steps as usize {
         let p = start + (end - start) * (step as f32 / steps);
@@ -114,7 +119,10 @@ fn eroded(grid: &Grid, altitude: &[f32], radius: usize) -> Vec<f32> {
     for row in 0..grid.height {
         let line = &altitude[row * grid.width..(row + 1) * grid.width];
         for col in 0..grid.width {
-            across[row * grid.width + col] = line[col.saturating_sub(radius)..(col + radius + 1).min(grid.width)].iter().copied().fold(f32::MAX, f32::min);
+            across[row * grid.width + col] = line[col.saturating_sub(radius)..(col + radius + 1).min(grid.width)]
+                .iter()
+                .copied()
+                .fold(f32::MAX, f32::min);
         }
     }
     let mut out = across.clone();

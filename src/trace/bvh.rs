@@ -85,7 +85,11 @@ impl Occluders {
                 (occluder, occluder.bounds())
             })
             .unzip();
-        Self { list, bounds, hierarchy: OnceLock::new() }
+        Self {
+            list,
+            bounds,
+            hierarchy: OnceLock::new(),
+        }
     }
 
     fn hierarchy(&self) -> &CwBvh {

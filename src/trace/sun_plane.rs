@@ -38,6 +38,8 @@ pub(super) struct SunPlane {
     columns: usize,
     rows: usize,
     starts: Vec<u32>,
+    /// Places in `ellipses`, cell after cell.
+    list: Vec<u32>,
     ellipses: Vec<Ellipse>,
 }
 
@@ -107,27 +109,29 @@ impl SunPlane {
             columns: cells(extent.x),
             rows: cells(extent.y),
             starts: Vec::new(),
+            list: Vec::new(),
             ellipses: Vec::new(),
         };
-        plane.list(&found);
+        plane.deal(found.into_iter().flatten().collect());
         plane
     }
 
     fn cell(&self, place: Vec2) -> (usize, usize) {
         let at = (place - self.corner) * self.inverse_cell;
-        ((at.x.max(0.0) as usize).min(self.columns - 1), (at.y.max(0.0) as usize).min(self.rows - 1))
+        (
+            (at.x.max(0.0) as usize).min(self.columns - 1),
+            (at.y.max(0.0) as usize).min(self.rows - 1),
+        )
     }
 
     /// Deals the ellipses to the cells they touch, in order of their Gaussians.
-    fn list(&mut self, found: &[Option<(Ellipse, Vec2)>]) {
+    fn deal(&mut self, found: Vec<(Ellipse, Vec2)>) {
         let spans: Vec<[u16; 4]> = found
-            .iter()
-            .map(|f| match f {
-                Some((shape, half)) => {
-                    let ((c0, r0), (c1, r1)) = (self.cell(shape.centre - half), self.cell(shape.centre + half));
-                    [c0 as u16, c1 as u16 + 1, r0 as u16, r1 as u16 + 1]
-                }
-                None => [0; 4],
+            .par_iter()
+            .with_min_len(4096)
+            .map(|(shape, half)| {
+                let ((c0, r0), (c1, r1)) = (self.cell(shape.centre - *half), self.cell(shape.centre + *half));
+                [c0 as u16, c1 as u16 + 1, r0 as u16, r1 as u16 + 1]
             })
             .collect();
         let mut starts = vec![0u32; self.columns * self.rows + 1];
@@ -141,24 +145,20 @@ impl SunPlane {
         for i in 0..self.columns * self.rows {
             starts[i + 1] += starts[i];
         }
-        let total = starts[self.columns * self.rows] as usize;
-        let mut order = vec![0u32; total];
+        let mut list = vec![0u32; starts[self.columns * self.rows] as usize];
         let mut cursor = starts.clone();
-        for (id, &[c0, c1, r0, r1]) in spans.iter().enumerate() {
+        for (place, &[c0, c1, r0, r1]) in spans.iter().enumerate() {
             for r in r0..r1 {
                 for c in c0..c1 {
-                    let place = &mut cursor[r as usize * self.columns + c as usize];
-                    order[*place as usize] = id as u32;
-                    *place += 1;
+                    let next = &mut cursor[r as usize * self.columns + c as usize];
+                    list[*next as usize] = place as u32;
+                    *next += 1;
                 }
             }
         }
         self.starts = starts;
-        self.ellipses = order
-            .par_iter()
-            .with_min_len(4096)
-            .filter_map(|&id| found[id as usize].map(|(shape, _)| shape))
-            .collect();
+        self.list = list;
+        self.ellipses = found.into_iter().map(|(shape, _)| shape).collect();
     }
 
     /// Calls `visit` with every Gaussian that a ray from `origin` meets beyond `bias` metres, and its `α̃` before saturation.
@@ -168,7 +168,8 @@ impl SunPlane {
         let depth = self.direction.dot(origin) + bias;
         let (column, row) = self.cell(place);
         let cell = row * self.columns + column;
-        for e in &self.ellipses[self.starts[cell] as usize..self.starts[cell + 1] as usize] {
+        for &listed in &self.list[self.starts[cell] as usize..self.starts[cell + 1] as usize] {
+            let e = &self.ellipses[listed as usize];
             let d = place - e.centre;
             let q = (e.conic[0] * d.x + 2.0 * e.conic[1] * d.y) * d.x + e.conic[2] * d.y * d.y;
             let peak = e.depth + e.slope.dot(d);

@@ -80,10 +80,10 @@ pub struct Transmittance {
 }
 
 impl Transmittance {
-    /// `count` origins that nothing shades.
-    pub fn all_lit(count: usize) -> Self {
+    /// Values known from elsewhere, without the hits that made them: no gradients go back.
+    pub fn known(values: Vec<f32>) -> Self {
         Self {
-            values: vec![1.0; count],
+            values,
             ..Self::default()
         }
     }
@@ -452,7 +452,10 @@ mod tests {
         let origins: Vec<u32> = (0..table.count as u32).collect();
         for elevation in [2.0, 35.0, 90.0] {
             let trace = |route| {
-                let options = TraceOptions { route, ..TraceOptions::default() };
+                let options = TraceOptions {
+                    route,
+                    ..TraceOptions::default()
+                };
                 transmittance(&table, &occluders, &origins, &sun(elevation), &options)
             };
             let (plane, tree) = (trace(Route::SunPlane), trace(Route::Hierarchy));

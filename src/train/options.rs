@@ -48,6 +48,8 @@ pub struct TrainOptions {
     pub one_surface_weight: f32,
     /// Standard deviation of depth, ground sampling distances, at which that loss saturates.
     pub one_surface_gsd: f32,
+    /// Visits of a view that one trace of its light serves; gradients go back along the light on the visit that traces.
+    pub light_every: usize,
     /// Steps between two builds of the occluders' hierarchy, where that is the route of the light.
     pub hierarchy_every: usize,
     /// Share of each image's tiles held out to watch for overfitting; 0 is none.
@@ -79,6 +81,7 @@ impl Default for TrainOptions {
             consistency_every: 8,
             one_surface_weight: 0.0,
             one_surface_gsd: 2.0,
+            light_every: 4,
             hierarchy_every: 25,
             holdout: 0.04,
             patience: 25,

@@ -6,7 +6,7 @@ use heliosplat::gaussians::{FEATURES, LOG_SCALE, OPACITY, POSITION, ROTATION, Ta
 use heliosplat::light::Light;
 use heliosplat::model::shadow_gs::{COLOUR, OFFSET, SKY, ShadowGs, ShadowGsOptions, softplus};
 use heliosplat::model::{Context, Parameters, SceneModel};
-use heliosplat::render::{Pass, PassOptions};
+use heliosplat::render::{Lit, Pass, PassOptions};
 use heliosplat::splat::ProjectionOptions;
 use heliosplat::trace::Occluders;
 use heliosplat::{ProjectiveCamera, Raster};
@@ -181,7 +181,7 @@ fn engine_pass(case: &Case) -> (Vec<f64>, Parameters) {
         light: Some(Light::Directional(case.sun)),
         appearance: Some(1),
     };
-    let pass = Pass::new(&case.model, context, Some(&occluders), case.options);
+    let pass = Pass::new(&case.model, context, Lit::Traced(&occluders), case.options);
     let image = pass.image();
     let (maps, n) = (&pass.maps, pass.normal_channel());
     let pixels = SIZE * SIZE;

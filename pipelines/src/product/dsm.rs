@@ -73,7 +73,10 @@ fn nadir_camera(enu: &EnuGrid, grid: &GridSpec, height_m: f64) -> ProjectiveCame
         }
     }
     // A grid of one row or column does not fix the map: then the pixel size does.
-    let solved = normal.try_inverse().map(|inverse| inverse * right).filter(|m| m.iter().all(|v| v.is_finite()));
+    let solved = normal
+        .try_inverse()
+        .map(|inverse| inverse * right)
+        .filter(|m| m.iter().all(|v| v.is_finite()));
     let map = solved.filter(|_| grid.width > 1 && grid.height > 1).unwrap_or_else(|| {
         let [e, n, _] = enu.enu(0.0, 0.0, height_m);
         let inverse = 1.0 / (grid.transform.pixel_size().0 * grid.crs.metres_per_unit());
@@ -89,8 +92,14 @@ fn nadir_camera(enu: &EnuGrid, grid: &GridSpec, height_m: f64) -> ProjectiveCame
 /// When the coordinate system does not cover the place.
 pub fn dsm(model: &LoadedModel, gsd_m: f64, crs: Option<&str>) -> Result<Dsm, RasterError> {
     let nadir = NadirGrid::new(model, gsd_m, crs)?;
-    let Rendering { maps, .. } =
-        render(&model.model, &model.parameters, &nadir.camera, None, None, model.pass_options());
+    let Rendering { maps, .. } = render(
+        &model.model,
+        &model.parameters,
+        &nadir.camera,
+        None,
+        None,
+        model.pass_options(),
+    );
     let (width, height) = (nadir.grid.width, nadir.grid.height);
     let mut raster = Raster::filled(width, height, 3, f32::NAN);
     let pixels = width * height;
@@ -107,7 +116,10 @@ pub fn dsm(model: &LoadedModel, gsd_m: f64, crs: Option<&str>) -> Result<Dsm, Ra
             raster.values[pixels + i] = (maps.depth_square[i] / alpha - mean * mean).max(0.0).sqrt();
         }
     }
-    Ok(Dsm { raster, grid: nadir.grid })
+    Ok(Dsm {
+        raster,
+        grid: nadir.grid,
+    })
 }
 
 impl Dsm {
@@ -116,7 +128,11 @@ impl Dsm {
     /// # Errors
     /// When the file cannot be written; nothing is left behind then.
     pub fn write(&self, path: &Path) -> Result<(), RasterError> {
-        let items = [("VERTICAL_DATUM", "WGS84 ellipsoid"), ("UNIT", "metre"), ("SOFTWARE", concat!("heliosplat ", env!("CARGO_PKG_VERSION")))];
+        let items = [
+            ("VERTICAL_DATUM", "WGS84 ellipsoid"),
+            ("UNIT", "metre"),
+            ("SOFTWARE", concat!("heliosplat ", env!("CARGO_PKG_VERSION"))),
+        ];
         let metadata: Vec<(String, String)> = items.map(|(k, v)| (k.into(), v.into())).to_vec();
         let spec = ImageSpec {
             band_descriptions: &BANDS,
@@ -130,6 +146,11 @@ impl Dsm {
     /// The altitude alone.
     pub fn altitude(&self) -> Raster {
         let Raster { width, height, .. } = self.raster;
-        Raster { width, height, bands: 1, values: self.raster.plane(0).to_vec() }
+        Raster {
+            width,
+            height,
+            bands: 1,
+            values: self.raster.plane(0).to_vec(),
+        }
     }
 }

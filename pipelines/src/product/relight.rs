@@ -15,7 +15,9 @@ use std::path::{Path, PathBuf};
 #[derive(Debug, thiserror::Error)]
 pub enum RelightError {
     /// The sun is below the horizon.
-    #[error("the sun stands {elevation_deg:.2} degrees above the horizon; relight needs it at {LOWEST_SUN_DEG} degrees or higher")]
+    #[error(
+        "the sun stands {elevation_deg:.2} degrees above the horizon; relight needs it at {LOWEST_SUN_DEG} degrees or higher"
+    )]
     Night {
         /// Its elevation.
         elevation_deg: f64,
@@ -65,8 +67,14 @@ pub fn relight(model: &LoadedModel, sun: &SunPosition, view: &str) -> Result<Rel
     };
     let direction = sun.direction_enu();
     let light = Light::Directional(glam::DVec3::new(direction.x, direction.y, direction.z).as_vec3());
-    let rendering =
-        render(&model.model, &model.parameters, &camera, Some(light), None, model.pass_options());
+    let rendering = render(
+        &model.model,
+        &model.parameters,
+        &camera,
+        Some(light),
+        None,
+        model.pass_options(),
+    );
     let mut image = rendering.image;
     for value in &mut image.values {
         *value *= model.file.counts_per_unit as f32;
@@ -83,14 +91,24 @@ pub fn relight(model: &LoadedModel, sun: &SunPosition, view: &str) -> Result<Rel
             }
         }
     }
-    Ok(Relit { image, visibility, georeference })
+    Ok(Relit {
+        image,
+        visibility,
+        georeference,
+    })
 }
 
 fn named_camera(model: &LoadedModel, view: &str) -> Result<ProjectiveCamera, RelightError> {
     let image = model.file.images.iter().find(|image| image.name == view);
     image.map(camera_of).ok_or_else(|| RelightError::NoView {
         name: view.into(),
-        known: model.file.images.iter().map(|image| image.name.as_str()).collect::<Vec<_>>().join(", "),
+        known: model
+            .file
+            .images
+            .iter()
+            .map(|image| image.name.as_str())
+            .collect::<Vec<_>>()
+            .join(", "),
     })
 }
 
@@ -113,13 +131,26 @@ impl Relit {
             preview::write_png(&mask_path, &preview::stretched(&mask))?;
             return Ok(mask_path);
         }
-        let georeference = self.georeference.as_ref().map(|nadir| (&nadir.grid.transform, &nadir.grid.crs));
-        let spec = ImageSpec { georeference, ..ImageSpec::plain(&self.image) };
+        let georeference = self
+            .georeference
+            .as_ref()
+            .map(|nadir| (&nadir.grid.transform, &nadir.grid.crs));
+        let spec = ImageSpec {
+            georeference,
+            ..ImageSpec::plain(&self.image)
+        };
         match georeference {
             Some(_) => write_cog(path, &spec)?,
             None => write_geotiff(path, &spec, Sample::F32)?,
         }
-        write_geotiff(&mask_path, &ImageSpec { georeference, ..ImageSpec::plain(&mask) }, Sample::U8)?;
+        write_geotiff(
+            &mask_path,
+            &ImageSpec {
+                georeference,
+                ..ImageSpec::plain(&mask)
+            },
+            Sample::U8,
+        )?;
         Ok(mask_path)
     }
 }

@@ -31,8 +31,17 @@ pub fn render_view(model: &LoadedModel, image: &ModelImage, truth: Option<&Raste
     let direction = image.sun.direction_enu();
     let light = Light::Directional(Vec3::new(direction.x as f32, direction.y as f32, direction.z as f32));
     let options = model.pass_options();
-    let Rendering { image: mut colours, maps } =
-        render(&model.model, &model.parameters, &camera, Some(light), image.appearance, options);
+    let Rendering {
+        image: mut colours,
+        maps,
+    } = render(
+        &model.model,
+        &model.parameters,
+        &camera,
+        Some(light),
+        image.appearance,
+        options,
+    );
     let channel = model.model.visibility_channel();
     let mut visibility = Raster::filled(camera.width, camera.height, 1, f32::NAN);
     for (i, value) in visibility.values.iter_mut().enumerate() {
@@ -46,8 +55,13 @@ pub fn render_view(model: &LoadedModel, image: &ModelImage, truth: Option<&Raste
         if let Some(truth) = truth {
             colour = "fitted on the left half, scored on the right";
             for band in 0..colours.bands {
-                fit_band(&maps.channels[band], &maps.channels[channel], truth.plane(band), camera.width)
-                    .apply(&maps.channels[band], &maps.channels[channel], colours.plane_mut(band));
+                fit_band(
+                    &maps.channels[band],
+                    &maps.channels[channel],
+                    truth.plane(band),
+                    camera.width,
+                )
+                .apply(&maps.channels[band], &maps.channels[channel], colours.plane_mut(band));
             }
         }
     }
@@ -58,7 +72,11 @@ pub fn render_view(model: &LoadedModel, image: &ModelImage, truth: Option<&Raste
             }
         }
     }
-    RenderedView { image: colours, visibility, colour }
+    RenderedView {
+        image: colours,
+        visibility,
+        colour,
+    }
 }
 
 /// One band of a date's light: `sun · F S + sky · F (1 - S) + offset`.
@@ -85,7 +103,9 @@ fn fit_band(albedo: &[f32], visibility: &[f32], truth: &[f32], width: usize) -> 
             right += x * f64::from(t);
         }
     }
-    let solution = normal.try_inverse().map_or(nalgebra::Vector3::new(1.0, 0.3, 0.0), |inverse| inverse * right);
+    let solution = normal
+        .try_inverse()
+        .map_or(nalgebra::Vector3::new(1.0, 0.3, 0.0), |inverse| inverse * right);
     BandLight([solution.x, solution.y, solution.z])
 }
 

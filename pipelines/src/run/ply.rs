@@ -12,8 +12,11 @@ const C0: f32 = 0.282_094_8;
 const HEADER_LIMIT: usize = 64 * 1024;
 
 fn properties(extra: &[(String, usize)]) -> Vec<String> {
-    let mut names: Vec<String> =
-        ["x", "y", "z", "f_dc_0", "f_dc_1", "f_dc_2", "opacity", "scale_0", "scale_1", "scale_2"].map(String::from).to_vec();
+    let mut names: Vec<String> = [
+        "x", "y", "z", "f_dc_0", "f_dc_1", "f_dc_2", "opacity", "scale_0", "scale_1", "scale_2",
+    ]
+    .map(String::from)
+    .to_vec();
     names.extend(["rot_0", "rot_1", "rot_2", "rot_3"].map(String::from));
     for (name, width) in extra {
         names.extend((0..*width).map(|k| format!("{name}_{k}")));
@@ -22,7 +25,10 @@ fn properties(extra: &[(String, usize)]) -> Vec<String> {
 }
 
 fn extra(table: &Table) -> Vec<(String, usize)> {
-    table.groups[ALBEDO..].iter().map(|g| (g.spec.name.clone(), g.spec.width)).collect()
+    table.groups[ALBEDO..]
+        .iter()
+        .map(|g| (g.spec.name.clone(), g.spec.width))
+        .collect()
 }
 
 /// The file of a table whose first model group is the albedo of `bands` bands.
@@ -46,7 +52,9 @@ pub fn encode(gaussians: &Table, bands: usize) -> Vec<u8> {
             put((linear.clamp(0.0, 1.0).powf(1.0 / 2.2) - 0.5) / C0);
         }
         put(gaussians.group(OPACITY)[i]);
-        gaussians.group(LOG_SCALE)[i * 3..i * 3 + 3].iter().for_each(|&v| put(v));
+        gaussians.group(LOG_SCALE)[i * 3..i * 3 + 3]
+            .iter()
+            .for_each(|&v| put(v));
         let q = gaussians.raw_rotation(i);
         [q[3], q[0], q[1], q[2]].into_iter().for_each(&mut put);
         for group in &gaussians.groups[ALBEDO..] {
@@ -63,7 +71,10 @@ pub fn encode(gaussians: &Table, bands: usize) -> Vec<u8> {
 /// A sentence that says what is wrong with the file.
 pub fn decode(bytes: &[u8], model: &ShadowGs) -> Result<Table, String> {
     let head = &bytes[..bytes.len().min(HEADER_LIMIT)];
-    let end = head.windows(11).position(|w| w == b"end_header\n").ok_or("it has no PLY header")?;
+    let end = head
+        .windows(11)
+        .position(|w| w == b"end_header\n")
+        .ok_or("it has no PLY header")?;
     let header = std::str::from_utf8(&head[..end]).map_err(|_| "its header is not text")?;
     if !header.starts_with("ply\nformat binary_little_endian 1.0\n") {
         return Err("it is not a binary little-endian PLY".into());
@@ -77,18 +88,31 @@ pub fn decode(bytes: &[u8], model: &ShadowGs) -> Result<Table, String> {
     groups.extend(model.feature_groups());
     let extra: Vec<(String, usize)> = model.feature_groups().into_iter().map(|g| (g.name, g.width)).collect();
     let expected = properties(&extra);
-    let found: Vec<&str> = header.lines().filter_map(|line| line.strip_prefix("property float ")).collect();
+    let found: Vec<&str> = header
+        .lines()
+        .filter_map(|line| line.strip_prefix("property float "))
+        .collect();
     if found != expected {
         return Err("its properties are not those of the model beside it".into());
     }
     let data = &bytes[end + 11..];
     let record = expected.len() * 4;
     if count.checked_mul(record) != Some(data.len()) {
-        return Err(format!("it claims {count} Gaussians but holds {} bytes of them", data.len()));
+        return Err(format!(
+            "it claims {count} Gaussians but holds {} bytes of them",
+            data.len()
+        ));
     }
     let mut table = Table::zeros(groups, count);
     for (i, record) in data.chunks_exact(record).enumerate() {
-        let value = |at: usize| f32::from_le_bytes([record[at * 4], record[at * 4 + 1], record[at * 4 + 2], record[at * 4 + 3]]);
+        let value = |at: usize| {
+            f32::from_le_bytes([
+                record[at * 4],
+                record[at * 4 + 1],
+                record[at * 4 + 2],
+                record[at * 4 + 3],
+            ])
+        };
         for k in 0..3 {
             table.group_mut(POSITION)[i * 3 + k] = value(k);
             table.group_mut(LOG_SCALE)[i * 3 + k] = value(7 + k);
@@ -117,7 +141,10 @@ mod tests {
     use heliosplat::model::shadow_gs::ShadowGsOptions;
 
     fn case() -> (ShadowGs, Table) {
-        let model = ShadowGs::new(ShadowGsOptions { bands: 4, ..ShadowGsOptions::default() });
+        let model = ShadowGs::new(ShadowGsOptions {
+            bands: 4,
+            ..ShadowGsOptions::default()
+        });
         let mut groups = core_groups();
         groups.extend(model.feature_groups());
         let mut table = Table::zeros(groups, 5);
@@ -139,9 +166,9 @@ mod tests {
     fn a_file_that_claims_too_much_is_refused() {
         let (model, table) = case();
         let text = encode(&table, 4);
-        let huge = String::from_utf8_lossy(&text[..60]).replace("vertex 5", "vertex 1000000000000");
+        let huge = String::from_utf8_lossy(&text[..90]).replace("vertex 5", "vertex 1000000000000");
         let mut bytes = huge.into_bytes();
-        bytes.extend_from_slice(&text[60..]);
+        bytes.extend_from_slice(&text[90..]);
         assert!(decode(&bytes, &model).is_err());
         assert!(decode(&text[..text.len() - 4], &model).is_err());
         assert!(decode(b"", &model).is_err());

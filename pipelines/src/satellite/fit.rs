@@ -9,10 +9,11 @@ use glam::Vec3;
 use heliosplat::model::shadow_gs::{ShadowGs, ShadowGsOptions};
 use heliosplat::model::{Parameters, SceneModel, View};
 use heliosplat::render::PassOptions;
-use heliosplat::start::{SweepOptions, SweepRequest, SweepView, Surface, sweep::sweep};
+use heliosplat::start::{Surface, SweepOptions, SweepRequest, SweepView, align::estimate_shifts, sweep::sweep};
 use heliosplat::train::{EarlyStop, StepReport, TrainError, Trainer};
 use heliosplat::{ProjectiveCamera, Raster};
 use rayon::prelude::*;
+use std::collections::BTreeMap;
 use std::time::{Duration, Instant};
 
 /// Why a model could not be fitted.
@@ -27,6 +28,17 @@ pub enum FitError {
     /// Training gave up.
     #[error("training stopped: {0}")]
     Train(#[from] TrainError),
+}
+
+/// The losses of one step.
+#[derive(Debug, Clone, PartialEq, serde::Serialize)]
+pub struct CurvePoint {
+    /// The step.
+    pub step: usize,
+    /// Mean absolute difference to the images, smoothed.
+    pub l1: f64,
+    /// Named losses, unweighted.
+    pub losses: BTreeMap<String, f64>,
 }
 
 /// A trained model and how it came about.
@@ -47,8 +59,8 @@ pub struct Fitted {
     pub rejected: usize,
     /// Seconds spent on alignment, sweep, start and training.
     pub seconds: [f64; 4],
-    /// Loss curve: step, mean absolute difference, named losses.
-    pub curve: Vec<(usize, f64, Vec<(String, f64)>)>,
+    /// The course of training.
+    pub curve: Vec<CurvePoint>,
     /// Whether the user stopped it.
     pub interrupted: bool,
     /// The views it was trained on.
@@ -79,7 +91,13 @@ impl<'a> Ground<'a> {
             return Err(FitError::TooFewViews { images: images.len() });
         }
         let groups = views::date_groups(&images);
-        Ok(Self { images, crops, area, up_m, groups })
+        Ok(Self {
+            images,
+            crops,
+            area,
+            up_m,
+            groups,
+        })
     }
 
     fn sweep_views<'r>(&self, rasters: &'r [Raster], shifts: &[[f32; 2]]) -> Vec<SweepView<'r>> {
@@ -128,16 +146,22 @@ fn align(config: &SatelliteConfig, views: &[SweepView], request: &SweepRequest) 
     if config.cameras.align == Align::Off {
         return none;
     }
-    let shifts = estimate_shifts(views, request); fn estimate_shifts(v: &[SweepView], _: &SweepRequest) -> Vec<[f32; 2]> { vec![[0.0; 2]; v.len()] }
+    let shifts = estimate_shifts(views, request);
     let largest = shifts.iter().flatten().fold(0.0f32, |a, &b| a.max(b.abs()));
     tracing::info!(largest_px = largest, "pointing of the images relative to each other");
-    if config.cameras.align == Align::On || largest > config.cameras.threshold_px { shifts } else { none }
+    if config.cameras.align == Align::On || largest > config.cameras.threshold_px {
+        shifts
+    } else {
+        none
+    }
 }
 
 /// The image whose colour is the model's: the one under the highest sun, where least lies in shadow.
 fn reference(images: &[&SceneImage]) -> usize {
     let elevation = |i: usize| images[i].sun.elevation_rad;
-    (0..images.len()).max_by(|&a, &b| elevation(a).total_cmp(&elevation(b)).then(b.cmp(&a))).unwrap_or(0)
+    (0..images.len())
+        .max_by(|&a, &b| elevation(a).total_cmp(&elevation(b)).then(b.cmp(&a)))
+        .unwrap_or(0)
 }
 
 /// A nadir camera over an area of the scene frame.
@@ -159,8 +183,12 @@ pub fn fit(
 ) -> Result<Fitted, FitError> {
     let started = Instant::now();
     let ground = Ground::new(scene, config)?;
-    let rasters: Vec<Raster> =
-        ground.images.iter().zip(&ground.crops).map(|(image, crop)| crop.cut(&image.pixels)).collect();
+    let rasters: Vec<Raster> = ground
+        .images
+        .iter()
+        .zip(&ground.crops)
+        .map(|(image, crop)| crop.cut(&image.pixels))
+        .collect();
     let cell_m = config.start.cell_gsd * scene.gsd_m;
     let request = ground.request(cell_m);
     let zero = vec![[0.0; 2]; ground.images.len()];
@@ -168,7 +196,9 @@ pub fn fit(
     let aligned = started.elapsed();
 
     let progress = session.progress("sweep", 100);
-    let surface = sweep(&ground.sweep_views(&rasters, &shifts_px), &request, &|share| progress.set((100.0 * share) as u64));
+    let surface = sweep(&ground.sweep_views(&rasters, &shifts_px), &request, &|share| {
+        progress.set((100.0 * share) as u64)
+    });
     drop(progress);
     let swept = started.elapsed();
 
@@ -186,13 +216,21 @@ pub fn fit(
         gaussians: initial::gaussians_on(&surface, &covered, &config.start, model.feature_groups()),
         globals: model.initial_globals(config.model.sky),
     };
-    tracing::info!(gaussians = parameters.gaussians.count, cells = surface.altitude.len(), "start");
+    tracing::info!(
+        gaussians = parameters.gaussians.count,
+        cells = surface.altitude.len(),
+        "start"
+    );
     let mut views: Vec<View> = (0..ground.images.len())
         .map(|i| views::view(ground.images[i], &ground.crops[i], shifts_px[i], i))
         .collect();
     let mut options = config.train.clone();
     options.gsd_m = scene.gsd_m as f32;
-    let pass = PassOptions { projection: options.projection, trace: options.trace, normals: false };
+    let pass = PassOptions {
+        projection: options.projection,
+        trace: options.trace,
+        normals: false,
+    };
     radiometry::initialise(&model, &mut parameters, &mut views, pass, config.model.sky);
     let initialised = started.elapsed();
 
@@ -224,8 +262,16 @@ pub fn fit(
 fn bounds(ground: &Ground) -> (Vec3, Vec3) {
     let (area, slack) = (&ground.area, 2.0);
     (
-        Vec3::new((area.west_m - slack) as f32, (area.south_m - slack) as f32, (ground.up_m.0 - slack) as f32),
-        Vec3::new((area.east_m + slack) as f32, (area.north_m + slack) as f32, (ground.up_m.1 + slack) as f32),
+        Vec3::new(
+            (area.west_m - slack) as f32,
+            (area.south_m - slack) as f32,
+            (ground.up_m.0 - slack) as f32,
+        ),
+        Vec3::new(
+            (area.east_m + slack) as f32,
+            (area.north_m + slack) as f32,
+            (ground.up_m.1 + slack) as f32,
+        ),
     )
 }
 
@@ -233,7 +279,7 @@ struct Trained {
     parameters: Parameters,
     early_stop: EarlyStop,
     rejected: usize,
-    curve: Vec<(usize, f64, Vec<(String, f64)>)>,
+    curve: Vec<CurvePoint>,
     interrupted: bool,
 }
 
@@ -256,15 +302,32 @@ fn train(
             curve.push(point(&report, l1));
         }
         if report.step % 100 == 0 {
-            let StepReport { step, gaussians, pairs, .. } = report;
+            let StepReport {
+                step, gaussians, pairs, ..
+            } = report;
             tracing::info!(step, l1, gaussians, pairs, "training");
         }
     }
     let (interrupted, rejected) = (session.stopped(), trainer.rejected());
     let (parameters, early_stop) = trainer.into_best();
-    Ok(Trained { parameters, early_stop, rejected, curve, interrupted })
+    Ok(Trained {
+        parameters,
+        early_stop,
+        rejected,
+        curve,
+        interrupted,
+    })
 }
 
-fn point(report: &StepReport, l1: f64) -> (usize, f64, Vec<(String, f64)>) {
-    (report.step, l1, report.losses.iter().map(|(name, value)| ((*name).to_owned(), *value)).collect())
+fn point(report: &StepReport, l1: f64) -> CurvePoint {
+    let losses = report
+        .losses
+        .iter()
+        .map(|(name, value)| ((*name).to_owned(), *value))
+        .collect();
+    CurvePoint {
+        step: report.step,
+        l1,
+        losses,
+    }
 }

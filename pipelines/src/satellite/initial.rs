@@ -25,7 +25,8 @@ impl Discs<'_> {
         let thickness = self.options.thickness_cells * self.cell_m;
         self.position.extend(centre.to_array());
         self.rotation.extend(rotation.to_array());
-        self.log_scale.extend([spread.ln(), (spread * tall).ln(), thickness.ln()]);
+        self.log_scale
+            .extend([spread.ln(), (spread * tall).ln(), thickness.ln()]);
         self.opacity.push(logit(self.options.opacity));
     }
 
@@ -39,7 +40,9 @@ impl Discs<'_> {
         // A façade has nothing to say at the resolution of the ground: its discs are twice as tall as wide.
         let steps = (height / (2.0 * self.cell_m)).round().max(1.0) as usize;
         let tall = height / steps as f32;
-        let foot = (a + b) * 0.5;
+        // Under the eaves of the high side: seen from above, the wall's own width must not widen the roof.
+        let (high, ground) = if a.z < b.z { (b, a) } else { (a, b) };
+        let foot = high * 0.8 + ground * 0.2;
         for step in 0..steps {
             let z = low + (step as f32 + 0.5) * tall;
             let rotation = Quat::from_mat3(&Mat3::from_cols(normal.cross(Vec3::Z), Vec3::Z, normal));
@@ -49,7 +52,12 @@ impl Discs<'_> {
 }
 
 /// The Gaussians of the cells of `surface` that are `covered`; the groups of `features` are zero.
-pub fn gaussians_on(surface: &Surface, covered: &[bool], options: &StartOptions, features: Vec<GroupSpec>) -> Table {
+pub(super) fn gaussians_on(
+    surface: &Surface,
+    covered: &[bool],
+    options: &StartOptions,
+    features: Vec<GroupSpec>,
+) -> Table {
     let mut discs = Discs {
         options,
         cell_m: surface.cell_m,
@@ -67,7 +75,11 @@ pub fn gaussians_on(surface: &Surface, covered: &[bool], options: &StartOptions,
             }
             let here = surface.point(col, row);
             let (east, north) = surface.slope(col, row);
-            let slope = if east.abs().max(north.abs()) > STEEPEST { (0.0, 0.0) } else { (east, north) };
+            let slope = if east.abs().max(north.abs()) > STEEPEST {
+                (0.0, 0.0)
+            } else {
+                (east, north)
+            };
             let normal = Vec3::new(-slope.0, -slope.1, 1.0).normalize();
             discs.add(here, Quat::from_rotation_arc(Vec3::Z, normal), 1.0);
             if rough[cell] {
@@ -142,9 +154,16 @@ mod tests {
 
     #[test]
     fn a_step_gets_a_wall_that_faces_the_low_side() {
-        let table = gaussians_on(&surface(vec![0.0, 0.0, 4.0, 4.0], 4), &[true; 4], &StartOptions::default(), vec![]);
+        let table = gaussians_on(
+            &surface(vec![0.0, 0.0, 4.0, 4.0], 4),
+            &[true; 4],
+            &StartOptions::default(),
+            vec![],
+        );
         assert_eq!(table.count, 4 + 4);
-        let walls: Vec<usize> = (0..table.count).filter(|&i| (table.position(i).x - 1.0).abs() < 1e-6).collect();
+        let walls: Vec<usize> = (0..table.count)
+            .filter(|&i| (table.position(i).x - 1.0).abs() < 1e-6)
+            .collect();
         assert_eq!(walls.len(), 4);
         for i in walls {
             assert!((table.rotation(i) * Vec3::Z - Vec3::NEG_X).length() < 1e-5);

@@ -13,13 +13,18 @@ use serde_json::{Value, json};
 use std::path::Path;
 
 /// The run's `dsm.tif` against the scene's true one; `None` without truth.
-pub fn dsm(scene: &Scene, run: &Path, protocol: Protocol) -> Result<Option<DsmEvaluation>, CliError> {
+pub(super) fn dsm(scene: &Scene, run: &Path, protocol: Protocol) -> Result<Option<DsmEvaluation>, CliError> {
     let Some(truth) = &scene.truth.dsm else { return Ok(None) };
-    Ok(Some(evaluate_dsm(&run.join("dsm.tif"), truth, scene.truth.classes.as_deref(), protocol)?))
+    Ok(Some(evaluate_dsm(
+        &run.join("dsm.tif"),
+        truth,
+        scene.truth.classes.as_deref(),
+        protocol,
+    )?))
 }
 
 /// `metrics.json` as far as it follows from model and scene; also draws pictures into the run's folder.
-pub fn metrics(scene: &Scene, model: &LoadedModel, run: &Path, protocol: Protocol) -> Result<Value, CliError> {
+pub(super) fn metrics(scene: &Scene, model: &LoadedModel, run: &Path, protocol: Protocol) -> Result<Value, CliError> {
     let mut out = json!({ "gaussians": model.parameters.gaussians.count });
     if let Some(evaluation) = dsm(scene, run, protocol)? {
         out["dsm"] = serde_json::to_value(&evaluation.metrics).unwrap_or_default();
@@ -29,7 +34,9 @@ pub fn metrics(scene: &Scene, model: &LoadedModel, run: &Path, protocol: Protoco
     let mut shadows = ShadowCounts::default();
     let mut colour = None;
     for known in &model.file.images {
-        let Some(image) = scene.images.iter().find(|i| i.name == known.name) else { continue };
+        let Some(image) = scene.images.iter().find(|i| i.name == known.name) else {
+            continue;
+        };
         let truth = known.crop.cut(&image.pixels);
         let held_out = known.split == Split::Test;
         let rendered = render_view(model, known, Some(&truth));
@@ -41,7 +48,10 @@ pub fn metrics(scene: &Scene, model: &LoadedModel, run: &Path, protocol: Protoco
                 train.push(score);
             }
         }
-        if let (false, Some((_, path))) = (held_out, scene.truth.shadows.iter().find(|(name, _)| *name == known.name)) {
+        if let (false, Some((_, path))) = (
+            held_out,
+            scene.truth.shadows.iter().find(|(name, _)| *name == known.name),
+        ) {
             let mask = RasterFile::open(path)?.read_all()?;
             shadows.add(shadow_counts(&rendered, &known.crop, &mask));
         }
@@ -81,15 +91,22 @@ fn draw(run: &Path, name: &str, truth: &Raster, rendered: &Raster, visibility: &
 }
 
 /// Hillshade of the surface that training started from, to compare.
-pub fn write_start(run: &Path, fitted: &Fitted, model: &LoadedModel) -> Result<(), CliError> {
+pub(super) fn write_start(run: &Path, fitted: &Fitted, model: &LoadedModel) -> Result<(), CliError> {
     let surface = &fitted.surface;
-    let raster =
-        Raster { width: surface.width, height: surface.height, bands: 1, values: surface.altitude.clone() };
-    Ok(preview::write_png(&run.join("start.png"), &preview::hillshade(&raster, model.file.gsd_m))?)
+    let raster = Raster {
+        width: surface.width,
+        height: surface.height,
+        bands: 1,
+        values: surface.altitude.clone(),
+    };
+    Ok(preview::write_png(
+        &run.join("start.png"),
+        &preview::hillshade(&raster, model.file.gsd_m),
+    )?)
 }
 
 /// Adds what only the fit knows.
-pub fn add_fit(metrics: &mut Value, fitted: &Fitted, model: &LoadedModel, seconds: f64) {
+pub(super) fn add_fit(metrics: &mut Value, fitted: &Fitted, model: &LoadedModel, seconds: f64) {
     let [align, sweep, start, train] = fitted.seconds;
     metrics["seconds"] = json!(seconds);
     metrics["stages_s"] = json!({"align": align, "sweep": sweep, "start": start, "train": train});
@@ -103,10 +120,13 @@ pub fn add_fit(metrics: &mut Value, fitted: &Fitted, model: &LoadedModel, second
 }
 
 /// The main numbers for people.
-pub fn summary(metrics: &Value) -> String {
+pub(super) fn summary(metrics: &Value) -> String {
     let number = |pointer: &str| metrics.pointer(pointer).and_then(Value::as_f64);
     let mut lines = Vec::new();
-    let protocol = metrics.pointer("/dsm/protocol").and_then(Value::as_str).unwrap_or("raw");
+    let protocol = metrics
+        .pointer("/dsm/protocol")
+        .and_then(Value::as_str)
+        .unwrap_or("raw");
     let mut say = |label: &str, value: Option<f64>, unit: &str| {
         if let Some(value) = value {
             lines.push(format!("{label:<14} {value:.3} {unit}"));
@@ -117,9 +137,17 @@ pub fn summary(metrics: &Value) -> String {
     say("shadow BER", number("/shadow/ber").map(|b| 100.0 * b), "%");
     say("shadows right", number("/shadow/accuracy").map(|a| 100.0 * a), "%");
     say("PSNR train", number("/train/psnr"), "dB");
-    say("PSNR held out", number("/test/psnr"), "dB (colour fitted on the left half, scored on the right)");
+    say(
+        "PSNR held out",
+        number("/test/psnr"),
+        "dB (colour fitted on the left half, scored on the right)",
+    );
     say("time", number("/seconds"), "s");
-    say("memory", number("/peak_rss_bytes").map(|b| b / f64::from(1 << 20)), "MiB at most");
+    say(
+        "memory",
+        number("/peak_rss_bytes").map(|b| b / f64::from(1 << 20)),
+        "MiB at most",
+    );
     if let Some(count) = metrics["gaussians"].as_u64() {
         lines.push(format!("{:<14} {count}", "Gaussians"));
     }

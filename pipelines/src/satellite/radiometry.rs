@@ -3,9 +3,9 @@
 
 use heliosplat::gaussians::Table;
 use heliosplat::light::Light;
+use heliosplat::model::Parameters;
 use heliosplat::model::View;
 use heliosplat::model::shadow_gs::{ALBEDO, COLOUR, OFFSET, ShadowGs};
-use heliosplat::model::Parameters;
 use heliosplat::render::{PassOptions, render};
 use heliosplat::splat::Maps;
 use heliosplat::trace::{Occluders, TraceOptions, transmittance};
@@ -41,12 +41,19 @@ fn samples(gaussians: &Table, occluders: &Occluders, view: &View, maps: &Maps) -
             let (col, row, _) = view.camera.project(position);
             let (c, r) = (col.round(), row.round());
             let inside = c >= 0.0 && r >= 0.0 && c < maps.width as f32 && r < maps.height as f32;
-            let pixel = if inside { Some((r as usize * maps.width + c as usize) as u32) } else { None };
+            let pixel = if inside {
+                Some((r as usize * maps.width + c as usize) as u32)
+            } else {
+                None
+            };
             let visible = pixel.filter(|&p| {
                 let depth = maps.median_depth[p as usize];
                 view.weight[p as usize] > 0.0 && view.camera.depth(position) < depth + VISIBLE_M
             });
-            Sample { pixel: visible, lit: lit[g as usize] > LIT }
+            Sample {
+                pixel: visible,
+                lit: lit[g as usize] > LIT,
+            }
         })
         .collect()
 }
@@ -101,7 +108,13 @@ fn cover(view: &mut View, maps: &Maps) {
 }
 
 /// Sets albedo and per-image colour of `parameters` from `views`, and the views' weights to what the surface covers.
-pub fn initialise(model: &ShadowGs, parameters: &mut Parameters, views: &mut [View], pass: PassOptions, sky: f32) {
+pub(super) fn initialise(
+    model: &ShadowGs,
+    parameters: &mut Parameters,
+    views: &mut [View],
+    pass: PassOptions,
+    sky: f32,
+) {
     let bands = model.options.bands;
     let occluders = Occluders::new(&parameters.gaussians);
     let mut shown = Vec::new();
@@ -110,7 +123,10 @@ pub fn initialise(model: &ShadowGs, parameters: &mut Parameters, views: &mut [Vi
         cover(view, &maps);
         shown.push(samples(&parameters.gaussians, &occluders, view, &maps));
     }
-    let reference = views.iter().position(|v| v.appearance == model.options.reference).unwrap_or(0);
+    let reference = views
+        .iter()
+        .position(|v| v.appearance == model.options.reference)
+        .unwrap_or(0);
     let colours: Vec<Vec<(f32, f32)>> = (0..views.len())
         .map(|v| {
             (0..bands)

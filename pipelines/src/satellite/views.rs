@@ -69,7 +69,12 @@ impl Crop {
 pub fn camera(map: &ProjectiveMap, crop: &Crop, shift_px: [f32; 2]) -> ProjectiveCamera {
     let moved = |row: [f64; 4], by: f64| {
         // (u·p + u0)/(1 + w·p) + by = ((u + by·w)·p + u0 + by)/(1 + w·p)
-        [row[0] + by * map.w[0], row[1] + by * map.w[1], row[2] + by * map.w[2], row[3] + by]
+        [
+            row[0] + by * map.w[0],
+            row[1] + by * map.w[1],
+            row[2] + by * map.w[2],
+            row[3] + by,
+        ]
     };
     let u = moved(map.u, f64::from(shift_px[0]) - crop.col0 as f64);
     let v = moved(map.v, f64::from(shift_px[1]) - crop.row0 as f64);
@@ -90,7 +95,11 @@ pub fn date_groups(images: &[&SceneImage]) -> Vec<u32> {
         .map(|image| {
             let key = match image.time {
                 Some(time) => format!("{}", time.as_second().div_euclid(86_400)),
-                None => format!("{:.0} {:.0}", image.sun.azimuth_rad.to_degrees(), image.sun.elevation_rad.to_degrees()),
+                None => format!(
+                    "{:.0} {:.0}",
+                    image.sun.azimuth_rad.to_degrees(),
+                    image.sun.elevation_rad.to_degrees()
+                ),
             };
             let next = known.len() as u32;
             *known.entry(key).or_insert(next)
@@ -118,7 +127,13 @@ pub fn grown(area: &Area, margin_m: f64) -> Area {
 pub fn view(image: &SceneImage, crop: &Crop, shift_px: [f32; 2], appearance: usize) -> View {
     let pixels = crop.cut(&image.pixels);
     let weight = (0..pixels.plane_len())
-        .map(|i| if (0..pixels.bands).all(|b| pixels.plane(b)[i].is_finite()) { 1.0 } else { 0.0 })
+        .map(|i| {
+            if (0..pixels.bands).all(|b| pixels.plane(b)[i].is_finite()) {
+                1.0
+            } else {
+                0.0
+            }
+        })
         .collect();
     View {
         name: image.name.clone(),

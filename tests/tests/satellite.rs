@@ -1,0 +1,52 @@
+//! The main job end to end on a tiny synthetic site: images in, a DSM near the truth out, and its other products.
+
+use heliosplat_tests::program::{fault, json};
+use std::path::Path;
+
+/// Mean absolute error that the tiny site must stay below, metres: two ground sampling distances.
+const MAE_LIMIT_M: f64 = 1.0;
+
+fn metrics(run: &Path) -> serde_json::Value {
+    let text = std::fs::read_to_string(run.join("metrics.json")).expect("the run has metrics");
+    serde_json::from_str(&text).expect("metrics are JSON")
+}
+
+#[test]
+fn a_tiny_site_becomes_a_surface_model_near_the_truth() {
+    let folder = tempfile::tempdir().expect("a temporary folder");
+    let (scene, run) = (folder.path().join("scene"), folder.path().join("run"));
+    let arg = |path: &Path| path.to_str().expect("an UTF-8 path").to_owned();
+    let (scene, run_arg) = (arg(&scene), arg(&run));
+    json(&["synth", "satellite", "--site", "tiny", "--seed", "3", "--out", &scene]);
+    json(&[
+        "train",
+        &scene,
+        "--out",
+        &run_arg,
+        "--preset",
+        "fast",
+        "--set",
+        "train.iterations=40",
+    ]);
+
+    let metrics = metrics(&run);
+    let mae = metrics["dsm"]["mae_m"]
+        .as_f64()
+        .expect("there is truth to measure against");
+    assert!(mae < MAE_LIMIT_M, "mean absolute error {mae} m");
+    assert!(metrics["dsm"]["completeness"].as_f64().expect("completeness") > 0.95);
+    assert!(metrics["shadow"]["accuracy"].as_f64().expect("shadows have truth") > 0.7);
+    assert_eq!(metrics["rejected_steps"].as_u64(), Some(0));
+
+    let (dsm, picture) = (folder.path().join("dsm.tif"), folder.path().join("evening.tif"));
+    fault(
+        &["dsm", &run_arg, "--out", &arg(&dsm), "--gsd", "1", "--crs", "EPSG:4978"],
+        2,
+    );
+    assert!(!dsm.exists(), "a refused surface model leaves nothing behind");
+    json(&["dsm", &run_arg, "--out", &arg(&dsm), "--gsd", "1"]);
+    json(&["relight", &run_arg, "--out", &arg(&picture), "--sun", "250,25"]);
+    assert!(dsm.is_file() && picture.is_file() && picture.with_file_name("evening_shadow.tif").is_file());
+    fault(&["relight", &run_arg, "--out", &arg(&picture), "--sun", "250,-3"], 2);
+    json(&["evaluate", &run_arg]);
+}
