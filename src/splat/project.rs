@@ -33,7 +33,7 @@ pub struct ProjectionOptions {
 impl Default for ProjectionOptions {
     fn default() -> Self {
         Self {
-            filter_px2: 0.2,
+            filter_px2: 0.1,
             antialias: true,
         }
     }

@@ -38,8 +38,6 @@ pub struct StartOptions {
     pub thickness_cells: f32,
     /// Opacity.
     pub opacity: f32,
-    /// Steps higher than this many cells get a wall of their own.
-    pub wall_cells: f32,
     /// Share of the images that must show a cell for Gaussians to start there; two always must.
     pub coverage: f64,
     /// Ground added around the area, metres, so that shadows can fall into it.
@@ -50,10 +48,9 @@ impl Default for StartOptions {
     fn default() -> Self {
         Self {
             cell_gsd: 1.0,
-            spread_cells: 0.7,
+            spread_cells: 0.65,
             thickness_cells: 0.2,
-            opacity: 0.95,
-            wall_cells: 2.5,
+            opacity: 0.99,
             coverage: 0.4,
             margin_m: 4.0,
         }

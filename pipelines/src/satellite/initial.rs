@@ -1,7 +1,8 @@
-//! Gaussians on a swept surface: one flat disc per cell, and walls where the surface steps.
+//! Gaussians on a swept surface: one flat disc per cell. Steps get no walls of their own: discs on façades were tried and
+//! made both surface and shadows worse (`docs/satellite.md`).
 
 use super::config::StartOptions;
-use glam::{Mat3, Quat, Vec3};
+use glam::{Quat, Vec3};
 use heliosplat::gaussians::{GroupSpec, LOG_SCALE, OPACITY, POSITION, ROTATION, Table, core_groups, logit};
 use heliosplat::start::Surface;
 
@@ -19,35 +20,13 @@ struct Discs<'a> {
 }
 
 impl Discs<'_> {
-    /// A disc of one cell's width and `tall` cells' height across its own third axis.
-    fn add(&mut self, centre: Vec3, rotation: Quat, tall: f32) {
+    fn add(&mut self, centre: Vec3, rotation: Quat) {
         let spread = self.options.spread_cells * self.cell_m;
         let thickness = self.options.thickness_cells * self.cell_m;
         self.position.extend(centre.to_array());
         self.rotation.extend(rotation.to_array());
-        self.log_scale
-            .extend([spread.ln(), (spread * tall).ln(), thickness.ln()]);
+        self.log_scale.extend([spread.ln(), spread.ln(), thickness.ln()]);
         self.opacity.push(logit(self.options.opacity));
-    }
-
-    /// A wall between two neighbouring cells' centres, `along` the direction from the first to the second.
-    fn wall(&mut self, a: Vec3, b: Vec3, along: Vec3) {
-        let height = (b.z - a.z).abs();
-        if height < self.options.wall_cells * self.cell_m {
-            return;
-        }
-        let (low, normal) = if a.z < b.z { (a.z, -along) } else { (b.z, along) };
-        // A façade has nothing to say at the resolution of the ground: its discs are twice as tall as wide.
-        let steps = (height / (2.0 * self.cell_m)).round().max(1.0) as usize;
-        let tall = height / steps as f32;
-        // Under the eaves of the high side: seen from above, the wall's own width must not widen the roof.
-        let (high, ground) = if a.z < b.z { (b, a) } else { (a, b) };
-        let foot = high * 0.8 + ground * 0.2;
-        for step in 0..steps {
-            let z = low + (step as f32 + 0.5) * tall;
-            let rotation = Quat::from_mat3(&Mat3::from_cols(normal.cross(Vec3::Z), Vec3::Z, normal));
-            self.add(foot.with_z(z), rotation, tall / self.cell_m);
-        }
     }
 }
 
@@ -66,7 +45,6 @@ pub(super) fn gaussians_on(
         log_scale: Vec::new(),
         opacity: Vec::new(),
     };
-    let rough = rough(surface, options.wall_cells * surface.cell_m);
     for row in 0..surface.height {
         for col in 0..surface.width {
             let cell = row * surface.width + col;
@@ -81,16 +59,7 @@ pub(super) fn gaussians_on(
                 (east, north)
             };
             let normal = Vec3::new(-slope.0, -slope.1, 1.0).normalize();
-            discs.add(here, Quat::from_rotation_arc(Vec3::Z, normal), 1.0);
-            if rough[cell] {
-                continue;
-            }
-            if col + 1 < surface.width && covered[cell + 1] {
-                discs.wall(here, surface.point(col + 1, row), Vec3::X);
-            }
-            if row + 1 < surface.height && covered[cell + surface.width] {
-                discs.wall(here, surface.point(col, row + 1), Vec3::NEG_Y);
-            }
+            discs.add(here, Quat::from_rotation_arc(Vec3::Z, normal));
         }
     }
     let mut groups = core_groups();
@@ -101,28 +70,6 @@ pub(super) fn gaussians_on(
     table.group_mut(LOG_SCALE).copy_from_slice(&discs.log_scale);
     table.group_mut(OPACITY).copy_from_slice(&discs.opacity);
     table
-}
-
-/// Cells around which the surface steps so often that it is noise and no building: walls there would be a thicket.
-fn rough(surface: &Surface, step_m: f32) -> Vec<bool> {
-    const RADIUS: usize = 3;
-    /// A straight wall steps once per row of the window, a corner or a narrow yard up to three times.
-    const STEPS_PER_ROW: usize = 3;
-    let (width, height) = (surface.width, surface.height);
-    let steps = |i: usize, j: usize| usize::from((surface.altitude[i] - surface.altitude[j]).abs() > step_m);
-    (0..width * height)
-        .map(|cell| {
-            let (col, row) = (cell % width, cell / width);
-            let mut count = 0;
-            for r in row.saturating_sub(RADIUS)..(row + RADIUS).min(height - 1) {
-                for c in col.saturating_sub(RADIUS)..(col + RADIUS).min(width - 1) {
-                    let i = r * width + c;
-                    count += steps(i, i + 1) + steps(i, i + width);
-                }
-            }
-            count > STEPS_PER_ROW * 2 * RADIUS
-        })
-        .collect()
 }
 
 #[cfg(test)]
@@ -153,21 +100,15 @@ mod tests {
     }
 
     #[test]
-    fn a_step_gets_a_wall_that_faces_the_low_side() {
+    fn a_cell_that_few_images_show_gets_no_disc() {
+        let covered = [true, false, true, true];
         let table = gaussians_on(
-            &surface(vec![0.0, 0.0, 4.0, 4.0], 4),
-            &[true; 4],
+            &surface(vec![0.0, 9.0, 0.0, 0.0], 4),
+            &covered,
             &StartOptions::default(),
             vec![],
         );
-        assert_eq!(table.count, 4 + 4);
-        let walls: Vec<usize> = (0..table.count)
-            .filter(|&i| (table.position(i).x - 1.0).abs() < 1e-6)
-            .collect();
-        assert_eq!(walls.len(), 4);
-        for i in walls {
-            assert!((table.rotation(i) * Vec3::Z - Vec3::NEG_X).length() < 1e-5);
-            assert!((0.0..4.0).contains(&table.position(i).z));
-        }
+        assert_eq!(table.count, 3);
+        assert!((0..3).all(|i| table.position(i).z < 1.0));
     }
 }
