@@ -8,7 +8,7 @@ OUT ?= demo
 .PHONY: demo test build setup help
 
 help:
-	@echo "make demo    synthesise a site, train on it, write DSM, picture and report to $(OUT)/"
+	@echo "make demo    synthesise a site, train on it, write DSM, pictures and errors to $(OUT)/"
 	@echo "make test    run all tests"
 	@echo "make build   build target/release/heliosplat"
 	@echo "make setup   install system packages and Rust where they are missing"
