@@ -96,8 +96,8 @@ pub fn plan(scene: &Scene) -> Vec<PlanItem> {
         ),
         item(
             "cameras.align",
-            images.len() > 1,
-            "relative pointing is estimated, and corrected where it is off".into(),
+            false,
+            "cameras are used as delivered; cameras.align=on estimates one shift per image".into(),
         ),
         item(
             "model.near_light",
@@ -274,8 +274,14 @@ pub fn dsm(args: &DsmArgs, _session: &Session) -> Result<Outcome, CliError> {
     let model = run::load(&args.run)?;
     let gsd_m = args.gsd.unwrap_or(model.file.gsd_m);
     let surface = dsm::dsm(&model, gsd_m, args.crs.as_deref())?;
-    surface.write(&args.out)?;
     let known = surface.raster.plane(0).iter().filter(|v| v.is_finite()).count();
+    if known == 0 {
+        let crs = surface.grid.crs.name();
+        return Err(CliError::Input(format!(
+            "dsm: nothing of the run falls on a grid in {crs}; choose a projected coordinate system of the place with --crs"
+        )));
+    }
+    surface.write(&args.out)?;
     let share = known as f64 / surface.raster.plane_len().max(1) as f64;
     let (width, height) = (surface.grid.width, surface.grid.height);
     let crs = surface.grid.crs.name().to_owned();

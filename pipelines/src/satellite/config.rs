@@ -82,7 +82,8 @@ pub struct CameraOptions {
 impl Default for CameraOptions {
     fn default() -> Self {
         Self {
-            align: Align::Auto,
+            // A shift along the line of sight cannot be told from an altitude: on sound cameras the estimate did harm.
+            align: Align::Off,
             threshold_px: 0.25,
         }
     }
