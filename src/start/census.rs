@@ -82,8 +82,8 @@ mod tests {
     fn the_descriptor_does_not_see_gain_and_offset() {
         let (width, stride) = (6, 6 + 2 * RADIUS);
         let (mut a, mut b) = (vec![0; 36], vec![0; 36]);
-        describe(&ramp(stride, 1.0), width, width, 1.0, &mut a);
-        describe(&ramp(stride, 3.5), width, width, 3.5, &mut b);
+        describe(&ramp(stride, 1.0), width, width, 1e3, &mut a);
+        describe(&ramp(stride, 3.5), width, width, 3.5e3, &mut b);
         assert_eq!(a, b);
         assert!(a.iter().any(|&word| word != a[0]));
     }
@@ -94,7 +94,7 @@ mod tests {
         let mut values = ramp(stride, 1.0);
         values[0] = f32::NAN;
         let mut words = vec![0; 36];
-        describe(&values, width, width, 1.0, &mut words);
+        describe(&values, width, width, 1e3, &mut words);
         assert_ne!(words[0] & INVALID, 0, "the window of the first cell holds the hole");
         assert_eq!(words[35] & INVALID, 0);
         let (mut sum, mut weights) = (vec![0; 36], vec![0; 36]);
