@@ -7,6 +7,7 @@ pub mod loss;
 pub mod model;
 pub mod optim;
 pub mod raster;
+pub mod rates;
 pub mod render;
 pub mod splat;
 pub mod start;

@@ -39,8 +39,9 @@ impl Default for ProjectionOptions {
     }
 }
 
-/// A projected Gaussian: all that the rasteriser reads, in one record.
+/// A projected Gaussian: all that the rasteriser reads, in one record, in one line of the cache.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
+#[repr(align(64))]
 pub struct Splat {
     /// Column of the centre, pixels.
     pub col: f32,

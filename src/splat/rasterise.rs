@@ -1,7 +1,7 @@
 //! Rasterising K channels, forward and backward: tiles in parallel, results in fixed places and fixed order.
 
-use super::bins::{Bins, TILE};
-use super::kernel::{self, GEOMETRY, PIXELS, TileFrame, TileGradients, TileMaps};
+use super::bins::{Bins, TILE_HEIGHT, TILE_WIDTH};
+use super::kernel::{self, GEOMETRY, PLANE, STRIDE, TileFrame, TileGradients, TileMaps};
 use super::project::{Projected, Splat, SplatGradient};
 use rayon::prelude::*;
 
@@ -36,7 +36,7 @@ pub struct Maps {
     pub depth_square: Vec<f32>,
     /// Depth at which half of the light is absorbed, metres; NaN where nothing is.
     pub median_depth: Vec<f32>,
-    /// (splat, pixel) pairs evaluated.
+    /// (splat, pixel) pairs: pixels inside the footprints of the splats, up to where a tile is opaque.
     pub pairs: u64,
 }
 
@@ -72,6 +72,15 @@ pub struct SplatGradients {
     pub splats: Vec<SplatGradient>,
     /// `[splat][channel]`, with the padded channel count.
     pub features: Vec<f32>,
+}
+
+/// A row of tiles in every plane of [`Maps`].
+struct Band<'m> {
+    channels: Vec<&'m mut [f32]>,
+    alpha: &'m mut [f32],
+    depth: &'m mut [f32],
+    depth_square: &'m mut [f32],
+    median_depth: &'m mut [f32],
 }
 
 /// A view binned and ready to be composited.
@@ -113,104 +122,125 @@ impl<'a> Rasteriser<'a> {
     }
 
     fn frame(&self, tile: usize) -> TileFrame {
-        let (col0, row0) = (tile % self.bins.columns * TILE, tile / self.bins.columns * TILE);
+        let (column, row) = (tile % self.bins.columns, tile / self.bins.columns);
+        let (col0, row0) = (column * TILE_WIDTH, row * TILE_HEIGHT);
         TileFrame {
             col0: col0 as f32,
             row0: row0 as f32,
-            width: TILE.min(self.width - col0),
-            height: TILE.min(self.height - row0),
+            width: TILE_WIDTH.min(self.width - col0),
+            height: TILE_HEIGHT.min(self.height - row0),
         }
     }
 
+    /// Bands of tiles in parallel: a band's part of every plane is contiguous, so tiles are written where they belong.
     fn forward_k<const K: usize>(&self, features: &[f32]) -> Maps {
-        let tiles: Vec<Box<TileMaps<K>>> = (0..self.bins.tiles())
-            .into_par_iter()
-            .map(|tile| {
-                let mut maps = Box::new(TileMaps::<K>::new());
-                kernel::forward(
-                    self.bins.tile(tile),
-                    &self.projected.splats,
-                    features,
-                    &self.frame(tile),
-                    &mut maps,
-                );
-                maps
-            })
-            .collect();
-        let gather = |pick: &(dyn Fn(&TileMaps<K>) -> &[f32; PIXELS] + Sync)| self.assemble(|tile| pick(&tiles[tile]));
-        let mut alpha = gather(&|t| &t.transmittance);
-        for a in &mut alpha {
-            *a = 1.0 - *a;
-        }
-        Maps {
+        let pixels = self.width * self.height;
+        let plane = || vec![0.0f32; pixels];
+        let mut out = Maps {
             width: self.width,
             height: self.height,
-            channels: (0..K).map(|k| gather(&|t| &t.channels[k])).collect(),
+            channels: (0..K).map(|_| plane()).collect(),
+            alpha: plane(),
+            depth: plane(),
+            depth_square: plane(),
+            median_depth: plane(),
+            pairs: 0,
+        };
+        let Maps {
+            channels,
             alpha,
-            depth: gather(&|t| &t.depth),
-            depth_square: gather(&|t| &t.depth_square),
-            median_depth: gather(&|t| &t.median_depth),
-            pairs: tiles.iter().map(|t| t.pairs).sum(),
-        }
-    }
-
-    /// A plane of the image from the tiles' planes.
-    fn assemble<'t>(&self, tile_plane: impl Fn(usize) -> &'t [f32; PIXELS] + Sync) -> Vec<f32> {
-        let mut plane = vec![0.0; self.width * self.height];
-        plane
-            .par_chunks_mut(self.width * TILE)
+            depth,
+            depth_square,
+            median_depth,
+            ..
+        } = &mut out;
+        let band = (self.width * TILE_HEIGHT).max(1);
+        let mut channel_bands: Vec<_> = channels.iter_mut().map(|plane| plane.chunks_mut(band)).collect();
+        let bands: Vec<_> = alpha
+            .chunks_mut(band)
+            .zip(depth.chunks_mut(band))
+            .zip(depth_square.chunks_mut(band))
+            .zip(median_depth.chunks_mut(band))
+            .map(|(((alpha, depth), depth_square), median_depth)| Band {
+                channels: channel_bands.iter_mut().filter_map(Iterator::next).collect(),
+                alpha,
+                depth,
+                depth_square,
+                median_depth,
+            })
+            .collect();
+        out.pairs = bands
+            .into_par_iter()
             .enumerate()
-            .for_each(|(tile_row, band)| {
-                for tile_column in 0..self.bins.columns {
-                    let tile = tile_row * self.bins.columns + tile_column;
-                    let frame = self.frame(tile);
-                    let values = tile_plane(tile);
-                    for r in 0..frame.height {
-                        let start = r * self.width + tile_column * TILE;
-                        band[start..start + frame.width].copy_from_slice(&values[r * TILE..r * TILE + frame.width]);
-                    }
+            .with_max_len(1)
+            .map(|(row, band)| self.forward_band::<K>(row, band, features))
+            .sum();
+        out
+    }
+
+    /// Composites a row of tiles; returns its pairs.
+    fn forward_band<const K: usize>(&self, row: usize, mut band: Band, features: &[f32]) -> u64 {
+        let mut maps = TileMaps::<K>::boxed();
+        for column in 0..self.bins.columns {
+            let tile = row * self.bins.columns + column;
+            let frame = self.frame(tile);
+            let list = self.bins.tile(tile);
+            kernel::forward(list, &self.projected.splats, features, &frame, &mut maps);
+            for r in 0..frame.height {
+                let start = r * self.width + column * TILE_WIDTH;
+                let to = start..start + frame.width;
+                let from = r * STRIDE..r * STRIDE + frame.width;
+                for (plane, tile_plane) in band.channels.iter_mut().zip(&maps.channels) {
+                    plane[to.clone()].copy_from_slice(&tile_plane[from.clone()]);
                 }
-            });
-        plane
-    }
-
-    /// The part of an image plane that a tile covers; zero outside the image.
-    fn cut(&self, plane: &[f32], tile: usize, out: &mut [f32; PIXELS]) {
-        let frame = self.frame(tile);
-        for r in 0..frame.height {
-            let start = (frame.row0 as usize + r) * self.width + frame.col0 as usize;
-            out[r * TILE..r * TILE + frame.width].copy_from_slice(&plane[start..start + frame.width]);
+                band.depth[to.clone()].copy_from_slice(&maps.depth[from.clone()]);
+                band.depth_square[to.clone()].copy_from_slice(&maps.depth_square[from.clone()]);
+                let transmittance = &maps.transmittance[from.clone()];
+                for ((median, &m), &t) in band.median_depth[to.clone()]
+                    .iter_mut()
+                    .zip(&maps.median_depth[from])
+                    .zip(transmittance)
+                {
+                    *median = if t < 1.0 { m } else { f32::NAN };
+                }
+                for (alpha, t) in band.alpha[to].iter_mut().zip(transmittance) {
+                    *alpha = 1.0 - t;
+                }
+            }
         }
+        maps.pairs
     }
 
-    fn tile_gradients<const K: usize>(&self, tile: usize, maps: &Maps, grads: &MapGradients) -> Box<TileGradients<K>> {
-        let mut out = Box::new(TileGradients {
-            channels: [[0.0; PIXELS]; K],
-            alpha: [0.0; PIXELS],
-            depth: [0.0; PIXELS],
-            depth_square: [0.0; PIXELS],
-            total: [0.0; PIXELS],
-        });
-        let mut value = [0.0; PIXELS];
-        let mut total = [0.0; PIXELS];
-        let mut add = |plane: &[f32], gradient: &[f32], into: &mut [f32; PIXELS]| {
-            self.cut(gradient, tile, into);
-            self.cut(plane, tile, &mut value);
-            for ((t, v), g) in total.iter_mut().zip(&value).zip(into.iter()) {
-                *t += v * g;
+    /// Cuts the gradients of a tile, and its maps' values times them, out of the image's planes.
+    fn cut_gradients<const K: usize>(
+        &self,
+        tile: usize,
+        maps: &Maps,
+        grads: &MapGradients,
+        out: &mut TileGradients<K>,
+    ) {
+        let frame = self.frame(tile);
+        let start = frame.row0 as usize * self.width + frame.col0 as usize;
+        out.total.fill(0.0);
+        let total = &mut out.total;
+        let mut add = |plane: &[f32], gradient: &[f32], into: &mut [f32; PLANE]| {
+            into.fill(0.0);
+            for r in 0..frame.height {
+                let from = start + r * self.width..start + r * self.width + frame.width;
+                let to = r * STRIDE..r * STRIDE + frame.width;
+                into[to.clone()].copy_from_slice(&gradient[from.clone()]);
+                for ((t, v), g) in total[to].iter_mut().zip(&plane[from.clone()]).zip(&gradient[from]) {
+                    *t += v * g;
+                }
             }
         };
-        for k in 0..K {
-            // A padded channel has no gradient plane.
-            if let Some(gradient) = grads.channels.get(k) {
-                add(&maps.channels[k], gradient, &mut out.channels[k]);
-            }
+        // A padded channel has no gradient plane: it stays zero.
+        for (into, (plane, gradient)) in out.channels.iter_mut().zip(maps.channels.iter().zip(&grads.channels)) {
+            add(plane, gradient, into);
         }
         add(&maps.alpha, &grads.alpha, &mut out.alpha);
         add(&maps.depth, &grads.depth, &mut out.depth);
         add(&maps.depth_square, &grads.depth_square, &mut out.depth_square);
-        out.total = total;
-        out
     }
 
     fn backward_k<const K: usize>(&self, features: &[f32], maps: &Maps, grads: &MapGradients) -> SplatGradients {
@@ -224,13 +254,16 @@ impl<'a> Rasteriser<'a> {
             left = remaining;
         }
         let splats = &self.projected.splats;
-        parts.into_par_iter().enumerate().for_each(|(tile, part)| {
-            let list = self.bins.tile(tile);
-            if !list.is_empty() {
-                let gradients = self.tile_gradients::<K>(tile, maps, grads);
-                kernel::backward(list, splats, features, &self.frame(tile), &gradients, part);
-            }
-        });
+        parts
+            .into_par_iter()
+            .enumerate()
+            .for_each_init(TileGradients::<K>::boxed, |gradients, (tile, part)| {
+                let list = self.bins.tile(tile);
+                if !list.is_empty() {
+                    self.cut_gradients(tile, maps, grads, gradients);
+                    kernel::backward(list, splats, features, &self.frame(tile), gradients, part);
+                }
+            });
         let mut out = SplatGradients {
             splats: vec![SplatGradient::default(); splats.len()],
             features: vec![0.0; splats.len() * K],
