@@ -5,6 +5,7 @@
 //! same groups and none of them knows what a group means.
 
 use glam::{Mat3, Quat, Vec3};
+use rayon::prelude::*;
 
 /// Index of the group of centres, metres from the scene centre.
 pub const POSITION: usize = 0;
@@ -170,6 +171,86 @@ impl Table {
     #[inline]
     pub fn opacity(&self, index: usize) -> f32 {
         sigmoid(self.groups[OPACITY].values[index])
+    }
+}
+
+/// Gradient to the core parameters of one Gaussian.
+#[derive(Debug, Clone, Copy, Default)]
+pub(crate) struct CoreGradient {
+    pub(crate) position: Vec3,
+    pub(crate) log_scale: Vec3,
+    pub(crate) rotation: [f32; 4],
+    pub(crate) opacity: f32,
+}
+
+/// The core groups of some neighbouring Gaussians, to write.
+struct CoreChunk<'t> {
+    position: &'t mut [f32],
+    log_scale: &'t mut [f32],
+    rotation: &'t mut [f32],
+    opacity: &'t mut [f32],
+}
+
+impl CoreChunk<'_> {
+    /// Adds to Gaussian `index` of the chunk.
+    fn add(&mut self, index: usize, d: &CoreGradient) {
+        let add = |slots: &mut [f32], values: &[f32]| slots.iter_mut().zip(values).for_each(|(slot, v)| *slot += v);
+        add(&mut self.position[index * 3..index * 3 + 3], &d.position.to_array());
+        add(&mut self.log_scale[index * 3..index * 3 + 3], &d.log_scale.to_array());
+        add(&mut self.rotation[index * 4..index * 4 + 4], &d.rotation);
+        self.opacity[index] += d.opacity;
+    }
+}
+
+impl Table {
+    /// The core groups, `elements` Gaussians at a time.
+    fn core_chunks_mut(&mut self, elements: usize) -> impl IndexedParallelIterator<Item = CoreChunk<'_>> {
+        let [position, log_scale, rotation, opacity] = &mut self.groups[..FEATURES] else {
+            unreachable!("a table of Gaussians has the core groups");
+        };
+        position
+            .values
+            .par_chunks_mut(elements * 3)
+            .zip(log_scale.values.par_chunks_mut(elements * 3))
+            .zip(rotation.values.par_chunks_mut(elements * 4))
+            .zip(opacity.values.par_chunks_mut(elements))
+            .map(|(((position, log_scale), rotation), opacity)| CoreChunk {
+                position,
+                log_scale,
+                rotation,
+                opacity,
+            })
+    }
+
+    /// Adds to each of the Gaussians `indices`, which rise, what `gradient` says for its place among them.
+    ///
+    /// # Panics
+    /// When the indices do not rise.
+    pub(crate) fn add_core(&mut self, indices: &[u32], gradient: impl Fn(usize) -> CoreGradient + Sync) {
+        const CHUNK: usize = 2048;
+        assert!(
+            indices.is_sorted_by(|a, b| a < b),
+            "every Gaussian once, in rising order"
+        );
+        self.core_chunks_mut(CHUNK).enumerate().for_each(|(number, mut chunk)| {
+            let first = number * CHUNK;
+            let from = indices.partition_point(|&i| (i as usize) < first);
+            let to = indices.partition_point(|&i| (i as usize) < first + CHUNK);
+            for (place, &index) in indices[from..to].iter().enumerate() {
+                chunk.add(index as usize - first, &gradient(from + place));
+            }
+        });
+    }
+
+    /// Calls `make` for every range of `range` Gaussians, with its number and a way to add to a Gaussian of the range.
+    pub(crate) fn add_core_by_range(
+        &mut self,
+        range: usize,
+        make: impl Fn(usize, &mut dyn FnMut(usize, &CoreGradient)) + Sync,
+    ) {
+        self.core_chunks_mut(range)
+            .enumerate()
+            .for_each(|(number, mut chunk)| make(number, &mut |index, d| chunk.add(index, d)));
     }
 }
 

@@ -8,7 +8,7 @@ use crate::model::{Context, Parameters, SceneModel, Seen};
 use crate::raster::Raster;
 use crate::splat::rasterise::padded_channels;
 use crate::splat::{
-    MapGradients, Maps, Projected, ProjectionOptions, Rasteriser, SplatGradient, project::project,
+    Bins, MapGradients, Maps, Projected, ProjectionOptions, Rasteriser, SplatGradient, project::project,
     project::project_backward,
 };
 use crate::trace::{Occluders, TraceOptions, Transmittance, transmittance};
@@ -43,6 +43,7 @@ pub struct Pass<'a> {
     options: PassOptions,
     /// The splats.
     pub projected: Projected,
+    bins: Bins,
     traced: Transmittance,
     features: Vec<f32>,
     stride: usize,
@@ -81,7 +82,9 @@ impl<'a> Pass<'a> {
         }
         let rasteriser = Rasteriser::new(&projected, context.camera.width, context.camera.height);
         let maps = rasteriser.forward(&features, stride);
+        let bins = rasteriser.into_bins();
         Self {
+            bins,
             model,
             context,
             light,
@@ -119,7 +122,7 @@ impl<'a> Pass<'a> {
     pub fn backward(&self, d_maps: &MapGradients, grads: &mut Parameters) -> Vec<SplatGradient> {
         let camera = self.context.camera;
         let gaussians = &self.context.parameters.gaussians;
-        let rasteriser = Rasteriser::new(&self.projected, camera.width, camera.height);
+        let rasteriser = Rasteriser::with_bins(&self.projected, &self.bins, camera.width, camera.height);
         let mut back = rasteriser.backward(&self.features, self.stride, &self.maps, d_maps);
         if self.options.normals {
             let at = self.model.channels();

@@ -7,7 +7,7 @@
 //! `g = (Σ₂ + δI)⁻¹ [c·a, c·b]`. That plane's normal in the scene is along `j_u g_u + j_v g_v - d`.
 
 use crate::camera::ProjectiveCamera;
-use crate::gaussians::{LOG_SCALE, OPACITY, POSITION, ROTATION, Table, rotation_backward};
+use crate::gaussians::{CoreGradient, Table, rotation_backward};
 use glam::{Mat3, Vec3};
 use rayon::prelude::*;
 
@@ -245,22 +245,18 @@ pub fn project(gaussians: &Table, camera: &ProjectiveCamera, options: &Projectio
             out
         })
         .collect();
-    let mut all = Projected::default();
+    let count = chunks.iter().map(|chunk| chunk.splats.len()).sum();
+    let mut all = Projected {
+        splats: Vec::with_capacity(count),
+        gaussian: Vec::with_capacity(count),
+        non_finite: 0,
+    };
     for chunk in chunks {
         all.splats.extend(chunk.splats);
         all.gaussian.extend(chunk.gaussian);
         all.non_finite += chunk.non_finite;
     }
     all
-}
-
-/// Gradients of one Gaussian's core parameters.
-#[derive(Debug, Clone, Copy, Default)]
-struct CoreGradient {
-    position: Vec3,
-    log_scale: Vec3,
-    rotation: [f32; 4],
-    opacity: f32,
 }
 
 fn backward_one(
@@ -363,30 +359,8 @@ pub fn project_backward(
     grads: &[SplatGradient],
     out: &mut Table,
 ) {
-    let core: Vec<CoreGradient> = projected
-        .gaussian
-        .par_iter()
-        .with_min_len(256)
-        .zip(&projected.splats)
-        .zip(grads)
-        .map(|((&index, splat), grad)| backward_one(gaussians, index as usize, camera, options, splat, grad))
-        .collect();
-    for (&index, g) in projected.gaussian.iter().zip(&core) {
-        let i = index as usize;
-        add3(&mut out.groups[POSITION].values, i, g.position);
-        add3(&mut out.groups[LOG_SCALE].values, i, g.log_scale);
-        for (slot, d) in out.groups[ROTATION].values[i * 4..i * 4 + 4].iter_mut().zip(g.rotation) {
-            *slot += d;
-        }
-        out.groups[OPACITY].values[i] += g.opacity;
-    }
-}
-
-/// Adds a vector to element `index` of a group of width 3.
-#[inline]
-pub(crate) fn add3(values: &mut [f32], index: usize, d: Vec3) {
-    let slot = &mut values[index * 3..index * 3 + 3];
-    slot[0] += d.x;
-    slot[1] += d.y;
-    slot[2] += d.z;
+    out.add_core(&projected.gaussian, |place| {
+        let (index, splat) = (projected.gaussian[place] as usize, &projected.splats[place]);
+        backward_one(gaussians, index, camera, options, splat, &grads[place])
+    });
 }

@@ -4,6 +4,7 @@ use super::bins::{Bins, TILE_HEIGHT, TILE_WIDTH};
 use super::kernel::{self, GEOMETRY, PLANE, STRIDE, TileFrame, TileGradients, TileMaps};
 use super::project::{Projected, Splat, SplatGradient};
 use rayon::prelude::*;
+use std::borrow::Cow;
 
 /// Channel counts that are compiled; a request is rounded up to the next one.
 pub const CHANNEL_COUNTS: [usize; 9] = [0, 1, 4, 5, 7, 8, 10, 12, 16];
@@ -87,7 +88,7 @@ struct Band<'m> {
 #[derive(Debug, Clone)]
 pub struct Rasteriser<'a> {
     projected: &'a Projected,
-    bins: Bins,
+    bins: Cow<'a, Bins>,
     width: usize,
     height: usize,
 }
@@ -96,11 +97,26 @@ impl<'a> Rasteriser<'a> {
     /// Bins `projected` for an image of `width × height` pixels.
     pub fn new(projected: &'a Projected, width: usize, height: usize) -> Self {
         Self {
-            bins: Bins::new(&projected.splats, width, height),
+            bins: Cow::Owned(Bins::new(&projected.splats, width, height)),
             projected,
             width,
             height,
         }
+    }
+
+    /// The same with the bins of an earlier one, of the same splats and size.
+    pub fn with_bins(projected: &'a Projected, bins: &'a Bins, width: usize, height: usize) -> Self {
+        Self {
+            bins: Cow::Borrowed(bins),
+            projected,
+            width,
+            height,
+        }
+    }
+
+    /// The bins, for a later [`Self::with_bins`].
+    pub fn into_bins(self) -> Bins {
+        self.bins.into_owned()
     }
 
     /// Composites `features` (`[splat][channel]`, `channels` a compiled count).

@@ -13,9 +13,9 @@
 
 use super::bvh::{Occluder, Occluders};
 use super::sun_plane::SunPlane;
-use crate::gaussians::{LOG_SCALE, OPACITY, POSITION, ROTATION, Table, rotation_backward};
+use crate::gaussians::{CoreGradient, Table, rotation_backward};
 use crate::light::Light;
-use crate::splat::project::{ALPHA_MAX, add3};
+use crate::splat::project::ALPHA_MAX;
 use glam::{Mat3, Vec3};
 use rayon::prelude::*;
 
@@ -23,6 +23,8 @@ use rayon::prelude::*;
 const LIFT: f32 = 3.717;
 /// Rays per parallel job; fixed, so that results do not depend on the number of threads.
 const CHUNK: usize = 1024;
+/// Occluders per parallel job of the backward pass.
+const RANGE: usize = 2048;
 
 /// How the Gaussians on a ray of parallel light are found; the answers are the same.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
@@ -72,11 +74,32 @@ struct Hit {
 pub struct Transmittance {
     /// Transmittance of each origin, 0 to 1.
     pub values: Vec<f32>,
-    /// `hit_starts[i]..hit_starts[i + 1]`: the hits of origin `i`.
-    hit_starts: Vec<u32>,
-    hits: Vec<Hit>,
-    rays: Vec<LightRay>,
+    /// The rays, [`CHUNK`] to a bundle.
+    bundles: Vec<Bundle>,
     occluder_gradients: bool,
+}
+
+/// The rays of some neighbouring origins, and what they met.
+#[derive(Debug, Clone, Default)]
+struct Bundle {
+    rays: Vec<LightRay>,
+    /// Where the hits of each ray end; they begin where those of the ray before end.
+    hit_ends: Vec<u32>,
+    hits: Vec<Hit>,
+}
+
+impl Bundle {
+    /// The hits of one ray.
+    fn hits_of(&self, ray: usize) -> &[Hit] {
+        let start = if ray == 0 { 0 } else { self.hit_ends[ray - 1] };
+        &self.hits[start as usize..self.hit_ends[ray] as usize]
+    }
+
+    /// Adds a ray with the hits that came since the last.
+    fn close(&mut self, ray: LightRay) {
+        self.rays.push(ray);
+        self.hit_ends.push(self.hits.len() as u32);
+    }
 }
 
 impl Transmittance {
@@ -90,7 +113,7 @@ impl Transmittance {
 
     /// Number of occluders met by all rays together.
     pub fn hit_count(&self) -> usize {
-        self.hits.len()
+        self.bundles.iter().map(|bundle| bundle.hits.len()).sum()
     }
 }
 
@@ -166,17 +189,23 @@ pub fn transmittance(
         (Light::Directional(direction), Route::SunPlane) => Some(SunPlane::new(&occluders.list, *direction)),
         _ => None,
     };
-    let chunks: Vec<Transmittance> = origins
+    let mut values = vec![0.0; origins.len()];
+    let bundles = origins
         .par_chunks(CHUNK)
-        .map(|chunk| {
-            let mut out = Transmittance::default();
-            for &origin in chunk {
+        .zip(values.par_chunks_mut(CHUNK))
+        .map(|(origins, values)| {
+            let mut out = Bundle {
+                rays: Vec::with_capacity(origins.len()),
+                hit_ends: Vec::with_capacity(origins.len()),
+                hits: Vec::with_capacity(4 * origins.len()),
+            };
+            for (&origin, value) in origins.iter().zip(values) {
                 let ray = light_ray(gaussians, origin as usize, light, options);
-                let mut optical_depth = 0.0f32;
+                let mut clear = Clearness::default();
                 let mut meet = |id: u32, alpha: f32| {
                     if id != origin {
                         let alpha = alpha.min(ALPHA_MAX);
-                        optical_depth -= (-alpha).ln_1p();
+                        clear.meet(alpha);
                         out.hits.push(Hit { occluder: id, alpha });
                     }
                 };
@@ -188,27 +217,49 @@ pub fn transmittance(
                         }
                     }),
                 }
-                out.values.push((-optical_depth).exp());
-                out.rays.push(ray);
-                out.hit_starts.push(out.hits.len() as u32);
+                *value = clear.transmittance();
+                out.close(ray);
             }
             out
         })
         .collect();
-    let mut all = Transmittance {
-        hit_starts: vec![0],
+    Transmittance {
+        values,
+        bundles,
         occluder_gradients: options.occluder_gradients,
-        ..Transmittance::default()
-    };
-    for chunk in chunks {
-        let base = all.hits.len() as u32;
-        all.values.extend(chunk.values);
-        all.hit_starts
-            .extend(chunk.hit_starts.into_iter().map(|end| base + end));
-        all.hits.extend(chunk.hits);
-        all.rays.extend(chunk.rays);
     }
-    all
+}
+
+/// `Π (1 - α̃)` as an optical depth `-Σ ln(1 - α̃)`: the product alone underflows after a score of opaque layers. Factors are
+/// gathered while they stay far from that, so that one logarithm serves many.
+struct Clearness {
+    product: f32,
+    optical_depth: f32,
+}
+
+impl Default for Clearness {
+    fn default() -> Self {
+        Self {
+            product: 1.0,
+            optical_depth: 0.0,
+        }
+    }
+}
+
+impl Clearness {
+    #[inline]
+    fn meet(&mut self, alpha: f32) {
+        self.product *= 1.0 - alpha;
+        if self.product < 1e-6 {
+            self.optical_depth -= self.product.ln();
+            self.product = 1.0;
+        }
+    }
+
+    #[inline]
+    fn transmittance(&self) -> f32 {
+        self.product * (-self.optical_depth).exp()
+    }
 }
 
 /// `α̃` (before saturation) of a Gaussian on a ray, when it counts.
@@ -228,7 +279,7 @@ impl Transmittance {
     /// Adds the gradients that `grads` (to each origin's transmittance) gives the parameters of occluders and origins.
     /// `gaussians`, `occluders` and `origins` are those the transmittance was traced with.
     pub fn backward(&self, gaussians: &Table, occluders: &Occluders, origins: &[u32], grads: &[f32], out: &mut Table) {
-        if self.hits.is_empty() {
+        if self.bundles.iter().all(|bundle| bundle.hits.is_empty()) {
             return;
         }
         self.origins_backward(gaussians, occluders, origins, grads, out);
@@ -245,89 +296,51 @@ impl Transmittance {
         grads: &[f32],
         out: &mut Table,
     ) {
-        let starts: Vec<Vec3> = self
-            .rays
-            .par_iter()
-            .with_min_len(256)
-            .enumerate()
-            .map(|(i, ray)| {
-                let mut total = Vec3::ZERO;
-                for hit in &self.hits[self.hit_starts[i] as usize..self.hit_starts[i + 1] as usize] {
-                    let occluder = &occluders.list[hit.occluder as usize];
-                    let e = occluder.whiten * (ray.origin - occluder.position);
-                    let d = occluder.whiten * ray.direction;
-                    let h = exponent_gradient(self.values[i], grads[i], hit.alpha);
-                    // exponent = -½‖n‖², n the nearest point; ∂/∂e = -n because n is normal to d.
-                    total -= occluder.whiten.transpose() * nearest(e, d) * h;
-                }
-                total
-            })
-            .collect();
-        for ((&origin, &d_start), ray) in origins.iter().zip(&starts).zip(&self.rays) {
-            if d_start == Vec3::ZERO {
-                continue;
-            }
-            let (i, lift) = (origin as usize, &ray.lift);
-            add3(&mut out.groups[POSITION].values, i, d_start);
-            // start = position + axis · full · (1 - axis·r), full proportional to the thinnest scale.
-            let d_height = d_start.dot(lift.axis);
-            out.groups[LOG_SCALE].values[i * 3 + lift.thin] += d_height * lift.height;
-            let d_axis = (d_start * lift.height - ray.direction * (d_height * lift.full)) * lift.sign;
-            let mut d_rotation = Mat3::ZERO;
-            *d_rotation.col_mut(lift.thin) = d_axis;
-            let d_quaternion = rotation_backward(gaussians.raw_rotation(i), d_rotation);
-            for (slot, v) in out.groups[ROTATION].values[i * 4..i * 4 + 4]
-                .iter_mut()
-                .zip(d_quaternion)
-            {
-                *slot += v;
+        let of_origin = |place: usize| {
+            let (bundle, ray) = (&self.bundles[place / CHUNK], place % CHUNK);
+            let start = |hit: &Hit| {
+                let h = exponent_gradient(self.values[place], grads[place], hit.alpha);
+                start_gradient(&occluders.list[hit.occluder as usize], &bundle.rays[ray]) * h
+            };
+            let d_start: Vec3 = bundle.hits_of(ray).iter().map(start).sum();
+            bundle.rays[ray].backward(d_start, gaussians.raw_rotation(origins[place] as usize))
+        };
+        if origins.is_sorted_by(|a, b| a < b) {
+            out.add_core(origins, of_origin);
+        } else {
+            for (place, origin) in origins.iter().enumerate() {
+                out.add_core(&[*origin], |_| of_origin(place));
             }
         }
     }
 
-    /// The hits by occluder: starts per occluder, and for each hit its origin's place and `α̃`.
-    fn by_occluder(&self, count: usize) -> (Vec<u32>, Vec<(u32, f32)>) {
-        let mut starts = vec![0u32; count + 1];
-        for hit in &self.hits {
-            starts[hit.occluder as usize + 1] += 1;
-        }
-        for i in 0..count {
-            starts[i + 1] += starts[i];
-        }
-        let mut cursor = starts.clone();
-        let mut sorted = vec![(0, 0.0); self.hits.len()];
-        for (i, span) in self.hit_starts.windows(2).enumerate() {
-            for hit in &self.hits[span[0] as usize..span[1] as usize] {
-                let place = &mut cursor[hit.occluder as usize];
-                sorted[*place as usize] = (i as u32, hit.alpha);
-                *place += 1;
-            }
-        }
-        (starts, sorted)
-    }
-
+    /// Every bundle sorts its hits by ranges of occluders; every range then gathers its own from all bundles, in their order.
     fn occluders_backward(&self, gaussians: &Table, occluders: &Occluders, grads: &[f32], out: &mut Table) {
-        let (starts, sorted) = self.by_occluder(gaussians.count);
-        let touched: Vec<u32> = (0..gaussians.count as u32)
-            .filter(|&g| starts[g as usize] < starts[g as usize + 1])
-            .collect();
-        let gradients: Vec<OccluderGradient> = touched
+        let ranges = gaussians.count.div_ceil(RANGE);
+        let sorted: Vec<SortedHits> = self
+            .bundles
             .par_iter()
-            .with_min_len(256)
-            .map(|&g| {
-                let hits = &sorted[starts[g as usize] as usize..starts[g as usize + 1] as usize];
-                self.one_occluder(gaussians, &occluders.list[g as usize], g as usize, hits, grads)
-            })
+            .enumerate()
+            .map(|(number, bundle)| SortedHits::by_range(bundle, number * CHUNK, ranges))
             .collect();
-        for (&g, d) in touched.iter().zip(&gradients) {
-            let i = g as usize;
-            add3(&mut out.groups[POSITION].values, i, d.position);
-            add3(&mut out.groups[LOG_SCALE].values, i, d.log_scale);
-            for (slot, v) in out.groups[ROTATION].values[i * 4..i * 4 + 4].iter_mut().zip(d.rotation) {
-                *slot += v;
+        out.add_core_by_range(RANGE, |range, add| {
+            let parts: Vec<&[Shade]> = sorted.iter().map(|hits| hits.of(range)).collect();
+            let shades = SortedHits::by(
+                RANGE,
+                |shade| shade.occluder as usize % RANGE,
+                || parts.iter().copied().flatten().copied(),
+            );
+            for index in 0..RANGE.min(gaussians.count - range * RANGE) {
+                let shades = shades.of(index);
+                if !shades.is_empty() {
+                    let id = range * RANGE + index;
+                    add(
+                        index,
+                        &self.one_occluder(gaussians, &occluders.list[id], id, shades, grads),
+                    );
+                }
             }
-            out.groups[OPACITY].values[i] += d.opacity;
-        }
+        });
     }
 
     fn one_occluder(
@@ -335,17 +348,16 @@ impl Transmittance {
         gaussians: &Table,
         occluder: &Occluder,
         index: usize,
-        hits: &[(u32, f32)],
+        shades: &[Shade],
         grads: &[f32],
-    ) -> OccluderGradient {
+    ) -> CoreGradient {
         let scale = gaussians.scale(index);
         let (mut position, mut log_scale, mut opacity) = (Vec3::ZERO, Vec3::ZERO, 0.0);
         let mut d_rotation = Mat3::ZERO;
-        for &(origin, alpha) in hits {
-            let (ray, h) = (
-                &self.rays[origin as usize],
-                exponent_gradient(self.values[origin as usize], grads[origin as usize], alpha),
-            );
+        for &Shade { origin, alpha, .. } in shades {
+            let place = origin as usize;
+            let ray = &self.bundles[place / CHUNK].rays[place % CHUNK];
+            let h = exponent_gradient(self.values[place], grads[place], alpha);
             let offset = ray.origin - occluder.position;
             let e = occluder.whiten * offset;
             let d = occluder.whiten * ray.direction;
@@ -359,7 +371,7 @@ impl Transmittance {
             d_rotation += Mat3::from_cols(through * scaled.x, through * scaled.y, through * scaled.z);
             opacity += h;
         }
-        OccluderGradient {
+        CoreGradient {
             position,
             log_scale,
             rotation: rotation_backward(gaussians.raw_rotation(index), d_rotation),
@@ -385,17 +397,95 @@ fn nearest(e: Vec3, d: Vec3) -> Vec3 {
     e - d * (e.dot(d) / d.length_squared())
 }
 
-struct OccluderGradient {
-    position: Vec3,
-    log_scale: Vec3,
-    rotation: [f32; 4],
-    opacity: f32,
+/// Gradient of `-½‖n‖²`, `n` the ray's nearest point to the occluder, to the ray's start: `∂/∂e = -n` because `n` is normal
+/// to `d`.
+#[inline]
+fn start_gradient(occluder: &Occluder, ray: &LightRay) -> Vec3 {
+    let e = occluder.whiten * (ray.origin - occluder.position);
+    let d = occluder.whiten * ray.direction;
+    -(occluder.whiten.transpose() * nearest(e, d))
+}
+
+impl LightRay {
+    /// Gradient to the origin's parameters from that to the start: `start = position + axis · full · (1 - axis·r)`, `full`
+    /// proportional to the thinnest scale.
+    fn backward(&self, d_start: Vec3, raw_rotation: [f32; 4]) -> CoreGradient {
+        if d_start == Vec3::ZERO {
+            return CoreGradient::default();
+        }
+        let lift = &self.lift;
+        let d_height = d_start.dot(lift.axis);
+        let mut log_scale = Vec3::ZERO;
+        log_scale[lift.thin] = d_height * lift.height;
+        let mut d_rotation = Mat3::ZERO;
+        *d_rotation.col_mut(lift.thin) = (d_start * lift.height - self.direction * (d_height * lift.full)) * lift.sign;
+        CoreGradient {
+            position: d_start,
+            log_scale,
+            rotation: rotation_backward(raw_rotation, d_rotation),
+            opacity: 0.0,
+        }
+    }
+}
+
+/// A hit as its occluder sees it.
+#[derive(Debug, Clone, Copy, Default)]
+struct Shade {
+    occluder: u32,
+    /// Place of the ray's origin.
+    origin: u32,
+    alpha: f32,
+}
+
+/// Hits sorted into buckets, in their order within each.
+struct SortedHits {
+    starts: Vec<u32>,
+    shades: Vec<Shade>,
+}
+
+impl SortedHits {
+    /// Sorts what `shades` gives (twice the same) into `buckets` by `bucket`.
+    fn by<I: Iterator<Item = Shade>>(buckets: usize, bucket: impl Fn(&Shade) -> usize, shades: impl Fn() -> I) -> Self {
+        let mut starts = vec![0u32; buckets + 1];
+        for shade in shades() {
+            starts[bucket(&shade) + 1] += 1;
+        }
+        for i in 0..buckets {
+            starts[i + 1] += starts[i];
+        }
+        let mut cursor = starts.clone();
+        let mut sorted = vec![Shade::default(); starts[buckets] as usize];
+        for shade in shades() {
+            let place = &mut cursor[bucket(&shade)];
+            sorted[*place as usize] = shade;
+            *place += 1;
+        }
+        Self { starts, shades: sorted }
+    }
+
+    /// The hits of a bundle, whose first ray is that of origin `first`, by ranges of occluders.
+    fn by_range(bundle: &Bundle, first: usize, ranges: usize) -> Self {
+        let shades = || {
+            (0..bundle.rays.len()).flat_map(move |ray| {
+                bundle.hits_of(ray).iter().map(move |hit| Shade {
+                    occluder: hit.occluder,
+                    origin: (first + ray) as u32,
+                    alpha: hit.alpha,
+                })
+            })
+        };
+        Self::by(ranges, |shade| shade.occluder as usize / RANGE, shades)
+    }
+
+    fn of(&self, bucket: usize) -> &[Shade] {
+        &self.shades[self.starts[bucket] as usize..self.starts[bucket + 1] as usize]
+    }
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::gaussians::{core_groups, logit};
+    use crate::gaussians::{LOG_SCALE, OPACITY, POSITION, ROTATION, core_groups, logit};
 
     /// A horizontal sheet of overlapping flat discs, one metre apart, plus optional further discs.
     fn sheet(side: i32, spacing: f32, sigma: f32, thickness: f32) -> Table {
