@@ -1,6 +1,7 @@
 //! Gaussians that are seen and lit: rasterise, trace, shade, optimise. No files, no coordinate systems, no command line.
 
 pub mod camera;
+mod deal;
 pub mod gaussians;
 pub mod light;
 pub mod loss;

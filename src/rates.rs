@@ -8,6 +8,9 @@ use crate::gaussians::{LOG_SCALE, OPACITY, POSITION, ROTATION, Table, core_group
 use crate::light::Light;
 use crate::model::shadow_gs::{ALBEDO, ShadowGs, ShadowGsOptions};
 use crate::model::{Context, Parameters, SceneModel};
+use crate::optim::Adam;
+use crate::render::{Lit, Pass, PassOptions};
+use crate::splat::{MapGradients, Maps};
 use glam::{DVec3, Quat, Vec3};
 use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg32;
@@ -128,4 +131,58 @@ fn camera(size_px: usize) -> ProjectiveCamera {
         (size_px, size_px),
         axis,
     )
+}
+
+/// A model of a site in training, stripped to what every training does: look, walk back, move.
+pub struct Descent {
+    site: Site,
+    gradients: Parameters,
+    adam: Adam,
+}
+
+impl Descent {
+    /// Ready for the first step.
+    pub fn new(site: Site) -> Self {
+        Self {
+            gradients: site.parameters.zeros_like(),
+            adam: Adam::new(&site.parameters.gaussians),
+            site,
+        }
+    }
+
+    /// One step of three colours, visibility, depth and alpha toward a grey image; returns its pairs.
+    pub fn step(&mut self) -> u64 {
+        let gaussians = &self.site.parameters.gaussians;
+        self.gradients.gaussians.reset(gaussians.count);
+        self.gradients.globals.reset(1);
+        let pass = Pass::new(
+            &self.site.model,
+            self.site.context(),
+            Lit::Everywhere,
+            PassOptions::default(),
+        );
+        let d_maps = toward_grey(&pass.maps);
+        pass.backward(&d_maps, &mut self.gradients);
+        let pairs = pass.maps.pairs;
+        drop(pass);
+        // Slow enough that the site stays what it is however long it is measured.
+        let rates = vec![1e-6; self.gradients.gaussians.groups.len()];
+        self.adam
+            .step(&mut self.site.parameters.gaussians, &self.gradients.gaussians, &rates);
+        pairs
+    }
+}
+
+/// Gradients of the mean absolute difference to a grey, opaque image.
+pub fn toward_grey(maps: &Maps) -> MapGradients {
+    let unit = 1.0 / maps.alpha.len() as f32;
+    let mut grads = MapGradients::zeros(maps.channels.len(), maps.alpha.len());
+    for (grads, plane) in grads.channels.iter_mut().zip(&maps.channels) {
+        for (d, value) in grads.iter_mut().zip(plane) {
+            *d = (value - 0.5).signum() * unit;
+        }
+    }
+    grads.alpha.fill(-unit);
+    grads.depth.fill(1e-3 * unit);
+    grads
 }

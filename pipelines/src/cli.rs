@@ -4,6 +4,7 @@
 //! stderr. Exit codes: 0 done, 1 failed, 2 bad usage or bad input (one line: what, where, what to do), 130 interrupted
 //! after saving.
 
+pub mod bench;
 pub mod evaluate;
 pub mod inspect;
 pub mod log;
@@ -81,6 +82,9 @@ pub enum Command {
     /// Where the sun stands: azimuth and geometric elevation, degrees
     #[command(after_help = "Example: heliosplat sun --time 2016-04-23T08:34:00Z --at 37.58,36.91,700")]
     Sun(sun::SunArgs),
+    /// Measure the rates of this machine: cameras, splats, light, whole steps; under a minute
+    #[command(after_help = "Example: heliosplat bench --json")]
+    Bench,
 }
 
 /// What a user may say about a scene that its files do not.
@@ -200,6 +204,7 @@ fn run(cli: &Cli) -> Result<Outcome, CliError> {
         Command::Evaluate(args) => evaluate::run(args, &session),
         Command::Rpc(args) => rpc::run(args),
         Command::Sun(args) => sun::run(args),
+        Command::Bench => bench::run(),
     }
 }
 

@@ -4,6 +4,7 @@
 //! that order. Every stage runs in parallel, on memory that fits a cache, and gives the same lists for any number of threads.
 
 use super::project::Splat;
+use crate::deal::{RowList, Rows, Span, cell_starts, cut_rows};
 use rayon::prelude::*;
 use std::sync::atomic::{AtomicU32, Ordering};
 
@@ -11,8 +12,6 @@ use std::sync::atomic::{AtomicU32, Ordering};
 pub const TILE_WIDTH: usize = 32;
 /// Rows of a tile, pixels.
 pub const TILE_HEIGHT: usize = 16;
-/// Splats per parallel job.
-const CHUNK: usize = 4096;
 
 /// Per-tile lists of splats, front to back; equal depths in the order of their splats.
 #[derive(Debug, Clone, Default)]
@@ -63,33 +62,19 @@ fn sort_by_upper_half(keys: &mut Vec<u64>) {
     }
 }
 
-/// The tiles that a splat touches: first and one past last column and row.
-#[derive(Debug, Clone, Copy)]
-struct Span {
-    columns: (u16, u16),
-    rows: (u16, u16),
+fn span(splat: &Splat, columns: usize, rows: usize) -> Span {
+    Span {
+        columns: tile_span(splat.col, splat.half[0], TILE_WIDTH, columns),
+        rows: tile_span(splat.row, splat.half[1], TILE_HEIGHT, rows),
+    }
 }
 
-impl Span {
-    fn new(splat: &Splat, columns: usize, rows: usize) -> Self {
-        Self {
-            columns: tile_span(splat.col, splat.half[0], TILE_WIDTH, columns),
-            rows: tile_span(splat.row, splat.half[1], TILE_HEIGHT, rows),
-        }
-    }
+fn width(span: &Span) -> u32 {
+    u32::from(span.columns.1) - u32::from(span.columns.0)
+}
 
-    fn width(&self) -> u32 {
-        u32::from(self.columns.1) - u32::from(self.columns.0)
-    }
-
-    fn tiles(&self) -> u32 {
-        self.width() * (u32::from(self.rows.1) - u32::from(self.rows.0))
-    }
-
-    /// Which of the splat's own slots belongs to a tile.
-    fn slot(&self, column: usize, row: usize) -> u32 {
-        (row as u32 - u32::from(self.rows.0)) * self.width() + column as u32 - u32::from(self.columns.0)
-    }
+fn tiles(span: &Span) -> u32 {
+    width(span) * (u32::from(span.rows.1) - u32::from(span.rows.0))
 }
 
 /// First and one-past-last tile of `size` pixels that `[centre - half, centre + half]` touches.
@@ -105,86 +90,36 @@ fn tile_span(centre: f32, half: f32, size: usize, tiles: usize) -> (u16, u16) {
     (first as u16, end.max(first) as u16)
 }
 
-/// The splats of a chunk by the rows of tiles that they touch.
-struct Chunk {
-    /// `starts[r]..starts[r + 1]` is the part of `splats` of row `r`.
-    starts: Vec<u32>,
-    /// Depth above, splat below: what is sorted.
-    keys: Vec<u64>,
-}
-
-impl Chunk {
-    /// Deals `splats`, of which `first` is the index of the first in the list of all.
-    fn new(splats: &[Splat], spans: &[Span], first: usize, rows: usize) -> Self {
-        let touched = |span: &Span| usize::from(span.rows.0)..usize::from(span.rows.1);
-        let mut starts = vec![0u32; rows + 1];
-        for span in spans {
-            touched(span).for_each(|row| starts[row + 1] += 1);
-        }
-        for row in 0..rows {
-            starts[row + 1] += starts[row];
-        }
-        let mut cursor = starts.clone();
-        let mut keys = vec![0; starts[rows] as usize];
-        for (offset, (span, splat)) in spans.iter().zip(splats).enumerate() {
-            let key = u64::from(ordered_bits(splat.depth)) << 32 | (first + offset) as u64;
-            for row in touched(span) {
-                keys[cursor[row] as usize] = key;
-                cursor[row] += 1;
-            }
-        }
-        Self { starts, keys }
-    }
-
-    fn row(&self, row: usize) -> &[u64] {
-        &self.keys[self.starts[row] as usize..self.starts[row + 1] as usize]
-    }
-}
-
-/// What dealing a row of tiles reads and where it notes the places of splats.
+/// What dealing rows of tiles reads, and where it notes the places of splats.
 struct Deal<'a> {
     spans: &'a [Span],
-    chunks: &'a [Chunk],
-    columns: usize,
+    /// Depth above, splat below: what is sorted.
+    keys: Rows<u64>,
     slot_starts: &'a [u32],
     /// Every slot is written once, so the order of threads does not matter.
     slots: &'a [AtomicU32],
 }
 
 impl Deal<'_> {
-    /// Where each tile of a row begins in the row's list, and where the last ends.
-    fn starts(&self, row: usize) -> Vec<u32> {
-        let mut starts = vec![0u32; self.columns + 1];
-        for &key in self.chunks.iter().flat_map(|chunk| chunk.row(row)) {
-            let (from, to) = self.spans[key as u32 as usize].columns;
-            starts[usize::from(from) + 1..=usize::from(to)]
-                .iter_mut()
-                .for_each(|count| *count += 1);
-        }
-        for column in 0..self.columns {
-            starts[column + 1] += starts[column];
-        }
-        starts
+    fn span(&self, key: u64) -> &Span {
+        &self.spans[key as u32 as usize]
     }
 
-    /// Fills a row's list, which begins at `base` in the list of all.
-    fn fill(&self, row: usize, starts: &[u32], base: u32, list: &mut [u32]) {
-        let mut keys = self
-            .chunks
-            .iter()
-            .map(|chunk| chunk.row(row))
-            .collect::<Vec<_>>()
-            .concat();
+    fn starts(&self, row: usize, columns: usize) -> Vec<u32> {
+        cell_starts(self.keys.row(row), |key| *self.span(key), columns)
+    }
+
+    /// Fills a row's list.
+    fn fill(&self, mut tiles: RowList) {
+        let mut keys = self.keys.row(tiles.row).collect::<Vec<_>>().concat();
         sort_by_upper_half(&mut keys);
-        let mut cursor = starts.to_vec();
         for key in keys {
-            let s = key as u32;
-            let span = &self.spans[s as usize];
-            let (from, to) = (usize::from(span.columns.0), usize::from(span.columns.1));
-            let slot = (self.slot_starts[s as usize] + span.slot(from, row)) as usize;
-            for (place, slot) in cursor[from..to].iter_mut().zip(&self.slots[slot..]) {
-                list[*place as usize] = s;
-                slot.store(base + *place, Ordering::Relaxed);
+            let (s, span) = (key as u32, self.span(key));
+            let above = tiles.row as u32 - u32::from(span.rows.0);
+            let slot = (self.slot_starts[s as usize] + above * width(span)) as usize;
+            for (place, slot) in tiles.starts[span.columns()].iter_mut().zip(&self.slots[slot..]) {
+                tiles.list[*place as usize] = s;
+                slot.store(tiles.base + *place, Ordering::Relaxed);
                 *place += 1;
             }
         }
@@ -197,47 +132,31 @@ impl Bins {
         let (columns, rows) = (width.div_ceil(TILE_WIDTH), height.div_ceil(TILE_HEIGHT));
         let spans: Vec<Span> = splats
             .par_iter()
-            .with_min_len(CHUNK)
-            .map(|splat| Span::new(splat, columns, rows))
-            .collect();
-        let chunks: Vec<Chunk> = spans
-            .par_chunks(CHUNK)
-            .enumerate()
-            .map(|(number, spans)| {
-                let first = number * CHUNK;
-                Chunk::new(&splats[first..first + spans.len()], spans, first, rows)
-            })
+            .with_min_len(4096)
+            .map(|splat| span(splat, columns, rows))
             .collect();
         let mut slot_starts = Vec::with_capacity(splats.len() + 1);
         slot_starts.push(0);
         let mut total = 0;
         slot_starts.extend(spans.iter().map(|span| {
-            total += span.tiles();
+            total += tiles(span);
             total
         }));
         let slots: Vec<AtomicU32> = (0..total).map(|_| AtomicU32::new(0)).collect();
+        let key = |s: usize| u64::from(ordered_bits(splats[s].depth)) << 32 | s as u64;
         let deal = Deal {
             spans: &spans,
-            chunks: &chunks,
-            columns,
+            keys: Rows::new(&spans, rows, key),
             slot_starts: &slot_starts,
             slots: &slots,
         };
-        let row_starts: Vec<Vec<u32>> = (0..rows).into_par_iter().map(|row| deal.starts(row)).collect();
-        let mut list = vec![0; total as usize];
-        let mut starts = vec![0];
-        let mut jobs = Vec::with_capacity(rows);
-        let (mut base, mut left) = (0, list.as_mut_slice());
-        for (row, row_starts) in row_starts.iter().enumerate() {
-            let (part, remaining) = left.split_at_mut(row_starts[columns] as usize);
-            starts.extend(row_starts[1..].iter().map(|end| base + end));
-            jobs.push((row, row_starts, base, part));
-            base += row_starts[columns];
-            left = remaining;
-        }
-        jobs.into_par_iter()
+        let row_starts = (0..rows).into_par_iter().map(|row| deal.starts(row, columns)).collect();
+        let mut list = Vec::new();
+        let (starts, row_lists) = cut_rows(row_starts, &mut list);
+        row_lists
+            .into_par_iter()
             .with_max_len(1)
-            .for_each(|(row, starts, base, part)| deal.fill(row, starts, base, part));
+            .for_each(|tiles| deal.fill(tiles));
         Self {
             columns,
             rows,

@@ -6,6 +6,7 @@
 //! hierarchy finds, many times cheaper, because rays start inside a sheet of overlapping boxes that a hierarchy must visit.
 
 use super::bvh::Occluder;
+use crate::deal::{Rows, Span, cell_starts, cut_rows};
 use glam::{Vec2, Vec3};
 use rayon::prelude::*;
 
@@ -126,36 +127,33 @@ impl SunPlane {
 
     /// Deals the ellipses to the cells they touch, in order of their Gaussians.
     fn deal(&mut self, found: Vec<(Ellipse, Vec2)>) {
-        let spans: Vec<[u16; 4]> = found
+        let spans: Vec<Span> = found
             .par_iter()
             .with_min_len(4096)
             .map(|(shape, half)| {
                 let ((c0, r0), (c1, r1)) = (self.cell(shape.centre - *half), self.cell(shape.centre + *half));
-                [c0 as u16, c1 as u16 + 1, r0 as u16, r1 as u16 + 1]
+                Span {
+                    columns: (c0 as u16, c1 as u16 + 1),
+                    rows: (r0 as u16, r1 as u16 + 1),
+                }
             })
             .collect();
-        let mut starts = vec![0u32; self.columns * self.rows + 1];
-        for &[c0, c1, r0, r1] in &spans {
-            for r in r0..r1 {
-                for c in c0..c1 {
-                    starts[r as usize * self.columns + c as usize + 1] += 1;
-                }
-            }
-        }
-        for i in 0..self.columns * self.rows {
-            starts[i + 1] += starts[i];
-        }
-        let mut list = vec![0u32; starts[self.columns * self.rows] as usize];
-        let mut cursor = starts.clone();
-        for (place, &[c0, c1, r0, r1]) in spans.iter().enumerate() {
-            for r in r0..r1 {
-                for c in c0..c1 {
-                    let next = &mut cursor[r as usize * self.columns + c as usize];
-                    list[*next as usize] = place as u32;
+        let places = Rows::new(&spans, self.rows, |place| place as u32);
+        let span = |place: u32| spans[place as usize];
+        let row_starts = (0..self.rows)
+            .into_par_iter()
+            .map(|row| cell_starts(places.row(row), span, self.columns))
+            .collect();
+        let mut list = Vec::new();
+        let (starts, row_lists) = cut_rows(row_starts, &mut list);
+        row_lists.into_par_iter().for_each(|mut cells| {
+            for &place in places.row(cells.row).flatten() {
+                for next in &mut cells.starts[span(place).columns()] {
+                    cells.list[*next as usize] = place;
                     *next += 1;
                 }
             }
-        }
+        });
         self.starts = starts;
         self.list = list;
         self.ellipses = found.into_iter().map(|(shape, _)| shape).collect();
@@ -173,7 +171,8 @@ impl SunPlane {
             let d = place - e.centre;
             let q = (e.conic[0] * d.x + 2.0 * e.conic[1] * d.y) * d.x + e.conic[2] * d.y * d.y;
             let peak = e.depth + e.slope.dot(d);
-            if q < e.reach_square && peak > depth {
+            // Both at once: either alone is a coin toss, both together are rare and foreseen.
+            if (q < e.reach_square) & (peak > depth) {
                 visit(e.id, e.opacity * (-0.5 * q.max(0.0)).exp());
             }
         }
