@@ -100,19 +100,25 @@ pub(crate) fn cell_starts<'t, T: Copy + 't>(
 }
 
 /// A row of cells and its part of the list of all.
-pub(crate) struct RowList<'l> {
+pub(crate) struct RowList<'l, T> {
     pub(crate) row: usize,
     /// Where its cells begin in `list`.
     pub(crate) starts: Vec<u32>,
     /// Where `list` begins in the list of all.
     pub(crate) base: u32,
-    pub(crate) list: &'l mut [u32],
+    pub(crate) list: &'l mut [T],
 }
 
 /// Cuts the list of all cells into rows, and lists where every cell begins in it, with the end at the end.
-pub(crate) fn cut_rows(row_starts: Vec<Vec<u32>>, list: &mut Vec<u32>) -> (Vec<u32>, Vec<RowList<'_>>) {
+pub(crate) fn cut_rows<T: Clone + Default>(
+    row_starts: Vec<Vec<u32>>,
+    list: &mut Vec<T>,
+) -> (Vec<u32>, Vec<RowList<'_, T>>) {
     let ends = |starts: &Vec<u32>| starts.last().copied().unwrap_or(0);
-    list.resize(row_starts.iter().map(|starts| ends(starts) as usize).sum(), 0);
+    list.resize(
+        row_starts.iter().map(|starts| ends(starts) as usize).sum(),
+        T::default(),
+    );
     let (mut base, mut left) = (0, list.as_mut_slice());
     let mut starts = vec![0];
     let mut rows = Vec::with_capacity(row_starts.len());

@@ -22,12 +22,22 @@ pub struct Bins {
     pub rows: usize,
     /// `starts[t]..starts[t + 1]` is the part of `list` of tile `t`.
     pub starts: Vec<u32>,
-    /// Splat indices, tile after tile, front to back within a tile.
-    pub list: Vec<u32>,
+    /// Splats, tile after tile, front to back within a tile.
+    pub list: Vec<Entry>,
     /// `slot_starts[s]..slot_starts[s + 1]` is the part of `slots` of splat `s`.
     pub slot_starts: Vec<u32>,
-    /// Where in `list` each splat stands: its own places, one after another.
+    /// The records of each splat, its own one after another.
     pub slots: Vec<u32>,
+}
+
+/// A splat in a tile.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub struct Entry {
+    /// Which splat.
+    pub splat: u32,
+    /// Where what the tile has to say about it stands: like the list tile after tile, but by index within a tile, so that
+    /// neighbours in the table of splats are neighbours in memory.
+    pub record: u32,
 }
 
 /// Bits of a finite `f32` whose unsigned order is the order of the numbers.
@@ -109,17 +119,34 @@ impl Deal<'_> {
         cell_starts(self.keys.row(row), |key| *self.span(key), columns)
     }
 
-    /// Fills a row's list.
-    fn fill(&self, mut tiles: RowList) {
+    /// The slots of a splat in a row of tiles.
+    fn slots(&self, key: u64, row: usize) -> &[AtomicU32] {
+        let span = self.span(key);
+        let above = row as u32 - u32::from(span.rows.0);
+        let first = (self.slot_starts[key as u32 as usize] + above * width(span)) as usize;
+        &self.slots[first..first + width(span) as usize]
+    }
+
+    /// Fills a row's list: records in the order of indices, then the list in the order of depths.
+    fn fill(&self, tiles: RowList<Entry>) {
         let mut keys = self.keys.row(tiles.row).collect::<Vec<_>>().concat();
-        sort_by_upper_half(&mut keys);
-        for key in keys {
-            let (s, span) = (key as u32, self.span(key));
-            let above = tiles.row as u32 - u32::from(span.rows.0);
-            let slot = (self.slot_starts[s as usize] + above * width(span)) as usize;
-            for (place, slot) in tiles.starts[span.columns()].iter_mut().zip(&self.slots[slot..]) {
-                tiles.list[*place as usize] = s;
+        let mut cursor = tiles.starts.clone();
+        for &key in &keys {
+            let places = cursor[self.span(key).columns()].iter_mut();
+            for (place, slot) in places.zip(self.slots(key, tiles.row)) {
                 slot.store(tiles.base + *place, Ordering::Relaxed);
+                *place += 1;
+            }
+        }
+        sort_by_upper_half(&mut keys);
+        cursor = tiles.starts;
+        for key in keys {
+            let places = cursor[self.span(key).columns()].iter_mut();
+            for (place, slot) in places.zip(self.slots(key, tiles.row)) {
+                tiles.list[*place as usize] = Entry {
+                    splat: key as u32,
+                    record: slot.load(Ordering::Relaxed),
+                };
                 *place += 1;
             }
         }
@@ -168,7 +195,7 @@ impl Bins {
     }
 
     /// The splats of a tile, front to back.
-    pub fn tile(&self, tile: usize) -> &[u32] {
+    pub fn tile(&self, tile: usize) -> &[Entry] {
         &self.list[self.starts[tile] as usize..self.starts[tile + 1] as usize]
     }
 
@@ -192,6 +219,10 @@ mod tests {
         }
     }
 
+    fn listed(bins: &Bins, tile: usize) -> Vec<u32> {
+        bins.tile(tile).iter().map(|entry| entry.splat).collect()
+    }
+
     #[test]
     fn tiles_list_their_splats_front_to_back() {
         let splats = [
@@ -200,13 +231,13 @@ mod tests {
             splat(31.5, 8.0, 1.0, 2.0),
         ];
         let bins = Bins::new(&splats, 60, 20);
-        assert_eq!(bins.tile(0), &[1, 2, 0]);
-        assert_eq!(bins.tile(1), &[2]);
+        assert_eq!(listed(&bins, 0), &[1, 2, 0]);
+        assert_eq!(listed(&bins, 1), &[2]);
         assert!(bins.tile(2).is_empty() && bins.tile(3).is_empty());
     }
 
     #[test]
-    fn the_slots_of_a_splat_point_back_at_it() {
+    fn the_slots_of_a_splat_are_its_records() {
         let splats: Vec<Splat> = (0..50)
             .map(|i| {
                 splat(
@@ -218,9 +249,16 @@ mod tests {
             })
             .collect();
         let bins = Bins::new(&splats, 60, 40);
+        let mut splat_of_record = vec![u32::MAX; bins.list.len()];
+        for tile in 0..bins.tiles() {
+            for entry in bins.tile(tile) {
+                assert!((bins.starts[tile]..bins.starts[tile + 1]).contains(&entry.record));
+                splat_of_record[entry.record as usize] = entry.splat;
+            }
+        }
         for s in 0..splats.len() {
-            for &place in &bins.slots[bins.slot_starts[s] as usize..bins.slot_starts[s + 1] as usize] {
-                assert_eq!(bins.list[place as usize], s as u32);
+            for &record in &bins.slots[bins.slot_starts[s] as usize..bins.slot_starts[s + 1] as usize] {
+                assert_eq!(splat_of_record[record as usize], s as u32);
             }
         }
     }
@@ -261,7 +299,7 @@ mod tests {
                 })
                 .collect();
             expected.sort_by(|&a, &b| splats[a as usize].depth.total_cmp(&splats[b as usize].depth));
-            assert_eq!(bins.tile(tile), expected);
+            assert_eq!(listed(&bins, tile), expected);
         }
     }
 }

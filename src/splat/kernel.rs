@@ -9,7 +9,7 @@
 //! the eight pixels begin where the ellipse begins in a row, not at a multiple of eight, and may reach past the tile into
 //! columns that never take light; all places of a splat are listed first, without branches, and then worked through.
 
-use super::bins::{TILE_HEIGHT, TILE_WIDTH};
+use super::bins::{Entry, TILE_HEIGHT, TILE_WIDTH};
 use super::project::{ALPHA_MAX, Splat};
 use multiversion::multiversion;
 use std::f32::consts::LOG2_E;
@@ -301,7 +301,7 @@ fn finished(transmittance: &Plane) -> bool {
 /// Fetches the splats of a batch and their channels (`features[s * K + k]`).
 #[inline(always)]
 fn fetch<const K: usize>(
-    batch: &[u32],
+    batch: &[Entry],
     splats: &[Splat],
     features: &[f32],
     frame: &TileFrame,
@@ -310,9 +310,10 @@ fn fetch<const K: usize>(
     // Copies first, nothing else between them: the cache misses of a batch then overlap.
     let mut copies = [Splat::default(); BATCH];
     let mut values = [[0.0; K]; BATCH];
-    for ((copy, values), &s) in copies.iter_mut().zip(&mut values).zip(batch) {
-        *copy = splats[s as usize];
-        values.copy_from_slice(&features[s as usize * K..s as usize * K + K]);
+    for ((copy, values), entry) in copies.iter_mut().zip(&mut values).zip(batch) {
+        let s = entry.splat as usize;
+        *copy = splats[s];
+        values.copy_from_slice(&features[s * K..s * K + K]);
     }
     for ((slot, splat), values) in met.iter_mut().zip(&copies).zip(&values).take(batch.len()) {
         *slot = Met::new(splat, values, frame);
@@ -322,7 +323,7 @@ fn fetch<const K: usize>(
 /// Composites `list` (front to back) into `maps`, which it empties first; `features[s * K + k]` are the splats' channels.
 #[multiversion(targets("x86_64+avx512f+avx512dq+avx512vl+avx512bw", "x86_64+avx2"))]
 pub fn forward<const K: usize>(
-    list: &[u32],
+    list: &[Entry],
     splats: &[Splat],
     features: &[f32],
     frame: &TileFrame,
@@ -395,17 +396,23 @@ struct Walk<const K: usize> {
     geometry: [Lane; GEOMETRY],
 }
 
-/// Gradients of every splat of `list`: `out[i * (K + 9)..]` holds channels first, then the nine geometric sums.
+/// Gradients of every splat of `list`: record `r` of the tile, whose first is `base`, fills `out[(r - base) * (K + 9)..]`,
+/// channels first, then the nine geometric sums.
 #[multiversion(targets("x86_64+avx512f+avx512dq+avx512vl+avx512bw", "x86_64+avx2"))]
 pub fn backward<const K: usize>(
-    list: &[u32],
+    list: &[Entry],
     splats: &[Splat],
     features: &[f32],
     frame: &TileFrame,
     grads: &TileGradients<K>,
+    base: u32,
     out: &mut [f32],
 ) {
     let width = K + GEOMETRY;
+    let place = |entry: &Entry| {
+        let start = (entry.record - base) as usize * width;
+        start..start + width
+    };
     let mut walk = Walk {
         transmittance: frame.clear_sky(),
         rest: grads.total,
@@ -416,19 +423,23 @@ pub fn backward<const K: usize>(
     let mut groups = [Group::default(); GROUPS];
     for (number, batch) in list.chunks(BATCH).enumerate() {
         if number > 0 && finished(&walk.transmittance) {
-            out[number * BATCH * width..].fill(0.0);
+            for entry in &list[number * BATCH..] {
+                out[place(entry)].fill(0.0);
+            }
             return;
         }
         fetch(batch, splats, features, frame, &mut met);
-        let records = out[number * BATCH * width..].chunks_exact_mut(width);
-        for (splat, record) in met[..batch.len()].iter().zip(records) {
+        for (splat, entry) in met.iter().zip(batch) {
             let (count, _) = splat.groups(frame, &mut groups);
             walk.channels = [[0.0; LANES]; K];
             walk.geometry = [[0.0; LANES]; GEOMETRY];
             for group in &groups[..count] {
                 backward_group(splat, group, grads, &mut walk);
             }
-            for (slot, lane) in record.iter_mut().zip(walk.channels.iter().chain(&walk.geometry)) {
+            for (slot, lane) in out[place(entry)]
+                .iter_mut()
+                .zip(walk.channels.iter().chain(&walk.geometry))
+            {
                 *slot = sum(lane);
             }
         }

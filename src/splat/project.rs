@@ -105,6 +105,7 @@ struct Whitened {
 }
 
 impl Whitened {
+    #[inline(always)]
     fn new(gaussians: &Table, index: usize, camera: &ProjectiveCamera, at: (f32, f32, f32)) -> Self {
         let rotation = gaussians.rotation(index);
         let scale = gaussians.scale(index);
@@ -164,6 +165,7 @@ enum Fate {
     NotFinite,
 }
 
+#[inline(always)]
 fn project_one(gaussians: &Table, index: usize, camera: &ProjectiveCamera, options: &ProjectionOptions) -> Fate {
     let position = gaussians.position(index);
     if !position.is_finite() {
@@ -259,6 +261,7 @@ pub fn project(gaussians: &Table, camera: &ProjectiveCamera, options: &Projectio
     all
 }
 
+#[inline(always)]
 fn backward_one(
     gaussians: &Table,
     index: usize,

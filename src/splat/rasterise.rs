@@ -5,6 +5,7 @@ use super::kernel::{self, GEOMETRY, PLANE, STRIDE, TileFrame, TileGradients, Til
 use super::project::{Projected, Splat, SplatGradient};
 use rayon::prelude::*;
 use std::borrow::Cow;
+use std::sync::{Mutex, PoisonError};
 
 /// Channel counts that are compiled; a request is rounded up to the next one.
 pub const CHANNEL_COUNTS: [usize; 9] = [0, 1, 4, 5, 7, 8, 10, 12, 16];
@@ -261,9 +262,9 @@ impl<'a> Rasteriser<'a> {
 
     fn backward_k<const K: usize>(&self, features: &[f32], maps: &Maps, grads: &MapGradients) -> SplatGradients {
         let width = K + GEOMETRY;
-        let mut records = vec![0.0f32; self.bins.list.len() * width];
+        let mut records = Records::take(self.bins.list.len() * width);
         let mut parts = Vec::with_capacity(self.bins.tiles());
-        let mut left = records.as_mut_slice();
+        let mut left = records.values();
         for tile in 0..self.bins.tiles() {
             let (part, remaining) = left.split_at_mut(self.bins.tile(tile).len() * width);
             parts.push(part);
@@ -277,9 +278,11 @@ impl<'a> Rasteriser<'a> {
                 let list = self.bins.tile(tile);
                 if !list.is_empty() {
                     self.cut_gradients(tile, maps, grads, gradients);
-                    kernel::backward(list, splats, features, &self.frame(tile), gradients, part);
+                    let (frame, base) = (self.frame(tile), self.bins.starts[tile]);
+                    kernel::backward(list, splats, features, &frame, gradients, base, part);
                 }
             });
+        let records = &*records.values();
         let mut out = SplatGradients {
             splats: vec![SplatGradient::default(); splats.len()],
             features: vec![0.0; splats.len() * K],
@@ -312,6 +315,35 @@ impl<'a> Rasteriser<'a> {
                 .for_each(|(s, (slot, f))| *slot = reduce(s, f));
         }
         out
+    }
+}
+
+/// Room for the tiles' records, kept from one backward pass to the next: clearing and handing back some ten megabytes costs
+/// as much as filling them. What stands in it at first means nothing; every record is written before it is read.
+struct Records {
+    values: Vec<f32>,
+    length: usize,
+}
+
+static SPARE_RECORDS: Mutex<Vec<f32>> = Mutex::new(Vec::new());
+
+impl Records {
+    fn take(length: usize) -> Self {
+        let mut values = std::mem::take(&mut *SPARE_RECORDS.lock().unwrap_or_else(PoisonError::into_inner));
+        if values.len() < length {
+            values.resize(length, 0.0);
+        }
+        Self { values, length }
+    }
+
+    fn values(&mut self) -> &mut [f32] {
+        &mut self.values[..self.length]
+    }
+}
+
+impl Drop for Records {
+    fn drop(&mut self) {
+        *SPARE_RECORDS.lock().unwrap_or_else(PoisonError::into_inner) = std::mem::take(&mut self.values);
     }
 }
 
