@@ -242,6 +242,12 @@ impl Table {
         });
     }
 
+    /// Adds to one Gaussian.
+    pub(crate) fn add_core_to(&mut self, index: usize, gradient: &CoreGradient) {
+        let chunk = self.core_chunks_mut(1).skip(index).take(1);
+        chunk.for_each(|mut chunk| chunk.add(0, gradient));
+    }
+
     /// Calls `make` for every range of `range` Gaussians, with its number and a way to add to a Gaussian of the range.
     pub(crate) fn add_core_by_range(
         &mut self,

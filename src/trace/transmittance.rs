@@ -308,8 +308,9 @@ impl Transmittance {
         if origins.is_sorted_by(|a, b| a < b) {
             out.add_core(origins, of_origin);
         } else {
-            for (place, origin) in origins.iter().enumerate() {
-                out.add_core(&[*origin], |_| of_origin(place));
+            // Origins in another order, or more than once: one after another.
+            for (place, &origin) in origins.iter().enumerate() {
+                out.add_core_to(origin as usize, &of_origin(place));
             }
         }
     }
