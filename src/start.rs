@@ -19,6 +19,7 @@ mod ortho;
 mod pairs;
 mod pick;
 mod search;
+mod settle;
 mod sgm;
 pub mod surface;
 pub mod sweep;

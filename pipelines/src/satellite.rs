@@ -96,8 +96,8 @@ pub fn plan(scene: &Scene) -> Vec<PlanItem> {
         ),
         item(
             "cameras.align",
-            false,
-            "cameras are used as delivered; cameras.align=on estimates one shift per image".into(),
+            true,
+            "one shift per image is estimated, and used where it exceeds a quarter pixel and the images agree better with it".into(),
         ),
         item(
             "model.near_light",
@@ -158,8 +158,11 @@ fn train_into(
         &out.join("dsm.png"),
         &preview::hillshade(&surface.altitude(), model.file.gsd_m),
     )?;
-    measure::write_start(out, &fitted, &model)?;
+    let start = measure::write_start(scene, out, &fitted, &model)?;
     let mut metrics = measure::metrics(scene, &model, out, Protocol::Raw)?;
+    if !start.is_null() {
+        metrics["start"] = start;
+    }
     measure::add_fit(&mut metrics, &fitted, &model, started.elapsed().as_secs_f64());
     run::save_metrics(out, &metrics)?;
     Ok((model, metrics, fitted.interrupted))

@@ -23,6 +23,8 @@ pub(super) struct Matching<'a> {
     pub(super) views: &'a [LevelView],
     pub(super) pairs: &'a [Pair],
     pub(super) alike: f32,
+    /// Costs are averaged over windows of this radius, cells: where the base is short, a wider look tells altitudes apart.
+    pub(super) radius: usize,
     /// What each view sees first, where a surface is known already.
     pub(super) hits: Option<&'a [FirstHits]>,
 }
@@ -41,7 +43,7 @@ impl Matching<'_> {
             rest = tail;
         }
         strips.into_par_iter().for_each(|(row0, row1, strip)| {
-            let mut scratch = Scratch::new(self.views.len());
+            let mut scratch = Scratch::new(self.views.len(), self.radius);
             for col0 in (0..self.grid.width).step_by(BLOCK.1) {
                 let col1 = (col0 + BLOCK.1).min(self.grid.width);
                 let block = Block { row0, row1, col0, col1 };
@@ -58,8 +60,10 @@ impl Matching<'_> {
             first = first.min(usize::from(bands.low[cell]));
             last = last.max(usize::from(bands.low[cell]) + bands.count(cell));
         });
+        let wide = block.wider(self.radius);
         for level in first..last {
-            self.block_costs(block, self.ladder.altitude(level as f32), scratch);
+            self.block_costs(&wide, self.ladder.altitude(level as f32), scratch);
+            scratch.average(block, self.radius);
             block.cells(&self.grid, |k, cell| {
                 let low = usize::from(bands.low[cell]);
                 if level >= low && level < low + bands.count(cell) {
@@ -70,8 +74,8 @@ impl Matching<'_> {
     }
 
     /// Costs of a block at one altitude, into `scratch.cost`.
-    fn block_costs(&self, block: &Block, altitude_m: f32, scratch: &mut Scratch) {
-        let (width, height) = (block.col1 - block.col0, block.row1 - block.row0);
+    fn block_costs(&self, block: &WideBlock, altitude_m: f32, scratch: &mut Scratch) {
+        let WideBlock { width, height, .. } = *block;
         let cells = width * height;
         for (view, index) in self.views.iter().zip(0..) {
             self.sample_block(view, block, altitude_m, &mut scratch.values);
@@ -104,16 +108,13 @@ impl Matching<'_> {
     }
 
     /// Values of a view on the block and its margin at one altitude.
-    fn sample_block(&self, view: &LevelView, block: &Block, altitude_m: f32, out: &mut [f32]) {
-        let columns = block.col1 - block.col0 + 2 * RADIUS;
-        let rows = block.row1 - block.row0 + 2 * RADIUS;
+    fn sample_block(&self, view: &LevelView, block: &WideBlock, altitude_m: f32, out: &mut [f32]) {
+        let columns = block.width + 2 * RADIUS;
+        let rows = block.height + 2 * RADIUS;
         let camera = &view.camera;
         let step = self.grid.cell_m;
         let (du, dv, dw) = (camera.u.x * step, camera.v.x * step, camera.w.x * step);
-        let (col0, row0) = (
-            block.col0 as isize - RADIUS as isize,
-            block.row0 as isize - RADIUS as isize,
-        );
+        let (col0, row0) = (block.col0 - RADIUS as isize, block.row0 - RADIUS as isize);
         for row in 0..rows {
             let p = self.grid.point(col0, row0 + row as isize, altitude_m);
             let (u, v) = (camera.u.dot(p) + camera.u0, camera.v.dot(p) + camera.v0);
@@ -126,11 +127,13 @@ impl Matching<'_> {
         }
     }
 
-    fn drop_hidden(&self, index: usize, hits: &FirstHits, block: &Block, altitude_m: f32, words: &mut [u64]) {
+    fn drop_hidden(&self, index: usize, hits: &FirstHits, block: &WideBlock, altitude_m: f32, words: &mut [u64]) {
         let camera = &self.views[index].camera;
         for (k, word) in words.iter_mut().enumerate() {
-            let width = block.col1 - block.col0;
-            let (col, row) = ((block.col0 + k % width) as isize, (block.row0 + k / width) as isize);
+            let (col, row) = (
+                block.col0 + (k % block.width) as isize,
+                block.row0 + (k / block.width) as isize,
+            );
             let (image_col, image_row, _) = camera.project(self.grid.point(col, row, altitude_m));
             if hits.hides(image_col, image_row, altitude_m) {
                 *word |= INVALID;
@@ -160,23 +163,66 @@ impl Block {
     }
 }
 
+/// A block with a margin, which may reach beyond the grid.
+struct WideBlock {
+    row0: isize,
+    col0: isize,
+    width: usize,
+    height: usize,
+}
+
+impl Block {
+    fn wider(&self, margin: usize) -> WideBlock {
+        WideBlock {
+            row0: self.row0 as isize - margin as isize,
+            col0: self.col0 as isize - margin as isize,
+            width: self.col1 - self.col0 + 2 * margin,
+            height: self.row1 - self.row0 + 2 * margin,
+        }
+    }
+}
+
 struct Scratch {
     values: Vec<f32>,
     words: Vec<Vec<u64>>,
     sum: Vec<u32>,
     weights: Vec<u32>,
     cost: Vec<u8>,
+    across: Vec<u32>,
 }
 
 impl Scratch {
-    fn new(views: usize) -> Self {
-        let cells = BLOCK.0 * BLOCK.1;
+    fn new(views: usize, radius: usize) -> Self {
+        let cells = (BLOCK.0 + 2 * radius) * (BLOCK.1 + 2 * radius);
+        let margin = 2 * (RADIUS + radius);
         Self {
-            values: vec![0.0; (BLOCK.0 + 2 * RADIUS) * (BLOCK.1 + 2 * RADIUS)],
+            values: vec![0.0; (BLOCK.0 + margin) * (BLOCK.1 + margin)],
+            across: vec![0; cells],
             words: vec![vec![0; cells]; views],
             sum: vec![0; cells],
             weights: vec![0; cells],
             cost: vec![0; cells],
+        }
+    }
+
+    /// Means over windows of the costs of a block with its margin; those of the block itself come first then.
+    fn average(&mut self, block: &Block, radius: usize) {
+        if radius == 0 {
+            return;
+        }
+        let (width, height) = (block.col1 - block.col0, block.row1 - block.row0);
+        let (stride, side) = (width + 2 * radius, 2 * radius + 1);
+        for row in 0..height + 2 * radius {
+            for col in 0..width {
+                let window = &self.cost[row * stride + col..row * stride + col + side];
+                self.across[row * width + col] = window.iter().map(|&c| u32::from(c)).sum();
+            }
+        }
+        for row in 0..height {
+            for col in 0..width {
+                let sum: u32 = (row..row + side).map(|r| self.across[r * width + col]).sum();
+                self.cost[row * width + col] = (sum / (side * side) as u32) as u8;
+            }
         }
     }
 }

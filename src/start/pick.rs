@@ -10,6 +10,8 @@ pub(super) struct Choice {
     pub(super) altitude_m: f32,
     /// Lowest and highest altitude that are nearly as good.
     pub(super) possible: (f32, f32),
+    /// Summed cost of the level: how badly the views agree, with what smoothness adds.
+    pub(super) cost: u16,
     /// How much worse the best distant alternative is, 0 (equal) to 1.
     pub(super) margin: f32,
 }
@@ -68,6 +70,7 @@ fn one(sums: &[u16], low: usize, ladder: &Ladder, tolerance: u16) -> Choice {
             ladder.altitude((low + least) as f32),
             ladder.altitude((low + most) as f32),
         ),
+        cost: sums[best],
         margin,
     }
 }

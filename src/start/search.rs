@@ -6,6 +6,7 @@ use super::grid::{Grid, Ladder};
 use super::ortho;
 use super::pairs::{self, Pair};
 use super::pick::{self, Choice};
+use super::settle;
 use super::sgm::{Penalties, Volume};
 use super::sweep::SweepRequest;
 use super::views::{LevelView, SweepView};
@@ -109,6 +110,7 @@ impl<'a> Search<'a> {
             pairs: &self.pairs,
             hits,
             alike: options.alike,
+            radius: settle::radius_for(self.sharpness()),
         };
         let costs = matching.costs(&bands);
         let volume = Volume {
@@ -133,9 +135,22 @@ impl<'a> Search<'a> {
         }
     }
 
+    /// How sharply all comparisons together tell altitudes apart: the root of the sum of squared ratios of base to height.
+    pub(super) fn sharpness(&self) -> f32 {
+        self.pairs
+            .iter()
+            .map(|pair| pair.base_to_height.powi(2))
+            .sum::<f32>()
+            .sqrt()
+    }
+
+    /// Largest ratio of base to height among the pairs that are compared.
+    fn widest_base(&self) -> f32 {
+        self.pairs.iter().map(|pair| pair.base_to_height).fold(0.0, f32::max)
+    }
+
     fn ladder(&self, cell_m: f32) -> Ladder {
-        let widest = self.pairs.iter().map(|pair| pair.base_to_height).fold(0.0, f32::max);
-        let step_m = self.request.options.step_cells * cell_m / widest.max(1e-3);
+        let step_m = self.request.options.step_cells * cell_m / self.widest_base().max(1e-3);
         Ladder::new(self.request.altitude_min_m, self.request.altitude_max_m, step_m)
     }
 

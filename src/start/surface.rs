@@ -19,8 +19,8 @@ pub struct Surface {
     pub altitude: Vec<f32>,
     /// Trust in each altitude, 0 (filled or guessed) to 1.
     pub confidence: Vec<f32>,
-    /// How many views agree on each cell.
-    pub views: Vec<u8>,
+    /// Step of the altitudes that were compared, metres: what the views can tell apart.
+    pub resolution_m: f32,
     /// Cells whose altitude was not matched but taken from their neighbours.
     pub filled: Vec<bool>,
 }

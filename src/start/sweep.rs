@@ -2,6 +2,7 @@
 
 use super::grid::Grid;
 use super::search::Search;
+use super::settle;
 use super::surface::Surface;
 use super::views::SweepView;
 use super::visibility::FirstHits;
@@ -79,6 +80,11 @@ impl SweepRequest {
     }
 }
 
+/// Neighbours whose altitudes differ by less than this many cells (or two steps of the ladder) belong to one patch.
+const SAME_PATCH_CELLS: f32 = 2.0;
+/// Smaller patches are mistakes: two metres across at half a metre.
+const ISLAND_CELLS: usize = 16;
+
 /// Finds the surface that the views agree on. `progress` hears the share done, 0 to 1.
 pub fn sweep(views: &[SweepView], request: &SweepRequest, progress: &dyn Fn(f32)) -> Surface {
     let grid = request.grid();
@@ -93,6 +99,14 @@ pub fn sweep(views: &[SweepView], request: &SweepRequest, progress: &dyn Fn(f32)
             .collect();
         found = search.level(1, Some(&found), Some(&hits));
     }
+    let mut altitude = found.altitude();
+    let step_m = (2.0 * found.step_m).max(SAME_PATCH_CELLS * grid.cell_m);
+    let filled = settle::islands(&grid, &altitude, step_m, ISLAND_CELLS);
+    settle::fill(&grid, &mut altitude, &filled);
+    let altitude = match settle::radius_for(search.sharpness()) {
+        0 => altitude,
+        radius => settle::planes(&grid, &altitude, radius + 1, step_m),
+    };
     Surface {
         width: grid.width,
         height: grid.height,
@@ -100,8 +114,8 @@ pub fn sweep(views: &[SweepView], request: &SweepRequest, progress: &dyn Fn(f32)
         north_m: grid.north_m,
         cell_m: grid.cell_m,
         confidence: found.choices.iter().map(|c| c.margin).collect(),
-        views: vec![0; grid.len()],
-        filled: vec![false; grid.len()],
-        altitude: found.choices.iter().map(|c| c.altitude_m).collect(),
+        resolution_m: found.step_m,
+        filled,
+        altitude,
     }
 }

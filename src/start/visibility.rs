@@ -59,7 +59,7 @@ impl Roof {
 
 impl FirstHits {
     pub(super) fn new(view: &LevelView, grid: &Grid, altitude: &[f32], tolerance_m: f32) -> Self {
-        let altitude = &eroded(grid, altitude, std::env::var("ERODE").map_or(1, |v| v.parse().unwrap()));
+        let altitude = &eroded(grid, altitude, 1);
         let roof = Roof::new(grid, altitude);
         let mut hits = vec![f32::MIN; view.width * view.height];
         hits.par_chunks_mut(view.width.max(1))

@@ -6,6 +6,7 @@ use crate::raster::{Crs, RasterError};
 use crate::run::LoadedModel;
 use glam::DVec3;
 use heliosplat::render::{Rendering, render};
+use heliosplat::start::Surface;
 use heliosplat::{ProjectiveCamera, Raster};
 use std::path::Path;
 
@@ -114,6 +115,39 @@ pub fn dsm(model: &LoadedModel, gsd_m: f64, crs: Option<&str>) -> Result<Dsm, Ra
             raster.values[i] = nadir.height(col, row, -maps.median_depth[i]) as f32;
             let mean = maps.depth[i] / alpha;
             raster.values[pixels + i] = (maps.depth_square[i] / alpha - mean * mean).max(0.0).sqrt();
+        }
+    }
+    Ok(Dsm {
+        raster,
+        grid: nadir.grid,
+    })
+}
+
+/// The surface that training started from, on the grid of the model's own surface; its coverage is the sweep's confidence and
+/// it has no standard deviation.
+///
+/// # Errors
+/// When the place has no map grid.
+pub fn of_start(model: &LoadedModel, surface: &Surface) -> Result<Dsm, RasterError> {
+    let nadir = NadirGrid::new(model, model.file.gsd_m, None)?;
+    let (width, height) = (nadir.grid.width, nadir.grid.height);
+    let mut raster = Raster::filled(width, height, 3, f32::NAN);
+    let pixels = width * height;
+    for i in 0..pixels {
+        let (col, row) = (i % width, i / width);
+        let place = |height_m: f64| nadir.enu.enu(col as f64, row as f64, height_m);
+        let mut height_m = model.frame.origin.height_m;
+        // A plumb line hardly leans over a scene: the second look is at the altitude that the first one found.
+        for _ in 0..2 {
+            let [east, north, _] = place(height_m);
+            let Some(up_m) = surface.altitude_at(east as f32, north as f32) else {
+                break;
+            };
+            height_m = nadir.height(col, row, up_m);
+            raster.values[i] = height_m as f32;
+            raster.values[2 * pixels + i] = surface
+                .cell_at(east as f32, north as f32)
+                .map_or(0.0, |cell| surface.confidence[cell]);
         }
     }
     Ok(Dsm {

@@ -1,9 +1,8 @@
 //! The images of a run as the model sees them, and how well.
 
 use crate::evaluate::image::{ImageScore, score_image};
-use crate::evaluate::shadow::ShadowCounts;
 use crate::run::{LoadedModel, ModelImage};
-use crate::satellite::views::{self, Crop};
+use crate::satellite::views;
 use glam::Vec3;
 use heliosplat::light::Light;
 use heliosplat::render::{Rendering, render};
@@ -121,9 +120,4 @@ pub fn score(rendered: &RenderedView, truth: &Raster, held_out: bool) -> Option<
         }
     }
     score_image(&rendered.image, &truth)
-}
-
-/// Counts of right and wrong shadow pixels against a mask of the whole image (1 = in shadow).
-pub fn shadow_counts(rendered: &RenderedView, crop: &Crop, mask: &Raster) -> ShadowCounts {
-    ShadowCounts::of(&rendered.visibility, &crop.cut(mask))
 }

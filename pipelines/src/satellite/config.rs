@@ -38,6 +38,12 @@ pub struct StartOptions {
     pub thickness_cells: f32,
     /// Opacity.
     pub opacity: f32,
+    /// Opacity of what stands near a step, above ground that is laid beneath it: training decides which of them is there.
+    pub step_opacity: f32,
+    /// Height of a step from which on it gets a wall, metres.
+    pub wall_from_m: f32,
+    /// Vertical distance between the discs of a wall, cells.
+    pub wall_pitch_cells: f32,
     /// Share of the images that must show a cell for Gaussians to start there; two always must.
     pub coverage: f64,
     /// Ground added around the area, metres, so that shadows can fall into it.
@@ -51,6 +57,9 @@ impl Default for StartOptions {
             spread_cells: 0.65,
             thickness_cells: 0.2,
             opacity: 0.99,
+            step_opacity: 0.6,
+            wall_from_m: 2.0,
+            wall_pitch_cells: 2.0,
             coverage: 0.4,
             margin_m: 4.0,
         }
@@ -82,8 +91,7 @@ pub struct CameraOptions {
 impl Default for CameraOptions {
     fn default() -> Self {
         Self {
-            // A shift along the line of sight cannot be told from an altitude: on sound cameras the estimate did harm.
-            align: Align::Off,
+            align: Align::Auto,
             threshold_px: 0.25,
         }
     }

@@ -67,6 +67,9 @@ pub struct Fitted {
     pub views: Vec<View>,
 }
 
+/// Cells around a cell among which the lowest is its ground.
+const GROUND_CELLS: usize = 12;
+
 /// The ground the sweep covers and the images that show it.
 struct Ground<'a> {
     images: Vec<&'a SceneImage>,
@@ -111,13 +114,14 @@ impl<'a> Ground<'a> {
             .collect()
     }
 
-    /// Cells that enough of the images show: `share` of them, and at least two. At the ragged edge of the common ground, where
-    /// two dates meet at best, a swept surface is mostly noise.
+    /// Cells whose ground enough of the images show: `share` of them, and at least two. At the ragged edge of the common ground,
+    /// where two dates meet at best, a swept surface is mostly noise; so the ground is the lowest altitude around.
     fn covered(&self, surface: &Surface, share: f64) -> Vec<bool> {
         let needed = ((self.images.len() as f64 * share).ceil() as usize).max(2);
+        let floor = initial::lowest(surface, GROUND_CELLS);
         let shows = |image: &SceneImage, cell: usize| {
             let p = surface.point(cell % surface.width, cell / surface.width);
-            image.sees(nalgebra::Vector3::new(p.x.into(), p.y.into(), p.z.into()))
+            image.sees(nalgebra::Vector3::new(p.x.into(), p.y.into(), floor[cell].into()))
         };
         (0..surface.altitude.len())
             .into_par_iter()

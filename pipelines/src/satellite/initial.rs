@@ -1,13 +1,24 @@
-//! Gaussians on a swept surface: one flat disc per cell. Steps get no walls of their own: discs on façades were tried and
-//! made both surface and shadows worse (`docs/satellite.md`).
+//! Gaussians on a swept surface: one flat disc per cell, walls under its steps, and a floor under what stands at a step.
+//!
+//! * Without walls a roof is a table: oblique views look under it and the sun shines through below. The discs of a wall stand
+//!   half a cell inside the roof's edge, where the roof hides them from above, and begin below the roof.
+//! * A sweep makes roofs a cell or two too wide and roofs over narrow alleys. Near a step, and further where the sweep was in
+//!   doubt, the ground is laid under the roof as well, and the roof starts less opaque: training takes away what
+//!   the images do not show, and the ground is there when it does.
 
 use super::config::StartOptions;
-use glam::{Quat, Vec3};
+use glam::{Mat3, Quat, Vec3};
 use heliosplat::gaussians::{GroupSpec, LOG_SCALE, OPACITY, POSITION, ROTATION, Table, core_groups, logit};
 use heliosplat::start::Surface;
 
 /// Slopes beyond this are steps, not slopes: the disc stays level there.
 const STEEPEST: f32 = 1.5;
+/// A step of fewer steps of the sweep's ladder than this is noise and no wall.
+const WALL_FROM_STEPS: f32 = 3.0;
+/// Cells around a cell among which the lowest is the floor beneath it: near a step, and where the sweep was in doubt.
+const FLOOR_CELLS: (usize, usize) = (4, 9);
+/// Confidence below which the sweep was in doubt.
+const DOUBT: f32 = 0.1;
 
 /// Where the discs stand and how they lie.
 struct Discs<'a> {
@@ -19,15 +30,96 @@ struct Discs<'a> {
     opacity: Vec<f32>,
 }
 
+/// One disc: its normal is the rotated z axis; its extents along the rotated x and y axes are in cells.
+struct Disc {
+    centre: Vec3,
+    rotation: Quat,
+    extent_cells: [f32; 2],
+    opacity: f32,
+}
+
 impl Discs<'_> {
-    fn add(&mut self, centre: Vec3, rotation: Quat) {
-        let spread = self.options.spread_cells * self.cell_m;
-        let thickness = self.options.thickness_cells * self.cell_m;
-        self.position.extend(centre.to_array());
-        self.rotation.extend(rotation.to_array());
-        self.log_scale.extend([spread.ln(), spread.ln(), thickness.ln()]);
-        self.opacity.push(logit(self.options.opacity));
+    fn add(&mut self, disc: &Disc) {
+        let spread = disc
+            .extent_cells
+            .map(|cells| (self.options.spread_cells * cells * self.cell_m).ln());
+        let thickness = (self.options.thickness_cells * self.cell_m).ln();
+        self.position.extend(disc.centre.to_array());
+        self.rotation.extend(disc.rotation.to_array());
+        self.log_scale.extend([spread[0], spread[1], thickness]);
+        self.opacity.push(logit(disc.opacity));
     }
+
+    /// The wall under a cell that stands `step.drop_m` above its lowest neighbour.
+    fn add_wall(&mut self, top: Vec3, step: &Step, opacity: f32) {
+        let pitch = self.options.wall_pitch_cells * self.cell_m;
+        let height = (step.drop_m - self.cell_m).max(self.cell_m);
+        let count = (height / pitch).ceil().max(1.0);
+        for k in 0..count as usize {
+            let down = self.cell_m + height * (k as f32 + 0.5) / count;
+            self.add(&Disc {
+                centre: top - Vec3::Z * down,
+                rotation: upright(step.outward),
+                extent_cells: [1.0, height / count / self.cell_m],
+                opacity,
+            });
+        }
+    }
+}
+
+/// The rotation that brings z to a horizontal direction and y to the vertical.
+fn upright(outward: Vec3) -> Quat {
+    Quat::from_mat3(&Mat3::from_cols(Vec3::Z.cross(outward), Vec3::Z, outward))
+}
+
+/// Where the ground falls away beside a cell.
+struct Step {
+    /// How far the cell stands above its lowest side neighbour, metres.
+    drop_m: f32,
+    /// The horizontal direction down the step.
+    outward: Vec3,
+}
+
+fn step_at(surface: &Surface, col: usize, row: usize) -> Option<Step> {
+    let here = surface.altitude[row * surface.width + col];
+    let (mut drop_m, mut outward) = (0.0f32, Vec3::ZERO);
+    for (dc, dr) in [(-1, 0), (1, 0), (0, -1), (0, 1), (-1, -1), (1, -1), (-1, 1), (1, 1)] {
+        let (c, r) = (col as isize + dc, row as isize + dr);
+        if c < 0 || r < 0 || c >= surface.width as isize || r >= surface.height as isize {
+            continue;
+        }
+        let fall = here - surface.altitude[r as usize * surface.width + c as usize];
+        if fall > 0.0 {
+            outward += Vec3::new(dc as f32, -dr as f32, 0.0).normalize() * fall;
+            if dc == 0 || dr == 0 {
+                drop_m = drop_m.max(fall);
+            }
+        }
+    }
+    let outward = outward.try_normalize()?;
+    Some(Step { drop_m, outward })
+}
+
+/// The lowest altitude within `radius` cells of each cell.
+pub(super) fn lowest(surface: &Surface, radius: usize) -> Vec<f32> {
+    let (width, height) = (surface.width, surface.height);
+    let near = |at: usize, count: usize| at.saturating_sub(radius)..(at + radius + 1).min(count);
+    let least = |values: &mut dyn Iterator<Item = f32>| values.fold(f32::MAX, f32::min);
+    let across: Vec<f32> = (0..width * height)
+        .map(|i| least(&mut near(i % width, width).map(|c| surface.altitude[i / width * width + c])))
+        .collect();
+    (0..width * height)
+        .map(|i| least(&mut near(i / width, height).map(|r| across[r * width + i % width])))
+        .collect()
+}
+
+/// The level or inclined rotation of a cell's disc.
+fn lie(surface: &Surface, col: usize, row: usize) -> Quat {
+    let (east, north) = surface.slope(col, row);
+    if east.abs().max(north.abs()) > STEEPEST {
+        return Quat::IDENTITY;
+    }
+    Quat::from_rotation_arc(Vec3::Z, Vec3::new(-east, -north, 1.0).normalize())
 }
 
 /// The Gaussians of the cells of `surface` that are `covered`; the groups of `features` are zero.
@@ -45,21 +137,36 @@ pub(super) fn gaussians_on(
         log_scale: Vec::new(),
         opacity: Vec::new(),
     };
-    for row in 0..surface.height {
-        for col in 0..surface.width {
-            let cell = row * surface.width + col;
-            if !covered[cell] {
-                continue;
-            }
-            let here = surface.point(col, row);
-            let (east, north) = surface.slope(col, row);
-            let slope = if east.abs().max(north.abs()) > STEEPEST {
-                (0.0, 0.0)
-            } else {
-                (east, north)
-            };
-            let normal = Vec3::new(-slope.0, -slope.1, 1.0).normalize();
-            discs.add(here, Quat::from_rotation_arc(Vec3::Z, normal));
+    let wall_from_m = options.wall_from_m.max(WALL_FROM_STEPS * surface.resolution_m);
+    let floors = (lowest(surface, FLOOR_CELLS.0), lowest(surface, FLOOR_CELLS.1));
+    for cell in (0..covered.len()).filter(|&cell| covered[cell]) {
+        let (col, row) = (cell % surface.width, cell / surface.width);
+        let here = surface.point(col, row);
+        let doubtful = surface.confidence[cell] < DOUBT;
+        let floor_m = if doubtful { floors.1[cell] } else { floors.0[cell] };
+        let above_floor = here.z - floor_m > wall_from_m;
+        let opacity = if above_floor {
+            options.step_opacity
+        } else {
+            options.opacity
+        };
+        let top = Disc {
+            centre: here,
+            rotation: lie(surface, col, row),
+            extent_cells: [1.0; 2],
+            opacity,
+        };
+        discs.add(&top);
+        if above_floor {
+            discs.add(&Disc {
+                centre: Vec3::new(here.x, here.y, floor_m),
+                rotation: Quat::IDENTITY,
+                opacity: options.opacity,
+                ..top
+            });
+        }
+        if let Some(step) = step_at(surface, col, row).filter(|step| step.drop_m > wall_from_m) {
+            discs.add_wall(here, &step, opacity);
         }
     }
     let mut groups = core_groups();
@@ -86,7 +193,7 @@ mod tests {
             cell_m: 0.5,
             altitude,
             confidence: vec![1.0; count],
-            views: vec![2; count],
+            resolution_m: 0.1,
             filled: vec![false; count],
         }
     }
@@ -110,5 +217,41 @@ mod tests {
         );
         assert_eq!(table.count, 3);
         assert!((0..3).all(|i| table.position(i).z < 1.0));
+    }
+
+    /// A strip of roof, 6 m up, west of level ground: twenty cells of each.
+    fn eaves() -> Table {
+        let altitude: Vec<f32> = (0..40).map(|i| if i < 20 { 6.0 } else { 0.0 }).collect();
+        gaussians_on(&surface(altitude, 40), &[true; 40], &StartOptions::default(), vec![])
+    }
+
+    #[test]
+    fn a_step_gets_a_wall_below_its_roof_and_above_the_ground() {
+        let table = eaves();
+        let upright: Vec<usize> = (0..table.count)
+            .filter(|&i| (table.rotation(i) * Vec3::Z).z.abs() < 1e-3)
+            .collect();
+        assert!(!upright.is_empty());
+        for i in upright {
+            let (p, normal) = (table.position(i), table.rotation(i) * Vec3::Z);
+            assert!((p.x - 9.75).abs() < 1e-5, "in the last cell of the roof: {p}");
+            assert!(p.z > 0.0 && p.z < 5.5, "{p}");
+            assert!(
+                (normal - Vec3::X).length() < 1e-3,
+                "facing the ground beside it: {normal}"
+            );
+        }
+    }
+
+    #[test]
+    fn ground_lies_under_the_edge_of_a_roof_and_only_there() {
+        let table = eaves();
+        let under_roof: Vec<f32> = (0..table.count)
+            .map(|i| table.position(i))
+            .filter(|p| p.x < 10.0 && p.z == 0.0)
+            .map(|p| p.x)
+            .collect();
+        assert_eq!(under_roof.len(), FLOOR_CELLS.0);
+        assert!(under_roof.iter().all(|&x| x > 8.0));
     }
 }

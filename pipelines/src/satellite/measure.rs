@@ -4,7 +4,8 @@ use super::fit::Fitted;
 use crate::cli::CliError;
 use crate::evaluate::shadow::ShadowCounts;
 use crate::evaluate::{DsmEvaluation, ImageScore, Protocol, error_map, evaluate_dsm};
-use crate::product::views::{render_view, score, shadow_counts};
+use crate::product::dsm::of_start;
+use crate::product::views::{RenderedView, render_view, score};
 use crate::raster::{RasterFile, preview};
 use crate::run::{LoadedModel, peak_rss_bytes};
 use crate::scene::{Scene, Split};
@@ -48,14 +49,14 @@ pub(super) fn metrics(scene: &Scene, model: &LoadedModel, run: &Path, protocol: 
                 train.push(score);
             }
         }
-        if let (false, Some((_, path))) = (
-            held_out,
-            scene.truth.shadows.iter().find(|(name, _)| *name == known.name),
-        ) {
-            let mask = RasterFile::open(path)?.read_all()?;
-            shadows.add(shadow_counts(&rendered, &known.crop, &mask));
+        let mask = match scene.truth.shadows.iter().find(|(name, _)| *name == known.name) {
+            Some((_, path)) => Some(known.crop.cut(&RasterFile::open(path)?.read_all()?)),
+            None => None,
+        };
+        if let (false, Some(mask)) = (held_out, &mask) {
+            shadows.add(ShadowCounts::of(&rendered.visibility, mask));
         }
-        draw(run, &known.name, &truth, &rendered.image, &rendered.visibility)?;
+        draw(run, &known.name, &truth, &rendered, mask.as_ref())?;
     }
     let mean = |scores: &[ImageScore], pick: fn(&ImageScore) -> f64| {
         scores.iter().map(pick).sum::<f64>() / scores.len().max(1) as f64
@@ -72,37 +73,57 @@ pub(super) fn metrics(scene: &Scene, model: &LoadedModel, run: &Path, protocol: 
     Ok(out)
 }
 
-/// The image, its rendering, and the shadows over the image, side by side.
-fn draw(run: &Path, name: &str, truth: &Raster, rendered: &Raster, visibility: &Raster) -> Result<(), CliError> {
+/// The image, its rendering, and the shadows over the image, side by side; with a true mask also where they are wrong: blue
+/// where a shadow is missing, red where one is too many.
+fn draw(
+    run: &Path,
+    name: &str,
+    truth: &Raster,
+    rendered: &RenderedView,
+    mask: Option<&Raster>,
+) -> Result<(), CliError> {
     let folder = run.join("views");
     std::fs::create_dir_all(&folder)
         .map_err(|error| CliError::Failed(format!("{}: the folder cannot be made ({error})", folder.display())))?;
     let left = preview::stretched(truth);
-    let middle = preview::stretched(rendered);
-    let mut right = left.clone();
-    let mut shadow = visibility.clone();
-    shadow.values.iter_mut().for_each(|v| *v = 1.0 - *v);
-    preview::overlay(&mut right, &shadow, [40, 80, 255]);
-    let (width, height) = left.dimensions();
-    let picture = image::RgbImage::from_fn(width * 3, height, |col, row| {
-        *[&left, &middle, &right][(col / width) as usize].get_pixel(col % width, row)
+    let mut shadows = left.clone();
+    let shadow = |v: f32| 1.0 - v;
+    let share = |pick: &dyn Fn(usize) -> f32| {
+        let mut share = rendered.visibility.clone();
+        share.values.iter_mut().enumerate().for_each(|(i, v)| *v = pick(i));
+        share
+    };
+    let visible = &rendered.visibility.values;
+    preview::overlay(&mut shadows, &share(&|i| shadow(visible[i])), [40, 80, 255]);
+    let mut panels = vec![left.clone(), preview::stretched(&rendered.image), shadows];
+    if let Some(mask) = mask {
+        let mut wrong = left;
+        let difference = |i: usize| mask.values[i] - shadow(visible[i]);
+        preview::overlay(&mut wrong, &share(&|i| difference(i).max(0.0)), [40, 80, 255]);
+        preview::overlay(&mut wrong, &share(&|i| (-difference(i)).max(0.0)), [255, 40, 40]);
+        panels.push(wrong);
+    }
+    let (width, height) = panels[0].dimensions();
+    let picture = image::RgbImage::from_fn(width * panels.len() as u32, height, |col, row| {
+        *panels[(col / width) as usize].get_pixel(col % width, row)
     });
     Ok(preview::write_png(&folder.join(format!("{name}.png")), &picture)?)
 }
 
-/// Hillshade of the surface that training started from, to compare.
-pub(super) fn write_start(run: &Path, fitted: &Fitted, model: &LoadedModel) -> Result<(), CliError> {
-    let surface = &fitted.surface;
-    let raster = Raster {
-        width: surface.width,
-        height: surface.height,
-        bands: 1,
-        values: surface.altitude.clone(),
-    };
-    Ok(preview::write_png(
+/// The surface that training started from, as a file and a picture, and its error where there is truth.
+pub(super) fn write_start(scene: &Scene, run: &Path, fitted: &Fitted, model: &LoadedModel) -> Result<Value, CliError> {
+    let start = of_start(model, &fitted.surface)?;
+    let path = run.join("start.tif");
+    start.write(&path)?;
+    preview::write_png(
         &run.join("start.png"),
-        &preview::hillshade(&raster, model.file.gsd_m),
-    )?)
+        &preview::hillshade(&start.altitude(), model.file.gsd_m),
+    )?;
+    let Some(truth) = &scene.truth.dsm else {
+        return Ok(Value::Null);
+    };
+    let evaluation = evaluate_dsm(&path, truth, scene.truth.classes.as_deref(), Protocol::Raw)?;
+    Ok(serde_json::to_value(&evaluation.metrics).unwrap_or_default())
 }
 
 /// Adds what only the fit knows.
@@ -132,6 +153,7 @@ pub(super) fn summary(metrics: &Value) -> String {
             lines.push(format!("{label:<14} {value:.3} {unit}"));
         }
     };
+    say("start MAE", number("/start/mae_m"), "m (raw, the swept surface)");
     say("DSM MAE", number("/dsm/mae_m"), &format!("m ({protocol})"));
     say("DSM median", number("/dsm/median_m"), &format!("m ({protocol})"));
     say("shadow BER", number("/shadow/ber").map(|b| 100.0 * b), "%");
