@@ -53,7 +53,8 @@ pub struct Pass<'a> {
 
 impl<'a> Pass<'a> {
     /// Looks at the model of `context` through its camera. `light` says how the transmittance toward the context's light is found.
-    pub fn new(model: &'a dyn SceneModel, context: Context<'a>, light: Lit<'a>, options: PassOptions) -> Self {
+    pub fn new(model: &'a dyn SceneModel, context: Context<'a>, light: Lit<'a>, mut options: PassOptions) -> Self {
+        options.normals |= model.needs_normals();
         let gaussians = &context.parameters.gaussians;
         let projected = project(gaussians, context.camera, &options.projection);
         let traced = match (light, &context.light) {

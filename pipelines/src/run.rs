@@ -61,6 +61,9 @@ pub struct ModelImage {
     pub split: Split,
     /// Its own colour in the model, if it was trained on.
     pub appearance: Option<usize>,
+    /// For an image held out: the colour of one taken the same day that was trained on.
+    #[serde(default)]
+    pub same_day: Option<usize>,
     /// The pinhole camera of the whole image.
     pub map: ProjectiveMap,
     /// The rectangle of it that shows the area.
@@ -183,6 +186,9 @@ pub fn hash(path: &Path) -> Result<String, RunError> {
 pub fn model_images(scene: &Scene, fitted: &Fitted, margin_m: f64) -> Vec<ModelImage> {
     let area = views::grown(&scene.area, margin_m);
     let up_m = views::altitude_range(scene);
+    let all: Vec<_> = scene.images.iter().collect();
+    let dates = views::date_groups(&all);
+    let date_of = |name: &str| all.iter().position(|image| image.name == name).map(|i| dates[i]);
     scene
         .images
         .iter()
@@ -195,6 +201,10 @@ pub fn model_images(scene: &Scene, fitted: &Fitted, margin_m: f64) -> Vec<ModelI
                 name: image.name.clone(),
                 split: image.split,
                 appearance,
+                same_day: fitted
+                    .images
+                    .iter()
+                    .position(|name| appearance.is_none() && date_of(name) == date_of(&image.name)),
                 map: image.pinhole.map,
                 crop: Crop::of(image, &area, up_m)?,
                 shift_px: appearance.map_or([0.0; 2], |a| fitted.shifts_px[a]),

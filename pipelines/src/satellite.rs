@@ -357,7 +357,7 @@ pub fn render(args: &RenderArgs, session: &Session) -> Result<Outcome, CliError>
             .iter_mut()
             .for_each(|v| *v *= model.file.counts_per_unit as f32);
         write_geotiff(&path, &ImageSpec::plain(&counts), Sample::F32)?;
-        written.push(json!({"image": path, "name": image.name, "colour": view.colour}));
+        written.push(json!({"image": path, "name": image.name, "colour": view.colour.text()}));
         progress.set(done as u64 + 1);
     }
     Ok(Outcome {

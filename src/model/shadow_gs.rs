@@ -3,17 +3,25 @@
 //! Channels: albedo `F` (one per band), visibility of the sun `S`, and, when switched on, near-surface light `L_n`. Per pixel
 //!
 //! ```text
-//! L = S + (1 - S)(L_sky + L_n)        C = F ⊙ L        C' = A C + b
+//! L = S f + (1 - S f)(L_sky + L_n)        C = F ⊙ L        C' = A C + b
 //! ```
+//!
+//! The paper has `f = 1`: one brightness whatever way a surface lies. Here `f` is how much it faces the sun, relative to level
+//! ground (`facing`), because roofs and façades change from date to date; it can be switched off.
 //!
 //! `L_sky` is a colour per image (its haze and its sun's height differ), positive through a softplus. `A` (a matrix) and `b`
 //! are per image; those of the reference image stay the identity and zero, which fixes the gauge.
 
+mod facing;
+
 use super::{Context, NamedLoss, Parameters, SceneModel, Seen};
 use crate::gaussians::{FEATURES, GroupSpec};
+use crate::light::Light;
 use crate::loss::shadow::opaqueness;
 use crate::raster::Raster;
 use crate::splat::{MapGradients, Maps};
+use facing::Facing;
+use glam::Vec3;
 use rayon::prelude::*;
 
 /// What the satellite model is made of.
@@ -30,9 +38,14 @@ pub struct ShadowGsOptions {
     pub image_colour: bool,
     /// Near-surface light in shadows, per Gaussian.
     pub near_light: bool,
+    /// Surfaces are as bright as they face the sun.
+    pub facing: bool,
     /// Weight of the shadow opaqueness loss.
     pub opaqueness_weight: f32,
 }
+
+/// Pixels per parallel job; fixed, so that results do not depend on the number of threads.
+const CHUNK: usize = 4096;
 
 impl Default for ShadowGsOptions {
     fn default() -> Self {
@@ -42,6 +55,7 @@ impl Default for ShadowGsOptions {
             reference: 0,
             image_colour: true,
             near_light: false,
+            facing: true,
             opaqueness_weight: 0.3,
         }
     }
@@ -80,6 +94,40 @@ impl ShadowGs {
     /// A model of these options.
     pub fn new(options: ShadowGsOptions) -> Self {
         Self { options }
+    }
+
+    /// Share of the sun that reaches each pixel, 0 to 1: its visibility, and none where the surface turns away from it; NaN
+    /// where there is no surface. `maps` hold the normals after the model's channels.
+    pub fn sunlit(&self, light: Option<Light>, maps: &Maps) -> Vec<f32> {
+        let visibility = &maps.channels[self.visibility_channel()];
+        let facing = if self.options.facing {
+            Facing::new(light, maps, self.channels())
+        } else {
+            None
+        };
+        (0..maps.alpha.len())
+            .map(|i| {
+                if maps.alpha[i] > 0.5 {
+                    let lit = facing.as_ref().map_or(1.0, |f| f.lit(i));
+                    (lit * visibility[i] / maps.alpha[i]).clamp(0.0, 1.0)
+                } else {
+                    f32::NAN
+                }
+            })
+            .collect()
+    }
+
+    /// The sun's light on each pixel, `S f`, in units of its light on level ground.
+    pub fn sunlight(&self, light: Option<Light>, maps: &Maps) -> Vec<f32> {
+        let visibility = &maps.channels[self.visibility_channel()];
+        let facing = if self.options.facing {
+            Facing::new(light, maps, self.channels())
+        } else {
+            None
+        };
+        (0..maps.alpha.len())
+            .map(|i| visibility[i] * facing.as_ref().map_or(1.0, |f| f.factor(i).0))
+            .collect()
     }
 
     /// Channel of the visibility.
@@ -137,6 +185,139 @@ impl ShadowGs {
     }
 }
 
+/// The light of one view, and what turns it into a pixel.
+struct Lighting<'a> {
+    maps: &'a Maps,
+    bands: usize,
+    near: Option<usize>,
+    facing: Option<Facing<'a>>,
+    normal_at: usize,
+    sky: Vec<f32>,
+    matrix: Vec<f32>,
+    offset: Vec<f32>,
+}
+
+/// Gradients that all pixels add to.
+struct SharedGradients {
+    sky: Vec<f64>,
+    matrix: Vec<f64>,
+    offset: Vec<f64>,
+}
+
+impl SharedGradients {
+    fn new(bands: usize) -> Self {
+        Self {
+            sky: vec![0.0; bands],
+            matrix: vec![0.0; bands * bands],
+            offset: vec![0.0; bands],
+        }
+    }
+
+    fn add(&mut self, other: &Self) {
+        let sum = |a: &mut [f64], b: &[f64]| a.iter_mut().zip(b).for_each(|(a, b)| *a += b);
+        sum(&mut self.sky, &other.sky);
+        sum(&mut self.matrix, &other.matrix);
+        sum(&mut self.offset, &other.offset);
+    }
+}
+
+/// Gradients of some pixels: `values[slot * count + pixel]` belongs to `channels[slot]`.
+struct ChunkGradients {
+    channels: Vec<usize>,
+    count: usize,
+    values: Vec<f32>,
+    shared: SharedGradients,
+}
+
+impl<'a> Lighting<'a> {
+    fn new(model: &ShadowGs, context: &Context, maps: &'a Maps) -> Self {
+        let image = model.image(context);
+        let (matrix, offset) = model.colour(context.parameters, image);
+        let normal_at = model.channels();
+        let facing = if model.options.facing {
+            Facing::new(context.light, maps, normal_at)
+        } else {
+            None
+        };
+        Self {
+            maps,
+            bands: model.options.bands,
+            near: model.near_channel(),
+            facing,
+            normal_at,
+            sky: model.sky(context.parameters, image),
+            matrix,
+            offset,
+        }
+    }
+
+    /// The sun's light on a pixel, `S f`, its `f` and the gradient of `f` to the normal.
+    #[inline]
+    fn sun(&self, pixel: usize) -> (f32, f32, Vec3) {
+        let visible = self.maps.channels[self.bands][pixel];
+        let (factor, d_normal) = self.facing.as_ref().map_or((1.0, Vec3::ZERO), |f| f.factor(pixel));
+        (visible * factor, factor, d_normal)
+    }
+
+    /// The light in shadow: sky, and what the neighbourhood reflects.
+    #[inline]
+    fn shade(&self, band: usize, pixel: usize) -> f32 {
+        self.sky[band] + self.near.map_or(0.0, |at| self.maps.channels[at + band][pixel])
+    }
+
+    fn chunk_backward(&self, chunk: usize, d_image: &Raster) -> ChunkGradients {
+        let (maps, bands) = (self.maps, self.bands);
+        let pixels = maps.alpha.len();
+        let range = chunk * CHUNK..((chunk + 1) * CHUNK).min(pixels);
+        let count = range.len();
+        let mut channels: Vec<usize> = (0..=bands).collect();
+        let near_slot = channels.len();
+        channels.extend(self.near.iter().flat_map(|&at| at..at + bands));
+        let normal_slot = channels.len();
+        if self.facing.is_some() {
+            channels.extend(self.normal_at..self.normal_at + 3);
+        }
+        let mut values = vec![0.0; channels.len() * count];
+        let mut shared = SharedGradients::new(bands);
+        for (j, i) in range.enumerate() {
+            let (sun, factor, facing_gradient) = self.sun(i);
+            let mut d_sun = 0.0;
+            for k in 0..bands {
+                let (albedo, shade) = (maps.channels[k][i], self.shade(k, i));
+                let light = shade + (1.0 - shade) * sun;
+                let mut d_colour = 0.0;
+                for row in 0..bands {
+                    let d = d_image.values[row * pixels + i];
+                    d_colour += self.matrix[row * bands + k] * d;
+                    shared.matrix[row * bands + k] += f64::from(d * albedo * light);
+                }
+                shared.offset[k] += f64::from(d_image.values[k * pixels + i]);
+                values[k * count + j] = d_colour * light;
+                let d_light = d_colour * albedo;
+                d_sun += d_light * (1.0 - shade);
+                let d_shade = d_light * (1.0 - sun);
+                shared.sky[k] += f64::from(d_shade);
+                if self.near.is_some() {
+                    values[(near_slot + k) * count + j] = d_shade;
+                }
+            }
+            values[bands * count + j] = d_sun * factor;
+            if self.facing.is_some() {
+                let d_normal = facing_gradient * (d_sun * maps.channels[bands][i]);
+                for (k, d) in d_normal.to_array().into_iter().enumerate() {
+                    values[(normal_slot + k) * count + j] = d;
+                }
+            }
+        }
+        ChunkGradients {
+            channels,
+            count,
+            values,
+            shared,
+        }
+    }
+}
+
 impl SceneModel for ShadowGs {
     fn name(&self) -> &'static str {
         "shadow_gs"
@@ -175,6 +356,10 @@ impl SceneModel for ShadowGs {
 
     fn needs_transmittance(&self) -> bool {
         true
+    }
+
+    fn needs_normals(&self) -> bool {
+        self.options.facing
     }
 
     fn features(&self, context: &Context, seen: &Seen, out: &mut [f32]) {
@@ -221,21 +406,34 @@ impl SceneModel for ShadowGs {
 
     fn compose(&self, context: &Context, maps: &Maps) -> Raster {
         let bands = self.options.bands;
-        let image = self.image(context);
-        let sky = self.sky(context.parameters, image);
-        let (matrix, offset) = self.colour(context.parameters, image);
-        let visibility = &maps.channels[bands];
+        let lighting = Lighting::new(self, context, maps);
+        let pixels = maps.alpha.len();
         let mut out = Raster::filled(maps.width, maps.height, bands, 0.0);
-        let mut colour = vec![0.0; bands];
-        for i in 0..maps.alpha.len() {
-            let s = visibility[i];
-            for k in 0..bands {
-                let near = self.near_channel().map_or(0.0, |at| maps.channels[at + k][i]);
-                colour[k] = maps.channels[k][i] * (s + (1.0 - s) * (sky[k] + near));
-            }
-            for row in 0..bands {
-                let mixed: f32 = (0..bands).map(|k| matrix[row * bands + k] * colour[k]).sum();
-                out.values[row * maps.alpha.len() + i] = mixed + offset[row];
+        let mut rows = out.values.chunks_mut(pixels.max(1)).collect::<Vec<_>>();
+        let colours: Vec<Vec<f32>> = (0..pixels.div_ceil(CHUNK))
+            .into_par_iter()
+            .map(|chunk| {
+                let range = chunk * CHUNK..((chunk + 1) * CHUNK).min(pixels);
+                let mut values = vec![0.0; range.len() * bands];
+                let mut colour = vec![0.0; bands];
+                for (j, i) in range.clone().enumerate() {
+                    let sun = lighting.sun(i).0;
+                    for (k, c) in colour.iter_mut().enumerate() {
+                        let shade = lighting.shade(k, i);
+                        *c = maps.channels[k][i] * (shade + (1.0 - shade) * sun);
+                    }
+                    for row in 0..bands {
+                        let mixed: f32 = (0..bands).map(|k| lighting.matrix[row * bands + k] * colour[k]).sum();
+                        values[row * range.len() + j] = mixed + lighting.offset[row];
+                    }
+                }
+                values
+            })
+            .collect();
+        for (chunk, values) in colours.iter().enumerate() {
+            let count = values.len() / bands;
+            for (plane, part) in rows.iter_mut().zip(values.chunks(count)) {
+                plane[chunk * CHUNK..chunk * CHUNK + count].copy_from_slice(part);
             }
         }
         out
@@ -251,58 +449,37 @@ impl SceneModel for ShadowGs {
     ) {
         let bands = self.options.bands;
         let image = self.image(context);
-        let sky = self.sky(context.parameters, image);
-        let (matrix, _) = self.colour(context.parameters, image);
-        let pixels = maps.alpha.len();
-        let mut d_sky = vec![0.0f64; bands];
-        let mut d_matrix = vec![0.0f64; bands * bands];
-        let mut d_offset = vec![0.0f64; bands];
-        let mut light = vec![0.0; bands];
-        for i in 0..pixels {
-            let s = maps.channels[bands][i];
-            let mut d_visibility = 0.0;
-            for k in 0..bands {
-                let near = self.near_channel().map_or(0.0, |at| maps.channels[at + k][i]);
-                light[k] = s + (1.0 - s) * (sky[k] + near);
+        let lighting = Lighting::new(self, context, maps);
+        let parts: Vec<ChunkGradients> = (0..maps.alpha.len().div_ceil(CHUNK))
+            .into_par_iter()
+            .map(|chunk| lighting.chunk_backward(chunk, d_image))
+            .collect();
+        let mut shared = SharedGradients::new(bands);
+        for (chunk, part) in parts.iter().enumerate() {
+            shared.add(&part.shared);
+            let count = part.count;
+            for (slot, &channel) in part.channels.iter().enumerate() {
+                let into = &mut d_maps.channels[channel][chunk * CHUNK..chunk * CHUNK + count];
+                let from = &part.values[slot * count..(slot + 1) * count];
+                into.iter_mut().zip(from).for_each(|(d, v)| *d += v);
             }
-            for k in 0..bands {
-                let albedo = maps.channels[k][i];
-                let mut d_colour = 0.0;
-                for row in 0..bands {
-                    let d = d_image.values[row * pixels + i];
-                    d_colour += matrix[row * bands + k] * d;
-                    d_matrix[row * bands + k] += f64::from(d * albedo * light[k]);
-                }
-                d_offset[k] += f64::from(d_image.values[k * pixels + i]);
-                d_maps.channels[k][i] += d_colour * light[k];
-                let d_light = d_colour * albedo;
-                let near = self.near_channel().map_or(0.0, |at| maps.channels[at + k][i]);
-                d_visibility += d_light * (1.0 - sky[k] - near);
-                d_sky[k] += f64::from(d_light * (1.0 - s));
-                if let Some(at) = self.near_channel() {
-                    d_maps.channels[at + k][i] += d_light * (1.0 - s);
-                }
-            }
-            d_maps.channels[bands][i] += d_visibility;
         }
         let raw = &context.parameters.globals.group(SKY)[image * bands..(image + 1) * bands];
         for k in 0..bands {
             let sigmoid = crate::gaussians::sigmoid(raw[k]);
-            grads.globals.group_mut(SKY)[image * bands + k] += d_sky[k] as f32 * sigmoid;
+            grads.globals.group_mut(SKY)[image * bands + k] += shared.sky[k] as f32 * sigmoid;
         }
         if self.options.image_colour && image != self.options.reference {
-            for (slot, d) in grads.globals.group_mut(COLOUR)[image * bands * bands..]
-                .iter_mut()
-                .zip(&d_matrix)
-            {
-                *slot += *d as f32;
-            }
-            for (slot, d) in grads.globals.group_mut(OFFSET)[image * bands..]
-                .iter_mut()
-                .zip(&d_offset)
-            {
-                *slot += *d as f32;
-            }
+            let add = |group: &mut [f32], values: &[f64]| {
+                for (slot, d) in group.iter_mut().zip(values) {
+                    *slot += *d as f32;
+                }
+            };
+            add(
+                &mut grads.globals.group_mut(COLOUR)[image * bands * bands..],
+                &shared.matrix,
+            );
+            add(&mut grads.globals.group_mut(OFFSET)[image * bands..], &shared.offset);
         }
     }
 

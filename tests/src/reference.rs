@@ -202,10 +202,19 @@ pub fn render(gaussians: &[Gaussian], camera: &Camera, visibility: &[f64], filte
     pixels
 }
 
-/// The composed colour of a pixel: `A (F ⊙ (S + (1 - S) sky)) + b`.
-pub fn compose(pixel: &Pixel, sky: &[f64], matrix: &[f64], offset: &[f64]) -> Vec<f64> {
+/// How much a pixel faces the sun, relative to level ground: `max(0, n·s) / s_z`, at most 4.
+pub fn facing(pixel: &Pixel, sun: &Sun) -> f64 {
+    let length = pixel.normal.norm();
+    if length < 1e-3 {
+        return 1.0;
+    }
+    (pixel.normal.dot(sun) / length / sun.z.max(0.05)).clamp(0.0, 4.0)
+}
+
+/// The composed colour of a pixel: `A (F ⊙ (S f + (1 - S f) sky)) + b`.
+pub fn compose(pixel: &Pixel, facing: f64, sky: &[f64], matrix: &[f64], offset: &[f64]) -> Vec<f64> {
     let bands = sky.len();
-    let s = pixel.visibility;
+    let s = pixel.visibility * facing;
     let colour: Vec<f64> = (0..bands).map(|k| pixel.albedo[k] * (s + (1.0 - s) * sky[k])).collect();
     (0..bands)
         .map(|r| offset[r] + (0..bands).map(|k| matrix[r * bands + k] * colour[k]).sum::<f64>())

@@ -79,13 +79,14 @@ pub fn relight(model: &LoadedModel, sun: &SunPosition, view: &str) -> Result<Rel
     for value in &mut image.values {
         *value *= model.file.counts_per_unit as f32;
     }
-    let channel = model.model.visibility_channel();
-    let mut visibility = Raster::filled(image.width, image.height, 1, f32::NAN);
-    for (i, value) in visibility.values.iter_mut().enumerate() {
-        let alpha = rendering.maps.alpha[i];
-        if alpha > 0.5 {
-            *value = (rendering.maps.channels[channel][i] / alpha).clamp(0.0, 1.0);
-        } else {
+    let visibility = Raster {
+        width: image.width,
+        height: image.height,
+        bands: 1,
+        values: model.model.sunlit(Some(light), &rendering.maps),
+    };
+    for (i, lit) in visibility.values.iter().enumerate() {
+        if lit.is_nan() {
             for band in 0..image.bands {
                 image.plane_mut(band)[i] = f32::NAN;
             }

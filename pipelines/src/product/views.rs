@@ -19,12 +19,38 @@ pub struct RenderedView {
     pub image: Raster,
     /// Share of the sun that reaches each pixel; NaN where the model shows nothing.
     pub visibility: Raster,
-    /// How held-out colours came about, if they did.
-    pub colour: &'static str,
+    /// Where its colours come from.
+    pub colour: Colouring,
 }
 
-/// Renders an image of a run in its own colours, or, for one that was not trained on, in colours fitted to the left half of
-/// `truth` (sun, sky and offset per band); without truth, in those of the reference image.
+/// Where the colours of a rendered view come from.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Colouring {
+    /// Trained on the image itself.
+    Own,
+    /// Those of an image of the same day.
+    SameDay,
+    /// Fitted to the left half of the image: only the right one may be scored.
+    LeftHalf,
+    /// Those of the model's reference image.
+    Reference,
+}
+
+impl Colouring {
+    /// For reports.
+    pub fn text(self) -> &'static str {
+        match self {
+            Self::Own => "its own",
+            Self::SameDay => "of an image of the same day",
+            Self::LeftHalf => "fitted on the left half, scored on the right",
+            Self::Reference => "of the reference image",
+        }
+    }
+}
+
+/// Renders an image of a run in its own colours. One that was not trained on takes those of an image of the same day; without
+/// such an image, colours fitted to the left half of `truth` (sun, sky and offset per band); without truth, those of the
+/// reference image.
 pub fn render_view(model: &LoadedModel, image: &ModelImage, truth: Option<&Raster>) -> RenderedView {
     let camera = camera_of(image);
     let direction = image.sun.direction_enu();
@@ -38,29 +64,29 @@ pub fn render_view(model: &LoadedModel, image: &ModelImage, truth: Option<&Raste
         &model.parameters,
         &camera,
         Some(light),
-        image.appearance,
+        image.appearance.or(image.same_day),
         options,
     );
-    let channel = model.model.visibility_channel();
-    let mut visibility = Raster::filled(camera.width, camera.height, 1, f32::NAN);
-    for (i, value) in visibility.values.iter_mut().enumerate() {
-        if maps.alpha[i] > 0.5 {
-            *value = (maps.channels[channel][i] / maps.alpha[i]).clamp(0.0, 1.0);
-        }
-    }
-    let mut colour = "its own";
-    if image.appearance.is_none() {
-        colour = "of the reference image";
+    let visibility = Raster {
+        width: camera.width,
+        height: camera.height,
+        bands: 1,
+        values: model.model.sunlit(Some(light), &maps),
+    };
+    let sunlight = model.model.sunlight(Some(light), &maps);
+    let mut colour = Colouring::Own;
+    if image.appearance.is_none() && image.same_day.is_some() {
+        colour = Colouring::SameDay;
+    } else if image.appearance.is_none() {
+        colour = Colouring::Reference;
         if let Some(truth) = truth {
-            colour = "fitted on the left half, scored on the right";
+            colour = Colouring::LeftHalf;
             for band in 0..colours.bands {
-                fit_band(
+                fit_band(&maps.channels[band], &sunlight, truth.plane(band), camera.width).apply(
                     &maps.channels[band],
-                    &maps.channels[channel],
-                    truth.plane(band),
-                    camera.width,
-                )
-                .apply(&maps.channels[band], &maps.channels[channel], colours.plane_mut(band));
+                    &sunlight,
+                    colours.plane_mut(band),
+                );
             }
         }
     }
@@ -78,12 +104,12 @@ pub fn render_view(model: &LoadedModel, image: &ModelImage, truth: Option<&Raste
     }
 }
 
-/// One band of a date's light: `sun · F S + sky · F (1 - S) + offset`.
+/// One band of a date's light: `sun · F L + sky · F (1 - L) + offset`, `L` the sun's light on a pixel.
 struct BandLight([f64; 3]);
 
 impl BandLight {
-    fn apply(&self, albedo: &[f32], visibility: &[f32], out: &mut [f32]) {
-        for ((o, &f), &s) in out.iter_mut().zip(albedo).zip(visibility) {
+    fn apply(&self, albedo: &[f32], sunlight: &[f32], out: &mut [f32]) {
+        for ((o, &f), &s) in out.iter_mut().zip(albedo).zip(sunlight) {
             let [sun, sky, offset] = self.0;
             *o = (f64::from(f) * (sun * f64::from(s) + sky * f64::from(1.0 - s)) + offset) as f32;
         }
@@ -91,12 +117,12 @@ impl BandLight {
 }
 
 /// Least squares over the left half of the image.
-fn fit_band(albedo: &[f32], visibility: &[f32], truth: &[f32], width: usize) -> BandLight {
+fn fit_band(albedo: &[f32], sunlight: &[f32], truth: &[f32], width: usize) -> BandLight {
     let mut normal = nalgebra::Matrix3::<f64>::identity() * 1e-6;
     let mut right = nalgebra::Vector3::<f64>::new(1e-6, 3e-7, 0.0);
     for (i, &t) in truth.iter().enumerate() {
         if i % width < width / 2 && t.is_finite() {
-            let (f, s) = (f64::from(albedo[i]), f64::from(visibility[i]));
+            let (f, s) = (f64::from(albedo[i]), f64::from(sunlight[i]));
             let x = nalgebra::Vector3::new(f * s, f * (1.0 - s), 1.0);
             normal += x * x.transpose();
             right += x * f64::from(t);
@@ -108,10 +134,10 @@ fn fit_band(albedo: &[f32], visibility: &[f32], truth: &[f32], width: usize) -> 
     BandLight([solution.x, solution.y, solution.z])
 }
 
-/// Scores of a rendered view against its pixels; a held-out one on its right half only.
-pub fn score(rendered: &RenderedView, truth: &Raster, held_out: bool) -> Option<ImageScore> {
+/// Scores of a rendered view against its pixels; on its right half only where colours were fitted to the left one.
+pub fn score(rendered: &RenderedView, truth: &Raster) -> Option<ImageScore> {
     let mut truth = truth.clone();
-    if held_out {
+    if rendered.colour == Colouring::LeftHalf {
         let (width, height) = (truth.width, truth.height);
         for band in 0..truth.bands {
             for row in 0..height {

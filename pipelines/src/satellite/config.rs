@@ -105,6 +105,8 @@ pub struct ModelOptions {
     pub image_colour: Option<bool>,
     /// Near-surface light in shadows, per Gaussian.
     pub near_light: bool,
+    /// Surfaces are as bright as they face the sun.
+    pub facing: bool,
     /// Weight of the shadow opaqueness loss.
     pub opaqueness_weight: f32,
     /// Sky light at the start, as a share of the sun's.
@@ -116,6 +118,7 @@ impl Default for ModelOptions {
         Self {
             image_colour: None,
             near_light: false,
+            facing: true,
             opaqueness_weight: 0.3,
             sky: 0.3,
         }

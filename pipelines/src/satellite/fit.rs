@@ -213,6 +213,7 @@ pub fn fit(
         reference: reference(&ground.images),
         image_colour,
         near_light: config.model.near_light,
+        facing: config.model.facing,
         opaqueness_weight: config.model.opaqueness_weight,
     });
     let covered = ground.covered(&surface, config.start.coverage);

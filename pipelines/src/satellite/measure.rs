@@ -41,9 +41,9 @@ pub(super) fn metrics(scene: &Scene, model: &LoadedModel, run: &Path, protocol: 
         let truth = known.crop.cut(&image.pixels);
         let held_out = known.split == Split::Test;
         let rendered = render_view(model, known, Some(&truth));
-        if let Some(score) = score(&rendered, &truth, held_out) {
+        if let Some(score) = score(&rendered, &truth) {
             if held_out {
-                colour = Some(rendered.colour);
+                colour = Some(rendered.colour.text());
                 test.push(score);
             } else {
                 train.push(score);
@@ -159,11 +159,8 @@ pub(super) fn summary(metrics: &Value) -> String {
     say("shadow BER", number("/shadow/ber").map(|b| 100.0 * b), "%");
     say("shadows right", number("/shadow/accuracy").map(|a| 100.0 * a), "%");
     say("PSNR train", number("/train/psnr"), "dB");
-    say(
-        "PSNR held out",
-        number("/test/psnr"),
-        "dB (colour fitted on the left half, scored on the right)",
-    );
+    let colour = metrics.pointer("/test/colour").and_then(Value::as_str).unwrap_or("");
+    say("PSNR held out", number("/test/psnr"), &format!("dB (colour {colour})"));
     say("time", number("/seconds"), "s");
     say(
         "memory",

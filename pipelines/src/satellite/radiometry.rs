@@ -1,6 +1,7 @@
 //! Colours to start from: per-image gain and offset, and the albedo of each Gaussian, from what the views show of the start
 //! surface where they see it lit.
 
+use glam::Vec3;
 use heliosplat::gaussians::Table;
 use heliosplat::light::Light;
 use heliosplat::model::Parameters;
@@ -20,13 +21,21 @@ const COVERED: f32 = 0.9;
 /// Pixels next to uncovered ones that do not count either.
 const EDGE_PX: usize = 3;
 
-/// What one view shows of every Gaussian: its pixel, where it is visible, and whether it is lit.
+/// What one view shows of every Gaussian: its pixel, where it is visible, and the sun's light on it in units of that on level
+/// ground.
 struct Sample {
     pixel: Option<u32>,
-    lit: bool,
+    sun: f32,
 }
 
-fn samples(gaussians: &Table, occluders: &Occluders, view: &View, maps: &Maps) -> Vec<Sample> {
+impl Sample {
+    /// Lit, and lying about level: what two dates show alike.
+    fn plain(&self) -> bool {
+        (0.7..1.4).contains(&self.sun)
+    }
+}
+
+fn samples(gaussians: &Table, occluders: &Occluders, view: &View, maps: &Maps, facing: bool) -> Vec<Sample> {
     let all: Vec<u32> = (0..gaussians.count as u32).collect();
     let lit: Vec<f32> = match &view.light {
         Some(light @ Light::Directional(_)) => {
@@ -50,9 +59,18 @@ fn samples(gaussians: &Table, occluders: &Occluders, view: &View, maps: &Maps) -
                 let depth = maps.median_depth[p as usize];
                 view.weight[p as usize] > 0.0 && view.camera.depth(position) < depth + VISIBLE_M
             });
+            let bright = match &view.light {
+                Some(Light::Directional(sun)) if facing => {
+                    let normal = gaussians.rotation(g as usize) * Vec3::Z;
+                    // A disc is seen, and lit, on the side it turns to the camera.
+                    let outward = normal * -normal.dot(view.camera.depth_axis).signum();
+                    (outward.dot(*sun) / sun.z.max(0.05)).clamp(0.0, 4.0)
+                }
+                _ => 1.0,
+            };
             Sample {
                 pixel: visible,
-                lit: lit[g as usize] > LIT,
+                sun: if lit[g as usize] > LIT { bright } else { 0.0 },
             }
         })
         .collect()
@@ -75,7 +93,7 @@ fn gain(reference: &[Sample], truth: &[f32], own: &[Sample], values: &[f32]) -> 
     let both: Vec<(f32, f32)> = reference
         .iter()
         .zip(own)
-        .filter(|(a, b)| a.lit && b.lit)
+        .filter(|(a, b)| a.plain() && b.plain())
         .filter_map(|(a, b)| Some((truth[a.pixel? as usize], values[b.pixel? as usize])))
         .collect();
     let mut from: Vec<f32> = both.iter().map(|p| p.0).collect();
@@ -121,7 +139,8 @@ pub(super) fn initialise(
     for view in views.iter_mut() {
         let maps = render(model, parameters, &view.camera, None, None, pass).maps;
         cover(view, &maps);
-        shown.push(samples(&parameters.gaussians, &occluders, view, &maps));
+        let facing = model.options.facing;
+        shown.push(samples(&parameters.gaussians, &occluders, view, &maps, facing));
     }
     let reference = views
         .iter()
@@ -160,7 +179,7 @@ pub(super) fn initialise(
                         let sample = &shown[v][g];
                         let value = views[v].image.plane(k)[sample.pixel? as usize];
                         let (gain, offset) = colours[v][k];
-                        let light = if sample.lit { 1.0 } else { sky };
+                        let light = sky + (1.0 - sky) * sample.sun;
                         value.is_finite().then(|| (value - offset) / gain / light)
                     })
                     .collect();
