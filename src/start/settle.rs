@@ -5,7 +5,7 @@ use super::grid::Grid;
 use rayon::prelude::*;
 
 /// Sharpness of the comparisons above which one cell at a time tells altitudes apart well enough.
-const SHARP: f32 = 0.6;
+const SHARP: f32 = 0.8;
 /// Cells from the centre to the edge of the widest window.
 const WIDEST_RADIUS: f32 = 3.0;
 

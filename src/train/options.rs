@@ -8,8 +8,10 @@ use crate::trace::TraceOptions;
 #[derive(Debug, Clone, PartialEq, serde::Serialize, serde::Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct TrainOptions {
-    /// Steps, one view each.
+    /// Steps, one view each; at most.
     pub iterations: usize,
+    /// Rounds over all views, at most: a scene of few views needs fewer steps.
+    pub rounds: usize,
     /// Seed of everything random.
     pub seed: u64,
     /// Ground sampling distance, metres.
@@ -62,16 +64,17 @@ impl Default for TrainOptions {
     fn default() -> Self {
         Self {
             iterations: 2000,
+            rounds: 1000,
             seed: 1,
             gsd_m: 0.5,
             projection: ProjectionOptions::default(),
             trace: TraceOptions::default(),
             density: DensityOptions::default(),
-            position_rate_gsd: 0.02,
+            position_rate_gsd: 0.01,
             final_rate: 0.05,
             log_scale_rate: 5e-3,
             rotation_rate: 2e-3,
-            opacity_rate: 0.02,
+            opacity_rate: 0.06,
             scale_gsd: (0.1, 8.0),
             photometric_weight: 10.0,
             lambda_ssim: 0.2,
@@ -86,5 +89,13 @@ impl Default for TrainOptions {
             holdout: 0.04,
             patience: 25,
         }
+    }
+}
+
+impl TrainOptions {
+    /// These options with the steps that a scene of `views` views gets.
+    pub fn for_views(mut self, views: usize) -> Self {
+        self.iterations = self.iterations.min(self.rounds.saturating_mul(views));
+        self
     }
 }

@@ -57,7 +57,7 @@ impl Default for StartOptions {
             spread_cells: 0.65,
             thickness_cells: 0.2,
             opacity: 0.99,
-            step_opacity: 0.6,
+            step_opacity: 0.35,
             wall_from_m: 2.0,
             wall_pitch_cells: 2.0,
             coverage: 0.4,

@@ -229,7 +229,8 @@ pub fn fit(
     let mut views: Vec<View> = (0..ground.images.len())
         .map(|i| views::view(ground.images[i], &ground.crops[i], shifts_px[i], i))
         .collect();
-    let mut options = config.train.clone();
+    let mut options = config.train.clone().for_views(views.len());
+    let steps = options.iterations;
     options.gsd_m = scene.gsd_m as f32;
     let pass = PassOptions {
         projection: options.projection,
@@ -242,7 +243,7 @@ pub fn fit(
     let bounds = bounds(&ground);
     let nadir = nadir_camera(&scene.area, scene.gsd_m);
     let trainer = Trainer::new(&model, &views, parameters, options, bounds, Some(nadir))?;
-    let trained = train(trainer, config, session, time_budget.map(|budget| started + budget))?;
+    let trained = train(trainer, steps, session, time_budget.map(|budget| started + budget))?;
     Ok(Fitted {
         parameters: trained.parameters,
         early_stop: trained.early_stop,
@@ -290,11 +291,11 @@ struct Trained {
 
 fn train(
     mut trainer: Trainer,
-    config: &SatelliteConfig,
+    steps: usize,
     session: &Session,
     deadline: Option<Instant>,
 ) -> Result<Trained, FitError> {
-    let progress = session.progress("train", config.train.iterations as u64);
+    let progress = session.progress("train", steps as u64);
     let mut curve = Vec::new();
     let mut smoothed = None;
     while !trainer.finished() && !session.stopped() && deadline.is_none_or(|d| Instant::now() < d) {

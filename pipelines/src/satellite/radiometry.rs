@@ -2,7 +2,7 @@
 //! surface where they see it lit.
 
 use glam::Vec3;
-use heliosplat::gaussians::Table;
+use heliosplat::gaussians::{OPACITY, Table, logit};
 use heliosplat::light::Light;
 use heliosplat::model::Parameters;
 use heliosplat::model::View;
@@ -18,6 +18,8 @@ const VISIBLE_M: f32 = 1.0;
 const LIT: f32 = 0.7;
 /// Alpha below which a pixel is not covered by the start surface.
 const COVERED: f32 = 0.9;
+/// Opacity at which coverage is judged.
+const SOLID: f32 = 0.99;
 /// Pixels next to uncovered ones that do not count either.
 const EDGE_PX: usize = 3;
 
@@ -136,9 +138,12 @@ pub(super) fn initialise(
     let bands = model.options.bands;
     let occluders = Occluders::new(&parameters.gaussians);
     let mut shown = Vec::new();
+    // What training may make opaque counts as covered.
+    let mut solid = parameters.clone();
+    solid.gaussians.group_mut(OPACITY).fill(logit(SOLID));
     for view in views.iter_mut() {
+        cover(view, &render(model, &solid, &view.camera, None, None, pass).maps);
         let maps = render(model, parameters, &view.camera, None, None, pass).maps;
-        cover(view, &maps);
         let facing = model.options.facing;
         shown.push(samples(&parameters.gaussians, &occluders, view, &maps, facing));
     }
