@@ -224,8 +224,9 @@ pub fn save(folder: &Path, run: &RunFile, model: &ModelFile, gaussians: &Table) 
         reason,
     };
     let text = toml::to_string_pretty(run).map_err(|e| damaged("run.toml", e.to_string()))?;
-    write_atomically(&folder.join("run.toml"), text.as_bytes())?;
+    // The large file first: where it finds no room, nothing is written.
     write_atomically(&folder.join("model.ply"), &ply::encode(gaussians, model.options.bands))?;
+    write_atomically(&folder.join("run.toml"), text.as_bytes())?;
     let text = serde_json::to_string_pretty(model).map_err(|e| damaged("model.json", e.to_string()))?;
     write_atomically(&folder.join("model.json"), text.as_bytes())?;
     Ok(())

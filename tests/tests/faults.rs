@@ -300,3 +300,24 @@ fn a_full_disk_is_exit_code_1_names_the_file_and_leaves_nothing() {
         String::from_utf8_lossy(&output.stdout)
     );
 }
+
+#[test]
+fn training_onto_a_full_disk_is_exit_code_1_and_leaves_no_half_run() {
+    let home = scene(&[View::new(0), View::new(1), View::new(2)]);
+    let full = home.path().join("full");
+    std::fs::create_dir(&full).expect("made");
+    let arguments = format!(
+        "train {} --out {}/run --preset fast --altitude 690,710 --set train.iterations=1",
+        home.path().display(),
+        full.display()
+    );
+    let Some(output) = on_a_full_disk(&arguments, &full) else {
+        println!("skipped: no small file system can be mounted here");
+        return;
+    };
+    let said = String::from_utf8_lossy(&output.stderr);
+    assert_eq!(output.status.code(), Some(1), "{said}");
+    assert!(said.contains("model.ply") && said.contains("disk is full"), "{said}");
+    let left = String::from_utf8_lossy(&output.stdout);
+    assert_eq!(left.trim(), "run", "an empty folder at most: {left}");
+}

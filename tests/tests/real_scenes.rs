@@ -1,5 +1,6 @@
 //! Ingest of real images, where they are present.
 
+use heliosplat_pipelines::raster::{CrsTransform, GeoRaster};
 use heliosplat_tests::program::json;
 use heliosplat_tests::shared::shared;
 use serde_json::Value;
@@ -63,5 +64,77 @@ fn giza_and_ventoux_are_scenes_of_two_overlapping_views() {
             "{}",
             scene["warnings"]
         );
+    }
+}
+
+/// A face of the pyramid as a plane `height = slope · outward + along · sideways + apex`, by least squares with outliers left out
+/// round by round; `points` are outward, sideways, height.
+fn face(points: &[[f64; 3]]) -> nalgebra::Vector3<f64> {
+    let mut kept: Vec<[f64; 3]> = points.to_vec();
+    let mut plane = nalgebra::Vector3::zeros();
+    for _ in 0..10 {
+        let (mut normal, mut right) = (nalgebra::Matrix3::zeros(), nalgebra::Vector3::zeros());
+        for p in &kept {
+            let x = nalgebra::Vector3::new(p[0], p[1], 1.0);
+            normal += x * x.transpose();
+            right += x * p[2];
+        }
+        plane = normal.try_inverse().expect("points in two directions") * right;
+        let residual = |p: &[f64; 3]| (p[2] - plane.x * p[0] - plane.y * p[1] - plane.z).abs();
+        let mut sizes: Vec<f64> = kept.iter().map(residual).collect();
+        sizes.sort_by(f64::total_cmp);
+        let limit = (3.7 * sizes[sizes.len() / 2]).max(0.8);
+        kept = points.iter().copied().filter(|p| residual(p) < limit).collect();
+    }
+    plane
+}
+
+/// The Great Pyramid is 230.3 m wide with faces of 51.84 degrees around 31.134192 E 29.979180 N (shared/README.md).
+#[test]
+fn the_pyramid_of_giza_stands() {
+    let Some(scene) = shared("data/giza") else { return };
+    let folder = tempfile::tempdir().expect("a temporary folder");
+    let run = folder.path().join("run");
+    let arguments = [
+        "train".as_ref(),
+        scene.as_os_str(),
+        "--out".as_ref(),
+        run.as_os_str(),
+        "--preset".as_ref(),
+        "fast".as_ref(),
+        "--set".as_ref(),
+        "train.iterations=2".as_ref(),
+    ];
+    json(&arguments);
+    let dsm = GeoRaster::read(&run.join("dsm.tif")).expect("a surface model");
+    let crs = dsm.crs.expect("its coordinate system");
+    let [east, north] = CrsTransform::from_lon_lat(&crs)
+        .and_then(|way| way.apply(31.134192, 29.979180))
+        .map(|(x, y)| [x, y])
+        .expect("Giza lies in the zone");
+    // The faces look along the meridian, the grid does not: 0.93 degrees of convergence.
+    let (sin, cos) = (-0.932_6_f64).to_radians().sin_cos();
+    let mut faces = [const { Vec::new() }; 4];
+    for (i, &height) in dsm.raster.plane(0).iter().enumerate() {
+        let (col, row) = (i % dsm.raster.width, i / dsm.raster.width);
+        let [x, y] = dsm.transform.map_from_pixel(col as f64, row as f64);
+        let (x, y) = (x - east, y - north);
+        let (e, n) = (x * cos - y * sin, x * sin + y * cos);
+        for (face, (outward, sideways)) in faces.iter_mut().zip([(e, n), (-e, n), (n, e), (-n, e)]) {
+            if (20.0..95.0).contains(&outward) && sideways.abs() < 0.8 * outward && height.is_finite() {
+                face.push([outward, sideways, f64::from(height)]);
+            }
+        }
+    }
+    let planes = faces.each_ref().map(|points| face(points));
+    for plane in &planes {
+        let slope = plane.x.hypot(plane.y).atan().to_degrees();
+        assert!((slope - 51.84).abs() < 2.0, "a face of {slope} degrees");
+    }
+    // Where opposite faces are 145 m high: half the difference of their distances is how far the centre is off.
+    let distance = |plane: &nalgebra::Vector3<f64>| (145.0 - plane.z) / plane.x;
+    for pair in [[0, 1], [2, 3]] {
+        let off = 0.5 * (distance(&planes[pair[0]]) - distance(&planes[pair[1]]));
+        assert!(off.abs() < 3.0, "the centre is {off} m off");
     }
 }
