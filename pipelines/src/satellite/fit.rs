@@ -114,14 +114,17 @@ impl<'a> Ground<'a> {
             .collect()
     }
 
-    /// Cells whose ground enough of the images show: `share` of them, and at least two. At the ragged edge of the common ground,
-    /// where two dates meet at best, a swept surface is mostly noise; so the ground is the lowest altitude around.
+    /// Cells that enough of the images show, at their altitude and at that of the ground around: `share` of the images, and at
+    /// least two. At the ragged edge of the common ground, where two dates meet at best, a swept surface is mostly noise; a rim
+    /// of it would throw shadows over the scene.
     fn covered(&self, surface: &Surface, share: f64) -> Vec<bool> {
         let needed = ((self.images.len() as f64 * share).ceil() as usize).max(2);
         let floor = initial::lowest(surface, GROUND_CELLS);
         let shows = |image: &SceneImage, cell: usize| {
-            let p = surface.point(cell % surface.width, cell / surface.width);
-            image.sees(nalgebra::Vector3::new(p.x.into(), p.y.into(), floor[cell].into()))
+            let p = surface.point(cell % surface.width, cell / surface.width).as_dvec3();
+            [p.z, floor[cell].into()]
+                .iter()
+                .all(|&z| image.sees(nalgebra::Vector3::new(p.x, p.y, z)))
         };
         (0..surface.altitude.len())
             .into_par_iter()
