@@ -22,7 +22,7 @@ const ROUNDS: usize = 2;
 const WINDOW: usize = 4;
 /// Below this many cells on a side the finest level takes part too; beyond, half its resolution is enough for
 /// hundredths of a pixel.
-const SMALL_SIDE: usize = 400;
+const SMALL_SIDE: usize = 200;
 /// Share of the views' disagreement that shifts must take away to be believed.
 const WORTHWHILE: f64 = 0.01;
 

@@ -99,3 +99,19 @@ impl TrainOptions {
         self
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn few_views_get_few_steps_and_many_no_more_than_said() {
+        let options = TrainOptions {
+            iterations: 600,
+            rounds: 60,
+            ..TrainOptions::default()
+        };
+        assert_eq!(options.clone().for_views(2).iterations, 120);
+        assert_eq!(options.for_views(40).iterations, 600);
+    }
+}
