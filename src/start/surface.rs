@@ -17,7 +17,7 @@ pub struct Surface {
     pub cell_m: f32,
     /// Altitude of each cell, metres; never NaN.
     pub altitude: Vec<f32>,
-    /// Trust in each altitude, 0 (filled or guessed) to 1.
+    /// Trust in each altitude as it was matched, before islands were filled: 0 (a guess) to 1.
     pub confidence: Vec<f32>,
     /// Step of the altitudes that were compared, metres: what the views can tell apart.
     pub resolution_m: f32,

@@ -89,7 +89,9 @@ const ISLAND_CELLS: usize = 16;
 pub fn sweep(views: &[SweepView], request: &SweepRequest, progress: &dyn Fn(f32)) -> Surface {
     let grid = request.grid();
     let search = Search::new(views, request);
-    let mut found = search.descend(1, &|factor| progress(0.5 / factor as f32)).unwrap();
+    let mut found = search
+        .descend(1, &|factor| progress(0.5 / factor as f32))
+        .expect("the finest level is always searched");
     for _ in 0..request.options.visibility_rounds {
         let altitude = found.altitude();
         let lv = search.level_views(1);
