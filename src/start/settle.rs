@@ -196,7 +196,7 @@ mod tests {
 
     #[test]
     fn the_window_widens_as_the_views_tell_less() {
-        assert_eq!([0.08, 0.25, 0.5, 2.0].map(radius_for), [3, 2, 1, 0]);
+        assert_eq!([0.08, 0.3, 0.5, 2.0].map(radius_for), [3, 2, 1, 0]);
         assert!(radius_for(0.0) <= WIDEST_RADIUS as usize);
     }
 }
