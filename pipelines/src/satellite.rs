@@ -100,6 +100,11 @@ pub fn plan(scene: &Scene) -> Vec<PlanItem> {
             "one shift per image is estimated, and used where it exceeds a quarter pixel and the images agree better with it".into(),
         ),
         item(
+            "model.facing",
+            true,
+            "roofs and façades are as bright as they face the sun".into(),
+        ),
+        item(
             "model.near_light",
             false,
             "light reflected into shadows is below what one ground sample shows".into(),

@@ -6,6 +6,7 @@
 mod localise;
 mod polynomial;
 
+mod example;
 pub mod fit;
 pub mod frame;
 pub mod pinhole;

@@ -96,15 +96,20 @@ impl ShadowGs {
         Self { options }
     }
 
+    /// How the surfaces of `maps`, which hold the normals after the model's channels, face the sun; `None` where that is off or
+    /// not known.
+    fn facing<'m>(&self, light: Option<Light>, maps: &'m Maps) -> Option<Facing<'m>> {
+        self.options
+            .facing
+            .then(|| Facing::new(light, maps, self.channels()))
+            .flatten()
+    }
+
     /// Share of the sun that reaches each pixel, 0 to 1: its visibility, and none where the surface turns away from it; NaN
     /// where there is no surface. `maps` hold the normals after the model's channels.
     pub fn sunlit(&self, light: Option<Light>, maps: &Maps) -> Vec<f32> {
         let visibility = &maps.channels[self.visibility_channel()];
-        let facing = if self.options.facing {
-            Facing::new(light, maps, self.channels())
-        } else {
-            None
-        };
+        let facing = self.facing(light, maps);
         (0..maps.alpha.len())
             .map(|i| {
                 if maps.alpha[i] > 0.5 {
@@ -120,11 +125,7 @@ impl ShadowGs {
     /// The sun's light on each pixel, `S f`, in units of its light on level ground.
     pub fn sunlight(&self, light: Option<Light>, maps: &Maps) -> Vec<f32> {
         let visibility = &maps.channels[self.visibility_channel()];
-        let facing = if self.options.facing {
-            Facing::new(light, maps, self.channels())
-        } else {
-            None
-        };
+        let facing = self.facing(light, maps);
         (0..maps.alpha.len())
             .map(|i| visibility[i] * facing.as_ref().map_or(1.0, |f| f.factor(i).0))
             .collect()
@@ -233,18 +234,12 @@ impl<'a> Lighting<'a> {
     fn new(model: &ShadowGs, context: &Context, maps: &'a Maps) -> Self {
         let image = model.image(context);
         let (matrix, offset) = model.colour(context.parameters, image);
-        let normal_at = model.channels();
-        let facing = if model.options.facing {
-            Facing::new(context.light, maps, normal_at)
-        } else {
-            None
-        };
         Self {
             maps,
             bands: model.options.bands,
             near: model.near_channel(),
-            facing,
-            normal_at,
+            facing: model.facing(context.light, maps),
+            normal_at: model.channels(),
             sky: model.sky(context.parameters, image),
             matrix,
             offset,

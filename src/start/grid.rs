@@ -81,3 +81,16 @@ impl Ladder {
         (altitude_m - self.base_m) / self.step_m
     }
 }
+
+/// The least of `values` within `radius` cells each way of each cell of a grid of `(width, height)`: first along rows, then
+/// across them.
+pub(super) fn lowest_within((width, height): (usize, usize), values: &[f32], radius: usize) -> Vec<f32> {
+    let near = |at: usize, count: usize| at.saturating_sub(radius)..(at + radius + 1).min(count);
+    let least = |values: &mut dyn Iterator<Item = f32>| values.fold(f32::MAX, f32::min);
+    let across: Vec<f32> = (0..width * height)
+        .map(|i| least(&mut near(i % width, width).map(|c| values[i / width * width + c])))
+        .collect();
+    (0..width * height)
+        .map(|i| least(&mut near(i / width, height).map(|r| across[r * width + i % width])))
+        .collect()
+}

@@ -1,5 +1,6 @@
 //! The surface a sweep finds.
 
+use super::grid::lowest_within;
 use glam::Vec3;
 
 /// Altitudes on a regular ground grid, with what is known of their worth.
@@ -60,6 +61,11 @@ impl Surface {
         let north = at(c0, r0) * (1.0 - fc) + at(c1, r0) * fc;
         let south = at(c0, r1) * (1.0 - fc) + at(c1, r1) * fc;
         Some(north * (1.0 - fr) + south * fr)
+    }
+
+    /// The lowest altitude within `radius` cells of each cell (a square window), metres.
+    pub fn lowest(&self, radius: usize) -> Vec<f32> {
+        lowest_within((self.width, self.height), &self.altitude, radius)
     }
 
     /// East and north slope of the surface at a cell (metres per metre), from the neighbour on the side where the

@@ -1,6 +1,6 @@
 //! What each view sees first of a surface: a point below that is hidden.
 
-use super::grid::Grid;
+use super::grid::{Grid, lowest_within};
 use super::views::LevelView;
 use rayon::prelude::*;
 
@@ -59,7 +59,7 @@ impl Roof {
 
 impl FirstHits {
     pub(super) fn new(view: &LevelView, grid: &Grid, altitude: &[f32], tolerance_m: f32) -> Self {
-        let altitude = &eroded(grid, altitude, 1);
+        let altitude = &lowest_within((grid.width, grid.height), altitude, 1);
         let roof = Roof::new(grid, altitude);
         let mut hits = vec![f32::MIN; view.width * view.height];
         hits.par_chunks_mut(view.width.max(1))
@@ -112,26 +112,4 @@ fn first_hit(view: &LevelView, (col, row): (f32, f32), grid: &Grid, altitude: &[
         above = p.z;
     }
     f32::MIN
-}
-
-fn eroded(grid: &Grid, altitude: &[f32], radius: usize) -> Vec<f32> {
-    let mut across = altitude.to_vec();
-    for row in 0..grid.height {
-        let line = &altitude[row * grid.width..(row + 1) * grid.width];
-        for col in 0..grid.width {
-            across[row * grid.width + col] = line[col.saturating_sub(radius)..(col + radius + 1).min(grid.width)]
-                .iter()
-                .copied()
-                .fold(f32::MAX, f32::min);
-        }
-    }
-    let mut out = across.clone();
-    for row in 0..grid.height {
-        for r in row.saturating_sub(radius)..(row + radius + 1).min(grid.height) {
-            for col in 0..grid.width {
-                out[row * grid.width + col] = out[row * grid.width + col].min(across[r * grid.width + col]);
-            }
-        }
-    }
-    out
 }

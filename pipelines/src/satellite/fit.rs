@@ -119,7 +119,7 @@ impl<'a> Ground<'a> {
     /// of it would throw shadows over the scene.
     fn covered(&self, surface: &Surface, share: f64) -> Vec<bool> {
         let needed = ((self.images.len() as f64 * share).ceil() as usize).max(2);
-        let floor = initial::lowest(surface, GROUND_CELLS);
+        let floor = surface.lowest(GROUND_CELLS);
         let shows = |image: &SceneImage, cell: usize| {
             let p = surface.point(cell % surface.width, cell / surface.width).as_dvec3();
             [p.z, floor[cell].into()]

@@ -100,19 +100,6 @@ fn step_at(surface: &Surface, col: usize, row: usize) -> Option<Step> {
     Some(Step { drop_m, outward })
 }
 
-/// The lowest altitude within `radius` cells of each cell.
-pub(super) fn lowest(surface: &Surface, radius: usize) -> Vec<f32> {
-    let (width, height) = (surface.width, surface.height);
-    let near = |at: usize, count: usize| at.saturating_sub(radius)..(at + radius + 1).min(count);
-    let least = |values: &mut dyn Iterator<Item = f32>| values.fold(f32::MAX, f32::min);
-    let across: Vec<f32> = (0..width * height)
-        .map(|i| least(&mut near(i % width, width).map(|c| surface.altitude[i / width * width + c])))
-        .collect();
-    (0..width * height)
-        .map(|i| least(&mut near(i / width, height).map(|r| across[r * width + i % width])))
-        .collect()
-}
-
 /// The level or inclined rotation of a cell's disc.
 fn lie(surface: &Surface, col: usize, row: usize) -> Quat {
     let (east, north) = surface.slope(col, row);
@@ -138,7 +125,7 @@ pub(super) fn gaussians_on(
         opacity: Vec::new(),
     };
     let wall_from_m = options.wall_from_m.max(WALL_FROM_STEPS * surface.resolution_m);
-    let floors = (lowest(surface, FLOOR_CELLS.0), lowest(surface, FLOOR_CELLS.1));
+    let floors = (surface.lowest(FLOOR_CELLS.0), surface.lowest(FLOOR_CELLS.1));
     for cell in (0..covered.len()).filter(|&cell| covered[cell]) {
         let (col, row) = (cell % surface.width, cell / surface.width);
         let here = surface.point(col, row);

@@ -1,0 +1,98 @@
+//! The ray from a Gaussian to a light: where it starts, forward and backward.
+//!
+//! Self-shadow. A surface is a sheet of overlapping flat Gaussians; a ray that starts inside the sheet meets its own
+//! neighbours. Two rules keep a lit plane lit at every elevation without moving the feet of shadows at ordinary suns:
+//! the ray starts above the sheet, lifted along the origin's own thinnest axis (turned to the light) by
+//! `LIFT · σ_min · (1 - cos θ)`, `θ` the angle between that axis and the light, so that a grazing ray clears the
+//! neighbours' whole reach and a steep one hardly moves; and only peaks further along the ray than the origin's own
+//! extent `sqrt(rᵀΣr)` count.
+
+use super::transmittance::TraceOptions;
+use crate::gaussians::{CoreGradient, Table, rotation_backward};
+use crate::light::Light;
+use glam::{Mat3, Vec3};
+
+/// Standard deviations that a grazing ray is lifted off its own sheet: the reach of an opaque Gaussian, `sqrt(2 ln 1000)`.
+const LIFT: f32 = 3.717;
+/// A ray from a Gaussian toward the light.
+#[derive(Debug, Clone)]
+pub(super) struct LightRay {
+    pub(super) origin: Vec3,
+    pub(super) direction: Vec3,
+    pub(super) length: f32,
+    pub(super) bias: f32,
+    lift: Lift,
+}
+
+/// How far and along which own axis a ray was lifted off its sheet.
+#[derive(Debug, Clone)]
+struct Lift {
+    thin: usize,
+    /// The axis, turned to the light.
+    axis: Vec3,
+    /// 1 or -1: whether it was turned.
+    sign: f32,
+    height: f32,
+    /// Lift of a ray at right angles to the axis.
+    full: f32,
+}
+
+impl LightRay {
+    /// The ray of Gaussian `index` toward `light`.
+    pub(super) fn new(gaussians: &Table, index: usize, light: &Light, options: &TraceOptions) -> Self {
+        let position = gaussians.position(index);
+        let (direction, distance) = light.seen_from(position);
+        let scale = gaussians.scale(index);
+        let rotation = gaussians.rotation(index);
+        let thin = if scale.x <= scale.y && scale.x <= scale.z {
+            0
+        } else if scale.y <= scale.z {
+            1
+        } else {
+            2
+        };
+        let sign = if rotation.col(thin).dot(direction) < 0.0 {
+            -1.0
+        } else {
+            1.0
+        };
+        let axis = rotation.col(thin) * sign;
+        let full = options.lift * LIFT * scale[thin];
+        let height = full * (1.0 - axis.dot(direction));
+        let extent = ((rotation.transpose() * direction) * scale).length();
+        let lift = Lift {
+            thin,
+            axis,
+            sign,
+            height,
+            full,
+        };
+        Self {
+            origin: position + axis * height,
+            direction,
+            length: distance,
+            bias: options.bias_sigmas * extent,
+            lift,
+        }
+    }
+
+    /// Gradient to the origin's parameters from that to the start: `start = position + axis · full · (1 - axis·r)`, `full`
+    /// proportional to the thinnest scale.
+    pub(super) fn backward(&self, d_start: Vec3, raw_rotation: [f32; 4]) -> CoreGradient {
+        if d_start == Vec3::ZERO {
+            return CoreGradient::default();
+        }
+        let lift = &self.lift;
+        let d_height = d_start.dot(lift.axis);
+        let mut log_scale = Vec3::ZERO;
+        log_scale[lift.thin] = d_height * lift.height;
+        let mut d_rotation = Mat3::ZERO;
+        *d_rotation.col_mut(lift.thin) = (d_start * lift.height - self.direction * (d_height * lift.full)) * lift.sign;
+        CoreGradient {
+            position: d_start,
+            log_scale,
+            rotation: rotation_backward(raw_rotation, d_rotation),
+            opacity: 0.0,
+        }
+    }
+}
