@@ -1,6 +1,8 @@
 //! The trainer: one view a step, whatever the model.
 
+mod focus;
 mod holdout;
+mod known_light;
 mod options;
 
 pub use holdout::EarlyStop;
@@ -14,10 +16,13 @@ use crate::loss::shadow::{ConsistencyPass, consistency};
 use crate::model::{Context, NamedLoss, Parameters, SceneModel, View};
 use crate::optim::{Adam, DensityStatistics, exponential_decay};
 use crate::render::{Lit, Pass, PassOptions};
+use crate::splat::MapGradients;
 use crate::splat::project::project;
 use crate::trace::{Occluders, Route};
+use focus::Focus;
 use glam::Vec3;
 use holdout::Holdout;
+use known_light::{KnownLight, Movement};
 use rand::{SeedableRng, seq::SliceRandom};
 use rand_pcg::Pcg32;
 use rayon::prelude::*;
@@ -61,17 +66,11 @@ pub struct StepReport {
     pub rejected: bool,
 }
 
-/// A view's transmittances of an earlier step, by Gaussian.
-#[derive(Debug, Clone)]
-struct KnownLight {
-    values: Vec<f32>,
-    visits: usize,
-}
-
 /// A model in training.
 pub struct Trainer<'a> {
     model: &'a dyn SceneModel,
-    views: &'a [View],
+    /// The images, their weights without what is held out.
+    views: Vec<View>,
     options: TrainOptions,
     nadir: Option<ProjectiveCamera>,
     bounds: (Vec3, Vec3),
@@ -81,6 +80,8 @@ pub struct Trainer<'a> {
     globals_adam: Adam,
     statistics: DensityStatistics,
     holdout: Holdout,
+    focus: Focus,
+    movement: Movement,
     gradients: Parameters,
     occluders: Option<Occluders>,
     occluders_step: usize,
@@ -99,7 +100,7 @@ impl<'a> Trainer<'a> {
     /// Without views or without Gaussians.
     pub fn new(
         model: &'a dyn SceneModel,
-        views: &'a [View],
+        mut views: Vec<View>,
         parameters: Parameters,
         options: TrainOptions,
         bounds: (Vec3, Vec3),
@@ -111,11 +112,17 @@ impl<'a> Trainer<'a> {
         if parameters.gaussians.count == 0 {
             return Err(TrainError::Empty);
         }
+        let holdout = Holdout::new(&mut views, &options);
         Ok(Self {
-            gaussians_adam: Adam::new(&parameters.gaussians),
+            gaussians_adam: Adam {
+                sparse: options.sparse,
+                ..Adam::new(&parameters.gaussians)
+            },
             globals_adam: Adam::new(&parameters.globals),
             statistics: DensityStatistics::new(parameters.gaussians.count),
-            holdout: Holdout::new(views, &options),
+            focus: Focus::new(&views, &options),
+            movement: Movement::new(&parameters.gaussians),
+            holdout,
             gradients: parameters.zeros_like(),
             occluders: None,
             occluders_step: 0,
@@ -131,6 +138,12 @@ impl<'a> Trainer<'a> {
             bounds,
             parameters,
         })
+    }
+
+    /// Changes the number of steps, for those who know by now how long one takes; what follows the course of training, such as
+    /// learning rates, follows.
+    pub fn set_iterations(&mut self, iterations: usize) {
+        self.options.iterations = iterations;
     }
 
     /// Steps done.
@@ -175,8 +188,9 @@ impl<'a> Trainer<'a> {
     fn light_is_due(&self, index: usize) -> bool {
         let known = self.known_light[index]
             .as_ref()
-            .is_some_and(|known| known.visits < self.options.light_every);
-        !known || self.consistency_is_due()
+            .is_some_and(|known| known.serves(&self.options, &self.movement));
+        let whole = self.options.window_share >= 1.0;
+        !(known && whole) || self.consistency_is_due()
     }
 
     fn consistency_is_due(&self) -> bool {
@@ -244,7 +258,8 @@ impl<'a> Trainer<'a> {
     }
 
     fn descend_view(&mut self, index: usize) -> StepReport {
-        let view = &self.views[index];
+        let look = self.focus.look(&self.views, index, self.step, self.fraction());
+        let view = &*look.view;
         let options = &self.options;
         let context = Context {
             parameters: &self.parameters,
@@ -252,15 +267,15 @@ impl<'a> Trainer<'a> {
             light: view.light,
             appearance: Some(view.appearance),
         };
-        let normals = options.depth_normal_weight > 0.0;
         let pass_options = PassOptions {
             projection: options.projection,
             trace: options.trace,
-            normals,
+            normals: options.depth_normal_weight > 0.0,
         };
+        // A window does not know the light of what lies outside of it.
         let known = self.known_light[index]
             .take()
-            .filter(|known| known.visits < options.light_every);
+            .filter(|known| look.whole && known.serves(options, &self.movement));
         let lit = match (&known, &self.occluders) {
             (Some(known), _) => Lit::Known(&known.values),
             (None, Some(occluders)) => Lit::Traced(occluders),
@@ -268,50 +283,35 @@ impl<'a> Trainer<'a> {
         };
         let pass = Pass::new(self.model, context, lit, pass_options);
         let image = pass.image();
-        let weight = self.holdout.training_weight(index);
-        let (photo, mut d_image) = photometric(&image, &view.image, weight, options.lambda_ssim);
+        let (photo, mut d_image) = photometric(&image, &view.image, &view.weight, options.lambda_ssim);
         for d in &mut d_image.values {
             *d *= options.photometric_weight;
         }
-        let held_out = self.holdout.loss(index, &image, &view.image);
+        let full = look.whole && look.pixel == 1.0;
+        let held_out = full.then(|| self.holdout.loss(index, &image, &view.image)).flatten();
         let mut losses = vec![("photometric", photo)];
         let mut d_maps = pass.zero_gradients();
         self.model
             .compose_backward(&context, &pass.maps, &d_image, &mut d_maps, &mut self.gradients);
-        losses.extend(self.model.map_losses(&context, &pass.maps, weight, &mut d_maps));
-        if normals {
-            let edge_m = options.depth_normal_edge_gsd * options.gsd_m;
-            let at = pass.normal_channel();
-            let value = depth_normal(
-                &view.camera,
-                &pass.maps,
-                at,
-                edge_m,
-                options.depth_normal_weight,
-                &mut d_maps,
-            );
-            losses.push(("depth_normal", value));
-        }
-        if options.one_surface_weight > 0.0 {
-            let scale_m = options.one_surface_gsd * options.gsd_m;
-            losses.push((
-                "one_surface",
-                one_surface(&pass.maps, weight, scale_m, options.one_surface_weight, &mut d_maps),
-            ));
-        }
+        losses.extend(self.model.map_losses(&context, &pass.maps, &view.weight, &mut d_maps));
+        losses.extend(surface_losses(options, view, &pass, &mut d_maps));
         let splat_gradients = pass.backward(&d_maps, &mut self.gradients);
         self.statistics.add(
             &pass.projected,
             &splat_gradients,
             view.camera.width * view.camera.height,
         );
-        let traced = known.is_none().then(|| {
+        let traced = (known.is_none() && look.whole).then(|| {
             // What this view does not show counts as lit; it is asked again before long.
             let mut values = vec![1.0; self.parameters.gaussians.count];
             for (&g, &t) in pass.projected.gaussian.iter().zip(pass.transmittances()) {
                 values[g as usize] = t;
             }
-            KnownLight { values, visits: 0 }
+            KnownLight {
+                values,
+                visits: 0,
+                traced_at: self.movement.total,
+            }
         });
         let pairs = pass.maps.pairs;
         self.known_light[index] = known.or(traced).map(|light| KnownLight {
@@ -319,7 +319,9 @@ impl<'a> Trainer<'a> {
             ..light
         });
         let l1 = mean_absolute(&image.values, &view.image.values);
-        self.holdout.record(index, held_out);
+        if full {
+            self.holdout.record(index, held_out);
+        }
         StepReport {
             view: index,
             losses,
@@ -375,6 +377,7 @@ impl<'a> Trainer<'a> {
             .collect();
         self.globals_adam
             .step(&mut self.parameters.globals, &self.gradients.globals, &rates);
+        self.movement.add(&self.parameters.gaussians, o.gsd_m);
         let (least, most) = ((o.scale_gsd.0 * o.gsd_m).ln(), (o.scale_gsd.1 * o.gsd_m).ln());
         self.parameters
             .gaussians
@@ -401,6 +404,7 @@ impl<'a> Trainer<'a> {
         self.gaussians_adam.follow(&rebuild.sources, rebuild.fresh);
         self.occluders = None;
         self.known_light.fill(None);
+        self.movement.rebuilt(&self.parameters.gaussians);
         tracing::debug!(
             step = self.step,
             gaussians = self.parameters.gaussians.count,
@@ -409,6 +413,23 @@ impl<'a> Trainer<'a> {
             "density"
         );
     }
+}
+
+/// The losses that ask the maps for a surface.
+fn surface_losses(options: &TrainOptions, view: &View, pass: &Pass, d_maps: &mut MapGradients) -> Vec<NamedLoss> {
+    let mut losses = Vec::new();
+    if options.depth_normal_weight > 0.0 {
+        let edge_m = options.depth_normal_edge_gsd * options.gsd_m;
+        let (at, weight) = (pass.normal_channel(), options.depth_normal_weight);
+        let value = depth_normal(&view.camera, &pass.maps, at, edge_m, weight, d_maps);
+        losses.push(("depth_normal", value));
+    }
+    if options.one_surface_weight > 0.0 {
+        let scale_m = options.one_surface_gsd * options.gsd_m;
+        let value = one_surface(&pass.maps, &view.weight, scale_m, options.one_surface_weight, d_maps);
+        losses.push(("one_surface", value));
+    }
+    losses
 }
 
 fn all_finite(gradients: &Parameters) -> bool {

@@ -14,6 +14,7 @@ pub mod satellite;
 pub mod session;
 pub mod sun;
 pub mod synth;
+pub mod tradeoff;
 
 pub use session::{Progress, Session};
 
@@ -82,6 +83,12 @@ pub enum Command {
     /// Where the sun stands: azimuth and geometric elevation, degrees
     #[command(after_help = "Example: heliosplat sun --time 2016-04-23T08:34:00Z --at 37.58,36.91,700")]
     Sun(sun::SunArgs),
+    /// Train scenes in many ways: what time, memory and each component buy
+    #[command(
+        after_help = "Example: heliosplat tradeoff my_images --out tradeoff --only preset,steps\n\n\
+                            All points take hours; --list shows them. The same command goes on where it was stopped."
+    )]
+    Tradeoff(tradeoff::TradeoffArgs),
     /// Measure the rates of this machine: cameras, splats, light, whole steps; under a minute
     #[command(after_help = "Example: heliosplat bench --json")]
     Bench,
@@ -204,6 +211,7 @@ fn run(cli: &Cli) -> Result<Outcome, CliError> {
         Command::Evaluate(args) => evaluate::run(args, &session),
         Command::Rpc(args) => rpc::run(args),
         Command::Sun(args) => sun::run(args),
+        Command::Tradeoff(args) => tradeoff::run(args, cli.threads, &session),
         Command::Bench => bench::run(),
     }
 }

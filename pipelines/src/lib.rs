@@ -7,3 +7,4 @@ pub mod raster;
 pub mod run;
 pub mod satellite;
 pub mod scene;
+pub mod tradeoff;

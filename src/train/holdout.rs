@@ -21,7 +21,6 @@ pub struct EarlyStop {
 }
 
 pub(super) struct Holdout {
-    training: Vec<Vec<f32>>,
     held: Vec<Vec<u32>>,
     losses: Vec<Option<f64>>,
     best: Option<(usize, f64, Parameters)>,
@@ -39,26 +38,24 @@ fn tile_draw(seed: u64, view: usize, column: usize, row: usize) -> f32 {
 }
 
 impl Holdout {
-    pub(super) fn new(views: &[View], options: &TrainOptions) -> Self {
-        let (mut training, mut held) = (Vec::new(), Vec::new());
-        for (v, view) in views.iter().enumerate() {
+    /// Holds tiles of `views` out: takes the weight from their pixels.
+    pub(super) fn new(views: &mut [View], options: &TrainOptions) -> Self {
+        let mut held = Vec::new();
+        for (v, view) in views.iter_mut().enumerate() {
             let width = view.image.width;
-            let mut weight = view.weight.clone();
             let mut out = Vec::new();
-            for (i, w) in weight.iter_mut().enumerate() {
+            for (i, w) in view.weight.iter_mut().enumerate() {
                 let (column, row) = (i % width / TILE, i / width / TILE);
                 if *w > 0.0 && tile_draw(options.seed, v, column, row) < options.holdout {
                     *w = 0.0;
                     out.push(i as u32);
                 }
             }
-            training.push(weight);
             held.push(out);
         }
         let losses = vec![None; views.len()];
         let keep_from = options.iterations / 4;
         Self {
-            training,
             held,
             losses,
             best: None,
@@ -66,10 +63,6 @@ impl Holdout {
             patience: options.patience,
             keep_from,
         }
-    }
-
-    pub(super) fn training_weight(&self, view: usize) -> &[f32] {
-        &self.training[view]
     }
 
     /// Mean absolute difference over the held-out pixels of a view; `None` when it has none.

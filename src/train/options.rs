@@ -52,8 +52,19 @@ pub struct TrainOptions {
     pub one_surface_gsd: f32,
     /// Visits of a view that one trace of its light serves; gradients go back along the light on the visit that traces.
     pub light_every: usize,
+    /// How far Gaussians have moved in the mean (ground sampling distances, plus the change of their opacities) before a view's
+    /// light is traced anew, in place of a count of visits; 0 counts visits.
+    pub light_moved: f32,
     /// Steps between two builds of the occluders' hierarchy, where that is the route of the light.
     pub hierarchy_every: usize,
+    /// Levels of the image pyramid below full size, each half as wide; training begins at the coarsest. 0 is off.
+    pub pyramid_levels: usize,
+    /// Share of the steps spent on the coarser levels.
+    pub pyramid_share: f32,
+    /// Share of a view that a step looks at, a window at a random place; 1 is all of it.
+    pub window_share: f32,
+    /// Whether Adam leaves alone what a step did not see, instead of letting it coast.
+    pub sparse: bool,
     /// Share of each image's tiles held out to watch for overfitting; 0 is none.
     pub holdout: f32,
     /// Rounds over all views without progress on held-out tiles after which training stops; 0 is never.
@@ -85,7 +96,12 @@ impl Default for TrainOptions {
             one_surface_weight: 0.0,
             one_surface_gsd: 2.0,
             light_every: 4,
+            light_moved: 0.0,
             hierarchy_every: 25,
+            pyramid_levels: 0,
+            pyramid_share: 0.4,
+            window_share: 1.0,
+            sparse: false,
             holdout: 0.04,
             patience: 25,
         }

@@ -8,14 +8,24 @@ use rayon::prelude::*;
 pub struct ImageScore {
     /// Peak signal-to-noise ratio, dB, of all bands together, for values with a peak of 1.
     pub psnr: f64,
+    /// The same of red, green and blue alone, as papers give it, where the image has more bands than those.
+    #[serde(skip_serializing_if = "Option::is_none", default)]
+    pub psnr_rgb: Option<f64>,
     /// Structural similarity, mean over pixels and bands.
     pub ssim: f64,
 }
 
-/// Scores a rendered image against a real one of the same size, both in 0..1. `None` when no pixel is known in both.
-pub fn score_image(rendered: &Raster, real: &Raster) -> Option<ImageScore> {
+/// Scores a rendered image against a real one of the same size, both in 0..1. `None` when no pixel is known in both. `rgb` are
+/// the planes of red, green and blue, where there are others too.
+pub fn score_image(rendered: &Raster, real: &Raster, rgb: Option<[usize; 3]>) -> Option<ImageScore> {
+    let colours = |image: &Raster, rgb: [usize; 3]| Raster {
+        bands: 3,
+        values: rgb.iter().flat_map(|&band| image.plane(band)).copied().collect(),
+        ..*image
+    };
     Some(ImageScore {
         psnr: psnr(rendered, real)?,
+        psnr_rgb: rgb.and_then(|rgb| psnr(&colours(rendered, rgb), &colours(real, rgb))),
         ssim: ssim(rendered, real)?,
     })
 }

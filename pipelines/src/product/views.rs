@@ -134,8 +134,9 @@ fn fit_band(albedo: &[f32], sunlight: &[f32], truth: &[f32], width: usize) -> Ba
     BandLight([solution.x, solution.y, solution.z])
 }
 
-/// Scores of a rendered view against its pixels; on its right half only where colours were fitted to the left one.
-pub fn score(rendered: &RenderedView, truth: &Raster) -> Option<ImageScore> {
+/// Scores of a rendered view against its pixels; on its right half only where colours were fitted to the left one. `rgb` as in
+/// [`score_image`].
+pub fn score(rendered: &RenderedView, truth: &Raster, rgb: Option<[usize; 3]>) -> Option<ImageScore> {
     let mut truth = truth.clone();
     if rendered.colour == Colouring::LeftHalf {
         let (width, height) = (truth.width, truth.height);
@@ -145,5 +146,5 @@ pub fn score(rendered: &RenderedView, truth: &Raster) -> Option<ImageScore> {
             }
         }
     }
-    score_image(&rendered.image, &truth)
+    score_image(&rendered.image, &truth, rgb)
 }

@@ -63,8 +63,6 @@ pub struct Fitted {
     pub curve: Vec<CurvePoint>,
     /// Whether the user stopped it.
     pub interrupted: bool,
-    /// The views it was trained on.
-    pub views: Vec<View>,
 }
 
 /// Cells around a cell among which the lowest is its ground.
@@ -245,7 +243,7 @@ pub fn fit(
 
     let bounds = bounds(&ground);
     let nadir = nadir_camera(&scene.area, scene.gsd_m);
-    let trainer = Trainer::new(&model, &views, parameters, options, bounds, Some(nadir))?;
+    let trainer = Trainer::new(&model, views, parameters, options, bounds, Some(nadir))?;
     let trained = train(trainer, steps, session, time_budget.map(|budget| started + budget))?;
     Ok(Fitted {
         parameters: trained.parameters,
@@ -263,7 +261,6 @@ pub fn fit(
             (initialised - swept).as_secs_f64(),
             (started.elapsed() - initialised).as_secs_f64(),
         ],
-        views,
     })
 }
 

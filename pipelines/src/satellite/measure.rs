@@ -8,7 +8,7 @@ use crate::product::dsm::of_start;
 use crate::product::views::{RenderedView, render_view, score};
 use crate::raster::{RasterFile, preview};
 use crate::run::{LoadedModel, peak_rss_bytes};
-use crate::scene::{Scene, Split};
+use crate::scene::{BandKind, Scene, Split};
 use heliosplat::Raster;
 use serde_json::{Value, json};
 use std::path::Path;
@@ -34,6 +34,7 @@ pub(super) fn metrics(scene: &Scene, model: &LoadedModel, run: &Path, protocol: 
     let (mut train, mut test) = (Vec::new(), Vec::new());
     let mut shadows = ShadowCounts::default();
     let mut colour = None;
+    let rgb = colours_among(&model.file.bands);
     for known in &model.file.images {
         let Some(image) = scene.images.iter().find(|i| i.name == known.name) else {
             continue;
@@ -41,7 +42,7 @@ pub(super) fn metrics(scene: &Scene, model: &LoadedModel, run: &Path, protocol: 
         let truth = known.crop.cut(&image.pixels);
         let held_out = known.split == Split::Test;
         let rendered = render_view(model, known, Some(&truth));
-        if let Some(score) = score(&rendered, &truth) {
+        if let Some(score) = score(&rendered, &truth, rgb) {
             if held_out {
                 colour = Some(rendered.colour.text());
                 test.push(score);
@@ -58,19 +59,34 @@ pub(super) fn metrics(scene: &Scene, model: &LoadedModel, run: &Path, protocol: 
         }
         draw(run, &known.name, &truth, &rendered, mask.as_ref())?;
     }
-    let mean = |scores: &[ImageScore], pick: fn(&ImageScore) -> f64| {
-        scores.iter().map(pick).sum::<f64>() / scores.len().max(1) as f64
-    };
     if !train.is_empty() {
-        out["train"] = json!({"psnr": mean(&train, |s| s.psnr), "ssim": mean(&train, |s| s.ssim)});
+        out["train"] = mean(&train);
     }
     if !test.is_empty() {
-        out["test"] = json!({"psnr": mean(&test, |s| s.psnr), "ssim": mean(&test, |s| s.ssim), "colour": colour});
+        out["test"] = mean(&test);
+        out["test"]["colour"] = json!(colour);
     }
     if let Some(score) = shadows.score().filter(|_| !scene.truth.shadows.is_empty()) {
         out["shadow"] = serde_json::to_value(score).unwrap_or_default();
     }
     Ok(out)
+}
+
+/// Where red, green and blue are, if there are other bands besides.
+fn colours_among(bands: &[BandKind]) -> Option<[usize; 3]> {
+    let place = |kind: BandKind| bands.iter().position(|&band| band == kind);
+    let rgb = [place(BandKind::Red)?, place(BandKind::Green)?, place(BandKind::Blue)?];
+    (bands.len() > rgb.len()).then_some(rgb)
+}
+
+/// The mean of the scores of some images.
+fn mean(scores: &[ImageScore]) -> Value {
+    let mean = |pick: &dyn Fn(&ImageScore) -> f64| scores.iter().map(pick).sum::<f64>() / scores.len().max(1) as f64;
+    let mut out = json!({"psnr": mean(&|s| s.psnr), "ssim": mean(&|s| s.ssim)});
+    if scores.iter().all(|s| s.psnr_rgb.is_some()) {
+        out["psnr_rgb"] = json!(mean(&|s| s.psnr_rgb.unwrap_or(f64::NAN)));
+    }
+    out
 }
 
 /// The image, its rendering, and the shadows over the image, side by side; with a true mask also where they are wrong: blue
@@ -162,6 +178,8 @@ pub(super) fn summary(metrics: &Value) -> String {
     let colour = metrics.pointer("/test/colour").and_then(Value::as_str).unwrap_or("");
     say("PSNR held out", number("/test/psnr"), &format!("dB (colour {colour})"));
     say("time", number("/seconds"), "s");
+    let colours = "dB (red, green, blue alone)";
+    say("PSNR held out", number("/test/psnr_rgb"), colours);
     say(
         "memory",
         number("/peak_rss_bytes").map(|b| b / f64::from(1 << 20)),
