@@ -146,6 +146,11 @@ impl<'a> Trainer<'a> {
         self.options.iterations = iterations;
     }
 
+    /// Views trained on.
+    pub fn views(&self) -> usize {
+        self.views.len()
+    }
+
     /// Steps done.
     pub fn steps(&self) -> usize {
         self.step

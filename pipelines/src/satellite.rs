@@ -1,28 +1,30 @@
 //! The satellite pipeline: a scene in, a trained model and its products out.
 
+pub mod budget;
 pub mod config;
+pub mod estimate;
 pub mod fit;
 mod initial;
 mod measure;
 mod radiometry;
+pub mod training;
 pub mod views;
 
 use crate::cli::evaluate::{EvaluateArgs, table, write_error_map};
-use crate::cli::satellite::{DemoArgs, DsmArgs, RelightArgs, RenderArgs, RenderSplit, TrainArgs};
+use crate::cli::satellite::{DemoArgs, DsmArgs, RelightArgs, RenderArgs, RenderSplit};
 use crate::cli::{CliError, Outcome, Session};
-use crate::evaluate::Protocol;
 use crate::product::{dsm, relight, views as rendered};
-use crate::raster::preview;
 use crate::raster::write::{ImageSpec, Sample, write_geotiff};
-use crate::run::{self, Input, LoadedModel, ModelFile, RunError, RunFile};
+use crate::run::{self, RunError};
 use crate::scene::{Scene, SceneError, Split};
 use config::{ConfigError, SatelliteConfig};
-use fit::{FitError, Fitted};
+use fit::FitError;
 use heliosplat_rpc::sun::sun_position;
 use relight::RelightError;
 use serde_json::json;
 use std::path::Path;
-use std::time::{Duration, Instant};
+use std::time::Instant;
+use training::{Told, create_folder};
 
 impl From<RunError> for CliError {
     fn from(error: RunError) -> Self {
@@ -43,7 +45,7 @@ impl From<ConfigError> for CliError {
 impl From<FitError> for CliError {
     fn from(error: FitError) -> Self {
         match error {
-            FitError::TooFewViews { .. } => Self::Input(error.to_string()),
+            FitError::TooFewViews { .. } | FitError::Memory { .. } => Self::Input(error.to_string()),
             FitError::Train(_) => Self::Failed(error.to_string()),
         }
     }
@@ -112,94 +114,6 @@ pub fn plan(scene: &Scene) -> Vec<PlanItem> {
     ]
 }
 
-/// Fits a scene and writes the run, with its DSM and, where there is truth, its errors.
-fn train_into(
-    scene: &Scene,
-    out: &Path,
-    config: &SatelliteConfig,
-    told: (&str, Option<(f64, f64)>, Option<Duration>),
-    session: &Session,
-) -> Result<(LoadedModel, serde_json::Value, bool), CliError> {
-    let (preset, altitude_range_m, time_budget) = told;
-    let started = Instant::now();
-    let mut config = config.clone();
-    let plan = plan(scene);
-    if config.model.image_colour.is_none() {
-        config.model.image_colour = plan.iter().find(|p| p.component == "model.image_colour").map(|p| p.on);
-    }
-    create_folder(out)?;
-    let mut fitted = fit::fit(scene, &config, session, time_budget)?;
-    let file = model_file(scene, &config, &fitted);
-    let mut inputs = Vec::new();
-    for image in &scene.images {
-        inputs.push(Input {
-            path: image.path.clone(),
-            sha256: run::hash(&image.path)?,
-        });
-    }
-    let run_file = RunFile {
-        version: env!("CARGO_PKG_VERSION").into(),
-        preset: preset.into(),
-        seed: config.train.seed,
-        scene: std::fs::canonicalize(&scene.source).unwrap_or_else(|_| scene.source.clone()),
-        altitude_range_m,
-        plan,
-        inputs,
-        config,
-    };
-    run::save(out, &run_file, &file, &fitted.parameters.gaussians)?;
-    let parameters = std::mem::take(&mut fitted.parameters);
-    let frame = scene.frame;
-    let model = LoadedModel {
-        folder: out.to_owned(),
-        model: fitted.model.clone(),
-        parameters,
-        file,
-        frame,
-    };
-    let surface = dsm::dsm(&model, model.file.gsd_m, None)?;
-    surface.write(&out.join("dsm.tif"))?;
-    preview::write_png(
-        &out.join("dsm.png"),
-        &preview::hillshade(&surface.altitude(), model.file.gsd_m),
-    )?;
-    let start = measure::write_start(scene, out, &fitted, &model)?;
-    let mut metrics = measure::metrics(scene, &model, out, Protocol::Raw)?;
-    if !start.is_null() {
-        metrics["start"] = start;
-    }
-    measure::add_fit(&mut metrics, &fitted, &model, started.elapsed().as_secs_f64());
-    run::save_metrics(out, &metrics)?;
-    Ok((model, metrics, fitted.interrupted))
-}
-
-fn create_folder(out: &Path) -> Result<(), CliError> {
-    std::fs::create_dir_all(out).map_err(|error| {
-        CliError::Failed(format!(
-            "{}: the folder cannot be made ({error}); choose another --out",
-            out.display()
-        ))
-    })
-}
-
-fn model_file(scene: &Scene, config: &SatelliteConfig, fitted: &Fitted) -> ModelFile {
-    ModelFile {
-        schema: run::SCHEMA,
-        model: "shadow_gs".into(),
-        options: fitted.model.options.clone(),
-        globals: fitted.parameters.globals.clone(),
-        origin: scene.origin(),
-        altitude_range_m: scene.altitude_range_m,
-        area: scene.area,
-        gsd_m: scene.gsd_m,
-        counts_per_unit: scene.counts_per_unit,
-        projection: config.train.projection,
-        trace: config.train.trace,
-        bands: scene.bands().to_vec(),
-        images: run::model_images(scene, fitted, config.start.margin_m),
-    }
-}
-
 /// Synthesises a site, trains on it and writes its products.
 ///
 /// # Errors
@@ -218,10 +132,12 @@ pub fn demo(args: &DemoArgs, session: &Session) -> Result<Outcome, CliError> {
     })
     .map_err(|error| CliError::Failed(error.to_string()))?;
     drop(progress);
+    let begun = Instant::now();
     let scene = Scene::open(&scene_folder, &Default::default())?;
     let config = SatelliteConfig::resolve("fast", &[], args.seed)?;
     let run_folder = args.out.join("run");
-    let (model, metrics, interrupted) = train_into(&scene, &run_folder, &config, ("fast", None, None), session)?;
+    let told = Told::new("fast", begun);
+    let (model, metrics, interrupted) = training::train_into(&scene, &run_folder, &config, &told, session)?;
     if interrupted {
         return Err(CliError::Interrupted("stopped; what there was is saved".into()));
     }
@@ -239,39 +155,6 @@ pub fn demo(args: &DemoArgs, session: &Session) -> Result<Outcome, CliError> {
         ),
         json: metrics,
     })
-}
-
-/// Trains a model.
-///
-/// # Errors
-/// When the scene or the configuration is at fault, training gives up, or a file cannot be written.
-pub fn train(args: &TrainArgs, session: &Session) -> Result<Outcome, CliError> {
-    if args.resume {
-        return Err(CliError::Input(
-            "train --resume: runs are not checkpointed yet; train again without it".into(),
-        ));
-    }
-    if args.memory.is_some() {
-        return Err(CliError::Input(
-            "train --memory: not built yet; limit the Gaussians with --set train.density.cap=N".into(),
-        ));
-    }
-    let options = args.ingest.options();
-    let scene = Scene::open(&args.scene, &options)?;
-    for warning in &scene.warnings {
-        tracing::warn!("{warning}");
-    }
-    let config = SatelliteConfig::resolve(args.preset.name(), &args.set, args.seed)?;
-    let told = (args.preset.name(), options.altitude_range_m, args.time_budget);
-    let (_, metrics, interrupted) = train_into(&scene, &args.out, &config, told, session)?;
-    if interrupted {
-        return Err(CliError::Interrupted(format!(
-            "stopped; what there was is saved in {}",
-            args.out.display()
-        )));
-    }
-    let text = format!("{}\nrun            {}", measure::summary(&metrics), args.out.display());
-    Ok(Outcome { json: metrics, text })
 }
 
 /// Writes the surface model of a run.

@@ -114,6 +114,17 @@ impl TrainOptions {
         self.iterations = self.iterations.min(self.rounds.saturating_mul(views));
         self
     }
+
+    /// How many times as many Gaussians as at the start there are at the end, at most.
+    pub fn growth(&self) -> f64 {
+        let d = &self.density;
+        let last = (d.until_fraction * self.iterations as f32) as usize;
+        if d.every == 0 || last < d.from {
+            return 1.0;
+        }
+        let times = last / d.every - d.from.saturating_sub(1) / d.every;
+        (1.0 + f64::from(d.growth)).powi(times as i32)
+    }
 }
 
 #[cfg(test)]
@@ -129,5 +140,20 @@ mod tests {
         };
         assert_eq!(options.clone().for_views(2).iterations, 120);
         assert_eq!(options.for_views(40).iterations, 600);
+    }
+
+    #[test]
+    fn growth_counts_the_times_that_gaussians_are_added() {
+        let mut options = TrainOptions {
+            iterations: 600,
+            ..TrainOptions::default()
+        };
+        options.density.every = 100;
+        options.density.from = 100;
+        options.density.until_fraction = 0.6;
+        options.density.growth = 0.05;
+        assert!((options.growth() - 1.05f64.powi(3)).abs() < 1e-6);
+        options.density.every = 0;
+        assert!(options.growth() == 1.0);
     }
 }

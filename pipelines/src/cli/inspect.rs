@@ -1,6 +1,8 @@
 //! `heliosplat inspect`: what a scene is, before anything is done with it.
 
 use super::{CliError, IngestArgs, Outcome};
+use crate::satellite::config::SatelliteConfig;
+use crate::satellite::estimate::{Estimate, estimate, slowness};
 use crate::scene::{Scene, SceneImage, Split};
 use clap::Args;
 use serde_json::{Value, json};
@@ -22,10 +24,48 @@ pub(super) fn run(args: &InspectArgs) -> Result<Outcome, CliError> {
     let scene = Scene::open(&args.scene, &args.ingest.options())?;
     let coverage = Coverage::of(&scene);
     let plan = crate::satellite::plan(&scene);
+    let estimates = estimates(&scene)?;
+    let mut json = describe(&scene, &coverage, &plan);
+    json["estimates"] = estimates
+        .iter()
+        .map(|(preset, e)| ((*preset).to_owned(), json!(e)))
+        .collect();
     Ok(Outcome {
-        json: describe(&scene, &coverage, &plan),
-        text: table(&scene, &coverage, &plan),
+        json,
+        text: table(&scene, &coverage, &plan) + &estimates_table(&estimates),
     })
+}
+
+/// What each preset will take on this machine.
+fn estimates(scene: &Scene) -> Result<Vec<(&'static str, Estimate)>, CliError> {
+    if scene.training().count() < 2 {
+        return Ok(Vec::new());
+    }
+    let slowness = slowness();
+    ["fast", "balanced", "accurate"]
+        .into_iter()
+        .map(|preset| {
+            let config = SatelliteConfig::resolve(preset, &[], 1)?;
+            Ok((preset, estimate(scene, &config, slowness)))
+        })
+        .collect()
+}
+
+fn estimates_table(estimates: &[(&str, Estimate)]) -> String {
+    let mut text = String::new();
+    if !estimates.is_empty() {
+        text += "\ntraining will take about\n";
+    }
+    for (preset, e) in estimates {
+        // Writing to a String cannot fail.
+        let _ = writeln!(
+            text,
+            "  {preset:<9} {:>6.0} s, {:.1} GiB",
+            e.seconds,
+            e.peak_bytes / f64::from(1 << 30)
+        );
+    }
+    text
 }
 
 /// How many training images see the points of a grid over the scene's area, at mid altitude.

@@ -49,10 +49,10 @@ pub struct TrainArgs {
     /// Folder of the run, made if absent
     #[arg(long, value_name = "RUN")]
     pub out: PathBuf,
-    /// How much time for how good a result
-    #[arg(long, value_enum, default_value_t)]
-    pub preset: Preset,
-    /// Stop training after this time, such as 90s, 5m, 1h
+    /// How much time for how good a result [default: balanced, or what fits into --time-budget]
+    #[arg(long, value_enum)]
+    pub preset: Option<Preset>,
+    /// Use this time and no more, products included, such as 90s, 5m, 1h
     #[arg(long, value_parser = parse::duration, value_name = "TIME")]
     pub time_budget: Option<Duration>,
     /// Stay below this much memory, such as 4GiB
@@ -61,7 +61,7 @@ pub struct TrainArgs {
     /// Seed of everything random
     #[arg(long, default_value_t = 1)]
     pub seed: u64,
-    /// Change one value of the configuration, as in --set optimiser.steps=2000
+    /// Change one value of the configuration, as in --set train.iterations=2000
     #[arg(long = "set", value_parser = parse::key_value, value_name = "KEY=VALUE")]
     pub set: Vec<(String, String)>,
     /// Go on from the run's last checkpoint
@@ -139,7 +139,7 @@ pub(super) fn demo(args: &DemoArgs, session: &Session) -> Result<Outcome, CliErr
 }
 
 pub(super) fn train(args: &TrainArgs, session: &Session) -> Result<Outcome, CliError> {
-    pipeline::train(args, session)
+    pipeline::training::train(args, session)
 }
 
 pub(super) fn dsm(args: &DsmArgs, session: &Session) -> Result<Outcome, CliError> {

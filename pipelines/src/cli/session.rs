@@ -76,6 +76,11 @@ impl Progress {
         self.bar.set_position(done);
     }
 
+    /// Changes how many steps there are.
+    pub fn set_total(&self, total: u64) {
+        self.bar.set_length(total);
+    }
+
     /// Says something short beside the bar, such as the loss.
     pub fn say(&self, message: &str) {
         self.bar.set_message(message.to_owned());

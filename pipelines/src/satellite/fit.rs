@@ -1,8 +1,9 @@
 //! From a scene to a trained model: align, sweep, start, train.
 
+use super::budget::{Budget, Pace};
 use super::config::{Align, SatelliteConfig};
 use super::views::{self, Crop};
-use super::{initial, radiometry};
+use super::{estimate, initial, radiometry};
 use crate::cli::Session;
 use crate::scene::{Area, Scene, SceneImage};
 use glam::Vec3;
@@ -10,11 +11,11 @@ use heliosplat::model::shadow_gs::{ShadowGs, ShadowGsOptions};
 use heliosplat::model::{Parameters, SceneModel, View};
 use heliosplat::render::PassOptions;
 use heliosplat::start::{Surface, SweepOptions, SweepRequest, SweepView, align::estimate_shifts, sweep::sweep};
-use heliosplat::train::{EarlyStop, StepReport, TrainError, Trainer};
+use heliosplat::train::{EarlyStop, StepReport, TrainError, TrainOptions, Trainer};
 use heliosplat::{ProjectiveCamera, Raster};
 use rayon::prelude::*;
 use std::collections::BTreeMap;
-use std::time::{Duration, Instant};
+use std::time::Instant;
 
 /// Why a model could not be fitted.
 #[derive(Debug, thiserror::Error)]
@@ -24,6 +25,20 @@ pub enum FitError {
     TooFewViews {
         /// How many do.
         images: usize,
+    },
+    /// Training would take more memory than it may.
+    #[error(
+        "--memory: with {gaussians} Gaussians training needs about {needed_mib} MiB and {limit_mib} MiB are allowed; give more, fewer images, or a coarser model with --set start.cell_gsd={cell_gsd:.2}"
+    )]
+    Memory {
+        /// Gaussians to start with.
+        gaussians: usize,
+        /// What it needs.
+        needed_mib: u64,
+        /// What it may take.
+        limit_mib: u64,
+        /// What would fit.
+        cell_gsd: f64,
     },
     /// Training gave up.
     #[error("training stopped: {0}")]
@@ -39,6 +54,15 @@ pub struct CurvePoint {
     pub l1: f64,
     /// Named losses, unweighted.
     pub losses: BTreeMap<String, f64>,
+}
+
+/// What a fit may take.
+#[derive(Debug, Clone, Copy, Default)]
+pub struct Limits {
+    /// Time.
+    pub budget: Option<Budget>,
+    /// Memory, bytes.
+    pub memory: Option<u64>,
 }
 
 /// A trained model and how it came about.
@@ -63,6 +87,8 @@ pub struct Fitted {
     pub curve: Vec<CurvePoint>,
     /// Whether the user stopped it.
     pub interrupted: bool,
+    /// The most memory that training was expected to take when it began, bytes.
+    pub memory_estimate: f64,
 }
 
 /// Cells around a cell among which the lowest is its ground.
@@ -180,12 +206,7 @@ pub fn nadir_camera(area: &Area, gsd_m: f64) -> ProjectiveCamera {
 ///
 /// # Errors
 /// [`FitError`] when too few images show the common ground, or training gives up.
-pub fn fit(
-    scene: &Scene,
-    config: &SatelliteConfig,
-    session: &Session,
-    time_budget: Option<Duration>,
-) -> Result<Fitted, FitError> {
+pub fn fit(scene: &Scene, config: &SatelliteConfig, session: &Session, limits: &Limits) -> Result<Fitted, FitError> {
     let started = Instant::now();
     let ground = Ground::new(scene, config)?;
     let rasters: Vec<Raster> = ground
@@ -233,6 +254,7 @@ pub fn fit(
     let mut options = config.train.clone().for_views(views.len());
     let steps = options.iterations;
     options.gsd_m = scene.gsd_m as f32;
+    let memory_estimate = fit_into_memory(limits.memory, &parameters, &views, config, &mut options)?;
     let pass = PassOptions {
         projection: options.projection,
         trace: options.trace,
@@ -244,13 +266,14 @@ pub fn fit(
     let bounds = bounds(&ground);
     let nadir = nadir_camera(&scene.area, scene.gsd_m);
     let trainer = Trainer::new(&model, views, parameters, options, bounds, Some(nadir))?;
-    let trained = train(trainer, steps, session, time_budget.map(|budget| started + budget))?;
+    let trained = train(trainer, steps, session, limits.budget)?;
     Ok(Fitted {
         parameters: trained.parameters,
         early_stop: trained.early_stop,
         rejected: trained.rejected,
         curve: trained.curve,
         interrupted: trained.interrupted,
+        memory_estimate,
         model,
         images: ground.images.iter().map(|image| image.name.clone()).collect(),
         shifts_px,
@@ -262,6 +285,37 @@ pub fn fit(
             (started.elapsed() - initialised).as_secs_f64(),
         ],
     })
+}
+
+/// Limits the Gaussians to what `limit` bytes hold; returns what training will take at most.
+fn fit_into_memory(
+    limit: Option<u64>,
+    parameters: &Parameters,
+    views: &[View],
+    config: &SatelliteConfig,
+    options: &mut TrainOptions,
+) -> Result<f64, FitError> {
+    let now = estimate::resident_bytes();
+    let count = parameters.gaussians.count;
+    let pixels = views.iter().map(|v| v.image.plane_len()).max().unwrap_or(0) as f64;
+    let bands = views.first().map_or(0, |v| v.image.bands);
+    let bytes = |gaussians: f64| now + estimate::training_bytes(gaussians, views.len(), bands, pixels);
+    if let Some(limit) = limit {
+        let most = estimate::gaussians_within(limit as f64 - now, views.len(), bands, pixels);
+        if most < count as f64 {
+            let needed = bytes(count as f64);
+            let mib = |bytes: f64| (bytes / f64::from(1 << 20)).ceil() as u64;
+            return Err(FitError::Memory {
+                gaussians: count,
+                needed_mib: mib(needed),
+                limit_mib: mib(limit as f64),
+                cell_gsd: config.start.cell_gsd * (needed / limit as f64).sqrt() * 1.05,
+            });
+        }
+        options.density.cap = options.density.cap.min(most as usize);
+    }
+    let grown = count as f64 * options.growth();
+    Ok(bytes(grown.min(options.density.cap.max(count) as f64)).max(crate::run::peak_rss_bytes() as f64))
 }
 
 /// Outside of this box Gaussians are pruned, metres.
@@ -289,17 +343,20 @@ struct Trained {
     interrupted: bool,
 }
 
-fn train(
-    mut trainer: Trainer,
-    steps: usize,
-    session: &Session,
-    deadline: Option<Instant>,
-) -> Result<Trained, FitError> {
+fn train(mut trainer: Trainer, steps: usize, session: &Session, budget: Option<Budget>) -> Result<Trained, FitError> {
     let progress = session.progress("train", steps as u64);
     let mut curve = Vec::new();
     let mut smoothed = None;
-    while !trainer.finished() && !session.stopped() && deadline.is_none_or(|d| Instant::now() < d) {
+    let mut pace = Pace::new(trainer.views());
+    while !trainer.finished() && !session.stopped() {
+        let begun = Instant::now();
         let report = trainer.step()?;
+        pace.add(begun.elapsed());
+        if let Some(budget) = budget {
+            let steps = budget.steps(report.step, pace.step_s());
+            trainer.set_iterations(steps);
+            progress.set_total(steps as u64);
+        }
         let l1 = smoothed.map_or(report.l1, |old: f64| 0.95 * old + 0.05 * report.l1);
         smoothed = Some(l1);
         progress.set(report.step as u64);

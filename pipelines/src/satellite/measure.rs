@@ -152,6 +152,7 @@ pub(super) fn add_fit(metrics: &mut Value, fitted: &Fitted, model: &LoadedModel,
     metrics["rejected_steps"] = json!(fitted.rejected);
     metrics["gaussians"] = json!(model.parameters.gaussians.count);
     metrics["peak_rss_bytes"] = json!(peak_rss_bytes());
+    metrics["memory_estimate_bytes"] = json!(fitted.memory_estimate);
     metrics["shifts_px"] = json!(fitted.shifts_px);
     metrics["curve"] = json!(fitted.curve);
 }

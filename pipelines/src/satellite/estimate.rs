@@ -1,0 +1,154 @@
+//! What a training will take, before it begins: memory and time.
+//!
+//! The constants were fitted to runs on the scenes of docs/speed.md (0.15 to 2.2 million Gaussians); `metrics.json` keeps the
+//! estimate beside what was used.
+
+use super::config::SatelliteConfig;
+use super::views;
+use crate::cli::CliError;
+use crate::scene::Scene;
+use heliosplat::rates::{Descent, Site};
+use std::time::Instant;
+
+/// Gaussians per cell of the ground grid: walls and doubtful ground add to one each (1.0 to 2.0 were seen).
+const GAUSSIANS_PER_CELL: f64 = 1.3;
+/// Tables of all parameters that training holds: values, gradients, two moments, the best state.
+const TABLES: f64 = 5.0;
+/// Bytes per Gaussian of what one step makes besides: splats, lists of tiles, gradients, hits on the way to the sun.
+const STEP_BYTES_PER_GAUSSIAN: f64 = 620.0;
+/// Planes of 32-bit numbers per pixel of the largest view that one step makes, besides those per channel.
+const PLANES: f64 = 24.0;
+/// The same per channel.
+const PLANES_PER_CHANNEL: f64 = 4.0;
+/// Bytes per cell of the ground grid while its surface is searched.
+const SWEEP_BYTES_PER_CELL: f64 = 600.0;
+/// Seconds per cell and image before the first step: pointing, search, start.
+const START_S_PER_CELL: f64 = 1.2e-5;
+/// Seconds per Gaussian and step.
+const STEP_S_PER_GAUSSIAN: f64 = 0.9e-6;
+/// What comes after training, in steps per image.
+const STEPS_PER_PRODUCT: f64 = 1.3;
+/// Seconds of one step of the small site on the machine that the seconds above were measured on.
+const REFERENCE_STEP_S: f64 = 0.012;
+
+/// What a run will take.
+#[derive(Debug, Clone, Copy, PartialEq, serde::Serialize)]
+pub struct Estimate {
+    /// Gaussians at the start.
+    pub gaussians: f64,
+    /// Most memory, bytes.
+    pub peak_bytes: f64,
+    /// The same if there were one Gaussian per cell and no more.
+    pub least_bytes: f64,
+    /// Steps.
+    pub steps: usize,
+    /// Seconds before the first step.
+    pub start_s: f64,
+    /// Seconds in all.
+    pub seconds: f64,
+}
+
+/// How much slower this machine is than the one the constants are from; takes a quarter of a second.
+pub fn slowness() -> f64 {
+    let mut descent = Descent::new(Site::new(20_000, 256, 0.6));
+    let mut best = f64::INFINITY;
+    for _ in 0..8 {
+        let begun = Instant::now();
+        descent.step();
+        best = best.min(begun.elapsed().as_secs_f64());
+    }
+    best / REFERENCE_STEP_S
+}
+
+/// Bytes that training adds to what the process holds when it begins: `gaussians` at most, `pixels` of the largest view.
+pub fn training_bytes(gaussians: f64, views: usize, bands: usize, pixels: f64) -> f64 {
+    let width = 11.0 + bands as f64;
+    let per_gaussian = TABLES * 4.0 * width + 4.0 * views as f64 + STEP_BYTES_PER_GAUSSIAN;
+    let planes = PLANES + PLANES_PER_CHANNEL * (bands as f64 + 4.0);
+    gaussians * per_gaussian + pixels * planes * 4.0
+}
+
+/// The most Gaussians that `bytes` of memory hold in training.
+pub fn gaussians_within(bytes: f64, views: usize, bands: usize, pixels: f64) -> f64 {
+    let fixed = training_bytes(0.0, views, bands, pixels);
+    let each = training_bytes(1.0, views, bands, pixels) - fixed;
+    ((bytes - fixed) / each).max(0.0)
+}
+
+/// What training `scene` will take on a machine of this [`slowness`]; the scene's images are in memory already.
+pub fn estimate(scene: &Scene, config: &SatelliteConfig, slowness: f64) -> Estimate {
+    let area = views::grown(&scene.area, config.start.margin_m);
+    let cell_m = config.start.cell_gsd * scene.gsd_m;
+    let cells = (area.east_m - area.west_m) * (area.north_m - area.south_m) / (cell_m * cell_m);
+    let gaussians = GAUSSIANS_PER_CELL * cells;
+    let images: Vec<_> = scene.training().collect();
+    let steps = config.train.clone().for_views(images.len()).iterations;
+    let bands = scene.bands().len();
+    let pixels = cells * config.start.cell_gsd * config.start.cell_gsd * 1.2;
+    let copies = images.len() as f64 * pixels * (2.0 * bands as f64 + 1.0) * 4.0;
+    let fixed = resident_bytes() + copies;
+    let peak = |gaussians: f64| {
+        fixed + training_bytes(gaussians, images.len(), bands, pixels).max(SWEEP_BYTES_PER_CELL * cells)
+    };
+    let start_s = START_S_PER_CELL * cells * images.len() as f64 * slowness;
+    let step_s = STEP_S_PER_GAUSSIAN * gaussians * slowness;
+    let products = STEPS_PER_PRODUCT * (scene.images.len() + 2) as f64;
+    Estimate {
+        gaussians,
+        peak_bytes: peak(gaussians * config.train.clone().for_views(images.len()).growth()),
+        least_bytes: peak(cells),
+        steps,
+        start_s,
+        seconds: start_s + (steps as f64 + products) * step_s,
+    }
+}
+
+/// Memory that this process holds now, bytes; zero where the system does not tell.
+pub fn resident_bytes() -> f64 {
+    let text = std::fs::read_to_string("/proc/self/statm").unwrap_or_default();
+    let pages: f64 = text
+        .split_whitespace()
+        .nth(1)
+        .and_then(|n| n.parse().ok())
+        .unwrap_or(0.0);
+    pages * 4096.0
+}
+
+/// Refuses a scene that will not fit into `limit` bytes, with what would.
+///
+/// # Errors
+/// When `needed` is more.
+pub fn must_fit(needed: f64, limit: Option<u64>, config: &SatelliteConfig) -> Result<(), CliError> {
+    let Some(limit) = limit.map(|bytes| bytes as f64).filter(|&limit| needed > limit) else {
+        return Ok(());
+    };
+    let coarser = config.start.cell_gsd * (needed / limit).sqrt() * 1.05;
+    let gib = |bytes: f64| bytes / f64::from(1 << 30);
+    Err(CliError::Input(format!(
+        "--memory: training needs about {:.1} GiB and {:.1} GiB are allowed; give more, fewer images, or a coarser model with --set start.cell_gsd={coarser:.2}",
+        gib(needed),
+        gib(limit)
+    )))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn what_fits_is_what_was_asked_for() {
+        let bytes = training_bytes(1e6, 10, 4, 2.5e5);
+        assert!((gaussians_within(bytes, 10, 4, 2.5e5) - 1e6).abs() < 1.0);
+        assert!(gaussians_within(1e6, 10, 4, 2.5e5) == 0.0);
+    }
+
+    #[test]
+    fn a_scene_that_is_too_large_is_told_what_would_fit() {
+        let config = SatelliteConfig::default();
+        assert!(must_fit(1e9, None, &config).is_ok() && must_fit(1e9, Some(1 << 30), &config).is_ok());
+        let error = must_fit(4e9, Some(1 << 30), &config)
+            .expect_err("too large")
+            .to_string();
+        assert!(error.contains("start.cell_gsd=2.0"), "{error}");
+    }
+}

@@ -1,0 +1,215 @@
+//! The verb `train`: what it was told, what that takes, and the run that comes of it.
+
+use super::budget::Budget;
+use super::config::SatelliteConfig;
+use super::estimate::{self, Estimate, estimate};
+use super::fit::{self, Fitted, Limits};
+use super::{measure, plan};
+use crate::cli::satellite::{Preset, TrainArgs};
+use crate::cli::{CliError, Outcome, Session};
+use crate::evaluate::Protocol;
+use crate::product::dsm;
+use crate::raster::preview;
+use crate::run::{self, Input, LoadedModel, ModelFile, RunFile};
+use crate::scene::Scene;
+use std::path::Path;
+use std::time::{Duration, Instant};
+
+/// What a training was told besides its scene and its configuration.
+pub(super) struct Told {
+    preset: &'static str,
+    altitude_range_m: Option<(f64, f64)>,
+    begun: Instant,
+    time_budget: Option<Duration>,
+    memory: Option<u64>,
+}
+
+impl Told {
+    /// Nothing but a preset; time counts from `begun`.
+    pub(super) fn new(preset: &'static str, begun: Instant) -> Self {
+        Self {
+            preset,
+            altitude_range_m: None,
+            begun,
+            time_budget: None,
+            memory: None,
+        }
+    }
+}
+
+/// Fits a scene and writes the run, with its DSM and, where there is truth, its errors.
+pub(super) fn train_into(
+    scene: &Scene,
+    out: &Path,
+    config: &SatelliteConfig,
+    told: &Told,
+    session: &Session,
+) -> Result<(LoadedModel, serde_json::Value, bool), CliError> {
+    let mut config = config.clone();
+    let plan = plan(scene);
+    if config.model.image_colour.is_none() {
+        config.model.image_colour = plan.iter().find(|p| p.component == "model.image_colour").map(|p| p.on);
+    }
+    let limits = Limits {
+        budget: told
+            .time_budget
+            .map(|limit| Budget::new(told.begun, limit, scene.images.len())),
+        memory: told.memory,
+    };
+    // Made first: better to hear now than after the training that nothing can be written there.
+    let new = !out.exists();
+    create_folder(out)?;
+    let mut fitted = fit::fit(scene, &config, session, &limits).inspect_err(|_| {
+        if new {
+            // Only removes it while it is empty; that it stays is no further fault.
+            let _ = std::fs::remove_dir(out);
+        }
+    })?;
+    let file = model_file(scene, &config, &fitted);
+    let mut inputs = Vec::new();
+    for image in &scene.images {
+        inputs.push(Input {
+            path: image.path.clone(),
+            sha256: run::hash(&image.path)?,
+        });
+    }
+    let run_file = RunFile {
+        version: env!("CARGO_PKG_VERSION").into(),
+        preset: told.preset.into(),
+        seed: config.train.seed,
+        scene: std::fs::canonicalize(&scene.source).unwrap_or_else(|_| scene.source.clone()),
+        altitude_range_m: told.altitude_range_m,
+        plan,
+        inputs,
+        config,
+    };
+    run::save(out, &run_file, &file, &fitted.parameters.gaussians)?;
+    let parameters = std::mem::take(&mut fitted.parameters);
+    let frame = scene.frame;
+    let model = LoadedModel {
+        folder: out.to_owned(),
+        model: fitted.model.clone(),
+        parameters,
+        file,
+        frame,
+    };
+    let surface = dsm::dsm(&model, model.file.gsd_m, None)?;
+    surface.write(&out.join("dsm.tif"))?;
+    preview::write_png(
+        &out.join("dsm.png"),
+        &preview::hillshade(&surface.altitude(), model.file.gsd_m),
+    )?;
+    let start = measure::write_start(scene, out, &fitted, &model)?;
+    let mut metrics = measure::metrics(scene, &model, out, Protocol::Raw)?;
+    if !start.is_null() {
+        metrics["start"] = start;
+    }
+    measure::add_fit(&mut metrics, &fitted, &model, told.begun.elapsed().as_secs_f64());
+    run::save_metrics(out, &metrics)?;
+    Ok((model, metrics, fitted.interrupted))
+}
+
+pub(super) fn create_folder(out: &Path) -> Result<(), CliError> {
+    std::fs::create_dir_all(out).map_err(|error| {
+        CliError::Failed(format!(
+            "{}: the folder cannot be made ({error}); choose another --out",
+            out.display()
+        ))
+    })
+}
+
+fn model_file(scene: &Scene, config: &SatelliteConfig, fitted: &Fitted) -> ModelFile {
+    ModelFile {
+        schema: run::SCHEMA,
+        model: "shadow_gs".into(),
+        options: fitted.model.options.clone(),
+        globals: fitted.parameters.globals.clone(),
+        origin: scene.origin(),
+        altitude_range_m: scene.altitude_range_m,
+        area: scene.area,
+        gsd_m: scene.gsd_m,
+        counts_per_unit: scene.counts_per_unit,
+        projection: config.train.projection,
+        trace: config.train.trace,
+        bands: scene.bands().to_vec(),
+        images: run::model_images(scene, fitted, config.start.margin_m),
+    }
+}
+
+/// Presets, the most accurate first.
+const PRESETS: [Preset; 3] = [Preset::Accurate, Preset::Balanced, Preset::Fast];
+
+/// The configuration that was asked for; where only a time was, that of the most accurate preset that fits into it.
+fn configure(args: &TrainArgs, scene: &Scene) -> Result<(Preset, SatelliteConfig, Estimate), CliError> {
+    let slowness = estimate::slowness();
+    let resolve = |preset: Preset| -> Result<_, CliError> {
+        let config = SatelliteConfig::resolve(preset.name(), &args.set, args.seed)?;
+        let estimate = estimate(scene, &config, slowness);
+        Ok((preset, config, estimate))
+    };
+    let Some(limit) = args.time_budget else {
+        return resolve(args.preset.unwrap_or_default());
+    };
+    let limit_s = limit.as_secs_f64();
+    let mut chosen = resolve(args.preset.unwrap_or(Preset::Fast))?;
+    if args.preset.is_none() {
+        for preset in PRESETS {
+            let (_, config, estimate) = resolve(preset)?;
+            if estimate.seconds <= limit_s {
+                chosen = (preset, config, estimate);
+                break;
+            }
+        }
+    }
+    if chosen.2.start_s > limit_s {
+        return Err(CliError::Input(format!(
+            "--time-budget {limit:?}: before the first step this scene takes about {:.0} s on this machine; give {:.0}s or more, or a coarser model with --set start.cell_gsd=2",
+            chosen.2.start_s,
+            2.0 * chosen.2.start_s
+        )));
+    }
+    Ok(chosen)
+}
+
+/// Trains a model.
+///
+/// # Errors
+/// When the scene, the configuration or a limit is at fault, training gives up, or a file cannot be written.
+pub fn train(args: &TrainArgs, session: &Session) -> Result<Outcome, CliError> {
+    let begun = Instant::now();
+    if args.resume {
+        return Err(CliError::Input(
+            "train --resume: runs are not checkpointed yet; train again without it".into(),
+        ));
+    }
+    let options = args.ingest.options();
+    let scene = Scene::open(&args.scene, &options)?;
+    for warning in &scene.warnings {
+        tracing::warn!("{warning}");
+    }
+    let (preset, config, estimate) = configure(args, &scene)?;
+    tracing::info!(
+        preset = preset.name(),
+        gib = estimate.peak_bytes / f64::from(1 << 30),
+        seconds = estimate.seconds,
+        "estimate"
+    );
+    // Before its surface is known, a scene is refused only where it would not even fit if it were flat.
+    estimate::must_fit(estimate.least_bytes, args.memory, &config)?;
+    let told = Told {
+        preset: preset.name(),
+        altitude_range_m: options.altitude_range_m,
+        begun,
+        time_budget: args.time_budget,
+        memory: args.memory,
+    };
+    let (_, metrics, interrupted) = train_into(&scene, &args.out, &config, &told, session)?;
+    if interrupted {
+        return Err(CliError::Interrupted(format!(
+            "stopped; what there was is saved in {}",
+            args.out.display()
+        )));
+    }
+    let text = format!("{}\nrun            {}", measure::summary(&metrics), args.out.display());
+    Ok(Outcome { json: metrics, text })
+}
