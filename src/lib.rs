@@ -10,6 +10,7 @@ pub mod optim;
 pub mod raster;
 pub mod rates;
 pub mod render;
+pub mod simd;
 pub mod splat;
 pub mod start;
 pub mod trace;

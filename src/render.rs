@@ -53,7 +53,18 @@ pub struct Pass<'a> {
 
 impl<'a> Pass<'a> {
     /// Looks at the model of `context` through its camera. `light` says how the transmittance toward the context's light is found.
-    pub fn new(model: &'a dyn SceneModel, context: Context<'a>, light: Lit<'a>, mut options: PassOptions) -> Self {
+    /// The median depth, which nothing that is trained needs, is left out.
+    pub fn new(model: &'a dyn SceneModel, context: Context<'a>, light: Lit<'a>, options: PassOptions) -> Self {
+        Self::look(model, context, light, options, false)
+    }
+
+    fn look(
+        model: &'a dyn SceneModel,
+        context: Context<'a>,
+        light: Lit<'a>,
+        mut options: PassOptions,
+        median: bool,
+    ) -> Self {
         options.normals |= model.needs_normals();
         let gaussians = &context.parameters.gaussians;
         let projected = project(gaussians, context.camera, &options.projection);
@@ -81,7 +92,7 @@ impl<'a> Pass<'a> {
                 feature[at..at + 3].copy_from_slice(&splat.normal);
             }
         }
-        let rasteriser = Rasteriser::new(&projected, context.camera.width, context.camera.height);
+        let rasteriser = Rasteriser::new(&projected, context.camera.width, context.camera.height).with_median(median);
         let maps = rasteriser.forward(&features, stride);
         let bins = rasteriser.into_bins();
         Self {
@@ -181,15 +192,11 @@ pub fn render(
         appearance,
     };
     let lit = occluders.as_ref().map_or(Lit::Everywhere, Lit::Traced);
-    let pass = Pass::new(
-        model,
-        context,
-        lit,
-        PassOptions {
-            normals: true,
-            ..options
-        },
-    );
+    let options = PassOptions {
+        normals: true,
+        ..options
+    };
+    let pass = Pass::look(model, context, lit, options, true);
     Rendering {
         image: pass.image(),
         maps: pass.maps,

@@ -7,11 +7,17 @@
 //!
 //! Splats are small, so what surrounds the arithmetic counts. Splats are fetched in batches, whose cache misses overlap;
 //! the eight pixels begin where the ellipse begins in a row, not at a multiple of eight, and may reach past the tile into
-//! columns that never take light; all places of a splat are listed first, without branches, and then worked through.
+//! columns that never take light; all places of a splat are listed first, eight rows at once, and then worked through.
+
+mod backward;
+mod forward;
+
+pub use backward::backward;
+pub use forward::forward;
 
 use super::bins::{Entry, TILE_HEIGHT, TILE_WIDTH};
-use super::project::{ALPHA_MAX, Splat};
-use multiversion::multiversion;
+use super::project::Splat;
+use crate::simd::prefetch;
 use std::f32::consts::LOG2_E;
 
 /// Pixels handled together.
@@ -24,8 +30,8 @@ pub const PLANE: usize = TILE_HEIGHT * STRIDE;
 const T_MIN: f32 = 1e-4;
 /// Splats fetched together, and between two looks at whether the tile is finished.
 const BATCH: usize = 16;
-/// Groups of eight pixels in a tile, at most, and one to spare for a group that is written and not kept.
-const GROUPS: usize = TILE_WIDTH * TILE_HEIGHT / LANES + 2;
+/// Groups of eight pixels in a tile, at most, and eight to spare, because they are written eight at once.
+const GROUPS: usize = TILE_WIDTH * TILE_HEIGHT / LANES + LANES;
 /// Numbers besides the channels in a splat's gradient record: Σh, Σhx, Σhy, Σhx², Σhxy, Σhy², Σm, Σmx, Σmy.
 pub const GEOMETRY: usize = 9;
 
@@ -64,7 +70,7 @@ impl<const K: usize> TileMaps<K> {
 
     /// Empties the tile, keeping the count of pairs.
     fn clear(&mut self, frame: &TileFrame) {
-        self.transmittance = frame.clear_sky();
+        frame.clear_sky(&mut self.transmittance);
         self.channels.fill([0.0; PLANE]);
         self.depth.fill(0.0);
         self.depth_square.fill(0.0);
@@ -115,12 +121,12 @@ pub struct TileFrame {
 
 impl TileFrame {
     /// Transmittance before anything is seen: one in the image, zero outside, where nothing then adds anything.
-    fn clear_sky(&self) -> Plane {
-        let mut plane = [0.0; PLANE];
-        for row in plane.chunks_exact_mut(STRIDE).take(self.height) {
-            row[..self.width].fill(1.0);
+    fn clear_sky(&self, plane: &mut Plane) {
+        for (number, row) in plane.chunks_exact_mut(STRIDE).enumerate() {
+            let width = if number < self.height { self.width } else { 0 };
+            row[..width].fill(1.0);
+            row[width..].fill(0.0);
         }
-        plane
     }
 }
 
@@ -132,6 +138,8 @@ struct Met<const K: usize> {
     /// `log2 α = (form[0]·x + form[1]·y)·x + form[2]·y² + peak`.
     form: [f32; 3],
     peak: f32,
+    /// The peak, or where alpha saturates if that is less.
+    top: f32,
     /// Columns that the ellipse's middle moves per row.
     shift: f32,
     /// Squared half width of the ellipse in a row: `width_square - narrowing·y²`.
@@ -143,14 +151,36 @@ struct Met<const K: usize> {
     values: [f32; K],
 }
 
-/// Eight pixels of a row that a splat reaches.
-#[derive(Clone, Copy, Default)]
-struct Group {
+/// Groups of eight pixels of a row that a splat reaches, and what is the same all along the row.
+struct Groups {
     /// Place of the first pixel in a plane.
-    at: u32,
-    /// Its offset from the splat's centre.
-    x: f32,
-    y: f32,
+    at: [u32; GROUPS],
+    /// Its offset from the splat's centre, columns.
+    x: [f32; GROUPS],
+    /// The same of the row.
+    y: [f32; GROUPS],
+    /// Change of the exponent per column in the row, and its value in the column of the centre.
+    tilt: [f32; GROUPS],
+    base: [f32; GROUPS],
+    /// Depth in the column of the centre, metres.
+    depth: [f32; GROUPS],
+    /// Alpha of the eight pixels, zero outside the footprint.
+    alpha: [Lane; GROUPS],
+    /// `1 / (1 - alpha)`, where it was asked for.
+    inverse: [Lane; GROUPS],
+    count: usize,
+}
+
+/// The groups that begin in eight rows.
+struct EightRows {
+    at: [u32; LANES],
+    x: Lane,
+    y: Lane,
+    tilt: Lane,
+    base: Lane,
+    depth: Lane,
+    /// Pixels inside the ellipse.
+    wide: Lane,
 }
 
 /// The non-negative whole number `x`, without the checks of a cast; below 2²³.
@@ -159,12 +189,89 @@ fn whole(x: f32) -> u32 {
     (x + 8_388_608.0).to_bits() & 0x007f_ffff
 }
 
+/// The lesser, `b` where `a` is not a number; unlike `f32::min` one instruction.
+#[inline(always)]
+fn least(a: f32, b: f32) -> f32 {
+    if a < b { a } else { b }
+}
+
+/// The greater, `b` where `a` is not a number.
+#[inline(always)]
+fn most(a: f32, b: f32) -> f32 {
+    if a > b { a } else { b }
+}
+
+impl Groups {
+    fn new() -> Self {
+        Self {
+            at: [0; GROUPS],
+            x: [0.0; GROUPS],
+            y: [0.0; GROUPS],
+            tilt: [0.0; GROUPS],
+            base: [0.0; GROUPS],
+            depth: [0.0; GROUPS],
+            alpha: [[0.0; LANES]; GROUPS],
+            inverse: [[0.0; LANES]; GROUPS],
+            count: 0,
+        }
+    }
+
+    /// The groups' numbers, known to be few enough.
+    #[inline(always)]
+    fn numbers(&self) -> std::ops::Range<usize> {
+        0..self.count.min(GROUPS)
+    }
+
+    /// Place of the first pixel of group `g`, known to lie inside a plane.
+    #[inline(always)]
+    fn place(&self, g: usize) -> usize {
+        (self.at[g] as usize).min(PLANE - LANES)
+    }
+
+    /// Offset of pixel `l` of group `g` from the splat's centre, columns.
+    #[inline(always)]
+    fn offset(&self, g: usize, l: usize) -> f32 {
+        self.x[g] + l as f32
+    }
+
+    /// Adds the groups of the first `count` of eight rows where every row is one group.
+    #[inline(always)]
+    fn add_all(&mut self, rows: &EightRows, count: usize) {
+        let to = self.count.min(GROUPS - LANES);
+        self.at[to..to + LANES].copy_from_slice(&rows.at);
+        self.x[to..to + LANES].copy_from_slice(&rows.x);
+        self.y[to..to + LANES].copy_from_slice(&rows.y);
+        self.tilt[to..to + LANES].copy_from_slice(&rows.tilt);
+        self.base[to..to + LANES].copy_from_slice(&rows.base);
+        self.depth[to..to + LANES].copy_from_slice(&rows.depth);
+        self.count = to + count;
+    }
+
+    /// Adds the groups of one of eight rows, however many.
+    #[inline(always)]
+    fn add_row(&mut self, rows: &EightRows, l: usize) {
+        let mut done = 0.0;
+        while rows.wide[l] > done {
+            let to = self.count.min(GROUPS - 1);
+            self.at[to] = rows.at[l] + whole(done);
+            self.x[to] = rows.x[l] + done;
+            self.y[to] = rows.y[l];
+            self.tilt[to] = rows.tilt[l];
+            self.base[to] = rows.base[l];
+            self.depth[to] = rows.depth[l];
+            self.count = to + 1;
+            done += LANES as f32;
+        }
+    }
+}
+
 impl<const K: usize> Met<K> {
     const NOTHING: Self = Self {
         x: 0.0,
         y: 0.0,
         form: [0.0; 3],
         peak: 0.0,
+        top: 0.0,
         shift: 0.0,
         width_square: 0.0,
         narrowing: 0.0,
@@ -180,14 +287,16 @@ impl<const K: usize> Met<K> {
         let (x, y) = (splat.col - frame.col0, splat.row - frame.row0);
         let inverse = 1.0 / a;
         let shift = b * inverse;
-        let first = (y - splat.half[1]).ceil().max(0.0).min(TILE_HEIGHT as f32);
-        let last = (y + splat.half[1]).floor().max(-1.0).min(frame.height as f32 - 1.0);
+        let first = least(most((y - splat.half[1]).ceil(), 0.0), TILE_HEIGHT as f32);
+        let last = least(most((y + splat.half[1]).floor(), -1.0), frame.height as f32 - 1.0);
+        // ln(α / α_min) at the centre is half the reach.
+        let peak = 0.5 * LOG2_E * splat.reach + LOG2_ALPHA_MIN;
         Self {
             x,
             y,
             form: [-0.5 * LOG2_E * a, -LOG2_E * b, -0.5 * LOG2_E * c],
-            // ln(α / α_min) at the centre is half the reach.
-            peak: 0.5 * LOG2_E * splat.reach + log2_alpha_min(),
+            peak,
+            top: least(peak, LOG2_ALPHA_MAX),
             shift,
             width_square: splat.reach * inverse,
             narrowing: c * inverse - shift * shift,
@@ -198,64 +307,89 @@ impl<const K: usize> Met<K> {
         }
     }
 
-    /// Lists the groups of eight that the ellipse touches; returns how many, and the pixels inside the ellipse.
+    /// The ellipse in eight rows from `first` on; rows beyond its last are empty.
     #[inline(always)]
-    fn groups(&self, frame: &TileFrame, groups: &mut [Group; GROUPS]) -> (usize, u32) {
-        let (mut count, mut pixels) = (0, 0);
-        let last_column = frame.width as f32 - 1.0;
-        for row in u32::from(self.rows.0)..u32::from(self.rows.1) {
-            let y = row as f32 - self.y;
-            let half = (self.width_square - self.narrowing * y * y).max(0.0).sqrt();
+    fn eight_rows(&self, first: usize, frame: &TileFrame) -> EightRows {
+        let (last_column, end) = (frame.width as f32 - 1.0, f32::from(self.rows.1));
+        let mut out = EightRows {
+            at: [0; LANES],
+            x: [0.0; LANES],
+            y: [0.0; LANES],
+            tilt: [0.0; LANES],
+            base: [0.0; LANES],
+            depth: [0.0; LANES],
+            wide: [0.0; LANES],
+        };
+        for l in 0..LANES {
+            let row = first as f32 + l as f32;
+            let y = row - self.y;
+            let half = most(self.width_square - self.narrowing * y * y, 0.0).sqrt();
             let middle = self.x - self.shift * y;
-            let first = (middle - half).ceil().max(0.0).min(TILE_WIDTH as f32 - 1.0);
-            let beyond = (middle + half).floor().min(last_column) + 1.0;
-            let wide = (beyond - first).max(0.0);
-            let group = Group {
-                at: row * STRIDE as u32 + whole(first),
-                x: first - self.x,
-                y,
-            };
-            pixels += whole(wide);
-            groups[count] = group;
-            count += usize::from(wide > 0.0);
-            let mut done = LANES as f32;
-            while wide > done {
-                groups[count] = Group {
-                    at: group.at + whole(done),
-                    x: group.x + done,
-                    y,
-                };
-                count += 1;
-                done += LANES as f32;
+            let column = least(most((middle - half).ceil(), 0.0), TILE_WIDTH as f32 - 1.0);
+            let beyond = least((middle + half).floor(), last_column) + 1.0;
+            let wide = most(beyond - column, 0.0);
+            out.wide[l] = if row < end { wide } else { 0.0 };
+            out.at[l] = whole(row * STRIDE as f32 + column);
+            out.x[l] = column - self.x;
+            out.y[l] = y;
+            out.tilt[l] = self.form[1] * y;
+            out.base[l] = self.form[2] * y * y + self.peak;
+            out.depth[l] = self.depth + self.slope[1] * y;
+        }
+        out
+    }
+
+    /// Lists the groups of eight that the ellipse touches; adds the pixels inside the ellipse to `pixels`.
+    #[inline(always)]
+    fn groups(&self, frame: &TileFrame, groups: &mut Groups, pixels: &mut Lane) {
+        groups.count = 0;
+        let (mut row, end) = (usize::from(self.rows.0), usize::from(self.rows.1));
+        while row < end {
+            let rows = self.eight_rows(row, frame);
+            let count = (end - row).min(LANES);
+            let mut uneven = false;
+            for l in 0..LANES {
+                pixels[l] += rows.wide[l];
+                let empty = (rows.wide[l] <= 0.0) & ((l as f32) < count as f32);
+                uneven |= empty | (rows.wide[l] > LANES as f32);
+            }
+            if uneven {
+                for l in 0..count {
+                    groups.add_row(&rows, l);
+                }
+            } else {
+                groups.add_all(&rows, count);
+            }
+            row += LANES;
+        }
+    }
+
+    /// Finds the groups' alphas, and with `INVERSE` what walking back divides by. A walk of its own, because one group waits for its exponential longer than it works.
+    #[inline(always)]
+    fn alphas<const INVERSE: bool>(&self, groups: &mut Groups) {
+        for g in groups.numbers() {
+            let (tilt, base) = (groups.tilt[g], groups.base[g]);
+            let mut alpha = [0.0; LANES];
+            for l in 0..LANES {
+                let x = groups.offset(g, l);
+                let order = (self.form[0] * x + tilt) * x + base;
+                let inside = exp2(least(order, self.top));
+                alpha[l] = if order >= LOG2_ALPHA_MIN { inside } else { 0.0 };
+            }
+            groups.alpha[g] = alpha;
+            if INVERSE {
+                for l in 0..LANES {
+                    groups.inverse[g][l] = 1.0 / (1.0 - alpha[l]);
+                }
             }
         }
-        (count, pixels)
-    }
-
-    /// Alpha of eight pixels before the upper clamp (zero outside the footprint), and their offsets from the centre.
-    #[inline(always)]
-    fn alphas(&self, group: &Group) -> (Lane, Lane) {
-        let by = self.form[1] * group.y;
-        let base = self.form[2] * group.y * group.y + self.peak;
-        let mut xs = [0.0; LANES];
-        let mut raw = [0.0; LANES];
-        for l in 0..LANES {
-            let x = group.x + l as f32;
-            let order = (self.form[0] * x + by) * x + base;
-            let order = if order > self.peak { self.peak } else { order };
-            let alpha = exp2(order);
-            raw[l] = if order >= log2_alpha_min() { alpha } else { 0.0 };
-            xs[l] = x;
-        }
-        (raw, xs)
     }
 }
 
-/// `log2` of [`ALPHA_MIN`].
-#[inline(always)]
-const fn log2_alpha_min() -> f32 {
-    -7.994_353_3
-}
+/// `log2` of [`ALPHA_MIN`](super::project::ALPHA_MIN).
+const LOG2_ALPHA_MIN: f32 = -7.994_353_3;
+/// `log2` of [`ALPHA_MAX`](super::project::ALPHA_MAX).
+const LOG2_ALPHA_MAX: f32 = -0.014_499_57;
 
 /// `2^x` for `-126 < x < 127`, vectorisable: the nearest integer by a magic number and a polynomial for the rest
 /// (3e-6 relative, minimax). Outside, the value means nothing.
@@ -264,7 +398,9 @@ fn exp2(x: f32) -> f32 {
     const MAGIC: f32 = 12_582_912.0; // 1.5 · 2²³: adding it rounds to an integer.
     let n = x + MAGIC;
     let f = x - (n - MAGIC);
-    let p = 0.999_999_3 + f * (0.693_121_8 + f * (0.240_247_44 + f * (0.055_917_86 + f * 0.009_570_101)));
+    let square = f * f;
+    // Pairs instead of one chain: the next step waits for half as long.
+    let p = (0.999_999_3 + f * 0.693_121_8) + square * ((0.240_247_44 + f * 0.055_917_86) + square * 0.009_570_101);
     // The low nine bits of the magic number are zero: shifting leaves the integer alone.
     f32::from_bits(p.to_bits().wrapping_add(n.to_bits() << 23))
 }
@@ -281,21 +417,24 @@ fn store(values: &mut Plane, at: usize, lane: Lane) {
     values[at..at + LANES].copy_from_slice(&lane);
 }
 
-/// The place of a group, known to lie inside a plane.
-#[inline(always)]
-fn place(group: &Group) -> usize {
-    (group.at as usize).min(PLANE - LANES)
-}
-
 #[inline(always)]
 fn finished(transmittance: &Plane) -> bool {
-    let mut most = [0.0f32; LANES];
+    let mut highest = [0.0f32; LANES];
     for lane in transmittance.chunks_exact(LANES) {
         for l in 0..LANES {
-            most[l] = if lane[l] > most[l] { lane[l] } else { most[l] };
+            highest[l] = most(lane[l], highest[l]);
         }
     }
-    most.iter().all(|&t| t < T_MIN)
+    highest.iter().all(|&t| t < T_MIN)
+}
+
+/// Asks for the splats of a batch and their channels ahead of time.
+#[inline(always)]
+fn announce<const K: usize>(batch: &[Entry], splats: &[Splat], features: &[f32]) {
+    for entry in batch {
+        prefetch(splats, entry.splat as usize);
+        prefetch(features, entry.splat as usize * K);
+    }
 }
 
 /// Fetches the splats of a batch and their channels (`features[s * K + k]`).
@@ -320,187 +459,10 @@ fn fetch<const K: usize>(
     }
 }
 
-/// Composites `list` (front to back) into `maps`, which it empties first; `features[s * K + k]` are the splats' channels.
-#[multiversion(targets("x86_64+avx512f+avx512dq+avx512vl+avx512bw", "x86_64+avx2"))]
-pub fn forward<const K: usize>(
-    list: &[Entry],
-    splats: &[Splat],
-    features: &[f32],
-    frame: &TileFrame,
-    maps: &mut TileMaps<K>,
-) {
-    maps.clear(frame);
-    let mut met = [Met::<K>::NOTHING; BATCH];
-    let mut groups = [Group::default(); GROUPS];
-    for (number, batch) in list.chunks(BATCH).enumerate() {
-        if number > 0 && finished(&maps.transmittance) {
-            return;
-        }
-        fetch(batch, splats, features, frame, &mut met);
-        for splat in &met[..batch.len()] {
-            let (count, pixels) = splat.groups(frame, &mut groups);
-            maps.pairs += u64::from(pixels);
-            for group in &groups[..count] {
-                forward_group(splat, group, maps);
-            }
-        }
-    }
-}
-
-#[inline(always)]
-fn forward_group<const K: usize>(splat: &Met<K>, group: &Group, maps: &mut TileMaps<K>) {
-    let at = place(group);
-    let (raw, xs) = splat.alphas(group);
-    let depth_at_row = splat.depth + splat.slope[1] * group.y;
-    let mut t = load(&maps.transmittance, at);
-    let mut depth = load(&maps.depth, at);
-    let mut square = load(&maps.depth_square, at);
-    let mut median = load(&maps.median_depth, at);
-    let mut w = [0.0; LANES];
-    for l in 0..LANES {
-        let alpha = if raw[l] > ALPHA_MAX { ALPHA_MAX } else { raw[l] };
-        w[l] = t[l] * alpha;
-        let z = depth_at_row + splat.slope[0] * xs[l];
-        let wz = w[l] * z;
-        depth[l] += wz;
-        square[l] += wz * z;
-        // Zeros and ones instead of a choice, which would be stored through a mask: slow on many processors.
-        let here = if t[l] > 0.5 && w[l] > 0.0 { 1.0 } else { 0.0 };
-        median[l] = here * z + (1.0 - here) * median[l];
-        t[l] -= w[l];
-    }
-    store(&mut maps.transmittance, at, t);
-    store(&mut maps.depth, at, depth);
-    store(&mut maps.depth_square, at, square);
-    store(&mut maps.median_depth, at, median);
-    for k in 0..K {
-        let mut lane = load(&maps.channels[k], at);
-        for l in 0..LANES {
-            lane[l] += w[l] * splat.values[k];
-        }
-        store(&mut maps.channels[k], at, lane);
-    }
-}
-
-#[inline(always)]
-fn sum(lane: &Lane) -> f32 {
-    ((lane[0] + lane[4]) + (lane[2] + lane[6])) + ((lane[1] + lane[5]) + (lane[3] + lane[7]))
-}
-
-/// Where a tile stands on its way front to back, and the lane sums of the splat at hand.
-struct Walk<const K: usize> {
-    transmittance: Plane,
-    /// `G - Σ_{j≤i} w_j d_j`.
-    rest: Plane,
-    channels: [Lane; K],
-    geometry: [Lane; GEOMETRY],
-}
-
-/// Gradients of every splat of `list`: record `r` of the tile, whose first is `base`, fills `out[(r - base) * (K + 9)..]`,
-/// channels first, then the nine geometric sums.
-#[multiversion(targets("x86_64+avx512f+avx512dq+avx512vl+avx512bw", "x86_64+avx2"))]
-pub fn backward<const K: usize>(
-    list: &[Entry],
-    splats: &[Splat],
-    features: &[f32],
-    frame: &TileFrame,
-    grads: &TileGradients<K>,
-    base: u32,
-    out: &mut [f32],
-) {
-    let width = K + GEOMETRY;
-    let place = |entry: &Entry| {
-        let start = (entry.record - base) as usize * width;
-        start..start + width
-    };
-    let mut walk = Walk {
-        transmittance: frame.clear_sky(),
-        rest: grads.total,
-        channels: [[0.0; LANES]; K],
-        geometry: [[0.0; LANES]; GEOMETRY],
-    };
-    let mut met = [Met::<K>::NOTHING; BATCH];
-    let mut groups = [Group::default(); GROUPS];
-    for (number, batch) in list.chunks(BATCH).enumerate() {
-        if number > 0 && finished(&walk.transmittance) {
-            for entry in &list[number * BATCH..] {
-                out[place(entry)].fill(0.0);
-            }
-            return;
-        }
-        fetch(batch, splats, features, frame, &mut met);
-        for (splat, entry) in met.iter().zip(batch) {
-            let (count, _) = splat.groups(frame, &mut groups);
-            walk.channels = [[0.0; LANES]; K];
-            walk.geometry = [[0.0; LANES]; GEOMETRY];
-            for group in &groups[..count] {
-                backward_group(splat, group, grads, &mut walk);
-            }
-            for (slot, lane) in out[place(entry)]
-                .iter_mut()
-                .zip(walk.channels.iter().chain(&walk.geometry))
-            {
-                *slot = sum(lane);
-            }
-        }
-    }
-}
-
-#[inline(always)]
-fn backward_group<const K: usize>(splat: &Met<K>, group: &Group, grads: &TileGradients<K>, walk: &mut Walk<K>) {
-    let at = place(group);
-    let (raw, xs) = splat.alphas(group);
-    let depth_at_row = splat.depth + splat.slope[1] * group.y;
-    let mut t = load(&walk.transmittance, at);
-    let mut left = load(&walk.rest, at);
-    let mut dot = load(&grads.alpha, at);
-    let (gd, gs) = (load(&grads.depth, at), load(&grads.depth_square, at));
-    let mut w = [0.0; LANES];
-    for l in 0..LANES {
-        let alpha = if raw[l] > ALPHA_MAX { ALPHA_MAX } else { raw[l] };
-        w[l] = t[l] * alpha;
-    }
-    for k in 0..K {
-        let gk = load(&grads.channels[k], at);
-        for l in 0..LANES {
-            dot[l] += gk[l] * splat.values[k];
-            walk.channels[k][l] += w[l] * gk[l];
-        }
-    }
-    let y = group.y;
-    let sums = &mut walk.geometry;
-    for l in 0..LANES {
-        let x = xs[l];
-        let z = depth_at_row + splat.slope[0] * x;
-        let gz = gs[l] * z;
-        let slope = gd[l] + gz;
-        let d = dot[l] + slope * z;
-        let m = w[l] * (slope + gz);
-        left[l] -= w[l] * d;
-        let saturated = raw[l] > ALPHA_MAX;
-        let alpha = if saturated { ALPHA_MAX } else { raw[l] };
-        let d_alpha = t[l] * d - left[l] / (1.0 - alpha);
-        let h = if saturated { 0.0 } else { raw[l] * d_alpha };
-        t[l] -= w[l];
-        let (hx, hy) = (h * x, h * y);
-        sums[0][l] += h;
-        sums[1][l] += hx;
-        sums[2][l] += hy;
-        sums[3][l] += hx * x;
-        sums[4][l] += hx * y;
-        sums[5][l] += hy * y;
-        sums[6][l] += m;
-        sums[7][l] += m * x;
-        sums[8][l] += m * y;
-    }
-    store(&mut walk.transmittance, at, t);
-    store(&mut walk.rest, at, left);
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::splat::project::ALPHA_MIN;
+    use crate::splat::project::{ALPHA_MAX, ALPHA_MIN};
 
     #[test]
     fn the_fast_exponential_is_accurate_over_its_domain() {
@@ -512,8 +474,9 @@ mod tests {
     }
 
     #[test]
-    fn the_least_alpha_is_where_the_footprint_ends() {
-        assert!((log2_alpha_min() - ALPHA_MIN.log2()).abs() < 1e-6);
+    fn the_bounds_of_alpha_are_those_of_the_projection() {
+        assert!((LOG2_ALPHA_MIN - ALPHA_MIN.log2()).abs() < 1e-6);
+        assert!((LOG2_ALPHA_MAX - ALPHA_MAX.log2()).abs() < 1e-7);
     }
 
     #[test]

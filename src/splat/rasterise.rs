@@ -36,7 +36,7 @@ pub struct Maps {
     pub depth: Vec<f32>,
     /// `Σ w z²`, metres².
     pub depth_square: Vec<f32>,
-    /// Depth at which half of the light is absorbed, metres; NaN where nothing is.
+    /// Depth at which half of the light is absorbed, metres, NaN where nothing is; empty when it was not asked for.
     pub median_depth: Vec<f32>,
     /// (splat, pixel) pairs: pixels inside the footprints of the splats, up to where a tile is opaque.
     pub pairs: u64,
@@ -82,7 +82,7 @@ struct Band<'m> {
     alpha: &'m mut [f32],
     depth: &'m mut [f32],
     depth_square: &'m mut [f32],
-    median_depth: &'m mut [f32],
+    median_depth: Option<&'m mut [f32]>,
 }
 
 /// A view binned and ready to be composited.
@@ -92,6 +92,7 @@ pub struct Rasteriser<'a> {
     bins: Cow<'a, Bins>,
     width: usize,
     height: usize,
+    median: bool,
 }
 
 impl<'a> Rasteriser<'a> {
@@ -102,6 +103,7 @@ impl<'a> Rasteriser<'a> {
             projected,
             width,
             height,
+            median: false,
         }
     }
 
@@ -112,7 +114,13 @@ impl<'a> Rasteriser<'a> {
             projected,
             width,
             height,
+            median: false,
         }
+    }
+
+    /// The same, which finds the median depth too; nothing that is trained needs it.
+    pub fn with_median(self, median: bool) -> Self {
+        Self { median, ..self }
     }
 
     /// The bins, for a later [`Self::with_bins`].
@@ -160,7 +168,7 @@ impl<'a> Rasteriser<'a> {
             alpha: plane(),
             depth: plane(),
             depth_square: plane(),
-            median_depth: plane(),
+            median_depth: if self.median { plane() } else { Vec::new() },
             pairs: 0,
         };
         let Maps {
@@ -173,17 +181,17 @@ impl<'a> Rasteriser<'a> {
         } = &mut out;
         let band = (self.width * TILE_HEIGHT).max(1);
         let mut channel_bands: Vec<_> = channels.iter_mut().map(|plane| plane.chunks_mut(band)).collect();
+        let mut median_bands = median_depth.chunks_mut(band);
         let bands: Vec<_> = alpha
             .chunks_mut(band)
             .zip(depth.chunks_mut(band))
             .zip(depth_square.chunks_mut(band))
-            .zip(median_depth.chunks_mut(band))
-            .map(|(((alpha, depth), depth_square), median_depth)| Band {
+            .map(|((alpha, depth), depth_square)| Band {
                 channels: channel_bands.iter_mut().filter_map(Iterator::next).collect(),
                 alpha,
                 depth,
                 depth_square,
-                median_depth,
+                median_depth: median_bands.next(),
             })
             .collect();
         out.pairs = bands
@@ -202,23 +210,27 @@ impl<'a> Rasteriser<'a> {
             let tile = row * self.bins.columns + column;
             let frame = self.frame(tile);
             let list = self.bins.tile(tile);
-            kernel::forward(list, &self.projected.splats, features, &frame, &mut maps);
+            let splats = &self.projected.splats;
+            if self.median {
+                kernel::forward::<K, true>(list, splats, features, &frame, &mut maps);
+            } else {
+                kernel::forward::<K, false>(list, splats, features, &frame, &mut maps);
+            }
             for r in 0..frame.height {
                 let start = r * self.width + column * TILE_WIDTH;
                 let to = start..start + frame.width;
                 let from = r * STRIDE..r * STRIDE + frame.width;
                 for (plane, tile_plane) in band.channels.iter_mut().zip(&maps.channels) {
-                    plane[to.clone()].copy_from_slice(&tile_plane[from.clone()]);
+                    copy_row(&mut plane[to.clone()], &tile_plane[from.clone()]);
                 }
-                band.depth[to.clone()].copy_from_slice(&maps.depth[from.clone()]);
-                band.depth_square[to.clone()].copy_from_slice(&maps.depth_square[from.clone()]);
+                copy_row(&mut band.depth[to.clone()], &maps.depth[from.clone()]);
+                copy_row(&mut band.depth_square[to.clone()], &maps.depth_square[from.clone()]);
                 let transmittance = &maps.transmittance[from.clone()];
-                for ((median, &m), &t) in band.median_depth[to.clone()]
-                    .iter_mut()
-                    .zip(&maps.median_depth[from])
-                    .zip(transmittance)
-                {
-                    *median = if t < 1.0 { m } else { f32::NAN };
+                if let Some(median) = &mut band.median_depth {
+                    let found = maps.median_depth[from].iter().zip(transmittance);
+                    for (median, (&m, &t)) in median[to.clone()].iter_mut().zip(found) {
+                        *median = if t < 1.0 { m } else { f32::NAN };
+                    }
                 }
                 for (alpha, t) in band.alpha[to].iter_mut().zip(transmittance) {
                     *alpha = 1.0 - t;
@@ -245,10 +257,8 @@ impl<'a> Rasteriser<'a> {
             for r in 0..frame.height {
                 let from = start + r * self.width..start + r * self.width + frame.width;
                 let to = r * STRIDE..r * STRIDE + frame.width;
-                into[to.clone()].copy_from_slice(&gradient[from.clone()]);
-                for ((t, v), g) in total[to].iter_mut().zip(&plane[from.clone()]).zip(&gradient[from]) {
-                    *t += v * g;
-                }
+                copy_row(&mut into[to.clone()], &gradient[from.clone()]);
+                add_products(&mut total[to], &plane[from.clone()], &gradient[from]);
             }
         };
         // A padded channel has no gradient plane: it stays zero.
@@ -315,6 +325,31 @@ impl<'a> Rasteriser<'a> {
                 .for_each(|(s, (slot, f))| *slot = reduce(s, f));
         }
         out
+    }
+}
+
+/// Copies a tile's row; nearly all are of one length, for which no function need be called.
+#[inline]
+fn copy_row(to: &mut [f32], from: &[f32]) {
+    if let (Ok(to), Ok(from)) = (
+        <&mut [f32; TILE_WIDTH]>::try_from(&mut *to),
+        <&[f32; TILE_WIDTH]>::try_from(from),
+    ) {
+        *to = *from;
+    } else {
+        to.copy_from_slice(from);
+    }
+}
+
+/// `to += a · b`, by elements.
+#[inline]
+fn add_products(to: &mut [f32], a: &[f32], b: &[f32]) {
+    let add = |((to, a), b): ((&mut f32, &f32), &f32)| *to += a * b;
+    if to.len() == TILE_WIDTH && a.len() == TILE_WIDTH && b.len() == TILE_WIDTH {
+        let (to, a, b) = (&mut to[..TILE_WIDTH], &a[..TILE_WIDTH], &b[..TILE_WIDTH]);
+        to.iter_mut().zip(a).zip(b).for_each(add);
+    } else {
+        to.iter_mut().zip(a).zip(b).for_each(add);
     }
 }
 

@@ -1,7 +1,7 @@
 //! The census transform: which neighbours are darker than the centre. It survives any monotone change of brightness,
 //! so exposure, haze and season move it little (Zabih & Woodfill 1994).
 
-use multiversion::multiversion;
+use crate::simd::vectorised;
 
 /// Cells from the centre to the edge of the window.
 pub(super) const RADIUS: usize = 3;
@@ -29,42 +29,44 @@ const fn offsets() -> [(isize, isize); COMPARISONS as usize] {
 }
 const OFFSETS: [(isize, isize); COMPARISONS as usize] = offsets();
 
-/// Descriptors of a block of `width × height` cells from their values, which reach [`RADIUS`] further on every side.
-#[multiversion(targets("x86_64+avx512f+avx512vl+avx512bw+avx512dq", "x86_64+avx2"))]
-pub(super) fn describe(values: &[f32], width: usize, height: usize, alike: f32, out: &mut [u64]) {
-    let stride = width + 2 * RADIUS;
-    for row in 0..height {
-        let centre_at = (row + RADIUS) * stride + RADIUS;
-        let centre = &values[centre_at..centre_at + width];
-        let out = &mut out[row * width..(row + 1) * width];
-        for (word, value) in out.iter_mut().zip(centre) {
-            *word = if value.is_nan() { INVALID } else { 0 };
-        }
-        for (bit, &(dc, dr)) in OFFSETS.iter().enumerate() {
-            let at = (centre_at as isize + dr * stride as isize + dc) as usize;
-            let near = &values[at..at + width];
-            for ((word, value), other) in out.iter_mut().zip(centre).zip(near) {
-                let missing = if other.is_nan() { INVALID } else { 0 };
-                *word |= (u64::from(other < value) << bit)
-                    | (u64::from((other - value).abs() < alike) << (bit + 24))
-                    | missing;
+vectorised! {
+    /// Descriptors of a block of `width × height` cells from their values, which reach [`RADIUS`] further on every side.
+    pub(super) fn describe(values: &[f32], width: usize, height: usize, alike: f32, out: &mut [u64]) {
+        let stride = width + 2 * RADIUS;
+        for row in 0..height {
+            let centre_at = (row + RADIUS) * stride + RADIUS;
+            let centre = &values[centre_at..centre_at + width];
+            let out = &mut out[row * width..(row + 1) * width];
+            for (word, value) in out.iter_mut().zip(centre) {
+                *word = if value.is_nan() { INVALID } else { 0 };
+            }
+            for (bit, &(dc, dr)) in OFFSETS.iter().enumerate() {
+                let at = (centre_at as isize + dr * stride as isize + dc) as usize;
+                let near = &values[at..at + width];
+                for ((word, value), other) in out.iter_mut().zip(centre).zip(near) {
+                    let missing = if other.is_nan() { INVALID } else { 0 };
+                    *word |= (u64::from(other < value) << bit)
+                        | (u64::from((other - value).abs() < alike) << (bit + 24))
+                        | missing;
+                }
             }
         }
     }
 }
 
-/// Adds to `sum` the weighted distance between two blocks of descriptors, cut off at `cut`, and to `weights` the weight,
-/// where both are valid.
-#[multiversion(targets("x86_64+avx512f+avx512vl+avx512bw+avx512dq+avx512vpopcntdq", "x86_64+avx2+popcnt"))]
-pub(super) fn compare(a: &[u64], b: &[u64], weight: u32, cut: u32, sum: &mut [u32], weights: &mut [u32]) {
-    for (((a, b), sum), weights) in a.iter().zip(b).zip(sum.iter_mut()).zip(weights.iter_mut()) {
-        let both = ((a & b) >> 24) & MASK;
-        let n = both.count_ones() as f32;
-        let distance = (24.0 * (((a ^ b) & both).count_ones() as f32 + 1.0) / (n + 2.0)) as u32;
-        let distance = distance.min(cut);
-        let weight = if (a | b) & INVALID == 0 { weight } else { 0 };
-        *sum += weight * distance;
-        *weights += weight;
+vectorised! {
+    /// Adds to `sum` the weighted distance between two blocks of descriptors, cut off at `cut`, and to `weights` the weight,
+    /// where both are valid.
+    pub(super) fn compare(a: &[u64], b: &[u64], weight: u32, cut: u32, sum: &mut [u32], weights: &mut [u32]) {
+        for (((a, b), sum), weights) in a.iter().zip(b).zip(sum.iter_mut()).zip(weights.iter_mut()) {
+            let both = ((a & b) >> 24) & MASK;
+            let n = both.count_ones() as f32;
+            let distance = (24.0 * (((a ^ b) & both).count_ones() as f32 + 1.0) / (n + 2.0)) as u32;
+            let distance = distance.min(cut);
+            let weight = if (a | b) & INVALID == 0 { weight } else { 0 };
+            *sum += weight * distance;
+            *weights += weight;
+        }
     }
 }
 

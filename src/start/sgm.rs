@@ -4,7 +4,7 @@
 //! it enters; levels that cell did not consider can only be reached by the large penalty.
 
 use super::bands::Bands;
-use multiversion::multiversion;
+use crate::simd::vectorised;
 use rayon::prelude::*;
 
 /// Path costs stay far below this: 255 plus the large penalty.
@@ -214,25 +214,27 @@ fn split_by(mut values: &mut [u16], sizes: impl Iterator<Item = usize>) -> Vec<&
         .collect()
 }
 
-#[multiversion(targets("x86_64+avx512f+avx512vl+avx512bw+avx512dq", "x86_64+avx2"))]
-fn add(sums: &mut [u16], costs: &[u16]) {
-    for (sum, cost) in sums.iter_mut().zip(costs) {
-        *sum += cost;
+vectorised! {
+    fn add(sums: &mut [u16], costs: &[u16]) {
+        for (sum, cost) in sums.iter_mut().zip(costs) {
+            *sum += cost;
+        }
     }
 }
 
-/// `out[d] = cost[d] + min(before[d], before[d ± 1] + one, least + jump) - least`, `before` shifted by one; returns the
-/// least of `out`.
-#[multiversion(targets("x86_64+avx512f+avx512vl+avx512bw+avx512dq", "x86_64+avx2"))]
-fn recurse(costs: &[u8], before: &[u16], least: u16, one: u16, jump: u16, out: &mut [u16]) -> u16 {
-    let n = costs.len().min(out.len());
-    let (below, same, above) = (&before[..n], &before[1..n + 1], &before[2..n + 2]);
-    let mut smallest = u16::MAX;
-    for d in 0..n {
-        let near = same[d].min(below[d].min(above[d]) + one).min(least + jump);
-        let value = u16::from(costs[d]) + near - least;
-        out[d] = value;
-        smallest = smallest.min(value);
+vectorised! {
+    /// `out[d] = cost[d] + min(before[d], before[d ± 1] + one, least + jump) - least`, `before` shifted by one; returns the
+    /// least of `out`.
+    fn recurse(costs: &[u8], before: &[u16], least: u16, one: u16, jump: u16, out: &mut [u16]) -> u16 {
+        let n = costs.len().min(out.len());
+        let (below, same, above) = (&before[..n], &before[1..n + 1], &before[2..n + 2]);
+        let mut smallest = u16::MAX;
+        for d in 0..n {
+            let near = same[d].min(below[d].min(above[d]) + one).min(least + jump);
+            let value = u16::from(costs[d]) + near - least;
+            out[d] = value;
+            smallest = smallest.min(value);
+        }
+        smallest
     }
-    smallest
 }

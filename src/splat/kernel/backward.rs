@@ -1,0 +1,150 @@
+//! Front to back over one tile again: the gradients of each splat.
+//!
+//! A splat's groups are walked twice, so that the sums of each walk stay in registers: first what needs the pixels, then the
+//! moments of two numbers per pixel, `h = ∂L/∂ ln α` and `m = ∂L/∂z`, over the splat.
+
+use super::{
+    BATCH, GEOMETRY, GROUPS, Groups, LANES, LOG2_ALPHA_MAX, Lane, Met, PLANE, Plane, TileFrame, TileGradients,
+    announce, exp2, fetch, finished, load, store,
+};
+use crate::simd::vectorised;
+use crate::splat::bins::Entry;
+use crate::splat::project::Splat;
+
+/// Most channels that are composited at once.
+const K_MAX: usize = 16;
+
+/// Where a tile stands on its way front to back.
+struct Walk {
+    transmittance: Plane,
+    /// `G - Σ_{j≤i} w_j d_j`.
+    rest: Plane,
+    /// `∂L/∂ ln α` and `∂L/∂z` of the splat at hand, by group.
+    h: [Lane; GROUPS],
+    m: [Lane; GROUPS],
+    /// Lane sums of the splat at hand: the gradients of its channels, then its moments.
+    sums: [Lane; K_MAX + GEOMETRY],
+}
+
+vectorised! {
+    /// Gradients of every splat of `list`: record `r` of the tile, whose first is `base`, fills `out[(r - base) * (K + 9)..]`,
+    /// channels first, then the nine geometric sums.
+    pub fn backward<const K: usize>(
+        list: &[Entry],
+        splats: &[Splat],
+        features: &[f32],
+        frame: &TileFrame,
+        grads: &TileGradients<K>,
+        base: u32,
+        out: &mut [f32],
+    ) {
+        let width = K + GEOMETRY;
+        // Hidden from the compiler, which would unroll the sums over lanes and shuffle more than add.
+        let quantities = std::hint::black_box(width).min(K_MAX + GEOMETRY);
+        let place = |entry: &Entry| {
+            let start = (entry.record - base) as usize * width;
+            start..start + width
+        };
+        let mut walk = Walk {
+            transmittance: [0.0; PLANE],
+            rest: grads.total,
+            h: [[0.0; LANES]; GROUPS],
+            m: [[0.0; LANES]; GROUPS],
+            sums: [[0.0; LANES]; K_MAX + GEOMETRY],
+        };
+        frame.clear_sky(&mut walk.transmittance);
+        let mut met = [Met::<K>::NOTHING; BATCH];
+        let mut groups = Groups::new();
+        let mut pixels = [0.0; LANES];
+        for (number, batch) in list.chunks(BATCH).enumerate() {
+            if number > 0 && finished(&walk.transmittance) {
+                for entry in &list[number * BATCH..] {
+                    out[place(entry)].fill(0.0);
+                }
+                return;
+            }
+            let next = &list[((number + 1) * BATCH).min(list.len())..((number + 2) * BATCH).min(list.len())];
+            announce::<K>(next, splats, features);
+            fetch(batch, splats, features, frame, &mut met);
+            for (splat, entry) in met.iter().zip(batch) {
+                splat.groups(frame, &mut groups, &mut pixels);
+                walk.sums[..K].fill([0.0; LANES]);
+                splat.alphas::<true>(&mut groups);
+                for g in groups.numbers() {
+                    walk_back(splat, &groups, g, grads, &mut walk);
+                }
+                let moments = moments(&groups, &walk);
+                walk.sums[K..K + GEOMETRY].copy_from_slice(&moments);
+                add_lanes(&walk.sums[..quantities], &mut out[place(entry)]);
+            }
+        }
+    }
+}
+
+/// What eight pixels say to a splat: adds to its channels' sums and notes `h` and `m`.
+#[inline(always)]
+fn walk_back<const K: usize>(splat: &Met<K>, groups: &Groups, g: usize, grads: &TileGradients<K>, walk: &mut Walk) {
+    let (at, depth_at_row, alpha) = (groups.place(g), groups.depth[g], &groups.alpha[g]);
+    let saturated = exp2(LOG2_ALPHA_MAX);
+    let mut t = load(&walk.transmittance, at);
+    let mut left = load(&walk.rest, at);
+    let mut dot = load(&grads.alpha, at);
+    let (gd, gs) = (load(&grads.depth, at), load(&grads.depth_square, at));
+    let mut w = [0.0; LANES];
+    for l in 0..LANES {
+        w[l] = t[l] * alpha[l];
+    }
+    for k in 0..K {
+        let gk = load(&grads.channels[k], at);
+        for l in 0..LANES {
+            dot[l] += gk[l] * splat.values[k];
+            walk.sums[k][l] += w[l] * gk[l];
+        }
+    }
+    let (h, m) = (&mut walk.h[g], &mut walk.m[g]);
+    for l in 0..LANES {
+        let z = depth_at_row + splat.slope[0] * groups.offset(g, l);
+        let gz = gs[l] * z;
+        let slope = gd[l] + gz;
+        let d = dot[l] + slope * z;
+        m[l] = w[l] * (slope + gz);
+        left[l] -= w[l] * d;
+        let d_alpha = t[l] * d - left[l] * groups.inverse[g][l];
+        let to_log = alpha[l] * d_alpha;
+        h[l] = if alpha[l] >= saturated { 0.0 } else { to_log };
+        t[l] -= w[l];
+    }
+    store(&mut walk.transmittance, at, t);
+    store(&mut walk.rest, at, left);
+}
+
+/// Lane sums of the nine moments of a splat's pixels.
+#[inline(always)]
+fn moments(groups: &Groups, walk: &Walk) -> [Lane; GEOMETRY] {
+    let mut sums = [[0.0; LANES]; GEOMETRY];
+    for g in groups.numbers() {
+        let (h, m, y) = (&walk.h[g], &walk.m[g], groups.y[g]);
+        for l in 0..LANES {
+            let x = groups.offset(g, l);
+            let (hx, hy) = (h[l] * x, h[l] * y);
+            sums[0][l] += h[l];
+            sums[1][l] += hx;
+            sums[2][l] += hy;
+            sums[3][l] += hx * x;
+            sums[4][l] += hx * y;
+            sums[5][l] += hy * y;
+            sums[6][l] += m[l];
+            sums[7][l] += m[l] * x;
+            sums[8][l] += m[l] * y;
+        }
+    }
+    sums
+}
+
+/// Sums of eight lanes each.
+#[inline(always)]
+fn add_lanes(lanes: &[Lane], out: &mut [f32]) {
+    for (slot, lane) in out.iter_mut().zip(lanes) {
+        *slot = ((lane[0] + lane[4]) + (lane[2] + lane[6])) + ((lane[1] + lane[5]) + (lane[3] + lane[7]));
+    }
+}

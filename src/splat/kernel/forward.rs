@@ -1,0 +1,79 @@
+//! Front to back over one tile: what each splat adds to the maps.
+
+use super::{BATCH, Groups, LANES, Met, TileFrame, TileMaps, announce, fetch, finished, load, store};
+use crate::simd::vectorised;
+use crate::splat::bins::Entry;
+use crate::splat::project::Splat;
+
+vectorised! {
+    /// Composites `list` (front to back) into `maps`, which it empties first; `features[s * K + k]` are the splats' channels.
+    /// The median depth is found only where `MEDIAN` says so.
+    pub fn forward<const K: usize, const MEDIAN: bool>(
+        list: &[Entry],
+        splats: &[Splat],
+        features: &[f32],
+        frame: &TileFrame,
+        maps: &mut TileMaps<K>,
+    ) {
+        maps.clear(frame);
+        let mut met = [Met::<K>::NOTHING; BATCH];
+        let mut groups = Groups::new();
+        for (number, batch) in list.chunks(BATCH).enumerate() {
+            if number > 0 && finished(&maps.transmittance) {
+                return;
+            }
+            let next = &list[((number + 1) * BATCH).min(list.len())..((number + 2) * BATCH).min(list.len())];
+            announce::<K>(next, splats, features);
+            fetch(batch, splats, features, frame, &mut met);
+            let mut pixels = [0.0; LANES];
+            for splat in &met[..batch.len()] {
+                splat.groups(frame, &mut groups, &mut pixels);
+                splat.alphas::<false>(&mut groups);
+                for g in groups.numbers() {
+                    composite::<K, MEDIAN>(splat, &groups, g, maps);
+                }
+            }
+            maps.pairs += pixels.iter().sum::<f32>() as u64;
+        }
+    }
+}
+
+/// Adds a splat to the eight pixels of its group `g`.
+#[inline(always)]
+fn composite<const K: usize, const MEDIAN: bool>(splat: &Met<K>, groups: &Groups, g: usize, maps: &mut TileMaps<K>) {
+    let (at, depth_at_row) = (groups.place(g), groups.depth[g]);
+    let mut t = load(&maps.transmittance, at);
+    let mut depth = load(&maps.depth, at);
+    let mut square = load(&maps.depth_square, at);
+    let mut w = [0.0; LANES];
+    let mut z = [0.0; LANES];
+    for l in 0..LANES {
+        w[l] = t[l] * groups.alpha[g][l];
+        z[l] = depth_at_row + splat.slope[0] * groups.offset(g, l);
+        let wz = w[l] * z[l];
+        depth[l] += wz;
+        square[l] += wz * z[l];
+    }
+    if MEDIAN {
+        let mut median = load(&maps.median_depth, at);
+        for l in 0..LANES {
+            // Zeros and ones instead of a choice, which would be stored through a mask: slow on many processors.
+            let here = if t[l] > 0.5 && w[l] > 0.0 { 1.0 } else { 0.0 };
+            median[l] = here * z[l] + (1.0 - here) * median[l];
+        }
+        store(&mut maps.median_depth, at, median);
+    }
+    for l in 0..LANES {
+        t[l] -= w[l];
+    }
+    store(&mut maps.transmittance, at, t);
+    store(&mut maps.depth, at, depth);
+    store(&mut maps.depth_square, at, square);
+    for k in 0..K {
+        let mut lane = load(&maps.channels[k], at);
+        for l in 0..LANES {
+            lane[l] += w[l] * splat.values[k];
+        }
+        store(&mut maps.channels[k], at, lane);
+    }
+}
