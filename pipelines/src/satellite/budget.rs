@@ -8,23 +8,23 @@ const SLACK: f64 = 0.04;
 /// What one image costs after training (its rendering, its shadows, its scores), and the DSM likewise, in steps.
 const STEPS_PER_PRODUCT: f64 = 1.3;
 
+/// What comes after training on a scene of `images` images, in steps.
+pub(super) fn after_training_steps(images: usize) -> f64 {
+    STEPS_PER_PRODUCT * (images + 2) as f64
+}
+
 /// The time a run may take in all.
 #[derive(Debug, Clone, Copy)]
 pub struct Budget {
     begun: Instant,
     limit: Duration,
-    /// Images that are rendered and measured after training.
-    products: usize,
+    images: usize,
 }
 
 impl Budget {
     /// `limit` from `begun` on, for a scene of `images` images.
     pub fn new(begun: Instant, limit: Duration, images: usize) -> Self {
-        Self {
-            begun,
-            limit,
-            products: images + 2,
-        }
+        Self { begun, limit, images }
     }
 
     /// Steps in all that fit, when `done` are done and one takes `step_s` seconds.
@@ -33,7 +33,7 @@ impl Budget {
     }
 
     fn steps_left(&self, elapsed_s: f64, step_s: f64) -> usize {
-        let after_s = self.products as f64 * STEPS_PER_PRODUCT * step_s;
+        let after_s = after_training_steps(self.images) * step_s;
         let left_s = self.limit.as_secs_f64() * (1.0 - SLACK) - elapsed_s - after_s;
         (left_s / step_s.max(1e-6)).max(0.0) as usize
     }
@@ -78,7 +78,7 @@ mod tests {
         let budget = Budget::new(Instant::now(), Duration::from_secs(100), 10);
         for step_s in [0.01, 0.2, 1.0] {
             let steps = budget.steps_left(20.0, step_s);
-            let end_s = 20.0 + (steps as f64 + 12.0 * STEPS_PER_PRODUCT) * step_s;
+            let end_s = 20.0 + (steps as f64 + after_training_steps(10)) * step_s;
             assert!(end_s <= 96.0 && end_s > 94.0, "{step_s}: {end_s}");
         }
         assert_eq!(budget.steps_left(99.0, 0.1), 0);

@@ -3,6 +3,7 @@
 //! The constants were fitted to runs on the scenes of docs/speed.md (0.15 to 2.2 million Gaussians); `metrics.json` keeps the
 //! estimate beside what was used.
 
+use super::budget::after_training_steps;
 use super::config::SatelliteConfig;
 use super::views;
 use crate::cli::CliError;
@@ -26,8 +27,6 @@ const SWEEP_BYTES_PER_CELL: f64 = 600.0;
 const START_S_PER_CELL: f64 = 1.2e-5;
 /// Seconds per Gaussian and step.
 const STEP_S_PER_GAUSSIAN: f64 = 0.9e-6;
-/// What comes after training, in steps per image.
-const STEPS_PER_PRODUCT: f64 = 1.3;
 /// Seconds of one step of the small site on the machine that the seconds above were measured on.
 const REFERENCE_STEP_S: f64 = 0.012;
 
@@ -92,14 +91,13 @@ pub fn estimate(scene: &Scene, config: &SatelliteConfig, slowness: f64) -> Estim
     };
     let start_s = START_S_PER_CELL * cells * images.len() as f64 * slowness;
     let step_s = STEP_S_PER_GAUSSIAN * gaussians * slowness;
-    let products = STEPS_PER_PRODUCT * (scene.images.len() + 2) as f64;
     Estimate {
         gaussians,
         peak_bytes: peak(gaussians * config.train.clone().for_views(images.len()).growth()),
         least_bytes: peak(cells),
         steps,
         start_s,
-        seconds: start_s + (steps as f64 + products) * step_s,
+        seconds: start_s + (steps as f64 + after_training_steps(scene.images.len())) * step_s,
     }
 }
 
