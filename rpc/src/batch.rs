@@ -11,8 +11,8 @@ use crate::{GeoPoint, ImagePoint, Rpc};
 const LANES: usize = 8;
 /// Steps with the slope of the second; each leaves at most a hundredth of the error of a sound model.
 const FROZEN_STEPS: usize = 6;
-/// A residual below this is as good as f64 allows, pixels.
-const TARGET_RESIDUAL_PX: f64 = 2e-10;
+/// A residual below this needs no further step, pixels.
+const TARGET_RESIDUAL_PX: f64 = 5e-10;
 /// What the first way may leave; beyond, the careful way decides.
 const ACCEPTED_RESIDUAL_PX: f64 = 2e-9;
 /// How far from its centre the first way is trusted, in the model's half ranges.
@@ -46,6 +46,19 @@ struct Inverse {
     p_by_col: Lane,
 }
 
+/// Half ranges of height over which the start takes its slope.
+const START_STEP: f64 = 1e-3;
+
+/// A model as a plane, normalised: what the first step to every point follows.
+struct Start {
+    image: Image,
+    inverse: Inverse,
+    row_by_h: f64,
+    col_by_h: f64,
+    /// Whether its scales and its polynomials agree.
+    trusted: bool,
+}
+
 impl Rpc {
     /// Image positions of `points`: bit by bit what [`Self::project`] gives.
     pub fn project_all(&self, points: &[GeoPoint]) -> Vec<ImagePoint> {
@@ -69,9 +82,10 @@ impl Rpc {
     /// When there is not one height per point.
     pub fn localise_all(&self, points: &[ImagePoint], heights_m: &[f64]) -> Vec<Option<GeoPoint>> {
         assert_eq!(points.len(), heights_m.len(), "one height per point");
+        let start = self.start();
         let mut out = Vec::with_capacity(points.len());
         for (points, heights_m) in points.chunks(LANES).zip(heights_m.chunks(LANES)) {
-            let (ground, arrived) = self.approach(points, heights_m);
+            let (ground, arrived) = self.approach(&start, points, heights_m);
             for (lane, (&point, &height_m)) in points.iter().zip(heights_m).enumerate() {
                 let found = GeoPoint {
                     lon_deg: wrapped_longitude_deg(
@@ -91,23 +105,39 @@ impl Rpc {
         out
     }
 
+    /// The model as a plane at its centre.
+    fn start(&self) -> Start {
+        let (image, inverse) = self.look_closely(&Ground::default());
+        let level = Ground {
+            h: [START_STEP; LANES],
+            ..Ground::default()
+        };
+        let raised = self.look(&level);
+        let of_row = inverse.l_by_row[0].abs() + inverse.p_by_row[0].abs();
+        let of_col = inverse.l_by_col[0].abs() + inverse.p_by_col[0].abs();
+        Start {
+            row_by_h: (raised.row[0] - image.row[0]) / START_STEP,
+            col_by_h: (raised.col[0] - image.col[0]) / START_STEP,
+            trusted: of_row < TRUSTED_SPAN && of_col < TRUSTED_SPAN,
+            image,
+            inverse,
+        }
+    }
+
     /// Newton's way to up to eight points, and which of them it reached.
-    fn approach(&self, points: &[ImagePoint], heights_m: &[f64]) -> (Ground, [bool; LANES]) {
-        let (mut ground, mut target) = (Ground::default(), Image::default());
+    fn approach(&self, start: &Start, points: &[ImagePoint], heights_m: &[f64]) -> (Ground, [bool; LANES]) {
+        let (mut ground, mut target, mut image) = (Ground::default(), Image::default(), start.image);
         for (lane, (point, height_m)) in points.iter().zip(heights_m).enumerate() {
-            ground.h[lane] = (height_m - self.height_offset_m) / self.height_scale_m;
+            let height = (height_m - self.height_offset_m) / self.height_scale_m;
+            ground.h[lane] = height;
+            image.row[lane] += start.row_by_h * height;
+            image.col[lane] += start.col_by_h * height;
             target.row[lane] = (point.row - self.line_offset) / self.line_scale;
             target.col[lane] = (point.col - self.sample_offset) / self.sample_scale;
         }
-        let (image, inverse) = self.look_closely(&ground);
-        let mut arrived = [true; LANES];
-        for lane in 0..LANES {
-            let of_row = inverse.l_by_row[lane].abs() + inverse.p_by_row[lane].abs();
-            let of_col = inverse.l_by_col[lane].abs() + inverse.p_by_col[lane].abs();
-            arrived[lane] = (of_row < TRUSTED_SPAN) & (of_col < TRUSTED_SPAN);
-        }
-        step(&mut ground, &target, &image, &inverse);
+        step(&mut ground, &target, &image, &start.inverse);
         let (mut image, inverse) = self.look_closely(&ground);
+        let mut arrived = [start.trusted; LANES];
         let mut residual_px = self.residual_px(&target, &image);
         for _ in 0..FROZEN_STEPS {
             if residual_px.iter().all(|&r| r < TARGET_RESIDUAL_PX) {
@@ -129,11 +159,15 @@ impl Rpc {
     /// Where eight points of the ground lie in the image.
     #[inline]
     fn look(&self, ground: &Ground) -> Image {
+        let m = eight_monomials(ground);
+        let row = eight_values(&self.line_numerator, &m);
+        let row_under = eight_values(&self.line_denominator, &m);
+        let col = eight_values(&self.sample_numerator, &m);
+        let col_under = eight_values(&self.sample_denominator, &m);
         let mut image = Image::default();
         for lane in 0..LANES {
-            let m = monomials([ground.l[lane], ground.p[lane], ground.h[lane]]);
-            image.row[lane] = value(&self.line_numerator, &m) / value(&self.line_denominator, &m);
-            image.col[lane] = value(&self.sample_numerator, &m) / value(&self.sample_denominator, &m);
+            image.row[lane] = row[lane] / row_under[lane];
+            image.col[lane] = col[lane] / col_under[lane];
         }
         image
     }
@@ -183,6 +217,37 @@ impl Rpc {
             row: image.row[lane] * self.line_scale + self.line_offset,
         }
     }
+}
+
+/// The monomials of eight points.
+#[inline]
+fn eight_monomials(ground: &Ground) -> [Lane; 20] {
+    let mut out = [[0.0; LANES]; 20];
+    for lane in 0..LANES {
+        let m = monomials([ground.l[lane], ground.p[lane], ground.h[lane]]);
+        for (slots, m) in out.iter_mut().zip(m) {
+            slots[lane] = m;
+        }
+    }
+    out
+}
+
+/// A polynomial's values: the same sums in the same order as [`value`], eight side by side.
+#[inline]
+fn eight_values(coefficients: &[f64; 20], m: &[Lane; 20]) -> Lane {
+    let mut sums = [[0.0; LANES]; 4];
+    for (part, sums) in sums.iter_mut().enumerate() {
+        for term in (part..20).step_by(4) {
+            for lane in 0..LANES {
+                sums[lane] += coefficients[term] * m[term][lane];
+            }
+        }
+    }
+    let mut values = [0.0; LANES];
+    for lane in 0..LANES {
+        values[lane] = (sums[0][lane] + sums[2][lane]) + (sums[1][lane] + sums[3][lane]);
+    }
+    values
 }
 
 /// One step to the target.
