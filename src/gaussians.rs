@@ -6,6 +6,7 @@
 
 use glam::{Mat3, Quat, Vec3};
 use rayon::prelude::*;
+use std::ops::Range;
 
 /// Index of the group of centres, metres from the scene centre.
 pub const POSITION: usize = 0;
@@ -227,6 +228,19 @@ impl Table {
     /// # Panics
     /// When the indices do not rise.
     pub(crate) fn add_core(&mut self, indices: &[u32], gradient: impl Fn(usize) -> CoreGradient + Sync) {
+        self.add_core_in_blocks::<1>(indices, |places, add| add(0, &gradient(places.start)));
+    }
+
+    /// The same with up to `N` places at once: `gradients` is given consecutive places among the indices, and a way to add to
+    /// the first, second and so on of them.
+    ///
+    /// # Panics
+    /// When the indices do not rise.
+    pub(crate) fn add_core_in_blocks<const N: usize>(
+        &mut self,
+        indices: &[u32],
+        gradients: impl Fn(Range<usize>, &mut dyn FnMut(usize, &CoreGradient)) + Sync,
+    ) {
         const CHUNK: usize = 2048;
         assert!(
             indices.is_sorted_by(|a, b| a < b),
@@ -236,8 +250,34 @@ impl Table {
             let first = number * CHUNK;
             let from = indices.partition_point(|&i| (i as usize) < first);
             let to = indices.partition_point(|&i| (i as usize) < first + CHUNK);
-            for (place, &index) in indices[from..to].iter().enumerate() {
-                chunk.add(index as usize - first, &gradient(from + place));
+            for start in (from..to).step_by(N) {
+                gradients(start..(start + N).min(to), &mut |place, d| {
+                    chunk.add(indices[start + place] as usize - first, d);
+                });
+            }
+        });
+    }
+
+    /// Calls `add` with the values of each of the elements `indices`, which rise, in a group, and its place among them.
+    ///
+    /// # Panics
+    /// When the indices do not rise.
+    pub(crate) fn add_to_group(&mut self, group: usize, indices: &[u32], add: impl Fn(usize, &mut [f32]) + Sync) {
+        const CHUNK: usize = 4096;
+        assert!(
+            indices.is_sorted_by(|a, b| a < b),
+            "every element once, in rising order"
+        );
+        let Group { spec, values } = &mut self.groups[group];
+        let width = spec.width.max(1);
+        let chunks = values.par_chunks_mut(CHUNK * width).enumerate();
+        chunks.for_each(|(number, values)| {
+            let first = number * CHUNK;
+            let from = indices.partition_point(|&i| (i as usize) < first);
+            let to = indices.partition_point(|&i| (i as usize) < first + CHUNK);
+            for place in from..to {
+                let at = (indices[place] as usize - first) * width;
+                add(place, &mut values[at..at + width]);
             }
         });
     }

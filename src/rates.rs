@@ -14,6 +14,7 @@ use crate::splat::{MapGradients, Maps};
 use glam::{DVec3, Quat, Vec3};
 use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg32;
+use rayon::prelude::*;
 
 /// Ground sampling distance, metres.
 const GSD_M: f32 = 0.5;
@@ -42,6 +43,8 @@ impl Site {
     pub fn new(count: usize, size_px: usize, spread: f32) -> Self {
         let model = ShadowGs::new(ShadowGsOptions {
             bands: BANDS,
+            // Three colours and their visibility: facing would composite the normals too.
+            facing: false,
             ..ShadowGsOptions::default()
         });
         let mut groups = core_groups();
@@ -178,9 +181,11 @@ pub fn toward_grey(maps: &Maps) -> MapGradients {
     let unit = 1.0 / maps.alpha.len() as f32;
     let mut grads = MapGradients::zeros(maps.channels.len(), maps.alpha.len());
     for (grads, plane) in grads.channels.iter_mut().zip(&maps.channels) {
-        for (d, value) in grads.iter_mut().zip(plane) {
-            *d = (value - 0.5).signum() * unit;
-        }
+        grads
+            .par_iter_mut()
+            .with_min_len(1 << 14)
+            .zip(plane)
+            .for_each(|(d, value)| *d = (value - 0.5).signum() * unit);
     }
     grads.alpha.fill(-unit);
     grads.depth.fill(1e-3 * unit);

@@ -3,6 +3,7 @@
 //! Everything here is `f64`, knows no pixels and no files' locations: readers take text and tags, not paths. Image
 //! coordinates have pixel centres at integers (RPC00B); heights are metres above the WGS84 ellipsoid.
 
+mod batch;
 mod localise;
 mod polynomial;
 

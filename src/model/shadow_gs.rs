@@ -382,20 +382,23 @@ impl SceneModel for ShadowGs {
         grads: &mut Parameters,
         d_transmittance: &mut [f32],
     ) {
-        let bands = self.options.bands;
-        for (s, feature) in d_features.chunks(seen.stride).enumerate() {
-            let g = seen.projected.gaussian[s] as usize;
-            d_transmittance[s] += feature[bands];
-            let albedo = &mut grads.gaussians.groups[ALBEDO].values[g * bands..(g + 1) * bands];
-            for (slot, d) in albedo.iter_mut().zip(&feature[..bands]) {
-                *slot += d;
-            }
-            if let Some(at) = self.near_channel() {
-                let near = &mut grads.gaussians.groups[NEAR].values[g * bands..(g + 1) * bands];
-                for (slot, d) in near.iter_mut().zip(&feature[at..at + bands]) {
-                    *slot += d;
-                }
-            }
+        let (bands, stride) = (self.options.bands, seen.stride);
+        d_transmittance
+            .par_iter_mut()
+            .with_min_len(CHUNK)
+            .enumerate()
+            .for_each(|(s, d)| *d += d_features[s * stride + bands]);
+        let mut add = |group: usize, at: usize| {
+            let part = |s: usize| &d_features[s * stride + at..s * stride + at + bands];
+            grads
+                .gaussians
+                .add_to_group(group, &seen.projected.gaussian, |s, slots| {
+                    slots.iter_mut().zip(part(s)).for_each(|(slot, d)| *slot += d);
+                });
+        };
+        add(ALBEDO, 0);
+        if let Some(at) = self.near_channel() {
+            add(NEAR, at);
         }
     }
 

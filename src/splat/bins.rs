@@ -199,6 +199,11 @@ impl Bins {
         &self.list[self.starts[tile] as usize..self.starts[tile + 1] as usize]
     }
 
+    /// The records of a splat.
+    pub fn slots_of(&self, splat: usize) -> &[u32] {
+        &self.slots[self.slot_starts[splat] as usize..self.slot_starts[splat + 1] as usize]
+    }
+
     /// Number of tiles.
     pub fn tiles(&self) -> usize {
         self.columns * self.rows

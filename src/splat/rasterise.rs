@@ -293,15 +293,10 @@ impl<'a> Rasteriser<'a> {
                 }
             });
         let records = &*records.values();
-        let mut out = SplatGradients {
-            splats: vec![SplatGradient::default(); splats.len()],
-            features: vec![0.0; splats.len() * K],
-        };
-        // One chunk of a length that never is zero, also without channels.
-        let feature_chunks = out.features.par_chunks_mut(K.max(1));
+        let mut features = vec![0.0; splats.len() * K];
         let reduce = |s: usize, feature: &mut [f32]| {
             let mut sums = [0.0f32; GEOMETRY];
-            for &place in &self.bins.slots[self.bins.slot_starts[s] as usize..self.bins.slot_starts[s + 1] as usize] {
+            for &place in self.bins.slots_of(s) {
                 let record = &records[place as usize * width..(place as usize + 1) * width];
                 for (slot, value) in feature.iter_mut().zip(&record[..K]) {
                     *slot += value;
@@ -312,19 +307,14 @@ impl<'a> Rasteriser<'a> {
             }
             splat_gradient(&splats[s], &sums)
         };
-        if K == 0 {
-            out.splats
-                .par_iter_mut()
-                .enumerate()
-                .for_each(|(s, slot)| *slot = reduce(s, &mut []));
+        let numbers = (0..splats.len()).into_par_iter().with_min_len(1024);
+        let splats = if K == 0 {
+            numbers.map(|s| reduce(s, &mut [])).collect()
         } else {
-            out.splats
-                .par_iter_mut()
-                .zip(feature_chunks)
-                .enumerate()
-                .for_each(|(s, (slot, f))| *slot = reduce(s, f));
-        }
-        out
+            let features = features.par_chunks_mut(K.max(1));
+            numbers.zip(features).map(|(s, feature)| reduce(s, feature)).collect()
+        };
+        SplatGradients { splats, features }
     }
 }
 

@@ -37,7 +37,10 @@ pub fn binary() -> &'static Path {
 /// The program with its arguments.
 pub fn heliosplat<S: AsRef<std::ffi::OsStr>>(arguments: &[S]) -> Command {
     let mut command = Command::new(binary());
-    command.args(arguments).env_remove("HELIOSPLAT_LOG");
+    command
+        .args(arguments)
+        .env_remove("HELIOSPLAT_LOG")
+        .env_remove("HELIOSPLAT_SIMD");
     command
 }
 

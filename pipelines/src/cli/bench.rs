@@ -19,6 +19,8 @@ const SPREAD: f32 = 0.6;
 const CHANNELS: usize = 4;
 /// Points through a camera in one go.
 const POINTS: usize = 1_000_000;
+/// Points per parallel job.
+const BLOCK: usize = 4096;
 /// How long one rate is measured.
 const PATIENCE: Duration = Duration::from_secs(4);
 
@@ -48,13 +50,16 @@ fn camera_rates() -> (f64, f64) {
         col: 16_000.0 * fraction(i, 0.618_033_988_7),
         row: 16_000.0 * fraction(i, 0.754_877_666_2),
     };
-    let points = || (0..POINTS).into_par_iter().with_min_len(4096);
-    let project = seconds(|| points().map(|i| rpc.project(ground(i)).col).sum::<f64>());
-    let localise = seconds(|| {
-        points()
-            .filter_map(|i| rpc.localise(image(i), 700.0).ok())
-            .map(|p| p.lat_deg)
-            .sum::<f64>()
+    let ground: Vec<GeoPoint> = (0..POINTS).map(ground).collect();
+    let image: Vec<ImagePoint> = (0..POINTS).map(image).collect();
+    let level = vec![700.0; POINTS];
+    let project =
+        seconds(|| -> Vec<Vec<ImagePoint>> { ground.par_chunks(BLOCK).map(|block| rpc.project_all(block)).collect() });
+    let localise = seconds(|| -> Vec<Vec<Option<GeoPoint>>> {
+        let blocks = image.par_chunks(BLOCK).zip(level.par_chunks(BLOCK));
+        blocks
+            .map(|(points, heights)| rpc.localise_all(points, heights))
+            .collect()
     });
     (POINTS as f64 / project, POINTS as f64 / localise)
 }
