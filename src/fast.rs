@@ -29,7 +29,7 @@ pub(crate) fn ln(x: f32) -> f32 {
         + m * (-2.499_999_4e-1 + m * (2.000_071_4e-1 + m * (-1.666_805_8e-1 + m * (1.424_932_3e-1 + m * high))));
     let series = (m * square) * p - 0.5 * square - n * 2.121_944_4e-4;
     let sum = m + series + n * 0.693_359_4;
-    if x == x { sum } else { x }
+    if x.is_nan() { x } else { sum }
 }
 
 /// `1 / (1 + e^-x)`.

@@ -89,11 +89,20 @@ macro_rules! vectorised {
                 fn avx512 $(<$(const $k: $kind),+>)? ($($arg: $of),*) $(-> $out)? {
                     plain $(::<$($k),+>)? ($($arg),*)
                 }
-                // SAFETY: a level is never above what the processor was found to have.
-                #[allow(unsafe_code, reason = "a function compiled for more than the baseline can be called no other way")]
+                #[allow(
+                    unsafe_code,
+                    clippy::undocumented_unsafe_blocks,
+                    reason = "a function compiled for more than the baseline can be called no other way"
+                )]
                 match $crate::simd::level() {
-                    $crate::simd::Level::Avx512 => return unsafe { avx512 $(::<$($k),+>)? ($($arg),*) },
-                    $crate::simd::Level::Avx2 => return unsafe { avx2 $(::<$($k),+>)? ($($arg),*) },
+                    $crate::simd::Level::Avx512 => {
+                        // SAFETY: a level is never above what the processor was found to have.
+                        return unsafe { avx512 $(::<$($k),+>)? ($($arg),*) };
+                    }
+                    $crate::simd::Level::Avx2 => {
+                        // SAFETY: as above.
+                        return unsafe { avx2 $(::<$($k),+>)? ($($arg),*) };
+                    }
                     $crate::simd::Level::Sse2 => {}
                 }
             }

@@ -85,7 +85,7 @@ struct RawOne {
 #[inline(always)]
 fn unit(q: [f32; 4]) -> ([f32; 4], f32) {
     let norm = (q[0] * q[0] + q[1] * q[1] + q[2] * q[2] + q[3] * q[3]).sqrt();
-    let sound = (norm >= 1e-12) & (norm < f32::INFINITY);
+    let sound = (norm >= 1e-12) & finite(norm);
     let inverse = 1.0 / norm;
     let pick = |value: f32, other: f32| if sound { value * inverse } else { other };
     let unit = [pick(q[0], 0.0), pick(q[1], 0.0), pick(q[2], 0.0), pick(q[3], 1.0)];
