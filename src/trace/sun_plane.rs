@@ -159,9 +159,10 @@ impl SunPlane {
         self.ellipses = found.into_iter().map(|(shape, _)| shape).collect();
     }
 
-    /// Calls `visit` with every Gaussian that a ray from `origin` meets beyond `bias` metres, and its `α̃` before saturation.
+    /// Calls `visit` with every Gaussian that a ray from `origin` meets beyond `bias` metres, and its `α̃` before saturation, until it
+    /// says that it has seen enough.
     #[inline]
-    pub(super) fn visit(&self, origin: Vec3, bias: f32, mut visit: impl FnMut(u32, f32)) {
+    pub(super) fn visit(&self, origin: Vec3, bias: f32, mut visit: impl FnMut(u32, f32) -> bool) {
         let place = Vec2::new(self.right.dot(origin), self.up.dot(origin));
         let depth = self.direction.dot(origin) + bias;
         let (column, row) = self.cell(place);
@@ -173,7 +174,10 @@ impl SunPlane {
             let peak = e.depth + e.slope.dot(d);
             // Both at once: either alone is a coin toss, both together are rare and foreseen.
             if (q < e.reach_square) & (peak > depth) {
-                visit(e.id, e.opacity * (-0.5 * q.max(0.0)).exp());
+                let more = visit(e.id, e.opacity * (-0.5 * q.max(0.0)).exp());
+                if !more {
+                    return;
+                }
             }
         }
     }

@@ -2,7 +2,8 @@
 //!
 //! From the centre of Gaussian 0 toward the light `r`, every Gaussian `i` whose 1-D density along the ray peaks beyond
 //! the self-shadow bias takes `α̃_i = o_i exp(-½ ‖e×d‖²/‖d‖²)` (whitened offset `e` and direction `d`), and
-//! `S = Π (1 - α̃_i) = exp(Σ ln1p(-α̃_i))`. The product has no order, so nothing is sorted (ShadowGS, Luo et al. 2026, eq. 10–12).
+//! `S = Π (1 - α̃_i)`. The product has no order, so nothing is sorted (ShadowGS, Luo et al. 2026, eq. 10–12). A ray that has lost
+//! all but a millionth is dark: nothing that it would meet further on could be seen, nor light it again.
 //!
 //! Where rays start, and which peaks are too near to count: `light_ray`.
 
@@ -17,6 +18,9 @@ use rayon::prelude::*;
 
 /// Rays per parallel job; fixed, so that results do not depend on the number of threads.
 const CHUNK: usize = 1024;
+/// Transmittance below which a ray is dark: its value is zero, and it has no gradients. They would be below `DARK / (1 - ALPHA_MAX)`,
+/// a ten-thousandth, yet rays under roofs have most of all hits.
+const DARK: f32 = 1e-6;
 /// Occluders per parallel job of the backward pass.
 const RANGE: usize = 2048;
 
@@ -135,13 +139,14 @@ pub fn transmittance(
             };
             for (&origin, value) in origins.iter().zip(values) {
                 let ray = LightRay::new(gaussians, origin as usize, light, options);
-                let mut clear = Clearness::default();
+                let (mut clear, lit) = (1.0f32, out.hits.len());
                 let mut meet = |id: u32, alpha: f32| {
-                    if id != origin {
+                    if id != origin && clear >= DARK {
                         let alpha = alpha.min(ALPHA_MAX);
-                        clear.meet(alpha);
+                        clear *= 1.0 - alpha;
                         out.hits.push(Hit { occluder: id, alpha });
                     }
+                    clear >= DARK
                 };
                 match &plane {
                     Some(plane) => plane.visit(ray.origin, ray.bias, meet),
@@ -151,7 +156,11 @@ pub fn transmittance(
                         }
                     }),
                 }
-                *value = clear.transmittance();
+                if clear < DARK {
+                    clear = 0.0;
+                    out.hits.truncate(lit);
+                }
+                *value = clear;
                 out.close(ray);
             }
             out
@@ -161,38 +170,6 @@ pub fn transmittance(
         values,
         bundles,
         occluder_gradients: options.occluder_gradients,
-    }
-}
-
-/// `Π (1 - α̃)` as an optical depth `-Σ ln(1 - α̃)`: the product alone underflows after a score of opaque layers. Factors are
-/// gathered while they stay far from that, so that one logarithm serves many.
-struct Clearness {
-    product: f32,
-    optical_depth: f32,
-}
-
-impl Default for Clearness {
-    fn default() -> Self {
-        Self {
-            product: 1.0,
-            optical_depth: 0.0,
-        }
-    }
-}
-
-impl Clearness {
-    #[inline]
-    fn meet(&mut self, alpha: f32) {
-        self.product *= 1.0 - alpha;
-        if self.product < 1e-6 {
-            self.optical_depth -= self.product.ln();
-            self.product = 1.0;
-        }
-    }
-
-    #[inline]
-    fn transmittance(&self) -> f32 {
-        self.product * (-self.optical_depth).exp()
     }
 }
 
@@ -490,6 +467,30 @@ mod tests {
         // The sun stands to the north, so the shadow falls two metres to the south.
         assert!(value_at(0.0, -2.0) < 0.05);
         assert!(value_at(0.0, 2.0) > 0.95);
+    }
+
+    #[test]
+    fn a_ray_under_many_roofs_is_dark_and_keeps_no_hits() {
+        let mut table = sheet(1, 1.0, 5.0, 0.05);
+        let one = table.gather(&[0; 200]);
+        table = one;
+        for i in 0..table.count {
+            table.group_mut(POSITION)[i * 3 + 2] = 5.0 * i as f32;
+        }
+        let occluders = Occluders::new(&table);
+        for route in [Route::SunPlane, Route::Hierarchy] {
+            let options = TraceOptions {
+                route,
+                ..TraceOptions::default()
+            };
+            let traced = transmittance(&table, &occluders, &[0, 198], &sun(90.0), &options);
+            assert!(
+                traced.values[0] == 0.0 && traced.hit_count() == 1,
+                "{:?}",
+                traced.values
+            );
+            assert!((traced.values[1] - 0.05).abs() < 1e-4);
+        }
     }
 
     #[test]
