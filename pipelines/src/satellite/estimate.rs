@@ -16,7 +16,7 @@ const GAUSSIANS_PER_CELL: f64 = 1.3;
 /// Tables of all parameters that training holds: values, gradients, two moments, the best state.
 const TABLES: f64 = 5.0;
 /// Bytes per Gaussian of what one step makes besides: splats, lists of tiles, gradients, hits on the way to the sun.
-const STEP_BYTES_PER_GAUSSIAN: f64 = 620.0;
+const STEP_BYTES_PER_GAUSSIAN: f64 = 1150.0;
 /// Planes of 32-bit numbers per pixel of the largest view that one step makes, besides those per channel.
 const PLANES: f64 = 24.0;
 /// The same per channel.
@@ -26,7 +26,7 @@ const SWEEP_BYTES_PER_CELL: f64 = 600.0;
 /// Seconds per cell and image before the first step: pointing, search, start.
 const START_S_PER_CELL: f64 = 1.2e-5;
 /// Seconds per Gaussian and step.
-const STEP_S_PER_GAUSSIAN: f64 = 0.9e-6;
+const STEP_S_PER_GAUSSIAN: f64 = 1.4e-6;
 /// Seconds of one step of the small site on the machine that the seconds above were measured on.
 const REFERENCE_STEP_S: f64 = 0.012;
 
