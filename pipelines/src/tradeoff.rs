@@ -137,10 +137,9 @@ impl Sweep {
         }
         let said = format!("{} {}\n", env!("CARGO_PKG_VERSION"), arguments.join(" "));
         let stamp = job.folder.join("tradeoff.txt");
-        if std::fs::read_to_string(&stamp).is_ok_and(|before| before == said) {
-            if let Some(metrics) = metrics(&job.folder) {
-                return Ok(metrics);
-            }
+        let done = std::fs::read_to_string(&stamp).is_ok_and(|before| before == said);
+        if let Some(metrics) = metrics(&job.folder).filter(|_| done) {
+            return Ok(metrics);
         }
         let failed = |reason: String| CliError::Failed(format!("{}: {reason}", job.folder.display()));
         let program =
