@@ -1,4 +1,5 @@
-//! Exponential and logarithm for loops over lanes: no branch, no call, the same bits on every machine.
+//! Exponential and logarithm for loops over lanes: no branch, no call, the same bits on every machine. The coefficients of both
+//! polynomials are those of Cephes (Moshier, `expf` and `logf`).
 
 /// `e^x`, two units in the last place; saturates outside -87 to 88, keeps NaN.
 #[inline(always)]

@@ -382,7 +382,9 @@ impl<'a> Trainer<'a> {
             .collect();
         self.globals_adam
             .step(&mut self.parameters.globals, &self.gradients.globals, &rates);
-        self.movement.add(&self.parameters.gaussians, o.gsd_m);
+        if o.light_moved > 0.0 {
+            self.movement.add(&self.parameters.gaussians, o.gsd_m);
+        }
         let (least, most) = ((o.scale_gsd.0 * o.gsd_m).ln(), (o.scale_gsd.1 * o.gsd_m).ln());
         self.parameters
             .gaussians

@@ -19,7 +19,7 @@ use rayon::prelude::*;
 /// Rays per parallel job; fixed, so that results do not depend on the number of threads.
 const CHUNK: usize = 1024;
 /// Transmittance below which a ray is dark: its value is zero, and it has no gradients. They would be below `DARK / (1 - ALPHA_MAX)`,
-/// a ten-thousandth, yet rays under roofs have most of all hits.
+/// a ten-thousandth.
 const DARK: f32 = 1e-6;
 /// Occluders per parallel job of the backward pass.
 const RANGE: usize = 2048;
@@ -471,9 +471,7 @@ mod tests {
 
     #[test]
     fn a_ray_under_many_roofs_is_dark_and_keeps_no_hits() {
-        let mut table = sheet(1, 1.0, 5.0, 0.05);
-        let one = table.gather(&[0; 200]);
-        table = one;
+        let mut table = sheet(1, 1.0, 5.0, 0.05).gather(&[0; 200]);
         for i in 0..table.count {
             table.group_mut(POSITION)[i * 3 + 2] = 5.0 * i as f32;
         }

@@ -5,8 +5,8 @@
 
 use super::budget::after_training_steps;
 use super::config::SatelliteConfig;
+use super::fit::FitError;
 use super::views;
-use crate::cli::CliError;
 use crate::scene::Scene;
 use heliosplat::rates::{Descent, Site};
 use std::time::Instant;
@@ -118,17 +118,16 @@ pub fn resident_bytes() -> f64 {
 ///
 /// # Errors
 /// When `needed` is more.
-pub fn must_fit(needed: f64, limit: Option<u64>, config: &SatelliteConfig) -> Result<(), CliError> {
-    let Some(limit) = limit.map(|bytes| bytes as f64).filter(|&limit| needed > limit) else {
-        return Ok(());
-    };
-    let coarser = config.start.cell_gsd * (needed / limit).sqrt() * 1.05;
+pub fn must_fit(needed: f64, limit: Option<u64>, config: &SatelliteConfig) -> Result<(), FitError> {
     let gib = |bytes: f64| bytes / f64::from(1 << 30);
-    Err(CliError::Input(format!(
-        "--memory: training needs about {:.1} GiB and {:.1} GiB are allowed; give more, fewer images, or a coarser model with --set start.cell_gsd={coarser:.2}",
-        gib(needed),
-        gib(limit)
-    )))
+    match limit.map(|bytes| bytes as f64) {
+        Some(limit) if needed > limit => Err(FitError::Memory {
+            needed_gib: gib(needed),
+            limit_gib: gib(limit),
+            cell_gsd: config.start.cell_gsd * (needed / limit).sqrt() * 1.05,
+        }),
+        _ => Ok(()),
+    }
 }
 
 #[cfg(test)]

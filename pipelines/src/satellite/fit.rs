@@ -28,16 +28,14 @@ pub enum FitError {
     },
     /// Training would take more memory than it may.
     #[error(
-        "--memory: with {gaussians} Gaussians training needs about {needed_mib} MiB and {limit_mib} MiB are allowed; give more, fewer images, or a coarser model with --set start.cell_gsd={cell_gsd:.2}"
+        "--memory: training needs about {needed_gib:.2} GiB and {limit_gib:.2} GiB are allowed; give more, fewer images, or a coarser model with --set start.cell_gsd={cell_gsd:.2}"
     )]
     Memory {
-        /// Gaussians to start with.
-        gaussians: usize,
-        /// What it needs.
-        needed_mib: u64,
-        /// What it may take.
-        limit_mib: u64,
-        /// What would fit.
+        /// What it needs, GiB.
+        needed_gib: f64,
+        /// What it may take, GiB.
+        limit_gib: f64,
+        /// What would fit: width of a cell, ground sampling distances.
         cell_gsd: f64,
     },
     /// Training gave up.
@@ -300,18 +298,9 @@ fn fit_into_memory(
     let pixels = views.iter().map(|v| v.image.plane_len()).max().unwrap_or(0) as f64;
     let bands = views.first().map_or(0, |v| v.image.bands);
     let bytes = |gaussians: f64| now + estimate::training_bytes(gaussians, views.len(), bands, pixels);
+    estimate::must_fit(bytes(count as f64), limit, config)?;
     if let Some(limit) = limit {
         let most = estimate::gaussians_within(limit as f64 - now, views.len(), bands, pixels);
-        if most < count as f64 {
-            let needed = bytes(count as f64);
-            let mib = |bytes: f64| (bytes / f64::from(1 << 20)).ceil() as u64;
-            return Err(FitError::Memory {
-                gaussians: count,
-                needed_mib: mib(needed),
-                limit_mib: mib(limit as f64),
-                cell_gsd: config.start.cell_gsd * (needed / limit as f64).sqrt() * 1.05,
-            });
-        }
         options.density.cap = options.density.cap.min(most as usize);
     }
     let grown = count as f64 * options.growth();

@@ -178,9 +178,9 @@ pub(super) fn summary(metrics: &Value) -> String {
     say("PSNR train", number("/train/psnr"), "dB");
     let colour = metrics.pointer("/test/colour").and_then(Value::as_str).unwrap_or("");
     say("PSNR held out", number("/test/psnr"), &format!("dB (colour {colour})"));
-    say("time", number("/seconds"), "s");
     let colours = "dB (red, green, blue alone)";
     say("PSNR held out", number("/test/psnr_rgb"), colours);
+    say("time", number("/seconds"), "s");
     say(
         "memory",
         number("/peak_rss_bytes").map(|b| b / f64::from(1 << 20)),
