@@ -99,18 +99,17 @@ fn rays(criterion: &mut Criterion) {
     let ones = vec![1.0; origins.len()];
     let mut out = gaussians.zeros_like();
     let hits = transmittance(
-        gaussians,
         &Occluders::new(gaussians),
         &origins,
         &site.sun,
         &TraceOptions::default(),
     );
     let mut per_hit = criterion.benchmark_group("hit");
-    per_hit.throughput(Throughput::Elements(hits.hit_count() as u64));
+    per_hit.throughput(Throughput::Elements(hits.hit_count()));
     per_hit.sample_size(20);
     let occluders = Occluders::new(gaussians);
     per_hit.bench_function("forward/sun_plane", |b| {
-        b.iter(|| transmittance(gaussians, &occluders, &origins, &site.sun, &TraceOptions::default()));
+        b.iter(|| transmittance(&occluders, &origins, &site.sun, &TraceOptions::default()));
     });
     per_hit.finish();
     let mut group = criterion.benchmark_group("ray");
@@ -121,15 +120,17 @@ fn rays(criterion: &mut Criterion) {
             route,
             ..TraceOptions::default()
         };
-        let trace = || {
-            let occluders = Occluders::new(gaussians);
-            let traced = transmittance(gaussians, &occluders, &origins, &site.sun, &options);
-            (occluders, traced)
-        };
-        group.bench_function(BenchmarkId::new("forward", name), |b| b.iter(trace));
+        let mut occluders = Occluders::new(gaussians);
+        group.bench_function(BenchmarkId::new("forward", name), |b| {
+            b.iter(|| {
+                occluders.renew(gaussians);
+                transmittance(&occluders, &origins, &site.sun, &options)
+            });
+        });
         group.bench_function(BenchmarkId::new("with_gradients", name), |b| {
             b.iter(|| {
-                let (occluders, traced) = trace();
+                occluders.renew(gaussians);
+                let traced = transmittance(&occluders, &origins, &site.sun, &options);
                 traced.backward(gaussians, &occluders, &origins, &ones, &mut out);
             });
         });

@@ -70,7 +70,7 @@ impl<'a> Pass<'a> {
         let projected = project(gaussians, context.camera, &options.projection);
         let traced = match (light, &context.light) {
             (Lit::Traced(occluders), Some(source)) if model.needs_transmittance() => {
-                transmittance(gaussians, occluders, &projected.gaussian, source, &options.trace)
+                transmittance(occluders, &projected.gaussian, source, &options.trace)
             }
             (Lit::Known(values), _) => {
                 Transmittance::known(projected.gaussian.iter().map(|&g| values[g as usize]).collect())

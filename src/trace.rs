@@ -1,6 +1,7 @@
 //! Light that reaches Gaussians: proxies, a bounding volume hierarchy, transmittance and its gradients.
 
 pub mod bvh;
+mod hierarchy;
 mod light_ray;
 mod sun_plane;
 pub mod transmittance;

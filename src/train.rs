@@ -18,7 +18,7 @@ use crate::optim::{Adam, DensityStatistics, exponential_decay};
 use crate::render::{Lit, Pass, PassOptions};
 use crate::splat::MapGradients;
 use crate::splat::project::project;
-use crate::trace::{Occluders, Route};
+use crate::trace::Occluders;
 use focus::Focus;
 use glam::Vec3;
 use holdout::Holdout;
@@ -202,21 +202,20 @@ impl<'a> Trainer<'a> {
         self.options.consistency_weight > 0.0 && self.step.is_multiple_of(self.options.consistency_every.max(1))
     }
 
-    /// The sun plane is listed anew for every light anyway, so its occluders are always those of the moment; a hierarchy is
-    /// dear to build and may be some steps old.
+    /// Occluders are always those of the moment; a hierarchy over them, where one was asked for, is dear to build: it is fitted to
+    /// them, and built anew after some steps or when Gaussians come or go.
     fn refresh_occluders(&mut self) {
         if !self.model.needs_transmittance() {
             return;
         }
-        let age_limit = match self.options.trace.route {
-            Route::SunPlane => 1,
-            Route::Hierarchy => self.options.hierarchy_every,
-        };
-        let count = self.parameters.gaussians.count;
-        let usable = |o: &Occluders| o.list.len() == count && self.step < self.occluders_step + age_limit;
-        if !self.occluders.as_ref().is_some_and(usable) {
-            self.occluders = Some(Occluders::new(&self.parameters.gaussians));
-            self.occluders_step = self.step;
+        let gaussians = &self.parameters.gaussians;
+        let fresh = self.step < self.occluders_step + self.options.hierarchy_every;
+        match &mut self.occluders {
+            Some(occluders) if fresh && occluders.list.len() == gaussians.count => occluders.renew(gaussians),
+            occluders => {
+                *occluders = Some(Occluders::new(gaussians));
+                self.occluders_step = self.step;
+            }
         }
     }
 

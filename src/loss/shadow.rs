@@ -48,7 +48,7 @@ pub struct ConsistencyPass<'a> {
 /// With a nadir camera this is the paper's second form, light and view both at the zenith.
 pub fn consistency(gaussians: &Table, projected: &Projected, pass: &ConsistencyPass, out: &mut Table) -> f64 {
     let light = Light::Directional(-pass.camera.depth_axis);
-    let traced = transmittance(gaussians, pass.occluders, &projected.gaussian, &light, pass.trace);
+    let traced = transmittance(pass.occluders, &projected.gaussian, &light, pass.trace);
     let rasteriser = Rasteriser::new(projected, pass.camera.width, pass.camera.height);
     let maps = rasteriser.forward(&traced.values, 1);
     let pixels = pass.camera.width * pass.camera.height;

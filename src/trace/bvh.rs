@@ -1,13 +1,14 @@
 //! Occluders and the hierarchy over their bounds; the only place that speaks `obvhs`.
 //!
 //! A Gaussian occludes inside the ellipsoid of `sqrt(2 ln(o / o_min))` standard deviations (the stretched icosahedron of
-//! 3D Gaussian ray tracing, Moenne-Loccoz et al. 2024, encloses the same ellipsoid); its axis-aligned bounds go into an
-//! eight-wide hierarchy.
+//! 3D Gaussian ray tracing, Moenne-Loccoz et al. 2024, encloses the same ellipsoid); its axis-aligned bounds go into a
+//! binary hierarchy, which is asked for bundles of neighbouring rays, not for single ones.
 
 use crate::gaussians::Table;
 use glam::{Mat3, Vec3, Vec3A};
-use obvhs::{BvhBuildParams, aabb::Aabb, cwbvh::CwBvh, cwbvh::builder::build_cwbvh, ray::Ray};
+use obvhs::{BvhBuildParams, aabb::Aabb, bvh2::Bvh2, bvh2::builder::build_bvh2};
 use rayon::prelude::*;
+use std::ops::Range;
 use std::sync::OnceLock;
 use std::time::Duration;
 
@@ -19,10 +20,10 @@ pub const OPACITY_MIN: f32 = 0.001;
 pub struct Occluder {
     /// Centre, metres.
     pub position: Vec3,
-    /// `S⁻¹ Rᵀ`: scene metres to standard deviations.
-    pub whiten: Mat3,
     /// `R S`: standard deviations to scene metres.
     pub spread: Mat3,
+    /// Standard deviations along its own axes, metres: the lengths of the columns of `spread`.
+    pub scale: Vec3,
     /// Opacity, 0 to 1.
     pub opacity: f32,
     /// Squared radius of its reach, in standard deviations; zero when it occludes nothing.
@@ -35,10 +36,13 @@ impl Occluder {
         let opacity = gaussians.opacity(index);
         let scale = gaussians.scale(index);
         let rotation = gaussians.rotation(index);
-        let whiten = Mat3::from_diagonal(scale.recip()) * rotation.transpose();
-        let spread = rotation * Mat3::from_diagonal(scale);
+        let spread = Mat3::from_cols(
+            rotation.x_axis * scale.x,
+            rotation.y_axis * scale.y,
+            rotation.z_axis * scale.z,
+        );
         let position = gaussians.position(index);
-        let finite = position.is_finite() && whiten.is_finite() && opacity.is_finite();
+        let finite = position.is_finite() && scale.recip().is_finite() && spread.is_finite() && opacity.is_finite();
         let reach_square = if finite && opacity > OPACITY_MIN {
             2.0 * (opacity / OPACITY_MIN).ln()
         } else {
@@ -46,11 +50,23 @@ impl Occluder {
         };
         Self {
             position,
-            whiten,
             spread,
+            scale,
             opacity,
             reach_square,
         }
+    }
+
+    /// `S⁻¹ Rᵀ`: scene metres to standard deviations.
+    #[inline(always)]
+    pub fn whiten(&self) -> Mat3 {
+        let inverse = (self.scale * self.scale).recip();
+        let rows = [
+            self.spread.x_axis * inverse.x,
+            self.spread.y_axis * inverse.y,
+            self.spread.z_axis * inverse.z,
+        ];
+        Mat3::from_cols(rows[0], rows[1], rows[2]).transpose()
     }
 
     /// Axis-aligned bounds of its reach.
@@ -65,48 +81,216 @@ impl Occluder {
     }
 }
 
+/// The hierarchy over the bounds of all occluders.
+pub(super) struct Hierarchy {
+    tree: Bvh2,
+    /// Place of each Gaussian in an order in which neighbours in the scene are neighbours.
+    pub(super) rank: Vec<u32>,
+}
+
+/// Bundles of rays from a box, all along one axis or towards one point on it.
+pub(super) struct Shaft {
+    /// Centre of the box, metres.
+    pub(super) centre: Vec3,
+    /// Its half sizes, metres.
+    pub(super) half: Vec3,
+    /// Unit vector along the axis.
+    pub(super) direction: Vec3,
+    /// Length of the axis, metres; infinite for parallel light.
+    pub(super) length: f32,
+}
+
+impl Hierarchy {
+    fn new(list: &[Occluder]) -> Self {
+        let bounds: Vec<Aabb> = list.par_iter().with_min_len(512).map(Occluder::bounds).collect();
+        let mut spent = Duration::default();
+        let mut tree = build_bvh2(&bounds, BvhBuildParams::fast_build(), &mut spent);
+        // Parents before children: a refit is then one sweep, and a walk goes forward in memory.
+        tree.reorder_in_stack_traversal_order();
+        let mut rank = vec![0; list.len()];
+        let leaves = tree.nodes.iter().filter(|node| node.is_leaf());
+        let primitives = leaves.flat_map(|leaf| leaf_range(leaf.first_index, leaf.prim_count));
+        for (place, primitive) in primitives.enumerate() {
+            rank[tree.primitive_indices[primitive] as usize] = place as u32;
+        }
+        Self { tree, rank }
+    }
+
+    /// Fits the bounds to occluders that have moved; which leaf holds which stays.
+    fn refit(&mut self, list: &[Occluder]) {
+        let bounds: Vec<Aabb> = list.par_iter().with_min_len(512).map(Occluder::bounds).collect();
+        let Bvh2 {
+            nodes,
+            primitive_indices,
+            ..
+        } = &mut self.tree;
+        for node in nodes.iter_mut().filter(|node| node.is_leaf()) {
+            let held = leaf_range(node.first_index, node.prim_count);
+            let all = held.map(|place| bounds[primitive_indices[place] as usize]);
+            if let Some(bounds) = all.reduce(|a, b| a.union(&b)) {
+                node.set_aabb(bounds);
+            }
+        }
+        self.tree.refit_all();
+    }
+
+    /// Lists in `found` every Gaussian whose leaf's bounds meet the shaft, in the order of the tree; `pending` is room to work in.
+    pub(super) fn meeting(&self, shaft: &Shaft, pending: &mut Vec<u32>, found: &mut Vec<u32>) {
+        found.clear();
+        pending.clear();
+        if self.tree.nodes.is_empty() {
+            return;
+        }
+        let slab = Slab::new(shaft);
+        pending.push(0);
+        while let Some(index) = pending.pop() {
+            let node = &self.tree.nodes[index as usize];
+            if !slab.meets(node.aabb()) {
+                continue;
+            }
+            if node.is_leaf() {
+                let held = leaf_range(node.first_index, node.prim_count);
+                found.extend_from_slice(&self.tree.primitive_indices[held]);
+            } else {
+                pending.extend([node.first_index + 1, node.first_index]);
+            }
+        }
+    }
+}
+
+fn leaf_range(first: u32, count: u32) -> Range<usize> {
+    first as usize..(first + count) as usize
+}
+
+/// A shaft as boxes are tested against it: its axis against boxes grown by its half sizes. Rays toward one point stay inside,
+/// because the box they cross the shaft in shrinks.
+struct Slab {
+    centre: Vec3A,
+    half: Vec3A,
+    inverse: Vec3A,
+    length: f32,
+}
+
+impl Slab {
+    fn new(shaft: &Shaft) -> Self {
+        // Never zero, so that no slab is 0 · ∞.
+        let bounded = |d: f32| if d.abs() < 1e-12 { 1e-12f32.copysign(d) } else { d };
+        Self {
+            centre: Vec3A::from(shaft.centre),
+            half: Vec3A::from(shaft.half),
+            inverse: Vec3A::from(shaft.direction.map(bounded)).recip(),
+            length: shaft.length,
+        }
+    }
+
+    #[inline(always)]
+    fn meets(&self, bounds: &Aabb) -> bool {
+        let a = (bounds.min - self.half - self.centre) * self.inverse;
+        let b = (bounds.max + self.half - self.centre) * self.inverse;
+        let (near, far) = (a.min(b).max_element(), a.max(b).min_element());
+        near <= far && far >= 0.0 && near <= self.length
+    }
+}
+
 /// All Gaussians of a table as the light meets them, as they stood when this was made. The hierarchy over them is built
 /// when it is first asked for.
 pub struct Occluders {
     /// The occluders, by Gaussian.
     pub list: Vec<Occluder>,
-    bounds: Vec<Aabb>,
-    hierarchy: OnceLock<CwBvh>,
+    hierarchy: OnceLock<Hierarchy>,
+}
+
+fn list(gaussians: &Table) -> Vec<Occluder> {
+    (0..gaussians.count)
+        .into_par_iter()
+        .with_min_len(512)
+        .map(|i| Occluder::new(gaussians, i))
+        .collect()
 }
 
 impl Occluders {
     /// The occluders of a table.
     pub fn new(gaussians: &Table) -> Self {
-        let (list, bounds) = (0..gaussians.count)
-            .into_par_iter()
-            .with_min_len(512)
-            .map(|i| {
-                let occluder = Occluder::new(gaussians, i);
-                (occluder, occluder.bounds())
-            })
-            .unzip();
         Self {
-            list,
-            bounds,
+            list: list(gaussians),
             hierarchy: OnceLock::new(),
         }
     }
 
-    fn hierarchy(&self) -> &CwBvh {
-        self.hierarchy.get_or_init(|| {
-            let mut spent = Duration::default();
-            build_cwbvh(&self.bounds, BvhBuildParams::fast_build(), &mut spent)
-        })
+    /// The occluders of the same Gaussians after they have moved: a hierarchy that was built is kept and fitted to them.
+    ///
+    /// # Panics
+    /// When there are more of them, or fewer.
+    pub fn renew(&mut self, gaussians: &Table) {
+        assert_eq!(gaussians.count, self.list.len(), "the same Gaussians");
+        self.list = list(gaussians);
+        if let Some(hierarchy) = self.hierarchy.get_mut() {
+            hierarchy.refit(&self.list);
+        }
     }
 
-    /// Calls `visit` with every Gaussian whose leaf bounds meet the ray; some of those are not truly met.
-    #[inline]
-    pub fn visit(&self, origin: Vec3, direction: Vec3, length: f32, mut visit: impl FnMut(u32)) {
-        if self.list.is_empty() {
-            return;
+    pub(super) fn hierarchy(&self) -> &Hierarchy {
+        self.hierarchy.get_or_init(|| Hierarchy::new(&self.list))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::gaussians::{POSITION, core_groups};
+
+    fn scattered(shift: f32) -> Table {
+        let mut table = Table::zeros(core_groups(), 500);
+        for (i, value) in table.group_mut(POSITION).iter_mut().enumerate() {
+            *value = ((i * 7919) % 1000) as f32 * 0.1 + shift * ((i * 31) % 17) as f32;
         }
-        let tree = self.hierarchy();
-        let ray = Ray::new(Vec3A::from(origin), Vec3A::from(direction), 0.0, length);
-        tree.ray_traverse_anyhit(ray, |_, place| visit(tree.primitive_indices[place]));
+        table
+    }
+
+    fn met(hierarchy: &Hierarchy, shaft: &Shaft) -> Vec<u32> {
+        let (mut pending, mut found) = (Vec::new(), Vec::new());
+        hierarchy.meeting(shaft, &mut pending, &mut found);
+        found.sort_unstable();
+        found
+    }
+
+    #[test]
+    fn a_refitted_hierarchy_finds_what_one_built_anew_finds() {
+        let mut occluders = Occluders::new(&scattered(0.0));
+        occluders.hierarchy();
+        let moved = scattered(0.3);
+        occluders.renew(&moved);
+        let anew = Occluders::new(&moved);
+        for direction in [Vec3::Z, Vec3::new(0.6, 0.0, 0.8), Vec3::new(-0.48, 0.6, 0.64)] {
+            let shaft = Shaft {
+                centre: Vec3::new(50.0, 50.0, 20.0),
+                half: Vec3::new(15.0, 12.0, 5.0),
+                direction,
+                length: f32::INFINITY,
+            };
+            // Leaves differ; what truly lies in the shaft must be in both.
+            let slab = Slab::new(&shaft);
+            let truly: Vec<u32> = (0..500).filter(|&i| slab.meets(&anew.list[i as usize].bounds())).collect();
+            assert!(!truly.is_empty());
+            for hierarchy in [occluders.hierarchy(), anew.hierarchy()] {
+                let found = met(hierarchy, &shaft);
+                assert!(truly.iter().all(|i| found.binary_search(i).is_ok()), "{direction}");
+            }
+        }
+    }
+
+    #[test]
+    fn neighbours_in_rank_are_neighbours_in_the_scene() {
+        let table = scattered(0.0);
+        let occluders = Occluders::new(&table);
+        let rank = &occluders.hierarchy().rank;
+        let mut order = vec![usize::MAX; rank.len()];
+        for (gaussian, &place) in rank.iter().enumerate() {
+            order[place as usize] = gaussian;
+        }
+        let step = |pair: &[usize]| table.position(pair[0]).distance(table.position(pair[1]));
+        let mean = order.windows(2).map(step).sum::<f32>() / 499.0;
+        let as_listed = (0..499).map(|i| step(&[i, i + 1])).sum::<f32>() / 499.0;
+        assert!(mean < 0.5 * as_listed, "{mean} against {as_listed}");
     }
 }

@@ -7,8 +7,9 @@
 //! neighbours' whole reach and a steep one hardly moves; and only peaks further along the ray than the origin's own
 //! extent `sqrt(rᵀΣr)` count.
 
+use super::bvh::Occluder;
 use super::transmittance::TraceOptions;
-use crate::gaussians::{CoreGradient, Table, rotation_backward};
+use crate::gaussians::{CoreGradient, rotation_backward};
 use crate::light::Light;
 use glam::{Mat3, Vec3};
 
@@ -38,12 +39,10 @@ struct Lift {
 }
 
 impl LightRay {
-    /// The ray of Gaussian `index` toward `light`.
-    pub(super) fn new(gaussians: &Table, index: usize, light: &Light, options: &TraceOptions) -> Self {
-        let position = gaussians.position(index);
+    /// The ray of a Gaussian toward `light`.
+    pub(super) fn new(gaussian: &Occluder, light: &Light, options: &TraceOptions) -> Self {
+        let (position, scale) = (gaussian.position, gaussian.scale);
         let (direction, distance) = light.seen_from(position);
-        let scale = gaussians.scale(index);
-        let rotation = gaussians.rotation(index);
         let thin = if scale.x <= scale.y && scale.x <= scale.z {
             0
         } else if scale.y <= scale.z {
@@ -51,15 +50,16 @@ impl LightRay {
         } else {
             2
         };
-        let sign = if rotation.col(thin).dot(direction) < 0.0 {
+        let own = gaussian.spread.col(thin) / scale[thin];
+        let sign = if own.dot(direction) < 0.0 {
             -1.0
         } else {
             1.0
         };
-        let axis = rotation.col(thin) * sign;
+        let axis = own * sign;
         let full = options.lift * LIFT * scale[thin];
         let height = full * (1.0 - axis.dot(direction));
-        let extent = ((rotation.transpose() * direction) * scale).length();
+        let extent = (gaussian.spread.transpose() * direction).length();
         let lift = Lift {
             thin,
             axis,

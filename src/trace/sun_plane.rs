@@ -1,184 +1,196 @@
 //! Parallel light, answered on a plane: all its rays are points in the plane normal to it.
 //!
 //! Seen along the light, a Gaussian is an ellipse whose squared Mahalanobis distance is exactly the `‖e×d‖²/‖d‖²` of a ray
-//! (the projected covariance is the marginal one), and its peaks lie on a plane in depth. A uniform grid of cells over the
-//! plane lists the ellipses that touch each cell, so a ray is one lookup and a walk over a short list: the same hits as a
-//! hierarchy finds, many times cheaper, because rays start inside a sheet of overlapping boxes that a hierarchy must visit.
+//! (the projected covariance is the marginal one), and its peaks lie on a plane in depth. The ellipses are sorted by their
+//! centres into the cells of a few grids, one for every doubling of their size, so that a ray looks at some whole rows of
+//! cells around it, eight ellipses at a time, one after another in memory. Backward, the rays are sorted the same way and
+//! every ellipse looks at the rays in its box: no hit is ever stored, and every sum has one owner and one order.
 
-use super::bvh::Occluder;
-use crate::deal::{Rows, Span, cell_starts, cut_rows};
+mod cells;
+mod ellipse;
+mod meet;
+
+use super::bvh::{Occluder, Occluders};
+use super::light_ray::LightRay;
+use super::transmittance::{RaysBack, Shade};
+use crate::gaussians::{CoreGradient, Table, rotation_backward};
+use cells::Cells;
+use ellipse::{Axes, Block, Ellipse, LANES, Moments};
 use glam::{Vec2, Vec3};
+use meet::{RayGrid, gather, shade};
 use rayon::prelude::*;
 
-/// Cells across the plane in either direction, at most.
-const CELLS_MAX: usize = 4096;
-/// Width of a cell in mean half sizes of an ellipse: each is then listed about nine times.
-const CELL_HALVES: f32 = 1.0;
+/// Sizes that have a grid of their own, each up to twice the one before.
+const LEVELS: usize = 8;
+/// Half sizes of the smallest grid's ellipses at most, in mean half sizes.
+const SMALLEST: f32 = 2.0;
+/// Columns of cells in half a size: they only cut what a ray looks at, whose cells lie one after another in memory.
+const COLUMNS_PER_HALF: f32 = 4.0;
+/// Ellipses and rays per parallel job; fixed, so that results do not depend on the number of threads.
+const CHUNK: usize = 1024;
+const _: () = assert!(CHUNK.is_multiple_of(LANES));
 
-/// One Gaussian on the plane.
+/// A ray on the plane.
 #[derive(Debug, Clone, Copy)]
-struct Ellipse {
-    centre: Vec2,
-    conic: [f32; 3],
-    /// Squared distance beyond which it ends.
-    reach_square: f32,
-    /// Depth of the peak toward the light at the centre, metres, and its change over the plane.
+struct PlaneRay {
+    place: Vec2,
+    /// Depth beyond which peaks count, metres.
     depth: f32,
-    slope: Vec2,
-    opacity: f32,
+    /// The Gaussian it starts from.
     id: u32,
 }
 
+/// Ellipses of about one size.
+struct Level {
+    cells: Cells,
+    /// Where they begin in the list of all.
+    first: usize,
+    /// The largest half sizes.
+    half: Vec2,
+}
+
 /// Gaussians listed by where they stand in the plane normal to a light.
-pub(super) struct SunPlane {
-    right: Vec3,
-    up: Vec3,
-    direction: Vec3,
-    corner: Vec2,
-    inverse_cell: f32,
-    columns: usize,
-    rows: usize,
-    starts: Vec<u32>,
-    /// Places in `ellipses`, cell after cell.
-    list: Vec<u32>,
+pub(super) struct PlaneTrace {
+    axes: Axes,
+    levels: Vec<Level>,
+    /// Level after level, cell after cell.
     ellipses: Vec<Ellipse>,
+    /// The same, eight at a time.
+    blocks: Vec<Block>,
+    /// Mean half sizes.
+    half: Vec2,
 }
 
-fn ellipse(occluder: &Occluder, id: usize, axes: (Vec3, Vec3, Vec3)) -> Option<(Ellipse, Vec2)> {
-    if occluder.reach_square <= 0.0 {
-        return None;
+/// The numbers of the ellipses of every level.
+fn by_size(all: &[Ellipse], mean_half: Vec2) -> [Vec<u32>; LEVELS] {
+    let mut levels: [Vec<u32>; LEVELS] = Default::default();
+    for (number, ellipse) in all.iter().enumerate().filter(|(_, ellipse)| ellipse.exists()) {
+        let size = (ellipse.half / mean_half).max_element() / SMALLEST;
+        let doublings = (1..LEVELS).filter(|&level| size > (1u32 << (level - 1)) as f32).count();
+        levels[doublings].push(number as u32);
     }
-    let whitened = |axis: Vec3| occluder.spread.transpose() * axis;
-    let (a, b, c) = (whitened(axes.0), whitened(axes.1), whitened(axes.2));
-    let (xx, xy, yy) = (a.dot(a), a.dot(b), b.dot(b));
-    // The determinant as the squared area of the two whitened axes: never negative, no cancellation for a thin disc.
-    let det = a.cross(b).length_squared();
-    if !(det > 0.0 && det.is_finite()) {
-        return None;
-    }
-    let conic = [yy / det, -xy / det, xx / det];
-    let (cx, cy) = (c.dot(a), c.dot(b));
-    let slope = Vec2::new(conic[0] * cx + conic[1] * cy, conic[1] * cx + conic[2] * cy);
-    let centre = Vec2::new(axes.0.dot(occluder.position), axes.1.dot(occluder.position));
-    let depth = axes.2.dot(occluder.position);
-    let half = Vec2::new((xx * occluder.reach_square).sqrt(), (yy * occluder.reach_square).sqrt());
-    let shape = Ellipse {
-        centre,
-        conic,
-        reach_square: occluder.reach_square,
-        depth,
-        slope,
-        opacity: occluder.opacity,
-        id: id as u32,
-    };
-    (centre.is_finite() && half.is_finite()).then_some((shape, half))
+    levels
 }
 
-impl SunPlane {
+/// Cells for what is looked for within `half`: whole rows of cells cost a look each, columns cost nothing.
+fn cell(half: Vec2) -> Vec2 {
+    Vec2::new(half.x / COLUMNS_PER_HALF, half.y)
+}
+
+impl PlaneTrace {
     /// Lists `occluders` for light from `direction` (unit, toward the light).
-    pub(super) fn new(occluders: &[Occluder], direction: Vec3) -> Self {
-        // Duff et al. 2017: no direction is special.
-        let (right, up) = direction.any_orthonormal_pair();
-        let found: Vec<Option<(Ellipse, Vec2)>> = occluders
+    pub(super) fn new(occluders: &Occluders, direction: Vec3) -> Self {
+        let axes = Axes::new(direction);
+        let all: Vec<Ellipse> = occluders
+            .list
             .par_iter()
             .with_min_len(512)
             .enumerate()
-            .map(|(id, occluder)| ellipse(occluder, id, (right, up, direction)))
+            .map(|(id, occluder)| Ellipse::new(occluder, id, &axes))
             .collect();
-        let (mut low, mut high) = (Vec2::INFINITY, Vec2::NEG_INFINITY);
-        let mut count = 0usize;
-        let mut halves = 0.0f64;
-        for (shape, half) in found.iter().flatten() {
-            halves += f64::from((half.x * half.y).sqrt());
-            low = low.min(shape.centre);
-            high = high.max(shape.centre);
+        let (mut sum, mut count) = ([0.0f64; 2], 0usize);
+        for ellipse in all.iter().filter(|ellipse| ellipse.exists()) {
+            sum = [sum[0] + f64::from(ellipse.half.x), sum[1] + f64::from(ellipse.half.y)];
             count += 1;
         }
-        if count == 0 {
-            (low, high) = (Vec2::ZERO, Vec2::ZERO);
-        }
-        let extent = (high - low).max(Vec2::splat(1e-6));
-        let half = (halves / count.max(1) as f64) as f32;
-        let cell = (CELL_HALVES * half).max(extent.max_element() / CELLS_MAX as f32);
-        let cells = |length: f32| ((length / cell) as usize + 1).min(CELLS_MAX + 1);
+        let half = Vec2::from(sum.map(|s| (s / count.max(1) as f64) as f32)).max(Vec2::splat(1e-9));
         let mut plane = Self {
-            right,
-            up,
-            direction,
-            corner: low,
-            inverse_cell: 1.0 / cell,
-            columns: cells(extent.x),
-            rows: cells(extent.y),
-            starts: Vec::new(),
-            list: Vec::new(),
-            ellipses: Vec::new(),
+            axes,
+            levels: Vec::new(),
+            ellipses: Vec::with_capacity(count),
+            blocks: Vec::new(),
+            half,
         };
-        plane.deal(found.into_iter().flatten().collect());
+        for numbers in by_size(&all, half).iter().filter(|numbers| !numbers.is_empty()) {
+            plane.add_level(&all, numbers);
+        }
+        plane.blocks = plane.ellipses.par_chunks(LANES).with_min_len(256).map(Block::new).collect();
         plane
     }
 
-    fn cell(&self, place: Vec2) -> (usize, usize) {
-        let at = (place - self.corner) * self.inverse_cell;
-        (
-            (at.x.max(0.0) as usize).min(self.columns - 1),
-            (at.y.max(0.0) as usize).min(self.rows - 1),
-        )
+    fn add_level(&mut self, all: &[Ellipse], numbers: &[u32]) {
+        let of_level = |place: usize| &all[numbers[place] as usize];
+        let half = (0..numbers.len()).fold(Vec2::ZERO, |half, place| half.max(of_level(place).half));
+        let centres: Vec<Vec2> = (0..numbers.len()).map(|place| of_level(place).centre).collect();
+        let (cells, order) = Cells::sort(&centres, cell(half));
+        self.levels.push(Level {
+            cells,
+            first: self.ellipses.len(),
+            half,
+        });
+        let sorted = order.par_iter().with_min_len(4096).map(|&place| *of_level(place as usize));
+        self.ellipses.par_extend(sorted);
     }
 
-    /// Deals the ellipses to the cells they touch, in order of their Gaussians.
-    fn deal(&mut self, found: Vec<(Ellipse, Vec2)>) {
-        let spans: Vec<Span> = found
+    fn on_plane(&self, ray: &LightRay, origin: u32) -> PlaneRay {
+        PlaneRay {
+            place: self.axes.place(ray.origin),
+            depth: self.axes.light.dot(ray.origin) + ray.bias,
+            id: origin,
+        }
+    }
+
+    /// What every ray meets; `rays` start from `origins`.
+    pub(super) fn shades(&self, rays: &[LightRay], origins: &[u32]) -> Vec<Shade> {
+        let mut shades = vec![Shade::default(); rays.len()];
+        let chunks = rays.par_chunks(CHUNK).zip(origins.par_chunks(CHUNK));
+        chunks
+            .zip(shades.par_chunks_mut(CHUNK))
+            .for_each(|((rays, origins), shades)| {
+                let rays = rays.iter().zip(origins).map(|(ray, &origin)| self.on_plane(ray, origin));
+                shade(&rays.collect::<Vec<_>>(), self, shades);
+            });
+        shades
+    }
+
+    /// Adds the gradients of the occluders.
+    pub(super) fn backward(&self, gaussians: &Table, occluders: &Occluders, back: &RaysBack, out: &mut Table) {
+        let telling: Vec<u32> = (0..back.d_log.len() as u32)
+            .filter(|&place| back.d_log[place as usize] != 0.0)
+            .collect();
+        let places: Vec<(PlaneRay, f32)> = telling
             .par_iter()
-            .with_min_len(4096)
-            .map(|(shape, half)| {
-                let ((c0, r0), (c1, r1)) = (self.cell(shape.centre - *half), self.cell(shape.centre + *half));
-                Span {
-                    columns: (c0 as u16, c1 as u16 + 1),
-                    rows: (r0 as u16, r1 as u16 + 1),
-                }
+            .with_min_len(CHUNK)
+            .map(|&place| {
+                let place = place as usize;
+                (self.on_plane(&back.rays[place], back.origins[place]), back.d_log[place])
             })
             .collect();
-        let places = Rows::new(&spans, self.rows, |place| place as u32);
-        let span = |place: u32| spans[place as usize];
-        let row_starts = (0..self.rows)
-            .into_par_iter()
-            .map(|row| cell_starts(places.row(row), span, self.columns))
-            .collect();
-        let mut list = Vec::new();
-        let (starts, row_lists) = cut_rows(row_starts, &mut list);
-        row_lists.into_par_iter().for_each(|mut cells| {
-            for &place in places.row(cells.row).flatten() {
-                for next in &mut cells.starts[span(place).columns()] {
-                    cells.list[*next as usize] = place;
-                    *next += 1;
+        let grid = RayGrid::new(&places, cell(self.half));
+        let mut moments = vec![Moments::default(); self.ellipses.len()];
+        let chunks = self.ellipses.par_chunks(CHUNK).zip(moments.par_chunks_mut(CHUNK));
+        chunks.for_each(|(ellipses, moments)| gather(ellipses, &grid, moments));
+        let mut place_of = vec![u32::MAX; gaussians.count];
+        for (place, ellipse) in self.ellipses.iter().enumerate() {
+            place_of[ellipse.id as usize] = place as u32;
+        }
+        out.add_core_by_range(CHUNK, |range, add| {
+            let first = range * CHUNK;
+            for id in first..(first + CHUNK).min(gaussians.count) {
+                let place = place_of[id] as usize;
+                if moments.get(place).is_some_and(|m| m.h != 0.0) {
+                    let (ellipse, moments) = (&self.ellipses[place], &moments[place]);
+                    let d = self.of_gaussian(gaussians, &occluders.list[id], ellipse, moments);
+                    add(id - first, &d);
                 }
             }
         });
-        self.starts = starts;
-        self.list = list;
-        self.ellipses = found.into_iter().map(|(shape, _)| shape).collect();
     }
 
-    /// Calls `visit` with every Gaussian that a ray from `origin` meets beyond `bias` metres, and its `α̃` before saturation, until it
-    /// says that it has seen enough.
-    #[inline]
-    pub(super) fn visit(&self, origin: Vec3, bias: f32, mut visit: impl FnMut(u32, f32) -> bool) {
-        let place = Vec2::new(self.right.dot(origin), self.up.dot(origin));
-        let depth = self.direction.dot(origin) + bias;
-        let (column, row) = self.cell(place);
-        let cell = row * self.columns + column;
-        for &listed in &self.list[self.starts[cell] as usize..self.starts[cell + 1] as usize] {
-            let e = &self.ellipses[listed as usize];
-            let d = place - e.centre;
-            let q = (e.conic[0] * d.x + 2.0 * e.conic[1] * d.y) * d.x + e.conic[2] * d.y * d.y;
-            let peak = e.depth + e.slope.dot(d);
-            // Both at once: either alone is a coin toss, both together are rare and foreseen.
-            if (q < e.reach_square) & (peak > depth) {
-                let more = visit(e.id, e.opacity * (-0.5 * q.max(0.0)).exp());
-                if !more {
-                    return;
-                }
-            }
+    fn of_gaussian(
+        &self,
+        gaussians: &Table,
+        occluder: &Occluder,
+        ellipse: &Ellipse,
+        moments: &Moments,
+    ) -> CoreGradient {
+        let shape = moments.back(ellipse, &self.axes, occluder);
+        CoreGradient {
+            position: shape.position,
+            log_scale: shape.log_scale,
+            rotation: rotation_backward(gaussians.raw_rotation(ellipse.id as usize), shape.rotation),
+            // h is ∂L/∂ ln α̃ = ∂L/∂ ln o, and do/dlogit = o (1 - o).
+            opacity: moments.h * (1.0 - occluder.opacity),
         }
     }
 }

@@ -78,7 +78,8 @@ fn splat_rates(site: &Site) -> (f64, f64, f64) {
     (forward / pairs * 1e9, backward / pairs * 1e9, pairs / pixels)
 }
 
-/// Nanoseconds per ray toward the sun: listing or building, tracing, and gradients of everything.
+/// Nanoseconds per ray toward the sun of a step in training: listing, or fitting the hierarchy to Gaussians that have moved;
+/// tracing; and gradients of everything.
 fn light_rate(site: &Site, route: Route) -> f64 {
     let gaussians = &site.parameters.gaussians;
     let origins: Vec<u32> = (0..gaussians.count as u32).collect();
@@ -88,9 +89,10 @@ fn light_rate(site: &Site, route: Route) -> f64 {
     };
     let gradients = vec![1.0; origins.len()];
     let mut out = gaussians.zeros_like();
+    let mut occluders = Occluders::new(gaussians);
     let whole = seconds(|| {
-        let occluders = Occluders::new(gaussians);
-        let traced = transmittance(gaussians, &occluders, &origins, &site.sun, &options);
+        occluders.renew(gaussians);
+        let traced = transmittance(&occluders, &origins, &site.sun, &options);
         traced.backward(gaussians, &occluders, &origins, &gradients, &mut out);
     });
     whole / origins.len() as f64 * 1e9

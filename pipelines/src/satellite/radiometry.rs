@@ -41,7 +41,7 @@ fn samples(gaussians: &Table, occluders: &Occluders, view: &View, maps: &Maps, f
     let all: Vec<u32> = (0..gaussians.count as u32).collect();
     let lit: Vec<f32> = match &view.light {
         Some(light @ Light::Directional(_)) => {
-            transmittance(gaussians, occluders, &all, light, &TraceOptions::default()).values
+            transmittance(occluders, &all, light, &TraceOptions::default()).values
         }
         _ => vec![1.0; all.len()],
     };
