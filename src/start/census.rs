@@ -7,9 +7,27 @@ use crate::simd::vectorised;
 pub(super) const RADIUS: usize = 3;
 /// Neighbours compared: the full 5 × 5 window, and every other cell of the ring around it for reach.
 pub(super) const COMPARISONS: u32 = 24;
-/// Set where the window is not complete.
-pub(super) const INVALID: u64 = 1 << 63;
-const MASK: u64 = (1 << COMPARISONS) - 1;
+/// Set in [`Words::darker`] where the window is not complete.
+pub(super) const INVALID: u32 = 1 << 31;
+
+/// Descriptors of some cells, a bit per neighbour in each list: thirty-two bits, so that eight cells are worked on together.
+#[derive(Debug, Clone, Default, PartialEq)]
+pub(super) struct Words {
+    /// Neighbours that are darker than the cell.
+    pub(super) darker: Vec<u32>,
+    /// Neighbours that are about as bright.
+    pub(super) alike: Vec<u32>,
+}
+
+impl Words {
+    /// Room for `cells`.
+    pub(super) fn new(cells: usize) -> Self {
+        Self {
+            darker: vec![0; cells],
+            alike: vec![0; cells],
+        }
+    }
+}
 
 const fn offsets() -> [(isize, isize); COMPARISONS as usize] {
     let mut list = [(0, 0); COMPARISONS as usize];
@@ -31,43 +49,102 @@ const OFFSETS: [(isize, isize); COMPARISONS as usize] = offsets();
 
 vectorised! {
     /// Descriptors of a block of `width × height` cells from their values, which reach [`RADIUS`] further on every side.
-    pub(super) fn describe(values: &[f32], width: usize, height: usize, alike: f32, out: &mut [u64]) {
+    pub(super) fn describe(values: &[f32], width: usize, height: usize, alike: f32, out: &mut Words) {
         let stride = width + 2 * RADIUS;
         for row in 0..height {
             let centre_at = (row + RADIUS) * stride + RADIUS;
-            let centre = &values[centre_at..centre_at + width];
-            let out = &mut out[row * width..(row + 1) * width];
-            for (word, value) in out.iter_mut().zip(centre) {
-                *word = if value.is_nan() { INVALID } else { 0 };
-            }
-            for (bit, &(dc, dr)) in OFFSETS.iter().enumerate() {
-                let at = (centre_at as isize + dr * stride as isize + dc) as usize;
-                let near = &values[at..at + width];
-                for ((word, value), other) in out.iter_mut().zip(centre).zip(near) {
-                    let missing = if other.is_nan() { INVALID } else { 0 };
-                    *word |= (u64::from(other < value) << bit)
-                        | (u64::from((other - value).abs() < alike) << (bit + 24))
-                        | missing;
-                }
-            }
+            let cells = row * width..(row + 1) * width;
+            let (darker, near) = (&mut out.darker[cells.clone()], &mut out.alike[cells]);
+            describe_row(&values[centre_at - RADIUS * stride - RADIUS..], stride, alike, darker, near);
         }
     }
+}
+
+/// Cells that are described together: their words stay in registers.
+const LANES: usize = 8;
+
+/// Descriptors of a row of cells; `values` begins at the upper left corner of the first window.
+#[inline(always)]
+fn describe_row(values: &[f32], stride: usize, alike: f32, darker: &mut [u32], near: &mut [u32]) {
+    let width = darker.len();
+    for first in (0..width).step_by(LANES) {
+        // The last group begins earlier, so that it is whole; a row of less than a group goes cell by cell.
+        if width < LANES {
+            for k in 0..width {
+                let [d, n] = describe_cells::<1>(&values[k..], stride, alike);
+                (darker[k], near[k]) = (d[0], n[0]);
+            }
+            return;
+        }
+        let first = first.min(width - LANES);
+        let [d, n] = describe_cells::<LANES>(&values[first..], stride, alike);
+        darker[first..first + LANES].copy_from_slice(&d);
+        near[first..first + LANES].copy_from_slice(&n);
+    }
+}
+
+/// What is darker and what is alike around `N` neighbouring cells.
+#[inline(always)]
+fn describe_cells<const N: usize>(values: &[f32], stride: usize, alike: f32) -> [[u32; N]; 2] {
+    let at = |col: isize, row: isize| {
+        let start = (RADIUS as isize + row) as usize * stride + (RADIUS as isize + col) as usize;
+        let mut lane = [0.0; N];
+        lane.copy_from_slice(&values[start..start + N]);
+        lane
+    };
+    let centre = at(0, 0);
+    let (mut darker, mut near) = ([0u32; N], [0u32; N]);
+    // A sum is NaN where any part of it is.
+    let mut sum = centre;
+    for (bit, &(col, row)) in OFFSETS.iter().enumerate() {
+        let other = at(col, row);
+        for l in 0..N {
+            let difference = other[l] - centre[l];
+            darker[l] |= u32::from(difference < 0.0) << bit;
+            near[l] |= u32::from(difference.abs() < alike) << bit;
+            sum[l] += difference;
+        }
+    }
+    for l in 0..N {
+        darker[l] |= if sum[l].is_nan() { INVALID } else { 0 };
+    }
+    [darker, near]
 }
 
 vectorised! {
     /// Adds to `sum` the weighted distance between two blocks of descriptors, cut off at `cut`, and to `weights` the weight,
     /// where both are valid.
-    pub(super) fn compare(a: &[u64], b: &[u64], weight: u32, cut: u32, sum: &mut [u32], weights: &mut [u32]) {
-        for (((a, b), sum), weights) in a.iter().zip(b).zip(sum.iter_mut()).zip(weights.iter_mut()) {
-            let both = ((a & b) >> 24) & MASK;
-            let n = both.count_ones() as f32;
-            let distance = (24.0 * (((a ^ b) & both).count_ones() as f32 + 1.0) / (n + 2.0)) as u32;
-            let distance = distance.min(cut);
-            let weight = if (a | b) & INVALID == 0 { weight } else { 0 };
-            *sum += weight * distance;
-            *weights += weight;
+    pub(super) fn compare(a: &Words, b: &Words, weight: u32, cut: u32, sum: &mut [u32], weights: &mut [u32]) {
+        let cells = sum.len();
+        let (a_darker, a_alike) = (&a.darker[..cells], &a.alike[..cells]);
+        let (b_darker, b_alike) = (&b.darker[..cells], &b.alike[..cells]);
+        let weights = &mut weights[..cells];
+        for k in 0..cells {
+            let both = a_alike[k] & b_alike[k];
+            let n = small(both.count_ones());
+            let differing = small(((a_darker[k] ^ b_darker[k]) & both).count_ones());
+            let distance = floor(24.0 * (differing + 1.0) / (n + 2.0));
+            let distance = if distance < cut { distance } else { cut };
+            let weight = if (a_darker[k] | b_darker[k]) & INVALID == 0 { weight } else { 0 };
+            sum[k] += weight * distance;
+            weights[k] += weight;
         }
     }
+}
+
+/// Adding it to a number below 2²² leaves the nearest whole number in the low bits.
+const MAGIC: f32 = 12_582_912.0;
+
+/// A small whole number; conversions of unsigned numbers are slow in lanes.
+#[inline(always)]
+fn small(n: u32) -> f32 {
+    f32::from_bits(MAGIC.to_bits() | n) - MAGIC
+}
+
+/// The whole part of a ratio of positive whole numbers, the lower at most 26.
+#[inline(always)]
+fn floor(x: f32) -> u32 {
+    ((x - 0.49) + MAGIC).to_bits() & 0x003f_ffff
 }
 
 #[cfg(test)]
@@ -83,11 +160,11 @@ mod tests {
     #[test]
     fn the_descriptor_does_not_see_gain_and_offset() {
         let (width, stride) = (6, 6 + 2 * RADIUS);
-        let (mut a, mut b) = (vec![0; 36], vec![0; 36]);
+        let (mut a, mut b) = (Words::new(36), Words::new(36));
         describe(&ramp(stride, 1.0), width, width, 1e3, &mut a);
         describe(&ramp(stride, 3.5), width, width, 3.5e3, &mut b);
         assert_eq!(a, b);
-        assert!(a.iter().any(|&word| word != a[0]));
+        assert!(a.darker.iter().any(|&word| word != a.darker[0]));
     }
 
     #[test]
@@ -95,12 +172,38 @@ mod tests {
         let (width, stride) = (6, 6 + 2 * RADIUS);
         let mut values = ramp(stride, 1.0);
         values[0] = f32::NAN;
-        let mut words = vec![0; 36];
+        let mut words = Words::new(36);
         describe(&values, width, width, 1e3, &mut words);
-        assert_ne!(words[0] & INVALID, 0, "the window of the first cell holds the hole");
-        assert_eq!(words[35] & INVALID, 0);
+        assert_ne!(words.darker[0] & INVALID, 0, "the window of the first cell holds the hole");
+        assert_eq!(words.darker[35] & INVALID, 0);
         let (mut sum, mut weights) = (vec![0; 36], vec![0; 36]);
         compare(&words, &words, 3, 10, &mut sum, &mut weights);
         assert_eq!((weights[0], weights[35], sum[35]), (0, 3, 0));
+    }
+
+    #[test]
+    fn whole_parts_are_those_of_the_ratio() {
+        for lower in 2..=26u32 {
+            for upper in 1..=25u32 {
+                let ratio = 24.0 * small(upper) / small(lower);
+                assert_eq!(floor(ratio), 24 * upper / lower, "24 * {upper} / {lower}");
+            }
+        }
+    }
+
+    #[test]
+    fn cells_of_a_narrow_row_are_described_as_those_of_a_wide_one() {
+        let values = ramp(20 + 2 * RADIUS, 1.0);
+        let stride = 20 + 2 * RADIUS;
+        let mut wide = Words::new(20);
+        describe(&values, 20, 1, 7.0, &mut wide);
+        let narrow: Vec<f32> = values
+            .chunks(stride)
+            .take(1 + 2 * RADIUS)
+            .flat_map(|row| row[..3 + 2 * RADIUS].to_vec())
+            .collect();
+        let mut few = Words::new(3);
+        describe(&narrow, 3, 1, 7.0, &mut few);
+        assert_eq!((&wide.darker[..3], &wide.alike[..3]), (&few.darker[..], &few.alike[..]));
     }
 }

@@ -1,10 +1,10 @@
 //! How badly the views agree on each cell at each altitude.
 
 use super::bands::Bands;
-use super::census::{self, COMPARISONS, INVALID, RADIUS};
+use super::census::{self, COMPARISONS, INVALID, RADIUS, Words};
 use super::grid::{Grid, Ladder};
 use super::pairs::Pair;
-use super::views::LevelView;
+use super::views::{LevelView, Line, Place};
 use super::visibility::FirstHits;
 use rayon::prelude::*;
 
@@ -78,8 +78,8 @@ impl Matching<'_> {
         let WideBlock { width, height, .. } = *block;
         let cells = width * height;
         for (view, index) in self.views.iter().zip(0..) {
-            self.sample_block(view, block, altitude_m, &mut scratch.values);
-            let words = &mut scratch.words[index][..cells];
+            self.sample_block(view, block, altitude_m, scratch);
+            let words = &mut scratch.words[index];
             census::describe(&scratch.values, width, height, self.alike * view.contrast, words);
             if let Some(hits) = self.hits {
                 self.drop_hidden(
@@ -87,7 +87,7 @@ impl Matching<'_> {
                     &hits[index],
                     block,
                     altitude_m,
-                    &mut scratch.words[index][..cells],
+                    &mut scratch.words[index].darker[..cells],
                 );
             }
         }
@@ -97,7 +97,7 @@ impl Matching<'_> {
         let cut = (CUT * COMPARISONS as f32) as u32;
         let mut full = 0;
         for pair in self.pairs {
-            let (a, b) = (&scratch.words[pair.a][..cells], &scratch.words[pair.b][..cells]);
+            let (a, b) = (&scratch.words[pair.a], &scratch.words[pair.b]);
             census::compare(a, b, pair.weight, cut, sum, weights);
             full += pair.weight;
         }
@@ -108,7 +108,7 @@ impl Matching<'_> {
     }
 
     /// Values of a view on the block and its margin at one altitude.
-    fn sample_block(&self, view: &LevelView, block: &WideBlock, altitude_m: f32, out: &mut [f32]) {
+    fn sample_block(&self, view: &LevelView, block: &WideBlock, altitude_m: f32, scratch: &mut Scratch) {
         let columns = block.width + 2 * RADIUS;
         let rows = block.height + 2 * RADIUS;
         let camera = &view.camera;
@@ -119,15 +119,15 @@ impl Matching<'_> {
             let p = self.grid.point(col0, row0 + row as isize, altitude_m);
             let (u, v) = (camera.u.dot(p) + camera.u0, camera.v.dot(p) + camera.v0);
             let w = 1.0 + camera.w.dot(p);
-            for (k, value) in out[row * columns..(row + 1) * columns].iter_mut().enumerate() {
-                let k = k as f32;
-                let inverse = 1.0 / (w + k * dw);
-                *value = view.sample((u + k * du) * inverse, (v + k * dv) * inverse);
-            }
+            let line = Line {
+                start: [u, v, w],
+                step: [du, dv, dw],
+            };
+            view.sample_line(&line, &mut scratch.places[..columns], &mut scratch.values[row * columns..][..columns]);
         }
     }
 
-    fn drop_hidden(&self, index: usize, hits: &FirstHits, block: &WideBlock, altitude_m: f32, words: &mut [u64]) {
+    fn drop_hidden(&self, index: usize, hits: &FirstHits, block: &WideBlock, altitude_m: f32, words: &mut [u32]) {
         let camera = &self.views[index].camera;
         for (k, word) in words.iter_mut().enumerate() {
             let (col, row) = (
@@ -184,7 +184,8 @@ impl Block {
 
 struct Scratch {
     values: Vec<f32>,
-    words: Vec<Vec<u64>>,
+    places: Vec<Place>,
+    words: Vec<Words>,
     sum: Vec<u32>,
     weights: Vec<u32>,
     cost: Vec<u8>,
@@ -197,8 +198,9 @@ impl Scratch {
         let margin = 2 * (RADIUS + radius);
         Self {
             values: vec![0.0; (BLOCK.0 + margin) * (BLOCK.1 + margin)],
+            places: vec![Place::default(); BLOCK.1 + margin],
             across: vec![0; cells],
-            words: vec![vec![0; cells]; views],
+            words: vec![Words::new(cells); views],
             sum: vec![0; cells],
             weights: vec![0; cells],
             cost: vec![0; cells],

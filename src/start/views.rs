@@ -1,5 +1,6 @@
 //! What the sweep sees of a view: one band, at the resolution of the grid.
 
+use crate::simd::vectorised;
 use crate::{ProjectiveCamera, Raster};
 use glam::{Vec2, Vec3};
 
@@ -70,6 +71,26 @@ impl LevelView {
         }
     }
 
+    /// Bilinear values where a line of the ground falls; NaN outside the image and beside missing pixels. `places` is room to work
+    /// in, one for every value.
+    pub(super) fn sample_line(&self, line: &Line, places: &mut [Place], out: &mut [f32]) {
+        find(line, self.width, self.height, places);
+        for (place, value) in places.iter().zip(out) {
+            let i = place.index as usize;
+            // Two pixels of two rows; a place beyond the image has the index of the first and no weight.
+            let (Some(&[a, b]), Some(&[c, d])) = (
+                self.pixels[i..].first_chunk::<2>(),
+                self.pixels[i + self.width..].first_chunk::<2>(),
+            ) else {
+                *value = f32::NAN;
+                continue;
+            };
+            let top = a + (b - a) * place.fraction[0];
+            let bottom = c + (d - c) * place.fraction[0];
+            *value = top + (bottom - top) * place.fraction[1];
+        }
+    }
+
     /// Bilinear value at a pixel position; NaN outside the image and beside missing pixels.
     #[inline]
     pub(super) fn sample(&self, col: f32, row: f32) -> f32 {
@@ -87,6 +108,66 @@ impl LevelView {
         let bottom = lower[0] + (lower[1] - lower[0]) * fc;
         top + (bottom - top) * fr
     }
+}
+
+/// Points of the ground at equal distances, as a camera's three forms see them: column `(u + k du) / (w + k dw)`, row likewise.
+pub(super) struct Line {
+    /// The forms u, v, w at the first point.
+    pub(super) start: [f32; 3],
+    /// Their change from one point to the next.
+    pub(super) step: [f32; 3],
+}
+
+/// Where a value is taken from an image.
+#[derive(Debug, Clone, Copy, Default)]
+pub(super) struct Place {
+    /// The upper left of four pixels.
+    index: u32,
+    /// Fractions of the column and of the row; NaN outside the image.
+    fraction: [f32; 2],
+}
+
+vectorised! {
+    /// Finds the places of the points of a line in an image.
+    fn find(line: &Line, width: usize, height: usize, places: &mut [Place]) {
+        let (columns, rows) = ((width - 1) as f32, (height - 1) as f32);
+        let (mut points, mut k) = (places.chunks_mut(POINTS), 0.0f32);
+        while let Some(places) = points.next() {
+            let (mut index, mut across, mut down) = ([0u32; POINTS], [0.0f32; POINTS], [0.0f32; POINTS]);
+            for l in 0..POINTS {
+                let k = k + l as f32;
+                let inverse = 1.0 / (line.start[2] + k * line.step[2]);
+                let col = (line.start[0] + k * line.step[0]) * inverse;
+                let row = (line.start[1] + k * line.step[1]) * inverse;
+                // Written so that a NaN position is outside too.
+                let inside = (col >= 0.0) & (row >= 0.0) & (col < columns) & (row < rows);
+                let (col, row) = if inside { (col, row) } else { (0.0, 0.0) };
+                let (c, r) = (floor(col), floor(row));
+                index[l] = r.1 * width as u32 + c.1;
+                across[l] = if inside { col - c.0 } else { f32::NAN };
+                down[l] = row - r.0;
+            }
+            for (l, place) in places.iter_mut().enumerate() {
+                *place = Place {
+                    index: index[l],
+                    fraction: [across[l], down[l]],
+                };
+            }
+            k += POINTS as f32;
+        }
+    }
+}
+
+/// Points that are found together.
+const POINTS: usize = 8;
+
+/// The whole part of a number from 0 to below 2²², as a number and as an index, without a conversion, which is slow in lanes.
+#[inline(always)]
+fn floor(x: f32) -> (f32, u32) {
+    const MAGIC: f32 = 12_582_912.0; // 1.5 · 2²³: adding it rounds to the nearest whole number.
+    let nearest = (x + MAGIC) - MAGIC;
+    let whole = if nearest > x { nearest - 1.0 } else { nearest };
+    (whole, (whole + MAGIC).to_bits() & 0x003f_ffff)
 }
 
 fn mean_of_bands(image: &Raster) -> Raster {
@@ -109,5 +190,39 @@ fn contrast(image: &Raster) -> f32 {
         0.0
     } else {
         *differences.select_nth_unstable_by(middle, f32::total_cmp).1
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_values_of_a_line_are_those_of_its_points() {
+        let (width, height) = (40, 30);
+        let mut pixels: Vec<f32> = (0..width * height).map(|i| ((i * 7919) % 101) as f32).collect();
+        pixels[15 * width + 20] = f32::NAN;
+        let camera = ProjectiveCamera::new([1.0, 0.0, 0.0, 0.0], [0.0, 1.0, 0.0, 0.0], [0.0; 3], (width, height), glam::DVec3::NEG_Z);
+        let view = LevelView {
+            camera,
+            pixels,
+            width,
+            height,
+            contrast: 1.0,
+        };
+        for start in [[-3.2, 4.7, 1.0], [0.0, 0.0, 1.0], [3.0, 28.9, 1.0], [5.5, 14.5, 1.01], [f32::NAN, 1.0, 1.0]] {
+            let line = Line {
+                start,
+                step: [0.83, 0.21, 1e-4],
+            };
+            let mut values = vec![0.0; 61];
+            view.sample_line(&line, &mut [Place::default(); 61], &mut values);
+            for (k, value) in values.iter().enumerate() {
+                let k = k as f32;
+                let inverse = 1.0 / (start[2] + k * line.step[2]);
+                let expected = view.sample((start[0] + k * line.step[0]) * inverse, (start[1] + k * line.step[1]) * inverse);
+                assert_eq!(value.to_bits(), expected.to_bits(), "{start:?}, {k}: {value} against {expected}");
+            }
+        }
     }
 }
