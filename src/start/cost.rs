@@ -7,6 +7,7 @@ use super::pairs::Pair;
 use super::views::{LevelView, Line, Place};
 use super::visibility::FirstHits;
 use rayon::prelude::*;
+use std::collections::BTreeMap;
 
 /// Cells of a block: rows × columns small enough for the cache, large enough that the window's margin stays cheap.
 const BLOCK: (usize, usize) = (16, 64);
@@ -55,22 +56,33 @@ impl Matching<'_> {
 
     fn fill_block(&self, block: &Block, bands: &Bands, scratch: &mut Scratch, strip: &mut [u8]) {
         let strip_start = bands.start[block.row0 * self.grid.width];
-        let (mut first, mut last) = (usize::MAX, 0);
-        block.cells(&self.grid, |_, cell| {
-            first = first.min(usize::from(bands.low[cell]));
-            last = last.max(usize::from(bands.low[cell]) + bands.count(cell));
-        });
-        let wide = block.wider(self.radius);
-        for level in first..last {
-            self.block_costs(&wide, self.ladder.altitude(level as f32), scratch);
-            scratch.average(block, self.radius);
-            block.cells(&self.grid, |k, cell| {
+        for (level, part) in self.parts(block, bands) {
+            self.block_costs(&part.wider(self.radius), self.ladder.altitude(level as f32), scratch);
+            scratch.average(&part, self.radius);
+            part.cells(&self.grid, |k, cell| {
                 let low = usize::from(bands.low[cell]);
                 if level >= low && level < low + bands.count(cell) {
                     strip[bands.start[cell] - strip_start + level - low] = scratch.cost[k];
                 }
             });
         }
+    }
+
+    /// The levels that some cell of a block considers, each with the least part of the block that holds those cells: between the
+    /// ground and the roofs there is often none, and then nothing need be compared.
+    fn parts(&self, block: &Block, bands: &Bands) -> impl Iterator<Item = (usize, Block)> {
+        let mut parts: BTreeMap<usize, Block> = BTreeMap::new();
+        for row in block.row0..block.row1 {
+            for col in block.col0..block.col1 {
+                let cell = row * self.grid.width + col;
+                let low = usize::from(bands.low[cell]);
+                for level in low..low + bands.count(cell) {
+                    let this = Block::of_cell(row, col);
+                    parts.entry(level).and_modify(|part| part.grow(&this)).or_insert(this);
+                }
+            }
+        }
+        parts.into_iter()
     }
 
     /// Costs of a block at one altitude, into `scratch.cost`.
@@ -151,6 +163,23 @@ struct Block {
 }
 
 impl Block {
+    fn of_cell(row: usize, col: usize) -> Self {
+        Self {
+            row0: row,
+            row1: row + 1,
+            col0: col,
+            col1: col + 1,
+        }
+    }
+
+    /// Becomes the least block that holds another too.
+    fn grow(&mut self, other: &Self) {
+        self.row0 = self.row0.min(other.row0);
+        self.row1 = self.row1.max(other.row1);
+        self.col0 = self.col0.min(other.col0);
+        self.col1 = self.col1.max(other.col1);
+    }
+
     /// Calls with the index inside the block and the index on the grid of each cell.
     fn cells(&self, grid: &Grid, mut each: impl FnMut(usize, usize)) {
         let mut k = 0;
