@@ -1,6 +1,7 @@
 //! `(1-λ) L1 + λ (1 - SSIM)`, masked; SSIM after Wang et al. 2004 with a Gaussian window of 11 pixels, σ 1.5.
 
 use crate::raster::Raster;
+use crate::simd::vectorised;
 use rayon::prelude::*;
 
 /// Half size of the window, pixels.
@@ -21,74 +22,138 @@ fn window() -> [f32; 2 * RADIUS + 1] {
     weights.map(|w| w / sum)
 }
 
-/// Convolves a plane with the window; outside the plane is zero, which makes the operation its own adjoint.
-fn blur(plane: &[f32], width: usize) -> Vec<f32> {
-    let height = plane.len() / width;
-    let weights = window();
-    let mut across = vec![0.0f32; plane.len()];
-    across
-        .par_chunks_mut(width)
-        .with_min_len(16)
-        .zip(plane.par_chunks(width))
-        .for_each(|(out, row)| {
-            for (tap, &w) in weights.iter().enumerate() {
-                let (from, to) = if tap >= RADIUS {
-                    (tap - RADIUS, 0)
-                } else {
-                    (0, RADIUS - tap)
-                };
-                let len = width.saturating_sub(from.max(to));
-                for (o, r) in out[to.min(width)..].iter_mut().zip(&row[from.min(width)..]).take(len) {
-                    *o += w * r;
+/// Pixels that are convolved together: their sums stay in registers.
+const LANES: usize = 16;
+/// Rows per parallel job.
+const ROWS: usize = 16;
+
+vectorised! {
+    /// Convolves `rows` along their length; `padded` is room for a row with its margins.
+    fn along(rows: &[f32], width: usize, weights: &[f32; 2 * RADIUS + 1], padded: &mut [f32], out: &mut [f32]) {
+        for (row, out) in rows.chunks_exact(width).zip(out.chunks_exact_mut(width)) {
+            padded[RADIUS..RADIUS + width].copy_from_slice(row);
+            for (number, out) in out.chunks_mut(LANES).enumerate() {
+                let mut sums = [0.0; LANES];
+                for (tap, &w) in weights.iter().enumerate() {
+                    let from = &padded[number * LANES + tap..number * LANES + tap + LANES];
+                    for l in 0..LANES {
+                        sums[l] += w * from[l];
+                    }
                 }
+                out.copy_from_slice(&sums[..out.len()]);
             }
-        });
-    let mut out = vec![0.0f32; plane.len()];
-    out.par_chunks_mut(width)
-        .with_min_len(16)
-        .enumerate()
-        .for_each(|(r, out)| {
-            for (tap, &w) in weights.iter().enumerate() {
-                let source = r + tap;
-                if source >= RADIUS && source - RADIUS < height {
-                    let row = &across[(source - RADIUS) * width..(source - RADIUS + 1) * width];
-                    for (o, v) in out.iter_mut().zip(row) {
-                        *o += w * v;
+        }
+    }
+}
+
+vectorised! {
+    /// Sums the rows around row `row` of a plane, weighted.
+    fn across(plane: &[f32], width: usize, weights: &[f32; 2 * RADIUS + 1], row: usize, out: &mut [f32]) {
+        let height = plane.len() / width;
+        let taps = RADIUS.saturating_sub(row)..(2 * RADIUS + 1).min(height + RADIUS - row);
+        for (number, out) in out.chunks_mut(LANES).enumerate() {
+            let mut sums = [0.0; LANES];
+            for tap in taps.clone() {
+                let start = (row + tap - RADIUS) * width + number * LANES;
+                if let Some(from) = plane.get(start..start + LANES) {
+                    for l in 0..LANES {
+                        sums[l] += weights[tap] * from[l];
+                    }
+                } else {
+                    for (sum, value) in sums.iter_mut().zip(&plane[start..]) {
+                        *sum += weights[tap] * value;
                     }
                 }
             }
-        });
+            out.copy_from_slice(&sums[..out.len()]);
+        }
+    }
+}
+
+/// Convolves a plane with the window; outside the plane is zero, which makes the operation its own adjoint.
+fn blur(plane: &[f32], width: usize) -> Vec<f32> {
+    let weights = window();
+    let mut smooth = vec![0.0f32; plane.len()];
+    smooth
+        .par_chunks_mut(ROWS * width)
+        .zip(plane.par_chunks(ROWS * width))
+        .for_each_init(
+            || vec![0.0; width + 2 * RADIUS + LANES],
+            |padded, (out, rows)| along(rows, width, &weights, padded, out),
+        );
+    let mut out = vec![0.0f32; plane.len()];
+    let rows = out.par_chunks_mut(width).with_min_len(ROWS).enumerate();
+    rows.for_each(|(row, out)| across(&smooth, width, &weights, row, out));
     out
+}
+
+/// Windowed means of two planes and of their products.
+struct Means {
+    x: Vec<f32>,
+    y: Vec<f32>,
+    xx: Vec<f32>,
+    yy: Vec<f32>,
+    xy: Vec<f32>,
+}
+
+/// What [`ssim_pixels`] gives: SSIM times its weight, and its gradients to the means of x, xx and xy.
+struct Slopes {
+    value: Vec<f32>,
+    x: Vec<f32>,
+    xx: Vec<f32>,
+    xy: Vec<f32>,
+}
+
+vectorised! {
+    /// SSIM of every pixel.
+    fn ssim_pixels(means: &Means, weight: &[f32], out: &mut Slopes) {
+        let n = weight.len();
+        let (mx, my, xx) = (&means.x[..n], &means.y[..n], &means.xx[..n]);
+        let (yy, xy) = (&means.yy[..n], &means.xy[..n]);
+        let Slopes { value, x, xx: d_xx, xy: d_xy } = out;
+        let (value, d_mx, d_xx, d_xy) = (&mut value[..n], &mut x[..n], &mut d_xx[..n], &mut d_xy[..n]);
+        for i in 0..n {
+            let (a, b) = (mx[i], my[i]);
+            let (vx, vy, cov) = (xx[i] - a * a, yy[i] - b * b, xy[i] - a * b);
+            let (l_num, l_den) = (2.0 * a * b + C1, a * a + b * b + C1);
+            let (c_num, c_den) = (2.0 * cov + C2, vx + vy + C2);
+            let ssim = (l_num * c_num) / (l_den * c_den);
+            value[i] = weight[i] * ssim;
+            // Partial derivatives with vx = xx - a², cov = xy - a b.
+            let d_cov = weight[i] * 2.0 * l_num / (l_den * c_den);
+            let d_vx = -weight[i] * ssim / c_den;
+            d_xx[i] = d_vx;
+            d_xy[i] = d_cov;
+            d_mx[i] =
+                weight[i] * (2.0 * b * c_num / (l_den * c_den) - 2.0 * a * ssim / l_den) - 2.0 * a * d_vx - b * d_cov;
+        }
+    }
 }
 
 /// SSIM per pixel of two planes, and the gradient of `Σ weight · SSIM` to the first.
 fn ssim_plane(x: &[f32], y: &[f32], width: usize, weight: &[f32]) -> (f64, Vec<f32>) {
     let product = |a: &[f32], b: &[f32]| -> Vec<f32> { a.iter().zip(b).map(|(a, b)| a * b).collect() };
-    let (mx, my) = (blur(x, width), blur(y, width));
-    let (xx, yy, xy) = (
-        blur(&product(x, x), width),
-        blur(&product(y, y), width),
-        blur(&product(x, y), width),
+    let means = Means {
+        x: blur(x, width),
+        y: blur(y, width),
+        xx: blur(&product(x, x), width),
+        yy: blur(&product(y, y), width),
+        xy: blur(&product(x, y), width),
+    };
+    let room = || vec![0.0; x.len()];
+    let mut slopes = Slopes {
+        value: room(),
+        x: room(),
+        xx: room(),
+        xy: room(),
+    };
+    ssim_pixels(&means, weight, &mut slopes);
+    let total = slopes.value.iter().map(|&v| f64::from(v)).sum();
+    let (d_mx, d_xx, d_xy) = (
+        blur(&slopes.x, width),
+        blur(&slopes.xx, width),
+        blur(&slopes.xy, width),
     );
-    let mut d_mx = vec![0.0; x.len()];
-    let mut d_xx = vec![0.0; x.len()];
-    let mut d_xy = vec![0.0; x.len()];
-    let mut total = 0.0f64;
-    for i in 0..x.len() {
-        let (a, b) = (mx[i], my[i]);
-        let (vx, vy, cov) = (xx[i] - a * a, yy[i] - b * b, xy[i] - a * b);
-        let (l_num, l_den) = (2.0 * a * b + C1, a * a + b * b + C1);
-        let (c_num, c_den) = (2.0 * cov + C2, vx + vy + C2);
-        let ssim = (l_num * c_num) / (l_den * c_den);
-        total += f64::from(weight[i] * ssim);
-        // Partial derivatives with vx = xx - a², cov = xy - a b.
-        let d_cov = weight[i] * 2.0 * l_num / (l_den * c_den);
-        let d_vx = -weight[i] * ssim / c_den;
-        d_xx[i] = d_vx;
-        d_xy[i] = d_cov;
-        d_mx[i] = weight[i] * (2.0 * b * c_num / (l_den * c_den) - 2.0 * a * ssim / l_den) - 2.0 * a * d_vx - b * d_cov;
-    }
-    let (d_mx, d_xx, d_xy) = (blur(&d_mx, width), blur(&d_xx, width), blur(&d_xy, width));
     let gradient = (0..x.len())
         .map(|i| d_mx[i] + 2.0 * x[i] * d_xx[i] + y[i] * d_xy[i])
         .collect();
@@ -101,42 +166,49 @@ fn ssim_plane(x: &[f32], y: &[f32], width: usize, weight: &[f32]) -> (f64, Vec<f
 /// value is a mean over the weighted pixels and bands.
 pub fn photometric(image: &Raster, truth: &Raster, weight: &[f32], lambda_ssim: f32) -> (f64, Raster) {
     let mut gradient = Raster::filled(image.width, image.height, image.bands, 0.0);
-    let mut value = 0.0;
-    let plane = image.plane_len();
-    for band in 0..image.bands {
-        let (x, t) = (image.plane(band), truth.plane(band));
-        let weight: Vec<f32> = weight
-            .iter()
-            .zip(t)
-            .map(|(&w, t)| if t.is_finite() { w } else { 0.0 })
-            .collect();
-        let norm: f64 = weight.iter().map(|&w| f64::from(w)).sum::<f64>() * image.bands as f64;
-        if norm <= 0.0 {
-            continue;
-        }
-        // Where nothing counts, the truth is taken to be what was rendered: the window must not see a made-up edge.
-        let y: Vec<f32> = (0..plane).map(|i| if weight[i] > 0.0 { t[i] } else { x[i] }).collect();
-        let inverse = (1.0 / norm) as f32;
-        let (ssim, d_ssim) = if lambda_ssim > 0.0 {
-            ssim_plane(x, &y, image.width, &weight)
-        } else {
-            (norm / image.bands as f64, vec![0.0; plane])
-        };
-        let mut l1 = 0.0f64;
-        let out = gradient.plane_mut(band);
-        for i in 0..plane {
-            let difference = x[i] - y[i];
-            l1 += f64::from(weight[i] * difference.abs());
-            // At equality the derivative is zero (`signum` of zero is one).
-            let sign = if difference == 0.0 { 0.0 } else { difference.signum() };
-            let l1_part = (1.0 - lambda_ssim) * weight[i] * sign;
-            let own = if weight[i] > 0.0 { d_ssim[i] } else { 0.0 };
-            out[i] = (l1_part - lambda_ssim * own) * inverse;
-        }
-        let lambda = f64::from(lambda_ssim);
-        value += (1.0 - lambda) * l1 / norm + lambda * (1.0 / image.bands as f64 - ssim / norm);
+    let plane = image.plane_len().max(1);
+    let values: Vec<f64> = gradient
+        .values
+        .par_chunks_mut(plane)
+        .enumerate()
+        .map(|(band, out)| band_loss(image, truth, band, weight, lambda_ssim, out))
+        .collect();
+    (values.iter().sum(), gradient)
+}
+
+/// One band's part of the loss, and of its gradient.
+fn band_loss(image: &Raster, truth: &Raster, band: usize, weight: &[f32], lambda_ssim: f32, out: &mut [f32]) -> f64 {
+    let (x, t) = (image.plane(band), truth.plane(band));
+    let weight: Vec<f32> = weight
+        .iter()
+        .zip(t)
+        .map(|(&w, t)| if t.is_finite() { w } else { 0.0 })
+        .collect();
+    let norm: f64 = weight.iter().map(|&w| f64::from(w)).sum::<f64>() * image.bands as f64;
+    if norm <= 0.0 {
+        return 0.0;
     }
-    (value, gradient)
+    let plane = x.len();
+    // Where nothing counts, the truth is taken to be what was rendered: the window must not see a made-up edge.
+    let y: Vec<f32> = (0..plane).map(|i| if weight[i] > 0.0 { t[i] } else { x[i] }).collect();
+    let inverse = (1.0 / norm) as f32;
+    let (ssim, d_ssim) = if lambda_ssim > 0.0 {
+        ssim_plane(x, &y, image.width, &weight)
+    } else {
+        (norm / image.bands as f64, vec![0.0; plane])
+    };
+    let mut l1 = 0.0f64;
+    for i in 0..plane {
+        let difference = x[i] - y[i];
+        l1 += f64::from(weight[i] * difference.abs());
+        // At equality the derivative is zero (`signum` of zero is one).
+        let sign = if difference == 0.0 { 0.0 } else { difference.signum() };
+        let l1_part = (1.0 - lambda_ssim) * weight[i] * sign;
+        let own = if weight[i] > 0.0 { d_ssim[i] } else { 0.0 };
+        out[i] = (l1_part - lambda_ssim * own) * inverse;
+    }
+    let lambda = f64::from(lambda_ssim);
+    (1.0 - lambda) * l1 / norm + lambda * (1.0 / image.bands as f64 - ssim / norm)
 }
 
 #[cfg(test)]
