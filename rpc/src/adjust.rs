@@ -62,6 +62,8 @@ pub struct Sighting {
     pub image: usize,
     /// Where in it, pixels.
     pub at: ImagePoint,
+    /// How much it counts beside the others, 0 to 1: matches that look less alike are worse than their number says.
+    pub weight: f64,
 }
 
 /// One ground point seen in several images.

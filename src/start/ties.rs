@@ -30,7 +30,7 @@ use rayon::prelude::*;
 pub(super) const REACH: isize = 4;
 /// Half a patch, cells: 15 cells across.
 pub(super) const HALF: isize = 7;
-/// Coarsest level that ties may be sought on, and the level of the surface they lie on.
+/// Cells of the patches per cell of the surface they lie on: patches are wider than that.
 const SURFACE_FACTOR: usize = 2;
 /// Least correlation of a sighting with its reference.
 const LEAST_SCORE: f32 = 0.75;
@@ -69,7 +69,7 @@ pub struct TieOptions {
 /// Seeks ties between the views, whose cameras must agree to about [`REACH`] cells. The same for any number of threads.
 pub fn find_ties(views: &[SweepView], request: &SweepRequest, options: TieOptions) -> Vec<Tie> {
     let search = Search::new(views, request);
-    let Some(found) = search.descend(SURFACE_FACTOR.max(options.factor), &|_| {}) else {
+    let Some(found) = search.descend(SURFACE_FACTOR * options.factor, &|_| {}) else {
         return Vec::new();
     };
     let altitude = ortho::median(&found.grid, &found.altitude(), 2);

@@ -24,6 +24,8 @@ use nalgebra::Vector3;
 
 /// Ties sought at half resolution, and at full.
 const TILES: [usize; 2] = [900, 2000];
+/// Correlation at which a sighting counts nothing.
+const WORTHLESS_SCORE: f32 = 0.7;
 /// Ground added around the area so that ties near its edge have a surface, metres.
 const MARGIN_M: f64 = 4.0;
 
@@ -119,12 +121,21 @@ impl AdjustInput<'_> {
                 col: f64::from(sighting.col) + self.crops[sighting.view].col0 as f64,
                 row: f64::from(sighting.row) + self.crops[sighting.view].row0 as f64,
             },
+            weight: weight(sighting.score),
         });
         Track {
             near: self.frame.geo_from_enu(Vector3::new(near.x, near.y, near.z)),
             sightings: sightings.collect(),
         }
     }
+}
+
+/// How much a sighting of this correlation counts. What lowers correlation between dates are shadows above all, and those move
+/// matches too.
+fn weight(score: f32) -> f64 {
+    f64::from((score - WORTHLESS_SCORE) / (1.0 - WORTHLESS_SCORE))
+        .clamp(0.0, 1.0)
+        .powi(2)
 }
 
 /// Sightings that fit.

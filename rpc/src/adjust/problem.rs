@@ -13,9 +13,9 @@ use nalgebra::{Matrix2x3, Matrix3, SMatrix, SVector, Vector2, Vector3};
 /// Rounds in which every sighting counts alike: until biases are out, good ones cannot be told from bad ones.
 const PLAIN_ROUNDS: usize = 3;
 /// Rounds after which the scale of good residuals stays as it is.
-const SCALE_ROUNDS: usize = 15;
+const SCALE_ROUNDS: usize = 10;
 /// Corrections that change by less end the rounds, pixels.
-const LAST_CHANGE_PX: f64 = 1e-5;
+const LAST_CHANGE_PX: f64 = 1e-4;
 /// Rounds of triangulation with the cameras held.
 const POINT_ROUNDS: usize = 5;
 /// Weight that holds points where nothing else does, square pixels per square metre.
@@ -34,6 +34,8 @@ pub(super) struct Problem<'a> {
 #[derive(Debug, Clone)]
 pub(super) struct Linear {
     pub(super) image: usize,
+    /// How much the sighting counts if it fits.
+    pub(super) weight: f64,
     /// Seen minus corrected projection, pixels.
     pub(super) residual: Vector2<f64>,
     /// Pixels per metre east, north, up.
@@ -102,11 +104,7 @@ impl<'a> Problem<'a> {
             .iter()
             .map(|track| self.frame.enu_from_geo(track.near))
             .collect();
-        let mut weights: Vec<Vec<f64>> = self
-            .tracks
-            .iter()
-            .map(|track| vec![1.0; track.sightings.len()])
-            .collect();
+        let mut weights: Vec<Vec<f64>> = self.tracks.iter().map(|track| own_weights(track)).collect();
         let (mut sigma_px, mut rounds) = (f64::NAN, 0);
         self.triangulate(&corrections, &weights, &mut points)?;
         for round in 0..options.most_rounds {
@@ -135,7 +133,7 @@ impl<'a> Problem<'a> {
         let sides = Sides {
             before: self.linearised(&self.no_corrections(), &before)?,
             after: self.linearised(&corrections, &points)?,
-            weights,
+            sigma_px,
         };
         Ok(Adjustment {
             model: if K > 2 {
@@ -182,6 +180,7 @@ impl<'a> Problem<'a> {
             }
             Ok(Linear {
                 image: sighting.image,
+                weight: sighting.weight,
                 residual,
                 slope: by_geo * geo_from_enu,
                 from_centre: correction.from_centre(projected),
@@ -219,7 +218,7 @@ impl<'a> Problem<'a> {
 
     fn sigma_px(&self, linear: &[Vec<Linear>], parameters: usize) -> f64 {
         let several = || linear.iter().filter(|track| track.len() > 1);
-        let lengths: Vec<f64> = several().flatten().map(|line| line.residual.norm()).collect();
+        let lengths: Vec<f64> = several().flat_map(|track| robust::lengths_px(track)).collect();
         let equations = 2.0 * lengths.len() as f64;
         let unknowns = 3.0 * several().count() as f64 + (parameters * self.images.len()) as f64;
         robust::sigma_px(lengths, 1.0 - unknowns / equations.max(1.0))
@@ -242,10 +241,17 @@ impl<'a> Problem<'a> {
     }
 }
 
+fn own_weights(track: &Track) -> Vec<f64> {
+    track.sightings.iter().map(|sighting| sighting.weight).collect()
+}
+
 fn reweighted(linear: &[Vec<Linear>], sigma_px: f64) -> Vec<Vec<f64>> {
     let of_track = |track: &Vec<Linear>| {
-        let weight = |line: &Linear| robust::weight(line.residual.norm(), sigma_px);
-        track.iter().map(weight).collect()
+        let lengths_px = robust::lengths_px(track).into_iter();
+        let lines = track.iter().zip(lengths_px);
+        lines
+            .map(|(line, length_px)| line.weight * robust::weight(length_px, sigma_px))
+            .collect()
     };
     linear.iter().map(of_track).collect()
 }

@@ -67,7 +67,18 @@ pub struct ResidualVector {
 pub(super) struct Sides {
     pub(super) before: Vec<Vec<Linear>>,
     pub(super) after: Vec<Vec<Linear>>,
-    pub(super) weights: Vec<Vec<f64>>,
+    /// Standard deviation of a good sighting, pixels.
+    pub(super) sigma_px: f64,
+}
+
+impl Sides {
+    /// Which sightings of a track are good ones.
+    fn good(&self, after: &[Linear]) -> Vec<bool> {
+        let lengths_px = robust::lengths_px(after).into_iter();
+        lengths_px
+            .map(|length_px| robust::is_good(length_px, self.sigma_px))
+            .collect()
+    }
 }
 
 impl Spread {
@@ -84,21 +95,21 @@ impl Spread {
     }
 }
 
-/// Before and after of one sighting, and its weight.
-fn lines(sides: &Sides) -> impl Iterator<Item = (usize, &Linear, &Linear, f64)> {
-    let tracks = sides.before.iter().zip(&sides.after).zip(&sides.weights);
-    tracks.enumerate().flat_map(|(track, ((before, after), weights))| {
-        let sightings = before.iter().zip(after).zip(weights);
-        sightings.map(move |((before, after), &weight)| (track, before, after, weight))
+/// Track, before and after of one sighting, and whether it is a good one.
+fn lines(sides: &Sides) -> impl Iterator<Item = (usize, &Linear, &Linear, bool)> {
+    let tracks = sides.before.iter().zip(&sides.after);
+    tracks.enumerate().flat_map(move |(track, (before, after))| {
+        let sightings = before.iter().zip(after).zip(sides.good(after));
+        sightings.map(move |((before, after), good)| (track, before, after, good))
     })
 }
 
 pub(super) fn of_images(sides: &Sides, images: usize) -> Vec<ImageResiduals> {
     let mut lengths = vec![(0, Vec::new(), Vec::new()); images];
-    for (_, before, after, weight) in lines(sides) {
+    for (_, before, after, good) in lines(sides) {
         let (sightings, befores, afters) = &mut lengths[before.image];
         *sightings += 1;
-        if robust::is_good(weight) {
+        if good {
             befores.push(before.residual.norm());
             afters.push(after.residual.norm());
         }
@@ -116,23 +127,24 @@ pub(super) fn vectors(sides: &Sides, tracks: &[&Track]) -> Vec<ResidualVector> {
     let places = tracks.iter().flat_map(|track| &track.sightings);
     lines(sides)
         .zip(places)
-        .map(|((track, before, after, weight), sighting)| ResidualVector {
+        .map(|((track, before, after, good), sighting)| ResidualVector {
             track,
             image: before.image,
             at: sighting.at,
             before_px: before.residual.into(),
             after_px: after.residual.into(),
-            good: robust::is_good(weight),
+            good,
         })
         .collect()
 }
 
 pub(super) fn of_pairs(sides: &Sides) -> Vec<PairResiduals> {
     let mut lengths: BTreeMap<[usize; 2], (Vec<f64>, Vec<f64>)> = BTreeMap::new();
-    for ((before, after), weights) in sides.before.iter().zip(&sides.after).zip(&sides.weights) {
+    for (before, after) in sides.before.iter().zip(&sides.after) {
+        let good = sides.good(after);
         for second in 0..before.len() {
             for first in 0..second {
-                if !(robust::is_good(weights[first]) && robust::is_good(weights[second])) {
+                if !(good[first] && good[second]) {
                     continue;
                 }
                 let passes = [before, after].map(|lines| passing_px(&lines[first], &lines[second]));
