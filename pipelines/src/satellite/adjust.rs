@@ -26,6 +26,11 @@ use nalgebra::Vector3;
 const TILES: [usize; 2] = [900, 2000];
 /// Correlation at which a sighting counts nothing.
 const WORTHLESS_SCORE: f32 = 0.7;
+/// Shifts that change by more than this are sought anew from where they are, pixels: half the reach of the search, which is in cells
+/// of two pixels.
+const FAR_PX: f32 = 4.0;
+/// How often.
+const MOST_REPEATS: usize = 4;
 /// Ground added around the area so that ties near its edge have a surface, metres.
 const MARGIN_M: f64 = 4.0;
 
@@ -49,18 +54,10 @@ impl AdjustInput<'_> {
     /// # Errors
     /// [`RpcError::Invalid`] when there are too few ties.
     pub fn adjust(&self, model: BiasModel, progress: &dyn Fn(f32)) -> Result<Adjustment, RpcError> {
-        let none = vec![[0.0; 2]; self.views.len()];
         let coarse = coarse_shifts(self.views, self.request);
         progress(0.1);
-        let from_coarse = self.round(&coarse, 0, BiasModel::Translation);
-        progress(0.3);
-        let from_none = self.round(&none, 0, BiasModel::Translation);
+        let half = self.at_half_resolution(&coarse)?;
         progress(0.5);
-        let half = match (from_coarse, from_none) {
-            (Ok(a), Ok(b)) => Ok(if agreement(&a) >= agreement(&b) { a } else { b }),
-            (Ok(a), Err(_)) => Ok(a),
-            (Err(_), other) => other,
-        }?;
         let full = self.round(&shifts(&half), 1, model)?;
         progress(1.0);
         tracing::info!(
@@ -70,6 +67,31 @@ impl AdjustInput<'_> {
             "cameras adjusted"
         );
         Ok(full)
+    }
+
+    /// The best of what comes of the coarse shifts and of none, repeated while that moves images far: what lay beyond the reach of
+    /// the first search lies within that of the next.
+    fn at_half_resolution(&self, coarse: &[[f32; 2]]) -> Result<Adjustment, RpcError> {
+        let none = vec![[0.0; 2]; self.views.len()];
+        let from_coarse = self.round(coarse, 0, BiasModel::Translation);
+        let from_none = self.round(&none, 0, BiasModel::Translation);
+        let (mut best, mut from) = match (from_coarse, from_none) {
+            (Ok(a), Ok(b)) if agreement(&a) < agreement(&b) => (b, none),
+            (Ok(a), _) => (a, coarse.to_vec()),
+            (Err(_), other) => (other?, none),
+        };
+        for _ in 0..MOST_REPEATS {
+            let now = shifts(&best);
+            if farthest(&now, &from) < FAR_PX {
+                break;
+            }
+            let next = self.round(&now, 0, BiasModel::Translation)?;
+            if agreement(&next) <= agreement(&best) {
+                break;
+            }
+            (best, from) = (next, now);
+        }
+        Ok(best)
     }
 
     /// Ties between the cameras moved by `shifts`, at half (0) or full (1) resolution, and the adjustment of the delivered ones.
@@ -141,6 +163,12 @@ fn weight(score: f32) -> f64 {
 /// Sightings that fit.
 fn agreement(adjustment: &Adjustment) -> usize {
     adjustment.images.iter().map(|image| image.good).sum()
+}
+
+/// The largest distance between two sets of shifts, pixels.
+fn farthest(a: &[[f32; 2]], b: &[[f32; 2]]) -> f32 {
+    let apart = |(a, b): (&[f32; 2], &[f32; 2])| (a[0] - b[0]).hypot(a[1] - b[1]);
+    a.iter().zip(b).map(apart).fold(0.0, f32::max)
 }
 
 /// The corrections' shifts as the engine takes them.

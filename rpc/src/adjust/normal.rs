@@ -1,14 +1,12 @@
 //! The normal equations of one round, with the ground points eliminated.
 
-use super::problem::{Linear, Problem, basis};
+use super::problem::{Linear, POINT_HOLD, Problem, basis};
 use super::{Correction, SHIFT_SIGMA_PX, SLOPE_SIGMA_PX};
 use crate::RpcError;
 use nalgebra::{DMatrix, DVector, Matrix3, SMatrix, SVector, Vector3};
 
 /// Standard deviation of a sighting that priors are weighed against, pixels.
 const SIGHTING_SIGMA_PX: f64 = 0.15;
-/// Weight that holds points where nothing else does, square pixels per square metre.
-const POINT_HOLD: f64 = 1e-8;
 
 /// One track's part: what ties its point to each of its images.
 struct Eliminated<const K: usize> {

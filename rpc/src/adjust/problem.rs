@@ -15,11 +15,11 @@ const PLAIN_ROUNDS: usize = 3;
 /// Rounds after which the scale of good residuals stays as it is.
 const SCALE_ROUNDS: usize = 10;
 /// Corrections that change by less end the rounds, pixels.
-const LAST_CHANGE_PX: f64 = 1e-4;
+const LAST_CHANGE_PX: f64 = 5e-4;
 /// Rounds of triangulation with the cameras held.
 const POINT_ROUNDS: usize = 5;
 /// Weight that holds points where nothing else does, square pixels per square metre.
-const POINT_HOLD: f64 = 1e-8;
+pub(super) const POINT_HOLD: f64 = 1e-8;
 
 /// What is adjusted.
 pub(super) struct Problem<'a> {

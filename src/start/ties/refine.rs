@@ -103,3 +103,35 @@ fn length_of(reference: &Region) -> f32 {
     let mean = cells().sum::<f32>() / CELLS as f32;
     cells().map(|value| (value - mean).powi(2)).sum::<f32>().sqrt()
 }
+
+#[cfg(test)]
+mod tests {
+    use super::super::patch::find;
+    use super::*;
+
+    fn texture(col: f32, row: f32) -> f32 {
+        5.0 + (0.7 * col).sin() + (0.5 * row + 0.2 * col).cos() + (0.31 * col - 0.43 * row).sin()
+    }
+
+    #[test]
+    fn a_shift_is_found_to_hundredths_whatever_brightness_and_contrast() {
+        for [by_col, by_row] in [[0.0, 0.0], [2.3, -1.6], [-3.2, 0.5]] {
+            let moved = |col: f32, row: f32| 2.0 + 3.0 * texture(col - by_col, row - by_row);
+            let reference = Region::new(|col, row| texture(col as f32, row as f32));
+            let region = Region::new(|col, row| moved(col as f32, row as f32));
+            let template = reference.template(0, 0).expect("a texture");
+            let coarse = find(&reference, &template, &region).expect("a match");
+            let Match { shift, score } = refine(&reference, &template, coarse, &moved).expect("a finer match");
+            let off = (shift[0] - by_col).hypot(shift[1] - by_row);
+            assert!(off < 0.01 && score > 0.999, "{shift:?} for {by_col} {by_row}, {score}");
+        }
+    }
+
+    #[test]
+    fn stripes_and_plain_patches_match_nowhere() {
+        let stripes = Region::new(|col, _| (0.9 * col as f32).sin());
+        let template = stripes.template(0, 0).expect("a texture");
+        assert!(find(&stripes, &template, &stripes).is_none());
+        assert!(Region::new(|_, _| 0.4).template(0, 0).is_none());
+    }
+}

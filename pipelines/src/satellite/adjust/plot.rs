@@ -46,33 +46,32 @@ pub(super) fn svg(names: &[&str], material: &Material, adjustment: &Adjustment) 
         let scale = FRAME / pixels.width.max(pixels.height).max(1) as f64;
         for side in 0..2 {
             let origin = (corner.0 + side as f64 * (FRAME + GAP), corner.1 + TITLE - 6.0);
-            frame(
-                &mut text,
-                origin,
-                (pixels.width as f64 * scale, pixels.height as f64 * scale),
-            );
+            let size = (pixels.width as f64 * scale, pixels.height as f64 * scale);
+            open_frame(&mut text, origin, size);
             for good in [false, true] {
                 let vectors = adjustment
                     .residuals
                     .iter()
                     .filter(|r| r.image == image && r.good == good);
-                vectors_of(&mut text, origin, scale, vectors, (side == 1, good));
+                draw(&mut text, scale, vectors, (side == 1, good));
             }
+            text += "</svg>\n";
         }
     }
     text + "</svg>\n"
 }
 
-fn frame(text: &mut String, (x, y): (f64, f64), (width, height): (f64, f64)) {
+/// An SVG of its own, which clips what is drawn in it.
+fn open_frame(text: &mut String, (x, y): (f64, f64), (width, height): (f64, f64)) {
     let _ = writeln!(
         text,
-        "<rect x=\"{x:.1}\" y=\"{y:.1}\" width=\"{width:.1}\" height=\"{height:.1}\" fill=\"none\" stroke=\"#999\"/>"
+        "<svg x=\"{x:.1}\" y=\"{y:.1}\" width=\"{width:.1}\" height=\"{height:.1}\">\
+         <rect width=\"100%\" height=\"100%\" fill=\"none\" stroke=\"#999\"/>"
     );
 }
 
-fn vectors_of<'a>(
+fn draw<'a>(
     text: &mut String,
-    (x, y): (f64, f64),
     scale: f64,
     vectors: impl Iterator<Item = &'a ResidualVector>,
     (after, good): (bool, bool),
@@ -80,14 +79,8 @@ fn vectors_of<'a>(
     let mut path = String::new();
     for residual in vectors {
         let [col, row] = if after { residual.after_px } else { residual.before_px };
-        let _ = write!(
-            path,
-            "M{:.1} {:.1}l{:.1} {:.1}",
-            x + residual.at.col * scale,
-            y + residual.at.row * scale,
-            col * PER_PIXEL,
-            row * PER_PIXEL
-        );
+        let (x, y) = (residual.at.col * scale, residual.at.row * scale);
+        let _ = write!(path, "M{x:.1} {y:.1}l{:.1} {:.1}", col * PER_PIXEL, row * PER_PIXEL);
     }
     let colour = if good { "#1f6fb4" } else { "#ccc" };
     let _ = writeln!(
