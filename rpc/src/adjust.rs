@@ -107,7 +107,7 @@ impl Correction {
 
     /// What is added at a projected position: columns and rows, pixels.
     pub fn at(&self, projected: ImagePoint) -> [f64; 2] {
-        let [u, v] = self.from_centre(projected);
+        let [u, v] = self.half_sides_from_centre(projected);
         [0, 1].map(|axis| self.shift_px[axis] + self.slope_px[axis][0] * u + self.slope_px[axis][1] * v)
     }
 
@@ -125,7 +125,7 @@ impl Correction {
         self.slope_px == [[0.0; 2]; 2]
     }
 
-    fn from_centre(&self, at: ImagePoint) -> [f64; 2] {
+    fn half_sides_from_centre(&self, at: ImagePoint) -> [f64; 2] {
         [
             (at.col - self.centre.col) / self.half_side_px,
             (at.row - self.centre.row) / self.half_side_px,

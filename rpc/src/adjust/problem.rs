@@ -183,7 +183,7 @@ impl<'a> Problem<'a> {
                 weight: sighting.weight,
                 residual,
                 slope: by_geo * geo_from_enu,
-                from_centre: correction.from_centre(projected),
+                from_centre: correction.half_sides_from_centre(projected),
             })
         };
         track.sightings.iter().map(one).collect()

@@ -181,7 +181,7 @@ fn passing_px(a: &Linear, b: &Linear) -> Option<f64> {
     // The vector perpendicular to the three columns of the stacked slopes, by cofactors.
     let cofactor = |left_out: usize| {
         let kept: Vec<_> = (0..4).filter(|&row| row != left_out).map(|row| rows[row]).collect();
-        let sign = if left_out % 2 == 0 { 1.0 } else { -1.0 };
+        let sign = if left_out.is_multiple_of(2) { 1.0 } else { -1.0 };
         sign * Matrix3::from_rows(&[kept[0], kept[1], kept[2]]).determinant()
     };
     let normal = Vector4::new(cofactor(0), cofactor(1), cofactor(2), cofactor(3));

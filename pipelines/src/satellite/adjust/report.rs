@@ -36,7 +36,7 @@ pub fn run(args: &AdjustArgs, session: &Session) -> Result<Outcome, CliError> {
     let names: Vec<&str> = material.images.iter().map(|image| image.name.as_str()).collect();
     for (name, image) in names.iter().zip(&adjustment.images) {
         if image.good < heliosplat_rpc::adjust::FEWEST_SIGHTINGS {
-            tracing::warn!("{name}: {} good ties, its camera stays as it was delivered", image.good);
+            tracing::warn!("{name}: too few good ties ({}), do not trust its camera", image.good);
         }
     }
     let exported = write::cameras(&scene, &material, &adjustment, args)?;
