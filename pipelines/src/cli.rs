@@ -4,6 +4,7 @@
 //! stderr. Exit codes: 0 done, 1 failed, 2 bad usage or bad input (one line: what, where, what to do), 130 interrupted
 //! after saving.
 
+pub mod adjust;
 pub mod bench;
 pub mod evaluate;
 pub mod inspect;
@@ -61,6 +62,9 @@ pub enum Command {
     /// Show what a scene is: cameras and their fit, suns, bands, overlap, truth
     #[command(after_help = "Example: heliosplat inspect my_images --altitude 640,780")]
     Inspect(inspect::InspectArgs),
+    /// Correct the cameras of a scene so that its images agree
+    #[command(after_help = "Example: heliosplat adjust my_images --out adjusted --images")]
+    Adjust(adjust::AdjustArgs),
     /// Train a model of a scene
     #[command(after_help = "Example: heliosplat train my_images --out run --preset balanced --time-budget 10m")]
     Train(satellite::TrainArgs),
@@ -204,6 +208,7 @@ fn run(cli: &Cli) -> Result<Outcome, CliError> {
         Command::Demo(args) => satellite::demo(args, &session),
         Command::Synth(args) => synth::run(args, &session),
         Command::Inspect(args) => inspect::run(args),
+        Command::Adjust(args) => adjust::run(args, &session),
         Command::Train(args) => satellite::train(args, &session),
         Command::Dsm(args) => satellite::dsm(args, &session),
         Command::Relight(args) => satellite::relight(args, &session),

@@ -14,7 +14,7 @@ pub mod write;
 pub use crs::{Crs, CrsTransform};
 pub use file::{BandInfo, Colour, GeoRaster, RasterFile, Window};
 pub use grid::{EnuGrid, GeoTransform, GridSpec};
-pub use write::{ImageSpec, Sample, write_cog, write_geotiff};
+pub use write::{ImageSpec, Sample, copy_with_rpc, write_atomically, write_cog, write_geotiff};
 
 use std::path::{Path, PathBuf};
 

@@ -1,5 +1,6 @@
 //! The satellite pipeline: a scene in, a trained model and its products out.
 
+pub mod adjust;
 pub mod budget;
 pub mod config;
 pub mod estimate;

@@ -7,6 +7,7 @@ mod batch;
 mod localise;
 mod polynomial;
 
+pub mod adjust;
 mod example;
 pub mod fit;
 pub mod frame;

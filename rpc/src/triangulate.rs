@@ -153,7 +153,7 @@ impl NormalSystem {
 
 /// `d(lon_deg, lat_deg, height_m) / d(east, north, up)` by central differences of a metre, exact to 1e-9 relative:
 /// Gauss-Newton's direction needs no more.
-fn geo_slope(frame: &LocalFrame, enu_m: Vector3<f64>) -> Matrix3<f64> {
+pub(crate) fn geo_slope(frame: &LocalFrame, enu_m: Vector3<f64>) -> Matrix3<f64> {
     let columns: [Vector3<f64>; 3] = std::array::from_fn(|axis| {
         let mut offset_m = Vector3::zeros();
         offset_m[axis] = 1.0;

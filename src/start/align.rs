@@ -35,7 +35,7 @@ const WORTHWHILE: f64 = 0.01;
 ///
 /// Shifts that do not make the views agree better on their surface are mistakes of the estimate: then all are zero.
 pub fn estimate_shifts(views: &[SweepView], request: &SweepRequest) -> Vec<[f32; 2]> {
-    let shifts = descend(views, request);
+    let shifts = descend(views, request, finest_factor(request));
     let before = disagreement(views, request);
     let moved: Vec<SweepView> = views
         .iter()
@@ -55,6 +55,14 @@ pub fn estimate_shifts(views: &[SweepView], request: &SweepRequest) -> Vec<[f32;
     }
 }
 
+/// Cells of the request per cell on which [`coarse_shifts`] stops.
+const COARSE_FACTOR: usize = 4;
+
+/// As [`estimate_shifts`], but only down to coarse cells and without the check: a start for [`super::ties`], good to a pixel or two.
+pub fn coarse_shifts(views: &[SweepView], request: &SweepRequest) -> Vec<[f32; 2]> {
+    descend(views, request, COARSE_FACTOR)
+}
+
 /// Mean cost of the surface the views find together.
 fn disagreement(views: &[SweepView], request: &SweepRequest) -> f64 {
     let search = Search::new(views, request);
@@ -70,10 +78,10 @@ fn finest_factor(request: &SweepRequest) -> usize {
     if grid.width.min(grid.height) < SMALL_SIDE { 1 } else { 2 }
 }
 
-fn descend(views: &[SweepView], request: &SweepRequest) -> Vec<[f32; 2]> {
+fn descend(views: &[SweepView], request: &SweepRequest, finest: usize) -> Vec<[f32; 2]> {
     let mut moved = views.to_vec();
     let mut shifts = vec![DVec2::ZERO; views.len()];
-    for factor in Search::new(views, request).factors(finest_factor(request)) {
+    for factor in Search::new(views, request).factors(finest) {
         for _ in 0..ROUNDS {
             for (view, (original, shift)) in moved.iter_mut().zip(views.iter().zip(&shifts)) {
                 view.camera = original.camera.shifted(shift.x as f32, shift.y as f32);

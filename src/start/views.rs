@@ -108,6 +108,37 @@ impl LevelView {
         let bottom = lower[0] + (lower[1] - lower[0]) * fc;
         top + (bottom - top) * fr
     }
+
+    /// Bicubic value at a pixel position; NaN outside the image, in its outermost pixels and beside missing ones.
+    #[inline]
+    pub(super) fn sample_cubic(&self, col: f32, row: f32) -> f32 {
+        // Written so that a NaN position fails the test too.
+        let inside = col >= 1.0 && row >= 1.0 && col < (self.width as f32 - 2.0) && row < (self.height as f32 - 2.0);
+        if !inside {
+            return f32::NAN;
+        }
+        let (c, r) = (col as usize, row as usize);
+        let (across, down) = (cubic_weights(col - c as f32), cubic_weights(row - r as f32));
+        let mut value = 0.0;
+        for (weight, line) in down.into_iter().zip(0..4) {
+            let start = (r + line - 1) * self.width + c - 1;
+            let p = &self.pixels[start..start + 4];
+            value += weight * (across[0] * p[0] + across[1] * p[1] + across[2] * p[2] + across[3] * p[3]);
+        }
+        value
+    }
+}
+
+/// Weights of four neighbours at a fraction of the way from the second to the third: Catmull-Rom's cubic, which keeps more of
+/// the detail than lines do and treats all fractions more alike.
+fn cubic_weights(t: f32) -> [f32; 4] {
+    let (t2, t3) = (t * t, t * t * t);
+    [
+        0.5 * (-t3 + 2.0 * t2 - t),
+        0.5 * (3.0 * t3 - 5.0 * t2 + 2.0),
+        0.5 * (-3.0 * t3 + 4.0 * t2 + t),
+        0.5 * (t3 - t2),
+    ]
 }
 
 /// Points of the ground at equal distances, as a camera's three forms see them: column `(u + k du) / (w + k dw)`, row likewise.

@@ -99,6 +99,10 @@ impl RasterFile {
         &self.path
     }
 
+    pub(super) fn dataset(&self) -> &Dataset {
+        &self.dataset
+    }
+
     /// Columns and rows.
     pub fn size(&self) -> (usize, usize) {
         self.dataset.raster_size()

@@ -86,6 +86,30 @@ pub fn write_geotiff(path: &Path, spec: &ImageSpec, sample: Sample) -> Result<()
     write_copy(path, &dataset, "GTiff", &options)
 }
 
+/// Copies an image to a plain deflated GeoTIFF, its samples and metadata as they are, with another rational camera: items of GDAL's
+/// `RPC` domain (pixel centres at integers).
+///
+/// # Errors
+/// As [`write_cog`], and what [`super::RasterFile::open`] says of the image.
+pub fn copy_with_rpc(image: &Path, target: &Path, rpc: &[(String, String)]) -> Result<(), RasterError> {
+    let source = super::RasterFile::open(image)?;
+    let copy = messages::collect_strictly(|| {
+        let driver = DriverManager::get_driver_by_name("MEM")?;
+        let mut copy = source
+            .dataset()
+            .create_copy(&driver, "", &RasterCreationOptions::new())?;
+        for (key, value) in rpc {
+            copy.set_metadata_item(key, value, "RPC")?;
+        }
+        Ok(copy)
+    })
+    .map_err(|reason| RasterError::Write {
+        path: target.to_owned(),
+        reason,
+    })?;
+    write_copy(target, &copy, "GTiff", &["COMPRESS=DEFLATE", "BIGTIFF=IF_SAFER"])
+}
+
 fn in_memory(path: &Path, spec: &ImageSpec, sample: Sample) -> Result<Dataset, RasterError> {
     let built = match sample {
         Sample::F32 => build(

@@ -78,12 +78,24 @@ pub enum Align {
     Off,
 }
 
+/// How the images' relative pointing is estimated.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum PointingMethod {
+    /// Whole images laid on a common surface and correlated.
+    Shifts,
+    /// Tie points and a robust adjustment, as `heliosplat adjust` does.
+    Ties,
+}
+
 /// What is done about the cameras.
 #[derive(Debug, Clone, PartialEq, serde::Serialize, serde::Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct CameraOptions {
     /// Relative pointing.
     pub align: Align,
+    /// How it is estimated.
+    pub method: PointingMethod,
     /// Shift above which `auto` corrects, pixels.
     pub threshold_px: f32,
 }
@@ -92,6 +104,7 @@ impl Default for CameraOptions {
     fn default() -> Self {
         Self {
             align: Align::Auto,
+            method: PointingMethod::Shifts,
             threshold_px: 0.25,
         }
     }
@@ -223,6 +236,8 @@ mod tests {
         assert_eq!(config.train.density.cap, 1000);
         let config = SatelliteConfig::resolve("fast", &set("cameras.align", "off"), 1).expect("a known key");
         assert_eq!(config.cameras.align, Align::Off);
+        let config = SatelliteConfig::resolve("fast", &set("cameras.method", "ties"), 1).expect("a known key");
+        assert_eq!(config.cameras.method, PointingMethod::Ties);
     }
 
     #[test]

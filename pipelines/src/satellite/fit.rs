@@ -1,7 +1,8 @@
 //! From a scene to a trained model: align, sweep, start, train.
 
+use super::adjust::{self, AdjustInput};
 use super::budget::{Budget, Pace};
-use super::config::{Align, SatelliteConfig};
+use super::config::{Align, PointingMethod, SatelliteConfig};
 use super::views::{self, Crop};
 use super::{estimate, initial, radiometry};
 use crate::cli::Session;
@@ -13,6 +14,8 @@ use heliosplat::render::PassOptions;
 use heliosplat::start::{Surface, SweepOptions, SweepRequest, SweepView, align::estimate_shifts, sweep::sweep};
 use heliosplat::train::{EarlyStop, StepReport, TrainError, TrainOptions, Trainer};
 use heliosplat::{ProjectiveCamera, Raster};
+use heliosplat_rpc::RpcError;
+use heliosplat_rpc::adjust::BiasModel;
 use rayon::prelude::*;
 use std::collections::BTreeMap;
 use std::time::Instant;
@@ -170,12 +173,19 @@ impl<'a> Ground<'a> {
 }
 
 /// Corrections of the images' pointing, pixels; zero where the configuration or the estimate says so.
-fn align(config: &SatelliteConfig, views: &[SweepView], request: &SweepRequest) -> Vec<[f32; 2]> {
-    let none = vec![[0.0; 2]; views.len()];
+fn align(scene: &Scene, ground: &Ground, rasters: &[Raster], config: &SatelliteConfig) -> Vec<[f32; 2]> {
+    let none = vec![[0.0; 2]; ground.images.len()];
     if config.cameras.align == Align::Off {
         return none;
     }
-    let shifts = estimate_shifts(views, request);
+    let views = ground.sweep_views(rasters, &none);
+    let shifts = match config.cameras.method {
+        PointingMethod::Shifts => estimate_shifts(&views, &ground.request(config.start.cell_gsd * scene.gsd_m)),
+        PointingMethod::Ties => shifts_by_ties(scene, ground, &views).unwrap_or_else(|error| {
+            tracing::warn!("the cameras are used as they are: {error}");
+            none.clone()
+        }),
+    };
     let largest = shifts.iter().flatten().fold(0.0f32, |a, &b| a.max(b.abs()));
     tracing::info!(largest_px = largest, "pointing of the images relative to each other");
     if config.cameras.align == Align::On || largest > config.cameras.threshold_px {
@@ -183,6 +193,18 @@ fn align(config: &SatelliteConfig, views: &[SweepView], request: &SweepRequest) 
     } else {
         none
     }
+}
+
+fn shifts_by_ties(scene: &Scene, ground: &Ground, views: &[SweepView]) -> Result<Vec<[f32; 2]>, RpcError> {
+    let input = AdjustInput {
+        views,
+        images: &ground.images,
+        crops: &ground.crops,
+        frame: &scene.frame,
+        // Patches of whole pixels, however coarse the model's cells are.
+        request: &ground.request(scene.gsd_m),
+    };
+    Ok(adjust::shifts(&input.adjust(BiasModel::Translation, &|_| {})?))
 }
 
 /// The image whose colour is the model's: the one under the highest sun, where least lies in shadow.
@@ -215,8 +237,7 @@ pub fn fit(scene: &Scene, config: &SatelliteConfig, session: &Session, limits: &
         .collect();
     let cell_m = config.start.cell_gsd * scene.gsd_m;
     let request = ground.request(cell_m);
-    let zero = vec![[0.0; 2]; ground.images.len()];
-    let shifts_px = align(config, &ground.sweep_views(&rasters, &zero), &request);
+    let shifts_px = align(scene, &ground, &rasters, config);
     let aligned = started.elapsed();
 
     let progress = session.progress("sweep", 100);

@@ -1,0 +1,68 @@
+//! A correction as part of the camera itself, for programs that know nothing of corrections.
+
+use super::Correction;
+use crate::fit::fit_rpc;
+use crate::{ImagePoint, Rpc, RpcError};
+
+/// Samples along columns, rows and heights for a refitted camera.
+const GRID: (usize, usize) = (13, 9);
+/// How far beyond its image a refitted camera holds, of the image's size.
+const MARGIN: f64 = 0.1;
+
+/// A camera with a correction in it.
+#[derive(Debug, Clone, PartialEq)]
+pub struct CorrectedRpc {
+    /// The camera.
+    pub rpc: Rpc,
+    /// Largest distance from camera and correction apart, pixels: 0 for a shift.
+    pub max_px: f64,
+}
+
+/// The camera that projects as `rpc` with `correction` added.
+///
+/// A shift goes into `LINE_OFF` and `SAMP_OFF` and is exact everywhere. Rotation and drift are no part of a rational camera of
+/// two denominators: a new one is fitted over the image with a tenth around it and over `heights_m`, and holds there only.
+///
+/// # Errors
+/// When the camera to be refitted cannot be localised over its image.
+pub fn corrected_rpc(
+    rpc: &Rpc,
+    correction: &Correction,
+    (width, height): (usize, usize),
+    heights_m: (f64, f64),
+) -> Result<CorrectedRpc, RpcError> {
+    if correction.is_translation() {
+        let [col, row] = correction.shift_px;
+        return Ok(CorrectedRpc {
+            rpc: rpc.cropped(-col, -row),
+            max_px: 0.0,
+        });
+    }
+    let along = |size: usize, step: usize| {
+        let share = step as f64 / (GRID.0 - 1) as f64 * (1.0 + 2.0 * MARGIN) - MARGIN;
+        share * (size as f64 - 1.0)
+    };
+    let mut samples = Vec::with_capacity(GRID.0 * GRID.0 * GRID.1);
+    for level in 0..GRID.1 {
+        let share = level as f64 / (GRID.1 - 1) as f64;
+        let height_m = heights_m.0 + share * (heights_m.1 - heights_m.0);
+        for row in 0..GRID.0 {
+            for col in 0..GRID.0 {
+                let at = ImagePoint {
+                    col: along(width, col),
+                    row: along(height, row),
+                };
+                samples.push((rpc.localise(at, height_m)?, correction.apply(at)));
+            }
+        }
+    }
+    let fit = fit_rpc(&samples)?;
+    Ok(CorrectedRpc {
+        rpc: Rpc {
+            error_bias_m: rpc.error_bias_m,
+            error_random_m: rpc.error_random_m,
+            ..fit.rpc
+        },
+        max_px: fit.max_px,
+    })
+}

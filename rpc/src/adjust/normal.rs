@@ -1,0 +1,118 @@
+//! The normal equations of one round, with the ground points eliminated.
+
+use super::problem::{Linear, POINT_HOLD, Problem, basis};
+use super::{Correction, SHIFT_SIGMA_PX, SLOPE_SIGMA_PX};
+use crate::RpcError;
+use nalgebra::{DMatrix, DVector, Matrix3, SMatrix, SVector, Vector3};
+
+/// Standard deviation of a sighting that priors are weighed against, pixels.
+const SIGHTING_SIGMA_PX: f64 = 0.15;
+
+/// One track's part: what ties its point to each of its images.
+struct Eliminated<const K: usize> {
+    /// Inverse curvature of the point.
+    inverse: Matrix3<f64>,
+    gradient: Vector3<f64>,
+    /// Image and mixed curvature, image parameters by point.
+    mixed: Vec<(usize, SMatrix<f64, K, 3>)>,
+}
+
+/// The reduced system: `K` unknowns per image.
+pub(super) struct NormalEquations<const K: usize> {
+    curvature: DMatrix<f64>,
+    gradient: DVector<f64>,
+    tracks: Vec<Eliminated<K>>,
+}
+
+impl<const K: usize> NormalEquations<K> {
+    pub(super) fn of(problem: &Problem, linear: &[Vec<Linear>], weights: &[Vec<f64>], now: &[Correction]) -> Self {
+        let unknowns = K * problem.images.len();
+        let mut system = Self {
+            curvature: DMatrix::zeros(unknowns, unknowns),
+            gradient: DVector::zeros(unknowns),
+            tracks: Vec::with_capacity(linear.len()),
+        };
+        for (lines, weights) in linear.iter().zip(weights) {
+            system.add_track(lines, weights);
+        }
+        for (image, correction) in now.iter().enumerate() {
+            system.add_prior(image, correction, problem.seen[image]);
+        }
+        system
+    }
+
+    fn add_track(&mut self, lines: &[Linear], weights: &[f64]) {
+        let mut point = Matrix3::identity() * POINT_HOLD;
+        let mut gradient = Vector3::zeros();
+        let mut mixed = Vec::with_capacity(lines.len());
+        for (line, &weight) in lines.iter().zip(weights) {
+            let by_image = basis::<K>(line.from_centre);
+            point += line.slope.transpose() * line.slope * weight;
+            gradient += line.slope.transpose() * line.residual * weight;
+            let own = by_image.transpose() * by_image * weight;
+            let right = by_image.transpose() * line.residual * weight;
+            let first = line.image * K;
+            let mut block = self.curvature.fixed_view_mut::<K, K>(first, first);
+            block += own;
+            let mut part = self.gradient.fixed_rows_mut::<K>(first);
+            part += right;
+            mixed.push((line.image, by_image.transpose() * line.slope * weight));
+        }
+        let Some(inverse) = point.try_inverse() else {
+            return;
+        };
+        for (a, mixed_a) in &mixed {
+            let through = mixed_a * inverse;
+            let mut part = self.gradient.fixed_rows_mut::<K>(a * K);
+            part -= through * gradient;
+            for (b, mixed_b) in &mixed {
+                let mut block = self.curvature.fixed_view_mut::<K, K>(a * K, b * K);
+                block -= through * mixed_b.transpose();
+            }
+        }
+        self.tracks.push(Eliminated {
+            inverse,
+            gradient,
+            mixed,
+        });
+    }
+
+    /// Holds corrections small where ties say nothing, and those of images with too few sightings altogether.
+    fn add_prior(&mut self, image: usize, now: &Correction, seen: bool) {
+        let [s, l] = now.slope_px;
+        let values = [now.shift_px[0], now.shift_px[1], s[0], s[1], l[0], l[1]];
+        for place in 0..K {
+            let sigma_px = match (seen, place < 2) {
+                (false, _) => 1e-6,
+                (true, true) => SHIFT_SIGMA_PX,
+                (true, false) => SLOPE_SIGMA_PX,
+            };
+            let weight = (SIGHTING_SIGMA_PX / sigma_px).powi(2);
+            let at = image * K + place;
+            self.curvature[(at, at)] += weight;
+            self.gradient[at] -= weight * values[place];
+        }
+    }
+
+    /// Steps of the images' parameters; points take theirs.
+    pub(super) fn solve(self, points: &mut [Vector3<f64>]) -> Result<Vec<SVector<f64, K>>, RpcError> {
+        let images = self.gradient.len() / K;
+        let solution = self
+            .curvature
+            .cholesky()
+            .map(|factor| factor.solve(&self.gradient))
+            .filter(|steps| steps.iter().all(|v| v.is_finite()))
+            .ok_or_else(|| RpcError::Invalid("adjustment: the ties do not determine the cameras".into()))?;
+        let steps: Vec<SVector<f64, K>> = (0..images)
+            .map(|image| solution.fixed_rows::<K>(image * K).into_owned())
+            .collect();
+        for (track, point) in self.tracks.iter().zip(points) {
+            let mut right = track.gradient;
+            for (image, mixed) in &track.mixed {
+                right -= mixed.transpose() * steps[*image];
+            }
+            *point += track.inverse * right;
+        }
+        Ok(steps)
+    }
+}

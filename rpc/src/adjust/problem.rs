@@ -1,0 +1,257 @@
+//! The images and tracks of one adjustment, and the rounds that solve it.
+
+use super::normal::NormalEquations;
+use super::residuals::{self, Sides};
+use super::{
+    AdjustImage, AdjustOptions, Adjustment, BiasModel, Correction, FEWEST_SIGHTINGS, Sighting, Track, robust,
+    smallest_shifts,
+};
+use crate::triangulate::geo_slope;
+use crate::{LocalFrame, RpcError};
+use nalgebra::{Matrix2x3, Matrix3, SMatrix, SVector, Vector2, Vector3};
+
+/// Rounds in which every sighting counts alike: until biases are out, good ones cannot be told from bad ones.
+const PLAIN_ROUNDS: usize = 3;
+/// Rounds after which the scale of good residuals stays as it is.
+const SCALE_ROUNDS: usize = 10;
+/// Corrections that change by less end the rounds, pixels.
+const LAST_CHANGE_PX: f64 = 5e-4;
+/// Rounds of triangulation with the cameras held.
+const POINT_ROUNDS: usize = 5;
+/// Weight that holds points where nothing else does, square pixels per square metre.
+pub(super) const POINT_HOLD: f64 = 1e-8;
+
+/// What is adjusted.
+pub(super) struct Problem<'a> {
+    pub(super) images: &'a [AdjustImage<'a>],
+    pub(super) tracks: Vec<&'a Track>,
+    pub(super) frame: &'a LocalFrame,
+    /// Whether an image has enough sightings to be corrected.
+    pub(super) seen: Vec<bool>,
+}
+
+/// One sighting's residual at the current estimate, and what it depends on.
+#[derive(Debug, Clone)]
+pub(super) struct Linear {
+    pub(super) image: usize,
+    /// How much the sighting counts if it fits.
+    pub(super) weight: f64,
+    /// Seen minus corrected projection, pixels.
+    pub(super) residual: Vector2<f64>,
+    /// Pixels per metre east, north, up.
+    pub(super) slope: Matrix2x3<f64>,
+    /// Column and row from the image's centre, in half sides.
+    pub(super) from_centre: [f64; 2],
+}
+
+/// How a correction's parameters move the image there.
+pub(super) fn basis<const K: usize>([u, v]: [f64; 2]) -> SMatrix<f64, 2, K> {
+    let all = SMatrix::<f64, 2, 6>::new(1.0, 0.0, u, v, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, u, v);
+    all.fixed_columns::<K>(0).into_owned()
+}
+
+/// A correction's parameters become part of it.
+fn add<const K: usize>(correction: &mut Correction, step: &SVector<f64, K>) {
+    correction.shift_px[0] += step[0];
+    correction.shift_px[1] += step[1];
+    for (place, value) in step.iter().skip(2).enumerate() {
+        correction.slope_px[place / 2][place % 2] += value;
+    }
+}
+
+impl<'a> Problem<'a> {
+    pub(super) fn new(
+        images: &'a [AdjustImage<'a>],
+        tracks: &'a [Track],
+        frame: &'a LocalFrame,
+    ) -> Result<Self, RpcError> {
+        let mut count = vec![0; images.len()];
+        let tracks: Vec<&Track> = tracks.iter().collect();
+        for sighting in tracks.iter().flat_map(|track| &track.sightings) {
+            let Some(count) = count.get_mut(sighting.image) else {
+                return Err(RpcError::Invalid(format!(
+                    "adjustment: a track names image {}, and there are {}",
+                    sighting.image,
+                    images.len()
+                )));
+            };
+            *count += 1;
+        }
+        let useful = tracks.iter().filter(|track| track.sightings.len() > 1).count();
+        if useful < FEWEST_SIGHTINGS {
+            return Err(RpcError::Invalid(format!(
+                "adjustment: {useful} tracks of two or more sightings, {FEWEST_SIGHTINGS} are needed; do the images overlap?"
+            )));
+        }
+        Ok(Self {
+            images,
+            tracks,
+            frame,
+            seen: count.iter().map(|&count| count >= FEWEST_SIGHTINGS).collect(),
+        })
+    }
+
+    fn no_corrections(&self) -> Vec<Correction> {
+        let none = |image: &AdjustImage| Correction::none(image.width, image.height);
+        self.images.iter().map(none).collect()
+    }
+
+    /// All rounds, the gauge, and the residuals before and after.
+    pub(super) fn adjust<const K: usize>(&self, options: AdjustOptions) -> Result<Adjustment, RpcError> {
+        let mut corrections = self.no_corrections();
+        let mut points: Vec<Vector3<f64>> = self
+            .tracks
+            .iter()
+            .map(|track| self.frame.enu_from_geo(track.near))
+            .collect();
+        let mut weights: Vec<Vec<f64>> = self.tracks.iter().map(|track| own_weights(track)).collect();
+        let (mut sigma_px, mut rounds) = (f64::NAN, 0);
+        self.triangulate(&corrections, &weights, &mut points)?;
+        for round in 0..options.most_rounds {
+            rounds = round + 1;
+            let linear = self.linearised(&corrections, &points)?;
+            if round >= PLAIN_ROUNDS {
+                if round <= SCALE_ROUNDS {
+                    sigma_px = self.sigma_px(&linear, K);
+                }
+                weights = reweighted(&linear, sigma_px);
+            }
+            let steps = NormalEquations::<K>::of(self, &linear, &weights, &corrections).solve(&mut points)?;
+            let mut largest: f64 = 0.0;
+            for (correction, step) in corrections.iter_mut().zip(&steps) {
+                add(correction, step);
+                largest = largest.max(step.amax());
+            }
+            if round > SCALE_ROUNDS && largest < LAST_CHANGE_PX {
+                break;
+            }
+        }
+        self.fix_gauge(&mut corrections, &mut points);
+        self.triangulate(&corrections, &weights, &mut points)?;
+        let mut before = points.clone();
+        self.triangulate(&self.no_corrections(), &weights, &mut before)?;
+        let sides = Sides {
+            before: self.linearised(&self.no_corrections(), &before)?,
+            after: self.linearised(&corrections, &points)?,
+            sigma_px,
+        };
+        Ok(Adjustment {
+            model: if K > 2 {
+                BiasModel::Affine
+            } else {
+                BiasModel::Translation
+            },
+            points: points.iter().map(|point| self.frame.geo_from_enu(*point)).collect(),
+            sigma_px,
+            rounds,
+            images: residuals::of_images(&sides, self.images.len()),
+            pairs: residuals::of_pairs(&sides),
+            residuals: residuals::vectors(&sides, &self.tracks),
+            corrections,
+        })
+    }
+
+    /// Residuals and slopes of all sightings, track by track.
+    fn linearised(&self, corrections: &[Correction], points: &[Vector3<f64>]) -> Result<Vec<Vec<Linear>>, RpcError> {
+        let tracks = self.tracks.iter().zip(points);
+        tracks
+            .map(|(track, point)| self.linearised_track(track, corrections, *point))
+            .collect()
+    }
+
+    fn linearised_track(
+        &self,
+        track: &Track,
+        corrections: &[Correction],
+        point: Vector3<f64>,
+    ) -> Result<Vec<Linear>, RpcError> {
+        let geo = self.frame.geo_from_enu(point);
+        let geo_from_enu = geo_slope(self.frame, point);
+        let one = |sighting: &Sighting| {
+            let (projected, by_geo) = self.images[sighting.image].rpc.project_with_jacobian(geo);
+            let correction = &corrections[sighting.image];
+            let corrected = correction.apply(projected);
+            let residual = Vector2::new(sighting.at.col - corrected.col, sighting.at.row - corrected.row);
+            if !residual.iter().all(|v| v.is_finite()) {
+                return Err(RpcError::Invalid(format!(
+                    "adjustment: image {} has no place for the track at {geo:?}; are the cameras of one place?",
+                    sighting.image
+                )));
+            }
+            Ok(Linear {
+                image: sighting.image,
+                weight: sighting.weight,
+                residual,
+                slope: by_geo * geo_from_enu,
+                from_centre: correction.half_sides_from_centre(projected),
+            })
+        };
+        track.sightings.iter().map(one).collect()
+    }
+
+    /// Points where the weighted residuals are least, cameras held.
+    fn triangulate(
+        &self,
+        corrections: &[Correction],
+        weights: &[Vec<f64>],
+        points: &mut [Vector3<f64>],
+    ) -> Result<(), RpcError> {
+        for ((track, weights), point) in self.tracks.iter().zip(weights).zip(points) {
+            for _ in 0..POINT_ROUNDS {
+                let linear = self.linearised_track(track, corrections, *point)?;
+                let (mut normal, mut right) = (Matrix3::identity() * POINT_HOLD, Vector3::zeros());
+                for (line, weight) in linear.iter().zip(weights) {
+                    normal += line.slope.transpose() * line.slope * *weight;
+                    right += line.slope.transpose() * line.residual * *weight;
+                }
+                let step = normal
+                    .cholesky()
+                    .map_or_else(Vector3::zeros, |factor| factor.solve(&right));
+                *point += step;
+                if step.norm() < 1e-5 {
+                    break;
+                }
+            }
+        }
+        Ok(())
+    }
+
+    fn sigma_px(&self, linear: &[Vec<Linear>], parameters: usize) -> f64 {
+        let several = || linear.iter().filter(|track| track.len() > 1);
+        let lengths: Vec<f64> = several().flat_map(|track| robust::lengths_px(track)).collect();
+        let equations = 2.0 * lengths.len() as f64;
+        let unknowns = 3.0 * several().count() as f64 + (parameters * self.images.len()) as f64;
+        robust::sigma_px(lengths, 1.0 - unknowns / equations.max(1.0))
+    }
+
+    /// The smallest corrections that fit alike; points move along.
+    fn fix_gauge(&self, corrections: &mut [Correction], points: &mut [Vector3<f64>]) {
+        let centre = points.iter().sum::<Vector3<f64>>() / points.len().max(1) as f64;
+        let seen: Vec<usize> = (0..self.images.len()).filter(|&image| self.seen[image]).collect();
+        let shifts: Vec<Vector2<f64>> = seen.iter().map(|&image| corrections[image].shift_px.into()).collect();
+        let slopes: Vec<Matrix2x3<f64>> = seen
+            .iter()
+            .map(|&image| super::pixels_per_metre(self.images[image].rpc, self.frame, centre))
+            .collect();
+        let (smallest, translation_m) = smallest_shifts(&shifts, &slopes);
+        for (&image, shift) in seen.iter().zip(smallest) {
+            corrections[image].shift_px = shift.into();
+        }
+        points.iter_mut().for_each(|point| *point += translation_m);
+    }
+}
+
+fn own_weights(track: &Track) -> Vec<f64> {
+    track.sightings.iter().map(|sighting| sighting.weight).collect()
+}
+
+fn reweighted(linear: &[Vec<Linear>], sigma_px: f64) -> Vec<Vec<f64>> {
+    let of_track = |track: &Vec<Linear>| {
+        let lengths_px = robust::lengths_px(track).into_iter();
+        let lines = track.iter().zip(lengths_px);
+        lines
+            .map(|(line, length_px)| line.weight * robust::weight(length_px, sigma_px))
+            .collect()
+    };
+    linear.iter().map(of_track).collect()
+}

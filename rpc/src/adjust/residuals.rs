@@ -1,0 +1,195 @@
+//! What sightings leave before and after: per image, per pair of images, and one by one.
+
+use super::problem::Linear;
+use super::{Track, robust};
+use crate::ImagePoint;
+use nalgebra::{Matrix3, Vector4};
+use std::collections::BTreeMap;
+
+/// Pairs whose rays are this near to parallel have no epipolar lines.
+const LEAST_NORMAL: f64 = 1e-4;
+
+/// Size of a set of residuals, pixels.
+#[derive(Debug, Clone, Copy, PartialEq, Default, serde::Serialize, serde::Deserialize)]
+pub struct Spread {
+    /// Root mean square of their lengths.
+    pub rms_px: f64,
+    /// Median length.
+    pub median_px: f64,
+}
+
+/// What an image's sightings leave: distance from the corrected projection of the ground point that all views of the track
+/// agree on. Of good sightings only.
+#[derive(Debug, Clone, Copy, PartialEq, serde::Serialize, serde::Deserialize)]
+pub struct ImageResiduals {
+    /// All sightings.
+    pub sightings: usize,
+    /// Those within three standard deviations.
+    pub good: usize,
+    /// With the cameras as delivered.
+    pub before: Spread,
+    /// With the corrections.
+    pub after: Spread,
+}
+
+/// What is left across the epipolar lines of two images: how far one's ray passes the other's, pixels. What lies along the
+/// lines is altitude and tells nothing of two cameras. Of good sightings only.
+#[derive(Debug, Clone, Copy, PartialEq, serde::Serialize, serde::Deserialize)]
+pub struct PairResiduals {
+    /// The two images.
+    pub images: [usize; 2],
+    /// Tracks that both see.
+    pub ties: usize,
+    /// With the cameras as delivered.
+    pub before: Spread,
+    /// With the corrections.
+    pub after: Spread,
+}
+
+/// What one sighting leaves.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct ResidualVector {
+    /// Which track.
+    pub track: usize,
+    /// Which image.
+    pub image: usize,
+    /// Where it was seen.
+    pub at: ImagePoint,
+    /// Seen minus projected with the cameras as delivered, columns and rows, pixels.
+    pub before_px: [f64; 2],
+    /// With the corrections.
+    pub after_px: [f64; 2],
+    /// Whether it is one of the good ones.
+    pub good: bool,
+}
+
+/// All residuals, track by track.
+pub(super) struct Sides {
+    pub(super) before: Vec<Vec<Linear>>,
+    pub(super) after: Vec<Vec<Linear>>,
+    /// Standard deviation of a good sighting, pixels.
+    pub(super) sigma_px: f64,
+}
+
+impl Sides {
+    /// Which sightings of a track are good ones.
+    fn good(&self, after: &[Linear]) -> Vec<bool> {
+        let lengths_px = robust::lengths_px(after).into_iter();
+        lengths_px
+            .map(|length_px| robust::is_good(length_px, self.sigma_px))
+            .collect()
+    }
+}
+
+impl Spread {
+    fn of(mut lengths: Vec<f64>) -> Self {
+        if lengths.is_empty() {
+            return Self::default();
+        }
+        let square = lengths.iter().map(|l| l * l).sum::<f64>() / lengths.len() as f64;
+        let middle = lengths.len() / 2;
+        Self {
+            rms_px: square.sqrt(),
+            median_px: *lengths.select_nth_unstable_by(middle, f64::total_cmp).1,
+        }
+    }
+}
+
+/// Track, before and after of one sighting, and whether it is a good one.
+fn lines(sides: &Sides) -> impl Iterator<Item = (usize, &Linear, &Linear, bool)> {
+    let tracks = sides.before.iter().zip(&sides.after);
+    tracks.enumerate().flat_map(move |(track, (before, after))| {
+        let sightings = before.iter().zip(after).zip(sides.good(after));
+        sightings.map(move |((before, after), good)| (track, before, after, good))
+    })
+}
+
+pub(super) fn of_images(sides: &Sides, images: usize) -> Vec<ImageResiduals> {
+    let mut lengths = vec![(0, Vec::new(), Vec::new()); images];
+    for (_, before, after, good) in lines(sides) {
+        let (sightings, befores, afters) = &mut lengths[before.image];
+        *sightings += 1;
+        if good {
+            befores.push(before.residual.norm());
+            afters.push(after.residual.norm());
+        }
+    }
+    let one = |(sightings, before, after): (usize, Vec<f64>, Vec<f64>)| ImageResiduals {
+        sightings,
+        good: before.len(),
+        before: Spread::of(before),
+        after: Spread::of(after),
+    };
+    lengths.into_iter().map(one).collect()
+}
+
+pub(super) fn vectors(sides: &Sides, tracks: &[&Track]) -> Vec<ResidualVector> {
+    let places = tracks.iter().flat_map(|track| &track.sightings);
+    lines(sides)
+        .zip(places)
+        .map(|((track, before, after, good), sighting)| ResidualVector {
+            track,
+            image: before.image,
+            at: sighting.at,
+            before_px: before.residual.into(),
+            after_px: after.residual.into(),
+            good,
+        })
+        .collect()
+}
+
+pub(super) fn of_pairs(sides: &Sides) -> Vec<PairResiduals> {
+    let mut lengths: BTreeMap<[usize; 2], (Vec<f64>, Vec<f64>)> = BTreeMap::new();
+    for (before, after) in sides.before.iter().zip(&sides.after) {
+        let good = sides.good(after);
+        for second in 0..before.len() {
+            for first in 0..second {
+                if !(good[first] && good[second]) {
+                    continue;
+                }
+                let passes = [before, after].map(|lines| passing_px(&lines[first], &lines[second]));
+                if let [Some(before_px), Some(after_px)] = passes {
+                    let (a, b) = (before[first].image, before[second].image);
+                    let (befores, afters) = lengths.entry([a.min(b), a.max(b)]).or_default();
+                    befores.push(before_px);
+                    afters.push(after_px);
+                }
+            }
+        }
+    }
+    lengths
+        .into_iter()
+        .map(|(images, (before, after))| PairResiduals {
+            images,
+            ties: before.len(),
+            before: Spread::of(before),
+            after: Spread::of(after),
+        })
+        .collect()
+}
+
+/// How far the rays of two sightings pass each other, pixels: their four residuals along the one direction that no ground
+/// point can change.
+fn passing_px(a: &Linear, b: &Linear) -> Option<f64> {
+    let rows = [0, 1, 2, 3].map(|row| {
+        if row < 2 {
+            a.slope.row(row)
+        } else {
+            b.slope.row(row - 2)
+        }
+    });
+    // The vector perpendicular to the three columns of the stacked slopes, by cofactors.
+    let cofactor = |left_out: usize| {
+        let kept: Vec<_> = (0..4).filter(|&row| row != left_out).map(|row| rows[row]).collect();
+        let sign = if left_out.is_multiple_of(2) { 1.0 } else { -1.0 };
+        sign * Matrix3::from_rows(&[kept[0], kept[1], kept[2]]).determinant()
+    };
+    let normal = Vector4::new(cofactor(0), cofactor(1), cofactor(2), cofactor(3));
+    let scale = (a.slope.norm() * b.slope.norm()).powf(1.5);
+    if normal.norm() < LEAST_NORMAL * scale {
+        return None;
+    }
+    let residual = Vector4::new(a.residual.x, a.residual.y, b.residual.x, b.residual.y);
+    // A mismatch all in one image has half of the squared length in this direction: both images' lines count alike.
+    Some((normal.normalize().dot(&residual) * std::f64::consts::SQRT_2).abs())
+}

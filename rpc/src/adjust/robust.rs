@@ -1,0 +1,47 @@
+//! How much a sighting counts, and how far off a good one is.
+
+use super::problem::Linear;
+
+/// Residuals, in standard deviations, at which a sighting counts a quarter. So near because errors of matching are not symmetric:
+/// shadows that moved by little pull all one way, and only the peak of the residuals' distribution is where the ground is.
+const QUARTER_AT: f64 = 1.0;
+/// Residuals, in standard deviations, up to which a sighting is a good one.
+const GOOD_TO: f64 = 3.0;
+/// Least standard deviation believed, pixels: what matching can do at best.
+const LEAST_SIGMA_PX: f64 = 0.03;
+/// Median over standard deviation of the length of a normal residual in two directions.
+const MEDIAN_OF_LENGTH: f64 = 1.1774;
+
+/// Lengths of a track's residuals by which its sightings are judged, pixels. Of two sightings nobody can say which is wrong: they
+/// are judged together, or the point would move onto one of them and the other would be thrown out.
+pub(super) fn lengths_px(track: &[Linear]) -> Vec<f64> {
+    match track {
+        [a, b] => {
+            let both_px = (0.5 * (a.residual.norm_squared() + b.residual.norm_squared())).sqrt();
+            vec![both_px; 2]
+        }
+        _ => track.iter().map(|line| line.residual.norm()).collect(),
+    }
+}
+
+/// The standard deviation of one direction of the residuals whose lengths are given, by their median, so that up to half of them may
+/// be wrong. `freedom` is the share of equations that the unknowns leave.
+pub(super) fn sigma_px(mut lengths_px: Vec<f64>, freedom: f64) -> f64 {
+    if lengths_px.is_empty() {
+        return LEAST_SIGMA_PX;
+    }
+    let middle = lengths_px.len() / 2;
+    let median = *lengths_px.select_nth_unstable_by(middle, f64::total_cmp).1;
+    (median / MEDIAN_OF_LENGTH / freedom.max(0.05).sqrt()).max(LEAST_SIGMA_PX)
+}
+
+/// Weight of a residual (S. Geman, D. McClure, 1987): 1 for none, a quarter at [`QUARTER_AT`] standard deviations.
+pub(super) fn weight(length_px: f64, sigma_px: f64) -> f64 {
+    let scaled = length_px / (QUARTER_AT * sigma_px);
+    (1.0 + scaled * scaled).powi(-2)
+}
+
+/// Whether a residual of this length is one of a good sighting.
+pub(super) fn is_good(length_px: f64, sigma_px: f64) -> bool {
+    length_px <= GOOD_TO * sigma_px
+}
