@@ -149,11 +149,7 @@ fn ssim_plane(x: &[f32], y: &[f32], width: usize, weight: &[f32]) -> (f64, Vec<f
     };
     ssim_pixels(&means, weight, &mut slopes);
     let total = slopes.value.iter().map(|&v| f64::from(v)).sum();
-    let (d_mx, d_xx, d_xy) = (
-        blur(&slopes.x, width),
-        blur(&slopes.xx, width),
-        blur(&slopes.xy, width),
-    );
+    let (d_mx, d_xx, d_xy) = (blur(&slopes.x, width), blur(&slopes.xx, width), blur(&slopes.xy, width));
     let gradient = (0..x.len())
         .map(|i| d_mx[i] + 2.0 * x[i] * d_xx[i] + y[i] * d_xy[i])
         .collect();

@@ -174,7 +174,11 @@ mod tests {
         values[0] = f32::NAN;
         let mut words = Words::new(36);
         describe(&values, width, width, 1e3, &mut words);
-        assert_ne!(words.darker[0] & INVALID, 0, "the window of the first cell holds the hole");
+        assert_ne!(
+            words.darker[0] & INVALID,
+            0,
+            "the window of the first cell holds the hole"
+        );
         assert_eq!(words.darker[35] & INVALID, 0);
         let (mut sum, mut weights) = (vec![0; 36], vec![0; 36]);
         compare(&words, &words, 3, 10, &mut sum, &mut weights);

@@ -135,7 +135,11 @@ impl Matching<'_> {
                 start: [u, v, w],
                 step: [du, dv, dw],
             };
-            view.sample_line(&line, &mut scratch.places[..columns], &mut scratch.values[row * columns..][..columns]);
+            view.sample_line(
+                &line,
+                &mut scratch.places[..columns],
+                &mut scratch.values[row * columns..][..columns],
+            );
         }
     }
 

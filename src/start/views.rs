@@ -162,11 +162,11 @@ vectorised! {
     /// Finds the places of the points of a line in an image.
     fn find(line: &Line, width: usize, height: usize, places: &mut [Place]) {
         let (columns, rows) = ((width - 1) as f32, (height - 1) as f32);
-        let (mut points, mut k) = (places.chunks_mut(POINTS), 0.0f32);
-        while let Some(places) = points.next() {
+        for (number, places) in places.chunks_mut(POINTS).enumerate() {
+            let first = (number * POINTS) as f32;
             let (mut index, mut across, mut down) = ([0u32; POINTS], [0.0f32; POINTS], [0.0f32; POINTS]);
             for l in 0..POINTS {
-                let k = k + l as f32;
+                let k = first + l as f32;
                 let inverse = 1.0 / (line.start[2] + k * line.step[2]);
                 let col = (line.start[0] + k * line.step[0]) * inverse;
                 let row = (line.start[1] + k * line.step[1]) * inverse;
@@ -184,7 +184,6 @@ vectorised! {
                     fraction: [across[l], down[l]],
                 };
             }
-            k += POINTS as f32;
         }
     }
 }
@@ -233,7 +232,13 @@ mod tests {
         let (width, height) = (40, 30);
         let mut pixels: Vec<f32> = (0..width * height).map(|i| ((i * 7919) % 101) as f32).collect();
         pixels[15 * width + 20] = f32::NAN;
-        let camera = ProjectiveCamera::new([1.0, 0.0, 0.0, 0.0], [0.0, 1.0, 0.0, 0.0], [0.0; 3], (width, height), glam::DVec3::NEG_Z);
+        let camera = ProjectiveCamera::new(
+            [1.0, 0.0, 0.0, 0.0],
+            [0.0, 1.0, 0.0, 0.0],
+            [0.0; 3],
+            (width, height),
+            glam::DVec3::NEG_Z,
+        );
         let view = LevelView {
             camera,
             pixels,
@@ -241,7 +246,13 @@ mod tests {
             height,
             contrast: 1.0,
         };
-        for start in [[-3.2, 4.7, 1.0], [0.0, 0.0, 1.0], [3.0, 28.9, 1.0], [5.5, 14.5, 1.01], [f32::NAN, 1.0, 1.0]] {
+        for start in [
+            [-3.2, 4.7, 1.0],
+            [0.0, 0.0, 1.0],
+            [3.0, 28.9, 1.0],
+            [5.5, 14.5, 1.01],
+            [f32::NAN, 1.0, 1.0],
+        ] {
             let line = Line {
                 start,
                 step: [0.83, 0.21, 1e-4],
@@ -251,8 +262,15 @@ mod tests {
             for (k, value) in values.iter().enumerate() {
                 let k = k as f32;
                 let inverse = 1.0 / (start[2] + k * line.step[2]);
-                let expected = view.sample((start[0] + k * line.step[0]) * inverse, (start[1] + k * line.step[1]) * inverse);
-                assert_eq!(value.to_bits(), expected.to_bits(), "{start:?}, {k}: {value} against {expected}");
+                let expected = view.sample(
+                    (start[0] + k * line.step[0]) * inverse,
+                    (start[1] + k * line.step[1]) * inverse,
+                );
+                assert_eq!(
+                    value.to_bits(),
+                    expected.to_bits(),
+                    "{start:?}, {k}: {value} against {expected}"
+                );
             }
         }
     }

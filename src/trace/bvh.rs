@@ -270,7 +270,9 @@ mod tests {
             };
             // Leaves differ; what truly lies in the shaft must be in both.
             let slab = Slab::new(&shaft);
-            let truly: Vec<u32> = (0..500).filter(|&i| slab.meets(&anew.list[i as usize].bounds())).collect();
+            let truly: Vec<u32> = (0..500)
+                .filter(|&i| slab.meets(&anew.list[i as usize].bounds()))
+                .collect();
             assert!(!truly.is_empty());
             for hierarchy in [occluders.hierarchy(), anew.hierarchy()] {
                 let found = met(hierarchy, &shaft);

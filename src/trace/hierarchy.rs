@@ -61,12 +61,7 @@ fn sorted(origins: &[u32], hierarchy: &Hierarchy) -> Vec<u32> {
 
 impl HierarchyTrace {
     /// Lets rays toward `light` pass the occluders; returns what each met.
-    pub(super) fn new(
-        occluders: &Occluders,
-        light: &Light,
-        rays: &[LightRay],
-        origins: &[u32],
-    ) -> (Self, Vec<Shade>) {
+    pub(super) fn new(occluders: &Occluders, light: &Light, rays: &[LightRay], origins: &[u32]) -> (Self, Vec<Shade>) {
         let hierarchy = occluders.hierarchy();
         let order = sorted(origins, hierarchy);
         let (chunks, shades): (Vec<Chunk>, Vec<Vec<Shade>>) = order

@@ -51,11 +51,7 @@ impl LightRay {
             2
         };
         let own = gaussian.spread.col(thin) / scale[thin];
-        let sign = if own.dot(direction) < 0.0 {
-            -1.0
-        } else {
-            1.0
-        };
+        let sign = if own.dot(direction) < 0.0 { -1.0 } else { 1.0 };
         let axis = own * sign;
         let full = options.lift * LIFT * scale[thin];
         let height = full * (1.0 - axis.dot(direction));

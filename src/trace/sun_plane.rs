@@ -104,7 +104,12 @@ impl PlaneTrace {
         for numbers in by_size(&all, half).iter().filter(|numbers| !numbers.is_empty()) {
             plane.add_level(&all, numbers);
         }
-        plane.blocks = plane.ellipses.par_chunks(LANES).with_min_len(256).map(Block::new).collect();
+        plane.blocks = plane
+            .ellipses
+            .par_chunks(LANES)
+            .with_min_len(256)
+            .map(Block::new)
+            .collect();
         plane
     }
 
@@ -118,7 +123,10 @@ impl PlaneTrace {
             first: self.ellipses.len(),
             half,
         });
-        let sorted = order.par_iter().with_min_len(4096).map(|&place| *of_level(place as usize));
+        let sorted = order
+            .par_iter()
+            .with_min_len(4096)
+            .map(|&place| *of_level(place as usize));
         self.ellipses.par_extend(sorted);
     }
 
@@ -137,7 +145,10 @@ impl PlaneTrace {
         chunks
             .zip(shades.par_chunks_mut(CHUNK))
             .for_each(|((rays, origins), shades)| {
-                let rays = rays.iter().zip(origins).map(|(ray, &origin)| self.on_plane(ray, origin));
+                let rays = rays
+                    .iter()
+                    .zip(origins)
+                    .map(|(ray, &origin)| self.on_plane(ray, origin));
                 shade(&rays.collect::<Vec<_>>(), self, shades);
             });
         shades

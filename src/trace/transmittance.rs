@@ -109,12 +109,7 @@ impl Transmittance {
 }
 
 /// Transmittance of the Gaussians `origins` toward `light` through all of `occluders`.
-pub fn transmittance(
-    occluders: &Occluders,
-    origins: &[u32],
-    light: &Light,
-    options: &TraceOptions,
-) -> Transmittance {
+pub fn transmittance(occluders: &Occluders, origins: &[u32], light: &Light, options: &TraceOptions) -> Transmittance {
     let rays: Vec<LightRay> = origins
         .par_iter()
         .with_min_len(CHUNK)
@@ -133,7 +128,10 @@ pub fn transmittance(
     let lit = |shade: &Shade| shade.clear >= DARK;
     Transmittance {
         values: shades.iter().map(|s| if lit(s) { s.clear } else { 0.0 }).collect(),
-        pulls: shades.iter().map(|s| if lit(s) { s.pull } else { Vec3::ZERO }).collect(),
+        pulls: shades
+            .iter()
+            .map(|s| if lit(s) { s.pull } else { Vec3::ZERO })
+            .collect(),
         hits: shades.iter().map(|s| u64::from(s.hits)).sum(),
         rays,
         found_by,
@@ -344,7 +342,12 @@ mod tests {
             assert!((traced.values[1] - 0.05).abs() < 1e-4);
             let mut gradients = table.zeros_like();
             traced.backward(&table, &occluders, &[0, 198], &[1.0, 0.0], &mut gradients);
-            assert!(gradients.groups.iter().all(|group| group.values.iter().all(|&d| d == 0.0)));
+            assert!(
+                gradients
+                    .groups
+                    .iter()
+                    .all(|group| group.values.iter().all(|&d| d == 0.0))
+            );
         }
     }
 

@@ -40,8 +40,16 @@ impl Bundle {
             let rays: [_; LANES] = std::array::from_fn(|l| ray(number * LANES + l));
             let of = |value: fn(&LightRay) -> f32, missing: f32| rays.map(|r| r.map_or(missing, |(ray, _)| value(ray)));
             Block {
-                origin: [of(|r| r.origin.x, 0.0), of(|r| r.origin.y, 0.0), of(|r| r.origin.z, 0.0)],
-                direction: [of(|r| r.direction.x, 0.0), of(|r| r.direction.y, 0.0), of(|r| r.direction.z, 1.0)],
+                origin: [
+                    of(|r| r.origin.x, 0.0),
+                    of(|r| r.origin.y, 0.0),
+                    of(|r| r.origin.z, 0.0),
+                ],
+                direction: [
+                    of(|r| r.direction.x, 0.0),
+                    of(|r| r.direction.y, 0.0),
+                    of(|r| r.direction.z, 1.0),
+                ],
                 near: of(|r| r.bias, f32::INFINITY),
                 far: of(|r| r.length, 0.0),
                 id: rays.map(|r| r.map_or(u32::MAX, |(_, id)| id)),
@@ -70,7 +78,11 @@ impl Pass {
             met: [0; LANES],
         };
         for l in 0..LANES {
-            let offset = [block.origin[0][l] - p.x, block.origin[1][l] - p.y, block.origin[2][l] - p.z];
+            let offset = [
+                block.origin[0][l] - p.x,
+                block.origin[1][l] - p.y,
+                block.origin[2][l] - p.z,
+            ];
             let along = [block.direction[0][l], block.direction[1][l], block.direction[2][l]];
             let whitened = |v: [f32; 3]| {
                 [
