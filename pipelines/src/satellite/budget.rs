@@ -6,7 +6,7 @@ use std::time::{Duration, Instant};
 /// Share of the time that is kept back for what cannot be foreseen.
 const SLACK: f64 = 0.04;
 /// What one image costs after training (its rendering, its shadows, its scores), and the DSM likewise, in steps.
-const STEPS_PER_PRODUCT: f64 = 1.3;
+const STEPS_PER_PRODUCT: f64 = 1.0;
 
 /// What comes after training on a scene of `images` images, in steps.
 pub(super) fn after_training_steps(images: usize) -> f64 {

@@ -9,14 +9,15 @@ use super::fit::FitError;
 use super::views;
 use crate::scene::Scene;
 use heliosplat::rates::{Descent, Site};
+use heliosplat::train::TrainOptions;
 use std::time::Instant;
 
 /// Gaussians per cell of the ground grid: walls and doubtful ground add to one each (1.0 to 2.0 were seen).
 const GAUSSIANS_PER_CELL: f64 = 1.3;
 /// Tables of all parameters that training holds: values, gradients, two moments, the best state.
 const TABLES: f64 = 5.0;
-/// Bytes per Gaussian of what one step makes besides: splats, lists of tiles, gradients, hits on the way to the sun.
-const STEP_BYTES_PER_GAUSSIAN: f64 = 770.0;
+/// Bytes per Gaussian of what one step makes besides: splats, lists of tiles, gradients, ellipses on the plane of the sun.
+const STEP_BYTES_PER_GAUSSIAN: f64 = 470.0;
 /// What the allocator keeps at hand, bytes.
 const SPARE_BYTES: f64 = 64.0 * 1_048_576.0;
 /// Planes of 32-bit numbers per pixel of the largest view that one step makes, besides those per channel.
@@ -26,9 +27,11 @@ const PLANES_PER_CHANNEL: f64 = 4.0;
 /// Bytes per cell of the ground grid while its surface is searched.
 const SWEEP_BYTES_PER_CELL: f64 = 600.0;
 /// Seconds per cell and image before the first step: pointing, search, start.
-const START_S_PER_CELL: f64 = 1.2e-5;
-/// Seconds per Gaussian and step.
-const STEP_S_PER_GAUSSIAN: f64 = 1.4e-6;
+const START_S_PER_CELL: f64 = 4.8e-6;
+/// Seconds per Gaussian and step, without light.
+const STEP_S_PER_GAUSSIAN: f64 = 4.2e-7;
+/// Seconds per Gaussian to trace light once, with gradients.
+const TRACE_S_PER_GAUSSIAN: f64 = 1.03e-6;
 /// Seconds of one step of the small site on the machine that the seconds above were measured on.
 const REFERENCE_STEP_S: f64 = 0.012;
 
@@ -92,15 +95,28 @@ pub fn estimate(scene: &Scene, config: &SatelliteConfig, slowness: f64) -> Estim
         fixed + training_bytes(gaussians, images.len(), bands, pixels).max(SWEEP_BYTES_PER_CELL * cells)
     };
     let start_s = START_S_PER_CELL * cells * images.len() as f64 * slowness;
-    let step_s = STEP_S_PER_GAUSSIAN * gaussians * slowness;
+    let growth = config.train.clone().for_views(images.len()).growth();
+    let per_gaussian = STEP_S_PER_GAUSSIAN + TRACE_S_PER_GAUSSIAN * traces_per_step(&config.train);
+    let step_s = per_gaussian * gaussians * 0.5 * (1.0 + growth) * slowness;
     Estimate {
         gaussians,
-        peak_bytes: peak(gaussians * config.train.clone().for_views(images.len()).growth()),
+        peak_bytes: peak(gaussians * growth),
         least_bytes: peak(cells),
         steps,
         start_s,
         seconds: start_s + (steps as f64 + after_training_steps(scene.images.len())) * step_s,
     }
+}
+
+/// How often a step traces light, in the mean: for its view, and twice where shadow consistency is due.
+fn traces_per_step(train: &TrainOptions) -> f64 {
+    let every = |steps: usize| 1.0 / steps.max(1) as f64;
+    let consistency = if train.consistency_weight > 0.0 {
+        2.0 * every(train.consistency_every)
+    } else {
+        0.0
+    };
+    every(train.light_every) + consistency
 }
 
 /// Memory that this process holds now, bytes; zero where the system does not tell.

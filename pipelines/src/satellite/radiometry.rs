@@ -40,9 +40,7 @@ impl Sample {
 fn samples(gaussians: &Table, occluders: &Occluders, view: &View, maps: &Maps, facing: bool) -> Vec<Sample> {
     let all: Vec<u32> = (0..gaussians.count as u32).collect();
     let lit: Vec<f32> = match &view.light {
-        Some(light @ Light::Directional(_)) => {
-            transmittance(occluders, &all, light, &TraceOptions::default()).values
-        }
+        Some(light @ Light::Directional(_)) => transmittance(occluders, &all, light, &TraceOptions::default()).values,
         _ => vec![1.0; all.len()],
     };
     all.par_iter()
