@@ -88,8 +88,8 @@ impl Table {
     pub fn reset(&mut self, count: usize) {
         self.count = count;
         for group in &mut self.groups {
-            group.values.clear();
             group.values.resize(group.spec.width * count, 0.0);
+            group.values.par_chunks_mut(1 << 15).for_each(|part| part.fill(0.0));
         }
     }
 

@@ -22,6 +22,8 @@ pub struct PassOptions {
     pub trace: TraceOptions,
     /// Whether three channels with the splats' normals follow the model's.
     pub normals: bool,
+    /// Whether squared depths are composited, for the spread of depths along a ray.
+    pub spread: bool,
 }
 
 /// What is known of the light that reaches the Gaussians.
@@ -92,7 +94,9 @@ impl<'a> Pass<'a> {
                 feature[at..at + 3].copy_from_slice(&splat.normal);
             }
         }
-        let rasteriser = Rasteriser::new(&projected, context.camera.width, context.camera.height).with_median(median);
+        let rasteriser = Rasteriser::new(&projected, context.camera.width, context.camera.height)
+            .with_median(median)
+            .with_spread(options.spread);
         let maps = rasteriser.forward(&features, stride);
         let bins = rasteriser.into_bins();
         Self {
@@ -134,7 +138,8 @@ impl<'a> Pass<'a> {
     pub fn backward(&self, d_maps: &MapGradients, grads: &mut Parameters) -> Vec<SplatGradient> {
         let camera = self.context.camera;
         let gaussians = &self.context.parameters.gaussians;
-        let rasteriser = Rasteriser::with_bins(&self.projected, &self.bins, camera.width, camera.height);
+        let rasteriser = Rasteriser::with_bins(&self.projected, &self.bins, camera.width, camera.height)
+            .with_spread(self.options.spread);
         let mut back = rasteriser.backward(&self.features, self.stride, &self.maps, d_maps);
         if self.options.normals {
             let at = self.model.channels();
@@ -194,6 +199,7 @@ pub fn render(
     let lit = occluders.as_ref().map_or(Lit::Everywhere, Lit::Traced);
     let options = PassOptions {
         normals: true,
+        spread: true,
         ..options
     };
     let pass = Pass::look(model, context, lit, options, true);

@@ -275,6 +275,7 @@ impl<'a> Trainer<'a> {
             projection: options.projection,
             trace: options.trace,
             normals: options.depth_normal_weight > 0.0,
+            spread: options.one_surface_weight > 0.0,
         };
         // A window does not know the light of what lies outside of it.
         let known = self.known_light[index]

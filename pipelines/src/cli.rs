@@ -68,8 +68,11 @@ pub enum Command {
     /// Train a model of a scene
     #[command(after_help = "Example: heliosplat train my_images --out run --preset balanced --time-budget 10m")]
     Train(satellite::TrainArgs),
-    /// Write the surface model of a run as a cloud-optimised GeoTIFF
-    #[command(after_help = "Example: heliosplat dsm run --out dsm.tif --gsd 0.5 --crs EPSG:32637")]
+    /// Write the surface model of a run, or that of a scene's sweep, as a cloud-optimised GeoTIFF
+    #[command(
+        after_help = "Examples: heliosplat dsm run --out dsm.tif --gsd 0.5 --crs EPSG:32637\n          \
+                            heliosplat dsm my_images --from sweep --out quick.tif"
+    )]
     Dsm(satellite::DsmArgs),
     /// Write the scene under another sun, and its shadow mask
     #[command(after_help = "Example: heliosplat relight run --out evening.tif --sun 270,20")]

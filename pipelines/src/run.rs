@@ -156,6 +156,7 @@ impl LoadedModel {
             projection: self.file.projection,
             trace: self.file.trace,
             normals: true,
+            spread: true,
         }
     }
 }

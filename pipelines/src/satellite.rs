@@ -12,7 +12,7 @@ pub mod training;
 pub mod views;
 
 use crate::cli::evaluate::{EvaluateArgs, table, write_error_map};
-use crate::cli::satellite::{DemoArgs, DsmArgs, RelightArgs, RenderArgs, RenderSplit};
+use crate::cli::satellite::{DemoArgs, DsmArgs, DsmSource, RelightArgs, RenderArgs, RenderSplit};
 use crate::cli::{CliError, Outcome, Session};
 use crate::product::{dsm, relight, views as rendered};
 use crate::raster::write::{ImageSpec, Sample, write_geotiff};
@@ -158,19 +158,31 @@ pub fn demo(args: &DemoArgs, session: &Session) -> Result<Outcome, CliError> {
     })
 }
 
-/// Writes the surface model of a run.
+/// Writes the surface model of a run, or that of a scene's sweep.
 ///
 /// # Errors
-/// When the run, the coordinate system or the file to write is at fault.
-pub fn dsm(args: &DsmArgs, _session: &Session) -> Result<Outcome, CliError> {
-    let model = run::load(&args.run)?;
-    let gsd_m = args.gsd.unwrap_or(model.file.gsd_m);
-    let surface = dsm::dsm(&model, gsd_m, args.crs.as_deref())?;
+/// When the run, the scene, the coordinate system or the file to write is at fault.
+pub fn dsm(args: &DsmArgs, session: &Session) -> Result<Outcome, CliError> {
+    let (surface, gsd_m) = match args.from {
+        DsmSource::Model => {
+            let model = run::load(&args.run)?;
+            let gsd_m = args.gsd.unwrap_or(model.file.gsd_m);
+            (dsm::dsm(&model, gsd_m, args.crs.as_deref())?, gsd_m)
+        }
+        DsmSource::Sweep => {
+            let scene = Scene::open(&args.run, &args.ingest.options())?;
+            let gsd_m = args.gsd.unwrap_or(scene.gsd_m);
+            let swept = fit::sweep_only(&scene, &SatelliteConfig::resolve("fast", &[], 1)?, session)?;
+            let surface = dsm::of_surface(&(&scene).into(), &swept, gsd_m, args.crs.as_deref())?;
+            (surface, gsd_m)
+        }
+    };
     let known = surface.raster.plane(0).iter().filter(|v| v.is_finite()).count();
     if known == 0 {
         let crs = surface.grid.crs.name();
         return Err(CliError::Input(format!(
-            "dsm: nothing of the run falls on a grid in {crs}; choose a projected coordinate system of the place with --crs"
+            "dsm: nothing of {} falls on a grid in {crs}; choose a projected coordinate system of the place with --crs",
+            args.run.display()
         )));
     }
     surface.write(&args.out)?;

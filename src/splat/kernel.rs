@@ -69,12 +69,16 @@ impl<const K: usize> TileMaps<K> {
     }
 
     /// Empties the tile, keeping the count of pairs.
-    fn clear(&mut self, frame: &TileFrame) {
+    fn clear(&mut self, frame: &TileFrame, median: bool, square: bool) {
         frame.clear_sky(&mut self.transmittance);
         self.channels.fill([0.0; PLANE]);
         self.depth.fill(0.0);
-        self.depth_square.fill(0.0);
-        self.median_depth.fill(0.0);
+        if square {
+            self.depth_square.fill(0.0);
+        }
+        if median {
+            self.median_depth.fill(0.0);
+        }
     }
 }
 

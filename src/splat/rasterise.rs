@@ -34,7 +34,7 @@ pub struct Maps {
     pub alpha: Vec<f32>,
     /// `Σ w z`, metres; divide by alpha for the expected depth.
     pub depth: Vec<f32>,
-    /// `Σ w z²`, metres².
+    /// `Σ w z²`, metres²; empty when it was not asked for.
     pub depth_square: Vec<f32>,
     /// Depth at which half of the light is absorbed, metres, NaN where nothing is; empty when it was not asked for.
     pub median_depth: Vec<f32>,
@@ -51,7 +51,7 @@ pub struct MapGradients {
     pub alpha: Vec<f32>,
     /// To `Σ w z`.
     pub depth: Vec<f32>,
-    /// To `Σ w z²`.
+    /// To `Σ w z²`; does not count where that was not asked for.
     pub depth_square: Vec<f32>,
 }
 
@@ -81,7 +81,7 @@ struct Band<'m> {
     channels: Vec<&'m mut [f32]>,
     alpha: &'m mut [f32],
     depth: &'m mut [f32],
-    depth_square: &'m mut [f32],
+    depth_square: Option<&'m mut [f32]>,
     median_depth: Option<&'m mut [f32]>,
 }
 
@@ -93,6 +93,7 @@ pub struct Rasteriser<'a> {
     width: usize,
     height: usize,
     median: bool,
+    spread: bool,
 }
 
 impl<'a> Rasteriser<'a> {
@@ -104,6 +105,7 @@ impl<'a> Rasteriser<'a> {
             width,
             height,
             median: false,
+            spread: false,
         }
     }
 
@@ -115,12 +117,18 @@ impl<'a> Rasteriser<'a> {
             width,
             height,
             median: false,
+            spread: false,
         }
     }
 
     /// The same, which finds the median depth too; nothing that is trained needs it.
     pub fn with_median(self, median: bool) -> Self {
         Self { median, ..self }
+    }
+
+    /// The same, which composites squared depths too; only a loss on the spread of depths along a ray needs it in training.
+    pub fn with_spread(self, spread: bool) -> Self {
+        Self { spread, ..self }
     }
 
     /// The bins, for a later [`Self::with_bins`].
@@ -167,7 +175,7 @@ impl<'a> Rasteriser<'a> {
             channels: (0..K).map(|_| plane()).collect(),
             alpha: plane(),
             depth: plane(),
-            depth_square: plane(),
+            depth_square: if self.spread { plane() } else { Vec::new() },
             median_depth: if self.median { plane() } else { Vec::new() },
             pairs: 0,
         };
@@ -181,16 +189,15 @@ impl<'a> Rasteriser<'a> {
         } = &mut out;
         let band = (self.width * TILE_HEIGHT).max(1);
         let mut channel_bands: Vec<_> = channels.iter_mut().map(|plane| plane.chunks_mut(band)).collect();
-        let mut median_bands = median_depth.chunks_mut(band);
+        let (mut median_bands, mut square_bands) = (median_depth.chunks_mut(band), depth_square.chunks_mut(band));
         let bands: Vec<_> = alpha
             .chunks_mut(band)
             .zip(depth.chunks_mut(band))
-            .zip(depth_square.chunks_mut(band))
-            .map(|((alpha, depth), depth_square)| Band {
+            .map(|(alpha, depth)| Band {
                 channels: channel_bands.iter_mut().filter_map(Iterator::next).collect(),
                 alpha,
                 depth,
-                depth_square,
+                depth_square: square_bands.next(),
                 median_depth: median_bands.next(),
             })
             .collect();
@@ -211,10 +218,11 @@ impl<'a> Rasteriser<'a> {
             let frame = self.frame(tile);
             let list = self.bins.tile(tile);
             let splats = &self.projected.splats;
-            if self.median {
-                kernel::forward::<K, true>(list, splats, features, &frame, &mut maps);
-            } else {
-                kernel::forward::<K, false>(list, splats, features, &frame, &mut maps);
+            match (self.median, self.spread) {
+                (true, true) => kernel::forward::<K, true, true>(list, splats, features, &frame, &mut maps),
+                (true, false) => kernel::forward::<K, true, false>(list, splats, features, &frame, &mut maps),
+                (false, true) => kernel::forward::<K, false, true>(list, splats, features, &frame, &mut maps),
+                (false, false) => kernel::forward::<K, false, false>(list, splats, features, &frame, &mut maps),
             }
             for r in 0..frame.height {
                 let start = r * self.width + column * TILE_WIDTH;
@@ -224,7 +232,9 @@ impl<'a> Rasteriser<'a> {
                     copy_row(&mut plane[to.clone()], &tile_plane[from.clone()]);
                 }
                 copy_row(&mut band.depth[to.clone()], &maps.depth[from.clone()]);
-                copy_row(&mut band.depth_square[to.clone()], &maps.depth_square[from.clone()]);
+                if let Some(square) = &mut band.depth_square {
+                    copy_row(&mut square[to.clone()], &maps.depth_square[from.clone()]);
+                }
                 let transmittance = &maps.transmittance[from.clone()];
                 if let Some(median) = &mut band.median_depth {
                     let found = maps.median_depth[from].iter().zip(transmittance);
@@ -267,7 +277,9 @@ impl<'a> Rasteriser<'a> {
         }
         add(&maps.alpha, &grads.alpha, &mut out.alpha);
         add(&maps.depth, &grads.depth, &mut out.depth);
-        add(&maps.depth_square, &grads.depth_square, &mut out.depth_square);
+        if self.spread {
+            add(&maps.depth_square, &grads.depth_square, &mut out.depth_square);
+        }
     }
 
     fn backward_k<const K: usize>(&self, features: &[f32], maps: &Maps, grads: &MapGradients) -> SplatGradients {
@@ -289,7 +301,11 @@ impl<'a> Rasteriser<'a> {
                 if !list.is_empty() {
                     self.cut_gradients(tile, maps, grads, gradients);
                     let (frame, base) = (self.frame(tile), self.bins.starts[tile]);
-                    kernel::backward(list, splats, features, &frame, gradients, base, part);
+                    if self.spread {
+                        kernel::backward::<K, true>(list, splats, features, &frame, gradients, base, part);
+                    } else {
+                        kernel::backward::<K, false>(list, splats, features, &frame, gradients, base, part);
+                    }
                 }
             });
         let records = &*records.values();

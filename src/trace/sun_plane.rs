@@ -19,6 +19,7 @@ use ellipse::{Axes, Block, Ellipse, LANES, Moments};
 use glam::{Vec2, Vec3};
 use meet::{RayGrid, gather, shade};
 use rayon::prelude::*;
+use std::sync::atomic::{AtomicU32, Ordering};
 
 /// Sizes that have a grid of their own, each up to twice the one before.
 const LEVELS: usize = 8;
@@ -61,13 +62,32 @@ pub(super) struct PlaneTrace {
     half: Vec2,
 }
 
+/// Mean half sizes of the ellipses that exist; chunks are summed side by side, then in their order.
+fn mean_half(all: &[Ellipse]) -> Vec2 {
+    let chunk_sum = |chunk: &[Ellipse]| {
+        chunk.iter().filter(|e| e.exists()).fold([0.0f64; 3], |[x, y, n], e| {
+            [x + f64::from(e.half.x), y + f64::from(e.half.y), n + 1.0]
+        })
+    };
+    let sums: Vec<[f64; 3]> = all.par_chunks(4 * CHUNK).map(chunk_sum).collect();
+    let add = |a: [f64; 3], b: &[f64; 3]| [a[0] + b[0], a[1] + b[1], a[2] + b[2]];
+    let [x, y, count] = sums.iter().fold([0.0; 3], add);
+    Vec2::new((x / count.max(1.0)) as f32, (y / count.max(1.0)) as f32).max(Vec2::splat(1e-9))
+}
+
 /// The numbers of the ellipses of every level.
 fn by_size(all: &[Ellipse], mean_half: Vec2) -> [Vec<u32>; LEVELS] {
-    let mut levels: [Vec<u32>; LEVELS] = Default::default();
-    for (number, ellipse) in all.iter().enumerate().filter(|(_, ellipse)| ellipse.exists()) {
+    let level = |ellipse: &Ellipse| {
         let size = (ellipse.half / mean_half).max_element() / SMALLEST;
         let doublings = (1..LEVELS).filter(|&level| size > (1u32 << (level - 1)) as f32).count();
-        levels[doublings].push(number as u32);
+        ellipse.exists().then_some(doublings as u8)
+    };
+    let found: Vec<Option<u8>> = all.par_iter().with_min_len(CHUNK).map(level).collect();
+    let mut levels: [Vec<u32>; LEVELS] = Default::default();
+    for (number, level) in found.iter().enumerate() {
+        if let Some(level) = level {
+            levels[usize::from(*level)].push(number as u32);
+        }
     }
     levels
 }
@@ -88,16 +108,11 @@ impl PlaneTrace {
             .enumerate()
             .map(|(id, occluder)| Ellipse::new(occluder, id, &axes))
             .collect();
-        let (mut sum, mut count) = ([0.0f64; 2], 0usize);
-        for ellipse in all.iter().filter(|ellipse| ellipse.exists()) {
-            sum = [sum[0] + f64::from(ellipse.half.x), sum[1] + f64::from(ellipse.half.y)];
-            count += 1;
-        }
-        let half = Vec2::from(sum.map(|s| (s / count.max(1) as f64) as f32)).max(Vec2::splat(1e-9));
+        let half = mean_half(&all);
         let mut plane = Self {
             axes,
             levels: Vec::new(),
-            ellipses: Vec::with_capacity(count),
+            ellipses: Vec::with_capacity(all.len()),
             blocks: Vec::new(),
             half,
         };
@@ -115,8 +130,12 @@ impl PlaneTrace {
 
     fn add_level(&mut self, all: &[Ellipse], numbers: &[u32]) {
         let of_level = |place: usize| &all[numbers[place] as usize];
-        let half = (0..numbers.len()).fold(Vec2::ZERO, |half, place| half.max(of_level(place).half));
-        let centres: Vec<Vec2> = (0..numbers.len()).map(|place| of_level(place).centre).collect();
+        let (centres, halves): (Vec<Vec2>, Vec<Vec2>) = (0..numbers.len())
+            .into_par_iter()
+            .with_min_len(CHUNK)
+            .map(|place| (of_level(place).centre, of_level(place).half))
+            .unzip();
+        let half = halves.iter().fold(Vec2::ZERO, |half, &h| half.max(h));
         let (cells, order) = Cells::sort(&centres, cell(half));
         self.levels.push(Level {
             cells,
@@ -171,14 +190,14 @@ impl PlaneTrace {
         let mut moments = vec![Moments::default(); self.ellipses.len()];
         let chunks = self.ellipses.par_chunks(CHUNK).zip(moments.par_chunks_mut(CHUNK));
         chunks.for_each(|(ellipses, moments)| gather(ellipses, &grid, moments));
-        let mut place_of = vec![u32::MAX; gaussians.count];
-        for (place, ellipse) in self.ellipses.iter().enumerate() {
-            place_of[ellipse.id as usize] = place as u32;
-        }
+        // Every Gaussian has one place at most, so the order of threads does not matter.
+        let place_of: Vec<AtomicU32> = (0..gaussians.count).map(|_| AtomicU32::new(u32::MAX)).collect();
+        let numbered = self.ellipses.par_iter().with_min_len(CHUNK).enumerate();
+        numbered.for_each(|(place, e)| place_of[e.id as usize].store(place as u32, Ordering::Relaxed));
         out.add_core_by_range(CHUNK, |range, add| {
             let first = range * CHUNK;
             for id in first..(first + CHUNK).min(gaussians.count) {
-                let place = place_of[id] as usize;
+                let place = place_of[id].load(Ordering::Relaxed) as usize;
                 if moments.get(place).is_some_and(|m| m.h != 0.0) {
                     let (ellipse, moments) = (&self.ellipses[place], &moments[place]);
                     let d = self.of_gaussian(gaussians, &occluders.list[id], ellipse, moments);

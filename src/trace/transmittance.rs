@@ -125,14 +125,21 @@ pub fn transmittance(occluders: &Occluders, origins: &[u32], light: &Light, opti
             (shades, FoundBy::Hierarchy(trace))
         }
     };
-    let lit = |shade: &Shade| shade.clear >= DARK;
+    let (values, pulls) = shades
+        .par_iter()
+        .with_min_len(CHUNK)
+        .map(|s| {
+            if s.clear >= DARK {
+                (s.clear, s.pull)
+            } else {
+                (0.0, Vec3::ZERO)
+            }
+        })
+        .unzip();
     Transmittance {
-        values: shades.iter().map(|s| if lit(s) { s.clear } else { 0.0 }).collect(),
-        pulls: shades
-            .iter()
-            .map(|s| if lit(s) { s.pull } else { Vec3::ZERO })
-            .collect(),
-        hits: shades.iter().map(|s| u64::from(s.hits)).sum(),
+        values,
+        pulls,
+        hits: shades.par_iter().with_min_len(CHUNK).map(|s| u64::from(s.hits)).sum(),
         rays,
         found_by,
         occluder_gradients: options.occluder_gradients,

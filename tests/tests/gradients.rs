@@ -98,6 +98,7 @@ fn case(seed: u64, count: usize, perspective: bool, antialias: bool) -> Case {
     let options = PassOptions {
         projection,
         normals: true,
+        spread: true,
         ..PassOptions::default()
     };
     let sun = Vec3::new(0.5, 0.3, 0.7).normalize();

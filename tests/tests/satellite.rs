@@ -49,4 +49,15 @@ fn a_tiny_site_becomes_a_surface_model_near_the_truth() {
     assert!(dsm.is_file() && picture.is_file() && picture.with_file_name("evening_shadow.tif").is_file());
     fault(&["relight", &run_arg, "--out", &arg(&picture), "--sun", "250,-3"], 2);
     json(&["evaluate", &run_arg]);
+
+    // The sweep alone, from the scene: the surface that the run started from.
+    let swept = folder.path().join("swept.tif");
+    fault(&["dsm", &run_arg, "--from", "sweep", "--out", &arg(&swept)], 2);
+    assert!(!swept.exists());
+    json(&["dsm", &scene, "--from", "sweep", "--out", &arg(&swept)]);
+    let truth = Path::new(&scene).join("truth").join("dsm.tif");
+    let swept = json(&["evaluate", "--dsm", &arg(&swept), "--truth", &arg(&truth)]);
+    let (alone, start) = (&swept["dsm"]["mae_m"], &metrics["start"]["mae_m"]);
+    let (alone, start) = (alone.as_f64().expect("a number"), start.as_f64().expect("a number"));
+    assert!((alone - start).abs() < 0.02, "{alone} m alone, {start} m in the run");
 }

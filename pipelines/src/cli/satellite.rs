@@ -75,18 +75,33 @@ pub struct TrainArgs {
 /// `dsm`.
 #[derive(Debug, Clone, Args)]
 pub struct DsmArgs {
-    /// A finished run
+    /// A finished run; with --from sweep a scene, as `train` takes it
     #[arg(value_name = "RUN")]
     pub run: PathBuf,
     /// The GeoTIFF to write
     #[arg(long, value_name = "FILE.tif")]
     pub out: PathBuf,
+    /// What the surface is taken from
+    #[arg(long, value_enum, default_value = "model")]
+    pub from: DsmSource,
     /// Ground sampling distance, metres [default: that of the images]
     #[arg(long, value_parser = parse::positive, value_name = "M")]
     pub gsd: Option<f64>,
     /// Coordinate reference system [default: the local UTM zone]
     #[arg(long, value_name = "EPSG:N")]
     pub crs: Option<String>,
+    /// What is said about the scene
+    #[command(flatten)]
+    pub ingest: IngestArgs,
+}
+
+/// What a surface model is taken from.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+pub enum DsmSource {
+    /// The trained model of a run.
+    Model,
+    /// The object-space sweep of a scene, in seconds and without training.
+    Sweep,
 }
 
 /// `relight`.

@@ -4,10 +4,12 @@ use crate::raster::grid::{EnuGrid, GridSpec};
 use crate::raster::write::{ImageSpec, write_cog};
 use crate::raster::{Crs, RasterError};
 use crate::run::LoadedModel;
+use crate::scene::{Area, Scene};
 use glam::DVec3;
 use heliosplat::render::{Rendering, render};
 use heliosplat::start::Surface;
 use heliosplat::{ProjectiveCamera, Raster};
+use heliosplat_rpc::LocalFrame;
 use std::path::Path;
 
 /// Alpha below which a pixel has no altitude.
@@ -34,21 +36,52 @@ pub struct NadirGrid {
     enu: EnuGrid,
 }
 
+/// A piece of ground, and how high it reaches.
+#[derive(Debug, Clone, Copy)]
+pub struct Place {
+    /// The local frame.
+    pub frame: LocalFrame,
+    /// The ground, metres of the frame.
+    pub area: Area,
+    /// Lowest and highest ellipsoidal altitude, metres.
+    pub altitude_range_m: (f64, f64),
+}
+
+impl From<&LoadedModel> for Place {
+    fn from(model: &LoadedModel) -> Self {
+        Self {
+            frame: model.frame,
+            area: model.file.area,
+            altitude_range_m: model.file.altitude_range_m,
+        }
+    }
+}
+
+impl From<&Scene> for Place {
+    fn from(scene: &Scene) -> Self {
+        Self {
+            frame: scene.frame,
+            area: scene.area,
+            altitude_range_m: scene.altitude_range_m,
+        }
+    }
+}
+
 impl NadirGrid {
-    /// The grid of `crs` (the local UTM zone by default) with pixels of `gsd_m` metres over the model's area.
+    /// The grid of `crs` (the local UTM zone by default) with pixels of `gsd_m` metres over a place.
     ///
     /// # Errors
     /// When the coordinate system does not cover the place.
-    pub fn new(model: &LoadedModel, gsd_m: f64, crs: Option<&str>) -> Result<Self, RasterError> {
+    pub fn new(place: &Place, gsd_m: f64, crs: Option<&str>) -> Result<Self, RasterError> {
+        let Place { frame, area, .. } = place;
         let crs = match crs {
             Some(definition) => Crs::from_definition(definition)?,
-            None => Crs::utm(model.frame.origin)?,
+            None => Crs::utm(frame.origin)?,
         };
-        let area = &model.file.area;
         let rectangle = [area.west_m, area.south_m, area.east_m, area.north_m];
-        let grid = GridSpec::covering(&model.frame, rectangle, &crs, gsd_m)?;
-        let enu = EnuGrid::new(&model.frame, &grid, model.file.altitude_range_m)?;
-        let camera = nadir_camera(&enu, &grid, model.frame.origin.height_m);
+        let grid = GridSpec::covering(frame, rectangle, &crs, gsd_m)?;
+        let enu = EnuGrid::new(frame, &grid, place.altitude_range_m)?;
+        let camera = nadir_camera(&enu, &grid, frame.origin.height_m);
         Ok(Self { grid, camera, enu })
     }
 
@@ -92,7 +125,7 @@ fn nadir_camera(enu: &EnuGrid, grid: &GridSpec, height_m: f64) -> ProjectiveCame
 /// # Errors
 /// When the coordinate system does not cover the place.
 pub fn dsm(model: &LoadedModel, gsd_m: f64, crs: Option<&str>) -> Result<Dsm, RasterError> {
-    let nadir = NadirGrid::new(model, gsd_m, crs)?;
+    let nadir = NadirGrid::new(&model.into(), gsd_m, crs)?;
     let Rendering { maps, .. } = render(
         &model.model,
         &model.parameters,
@@ -123,23 +156,22 @@ pub fn dsm(model: &LoadedModel, gsd_m: f64, crs: Option<&str>) -> Result<Dsm, Ra
     })
 }
 
-/// The surface that training started from, on the grid of the model's own surface; its coverage is the sweep's confidence and
-/// it has no standard deviation.
+/// A swept surface on a map grid; its coverage is the sweep's confidence and it has no standard deviation.
 ///
 /// # Errors
-/// When the place has no map grid.
-pub fn of_start(model: &LoadedModel, surface: &Surface) -> Result<Dsm, RasterError> {
-    let nadir = NadirGrid::new(model, model.file.gsd_m, None)?;
+/// When the coordinate system does not cover the place.
+pub fn of_surface(place: &Place, surface: &Surface, gsd_m: f64, crs: Option<&str>) -> Result<Dsm, RasterError> {
+    let nadir = NadirGrid::new(place, gsd_m, crs)?;
     let (width, height) = (nadir.grid.width, nadir.grid.height);
     let mut raster = Raster::filled(width, height, 3, f32::NAN);
     let pixels = width * height;
     for i in 0..pixels {
         let (col, row) = (i % width, i / width);
-        let place = |height_m: f64| nadir.enu.enu(col as f64, row as f64, height_m);
-        let mut height_m = model.frame.origin.height_m;
+        let at = |height_m: f64| nadir.enu.enu(col as f64, row as f64, height_m);
+        let mut height_m = place.frame.origin.height_m;
         // A plumb line hardly leans over a scene: the second look is at the altitude that the first one found.
         for _ in 0..2 {
-            let [east, north, _] = place(height_m);
+            let [east, north, _] = at(height_m);
             let Some(up_m) = surface.altitude_at(east as f32, north as f32) else {
                 break;
             };

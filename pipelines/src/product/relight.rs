@@ -60,7 +60,7 @@ pub fn relight(model: &LoadedModel, sun: &SunPosition, view: &str) -> Result<Rel
         return Err(RelightError::Night { elevation_deg });
     }
     let (camera, georeference) = if view == "nadir" {
-        let nadir = NadirGrid::new(model, model.file.gsd_m, None)?;
+        let nadir = NadirGrid::new(&model.into(), model.file.gsd_m, None)?;
         (nadir.camera, Some(nadir))
     } else {
         (named_camera(model, view)?, None)

@@ -17,7 +17,7 @@ const GAUSSIANS_PER_CELL: f64 = 1.3;
 /// Tables of all parameters that training holds: values, gradients, two moments, the best state.
 const TABLES: f64 = 5.0;
 /// Bytes per Gaussian of what one step makes besides: splats, lists of tiles, gradients, ellipses on the plane of the sun.
-const STEP_BYTES_PER_GAUSSIAN: f64 = 470.0;
+const STEP_BYTES_PER_GAUSSIAN: f64 = 600.0;
 /// What the allocator keeps at hand, bytes.
 const SPARE_BYTES: f64 = 64.0 * 1_048_576.0;
 /// Planes of 32-bit numbers per pixel of the largest view that one step makes, besides those per channel.

@@ -18,7 +18,7 @@ use heliosplat_rpc::RpcError;
 use heliosplat_rpc::adjust::BiasModel;
 use rayon::prelude::*;
 use std::collections::BTreeMap;
-use std::time::Instant;
+use std::time::{Duration, Instant};
 
 /// Why a model could not be fitted.
 #[derive(Debug, thiserror::Error)]
@@ -222,11 +222,19 @@ pub fn nadir_camera(area: &Area, gsd_m: f64) -> ProjectiveCamera {
     ProjectiveCamera::nadir(area.west_m + 0.5 * gsd_m, area.north_m - 0.5 * gsd_m, gsd_m, size)
 }
 
-/// Fits a model to `scene`.
-///
-/// # Errors
-/// [`FitError`] when too few images show the common ground, or training gives up.
-pub fn fit(scene: &Scene, config: &SatelliteConfig, session: &Session, limits: &Limits) -> Result<Fitted, FitError> {
+/// A scene's surface before any training, and what it was found with.
+struct Swept<'a> {
+    ground: Ground<'a>,
+    surface: Surface,
+    /// Pointing corrections, pixels.
+    shifts_px: Vec<[f32; 2]>,
+    rasters: Vec<Raster>,
+    started: Instant,
+    /// Time after which the images were aligned.
+    aligned: Duration,
+}
+
+fn swept_scene<'a>(scene: &'a Scene, config: &SatelliteConfig, session: &Session) -> Result<Swept<'a>, FitError> {
     let started = Instant::now();
     let ground = Ground::new(scene, config)?;
     let rasters: Vec<Raster> = ground
@@ -235,21 +243,49 @@ pub fn fit(scene: &Scene, config: &SatelliteConfig, session: &Session, limits: &
         .zip(&ground.crops)
         .map(|(image, crop)| crop.cut(&image.pixels))
         .collect();
-    let cell_m = config.start.cell_gsd * scene.gsd_m;
-    let request = ground.request(cell_m);
+    let request = ground.request(config.start.cell_gsd * scene.gsd_m);
     let shifts_px = align(scene, &ground, &rasters, config);
     let aligned = started.elapsed();
-
     let progress = session.progress("sweep", 100);
     let surface = sweep(&ground.sweep_views(&rasters, &shifts_px), &request, &|share| {
         progress.set((100.0 * share) as u64)
     });
-    drop(progress);
+    Ok(Swept {
+        ground,
+        surface,
+        shifts_px,
+        rasters,
+        started,
+        aligned,
+    })
+}
+
+/// The surface that all views of `scene` find together, without training.
+///
+/// # Errors
+/// [`FitError::TooFewViews`] when too few images show the common ground.
+pub fn sweep_only(scene: &Scene, config: &SatelliteConfig, session: &Session) -> Result<Surface, FitError> {
+    swept_scene(scene, config, session).map(|swept| swept.surface)
+}
+
+/// Fits a model to `scene`.
+///
+/// # Errors
+/// [`FitError`] when too few images show the common ground, or training gives up.
+pub fn fit(scene: &Scene, config: &SatelliteConfig, session: &Session, limits: &Limits) -> Result<Fitted, FitError> {
+    let Swept {
+        ground,
+        surface,
+        shifts_px,
+        rasters,
+        started,
+        aligned,
+    } = swept_scene(scene, config, session)?;
     let swept = started.elapsed();
 
     let image_colour = config.model.image_colour.unwrap_or(ground.images.len() > 1);
     let model = ShadowGs::new(ShadowGsOptions {
-        bands: rasters[0].bands,
+        bands: rasters.first().map_or(0, |raster| raster.bands),
         images: ground.images.len(),
         reference: reference(&ground.images),
         image_colour,
@@ -257,6 +293,8 @@ pub fn fit(scene: &Scene, config: &SatelliteConfig, session: &Session, limits: &
         facing: config.model.facing,
         opaqueness_weight: config.model.opaqueness_weight,
     });
+    // Training reads the scene's own pixels.
+    drop(rasters);
     let covered = ground.covered(&surface, config.start.coverage);
     let mut parameters = Parameters {
         gaussians: initial::gaussians_on(&surface, &covered, &config.start, model.feature_groups()),
@@ -277,7 +315,7 @@ pub fn fit(scene: &Scene, config: &SatelliteConfig, session: &Session, limits: &
     let pass = PassOptions {
         projection: options.projection,
         trace: options.trace,
-        normals: false,
+        ..PassOptions::default()
     };
     radiometry::initialise(&model, &mut parameters, &mut views, pass, config.model.sky);
     let initialised = started.elapsed();

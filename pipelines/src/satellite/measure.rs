@@ -4,7 +4,7 @@ use super::fit::Fitted;
 use crate::cli::CliError;
 use crate::evaluate::shadow::ShadowCounts;
 use crate::evaluate::{DsmEvaluation, ImageScore, Protocol, error_map, evaluate_dsm};
-use crate::product::dsm::of_start;
+use crate::product::dsm::of_surface;
 use crate::product::views::{RenderedView, render_view, score};
 use crate::raster::{RasterFile, preview};
 use crate::run::{LoadedModel, peak_rss_bytes};
@@ -128,7 +128,7 @@ fn draw(
 
 /// The surface that training started from, as a file and a picture, and its error where there is truth.
 pub(super) fn write_start(scene: &Scene, run: &Path, fitted: &Fitted, model: &LoadedModel) -> Result<Value, CliError> {
-    let start = of_start(model, &fitted.surface)?;
+    let start = of_surface(&model.into(), &fitted.surface, model.file.gsd_m, None)?;
     let path = run.join("start.tif");
     start.write(&path)?;
     preview::write_png(

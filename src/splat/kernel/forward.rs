@@ -7,15 +7,15 @@ use crate::splat::project::Splat;
 
 vectorised! {
     /// Composites `list` (front to back) into `maps`, which it empties first; `features[s * K + k]` are the splats' channels.
-    /// The median depth is found only where `MEDIAN` says so.
-    pub fn forward<const K: usize, const MEDIAN: bool>(
+    /// The median depth and the sum of squared depths are found only where `MEDIAN` and `SQUARE` say so.
+    pub fn forward<const K: usize, const MEDIAN: bool, const SQUARE: bool>(
         list: &[Entry],
         splats: &[Splat],
         features: &[f32],
         frame: &TileFrame,
         maps: &mut TileMaps<K>,
     ) {
-        maps.clear(frame);
+        maps.clear(frame, MEDIAN, SQUARE);
         let mut met = [Met::<K>::NOTHING; BATCH];
         let mut groups = Groups::new();
         for (number, batch) in list.chunks(BATCH).enumerate() {
@@ -30,7 +30,7 @@ vectorised! {
                 splat.groups(frame, &mut groups, &mut pixels);
                 splat.alphas::<false>(&mut groups);
                 for g in groups.numbers() {
-                    composite::<K, MEDIAN>(splat, &groups, g, maps);
+                    composite::<K, MEDIAN, SQUARE>(splat, &groups, g, maps);
                 }
             }
             maps.pairs += pixels.iter().sum::<f32>() as u64;
@@ -40,19 +40,28 @@ vectorised! {
 
 /// Adds a splat to the eight pixels of its group `g`.
 #[inline(always)]
-fn composite<const K: usize, const MEDIAN: bool>(splat: &Met<K>, groups: &Groups, g: usize, maps: &mut TileMaps<K>) {
+fn composite<const K: usize, const MEDIAN: bool, const SQUARE: bool>(
+    splat: &Met<K>,
+    groups: &Groups,
+    g: usize,
+    maps: &mut TileMaps<K>,
+) {
     let (at, depth_at_row) = (groups.place(g), groups.depth[g]);
     let mut t = load(&maps.transmittance, at);
     let mut depth = load(&maps.depth, at);
-    let mut square = load(&maps.depth_square, at);
     let mut w = [0.0; LANES];
     let mut z = [0.0; LANES];
     for l in 0..LANES {
         w[l] = t[l] * groups.alpha[g][l];
         z[l] = depth_at_row + splat.slope[0] * groups.offset(g, l);
-        let wz = w[l] * z[l];
-        depth[l] += wz;
-        square[l] += wz * z[l];
+        depth[l] += w[l] * z[l];
+    }
+    if SQUARE {
+        let mut square = load(&maps.depth_square, at);
+        for l in 0..LANES {
+            square[l] += (w[l] * z[l]) * z[l];
+        }
+        store(&mut maps.depth_square, at, square);
     }
     if MEDIAN {
         let mut median = load(&maps.median_depth, at);
@@ -68,7 +77,6 @@ fn composite<const K: usize, const MEDIAN: bool>(splat: &Met<K>, groups: &Groups
     }
     store(&mut maps.transmittance, at, t);
     store(&mut maps.depth, at, depth);
-    store(&mut maps.depth_square, at, square);
     for k in 0..K {
         let mut lane = load(&maps.channels[k], at);
         for l in 0..LANES {

@@ -131,7 +131,7 @@ pub(super) struct RayGrid {
 impl RayGrid {
     /// Sorts `rays`, each with the gradient to the logarithm of its transmittance.
     pub(super) fn new(rays: &[(PlaneRay, f32)], cell: Vec2) -> Self {
-        let places: Vec<Vec2> = rays.iter().map(|(ray, _)| ray.place).collect();
+        let places: Vec<Vec2> = rays.par_iter().with_min_len(CHUNK).map(|(ray, _)| ray.place).collect();
         let (cells, order) = Cells::sort(&places, cell);
         let blocks = order
             .par_chunks(LANES)
