@@ -3,12 +3,12 @@
 //! A coarse sweep says roughly how high the ground is; then every view's pixels can be laid on the tangent plane of a
 //! ground point, where all views show the same thing up to small shifts: parallax of a wrong altitude along the epipolar line,
 //! pointing bias in any direction. One view is the reference of a point; in each other view the shift is searched by
-//! normalised cross-correlation ([`patch`]), checked by searching back, and refined by least squares ([`refine`]; A. W. Gruen,
+//! normalised cross-correlation (`patch`), checked by searching back, and refined by least squares (`refine`; A. W. Gruen,
 //! *Adaptive least squares correlation*, 1985, with shifts only: the tangent plane has taken out what an affine warp would).
-//! Points lie on corners of the reference's texture, one in each tile of the ground ([`corners`]), and the views take turns as
+//! Points lie on corners of the reference's texture, one in each tile of the ground (`corners`), and the views take turns as
 //! the reference.
 //!
-//! Limits: shifts beyond [`REACH`] cells of the level are not found, so biases of many pixels need a coarse alignment first
+//! Limits: shifts beyond `REACH` cells of the level are not found, so biases of many pixels need a coarse alignment first
 //! ([`super::align::coarse_shifts`]). The edge of a shadow that moved between dates is a good match at a wrong place; such
 //! sightings are for the robust adjustment to find out.
 
@@ -66,7 +66,7 @@ pub struct TieOptions {
     pub tiles: usize,
 }
 
-/// Seeks ties between the views, whose cameras must agree to about [`REACH`] cells. The same for any number of threads.
+/// Seeks ties between the views, whose cameras must agree to about `REACH` cells. The same for any number of threads.
 pub fn find_ties(views: &[SweepView], request: &SweepRequest, options: TieOptions) -> Vec<Tie> {
     let search = Search::new(views, request);
     let Some(found) = search.descend(SURFACE_FACTOR * options.factor, &|_| {}) else {
