@@ -100,11 +100,14 @@ pub(super) struct Shaft {
     pub(super) length: f32,
 }
 
+fn bounds(list: &[Occluder]) -> Vec<Aabb> {
+    list.par_iter().with_min_len(512).map(Occluder::bounds).collect()
+}
+
 impl Hierarchy {
     fn new(list: &[Occluder]) -> Self {
-        let bounds: Vec<Aabb> = list.par_iter().with_min_len(512).map(Occluder::bounds).collect();
         let mut spent = Duration::default();
-        let mut tree = build_bvh2(&bounds, BvhBuildParams::fast_build(), &mut spent);
+        let mut tree = build_bvh2(&bounds(list), BvhBuildParams::fast_build(), &mut spent);
         // Parents before children: a refit is then one sweep, and a walk goes forward in memory.
         tree.reorder_in_stack_traversal_order();
         let mut rank = vec![0; list.len()];
@@ -118,7 +121,7 @@ impl Hierarchy {
 
     /// Fits the bounds to occluders that have moved; which leaf holds which stays.
     fn refit(&mut self, list: &[Occluder]) {
-        let bounds: Vec<Aabb> = list.par_iter().with_min_len(512).map(Occluder::bounds).collect();
+        let bounds = bounds(list);
         let Bvh2 {
             nodes,
             primitive_indices,

@@ -126,7 +126,9 @@ fn trace_chunk(
 
 /// What holds the rays at `places` all the way to the light.
 fn shaft(places: &[u32], rays: &[LightRay], light: &Light) -> Shaft {
+    // A start that is no number meets nothing itself; it must not take its neighbours along.
     let starts = places.iter().map(|&place| rays[place as usize].origin);
+    let starts = starts.filter(|start| start.is_finite());
     let (low, high) = starts.fold((Vec3::INFINITY, Vec3::NEG_INFINITY), |(low, high), start| {
         (low.min(start), high.max(start))
     });

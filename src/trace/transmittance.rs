@@ -358,6 +358,38 @@ mod tests {
         }
     }
 
+    fn traced_by(route: Route, table: &Table) -> Vec<f32> {
+        let options = TraceOptions {
+            route,
+            ..TraceOptions::default()
+        };
+        let origins: Vec<u32> = (0..table.count as u32).collect();
+        transmittance(&Occluders::new(table), &origins, &sun(35.0), &options).values
+    }
+
+    #[test]
+    fn a_gaussian_that_is_no_number_changes_nothing_for_its_neighbours() {
+        let mut table = slab();
+        // Out of sight of the others before, and no number then.
+        table.group_mut(OPACITY)[100] = -20.0;
+        let mut broken = table.clone();
+        broken.group_mut(POSITION)[301] = f32::NAN;
+        for route in [Route::SunPlane, Route::Hierarchy] {
+            let (before, after) = (traced_by(route, &table), traced_by(route, &broken));
+            for place in (0..before.len()).filter(|&place| place != 100) {
+                assert!((before[place] - after[place]).abs() < 1e-6, "{route:?}, {place}");
+            }
+        }
+    }
+
+    #[test]
+    fn none_and_one_gaussian_are_lit() {
+        for route in [Route::SunPlane, Route::Hierarchy] {
+            assert!(traced_by(route, &Table::zeros(core_groups(), 0)).is_empty());
+            assert_eq!(traced_by(route, &sheet(1, 1.0, 0.5, 0.05)), [1.0]);
+        }
+    }
+
     #[test]
     fn a_point_light_is_not_blocked_by_what_lies_behind_it() {
         let mut table = sheet(3, 1.0, 0.5, 0.05);
