@@ -1,10 +1,26 @@
 //! Exponential and logarithm for loops over lanes: no branch, no call, the same bits on every machine. The coefficients of both
 //! polynomials are those of Cephes (Moshier, `expf` and `logf`).
 
+/// Adding it to a number below 2²² leaves the nearest whole number in the low bits: 1.5 · 2²³.
+pub(crate) const MAGIC: f32 = 12_582_912.0;
+
+/// The whole part of a number from 0 to below 2²², as a number and as an integer; conversions are slow in lanes.
+#[inline(always)]
+pub(crate) fn floor(x: f32) -> (f32, u32) {
+    let nearest = (x + MAGIC) - MAGIC;
+    let whole = if nearest > x { nearest - 1.0 } else { nearest };
+    (whole, (whole + MAGIC).to_bits() & 0x003f_ffff)
+}
+
+/// An integer below 2²² as a number.
+#[inline(always)]
+pub(crate) fn number(n: u32) -> f32 {
+    f32::from_bits(MAGIC.to_bits() | n) - MAGIC
+}
+
 /// `e^x`, two units in the last place; saturates outside -87 to 88, keeps NaN.
 #[inline(always)]
 pub(crate) fn exp(x: f32) -> f32 {
-    const MAGIC: f32 = 12_582_912.0; // 1.5 · 2²³: adding it rounds to an integer.
     // Written so that NaN passes.
     let x = if x > 88.0 { 88.0 } else { x };
     let x = if x < -87.0 { -87.0 } else { x };
@@ -42,6 +58,16 @@ pub(crate) fn sigmoid(x: f32) -> f32 {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn whole_parts_are_those_of_the_number() {
+        for n in 0..3_000_000u32 {
+            let x = n as f32 / 7.0;
+            assert_eq!(floor(x), (x.floor(), x as u32), "{x}");
+        }
+        assert_eq!(floor(4_194_303.0), (4_194_303.0, 4_194_303));
+        assert!((0..5000).all(|n| number(n) == n as f32));
+    }
 
     #[test]
     fn the_exponential_is_accurate_over_its_domain() {

@@ -8,7 +8,7 @@ use crate::model::{Context, Parameters, SceneModel, Seen};
 use crate::raster::Raster;
 use crate::splat::rasterise::padded_channels;
 use crate::splat::{
-    Bins, MapGradients, Maps, Projected, ProjectionOptions, Rasteriser, SplatGradient, project::project,
+    Bins, Depths, MapGradients, Maps, Projected, ProjectionOptions, Rasteriser, SplatGradient, project::project,
     project::project_backward,
 };
 use crate::trace::{Occluders, TraceOptions, Transmittance, transmittance};
@@ -22,8 +22,8 @@ pub struct PassOptions {
     pub trace: TraceOptions,
     /// Whether three channels with the splats' normals follow the model's.
     pub normals: bool,
-    /// Whether squared depths are composited, for the spread of depths along a ray.
-    pub spread: bool,
+    /// What is composited of depths along rays besides their mean.
+    pub depths: Depths,
 }
 
 /// What is known of the light that reaches the Gaussians.
@@ -55,18 +55,7 @@ pub struct Pass<'a> {
 
 impl<'a> Pass<'a> {
     /// Looks at the model of `context` through its camera. `light` says how the transmittance toward the context's light is found.
-    /// The median depth, which nothing that is trained needs, is left out.
-    pub fn new(model: &'a dyn SceneModel, context: Context<'a>, light: Lit<'a>, options: PassOptions) -> Self {
-        Self::look(model, context, light, options, false)
-    }
-
-    fn look(
-        model: &'a dyn SceneModel,
-        context: Context<'a>,
-        light: Lit<'a>,
-        mut options: PassOptions,
-        median: bool,
-    ) -> Self {
+    pub fn new(model: &'a dyn SceneModel, context: Context<'a>, light: Lit<'a>, mut options: PassOptions) -> Self {
         options.normals |= model.needs_normals();
         let gaussians = &context.parameters.gaussians;
         let projected = project(gaussians, context.camera, &options.projection);
@@ -94,9 +83,8 @@ impl<'a> Pass<'a> {
                 feature[at..at + 3].copy_from_slice(&splat.normal);
             }
         }
-        let rasteriser = Rasteriser::new(&projected, context.camera.width, context.camera.height)
-            .with_median(median)
-            .with_spread(options.spread);
+        let rasteriser =
+            Rasteriser::new(&projected, context.camera.width, context.camera.height).with_depths(options.depths);
         let maps = rasteriser.forward(&features, stride);
         let bins = rasteriser.into_bins();
         Self {
@@ -139,7 +127,7 @@ impl<'a> Pass<'a> {
         let camera = self.context.camera;
         let gaussians = &self.context.parameters.gaussians;
         let rasteriser = Rasteriser::with_bins(&self.projected, &self.bins, camera.width, camera.height)
-            .with_spread(self.options.spread);
+            .with_depths(self.options.depths);
         let mut back = rasteriser.backward(&self.features, self.stride, &self.maps, d_maps);
         if self.options.normals {
             let at = self.model.channels();
@@ -199,10 +187,10 @@ pub fn render(
     let lit = occluders.as_ref().map_or(Lit::Everywhere, Lit::Traced);
     let options = PassOptions {
         normals: true,
-        spread: true,
+        depths: Depths::Median,
         ..options
     };
-    let pass = Pass::look(model, context, lit, options, true);
+    let pass = Pass::new(model, context, lit, options);
     Rendering {
         image: pass.image(),
         maps: pass.maps,

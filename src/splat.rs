@@ -7,4 +7,4 @@ pub mod rasterise;
 
 pub use bins::Bins;
 pub use project::{Projected, ProjectionOptions, Splat, SplatGradient};
-pub use rasterise::{MapGradients, Maps, Rasteriser, SplatGradients};
+pub use rasterise::{Depths, MapGradients, Maps, Rasteriser, SplatGradients};

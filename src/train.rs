@@ -16,8 +16,8 @@ use crate::loss::shadow::{ConsistencyPass, consistency};
 use crate::model::{Context, NamedLoss, Parameters, SceneModel, View};
 use crate::optim::{Adam, DensityStatistics, exponential_decay};
 use crate::render::{Lit, Pass, PassOptions};
-use crate::splat::MapGradients;
 use crate::splat::project::project;
+use crate::splat::{Depths, MapGradients};
 use crate::trace::Occluders;
 use focus::Focus;
 use glam::Vec3;
@@ -275,7 +275,11 @@ impl<'a> Trainer<'a> {
             projection: options.projection,
             trace: options.trace,
             normals: options.depth_normal_weight > 0.0,
-            spread: options.one_surface_weight > 0.0,
+            depths: if options.one_surface_weight > 0.0 {
+                Depths::Spread
+            } else {
+                Depths::Mean
+            },
         };
         // A window does not know the light of what lies outside of it.
         let known = self.known_light[index]

@@ -156,7 +156,7 @@ impl LoadedModel {
             projection: self.file.projection,
             trace: self.file.trace,
             normals: true,
-            spread: true,
+            ..PassOptions::default()
         }
     }
 }

@@ -5,6 +5,7 @@ pub mod budget;
 pub mod config;
 pub mod estimate;
 pub mod fit;
+pub mod ground;
 mod initial;
 mod measure;
 mod radiometry;
@@ -165,6 +166,11 @@ pub fn demo(args: &DemoArgs, session: &Session) -> Result<Outcome, CliError> {
 pub fn dsm(args: &DsmArgs, session: &Session) -> Result<Outcome, CliError> {
     let (surface, gsd_m) = match args.from {
         DsmSource::Model => {
+            if args.ingest.altitude.is_some() {
+                return Err(CliError::Input(
+                    "dsm: --altitude is for --from sweep; a run knows its own".into(),
+                ));
+            }
             let model = run::load(&args.run)?;
             let gsd_m = args.gsd.unwrap_or(model.file.gsd_m);
             (dsm::dsm(&model, gsd_m, args.crs.as_deref())?, gsd_m)

@@ -17,6 +17,7 @@ pub use forward::forward;
 
 use super::bins::{Entry, TILE_HEIGHT, TILE_WIDTH};
 use super::project::Splat;
+use crate::fast::MAGIC;
 use crate::simd::prefetch;
 use std::f32::consts::LOG2_E;
 
@@ -69,7 +70,7 @@ impl<const K: usize> TileMaps<K> {
     }
 
     /// Empties the tile, keeping the count of pairs.
-    fn clear(&mut self, frame: &TileFrame, median: bool, square: bool) {
+    fn clear(&mut self, frame: &TileFrame, square: bool, median: bool) {
         frame.clear_sky(&mut self.transmittance);
         self.channels.fill([0.0; PLANE]);
         self.depth.fill(0.0);
@@ -399,7 +400,6 @@ const LOG2_ALPHA_MAX: f32 = -0.014_499_57;
 /// (3e-6 relative, minimax). Outside, the value means nothing.
 #[inline(always)]
 fn exp2(x: f32) -> f32 {
-    const MAGIC: f32 = 12_582_912.0; // 1.5 · 2²³: adding it rounds to an integer.
     let n = x + MAGIC;
     let f = x - (n - MAGIC);
     let square = f * f;

@@ -21,6 +21,18 @@ pub fn padded_channels(channels: usize) -> usize {
         .expect("a scene model asks for at most 16 channels")
 }
 
+/// What is composited of depths along rays besides their mean.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Default)]
+pub enum Depths {
+    /// Nothing: what training needs.
+    #[default]
+    Mean,
+    /// Squares, for the spread along a ray.
+    Spread,
+    /// Squares and the median: what products need.
+    Median,
+}
+
 /// What a view looks like: composited maps, `[row][column]` planes.
 #[derive(Debug, Clone, Default)]
 pub struct Maps {
@@ -92,8 +104,7 @@ pub struct Rasteriser<'a> {
     bins: Cow<'a, Bins>,
     width: usize,
     height: usize,
-    median: bool,
-    spread: bool,
+    depths: Depths,
 }
 
 impl<'a> Rasteriser<'a> {
@@ -104,8 +115,7 @@ impl<'a> Rasteriser<'a> {
             projected,
             width,
             height,
-            median: false,
-            spread: false,
+            depths: Depths::Mean,
         }
     }
 
@@ -116,19 +126,13 @@ impl<'a> Rasteriser<'a> {
             projected,
             width,
             height,
-            median: false,
-            spread: false,
+            depths: Depths::Mean,
         }
     }
 
-    /// The same, which finds the median depth too; nothing that is trained needs it.
-    pub fn with_median(self, median: bool) -> Self {
-        Self { median, ..self }
-    }
-
-    /// The same, which composites squared depths too; only a loss on the spread of depths along a ray needs it in training.
-    pub fn with_spread(self, spread: bool) -> Self {
-        Self { spread, ..self }
+    /// The same, which composites more of the depths.
+    pub fn with_depths(self, depths: Depths) -> Self {
+        Self { depths, ..self }
     }
 
     /// The bins, for a later [`Self::with_bins`].
@@ -169,14 +173,15 @@ impl<'a> Rasteriser<'a> {
     fn forward_k<const K: usize>(&self, features: &[f32]) -> Maps {
         let pixels = self.width * self.height;
         let plane = || vec![0.0f32; pixels];
+        let asked = |depths| if self.depths >= depths { plane() } else { Vec::new() };
         let mut out = Maps {
             width: self.width,
             height: self.height,
             channels: (0..K).map(|_| plane()).collect(),
             alpha: plane(),
             depth: plane(),
-            depth_square: if self.spread { plane() } else { Vec::new() },
-            median_depth: if self.median { plane() } else { Vec::new() },
+            depth_square: asked(Depths::Spread),
+            median_depth: asked(Depths::Median),
             pairs: 0,
         };
         let Maps {
@@ -218,11 +223,10 @@ impl<'a> Rasteriser<'a> {
             let frame = self.frame(tile);
             let list = self.bins.tile(tile);
             let splats = &self.projected.splats;
-            match (self.median, self.spread) {
-                (true, true) => kernel::forward::<K, true, true>(list, splats, features, &frame, &mut maps),
-                (true, false) => kernel::forward::<K, true, false>(list, splats, features, &frame, &mut maps),
-                (false, true) => kernel::forward::<K, false, true>(list, splats, features, &frame, &mut maps),
-                (false, false) => kernel::forward::<K, false, false>(list, splats, features, &frame, &mut maps),
+            match self.depths {
+                Depths::Mean => kernel::forward::<K, false, false>(list, splats, features, &frame, &mut maps),
+                Depths::Spread => kernel::forward::<K, true, false>(list, splats, features, &frame, &mut maps),
+                Depths::Median => kernel::forward::<K, true, true>(list, splats, features, &frame, &mut maps),
             }
             for r in 0..frame.height {
                 let start = r * self.width + column * TILE_WIDTH;
@@ -277,7 +281,7 @@ impl<'a> Rasteriser<'a> {
         }
         add(&maps.alpha, &grads.alpha, &mut out.alpha);
         add(&maps.depth, &grads.depth, &mut out.depth);
-        if self.spread {
+        if self.depths >= Depths::Spread {
             add(&maps.depth_square, &grads.depth_square, &mut out.depth_square);
         }
     }
@@ -301,7 +305,7 @@ impl<'a> Rasteriser<'a> {
                 if !list.is_empty() {
                     self.cut_gradients(tile, maps, grads, gradients);
                     let (frame, base) = (self.frame(tile), self.bins.starts[tile]);
-                    if self.spread {
+                    if self.depths >= Depths::Spread {
                         kernel::backward::<K, true>(list, splats, features, &frame, gradients, base, part);
                     } else {
                         kernel::backward::<K, false>(list, splats, features, &frame, gradients, base, part);

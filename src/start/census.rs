@@ -1,6 +1,7 @@
 //! The census transform: which neighbours are darker than the centre. It survives any monotone change of brightness,
 //! so exposure, haze and season move it little (Zabih & Woodfill 1994).
 
+use crate::fast::{floor, number};
 use crate::simd::vectorised;
 
 /// Cells from the centre to the edge of the window.
@@ -121,30 +122,15 @@ vectorised! {
         let weights = &mut weights[..cells];
         for k in 0..cells {
             let both = a_alike[k] & b_alike[k];
-            let n = small(both.count_ones());
-            let differing = small(((a_darker[k] ^ b_darker[k]) & both).count_ones());
-            let distance = floor(24.0 * (differing + 1.0) / (n + 2.0));
+            let n = number(both.count_ones());
+            let differing = number(((a_darker[k] ^ b_darker[k]) & both).count_ones());
+            let (_, distance) = floor(24.0 * (differing + 1.0) / (n + 2.0));
             let distance = if distance < cut { distance } else { cut };
             let weight = if (a_darker[k] | b_darker[k]) & INVALID == 0 { weight } else { 0 };
             sum[k] += weight * distance;
             weights[k] += weight;
         }
     }
-}
-
-/// Adding it to a number below 2²² leaves the nearest whole number in the low bits.
-const MAGIC: f32 = 12_582_912.0;
-
-/// A small whole number; conversions of unsigned numbers are slow in lanes.
-#[inline(always)]
-fn small(n: u32) -> f32 {
-    f32::from_bits(MAGIC.to_bits() | n) - MAGIC
-}
-
-/// The whole part of a ratio of positive whole numbers, the lower at most 26.
-#[inline(always)]
-fn floor(x: f32) -> u32 {
-    ((x - 0.49) + MAGIC).to_bits() & 0x003f_ffff
 }
 
 #[cfg(test)]
@@ -183,16 +169,6 @@ mod tests {
         let (mut sum, mut weights) = (vec![0; 36], vec![0; 36]);
         compare(&words, &words, 3, 10, &mut sum, &mut weights);
         assert_eq!((weights[0], weights[35], sum[35]), (0, 3, 0));
-    }
-
-    #[test]
-    fn whole_parts_are_those_of_the_ratio() {
-        for lower in 2..=26u32 {
-            for upper in 1..=25u32 {
-                let ratio = 24.0 * small(upper) / small(lower);
-                assert_eq!(floor(ratio), 24 * upper / lower, "24 * {upper} / {lower}");
-            }
-        }
     }
 
     #[test]

@@ -1,5 +1,6 @@
 //! What the sweep sees of a view: one band, at the resolution of the grid.
 
+use crate::fast::floor;
 use crate::simd::vectorised;
 use crate::{ProjectiveCamera, Raster};
 use glam::{Vec2, Vec3};
@@ -190,15 +191,6 @@ vectorised! {
 
 /// Points that are found together.
 const POINTS: usize = 8;
-
-/// The whole part of a number from 0 to below 2²², as a number and as an index, without a conversion, which is slow in lanes.
-#[inline(always)]
-fn floor(x: f32) -> (f32, u32) {
-    const MAGIC: f32 = 12_582_912.0; // 1.5 · 2²³: adding it rounds to the nearest whole number.
-    let nearest = (x + MAGIC) - MAGIC;
-    let whole = if nearest > x { nearest - 1.0 } else { nearest };
-    (whole, (whole + MAGIC).to_bits() & 0x003f_ffff)
-}
 
 fn mean_of_bands(image: &Raster) -> Raster {
     let mut mean = Raster::filled(image.width, image.height, 1, 0.0);

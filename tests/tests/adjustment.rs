@@ -13,6 +13,12 @@ fn number(value: &Value) -> f64 {
     value.as_f64().expect("a number")
 }
 
+/// A tiny site whose images point wrong by `bias_px` pixels.
+fn synthesise(scene: &str, seed: &str, bias_px: &str) {
+    let site = ["synth", "satellite", "--site", "tiny", "--seed", seed];
+    json(&[&site[..], &["--pointing-bias", bias_px, "--out", scene]].concat());
+}
+
 fn adjusted(scene: &str) -> Option<Value> {
     let scene = shared(scene)?;
     let folder = tempfile::tempdir().expect("a temporary folder");
@@ -32,18 +38,7 @@ fn biases_of_three_pixels_are_found_to_a_tenth_and_the_cameras_written_agree() {
         folder.path().join("adjusted"),
         text(&folder.path().join("again")),
     );
-    json(&[
-        "synth",
-        "satellite",
-        "--site",
-        "tiny",
-        "--seed",
-        "3",
-        "--pointing-bias",
-        "3",
-        "--out",
-        &scene,
-    ]);
+    synthesise(&scene, "3", "3");
     let first = json(&["adjust", &scene, "--out", &text(&out), "--images"]);
     let error = &first["camera_error"];
     assert!(number(&error["before_rms_px"]) > 2.0, "{error}");
@@ -73,18 +68,7 @@ fn biases_of_three_pixels_are_found_to_a_tenth_and_the_cameras_written_agree() {
 fn the_adjustment_does_not_depend_on_the_number_of_threads() {
     let folder = tempfile::tempdir().expect("a temporary folder");
     let scene = text(&folder.path().join("scene"));
-    json(&[
-        "synth",
-        "satellite",
-        "--site",
-        "tiny",
-        "--seed",
-        "2",
-        "--pointing-bias",
-        "1",
-        "--out",
-        &scene,
-    ]);
+    synthesise(&scene, "2", "1");
     let with = |threads: &str| {
         let out = text(&folder.path().join(threads));
         json(&["adjust", &scene, "--out", &out, "--threads", threads])["images"].clone()

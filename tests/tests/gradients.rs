@@ -7,7 +7,7 @@ use heliosplat::light::Light;
 use heliosplat::model::shadow_gs::{COLOUR, OFFSET, SKY, ShadowGs, ShadowGsOptions, softplus};
 use heliosplat::model::{Context, Parameters, SceneModel};
 use heliosplat::render::{Lit, Pass, PassOptions};
-use heliosplat::splat::ProjectionOptions;
+use heliosplat::splat::{Depths, ProjectionOptions};
 use heliosplat::trace::Occluders;
 use heliosplat::{ProjectiveCamera, Raster};
 use heliosplat_tests::reference::{self, Gaussian};
@@ -98,7 +98,7 @@ fn case(seed: u64, count: usize, perspective: bool, antialias: bool) -> Case {
     let options = PassOptions {
         projection,
         normals: true,
-        spread: true,
+        depths: Depths::Spread,
         ..PassOptions::default()
     };
     let sun = Vec3::new(0.5, 0.3, 0.7).normalize();

@@ -3,7 +3,8 @@
 use super::adjust::{self, AdjustInput};
 use super::budget::{Budget, Pace};
 use super::config::{Align, PointingMethod, SatelliteConfig};
-use super::views::{self, Crop};
+use super::ground::Ground;
+use super::views;
 use super::{estimate, initial, radiometry};
 use crate::cli::Session;
 use crate::scene::{Area, Scene, SceneImage};
@@ -11,14 +12,13 @@ use glam::Vec3;
 use heliosplat::model::shadow_gs::{ShadowGs, ShadowGsOptions};
 use heliosplat::model::{Parameters, SceneModel, View};
 use heliosplat::render::PassOptions;
-use heliosplat::start::{Surface, SweepOptions, SweepRequest, SweepView, align::estimate_shifts, sweep::sweep};
+use heliosplat::start::{Surface, SweepView, align::estimate_shifts, sweep::sweep};
 use heliosplat::train::{EarlyStop, StepReport, TrainError, TrainOptions, Trainer};
 use heliosplat::{ProjectiveCamera, Raster};
 use heliosplat_rpc::RpcError;
 use heliosplat_rpc::adjust::BiasModel;
-use rayon::prelude::*;
 use std::collections::BTreeMap;
-use std::time::{Duration, Instant};
+use std::time::Instant;
 
 /// Why a model could not be fitted.
 #[derive(Debug, thiserror::Error)]
@@ -92,96 +92,16 @@ pub struct Fitted {
     pub memory_estimate: f64,
 }
 
-/// Cells around a cell among which the lowest is its ground.
-const GROUND_CELLS: usize = 12;
-
-/// The ground the sweep covers and the images that show it.
-struct Ground<'a> {
-    images: Vec<&'a SceneImage>,
-    crops: Vec<Crop>,
-    area: Area,
-    up_m: (f64, f64),
-    groups: Vec<u32>,
-}
-
-impl<'a> Ground<'a> {
-    fn new(scene: &'a Scene, config: &SatelliteConfig) -> Result<Self, FitError> {
-        let area = views::grown(&scene.area, config.start.margin_m);
-        let up_m = views::altitude_range(scene);
-        let (mut images, mut crops) = (Vec::new(), Vec::new());
-        for image in scene.training() {
-            if let Some(crop) = Crop::of(image, &area, up_m) {
-                images.push(image);
-                crops.push(crop);
-            }
-        }
-        if images.len() < 2 {
-            return Err(FitError::TooFewViews { images: images.len() });
-        }
-        let groups = views::date_groups(&images);
-        Ok(Self {
-            images,
-            crops,
-            area,
-            up_m,
-            groups,
-        })
-    }
-
-    fn sweep_views<'r>(&self, rasters: &'r [Raster], shifts: &[[f32; 2]]) -> Vec<SweepView<'r>> {
-        (0..self.images.len())
-            .map(|i| SweepView {
-                camera: views::camera(&self.images[i].pinhole.map, &self.crops[i], shifts[i]),
-                image: &rasters[i],
-                date_group: self.groups[i],
-                sun: views::sun(self.images[i]),
-            })
-            .collect()
-    }
-
-    /// Cells that enough of the images show, at their altitude and at that of the ground around: `share` of the images, and at
-    /// least two. At the ragged edge of the common ground, where two dates meet at best, a swept surface is mostly noise; a rim
-    /// of it would throw shadows over the scene.
-    fn covered(&self, surface: &Surface, share: f64) -> Vec<bool> {
-        let needed = ((self.images.len() as f64 * share).ceil() as usize).max(2);
-        let floor = surface.lowest(GROUND_CELLS);
-        let shows = |image: &SceneImage, cell: usize| {
-            let p = surface.point(cell % surface.width, cell / surface.width).as_dvec3();
-            [p.z, floor[cell].into()]
-                .iter()
-                .all(|&z| image.sees(nalgebra::Vector3::new(p.x, p.y, z)))
-        };
-        (0..surface.altitude.len())
-            .into_par_iter()
-            .map(|cell| self.images.iter().filter(|image| shows(image, cell)).count() >= needed)
-            .collect()
-    }
-
-    fn request(&self, cell_m: f64) -> SweepRequest {
-        let snapped = |v: f64| (v / cell_m).round() * cell_m;
-        SweepRequest {
-            west_m: snapped(self.area.west_m) as f32,
-            south_m: snapped(self.area.south_m) as f32,
-            east_m: snapped(self.area.east_m) as f32,
-            north_m: snapped(self.area.north_m) as f32,
-            cell_m: cell_m as f32,
-            altitude_min_m: self.up_m.0 as f32,
-            altitude_max_m: self.up_m.1 as f32,
-            options: SweepOptions::default(),
-        }
-    }
-}
-
 /// Corrections of the images' pointing, pixels; zero where the configuration or the estimate says so.
-fn align(scene: &Scene, ground: &Ground, rasters: &[Raster], config: &SatelliteConfig) -> Vec<[f32; 2]> {
+fn align(ground: &Ground, rasters: &[Raster], config: &SatelliteConfig, gsd_m: f64) -> Vec<[f32; 2]> {
     let none = vec![[0.0; 2]; ground.images.len()];
     if config.cameras.align == Align::Off {
         return none;
     }
     let views = ground.sweep_views(rasters, &none);
     let shifts = match config.cameras.method {
-        PointingMethod::Shifts => estimate_shifts(&views, &ground.request(config.start.cell_gsd * scene.gsd_m)),
-        PointingMethod::Ties => shifts_by_ties(scene, ground, &views).unwrap_or_else(|error| {
+        PointingMethod::Shifts => estimate_shifts(&views, &ground.request(config.start.cell_gsd * gsd_m)),
+        PointingMethod::Ties => shifts_by_ties(ground, &views, gsd_m).unwrap_or_else(|error| {
             tracing::warn!("the cameras are used as they are: {error}");
             none.clone()
         }),
@@ -195,14 +115,12 @@ fn align(scene: &Scene, ground: &Ground, rasters: &[Raster], config: &SatelliteC
     }
 }
 
-fn shifts_by_ties(scene: &Scene, ground: &Ground, views: &[SweepView]) -> Result<Vec<[f32; 2]>, RpcError> {
+fn shifts_by_ties(ground: &Ground, views: &[SweepView], gsd_m: f64) -> Result<Vec<[f32; 2]>, RpcError> {
+    // Patches of whole pixels, however coarse the model's cells are.
     let input = AdjustInput {
+        ground,
         views,
-        images: &ground.images,
-        crops: &ground.crops,
-        frame: &scene.frame,
-        // Patches of whole pixels, however coarse the model's cells are.
-        request: &ground.request(scene.gsd_m),
+        cell_m: gsd_m,
     };
     Ok(adjust::shifts(&input.adjust(BiasModel::Translation, &|_| {})?))
 }
@@ -226,38 +144,34 @@ pub fn nadir_camera(area: &Area, gsd_m: f64) -> ProjectiveCamera {
 struct Swept<'a> {
     ground: Ground<'a>,
     surface: Surface,
+    /// Number of bands of the images.
+    bands: usize,
     /// Pointing corrections, pixels.
     shifts_px: Vec<[f32; 2]>,
-    rasters: Vec<Raster>,
-    started: Instant,
-    /// Time after which the images were aligned.
-    aligned: Duration,
+    /// Seconds spent on alignment and on the sweep.
+    seconds: [f64; 2],
 }
 
-fn swept_scene<'a>(scene: &'a Scene, config: &SatelliteConfig, session: &Session) -> Result<Swept<'a>, FitError> {
-    let started = Instant::now();
-    let ground = Ground::new(scene, config)?;
-    let rasters: Vec<Raster> = ground
-        .images
-        .iter()
-        .zip(&ground.crops)
-        .map(|(image, crop)| crop.cut(&image.pixels))
-        .collect();
-    let request = ground.request(config.start.cell_gsd * scene.gsd_m);
-    let shifts_px = align(scene, &ground, &rasters, config);
-    let aligned = started.elapsed();
-    let progress = session.progress("sweep", 100);
-    let surface = sweep(&ground.sweep_views(&rasters, &shifts_px), &request, &|share| {
-        progress.set((100.0 * share) as u64)
-    });
-    Ok(Swept {
-        ground,
-        surface,
-        shifts_px,
-        rasters,
-        started,
-        aligned,
-    })
+impl<'a> Swept<'a> {
+    fn new(scene: &'a Scene, config: &SatelliteConfig, session: &Session) -> Result<Self, FitError> {
+        let started = Instant::now();
+        let ground = Ground::new(scene, scene.training(), config.start.margin_m)?;
+        let rasters = ground.rasters();
+        let shifts_px = align(&ground, &rasters, config, scene.gsd_m);
+        let aligned = started.elapsed();
+        let request = ground.request(config.start.cell_gsd * scene.gsd_m);
+        let progress = session.progress("sweep", 100);
+        let surface = sweep(&ground.sweep_views(&rasters, &shifts_px), &request, &|share| {
+            progress.set((100.0 * share) as u64)
+        });
+        Ok(Self {
+            surface,
+            bands: rasters.first().map_or(0, |raster| raster.bands),
+            ground,
+            shifts_px,
+            seconds: [aligned.as_secs_f64(), (started.elapsed() - aligned).as_secs_f64()],
+        })
+    }
 }
 
 /// The surface that all views of `scene` find together, without training.
@@ -265,7 +179,7 @@ fn swept_scene<'a>(scene: &'a Scene, config: &SatelliteConfig, session: &Session
 /// # Errors
 /// [`FitError::TooFewViews`] when too few images show the common ground.
 pub fn sweep_only(scene: &Scene, config: &SatelliteConfig, session: &Session) -> Result<Surface, FitError> {
-    swept_scene(scene, config, session).map(|swept| swept.surface)
+    Swept::new(scene, config, session).map(|swept| swept.surface)
 }
 
 /// Fits a model to `scene`.
@@ -276,16 +190,15 @@ pub fn fit(scene: &Scene, config: &SatelliteConfig, session: &Session, limits: &
     let Swept {
         ground,
         surface,
+        bands,
         shifts_px,
-        rasters,
-        started,
-        aligned,
-    } = swept_scene(scene, config, session)?;
-    let swept = started.elapsed();
+        seconds: [align_s, sweep_s],
+    } = Swept::new(scene, config, session)?;
+    let swept = Instant::now();
 
     let image_colour = config.model.image_colour.unwrap_or(ground.images.len() > 1);
     let model = ShadowGs::new(ShadowGsOptions {
-        bands: rasters.first().map_or(0, |raster| raster.bands),
+        bands,
         images: ground.images.len(),
         reference: reference(&ground.images),
         image_colour,
@@ -293,8 +206,6 @@ pub fn fit(scene: &Scene, config: &SatelliteConfig, session: &Session, limits: &
         facing: config.model.facing,
         opaqueness_weight: config.model.opaqueness_weight,
     });
-    // Training reads the scene's own pixels.
-    drop(rasters);
     let covered = ground.covered(&surface, config.start.coverage);
     let mut parameters = Parameters {
         gaussians: initial::gaussians_on(&surface, &covered, &config.start, model.feature_groups()),
@@ -318,7 +229,7 @@ pub fn fit(scene: &Scene, config: &SatelliteConfig, session: &Session, limits: &
         ..PassOptions::default()
     };
     radiometry::initialise(&model, &mut parameters, &mut views, pass, config.model.sky);
-    let initialised = started.elapsed();
+    let initialised = swept.elapsed();
 
     let bounds = bounds(&ground);
     let nadir = nadir_camera(&scene.area, scene.gsd_m);
@@ -336,10 +247,10 @@ pub fn fit(scene: &Scene, config: &SatelliteConfig, session: &Session, limits: &
         shifts_px,
         surface,
         seconds: [
-            aligned.as_secs_f64(),
-            (swept - aligned).as_secs_f64(),
-            (initialised - swept).as_secs_f64(),
-            (started.elapsed() - initialised).as_secs_f64(),
+            align_s,
+            sweep_s,
+            initialised.as_secs_f64(),
+            (swept.elapsed() - initialised).as_secs_f64(),
         ],
     })
 }

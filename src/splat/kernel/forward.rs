@@ -7,15 +7,15 @@ use crate::splat::project::Splat;
 
 vectorised! {
     /// Composites `list` (front to back) into `maps`, which it empties first; `features[s * K + k]` are the splats' channels.
-    /// The median depth and the sum of squared depths are found only where `MEDIAN` and `SQUARE` say so.
-    pub fn forward<const K: usize, const MEDIAN: bool, const SQUARE: bool>(
+    /// The sum of squared depths and the median depth are found only where `SQUARE` and `MEDIAN` say so.
+    pub fn forward<const K: usize, const SQUARE: bool, const MEDIAN: bool>(
         list: &[Entry],
         splats: &[Splat],
         features: &[f32],
         frame: &TileFrame,
         maps: &mut TileMaps<K>,
     ) {
-        maps.clear(frame, MEDIAN, SQUARE);
+        maps.clear(frame, SQUARE, MEDIAN);
         let mut met = [Met::<K>::NOTHING; BATCH];
         let mut groups = Groups::new();
         for (number, batch) in list.chunks(BATCH).enumerate() {
@@ -30,7 +30,7 @@ vectorised! {
                 splat.groups(frame, &mut groups, &mut pixels);
                 splat.alphas::<false>(&mut groups);
                 for g in groups.numbers() {
-                    composite::<K, MEDIAN, SQUARE>(splat, &groups, g, maps);
+                    composite::<K, SQUARE, MEDIAN>(splat, &groups, g, maps);
                 }
             }
             maps.pairs += pixels.iter().sum::<f32>() as u64;
@@ -40,7 +40,7 @@ vectorised! {
 
 /// Adds a splat to the eight pixels of its group `g`.
 #[inline(always)]
-fn composite<const K: usize, const MEDIAN: bool, const SQUARE: bool>(
+fn composite<const K: usize, const SQUARE: bool, const MEDIAN: bool>(
     splat: &Met<K>,
     groups: &Groups,
     g: usize,

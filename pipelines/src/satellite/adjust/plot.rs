@@ -1,6 +1,6 @@
 //! The residuals as a picture: per image two frames, as delivered and adjusted, with a vector for every sighting.
 
-use super::Material;
+use crate::satellite::ground::Ground;
 use heliosplat_rpc::adjust::{Adjustment, ResidualVector};
 use std::fmt::Write;
 
@@ -14,7 +14,7 @@ const PER_PIXEL: f64 = 12.0;
 const ACROSS: usize = 2;
 
 /// An SVG of all images' residual vectors; sightings that the adjustment left out are grey.
-pub(super) fn svg(names: &[&str], material: &Material, adjustment: &Adjustment) -> String {
+pub(super) fn svg(names: &[&str], ground: &Ground, adjustment: &Adjustment) -> String {
     let rows = names.len().div_ceil(ACROSS);
     let cell = (2.0 * FRAME + 2.0 * GAP + GAP, FRAME + TITLE + GAP);
     let (width, height) = (ACROSS as f64 * cell.0 + GAP, rows as f64 * cell.1 + 2.0 * TITLE);
@@ -42,7 +42,7 @@ pub(super) fn svg(names: &[&str], material: &Material, adjustment: &Adjustment) 
             residuals.good,
             residuals.sightings
         );
-        let pixels = &material.images[image].pixels;
+        let pixels = &ground.images[image].pixels;
         let scale = FRAME / pixels.width.max(pixels.height).max(1) as f64;
         for side in 0..2 {
             let origin = (corner.0 + side as f64 * (FRAME + GAP), corner.1 + TITLE - 6.0);

@@ -1,7 +1,7 @@
 //! The verb `adjust`: what comes of it, as text, as JSON, and in the folder.
 
 use super::truth::{CameraError, camera_error};
-use super::{Material, plot, write};
+use super::{AdjustInput, plot, write};
 use crate::cli::adjust::AdjustArgs;
 use crate::cli::{CliError, Outcome, Session};
 use crate::satellite::training::create_folder;
@@ -17,13 +17,18 @@ use std::time::Instant;
 /// When the scene cannot be read, its images have too few ties, or the folder cannot be written.
 pub fn run(args: &AdjustArgs, session: &Session) -> Result<Outcome, CliError> {
     let scene = Scene::open(&args.scene, &args.ingest.options())?;
-    let material = Material::of(&scene)?;
+    let ground = super::ground(&scene)?;
     create_folder(&args.out)?;
     let begun = Instant::now();
     let progress = session.progress("adjust", 100);
-    let views = material.views();
-    let adjustment = material
-        .input(&views)
+    let rasters = ground.rasters();
+    let views = ground.sweep_views(&rasters, &vec![[0.0; 2]; rasters.len()]);
+    let input = AdjustInput {
+        ground: &ground,
+        views: &views,
+        cell_m: scene.gsd_m,
+    };
+    let adjustment = input
         .adjust(args.model.into(), &|share| progress.set((100.0 * share) as u64))
         .map_err(|error| {
             CliError::Input(format!(
@@ -33,15 +38,15 @@ pub fn run(args: &AdjustArgs, session: &Session) -> Result<Outcome, CliError> {
         })?;
     drop(progress);
     let seconds = begun.elapsed().as_secs_f64();
-    let names: Vec<&str> = material.images.iter().map(|image| image.name.as_str()).collect();
+    let names: Vec<&str> = ground.images.iter().map(|image| image.name.as_str()).collect();
     for (name, image) in names.iter().zip(&adjustment.images) {
         if image.good < heliosplat_rpc::adjust::FEWEST_SIGHTINGS {
             tracing::warn!("{name}: too few good ties ({}), do not trust its camera", image.good);
         }
     }
-    let exported = write::cameras(&scene, &material, &adjustment, args)?;
+    let exported = write::cameras(&scene, &ground, &adjustment, args)?;
     let shifts: Vec<[f64; 2]> = adjustment.corrections.iter().map(|c| c.shift_px).collect();
-    let error = camera_error(&args.scene, &material.images, &scene.frame, &shifts);
+    let error = camera_error(&args.scene, &ground.images, &scene.frame, &shifts);
     let report = Report {
         names: &names,
         adjustment: &adjustment,
@@ -52,7 +57,7 @@ pub fn run(args: &AdjustArgs, session: &Session) -> Result<Outcome, CliError> {
     let json = report.json();
     let text = serde_json::to_string_pretty(&json).unwrap_or_default() + "\n";
     crate::raster::write_atomically(&args.out.join("adjustment.json"), text.as_bytes())?;
-    let picture = plot::svg(&names, &material, &adjustment);
+    let picture = plot::svg(&names, &ground, &adjustment);
     crate::raster::write_atomically(&args.out.join("adjustment.svg"), picture.as_bytes())?;
     Ok(Outcome {
         json,

@@ -1,9 +1,9 @@
 //! Corrected cameras as files: `_RPC.TXT` for most programs, a Sat-NeRF JSON, and copies of the images with the camera in them.
 
-use super::Material;
 use crate::cli::CliError;
 use crate::cli::adjust::AdjustArgs;
 use crate::raster::{copy_with_rpc, write_atomically};
+use crate::satellite::ground::Ground;
 use crate::scene::{Scene, SceneImage};
 use heliosplat_rpc::Rpc;
 use heliosplat_rpc::adjust::{Adjustment, corrected_rpc};
@@ -16,14 +16,14 @@ const HEIGHT_MARGIN_M: f64 = 100.0;
 /// Writes each image's corrected camera; returns how far a camera fitted anew is off at most, pixels (0 for shifts).
 pub(super) fn cameras(
     scene: &Scene,
-    material: &Material,
+    ground: &Ground,
     adjustment: &Adjustment,
     args: &AdjustArgs,
 ) -> Result<Vec<f64>, CliError> {
     let (low_m, high_m) = scene.altitude_range_m;
     let heights_m = (low_m - HEIGHT_MARGIN_M, high_m + HEIGHT_MARGIN_M);
-    let mut refit_px = Vec::with_capacity(material.images.len());
-    for (image, correction) in material.images.iter().zip(&adjustment.corrections) {
+    let mut refit_px = Vec::with_capacity(ground.images.len());
+    for (image, correction) in ground.images.iter().zip(&adjustment.corrections) {
         let size = (image.pixels.width, image.pixels.height);
         let corrected = corrected_rpc(&image.rpc, correction, size, heights_m)
             .map_err(|error| CliError::Failed(format!("{}: its corrected camera: {error}", image.path.display())))?;
