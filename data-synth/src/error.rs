@@ -24,6 +24,14 @@ pub enum SynthError {
         /// What the encoder said.
         source: tiff::TiffError,
     },
+    /// A file of cameras that cannot be used.
+    #[error("{path}: {reason}; expected a JSON object of images, each with rpc, width, height and capTime")]
+    Cameras {
+        /// The file.
+        path: PathBuf,
+        /// What is wrong.
+        reason: String,
+    },
     /// The synthetic sensor's rational camera cannot be fitted.
     #[error("no rational camera fits the sensor of {image}: {source}")]
     Camera {

@@ -12,16 +12,19 @@
 //! ```
 //!
 //! Rooms: `terrain`, `city`, `vegetation`, `cars` and `solid` make the place; `materials` its colours; `raytrace` answers
-//! what a ray meets; `sensor` is the camera; `radiometry` the light; `plan` decides where, when and from which side;
+//! what a ray meets; `sensor` is the camera, `known` and `rational` those
+//! of real images; `radiometry` the light; `plan` decides where, when and from which side;
 //! `render` and `truth` make the rasters; `write` the files; `satellite` calls them in order.
 
 mod cars;
 mod city;
 mod error;
+mod known;
 mod materials;
 mod noise;
 mod plan;
 mod radiometry;
+mod rational;
 mod raytrace;
 mod render;
 mod request;

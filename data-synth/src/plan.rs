@@ -1,12 +1,14 @@
 //! Where a site lies, when it was seen, from where, and in what weather.
 
+use crate::SynthError;
+use crate::known::{self, KnownCamera};
 use crate::materials::Season;
 use crate::noise::{hash2, stream};
 use crate::radiometry::Weather;
 use crate::request::SatelliteRequest;
 use crate::sensor::ViewGeometry;
-use heliosplat_rpc::GeoPoint;
 use heliosplat_rpc::sun::{SunPosition, sun_position};
+use heliosplat_rpc::{GeoPoint, ImagePoint, LocalFrame, Rpc};
 use jiff::{SignedDuration, Timestamp};
 use rand::RngExt;
 use rand::seq::SliceRandom;
@@ -64,6 +66,8 @@ pub(crate) struct ViewPlan {
     pub(crate) pointing_bias_px: [f64; 2],
     /// Whether the image is held out for testing.
     pub(crate) held_out: bool,
+    /// The camera, where it is that of a real image.
+    pub(crate) known: Option<Rpc>,
 }
 
 /// The whole collection.
@@ -78,7 +82,58 @@ pub(crate) struct Collection {
 
 impl Collection {
     /// Plans everything about a request but the site's content.
-    pub(crate) fn new(request: &SatelliteRequest) -> Self {
+    ///
+    /// # Errors
+    /// When the request names cameras that cannot be used.
+    pub(crate) fn new(request: &SatelliteRequest) -> Result<Self, SynthError> {
+        match &request.cameras {
+            None => Ok(Self::made_up(request)),
+            Some(path) => Self::through(request, known::read(path)?),
+        }
+    }
+
+    /// Through the cameras of real images.
+    fn through(request: &SatelliteRequest, cameras: Vec<KnownCamera>) -> Result<Self, SynthError> {
+        let (all, wanted) = (cameras.len(), request.views.unwrap_or(cameras.len()));
+        if wanted > all {
+            return Err(SynthError::BadRequest(format!(
+                "{wanted} views; the file has {all} cameras"
+            )));
+        }
+        let cameras = known::thinned(cameras, wanted);
+        let origin = known::common_centre(&cameras);
+        let frame = LocalFrame::new(origin);
+        let mut random = stream(request.seed, 0xC0);
+        let (mut dates, mut views): (Vec<DatePlan>, Vec<ViewPlan>) = (Vec::new(), Vec::new());
+        for (index, camera) in cameras.into_iter().enumerate() {
+            let day = |time: Timestamp| time.as_second().div_euclid(86_400);
+            if dates.last().is_none_or(|date| day(date.time) != day(camera.time)) {
+                dates.push(weather_of(&mut random, camera.time, origin.lat_deg));
+            }
+            let geometry = geometry_of(&camera.rpc, &frame).map_err(|source| SynthError::Camera {
+                image: format!("camera {index}"),
+                source,
+            })?;
+            views.push(ViewPlan {
+                name: String::new(),
+                date: dates.len() - 1,
+                time: camera.time,
+                sun: sun_position(camera.time, origin),
+                geometry: ViewGeometry {
+                    seed: hash2(request.seed, 0x5E0 + index as u64),
+                    ..geometry
+                },
+                aim_px: [0.0; 2],
+                pointing_bias_px: [0.0; 2],
+                held_out: false,
+                known: Some(camera.rpc),
+            });
+        }
+        finish(&mut views, request);
+        Ok(Self { origin, dates, views })
+    }
+
+    fn made_up(request: &SatelliteRequest) -> Self {
         let mut random = stream(request.seed, 0xC0);
         let origin = place(&mut random);
         let mut dates: Vec<DatePlan> = (0..request.date_count())
@@ -86,8 +141,7 @@ impl Collection {
             .collect();
         dates.sort_by_key(|date| date.time);
         let mut views = view_plans(request, &mut random, origin, &dates);
-        hold_out(&mut views, request.test_count());
-        bias(&mut views, request);
+        finish(&mut views, request);
         Self { origin, dates, views }
     }
 }
@@ -124,9 +178,14 @@ fn date_plan(random: &mut Pcg64Mcg, origin: GeoPoint, index: usize, count: usize
         }
     }
     let (_, day, time) = best.unwrap_or((0.0, 0.0, Timestamp::UNIX_EPOCH));
+    date_of(random, time, day, origin.lat_deg)
+}
+
+/// The season and the weather of a day, counted from a first of January.
+fn date_of(random: &mut Pcg64Mcg, time: Timestamp, day: f64, lat_deg: f64) -> DatePlan {
     DatePlan {
         time,
-        season: season(random, day, origin.lat_deg),
+        season: season(random, day, lat_deg),
         weather: Weather {
             aerosol: random.random_range(0.03..0.16),
             exposure: random.random_range(0.86..1.14),
@@ -192,14 +251,58 @@ fn view_plans(
                 aim_px: [0, 1].map(|_| full_px * random.random_range(0.3..0.7)),
                 pointing_bias_px: [0.0; 2],
                 held_out: false,
+                known: None,
             }
         })
         .collect();
     views.sort_by_key(|view| view.time);
+    views
+}
+
+/// Names, held-out images and pointing errors.
+fn finish(views: &mut [ViewPlan], request: &SatelliteRequest) {
     for (index, view) in views.iter_mut().enumerate() {
         view.name = format!("{}_{:03}_{:02}", request.site.name(), request.seed, index);
     }
-    views
+    hold_out(views, SatelliteRequest::test_count(views.len()));
+    bias(views, request);
+}
+
+/// Where a real camera stands as seen from the origin of `frame`, at the height of WorldView-3's orbit.
+fn geometry_of(rpc: &Rpc, frame: &LocalFrame) -> Result<ViewGeometry, heliosplat_rpc::RpcError> {
+    const ORBIT_M: f64 = 617e3;
+    const EARTH_RADIUS_M: f64 = 6_371_000.0;
+    const SPAN_M: f64 = 100.0;
+    let middle = rpc.project(frame.origin);
+    let ground = |col: f64, row: f64, up_m: f64| {
+        let point = ImagePoint {
+            col: middle.col + col,
+            row: middle.row + row,
+        };
+        let height_m = frame.origin.height_m + up_m;
+        rpc.localise(point, height_m).map(|point| frame.enu_from_geo(point))
+    };
+    let here = ground(0.0, 0.0, 0.0)?;
+    let (right, below) = (ground(1.0, 0.0, 0.0)? - here, ground(0.0, 1.0, 0.0)? - here);
+    let sight = (ground(0.0, 0.0, SPAN_M)? - here).normalize();
+    Ok(ViewGeometry {
+        azimuth_rad: sight.x.atan2(sight.y).rem_euclid(std::f64::consts::TAU),
+        off_nadir_rad: (sight.x.hypot(sight.y) / (1.0 + ORBIT_M / EARTH_RADIUS_M)).asin(),
+        orbit_m: ORBIT_M,
+        tilt_rad: right.y.atan2(right.x),
+        gsd_m: (right.norm() * below.norm()).sqrt(),
+        full_px: rpc.sample_scale * 2.0,
+        seed: 0,
+    })
+}
+
+/// The season and the weather of a real date.
+fn weather_of(random: &mut Pcg64Mcg, time: Timestamp, lat_deg: f64) -> DatePlan {
+    const DAY_S: f64 = 86_400.0;
+    const YEAR_DAYS: f64 = 365.25;
+    // 1970 began with a first of January; the season asks for no more than the day of the year.
+    let day = (time.as_second() as f64 / DAY_S).rem_euclid(YEAR_DAYS);
+    date_of(random, time, day, lat_deg)
 }
 
 /// A first guess at the width of the images, for the size of the full scene.
@@ -256,7 +359,7 @@ mod tests {
     #[test]
     fn every_date_has_a_high_sun_in_the_morning_and_every_view_its_angles() {
         for seed in 0..30 {
-            let collection = Collection::new(&SatelliteRequest {
+            let collection = Collection::made_up(&SatelliteRequest {
                 seed,
                 ..Default::default()
             });
@@ -285,7 +388,7 @@ mod tests {
             pointing_bias_px: 3.0,
             ..Default::default()
         };
-        let views = Collection::new(&request).views;
+        let views = Collection::made_up(&request).views;
         let square = |view: &ViewPlan| view.pointing_bias_px[0].powi(2) + view.pointing_bias_px[1].powi(2);
         let mean = views.iter().map(square).sum::<f64>() / views.len() as f64;
         assert!((mean.sqrt() - 3.0).abs() < 1e-12);
@@ -299,7 +402,7 @@ mod tests {
                 dates: Some(20),
                 ..Default::default()
             };
-            let collection = Collection::new(&request);
+            let collection = Collection::made_up(&request);
             assert_eq!((collection.views.len(), collection.dates.len()), (views, views));
         }
     }

@@ -4,7 +4,7 @@ use crate::noise::{hash2, normal};
 use crate::radiometry::{Encoding, Light, LitScene, Sample, bands_of};
 use crate::raytrace::{Ray, Tracer};
 use crate::request::BandSet;
-use crate::sensor::PushBroom;
+use crate::sensor::Sensor;
 use rayon::prelude::*;
 
 /// Sub-pixel samples along each axis.
@@ -27,7 +27,7 @@ pub(crate) struct Crop {
 
 /// How to turn light into an image.
 pub(crate) struct Exposure<'a> {
-    pub(crate) sensor: &'a PushBroom,
+    pub(crate) sensor: &'a Sensor,
     pub(crate) crop: Crop,
     pub(crate) light: &'a Light,
     pub(crate) bands: BandSet,
@@ -173,7 +173,7 @@ mod tests {
     use crate::city::Ground;
     use crate::materials::{Class, Material, Season, grey};
     use crate::radiometry::{MEAN_GAIN, Weather};
-    use crate::sensor::ViewGeometry;
+    use crate::sensor::{PushBroom, ViewGeometry};
     use crate::solid::{Finish, Footprint, Solids, Surface};
     use crate::terrain::HeightField;
     use heliosplat_rpc::sun::SunPosition;
@@ -240,7 +240,7 @@ mod tests {
             };
             let light = Light::new(&self.sun, weather, Season::REFERENCE, 0.3);
             let exposure = Exposure {
-                sensor: &self.sensor,
+                sensor: &Sensor::PushBroom(Box::new(self.sensor.clone())),
                 crop: self.crop,
                 light: &light,
                 bands: BandSet::Pan,

@@ -2,6 +2,7 @@
 
 use crate::SynthError;
 use serde::{Deserialize, Serialize};
+use std::path::PathBuf;
 
 /// The size and make-up of a site.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
@@ -84,7 +85,9 @@ pub struct SatelliteRequest {
     pub site: Site,
     /// Everything random follows from it: place, city, dates, sensors, noise.
     pub seed: u64,
-    /// Images; the site's own number if absent.
+    /// Cameras, dates and suns of real images, a JSON file as VisSat writes it; the site's own sensors if absent.
+    pub cameras: Option<PathBuf>,
+    /// Images; if absent the site's own number, or all of `cameras`.
     pub views: Option<usize>,
     /// Acquisition dates, at most one per view; the site's own number if absent.
     pub dates: Option<usize>,
@@ -107,6 +110,7 @@ impl Default for SatelliteRequest {
         Self {
             site: Site::Block,
             seed: 1,
+            cameras: None,
             views: None,
             dates: None,
             gsd_m: None,
@@ -135,9 +139,9 @@ impl SatelliteRequest {
         self.dates.unwrap_or(self.site.default_dates()).min(self.view_count())
     }
 
-    /// Images held out for testing: none below 4 views, one below 8, else two.
-    pub fn test_count(&self) -> usize {
-        match self.view_count() {
+    /// How many of `views` images are held out for testing: none below 4 views, one below 8, else two.
+    pub fn test_count(views: usize) -> usize {
+        match views {
             0..4 => 0,
             4..8 => 1,
             _ => 2,
@@ -152,6 +156,9 @@ impl SatelliteRequest {
         let bad = |text: String| Err(SynthError::BadRequest(text));
         if !(1..=500).contains(&self.view_count()) {
             return bad(format!("{} views; ask for 1 to 500", self.view_count()));
+        }
+        if self.cameras.is_some() && self.dates.is_some() {
+            return bad("a number of dates and cameras; the cameras have their own dates".into());
         }
         if self.dates == Some(0) {
             return bad("0 dates; ask for at least 1".into());

@@ -5,10 +5,11 @@ use crate::city::{City, CityPlan};
 use crate::materials::Class;
 use crate::plan::{Collection, ViewPlan};
 use crate::radiometry::{Encoding, Light, LitScene, MEAN_GAIN};
+use crate::rational::{self, RationalSensor};
 use crate::raytrace::Tracer;
 use crate::render::{Crop, Exposure, Image, render};
 use crate::request::{SatelliteRequest, Site};
-use crate::sensor::PushBroom;
+use crate::sensor::{PushBroom, Sensor};
 use crate::summary::{ImageSummary, Summary};
 use crate::truth::{Truth, TruthGrid, survey};
 use crate::write::Staging;
@@ -16,6 +17,7 @@ use crate::write::geotiff::{Raster, Samples, write};
 use crate::write::metadata::{image_items, loose_altitudes_m, satnerf_json};
 use heliosplat_rpc::fit::RpcFit;
 use heliosplat_rpc::{GeoPoint, LocalFrame, Rpc};
+use nalgebra::Vector3;
 use std::path::Path;
 
 /// Pixels that every image shows beyond the site on all sides, at all its altitudes.
@@ -29,7 +31,7 @@ const NODATA: f32 = -9999.0;
 
 /// One image's camera: the sensor, the part of it that is the image, and the RPC to be delivered.
 struct Camera {
-    sensor: PushBroom,
+    sensor: Sensor,
     crop: Crop,
     fit: RpcFit,
     /// Of the crop, with the pointing bias.
@@ -52,7 +54,7 @@ pub fn write_satellite(
 ) -> Result<Summary, SynthError> {
     request.check()?;
     let staging = Staging::new(out_dir)?;
-    let collection = Collection::new(request);
+    let collection = Collection::new(request)?;
     let frame = LocalFrame::new(collection.origin);
     let grid = TruthGrid::around(collection.origin, request.site.extent_m(), request.gsd());
     let cameras = (collection.views.iter())
@@ -122,26 +124,47 @@ fn camera(
     grid: &TruthGrid,
     view: &ViewPlan,
 ) -> Result<Camera, SynthError> {
-    let sensor = PushBroom::new(frame, &view.geometry, view.aim_px);
-    let crop = crop_of(request, frame, grid, &sensor);
-    let fit = sensor.fit_rational_camera(frame).map_err(|source| SynthError::Camera {
+    let fault = |source| SynthError::Camera {
         image: view.name.clone(),
         source,
-    })?;
+    };
+    let (sensor, crop, fit) = match &view.known {
+        None => {
+            let sensor = PushBroom::new(frame, &view.geometry, view.aim_px);
+            let crop = crop_of(request, frame, grid, &|point| sensor.project(point));
+            let fit = sensor.fit_rational_camera(frame).map_err(fault)?;
+            (Sensor::PushBroom(Box::new(sensor)), crop, fit)
+        }
+        Some(rpc) => {
+            let crop = crop_of(request, frame, grid, &|point| rational::project(rpc, frame, point));
+            let sensor = RationalSensor::new(rpc, frame, &crop).map_err(fault)?;
+            let fit = RpcFit {
+                rpc: rpc.clone(),
+                rms_px: 0.0,
+                max_px: 0.0,
+            };
+            (Sensor::Rational(sensor), crop, fit)
+        }
+    };
     let mut rpc = fit.rpc.cropped(crop.col0, crop.row0);
     rpc.sample_offset += view.pointing_bias_px[0];
     rpc.line_offset += view.pointing_bias_px[1];
     Ok(Camera { sensor, crop, fit, rpc })
 }
 
-fn crop_of(request: &SatelliteRequest, frame: &LocalFrame, grid: &TruthGrid, sensor: &PushBroom) -> Crop {
+fn crop_of(
+    request: &SatelliteRequest,
+    frame: &LocalFrame,
+    grid: &TruthGrid,
+    project: &dyn Fn(Vector3<f64>) -> [f64; 2],
+) -> Crop {
     let side = grid.size as f64;
     let (mut low, mut high) = ([f64::INFINITY; 2], [f64::NEG_INFINITY; 2]);
     for [col, row] in [[0.0, 0.0], [side, 0.0], [0.0, side], [side, side]] {
         for altitude_m in COVERED_ALTITUDES_M {
             let [lon_deg, lat_deg] = grid.lon_lat(col, row);
             let height_m = frame.origin.height_m + altitude_m;
-            let pixel = sensor.project(frame.enu_from_geo(GeoPoint {
+            let pixel = project(frame.enu_from_geo(GeoPoint {
                 lon_deg,
                 lat_deg,
                 height_m,
@@ -358,7 +381,7 @@ mod tests {
                 gsd_m: Some(1.0),
                 ..Default::default()
             };
-            let collection = Collection::new(&request);
+            let collection = Collection::new(&request).expect("a plan");
             let frame = LocalFrame::new(collection.origin);
             let grid = TruthGrid::around(collection.origin, 128.0, 1.0);
             let plan = CityPlan {
@@ -390,7 +413,7 @@ mod tests {
                     gsd_m: Some(4.0),
                     ..Default::default()
                 };
-                let collection = Collection::new(&request);
+                let collection = Collection::new(&request).expect("a plan");
                 let frame = LocalFrame::new(collection.origin);
                 let grid = TruthGrid::around(collection.origin, site.extent_m(), 4.0);
                 let plan = CityPlan {

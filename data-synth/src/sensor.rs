@@ -6,6 +6,7 @@
 //! deliver is fitted to this model over a scene several times larger than the image, so it is imperfect in the real way.
 
 use crate::noise::stream;
+use crate::rational::RationalSensor;
 use crate::raytrace::Ray;
 use heliosplat_rpc::fit::{RpcFit, fit_rpc};
 use heliosplat_rpc::{ImagePoint, LocalFrame, RpcError};
@@ -75,6 +76,40 @@ struct Attitude {
     vibration_px: f64,
     vibration_cycles: f64,
     vibration_phase: f64,
+}
+
+/// A camera of either kind.
+#[derive(Debug, Clone)]
+pub(crate) enum Sensor {
+    /// A made-up satellite.
+    PushBroom(Box<PushBroom>),
+    /// The camera of a real image.
+    Rational(RationalSensor),
+}
+
+/// A line of a sensor.
+pub(crate) enum SensorLine {
+    PushBroom(LineState),
+    Rational(f64),
+}
+
+impl Sensor {
+    /// The camera at a (fractional) line.
+    pub(crate) fn at_line(&self, line: f64) -> SensorLine {
+        match self {
+            Self::PushBroom(sensor) => SensorLine::PushBroom(sensor.at_line(line)),
+            Self::Rational(_) => SensorLine::Rational(line),
+        }
+    }
+
+    /// The direction seen by a (fractional) sample of a line of this sensor.
+    pub(crate) fn ray(&self, line: &SensorLine, sample: f64) -> Ray {
+        match (self, line) {
+            (Self::PushBroom(sensor), SensorLine::PushBroom(state)) => sensor.ray(state, sample),
+            (Self::Rational(sensor), SensorLine::Rational(line)) => sensor.ray(sample, *line),
+            _ => unreachable!("a line belongs to the sensor that gave it"),
+        }
+    }
 }
 
 /// The camera at the moment of one line.

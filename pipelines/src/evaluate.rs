@@ -15,10 +15,12 @@ pub mod metrics;
 pub mod resample;
 pub mod shadow;
 pub mod truth;
+pub mod uncertainty;
 
 pub use self::image::{ImageScore, score_image};
 pub use metrics::{DsmMetrics, HeightErrors};
 pub use shadow::{ShadowScore, score_shadow};
+pub use uncertainty::Uncertainty;
 
 use crate::raster::{GeoRaster, RasterError};
 use align::Shift;
@@ -157,13 +159,16 @@ pub fn evaluate_dsm(
         });
     };
     let wanted = wanted_cells(&truth.raster, classes.as_ref(), protocol);
-    let metrics = DsmMetrics::new(
+    let mut metrics = DsmMetrics::new(
         &errors,
         &wanted,
         classes.as_ref(),
         protocol,
         shift.metres(&truth.transform, metres),
     );
+    metrics.uncertainty = prediction
+        .band(crate::product::dsm::BANDS[1])
+        .and_then(|band| Uncertainty::of(&errors, &placement.moved_band(band, shift.columns, shift.rows)));
     Ok(DsmEvaluation {
         metrics,
         errors,

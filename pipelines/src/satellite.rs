@@ -12,7 +12,7 @@ mod radiometry;
 pub mod training;
 pub mod views;
 
-use crate::cli::evaluate::{EvaluateArgs, table, write_error_map};
+use crate::cli::evaluate::{EvaluateArgs, table, write_pictures};
 use crate::cli::satellite::{DemoArgs, DsmArgs, DsmSource, RelightArgs, RenderArgs, RenderSplit};
 use crate::cli::{CliError, Outcome, Session};
 use crate::product::{dsm, relight, views as rendered};
@@ -296,9 +296,7 @@ pub fn evaluate(run: &Path, args: &EvaluateArgs, _session: &Session) -> Result<O
     let mut text = String::new();
     if let Some(evaluation) = &evaluation {
         text = table(&evaluation.metrics);
-        if let Some(path) = &args.error_map {
-            write_error_map(path, evaluation)?;
-        }
+        write_pictures(args, evaluation)?;
     }
     Ok(Outcome {
         text: text + &measure::summary(&metrics),

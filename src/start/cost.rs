@@ -4,7 +4,7 @@ use super::bands::Bands;
 use super::census::{self, COMPARISONS, INVALID, RADIUS, Words};
 use super::grid::{Grid, Ladder};
 use super::pairs::Pair;
-use super::views::{LevelView, Line, Place};
+use super::views::{LevelView, Line, Place, Plane};
 use super::visibility::FirstHits;
 use rayon::prelude::*;
 use std::collections::BTreeMap;
@@ -15,7 +15,9 @@ const BLOCK: (usize, usize) = (16, 64);
 const CUT: f32 = 0.36;
 /// Weight, as a share of all pairs, of the assumption that nothing matches: altitudes that few views see must not win
 /// by chance.
-const DOUBT: f32 = 0.08;
+const DOUBT: f32 = 0.03;
+/// What a comparison of indices is worth beside one of brightness.
+const INDEX_WORTH: f32 = 0.5;
 
 /// What the search compares, and where.
 pub(super) struct Matching<'a> {
@@ -87,40 +89,68 @@ impl Matching<'_> {
 
     /// Costs of a block at one altitude, into `scratch.cost`.
     fn block_costs(&self, block: &WideBlock, altitude_m: f32, scratch: &mut Scratch) {
-        let WideBlock { width, height, .. } = *block;
-        let cells = width * height;
-        for (view, index) in self.views.iter().zip(0..) {
-            self.sample_block(view, block, altitude_m, scratch);
-            let words = &mut scratch.words[index];
-            census::describe(&scratch.values, width, height, self.alike * view.contrast, words);
-            if let Some(hits) = self.hits {
-                self.drop_hidden(
-                    index,
-                    &hits[index],
-                    block,
-                    altitude_m,
-                    &mut scratch.words[index].darker[..cells],
-                );
-            }
-        }
-        let (sum, weights) = (&mut scratch.sum[..cells], &mut scratch.weights[..cells]);
-        sum.fill(0);
-        weights.fill(0);
+        let cells = block.width * block.height;
+        scratch.sum[..cells].fill(0);
+        scratch.weights[..cells].fill(0);
         let cut = (CUT * COMPARISONS as f32) as u32;
-        let mut full = 0;
-        for pair in self.pairs {
-            let (a, b) = (&scratch.words[pair.a], &scratch.words[pair.b]);
-            census::compare(a, b, pair.weight, cut, sum, weights);
-            full += pair.weight;
+        let mut full = self.compare(block, altitude_m, cut, &|view| Some(&view.mean), 1.0, scratch);
+        if self.views.iter().all(|view| view.index.is_some()) {
+            full += self.compare(
+                block,
+                altitude_m,
+                cut,
+                &|view| view.index.as_ref(),
+                INDEX_WORTH,
+                scratch,
+            );
         }
         let doubt = ((full as f32 * DOUBT) as u32).max(1);
-        for ((cost, sum), weights) in scratch.cost.iter_mut().zip(sum).zip(weights) {
+        let sums = scratch.sum[..cells].iter().zip(&scratch.weights[..cells]);
+        for (cost, (sum, weights)) in scratch.cost.iter_mut().zip(sums) {
             *cost = (255 * (*sum + doubt * cut) / ((*weights + doubt) * cut)) as u8;
         }
     }
 
-    /// Values of a view on the block and its margin at one altitude.
-    fn sample_block(&self, view: &LevelView, block: &WideBlock, altitude_m: f32, scratch: &mut Scratch) {
+    /// Adds the comparisons of one of the views' planes, each worth `worth` of its pair's weight; returns the weight of them all.
+    fn compare(
+        &self,
+        block: &WideBlock,
+        altitude_m: f32,
+        cut: u32,
+        plane: &dyn Fn(&LevelView) -> Option<&Plane>,
+        worth: f32,
+        scratch: &mut Scratch,
+    ) -> u32 {
+        let WideBlock { width, height, .. } = *block;
+        let cells = width * height;
+        for (index, view) in self.views.iter().enumerate() {
+            let Some(plane) = plane(view) else { continue };
+            self.sample_block(view, plane, block, altitude_m, scratch);
+            let words = &mut scratch.words[index];
+            census::describe(&scratch.values, width, height, self.alike * plane.contrast, words);
+            if let Some(hits) = self.hits {
+                self.drop_hidden(index, &hits[index], block, altitude_m, &mut words.darker[..cells]);
+            }
+        }
+        let mut full = 0;
+        for pair in self.pairs {
+            let (a, b) = (&scratch.words[pair.a], &scratch.words[pair.b]);
+            let weight = ((pair.weight as f32 * worth) as u32).max(1);
+            census::compare(
+                a,
+                b,
+                weight,
+                cut,
+                &mut scratch.sum[..cells],
+                &mut scratch.weights[..cells],
+            );
+            full += weight;
+        }
+        full
+    }
+
+    /// Values of a view's plane on the block and its margin at one altitude.
+    fn sample_block(&self, view: &LevelView, plane: &Plane, block: &WideBlock, altitude_m: f32, scratch: &mut Scratch) {
         let columns = block.width + 2 * RADIUS;
         let rows = block.height + 2 * RADIUS;
         let camera = &view.camera;
@@ -136,6 +166,7 @@ impl Matching<'_> {
                 step: [du, dv, dw],
             };
             view.sample_line(
+                plane,
                 &line,
                 &mut scratch.places[..columns],
                 &mut scratch.values[row * columns..][..columns],

@@ -25,7 +25,7 @@ pub(super) fn guide(grid: &Grid, views: &[LevelView], altitude: &[f32]) -> Vec<f
     let mut sum = vec![0.0; grid.len()];
     let mut count = vec![0.0; grid.len()];
     for view in views {
-        let scale = 1.0 / view.contrast.max(f32::MIN_POSITIVE);
+        let scale = 1.0 / view.mean.contrast.max(f32::MIN_POSITIVE);
         for ((sum, count), value) in sum.iter_mut().zip(&mut count).zip(ortho(grid, view, altitude)) {
             if value.is_finite() {
                 *sum += value * scale;

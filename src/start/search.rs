@@ -15,7 +15,7 @@ use glam::Vec3;
 use rayon::prelude::*;
 
 /// Summed cost above the best within which another level stays possible at the next, finer round.
-const TOLERANCE: u16 = 80;
+const TOLERANCE: u16 = 200;
 /// Coarse cells around a fine one whose altitudes stay possible for it.
 const REACH_CELLS: usize = 2;
 
@@ -31,6 +31,8 @@ pub(super) struct Search<'a> {
     pub(super) grid: Grid,
     pub(super) centre: Vec3,
     pub(super) pairs: Vec<Pair>,
+    /// Whether the views' indices are compared too.
+    with_index: bool,
 }
 
 /// What a level found.
@@ -58,6 +60,15 @@ impl<'a> Search<'a> {
             grid: request.grid(),
             centre,
             pairs: pairs::choose(views, centre),
+            with_index: false,
+        }
+    }
+
+    /// The same, which compares the views' indices too.
+    pub(super) fn with_index(self) -> Self {
+        Self {
+            with_index: true,
+            ..self
         }
     }
 
@@ -88,7 +99,7 @@ impl<'a> Search<'a> {
     /// The views averaged down for a level.
     pub(super) fn level_views(&self, factor: usize) -> Vec<LevelView> {
         let cell_m = self.grid.cell_m * factor as f32;
-        let one = |view: &SweepView| LevelView::new(view, cell_m, self.centre);
+        let one = |view: &SweepView| LevelView::new(view, cell_m, self.centre, self.with_index);
         self.views.par_iter().map(one).collect()
     }
 

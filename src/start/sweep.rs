@@ -52,7 +52,7 @@ impl Default for SweepOptions {
             step_cells: 0.5,
             visibility_rounds: 1,
             one_level_penalty: 30,
-            jump_penalty: 90,
+            jump_penalty: 60,
             edge: 30.0,
             alike: 8.0,
         }
@@ -88,7 +88,7 @@ const ISLAND_CELLS: usize = 16;
 /// Finds the surface that the views agree on. `progress` hears the share done, 0 to 1.
 pub fn sweep(views: &[SweepView], request: &SweepRequest, progress: &dyn Fn(f32)) -> Surface {
     let grid = request.grid();
-    let search = Search::new(views, request);
+    let search = Search::new(views, request).with_index();
     let mut found = search
         .descend(1, &|factor| progress(0.5 / factor as f32))
         .expect("the finest level is always searched");

@@ -10,8 +10,11 @@ use glam::{Vec2, Vec3};
 pub struct SweepView<'a> {
     /// Where ground points fall in the image.
     pub camera: ProjectiveCamera,
-    /// Linear values, any number of bands, NaN where there is nothing.
+    /// Linear values, any number of bands, NaN where there is nothing; their mean is what is compared.
     pub image: &'a Raster,
+    /// Of the same size, one band: what tells things apart that are equally bright, such as a vegetation index. [`super::sweep`]
+    /// compares it too.
+    pub index: Option<&'a Raster>,
     /// Views of one date agree radiometrically: same shadows, same season.
     pub date_group: u32,
     /// Unit vector toward the sun, east-north-up.
@@ -41,47 +44,68 @@ impl SweepView<'_> {
     }
 }
 
-/// The mean of the bands of one view, averaged down to about one pixel per cell.
+/// One view, averaged down to about one pixel per cell.
 #[derive(Debug, Clone)]
 pub(super) struct LevelView {
     pub(super) camera: ProjectiveCamera,
-    pub(super) pixels: Vec<f32>,
     pub(super) width: usize,
     pub(super) height: usize,
+    /// The mean of the bands.
+    pub(super) mean: Plane,
+    /// The index, where it is to be compared.
+    pub(super) index: Option<Plane>,
+}
+
+/// What is compared of a view.
+#[derive(Debug, Clone)]
+pub(super) struct Plane {
+    pub(super) pixels: Vec<f32>,
     /// Typical difference between neighbouring pixels.
     pub(super) contrast: f32,
 }
 
+impl Plane {
+    fn new(image: Raster) -> Self {
+        Self {
+            contrast: contrast(&image),
+            pixels: image.values,
+        }
+    }
+}
+
 impl LevelView {
-    pub(super) fn new(view: &SweepView, cell_m: f32, centre: Vec3) -> Self {
+    pub(super) fn new(view: &SweepView, cell_m: f32, centre: Vec3, with_index: bool) -> Self {
         let ratio = (cell_m / view.ground_sampling_m(centre)).round();
         let largest = (view.image.width.min(view.image.height) / 8).max(1);
         let factor = (ratio as usize).clamp(1, largest);
         let mean = mean_of_bands(view.image);
-        let (image, camera) = if factor > 1 {
-            (mean.downscaled(factor), view.camera.downscaled(factor))
+        let index = view.index.filter(|_| with_index);
+        let smaller = |image: &Raster| image.downscaled(factor);
+        let (image, index, camera) = if factor > 1 {
+            (smaller(&mean), index.map(smaller), view.camera.downscaled(factor))
         } else {
-            (mean, view.camera)
+            (mean, index.cloned(), view.camera)
         };
         Self {
             camera,
-            contrast: contrast(&image),
             width: image.width,
             height: image.height,
-            pixels: image.values,
+            mean: Plane::new(image),
+            index: index.map(Plane::new),
         }
     }
 
-    /// Bilinear values where a line of the ground falls; NaN outside the image and beside missing pixels. `places` is room to work
-    /// in, one for every value.
-    pub(super) fn sample_line(&self, line: &Line, places: &mut [Place], out: &mut [f32]) {
+    /// Bilinear values of one of the planes where a line of the ground falls; NaN outside the image and beside missing pixels.
+    /// `places` is room to work in, one for every value.
+    pub(super) fn sample_line(&self, plane: &Plane, line: &Line, places: &mut [Place], out: &mut [f32]) {
+        let pixels = &plane.pixels;
         find(line, self.width, self.height, places);
         for (place, value) in places.iter().zip(out) {
             let i = place.index as usize;
             // Two pixels of two rows; a place beyond the image has the index of the first and no weight.
             let (Some(&[a, b]), Some(&[c, d])) = (
-                self.pixels[i..].first_chunk::<2>(),
-                self.pixels[i + self.width..].first_chunk::<2>(),
+                pixels[i..].first_chunk::<2>(),
+                pixels[i + self.width..].first_chunk::<2>(),
             ) else {
                 *value = f32::NAN;
                 continue;
@@ -103,8 +127,8 @@ impl LevelView {
         let (c, r) = (col as usize, row as usize);
         let (fc, fr) = (col - c as f32, row - r as f32);
         let i = r * self.width + c;
-        let upper = &self.pixels[i..i + 2];
-        let lower = &self.pixels[i + self.width..i + self.width + 2];
+        let upper = &self.mean.pixels[i..i + 2];
+        let lower = &self.mean.pixels[i + self.width..i + self.width + 2];
         let top = upper[0] + (upper[1] - upper[0]) * fc;
         let bottom = lower[0] + (lower[1] - lower[0]) * fc;
         top + (bottom - top) * fr
@@ -123,7 +147,7 @@ impl LevelView {
         let mut value = 0.0;
         for (weight, line) in down.into_iter().zip(0..4) {
             let start = (r + line - 1) * self.width + c - 1;
-            let p = &self.pixels[start..start + 4];
+            let p = &self.mean.pixels[start..start + 4];
             value += weight * (across[0] * p[0] + across[1] * p[1] + across[2] * p[2] + across[3] * p[3]);
         }
         value
@@ -233,10 +257,10 @@ mod tests {
         );
         let view = LevelView {
             camera,
-            pixels,
             width,
             height,
-            contrast: 1.0,
+            mean: Plane { pixels, contrast: 1.0 },
+            index: None,
         };
         for start in [
             [-3.2, 4.7, 1.0],
@@ -250,7 +274,7 @@ mod tests {
                 step: [0.83, 0.21, 1e-4],
             };
             let mut values = vec![0.0; 61];
-            view.sample_line(&line, &mut [Place::default(); 61], &mut values);
+            view.sample_line(&view.mean, &line, &mut [Place::default(); 61], &mut values);
             for (k, value) in values.iter().enumerate() {
                 let k = k as f32;
                 let inverse = 1.0 / (start[2] + k * line.step[2]);

@@ -3,9 +3,10 @@
 use super::{CliError, Outcome, Session};
 use crate::evaluate::{DsmEvaluation, DsmMetrics, HeightErrors, Protocol, error_map, evaluate_dsm};
 use crate::raster::preview::write_png;
+use crate::raster::write_atomically;
 use clap::Args;
 use std::fmt::Write;
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 
 /// What to compare, and how.
 #[derive(Debug, Args)]
@@ -28,6 +29,9 @@ pub struct EvaluateArgs {
     /// Write a picture of the errors (PNG, blue too low, red too high, 5 m)
     #[arg(long, value_name = "FILE")]
     pub error_map: Option<PathBuf>,
+    /// Write a picture of the DSM's standard deviations beside its errors (SVG)
+    #[arg(long, value_name = "FILE")]
+    pub calibration: Option<PathBuf>,
 }
 
 /// Compares and reports.
@@ -45,21 +49,31 @@ pub(super) fn run(args: &EvaluateArgs, session: &Session) -> Result<Outcome, Cli
     for warning in &evaluation.warnings {
         tracing::warn!("{warning}");
     }
-    if let Some(path) = &args.error_map {
-        write_error_map(path, &evaluation)?;
-    }
+    write_pictures(args, &evaluation)?;
     Ok(Outcome {
         json: serde_json::json!({ "dsm": evaluation.metrics }),
         text: table(&evaluation.metrics),
     })
 }
 
-/// Writes the errors of an evaluation as a picture.
+/// Writes the pictures of an evaluation that were asked for.
 ///
 /// # Errors
-/// When the file cannot be written.
-pub fn write_error_map(path: &Path, evaluation: &DsmEvaluation) -> Result<(), CliError> {
-    Ok(write_png(path, &error_map::draw(&evaluation.errors))?)
+/// When a file cannot be written, or the DSM has no standard deviations to be drawn.
+pub fn write_pictures(args: &EvaluateArgs, evaluation: &DsmEvaluation) -> Result<(), CliError> {
+    if let Some(path) = &args.error_map {
+        write_png(path, &error_map::draw(&evaluation.errors))?;
+    }
+    if let Some(path) = &args.calibration {
+        let Some(uncertainty) = &evaluation.metrics.uncertainty else {
+            return Err(CliError::Input(
+                "evaluate: --calibration needs a DSM with a band of standard deviations, as `heliosplat dsm` writes it"
+                    .into(),
+            ));
+        };
+        write_atomically(path, uncertainty.svg().as_bytes())?;
+    }
+    Ok(())
 }
 
 /// The metrics as a table for people.
@@ -83,8 +97,14 @@ pub fn table(metrics: &DsmMetrics) -> String {
         );
     };
     line("all", &metrics.all);
+    if let Some(errors) = &metrics.ground_and_buildings {
+        line("ground, built", errors);
+    }
     for (name, errors) in &metrics.by_class {
         line(name, errors);
+    }
+    if let Some(uncertainty) = &metrics.uncertainty {
+        text += &uncertainty.table();
     }
     text
 }

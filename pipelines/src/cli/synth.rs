@@ -22,7 +22,10 @@ pub struct SynthArgs {
     /// Everything random follows from it
     #[arg(long, default_value_t = 1, value_name = "N")]
     seed: u64,
-    /// Images [default: as the site has them]
+    /// See the site through the cameras of real images, on their dates and under their suns (JSON, as VisSat writes it)
+    #[arg(long, value_name = "FILE", conflicts_with = "dates")]
+    cameras: Option<PathBuf>,
+    /// Images [default: as the site has them, or all of --cameras]
     #[arg(long, value_name = "N")]
     views: Option<usize>,
     /// Acquisition dates [default: as the site has them]
@@ -84,6 +87,7 @@ impl SynthArgs {
                 SiteName::City => Site::City,
             },
             seed: self.seed,
+            cameras: self.cameras.clone(),
             views: self.views,
             dates: self.dates,
             gsd_m: self.gsd,
@@ -103,7 +107,7 @@ impl SynthArgs {
 impl From<SynthError> for CliError {
     fn from(error: SynthError) -> Self {
         match &error {
-            SynthError::BadRequest(_) => Self::Input(error.to_string()),
+            SynthError::BadRequest(_) | SynthError::Cameras { .. } => Self::Input(error.to_string()),
             _ => Self::Failed(error.to_string()),
         }
     }

@@ -1,6 +1,6 @@
 //! Height errors in numbers.
 
-use super::{Protocol, class_name};
+use super::{Protocol, Uncertainty, class_name};
 use heliosplat::Raster;
 use std::collections::BTreeMap;
 
@@ -34,7 +34,16 @@ pub struct DsmMetrics {
     /// The same statistics by class, where classes are known.
     #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
     pub by_class: BTreeMap<String, HeightErrors>,
+    /// Ground, roads, bridges and buildings together, where classes are known: what stays as it is from season to season.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub ground_and_buildings: Option<HeightErrors>,
+    /// What the prediction's own standard deviations are worth, where it has them.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub uncertainty: Option<Uncertainty>,
 }
+
+/// Classes that do not grow, flow or drive.
+const GROUND_AND_BUILDINGS: [f32; 4] = [2.0, 6.0, 11.0, 17.0];
 
 impl DsmMetrics {
     /// From errors (prediction minus truth, `NaN` where not measured), the cells that should have one, and classes.
@@ -62,6 +71,11 @@ impl DsmMetrics {
                 }
             }
         }
+        let lasting = classes.and_then(|classes| {
+            let cells = classes.plane(0).iter().zip(errors.plane(0)).zip(wanted);
+            let lasting = cells.filter(|((class, _), wanted)| **wanted && GROUND_AND_BUILDINGS.contains(class));
+            statistics(lasting.map(|((_, error), _)| *error))
+        });
         let by_class = by_name
             .into_iter()
             .filter_map(|(name, errors)| Some((name, statistics(errors.into_iter())?)))
@@ -78,6 +92,8 @@ impl DsmMetrics {
             shift_m,
             protocol: protocol.name().to_owned(),
             by_class,
+            ground_and_buildings: lasting,
+            uncertainty: None,
         }
     }
 }
@@ -110,7 +126,7 @@ pub(super) fn statistics(wanted: impl Iterator<Item = f32>) -> Option<HeightErro
 }
 
 /// Median; of an even number of values the mean of the middle two. The values are reordered.
-fn median(values: &mut [f64]) -> f64 {
+pub(super) fn median(values: &mut [f64]) -> f64 {
     let (half, odd) = (values.len() / 2, values.len() % 2 == 1);
     let (below, &mut upper, _) = values.select_nth_unstable_by(half, f64::total_cmp);
     if odd {

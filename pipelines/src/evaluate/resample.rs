@@ -52,11 +52,18 @@ impl<'a> Placement<'a> {
     /// `columns` to the right and `rows` down (target cells). Between different coordinate systems the move is that of the
     /// grid's centre: over a kilometre, 50 cells elsewhere differ by some thousandths of a cell.
     pub fn moved(&self, columns: f64, rows: f64) -> Raster {
+        self.moved_band(0, columns, rows)
+    }
+
+    /// As [`Self::moved`], another band.
+    pub fn moved_band(&self, band: usize, columns: f64, rows: f64) -> Raster {
         let [per_col, per_row] = self.per_cell;
         let offset = [0, 1].map(|axis| columns * per_col[axis] + rows * per_row[axis]);
         let mut out = Raster::filled(self.width, self.height, 1, f32::NAN);
         let cells = out.values.par_iter_mut().zip(&self.positions);
-        cells.for_each(|(value, [col, row])| *value = bilinear(self.source, col - offset[0], row - offset[1]));
+        cells.for_each(|(value, [col, row])| {
+            *value = bilinear_band(self.source, band, col - offset[0], row - offset[1])
+        });
         out
     }
 }
@@ -64,6 +71,10 @@ impl<'a> Placement<'a> {
 /// First band at a fractional pixel position. Missing neighbours make the value missing, except those whose weight is
 /// next to nothing; positions up to half a pixel outside take the edge's value.
 pub fn bilinear(raster: &Raster, col: f64, row: f64) -> f32 {
+    bilinear_band(raster, 0, col, row)
+}
+
+fn bilinear_band(raster: &Raster, band: usize, col: f64, row: f64) -> f32 {
     /// Grids that agree up to rounding must not lose the cells beside missing ones.
     const NEGLIGIBLE: f64 = 1e-6;
     let (width, height) = (raster.width as f64, raster.height as f64);
@@ -83,7 +94,7 @@ pub fn bilinear(raster: &Raster, col: f64, row: f64) -> f32 {
     ] {
         if weight > NEGLIGIBLE {
             let (c, r) = ((c0 + dc).min(width - 1.0), (r0 + dr).min(height - 1.0));
-            sum += weight * f64::from(raster.at(0, c as usize, r as usize));
+            sum += weight * f64::from(raster.at(band, c as usize, r as usize));
         }
     }
     sum as f32

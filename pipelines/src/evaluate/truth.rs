@@ -29,6 +29,7 @@ pub(super) fn read(
         raster,
         transform,
         crs: crs.or_else(|| prediction.crs.clone()),
+        band_names: Vec::new(),
     })
 }
 

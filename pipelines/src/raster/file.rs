@@ -233,6 +233,8 @@ pub struct GeoRaster {
     pub transform: GeoTransform,
     /// In which coordinates; `None` where the file does not say.
     pub crs: Option<Crs>,
+    /// Descriptions of the bands, empty where the file has none.
+    pub band_names: Vec<String>,
 }
 
 impl GeoRaster {
@@ -249,6 +251,12 @@ impl GeoRaster {
             raster: file.read_all()?,
             transform,
             crs: file.crs(),
+            band_names: file.bands.iter().map(|band| band.description.clone()).collect(),
         })
+    }
+
+    /// Number of the band of this description, counted from zero.
+    pub fn band(&self, name: &str) -> Option<usize> {
+        self.band_names.iter().position(|description| description == name)
     }
 }

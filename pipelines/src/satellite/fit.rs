@@ -161,9 +161,12 @@ impl<'a> Swept<'a> {
         let aligned = started.elapsed();
         let request = ground.request(config.start.cell_gsd * scene.gsd_m);
         let progress = session.progress("sweep", 100);
-        let surface = sweep(&ground.sweep_views(&rasters, &shifts_px), &request, &|share| {
-            progress.set((100.0 * share) as u64)
-        });
+        let indices = ground.vegetation_indices(&rasters);
+        let mut views = ground.sweep_views(&rasters, &shifts_px);
+        for (view, index) in views.iter_mut().zip(indices.iter().flatten()) {
+            view.index = Some(index);
+        }
+        let surface = sweep(&views, &request, &|share| progress.set((100.0 * share) as u64));
         Ok(Self {
             surface,
             bands: rasters.first().map_or(0, |raster| raster.bands),

@@ -6,7 +6,7 @@ use crate::evaluate::shadow::ShadowCounts;
 use crate::evaluate::{DsmEvaluation, ImageScore, Protocol, error_map, evaluate_dsm};
 use crate::product::dsm::of_surface;
 use crate::product::views::{RenderedView, render_view, score};
-use crate::raster::{RasterFile, preview};
+use crate::raster::{RasterFile, preview, write_atomically};
 use crate::run::{LoadedModel, peak_rss_bytes};
 use crate::scene::{BandKind, Scene, Split};
 use heliosplat::Raster;
@@ -30,6 +30,9 @@ pub(super) fn metrics(scene: &Scene, model: &LoadedModel, run: &Path, protocol: 
     if let Some(evaluation) = dsm(scene, run, protocol)? {
         out["dsm"] = serde_json::to_value(&evaluation.metrics).unwrap_or_default();
         preview::write_png(&run.join("error.png"), &error_map::draw(&evaluation.errors))?;
+        if let Some(uncertainty) = &evaluation.metrics.uncertainty {
+            write_atomically(&run.join("calibration.svg"), uncertainty.svg().as_bytes())?;
+        }
     }
     let (mut train, mut test) = (Vec::new(), Vec::new());
     let mut shadows = ShadowCounts::default();
@@ -172,6 +175,11 @@ pub(super) fn summary(metrics: &Value) -> String {
     };
     say("start MAE", number("/start/mae_m"), "m (raw, the swept surface)");
     say("DSM MAE", number("/dsm/mae_m"), &format!("m ({protocol})"));
+    say(
+        "DSM MAE",
+        number("/dsm/ground_and_buildings/mae_m"),
+        &format!("m ({protocol}, ground, roads and buildings)"),
+    );
     say("DSM median", number("/dsm/median_m"), &format!("m ({protocol})"));
     say("shadow BER", number("/shadow/ber").map(|b| 100.0 * b), "%");
     say("shadows right", number("/shadow/accuracy").map(|a| 100.0 * a), "%");
