@@ -20,7 +20,7 @@ pub(crate) fn number(n: u32) -> f32 {
 
 /// `e^x`, two units in the last place; saturates outside -87 to 88, keeps NaN.
 #[inline(always)]
-pub(crate) fn exp(x: f32) -> f32 {
+pub fn exp(x: f32) -> f32 {
     // Written so that NaN passes.
     let x = if x > 88.0 { 88.0 } else { x };
     let x = if x < -87.0 { -87.0 } else { x };
@@ -35,7 +35,7 @@ pub(crate) fn exp(x: f32) -> f32 {
 
 /// `ln x` for finite `x > 1e-37`, two units in the last place; NaN for NaN.
 #[inline(always)]
-pub(crate) fn ln(x: f32) -> f32 {
+pub fn ln(x: f32) -> f32 {
     // x = m · 2^n with m in [√½, √2).
     let bits = x.to_bits().wrapping_sub(0x3f35_04f3);
     let n = ((bits as i32) >> 23) as f32;
@@ -51,7 +51,7 @@ pub(crate) fn ln(x: f32) -> f32 {
 
 /// `1 / (1 + e^-x)`.
 #[inline(always)]
-pub(crate) fn sigmoid(x: f32) -> f32 {
+pub fn sigmoid(x: f32) -> f32 {
     1.0 / (1.0 + exp(-x))
 }
 

@@ -2,7 +2,7 @@
 
 pub mod camera;
 mod deal;
-mod fast;
+pub mod fast;
 pub mod gaussians;
 pub mod light;
 pub mod loss;

@@ -1,10 +1,12 @@
 //! The trainer: one view a step, whatever the model.
 
+mod fault;
 mod focus;
 mod holdout;
 mod known_light;
 mod options;
 
+pub use fault::{Fault, TrainError};
 pub use holdout::EarlyStop;
 pub use options::TrainOptions;
 
@@ -27,24 +29,7 @@ use rand::{SeedableRng, seq::SliceRandom};
 use rand_pcg::Pcg32;
 use rayon::prelude::*;
 
-/// Why training cannot go on.
-#[derive(Debug, thiserror::Error)]
-pub enum TrainError {
-    /// Too many steps in a row had numbers that are not finite.
-    #[error("{rejected} steps in a row gave numbers that are not finite; the last good state is kept")]
-    NotFinite {
-        /// Steps rejected in a row.
-        rejected: usize,
-    },
-    /// Nothing is left to train.
-    #[error("no Gaussians are left; the images may not overlap or the altitude range may miss the ground")]
-    Empty,
-    /// There is nothing to learn from.
-    #[error("a model needs at least one view")]
-    NoViews,
-}
-
-/// Rejected steps in a row after which training stops.
+/// Rejected steps in a row, or steps that saw no Gaussian, after which training stops.
 const REJECTED_LIMIT: usize = 20;
 
 /// What one step did.
@@ -62,8 +47,8 @@ pub struct StepReport {
     pub pairs: u64,
     /// Gaussians after the step.
     pub gaussians: usize,
-    /// Whether the step was rejected because of a number that is not finite.
-    pub rejected: bool,
+    /// Why the step was rejected, if it was.
+    pub rejected: Option<Fault>,
 }
 
 /// A model in training.
@@ -90,6 +75,7 @@ pub struct Trainer<'a> {
     step: usize,
     rejected: usize,
     rejected_in_a_row: usize,
+    unseen_in_a_row: usize,
 }
 
 impl<'a> Trainer<'a> {
@@ -97,7 +83,8 @@ impl<'a> Trainer<'a> {
     /// camera, shadow consistency is also asked for with view and light at the zenith.
     ///
     /// # Errors
-    /// Without views or without Gaussians.
+    /// Without views, pixels that count or Gaussians, when an option has no meaning, or when the start has numbers that are not
+    /// finite.
     pub fn new(
         model: &'a dyn SceneModel,
         mut views: Vec<View>,
@@ -112,7 +99,10 @@ impl<'a> Trainer<'a> {
         if parameters.gaussians.count == 0 {
             return Err(TrainError::Empty);
         }
+        options.check()?;
+        fault::check_start(&parameters)?;
         let holdout = Holdout::new(&mut views, &options);
+        fault::check_pixels(&views)?;
         Ok(Self {
             gaussians_adam: Adam {
                 sparse: options.sparse,
@@ -131,6 +121,7 @@ impl<'a> Trainer<'a> {
             step: 0,
             rejected: 0,
             rejected_in_a_row: 0,
+            unseen_in_a_row: 0,
             model,
             views,
             options,
@@ -221,8 +212,10 @@ impl<'a> Trainer<'a> {
 
     /// One step.
     ///
+    /// A step whose losses or gradients are not finite changes nothing but the counts of steps and of rejected ones.
+    ///
     /// # Errors
-    /// When too many steps in a row are rejected, or no Gaussian is left.
+    /// When too many steps in a row are rejected or see no Gaussian, or none is left. What is trained then is the last good state.
     pub fn step(&mut self) -> Result<StepReport, TrainError> {
         let index = self.next_view();
         if self.light_is_due(index) {
@@ -236,22 +229,22 @@ impl<'a> Trainer<'a> {
                 .losses
                 .push(("shadow_consistency", self.descend_consistency(index)));
         }
-        let finite = report.losses.iter().all(|(_, v)| v.is_finite()) && all_finite(&self.gradients);
         self.step += 1;
         report.step = self.step;
-        if finite {
-            self.rejected_in_a_row = 0;
-            self.update();
-            self.control_density();
-        } else {
-            report.rejected = true;
-            self.rejected += 1;
-            self.rejected_in_a_row += 1;
-            if self.rejected_in_a_row >= REJECTED_LIMIT {
-                return Err(TrainError::NotFinite {
-                    rejected: self.rejected_in_a_row,
-                });
+        report.rejected = fault::of_step(&report.losses, &self.gradients);
+        match &report.rejected {
+            None => {
+                self.rejected_in_a_row = 0;
+                self.update();
+                self.control_density();
             }
+            Some(fault) => self.reject(fault, index)?,
+        }
+        self.unseen_in_a_row = if report.pairs == 0 { self.unseen_in_a_row + 1 } else { 0 };
+        if self.unseen_in_a_row >= REJECTED_LIMIT.max(self.views.len()) {
+            return Err(TrainError::NothingSeen {
+                steps: self.unseen_in_a_row,
+            });
         }
         self.holdout.round_done(self.step, self.views.len(), &self.parameters);
         report.gaussians = self.parameters.gaussians.count;
@@ -259,6 +252,24 @@ impl<'a> Trainer<'a> {
             return Err(TrainError::Empty);
         }
         Ok(report)
+    }
+
+    /// Counts a step that must change nothing.
+    fn reject(&mut self, fault: &Fault, view: usize) -> Result<(), TrainError> {
+        self.rejected += 1;
+        self.rejected_in_a_row += 1;
+        // What this step knew of the light is not known to be sound.
+        self.known_light[view] = None;
+        let name = &self.views[view].name;
+        tracing::warn!(step = self.step, view = %name, "step rejected: {fault}");
+        if self.rejected_in_a_row < REJECTED_LIMIT {
+            return Ok(());
+        }
+        Err(TrainError::NotFinite {
+            rejected: self.rejected_in_a_row,
+            fault: fault.clone(),
+            view: name.clone(),
+        })
     }
 
     fn descend_view(&mut self, index: usize) -> StepReport {
@@ -441,15 +452,6 @@ fn surface_losses(options: &TrainOptions, view: &View, pass: &Pass, d_maps: &mut
         losses.push(("one_surface", value));
     }
     losses
-}
-
-fn all_finite(gradients: &Parameters) -> bool {
-    gradients.globals.is_finite()
-        && gradients.gaussians.groups.iter().all(|g| {
-            g.values
-                .par_chunks(1 << 16)
-                .all(|chunk| chunk.iter().all(|v| v.is_finite()))
-        })
 }
 
 fn mean_absolute(a: &[f32], b: &[f32]) -> f64 {

@@ -4,6 +4,7 @@
 //! shared, the frame and the cameras), `metrics.json`, `dsm.tif`, pictures. Everything is written to a temporary name and
 //! renamed.
 
+mod model_file;
 pub mod ply;
 
 use crate::raster::RasterError;
@@ -135,6 +136,16 @@ pub struct RunFile {
     pub config: SatelliteConfig,
 }
 
+impl RunFile {
+    /// What the text of a `run.toml` says.
+    ///
+    /// # Errors
+    /// A sentence that says what is wrong with it.
+    pub fn parse(text: &str) -> Result<Self, String> {
+        toml::from_str(text).map_err(|e| e.message().to_owned())
+    }
+}
+
 /// A model read back from its run.
 pub struct LoadedModel {
     /// The folder.
@@ -242,10 +253,7 @@ pub fn load_run(folder: &Path) -> Result<RunFile, RunError> {
     if !path.is_file() {
         return Err(RunError::NotARun(folder.to_owned()));
     }
-    toml::from_str(&read(&path)?).map_err(|e| RunError::Damaged {
-        path,
-        reason: e.message().to_owned(),
-    })
+    RunFile::parse(&read(&path)?).map_err(|reason| RunError::Damaged { path, reason })
 }
 
 /// The model of a run.
@@ -261,17 +269,8 @@ pub fn load(folder: &Path) -> Result<LoadedModel, RunError> {
         path: path.to_owned(),
         reason,
     };
-    let file: ModelFile = serde_json::from_str(&read(&path)?).map_err(|e| damaged(&path, e.to_string()))?;
-    if file.schema != SCHEMA || file.model != "shadow_gs" {
-        return Err(damaged(
-            &path,
-            format!("schema {} of model {} is not known", file.schema, file.model),
-        ));
-    }
+    let file = ModelFile::parse(&read(&path)?).map_err(|reason| damaged(&path, reason))?;
     let model = ShadowGs::new(file.options.clone());
-    if !fits(&file.globals, &model.initial_globals(1.0)) {
-        return Err(damaged(&path, "its shared parameters do not fit its options".into()));
-    }
     let ply_path = folder.join("model.ply");
     let bytes = std::fs::read(&ply_path).map_err(|reason| RunError::Io {
         path: ply_path.clone(),
@@ -290,17 +289,6 @@ pub fn load(folder: &Path) -> Result<LoadedModel, RunError> {
         parameters,
         frame,
     })
-}
-
-/// Whether two tables have the same groups with as many values.
-fn fits(table: &Table, expected: &Table) -> bool {
-    table.count == expected.count
-        && table.groups.len() == expected.groups.len()
-        && table
-            .groups
-            .iter()
-            .zip(&expected.groups)
-            .all(|(a, b)| a.spec == b.spec && a.values.len() == b.values.len())
 }
 
 /// Writes `metrics.json`.

@@ -139,10 +139,8 @@ pub fn demo(args: &DemoArgs, session: &Session) -> Result<Outcome, CliError> {
     let config = SatelliteConfig::resolve("fast", &[], args.seed)?;
     let run_folder = args.out.join("run");
     let told = Told::new("fast", begun);
-    let (model, metrics, interrupted) = training::train_into(&scene, &run_folder, &config, &told, session)?;
-    if interrupted {
-        return Err(CliError::Interrupted("stopped; what there was is saved".into()));
-    }
+    let (model, metrics, ending) = training::train_into(&scene, &run_folder, &config, &told, session)?;
+    training::finished(ending, &run_folder)?;
     let evening = heliosplat_rpc::sun::SunPosition::from_degrees(250.0, 20.0);
     relight::relight(&model, &evening, "nadir")?.write(&args.out.join("evening.png"))?;
     let mae = metrics

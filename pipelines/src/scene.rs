@@ -225,6 +225,20 @@ impl SceneImage {
     }
 }
 
+/// The images that the text of a `scene.toml` lists, as it names them.
+///
+/// # Errors
+/// A sentence that says what is wrong, and in which line.
+pub fn images_listed(manifest: &str) -> Result<Vec<PathBuf>, String> {
+    let manifest = manifest::Manifest::parse(manifest)?;
+    Ok(manifest.images.into_iter().map(|image| image.path).collect())
+}
+
+/// The image that the text of a Sat-NeRF JSON describes, and the altitudes it states, metres; `None` where it is none.
+pub fn image_described(json: &str) -> Option<(String, [Option<f64>; 2])> {
+    satnerf::image_and_altitudes(json)
+}
+
 /// The rational camera of one file by itself: of an image, as a scene would find it, or of an RPC text file.
 ///
 /// # Errors

@@ -87,6 +87,12 @@ fn blur(plane: &[f32], width: usize) -> Vec<f32> {
     out
 }
 
+/// The greater, `b` where `a` is not a number: one instruction.
+#[inline(always)]
+fn most(a: f32, b: f32) -> f32 {
+    if a > b { a } else { b }
+}
+
 /// Windowed means of two planes and of their products.
 struct Means {
     x: Vec<f32>,
@@ -114,7 +120,8 @@ vectorised! {
         let (value, d_mx, d_xx, d_xy) = (&mut value[..n], &mut x[..n], &mut d_xx[..n], &mut d_xy[..n]);
         for i in 0..n {
             let (a, b) = (mx[i], my[i]);
-            let (vx, vy, cov) = (xx[i] - a * a, yy[i] - b * b, xy[i] - a * b);
+            // Rounding leaves the variance of a bright even area below zero, where SSIM has a pole.
+            let (vx, vy, cov) = (most(xx[i] - a * a, 0.0), most(yy[i] - b * b, 0.0), xy[i] - a * b);
             let (l_num, l_den) = (2.0 * a * b + C1, a * a + b * b + C1);
             let (c_num, c_den) = (2.0 * cov + C2, vx + vy + C2);
             let ssim = (l_num * c_num) / (l_den * c_den);

@@ -79,7 +79,13 @@ impl DensityStatistics {
 
     /// Adds one view; `pixels` turns the gradient of a mean over pixels into one per pixel.
     pub fn add(&mut self, projected: &Projected, grads: &[SplatGradient], pixels: usize) {
-        for (&g, d) in projected.gaussian.iter().zip(grads) {
+        // A step with numbers that are not finite is rejected: it must leave nothing behind here either.
+        let sound = projected
+            .gaussian
+            .iter()
+            .zip(grads)
+            .filter(|(_, d)| (d.col * d.col + d.row * d.row).is_finite());
+        for (&g, d) in sound {
             self.pull[g as usize] += (d.col * d.col + d.row * d.row).sqrt() * pixels as f32;
             self.seen[g as usize] += 1;
         }

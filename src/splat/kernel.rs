@@ -399,7 +399,7 @@ const LOG2_ALPHA_MAX: f32 = -0.014_499_57;
 /// `2^x` for `-126 < x < 127`, vectorisable: the nearest integer by a magic number and a polynomial for the rest
 /// (3e-6 relative, minimax). Outside, the value means nothing.
 #[inline(always)]
-fn exp2(x: f32) -> f32 {
+pub fn exp2(x: f32) -> f32 {
     let n = x + MAGIC;
     let f = x - (n - MAGIC);
     let square = f * f;

@@ -32,8 +32,11 @@ impl Focus {
     /// The plan of a training on `views`, whose weights are those to train with.
     pub(super) fn new(views: &[View], options: &TrainOptions) -> Self {
         let level = |n: usize| views.iter().map(|view| coarser(view, 1 << n)).collect();
+        let sides = views.iter().map(|view| view.image.width.min(view.image.height));
+        // The coarsest image has a pixel still.
+        let levels = sides.min().map_or(0, |side| side.max(1).ilog2() as usize);
         Self {
-            coarse: (1..=options.pyramid_levels).map(level).collect(),
+            coarse: (1..=options.pyramid_levels.min(levels)).map(level).collect(),
             share: options.pyramid_share,
             window_share: options.window_share,
             seed: options.seed,

@@ -43,13 +43,22 @@ impl Holdout {
         let mut held = Vec::new();
         for (v, view) in views.iter_mut().enumerate() {
             let width = view.image.width;
-            let mut out = Vec::new();
-            for (i, w) in view.weight.iter_mut().enumerate() {
+            let held_out = |i: usize| {
                 let (column, row) = (i % width / TILE, i / width / TILE);
-                if *w > 0.0 && tile_draw(options.seed, v, column, row) < options.holdout {
-                    *w = 0.0;
-                    out.push(i as u32);
-                }
+                tile_draw(options.seed, v, column, row) < options.holdout
+            };
+            let counts = |i: &usize| view.weight[*i] > 0.0;
+            let mut out: Vec<u32> = Vec::new();
+            // A small image may be one tile: something must be left to learn from.
+            if (0..view.weight.len()).filter(counts).any(|i| !held_out(i)) {
+                out = (0..view.weight.len())
+                    .filter(counts)
+                    .filter(|&i| held_out(i))
+                    .map(|i| i as u32)
+                    .collect();
+            }
+            for &i in &out {
+                view.weight[i as usize] = 0.0;
             }
             held.push(out);
         }
@@ -81,8 +90,9 @@ impl Holdout {
         (count > 0).then(|| sum / count as f64)
     }
 
+    /// Notes the loss of a view; one that is no number would pass for the best.
     pub(super) fn record(&mut self, view: usize, loss: Option<f64>) {
-        self.losses[view] = loss;
+        self.losses[view] = loss.filter(|loss| loss.is_finite());
     }
 
     /// After every round over all views: is this the best state so far?

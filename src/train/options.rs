@@ -1,5 +1,6 @@
 //! What a training run is made of; each entry has a default and a reason.
 
+use super::TrainError;
 use crate::optim::DensityOptions;
 use crate::splat::ProjectionOptions;
 use crate::trace::TraceOptions;
@@ -115,6 +116,73 @@ impl TrainOptions {
         self
     }
 
+    /// Whether every option means something.
+    ///
+    /// # Errors
+    /// [`TrainError::Option`] names the first that does not.
+    pub fn check(&self) -> Result<(), TrainError> {
+        let bad = |option, value: String, expected| {
+            Err(TrainError::Option {
+                option,
+                value,
+                expected,
+            })
+        };
+        let (d, p, t) = (&self.density, &self.projection, &self.trace);
+        for (option, value) in [
+            ("position_rate_gsd", self.position_rate_gsd),
+            ("final_rate", self.final_rate),
+            ("log_scale_rate", self.log_scale_rate),
+            ("rotation_rate", self.rotation_rate),
+            ("opacity_rate", self.opacity_rate),
+            ("photometric_weight", self.photometric_weight),
+            ("depth_normal_weight", self.depth_normal_weight),
+            ("consistency_weight", self.consistency_weight),
+            ("one_surface_weight", self.one_surface_weight),
+            ("light_moved", self.light_moved),
+            ("density.growth", d.growth),
+            ("density.until_fraction", d.until_fraction),
+            ("density.prune_opacity", d.prune_opacity),
+            ("projection.filter_px2", p.filter_px2),
+            ("trace.bias_sigmas", t.bias_sigmas),
+            ("trace.lift", t.lift),
+        ] {
+            if !(value >= 0.0 && value.is_finite()) {
+                return bad(option, value.to_string(), "a finite number that is not negative");
+            }
+        }
+        for (option, value) in [
+            ("gsd_m", self.gsd_m),
+            ("depth_normal_edge_gsd", self.depth_normal_edge_gsd),
+            ("one_surface_gsd", self.one_surface_gsd),
+            ("density.split_gsd", d.split_gsd),
+            ("density.prune_gsd", d.prune_gsd),
+        ] {
+            if !(value > 0.0 && value.is_finite()) {
+                return bad(option, value.to_string(), "a finite number above zero");
+            }
+        }
+        for (option, value) in [
+            ("lambda_ssim", self.lambda_ssim),
+            ("pyramid_share", self.pyramid_share),
+            ("window_share", self.window_share),
+            ("holdout", self.holdout),
+        ] {
+            if !(0.0..=1.0).contains(&value) {
+                return bad(option, value.to_string(), "a number from 0 to 1");
+            }
+        }
+        let (least, most) = self.scale_gsd;
+        if !(least > 0.0 && least <= most && most.is_finite()) {
+            return bad(
+                "scale_gsd",
+                format!("[{least}, {most}]"),
+                "two finite numbers above zero, the smaller first",
+            );
+        }
+        Ok(())
+    }
+
     /// How many times as many Gaussians as at the start there are at the end, at most.
     pub fn growth(&self) -> f64 {
         let d = &self.density;
@@ -140,6 +208,20 @@ mod tests {
         };
         assert_eq!(options.clone().for_views(2).iterations, 120);
         assert_eq!(options.for_views(40).iterations, 600);
+    }
+
+    #[test]
+    fn an_option_that_means_nothing_is_named() {
+        assert_eq!(TrainOptions::default().check(), Ok(()));
+        let named = |change: fn(&mut TrainOptions)| {
+            let mut options = TrainOptions::default();
+            change(&mut options);
+            options.check().expect_err("no meaning").to_string()
+        };
+        assert!(named(|o| o.scale_gsd = (8.0, 0.1)).contains("train.scale_gsd is [8, 0.1]"));
+        assert!(named(|o| o.gsd_m = f32::NAN).contains("train.gsd_m is NaN"));
+        assert!(named(|o| o.lambda_ssim = 1.5).contains("from 0 to 1"));
+        assert!(named(|o| o.opacity_rate = f32::INFINITY).contains("train.opacity_rate is inf"));
     }
 
     #[test]

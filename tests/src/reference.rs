@@ -53,6 +53,8 @@ pub struct Pixel {
     pub depth: f64,
     /// `Σ w z²`.
     pub depth_square: f64,
+    /// Whether no splat's alpha is so near the least that counts that rounding decides.
+    pub settled: bool,
 }
 
 const ALPHA_MIN: f64 = 1.0 / 255.0;
@@ -60,13 +62,21 @@ const ALPHA_MAX: f64 = 0.99;
 const DEPTH_FILTER: f64 = 0.05;
 const OPACITY_MIN: f64 = 0.001;
 const LIFT: f64 = 3.717;
+/// Relative distance from a threshold within which rounding decides.
+const DOUBT: f64 = 2e-3;
 
-struct Splat {
-    centre: Vector2<f64>,
-    conic: Matrix2<f64>,
-    opacity: f64,
-    depth: f64,
-    slope: Vector2<f64>,
+/// A Gaussian as a camera sees it.
+pub struct Splat {
+    /// Column and row, pixels.
+    pub centre: Vector2<f64>,
+    /// Inverse covariance, 1/pixels².
+    pub conic: Matrix2<f64>,
+    /// Opacity at the centre.
+    pub opacity: f64,
+    /// Depth of the centre, metres.
+    pub depth: f64,
+    /// Change of depth per pixel, metres.
+    pub slope: Vector2<f64>,
     normal: Vector3<f64>,
     index: usize,
 }
@@ -90,7 +100,8 @@ impl Gaussian {
     }
 }
 
-fn project(g: &Gaussian, index: usize, camera: &Camera, filter: f64, antialias: bool) -> Splat {
+/// Gaussian number `index` as a camera sees it.
+pub fn project(g: &Gaussian, index: usize, camera: &Camera, filter: f64, antialias: bool) -> Splat {
     let p = g.position;
     let (u, v) = (
         Vector3::from_row_slice(&camera.u[..3]),
@@ -129,32 +140,91 @@ fn project(g: &Gaussian, index: usize, camera: &Camera, filter: f64, antialias: 
     }
 }
 
-/// Transmittance from Gaussian `origin` toward the sun through all others.
-pub fn transmittance(gaussians: &[Gaussian], origin: usize, sun: &Sun) -> f64 {
-    let own = &gaussians[origin];
+/// A ray from a Gaussian toward the sun.
+struct Ray {
+    start: Vector3<f64>,
+    bias: f64,
+    /// Whether rounding may turn the axis that the start was lifted along.
+    doubtful: bool,
+}
+
+fn ray(own: &Gaussian, sun: &Sun) -> Ray {
     let rotation = own.rotation_matrix();
     let scale = own.log_scale.map(f64::exp);
     let thin = scale.imin();
     let axis = rotation.column(thin).into_owned();
-    let axis = if axis.dot(sun) < 0.0 { -axis } else { axis };
-    let start = own.position + axis * (LIFT * scale[thin] * (1.0 - axis.dot(sun)));
-    let bias = (sun.transpose() * own.covariance() * sun)[0].sqrt();
-    let mut product = 1.0;
+    let along = axis.dot(sun);
+    let axis = if along < 0.0 { -axis } else { axis };
+    let as_thin = (0..3).filter(|&k| scale[k] < scale[thin] * (1.0 + DOUBT)).count();
+    Ray {
+        start: own.position + axis * (LIFT * scale[thin] * (1.0 - axis.dot(sun))),
+        bias: (sun.transpose() * own.covariance() * sun)[0].sqrt(),
+        doubtful: along.abs() < DOUBT || as_thin > 1,
+    }
+}
+
+/// A Gaussian on the way of a ray.
+struct Meeting {
+    /// Distance of its peak along the ray, metres.
+    peak: f64,
+    /// Squared distance from its centre, and that of its reach, standard deviations.
+    miss: f64,
+    reach: f64,
+    alpha: f64,
+    /// Distance of its centre from the start, metres and standard deviations.
+    away: [f64; 2],
+}
+
+fn meeting(ray: &Ray, g: &Gaussian, sun: &Sun) -> Meeting {
+    let whiten = Matrix3::from_diagonal(&g.log_scale.map(|s| (-s).exp())) * g.rotation_matrix().transpose();
+    let e = whiten * (ray.start - g.position);
+    let d = whiten * sun;
+    let miss = e.cross(&d).norm_squared() / d.norm_squared();
+    let opacity = sigmoid(g.opacity);
+    Meeting {
+        peak: -e.dot(&d) / d.dot(&d),
+        miss,
+        reach: 2.0 * (opacity / OPACITY_MIN).ln(),
+        alpha: (opacity * (-0.5 * miss).exp()).min(ALPHA_MAX),
+        away: [(ray.start - g.position).norm(), e.norm()],
+    }
+}
+
+/// Transmittance from Gaussian `origin` toward the sun through all others.
+pub fn transmittance(gaussians: &[Gaussian], origin: usize, sun: &Sun) -> f64 {
+    let ray = ray(&gaussians[origin], sun);
+    let others = gaussians.iter().enumerate().filter(|(i, _)| *i != origin);
+    let meetings = others.map(|(_, g)| meeting(&ray, g, sun));
+    meetings
+        .filter(|m| m.peak > ray.bias && m.miss < m.reach)
+        .map(|m| 1.0 - m.alpha)
+        .product()
+}
+
+/// What [`transmittance`] may be where numbers have the precision of `f32`: occluders at the edge of what counts do or do not,
+/// and an alpha is known as well as the place of its Gaussian. `None` where even the ray is in doubt.
+pub fn transmittance_bounds(gaussians: &[Gaussian], origin: usize, sun: &Sun) -> Option<(f64, f64)> {
+    let ray = ray(&gaussians[origin], sun);
+    if ray.doubtful {
+        return None;
+    }
+    let (mut least, mut most) = (1.0, 1.0);
     for (i, g) in gaussians.iter().enumerate() {
         if i == origin {
             continue;
         }
-        let whiten = Matrix3::from_diagonal(&g.log_scale.map(|s| (-s).exp())) * g.rotation_matrix().transpose();
-        let e = whiten * (start - g.position);
-        let d = whiten * sun;
-        let peak = -e.dot(&d) / d.dot(&d);
-        let miss = e.cross(&d).norm_squared() / d.norm_squared();
-        let opacity = sigmoid(g.opacity);
-        if peak > bias && opacity > OPACITY_MIN && miss < 2.0 * (opacity / OPACITY_MIN).ln() {
-            product *= 1.0 - (opacity * (-0.5 * miss).exp()).min(ALPHA_MAX);
+        let m = meeting(&ray, g, sun);
+        let slack_m = DOUBT * (m.away[0] + ray.bias);
+        let slack = DOUBT * (1.0 + m.away[1]);
+        let unsure = 1e-5 + 1e-6 * m.away[1] * (1.0 + m.miss.sqrt());
+        if m.peak > ray.bias - slack_m && m.miss < m.reach + slack {
+            least *= 1.0 - (m.alpha * (1.0 + unsure)).min(ALPHA_MAX);
+        }
+        if m.peak > ray.bias + slack_m && m.miss < m.reach - slack {
+            most *= 1.0 - m.alpha * (1.0 - unsure);
         }
     }
-    product
+    Some((least, most))
 }
 
 /// Every pixel of a view, row by row. `visibility` is each Gaussian's transmittance toward the light.
@@ -177,10 +247,12 @@ pub fn render(gaussians: &[Gaussian], camera: &Camera, visibility: &[f64], filte
                 alpha: 0.0,
                 depth: 0.0,
                 depth_square: 0.0,
+                settled: true,
             };
             for s in &splats {
                 let d = Vector2::new(col as f64, row as f64) - s.centre;
                 let raw = s.opacity * (-0.5 * (d.transpose() * s.conic * d)[0]).exp();
+                pixel.settled &= (raw / ALPHA_MIN - 1.0).abs() > DOUBT;
                 if raw < ALPHA_MIN {
                     continue;
                 }

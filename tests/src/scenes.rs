@@ -29,6 +29,21 @@ pub struct View {
     pub sun_deg: Option<[f64; 2]>,
     /// Whether the GeoTIFF has an RPC.
     pub has_rpc: bool,
+    /// What it shows.
+    pub shows: Shows,
+}
+
+/// What an image shows.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Shows {
+    /// Waves of brightness.
+    Waves,
+    /// One value everywhere.
+    Nothing,
+    /// Waves, and one pixel as bright as sixteen bits hold.
+    OneGlint,
+    /// Waves in the upper half, zeros below.
+    Half,
 }
 
 impl View {
@@ -43,6 +58,7 @@ impl View {
             date: Some("20160423083400"),
             sun_deg: None,
             has_rpc: true,
+            shows: Shows::Waves,
         }
     }
 
@@ -88,7 +104,7 @@ impl View {
         } else {
             Vec::new()
         };
-        let raster = texture(self.bands);
+        let raster = texture(self.bands, self.shows);
         let spec = ImageSpec {
             rpc: &rpc,
             ..ImageSpec::plain(&raster)
@@ -117,11 +133,20 @@ impl View {
     }
 }
 
-fn texture(bands: usize) -> Raster {
-    let mut raster = Raster::filled(SIZE_PX, SIZE_PX, bands, 0.0);
+fn texture(bands: usize, shows: Shows) -> Raster {
+    let mut raster = Raster::filled(SIZE_PX, SIZE_PX, bands, 500.0);
+    if shows == Shows::Nothing {
+        return raster;
+    }
     for (index, value) in raster.values.iter_mut().enumerate() {
         let (col, row) = (index % SIZE_PX, index / SIZE_PX % SIZE_PX);
         *value = 400.0 + 200.0 * ((col as f32 * 0.7).sin() + (row as f32 * 0.4).cos());
+        if shows == Shows::Half && row >= SIZE_PX / 2 {
+            *value = 0.0;
+        }
+    }
+    if shows == Shows::OneGlint {
+        raster.values[SIZE_PX * 20 + 30] = 65_535.0;
     }
     raster
 }

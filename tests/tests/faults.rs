@@ -2,7 +2,7 @@
 //! half-written.
 
 use heliosplat_tests::program::{fault, heliosplat, json};
-use heliosplat_tests::scenes::{View, write_altitudes, write_scene};
+use heliosplat_tests::scenes::{Shows, View, write_altitudes, write_scene};
 use std::ffi::OsString;
 use std::path::Path;
 use tempfile::{TempDir, tempdir};
@@ -318,5 +318,84 @@ fn training_onto_a_full_disk_is_exit_code_1_and_leaves_no_half_run() {
     );
     if let Some(left) = left_on_a_full_disk(&arguments, &full, "model.ply") {
         assert_eq!(left.trim(), "run", "an empty folder at most: {left}");
+    }
+}
+
+/// Arguments of a training of a few steps.
+fn training<'a>(scene: &'a Path, run: &'a Path, more: &[&'a str]) -> Vec<std::ffi::OsString> {
+    let mut arguments: Vec<OsString> = ["train".into(), scene.into(), "--out".into(), run.into()].to_vec();
+    arguments.extend(["--preset", "fast", "--altitude", "690,710"].map(OsString::from));
+    arguments.extend(more.iter().map(OsString::from));
+    arguments
+}
+
+#[test]
+fn images_of_nothing_of_one_glint_and_of_one_half_train_or_say_why_not() {
+    for shows in [Shows::Nothing, Shows::OneGlint, Shows::Half] {
+        let views = [0, 1, 2].map(|number| View {
+            shows,
+            ..View::new(number)
+        });
+        let home = scene(&views);
+        let run = home.path().join("run");
+        let output = heliosplat(&training(
+            home.path(),
+            &run,
+            &["--json", "--set", "train.iterations=40"],
+        ))
+        .output()
+        .expect("runs");
+        let said = String::from_utf8_lossy(&output.stderr);
+        assert!(!said.contains("panicked"), "{shows:?}: {said}");
+        match output.status.code() {
+            Some(0) => {
+                let metrics: serde_json::Value = serde_json::from_slice(&output.stdout).expect("one JSON object");
+                assert_eq!(metrics["rejected_steps"], 0, "{shows:?}");
+                assert!(
+                    metrics["train"]["psnr"].as_f64().is_none_or(f64::is_finite),
+                    "{shows:?}: {}",
+                    metrics["train"]
+                );
+            }
+            code => assert!(
+                matches!(code, Some(1 | 2)) && said.contains("error: "),
+                "{shows:?}: {code:?} {said}"
+            ),
+        }
+    }
+}
+
+#[test]
+fn training_that_finds_no_finite_step_fails_says_where_and_leaves_no_run() {
+    let home = scene(&[View::new(0), View::new(1), View::new(2)]);
+    let run = home.path().join("run");
+    let line = fault(
+        &training(home.path(), &run, &["--set", "train.photometric_weight=1e30"]),
+        1,
+    );
+    assert!(
+        line.contains("20 steps in a row") && line.contains("the gradient to '"),
+        "{line}"
+    );
+    assert!(!run.exists(), "no run is left");
+}
+
+#[test]
+fn settings_that_mean_nothing_are_named() {
+    let home = scene(&[View::new(0), View::new(1)]);
+    let run = home.path().join("run");
+    for (set, said) in [
+        (
+            "train.scale_gsd=[8.0, 0.1]",
+            "train.scale_gsd is [8, 0.1], expected two finite numbers",
+        ),
+        (
+            "start.opacity=1.0",
+            "start.opacity is 1, expected a number between 0 and 1",
+        ),
+        ("train.position_rate_gsd=nan", "train.position_rate_gsd is NaN"),
+    ] {
+        let line = fault(&training(home.path(), &run, &["--set", set]), 2);
+        assert!(line.contains(said), "{line}");
     }
 }

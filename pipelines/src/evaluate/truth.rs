@@ -62,7 +62,10 @@ fn placed_by_text(path: &Path, raster: &Raster) -> Result<GeoTransform, Evaluate
         return Err(RasterError::NotGeoreferenced(path.to_owned()).into());
     }
     let text = std::fs::read_to_string(&text_path).unwrap_or_default();
-    let numbers: Vec<f64> = text.split_whitespace().filter_map(|word| word.parse().ok()).collect();
+    let numbers: Vec<f64> = text
+        .split_whitespace()
+        .filter_map(|word| word.parse().ok().filter(|number: &f64| number.is_finite()))
+        .collect();
     match numbers[..] {
         [west, south, _, metres] if metres > 0.0 => {
             let north = south + raster.height as f64 * metres;

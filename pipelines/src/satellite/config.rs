@@ -1,7 +1,7 @@
 //! The configuration of a satellite run: data, not code. Presets are files, `--set a.b=c` changes one value, and the
 //! resolved configuration is written beside every result.
 
-use heliosplat::train::TrainOptions;
+use heliosplat::train::{TrainError, TrainOptions};
 
 /// Why a configuration cannot be used.
 #[derive(Debug, thiserror::Error)]
@@ -13,6 +13,16 @@ pub enum ConfigError {
         name: String,
         /// What the parser says.
         reason: String,
+    },
+    /// A value that means nothing.
+    #[error("{key} is {value}, expected {expected}")]
+    Value {
+        /// The key.
+        key: String,
+        /// The value.
+        value: String,
+        /// What it may be.
+        expected: &'static str,
     },
     /// A `--set` that does not fit.
     #[error("--set {key}={value}: {reason}; the keys are those of run.toml, such as train.iterations=2000")]
@@ -164,7 +174,8 @@ impl SatelliteConfig {
     /// The defaults, then the preset's file, then the `--set` pairs in their order.
     ///
     /// # Errors
-    /// [`ConfigError::Set`] for a key that does not exist or a value of another kind.
+    /// [`ConfigError::Set`] for a key that does not exist or a value of another kind, [`ConfigError::Value`] for one that means
+    /// nothing.
     pub fn resolve(preset: &str, set: &[(String, String)], seed: u64) -> Result<Self, ConfigError> {
         let fault = |reason: String| ConfigError::Preset {
             name: preset.into(),
@@ -186,7 +197,85 @@ impl SatelliteConfig {
         }
         let mut config = parse(&table).map_err(fault)?;
         config.train.seed = seed;
+        config.check()?;
         Ok(config)
+    }
+
+    /// Whether every value means something.
+    fn check(&self) -> Result<(), ConfigError> {
+        if let Err(TrainError::Option {
+            option,
+            value,
+            expected,
+        }) = self.train.check()
+        {
+            let key = format!("train.{option}");
+            return Err(ConfigError::Value { key, value, expected });
+        }
+        let (s, m) = (&self.start, &self.model);
+        let above_zero = |v: f64| v > 0.0 && v.is_finite();
+        let not_negative = |v: f64| v >= 0.0 && v.is_finite();
+        let inside = |v: f32| v > 0.0 && v < 1.0;
+        const ABOVE_ZERO: &str = "a finite number above zero";
+        const NOT_NEGATIVE: &str = "a finite number that is not negative";
+        const INSIDE: &str = "a number between 0 and 1, neither of them";
+        for (key, value, fits, expected) in [
+            ("start.cell_gsd", s.cell_gsd, above_zero(s.cell_gsd), ABOVE_ZERO),
+            (
+                "start.spread_cells",
+                s.spread_cells.into(),
+                above_zero(s.spread_cells.into()),
+                ABOVE_ZERO,
+            ),
+            (
+                "start.thickness_cells",
+                s.thickness_cells.into(),
+                above_zero(s.thickness_cells.into()),
+                ABOVE_ZERO,
+            ),
+            (
+                "start.wall_pitch_cells",
+                s.wall_pitch_cells.into(),
+                above_zero(s.wall_pitch_cells.into()),
+                ABOVE_ZERO,
+            ),
+            (
+                "start.wall_from_m",
+                s.wall_from_m.into(),
+                not_negative(s.wall_from_m.into()),
+                NOT_NEGATIVE,
+            ),
+            ("start.margin_m", s.margin_m, not_negative(s.margin_m), NOT_NEGATIVE),
+            ("start.opacity", s.opacity.into(), inside(s.opacity), INSIDE),
+            (
+                "start.step_opacity",
+                s.step_opacity.into(),
+                inside(s.step_opacity),
+                INSIDE,
+            ),
+            (
+                "start.coverage",
+                s.coverage,
+                (0.0..=1.0).contains(&s.coverage),
+                "a number from 0 to 1",
+            ),
+            ("model.sky", m.sky.into(), above_zero(m.sky.into()), ABOVE_ZERO),
+            (
+                "model.opaqueness_weight",
+                m.opaqueness_weight.into(),
+                not_negative(m.opaqueness_weight.into()),
+                NOT_NEGATIVE,
+            ),
+        ] {
+            if !fits {
+                return Err(ConfigError::Value {
+                    key: key.into(),
+                    value: value.to_string(),
+                    expected,
+                });
+            }
+        }
+        Ok(())
     }
 }
 
@@ -238,6 +327,20 @@ mod tests {
         assert_eq!(config.cameras.align, Align::Off);
         let config = SatelliteConfig::resolve("fast", &set("cameras.method", "ties"), 1).expect("a known key");
         assert_eq!(config.cameras.method, PointingMethod::Ties);
+    }
+
+    #[test]
+    fn a_value_that_means_nothing_is_named() {
+        for (key, value) in [
+            ("start.cell_gsd", "0.0"),
+            ("start.opacity", "1.0"),
+            ("model.sky", "-0.1"),
+            ("train.scale_gsd", "[8.0, 0.1]"),
+            ("train.lambda_ssim", "nan"),
+        ] {
+            let error = SatelliteConfig::resolve("fast", &set(key, value), 1).expect_err(key);
+            assert!(error.to_string().starts_with(key), "{error}");
+        }
     }
 
     #[test]

@@ -66,6 +66,17 @@ pub struct Limits {
     pub memory: Option<u64>,
 }
 
+/// How a fit that has a model to show ended.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub enum Ending {
+    /// As it should.
+    Done,
+    /// The user stopped it.
+    Interrupted,
+    /// Training could not go on; the model is the last good state.
+    GaveUp(TrainError),
+}
+
 /// A trained model and how it came about.
 pub struct Fitted {
     /// The model.
@@ -86,8 +97,8 @@ pub struct Fitted {
     pub seconds: [f64; 4],
     /// The course of training.
     pub curve: Vec<CurvePoint>,
-    /// Whether the user stopped it.
-    pub interrupted: bool,
+    /// How training ended.
+    pub ending: Ending,
     /// The most memory that training was expected to take when it began, bytes.
     pub memory_estimate: f64,
 }
@@ -243,7 +254,7 @@ pub fn fit(scene: &Scene, config: &SatelliteConfig, session: &Session, limits: &
         early_stop: trained.early_stop,
         rejected: trained.rejected,
         curve: trained.curve,
-        interrupted: trained.interrupted,
+        ending: trained.ending,
         memory_estimate,
         model,
         images: ground.images.iter().map(|image| image.name.clone()).collect(),
@@ -302,7 +313,7 @@ struct Trained {
     early_stop: EarlyStop,
     rejected: usize,
     curve: Vec<CurvePoint>,
-    interrupted: bool,
+    ending: Ending,
 }
 
 fn train(mut trainer: Trainer, steps: usize, session: &Session, budget: Option<Budget>) -> Result<Trained, FitError> {
@@ -310,9 +321,17 @@ fn train(mut trainer: Trainer, steps: usize, session: &Session, budget: Option<B
     let mut curve = Vec::new();
     let mut smoothed = None;
     let mut pace = Pace::new(trainer.views());
+    let mut ending = Ending::Done;
     while !trainer.finished() && !session.stopped() {
         let begun = Instant::now();
-        let report = trainer.step()?;
+        let report = match trainer.step() {
+            Ok(report) => report,
+            Err(error @ TrainError::NotFinite { .. }) if trainer.steps() > trainer.rejected() => {
+                ending = Ending::GaveUp(error);
+                break;
+            }
+            Err(error) => return Err(error.into()),
+        };
         pace.add(begun.elapsed());
         if let Some(budget) = budget {
             let steps = budget.steps(report.step, pace.step_s());
@@ -333,14 +352,17 @@ fn train(mut trainer: Trainer, steps: usize, session: &Session, budget: Option<B
             tracing::info!(step, l1, gaussians, pairs, "training");
         }
     }
-    let (interrupted, rejected) = (session.stopped(), trainer.rejected());
+    if ending == Ending::Done && session.stopped() {
+        ending = Ending::Interrupted;
+    }
+    let rejected = trainer.rejected();
     let (parameters, early_stop) = trainer.into_best();
     Ok(Trained {
         parameters,
         early_stop,
         rejected,
         curve,
-        interrupted,
+        ending,
     })
 }
 

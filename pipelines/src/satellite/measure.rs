@@ -173,6 +173,11 @@ pub(super) fn summary(metrics: &Value) -> String {
             lines.push(format!("{label:<14} {value:.3} {unit}"));
         }
     };
+    say(
+        "rejected steps",
+        number("/rejected_steps").filter(|&n| n > 0.0),
+        "(numbers that were not finite)",
+    );
     say("start MAE", number("/start/mae_m"), "m (raw, the swept surface)");
     say("DSM MAE", number("/dsm/mae_m"), &format!("m ({protocol})"));
     say(

@@ -3,7 +3,7 @@
 use super::budget::Budget;
 use super::config::SatelliteConfig;
 use super::estimate::{self, Estimate, estimate};
-use super::fit::{self, Fitted, Limits};
+use super::fit::{self, Ending, Fitted, Limits};
 use super::{measure, plan};
 use crate::cli::satellite::{Preset, TrainArgs};
 use crate::cli::{CliError, Outcome, Session};
@@ -44,7 +44,7 @@ pub(super) fn train_into(
     config: &SatelliteConfig,
     told: &Told,
     session: &Session,
-) -> Result<(LoadedModel, serde_json::Value, bool), CliError> {
+) -> Result<(LoadedModel, serde_json::Value, Ending), CliError> {
     let mut config = config.clone();
     let plan = plan(scene);
     if config.model.image_colour.is_none() {
@@ -106,7 +106,7 @@ pub(super) fn train_into(
     }
     measure::add_fit(&mut metrics, &fitted, &model, told.begun.elapsed().as_secs_f64());
     run::save_metrics(out, &metrics)?;
-    Ok((model, metrics, fitted.interrupted))
+    Ok((model, metrics, fitted.ending))
 }
 
 pub(super) fn create_folder(out: &Path) -> Result<(), CliError> {
@@ -133,6 +133,18 @@ fn model_file(scene: &Scene, config: &SatelliteConfig, fitted: &Fitted) -> Model
         trace: config.train.trace,
         bands: scene.bands().to_vec(),
         images: run::model_images(scene, fitted, config.start.margin_m),
+    }
+}
+
+/// What to tell of a training that ended before its time; its run is written.
+pub(super) fn finished(ending: Ending, out: &Path) -> Result<(), CliError> {
+    let out = out.display();
+    match ending {
+        Ending::Done => Ok(()),
+        Ending::Interrupted => Err(CliError::Interrupted(format!(
+            "stopped; what there was is saved in {out}"
+        ))),
+        Ending::GaveUp(error) => Err(CliError::Failed(format!("training stopped: {error}, in {out}"))),
     }
 }
 
@@ -203,13 +215,8 @@ pub fn train(args: &TrainArgs, session: &Session) -> Result<Outcome, CliError> {
         time_budget: args.time_budget,
         memory: args.memory,
     };
-    let (_, metrics, interrupted) = train_into(&scene, &args.out, &config, &told, session)?;
-    if interrupted {
-        return Err(CliError::Interrupted(format!(
-            "stopped; what there was is saved in {}",
-            args.out.display()
-        )));
-    }
+    let (_, metrics, ending) = train_into(&scene, &args.out, &config, &told, session)?;
+    finished(ending, &args.out)?;
     let text = format!("{}\nrun            {}", measure::summary(&metrics), args.out.display());
     Ok(Outcome { json: metrics, text })
 }

@@ -55,6 +55,15 @@ pub(super) struct ManifestTruth {
 }
 
 impl Manifest {
+    /// What the text says, its paths as it has them.
+    pub(super) fn parse(text: &str) -> Result<Self, String> {
+        let manifest: Self = toml::from_str(text).map_err(|error| one_line(&error, text))?;
+        if manifest.images.is_empty() {
+            return Err("it lists no images; add [[images]] tables with a path each".to_owned());
+        }
+        Ok(manifest)
+    }
+
     /// Reads and checks a `scene.toml`; its paths come back resolved against its folder.
     pub(super) fn read(path: &Path) -> Result<Self, SceneError> {
         let fault = |reason: String| SceneError::Manifest {
@@ -65,12 +74,7 @@ impl Manifest {
             path: path.to_owned(),
             reason: error.to_string(),
         })?;
-        let mut manifest: Self = toml::from_str(&text).map_err(|error| fault(one_line(&error, &text)))?;
-        if manifest.images.is_empty() {
-            return Err(fault(
-                "it lists no images; add [[images]] tables with a path each".to_owned(),
-            ));
-        }
+        let mut manifest = Self::parse(&text).map_err(fault)?;
         let folder = path.parent().unwrap_or_else(|| Path::new("."));
         for image in &mut manifest.images {
             resolve(folder, &mut image.path)?;

@@ -26,10 +26,19 @@ fn lenient_number<'de, D: serde::Deserializer<'de>>(deserializer: D) -> Result<O
 }
 
 fn describe(path: &Path) -> Option<Description> {
-    let text = std::fs::read_to_string(path).ok()?;
-    let description: Description = serde_json::from_str(&text).ok()?;
+    description(&std::fs::read_to_string(path).ok()?)
+}
+
+fn description(text: &str) -> Option<Description> {
+    let description: Description = serde_json::from_str(text).ok()?;
     let _ = &description.rpc;
     Some(description)
+}
+
+/// The image that the text of a Sat-NeRF JSON describes, and the altitudes it states, metres.
+pub(super) fn image_and_altitudes(text: &str) -> Option<(String, [Option<f64>; 2])> {
+    let description = description(text)?;
+    Some((description.img, [description.min_alt, description.max_alt]))
 }
 
 /// The Sat-NeRF JSON of an image in the same folder, by its name.

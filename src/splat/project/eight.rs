@@ -124,6 +124,8 @@ struct Whitened {
     c: Vec3,
     /// Image covariance `[xx, xy, yy]` without any filter, pixels².
     covariance: [f32; 3],
+    /// Its determinant, as the squared area of the two whitened rows: never negative, no cancellation for needles and discs.
+    area_square: f32,
     /// Covariance of depth with column and row, metres·pixels.
     depth_covariance: [f32; 2],
 }
@@ -143,6 +145,7 @@ impl Whitened {
         let whiten =
             |x: Vec3| Vec3::new(rotation.x_axis.dot(x), rotation.y_axis.dot(x), rotation.z_axis.dot(x)) * scale;
         let (a, b, c) = (whiten(ju), whiten(jv), whiten(camera.depth_axis));
+        let area = a.cross(b);
         Self {
             col,
             row,
@@ -158,6 +161,7 @@ impl Whitened {
             b,
             c,
             covariance: [a.dot(a), a.dot(b), b.dot(b)],
+            area_square: area.dot(area),
             depth_covariance: [c.dot(a), c.dot(b)],
         }
     }
@@ -165,18 +169,17 @@ impl Whitened {
     /// `sqrt(det before / det after)` the filter, where that is asked for.
     #[inline(always)]
     fn dimming(&self, det_filtered: f32, options: &ProjectionOptions) -> f32 {
-        let [xx, xy, yy] = self.covariance;
-        let det = xx * yy - xy * xy;
-        let ratio = (if det < 0.0 { 0.0 } else { det }) / det_filtered;
+        let ratio = self.area_square / det_filtered;
         if options.antialias { ratio.sqrt() } else { 1.0 }
     }
 }
 
-/// Inverse of a symmetric 2 × 2 matrix `[xx, xy, yy]` with `filter` added to its diagonal, and the determinant.
+/// Inverse of a symmetric 2 × 2 matrix `[xx, xy, yy]` of determinant `det` with `filter` added to its diagonal, and the
+/// determinant then: a sum of what is not negative, so that a needle of thousands of pixels keeps its width.
 #[inline(always)]
-fn inverse_filtered(m: [f32; 3], filter: f32) -> ([f32; 3], f32) {
+fn inverse_filtered(m: [f32; 3], det: f32, filter: f32) -> ([f32; 3], f32) {
     let (xx, yy) = (m[0] + filter, m[2] + filter);
-    let det = xx * yy - m[1] * m[1];
+    let det = det + filter * (m[0] + yy);
     ([yy / det, -m[1] / det, xx / det], det)
 }
 
@@ -256,10 +259,10 @@ fn project_one(raw: &RawOne, camera: &ProjectiveCamera, options: &ProjectionOpti
     let (col, row) = (white.col, white.row);
     let (width, height) = (camera.width as f32, camera.height as f32);
     let covariance = white.covariance;
-    let (conic, det) = inverse_filtered(covariance, options.filter_px2);
+    let (conic, det) = inverse_filtered(covariance, white.area_square, options.filter_px2);
     let opacity = white.opacity * white.dimming(det, options);
     let depth = camera.depth(raw.position);
-    let (depth_inverse, depth_det) = inverse_filtered(covariance, DEPTH_FILTER_PX2);
+    let (depth_inverse, depth_det) = inverse_filtered(covariance, white.area_square, DEPTH_FILTER_PX2);
     let dc = white.depth_covariance;
     let slope = [
         depth_inverse[0] * dc[0] + depth_inverse[1] * dc[1],
@@ -448,7 +451,7 @@ fn backward_one(
     let mut d_jv = d_raw * splat.slope[1];
 
     // Slopes -> covariance and depth covariance.
-    let (depth_inverse, _) = inverse_filtered(covariance, DEPTH_FILTER_PX2);
+    let (depth_inverse, _) = inverse_filtered(covariance, white.area_square, DEPTH_FILTER_PX2);
     let dc = white.depth_covariance;
     let d_dc = [
         depth_inverse[0] * d_slope[0] + depth_inverse[1] * d_slope[1],
@@ -462,7 +465,7 @@ fn backward_one(
     let from_slope = inverse_backward(depth_inverse, d_depth_inverse);
 
     // Conic, and the dimming of the anti-aliased option, -> covariance.
-    let (_, det) = inverse_filtered(covariance, options.filter_px2);
+    let (_, det) = inverse_filtered(covariance, white.area_square, options.filter_px2);
     let from_conic = inverse_backward(splat.conic, grad.conic);
     let o = white.opacity;
     let dim = white.dimming(det, options);

@@ -78,8 +78,9 @@ impl Ellipse {
         let (xx, xy, yy) = (a.dot(a), a.dot(b), b.dot(b));
         // The determinant as the squared area of the two whitened axes: never negative, no cancellation for a thin disc.
         let det = a.cross(b).length_squared();
-        let along = xx.sqrt();
-        let whiten = [1.0 / along, -xy / (det * xx).sqrt(), along / det.sqrt()];
+        // Roots before products: `det · xx` leaves the range of numbers twelve decades of sizes apart.
+        let (along, area) = (xx.sqrt(), det.sqrt());
+        let whiten = [1.0 / along, -xy / (along * area), along / area];
         let (cx, cy) = (c.dot(a), c.dot(b));
         let half = Vec2::new((xx * occluder.reach_square).sqrt(), (yy * occluder.reach_square).sqrt());
         let shape = Self {

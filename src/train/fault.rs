@@ -1,0 +1,146 @@
+//! What makes a step or a whole training impossible, and how it is said.
+
+use crate::gaussians::Table;
+use crate::model::{NamedLoss, Parameters, View};
+use rayon::prelude::*;
+
+/// Gradients from here on are as good as infinite: Adam squares them, and the sum of squares must stay finite.
+const GRADIENT_MAX: f32 = 1e18;
+
+/// What of a step was not finite.
+#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+pub enum Fault {
+    /// A loss.
+    #[error("the loss '{0}' is not finite")]
+    Loss(&'static str),
+    /// The gradient to a group of parameters.
+    #[error("the gradient to '{0}' is not finite")]
+    Gradient(String),
+}
+
+/// Why training cannot begin, or not go on.
+#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+pub enum TrainError {
+    /// Too many steps in a row had numbers that are not finite.
+    #[error(
+        "{rejected} steps in a row gave numbers that are not finite ({fault}, last in view {view}); the last good state is kept"
+    )]
+    NotFinite {
+        /// Steps rejected in a row.
+        rejected: usize,
+        /// What was not finite in the last of them.
+        fault: Fault,
+        /// The view of the last of them.
+        view: String,
+    },
+    /// Nothing is left to train.
+    #[error("no Gaussians are left; the images may not overlap or the altitude range may miss the ground")]
+    Empty,
+    /// There is nothing to learn from.
+    #[error("a model needs at least one view")]
+    NoViews,
+    /// No pixel of any view counts.
+    #[error(
+        "no pixel of any view counts: the images are missing values where the model has a surface, or show nothing of it"
+    )]
+    NoPixels,
+    /// Step after step shows nothing.
+    #[error(
+        "{steps} steps in a row saw no Gaussian: the cameras do not look at the model; check cameras and altitude range"
+    )]
+    NothingSeen {
+        /// Steps that saw nothing, in a row.
+        steps: usize,
+    },
+    /// The start has numbers that are not finite.
+    #[error("the start has numbers in '{group}' that are not finite; check the options of the start")]
+    Start {
+        /// The group they are in.
+        group: String,
+    },
+    /// An option has a value that means nothing.
+    #[error("train.{option} is {value}, expected {expected}")]
+    Option {
+        /// Its name.
+        option: &'static str,
+        /// Its value.
+        value: String,
+        /// What it may be.
+        expected: &'static str,
+    },
+}
+
+/// The first group of a table with a value that `sound` refuses.
+fn unsound<'t>(table: &'t Table, sound: impl Fn(f32) -> bool + Sync) -> Option<&'t str> {
+    let is_sound = |values: &[f32]| {
+        values
+            .par_chunks(1 << 16)
+            .all(|chunk| chunk.iter().all(|&value| sound(value)))
+    };
+    let group = table.groups.iter().find(|group| !is_sound(&group.values))?;
+    Some(&group.spec.name)
+}
+
+/// What of a step forbids to take it.
+pub(super) fn of_step(losses: &[NamedLoss], gradients: &Parameters) -> Option<Fault> {
+    if let Some((name, _)) = losses.iter().find(|(_, value)| !value.is_finite()) {
+        return Some(Fault::Loss(name));
+    }
+    // Written so that NaN is refused.
+    let sound = |value: f32| value.abs() < GRADIENT_MAX;
+    unsound(&gradients.gaussians, sound)
+        .or_else(|| unsound(&gradients.globals, sound))
+        .map(|group| Fault::Gradient(group.to_owned()))
+}
+
+pub(super) fn check_start(parameters: &Parameters) -> Result<(), TrainError> {
+    match unsound(&parameters.gaussians, f32::is_finite).or_else(|| unsound(&parameters.globals, f32::is_finite)) {
+        None => Ok(()),
+        Some(group) => Err(TrainError::Start {
+            group: group.to_owned(),
+        }),
+    }
+}
+
+/// Whether any pixel of any view counts.
+pub(super) fn check_pixels(views: &[View]) -> Result<(), TrainError> {
+    let counts = |view: &View| {
+        (0..view.image.plane_len())
+            .any(|i| view.weight[i] > 0.0 && (0..view.image.bands).any(|band| view.image.plane(band)[i].is_finite()))
+    };
+    if views.iter().any(counts) {
+        Ok(())
+    } else {
+        Err(TrainError::NoPixels)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::gaussians::{GroupSpec, OPACITY, core_groups};
+
+    fn gradients() -> Parameters {
+        Parameters {
+            gaussians: Table::zeros(core_groups(), 3),
+            globals: Table::zeros(vec![GroupSpec::new("sky", 2)], 1),
+        }
+    }
+
+    #[test]
+    fn the_fault_of_a_step_is_named() {
+        assert_eq!(of_step(&[("photometric", 1.0)], &gradients()), None);
+        assert_eq!(
+            of_step(&[("photometric", f64::NAN)], &gradients()),
+            Some(Fault::Loss("photometric"))
+        );
+        for value in [f32::NAN, f32::INFINITY, -1e19] {
+            let mut wrong = gradients();
+            wrong.gaussians.group_mut(OPACITY)[1] = value;
+            assert_eq!(of_step(&[], &wrong), Some(Fault::Gradient("opacity".into())), "{value}");
+            let mut wrong = gradients();
+            wrong.globals.group_mut(0)[1] = value;
+            assert_eq!(of_step(&[], &wrong), Some(Fault::Gradient("sky".into())), "{value}");
+        }
+    }
+}

@@ -1,0 +1,324 @@
+//! Light: the exponent of a ray that passes a Gaussian, the stack of layers above, the own sheet, a light at no distance.
+
+use super::{Errors, Row, Worst, ratio, steps};
+use crate::reference::{self, Gaussian};
+use glam::{Mat3, Vec3};
+use heliosplat::gaussians::{LOG_SCALE, OPACITY, POSITION, ROTATION, Table, core_groups, logit};
+use heliosplat::light::Light;
+use heliosplat::trace::{Occluders, Route, TraceOptions, transmittance};
+use nalgebra::Vector3;
+
+pub(super) fn rows(timed: bool) -> Vec<Row> {
+    vec![
+        exponent_row(Route::SunPlane, timed),
+        exponent_row(Route::Hierarchy, timed),
+        layers_row(),
+        sheet_row(timed),
+        point_row(),
+    ]
+}
+
+fn put(table: &mut Table, i: usize, position: Vec3, scales: [f32; 3], rotation: [f32; 4], opacity: f32) {
+    table.group_mut(POSITION)[i * 3..i * 3 + 3].copy_from_slice(&position.to_array());
+    table.group_mut(LOG_SCALE)[i * 3..i * 3 + 3].copy_from_slice(&scales.map(f32::ln));
+    table.group_mut(ROTATION)[i * 4..i * 4 + 4].copy_from_slice(&rotation);
+    table.group_mut(OPACITY)[i] = logit(opacity);
+}
+
+fn wide(table: &Table) -> Vec<Gaussian> {
+    let three = |values: &[f32], i: usize| Vector3::from_fn(|k, _| f64::from(values[i * 3 + k]));
+    (0..table.count)
+        .map(|i| Gaussian {
+            position: three(table.group(POSITION), i),
+            log_scale: three(table.group(LOG_SCALE), i),
+            rotation: table.raw_rotation(i).map(f64::from),
+            opacity: table.group(OPACITY)[i].into(),
+            albedo: vec![],
+        })
+        .collect()
+}
+
+fn traced(table: &Table, light: Light, options: &TraceOptions) -> (Vec<f32>, Table) {
+    let occluders = Occluders::new(table);
+    let traced = transmittance(&occluders, &[0], &light, options);
+    let mut out = table.zeros_like();
+    traced.backward(table, &occluders, &[0], &[1.0], &mut out);
+    (traced.values, out)
+}
+
+/// One Gaussian between another and the sun, `miss` standard deviations off the ray, `away` of them up it.
+fn passing(size: f32, aspect: f32, away: f32, miss: f32, turn: f32) -> (Table, Vec3) {
+    let sun = Vec3::new(0.48, 0.36, 0.8);
+    let rotation = glam::Quat::from_axis_angle(Vec3::new(0.3, -0.8, 0.52).normalize(), turn);
+    let scales = [size, size * aspect, size];
+    let (right, up) = sun.any_orthonormal_pair();
+    let side = (right * turn.cos() + up * turn.sin()).normalize();
+    // As wide as the Gaussian is that way.
+    let spread = Mat3::from_quat(rotation) * Mat3::from_diagonal(Vec3::from(scales));
+    let width = (spread.transpose() * side).length();
+    let mut table = Table::zeros(core_groups(), 2);
+    put(
+        &mut table,
+        0,
+        Vec3::ZERO,
+        [1e-3 * size, 0.9e-3 * size, 0.5e-3 * size],
+        [0.0, 0.0, 0.0, 1.0],
+        0.5,
+    );
+    put(
+        &mut table,
+        1,
+        sun * (away * size) + side * (miss * width),
+        scales,
+        rotation.to_array(),
+        0.9,
+    );
+    (table, sun)
+}
+
+/// `ΔᵀΣ⁻¹Δ - (ΔᵀΣ⁻¹r)² / (rᵀΣ⁻¹r)` as it is usually written, and the transmittance of it; f32.
+fn naive_transmittance(table: &Table, sun: Vec3) -> f32 {
+    let rotation = table.rotation(1);
+    let inverse_scales = Mat3::from_diagonal((table.scale(1) * table.scale(1)).recip());
+    let inverse = rotation * inverse_scales * rotation.transpose();
+    let offset = table.position(0) - table.position(1);
+    let (dd, dr, rr) = (
+        offset.dot(inverse * offset),
+        offset.dot(inverse * sun),
+        sun.dot(inverse * sun),
+    );
+    1.0 - table.opacity(1) * (-0.5 * (dd - dr * dr / rr)).exp()
+}
+
+fn exponent_row(route: Route, timed: bool) -> Row {
+    let options = TraceOptions {
+        route,
+        ..TraceOptions::default()
+    };
+    let (mut robust, mut slopes, mut naive) = (Worst::default(), Worst::default(), Worst::default());
+    for size in [1e-3f32, 0.3, 1e3] {
+        for aspect in [1.0f32, 0.1, 0.01] {
+            for away in [5.0f32, 50.0, 500.0] {
+                for miss in [0.0f32, 0.5, 1.0, 2.0, 3.0] {
+                    for turn in [0.4f32, 1.3, 2.9] {
+                        let (table, sun) = passing(size, aspect, away, miss, turn);
+                        let exact = wide(&table);
+                        let toward = Vector3::new(sun.x.into(), sun.y.into(), sun.z.into());
+                        let value = reference::transmittance(&exact, 0, &toward);
+                        let at = || {
+                            format!(
+                                "size {size} m, {:.0} : 1, {away} sigmas away, {miss} beside",
+                                1.0 / aspect
+                            )
+                        };
+                        let (got, gradients) = traced(&table, Light::Directional(sun), &options);
+                        robust.see((f64::from(got[0]) - value).abs(), at);
+                        naive.see((f64::from(naive_transmittance(&table, sun)) - value).abs(), at);
+                        let numeric = Vector3::from_fn(|k, _| {
+                            let step = 1e-5 * f64::from(size * aspect);
+                            let moved = |sign: f64| {
+                                let mut other = exact.clone();
+                                other[1].position[k] += sign * step;
+                                reference::transmittance(&other, 0, &toward)
+                            };
+                            (moved(1.0) - moved(-1.0)) / (2.0 * step)
+                        });
+                        let got = &gradients.group(POSITION)[3..6];
+                        let got = Vector3::from_fn(|k, _| f64::from(got[k]));
+                        let unit = 1.0 / f64::from(size * aspect);
+                        slopes.see((got - numeric).norm() / numeric.norm().max(0.05 * unit), at);
+                    }
+                }
+            }
+        }
+    }
+    let cost = (route == Route::Hierarchy).then(|| exponent_cost(timed)).flatten();
+    Row {
+        formula: match route {
+            Route::SunPlane => "ray past a Gaussian, whitened on the sun's plane `‖A Δ‖²`",
+            Route::Hierarchy => "ray past a Gaussian, nearest point in whitened space `‖e + d t*‖²`",
+        },
+        domain: "sizes 1 mm to 1 km, 100 : 1, 5 to 500 standard deviations away; transmittance absolute, gradient to the centre relative",
+        robust: Errors {
+            value: robust,
+            gradient: Some(slopes),
+        },
+        limit: (5e-3, 5e-2),
+        naive: Errors {
+            value: naive,
+            gradient: None,
+        },
+        cost,
+    }
+}
+
+/// The nearest point over the difference of squares, alone.
+fn exponent_cost(timed: bool) -> Option<f64> {
+    let pairs: Vec<(Vec3, Vec3)> = (0..1 << 16)
+        .map(|i| {
+            (
+                Vec3::new(1.0, i as f32 * 1e-3, -40.0),
+                Vec3::new(0.02, 0.1, 0.9 + i as f32 * 1e-6),
+            )
+        })
+        .collect();
+    let sum =
+        |of: fn(&(Vec3, Vec3)) -> f32| std::hint::black_box(std::hint::black_box(&pairs).iter().map(of).sum::<f32>());
+    let robust = |(e, d): &(Vec3, Vec3)| (*e - *d * (e.dot(*d) / d.dot(*d))).length_squared();
+    let naive = |(e, d): &(Vec3, Vec3)| e.dot(*e) - e.dot(*d) * e.dot(*d) / d.dot(*d);
+    ratio(timed, || { sum(robust); }, || { sum(naive); })
+}
+
+fn layers_row() -> Row {
+    let (mut value, mut gradient) = (Worst::default(), Worst::default());
+    let mut naive = Errors {
+        gradient: Some(Worst::default()),
+        ..Errors::default()
+    };
+    for opacity in [0.01f32, 0.5, 0.95, 0.985, 0.9999] {
+        for layers in [1usize, 3, 10, 23, 60, 200] {
+            let mut table = Table::zeros(core_groups(), layers + 1);
+            for i in 0..=layers {
+                put(
+                    &mut table,
+                    i,
+                    Vec3::Z * (3.0 * i as f32),
+                    [5.0, 5.0, 0.05],
+                    [0.0, 0.0, 0.0, 1.0],
+                    opacity,
+                );
+            }
+            let at = || format!("{layers} layers of {opacity}");
+            let alpha = f64::from(table.opacity(0)).min(0.99);
+            let clear = (1.0 - alpha).powi(layers as i32);
+            let (got, gradients) = traced(&table, Light::Directional(Vec3::Z), &TraceOptions::default());
+            value.see((f64::from(got[0]) - clear).abs(), at);
+            let o = f64::from(table.opacity(1));
+            let slope = if o < 0.99 {
+                -clear / (1.0 - alpha) * o * (1.0 - o)
+            } else {
+                0.0
+            };
+            gradient.see((f64::from(gradients.group(OPACITY)[1]) - slope).abs(), at);
+            // The product without a bound, and its gradient by dividing it by what one layer leaves.
+            let leaves = 1.0 - table.opacity(0);
+            let product = (0..layers).fold(1.0f32, |s, _| s * leaves);
+            naive
+                .value
+                .see((f64::from(product) - f64::from(leaves).powi(layers as i32)).abs(), at);
+            if let Some(worst) = &mut naive.gradient {
+                let saturated = 1.0 - table.opacity(0).max(if opacity > 0.999 { 1.0 } else { 0.0 });
+                let product = (0..layers).fold(1.0f32, |s, _| s * saturated);
+                worst.see(
+                    (f64::from(product / saturated) - f64::from(saturated).powi(layers as i32 - 1)).abs(),
+                    at,
+                );
+            }
+        }
+    }
+    Row {
+        formula: "transmittance `Π (1 - α̃)`, α̃ at most 0.99, dark below 1e-6; gradient through its logarithm",
+        domain: "1 to 200 layers of opacity 0.01 to 0.9999, absolute (naive gradient also at a saturated opacity of 1)",
+        robust: Errors {
+            value,
+            gradient: Some(gradient),
+        },
+        limit: (1e-5, 2e-4),
+        naive,
+        cost: None,
+    }
+}
+
+/// The own sheet: discs side by side, all in the light.
+fn sheet_row(timed: bool) -> Row {
+    let sheet = |sigma: f32| {
+        let side = 11;
+        let mut table = Table::zeros(core_groups(), side * side);
+        for i in 0..side * side {
+            let place = Vec3::new((i % side) as f32 - 5.0, (i / side) as f32 - 5.0, 0.0) * (1.2 * sigma);
+            put(
+                &mut table,
+                i,
+                place,
+                [sigma, sigma, 0.1 * sigma],
+                [0.0, 0.0, 0.0, 1.0],
+                0.97,
+            );
+        }
+        table
+    };
+    let least = |table: &Table, elevation: f64, options: &TraceOptions| {
+        let light = Vec3::new(
+            elevation.to_radians().cos() as f32,
+            0.0,
+            elevation.to_radians().sin() as f32,
+        );
+        let origins: Vec<u32> = (0..table.count as u32).collect();
+        let traced = transmittance(&Occluders::new(table), &origins, &Light::Directional(light), options);
+        f64::from(traced.values.iter().copied().fold(1.0, f32::min))
+    };
+    let off = TraceOptions {
+        bias_sigmas: 0.0,
+        lift: 0.0,
+        ..TraceOptions::default()
+    };
+    let (mut robust, mut naive) = (Worst::default(), Worst::default());
+    for sigma in [1e-3f32, 0.3, 100.0] {
+        let table = sheet(sigma);
+        for elevation in steps(1.0, 90.0, 90) {
+            let at = || format!("{elevation:.0} degrees, discs of {sigma} m");
+            robust.see(1.0 - least(&table, elevation, &TraceOptions::default()), at);
+            naive.see(1.0 - least(&table, elevation, &off), at);
+        }
+    }
+    let table = sheet(0.3);
+    Row {
+        formula: "self-shadow: ray lifted off its sheet, near peaks not counted",
+        domain: "a lit plane, 1 to 90 degrees, sizes 1 mm to 100 m; shadow that should not be there",
+        robust: Errors {
+            value: robust,
+            gradient: None,
+        },
+        limit: (0.01, 0.0),
+        naive: Errors {
+            value: naive,
+            gradient: None,
+        },
+        cost: ratio(
+            timed,
+            || { least(&table, 30.0, &TraceOptions::default()); },
+            || { least(&table, 30.0, &off); },
+        ),
+    }
+}
+
+/// A point light in the very place of a Gaussian, and ever nearer to it.
+fn point_row() -> Row {
+    let (mut robust, mut naive) = (Worst::default(), Worst::default());
+    let at_place = Vec3::new(3.0, -2.0, 1.0);
+    for exponent in -8..=3 {
+        for distance in [0.0, 10f32.powi(exponent)] {
+            let light = Light::Point(at_place + Vec3::new(0.6, 0.0, 0.8) * distance);
+            let at = || format!("{distance:e} m away");
+            let (direction, _) = light.seen_from(at_place);
+            robust.see(f64::from((direction.length() - 1.0).abs()), at);
+            let Light::Point(position) = light else { continue };
+            let plain = (position - at_place) / (position - at_place).length();
+            naive.see(f64::from((plain.length() - 1.0).abs()), at);
+        }
+    }
+    Row {
+        formula: "direction to a point light, up where it stands in the place itself",
+        domain: "0 to 1 km, departure from unit length",
+        robust: Errors {
+            value: robust,
+            gradient: None,
+        },
+        limit: (3e-7, 0.0),
+        naive: Errors {
+            value: naive,
+            gradient: None,
+        },
+        cost: None,
+    }
+}
