@@ -32,7 +32,10 @@ BATCHES = {
             ("    let det = det + filter * (m[0] + yy);\n", "    let det = xx * yy - m[1] * m[1] + 0.0 * det;\n"),
             ("#[inline(always)]\nfn finite(", "#[inline(always)]\nfn most(x: f32) -> f32 {\n    if x > 0.0 { x } else { 0.0 }\n}\n\n#[inline(always)]\nfn finite("),
         ]),
-        ("variance in a window", "src/loss/photometric.rs", [("(most(xx[i] - a * a, 0.0), most(yy[i] - b * b, 0.0), xy[i] - a * b)", "(most(xx[i] - a * a, f32::MIN), yy[i] - b * b, xy[i] - a * b)")]),
+        ("variance in a window", "src/loss/photometric.rs", [
+            ("let (vx, vy) = (most(xx[i] - a * a, 0.0), most(yy[i] - b * b, 0.0));", "let (vx, vy) = (most(xx[i] - a * a, f32::MIN), yy[i] - b * b);"),
+            ("            let bound = (vx * vy).sqrt();\n            let cov = -most(-most(xy[i] - a * b, -bound), -bound);\n", "            let cov = xy[i] - a * b;\n"),
+        ]),
         ("exponent, hierarchy", "src/trace/hierarchy/meet.rs", [("let square = n[0] * n[0] + n[1] * n[1] + n[2] * n[2];", "let square = e[0] * e[0] + e[1] * e[1] + e[2] * e[2] - peak * peak * dd;")]),
         ("exponent, sun's plane", "src/trace/sun_plane/ellipse.rs", [("let det = a.cross(b).length_squared();", "let det = xx * yy - xy * xy;"), ("let (along, area) = (xx.sqrt(), det.sqrt());\n        let whiten = [1.0 / along, -xy / (along * area), along / area];", "let whiten = [1.0 / xx.sqrt(), -xy / (det * xx).sqrt(), xx.sqrt() / det.sqrt()];")]),
         ("own sheet", "src/trace/light_ray.rs", [("const LIFT: f32 = 3.717;", "const LIFT: f32 = 0.0;"), ("bias: options.bias_sigmas * extent,", "bias: 0.0 * extent,")]),

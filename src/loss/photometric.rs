@@ -120,8 +120,11 @@ vectorised! {
         let (value, d_mx, d_xx, d_xy) = (&mut value[..n], &mut x[..n], &mut d_xx[..n], &mut d_xy[..n]);
         for i in 0..n {
             let (a, b) = (mx[i], my[i]);
-            // Rounding leaves the variance of a bright even area below zero, where SSIM has a pole.
-            let (vx, vy, cov) = (most(xx[i] - a * a, 0.0), most(yy[i] - b * b, 0.0), xy[i] - a * b);
+            // Of a bright even area only rounding is left: a variance below zero, where SSIM has a pole, and a covariance
+            // beyond what the variances allow (Cauchy and Schwarz).
+            let (vx, vy) = (most(xx[i] - a * a, 0.0), most(yy[i] - b * b, 0.0));
+            let bound = (vx * vy).sqrt();
+            let cov = -most(-most(xy[i] - a * b, -bound), -bound);
             let (l_num, l_den) = (2.0 * a * b + C1, a * a + b * b + C1);
             let (c_num, c_den) = (2.0 * cov + C2, vx + vy + C2);
             let ssim = (l_num * c_num) / (l_den * c_den);

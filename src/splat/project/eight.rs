@@ -475,16 +475,18 @@ fn backward_one(
     // dim = sqrt(det_raw / det): d ln dim = ½ (d det_raw / det_raw - d det / det).
     let safe = if det_raw > 1e-30 { det_raw } else { 1e-30 };
     let (k_raw, k) = (0.5 * d_dim * dim / safe, 0.5 * d_dim * dim / det);
-    let (xx, yy) = (covariance[0] + options.filter_px2, covariance[2] + options.filter_px2);
+    // det = det_raw + f (xx + yy) + f², and det_raw = ‖a × b‖²: through the area, because through the covariance a needle's
+    // gradient is what is left of numbers that are larger by the square of its aspect.
+    let area = a.cross(b) * (2.0 * (k_raw - k));
     let d_cov = [
-        from_slope[0] + from_conic[0] + (k_raw * covariance[2] - k * yy),
-        from_slope[1] + from_conic[1] - 2.0 * (k_raw - k) * covariance[1],
-        from_slope[2] + from_conic[2] + (k_raw * covariance[0] - k * xx),
+        from_slope[0] + from_conic[0] - k * options.filter_px2,
+        from_slope[1] + from_conic[1],
+        from_slope[2] + from_conic[2] - k * options.filter_px2,
     ];
 
-    // Covariances -> whitened vectors.
-    let d_a = a * (2.0 * d_cov[0]) + b * d_cov[1] + c * d_dc[0];
-    let d_b = b * (2.0 * d_cov[2]) + a * d_cov[1] + c * d_dc[1];
+    // Covariances and area -> whitened vectors.
+    let d_a = a * (2.0 * d_cov[0]) + b * d_cov[1] + c * d_dc[0] + b.cross(area);
+    let d_b = b * (2.0 * d_cov[2]) + a * d_cov[1] + c * d_dc[1] + area.cross(a);
     let d_c = a * d_dc[0] + b * d_dc[1];
 
     // a = S Rᵀ j_u and so on -> Jacobian rows, scales, rotation.

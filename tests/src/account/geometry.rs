@@ -222,7 +222,15 @@ fn footprint_cost(timed: bool) -> Option<f64> {
         let (xx, xy, yy) = (a.dot(*a) + 0.1, a.dot(*b), b.dot(*b) + 0.1);
         xx * yy - xy * xy + xy
     };
-    ratio(timed, || { sum(robust); }, || { sum(naive); })
+    ratio(
+        timed,
+        || {
+            sum(robust);
+        },
+        || {
+            sum(naive);
+        },
+    )
 }
 
 /// Layers of equal splats over one pixel.
@@ -421,7 +429,7 @@ fn window_row() -> Row {
             value: robust,
             gradient: None,
         },
-        limit: (2.1, 0.0),
+        limit: (2.0, 0.0),
         naive: Errors {
             value: naive,
             gradient: None,

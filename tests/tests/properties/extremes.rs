@@ -100,7 +100,7 @@ fn combination(number: u64) -> Combination {
             }
         })
         .collect();
-    let most = [0, 1, 12, 60][random.random_range(0..4)];
+    let most = [0, 1, 12, 60, 60, 60][random.random_range(0..6)];
     let drawn = extreme_gaussians(most)
         .new_tree(&mut runner)
         .expect("Gaussians")
@@ -117,7 +117,7 @@ fn combination(number: u64) -> Combination {
     parameters.globals = model.initial_globals(0.3);
     let options = TrainOptions {
         iterations: STEPS,
-        gsd_m: [1e-3, 0.5, 30.0][random.random_range(0..3)],
+        gsd_m: [0.05, 0.5, 30.0][random.random_range(0..3)],
         density: DensityOptions {
             every: 40,
             from: 40,

@@ -28,7 +28,7 @@ const CASES: [(&str, u32); 14] = [
     ("photometric", 1500),
     ("map_losses", 600),
     ("frames", 2500),
-    ("cameras", 800),
+    ("cameras", 150),
     ("suns", 1500),
 ];
 

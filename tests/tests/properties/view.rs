@@ -207,9 +207,9 @@ fn a_million_gaussians_are_seen_and_lit() {
     };
     for i in 0..gaussians.count {
         for k in 0..3 {
-            let extent = if k == 2 { 20.0 } else { 300.0 };
+            let extent = if k == 2 { 20.0 } else { 500.0 };
             gaussians.group_mut(POSITION)[i * 3 + k] = (draw(i, k) - 0.5) * extent;
-            gaussians.group_mut(LOG_SCALE)[i * 3 + k] = -2.5 + 2.0 * draw(i, 3 + k);
+            gaussians.group_mut(LOG_SCALE)[i * 3 + k] = -2.0 + draw(i, 3 + k);
         }
         gaussians.group_mut(OPACITY)[i] = 12.0 * draw(i, 6) - 6.0;
     }
