@@ -40,7 +40,6 @@ BATCHES = {
         ("exponent, sun's plane", "src/trace/sun_plane/ellipse.rs", [("let det = a.cross(b).length_squared();", "let det = xx * yy - xy * xy;"), ("let (along, area) = (xx.sqrt(), det.sqrt());\n        let whiten = [1.0 / along, -xy / (along * area), along / area];", "let whiten = [1.0 / xx.sqrt(), -xy / (det * xx).sqrt(), xx.sqrt() / det.sqrt()];")]),
         ("own sheet", "src/trace/light_ray.rs", [("const LIFT: f32 = 3.717;", "const LIFT: f32 = 0.0;"), ("bias: options.bias_sigmas * extent,", "bias: 0.0 * extent,")]),
         ("alpha at most 0.99", "src/trace/transmittance.rs", [("let alpha = if alpha < ALPHA_MAX { alpha } else { ALPHA_MAX };\n", ""), ("let weight = if alpha < ALPHA_MAX { alpha / (1.0 - alpha) } else { 0.0 };", "let weight = alpha / (1.0 - alpha);")]),
-        ("dark rays", "src/trace/transmittance.rs", [("const DARK: f32 = 1e-6;", "const DARK: f32 = 0.0;")]),
         ("best held-out loss", "src/train/holdout.rs", [("loss.filter(|loss| loss.is_finite())", "loss")]),
     ],
 }

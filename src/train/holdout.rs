@@ -133,7 +133,52 @@ impl Holdout {
         }
     }
 
+    /// The states' own losses, for tests.
+    #[cfg(test)]
+    fn losses(&self) -> &[Option<f64>] {
+        &self.losses
+    }
+
     pub(super) fn into_best(self) -> Option<Parameters> {
         self.best.map(|(_, _, parameters)| parameters)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::camera::ProjectiveCamera;
+
+    fn views(size: usize) -> Vec<View> {
+        let view = View {
+            name: String::new(),
+            camera: ProjectiveCamera::nadir(0.0, 0.0, 1.0, (size, size)),
+            image: Raster::filled(size, size, 1, 0.5),
+            light: None,
+            appearance: 0,
+            weight: vec![1.0; size * size],
+        };
+        vec![view]
+    }
+
+    #[test]
+    fn a_loss_that_is_no_number_is_not_the_best() {
+        let mut holdout = Holdout::new(&mut views(200), &TrainOptions::default());
+        holdout.record(0, Some(0.25));
+        holdout.record(0, Some(f64::NAN));
+        assert_eq!(holdout.losses(), [None]);
+        holdout.round_done(1000, 1, &Parameters::default());
+        assert_eq!(holdout.summary(1000).best_l1, None);
+    }
+
+    #[test]
+    fn an_image_of_one_tile_is_learnt_from_whatever_the_draw() {
+        let options = TrainOptions {
+            holdout: 1.0,
+            ..TrainOptions::default()
+        };
+        let mut views = views(TILE);
+        let holdout = Holdout::new(&mut views, &options);
+        assert!(views[0].weight.iter().all(|&w| w == 1.0) && holdout.held[0].is_empty());
     }
 }

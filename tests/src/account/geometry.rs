@@ -13,11 +13,12 @@ use heliosplat::{ProjectiveCamera, Raster};
 use nalgebra::Vector3;
 
 pub(super) fn rows(timed: bool) -> Vec<Row> {
-    let [conic, dimming, slope] = footprint_rows(timed);
+    let [conic, dimming, slope, alpha] = footprint_rows(timed);
     vec![
         conic,
         dimming,
         slope,
+        alpha,
         stack_row(),
         facing_row(),
         frame_row(),
@@ -91,10 +92,10 @@ fn naive_footprint(table: &Table, camera: &ProjectiveCamera) -> ([f32; 3], f32) 
 
 /// Conic, dimming and slope over discs and needles from a twentieth of a pixel to thirty pixels, up to three hundred times as
 /// long as thick: what training allows, and several times beyond.
-fn footprint_rows(timed: bool) -> [Row; 3] {
+fn footprint_rows(timed: bool) -> [Row; 4] {
     let (camera, wide_camera) = camera();
-    let mut robust: [Errors; 3] = Default::default();
-    let mut naive: [Errors; 3] = Default::default();
+    let mut robust: [Errors; 4] = Default::default();
+    let mut naive: [Errors; 4] = Default::default();
     robust[1].gradient = Some(Worst::default());
     for size in steps((0.05f64).ln(), (30.0f64).ln(), 12) {
         for aspect in steps(0.0, (300.0f64).ln(), 7) {
@@ -137,6 +138,19 @@ fn footprint_rows(timed: bool) -> [Row; 3] {
                         continue;
                     };
                     robust[0].value.see(conic_error(splat.conic), at);
+                    if turn % 3 == 1 {
+                        let pixels =
+                            reference::render(&[exact(&table, log_scale)], &wide_camera, &[1.0], 0.1f32.into(), true);
+                        let alphas = Rasteriser::new(&projected, 64, 64).forward(&[], 0).alpha;
+                        for (i, pixel) in pixels.iter().enumerate().filter(|(_, pixel)| pixel.settled) {
+                            robust[3].value.see((f64::from(alphas[i]) - pixel.alpha).abs(), at);
+                            let (x, y) = ((i % 64) as f32 - splat.col, (i / 64) as f32 - splat.row);
+                            let [a, b, c] = plain_conic;
+                            let plain = plain_opacity * (-0.5 * (a * x * x + 2.0 * b * x * y + c * y * y)).exp();
+                            let plain = if pixel.alpha > 0.0 { plain.min(0.99) } else { 0.0 };
+                            naive[3].value.see((f64::from(plain) - pixel.alpha).abs(), at);
+                        }
+                    }
                     robust[1]
                         .value
                         .see(relative(splat.opacity.into(), truth.opacity, 1.0 / 255.0), at);
@@ -158,8 +172,8 @@ fn footprint_rows(timed: bool) -> [Row; 3] {
         }
     }
     let cost = footprint_cost(timed);
-    let [conic, dimming, slope] = robust;
-    let [naive_conic, naive_dimming, naive_slope] = naive;
+    let [conic, dimming, slope, alpha] = robust;
+    let [naive_conic, naive_dimming, naive_slope, naive_alpha] = naive;
     let row = |formula, robust, limit, naive, cost| Row {
         formula,
         domain: "discs and needles of 0.05 to 30 px, up to 300 : 1, relative",
@@ -188,6 +202,13 @@ fn footprint_rows(timed: bool) -> [Row; 3] {
             slope,
             (1e-3, 0.0),
             naive_slope,
+            None,
+        ),
+        row(
+            "alpha at a pixel (error absolute), its exponent a quadratic form of the footprint",
+            alpha,
+            (5e-3, 0.0),
+            naive_alpha,
             None,
         ),
     ]
