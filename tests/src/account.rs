@@ -33,6 +33,7 @@ impl Worst {
     fn text(&self) -> String {
         match &self.broken {
             Some(at) => format!("**not finite** at {at}"),
+            None if self.at.is_empty() => "–".into(),
             None if self.error == 0.0 => "0".into(),
             None => format!("{:.1e} at {}", self.error, self.at),
         }
