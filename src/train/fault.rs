@@ -71,7 +71,7 @@ pub enum TrainError {
 }
 
 /// The first group of a table with a value that `sound` refuses.
-fn unsound<'t>(table: &'t Table, sound: impl Fn(f32) -> bool + Sync) -> Option<&'t str> {
+fn unsound(table: &Table, sound: impl Fn(f32) -> bool + Sync) -> Option<&str> {
     let is_sound = |values: &[f32]| {
         values
             .par_chunks(1 << 16)

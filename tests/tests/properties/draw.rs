@@ -147,7 +147,7 @@ impl Looks {
         Self { size, ..self }
     }
 
-    pub(crate) fn from_orbit(&self) -> bool {
+    pub(crate) fn is_in_orbit(&self) -> bool {
         self.distance_m > 1e5
     }
 

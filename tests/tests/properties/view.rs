@@ -49,7 +49,7 @@ fn look(drawn: &[Drawn], camera: &ProjectiveCamera, sun: Vec3) -> Seen {
     let pass = Pass::new(&model, context, Lit::Traced(&occluders), OPTIONS);
     let image = pass.image();
     let (mut d_maps, mut d_image) = (pass.zero_gradients(), image.clone());
-    let sign = |i: usize| if i % 3 == 0 { -1.0 } else { 1.0 };
+    let sign = |i: usize| if i.is_multiple_of(3) { -1.0 } else { 1.0 };
     for (i, d) in d_image.values.iter_mut().enumerate() {
         *d = sign(i);
         d_maps.alpha[i] = -sign(i + 1);
@@ -127,7 +127,7 @@ proptest! {
         let camera = looks.camera();
         let seen = look(&drawn, &camera, sun.unwrap_or(-camera.depth_axis));
         // Nearby, what is a thousand kilometres large and a millimetre away is beyond numbers.
-        prop_assert!(seen.non_finite == 0 || !looks.from_orbit(), "{} legal Gaussians were dropped", seen.non_finite);
+        prop_assert!(seen.non_finite == 0 || !looks.is_in_orbit(), "{} legal Gaussians were dropped", seen.non_finite);
         is_physical(&seen)?;
     }
 }
