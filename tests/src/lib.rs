@@ -1,5 +1,6 @@
 //! What the end-to-end tests share: a slow, obvious f64 reference of the engine's forward pass, and where things are.
 
+pub mod harmonics;
 pub mod program;
 pub mod reference;
 pub mod scenes;

@@ -131,6 +131,17 @@ fn project(g: &Gaussian, index: usize, camera: &Camera, filter: f64, antialias: 
 
 /// Transmittance from Gaussian `origin` toward the sun through all others.
 pub fn transmittance(gaussians: &[Gaussian], origin: usize, sun: &Sun) -> f64 {
+    transmittance_along(gaussians, origin, sun, f64::INFINITY)
+}
+
+/// Transmittance from Gaussian `origin` toward a point light through all others.
+pub fn transmittance_to_point(gaussians: &[Gaussian], origin: usize, light: &Vector3<f64>) -> f64 {
+    let offset = light - gaussians[origin].position;
+    transmittance_along(gaussians, origin, &offset.normalize(), offset.norm())
+}
+
+/// Transmittance along a unit direction, from what peaks within `length`.
+fn transmittance_along(gaussians: &[Gaussian], origin: usize, sun: &Sun, length: f64) -> f64 {
     let own = &gaussians[origin];
     let rotation = own.rotation_matrix();
     let scale = own.log_scale.map(f64::exp);
@@ -150,7 +161,7 @@ pub fn transmittance(gaussians: &[Gaussian], origin: usize, sun: &Sun) -> f64 {
         let peak = -e.dot(&d) / d.dot(&d);
         let miss = e.cross(&d).norm_squared() / d.norm_squared();
         let opacity = sigmoid(g.opacity);
-        if peak > bias && opacity > OPACITY_MIN && miss < 2.0 * (opacity / OPACITY_MIN).ln() {
+        if peak > bias && peak < length && opacity > OPACITY_MIN && miss < 2.0 * (opacity / OPACITY_MIN).ln() {
             product *= 1.0 - (opacity * (-0.5 * miss).exp()).min(ALPHA_MAX);
         }
     }
