@@ -1,7 +1,7 @@
-//! `demo`, `train`, `dsm`, `relight`, `render`: arguments, and their way to the satellite pipeline.
+//! `demo`, `train`, `dsm`, `relight`, `render`: arguments, and their way to the pipeline of what they are given.
 
 use super::{CliError, IngestArgs, Outcome, Session, evaluate::EvaluateArgs, parse};
-use crate::satellite as pipeline;
+use crate::{objects, satellite as pipeline};
 use clap::{Args, ValueEnum};
 use std::path::{Path, PathBuf};
 use std::time::Duration;
@@ -43,7 +43,7 @@ pub struct DemoArgs {
 /// `train`.
 #[derive(Debug, Clone, Args)]
 pub struct TrainArgs {
-    /// A folder of images, a scene.toml, or a folder of Sat-NeRF or EOGS
+    /// A folder of images, a scene.toml, a folder of Sat-NeRF or EOGS, or one with transforms_train.json
     #[arg(value_name = "SCENE")]
     pub scene: PathBuf,
     /// Folder of the run, made if absent
@@ -154,6 +154,9 @@ pub(super) fn demo(args: &DemoArgs, session: &Session) -> Result<Outcome, CliErr
 }
 
 pub(super) fn train(args: &TrainArgs, session: &Session) -> Result<Outcome, CliError> {
+    if objects::is_capture(&args.scene) {
+        return objects::verbs::train(args, session);
+    }
     pipeline::training::train(args, session)
 }
 
@@ -166,9 +169,15 @@ pub(super) fn relight(args: &RelightArgs, session: &Session) -> Result<Outcome, 
 }
 
 pub(super) fn render(args: &RenderArgs, session: &Session) -> Result<Outcome, CliError> {
+    if objects::run::is_object_run(&args.run) {
+        return objects::verbs::render(args, session);
+    }
     pipeline::render(args, session)
 }
 
 pub(super) fn evaluate(run: &Path, args: &EvaluateArgs, session: &Session) -> Result<Outcome, CliError> {
+    if objects::run::is_object_run(run) {
+        return objects::verbs::evaluate(run);
+    }
     pipeline::evaluate(run, args, session)
 }

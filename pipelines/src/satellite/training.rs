@@ -109,7 +109,7 @@ pub(super) fn train_into(
     Ok((model, metrics, fitted.interrupted))
 }
 
-pub(super) fn create_folder(out: &Path) -> Result<(), CliError> {
+pub(crate) fn create_folder(out: &Path) -> Result<(), CliError> {
     std::fs::create_dir_all(out).map_err(|error| {
         CliError::Failed(format!(
             "{}: the folder cannot be made ({error}); choose another --out",
