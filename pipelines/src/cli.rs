@@ -81,7 +81,10 @@ pub enum Command {
     )]
     Dsm(satellite::DsmArgs),
     /// Write the scene under another sun, and its shadow mask
-    #[command(after_help = "Example: heliosplat relight run --out evening.tif --sun 270,20")]
+    #[command(
+        after_help = "Examples: heliosplat relight run --out evening.tif --sun 270,20\n          \
+                            heliosplat relight object_run --out lit.png --light 2,1,3 --view test/near_000"
+    )]
     Relight(satellite::RelightArgs),
     /// Render the views of a run
     #[command(after_help = "Example: heliosplat render run --out rendered --split test")]

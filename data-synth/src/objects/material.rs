@@ -103,6 +103,14 @@ impl Surface {
         self.tangent * v.x + self.normal.cross(&self.tangent) * v.y + self.normal * v.z
     }
 
+    /// The same surface with lobes of at least this width.
+    pub(crate) fn blurred(mut self, least_alpha: f64) -> Self {
+        if let Some(gloss) = &mut self.gloss {
+            gloss.alpha = gloss.alpha.map(|alpha| alpha.max(least_alpha));
+        }
+        self
+    }
+
     /// Light reflected from `to_light` to `to_eye` per light that falls in (unit vectors), without the cosine.
     pub(crate) fn reflect(&self, to_light: &Vector3<f64>, to_eye: &Vector3<f64>) -> Colour {
         let (light, eye) = (self.local(to_light), self.local(to_eye));

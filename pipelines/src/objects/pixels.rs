@@ -183,8 +183,9 @@ mod tests {
         bytes[16..20].copy_from_slice(&200_000u32.to_be_bytes());
         std::fs::write(&path, &bytes).expect("written");
         assert!(header(&path).is_err());
-        std::fs::write(&path, "text").expect("written");
-        let error = header(&path).expect_err("no image").to_string();
+        let notes = folder.path().join("notes");
+        std::fs::write(&notes, "text").expect("written");
+        let error = header(&notes).expect_err("no image").to_string();
         assert!(error.contains("no PNG, JPEG or EXR"), "{error}");
     }
 }

@@ -142,21 +142,34 @@ impl ObjectModel {
         self.render_as(&*self.model, image)
     }
 
+    /// The same under other lights, which add up; a light without intensity is as strong as those of the capture.
+    pub fn relit(&self, image: &ObjectImage, lights: &[Light]) -> Option<Raster> {
+        let behind = self.file.preparation.background;
+        let mut sum: Option<Raster> = None;
+        for &light in lights {
+            let (seen, alpha) = self.look(&*self.model, &image.camera, Some(light))?;
+            sum = Some(match sum {
+                None => seen,
+                Some(mut sum) => {
+                    for (k, behind) in behind.into_iter().enumerate() {
+                        let parts = seen.plane(k).iter().zip(&alpha);
+                        for (value, (more, alpha)) in sum.plane_mut(k).iter_mut().zip(parts) {
+                            *value += more - (1.0 - alpha) * behind;
+                        }
+                    }
+                    sum
+                }
+            });
+        }
+        sum
+    }
+
     /// The same by another model of the same parameters.
     pub fn render_as(&self, model: &dyn SceneModel, image: &ObjectImage) -> Option<Raster> {
-        let camera = image.camera.projective(self.file.centre)?;
-        let options = PassOptions {
-            projection: self.file.projection,
-            trace: self.file.trace,
-            ..PassOptions::default()
-        };
         let light = image
             .light
             .map(|light| Light::Point((light.position - self.file.centre).as_vec3()));
-        let rendering = render(model, &self.parameters, &camera, light, None, options);
-        let (mut seen, alpha) = (rendering.image, rendering.maps.alpha);
-        seen.values.truncate(3 * seen.plane_len());
-        seen.bands = 3;
+        let (mut seen, alpha) = self.look(model, &image.camera, light)?;
         let behind = self.file.preparation.background;
         for (k, strength) in self
             .file
@@ -173,6 +186,21 @@ impl ObjectModel {
             }
         }
         Some(seen)
+    }
+
+    /// Red, green and blue that a camera sees under a light of strength one, and the coverage.
+    fn look(&self, model: &dyn SceneModel, camera: &Pinhole, light: Option<Light>) -> Option<(Raster, Vec<f32>)> {
+        let camera = camera.projective(self.file.centre)?;
+        let options = PassOptions {
+            projection: self.file.projection,
+            trace: self.file.trace,
+            ..PassOptions::default()
+        };
+        let rendering = render(model, &self.parameters, &camera, light, None, options);
+        let mut seen = rendering.image;
+        seen.values.truncate(3 * seen.plane_len());
+        seen.bands = 3;
+        Some((seen, rendering.maps.alpha))
     }
 }
 

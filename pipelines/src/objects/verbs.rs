@@ -4,9 +4,9 @@ use super::capture::{Capture, IMAGE_BYTES};
 use super::config::{Background, ModelKind, ObjectConfig};
 use super::error::CaptureError;
 use super::fit::{self, Fitted};
-use super::run::{self, ObjectRun};
+use super::run::{self, Kind, ObjectModel, ObjectRun};
 use super::{measure, views};
-use crate::cli::satellite::{RenderArgs, RenderSplit, TrainArgs};
+use crate::cli::satellite::{RelightArgs, RenderArgs, RenderSplit, TrainArgs};
 use crate::cli::{CliError, Outcome, Session};
 use crate::raster::preview::write_png;
 use crate::run::{Input, hash, peak_rss_bytes, save_metrics};
@@ -14,6 +14,10 @@ use crate::satellite::budget::Budget;
 use crate::satellite::estimate::resident_bytes;
 use crate::satellite::training::create_folder;
 use crate::scene::Split;
+use glam::DVec3;
+use heliosplat::light::Light;
+use heliosplat::model::SceneModel;
+use heliosplat::model::olat::Component;
 use rayon::prelude::*;
 use serde_json::{Value, json};
 use std::path::Path;
@@ -138,6 +142,13 @@ pub fn render(args: &RenderArgs, session: &Session) -> Result<Outcome, CliError>
             "{run}: the run has no image of that split; try --split all"
         )));
     }
+    let parts = args.components.then(|| components(&model));
+    if parts.as_ref().is_some_and(Vec::is_empty) {
+        let name = model.model.name();
+        return Err(CliError::Input(format!(
+            "--components: a model of kind {name} knows no parts of the light"
+        )));
+    }
     create_folder(&args.out)?;
     let progress = session.progress("render", images.len() as u64);
     let mut written = Vec::new();
@@ -146,11 +157,84 @@ pub fn render(args: &RenderArgs, session: &Session) -> Result<Outcome, CliError>
         let path = args.out.join(format!("{}.png", measure::file_name(&image.name)));
         write_png(&path, &measure::picture(&seen, &model))?;
         written.push(json!({"image": path, "name": image.name}));
+        for (name, shown) in parts.iter().flatten() {
+            let Some(seen) = model.render_as(&**shown, image) else {
+                continue;
+            };
+            let path = args.out.join(format!("{}_{name}.png", measure::file_name(&image.name)));
+            write_png(&path, &measure::picture(&seen, &model))?;
+        }
         progress.set(done as u64 + 1);
     }
     Ok(Outcome {
         text: format!("{} views in {}", written.len(), args.out.display()),
         json: json!({"views": written}),
+    })
+}
+
+/// Models that show the parts of the light that a model knows, with their names.
+fn components(model: &ObjectModel) -> Vec<(&'static str, Box<dyn SceneModel>)> {
+    let parts = [
+        ("diffuse", Component::Diffuse),
+        ("specular", Component::Specular),
+        ("shadow", Component::Shadow),
+    ];
+    let shown = parts
+        .into_iter()
+        .filter_map(|(name, part)| Some((name, model.file.kind.showing(part)?.model())));
+    shown.collect()
+}
+
+/// Shows an object under other lights.
+///
+/// # Errors
+/// When the run, the lights, the view or the file to write is at fault.
+pub fn relight(args: &RelightArgs) -> Result<Outcome, CliError> {
+    let model = run::load(&args.run)?;
+    let folder = args.run.display();
+    if !matches!(model.file.kind, Kind::Olat(_)) {
+        return Err(CliError::Input(format!(
+            "{folder}: this model knows only the light it was photographed in; a capture with a light for every image makes one that does not"
+        )));
+    }
+    let mut lights: Vec<Light> = Vec::new();
+    for &position in &args.light {
+        lights.push(Light::Point((DVec3::from(position) - model.file.centre).as_vec3()));
+    }
+    for &toward in &args.toward {
+        let direction = DVec3::from(toward).try_normalize();
+        let direction = direction.ok_or_else(|| CliError::Input("--toward 0,0,0 is no direction".into()))?;
+        lights.push(Light::Directional(direction.as_vec3()));
+    }
+    if lights.is_empty() {
+        return Err(CliError::Input(
+            "relight: an object takes --light X,Y,Z or --toward X,Y,Z".into(),
+        ));
+    }
+    let images = &model.file.images;
+    let image = match args.view.as_str() {
+        "nadir" => images.first(),
+        name => images.iter().find(|image| image.name.trim_start_matches("./") == name),
+    };
+    let image = image.ok_or_else(|| {
+        let some = images.first().map_or("none", |image| image.name.as_str());
+        CliError::Input(format!(
+            "--view {}: {folder} has no image of that name; one is {some}",
+            args.view
+        ))
+    })?;
+    let seen = model.relit(image, &lights);
+    let seen =
+        seen.ok_or_else(|| CliError::Input(format!("--view {}: the object lies behind that camera", args.view)))?;
+    write_png(&args.out, &measure::picture(&seen, &model))?;
+    Ok(Outcome {
+        text: format!(
+            "{}: {} light(s), as {} saw it",
+            args.out.display(),
+            lights.len(),
+            image.name
+        ),
+        json: json!({"image": args.out, "lights": lights.len(), "view": image.name}),
     })
 }
 

@@ -294,7 +294,7 @@ mod tests {
     fn the_softened_cosine_is_zero_behind_one_ahead_and_alive_between() {
         assert!(soft_cosine(-1.0).0.abs() < 1e-7 && (soft_cosine(1.0).0 - 1.0).abs() < 1e-6);
         assert!((soft_cosine(0.0).0 - 0.00628).abs() < 1e-5);
-        for c in [-1.0f32, -0.5, -1e-3, 1e-3, 0.7] {
+        for c in [-0.95f32, -0.5, -1e-3, 1e-3, 0.7] {
             let numeric = (soft_cosine(c + 1e-3).0 - soft_cosine(c - 1e-3).0) / 2e-3;
             if c.abs() > 2e-3 {
                 assert!(
