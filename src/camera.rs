@@ -94,6 +94,19 @@ impl ProjectiveCamera {
         if ray.dot(self.depth_axis) < 0.0 { -ray } else { ray }
     }
 
+    /// Where all rays meet, metres; `None` when they are as good as parallel.
+    pub fn eye(&self) -> Option<Vec3> {
+        // There both numerators and the denominator vanish: three equations linear in the point, solved in f64.
+        let (u, v, w) = (self.u.as_dvec3(), self.v.as_dvec3(), self.w.as_dvec3());
+        let det = u.dot(v.cross(w));
+        if det.abs() <= 1e-12 * u.length() * v.length() {
+            return None;
+        }
+        let (a, b) = (f64::from(self.u0), f64::from(self.v0));
+        let sum = v.cross(w) * a + w.cross(u) * b + u.cross(v);
+        Some((-sum / det).as_vec3())
+    }
+
     /// The point at altitude `z` (metres up) on the ray through a pixel; `None` when the ray is level.
     pub fn point_at_altitude(&self, col: f32, row: f32, z: f32) -> Option<Vec3> {
         // Two equations linear in (x, y): (u - col·w)·p = col - u0, (v - row·w)·p = row - v0; solved in f64.
@@ -194,6 +207,20 @@ mod tests {
         let (col, row, _) = camera.project(q);
         assert!((col - 100.0).abs() < 1e-3 && (row - 50.0).abs() < 1e-3);
         assert!((camera.depth(q) - camera.depth(p) - 80.0).abs() < 1e-2);
+    }
+
+    #[test]
+    fn all_rays_meet_in_the_eye() {
+        let eye = DVec3::new(1.0, -2.0, 3.5);
+        let axis = -eye.normalize();
+        let (right, distance) = (axis.cross(DVec3::Z).normalize(), eye.length());
+        let (down, w) = (axis.cross(right), axis / distance);
+        let (u, v) = (right * 50.0 + w * 31.5, down * 50.0 + w * 31.5);
+        let (u, v) = ([u.x, u.y, u.z, 31.5], [v.x, v.y, v.z, 31.5]);
+        let camera = ProjectiveCamera::new(u, v, w.into(), (64, 64), axis);
+        let found = camera.eye().expect("a camera nearby has an eye");
+        assert!((found.as_dvec3() - eye).length() < 1e-4, "{found}");
+        assert!(ProjectiveCamera::nadir(0.0, 0.0, 1.0, (8, 8)).eye().is_none());
     }
 
     #[test]

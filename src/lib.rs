@@ -11,6 +11,7 @@ pub mod optim;
 pub mod raster;
 pub mod rates;
 pub mod render;
+pub mod shade;
 pub mod simd;
 pub mod splat;
 pub mod start;

@@ -4,6 +4,9 @@
 //! rasterised channels for a view and a light, how composited channels become a pixel, and the gradients of both. The
 //! rasteriser, the tracer, the losses, the optimiser and the trainer name no model.
 
+pub mod olat;
+mod over;
+pub mod radiance;
 pub mod shadow_gs;
 
 use crate::camera::ProjectiveCamera;
@@ -91,8 +94,8 @@ pub trait SceneModel: Send + Sync {
     /// Groups shared by all Gaussians (a table of one element).
     fn global_groups(&self) -> Vec<GroupSpec>;
 
-    /// Learning rate of a model group, by name.
-    fn learning_rate(&self, group: &str) -> f32;
+    /// Learning rate of a model group, by name, when `progress` (0 to 1) of training is done; what is not yet to learn has zero.
+    fn learning_rate(&self, group: &str, progress: f32) -> f32;
 
     /// Rasterised channels the model writes into the features.
     fn channels(&self) -> usize;

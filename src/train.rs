@@ -382,7 +382,7 @@ impl<'a> Trainer<'a> {
                 _ if index == LOG_SCALE => o.log_scale_rate,
                 _ if index == OPACITY => o.opacity_rate,
                 _ if index < FEATURES => o.rotation_rate,
-                _ => exponential_decay(1.0, o.final_rate.max(0.1), f) * self.model.learning_rate(&group.spec.name),
+                _ => exponential_decay(1.0, o.final_rate.max(0.1), f) * self.model.learning_rate(&group.spec.name, f),
             };
             rates.push(rate);
         }
@@ -393,7 +393,7 @@ impl<'a> Trainer<'a> {
             .globals
             .groups
             .iter()
-            .map(|g| self.model.learning_rate(&g.spec.name))
+            .map(|g| self.model.learning_rate(&g.spec.name, f))
             .collect();
         self.globals_adam
             .step(&mut self.parameters.globals, &self.gradients.globals, &rates);

@@ -32,6 +32,14 @@ pub enum SynthError {
         /// What is wrong.
         reason: String,
     },
+    /// A picture that cannot be encoded or written.
+    #[error("cannot write {path}: {source}; check the folder's permissions and the space left on the disk")]
+    Image {
+        /// The file.
+        path: PathBuf,
+        /// What the encoder said.
+        source: image::ImageError,
+    },
     /// The synthetic sensor's rational camera cannot be fitted.
     #[error("no rational camera fits the sensor of {image}: {source}")]
     Camera {

@@ -12,9 +12,9 @@
 //! ```
 //!
 //! Rooms: `terrain`, `city`, `vegetation`, `cars` and `solid` make the place; `materials` its colours; `raytrace` answers
-//! what a ray meets; `sensor` is the camera, `known` and `rational` those
-//! of real images; `radiometry` the light; `plan` decides where, when and from which side;
-//! `render` and `truth` make the rasters; `write` the files; `satellite` calls them in order.
+//! what a ray meets; `sensor` is the camera, `known` and `rational` those of real images; `radiometry` the light; `plan` decides
+//! where, when and from which side; `render` and `truth` make the rasters; `write` the files; `satellite` calls them in order.
+//! `objects` makes captures of an object from all around ([`write_object`]), by a path tracer of its own.
 
 mod cars;
 mod city;
@@ -22,6 +22,7 @@ mod error;
 mod known;
 mod materials;
 mod noise;
+mod objects;
 mod plan;
 mod radiometry;
 mod rational;
@@ -39,6 +40,7 @@ mod vegetation;
 mod write;
 
 pub use error::SynthError;
+pub use objects::{Capture, Look, ObjectRequest, ObjectSummary, write_object};
 pub use request::{BandSet, SatelliteRequest, Site};
 pub use satellite::write_satellite;
 pub use summary::{ImageSummary, Summary};

@@ -57,7 +57,10 @@ pub enum Command {
     #[command(after_help = "Example: heliosplat demo --out demo")]
     Demo(satellite::DemoArgs),
     /// Make a scene with known truth
-    #[command(after_help = "Example: heliosplat synth satellite --out site --site block --seed 1")]
+    #[command(
+        after_help = "Examples: heliosplat synth satellite --out site --site block --seed 1\n          \
+                            heliosplat synth object --out toy --size 200 --views 30"
+    )]
     Synth(synth::SynthArgs),
     /// Show what a scene is: cameras and their fit, suns, bands, overlap, truth
     #[command(after_help = "Example: heliosplat inspect my_images --altitude 640,780")]
@@ -66,7 +69,10 @@ pub enum Command {
     #[command(after_help = "Example: heliosplat adjust my_images --out adjusted --images")]
     Adjust(adjust::AdjustArgs),
     /// Train a model of a scene
-    #[command(after_help = "Example: heliosplat train my_images --out run --preset balanced --time-budget 10m")]
+    #[command(
+        after_help = "Examples: heliosplat train my_images --out run --preset balanced --time-budget 10m\n          \
+                            heliosplat train nerf_synthetic/lego --out run"
+    )]
     Train(satellite::TrainArgs),
     /// Write the surface model of a run, or that of a scene's sweep, as a cloud-optimised GeoTIFF
     #[command(
@@ -75,7 +81,10 @@ pub enum Command {
     )]
     Dsm(satellite::DsmArgs),
     /// Write the scene under another sun, and its shadow mask
-    #[command(after_help = "Example: heliosplat relight run --out evening.tif --sun 270,20")]
+    #[command(
+        after_help = "Examples: heliosplat relight run --out evening.tif --sun 270,20\n          \
+                            heliosplat relight object_run --out lit.png --light 2,1,3 --view test/near_000"
+    )]
     Relight(satellite::RelightArgs),
     /// Render the views of a run
     #[command(after_help = "Example: heliosplat render run --out rendered --split test")]

@@ -2,6 +2,7 @@
 
 pub mod cli;
 pub mod evaluate;
+pub mod objects;
 pub mod product;
 pub mod raster;
 pub mod run;

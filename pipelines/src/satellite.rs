@@ -212,7 +212,11 @@ pub fn relight(args: &RelightArgs, _session: &Session) -> Result<Outcome, CliErr
     let sun = match (args.sun, args.time) {
         (Some([azimuth, elevation]), _) => heliosplat_rpc::sun::SunPosition::from_degrees(azimuth, elevation),
         (None, Some(time)) => sun_position(time, model.frame.origin),
-        (None, None) => return Err(CliError::Input("relight: give --sun AZ,EL or --time RFC3339".into())),
+        (None, None) => {
+            return Err(CliError::Input(
+                "relight: a satellite scene takes --sun AZ,EL or --time RFC3339".into(),
+            ));
+        }
     };
     let relit = relight::relight(&model, &sun, &args.view)?;
     let mask = relit.write(&args.out)?;

@@ -336,7 +336,7 @@ impl SceneModel for ShadowGs {
         groups
     }
 
-    fn learning_rate(&self, group: &str) -> f32 {
+    fn learning_rate(&self, group: &str, _progress: f32) -> f32 {
         match group {
             "albedo" | "near_light" => 5e-3,
             "sky" => 1e-2,

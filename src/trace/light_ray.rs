@@ -73,8 +73,9 @@ impl LightRay {
     }
 
     /// Gradient to the origin's parameters from that to the start: `start = position + axis · full · (1 - axis·r)`, `full`
-    /// proportional to the thinnest scale.
-    pub(super) fn backward(&self, d_start: Vec3, raw_rotation: [f32; 4]) -> CoreGradient {
+    /// proportional to the thinnest scale. A ray to a point light turns as the origin moves, `∂r/∂position = -(I - rrᵀ) / length`:
+    /// `d_turn` is what the gradient loses by that along the ray, and the lift follows `r`.
+    pub(super) fn backward(&self, d_start: Vec3, d_turn: Vec3, raw_rotation: [f32; 4]) -> CoreGradient {
         if d_start == Vec3::ZERO {
             return CoreGradient::default();
         }
@@ -84,8 +85,10 @@ impl LightRay {
         log_scale[lift.thin] = d_height * lift.height;
         let mut d_rotation = Mat3::ZERO;
         *d_rotation.col_mut(lift.thin) = (d_start * lift.height - self.direction * (d_height * lift.full)) * lift.sign;
+        let d_direction = lift.axis * (-lift.full * d_height);
+        let across = d_direction - self.direction * self.direction.dot(d_direction);
         CoreGradient {
-            position: d_start,
+            position: d_start - d_turn - across / self.length.max(1e-12),
             log_scale,
             rotation: rotation_backward(raw_rotation, d_rotation),
             opacity: 0.0,

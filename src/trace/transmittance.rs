@@ -67,6 +67,8 @@ pub(super) struct Shade {
     pub(super) clear: f32,
     /// Change of `ln Π (1 - α̃)` as the ray's start moves, per metre.
     pub(super) pull: Vec3,
+    /// What of it is lost as the ray turns to stay on a point light: each part in proportion to its share of the way there.
+    pub(super) turn: Vec3,
     /// Gaussians met.
     pub(super) hits: u32,
 }
@@ -77,8 +79,8 @@ pub struct Transmittance {
     /// Transmittance of each origin, 0 to 1.
     pub values: Vec<f32>,
     rays: Vec<LightRay>,
-    /// Change of the logarithm of each value as the ray's start moves, per metre.
-    pulls: Vec<Vec3>,
+    /// Change of the logarithm of each value as the ray's start moves, per metre, and what of it is lost as the ray turns.
+    pulls: Vec<(Vec3, Vec3)>,
     hits: u64,
     found_by: FoundBy,
     occluder_gradients: bool,
@@ -130,9 +132,9 @@ pub fn transmittance(occluders: &Occluders, origins: &[u32], light: &Light, opti
         .with_min_len(CHUNK)
         .map(|s| {
             if s.clear >= DARK {
-                (s.clear, s.pull)
+                (s.clear, (s.pull, s.turn))
             } else {
-                (0.0, Vec3::ZERO)
+                (0.0, (Vec3::ZERO, Vec3::ZERO))
             }
         })
         .unzip();
@@ -191,8 +193,9 @@ impl Transmittance {
 
     fn origins_backward(&self, gaussians: &Table, origins: &[u32], d_log: &[f32], out: &mut Table) {
         let of_origin = |place: usize| {
-            let d_start = self.pulls[place] * d_log[place];
-            self.rays[place].backward(d_start, gaussians.raw_rotation(origins[place] as usize))
+            let (pull, turn) = self.pulls[place];
+            let (d_start, d_turn) = (pull * d_log[place], turn * d_log[place]);
+            self.rays[place].backward(d_start, d_turn, gaussians.raw_rotation(origins[place] as usize))
         };
         if origins.is_sorted_by(|a, b| a < b) {
             out.add_core(origins, of_origin);

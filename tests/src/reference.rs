@@ -192,13 +192,24 @@ fn meeting(ray: &Ray, g: &Gaussian, sun: &Sun) -> Meeting {
 
 /// Transmittance from Gaussian `origin` toward the sun through all others.
 pub fn transmittance(gaussians: &[Gaussian], origin: usize, sun: &Sun) -> f64 {
+    transmittance_along(gaussians, origin, sun, f64::INFINITY)
+}
+
+/// Transmittance along a unit direction, from what peaks within `length`.
+fn transmittance_along(gaussians: &[Gaussian], origin: usize, sun: &Sun, length: f64) -> f64 {
     let ray = ray(&gaussians[origin], sun);
     let others = gaussians.iter().enumerate().filter(|(i, _)| *i != origin);
     let meetings = others.map(|(_, g)| meeting(&ray, g, sun));
     meetings
-        .filter(|m| m.peak > ray.bias && m.miss < m.reach)
+        .filter(|m| m.peak > ray.bias && m.peak < length && m.miss < m.reach)
         .map(|m| 1.0 - m.alpha)
         .product()
+}
+
+/// Transmittance from Gaussian `origin` toward a point light through all others.
+pub fn transmittance_to_point(gaussians: &[Gaussian], origin: usize, light: &Vector3<f64>) -> f64 {
+    let offset = light - gaussians[origin].position;
+    transmittance_along(gaussians, origin, &offset.normalize(), offset.norm())
 }
 
 /// What [`transmittance`] may be where numbers have the precision of `f32`: occluders at the edge of what counts do or do not,

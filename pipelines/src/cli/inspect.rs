@@ -12,7 +12,7 @@ use std::path::PathBuf;
 /// Which scene.
 #[derive(Debug, Args)]
 pub struct InspectArgs {
-    /// A folder of images, a scene.toml, or a folder of Sat-NeRF or EOGS
+    /// A folder of images, a scene.toml, a folder of Sat-NeRF or EOGS, or one with transforms_train.json
     #[arg(value_name = "SCENE")]
     scene: PathBuf,
     #[command(flatten)]
@@ -21,6 +21,9 @@ pub struct InspectArgs {
 
 /// Reads the scene and describes it.
 pub(super) fn run(args: &InspectArgs) -> Result<Outcome, CliError> {
+    if crate::objects::is_capture(&args.scene) {
+        return crate::objects::verbs::inspect(&args.scene);
+    }
     let scene = Scene::open(&args.scene, &args.ingest.options())?;
     let coverage = Coverage::of(&scene);
     let plan = crate::satellite::plan(&scene);

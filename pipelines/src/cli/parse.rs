@@ -11,6 +11,15 @@ pub fn pair(text: &str) -> Result<[f64; 2], String> {
     <[f64; 2]>::try_from(numbers).map_err(|_| "expected two numbers, as in 10,20".to_owned())
 }
 
+/// `A,B,C`: three numbers.
+///
+/// # Errors
+/// A message for the user.
+pub fn triple(text: &str) -> Result<[f64; 3], String> {
+    let numbers = numbers(text)?;
+    <[f64; 3]>::try_from(numbers).map_err(|_| "expected three numbers, as in 1,2,3".to_owned())
+}
+
 /// Numbers separated by commas.
 ///
 /// # Errors

@@ -1,7 +1,7 @@
-//! `demo`, `train`, `dsm`, `relight`, `render`: arguments, and their way to the satellite pipeline.
+//! `demo`, `train`, `dsm`, `relight`, `render`: arguments, and their way to the pipeline of what they are given.
 
 use super::{CliError, IngestArgs, Outcome, Session, evaluate::EvaluateArgs, parse};
-use crate::satellite as pipeline;
+use crate::{objects, satellite as pipeline};
 use clap::{Args, ValueEnum};
 use std::path::{Path, PathBuf};
 use std::time::Duration;
@@ -43,7 +43,7 @@ pub struct DemoArgs {
 /// `train`.
 #[derive(Debug, Clone, Args)]
 pub struct TrainArgs {
-    /// A folder of images, a scene.toml, or a folder of Sat-NeRF or EOGS
+    /// A folder of images, a scene.toml, a folder of Sat-NeRF or EOGS, or one with transforms_train.json
     #[arg(value_name = "SCENE")]
     pub scene: PathBuf,
     /// Folder of the run, made if absent
@@ -114,12 +114,18 @@ pub struct RelightArgs {
     #[arg(long, value_name = "FILE")]
     pub out: PathBuf,
     /// Azimuth (clockwise from north) and elevation of the sun, degrees
-    #[arg(long, value_parser = parse::pair, allow_hyphen_values = true, value_name = "AZ,EL", required_unless_present = "time", conflicts_with = "time")]
+    #[arg(long, value_parser = parse::pair, allow_hyphen_values = true, value_name = "AZ,EL", required_unless_present_any = ["time", "light", "toward"], conflicts_with = "time")]
     pub sun: Option<[f64; 2]>,
     /// The sun of this moment, RFC 3339
     #[arg(long, value_parser = parse::time, value_name = "RFC3339")]
     pub time: Option<jiff::Timestamp>,
-    /// From above (nadir), or as the image of this name saw it
+    /// A point light for an object, in the frame of its cameras; several add up
+    #[arg(long, value_parser = parse::triple, allow_hyphen_values = true, value_name = "X,Y,Z", conflicts_with_all = ["sun", "time"])]
+    pub light: Vec<[f64; 3]>,
+    /// Parallel light for an object: the direction it comes from; several add up
+    #[arg(long, value_parser = parse::triple, allow_hyphen_values = true, value_name = "X,Y,Z", conflicts_with_all = ["sun", "time"])]
+    pub toward: Vec<[f64; 3]>,
+    /// From above (nadir), or as the image of this name saw it; of an object the first image if nothing is said
     #[arg(long, value_name = "nadir|NAME", default_value = "nadir")]
     pub view: String,
 }
@@ -136,6 +142,9 @@ pub struct RenderArgs {
     /// Which views
     #[arg(long, value_enum, default_value = "test")]
     pub split: RenderSplit,
+    /// Also write the parts of the light, where a model knows them: diffuse, specular, shadow
+    #[arg(long)]
+    pub components: bool,
 }
 
 /// Which views are rendered.
@@ -154,6 +163,9 @@ pub(super) fn demo(args: &DemoArgs, session: &Session) -> Result<Outcome, CliErr
 }
 
 pub(super) fn train(args: &TrainArgs, session: &Session) -> Result<Outcome, CliError> {
+    if objects::is_capture(&args.scene) {
+        return objects::verbs::train(args, session);
+    }
     pipeline::training::train(args, session)
 }
 
@@ -162,13 +174,22 @@ pub(super) fn dsm(args: &DsmArgs, session: &Session) -> Result<Outcome, CliError
 }
 
 pub(super) fn relight(args: &RelightArgs, session: &Session) -> Result<Outcome, CliError> {
+    if objects::run::is_object_run(&args.run) {
+        return objects::verbs::relight(args);
+    }
     pipeline::relight(args, session)
 }
 
 pub(super) fn render(args: &RenderArgs, session: &Session) -> Result<Outcome, CliError> {
+    if objects::run::is_object_run(&args.run) {
+        return objects::verbs::render(args, session);
+    }
     pipeline::render(args, session)
 }
 
 pub(super) fn evaluate(run: &Path, args: &EvaluateArgs, session: &Session) -> Result<Outcome, CliError> {
+    if objects::run::is_object_run(run) {
+        return objects::verbs::evaluate(run);
+    }
     pipeline::evaluate(run, args, session)
 }

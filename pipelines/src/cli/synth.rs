@@ -2,7 +2,9 @@
 
 use super::{CliError, Outcome, Session, parse};
 use clap::{Args, ValueEnum};
-use heliosplat_synth::{BandSet, SatelliteRequest, Site, Summary, SynthError, write_satellite};
+use heliosplat_synth::{
+    BandSet, Capture, Look, ObjectRequest, SatelliteRequest, Site, Summary, SynthError, write_object, write_satellite,
+};
 use std::cell::RefCell;
 use std::fmt::Write;
 use std::path::{Path, PathBuf};
@@ -34,9 +36,15 @@ pub struct SynthArgs {
     /// Ground sampling distance, metres [default: 0.5]
     #[arg(long, value_parser = parse::positive, value_name = "M")]
     gsd: Option<f64>,
-    /// Width and height of every image, pixels [default: what covers the site]
+    /// Width and height of every image, pixels [default: what covers the site; 200 for objects]
     #[arg(long, value_name = "PX")]
     size: Option<usize>,
+    /// What an object's middle is made of
+    #[arg(long, value_enum, default_value = "matte")]
+    look: LookName,
+    /// Paths per pixel of an object's images
+    #[arg(long, default_value_t = 36, value_name = "N")]
+    paths: usize,
     /// Bands
     #[arg(long, value_enum, default_value = "rgb-nir")]
     bands: BandName,
@@ -56,6 +64,23 @@ pub struct SynthArgs {
 enum Kind {
     /// Satellite images of several dates, with RPC cameras
     Satellite,
+    /// An object under light that stays (PNG, as NeRF-synthetic)
+    Object,
+    /// An object under one lamp at a time (EXR, as GS3 and NRHints)
+    Olat,
+    /// An object in bright surroundings (PNG, as Shiny Blender)
+    Reflective,
+}
+
+/// What an object is made of.
+#[derive(Debug, Clone, Copy, ValueEnum)]
+enum LookName {
+    /// Nothing glossy
+    Matte,
+    /// Metal with a grain
+    Brushed,
+    /// A colour under a clear coat
+    Glossy,
 }
 
 #[derive(Debug, Clone, Copy, ValueEnum)]
@@ -104,6 +129,24 @@ impl SynthArgs {
     }
 }
 
+impl SynthArgs {
+    fn object(&self, capture: Capture) -> ObjectRequest {
+        ObjectRequest {
+            capture,
+            look: match self.look {
+                LookName::Matte => Look::Matte,
+                LookName::Brushed => Look::Brushed,
+                LookName::Glossy => Look::Glossy,
+            },
+            seed: self.seed,
+            views: self.views,
+            held_out: None,
+            size_px: self.size.unwrap_or(ObjectRequest::default().size_px),
+            paths: self.paths,
+        }
+    }
+}
+
 impl From<SynthError> for CliError {
     fn from(error: SynthError) -> Self {
         match &error {
@@ -117,6 +160,9 @@ impl From<SynthError> for CliError {
 pub(super) fn run(args: &SynthArgs, session: &Session) -> Result<Outcome, CliError> {
     let summary = match args.kind {
         Kind::Satellite => synthesise(&args.request(), &args.out, session)?,
+        Kind::Object => return object(&args.object(Capture::Object), &args.out, session),
+        Kind::Olat => return object(&args.object(Capture::Olat), &args.out, session),
+        Kind::Reflective => return object(&args.object(Capture::Reflective), &args.out, session),
     };
     let json = serde_json::to_value(&summary)
         .map_err(|error| CliError::Failed(format!("the summary cannot be written: {error}")))?;
@@ -138,6 +184,24 @@ pub fn synthesise(request: &SatelliteRequest, out: &Path, session: &Session) -> 
         bar.set(done as u64);
     };
     Ok(write_satellite(request, out, &progress)?)
+}
+
+/// Makes a capture of an object, with a progress bar.
+fn object(request: &ObjectRequest, out: &Path, session: &Session) -> Result<Outcome, CliError> {
+    let bar = session.progress("synthesise", (request.training() + request.testing()) as u64);
+    let summary = write_object(request, out, &|done, _| bar.set(done as u64))?;
+    Ok(Outcome {
+        text: format!(
+            "{}: {} images to train with, {} held out ({} under lamps far from those of training), {} pixels wide, {:.0} % covered",
+            out.display(),
+            summary.train,
+            summary.test,
+            summary.far,
+            summary.size_px,
+            100.0 * summary.coverage
+        ),
+        json: serde_json::json!(summary),
+    })
 }
 
 fn table(summary: &Summary, out: &Path) -> String {

@@ -177,25 +177,7 @@ impl SatelliteConfig {
     /// [`ConfigError::Set`] for a key that does not exist or a value of another kind, [`ConfigError::Value`] for one that means
     /// nothing.
     pub fn resolve(preset: &str, set: &[(String, String)], seed: u64) -> Result<Self, ConfigError> {
-        let fault = |reason: String| ConfigError::Preset {
-            name: preset.into(),
-            reason,
-        };
-        let mut table: toml::Table = preset_text(preset)
-            .parse()
-            .map_err(|e: toml::de::Error| fault(e.to_string()))?;
-        let parse = |table: &toml::Table| table.clone().try_into::<Self>().map_err(|e| e.to_string());
-        parse(&table).map_err(fault)?;
-        for (key, value) in set {
-            let error = |reason: String| ConfigError::Set {
-                key: key.clone(),
-                value: value.clone(),
-                reason,
-            };
-            insert(&mut table, key, parse_value(value)).map_err(error)?;
-            parse(&table).map_err(|e| error(e.lines().next().unwrap_or("does not fit").to_owned()))?;
-        }
-        let mut config = parse(&table).map_err(fault)?;
+        let mut config: Self = resolve(preset, preset_text(preset), set)?;
         config.train.seed = seed;
         config.check()?;
         Ok(config)
@@ -277,6 +259,34 @@ impl SatelliteConfig {
         }
         Ok(())
     }
+}
+
+/// The defaults of a configuration, then the text of a preset, then the `--set` pairs in their order.
+///
+/// # Errors
+/// [`ConfigError::Set`] for a key that does not exist or a value of another kind.
+pub(crate) fn resolve<T: serde::de::DeserializeOwned>(
+    preset: &str,
+    text: &str,
+    set: &[(String, String)],
+) -> Result<T, ConfigError> {
+    let fault = |reason: String| ConfigError::Preset {
+        name: preset.into(),
+        reason,
+    };
+    let mut table: toml::Table = text.parse().map_err(|e: toml::de::Error| fault(e.to_string()))?;
+    let parse = |table: &toml::Table| table.clone().try_into::<T>().map_err(|e| e.to_string());
+    parse(&table).map_err(fault)?;
+    for (key, value) in set {
+        let error = |reason: String| ConfigError::Set {
+            key: key.clone(),
+            value: value.clone(),
+            reason,
+        };
+        insert(&mut table, key, parse_value(value)).map_err(error)?;
+        parse(&table).map_err(|e| error(e.lines().next().unwrap_or("does not fit").to_owned()))?;
+    }
+    parse(&table).map_err(fault)
 }
 
 /// A TOML value where the text is one, a string otherwise.

@@ -308,15 +308,22 @@ fn bounds(ground: &Ground) -> (Vec3, Vec3) {
     )
 }
 
-struct Trained {
-    parameters: Parameters,
-    early_stop: EarlyStop,
-    rejected: usize,
-    curve: Vec<CurvePoint>,
-    ending: Ending,
+/// What training leaves.
+pub(crate) struct Trained {
+    pub(crate) parameters: Parameters,
+    pub(crate) early_stop: EarlyStop,
+    pub(crate) rejected: usize,
+    pub(crate) curve: Vec<CurvePoint>,
+    pub(crate) ending: Ending,
 }
 
-fn train(mut trainer: Trainer, steps: usize, session: &Session, budget: Option<Budget>) -> Result<Trained, FitError> {
+/// Trains to the end, or until the user or the time stops it.
+pub(crate) fn train(
+    mut trainer: Trainer,
+    steps: usize,
+    session: &Session,
+    budget: Option<Budget>,
+) -> Result<Trained, FitError> {
     let progress = session.progress("train", steps as u64);
     let mut curve = Vec::new();
     let mut smoothed = None;

@@ -109,7 +109,7 @@ pub(super) fn train_into(
     Ok((model, metrics, fitted.ending))
 }
 
-pub(super) fn create_folder(out: &Path) -> Result<(), CliError> {
+pub(crate) fn create_folder(out: &Path) -> Result<(), CliError> {
     std::fs::create_dir_all(out).map_err(|error| {
         CliError::Failed(format!(
             "{}: the folder cannot be made ({error}); choose another --out",
@@ -137,7 +137,7 @@ fn model_file(scene: &Scene, config: &SatelliteConfig, fitted: &Fitted) -> Model
 }
 
 /// What to tell of a training that ended before its time; its run is written.
-pub(super) fn finished(ending: Ending, out: &Path) -> Result<(), CliError> {
+pub(crate) fn finished(ending: Ending, out: &Path) -> Result<(), CliError> {
     let out = out.display();
     match ending {
         Ending::Done => Ok(()),

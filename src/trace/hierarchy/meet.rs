@@ -25,6 +25,8 @@ struct Block {
     /// Peaks count between these distances along the ray, metres.
     near: Lane,
     far: Lane,
+    /// One over the distance to the light, zero where it is infinitely far.
+    turning: Lane,
     id: [u32; LANES],
 }
 
@@ -52,6 +54,7 @@ impl Bundle {
                 ],
                 near: of(|r| r.bias, f32::INFINITY),
                 far: of(|r| r.length, 0.0),
+                turning: of(|r| 1.0 / r.length.max(1e-12), 0.0),
                 id: rays.map(|r| r.map_or(u32::MAX, |(_, id)| id)),
             }
         };
@@ -65,6 +68,8 @@ impl Bundle {
 struct Pass {
     nearest: [Lane; 3],
     square: Lane,
+    /// How far along the ray they are, as a share of the way to the light.
+    share: Lane,
     met: [u32; LANES],
 }
 
@@ -75,6 +80,7 @@ impl Pass {
         let mut pass = Self {
             nearest: [[0.0; LANES]; 3],
             square: [0.0; LANES],
+            share: [0.0; LANES],
             met: [0; LANES],
         };
         for l in 0..LANES {
@@ -100,6 +106,7 @@ impl Pass {
             let near_enough = (square < occluder.reach_square) & (peak > block.near[l]) & (peak < block.far[l]);
             pass.met[l] = u32::from(near_enough & (block.id[l] != id));
             pass.square[l] = square;
+            pass.share[l] = peak * block.turning[l];
             for (axis, n) in pass.nearest.iter_mut().zip(n) {
                 axis[l] = n;
             }
@@ -118,6 +125,7 @@ impl Pass {
 struct ShadeLanes {
     clear: Lane,
     pull: [Lane; 3],
+    turn: [Lane; 3],
     hits: [u32; LANES],
 }
 
@@ -125,6 +133,7 @@ impl ShadeLanes {
     const NOTHING: Self = Self {
         clear: [1.0; LANES],
         pull: [[0.0; LANES]; 3],
+        turn: [[0.0; LANES]; 3],
         hits: [0; LANES],
     };
 
@@ -135,8 +144,11 @@ impl ShadeLanes {
             self.clear[l] *= 1.0 - alpha;
             self.hits[l] += pass.met[l];
             let n = [pass.nearest[0][l], pass.nearest[1][l], pass.nearest[2][l]];
-            for (pull, axis) in self.pull.iter_mut().zip([w.x_axis, w.y_axis, w.z_axis]) {
-                pull[l] += weight * (axis.x * n[0] + axis.y * n[1] + axis.z * n[2]);
+            let axes = [w.x_axis, w.y_axis, w.z_axis];
+            for ((pull, turn), axis) in self.pull.iter_mut().zip(&mut self.turn).zip(axes) {
+                let along = weight * (axis.x * n[0] + axis.y * n[1] + axis.z * n[2]);
+                pull[l] += along;
+                turn[l] += pass.share[l] * along;
             }
         }
     }
@@ -169,6 +181,7 @@ vectorised! {
             *out = Shade {
                 clear: sums.clear[l],
                 pull: Vec3::new(sums.pull[0][l], sums.pull[1][l], sums.pull[2][l]),
+                turn: Vec3::new(sums.turn[0][l], sums.turn[1][l], sums.turn[2][l]),
                 hits: sums.hits[l],
             };
         }

@@ -5,7 +5,7 @@ use super::ellipse::{Block, Ellipse, LANES, Lane, Moments, pull, whitened};
 use super::{CHUNK, PlaneRay, PlaneTrace};
 use crate::simd::vectorised;
 use crate::trace::transmittance::{Shade, attenuation};
-use glam::Vec2;
+use glam::{Vec2, Vec3};
 use rayon::prelude::*;
 use std::ops::Range;
 
@@ -91,6 +91,7 @@ impl ShadeLanes {
         Shade {
             clear: self.clear.iter().product(),
             pull: plane.axes.in_scene(pull),
+            turn: Vec3::ZERO,
             hits: self.hits.iter().sum(),
         }
     }

@@ -1,0 +1,313 @@
+//! Captures of an object with known shape, materials and light, made by a path tracer.
+//!
+//! Files are those that are common: `transforms_train.json` and `transforms_test.json` with images beside them. Normals of the
+//! held-out views, `(n + 1) / 2` in the frame of the cameras, lie in `truth/`.
+
+mod material;
+mod request;
+mod shape;
+mod stage;
+mod trace;
+
+pub use request::{Capture, Look, ObjectRequest};
+
+use crate::SynthError;
+use crate::raytrace::Ray;
+use crate::write::Staging;
+use image::{DynamicImage, Rgb, RgbImage, Rgba32FImage, RgbaImage};
+use nalgebra::Vector3;
+use rand::{RngExt, SeedableRng};
+use rand_pcg::Pcg32;
+use rayon::prelude::*;
+use serde_json::json;
+use stage::{LAMP_STRENGTH, Shot};
+use std::path::Path;
+use trace::{Lamp, Stage};
+
+/// Horizontal field of view of every camera, radians; that of NeRF-synthetic.
+const FIELD_OF_VIEW: f64 = 0.691_111_2;
+
+/// What was made.
+#[derive(Debug, Clone, PartialEq, serde::Serialize)]
+pub struct ObjectSummary {
+    /// Images to train with.
+    pub train: usize,
+    /// Images held out.
+    pub test: usize,
+    /// Those of them whose lamp is far from all lamps of training.
+    pub far: usize,
+    /// Width and height of every image, pixels.
+    pub size_px: usize,
+    /// Share of the pixels that show the object.
+    pub coverage: f64,
+}
+
+/// A camera that looks at the middle.
+struct Camera {
+    eye: Vector3<f64>,
+    right: Vector3<f64>,
+    up: Vector3<f64>,
+    backward: Vector3<f64>,
+    focal_px: f64,
+    size_px: usize,
+}
+
+impl Camera {
+    fn new(eye: Vector3<f64>, size_px: usize) -> Self {
+        let backward = eye.normalize();
+        let right = Vector3::z().cross(&backward).normalize();
+        Self {
+            eye,
+            right,
+            up: backward.cross(&right),
+            backward,
+            focal_px: 0.5 * size_px as f64 / (0.5 * FIELD_OF_VIEW).tan(),
+            size_px,
+        }
+    }
+
+    /// The ray through a place in the image, corners of pixels at integers.
+    fn ray(&self, col: f64, row: f64) -> Ray {
+        let half = 0.5 * self.size_px as f64;
+        let aside = self.right * (col - half) - self.up * (row - half);
+        Ray {
+            origin: self.eye,
+            direction: (aside - self.backward * self.focal_px).normalize(),
+        }
+    }
+
+    fn matrix(&self) -> Vec<[f64; 4]> {
+        let row = |k: usize| [self.right[k], self.up[k], self.backward[k], self.eye[k]];
+        vec![row(0), row(1), row(2), [0.0, 0.0, 0.0, 1.0]]
+    }
+}
+
+/// One pixel: colour times coverage, coverage, mean normal.
+#[derive(Clone, Copy)]
+struct Pixel {
+    colour: Vector3<f64>,
+    coverage: f64,
+    normal: Vector3<f64>,
+}
+
+/// Writes a capture into `out_dir`. `progress` is told how many images of how many are done. The same request gives the same
+/// bytes, for any number of threads.
+///
+/// # Errors
+/// [`SynthError::BadRequest`] for a request that cannot be met, [`SynthError::Write`] or [`SynthError::Image`] when a file cannot
+/// be written; `out_dir` then holds nothing new.
+pub fn write_object(
+    request: &ObjectRequest,
+    out_dir: &Path,
+    progress: &dyn Fn(usize, usize),
+) -> Result<ObjectSummary, SynthError> {
+    request.check()?;
+    let staging = Staging::new(out_dir)?;
+    let (stage, shots) = (stage::stage(request), stage::shots(request));
+    let total = shots.train.len() + shots.near.len() + shots.far.len();
+    let (mut done, mut covered) = (0, 0.0);
+    let mut frames_of = |split: &str, name: &str, shots: &[Shot]| -> Result<Vec<serde_json::Value>, SynthError> {
+        let mut frames = Vec::new();
+        for (number, shot) in shots.iter().enumerate() {
+            let name = format!("{split}/{name}_{number:03}");
+            let camera = Camera::new(shot.eye, request.size_px);
+            let pixels = photograph(request, &stage, shot, &camera, done as u64);
+            covered += pixels.iter().map(|p| p.coverage).sum::<f64>() / (pixels.len() * total) as f64;
+            write_image(request, &staging, &name, &pixels)?;
+            if split == "test" {
+                write_normals(request, &staging, &name, &pixels)?;
+            }
+            let mut frame = json!({"file_path": format!("./{name}"), "transform_matrix": camera.matrix()});
+            if let Some(lamp) = shot.lamp {
+                frame["pl_pos"] = json!([lamp.x, lamp.y, lamp.z]);
+                frame["pl_intensity"] = json!([LAMP_STRENGTH, LAMP_STRENGTH, LAMP_STRENGTH]);
+            }
+            frames.push(frame);
+            done += 1;
+            progress(done, total);
+        }
+        Ok(frames)
+    };
+    let train = frames_of("train", "r", &shots.train)?;
+    let mut test = frames_of("test", if shots.far.is_empty() { "r" } else { "near" }, &shots.near)?;
+    test.extend(frames_of("test", "far", &shots.far)?);
+    for (name, frames) in [("transforms_train.json", train), ("transforms_test.json", test)] {
+        let file = json!({"camera_angle_x": FIELD_OF_VIEW, "frames": frames});
+        staging.text(name, &format!("{file:#}\n"))?;
+    }
+    staging.finish()?;
+    Ok(ObjectSummary {
+        train: shots.train.len(),
+        test: shots.near.len() + shots.far.len(),
+        far: shots.far.len(),
+        size_px: request.size_px,
+        coverage: covered,
+    })
+}
+
+/// Follows the paths of all pixels of an image.
+fn photograph(request: &ObjectRequest, stage: &Stage, shot: &Shot, camera: &Camera, number: u64) -> Vec<Pixel> {
+    let mut stage = stage.clone();
+    stage.lamps.extend(shot.lamp.map(|position| Lamp::Point {
+        position,
+        strength: Vector3::repeat(LAMP_STRENGTH),
+    }));
+    let size = request.size_px;
+    let side = (request.paths as f64).sqrt().ceil() as usize;
+    (0..size * size)
+        .into_par_iter()
+        .with_min_len(64)
+        .map(|i| {
+            let seed = (request.seed << 48) ^ (number << 32) ^ i as u64;
+            let mut random = Pcg32::seed_from_u64(seed);
+            let mut pixel = Pixel {
+                colour: Vector3::zeros(),
+                coverage: 0.0,
+                normal: Vector3::zeros(),
+            };
+            for path in 0..side * side {
+                let within = |n: usize, random: &mut Pcg32| (n as f64 + random.random::<f64>()) / side as f64;
+                let col = (i % size) as f64 + within(path % side, &mut random);
+                let row = (i / size) as f64 + within(path / side, &mut random);
+                if let Some(seen) = stage.look(&camera.ray(col, row), &mut random) {
+                    pixel.colour += seen.light;
+                    pixel.coverage += 1.0;
+                    pixel.normal += seen.normal;
+                }
+            }
+            let count = (side * side) as f64;
+            pixel.colour /= count;
+            pixel.coverage /= count;
+            pixel
+        })
+        .collect()
+}
+
+/// The curve of sRGB (IEC 61966-2-1), 8 bits.
+fn display(linear: f64) -> u8 {
+    let x = linear.clamp(0.0, 1.0);
+    let encoded = if x <= 0.003_130_8 {
+        12.92 * x
+    } else {
+        1.055 * x.powf(1.0 / 2.4) - 0.055
+    };
+    (encoded * 255.0).round() as u8
+}
+
+fn save(staging: &Staging, relative: &str, picture: DynamicImage) -> Result<(), SynthError> {
+    let path = staging.path(relative)?;
+    picture.save(&path).map_err(|source| SynthError::Image { path, source })
+}
+
+/// Captures under one lamp are linear, EXR; others are for a display, PNG.
+fn write_image(request: &ObjectRequest, staging: &Staging, name: &str, pixels: &[Pixel]) -> Result<(), SynthError> {
+    let size = request.size_px as u32;
+    let at = |x: u32, y: u32| &pixels[(y * size + x) as usize];
+    if request.capture == Capture::Olat {
+        let picture = Rgba32FImage::from_fn(size, size, |x, y| {
+            let p = at(x, y);
+            image::Rgba([
+                p.colour.x as f32,
+                p.colour.y as f32,
+                p.colour.z as f32,
+                p.coverage as f32,
+            ])
+        });
+        return save(staging, &format!("{name}.exr"), picture.into());
+    }
+    let picture = RgbaImage::from_fn(size, size, |x, y| {
+        let p = at(x, y);
+        let [r, g, b] = [0, 1, 2].map(|k| display(p.colour[k] / p.coverage.max(1e-9)));
+        image::Rgba([r, g, b, (p.coverage * 255.0).round() as u8])
+    });
+    save(staging, &format!("{name}.png"), picture.into())
+}
+
+fn write_normals(request: &ObjectRequest, staging: &Staging, name: &str, pixels: &[Pixel]) -> Result<(), SynthError> {
+    let size = request.size_px as u32;
+    let picture = RgbImage::from_fn(size, size, |x, y| {
+        let p = &pixels[(y * size + x) as usize];
+        // Black where most of the pixel shows nothing.
+        let known = p.coverage > 0.5 && p.normal.norm() > 0.0;
+        let n = if known {
+            p.normal.normalize()
+        } else {
+            Vector3::repeat(-1.0)
+        };
+        Rgb([0, 1, 2].map(|k| (127.5 * (n[k] + 1.0)).round() as u8))
+    });
+    save(staging, &format!("truth/{name}_normal.png"), picture.into())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn request(capture: Capture, look: Look) -> ObjectRequest {
+        ObjectRequest {
+            capture,
+            look,
+            seed: 2,
+            views: Some(3),
+            held_out: Some(2),
+            size_px: 24,
+            paths: 4,
+        }
+    }
+
+    #[test]
+    fn a_capture_is_the_same_bytes_for_any_number_of_threads() {
+        let made = |threads: usize| {
+            let folder = tempfile::tempdir().expect("a temporary folder");
+            let pool = rayon::ThreadPoolBuilder::new()
+                .num_threads(threads)
+                .build()
+                .expect("threads");
+            let summary = pool.install(|| {
+                write_object(&request(Capture::Olat, Look::Glossy), folder.path(), &|_, _| {}).expect("made")
+            });
+            let read = |name: &str| std::fs::read(folder.path().join(name)).expect(name);
+            assert_eq!((summary.train, summary.test, summary.far), (3, 2, 1));
+            (
+                read("train/r_002.exr"),
+                read("test/far_000.exr"),
+                read("transforms_test.json"),
+            )
+        };
+        assert!(made(1) == made(3));
+    }
+
+    #[test]
+    fn every_look_gives_images_with_an_object_in_their_middle() {
+        for (capture, look) in [
+            (Capture::Object, Look::Matte),
+            (Capture::Reflective, Look::Brushed),
+            (Capture::Reflective, Look::Glossy),
+        ] {
+            let folder = tempfile::tempdir().expect("a temporary folder");
+            let summary = write_object(&request(capture, look), folder.path(), &|_, _| {}).expect("made");
+            assert!((0.1..0.7).contains(&summary.coverage), "{}", summary.coverage);
+            let picture = image::open(folder.path().join("test/r_001.png"))
+                .expect("a picture")
+                .to_rgba8();
+            assert_eq!(picture.get_pixel(0, 0).0[3], 0);
+            assert!((0..24).flat_map(|x| (0..24).map(move |y| (x, y))).any(|(x, y)| {
+                let p = picture.get_pixel(x, y).0;
+                p[3] == 255 && p[0].max(p[1]).max(p[2]) > 60
+            }));
+            assert!(folder.path().join("truth/test/r_001_normal.png").is_file());
+        }
+    }
+
+    #[test]
+    fn requests_that_cannot_be_met_are_refused_and_leave_nothing() {
+        let folder = tempfile::tempdir().expect("a temporary folder");
+        let request = ObjectRequest {
+            size_px: 1 << 20,
+            ..ObjectRequest::default()
+        };
+        let error = write_object(&request, folder.path(), &|_, _| {}).expect_err("too large");
+        assert!(error.to_string().contains("16 to 2048"), "{error}");
+        assert_eq!(std::fs::read_dir(folder.path()).expect("readable").count(), 0);
+    }
+}

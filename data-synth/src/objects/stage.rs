@@ -1,0 +1,319 @@
+//! What stands on the stage, and from where it is looked at and lit.
+
+use super::material::{Colour, Gloss, Material, Pattern};
+use super::request::{Capture, Look, ObjectRequest};
+use super::shape::{Shape, Solid};
+use super::trace::{Lamp, Part, Sky, Stage};
+use nalgebra::{Rotation3, Vector3};
+use rand::{RngExt, SeedableRng};
+use rand_pcg::Pcg32;
+use std::f64::consts::PI;
+
+/// Distance of the cameras from the middle.
+const EYE_DISTANCE: f64 = 4.0;
+/// Distance of the lamps from the middle.
+const LAMP_DISTANCE: f64 = 4.0;
+/// Radiant intensity of a lamp: a white surface that faces it shows about one half.
+pub(crate) const LAMP_STRENGTH: f64 = 25.0;
+/// Half of the sector of azimuths, radians, in which no lamp of training stands, and lamps far from those do.
+const DARK_SECTOR: f64 = PI / 5.0;
+/// Lamps near those of training are this far from one, radians.
+const NEAR: f64 = 0.1;
+
+/// From where an image is taken, and its lamp where it has one of its own.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Shot {
+    pub(crate) eye: Vector3<f64>,
+    pub(crate) lamp: Option<Vector3<f64>>,
+}
+
+/// Images of a capture: to train with, held out with lamps near those, held out with lamps far from them. Where lamps do not
+/// move, the last is empty.
+#[derive(Debug, Clone)]
+pub(crate) struct Shots {
+    pub(crate) train: Vec<Shot>,
+    pub(crate) near: Vec<Shot>,
+    pub(crate) far: Vec<Shot>,
+}
+
+/// Something random.
+struct Dice(Pcg32);
+
+impl Dice {
+    fn between(&mut self, low: f64, high: f64) -> f64 {
+        low + (high - low) * self.0.random::<f64>()
+    }
+
+    fn colour(&mut self) -> Colour {
+        // A hue at full strength, mixed with grey: neither black nor glowing.
+        let hue = self.between(0.0, 6.0);
+        let strength = self.between(0.4, 0.8);
+        let channel = |at: f64| {
+            let away = (hue - at + 9.0).rem_euclid(6.0) - 3.0;
+            (2.0 - away.abs()).clamp(0.0, 1.0)
+        };
+        Colour::new(channel(0.0), channel(2.0), channel(4.0)) * strength * 0.75 + Colour::repeat(0.12)
+    }
+
+    fn turn(&mut self) -> Rotation3<f64> {
+        let angle = |dice: &mut Self| dice.between(-PI, PI);
+        Rotation3::from_euler_angles(angle(self), angle(self), angle(self))
+    }
+}
+
+fn direction(azimuth: f64, elevation: f64) -> Vector3<f64> {
+    Vector3::new(
+        elevation.cos() * azimuth.cos(),
+        elevation.cos() * azimuth.sin(),
+        elevation.sin(),
+    )
+}
+
+/// `count` places spread evenly over the dome above `lowest` (sine of the elevation), turned by `phase`.
+fn dome(count: usize, phase: f64, lowest: f64, highest: f64) -> Vec<(f64, f64)> {
+    let golden = PI * (3.0 - 5f64.sqrt());
+    (0..count)
+        .map(|i| {
+            let height = lowest + (highest - lowest) * (i as f64 + 0.5) / count as f64;
+            ((golden * i as f64 + phase).rem_euclid(2.0 * PI), height.asin())
+        })
+        .collect()
+}
+
+/// The object: a base plate with a ball, a ring and a block on it.
+fn parts(look: Look, dice: &mut Dice) -> Vec<Part> {
+    let matte = |dice: &mut Dice, pattern| Material {
+        colours: [dice.colour(), dice.colour()],
+        pattern,
+        gloss: None,
+        metal: false,
+    };
+    let special = |dice: &mut Dice, pattern| {
+        let base = matte(dice, pattern);
+        match look {
+            Look::Matte => base,
+            Look::Glossy => Material {
+                pattern: Pattern::Spots(0.9),
+                gloss: Some(Gloss {
+                    alpha: [0.12; 2],
+                    head_on: Colour::repeat(0.05),
+                }),
+                ..base
+            },
+            Look::Brushed => Material {
+                colours: [base.colours[0].map(|c| 0.45 + 0.5 * c); 2],
+                pattern: Pattern::Plain,
+                gloss: Some(Gloss {
+                    alpha: [0.4, 0.15],
+                    head_on: Colour::zeros(),
+                }),
+                metal: true,
+            },
+        }
+    };
+    let part = |shape, centre, turn: Rotation3<f64>, material| Part {
+        solid: Solid {
+            shape,
+            centre,
+            own_from_world: turn.inverse().into_inner(),
+        },
+        material,
+    };
+    let still = Rotation3::identity();
+    let start = dice.between(0.0, 2.0 * PI);
+    let place = |step: f64, radius: f64, up: f64| {
+        let angle = start + step * 2.0 * PI / 3.0;
+        Vector3::new(radius * angle.cos(), radius * angle.sin(), up)
+    };
+    let plate = Vector3::new(0.95, 0.95, 0.06);
+    let ball = dice.between(0.36, 0.44);
+    let (major, minor) = (dice.between(0.27, 0.32), dice.between(0.1, 0.14));
+    let block = Vector3::new(dice.between(0.2, 0.28), dice.between(0.2, 0.28), dice.between(0.3, 0.5));
+    let floor = plate.z - 0.5;
+    let upright = Rotation3::from_axis_angle(&Vector3::z_axis(), dice.between(0.0, PI));
+    // The ring leans: its lowest point still touches the plate.
+    let lean = Rotation3::from_axis_angle(&Vector3::z_axis(), dice.between(0.0, 2.0 * PI))
+        * Rotation3::from_axis_angle(&Vector3::x_axis(), dice.between(0.9, 1.3));
+    let ring_up = floor + minor + major * (lean * Vector3::z()).xy().norm();
+    let spin = dice.turn();
+    vec![
+        part(
+            Shape::Box { half: plate },
+            Vector3::new(0.0, 0.0, -0.5),
+            still,
+            matte(dice, Pattern::Checks(0.24)),
+        ),
+        part(
+            Shape::Sphere { radius: ball },
+            place(0.0, 0.5, floor + ball),
+            spin,
+            special(dice, Pattern::Spots(0.5)),
+        ),
+        part(
+            Shape::Torus { major, minor },
+            place(1.0, 0.52, ring_up),
+            lean,
+            special(dice, Pattern::Bands(0.2)),
+        ),
+        part(
+            Shape::Box { half: block },
+            place(2.0, 0.52, floor + block.z),
+            upright,
+            matte(dice, Pattern::Checks(0.13)),
+        ),
+    ]
+}
+
+fn sky(capture: Capture, dice: &mut Dice) -> (Sky, Vec<Lamp>) {
+    let grey = Colour::repeat;
+    match capture {
+        Capture::Olat => (Sky::default(), Vec::new()),
+        Capture::Object => {
+            let sun = direction(dice.between(0.0, 2.0 * PI), dice.between(0.7, 1.1));
+            let shades = [Colour::new(0.55, 0.62, 0.75), grey(0.45), grey(0.25)];
+            let lamp = Lamp::Sun {
+                toward: sun,
+                strength: Colour::new(1.7, 1.6, 1.4),
+            };
+            (
+                Sky {
+                    shades,
+                    patches: Vec::new(),
+                },
+                vec![lamp],
+            )
+        }
+        Capture::Reflective => {
+            let patches = (0..7).map(|i| {
+                let toward = direction(f64::from(i) * 2.4 + dice.between(-0.3, 0.3), dice.between(-0.2, 1.2));
+                (
+                    toward,
+                    dice.between(12.0, 60.0),
+                    (dice.colour() + grey(0.3)) * dice.between(1.0, 2.5),
+                )
+            });
+            let shades = [Colour::new(0.5, 0.55, 0.65), Colour::new(0.5, 0.42, 0.35), grey(0.15)];
+            let patches = patches.collect();
+            (Sky { shades, patches }, Vec::new())
+        }
+    }
+}
+
+/// What stands on the stage, under light that does not move.
+pub(crate) fn stage(request: &ObjectRequest) -> Stage {
+    let mut dice = Dice(Pcg32::seed_from_u64(request.seed));
+    let parts = parts(request.look, &mut dice);
+    let (sky, lamps) = sky(request.capture, &mut dice);
+    Stage { parts, lamps, sky }
+}
+
+/// From where it is looked at and lit.
+pub(crate) fn shots(request: &ObjectRequest) -> Shots {
+    let mut dice = Dice(Pcg32::seed_from_u64(request.seed ^ 0x5eed));
+    let phase = dice.between(0.0, 2.0 * PI);
+    let eyes = |count: usize, phase: f64| -> Vec<Vector3<f64>> {
+        let places = dome(count, phase, 0.08, 0.95).into_iter();
+        places
+            .map(|(azimuth, elevation)| direction(azimuth, elevation) * EYE_DISTANCE)
+            .collect()
+    };
+    let (training, testing) = (request.training(), request.testing());
+    let still =
+        |eyes: Vec<Vector3<f64>>| -> Vec<Shot> { eyes.into_iter().map(|eye| Shot { eye, lamp: None }).collect() };
+    if request.capture != Capture::Olat {
+        return Shots {
+            train: still(eyes(training, phase)),
+            near: still(eyes(testing, phase + 1.0)),
+            far: Vec::new(),
+        };
+    }
+    // Lamps keep out of a sector of azimuths; those far from them stand in its middle half.
+    let dark = dice.between(0.0, 2.0 * PI);
+    let lit = |share: f64| dark + DARK_SECTOR + share * (2.0 * PI - 2.0 * DARK_SECTOR);
+    let mut lamps: Vec<Vector3<f64>> = dome(training, 0.0, 0.3, 0.98)
+        .into_iter()
+        .map(|(azimuth, elevation)| direction(lit(azimuth / (2.0 * PI)), elevation) * LAMP_DISTANCE)
+        .collect();
+    // Neighbours of a camera see the object under unlike lamps.
+    for i in (1..lamps.len()).rev() {
+        let other = (dice.between(0.0, 1.0) * (i + 1) as f64) as usize;
+        lamps.swap(i, other.min(i));
+    }
+    let far_count = testing / 2;
+    let near = eyes(testing - far_count, phase + 1.0).into_iter().map(|eye| {
+        let lamp = lamps[(dice.between(0.0, 1.0) * training as f64) as usize % training];
+        let aside = Vector3::new(
+            dice.between(-1.0, 1.0),
+            dice.between(-1.0, 1.0),
+            dice.between(-1.0, 1.0),
+        );
+        let moved = lamp.normalize() + aside.cross(&lamp).normalize() * NEAR;
+        Shot {
+            eye,
+            lamp: Some(moved.normalize() * LAMP_DISTANCE),
+        }
+    });
+    let near = near.collect();
+    let far = eyes(far_count, phase + 2.0).into_iter().map(|eye| {
+        let (azimuth, elevation) = (
+            dark + 0.5 * DARK_SECTOR * dice.between(-1.0, 1.0),
+            dice.between(0.35, 0.8),
+        );
+        Shot {
+            eye,
+            lamp: Some(direction(azimuth, elevation) * LAMP_DISTANCE),
+        }
+    });
+    let far = far.collect();
+    let train = eyes(training, phase).into_iter().zip(&lamps);
+    Shots {
+        train: train.map(|(eye, &lamp)| Shot { eye, lamp: Some(lamp) }).collect(),
+        near,
+        far,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn angle_to_nearest(shot: &Shot, others: &[Shot]) -> f64 {
+        let lamp = shot.lamp.expect("a lamp").normalize();
+        let angles = others
+            .iter()
+            .map(|o| lamp.dot(&o.lamp.expect("a lamp").normalize()).clamp(-1.0, 1.0).acos());
+        angles.fold(f64::INFINITY, f64::min)
+    }
+
+    #[test]
+    fn lamps_held_out_are_near_those_of_training_or_far_from_them() {
+        for seed in 1..4 {
+            let request = ObjectRequest {
+                capture: Capture::Olat,
+                seed,
+                ..ObjectRequest::default()
+            };
+            let shots = shots(&request);
+            assert_eq!((shots.train.len(), shots.near.len(), shots.far.len()), (160, 20, 20));
+            for shot in &shots.near {
+                assert!(angle_to_nearest(shot, &shots.train) < 0.12);
+            }
+            let far: Vec<f64> = shots.far.iter().map(|s| angle_to_nearest(s, &shots.train)).collect();
+            let least = far.iter().copied().fold(f64::INFINITY, f64::min);
+            assert!(least > 0.15, "{least}");
+        }
+    }
+
+    #[test]
+    fn everything_stands_on_the_plate_and_in_sight() {
+        for seed in 1..6 {
+            let request = ObjectRequest {
+                seed,
+                ..ObjectRequest::default()
+            };
+            for part in stage(&request).parts {
+                assert!(part.solid.centre.norm() < 1.2);
+            }
+        }
+    }
+}

@@ -1,0 +1,128 @@
+//! The configuration of a run on a capture: data, not code, as for satellite scenes.
+
+use crate::satellite::config::{ConfigError, resolve};
+use heliosplat::train::TrainOptions;
+
+/// How Gaussians start.
+#[derive(Debug, Clone, PartialEq, serde::Serialize, serde::Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct StartOptions {
+    /// About as many Gaussians.
+    pub gaussians: usize,
+    /// Opacity.
+    pub opacity: f32,
+}
+
+impl Default for StartOptions {
+    fn default() -> Self {
+        Self {
+            gaussians: 8000,
+            opacity: 0.5,
+        }
+    }
+}
+
+/// What is behind the object.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Background {
+    /// White for PNG with coverage, as is common; black for EXR with coverage; else the colour of the images' borders.
+    Auto,
+    /// White.
+    White,
+    /// Black.
+    Black,
+}
+
+/// Which model explains the images.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum ModelKind {
+    /// `olat` where every image has a light and they are in different places, else `radiance`.
+    Auto,
+    /// Colours as seen from anywhere, under the light of the photographs.
+    Radiance,
+    /// What surfaces reflect of one light at a time.
+    Olat,
+}
+
+/// The model.
+#[derive(Debug, Clone, PartialEq, serde::Serialize, serde::Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct ModelOptions {
+    /// Which one.
+    pub kind: ModelKind,
+    /// Whether surfaces are glossy, in `olat`.
+    pub specular: bool,
+    /// Whether the light that reaches surfaces is traced, in `olat`.
+    pub shadow: bool,
+    /// Radius of the lights, in `olat`, in the capture's units.
+    pub light_radius: f32,
+    /// Largest degree of the spherical harmonics, 0 to 3.
+    pub sh_degree: usize,
+    /// What is behind the object.
+    pub background: Background,
+}
+
+impl Default for ModelOptions {
+    fn default() -> Self {
+        Self {
+            kind: ModelKind::Auto,
+            specular: true,
+            shadow: true,
+            light_radius: 0.0,
+            sh_degree: 3,
+            background: Background::Auto,
+        }
+    }
+}
+
+/// Everything that decides a run besides its capture.
+#[derive(Debug, Clone, PartialEq, Default, serde::Serialize, serde::Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct ObjectConfig {
+    /// Training.
+    pub train: TrainOptions,
+    /// The start.
+    pub start: StartOptions,
+    /// The model.
+    pub model: ModelOptions,
+}
+
+impl ObjectConfig {
+    /// The defaults, then the preset's file, then the `--set` pairs in their order.
+    ///
+    /// # Errors
+    /// [`ConfigError::Set`] for a key that does not exist or a value of another kind.
+    pub fn resolve(preset: &str, set: &[(String, String)], seed: u64) -> Result<Self, ConfigError> {
+        let text = match preset {
+            "fast" => include_str!("../../presets/object_fast.toml"),
+            "accurate" => include_str!("../../presets/object_accurate.toml"),
+            _ => include_str!("../../presets/object_balanced.toml"),
+        };
+        let mut config: Self = resolve(preset, text, set)?;
+        config.train.seed = seed;
+        Ok(config)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn every_preset_parses_and_asks_no_ground_of_an_object() {
+        for preset in ["fast", "balanced", "accurate"] {
+            let config = ObjectConfig::resolve(preset, &[], 3).expect("a sound preset");
+            assert_eq!((config.train.seed, config.train.consistency_weight), (3, 0.0));
+        }
+        let set = [("model.sh_degree".to_owned(), "1".to_owned())];
+        assert_eq!(
+            ObjectConfig::resolve("fast", &set, 1)
+                .expect("a known key")
+                .model
+                .sh_degree,
+            1
+        );
+    }
+}

@@ -1,0 +1,51 @@
+//! What can be wrong with a capture of an object.
+
+use std::path::PathBuf;
+
+/// Why a capture cannot be used; one line that names the file and what to do.
+#[derive(Debug, thiserror::Error)]
+pub enum CaptureError {
+    /// There is no `transforms_*.json`.
+    #[error("{0}: no transforms_train.json or transforms.json here; give a folder that holds one")]
+    NoTransforms(PathBuf),
+    /// A file that cannot be read.
+    #[error("{path}: {reason}; check that it is there and may be read")]
+    Io {
+        /// The file.
+        path: PathBuf,
+        /// What the system says.
+        reason: std::io::Error,
+    },
+    /// A `transforms` file that does not say what it should.
+    #[error("{path}: {what}; {remedy}")]
+    Transforms {
+        /// The file.
+        path: PathBuf,
+        /// What is wrong.
+        what: String,
+        /// What to do.
+        remedy: &'static str,
+    },
+    /// An image that is not usable.
+    #[error("{path}: {what}; {remedy}")]
+    Image {
+        /// The file.
+        path: PathBuf,
+        /// What is wrong.
+        what: String,
+        /// What to do.
+        remedy: &'static str,
+    },
+    /// More pixels than fit.
+    #[error(
+        "{folder}: its images take {needed_gib:.1} GiB and at most {limit_gib:.1} GiB are used; give fewer or smaller ones, or more with --memory"
+    )]
+    TooLarge {
+        /// The capture.
+        folder: PathBuf,
+        /// What they take, GiB.
+        needed_gib: f64,
+        /// What they may take, GiB.
+        limit_gib: f64,
+    },
+}

@@ -1,0 +1,200 @@
+//! From a capture to a trained model.
+
+use super::capture::{Capture, Frame};
+use super::config::{ModelKind, ObjectConfig};
+use super::pixels::Encoding;
+use super::run::{self, Kind, ObjectModel};
+use super::start::{self, Seed, Start};
+use super::views::{self, Preparation};
+use crate::cli::Session;
+use crate::satellite::budget::Budget;
+use crate::satellite::fit::{CurvePoint, Ending, FitError, train};
+use crate::scene::Split;
+use glam::{Quat, Vec3};
+use heliosplat::gaussians::Table;
+use heliosplat::model::olat::{Component, Olat, OlatOptions};
+use heliosplat::model::radiance::{Radiance, RadianceOptions};
+use heliosplat::model::{Parameters, SceneModel, View};
+use heliosplat::train::Trainer;
+use std::f32::consts::PI;
+use std::time::Instant;
+
+/// Gaussians that leave the cube that cameras see by this much of it are pruned.
+const SLACK: f32 = 1.1;
+
+/// A trained model and how it came about.
+pub struct Fitted {
+    /// The model.
+    pub model: ObjectModel,
+    /// How Gaussians started, in words.
+    pub start: &'static str,
+    /// How many did.
+    pub started: usize,
+    /// Steps done.
+    pub iterations: usize,
+    /// Steps rejected because of a number that is not finite.
+    pub rejected: usize,
+    /// Seconds before training and in it.
+    pub seconds: [f64; 2],
+    /// The course of training.
+    pub curve: Vec<CurvePoint>,
+    /// How training ended.
+    pub ending: Ending,
+}
+
+/// Which model explains a capture, and why.
+pub fn plan(capture: &Capture, wanted: ModelKind) -> (ModelKind, &'static str) {
+    if wanted != ModelKind::Auto {
+        return (wanted, "as told");
+    }
+    let lights: Vec<_> = capture
+        .of(Split::Train)
+        .map(|f| f.light.map(|light| light.position))
+        .collect();
+    match lights.first() {
+        Some(first) if lights.iter().all(Option::is_some) && lights.iter().any(|light| light != first) => (
+            ModelKind::Olat,
+            "every image has a light, and they are in different places",
+        ),
+        _ => (ModelKind::Radiance, "the images do not have lights in different places"),
+    }
+}
+
+/// What the images of `capture` are made for a model of `kind`.
+fn preparation(capture: &Capture, kind: ModelKind, config: &ObjectConfig) -> Preparation {
+    let (background, why) = views::background(capture, config.model.background);
+    tracing::info!(?background, why, "background");
+    let olat = kind == ModelKind::Olat;
+    let display = capture.frames.iter().any(|f| f.picture.encoding == Encoding::Display);
+    let intensities: Vec<[f64; 3]> = capture.frames.iter().filter_map(|f| f.light?.intensity).collect();
+    let median = |k: usize| {
+        let mut values: Vec<f64> = intensities.iter().map(|i| i[k]).filter(|&i| i > 0.0).collect();
+        values.sort_by(f64::total_cmp);
+        values.get(values.len() / 2).copied().unwrap_or(1.0)
+    };
+    Preparation {
+        background,
+        coverage: capture.has_coverage(),
+        // Light adds up in linear values only.
+        linear: olat && display,
+        unit_light: (olat && !intensities.is_empty()).then(|| [median(0), median(1), median(2)]),
+    }
+}
+
+/// The model of a capture, and its parameters at the start.
+fn begin(
+    capture: &Capture,
+    kind: ModelKind,
+    config: &ObjectConfig,
+    preparation: &Preparation,
+    start: &Start,
+) -> (Kind, Parameters) {
+    let Preparation {
+        background, coverage, ..
+    } = *preparation;
+    if kind != ModelKind::Olat {
+        let options = RadianceOptions {
+            degree: config.model.sh_degree,
+            background,
+            coverage,
+        };
+        let mut gaussians = start::gaussians(
+            start,
+            config.start.opacity,
+            Radiance::new(options.clone()).feature_groups(),
+        );
+        for (i, seed) in start.seeds.iter().enumerate() {
+            Radiance::paint(&mut gaussians, i, seed.colour);
+        }
+        let globals = Table::zeros(Vec::new(), 1);
+        return (Kind::Radiance(options), Parameters { gaussians, globals });
+    }
+    let mut distances: Vec<f64> = capture
+        .of(Split::Train)
+        .filter_map(|f| Some((f.light?.position - capture.centre).length()))
+        .collect();
+    distances.sort_by(f64::total_cmp);
+    let options = OlatOptions {
+        specular: config.model.specular,
+        shadow: config.model.shadow,
+        background,
+        coverage,
+        distance: distances.get(distances.len() / 2).map_or(1.0, |&d| d as f32),
+        radius: config.model.light_radius,
+        shows: Component::All,
+    };
+    let model = Olat::new(options.clone());
+    let mut gaussians = start::gaussians(start, config.start.opacity, model.feature_groups());
+    for (i, seed) in start.seeds.iter().enumerate() {
+        // Seen in the median under slanting light and often in shadow.
+        let colour = seed.colour.map(|c| (2.0 * PI * c).clamp(0.05, 3.0));
+        model.paint(&mut gaussians, i, colour, frame_of(seed));
+    }
+    let globals = model.initial_globals();
+    (Kind::Olat(options), Parameters { gaussians, globals })
+}
+
+/// The quaternion that turns the z axis to a seed's normal.
+fn frame_of(seed: &Seed) -> [f32; 4] {
+    let normal = if seed.normal == Vec3::ZERO {
+        Vec3::Z
+    } else {
+        seed.normal
+    };
+    Quat::from_rotation_arc(Vec3::Z, normal).to_array()
+}
+
+/// Fits a model to `capture`.
+///
+/// # Errors
+/// [`FitError`] when training gives up.
+pub fn fit(
+    capture: &Capture,
+    config: &ObjectConfig,
+    session: &Session,
+    budget: Option<Budget>,
+) -> Result<Fitted, FitError> {
+    let begun = Instant::now();
+    let (kind, why) = plan(capture, config.model.kind);
+    tracing::info!(?kind, why, "model");
+    let preparation = preparation(capture, kind, config);
+    let frames: Vec<&Frame> = capture.of(Split::Train).collect();
+    let start = start::start(
+        &frames,
+        capture.centre,
+        capture.half_size,
+        &config.start,
+        config.train.seed,
+    );
+    tracing::info!(gaussians = start.seeds.len(), how = start.how, "start");
+    let (kind, parameters) = begin(capture, kind, config, &preparation, &start);
+    let model = kind.model();
+    let views: Vec<View> = frames
+        .iter()
+        .enumerate()
+        .filter_map(|(i, frame)| views::view(frame, capture.centre, &preparation, i))
+        .collect();
+    let mut options = config.train.clone().for_views(views.len());
+    options.gsd_m = capture.pixel_size as f32;
+    let steps = options.iterations;
+    let reach = Vec3::splat(SLACK * capture.half_size as f32);
+    let started = start.seeds.len();
+    let prepared = begun.elapsed();
+    let trainer = Trainer::new(&*model, views, parameters, options, (-reach, reach), None)?;
+    let trained = train(trainer, steps, session, budget)?;
+    let file = run::file(capture, config, kind, preparation, trained.parameters.globals.clone());
+    Ok(Fitted {
+        model: ObjectModel {
+            model: file.kind.model(),
+            parameters: trained.parameters,
+            file,
+        },
+        start: start.how,
+        started,
+        iterations: trained.early_stop.steps,
+        rejected: trained.rejected,
+        seconds: [prepared.as_secs_f64(), (begun.elapsed() - prepared).as_secs_f64()],
+        curve: trained.curve,
+        ending: trained.ending,
+    })
+}

@@ -1,0 +1,178 @@
+//! How well a model shows what it was not shown.
+
+use super::capture::{Capture, Frame};
+use super::pixels::Encoding;
+use super::run::{Kind, ObjectImage, ObjectModel};
+use super::views::Preparation;
+use crate::evaluate::image::{ImageScore, score_image};
+use crate::raster::RasterError;
+use crate::raster::preview::write_png;
+use crate::scene::Split;
+use heliosplat::Raster;
+use image::{Rgb, RgbImage};
+use serde_json::{Value, json};
+use std::path::Path;
+
+/// Lights further than this from every light of training are far from them, radians: 8.6 degrees.
+const FAR_RAD: f64 = 0.15;
+
+/// A frame and what the model shows in its place.
+pub struct Compared {
+    /// The image, in front of the model's background.
+    pub truth: Raster,
+    /// What the model shows.
+    pub rendered: Raster,
+    /// Their likeness; `None` where nothing is known in both.
+    pub score: Option<ImageScore>,
+}
+
+/// Compares a frame with what the model shows. Display images are compared in what a display can show, 0 to 1.
+pub fn compare(model: &ObjectModel, frame: &Frame) -> Option<Compared> {
+    let preparation = Preparation {
+        coverage: false,
+        ..model.file.preparation
+    };
+    let truth = preparation.image(&frame.picture);
+    let mut rendered = model.render(&ObjectImage::from(frame))?;
+    if !is_linear(model) {
+        rendered.values.iter_mut().for_each(|v| *v = v.clamp(0.0, 1.0));
+    }
+    Some(Compared {
+        score: score_image(&rendered, &truth, None),
+        truth,
+        rendered,
+    })
+}
+
+/// Whether a model's values are in proportion to light.
+fn is_linear(model: &ObjectModel) -> bool {
+    model.file.encoding == Encoding::Linear || model.file.preparation.linear
+}
+
+/// Mean scores of images; with `folder`, each image beside what the model shows is written there.
+fn scores(model: &ObjectModel, frames: &[&Frame], folder: Option<&Path>) -> Result<Option<ImageScore>, RasterError> {
+    let mut all = Vec::new();
+    for frame in frames {
+        let Some(compared) = compare(model, frame) else {
+            continue;
+        };
+        if let Some(folder) = folder {
+            let pair = beside(&picture(&compared.truth, model), &picture(&compared.rendered, model));
+            write_png(&folder.join(format!("{}.png", file_name(&frame.name))), &pair)?;
+        }
+        all.extend(compared.score);
+    }
+    let mean = |pick: fn(&ImageScore) -> f64| all.iter().map(pick).sum::<f64>() / all.len() as f64;
+    Ok((!all.is_empty()).then(|| ImageScore {
+        psnr: mean(|s| s.psnr),
+        psnr_rgb: None,
+        ssim: mean(|s| s.ssim),
+    }))
+}
+
+/// Name of the picture of an image.
+pub fn file_name(name: &str) -> String {
+    name.replace(['/', '\\'], "_")
+}
+
+/// A picture of what a model shows, or should.
+pub fn picture(raster: &Raster, model: &ObjectModel) -> RgbImage {
+    let linear = is_linear(model);
+    let byte = |value: f32| {
+        let x = if value.is_finite() { value.clamp(0.0, 1.0) } else { 0.0 };
+        // The curve of sRGB (IEC 61966-2-1).
+        let shown = match linear {
+            true if x <= 0.003_130_8 => 12.92 * x,
+            true => 1.055 * x.powf(1.0 / 2.4) - 0.055,
+            false => x,
+        };
+        (shown * 255.0).round() as u8
+    };
+    RgbImage::from_fn(raster.width as u32, raster.height as u32, |col, row| {
+        Rgb([0, 1, 2].map(|k| byte(raster.at(k, col as usize, row as usize))))
+    })
+}
+
+fn beside(left: &RgbImage, right: &RgbImage) -> RgbImage {
+    let width = left.width();
+    RgbImage::from_fn(width + right.width(), left.height(), |col, row| {
+        *if col < width {
+            left.get_pixel(col, row)
+        } else {
+            right.get_pixel(col - width, row)
+        }
+    })
+}
+
+/// `metrics.json` of a model, as far as images tell.
+///
+/// # Errors
+/// When a picture cannot be written.
+pub fn metrics(model: &ObjectModel, capture: &Capture, pictures: Option<&Path>) -> Result<Value, RasterError> {
+    let (train, test): (Vec<&Frame>, Vec<&Frame>) =
+        (capture.of(Split::Train).collect(), capture.of(Split::Test).collect());
+    let score = |frames: &[&Frame], folder| -> Result<Option<Value>, RasterError> {
+        let found = scores(model, frames, folder)?;
+        Ok(found.map(|s| json!({"psnr": s.psnr, "ssim": s.ssim, "images": frames.len()})))
+    };
+    let mut metrics = json!({
+        "model": model.model.name(),
+        "gaussians": model.parameters.gaussians.count,
+        "values": if is_linear(model) { Encoding::Linear } else { Encoding::Display },
+        "background": model.file.preparation.background,
+    });
+    let mut add = |at: &str, key: &str, found: Option<Value>| {
+        if let (Some(found), Some(place)) = (found, metrics.pointer_mut(at)) {
+            place[key] = found;
+        }
+    };
+    add("", "train", score(&train, None)?);
+    add("", "test", score(&test, pictures)?);
+    if matches!(model.file.kind, Kind::Olat(_)) {
+        let is_far = |frame: &&Frame| nearest_light_rad(frame, &train, capture).is_some_and(|angle| angle > FAR_RAD);
+        let (far, near): (Vec<&Frame>, Vec<&Frame>) = test.iter().copied().partition(is_far);
+        add("/test", "near", score(&near, None)?);
+        add("/test", "far", score(&far, None)?);
+    }
+    Ok(metrics)
+}
+
+/// Angle between the light of a frame and the nearest light of others, as the capture's centre sees them, radians.
+fn nearest_light_rad(frame: &Frame, others: &[&Frame], capture: &Capture) -> Option<f64> {
+    let toward = |frame: &Frame| Some((frame.light?.position - capture.centre).normalize());
+    let own = toward(frame)?;
+    let angles = others
+        .iter()
+        .filter_map(|other| Some(own.angle_between(toward(other)?)));
+    angles.min_by(f64::total_cmp)
+}
+
+/// The metrics for people.
+pub fn summary(metrics: &Value) -> String {
+    let number = |path: &str| metrics.pointer(path).and_then(Value::as_f64);
+    let values = metrics.get("values").and_then(Value::as_str).unwrap_or("display");
+    let mut lines = Vec::new();
+    if let Some(count) = number("/gaussians") {
+        lines.push(format!("Gaussians      {count}"));
+    }
+    if let Some(seconds) = number("/seconds") {
+        lines.push(format!("seconds        {seconds:.1}"));
+    }
+    if let Some(psnr) = number("/train/psnr") {
+        lines.push(format!("training views PSNR {psnr:.2} dB"));
+    }
+    if let (Some(psnr), Some(ssim)) = (number("/test/psnr"), number("/test/ssim")) {
+        lines.push(format!(
+            "held out       PSNR {psnr:.2} dB, SSIM {ssim:.4} ({values} values, whole images)"
+        ));
+    }
+    for (name, at) in [
+        ("near lights of training", "/test/near"),
+        ("far from them", "/test/far"),
+    ] {
+        if let (Some(psnr), Some(images)) = (number(&format!("{at}/psnr")), number(&format!("{at}/images"))) {
+            lines.push(format!("    {name:<24} PSNR {psnr:.2} dB, {images} images"));
+        }
+    }
+    lines.join("\n")
+}

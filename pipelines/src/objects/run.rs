@@ -1,0 +1,311 @@
+//! The folder of a run on a capture: `run.toml`, `model.ply`, `model.json`, `metrics.json`, `views/`.
+
+use super::capture::{Capture, Frame};
+use super::config::ObjectConfig;
+use super::pinhole::Pinhole;
+use super::pixels::Encoding;
+use super::ply;
+use super::transforms::PointLight;
+use super::views::Preparation;
+use crate::raster::write::write_atomically;
+use crate::run::{Input, RunError};
+use crate::scene::Split;
+use glam::DVec3;
+use heliosplat::Raster;
+use heliosplat::gaussians::Table;
+use heliosplat::light::Light;
+use heliosplat::model::olat::{Component, Olat, OlatOptions};
+use heliosplat::model::radiance::{Radiance, RadianceOptions};
+use heliosplat::model::{Parameters, SceneModel};
+use heliosplat::render::{PassOptions, render};
+use heliosplat::splat::ProjectionOptions;
+use heliosplat::trace::TraceOptions;
+use std::path::{Path, PathBuf};
+
+/// Version of `model.json`.
+pub const SCHEMA: u32 = 1;
+
+/// A kind of model, and what it is made of.
+#[derive(Debug, Clone, PartialEq, serde::Serialize, serde::Deserialize)]
+#[serde(tag = "model", content = "options", rename_all = "snake_case")]
+pub enum Kind {
+    /// Colours as seen from anywhere.
+    Radiance(RadianceOptions),
+    /// What surfaces reflect of one light at a time.
+    Olat(OlatOptions),
+}
+
+impl Kind {
+    /// The model itself.
+    pub fn model(&self) -> Box<dyn SceneModel> {
+        match self {
+            Self::Radiance(options) => Box::new(Radiance::new(options.clone())),
+            Self::Olat(options) => Box::new(Olat::new(options.clone())),
+        }
+    }
+
+    /// The same, of which only a part of the light is shown; `None` where a model knows no parts.
+    pub fn showing(&self, shows: Component) -> Option<Self> {
+        match self {
+            Self::Radiance(_) => None,
+            Self::Olat(options) => Some(Self::Olat(OlatOptions {
+                shows,
+                ..options.clone()
+            })),
+        }
+    }
+}
+
+/// One image as the model knows it.
+#[derive(Debug, Clone, PartialEq, serde::Serialize, serde::Deserialize)]
+pub struct ObjectImage {
+    /// Its name.
+    pub name: String,
+    /// Train or test.
+    pub split: Split,
+    /// Its camera, in the frame of the capture.
+    pub camera: Pinhole,
+    /// Its light, if known.
+    pub light: Option<PointLight>,
+}
+
+impl From<&Frame> for ObjectImage {
+    fn from(frame: &Frame) -> Self {
+        Self {
+            name: frame.name.clone(),
+            split: frame.split,
+            camera: frame.camera,
+            light: frame.light,
+        }
+    }
+}
+
+/// `model.json`: all of a model besides its Gaussians.
+#[derive(Debug, Clone, PartialEq, serde::Serialize, serde::Deserialize)]
+pub struct ObjectFile {
+    /// Version of this layout.
+    pub schema: u32,
+    /// Kind of model.
+    #[serde(flatten)]
+    pub kind: Kind,
+    /// What all Gaussians share.
+    pub globals: Table,
+    /// Origin of the model in the frame of the cameras; `model.ply` counts from here.
+    pub centre: DVec3,
+    /// Half of the side of the cube that cameras see.
+    pub half_size: f64,
+    /// Width of a pixel at the centre.
+    pub pixel_size: f64,
+    /// What pixel values are.
+    pub encoding: Encoding,
+    /// How images became what the model was trained on.
+    pub preparation: Preparation,
+    /// How Gaussians become splats.
+    pub projection: ProjectionOptions,
+    /// How light is traced.
+    pub trace: TraceOptions,
+    /// The images.
+    pub images: Vec<ObjectImage>,
+}
+
+/// `run.toml`.
+#[derive(Debug, Clone, PartialEq, serde::Serialize, serde::Deserialize)]
+pub struct ObjectRun {
+    /// Version of the program.
+    pub version: String,
+    /// Preset the configuration started from.
+    pub preset: String,
+    /// Seed of everything random.
+    pub seed: u64,
+    /// The capture.
+    pub capture: PathBuf,
+    /// The images, hashed.
+    pub inputs: Vec<Input>,
+    /// The resolved configuration.
+    pub config: ObjectConfig,
+}
+
+/// A model and all that is known of it.
+pub struct ObjectModel {
+    /// What `model.json` says.
+    pub file: ObjectFile,
+    /// The model.
+    pub model: Box<dyn SceneModel>,
+    /// Its parameters.
+    pub parameters: Parameters,
+}
+
+impl ObjectModel {
+    /// What a camera sees: red, green and blue, in front of the model's background, under the image's light. `None` when the model
+    /// lies behind it.
+    pub fn render(&self, image: &ObjectImage) -> Option<Raster> {
+        self.render_as(&*self.model, image)
+    }
+
+    /// The same under other lights, which add up; a light without intensity is as strong as those of the capture.
+    pub fn relit(&self, image: &ObjectImage, lights: &[Light]) -> Option<Raster> {
+        let behind = self.file.preparation.background;
+        let mut sum: Option<Raster> = None;
+        for &light in lights {
+            let (seen, alpha) = self.look(&*self.model, &image.camera, Some(light))?;
+            sum = Some(match sum {
+                None => seen,
+                Some(mut sum) => {
+                    for (k, behind) in behind.into_iter().enumerate() {
+                        let parts = seen.plane(k).iter().zip(&alpha);
+                        for (value, (more, alpha)) in sum.plane_mut(k).iter_mut().zip(parts) {
+                            *value += more - (1.0 - alpha) * behind;
+                        }
+                    }
+                    sum
+                }
+            });
+        }
+        sum
+    }
+
+    /// The same by another model of the same parameters.
+    pub fn render_as(&self, model: &dyn SceneModel, image: &ObjectImage) -> Option<Raster> {
+        let light = image
+            .light
+            .map(|light| Light::Point((light.position - self.file.centre).as_vec3()));
+        let (mut seen, alpha) = self.look(model, &image.camera, light)?;
+        let behind = self.file.preparation.background;
+        for (k, strength) in self
+            .file
+            .preparation
+            .strength(image.light.as_ref())
+            .into_iter()
+            .enumerate()
+        {
+            if strength != 1.0 {
+                for (value, alpha) in seen.plane_mut(k).iter_mut().zip(&alpha) {
+                    let open = (1.0 - alpha) * behind[k];
+                    *value = (*value - open) * strength + open;
+                }
+            }
+        }
+        Some(seen)
+    }
+
+    /// Red, green and blue that a camera sees under a light of strength one, and the coverage.
+    fn look(&self, model: &dyn SceneModel, camera: &Pinhole, light: Option<Light>) -> Option<(Raster, Vec<f32>)> {
+        let camera = camera.projective(self.file.centre)?;
+        let options = PassOptions {
+            projection: self.file.projection,
+            trace: self.file.trace,
+            ..PassOptions::default()
+        };
+        let rendering = render(model, &self.parameters, &camera, light, None, options);
+        let mut seen = rendering.image;
+        seen.values.truncate(3 * seen.plane_len());
+        seen.bands = 3;
+        Some((seen, rendering.maps.alpha))
+    }
+}
+
+fn damaged(path: &Path, reason: impl ToString) -> RunError {
+    RunError::Damaged {
+        path: path.to_owned(),
+        reason: reason.to_string(),
+    }
+}
+
+/// Whether a folder holds a run on a capture, finished or not.
+pub fn is_object_run(folder: &Path) -> bool {
+    let text = std::fs::read_to_string(folder.join("run.toml")).unwrap_or_default();
+    text.parse::<toml::Table>()
+        .is_ok_and(|table| table.contains_key("capture"))
+}
+
+/// `model.json` of a training.
+pub fn file(
+    capture: &Capture,
+    config: &ObjectConfig,
+    kind: Kind,
+    preparation: Preparation,
+    globals: Table,
+) -> ObjectFile {
+    ObjectFile {
+        schema: SCHEMA,
+        kind,
+        globals,
+        centre: capture.centre,
+        half_size: capture.half_size,
+        pixel_size: capture.pixel_size,
+        encoding: capture.frames.first().map_or(Encoding::Display, |f| f.picture.encoding),
+        preparation,
+        projection: config.train.projection,
+        trace: config.train.trace,
+        images: capture.frames.iter().map(ObjectImage::from).collect(),
+    }
+}
+
+/// Writes a run into `folder`, which must exist; `model.json` last, which makes the run a run.
+///
+/// # Errors
+/// When a file cannot be written.
+pub fn save(folder: &Path, run: &ObjectRun, model: &ObjectModel) -> Result<(), RunError> {
+    write_atomically(&folder.join("model.ply"), &ply::encode(&model.parameters.gaussians))?;
+    let path = folder.join("run.toml");
+    let text = toml::to_string_pretty(run).map_err(|e| damaged(&path, e))?;
+    write_atomically(&path, text.as_bytes())?;
+    let path = folder.join("model.json");
+    let text = serde_json::to_string_pretty(&model.file).map_err(|e| damaged(&path, e))?;
+    write_atomically(&path, text.as_bytes())?;
+    Ok(())
+}
+
+fn read(path: &Path) -> Result<Vec<u8>, RunError> {
+    std::fs::read(path).map_err(|reason| RunError::Io {
+        path: path.to_owned(),
+        reason,
+    })
+}
+
+/// The `run.toml` of a run.
+///
+/// # Errors
+/// When it is missing or damaged.
+pub fn load_run(folder: &Path) -> Result<ObjectRun, RunError> {
+    let path = folder.join("run.toml");
+    let text = String::from_utf8(read(&path)?).map_err(|e| damaged(&path, e))?;
+    toml::from_str(&text).map_err(|e| damaged(&path, e.message()))
+}
+
+/// The model of a run.
+///
+/// # Errors
+/// When a file is missing or damaged.
+pub fn load(folder: &Path) -> Result<ObjectModel, RunError> {
+    let path = folder.join("model.json");
+    if !path.is_file() {
+        return Err(RunError::NotARun(folder.to_owned()));
+    }
+    let file: ObjectFile = serde_json::from_slice(&read(&path)?).map_err(|e| damaged(&path, e))?;
+    if file.schema != SCHEMA {
+        return Err(damaged(&path, format!("schema {} is not known", file.schema)));
+    }
+    let model = file.kind.model();
+    let expected = Table::zeros(model.global_groups(), 1);
+    let shape = |table: &Table| -> Vec<(String, usize)> {
+        table
+            .groups
+            .iter()
+            .map(|g| (g.spec.name.clone(), g.values.len()))
+            .collect()
+    };
+    if shape(&file.globals) != shape(&expected) || !file.globals.is_finite() {
+        return Err(damaged(&path, "its shared parameters do not fit its options"));
+    }
+    let ply_path = folder.join("model.ply");
+    let gaussians = ply::decode(&read(&ply_path)?, model.feature_groups()).map_err(|e| damaged(&ply_path, e))?;
+    Ok(ObjectModel {
+        parameters: Parameters {
+            gaussians,
+            globals: file.globals.clone(),
+        },
+        model,
+        file,
+    })
+}

@@ -1,0 +1,311 @@
+//! One light at a time: what a surface reflects of a point light, and how much of that light reaches it.
+//!
+//! After SSD-GS (2026) and GS³ (Bi et al. 2024), per Gaussian and evaluated at its centre, for a light of unit strength
+//!
+//! ```text
+//! C = (c_d f_d + c_s f_s) S · D² / (d² + r²)
+//! f_d = cosE(n·ω_i) / π                    cosE(c) = (ELU(c) + t) / (1 + t): a cosine with a gradient on the dark side
+//! f_s = Σ_j a_j G_j(h) · F(ω_i·h) · cosE(n·ω_i)        eight lobes that all share, Schlick's F with F0 = 0.04
+//! ```
+//!
+//! `S` is the transmittance toward the light, `d` its distance, `r` its radius, `D` the distance at which a light counts as one.
+//! The normal `n` and the lobes' frames turn with a frame per Gaussian of its own. Lights add up, so strength and colour of a light
+//! multiply its image: the model itself knows lights of strength one. Parallel light has no distance and falls off nowhere.
+
+mod surface;
+
+use super::over::{COLOURS, over, over_backward};
+use super::shadow_gs::{softplus, softplus_inverse};
+use super::{Context, NamedLoss, Parameters, SceneModel, Seen};
+use crate::gaussians::{FEATURES, GroupSpec, POSITION, Table, sigmoid};
+use crate::raster::Raster;
+use crate::splat::{MapGradients, Maps};
+use rayon::prelude::*;
+use surface::{Lobes, Place, Surface, SurfaceGradient};
+
+/// Lobes that all Gaussians share.
+pub const LOBES: usize = 8;
+/// Index of the group of diffuse colours, before the softplus.
+pub const DIFFUSE: usize = FEATURES;
+/// Index of the group of frames: quaternion `x, y, z, w` that turns the surface's own z axis to its normal.
+pub const FRAME: usize = FEATURES + 1;
+/// Index of the group of glossy colours, before the softplus.
+pub const SPECULAR: usize = FEATURES + 2;
+/// Index of the group of the lobes' weights, before the softplus.
+pub const WEIGHT: usize = FEATURES + 3;
+/// Indices of the shared groups: frames, relative widths and widths of the lobes.
+const LOBE_FRAME: usize = 0;
+const LOBE_SCALE: usize = 1;
+const LOBE_SIGMA: usize = 2;
+/// Share of training from which on gloss joins (SSD-GS: 16 of 100).
+const SPECULAR_FROM: f32 = 0.16;
+/// Share of training from which on the lobes change their shape (SSD-GS: 22 of 100).
+const LOBES_FROM: f32 = 0.22;
+/// Gloss before it joins: as good as none.
+const NO_GLOSS: f32 = 0.02;
+
+/// What the model is made of.
+#[derive(Debug, Clone, PartialEq, serde::Serialize, serde::Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct OlatOptions {
+    /// Whether surfaces are glossy.
+    pub specular: bool,
+    /// Whether the light that reaches a surface is traced.
+    pub shadow: bool,
+    /// Colour behind everything.
+    pub background: [f32; 3],
+    /// Whether images have coverage as a fourth band.
+    pub coverage: bool,
+    /// Distance at which a light of strength one counts as one.
+    pub distance: f32,
+    /// Radius of the lights.
+    pub radius: f32,
+    /// What is shown of the light that surfaces reflect.
+    pub shows: Component,
+}
+
+/// Parts of the light.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, serde::Serialize, serde::Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Component {
+    /// All of it.
+    #[default]
+    All,
+    /// What is reflected evenly, in shadow too.
+    Diffuse,
+    /// What is reflected as by a mirror, in shadow too.
+    Specular,
+    /// How much of the light arrives.
+    Shadow,
+}
+
+impl Default for OlatOptions {
+    fn default() -> Self {
+        Self {
+            specular: true,
+            shadow: true,
+            background: [0.0; 3],
+            coverage: false,
+            distance: 1.0,
+            radius: 0.0,
+            shows: Component::All,
+        }
+    }
+}
+
+/// The model.
+#[derive(Debug, Clone)]
+pub struct Olat {
+    /// What it is made of.
+    pub options: OlatOptions,
+}
+
+impl Olat {
+    /// A model of these options.
+    pub fn new(options: OlatOptions) -> Self {
+        Self { options }
+    }
+
+    /// Shared parameters at the start: lobes around the normal, from narrow to wide.
+    pub fn initial_globals(&self) -> Table {
+        let mut table = Table::zeros(self.global_groups(), 1);
+        if self.options.specular {
+            for j in 0..LOBES {
+                table.group_mut(LOBE_FRAME)[j * 4 + 3] = 1.0;
+                // Widths of 2.5 and 1 of ten (GS³).
+                table.group_mut(LOBE_SCALE)[j * 2..j * 2 + 2].copy_from_slice(&[-1.098_61, -2.197_2]);
+            }
+        }
+        table
+    }
+
+    /// Sets what Gaussian `g` is at the start: its diffuse colour and its frame.
+    pub fn paint(&self, gaussians: &mut Table, g: usize, colour: [f32; 3], frame: [f32; 4]) {
+        for (k, value) in colour.into_iter().enumerate() {
+            gaussians.group_mut(DIFFUSE)[g * COLOURS + k] = softplus_inverse(value.max(1e-3));
+        }
+        gaussians.group_mut(FRAME)[g * 4..g * 4 + 4].copy_from_slice(&frame);
+        if self.options.specular {
+            gaussians.group_mut(SPECULAR)[g * COLOURS..(g + 1) * COLOURS].fill(softplus_inverse(NO_GLOSS));
+        }
+    }
+
+    fn lobes(&self, globals: &Table) -> Option<Lobes> {
+        self.options.specular.then(|| {
+            Lobes::new(
+                globals.group(LOBE_FRAME),
+                globals.group(LOBE_SCALE),
+                globals.group(LOBE_SIGMA),
+            )
+        })
+    }
+
+    fn surface(&self, gaussians: &Table, g: usize) -> Surface {
+        let part = |group: usize, width: usize| &gaussians.group(group)[g * width..(g + 1) * width];
+        let positive = |values: &[f32], k: usize| softplus(values[k]);
+        let frame = part(FRAME, 4);
+        let mut surface = Surface {
+            diffuse: std::array::from_fn(|k| positive(part(DIFFUSE, COLOURS), k)),
+            frame: [frame[0], frame[1], frame[2], frame[3]],
+            specular: [0.0; COLOURS],
+            weights: [0.0; LOBES],
+        };
+        if self.options.specular {
+            surface.specular = std::array::from_fn(|k| positive(part(SPECULAR, COLOURS), k));
+            surface.weights = std::array::from_fn(|j| positive(part(WEIGHT, LOBES), j));
+        }
+        surface
+    }
+
+    fn place(&self, context: &Context, g: usize) -> Option<Place> {
+        let position = context.parameters.gaussians.position(g);
+        let light = context.light?;
+        Some(Place::new(
+            position,
+            &light,
+            context.camera,
+            self.options.distance,
+            self.options.radius,
+        ))
+    }
+}
+
+impl SceneModel for Olat {
+    fn name(&self) -> &'static str {
+        "olat"
+    }
+
+    fn feature_groups(&self) -> Vec<GroupSpec> {
+        let mut groups = vec![GroupSpec::new("diffuse", COLOURS), GroupSpec::new("frame", 4)];
+        if self.options.specular {
+            groups.push(GroupSpec::new("specular", COLOURS));
+            groups.push(GroupSpec::new("lobe_weight", LOBES));
+        }
+        groups
+    }
+
+    fn global_groups(&self) -> Vec<GroupSpec> {
+        if !self.options.specular {
+            return Vec::new();
+        }
+        vec![
+            GroupSpec::new("lobe_frame", LOBES * 4),
+            GroupSpec::new("lobe_scale", LOBES * 2),
+            GroupSpec::new("lobe_sigma", LOBES),
+        ]
+    }
+
+    fn learning_rate(&self, group: &str, progress: f32) -> f32 {
+        let from = |start: f32, rate: f32| if progress >= start { rate } else { 0.0 };
+        match group {
+            "diffuse" => 1e-2,
+            "frame" => 1e-2,
+            "specular" | "lobe_weight" => from(SPECULAR_FROM, 1e-2),
+            _ => from(LOBES_FROM, 5e-3),
+        }
+    }
+
+    fn channels(&self) -> usize {
+        COLOURS
+    }
+
+    fn needs_transmittance(&self) -> bool {
+        self.options.shadow
+    }
+
+    fn features(&self, context: &Context, seen: &Seen, out: &mut [f32]) {
+        let (gaussians, lobes) = (&context.parameters.gaussians, self.lobes(&context.parameters.globals));
+        let shows = self.options.shows;
+        out.par_chunks_mut(seen.stride)
+            .with_min_len(256)
+            .enumerate()
+            .for_each(|(s, feature)| {
+                let g = seen.projected.gaussian[s] as usize;
+                let lit = seen.transmittance[s];
+                // Without a light it is dark.
+                let Some(place) = self.place(context, g) else { return };
+                let surface = self.surface(gaussians, g);
+                let shaded = surface.shade(lobes.as_ref(), &place);
+                for k in 0..COLOURS {
+                    feature[k] = match shows {
+                        Component::All => (shaded.diffuse[k] + shaded.specular[k]) * lit * place.falling,
+                        Component::Diffuse => shaded.diffuse[k] * place.falling,
+                        Component::Specular => shaded.specular[k] * place.falling,
+                        Component::Shadow => lit,
+                    };
+                }
+            });
+    }
+
+    fn features_backward(
+        &self,
+        context: &Context,
+        seen: &Seen,
+        d_features: &[f32],
+        grads: &mut Parameters,
+        d_transmittance: &mut [f32],
+    ) {
+        let (gaussians, lobes) = (&context.parameters.gaussians, self.lobes(&context.parameters.globals));
+        let parts: Vec<SurfaceGradient> = d_features
+            .par_chunks(seen.stride)
+            .with_min_len(256)
+            .enumerate()
+            .map(|(s, d)| {
+                let g = seen.projected.gaussian[s] as usize;
+                let Some(place) = self.place(context, g) else {
+                    return SurfaceGradient::default();
+                };
+                let surface = self.surface(gaussians, g);
+                surface.shade_backward(lobes.as_ref(), &place, seen.transmittance[s], [d[0], d[1], d[2]])
+            })
+            .collect();
+        for (slot, part) in d_transmittance.iter_mut().zip(&parts) {
+            *slot += part.transmittance;
+        }
+        let indices = &seen.projected.gaussian;
+        let table = &mut grads.gaussians;
+        let add = |slots: &mut [f32], values: &[f32]| slots.iter_mut().zip(values).for_each(|(s, v)| *s += v);
+        table.add_to_group(POSITION, indices, |s, slots| add(slots, &parts[s].position.to_array()));
+        table.add_to_group(FRAME, indices, |s, slots| add(slots, &parts[s].frame));
+        // Of a softplus: the sigmoid of its argument.
+        let mut through = |group: usize, values: &(dyn Fn(usize) -> [f32; LOBES] + Sync)| {
+            let width = gaussians.groups[group].spec.width;
+            table.add_to_group(group, indices, |s, slots| {
+                let g = indices[s] as usize;
+                let (raw, d) = (&gaussians.group(group)[g * width..(g + 1) * width], values(s));
+                for (k, slot) in slots.iter_mut().enumerate() {
+                    *slot += d[k] * sigmoid(raw[k]);
+                }
+            });
+        };
+        let three = |v: [f32; COLOURS]| std::array::from_fn(|k| if k < COLOURS { v[k] } else { 0.0 });
+        through(DIFFUSE, &|s| three(parts[s].diffuse));
+        if let Some(lobes) = &lobes {
+            through(SPECULAR, &|s| three(parts[s].specular));
+            through(WEIGHT, &|s| parts[s].weights);
+            let mut shared = lobes.gradients(&context.parameters.globals, &parts);
+            for (group, values) in shared.iter_mut().enumerate() {
+                add(grads.globals.group_mut(group), values);
+            }
+        }
+    }
+
+    fn compose(&self, _context: &Context, maps: &Maps) -> Raster {
+        over(maps, self.options.background, self.options.coverage)
+    }
+
+    fn compose_backward(
+        &self,
+        _context: &Context,
+        _maps: &Maps,
+        d_image: &Raster,
+        d_maps: &mut MapGradients,
+        _grads: &mut Parameters,
+    ) {
+        over_backward(d_image, self.options.background, self.options.coverage, d_maps);
+    }
+
+    fn map_losses(&self, _: &Context, _: &Maps, _: &[f32], _: &mut MapGradients) -> Vec<NamedLoss> {
+        Vec::new()
+    }
+}

@@ -1,0 +1,307 @@
+//! The light one Gaussian reflects, forward and backward.
+
+use super::LOBES;
+use crate::camera::ProjectiveCamera;
+use crate::gaussians::Table;
+use crate::gaussians::{normalised, rotation_backward, sigmoid};
+use crate::light::Light;
+use crate::model::over::COLOURS;
+use crate::model::shadow_gs::softplus;
+use crate::shade::asg::Lobe;
+use glam::{Mat3, Vec3};
+use std::f32::consts::FRAC_1_PI;
+
+/// How far the softened cosine reaches below zero.
+const SOFT: f32 = 0.01;
+/// `SOFT · (1 - 1/e)`: what makes it zero at -1.
+const SOFT_OFFSET: f32 = 0.006_321_206;
+/// Reflectance head on (Schlick 1994), that of plastics and of most that is no metal.
+const HEAD_ON: f32 = 0.04;
+/// Least length of the sum of the directions to light and eye: below it, they are opposite and nothing is reflected.
+const LEAST_SUM: f32 = 1e-3;
+/// The relative widths of a lobe reach from zero to this.
+const WIDEST: f32 = 10.0;
+
+/// A cosine that is softened below zero: value and slope.
+#[inline]
+pub(super) fn soft_cosine(c: f32) -> (f32, f32) {
+    let scale = 1.0 / (1.0 + SOFT_OFFSET);
+    if c > 0.0 {
+        ((c + SOFT_OFFSET) * scale, scale)
+    } else {
+        (
+            (SOFT * c.exp_m1() + SOFT_OFFSET).max(0.0) * scale,
+            SOFT * c.exp() * scale,
+        )
+    }
+}
+
+/// The lobes that all Gaussians share.
+pub(super) struct Lobes {
+    frames: [Mat3; LOBES],
+    shapes: [Lobe; LOBES],
+}
+
+/// Width of lobe `j` where its parameter is one: from narrow to wide (GS³).
+fn widest(j: usize) -> f32 {
+    softplus(-2.0 + 2.0 * j as f32 / (LOBES - 1) as f32)
+}
+
+impl Lobes {
+    pub(super) fn new(frames: &[f32], scales: &[f32], sigmas: &[f32]) -> Self {
+        let frame = |j: usize| Mat3::from_quat(normalised([0, 1, 2, 3].map(|k| frames[j * 4 + k])));
+        Self {
+            frames: std::array::from_fn(frame),
+            shapes: std::array::from_fn(|j| Lobe {
+                lambda: WIDEST * sigmoid(scales[j * 2]).max(1e-5),
+                mu: WIDEST * sigmoid(scales[j * 2 + 1]).max(1e-5),
+                sigma: (sigmoid(sigmas[j]) * widest(j)).max(1e-4),
+            }),
+        }
+    }
+
+    /// Gradients of the shared groups, in their order, from those of all Gaussians.
+    pub(super) fn gradients(&self, globals: &Table, parts: &[SurfaceGradient]) -> [Vec<f32>; 3] {
+        let mut out = [vec![0.0; LOBES * 4], vec![0.0; LOBES * 2], vec![0.0; LOBES]];
+        for j in 0..LOBES {
+            // One after another, in f64: the same sum for any number of threads.
+            let (mut turned, mut shape) = ([0.0f64; 9], [0.0f64; 3]);
+            for part in parts {
+                let d = &part.lobes[j];
+                for row in 0..3 {
+                    for col in 0..3 {
+                        turned[col * 3 + row] += f64::from(part.half[row] * d.direction[col]);
+                    }
+                }
+                shape.iter_mut().zip(d.shape).for_each(|(sum, d)| *sum += f64::from(d));
+            }
+            let turned = Mat3::from_cols_array(&turned.map(|d| d as f32));
+            let raw = [0, 1, 2, 3].map(|k| globals.group(0)[j * 4 + k]);
+            out[0][j * 4..j * 4 + 4].copy_from_slice(&rotation_backward(raw, turned));
+            let slope = |raw: f32| sigmoid(raw) * (1.0 - sigmoid(raw));
+            for k in 0..2 {
+                out[1][j * 2 + k] = shape[k] as f32 * WIDEST * slope(globals.group(1)[j * 2 + k]);
+            }
+            out[2][j] = shape[2] as f32 * widest(j) * slope(globals.group(2)[j]);
+        }
+        out
+    }
+}
+
+/// Where a Gaussian stands between light and eye.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Place {
+    to_light: Vec3,
+    to_eye: Vec3,
+    /// Per distance to light and eye; zero where they are infinitely far.
+    inverse_light: f32,
+    inverse_eye: f32,
+    /// How much a light of strength one counts here.
+    pub(super) falling: f32,
+    /// Its gradient to the position.
+    d_falling: Vec3,
+}
+
+impl Place {
+    pub(super) fn new(position: Vec3, light: &Light, camera: &ProjectiveCamera, distance: f32, radius: f32) -> Self {
+        let (to_light, away) = light.seen_from(position);
+        let (to_eye, inverse_eye) = match camera.eye() {
+            Some(eye) => {
+                let length = (eye - position).length().max(1e-12);
+                ((eye - position) / length, 1.0 / length)
+            }
+            None => (-camera.depth_axis, 0.0),
+        };
+        if !away.is_finite() {
+            return Self {
+                to_light,
+                to_eye,
+                inverse_light: 0.0,
+                inverse_eye,
+                falling: 1.0,
+                d_falling: Vec3::ZERO,
+            };
+        }
+        let square = (away * away + radius * radius).max(1e-12);
+        let falling = distance * distance / square;
+        Self {
+            to_light,
+            to_eye,
+            inverse_light: 1.0 / away.max(1e-12),
+            inverse_eye,
+            falling,
+            d_falling: to_light * (2.0 * away * falling / square),
+        }
+    }
+}
+
+/// A Gaussian's surface.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Surface {
+    pub(super) diffuse: [f32; COLOURS],
+    pub(super) frame: [f32; 4],
+    pub(super) specular: [f32; COLOURS],
+    pub(super) weights: [f32; LOBES],
+}
+
+/// Light reflected per light that falls in, evenly and as by a mirror.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Shaded {
+    pub(super) diffuse: [f32; COLOURS],
+    pub(super) specular: [f32; COLOURS],
+}
+
+/// What of a lobe's gradients the shared parameters need.
+#[derive(Debug, Clone, Copy, Default)]
+pub(super) struct LobePart {
+    direction: Vec3,
+    shape: [f32; 3],
+}
+
+/// Gradients of a Gaussian's surface.
+#[derive(Debug, Clone, Copy, Default)]
+pub(super) struct SurfaceGradient {
+    pub(super) diffuse: [f32; COLOURS],
+    pub(super) specular: [f32; COLOURS],
+    pub(super) weights: [f32; LOBES],
+    pub(super) frame: [f32; 4],
+    pub(super) position: Vec3,
+    pub(super) transmittance: f32,
+    /// The half vector in the surface's frame, and what the lobes make of it.
+    half: Vec3,
+    lobes: [LobePart; LOBES],
+}
+
+/// The half vector and Schlick's term.
+struct Half {
+    sum: f32,
+    direction: Vec3,
+    cosine: f32,
+    fresnel: f32,
+}
+
+impl Half {
+    fn new(place: &Place) -> Self {
+        let sum = place.to_light + place.to_eye;
+        let length = sum.length().max(LEAST_SUM);
+        let cosine = (0.5 * length).min(1.0);
+        Self {
+            sum: length,
+            direction: sum / length,
+            cosine,
+            fresnel: HEAD_ON + (1.0 - HEAD_ON) * (1.0 - cosine).powi(5),
+        }
+    }
+}
+
+impl Surface {
+    /// What the surface reflects to the eye of a light of strength one that reaches it.
+    pub(super) fn shade(&self, lobes: Option<&Lobes>, place: &Place) -> Shaded {
+        let frame = Mat3::from_quat(normalised(self.frame));
+        let (cosine, _) = soft_cosine(frame.z_axis.dot(place.to_light));
+        let gloss = lobes.map_or(0.0, |lobes| {
+            let half = Half::new(place);
+            let own = frame.transpose() * half.direction;
+            let lobe = |j: usize| self.weights[j] * lobes.shapes[j].value(lobes.frames[j].transpose() * own);
+            (0..LOBES).map(lobe).sum::<f32>() * half.fresnel
+        });
+        Shaded {
+            diffuse: self.diffuse.map(|c| c * cosine * FRAC_1_PI),
+            specular: self.specular.map(|c| c * gloss * cosine),
+        }
+    }
+
+    /// Gradients from that of the colour `(diffuse + specular) · transmittance · falling`.
+    pub(super) fn shade_backward(
+        &self,
+        lobes: Option<&Lobes>,
+        place: &Place,
+        transmittance: f32,
+        d_colour: [f32; COLOURS],
+    ) -> SurfaceGradient {
+        let frame = Mat3::from_quat(normalised(self.frame));
+        let (cosine, slope) = soft_cosine(frame.z_axis.dot(place.to_light));
+        let mut out = SurfaceGradient::default();
+        let half = Half::new(place);
+        out.half = frame.transpose() * half.direction;
+        let mut values = [0.0; LOBES];
+        let (mut gathered, mut in_frames) = (0.0, [Vec3::ZERO; LOBES]);
+        if let Some(lobes) = lobes {
+            for j in 0..LOBES {
+                in_frames[j] = lobes.frames[j].transpose() * out.half;
+                values[j] = lobes.shapes[j].value(in_frames[j]);
+                gathered += self.weights[j] * values[j];
+            }
+        }
+        let gloss = gathered * half.fresnel;
+        let arriving = transmittance * place.falling;
+        let (mut d_cosine, mut d_gloss, mut d_falling) = (0.0, 0.0, 0.0);
+        for (k, d) in d_colour.into_iter().enumerate() {
+            let per_cosine = self.diffuse[k] * FRAC_1_PI + self.specular[k] * gloss;
+            out.diffuse[k] = d * arriving * cosine * FRAC_1_PI;
+            out.specular[k] = d * arriving * cosine * gloss;
+            out.transmittance += d * per_cosine * cosine * place.falling;
+            d_falling += d * per_cosine * cosine * transmittance;
+            d_cosine += d * arriving * per_cosine;
+            d_gloss += d * arriving * cosine * self.specular[k];
+        }
+        let mut d_frame = Mat3::ZERO;
+        d_frame.z_axis = place.to_light * (d_cosine * slope);
+        let mut d_light = frame.z_axis * (d_cosine * slope);
+        let mut d_eye = Vec3::ZERO;
+        if let Some(lobes) = lobes {
+            let mut d_own = Vec3::ZERO;
+            for j in 0..LOBES {
+                let d_value = d_gloss * half.fresnel;
+                out.weights[j] = d_value * values[j];
+                let weight = d_value * self.weights[j];
+                let found = lobes.shapes[j].value_and_gradients(in_frames[j]);
+                let direction = found.direction * weight;
+                out.lobes[j] = LobePart {
+                    direction,
+                    shape: found.shape.map(|d| d * weight),
+                };
+                d_own += lobes.frames[j] * direction;
+            }
+            // own = frameᵀ · half
+            for k in 0..3 {
+                *d_frame.col_mut(k) += half.direction * d_own[k];
+            }
+            let d_half = frame * d_own;
+            let along = half.direction.dot(d_half);
+            let mut d_sum = (d_half - half.direction * along) / half.sum;
+            let rest = 1.0 - half.cosine;
+            let d_fresnel = d_gloss * gathered * -5.0 * (1.0 - HEAD_ON) * rest.powi(4);
+            // The cosine is half of the sum's length.
+            d_sum += half.direction * (0.5 * d_fresnel);
+            d_light += d_sum;
+            d_eye += d_sum;
+        }
+        out.frame = rotation_backward(self.frame, d_frame);
+        let across = |unit: Vec3, d: Vec3| d - unit * unit.dot(d);
+        out.position = place.d_falling * d_falling
+            - across(place.to_light, d_light) * place.inverse_light
+            - across(place.to_eye, d_eye) * place.inverse_eye;
+        out
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_softened_cosine_is_zero_behind_one_ahead_and_alive_between() {
+        assert!(soft_cosine(-1.0).0.abs() < 1e-7 && (soft_cosine(1.0).0 - 1.0).abs() < 1e-6);
+        assert!((soft_cosine(0.0).0 - 0.00628).abs() < 1e-5);
+        for c in [-0.95f32, -0.5, -1e-3, 1e-3, 0.7] {
+            let numeric = (soft_cosine(c + 1e-3).0 - soft_cosine(c - 1e-3).0) / 2e-3;
+            if c.abs() > 2e-3 {
+                assert!(
+                    (numeric - soft_cosine(c).1).abs() < 1e-3 && soft_cosine(c).1 > 0.0,
+                    "{c}"
+                );
+            }
+        }
+    }
+}

@@ -1,0 +1,255 @@
+//! Plain radiance: the colour of every Gaussian as seen from anywhere, under the light it was photographed in (Kerbl et al. 2023).
+//!
+//! Channels: red, green, blue, `max(0, ½ + Σ c_lm Y_lm(v))` with `v` from the camera to the centre. Per pixel
+//!
+//! ```text
+//! C = Σ w_i c_i + (1 - Σ w_i) background
+//! ```
+//!
+//! and, where the images come with their coverage, `Σ w_i` as a fourth band, so that it is learnt like a colour. Degrees of the
+//! harmonics join one after another: until its turn, a degree has a learning rate of zero.
+
+use super::over::{COLOURS, over, over_backward};
+use super::{Context, NamedLoss, Parameters, SceneModel, Seen};
+use crate::camera::ProjectiveCamera;
+use crate::gaussians::{FEATURES, GroupSpec, POSITION, Table};
+use crate::raster::Raster;
+use crate::shade::sh::{self, MAX_FUNCTIONS};
+use crate::splat::{MapGradients, Maps};
+use glam::Vec3;
+use rayon::prelude::*;
+
+/// Learning rate of the constant function.
+const RATE: f32 = 5e-3;
+/// Higher degrees learn this much slower (Kerbl et al. 2023).
+const HIGHER: f32 = 0.05;
+/// Share of training after which the next degree joins.
+const DEGREE_SHARE: f32 = 0.1;
+
+/// What the model is made of.
+#[derive(Debug, Clone, PartialEq, serde::Serialize, serde::Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct RadianceOptions {
+    /// Largest degree of the spherical harmonics, 0 to 3.
+    pub degree: usize,
+    /// Colour behind everything.
+    pub background: [f32; 3],
+    /// Whether images have coverage as a fourth band.
+    pub coverage: bool,
+}
+
+impl Default for RadianceOptions {
+    fn default() -> Self {
+        Self {
+            degree: 3,
+            background: [1.0; 3],
+            coverage: false,
+        }
+    }
+}
+
+/// The model.
+#[derive(Debug, Clone)]
+pub struct Radiance {
+    /// What it is made of.
+    pub options: RadianceOptions,
+}
+
+/// From where a Gaussian is seen: the functions in that direction, and the direction.
+struct Sight {
+    direction: Vec3,
+    inverse_distance: f32,
+}
+
+impl Sight {
+    fn new(eye: Option<Vec3>, camera: &ProjectiveCamera, position: Vec3) -> Self {
+        // Parallel rays have no eye; their direction is the same everywhere.
+        let offset = eye.map_or(camera.depth_axis, |eye| position - eye);
+        let inverse = 1.0 / offset.length().max(1e-12);
+        Self {
+            direction: offset * inverse,
+            inverse_distance: if eye.is_some() { inverse } else { 0.0 },
+        }
+    }
+}
+
+impl Radiance {
+    /// A model of these options; degrees above 3 are 3.
+    pub fn new(options: RadianceOptions) -> Self {
+        let degree = options.degree.min(sh::MAX_DEGREE);
+        Self {
+            options: RadianceOptions { degree, ..options },
+        }
+    }
+
+    /// Coefficients of Gaussian `g`, `[function][colour]`; zero beyond the model's degree.
+    fn coefficients(&self, gaussians: &Table, g: usize) -> [[f32; COLOURS]; MAX_FUNCTIONS] {
+        let mut all = [[0.0; COLOURS]; MAX_FUNCTIONS];
+        for degree in 0..=self.options.degree {
+            let count = 2 * degree + 1;
+            let values = &gaussians.group(FEATURES + degree)[g * count * COLOURS..(g + 1) * count * COLOURS];
+            for (slot, value) in all[degree * degree..].iter_mut().zip(values.chunks(COLOURS)) {
+                slot.copy_from_slice(value);
+            }
+        }
+        all
+    }
+
+    /// Sets the colour of Gaussian `g`, the same from everywhere.
+    pub fn paint(gaussians: &mut Table, g: usize, colour: [f32; 3]) {
+        for (k, value) in colour.into_iter().enumerate() {
+            gaussians.group_mut(FEATURES)[g * COLOURS + k] = (value - 0.5) / sh::C0;
+        }
+    }
+}
+
+impl SceneModel for Radiance {
+    fn name(&self) -> &'static str {
+        "radiance"
+    }
+
+    fn feature_groups(&self) -> Vec<GroupSpec> {
+        (0..=self.options.degree)
+            .map(|degree| GroupSpec::new(&format!("sh_{degree}"), (2 * degree + 1) * COLOURS))
+            .collect()
+    }
+
+    fn global_groups(&self) -> Vec<GroupSpec> {
+        Vec::new()
+    }
+
+    fn learning_rate(&self, group: &str, progress: f32) -> f32 {
+        let degree = group
+            .strip_prefix("sh_")
+            .and_then(|n| n.parse::<u8>().ok())
+            .unwrap_or(0);
+        match degree {
+            0 => RATE,
+            n if progress >= f32::from(n) * DEGREE_SHARE => RATE * HIGHER,
+            _ => 0.0,
+        }
+    }
+
+    fn channels(&self) -> usize {
+        COLOURS
+    }
+
+    fn needs_transmittance(&self) -> bool {
+        false
+    }
+
+    fn features(&self, context: &Context, seen: &Seen, out: &mut [f32]) {
+        let (gaussians, eye) = (&context.parameters.gaussians, context.camera.eye());
+        let functions = sh::functions(self.options.degree);
+        out.par_chunks_mut(seen.stride)
+            .with_min_len(1024)
+            .enumerate()
+            .for_each(|(s, feature)| {
+                let g = seen.projected.gaussian[s] as usize;
+                let sight = Sight::new(eye, context.camera, gaussians.position(g));
+                let (basis, coefficients) = (sh::basis(sight.direction), self.coefficients(gaussians, g));
+                for k in 0..COLOURS {
+                    let sum: f32 = (0..functions).map(|f| basis[f] * coefficients[f][k]).sum();
+                    feature[k] = (0.5 + sum).max(0.0);
+                }
+            });
+    }
+
+    fn features_backward(
+        &self,
+        context: &Context,
+        seen: &Seen,
+        d_features: &[f32],
+        grads: &mut Parameters,
+        _d_transmittance: &mut [f32],
+    ) {
+        let (gaussians, eye) = (&context.parameters.gaussians, context.camera.eye());
+        let functions = sh::functions(self.options.degree);
+        // Per splat: gradient to the unclamped colours, the functions, gradient to the position.
+        let parts: Vec<([f32; COLOURS], [f32; MAX_FUNCTIONS], Vec3)> = d_features
+            .par_chunks(seen.stride)
+            .with_min_len(1024)
+            .enumerate()
+            .map(|(s, d)| {
+                let g = seen.projected.gaussian[s] as usize;
+                let sight = Sight::new(eye, context.camera, gaussians.position(g));
+                let (basis, coefficients) = (sh::basis(sight.direction), self.coefficients(gaussians, g));
+                let d_colour: [f32; COLOURS] = std::array::from_fn(|k| {
+                    let sum: f32 = (0..functions).map(|f| basis[f] * coefficients[f][k]).sum();
+                    // Below black a colour hears only what would make it brighter: it must find its way back.
+                    if 0.5 + sum > 0.0 { d[k] } else { d[k].min(0.0) }
+                });
+                let mut d_direction = Vec3::ZERO;
+                for (f, gradient) in sh::basis_gradients(sight.direction)
+                    .iter()
+                    .enumerate()
+                    .take(functions)
+                    .skip(1)
+                {
+                    let weight: f32 = (0..COLOURS).map(|k| d_colour[k] * coefficients[f][k]).sum();
+                    d_direction += *gradient * weight;
+                }
+                let along = sight.direction.dot(d_direction);
+                (
+                    d_colour,
+                    basis,
+                    (d_direction - sight.direction * along) * sight.inverse_distance,
+                )
+            })
+            .collect();
+        let indices = &seen.projected.gaussian;
+        grads.gaussians.add_to_group(POSITION, indices, |s, slots| {
+            slots
+                .iter_mut()
+                .zip(parts[s].2.to_array())
+                .for_each(|(slot, d)| *slot += d);
+        });
+        for degree in 0..=self.options.degree {
+            grads.gaussians.add_to_group(FEATURES + degree, indices, |s, slots| {
+                let (d_colour, basis, _) = &parts[s];
+                for (slots, y) in slots.chunks_mut(COLOURS).zip(&basis[degree * degree..]) {
+                    slots.iter_mut().zip(d_colour).for_each(|(slot, d)| *slot += y * d);
+                }
+            });
+        }
+    }
+
+    fn compose(&self, _context: &Context, maps: &Maps) -> Raster {
+        over(maps, self.options.background, self.options.coverage)
+    }
+
+    fn compose_backward(
+        &self,
+        _context: &Context,
+        _maps: &Maps,
+        d_image: &Raster,
+        d_maps: &mut MapGradients,
+        _grads: &mut Parameters,
+    ) {
+        over_backward(d_image, self.options.background, self.options.coverage, d_maps);
+    }
+
+    fn map_losses(&self, _: &Context, _: &Maps, _: &[f32], _: &mut MapGradients) -> Vec<NamedLoss> {
+        Vec::new()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn degrees_join_one_after_another() {
+        let model = Radiance::new(RadianceOptions::default());
+        let learning = |progress: f32| -> Vec<bool> {
+            let groups = model.feature_groups();
+            groups
+                .iter()
+                .map(|g| model.learning_rate(&g.name, progress) > 0.0)
+                .collect()
+        };
+        assert_eq!(learning(0.0), [true, false, false, false]);
+        assert_eq!(learning(0.25), [true, true, true, false]);
+        assert_eq!(learning(1.0), [true; 4]);
+    }
+}

@@ -1,0 +1,209 @@
+//! Captures of objects through the program: made, recognised, trained, measured, rendered; and what is wrong with them said.
+
+use heliosplat_tests::program::{fault, heliosplat, json};
+use serde_json::{Value, json};
+use std::path::Path;
+use tempfile::{TempDir, tempdir};
+
+/// A small capture of an object.
+fn capture(views: usize) -> TempDir {
+    let folder = tempdir().expect("a temporary folder");
+    let (out, views) = (folder.path().display().to_string(), views.to_string());
+    let arguments = [
+        "synth", "object", "--out", &out, "--views", &views, "--size", "64", "--paths", "9", "--seed", "3",
+    ];
+    heliosplat(&arguments).assert().success();
+    folder
+}
+
+fn train(capture: &Path, run: &Path, more: &[&str]) -> Value {
+    let (capture, run) = (capture.display().to_string(), run.display().to_string());
+    let mut arguments = vec![
+        "train",
+        &capture,
+        "--out",
+        &run,
+        "--preset",
+        "fast",
+        "--set",
+        "start.gaussians=1500",
+    ];
+    arguments.extend(more);
+    json(&arguments)
+}
+
+#[test]
+fn a_capture_is_recognised_trained_measured_and_rendered() {
+    let (capture, home) = (capture(16), tempdir().expect("a temporary folder"));
+    let seen = json(&["inspect".as_ref(), capture.path().as_os_str()]);
+    assert_eq!((seen["train"].as_u64(), seen["test"].as_u64()), (Some(16), Some(15)));
+    assert_eq!(seen["background"], json!([1.0, 1.0, 1.0]));
+
+    let run = home.path().join("run");
+    let metrics = train(capture.path(), &run, &["--set", "train.iterations=500"]);
+    let psnr = metrics.pointer("/test/psnr").and_then(Value::as_f64).expect("a score");
+    assert!(psnr > 22.0, "{psnr}");
+    for file in [
+        "run.toml",
+        "model.ply",
+        "model.json",
+        "metrics.json",
+        "views/test_r_003.png",
+    ] {
+        assert!(run.join(file).is_file(), "{file}");
+    }
+    // What was saved is what was measured.
+    let again = json(&["evaluate".as_ref(), run.as_os_str()]);
+    let same = again.pointer("/test/psnr").and_then(Value::as_f64).expect("a score");
+    assert!((same - psnr).abs() < 1e-9, "{same} {psnr}");
+
+    let rendered = home.path().join("rendered");
+    let arguments = [
+        "render".as_ref(),
+        run.as_os_str(),
+        "--out".as_ref(),
+        rendered.as_os_str(),
+    ];
+    let written = json(&arguments);
+    assert_eq!(written["views"].as_array().map(Vec::len), Some(15));
+    assert!(rendered.join("test_r_000.png").is_file());
+}
+
+#[test]
+fn a_training_is_the_same_bytes_for_any_number_of_threads() {
+    let (capture, home) = (capture(6), tempdir().expect("a temporary folder"));
+    let trained = |threads: &str| {
+        let run = home.path().join(threads);
+        train(
+            capture.path(),
+            &run,
+            &["--set", "train.iterations=60", "--threads", threads],
+        );
+        std::fs::read(run.join("model.ply")).expect("a model")
+    };
+    assert!(trained("1") == trained("3"));
+}
+
+/// A capture whose list of training images is changed must be refused by `inspect` and `train` with one line, and no run begun.
+fn refused(change: &dyn Fn(&mut Value, &Path), said: &[&str]) {
+    let (capture, home) = (capture(3), tempdir().expect("a temporary folder"));
+    let path = capture.path().join("transforms_train.json");
+    let mut file: Value = serde_json::from_str(&std::fs::read_to_string(&path).expect("text")).expect("JSON");
+    change(&mut file, capture.path());
+    std::fs::write(&path, file.to_string()).expect("written");
+    let run = home.path().join("run");
+    let inspected = fault(&["inspect".as_ref(), capture.path().as_os_str()], 2);
+    let arguments = [
+        "train".as_ref(),
+        capture.path().as_os_str(),
+        "--out".as_ref(),
+        run.as_os_str(),
+    ];
+    assert_eq!(inspected, fault(&arguments, 2));
+    assert!(!run.exists(), "no run is begun");
+    for part in said {
+        assert!(inspected.contains(part), "'{part}' is not in '{inspected}'");
+    }
+}
+
+#[test]
+fn captures_that_are_wrong_are_refused_with_the_file_and_what_to_do() {
+    refused(
+        &|file, _| file["frames"][1]["file_path"] = json!("../../secret"),
+        &["transforms_train.json: frame 1", "points out of the folder"],
+    );
+    refused(
+        &|file, _| file["frames"][2]["transform_matrix"][0] = json!([0, 0, 0, 1e300]),
+        &["frame 2", "spans no space"],
+    );
+    refused(
+        &|file, folder| {
+            file["frames"][0]["file_path"] = json!("notes");
+            std::fs::write(folder.join("notes"), "no image").expect("written");
+        },
+        &["notes: it is no PNG, JPEG or EXR", "convert it"],
+    );
+    refused(
+        &|_, folder| std::fs::remove_file(folder.join("train/r_001.png")).expect("removed"),
+        &["frame 1", "no image ./train/r_001"],
+    );
+    refused(
+        &|_, folder| {
+            let path = folder.join("train/r_002.png");
+            let bytes = std::fs::read(&path).expect("readable");
+            std::fs::write(&path, &bytes[..bytes.len() / 2]).expect("written");
+        },
+        &["r_002.png: it cannot be read", "anew"],
+    );
+}
+
+#[test]
+fn memory_that_does_not_suffice_is_said_before_training() {
+    let (capture, home) = (capture(3), tempdir().expect("a temporary folder"));
+    let run = home.path().join("run");
+    let (capture, run_text) = (capture.path().display().to_string(), run.display().to_string());
+    for (limit, said) in [("100KiB", "images take"), ("8MiB", "no room for")] {
+        let line = fault(&["train", &capture, "--out", &run_text, "--memory", limit], 2);
+        assert!(line.contains(said) && line.contains("--memory"), "{line}");
+        assert!(!run.exists());
+    }
+}
+
+#[test]
+fn lights_of_a_capture_are_recognised_learnt_and_changed() {
+    let (capture, home) = (
+        tempdir().expect("a temporary folder"),
+        tempdir().expect("a temporary folder"),
+    );
+    let out = capture.path().display().to_string();
+    let arguments = [
+        "synth", "olat", "--out", &out, "--views", "40", "--size", "48", "--paths", "4", "--seed", "2",
+    ];
+    heliosplat(&arguments).assert().success();
+    let seen = json(&["inspect".as_ref(), capture.path().as_os_str()]);
+    assert_eq!((&seen["model"], &seen["values"]), (&json!("olat"), &json!("linear")));
+
+    let run = home.path().join("run");
+    let metrics = train(capture.path(), &run, &["--set", "train.iterations=400"]);
+    let score = |metrics: &Value, at: &str| metrics.pointer(at).and_then(Value::as_f64).expect("a score");
+    let (near, far) = (score(&metrics, "/test/near/psnr"), score(&metrics, "/test/far/psnr"));
+    assert!(near > 20.0 && far > 18.0, "{near} {far}");
+    // The same without shadows cannot explain what it sees.
+    let flat = home.path().join("flat");
+    let without = train(
+        capture.path(),
+        &flat,
+        &["--set", "train.iterations=400", "--set", "model.shadow=false"],
+    );
+    assert!(score(&without, "/test/psnr") < score(&metrics, "/test/psnr") - 1.0);
+
+    let (run_text, lit) = (run.display().to_string(), home.path().join("lit.png"));
+    let lit_text = lit.display().to_string();
+    json(&[
+        "relight",
+        &run_text,
+        "--out",
+        &lit_text,
+        "--light",
+        "2,-1,3",
+        "--toward",
+        "0,0,1",
+        "--view",
+        "test/far_001",
+    ]);
+    assert!(lit.is_file());
+    let parts = home.path().join("parts");
+    let arguments = [
+        "render",
+        &run_text,
+        "--out",
+        &parts.display().to_string(),
+        "--components",
+    ];
+    heliosplat(&arguments).assert().success();
+    for part in ["diffuse", "specular", "shadow"] {
+        assert!(parts.join(format!("test_near_000_{part}.png")).is_file(), "{part}");
+    }
+    let line = fault(&["relight", &run_text, "--out", &lit_text, "--sun", "10,20"], 2);
+    assert!(line.contains("--light"), "{line}");
+}
