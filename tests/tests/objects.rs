@@ -151,9 +151,14 @@ fn memory_that_does_not_suffice_is_said_before_training() {
 
 #[test]
 fn lights_of_a_capture_are_recognised_learnt_and_changed() {
-    let (capture, home) = (tempdir().expect("a temporary folder"), tempdir().expect("a temporary folder"));
+    let (capture, home) = (
+        tempdir().expect("a temporary folder"),
+        tempdir().expect("a temporary folder"),
+    );
     let out = capture.path().display().to_string();
-    let arguments = ["synth", "olat", "--out", &out, "--views", "40", "--size", "48", "--paths", "4", "--seed", "2"];
+    let arguments = [
+        "synth", "olat", "--out", &out, "--views", "40", "--size", "48", "--paths", "4", "--seed", "2",
+    ];
     heliosplat(&arguments).assert().success();
     let seen = json(&["inspect".as_ref(), capture.path().as_os_str()]);
     assert_eq!((&seen["model"], &seen["values"]), (&json!("olat"), &json!("linear")));
@@ -165,15 +170,36 @@ fn lights_of_a_capture_are_recognised_learnt_and_changed() {
     assert!(near > 20.0 && far > 18.0, "{near} {far}");
     // The same without shadows cannot explain what it sees.
     let flat = home.path().join("flat");
-    let without = train(capture.path(), &flat, &["--set", "train.iterations=400", "--set", "model.shadow=false"]);
+    let without = train(
+        capture.path(),
+        &flat,
+        &["--set", "train.iterations=400", "--set", "model.shadow=false"],
+    );
     assert!(score(&without, "/test/psnr") < score(&metrics, "/test/psnr") - 1.0);
 
     let (run_text, lit) = (run.display().to_string(), home.path().join("lit.png"));
     let lit_text = lit.display().to_string();
-    json(&["relight", &run_text, "--out", &lit_text, "--light", "2,-1,3", "--toward", "0,0,1", "--view", "test/far_001"]);
+    json(&[
+        "relight",
+        &run_text,
+        "--out",
+        &lit_text,
+        "--light",
+        "2,-1,3",
+        "--toward",
+        "0,0,1",
+        "--view",
+        "test/far_001",
+    ]);
     assert!(lit.is_file());
     let parts = home.path().join("parts");
-    let arguments = ["render", &run_text, "--out", &parts.display().to_string(), "--components"];
+    let arguments = [
+        "render",
+        &run_text,
+        "--out",
+        &parts.display().to_string(),
+        "--components",
+    ];
     heliosplat(&arguments).assert().success();
     for part in ["diffuse", "specular", "shadow"] {
         assert!(parts.join(format!("test_near_000_{part}.png")).is_file(), "{part}");
