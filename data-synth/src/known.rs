@@ -100,3 +100,94 @@ pub(crate) fn common_centre(cameras: &[KnownCamera]) -> GeoPoint {
         height_m: median(|p| p.height_m),
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::plan::Collection;
+    use crate::request::SatelliteRequest;
+    use crate::sensor::{PushBroom, ViewGeometry};
+    use heliosplat_rpc::LocalFrame;
+    use serde_json::json;
+
+    const VIEW: ViewGeometry = ViewGeometry {
+        azimuth_rad: 1.1,
+        off_nadir_rad: 0.4,
+        orbit_m: 617e3,
+        tilt_rad: 0.1,
+        gsd_m: 0.4,
+        full_px: 4000.0,
+        seed: 3,
+    };
+
+    /// A file of three cameras that see one place in the middle of their images.
+    fn file(folder: &Path) -> (std::path::PathBuf, GeoPoint) {
+        let place = GeoPoint {
+            lon_deg: -58.6,
+            lat_deg: -34.45,
+            height_m: 30.0,
+        };
+        let frame = LocalFrame::new(place);
+        let fit = PushBroom::new(&frame, &VIEW, [2000.0, 2000.0]).fit_rational_camera(&frame);
+        let rpc = fit.expect("a camera").rpc;
+        let middle = rpc.project(place);
+        let rpc = rpc.cropped(middle.col - 150.0, middle.row - 150.0);
+        let image = |time: &str| json!({"rpc": heliosplat_rpc::write::satnerf_json_rpc(&rpc), "width": 301, "height": 301, "capTime": time});
+        let cameras = json!({
+            "b": image("2015-09-01T13:57:03.5+00:00"),
+            "c": image("2015-11-01T13:57:03Z"),
+            "a": image("2015-09-01T13:56:03Z"),
+        });
+        let path = folder.join("cameras.json");
+        std::fs::write(&path, cameras.to_string()).expect("written");
+        (path, place)
+    }
+
+    #[test]
+    fn a_collection_through_known_cameras_has_their_place_times_and_angles() {
+        let folder = tempfile::tempdir().expect("a folder");
+        let (path, place) = file(folder.path());
+        let request = SatelliteRequest {
+            cameras: Some(path),
+            ..Default::default()
+        };
+        let collection = Collection::new(&request).expect("a plan");
+        assert!((collection.origin.lon_deg - place.lon_deg).abs() < 1e-4);
+        assert!((collection.origin.lat_deg - place.lat_deg).abs() < 1e-4);
+        assert_eq!((collection.views.len(), collection.dates.len()), (3, 2));
+        let view = &collection.views[1];
+        assert_eq!(view.time.to_string(), "2015-09-01T13:57:03.5Z");
+        assert!(
+            (view.geometry.off_nadir_rad - VIEW.off_nadir_rad).abs() < 0.01,
+            "{:?}",
+            view.geometry
+        );
+        assert!((view.geometry.azimuth_rad - VIEW.azimuth_rad).abs() < 0.02);
+        assert!((view.geometry.gsd_m - VIEW.gsd_m).abs() < 0.02);
+    }
+
+    #[test]
+    fn a_file_that_lacks_something_is_named_with_the_image() {
+        let folder = tempfile::tempdir().expect("a folder");
+        let path = folder.path().join("cameras.json");
+        let fault = |text: &str| {
+            std::fs::write(&path, text).expect("written");
+            read(&path).expect_err("a fault").to_string()
+        };
+        assert!(fault("[1]").contains("cameras.json"));
+        assert!(fault("{}").contains("no image"));
+        assert!(fault("{\"x\": {\"width\": 3}}").contains("x: capTime"));
+        let late = "{\"x\": {\"capTime\": \"yesterday\", \"width\": 3, \"height\": 3}}";
+        assert!(fault(late).contains("no time"));
+    }
+
+    #[test]
+    fn fewer_cameras_are_spread_over_all() {
+        let folder = tempfile::tempdir().expect("a folder");
+        let (path, _) = file(folder.path());
+        let cameras = read(&path).expect("cameras");
+        assert_eq!(thinned(cameras.clone(), 3).len(), 3);
+        let one = thinned(cameras.clone(), 1);
+        assert_eq!(one[0].time, cameras[1].time);
+    }
+}

@@ -13,9 +13,6 @@ use std::collections::BTreeMap;
 const BLOCK: (usize, usize) = (16, 64);
 /// Distances beyond this share of the comparisons say only "no match": a hidden or changed view is no worse than that.
 const CUT: f32 = 0.36;
-/// Weight, as a share of all pairs, of the assumption that nothing matches: altitudes that few views see must not win
-/// by chance.
-const DOUBT: f32 = 0.03;
 /// What a comparison of indices is worth beside one of brightness.
 const INDEX_WORTH: f32 = 0.5;
 
@@ -26,6 +23,8 @@ pub(super) struct Matching<'a> {
     pub(super) views: &'a [LevelView],
     pub(super) pairs: &'a [Pair],
     pub(super) alike: f32,
+    /// Weight, as a share of all pairs, of the assumption that nothing matches.
+    pub(super) doubt: f32,
     /// Costs are averaged over windows of this radius, cells: where the base is short, a wider look tells altitudes apart.
     pub(super) radius: usize,
     /// What each view sees first, where a surface is known already.
@@ -104,7 +103,7 @@ impl Matching<'_> {
                 scratch,
             );
         }
-        let doubt = ((full as f32 * DOUBT) as u32).max(1);
+        let doubt = ((full as f32 * self.doubt) as u32).max(1);
         let sums = scratch.sum[..cells].iter().zip(&scratch.weights[..cells]);
         for (cost, (sum, weights)) in scratch.cost.iter_mut().zip(sums) {
             *cost = (255 * (*sum + doubt * cut) / ((*weights + doubt) * cut)) as u8;

@@ -14,8 +14,30 @@ use super::visibility::FirstHits;
 use glam::Vec3;
 use rayon::prelude::*;
 
-/// Summed cost above the best within which another level stays possible at the next, finer round.
-const TOLERANCE: u16 = 200;
+/// How boldly a surface is sought: what many views agree on is less often chance.
+#[derive(Debug, Clone, Copy)]
+struct Manner {
+    /// Summed cost above the best within which another level stays possible at the next, finer round.
+    tolerance: u16,
+    /// Weight, as a share of all pairs, of the assumption that nothing matches: altitudes that few views see must not win
+    /// by chance.
+    doubt: f32,
+    /// Share of the penalty for jumps that is asked, in thirds.
+    jump_thirds: u16,
+}
+
+/// Views from which on they are many.
+const MANY_VIEWS: usize = 8;
+const OF_FEW: Manner = Manner {
+    tolerance: 80,
+    doubt: 0.08,
+    jump_thirds: 3,
+};
+const OF_MANY: Manner = Manner {
+    tolerance: 200,
+    doubt: 0.03,
+    jump_thirds: 2,
+};
 /// Coarse cells around a fine one whose altitudes stay possible for it.
 const REACH_CELLS: usize = 2;
 
@@ -114,6 +136,7 @@ impl<'a> Search<'a> {
             Some(found) => self.narrowed(&grid, &ladder, &views, factor, found),
         };
         let options = &self.request.options;
+        let manner = if self.views.len() < MANY_VIEWS { OF_FEW } else { OF_MANY };
         let matching = Matching {
             grid,
             ladder,
@@ -121,6 +144,7 @@ impl<'a> Search<'a> {
             pairs: &self.pairs,
             hits,
             alike: options.alike,
+            doubt: manner.doubt,
             radius: settle::radius_for(self.sharpness()),
         };
         let costs = matching.costs(&bands);
@@ -132,12 +156,12 @@ impl<'a> Search<'a> {
             guide: guide.as_deref(),
             penalties: Penalties {
                 one_level: options.one_level_penalty,
-                jump: options.jump_penalty,
+                jump: options.jump_penalty * manner.jump_thirds / 3,
                 edge: options.edge,
             },
         };
         let sums = volume.aggregate();
-        let choices = pick::choose(&bands, &ladder, &sums, TOLERANCE);
+        let choices = pick::choose(&bands, &ladder, &sums, manner.tolerance);
         Found {
             grid,
             factor,

@@ -38,7 +38,7 @@ pub struct SweepOptions {
     pub visibility_rounds: usize,
     /// Cost of one level up or down between neighbours, in units of a full mismatch / 255.
     pub one_level_penalty: u16,
-    /// Cost of a jump between neighbours, in the same units.
+    /// Cost of a jump between neighbours, in the same units; two thirds of it where the views are many.
     pub jump_penalty: u16,
     /// Image difference between neighbours, in units of the guide image, that makes a jump between them half as dear.
     pub edge: f32,
@@ -52,7 +52,7 @@ impl Default for SweepOptions {
             step_cells: 0.5,
             visibility_rounds: 1,
             one_level_penalty: 30,
-            jump_penalty: 60,
+            jump_penalty: 90,
             edge: 30.0,
             alike: 8.0,
         }
