@@ -1,7 +1,8 @@
 //! Where training starts from: a surface in seconds, swept through the views in object space.
 //!
 //! For each cell of a local ground grid and each altitude of a ladder, [`sweep::sweep`] asks how well the views agree
-//! on what they see there (census over a window on the ground plane, pairs of views, robustly combined), makes the
+//! on what they see there (census over a window on the ground plane, of brightness and, where views have one, of an index;
+//! pairs of views, robustly combined), makes the
 //! answers consistent with their neighbours (semi-global matching on the ground grid), drops the views that the surface
 //! itself hides, and refines below the step of the ladder. Views of other dates take part with less weight: what
 //! changed, moved with the sun or is hidden must not veto. [`align::estimate_shifts`] finds the pointing bias between
@@ -27,6 +28,7 @@ pub mod ties;
 mod views;
 mod visibility;
 
+pub use search::MANY_VIEWS;
 pub use surface::Surface;
 pub use sweep::{SweepOptions, SweepRequest};
 pub use views::SweepView;

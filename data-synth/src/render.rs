@@ -104,12 +104,12 @@ fn fine_row_of(scene: &LitScene, exposure: &Exposure, kernel: &[f32], fine_row: 
     let Crop { col0, row0, width, .. } = exposure.crop;
     let centre = (FINE / 2) as f64;
     let position = |fine: i64, jitter: f64| (fine as f64 - centre + jitter) / FINE as f64;
-    let state = exposure.sensor.at_line(row0 + position(fine_row, 0.0));
+    let line = exposure.sensor.at_line(row0 + position(fine_row, 0.0));
     let samples: Vec<Sample> = (-(REACH as i64)..(width * FINE + REACH) as i64)
         .map(|fine_col| {
             let draw = hash2(hash2(exposure.seed, fine_row as u64), fine_col as u64);
             let jitter = crate::noise::unit(hash2(draw, 1)) - 0.5;
-            let ray = exposure.sensor.ray(&state, col0 + position(fine_col, jitter));
+            let ray = line.ray(col0 + position(fine_col, jitter));
             exposure.light.sample(scene, &lowered(&ray, scene.tracer), draw)
         })
         .collect();

@@ -129,7 +129,7 @@ impl SatelliteRequest {
         self.gsd_m.unwrap_or(0.5)
     }
 
-    /// Number of images.
+    /// Number of images, unless cameras were given without one.
     pub fn view_count(&self) -> usize {
         self.views.unwrap_or(self.site.default_views())
     }

@@ -203,7 +203,7 @@ fn city_plan(request: &SatelliteRequest, cameras: &[Camera]) -> CityPlan {
     let mut reach_m = 0.5 * request.site.extent_m();
     for Camera { sensor, crop, .. } in cameras {
         for (col, row) in [(0, 0), (crop.width, 0), (0, crop.height), (crop.width, crop.height)] {
-            let ray = sensor.ray(&sensor.at_line(crop.row0 + row as f64), crop.col0 + col as f64);
+            let ray = sensor.at_line(crop.row0 + row as f64).ray(crop.col0 + col as f64);
             let ground = ray.at((COVERED_ALTITUDES_M[0] - ray.origin.z) / ray.direction.z);
             reach_m = reach_m.max(ground.x.abs()).max(ground.y.abs());
         }

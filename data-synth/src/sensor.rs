@@ -88,26 +88,27 @@ pub(crate) enum Sensor {
 }
 
 /// A line of a sensor.
-pub(crate) enum SensorLine {
-    PushBroom(LineState),
-    Rational(f64),
+pub(crate) enum SensorLine<'a> {
+    PushBroom(&'a PushBroom, LineState),
+    Rational(&'a RationalSensor, f64),
 }
 
 impl Sensor {
     /// The camera at a (fractional) line.
-    pub(crate) fn at_line(&self, line: f64) -> SensorLine {
+    pub(crate) fn at_line(&self, line: f64) -> SensorLine<'_> {
         match self {
-            Self::PushBroom(sensor) => SensorLine::PushBroom(sensor.at_line(line)),
-            Self::Rational(_) => SensorLine::Rational(line),
+            Self::PushBroom(sensor) => SensorLine::PushBroom(sensor, sensor.at_line(line)),
+            Self::Rational(sensor) => SensorLine::Rational(sensor, line),
         }
     }
+}
 
-    /// The direction seen by a (fractional) sample of a line of this sensor.
-    pub(crate) fn ray(&self, line: &SensorLine, sample: f64) -> Ray {
-        match (self, line) {
-            (Self::PushBroom(sensor), SensorLine::PushBroom(state)) => sensor.ray(state, sample),
-            (Self::Rational(sensor), SensorLine::Rational(line)) => sensor.ray(sample, *line),
-            _ => unreachable!("a line belongs to the sensor that gave it"),
+impl SensorLine<'_> {
+    /// The direction seen by a (fractional) sample.
+    pub(crate) fn ray(&self, sample: f64) -> Ray {
+        match self {
+            Self::PushBroom(sensor, state) => sensor.ray(state, sample),
+            Self::Rational(sensor, line) => sensor.ray(sample, *line),
         }
     }
 }

@@ -3,6 +3,7 @@
 pub mod cli;
 pub mod evaluate;
 pub mod objects;
+pub mod ply;
 pub mod product;
 pub mod raster;
 pub mod run;

@@ -22,12 +22,12 @@ struct Manner {
     /// Weight, as a share of all pairs, of the assumption that nothing matches: altitudes that few views see must not win
     /// by chance.
     doubt: f32,
-    /// Share of the penalty for jumps that is asked, in thirds.
+    /// Thirds of the penalty for jumps that are asked: a whole number, like the penalty.
     jump_thirds: u16,
 }
 
-/// Views from which on they are many.
-const MANY_VIEWS: usize = 8;
+/// Views from which on they are many: the search is bolder then, and takes longer.
+pub const MANY_VIEWS: usize = 8;
 const OF_FEW: Manner = Manner {
     tolerance: 80,
     doubt: 0.08,

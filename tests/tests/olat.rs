@@ -1,22 +1,23 @@
 //! The one-light-at-a-time model against its f64 form: transmittance to point lights, values to 1e-4, gradients to 1e-3 of central
 //! differences, per parameter group.
 
-use glam::{DVec3, Vec3};
-use heliosplat::gaussians::{FEATURES, LOG_SCALE, OPACITY, POSITION, ROTATION, Table, core_groups};
+use glam::Vec3;
+use heliosplat::ProjectiveCamera;
+use heliosplat::gaussians::{FEATURES, POSITION, Table, core_groups};
 use heliosplat::light::Light;
 use heliosplat::model::olat::{DIFFUSE, FRAME, LOBES, Olat, OlatOptions, SPECULAR, WEIGHT};
 use heliosplat::model::{Context, Parameters, SceneModel};
-use heliosplat::render::{Lit, Pass, PassOptions};
+use heliosplat::render::Lit;
 use heliosplat::trace::{Occluders, TraceOptions, transmittance};
-use heliosplat::{ProjectiveCamera, Raster};
-use heliosplat_tests::reference::{self, Gaussian};
+use heliosplat_tests::capture::{
+    BANDS, Flat, SIZE, camera, engine_values, flat, reference_gaussians, reference_values, scatter,
+};
+use heliosplat_tests::reference;
 use nalgebra::{Matrix3, Quaternion, UnitQuaternion, Vector3};
 use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg32;
 use std::f64::consts::PI;
 
-const SIZE: usize = 20;
-const BANDS: usize = 4;
 const DISTANCE: f64 = 3.0;
 const RADIUS: f64 = 0.5;
 
@@ -46,30 +47,15 @@ fn case(seed: u64, specular: bool) -> Case {
     for group in &mut gaussians.groups[FEATURES..] {
         group.values.iter_mut().for_each(|v| *v = uniform(-1.0, 1.0));
     }
-    for i in 0..gaussians.count {
-        for k in 0..3 {
-            gaussians.group_mut(POSITION)[i * 3 + k] = uniform(-1.0, 1.0);
-            gaussians.group_mut(LOG_SCALE)[i * 3 + k] = uniform(-2.6, -1.2);
-        }
-        for k in 0..4 {
-            gaussians.group_mut(ROTATION)[i * 4 + k] = uniform(-1.0, 1.0);
-        }
-        gaussians.group_mut(OPACITY)[i] = uniform(-2.0, 2.0);
-    }
+    scatter(&mut gaussians, &mut uniform);
     let mut globals = model.initial_globals();
     for group in &mut globals.groups {
         group.values.iter_mut().for_each(|v| *v += uniform(-0.4, 0.4));
     }
-    let eye = DVec3::new(2.5, -1.5, 2.0);
-    let axis = -eye.normalize();
-    let right = axis.cross(DVec3::Z).normalize();
-    let (down, w) = (axis.cross(right), axis / eye.length());
-    let (focal, centre) = (26.0 / eye.length(), (SIZE as f64 - 1.0) / 2.0);
-    let (u, v) = (right * focal + w * centre, down * focal + w * centre);
-    let (u, v) = ([u.x, u.y, u.z, centre], [v.x, v.y, v.z, centre]);
+    let (camera, eye) = camera();
     Case {
-        camera: ProjectiveCamera::new(u, v, w.into(), (SIZE, SIZE), axis),
-        eye: Vector3::new(eye.x, eye.y, eye.z),
+        camera,
+        eye,
         light: Vector3::new(0.5, 1.75, 2.5),
         functional: (0..SIZE * SIZE * BANDS)
             .map(|_| f64::from(uniform(-1.0, 1.0)))
@@ -77,13 +63,6 @@ fn case(seed: u64, specular: bool) -> Case {
         parameters: Parameters { gaussians, globals },
         model,
     }
-}
-
-type Flat = Vec<Vec<f64>>;
-
-fn flat(table: &Table) -> Flat {
-    let wide = |values: &Vec<f32>| values.iter().map(|&v| f64::from(v)).collect();
-    table.groups.iter().map(|g| wide(&g.values)).collect()
 }
 
 fn rotation(q: &[f64]) -> Matrix3<f64> {
@@ -146,20 +125,8 @@ fn reflected(case: &Case, gaussians: &Flat, globals: &Flat, i: usize) -> Vec<f64
         .collect()
 }
 
-fn reference_gaussians(flat: &Flat) -> Vec<Gaussian> {
-    (0..flat[OPACITY].len())
-        .map(|i| Gaussian {
-            position: Vector3::from_row_slice(&flat[POSITION][i * 3..i * 3 + 3]),
-            log_scale: Vector3::from_row_slice(&flat[LOG_SCALE][i * 3..i * 3 + 3]),
-            rotation: [0, 1, 2, 3].map(|k| flat[ROTATION][i * 4 + k]),
-            opacity: flat[OPACITY][i],
-            albedo: Vec::new(),
-        })
-        .collect()
-}
-
 /// The image's values, pixel after pixel: red, green, blue, coverage.
-fn reference_values(case: &Case, flat: &Flat, globals: &Flat) -> Vec<f64> {
+fn reference_of(case: &Case, flat: &Flat, globals: &Flat) -> Vec<f64> {
     let mut gaussians = reference_gaussians(flat);
     let lit: Vec<f64> = (0..gaussians.len())
         .map(|i| reference::transmittance_to_point(&gaussians, i, &case.light))
@@ -170,30 +137,7 @@ fn reference_values(case: &Case, flat: &Flat, globals: &Flat) -> Vec<f64> {
             .map(|c| c * lit[i])
             .collect();
     }
-    let vec = |x: Vec3| Vector3::new(f64::from(x.x), f64::from(x.y), f64::from(x.z));
-    let four = |x: Vec3, c: f32| [f64::from(x.x), f64::from(x.y), f64::from(x.z), f64::from(c)];
-    let camera = reference::Camera {
-        u: four(case.camera.u, case.camera.u0),
-        v: four(case.camera.v, case.camera.v0),
-        w: vec(case.camera.w),
-        axis: vec(case.camera.depth_axis),
-        width: SIZE,
-        height: SIZE,
-    };
-    let options = PassOptions::default().projection;
-    let pixels = reference::render(
-        &gaussians,
-        &camera,
-        &lit,
-        f64::from(options.filter_px2),
-        options.antialias,
-    );
-    let background = case.model.options.background;
-    let values = pixels.iter().flat_map(|p| {
-        let behind = |k: usize| p.albedo[k] + (1.0 - p.alpha) * f64::from(background[k]);
-        [behind(0), behind(1), behind(2), p.alpha]
-    });
-    values.collect()
+    reference_values(&gaussians, &case.camera, case.model.options.background)
 }
 
 fn light(case: &Case) -> Light {
@@ -208,22 +152,7 @@ fn engine(case: &Case) -> (Vec<f64>, Parameters) {
         light: Some(light(case)),
         appearance: None,
     };
-    let pass = Pass::new(&case.model, context, Lit::Traced(&occluders), PassOptions::default());
-    let image = pass.image();
-    let plane = SIZE * SIZE;
-    let mut d_image = Raster::filled(SIZE, SIZE, BANDS, 0.0);
-    let mut values = Vec::new();
-    for i in 0..plane {
-        for k in 0..BANDS {
-            values.push(f64::from(image.values[k * plane + i]));
-            d_image.values[k * plane + i] = case.functional[i * BANDS + k] as f32;
-        }
-    }
-    let (mut d_maps, mut grads) = (pass.zero_gradients(), case.parameters.zeros_like());
-    case.model
-        .compose_backward(&context, &pass.maps, &d_image, &mut d_maps, &mut grads);
-    pass.backward(&d_maps, &mut grads);
-    (values, grads)
+    engine_values(&case.model, context, Lit::Traced(&occluders), &case.functional)
 }
 
 #[test]
@@ -255,7 +184,7 @@ fn values_match_the_f64_form() {
         let case = case(seed, specular);
         let (engine, _) = engine(&case);
         let (gaussians, globals) = (flat(&case.parameters.gaussians), flat(&case.parameters.globals));
-        let reference = reference_values(&case, &gaussians, &globals);
+        let reference = reference_of(&case, &gaussians, &globals);
         let norm = reference.iter().map(|v| v * v).sum::<f64>().sqrt();
         let apart = engine
             .iter()
@@ -271,7 +200,7 @@ fn check_gradients(case: &Case) {
     let (_, grads) = engine(case);
     let base = (flat(&case.parameters.gaussians), flat(&case.parameters.globals));
     let loss = |of: &(Flat, Flat)| -> f64 {
-        let values = reference_values(case, &of.0, &of.1);
+        let values = reference_of(case, &of.0, &of.1);
         values.iter().zip(&case.functional).map(|(v, f)| v * f).sum()
     };
     let step = 1e-6;

@@ -1,19 +1,18 @@
 //! The radiance model against its f64 form: values to 1e-4, gradients to 1e-3 of central differences, per parameter group.
 
-use glam::{DVec3, Vec3};
-use heliosplat::gaussians::{FEATURES, LOG_SCALE, OPACITY, POSITION, ROTATION, Table, core_groups};
+use heliosplat::ProjectiveCamera;
+use heliosplat::gaussians::{FEATURES, POSITION, Table, core_groups};
 use heliosplat::model::radiance::{Radiance, RadianceOptions};
 use heliosplat::model::{Context, Parameters, SceneModel};
-use heliosplat::render::{Lit, Pass, PassOptions};
-use heliosplat::{ProjectiveCamera, Raster};
+use heliosplat::render::Lit;
+use heliosplat_tests::capture::{
+    BANDS, Flat, SIZE, camera, engine_values, flat, reference_gaussians, reference_values, scatter,
+};
 use heliosplat_tests::harmonics::harmonics;
-use heliosplat_tests::reference::{self, Gaussian};
 use nalgebra::Vector3;
 use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg32;
 
-const SIZE: usize = 20;
-const BANDS: usize = 4;
 const BACKGROUND: [f32; 3] = [0.9, 0.2, 0.5];
 
 struct Case {
@@ -35,16 +34,7 @@ fn case(seed: u64) -> Case {
     let mut groups = core_groups();
     groups.extend(model.feature_groups());
     let mut gaussians = Table::zeros(groups, 24);
-    for i in 0..gaussians.count {
-        for k in 0..3 {
-            gaussians.group_mut(POSITION)[i * 3 + k] = uniform(-1.0, 1.0);
-            gaussians.group_mut(LOG_SCALE)[i * 3 + k] = uniform(-2.6, -1.2);
-        }
-        for k in 0..4 {
-            gaussians.group_mut(ROTATION)[i * 4 + k] = uniform(-1.0, 1.0);
-        }
-        gaussians.group_mut(OPACITY)[i] = uniform(-2.0, 2.0);
-    }
+    scatter(&mut gaussians, &mut uniform);
     // Colours stay above black, where the gradient is the derivative.
     for degree in 0..4 {
         let reach = [0.5, 0.15, 0.05, 0.03][degree];
@@ -53,16 +43,10 @@ fn case(seed: u64) -> Case {
             .iter_mut()
             .for_each(|c| *c = uniform(-reach, reach));
     }
-    let eye = DVec3::new(2.5, -1.5, 2.0);
-    let axis = -eye.normalize();
-    let right = axis.cross(DVec3::Z).normalize();
-    let (down, w) = (axis.cross(right), axis / eye.length());
-    let (focal, centre) = (26.0 / eye.length(), (SIZE as f64 - 1.0) / 2.0);
-    let (u, v) = (right * focal + w * centre, down * focal + w * centre);
-    let (u, v) = ([u.x, u.y, u.z, centre], [v.x, v.y, v.z, centre]);
+    let (camera, eye) = camera();
     Case {
-        camera: ProjectiveCamera::new(u, v, w.into(), (SIZE, SIZE), axis),
-        eye: Vector3::new(eye.x, eye.y, eye.z),
+        camera,
+        eye,
         functional: (0..SIZE * SIZE * BANDS)
             .map(|_| f64::from(uniform(-1.0, 1.0)))
             .collect(),
@@ -72,13 +56,6 @@ fn case(seed: u64) -> Case {
         },
         model,
     }
-}
-
-type Flat = Vec<Vec<f64>>;
-
-fn flat(table: &Table) -> Flat {
-    let wide = |values: &Vec<f32>| values.iter().map(|&v| f64::from(v)).collect();
-    table.groups.iter().map(|g| wide(&g.values)).collect()
 }
 
 fn colour(flat: &Flat, i: usize, eye: &Vector3<f64>) -> Vec<f64> {
@@ -98,40 +75,12 @@ fn colour(flat: &Flat, i: usize, eye: &Vector3<f64>) -> Vec<f64> {
 }
 
 /// The image's values, pixel after pixel: red, green, blue, coverage.
-fn reference_values(case: &Case, flat: &Flat) -> Vec<f64> {
-    let gaussians: Vec<Gaussian> = (0..flat[OPACITY].len())
-        .map(|i| Gaussian {
-            position: Vector3::from_row_slice(&flat[POSITION][i * 3..i * 3 + 3]),
-            log_scale: Vector3::from_row_slice(&flat[LOG_SCALE][i * 3..i * 3 + 3]),
-            rotation: [0, 1, 2, 3].map(|k| flat[ROTATION][i * 4 + k]),
-            opacity: flat[OPACITY][i],
-            albedo: colour(flat, i, &case.eye),
-        })
-        .collect();
-    let vec = |x: Vec3| Vector3::new(f64::from(x.x), f64::from(x.y), f64::from(x.z));
-    let four = |x: Vec3, c: f32| [f64::from(x.x), f64::from(x.y), f64::from(x.z), f64::from(c)];
-    let camera = reference::Camera {
-        u: four(case.camera.u, case.camera.u0),
-        v: four(case.camera.v, case.camera.v0),
-        w: vec(case.camera.w),
-        axis: vec(case.camera.depth_axis),
-        width: SIZE,
-        height: SIZE,
-    };
-    let options = PassOptions::default().projection;
-    let lit = vec![1.0; gaussians.len()];
-    let pixels = reference::render(
-        &gaussians,
-        &camera,
-        &lit,
-        f64::from(options.filter_px2),
-        options.antialias,
-    );
-    let values = pixels.iter().flat_map(|p| {
-        let behind = |k: usize| p.albedo[k] + (1.0 - p.alpha) * f64::from(BACKGROUND[k]);
-        [behind(0), behind(1), behind(2), p.alpha]
-    });
-    values.collect()
+fn reference_of(case: &Case, flat: &Flat) -> Vec<f64> {
+    let mut gaussians = reference_gaussians(flat);
+    for (i, gaussian) in gaussians.iter_mut().enumerate() {
+        gaussian.albedo = colour(flat, i, &case.eye);
+    }
+    reference_values(&gaussians, &case.camera, BACKGROUND)
 }
 
 fn engine(case: &Case) -> (Vec<f64>, Parameters) {
@@ -141,22 +90,7 @@ fn engine(case: &Case) -> (Vec<f64>, Parameters) {
         light: None,
         appearance: None,
     };
-    let pass = Pass::new(&case.model, context, Lit::Everywhere, PassOptions::default());
-    let image = pass.image();
-    let plane = SIZE * SIZE;
-    let mut d_image = Raster::filled(SIZE, SIZE, BANDS, 0.0);
-    let mut values = Vec::new();
-    for i in 0..plane {
-        for k in 0..BANDS {
-            values.push(f64::from(image.values[k * plane + i]));
-            d_image.values[k * plane + i] = case.functional[i * BANDS + k] as f32;
-        }
-    }
-    let (mut d_maps, mut grads) = (pass.zero_gradients(), case.parameters.zeros_like());
-    case.model
-        .compose_backward(&context, &pass.maps, &d_image, &mut d_maps, &mut grads);
-    pass.backward(&d_maps, &mut grads);
-    (values, grads)
+    engine_values(&case.model, context, Lit::Everywhere, &case.functional)
 }
 
 #[test]
@@ -164,7 +98,7 @@ fn values_match_the_f64_form() {
     for seed in 0..3 {
         let case = case(seed);
         let (engine, _) = engine(&case);
-        let reference = reference_values(&case, &flat(&case.parameters.gaussians));
+        let reference = reference_of(&case, &flat(&case.parameters.gaussians));
         let norm = reference.iter().map(|v| v * v).sum::<f64>().sqrt();
         let apart = engine
             .iter()
@@ -182,7 +116,7 @@ fn gradients_match_central_differences_of_the_f64_form() {
     let (_, grads) = engine(&case);
     let base = flat(&case.parameters.gaussians);
     let loss = |flat: &Flat| -> f64 {
-        let values = reference_values(&case, flat);
+        let values = reference_of(&case, flat);
         values.iter().zip(&case.functional).map(|(v, f)| v * f).sum()
     };
     let step = 1e-6;

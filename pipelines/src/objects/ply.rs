@@ -1,12 +1,10 @@
 //! Gaussians as viewers of splats read them: binary PLY of named float columns, `f_dc_*` and `f_rest_*` (all of red, then green,
 //! then blue), opacity logit, log scales, quaternion with the scalar first. Columns of a model's own stand behind them.
 
+use crate::ply::{Rows, header};
 use heliosplat::gaussians::{FEATURES, GroupSpec, LOG_SCALE, OPACITY, POSITION, ROTATION, Table, core_groups};
 use std::collections::BTreeMap;
-use std::fmt::Write;
 
-/// Longest header that is read, bytes.
-const HEADER_LIMIT: usize = 64 * 1024;
 /// Name of the groups of spherical harmonics, by degree.
 const HARMONICS: &str = "sh_";
 
@@ -59,14 +57,7 @@ fn columns(specs: &[GroupSpec]) -> Vec<Column> {
 pub fn encode(gaussians: &Table) -> Vec<u8> {
     let specs: Vec<GroupSpec> = gaussians.groups.iter().map(|g| g.spec.clone()).collect();
     let columns = columns(&specs);
-    let mut header = String::from("ply\nformat binary_little_endian 1.0\ncomment heliosplat\n");
-    // Writing to a String cannot fail.
-    let _ = writeln!(header, "element vertex {}", gaussians.count);
-    for column in &columns {
-        let _ = writeln!(header, "property float {}", column.name);
-    }
-    header.push_str("end_header\n");
-    let mut out = header.into_bytes();
+    let mut out = header(gaussians.count, columns.iter().map(|column| column.name.as_str()));
     out.reserve(gaussians.count * columns.len() * size_of::<f32>());
     for i in 0..gaussians.count {
         for column in &columns {
@@ -82,50 +73,19 @@ pub fn encode(gaussians: &Table) -> Vec<u8> {
 /// # Errors
 /// A sentence that says what is wrong with the file.
 pub fn decode(bytes: &[u8], features: Vec<GroupSpec>) -> Result<Table, String> {
-    let head = &bytes[..bytes.len().min(HEADER_LIMIT)];
-    let end = head
-        .windows(11)
-        .position(|w| w == b"end_header\n")
-        .ok_or("it has no PLY header")?;
-    let header = std::str::from_utf8(&head[..end]).map_err(|_| "its header is not text")?;
-    if !header.starts_with("ply\nformat binary_little_endian 1.0\n") {
-        return Err("it is not a binary little-endian PLY".into());
-    }
-    let count: usize = header
-        .lines()
-        .find_map(|line| line.strip_prefix("element vertex "))
-        .and_then(|n| n.trim().parse().ok())
-        .ok_or("it does not say how many Gaussians it holds")?;
-    let mut places = BTreeMap::new();
-    for line in header.lines().filter_map(|line| line.strip_prefix("property ")) {
-        let name = line
-            .strip_prefix("float ")
-            .ok_or("it has properties that are not floats")?;
-        places.insert(name.trim(), places.len());
-    }
-    let stride = places.len();
-    let body: &[u8] = &bytes[end + 11..];
-    let expected = count.checked_mul(stride * size_of::<f32>());
-    if expected != Some(body.len()) {
-        return Err(format!(
-            "it holds {} bytes of Gaussians and not those of {count}",
-            body.len()
-        ));
-    }
+    let rows = Rows::open(bytes)?;
+    let places: BTreeMap<&str, usize> = rows.columns.iter().copied().zip(0..).collect();
     let mut groups = core_groups();
     groups.extend(features);
-    let mut table = Table::zeros(groups.clone(), count);
+    let mut table = Table::zeros(groups.clone(), rows.count);
     for column in columns(&groups) {
         let place = *places
             .get(column.name.as_str())
             .ok_or(format!("it has no property {}", column.name))?;
         let group = &mut table.groups[column.group];
         let width = group.spec.width;
-        for i in 0..count {
-            let at = (i * stride + place) * size_of::<f32>();
-            let mut value = [0; 4];
-            value.copy_from_slice(&body[at..at + 4]);
-            group.values[i * width + column.component] = f32::from_le_bytes(value);
+        for i in 0..rows.count {
+            group.values[i * width + column.component] = rows.value(i, place);
         }
     }
     if !table.is_finite() {

@@ -1,15 +1,13 @@
 //! `model.ply`: Gaussians in the layout that splat viewers read (positions, `f_dc` colours, opacity logit, log scales,
 //! quaternion with the scalar first), and the exact albedo of every band besides.
 
+use crate::ply::{Rows, header};
 use heliosplat::gaussians::{LOG_SCALE, OPACITY, POSITION, ROTATION, Table, core_groups};
 use heliosplat::model::SceneModel;
 use heliosplat::model::shadow_gs::{ALBEDO, ShadowGs};
-use std::fmt::Write;
 
 /// First coefficient of the spherical harmonics: viewers show `0.5 + C0 · f_dc`.
 const C0: f32 = 0.282_094_8;
-/// A file that claims more Gaussians than its bytes hold is refused before anything is allocated; this bounds the header.
-const HEADER_LIMIT: usize = 64 * 1024;
 
 fn properties(extra: &[(String, usize)]) -> Vec<String> {
     let mut names: Vec<String> = [
@@ -34,14 +32,7 @@ fn extra(table: &Table) -> Vec<(String, usize)> {
 /// The file of a table whose first model group is the albedo of `bands` bands.
 pub fn encode(gaussians: &Table, bands: usize) -> Vec<u8> {
     let extra = extra(gaussians);
-    let mut header = String::from("ply\nformat binary_little_endian 1.0\ncomment heliosplat\n");
-    // Writing to a String cannot fail.
-    let _ = writeln!(header, "element vertex {}", gaussians.count);
-    for name in properties(&extra) {
-        let _ = writeln!(header, "property float {name}");
-    }
-    header.push_str("end_header\n");
-    let mut out = header.into_bytes();
+    let mut out = header(gaussians.count, properties(&extra).iter().map(String::as_str));
     let mut put = |v: f32| out.extend_from_slice(&v.to_le_bytes());
     for i in 0..gaussians.count {
         gaussians.group(POSITION)[i * 3..i * 3 + 3].iter().for_each(|&v| put(v));
@@ -70,49 +61,16 @@ pub fn encode(gaussians: &Table, bands: usize) -> Vec<u8> {
 /// # Errors
 /// A sentence that says what is wrong with the file.
 pub fn decode(bytes: &[u8], model: &ShadowGs) -> Result<Table, String> {
-    let head = &bytes[..bytes.len().min(HEADER_LIMIT)];
-    let end = head
-        .windows(11)
-        .position(|w| w == b"end_header\n")
-        .ok_or("it has no PLY header")?;
-    let header = std::str::from_utf8(&head[..end]).map_err(|_| "its header is not text")?;
-    if !header.starts_with("ply\nformat binary_little_endian 1.0\n") {
-        return Err("it is not a binary little-endian PLY".into());
-    }
-    let count: usize = header
-        .lines()
-        .find_map(|line| line.strip_prefix("element vertex "))
-        .and_then(|n| n.trim().parse().ok())
-        .ok_or("it does not say how many Gaussians it holds")?;
+    let rows = Rows::open(bytes)?;
     let mut groups = core_groups();
     groups.extend(model.feature_groups());
     let extra: Vec<(String, usize)> = model.feature_groups().into_iter().map(|g| (g.name, g.width)).collect();
-    let expected = properties(&extra);
-    let found: Vec<&str> = header
-        .lines()
-        .filter_map(|line| line.strip_prefix("property float "))
-        .collect();
-    if found != expected {
+    if rows.columns != properties(&extra) {
         return Err("its properties are not those of the model beside it".into());
     }
-    let data = &bytes[end + 11..];
-    let record = expected.len() * 4;
-    if count.checked_mul(record) != Some(data.len()) {
-        return Err(format!(
-            "it claims {count} Gaussians but holds {} bytes of them",
-            data.len()
-        ));
-    }
-    let mut table = Table::zeros(groups, count);
-    for (i, record) in data.chunks_exact(record).enumerate() {
-        let value = |at: usize| {
-            f32::from_le_bytes([
-                record[at * 4],
-                record[at * 4 + 1],
-                record[at * 4 + 2],
-                record[at * 4 + 3],
-            ])
-        };
+    let mut table = Table::zeros(groups, rows.count);
+    for i in 0..rows.count {
+        let value = |at: usize| rows.value(i, at);
         for k in 0..3 {
             table.group_mut(POSITION)[i * 3 + k] = value(k);
             table.group_mut(LOG_SCALE)[i * 3 + k] = value(7 + k);

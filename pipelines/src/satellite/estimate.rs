@@ -9,6 +9,7 @@ use super::fit::FitError;
 use super::views;
 use crate::scene::Scene;
 use heliosplat::rates::{Descent, Site};
+use heliosplat::start::MANY_VIEWS;
 use heliosplat::train::TrainOptions;
 use std::time::Instant;
 
@@ -26,8 +27,11 @@ const PLANES: f64 = 24.0;
 const PLANES_PER_CHANNEL: f64 = 4.0;
 /// Bytes per cell of the ground grid while its surface is searched.
 const SWEEP_BYTES_PER_CELL: f64 = 600.0;
-/// Seconds per cell and image before the first step: pointing, search, start.
-const START_S_PER_CELL: f64 = 4.8e-6;
+/// Seconds per cell and image before the first step: pointing, search, start. Many views are searched more widely, and most of
+/// them with an index.
+const START_S_PER_CELL: f64 = 1.2e-5;
+/// The same for few views.
+const START_OF_FEW_S_PER_CELL: f64 = 4.8e-6;
 /// Seconds per Gaussian and step, without light.
 const STEP_S_PER_GAUSSIAN: f64 = 4.2e-7;
 /// Seconds per Gaussian to trace light once, with gradients.
@@ -94,7 +98,12 @@ pub fn estimate(scene: &Scene, config: &SatelliteConfig, slowness: f64) -> Estim
     let peak = |gaussians: f64| {
         fixed + training_bytes(gaussians, images.len(), bands, pixels).max(SWEEP_BYTES_PER_CELL * cells)
     };
-    let start_s = START_S_PER_CELL * cells * images.len() as f64 * slowness;
+    let start_s_per_cell = if images.len() < MANY_VIEWS {
+        START_OF_FEW_S_PER_CELL
+    } else {
+        START_S_PER_CELL
+    };
+    let start_s = start_s_per_cell * cells * images.len() as f64 * slowness;
     let growth = config.train.clone().for_views(images.len()).growth();
     let per_gaussian = STEP_S_PER_GAUSSIAN + TRACE_S_PER_GAUSSIAN * traces_per_step(&config.train);
     let step_s = per_gaussian * gaussians * 0.5 * (1.0 + growth) * slowness;

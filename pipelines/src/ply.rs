@@ -1,0 +1,75 @@
+//! Binary PLY files of named float columns, one row for each Gaussian: how they are framed. Which columns there are is for those who
+//! keep models in them.
+
+use std::fmt::Write;
+
+/// A header longer than this is none; a file that claims more rows than its bytes hold is refused before anything is allocated.
+const HEADER_LIMIT: usize = 64 * 1024;
+const FORMAT: &str = "ply\nformat binary_little_endian 1.0\n";
+const END: &[u8] = b"end_header\n";
+
+/// The header of a file of `count` rows with these columns; the rows follow it, 32-bit floats, little-endian.
+pub fn header<'a>(count: usize, columns: impl Iterator<Item = &'a str>) -> Vec<u8> {
+    let mut text = format!("{FORMAT}comment heliosplat\nelement vertex {count}\n");
+    for column in columns {
+        // Writing to a String cannot fail.
+        let _ = writeln!(text, "property float {column}");
+    }
+    let mut bytes = text.into_bytes();
+    bytes.extend_from_slice(END);
+    bytes
+}
+
+/// A file as it was found.
+pub struct Rows<'a> {
+    /// Number of rows.
+    pub count: usize,
+    /// Names of the columns, in their order.
+    pub columns: Vec<&'a str>,
+    values: &'a [u8],
+}
+
+impl<'a> Rows<'a> {
+    /// Reads the header and checks that the rows are there.
+    ///
+    /// # Errors
+    /// A sentence that says what is wrong with the file.
+    pub fn open(bytes: &'a [u8]) -> Result<Self, String> {
+        let head = &bytes[..bytes.len().min(HEADER_LIMIT)];
+        let end = head
+            .windows(END.len())
+            .position(|w| w == END)
+            .ok_or("it has no PLY header")?;
+        let header = std::str::from_utf8(&head[..end]).map_err(|_| "its header is not text")?;
+        if !header.starts_with(FORMAT) {
+            return Err("it is not a binary little-endian PLY".into());
+        }
+        let count: usize = header
+            .lines()
+            .find_map(|line| line.strip_prefix("element vertex "))
+            .and_then(|n| n.trim().parse().ok())
+            .ok_or("it does not say how many Gaussians it holds")?;
+        let columns = header
+            .lines()
+            .filter_map(|line| line.strip_prefix("property "))
+            .map(|property| property.strip_prefix("float ").map(str::trim))
+            .collect::<Option<Vec<_>>>()
+            .ok_or("it has properties that are not floats")?;
+        let values = &bytes[end + END.len()..];
+        if count.checked_mul(columns.len() * size_of::<f32>()) != Some(values.len()) {
+            return Err(format!(
+                "it claims {count} Gaussians but holds {} bytes of them",
+                values.len()
+            ));
+        }
+        Ok(Self { count, columns, values })
+    }
+
+    /// The number in a row and a column, both of which must exist.
+    pub fn value(&self, row: usize, column: usize) -> f32 {
+        let at = (row * self.columns.len() + column) * size_of::<f32>();
+        let mut value = [0; size_of::<f32>()];
+        value.copy_from_slice(&self.values[at..at + size_of::<f32>()]);
+        f32::from_le_bytes(value)
+    }
+}
