@@ -236,7 +236,7 @@ pub fn fit(scene: &Scene, config: &SatelliteConfig, session: &Session, limits: &
     let mut options = config.train.clone().for_views(views.len());
     let steps = options.iterations;
     options.gsd_m = scene.gsd_m as f32;
-    let memory_estimate = fit_into_memory(limits.memory, &parameters, &views, config, &mut options)?;
+    let memory_estimate = fit_into_memory(limits.memory, scene, &parameters, &views, config, &mut options)?;
     let pass = PassOptions {
         projection: options.projection,
         trace: options.trace,
@@ -272,19 +272,21 @@ pub fn fit(scene: &Scene, config: &SatelliteConfig, session: &Session, limits: &
 /// Limits the Gaussians to what `limit` bytes hold; returns what training will take at most.
 fn fit_into_memory(
     limit: Option<u64>,
+    scene: &Scene,
     parameters: &Parameters,
     views: &[View],
     config: &SatelliteConfig,
     options: &mut TrainOptions,
 ) -> Result<f64, FitError> {
-    let now = estimate::resident_bytes();
     let count = parameters.gaussians.count;
-    let pixels = views.iter().map(|v| v.image.plane_len()).max().unwrap_or(0) as f64;
+    let pixels = |view: &View| view.image.plane_len() as f64;
+    let largest = views.iter().map(pixels).fold(0.0, f64::max);
     let bands = views.first().map_or(0, |v| v.image.bands);
-    let bytes = |gaussians: f64| now + estimate::training_bytes(gaussians, views.len(), bands, pixels);
+    let held = estimate::held_bytes(scene, views.iter().map(pixels).sum(), bands);
+    let bytes = |gaussians: f64| held + estimate::training_bytes(gaussians, views.len(), bands, largest);
     estimate::must_fit(bytes(count as f64), limit, config)?;
     if let Some(limit) = limit {
-        let most = estimate::gaussians_within(limit as f64 - now, views.len(), bands, pixels);
+        let most = estimate::gaussians_within(limit as f64 - held, views.len(), bands, largest);
         options.density.cap = options.density.cap.min(most as usize);
     }
     let grown = count as f64 * options.growth();
