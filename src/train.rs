@@ -1,11 +1,13 @@
 //! The trainer: one view a step, whatever the model.
 
+mod checkpoint;
 mod fault;
 mod focus;
 mod holdout;
 mod known_light;
 mod options;
 
+pub use checkpoint::{STATE_VERSION, StateError, TrainerState};
 pub use fault::{Fault, TrainError};
 pub use holdout::EarlyStop;
 pub use options::TrainOptions;
@@ -49,6 +51,13 @@ pub struct StepReport {
     pub gaussians: usize,
     /// Why the step was rejected, if it was.
     pub rejected: Option<Fault>,
+}
+
+/// What of the options may change while a training runs.
+#[derive(Debug, Clone, Copy, serde::Serialize, serde::Deserialize)]
+struct TrainerOptionsState {
+    iterations: usize,
+    density_cap: usize,
 }
 
 /// A model in training.

@@ -5,6 +5,7 @@
 //! after saving.
 
 pub mod adjust;
+pub mod batch;
 pub mod bench;
 pub mod evaluate;
 pub mod inspect;
@@ -21,7 +22,7 @@ pub use session::{Progress, Session};
 
 use crate::evaluate::EvaluateError;
 use crate::raster::{RasterError, library_versions};
-use crate::scene::{IngestOptions, RpcPreference, SceneError};
+use crate::scene::{AreaRequest, IngestOptions, RpcPreference, SceneError};
 use clap::{Args, Parser, Subcommand};
 use std::process::ExitCode;
 use std::sync::LazyLock;
@@ -105,6 +106,11 @@ pub enum Command {
                             All points take hours; --list shows them. The same command goes on where it was stopped."
     )]
     Tradeoff(tradeoff::TradeoffArgs),
+    /// Train many areas, cut into tiles, and merge them: a manifest of areas, images and presets
+    #[command(after_help = "Examples: heliosplat batch city.toml --out city --jobs 2\n          \
+                            heliosplat batch city.toml --out city --plan --json\n\n\
+                            The same command goes on where it was stopped. The manifest: docs/batch.md.")]
+    Batch(batch::BatchArgs),
     /// Measure the rates of this machine: cameras, splats, light, whole steps; under a minute
     #[command(after_help = "Example: heliosplat bench --json")]
     Bench,
@@ -116,6 +122,9 @@ pub struct IngestArgs {
     /// Lowest and highest altitude of the surface, metres above the ellipsoid
     #[arg(long, value_name = "MIN,MAX", value_parser = parse::pair, allow_hyphen_values = true)]
     pub altitude: Option<[f64; 2]>,
+    /// Only this piece of ground: longitudes and latitudes, or with EPSG:N at the end coordinates of that system
+    #[arg(long, value_name = "WEST,SOUTH,EAST,NORTH[,EPSG:N]", value_parser = parse::area, allow_hyphen_values = true)]
+    pub area: Option<AreaRequest>,
     /// Which camera counts where an image's own RPC and a Sat-NeRF JSON differ
     #[arg(long, value_name = "SOURCE", default_value = "json")]
     pub rpc: RpcPreference,
@@ -127,6 +136,7 @@ impl IngestArgs {
         IngestOptions {
             altitude_range_m: self.altitude.map(|[low, high]| (low, high)),
             rpc: self.rpc,
+            area: self.area.clone(),
         }
     }
 }
@@ -229,6 +239,7 @@ fn run(cli: &Cli) -> Result<Outcome, CliError> {
         Command::Rpc(args) => rpc::run(args),
         Command::Sun(args) => sun::run(args),
         Command::Tradeoff(args) => tradeoff::run(args, cli.threads, &session),
+        Command::Batch(args) => batch::run(args, cli.threads, &session),
         Command::Bench => bench::run(),
     }
 }

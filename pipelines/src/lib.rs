@@ -1,5 +1,6 @@
 //! Scenes in, products out: ingest, the satellite pipeline, evaluation and the command line.
 
+pub mod batch;
 pub mod cli;
 pub mod evaluate;
 pub mod objects;

@@ -4,6 +4,7 @@
 //! shared, the frame and the cameras), `metrics.json`, `dsm.tif`, pictures. Everything is written to a temporary name and
 //! renamed.
 
+pub mod checkpoint;
 mod model_file;
 pub mod ply;
 
@@ -12,7 +13,7 @@ use crate::raster::write::write_atomically;
 use crate::satellite::config::SatelliteConfig;
 use crate::satellite::views::Crop;
 use crate::satellite::{PlanItem, fit::Fitted, views};
-use crate::scene::{Area, BandKind, Scene, Split};
+use crate::scene::{Area, AreaRequest, BandKind, Scene, Split};
 use heliosplat::gaussians::Table;
 use heliosplat::model::Parameters;
 use heliosplat::model::shadow_gs::{ShadowGs, ShadowGsOptions};
@@ -128,6 +129,9 @@ pub struct RunFile {
     pub scene: PathBuf,
     /// The altitude range asked for, if any, metres.
     pub altitude_range_m: Option<(f64, f64)>,
+    /// The piece of ground asked for, if any.
+    #[serde(default)]
+    pub area: Option<AreaRequest>,
     /// Which components the scene required, and why.
     pub plan: Vec<PlanItem>,
     /// The images, hashed.
@@ -236,6 +240,8 @@ pub fn save(folder: &Path, run: &RunFile, model: &ModelFile, gaussians: &Table) 
         reason,
     };
     let text = toml::to_string_pretty(run).map_err(|e| damaged("run.toml", e.to_string()))?;
+    // What was measured of an earlier run here is not true of this one; and metrics are what makes a run finished.
+    let _ = std::fs::remove_file(folder.join("metrics.json"));
     // The large file first: where it finds no room, nothing is written.
     write_atomically(&folder.join("model.ply"), &ply::encode(gaussians, model.options.bands))?;
     write_atomically(&folder.join("run.toml"), text.as_bytes())?;

@@ -17,6 +17,7 @@ use crate::cli::satellite::{DemoArgs, DsmArgs, DsmSource, RelightArgs, RenderArg
 use crate::cli::{CliError, Outcome, Session};
 use crate::product::{dsm, relight, views as rendered};
 use crate::raster::write::{ImageSpec, Sample, write_geotiff};
+use crate::run::checkpoint::CheckpointError;
 use crate::run::{self, RunError};
 use crate::scene::{Scene, SceneError, Split};
 use config::{ConfigError, SatelliteConfig};
@@ -49,6 +50,16 @@ impl From<FitError> for CliError {
         match error {
             FitError::TooFewViews { .. } | FitError::Memory { .. } => Self::Input(error.to_string()),
             FitError::Train(_) => Self::Failed(error.to_string()),
+            FitError::Checkpoint(error) => error.into(),
+        }
+    }
+}
+
+impl From<CheckpointError> for CliError {
+    fn from(error: CheckpointError) -> Self {
+        match error.is_input_fault() {
+            true => Self::Input(error.to_string()),
+            false => Self::Failed(error.to_string()),
         }
     }
 }
@@ -280,6 +291,7 @@ fn reopen(run: &Path) -> Result<Scene, CliError> {
     let file = run::load_run(run)?;
     let options = crate::scene::IngestOptions {
         altitude_range_m: file.altitude_range_m,
+        area: file.area,
         ..Default::default()
     };
     Scene::open(&file.scene, &options)

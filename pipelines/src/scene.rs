@@ -6,6 +6,7 @@
 
 mod acquisition;
 mod altitude;
+mod area;
 mod bands;
 mod camera;
 mod draft;
@@ -16,11 +17,13 @@ mod layout;
 mod manifest;
 mod pixels;
 mod satnerf;
+pub mod survey;
 mod truth;
 
+pub use area::AreaRequest;
 pub use error::SceneError;
 
-use crate::raster::RasterFile;
+use crate::raster::{RasterFile, Window};
 use draft::Draft;
 use ground::Ground;
 use heliosplat::Raster;
@@ -72,7 +75,8 @@ pub enum Split {
 }
 
 /// Which camera is used where an image's own RPC and a Sat-NeRF JSON differ.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, clap::ValueEnum)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, clap::ValueEnum, serde::Serialize, serde::Deserialize)]
+#[serde(rename_all = "snake_case")]
 pub enum RpcPreference {
     /// The JSON: somebody made it on purpose, by bundle adjustment or for a crop.
     #[default]
@@ -88,6 +92,8 @@ pub struct IngestOptions {
     pub altitude_range_m: Option<(f64, f64)>,
     /// Which camera is used where two differ.
     pub rpc: RpcPreference,
+    /// The piece of ground to model, if not all.
+    pub area: Option<AreaRequest>,
 }
 
 /// One image of a scene, with everything that was found out about it.
@@ -103,11 +109,13 @@ pub struct SceneImage {
     pub pixels: Raster,
     /// What each band of `pixels` is.
     pub bands: Vec<BandKind>,
-    /// Its rational camera, in this file's pixel coordinates.
+    /// What of the file was read: all of it, or what shows the area that was asked for.
+    pub window: Window,
+    /// Its rational camera, in the file's pixel coordinates.
     pub rpc: Rpc,
     /// Where the camera was found: `image` (tag, or a sidecar GDAL knows) or a file name.
     pub rpc_source: String,
-    /// The pinhole camera fitted in the scene's frame over the whole image and the altitude range.
+    /// The pinhole camera fitted in the scene's frame over the window and the altitude range; it counts pixels of the window.
     pub pinhole: PinholeFit,
     /// Acquisition time, if known.
     pub time: Option<jiff::Timestamp>,
@@ -189,7 +197,7 @@ impl Scene {
             &ranges,
             &mut warnings,
         )?;
-        let ground = Ground::find(path, drafts, altitude_range_m, &mut warnings)?;
+        let ground = Ground::find(path, drafts, altitude_range_m, options.area.as_ref(), &mut warnings)?;
         ground.finish(path, layout, (altitude_range_m, altitude_source), warnings)
     }
 

@@ -77,6 +77,11 @@ impl DensityStatistics {
         }
     }
 
+    /// Whether this is about `count` Gaussians.
+    pub(crate) fn fits(&self, count: usize) -> bool {
+        self.pull.len() == count && self.seen.len() == count
+    }
+
     /// Adds one view; `pixels` turns the gradient of a mean over pixels into one per pixel.
     pub fn add(&mut self, projected: &Projected, grads: &[SplatGradient], pixels: usize) {
         // A step with numbers that are not finite is rejected: it must leave nothing behind here either.

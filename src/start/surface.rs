@@ -4,7 +4,7 @@ use super::grid::lowest_within;
 use glam::Vec3;
 
 /// Altitudes on a regular ground grid, with what is known of their worth.
-#[derive(Debug, Clone, PartialEq, Default)]
+#[derive(Debug, Clone, PartialEq, Default, serde::Serialize, serde::Deserialize)]
 pub struct Surface {
     /// Columns.
     pub width: usize,
@@ -27,6 +27,14 @@ pub struct Surface {
 }
 
 impl Surface {
+    /// Whether every cell has its altitude, its confidence and its flag.
+    pub fn is_whole(&self) -> bool {
+        let cells = self.width.checked_mul(self.height);
+        [self.altitude.len(), self.confidence.len(), self.filled.len()]
+            .into_iter()
+            .all(|length| Some(length) == cells)
+    }
+
     /// Whether the ground position lies on the grid.
     pub fn contains(&self, x_m: f32, y_m: f32) -> bool {
         self.cell_at(x_m, y_m).is_some()

@@ -81,9 +81,14 @@ impl Occluder {
     }
 }
 
+/// Axis-aligned bounds: least and largest east, north and up, metres.
+pub(crate) type Bounds = [[f32; 3]; 2];
+
 /// The hierarchy over the bounds of all occluders.
 pub(super) struct Hierarchy {
     tree: Bvh2,
+    /// What the tree was built on; it has been fitted to other bounds since.
+    built_on: Vec<Bounds>,
     /// Place of each Gaussian in an order in which neighbours in the scene are neighbours.
     pub(super) rank: Vec<u32>,
 }
@@ -106,17 +111,23 @@ fn bounds(list: &[Occluder]) -> Vec<Aabb> {
 
 impl Hierarchy {
     fn new(list: &[Occluder]) -> Self {
+        Self::on(&bounds(list))
+    }
+
+    fn on(bounds: &[Aabb]) -> Self {
         let mut spent = Duration::default();
-        let mut tree = build_bvh2(&bounds(list), BvhBuildParams::fast_build(), &mut spent);
+        let mut tree = build_bvh2(bounds, BvhBuildParams::fast_build(), &mut spent);
         // Parents before children: a refit is then one sweep, and a walk goes forward in memory.
         tree.reorder_in_stack_traversal_order();
-        let mut rank = vec![0; list.len()];
+        let mut rank = vec![0; bounds.len()];
         let leaves = tree.nodes.iter().filter(|node| node.is_leaf());
         let primitives = leaves.flat_map(|leaf| leaf_range(leaf.first_index, leaf.prim_count));
         for (place, primitive) in primitives.enumerate() {
             rank[tree.primitive_indices[primitive] as usize] = place as u32;
         }
-        Self { tree, rank }
+        let corners = |b: &Aabb| [b.min.to_array(), b.max.to_array()];
+        let built_on = bounds.iter().map(corners).collect();
+        Self { tree, built_on, rank }
     }
 
     /// Fits the bounds to occluders that have moved; which leaf holds which stays.
@@ -218,6 +229,28 @@ impl Occluders {
             list: list(gaussians),
             hierarchy: OnceLock::new(),
         }
+    }
+
+    /// The same with a hierarchy that was built on other bounds of them, and is fitted to them as they stand.
+    ///
+    /// # Panics
+    /// When there are not as many bounds.
+    pub(crate) fn with_hierarchy_on(gaussians: &Table, built_on: Vec<Bounds>) -> Self {
+        assert_eq!(gaussians.count, built_on.len(), "the same Gaussians");
+        let bounds = |[min, max]: &Bounds| Aabb::new(Vec3A::from_array(*min), Vec3A::from_array(*max));
+        let bounds: Vec<Aabb> = built_on.iter().map(bounds).collect();
+        let list = list(gaussians);
+        let mut hierarchy = Hierarchy::on(&bounds);
+        hierarchy.refit(&list);
+        Self {
+            list,
+            hierarchy: hierarchy.into(),
+        }
+    }
+
+    /// What the hierarchy was built on, if there is one.
+    pub(crate) fn hierarchy_built_on(&self) -> Option<&[Bounds]> {
+        self.hierarchy.get().map(|hierarchy| hierarchy.built_on.as_slice())
     }
 
     /// The occluders of the same Gaussians after they have moved: a hierarchy that was built is kept and fitted to them.

@@ -3,6 +3,7 @@
 use super::TrainOptions;
 use crate::model::{Parameters, View};
 use crate::raster::Raster;
+use std::borrow::Cow;
 
 /// Side of a held-out tile, pixels: several times the SSIM window, so that its inside sees little of what is trained on.
 const TILE: usize = 24;
@@ -27,6 +28,27 @@ pub(super) struct Holdout {
     rounds_without: usize,
     patience: usize,
     keep_from: usize,
+}
+
+/// What early stopping knows; which tiles are held out follows from the seed.
+#[derive(Debug, Clone, serde::Serialize, serde::Deserialize)]
+pub(super) struct HoldoutState<'a> {
+    losses: Cow<'a, [Option<f64>]>,
+    best: Option<(usize, f64, Cow<'a, Parameters>)>,
+    rounds_without: usize,
+    keep_from: usize,
+}
+
+impl HoldoutState<'_> {
+    /// Views it knows.
+    pub(super) fn views(&self) -> usize {
+        self.losses.len()
+    }
+
+    /// The best parameters, if a round had some.
+    pub(super) fn parameters(&self) -> Option<&Parameters> {
+        self.best.as_ref().map(|(_, _, parameters)| &**parameters)
+    }
 }
 
 /// A number from 0 to 1 that depends on the tile alone.
@@ -137,6 +159,27 @@ impl Holdout {
     #[cfg(test)]
     fn losses(&self) -> &[Option<f64>] {
         &self.losses
+    }
+
+    /// What it knows, without a copy.
+    pub(super) fn state(&self) -> HoldoutState<'_> {
+        let best = self.best.as_ref();
+        HoldoutState {
+            losses: Cow::Borrowed(&self.losses),
+            best: best.map(|(step, loss, parameters)| (*step, *loss, Cow::Borrowed(parameters))),
+            rounds_without: self.rounds_without,
+            keep_from: self.keep_from,
+        }
+    }
+
+    /// Takes up what was known.
+    pub(super) fn restore(&mut self, state: HoldoutState) {
+        self.losses = state.losses.into_owned();
+        self.best = state
+            .best
+            .map(|(step, loss, parameters)| (step, loss, parameters.into_owned()));
+        self.rounds_without = state.rounds_without;
+        self.keep_from = state.keep_from;
     }
 
     pub(super) fn into_best(self) -> Option<Parameters> {

@@ -10,7 +10,7 @@ const WATCHED: usize = 16;
 const PATIENCE: usize = 4;
 
 /// A view's transmittances of an earlier step, by Gaussian.
-#[derive(Debug, Clone)]
+#[derive(Debug, Clone, serde::Serialize, serde::Deserialize)]
 pub(super) struct KnownLight {
     /// Transmittances; what the view did not show counts as lit.
     pub(super) values: Vec<f32>,
@@ -32,6 +32,7 @@ impl KnownLight {
 }
 
 /// How far Gaussians have moved since training began, seen on some of them.
+#[derive(Debug, Clone, serde::Serialize, serde::Deserialize)]
 pub(super) struct Movement {
     watched: Vec<(Vec3, f32)>,
     /// Mean length of the way of a Gaussian, ground sampling distances, its changes of opacity added.

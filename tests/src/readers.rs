@@ -274,6 +274,7 @@ fn scenes() -> Vec<Vec<u8>> {
 
 fn runs() -> Vec<Vec<u8>> {
     let run = RunFile {
+        area: None,
         version: "0.1.0".into(),
         preset: "fast".into(),
         seed: 1,

@@ -1,5 +1,6 @@
 //! Values of arguments: what they look like, and what is said when they do not.
 
+use crate::scene::AreaRequest;
 use std::time::Duration;
 
 /// `A,B`: two numbers.
@@ -9,6 +10,22 @@ use std::time::Duration;
 pub fn pair(text: &str) -> Result<[f64; 2], String> {
     let numbers = numbers(text)?;
     <[f64; 2]>::try_from(numbers).map_err(|_| "expected two numbers, as in 10,20".to_owned())
+}
+
+/// `WEST,SOUTH,EAST,NORTH`, degrees, or with `,EPSG:N` at the end coordinates of that system.
+///
+/// # Errors
+/// A message for the user.
+pub fn area(text: &str) -> Result<AreaRequest, String> {
+    let (bounds, crs) = match text.split_once(",EPSG:") {
+        Some((bounds, number)) => (bounds, Some(format!("EPSG:{}", number.trim()))),
+        None => (text, None),
+    };
+    let bounds = <[f64; 4]>::try_from(numbers(bounds)?)
+        .map_err(|_| "expected WEST,SOUTH,EAST,NORTH, as in 36.90,37.58,36.91,37.59".to_owned())?;
+    let area = AreaRequest { bounds, crs };
+    area.check()?;
+    Ok(area)
 }
 
 /// `A,B,C`: three numbers.
@@ -118,6 +135,17 @@ fn split_unit(text: &str) -> (&str, &str) {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn an_area_has_a_west_before_its_east_and_maybe_a_system() {
+        let area_of = area("36.9,37.5,37.0,37.6").expect("degrees");
+        assert_eq!((area_of.bounds[3], area_of.crs), (37.6, None));
+        let area_of = area("312000,4160000,312128,4160128,EPSG:32637").expect("metres");
+        assert_eq!(area_of.crs.as_deref(), Some("EPSG:32637"));
+        for bad in ["1,2,3", "3,2,1,4", "1,2,3,nan", "200,0,201,1"] {
+            assert!(area(bad).is_err(), "{bad}");
+        }
+    }
 
     #[test]
     fn durations_and_sizes_carry_their_units() {

@@ -64,9 +64,12 @@ pub struct TrainArgs {
     /// Change one value of the configuration, as in --set train.iterations=2000
     #[arg(long = "set", value_parser = parse::key_value, value_name = "KEY=VALUE")]
     pub set: Vec<(String, String)>,
-    /// Go on from the run's last checkpoint
+    /// Go on from the run's last checkpoint; a run that is finished is left as it is
     #[arg(long)]
     pub resume: bool,
+    /// Time between two checkpoints; 0 keeps one after every step
+    #[arg(long, value_parser = parse::duration, value_name = "TIME", default_value = "60s")]
+    pub checkpoint_every: Duration,
     /// What is said about the scene
     #[command(flatten)]
     pub ingest: IngestArgs,

@@ -41,6 +41,21 @@ impl Session {
         self.stop.load(Ordering::SeqCst)
     }
 
+    /// Also stops when standard input ends: whoever started this process and holds the other end is gone, or asks for it.
+    pub fn stop_with_input(&self) {
+        let stop = Arc::clone(&self.stop);
+        std::thread::spawn(move || {
+            // What comes is not for us; that it ends is.
+            let _ = std::io::copy(&mut std::io::stdin().lock(), &mut std::io::sink());
+            stop.store(true, Ordering::SeqCst);
+        });
+    }
+
+    /// A line about something that runs beside others, its time and what it says; on a terminal only.
+    pub fn watch(&self, label: &str) -> Progress {
+        self.bar(label, ProgressBar::no_length(), "{prefix} {elapsed} {msg}")
+    }
+
     /// The flag itself, for loops that know nothing of sessions.
     pub fn stop_flag(&self) -> Arc<AtomicBool> {
         Arc::clone(&self.stop)
@@ -48,10 +63,13 @@ impl Session {
 
     /// A progress bar of `total` steps; on a terminal only.
     pub fn progress(&self, label: &str, total: u64) -> Progress {
-        let bar = ProgressBar::new(total);
+        let style = "{prefix} [{bar:30}] {pos}/{len} {per_sec} left {eta} {msg}";
+        self.bar(label, ProgressBar::new(total), style)
+    }
+
+    fn bar(&self, label: &str, bar: ProgressBar, style: &str) -> Progress {
         if std::io::stderr().is_terminal() {
             let bar = log::BARS.add(bar);
-            let style = "{prefix} [{bar:30}] {pos}/{len} {per_sec} left {eta} {msg}";
             if let Ok(style) = ProgressStyle::with_template(style) {
                 bar.set_style(style.progress_chars("=> "));
             }

@@ -7,6 +7,7 @@ use super::run::{self, Kind, ObjectModel};
 use super::start::{self, Seed, Start};
 use super::views::{self, Preparation};
 use crate::cli::Session;
+use crate::run::checkpoint::{Keeper, Kept};
 use crate::satellite::budget::Budget;
 use crate::satellite::fit::{CurvePoint, Ending, FitError, train};
 use crate::scene::Split;
@@ -144,7 +145,7 @@ fn frame_of(seed: &Seed) -> [f32; 4] {
     Quat::from_rotation_arc(Vec3::Z, normal).to_array()
 }
 
-/// Fits a model to `capture`.
+/// Fits a model to `capture`, or goes on from where a fit of it was interrupted; `keeper` keeps its state meanwhile.
 ///
 /// # Errors
 /// [`FitError`] when training gives up.
@@ -153,6 +154,8 @@ pub fn fit(
     config: &ObjectConfig,
     session: &Session,
     budget: Option<Budget>,
+    mut keeper: Keeper,
+    kept: Option<Kept>,
 ) -> Result<Fitted, FitError> {
     let begun = Instant::now();
     let (kind, why) = plan(capture, config.model.kind);
@@ -180,8 +183,15 @@ pub fn fit(
     let reach = Vec3::splat(SLACK * capture.half_size as f32);
     let started = start.seeds.len();
     let prepared = begun.elapsed();
-    let trainer = Trainer::new(&*model, views, parameters, options, (-reach, reach), None)?;
-    let trained = train(trainer, steps, session, budget)?;
+    let mut trainer = Trainer::new(&*model, views, parameters, options, (-reach, reach), None)?;
+    if let Some(kept) = kept {
+        tracing::info!(step = kept.trainer.steps(), of = steps, "training goes on");
+        keeper.course = kept.course;
+        trainer
+            .restore(kept.trainer)
+            .map_err(|error| keeper.does_not_fit(&error))?;
+    }
+    let trained = train(trainer, steps, session, budget, keeper)?;
     let file = run::file(capture, config, kind, preparation, trained.parameters.globals.clone());
     Ok(Fitted {
         model: ObjectModel {

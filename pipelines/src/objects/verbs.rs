@@ -9,10 +9,12 @@ use super::{measure, views};
 use crate::cli::satellite::{RelightArgs, RenderArgs, RenderSplit, TrainArgs};
 use crate::cli::{CliError, Outcome, Session};
 use crate::raster::preview::write_png;
+use crate::run::checkpoint::{self, Keeper};
 use crate::run::{Input, hash, peak_rss_bytes, save_metrics};
 use crate::satellite::budget::Budget;
 use crate::satellite::estimate::resident_bytes;
-use crate::satellite::training::{create_folder, finished};
+use crate::satellite::fit::Ending;
+use crate::satellite::training::{create_folder, finished, interrupted};
 use crate::scene::Split;
 use glam::DVec3;
 use heliosplat::light::Light;
@@ -20,6 +22,7 @@ use heliosplat::model::SceneModel;
 use heliosplat::model::olat::Component;
 use rayon::prelude::*;
 use serde_json::{Value, json};
+use std::fmt::Write;
 use std::path::Path;
 use std::time::Instant;
 
@@ -47,7 +50,10 @@ fn open(path: &Path, memory: Option<u64>) -> Result<Capture, CliError> {
 /// When the capture, the configuration or a limit is at fault, training gives up, or a file cannot be written.
 pub fn train(args: &TrainArgs, session: &Session) -> Result<Outcome, CliError> {
     let begun = Instant::now();
-    for (told, name) in [(args.resume, "resume"), (args.ingest.altitude.is_some(), "altitude")] {
+    for (told, name) in [
+        (args.ingest.altitude.is_some(), "altitude"),
+        (args.ingest.area.is_some(), "area"),
+    ] {
         if told {
             let text = format!("train --{name}: not for captures of objects; train again without it");
             return Err(CliError::Input(text));
@@ -69,34 +75,88 @@ pub fn train(args: &TrainArgs, session: &Session) -> Result<Outcome, CliError> {
         }
         config.train.density.cap = config.train.density.cap.min(most);
     }
+    let inputs = hashes(&capture)?;
+    let identity = identity(args, &config, &capture, &inputs)?;
+    let done = metrics_of(&args.out).filter(|done| args.resume && done["training"] == checkpoint::digest(&identity));
+    if let Some(metrics) = done {
+        let text = format!(
+            "{}\nrun            {} (finished before)",
+            measure::summary(&metrics),
+            args.out.display()
+        );
+        return Ok(Outcome { json: metrics, text });
+    }
+    let kept = match args.resume {
+        true => checkpoint::read(&args.out, &identity)?,
+        false => None,
+    };
+    let before = kept.as_ref().map_or(0.0, |kept| kept.course.elapsed_s);
+    let before = std::time::Duration::try_from_secs_f64(before).unwrap_or_default();
+    let begun = begun.checked_sub(before).unwrap_or(begun);
     let budget = args
         .time_budget
         .map(|limit| Budget::new(begun, limit, capture.frames.len()));
     let new = !args.out.exists();
     create_folder(&args.out)?;
-    let fitted = fit::fit(&capture, &config, session, budget).inspect_err(|_| {
+    let keeper = Keeper::new(&args.out, &identity, args.checkpoint_every, begun);
+    let fitted = fit::fit(&capture, &config, session, budget, keeper, kept).inspect_err(|_| {
         if new {
             // Only removes it while it is empty; that it stays is no further fault.
             let _ = std::fs::remove_dir(&args.out);
         }
     })?;
+    if fitted.ending == Ending::Interrupted {
+        return Err(interrupted(&args.out));
+    }
     let run = ObjectRun {
         version: env!("CARGO_PKG_VERSION").into(),
         preset: preset.name().into(),
         seed: args.seed,
         capture: std::fs::canonicalize(&args.scene).unwrap_or_else(|_| args.scene.clone()),
-        inputs: hashes(&capture)?,
+        inputs,
         config,
     };
+    let _ = std::fs::remove_file(args.out.join("metrics.json"));
     run::save(&args.out, &run, &fitted.model)?;
     let pictures = args.out.join("views");
     create_folder(&pictures)?;
     let mut metrics = measure::metrics(&fitted.model, &capture, Some(&pictures))?;
     add_fit(&mut metrics, &fitted, begun.elapsed().as_secs_f64());
+    if fitted.ending == Ending::Done {
+        metrics["training"] = checkpoint::digest(&identity).into();
+    }
     save_metrics(&args.out, &metrics)?;
+    checkpoint::remove(&args.out);
     finished(fitted.ending, &args.out)?;
     let text = format!("{}\nrun            {}", measure::summary(&metrics), args.out.display());
     Ok(Outcome { json: metrics, text })
+}
+
+/// All that decides a training, line by line.
+fn identity(args: &TrainArgs, config: &ObjectConfig, capture: &Capture, inputs: &[Input]) -> Result<String, CliError> {
+    let mut text = checkpoint::identity_of_program();
+    let config = toml::to_string(config).map_err(|error| CliError::Failed(error.to_string()))?;
+    // Writing to a String cannot fail.
+    let _ = writeln!(
+        text,
+        "--time-budget {:?}\n--memory {:?}\n{config}",
+        args.time_budget, args.memory
+    );
+    for (frame, input) in capture.frames.iter().zip(inputs) {
+        let _ = writeln!(text, "image {} {}", frame.name, input.sha256);
+        let camera = format!("{:?} {:?} {:?}", frame.split, frame.camera, frame.light);
+        let _ = writeln!(
+            text,
+            "camera and light of {} {}",
+            frame.name,
+            checkpoint::digest(&camera)
+        );
+    }
+    Ok(text)
+}
+
+fn metrics_of(run: &Path) -> Option<Value> {
+    serde_json::from_slice(&std::fs::read(run.join("metrics.json")).ok()?).ok()
 }
 
 fn hashes(capture: &Capture) -> Result<Vec<Input>, CliError> {

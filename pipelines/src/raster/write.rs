@@ -200,6 +200,17 @@ fn write_copy(path: &Path, dataset: &Dataset, driver: &str, options: &[&str]) ->
 /// # Errors
 /// As [`write_cog`].
 pub fn write_atomically(path: &Path, bytes: &[u8]) -> Result<(), RasterError> {
+    write_atomically_with(path, |file| file.write_all(bytes))
+}
+
+/// The same with what `fill` writes.
+///
+/// # Errors
+/// As [`write_cog`].
+pub fn write_atomically_with(
+    path: &Path,
+    fill: impl FnOnce(&mut dyn Write) -> std::io::Result<()>,
+) -> Result<(), RasterError> {
     let failed = |error: &std::io::Error| RasterError::from_io(path, error);
     let folder = match path.parent() {
         Some(parent) if !parent.as_os_str().is_empty() => parent,
@@ -215,7 +226,7 @@ pub fn write_atomically(path: &Path, bytes: &[u8]) -> Result<(), RasterError> {
         builder.permissions(std::fs::Permissions::from_mode(0o666));
     }
     let mut file = builder.tempfile_in(folder).map_err(|error| failed(&error))?;
-    file.write_all(bytes).map_err(|error| failed(&error))?;
+    fill(file.as_file_mut()).map_err(|error| failed(&error))?;
     file.as_file().sync_all().map_err(|error| failed(&error))?;
     file.persist(path).map_err(|error| failed(&error.error))?;
     Ok(())

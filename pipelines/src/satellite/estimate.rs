@@ -7,7 +7,7 @@ use super::budget::after_training_steps;
 use super::config::SatelliteConfig;
 use super::fit::FitError;
 use super::views;
-use crate::scene::Scene;
+use crate::scene::{Area, Scene};
 use heliosplat::rates::{Descent, Site};
 use heliosplat::start::MANY_VIEWS;
 use heliosplat::train::TrainOptions;
@@ -42,7 +42,7 @@ const TRACE_S_PER_GAUSSIAN: f64 = 1.03e-6;
 const REFERENCE_STEP_S: f64 = 0.012;
 
 /// What a run will take.
-#[derive(Debug, Clone, Copy, PartialEq, serde::Serialize)]
+#[derive(Debug, Clone, Copy, PartialEq, serde::Serialize, serde::Deserialize)]
 pub struct Estimate {
     /// Gaussians at the start.
     pub gaussians: f64,
@@ -70,11 +70,16 @@ pub fn slowness() -> f64 {
     best / REFERENCE_STEP_S
 }
 
-/// Bytes that the process holds when training begins: itself, the scene's images, and of the `trained_pixels` a copy to sweep and one
-/// to train on, with weights. What the system says the process holds is no measure: an allocator keeps what was freed.
-pub fn held_bytes(scene: &Scene, trained_pixels: f64, bands: usize) -> f64 {
-    let scene_values: usize = scene.images.iter().map(|image| image.pixels.values.len()).sum();
-    PROGRAM_BYTES + 4.0 * (scene_values as f64 + trained_pixels * (2.0 * bands as f64 + 1.0))
+/// Bytes that the process holds when its scene is open: itself and the images. What the system says it holds is no measure: an
+/// allocator keeps what was freed.
+pub fn held_bytes(scene: &Scene) -> f64 {
+    let values: usize = scene.images.iter().map(|image| image.pixels.values.len()).sum();
+    PROGRAM_BYTES + 4.0 * values as f64
+}
+
+/// Bytes of the copies of `pixels` that are swept and trained on, the latter with weights.
+pub fn copies_bytes(pixels: f64, bands: usize) -> f64 {
+    4.0 * pixels * (2.0 * bands as f64 + 1.0)
 }
 
 /// Bytes that training adds to what the process holds when it begins: `gaussians` at most, `pixels` of the largest view.
@@ -92,27 +97,63 @@ pub fn gaussians_within(bytes: f64, views: usize, bands: usize, pixels: f64) -> 
     ((bytes - fixed) / each).max(0.0)
 }
 
+/// What decides how much a training takes, besides its configuration.
+#[derive(Debug, Clone, Copy)]
+pub struct Extent {
+    /// The ground, metres.
+    pub area: Area,
+    /// Ground sampling distance, metres.
+    pub gsd_m: f64,
+    /// Bands of every image.
+    pub bands: usize,
+    /// Images.
+    pub images: usize,
+    /// Those of them that are trained on.
+    pub training: usize,
+}
+
+impl From<&Scene> for Extent {
+    fn from(scene: &Scene) -> Self {
+        Self {
+            area: scene.area,
+            gsd_m: scene.gsd_m,
+            bands: scene.bands().len(),
+            images: scene.images.len(),
+            training: scene.training().count(),
+        }
+    }
+}
+
 /// What training `scene` will take on a machine of this [`slowness`]; the scene's images are in memory already.
 pub fn estimate(scene: &Scene, config: &SatelliteConfig, slowness: f64) -> Estimate {
-    let area = views::grown(&scene.area, config.start.margin_m);
-    let cell_m = config.start.cell_gsd * scene.gsd_m;
+    estimate_of(&scene.into(), config, slowness, held_bytes(scene))
+}
+
+/// The same of any ground, in a process that holds `held` bytes when training begins, the images among them.
+pub fn estimate_of(extent: &Extent, config: &SatelliteConfig, slowness: f64, held: f64) -> Estimate {
+    let &Extent {
+        gsd_m,
+        bands,
+        images,
+        training,
+        ..
+    } = extent;
+    let area = views::grown(&extent.area, config.start.margin_m);
+    let cell_m = config.start.cell_gsd * gsd_m;
     let cells = (area.east_m - area.west_m) * (area.north_m - area.south_m) / (cell_m * cell_m);
     let gaussians = GAUSSIANS_PER_CELL * cells;
-    let images: Vec<_> = scene.training().collect();
-    let steps = config.train.clone().for_views(images.len()).iterations;
-    let bands = scene.bands().len();
+    let steps = config.train.clone().for_views(training).iterations;
     let pixels = cells * config.start.cell_gsd * config.start.cell_gsd * 1.2;
-    let fixed = held_bytes(scene, images.len() as f64 * pixels, bands);
-    let peak = |gaussians: f64| {
-        fixed + training_bytes(gaussians, images.len(), bands, pixels).max(SWEEP_BYTES_PER_CELL * cells)
-    };
-    let start_s_per_cell = if images.len() < MANY_VIEWS {
+    let fixed = held + copies_bytes(training as f64 * pixels, bands);
+    let peak =
+        |gaussians: f64| fixed + training_bytes(gaussians, training, bands, pixels).max(SWEEP_BYTES_PER_CELL * cells);
+    let start_s_per_cell = if training < MANY_VIEWS {
         START_OF_FEW_S_PER_CELL
     } else {
         START_S_PER_CELL
     };
-    let start_s = start_s_per_cell * cells * images.len() as f64 * slowness;
-    let growth = config.train.clone().for_views(images.len()).growth();
+    let start_s = start_s_per_cell * cells * training as f64 * slowness;
+    let growth = config.train.clone().for_views(training).growth();
     let per_gaussian = STEP_S_PER_GAUSSIAN + TRACE_S_PER_GAUSSIAN * traces_per_step(&config.train);
     let step_s = per_gaussian * gaussians * 0.5 * (1.0 + growth) * slowness;
     Estimate {
@@ -121,7 +162,7 @@ pub fn estimate(scene: &Scene, config: &SatelliteConfig, slowness: f64) -> Estim
         least_bytes: peak(cells),
         steps,
         start_s,
-        seconds: start_s + (steps as f64 + after_training_steps(scene.images.len())) * step_s,
+        seconds: start_s + (steps as f64 + after_training_steps(images)) * step_s,
     }
 }
 

@@ -7,6 +7,7 @@ use super::ground::Ground;
 use super::views;
 use super::{estimate, initial, radiometry};
 use crate::cli::Session;
+use crate::run::checkpoint::{CheckpointError, Keeper, Kept, Prepared};
 use crate::scene::{Area, Scene, SceneImage};
 use glam::Vec3;
 use heliosplat::model::shadow_gs::{ShadowGs, ShadowGsOptions};
@@ -44,10 +45,13 @@ pub enum FitError {
     /// Training gave up.
     #[error("training stopped: {0}")]
     Train(#[from] TrainError),
+    /// A checkpoint is at fault, or cannot be written.
+    #[error(transparent)]
+    Checkpoint(#[from] CheckpointError),
 }
 
 /// The losses of one step.
-#[derive(Debug, Clone, PartialEq, serde::Serialize)]
+#[derive(Debug, Clone, PartialEq, serde::Serialize, serde::Deserialize)]
 pub struct CurvePoint {
     /// The step.
     pub step: usize,
@@ -71,7 +75,7 @@ pub struct Limits {
 pub enum Ending {
     /// As it should.
     Done,
-    /// The user stopped it.
+    /// The user stopped it; its state is kept in a checkpoint.
     Interrupted,
     /// Training could not go on; the model is the last good state.
     GaveUp(TrainError),
@@ -170,6 +174,7 @@ impl<'a> Swept<'a> {
         let rasters = ground.rasters();
         let shifts_px = align(&ground, &rasters, config, scene.gsd_m);
         let aligned = started.elapsed();
+        let bands = rasters.first().map_or(0, |raster| raster.bands);
         let request = ground.request(config.start.cell_gsd * scene.gsd_m);
         let progress = session.progress("sweep", 100);
         let indices = ground.vegetation_indices(&rasters);
@@ -180,11 +185,34 @@ impl<'a> Swept<'a> {
         let surface = sweep(&views, &request, &|share| progress.set((100.0 * share) as u64));
         Ok(Self {
             surface,
-            bands: rasters.first().map_or(0, |raster| raster.bands),
+            bands,
             ground,
             shifts_px,
             seconds: [aligned.as_secs_f64(), (started.elapsed() - aligned).as_secs_f64()],
         })
+    }
+
+    /// The same as it was found out before; `None` where it is not of this scene.
+    fn again(scene: &'a Scene, config: &SatelliteConfig, prepared: Prepared) -> Result<Option<Self>, FitError> {
+        let ground = Ground::new(scene, scene.training(), config.start.margin_m)?;
+        let fits = prepared.shifts_px.len() == ground.images.len() && prepared.surface.is_whole();
+        let bands = ground.images.first().map_or(0, |image| image.pixels.bands);
+        Ok(fits.then_some(Self {
+            ground,
+            surface: prepared.surface,
+            bands,
+            shifts_px: prepared.shifts_px,
+            seconds: prepared.seconds,
+        }))
+    }
+
+    /// What need not be found out again.
+    fn prepared(&self) -> Prepared {
+        Prepared {
+            surface: self.surface.clone(),
+            shifts_px: self.shifts_px.clone(),
+            seconds: self.seconds,
+        }
     }
 }
 
@@ -196,18 +224,38 @@ pub fn sweep_only(scene: &Scene, config: &SatelliteConfig, session: &Session) ->
     Swept::new(scene, config, session).map(|swept| swept.surface)
 }
 
-/// Fits a model to `scene`.
+/// Fits a model to `scene`, or goes on from where a fit of it was interrupted; `keeper` keeps its state meanwhile.
 ///
 /// # Errors
-/// [`FitError`] when too few images show the common ground, or training gives up.
-pub fn fit(scene: &Scene, config: &SatelliteConfig, session: &Session, limits: &Limits) -> Result<Fitted, FitError> {
+/// [`FitError`] when too few images show the common ground, training gives up, or the state cannot be kept or taken up.
+pub fn fit(
+    scene: &Scene,
+    config: &SatelliteConfig,
+    session: &Session,
+    limits: &Limits,
+    mut keeper: Keeper,
+    kept: Option<Kept>,
+) -> Result<Fitted, FitError> {
+    let (prepared, course, state) = kept.map_or((None, None, None), |kept| {
+        (kept.prepared, Some(kept.course), Some(kept.trainer))
+    });
+    let again = match prepared {
+        Some(prepared) => Swept::again(scene, config, prepared)?,
+        None => None,
+    };
+    let swept = match again {
+        Some(swept) => swept,
+        None => Swept::new(scene, config, session)?,
+    };
+    keeper.prepared = Some(swept.prepared());
+    keeper.course = course.unwrap_or_default();
     let Swept {
         ground,
         surface,
         bands,
         shifts_px,
         seconds: [align_s, sweep_s],
-    } = Swept::new(scene, config, session)?;
+    } = swept;
     let swept = Instant::now();
 
     let image_colour = config.model.image_colour.unwrap_or(ground.images.len() > 1);
@@ -247,8 +295,12 @@ pub fn fit(scene: &Scene, config: &SatelliteConfig, session: &Session, limits: &
 
     let bounds = bounds(&ground);
     let nadir = nadir_camera(&scene.area, scene.gsd_m);
-    let trainer = Trainer::new(&model, views, parameters, options, bounds, Some(nadir))?;
-    let trained = train(trainer, steps, session, limits.budget)?;
+    let mut trainer = Trainer::new(&model, views, parameters, options, bounds, Some(nadir))?;
+    if let Some(state) = state {
+        tracing::info!(step = state.steps(), of = steps, "training goes on");
+        trainer.restore(state).map_err(|error| keeper.does_not_fit(&error))?;
+    }
+    let trained = train(trainer, steps, session, limits.budget, keeper)?;
     Ok(Fitted {
         parameters: trained.parameters,
         early_stop: trained.early_stop,
@@ -282,7 +334,7 @@ fn fit_into_memory(
     let pixels = |view: &View| view.image.plane_len() as f64;
     let largest = views.iter().map(pixels).fold(0.0, f64::max);
     let bands = views.first().map_or(0, |v| v.image.bands);
-    let held = estimate::held_bytes(scene, views.iter().map(pixels).sum(), bands);
+    let held = estimate::held_bytes(scene) + estimate::copies_bytes(views.iter().map(pixels).sum(), bands);
     let bytes = |gaussians: f64| held + estimate::training_bytes(gaussians, views.len(), bands, largest);
     estimate::must_fit(bytes(count as f64), limit, config)?;
     if let Some(limit) = limit {
@@ -325,10 +377,10 @@ pub(crate) fn train(
     steps: usize,
     session: &Session,
     budget: Option<Budget>,
+    mut keeper: Keeper,
 ) -> Result<Trained, FitError> {
     let progress = session.progress("train", steps as u64);
-    let mut curve = Vec::new();
-    let mut smoothed = None;
+    progress.set(trainer.steps() as u64);
     let mut pace = Pace::new(trainer.views());
     let mut ending = Ending::Done;
     while !trainer.finished() && !session.stopped() {
@@ -347,12 +399,13 @@ pub(crate) fn train(
             trainer.set_iterations(steps);
             progress.set_total(steps as u64);
         }
-        let l1 = smoothed.map_or(report.l1, |old: f64| 0.95 * old + 0.05 * report.l1);
-        smoothed = Some(l1);
+        let course = &mut keeper.course;
+        let l1 = course.smoothed.map_or(report.l1, |old| 0.95 * old + 0.05 * report.l1);
+        course.smoothed = Some(l1);
         progress.set(report.step as u64);
         if report.step % 25 == 0 {
             progress.say(&format!("L1 {l1:.4} gaussians {}", report.gaussians));
-            curve.push(point(&report, l1));
+            course.curve.push(point(&report, l1));
         }
         if report.step % 100 == 0 {
             let StepReport {
@@ -360,9 +413,11 @@ pub(crate) fn train(
             } = report;
             tracing::info!(step, l1, gaussians, pairs, "training");
         }
+        keeper.step_done(&trainer);
     }
-    if ending == Ending::Done && session.stopped() {
+    if ending == Ending::Done && !trainer.finished() {
         ending = Ending::Interrupted;
+        keeper.keep(&trainer)?;
     }
     let rejected = trainer.rejected();
     let (parameters, early_stop) = trainer.into_best();
@@ -370,7 +425,7 @@ pub(crate) fn train(
         parameters,
         early_stop,
         rejected,
-        curve,
+        curve: keeper.course.curve,
         ending,
     })
 }

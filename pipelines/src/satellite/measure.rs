@@ -54,7 +54,7 @@ pub(super) fn metrics(scene: &Scene, model: &LoadedModel, run: &Path, protocol: 
             }
         }
         let mask = match scene.truth.shadows.iter().find(|(name, _)| *name == known.name) {
-            Some((_, path)) => Some(known.crop.cut(&RasterFile::open(path)?.read_all()?)),
+            Some((_, path)) => Some(known.crop.cut(&RasterFile::open(path)?.read(image.window, &[0])?)),
             None => None,
         };
         if let (false, Some(mask)) = (held_out, &mask) {

@@ -10,18 +10,25 @@ use crate::cli::{CliError, Outcome, Session};
 use crate::evaluate::Protocol;
 use crate::product::dsm;
 use crate::raster::preview;
+use crate::run::checkpoint::{self, Keeper};
 use crate::run::{self, Input, LoadedModel, ModelFile, RunFile};
-use crate::scene::Scene;
+use crate::scene::{IngestOptions, Scene, SceneImage};
+use std::fmt::Write;
 use std::path::Path;
 use std::time::{Duration, Instant};
+
+/// Time between two checkpoints, unless said otherwise.
+pub const CHECKPOINT_EVERY: Duration = Duration::from_secs(60);
 
 /// What a training was told besides its scene and its configuration.
 pub(super) struct Told {
     preset: &'static str,
-    altitude_range_m: Option<(f64, f64)>,
+    ingest: IngestOptions,
     begun: Instant,
     time_budget: Option<Duration>,
     memory: Option<u64>,
+    resume: bool,
+    checkpoint_every: Duration,
 }
 
 impl Told {
@@ -29,10 +36,12 @@ impl Told {
     pub(super) fn new(preset: &'static str, begun: Instant) -> Self {
         Self {
             preset,
-            altitude_range_m: None,
+            ingest: IngestOptions::default(),
             begun,
             time_budget: None,
             memory: None,
+            resume: false,
+            checkpoint_every: CHECKPOINT_EVERY,
         }
     }
 }
@@ -45,40 +54,45 @@ pub(super) fn train_into(
     told: &Told,
     session: &Session,
 ) -> Result<(LoadedModel, serde_json::Value, Ending), CliError> {
-    let mut config = config.clone();
+    let config = with_plan(scene, config);
     let plan = plan(scene);
-    if config.model.image_colour.is_none() {
-        config.model.image_colour = plan.iter().find(|p| p.component == "model.image_colour").map(|p| p.on);
-    }
+    let inputs = inputs(scene)?;
+    let identity = identity(scene, &config, told, &inputs)?;
+    let kept = match told.resume {
+        true => checkpoint::read(out, &identity)?,
+        false => None,
+    };
+    // A training that was interrupted began earlier by the time that it had taken.
+    let before = kept.as_ref().map_or(0.0, |kept| kept.course.elapsed_s);
+    let before = Duration::try_from_secs_f64(before).unwrap_or_default();
+    let begun = told.begun.checked_sub(before).unwrap_or(told.begun);
     let limits = Limits {
         budget: told
             .time_budget
-            .map(|limit| Budget::new(told.begun, limit, scene.images.len())),
+            .map(|limit| Budget::new(begun, limit, scene.images.len())),
         memory: told.memory,
     };
     // Made first: better to hear now than after the training that nothing can be written there.
     let new = !out.exists();
     create_folder(out)?;
-    let mut fitted = fit::fit(scene, &config, session, &limits).inspect_err(|_| {
+    let keeper = Keeper::new(out, &identity, told.checkpoint_every, begun);
+    let mut fitted = fit::fit(scene, &config, session, &limits, keeper, kept).inspect_err(|_| {
         if new {
             // Only removes it while it is empty; that it stays is no further fault.
             let _ = std::fs::remove_dir(out);
         }
     })?;
-    let file = model_file(scene, &config, &fitted);
-    let mut inputs = Vec::new();
-    for image in &scene.images {
-        inputs.push(Input {
-            path: image.path.clone(),
-            sha256: run::hash(&image.path)?,
-        });
+    if fitted.ending == Ending::Interrupted {
+        return Err(interrupted(out));
     }
+    let file = model_file(scene, &config, &fitted);
     let run_file = RunFile {
         version: env!("CARGO_PKG_VERSION").into(),
         preset: told.preset.into(),
         seed: config.train.seed,
         scene: std::fs::canonicalize(&scene.source).unwrap_or_else(|_| scene.source.clone()),
-        altitude_range_m: told.altitude_range_m,
+        altitude_range_m: told.ingest.altitude_range_m,
+        area: told.ingest.area.clone(),
         plan,
         inputs,
         config,
@@ -104,9 +118,82 @@ pub(super) fn train_into(
     if !start.is_null() {
         metrics["start"] = start;
     }
-    measure::add_fit(&mut metrics, &fitted, &model, told.begun.elapsed().as_secs_f64());
+    measure::add_fit(&mut metrics, &fitted, &model, begun.elapsed().as_secs_f64());
+    if fitted.ending == Ending::Done {
+        metrics["training"] = checkpoint::digest(&identity).into();
+    }
     run::save_metrics(out, &metrics)?;
+    checkpoint::remove(out);
     Ok((model, metrics, fitted.ending))
+}
+
+/// The images, hashed.
+fn inputs(scene: &Scene) -> Result<Vec<Input>, CliError> {
+    let input = |image: &SceneImage| {
+        Ok(Input {
+            path: image.path.clone(),
+            sha256: run::hash(&image.path)?,
+        })
+    };
+    scene.images.iter().map(input).collect()
+}
+
+/// All that decides a training, line by line: two of the same lines are the same training, wherever their files lie.
+fn identity(scene: &Scene, config: &SatelliteConfig, told: &Told, inputs: &[Input]) -> Result<String, CliError> {
+    let mut text = checkpoint::identity_of_program();
+    let config = toml::to_string(config).map_err(|error| CliError::Failed(error.to_string()))?;
+    let Told {
+        time_budget, memory, ..
+    } = told;
+    // Writing to a String cannot fail.
+    let _ = writeln!(text, "--time-budget {time_budget:?}\n--memory {memory:?}\n{config}");
+    let _ = writeln!(text, "area {:?}\naltitudes {:?}", scene.area, scene.altitude_range_m);
+    for (image, input) in scene.images.iter().zip(inputs) {
+        let SceneImage {
+            name,
+            split,
+            pinhole,
+            sun,
+            bands,
+            ..
+        } = image;
+        let _ = writeln!(text, "image {name} {}", input.sha256);
+        let camera = format!("{split:?} {:?} {sun:?} {bands:?}", pinhole.map);
+        let _ = writeln!(text, "camera, sun and bands of {name} {}", checkpoint::digest(&camera));
+    }
+    Ok(text)
+}
+
+/// The run in `out`, if it was finished by this very training.
+fn done_before(
+    scene: &Scene,
+    out: &Path,
+    config: &SatelliteConfig,
+    told: &Told,
+) -> Result<Option<serde_json::Value>, CliError> {
+    let Ok(text) = std::fs::read_to_string(out.join("metrics.json")) else {
+        return Ok(None);
+    };
+    let metrics: serde_json::Value = serde_json::from_str(&text).unwrap_or_default();
+    let identity = identity(scene, &with_plan(scene, config), told, &inputs(scene)?)?;
+    Ok((metrics["training"] == checkpoint::digest(&identity)).then_some(metrics))
+}
+
+/// The configuration with what the plan decides.
+fn with_plan(scene: &Scene, config: &SatelliteConfig) -> SatelliteConfig {
+    let mut config = config.clone();
+    if config.model.image_colour.is_none() {
+        let plan = plan(scene);
+        config.model.image_colour = plan.iter().find(|p| p.component == "model.image_colour").map(|p| p.on);
+    }
+    config
+}
+
+pub(crate) fn interrupted(out: &Path) -> CliError {
+    let out = out.display();
+    CliError::Interrupted(format!(
+        "stopped; the training is kept in {out}/checkpoint, the same command with --resume goes on"
+    ))
 }
 
 pub(crate) fn create_folder(out: &Path) -> Result<(), CliError> {
@@ -138,13 +225,13 @@ fn model_file(scene: &Scene, config: &SatelliteConfig, fitted: &Fitted) -> Model
 
 /// What to tell of a training that ended before its time; its run is written.
 pub(crate) fn finished(ending: Ending, out: &Path) -> Result<(), CliError> {
-    let out = out.display();
     match ending {
         Ending::Done => Ok(()),
-        Ending::Interrupted => Err(CliError::Interrupted(format!(
-            "stopped; what there was is saved in {out}"
+        Ending::Interrupted => Err(interrupted(out)),
+        Ending::GaveUp(error) => Err(CliError::Failed(format!(
+            "training stopped: {error}, in {}",
+            out.display()
         ))),
-        Ending::GaveUp(error) => Err(CliError::Failed(format!("training stopped: {error}, in {out}"))),
     }
 }
 
@@ -189,11 +276,6 @@ fn configure(args: &TrainArgs, scene: &Scene) -> Result<(Preset, SatelliteConfig
 /// When the scene, the configuration or a limit is at fault, training gives up, or a file cannot be written.
 pub fn train(args: &TrainArgs, session: &Session) -> Result<Outcome, CliError> {
     let begun = Instant::now();
-    if args.resume {
-        return Err(CliError::Input(
-            "train --resume: runs are not checkpointed yet; train again without it".into(),
-        ));
-    }
     let options = args.ingest.options();
     let scene = Scene::open(&args.scene, &options)?;
     for warning in &scene.warnings {
@@ -210,11 +292,25 @@ pub fn train(args: &TrainArgs, session: &Session) -> Result<Outcome, CliError> {
     estimate::must_fit(estimate.least_bytes, args.memory, &config)?;
     let told = Told {
         preset: preset.name(),
-        altitude_range_m: options.altitude_range_m,
+        ingest: options,
         begun,
         time_budget: args.time_budget,
         memory: args.memory,
+        resume: args.resume,
+        checkpoint_every: args.checkpoint_every,
     };
+    let done = match args.resume {
+        true => done_before(&scene, &args.out, &config, &told)?,
+        false => None,
+    };
+    if let Some(metrics) = done {
+        let text = format!(
+            "{}\nrun            {} (finished before)",
+            measure::summary(&metrics),
+            args.out.display()
+        );
+        return Ok(Outcome { json: metrics, text });
+    }
     let (_, metrics, ending) = train_into(&scene, &args.out, &config, &told, session)?;
     finished(ending, &args.out)?;
     let text = format!("{}\nrun            {}", measure::summary(&metrics), args.out.display());

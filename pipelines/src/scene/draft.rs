@@ -4,7 +4,7 @@ use super::bands::{self, BandPlan};
 use super::footprint::Footprint;
 use super::layout::{ImageEntry, Layout};
 use super::{IngestOptions, SceneError, acquisition, altitude, camera, satnerf};
-use crate::raster::RasterFile;
+use crate::raster::{RasterFile, Window};
 use heliosplat_rpc::read::acquisition::Acquisition;
 use heliosplat_rpc::{GeoPoint, ImagePoint, ImageWindow, LocalFrame, Rpc};
 use nalgebra::Vector3;
@@ -17,17 +17,14 @@ pub(super) struct Draft {
     pub(super) rpc: Rpc,
     pub(super) rpc_source: String,
     pub(super) acquisition: Acquisition,
+    /// What of the file is read.
+    pub(super) window: Window,
 }
 
 impl Draft {
-    pub(super) fn window(&self) -> ImageWindow {
-        let (width, height) = self.file.size();
-        ImageWindow {
-            col0: 0.0,
-            row0: 0.0,
-            width,
-            height,
-        }
+    /// The window that is read, as camera fits take it.
+    pub(super) fn image_window(&self) -> ImageWindow {
+        image_window(&self.window)
     }
 
     pub(super) fn stated_altitude(&self) -> altitude::Stated {
@@ -81,6 +78,15 @@ impl Draft {
     }
 }
 
+pub(super) fn image_window(window: &Window) -> ImageWindow {
+    ImageWindow {
+        col0: window.col0 as f64,
+        row0: window.row0 as f64,
+        width: window.width,
+        height: window.height,
+    }
+}
+
 /// Opens every image and reads what its files say about it.
 pub(super) fn read_all(
     layout: &Layout,
@@ -93,6 +99,7 @@ pub(super) fn read_all(
         let found = camera::find(&file, entry, options.rpc, warnings)?;
         let plan = bands::plan(&file, layout.bands.as_deref())?;
         let acquisition = acquisition::find(&file, entry)?;
+        let window = file.whole();
         drafts.push(Draft {
             entry: entry.clone(),
             file,
@@ -100,6 +107,7 @@ pub(super) fn read_all(
             rpc: found.rpc,
             rpc_source: found.source,
             acquisition,
+            window,
         });
     }
     // The same assumption about every image is one warning.

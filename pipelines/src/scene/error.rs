@@ -32,6 +32,14 @@ pub enum SceneError {
         /// The scenes.
         candidates: String,
     },
+    /// A piece of ground that fewer than two images show.
+    #[error("{}: fewer than two training images show the area {area}; give another --area", path.display())]
+    NotCovered {
+        /// The scene.
+        path: PathBuf,
+        /// The area.
+        area: String,
+    },
     /// A `scene.toml` or list that cannot be understood.
     #[error("{}: {reason}", path.display())]
     Manifest {

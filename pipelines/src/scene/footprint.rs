@@ -46,6 +46,16 @@ impl Footprint {
         Self(kept)
     }
 
+    /// Whether a point lies inside.
+    pub(super) fn contains(&self, point: [f64; 2]) -> bool {
+        let count = self.0.len();
+        count > 2
+            && (0..count).all(|i| {
+                let (a, b) = (self.0[i], self.0[(i + 1) % count]);
+                (b[0] - a[0]) * (point[1] - a[1]) - (b[1] - a[1]) * (point[0] - a[0]) >= 0.0
+            })
+    }
+
     /// Centre of area; `None` for an empty polygon.
     pub(super) fn centre(&self) -> Option<[f64; 2]> {
         let twice = 2.0 * self.area_m2();

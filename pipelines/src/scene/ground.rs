@@ -1,5 +1,6 @@
 //! The ground images share, and the scene made of those that share some.
 
+use super::area::{AreaRequest, window_over};
 use super::draft::Draft;
 use super::footprint::{self, Footprint};
 use super::layout::Layout;
@@ -24,6 +25,7 @@ impl Ground {
         source: &Path,
         drafts: Vec<Draft>,
         altitude_range_m: (f64, f64),
+        wanted: Option<&AreaRequest>,
         warnings: &mut Vec<String>,
     ) -> Result<Self, SceneError> {
         let count = drafts.iter().filter(|draft| draft.entry.split == Split::Train).count();
@@ -41,12 +43,16 @@ impl Ground {
         let drafts = drop_strangers(drafts, &near, altitude_m, warnings)?;
         let footprints = training_footprints(&drafts, &near, altitude_m)?;
         let centre = footprint::common(&footprints).centre();
+        let wanted_near = wanted.map(|wanted| wanted.place(near.origin.height_m)).transpose()?;
         let centre = match (centre, footprint::covered_twice(&footprints, 0.0)) {
             (Some(centre), _) => centre,
             (None, Some(area)) => [(area.west_m + area.east_m) / 2.0, (area.south_m + area.north_m) / 2.0],
             (None, None) => [0.0; 2],
         };
-        let mut origin = near.geo_from_enu(Vector3::new(centre[0], centre[1], 0.0));
+        let mut origin = match wanted_near {
+            Some(middle) => middle,
+            None => near.geo_from_enu(Vector3::new(centre[0], centre[1], 0.0)),
+        };
         origin.height_m = altitude_m;
         let frame = LocalFrame::new(origin);
         let footprints = training_footprints(&drafts, &frame, altitude_m)?;
@@ -56,7 +62,67 @@ impl Ground {
             second: drafts[drafts.len() - 1].file.path().to_owned(),
             altitude_m,
         })?;
-        Ok(Self { drafts, frame, area })
+        let mut ground = Self { drafts, frame, area };
+        if let Some(wanted) = wanted {
+            ground.limit(wanted, source, altitude_range_m, warnings)?;
+        }
+        Ok(ground)
+    }
+
+    /// Leaves of the ground what is wanted, and of the images what shows it.
+    fn limit(
+        &mut self,
+        wanted: &AreaRequest,
+        source: &Path,
+        altitude_range_m: (f64, f64),
+        warnings: &mut Vec<String>,
+    ) -> Result<(), SceneError> {
+        let Some(area) = wanted.area(&self.frame)?.intersection(&self.area) else {
+            return Err(SceneError::NotCovered {
+                path: source.to_owned(),
+                area: wanted.to_string(),
+            });
+        };
+        self.area = area;
+        let mut kept = Vec::with_capacity(self.drafts.len());
+        for mut draft in std::mem::take(&mut self.drafts) {
+            match window_over(&draft, &self.frame, &self.area, altitude_range_m) {
+                Some(window) => {
+                    draft.window = window;
+                    kept.push(draft);
+                }
+                None => warnings.push(format!(
+                    "{}: does not show the area, left out",
+                    draft.file.path().display()
+                )),
+            }
+        }
+        self.drafts = kept;
+        if self
+            .drafts
+            .iter()
+            .filter(|draft| draft.entry.split == Split::Train)
+            .count()
+            < 2
+        {
+            return Err(SceneError::NotCovered {
+                path: source.to_owned(),
+                area: wanted.to_string(),
+            });
+        }
+        Ok(())
+    }
+
+    pub(super) fn drafts(&self) -> &[Draft] {
+        &self.drafts
+    }
+
+    pub(super) fn frame(&self) -> &LocalFrame {
+        &self.frame
+    }
+
+    pub(super) fn area(&self) -> &Area {
+        &self.area
     }
 
     pub(super) fn finish(
@@ -78,7 +144,8 @@ impl Ground {
         }
         let mut rasters = Vec::with_capacity(drafts.len());
         for draft in &drafts {
-            rasters.push(pixels::read(&draft.file, &draft.plan, layout.counts, &mut warnings)?);
+            let Draft { file, plan, window, .. } = draft;
+            rasters.push(pixels::read(file, plan, *window, layout.counts, &mut warnings)?);
         }
         let counts_per_unit = pixels::scale_together(&mut rasters);
         let fits = fit_pinholes(&drafts, &frame, altitude_range_m, &mut warnings)?;
@@ -89,6 +156,7 @@ impl Ground {
                 name: draft.entry.name,
                 path: draft.entry.path,
                 split: draft.entry.split,
+                window: draft.window,
                 pixels,
                 data_type: draft.file.bands[draft.plan.file_bands[0]].data_type.clone(),
                 bands: draft.plan.kinds,
@@ -124,7 +192,12 @@ impl Ground {
     }
 }
 
-fn training_footprints(drafts: &[Draft], frame: &LocalFrame, altitude_m: f64) -> Result<Vec<Footprint>, SceneError> {
+/// Corners of the training images on the ground.
+pub(super) fn training_footprints(
+    drafts: &[Draft],
+    frame: &LocalFrame,
+    altitude_m: f64,
+) -> Result<Vec<Footprint>, SceneError> {
     let training = drafts.iter().filter(|draft| draft.entry.split == Split::Train);
     training.map(|draft| draft.footprint(frame, altitude_m)).collect()
 }
@@ -186,7 +259,7 @@ fn fit_pinholes(
     /// A larger residual shows as blur in the model.
     const WORTH_A_WARNING_PX: f64 = 0.25;
     // Open GDAL files cannot be shared between threads: take out what the fit needs.
-    let cameras: Vec<(&Rpc, ImageWindow)> = drafts.iter().map(|draft| (&draft.rpc, draft.window())).collect();
+    let cameras: Vec<(&Rpc, ImageWindow)> = drafts.iter().map(|draft| (&draft.rpc, draft.image_window())).collect();
     let fits: Vec<_> = cameras
         .par_iter()
         .map(|(rpc, window)| PinholeFit::fit(rpc, frame, *window, altitude_range_m))

@@ -3,25 +3,26 @@
 use super::SceneError;
 use super::bands::BandPlan;
 use super::manifest::Counts;
-use crate::raster::RasterFile;
+use crate::raster::{RasterFile, Window};
 use heliosplat::Raster;
 
 /// The share of values below the scene's unit: the brightest glints lie above 1.
 const UNIT_QUANTILE: f64 = 0.999;
 
-/// Reads the planned bands of a file; transparent pixels and black borders become `NaN`, display values linear.
+/// Reads the planned bands of a window of a file; transparent pixels and black borders become `NaN`, display values linear.
 ///
 /// Satellite counts are proportional to radiance, with 8 bits too, unless `declared` or the file (item `RADIOMETRY`)
 /// says that they are encoded for display.
 pub(super) fn read(
     file: &RasterFile,
     plan: &BandPlan,
+    window: Window,
     declared: Option<Counts>,
     warnings: &mut Vec<String>,
 ) -> Result<Raster, SceneError> {
-    let mut raster = file.read(file.whole(), &plan.file_bands)?;
+    let mut raster = file.read(window, &plan.file_bands)?;
     if let Some(alpha) = plan.alpha {
-        let opacity = file.read(file.whole(), &[alpha])?;
+        let opacity = file.read(window, &[alpha])?;
         blank(&mut raster, |index| opacity.values[index] == 0.0);
     }
     blank_black_border(&mut raster, file, warnings);

@@ -1,0 +1,169 @@
+//! All that a training knows, to be kept and taken up again: what follows is the same, byte for byte.
+//!
+//! Views, options and the random order follow from the same inputs, so they are not part of it; a trainer made anew from those
+//! takes a state up. How it is written and where is not the engine's affair: a state is plain data for serde.
+
+use super::holdout::HoldoutState;
+use super::known_light::{KnownLight, Movement};
+use super::{Trainer, TrainerOptionsState};
+use crate::gaussians::Table;
+use crate::model::Parameters;
+use crate::optim::{Adam, DensityStatistics};
+use crate::trace::Occluders;
+use crate::trace::bvh::Bounds;
+use std::borrow::Cow;
+
+/// Version of [`TrainerState`]: changes with its layout, and whenever the steps of a training come to mean something else.
+pub const STATE_VERSION: u32 = 1;
+
+/// Why a state cannot be taken up.
+#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+#[error("the state is of another training: its {what} do not fit")]
+pub struct StateError {
+    /// What does not fit.
+    pub what: &'static str,
+}
+
+/// A training between two steps.
+#[derive(Debug, Clone, serde::Serialize, serde::Deserialize)]
+pub struct TrainerState<'a> {
+    options: TrainerOptionsState,
+    parameters: Cow<'a, Parameters>,
+    gaussians_adam: Cow<'a, Adam>,
+    globals_adam: Cow<'a, Adam>,
+    statistics: Cow<'a, DensityStatistics>,
+    holdout: HoldoutState<'a>,
+    movement: Cow<'a, Movement>,
+    known_light: Cow<'a, [Option<KnownLight>]>,
+    /// Step at which the occluders were made, and what a hierarchy over them was built on: where Gaussians are in it decides the
+    /// order of products.
+    occluders: Option<(usize, Option<Cow<'a, [Bounds]>>)>,
+    step: usize,
+    rejected: usize,
+    rejected_in_a_row: usize,
+    unseen_in_a_row: usize,
+}
+
+impl TrainerState<'_> {
+    /// Steps done.
+    pub fn steps(&self) -> usize {
+        self.step
+    }
+}
+
+/// Whether two tables have the same groups, and `table` as many values as it says.
+fn same_groups(table: &Table, like: &Table) -> bool {
+    let whole = |(group, like): (&crate::gaussians::Group, &crate::gaussians::Group)| {
+        group.spec == like.spec && Some(group.values.len()) == group.spec.width.checked_mul(table.count)
+    };
+    table.groups.len() == like.groups.len() && table.groups.iter().zip(&like.groups).all(whole)
+}
+
+fn same_shape(table: &Table, like: &Table) -> bool {
+    table.count == like.count && same_groups(table, like)
+}
+
+impl Trainer<'_> {
+    /// All that this training knows, without a copy of it.
+    pub fn state(&self) -> TrainerState<'_> {
+        TrainerState {
+            options: TrainerOptionsState {
+                iterations: self.options.iterations,
+                density_cap: self.options.density.cap,
+            },
+            parameters: Cow::Borrowed(&self.parameters),
+            gaussians_adam: Cow::Borrowed(&self.gaussians_adam),
+            globals_adam: Cow::Borrowed(&self.globals_adam),
+            statistics: Cow::Borrowed(&self.statistics),
+            holdout: self.holdout.state(),
+            movement: Cow::Borrowed(&self.movement),
+            known_light: Cow::Borrowed(&self.known_light),
+            occluders: self.occluders.as_ref().map(|occluders| {
+                let built_on = occluders.hierarchy_built_on().map(Cow::Borrowed);
+                (self.occluders_step, built_on)
+            }),
+            step: self.step,
+            rejected: self.rejected,
+            rejected_in_a_row: self.rejected_in_a_row,
+            unseen_in_a_row: self.unseen_in_a_row,
+        }
+    }
+
+    /// Takes up a state of a training that was made of the same views, model and options.
+    ///
+    /// # Errors
+    /// [`StateError`] when it does not fit; the trainer is as it was then.
+    pub fn restore(&mut self, state: TrainerState) -> Result<(), StateError> {
+        self.check(&state)?;
+        self.options.iterations = state.options.iterations;
+        self.options.density.cap = state.options.density_cap;
+        self.parameters = state.parameters.into_owned();
+        self.gaussians_adam = state.gaussians_adam.into_owned();
+        self.globals_adam = state.globals_adam.into_owned();
+        self.statistics = state.statistics.into_owned();
+        self.holdout.restore(state.holdout);
+        self.movement = state.movement.into_owned();
+        self.known_light = state.known_light.into_owned();
+        self.gradients = self.parameters.zeros_like();
+        self.occluders_step = 0;
+        self.occluders = state.occluders.map(|(step, built_on)| {
+            self.occluders_step = step;
+            match built_on {
+                Some(bounds) => Occluders::with_hierarchy_on(&self.parameters.gaussians, bounds.into_owned()),
+                None => Occluders::new(&self.parameters.gaussians),
+            }
+        });
+        self.order.clear();
+        self.step = state.step;
+        self.rejected = state.rejected;
+        self.rejected_in_a_row = state.rejected_in_a_row;
+        self.unseen_in_a_row = state.unseen_in_a_row;
+        Ok(())
+    }
+
+    fn check(&self, state: &TrainerState) -> Result<(), StateError> {
+        let gaussians = &state.parameters.gaussians;
+        let globals = &state.parameters.globals;
+        let (of_each, of_all) = (&state.gaussians_adam, &state.globals_adam);
+        let best = state.holdout.parameters();
+        let light = state.known_light.iter().flatten();
+        let bounds = state.occluders.iter().filter_map(|(_, built_on)| built_on.as_ref());
+        let checks = [
+            (
+                "Gaussians",
+                same_groups(gaussians, &self.parameters.gaussians) && gaussians.count > 0,
+            ),
+            ("shared parameters", same_shape(globals, &self.parameters.globals)),
+            ("numbers", state.parameters.is_finite()),
+            (
+                "moments",
+                same_shape(&of_each.first, gaussians) && same_shape(&of_each.second, gaussians),
+            ),
+            (
+                "moments",
+                same_shape(&of_all.first, globals) && same_shape(&of_all.second, globals),
+            ),
+            ("statistics", state.statistics.fits(gaussians.count)),
+            (
+                "best parameters",
+                best.is_none_or(|p| same_groups(&p.gaussians, gaussians) && same_shape(&p.globals, globals)),
+            ),
+            (
+                "views",
+                state.known_light.len() == self.views.len() && state.holdout.views() == self.views.len(),
+            ),
+            (
+                "light",
+                light.into_iter().all(|light| light.values.len() == gaussians.count),
+            ),
+            (
+                "occluders",
+                bounds.into_iter().all(|bounds| bounds.len() == gaussians.count),
+            ),
+        ];
+        match checks.into_iter().find(|(_, fits)| !fits) {
+            Some((what, _)) => Err(StateError { what }),
+            None => Ok(()),
+        }
+    }
+}
