@@ -54,6 +54,8 @@ pub struct View {
     pub appearance: usize,
     /// How much each pixel counts, 0 to 1, `[row][column]`.
     pub weight: Vec<f32>,
+    /// What is thought beforehand to be lit, 0 to 1, NaN where nothing is; `[row][column]`.
+    pub lit: Option<Vec<f32>>,
 }
 
 /// What a model may look at when it makes features or pixels.
@@ -97,6 +99,14 @@ pub trait SceneModel: Send + Sync {
     /// Learning rate of a model group, by name, when `progress` (0 to 1) of training is done; what is not yet to learn has zero.
     fn learning_rate(&self, group: &str, progress: f32) -> f32;
 
+    /// How far the image with these per-image parameters is moved against its camera, pixels: columns, rows.
+    fn pointing(&self, _parameters: &Parameters, _appearance: usize) -> [f32; 2] {
+        [0.0; 2]
+    }
+
+    /// Adds the gradients of the shared parameters from that of [`Self::pointing`].
+    fn pointing_backward(&self, _appearance: usize, _d_pointing: [f32; 2], _grads: &mut Parameters) {}
+
     /// Rasterised channels the model writes into the features.
     fn channels(&self) -> usize;
 
@@ -136,4 +146,10 @@ pub trait SceneModel: Send + Sync {
 
     /// Losses of the model's own on the maps; adds their gradients. `mask` is per pixel.
     fn map_losses(&self, context: &Context, maps: &Maps, mask: &[f32], d_maps: &mut MapGradients) -> Vec<NamedLoss>;
+
+    /// The loss between the light on the maps and what a view's pixels are thought to be lit by (see [`View::lit`]); adds its
+    /// gradients.
+    fn light_prior_loss(&self, _maps: &Maps, _lit: &[f32], _mask: &[f32], _d_maps: &mut MapGradients) -> Option<NamedLoss> {
+        None
+    }
 }

@@ -101,6 +101,11 @@ impl<'a> Pass<'a> {
         }
     }
 
+    /// The camera.
+    pub fn camera(&self) -> &ProjectiveCamera {
+        self.context.camera
+    }
+
     /// The transmittances of the splats toward the light.
     pub fn transmittances(&self) -> &[f32] {
         &self.traced.values

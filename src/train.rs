@@ -285,9 +285,11 @@ impl<'a> Trainer<'a> {
         let look = self.focus.look(&self.views, index, self.step, self.fraction());
         let view = &*look.view;
         let options = &self.options;
+        let moved = self.model.pointing(&self.parameters, view.appearance).map(|px| px / look.pixel);
+        let camera = view.camera.shifted(moved[0], moved[1]);
         let context = Context {
             parameters: &self.parameters,
-            camera: &view.camera,
+            camera: &camera,
             light: view.light,
             appearance: Some(view.appearance),
         };
@@ -323,8 +325,17 @@ impl<'a> Trainer<'a> {
         self.model
             .compose_backward(&context, &pass.maps, &d_image, &mut d_maps, &mut self.gradients);
         losses.extend(self.model.map_losses(&context, &pass.maps, &view.weight, &mut d_maps));
+        if let Some(lit) = &view.lit {
+            losses.extend(self.model.light_prior_loss(&pass.maps, lit, &view.weight, &mut d_maps));
+        }
         losses.extend(surface_losses(options, view, &pass, &mut d_maps));
         let splat_gradients = pass.backward(&d_maps, &mut self.gradients);
+        let d_moved = splat_gradients.iter().fold([0.0f64; 2], |[col, row], d| {
+            [col + f64::from(d.col), row + f64::from(d.row)]
+        });
+        let d_pointing = d_moved.map(|d| d as f32 / look.pixel);
+        self.model
+            .pointing_backward(view.appearance, d_pointing, &mut self.gradients);
         self.statistics.add(
             &pass.projected,
             &splat_gradients,
@@ -452,7 +463,7 @@ fn surface_losses(options: &TrainOptions, view: &View, pass: &Pass, d_maps: &mut
     if options.depth_normal_weight > 0.0 {
         let edge_m = options.depth_normal_edge_gsd * options.gsd_m;
         let (at, weight) = (pass.normal_channel(), options.depth_normal_weight);
-        let value = depth_normal(&view.camera, &pass.maps, at, edge_m, weight, d_maps);
+        let value = depth_normal(pass.camera(), &pass.maps, at, edge_m, weight, d_maps);
         losses.push(("depth_normal", value));
     }
     if options.one_surface_weight > 0.0 {

@@ -8,9 +8,13 @@ pub mod fit;
 pub mod ground;
 mod initial;
 mod measure;
+pub mod plan;
 mod radiometry;
+mod shadow_prior;
 pub mod training;
 pub mod views;
+
+pub use plan::{PlanItem, plan};
 
 use crate::cli::evaluate::{EvaluateArgs, table, write_pictures};
 use crate::cli::satellite::{DemoArgs, DsmArgs, DsmSource, RelightArgs, RenderArgs, RenderSplit};
@@ -48,7 +52,7 @@ impl From<ConfigError> for CliError {
 impl From<FitError> for CliError {
     fn from(error: FitError) -> Self {
         match error {
-            FitError::TooFewViews { .. } | FitError::Memory { .. } => Self::Input(error.to_string()),
+            FitError::TooFewViews { .. } | FitError::Memory { .. } | FitError::Mask(_) => Self::Input(error.to_string()),
             FitError::Train(_) => Self::Failed(error.to_string()),
             FitError::Checkpoint(error) => error.into(),
         }
@@ -72,59 +76,6 @@ impl From<RelightError> for CliError {
             RelightError::Night { .. } | RelightError::NoView { .. } => Self::Input(error.to_string()),
         }
     }
-}
-
-/// One component of the model, whether the scene requires it, and why.
-#[derive(Debug, Clone, PartialEq, serde::Serialize, serde::Deserialize)]
-pub struct PlanItem {
-    /// Its name in the configuration.
-    pub component: String,
-    /// Whether it is on.
-    pub on: bool,
-    /// Why, in one line.
-    pub reason: String,
-}
-
-/// Which components of the model this scene requires.
-pub fn plan(scene: &Scene) -> Vec<PlanItem> {
-    let images: Vec<_> = scene.training().collect();
-    let dates = views::date_groups(&images).into_iter().max().map_or(0, |last| last + 1);
-    let item = |component: &str, on: bool, reason: String| PlanItem {
-        component: component.into(),
-        on,
-        reason,
-    };
-    vec![
-        item(
-            "sun",
-            true,
-            format!("{dates} date(s) with known suns: cast shadows are traced through the geometry"),
-        ),
-        item(
-            "model.image_colour",
-            dates > 1,
-            if dates > 1 {
-                format!("{dates} dates differ in haze, exposure and season: each image gets an affine colour")
-            } else {
-                "all images are of one date: one colour serves".into()
-            },
-        ),
-        item(
-            "cameras.align",
-            true,
-            "one shift per image is estimated, and used where it exceeds a quarter pixel and the images agree better with it".into(),
-        ),
-        item(
-            "model.facing",
-            true,
-            "roofs and façades are as bright as they face the sun".into(),
-        ),
-        item(
-            "model.near_light",
-            false,
-            "light reflected into shadows is below what one ground sample shows".into(),
-        ),
-    ]
 }
 
 /// Synthesises a site, trains on it and writes its products.

@@ -28,6 +28,26 @@ pub fn opaqueness(visibility: &[f32], mask: &[f32], weight: f32, d_visibility: &
     total / f64::from(count)
 }
 
+/// Mean binary cross entropy (nats) between a visibility map and what is thought to be lit, `lit` from 0 to 1, NaN where nothing is
+/// thought; adds `weight` times its gradient to `d_visibility`.
+///
+/// The shadow prior of ShadowGS (eq. 19): only with few views do images say less of shadows than their darkness does.
+pub fn prior(visibility: &[f32], lit: &[f32], mask: &[f32], weight: f32, d_visibility: &mut [f32]) -> f64 {
+    let counts = |lit: f32, mask: f32| mask > 0.0 && !lit.is_nan();
+    let count = lit.iter().zip(mask).filter(|&(&l, &m)| counts(l, m)).count().max(1) as f32;
+    let mut total = 0.0f64;
+    for (((&s, &l), &m), d) in visibility.iter().zip(lit).zip(mask).zip(d_visibility) {
+        if !counts(l, m) {
+            continue;
+        }
+        let c = s.clamp(CLAMP, 1.0 - CLAMP);
+        total -= f64::from(l * c.ln() + (1.0 - l) * (1.0 - c).ln());
+        // What is clamped still hears that it is on the wrong side.
+        *d += weight / count * (c - l) / (c * (1.0 - c));
+    }
+    total / f64::from(count)
+}
+
 /// What a pass of [`consistency`] needs besides the Gaussians.
 pub struct ConsistencyPass<'a> {
     /// The view.
@@ -73,6 +93,20 @@ pub fn consistency(gaussians: &Table, projected: &Projected, pass: &ConsistencyP
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn a_prior_pulls_visibility_to_what_is_thought_and_says_nothing_elsewhere() {
+        let (visibility, lit) = ([0.3f32, 0.7, 0.5, 0.2], [1.0, 0.0, f32::NAN, 0.2]);
+        let mut d = [0.0; 4];
+        let value = prior(&visibility, &lit, &[1.0; 4], 1.0, &mut d);
+        assert!(value > 0.0);
+        assert!(d[0] < 0.0 && d[1] > 0.0 && d[2] == 0.0 && d[3].abs() < 1e-6);
+        let step = 1e-3;
+        let moved = |by: f32| prior(&[0.3 + by, 0.7, 0.5, 0.2], &lit, &[1.0; 4], 1.0, &mut [0.0; 4]);
+        let slope = (moved(step) - moved(-step)) / (2.0 * f64::from(step));
+        assert!((slope - f64::from(d[0])).abs() < 1e-3 * slope.abs(), "{slope} against {}", d[0]);
+        assert_eq!(prior(&visibility, &lit, &[0.0; 4], 1.0, &mut d), 0.0);
+    }
 
     #[test]
     fn entropy_is_least_where_shadows_are_settled_and_points_away_from_doubt() {

@@ -11,13 +11,16 @@
 //!
 //! `L_sky` is a colour per image (its haze and its sun's height differ), positive through a softplus. `A` (a matrix) and `b`
 //! are per image; those of the reference image stay the identity and zero, which fixes the gauge.
+//!
+//! With `pointing` every image also has a shift against its camera, so that images which do not lie on each other are moved
+//! until they do. What all images share of it would move the scene instead, so it is left out.
 
 mod facing;
 
 use super::{Context, NamedLoss, Parameters, SceneModel, Seen};
 use crate::gaussians::{FEATURES, GroupSpec};
 use crate::light::Light;
-use crate::loss::shadow::opaqueness;
+use crate::loss::shadow::{opaqueness, prior};
 use crate::raster::Raster;
 use crate::splat::{MapGradients, Maps};
 use facing::Facing;
@@ -42,6 +45,10 @@ pub struct ShadowGsOptions {
     pub facing: bool,
     /// Weight of the shadow opaqueness loss.
     pub opaqueness_weight: f32,
+    /// Weight of the shadow prior, for views that bring one.
+    pub prior_weight: f32,
+    /// A shift of each image against its camera.
+    pub pointing: bool,
 }
 
 /// Pixels per parallel job; fixed, so that results do not depend on the number of threads.
@@ -57,6 +64,8 @@ impl Default for ShadowGsOptions {
             near_light: false,
             facing: true,
             opaqueness_weight: 0.3,
+            prior_weight: 0.0,
+            pointing: false,
         }
     }
 }
@@ -77,6 +86,13 @@ pub const SKY: usize = 0;
 pub const COLOUR: usize = 1;
 /// Index of the colour offsets in the global table.
 pub const OFFSET: usize = 2;
+
+/// Name of the group of the images' shifts, the last of the global table.
+const POINTING: &str = "pointing";
+/// Share of training after which images are moved.
+const POINTING_FROM: f32 = 0.2;
+/// Learning rate of the shifts then, pixels.
+const POINTING_RATE_PX: f32 = 0.01;
 
 /// `ln(1 + e^x)` without overflow.
 #[inline]
@@ -179,6 +195,11 @@ impl ShadowGs {
             matrix,
             parameters.globals.group(OFFSET)[image * bands..(image + 1) * bands].to_vec(),
         )
+    }
+
+    fn pointing_group(&self) -> Option<usize> {
+        let colours = if self.options.image_colour { 2 } else { 0 };
+        self.options.pointing.then_some(SKY + 1 + colours)
     }
 
     fn near_channel(&self) -> Option<usize> {
@@ -333,14 +354,41 @@ impl SceneModel for ShadowGs {
             groups.push(GroupSpec::new("image_colour", images * bands * bands));
             groups.push(GroupSpec::new("image_offset", images * bands));
         }
+        if self.options.pointing {
+            groups.push(GroupSpec::new(POINTING, images * 2));
+        }
         groups
     }
 
-    fn learning_rate(&self, group: &str, _progress: f32) -> f32 {
+    fn learning_rate(&self, group: &str, progress: f32) -> f32 {
         match group {
+            // Not before surfaces and colours have settled, and ever more gently.
+            POINTING if progress < POINTING_FROM => 0.0,
+            POINTING => POINTING_RATE_PX * (1.0 - progress),
             "albedo" | "near_light" => 5e-3,
             "sky" => 1e-2,
             _ => 2e-3,
+        }
+    }
+
+    fn pointing(&self, parameters: &Parameters, appearance: usize) -> [f32; 2] {
+        let Some(group) = self.pointing_group() else {
+            return [0.0; 2];
+        };
+        let shifts = parameters.globals.group(group);
+        let images = self.options.images as f32;
+        [0, 1].map(|axis| {
+            let shared: f32 = shifts.iter().skip(axis).step_by(2).sum();
+            shifts[appearance * 2 + axis] - shared / images
+        })
+    }
+
+    fn pointing_backward(&self, appearance: usize, d_pointing: [f32; 2], grads: &mut Parameters) {
+        let Some(group) = self.pointing_group() else { return };
+        let images = self.options.images as f32;
+        for (place, slot) in grads.globals.group_mut(group).iter_mut().enumerate() {
+            let own = if place / 2 == appearance { 1.0 } else { 0.0 };
+            *slot += d_pointing[place % 2] * (own - 1.0 / images);
         }
     }
 
@@ -491,6 +539,15 @@ impl SceneModel for ShadowGs {
             "opaqueness",
             opaqueness(&maps.channels[channel], mask, weight, &mut d_maps.channels[channel]),
         )]
+    }
+
+    fn light_prior_loss(&self, maps: &Maps, lit: &[f32], mask: &[f32], d_maps: &mut MapGradients) -> Option<NamedLoss> {
+        let weight = self.options.prior_weight;
+        let channel = self.visibility_channel();
+        (weight > 0.0).then(|| {
+            let visibility = &maps.channels[channel];
+            ("shadow_prior", prior(visibility, lit, mask, weight, &mut d_maps.channels[channel]))
+        })
     }
 }
 

@@ -2,6 +2,7 @@
 
 use super::TrainOptions;
 use crate::model::View;
+use crate::raster::Raster;
 use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg32;
 use std::borrow::Cow;
@@ -80,6 +81,7 @@ impl Focus {
             weight: weight.copied().collect(),
             light: view.light,
             appearance: view.appearance,
+            lit: view.lit.as_ref().map(|lit| plane(lit, view.image.width).window(corner, size).values),
         }
     }
 }
@@ -101,8 +103,19 @@ fn coarser(view: &View, factor: usize) -> View {
         camera: view.camera.downscaled(factor),
         light: view.light,
         appearance: view.appearance,
+        lit: view.lit.as_ref().map(|lit| plane(lit, view.image.width).downscaled(factor).values),
         image,
         weight,
+    }
+}
+
+/// Values of pixels as an image of one band.
+fn plane(values: &[f32], width: usize) -> Raster {
+    Raster {
+        width,
+        height: values.len() / width.max(1),
+        bands: 1,
+        values: values.to_vec(),
     }
 }
 
@@ -124,6 +137,7 @@ mod tests {
             weight: vec![1.0; 200 * 160],
             light: None,
             appearance: 0,
+            lit: None,
             image,
         }
     }

@@ -200,6 +200,7 @@ mod tests {
             light: None,
             appearance: 0,
             weight: vec![1.0; size * size],
+            lit: None,
         };
         vec![view]
     }

@@ -26,7 +26,7 @@ pub(super) fn run(args: &InspectArgs) -> Result<Outcome, CliError> {
     }
     let scene = Scene::open(&args.scene, &args.ingest.options())?;
     let coverage = Coverage::of(&scene);
-    let plan = crate::satellite::plan(&scene);
+    let plan = crate::satellite::plan(&scene, &SatelliteConfig::default());
     let estimates = estimates(&scene)?;
     let mut json = describe(&scene, &coverage, &plan);
     json["estimates"] = estimates

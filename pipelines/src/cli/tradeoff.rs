@@ -24,8 +24,8 @@ pub struct TradeoffArgs {
     /// Only points of these names or axes, and what they are compared with
     #[arg(long, value_name = "NAME,...", value_delimiter = ',')]
     pub only: Vec<String>,
-    /// Points of your own, in place of the built-in ones
-    #[arg(long, value_name = "FILE.toml")]
+    /// Points of your own in place of the built-in ones, or `ablation`: what each component of the method is worth
+    #[arg(long, value_name = "FILE.toml|ablation")]
     pub points: Option<PathBuf>,
     /// Print the points and stop
     #[arg(long)]

@@ -133,6 +133,7 @@ pub fn view(frame: &Frame, centre: DVec3, preparation: &Preparation, appearance:
             .light
             .map(|light| Light::Point((light.position - centre).as_vec3())),
         appearance,
+        lit: None,
         image,
     })
 }

@@ -2,6 +2,7 @@
 //! resolved configuration is written beside every result.
 
 use heliosplat::train::{TrainError, TrainOptions};
+use std::path::PathBuf;
 
 /// Why a configuration cannot be used.
 #[derive(Debug, thiserror::Error)]
@@ -108,6 +109,8 @@ pub struct CameraOptions {
     pub method: PointingMethod,
     /// Shift above which `auto` corrects, pixels.
     pub threshold_px: f32,
+    /// Whether training moves the images against each other too, until they show the same.
+    pub refine: bool,
 }
 
 impl Default for CameraOptions {
@@ -116,6 +119,7 @@ impl Default for CameraOptions {
             align: Align::Auto,
             method: PointingMethod::Shifts,
             threshold_px: 0.25,
+            refine: false,
         }
     }
 }
@@ -132,6 +136,13 @@ pub struct ModelOptions {
     pub facing: bool,
     /// Weight of the shadow opaqueness loss.
     pub opaqueness_weight: f32,
+    /// Whether shadows that images show as dark places guide training: with few views, unless said.
+    pub shadow_prior: Option<bool>,
+    /// Weight of that guidance.
+    pub prior_weight: f32,
+    /// Folder of masks that say what is lit (1) and what in shadow (0), `NAME.tif` for the image `NAME`, in place of those that are
+    /// found.
+    pub shadow_masks: Option<PathBuf>,
     /// Sky light at the start, as a share of the sun's.
     pub sky: f32,
 }
@@ -143,6 +154,9 @@ impl Default for ModelOptions {
             near_light: false,
             facing: true,
             opaqueness_weight: 0.3,
+            shadow_prior: None,
+            prior_weight: 1.0,
+            shadow_masks: None,
             sky: 0.3,
         }
     }
@@ -242,6 +256,12 @@ impl SatelliteConfig {
                 "a number from 0 to 1",
             ),
             ("model.sky", m.sky.into(), above_zero(m.sky.into()), ABOVE_ZERO),
+            (
+                "model.prior_weight",
+                m.prior_weight.into(),
+                not_negative(m.prior_weight.into()),
+                NOT_NEGATIVE,
+            ),
             (
                 "model.opaqueness_weight",
                 m.opaqueness_weight.into(),

@@ -4,6 +4,7 @@ use super::adjust::{self, AdjustInput};
 use super::budget::{Budget, Pace};
 use super::config::{Align, PointingMethod, SatelliteConfig};
 use super::ground::Ground;
+use super::shadow_prior::{self, ENOUGH_VIEWS, MaskError};
 use super::views;
 use super::{estimate, initial, radiometry};
 use crate::cli::Session;
@@ -42,6 +43,9 @@ pub enum FitError {
         /// What would fit: width of a cell, ground sampling distances.
         cell_gsd: f64,
     },
+    /// A mask of shadows that cannot be used.
+    #[error(transparent)]
+    Mask(#[from] MaskError),
     /// Training gave up.
     #[error("training stopped: {0}")]
     Train(#[from] TrainError),
@@ -253,7 +257,7 @@ pub fn fit(
         ground,
         surface,
         bands,
-        shifts_px,
+        mut shifts_px,
         seconds: [align_s, sweep_s],
     } = swept;
     let swept = Instant::now();
@@ -267,6 +271,12 @@ pub fn fit(
         near_light: config.model.near_light,
         facing: config.model.facing,
         opaqueness_weight: config.model.opaqueness_weight,
+        prior_weight: if prior_is_on(config, ground.images.len()) {
+            config.model.prior_weight
+        } else {
+            0.0
+        },
+        pointing: config.cameras.refine,
     });
     let covered = ground.covered(&surface, config.start.coverage);
     let mut parameters = Parameters {
@@ -281,6 +291,9 @@ pub fn fit(
     let mut views: Vec<View> = (0..ground.images.len())
         .map(|i| views::view(ground.images[i], &ground.crops[i], shifts_px[i], i))
         .collect();
+    if model.options.prior_weight > 0.0 {
+        give_priors(&mut views, &ground, &surface, config)?;
+    }
     let mut options = config.train.clone().for_views(views.len());
     let steps = options.iterations;
     options.gsd_m = scene.gsd_m as f32;
@@ -301,6 +314,10 @@ pub fn fit(
         trainer.restore(state).map_err(|error| keeper.does_not_fit(&error))?;
     }
     let trained = train(trainer, steps, session, limits.budget, keeper)?;
+    for (image, shift) in shifts_px.iter_mut().enumerate() {
+        let moved = model.pointing(&trained.parameters, image);
+        *shift = [shift[0] + moved[0], shift[1] + moved[1]];
+    }
     Ok(Fitted {
         parameters: trained.parameters,
         early_stop: trained.early_stop,
@@ -319,6 +336,36 @@ pub fn fit(
             (swept.elapsed() - initialised).as_secs_f64(),
         ],
     })
+}
+
+/// Whether what images show as shadows guides a training on so many of them.
+pub(super) fn prior_is_on(config: &SatelliteConfig, images: usize) -> bool {
+    config.model.shadow_prior.unwrap_or(images < ENOUGH_VIEWS)
+}
+
+/// Tells each view what it seems to be lit by: from the user's masks, else from its own darkness.
+fn give_priors(
+    views: &mut [View],
+    ground: &Ground,
+    surface: &Surface,
+    config: &SatelliteConfig,
+) -> Result<(), MaskError> {
+    let priors = match &config.model.shadow_masks {
+        Some(folder) => {
+            let images = ground.images.iter().zip(&ground.crops);
+            images
+                .map(|(image, crop)| shadow_prior::from_folder(folder, image, crop))
+                .collect::<Result<Vec<_>, _>>()?
+        }
+        None => {
+            let (rasters, cameras): (Vec<_>, Vec<_>) = views.iter().map(|view| (&view.image, view.camera)).unzip();
+            shadow_prior::found(ground, &rasters, surface, &cameras)
+        }
+    };
+    for (view, lit) in views.iter_mut().zip(priors) {
+        view.lit = Some(lit);
+    }
+    Ok(())
 }
 
 /// Limits the Gaussians to what `limit` bytes hold; returns what training will take at most.

@@ -4,7 +4,8 @@ use super::budget::Budget;
 use super::config::SatelliteConfig;
 use super::estimate::{self, Estimate, estimate};
 use super::fit::{self, Ending, Fitted, Limits};
-use super::{measure, plan};
+use super::measure;
+use super::plan::{plan, with_plan};
 use crate::cli::satellite::{Preset, TrainArgs};
 use crate::cli::{CliError, Outcome, Session};
 use crate::evaluate::Protocol;
@@ -54,8 +55,8 @@ pub(super) fn train_into(
     told: &Told,
     session: &Session,
 ) -> Result<(LoadedModel, serde_json::Value, Ending), CliError> {
+    let plan = plan(scene, config);
     let config = with_plan(scene, config);
-    let plan = plan(scene);
     let inputs = inputs(scene)?;
     let identity = identity(scene, &config, told, &inputs)?;
     let kept = match told.resume {
@@ -177,16 +178,6 @@ fn done_before(
     let metrics: serde_json::Value = serde_json::from_str(&text).unwrap_or_default();
     let identity = identity(scene, &with_plan(scene, config), told, &inputs(scene)?)?;
     Ok((metrics["training"] == checkpoint::digest(&identity)).then_some(metrics))
-}
-
-/// The configuration with what the plan decides.
-fn with_plan(scene: &Scene, config: &SatelliteConfig) -> SatelliteConfig {
-    let mut config = config.clone();
-    if config.model.image_colour.is_none() {
-        let plan = plan(scene);
-        config.model.image_colour = plan.iter().find(|p| p.component == "model.image_colour").map(|p| p.on);
-    }
-    config
 }
 
 pub(crate) fn interrupted(out: &Path) -> CliError {

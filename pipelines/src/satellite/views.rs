@@ -142,5 +142,6 @@ pub fn view(image: &SceneImage, crop: &Crop, shift_px: [f32; 2], appearance: usi
         light: Some(Light::Directional(sun(image))),
         appearance,
         weight,
+        lit: None,
     }
 }

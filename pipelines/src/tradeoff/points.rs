@@ -6,6 +6,8 @@ use std::path::{Path, PathBuf};
 
 /// The points that are tried unless the user brings others.
 const STANDARD: &str = include_str!("../../presets/tradeoff.toml");
+/// What each component of the method is worth, in its own right.
+const ABLATION: &str = include_str!("../../presets/ablation.toml");
 
 /// Why a list of points cannot be used.
 #[derive(Debug, thiserror::Error)]
@@ -86,13 +88,14 @@ struct File {
     point: Vec<Point>,
 }
 
-/// The points of `file`, or the standard ones; with `only`, those of these names or axes and what they are compared with.
+/// The points of `file`, of the built-in list `ablation`, or the standard ones; with `only`, those of these names or axes and what they are compared with.
 ///
 /// # Errors
 /// [`PointsError`] for a file that is none, a point that cannot be trained, or a choice that leaves nothing.
 pub fn load(file: Option<&Path>, only: &[String]) -> Result<Vec<Point>, PointsError> {
     let path = file.map_or_else(|| PathBuf::from("tradeoff.toml"), Path::to_owned);
     let text = match file {
+        Some(name) if name == Path::new("ablation") => ABLATION.to_owned(),
         Some(file) => std::fs::read_to_string(file).map_err(|reason| PointsError::Io {
             path: path.clone(),
             reason,
@@ -177,6 +180,16 @@ mod tests {
                 .iter()
                 .all(|preset| points.iter().any(|p| p.name == *preset))
         );
+    }
+
+    #[test]
+    fn the_ablation_takes_one_component_after_another_away() {
+        let points = load(Some(Path::new("ablation")), &[]).expect("the built-in list");
+        assert!(points.iter().filter(|p| p.base.is_some()).count() >= 8);
+        let axes: BTreeSet<&str> = points.iter().map(|p| p.axis.as_str()).collect();
+        for axis in ["cameras", "start", "shadow physics", "shadow consistency", "shadow prior", "colour", "surface", "early stop"] {
+            assert!(axes.contains(axis), "{axis}");
+        }
     }
 
     #[test]

@@ -96,6 +96,7 @@ fn combination(number: u64) -> Combination {
                 light: Some(Light::Directional(sun)),
                 appearance: v,
                 weight: vec![1.0; size.0 * size.1],
+                lit: None,
                 camera,
             }
         })
@@ -225,6 +226,7 @@ fn sound() -> (ShadowGs, Vec<View>, Parameters, TrainOptions) {
         light: Some(Light::Directional(direction(40.0, 100.0))),
         appearance: v,
         weight: vec![1.0; 24 * 24],
+        lit: None,
         camera: ProjectiveCamera::new(
             [2.0, 0.0, 0.3 * v as f64, 11.5],
             [0.0, -2.0, 0.0, 11.5],
