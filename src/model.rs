@@ -149,7 +149,13 @@ pub trait SceneModel: Send + Sync {
 
     /// The loss between the light on the maps and what a view's pixels are thought to be lit by (see [`View::lit`]); adds its
     /// gradients.
-    fn light_prior_loss(&self, _maps: &Maps, _lit: &[f32], _mask: &[f32], _d_maps: &mut MapGradients) -> Option<NamedLoss> {
+    fn light_prior_loss(
+        &self,
+        _maps: &Maps,
+        _lit: &[f32],
+        _mask: &[f32],
+        _d_maps: &mut MapGradients,
+    ) -> Option<NamedLoss> {
         None
     }
 }

@@ -173,6 +173,15 @@ pub struct Rendering {
     pub maps: Maps,
 }
 
+/// Gradient to the place of the whole image, columns and rows, from those of its splats: a camera that is off by some pixels moves
+/// them all.
+pub fn image_moved(splats: &[SplatGradient]) -> [f32; 2] {
+    let sum = splats.iter().fold([0.0f64; 2], |[col, row], d| {
+        [col + f64::from(d.col), row + f64::from(d.row)]
+    });
+    sum.map(|d| d as f32)
+}
+
 /// Renders a model once, without keeping anything to walk back.
 pub fn render(
     model: &dyn SceneModel,

@@ -19,7 +19,7 @@ use crate::loss::photometric::photometric;
 use crate::loss::shadow::{ConsistencyPass, consistency};
 use crate::model::{Context, NamedLoss, Parameters, SceneModel, View};
 use crate::optim::{Adam, DensityStatistics, exponential_decay};
-use crate::render::{Lit, Pass, PassOptions};
+use crate::render::{Lit, Pass, PassOptions, image_moved};
 use crate::splat::project::project;
 use crate::splat::{Depths, MapGradients};
 use crate::trace::Occluders;
@@ -285,7 +285,10 @@ impl<'a> Trainer<'a> {
         let look = self.focus.look(&self.views, index, self.step, self.fraction());
         let view = &*look.view;
         let options = &self.options;
-        let moved = self.model.pointing(&self.parameters, view.appearance).map(|px| px / look.pixel);
+        let moved = self
+            .model
+            .pointing(&self.parameters, view.appearance)
+            .map(|px| px / look.pixel);
         let camera = view.camera.shifted(moved[0], moved[1]);
         let context = Context {
             parameters: &self.parameters,
@@ -330,10 +333,7 @@ impl<'a> Trainer<'a> {
         }
         losses.extend(surface_losses(options, view, &pass, &mut d_maps));
         let splat_gradients = pass.backward(&d_maps, &mut self.gradients);
-        let d_moved = splat_gradients.iter().fold([0.0f64; 2], |[col, row], d| {
-            [col + f64::from(d.col), row + f64::from(d.row)]
-        });
-        let d_pointing = d_moved.map(|d| d as f32 / look.pixel);
+        let d_pointing = image_moved(&splat_gradients).map(|d| d / look.pixel);
         self.model
             .pointing_backward(view.appearance, d_pointing, &mut self.gradients);
         self.statistics.add(

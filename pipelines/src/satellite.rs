@@ -52,7 +52,9 @@ impl From<ConfigError> for CliError {
 impl From<FitError> for CliError {
     fn from(error: FitError) -> Self {
         match error {
-            FitError::TooFewViews { .. } | FitError::Memory { .. } | FitError::Mask(_) => Self::Input(error.to_string()),
+            FitError::TooFewViews { .. } | FitError::Memory { .. } | FitError::Mask(_) => {
+                Self::Input(error.to_string())
+            }
             FitError::Train(_) => Self::Failed(error.to_string()),
             FitError::Checkpoint(error) => error.into(),
         }

@@ -104,7 +104,11 @@ mod tests {
         let step = 1e-3;
         let moved = |by: f32| prior(&[0.3 + by, 0.7, 0.5, 0.2], &lit, &[1.0; 4], 1.0, &mut [0.0; 4]);
         let slope = (moved(step) - moved(-step)) / (2.0 * f64::from(step));
-        assert!((slope - f64::from(d[0])).abs() < 1e-3 * slope.abs(), "{slope} against {}", d[0]);
+        assert!(
+            (slope - f64::from(d[0])).abs() < 1e-3 * slope.abs(),
+            "{slope} against {}",
+            d[0]
+        );
         assert_eq!(prior(&visibility, &lit, &[0.0; 4], 1.0, &mut d), 0.0);
     }
 

@@ -546,7 +546,10 @@ impl SceneModel for ShadowGs {
         let channel = self.visibility_channel();
         (weight > 0.0).then(|| {
             let visibility = &maps.channels[channel];
-            ("shadow_prior", prior(visibility, lit, mask, weight, &mut d_maps.channels[channel]))
+            (
+                "shadow_prior",
+                prior(visibility, lit, mask, weight, &mut d_maps.channels[channel]),
+            )
         })
     }
 }

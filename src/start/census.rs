@@ -18,6 +18,8 @@ pub(super) struct Words {
     pub(super) darker: Vec<u32>,
     /// Neighbours that are about as bright.
     pub(super) alike: Vec<u32>,
+    /// The cell itself, from the middle of its image, in typical differences between neighbours.
+    pub(super) value: Vec<f32>,
 }
 
 impl Words {
@@ -26,6 +28,7 @@ impl Words {
         Self {
             darker: vec![0; cells],
             alike: vec![0; cells],
+            value: vec![0.0; cells],
         }
     }
 }
@@ -133,6 +136,40 @@ vectorised! {
     }
 }
 
+vectorised! {
+    /// Values of a block of `width × height` cells, which reach [`RADIUS`] further on every side, less `middle`, in units of `unit`.
+    pub(super) fn keep(values: &[f32], width: usize, height: usize, middle: f32, unit: f32, out: &mut Words) {
+        let stride = width + 2 * RADIUS;
+        let inverse = 1.0 / unit;
+        for row in 0..height {
+            let start = (row + RADIUS) * stride + RADIUS;
+            let kept = out.value[row * width..(row + 1) * width].iter_mut();
+            for (kept, value) in kept.zip(&values[start..start + width]) {
+                *kept = (value - middle) * inverse;
+            }
+        }
+    }
+}
+
+vectorised! {
+    /// Adds to `sum` the weighted difference between two blocks of values, `reach` and more being `cut`, and to `weights` the weight,
+    /// where the descriptors of both are valid.
+    pub(super) fn differ(a: &Words, b: &Words, weight: u32, reach: f32, cut: u32, sum: &mut [u32], weights: &mut [u32]) {
+        let cells = sum.len();
+        let (a_darker, a_value) = (&a.darker[..cells], &a.value[..cells]);
+        let (b_darker, b_value) = (&b.darker[..cells], &b.value[..cells]);
+        let weights = &mut weights[..cells];
+        let scale = number(cut) / reach;
+        for k in 0..cells {
+            let apart = (a_value[k] - b_value[k]).abs() * scale;
+            let apart = if apart < number(cut) { apart } else { number(cut) };
+            let weight = if (a_darker[k] | b_darker[k]) & INVALID == 0 { weight } else { 0 };
+            sum[k] += weight * floor(apart).1;
+            weights[k] += weight;
+        }
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -169,6 +206,27 @@ mod tests {
         let (mut sum, mut weights) = (vec![0; 36], vec![0; 36]);
         compare(&words, &words, 3, 10, &mut sum, &mut weights);
         assert_eq!((weights[0], weights[35], sum[35]), (0, 3, 0));
+    }
+
+    #[test]
+    fn values_differ_up_to_a_cut_and_holes_do_not_count() {
+        let (width, stride) = (6, 6 + 2 * RADIUS);
+        let (mut a, mut b) = (Words::new(36), Words::new(36));
+        let mut values = ramp(stride, 1.0);
+        keep(&values, width, width, 5.0, 2.0, &mut a);
+        values.iter_mut().for_each(|v| *v += 2.0);
+        keep(&values, width, width, 5.0, 2.0, &mut b);
+        b.darker[1] = INVALID;
+        let (mut sum, mut weights) = (vec![0; 36], vec![0; 36]);
+        differ(&a, &b, 3, 4.0, 8, &mut sum, &mut weights);
+        assert_eq!(
+            (sum[0], weights[0]),
+            (6, 3),
+            "a quarter of the reach is a quarter of the cut"
+        );
+        assert_eq!((sum[1], weights[1]), (0, 0));
+        differ(&a, &b, 3, 0.5, 8, &mut sum, &mut weights);
+        assert_eq!(sum[0], 6 + 24, "no more than the cut");
     }
 
     #[test]

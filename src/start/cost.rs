@@ -13,6 +13,8 @@ use std::collections::BTreeMap;
 const BLOCK: (usize, usize) = (16, 64);
 /// Distances beyond this share of the comparisons say only "no match": a hidden or changed view is no worse than that.
 const CUT: f32 = 0.36;
+/// Differences of brightness within a date, in typical differences between neighbours, beyond which they say only "no match".
+const VALUE_REACH: f32 = 4.0;
 /// What a comparison of indices is worth beside one of brightness.
 const INDEX_WORTH: f32 = 0.5;
 
@@ -25,6 +27,8 @@ pub(super) struct Matching<'a> {
     pub(super) alike: f32,
     /// Weight, as a share of all pairs, of the assumption that nothing matches.
     pub(super) doubt: f32,
+    /// Whether the brightness itself of views of one date is compared.
+    pub(super) same_date_values: bool,
     /// Costs are averaged over windows of this radius, cells: where the base is short, a wider look tells altitudes apart.
     pub(super) radius: usize,
     /// What each view sees first, where a surface is known already.
@@ -93,6 +97,9 @@ impl Matching<'_> {
         scratch.weights[..cells].fill(0);
         let cut = (CUT * COMPARISONS as f32) as u32;
         let mut full = self.compare(block, altitude_m, cut, &|view| Some(&view.mean), 1.0, scratch);
+        if self.same_date_values {
+            full += self.compare_values(cells, cut, scratch);
+        }
         if self.views.iter().all(|view| view.index.is_some()) {
             full += self.compare(
                 block,
@@ -127,6 +134,9 @@ impl Matching<'_> {
             self.sample_block(view, plane, block, altitude_m, scratch);
             let words = &mut scratch.words[index];
             census::describe(&scratch.values, width, height, self.alike * plane.contrast, words);
+            if self.same_date_values {
+                census::keep(&scratch.values, width, height, plane.middle, plane.contrast, words);
+            }
             if let Some(hits) = self.hits {
                 self.drop_hidden(index, &hits[index], block, altitude_m, &mut words.darker[..cells]);
             }
@@ -144,6 +154,18 @@ impl Matching<'_> {
                 &mut scratch.weights[..cells],
             );
             full += weight;
+        }
+        full
+    }
+
+    /// Adds the differences of brightness of the views of one date, as [`Self::compare`] left them; returns the weight of them all.
+    fn compare_values(&self, cells: usize, cut: u32, scratch: &mut Scratch) -> u32 {
+        let mut full = 0;
+        for pair in self.pairs.iter().filter(|pair| pair.same) {
+            let (a, b) = (&scratch.words[pair.a], &scratch.words[pair.b]);
+            let (sum, weights) = (&mut scratch.sum[..cells], &mut scratch.weights[..cells]);
+            census::differ(a, b, pair.weight, VALUE_REACH, cut, sum, weights);
+            full += pair.weight;
         }
         full
     }

@@ -22,6 +22,9 @@ struct Manner {
     /// Weight, as a share of all pairs, of the assumption that nothing matches: altitudes that few views see must not win
     /// by chance.
     doubt: f32,
+    /// Whether views of one date are compared pixel by pixel too: the same sun makes them alike, and a single pixel does not reach
+    /// over edges as a window does.
+    same_date_values: bool,
     /// Thirds of the penalty for jumps that are asked: a whole number, like the penalty.
     jump_thirds: u16,
 }
@@ -31,11 +34,13 @@ pub const MANY_VIEWS: usize = 8;
 const OF_FEW: Manner = Manner {
     tolerance: 80,
     doubt: 0.08,
+    same_date_values: false,
     jump_thirds: 3,
 };
 const OF_MANY: Manner = Manner {
     tolerance: 200,
     doubt: 0.03,
+    same_date_values: true,
     jump_thirds: 2,
 };
 /// Coarse cells around a fine one whose altitudes stay possible for it.
@@ -145,6 +150,7 @@ impl<'a> Search<'a> {
             hits,
             alike: options.alike,
             doubt: manner.doubt,
+            same_date_values: manner.same_date_values,
             radius: settle::radius_for(self.sharpness()),
         };
         let costs = matching.costs(&bands);
@@ -161,7 +167,13 @@ impl<'a> Search<'a> {
             },
         };
         let sums = volume.aggregate();
-        let choices = pick::choose(&bands, &ladder, &sums, manner.tolerance);
+        // What was compared cell by cell is settled but for what hidden views got wrong.
+        let tolerance = if factor == 1 {
+            OF_FEW.tolerance
+        } else {
+            manner.tolerance
+        };
+        let choices = pick::choose(&bands, &ladder, &sums, tolerance);
         Found {
             grid,
             factor,

@@ -62,12 +62,15 @@ pub(super) struct Plane {
     pub(super) pixels: Vec<f32>,
     /// Typical difference between neighbouring pixels.
     pub(super) contrast: f32,
+    /// Their median.
+    pub(super) middle: f32,
 }
 
 impl Plane {
     fn new(image: Raster) -> Self {
         Self {
             contrast: contrast(&image),
+            middle: median(image.values.iter().copied()),
             pixels: image.values,
         }
     }
@@ -229,13 +232,17 @@ fn mean_of_bands(image: &Raster) -> Raster {
 
 /// Median absolute difference between neighbours along rows.
 fn contrast(image: &Raster) -> f32 {
-    let differences = image.values.windows(2).map(|pair| (pair[1] - pair[0]).abs());
-    let mut differences: Vec<f32> = differences.filter(|d| d.is_finite()).collect();
-    let middle = differences.len() / 2;
-    if differences.is_empty() {
+    median(image.values.windows(2).map(|pair| (pair[1] - pair[0]).abs()))
+}
+
+/// Median of what is finite; zero where nothing is.
+fn median(values: impl Iterator<Item = f32>) -> f32 {
+    let mut values: Vec<f32> = values.filter(|v| v.is_finite()).collect();
+    let middle = values.len() / 2;
+    if values.is_empty() {
         0.0
     } else {
-        *differences.select_nth_unstable_by(middle, f32::total_cmp).1
+        *values.select_nth_unstable_by(middle, f32::total_cmp).1
     }
 }
 
@@ -259,7 +266,11 @@ mod tests {
             camera,
             width,
             height,
-            mean: Plane { pixels, contrast: 1.0 },
+            mean: Plane {
+                pixels,
+                contrast: 1.0,
+                middle: 0.0,
+            },
             index: None,
         };
         for start in [

@@ -81,7 +81,10 @@ impl Focus {
             weight: weight.copied().collect(),
             light: view.light,
             appearance: view.appearance,
-            lit: view.lit.as_ref().map(|lit| plane(lit, view.image.width).window(corner, size).values),
+            lit: view
+                .lit
+                .as_ref()
+                .map(|lit| plane(lit, view.image.width).window(corner, size).values),
         }
     }
 }
@@ -103,7 +106,10 @@ fn coarser(view: &View, factor: usize) -> View {
         camera: view.camera.downscaled(factor),
         light: view.light,
         appearance: view.appearance,
-        lit: view.lit.as_ref().map(|lit| plane(lit, view.image.width).downscaled(factor).values),
+        lit: view
+            .lit
+            .as_ref()
+            .map(|lit| plane(lit, view.image.width).downscaled(factor).values),
         image,
         weight,
     }

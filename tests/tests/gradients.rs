@@ -6,7 +6,7 @@ use heliosplat::gaussians::{FEATURES, LOG_SCALE, OPACITY, POSITION, ROTATION, Ta
 use heliosplat::light::Light;
 use heliosplat::model::shadow_gs::{COLOUR, OFFSET, SKY, ShadowGs, ShadowGsOptions, softplus};
 use heliosplat::model::{Context, Parameters, SceneModel};
-use heliosplat::render::{Lit, Pass, PassOptions};
+use heliosplat::render::{Lit, Pass, PassOptions, image_moved};
 use heliosplat::splat::{Depths, ProjectionOptions};
 use heliosplat::trace::Occluders;
 use heliosplat::{ProjectiveCamera, Raster};
@@ -17,6 +17,8 @@ use rand_pcg::Pcg32;
 
 const BANDS: usize = 3;
 const SIZE: usize = 20;
+/// Place of the images' shifts among what all Gaussians share.
+const POINTING: usize = OFFSET + 1;
 
 struct Case {
     parameters: Parameters,
@@ -34,6 +36,7 @@ fn model() -> ShadowGs {
         bands: BANDS,
         images: 2,
         opaqueness_weight: 0.0,
+        pointing: true,
         ..ShadowGsOptions::default()
     })
 }
@@ -86,6 +89,9 @@ fn case(seed: u64, count: usize, perspective: bool, antialias: bool) -> Case {
     }
     for k in 0..globals.group(OFFSET).len() {
         globals.group_mut(OFFSET)[k] += uniform(-0.1, 0.1);
+    }
+    for shift in globals.group_mut(POINTING) {
+        *shift = uniform(-0.7, 0.7);
     }
     let (camera, reference_camera) = cameras(perspective);
     let functional = (0..SIZE * SIZE * (BANDS + 6))
@@ -156,7 +162,7 @@ fn reference_values(case: &Case, flat: &Flat) -> Vec<f64> {
     let filter = f64::from(case.options.projection.filter_px2);
     let pixels = reference::render(
         &gaussians,
-        &case.reference_camera,
+        &moved(&case.reference_camera, &flat.globals[POINTING]),
         &visibility,
         filter,
         case.options.projection.antialias,
@@ -174,11 +180,27 @@ fn reference_values(case: &Case, flat: &Flat) -> Vec<f64> {
         .collect()
 }
 
+/// The camera with its image moved by the second image's shift, less what both share.
+fn moved(camera: &reference::Camera, shifts: &[f64]) -> reference::Camera {
+    let by = [0, 1].map(|axis| shifts[2 + axis] - 0.5 * (shifts[axis] + shifts[2 + axis]));
+    let move_row = |row: [f64; 4], by: f64| {
+        let w = camera.w;
+        [row[0] + by * w.x, row[1] + by * w.y, row[2] + by * w.z, row[3] + by]
+    };
+    reference::Camera {
+        u: move_row(camera.u, by[0]),
+        v: move_row(camera.v, by[1]),
+        ..*camera
+    }
+}
+
 fn engine_pass(case: &Case) -> (Vec<f64>, Parameters) {
     let occluders = Occluders::new(&case.parameters.gaussians);
+    let [columns, rows] = case.model.pointing(&case.parameters, 1);
+    let camera = case.camera.shifted(columns, rows);
     let context = Context {
         parameters: &case.parameters,
-        camera: &case.camera,
+        camera: &camera,
         light: Some(Light::Directional(case.sun)),
         appearance: Some(1),
     };
@@ -207,7 +229,8 @@ fn engine_pass(case: &Case) -> (Vec<f64>, Parameters) {
     let mut grads = case.parameters.zeros_like();
     case.model
         .compose_backward(&context, maps, &d_image, &mut d_maps, &mut grads);
-    pass.backward(&d_maps, &mut grads);
+    let splats = pass.backward(&d_maps, &mut grads);
+    case.model.pointing_backward(1, image_moved(&splats), &mut grads);
     (values, grads)
 }
 

@@ -49,7 +49,10 @@ impl Facts {
         let has = |kind| images.iter().all(|image| image.bands.contains(&kind));
         Self {
             images: images.len(),
-            dates: views::date_groups(&images).into_iter().max().map_or(0, |last| last as usize + 1),
+            dates: views::date_groups(&images)
+                .into_iter()
+                .max()
+                .map_or(0, |last| last as usize + 1),
             suns_deg: (
                 elevations().fold(f64::INFINITY, f64::min),
                 elevations().fold(f64::NEG_INFINITY, f64::max),
@@ -88,7 +91,11 @@ fn items(facts: &Facts, config: &SatelliteConfig) -> Vec<PlanItem> {
     };
     // What was set wins, and says so.
     let decided = |component: &str, set: Option<bool>, on: bool, reason: String| match set {
-        Some(set) if set != on => item(component, set, format!("set so; otherwise {}: {reason}", if on { "on" } else { "off" })),
+        Some(set) if set != on => item(
+            component,
+            set,
+            format!("set so; otherwise {}: {reason}", if on { "on" } else { "off" }),
+        ),
         _ => item(component, on, reason),
     };
     let &Facts { images, dates, .. } = facts;

@@ -83,9 +83,7 @@ impl<'a> Bands<'a> {
     /// Whether a pixel shows leaves; `false` where bands do not tell.
     fn vegetation(&self, pixel: usize) -> bool {
         match (self.red, self.green, self.blue, self.near_infrared) {
-            (Some(red), _, _, Some(infrared)) => {
-                normalised_difference(infrared[pixel], red[pixel]) > VEGETATION_NDVI
-            }
+            (Some(red), _, _, Some(infrared)) => normalised_difference(infrared[pixel], red[pixel]) > VEGETATION_NDVI,
             (Some(red), Some(green), Some(blue), None) => {
                 let sum = red[pixel] + green[pixel] + blue[pixel];
                 (2.0 * green[pixel] - red[pixel] - blue[pixel]) / sum.max(f32::MIN_POSITIVE) > VEGETATION_GREEN
@@ -194,23 +192,31 @@ fn may_be_shaded(surface: &Surface, point: Vec3, sun: Vec3, top_m: f32) -> bool 
 
 /// What each image of `ground` says is lit (1) or in shadow (0), NaN where it says nothing, pixel by pixel of its crop; `surface` is what
 /// was swept, and `cameras` are those of the crops.
-pub(super) fn found(ground: &Ground, rasters: &[&Raster], surface: &Surface, cameras: &[ProjectiveCamera]) -> Vec<Vec<f32>> {
+pub(super) fn found(
+    ground: &Ground,
+    rasters: &[&Raster],
+    surface: &Surface,
+    cameras: &[ProjectiveCamera],
+) -> Vec<Vec<f32>> {
     let top_m = surface.altitude.iter().copied().fold(f32::MIN, f32::max);
     let one = |(i, raster): (usize, &&Raster)| {
         let image = ground.images[i];
         let sun = views::sun(image);
         let mut lit = by_brightness(&image.bands, raster);
         let width = raster.width;
-        lit.par_iter_mut().enumerate().with_min_len(width).for_each(|(pixel, lit)| {
-            if *lit == 0.0 {
-                let (col, row) = ((pixel % width) as f32, (pixel / width) as f32);
-                let shaded = met(&cameras[i], surface, col, row, top_m)
-                    .is_some_and(|point| may_be_shaded(surface, point, sun, top_m));
-                if !shaded {
-                    *lit = f32::NAN;
+        lit.par_iter_mut()
+            .enumerate()
+            .with_min_len(width)
+            .for_each(|(pixel, lit)| {
+                if *lit == 0.0 {
+                    let (col, row) = ((pixel % width) as f32, (pixel / width) as f32);
+                    let shaded = met(&cameras[i], surface, col, row, top_m)
+                        .is_some_and(|point| may_be_shaded(surface, point, sun, top_m));
+                    if !shaded {
+                        *lit = f32::NAN;
+                    }
                 }
-            }
-        });
+            });
         lit
     };
     rasters.iter().enumerate().map(one).collect()
@@ -283,7 +289,10 @@ mod tests {
         let east = Vec3::new(1.0, 0.0, 1.0).normalize();
         let at = |x: f32, z: f32| Vec3::new(x, 2.0, z);
         assert!(may_be_shaded(&surface, at(15.0, 0.0), east, 10.0));
-        assert!(!may_be_shaded(&surface, at(5.0, 0.0), east, 10.0), "the shadow is ten metres long");
+        assert!(
+            !may_be_shaded(&surface, at(5.0, 0.0), east, 10.0),
+            "the shadow is ten metres long"
+        );
         assert!(!may_be_shaded(&surface, at(30.0, 10.0), east, 10.0), "roofs are lit");
         let west = Vec3::new(-1.0, 0.0, 1.0).normalize();
         assert!(!may_be_shaded(&surface, at(15.0, 0.0), west, 10.0));

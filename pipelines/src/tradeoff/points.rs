@@ -187,7 +187,16 @@ mod tests {
         let points = load(Some(Path::new("ablation")), &[]).expect("the built-in list");
         assert!(points.iter().filter(|p| p.base.is_some()).count() >= 8);
         let axes: BTreeSet<&str> = points.iter().map(|p| p.axis.as_str()).collect();
-        for axis in ["cameras", "start", "shadow physics", "shadow consistency", "shadow prior", "colour", "surface", "early stop"] {
+        for axis in [
+            "cameras",
+            "start",
+            "shadow physics",
+            "shadow consistency",
+            "shadow prior",
+            "colour",
+            "surface",
+            "early stop",
+        ] {
             assert!(axes.contains(axis), "{axis}");
         }
     }
