@@ -61,7 +61,7 @@ impl State {
 pub struct Row {
     /// The unit.
     pub unit: String,
-    /// `tile` or `mosaic`.
+    /// `tile`, `mosaic`, or `refused` where the scene cannot be used.
     pub kind: &'static str,
     /// Where it stands.
     pub state: State,
@@ -91,6 +91,7 @@ impl Row {
             kind: match unit.work {
                 Work::Tile(_) => "tile",
                 Work::Mosaic(_) => "mosaic",
+                Work::Refused { .. } => "refused",
             },
             state: State::Pending,
             seconds: None,
