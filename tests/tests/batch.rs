@@ -280,3 +280,35 @@ fn manifests_that_would_write_elsewhere_or_mean_nothing_are_refused_at_once() {
         .assert()
         .code(2);
 }
+
+#[test]
+fn a_scene_in_an_archive_is_read_where_the_user_names_it_and_a_piece_of_ground_alone() {
+    let home = home(FOUR_TILES);
+    let status = Command::new("tar")
+        .args(["-cf", "scene.tar", "scene"])
+        .current_dir(home.path())
+        .status();
+    assert!(status.is_ok_and(|status| status.success()));
+    let archive = format!("/vsitar/{}/scene.tar/scene", home.path().display());
+    let seen = json(&["inspect", &archive, "--altitude", "470,530"]);
+    assert_eq!(seen["images"].as_array().map(Vec::len), Some(4));
+    let line = fault(&["inspect", "/vsitar//no/such.tar/scene"], 2);
+    assert!(line.contains("/no/such.tar"), "{line}");
+
+    let scene = home.path().join("scene").display().to_string();
+    let (lon, lat) = (seen["origin"]["lon_deg"].as_f64(), seen["origin"]["lat_deg"].as_f64());
+    let (lon, lat) = (lon.expect("a longitude"), lat.expect("a latitude"));
+    let area = format!("{},{},{},{}", lon - 1e-4, lat - 1e-4, lon + 1e-4, lat + 1e-4);
+    let piece = json(&["inspect", &scene, "--area", &area]);
+    let width = |seen: &Value| {
+        seen["area_m"]["east_m"].as_f64().expect("east") - seen["area_m"]["west_m"].as_f64().expect("west")
+    };
+    assert!(
+        width(&piece) < 25.0 && width(&seen) > 40.0,
+        "{} {}",
+        width(&piece),
+        width(&seen)
+    );
+    let line = fault(&["inspect", &scene, "--area", "10,10,10.1,10.1"], 2);
+    assert!(line.contains("10,10,10.1,10.1"), "{line}");
+}

@@ -236,9 +236,9 @@ fn page(rows: &[Row]) -> String {
             .error
             .as_deref()
             .map_or(String::new(), |e| format!(": {}", escaped(e)));
-        let _ = write!(
+        let _ = writeln!(
             body,
-            "<tr{class}><td>{}<td class=\"words\">{}<td class=\"words\">{}{error}<td>{seconds}<td>{peak}<td>{}<td>{mae}<td>{known}</tr>\n",
+            "<tr{class}><td>{}<td class=\"words\">{}<td class=\"words\">{}{error}<td>{seconds}<td>{peak}<td>{}<td>{mae}<td>{known}</tr>",
             escaped(&row.unit),
             row.kind,
             row.state.name(),
@@ -268,9 +268,9 @@ fn borders(rows: &[Row]) -> String {
             value.map_or(String::new(), |v| format!("{v:.3}"))
         };
         if row.metrics.pointer("/seams/border/mean_m").is_some() {
-            let _ = write!(
+            let _ = writeln!(
                 body,
-                "<tr><td>{}<td>{}<td>{}<td>{}<td>{}</tr>\n",
+                "<tr><td>{}<td>{}<td>{}<td>{}<td>{}</tr>",
                 escaped(&row.unit),
                 number("/seams/border/mean_m"),
                 number("/seams/border_within_tiles/mean_m"),
