@@ -24,7 +24,7 @@ fn views(site: &Site) -> Vec<View> {
         }
         View {
             name: format!("view {number}"),
-            camera: site.camera.clone(),
+            camera: site.camera,
             light: Some(site.sun),
             appearance: 0,
             weight: vec![1.0; width * height],
