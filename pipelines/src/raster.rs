@@ -12,7 +12,7 @@ pub mod preview;
 pub mod write;
 
 pub use crs::{Crs, CrsTransform};
-pub use file::{BandInfo, Colour, GeoRaster, RasterFile, Window};
+pub use file::{BandInfo, Colour, GeoRaster, RasterFile, Window, is_virtual, list_virtual};
 pub use grid::{EnuGrid, GeoTransform, GridSpec};
 pub use write::{ImageSpec, Sample, copy_with_rpc, write_atomically, write_cog, write_geotiff};
 

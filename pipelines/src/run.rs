@@ -14,6 +14,7 @@ use crate::satellite::config::SatelliteConfig;
 use crate::satellite::views::Crop;
 use crate::satellite::{PlanItem, fit::Fitted, views};
 use crate::scene::{Area, AreaRequest, BandKind, Scene, Split};
+use heliosplat::Raster;
 use heliosplat::gaussians::Table;
 use heliosplat::model::Parameters;
 use heliosplat::model::shadow_gs::{ShadowGs, ShadowGsOptions};
@@ -112,7 +113,7 @@ pub struct ModelFile {
 pub struct Input {
     /// The file.
     pub path: PathBuf,
-    /// Its SHA-256, hexadecimal.
+    /// Its SHA-256, hexadecimal; of a file on a virtual file system, that of the pixels that were read.
     pub sha256: String,
 }
 
@@ -196,6 +197,15 @@ pub fn hash(path: &Path) -> Result<String, RunError> {
     let mut hasher = Sha256::new();
     std::io::copy(&mut file, &mut hasher).map_err(io)?;
     Ok(hasher.finalize().iter().map(|byte| format!("{byte:02x}")).collect())
+}
+
+/// SHA-256 of the values of a raster, hexadecimal.
+pub fn hash_of_pixels(raster: &Raster) -> String {
+    let mut hasher = Sha256::new();
+    for value in &raster.values {
+        hasher.update(value.to_le_bytes());
+    }
+    hasher.finalize().iter().map(|byte| format!("{byte:02x}")).collect()
 }
 
 /// What `model.json` says of a scene's images: all that show the area, those trained on with their colours.

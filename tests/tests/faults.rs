@@ -245,7 +245,12 @@ fn bad_usage_is_exit_code_2() {
 
 /// Runs a command whose output folder is a file system of 32 KiB; `None` where such a thing cannot be made here.
 fn on_a_full_disk(arguments: &str, folder: &Path) -> Option<std::process::Output> {
-    let probe = "mount -t tmpfs -o size=32k tmpfs \"$FOLDER\"";
+    on_a_disk("size=32k", arguments, folder)
+}
+
+/// Runs a command whose output folder is a file system with these options; `None` where such a thing cannot be made here.
+fn on_a_disk(options: &str, arguments: &str, folder: &Path) -> Option<std::process::Output> {
+    let probe = format!("mount -t tmpfs -o {options} tmpfs \"$FOLDER\"");
     let unshare = |script: &str| {
         let mut command = std::process::Command::new("unshare");
         command
@@ -253,7 +258,7 @@ fn on_a_full_disk(arguments: &str, folder: &Path) -> Option<std::process::Output
             .env("FOLDER", folder);
         command.output().ok()
     };
-    if !unshare(probe)?.status.success() {
+    if !unshare(&probe)?.status.success() {
         return None;
     }
     let program = heliosplat_tests::program::binary().display();
@@ -318,6 +323,61 @@ fn training_onto_a_full_disk_is_exit_code_1_and_leaves_no_half_run() {
     );
     if let Some(left) = left_on_a_full_disk(&arguments, &full, "model.ply") {
         assert_eq!(left.trim(), "run", "an empty folder at most: {left}");
+    }
+}
+
+#[test]
+fn a_training_whose_checkpoints_find_no_room_goes_on_and_leaves_none_half_written() {
+    let home = scene(&[View::new(0), View::new(1), View::new(2)]);
+    let full = home.path().join("full");
+    std::fs::create_dir(&full).expect("made");
+    let arguments = format!(
+        "train {} --out {}/run --preset fast --altitude 690,710 --set train.iterations=3 --checkpoint-every 0",
+        home.path().display(),
+        full.display()
+    );
+    let Some(output) = on_a_full_disk(&arguments, &full) else {
+        println!("skipped: no small file system can be mounted here");
+        return;
+    };
+    let said = String::from_utf8_lossy(&output.stderr);
+    assert_eq!(output.status.code(), Some(1), "{said}");
+    assert!(said.contains("no checkpoint") && said.contains("model.ply"), "{said}");
+    let left = String::from_utf8_lossy(&output.stdout).into_owned();
+    let folders = ["run", "run/checkpoint"];
+    assert!(
+        left.lines().all(|line| folders.contains(&line)),
+        "folders at most: {left}"
+    );
+}
+
+#[test]
+fn a_folder_that_may_only_be_read_is_told_before_any_work() {
+    let home = scene(&[View::new(0), View::new(1), View::new(2)]);
+    let locked = home.path().join("locked");
+    std::fs::create_dir(&locked).expect("made");
+    std::fs::write(
+        home.path().join("batch.toml"),
+        "[[images]]\nname = \"a\"\nscene = \".\"\n[[areas]]\nname = \"b\"\naltitude_m = [690.0, 710.0]\n",
+    )
+    .expect("written");
+    let scene = home.path().display();
+    for verb in [
+        format!("train {scene} --altitude 690,710"),
+        format!("batch {scene}/batch.toml"),
+    ] {
+        let arguments = format!("{verb} --out {}/run", locked.display());
+        let Some(output) = on_a_disk("ro", &arguments, &locked) else {
+            println!("skipped: no file system can be mounted here");
+            return;
+        };
+        let said = String::from_utf8_lossy(&output.stderr);
+        assert_eq!(output.status.code(), Some(1), "{said}");
+        assert!(
+            said.contains("the folder cannot be made") && !said.contains("panicked"),
+            "{said}"
+        );
+        assert!(output.stdout.is_empty(), "nothing is left");
     }
 }
 

@@ -9,6 +9,16 @@ use std::path::{Path, PathBuf};
 
 /// Longest name of an area, a set of images or a preset.
 const LONGEST_NAME: usize = 64;
+/// Where products may be copied to: not to the disk, where nothing but the folder of the batch is written.
+const OBJECT_STORES: [&str; 7] = [
+    "/vsis3/",
+    "/vsigs/",
+    "/vsiaz/",
+    "/vsiadls/",
+    "/vsioss/",
+    "/vsiswift/",
+    "/vsiwebhdfs/",
+];
 /// Largest manifest, bytes.
 const LARGEST: u64 = 16 << 20;
 
@@ -16,6 +26,9 @@ const LARGEST: u64 = 16 << 20;
 #[derive(Debug, Clone, PartialEq, serde::Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Manifest {
+    /// Folder on an object store, as GDAL names it, that surface models are copied to.
+    #[serde(default)]
+    pub deliver: Option<String>,
     /// How areas are cut.
     #[serde(default)]
     pub tiles: TileOptions,
@@ -219,6 +232,14 @@ impl Manifest {
         names("areas", self.areas.iter().map(|area| &area.name))?;
         names("images", self.images.iter().map(|images| &images.name))?;
         names("presets", self.presets.iter().map(|preset| &preset.name))?;
+        if let Some(to) = &self.deliver
+            && (!OBJECT_STORES.iter().any(|store| to.starts_with(store)) || to.contains(".."))
+        {
+            return Err(format!(
+                "deliver is '{to}', expected a folder on one of {}",
+                OBJECT_STORES.join(", ")
+            ));
+        }
         let tiles = &self.tiles;
         if tiles.memory_bytes().is_none() {
             return Err(format!(
@@ -343,5 +364,7 @@ mod tests {
             refused("[[presets]]\nname = \"fast\"\nset = { \"train.iteration\" = 4 }\n").contains("train.iteration")
         );
         assert!(refused("colour = 3\n").contains("line"));
+        let elsewhere = Manifest::parse(&format!("deliver = \"/vsizip//etc/x.zip\"\n{IMAGES}"));
+        assert!(elsewhere.expect_err("the disk").contains("deliver"));
     }
 }

@@ -45,6 +45,8 @@ pub struct Unit {
     pub runtime_s: u64,
     /// Names its inputs and its settings: another key is other work.
     pub key: String,
+    /// Folder on an object store that its surface model is copied to.
+    pub deliver: Option<String>,
 }
 
 /// What a unit does.
@@ -55,6 +57,11 @@ pub enum Work {
     Tile(TileWork),
     /// Makes one surface model of those of the tiles.
     Mosaic(MosaicWork),
+    /// Nothing: its scene cannot be used.
+    Refused {
+        /// Why.
+        reason: String,
+    },
 }
 
 /// The work of a tile.
@@ -132,13 +139,21 @@ impl Plan {
             return Ok(plan);
         }
         let mut hashes = Hashes::open(out);
-        let (plan, files) = make(&manifest, &mut hashes)?;
+        let (plan, files) = make(&manifest, &mut hashes);
         let made = Made {
             program: identity_of_program(),
             manifest: digest(&text),
             files: files.into_iter().map(|path| (path.clone(), seen(&path))).collect(),
         };
         let file = File { made, plan };
+        if file
+            .plan
+            .units
+            .iter()
+            .any(|unit| matches!(unit.work, Work::Refused { .. }))
+        {
+            return Ok(file.plan);
+        }
         // Both only save time: a folder that cannot be written is told of by the units.
         let _ = hashes.save(out);
         let text = serde_json::to_string_pretty(&file).unwrap_or_default();
@@ -165,7 +180,8 @@ fn kept(path: &Path, manifest: &str) -> Option<Plan> {
     (same && unchanged()).then_some(file.plan)
 }
 
-fn make(manifest: &Manifest, hashes: &mut Hashes) -> Result<(Plan, Vec<PathBuf>), BatchError> {
+/// All units, and the files that decided them. A scene that is at fault becomes a unit that fails, and stops no other.
+fn make(manifest: &Manifest, hashes: &mut Hashes) -> (Plan, Vec<PathBuf>) {
     let slowness = slowness();
     let (mut units, mut files) = (Vec::new(), Vec::new());
     for area in &manifest.areas {
@@ -174,39 +190,71 @@ fn make(manifest: &Manifest, hashes: &mut Hashes) -> Result<(Plan, Vec<PathBuf>)
             named.is_none_or(|names| names.contains(&images.name))
         };
         for images in manifest.images.iter().filter(wanted) {
-            let options = IngestOptions {
-                altitude_range_m: area.altitude_m.map(|[low, high]| (low, high)),
-                rpc: images.preference(),
-                area: area.request(),
-            };
-            let survey = Survey::open(&images.scene, &options)?;
-            let inputs = hashes.of(&survey.files)?;
-            files.extend(survey.files.iter().cloned());
-            for preset in &manifest.presets {
-                let config = preset.config().map_err(|error| BatchError::Manifest {
-                    path: images.scene.clone(),
-                    reason: error.to_string(),
-                })?;
-                let tiling = tiles::cut(&tiles::Request {
-                    name: &area.name,
-                    images: &images.name,
-                    survey: &survey,
-                    options: &manifest.tiles,
-                    config: &config,
-                    slowness,
-                })?;
-                let combination = Combination {
-                    area,
-                    images,
-                    preset,
-                    inputs: &inputs,
-                    config: toml::to_string(&config).unwrap_or_default(),
-                };
-                units.extend(combination.units(&tiling, &survey));
+            match units_of(manifest, area, images, hashes, slowness) {
+                Ok((more, of)) => {
+                    units.extend(more);
+                    files.extend(of);
+                }
+                Err(error) => units.push(refused(area, images, &error)),
             }
         }
     }
-    Ok((Plan { units }, files))
+    (Plan { units }, files)
+}
+
+/// The units of an area and a set of images, for all presets.
+fn units_of(
+    manifest: &Manifest,
+    area: &AreaEntry,
+    images: &ImagesEntry,
+    hashes: &mut Hashes,
+    slowness: f64,
+) -> Result<(Vec<Unit>, Vec<PathBuf>), BatchError> {
+    let options = IngestOptions {
+        altitude_range_m: area.altitude_m.map(|[low, high]| (low, high)),
+        rpc: images.preference(),
+        area: area.request(),
+    };
+    let survey = Survey::open(&images.scene, &options)?;
+    let inputs = hashes.of(&survey.files)?;
+    let mut units = Vec::new();
+    for preset in &manifest.presets {
+        let config = preset.config().map_err(|error| BatchError::Manifest {
+            path: images.scene.clone(),
+            reason: error.to_string(),
+        })?;
+        let tiling = tiles::cut(&tiles::Request {
+            name: &area.name,
+            images: &images.name,
+            survey: &survey,
+            options: &manifest.tiles,
+            config: &config,
+            slowness,
+        })?;
+        let combination = Combination {
+            area,
+            images,
+            preset,
+            inputs: &inputs,
+            config: toml::to_string(&config).unwrap_or_default(),
+            deliver: manifest.deliver.as_ref(),
+        };
+        units.extend(combination.units(&tiling, &survey));
+    }
+    Ok((units, survey.files))
+}
+
+fn refused(area: &AreaEntry, images: &ImagesEntry, error: &BatchError) -> Unit {
+    let reason = error.to_string();
+    Unit {
+        id: format!("{}/{}/refused", area.name, images.name),
+        after: Vec::new(),
+        mem_mb: mebibytes(LEAST_BYTES),
+        runtime_s: LEAST_S as u64,
+        key: digest(&reason),
+        deliver: None,
+        work: Work::Refused { reason },
+    }
 }
 
 struct Combination<'a> {
@@ -216,6 +264,7 @@ struct Combination<'a> {
     /// The files that say something about the scene, and their hashes.
     inputs: &'a str,
     config: String,
+    deliver: Option<&'a String>,
 }
 
 impl Combination<'_> {
@@ -242,13 +291,20 @@ impl Combination<'_> {
         let [west, south, east, north] = tiling.bounds;
         let cells = (east - west) * (north - south) / (tiling.gsd_m * tiling.gsd_m);
         let keys: Vec<&str> = units.iter().map(|unit| unit.key.as_str()).collect();
-        let said = format!("{}mosaic\n{}\n{:?}", identity_of_program(), keys.join("\n"), work);
+        let said = format!(
+            "{}mosaic\n{}\n{:?} {:?}",
+            identity_of_program(),
+            keys.join("\n"),
+            work,
+            self.deliver
+        );
         units.push(Unit {
             id: format!("{home}/mosaic"),
             after: units.iter().map(|unit| unit.id.clone()).collect(),
             mem_mb: mebibytes(LEAST_BYTES + MOSAIC_BYTES_PER_CELL * cells),
             runtime_s: (LEAST_S + MOSAIC_S_PER_CELL * cells).ceil() as u64,
             key: digest(&said),
+            deliver: self.deliver.cloned(),
             work: Work::Mosaic(work),
         });
         units
@@ -266,13 +322,14 @@ impl Combination<'_> {
             residual_px: tile.survey.residual_px,
         };
         let said = format!(
-            "{}tile\n{} {:?} {:?} {} {}\n{}\n{}",
+            "{}tile\n{} {:?} {:?} {} {} {:?}\n{}\n{}",
             identity_of_program(),
             work.area,
             work.altitude_m,
             work.rpc,
             work.crs,
             work.gsd_m,
+            self.deliver,
             self.config,
             self.inputs
         );
@@ -282,6 +339,7 @@ impl Combination<'_> {
             mem_mb: mebibytes(tile.estimate.peak_bytes.max(LEAST_BYTES)),
             runtime_s: (LEAST_S + tile.estimate.seconds).ceil() as u64,
             key: digest(&said),
+            deliver: self.deliver.cloned(),
             work: Work::Tile(work),
         }
     }

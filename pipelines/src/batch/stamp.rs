@@ -2,8 +2,8 @@
 
 use super::BatchError;
 use super::plan::Unit;
-use crate::raster::RasterError;
 use crate::raster::write::write_atomically;
+use crate::raster::{RasterError, is_virtual};
 use crate::run;
 use serde_json::Value;
 use std::collections::BTreeMap;
@@ -123,7 +123,7 @@ impl Hashes {
         let mut text = String::new();
         for file in files {
             let name = file.file_name().unwrap_or_default().to_string_lossy().into_owned();
-            if file.starts_with("/vsi") || file.to_string_lossy().starts_with("/vsi") {
+            if is_virtual(file) {
                 text += &format!("{}\n", file.display());
                 continue;
             }
@@ -202,6 +202,7 @@ mod tests {
             mem_mb: 1,
             runtime_s: 1,
             key: "k".into(),
+            deliver: None,
         }
     }
 

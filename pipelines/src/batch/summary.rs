@@ -61,7 +61,7 @@ impl State {
 pub struct Row {
     /// The unit.
     pub unit: String,
-    /// `tile` or `mosaic`.
+    /// `tile`, `mosaic`, or `refused` where the scene cannot be used.
     pub kind: &'static str,
     /// Where it stands.
     pub state: State,
@@ -91,6 +91,7 @@ impl Row {
             kind: match unit.work {
                 Work::Tile(_) => "tile",
                 Work::Mosaic(_) => "mosaic",
+                Work::Refused { .. } => "refused",
             },
             state: State::Pending,
             seconds: None,
@@ -235,9 +236,9 @@ fn page(rows: &[Row]) -> String {
             .error
             .as_deref()
             .map_or(String::new(), |e| format!(": {}", escaped(e)));
-        let _ = write!(
+        let _ = writeln!(
             body,
-            "<tr{class}><td>{}<td class=\"words\">{}<td class=\"words\">{}{error}<td>{seconds}<td>{peak}<td>{}<td>{mae}<td>{known}</tr>\n",
+            "<tr{class}><td>{}<td class=\"words\">{}<td class=\"words\">{}{error}<td>{seconds}<td>{peak}<td>{}<td>{mae}<td>{known}</tr>",
             escaped(&row.unit),
             row.kind,
             row.state.name(),
@@ -267,9 +268,9 @@ fn borders(rows: &[Row]) -> String {
             value.map_or(String::new(), |v| format!("{v:.3}"))
         };
         if row.metrics.pointer("/seams/border/mean_m").is_some() {
-            let _ = write!(
+            let _ = writeln!(
                 body,
-                "<tr><td>{}<td>{}<td>{}<td>{}<td>{}</tr>\n",
+                "<tr><td>{}<td>{}<td>{}<td>{}<td>{}</tr>",
                 escaped(&row.unit),
                 number("/seams/border/mean_m"),
                 number("/seams/border_within_tiles/mean_m"),

@@ -10,7 +10,7 @@ use crate::cli::{CliError, IngestArgs, Session};
 use crate::evaluate::{Protocol, evaluate_dsm};
 use crate::product::dsm;
 use crate::raster::preview;
-use crate::raster::write::write_atomically;
+use crate::raster::write::{deliver, remove_leftovers, write_atomically};
 use crate::run::{self, checkpoint};
 use crate::satellite::training;
 use clap::ValueEnum;
@@ -56,7 +56,11 @@ pub fn do_unit(
     let (outputs, metrics) = match &unit.work {
         Work::Tile(work) => tile(work, &folder, checkpoint_every, session)?,
         Work::Mosaic(work) => mosaic_unit(work, out, &folder)?,
+        Work::Refused { reason } => return Err(CliError::Input(reason.clone())),
     };
+    if let Some(to) = &unit.deliver {
+        deliver(&folder.join("dsm.tif"), Path::new(&format!("{to}/{}/dsm.tif", unit.id)))?;
+    }
     let seconds = metrics["seconds"]
         .as_f64()
         .unwrap_or_else(|| begun.elapsed().as_secs_f64());
@@ -78,6 +82,7 @@ pub fn do_unit(
 
 /// Puts away what an earlier use of the folder for other work left unfinished.
 fn begin(folder: &Path, unit: &Unit) -> Result<(), CliError> {
+    remove_leftovers(folder);
     let path = folder.join(BEGUN);
     let same = std::fs::read_to_string(&path).is_ok_and(|before| before.trim() == unit.key);
     // A stamp that is of other work, or whose products are gone, must not be found again.

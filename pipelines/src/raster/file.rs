@@ -60,13 +60,29 @@ pub struct RasterFile {
     pub bands: Vec<BandInfo>,
 }
 
+/// Whether a path is on one of GDAL's virtual file systems, such as `/vsizip/` and `/vsis3/`.
+pub fn is_virtual(path: &Path) -> bool {
+    path.to_string_lossy().starts_with("/vsi")
+}
+
+/// Files in a folder of a virtual file system, sorted.
+///
+/// # Errors
+/// [`RasterError::Missing`] when there is no such folder, or it cannot be reached.
+pub fn list_virtual(folder: &Path) -> Result<Vec<PathBuf>, RasterError> {
+    let names = messages::collect(|| gdal::vsi::read_dir(folder, false));
+    let mut names = names.map_err(|_| RasterError::Missing(folder.to_owned()))?;
+    names.sort();
+    Ok(names.into_iter().map(|name| folder.join(name)).collect())
+}
+
 impl RasterFile {
     /// Opens a file for reading.
     ///
     /// # Errors
     /// [`RasterError::Missing`] or [`RasterError::NotAnImage`].
     pub fn open(path: &Path) -> Result<Self, RasterError> {
-        if !path.exists() {
+        if !is_virtual(path) && !path.exists() {
             return Err(RasterError::Missing(path.to_owned()));
         }
         let not_an_image = |reason| RasterError::NotAnImage {

@@ -15,6 +15,18 @@ use std::sync::atomic::{AtomicU64, Ordering};
 /// What stands for "nothing known" in the float rasters we write.
 pub const NODATA: f32 = -9999.0;
 
+/// How cloud-optimised GeoTIFFs are written.
+const COG_OPTIONS: [&str; 6] = [
+    "COMPRESS=DEFLATE",
+    "PREDICTOR=YES",
+    "BLOCKSIZE=256",
+    "OVERVIEWS=AUTO",
+    "RESAMPLING=AVERAGE",
+    "BIGTIFF=IF_SAFER",
+];
+/// How the names of files begin that are being written.
+const TEMPORARY: &str = ".heliosplat-";
+
 /// A raster to write and what is to be said about it.
 #[derive(Debug, Clone, Copy)]
 pub struct ImageSpec<'a> {
@@ -59,16 +71,8 @@ pub enum Sample {
 /// # Errors
 /// [`RasterError::DiskFull`], [`RasterError::Permission`] or [`RasterError::Write`]; nothing is left behind.
 pub fn write_cog(path: &Path, spec: &ImageSpec) -> Result<(), RasterError> {
-    let options = [
-        "COMPRESS=DEFLATE",
-        "PREDICTOR=YES",
-        "BLOCKSIZE=256",
-        "OVERVIEWS=AUTO",
-        "RESAMPLING=AVERAGE",
-        "BIGTIFF=IF_SAFER",
-    ];
     let dataset = in_memory(path, spec, Sample::F32)?;
-    write_copy(path, &dataset, "COG", &options)
+    write_copy(path, &dataset, "COG", &COG_OPTIONS)
 }
 
 /// Writes a plain deflated GeoTIFF with samples of the given type; integers are rounded and clamped.
@@ -108,6 +112,25 @@ pub fn copy_with_rpc(image: &Path, target: &Path, rpc: &[(String, String)]) -> R
         reason,
     })?;
     write_copy(target, &copy, "GTiff", &["COMPRESS=DEFLATE", "BIGTIFF=IF_SAFER"])
+}
+
+/// Copies a raster, as a cloud-optimised GeoTIFF, to a place on one of GDAL's virtual file systems.
+///
+/// # Errors
+/// [`RasterError::Write`] with what GDAL says, and what [`super::RasterFile::open`] says of the source.
+pub fn deliver(source: &Path, target: &Path) -> Result<(), RasterError> {
+    let source = super::RasterFile::open(source)?;
+    messages::collect_strictly(|| {
+        // Object stores take files from one end to the other only.
+        gdal::config::set_thread_local_config_option("CPL_VSIL_USE_TEMP_FILE_FOR_RANDOM_WRITE", "YES")?;
+        let driver = DriverManager::get_driver_by_name("COG")?;
+        let options = RasterCreationOptions::from_iter(COG_OPTIONS);
+        source.dataset().create_copy(&driver, target, &options)?.close()
+    })
+    .map_err(|reason| RasterError::Write {
+        path: target.to_owned(),
+        reason,
+    })
 }
 
 fn in_memory(path: &Path, spec: &ImageSpec, sample: Sample) -> Result<Dataset, RasterError> {
@@ -195,6 +218,15 @@ fn write_copy(path: &Path, dataset: &Dataset, driver: &str, options: &[&str]) ->
     write_atomically(path, &bytes)
 }
 
+/// Removes files from a folder that a process was writing when it was killed; only where no other process writes.
+pub fn remove_leftovers(folder: &Path) {
+    let entries = std::fs::read_dir(folder).into_iter().flatten().flatten();
+    for entry in entries.filter(|entry| entry.file_name().to_string_lossy().starts_with(TEMPORARY)) {
+        // One that stays takes room and does no other harm.
+        let _ = std::fs::remove_file(entry.path());
+    }
+}
+
 /// Writes `bytes` to a temporary file beside `path` and renames it; parent folders are made.
 ///
 /// # Errors
@@ -218,7 +250,7 @@ pub fn write_atomically_with(
     };
     std::fs::create_dir_all(folder).map_err(|error| failed(&error))?;
     let mut builder = tempfile::Builder::new();
-    builder.prefix(".heliosplat-");
+    builder.prefix(TEMPORARY);
     #[cfg(unix)]
     {
         // A temporary file is private by default; the finished one follows the user's umask like any other.

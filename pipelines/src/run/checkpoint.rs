@@ -4,7 +4,7 @@
 //! one; it is of the same version, configuration and inputs as the training that takes it up, or it is refused.
 
 use crate::raster::RasterError;
-use crate::raster::write::write_atomically_with;
+use crate::raster::write::{remove_leftovers, write_atomically_with};
 use crate::satellite::fit::CurvePoint;
 use heliosplat::start::Surface;
 use heliosplat::train::{STATE_VERSION, StateError, Trainer, TrainerState};
@@ -123,6 +123,9 @@ pub fn identity_of_program() -> String {
 /// When it is damaged, or of another training.
 pub fn read(run: &Path, identity: &str) -> Result<Option<Kept>, CheckpointError> {
     let path = path_in(run);
+    for folder in [run, &run.join(PLACE[0])] {
+        remove_leftovers(folder);
+    }
     let bytes = match std::fs::read(&path) {
         Ok(bytes) => bytes,
         Err(error) if error.kind() == std::io::ErrorKind::NotFound => return Ok(None),

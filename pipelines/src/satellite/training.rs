@@ -10,7 +10,7 @@ use crate::cli::satellite::{Preset, TrainArgs};
 use crate::cli::{CliError, Outcome, Session};
 use crate::evaluate::Protocol;
 use crate::product::dsm;
-use crate::raster::preview;
+use crate::raster::{is_virtual, preview};
 use crate::run::checkpoint::{self, Keeper};
 use crate::run::{self, Input, LoadedModel, ModelFile, RunFile};
 use crate::scene::{IngestOptions, Scene, SceneImage};
@@ -133,7 +133,11 @@ fn inputs(scene: &Scene) -> Result<Vec<Input>, CliError> {
     let input = |image: &SceneImage| {
         Ok(Input {
             path: image.path.clone(),
-            sha256: run::hash(&image.path)?,
+            sha256: match is_virtual(&image.path) {
+                // Not to be fetched once more: what was read of it stands for it.
+                true => run::hash_of_pixels(&image.pixels),
+                false => run::hash(&image.path)?,
+            },
         })
     };
     scene.images.iter().map(input).collect()

@@ -2,7 +2,7 @@
 
 use super::layout::{ImageEntry, file_name, files_in, stem};
 use super::{RpcPreference, SceneError};
-use crate::raster::{GeoTransform, RasterFile};
+use crate::raster::{GeoTransform, RasterFile, is_virtual};
 use heliosplat_rpc::{ImagePoint, Rpc, read};
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
@@ -215,6 +215,9 @@ fn sidecars(image: &Path) -> Result<Vec<(PathBuf, Rpc)>, SceneError> {
 /// Text files beside an image that belong to it by their name: `X.RPB`, `X_RPC.TXT`, `X.XML`, `RPC_X.XML`, `DIM_X.XML` …
 /// for an image `X.TIF` or `IMG_X_R1C1.TIF`.
 pub(super) fn belonging_texts(image: &Path) -> Result<Vec<PathBuf>, SceneError> {
+    if is_virtual(image) {
+        return Ok(Vec::new());
+    }
     let folder = image.parent().filter(|parent| !parent.as_os_str().is_empty());
     let name = stem(image).to_lowercase();
     let product = name.strip_prefix("img_").unwrap_or(&name);

@@ -4,6 +4,7 @@
 use super::manifest::{Counts, Manifest, ManifestImage, reject_address};
 use super::satnerf::{self, JsonIndex};
 use super::{BandKind, SceneError, Split, Truth};
+use crate::raster::{is_virtual, list_virtual};
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
@@ -36,6 +37,9 @@ const IMAGE_FOLDERS: [&str; 3] = ["images", "img", "imgs"];
 
 /// Finds the files of the scene at `path`.
 pub(super) fn find(path: &Path) -> Result<Layout, SceneError> {
+    if is_virtual(path) {
+        return from_virtual_folder(path);
+    }
     reject_address(path)?;
     if path.is_file() {
         return if has_extension(path, &["toml"]) {
@@ -56,6 +60,34 @@ pub(super) fn find(path: &Path) -> Result<Layout, SceneError> {
     } else {
         from_folder(path)
     }
+}
+
+/// A folder on one of GDAL's virtual file systems, which the user named: its images, with the cameras and dates that GDAL finds there.
+fn from_virtual_folder(folder: &Path) -> Result<Layout, SceneError> {
+    let entry = |path: PathBuf| ImageEntry {
+        name: stem(&path),
+        split: Split::Train,
+        json: None,
+        said: None,
+        path,
+    };
+    let files = list_virtual(folder)?;
+    let images: Vec<ImageEntry> = files
+        .into_iter()
+        .filter(|path| has_extension(path, &IMAGE_EXTENSIONS))
+        .map(entry)
+        .collect();
+    if images.is_empty() {
+        return Err(SceneError::Empty(folder.to_owned()));
+    }
+    Ok(Layout {
+        images: with_distinct_names(images),
+        altitude_range_m: None,
+        bands: None,
+        counts: None,
+        truth: Truth::default(),
+        warnings: Vec::new(),
+    })
 }
 
 fn from_manifest(path: &Path) -> Result<Layout, SceneError> {

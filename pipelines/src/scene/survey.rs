@@ -5,7 +5,7 @@ use super::draft::{self, Draft, image_window};
 use super::footprint::Footprint;
 use super::ground::{self, Ground};
 use super::{Area, AreaRequest, IngestOptions, SceneError, Split, Truth, altitude, layout};
-use crate::raster::Window;
+use crate::raster::{Window, is_virtual};
 use heliosplat_rpc::{ImageWindow, LocalFrame, PinholeFit, Rpc};
 use rayon::prelude::*;
 use std::collections::BTreeSet;
@@ -180,6 +180,9 @@ fn files_of(path: &Path, layout: &layout::Layout, drafts: &[Draft]) -> Vec<PathB
 
 /// Files in an image's folder whose names begin as its own.
 fn beside(image: &Path) -> Vec<PathBuf> {
+    if is_virtual(image) {
+        return Vec::new();
+    }
     let folder = image.parent().unwrap_or_else(|| Path::new("."));
     let stem = layout::stem(image);
     let entries = std::fs::read_dir(folder).into_iter().flatten().flatten();

@@ -1,0 +1,314 @@
+//! Batches through the program: tiles, their mosaic, what fails and stops nobody, and processes killed at any moment.
+//!
+//! `HELIOSPLAT_KILLS` says how often the batch is killed (3 where not said).
+
+use heliosplat_tests::program::{binary, fault, heliosplat, json};
+use rand::{RngExt, SeedableRng};
+use rand_pcg::Pcg32;
+use serde_json::Value;
+use std::os::unix::process::CommandExt;
+use std::path::{Path, PathBuf};
+use std::process::{Command, Stdio};
+use std::time::{Duration, Instant};
+use tempfile::{TempDir, tempdir};
+
+/// A folder with a tiny scene and a manifest that cuts it into four tiles.
+fn home(manifest: &str) -> TempDir {
+    let folder = tempdir().expect("a temporary folder");
+    let scene = folder.path().join("scene").display().to_string();
+    json(&[
+        "synth",
+        "satellite",
+        "--site",
+        "tiny",
+        "--seed",
+        "5",
+        "--views",
+        "4",
+        "--out",
+        &scene,
+    ]);
+    std::fs::write(folder.path().join("batch.toml"), manifest).expect("written");
+    folder
+}
+
+const FOUR_TILES: &str = "
+[tiles]
+side_m = 48.0
+overlap_m = 6.0
+
+[[images]]
+name = \"first\"
+scene = \"scene\"
+
+[[presets]]
+name = \"quick\"
+preset = \"fast\"
+set = { \"train.iterations\" = 12, \"train.rounds\" = 100 }
+";
+
+fn batch(home: &Path, out: &str, more: &[&str]) -> Vec<String> {
+    let manifest = home.join("batch.toml").display().to_string();
+    let out = home.join(out).display().to_string();
+    let mut arguments = vec!["batch".to_owned(), manifest, "--out".to_owned(), out];
+    arguments.extend(more.iter().map(|text| (*text).to_owned()));
+    arguments
+}
+
+/// Files below a folder that are products: the same whenever and however often they were made.
+fn products(out: &Path) -> Vec<(PathBuf, Vec<u8>)> {
+    let (mut found, mut open) = (Vec::new(), vec![out.to_owned()]);
+    while let Some(folder) = open.pop() {
+        for entry in std::fs::read_dir(&folder).expect("listable").flatten() {
+            let path = entry.path();
+            let product = ["tif", "ply", "png"]
+                .iter()
+                .any(|e| path.extension().is_some_and(|x| x == *e))
+                || path.ends_with("model.json")
+                || path.ends_with("mosaic.json");
+            if path.is_dir() {
+                open.push(path);
+            } else if product {
+                let below = path.strip_prefix(out).expect("below").to_owned();
+                found.push((below, std::fs::read(&path).expect("readable")));
+            }
+        }
+    }
+    found.sort();
+    found
+}
+
+fn assert_same(a: &[(PathBuf, Vec<u8>)], b: &[(PathBuf, Vec<u8>)]) {
+    let names = |all: &[(PathBuf, Vec<u8>)]| all.iter().map(|(path, _)| path.clone()).collect::<Vec<_>>();
+    assert_eq!(names(a), names(b));
+    for ((path, a), (_, b)) in a.iter().zip(b) {
+        assert!(a == b, "{} differs", path.display());
+    }
+}
+
+/// Starts the batch in a process group of its own and kills all of it after a while, unless it is done before; whether it was killed.
+fn killed_after(home: &Path, out: &str, wait: Duration) -> bool {
+    let mut command = Command::new(binary());
+    command
+        .args(batch(home, out, &["--checkpoint-every", "0", "--jobs", "2"]))
+        .stdout(Stdio::null())
+        .stderr(Stdio::null())
+        .process_group(0);
+    let mut child = command.spawn().expect("starts");
+    let begun = Instant::now();
+    while begun.elapsed() < wait {
+        if let Some(status) = child.try_wait().expect("waited") {
+            assert!(status.success());
+            return false;
+        }
+        std::thread::sleep(Duration::from_millis(5));
+    }
+    let group = format!("-{}", child.id());
+    let status = Command::new("kill").args(["-KILL", "--", &group]).status();
+    assert!(status.is_ok_and(|status| status.success()));
+    child.wait().expect("ends");
+    true
+}
+
+#[test]
+fn a_batch_that_is_killed_again_and_again_ends_with_the_same_bytes() {
+    let home = home(FOUR_TILES);
+    let kills: usize = std::env::var("HELIOSPLAT_KILLS")
+        .ok()
+        .and_then(|n| n.parse().ok())
+        .unwrap_or(3);
+    let begun = Instant::now();
+    let whole = json(&batch(home.path(), "whole", &["--jobs", "2"]));
+    let took = begun.elapsed();
+    assert_eq!(
+        (whole["done"].as_u64(), whole["failed"].as_u64()),
+        (Some(5), Some(0)),
+        "{whole}"
+    );
+    let undisturbed = products(&home.path().join("whole"));
+    assert!(undisturbed.len() > 20, "{}", undisturbed.len());
+
+    // Every life is long enough to come further than the one before, so that all moments of the batch are met.
+    let mut random = Pcg32::seed_from_u64(std::process::id().into());
+    let (mut killed, mut lives) = (0, 0);
+    while killed < kills {
+        let life = took.mul_f64(random.random_range(0.05..1.0) * if kills > 5 { 0.5 } else { 0.8 });
+        lives += 1;
+        if killed_after(home.path(), "killed", life) {
+            killed += 1;
+        } else {
+            // Done before its time: begun anew, until it was killed often enough.
+            std::fs::remove_dir_all(home.path().join("killed")).expect("removed");
+        }
+    }
+    let after = json(&batch(home.path(), "killed", &["--jobs", "2"]));
+    println!(
+        "killed {killed} times in {lives} lives; {} units were finished before the last",
+        after["skipped"]
+    );
+    assert_eq!(
+        (after["done"].as_u64(), after["failed"].as_u64()),
+        (Some(5), Some(0)),
+        "{after}"
+    );
+    assert_same(&undisturbed, &products(&home.path().join("killed")));
+
+    // Once more there is nothing to do.
+    let again = json(&batch(home.path(), "killed", &[]));
+    assert_eq!(again["skipped"].as_u64(), Some(5));
+    // Single units, as a workflow asks for them.
+    let plan = json(&batch(home.path(), "killed", &["--plan"]));
+    let units = plan["units"].as_array().expect("units");
+    assert!(
+        units
+            .iter()
+            .all(|unit| unit["done"] == true && unit["mem_mb"].as_u64().is_some_and(|mb| mb > 0))
+    );
+    let mosaic = units
+        .iter()
+        .find(|unit| unit["work"]["kind"] == "mosaic")
+        .expect("a mosaic");
+    assert_eq!(mosaic["after"].as_array().map(Vec::len), Some(4));
+    let id = mosaic["id"].as_str().expect("a name");
+    // A product that is gone makes its unit unfinished, and only that one.
+    std::fs::remove_file(home.path().join("killed").join(id).join("dsm.tif")).expect("removed");
+    let left = json(&batch(home.path(), "killed", &["--dry-run"]));
+    let open = |unit: &&Value| unit["done"] == false;
+    assert_eq!(left["units"].as_array().expect("units").iter().filter(open).count(), 1);
+    json(&batch(home.path(), "killed", &["--only", id]));
+    assert_same(&undisturbed, &products(&home.path().join("killed")));
+}
+
+#[test]
+fn what_fails_is_told_with_its_log_and_does_not_stop_the_rest() {
+    let manifest = "
+[[images]]
+name = \"sound\"
+scene = \"scene\"
+[[images]]
+name = \"gone\"
+scene = \"no_such_folder\"
+[[images]]
+name = \"broken\"
+scene = \"broken\"
+[[presets]]
+name = \"fast\"
+set = { \"train.iterations\" = 4 }
+";
+    let home = home(manifest);
+    let broken = home.path().join("broken");
+    std::fs::create_dir(&broken).expect("made");
+    for entry in std::fs::read_dir(home.path().join("scene"))
+        .expect("listable")
+        .flatten()
+    {
+        if entry.path().is_file() {
+            std::fs::copy(entry.path(), broken.join(entry.file_name())).expect("copied");
+        }
+    }
+    let image = std::fs::read_dir(&broken)
+        .expect("listable")
+        .flatten()
+        .map(|entry| entry.path());
+    let image = image
+        .filter(|path| path.extension().is_some_and(|e| e == "tif"))
+        .min()
+        .expect("an image");
+    // Its header is whole, its pixels are not.
+    let bytes = std::fs::read(&image).expect("readable");
+    std::fs::write(&image, &bytes[..bytes.len() * 2 / 3]).expect("written");
+
+    let line = fault(&batch(home.path(), "out", &[]), 1);
+    assert!(
+        line.contains("units are not done") && line.contains("all/gone/refused"),
+        "{line}"
+    );
+    let summary = std::fs::read(home.path().join("out/summary.json")).expect("a summary");
+    let summary: Value = serde_json::from_slice(&summary).expect("JSON");
+    let state = |id: &str| -> (String, String) {
+        let rows = summary["units"].as_array().expect("units");
+        let row = rows
+            .iter()
+            .find(|row| row["unit"] == id)
+            .unwrap_or_else(|| panic!("{id} in {summary}"));
+        let text = |key: &str| row[key].as_str().unwrap_or("").to_owned();
+        (text("state"), text("error"))
+    };
+    assert_eq!(state("all/sound/fast/mosaic").0, "done");
+    let (gone, why) = state("all/gone/refused");
+    assert!(gone == "failed" && why.contains("no_such_folder"), "{why}");
+    let units = summary["units"].as_array().expect("units");
+    let row = units
+        .iter()
+        .find(|row| row["unit"].as_str().is_some_and(|id| id.starts_with("all/broken")));
+    let row = row.expect("the broken scene is there");
+    assert_eq!(row["state"], "failed", "{row}");
+    let log = std::fs::read_to_string(row["log"].as_str().expect("a log"));
+    assert!(log.is_ok_and(|log| log.contains("error: ")), "{row}");
+    for name in ["summary.csv", "summary.html"] {
+        let text = std::fs::read_to_string(home.path().join("out").join(name)).expect(name);
+        assert!(
+            text.contains("all/sound/fast/mosaic") && text.contains("failed"),
+            "{name}"
+        );
+    }
+}
+
+#[test]
+fn manifests_that_would_write_elsewhere_or_mean_nothing_are_refused_at_once() {
+    let folder = tempdir().expect("a temporary folder");
+    let cases = [
+        ("[[images]]\nname = \"../../x\"\nscene = \"a\"\n", "is no name"),
+        ("[[images]]\nname = \"/etc\"\nscene = \"a\"\n", "is no name"),
+        (
+            "[[images]]\nname = \"a\"\nscene = \"a\"\n[[areas]]\nname = \"..\"\n",
+            "is no name",
+        ),
+        ("[[images]]\nname = \"a\"\n", "scene"),
+        ("nothing", "line 1"),
+        ("images = []\n", "no images"),
+    ];
+    for (text, said) in cases {
+        std::fs::write(folder.path().join("batch.toml"), text).expect("written");
+        let line = fault(&batch(folder.path(), "out", &["--plan"]), 2);
+        assert!(line.contains(said) && line.contains("batch.toml"), "{line}");
+        assert!(!folder.path().join("out").exists(), "nothing is written");
+    }
+    let line = fault(&["batch", "no/such.toml", "--out", "x"], 2);
+    assert!(line.contains("no/such.toml"), "{line}");
+    heliosplat(&["batch", "a.toml", "--out", "x", "--jobs", "0"])
+        .assert()
+        .code(2);
+}
+
+#[test]
+fn a_scene_in_an_archive_is_read_where_the_user_names_it_and_a_piece_of_ground_alone() {
+    let home = home(FOUR_TILES);
+    let status = Command::new("tar")
+        .args(["-cf", "scene.tar", "scene"])
+        .current_dir(home.path())
+        .status();
+    assert!(status.is_ok_and(|status| status.success()));
+    let archive = format!("/vsitar/{}/scene.tar/scene", home.path().display());
+    let seen = json(&["inspect", &archive, "--altitude", "470,530"]);
+    assert_eq!(seen["images"].as_array().map(Vec::len), Some(4));
+    let line = fault(&["inspect", "/vsitar//no/such.tar/scene"], 2);
+    assert!(line.contains("/no/such.tar"), "{line}");
+
+    let scene = home.path().join("scene").display().to_string();
+    let (lon, lat) = (seen["origin"]["lon_deg"].as_f64(), seen["origin"]["lat_deg"].as_f64());
+    let (lon, lat) = (lon.expect("a longitude"), lat.expect("a latitude"));
+    let area = format!("{},{},{},{}", lon - 1e-4, lat - 1e-4, lon + 1e-4, lat + 1e-4);
+    let piece = json(&["inspect", &scene, "--area", &area]);
+    let width = |seen: &Value| {
+        seen["area_m"]["east_m"].as_f64().expect("east") - seen["area_m"]["west_m"].as_f64().expect("west")
+    };
+    assert!(
+        width(&piece) < 25.0 && width(&seen) > 40.0,
+        "{} {}",
+        width(&piece),
+        width(&seen)
+    );
+    let line = fault(&["inspect", &scene, "--area", "10,10,10.1,10.1"], 2);
+    assert!(line.contains("10,10,10.1,10.1"), "{line}");
+}

@@ -1,0 +1,290 @@
+//! Trainings that are interrupted: whatever stops them and whenever, what they end with is the same, byte for byte.
+
+use heliosplat::Raster;
+use heliosplat::model::View;
+use heliosplat::optim::DensityOptions;
+use heliosplat::rates::Site;
+use heliosplat::trace::{Route, TraceOptions};
+use heliosplat::train::{TrainOptions, Trainer, TrainerState};
+use heliosplat_tests::program::{binary, fault, json};
+use std::path::{Path, PathBuf};
+use std::process::{Child, Command, Stdio};
+use std::time::{Duration, Instant};
+use tempfile::{TempDir, tempdir};
+
+const STEPS: usize = 26;
+
+/// A site of `Site::new`, seen twice, in a training that uses every memory a trainer has.
+fn views(site: &Site) -> Vec<View> {
+    let (width, height) = (site.camera.width, site.camera.height);
+    let view = |number: usize| {
+        let mut image = Raster::filled(width, height, 3, 0.3);
+        for (i, value) in image.values.iter_mut().enumerate() {
+            *value += 0.2 * ((i * (7 + number)) as f32 * 0.01).sin();
+        }
+        View {
+            name: format!("view {number}"),
+            camera: site.camera,
+            light: Some(site.sun),
+            appearance: 0,
+            weight: vec![1.0; width * height],
+            image,
+        }
+    };
+    vec![view(0), view(1), view(2)]
+}
+
+fn options(route: Route) -> TrainOptions {
+    TrainOptions {
+        iterations: STEPS,
+        gsd_m: 0.5,
+        holdout: 0.3,
+        patience: 50,
+        light_every: 3,
+        light_moved: 0.002,
+        hierarchy_every: 9,
+        consistency_every: 5,
+        pyramid_levels: 1,
+        depth_normal_weight: 0.0,
+        trace: TraceOptions {
+            route,
+            ..TraceOptions::default()
+        },
+        density: DensityOptions {
+            every: 11,
+            from: 11,
+            until_fraction: 1.0,
+            pull: 0.0,
+            ..DensityOptions::default()
+        },
+        ..TrainOptions::default()
+    }
+}
+
+fn trainer<'a>(site: &'a Site, route: Route) -> Trainer<'a> {
+    let reach = glam::Vec3::splat(200.0);
+    let parameters = site.parameters.clone();
+    Trainer::new(
+        &site.model,
+        views(site),
+        parameters,
+        options(route),
+        (-reach, reach),
+        None,
+    )
+    .expect("can begin")
+}
+
+#[test]
+fn a_trainer_that_takes_up_a_state_goes_on_as_the_one_that_left_it() {
+    let site = Site::new(900, 64, 0.6);
+    for route in [Route::SunPlane, Route::Hierarchy] {
+        let mut whole = trainer(&site, route);
+        let mut kept = Vec::new();
+        while !whole.finished() {
+            if [1, 4, 10, 11, 12, 19, 25].contains(&whole.steps()) {
+                kept.push(postcard::to_allocvec(&whole.state()).expect("plain data"));
+            }
+            whole.step().expect("a sound step");
+        }
+        let grown = whole.parameters.gaussians.count;
+        let whole = whole.into_best();
+        assert!(grown > 900, "{grown}");
+        for bytes in &kept {
+            let state: TrainerState = postcard::from_bytes(bytes).expect("what was written");
+            let from = state.steps();
+            let mut later = trainer(&site, route);
+            later.restore(state).expect("of the same training");
+            assert_eq!(later.steps(), from);
+            while !later.finished() {
+                later.step().expect("a sound step");
+            }
+            assert!(later.into_best() == whole, "{route:?} from step {from}");
+        }
+    }
+}
+
+#[test]
+fn a_state_of_another_training_is_refused_and_changes_nothing() {
+    let (site, other) = (Site::new(400, 64, 0.6), Site::new(400, 64, 0.6));
+    let mut first = trainer(&site, Route::SunPlane);
+    first.step().expect("a sound step");
+    let state = postcard::to_allocvec(&first.state()).expect("plain data");
+    let state: TrainerState = postcard::from_bytes(&state).expect("what was written");
+    let reach = glam::Vec3::splat(200.0);
+    let fewer = views(&other)[..2].to_vec();
+    let parameters = other.parameters.clone();
+    let mut second = Trainer::new(
+        &other.model,
+        fewer,
+        parameters.clone(),
+        options(Route::SunPlane),
+        (-reach, reach),
+        None,
+    )
+    .expect("can begin");
+    let error = second.restore(state).expect_err("it has three views");
+    assert!(error.to_string().contains("views"), "{error}");
+    assert!(second.steps() == 0 && second.parameters == parameters);
+}
+
+/// A tiny scene, and the run that nothing interrupts.
+struct Home {
+    folder: TempDir,
+    scene: PathBuf,
+}
+
+impl Home {
+    fn new() -> Self {
+        let folder = tempdir().expect("a temporary folder");
+        let scene = folder.path().join("scene");
+        let out = scene.display().to_string();
+        json(&[
+            "synth",
+            "satellite",
+            "--site",
+            "tiny",
+            "--seed",
+            "5",
+            "--views",
+            "4",
+            "--out",
+            &out,
+        ]);
+        Self { folder, scene }
+    }
+
+    fn run(&self, name: &str) -> PathBuf {
+        self.folder.path().join(name)
+    }
+
+    fn arguments(&self, run: &Path, more: &[&str]) -> Vec<String> {
+        let mut all: Vec<String> = [
+            "train",
+            &self.scene.display().to_string(),
+            "--out",
+            &run.display().to_string(),
+        ]
+        .map(String::from)
+        .to_vec();
+        let density = "train.density.every=10";
+        for text in [
+            "--preset",
+            "fast",
+            "--set",
+            "train.iterations=40",
+            "--set",
+            density,
+            "--set",
+            "train.rounds=100",
+        ] {
+            all.push(text.into());
+        }
+        all.extend(more.iter().map(|text| (*text).to_owned()));
+        all
+    }
+
+    /// Starts a training that keeps its state after every step.
+    fn start(&self, run: &Path) -> Child {
+        let arguments = self.arguments(run, &["--resume", "--checkpoint-every", "0"]);
+        let mut command = Command::new(binary());
+        command.args(arguments).stdout(Stdio::null()).stderr(Stdio::null());
+        command.spawn().expect("starts")
+    }
+}
+
+fn checkpoint(run: &Path) -> PathBuf {
+    run.join("checkpoint/training.bin")
+}
+
+/// Waits until the checkpoint has been written `times` times.
+fn wait_for_checkpoints(child: &mut Child, run: &Path, times: usize) {
+    let (begun, mut seen, mut last) = (Instant::now(), 0, None);
+    while seen < times {
+        assert!(
+            begun.elapsed() < Duration::from_secs(300),
+            "no checkpoint after five minutes"
+        );
+        assert!(
+            child.try_wait().expect("waited").is_none(),
+            "it ended before it could be interrupted"
+        );
+        let now = std::fs::metadata(checkpoint(run)).and_then(|data| data.modified()).ok();
+        if now.is_some() && now != last {
+            last = now;
+            seen += 1;
+        }
+        std::thread::sleep(Duration::from_millis(2));
+    }
+}
+
+fn signal(child: &Child, name: &str) {
+    let status = Command::new("kill")
+        .args([&format!("-{name}"), &child.id().to_string()])
+        .status();
+    assert!(status.is_ok_and(|status| status.success()));
+}
+
+fn same_products(a: &Path, b: &Path) {
+    for name in ["model.ply", "model.json", "dsm.tif", "start.tif"] {
+        let read = |run: &Path| std::fs::read(run.join(name)).expect(name);
+        assert!(read(a) == read(b), "{name} differs");
+    }
+}
+
+#[test]
+fn trainings_that_are_stopped_or_killed_end_with_the_same_bytes() {
+    let home = Home::new();
+    let whole = home.run("whole");
+    json(&home.arguments(&whole, &[]));
+    assert!(!checkpoint(&whole).exists(), "a finished run keeps no checkpoint");
+
+    let run = home.run("interrupted");
+    for (name, code, after) in [
+        ("TERM", Some(130), 3),
+        ("KILL", None, 4),
+        ("INT", Some(130), 2),
+        ("KILL", None, 1),
+    ] {
+        let mut child = home.start(&run);
+        wait_for_checkpoints(&mut child, &run, after);
+        signal(&child, name);
+        let status = child.wait().expect("ends");
+        assert_eq!(status.code(), code, "{name}");
+        assert!(checkpoint(&run).is_file(), "{name}");
+        assert!(!run.join("model.json").exists(), "nothing half-done is taken for a run");
+    }
+
+    // What was given then must be given now.
+    let other = ["--resume", "--set", "train.opacity_rate=0.05"];
+    let line = fault(&home.arguments(&run, &other), 2);
+    assert!(
+        line.contains("training.bin") && line.contains("then: opacity_rate = "),
+        "{line}"
+    );
+    let line = fault(&home.arguments(&run, &["--resume", "--seed", "2"]), 2);
+    assert!(line.contains("seed = 1") && line.contains("seed = 2"), "{line}");
+
+    // A truncated checkpoint is told from a whole one.
+    let damaged = home.run("damaged");
+    std::fs::create_dir_all(damaged.join("checkpoint")).expect("made");
+    let bytes = std::fs::read(checkpoint(&run)).expect("readable");
+    std::fs::write(checkpoint(&damaged), &bytes[..bytes.len() - 9]).expect("written");
+    let line = fault(&home.arguments(&damaged, &["--resume"]), 2);
+    assert!(line.contains("check sum") && line.contains("delete it"), "{line}");
+
+    json(&home.arguments(&run, &["--resume"]));
+    same_products(&whole, &run);
+    assert!(!run.join("checkpoint").exists());
+
+    // A run that is finished is left as it is.
+    let before = std::fs::metadata(run.join("model.ply"))
+        .and_then(|data| data.modified())
+        .expect("there");
+    let again = json(&home.arguments(&run, &["--resume"]));
+    assert!(again["dsm"]["mae_m"].as_f64().is_some());
+    let after = std::fs::metadata(run.join("model.ply"))
+        .and_then(|data| data.modified())
+        .expect("there");
+    assert_eq!(before, after);
+}
