@@ -73,6 +73,9 @@ pub struct ModelImage {
     pub shift_px: [f32; 2],
     /// Its sun.
     pub sun: SunPosition,
+    /// When it was taken, if known.
+    #[serde(default)]
+    pub time: Option<jiff::Timestamp>,
 }
 
 /// `model.json`: all of a model besides its Gaussians.
@@ -221,6 +224,7 @@ pub fn model_images(scene: &Scene, fitted: &Fitted, margin_m: f64) -> Vec<ModelI
                 crop: Crop::of(image, &area, up_m)?,
                 shift_px: appearance.map_or([0.0; 2], |a| fitted.shifts_px[a]),
                 sun: image.sun,
+                time: image.time,
             })
         })
         .collect()

@@ -35,6 +35,8 @@ pub struct BandInfo {
     pub colour: Colour,
     /// GDAL's name of the data type, such as `UInt16`.
     pub data_type: String,
+    /// The unit of its values, empty where the file says none.
+    pub unit: String,
     /// The value that means "nothing here".
     pub nodata: Option<f64>,
 }
@@ -206,6 +208,7 @@ fn band_infos(dataset: &Dataset) -> gdal::errors::Result<Vec<BandInfo>> {
                 description: band.description().unwrap_or_default(),
                 colour: colour(band.color_interpretation()),
                 data_type,
+                unit: band.unit(),
                 nodata: band.no_data_value(),
             })
         })
