@@ -60,6 +60,14 @@ fn reader(path: &Path) -> Result<ImageReader<std::io::BufReader<std::fs::File>>,
     }
 }
 
+/// Memory that decoding a file may take: what its bytes can stand for, or a little; a kilobyte that claims a gigabyte is refused.
+fn claimable_bytes(path: &Path) -> u64 {
+    const FREE: u64 = 64 << 20;
+    const PER_BYTE: u64 = 500;
+    let held = std::fs::metadata(path).map_or(0, |known| known.len());
+    held.saturating_mul(PER_BYTE).clamp(FREE, 4 << 30)
+}
+
 const DAMAGED: &str = "write the file anew, or leave its frame out";
 
 /// Reads the size of an image.
@@ -90,6 +98,7 @@ pub fn read(path: &Path) -> Result<Picture, CaptureError> {
     let mut limits = image::Limits::default();
     limits.max_image_width = Some(LONGEST_SIDE);
     limits.max_image_height = Some(LONGEST_SIDE);
+    limits.max_alloc = Some(claimable_bytes(path));
     reader.limits(limits);
     let decoded = reader.decode();
     let decoded = decoded.map_err(|error| fault(path, format!("it cannot be read ({error})"), DAMAGED))?;

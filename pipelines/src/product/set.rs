@@ -37,19 +37,23 @@ pub struct Set {
     pub completeness: f64,
 }
 
-/// A date of a run: its name, and the sun of its first image.
+/// The date of an image by name: its day, or without a time the place of its sun.
+pub fn date_of(image: &ModelImage) -> String {
+    match image.time {
+        Some(time) => time.strftime("%Y-%m-%d").to_string(),
+        None => format!(
+            "sun_{:03.0}_{:02.0}",
+            image.sun.azimuth_rad.to_degrees().rem_euclid(360.0),
+            image.sun.elevation_rad.to_degrees()
+        ),
+    }
+}
+
+/// The dates of a run, and the sun of the first image of each.
 pub fn dates(images: &[ModelImage]) -> Vec<(String, SunPosition)> {
     let mut known = BTreeMap::new();
     for image in images {
-        let name = match image.time {
-            Some(time) => time.strftime("%Y-%m-%d").to_string(),
-            None => format!(
-                "sun_{:03.0}_{:02.0}",
-                image.sun.azimuth_rad.to_degrees().rem_euclid(360.0),
-                image.sun.elevation_rad.to_degrees()
-            ),
-        };
-        known.entry(name).or_insert(image.sun);
+        known.entry(date_of(image)).or_insert(image.sun);
     }
     known.into_iter().collect()
 }

@@ -10,6 +10,7 @@ use crate::cli::{CliError, Outcome, Session};
 use crate::evaluate::Protocol;
 use crate::product::dsm;
 use crate::raster::preview;
+use crate::report;
 use crate::run::{self, Input, LoadedModel, ModelFile, RunFile};
 use crate::scene::Scene;
 use std::path::Path;
@@ -106,6 +107,7 @@ pub(super) fn train_into(
     }
     measure::add_fit(&mut metrics, &fitted, &model, told.begun.elapsed().as_secs_f64());
     run::save_metrics(out, &metrics)?;
+    report::write(out)?;
     Ok((model, metrics, fitted.ending))
 }
 

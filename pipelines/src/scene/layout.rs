@@ -30,7 +30,7 @@ pub(super) struct Layout {
     pub(super) warnings: Vec<String>,
 }
 
-const IMAGE_EXTENSIONS: [&str; 7] = ["tif", "tiff", "jp2", "ntf", "nitf", "img", "vrt"];
+const IMAGE_EXTENSIONS: [&str; 6] = ["tif", "tiff", "jp2", "ntf", "nitf", "img"];
 /// Folders of a scene in which its images may lie.
 const IMAGE_FOLDERS: [&str; 3] = ["images", "img", "imgs"];
 
@@ -203,7 +203,7 @@ impl SplitLists {
             if !path.is_file() {
                 return Ok(None);
             }
-            let text = std::fs::read_to_string(&path).map_err(|error| SceneError::Unreadable {
+            let text = crate::trust::read_text_lossy(&path).map_err(|error| SceneError::Unreadable {
                 path,
                 reason: error.to_string(),
             })?;

@@ -93,7 +93,7 @@ struct File {
 pub fn load(file: Option<&Path>, only: &[String]) -> Result<Vec<Point>, PointsError> {
     let path = file.map_or_else(|| PathBuf::from("tradeoff.toml"), Path::to_owned);
     let text = match file {
-        Some(file) => std::fs::read_to_string(file).map_err(|reason| PointsError::Io {
+        Some(file) => crate::trust::read_text(file).map_err(|reason| PointsError::Io {
             path: path.clone(),
             reason,
         })?,
