@@ -19,6 +19,7 @@ figure{margin:0}figure img{width:100%;height:auto;display:block;background:var(-
 .four{display:grid;grid-template-columns:repeat(auto-fit,minmax(min(45%,13rem),1fr));gap:.5rem;margin:.3rem 0 1.2rem}\
 .key{display:grid;grid-template-columns:repeat(auto-fit,minmax(8.5rem,1fr));gap:.6rem;margin:1rem 0}\
 .key div{background:var(--panel);padding:.5rem .7rem;border-radius:.4rem}.key b{display:block;font-size:1.25em;font-variant-numeric:tabular-nums}\
+.charts{display:grid;grid-template-columns:repeat(auto-fit,minmax(min(100%,24rem),1fr));gap:1rem 2rem}.charts svg{max-width:36rem}\
 h1{overflow-wrap:anywhere}h3{margin:.6rem 0 .2rem;font-size:1em}.off{color:var(--faint)}";
 
 /// What a run's folder holds.

@@ -4,7 +4,7 @@ use super::{escaped, plain, ticks};
 use std::fmt::Write;
 
 /// Size and margins (left, right, top, bottom), in the chart's own units. Small, so that its text stays readable on a phone.
-const SIZE: (f64, f64) = (560.0, 260.0);
+const SIZE: (f64, f64) = (440.0, 230.0);
 const MARGIN: (f64, f64, f64, f64) = (52.0, 14.0, 26.0, 40.0);
 const COLOURS: [&str; 4] = ["var(--warm)", "var(--cool)", "var(--faint)", "var(--text)"];
 
@@ -82,7 +82,7 @@ pub fn lines(title: &str, across: &str, lines: &[Line]) -> String {
                 out,
                 "<text x=\"{:.1}\" y=\"{:.1}\" text-anchor=\"end\" style=\"fill:{colour}\">{}</text>",
                 right - 4.0,
-                MARGIN.2 + 12.0 + 15.0 * place as f64,
+                bottom - 8.0 - 15.0 * (lines.len() - 1 - place) as f64,
                 escaped(&line.name)
             );
         }

@@ -9,11 +9,16 @@ use heliosplat::model::shadow_gs::ALBEDO;
 use las::point::{Classification, Format};
 use las::{Builder, Color, Point, Transform, Vector, Writer};
 use nalgebra::Vector3;
+use std::collections::BTreeMap;
 use std::io::Cursor;
 use std::path::Path;
 
 /// Gaussians fainter than this are no surface.
 const OPACITY_KNOWN: f32 = 0.5;
+
+/// Vegetation higher than this is high, metres, and width of the cells in which the ground is looked for, metres.
+const HIGH_M: f64 = 2.0;
+const CELL_M: f64 = 5.0;
 
 /// Steps of the coordinates, metres at most.
 const STEP_M: f64 = 0.001;
@@ -104,6 +109,7 @@ fn points(model: &LoadedModel, crs: &Crs, geoid: Option<Geoid>) -> Result<Vec<Po
             return_number: 1,
             number_of_returns: 1,
             is_synthetic: true,
+            // How high its vegetation is follows when all points are known.
             classification: if green {
                 Classification::HighVegetation
             } else {
@@ -114,5 +120,57 @@ fn points(model: &LoadedModel, crs: &Crs, geoid: Option<Geoid>) -> Result<Vec<Po
             ..Point::default()
         });
     }
+    tell_high_from_low(&mut points, CELL_M / crs.metres_per_unit());
     Ok(points)
+}
+
+/// Makes vegetation low where it stands no higher than [`HIGH_M`] above the lowest point of its own cell and of those around it.
+fn tell_high_from_low(points: &mut [Point], cell: f64) {
+    let place = |p: &Point| ((p.x / cell).floor() as i64, (p.y / cell).floor() as i64);
+    let mut lowest: BTreeMap<(i64, i64), f64> = BTreeMap::new();
+    for point in points.iter() {
+        let floor = lowest.entry(place(point)).or_insert(f64::INFINITY);
+        *floor = floor.min(point.z);
+    }
+    for point in points
+        .iter_mut()
+        .filter(|p| p.classification == Classification::HighVegetation)
+    {
+        let (col, row) = place(point);
+        let around = (-1..=1).flat_map(|dc| (-1..=1).map(move |dr| (col + dc, row + dr)));
+        let floor = around
+            .filter_map(|cell| lowest.get(&cell))
+            .fold(f64::INFINITY, |a, &b| a.min(b));
+        if point.z - floor < HIGH_M {
+            point.classification = Classification::LowVegetation;
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_lawn_is_low_and_a_tree_on_it_is_high() {
+        let leaf = |x: f64, z: f64| Point {
+            x,
+            z,
+            classification: Classification::HighVegetation,
+            ..Point::default()
+        };
+        let mut points: Vec<Point> = (0..40).map(|i| leaf(f64::from(i), 0.05 * f64::from(i))).collect();
+        points.push(leaf(20.0, 8.0));
+        points.push(Point {
+            classification: Classification::Unclassified,
+            ..leaf(21.0, 9.0)
+        });
+        tell_high_from_low(&mut points, CELL_M);
+        let classes: Vec<Classification> = points.iter().map(|p| p.classification).collect();
+        assert!(classes[..40].iter().all(|c| *c == Classification::LowVegetation));
+        assert_eq!(
+            classes[40..],
+            [Classification::HighVegetation, Classification::Unclassified]
+        );
+    }
 }

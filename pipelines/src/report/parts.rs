@@ -182,7 +182,7 @@ pub(super) fn curves(run: &Contents) -> String {
     if error.is_empty() && losses.is_empty() {
         return String::new();
     }
-    format!("<h2>Training</h2><div class=\"grid\">{error}{losses}</div>")
+    format!("<h2>Training</h2><div class=\"charts\">{error}{losses}</div>")
 }
 
 /// How many cells are how near to the truth.
@@ -213,8 +213,7 @@ pub(super) fn accuracy(run: &Contents) -> String {
     let chart = lines("Cells nearer to the truth than this, %", "metres", &known);
     let mut table = String::new();
     if let Some(classes) = run.metrics.pointer("/dsm/by_class").and_then(Value::as_object) {
-        table +=
-            "<div class=\"wide\"><table><tr><th>class<th>mean m<th>median m<th>root mean square m<th>within 1 m %</tr>";
+        table += "<div class=\"wide\"><table><tr><th>class<th>mean m<th>median m<th>RMSE m<th>in 1 m %</tr>";
         for (name, class) in classes {
             let number = |key: &str, gain: f64| {
                 class[key]
@@ -238,7 +237,7 @@ pub(super) fn accuracy(run: &Contents) -> String {
     if chart.is_empty() && table.is_empty() {
         return String::new();
     }
-    format!("<h2>Accuracy against truth</h2><div class=\"grid\">{chart}</div>{table}")
+    format!("<h2>Accuracy against truth</h2><div class=\"charts\">{chart}</div>{table}")
 }
 
 /// Which components the scene required, and why.
