@@ -18,12 +18,12 @@ use tempfile::tempdir;
 /// The most memory that a refusal may take.
 const PEAK_MAX: u64 = 500 << 20;
 /// The most time, on a machine that is busy with other things.
-const LONGEST: Duration = Duration::from_secs(20);
+const LONGEST: Duration = Duration::from_secs(30);
 
 /// A hostile input: its name, how it is made in an empty folder (which gives the arguments), and what the refusal says.
 struct Case(&'static str, fn(&Path) -> Vec<OsString>, &'static str);
 
-const CASES: [Case; 31] = [
+const CASES: [Case; 32] = [
     Case(
         "a manifest that leads to another file",
         manifest_traversal,
@@ -46,6 +46,7 @@ const CASES: [Case; 31] = [
         tiff_of_a_trillion,
         "claims 1000000 x 1000000",
     ),
+    Case("a trillion pixels in a scene", tiff_in_a_scene, "view_2.tif"),
     Case(
         "an image of more pixels than its bytes hold",
         tiff_of_more,
@@ -63,8 +64,8 @@ const CASES: [Case; 31] = [
     ),
     Case("a capture that climbs out", capture_climbs, "points out of the folder"),
     Case("a capture nested deep", capture_deep, "not JSON"),
-    Case("a PNG that claims a gigabyte", png_claims, "view.png"),
-    Case("a PNG that unpacks to a thousandfold", png_bomb, "view.png"),
+    Case("a PNG that claims a gigabyte", png_claims, "claims 16384 x 16384"),
+    Case("a PNG that unpacks to a thousandfold", png_bomb, "claims 14000 x 14000"),
     Case("an EXR that claims a gigabyte", exr_claims, "view.exr"),
     Case(
         "a model of a trillion Gaussians",
@@ -231,12 +232,30 @@ fn tiff(path: &Path, side: u32) {
 }
 
 fn tiff_of_a_trillion(home: &Path) -> Vec<OsString> {
-    tiff(&missing_image(home), 1_000_000);
-    inspect(home)
+    surface_of(home, 1_000_000)
 }
 
 fn tiff_of_more(home: &Path) -> Vec<OsString> {
-    tiff(&missing_image(home), 30_000);
+    surface_of(home, 30_000)
+}
+
+/// A surface model that claims to be larger than it is, measured against itself.
+fn surface_of(home: &Path, side: u32) -> Vec<OsString> {
+    let path = home.join("dsm.tif");
+    tiff(&path, side);
+    std::fs::write(home.join("dsm.tfw"), "0.5\n0\n0\n-0.5\n312000\n4160000\n").expect("written");
+    [
+        "evaluate".into(),
+        "--dsm".into(),
+        path.clone().into(),
+        "--truth".into(),
+        path.into(),
+    ]
+    .into()
+}
+
+fn tiff_in_a_scene(home: &Path) -> Vec<OsString> {
+    tiff(&missing_image(home), 1_000_000);
     inspect(home)
 }
 
@@ -442,6 +461,7 @@ fn model_pipe(home: &Path) -> Vec<OsString> {
 #[test]
 fn hostile_inputs_are_refused_in_one_line_in_seconds_and_in_little_memory() {
     assert!(binary().is_file());
+    let mut wrong = Vec::new();
     for Case(name, make, said) in CASES {
         let home = tempdir().expect("a temporary folder");
         let arguments = make(home.path());
@@ -457,17 +477,19 @@ fn hostile_inputs_are_refused_in_one_line_in_seconds_and_in_little_memory() {
             took.as_millis(),
             stderr.trim_end()
         );
-        assert_eq!(code, Some(2), "{name}: {stderr}");
-        assert!(!stderr.contains("panicked"), "{name}: {stderr}");
         let errors: Vec<&str> = stderr.lines().filter(|line| line.starts_with("error: ")).collect();
-        assert_eq!(errors.len(), 1, "{name}: {stderr}");
-        assert!(errors[0].contains(said), "{name}: {}", errors[0]);
-        assert!(errors[0].len() < 2000, "{name}: a line of {} bytes", errors[0].len());
-        assert!(peak_bytes < PEAK_MAX, "{name}: {} MiB", peak_bytes >> 20);
-        assert!(took < LONGEST, "{name}: {took:?}");
+        let line = errors.first().copied().unwrap_or_default();
+        let refused = code == Some(2) && errors.len() == 1 && !stderr.contains("panicked");
+        if !(refused && line.contains(said) && line.len() < 2000 && peak_bytes < PEAK_MAX && took < LONGEST) {
+            wrong.push(format!(
+                "{name}: {code:?}, {} MiB, {took:?}: {stderr}",
+                peak_bytes >> 20
+            ));
+        }
         let escaped = ["escaped.tif", "out/escaped.tif", "run/escaped.png"].map(|path| home.path().join(path));
         assert!(escaped.iter().all(|path| !path.exists()), "{name}: written outside");
     }
+    assert!(wrong.is_empty(), "{}", wrong.join("\n"));
 }
 
 /// Every way that was thought of to make GDAL call an address.

@@ -218,7 +218,8 @@ fn the_point_cloud_has_colours_a_coordinate_system_and_lies_on_the_surface() {
     assert_eq!((header.version().major, header.version().minor), (1, 4));
     let wkt = header.get_wkt_crs_bytes().expect("a coordinate system");
     assert!(String::from_utf8_lossy(wkt).contains("UTM zone 37N"));
-    let points: Vec<las::Point> = reader.points().collect::<Result<_, _>>().expect("points");
+    let points = reader.read_all().expect("points");
+    let points: Vec<las::Point> = points.points().collect::<Result<_, _>>().expect("points");
     assert!(points.len() > 1000 && points.len() as u64 == header.number_of_points());
     let dsm = Dataset::open(out.join("dsm.tif")).expect("readable");
     let [west, size, _, north, _, _] = dsm.geo_transform().expect("a geotransform");

@@ -48,10 +48,17 @@ pub(super) fn find(path: &Path) -> Result<Layout, SceneError> {
         };
     }
     if !path.is_dir() {
-        return Err(SceneError::Missing(path.to_owned()));
+        return Err(if path.exists() {
+            SceneError::Unreadable {
+                path: path.to_owned(),
+                reason: "it is a device or a pipe; give a folder of images or a scene.toml".to_owned(),
+            }
+        } else {
+            SceneError::Missing(path.to_owned())
+        });
     }
     let manifest = path.join("scene.toml");
-    if manifest.is_file() {
+    if manifest.exists() {
         from_manifest(&manifest)
     } else {
         from_folder(path)
