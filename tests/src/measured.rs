@@ -19,6 +19,7 @@ pub struct Measured {
 }
 
 /// Runs the program; it is killed after `limit`.
+#[expect(clippy::zombie_processes, reason = "`ended` waits for the child")]
 pub fn run<S: AsRef<OsStr>>(arguments: &[S], limit: Duration) -> Measured {
     let said = tempfile::NamedTempFile::new().expect("a temporary file");
     let begun = Instant::now();
