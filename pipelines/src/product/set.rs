@@ -164,7 +164,7 @@ fn said(sun: Option<&SunPosition>) -> Vec<(String, String)> {
     items
 }
 
-/// How many steps [`write`] reports.
+/// How many steps [`write()`] reports.
 pub fn steps(model: &LoadedModel) -> u64 {
     4 + dates(&model.file.images).len() as u64
 }
