@@ -16,7 +16,7 @@ table{border-collapse:collapse;width:100%;font-variant-numeric:tabular-nums}th,t
 th:first-child,td:first-child,td.words,th.words{text-align:left}td.words{color:var(--faint)}\
 pre{background:var(--panel);padding:.6rem;overflow-x:auto}.wide{overflow-x:auto}\
 svg{width:100%;height:auto}svg text{font:12px system-ui,sans-serif;fill:var(--text)}.front{font-weight:600}.faint{color:var(--faint)}\
-@media(max-width:34rem){th,td{padding:.2rem .3rem;font-size:.85em}td:first-child{overflow-wrap:anywhere}}";
+@media(max-width:34rem){th,td{padding:.2rem .3rem;font-size:.85em}td:first-child{overflow-wrap:anywhere;min-width:5.5rem}}";
 
 /// `text` as HTML shows it: whatever it holds, it stays text.
 pub fn escaped(text: &str) -> String {
