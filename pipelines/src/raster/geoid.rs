@@ -107,7 +107,8 @@ impl Undulation {
 
 /// From longitude, latitude (degrees) and 0 to longitude, latitude and the geoid's height, which PROJ's `vgridshift` adds.
 fn transform(grid: &str) -> gdal::errors::Result<CoordTransform> {
-    let mut wgs84 = SpatialRef::from_epsg(4979)?;
+    // Not EPSG:4979, whose axes are latitude and longitude: an explicit operation gets coordinates in the order of the system's axes.
+    let mut wgs84 = SpatialRef::from_proj4("+proj=longlat +datum=WGS84 +no_defs")?;
     wgs84.set_axis_mapping_strategy(AxisMappingStrategy::TraditionalGisOrder);
     let mut options = CoordTransformOptions::new()?;
     options.set_coordinate_operation(
