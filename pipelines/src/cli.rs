@@ -11,6 +11,8 @@ pub mod evaluate;
 pub mod inspect;
 pub mod log;
 pub mod parse;
+pub mod products;
+pub mod report;
 pub mod rpc;
 pub mod satellite;
 pub mod session;
@@ -81,6 +83,13 @@ pub enum Command {
                             heliosplat dsm my_images --from sweep --out quick.tif"
     )]
     Dsm(satellite::DsmArgs),
+    /// Write all that a run gives to a GIS: cloud-optimised GeoTIFFs, a point cloud, and a STAC item that describes them
+    #[command(after_help = "Examples: heliosplat products run --sun 250,35\n          \
+                            heliosplat products north south --out catalogue --geoid egm96")]
+    Products(products::ProductsArgs),
+    /// Write the page of a run: images, surface, shadows, errors, curves, plan, time and memory
+    #[command(after_help = "Example: heliosplat report run")]
+    Report(report::ReportArgs),
     /// Write the scene under another sun, and its shadow mask
     #[command(
         after_help = "Examples: heliosplat relight run --out evening.tif --sun 270,20\n          \
@@ -233,6 +242,8 @@ fn run(cli: &Cli) -> Result<Outcome, CliError> {
         Command::Adjust(args) => adjust::run(args, &session),
         Command::Train(args) => satellite::train(args, &session),
         Command::Dsm(args) => satellite::dsm(args, &session),
+        Command::Products(args) => products::run(args, &session),
+        Command::Report(args) => report::run(args),
         Command::Relight(args) => satellite::relight(args, &session),
         Command::Render(args) => satellite::render(args, &session),
         Command::Evaluate(args) => evaluate::run(args, &session),

@@ -1,5 +1,9 @@
 //! What a model is turned into.
 
 pub mod dsm;
+pub mod ortho;
+pub mod points;
 pub mod relight;
+pub mod set;
+pub mod stac;
 pub mod views;

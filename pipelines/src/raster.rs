@@ -6,6 +6,7 @@
 
 pub mod crs;
 pub mod file;
+pub mod geoid;
 pub mod grid;
 pub mod messages;
 pub mod preview;
@@ -13,8 +14,9 @@ pub mod write;
 
 pub use crs::{Crs, CrsTransform};
 pub use file::{BandInfo, Colour, GeoRaster, RasterFile, Window, is_virtual, list_virtual};
+pub use geoid::Geoid;
 pub use grid::{EnuGrid, GeoTransform, GridSpec};
-pub use write::{ImageSpec, Sample, copy_with_rpc, write_atomically, write_cog, write_geotiff};
+pub use write::{Bytes, ImageSpec, Sample, copy_with_rpc, write_atomically, write_byte_cog, write_cog, write_geotiff};
 
 use std::path::{Path, PathBuf};
 
@@ -58,6 +60,18 @@ pub enum RasterError {
         crs: String,
         /// What PROJ said.
         reason: String,
+    },
+    /// A geoid whose grid PROJ does not find.
+    #[error(
+        "geoid {name}: PROJ finds none of its grids ({grids}); install one into PROJ's data folder, as with `projsync --file {first}`, or leave --geoid out for heights above the ellipsoid"
+    )]
+    MissingGrid {
+        /// The geoid.
+        name: &'static str,
+        /// All grids that would do.
+        grids: String,
+        /// The one to fetch.
+        first: &'static str,
     },
     /// The disk is full.
     #[error("{}: the disk is full, nothing was written; free some space or choose another folder", .0.display())]

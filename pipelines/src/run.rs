@@ -14,6 +14,7 @@ use crate::satellite::config::SatelliteConfig;
 use crate::satellite::views::Crop;
 use crate::satellite::{PlanItem, fit::Fitted, views};
 use crate::scene::{Area, AreaRequest, BandKind, Scene, Split};
+use crate::trust;
 use heliosplat::Raster;
 use heliosplat::gaussians::Table;
 use heliosplat::model::Parameters;
@@ -75,6 +76,9 @@ pub struct ModelImage {
     pub shift_px: [f32; 2],
     /// Its sun.
     pub sun: SunPosition,
+    /// When it was taken, if known.
+    #[serde(default)]
+    pub time: Option<jiff::Timestamp>,
 }
 
 /// `model.json`: all of a model besides its Gaussians.
@@ -178,7 +182,7 @@ impl LoadedModel {
 }
 
 fn read(path: &Path) -> Result<String, RunError> {
-    std::fs::read_to_string(path).map_err(|reason| RunError::Io {
+    trust::read_text(path).map_err(|reason| RunError::Io {
         path: path.to_owned(),
         reason,
     })
@@ -235,6 +239,7 @@ pub fn model_images(scene: &Scene, fitted: &Fitted, margin_m: f64) -> Vec<ModelI
                 crop: Crop::of(image, &area, up_m)?,
                 shift_px: appearance.map_or([0.0; 2], |a| fitted.shifts_px[a]),
                 sun: image.sun,
+                time: image.time,
             })
         })
         .collect()
@@ -272,23 +277,31 @@ pub fn load_run(folder: &Path) -> Result<RunFile, RunError> {
     RunFile::parse(&read(&path)?).map_err(|reason| RunError::Damaged { path, reason })
 }
 
+/// What the `model.json` of a run says.
+///
+/// # Errors
+/// When it is missing or damaged.
+pub fn load_file(folder: &Path) -> Result<ModelFile, RunError> {
+    let path = folder.join("model.json");
+    if !path.is_file() {
+        return Err(RunError::NotARun(folder.to_owned()));
+    }
+    ModelFile::parse(&read(&path)?).map_err(|reason| RunError::Damaged { path, reason })
+}
+
 /// The model of a run.
 ///
 /// # Errors
 /// When a file is missing or damaged.
 pub fn load(folder: &Path) -> Result<LoadedModel, RunError> {
-    let path = folder.join("model.json");
-    if !path.is_file() {
-        return Err(RunError::NotARun(folder.to_owned()));
-    }
     let damaged = |path: &Path, reason: String| RunError::Damaged {
         path: path.to_owned(),
         reason,
     };
-    let file = ModelFile::parse(&read(&path)?).map_err(|reason| damaged(&path, reason))?;
+    let file = load_file(folder)?;
     let model = ShadowGs::new(file.options.clone());
     let ply_path = folder.join("model.ply");
-    let bytes = std::fs::read(&ply_path).map_err(|reason| RunError::Io {
+    let bytes = trust::read_bytes(&ply_path, trust::MODEL_MAX).map_err(|reason| RunError::Io {
         path: ply_path.clone(),
         reason,
     })?;

@@ -3,6 +3,7 @@
 pub mod account;
 pub mod capture;
 pub mod harmonics;
+pub mod measured;
 pub mod mutate;
 pub mod program;
 pub mod readers;

@@ -128,7 +128,11 @@ pub fn mosaic(out: &Path, work: &MosaicWork) -> Result<Mosaic, BatchError> {
     };
     let raster = blend(&pieces, (grid.width, grid.height), work.gsd_m as f32);
     Ok(Mosaic {
-        dsm: Dsm { raster, grid },
+        dsm: Dsm {
+            raster,
+            grid,
+            geoid: None,
+        },
         pieces,
     })
 }

@@ -61,7 +61,7 @@ fn placed_by_text(path: &Path, raster: &Raster) -> Result<GeoTransform, Evaluate
     if !text_path.is_file() {
         return Err(RasterError::NotGeoreferenced(path.to_owned()).into());
     }
-    let text = std::fs::read_to_string(&text_path).unwrap_or_default();
+    let text = crate::trust::read_text(&text_path).unwrap_or_default();
     let numbers: Vec<f64> = text
         .split_whitespace()
         .filter_map(|word| word.parse().ok().filter(|number: &f64| number.is_finite()))

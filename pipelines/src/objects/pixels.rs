@@ -60,6 +60,14 @@ fn reader(path: &Path) -> Result<ImageReader<std::io::BufReader<std::fs::File>>,
     }
 }
 
+/// Whether a file holds far fewer bytes than its pixels need: photographs and renderings have a tenth of a byte a pixel or more.
+fn is_bomb(path: &Path, pixels: u64) -> bool {
+    const FREE: u64 = 1 << 22;
+    const PER_BYTE: u64 = 50;
+    let held = std::fs::metadata(path).map_or(0, |known| known.len());
+    pixels > FREE.max(held.saturating_mul(PER_BYTE))
+}
+
 const DAMAGED: &str = "write the file anew, or leave its frame out";
 
 /// Reads the size of an image.
@@ -72,6 +80,10 @@ pub fn header(path: &Path) -> Result<Header, CaptureError> {
     if width == 0 || height == 0 || width > LONGEST_SIDE || height > LONGEST_SIDE {
         let what = format!("it has {width} x {height} pixels");
         return Err(fault(path, what, "give images of 1 to 16384 pixels a side"));
+    }
+    if is_bomb(path, u64::from(width) * u64::from(height)) {
+        let what = format!("it claims {width} x {height} pixels, more than its bytes can hold");
+        return Err(fault(path, what, DAMAGED));
     }
     Ok(Header {
         size_px: [width as usize, height as usize],

@@ -10,6 +10,7 @@ use super::views::Preparation;
 use crate::raster::write::write_atomically;
 use crate::run::{Input, RunError};
 use crate::scene::Split;
+use crate::trust;
 use glam::DVec3;
 use heliosplat::Raster;
 use heliosplat::gaussians::Table;
@@ -213,7 +214,7 @@ fn damaged(path: &Path, reason: impl ToString) -> RunError {
 
 /// Whether a folder holds a run on a capture, finished or not.
 pub fn is_object_run(folder: &Path) -> bool {
-    let text = std::fs::read_to_string(folder.join("run.toml")).unwrap_or_default();
+    let text = crate::trust::read_text(&folder.join("run.toml")).unwrap_or_default();
     text.parse::<toml::Table>()
         .is_ok_and(|table| table.contains_key("capture"))
 }
@@ -257,7 +258,7 @@ pub fn save(folder: &Path, run: &ObjectRun, model: &ObjectModel) -> Result<(), R
 }
 
 fn read(path: &Path) -> Result<Vec<u8>, RunError> {
-    std::fs::read(path).map_err(|reason| RunError::Io {
+    trust::read_bytes(path, trust::MODEL_MAX).map_err(|reason| RunError::Io {
         path: path.to_owned(),
         reason,
     })

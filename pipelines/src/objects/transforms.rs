@@ -98,7 +98,7 @@ pub fn read(path: &Path) -> Result<Vec<FrameSpec>, CaptureError> {
             "64 MiB are the most a list of cameras takes",
         ));
     }
-    let text = std::fs::read(path).map_err(io)?;
+    let text = crate::trust::read_bytes(path, crate::trust::TEXT_MAX).map_err(io)?;
     let value: Value = serde_json::from_slice(&text).map_err(|error| {
         let remedy = "write the file anew; JSON knows no NaN and no infinity";
         fault(path, format!("it is not JSON ({error})"), remedy)
@@ -135,7 +135,7 @@ impl<'a> Reader<'a> {
             )
         })?;
         // SSS-GS lists images that are not to be used; where there is no such file, none are.
-        let list = std::fs::read_to_string(folder.join("exclude_list.txt")).unwrap_or_default();
+        let list = crate::trust::read_text(&folder.join("exclude_list.txt")).unwrap_or_default();
         let excluded = list
             .lines()
             .map(|line| plain_name(line.trim()))

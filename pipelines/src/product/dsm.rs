@@ -1,22 +1,27 @@
 //! The surface model: altitude seen from straight above, on a map grid.
 
+use crate::raster::geoid::GeoidGrid;
 use crate::raster::grid::{EnuGrid, GridSpec};
 use crate::raster::write::{ImageSpec, write_cog};
-use crate::raster::{Crs, RasterError};
+use crate::raster::{Crs, Geoid, RasterError};
 use crate::run::LoadedModel;
 use crate::scene::{Area, Scene};
 use glam::DVec3;
 use heliosplat::render::{Rendering, render};
+use heliosplat::splat::Maps;
 use heliosplat::start::Surface;
 use heliosplat::{ProjectiveCamera, Raster};
 use heliosplat_rpc::LocalFrame;
 use std::path::Path;
 
 /// Alpha below which a pixel has no altitude.
-const ALPHA_KNOWN: f32 = 0.5;
+pub(super) const ALPHA_KNOWN: f32 = 0.5;
 
 /// Names of the bands of a surface model.
 pub const BANDS: [&str; 3] = ["altitude", "standard_deviation", "coverage"];
+
+/// Units of the bands of a surface model.
+pub const UNITS: [&str; 3] = ["metre", "metre", "1"];
 
 /// A surface model on its grid: altitude (metres above the ellipsoid; NaN where unknown), standard deviation (metres) and
 /// coverage (accumulated alpha, 0 to 1).
@@ -25,6 +30,8 @@ pub struct Dsm {
     pub raster: Raster,
     /// Where they lie.
     pub grid: GridSpec,
+    /// What altitudes are above: a geoid, or the ellipsoid.
+    pub geoid: Option<Geoid>,
 }
 
 /// A grid over the model's area and the camera that looks straight down on it.
@@ -126,6 +133,12 @@ fn nadir_camera(enu: &EnuGrid, grid: &GridSpec, height_m: f64) -> ProjectiveCame
 /// When the coordinate system does not cover the place.
 pub fn dsm(model: &LoadedModel, gsd_m: f64, crs: Option<&str>) -> Result<Dsm, RasterError> {
     let nadir = NadirGrid::new(&model.into(), gsd_m, crs)?;
+    let maps = maps(model, &nadir);
+    Ok(of_maps(&nadir, &maps))
+}
+
+/// What is seen of `model` from straight above, without any light.
+pub fn maps(model: &LoadedModel, nadir: &NadirGrid) -> Maps {
     let Rendering { maps, .. } = render(
         &model.model,
         &model.parameters,
@@ -134,6 +147,11 @@ pub fn dsm(model: &LoadedModel, gsd_m: f64, crs: Option<&str>) -> Result<Dsm, Ra
         None,
         model.pass_options(),
     );
+    maps
+}
+
+/// The surface model of what was seen from straight above.
+pub fn of_maps(nadir: &NadirGrid, maps: &Maps) -> Dsm {
     let (width, height) = (nadir.grid.width, nadir.grid.height);
     let mut raster = Raster::filled(width, height, 3, f32::NAN);
     let pixels = width * height;
@@ -150,10 +168,11 @@ pub fn dsm(model: &LoadedModel, gsd_m: f64, crs: Option<&str>) -> Result<Dsm, Ra
             raster.values[pixels + i] = (maps.depth_square[i] / alpha - mean * mean).max(0.0).sqrt();
         }
     }
-    Ok(Dsm {
+    Dsm {
         raster,
-        grid: nadir.grid,
-    })
+        grid: nadir.grid.clone(),
+        geoid: None,
+    }
 }
 
 /// A swept surface on a map grid; its coverage is the sweep's confidence and it has no standard deviation.
@@ -185,23 +204,45 @@ pub fn of_surface(place: &Place, surface: &Surface, gsd_m: f64, crs: Option<&str
     Ok(Dsm {
         raster,
         grid: nadir.grid,
+        geoid: None,
     })
 }
 
 impl Dsm {
+    /// The same surface with altitudes above `geoid` instead of the ellipsoid, and a coordinate system that says so.
+    ///
+    /// # Errors
+    /// When the geoid's grid is missing, or the coordinate system takes no heights.
+    pub fn above(mut self, geoid: Geoid) -> Result<Self, RasterError> {
+        let table = GeoidGrid::new(geoid, &self.grid)?;
+        let width = self.raster.width;
+        for (i, altitude) in self.raster.plane_mut(0).iter_mut().enumerate() {
+            *altitude = (f64::from(*altitude) - table.at(i % width, i / width)) as f32;
+        }
+        self.grid.crs = geoid.compound(&self.grid.crs)?;
+        self.geoid = Some(geoid);
+        Ok(self)
+    }
+
+    /// What its altitudes are above.
+    pub fn vertical_datum(&self) -> &'static str {
+        self.geoid.map_or("WGS84 ellipsoid", Geoid::name)
+    }
+
     /// Writes the surface model as a cloud-optimised GeoTIFF.
     ///
     /// # Errors
     /// When the file cannot be written; nothing is left behind then.
     pub fn write(&self, path: &Path) -> Result<(), RasterError> {
         let items = [
-            ("VERTICAL_DATUM", "WGS84 ellipsoid"),
+            ("VERTICAL_DATUM", self.vertical_datum()),
             ("UNIT", "metre"),
             ("SOFTWARE", concat!("heliosplat ", env!("CARGO_PKG_VERSION"))),
         ];
         let metadata: Vec<(String, String)> = items.map(|(k, v)| (k.into(), v.into())).to_vec();
         let spec = ImageSpec {
             band_descriptions: &BANDS,
+            band_units: &UNITS,
             georeference: Some((&self.grid.transform, &self.grid.crs)),
             metadata: &metadata,
             ..ImageSpec::plain(&self.raster)

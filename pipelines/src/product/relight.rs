@@ -3,7 +3,7 @@
 use super::dsm::NadirGrid;
 use super::views::camera_of;
 use crate::raster::write::{ImageSpec, Sample, write_cog, write_geotiff};
-use crate::raster::{RasterError, preview};
+use crate::raster::{GridSpec, RasterError, preview};
 use crate::run::{LoadedModel, RunError};
 use heliosplat::light::Light;
 use heliosplat::render::render;
@@ -47,7 +47,7 @@ pub struct Relit {
     pub image: Raster,
     /// Share of the sun that reaches each pixel, 0 to 1.
     pub visibility: Raster,
-    georeference: Option<NadirGrid>,
+    grid: Option<GridSpec>,
 }
 
 /// Renders `model` under `sun`, from above (`nadir`) or as the image called `view` saw it, with the colours of the reference image.
@@ -55,22 +55,34 @@ pub struct Relit {
 /// # Errors
 /// [`RelightError`] when the sun is down or there is no such view.
 pub fn relight(model: &LoadedModel, sun: &SunPosition, view: &str) -> Result<Relit, RelightError> {
+    if view == "nadir" {
+        let nadir = NadirGrid::new(&model.into(), model.file.gsd_m, None)?;
+        return relight_ortho(model, sun, &nadir);
+    }
+    lit(model, sun, &named_camera(model, view)?)
+}
+
+/// Renders `model` under `sun` from straight above, on a grid.
+///
+/// # Errors
+/// [`RelightError::Night`] when the sun is down.
+pub fn relight_ortho(model: &LoadedModel, sun: &SunPosition, nadir: &NadirGrid) -> Result<Relit, RelightError> {
+    let mut relit = lit(model, sun, &nadir.camera)?;
+    relit.grid = Some(nadir.grid.clone());
+    Ok(relit)
+}
+
+fn lit(model: &LoadedModel, sun: &SunPosition, camera: &ProjectiveCamera) -> Result<Relit, RelightError> {
     let elevation_deg = sun.elevation_rad.to_degrees();
     if !elevation_deg.is_finite() || elevation_deg < LOWEST_SUN_DEG {
         return Err(RelightError::Night { elevation_deg });
     }
-    let (camera, georeference) = if view == "nadir" {
-        let nadir = NadirGrid::new(&model.into(), model.file.gsd_m, None)?;
-        (nadir.camera, Some(nadir))
-    } else {
-        (named_camera(model, view)?, None)
-    };
     let direction = sun.direction_enu();
     let light = Light::Directional(glam::DVec3::new(direction.x, direction.y, direction.z).as_vec3());
     let rendering = render(
         &model.model,
         &model.parameters,
-        &camera,
+        camera,
         Some(light),
         None,
         model.pass_options(),
@@ -95,7 +107,7 @@ pub fn relight(model: &LoadedModel, sun: &SunPosition, view: &str) -> Result<Rel
     Ok(Relit {
         image,
         visibility,
-        georeference,
+        grid: None,
     })
 }
 
@@ -114,6 +126,15 @@ fn named_camera(model: &LoadedModel, view: &str) -> Result<ProjectiveCamera, Rel
 }
 
 impl Relit {
+    /// Its shadow mask: 1 in shadow, 0 in the sun, `NaN` where nothing is known.
+    pub fn shadows(&self) -> Raster {
+        let mut mask = self.visibility.clone();
+        for value in mask.values.iter_mut().filter(|v| !v.is_nan()) {
+            *value = if *value < 0.5 { 1.0 } else { 0.0 };
+        }
+        mask
+    }
+
     /// Writes the image to `path` (PNG: a picture; otherwise GeoTIFF in counts) and its shadow mask beside it (`*_shadow`, 1 =
     /// in shadow); returns the mask's path.
     ///
@@ -123,19 +144,14 @@ impl Relit {
         let png = path.extension().is_some_and(|e| e.eq_ignore_ascii_case("png"));
         let stem = path.file_stem().unwrap_or_default().to_string_lossy().into_owned();
         let mask_path = path.with_file_name(format!("{stem}_shadow.{}", if png { "png" } else { "tif" }));
-        let mut mask = self.visibility.clone();
-        for value in &mut mask.values {
-            *value = if *value < 0.5 { 1.0 } else { 0.0 };
-        }
+        let mut mask = self.shadows();
+        mask.values.iter_mut().filter(|v| v.is_nan()).for_each(|v| *v = 0.0);
         if png {
             preview::write_png(path, &preview::stretched(&self.image))?;
             preview::write_png(&mask_path, &preview::stretched(&mask))?;
             return Ok(mask_path);
         }
-        let georeference = self
-            .georeference
-            .as_ref()
-            .map(|nadir| (&nadir.grid.transform, &nadir.grid.crs));
+        let georeference = self.grid.as_ref().map(|grid| (&grid.transform, &grid.crs));
         let spec = ImageSpec {
             georeference,
             ..ImageSpec::plain(&self.image)

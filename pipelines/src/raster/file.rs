@@ -7,6 +7,46 @@ use heliosplat::Raster;
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
+/// The formats that are read: each is complete in its own file and a header beside it. Formats that name other files or addresses
+/// (VRT, WMS, DIMAP, PDF …) are not among them, so that what somebody else wrote opens nothing but itself.
+const DRIVERS: [&str; 22] = [
+    "GTiff",
+    "LIBERTIFF",
+    "JP2OpenJPEG",
+    "JP2KAK",
+    "JP2ECW",
+    "JP2MrSID",
+    "JP2Lura",
+    "NITF",
+    "HFA",
+    "ENVI",
+    "EHdr",
+    "PNG",
+    "JPEG",
+    "WEBP",
+    "BMP",
+    "PNM",
+    "AAIGrid",
+    "DTED",
+    "SRTMHGT",
+    "USGSDEM",
+    "PCIDSK",
+    "GTX",
+];
+
+/// Most samples that are ever read at once.
+const SAMPLES_MAX: u128 = 1 << 33;
+/// Fewer samples than this are read from however small a file.
+const SAMPLES_FREE: u128 = 1 << 25;
+/// Deflate makes at most a thousand bytes of one, and of images never a hundred.
+const SAMPLES_PER_BYTE: u128 = 200;
+
+/// Whether a file that was not opened is one of GDAL's virtual rasters.
+fn names_other_files(path: &Path) -> bool {
+    let start = crate::trust::read_start(path, 256);
+    String::from_utf8_lossy(&start).contains("<VRTDataset")
+}
+
 /// What a band's colour interpretation says it shows.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Colour {
@@ -35,6 +75,8 @@ pub struct BandInfo {
     pub colour: Colour,
     /// GDAL's name of the data type, such as `UInt16`.
     pub data_type: String,
+    /// The unit of its values, empty where the file says none.
+    pub unit: String,
     /// The value that means "nothing here".
     pub nodata: Option<f64>,
 }
@@ -65,11 +107,12 @@ pub fn is_virtual(path: &Path) -> bool {
     path.to_string_lossy().starts_with("/vsi")
 }
 
-/// Files in a folder of a virtual file system, sorted.
+/// Files in a folder of a virtual file system that the user names, sorted; from here on such file systems may reach the network.
 ///
 /// # Errors
 /// [`RasterError::Missing`] when there is no such folder, or it cannot be reached.
 pub fn list_virtual(folder: &Path) -> Result<Vec<PathBuf>, RasterError> {
+    messages::allow_network();
     let names = messages::collect(|| gdal::vsi::read_dir(folder, false));
     let mut names = names.map_err(|_| RasterError::Missing(folder.to_owned()))?;
     names.sort();
@@ -89,16 +132,28 @@ impl RasterFile {
             path: path.to_owned(),
             reason,
         };
+        // Opening a pipe would wait for ever.
+        if !is_virtual(path) && !path.is_file() {
+            return Err(not_an_image("it is a folder, a device or a pipe".to_owned()));
+        }
         let dataset = messages::collect(|| {
             Dataset::open_ex(
                 path,
                 DatasetOptions {
                     open_flags: GdalOpenFlags::GDAL_OF_READONLY | GdalOpenFlags::GDAL_OF_RASTER,
+                    allowed_drivers: Some(&DRIVERS),
                     ..DatasetOptions::default()
                 },
             )
         })
-        .map_err(|_| not_an_image("its format is not recognised".to_owned()))?;
+        .map_err(|_| {
+            let reason = if names_other_files(path) {
+                "a virtual raster names other files; make a GeoTIFF of it with gdal_translate"
+            } else {
+                "its format is not recognised"
+            };
+            not_an_image(reason.to_owned())
+        })?;
         if dataset.raster_count() == 0 {
             return Err(not_an_image("it has no bands".to_owned()));
         }
@@ -166,6 +221,7 @@ impl RasterFile {
     /// # Errors
     /// [`RasterError::Damaged`] when the pixels cannot be read.
     pub fn read(&self, window: Window, bands: &[usize]) -> Result<Raster, RasterError> {
+        self.check_size(window, bands.len())?;
         let mut raster = Raster {
             width: window.width,
             height: window.height,
@@ -176,6 +232,23 @@ impl RasterFile {
             raster.values.extend(self.read_band(window, band)?);
         }
         Ok(raster)
+    }
+
+    /// Refuses to read more samples than the bytes of the file can stand for: they would only fill the memory.
+    fn check_size(&self, window: Window, bands: usize) -> Result<(), RasterError> {
+        let claimed = window.width as u128 * window.height as u128 * bands as u128;
+        let siblings = ["ige", "dat"].map(|extension| self.path.with_extension(extension));
+        let bytes = |path: &Path| std::fs::metadata(path).map_or(0, |known| u128::from(known.len()));
+        let held = bytes(&self.path) + siblings.iter().map(|path| bytes(path)).sum::<u128>();
+        // How many bytes an archive or an object store holds of it is not known.
+        let known = !is_virtual(&self.path);
+        if claimed > SAMPLES_MAX || (known && claimed > SAMPLES_FREE.max(held * SAMPLES_PER_BYTE)) {
+            return Err(RasterError::Damaged {
+                path: self.path.clone(),
+                reason: format!("it claims {} x {} pixels in {held} bytes", window.width, window.height),
+            });
+        }
+        Ok(())
     }
 
     /// Reads all bands of the whole image.
@@ -222,6 +295,7 @@ fn band_infos(dataset: &Dataset) -> gdal::errors::Result<Vec<BandInfo>> {
                 description: band.description().unwrap_or_default(),
                 colour: colour(band.color_interpretation()),
                 data_type,
+                unit: band.unit(),
                 nodata: band.no_data_value(),
             })
         })

@@ -14,6 +14,10 @@ static INSTALL: Once = Once::new();
 /// Routes GDAL's messages to the log and to [`collect`]; safe to call often.
 pub fn install() {
     INSTALL.call_once(|| {
+        // No file that is opened may lead to the network: GDAL's remote file systems open one name, which nothing has.
+        if gdal::config::set_config_option("CPL_VSIL_CURL_ALLOWED_FILENAME", "/vsicurl/none").is_err() {
+            tracing::debug!("GDAL takes no options");
+        }
         set_error_handler(|class, _, message| match class {
             CplErrType::Failure | CplErrType::Fatal => {
                 tracing::debug!("GDAL: {message}");
@@ -23,6 +27,14 @@ pub fn install() {
             _ => tracing::trace!("GDAL: {message}"),
         });
     });
+}
+
+/// Opens GDAL's remote file systems: the user named a path on one.
+pub fn allow_network() {
+    install();
+    if gdal::config::clear_config_option("CPL_VSIL_CURL_ALLOWED_FILENAME").is_err() {
+        tracing::debug!("GDAL takes no options");
+    }
 }
 
 /// Runs `action`; an error carries GDAL's first failure message, which is closest to the cause.

@@ -5,7 +5,7 @@
 //! half-written is ever seen under the target's name.
 
 use super::{Crs, GeoTransform, RasterError, messages};
-use gdal::raster::{Buffer, GdalType, RasterCreationOptions};
+use gdal::raster::{Buffer, GdalType, RasterBand, RasterCreationOptions};
 use gdal::{Dataset, DriverManager, Metadata};
 use heliosplat::Raster;
 use std::io::Write;
@@ -15,15 +15,6 @@ use std::sync::atomic::{AtomicU64, Ordering};
 /// What stands for "nothing known" in the float rasters we write.
 pub const NODATA: f32 = -9999.0;
 
-/// How cloud-optimised GeoTIFFs are written.
-const COG_OPTIONS: [&str; 6] = [
-    "COMPRESS=DEFLATE",
-    "PREDICTOR=YES",
-    "BLOCKSIZE=256",
-    "OVERVIEWS=AUTO",
-    "RESAMPLING=AVERAGE",
-    "BIGTIFF=IF_SAFER",
-];
 /// How the names of files begin that are being written.
 const TEMPORARY: &str = ".heliosplat-";
 
@@ -34,6 +25,8 @@ pub struct ImageSpec<'a> {
     pub raster: &'a Raster,
     /// One description per band, or none at all.
     pub band_descriptions: &'a [&'a str],
+    /// One unit per band, or none at all.
+    pub band_units: &'a [&'a str],
     /// Where it lies on the map, if it does.
     pub georeference: Option<(&'a GeoTransform, &'a Crs)>,
     /// Items of the default metadata domain.
@@ -48,6 +41,7 @@ impl<'a> ImageSpec<'a> {
         Self {
             raster,
             band_descriptions: &[],
+            band_units: &[],
             georeference: None,
             metadata: &[],
             rpc: &[],
@@ -66,13 +60,64 @@ pub enum Sample {
     F32,
 }
 
+/// What the bytes of an 8-bit raster are.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Bytes {
+    /// Yes and no: 1, 0, and 255 where nothing is known. Overviews show what most pixels are.
+    Mask,
+    /// Shades from 1 to 255, 0 where nothing is known. Overviews show the mean.
+    Shades,
+}
+
+impl Bytes {
+    /// What stands for "nothing known".
+    pub fn nodata(self) -> u8 {
+        match self {
+            Self::Mask => 255,
+            Self::Shades => 0,
+        }
+    }
+}
+
 /// Writes a float32 cloud-optimised GeoTIFF: tiled, deflated with the floating-point predictor, overviews, nodata -9999.
 ///
 /// # Errors
 /// [`RasterError::DiskFull`], [`RasterError::Permission`] or [`RasterError::Write`]; nothing is left behind.
 pub fn write_cog(path: &Path, spec: &ImageSpec) -> Result<(), RasterError> {
-    let dataset = in_memory(path, spec, Sample::F32)?;
-    write_copy(path, &dataset, "COG", &COG_OPTIONS)
+    write_copy(
+        path,
+        &in_memory(path, spec, Sample::F32)?,
+        "COG",
+        &cog_options("AVERAGE"),
+    )
+}
+
+/// Writes an 8-bit cloud-optimised GeoTIFF; values are rounded and clamped, `NaN` becomes the nodata of `bytes`.
+///
+/// # Errors
+/// As [`write_cog`].
+pub fn write_byte_cog(path: &Path, spec: &ImageSpec, bytes: Bytes) -> Result<(), RasterError> {
+    let (nodata, resampling) = match bytes {
+        Bytes::Mask => (bytes.nodata(), "MODE"),
+        Bytes::Shades => (bytes.nodata(), "AVERAGE"),
+    };
+    let convert = |value: f32| if value.is_nan() { nodata } else { value.round() as u8 };
+    let dataset = build(spec, convert, Some(f32::from(nodata))).map_err(|reason| RasterError::Write {
+        path: path.to_owned(),
+        reason,
+    })?;
+    write_copy(path, &dataset, "COG", &cog_options(resampling))
+}
+
+fn cog_options(resampling: &str) -> [String; 6] {
+    [
+        "COMPRESS=DEFLATE".into(),
+        "PREDICTOR=YES".into(),
+        "BLOCKSIZE=256".into(),
+        "OVERVIEWS=AUTO".into(),
+        format!("RESAMPLING={resampling}"),
+        "BIGTIFF=IF_SAFER".into(),
+    ]
 }
 
 /// Writes a plain deflated GeoTIFF with samples of the given type; integers are rounded and clamped.
@@ -119,12 +164,13 @@ pub fn copy_with_rpc(image: &Path, target: &Path, rpc: &[(String, String)]) -> R
 /// # Errors
 /// [`RasterError::Write`] with what GDAL says, and what [`super::RasterFile::open`] says of the source.
 pub fn deliver(source: &Path, target: &Path) -> Result<(), RasterError> {
+    messages::allow_network();
     let source = super::RasterFile::open(source)?;
     messages::collect_strictly(|| {
         // Object stores take files from one end to the other only.
         gdal::config::set_thread_local_config_option("CPL_VSIL_USE_TEMP_FILE_FOR_RANDOM_WRITE", "YES")?;
         let driver = DriverManager::get_driver_by_name("COG")?;
-        let options = RasterCreationOptions::from_iter(COG_OPTIONS);
+        let options = RasterCreationOptions::from_iter(cog_options("AVERAGE"));
         source.dataset().create_copy(&driver, target, &options)?.close()
     })
     .map_err(|reason| RasterError::Write {
@@ -178,11 +224,23 @@ fn build<T: GdalType + Copy>(
             if let Some(text) = spec.band_descriptions.get(index) {
                 band.set_description(text)?;
             }
+            if let Some(unit) = spec.band_units.get(index) {
+                set_unit(&band, unit)?;
+            }
             let values = raster.plane(index).iter().map(|&value| convert(value)).collect();
             band.write((0, 0), size, &mut Buffer::new(size, values))?;
         }
         Ok(dataset)
     })
+}
+
+/// Sets the unit of a band, which the crate can only read.
+#[allow(unsafe_code, reason = "the crate gdal has no name for this function")]
+fn set_unit(band: &RasterBand, unit: &str) -> gdal::errors::Result<()> {
+    let text = std::ffi::CString::new(unit)?;
+    // SAFETY: the band's dataset is borrowed and so still open; GDAL copies the text, which outlives the call.
+    unsafe { gdal_sys::GDALSetRasterUnitType(band.c_rasterband(), text.as_ptr()) };
+    Ok(())
 }
 
 /// A file in GDAL's memory, gone when dropped.
@@ -203,11 +261,11 @@ impl Drop for MemoryFile {
     }
 }
 
-fn write_copy(path: &Path, dataset: &Dataset, driver: &str, options: &[&str]) -> Result<(), RasterError> {
+fn write_copy<S: AsRef<str>>(path: &Path, dataset: &Dataset, driver: &str, options: &[S]) -> Result<(), RasterError> {
     let memory = MemoryFile::new();
     let bytes = messages::collect_strictly(|| {
         let driver = DriverManager::get_driver_by_name(driver)?;
-        let options = RasterCreationOptions::from_iter(options.iter().copied());
+        let options = RasterCreationOptions::from_iter(options.iter().map(AsRef::as_ref));
         dataset.create_copy(&driver, &memory.0, &options)?.close()?;
         gdal::vsi::get_vsi_mem_file_bytes_owned(&memory.0)
     })
@@ -287,6 +345,7 @@ mod tests {
         let crs = Crs::from_epsg(32637).expect("UTM 37N");
         let spec = ImageSpec {
             band_descriptions: &["altitude", "standard deviation", "coverage"],
+            band_units: &["metre", "metre", "1"],
             georeference: Some((&transform, &crs)),
             metadata: &[("SEED".to_owned(), "7".to_owned())],
             ..ImageSpec::plain(&raster)
@@ -301,6 +360,7 @@ mod tests {
         assert_eq!(file.domain("").get("SEED").map(String::as_str), Some("7"));
         assert_eq!(file.bands[2].description, "coverage");
         assert_eq!(file.bands[0].nodata, Some(-9999.0));
+        assert_eq!(file.bands[1].unit, "metre");
         let back = GeoRaster::read(&path).expect("georeferenced");
         assert_eq!(back.transform, transform);
         assert_eq!(back.crs.expect("a CRS").definition(), "EPSG:32637");

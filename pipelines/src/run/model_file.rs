@@ -95,6 +95,10 @@ fn fits(globals: &Table, options: &ShadowGsOptions) -> bool {
 
 fn check_image(image: &ModelImage, options: &ShadowGsOptions) -> Result<(), String> {
     let (crop, name) = (&image.crop, &image.name);
+    // Files are named after images: a name is one part of a path, and none that leads away from its folder.
+    if name.is_empty() || name == "." || name == ".." || name.contains(['/', '\0']) {
+        return Err(format!("image name {name:?} is not one a file can have"));
+    }
     let known = |appearance: Option<usize>| appearance.is_none_or(|a| a < options.images);
     if !known(image.appearance) || !known(image.same_day) {
         return Err(format!("image {name} has a colour that is not there"));

@@ -28,7 +28,7 @@ pub(super) fn dsm(scene: &Scene, run: &Path, protocol: Protocol) -> Result<Optio
 pub(super) fn metrics(scene: &Scene, model: &LoadedModel, run: &Path, protocol: Protocol) -> Result<Value, CliError> {
     let mut out = json!({ "gaussians": model.parameters.gaussians.count });
     if let Some(evaluation) = dsm(scene, run, protocol)? {
-        out["dsm"] = serde_json::to_value(&evaluation.metrics).unwrap_or_default();
+        out["dsm"] = surface_metrics(&evaluation);
         preview::write_png(&run.join("error.png"), &error_map::draw(&evaluation.errors))?;
         if let Some(uncertainty) = &evaluation.metrics.uncertainty {
             write_atomically(&run.join("calibration.svg"), uncertainty.svg().as_bytes())?;
@@ -142,7 +142,21 @@ pub(super) fn write_start(scene: &Scene, run: &Path, fitted: &Fitted, model: &Lo
         return Ok(Value::Null);
     };
     let evaluation = evaluate_dsm(&path, truth, scene.truth.classes.as_deref(), Protocol::Raw)?;
-    Ok(serde_json::to_value(&evaluation.metrics).unwrap_or_default())
+    Ok(surface_metrics(&evaluation))
+}
+
+/// The numbers of an evaluation, and the absolute errors that 0 %, 5 % … 100 % of the cells stay within.
+fn surface_metrics(evaluation: &DsmEvaluation) -> Value {
+    const PARTS: usize = 20;
+    let mut out = serde_json::to_value(&evaluation.metrics).unwrap_or_default();
+    let finite = evaluation.errors.values.iter().filter(|v| v.is_finite());
+    let mut errors: Vec<f32> = finite.map(|v| v.abs()).collect();
+    errors.sort_unstable_by(f32::total_cmp);
+    if let Some(last) = errors.len().checked_sub(1) {
+        let quantiles: Vec<f32> = (0..=PARTS).map(|part| errors[last * part / PARTS]).collect();
+        out["error_quantiles_m"] = json!(quantiles);
+    }
+    out
 }
 
 /// Adds what only the fit knows.

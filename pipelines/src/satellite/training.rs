@@ -11,6 +11,7 @@ use crate::cli::{CliError, Outcome, Session};
 use crate::evaluate::Protocol;
 use crate::product::dsm;
 use crate::raster::{is_virtual, preview};
+use crate::report;
 use crate::run::checkpoint::{self, Keeper};
 use crate::run::{self, Input, LoadedModel, ModelFile, RunFile};
 use crate::scene::{IngestOptions, Scene, SceneImage};
@@ -124,6 +125,7 @@ pub(super) fn train_into(
         metrics["training"] = checkpoint::digest(&identity).into();
     }
     run::save_metrics(out, &metrics)?;
+    report::write(out)?;
     checkpoint::remove(out);
     Ok((model, metrics, fitted.ending))
 }

@@ -173,6 +173,7 @@ mod tests {
             description: description.to_owned(),
             colour,
             data_type: "UInt16".to_owned(),
+            unit: String::new(),
             nodata: None,
         }
     }

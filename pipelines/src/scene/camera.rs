@@ -256,19 +256,10 @@ pub(super) fn belonging_texts(image: &Path) -> Result<Vec<PathBuf>, SceneError> 
 
 /// Reads a text of at most a few megabytes; bytes that are no UTF-8 are replaced.
 pub(super) fn read_text(path: &Path) -> Result<String, SceneError> {
-    const LARGEST_BYTES: u64 = 64 << 20;
-    let unreadable = |reason: String| SceneError::Unreadable {
+    crate::trust::read_text_lossy(path).map_err(|error| SceneError::Unreadable {
         path: path.to_owned(),
-        reason,
-    };
-    let length = std::fs::metadata(path)
-        .map_err(|error| unreadable(error.to_string()))?
-        .len();
-    if length > LARGEST_BYTES {
-        return Err(unreadable(format!("{length} bytes is no metadata file")));
-    }
-    let bytes = std::fs::read(path).map_err(|error| unreadable(error.to_string()))?;
-    Ok(String::from_utf8_lossy(&bytes).into_owned())
+        reason: error.to_string(),
+    })
 }
 
 #[cfg(test)]

@@ -22,7 +22,7 @@ pub enum SceneError {
         reason: String,
     },
     /// A folder without images.
-    #[error("{}: no images found (looked for .tif, .tiff, .jp2, .ntf, .nitf, .img, .vrt); give a folder of images or a scene.toml", .0.display())]
+    #[error("{}: no images found (looked for .tif, .tiff, .jp2, .ntf, .nitf, .img); give a folder of images or a scene.toml", .0.display())]
     Empty(PathBuf),
     /// A folder of several scenes.
     #[error("{}: holds several scenes ({candidates}); give one of them", path.display())]

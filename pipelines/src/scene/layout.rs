@@ -31,7 +31,7 @@ pub(super) struct Layout {
     pub(super) warnings: Vec<String>,
 }
 
-const IMAGE_EXTENSIONS: [&str; 7] = ["tif", "tiff", "jp2", "ntf", "nitf", "img", "vrt"];
+const IMAGE_EXTENSIONS: [&str; 6] = ["tif", "tiff", "jp2", "ntf", "nitf", "img"];
 /// Folders of a scene in which its images may lie.
 const IMAGE_FOLDERS: [&str; 3] = ["images", "img", "imgs"];
 
@@ -52,10 +52,17 @@ pub(super) fn find(path: &Path) -> Result<Layout, SceneError> {
         };
     }
     if !path.is_dir() {
-        return Err(SceneError::Missing(path.to_owned()));
+        return Err(if path.exists() {
+            SceneError::Unreadable {
+                path: path.to_owned(),
+                reason: "it is a device or a pipe; give a folder of images or a scene.toml".to_owned(),
+            }
+        } else {
+            SceneError::Missing(path.to_owned())
+        });
     }
     let manifest = path.join("scene.toml");
-    if manifest.is_file() {
+    if manifest.exists() {
         from_manifest(&manifest)
     } else {
         from_folder(path)
@@ -235,7 +242,7 @@ impl SplitLists {
             if !path.is_file() {
                 return Ok(None);
             }
-            let text = std::fs::read_to_string(&path).map_err(|error| SceneError::Unreadable {
+            let text = crate::trust::read_text_lossy(&path).map_err(|error| SceneError::Unreadable {
                 path,
                 reason: error.to_string(),
             })?;

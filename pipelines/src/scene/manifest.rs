@@ -70,7 +70,7 @@ impl Manifest {
             path: path.to_owned(),
             reason,
         };
-        let text = std::fs::read_to_string(path).map_err(|error| SceneError::Unreadable {
+        let text = crate::trust::read_text(path).map_err(|error| SceneError::Unreadable {
             path: path.to_owned(),
             reason: error.to_string(),
         })?;

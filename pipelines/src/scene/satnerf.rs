@@ -26,7 +26,7 @@ fn lenient_number<'de, D: serde::Deserializer<'de>>(deserializer: D) -> Result<O
 }
 
 fn describe(path: &Path) -> Option<Description> {
-    description(&std::fs::read_to_string(path).ok()?)
+    description(&crate::trust::read_text(path).ok()?)
 }
 
 fn description(text: &str) -> Option<Description> {

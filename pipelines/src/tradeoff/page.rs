@@ -2,14 +2,10 @@
 
 use super::Row;
 use super::summary::{Comparison, PointSummary, Spread, Summary};
+use crate::page::{STYLE, escaped, ticks};
 use std::fmt::Write;
 
 const MIB: f64 = 1_048_576.0;
-const STYLE: &str = "body{font:15px/1.5 system-ui,sans-serif;max-width:64rem;margin:2rem auto;padding:0 1rem;color:#1b1b1b;background:#fff}\
-table{border-collapse:collapse;width:100%;font-variant-numeric:tabular-nums}th,td{text-align:right;padding:.25rem .5rem;border-bottom:1px solid #ddd}\
-th:first-child,td:first-child,td.words,th.words{text-align:left}td.words{color:#555}pre{background:#f4f4f4;padding:.6rem;overflow-x:auto}\
-svg{width:100%;height:auto}svg text{font:12px system-ui,sans-serif;fill:#1b1b1b}.front{font-weight:600}.faint{color:#777}";
-
 /// What the page says about its own making.
 #[derive(Debug, Clone)]
 pub struct Making<'a> {
@@ -19,13 +15,6 @@ pub struct Making<'a> {
     pub machine: &'a str,
     /// Names of the scenes.
     pub scenes: &'a [String],
-}
-
-fn escaped(text: &str) -> String {
-    text.replace('&', "&amp;")
-        .replace('<', "&lt;")
-        .replace('>', "&gt;")
-        .replace('"', "&quot;")
 }
 
 /// The whole page.
@@ -160,13 +149,7 @@ impl Scale {
     }
 
     fn quality_ticks(&self) -> Vec<f64> {
-        let span = self.quality.1 - self.quality.0;
-        let power = 10f64.powf((span / 5.0).log10().floor());
-        let steps = [1.0, 2.0, 5.0, 10.0].map(|step| step * power);
-        let step = steps.into_iter().find(|step| span / step <= 7.0).unwrap_or(steps[3]);
-        let first = (self.quality.0 / step).ceil() as i64;
-        let last = (self.quality.1 / step).floor() as i64;
-        (first..=last).map(|n| n as f64 * step).collect()
+        ticks(self.quality.0, self.quality.1)
     }
 }
 
@@ -200,15 +183,19 @@ fn plot(
         .collect();
     let _ = write!(
         out,
-        "<polyline points=\"{}\" fill=\"none\" stroke=\"#b5561c\" stroke-width=\"2\"/>",
+        "<polyline points=\"{}\" fill=\"none\" stroke=\"var(--warm)\" stroke-width=\"2\"/>",
         line.join(" ")
     );
     for (place, p) in labelled(&points, &scale, cost) {
         let (x, y) = (scale.x(cost(p)), scale.y(p.quality.mean));
-        let fill = if p.point.axis == "preset" { "#b5561c" } else { "#fff" };
+        let fill = if p.point.axis == "preset" {
+            "var(--warm)"
+        } else {
+            "var(--paper)"
+        };
         let _ = write!(
             out,
-            "<circle cx=\"{x:.1}\" cy=\"{y:.1}\" r=\"5\" fill=\"{fill}\" stroke=\"#b5561c\"/><text x=\"{:.1}\" y=\"{place:.1}\">{}</text>",
+            "<circle cx=\"{x:.1}\" cy=\"{y:.1}\" r=\"5\" fill=\"{fill}\" stroke=\"var(--warm)\"/><text x=\"{:.1}\" y=\"{place:.1}\">{}</text>",
             x + 9.0,
             escaped(&p.point.name)
         );
@@ -245,7 +232,7 @@ fn axes(out: &mut String, scale: &Scale, cost_label: &str, quality_label: &str) 
         let x = scale.x(tick);
         let _ = write!(
             out,
-            "<line x1=\"{x:.1}\" x2=\"{x:.1}\" y1=\"{top}\" y2=\"{bottom}\" stroke=\"#e5e5e5\"/>\
+            "<line x1=\"{x:.1}\" x2=\"{x:.1}\" y1=\"{top}\" y2=\"{bottom}\" stroke=\"var(--line)\"/>\
              <text x=\"{x:.1}\" y=\"{:.1}\" text-anchor=\"middle\">{tick}</text>",
             bottom + 18.0
         );
@@ -256,7 +243,7 @@ fn axes(out: &mut String, scale: &Scale, cost_label: &str, quality_label: &str) 
         let shown = shown.trim_end_matches('0').trim_end_matches('.');
         let _ = write!(
             out,
-            "<line x1=\"{left}\" x2=\"{right}\" y1=\"{y:.1}\" y2=\"{y:.1}\" stroke=\"#e5e5e5\"/>\
+            "<line x1=\"{left}\" x2=\"{right}\" y1=\"{y:.1}\" y2=\"{y:.1}\" stroke=\"var(--line)\"/>\
              <text x=\"{:.1}\" y=\"{:.1}\" text-anchor=\"end\">{shown}</text>",
             left - 6.0,
             y + 4.0

@@ -96,7 +96,7 @@ pub fn load(file: Option<&Path>, only: &[String]) -> Result<Vec<Point>, PointsEr
     let path = file.map_or_else(|| PathBuf::from("tradeoff.toml"), Path::to_owned);
     let text = match file {
         Some(name) if name == Path::new("ablation") => ABLATION.to_owned(),
-        Some(file) => std::fs::read_to_string(file).map_err(|reason| PointsError::Io {
+        Some(file) => crate::trust::read_text(file).map_err(|reason| PointsError::Io {
             path: path.clone(),
             reason,
         })?,

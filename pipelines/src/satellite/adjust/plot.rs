@@ -1,5 +1,6 @@
 //! The residuals as a picture: per image two frames, as delivered and adjusted, with a vector for every sighting.
 
+use crate::page::escaped;
 use crate::satellite::ground::Ground;
 use heliosplat_rpc::adjust::{Adjustment, ResidualVector};
 use std::fmt::Write;
@@ -87,8 +88,4 @@ fn draw<'a>(
         text,
         "<path d=\"{path}\" fill=\"none\" stroke=\"{colour}\" stroke-width=\"0.8\"/>"
     );
-}
-
-fn escaped(name: &str) -> String {
-    name.replace('&', "&amp;").replace('<', "&lt;").replace('>', "&gt;")
 }

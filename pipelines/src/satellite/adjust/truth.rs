@@ -27,7 +27,7 @@ pub fn camera_error(
     frame: &LocalFrame,
     shifts_px: &[[f64; 2]],
 ) -> Option<CameraError> {
-    let text = std::fs::read_to_string(folder.join("truth/summary.json")).ok()?;
+    let text = crate::trust::read_text(&folder.join("truth/summary.json")).ok()?;
     let summary: Summary = serde_json::from_str(&text).ok()?;
     let biases: Option<Vec<Vector2<f64>>> = images
         .iter()

@@ -42,7 +42,7 @@ pub(super) fn cameras(
 
 /// The image in Sat-NeRF's words: its own JSON with the corrected camera, or what the scene knows.
 fn description(scene: &Scene, image: &SceneImage, rpc: &Rpc) -> Value {
-    let own = std::fs::read_to_string(image.path.with_extension("json")).ok();
+    let own = crate::trust::read_text(&image.path.with_extension("json")).ok();
     let own = own.and_then(|text| serde_json::from_str::<Value>(&text).ok());
     let mut json = own.filter(|own| own.get("rpc").is_some()).unwrap_or_else(|| {
         json!({

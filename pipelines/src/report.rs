@@ -1,0 +1,103 @@
+//! `report.html`: a run on one page that needs nothing else. It is made of what the run's folder holds, so it can be made again at any
+//! time, without the scene.
+
+mod parts;
+
+use crate::page::{STYLE, escaped};
+use crate::raster::write_atomically;
+use crate::run::{self, ModelFile, RunError, RunFile};
+use image::{ImageReader, Limits, RgbImage};
+use serde_json::Value;
+use std::path::{Path, PathBuf};
+
+/// Longest side of a picture that is read, pixels, and the most memory it may take.
+const SIDE_MAX: u32 = 60_000;
+const BYTES_MAX: u64 = 400 << 20;
+
+const MORE_STYLE: &str = ".grid{display:grid;grid-template-columns:repeat(auto-fit,minmax(min(100%,18rem),1fr));gap:1rem}\
+figure{margin:0}figure img{width:100%;height:auto;display:block;background:var(--panel)}figcaption{color:var(--faint);font-size:.9em}\
+.four{display:grid;grid-template-columns:repeat(auto-fit,minmax(min(45%,13rem),1fr));gap:.5rem;margin:.3rem 0 1.2rem}\
+.key{display:grid;grid-template-columns:repeat(auto-fit,minmax(8.5rem,1fr));gap:.6rem;margin:1rem 0}\
+.key div{background:var(--panel);padding:.5rem .7rem;border-radius:.4rem}.key b{display:block;font-size:1.25em;font-variant-numeric:tabular-nums}\
+.charts{display:grid;grid-template-columns:repeat(auto-fit,minmax(min(100%,24rem),1fr));gap:1rem 2rem}.charts svg{max-width:36rem}\
+h1{overflow-wrap:anywhere}h3{margin:.6rem 0 .2rem;font-size:1em}.off{color:var(--faint)}";
+
+/// What a run's folder holds.
+struct Contents {
+    folder: PathBuf,
+    run: RunFile,
+    model: ModelFile,
+    metrics: Value,
+}
+
+impl Contents {
+    fn read(folder: &Path) -> Result<Self, RunError> {
+        let run = run::load_run(folder)?;
+        let model = run::load_file(folder)?;
+        let path = folder.join("metrics.json");
+        let metrics = match crate::trust::read_text(&path) {
+            Ok(text) => serde_json::from_str(&text).map_err(|error| RunError::Damaged {
+                path,
+                reason: error.to_string(),
+            })?,
+            // A run that was stopped before its measuring has none.
+            Err(_) => Value::Null,
+        };
+        Ok(Self {
+            folder: folder.to_owned(),
+            run,
+            model,
+            metrics,
+        })
+    }
+
+    /// A picture of the run, if it is there and of a size that can be shown.
+    fn picture(&self, name: &str) -> Option<RgbImage> {
+        let path = self.folder.join(name);
+        if !path.is_file() {
+            return None;
+        }
+        let mut reader = ImageReader::open(path).ok()?;
+        let mut limits = Limits::default();
+        limits.max_image_width = Some(SIDE_MAX);
+        limits.max_image_height = Some(SIDE_MAX);
+        limits.max_alloc = Some(BYTES_MAX);
+        reader.limits(limits);
+        reader.decode().ok().map(|picture| picture.to_rgb8())
+    }
+
+    fn number(&self, pointer: &str) -> Option<f64> {
+        self.metrics.pointer(pointer).and_then(Value::as_f64)
+    }
+}
+
+/// Writes `report.html` into the folder of a run; returns its path.
+///
+/// # Errors
+/// When the folder holds no run, or the page cannot be written.
+pub fn write(folder: &Path) -> Result<PathBuf, RunError> {
+    let contents = Contents::read(folder)?;
+    let path = folder.join("report.html");
+    write_atomically(&path, page(&contents).as_bytes())?;
+    Ok(path)
+}
+
+fn page(run: &Contents) -> String {
+    let whole = std::fs::canonicalize(&run.folder).unwrap_or_else(|_| run.folder.clone());
+    let name = whole.file_name().unwrap_or_default().to_string_lossy().into_owned();
+    let name = escaped(&name);
+    format!(
+        "<!doctype html><html lang=\"en\"><meta charset=\"utf-8\"><meta name=\"viewport\" content=\"width=device-width,initial-scale=1\">\
+         <title>{name}</title><style>{STYLE}{MORE_STYLE}</style><h1>{name}</h1>{}{}{}{}{}{}{}</html>\n",
+        parts::head(run),
+        parts::surface(run),
+        parts::views(run),
+        parts::curves(run),
+        parts::accuracy(run),
+        parts::plan(run),
+        parts::costs(run),
+    )
+}
+
+#[cfg(test)]
+mod tests;

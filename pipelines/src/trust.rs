@@ -1,0 +1,88 @@
+//! Reading what others wrote: files of bounded size, and only real files. A pipe would wait for ever, a device never ends.
+
+use std::fs::File;
+use std::io::{Error, ErrorKind, Read, Result};
+use std::path::Path;
+
+/// Texts longer than this are none of ours, bytes: cameras, metadata, manifests and `model.json` of thousands of images stay far below.
+pub const TEXT_MAX: u64 = 64 << 20;
+
+/// Models larger than this are refused, bytes: a hundred million Gaussians.
+pub const MODEL_MAX: u64 = 16 << 30;
+
+/// The bytes of a file of at most `limit` bytes.
+///
+/// # Errors
+/// What the operating system says; also where the path is no regular file, or the file is larger.
+pub fn read_bytes(path: &Path, limit: u64) -> Result<Vec<u8>> {
+    let refused = |text: String| Error::new(ErrorKind::InvalidData, text);
+    // Asked before opening: opening a pipe already waits.
+    let known = std::fs::metadata(path)?;
+    if known.is_dir() {
+        return Err(refused("it is a folder, not a file".into()));
+    }
+    if !known.is_file() {
+        return Err(refused("it is no regular file but a device or a pipe".into()));
+    }
+    if known.len() > limit {
+        return Err(refused(format!(
+            "it has {} bytes, more than the {limit} that such a file may have",
+            known.len()
+        )));
+    }
+    let mut bytes = Vec::new();
+    // Files of /proc say that they are empty, and one may grow meanwhile: what is read is limited too.
+    File::open(path)?.take(limit + 1).read_to_end(&mut bytes)?;
+    if bytes.len() as u64 > limit {
+        return Err(refused(format!("it has more than {limit} bytes")));
+    }
+    Ok(bytes)
+}
+
+/// The text of a file of at most [`TEXT_MAX`] bytes.
+///
+/// # Errors
+/// As [`read_bytes`], and where it is not UTF-8.
+pub fn read_text(path: &Path) -> Result<String> {
+    String::from_utf8(read_bytes(path, TEXT_MAX)?)
+        .map_err(|_| Error::new(ErrorKind::InvalidData, "it is not UTF-8 text"))
+}
+
+/// The text of a file of at most [`TEXT_MAX`] bytes, with what is no UTF-8 replaced.
+///
+/// # Errors
+/// As [`read_bytes`].
+pub fn read_text_lossy(path: &Path) -> Result<String> {
+    Ok(String::from_utf8_lossy(&read_bytes(path, TEXT_MAX)?).into_owned())
+}
+
+/// At most the first `count` bytes of a regular file; none where it cannot be read.
+pub fn read_start(path: &Path, count: u64) -> Vec<u8> {
+    let mut bytes = Vec::new();
+    if path.is_file()
+        && let Ok(file) = File::open(path)
+        && file.take(count).read_to_end(&mut bytes).is_err()
+    {
+        bytes.clear();
+    }
+    bytes
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn only_regular_files_of_bounded_size_are_read() {
+        let folder = tempfile::tempdir().expect("a temporary folder");
+        let file = folder.path().join("a");
+        std::fs::write(&file, b"12345").expect("written");
+        assert_eq!(read_bytes(&file, 5).expect("small enough"), b"12345");
+        assert!(read_bytes(&file, 4).is_err());
+        assert!(read_bytes(folder.path(), 5).is_err());
+        if Path::new("/dev/zero").exists() {
+            let error = read_bytes(Path::new("/dev/zero"), 5).expect_err("endless");
+            assert!(error.to_string().contains("device"), "{error}");
+        }
+    }
+}

@@ -1,0 +1,68 @@
+//! The program run as a child of which is known how long it took and how much memory it held at most.
+
+use crate::program::binary;
+use std::ffi::OsStr;
+use std::process::{Command, Stdio};
+use std::time::{Duration, Instant};
+
+/// A finished child.
+#[derive(Debug)]
+pub struct Measured {
+    /// Its exit code; `None` when a signal ended it.
+    pub code: Option<i32>,
+    /// What it wrote on stderr.
+    pub stderr: String,
+    /// The most memory it held, bytes.
+    pub peak_bytes: u64,
+    /// How long it took.
+    pub took: Duration,
+}
+
+/// Runs the program; it is killed after `limit`.
+#[expect(clippy::zombie_processes, reason = "`ended` waits for the child")]
+pub fn run<S: AsRef<OsStr>>(arguments: &[S], limit: Duration) -> Measured {
+    let said = tempfile::NamedTempFile::new().expect("a temporary file");
+    let begun = Instant::now();
+    let mut child = Command::new(binary())
+        .args(arguments)
+        .env_remove("HELIOSPLAT_LOG")
+        .stdin(Stdio::null())
+        .stdout(Stdio::null())
+        .stderr(said.reopen().expect("the same file"))
+        .spawn()
+        .expect("the program runs");
+    let mut killed = false;
+    let (status, peak_bytes) = loop {
+        if let Some(ended) = ended(child.id()) {
+            break ended;
+        }
+        if !killed && begun.elapsed() > limit {
+            child.kill().expect("a child can be killed");
+            killed = true;
+        }
+        std::thread::sleep(Duration::from_millis(3));
+    };
+    let exited = libc::WIFEXITED(status);
+    Measured {
+        code: exited.then(|| libc::WEXITSTATUS(status)),
+        stderr: String::from_utf8_lossy(&std::fs::read(said.path()).expect("readable")).into_owned(),
+        peak_bytes,
+        took: begun.elapsed(),
+    }
+}
+
+/// Status and peak memory of a child that has ended; `None` while it runs.
+#[allow(
+    unsafe_code,
+    reason = "the standard library waits without telling what the child used"
+)]
+fn ended(id: u32) -> Option<(i32, u64)> {
+    let mut status = 0;
+    // SAFETY: `rusage` is a plain structure of numbers, for which zeros are valid.
+    let mut usage: libc::rusage = unsafe { std::mem::zeroed() };
+    // SAFETY: both pointers are to locals that outlive the call; the child is ours and nobody else waits for it.
+    let found = unsafe { libc::wait4(id as libc::pid_t, &raw mut status, libc::WNOHANG, &raw mut usage) };
+    assert!(found >= 0, "wait4 fails");
+    // Linux counts kibibytes.
+    (found > 0).then_some((status, usage.ru_maxrss as u64 * 1024))
+}
