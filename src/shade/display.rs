@@ -35,8 +35,12 @@ mod tests {
             let (told, slope) = encode(light);
             assert!((decode(told) - light).abs() < 1e-5 * (1.0 + light), "{light}");
             let step = 1e-4 * (light + 1e-3);
-            let numeric = (f64::from(encode(light + step).0) - f64::from(encode(light - step).0)) / (2.0 * f64::from(step));
-            assert!((numeric - f64::from(slope)).abs() < 2e-2 * f64::from(slope), "{light}: {numeric} {slope}");
+            let numeric =
+                (f64::from(encode(light + step).0) - f64::from(encode(light - step).0)) / (2.0 * f64::from(step));
+            assert!(
+                (numeric - f64::from(slope)).abs() < 2e-2 * f64::from(slope),
+                "{light}: {numeric} {slope}"
+            );
         }
     }
 }

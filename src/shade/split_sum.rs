@@ -121,17 +121,12 @@ mod tests {
                 let step = 1e-4;
                 let numeric = |hi: SplitSum, lo: SplitSum, k: usize| (hi.values[k] - lo.values[k]) / (2.0 * step);
                 for k in 0..2 {
-                    let by_cosine = numeric(
-                        look_up(roughness, cosine + step),
-                        look_up(roughness, cosine - step),
-                        k,
+                    let by_cosine = numeric(look_up(roughness, cosine + step), look_up(roughness, cosine - step), k);
+                    assert!(
+                        (by_cosine - found.cosine[k]).abs() < 0.02 * (1.0 + by_cosine.abs()),
+                        "{by_cosine}"
                     );
-                    assert!((by_cosine - found.cosine[k]).abs() < 0.02 * (1.0 + by_cosine.abs()), "{by_cosine}");
-                    let by_roughness = numeric(
-                        look_up(roughness + step, cosine),
-                        look_up(roughness - step, cosine),
-                        k,
-                    );
+                    let by_roughness = numeric(look_up(roughness + step, cosine), look_up(roughness - step, cosine), k);
                     assert!((by_roughness - found.roughness[k]).abs() < 0.02 * (1.0 + by_roughness.abs()));
                 }
             }
