@@ -40,8 +40,8 @@ pub struct ObjectSummary {
     pub size_px: usize,
     /// Share of the pixels that show the object.
     pub coverage: f64,
-    /// PSNR that the held-out images themselves have against images without the noise of the path tracer, decibels: no model can be
-    /// expected to do better.
+    /// PSNR that the held-out images themselves have at least against images without the noise of the path tracer, decibels. What two
+    /// halves of the paths see differs by noise, and a little by edges and patterns, so the noise itself is somewhat less.
     pub noise_floor_db: f64,
 }
 

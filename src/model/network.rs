@@ -52,41 +52,48 @@ struct Product<'a> {
     b: &'a [f32],
 }
 
+/// Adds `R` rows of one tile. The sums stay in registers: every index into them is known when this is compiled.
+#[inline(always)]
+fn tile<const R: usize>(product: &Product, out: &mut [f32], cols: usize, row: usize, col: usize) {
+    let Product {
+        a,
+        row_step,
+        k_step,
+        inner,
+        b,
+    } = *product;
+    let mut sums = [[0.0f32; TILE]; R];
+    for k in 0..inner {
+        let line: &[f32; TILE] = b[k * cols + col..k * cols + col + TILE].try_into().expect("a tile");
+        for r in 0..R {
+            let x = a[(row + r) * row_step + k * k_step];
+            for c in 0..TILE {
+                sums[r][c] += x * line[c];
+            }
+        }
+    }
+    for r in 0..R {
+        let at = (row + r) * cols + col;
+        let line: &mut [f32; TILE] = (&mut out[at..at + TILE]).try_into().expect("a tile");
+        for c in 0..TILE {
+            line[c] += sums[r][c];
+        }
+    }
+}
+
 vectorised! {
     fn multiply(product: &Product, out: &mut [f32], cols: usize) {
-        let Product { a, row_step, k_step, inner, b } = *product;
         let rows = out.len() / cols;
-        let mut row = 0;
-        while row < rows {
-            let count = ROWS.min(rows - row);
-            for col in (0..cols).step_by(TILE) {
-                let mut sums = [[0.0f32; TILE]; ROWS];
-                for k in 0..inner {
-                    let line: &[f32; TILE] = b[k * cols + col..k * cols + col + TILE].try_into().expect("a tile");
-                    if count == ROWS {
-                        for r in 0..ROWS {
-                            let x = a[(row + r) * row_step + k * k_step];
-                            for c in 0..TILE {
-                                sums[r][c] += x * line[c];
-                            }
-                        }
-                    } else {
-                        for r in 0..count {
-                            let x = a[(row + r) * row_step + k * k_step];
-                            for c in 0..TILE {
-                                sums[r][c] += x * line[c];
-                            }
-                        }
-                    }
-                }
-                for r in 0..count {
-                    let at = (row + r) * cols + col;
-                    for c in 0..TILE {
-                        out[at + c] += sums[r][c];
-                    }
-                }
+        for col in (0..cols).step_by(TILE) {
+            let mut row = 0;
+            while row + ROWS <= rows {
+                tile::<ROWS>(product, out, cols, row, col);
+                row += ROWS;
             }
-            row += count;
+            while row < rows {
+                tile::<1>(product, out, cols, row, col);
+                row += 1;
+            }
         }
     }
 }
@@ -103,6 +110,16 @@ struct Prepared {
     forward: Vec<(Vec<f32>, Vec<f32>)>,
     /// Per layer `[output][padded input]`.
     backward: Vec<Vec<f32>>,
+}
+
+/// Rows that went through a network, kept for the way back.
+pub struct Kept {
+    network: Network,
+    prepared: Prepared,
+    trails: Vec<Trail>,
+    rows: usize,
+    /// `[row][output]`.
+    pub outputs: Vec<f32>,
 }
 
 /// What a block of rows went through: the inputs of every layer, padded, and what the last gives.
@@ -232,26 +249,31 @@ impl Network {
         out
     }
 
-    /// Gradients of the inputs and of the weights, from those of the outputs.
-    pub fn backward(&self, weights: &[f32], inputs: &[f32], d_outputs: &[f32]) -> (Vec<f32>, Vec<f32>) {
+    /// The same, kept for the way back.
+    pub fn keep(&self, weights: &[f32], inputs: &[f32]) -> Kept {
         let prepared = self.prepare(weights);
-        let mut d_inputs = vec![0.0; inputs.len()];
-        let parts: Vec<Vec<f32>> = d_inputs
-            .par_chunks_mut(BLOCK * self.inputs)
-            .zip(inputs.par_chunks(BLOCK * self.inputs))
-            .zip(d_outputs.par_chunks(BLOCK * self.outputs))
-            .map(|((d_inputs, inputs), d_outputs)| self.walk_back(&prepared, inputs, d_outputs, d_inputs))
+        let trails: Vec<Trail> = inputs
+            .par_chunks(BLOCK * self.inputs)
+            .map(|inputs| self.walk(&prepared, inputs))
             .collect();
-        let mut d_weights = vec![0.0f32; self.weights()];
-        for part in &parts {
-            d_weights.iter_mut().zip(part).for_each(|(sum, d)| *sum += d);
+        let wide = padded(self.outputs);
+        let lines = trails.iter().flat_map(|trail| trail.out.chunks(wide));
+        Kept {
+            outputs: lines.flat_map(|line| line[..self.outputs].iter().copied()).collect(),
+            rows: inputs.len() / self.inputs,
+            network: *self,
+            prepared,
+            trails,
         }
-        (d_inputs, d_weights)
     }
 
-    fn walk_back(&self, prepared: &Prepared, inputs: &[f32], d_outputs: &[f32], d_inputs: &mut [f32]) -> Vec<f32> {
-        let rows = inputs.len() / self.inputs;
-        let trail = self.walk(prepared, inputs);
+    /// Gradients of the inputs and of the weights, from those of the outputs.
+    pub fn backward(&self, weights: &[f32], inputs: &[f32], d_outputs: &[f32]) -> (Vec<f32>, Vec<f32>) {
+        self.keep(weights, inputs).backward(d_outputs)
+    }
+
+    fn walk_back(&self, prepared: &Prepared, trail: &Trail, d_outputs: &[f32], d_inputs: &mut [f32]) -> Vec<f32> {
+        let rows = d_outputs.len() / self.outputs;
         let mut d_weights = vec![0.0; self.weights()];
         let mut wide = padded(self.outputs);
         let mut d_out = vec![0.0; rows * wide];
@@ -309,6 +331,25 @@ impl Network {
             }
         }
         d_weights
+    }
+}
+
+impl Kept {
+    /// Gradients of the inputs and of the weights, from those of the outputs.
+    pub fn backward(&self, d_outputs: &[f32]) -> (Vec<f32>, Vec<f32>) {
+        let network = &self.network;
+        let mut d_inputs = vec![0.0; self.rows * network.inputs];
+        let parts: Vec<Vec<f32>> = d_inputs
+            .par_chunks_mut(BLOCK * network.inputs)
+            .zip(&self.trails)
+            .zip(d_outputs.par_chunks(BLOCK * network.outputs))
+            .map(|((d_inputs, trail), d_outputs)| network.walk_back(&self.prepared, trail, d_outputs, d_inputs))
+            .collect();
+        let mut d_weights = vec![0.0f32; network.weights()];
+        for part in &parts {
+            d_weights.iter_mut().zip(part).for_each(|(sum, d)| *sum += d);
+        }
+        (d_inputs, d_weights)
     }
 }
 

@@ -378,7 +378,12 @@ impl SceneModel for Reflective {
         _d_transmittance: &mut [f32],
     ) {
         let looked = self.look(context, seen);
-        let decoded = self.decode(context, &looked);
+        let asked = !looked.told.is_empty();
+        let kept = asked.then(|| {
+            let weights = context.parameters.globals.group(DECODER);
+            self.network().keep(weights, &looked.told)
+        });
+        let decoded: &[f32] = kept.as_ref().map_or(&[], |kept| &kept.outputs);
         let (functions, scale) = (sh::functions(self.options.degree), 1.0 / self.options.half_size);
         let half_way: Vec<(Backward, [f32; COLOURS])> = d_features
             .par_chunks(seen.stride)
@@ -386,7 +391,7 @@ impl SceneModel for Reflective {
             .enumerate()
             .map(|(s, d)| {
                 let (surface, sight) = (&looked.surfaces[s], &looked.sights[s]);
-                let of_decoder = looked.rows[s].map(|row| three(&decoded, row));
+                let of_decoder = looked.rows[s].map(|row| three(decoded, row));
                 let (diffuse, specular) = surface.shade(sight, functions, of_decoder);
                 let d_light = std::array::from_fn(|k| d[k] * self.shown(diffuse[k] + specular[k]).1);
                 let mut back = Backward::default();
@@ -404,9 +409,8 @@ impl SceneModel for Reflective {
             }
         }
         let mut d_told = Vec::new();
-        if !decoded.is_empty() {
-            let weights = context.parameters.globals.group(DECODER);
-            let (to_inputs, to_weights) = self.network().backward(weights, &looked.told, &d_decoded);
+        if let Some(kept) = &kept {
+            let (to_inputs, to_weights) = kept.backward(&d_decoded);
             d_told = to_inputs;
             let slots = grads.globals.group_mut(DECODER).iter_mut();
             slots.zip(to_weights).for_each(|(slot, d)| *slot += d);

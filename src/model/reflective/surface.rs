@@ -127,8 +127,9 @@ impl Surface {
     fn gathered(&self, sight: &Sight, functions: usize) -> ([f32; COLOURS], [f32; COLOURS]) {
         let (across, along) = (sh::basis(sight.normal()), sh::basis(sight.mirrored));
         let (mut even, mut mirrored) = ([0.0; COLOURS], [0.0; COLOURS]);
+        let blurs: [f32; 4] = std::array::from_fn(|degree| blurred(self.alpha, degree).0);
         for f in 0..functions {
-            let (gathers, (blur, _)) = (GATHERED[degree(f)], blurred(self.alpha, degree(f)));
+            let (gathers, blur) = (GATHERED[degree(f)], blurs[degree(f)]);
             for k in 0..COLOURS {
                 even[k] += gathers * across[f] * self.light[f][k];
                 mirrored[k] += blur * along[f] * self.light[f][k];
@@ -145,11 +146,15 @@ impl Surface {
         for axis in AXES {
             let along = axis.dot(sight.mirrored);
             let variance = axis.dot(sight.spread[0]).powi(2) + axis.dot(sight.spread[1]).powi(2);
-            for wave in WAVES {
-                let (factor, (sine, cosine)) = ((-0.5 * wave * wave * variance).exp(), (wave * along).sin_cos());
+            let mut factor = (-0.5 * WAVES[0] * WAVES[0] * variance).exp();
+            let (mut sine, mut cosine) = (WAVES[0] * along).sin_cos();
+            for _ in WAVES {
                 out[at] = factor * sine;
                 out[at + 1] = factor * cosine;
                 at += 2;
+                // The next wave is twice as fine: the double angle, and a variance four times as large.
+                (sine, cosine) = (2.0 * sine * cosine, 1.0 - 2.0 * sine * sine);
+                factor = (factor * factor) * (factor * factor);
             }
         }
         out[AT_LIGHT..AT_COSINE].copy_from_slice(&mirrored);
@@ -273,8 +278,9 @@ impl Surface {
         }
         let out = &mut back.surface;
         let (basis, slopes) = (sh::basis(sight.mirrored), sh::basis_gradients(sight.mirrored));
+        let blurs: [(f32, f32); 4] = std::array::from_fn(|degree| blurred(self.alpha, degree));
         for f in 0..functions {
-            let (blur, rate) = blurred(self.alpha, degree(f));
+            let (blur, rate) = blurs[degree(f)];
             let mut weight = 0.0;
             for k in 0..COLOURS {
                 let d = d_told[AT_LIGHT + k] + d_decoded[k];
