@@ -205,7 +205,7 @@ fn photograph(request: &ObjectRequest, stage: &Stage, shot: &Shot, camera: &Came
                 if let Some(seen) = stage.look(&camera.ray(col, row), &mut random) {
                     pixel.colour += seen.light;
                     // Neighbouring paths are in different halves, so that both see the same of the surface's colours.
-                    let half = if (path / side + path % side) % 2 == 0 {
+                    let half = if (path / side + path % side).is_multiple_of(2) {
                         1.0
                     } else {
                         -1.0

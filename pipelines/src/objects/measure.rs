@@ -109,42 +109,64 @@ pub fn normal_picture(normals: &Raster) -> RgbImage {
     })
 }
 
-/// Angles between a model's normals and those of the truth that lies beside a capture, degrees: mean over all, and by part of the
-/// object. `None` where there is no truth.
-fn normal_errors(model: &ObjectModel, capture: &Capture, frames: &[&Frame]) -> Option<Value> {
+/// What a part of an object looks like in a model: sums over its pixels.
+#[derive(Default)]
+struct PartSums {
+    pixels: usize,
+    square: f64,
+    angle_deg: f64,
+    angles: usize,
+}
+
+/// Where the parts of an object are known, as beside captures that were made: by part and over all, the angles between a model's
+/// normals and the true ones, degrees, and the PSNR of its pixels. `None` where there is no truth.
+fn by_part(model: &ObjectModel, capture: &Capture, frames: &[&Frame]) -> Option<Value> {
     let folder = if capture.source.is_dir() {
         capture.source.as_path()
     } else {
         capture.source.parent()?
     };
-    let mut by_part: BTreeMap<u8, (f64, usize)> = BTreeMap::new();
+    let mut sums: BTreeMap<u8, PartSums> = BTreeMap::new();
     for frame in frames {
         let name = frame.name.trim_start_matches("./");
         let file = |kind: &str| image::open(folder.join(format!("truth/{name}_{kind}.png"))).ok();
         let (truth, parts) = (file("normal")?.to_rgb8(), file("part")?.to_luma8());
-        let found = model.normals(&ObjectImage::from(*frame))?;
+        let (found, compared) = (model.normals(&ObjectImage::from(*frame))?, compare(model, frame)?);
         let size = (found.width as u32, found.height as u32);
         if truth.dimensions() != size || parts.dimensions() != size {
             return None;
         }
         for (col, row, pixel) in truth.enumerate_pixels() {
-            let exact = Vec3::from(pixel.0.map(|v| f32::from(v) / 127.5 - 1.0));
-            let own = Vec3::from([0, 1, 2].map(|k| found.at(k, col as usize, row as usize)));
+            let (x, y) = (col as usize, row as usize);
             let part = parts.get_pixel(col, row).0[0];
-            if part > 0 && own != Vec3::ZERO && pixel.0 != [0; 3] {
-                let slot = by_part.entry(part).or_default();
-                slot.0 += f64::from(exact.angle_between(own).to_degrees());
-                slot.1 += 1;
+            if part == 0 {
+                continue;
+            }
+            let sum = sums.entry(part).or_default();
+            let apart = |k: usize| f64::from(compared.rendered.at(k, x, y) - compared.truth.at(k, x, y)).powi(2);
+            sum.pixels += 1;
+            sum.square += (0..3).map(apart).sum::<f64>() / 3.0;
+            let exact = Vec3::from(pixel.0.map(|v| f32::from(v) / 127.5 - 1.0));
+            let own = Vec3::from([0, 1, 2].map(|k| found.at(k, x, y)));
+            if own != Vec3::ZERO && pixel.0 != [0; 3] {
+                sum.angle_deg += f64::from(exact.angle_between(own).to_degrees());
+                sum.angles += 1;
             }
         }
     }
-    let (sum, count) = by_part.values().fold((0.0, 0), |(s, c), part| (s + part.0, c + part.1));
-    let mean = |sum: f64, count: usize| sum / count.max(1) as f64;
-    let parts: Vec<Value> = by_part
+    let (angle, angles) = sums
+        .values()
+        .fold((0.0, 0), |(s, c), p| (s + p.angle_deg, c + p.angles));
+    let parts: Vec<Value> = sums
         .iter()
-        .map(|(part, &(sum, count))| json!({"part": part, "mean_deg": mean(sum, count), "pixels": count}))
+        .map(|(part, sum)| {
+            json!({
+                "part": part, "pixels": sum.pixels, "psnr": -10.0 * (sum.square / sum.pixels as f64).max(1e-12).log10(),
+                "normals_deg": sum.angle_deg / sum.angles.max(1) as f64,
+            })
+        })
         .collect();
-    (count > 0).then(|| json!({"mean_deg": mean(sum, count), "parts": parts}))
+    (angles > 0).then(|| json!({"mean_deg": angle / angles as f64, "parts": parts}))
 }
 
 fn beside(left: &RgbImage, right: &RgbImage) -> RgbImage {
@@ -183,7 +205,7 @@ pub fn metrics(model: &ObjectModel, capture: &Capture, pictures: Option<&Path>) 
     };
     add("", "train", score(&train, None)?);
     add("", "test", score(&test, pictures)?);
-    add("/test", "normals", normal_errors(model, capture, &test));
+    add("/test", "normals", by_part(model, capture, &test));
     if matches!(model.file.kind, Kind::Olat(_)) {
         let is_far = |frame: &&Frame| nearest_light_rad(frame, &train, capture).is_some_and(|angle| angle > FAR_RAD);
         let (far, near): (Vec<&Frame>, Vec<&Frame>) = test.iter().copied().partition(is_far);
