@@ -4,9 +4,11 @@
 //! rasterised channels for a view and a light, how composited channels become a pixel, and the gradients of both. The
 //! rasteriser, the tracer, the losses, the optimiser and the trainer name no model.
 
+pub mod network;
 pub mod olat;
 mod over;
 pub mod radiance;
+pub mod reflective;
 pub mod shadow_gs;
 
 use crate::camera::ProjectiveCamera;

@@ -1,7 +1,7 @@
 //! Captures of an object with known shape, materials and light, made by a path tracer.
 //!
 //! Files are those that are common: `transforms_train.json` and `transforms_test.json` with images beside them. Normals of the
-//! held-out views, `(n + 1) / 2` in the frame of the cameras, lie in `truth/`.
+//! held-out views, `(n + 1) / 2` in the frame of the cameras, and the number of the part that each pixel shows lie in `truth/`.
 
 mod material;
 mod request;
@@ -14,7 +14,7 @@ pub use request::{Capture, Look, ObjectRequest};
 use crate::SynthError;
 use crate::raytrace::Ray;
 use crate::write::Staging;
-use image::{DynamicImage, Rgb, RgbImage, Rgba32FImage, RgbaImage};
+use image::{DynamicImage, GrayImage, Luma, Rgb, RgbImage, Rgba32FImage, RgbaImage};
 use nalgebra::Vector3;
 use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg32;
@@ -40,6 +40,9 @@ pub struct ObjectSummary {
     pub size_px: usize,
     /// Share of the pixels that show the object.
     pub coverage: f64,
+    /// PSNR that the held-out images themselves have at least against images without the noise of the path tracer, decibels. What two
+    /// halves of the paths see differs by noise, and a little by edges and patterns, so the noise itself is somewhat less.
+    pub noise_floor_db: f64,
 }
 
 /// A camera that looks at the middle.
@@ -88,6 +91,28 @@ struct Pixel {
     colour: Vector3<f64>,
     coverage: f64,
     normal: Vector3<f64>,
+    /// Half of the difference between what two halves of the paths saw: its square is the variance of the colour.
+    doubt: Vector3<f64>,
+    /// Number of the part that most paths met first; none where most met nothing.
+    part: Option<usize>,
+}
+
+impl Pixel {
+    /// Variance of the value that is written, mean over the colours.
+    fn variance(&self, linear: bool) -> f64 {
+        let slope = |value: f64| match linear {
+            true => 1.0,
+            false => (f64::from(display(value + 1e-3)) - f64::from(display(value - 1e-3))) / 255.0 / 2e-3,
+        };
+        let shown = |k: usize| {
+            if linear {
+                self.colour[k]
+            } else {
+                self.colour[k] / self.coverage.max(1e-9)
+            }
+        };
+        (0..3).map(|k| (slope(shown(k)) * self.doubt[k]).powi(2)).sum::<f64>() / 3.0
+    }
 }
 
 /// Writes a capture into `out_dir`. `progress` is told how many images of how many are done. The same request gives the same
@@ -105,7 +130,8 @@ pub fn write_object(
     let staging = Staging::new(out_dir)?;
     let (stage, shots) = (stage::stage(request), stage::shots(request));
     let total = shots.train.len() + shots.near.len() + shots.far.len();
-    let (mut done, mut covered) = (0, 0.0);
+    let (mut done, mut covered, mut floors) = (0, 0.0, Vec::new());
+    let linear = request.capture == Capture::Olat;
     let mut frames_of = |split: &str, name: &str, shots: &[Shot]| -> Result<Vec<serde_json::Value>, SynthError> {
         let mut frames = Vec::new();
         for (number, shot) in shots.iter().enumerate() {
@@ -116,6 +142,9 @@ pub fn write_object(
             write_image(request, &staging, &name, &pixels)?;
             if split == "test" {
                 write_normals(request, &staging, &name, &pixels)?;
+                write_parts(request, &staging, &name, &pixels)?;
+                let variance = pixels.iter().map(|p| p.variance(linear)).sum::<f64>() / pixels.len() as f64;
+                floors.push(-10.0 * variance.max(1e-12).log10());
             }
             let mut frame = json!({"file_path": format!("./{name}"), "transform_matrix": camera.matrix()});
             if let Some(lamp) = shot.lamp {
@@ -142,6 +171,7 @@ pub fn write_object(
         far: shots.far.len(),
         size_px: request.size_px,
         coverage: covered,
+        noise_floor_db: floors.iter().sum::<f64>() / floors.len().max(1) as f64,
     })
 }
 
@@ -164,13 +194,24 @@ fn photograph(request: &ObjectRequest, stage: &Stage, shot: &Shot, camera: &Came
                 colour: Vector3::zeros(),
                 coverage: 0.0,
                 normal: Vector3::zeros(),
+                doubt: Vector3::zeros(),
+                part: None,
             };
+            let mut met = vec![0usize; stage.parts.len()];
             for path in 0..side * side {
                 let within = |n: usize, random: &mut Pcg32| (n as f64 + random.random::<f64>()) / side as f64;
                 let col = (i % size) as f64 + within(path % side, &mut random);
                 let row = (i / size) as f64 + within(path / side, &mut random);
                 if let Some(seen) = stage.look(&camera.ray(col, row), &mut random) {
                     pixel.colour += seen.light;
+                    // Neighbouring paths are in different halves, so that both see the same of the surface's colours.
+                    let half = if (path / side + path % side).is_multiple_of(2) {
+                        1.0
+                    } else {
+                        -1.0
+                    };
+                    pixel.doubt += seen.light * half;
+                    met[seen.part] += 1;
                     pixel.coverage += 1.0;
                     pixel.normal += seen.normal;
                 }
@@ -178,6 +219,9 @@ fn photograph(request: &ObjectRequest, stage: &Stage, shot: &Shot, camera: &Came
             let count = (side * side) as f64;
             pixel.colour /= count;
             pixel.coverage /= count;
+            pixel.doubt /= count;
+            let most = (0..met.len()).max_by_key(|&part| met[part]);
+            pixel.part = most.filter(|_| pixel.coverage > 0.5);
             pixel
         })
         .collect()
@@ -237,6 +281,15 @@ fn write_normals(request: &ObjectRequest, staging: &Staging, name: &str, pixels:
         Rgb([0, 1, 2].map(|k| (127.5 * (n[k] + 1.0)).round() as u8))
     });
     save(staging, &format!("truth/{name}_normal.png"), picture.into())
+}
+
+/// The number of each pixel's part, counted from 1; 0 where there is none.
+fn write_parts(request: &ObjectRequest, staging: &Staging, name: &str, pixels: &[Pixel]) -> Result<(), SynthError> {
+    let size = request.size_px as u32;
+    let picture = GrayImage::from_fn(size, size, |x, y| {
+        Luma([pixels[(y * size + x) as usize].part.map_or(0, |part| part as u8 + 1)])
+    });
+    save(staging, &format!("truth/{name}_part.png"), picture.into())
 }
 
 #[cfg(test)]

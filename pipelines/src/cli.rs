@@ -8,6 +8,7 @@ pub mod adjust;
 pub mod batch;
 pub mod bench;
 pub mod evaluate;
+pub mod export;
 pub mod inspect;
 pub mod log;
 pub mod parse;
@@ -99,6 +100,12 @@ pub enum Command {
     /// Render the views of a run
     #[command(after_help = "Example: heliosplat render run --out rendered --split test")]
     Render(satellite::RenderArgs),
+    /// Write what other programs can use of a run on an object
+    #[command(
+        after_help = "Examples: heliosplat export run --ply lit.ply --light 2,-1,3\n          \
+                            heliosplat export run --asset figure"
+    )]
+    Export(export::ExportArgs),
     /// Measure a run, or any DSM, against truth
     #[command(after_help = "Examples: heliosplat evaluate run\n          \
                             heliosplat evaluate --dsm dsm.tif --truth lidar.tif --protocol aligned --json")]
@@ -246,6 +253,7 @@ fn run(cli: &Cli) -> Result<Outcome, CliError> {
         Command::Report(args) => report::run(args),
         Command::Relight(args) => satellite::relight(args, &session),
         Command::Render(args) => satellite::render(args, &session),
+        Command::Export(args) => export::run(args),
         Command::Evaluate(args) => evaluate::run(args, &session),
         Command::Rpc(args) => rpc::run(args),
         Command::Sun(args) => sun::run(args),

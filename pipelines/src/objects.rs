@@ -1,18 +1,21 @@
 //! Captures of objects: images from around an object with cameras and lights in `transforms_*.json`, as NeRF made them common.
 //!
-//! `transforms` reads cameras and lights, `pixels` images, `capture` puts them together; `start`, `views` and `fit` make a model
+//! `transforms` reads cameras and lights, `pixels` images, `capture` puts them together; `plan`, `start`, `views` and `fit` make a model
 //! of them, `run` keeps it, `measure` says how good it is, `verbs` are what the program does with all that.
 
 pub mod capture;
 pub mod config;
 pub mod error;
+pub mod export;
 pub mod fit;
 pub mod measure;
 pub mod pinhole;
 pub mod pixels;
+pub mod plan;
 pub mod ply;
 pub mod run;
 pub mod start;
+pub mod surroundings;
 pub mod transforms;
 pub mod verbs;
 pub mod views;

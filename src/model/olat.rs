@@ -3,23 +3,29 @@
 //! After SSD-GS (2026) and GS³ (Bi et al. 2024), per Gaussian and evaluated at its centre, for a light of unit strength
 //!
 //! ```text
-//! C = (c_d f_d + c_s f_s) S · D² / (d² + r²)
+//! C = ((c_d f_d + c_s f_s) S + c_v f_v) · D² / (d² + r²)
 //! f_d = cosE(n·ω_i) / π                    cosE(c) = (ELU(c) + t) / (1 + t): a cosine with a gradient on the dark side
 //! f_s = Σ_j a_j G_j(h) · F(ω_i·h) · cosE(n·ω_i)        eight lobes that all share, Schlick's F with F0 = 0.04
+//! f_v = R(r; σ_s', σ_a)        what scatters under the surface: a dipole, of which a network predicts the three numbers
 //! ```
 //!
-//! `S` is the transmittance toward the light, `d` its distance, `r` its radius, `D` the distance at which a light counts as one.
+//! Light that scatters comes from elsewhere on the object, so the shadow does not dim it. `S` is the transmittance toward the light
+//! (another network may move its logit by what it makes of place, direction and a code of the Gaussian), `d` its distance, `r` its radius, `D` the distance at which a light counts as one.
 //! The normal `n` and the lobes' frames turn with a frame per Gaussian of its own. Lights add up, so strength and colour of a light
 //! multiply its image: the model itself knows lights of strength one. Parallel light has no distance and falls off nowhere.
 
+mod ask;
+mod networks;
 mod surface;
 
+use super::network::Network;
 use super::over::{COLOURS, over, over_backward};
 use super::shadow_gs::{softplus, softplus_inverse};
 use super::{Context, NamedLoss, Parameters, SceneModel, Seen};
 use crate::gaussians::{FEATURES, GroupSpec, POSITION, Table, sigmoid};
 use crate::raster::Raster;
 use crate::splat::{MapGradients, Maps};
+use networks::{CODE, SCATTER_INPUTS, SHADOW_INPUTS, network};
 use rayon::prelude::*;
 use surface::{Lobes, Place, Surface, SurfaceGradient};
 
@@ -41,6 +47,14 @@ const LOBE_SIGMA: usize = 2;
 const SPECULAR_FROM: f32 = 0.16;
 /// Share of training from which on the lobes change their shape (SSD-GS: 22 of 100).
 const LOBES_FROM: f32 = 0.22;
+/// Share of training from which on light scatters (SSD-GS: 9 of 100).
+const SCATTERING_FROM: f32 = 0.09;
+/// Share of training from which on shadows are refined (SSD-GS: 5 of 100).
+const REFINED_FROM: f32 = 0.05;
+/// Scattered light before it joins, of which the dipole shows a fraction.
+const LITTLE_SCATTERS: f32 = 0.1;
+/// What networks say at first, relative to their layers.
+const QUIET: f32 = 0.1;
 /// Gloss before it joins: as good as none.
 const NO_GLOSS: f32 = 0.02;
 
@@ -52,6 +66,16 @@ pub struct OlatOptions {
     pub specular: bool,
     /// Whether the light that reaches a surface is traced.
     pub shadow: bool,
+    /// Whether light scatters under the surface.
+    pub scattering: bool,
+    /// Whether a network refines the shadows.
+    pub refined: bool,
+    /// Units of the hidden layers of both networks.
+    pub width: usize,
+    /// Their hidden layers.
+    pub hidden: usize,
+    /// Half of the side of the cube that positions lie in.
+    pub half_size: f32,
     /// Colour behind everything.
     pub background: [f32; 3],
     /// Whether images have coverage as a fourth band.
@@ -77,6 +101,10 @@ pub enum Component {
     Specular,
     /// How much of the light arrives.
     Shadow,
+    /// What comes out of the surface after it went in elsewhere.
+    Scattering,
+    /// The normals of the frames behind the colours, where a model rasterises them.
+    Normal,
 }
 
 impl Default for OlatOptions {
@@ -84,6 +112,11 @@ impl Default for OlatOptions {
         Self {
             specular: true,
             shadow: true,
+            scattering: false,
+            refined: false,
+            width: 32,
+            hidden: 3,
+            half_size: 1.0,
             background: [0.0; 3],
             coverage: false,
             distance: 1.0,
@@ -106,9 +139,45 @@ impl Olat {
         Self { options }
     }
 
-    /// Shared parameters at the start: lobes around the normal, from narrow to wide.
+    fn scatterer(&self) -> Network {
+        network(
+            SCATTER_INPUTS,
+            COLOURS,
+            self.options.width.max(1),
+            self.options.hidden.max(1),
+        )
+    }
+
+    fn refiner(&self) -> Network {
+        network(SHADOW_INPUTS, 1, self.options.width.max(1), self.options.hidden.max(1))
+    }
+
+    /// Whether Gaussians have a code that networks read.
+    fn coded(&self) -> bool {
+        self.options.scattering || self.options.refined
+    }
+
+    /// Index of the group of codes; that of the colours of scattered light stands behind it.
+    pub fn code_group(&self) -> usize {
+        if self.options.specular { WEIGHT + 1 } else { SPECULAR }
+    }
+
+    /// Index of the first shared group of a network.
+    fn networks_at(&self) -> usize {
+        if self.options.specular { LOBE_SIGMA + 1 } else { 0 }
+    }
+
+    /// Shared parameters at the start: lobes around the normal, from narrow to wide; networks that say little.
     pub fn initial_globals(&self) -> Table {
         let mut table = Table::zeros(self.global_groups(), 1);
+        let at = self.networks_at();
+        if self.options.scattering {
+            table.group_mut(at).copy_from_slice(&self.scatterer().initial(1, QUIET));
+        }
+        if self.options.refined {
+            let at = at + usize::from(self.options.scattering);
+            table.group_mut(at).copy_from_slice(&self.refiner().initial(2, QUIET));
+        }
         if self.options.specular {
             for j in 0..LOBES {
                 table.group_mut(LOBE_FRAME)[j * 4 + 3] = 1.0;
@@ -127,6 +196,10 @@ impl Olat {
         gaussians.group_mut(FRAME)[g * 4..g * 4 + 4].copy_from_slice(&frame);
         if self.options.specular {
             gaussians.group_mut(SPECULAR)[g * COLOURS..(g + 1) * COLOURS].fill(softplus_inverse(NO_GLOSS));
+        }
+        if self.options.scattering {
+            let at = self.code_group() + 1;
+            gaussians.group_mut(at)[g * COLOURS..(g + 1) * COLOURS].fill(softplus_inverse(LITTLE_SCATTERS));
         }
     }
 
@@ -181,18 +254,29 @@ impl SceneModel for Olat {
             groups.push(GroupSpec::new("specular", COLOURS));
             groups.push(GroupSpec::new("lobe_weight", LOBES));
         }
+        if self.coded() {
+            groups.push(GroupSpec::new("code", CODE));
+        }
+        if self.options.scattering {
+            groups.push(GroupSpec::new("scattered", COLOURS));
+        }
         groups
     }
 
     fn global_groups(&self) -> Vec<GroupSpec> {
-        if !self.options.specular {
-            return Vec::new();
+        let mut groups = Vec::new();
+        if self.options.specular {
+            groups.push(GroupSpec::new("lobe_frame", LOBES * 4));
+            groups.push(GroupSpec::new("lobe_scale", LOBES * 2));
+            groups.push(GroupSpec::new("lobe_sigma", LOBES));
         }
-        vec![
-            GroupSpec::new("lobe_frame", LOBES * 4),
-            GroupSpec::new("lobe_scale", LOBES * 2),
-            GroupSpec::new("lobe_sigma", LOBES),
-        ]
+        if self.options.scattering {
+            groups.push(GroupSpec::new("scatterer", self.scatterer().weights()));
+        }
+        if self.options.refined {
+            groups.push(GroupSpec::new("refiner", self.refiner().weights()));
+        }
+        groups
     }
 
     fn learning_rate(&self, group: &str, progress: f32) -> f32 {
@@ -201,6 +285,10 @@ impl SceneModel for Olat {
             "diffuse" => 1e-2,
             "frame" => 1e-2,
             "specular" | "lobe_weight" => from(SPECULAR_FROM, 1e-2),
+            "scattered" => from(SCATTERING_FROM, 1e-2),
+            "scatterer" => from(SCATTERING_FROM, 2e-3),
+            "refiner" => from(REFINED_FROM, 2e-3),
+            "code" => from(REFINED_FROM, 5e-3),
             _ => from(LOBES_FROM, 5e-3),
         }
     }
@@ -216,22 +304,27 @@ impl SceneModel for Olat {
     fn features(&self, context: &Context, seen: &Seen, out: &mut [f32]) {
         let (gaussians, lobes) = (&context.parameters.gaussians, self.lobes(&context.parameters.globals));
         let shows = self.options.shows;
+        let added = self.ask(context, seen);
         out.par_chunks_mut(seen.stride)
             .with_min_len(256)
             .enumerate()
             .for_each(|(s, feature)| {
                 let g = seen.projected.gaussian[s] as usize;
-                let lit = seen.transmittance[s];
+                let lit = added.lit[s];
                 // Without a light it is dark.
                 let Some(place) = self.place(context, g) else { return };
                 let surface = self.surface(gaussians, g);
                 let shaded = surface.shade(lobes.as_ref(), &place);
+                let scattered = added.scattered(self, gaussians, s, g);
                 for k in 0..COLOURS {
                     feature[k] = match shows {
-                        Component::All => (shaded.diffuse[k] + shaded.specular[k]) * lit * place.falling,
+                        Component::All | Component::Normal => {
+                            ((shaded.diffuse[k] + shaded.specular[k]) * lit + scattered[k]) * place.falling
+                        }
                         Component::Diffuse => shaded.diffuse[k] * place.falling,
                         Component::Specular => shaded.specular[k] * place.falling,
                         Component::Shadow => lit,
+                        Component::Scattering => scattered[k] * place.falling,
                     };
                 }
             });
@@ -246,7 +339,8 @@ impl SceneModel for Olat {
         d_transmittance: &mut [f32],
     ) {
         let (gaussians, lobes) = (&context.parameters.gaussians, self.lobes(&context.parameters.globals));
-        let parts: Vec<SurfaceGradient> = d_features
+        let added = self.ask(context, seen);
+        let mut parts: Vec<SurfaceGradient> = d_features
             .par_chunks(seen.stride)
             .with_min_len(256)
             .enumerate()
@@ -256,9 +350,10 @@ impl SceneModel for Olat {
                     return SurfaceGradient::default();
                 };
                 let surface = self.surface(gaussians, g);
-                surface.shade_backward(lobes.as_ref(), &place, seen.transmittance[s], [d[0], d[1], d[2]])
+                surface.shade_backward(lobes.as_ref(), &place, added.lit[s], [d[0], d[1], d[2]])
             })
             .collect();
+        self.ask_backward(context, seen, &added, d_features, (&mut parts, grads));
         for (slot, part) in d_transmittance.iter_mut().zip(&parts) {
             *slot += part.transmittance;
         }

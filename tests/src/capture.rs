@@ -114,3 +114,25 @@ pub fn engine_values(
     pass.backward(&d_maps, &mut grads);
     (values, grads)
 }
+
+/// A network of two hidden layers of `width` units, the inputs joined in front of the second; weights `[input][output]`, then biases.
+pub fn network(weights: &[f64], inputs: &[f64], width: usize, outputs: usize) -> Vec<f64> {
+    let mut from = 0;
+    let mut layer = |into: &[f64], outputs: usize| -> Vec<f64> {
+        let (start, bias) = (from, from + into.len() * outputs);
+        from = bias + outputs;
+        let weighed = |o: usize| {
+            into.iter()
+                .enumerate()
+                .map(move |(i, x)| x * weights[start + i * outputs + o])
+        };
+        (0..outputs)
+            .map(|o| weights[bias + o] + weighed(o).sum::<f64>())
+            .collect()
+    };
+    let rectified = |v: Vec<f64>| -> Vec<f64> { v.into_iter().map(|x| if x > 0.0 { x } else { 0.01 * x }).collect() };
+    let mut joined = rectified(layer(inputs, width));
+    joined.extend(inputs);
+    let last = rectified(layer(&joined, width));
+    layer(&last, outputs)
+}

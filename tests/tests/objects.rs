@@ -207,3 +207,113 @@ fn lights_of_a_capture_are_recognised_learnt_and_changed() {
     let line = fault(&["relight", &run_text, "--out", &lit_text, "--sun", "10,20"], 2);
     assert!(line.contains("--light"), "{line}");
 }
+
+#[test]
+fn a_reflective_model_is_planned_trained_relit_and_exported() {
+    let (capture, home) = (
+        tempdir().expect("a temporary folder"),
+        tempdir().expect("a temporary folder"),
+    );
+    let out = capture.path().display().to_string();
+    let arguments = [
+        "synth",
+        "reflective",
+        "--look",
+        "glossy",
+        "--out",
+        &out,
+        "--views",
+        "18",
+        "--size",
+        "48",
+        "--paths",
+        "9",
+        "--seed",
+        "2",
+    ];
+    let made = json(&arguments);
+    assert!(made["noise_floor_db"].as_f64().is_some_and(|db| db > 20.0));
+
+    // Short fits are made, and what they say is what is done.
+    let planned = home.path().join("planned");
+    let short = ["--set", "train.iterations=60", "--set", "model.pilot_steps=60"];
+    let metrics = train(capture.path(), &planned, &short);
+    let trials = metrics
+        .pointer("/plan/trials")
+        .and_then(Value::as_array)
+        .expect("trials");
+    let psnr = |n: usize| trials[n]["psnr_db"].as_f64().expect("a score");
+    let kind = if psnr(1) - psnr(0) >= 0.3 {
+        "reflective"
+    } else {
+        "radiance"
+    };
+    assert_eq!((trials.len(), &metrics["model"]), (2, &json!(kind)));
+    let text = std::fs::read_to_string(planned.join("run.toml")).expect("text");
+    assert!(text.contains("[plan]") && text.contains("short fits"), "{text}");
+
+    let run = home.path().join("run");
+    let told = ["--set", "train.iterations=250", "--set", "model.kind=reflective"];
+    let metrics = train(capture.path(), &run, &told);
+    let number = |at: &str| metrics.pointer(at).and_then(Value::as_f64).expect("a number");
+    assert!(number("/test/psnr") > 20.0, "{}", number("/test/psnr"));
+    assert!(
+        number("/test/normals/mean_deg") < 40.0,
+        "{}",
+        number("/test/normals/mean_deg")
+    );
+
+    // Under other surroundings: black but for one place.
+    let (run_text, sky) = (run.display().to_string(), home.path().join("sky.png"));
+    let mut picture = image::RgbImage::new(32, 16);
+    (10..20).for_each(|x| picture.put_pixel(x, 3, image::Rgb([255; 3])));
+    picture.save(&sky).expect("written");
+    let lit = home.path().join("lit.png");
+    let (sky, lit_text) = (sky.display().to_string(), lit.display().to_string());
+    let relight = [
+        "relight",
+        &run_text,
+        "--surroundings",
+        &sky,
+        "--samples",
+        "8",
+        "--view",
+        "test/r_000",
+        "--out",
+    ];
+    json(&[&relight[..], &[&lit_text]].concat());
+    let bright = |picture: &Path| {
+        let picture = image::open(picture).expect("a picture").to_rgb8();
+        picture.pixels().filter(|p| p.0 != [255; 3] && p.0[1] > 20).count()
+    };
+    assert!(bright(&lit) > 20);
+
+    // The model alone shows the same images, to the byte; splats have the columns of viewers and no others.
+    let (asset, splats) = (home.path().join("asset"), home.path().join("splats.ply"));
+    let (asset_text, splats_text) = (asset.display().to_string(), splats.display().to_string());
+    let export = [
+        "export",
+        &run_text,
+        "--asset",
+        &asset_text,
+        "--ply",
+        &splats_text,
+        "--toward",
+        "0,0,1",
+    ];
+    json(&export);
+    let rendered = |folder: &str, name: &str| {
+        let to = home.path().join(name);
+        json(&["render", folder, "--out", &to.display().to_string()]);
+        std::fs::read(to.join("test_r_004.png")).expect("a picture")
+    };
+    assert!(rendered(&run_text, "of_run") == rendered(&asset_text, "of_asset"));
+    let bytes = std::fs::read(&splats).expect("splats");
+    let header = String::from_utf8_lossy(&bytes[..bytes.len().min(4000)]).into_owned();
+    assert!(header.contains("property float f_rest_44\n") && !header.contains("albedo"));
+    let line = fault(
+        &["export", &home.path().display().to_string(), "--asset", &asset_text],
+        2,
+    );
+    assert!(line.contains("no run on an object"), "{line}");
+}

@@ -10,7 +10,7 @@ use heliosplat::model::{Context, Parameters, SceneModel};
 use heliosplat::render::Lit;
 use heliosplat::trace::{Occluders, TraceOptions, transmittance};
 use heliosplat_tests::capture::{
-    BANDS, Flat, SIZE, camera, engine_values, flat, reference_gaussians, reference_values, scatter,
+    BANDS, Flat, SIZE, camera, engine_values, flat, network, reference_gaussians, reference_values, scatter,
 };
 use heliosplat_tests::reference;
 use nalgebra::{Matrix3, Quaternion, UnitQuaternion, Vector3};
@@ -20,6 +20,7 @@ use std::f64::consts::PI;
 
 const DISTANCE: f64 = 3.0;
 const RADIUS: f64 = 0.5;
+const HALF_SIZE: f64 = 1.3;
 
 struct Case {
     parameters: Parameters,
@@ -30,11 +31,16 @@ struct Case {
     functional: Vec<f64>,
 }
 
-fn case(seed: u64, specular: bool) -> Case {
+fn case(seed: u64, specular: bool, networks: bool) -> Case {
     let mut random = Pcg32::seed_from_u64(seed);
     let mut uniform = |lo: f32, hi: f32| lo + (hi - lo) * random.random::<f32>();
     let model = Olat::new(OlatOptions {
         specular,
+        scattering: networks,
+        refined: networks,
+        width: 16,
+        hidden: 2,
+        half_size: HALF_SIZE as f32,
         coverage: true,
         background: [0.1, 0.0, 0.3],
         distance: DISTANCE as f32,
@@ -125,6 +131,62 @@ fn reflected(case: &Case, gaussians: &Flat, globals: &Flat, i: usize) -> Vec<f64
         .collect()
 }
 
+/// A vector as networks are told of it.
+fn told(v: &Vector3<f64>) -> Vec<f64> {
+    v.iter()
+        .flat_map(|x| [*x, x.sin(), x.cos(), (2.0 * x).sin(), (2.0 * x).cos()])
+        .collect()
+}
+
+/// The directions to light and eye, and what networks read of Gaussian `i` besides them.
+fn around(case: &Case, gaussians: &Flat, i: usize) -> (Vector3<f64>, Vector3<f64>, Vector3<f64>, Vec<f64>) {
+    let position = Vector3::from_row_slice(&gaussians[POSITION][i * 3..i * 3 + 3]);
+    let code = gaussians[case.model.code_group()][i * 6..i * 6 + 6].to_vec();
+    let (to_light, to_eye) = (case.light - position, case.eye - position);
+    (position / HALF_SIZE, to_light.normalize(), to_eye.normalize(), code)
+}
+
+/// What scatters out of Gaussian `i`: the dipole as printed, with what the network predicts.
+fn scattered(case: &Case, gaussians: &Flat, globals: &Flat, i: usize) -> Vec<f64> {
+    let (place, to_light, to_eye, code) = around(case, gaussians, i);
+    let normal = rotation(&gaussians[FRAME][i * 4..i * 4 + 4]).column(2).into_owned();
+    let inputs = [
+        told(&place),
+        told(&to_light),
+        told(&to_eye),
+        normal.as_slice().to_vec(),
+        code,
+    ]
+    .concat();
+    let at = if case.model.options.specular { 3 } else { 0 };
+    let out = network(&globals[at], &inputs, 16, 3);
+    let (r, s, a) = (
+        3.0 * sigmoid(out[0]) + 0.1,
+        2.0 * sigmoid(out[1]) + 0.05,
+        2.0 * sigmoid(out[2]) + 0.05,
+    );
+    let (t, transport) = (s + a, (3.0 * a * (s + a)).sqrt());
+    let pole = |z: f64| {
+        let d = r.hypot(z);
+        z * (1.0 + transport * d) * (-transport * d).exp() / d.powi(3)
+    };
+    let profile = s / t / (4.0 * PI) * (pole(1.0 / t) + pole((1.0 + 4.0 / 3.0 * 2.602_064) / t));
+    let position = Vector3::from_row_slice(&gaussians[POSITION][i * 3..i * 3 + 3]);
+    let falling = DISTANCE * DISTANCE / ((case.light - position).norm_squared() + RADIUS * RADIUS);
+    let colours = &gaussians[case.model.code_group() + 1][i * 3..i * 3 + 3];
+    colours.iter().map(|&c| softplus(c) * profile * falling).collect()
+}
+
+/// A shadow as the network refines it.
+fn refined(case: &Case, gaussians: &Flat, globals: &Flat, i: usize, transmittance: f64) -> f64 {
+    let (place, to_light, _, code) = around(case, gaussians, i);
+    let inputs = [told(&place), told(&to_light), code, vec![transmittance]].concat();
+    let at = if case.model.options.specular { 4 } else { 1 };
+    let moved = network(&globals[at], &inputs, 16, 1)[0];
+    let t = transmittance.clamp(0.02, 0.98);
+    sigmoid((t / (1.0 - t)).ln() + moved)
+}
+
 /// The image's values, pixel after pixel: red, green, blue, coverage.
 fn reference_of(case: &Case, flat: &Flat, globals: &Flat) -> Vec<f64> {
     let mut gaussians = reference_gaussians(flat);
@@ -132,10 +194,17 @@ fn reference_of(case: &Case, flat: &Flat, globals: &Flat) -> Vec<f64> {
         .map(|i| reference::transmittance_to_point(&gaussians, i, &case.light))
         .collect();
     for (i, gaussian) in gaussians.iter_mut().enumerate() {
-        gaussian.albedo = reflected(case, flat, globals, i)
-            .into_iter()
-            .map(|c| c * lit[i])
-            .collect();
+        let networks = case.model.options.scattering;
+        let lit = if networks {
+            refined(case, flat, globals, i, lit[i])
+        } else {
+            lit[i]
+        };
+        gaussian.albedo = reflected(case, flat, globals, i).into_iter().map(|c| c * lit).collect();
+        if networks {
+            let more = scattered(case, flat, globals, i);
+            gaussian.albedo.iter_mut().zip(more).for_each(|(sum, c)| *sum += c);
+        }
     }
     reference_values(&gaussians, &case.camera, case.model.options.background)
 }
@@ -159,7 +228,7 @@ fn engine(case: &Case) -> (Vec<f64>, Parameters) {
 fn transmittance_to_a_point_light_is_that_of_the_f64_reference() {
     let mut shaded = 0;
     for seed in 0..6 {
-        let case = case(seed, false);
+        let case = case(seed, false, false);
         let table = &case.parameters.gaussians;
         let gaussians = reference_gaussians(&flat(table));
         let origins: Vec<u32> = (0..table.count as u32).collect();
@@ -180,8 +249,8 @@ fn transmittance_to_a_point_light_is_that_of_the_f64_reference() {
 
 #[test]
 fn values_match_the_f64_form() {
-    for (seed, specular) in [(0, false), (1, true), (2, true)] {
-        let case = case(seed, specular);
+    for (seed, specular, networks) in [(0, false, false), (1, true, false), (2, true, true), (3, false, true)] {
+        let case = case(seed, specular, networks);
         let (engine, _) = engine(&case);
         let (gaussians, globals) = (flat(&case.parameters.gaussians), flat(&case.parameters.globals));
         let reference = reference_of(&case, &gaussians, &globals);
@@ -226,6 +295,12 @@ fn check_gradients(case: &Case) {
 
 #[test]
 fn gradients_match_central_differences_of_the_f64_form() {
-    check_gradients(&case(11, true));
-    check_gradients(&case(12, false));
+    check_gradients(&case(11, true, false));
+    check_gradients(&case(12, false, false));
+}
+
+#[test]
+fn gradients_of_scattering_and_of_refined_shadows_match_central_differences_of_the_f64_form() {
+    check_gradients(&case(13, true, true));
+    check_gradients(&case(14, false, true));
 }

@@ -28,6 +28,7 @@ fn views(site: &Site) -> Vec<View> {
             light: Some(site.sun),
             appearance: 0,
             weight: vec![1.0; width * height],
+            lit: None,
             image,
         }
     };

@@ -30,6 +30,15 @@ pub(crate) struct Gloss {
     pub(crate) head_on: Colour,
 }
 
+/// What scatters under a surface, the same in all directions.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Medium {
+    /// Times that light is scattered or absorbed per length.
+    pub(crate) extinction: f64,
+    /// Share of them at which it is scattered.
+    pub(crate) albedo: Colour,
+}
+
 /// What a part is made of.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Material {
@@ -38,6 +47,8 @@ pub(crate) struct Material {
     pub(crate) gloss: Option<Gloss>,
     /// A metal has no base.
     pub(crate) metal: bool,
+    /// Light enters a part with a medium and comes out of it elsewhere; it has no base.
+    pub(crate) medium: Option<Medium>,
 }
 
 /// A surface at one point: its frame, its base and its lobe.
@@ -47,6 +58,7 @@ pub(crate) struct Surface {
     pub(crate) tangent: Vector3<f64>,
     pub(crate) base: Colour,
     pub(crate) gloss: Option<Gloss>,
+    pub(crate) medium: Option<Medium>,
 }
 
 impl Material {
@@ -80,8 +92,13 @@ impl Material {
         Surface {
             normal,
             tangent,
-            base: if self.metal { Colour::zeros() } else { colour },
+            base: if self.metal || self.medium.is_some() {
+                Colour::zeros()
+            } else {
+                colour
+            },
             gloss,
+            medium: self.medium,
         }
     }
 }
@@ -93,6 +110,17 @@ pub(crate) fn across(n: &Vector3<f64>) -> Vector3<f64> {
 }
 
 impl Surface {
+    /// A white, matte surface: how light leaves a medium.
+    pub(crate) fn white(normal: Vector3<f64>) -> Self {
+        Self {
+            normal,
+            tangent: across(&normal),
+            base: Colour::repeat(1.0),
+            gloss: None,
+            medium: None,
+        }
+    }
+
     /// A direction's components along tangent, bitangent and normal.
     fn local(&self, v: &Vector3<f64>) -> Vector3<f64> {
         let bitangent = self.normal.cross(&self.tangent);
@@ -195,6 +223,7 @@ mod tests {
             tangent: across(&normal),
             base: Colour::repeat(base),
             gloss,
+            medium: None,
         }
     }
 

@@ -22,6 +22,8 @@ pub enum Look {
     Brushed,
     /// A colour under a clear coat.
     Glossy,
+    /// Wax: light enters and comes out elsewhere.
+    Translucent,
 }
 
 /// A capture to make.

@@ -1,6 +1,6 @@
 //! What stands on the stage, and from where it is looked at and lit.
 
-use super::material::{Colour, Gloss, Material, Pattern};
+use super::material::{Colour, Gloss, Material, Medium, Pattern};
 use super::request::{Capture, Look, ObjectRequest};
 use super::shape::{Shape, Solid};
 use super::trace::{Lamp, Part, Sky, Stage};
@@ -87,6 +87,7 @@ fn parts(look: Look, dice: &mut Dice) -> Vec<Part> {
         pattern,
         gloss: None,
         metal: false,
+        medium: None,
     };
     let special = |dice: &mut Dice, pattern| {
         let base = matte(dice, pattern);
@@ -95,7 +96,7 @@ fn parts(look: Look, dice: &mut Dice) -> Vec<Part> {
             Look::Glossy => Material {
                 pattern: Pattern::Spots(0.9),
                 gloss: Some(Gloss {
-                    alpha: [0.12; 2],
+                    alpha: [0.08; 2],
                     head_on: Colour::repeat(0.05),
                 }),
                 ..base
@@ -108,6 +109,16 @@ fn parts(look: Look, dice: &mut Dice) -> Vec<Part> {
                     head_on: Colour::zeros(),
                 }),
                 metal: true,
+                ..base
+            },
+            Look::Translucent => Material {
+                pattern: Pattern::Plain,
+                medium: Some(Medium {
+                    extinction: 16.0,
+                    // Of many turns, little colour makes much.
+                    albedo: base.colours[0].map(|c| 0.9 + 0.09 * c),
+                }),
+                ..base
             },
         }
     };
@@ -188,8 +199,9 @@ fn sky(capture: Capture, dice: &mut Dice) -> (Sky, Vec<Lamp>) {
                 let toward = direction(f64::from(i) * 2.4 + dice.between(-0.3, 0.3), dice.between(-0.2, 1.2));
                 (
                     toward,
-                    dice.between(12.0, 60.0),
-                    (dice.colour() + grey(0.3)) * dice.between(1.0, 2.5),
+                    // Lamps and windows: far brighter than what is around them, or nobody would see a clear coat.
+                    dice.between(40.0, 200.0),
+                    (dice.colour() + grey(0.3)) * dice.between(4.0, 12.0),
                 )
             });
             let shades = [Colour::new(0.5, 0.55, 0.65), Colour::new(0.5, 0.42, 0.35), grey(0.15)];

@@ -1,17 +1,28 @@
 //! A path tracer: light gathered along random paths, with the lamps asked for directly at every turn.
 
-use super::material::{Colour, Material, Surface};
+use super::material::{Colour, Material, Surface, across};
 use super::shape::Solid;
 use crate::raytrace::Ray;
 use nalgebra::{Vector2, Vector3};
 use rand::RngExt;
 use rand_pcg::Pcg32;
+use std::f64::consts::PI;
 
 /// Turns of a path.
 const BOUNCES: usize = 3;
 /// Least width of lobes behind the first turn of a path: light that gloss throws on other surfaces is blurred, for a path finds a
 /// sharp reflection of a lamp once in a thousand and then as a speck (Kaplanyan and Dachsbacher 2013).
 const LEAST_ALPHA: f64 = 0.5;
+
+/// Most turns of a walk through a medium.
+const LONGEST_WALK: usize = 400;
+
+/// Where a walk through a medium left it, and what is left of it.
+struct Left {
+    point: Vector3<f64>,
+    normal: Vector3<f64>,
+    weight: Colour,
+}
 
 /// A lamp.
 #[derive(Debug, Clone, Copy)]
@@ -32,15 +43,53 @@ pub(crate) struct Sky {
 }
 
 impl Sky {
-    /// Light from a unit direction.
-    pub(crate) fn light(&self, from: &Vector3<f64>) -> Colour {
+    /// Light from a unit direction, without that of the patches.
+    fn smooth(&self, from: &Vector3<f64>) -> Colour {
         let (up, down) = (from.z.max(0.0), (-from.z).max(0.0));
         let [above, level, below] = self.shades;
-        let smooth = above * up + below * down + level * (1.0 - up - down);
+        above * up + below * down + level * (1.0 - up - down)
+    }
+
+    /// Light of the patches from a unit direction.
+    fn glow(&self, from: &Vector3<f64>) -> Colour {
         let glow = |(toward, sharpness, peak): &(Vector3<f64>, f64, Colour)| {
             *peak * (sharpness * (toward.dot(from) - 1.0)).exp()
         };
-        self.patches.iter().map(glow).fold(smooth, |sum, light| sum + light)
+        self.patches.iter().map(glow).sum()
+    }
+
+    /// How often each patch is asked: by the light it sends.
+    fn shares(&self) -> impl Iterator<Item = f64> {
+        let power = |(_, sharpness, peak): &(Vector3<f64>, f64, Colour)| peak.sum() / sharpness;
+        let all: f64 = self.patches.iter().map(power).sum();
+        self.patches.iter().map(move |patch| power(patch) / all)
+    }
+
+    /// Probability per solid angle with which [`Self::toward_patch`] gives a unit direction (von Mises and Fisher's density).
+    fn density(&self, from: &Vector3<f64>) -> f64 {
+        let density = |((toward, sharpness, _), share): (&(Vector3<f64>, f64, Colour), f64)| {
+            let peak = sharpness / (2.0 * PI * -(-2.0 * sharpness).exp_m1());
+            share * peak * (sharpness * (toward.dot(from) - 1.0)).exp()
+        };
+        self.patches.iter().zip(self.shares()).map(density).sum()
+    }
+
+    /// A direction from which patches shine, from three numbers in [0, 1); `None` without patches.
+    fn toward_patch(&self, mut choice: f64, u: Vector2<f64>) -> Option<Vector3<f64>> {
+        let mut chosen = self.patches.last()?;
+        for (patch, share) in self.patches.iter().zip(self.shares()) {
+            if choice < share {
+                chosen = patch;
+                break;
+            }
+            choice -= share;
+        }
+        let (toward, sharpness, _) = chosen;
+        let up = 1.0 + (u.x + (1.0 - u.x) * (-2.0 * sharpness).exp()).ln() / sharpness;
+        let (azimuth, sine) = (2.0 * PI * u.y, (1.0 - up * up).max(0.0).sqrt());
+        let side = across(toward);
+        let turned = side * azimuth.cos() + toward.cross(&side) * azimuth.sin();
+        Some((toward * up + turned * sine).normalize())
     }
 }
 
@@ -66,20 +115,22 @@ pub(crate) struct Seen {
     pub(crate) light: Colour,
     /// Unit normal of the surface.
     pub(crate) normal: Vector3<f64>,
+    /// The part of the object, by number.
+    pub(crate) part: usize,
 }
 
 impl Stage {
-    fn first(&self, ray: &Ray) -> Option<(Vector3<f64>, Surface)> {
-        let mut nearest: Option<(f64, Vector3<f64>, Surface)> = None;
-        for part in &self.parts {
+    fn first(&self, ray: &Ray) -> Option<(Vector3<f64>, Surface, usize)> {
+        let mut nearest: Option<(f64, Vector3<f64>, Surface, usize)> = None;
+        for (number, part) in self.parts.iter().enumerate() {
             let limit = nearest.as_ref().map_or(f64::INFINITY, |n| n.0);
             if let Some(hit) = part.solid.meet(ray, limit) {
                 let own_up = part.solid.own_from_world.row(2).transpose();
                 let surface = part.material.at(&hit.own, hit.normal, own_up);
-                nearest = Some((hit.distance, ray.at(hit.distance), surface));
+                nearest = Some((hit.distance, ray.at(hit.distance), surface, number));
             }
         }
-        nearest.map(|(_, point, surface)| (point, surface))
+        nearest.map(|(_, point, surface, number)| (point, surface, number))
     }
 
     fn blocked(&self, ray: &Ray, limit: f64) -> bool {
@@ -110,17 +161,94 @@ impl Stage {
         sum
     }
 
+    /// Light of one direction from which a patch shines, weighed against the chance that the path goes there by itself (balance
+    /// heuristic, Veach and Guibas 1995).
+    fn patch_at(
+        &self,
+        point: &Vector3<f64>,
+        surface: &Surface,
+        to_eye: &Vector3<f64>,
+        choice: f64,
+        u: Vector2<f64>,
+    ) -> Colour {
+        let Some(toward) = self.sky.toward_patch(choice, u) else {
+            return Colour::zeros();
+        };
+        let cosine = surface.normal.dot(&toward);
+        let ray = Ray {
+            origin: *point,
+            direction: toward,
+        };
+        if cosine <= 0.0 || self.blocked(&ray, f64::INFINITY) {
+            return Colour::zeros();
+        }
+        let density = self.sky.density(&toward) + surface.density(&toward, to_eye);
+        surface.reflect(&toward, to_eye).component_mul(&self.sky.glow(&toward)) * (cosine / density.max(1e-12))
+    }
+
+    /// A random walk through the medium of a part, from the surface inward until it leaves: light that comes out here went in there,
+    /// for the way back is as likely. Both ways through the surface are matte, and nothing is turned back inside. `None` when next to
+    /// nothing is left.
+    fn wander(&self, part: usize, point: &Vector3<f64>, surface: &Surface, random: &mut Pcg32) -> Option<Left> {
+        let (part, medium) = (&self.parts[part], surface.medium?);
+        let inward = Surface::white(-surface.normal);
+        let u = Vector2::new(random.random(), random.random());
+        let mut ray = Ray {
+            origin: *point,
+            direction: inward.sample(&-surface.normal, 1.0, u)?,
+        };
+        let mut weight = Colour::repeat(1.0);
+        for _ in 0..LONGEST_WALK {
+            let distance = -(1.0 - random.random::<f64>()).ln() / medium.extinction;
+            if let Some(hit) = part.solid.meet(&ray, distance) {
+                let normal = if hit.normal.dot(&ray.direction) < 0.0 {
+                    -hit.normal
+                } else {
+                    hit.normal
+                };
+                return Some(Left {
+                    point: ray.at(hit.distance),
+                    normal,
+                    weight,
+                });
+            }
+            weight.component_mul_assign(&medium.albedo);
+            if weight.max() < 1e-3 {
+                return None;
+            }
+            let (up, azimuth) = (2.0 * random.random::<f64>() - 1.0, 2.0 * PI * random.random::<f64>());
+            let sine = (1.0 - up * up).sqrt();
+            ray = Ray {
+                origin: ray.at(distance),
+                direction: Vector3::new(sine * azimuth.cos(), sine * azimuth.sin(), up),
+            };
+        }
+        None
+    }
+
     /// Follows one path from the camera; `None` when it meets nothing.
     pub(crate) fn look(&self, ray: &Ray, random: &mut Pcg32) -> Option<Seen> {
-        let (mut point, mut surface) = self.first(ray)?;
-        let normal = surface.normal;
+        let (mut point, mut surface, part) = self.first(ray)?;
+        let (normal, mut within) = (surface.normal, part);
         let (mut light, mut weight) = (Colour::zeros(), Colour::repeat(1.0));
         let mut to_eye = -ray.direction;
         for bounce in 0..=BOUNCES {
+            if surface.medium.is_some() {
+                let Some(left) = self.wander(within, &point, &surface, random) else {
+                    break;
+                };
+                weight.component_mul_assign(&left.weight);
+                (point, surface) = (left.point, Surface::white(left.normal));
+                to_eye = left.normal;
+            }
             light += weight.component_mul(&self.lamps_at(&point, &surface, &to_eye));
             let (choice, u) = (random.random::<f64>(), Vector2::new(random.random(), random.random()));
             if bounce == BOUNCES {
                 break;
+            }
+            if !self.sky.patches.is_empty() {
+                let (choice, u) = (random.random::<f64>(), Vector2::new(random.random(), random.random()));
+                light += weight.component_mul(&self.patch_at(&point, &surface, &to_eye, choice, u));
             }
             let Some(onward) = surface.sample(&to_eye, choice, u) else {
                 break;
@@ -137,20 +265,25 @@ impl Stage {
             };
             match self.first(&ray) {
                 None => {
-                    light += weight.component_mul(&self.sky.light(&onward));
+                    let own = density / (density + self.sky.density(&onward)).max(1e-12);
+                    let arriving = self.sky.smooth(&onward) + self.sky.glow(&onward) * own;
+                    light += weight.component_mul(&arriving);
                     break;
                 }
-                Some((met, next)) => (point, surface) = (met, next.blurred(LEAST_ALPHA)),
+                Some((met, next, part)) => {
+                    (point, surface) = (met, next.blurred(LEAST_ALPHA));
+                    within = part;
+                }
             }
             to_eye = -onward;
         }
-        Some(Seen { light, normal })
+        Some(Seen { light, normal, part })
     }
 }
 
 #[cfg(test)]
 mod tests {
-    use super::super::material::Pattern;
+    use super::super::material::{Medium, Pattern};
     use super::super::shape::Shape;
     use super::*;
     use nalgebra::Matrix3;
@@ -169,6 +302,7 @@ mod tests {
                 pattern: Pattern::Plain,
                 gloss: None,
                 metal: false,
+                medium: None,
             },
         }
     }
@@ -195,6 +329,62 @@ mod tests {
             },
         };
         assert!((look(&stage, 0.3).x - 0.4).abs() < 1e-6);
+    }
+
+    #[test]
+    fn a_matte_ball_under_patches_shows_their_irradiance() {
+        // A patch straight above: ∫ s-lobe (n·l) dl in closed form for n along it, times albedo over pi; another below is not seen.
+        let sharpness: f64 = 20.0;
+        let floor = Shape::Box {
+            half: Vector3::new(5.0, 5.0, 0.5),
+        };
+        let patch = |z: f64| (Vector3::z() * z, sharpness, Colour::repeat(3.0));
+        let stage = Stage {
+            parts: vec![matte(floor, Vector3::new(0.0, 0.0, -0.5))],
+            lamps: Vec::new(),
+            sky: Sky {
+                shades: [Colour::zeros(); 3],
+                patches: vec![patch(1.0), patch(-1.0)],
+            },
+        };
+        // ∫₀¹ c e^(s(c-1)) dc = 1/s - (1 - e^-s)/s².
+        let lobe = 1.0 / sharpness - (1.0 - (-sharpness).exp()) / (sharpness * sharpness);
+        let expected = 0.5 / PI * 3.0 * 2.0 * PI * lobe;
+        let found = look(&stage, 0.0).x;
+        assert!((found - expected).abs() < 0.02 * expected, "{found} {expected}");
+    }
+
+    #[test]
+    fn light_comes_out_of_the_dark_side_of_a_translucent_ball_and_none_is_made() {
+        let mut ball = matte(Shape::Sphere { radius: 1.0 }, Vector3::zeros());
+        ball.material.medium = Some(Medium {
+            extinction: 4.0,
+            albedo: Colour::new(1.0, 0.9, 0.5),
+        });
+        let even = Stage {
+            parts: vec![ball],
+            lamps: Vec::new(),
+            sky: Sky {
+                shades: [Colour::repeat(0.8); 3],
+                patches: Vec::new(),
+            },
+        };
+        // Where nothing is absorbed, an even sky is all that is seen; where something is, less.
+        let seen = look(&even, 0.3);
+        assert!(
+            (seen.x - 0.8).abs() < 0.01 && seen.y < 0.75 && seen.z < seen.y,
+            "{seen}"
+        );
+        let below = Stage {
+            lamps: vec![Lamp::Sun {
+                toward: -Vector3::z(),
+                strength: Colour::repeat(1.0),
+            }],
+            sky: Sky::default(),
+            ..even
+        };
+        let through = look(&below, 0.3);
+        assert!(through.x > 0.005 && through.z < through.x, "{through}");
     }
 
     #[test]

@@ -117,7 +117,7 @@ pub struct RelightArgs {
     #[arg(long, value_name = "FILE")]
     pub out: PathBuf,
     /// Azimuth (clockwise from north) and elevation of the sun, degrees
-    #[arg(long, value_parser = parse::pair, allow_hyphen_values = true, value_name = "AZ,EL", required_unless_present_any = ["time", "light", "toward"], conflicts_with = "time")]
+    #[arg(long, value_parser = parse::pair, allow_hyphen_values = true, value_name = "AZ,EL", required_unless_present_any = ["time", "light", "toward", "surroundings"], conflicts_with = "time")]
     pub sun: Option<[f64; 2]>,
     /// The sun of this moment, RFC 3339
     #[arg(long, value_parser = parse::time, value_name = "RFC3339")]
@@ -128,6 +128,12 @@ pub struct RelightArgs {
     /// Parallel light for an object: the direction it comes from; several add up
     #[arg(long, value_parser = parse::triple, allow_hyphen_values = true, value_name = "X,Y,Z", conflicts_with_all = ["sun", "time"])]
     pub toward: Vec<[f64; 3]>,
+    /// Light from all around an object: an image of all directions (PNG, JPEG or EXR), up at the top, +x in the middle
+    #[arg(long, value_name = "FILE", conflicts_with_all = ["sun", "time"])]
+    pub surroundings: Option<PathBuf>,
+    /// Lamps that stand for the light from all around
+    #[arg(long, value_name = "N", default_value_t = 128, requires = "surroundings")]
+    pub samples: usize,
     /// From above (nadir), or as the image of this name saw it; of an object the first image if nothing is said
     #[arg(long, value_name = "nadir|NAME", default_value = "nadir")]
     pub view: String,

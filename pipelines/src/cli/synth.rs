@@ -81,6 +81,8 @@ enum LookName {
     Brushed,
     /// A colour under a clear coat
     Glossy,
+    /// Wax: light enters and comes out elsewhere
+    Translucent,
 }
 
 #[derive(Debug, Clone, Copy, ValueEnum)]
@@ -137,6 +139,7 @@ impl SynthArgs {
                 LookName::Matte => Look::Matte,
                 LookName::Brushed => Look::Brushed,
                 LookName::Glossy => Look::Glossy,
+                LookName::Translucent => Look::Translucent,
             },
             seed: self.seed,
             views: self.views,
@@ -192,13 +195,14 @@ fn object(request: &ObjectRequest, out: &Path, session: &Session) -> Result<Outc
     let summary = write_object(request, out, &|done, _| bar.set(done as u64))?;
     Ok(Outcome {
         text: format!(
-            "{}: {} images to train with, {} held out ({} under lamps far from those of training), {} pixels wide, {:.0} % covered",
+            "{}: {} images to train with, {} held out ({} under lamps far from those of training), {} pixels wide, {:.0} % covered, noise of the held-out images {:.1} dB",
             out.display(),
             summary.train,
             summary.test,
             summary.far,
             summary.size_px,
-            100.0 * summary.coverage
+            100.0 * summary.coverage,
+            summary.noise_floor_db
         ),
         json: serde_json::json!(summary),
     })

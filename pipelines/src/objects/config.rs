@@ -38,12 +38,15 @@ pub enum Background {
 #[derive(Debug, Clone, Copy, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum ModelKind {
-    /// `olat` where every image has a light and they are in different places, else `radiance`.
+    /// `olat` where every image has a light and they are in different places; else `reflective` where short fits show that gloss is
+    /// needed, and `radiance` where not.
     Auto,
     /// Colours as seen from anywhere, under the light of the photographs.
     Radiance,
     /// What surfaces reflect of one light at a time.
     Olat,
+    /// Glossy surfaces in surroundings that stay.
+    Reflective,
 }
 
 /// The model.
@@ -52,14 +55,32 @@ pub enum ModelKind {
 pub struct ModelOptions {
     /// Which one.
     pub kind: ModelKind,
-    /// Whether surfaces are glossy, in `olat`.
+    /// Whether surfaces may be glossy: they are where that is needed, see [`super::plan`], or where `kind` says the model.
     pub specular: bool,
+    /// Whether light may scatter under surfaces, in `olat`; as for gloss.
+    pub scattering: bool,
+    /// Whether a network refines shadows, in `olat`.
+    pub refined_shadow: bool,
+    /// Units of the hidden layers of the networks of `olat`.
+    pub network_width: usize,
+    /// Their hidden layers.
+    pub network_layers: usize,
     /// Whether the light that reaches surfaces is traced, in `olat`.
     pub shadow: bool,
     /// Radius of the lights, in `olat`, in the capture's units.
     pub light_radius: f32,
     /// Largest degree of the spherical harmonics, 0 to 3.
     pub sh_degree: usize,
+    /// Units of the hidden layers of the network that says what glossy surfaces mirror, in `reflective`.
+    pub decoder_width: usize,
+    /// Its hidden layers.
+    pub decoder_layers: usize,
+    /// How much the normals of surfaces agree with those of the depth, in `reflective`.
+    pub normal_weight: f32,
+    /// Decibels on images kept aside by which a part must help in a short fit to be taken; see [`super::plan`].
+    pub least_gain_db: f64,
+    /// Steps of such a fit; 0 leaves parts as the configuration says.
+    pub pilot_steps: usize,
     /// What is behind the object.
     pub background: Background,
 }
@@ -69,9 +90,18 @@ impl Default for ModelOptions {
         Self {
             kind: ModelKind::Auto,
             specular: true,
+            scattering: true,
+            refined_shadow: false,
+            network_width: 32,
+            network_layers: 2,
             shadow: true,
             light_radius: 0.0,
             sh_degree: 3,
+            decoder_width: 32,
+            decoder_layers: 2,
+            normal_weight: 0.05,
+            least_gain_db: 0.3,
+            pilot_steps: 300,
             background: Background::Auto,
         }
     }

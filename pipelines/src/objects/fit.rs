@@ -3,6 +3,7 @@
 use super::capture::{Capture, Frame};
 use super::config::{ModelKind, ObjectConfig};
 use super::pixels::Encoding;
+use super::plan::{self, Plan};
 use super::run::{self, Kind, ObjectModel};
 use super::start::{self, Seed, Start};
 use super::views::{self, Preparation};
@@ -15,6 +16,7 @@ use glam::{Quat, Vec3};
 use heliosplat::gaussians::Table;
 use heliosplat::model::olat::{Component, Olat, OlatOptions};
 use heliosplat::model::radiance::{Radiance, RadianceOptions};
+use heliosplat::model::reflective::{Reflective, ReflectiveOptions};
 use heliosplat::model::{Parameters, SceneModel, View};
 use heliosplat::train::Trainer;
 use std::f32::consts::PI;
@@ -27,6 +29,8 @@ const SLACK: f32 = 1.1;
 pub struct Fitted {
     /// The model.
     pub model: ObjectModel,
+    /// What was fitted, and why.
+    pub plan: Plan,
     /// How Gaussians started, in words.
     pub start: &'static str,
     /// How many did.
@@ -41,24 +45,6 @@ pub struct Fitted {
     pub curve: Vec<CurvePoint>,
     /// How training ended.
     pub ending: Ending,
-}
-
-/// Which model explains a capture, and why.
-pub fn plan(capture: &Capture, wanted: ModelKind) -> (ModelKind, &'static str) {
-    if wanted != ModelKind::Auto {
-        return (wanted, "as told");
-    }
-    let lights: Vec<_> = capture
-        .of(Split::Train)
-        .map(|f| f.light.map(|light| light.position))
-        .collect();
-    match lights.first() {
-        Some(first) if lights.iter().all(Option::is_some) && lights.iter().any(|light| light != first) => (
-            ModelKind::Olat,
-            "every image has a light, and they are in different places",
-        ),
-        _ => (ModelKind::Radiance, "the images do not have lights in different places"),
-    }
 }
 
 /// What the images of `capture` are made for a model of `kind`.
@@ -93,6 +79,9 @@ fn begin(
     let Preparation {
         background, coverage, ..
     } = *preparation;
+    if kind == ModelKind::Reflective {
+        return begin_reflective(capture, config, preparation, start);
+    }
     if kind != ModelKind::Olat {
         let options = RadianceOptions {
             degree: config.model.sh_degree,
@@ -118,6 +107,11 @@ fn begin(
     let options = OlatOptions {
         specular: config.model.specular,
         shadow: config.model.shadow,
+        scattering: config.model.scattering,
+        refined: config.model.refined_shadow && config.model.shadow,
+        width: config.model.network_width,
+        hidden: config.model.network_layers,
+        half_size: capture.half_size as f32,
         background,
         coverage,
         distance: distances.get(distances.len() / 2).map_or(1.0, |&d| d as f32),
@@ -135,6 +129,39 @@ fn begin(
     (Kind::Olat(options), Parameters { gaussians, globals })
 }
 
+/// Normals of depths are compared over steps of this many pixels at most.
+const EDGE_PX: f64 = 6.0;
+
+/// A reflective model at the start.
+fn begin_reflective(
+    capture: &Capture,
+    config: &ObjectConfig,
+    preparation: &Preparation,
+    start: &Start,
+) -> (Kind, Parameters) {
+    let display = !preparation.linear && capture.frames.iter().any(|f| f.picture.encoding == Encoding::Display);
+    let options = ReflectiveOptions {
+        specular: config.model.specular,
+        degree: config.model.sh_degree,
+        width: config.model.decoder_width,
+        hidden: config.model.decoder_layers,
+        half_size: capture.half_size as f32,
+        normal_weight: config.model.normal_weight,
+        normal_edge: (EDGE_PX * capture.pixel_size) as f32,
+        display,
+        background: preparation.background,
+        coverage: preparation.coverage,
+        ..ReflectiveOptions::default()
+    };
+    let model = Reflective::new(options.clone());
+    let mut gaussians = start::gaussians(start, config.start.opacity, model.feature_groups());
+    for (i, seed) in start.seeds.iter().enumerate() {
+        model.paint(&mut gaussians, i, seed.colour, frame_of(seed));
+    }
+    let globals = model.initial_globals(config.train.seed);
+    (Kind::Reflective(options), Parameters { gaussians, globals })
+}
+
 /// The quaternion that turns the z axis to a seed's normal.
 fn frame_of(seed: &Seed) -> [f32; 4] {
     let normal = if seed.normal == Vec3::ZERO {
@@ -143,6 +170,38 @@ fn frame_of(seed: &Seed) -> [f32; 4] {
         seed.normal
     };
     Quat::from_rotation_arc(Vec3::Z, normal).to_array()
+}
+
+/// What training begins with.
+pub(super) struct FitInput {
+    /// The model.
+    pub(super) kind: Kind,
+    /// What images are made.
+    pub(super) preparation: Preparation,
+    /// Where parameters start.
+    pub(super) parameters: Parameters,
+    /// How Gaussians started, in words.
+    pub(super) how: &'static str,
+}
+
+/// What a fit of a model of `kind` to some frames of `capture` begins with.
+pub(super) fn input(capture: &Capture, kind: ModelKind, config: &ObjectConfig, frames: &[&Frame]) -> FitInput {
+    let preparation = preparation(capture, kind, config);
+    let (centre, half_size) = (capture.centre, capture.half_size);
+    let start = start::start(frames, centre, half_size, &config.start, config.train.seed);
+    let (kind, parameters) = begin(capture, kind, config, &preparation, &start);
+    FitInput {
+        kind,
+        preparation,
+        parameters,
+        how: start.how,
+    }
+}
+
+/// Gaussians that leave this are pruned.
+pub(super) fn bounds(capture: &Capture) -> (Vec3, Vec3) {
+    let reach = Vec3::splat(SLACK * capture.half_size as f32);
+    (-reach, reach)
 }
 
 /// Fits a model to `capture`, or goes on from where a fit of it was interrupted; `keeper` keeps its state meanwhile.
@@ -158,19 +217,19 @@ pub fn fit(
     kept: Option<Kept>,
 ) -> Result<Fitted, FitError> {
     let begun = Instant::now();
-    let (kind, why) = plan(capture, config.model.kind);
-    tracing::info!(?kind, why, "model");
-    let preparation = preparation(capture, kind, config);
+    let plan = plan::plan(capture, config, session)?;
+    tracing::info!(kind = ?plan.kind, specular = plan.specular, scattering = plan.scattering, why = plan.reason, "model");
+    let mut planned = config.clone();
+    planned.model.specular = plan.specular;
+    planned.model.scattering = plan.scattering;
     let frames: Vec<&Frame> = capture.of(Split::Train).collect();
-    let start = start::start(
-        &frames,
-        capture.centre,
-        capture.half_size,
-        &config.start,
-        config.train.seed,
-    );
-    tracing::info!(gaussians = start.seeds.len(), how = start.how, "start");
-    let (kind, parameters) = begin(capture, kind, config, &preparation, &start);
+    let FitInput {
+        kind,
+        preparation,
+        parameters,
+        how,
+    } = input(capture, plan.kind, &planned, &frames);
+    tracing::info!(gaussians = parameters.gaussians.count, how, "start");
     let model = kind.model();
     let views: Vec<View> = frames
         .iter()
@@ -180,10 +239,9 @@ pub fn fit(
     let mut options = config.train.clone().for_views(views.len());
     options.gsd_m = capture.pixel_size as f32;
     let steps = options.iterations;
-    let reach = Vec3::splat(SLACK * capture.half_size as f32);
-    let started = start.seeds.len();
+    let started = parameters.gaussians.count;
     let prepared = begun.elapsed();
-    let mut trainer = Trainer::new(&*model, views, parameters, options, (-reach, reach), None)?;
+    let mut trainer = Trainer::new(&*model, views, parameters, options, bounds(capture), None)?;
     if let Some(kept) = kept {
         tracing::info!(step = kept.trainer.steps(), of = steps, "training goes on");
         keeper.course = kept.course;
@@ -199,7 +257,8 @@ pub fn fit(
             parameters: trained.parameters,
             file,
         },
-        start: start.how,
+        plan,
+        start: how,
         started,
         iterations: trained.early_stop.steps,
         rejected: trained.rejected,

@@ -8,9 +8,12 @@ use crate::evaluate::image::{ImageScore, score_image};
 use crate::raster::RasterError;
 use crate::raster::preview::write_png;
 use crate::scene::Split;
+use glam::Vec3;
 use heliosplat::Raster;
+use heliosplat::shade::display;
 use image::{Rgb, RgbImage};
 use serde_json::{Value, json};
+use std::collections::BTreeMap;
 use std::path::Path;
 
 /// Lights further than this from every light of training are far from them, radians: 8.6 degrees.
@@ -45,7 +48,7 @@ pub fn compare(model: &ObjectModel, frame: &Frame) -> Option<Compared> {
 }
 
 /// Whether a model's values are in proportion to light.
-fn is_linear(model: &ObjectModel) -> bool {
+pub fn is_linear(model: &ObjectModel) -> bool {
     model.file.encoding == Encoding::Linear || model.file.preparation.linear
 }
 
@@ -77,20 +80,93 @@ pub fn file_name(name: &str) -> String {
 
 /// A picture of what a model shows, or should.
 pub fn picture(raster: &Raster, model: &ObjectModel) -> RgbImage {
-    let linear = is_linear(model);
+    picture_of(raster, is_linear(model))
+}
+
+/// A picture of linear or display values.
+pub fn picture_of(raster: &Raster, linear: bool) -> RgbImage {
     let byte = |value: f32| {
         let x = if value.is_finite() { value.clamp(0.0, 1.0) } else { 0.0 };
-        // The curve of sRGB (IEC 61966-2-1).
-        let shown = match linear {
-            true if x <= 0.003_130_8 => 12.92 * x,
-            true => 1.055 * x.powf(1.0 / 2.4) - 0.055,
-            false => x,
-        };
+        let shown = if linear { display::encode(x).0 } else { x };
         (shown * 255.0).round() as u8
     };
     RgbImage::from_fn(raster.width as u32, raster.height as u32, |col, row| {
         Rgb([0, 1, 2].map(|k| byte(raster.at(k, col as usize, row as usize))))
     })
+}
+
+/// A picture of unit normals, `(n + 1) / 2`; black where there is none.
+pub fn normal_picture(normals: &Raster) -> RgbImage {
+    RgbImage::from_fn(normals.width as u32, normals.height as u32, |col, row| {
+        let n = [0, 1, 2].map(|k| normals.at(k, col as usize, row as usize));
+        Rgb(n.map(|x| {
+            if n == [0.0; 3] {
+                0
+            } else {
+                (127.5 * (x + 1.0)).round() as u8
+            }
+        }))
+    })
+}
+
+/// What a part of an object looks like in a model: sums over its pixels.
+#[derive(Default)]
+struct PartSums {
+    pixels: usize,
+    square: f64,
+    angle_deg: f64,
+    angles: usize,
+}
+
+/// Where the parts of an object are known, as beside captures that were made: by part and over all, the angles between a model's
+/// normals and the true ones, degrees, and the PSNR of its pixels. `None` where there is no truth.
+fn by_part(model: &ObjectModel, capture: &Capture, frames: &[&Frame]) -> Option<Value> {
+    let folder = if capture.source.is_dir() {
+        capture.source.as_path()
+    } else {
+        capture.source.parent()?
+    };
+    let mut sums: BTreeMap<u8, PartSums> = BTreeMap::new();
+    for frame in frames {
+        let name = frame.name.trim_start_matches("./");
+        let file = |kind: &str| image::open(folder.join(format!("truth/{name}_{kind}.png"))).ok();
+        let (truth, parts) = (file("normal")?.to_rgb8(), file("part")?.to_luma8());
+        let (found, compared) = (model.normals(&ObjectImage::from(*frame))?, compare(model, frame)?);
+        let size = (found.width as u32, found.height as u32);
+        if truth.dimensions() != size || parts.dimensions() != size {
+            return None;
+        }
+        for (col, row, pixel) in truth.enumerate_pixels() {
+            let (x, y) = (col as usize, row as usize);
+            let part = parts.get_pixel(col, row).0[0];
+            if part == 0 {
+                continue;
+            }
+            let sum = sums.entry(part).or_default();
+            let apart = |k: usize| f64::from(compared.rendered.at(k, x, y) - compared.truth.at(k, x, y)).powi(2);
+            sum.pixels += 1;
+            sum.square += (0..3).map(apart).sum::<f64>() / 3.0;
+            let exact = Vec3::from(pixel.0.map(|v| f32::from(v) / 127.5 - 1.0));
+            let own = Vec3::from([0, 1, 2].map(|k| found.at(k, x, y)));
+            if own != Vec3::ZERO && pixel.0 != [0; 3] {
+                sum.angle_deg += f64::from(exact.angle_between(own).to_degrees());
+                sum.angles += 1;
+            }
+        }
+    }
+    let (angle, angles) = sums
+        .values()
+        .fold((0.0, 0), |(s, c), p| (s + p.angle_deg, c + p.angles));
+    let parts: Vec<Value> = sums
+        .iter()
+        .map(|(part, sum)| {
+            json!({
+                "part": part, "pixels": sum.pixels, "psnr": -10.0 * (sum.square / sum.pixels as f64).max(1e-12).log10(),
+                "normals_deg": sum.angle_deg / sum.angles.max(1) as f64,
+            })
+        })
+        .collect();
+    (angles > 0).then(|| json!({"mean_deg": angle / angles as f64, "parts": parts}))
 }
 
 fn beside(left: &RgbImage, right: &RgbImage) -> RgbImage {
@@ -118,6 +194,7 @@ pub fn metrics(model: &ObjectModel, capture: &Capture, pictures: Option<&Path>) 
     let mut metrics = json!({
         "model": model.model.name(),
         "gaussians": model.parameters.gaussians.count,
+        "parts": model.file.kind.parts(),
         "values": if is_linear(model) { Encoding::Linear } else { Encoding::Display },
         "background": model.file.preparation.background,
     });
@@ -128,6 +205,7 @@ pub fn metrics(model: &ObjectModel, capture: &Capture, pictures: Option<&Path>) 
     };
     add("", "train", score(&train, None)?);
     add("", "test", score(&test, pictures)?);
+    add("/test", "normals", by_part(model, capture, &test));
     if matches!(model.file.kind, Kind::Olat(_)) {
         let is_far = |frame: &&Frame| nearest_light_rad(frame, &train, capture).is_some_and(|angle| angle > FAR_RAD);
         let (far, near): (Vec<&Frame>, Vec<&Frame>) = test.iter().copied().partition(is_far);
@@ -164,6 +242,11 @@ pub fn summary(metrics: &Value) -> String {
     if let (Some(psnr), Some(ssim)) = (number("/test/psnr"), number("/test/ssim")) {
         lines.push(format!(
             "held out       PSNR {psnr:.2} dB, SSIM {ssim:.4} ({values} values, whole images)"
+        ));
+    }
+    if let Some(degrees) = number("/test/normals/mean_deg") {
+        lines.push(format!(
+            "    normals                  {degrees:.1} degrees off in the mean"
         ));
     }
     for (name, at) in [

@@ -4,7 +4,9 @@ use super::capture::{Capture, Frame};
 use super::config::ObjectConfig;
 use super::pinhole::Pinhole;
 use super::pixels::Encoding;
+use super::plan::Plan;
 use super::ply;
+use super::surroundings::Lamp;
 use super::transforms::PointLight;
 use super::views::Preparation;
 use crate::raster::write::write_atomically;
@@ -17,6 +19,7 @@ use heliosplat::gaussians::Table;
 use heliosplat::light::Light;
 use heliosplat::model::olat::{Component, Olat, OlatOptions};
 use heliosplat::model::radiance::{Radiance, RadianceOptions};
+use heliosplat::model::reflective::{Reflective, ReflectiveOptions};
 use heliosplat::model::{Parameters, SceneModel};
 use heliosplat::render::{PassOptions, render};
 use heliosplat::splat::ProjectionOptions;
@@ -34,6 +37,8 @@ pub enum Kind {
     Radiance(RadianceOptions),
     /// What surfaces reflect of one light at a time.
     Olat(OlatOptions),
+    /// Glossy surfaces in surroundings that stay.
+    Reflective(ReflectiveOptions),
 }
 
 impl Kind {
@@ -42,6 +47,7 @@ impl Kind {
         match self {
             Self::Radiance(options) => Box::new(Radiance::new(options.clone())),
             Self::Olat(options) => Box::new(Olat::new(options.clone())),
+            Self::Reflective(options) => Box::new(Reflective::new(options.clone())),
         }
     }
 
@@ -49,10 +55,45 @@ impl Kind {
     pub fn showing(&self, shows: Component) -> Option<Self> {
         match self {
             Self::Radiance(_) => None,
+            Self::Olat(_) if shows == Component::Normal => None,
+            Self::Olat(options) if shows == Component::Scattering && !options.scattering => None,
             Self::Olat(options) => Some(Self::Olat(OlatOptions {
                 shows,
                 ..options.clone()
             })),
+            Self::Reflective(_) if shows == Component::Shadow || shows == Component::Scattering => None,
+            Self::Reflective(options) => Some(Self::Reflective(ReflectiveOptions {
+                shows,
+                ..options.clone()
+            })),
+        }
+    }
+
+    /// The same under lamps; `None` where a model knows only the light it was photographed in.
+    pub fn lit(&self) -> Option<Self> {
+        match self {
+            Self::Radiance(_) => None,
+            Self::Olat(_) => Some(self.clone()),
+            Self::Reflective(options) => Some(Self::Reflective(ReflectiveOptions {
+                lit: true,
+                ..options.clone()
+            })),
+        }
+    }
+
+    /// What gives `model` its parts, in words.
+    pub fn parts(&self) -> Vec<&'static str> {
+        let named = |parts: &[(&'static str, bool)]| parts.iter().filter(|p| p.1).map(|p| p.0).collect();
+        match self {
+            Self::Radiance(_) => Vec::new(),
+            Self::Olat(o) => named(&[
+                ("diffuse", true),
+                ("specular", o.specular),
+                ("shadow", o.shadow),
+                ("refined_shadow", o.refined),
+                ("scattering", o.scattering),
+            ]),
+            Self::Reflective(o) => named(&[("diffuse", true), ("specular", o.specular)]),
         }
     }
 }
@@ -124,6 +165,9 @@ pub struct ObjectRun {
     pub inputs: Vec<Input>,
     /// The resolved configuration.
     pub config: ObjectConfig,
+    /// What was fitted, and why.
+    #[serde(default)]
+    pub plan: Option<Plan>,
 }
 
 /// A model and all that is known of it.
@@ -143,26 +187,51 @@ impl ObjectModel {
         self.render_as(&*self.model, image)
     }
 
-    /// The same under other lights, which add up; a light without intensity is as strong as those of the capture.
-    pub fn relit(&self, image: &ObjectImage, lights: &[Light]) -> Option<Raster> {
+    /// The same under other lamps, which add up, in linear values; a lamp of strength one is as strong as those of the capture. `None`
+    /// when the model lies behind the camera, knows only the light it was photographed in, or there is no lamp.
+    pub fn relit(&self, image: &ObjectImage, lamps: &[Lamp]) -> Option<Raster> {
+        let model = self.file.kind.lit()?.model();
         let behind = self.file.preparation.background;
         let mut sum: Option<Raster> = None;
-        for &light in lights {
-            let (seen, alpha) = self.look(&*self.model, &image.camera, Some(light))?;
-            sum = Some(match sum {
-                None => seen,
-                Some(mut sum) => {
-                    for (k, behind) in behind.into_iter().enumerate() {
-                        let parts = seen.plane(k).iter().zip(&alpha);
-                        for (value, (more, alpha)) in sum.plane_mut(k).iter_mut().zip(parts) {
-                            *value += more - (1.0 - alpha) * behind;
-                        }
-                    }
-                    sum
+        for lamp in lamps {
+            let (mut seen, alpha) = self.look(&*model, &image.camera, Some(lamp.light))?;
+            for (k, behind) in behind.into_iter().enumerate() {
+                for (value, alpha) in seen.plane_mut(k).iter_mut().zip(&alpha) {
+                    let open = (1.0 - alpha) * behind;
+                    // The background is there once, whatever the lamps.
+                    *value = (*value - open) * lamp.colour[k] + if sum.is_none() { open } else { 0.0 };
                 }
-            });
+            }
+            match &mut sum {
+                None => sum = Some(seen),
+                Some(sum) => sum.values.iter_mut().zip(seen.values).for_each(|(s, v)| *s += v),
+            }
         }
         sum
+    }
+
+    /// Unit normals that a camera sees, in the frame of the cameras: of the surfaces where the model knows them, else of the
+    /// Gaussians; zero where nothing is seen.
+    pub fn normals(&self, image: &ObjectImage) -> Option<Raster> {
+        let camera = image.camera.projective(self.file.centre)?;
+        let own = self.file.kind.showing(Component::Normal).map(|kind| kind.model());
+        let model = own.as_deref().unwrap_or(&*self.model);
+        let options = PassOptions {
+            projection: self.file.projection,
+            trace: self.file.trace,
+            ..PassOptions::default()
+        };
+        let maps = render(model, &self.parameters, &camera, None, None, options).maps;
+        // Behind three colours stand the model's own normals, or those of the Gaussians.
+        let mut out = Raster::filled(camera.width, camera.height, 3, 0.0);
+        for i in 0..out.plane_len() {
+            let n = [3, 4, 5].map(|k| maps.channels[k][i]);
+            let length = n.iter().map(|x| x * x).sum::<f32>().sqrt();
+            if maps.alpha[i] > 0.5 && length > 1e-6 {
+                (0..3).for_each(|k| out.plane_mut(k)[i] = n[k] / length);
+            }
+        }
+        Some(out)
     }
 
     /// The same by another model of the same parameters.
@@ -212,9 +281,15 @@ fn damaged(path: &Path, reason: impl ToString) -> RunError {
     }
 }
 
-/// Whether a folder holds a run on a capture, finished or not.
+/// Whether a folder holds a run on a capture, finished or not, or a model of one without its run.
 pub fn is_object_run(folder: &Path) -> bool {
-    let text = crate::trust::read_text(&folder.join("run.toml")).unwrap_or_default();
+    let (run, model) = (folder.join("run.toml"), folder.join("model.json"));
+    if !run.is_file() {
+        let text = crate::trust::read_text(&model).unwrap_or_default();
+        let keys = serde_json::from_str::<serde_json::Value>(&text).unwrap_or_default();
+        return keys.get("half_size").is_some() && keys.get("globals").is_some();
+    }
+    let text = crate::trust::read_text(&run).unwrap_or_default();
     text.parse::<toml::Table>()
         .is_ok_and(|table| table.contains_key("capture"))
 }
@@ -247,10 +322,18 @@ pub fn file(
 /// # Errors
 /// When a file cannot be written.
 pub fn save(folder: &Path, run: &ObjectRun, model: &ObjectModel) -> Result<(), RunError> {
-    write_atomically(&folder.join("model.ply"), &ply::encode(&model.parameters.gaussians))?;
     let path = folder.join("run.toml");
     let text = toml::to_string_pretty(run).map_err(|e| damaged(&path, e))?;
     write_atomically(&path, text.as_bytes())?;
+    save_model(folder, model)
+}
+
+/// Writes a model alone into `folder`, which must exist: `model.ply`, then `model.json`. That is all that is needed to show it.
+///
+/// # Errors
+/// When a file cannot be written.
+pub fn save_model(folder: &Path, model: &ObjectModel) -> Result<(), RunError> {
+    write_atomically(&folder.join("model.ply"), &ply::encode(&model.parameters.gaussians))?;
     let path = folder.join("model.json");
     let text = serde_json::to_string_pretty(&model.file).map_err(|e| damaged(&path, e))?;
     write_atomically(&path, text.as_bytes())?;

@@ -1,11 +1,13 @@
 //! The verbs of the program, for captures and runs on them.
 
 use super::capture::{Capture, IMAGE_BYTES};
-use super::config::{Background, ModelKind, ObjectConfig};
+use super::config::{Background, ObjectConfig};
 use super::error::CaptureError;
 use super::fit::{self, Fitted};
-use super::run::{self, Kind, ObjectModel, ObjectRun};
-use super::{measure, views};
+use super::run::{self, ObjectModel, ObjectRun};
+use super::surroundings::{self, Lamp};
+use super::{export, measure, plan, views};
+use crate::cli::export::ExportArgs;
 use crate::cli::satellite::{RelightArgs, RenderArgs, RenderSplit, TrainArgs};
 use crate::cli::{CliError, Outcome, Session};
 use crate::raster::preview::write_png;
@@ -115,6 +117,7 @@ pub fn train(args: &TrainArgs, session: &Session) -> Result<Outcome, CliError> {
         capture: std::fs::canonicalize(&args.scene).unwrap_or_else(|_| args.scene.clone()),
         inputs,
         config,
+        plan: Some(fitted.plan.clone()),
     };
     let _ = std::fs::remove_file(args.out.join("metrics.json"));
     run::save(&args.out, &run, &fitted.model)?;
@@ -171,6 +174,7 @@ fn hashes(capture: &Capture) -> Result<Vec<Input>, CliError> {
 
 fn add_fit(metrics: &mut Value, fitted: &Fitted, seconds: f64) {
     metrics["seconds"] = json!(seconds);
+    metrics["plan"] = json!(fitted.plan);
     metrics["stage_seconds"] = json!({"start": fitted.seconds[0], "train": fitted.seconds[1]});
     metrics["iterations"] = json!(fitted.iterations);
     metrics["rejected_steps"] = json!(fitted.rejected);
@@ -212,6 +216,10 @@ pub fn render(args: &RenderArgs, session: &Session) -> Result<Outcome, CliError>
         let path = args.out.join(format!("{}.png", measure::file_name(&image.name)));
         write_png(&path, &measure::picture(&seen, &model))?;
         written.push(json!({"image": path, "name": image.name}));
+        if let Some(normals) = parts.as_ref().and_then(|_| model.normals(image)) {
+            let path = args.out.join(format!("{}_normal.png", measure::file_name(&image.name)));
+            write_png(&path, &measure::normal_picture(&normals))?;
+        }
         for (name, shown) in parts.iter().flatten() {
             let Some(seen) = model.render_as(&**shown, image) else {
                 continue;
@@ -233,6 +241,7 @@ fn components(model: &ObjectModel) -> Vec<(&'static str, Box<dyn SceneModel>)> {
         ("diffuse", Component::Diffuse),
         ("specular", Component::Specular),
         ("shadow", Component::Shadow),
+        ("scattering", Component::Scattering),
     ];
     let shown = parts
         .into_iter()
@@ -247,23 +256,29 @@ fn components(model: &ObjectModel) -> Vec<(&'static str, Box<dyn SceneModel>)> {
 pub fn relight(args: &RelightArgs) -> Result<Outcome, CliError> {
     let model = run::load(&args.run)?;
     let folder = args.run.display();
-    if !matches!(model.file.kind, Kind::Olat(_)) {
+    if model.file.kind.lit().is_none() {
         return Err(CliError::Input(format!(
             "{folder}: this model knows only the light it was photographed in; a capture with a light for every image makes one that does not"
         )));
     }
-    let mut lights: Vec<Light> = Vec::new();
+    let mut lights: Vec<Lamp> = Vec::new();
+    let one = |light| Lamp {
+        light,
+        colour: [1.0; 3],
+    };
     for &position in &args.light {
-        lights.push(Light::Point((DVec3::from(position) - model.file.centre).as_vec3()));
+        lights.push(one(Light::Point((DVec3::from(position) - model.file.centre).as_vec3())));
     }
     for &toward in &args.toward {
-        let direction = DVec3::from(toward).try_normalize();
-        let direction = direction.ok_or_else(|| CliError::Input("--toward 0,0,0 is no direction".into()))?;
-        lights.push(Light::Directional(direction.as_vec3()));
+        lights.push(one(parallel(toward)?));
+    }
+    if let Some(path) = &args.surroundings {
+        let image = surroundings::read(path)?;
+        lights.extend(surroundings::lamps(&image, args.samples));
     }
     if lights.is_empty() {
         return Err(CliError::Input(
-            "relight: an object takes --light X,Y,Z or --toward X,Y,Z".into(),
+            "relight: an object takes --light X,Y,Z, --toward X,Y,Z or --surroundings FILE that is not black".into(),
         ));
     }
     let images = &model.file.images;
@@ -281,7 +296,8 @@ pub fn relight(args: &RelightArgs) -> Result<Outcome, CliError> {
     let seen = model.relit(image, &lights);
     let seen =
         seen.ok_or_else(|| CliError::Input(format!("--view {}: the object lies behind that camera", args.view)))?;
-    write_png(&args.out, &measure::picture(&seen, &model))?;
+    // Lamps add up in linear values, whatever the images of the capture are.
+    write_png(&args.out, &measure::picture_of(&seen, true))?;
     Ok(Outcome {
         text: format!(
             "{}: {} light(s), as {} saw it",
@@ -291,6 +307,42 @@ pub fn relight(args: &RelightArgs) -> Result<Outcome, CliError> {
         ),
         json: json!({"image": args.out, "lights": lights.len(), "view": image.name}),
     })
+}
+
+/// Writes what other programs can use of a run.
+///
+/// # Errors
+/// When the run or the light is at fault, or a file cannot be written.
+pub fn export(args: &ExportArgs) -> Result<Outcome, CliError> {
+    let model = run::load(&args.run)?;
+    let mut written = Vec::new();
+    if let Some(path) = &args.ply {
+        let light = match (args.light, args.toward) {
+            (Some(position), _) => Some(Light::Point((DVec3::from(position) - model.file.centre).as_vec3())),
+            (None, Some(toward)) => Some(parallel(toward)?),
+            (None, None) => None,
+        };
+        let splats = export::baked(&model, light)
+            .map_err(|reason| CliError::Input(format!("{}: {reason}", args.run.display())))?;
+        export::write_splats(&splats, path)?;
+        written.push(path.clone());
+    }
+    if let Some(folder) = &args.asset {
+        create_folder(folder)?;
+        run::save_model(folder, &model)?;
+        written.push(folder.clone());
+    }
+    let names: Vec<String> = written.iter().map(|path| path.display().to_string()).collect();
+    Ok(Outcome {
+        text: format!("{} Gaussians in {}", model.parameters.gaussians.count, names.join(", ")),
+        json: json!({"written": written, "gaussians": model.parameters.gaussians.count}),
+    })
+}
+
+fn parallel(toward: [f64; 3]) -> Result<Light, CliError> {
+    let direction = DVec3::from(toward).try_normalize();
+    let direction = direction.ok_or_else(|| CliError::Input("--toward 0,0,0 is no direction".into()))?;
+    Ok(Light::Directional(direction.as_vec3()))
 }
 
 /// Measures a run against the held-out images of its capture.
@@ -314,7 +366,7 @@ pub fn evaluate(folder: &Path) -> Result<Outcome, CliError> {
 pub fn inspect(path: &Path) -> Result<Outcome, CliError> {
     let capture = open(path, None)?;
     let (background, why) = views::background(&capture, Background::Auto);
-    let (kind, kind_why) = fit::plan(&capture, ModelKind::Auto);
+    let (kind, kind_why) = plan::outlook(&capture);
     let lights = capture.frames.iter().filter(|f| f.light.is_some()).count();
     let size = capture.frames.first().map_or([0; 2], |f| f.camera.size_px);
     let (train, test) = (capture.of(Split::Train).count(), capture.of(Split::Test).count());

@@ -91,8 +91,8 @@ impl Lobes {
 /// Where a Gaussian stands between light and eye.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Place {
-    to_light: Vec3,
-    to_eye: Vec3,
+    pub(super) to_light: Vec3,
+    pub(super) to_eye: Vec3,
     /// Per distance to light and eye; zero where they are infinitely far.
     inverse_light: f32,
     inverse_eye: f32,
@@ -132,6 +132,16 @@ impl Place {
             falling,
             d_falling: to_light * (2.0 * away * falling / square),
         }
+    }
+}
+
+impl Place {
+    /// Gradient of the position, from those of the directions to light and eye and of the falling off.
+    pub(super) fn position_gradient(&self, d_light: Vec3, d_eye: Vec3, d_falling: f32) -> Vec3 {
+        let across = |unit: Vec3, d: Vec3| d - unit * unit.dot(d);
+        self.d_falling * d_falling
+            - across(self.to_light, d_light) * self.inverse_light
+            - across(self.to_eye, d_eye) * self.inverse_eye
     }
 }
 
@@ -278,10 +288,7 @@ impl Surface {
             d_eye += d_sum;
         }
         out.frame = rotation_backward(self.frame, d_frame);
-        let across = |unit: Vec3, d: Vec3| d - unit * unit.dot(d);
-        out.position = place.d_falling * d_falling
-            - across(place.to_light, d_light) * place.inverse_light
-            - across(place.to_eye, d_eye) * place.inverse_eye;
+        out.position = place.position_gradient(d_light, d_eye, d_falling);
         out
     }
 }

@@ -1,0 +1,37 @@
+//! `heliosplat export`: models for other programs.
+
+use super::{CliError, Outcome, parse};
+use crate::objects;
+use clap::Args;
+use std::path::PathBuf;
+
+/// `export`.
+#[derive(Debug, Clone, Args)]
+pub struct ExportArgs {
+    /// A finished run on an object
+    #[arg(value_name = "RUN")]
+    pub run: PathBuf,
+    /// Splats for viewers: display colours as harmonics of degree three, positions in the frame of the cameras
+    #[arg(long, value_name = "FILE", required_unless_present = "asset")]
+    pub ply: Option<PathBuf>,
+    /// The point light that colours are baked for, in the frame of the cameras
+    #[arg(long, value_parser = parse::triple, allow_hyphen_values = true, value_name = "X,Y,Z", requires = "ply", conflicts_with = "toward")]
+    pub light: Option<[f64; 3]>,
+    /// The parallel light that colours are baked for: the direction it comes from
+    #[arg(long, value_parser = parse::triple, allow_hyphen_values = true, value_name = "X,Y,Z", requires = "ply")]
+    pub toward: Option<[f64; 3]>,
+    /// A folder for the model itself, which `render` and `relight` take like the run: model.ply and model.json, nothing else
+    #[arg(long, value_name = "DIR")]
+    pub asset: Option<PathBuf>,
+}
+
+/// Writes what was asked for.
+pub(super) fn run(args: &ExportArgs) -> Result<Outcome, CliError> {
+    if !objects::run::is_object_run(&args.run) {
+        return Err(CliError::Input(format!(
+            "{}: no run on an object; train a capture first, e.g. heliosplat train capture --out run",
+            args.run.display()
+        )));
+    }
+    objects::verbs::export(args)
+}

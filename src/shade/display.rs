@@ -1,0 +1,46 @@
+//! Light to what a display is told, and back (sRGB, IEC 61966-2-1). Above one the curve goes on.
+
+/// Where the curve stops being a line.
+const LINE: f32 = 0.003_130_8;
+/// The same, told.
+const TOLD: f32 = 0.040_45;
+
+/// The display value of light, and its slope.
+#[inline]
+pub fn encode(light: f32) -> (f32, f32) {
+    if light <= LINE {
+        return (12.92 * light, 12.92);
+    }
+    let power = light.powf(1.0 / 2.4);
+    (1.055 * power - 0.055, 1.055 / 2.4 * power / light)
+}
+
+/// The light that a display value stands for.
+#[inline]
+pub fn decode(value: f32) -> f32 {
+    if value <= TOLD {
+        value / 12.92
+    } else {
+        ((value + 0.055) / 1.055).powf(2.4)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn what_is_told_is_read_back_and_the_slope_is_that_of_the_curve() {
+        for light in [0.0f32, 0.001, 0.0031, 0.0032, 0.05, 0.5, 1.0, 3.0] {
+            let (told, slope) = encode(light);
+            assert!((decode(told) - light).abs() < 1e-5 * (1.0 + light), "{light}");
+            let step = 1e-4 * (light + 1e-3);
+            let numeric =
+                (f64::from(encode(light + step).0) - f64::from(encode(light - step).0)) / (2.0 * f64::from(step));
+            assert!(
+                (numeric - f64::from(slope)).abs() < 2e-2 * f64::from(slope),
+                "{light}: {numeric} {slope}"
+            );
+        }
+    }
+}

@@ -1,0 +1,275 @@
+//! The reflective model against its f64 form, written anew: values to 1e-4, gradients to 1e-3 of central differences, per parameter
+//! group; and that what is not glossy does not ask the decoder.
+
+use heliosplat::ProjectiveCamera;
+use heliosplat::gaussians::{FEATURES, POSITION, Table, core_groups};
+use heliosplat::model::reflective::{ALBEDO, CODES, FRAME, LIGHT, MATERIAL, Reflective, ReflectiveOptions};
+use heliosplat::model::{Context, Parameters, SceneModel};
+use heliosplat::render::Lit;
+use heliosplat::shade::split_sum;
+use heliosplat_tests::capture::{
+    BANDS, Flat, SIZE, camera, engine_values, flat, network, reference_gaussians, reference_values, scatter,
+};
+use nalgebra::{Matrix3, Quaternion, UnitQuaternion, Vector3};
+use rand::{RngExt, SeedableRng};
+use rand_pcg::Pcg32;
+use std::f64::consts::PI;
+
+const HALF_SIZE: f64 = 1.5;
+
+struct Case {
+    parameters: Parameters,
+    model: Reflective,
+    camera: ProjectiveCamera,
+    eye: Vector3<f64>,
+    functional: Vec<f64>,
+}
+
+fn case(seed: u64, specular: bool, display: bool) -> Case {
+    let mut random = Pcg32::seed_from_u64(seed);
+    let mut uniform = |lo: f32, hi: f32| lo + (hi - lo) * random.random::<f32>();
+    let model = Reflective::new(ReflectiveOptions {
+        specular,
+        width: 16,
+        hidden: 2,
+        half_size: HALF_SIZE as f32,
+        coverage: true,
+        display,
+        background: [0.1, 0.0, 0.3],
+        ..ReflectiveOptions::default()
+    });
+    let mut groups = core_groups();
+    groups.extend(model.feature_groups());
+    let mut gaussians = Table::zeros(groups, 20);
+    for (at, group) in gaussians.groups.iter_mut().enumerate().skip(FEATURES) {
+        let reach = if at >= LIGHT { 0.25 } else { 1.0 };
+        group.values.iter_mut().for_each(|v| *v = uniform(-reach, reach));
+    }
+    scatter(&mut gaussians, &mut uniform);
+    let mut globals = model.initial_globals(seed);
+    for group in &mut globals.groups {
+        group.values.iter_mut().for_each(|v| *v += uniform(-0.1, 0.1));
+    }
+    let (camera, eye) = camera();
+    Case {
+        camera,
+        eye,
+        functional: (0..SIZE * SIZE * BANDS)
+            .map(|_| f64::from(uniform(-1.0, 1.0)))
+            .collect(),
+        parameters: Parameters { gaussians, globals },
+        model,
+    }
+}
+
+fn sigmoid(x: f64) -> f64 {
+    1.0 / (1.0 + (-x).exp())
+}
+
+/// The functions in the engine's order, from their definition in Cartesian form (Sloan 2008).
+fn harmonics(d: &Vector3<f64>) -> [f64; 16] {
+    let (x, y, z) = (d.x, d.y, d.z);
+    let root = |a: f64, b: f64| 0.5 * (a / (b * PI)).sqrt();
+    [
+        root(1.0, 1.0),
+        -root(3.0, 1.0) * y,
+        root(3.0, 1.0) * z,
+        -root(3.0, 1.0) * x,
+        root(15.0, 1.0) * x * y,
+        -root(15.0, 1.0) * y * z,
+        0.5 * root(5.0, 1.0) * (2.0 * z * z - x * x - y * y),
+        -root(15.0, 1.0) * x * z,
+        0.5 * root(15.0, 1.0) * (x * x - y * y),
+        -root(35.0, 2.0) * y * (3.0 * x * x - y * y) * 0.5,
+        root(105.0, 1.0) * x * y * z,
+        -root(21.0, 2.0) * y * (4.0 * z * z - x * x - y * y) * 0.5,
+        0.5 * root(7.0, 1.0) * z * (2.0 * z * z - 3.0 * x * x - 3.0 * y * y),
+        -root(21.0, 2.0) * x * (4.0 * z * z - x * x - y * y) * 0.5,
+        0.5 * root(105.0, 1.0) * z * (x * x - y * y),
+        -root(35.0, 2.0) * x * (x * x - 3.0 * y * y) * 0.5,
+    ]
+}
+
+/// The baked table between its nodes, in f64.
+fn split_sums(roughness: f64, cosine: f64) -> [f64; 2] {
+    let node = |i: usize, j: usize| split_sum::look_up(i as f32 / 64.0, (j as f32 / 64.0).powi(2)).values;
+    let (x, y) = (roughness * 64.0, cosine.sqrt() * 64.0);
+    let (i, j) = ((x as usize).min(63), (y as usize).min(63));
+    let (u, v) = (x - i as f64, y - j as f64);
+    let value = |k: usize| {
+        let at = |i: usize, j: usize| f64::from(node(i, j)[k]);
+        (at(i, j) * (1.0 - v) + at(i, j + 1) * v) * (1.0 - u) + (at(i + 1, j) * (1.0 - v) + at(i + 1, j + 1) * v) * u
+    };
+    [value(0), value(1)]
+}
+
+fn shown(display: bool, light: f64) -> f64 {
+    match display {
+        true if light <= 0.003_130_8 => 12.92 * light,
+        true => 1.055 * light.powf(1.0 / 2.4) - 0.055,
+        false => light,
+    }
+}
+
+/// What Gaussian `i` shows.
+fn seen(case: &Case, gaussians: &Flat, globals: &Flat, i: usize) -> Vec<f64> {
+    let part = |group: usize, width: usize| &gaussians[group][i * width..(i + 1) * width];
+    let position = Vector3::from_row_slice(part(POSITION, 3));
+    let q = part(FRAME, 4);
+    let frame = UnitQuaternion::from_quaternion(Quaternion::new(q[3], q[0], q[1], q[2]));
+    let frame: Matrix3<f64> = frame.to_rotation_matrix().into_inner();
+    let (x, y, n) = (frame.column(0), frame.column(1), frame.column(2));
+    let eye = (case.eye - position).normalize();
+    let facing = n.dot(&eye);
+    let t = n * (2.0 * facing) - eye;
+    let material: Vec<f64> = part(MATERIAL, 4).iter().map(|&v| sigmoid(v)).collect();
+    let (metallic, gloss) = (material[0], material[3]);
+    let alpha = [0.03 + 0.97 * material[1], 0.03 + 0.97 * material[2]];
+    let albedo: Vec<f64> = part(ALBEDO, 3).iter().map(|&v| sigmoid(v)).collect();
+    let light = |f: usize, k: usize| {
+        let degree = (f as f64).sqrt() as usize;
+        let own = part(LIGHT + degree, (2 * degree + 1) * 3);
+        own[(f - degree * degree) * 3 + k] + globals[0][f * 3 + k]
+    };
+    let gathered = [1.0, 2.0 / 3.0, 0.25, 0.0];
+    let (across, along) = (harmonics(&(n * facing.signum())), harmonics(&t));
+    let rho = alpha[0] * alpha[0] + alpha[1] * alpha[1];
+    let (mut even, mut mirrored) = ([0.0; 3], [0.0; 3]);
+    for f in 0..16 {
+        let degree = (f as f64).sqrt() as usize;
+        let blur = (-rho * (degree * (degree + 1)) as f64 / 2.0).exp();
+        for k in 0..3 {
+            even[k] += gathered[degree] * across[f] * light(f, k);
+            mirrored[k] += blur * along[f] * light(f, k);
+        }
+    }
+    let mut specular = [0.0; 3];
+    if case.model.options.specular {
+        let spread = |axis: Vector3<f64>, a: f64| (n * eye.dot(&axis) + axis * facing) * (2f64.sqrt() * a);
+        let spread = [spread(x.into(), alpha[0]), spread(y.into(), alpha[1])];
+        let golden = [0.525_731_1f32, 0.850_650_8].map(f64::from);
+        let (a, b) = (golden[0], golden[1]);
+        let axes = [
+            [0.0, a, b],
+            [0.0, a, -b],
+            [a, b, 0.0],
+            [a, -b, 0.0],
+            [b, 0.0, a],
+            [-b, 0.0, a],
+        ];
+        let mut told = Vec::new();
+        for axis in axes.map(Vector3::from) {
+            for wave in [1.5, 3.0, 6.0, 12.0] {
+                let variance = axis.dot(&spread[0]).powi(2) + axis.dot(&spread[1]).powi(2);
+                let factor = (-0.5 * wave * wave * variance).exp();
+                let angle = wave * axis.dot(&t);
+                told.extend([factor * angle.sin(), factor * angle.cos()]);
+            }
+        }
+        told.extend(mirrored);
+        told.push(facing.abs());
+        told.extend(alpha);
+        told.extend((position / HALF_SIZE).iter());
+        told.extend(part(CODES, 6));
+        let decoded = network(&globals[1], &told, 16, 3);
+        let sums = split_sums((alpha[0] * alpha[1]).powf(0.25), facing.abs());
+        for k in 0..3 {
+            let head_on = 0.04 * (1.0 - metallic) + metallic * albedo[k];
+            let u = mirrored[k] + decoded[k];
+            let arriving = u.max(0.0) + (-u.abs()).exp().ln_1p();
+            specular[k] = gloss * arriving * (head_on * sums[0] + sums[1]);
+        }
+    }
+    (0..3)
+        .map(|k| {
+            let diffuse = albedo[k] * (1.0 - metallic) * even[k].max(0.0);
+            shown(case.model.options.display, diffuse + specular[k])
+        })
+        .collect()
+}
+
+fn reference_of(case: &Case, flat: &Flat, globals: &Flat) -> Vec<f64> {
+    let mut gaussians = reference_gaussians(flat);
+    for (i, gaussian) in gaussians.iter_mut().enumerate() {
+        gaussian.albedo = seen(case, flat, globals, i);
+    }
+    reference_values(&gaussians, &case.camera, case.model.options.background)
+}
+
+fn engine(case: &Case) -> (Vec<f64>, Parameters) {
+    let context = Context {
+        parameters: &case.parameters,
+        camera: &case.camera,
+        light: None,
+        appearance: None,
+    };
+    engine_values(&case.model, context, Lit::Everywhere, &case.functional)
+}
+
+const CASES: [(u64, bool, bool); 3] = [(3, true, true), (4, true, false), (5, false, true)];
+
+#[test]
+fn values_match_the_f64_form() {
+    for (seed, specular, display) in CASES {
+        let case = case(seed, specular, display);
+        let (engine, _) = engine(&case);
+        let reference = reference_of(
+            &case,
+            &flat(&case.parameters.gaussians),
+            &flat(&case.parameters.globals),
+        );
+        let norm = reference.iter().map(|v| v * v).sum::<f64>().sqrt();
+        let apart = engine.iter().zip(&reference).map(|(a, b)| (a - b).powi(2)).sum::<f64>();
+        assert!(apart.sqrt() < 1e-4 * norm, "{}", apart.sqrt() / norm);
+    }
+}
+
+#[test]
+fn gradients_match_central_differences_of_the_f64_form() {
+    for (seed, specular, display) in CASES {
+        let case = case(seed, specular, display);
+        let (_, grads) = engine(&case);
+        let base = (flat(&case.parameters.gaussians), flat(&case.parameters.globals));
+        let loss = |of: &(Flat, Flat)| -> f64 {
+            let values = reference_of(&case, &of.0, &of.1);
+            values.iter().zip(&case.functional).map(|(v, f)| v * f).sum()
+        };
+        let step = 1e-6;
+        let compare = |table: &Table, pick: &dyn Fn(&mut (Flat, Flat)) -> &mut Flat| {
+            for (group, values) in table.groups.iter().enumerate() {
+                let (mut apart, mut norm) = (0.0, 0.0);
+                // Of a long group, some of its numbers.
+                let every = (values.values.len() / 80).max(1) | 1;
+                for (i, &analytic) in values.values.iter().enumerate().step_by(every) {
+                    let (mut hi, mut lo) = (base.clone(), base.clone());
+                    pick(&mut hi)[group][i] += step;
+                    pick(&mut lo)[group][i] -= step;
+                    let numeric = (loss(&hi) - loss(&lo)) / (2.0 * step);
+                    apart += (numeric - f64::from(analytic)).powi(2);
+                    norm += numeric.powi(2);
+                }
+                let relative = (apart / norm.max(1e-30)).sqrt();
+                println!("{}: {relative:.2e} of {norm:.2e}", values.spec.name);
+                assert!(
+                    relative < 1e-3 || apart.sqrt() < 1e-7,
+                    "{}: {relative}",
+                    values.spec.name
+                );
+            }
+        };
+        compare(&grads.gaussians, &|of| &mut of.0);
+        compare(&grads.globals, &|of| &mut of.1);
+    }
+}
+
+#[test]
+fn without_gloss_the_decoder_is_not_asked_and_learns_nothing() {
+    let mut case = case(3, true, true);
+    for material in case.parameters.gaussians.group_mut(MATERIAL).chunks_mut(4) {
+        material[3] = -9.0;
+    }
+    let (before, grads) = engine(&case);
+    assert!(grads.globals.groups[1].values.iter().all(|&d| d == 0.0));
+    case.parameters.globals.groups[1].values.fill(f32::NAN);
+    assert_eq!(engine(&case).0, before);
+}
