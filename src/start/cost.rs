@@ -4,7 +4,7 @@ use super::bands::Bands;
 use super::census::{self, COMPARISONS, INVALID, RADIUS, Words};
 use super::grid::{Grid, Ladder};
 use super::pairs::Pair;
-use super::views::{LevelView, Line, Place, Plane};
+use super::views::{LevelView, Line, Place};
 use super::visibility::FirstHits;
 use rayon::prelude::*;
 use std::collections::BTreeMap;
@@ -95,90 +95,105 @@ impl Matching<'_> {
         let cells = block.width * block.height;
         scratch.sum[..cells].fill(0);
         scratch.weights[..cells].fill(0);
-        let cut = (CUT * COMPARISONS as f32) as u32;
-        let mut full = self.compare(block, altitude_m, cut, &|view| Some(&view.mean), 1.0, scratch);
-        if self.same_date_values {
-            full += self.compare_values(cells, cut, scratch);
+        for (index, view) in self.views.iter().enumerate() {
+            self.describe_view(index, view, block, altitude_m, scratch);
         }
-        if self.views.iter().all(|view| view.index.is_some()) {
-            full += self.compare(
-                block,
-                altitude_m,
-                cut,
-                &|view| view.index.as_ref(),
-                INDEX_WORTH,
-                scratch,
-            );
+        let cut = (CUT * COMPARISONS as f32) as u32;
+        let Scratch {
+            words,
+            index_words,
+            sum,
+            weights,
+            cost,
+            ..
+        } = scratch;
+        let (sum, weights) = (&mut sum[..cells], &mut weights[..cells]);
+        let mut full = self.compare(words, 1.0, cut, sum, weights);
+        if self.same_date_values {
+            full += self.compare_values(words, cut, sum, weights);
+        }
+        if self.with_index() {
+            full += self.compare(index_words, INDEX_WORTH, cut, sum, weights);
         }
         let doubt = ((full as f32 * self.doubt) as u32).max(1);
-        let sums = scratch.sum[..cells].iter().zip(&scratch.weights[..cells]);
-        for (cost, (sum, weights)) in scratch.cost.iter_mut().zip(sums) {
+        for (cost, (sum, weights)) in cost.iter_mut().zip(sum.iter().zip(weights)) {
             *cost = (255 * (*sum + doubt * cut) / ((*weights + doubt) * cut)) as u8;
         }
     }
 
-    /// Adds the comparisons of one of the views' planes, each worth `worth` of its pair's weight; returns the weight of them all.
-    fn compare(
+    /// Whether the views' indices are compared too.
+    fn with_index(&self) -> bool {
+        self.views.iter().all(|view| view.index.is_some())
+    }
+
+    /// Descriptors of a view's planes on a block at one altitude.
+    fn describe_view(
         &self,
+        number: usize,
+        view: &LevelView,
         block: &WideBlock,
         altitude_m: f32,
-        cut: u32,
-        plane: &dyn Fn(&LevelView) -> Option<&Plane>,
-        worth: f32,
         scratch: &mut Scratch,
-    ) -> u32 {
+    ) {
         let WideBlock { width, height, .. } = *block;
-        let cells = width * height;
-        for (index, view) in self.views.iter().enumerate() {
-            let Some(plane) = plane(view) else { continue };
-            self.sample_block(view, plane, block, altitude_m, scratch);
-            let words = &mut scratch.words[index];
-            census::describe(&scratch.values, width, height, self.alike * plane.contrast, words);
-            if self.same_date_values {
-                census::keep(&scratch.values, width, height, plane.middle, plane.contrast, words);
-            }
-            if let Some(hits) = self.hits {
-                self.drop_hidden(index, &hits[index], block, altitude_m, &mut words.darker[..cells]);
+        let (columns, rows) = (width + 2 * RADIUS, height + 2 * RADIUS);
+        self.find_block(view, block, altitude_m, &mut scratch.places[..columns * rows]);
+        let (places, values) = (&scratch.places[..columns * rows], &mut scratch.values[..columns * rows]);
+        let words = &mut scratch.words[number];
+        view.sample_places(&view.mean, places, values);
+        census::describe(values, width, height, self.alike * view.mean.contrast, words);
+        if self.same_date_values {
+            census::keep(values, width, height, view.mean.middle, view.mean.contrast, words);
+        }
+        if let Some(hits) = self.hits {
+            drop_hidden(
+                &hits[number],
+                places,
+                block,
+                altitude_m,
+                &mut words.darker[..width * height],
+            );
+        }
+        if let Some(index) = view.index.as_ref().filter(|_| self.with_index()) {
+            let index_words = &mut scratch.index_words[number];
+            view.sample_places(index, places, values);
+            census::describe(values, width, height, self.alike * index.contrast, index_words);
+            for (of_index, of_mean) in index_words.darker.iter_mut().zip(&words.darker[..width * height]) {
+                *of_index |= of_mean & INVALID;
             }
         }
+    }
+
+    /// Adds the comparisons of one plane's descriptors, each worth `worth` of its pair's weight; returns the weight of them all.
+    fn compare(&self, words: &[Words], worth: f32, cut: u32, sum: &mut [u32], weights: &mut [u32]) -> u32 {
         let mut full = 0;
         for pair in self.pairs {
-            let (a, b) = (&scratch.words[pair.a], &scratch.words[pair.b]);
             let weight = ((pair.weight as f32 * worth) as u32).max(1);
-            census::compare(
-                a,
-                b,
-                weight,
-                cut,
-                &mut scratch.sum[..cells],
-                &mut scratch.weights[..cells],
-            );
+            census::compare(&words[pair.a], &words[pair.b], weight, cut, sum, weights);
             full += weight;
         }
         full
     }
 
-    /// Adds the differences of brightness of the views of one date, as [`Self::compare`] left them; returns the weight of them all.
-    fn compare_values(&self, cells: usize, cut: u32, scratch: &mut Scratch) -> u32 {
+    /// Adds the differences of brightness of the views of one date; returns the weight of them all.
+    fn compare_values(&self, words: &[Words], cut: u32, sum: &mut [u32], weights: &mut [u32]) -> u32 {
         let mut full = 0;
         for pair in self.pairs.iter().filter(|pair| pair.same) {
-            let (a, b) = (&scratch.words[pair.a], &scratch.words[pair.b]);
-            let (sum, weights) = (&mut scratch.sum[..cells], &mut scratch.weights[..cells]);
+            let (a, b) = (&words[pair.a], &words[pair.b]);
             census::differ(a, b, pair.weight, VALUE_REACH, cut, sum, weights);
             full += pair.weight;
         }
         full
     }
 
-    /// Values of a view's plane on the block and its margin at one altitude.
-    fn sample_block(&self, view: &LevelView, plane: &Plane, block: &WideBlock, altitude_m: f32, scratch: &mut Scratch) {
+    /// Where a view shows a block and its margin at one altitude.
+    fn find_block(&self, view: &LevelView, block: &WideBlock, altitude_m: f32, places: &mut [Place]) {
         let columns = block.width + 2 * RADIUS;
-        let rows = block.height + 2 * RADIUS;
         let camera = &view.camera;
         let step = self.grid.cell_m;
         let (du, dv, dw) = (camera.u.x * step, camera.v.x * step, camera.w.x * step);
         let (col0, row0) = (block.col0 - RADIUS as isize, block.row0 - RADIUS as isize);
-        for row in 0..rows {
+        for (row, places) in places.chunks_mut(columns).enumerate() {
             let p = self.grid.point(col0, row0 + row as isize, altitude_m);
             let (u, v) = (camera.u.dot(p) + camera.u0, camera.v.dot(p) + camera.v0);
             let w = 1.0 + camera.w.dot(p);
@@ -186,24 +201,19 @@ impl Matching<'_> {
                 start: [u, v, w],
                 step: [du, dv, dw],
             };
-            view.sample_line(
-                plane,
-                &line,
-                &mut scratch.places[..columns],
-                &mut scratch.values[row * columns..][..columns],
-            );
+            view.find_line(&line, places);
         }
     }
+}
 
-    fn drop_hidden(&self, index: usize, hits: &FirstHits, block: &WideBlock, altitude_m: f32, words: &mut [u32]) {
-        let camera = &self.views[index].camera;
-        for (k, word) in words.iter_mut().enumerate() {
-            let (col, row) = (
-                block.col0 + (k % block.width) as isize,
-                block.row0 + (k / block.width) as isize,
-            );
-            let (image_col, image_row, _) = camera.project(self.grid.point(col, row, altitude_m));
-            if hits.hides(image_col, image_row, altitude_m) {
+/// Leaves out the cells of a block that a view does not see.
+fn drop_hidden(hits: &FirstHits, places: &[Place], block: &WideBlock, altitude_m: f32, words: &mut [u32]) {
+    let columns = block.width + 2 * RADIUS;
+    for (row, words) in words.chunks_mut(block.width).enumerate() {
+        let start = (row + RADIUS) * columns + RADIUS;
+        for (place, word) in places[start..start + block.width].iter().zip(words) {
+            // A place beyond the image is invalid already.
+            if hits.hides(place.nearest(hits.width()), altitude_m) {
                 *word |= INVALID;
             }
         }
@@ -271,6 +281,7 @@ struct Scratch {
     values: Vec<f32>,
     places: Vec<Place>,
     words: Vec<Words>,
+    index_words: Vec<Words>,
     sum: Vec<u32>,
     weights: Vec<u32>,
     cost: Vec<u8>,
@@ -283,9 +294,10 @@ impl Scratch {
         let margin = 2 * (RADIUS + radius);
         Self {
             values: vec![0.0; (BLOCK.0 + margin) * (BLOCK.1 + margin)],
-            places: vec![Place::default(); BLOCK.1 + margin],
+            places: vec![Place::default(); (BLOCK.0 + margin) * (BLOCK.1 + margin)],
             across: vec![0; cells],
             words: vec![Words::new(cells); views],
+            index_words: vec![Words::new(cells); views],
             sum: vec![0; cells],
             weights: vec![0; cells],
             cost: vec![0; cells],

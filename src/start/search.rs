@@ -43,6 +43,8 @@ const OF_MANY: Manner = Manner {
     same_date_values: true,
     jump_thirds: 2,
 };
+/// Tolerance at most with cells of twice the size asked for; wider ones take time and find nothing more.
+const TOLERANCE_AT_TWO: u16 = 120;
 /// Coarse cells around a fine one whose altitudes stay possible for it.
 const REACH_CELLS: usize = 2;
 
@@ -167,12 +169,12 @@ impl<'a> Search<'a> {
             },
         };
         let sums = volume.aggregate();
-        // What was compared cell by cell is settled but for what hidden views got wrong.
-        let tolerance = if factor == 1 {
-            OF_FEW.tolerance
-        } else {
-            manner.tolerance
-        };
+        // Finer levels have less left to decide.
+        let tolerance = manner.tolerance.min(match factor {
+            1 => OF_FEW.tolerance,
+            2 => TOLERANCE_AT_TWO,
+            _ => u16::MAX,
+        });
         let choices = pick::choose(&bands, &ladder, &sums, tolerance);
         Found {
             grid,

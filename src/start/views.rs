@@ -98,11 +98,14 @@ impl LevelView {
         }
     }
 
-    /// Bilinear values of one of the planes where a line of the ground falls; NaN outside the image and beside missing pixels.
-    /// `places` is room to work in, one for every value.
-    pub(super) fn sample_line(&self, plane: &Plane, line: &Line, places: &mut [Place], out: &mut [f32]) {
-        let pixels = &plane.pixels;
+    /// Where the points of a line of the ground fall.
+    pub(super) fn find_line(&self, line: &Line, places: &mut [Place]) {
         find(line, self.width, self.height, places);
+    }
+
+    /// Bilinear values of one of the planes; NaN outside the image and beside missing pixels.
+    pub(super) fn sample_places(&self, plane: &Plane, places: &[Place], out: &mut [f32]) {
+        let pixels = &plane.pixels;
         for (place, value) in places.iter().zip(out) {
             let i = place.index as usize;
             // Two pixels of two rows; a place beyond the image has the index of the first and no weight.
@@ -184,6 +187,15 @@ pub(super) struct Place {
     index: u32,
     /// Fractions of the column and of the row; NaN outside the image.
     fraction: [f32; 2],
+}
+
+impl Place {
+    /// The pixel nearest to it, in an image of this width; the first one where it lies outside of the image.
+    #[inline(always)]
+    pub(super) fn nearest(&self, width: usize) -> usize {
+        let further = |fraction: f32, step: usize| if fraction >= 0.5 { step } else { 0 };
+        self.index as usize + further(self.fraction[0], 1) + further(self.fraction[1], width)
+    }
 }
 
 vectorised! {
@@ -284,8 +296,9 @@ mod tests {
                 start,
                 step: [0.83, 0.21, 1e-4],
             };
-            let mut values = vec![0.0; 61];
-            view.sample_line(&view.mean, &line, &mut [Place::default(); 61], &mut values);
+            let (mut places, mut values) = ([Place::default(); 61], [0.0; 61]);
+            view.find_line(&line, &mut places);
+            view.sample_places(&view.mean, &places, &mut values);
             for (k, value) in values.iter().enumerate() {
                 let k = k as f32;
                 let inverse = 1.0 / (start[2] + k * line.step[2]);

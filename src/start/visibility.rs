@@ -8,7 +8,6 @@ use rayon::prelude::*;
 pub(super) struct FirstHits {
     altitude: Vec<f32>,
     width: usize,
-    height: usize,
     /// A point this far below the first hit may still be the surface itself.
     tolerance_m: f32,
 }
@@ -72,17 +71,19 @@ impl FirstHits {
         Self {
             altitude: hits,
             width: view.width,
-            height: view.height,
             tolerance_m,
         }
     }
 
-    /// Whether a point that projects to (`col`, `row`) lies behind the surface.
+    /// Columns of the view.
+    pub(super) fn width(&self) -> usize {
+        self.width
+    }
+
+    /// Whether a point that projects into a pixel lies behind the surface.
     #[inline]
-    pub(super) fn hides(&self, col: f32, row: f32, altitude_m: f32) -> bool {
-        let inside = col > -0.5 && row > -0.5 && col < self.width as f32 - 0.5 && row < self.height as f32 - 0.5;
-        inside
-            && altitude_m + self.tolerance_m < self.altitude[(row + 0.5) as usize * self.width + (col + 0.5) as usize]
+    pub(super) fn hides(&self, pixel: usize, altitude_m: f32) -> bool {
+        altitude_m + self.tolerance_m < self.altitude[pixel]
     }
 }
 

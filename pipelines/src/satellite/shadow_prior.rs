@@ -141,7 +141,8 @@ fn otsu(values: &[f32]) -> Option<f32> {
     let total: f64 = histogram.iter().sum();
     let sum: f64 = histogram.iter().enumerate().map(|(step, n)| step as f64 * n).sum();
     let (mut below, mut sum_below) = (0.0, 0.0);
-    let mut best = (0.0, 0.0, 0.0);
+    // The greatest variance, the first and the last step that have it (nothing lies between them), and how far apart the classes are.
+    let (mut most, mut steps, mut apart) = (0.0, (0, 0), 0.0);
     for (step, n) in histogram.iter().enumerate() {
         below += n;
         sum_below += step as f64 * n;
@@ -149,14 +150,16 @@ fn otsu(values: &[f32]) -> Option<f32> {
         if below == 0.0 || above == 0.0 {
             continue;
         }
-        let apart = (sum - sum_below) / above - sum_below / below;
-        let between = below * above * apart * apart;
-        if between > best.0 {
-            best = (between, step as f64 + 0.5, apart);
+        let distance = (sum - sum_below) / above - sum_below / below;
+        let between = below * above * distance * distance;
+        if between > most {
+            (most, steps, apart) = (between, (step, step), distance);
+        } else if *n == 0.0 && steps.1 + 1 == step {
+            steps.1 = step;
         }
     }
-    let (_, step, apart) = best;
-    (apart as f32 / scale > LEAST_CONTRAST).then(|| low + step as f32 / scale)
+    let middle = (steps.0 + steps.1 + 1) as f32 / 2.0;
+    (apart as f32 / scale > LEAST_CONTRAST).then(|| low + middle / scale)
 }
 
 /// Where the ray of a pixel meets the surface, roughly.
