@@ -29,10 +29,17 @@ pub fn install() {
     });
 }
 
+/// Seconds that a server may take to answer, and to deliver, where the environment says nothing else.
+const PATIENCE: [(&str, &str); 2] = [("GDAL_HTTP_CONNECTTIMEOUT", "20"), ("GDAL_HTTP_TIMEOUT", "300")];
+
 /// Opens GDAL's remote file systems: the user named a path on one.
 pub fn allow_network() {
     install();
-    if gdal::config::clear_config_option("CPL_VSIL_CURL_ALLOWED_FILENAME").is_err() {
+    let mut done = gdal::config::clear_config_option("CPL_VSIL_CURL_ALLOWED_FILENAME");
+    for (key, seconds) in PATIENCE.iter().filter(|(key, _)| std::env::var_os(key).is_none()) {
+        done = done.and(gdal::config::set_config_option(key, seconds));
+    }
+    if done.is_err() {
         tracing::debug!("GDAL takes no options");
     }
 }
