@@ -329,6 +329,17 @@ pub fn save_metrics(folder: &Path, metrics: &serde_json::Value) -> Result<(), Ru
     Ok(write_atomically(&folder.join("metrics.json"), text.as_bytes())?)
 }
 
+/// Memory that this process holds now, bytes; zero where the system does not tell.
+pub fn resident_bytes() -> f64 {
+    let text = std::fs::read_to_string("/proc/self/statm").unwrap_or_default();
+    let pages: f64 = text
+        .split_whitespace()
+        .nth(1)
+        .and_then(|n| n.parse().ok())
+        .unwrap_or(0.0);
+    pages * 4096.0
+}
+
 /// The most memory this process has used, bytes; zero where the system does not tell.
 pub fn peak_rss_bytes() -> u64 {
     let status = std::fs::read_to_string("/proc/self/status").unwrap_or_default();

@@ -7,7 +7,7 @@
 mod acquisition;
 mod altitude;
 mod area;
-mod bands;
+pub mod bands;
 mod camera;
 mod draft;
 mod error;

@@ -31,7 +31,8 @@ pub fn opaqueness(visibility: &[f32], mask: &[f32], weight: f32, d_visibility: &
 /// Mean binary cross entropy (nats) between a visibility map and what is thought to be lit, `lit` from 0 to 1, NaN where nothing is
 /// thought; adds `weight` times its gradient to `d_visibility`.
 ///
-/// The shadow prior of ShadowGS (eq. 19): only with few views do images say less of shadows than their darkness does.
+/// The shadow prior of ShadowGS (Luo et al. 2026, eq. 17, whose arguments are printed the other way round): only with few views do
+/// images say less of shadows than their darkness does.
 pub fn prior(visibility: &[f32], lit: &[f32], mask: &[f32], weight: f32, d_visibility: &mut [f32]) -> f64 {
     let counts = |lit: f32, mask: f32| mask > 0.0 && !lit.is_nan();
     let count = lit.iter().zip(mask).filter(|&(&l, &m)| counts(l, m)).count().max(1) as f32;

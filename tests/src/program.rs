@@ -50,6 +50,13 @@ pub fn json<S: AsRef<std::ffi::OsStr>>(arguments: &[S]) -> serde_json::Value {
     serde_json::from_slice(&output.get_output().stdout).expect("one JSON object on stdout")
 }
 
+/// Synthesises the tiny site as four views see it.
+pub fn tiny_scene(folder: &Path) {
+    let out = folder.display().to_string();
+    let words = "synth satellite --site tiny --seed 5 --views 4 --out";
+    json(&words.split(' ').chain([out.as_str()]).collect::<Vec<_>>());
+}
+
 /// Runs the program, which must fail with this exit code; returns its one line of error.
 pub fn fault<S: AsRef<std::ffi::OsStr>>(arguments: &[S], exit_code: i32) -> String {
     let assert = heliosplat(arguments).assert().code(exit_code);

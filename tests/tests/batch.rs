@@ -2,7 +2,7 @@
 //!
 //! `HELIOSPLAT_KILLS` says how often the batch is killed (3 where not said).
 
-use heliosplat_tests::program::{binary, fault, heliosplat, json};
+use heliosplat_tests::program::{binary, fault, heliosplat, json, tiny_scene};
 use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg32;
 use serde_json::Value;
@@ -15,19 +15,7 @@ use tempfile::{TempDir, tempdir};
 /// A folder with a tiny scene and a manifest that cuts it into four tiles.
 fn home(manifest: &str) -> TempDir {
     let folder = tempdir().expect("a temporary folder");
-    let scene = folder.path().join("scene").display().to_string();
-    json(&[
-        "synth",
-        "satellite",
-        "--site",
-        "tiny",
-        "--seed",
-        "5",
-        "--views",
-        "4",
-        "--out",
-        &scene,
-    ]);
+    tiny_scene(&folder.path().join("scene"));
     std::fs::write(folder.path().join("batch.toml"), manifest).expect("written");
     folder
 }

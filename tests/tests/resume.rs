@@ -6,7 +6,7 @@ use heliosplat::optim::DensityOptions;
 use heliosplat::rates::Site;
 use heliosplat::trace::{Route, TraceOptions};
 use heliosplat::train::{TrainOptions, Trainer, TrainerState};
-use heliosplat_tests::program::{binary, fault, json};
+use heliosplat_tests::program::{binary, fault, json, tiny_scene};
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Stdio};
 use std::time::{Duration, Instant};
@@ -139,19 +139,7 @@ impl Home {
     fn new() -> Self {
         let folder = tempdir().expect("a temporary folder");
         let scene = folder.path().join("scene");
-        let out = scene.display().to_string();
-        json(&[
-            "synth",
-            "satellite",
-            "--site",
-            "tiny",
-            "--seed",
-            "5",
-            "--views",
-            "4",
-            "--out",
-            &out,
-        ]);
+        tiny_scene(&scene);
         Self { folder, scene }
     }
 

@@ -8,12 +8,10 @@ use super::BatchError;
 use super::manifest::TileOptions;
 use crate::raster::{Crs, GridSpec};
 use crate::satellite::config::SatelliteConfig;
-use crate::satellite::estimate::{Estimate, Extent, estimate_of};
+use crate::satellite::estimate::{Estimate, Extent, PROGRAM_BYTES, estimate_of};
 use crate::scene::AreaRequest;
 use crate::scene::survey::{Survey, TileSurvey};
 
-/// Memory of the process itself and of the libraries' caches, bytes.
-const PROCESS_BYTES: f64 = 120.0 * 1_048_576.0;
 /// Bytes per pixel and band of the images that a tile reads: the values, and what reading takes besides.
 const BYTES_PER_PIXEL: f64 = 4.0 * 1.5;
 /// Cores are not cut smaller than this many metres: then the overlap would be most of a tile.
@@ -211,7 +209,7 @@ fn estimate(request: &Request, tile: &TileSurvey) -> Estimate {
         images: tile.images,
         training: tile.training,
     };
-    let read = PROCESS_BYTES + BYTES_PER_PIXEL * tile.pixels * request.survey.bands as f64;
+    let read = PROGRAM_BYTES + BYTES_PER_PIXEL * tile.pixels * request.survey.bands as f64;
     estimate_of(&extent, request.config, request.slowness, read)
 }
 

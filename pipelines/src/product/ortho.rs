@@ -2,15 +2,9 @@
 
 use super::dsm::ALPHA_KNOWN;
 use crate::run::LoadedModel;
-use crate::scene::BandKind;
+use crate::scene::bands::{VEGETATION_INDEX, vegetation_index};
 use heliosplat::Raster;
 use heliosplat::splat::Maps;
-
-/// Vegetation index of the albedo above which a pixel is vegetation.
-pub const VEGETATION_INDEX: f32 = 0.3;
-
-/// Less light than this says nothing of colour.
-const DARKEST: f32 = 1e-3;
 
 /// The albedo seen from straight above, band by band; `NaN` where nothing is known. A surface of albedo 1 that lies level in the full
 /// sun is as bright as one unit of the model's colours.
@@ -26,17 +20,6 @@ pub fn albedo(model: &LoadedModel, maps: &Maps) -> Raster {
         }
     }
     out
-}
-
-/// Places of red and near infrared among the bands, if both are there.
-pub fn vegetation_bands(bands: &[BandKind]) -> Option<(usize, usize)> {
-    let place = |kind: BandKind| bands.iter().position(|&band| band == kind);
-    Some((place(BandKind::Red)?, place(BandKind::NearInfrared)?))
-}
-
-/// `(n - r) / (n + r)`: the normalised difference vegetation index (Rouse et al. 1974).
-pub fn vegetation_index(red: f32, near_infrared: f32) -> f32 {
-    (near_infrared - red) / (near_infrared + red).max(DARKEST)
 }
 
 /// Where an albedo is that of vegetation: 1, else 0, `NaN` where nothing is known.

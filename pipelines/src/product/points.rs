@@ -1,9 +1,9 @@
 //! The Gaussians as a point cloud: LAZ 1.4, points of format 7 with colours, and the class of vegetation where it is known.
 
-use super::ortho::{VEGETATION_INDEX, vegetation_bands, vegetation_index};
 use crate::raster::geoid::Undulation;
 use crate::raster::{Crs, CrsTransform, Geoid, RasterError, preview, write_atomically};
 use crate::run::LoadedModel;
+use crate::scene::bands::{VEGETATION_INDEX, vegetation_bands, vegetation_index};
 use heliosplat::gaussians::POSITION;
 use heliosplat::model::shadow_gs::ALBEDO;
 use las::point::{Classification, Format};

@@ -7,6 +7,7 @@ use super::{ortho, points};
 use crate::raster::write::{Bytes, ImageSpec, write_byte_cog, write_cog};
 use crate::raster::{Geoid, RasterError, write_atomically};
 use crate::run::{LoadedModel, ModelImage};
+use crate::scene::bands::vegetation_bands;
 use heliosplat::Raster;
 use heliosplat_rpc::sun::SunPosition;
 use jiff::Timestamp;
@@ -276,7 +277,7 @@ impl Writer<'_> {
             &names,
             None,
         )?;
-        if let Some(bands) = ortho::vegetation_bands(&self.model.file.bands) {
+        if let Some(bands) = vegetation_bands(&self.model.file.bands) {
             let leaves = ortho::vegetation(albedo, bands);
             self.bytes(
                 ("vegetation", "Vegetation by its index", "vegetation"),

@@ -107,12 +107,34 @@ pub fn is_virtual(path: &Path) -> bool {
     path.to_string_lossy().starts_with("/vsi")
 }
 
-/// Files in a folder of a virtual file system that the user names, sorted; from here on such file systems may reach the network.
+/// GDAL's file systems that lie on the network.
+pub const REMOTE: [&str; 9] = [
+    "/vsicurl",
+    "/vsis3",
+    "/vsigs",
+    "/vsiaz",
+    "/vsiadls",
+    "/vsioss",
+    "/vsiswift",
+    "/vsiwebhdfs",
+    "/vsihdfs",
+];
+
+/// Whether a path leads to the network, also from within another virtual file system (`/vsizip//vsicurl/…`).
+pub fn is_remote(path: &Path) -> bool {
+    let text = path.to_string_lossy();
+    is_virtual(path) && (REMOTE.iter().any(|system| text.contains(system)) || text.contains("://"))
+}
+
+/// Files in a folder of a virtual file system that the user names, sorted; where it is remote, such file systems may reach the network
+/// from here on.
 ///
 /// # Errors
 /// [`RasterError::Missing`] when there is no such folder, or it cannot be reached.
 pub fn list_virtual(folder: &Path) -> Result<Vec<PathBuf>, RasterError> {
-    messages::allow_network();
+    if is_remote(folder) {
+        messages::allow_network();
+    }
     let names = messages::collect(|| gdal::vsi::read_dir(folder, false));
     let mut names = names.map_err(|_| RasterError::Missing(folder.to_owned()))?;
     names.sort();
@@ -348,5 +370,29 @@ impl GeoRaster {
     /// Number of the band of this description, counted from zero.
     pub fn band(&self, name: &str) -> Option<usize> {
         self.band_names.iter().position(|description| description == name)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn only_paths_that_lead_to_the_network_open_it() {
+        for path in [
+            "/vsis3/bucket/scene",
+            "/vsicurl/http://host/a.tif",
+            "/vsizip//vsigs/bucket/a.zip",
+        ] {
+            assert!(is_remote(Path::new(path)), "{path}");
+        }
+        for path in [
+            "/vsizip/home/scene.zip",
+            "/vsitar//data/a.tar",
+            "/home/vsis3/a.tif",
+            "http://host/a.tif",
+        ] {
+            assert!(!is_remote(Path::new(path)), "{path}");
+        }
     }
 }

@@ -20,7 +20,7 @@ const TABLES: f64 = 5.0;
 /// Bytes per Gaussian of what one step makes besides: splats, lists of tiles, gradients, ellipses on the plane of the sun.
 const STEP_BYTES_PER_GAUSSIAN: f64 = 560.0;
 /// The program itself with its libraries and their buffers, bytes.
-const PROGRAM_BYTES: f64 = 100.0 * 1_048_576.0;
+pub const PROGRAM_BYTES: f64 = 100.0 * 1_048_576.0;
 /// What the allocator keeps at hand, bytes.
 const SPARE_BYTES: f64 = 64.0 * 1_048_576.0;
 /// Planes of 32-bit numbers per pixel of the largest view that one step makes, besides those per channel.
@@ -175,17 +175,6 @@ fn traces_per_step(train: &TrainOptions) -> f64 {
         0.0
     };
     every(train.light_every) + consistency
-}
-
-/// Memory that this process holds now, bytes; zero where the system does not tell.
-pub fn resident_bytes() -> f64 {
-    let text = std::fs::read_to_string("/proc/self/statm").unwrap_or_default();
-    let pages: f64 = text
-        .split_whitespace()
-        .nth(1)
-        .and_then(|n| n.parse().ok())
-        .unwrap_or(0.0);
-    pages * 4096.0
 }
 
 /// Refuses a scene that will not fit into `limit` bytes, with what would.

@@ -4,7 +4,7 @@ use super::adjust::{self, AdjustInput};
 use super::budget::{Budget, Pace};
 use super::config::{Align, PointingMethod, SatelliteConfig};
 use super::ground::Ground;
-use super::shadow_prior::{self, ENOUGH_VIEWS, MaskError};
+use super::shadow_prior::{self, MaskError};
 use super::views;
 use super::{estimate, initial, radiometry};
 use crate::cli::Session;
@@ -271,10 +271,10 @@ pub fn fit(
         near_light: config.model.near_light,
         facing: config.model.facing,
         opaqueness_weight: config.model.opaqueness_weight,
-        prior_weight: if prior_is_on(config, ground.images.len()) {
-            config.model.prior_weight
-        } else {
-            0.0
+        // The plan has decided it by now.
+        prior_weight: match config.model.shadow_prior {
+            Some(true) => config.model.prior_weight,
+            _ => 0.0,
         },
         pointing: config.cameras.refine,
     });
@@ -336,11 +336,6 @@ pub fn fit(
             (swept.elapsed() - initialised).as_secs_f64(),
         ],
     })
-}
-
-/// Whether what images show as shadows guides a training on so many of them.
-pub(super) fn prior_is_on(config: &SatelliteConfig, images: usize) -> bool {
-    config.model.shadow_prior.unwrap_or(images < ENOUGH_VIEWS)
 }
 
 /// Tells each view what it seems to be lit by: from the user's masks, else from its own darkness.

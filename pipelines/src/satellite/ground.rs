@@ -2,7 +2,8 @@
 
 use super::fit::FitError;
 use super::views::{self, Crop};
-use crate::scene::{Area, BandKind, Scene, SceneImage};
+use crate::scene::bands::{vegetation_bands, vegetation_index};
+use crate::scene::{Area, Scene, SceneImage};
 use heliosplat::Raster;
 use heliosplat::start::{Surface, SweepOptions, SweepRequest, SweepView};
 use heliosplat_rpc::LocalFrame;
@@ -10,8 +11,6 @@ use rayon::prelude::*;
 
 /// Cells around a cell among which the lowest is its ground.
 const GROUND_CELLS: usize = 12;
-/// Sum of two bands below which their index is damped.
-const DARKEST: f32 = 1e-3;
 
 /// A piece of ground and the images that show it.
 pub struct Ground<'a> {
@@ -78,15 +77,14 @@ impl<'a> Ground<'a> {
     /// A vegetation index of each crop, where the images have red and near infrared: leaves on pavement are as bright as it is, and
     /// an index hardly knows shadows.
     pub fn vegetation_indices(&self, rasters: &[Raster]) -> Option<Vec<Raster>> {
-        let place = |image: &SceneImage, kind: BandKind| image.bands.iter().position(|&band| band == kind);
         let index = |(image, raster): (&&SceneImage, &Raster)| {
-            let (red, near_infrared) = (place(image, BandKind::Red)?, place(image, BandKind::NearInfrared)?);
+            let (red, near_infrared) = vegetation_bands(&image.bands)?;
             let bands = raster.plane(red).iter().zip(raster.plane(near_infrared));
             Some(Raster {
                 width: raster.width,
                 height: raster.height,
                 bands: 1,
-                values: bands.map(|(r, n)| (n - r) / (n + r).max(DARKEST)).collect(),
+                values: bands.map(|(&r, &n)| vegetation_index(r, n)).collect(),
             })
         };
         self.images.iter().zip(rasters).map(index).collect()

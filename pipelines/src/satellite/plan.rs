@@ -109,7 +109,7 @@ fn items(facts: &Facts, config: &SatelliteConfig) -> Vec<PlanItem> {
         decided(
             "model.image_colour",
             config.model.image_colour,
-            images > 1 && dates > 1,
+            dates > 1,
             if dates > 1 {
                 format!("{dates} dates differ in haze, exposure and season: each image gets an affine colour")
             } else {

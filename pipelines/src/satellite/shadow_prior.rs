@@ -8,6 +8,7 @@ use super::ground::Ground;
 use super::views::{self, Crop};
 use crate::raster::RasterError;
 use crate::raster::file::RasterFile;
+use crate::scene::bands::{VEGETATION_INDEX, normalised_difference, vegetation_index};
 use crate::scene::{BandKind, SceneImage};
 use glam::{Vec2, Vec3};
 use heliosplat::start::Surface;
@@ -35,9 +36,7 @@ pub enum MaskError {
     },
 }
 
-/// Vegetation index from which on a pixel is a plant.
-const VEGETATION_NDVI: f32 = 0.3;
-/// Excess green, as a share of the three colours, from which on it is one where there is no near infrared.
+/// Excess green (Woebbecke et al. 1995), as a share of the three colours, from which on it is one where there is no near infrared.
 const VEGETATION_GREEN: f32 = 0.08;
 /// Water index (green against near infrared, McFeeters 1996) from which on a pixel is water.
 const WATER: f32 = 0.4;
@@ -83,7 +82,7 @@ impl<'a> Bands<'a> {
     /// Whether a pixel shows leaves; `false` where bands do not tell.
     fn vegetation(&self, pixel: usize) -> bool {
         match (self.red, self.green, self.blue, self.near_infrared) {
-            (Some(red), _, _, Some(infrared)) => normalised_difference(infrared[pixel], red[pixel]) > VEGETATION_NDVI,
+            (Some(red), _, _, Some(infrared)) => vegetation_index(red[pixel], infrared[pixel]) > VEGETATION_INDEX,
             (Some(red), Some(green), Some(blue), None) => {
                 let sum = red[pixel] + green[pixel] + blue[pixel];
                 (2.0 * green[pixel] - red[pixel] - blue[pixel]) / sum.max(f32::MIN_POSITIVE) > VEGETATION_GREEN
@@ -98,10 +97,6 @@ impl<'a> Bands<'a> {
             _ => false,
         }
     }
-}
-
-fn normalised_difference(a: f32, b: f32) -> f32 {
-    (a - b) / (a + b).max(f32::MIN_POSITIVE)
 }
 
 /// What radiometry alone says of each pixel of an image: 1 is lit, 0 in shadow, NaN neither.

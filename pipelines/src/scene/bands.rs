@@ -3,6 +3,28 @@
 use super::{BandKind, SceneError};
 use crate::raster::{BandInfo, Colour, RasterFile};
 
+/// Vegetation index above which a pixel is taken for vegetation.
+pub const VEGETATION_INDEX: f32 = 0.3;
+
+/// Less light than this says nothing of colour.
+const DARKEST: f32 = 1e-3;
+
+/// Places of red and near infrared among the bands, if both are there.
+pub fn vegetation_bands(bands: &[BandKind]) -> Option<(usize, usize)> {
+    let place = |kind: BandKind| bands.iter().position(|&band| band == kind);
+    Some((place(BandKind::Red)?, place(BandKind::NearInfrared)?))
+}
+
+/// `(n - r) / (n + r)`: the normalised difference vegetation index (Rouse et al. 1974).
+pub fn vegetation_index(red: f32, near_infrared: f32) -> f32 {
+    normalised_difference(near_infrared, red)
+}
+
+/// `(a - b) / (a + b)` of two bands, near zero where both are dark.
+pub fn normalised_difference(a: f32, b: f32) -> f32 {
+    (a - b) / (a + b).max(DARKEST)
+}
+
 /// Which bands of a file become which bands of the scene.
 #[derive(Debug, Clone, PartialEq)]
 pub(super) struct BandPlan {
