@@ -103,7 +103,8 @@ pub enum Command {
     /// Write what other programs can use of a run on an object
     #[command(
         after_help = "Examples: heliosplat export run --ply lit.ply --light 2,-1,3\n          \
-                            heliosplat export run --asset figure"
+                            heliosplat export run --asset figure\n          \
+                            heliosplat export run --mesh figure.glb"
     )]
     Export(export::ExportArgs),
     /// Measure a run, or any DSM, against truth
@@ -253,7 +254,7 @@ fn run(cli: &Cli) -> Result<Outcome, CliError> {
         Command::Report(args) => report::run(args),
         Command::Relight(args) => satellite::relight(args, &session),
         Command::Render(args) => satellite::render(args, &session),
-        Command::Export(args) => export::run(args),
+        Command::Export(args) => export::run(args, &session),
         Command::Evaluate(args) => evaluate::run(args, &session),
         Command::Rpc(args) => rpc::run(args),
         Command::Sun(args) => sun::run(args),

@@ -9,6 +9,7 @@ pub mod error;
 pub mod export;
 pub mod fit;
 pub mod measure;
+pub mod mesh;
 pub mod pinhole;
 pub mod pixels;
 pub mod plan;

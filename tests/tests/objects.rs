@@ -316,4 +316,37 @@ fn a_reflective_model_is_planned_trained_relit_and_exported() {
         2,
     );
     assert!(line.contains("no run on an object"), "{line}");
+    a_mesh_lies_where_the_object_is(&run_text, home.path());
+}
+
+/// The mesh of a run is within the cube of the synthetic object, coloured, and in both formats the same.
+fn a_mesh_lies_where_the_object_is(run: &str, home: &Path) {
+    let write = |name: &str| {
+        let path = home.join(name).display().to_string();
+        json(&["export", run, "--mesh", &path, "--cells", "48"]);
+        std::fs::read(path).expect("a mesh")
+    };
+    let (ply, glb) = (write("mesh.ply"), write("mesh.glb"));
+    let end = ply.windows(11).position(|w| w == b"end_header\n").expect("a header") + 11;
+    let header = String::from_utf8_lossy(&ply[..end]).into_owned();
+    let count = |element: &str| -> usize {
+        let line = header.lines().find_map(|line| line.strip_prefix(element));
+        line.expect("an element").trim().parse().expect("a count")
+    };
+    let (corners, triangles) = (count("element vertex "), count("element face "));
+    assert!(triangles > 1000, "{triangles} triangles");
+    assert_eq!(ply.len() - end, corners * 27 + triangles * 13);
+    let float = |at: usize| f32::from_le_bytes([ply[at], ply[at + 1], ply[at + 2], ply[at + 3]]);
+    for corner in 0..corners {
+        let at = end + 27 * corner;
+        assert!((0..3).all(|k| float(at + 4 * k).abs() < 2.0), "a corner outside");
+    }
+    let shown = (0..corners).filter(|corner| ply[end + 27 * corner + 24..][..3].iter().any(|&c| c > 20));
+    assert!(shown.count() > corners / 3, "a black mesh");
+    let text = u32::from_le_bytes([glb[12], glb[13], glb[14], glb[15]]) as usize;
+    let document: Value = serde_json::from_slice(&glb[20..20 + text]).expect("JSON");
+    assert_eq!(document["accessors"][0]["count"], corners);
+    assert_eq!(document["accessors"][3]["count"], 3 * triangles);
+    let line = fault(&["export", run, "--mesh", "mesh.obj"], 2);
+    assert!(line.contains(".ply or .glb"), "{line}");
 }

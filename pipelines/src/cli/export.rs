@@ -1,6 +1,6 @@
 //! `heliosplat export`: models for other programs.
 
-use super::{CliError, Outcome, parse};
+use super::{CliError, Outcome, Session, parse};
 use crate::objects;
 use clap::Args;
 use std::path::PathBuf;
@@ -12,7 +12,7 @@ pub struct ExportArgs {
     #[arg(value_name = "RUN")]
     pub run: PathBuf,
     /// Splats for viewers: display colours as harmonics of degree three, positions in the frame of the cameras
-    #[arg(long, value_name = "FILE", required_unless_present = "asset")]
+    #[arg(long, value_name = "FILE", required_unless_present_any = ["asset", "mesh"])]
     pub ply: Option<PathBuf>,
     /// The point light that colours are baked for, in the frame of the cameras
     #[arg(long, value_parser = parse::triple, allow_hyphen_values = true, value_name = "X,Y,Z", requires = "ply", conflicts_with = "toward")]
@@ -23,15 +23,21 @@ pub struct ExportArgs {
     /// A folder for the model itself, which `render` and `relight` take like the run: model.ply and model.json, nothing else
     #[arg(long, value_name = "DIR")]
     pub asset: Option<PathBuf>,
+    /// A closed triangle mesh with colours, .ply or .glb, in the frame of the cameras
+    #[arg(long, value_name = "FILE")]
+    pub mesh: Option<PathBuf>,
+    /// Cells along the longest side of the grid that the mesh is found in
+    #[arg(long, value_name = "N", default_value_t = 192, value_parser = clap::value_parser!(u32).range(16..=512), requires = "mesh")]
+    pub cells: u32,
 }
 
 /// Writes what was asked for.
-pub(super) fn run(args: &ExportArgs) -> Result<Outcome, CliError> {
+pub(super) fn run(args: &ExportArgs, session: &Session) -> Result<Outcome, CliError> {
     if !objects::run::is_object_run(&args.run) {
         return Err(CliError::Input(format!(
             "{}: no run on an object; train a capture first, e.g. heliosplat train capture --out run",
             args.run.display()
         )));
     }
-    objects::verbs::export(args)
+    objects::verbs::export(args, session)
 }

@@ -14,7 +14,6 @@ use crate::run::{Input, RunError};
 use crate::scene::Split;
 use crate::trust;
 use glam::DVec3;
-use heliosplat::Raster;
 use heliosplat::gaussians::Table;
 use heliosplat::light::Light;
 use heliosplat::model::olat::{Component, Olat, OlatOptions};
@@ -22,8 +21,9 @@ use heliosplat::model::radiance::{Radiance, RadianceOptions};
 use heliosplat::model::reflective::{Reflective, ReflectiveOptions};
 use heliosplat::model::{Parameters, SceneModel};
 use heliosplat::render::{PassOptions, render};
-use heliosplat::splat::ProjectionOptions;
+use heliosplat::splat::{Maps, ProjectionOptions};
 use heliosplat::trace::TraceOptions;
+use heliosplat::{ProjectiveCamera, Raster};
 use std::path::{Path, PathBuf};
 
 /// Version of `model.json`.
@@ -194,9 +194,9 @@ impl ObjectModel {
         let behind = self.file.preparation.background;
         let mut sum: Option<Raster> = None;
         for lamp in lamps {
-            let (mut seen, alpha) = self.look(&*model, &image.camera, Some(lamp.light))?;
+            let (_, maps, mut seen) = self.look(&*model, &image.camera, Some(lamp.light))?;
             for (k, behind) in behind.into_iter().enumerate() {
-                for (value, alpha) in seen.plane_mut(k).iter_mut().zip(&alpha) {
+                for (value, alpha) in seen.plane_mut(k).iter_mut().zip(&maps.alpha) {
                     let open = (1.0 - alpha) * behind;
                     // The background is there once, whatever the lamps.
                     *value = (*value - open) * lamp.colour[k] + if sum.is_none() { open } else { 0.0 };
@@ -236,10 +236,7 @@ impl ObjectModel {
 
     /// The same by another model of the same parameters.
     pub fn render_as(&self, model: &dyn SceneModel, image: &ObjectImage) -> Option<Raster> {
-        let light = image
-            .light
-            .map(|light| Light::Point((light.position - self.file.centre).as_vec3()));
-        let (mut seen, alpha) = self.look(model, &image.camera, light)?;
+        let (_, maps, mut seen) = self.look(model, &image.camera, self.light(image))?;
         let behind = self.file.preparation.background;
         for (k, strength) in self
             .file
@@ -249,7 +246,7 @@ impl ObjectModel {
             .enumerate()
         {
             if strength != 1.0 {
-                for (value, alpha) in seen.plane_mut(k).iter_mut().zip(&alpha) {
+                for (value, alpha) in seen.plane_mut(k).iter_mut().zip(&maps.alpha) {
                     let open = (1.0 - alpha) * behind[k];
                     *value = (*value - open) * strength + open;
                 }
@@ -258,8 +255,24 @@ impl ObjectModel {
         Some(seen)
     }
 
-    /// Red, green and blue that a camera sees under a light of strength one, and the coverage.
-    fn look(&self, model: &dyn SceneModel, camera: &Pinhole, light: Option<Light>) -> Option<(Raster, Vec<f32>)> {
+    /// What the camera of an image sees under its light at strength one: the camera, all maps, and red, green and blue. `None` when
+    /// the model lies behind it.
+    pub fn seen(&self, image: &ObjectImage) -> Option<(ProjectiveCamera, Maps, Raster)> {
+        self.look(&*self.model, &image.camera, self.light(image))
+    }
+
+    fn light(&self, image: &ObjectImage) -> Option<Light> {
+        image
+            .light
+            .map(|light| Light::Point((light.position - self.file.centre).as_vec3()))
+    }
+
+    fn look(
+        &self,
+        model: &dyn SceneModel,
+        camera: &Pinhole,
+        light: Option<Light>,
+    ) -> Option<(ProjectiveCamera, Maps, Raster)> {
         let camera = camera.projective(self.file.centre)?;
         let options = PassOptions {
             projection: self.file.projection,
@@ -270,7 +283,7 @@ impl ObjectModel {
         let mut seen = rendering.image;
         seen.values.truncate(3 * seen.plane_len());
         seen.bands = 3;
-        Some((seen, rendering.maps.alpha))
+        Some((camera, rendering.maps, seen))
     }
 }
 

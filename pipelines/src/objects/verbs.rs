@@ -6,11 +6,12 @@ use super::error::CaptureError;
 use super::fit::{self, Fitted};
 use super::run::{self, ObjectModel, ObjectRun};
 use super::surroundings::{self, Lamp};
-use super::{export, measure, plan, views};
+use super::{export, measure, mesh, plan, views};
 use crate::cli::export::ExportArgs;
 use crate::cli::satellite::{RelightArgs, RenderArgs, RenderSplit, TrainArgs};
 use crate::cli::{CliError, Outcome, Session};
 use crate::raster::preview::write_png;
+use crate::raster::write::write_atomically;
 use crate::run::checkpoint::{self, Keeper};
 use crate::run::{Input, hash, peak_rss_bytes, resident_bytes, save_metrics};
 use crate::satellite::budget::Budget;
@@ -312,7 +313,11 @@ pub fn relight(args: &RelightArgs) -> Result<Outcome, CliError> {
 ///
 /// # Errors
 /// When the run or the light is at fault, or a file cannot be written.
-pub fn export(args: &ExportArgs) -> Result<Outcome, CliError> {
+pub fn export(args: &ExportArgs, session: &Session) -> Result<Outcome, CliError> {
+    let format = match &args.mesh {
+        Some(path) => Some((path, mesh_format(path)?)),
+        None => None,
+    };
     let model = run::load(&args.run)?;
     let mut written = Vec::new();
     if let Some(path) = &args.ply {
@@ -331,10 +336,27 @@ pub fn export(args: &ExportArgs) -> Result<Outcome, CliError> {
         run::save_model(folder, &model)?;
         written.push(folder.clone());
     }
+    if let Some((path, format)) = format {
+        let progress = session.progress("mesh", 2 * model.file.images.len() as u64);
+        let mesh = mesh::mesh(&model, args.cells as usize, &|done| progress.set(done))
+            .map_err(|reason| CliError::Input(format!("{}: {reason}", args.run.display())))?;
+        write_atomically(path, &mesh::encode(&mesh, format))?;
+        written.push(path.clone());
+    }
     let names: Vec<String> = written.iter().map(|path| path.display().to_string()).collect();
     Ok(Outcome {
         text: format!("{} Gaussians in {}", model.parameters.gaussians.count, names.join(", ")),
         json: json!({"written": written, "gaussians": model.parameters.gaussians.count}),
+    })
+}
+
+fn mesh_format(path: &Path) -> Result<mesh::Format, CliError> {
+    let format = mesh::Format::of(path);
+    format.ok_or_else(|| {
+        CliError::Input(format!(
+            "--mesh {}: a name that ends in .ply or .glb says how",
+            path.display()
+        ))
     })
 }
 

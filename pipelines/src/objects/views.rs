@@ -102,7 +102,7 @@ impl Preparation {
 }
 
 /// The light that a display value stands for (sRGB, IEC 61966-2-1).
-fn linear(value: f32) -> f32 {
+pub(super) fn linear(value: f32) -> f32 {
     if value <= 0.040_45 {
         value / 12.92
     } else {
