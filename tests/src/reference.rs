@@ -14,7 +14,7 @@ pub struct Gaussian {
     pub rotation: [f64; 4],
     /// Opacity logit.
     pub opacity: f64,
-    /// Albedo per band.
+    /// Albedo per band, and behind it, where the model knows it, near-surface light per band.
     pub albedo: Vec<f64>,
 }
 
@@ -41,7 +41,7 @@ pub type Sun = Vector3<f64>;
 /// What a pixel shows.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Pixel {
-    /// Composited albedo.
+    /// Composited albedo, and behind it near-surface light.
     pub albedo: Vec<f64>,
     /// Composited visibility.
     pub visibility: f64,
@@ -294,11 +294,14 @@ pub fn facing(pixel: &Pixel, sun: &Sun) -> f64 {
     (pixel.normal.dot(sun) / length / sun.z.max(0.05)).clamp(0.0, 4.0)
 }
 
-/// The composed colour of a pixel: `A (F ⊙ (S f + (1 - S f) sky)) + b`.
+/// The composed colour of a pixel: `A (F ⊙ (S f + (1 - S f) (sky + near))) + b`.
 pub fn compose(pixel: &Pixel, facing: f64, sky: &[f64], matrix: &[f64], offset: &[f64]) -> Vec<f64> {
     let bands = sky.len();
     let s = pixel.visibility * facing;
-    let colour: Vec<f64> = (0..bands).map(|k| pixel.albedo[k] * (s + (1.0 - s) * sky[k])).collect();
+    let shade = |k: usize| sky[k] + pixel.albedo.get(bands + k).unwrap_or(&0.0);
+    let colour: Vec<f64> = (0..bands)
+        .map(|k| pixel.albedo[k] * (s + (1.0 - s) * shade(k)))
+        .collect();
     (0..bands)
         .map(|r| offset[r] + (0..bands).map(|k| matrix[r * bands + k] * colour[k]).sum::<f64>())
         .collect()

@@ -31,8 +31,9 @@ struct Case {
     functional: Vec<f64>,
 }
 
-fn model() -> ShadowGs {
+fn model(near_light: bool) -> ShadowGs {
     ShadowGs::new(ShadowGsOptions {
+        near_light,
         bands: BANDS,
         images: 2,
         opaqueness_weight: 0.0,
@@ -66,9 +67,12 @@ fn cameras(perspective: bool) -> (ProjectiveCamera, reference::Camera) {
 }
 
 fn case(seed: u64, count: usize, perspective: bool, antialias: bool) -> Case {
+    case_of(model(false), seed, count, perspective, antialias)
+}
+
+fn case_of(model: ShadowGs, seed: u64, count: usize, perspective: bool, antialias: bool) -> Case {
     let mut random = Pcg32::seed_from_u64(seed);
     let mut uniform = |lo: f32, hi: f32| lo + (hi - lo) * random.random::<f32>();
-    let model = model();
     let mut groups = core_groups();
     groups.extend(model.feature_groups());
     let mut gaussians = Table::zeros(groups, count);
@@ -82,6 +86,9 @@ fn case(seed: u64, count: usize, perspective: bool, antialias: bool) -> Case {
             gaussians.group_mut(ROTATION)[i * 4 + k] = uniform(-1.0, 1.0);
         }
         gaussians.group_mut(OPACITY)[i] = uniform(-2.0, 2.0);
+    }
+    for near in &mut gaussians.groups[FEATURES + 1..] {
+        near.values.iter_mut().for_each(|v| *v = uniform(0.0, 0.4));
     }
     let mut globals = model.initial_globals(0.3);
     for k in 0..globals.group(COLOUR).len() {
@@ -147,7 +154,11 @@ fn reference_gaussians(flat: &Flat) -> Vec<Gaussian> {
             log_scale: Vector3::from_row_slice(&g[LOG_SCALE][i * 3..i * 3 + 3]),
             rotation: [0, 1, 2, 3].map(|k| g[ROTATION][i * 4 + k]),
             opacity: g[OPACITY][i],
-            albedo: g[FEATURES][i * BANDS..(i + 1) * BANDS].to_vec(),
+            albedo: g[FEATURES..]
+                .iter()
+                .flat_map(|group| &group[i * BANDS..(i + 1) * BANDS])
+                .copied()
+                .collect(),
         })
         .collect()
 }
@@ -287,6 +298,7 @@ fn the_forward_pass_matches_the_f64_reference() {
     for seed in 0..4 {
         for (perspective, antialias) in [(false, false), (false, true), (true, false), (true, true)] {
             check_values(&case(seed, 60, perspective, antialias));
+            check_values(&case_of(model(true), seed, 60, perspective, antialias));
         }
     }
 }
@@ -299,6 +311,11 @@ fn gradients_match_central_differences_from_a_satellite() {
 #[test]
 fn gradients_match_central_differences_from_nearby() {
     check_gradients(&case(12, 24, true, true));
+}
+
+#[test]
+fn gradients_match_central_differences_with_near_surface_light() {
+    check_gradients(&case_of(model(true), 13, 24, false, true));
 }
 
 #[test]

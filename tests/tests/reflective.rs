@@ -6,7 +6,6 @@ use heliosplat::gaussians::{FEATURES, POSITION, Table, core_groups};
 use heliosplat::model::reflective::{ALBEDO, CODES, FRAME, LIGHT, MATERIAL, Reflective, ReflectiveOptions};
 use heliosplat::model::{Context, Parameters, SceneModel};
 use heliosplat::render::Lit;
-use heliosplat::shade::split_sum;
 use heliosplat_tests::capture::{
     BANDS, Flat, SIZE, camera, engine_values, flat, network, reference_gaussians, reference_values, scatter,
 };
@@ -14,6 +13,7 @@ use nalgebra::{Matrix3, Quaternion, UnitQuaternion, Vector3};
 use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg32;
 use std::f64::consts::PI;
+use std::sync::OnceLock;
 
 const HALF_SIZE: f64 = 1.5;
 
@@ -90,14 +90,51 @@ fn harmonics(d: &Vector3<f64>) -> [f64; 16] {
     ]
 }
 
-/// The baked table between its nodes, in f64.
+/// Nodes of the table of split sums along each side, and facets drawn for each node, squared.
+const NODES: usize = 65;
+const FACETS: usize = 40;
+
+/// The split sum as it is defined (Karis 2013): of facets drawn from GGX, those that mirror light to the eye, with Schlick's masking.
+fn split_sum_at(roughness: f64, cosine: f64) -> [f64; 2] {
+    let (normal, alpha, cosine) = (Vector3::z(), roughness.powi(2), cosine.max(1e-4));
+    let eye = Vector3::new((1.0 - cosine.powi(2)).sqrt(), 0.0, cosine);
+    let masking = |c: f64| c / (c + alpha / 2.0 - c * alpha / 2.0);
+    let (mut sums, side) = ([0.0; 2], FACETS as f64);
+    for i in 0..FACETS {
+        // Finer where the draw is steep.
+        let left = ((side - i as f64 - 0.5) / side).powi(3);
+        let weight = 3.0 * left.powf(2.0 / 3.0) / (side * side);
+        let tilt = (alpha * ((1.0 - left) / left).sqrt()).atan();
+        for j in 0..FACETS {
+            let turn = PI * (j as f64 + 0.5) / side;
+            let half = Vector3::new(tilt.sin() * turn.cos(), tilt.sin() * turn.sin(), tilt.cos());
+            let seen = eye.dot(&half);
+            let light = half * (2.0 * seen) - eye;
+            if light.z <= 0.0 || seen <= 0.0 {
+                continue;
+            }
+            let shown = masking(eye.z) * masking(light.z) * seen / (normal.dot(&half) * eye.z) * weight;
+            let grazing = (1.0 - seen).powi(5);
+            sums[0] += (1.0 - grazing) * shown;
+            sums[1] += grazing * shown;
+        }
+    }
+    sums
+}
+
+/// The split sum between its nodes, even in the roughness and the root of the cosine.
 fn split_sums(roughness: f64, cosine: f64) -> [f64; 2] {
-    let node = |i: usize, j: usize| split_sum::look_up(i as f32 / 64.0, (j as f32 / 64.0).powi(2)).values;
-    let (x, y) = (roughness * 64.0, cosine.sqrt() * 64.0);
-    let (i, j) = ((x as usize).min(63), (y as usize).min(63));
+    static TABLE: OnceLock<Vec<[f64; 2]>> = OnceLock::new();
+    let last = (NODES - 1) as f64;
+    let table = TABLE.get_or_init(|| {
+        let places = (0..NODES * NODES).map(|n| ((n / NODES) as f64 / last, (n % NODES) as f64 / last));
+        places.map(|(r, root)| split_sum_at(r, root * root)).collect()
+    });
+    let (x, y) = (roughness * last, cosine.sqrt() * last);
+    let (i, j) = ((x as usize).min(NODES - 2), (y as usize).min(NODES - 2));
     let (u, v) = (x - i as f64, y - j as f64);
     let value = |k: usize| {
-        let at = |i: usize, j: usize| f64::from(node(i, j)[k]);
+        let at = |i: usize, j: usize| table[i * NODES + j][k];
         (at(i, j) * (1.0 - v) + at(i, j + 1) * v) * (1.0 - u) + (at(i + 1, j) * (1.0 - v) + at(i + 1, j + 1) * v) * u
     };
     [value(0), value(1)]
@@ -147,8 +184,12 @@ fn seen(case: &Case, gaussians: &Flat, globals: &Flat, i: usize) -> Vec<f64> {
     if case.model.options.specular {
         let spread = |axis: Vector3<f64>, a: f64| (n * eye.dot(&axis) + axis * facing) * (2f64.sqrt() * a);
         let spread = [spread(x.into(), alpha[0]), spread(y.into(), alpha[1])];
-        let golden = [0.525_731_1f32, 0.850_650_8].map(f64::from);
-        let (a, b) = (golden[0], golden[1]);
+        // Corners of an icosahedron: a unit vector whose parts are in the golden ratio.
+        let golden = (1.0 + 5f64.sqrt()) / 2.0;
+        let (a, b) = (
+            1.0 / (1.0 + golden * golden).sqrt(),
+            golden / (1.0 + golden * golden).sqrt(),
+        );
         let axes = [
             [0.0, a, b],
             [0.0, a, -b],
