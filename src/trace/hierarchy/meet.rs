@@ -97,10 +97,19 @@ impl Pass {
                     w.x_axis.z * v[0] + w.y_axis.z * v[1] + w.z_axis.z * v[2],
                 ]
             };
-            let (e, d) = (whitened(offset), whitened(along));
+            // First to where the ray passes the centre in the scene, then on from there in whitened space: a thin Gaussian far away
+            // would make small differences of large numbers of the way there. Errors along the ray do no harm, they move the foot.
+            let foot = -(along[0] * offset[0] + along[1] * offset[1] + along[2] * offset[2]);
+            let beside = [
+                offset[0] + along[0] * foot,
+                offset[1] + along[1] * foot,
+                offset[2] + along[2] * foot,
+            ];
+            let (e, d) = (whitened(beside), whitened(along));
             let dd = d[0] * d[0] + d[1] * d[1] + d[2] * d[2];
-            let peak = -(e[0] * d[0] + e[1] * d[1] + e[2] * d[2]) / dd;
-            let n = [e[0] + d[0] * peak, e[1] + d[1] * peak, e[2] + d[2] * peak];
+            let further = -(e[0] * d[0] + e[1] * d[1] + e[2] * d[2]) / dd;
+            let peak = foot + further;
+            let n = [e[0] + d[0] * further, e[1] + d[1] * further, e[2] + d[2] * further];
             let square = n[0] * n[0] + n[1] * n[1] + n[2] * n[2];
             // Written so that a NaN counts as a miss.
             let near_enough = (square < occluder.reach_square) & (peak > block.near[l]) & (peak < block.far[l]);
