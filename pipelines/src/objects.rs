@@ -10,6 +10,7 @@ pub mod export;
 pub mod fit;
 pub mod measure;
 pub mod mesh;
+mod model_file;
 pub mod pinhole;
 pub mod pixels;
 pub mod plan;

@@ -3,9 +3,14 @@
 //! A reader may refuse whatever it likes. It may not panic, not take its time, and not ask for more memory than its input
 //! justifies.
 
+mod captures;
+
 use heliosplat::gaussians::{Table, core_groups};
 use heliosplat::model::SceneModel;
 use heliosplat::model::shadow_gs::{ShadowGs, ShadowGsOptions};
+use heliosplat_pipelines::batch::manifest::Manifest;
+use heliosplat_pipelines::objects::run::{ObjectFile, ObjectRun};
+use heliosplat_pipelines::objects::{self, transforms};
 use heliosplat_pipelines::run::{ModelFile, RunFile, ply};
 use heliosplat_pipelines::satellite::config::SatelliteConfig;
 use heliosplat_pipelines::scene;
@@ -25,7 +30,7 @@ pub struct Reader {
 }
 
 /// All of them.
-pub const READERS: [Reader; 8] = [
+pub const READERS: [Reader; 13] = [
     Reader {
         name: "camera_text",
         read: camera_text,
@@ -65,6 +70,31 @@ pub const READERS: [Reader; 8] = [
         name: "model_json",
         read: model_json,
         corpus: models,
+    },
+    Reader {
+        name: "transforms_json",
+        read: transforms_json,
+        corpus: captures::transforms,
+    },
+    Reader {
+        name: "object_json",
+        read: object_json,
+        corpus: captures::models,
+    },
+    Reader {
+        name: "object_ply",
+        read: object_ply,
+        corpus: captures::plys,
+    },
+    Reader {
+        name: "object_toml",
+        read: object_toml,
+        corpus: captures::runs,
+    },
+    Reader {
+        name: "batch_toml",
+        read: batch_toml,
+        corpus: manifests,
     },
 ];
 
@@ -146,6 +176,48 @@ pub fn model_json(bytes: &[u8]) -> bool {
         }
         Err(_) => false,
     }
+}
+
+/// `transforms.json` of a capture beside whose file `r_0.png` to `r_2.png` lie; with the sizes of images, the cameras can be made.
+pub fn transforms_json(bytes: &[u8]) -> bool {
+    match transforms::parse(&captures::folder().join("transforms.json"), bytes) {
+        Ok(frames) => {
+            for frame in &frames {
+                let _ = frame
+                    .camera([64, 48])
+                    .map(|camera| camera.projective(glam::DVec3::ZERO));
+            }
+            true
+        }
+        Err(_) => false,
+    }
+}
+
+/// `model.json` of an object; with the shared parameters it names, the model can be made.
+pub fn object_json(bytes: &[u8]) -> bool {
+    ObjectFile::parse(bytes).is_ok_and(|file| file.kind.model().feature_groups().len() > 1)
+}
+
+/// `model.ply` of an object, of a model of one light at a time.
+pub fn object_ply(bytes: &[u8]) -> bool {
+    objects::ply::decode(bytes, captures::olat().feature_groups()).is_ok()
+}
+
+/// `run.toml` of an object.
+pub fn object_toml(bytes: &[u8]) -> bool {
+    ObjectRun::parse(&text(bytes)).is_ok()
+}
+
+/// The manifest of a batch.
+pub fn batch_toml(bytes: &[u8]) -> bool {
+    Manifest::parse(&text(bytes)).is_ok()
+}
+
+fn manifests() -> Vec<Vec<u8>> {
+    let text = "[[images]]\nname = \"all\"\nscene = \"images\"\n\n[[areas]]\nname = \"a\"\nbounds = [36.9, 37.5, 37.0, 37.6]\n\
+                crs = \"EPSG:4326\"\naltitude_m = [640.0, 780.0]\n\n[[presets]]\nname = \"quick\"\npreset = \"fast\"\nseed = 2\n\
+                set = { \"train.iterations\" = 100 }\n\n[tiles]\nmemory = \"4GiB\"\n";
+    vec![text.as_bytes().to_vec()]
 }
 
 fn model() -> ShadowGs {

@@ -77,11 +77,15 @@ pub fn decode(bytes: &[u8], features: Vec<GroupSpec>) -> Result<Table, String> {
     let places: BTreeMap<&str, usize> = rows.columns.iter().copied().zip(0..).collect();
     let mut groups = core_groups();
     groups.extend(features);
-    let mut table = Table::zeros(groups.clone(), rows.count);
-    for column in columns(&groups) {
-        let place = *places
-            .get(column.name.as_str())
-            .ok_or(format!("it has no property {}", column.name))?;
+    let columns = columns(&groups);
+    let place = |column: &Column| {
+        let place = places.get(column.name.as_str()).copied();
+        place.ok_or(format!("it has no property {}", column.name))
+    };
+    // All of them, before anything is made of the number of rows: without columns that may be any.
+    let found: Vec<usize> = columns.iter().map(place).collect::<Result<_, _>>()?;
+    let mut table = Table::zeros(groups, rows.count);
+    for (column, place) in columns.iter().zip(found) {
         let group = &mut table.groups[column.group];
         let width = group.spec.width;
         for i in 0..rows.count {
@@ -147,5 +151,8 @@ mod tests {
         }
         let claim = String::from_utf8_lossy(&bytes[..60]).replace("vertex 3", "vertex 99999999999");
         assert!(decode(claim.as_bytes(), features()).is_err());
+        // No columns at all: then the rows take no bytes, however many there are.
+        let nothing = crate::ply::header(usize::MAX / 8, std::iter::empty());
+        assert!(decode(&nothing, features()).is_err());
     }
 }

@@ -367,7 +367,17 @@ fn read(path: &Path) -> Result<Vec<u8>, RunError> {
 pub fn load_run(folder: &Path) -> Result<ObjectRun, RunError> {
     let path = folder.join("run.toml");
     let text = String::from_utf8(read(&path)?).map_err(|e| damaged(&path, e))?;
-    toml::from_str(&text).map_err(|e| damaged(&path, e.message()))
+    ObjectRun::parse(&text).map_err(|e| damaged(&path, e))
+}
+
+impl ObjectRun {
+    /// What the text of a `run.toml` says.
+    ///
+    /// # Errors
+    /// A sentence that says what is wrong with it.
+    pub fn parse(text: &str) -> Result<Self, String> {
+        toml::from_str(text).map_err(|e| e.message().to_owned())
+    }
 }
 
 /// The model of a run.
@@ -379,22 +389,8 @@ pub fn load(folder: &Path) -> Result<ObjectModel, RunError> {
     if !path.is_file() {
         return Err(RunError::NotARun(folder.to_owned()));
     }
-    let file: ObjectFile = serde_json::from_slice(&read(&path)?).map_err(|e| damaged(&path, e))?;
-    if file.schema != SCHEMA {
-        return Err(damaged(&path, format!("schema {} is not known", file.schema)));
-    }
+    let file = ObjectFile::parse(&read(&path)?).map_err(|e| damaged(&path, e))?;
     let model = file.kind.model();
-    let expected = Table::zeros(model.global_groups(), 1);
-    let shape = |table: &Table| -> Vec<(String, usize)> {
-        table
-            .groups
-            .iter()
-            .map(|g| (g.spec.name.clone(), g.values.len()))
-            .collect()
-    };
-    if shape(&file.globals) != shape(&expected) || !file.globals.is_finite() {
-        return Err(damaged(&path, "its shared parameters do not fit its options"));
-    }
     let ply_path = folder.join("model.ply");
     let gaussians = ply::decode(&read(&ply_path)?, model.feature_groups()).map_err(|e| damaged(&ply_path, e))?;
     Ok(ObjectModel {

@@ -99,7 +99,15 @@ pub fn read(path: &Path) -> Result<Vec<FrameSpec>, CaptureError> {
         ));
     }
     let text = crate::trust::read_bytes(path, crate::trust::TEXT_MAX).map_err(io)?;
-    let value: Value = serde_json::from_slice(&text).map_err(|error| {
+    parse(path, &text)
+}
+
+/// The frames that the contents of the file at `path` list; images are looked for beside it.
+///
+/// # Errors
+/// As [`read`].
+pub fn parse(path: &Path, text: &[u8]) -> Result<Vec<FrameSpec>, CaptureError> {
+    let value: Value = serde_json::from_slice(text).map_err(|error| {
         let remedy = "write the file anew; JSON knows no NaN and no infinity";
         fault(path, format!("it is not JSON ({error})"), remedy)
     })?;

@@ -1,0 +1,151 @@
+//! Sound files of captures of objects and of their models.
+
+use glam::DVec3;
+use heliosplat::gaussians::{Table, core_groups};
+use heliosplat::model::SceneModel;
+use heliosplat::model::olat::{Olat, OlatOptions};
+use heliosplat::model::radiance::RadianceOptions;
+use heliosplat::model::reflective::{Reflective, ReflectiveOptions};
+use heliosplat_pipelines::objects::config::ObjectConfig;
+use heliosplat_pipelines::objects::pinhole::Pinhole;
+use heliosplat_pipelines::objects::pixels::Encoding;
+use heliosplat_pipelines::objects::ply;
+use heliosplat_pipelines::objects::run::{Kind, ObjectFile, ObjectImage, ObjectRun, SCHEMA};
+use heliosplat_pipelines::objects::transforms::PointLight;
+use heliosplat_pipelines::objects::views::Preparation;
+use heliosplat_pipelines::scene::Split;
+use std::path::Path;
+use std::sync::OnceLock;
+
+/// A folder with the images that [`transforms`] speak of; their contents are not read.
+pub(super) fn folder() -> &'static Path {
+    static FOLDER: OnceLock<tempfile::TempDir> = OnceLock::new();
+    let folder = FOLDER.get_or_init(|| {
+        let folder = tempfile::tempdir().expect("a temporary folder");
+        for n in 0..3 {
+            std::fs::write(folder.path().join(format!("r_{n}.png")), b"").expect("written");
+        }
+        folder
+    });
+    folder.path()
+}
+
+/// One file for each dialect: a field of view, focal lengths, lamps by name and in lists, a refined pose.
+pub(super) fn transforms() -> Vec<Vec<u8>> {
+    let pose = "[[0.8, 0.3, -0.5, -2.0], [-0.6, 0.4, -0.7, -2.8], [0.0, 0.9, 0.5, 2.0], [0.0, 0.0, 0.0, 1.0]]";
+    [
+        format!(r#"{{"camera_angle_x": 0.69, "frames": [{{"file_path": "./r_0", "rotation": 0.01, "transform_matrix": {pose}}}]}}"#),
+        format!(
+            r#"{{"fl_x": 80.5, "fl_y": 80.1, "cx": 32.0, "cy": 24.0, "w": 64, "h": 48, "frames": [
+            {{"file_path": "r_0.png", "transform_matrix": {pose}, "pl_pos": [1.0, 2.0, 3.0], "pl_intensity": [5.0, 5.0, 5.0]}},
+            {{"file_path": "r_1.png", "transform_matrix": {pose}, "light": {{"position": [0.0, 2.0, 3.0], "intensity": 2.0}}}}]}}"#
+        ),
+        format!(
+            r#"{{"camera_angle_x": 0.5, "frames": [{{"file_paths": ["r_0", "r_1", "r_2"], "transform_matrix": {pose},
+            "light_positions": [[1, 2, 3], [1, 2, 4], [1, 2, 5]], "light_intensities": [1, 2, [3, 3, 3]]}}]}}"#
+        ),
+        r#"{"camera_intrinsics": [32.0, 24.0, 80.5, 80.1], "frames": [{"file_path": "r_2", "file_ext": ".png",
+            "R_opt": [[1, 0, 0], [0, -1, 0], [0, 0, -1]], "T_opt": [0.1, 0.2, 4.0]}]}"#
+            .to_owned(),
+    ]
+    .map(String::into_bytes)
+    .to_vec()
+}
+
+/// A small model of one light at a time with all of its parts.
+pub(super) fn olat() -> Olat {
+    Olat::new(OlatOptions {
+        scattering: true,
+        refined: true,
+        width: 2,
+        hidden: 1,
+        ..OlatOptions::default()
+    })
+}
+
+/// `model.json` of every kind.
+pub(super) fn models() -> Vec<Vec<u8>> {
+    let (olat, options) = (
+        olat(),
+        ReflectiveOptions {
+            width: 2,
+            hidden: 1,
+            ..ReflectiveOptions::default()
+        },
+    );
+    let reflective = Reflective::new(options);
+    let kinds = [
+        (Kind::Radiance(RadianceOptions::default()), Table::zeros(Vec::new(), 1)),
+        (Kind::Olat(olat.options.clone()), olat.initial_globals()),
+        (
+            Kind::Reflective(reflective.options.clone()),
+            reflective.initial_globals(1),
+        ),
+    ];
+    let image = ObjectImage {
+        name: "train/r_0".into(),
+        split: Split::Train,
+        camera: Pinhole {
+            eye: DVec3::new(0.0, -4.0, 0.0),
+            right: DVec3::X,
+            down: -DVec3::Z,
+            forward: DVec3::Y,
+            focal_px: [80.0; 2],
+            principal_px: [31.5, 23.5],
+            size_px: [64, 48],
+        },
+        light: Some(PointLight {
+            position: DVec3::new(1.0, 2.0, 3.0),
+            intensity: Some([2.0; 3]),
+        }),
+    };
+    let file = |(kind, globals): (Kind, Table)| ObjectFile {
+        schema: SCHEMA,
+        kind,
+        globals,
+        centre: DVec3::ZERO,
+        half_size: 1.5,
+        pixel_size: 0.05,
+        encoding: Encoding::Linear,
+        preparation: Preparation {
+            background: [0.0; 3],
+            coverage: true,
+            linear: false,
+            unit_light: Some([2.0; 3]),
+        },
+        projection: heliosplat::splat::ProjectionOptions::default(),
+        trace: heliosplat::trace::TraceOptions::default(),
+        images: vec![image.clone()],
+    };
+    kinds
+        .into_iter()
+        .map(|kind| serde_json::to_vec(&file(kind)).unwrap_or_default())
+        .collect()
+}
+
+/// `model.ply`, of some Gaussians and of none.
+pub(super) fn plys() -> Vec<Vec<u8>> {
+    let mut groups = core_groups();
+    groups.extend(olat().feature_groups());
+    let mut table = Table::zeros(groups, 5);
+    for group in &mut table.groups {
+        for (i, v) in group.values.iter_mut().enumerate() {
+            *v = (i as f32 * 0.61).cos();
+        }
+    }
+    vec![ply::encode(&table), ply::encode(&table.gather(&[]))]
+}
+
+/// `run.toml`.
+pub(super) fn runs() -> Vec<Vec<u8>> {
+    let run = ObjectRun {
+        version: "0.1.0".into(),
+        preset: "fast".into(),
+        seed: 1,
+        capture: "capture".into(),
+        inputs: Vec::new(),
+        config: ObjectConfig::resolve("fast", &[], 1).unwrap_or_default(),
+        plan: None,
+    };
+    vec![toml::to_string_pretty(&run).unwrap_or_default().into_bytes()]
+}
