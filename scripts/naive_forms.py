@@ -36,11 +36,21 @@ BATCHES = {
             ("let (vx, vy) = (most(xx[i] - a * a, 0.0), most(yy[i] - b * b, 0.0));", "let (vx, vy) = (most(xx[i] - a * a, f32::MIN), yy[i] - b * b);"),
             ("            let bound = (vx * vy).sqrt();\n            let cov = -most(-most(xy[i] - a * b, -bound), -bound);\n", "            let cov = xy[i] - a * b;\n"),
         ]),
-        ("exponent, hierarchy", "src/trace/hierarchy/meet.rs", [("let square = n[0] * n[0] + n[1] * n[1] + n[2] * n[2];", "let square = e[0] * e[0] + e[1] * e[1] + e[2] * e[2] - peak * peak * dd;")]),
+        ("exponent, hierarchy", "src/trace/hierarchy/meet.rs", [("let square = n[0] * n[0] + n[1] * n[1] + n[2] * n[2];", "let e = whitened(offset);\n            let along_it = e[0] * d[0] + e[1] * d[1] + e[2] * d[2];\n            let square = e[0] * e[0] + e[1] * e[1] + e[2] * e[2] - along_it * along_it / dd;")]),
         ("exponent, sun's plane", "src/trace/sun_plane/ellipse.rs", [("let det = a.cross(b).length_squared();", "let det = xx * yy - xy * xy;"), ("let (along, area) = (xx.sqrt(), det.sqrt());\n        let whiten = [1.0 / along, -xy / (along * area), along / area];", "let whiten = [1.0 / xx.sqrt(), -xy / (det * xx).sqrt(), xx.sqrt() / det.sqrt()];")]),
         ("own sheet", "src/trace/light_ray.rs", [("const LIFT: f32 = 3.717;", "const LIFT: f32 = 0.0;"), ("bias: options.bias_sigmas * extent,", "bias: 0.0 * extent,")]),
         ("alpha at most 0.99", "src/trace/transmittance.rs", [("let alpha = if alpha < ALPHA_MAX { alpha } else { ALPHA_MAX };\n", ""), ("let weight = if alpha < ALPHA_MAX { alpha / (1.0 - alpha) } else { 0.0 };", "let weight = alpha / (1.0 - alpha);")]),
         ("best held-out loss", "src/train/holdout.rs", [("loss.filter(|loss| loss.is_finite())", "loss")]),
+    ],
+    "surfaces": [
+        ("GGX", "src/shade/ggx.rs", [("    let sum = x * x + y * y + h.z * h.z;\n", "    let sum = h.z * h.z * (1.0 - 1.0 / (alpha[0] * alpha[1])) + 1.0 / (alpha[0] * alpha[1]) + 0.0 * (x + y);\n")]),
+        ("masking and cosines in one", "src/shade/ggx.rs", [("    density(half, alpha) * visible * to_light.z\n", "    let _ = visible;\n    density(half, alpha) * masking(to_light, alpha) * masking(to_eye, alpha) / (4.0 * to_light.z * to_eye.z) * to_light.z\n")]),
+        ("lobe near its axis", "src/shade/asg.rs", [("    if v.z > 0.0 && square < NEAR_AXIS * NEAR_AXIS {", "    if square < 0.0 {"), ("let sine = square.sqrt().max(LEAST_SINE);", "let sine = square.sqrt();"), ("let angle = sine.atan2(v.z);", "let angle = v.z.acos();")]),
+        ("dipole by the square of its transport", "src/shade/dipole.rs", [("to_transport_square * 3.0 * extinction,", "to_transport_square * 2.0 * transport * (1.5 * extinction / transport),")]),
+        ("dipole: coefficients and depths bounded", "src/shade/dipole.rs", [("if x < MOST { x } else { MOST }", "x"), ("    if s * d > FAR {", "    if s * d < 0.0 {")]),
+        ("lamp of a size", "src/shade/falloff.rs", [("(radius / distance).max(LEAST_RADIUS)", "radius / distance")]),
+        ("foot in the scene", "src/trace/hierarchy/meet.rs", [("let (e, d) = (whitened(beside), whitened(along));", "let foot = 0.0 * foot;\n            let (e, d) = (whitened(offset), whitened(along));")]),
+        ("display's line", "src/shade/display.rs", [("    if light <= LINE {\n        return (12.92 * light, 12.92);\n    }\n", "")]),
     ],
 }
 COMMANDS = [

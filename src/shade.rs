@@ -3,6 +3,7 @@
 pub mod asg;
 pub mod dipole;
 pub mod display;
+pub mod falloff;
 pub mod ggx;
 pub mod sh;
 pub mod split_sum;

@@ -10,7 +10,8 @@
 //! ```
 //!
 //! Light that scatters comes from elsewhere on the object, so the shadow does not dim it. `S` is the transmittance toward the light
-//! (another network may move its logit by what it makes of place, direction and a code of the Gaussian), `d` its distance, `r` its radius, `D` the distance at which a light counts as one.
+//! (another network may move its logit by what it makes of place, direction and a code of the Gaussian), `d` its distance, `r` its radius
+//! (a thousandth of `D` at least), `D` the distance at which a light counts as one.
 //! The normal `n` and the lobes' frames turn with a frame per Gaussian of its own. Lights add up, so strength and colour of a light
 //! multiply its image: the model itself knows lights of strength one. Parallel light has no distance and falls off nowhere.
 

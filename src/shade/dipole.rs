@@ -14,6 +14,10 @@ use std::f32::consts::PI;
 pub const ETA: f32 = 1.3;
 /// `(1 + F)/(1 - F)` of the internally reflected share `F(η) = -1.440/η² + 0.710/η + 0.668 + 0.0636 η` at [`ETA`].
 const A: f32 = 2.602_064;
+/// Coefficients beyond this count as this, per length: such a surface lets nothing in. Less extinction than its inverse counts as that.
+const MOST: f32 = 1e9;
+/// Depths of transport beyond which nothing arrives: `e^-80` is 2e-35.
+const FAR: f32 = 80.0;
 
 /// What is under a surface.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -37,49 +41,52 @@ pub struct Scattered {
     pub absorption: f32,
 }
 
-/// One pole: `z (1 + s d) e^(-s d) / d³` with `d² = r² + z²`, and its gradients to r, z and s.
+/// One pole: `z (1 + s d) e^(-s d) / d³` with `d² = r² + z²`, and its gradients to r, z and s².
+///
+/// To s² and not to s, which follows from what absorbs by a root: `d[(1 + x) e^-x] = -½ e^-x d(x²)` has a limit where nothing absorbs.
 #[inline]
 fn pole(r: f32, z: f32, s: f32) -> (f32, f32, f32, f32) {
     let square = r * r + z * z;
     let d = square.sqrt();
+    if s * d > FAR {
+        return (0.0, 0.0, 0.0, 0.0);
+    }
     let falling = (-s * d).exp() / (d * square);
     let grown = 1.0 + s * d;
-    let value = z * grown * falling;
     // d/dd [(1 + s d) e^(-s d) d⁻³] = -e^(-s d) d⁻⁴ (s² d² + 3 s d + 3)
     let by_d = -z * falling / d * (s * s * square + 3.0 * grown);
     (
-        value,
-        by_d * r / d,
-        grown * falling + by_d * z / d,
-        -z * falling * s * square,
+        z * grown * falling,
+        by_d * (r / d),
+        grown * falling + by_d * (z / d),
+        -0.5 * z * falling * square,
     )
 }
 
 impl Medium {
-    /// The profile at distance `r`, which may be zero.
+    /// The profile at distance `r`, which may be zero; coefficients may be zero or infinite.
     #[inline]
     pub fn profile(&self, r: f32) -> Scattered {
-        let (s, a) = (self.scattering, self.absorption);
-        let extinction = s + a;
+        let within = |x: f32| if x < MOST { x } else { MOST };
+        let (s, a) = (within(self.scattering), within(self.absorption));
+        let extinction = (s + a).max(1.0 / MOST);
         let albedo = s / extinction;
-        let transport = (3.0 * a * extinction).sqrt();
         let depth = 1.0 / extinction;
+        let transport = (3.0 * a * extinction).sqrt();
         let mirrored = 1.0 + 4.0 / 3.0 * A;
         let (real, real_r, real_z, real_s) = pole(r, depth, transport);
         let (virt, virt_r, virt_z, virt_s) = pole(r, depth * mirrored, transport);
-        let unit = albedo / (4.0 * PI);
-        let sum = real + virt;
+        let (unit, sum) = (albedo / (4.0 * PI), real + virt);
         let to_depth = unit * (real_z + virt_z * mirrored);
-        let to_transport = unit * (real_s + virt_s);
-        // Both coefficients are in the extinction: d depth = -depth², d transport = 1.5 a / transport.
-        let both = -to_depth * depth * depth + to_transport * 1.5 * a / transport.max(1e-12);
+        let to_transport_square = unit * (real_s + virt_s);
+        // Both coefficients are in the extinction: d depth = -depth², d transport² = 3 a.
+        let both = -to_depth * depth * depth + to_transport_square * 3.0 * a;
+        let to_albedo = sum / (4.0 * PI);
         Scattered {
             value: unit * sum,
             distance: unit * (real_r + virt_r),
-            scattering: sum / (4.0 * PI) * a / (extinction * extinction) + both,
-            absorption: -sum / (4.0 * PI) * s / (extinction * extinction)
-                + both
-                + to_transport * 1.5 * extinction / transport.max(1e-12),
+            scattering: to_albedo * (a * depth) * depth + both,
+            absorption: -to_albedo * (s * depth) * depth + both + to_transport_square * 3.0 * extinction,
         }
     }
 

@@ -6,6 +6,7 @@
 mod geometry;
 mod light;
 mod scalar;
+mod surface;
 
 use std::time::Instant;
 
@@ -102,6 +103,7 @@ pub fn rows(timed: bool) -> Vec<Row> {
     let mut rows = scalar::rows(timed);
     rows.extend(geometry::rows(timed));
     rows.extend(light::rows(timed));
+    rows.extend(surface::rows(timed));
     rows
 }
 

@@ -8,6 +8,7 @@ use crate::light::Light;
 use crate::model::over::COLOURS;
 use crate::model::shadow_gs::softplus;
 use crate::shade::asg::Lobe;
+use crate::shade::falloff::falloff;
 use glam::{Mat3, Vec3};
 use std::f32::consts::FRAC_1_PI;
 
@@ -122,15 +123,15 @@ impl Place {
                 d_falling: Vec3::ZERO,
             };
         }
-        let square = (away * away + radius * radius).max(1e-12);
-        let falling = distance * distance / square;
+        let (falling, slope) = falloff(away, distance, radius);
         Self {
             to_light,
             to_eye,
-            inverse_light: 1.0 / away.max(1e-12),
+            // In the place of the lamp itself the direction is a convention and does not turn.
+            inverse_light: if away > 0.0 { 1.0 / away } else { 0.0 },
             inverse_eye,
             falling,
-            d_falling: to_light * (2.0 * away * falling / square),
+            d_falling: to_light * -slope,
         }
     }
 }

@@ -2,7 +2,7 @@
 
 use glam::{DVec3, Vec3};
 use heliosplat::ProjectiveCamera;
-use heliosplat::gaussians::{FEATURES, LOG_SCALE, OPACITY, POSITION, ROTATION, Table, core_groups};
+use heliosplat::gaussians::{FEATURES, GroupSpec, LOG_SCALE, OPACITY, POSITION, ROTATION, Table, core_groups};
 use heliosplat::model::shadow_gs::{ShadowGs, ShadowGsOptions};
 use heliosplat::model::{Parameters, SceneModel};
 use heliosplat_tests::reference::{self, Gaussian};
@@ -199,17 +199,25 @@ pub(crate) fn model() -> ShadowGs {
     })
 }
 
-/// The parameters of a model with these Gaussians.
-pub(crate) fn parameters(model: &ShadowGs, drawn: &[Drawn]) -> Parameters {
+/// These Gaussians, with the groups of a model's own still zero.
+pub(crate) fn gaussians(features: Vec<GroupSpec>, drawn: &[Drawn]) -> Table {
     let mut groups = core_groups();
-    groups.extend(model.feature_groups());
+    groups.extend(features);
     let mut gaussians = Table::zeros(groups, drawn.len());
     for (i, d) in drawn.iter().enumerate() {
         gaussians.group_mut(POSITION)[i * 3..i * 3 + 3].copy_from_slice(&d.position);
         gaussians.group_mut(LOG_SCALE)[i * 3..i * 3 + 3].copy_from_slice(&d.log_scale);
         gaussians.group_mut(ROTATION)[i * 4..i * 4 + 4].copy_from_slice(&d.rotation);
         gaussians.group_mut(OPACITY)[i] = d.opacity;
-        gaussians.group_mut(FEATURES)[i] = d.albedo;
+    }
+    gaussians
+}
+
+/// The parameters of a model with these Gaussians.
+pub(crate) fn parameters(model: &ShadowGs, drawn: &[Drawn]) -> Parameters {
+    let mut gaussians = gaussians(model.feature_groups(), drawn);
+    for (albedo, d) in gaussians.group_mut(FEATURES).iter_mut().zip(drawn) {
+        *albedo = d.albedo;
     }
     Parameters {
         gaussians,

@@ -10,12 +10,13 @@ mod extremes;
 mod images;
 mod light;
 mod numbers;
+mod surfaces;
 mod view;
 
 use proptest::test_runner::{Config, RngSeed};
 
 /// How many cases every property draws at least.
-const CASES: [(&str, u32); 14] = [
+const CASES: [(&str, u32); 16] = [
     ("numbers", 2000),
     ("rates", 500),
     ("light_bounds", 2500),
@@ -30,6 +31,8 @@ const CASES: [(&str, u32); 14] = [
     ("frames", 2500),
     ("cameras", 150),
     ("suns", 1500),
+    ("microfacets", 1000),
+    ("objects", 1200),
 ];
 
 fn from_environment(name: &str, otherwise: u64) -> u64 {
