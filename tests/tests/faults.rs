@@ -1,6 +1,7 @@
 //! What a user can get wrong: each gets one line that names the file and what to do, the right exit code, and nothing
 //! half-written.
 
+use heliosplat_pipelines::raster::GeoRaster;
 use heliosplat_tests::program::{fault, heliosplat, json};
 use heliosplat_tests::scenes::{Shows, View, write_altitudes, write_scene};
 use std::ffi::OsString;
@@ -438,6 +439,50 @@ fn training_that_finds_no_finite_step_fails_says_where_and_leaves_no_run() {
         "{line}"
     );
     assert!(!run.exists(), "no run is left");
+}
+
+#[test]
+fn training_that_goes_astray_keeps_its_last_good_state_and_says_why_it_stopped() {
+    let home = scene(&[View::new(0), View::new(1), View::new(2)]);
+    let run = home.path().join("run");
+    // Rates that grow instead of falling: after some steps colours are so bright that gradients are no numbers any more.
+    let astray = [
+        "train.iterations=120",
+        "train.rounds=40",
+        "train.patience=1000",
+        "train.position_rate_gsd=0",
+        "train.final_rate=1e30",
+    ];
+    let sets = astray.map(|set| ["--set", set]);
+    let line = fault(&training(home.path(), &run, sets.as_flattened()), 1);
+    let said = [
+        "20 steps in a row",
+        "is not finite, last in view view_",
+        "the last good state is kept",
+    ];
+    for part in said.into_iter().chain([&*run.display().to_string()]) {
+        assert!(line.contains(part), "'{part}' is not in '{line}'");
+    }
+    let model = heliosplat_pipelines::run::load(&run).expect("a run that can be read");
+    assert!(model.parameters.is_finite() && model.parameters.gaussians.count > 100);
+    let text = std::fs::read_to_string(run.join("metrics.json")).expect("metrics");
+    let metrics: serde_json::Value = serde_json::from_str(&text).expect("JSON");
+    assert!(metrics["rejected_steps"].as_u64().is_some_and(|n| n >= 20), "{metrics}");
+    assert_eq!(
+        metrics["training"],
+        serde_json::Value::Null,
+        "it is not taken for finished"
+    );
+    // What it says of the ground is of use: flat, and where it is.
+    let dsm = home.path().join("dsm.tif");
+    heliosplat(&["dsm".as_ref(), run.as_os_str(), "--out".as_ref(), dsm.as_os_str()])
+        .assert()
+        .success();
+    let surface = GeoRaster::read(&dsm).expect("a surface model").raster;
+    let mut altitudes: Vec<f32> = surface.plane(0).iter().copied().filter(|z| z.is_finite()).collect();
+    altitudes.sort_by(f32::total_cmp);
+    let middle = altitudes.get(altitudes.len() / 2).copied().expect("a surface");
+    assert!((middle - 700.0).abs() < 2.0, "{middle} m");
 }
 
 #[test]
