@@ -161,6 +161,11 @@ impl<'a> Trainer<'a> {
         self.rejected
     }
 
+    /// Mean absolute difference on the held-out tiles, as each view last saw its own; `None` where none are held out.
+    pub fn held_out_l1(&self) -> Option<f64> {
+        self.holdout.mean()
+    }
+
     /// Whether all steps are done, or the held-out tiles stopped improving.
     pub fn finished(&self) -> bool {
         self.step >= self.options.iterations || self.holdout.stop()

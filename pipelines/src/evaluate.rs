@@ -132,17 +132,23 @@ pub fn evaluate_dsm(
     classes_path: Option<&Path>,
     protocol: Protocol,
 ) -> Result<DsmEvaluation, EvaluateError> {
-    let mut warnings = Vec::new();
     let prediction = GeoRaster::read(prediction_path)?;
-    let truth = truth::read(truth_path, &prediction, &mut warnings)?;
-    check_vertical(
-        prediction_path,
-        &prediction,
-        truth_path,
-        &truth,
-        protocol,
-        &mut warnings,
-    )?;
+    evaluate_raster((prediction_path, &prediction), truth_path, classes_path, protocol)
+}
+
+/// The same of a prediction in memory, with the path that names it in errors.
+///
+/// # Errors
+/// [`EvaluateError`], naming the file at fault.
+pub fn evaluate_raster(
+    (prediction_path, prediction): (&Path, &GeoRaster),
+    truth_path: &Path,
+    classes_path: Option<&Path>,
+    protocol: Protocol,
+) -> Result<DsmEvaluation, EvaluateError> {
+    let mut warnings = Vec::new();
+    let truth = truth::read(truth_path, prediction, &mut warnings)?;
+    check_vertical(prediction_path, prediction, truth_path, &truth, protocol, &mut warnings)?;
     let classes = match classes_path {
         Some(path) => Some(truth::read_classes(path, &truth.raster)?),
         None => None,
@@ -150,7 +156,7 @@ pub fn evaluate_dsm(
     let (pixel_width, pixel_height) = truth.transform.pixel_size();
     let metres = truth.crs.as_ref().map_or(1.0, |crs| crs.metres_per_unit());
     let gsd_m = (pixel_width * pixel_height).sqrt() * metres;
-    let placement = resample::Placement::new(&prediction, &truth)?;
+    let placement = resample::Placement::new(prediction, &truth)?;
     let moved = |columns: f64, rows: f64| placement.moved(columns, rows);
     let Some((errors, shift)) = register(&moved, &truth.raster, classes.as_ref(), protocol) else {
         return Err(EvaluateError::NoOverlap {

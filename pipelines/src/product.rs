@@ -7,3 +7,4 @@ pub mod relight;
 pub mod set;
 pub mod stac;
 pub mod views;
+pub mod writer;

@@ -1,6 +1,8 @@
-//! `report.html`: a run on one page that needs nothing else. It is made of what the run's folder holds, so it can be made again at any
-//! time, without the scene.
+//! `report.html`: a run, or a mosaic of many, on one page that needs nothing else. It is made of what the folder holds, so it can be made
+//! again at any time, without the scene.
 
+pub mod mosaic;
+pub mod object;
 mod parts;
 
 use crate::page::{STYLE, escaped};
@@ -22,38 +24,32 @@ figure{margin:0}figure img{width:100%;height:auto;display:block;background:var(-
 .charts{display:grid;grid-template-columns:repeat(auto-fit,minmax(min(100%,24rem),1fr));gap:1rem 2rem}.charts svg{max-width:36rem}\
 h1{overflow-wrap:anywhere}h3{margin:.6rem 0 .2rem;font-size:1em}.off{color:var(--faint)}";
 
-/// What a run's folder holds.
-struct Contents {
-    folder: PathBuf,
-    run: RunFile,
-    model: ModelFile,
+/// A folder of pictures, and what was measured there.
+struct Folder {
+    path: PathBuf,
     metrics: Value,
 }
 
-impl Contents {
-    fn read(folder: &Path) -> Result<Self, RunError> {
-        let run = run::load_run(folder)?;
-        let model = run::load_file(folder)?;
-        let path = folder.join("metrics.json");
-        let metrics = match crate::trust::read_text(&path) {
+impl Folder {
+    /// A folder whose measurements are in the file of this name; it may be absent: a run that was stopped before its measuring has none.
+    fn read(path: &Path, metrics: &str) -> Result<Self, RunError> {
+        let file = path.join(metrics);
+        let metrics = match crate::trust::read_text(&file) {
             Ok(text) => serde_json::from_str(&text).map_err(|error| RunError::Damaged {
-                path,
+                path: file,
                 reason: error.to_string(),
             })?,
-            // A run that was stopped before its measuring has none.
             Err(_) => Value::Null,
         };
         Ok(Self {
-            folder: folder.to_owned(),
-            run,
-            model,
+            path: path.to_owned(),
             metrics,
         })
     }
 
-    /// A picture of the run, if it is there and of a size that can be shown.
+    /// A picture, if it is there and of a size that can be shown.
     fn picture(&self, name: &str) -> Option<RgbImage> {
-        let path = self.folder.join(name);
+        let path = self.path.join(name);
         if !path.is_file() {
             return None;
         }
@@ -69,34 +65,67 @@ impl Contents {
     fn number(&self, pointer: &str) -> Option<f64> {
         self.metrics.pointer(pointer).and_then(Value::as_f64)
     }
+
+    /// Its own name.
+    fn name(&self) -> String {
+        let whole = std::fs::canonicalize(&self.path).unwrap_or_else(|_| self.path.clone());
+        whole.file_name().unwrap_or_default().to_string_lossy().into_owned()
+    }
 }
 
-/// Writes `report.html` into the folder of a run; returns its path.
+/// What the folder of a run of a satellite scene holds.
+struct Contents {
+    folder: Folder,
+    run: RunFile,
+    model: ModelFile,
+}
+
+impl Contents {
+    fn read(folder: &Path) -> Result<Self, RunError> {
+        Ok(Self {
+            run: run::load_run(folder)?,
+            model: run::load_file(folder)?,
+            folder: Folder::read(folder, "metrics.json")?,
+        })
+    }
+}
+
+/// Writes `report.html` into the folder of a run of a satellite scene; returns its path.
 ///
 /// # Errors
 /// When the folder holds no run, or the page cannot be written.
 pub fn write(folder: &Path) -> Result<PathBuf, RunError> {
     let contents = Contents::read(folder)?;
+    save(folder, &page(&contents))
+}
+
+fn save(folder: &Path, page: &str) -> Result<PathBuf, RunError> {
     let path = folder.join("report.html");
-    write_atomically(&path, page(&contents).as_bytes())?;
+    write_atomically(&path, page.as_bytes())?;
     Ok(path)
 }
 
-fn page(run: &Contents) -> String {
-    let whole = std::fs::canonicalize(&run.folder).unwrap_or_else(|_| run.folder.clone());
-    let name = whole.file_name().unwrap_or_default().to_string_lossy().into_owned();
-    let name = escaped(&name);
+/// A page of some parts.
+fn html(title: &str, parts: &[String]) -> String {
+    let title = escaped(title);
     format!(
         "<!doctype html><html lang=\"en\"><meta charset=\"utf-8\"><meta name=\"viewport\" content=\"width=device-width,initial-scale=1\">\
-         <title>{name}</title><style>{STYLE}{MORE_STYLE}</style><h1>{name}</h1>{}{}{}{}{}{}{}</html>\n",
+         <title>{title}</title><style>{STYLE}{MORE_STYLE}</style><h1>{title}</h1>{}</html>\n",
+        parts.concat()
+    )
+}
+
+fn page(run: &Contents) -> String {
+    let parts = [
         parts::head(run),
-        parts::surface(run),
+        parts::surface(&run.folder),
         parts::views(run),
-        parts::curves(run),
-        parts::accuracy(run),
+        parts::curves(&run.folder),
+        parts::accuracy(&run.folder),
         parts::plan(run),
         parts::costs(run),
-    )
+    ];
+    html(&run.folder.name(), &parts)
 }
 
 #[cfg(test)]

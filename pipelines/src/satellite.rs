@@ -7,7 +7,7 @@ pub mod estimate;
 pub mod fit;
 pub mod ground;
 mod initial;
-mod measure;
+pub(crate) mod measure;
 pub mod plan;
 mod radiometry;
 mod shadow_prior;

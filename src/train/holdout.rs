@@ -122,11 +122,7 @@ impl Holdout {
         if self.patience == 0 || !step.is_multiple_of(views) || step < self.keep_from {
             return;
         }
-        let known: Vec<f64> = self.losses.iter().flatten().copied().collect();
-        if known.is_empty() {
-            return;
-        }
-        let mean = known.iter().sum::<f64>() / known.len() as f64;
+        let Some(mean) = self.mean() else { return };
         match &self.best {
             Some((_, best, _)) if mean > best * (1.0 - PROGRESS) => self.rounds_without += 1,
             _ => {
@@ -134,6 +130,12 @@ impl Holdout {
                 self.rounds_without = 0;
             }
         }
+    }
+
+    /// Mean over views of what was last noted of them.
+    pub(super) fn mean(&self) -> Option<f64> {
+        let known: Vec<f64> = self.losses.iter().flatten().copied().collect();
+        (!known.is_empty()).then(|| known.iter().sum::<f64>() / known.len() as f64)
     }
 
     pub(super) fn stop(&self) -> bool {

@@ -2,6 +2,7 @@
 //!
 //! `HELIOSPLAT_KILLS` says how often the batch is killed (3 where not said).
 
+use gdal::{Dataset, Metadata};
 use heliosplat_tests::program::{binary, fault, heliosplat, json, tiny_scene};
 use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg32;
@@ -24,6 +25,9 @@ const FOUR_TILES: &str = "
 [tiles]
 side_m = 48.0
 overlap_m = 6.0
+
+[products]
+sun = [200.0, 40.0]
 
 [[images]]
 name = \"first\"
@@ -49,11 +53,12 @@ fn products(out: &Path) -> Vec<(PathBuf, Vec<u8>)> {
     while let Some(folder) = open.pop() {
         for entry in std::fs::read_dir(&folder).expect("listable").flatten() {
             let path = entry.path();
-            let product = ["tif", "ply", "png"]
+            let product = ["tif", "ply", "png", "laz"]
                 .iter()
                 .any(|e| path.extension().is_some_and(|x| x == *e))
-                || path.ends_with("model.json")
-                || path.ends_with("mosaic.json");
+                || ["model.json", "mosaic.json", "item.json", "collection.json"]
+                    .iter()
+                    .any(|name| path.ends_with(name));
             if path.is_dir() {
                 open.push(path);
             } else if product {
@@ -114,7 +119,8 @@ fn a_batch_that_is_killed_again_and_again_ends_with_the_same_bytes() {
         "{whole}"
     );
     let undisturbed = products(&home.path().join("whole"));
-    assert!(undisturbed.len() > 20, "{}", undisturbed.len());
+    assert!(undisturbed.len() > 80, "{}", undisturbed.len());
+    products_of_the_mosaic(&home.path().join("whole"));
 
     // Every life is long enough to come further than the one before, so that all moments of the batch are met.
     let mut random = Pcg32::seed_from_u64(std::process::id().into());
@@ -165,6 +171,140 @@ fn a_batch_that_is_killed_again_and_again_ends_with_the_same_bytes() {
     assert_eq!(left["units"].as_array().expect("units").iter().filter(open).count(), 1);
     json(&batch(home.path(), "killed", &["--only", id]));
     assert_same(&undisturbed, &products(&home.path().join("killed")));
+}
+
+/// The mosaic has all products on one grid, they are those of its tiles, and its item and its page name them.
+fn products_of_the_mosaic(out: &Path) {
+    let home = out.join("all/first/quick");
+    let folder = home.join("mosaic");
+    let item = read_json(&folder.join("item.json"));
+    let assets = item["assets"].as_object().expect("assets");
+    let masks: Vec<&String> = assets.keys().filter(|key| key.starts_with("shadow_")).collect();
+    assert!(!masks.is_empty(), "{:?}", assets.keys());
+    let open = |path: PathBuf| Dataset::open(&path).unwrap_or_else(|error| panic!("{}: {error}", path.display()));
+    let dsm = open(folder.join("dsm.tif"));
+    let rasters = ["dsm", "hillshade", "albedo", "relit", "relit_shadow"].map(str::to_owned);
+    for key in rasters.iter().chain(masks) {
+        let file = open(folder.join(assets[key.as_str()]["href"].as_str().expect("a file")));
+        assert_eq!(file.raster_size(), dsm.raster_size(), "{key}");
+        assert_eq!(
+            file.geo_transform().expect("a place"),
+            dsm.geo_transform().expect("a place")
+        );
+        assert_eq!(
+            file.metadata_item("LAYOUT", "IMAGE_STRUCTURE").as_deref(),
+            Some("COG"),
+            "{key}"
+        );
+    }
+    // In the north-west corner only the first tile says anything.
+    let tile = home.join("tile-r0c0");
+    let [dsm_west, _, _, dsm_north, ..] = dsm.geo_transform().expect("a place");
+    let corner = |folder: &Path, name: &str| {
+        let file = open(folder.join(name));
+        let [west, size, _, north, ..] = file.geo_transform().expect("a place");
+        let cell = |distance: f64| (distance / size).round() as isize + 4;
+        let at = (cell(dsm_west - west), cell(north - dsm_north));
+        let band = file.rasterband(1).expect("a band");
+        let pixels = band.read_as::<f32>(at, (30, 30), (30, 30), None).expect("pixels");
+        pixels.data().to_vec()
+    };
+    for name in ["dsm.tif", "hillshade.tif", "relit_shadow.tif"] {
+        let (one, all) = (corner(&tile, name), corner(&folder, name));
+        let apart = one.iter().zip(&all).filter(|(a, b)| (*a - *b).abs() > 1e-3).count();
+        assert!(apart == 0, "{name}: {apart} cells differ");
+    }
+    let gain = |file: &Path| corner(file, "albedo.tif");
+    let ratios: Vec<f32> = gain(&folder)
+        .iter()
+        .zip(gain(&tile))
+        .map(|(all, one)| all / one)
+        .collect();
+    assert!(
+        ratios.iter().all(|r| (r - ratios[0]).abs() < 1e-3 * ratios[0]),
+        "one gain for a tile"
+    );
+
+    // Every point of a core, once.
+    let count = |file: PathBuf| {
+        las::Reader::from_path(file)
+            .expect("a LAZ file")
+            .header()
+            .number_of_points()
+    };
+    let of_tiles: u64 = ["r0c0", "r0c1", "r1c0", "r1c1"]
+        .map(|name| count(home.join(format!("tile-{name}/points.laz"))))
+        .iter()
+        .sum();
+    let merged = count(folder.join("points.laz"));
+    assert!(merged > of_tiles / 2 && merged < of_tiles, "{merged} of {of_tiles}");
+
+    let collection = read_json(&out.join("collection.json"));
+    assert!(
+        collection["links"]
+            .to_string()
+            .contains("./all/first/quick/mosaic/item.json")
+    );
+    assert_eq!(item["collection"], collection["id"]);
+    let page = std::fs::read_to_string(folder.join("report.html")).expect("a page");
+    for part in [
+        "Borders of tiles",
+        "tile-r1c1/run/report.html",
+        "Shadows, date by date",
+        "relit.tif",
+    ] {
+        assert!(page.contains(part), "{part}");
+    }
+    assert!(!page.contains("http") && !page.contains("<script") && !page.contains("<link"));
+    assert_eq!(
+        page.matches("src=").count(),
+        page.matches("src=\"data:image/jpeg;base64,").count()
+    );
+    // Surface, lines, errors, albedo, relit, a date, four tiles.
+    assert!(page.matches("src=").count() >= 10);
+    let folder = folder.display().to_string();
+    json(&["report", folder.as_str()]);
+    assert!(page == std::fs::read_to_string(Path::new(&folder).join("report.html")).expect("a page"));
+}
+
+fn read_json(path: &Path) -> Value {
+    serde_json::from_slice(&std::fs::read(path).expect("readable")).expect("JSON")
+}
+
+#[test]
+fn a_batch_may_make_surface_models_alone() {
+    let home = home(
+        "
+[products]
+dsm_only = true
+[[images]]
+name = \"first\"
+scene = \"scene\"
+[[presets]]
+name = \"fast\"
+set = { \"train.iterations\" = 4 }
+",
+    );
+    json(&batch(home.path(), "out", &[]));
+    let mosaic = home.path().join("out/all/first/fast/mosaic");
+    assert!(mosaic.join("dsm.tif").is_file() && mosaic.join("report.html").is_file());
+    assert!(!mosaic.join("albedo.tif").exists() && !mosaic.join("item.json").exists());
+    assert!(!home.path().join("out/collection.json").exists());
+    // Asked for later, the other products are made without another training.
+    let manifest = home.path().join("batch.toml");
+    let text = std::fs::read_to_string(&manifest).expect("readable");
+    std::fs::write(&manifest, text.replace("dsm_only = true", "")).expect("written");
+    let model = home.path().join("out/all/first/fast/tile-r0c0/run/model.json");
+    let changed = |path: &Path| {
+        std::fs::metadata(path)
+            .and_then(|data| data.modified())
+            .expect("a time")
+    };
+    let before = changed(&model);
+    let again = json(&batch(home.path(), "out", &[]));
+    assert_eq!(again["skipped"].as_u64(), Some(0));
+    assert!(mosaic.join("albedo.tif").is_file() && mosaic.join("item.json").is_file());
+    assert_eq!(changed(&model), before, "the model is the one that was trained");
 }
 
 #[test]

@@ -2,6 +2,8 @@
 
 use super::BatchError;
 use crate::cli::parse;
+use crate::product::relight::LOWEST_SUN_DEG;
+use crate::raster::Geoid;
 use crate::satellite::config::SatelliteConfig;
 use crate::scene::{AreaRequest, RpcPreference};
 use std::collections::{BTreeMap, BTreeSet};
@@ -26,12 +28,15 @@ const LARGEST: u64 = 16 << 20;
 #[derive(Debug, Clone, PartialEq, serde::Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Manifest {
-    /// Folder on an object store, as GDAL names it, that surface models are copied to.
+    /// Folder on an object store, as GDAL names it, that products are copied to.
     #[serde(default)]
     pub deliver: Option<String>,
     /// How areas are cut.
     #[serde(default)]
     pub tiles: TileOptions,
+    /// What is made of models.
+    #[serde(default)]
+    pub products: ProductOptions,
     /// Pieces of ground; without any, all that the images show.
     #[serde(default)]
     pub areas: Vec<AreaEntry>,
@@ -68,6 +73,18 @@ impl Default for TileOptions {
             gsd_m: None,
         }
     }
+}
+
+/// What is made of models, of tiles as of mosaics.
+#[derive(Debug, Clone, Default, PartialEq, serde::Serialize, serde::Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct ProductOptions {
+    /// Surface models and nothing else.
+    pub dsm_only: bool,
+    /// Azimuth and elevation of the sun of a relit ortho image, degrees; absent: there is none.
+    pub sun: Option<[f64; 2]>,
+    /// What heights of mosaics are above; absent: the ellipsoid.
+    pub geoid: Option<Geoid>,
 }
 
 /// A piece of ground.
@@ -262,6 +279,13 @@ impl Manifest {
                 return Err(format!("tiles.{key} is {value}, expected a finite number above zero"));
             }
         }
+        if let Some([azimuth, elevation]) = self.products.sun
+            && !(azimuth.is_finite() && (LOWEST_SUN_DEG..=90.0).contains(&elevation))
+        {
+            return Err(format!(
+                "products.sun is [{azimuth}, {elevation}], expected azimuth and elevation in degrees, {LOWEST_SUN_DEG} or more above the horizon"
+            ));
+        }
         for area in &self.areas {
             if let Some(request) = area.request() {
                 request
@@ -364,6 +388,8 @@ mod tests {
             refused("[[presets]]\nname = \"fast\"\nset = { \"train.iteration\" = 4 }\n").contains("train.iteration")
         );
         assert!(refused("colour = 3\n").contains("line"));
+        assert!(refused("[products]\nsun = [200.0, -5.0]\n").contains("products.sun"));
+        assert!(refused("[products]\ngeoid = \"sea\"\n").contains("line"));
         let elsewhere = Manifest::parse(&format!("deliver = \"/vsizip//etc/x.zip\"\n{IMAGES}"));
         assert!(elsewhere.expect_err("the disk").contains("deliver"));
     }

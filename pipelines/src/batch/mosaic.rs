@@ -66,12 +66,17 @@ impl Piece {
 
     /// A value of a band at a cell of the mosaic; NaN outside of its bounds.
     pub fn value(&self, band: usize, col: isize, row: isize) -> f32 {
+        self.value_of(&self.raster, band, col, row)
+    }
+
+    /// The same of another raster on its grid.
+    pub(super) fn value_of(&self, raster: &Raster, band: usize, col: isize, row: isize) -> f32 {
         let [columns, rows] = self.bounds;
         let inside = col >= columns[0] && col < columns[1] && row >= rows[0] && row < rows[1];
         let (c, r) = (col - self.at[0], row - self.at[1]);
-        let there = c >= 0 && r >= 0 && c < self.raster.width as isize && r < self.raster.height as isize;
+        let there = c >= 0 && r >= 0 && c < raster.width as isize && r < raster.height as isize;
         if inside && there {
-            self.raster.at(band, c as usize, r as usize)
+            raster.at(band, c as usize, r as usize)
         } else {
             f32::NAN
         }
@@ -99,6 +104,8 @@ impl Piece {
 pub struct Mosaic {
     /// The surface model.
     pub dsm: Dsm,
+    /// Where it lies, without any vertical datum.
+    pub grid: GridSpec,
     /// The tiles.
     pub pieces: Vec<Piece>,
 }
@@ -130,28 +137,25 @@ pub fn mosaic(out: &Path, work: &MosaicWork) -> Result<Mosaic, BatchError> {
     Ok(Mosaic {
         dsm: Dsm {
             raster,
-            grid,
+            grid: grid.clone(),
             geoid: None,
         },
+        grid,
         pieces,
     })
 }
 
-/// The bands of all pieces on one grid.
+/// The surface models of all pieces on one grid.
 pub fn blend(pieces: &[Piece], (width, height): (usize, usize), gsd_m: f32) -> Raster {
     let rows: Vec<Vec<[f32; BANDS]>> = (0..height as isize)
         .into_par_iter()
         .map(|row| {
-            let here: Vec<&Piece> = pieces
-                .iter()
-                .filter(|piece| (piece.bounds[1][0]..piece.bounds[1][1]).contains(&row))
-                .collect();
+            let here = in_row(pieces, row);
             let mut said = Vec::with_capacity(4);
             (0..width as isize)
                 .map(|col| {
-                    said.clear();
-                    said.extend(here.iter().filter_map(|piece| say(piece, col, row, gsd_m)));
-                    together(&said, gsd_m)
+                    one_surface(&mut said, (pieces, &here), (col, row), gsd_m);
+                    together(&said)
                 })
                 .collect()
         })
@@ -168,40 +172,73 @@ pub fn blend(pieces: &[Piece], (width, height): (usize, usize), gsd_m: f32) -> R
     raster
 }
 
-/// What a tile says of a cell: its altitude, standard deviation, coverage, and how much they count.
-type Said = ([f32; BANDS], f32);
+/// What a tile says of a cell.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Said {
+    /// The tile.
+    pub(super) piece: usize,
+    /// Altitude, standard deviation, coverage.
+    values: [f32; BANDS],
+    /// How much they count.
+    pub(super) weight: f32,
+}
 
-fn say(piece: &Piece, col: isize, row: isize, gsd_m: f32) -> Option<Said> {
+fn say(index: usize, piece: &Piece, col: isize, row: isize, gsd_m: f32) -> Option<Said> {
     let values = [0, 1, 2].map(|band| piece.value(band, col, row));
     let [altitude, sigma, _] = values;
     let sigma = if sigma.is_finite() { sigma } else { 0.0 };
     let least = LEAST_SIGMA_CELLS * gsd_m;
     let weight = piece.taper(col, row) / (sigma * sigma + least * least);
     let known = altitude.is_finite() && weight > 0.0;
-    known.then_some(([altitude, sigma, values[2]], weight))
+    known.then_some(Said {
+        piece: index,
+        values: [altitude, sigma, values[2]],
+        weight,
+    })
 }
 
-fn together(said: &[Said], gsd_m: f32) -> [f32; BANDS] {
+/// The places among `pieces` of those that show anything of a row.
+pub(super) fn in_row(pieces: &[Piece], row: isize) -> Vec<usize> {
+    let shows = |piece: &Piece| (piece.bounds[1][0]..piece.bounds[1][1]).contains(&row);
+    (0..pieces.len()).filter(|&i| shows(&pieces[i])).collect()
+}
+
+/// Fills `said` with what tiles say of the surface at a cell, and with nothing of another surface; the one that counts most first.
+pub(super) fn one_surface(
+    said: &mut Vec<Said>,
+    (pieces, here): (&[Piece], &[usize]),
+    (col, row): (isize, isize),
+    gsd_m: f32,
+) {
+    said.clear();
+    said.extend(here.iter().filter_map(|&i| say(i, &pieces[i], col, row, gsd_m)));
     // The first of equals, whatever the order of sums.
-    let strongest = said
-        .iter()
-        .reduce(|best, next| if next.1 > best.1 { next } else { best });
-    let Some((strongest, _)) = strongest else {
+    let strongest = (0..said.len()).reduce(|best, next| {
+        if said[next].weight > said[best].weight {
+            next
+        } else {
+            best
+        }
+    });
+    let Some(strongest) = strongest else { return };
+    let altitude = said[strongest].values[0];
+    said.swap(0, strongest);
+    said.retain(|one| (one.values[0] - altitude).abs() <= ONE_SURFACE_CELLS * gsd_m);
+}
+
+/// The bands of one surface.
+fn together(said: &[Said]) -> [f32; BANDS] {
+    let Some(strongest) = said.first() else {
         // No altitude, and nothing there.
         return [f32::NAN, f32::NAN, 0.0];
     };
-    let one = |(values, _): &&Said| (values[0] - strongest[0]).abs() <= ONE_SURFACE_CELLS * gsd_m;
-    let weight: f32 = said.iter().filter(one).map(|(_, weight)| weight).sum();
+    let weight: f32 = said.iter().map(|one| one.weight).sum();
     let mean = |value: &dyn Fn(&[f32; BANDS]) -> f32| {
-        let sum: f32 = said
-            .iter()
-            .filter(one)
-            .map(|(values, weight)| weight * value(values))
-            .sum();
+        let sum: f32 = said.iter().map(|one| one.weight * value(&one.values)).sum();
         sum / weight
     };
     // Relative to the strongest, so that nothing is lost on a mountain.
-    let altitude = strongest[0] + mean(&|v| v[0] - strongest[0]);
+    let altitude = strongest.values[0] + mean(&|v| v[0] - strongest.values[0]);
     let variance = mean(&|v| v[1] * v[1] + (v[0] - altitude) * (v[0] - altitude));
     [altitude, variance.max(0.0).sqrt(), mean(&|v| v[2])]
 }

@@ -1,7 +1,7 @@
 //! The units of a batch, in an order in which they can be done.
 
 use super::BatchError;
-use super::manifest::{AreaEntry, ImagesEntry, Manifest, PresetEntry};
+use super::manifest::{AreaEntry, ImagesEntry, Manifest, PresetEntry, ProductOptions};
 use super::stamp::{Hashes, Seen, seen};
 use super::tiles::{self, Tiling};
 use crate::raster::write::write_atomically;
@@ -12,13 +12,15 @@ use crate::scene::{AreaRequest, IngestOptions, RpcPreference};
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
-/// Bytes per cell of a mosaic while it is made: three bands of tiles and of the mosaic, weights, the file in memory.
+/// Bytes per cell of a mosaic while its surface model is made: three bands of tiles and of the mosaic, weights, the file in memory.
 const MOSAIC_BYTES_PER_CELL: f64 = 120.0;
+/// The same for each band of its albedo.
+const MOSAIC_BYTES_PER_CELL_AND_BAND: f64 = 24.0;
 /// Memory of any unit, bytes.
 const LEAST_BYTES: f64 = 200.0 * 1_048_576.0;
 /// Seconds of any unit: starting, reading, writing.
 const LEAST_S: f64 = 5.0;
-/// Seconds per cell of a mosaic.
+/// Seconds per cell of a mosaic, and of each raster besides its surface model.
 const MOSAIC_S_PER_CELL: f64 = 2e-6;
 /// Name of the file that keeps a plan.
 const FILE: &str = "plan.json";
@@ -45,7 +47,7 @@ pub struct Unit {
     pub runtime_s: u64,
     /// Names its inputs and its settings: another key is other work.
     pub key: String,
-    /// Folder on an object store that its surface model is copied to.
+    /// Folder on an object store that its products are copied to.
     pub deliver: Option<String>,
 }
 
@@ -83,6 +85,8 @@ pub struct TileWork {
     pub gsd_m: f64,
     /// Largest distance between its pinhole cameras and its rational ones, pixels.
     pub residual_px: f64,
+    /// What is made of its model.
+    pub products: ProductOptions,
 }
 
 /// The work of a mosaic.
@@ -100,6 +104,8 @@ pub struct MosaicWork {
     pub truth: Option<PathBuf>,
     /// Classes, where the scene has them.
     pub classes: Option<PathBuf>,
+    /// What is made of it.
+    pub products: ProductOptions,
 }
 
 /// A tile as its mosaic knows it.
@@ -237,6 +243,7 @@ fn units_of(
             preset,
             inputs: &inputs,
             config: toml::to_string(&config).unwrap_or_default(),
+            products: &manifest.products,
             deliver: manifest.deliver.as_ref(),
         };
         units.extend(combination.units(&tiling, &survey));
@@ -264,6 +271,7 @@ struct Combination<'a> {
     /// The files that say something about the scene, and their hashes.
     inputs: &'a str,
     config: String,
+    products: &'a ProductOptions,
     deliver: Option<&'a String>,
 }
 
@@ -287,9 +295,17 @@ impl Combination<'_> {
             bounds: tiling.bounds,
             truth: survey.truth.dsm.clone(),
             classes: survey.truth.classes.clone(),
+            products: self.products.clone(),
         };
         let [west, south, east, north] = tiling.bounds;
         let cells = (east - west) * (north - south) / (tiling.gsd_m * tiling.gsd_m);
+        let images = tiling.tiles.iter().map(|tile| tile.survey.images).max().unwrap_or(0);
+        let (bands, rasters) = match self.products.dsm_only {
+            true => (0.0, 1.0),
+            // Each image may be of a date of its own, which has shadows of its own.
+            false => (survey.bands as f64, (4 + survey.bands + images) as f64),
+        };
+        let bytes_per_cell = MOSAIC_BYTES_PER_CELL + MOSAIC_BYTES_PER_CELL_AND_BAND * bands;
         let keys: Vec<&str> = units.iter().map(|unit| unit.key.as_str()).collect();
         let said = format!(
             "{}mosaic\n{}\n{:?} {:?}",
@@ -301,8 +317,8 @@ impl Combination<'_> {
         units.push(Unit {
             id: format!("{home}/mosaic"),
             after: units.iter().map(|unit| unit.id.clone()).collect(),
-            mem_mb: mebibytes(LEAST_BYTES + MOSAIC_BYTES_PER_CELL * cells),
-            runtime_s: (LEAST_S + MOSAIC_S_PER_CELL * cells).ceil() as u64,
+            mem_mb: mebibytes(LEAST_BYTES + bytes_per_cell * cells),
+            runtime_s: (LEAST_S + MOSAIC_S_PER_CELL * rasters * cells).ceil() as u64,
             key: digest(&said),
             deliver: self.deliver.cloned(),
             work: Work::Mosaic(work),
@@ -320,15 +336,21 @@ impl Combination<'_> {
             crs: tiling.crs.clone(),
             gsd_m: tiling.gsd_m,
             residual_px: tile.survey.residual_px,
+            // Heights are put above a geoid when tiles are one surface.
+            products: ProductOptions {
+                geoid: None,
+                ..self.products.clone()
+            },
         };
         let said = format!(
-            "{}tile\n{} {:?} {:?} {} {} {:?}\n{}\n{}",
+            "{}tile\n{} {:?} {:?} {} {} {:?} {:?}\n{}\n{}",
             identity_of_program(),
             work.area,
             work.altitude_m,
             work.rpc,
             work.crs,
             work.gsd_m,
+            work.products,
             self.deliver,
             self.config,
             self.inputs

@@ -185,6 +185,7 @@ pub fn claim(folder: &Path, stopped: &dyn Fn() -> bool) -> Result<Option<Claim>,
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::batch::manifest::ProductOptions;
     use crate::batch::plan::{MosaicWork, Work};
 
     fn unit() -> Unit {
@@ -197,6 +198,7 @@ mod tests {
                 bounds: [0.0; 4],
                 truth: None,
                 classes: None,
+                products: ProductOptions::default(),
             }),
             after: Vec::new(),
             mem_mb: 1,

@@ -3,11 +3,15 @@
 use super::driver::log_of;
 use super::plan::{Plan, Unit, Work};
 use super::stamp::{Stamp, finished};
+use crate::product::stac;
 use crate::raster::RasterError;
-use crate::raster::write::write_atomically;
+use crate::raster::write::{deliver, write_atomically};
 use serde_json::{Value, json};
 use std::fmt::Write;
 use std::path::Path;
+
+/// Name of the collection of all mosaics.
+pub(super) const COLLECTION: &str = "batch";
 
 /// Where a unit stands.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, serde::Serialize)]
@@ -148,15 +152,37 @@ pub fn json(rows: &[Row]) -> Value {
     })
 }
 
-/// Writes `summary.csv`, `summary.json` and `summary.html`.
+/// Writes `summary.csv`, `summary.json`, `summary.html` and, where mosaics have products, `collection.json`, which is delivered with
+/// them.
 ///
 /// # Errors
-/// When one cannot be written.
-pub fn write(rows: &[Row], out: &Path) -> Result<(), RasterError> {
+/// When one cannot be written or delivered.
+pub fn write(rows: &[Row], plan: &Plan, out: &Path) -> Result<(), RasterError> {
     let write = |name: &str, text: String| write_atomically(&out.join(name), text.as_bytes());
+    let items = items(rows, out);
+    if !items.is_empty() {
+        let collection = stac::collection(COLLECTION, &items);
+        write("collection.json", format!("{collection:#}\n"))?;
+        if let Some(to) = plan.units.iter().find_map(|unit| unit.deliver.as_ref()) {
+            let target = format!("{to}/collection.json");
+            deliver(&out.join("collection.json"), Path::new(&target))?;
+        }
+    }
     write("summary.csv", csv(rows))?;
     write("summary.json", format!("{:#}\n", json(rows)))?;
     write("summary.html", page(rows))
+}
+
+/// The STAC items of the mosaics that are done, with their folders.
+fn items(rows: &[Row], out: &Path) -> Vec<(String, Value)> {
+    let done = rows
+        .iter()
+        .filter(|row| row.state.is_done() && row.metrics.get("products").is_some());
+    done.filter_map(|row| {
+        let text = crate::trust::read_text(&out.join(&row.unit).join("item.json")).ok()?;
+        Some((row.unit.clone(), serde_json::from_str(&text).ok()?))
+    })
+    .collect()
 }
 
 fn csv(rows: &[Row]) -> String {

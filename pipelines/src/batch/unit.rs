@@ -3,16 +3,18 @@
 use super::BatchError;
 use super::mosaic::mosaic;
 use super::plan::{MosaicWork, Plan, TileWork, Unit, Work};
+use super::products;
 use super::seams;
 use super::stamp::{Output, STAMP, Stamp, claim, finished};
 use crate::cli::satellite::{Preset, TrainArgs};
 use crate::cli::{CliError, IngestArgs, Session};
-use crate::evaluate::{Protocol, evaluate_dsm};
+use crate::evaluate::{Protocol, error_map, evaluate_raster};
 use crate::product::dsm;
 use crate::raster::preview;
 use crate::raster::write::{deliver, remove_leftovers, write_atomically};
+use crate::report;
 use crate::run::{self, checkpoint};
-use crate::satellite::training;
+use crate::satellite::{measure, training};
 use clap::ValueEnum;
 use serde_json::{Value, json};
 use std::path::Path;
@@ -21,7 +23,7 @@ use std::time::{Duration, Instant};
 /// Name of the file that says which work a folder was last used for.
 const BEGUN: &str = "begun.txt";
 /// Folder of a tile's training.
-const RUN: &str = "run";
+pub(super) const RUN: &str = "run";
 
 /// Does a unit, unless it is finished; returns its stamp and whether it was finished before.
 ///
@@ -54,12 +56,14 @@ pub fn do_unit(
     begin(&folder, unit)?;
     let begun = Instant::now();
     let (outputs, metrics) = match &unit.work {
-        Work::Tile(work) => tile(work, &folder, checkpoint_every, session)?,
-        Work::Mosaic(work) => mosaic_unit(work, out, &folder)?,
+        Work::Tile(work) => tile(work, unit, &folder, checkpoint_every, session)?,
+        Work::Mosaic(work) => mosaic_unit(work, unit, out, &folder)?,
         Work::Refused { reason } => return Err(CliError::Input(reason.clone())),
     };
     if let Some(to) = &unit.deliver {
-        deliver(&folder.join("dsm.tif"), Path::new(&format!("{to}/{}/dsm.tif", unit.id)))?;
+        for name in outputs.iter().filter(|name| !name.starts_with(RUN)) {
+            deliver(&folder.join(name), Path::new(&format!("{to}/{}/{name}", unit.id)))?;
+        }
     }
     let seconds = metrics["seconds"]
         .as_f64()
@@ -73,7 +77,7 @@ pub fn do_unit(
         metrics,
     };
     for output in outputs {
-        stamp.outputs.push(Output::of(&folder, output)?);
+        stamp.outputs.push(Output::of(&folder, &output)?);
     }
     let text = serde_json::to_string_pretty(&stamp).unwrap_or_default();
     write_atomically(&folder.join(STAMP), text.as_bytes())?;
@@ -94,9 +98,16 @@ fn begin(folder: &Path, unit: &Unit) -> Result<(), CliError> {
     Ok(())
 }
 
-type Done = (Vec<&'static str>, Value);
+/// The names of products, and what was measured.
+type Done = (Vec<String>, Value);
 
-fn tile(work: &TileWork, folder: &Path, checkpoint_every: Duration, session: &Session) -> Result<Done, CliError> {
+fn tile(
+    work: &TileWork,
+    unit: &Unit,
+    folder: &Path,
+    checkpoint_every: Duration,
+    session: &Session,
+) -> Result<Done, CliError> {
     let run = folder.join(RUN);
     let args = TrainArgs {
         scene: work.scene.clone(),
@@ -116,7 +127,12 @@ fn tile(work: &TileWork, folder: &Path, checkpoint_every: Duration, session: &Se
     };
     let trained = training::train(&args, session)?;
     let model = run::load(&run)?;
-    dsm::dsm(&model, work.gsd_m, Some(&work.crs))?.write(&folder.join("dsm.tif"))?;
+    let mut outputs = if work.products.dsm_only {
+        dsm::dsm(&model, work.gsd_m, Some(&work.crs))?.write(&folder.join("dsm.tif"))?;
+        vec!["dsm.tif".into()]
+    } else {
+        products::of_tile(&model, unit, folder, (work.gsd_m, &work.crs), work.products.sun)?
+    };
     let mut metrics = json!({"residual_px": work.residual_px});
     for key in [
         "seconds",
@@ -132,36 +148,48 @@ fn tile(work: &TileWork, folder: &Path, checkpoint_every: Duration, session: &Se
             metrics[key] = value.clone();
         }
     }
-    let outputs = vec![
-        "dsm.tif",
-        "run/model.ply",
-        "run/model.json",
-        "run/run.toml",
-        "run/metrics.json",
-    ];
+    let of_run = ["model.ply", "model.json", "run.toml", "metrics.json", "report.html"];
+    outputs.extend(of_run.map(|name| format!("{RUN}/{name}")));
     Ok((outputs, metrics))
 }
 
-fn mosaic_unit(work: &MosaicWork, out: &Path, folder: &Path) -> Result<Done, CliError> {
-    let mosaic = mosaic(out, work)?;
+fn mosaic_unit(work: &MosaicWork, unit: &Unit, out: &Path, folder: &Path) -> Result<Done, CliError> {
+    let mut mosaic = mosaic(out, work)?;
     let path = folder.join("dsm.tif");
-    mosaic.dsm.write(&path)?;
     let altitude = mosaic.dsm.altitude();
     preview::write_png(&folder.join("dsm.png"), &preview::hillshade(&altitude, work.gsd_m))?;
-    let seams = seams::measure(&altitude, &mosaic.pieces);
-    let known = altitude.values.iter().filter(|v| v.is_finite()).count();
     let mut metrics = json!({
         "tiles": mosaic.pieces.len(),
         "width": altitude.width,
         "height": altitude.height,
-        "completeness": known as f64 / altitude.values.len().max(1) as f64,
-        "seams": seams,
+        "gsd_m": work.gsd_m,
+        "completeness": mosaic.dsm.completeness(),
+        "seams": seams::measure(&altitude, &mosaic.pieces),
+        "pieces": mosaic.pieces.iter().map(|p| json!({"unit": p.unit, "core": p.core, "bounds": p.bounds})).collect::<Vec<_>>(),
     });
+    let mut outputs: Vec<String> = vec!["dsm.png".into()];
     if let Some(truth) = &work.truth {
-        let evaluation = evaluate_dsm(&path, truth, work.classes.as_deref(), Protocol::Raw)?;
-        metrics["dsm"] = serde_json::to_value(&evaluation.metrics).unwrap_or_default();
+        // Truth is above the ellipsoid, whatever the products are above.
+        let made = mosaic.dsm.geo_raster();
+        let evaluation = evaluate_raster((&path, &made), truth, work.classes.as_deref(), Protocol::Raw)?;
+        metrics["dsm"] = measure::surface_metrics(&evaluation);
+        preview::write_png(&folder.join("error.png"), &error_map::draw(&evaluation.errors))?;
+        outputs.push("error.png".into());
+    }
+    if let Some(geoid) = work.products.geoid {
+        mosaic.dsm = mosaic.dsm.above(geoid)?;
+    }
+    if work.products.dsm_only {
+        mosaic.dsm.write(&path)?;
+        outputs.push("dsm.tif".into());
+    } else {
+        let (names, said) = products::of_mosaic(out, work, &mosaic, unit, folder)?;
+        outputs.extend(names);
+        metrics["products"] = said;
     }
     let text = format!("{metrics:#}\n");
     write_atomically(&folder.join("mosaic.json"), text.as_bytes())?;
-    Ok((vec!["dsm.tif", "dsm.png", "mosaic.json"], metrics))
+    report::mosaic::write(folder)?;
+    outputs.extend(["mosaic.json".into(), "report.html".into()]);
+    Ok((outputs, metrics))
 }

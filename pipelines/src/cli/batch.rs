@@ -58,7 +58,7 @@ pub(super) fn run(args: &BatchArgs, threads: Option<usize>, session: &Session) -
     }
     if args.summary {
         let rows = summary::of_stamps(&plan, &args.out);
-        return finish(args, &rows);
+        return finish(args, &plan, &rows);
     }
     let batch = Batch {
         plan: &plan,
@@ -69,7 +69,7 @@ pub(super) fn run(args: &BatchArgs, threads: Option<usize>, session: &Session) -
         checkpoint_every: args.checkpoint_every,
     };
     let rows = batch.run(session)?;
-    let outcome = finish(args, &rows)?;
+    let outcome = finish(args, &plan, &rows)?;
     let failed: Vec<&str> = rows
         .iter()
         .filter(|row| row.state.is_lost())
@@ -131,8 +131,8 @@ fn told(args: &BatchArgs, plan: &Plan) -> Outcome {
     }
 }
 
-fn finish(args: &BatchArgs, rows: &[Row]) -> Result<Outcome, CliError> {
-    summary::write(rows, &args.out)?;
+fn finish(args: &BatchArgs, plan: &Plan, rows: &[Row]) -> Result<Outcome, CliError> {
+    summary::write(rows, plan, &args.out)?;
     Ok(Outcome {
         text: format!(
             "{}summary        {}",

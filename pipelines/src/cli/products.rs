@@ -70,7 +70,7 @@ pub(super) fn run(args: &ProductsArgs, session: &Session) -> Result<Outcome, Cli
             args,
             run,
             &folder,
-            (id, several.then_some(collection.as_str())),
+            (id, several.then_some((collection.as_str(), "../collection.json"))),
             session,
         )?;
         text += &format!(
@@ -79,7 +79,7 @@ pub(super) fn run(args: &ProductsArgs, session: &Session) -> Result<Outcome, Cli
             set.files.len(),
             100.0 * set.completeness
         );
-        items.push(set.item);
+        items.push((id.clone(), set.item));
         files.extend(set.files);
     }
     if several {
@@ -98,7 +98,7 @@ fn one(
     args: &ProductsArgs,
     run: &Path,
     folder: &Path,
-    names: (&str, Option<&str>),
+    names: (&str, Option<(&str, &str)>),
     session: &Session,
 ) -> Result<set::Set, CliError> {
     let model = run::load(run)?;

@@ -1,6 +1,7 @@
-//! `heliosplat report`: a run on one page.
+//! `heliosplat report`: a run, or a mosaic, on one page.
 
 use super::{CliError, Outcome};
+use crate::report;
 use clap::Args;
 use serde_json::json;
 use std::path::PathBuf;
@@ -8,19 +9,19 @@ use std::path::PathBuf;
 /// `report`.
 #[derive(Debug, Clone, Args)]
 pub struct ReportArgs {
-    /// A finished run of a satellite scene
+    /// A finished run, of a satellite scene or of an object, or the mosaic of a batch
     #[arg(value_name = "RUN")]
     pub run: PathBuf,
 }
 
 pub(super) fn run(args: &ReportArgs) -> Result<Outcome, CliError> {
-    if crate::objects::run::is_object_run(&args.run) {
-        return Err(CliError::Input(format!(
-            "{}: report shows runs of satellite scenes; look at a run of an object with `heliosplat render`",
-            args.run.display()
-        )));
-    }
-    let path = crate::report::write(&args.run)?;
+    let path = if args.run.join(report::mosaic::FILE).is_file() {
+        report::mosaic::write(&args.run)?
+    } else if crate::objects::run::is_object_run(&args.run) {
+        report::object::write(&args.run)?
+    } else {
+        report::write(&args.run)?
+    };
     Ok(Outcome {
         text: format!("{}: open it in a browser", path.display()),
         json: json!({ "report": path }),

@@ -2,6 +2,7 @@
 
 use super::capture::{Capture, Frame};
 use super::config::{ModelKind, ObjectConfig};
+use super::measure;
 use super::pixels::Encoding;
 use super::plan::{self, Plan};
 use super::run::{self, Kind, ObjectModel};
@@ -240,6 +241,7 @@ pub fn fit(
     options.gsd_m = capture.pixel_size as f32;
     let steps = options.iterations;
     let started = parameters.gaussians.count;
+    let begins = parameters.globals.clone();
     let prepared = begun.elapsed();
     let mut trainer = Trainer::new(&*model, views, parameters, options, bounds(capture), None)?;
     if let Some(kept) = kept {
@@ -249,7 +251,8 @@ pub fn fit(
             .restore(kept.trainer)
             .map_err(|error| keeper.does_not_fit(&error))?;
     }
-    let trained = train(trainer, steps, session, budget, keeper)?;
+    let probe = measure::psnr_probe(capture, run::file(capture, config, kind.clone(), preparation, begins));
+    let trained = train(trainer, steps, session, budget, keeper, probe.as_deref())?;
     let file = run::file(capture, config, kind, preparation, trained.parameters.globals.clone());
     Ok(Fitted {
         model: ObjectModel {

@@ -2,14 +2,16 @@
 
 use super::capture::{Capture, Frame};
 use super::pixels::Encoding;
-use super::run::{Kind, ObjectImage, ObjectModel};
+use super::run::{Kind, ObjectFile, ObjectImage, ObjectModel};
 use super::views::Preparation;
 use crate::evaluate::image::{ImageScore, score_image};
 use crate::raster::RasterError;
 use crate::raster::preview::write_png;
+use crate::satellite::fit::{Accuracy, Probe};
 use crate::scene::Split;
 use glam::Vec3;
 use heliosplat::Raster;
+use heliosplat::model::Parameters;
 use heliosplat::shade::display;
 use image::{Rgb, RgbImage};
 use serde_json::{Value, json};
@@ -18,6 +20,9 @@ use std::path::Path;
 
 /// Lights further than this from every light of training are far from them, radians: 8.6 degrees.
 const FAR_RAD: f64 = 0.15;
+
+/// Held-out images that are looked at while a model is trained.
+const PROBED: usize = 3;
 
 /// A frame and what the model shows in its place.
 pub struct Compared {
@@ -50,6 +55,29 @@ pub fn compare(model: &ObjectModel, frame: &Frame) -> Option<Compared> {
 /// Whether a model's values are in proportion to light.
 pub fn is_linear(model: &ObjectModel) -> bool {
     model.file.encoding == Encoding::Linear || model.file.preparation.linear
+}
+
+/// Tells how well a model in training shows some of the images held out, which `file` describes; `None` without such images.
+pub(super) fn psnr_probe(capture: &Capture, file: ObjectFile) -> Option<Box<Probe<'_>>> {
+    let held_out: Vec<&Frame> = capture.of(Split::Test).collect();
+    let step = held_out.len().div_ceil(PROBED).max(1);
+    let frames: Vec<&Frame> = held_out.into_iter().step_by(step).collect();
+    if frames.is_empty() {
+        return None;
+    }
+    Some(Box::new(move |parameters: &Parameters| {
+        let model = ObjectModel {
+            model: file.kind.model(),
+            parameters: parameters.clone(),
+            file: file.clone(),
+        };
+        let scores = frames.iter().filter_map(|frame| compare(&model, frame)?.score);
+        let psnrs: Vec<f64> = scores.map(|score| score.psnr).collect();
+        (!psnrs.is_empty()).then(|| Accuracy {
+            height_mae_m: None,
+            psnr_db: Some(psnrs.iter().sum::<f64>() / psnrs.len() as f64),
+        })
+    }))
 }
 
 /// Mean scores of images; with `folder`, each image beside what the model shows is written there.

@@ -12,6 +12,7 @@ use crate::cli::satellite::{RelightArgs, RenderArgs, RenderSplit, TrainArgs};
 use crate::cli::{CliError, Outcome, Session};
 use crate::raster::preview::write_png;
 use crate::raster::write::write_atomically;
+use crate::report;
 use crate::run::checkpoint::{self, Keeper};
 use crate::run::{Input, hash, peak_rss_bytes, resident_bytes, save_metrics};
 use crate::satellite::budget::Budget;
@@ -129,6 +130,7 @@ pub fn train(args: &TrainArgs, session: &Session) -> Result<Outcome, CliError> {
         metrics["training"] = checkpoint::digest(&identity).into();
     }
     save_metrics(&args.out, &metrics)?;
+    report::object::of(&args.out, &fitted.model, &run)?;
     checkpoint::remove(&args.out);
     finished(fitted.ending, &args.out)?;
     let text = format!("{}\nrun            {}", measure::summary(&metrics), args.out.display());
@@ -236,7 +238,7 @@ pub fn render(args: &RenderArgs, session: &Session) -> Result<Outcome, CliError>
 }
 
 /// Models that show the parts of the light that a model knows, with their names.
-fn components(model: &ObjectModel) -> Vec<(&'static str, Box<dyn SceneModel>)> {
+pub(crate) fn components(model: &ObjectModel) -> Vec<(&'static str, Box<dyn SceneModel>)> {
     let parts = [
         ("diffuse", Component::Diffuse),
         ("specular", Component::Specular),

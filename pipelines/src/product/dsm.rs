@@ -3,7 +3,7 @@
 use crate::raster::geoid::GeoidGrid;
 use crate::raster::grid::{EnuGrid, GridSpec};
 use crate::raster::write::{ImageSpec, write_cog};
-use crate::raster::{Crs, Geoid, RasterError};
+use crate::raster::{Crs, GeoRaster, Geoid, RasterError};
 use crate::run::LoadedModel;
 use crate::scene::{Area, Scene};
 use glam::DVec3;
@@ -224,6 +224,12 @@ impl Dsm {
         Ok(self)
     }
 
+    /// Share of its grid whose altitude is known.
+    pub fn completeness(&self) -> f64 {
+        let known = self.raster.plane(0).iter().filter(|v| v.is_finite()).count();
+        known as f64 / self.raster.plane_len().max(1) as f64
+    }
+
     /// What its altitudes are above.
     pub fn vertical_datum(&self) -> &'static str {
         self.geoid.map_or("WGS84 ellipsoid", Geoid::name)
@@ -248,6 +254,16 @@ impl Dsm {
             ..ImageSpec::plain(&self.raster)
         };
         write_cog(path, &spec)
+    }
+
+    /// The same as a raster on the map, as if it had been read from its file.
+    pub fn geo_raster(&self) -> GeoRaster {
+        GeoRaster {
+            raster: self.raster.clone(),
+            transform: self.grid.transform,
+            crs: Some(self.grid.crs.clone()),
+            band_names: BANDS.map(str::to_owned).to_vec(),
+        }
     }
 
     /// The altitude alone.

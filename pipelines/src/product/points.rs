@@ -1,17 +1,17 @@
 //! The Gaussians as a point cloud: LAZ 1.4, points of format 7 with colours, and the class of vegetation where it is known.
 
-use crate::raster::geoid::Undulation;
-use crate::raster::{Crs, CrsTransform, Geoid, RasterError, preview, write_atomically};
+use crate::raster::geoid::{GeoidGrid, Undulation};
+use crate::raster::{Crs, CrsTransform, Geoid, GridSpec, RasterError, preview, write_atomically};
 use crate::run::LoadedModel;
 use crate::scene::bands::{VEGETATION_INDEX, vegetation_bands, vegetation_index};
 use heliosplat::gaussians::POSITION;
 use heliosplat::model::shadow_gs::ALBEDO;
 use las::point::{Classification, Format};
-use las::{Builder, Color, Point, Transform, Vector, Writer};
+use las::{Builder, Color, Point, Reader, Transform, Vector, Writer};
 use nalgebra::Vector3;
 use std::collections::BTreeMap;
 use std::io::Cursor;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 /// Gaussians fainter than this are no surface.
 const OPACITY_KNOWN: f32 = 0.5;
@@ -44,6 +44,16 @@ pub fn write(path: &Path, model: &LoadedModel, crs: &Crs, geoid: Option<Geoid>) 
 }
 
 fn encode(points: &[Point], crs: &Crs) -> Result<Vec<u8>, las::Error> {
+    let low = |pick: fn(&Point) -> f64| points.iter().map(pick).fold(f64::INFINITY, f64::min);
+    let mut writer = writer(crs, [low(|p| p.x), low(|p| p.y), low(|p| p.z)])?;
+    for point in points {
+        writer.write_point(point.clone())?;
+    }
+    Ok(writer.into_inner()?.into_inner())
+}
+
+/// A writer into memory of points that begin at `low`.
+fn writer(crs: &Crs, low: [f64; 3]) -> Result<Writer<Cursor<Vec<u8>>>, las::Error> {
     let mut builder = Builder::from((1, 4));
     builder.point_format = Format::new(7)?;
     builder.point_format.is_compressed = true;
@@ -51,7 +61,6 @@ fn encode(points: &[Point], crs: &Crs) -> Result<Vec<u8>, las::Error> {
     builder.system_identifier = "MODELLED".into();
     // Without the day of its making the same model gives the same bytes on any day.
     builder.date = None;
-    let low = |pick: fn(&Point) -> f64| points.iter().map(pick).fold(f64::INFINITY, f64::min);
     // A power of ten, so that coordinates read as they are meant.
     let step = 10f64.powf((STEP_M / crs.metres_per_unit()).log10().round());
     let axis = |low: f64, scale: f64| Transform {
@@ -59,19 +68,65 @@ fn encode(points: &[Point], crs: &Crs) -> Result<Vec<u8>, las::Error> {
         offset: if low.is_finite() { low.floor() } else { 0.0 },
     };
     builder.transforms = Vector {
-        x: axis(low(|p| p.x), step),
-        y: axis(low(|p| p.y), step),
-        z: axis(low(|p| p.z), STEP_M),
+        x: axis(low[0], step),
+        y: axis(low[1], step),
+        z: axis(low[2], STEP_M),
     };
     let mut header = builder.into_header()?;
     let mut wkt = crs.wkt().as_bytes().to_vec();
     wkt.push(0);
     header.set_wkt_crs(wkt)?;
-    let mut writer = Writer::new(Cursor::new(Vec::new()), header)?;
-    for point in points {
-        writer.write_point(point.clone())?;
+    Writer::new(Cursor::new(Vec::new()), header)
+}
+
+/// A point cloud, and the ground that it is asked about: west, south, east, north.
+pub type Part = (PathBuf, [f64; 4]);
+
+/// Writes one point cloud of some over ellipsoidal heights, of each only what lies on its ground, so that none is there twice; returns
+/// how many points there are. Heights are above `geoid`, or the ellipsoid.
+///
+/// # Errors
+/// When a cloud cannot be read, a geoid's grid is missing, or the file cannot be written.
+pub fn merge(path: &Path, parts: &[Part], grid: &GridSpec, geoid: Option<Geoid>) -> Result<usize, RasterError> {
+    let failed = |error: las::Error| RasterError::Write {
+        path: path.to_owned(),
+        reason: error.to_string(),
+    };
+    let crs = match geoid {
+        Some(geoid) => geoid.compound(&grid.crs)?,
+        None => grid.crs.clone(),
+    };
+    let table = geoid.map(|geoid| GeoidGrid::new(geoid, grid)).transpose()?;
+    let below = |x: f64, y: f64| {
+        let [col, row] = grid.transform.pixel_from_map(x, y);
+        let cell = |at: f64, cells: usize| (at.round().max(0.0) as usize).min(cells.saturating_sub(1));
+        table
+            .as_ref()
+            .map_or(0.0, |table| table.at(cell(col, grid.width), cell(row, grid.height)))
+    };
+    let corner = grid.transform.map_from_pixel(-0.5, grid.height as f64 - 0.5);
+    // Heights count from zero: the lowest is not known before all are read.
+    let mut writer = writer(&crs, [corner[0], corner[1], 0.0]).map_err(failed)?;
+    let mut count = 0;
+    for (part, [west, south, east, north]) in parts {
+        let damaged = |error: las::Error| RasterError::Damaged {
+            path: part.clone(),
+            reason: error.to_string(),
+        };
+        let mut reader = Reader::from_path(part).map_err(damaged)?;
+        let all = reader.read_all().map_err(damaged)?;
+        for point in all.points() {
+            let mut point = point.map_err(damaged)?;
+            if point.x >= *west && point.x < *east && point.y >= *south && point.y < *north {
+                point.z -= below(point.x, point.y);
+                writer.write_point(point).map_err(failed)?;
+                count += 1;
+            }
+        }
     }
-    Ok(writer.into_inner()?.into_inner())
+    let bytes = writer.into_inner().map_err(failed)?.into_inner();
+    write_atomically(path, &bytes)?;
+    Ok(count)
 }
 
 fn points(model: &LoadedModel, crs: &Crs, geoid: Option<Geoid>) -> Result<Vec<Point>, RasterError> {

@@ -131,8 +131,8 @@ pub struct About<'a> {
     pub times: &'a [Timestamp],
     /// The sun of all products, where there is but one.
     pub sun: Option<&'a SunPosition>,
-    /// The collection it belongs to, if any.
-    pub collection: Option<&'a str>,
+    /// Name of the collection it belongs to and where that is, seen from the item, if any.
+    pub collection: Option<(&'a str, &'a str)>,
 }
 
 /// The item of some assets.
@@ -148,8 +148,8 @@ pub fn item(about: &About, assets: &[Asset]) -> Result<Value, RasterError> {
         .map(|asset| (asset.key.clone(), asset.value.clone()))
         .collect();
     let links = match about.collection {
-        Some(_) => ["root", "parent", "collection"]
-            .map(|rel| json!({"rel": rel, "href": "../collection.json", "type": "application/json"}))
+        Some((_, href)) => ["root", "parent", "collection"]
+            .map(|rel| json!({"rel": rel, "href": href, "type": "application/json"}))
             .to_vec(),
         None => Vec::new(),
     };
@@ -164,8 +164,8 @@ pub fn item(about: &About, assets: &[Asset]) -> Result<Value, RasterError> {
         "links": links,
         "assets": assets,
     });
-    if let Some(collection) = about.collection {
-        item["collection"] = json!(collection);
+    if let Some((name, _)) = about.collection {
+        item["collection"] = json!(name);
     }
     Ok(item)
 }
@@ -226,15 +226,15 @@ fn bounds(points: &[[f64; 2]]) -> [f64; 4] {
     ]
 }
 
-/// The collection of some items, each in a folder of its own name beside it.
-pub fn collection(id: &str, items: &[Value]) -> Value {
+/// The collection of some items, each with the folder that its `item.json` is in, seen from the collection.
+pub fn collection(id: &str, items: &[(String, Value)]) -> Value {
     let corners: Vec<[f64; 2]> = items
         .iter()
-        .filter_map(|item| serde_json::from_value::<[f64; 4]>(item["bbox"].clone()).ok())
+        .filter_map(|(_, item)| serde_json::from_value::<[f64; 4]>(item["bbox"].clone()).ok())
         .flat_map(|[west, south, east, north]| [[west, south], [east, north]])
         .collect();
     let times = |key: &'static str| {
-        items.iter().filter_map(move |item| {
+        items.iter().filter_map(move |(_, item)| {
             let text = item["properties"][key]
                 .as_str()
                 .or(item["properties"]["datetime"].as_str());
@@ -242,10 +242,9 @@ pub fn collection(id: &str, items: &[Value]) -> Value {
         })
     };
     let mut links = vec![json!({"rel": "root", "href": "./collection.json", "type": "application/json"})];
-    links.extend(items.iter().map(|item| {
-        let id = item["id"].as_str().unwrap_or_default();
-        json!({"rel": "item", "href": format!("./{id}/item.json"), "type": "application/geo+json"})
-    }));
+    links.extend(items.iter().map(
+        |(folder, _)| json!({"rel": "item", "href": format!("./{folder}/item.json"), "type": "application/geo+json"}),
+    ));
     json!({
         "type": "Collection",
         "stac_version": VERSION,

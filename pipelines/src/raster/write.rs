@@ -159,24 +159,89 @@ pub fn copy_with_rpc(image: &Path, target: &Path, rpc: &[(String, String)]) -> R
     write_copy(target, &copy, "GTiff", &["COMPRESS=DEFLATE", "BIGTIFF=IF_SAFER"])
 }
 
-/// Copies a raster, as a cloud-optimised GeoTIFF, to a place on one of GDAL's virtual file systems.
+/// Bytes that are handed on at once.
+const PART: usize = 8 << 20;
+
+/// Copies a file, byte for byte, to a place on one of GDAL's virtual file systems.
 ///
 /// # Errors
-/// [`RasterError::Write`] with what GDAL says, and what [`super::RasterFile::open`] says of the source.
+/// [`RasterError::Write`] with what GDAL says, and what the operating system says of the source.
 pub fn deliver(source: &Path, target: &Path) -> Result<(), RasterError> {
     messages::allow_network();
-    let source = super::RasterFile::open(source)?;
-    messages::collect_strictly(|| {
-        // Object stores take files from one end to the other only.
-        gdal::config::set_thread_local_config_option("CPL_VSIL_USE_TEMP_FILE_FOR_RANDOM_WRITE", "YES")?;
-        let driver = DriverManager::get_driver_by_name("COG")?;
-        let options = RasterCreationOptions::from_iter(cog_options("AVERAGE"));
-        source.dataset().create_copy(&driver, target, &options)?.close()
-    })
-    .map_err(|reason| RasterError::Write {
+    let mut file = std::fs::File::open(source).map_err(|error| RasterError::from_io(source, &error))?;
+    let failed = |reason: String| RasterError::Write {
         path: target.to_owned(),
         reason,
+    };
+    let mut fault = None;
+    messages::collect_strictly(|| {
+        let mut out = VirtualFile::create(target)?;
+        let mut part = vec![0; PART];
+        loop {
+            match std::io::Read::read(&mut file, &mut part) {
+                Ok(0) => return out.close(),
+                Ok(bytes) => out.write(&part[..bytes])?,
+                Err(error) => {
+                    fault = Some(error);
+                    return Ok(());
+                }
+            }
+        }
     })
+    .map_err(failed)?;
+    fault.map_or(Ok(()), |error| Err(RasterError::from_io(source, &error)))
+}
+
+/// A file that is written on one of GDAL's virtual file systems, from one end to the other, as object stores take files.
+struct VirtualFile {
+    handle: *mut gdal_sys::VSILFILE,
+}
+
+#[allow(unsafe_code, reason = "the crate gdal writes no files on virtual file systems")]
+impl VirtualFile {
+    fn fault(what: &'static str) -> gdal::errors::GdalError {
+        gdal::errors::GdalError::NullPointer {
+            method_name: what,
+            msg: "the store does not take it".into(),
+        }
+    }
+
+    fn create(path: &Path) -> gdal::errors::Result<Self> {
+        let name = std::ffi::CString::new(path.to_string_lossy().as_bytes())?;
+        // SAFETY: both texts end in a zero and outlive the call.
+        let handle = unsafe { gdal_sys::VSIFOpenL(name.as_ptr(), c"wb".as_ptr()) };
+        match handle.is_null() {
+            true => Err(Self::fault("VSIFOpenL")),
+            false => Ok(Self { handle }),
+        }
+    }
+
+    fn write(&mut self, bytes: &[u8]) -> gdal::errors::Result<()> {
+        // SAFETY: the handle is open, and the pointer leads to that many bytes.
+        let written = unsafe { gdal_sys::VSIFWriteL(bytes.as_ptr().cast(), 1, bytes.len(), self.handle) };
+        match written == bytes.len() {
+            true => Ok(()),
+            false => Err(Self::fault("VSIFWriteL")),
+        }
+    }
+
+    fn close(self) -> gdal::errors::Result<()> {
+        let handle = self.handle;
+        std::mem::forget(self);
+        // SAFETY: the handle is open, and forgotten so that it is closed once.
+        match unsafe { gdal_sys::VSIFCloseL(handle) } {
+            0 => Ok(()),
+            _ => Err(Self::fault("VSIFCloseL")),
+        }
+    }
+}
+
+#[allow(unsafe_code, reason = "the crate gdal writes no files on virtual file systems")]
+impl Drop for VirtualFile {
+    fn drop(&mut self) {
+        // SAFETY: the handle is open; `close` forgets what it closed.
+        unsafe { gdal_sys::VSIFCloseL(self.handle) };
+    }
 }
 
 fn in_memory(path: &Path, spec: &ImageSpec, sample: Sample) -> Result<Dataset, RasterError> {

@@ -1,6 +1,6 @@
 //! The parts of a report, from top to bottom.
 
-use super::Contents;
+use super::{Contents, Folder};
 use crate::page::chart::{Line, lines};
 use crate::page::{escaped, inline_picture, plain};
 use crate::product::set::date_of;
@@ -11,7 +11,7 @@ use serde_json::Value;
 use std::fmt::Write;
 
 /// Widest pictures of the surface and of views, pixels.
-const SURFACE_PX: u32 = 720;
+pub(super) const SURFACE_PX: u32 = 720;
 const VIEW_PX: u32 = 420;
 /// More views than this are not shown: the page is to be sent by mail.
 const VIEWS_MAX: usize = 40;
@@ -23,63 +23,57 @@ const PANELS: [&str; 4] = [
     "shadows against truth: blue missing, red too many",
 ];
 
-const MIB: f64 = 1_048_576.0;
+pub(super) const MIB: f64 = 1_048_576.0;
+
+/// A number that matters: what it is, its value if it is known, digits after the point, its unit.
+pub(super) type Key<'a> = (&'a str, Option<f64>, usize, &'a str);
+
+/// Numbers that matter, side by side; those that are not known are left out.
+pub(super) fn keys(all: &[Key]) -> String {
+    let mut out = "<div class=\"key\">".to_owned();
+    for (label, value, digits, unit) in all {
+        if let Some(value) = value {
+            // Writing to a String cannot fail.
+            let _ = write!(out, "<div><b>{value:.digits$} {unit}</b>{label}</div>");
+        }
+    }
+    out + "</div>"
+}
 
 /// What was trained, and the numbers that matter.
 pub(super) fn head(run: &Contents) -> String {
     let file = &run.run;
-    let mut out = format!(
-        "<p class=\"faint\">{} · preset {} · seed {} · heliosplat {}</p><div class=\"key\">",
+    let said = format!(
+        "<p class=\"faint\">{} · preset {} · seed {} · heliosplat {}</p>",
         escaped(&file.scene.display().to_string()),
         escaped(&file.preset),
         file.seed,
         escaped(&file.version)
     );
-    let mut say = |label: &str, value: Option<f64>, digits: usize, unit: &str| {
-        if let Some(value) = value {
-            // Writing to a String cannot fail.
-            let _ = write!(out, "<div><b>{value:.digits$} {unit}</b>{label}</div>");
-        }
-    };
-    let protocol = run
+    let measured = &run.folder;
+    let protocol = measured
         .metrics
         .pointer("/dsm/protocol")
         .and_then(Value::as_str)
         .unwrap_or("raw");
-    let protocol = escaped(protocol);
-    say(
-        &format!("mean height error, {protocol}"),
-        run.number("/dsm/mae_m"),
-        3,
-        "m",
-    );
-    say("median height error", run.number("/dsm/median_m"), 3, "m");
-    say(
-        "of the ground known",
-        run.number("/dsm/completeness").map(|c| 100.0 * c),
-        1,
-        "%",
-    );
-    say(
-        "shadows right",
-        run.number("/shadow/accuracy").map(|a| 100.0 * a),
-        1,
-        "%",
-    );
-    say("PSNR of images trained on", run.number("/train/psnr"), 2, "dB");
-    say("PSNR of images held out", run.number("/test/psnr"), 2, "dB");
-    say("time", run.number("/seconds"), 1, "s");
-    say(
-        "memory at most",
-        run.number("/peak_rss_bytes").map(|b| b / MIB),
-        0,
-        "MiB",
-    );
-    say("Gaussians", run.number("/gaussians"), 0, "");
-    out + "</div>"
+    let height_error = format!("mean height error, {}", escaped(protocol));
+    let number = |pointer: &str| measured.number(pointer);
+    let percent = |pointer: &str| number(pointer).map(|share| 100.0 * share);
+    let numbers = keys(&[
+        (&height_error, number("/dsm/mae_m"), 3, "m"),
+        ("median height error", number("/dsm/median_m"), 3, "m"),
+        ("of the ground known", percent("/dsm/completeness"), 1, "%"),
+        ("shadows right", percent("/shadow/accuracy"), 1, "%"),
+        ("PSNR of images trained on", number("/train/psnr"), 2, "dB"),
+        ("PSNR of images held out", number("/test/psnr"), 2, "dB"),
+        ("time", number("/seconds"), 1, "s"),
+        ("memory at most", number("/peak_rss_bytes").map(|b| b / MIB), 0, "MiB"),
+        ("Gaussians", number("/gaussians"), 0, ""),
+    ]);
+    said + &numbers
 }
 
-fn figure(picture: Option<RgbImage>, width: u32, caption: &str) -> String {
+pub(super) fn figure(picture: Option<RgbImage>, width: u32, caption: &str) -> String {
     let address = picture.and_then(|picture| inline_picture(picture, width));
     address.map_or_else(String::new, |address| {
         let caption = escaped(caption);
@@ -88,7 +82,7 @@ fn figure(picture: Option<RgbImage>, width: u32, caption: &str) -> String {
 }
 
 /// Hillshades of the surface, and the map of its errors.
-pub(super) fn surface(run: &Contents) -> String {
+pub(super) fn surface(run: &Folder) -> String {
     let show = |name: &str, caption: &str| figure(run.picture(name), SURFACE_PX, caption);
     let figures = show("dsm.png", "The surface, lit from the north-west")
         + &show("error.png", "Its height errors: blue too low, red too high")
@@ -106,7 +100,7 @@ pub(super) fn views(run: &Contents) -> String {
     let mut out = String::new();
     let mut date = None;
     for image in images.iter().take(VIEWS_MAX) {
-        let Some(picture) = run.picture(&format!("views/{}.png", image.name)) else {
+        let Some(picture) = run.folder.picture(&format!("views/{}.png", image.name)) else {
             continue;
         };
         let this = date_of(image);
@@ -149,7 +143,7 @@ pub(super) fn views(run: &Contents) -> String {
 }
 
 /// The course of training.
-pub(super) fn curves(run: &Contents) -> String {
+pub(super) fn curves(run: &Folder) -> String {
     let empty = Vec::new();
     let curve = run.metrics.get("curve").and_then(Value::as_array).unwrap_or(&empty);
     let line = |name: &str, pick: &dyn Fn(&Value) -> Option<f64>| Line {
@@ -159,10 +153,23 @@ pub(super) fn curves(run: &Contents) -> String {
             .filter_map(|point| Some((point["step"].as_f64()?, pick(point)?)))
             .collect(),
     };
-    let error = lines(
+    let chart = |title: &str, drawn: &[Line]| {
+        let known: Vec<Line> = drawn.iter().filter(|line| line.points.len() > 1).cloned().collect();
+        lines(title, "step", &known)
+    };
+    let accuracy = chart(
+        "Mean height error, metres",
+        &[line("", &|point| point["accuracy"]["height_mae_m"].as_f64())],
+    ) + &chart(
+        "PSNR of images held out, dB",
+        &[line("", &|point| point["accuracy"]["psnr_db"].as_f64())],
+    );
+    let difference = chart(
         "Difference to the images",
-        "step",
-        &[line("", &|point| point["l1"].as_f64())],
+        &[
+            line("all pixels, smoothed", &|point| point["l1"].as_f64()),
+            line("pixels held out", &|point| point["held_out_l1"].as_f64()),
+        ],
     );
     let mut names: Vec<&String> = curve
         .iter()
@@ -173,20 +180,19 @@ pub(super) fn curves(run: &Contents) -> String {
     names.dedup();
     let mut losses = String::new();
     for name in names {
-        losses += &lines(
+        losses += &chart(
             &format!("Loss: {name}"),
-            "step",
-            &[line(name, &|point| point["losses"].get(name.as_str())?.as_f64())],
+            &[line("", &|point| point["losses"].get(name.as_str())?.as_f64())],
         );
     }
-    if error.is_empty() && losses.is_empty() {
+    if (accuracy.len() + difference.len() + losses.len()) == 0 {
         return String::new();
     }
-    format!("<h2>Training</h2><div class=\"charts\">{error}{losses}</div>")
+    format!("<h2>Training</h2><div class=\"charts\">{accuracy}{difference}{losses}</div>")
 }
 
 /// How many cells are how near to the truth.
-pub(super) fn accuracy(run: &Contents) -> String {
+pub(super) fn accuracy(run: &Folder) -> String {
     let list = |pointer: &str| -> Vec<f64> {
         let values = run.metrics.pointer(pointer).and_then(Value::as_array);
         values.map_or_else(Vec::new, |v| v.iter().filter_map(Value::as_f64).collect())
@@ -255,37 +261,19 @@ pub(super) fn plan(run: &Contents) -> String {
     out + "</table></div>"
 }
 
-/// Time and memory, and the configuration.
-pub(super) fn costs(run: &Contents) -> String {
+/// A row of [`costs_of`]: what it is, its value if it is known, its unit.
+pub(super) type Cost<'a> = (&'a str, Option<f64>, &'a str);
+
+/// What was taken, and the configuration.
+pub(super) fn costs_of(rows: &[Cost], configuration: &impl serde::Serialize) -> String {
     let mut out = "<h2>Time and memory</h2><div class=\"wide\"><table>".to_owned();
-    let mut row = |label: &str, value: Option<f64>, unit: &str| {
+    for (label, value, unit) in rows {
         if let Some(value) = value {
-            let _ = write!(out, "<tr><td>{}<td>{} {unit}</tr>", escaped(label), plain(value));
+            let _ = write!(out, "<tr><td>{}<td>{} {unit}</tr>", escaped(label), plain(*value));
         }
-    };
-    for (stage, label) in [
-        ("align", "pointing of the images"),
-        ("sweep", "sweep"),
-        ("start", "start"),
-        ("train", "training"),
-    ] {
-        row(label, run.number(&format!("/stages_s/{stage}")), "s");
     }
-    row("all, products included", run.number("/seconds"), "s");
-    row("steps", run.number("/iterations"), "");
-    row("best step", run.number("/best_iteration"), "");
-    row(
-        "memory used at most",
-        run.number("/peak_rss_bytes").map(|b| b / MIB),
-        "MiB",
-    );
-    row(
-        "memory expected",
-        run.number("/memory_estimate_bytes").map(|b| b / MIB),
-        "MiB",
-    );
     out += "</table></div>";
-    if let Ok(text) = toml::to_string_pretty(&run.run) {
+    if let Ok(text) = toml::to_string_pretty(configuration) {
         let _ = write!(
             out,
             "<details><summary>Configuration and inputs</summary><pre>{}</pre></details>",
@@ -293,4 +281,22 @@ pub(super) fn costs(run: &Contents) -> String {
         );
     }
     out
+}
+
+/// Time and memory of a run of a satellite scene.
+pub(super) fn costs(run: &Contents) -> String {
+    let number = |pointer: &str| run.folder.number(pointer);
+    let mebibytes = |pointer: &str| number(pointer).map(|bytes| bytes / MIB);
+    let rows = [
+        ("pointing of the images", number("/stages_s/align"), "s"),
+        ("sweep", number("/stages_s/sweep"), "s"),
+        ("start", number("/stages_s/start"), "s"),
+        ("training", number("/stages_s/train"), "s"),
+        ("all, products included", number("/seconds"), "s"),
+        ("steps", number("/iterations"), ""),
+        ("best step", number("/best_iteration"), ""),
+        ("memory used at most", mebibytes("/peak_rss_bytes"), "MiB"),
+        ("memory expected", mebibytes("/memory_estimate_bytes"), "MiB"),
+    ];
+    costs_of(&rows, &run.run)
 }

@@ -37,7 +37,6 @@ fn contents(folder: &Path) -> Contents {
         time: None,
     };
     Contents {
-        folder: folder.to_owned(),
         run: RunFile {
             area: None,
             version: EVIL.into(),
@@ -77,10 +76,13 @@ fn contents(folder: &Path) -> Contents {
             bands: vec![BandKind::Pan],
             images: vec![image],
         },
-        metrics: json!({
+        folder: Folder {
+            path: folder.to_owned(),
+            metrics: json!({
             "dsm": {"mae_m": 0.5, "protocol": EVIL, "by_class": {EVIL: {"mae_m": 0.1}}, "error_quantiles_m": [0.0, 0.1, 0.4, 9.0]},
-            "curve": [{"step": 25, "l1": 0.1, "losses": {EVIL: 1.0}}, {"step": 50, "l1": 0.05, "losses": {EVIL: 0.5}}],
-        }),
+            "curve": [{"step": 25, "l1": 0.1, "held_out_l1": 0.2, "accuracy": {"height_mae_m": 2.0}, "losses": {EVIL: 1.0}}, {"step": 50, "l1": 0.05, "held_out_l1": 0.1, "accuracy": {"height_mae_m": 1.0}, "losses": {EVIL: 0.5}}],
+            }),
+        },
     }
 }
 
@@ -97,14 +99,45 @@ fn what_comes_from_outside_stays_text_and_nothing_is_fetched() {
     assert!(!page.contains("http") && !page.contains("<script") && !page.contains("src=\"views"));
     // The surface and the four panels of the view; what is no picture is left out.
     assert_eq!(page.matches("<img src=\"data:image/jpeg;base64,").count(), 5);
-    assert!(page.contains("held out") && page.matches("<polyline").count() == 3);
+    assert!(page.contains("held out") && page.matches("<polyline").count() == 5);
 }
 
 #[test]
 fn a_run_without_metrics_still_has_a_page() {
     let folder = tempfile::tempdir().expect("a temporary folder");
     let mut contents = contents(folder.path());
-    contents.metrics = Value::Null;
+    contents.folder.metrics = Value::Null;
     let page = page(&contents);
     assert!(page.contains("Component plan") && !page.contains("<svg"));
+}
+
+#[test]
+fn the_page_of_a_mosaic_keeps_what_comes_from_outside_as_text_and_looks_nowhere_else() {
+    let home = tempfile::tempdir().expect("a temporary folder");
+    let folder = home.path().join("mosaic");
+    std::fs::create_dir_all(folder.join("pictures")).expect("made");
+    let picture = RgbImage::new(60, 40);
+    for name in ["dsm.png", "pictures/shadow_2020-01-01.png"] {
+        picture.save(folder.join(name)).expect("written");
+    }
+    picture.save(home.path().join("outside.png")).expect("written");
+    let huge = [[0u32, u32::MAX], [7, u32::MAX]];
+    let said = json!({
+        "tiles": 2, "gsd_m": 0.5, "width": 60, "height": 40,
+        "pieces": [
+            {"unit": format!("a/{EVIL}"), "core": huge},
+            {"unit": "a/..", "core": [[0, 10], [0, 10]]},
+            {"unit": "a/tile-r0c1", "core": [[20, 60], [0, 40]]},
+        ],
+        "seams": {"border": {"mean_m": 0.5}, "overlaps": [{"tiles": [EVIL, EVIL], "cells": 5, "median_m": 0.1}]},
+        "products": {"dates": ["2020-01-01", EVIL, "/../../../outside"]},
+    });
+    std::fs::write(folder.join("mosaic.json"), said.to_string()).expect("written");
+    let path = mosaic::write(&folder).expect("a page");
+    let page = std::fs::read_to_string(path).expect("readable");
+    assert!(!page.contains("<img src=x") && !page.contains("<script") && !page.contains("http"));
+    // The surface, the same with its lines, and one date.
+    assert_eq!(page.matches("<img src=\"data:image/jpeg;base64,").count(), 3);
+    assert_eq!(page.matches("run/report.html").count(), 2);
+    assert!(mosaic::write(home.path()).is_err(), "no mosaic");
 }

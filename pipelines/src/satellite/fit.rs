@@ -6,7 +6,7 @@ use super::config::{Align, PointingMethod, SatelliteConfig};
 use super::ground::Ground;
 use super::shadow_prior::{self, MaskError};
 use super::views;
-use super::{estimate, initial, radiometry};
+use super::{estimate, initial, measure, radiometry};
 use crate::cli::Session;
 use crate::run::checkpoint::{CheckpointError, Keeper, Kept, Prepared};
 use crate::scene::{Area, Scene, SceneImage};
@@ -63,7 +63,28 @@ pub struct CurvePoint {
     pub l1: f64,
     /// Named losses, unweighted.
     pub losses: BTreeMap<String, f64>,
+    /// Mean absolute difference on tiles that are not learnt from.
+    pub held_out_l1: Option<f64>,
+    /// How good the model was by then, where that was asked.
+    pub accuracy: Option<Accuracy>,
 }
+
+/// How good a model is while it is trained.
+#[derive(Debug, Clone, Copy, Default, PartialEq, serde::Serialize, serde::Deserialize)]
+pub struct Accuracy {
+    /// Mean height error against truth, protocol `raw`, metres.
+    pub height_mae_m: Option<f64>,
+    /// PSNR of some images held out, decibels.
+    pub psnr_db: Option<f64>,
+}
+
+/// Measures a model in training without changing it.
+pub(crate) type Probe<'a> = dyn Fn(&Parameters) -> Option<Accuracy> + 'a;
+
+/// Steps between two points of the curve.
+const CURVE_EVERY: usize = 25;
+/// About as many points of it have an accuracy.
+const PROBES: usize = 12;
 
 /// What a fit may take.
 #[derive(Debug, Clone, Copy, Default)]
@@ -313,7 +334,10 @@ pub fn fit(
         tracing::info!(step = state.steps(), of = steps, "training goes on");
         trainer.restore(state).map_err(|error| keeper.does_not_fit(&error))?;
     }
-    let trained = train(trainer, steps, session, limits.budget, keeper)?;
+    let trained = {
+        let probe = measure::height_probe(scene, &model, pass);
+        train(trainer, steps, session, limits.budget, keeper, probe.as_deref())?
+    };
     for (image, shift) in shifts_px.iter_mut().enumerate() {
         let moved = model.pointing(&trained.parameters, image);
         *shift = [shift[0] + moved[0], shift[1] + moved[1]];
@@ -420,7 +444,9 @@ pub(crate) fn train(
     session: &Session,
     budget: Option<Budget>,
     mut keeper: Keeper,
+    probe: Option<&Probe>,
 ) -> Result<Trained, FitError> {
+    let probe_every = CURVE_EVERY * (steps / CURVE_EVERY / PROBES).max(1);
     let progress = session.progress("train", steps as u64);
     progress.set(trainer.steps() as u64);
     let mut pace = Pace::new(trainer.views());
@@ -445,9 +471,14 @@ pub(crate) fn train(
         let l1 = course.smoothed.map_or(report.l1, |old| 0.95 * old + 0.05 * report.l1);
         course.smoothed = Some(l1);
         progress.set(report.step as u64);
-        if report.step % 25 == 0 {
+        if report.step % CURVE_EVERY == 0 {
             progress.say(&format!("L1 {l1:.4} gaussians {}", report.gaussians));
-            course.curve.push(point(&report, l1));
+            let probe = probe.filter(|_| report.step % probe_every == 0);
+            course.curve.push(CurvePoint {
+                held_out_l1: trainer.held_out_l1(),
+                accuracy: probe.and_then(|probe| probe(&trainer.parameters)),
+                ..point(&report, l1)
+            });
         }
         if report.step % 100 == 0 {
             let StepReport {
@@ -482,5 +513,7 @@ fn point(report: &StepReport, l1: f64) -> CurvePoint {
         step: report.step,
         l1,
         losses,
+        held_out_l1: None,
+        accuracy: None,
     }
 }

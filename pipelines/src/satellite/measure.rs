@@ -1,15 +1,17 @@
 //! What a run is worth: images, shadows and surface against what the scene knows of the truth.
 
-use super::fit::Fitted;
+use super::fit::{Accuracy, Fitted, Probe};
 use crate::cli::CliError;
 use crate::evaluate::shadow::ShadowCounts;
-use crate::evaluate::{DsmEvaluation, ImageScore, Protocol, error_map, evaluate_dsm};
-use crate::product::dsm::of_surface;
+use crate::evaluate::{DsmEvaluation, ImageScore, Protocol, error_map, evaluate_dsm, evaluate_raster};
+use crate::product::dsm::{NadirGrid, of_maps, of_surface};
 use crate::product::views::{RenderedView, render_view, score};
 use crate::raster::{RasterFile, preview, write_atomically};
 use crate::run::{LoadedModel, peak_rss_bytes};
 use crate::scene::{BandKind, Scene, Split};
 use heliosplat::Raster;
+use heliosplat::model::shadow_gs::ShadowGs;
+use heliosplat::render::{PassOptions, render};
 use serde_json::{Value, json};
 use std::path::Path;
 
@@ -22,6 +24,22 @@ pub(super) fn dsm(scene: &Scene, run: &Path, protocol: Protocol) -> Result<Optio
         scene.truth.classes.as_deref(),
         protocol,
     )?))
+}
+
+/// Tells how far the surface of a model in training is from the scene's true one; `None` without truth.
+pub(super) fn height_probe<'a>(scene: &'a Scene, model: &'a ShadowGs, options: PassOptions) -> Option<Box<Probe<'a>>> {
+    let truth = scene.truth.dsm.as_deref()?;
+    let classes = scene.truth.classes.as_deref();
+    let nadir = NadirGrid::new(&scene.into(), scene.gsd_m, None).ok()?;
+    Some(Box::new(move |parameters| {
+        let maps = render(model, parameters, &nadir.camera, None, None, options).maps;
+        let surface = of_maps(&nadir, &maps).geo_raster();
+        let evaluation = evaluate_raster((&scene.source, &surface), truth, classes, Protocol::Raw).ok()?;
+        Some(Accuracy {
+            height_mae_m: Some(evaluation.metrics.all.mae_m),
+            psnr_db: None,
+        })
+    }))
 }
 
 /// `metrics.json` as far as it follows from model and scene; also draws pictures into the run's folder.
@@ -146,7 +164,7 @@ pub(super) fn write_start(scene: &Scene, run: &Path, fitted: &Fitted, model: &Lo
 }
 
 /// The numbers of an evaluation, and the absolute errors that 0 %, 5 % … 100 % of the cells stay within.
-fn surface_metrics(evaluation: &DsmEvaluation) -> Value {
+pub(crate) fn surface_metrics(evaluation: &DsmEvaluation) -> Value {
     const PARTS: usize = 20;
     let mut out = serde_json::to_value(&evaluation.metrics).unwrap_or_default();
     let finite = evaluation.errors.values.iter().filter(|v| v.is_finite());
