@@ -22,6 +22,8 @@ use std::time::{Duration, Instant};
 
 /// Name of the file that says which work a folder was last used for.
 const BEGUN: &str = "begun.txt";
+/// Name of a page.
+const REPORT: &str = "report.html";
 /// Folder of a tile's training.
 pub(super) const RUN: &str = "run";
 
@@ -61,7 +63,9 @@ pub fn do_unit(
         Work::Refused { reason } => return Err(CliError::Input(reason.clone())),
     };
     if let Some(to) = &unit.deliver {
-        for name in outputs.iter().filter(|name| !name.starts_with(RUN)) {
+        // Of a run its page alone, which a mosaic's page links to.
+        let told = |name: &&String| !name.starts_with(RUN) || name.ends_with(REPORT);
+        for name in outputs.iter().filter(told) {
             deliver(&folder.join(name), Path::new(&format!("{to}/{}/{name}", unit.id)))?;
         }
     }
@@ -148,7 +152,7 @@ fn tile(
             metrics[key] = value.clone();
         }
     }
-    let of_run = ["model.ply", "model.json", "run.toml", "metrics.json", "report.html"];
+    let of_run = ["model.ply", "model.json", "run.toml", "metrics.json", REPORT];
     outputs.extend(of_run.map(|name| format!("{RUN}/{name}")));
     Ok((outputs, metrics))
 }
@@ -190,6 +194,6 @@ fn mosaic_unit(work: &MosaicWork, unit: &Unit, out: &Path, folder: &Path) -> Res
     let text = format!("{metrics:#}\n");
     write_atomically(&folder.join("mosaic.json"), text.as_bytes())?;
     report::mosaic::write(folder)?;
-    outputs.extend(["mosaic.json".into(), "report.html".into()]);
+    outputs.extend(["mosaic.json".into(), REPORT.into()]);
     Ok((outputs, metrics))
 }

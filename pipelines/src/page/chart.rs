@@ -17,21 +17,33 @@ pub struct Line {
     pub points: Vec<(f64, f64)>,
 }
 
+fn known(lines: &[Line]) -> impl Iterator<Item = &(f64, f64)> {
+    let points = lines.iter().flat_map(|line| &line.points);
+    points.filter(|p| p.0.is_finite() && p.1.is_finite())
+}
+
 /// A chart of some lines whose upward axis begins at zero; nothing where there are no two points to join.
 pub fn lines(title: &str, across: &str, lines: &[Line]) -> String {
-    let points = || {
-        lines
-            .iter()
-            .flat_map(|line| &line.points)
-            .filter(|p| p.0.is_finite() && p.1.is_finite())
-    };
-    let (low, high) = points().fold((f64::INFINITY, f64::NEG_INFINITY), |(l, h), p| (l.min(p.0), h.max(p.0)));
-    let top = 1.05 * points().fold(0.0f64, |top, p| top.max(p.1));
-    if !(high > low && top > 0.0) {
+    let top = 1.05 * known(lines).fold(0.0f64, |top, p| top.max(p.1));
+    draw(title, across, lines, (0.0, top))
+}
+
+/// The same with an upward axis that holds what the lines do and no more: of values whose zero means nothing, such as decibels.
+pub fn lines_within(title: &str, across: &str, lines: &[Line]) -> String {
+    let ends = (f64::INFINITY, f64::NEG_INFINITY);
+    let (low, high) = known(lines).fold(ends, |(l, h), p| (l.min(p.1), h.max(p.1)));
+    let room = 0.05 * (high - low).max(1.0);
+    draw(title, across, lines, (low - room, high + room))
+}
+
+fn draw(title: &str, across: &str, lines: &[Line], (foot, top): (f64, f64)) -> String {
+    let ends = (f64::INFINITY, f64::NEG_INFINITY);
+    let (low, high) = known(lines).fold(ends, |(l, h), p| (l.min(p.0), h.max(p.0)));
+    if !(high > low && top > foot) {
         return String::new();
     }
     let x = |v: f64| MARGIN.0 + (v - low) / (high - low) * (SIZE.0 - MARGIN.0 - MARGIN.1);
-    let y = |v: f64| SIZE.1 - MARGIN.3 - v / top * (SIZE.1 - MARGIN.2 - MARGIN.3);
+    let y = |v: f64| SIZE.1 - MARGIN.3 - (v - foot) / (top - foot) * (SIZE.1 - MARGIN.2 - MARGIN.3);
     let mut out = format!(
         "<svg viewBox=\"0 0 {} {}\" role=\"img\" aria-label=\"{}\"><text x=\"{}\" y=\"14\" font-weight=\"600\">{}</text>",
         SIZE.0,
@@ -41,7 +53,7 @@ pub fn lines(title: &str, across: &str, lines: &[Line]) -> String {
         escaped(title)
     );
     let (right, bottom) = (SIZE.0 - MARGIN.1, SIZE.1 - MARGIN.3);
-    for tick in ticks(0.0, top) {
+    for tick in ticks(foot, top) {
         // Writing to a String cannot fail.
         let _ = write!(
             out,
@@ -106,8 +118,36 @@ mod tests {
     }
 
     #[test]
+    fn decibels_fill_their_chart() {
+        let line = Line {
+            name: String::new(),
+            points: vec![(0.0, 25.0), (10.0, 30.0)],
+        };
+        let drawn = lines_within("PSNR", "step", std::slice::from_ref(&line));
+        assert!(
+            drawn.contains(">26</text>") && !drawn.contains(">0</text><path"),
+            "{drawn}"
+        );
+        let heights = |drawn: &str| -> Vec<f64> {
+            let points = drawn
+                .split("<polyline points=\"")
+                .nth(1)
+                .and_then(|rest| rest.split('"').next());
+            let points = points.expect("a line").split(' ');
+            points
+                .map(|p| p.split(',').nth(1).and_then(|y| y.parse().ok()).expect("a number"))
+                .collect()
+        };
+        let (high, flat) = (heights(&drawn), heights(&lines("PSNR", "step", &[line])));
+        assert!(
+            high[0] - high[1] > 100.0 && flat[0] - flat[1] < 50.0,
+            "{high:?} {flat:?}"
+        );
+    }
+
+    #[test]
     fn nothing_is_drawn_of_nothing() {
-        assert!(lines("a", "b", &[]).is_empty());
+        assert!(lines("a", "b", &[]).is_empty() && lines_within("a", "b", &[]).is_empty());
         let flat = Line {
             name: String::new(),
             points: vec![(1.0, 1.0)],

@@ -14,8 +14,8 @@ use std::path::{Path, PathBuf};
 
 /// Widest picture, pixels.
 const VIEW_PX: u32 = 420;
-/// Images held out that are shown beside what the model shows.
-const VIEWS: usize = 24;
+/// Most images held out that are shown beside what the model shows.
+const VIEWS: usize = 16;
 /// Views whose light is shown part by part.
 const PARTED: usize = 3;
 
@@ -69,14 +69,10 @@ fn head(measured: &Folder, run: &ObjectRun) -> String {
 
 /// Images held out beside what the model shows in their place.
 fn views(measured: &Folder, model: &ObjectModel) -> String {
-    let held_out = model.file.images.iter().filter(|image| image.split == Split::Test);
+    let images = model.file.images.iter();
+    let held_out: Vec<_> = images.filter(|image| image.split == Split::Test).collect();
     let mut out = String::new();
-    let mut left_out = 0;
-    for (place, image) in held_out.enumerate() {
-        if place >= VIEWS {
-            left_out += 1;
-            continue;
-        }
+    for image in held_out.iter().step_by(held_out.len().div_ceil(VIEWS).max(1)) {
         let name = file_name(&image.name);
         let Some(pair) = measured.picture(&format!("views/{name}.png")) else {
             continue;
@@ -89,16 +85,14 @@ fn views(measured: &Folder, model: &ObjectModel) -> String {
     if out.is_empty() {
         return out;
     }
-    let more = match left_out {
-        0 => String::new(),
-        more => format!("<p class=\"faint\">{more} more are in views/.</p>"),
-    };
-    format!("<h2>Images held out</h2><div class=\"four\">{out}</div>{more}")
+    format!("<h2>Images held out</h2><div class=\"four\">{out}</div><p class=\"faint\">All are in views/.</p>")
 }
 
 /// The parts of the light and the normals of some views.
 fn light(model: &ObjectModel) -> String {
-    let parts = components(model);
+    let has = model.file.kind.parts();
+    let mut parts = components(model);
+    parts.retain(|(name, _)| has.contains(name));
     let of_split = |split: Split| model.file.images.iter().filter(move |image| image.split == split);
     let all: Vec<_> = of_split(Split::Test).chain(of_split(Split::Train)).collect();
     let mut out = String::new();

@@ -1,7 +1,7 @@
 //! The parts of a report, from top to bottom.
 
 use super::{Contents, Folder};
-use crate::page::chart::{Line, lines};
+use crate::page::chart::{Line, lines, lines_within};
 use crate::page::{escaped, inline_picture, plain};
 use crate::product::set::date_of;
 use crate::scene::Split;
@@ -157,13 +157,11 @@ pub(super) fn curves(run: &Folder) -> String {
         let known: Vec<Line> = drawn.iter().filter(|line| line.points.len() > 1).cloned().collect();
         lines(title, "step", &known)
     };
+    let psnr = line("", &|point| point["accuracy"]["psnr_db"].as_f64());
     let accuracy = chart(
         "Mean height error, metres",
         &[line("", &|point| point["accuracy"]["height_mae_m"].as_f64())],
-    ) + &chart(
-        "PSNR of images held out, dB",
-        &[line("", &|point| point["accuracy"]["psnr_db"].as_f64())],
-    );
+    ) + &lines_within("PSNR of images held out, dB", "step", &[psnr]);
     let difference = chart(
         "Difference to the images",
         &[
