@@ -67,6 +67,38 @@ fn a_capture_is_recognised_trained_measured_and_rendered() {
     let written = json(&arguments);
     assert_eq!(written["views"].as_array().map(Vec::len), Some(15));
     assert!(rendered.join("test_r_000.png").is_file());
+    its_page_needs_nothing_else(&run, &metrics);
+}
+
+/// Training writes the page, `report` writes the same again, and its curve says how accurate the model was.
+fn its_page_needs_nothing_else(run: &Path, metrics: &Value) {
+    let path = run.join("report.html");
+    let page = std::fs::read_to_string(&path).expect("train writes it");
+    for part in [
+        "Images held out",
+        "What it is made of",
+        "PSNR of images held out, dB",
+        "Component plan",
+        "Time and memory",
+    ] {
+        assert!(page.contains(part), "{part}");
+    }
+    assert!(!page.contains("http") && !page.contains("<script") && !page.contains("<link"));
+    let sources = page.matches("src=").count();
+    assert!(sources > 30 && sources == page.matches("src=\"data:image/jpeg;base64,").count());
+    json(&["report".as_ref(), run.as_os_str()]);
+    assert!(
+        page == std::fs::read_to_string(&path).expect("readable"),
+        "the same page again"
+    );
+
+    let curve = metrics["curve"].as_array().expect("a curve");
+    let psnrs: Vec<f64> = curve
+        .iter()
+        .filter_map(|point| point.pointer("/accuracy/psnr_db")?.as_f64())
+        .collect();
+    assert!((8..=25).contains(&psnrs.len()), "{psnrs:?}");
+    assert!(psnrs[psnrs.len() - 1] > psnrs[0], "{psnrs:?}");
 }
 
 #[test]
