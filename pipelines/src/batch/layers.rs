@@ -94,14 +94,18 @@ impl Layer {
     /// How tiles differ where two overlap and show one surface: the two, the median of the logarithm of the first over the second, and
     /// how many cells tell it.
     fn ratios(&self, pieces: &[Piece], band: usize, gsd_m: f32) -> Vec<(usize, usize, f64, usize)> {
-        let pairs = (0..pieces.len()).flat_map(|a| (a + 1..pieces.len()).map(move |b| (a, b)));
-        let pairs: Vec<_> = pairs.collect();
+        let span = |a: usize, b: usize, axis: usize| {
+            let (p, q) = (pieces[a].bounds[axis], pieces[b].bounds[axis]);
+            (p[0].max(q[0]), p[1].min(q[1]))
+        };
+        let overlap = |a: usize, b: usize| [0, 1].into_iter().all(|axis| span(a, b, axis).0 < span(a, b, axis).1);
+        let after = |a: usize| (a + 1..pieces.len()).map(move |b| (a, b));
+        let pairs: Vec<(usize, usize)> = (0..pieces.len())
+            .flat_map(after)
+            .filter(|&(a, b)| overlap(a, b))
+            .collect();
         let told = pairs.into_par_iter().filter_map(|(a, b)| {
-            let span = |axis: usize| {
-                let (p, q) = (pieces[a].bounds[axis], pieces[b].bounds[axis]);
-                (p[0].max(q[0]), p[1].min(q[1]))
-            };
-            let ([left, right], [top, bottom]) = ([span(0).0, span(0).1], [span(1).0, span(1).1]);
+            let ((left, right), (top, bottom)) = (span(a, b, 0), span(a, b, 1));
             let step = |from: isize, to: isize| ((to - from) / COMPARED).max(1) as usize;
             let mut logs = Vec::new();
             let mut said = Vec::new();
