@@ -5,6 +5,7 @@ pub mod mosaic;
 pub mod object;
 mod parts;
 
+use crate::objects::run::is_object_run;
 use crate::page::{STYLE, escaped};
 use crate::raster::write_atomically;
 use crate::run::{self, ModelFile, RunError, RunFile};
@@ -12,6 +13,8 @@ use image::{ImageReader, Limits, RgbImage};
 use serde_json::Value;
 use std::path::{Path, PathBuf};
 
+/// Name of the page.
+pub const FILE: &str = "report.html";
 /// Longest side of a picture that is read, pixels, and the most memory it may take.
 const SIDE_MAX: u32 = 60_000;
 const BYTES_MAX: u64 = 400 << 20;
@@ -99,8 +102,23 @@ pub fn write(folder: &Path) -> Result<PathBuf, RunError> {
     save(folder, &page(&contents))
 }
 
+/// Writes the page of a finished run that has none, because it was killed between its figures and its page.
+///
+/// # Errors
+/// As [`write`].
+pub fn complete(folder: &Path) -> Result<(), RunError> {
+    if folder.join(FILE).is_file() {
+        return Ok(());
+    }
+    match is_object_run(folder) {
+        true => object::write(folder),
+        false => write(folder),
+    }
+    .map(|_| ())
+}
+
 fn save(folder: &Path, page: &str) -> Result<PathBuf, RunError> {
-    let path = folder.join("report.html");
+    let path = folder.join(FILE);
     write_atomically(&path, page.as_bytes())?;
     Ok(path)
 }

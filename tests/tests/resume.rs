@@ -266,12 +266,14 @@ fn trainings_that_are_stopped_or_killed_end_with_the_same_bytes() {
     same_products(&whole, &run);
     assert!(!run.join("checkpoint").exists());
 
-    // A run that is finished is left as it is.
+    // A run that is finished is left as it is; a page that it was killed before writing is made.
+    std::fs::remove_file(run.join("report.html")).expect("a page");
     let before = std::fs::metadata(run.join("model.ply"))
         .and_then(|data| data.modified())
         .expect("there");
     let again = json(&home.arguments(&run, &["--resume"]));
     assert!(again["dsm"]["mae_m"].as_f64().is_some());
+    assert!(run.join("report.html").is_file());
     let after = std::fs::metadata(run.join("model.ply"))
         .and_then(|data| data.modified())
         .expect("there");

@@ -23,7 +23,7 @@ use std::time::{Duration, Instant};
 /// Name of the file that says which work a folder was last used for.
 const BEGUN: &str = "begun.txt";
 /// Name of a page.
-const REPORT: &str = "report.html";
+const REPORT: &str = crate::report::FILE;
 /// Folder of a tile's training.
 pub(super) const RUN: &str = "run";
 

@@ -309,11 +309,15 @@ mod tests {
             (volume / truth - 1.0).abs() < 0.03,
             "volume {volume}, of a ball {truth}"
         );
+        let mut along = 0.0;
         for (place, normal) in mesh.positions.iter().zip(&mesh.normals) {
             let (place, normal) = (Vec3::from(*place), Vec3::from(*normal));
             assert!((place.length() - RADIUS).abs() < cell, "a corner at {}", place.length());
-            assert!(normal.dot(place.normalize()) > 0.9, "a normal of {normal} at {place}");
+            let cosine = normal.dot(place.normalize());
+            assert!(cosine > 0.8, "a normal of {normal} at {place}");
+            along += cosine / mesh.positions.len() as f32;
         }
+        assert!(along > 0.98, "normals along {along}");
     }
 
     #[test]

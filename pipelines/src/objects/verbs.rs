@@ -82,6 +82,8 @@ pub fn train(args: &TrainArgs, session: &Session) -> Result<Outcome, CliError> {
     let identity = identity(args, &config, &capture, &inputs)?;
     let done = metrics_of(&args.out).filter(|done| args.resume && done["training"] == checkpoint::digest(&identity));
     if let Some(metrics) = done {
+        report::complete(&args.out)?;
+        checkpoint::remove(&args.out);
         let text = format!(
             "{}\nrun            {} (finished before)",
             measure::summary(&metrics),

@@ -301,6 +301,8 @@ pub fn train(args: &TrainArgs, session: &Session) -> Result<Outcome, CliError> {
         false => None,
     };
     if let Some(metrics) = done {
+        report::complete(&args.out)?;
+        checkpoint::remove(&args.out);
         let text = format!(
             "{}\nrun            {} (finished before)",
             measure::summary(&metrics),
