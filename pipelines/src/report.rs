@@ -105,7 +105,7 @@ pub fn write(folder: &Path) -> Result<PathBuf, RunError> {
 /// Writes the page of a finished run that has none, because it was killed between its figures and its page.
 ///
 /// # Errors
-/// As [`write`].
+/// When the folder holds no run, or the page cannot be written.
 pub fn complete(folder: &Path) -> Result<(), RunError> {
     if folder.join(FILE).is_file() {
         return Ok(());
