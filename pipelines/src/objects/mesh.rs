@@ -11,9 +11,10 @@ use super::measure;
 use super::run::ObjectModel;
 use fast_surface_nets::ndshape::{RuntimeShape, Shape};
 use fast_surface_nets::{SurfaceNetsBuffer, surface_nets};
-use glam::Vec3;
+use glam::{DVec3, Vec3};
 use heliosplat::ProjectiveCamera;
 use heliosplat::gaussians::{POSITION, Table};
+use heliosplat::shade::display;
 use rayon::prelude::*;
 
 /// Distances are cut at this many cells.
@@ -59,9 +60,7 @@ pub fn mesh(model: &ObjectModel, cells: usize, progress: &dyn Fn(u64)) -> Result
     paint(model, &grid, &mut mesh, progress);
     let centre = model.file.centre;
     for place in &mut mesh.positions {
-        *place = (glam::DVec3::new(place[0].into(), place[1].into(), place[2].into()) + centre)
-            .as_vec3()
-            .to_array();
+        *place = (Vec3::from(*place).as_dvec3() + centre).as_vec3().to_array();
     }
     Ok(mesh)
 }
@@ -146,11 +145,7 @@ fn paint(model: &ObjectModel, grid: &Grid, mesh: &mut Mesh, progress: &dyn Fn(u6
         .map(|&[red, green, blue, count]| {
             [red, green, blue].map(|sum| {
                 let mean = (sum / count.max(1.0)).max(0.0);
-                let shown = if linear {
-                    heliosplat::shade::display::encode(mean).0
-                } else {
-                    mean
-                };
+                let shown = if linear { display::encode(mean).0 } else { mean };
                 (shown.min(1.0) * 255.0).round() as u8
             })
         })
@@ -263,7 +258,6 @@ impl Grid {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use glam::DVec3;
     use std::collections::BTreeMap;
 
     const RADIUS: f32 = 0.8;

@@ -8,6 +8,7 @@ use glam::DVec3;
 use heliosplat::Raster;
 use heliosplat::light::Light;
 use heliosplat::model::View;
+use heliosplat::shade::display;
 
 /// A border is one colour when half of its pixels are this close to it.
 const SAME_COLOUR: f32 = 0.02;
@@ -77,7 +78,7 @@ impl Preparation {
             for (k, behind) in self.background.into_iter().enumerate() {
                 for (value, &covered) in out.plane_mut(k).iter_mut().zip(covered) {
                     if decode {
-                        *value = covered * linear(*value / covered.max(1e-6));
+                        *value = covered * display::decode(*value / covered.max(1e-6));
                     }
                     *value += (1.0 - covered) * behind;
                 }
@@ -87,7 +88,7 @@ impl Preparation {
                 out.values.extend(covered);
             }
         } else if decode {
-            out.values.iter_mut().for_each(|v| *v = linear(*v));
+            out.values.iter_mut().for_each(|v| *v = display::decode(*v));
         }
         out
     }
@@ -98,15 +99,6 @@ impl Preparation {
         known.map_or([1.0; 3], |(unit, own)| {
             std::array::from_fn(|k| (own[k] / unit[k]) as f32)
         })
-    }
-}
-
-/// The light that a display value stands for (sRGB, IEC 61966-2-1).
-pub(super) fn linear(value: f32) -> f32 {
-    if value <= 0.040_45 {
-        value / 12.92
-    } else {
-        ((value + 0.055) / 1.055).powf(2.4)
     }
 }
 

@@ -1,7 +1,7 @@
 //! Meshes as other programs read them: binary PLY with colours, and glTF 2.0 in one file (GLB).
 
 use super::Mesh;
-use crate::objects::views::linear;
+use heliosplat::shade::display;
 use serde_json::json;
 use std::path::Path;
 
@@ -64,7 +64,10 @@ const ELEMENT_ARRAY_BUFFER: u32 = 34963;
 
 fn glb(mesh: &Mesh) -> Vec<u8> {
     // Colours of corners are linear in glTF.
-    let colours = mesh.colours.iter().map(|c| c.map(|v| linear(f32::from(v) / 255.0)));
+    let colours = mesh
+        .colours
+        .iter()
+        .map(|c| c.map(|v| display::decode(f32::from(v) / 255.0)));
     let floats = |values: &mut dyn Iterator<Item = [f32; 3]>| -> Vec<u8> {
         values.flatten().flat_map(f32::to_le_bytes).collect()
     };
