@@ -30,6 +30,13 @@ mod tests {
     use super::*;
 
     #[test]
+    fn display_values_become_the_light_of_the_standard() {
+        assert!((decode(0.5) - 0.214_041).abs() < 1e-5);
+        assert!((decode(1.0) - 1.0).abs() < 1e-6);
+        assert!((decode(0.04) - 0.04 / 12.92).abs() < 1e-9);
+    }
+
+    #[test]
     fn what_is_told_is_read_back_and_the_slope_is_that_of_the_curve() {
         for light in [0.0f32, 0.001, 0.0031, 0.0032, 0.05, 0.5, 1.0, 3.0] {
             let (told, slope) = encode(light);

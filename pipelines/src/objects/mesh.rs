@@ -11,7 +11,7 @@ use super::measure;
 use super::run::ObjectModel;
 use fast_surface_nets::ndshape::{RuntimeShape, Shape};
 use fast_surface_nets::{SurfaceNetsBuffer, surface_nets};
-use glam::{DVec3, Vec3};
+use glam::Vec3;
 use heliosplat::ProjectiveCamera;
 use heliosplat::gaussians::{POSITION, Table};
 use heliosplat::shade::display;
@@ -258,6 +258,7 @@ impl Grid {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use glam::DVec3;
     use std::collections::BTreeMap;
 
     const RADIUS: f32 = 0.8;

@@ -5,6 +5,7 @@ use super::bands::BandPlan;
 use super::manifest::Counts;
 use crate::raster::{RasterFile, Window};
 use heliosplat::Raster;
+use heliosplat::shade::display;
 
 /// The share of values below the scene's unit: the brightest glints lie above 1.
 const UNIT_QUANTILE: f64 = 0.999;
@@ -32,7 +33,7 @@ pub(super) fn read(
     }
     if declared.unwrap_or_else(|| stated_counts(file)) == Counts::Display {
         for value in &mut raster.values {
-            *value = linear_from_srgb(*value / 255.0);
+            *value = display::decode(*value / 255.0);
         }
     }
     Ok(raster)
@@ -75,15 +76,6 @@ pub(super) fn scale_together(images: &mut [Raster]) -> f64 {
         *value /= unit;
     }
     f64::from(unit)
-}
-
-/// sRGB's transfer function, IEC 61966-2-1, from 0..1 to linear 0..1.
-fn linear_from_srgb(encoded: f32) -> f32 {
-    if encoded <= 0.040_45 {
-        encoded / 12.92
-    } else {
-        ((encoded + 0.055) / 1.055).powf(2.4)
-    }
 }
 
 fn blank(raster: &mut Raster, is_missing: impl Fn(usize) -> bool) {
@@ -176,12 +168,5 @@ mod tests {
         let border = black_border(&image);
         assert_eq!(border.iter().filter(|&&black| black).count(), 6);
         assert!(!border[2 * 6 + 3]);
-    }
-
-    #[test]
-    fn display_values_become_linear() {
-        assert!((linear_from_srgb(0.5) - 0.214_041).abs() < 1e-5);
-        assert!((linear_from_srgb(1.0) - 1.0).abs() < 1e-6);
-        assert!((linear_from_srgb(0.04) - 0.04 / 12.92).abs() < 1e-9);
     }
 }
