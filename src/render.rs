@@ -201,7 +201,7 @@ pub fn render(
     let lit = occluders.as_ref().map_or(Lit::Everywhere, Lit::Traced);
     let options = PassOptions {
         normals: true,
-        depths: Depths::Median,
+        depths: options.depths.max(Depths::Surface),
         ..options
     };
     let pass = Pass::new(model, context, lit, options);

@@ -29,8 +29,20 @@ pub enum Depths {
     Mean,
     /// Squares, for the spread along a ray.
     Spread,
-    /// Squares and the median: what products need.
+    /// Squares and the depth of the surface, where [`kernel::SURFACE_TRANSMITTANCE`] is left: what products need.
+    Surface,
+    /// Squares and the median depth, where half is left: for a start, whose roof edges are undecided still.
     Median,
+}
+
+impl Depths {
+    /// What is left of a ray at the depth that is asked for.
+    fn surface_transmittance(self) -> f32 {
+        match self {
+            Self::Median => 0.5,
+            _ => kernel::SURFACE_TRANSMITTANCE,
+        }
+    }
 }
 
 /// What a view looks like: composited maps, `[row][column]` planes.
@@ -48,8 +60,8 @@ pub struct Maps {
     pub depth: Vec<f32>,
     /// `Σ w z²`, metres²; empty when it was not asked for.
     pub depth_square: Vec<f32>,
-    /// Depth at which half of the light is absorbed, metres, NaN where nothing is; empty when it was not asked for.
-    pub median_depth: Vec<f32>,
+    /// Depth of the surface as [`Depths`] asked for it, or of a ray's last splat, metres, NaN where nothing is; empty when it was not asked for.
+    pub surface_depth: Vec<f32>,
     /// (splat, pixel) pairs: pixels inside the footprints of the splats, up to where a tile is opaque.
     pub pairs: u64,
 }
@@ -94,7 +106,7 @@ struct Band<'m> {
     alpha: &'m mut [f32],
     depth: &'m mut [f32],
     depth_square: Option<&'m mut [f32]>,
-    median_depth: Option<&'m mut [f32]>,
+    surface_depth: Option<&'m mut [f32]>,
 }
 
 /// A view binned and ready to be composited.
@@ -166,6 +178,7 @@ impl<'a> Rasteriser<'a> {
             row0: row0 as f32,
             width: TILE_WIDTH.min(self.width - col0),
             height: TILE_HEIGHT.min(self.height - row0),
+            surface_transmittance: self.depths.surface_transmittance(),
         }
     }
 
@@ -181,7 +194,7 @@ impl<'a> Rasteriser<'a> {
             alpha: plane(),
             depth: plane(),
             depth_square: asked(Depths::Spread),
-            median_depth: asked(Depths::Median),
+            surface_depth: asked(Depths::Surface),
             pairs: 0,
         };
         let Maps {
@@ -189,12 +202,12 @@ impl<'a> Rasteriser<'a> {
             alpha,
             depth,
             depth_square,
-            median_depth,
+            surface_depth,
             ..
         } = &mut out;
         let band = (self.width * TILE_HEIGHT).max(1);
         let mut channel_bands: Vec<_> = channels.iter_mut().map(|plane| plane.chunks_mut(band)).collect();
-        let (mut median_bands, mut square_bands) = (median_depth.chunks_mut(band), depth_square.chunks_mut(band));
+        let (mut surface_bands, mut square_bands) = (surface_depth.chunks_mut(band), depth_square.chunks_mut(band));
         let bands: Vec<_> = alpha
             .chunks_mut(band)
             .zip(depth.chunks_mut(band))
@@ -203,7 +216,7 @@ impl<'a> Rasteriser<'a> {
                 alpha,
                 depth,
                 depth_square: square_bands.next(),
-                median_depth: median_bands.next(),
+                surface_depth: surface_bands.next(),
             })
             .collect();
         out.pairs = bands
@@ -226,7 +239,9 @@ impl<'a> Rasteriser<'a> {
             match self.depths {
                 Depths::Mean => kernel::forward::<K, false, false>(list, splats, features, &frame, &mut maps),
                 Depths::Spread => kernel::forward::<K, true, false>(list, splats, features, &frame, &mut maps),
-                Depths::Median => kernel::forward::<K, true, true>(list, splats, features, &frame, &mut maps),
+                Depths::Surface | Depths::Median => {
+                    kernel::forward::<K, true, true>(list, splats, features, &frame, &mut maps)
+                }
             }
             for r in 0..frame.height {
                 let start = r * self.width + column * TILE_WIDTH;
@@ -240,10 +255,10 @@ impl<'a> Rasteriser<'a> {
                     copy_row(&mut square[to.clone()], &maps.depth_square[from.clone()]);
                 }
                 let transmittance = &maps.transmittance[from.clone()];
-                if let Some(median) = &mut band.median_depth {
-                    let found = maps.median_depth[from].iter().zip(transmittance);
-                    for (median, (&m, &t)) in median[to.clone()].iter_mut().zip(found) {
-                        *median = if t < 1.0 { m } else { f32::NAN };
+                if let Some(surface) = &mut band.surface_depth {
+                    let found = maps.surface_depth[from].iter().zip(transmittance);
+                    for (surface, (&m, &t)) in surface[to.clone()].iter_mut().zip(found) {
+                        *surface = if t < 1.0 { m } else { f32::NAN };
                     }
                 }
                 for (alpha, t) in band.alpha[to].iter_mut().zip(transmittance) {
@@ -420,3 +435,37 @@ macro_rules! dispatch {
     };
 }
 use dispatch;
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::camera::ProjectiveCamera;
+    use crate::gaussians::{LOG_SCALE, OPACITY, POSITION, ROTATION, Table, core_groups, logit};
+    use crate::splat::project::{ProjectionOptions, project};
+
+    /// Depth of the surface in the middle of a wide roof of an opacity, 6 m above opaque ground, seen from above.
+    fn seen_below(opacity: f32) -> f32 {
+        let mut table = Table::zeros(core_groups(), 2);
+        table.group_mut(POSITION)[2] = 6.0;
+        table
+            .group_mut(LOG_SCALE)
+            .copy_from_slice(&[3.0, 3.0, -3.0, 3.0, 3.0, -3.0]);
+        table
+            .group_mut(ROTATION)
+            .copy_from_slice(&[0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0]);
+        table
+            .group_mut(OPACITY)
+            .copy_from_slice(&[logit(opacity), logit(0.999)]);
+        let camera = ProjectiveCamera::nadir(-4.0, 4.0, 1.0, (9, 9));
+        let projected = project(&table, &camera, &ProjectionOptions::default());
+        let features = vec![0.0; projected.splats.len() * padded_channels(1)];
+        let seen = Rasteriser::new(&projected, 9, 9).with_depths(Depths::Surface);
+        seen.forward(&features, padded_channels(1)).surface_depth[40]
+    }
+
+    #[test]
+    fn what_is_half_transparent_is_no_surface() {
+        assert!((seen_below(0.5) - 0.0).abs() < 1e-3);
+        assert!((seen_below(0.8) + 6.0).abs() < 1e-3);
+    }
+}

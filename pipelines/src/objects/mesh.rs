@@ -49,7 +49,7 @@ pub fn mesh(model: &ObjectModel, cells: usize, progress: &dyn Fn(u64)) -> Result
     let mut grid = Grid::around(&model.parameters.gaussians, cells).ok_or("it has no Gaussian that is opaque")?;
     for (done, image) in model.file.images.iter().enumerate() {
         if let Some((camera, maps, _)) = model.seen(image) {
-            grid.add(&camera, &depths(&maps.median_depth, &maps.alpha));
+            grid.add(&camera, &depths(&maps.surface_depth, &maps.alpha));
         }
         progress(done as u64 + 1);
     }
@@ -108,7 +108,7 @@ impl Mesh {
 }
 
 /// Depths of a view; infinite where more is open than covered.
-fn depths(median: &[f32], alpha: &[f32]) -> Vec<f32> {
+fn depths(surface: &[f32], alpha: &[f32]) -> Vec<f32> {
     let depth = |(&depth, &alpha): (&f32, &f32)| {
         if alpha > 0.5 && depth.is_finite() {
             depth
@@ -116,7 +116,7 @@ fn depths(median: &[f32], alpha: &[f32]) -> Vec<f32> {
             f32::INFINITY
         }
     };
-    median.iter().zip(alpha).map(depth).collect()
+    surface.iter().zip(alpha).map(depth).collect()
 }
 
 /// Gives corners the colours that the cameras see there.
@@ -125,7 +125,7 @@ fn paint(model: &ObjectModel, grid: &Grid, mesh: &mut Mesh, progress: &dyn Fn(u6
     let images = &model.file.images;
     for (done, image) in images.iter().enumerate() {
         if let Some((camera, maps, seen)) = model.seen(image) {
-            let depths = depths(&maps.median_depth, &maps.alpha);
+            let depths = depths(&maps.surface_depth, &maps.alpha);
             sums.par_iter_mut().zip(&mesh.positions).for_each(|(sum, &place)| {
                 let place = Vec3::from(place);
                 let Some(pixel) = pixel(&camera, place) else { return };

@@ -163,16 +163,38 @@ pub fn of_maps(nadir: &NadirGrid, maps: &Maps) -> Dsm {
             if alpha < ALPHA_KNOWN {
                 continue;
             }
-            raster.values[i] = nadir.height(col, row, -maps.median_depth[i]) as f32;
+            raster.values[i] = nadir.height(col, row, -maps.surface_depth[i]) as f32;
             let mean = maps.depth[i] / alpha;
-            raster.values[pixels + i] = (maps.depth_square[i] / alpha - mean * mean).max(0.0).sqrt();
+            raster.values[pixels + i] = maps.depth_square[i] / alpha - mean * mean;
         }
+    }
+    for i in 0..pixels {
+        let along_ray = raster.values[pixels + i].max(0.0);
+        raster.values[pixels + i] = (along_ray + variance_around(&raster, i)).sqrt();
     }
     Dsm {
         raster,
         grid: nadir.grid.clone(),
         geoid: None,
     }
+}
+
+/// Variance of the altitudes known in the 3 x 3 cells around `cell`, metres²: what is known of a surface is known to about a cell
+/// sideways. The spread along the ray alone is a third too small (docs/satellite.md).
+fn variance_around(raster: &Raster, cell: usize) -> f32 {
+    let (col, row) = (cell % raster.width, cell / raster.width);
+    let (mut count, mut sum, mut squares) = (0.0f32, 0.0f32, 0.0f32);
+    for r in row.saturating_sub(1)..(row + 2).min(raster.height) {
+        for c in col.saturating_sub(1)..(col + 2).min(raster.width) {
+            // Differences to the middle keep their digits where altitudes are in thousands.
+            let above = raster.values[r * raster.width + c] - raster.values[cell];
+            if above.is_finite() {
+                (count, sum, squares) = (count + 1.0, sum + above, squares + above * above);
+            }
+        }
+    }
+    let mean = sum / count;
+    (squares / count - mean * mean).max(0.0)
 }
 
 /// A swept surface on a map grid; its coverage is the sweep's confidence and it has no standard deviation.
@@ -275,5 +297,22 @@ impl Dsm {
             bands: 1,
             values: self.raster.plane(0).to_vec(),
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn cells_at_a_step_are_in_more_doubt_than_level_ones() {
+        let mut raster = Raster::filled(6, 3, 1, 4000.0);
+        for row in 0..3 {
+            raster.values[row * 6 + 5] = 4006.0;
+        }
+        raster.values[6] = f32::NAN;
+        assert_eq!(variance_around(&raster, 6 + 1), 0.0);
+        // Three of nine cells stand 6 m higher.
+        assert!((variance_around(&raster, 6 + 4) - 8.0).abs() < 1e-3);
     }
 }

@@ -134,7 +134,7 @@ pub struct ModelOptions {
     pub near_light: bool,
     /// Surfaces are as bright as they face the sun.
     pub facing: bool,
-    /// Weight of the shadow opaqueness loss.
+    /// Weight of the shadow opaqueness loss; 0, off, is better on every site measured (docs/satellite.md).
     pub opaqueness_weight: f32,
     /// Whether shadows that images show as dark places guide training: with few views, unless said.
     pub shadow_prior: Option<bool>,
@@ -153,7 +153,7 @@ impl Default for ModelOptions {
             image_colour: None,
             near_light: false,
             facing: true,
-            opaqueness_weight: 0.3,
+            opaqueness_weight: 0.0,
             shadow_prior: None,
             prior_weight: 1.0,
             shadow_masks: None,

@@ -171,15 +171,11 @@ impl Ground {
             });
         }
         images.sort_by_key(|image| image.split == Split::Test);
-        let mut gsds: Vec<f64> = images
-            .iter()
-            .filter(|image| image.split == Split::Train)
-            .map(|image| image.gsd_m)
-            .collect();
-        gsds.sort_by(f64::total_cmp);
+        let training = images.iter().filter(|image| image.split == Split::Train);
+        let gsd_m = nominal_gsd_m(training.map(|image| image.gsd_m).collect());
         Ok(Scene {
             source: source.to_owned(),
-            gsd_m: gsds[gsds.len() / 2],
+            gsd_m,
             images,
             frame,
             altitude_range_m,
@@ -190,6 +186,15 @@ impl Ground {
             warnings,
         })
     }
+}
+
+/// The median of `gsds` (metres, one at least) in two significant digits.
+pub(super) fn nominal_gsd_m(mut gsds: Vec<f64>) -> f64 {
+    gsds.sort_by(f64::total_cmp);
+    let median = gsds[gsds.len() / 2];
+    // Multiples of a whole divisor are nearer to decimals than those of a fraction are.
+    let per_unit = 10f64.powi(1 - median.log10().floor() as i32);
+    (median * per_unit).round() / per_unit
 }
 
 /// Corners of the training images on the ground.
@@ -279,4 +284,18 @@ fn fit_pinholes(
         good.push(fit);
     }
     Ok(good)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn cells_are_as_wide_as_people_say() {
+        assert_eq!(nominal_gsd_m(vec![0.62, 0.504_142, 0.49]), 0.5);
+        assert_eq!(nominal_gsd_m(vec![0.309]), 0.31);
+        assert_eq!(nominal_gsd_m(vec![0.0996]), 0.1);
+        assert_eq!(nominal_gsd_m(vec![1.94, 2.06]), 2.1);
+        assert_eq!(nominal_gsd_m(vec![12.4]), 12.0);
+    }
 }

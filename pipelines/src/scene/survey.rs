@@ -18,7 +18,7 @@ pub struct Survey {
     footprints: Vec<Footprint>,
     /// Lowest and highest ellipsoidal altitude the surface may have, metres.
     pub altitude_range_m: (f64, f64),
-    /// Median ground sampling distance of the training images, metres.
+    /// Nominal ground sampling distance, metres, as that of [`super::Scene`].
     pub gsd_m: f64,
     /// Number of bands of every image.
     pub bands: usize,
@@ -70,11 +70,10 @@ impl Survey {
         for draft in ground.drafts().iter().filter(|draft| is_training(draft)) {
             gsds.push(draft.gsd_m(ground.frame(), height_m)?);
         }
-        gsds.sort_by(f64::total_cmp);
         Ok(Self {
             footprints: ground::training_footprints(ground.drafts(), ground.frame(), height_m)?,
             altitude_range_m,
-            gsd_m: gsds[gsds.len() / 2],
+            gsd_m: ground::nominal_gsd_m(gsds),
             bands,
             files,
             truth: layout.truth,
