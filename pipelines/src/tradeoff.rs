@@ -187,6 +187,9 @@ fn metrics(folder: &Path) -> Option<Value> {
 
 fn row(job: &Job, metrics: &Value) -> Row {
     let number = |pointer: &str| metrics.pointer(pointer).and_then(Value::as_f64);
+    let steps = number("/iterations").unwrap_or(f64::NAN);
+    // Without training the surface is the swept one: what stands at an edge is undecided still.
+    let surface = if steps == 0.0 { "start" } else { "dsm" };
     Row {
         scene: job.scene_name.clone(),
         point: job.point.name.clone(),
@@ -194,9 +197,9 @@ fn row(job: &Job, metrics: &Value) -> Row {
         seconds: number("/seconds").unwrap_or(f64::NAN),
         peak_bytes: number("/peak_rss_bytes").unwrap_or(f64::NAN),
         gaussians: number("/gaussians").unwrap_or(f64::NAN),
-        steps: number("/iterations").unwrap_or(f64::NAN),
-        mae_m: number("/dsm/mae_m"),
-        median_m: number("/dsm/median_m"),
+        steps,
+        mae_m: number(&format!("/{surface}/mae_m")),
+        median_m: number(&format!("/{surface}/median_m")),
         shadows_right: number("/shadow/accuracy"),
         psnr_train: number("/train/psnr"),
         psnr_held_out: number("/test/psnr"),
