@@ -53,7 +53,7 @@ pub struct TileMaps<const K: usize> {
     pub depth: Plane,
     /// `Σ w z²`, metres².
     pub depth_square: Plane,
-    /// Depth where the transmittance falls through one half; the last seen where it never does, zero where nothing was seen.
+    /// Depth where the transmittance falls through [`TileFrame::surface_transmittance`], metres; the last seen where it never does, zero where nothing was seen.
     pub surface_depth: Plane,
     /// (splat, pixel) pairs inside the footprints.
     pub pairs: u64,

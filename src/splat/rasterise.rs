@@ -60,7 +60,8 @@ pub struct Maps {
     pub depth: Vec<f32>,
     /// `Σ w z²`, metres²; empty when it was not asked for.
     pub depth_square: Vec<f32>,
-    /// Depth of the surface as [`Depths`] asked for it, or of a ray's last splat, metres, NaN where nothing is; empty when it was not asked for.
+    /// Depth of the surface as [`Depths`] asked for it, or of a ray's last splat, metres, NaN where nothing is; empty when it was
+    /// not asked for.
     pub surface_depth: Vec<f32>,
     /// (splat, pixel) pairs: pixels inside the footprints of the splats, up to where a tile is opaque.
     pub pairs: u64,
