@@ -23,9 +23,11 @@ use super::network::Network;
 use super::over::{COLOURS, over, over_backward};
 use super::shadow_gs::{softplus, softplus_inverse};
 use super::{Context, NamedLoss, Parameters, SceneModel, Seen};
-use crate::gaussians::{FEATURES, GroupSpec, POSITION, Table, sigmoid};
+use crate::gaussians::{FEATURES, GroupSpec, POSITION, Table, normalised, sigmoid};
+use crate::loss::geometry::depth_normal;
 use crate::raster::Raster;
 use crate::splat::{MapGradients, Maps};
+use glam::Vec3;
 use networks::{CODE, SCATTER_INPUTS, SHADOW_INPUTS, network};
 use rayon::prelude::*;
 use surface::{Lobes, Place, Surface, SurfaceGradient};
@@ -85,6 +87,10 @@ pub struct OlatOptions {
     pub distance: f32,
     /// Radius of the lights.
     pub radius: f32,
+    /// How much normals agree with those of the depth.
+    pub normal_weight: f32,
+    /// Depths that differ by more than this are an edge, not a slope.
+    pub normal_edge: f32,
     /// What is shown of the light that surfaces reflect.
     pub shows: Component,
 }
@@ -122,6 +128,8 @@ impl Default for OlatOptions {
             coverage: false,
             distance: 1.0,
             radius: 0.0,
+            normal_weight: 0.0,
+            normal_edge: 0.1,
             shows: Component::All,
         }
     }
@@ -202,6 +210,11 @@ impl Olat {
             let at = self.code_group() + 1;
             gaussians.group_mut(at)[g * COLOURS..(g + 1) * COLOURS].fill(softplus_inverse(LITTLE_SCATTERS));
         }
+    }
+
+    /// Whether normals are rasterised, behind the colours.
+    fn shows_normals(&self) -> bool {
+        self.options.normal_weight > 0.0 || self.options.shows == Component::Normal
     }
 
     fn lobes(&self, globals: &Table) -> Option<Lobes> {
@@ -285,17 +298,22 @@ impl SceneModel for Olat {
         match group {
             "diffuse" => 1e-2,
             "frame" => 1e-2,
-            "specular" | "lobe_weight" => from(SPECULAR_FROM, 1e-2),
+            "specular" => from(SPECULAR_FROM, 0.1),
+            "lobe_weight" => from(SPECULAR_FROM, 3e-2),
             "scattered" => from(SCATTERING_FROM, 1e-2),
             "scatterer" => from(SCATTERING_FROM, 2e-3),
             "refiner" => from(REFINED_FROM, 2e-3),
             "code" => from(REFINED_FROM, 5e-3),
-            _ => from(LOBES_FROM, 5e-3),
+            _ => from(LOBES_FROM, 2e-2),
         }
     }
 
     fn channels(&self) -> usize {
-        COLOURS
+        if self.shows_normals() {
+            2 * COLOURS
+        } else {
+            COLOURS
+        }
     }
 
     fn needs_transmittance(&self) -> bool {
@@ -312,6 +330,11 @@ impl SceneModel for Olat {
             .for_each(|(s, feature)| {
                 let g = seen.projected.gaussian[s] as usize;
                 let lit = added.lit[s];
+                if self.shows_normals() {
+                    let q = &gaussians.group(FRAME)[g * 4..g * 4 + 4];
+                    let normal = normalised([q[0], q[1], q[2], q[3]]) * Vec3::Z;
+                    feature[COLOURS..2 * COLOURS].copy_from_slice(&normal.to_array());
+                }
                 // Without a light it is dark.
                 let Some(place) = self.place(context, g) else { return };
                 let surface = self.surface(gaussians, g);
@@ -351,7 +374,11 @@ impl SceneModel for Olat {
                     return SurfaceGradient::default();
                 };
                 let surface = self.surface(gaussians, g);
-                surface.shade_backward(lobes.as_ref(), &place, added.lit[s], [d[0], d[1], d[2]])
+                let mut part = surface.shade_backward(lobes.as_ref(), &place, added.lit[s], [d[0], d[1], d[2]]);
+                if self.shows_normals() {
+                    part.turn_normal(&surface, Vec3::from_slice(&d[COLOURS..2 * COLOURS]));
+                }
+                part
             })
             .collect();
         self.ask_backward(context, seen, &added, d_features, (&mut parts, grads));
@@ -401,7 +428,12 @@ impl SceneModel for Olat {
         over_backward(d_image, self.options.background, self.options.coverage, d_maps);
     }
 
-    fn map_losses(&self, _: &Context, _: &Maps, _: &[f32], _: &mut MapGradients) -> Vec<NamedLoss> {
-        Vec::new()
+    fn map_losses(&self, context: &Context, maps: &Maps, _: &[f32], d_maps: &mut MapGradients) -> Vec<NamedLoss> {
+        let (weight, edge) = (self.options.normal_weight, self.options.normal_edge);
+        if weight <= 0.0 {
+            return Vec::new();
+        }
+        let value = depth_normal(context.camera, maps, COLOURS, edge, weight, d_maps);
+        vec![("normals", value)]
     }
 }

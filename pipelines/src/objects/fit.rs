@@ -117,6 +117,8 @@ fn begin(
         coverage,
         distance: distances.get(distances.len() / 2).map_or(1.0, |&d| d as f32),
         radius: config.model.light_radius,
+        normal_weight: config.model.normal_weight,
+        normal_edge: (EDGE_PX * capture.pixel_size) as f32,
         shows: Component::All,
     };
     let model = Olat::new(options.clone());

@@ -55,7 +55,6 @@ impl Kind {
     pub fn showing(&self, shows: Component) -> Option<Self> {
         match self {
             Self::Radiance(_) => None,
-            Self::Olat(_) if shows == Component::Normal => None,
             Self::Olat(options) if shows == Component::Scattering && !options.scattering => None,
             Self::Olat(options) => Some(Self::Olat(OlatOptions {
                 shows,

@@ -117,7 +117,7 @@ impl Default for CameraOptions {
     fn default() -> Self {
         Self {
             align: Align::Auto,
-            method: PointingMethod::Shifts,
+            method: PointingMethod::Ties,
             threshold_px: 0.25,
             refine: false,
         }
@@ -355,8 +355,8 @@ mod tests {
         assert_eq!(config.train.density.cap, 1000);
         let config = SatelliteConfig::resolve("fast", &set("cameras.align", "off"), 1).expect("a known key");
         assert_eq!(config.cameras.align, Align::Off);
-        let config = SatelliteConfig::resolve("fast", &set("cameras.method", "ties"), 1).expect("a known key");
-        assert_eq!(config.cameras.method, PointingMethod::Ties);
+        let config = SatelliteConfig::resolve("fast", &set("cameras.method", "shifts"), 1).expect("a known key");
+        assert_eq!(config.cameras.method, PointingMethod::Shifts);
     }
 
     #[test]

@@ -139,11 +139,12 @@ fn align(ground: &Ground, rasters: &[Raster], config: &SatelliteConfig, gsd_m: f
         return none;
     }
     let views = ground.sweep_views(rasters, &none);
+    let by_shifts = || estimate_shifts(&views, &ground.request(config.start.cell_gsd * gsd_m));
     let shifts = match config.cameras.method {
-        PointingMethod::Shifts => estimate_shifts(&views, &ground.request(config.start.cell_gsd * gsd_m)),
+        PointingMethod::Shifts => by_shifts(),
         PointingMethod::Ties => shifts_by_ties(ground, &views, gsd_m).unwrap_or_else(|error| {
-            tracing::warn!("the cameras are used as they are: {error}");
-            none.clone()
+            tracing::warn!("whole images are compared, because ties do not tell: {error}");
+            by_shifts()
         }),
     };
     let largest = shifts.iter().flatten().fold(0.0f32, |a, &b| a.max(b.abs()));

@@ -183,6 +183,16 @@ pub(super) struct SurfaceGradient {
     lobes: [LobePart; LOBES],
 }
 
+impl SurfaceGradient {
+    /// Adds the gradient of the surface's normal.
+    pub(super) fn turn_normal(&mut self, surface: &Surface, d: Vec3) {
+        let mut turned = Mat3::ZERO;
+        turned.z_axis = d;
+        let added = rotation_backward(surface.frame, turned);
+        self.frame.iter_mut().zip(added).for_each(|(slot, d)| *slot += d);
+    }
+}
+
 /// The half vector and Schlick's term.
 struct Half {
     sum: f32,
