@@ -5,7 +5,7 @@
 //! ```text
 //! C = ((c_d f_d + c_s f_s) S + c_v f_v) · D² / (d² + r²)
 //! f_d = cosE(n·ω_i) / π                    cosE(c) = (ELU(c) + t) / (1 + t): a cosine with a gradient on the dark side
-//! f_s = Σ_j a_j G_j(h) · F(ω_i·h) · cosE(n·ω_i)        eight lobes that all share, Schlick's F with F0 = 0.04
+//! f_s = Σ_j a_j G_j(h) · F(ω_i·h) / (ω_i·h)² · cosE(n·ω_i)        eight lobes that all share, Schlick's F with an F0 of the Gaussian's
 //! f_v = R(r; σ_s', σ_a)        what scatters under the surface: a dipole, of which a network predicts the three numbers
 //! ```
 //!
@@ -23,7 +23,7 @@ use super::network::Network;
 use super::over::{COLOURS, over, over_backward};
 use super::shadow_gs::{softplus, softplus_inverse};
 use super::{Context, NamedLoss, Parameters, SceneModel, Seen};
-use crate::gaussians::{FEATURES, GroupSpec, POSITION, Table, normalised, sigmoid};
+use crate::gaussians::{FEATURES, GroupSpec, POSITION, Table, logit, normalised, sigmoid};
 use crate::loss::geometry::depth_normal;
 use crate::raster::Raster;
 use crate::splat::{MapGradients, Maps};
@@ -42,6 +42,8 @@ pub const FRAME: usize = FEATURES + 1;
 pub const SPECULAR: usize = FEATURES + 2;
 /// Index of the group of the lobes' weights, before the softplus.
 pub const WEIGHT: usize = FEATURES + 3;
+/// Index of the group of reflectances head on, before the sigmoid.
+pub const HEAD_ON: usize = FEATURES + 4;
 /// Indices of the shared groups: frames, relative widths and widths of the lobes.
 const LOBE_FRAME: usize = 0;
 const LOBE_SCALE: usize = 1;
@@ -58,6 +60,8 @@ const REFINED_FROM: f32 = 0.05;
 const LITTLE_SCATTERS: f32 = 0.1;
 /// What networks say at first, relative to their layers.
 const QUIET: f32 = 0.1;
+/// Reflectance head on before it is known: that of plastics and of most that is no metal.
+const PLASTIC: f32 = 0.04;
 /// Gloss before it joins: as good as none.
 const NO_GLOSS: f32 = 0.02;
 
@@ -168,7 +172,7 @@ impl Olat {
 
     /// Index of the group of codes; that of the colours of scattered light stands behind it.
     pub fn code_group(&self) -> usize {
-        if self.options.specular { WEIGHT + 1 } else { SPECULAR }
+        if self.options.specular { HEAD_ON + 1 } else { SPECULAR }
     }
 
     /// Index of the first shared group of a network.
@@ -205,6 +209,7 @@ impl Olat {
         gaussians.group_mut(FRAME)[g * 4..g * 4 + 4].copy_from_slice(&frame);
         if self.options.specular {
             gaussians.group_mut(SPECULAR)[g * COLOURS..(g + 1) * COLOURS].fill(softplus_inverse(NO_GLOSS));
+            gaussians.group_mut(HEAD_ON)[g] = logit(PLASTIC);
         }
         if self.options.scattering {
             let at = self.code_group() + 1;
@@ -236,10 +241,12 @@ impl Olat {
             frame: [frame[0], frame[1], frame[2], frame[3]],
             specular: [0.0; COLOURS],
             weights: [0.0; LOBES],
+            head_on: PLASTIC,
         };
         if self.options.specular {
             surface.specular = std::array::from_fn(|k| positive(part(SPECULAR, COLOURS), k));
             surface.weights = std::array::from_fn(|j| positive(part(WEIGHT, LOBES), j));
+            surface.head_on = sigmoid(gaussians.group(HEAD_ON)[g]);
         }
         surface
     }
@@ -267,6 +274,7 @@ impl SceneModel for Olat {
         if self.options.specular {
             groups.push(GroupSpec::new("specular", COLOURS));
             groups.push(GroupSpec::new("lobe_weight", LOBES));
+            groups.push(GroupSpec::new("head_on", 1));
         }
         if self.coded() {
             groups.push(GroupSpec::new("code", CODE));
@@ -299,6 +307,7 @@ impl SceneModel for Olat {
             "diffuse" => 1e-2,
             "frame" => 1e-2,
             "specular" => from(SPECULAR_FROM, 0.1),
+            "head_on" => from(SPECULAR_FROM, 6e-2),
             "lobe_weight" => from(SPECULAR_FROM, 3e-2),
             "scattered" => from(SCATTERING_FROM, 1e-2),
             "scatterer" => from(SCATTERING_FROM, 2e-3),
@@ -406,6 +415,10 @@ impl SceneModel for Olat {
         if let Some(lobes) = &lobes {
             through(SPECULAR, &|s| three(parts[s].specular));
             through(WEIGHT, &|s| parts[s].weights);
+            table.add_to_group(HEAD_ON, indices, |s, slots| {
+                let share = sigmoid(gaussians.group(HEAD_ON)[indices[s] as usize]);
+                slots[0] += parts[s].head_on * share * (1.0 - share);
+            });
             let mut shared = lobes.gradients(&context.parameters.globals, &parts);
             for (group, values) in shared.iter_mut().enumerate() {
                 add(grads.globals.group_mut(group), values);

@@ -75,8 +75,8 @@ pub struct ModelOptions {
     pub decoder_width: usize,
     /// Its hidden layers.
     pub decoder_layers: usize,
-    /// How much the normals of surfaces agree with those of the depth, in `reflective`.
-    pub normal_weight: f32,
+    /// How much the normals of surfaces agree with those of the depth, in `olat` (0.2 unless said) and `reflective` (0.05).
+    pub normal_weight: Option<f32>,
     /// Decibels on images kept aside by which a part must help in a short fit to be taken; see [`super::plan`].
     pub least_gain_db: f64,
     /// Steps of such a fit; 0 leaves parts as the configuration says.
@@ -99,7 +99,7 @@ impl Default for ModelOptions {
             sh_degree: 3,
             decoder_width: 32,
             decoder_layers: 2,
-            normal_weight: 0.05,
+            normal_weight: None,
             least_gain_db: 0.3,
             pilot_steps: 300,
             background: Background::Auto,

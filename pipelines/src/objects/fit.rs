@@ -117,7 +117,7 @@ fn begin(
         coverage,
         distance: distances.get(distances.len() / 2).map_or(1.0, |&d| d as f32),
         radius: config.model.light_radius,
-        normal_weight: config.model.normal_weight,
+        normal_weight: config.model.normal_weight.unwrap_or(OLAT_NORMALS),
         normal_edge: (EDGE_PX * capture.pixel_size) as f32,
         shows: Component::All,
     };
@@ -132,6 +132,10 @@ fn begin(
     (Kind::Olat(options), Parameters { gaussians, globals })
 }
 
+/// How much normals agree with those of the depth where the configuration leaves it open. Under one lamp at a time highlights and shading
+/// tell normals too, so more does no harm to them and keeps highlights in one piece (docs/objects.md).
+const OLAT_NORMALS: f32 = 0.2;
+const REFLECTIVE_NORMALS: f32 = 0.05;
 /// Normals of depths are compared over steps of this many pixels at most.
 const EDGE_PX: f64 = 6.0;
 
@@ -149,7 +153,7 @@ fn begin_reflective(
         width: config.model.decoder_width,
         hidden: config.model.decoder_layers,
         half_size: capture.half_size as f32,
-        normal_weight: config.model.normal_weight,
+        normal_weight: config.model.normal_weight.unwrap_or(REFLECTIVE_NORMALS),
         normal_edge: (EDGE_PX * capture.pixel_size) as f32,
         display,
         background: preparation.background,

@@ -52,7 +52,8 @@ fn check_kind(kind: &Kind) -> Result<(), String> {
             if !(o.distance > 0.0 && o.radius >= 0.0 && o.half_size > 0.0) {
                 return Err(format!("distance, radius and half_size of its lights are {lamp:?}"));
             }
-            (o.width, o.hidden, [&o.background[..], &lamp].concat())
+            let normals = [o.normal_edge, o.normal_weight];
+            (o.width, o.hidden, [&o.background[..], &lamp, &normals].concat())
         }
         Kind::Reflective(o) => {
             if !(o.half_size > 0.0 && o.normal_edge > 0.0) {

@@ -16,8 +16,6 @@ use std::f32::consts::FRAC_1_PI;
 const SOFT: f32 = 0.01;
 /// `SOFT · (1 - 1/e)`: what makes it zero at -1.
 const SOFT_OFFSET: f32 = 0.006_321_206;
-/// Reflectance head on (Schlick 1994), that of plastics and of most that is no metal.
-const HEAD_ON: f32 = 0.04;
 /// Least length of the sum of the directions to light and eye: below it, they are opposite and nothing is reflected.
 const LEAST_SUM: f32 = 1e-3;
 /// The relative widths of a lobe reach from zero to this.
@@ -153,6 +151,8 @@ pub(super) struct Surface {
     pub(super) frame: [f32; 4],
     pub(super) specular: [f32; COLOURS],
     pub(super) weights: [f32; LOBES],
+    /// Share that is reflected head on (Schlick 1994): a twenty-fifth by what is no metal, most by metals.
+    pub(super) head_on: f32,
 }
 
 /// Light reflected per light that falls in, evenly and as by a mirror.
@@ -175,6 +175,7 @@ pub(super) struct SurfaceGradient {
     pub(super) diffuse: [f32; COLOURS],
     pub(super) specular: [f32; COLOURS],
     pub(super) weights: [f32; LOBES],
+    pub(super) head_on: f32,
     pub(super) frame: [f32; 4],
     pub(super) position: Vec3,
     pub(super) transmittance: f32,
@@ -193,25 +194,40 @@ impl SurfaceGradient {
     }
 }
 
-/// The half vector and Schlick's term.
+/// The half vector and what it makes of reflectance.
 struct Half {
     sum: f32,
     direction: Vec3,
+    /// Between it and the light.
     cosine: f32,
-    fresnel: f32,
 }
+
+/// Least cosine between the half vector and the light that masking is reckoned with: below it, surfaces of middling roughness hide
+/// more of themselves than the square says.
+const LEAST_COSINE: f32 = 0.25;
 
 impl Half {
     fn new(place: &Place) -> Self {
         let sum = place.to_light + place.to_eye;
         let length = sum.length().max(LEAST_SUM);
-        let cosine = (0.5 * length).min(1.0);
         Self {
             sum: length,
             direction: sum / length,
-            cosine,
-            fresnel: HEAD_ON + (1.0 - HEAD_ON) * (1.0 - cosine).powi(5),
+            cosine: (0.5 * length).min(1.0),
         }
+    }
+
+    /// Schlick's share of the light that is reflected, of that head on, over the square of the cosine, which stands for what rough
+    /// surfaces hide of themselves (Kelemen and Szirmay-Kalos 2001); its slopes to that head on and to the cosine.
+    fn fresnel(&self, head_on: f32) -> (f32, f32, f32) {
+        let rest = 1.0 - self.cosine;
+        let grazing = rest.powi(5);
+        let share = head_on + (1.0 - head_on) * grazing;
+        let slope = -5.0 * (1.0 - head_on) * rest.powi(4);
+        let cosine = self.cosine.max(LEAST_COSINE);
+        let seen = 1.0 / (cosine * cosine);
+        let bending = if self.cosine > LEAST_COSINE { -2.0 * share * seen / cosine } else { 0.0 };
+        (share * seen, (1.0 - grazing) * seen, slope * seen + bending)
     }
 }
 
@@ -224,7 +240,7 @@ impl Surface {
             let half = Half::new(place);
             let own = frame.transpose() * half.direction;
             let lobe = |j: usize| self.weights[j] * lobes.shapes[j].value(lobes.frames[j].transpose() * own);
-            (0..LOBES).map(lobe).sum::<f32>() * half.fresnel
+            (0..LOBES).map(lobe).sum::<f32>() * half.fresnel(self.head_on).0
         });
         Shaded {
             diffuse: self.diffuse.map(|c| c * cosine * FRAC_1_PI),
@@ -254,7 +270,8 @@ impl Surface {
                 gathered += self.weights[j] * values[j];
             }
         }
-        let gloss = gathered * half.fresnel;
+        let (fresnel, by_head_on, by_cosine) = half.fresnel(self.head_on);
+        let gloss = gathered * fresnel;
         let arriving = transmittance * place.falling;
         let (mut d_cosine, mut d_gloss, mut d_falling) = (0.0, 0.0, 0.0);
         for (k, d) in d_colour.into_iter().enumerate() {
@@ -273,7 +290,7 @@ impl Surface {
         if let Some(lobes) = lobes {
             let mut d_own = Vec3::ZERO;
             for j in 0..LOBES {
-                let d_value = d_gloss * half.fresnel;
+                let d_value = d_gloss * fresnel;
                 out.weights[j] = d_value * values[j];
                 let weight = d_value * self.weights[j];
                 let found = lobes.shapes[j].value_and_gradients(in_frames[j]);
@@ -291,10 +308,9 @@ impl Surface {
             let d_half = frame * d_own;
             let along = half.direction.dot(d_half);
             let mut d_sum = (d_half - half.direction * along) / half.sum;
-            let rest = 1.0 - half.cosine;
-            let d_fresnel = d_gloss * gathered * -5.0 * (1.0 - HEAD_ON) * rest.powi(4);
+            out.head_on = d_gloss * gathered * by_head_on;
             // The cosine is half of the sum's length.
-            d_sum += half.direction * (0.5 * d_fresnel);
+            d_sum += half.direction * (0.5 * d_gloss * gathered * by_cosine);
             d_light += d_sum;
             d_eye += d_sum;
         }
