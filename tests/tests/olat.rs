@@ -5,7 +5,7 @@ use glam::Vec3;
 use heliosplat::ProjectiveCamera;
 use heliosplat::gaussians::{FEATURES, POSITION, Table, core_groups};
 use heliosplat::light::Light;
-use heliosplat::model::olat::{DIFFUSE, FRAME, LOBES, Olat, OlatOptions, SPECULAR, WEIGHT};
+use heliosplat::model::olat::{DIFFUSE, FRAME, HEAD_ON, LOBES, Olat, OlatOptions, SPECULAR, WEIGHT};
 use heliosplat::model::{Context, Parameters, SceneModel};
 use heliosplat::render::Lit;
 use heliosplat::trace::{Occluders, TraceOptions, transmittance};
@@ -108,7 +108,9 @@ fn reflected(case: &Case, gaussians: &Flat, globals: &Flat, i: usize) -> Vec<f64
     let mut gloss = 0.0;
     if case.model.options.specular {
         let half = (to_light + to_eye).normalize();
-        let fresnel = 0.04 + 0.96 * (1.0 - to_light.dot(&half)).powi(5);
+        let (cosine, head_on) = (to_light.dot(&half), sigmoid(gaussians[HEAD_ON][i]));
+        let masking = 1.0 / cosine.max(0.25).powi(2);
+        let fresnel = (head_on + (1.0 - head_on) * (1.0 - cosine).powi(5)) * masking;
         let own = frame.transpose() * half;
         for j in 0..LOBES {
             let v = rotation(&globals[0][j * 4..j * 4 + 4]).transpose() * own;

@@ -118,7 +118,7 @@ impl Default for CameraOptions {
         Self {
             align: Align::Auto,
             method: PointingMethod::Ties,
-            threshold_px: 0.25,
+            threshold_px: 0.1,
             refine: false,
         }
     }

@@ -325,6 +325,44 @@ mod tests {
     use super::*;
 
     #[test]
+    fn a_gradient_of_the_normal_turns_the_frame() {
+        let surface = |frame| Surface {
+            diffuse: [0.0; COLOURS],
+            frame,
+            specular: [0.0; COLOURS],
+            weights: [0.0; LOBES],
+            head_on: 0.04,
+        };
+        let (at, d) = ([0.3, -0.5, 0.2, 0.9], Vec3::new(0.7, -0.2, 0.4));
+        let along = |frame: [f32; 4]| (Mat3::from_quat(normalised(frame)) * Vec3::Z).dot(d);
+        let mut found = SurfaceGradient::default();
+        found.turn_normal(&surface(at), d);
+        for k in 0..4 {
+            let moved = |by: f32| std::array::from_fn(|i| at[i] + if i == k { by } else { 0.0 });
+            let numeric = (along(moved(1e-3)) - along(moved(-1e-3))) / 2e-3;
+            assert!((numeric - found.frame[k]).abs() < 1e-3, "{k}: {numeric} {}", found.frame[k]);
+        }
+    }
+
+    #[test]
+    fn reflectance_has_the_slopes_it_says() {
+        for cosine in [0.1f32, 0.4, 0.9] {
+            let half = |cosine: f32| Half {
+                sum: 2.0 * cosine,
+                direction: Vec3::Z,
+                cosine,
+            };
+            let (h, step) = (0.3, 1e-3);
+            let (_, by_head_on, by_cosine) = half(cosine).fresnel(h);
+            let slope = |hi: f32, lo: f32| (hi - lo) / (2.0 * step);
+            let head_on = slope(half(cosine).fresnel(h + step).0, half(cosine).fresnel(h - step).0);
+            let turned = slope(half(cosine + step).fresnel(h).0, half(cosine - step).fresnel(h).0);
+            assert!((head_on - by_head_on).abs() < 2e-2 * by_head_on.abs().max(1.0), "{cosine}");
+            assert!((turned - by_cosine).abs() < 2e-2 * by_cosine.abs().max(1.0), "{cosine}");
+        }
+    }
+
+    #[test]
     fn the_softened_cosine_is_zero_behind_one_ahead_and_alive_between() {
         assert!(soft_cosine(-1.0).0.abs() < 1e-7 && (soft_cosine(1.0).0 - 1.0).abs() < 1e-6);
         assert!((soft_cosine(0.0).0 - 0.00628).abs() < 1e-5);
