@@ -318,11 +318,7 @@ impl SceneModel for Olat {
     }
 
     fn channels(&self) -> usize {
-        if self.shows_normals() {
-            2 * COLOURS
-        } else {
-            COLOURS
-        }
+        if self.shows_normals() { 2 * COLOURS } else { COLOURS }
     }
 
     fn needs_transmittance(&self) -> bool {

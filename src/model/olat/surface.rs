@@ -226,7 +226,11 @@ impl Half {
         let slope = -5.0 * (1.0 - head_on) * rest.powi(4);
         let cosine = self.cosine.max(LEAST_COSINE);
         let seen = 1.0 / (cosine * cosine);
-        let bending = if self.cosine > LEAST_COSINE { -2.0 * share * seen / cosine } else { 0.0 };
+        let bending = if self.cosine > LEAST_COSINE {
+            -2.0 * share * seen / cosine
+        } else {
+            0.0
+        };
         (share * seen, (1.0 - grazing) * seen, slope * seen + bending)
     }
 }
@@ -340,7 +344,11 @@ mod tests {
         for k in 0..4 {
             let moved = |by: f32| std::array::from_fn(|i| at[i] + if i == k { by } else { 0.0 });
             let numeric = (along(moved(1e-3)) - along(moved(-1e-3))) / 2e-3;
-            assert!((numeric - found.frame[k]).abs() < 1e-3, "{k}: {numeric} {}", found.frame[k]);
+            assert!(
+                (numeric - found.frame[k]).abs() < 1e-3,
+                "{k}: {numeric} {}",
+                found.frame[k]
+            );
         }
     }
 
@@ -357,7 +365,10 @@ mod tests {
             let slope = |hi: f32, lo: f32| (hi - lo) / (2.0 * step);
             let head_on = slope(half(cosine).fresnel(h + step).0, half(cosine).fresnel(h - step).0);
             let turned = slope(half(cosine + step).fresnel(h).0, half(cosine - step).fresnel(h).0);
-            assert!((head_on - by_head_on).abs() < 2e-2 * by_head_on.abs().max(1.0), "{cosine}");
+            assert!(
+                (head_on - by_head_on).abs() < 2e-2 * by_head_on.abs().max(1.0),
+                "{cosine}"
+            );
             assert!((turned - by_cosine).abs() < 2e-2 * by_cosine.abs().max(1.0), "{cosine}");
         }
     }
