@@ -2,9 +2,9 @@
 
 usage: compare_dates.py PRODUCTS_A PRODUCTS_B      (folders that `heliosplat products` wrote)
 
-Both albedos are laid on A's grid; a cell is unchanged where their brightness correlates by 0.6 or more over 15 x 15 cells that
-both know. Says the median absolute difference of the altitudes there, after and before their median difference is taken off,
-and how much of the common ground both surfaces know.
+Both albedos are laid on A's grid; a cell counts as unchanged where their brightness correlates over 15 x 15 cells that both know, from
+several thresholds on. Says the median absolute difference of the altitudes there, before and after their median difference is taken
+off, and how much of that ground both surfaces know.
 """
 import sys
 import numpy as np
@@ -41,7 +41,7 @@ aa, ab = read(a, "albedo.tif")[0].mean(0), read(b, "albedo.tif", like).mean(0)
 za = za[0]
 r = ncc(aa, ab)
 common = np.isfinite(r)
-for least in (0.5, 0.6, 0.7, 0.8):
+for least in (-1.0, 0.4, 0.5, 0.6, 0.7):
     same = r >= least
     known = same & np.isfinite(za) & np.isfinite(zb)
     d = (za - zb)[known]
