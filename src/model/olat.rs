@@ -20,11 +20,10 @@ mod networks;
 mod surface;
 
 use super::network::Network;
-use super::over::{COLOURS, over, over_backward};
+use super::over::{COLOURS, normals_of_depth, over, over_backward};
 use super::shadow_gs::{softplus, softplus_inverse};
 use super::{Context, NamedLoss, Parameters, SceneModel, Seen};
 use crate::gaussians::{FEATURES, GroupSpec, POSITION, Table, logit, normalised, sigmoid};
-use crate::loss::geometry::depth_normal;
 use crate::raster::Raster;
 use crate::splat::{MapGradients, Maps};
 use glam::Vec3;
@@ -264,6 +263,12 @@ impl Olat {
     }
 }
 
+/// The normal of the surface of Gaussian `g`.
+fn normal(gaussians: &Table, g: usize) -> Vec3 {
+    let q = &gaussians.group(FRAME)[g * 4..g * 4 + 4];
+    normalised([q[0], q[1], q[2], q[3]]) * Vec3::Z
+}
+
 impl SceneModel for Olat {
     fn name(&self) -> &'static str {
         "olat"
@@ -336,9 +341,7 @@ impl SceneModel for Olat {
                 let g = seen.projected.gaussian[s] as usize;
                 let lit = added.lit[s];
                 if self.shows_normals() {
-                    let q = &gaussians.group(FRAME)[g * 4..g * 4 + 4];
-                    let normal = normalised([q[0], q[1], q[2], q[3]]) * Vec3::Z;
-                    feature[COLOURS..2 * COLOURS].copy_from_slice(&normal.to_array());
+                    feature[COLOURS..2 * COLOURS].copy_from_slice(&normal(gaussians, g).to_array());
                 }
                 // Without a light it is dark.
                 let Some(place) = self.place(context, g) else { return };
@@ -439,10 +442,6 @@ impl SceneModel for Olat {
 
     fn map_losses(&self, context: &Context, maps: &Maps, _: &[f32], d_maps: &mut MapGradients) -> Vec<NamedLoss> {
         let (weight, edge) = (self.options.normal_weight, self.options.normal_edge);
-        if weight <= 0.0 {
-            return Vec::new();
-        }
-        let value = depth_normal(context.camera, maps, COLOURS, edge, weight, d_maps);
-        vec![("normals", value)]
+        normals_of_depth(context.camera, maps, weight, edge, d_maps)
     }
 }

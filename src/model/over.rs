@@ -1,5 +1,8 @@
-//! Composited colours in front of a background, and coverage as a band: what models of objects share.
+//! Composited colours in front of a background, coverage as a band, and normals behind the colours: what models of objects share.
 
+use super::NamedLoss;
+use crate::camera::ProjectiveCamera;
+use crate::loss::geometry::depth_normal;
 use crate::raster::Raster;
 use crate::splat::{MapGradients, Maps};
 
@@ -36,4 +39,19 @@ pub(super) fn over_backward(d_image: &Raster, background: [f32; 3], coverage: bo
             *d_alpha += d;
         }
     }
+}
+
+/// The loss that holds normals, which stand behind the colours, to those of the depth, where steps of more than `edge` are no slopes; none
+/// without a weight.
+pub(super) fn normals_of_depth(
+    camera: &ProjectiveCamera,
+    maps: &Maps,
+    weight: f32,
+    edge: f32,
+    d_maps: &mut MapGradients,
+) -> Vec<NamedLoss> {
+    if weight <= 0.0 {
+        return Vec::new();
+    }
+    vec![("normals", depth_normal(camera, maps, COLOURS, edge, weight, d_maps))]
 }

@@ -21,10 +21,9 @@ mod surface;
 
 use super::network::Network;
 use super::olat::Component;
-use super::over::{COLOURS, over, over_backward};
+use super::over::{COLOURS, normals_of_depth, over, over_backward};
 use super::{Context, NamedLoss, Parameters, SceneModel, Seen};
 use crate::gaussians::{FEATURES, GroupSpec, POSITION, Table, logit, sigmoid};
-use crate::loss::geometry::depth_normal;
 use crate::optim::exponential_decay;
 use crate::raster::Raster;
 use crate::shade::display;
@@ -449,11 +448,7 @@ impl SceneModel for Reflective {
 
     fn map_losses(&self, context: &Context, maps: &Maps, _: &[f32], d_maps: &mut MapGradients) -> Vec<NamedLoss> {
         let (weight, edge) = (self.options.normal_weight, self.options.normal_edge);
-        if weight <= 0.0 {
-            return Vec::new();
-        }
-        let value = depth_normal(context.camera, maps, COLOURS, edge, weight, d_maps);
-        vec![("normals", value)]
+        normals_of_depth(context.camera, maps, weight, edge, d_maps)
     }
 }
 

@@ -5,8 +5,8 @@ use super::networks::{
     scattering_told_backward, shadow_told_backward,
 };
 use super::surface::{Place, SurfaceGradient};
-use super::{FRAME, Olat};
-use crate::gaussians::{Table, normalised, rotation_backward, sigmoid};
+use super::{FRAME, Olat, normal};
+use crate::gaussians::{Table, rotation_backward, sigmoid};
 use crate::model::over::COLOURS;
 use crate::model::shadow_gs::softplus;
 use crate::model::{Context, Parameters, Seen};
@@ -43,10 +43,9 @@ fn three(values: &[f32], row: usize) -> [f32; COLOURS] {
 
 impl Olat {
     fn told<'a>(&self, gaussians: &'a Table, g: usize) -> Told<'a> {
-        let q = &gaussians.group(FRAME)[g * 4..g * 4 + 4];
         Told {
             place: gaussians.position(g) / self.options.half_size,
-            normal: normalised([q[0], q[1], q[2], q[3]]) * Vec3::Z,
+            normal: normal(gaussians, g),
             code: &gaussians.group(self.code_group())[g * CODE..(g + 1) * CODE],
         }
     }
