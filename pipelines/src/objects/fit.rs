@@ -133,7 +133,7 @@ fn begin(
 }
 
 /// How much normals agree with those of the depth where the configuration leaves it open. Under one lamp at a time highlights and shading
-/// tell normals too, so that more does no harm and keeps highlights in one piece (docs/objects.md).
+/// tell normals too, and a firmer hold keeps highlights in one piece (docs/objects.md).
 const OLAT_NORMALS: f32 = 0.2;
 const REFLECTIVE_NORMALS: f32 = 0.05;
 /// Normals of depths are compared over steps of this many pixels at most.
