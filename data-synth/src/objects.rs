@@ -4,6 +4,7 @@
 //! held-out views, `(n + 1) / 2` in the frame of the cameras, and the number of the part that each pixel shows lie in `truth/`.
 
 mod material;
+mod numbers;
 mod request;
 mod shape;
 mod stage;
@@ -15,9 +16,8 @@ use crate::SynthError;
 use crate::raytrace::Ray;
 use crate::write::Staging;
 use image::{DynamicImage, GrayImage, Luma, Rgb, RgbImage, Rgba32FImage, RgbaImage};
-use nalgebra::Vector3;
-use rand::{RngExt, SeedableRng};
-use rand_pcg::Pcg32;
+use nalgebra::{Vector2, Vector3};
+use numbers::Numbers;
 use rayon::prelude::*;
 use serde_json::json;
 use stage::{LAMP_STRENGTH, Shot};
@@ -183,13 +183,12 @@ fn photograph(request: &ObjectRequest, stage: &Stage, shot: &Shot, camera: &Came
         strength: Vector3::repeat(LAMP_STRENGTH),
     }));
     let size = request.size_px;
-    let side = (request.paths as f64).sqrt().ceil() as usize;
+    let paths = request.paths as u32;
     (0..size * size)
         .into_par_iter()
         .with_min_len(64)
         .map(|i| {
             let seed = (request.seed << 48) ^ (number << 32) ^ i as u64;
-            let mut random = Pcg32::seed_from_u64(seed);
             let mut pixel = Pixel {
                 colour: Vector3::zeros(),
                 coverage: 0.0,
@@ -198,25 +197,19 @@ fn photograph(request: &ObjectRequest, stage: &Stage, shot: &Shot, camera: &Came
                 part: None,
             };
             let mut met = vec![0usize; stage.parts.len()];
-            for path in 0..side * side {
-                let within = |n: usize, random: &mut Pcg32| (n as f64 + random.random::<f64>()) / side as f64;
-                let col = (i % size) as f64 + within(path % side, &mut random);
-                let row = (i / size) as f64 + within(path / side, &mut random);
-                if let Some(seen) = stage.look(&camera.ray(col, row), &mut random) {
+            for path in 0..paths {
+                let mut numbers = Numbers::new(seed, path);
+                let place = numbers.within_pixel() + Vector2::new((i % size) as f64, (i / size) as f64);
+                if let Some(seen) = stage.look(&camera.ray(place.x, place.y), &mut numbers) {
                     pixel.colour += seen.light;
-                    // Neighbouring paths are in different halves, so that both see the same of the surface's colours.
-                    let half = if (path / side + path % side).is_multiple_of(2) {
-                        1.0
-                    } else {
-                        -1.0
-                    };
-                    pixel.doubt += seen.light * half;
+                    // Either half of an even sequence is one.
+                    pixel.doubt += if path < paths / 2 { seen.light } else { -seen.light };
                     met[seen.part] += 1;
                     pixel.coverage += 1.0;
                     pixel.normal += seen.normal;
                 }
             }
-            let count = (side * side) as f64;
+            let count = f64::from(paths);
             pixel.colour /= count;
             pixel.coverage /= count;
             pixel.doubt /= count;

@@ -16,8 +16,8 @@ pub(super) const INVALID: u32 = 1 << 31;
 pub(super) struct Words {
     /// Neighbours that are darker than the cell.
     pub(super) darker: Vec<u32>,
-    /// Neighbours that are about as bright.
-    pub(super) alike: Vec<u32>,
+    /// Neighbours that are compared: neither as bright as the cell but for noise, nor of another surface or light.
+    pub(super) compared: Vec<u32>,
     /// The cell itself, from the middle of its image, in typical differences between neighbours.
     pub(super) value: Vec<f32>,
 }
@@ -27,7 +27,7 @@ impl Words {
     pub(super) fn new(cells: usize) -> Self {
         Self {
             darker: vec![0; cells],
-            alike: vec![0; cells],
+            compared: vec![0; cells],
             value: vec![0.0; cells],
         }
     }
@@ -52,14 +52,15 @@ const fn offsets() -> [(isize, isize); COMPARISONS as usize] {
 const OFFSETS: [(isize, isize); COMPARISONS as usize] = offsets();
 
 vectorised! {
-    /// Descriptors of a block of `width × height` cells from their values, which reach [`RADIUS`] further on every side.
-    pub(super) fn describe(values: &[f32], width: usize, height: usize, alike: f32, out: &mut Words) {
+    /// Descriptors of a block of `width × height` cells from their values, which reach [`RADIUS`] further on every side. Neighbours
+    /// are compared whose value is `range[0]` to `range[1]` away from the cell's.
+    pub(super) fn describe(values: &[f32], width: usize, height: usize, range: [f32; 2], out: &mut Words) {
         let stride = width + 2 * RADIUS;
         for row in 0..height {
             let centre_at = (row + RADIUS) * stride + RADIUS;
             let cells = row * width..(row + 1) * width;
-            let (darker, near) = (&mut out.darker[cells.clone()], &mut out.alike[cells]);
-            describe_row(&values[centre_at - RADIUS * stride - RADIUS..], stride, alike, darker, near);
+            let (darker, compared) = (&mut out.darker[cells.clone()], &mut out.compared[cells]);
+            describe_row(&values[centre_at - RADIUS * stride - RADIUS..], stride, range, darker, compared);
         }
     }
 }
@@ -69,27 +70,27 @@ const LANES: usize = 8;
 
 /// Descriptors of a row of cells; `values` begins at the upper left corner of the first window.
 #[inline(always)]
-fn describe_row(values: &[f32], stride: usize, alike: f32, darker: &mut [u32], near: &mut [u32]) {
+fn describe_row(values: &[f32], stride: usize, range: [f32; 2], darker: &mut [u32], compared: &mut [u32]) {
     let width = darker.len();
     for first in (0..width).step_by(LANES) {
         // The last group begins earlier, so that it is whole; a row of less than a group goes cell by cell.
         if width < LANES {
             for k in 0..width {
-                let [d, n] = describe_cells::<1>(&values[k..], stride, alike);
-                (darker[k], near[k]) = (d[0], n[0]);
+                let [d, c] = describe_cells::<1>(&values[k..], stride, range);
+                (darker[k], compared[k]) = (d[0], c[0]);
             }
             return;
         }
         let first = first.min(width - LANES);
-        let [d, n] = describe_cells::<LANES>(&values[first..], stride, alike);
+        let [d, c] = describe_cells::<LANES>(&values[first..], stride, range);
         darker[first..first + LANES].copy_from_slice(&d);
-        near[first..first + LANES].copy_from_slice(&n);
+        compared[first..first + LANES].copy_from_slice(&c);
     }
 }
 
-/// What is darker and what is alike around `N` neighbouring cells.
+/// What is darker and what is compared around `N` neighbouring cells.
 #[inline(always)]
-fn describe_cells<const N: usize>(values: &[f32], stride: usize, alike: f32) -> [[u32; N]; 2] {
+fn describe_cells<const N: usize>(values: &[f32], stride: usize, range: [f32; 2]) -> [[u32; N]; 2] {
     let at = |col: isize, row: isize| {
         let start = (RADIUS as isize + row) as usize * stride + (RADIUS as isize + col) as usize;
         let mut lane = [0.0; N];
@@ -97,7 +98,7 @@ fn describe_cells<const N: usize>(values: &[f32], stride: usize, alike: f32) -> 
         lane
     };
     let centre = at(0, 0);
-    let (mut darker, mut near) = ([0u32; N], [0u32; N]);
+    let (mut darker, mut compared) = ([0u32; N], [0u32; N]);
     // A sum is NaN where any part of it is.
     let mut sum = centre;
     for (bit, &(col, row)) in OFFSETS.iter().enumerate() {
@@ -105,14 +106,15 @@ fn describe_cells<const N: usize>(values: &[f32], stride: usize, alike: f32) -> 
         for l in 0..N {
             let difference = other[l] - centre[l];
             darker[l] |= u32::from(difference < 0.0) << bit;
-            near[l] |= u32::from(difference.abs() < alike) << bit;
+            let away = difference.abs();
+            compared[l] |= u32::from((away >= range[0]) & (away < range[1])) << bit;
             sum[l] += difference;
         }
     }
     for l in 0..N {
         darker[l] |= if sum[l].is_nan() { INVALID } else { 0 };
     }
-    [darker, near]
+    [darker, compared]
 }
 
 vectorised! {
@@ -120,11 +122,11 @@ vectorised! {
     /// where both are valid.
     pub(super) fn compare(a: &Words, b: &Words, weight: u32, cut: u32, sum: &mut [u32], weights: &mut [u32]) {
         let cells = sum.len();
-        let (a_darker, a_alike) = (&a.darker[..cells], &a.alike[..cells]);
-        let (b_darker, b_alike) = (&b.darker[..cells], &b.alike[..cells]);
+        let (a_darker, a_compared) = (&a.darker[..cells], &a.compared[..cells]);
+        let (b_darker, b_compared) = (&b.darker[..cells], &b.compared[..cells]);
         let weights = &mut weights[..cells];
         for k in 0..cells {
-            let both = a_alike[k] & b_alike[k];
+            let both = a_compared[k] & b_compared[k];
             let n = number(both.count_ones());
             let differing = number(((a_darker[k] ^ b_darker[k]) & both).count_ones());
             let (_, distance) = floor(24.0 * (differing + 1.0) / (n + 2.0));
@@ -184,10 +186,29 @@ mod tests {
     fn the_descriptor_does_not_see_gain_and_offset() {
         let (width, stride) = (6, 6 + 2 * RADIUS);
         let (mut a, mut b) = (Words::new(36), Words::new(36));
-        describe(&ramp(stride, 1.0), width, width, 1e3, &mut a);
-        describe(&ramp(stride, 3.5), width, width, 3.5e3, &mut b);
+        describe(&ramp(stride, 1.0), width, width, [0.0, 1e3], &mut a);
+        describe(&ramp(stride, 3.5), width, width, [0.0, 3.5e3], &mut b);
         assert_eq!(a, b);
         assert!(a.darker.iter().any(|&word| word != a.darker[0]));
+    }
+
+    #[test]
+    fn what_is_only_noise_says_neither_match_nor_mismatch() {
+        let (width, stride) = (6, 6 + 2 * RADIUS);
+        let (mut a, mut b) = (Words::new(36), Words::new(36));
+        let level: Vec<f32> = ramp(stride, 1e-4);
+        let turned: Vec<f32> = level.iter().map(|v| 10.0 - v).collect();
+        describe(&level, width, width, [0.1, 8.0], &mut a);
+        describe(&turned, width, width, [0.1, 8.0], &mut b);
+        let (mut sum, mut weights) = (vec![0; 36], vec![0; 36]);
+        compare(&a, &b, 1, COMPARISONS, &mut sum, &mut weights);
+        assert_eq!((sum, weights), (vec![COMPARISONS / 2; 36], vec![1; 36]));
+        // With every difference counted, the opposite is the worst of matches.
+        describe(&level, width, width, [0.0, 8.0], &mut a);
+        describe(&turned, width, width, [0.0, 8.0], &mut b);
+        let mut sum = vec![0; 36];
+        compare(&a, &b, 1, COMPARISONS, &mut sum, &mut [0; 36]);
+        assert!(sum.iter().all(|&s| s > 20), "{sum:?}");
     }
 
     #[test]
@@ -196,7 +217,7 @@ mod tests {
         let mut values = ramp(stride, 1.0);
         values[0] = f32::NAN;
         let mut words = Words::new(36);
-        describe(&values, width, width, 1e3, &mut words);
+        describe(&values, width, width, [0.0, 1e3], &mut words);
         assert_ne!(
             words.darker[0] & INVALID,
             0,
@@ -234,14 +255,17 @@ mod tests {
         let values = ramp(20 + 2 * RADIUS, 1.0);
         let stride = 20 + 2 * RADIUS;
         let mut wide = Words::new(20);
-        describe(&values, 20, 1, 7.0, &mut wide);
+        describe(&values, 20, 1, [2.5, 7.0], &mut wide);
         let narrow: Vec<f32> = values
             .chunks(stride)
             .take(1 + 2 * RADIUS)
             .flat_map(|row| row[..3 + 2 * RADIUS].to_vec())
             .collect();
         let mut few = Words::new(3);
-        describe(&narrow, 3, 1, 7.0, &mut few);
-        assert_eq!((&wide.darker[..3], &wide.alike[..3]), (&few.darker[..], &few.alike[..]));
+        describe(&narrow, 3, 1, [2.5, 7.0], &mut few);
+        assert_eq!(
+            (&wide.darker[..3], &wide.compared[..3]),
+            (&few.darker[..], &few.compared[..])
+        );
     }
 }

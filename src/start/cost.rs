@@ -24,7 +24,7 @@ pub(super) struct Matching<'a> {
     pub(super) ladder: Ladder,
     pub(super) views: &'a [LevelView],
     pub(super) pairs: &'a [Pair],
-    pub(super) alike: f32,
+    pub(super) compared: [f32; 2],
     /// Weight, as a share of all pairs, of the assumption that nothing matches.
     pub(super) doubt: f32,
     /// Whether the brightness itself of views of one date is compared.
@@ -121,6 +121,11 @@ impl Matching<'_> {
         }
     }
 
+    /// What differences are compared in a plane whose neighbours differ by `contrast` in the median.
+    fn range(&self, contrast: f32) -> [f32; 2] {
+        self.compared.map(|differences| differences * contrast)
+    }
+
     /// Whether the views' indices are compared too.
     fn with_index(&self) -> bool {
         self.views.iter().all(|view| view.index.is_some())
@@ -141,7 +146,7 @@ impl Matching<'_> {
         let (places, values) = (&scratch.places[..columns * rows], &mut scratch.values[..columns * rows]);
         let words = &mut scratch.words[number];
         view.sample_places(&view.mean, places, values);
-        census::describe(values, width, height, self.alike * view.mean.contrast, words);
+        census::describe(values, width, height, self.range(view.mean.contrast), words);
         if self.same_date_values {
             census::keep(values, width, height, view.mean.middle, view.mean.contrast, words);
         }
@@ -157,7 +162,7 @@ impl Matching<'_> {
         if let Some(index) = view.index.as_ref().filter(|_| self.with_index()) {
             let index_words = &mut scratch.index_words[number];
             view.sample_places(index, places, values);
-            census::describe(values, width, height, self.alike * index.contrast, index_words);
+            census::describe(values, width, height, self.range(index.contrast), index_words);
             for (of_index, of_mean) in index_words.darker.iter_mut().zip(&words.darker[..width * height]) {
                 *of_index |= of_mean & INVALID;
             }

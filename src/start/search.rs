@@ -144,16 +144,17 @@ impl<'a> Search<'a> {
         };
         let options = &self.request.options;
         let manner = if self.views.len() < MANY_VIEWS { OF_FEW } else { OF_MANY };
+        let radius = settle::radius_for(self.sharpness());
         let matching = Matching {
             grid,
             ladder,
             views: &views,
             pairs: &self.pairs,
             hits,
-            alike: options.alike,
+            compared: options.compared,
             doubt: manner.doubt,
             same_date_values: manner.same_date_values,
-            radius: settle::radius_for(self.sharpness()),
+            radius,
         };
         let costs = matching.costs(&bands);
         let volume = Volume {
@@ -164,7 +165,7 @@ impl<'a> Search<'a> {
             guide: guide.as_deref(),
             penalties: Penalties {
                 one_level: options.one_level_penalty,
-                jump: options.jump_penalty * manner.jump_thirds / 3,
+                jump: options.jump_penalty * manner.jump_thirds / 3 * settle::steadiness(radius),
                 edge: options.edge,
             },
         };

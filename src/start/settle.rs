@@ -7,7 +7,7 @@ use rayon::prelude::*;
 /// Sharpness of the comparisons above which one cell at a time tells altitudes apart well enough.
 const SHARP: f32 = 0.8;
 /// Cells from the centre to the edge of the widest window.
-const WIDEST_RADIUS: f32 = 3.0;
+const WIDEST_RADIUS: f32 = 6.0;
 
 /// Cells that belong to a connected patch of fewer than `fewest` cells; neighbours belong together when their altitudes
 /// differ by less than `step_m`.
@@ -98,6 +98,11 @@ fn median(values: &mut [f32]) -> f32 {
 /// ratios of base to height): noise in altitude grows with its inverse, and so does the radius.
 pub(super) fn radius_for(sharpness: f32) -> usize {
     (SHARP / sharpness.max(1e-3)).min(WIDEST_RADIUS) as usize
+}
+
+/// How many times as dear jumps are for windows of this radius: with a very short base single mismatches are as tall as houses.
+pub(super) fn steadiness(radius: usize) -> u16 {
+    (radius / 3).max(1) as u16
 }
 
 /// Each altitude replaced by that of the plane through its window, fitted to the cells within `tolerance_m` of the window's
@@ -195,8 +200,9 @@ mod tests {
     }
 
     #[test]
-    fn the_window_widens_as_the_views_tell_less() {
-        assert_eq!([0.08, 0.3, 0.5, 2.0].map(radius_for), [3, 2, 1, 0]);
+    fn the_window_widens_and_jumps_get_dearer_as_the_views_tell_less() {
+        assert_eq!([0.08, 0.2, 0.3, 0.5, 2.0].map(radius_for), [6, 4, 2, 1, 0]);
+        assert_eq!([6, 4, 0].map(steadiness), [2, 1, 1]);
         assert!(radius_for(0.0) <= WIDEST_RADIUS as usize);
     }
 }

@@ -42,8 +42,10 @@ pub struct SweepOptions {
     pub jump_penalty: u16,
     /// Image difference between neighbours, in units of the guide image, that makes a jump between them half as dear.
     pub edge: f32,
-    /// Differences below this many median differences count as none in the census.
-    pub alike: f32,
+    /// Differences from the centre that the census compares, in median differences between neighbours: smaller ones are noise (shaded
+    /// and even ground then matches with anything alike, and what is around decides), larger ones the edge of a shadow or of another
+    /// surface.
+    pub compared: [f32; 2],
 }
 
 impl Default for SweepOptions {
@@ -54,7 +56,7 @@ impl Default for SweepOptions {
             one_level_penalty: 30,
             jump_penalty: 90,
             edge: 30.0,
-            alike: 8.0,
+            compared: [0.16, 8.0],
         }
     }
 }

@@ -41,7 +41,7 @@ pub struct ObjectRequest {
     pub held_out: Option<usize>,
     /// Width and height of every image, pixels.
     pub size_px: usize,
-    /// Paths per pixel; their square root is rounded up to a whole number.
+    /// Paths per pixel; a power of two is best.
     pub paths: usize,
 }
 
@@ -54,7 +54,7 @@ impl Default for ObjectRequest {
             views: None,
             held_out: None,
             size_px: 200,
-            paths: 36,
+            paths: 64,
         }
     }
 }

@@ -89,17 +89,25 @@ fn parts(look: Look, dice: &mut Dice) -> Vec<Part> {
         metal: false,
         medium: None,
     };
+    let coated = |base| Material {
+        gloss: Some(Gloss {
+            alpha: [0.08; 2],
+            head_on: Colour::repeat(0.05),
+        }),
+        ..base
+    };
+    // A clear coat is on everything; other looks are those of ball and ring.
+    let plain = |dice: &mut Dice, pattern| match look {
+        Look::Glossy => coated(matte(dice, pattern)),
+        _ => matte(dice, pattern),
+    };
     let special = |dice: &mut Dice, pattern| {
         let base = matte(dice, pattern);
         match look {
             Look::Matte => base,
             Look::Glossy => Material {
                 pattern: Pattern::Spots(0.9),
-                gloss: Some(Gloss {
-                    alpha: [0.08; 2],
-                    head_on: Colour::repeat(0.05),
-                }),
-                ..base
+                ..coated(base)
             },
             Look::Brushed => Material {
                 colours: [base.colours[0].map(|c| 0.45 + 0.5 * c); 2],
@@ -152,7 +160,7 @@ fn parts(look: Look, dice: &mut Dice) -> Vec<Part> {
             Shape::Box { half: plate },
             Vector3::new(0.0, 0.0, -0.5),
             still,
-            matte(dice, Pattern::Checks(0.24)),
+            plain(dice, Pattern::Checks(0.24)),
         ),
         part(
             Shape::Sphere { radius: ball },
@@ -170,7 +178,7 @@ fn parts(look: Look, dice: &mut Dice) -> Vec<Part> {
             Shape::Box { half: block },
             place(2.0, 0.52, floor + block.z),
             upright,
-            matte(dice, Pattern::Checks(0.13)),
+            plain(dice, Pattern::Checks(0.13)),
         ),
     ]
 }

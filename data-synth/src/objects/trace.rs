@@ -1,11 +1,10 @@
 //! A path tracer: light gathered along random paths, with the lamps asked for directly at every turn.
 
 use super::material::{Colour, Material, Surface, across};
+use super::numbers::Numbers;
 use super::shape::Solid;
 use crate::raytrace::Ray;
 use nalgebra::{Vector2, Vector3};
-use rand::RngExt;
-use rand_pcg::Pcg32;
 use std::f64::consts::PI;
 
 /// Turns of a path.
@@ -189,17 +188,17 @@ impl Stage {
     /// A random walk through the medium of a part, from the surface inward until it leaves: light that comes out here went in there,
     /// for the way back is as likely. Both ways through the surface are matte, and nothing is turned back inside. `None` when next to
     /// nothing is left.
-    fn wander(&self, part: usize, point: &Vector3<f64>, surface: &Surface, random: &mut Pcg32) -> Option<Left> {
+    fn wander(&self, part: usize, point: &Vector3<f64>, surface: &Surface, numbers: &mut Numbers) -> Option<Left> {
         let (part, medium) = (&self.parts[part], surface.medium?);
         let inward = Surface::white(-surface.normal);
-        let u = Vector2::new(random.random(), random.random());
+        let u = numbers.any_pair();
         let mut ray = Ray {
             origin: *point,
             direction: inward.sample(&-surface.normal, 1.0, u)?,
         };
         let mut weight = Colour::repeat(1.0);
         for _ in 0..LONGEST_WALK {
-            let distance = -(1.0 - random.random::<f64>()).ln() / medium.extinction;
+            let distance = -(1.0 - numbers.any()).ln() / medium.extinction;
             if let Some(hit) = part.solid.meet(&ray, distance) {
                 let normal = if hit.normal.dot(&ray.direction) < 0.0 {
                     -hit.normal
@@ -216,7 +215,7 @@ impl Stage {
             if weight.max() < 1e-3 {
                 return None;
             }
-            let (up, azimuth) = (2.0 * random.random::<f64>() - 1.0, 2.0 * PI * random.random::<f64>());
+            let (up, azimuth) = (2.0 * numbers.any() - 1.0, 2.0 * PI * numbers.any());
             let sine = (1.0 - up * up).sqrt();
             ray = Ray {
                 origin: ray.at(distance),
@@ -227,14 +226,14 @@ impl Stage {
     }
 
     /// Follows one path from the camera; `None` when it meets nothing.
-    pub(crate) fn look(&self, ray: &Ray, random: &mut Pcg32) -> Option<Seen> {
+    pub(crate) fn look(&self, ray: &Ray, numbers: &mut Numbers) -> Option<Seen> {
         let (mut point, mut surface, part) = self.first(ray)?;
         let (normal, mut within) = (surface.normal, part);
         let (mut light, mut weight) = (Colour::zeros(), Colour::repeat(1.0));
         let mut to_eye = -ray.direction;
         for bounce in 0..=BOUNCES {
             if surface.medium.is_some() {
-                let Some(left) = self.wander(within, &point, &surface, random) else {
+                let Some(left) = self.wander(within, &point, &surface, numbers) else {
                     break;
                 };
                 weight.component_mul_assign(&left.weight);
@@ -242,12 +241,12 @@ impl Stage {
                 to_eye = left.normal;
             }
             light += weight.component_mul(&self.lamps_at(&point, &surface, &to_eye));
-            let (choice, u) = (random.random::<f64>(), Vector2::new(random.random(), random.random()));
             if bounce == BOUNCES {
                 break;
             }
+            let (choice, u) = numbers.at_turn(bounce, 0);
             if !self.sky.patches.is_empty() {
-                let (choice, u) = (random.random::<f64>(), Vector2::new(random.random(), random.random()));
+                let (choice, u) = numbers.at_turn(bounce, 1);
                 light += weight.component_mul(&self.patch_at(&point, &surface, &to_eye, choice, u));
             }
             let Some(onward) = surface.sample(&to_eye, choice, u) else {
@@ -287,8 +286,6 @@ mod tests {
     use super::super::shape::Shape;
     use super::*;
     use nalgebra::Matrix3;
-    use rand::SeedableRng;
-    use std::f64::consts::PI;
 
     fn matte(shape: Shape, centre: Vector3<f64>) -> Part {
         Part {
@@ -312,9 +309,8 @@ mod tests {
             origin: Vector3::new(x, 0.0, 10.0),
             direction: -Vector3::z(),
         };
-        let mut random = Pcg32::seed_from_u64(3);
-        let paths = 4000;
-        let sum = (0..paths).filter_map(|_| stage.look(&ray, &mut random));
+        let paths = 4096;
+        let sum = (0..paths).filter_map(|path| stage.look(&ray, &mut Numbers::new(3, path)));
         sum.fold(Colour::zeros(), |sum, seen| sum + seen.light) / f64::from(paths)
     }
 

@@ -42,8 +42,8 @@ pub struct SynthArgs {
     /// What an object's middle is made of
     #[arg(long, value_enum, default_value = "matte")]
     look: LookName,
-    /// Paths per pixel of an object's images
-    #[arg(long, default_value_t = 36, value_name = "N")]
+    /// Paths per pixel of an object's images; a power of two is best
+    #[arg(long, default_value_t = 64, value_name = "N")]
     paths: usize,
     /// Bands
     #[arg(long, value_enum, default_value = "rgb-nir")]

@@ -75,7 +75,7 @@ pub struct ModelOptions {
     pub decoder_width: usize,
     /// Its hidden layers.
     pub decoder_layers: usize,
-    /// How much the normals of surfaces agree with those of the depth, in `olat` (0.2 unless said) and `reflective` (0.05).
+    /// How much the normals of surfaces agree with those of the depth, in `olat` (0.3 unless said) and `reflective` (0.05).
     pub normal_weight: Option<f32>,
     /// Decibels on images kept aside by which a part must help in a short fit to be taken; see [`super::plan`].
     pub least_gain_db: f64,

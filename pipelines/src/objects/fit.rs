@@ -25,6 +25,13 @@ use std::time::Instant;
 
 /// Gaussians that leave the cube that cameras see by this much of it are pruned.
 const SLACK: f32 = 1.1;
+/// How much normals agree with those of the depth where the configuration leaves it open: under one lamp at a time, where a firm hold
+/// keeps highlights in one piece (docs/objects.md).
+const OLAT_NORMALS: f32 = 0.3;
+/// And in surroundings that stay.
+const REFLECTIVE_NORMALS: f32 = 0.05;
+/// Normals of depths are compared over steps of this many pixels at most.
+const EDGE_PX: f64 = 6.0;
 
 /// A trained model and how it came about.
 pub struct Fitted {
@@ -131,13 +138,6 @@ fn begin(
     let globals = model.initial_globals();
     (Kind::Olat(options), Parameters { gaussians, globals })
 }
-
-/// How much normals agree with those of the depth where the configuration leaves it open. Under one lamp at a time highlights and shading
-/// tell normals too, and a firmer hold keeps highlights in one piece (docs/objects.md).
-const OLAT_NORMALS: f32 = 0.2;
-const REFLECTIVE_NORMALS: f32 = 0.05;
-/// Normals of depths are compared over steps of this many pixels at most.
-const EDGE_PX: f64 = 6.0;
 
 /// A reflective model at the start.
 fn begin_reflective(
