@@ -24,15 +24,20 @@ use super::over::{COLOURS, normals_of_depth, over, over_backward};
 use super::shadow_gs::{softplus, softplus_inverse};
 use super::{Context, NamedLoss, Parameters, SceneModel, Seen};
 use crate::gaussians::{FEATURES, GroupSpec, POSITION, Table, logit, normalised, sigmoid};
+use crate::optim::exponential_decay;
 use crate::raster::Raster;
 use crate::splat::{MapGradients, Maps};
 use glam::Vec3;
 use networks::{CODE, SCATTER_INPUTS, SHADOW_INPUTS, network};
 use rayon::prelude::*;
+use std::f32::consts::PI;
 use surface::{Lobes, Place, Surface, SurfaceGradient};
 
 /// Lobes that all Gaussians share.
 pub const LOBES: usize = 8;
+/// Directions in which lobes are longest at the start, evenly over half a circle: a Gaussian whose frame lies across the grain would
+/// have to turn through shapes that are worse, and stays where it is; so it chooses first (docs/objects.md).
+const ORIENTATIONS: usize = 4;
 /// Index of the group of diffuse colours, before the softplus.
 pub const DIFFUSE: usize = FEATURES;
 /// Index of the group of frames: quaternion `x, y, z, w` that turns the surface's own z axis to its normal.
@@ -47,10 +52,13 @@ pub const HEAD_ON: usize = FEATURES + 4;
 const LOBE_FRAME: usize = 0;
 const LOBE_SCALE: usize = 1;
 const LOBE_SIGMA: usize = 2;
-/// Share of training from which on gloss joins (SSD-GS: 16 of 100).
-const SPECULAR_FROM: f32 = 0.16;
+/// Share of training from which on gloss joins. SSD-GS has 16 of 100: by then normals have turned to make highlights of what is matte, and do
+/// not find back (docs/objects.md).
+const SPECULAR_FROM: f32 = 0.05;
 /// Share of training from which on the lobes change their shape (SSD-GS: 22 of 100).
-const LOBES_FROM: f32 = 0.22;
+const LOBES_FROM: f32 = 0.08;
+/// What is left of the rates of surfaces at the end of training: highlights that all share tremble otherwise.
+const RATE_AT_END: f32 = 0.1;
 /// Share of training from which on light scatters (SSD-GS: 9 of 100).
 const SCATTERING_FROM: f32 = 0.09;
 /// Share of training from which on shadows are refined (SSD-GS: 5 of 100).
@@ -179,7 +187,7 @@ impl Olat {
         if self.options.specular { LOBE_SIGMA + 1 } else { 0 }
     }
 
-    /// Shared parameters at the start: lobes around the normal, from narrow to wide; networks that say little.
+    /// Shared parameters at the start: lobes around the normal, from narrow to wide and turned in turns; networks that say little.
     pub fn initial_globals(&self) -> Table {
         let mut table = Table::zeros(self.global_groups(), 1);
         let at = self.networks_at();
@@ -192,7 +200,9 @@ impl Olat {
         }
         if self.options.specular {
             for j in 0..LOBES {
-                table.group_mut(LOBE_FRAME)[j * 4 + 3] = 1.0;
+                let half_turn = 0.5 * PI * (j % ORIENTATIONS) as f32 / ORIENTATIONS as f32;
+                table.group_mut(LOBE_FRAME)[j * 4 + 2] = half_turn.sin();
+                table.group_mut(LOBE_FRAME)[j * 4 + 3] = half_turn.cos();
                 // Widths of 2.5 and 1 of ten (GS³).
                 table.group_mut(LOBE_SCALE)[j * 2..j * 2 + 2].copy_from_slice(&[-1.098_61, -2.197_2]);
             }
@@ -308,17 +318,18 @@ impl SceneModel for Olat {
 
     fn learning_rate(&self, group: &str, progress: f32) -> f32 {
         let from = |start: f32, rate: f32| if progress >= start { rate } else { 0.0 };
+        let falling = |start: f32, rate: f32| from(start, exponential_decay(rate, RATE_AT_END * rate, progress));
         match group {
-            "diffuse" => 1e-2,
-            "frame" => 1e-2,
-            "specular" => from(SPECULAR_FROM, 0.1),
-            "head_on" => from(SPECULAR_FROM, 6e-2),
-            "lobe_weight" => from(SPECULAR_FROM, 3e-2),
+            "diffuse" => falling(0.0, 3e-2),
+            "frame" => falling(0.0, 2e-2),
+            "specular" => falling(SPECULAR_FROM, 0.1),
+            "head_on" => falling(SPECULAR_FROM, 6e-2),
+            "lobe_weight" => falling(SPECULAR_FROM, 3e-2),
             "scattered" => from(SCATTERING_FROM, 1e-2),
             "scatterer" => from(SCATTERING_FROM, 2e-3),
             "refiner" => from(REFINED_FROM, 2e-3),
             "code" => from(REFINED_FROM, 5e-3),
-            _ => from(LOBES_FROM, 2e-2),
+            _ => falling(LOBES_FROM, 2e-2),
         }
     }
 

@@ -326,7 +326,9 @@ impl Surface {
 
 #[cfg(test)]
 mod tests {
+    use super::super::{Olat, OlatOptions};
     use super::*;
+    use std::f32::consts::PI;
 
     #[test]
     fn a_gradient_of_the_normal_turns_the_frame() {
@@ -370,6 +372,21 @@ mod tests {
                 "{cosine}"
             );
             assert!((turned - by_cosine).abs() < 2e-2 * by_cosine.abs().max(1.0), "{cosine}");
+        }
+    }
+
+    #[test]
+    fn at_the_start_some_lobe_lies_along_any_grain() {
+        let globals = Olat::new(OlatOptions::default()).initial_globals();
+        let lobes = Lobes::new(globals.group(0), globals.group(1), globals.group(2));
+        for step in 0..12 {
+            let turn = Mat3::from_rotation_z(step as f32 * PI / 12.0);
+            let tilted = |x: f32, y: f32| turn * Vec3::new(x, y, 1.0).normalize();
+            let (along, across) = (tilted(0.4, 0.0), tilted(0.0, 0.4));
+            let value = |j: usize, h: Vec3| lobes.shapes[j].value(lobes.frames[j].transpose() * h);
+            let ratios: Vec<f32> = (0..LOBES).map(|j| value(j, along) / value(j, across)).collect();
+            let (longer, shorter) = (ratios.iter().any(|&r| r > 1.1), ratios.iter().any(|&r| r < 0.9));
+            assert!(longer && shorter, "{step}: {ratios:?}");
         }
     }
 
