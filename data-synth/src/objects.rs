@@ -175,6 +175,18 @@ pub fn write_object(
     })
 }
 
+/// 1 for the first half of a pixel's paths, -1 for the second: either half of an even sequence is one. The last of an odd number belongs
+/// to neither, unless there is no other.
+fn half_of(path: u32, paths: u32) -> f64 {
+    if path < paths / 2 {
+        1.0
+    } else if path < paths / 2 * 2 || paths == 1 {
+        -1.0
+    } else {
+        0.0
+    }
+}
+
 /// Follows the paths of all pixels of an image.
 fn photograph(request: &ObjectRequest, stage: &Stage, shot: &Shot, camera: &Camera, number: u64) -> Vec<Pixel> {
     let mut stage = stage.clone();
@@ -202,8 +214,7 @@ fn photograph(request: &ObjectRequest, stage: &Stage, shot: &Shot, camera: &Came
                 let place = numbers.within_pixel() + Vector2::new((i % size) as f64, (i / size) as f64);
                 if let Some(seen) = stage.look(&camera.ray(place.x, place.y), &mut numbers) {
                     pixel.colour += seen.light;
-                    // Either half of an even sequence is one.
-                    pixel.doubt += if path < paths / 2 { seen.light } else { -seen.light };
+                    pixel.doubt += seen.light * half_of(path, paths);
                     met[seen.part] += 1;
                     pixel.coverage += 1.0;
                     pixel.normal += seen.normal;
