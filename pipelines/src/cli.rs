@@ -97,7 +97,7 @@ pub enum Command {
                             heliosplat relight object_run --out lit.png --light 2,1,3 --view test/near_000"
     )]
     Relight(satellite::RelightArgs),
-    /// Render the views of a run
+    /// Render the views of a run; those of satellites each with its shadow mask
     #[command(after_help = "Example: heliosplat render run --out rendered --split test")]
     Render(satellite::RenderArgs),
     /// Write what other programs can use of a run on an object

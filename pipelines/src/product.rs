@@ -5,6 +5,7 @@ pub mod ortho;
 pub mod points;
 pub mod relight;
 pub mod set;
+pub mod shadow_mask;
 pub mod stac;
 pub mod views;
 pub mod writer;

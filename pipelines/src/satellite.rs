@@ -230,7 +230,11 @@ pub fn render(args: &RenderArgs, session: &Session) -> Result<Outcome, CliError>
             .iter_mut()
             .for_each(|v| *v *= model.file.counts_per_unit as f32);
         write_geotiff(&path, &ImageSpec::plain(&counts), Sample::F32)?;
-        written.push(json!({"image": path, "name": image.name, "colour": view.colour.text()}));
+        let mask_path = args.out.join(format!("{}_shadow.tif", image.name));
+        let mut mask = view.visibility;
+        mask.values.iter_mut().for_each(|v| *v = 1.0 - *v);
+        write_geotiff(&mask_path, &ImageSpec::plain(&mask), Sample::F32)?;
+        written.push(json!({"image": path, "shadow": mask_path, "name": image.name, "colour": view.colour.text()}));
         progress.set(done as u64 + 1);
     }
     Ok(Outcome {

@@ -200,7 +200,8 @@ fn row(job: &Job, metrics: &Value) -> Row {
         steps,
         mae_m: number(&format!("/{surface}/mae_m")),
         median_m: number(&format!("/{surface}/median_m")),
-        shadows_right: number("/shadow/accuracy"),
+        // As traced: what a component is worth to the geometry, not what images make of it.
+        shadows_right: number("/shadow/traced/accuracy").or(number("/shadow/accuracy")),
         psnr_train: number("/train/psnr"),
         psnr_held_out: number("/test/psnr"),
     }

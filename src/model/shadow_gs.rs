@@ -147,6 +147,15 @@ impl ShadowGs {
             .collect()
     }
 
+    /// The image of `maps` as if this share of the sun, 0 to 1, reached every surface.
+    pub fn compose_in(&self, visibility: f32, context: &Context, maps: &Maps) -> Raster {
+        let mut maps = maps.clone();
+        let Maps { channels, alpha, .. } = &mut maps;
+        let seen = channels[self.visibility_channel()].iter_mut().zip(alpha.iter());
+        seen.for_each(|(channel, alpha)| *channel = visibility * alpha);
+        self.compose(context, &maps)
+    }
+
     /// Channel of the visibility.
     pub fn visibility_channel(&self) -> usize {
         self.options.bands

@@ -107,17 +107,19 @@ pub fn sweep(views: &[SweepView], request: &SweepRequest, progress: &dyn Fn(f32)
     let step_m = (2.0 * found.step_m).max(SAME_PATCH_CELLS * grid.cell_m);
     let filled = settle::islands(&grid, &altitude, step_m, ISLAND_CELLS);
     settle::fill(&grid, &mut altitude, &filled);
-    let altitude = match settle::radius_for(search.sharpness()) {
-        0 => altitude,
-        radius => settle::planes(&grid, &altitude, radius + 1, step_m),
-    };
+    let confidence: Vec<f32> = found.choices.iter().map(|c| c.margin).collect();
+    let radius = settle::radius_for(search.sharpness());
+    if radius > 0 {
+        altitude = settle::planes(&grid, &altitude, radius + 1, step_m);
+        altitude = settle::faint_planes(&grid, &altitude, &confidence, radius, found.step_m);
+    }
     Surface {
         width: grid.width,
         height: grid.height,
         west_m: grid.west_m,
         north_m: grid.north_m,
         cell_m: grid.cell_m,
-        confidence: found.choices.iter().map(|c| c.margin).collect(),
+        confidence,
         resolution_m: found.step_m,
         filled,
         altitude,

@@ -1,5 +1,6 @@
 //! The main job end to end on a tiny synthetic site: images in, a DSM near the truth out, and its other products.
 
+use heliosplat_pipelines::raster::RasterFile;
 use heliosplat_tests::program::{fault, json};
 use std::path::Path;
 
@@ -36,6 +37,12 @@ fn a_tiny_site_becomes_a_surface_model_near_the_truth() {
     assert!(mae < MAE_LIMIT_M, "mean absolute error {mae} m");
     assert!(metrics["dsm"]["completeness"].as_f64().expect("completeness") > 0.95);
     assert!(metrics["shadow"]["accuracy"].as_f64().expect("shadows have truth") > 0.7);
+    let error = |mask: &serde_json::Value| mask["ber"].as_f64().expect("shadows have truth");
+    let (asked, traced) = (error(&metrics["shadow"]), error(&metrics["shadow"]["traced"]));
+    assert!(
+        asked < traced,
+        "{asked} after images say where shadows end, {traced} before"
+    );
     assert_eq!(metrics["rejected_steps"].as_u64(), Some(0));
 
     let (dsm, picture) = (folder.path().join("dsm.tif"), folder.path().join("evening.tif"));
@@ -49,6 +56,20 @@ fn a_tiny_site_becomes_a_surface_model_near_the_truth() {
     assert!(dsm.is_file() && picture.is_file() && picture.with_file_name("evening_shadow.tif").is_file());
     fault(&["relight", &run_arg, "--out", &arg(&picture), "--sun", "250,-3"], 2);
     json(&["evaluate", &run_arg]);
+
+    let views = folder.path().join("views");
+    let rendered = json(&["render", &run_arg, "--out", &arg(&views), "--split", "train"]);
+    let first = &rendered["views"][0];
+    let path = Path::new(first["shadow"].as_str().expect("a path"));
+    let mask = RasterFile::open(path)
+        .and_then(|file| file.read_all())
+        .expect("a shadow mask");
+    let known: Vec<f32> = mask.values.iter().copied().filter(|v| v.is_finite()).collect();
+    let dark = known.iter().filter(|&&v| v > 0.5).count() as f64 / known.len() as f64;
+    assert!(
+        known.iter().all(|v| (0.0..=1.0).contains(v)) && (0.01..0.6).contains(&dark),
+        "{dark} in shadow"
+    );
 
     // The sweep alone, from the scene: the surface that the run started from.
     let swept = folder.path().join("swept.tif");

@@ -1,10 +1,12 @@
 //! The images of a run as the model sees them, and how well.
 
+use super::shadow_mask::Evidence;
 use crate::evaluate::image::{ImageScore, score_image};
 use crate::run::{LoadedModel, ModelImage};
 use crate::satellite::views;
 use glam::Vec3;
 use heliosplat::light::Light;
+use heliosplat::model::Context;
 use heliosplat::render::{Rendering, render};
 use heliosplat::{ProjectiveCamera, Raster};
 
@@ -17,7 +19,10 @@ pub fn camera_of(image: &ModelImage) -> ProjectiveCamera {
 pub struct RenderedView {
     /// Its colours, in the model's units; NaN where the model shows nothing.
     pub image: Raster,
-    /// Share of the sun that reaches each pixel; NaN where the model shows nothing.
+    /// Share of the sun that reaches each pixel by the trace; NaN where the model shows nothing.
+    pub traced: Raster,
+    /// The same after the image itself was asked where exactly shadows end ([`Evidence`]); as traced without the image, or
+    /// without an image of its day among those of training.
     pub visibility: Raster,
     /// Where its colours come from.
     pub colour: Colouring,
@@ -55,7 +60,7 @@ pub fn render_view(model: &LoadedModel, image: &ModelImage, truth: Option<&Raste
     let camera = camera_of(image);
     let direction = image.sun.direction_enu();
     let light = Light::Directional(Vec3::new(direction.x as f32, direction.y as f32, direction.z as f32));
-    let options = model.pass_options();
+    let appearance = image.appearance.or(image.same_day);
     let Rendering {
         image: mut colours,
         maps,
@@ -64,10 +69,10 @@ pub fn render_view(model: &LoadedModel, image: &ModelImage, truth: Option<&Raste
         &model.parameters,
         &camera,
         Some(light),
-        image.appearance.or(image.same_day),
-        options,
+        appearance,
+        model.pass_options(),
     );
-    let visibility = Raster {
+    let traced = Raster {
         width: camera.width,
         height: camera.height,
         bands: 1,
@@ -90,7 +95,26 @@ pub fn render_view(model: &LoadedModel, image: &ModelImage, truth: Option<&Raste
             }
         }
     }
-    for (i, v) in visibility.values.iter().enumerate() {
+    // What another image's colours say of this one's light is not to be believed.
+    let own = truth.filter(|_| appearance.is_some());
+    let visibility = own.map(|image| {
+        let context = Context {
+            parameters: &model.parameters,
+            camera: &camera,
+            light: Some(light),
+            appearance,
+        };
+        let [shaded, lit] = [0.0, 1.0].map(|share| model.model.compose_in(share, &context, &maps));
+        Evidence {
+            traced: &traced,
+            rendered: &colours,
+            shaded: &shaded,
+            lit: &lit,
+            image,
+        }
+        .visibility()
+    });
+    for (i, v) in traced.values.iter().enumerate() {
         if v.is_nan() {
             for band in 0..colours.bands {
                 colours.plane_mut(band)[i] = f32::NAN;
@@ -99,7 +123,8 @@ pub fn render_view(model: &LoadedModel, image: &ModelImage, truth: Option<&Raste
     }
     RenderedView {
         image: colours,
-        visibility,
+        visibility: visibility.unwrap_or_else(|| traced.clone()),
+        traced,
         colour,
     }
 }

@@ -53,7 +53,7 @@ pub(super) fn metrics(scene: &Scene, model: &LoadedModel, run: &Path, protocol: 
         }
     }
     let (mut train, mut test) = (Vec::new(), Vec::new());
-    let mut shadows = ShadowCounts::default();
+    let (mut shadows, mut traced) = (ShadowCounts::default(), ShadowCounts::default());
     let mut colour = None;
     let rgb = colours_among(&model.file.bands);
     for known in &model.file.images {
@@ -77,6 +77,7 @@ pub(super) fn metrics(scene: &Scene, model: &LoadedModel, run: &Path, protocol: 
         };
         if let (false, Some(mask)) = (held_out, &mask) {
             shadows.add(ShadowCounts::of(&rendered.visibility, mask));
+            traced.add(ShadowCounts::of(&rendered.traced, mask));
         }
         draw(run, &known.name, &truth, &rendered, mask.as_ref())?;
     }
@@ -89,6 +90,7 @@ pub(super) fn metrics(scene: &Scene, model: &LoadedModel, run: &Path, protocol: 
     }
     if let Some(score) = shadows.score().filter(|_| !scene.truth.shadows.is_empty()) {
         out["shadow"] = serde_json::to_value(score).unwrap_or_default();
+        out["shadow"]["traced"] = serde_json::to_value(traced.score()).unwrap_or_default();
     }
     Ok(out)
 }
@@ -219,6 +221,11 @@ pub(super) fn summary(metrics: &Value) -> String {
     );
     say("DSM median", number("/dsm/median_m"), &format!("m ({protocol})"));
     say("shadow BER", number("/shadow/ber").map(|b| 100.0 * b), "%");
+    say(
+        "... traced",
+        number("/shadow/traced/ber").map(|b| 100.0 * b),
+        "% (before images say where shadows end)",
+    );
     say("shadows right", number("/shadow/accuracy").map(|a| 100.0 * a), "%");
     say("PSNR train", number("/train/psnr"), "dB");
     let colour = metrics.pointer("/test/colour").and_then(Value::as_str).unwrap_or("");
