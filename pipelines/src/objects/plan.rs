@@ -148,8 +148,14 @@ pub fn plan(capture: &Capture, config: &ObjectConfig, session: &Session) -> Resu
             specular: true,
             ..parts
         };
-        if judge("gloss", tried("gloss", glossy, with)?, &mut best) {
-            (kind, parts) = (glossy, with);
+        let glossy_psnr = tried("gloss", glossy, with)?;
+        // A model of material is ahead of one of radiance by its normals already; that is not gloss.
+        let mut dull_psnr = best;
+        if glossy != dull {
+            dull_psnr = dull_psnr.max(tried("material without gloss", glossy, parts)?);
+        }
+        if judge("gloss", glossy_psnr, &mut dull_psnr) {
+            (kind, parts, best) = (glossy, with, glossy_psnr);
         }
     }
     if may.scattering {
