@@ -27,6 +27,9 @@ struct Manner {
     same_date_values: bool,
     /// Thirds of the penalty for jumps that are asked: a whole number, like the penalty.
     jump_thirds: u16,
+    /// Whether differences that may be noise are left out of the comparison: few views, unless they stand so close that noise is
+    /// most of what they show, have nothing to spare.
+    without_noise: bool,
 }
 
 /// Views from which on they are many: the search is bolder then, and takes longer.
@@ -36,12 +39,14 @@ const OF_FEW: Manner = Manner {
     doubt: 0.08,
     same_date_values: false,
     jump_thirds: 3,
+    without_noise: false,
 };
 const OF_MANY: Manner = Manner {
     tolerance: 200,
     doubt: 0.03,
     same_date_values: true,
     jump_thirds: 2,
+    without_noise: true,
 };
 /// Tolerance at most with cells of twice the size asked for; wider ones take time and find nothing more.
 const TOLERANCE_AT_TWO: u16 = 120;
@@ -151,7 +156,11 @@ impl<'a> Search<'a> {
             views: &views,
             pairs: &self.pairs,
             hits,
-            compared: options.compared,
+            compared: if manner.without_noise || settle::is_widest(radius) {
+                options.compared
+            } else {
+                [0.0, options.compared[1]]
+            },
             doubt: manner.doubt,
             same_date_values: manner.same_date_values,
             radius,

@@ -100,6 +100,11 @@ pub(super) fn radius_for(sharpness: f32) -> usize {
     (SHARP / sharpness.max(1e-3)).min(WIDEST_RADIUS) as usize
 }
 
+/// Whether windows of this radius are as wide as they get: the base is very short.
+pub(super) fn is_widest(radius: usize) -> bool {
+    radius >= WIDEST_RADIUS as usize
+}
+
 /// How many times as dear jumps are for windows of this radius: with a very short base single mismatches are as tall as houses.
 pub(super) fn steadiness(radius: usize) -> u16 {
     (radius / 3).max(1) as u16
@@ -180,7 +185,7 @@ const ROUNDS: usize = 3;
 /// 1). Places further than about `tolerance_m` from the plane count less (Cauchy's weights), so that it stays a
 /// face's own.
 pub(super) fn faint_planes(grid: &Grid, altitude: &[f32], trust: &[f32], radius: usize, tolerance_m: f32) -> Vec<f32> {
-    if radius < WIDEST_RADIUS as usize {
+    if !is_widest(radius) {
         return altitude.to_vec();
     }
     let sums = Sums::new(grid, trust);

@@ -43,8 +43,8 @@ pub struct SweepOptions {
     /// Image difference between neighbours, in units of the guide image, that makes a jump between them half as dear.
     pub edge: f32,
     /// Differences from the centre that the census compares, in median differences between neighbours: smaller ones are noise (shaded
-    /// and even ground then matches with anything alike, and what is around decides), larger ones the edge of a shadow or of another
-    /// surface.
+    /// and even ground then matches with anything alike, and what is around decides; few views compare them all the same), larger
+    /// ones the edge of a shadow or of another surface.
     pub compared: [f32; 2],
 }
 
