@@ -3,7 +3,7 @@
 //! A traced border is off by the error in altitude times the length of the shadow, so by a pixel or two; the pixels beside it show
 //! which of them the sun reaches. For each there are two predictions, shaded `d` and lit `l`, and the share of the sun `s` that
 //! explains the pixel `c = d + s (l - d)` best follows by least squares, every band weighed by its noise. The traced share is
-//! the expectation beforehand, with a deviation of [`TRACED`]; where a surface is too dark to tell, it stays.
+//! the expectation beforehand, with a deviation of 0.2; where a surface is too dark to tell, it stays.
 
 use heliosplat::Raster;
 use rayon::prelude::*;
