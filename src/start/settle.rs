@@ -182,7 +182,7 @@ const ROUNDS: usize = 3;
 
 /// Where the base is so short that windows are as wide as they get (`radius`), what little a faint place tells does not fill
 /// them: there each altitude is replaced by that of a plane through as wide a window as holds [`ENOUGH_TRUST`] (of `trust`, 0 to
-/// 1). Places further than about `tolerance_m` from the plane count less (Cauchy's weights), so that it stays a
+/// 1). Places further than about `tolerance_m` from the plane count less (Cauchy's weights, Holland and Welsch 1977), so that it stays a
 /// face's own.
 pub(super) fn faint_planes(grid: &Grid, altitude: &[f32], trust: &[f32], radius: usize, tolerance_m: f32) -> Vec<f32> {
     if !is_widest(radius) {
@@ -228,7 +228,7 @@ fn wide_plane_at(grid: &Grid, altitude: &[f32], cell: usize, radius: usize, tole
     plane.map_or(altitude[cell], |[p, ..]| (here + p) as f32)
 }
 
-/// Sums of squared trust over windows (a summed-area table).
+/// Sums of squared trust over windows (a summed-area table, Crow 1984).
 struct Sums {
     width: usize,
     height: usize,
