@@ -3,6 +3,7 @@
 //! Training and products go through the same pass; training keeps it to walk back.
 
 use crate::camera::ProjectiveCamera;
+use crate::gaussians::Table;
 use crate::light::Light;
 use crate::model::{Context, Parameters, SceneModel, Seen};
 use crate::raster::Raster;
@@ -182,6 +183,15 @@ pub fn image_moved(splats: &[SplatGradient]) -> [f32; 2] {
     sum.map(|d| d as f32)
 }
 
+/// Composites nothing but depths, all that there are: no model, no light.
+pub fn depths(gaussians: &Table, camera: &ProjectiveCamera, projection: &ProjectionOptions) -> Maps {
+    let projected = project(gaussians, camera, projection);
+    let stride = padded_channels(1);
+    let features = vec![0.0; projected.splats.len() * stride];
+    let rasteriser = Rasteriser::new(&projected, camera.width, camera.height).with_depths(Depths::Median);
+    rasteriser.forward(&features, stride)
+}
+
 /// Renders a model once, without keeping anything to walk back.
 pub fn render(
     model: &dyn SceneModel,
@@ -201,7 +211,7 @@ pub fn render(
     let lit = occluders.as_ref().map_or(Lit::Everywhere, Lit::Traced);
     let options = PassOptions {
         normals: true,
-        depths: options.depths.max(Depths::Surface),
+        depths: options.depths.max(Depths::Median),
         ..options
     };
     let pass = Pass::new(model, context, lit, options);

@@ -7,5 +7,6 @@ pub mod relight;
 pub mod set;
 pub mod shadow_mask;
 pub mod stac;
+pub mod surface;
 pub mod views;
 pub mod writer;

@@ -8,6 +8,7 @@ pub mod checkpoint;
 mod model_file;
 pub mod ply;
 
+use crate::product::surface::Standing;
 use crate::raster::RasterError;
 use crate::raster::write::write_atomically;
 use crate::satellite::config::SatelliteConfig;
@@ -170,6 +171,15 @@ pub struct LoadedModel {
 }
 
 impl LoadedModel {
+    /// Its Gaussians as a surface.
+    pub fn standing(&self) -> Standing<'_> {
+        Standing {
+            gaussians: &self.parameters.gaussians,
+            bands: &self.file.bands,
+            projection: self.file.projection,
+        }
+    }
+
     /// How products look at the model: as training did.
     pub fn pass_options(&self) -> PassOptions {
         PassOptions {

@@ -29,9 +29,8 @@ pub const STRIDE: usize = TILE_WIDTH + LANES;
 pub const PLANE: usize = TILE_HEIGHT * STRIDE;
 /// Transmittance below which a tile is finished.
 const T_MIN: f32 = 1e-4;
-/// Transmittance at which a ray has met the surface. Where training left the edge of a roof half transparent, mostly ground is
-/// there: at 0.5 roofs are a third of a metre too wide on every side (docs/satellite.md).
-pub const SURFACE_TRANSMITTANCE: f32 = 0.35;
+/// Transmittance at the median depth.
+const MEDIAN: f32 = 0.5;
 /// Splats fetched together, and between two looks at whether the tile is finished.
 const BATCH: usize = 16;
 /// Groups of eight pixels in a tile, at most, and eight to spare, because they are written eight at once.
@@ -53,8 +52,8 @@ pub struct TileMaps<const K: usize> {
     pub depth: Plane,
     /// `Σ w z²`, metres².
     pub depth_square: Plane,
-    /// Depth where the transmittance falls through [`TileFrame::surface_transmittance`], metres; the last seen where it never does, zero where nothing was seen.
-    pub surface_depth: Plane,
+    /// Depth where the transmittance falls through a half, metres; the last seen where it never does, zero where nothing was seen.
+    pub median_depth: Plane,
     /// (splat, pixel) pairs inside the footprints.
     pub pairs: u64,
 }
@@ -67,21 +66,21 @@ impl<const K: usize> TileMaps<K> {
             channels: [[0.0; PLANE]; K],
             depth: [0.0; PLANE],
             depth_square: [0.0; PLANE],
-            surface_depth: [0.0; PLANE],
+            median_depth: [0.0; PLANE],
             pairs: 0,
         })
     }
 
     /// Empties the tile, keeping the count of pairs.
-    fn clear(&mut self, frame: &TileFrame, square: bool, surface: bool) {
+    fn clear(&mut self, frame: &TileFrame, square: bool, median: bool) {
         frame.clear_sky(&mut self.transmittance);
         self.channels.fill([0.0; PLANE]);
         self.depth.fill(0.0);
         if square {
             self.depth_square.fill(0.0);
         }
-        if surface {
-            self.surface_depth.fill(0.0);
+        if median {
+            self.median_depth.fill(0.0);
         }
     }
 }
@@ -125,8 +124,6 @@ pub struct TileFrame {
     pub width: usize,
     /// Rows inside the image.
     pub height: usize,
-    /// What is left of a ray where the surface is, if that is asked for.
-    pub surface_transmittance: f32,
 }
 
 impl TileFrame {

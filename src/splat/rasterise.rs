@@ -29,20 +29,8 @@ pub enum Depths {
     Mean,
     /// Squares, for the spread along a ray.
     Spread,
-    /// Squares and the depth of the surface, where [`kernel::SURFACE_TRANSMITTANCE`] is left: what products need.
-    Surface,
-    /// Squares and the median depth, where half is left: for a start, whose roof edges are undecided still.
+    /// Squares and the median depth, where half of the ray is left: what products need.
     Median,
-}
-
-impl Depths {
-    /// What is left of a ray at the depth that is asked for.
-    fn surface_transmittance(self) -> f32 {
-        match self {
-            Self::Median => 0.5,
-            _ => kernel::SURFACE_TRANSMITTANCE,
-        }
-    }
 }
 
 /// What a view looks like: composited maps, `[row][column]` planes.
@@ -60,9 +48,8 @@ pub struct Maps {
     pub depth: Vec<f32>,
     /// `Σ w z²`, metres²; empty when it was not asked for.
     pub depth_square: Vec<f32>,
-    /// Depth of the surface as [`Depths`] asked for it, or of a ray's last splat, metres, NaN where nothing is; empty when it was
-    /// not asked for.
-    pub surface_depth: Vec<f32>,
+    /// Depth where half of the ray is left, or of its last splat, metres, NaN where nothing is; empty when it was not asked for.
+    pub median_depth: Vec<f32>,
     /// (splat, pixel) pairs: pixels inside the footprints of the splats, up to where a tile is opaque.
     pub pairs: u64,
 }
@@ -107,7 +94,7 @@ struct Band<'m> {
     alpha: &'m mut [f32],
     depth: &'m mut [f32],
     depth_square: Option<&'m mut [f32]>,
-    surface_depth: Option<&'m mut [f32]>,
+    median_depth: Option<&'m mut [f32]>,
 }
 
 /// A view binned and ready to be composited.
@@ -179,7 +166,6 @@ impl<'a> Rasteriser<'a> {
             row0: row0 as f32,
             width: TILE_WIDTH.min(self.width - col0),
             height: TILE_HEIGHT.min(self.height - row0),
-            surface_transmittance: self.depths.surface_transmittance(),
         }
     }
 
@@ -195,7 +181,7 @@ impl<'a> Rasteriser<'a> {
             alpha: plane(),
             depth: plane(),
             depth_square: asked(Depths::Spread),
-            surface_depth: asked(Depths::Surface),
+            median_depth: asked(Depths::Median),
             pairs: 0,
         };
         let Maps {
@@ -203,12 +189,12 @@ impl<'a> Rasteriser<'a> {
             alpha,
             depth,
             depth_square,
-            surface_depth,
+            median_depth,
             ..
         } = &mut out;
         let band = (self.width * TILE_HEIGHT).max(1);
         let mut channel_bands: Vec<_> = channels.iter_mut().map(|plane| plane.chunks_mut(band)).collect();
-        let (mut surface_bands, mut square_bands) = (surface_depth.chunks_mut(band), depth_square.chunks_mut(band));
+        let (mut surface_bands, mut square_bands) = (median_depth.chunks_mut(band), depth_square.chunks_mut(band));
         let bands: Vec<_> = alpha
             .chunks_mut(band)
             .zip(depth.chunks_mut(band))
@@ -217,7 +203,7 @@ impl<'a> Rasteriser<'a> {
                 alpha,
                 depth,
                 depth_square: square_bands.next(),
-                surface_depth: surface_bands.next(),
+                median_depth: surface_bands.next(),
             })
             .collect();
         out.pairs = bands
@@ -240,9 +226,7 @@ impl<'a> Rasteriser<'a> {
             match self.depths {
                 Depths::Mean => kernel::forward::<K, false, false>(list, splats, features, &frame, &mut maps),
                 Depths::Spread => kernel::forward::<K, true, false>(list, splats, features, &frame, &mut maps),
-                Depths::Surface | Depths::Median => {
-                    kernel::forward::<K, true, true>(list, splats, features, &frame, &mut maps)
-                }
+                Depths::Median => kernel::forward::<K, true, true>(list, splats, features, &frame, &mut maps),
             }
             for r in 0..frame.height {
                 let start = r * self.width + column * TILE_WIDTH;
@@ -256,8 +240,8 @@ impl<'a> Rasteriser<'a> {
                     copy_row(&mut square[to.clone()], &maps.depth_square[from.clone()]);
                 }
                 let transmittance = &maps.transmittance[from.clone()];
-                if let Some(surface) = &mut band.surface_depth {
-                    let found = maps.surface_depth[from].iter().zip(transmittance);
+                if let Some(surface) = &mut band.median_depth {
+                    let found = maps.median_depth[from].iter().zip(transmittance);
                     for (surface, (&m, &t)) in surface[to.clone()].iter_mut().zip(found) {
                         *surface = if t < 1.0 { m } else { f32::NAN };
                     }
@@ -444,7 +428,7 @@ mod tests {
     use crate::gaussians::{LOG_SCALE, OPACITY, POSITION, ROTATION, Table, core_groups, logit};
     use crate::splat::project::{ProjectionOptions, project};
 
-    /// Depth of the surface in the middle of a wide roof of an opacity, 6 m above opaque ground, seen from above.
+    /// Median depth in the middle of a wide roof of an opacity, 6 m above opaque ground, seen from above.
     fn seen_below(opacity: f32) -> f32 {
         let mut table = Table::zeros(core_groups(), 2);
         table.group_mut(POSITION)[2] = 6.0;
@@ -460,8 +444,8 @@ mod tests {
         let camera = ProjectiveCamera::nadir(-4.0, 4.0, 1.0, (9, 9));
         let projected = project(&table, &camera, &ProjectionOptions::default());
         let features = vec![0.0; projected.splats.len() * padded_channels(1)];
-        let seen = Rasteriser::new(&projected, 9, 9).with_depths(Depths::Surface);
-        seen.forward(&features, padded_channels(1)).surface_depth[40]
+        let seen = Rasteriser::new(&projected, 9, 9).with_depths(Depths::Median);
+        seen.forward(&features, padded_channels(1)).median_depth[40]
     }
 
     #[test]

@@ -49,7 +49,7 @@ pub fn mesh(model: &ObjectModel, cells: usize, progress: &dyn Fn(u64)) -> Result
     let mut grid = Grid::around(&model.parameters.gaussians, cells).ok_or("it has no Gaussian that is opaque")?;
     for (done, image) in model.file.images.iter().enumerate() {
         if let Some((camera, maps, _)) = model.seen(image) {
-            grid.add(&camera, &depths(&maps.surface_depth, &maps.alpha));
+            grid.add(&camera, &depths(&maps.median_depth, &maps.alpha));
         }
         progress(done as u64 + 1);
     }
@@ -125,7 +125,7 @@ fn paint(model: &ObjectModel, grid: &Grid, mesh: &mut Mesh, progress: &dyn Fn(u6
     let images = &model.file.images;
     for (done, image) in images.iter().enumerate() {
         if let Some((camera, maps, seen)) = model.seen(image) {
-            let depths = depths(&maps.surface_depth, &maps.alpha);
+            let depths = depths(&maps.median_depth, &maps.alpha);
             sums.par_iter_mut().zip(&mesh.positions).for_each(|(sum, &place)| {
                 let place = Vec3::from(place);
                 let Some(pixel) = pixel(&camera, place) else { return };

@@ -1,5 +1,6 @@
 //! The surface model: altitude seen from straight above, on a map grid.
 
+use super::surface::{self, Standing};
 use crate::raster::geoid::GeoidGrid;
 use crate::raster::grid::{EnuGrid, GridSpec};
 use crate::raster::write::{ImageSpec, write_cog};
@@ -133,8 +134,7 @@ fn nadir_camera(enu: &EnuGrid, grid: &GridSpec, height_m: f64) -> ProjectiveCame
 /// When the coordinate system does not cover the place.
 pub fn dsm(model: &LoadedModel, gsd_m: f64, crs: Option<&str>) -> Result<Dsm, RasterError> {
     let nadir = NadirGrid::new(&model.into(), gsd_m, crs)?;
-    let maps = maps(model, &nadir);
-    Ok(of_maps(&nadir, &maps))
+    Ok(of_gaussians(&nadir, &model.standing()))
 }
 
 /// What is seen of `model` from straight above, without any light.
@@ -150,27 +150,22 @@ pub fn maps(model: &LoadedModel, nadir: &NadirGrid) -> Maps {
     maps
 }
 
-/// The surface model of what was seen from straight above.
-pub fn of_maps(nadir: &NadirGrid, maps: &Maps) -> Dsm {
+/// The surface model of Gaussians.
+pub fn of_gaussians(nadir: &NadirGrid, standing: &Standing) -> Dsm {
     let (width, height) = (nadir.grid.width, nadir.grid.height);
     let mut raster = Raster::filled(width, height, 3, f32::NAN);
     let pixels = width * height;
-    for row in 0..height {
-        for col in 0..width {
-            let i = row * width + col;
-            let alpha = maps.alpha[i];
-            raster.values[2 * pixels + i] = alpha;
-            if alpha < ALPHA_KNOWN {
-                continue;
-            }
-            raster.values[i] = nadir.height(col, row, -maps.surface_depth[i]) as f32;
-            let mean = maps.depth[i] / alpha;
-            raster.values[pixels + i] = maps.depth_square[i] / alpha - mean * mean;
+    let cells = surface::cells(standing, &nadir.camera);
+    for (i, cell) in cells.iter().enumerate() {
+        raster.values[2 * pixels + i] = cell.coverage;
+        if cell.coverage >= ALPHA_KNOWN {
+            raster.values[i] = nadir.height(i % width, i / width, cell.up_m) as f32;
+            raster.values[pixels + i] = cell.spread_m2;
         }
     }
     for i in 0..pixels {
-        let along_ray = raster.values[pixels + i].max(0.0);
-        raster.values[pixels + i] = (along_ray + variance_around(&raster, i)).sqrt();
+        let inside = raster.values[pixels + i];
+        raster.values[pixels + i] = (inside + variance_around(&raster, i)).sqrt();
     }
     Dsm {
         raster,

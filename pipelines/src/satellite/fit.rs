@@ -336,7 +336,7 @@ pub fn fit(
         trainer.restore(state).map_err(|error| keeper.does_not_fit(&error))?;
     }
     let trained = {
-        let probe = measure::height_probe(scene, &model, pass);
+        let probe = measure::height_probe(scene, pass.projection);
         train(trainer, steps, session, limits.budget, keeper, probe.as_deref())?
     };
     for (image, shift) in shifts_px.iter_mut().enumerate() {

@@ -4,14 +4,14 @@ use super::fit::{Accuracy, Fitted, Probe};
 use crate::cli::CliError;
 use crate::evaluate::shadow::ShadowCounts;
 use crate::evaluate::{DsmEvaluation, ImageScore, Protocol, error_map, evaluate_dsm, evaluate_raster};
-use crate::product::dsm::{NadirGrid, of_maps, of_surface};
+use crate::product::dsm::{NadirGrid, of_gaussians, of_surface};
+use crate::product::surface::Standing;
 use crate::product::views::{RenderedView, render_view, score};
 use crate::raster::{RasterFile, preview, write_atomically};
 use crate::run::{LoadedModel, peak_rss_bytes};
 use crate::scene::{BandKind, Scene, Split};
 use heliosplat::Raster;
-use heliosplat::model::shadow_gs::ShadowGs;
-use heliosplat::render::{PassOptions, render};
+use heliosplat::splat::ProjectionOptions;
 use serde_json::{Value, json};
 use std::path::Path;
 
@@ -27,13 +27,17 @@ pub(super) fn dsm(scene: &Scene, run: &Path, protocol: Protocol) -> Result<Optio
 }
 
 /// Tells how far the surface of a model in training is from the scene's true one; `None` without truth.
-pub(super) fn height_probe<'a>(scene: &'a Scene, model: &'a ShadowGs, options: PassOptions) -> Option<Box<Probe<'a>>> {
+pub(super) fn height_probe(scene: &Scene, projection: ProjectionOptions) -> Option<Box<Probe<'_>>> {
     let truth = scene.truth.dsm.as_deref()?;
     let classes = scene.truth.classes.as_deref();
     let nadir = NadirGrid::new(&scene.into(), scene.gsd_m, None).ok()?;
     Some(Box::new(move |parameters| {
-        let maps = render(model, parameters, &nadir.camera, None, None, options).maps;
-        let surface = of_maps(&nadir, &maps).geo_raster();
+        let standing = Standing {
+            gaussians: &parameters.gaussians,
+            bands: scene.bands(),
+            projection,
+        };
+        let surface = of_gaussians(&nadir, &standing).geo_raster();
         let evaluation = evaluate_raster((&scene.source, &surface), truth, classes, Protocol::Raw).ok()?;
         Some(Accuracy {
             height_mae_m: Some(evaluation.metrics.all.mae_m),

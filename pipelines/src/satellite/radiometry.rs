@@ -8,7 +8,7 @@ use heliosplat::model::Parameters;
 use heliosplat::model::View;
 use heliosplat::model::shadow_gs::{ALBEDO, COLOUR, OFFSET, ShadowGs};
 use heliosplat::render::{PassOptions, render};
-use heliosplat::splat::{Depths, Maps};
+use heliosplat::splat::Maps;
 use heliosplat::trace::{Occluders, TraceOptions, transmittance};
 use rayon::prelude::*;
 
@@ -56,7 +56,7 @@ fn samples(gaussians: &Table, occluders: &Occluders, view: &View, maps: &Maps, f
                 None
             };
             let visible = pixel.filter(|&p| {
-                let depth = maps.surface_depth[p as usize];
+                let depth = maps.median_depth[p as usize];
                 view.weight[p as usize] > 0.0 && view.camera.depth(position) < depth + VISIBLE_M
             });
             let bright = match &view.light {
@@ -133,10 +133,6 @@ pub(super) fn initialise(
     pass: PassOptions,
     sky: f32,
 ) {
-    let pass = PassOptions {
-        depths: Depths::Median,
-        ..pass
-    };
     let bands = model.options.bands;
     let occluders = Occluders::new(&parameters.gaussians);
     let mut shown = Vec::new();

@@ -1,21 +1,21 @@
 //! Front to back over one tile: what each splat adds to the maps.
 
-use super::{BATCH, Groups, LANES, Met, TileFrame, TileMaps, announce, fetch, finished, load, store};
+use super::{BATCH, Groups, LANES, MEDIAN, Met, TileFrame, TileMaps, announce, fetch, finished, load, store};
 use crate::simd::vectorised;
 use crate::splat::bins::Entry;
 use crate::splat::project::Splat;
 
 vectorised! {
     /// Composites `list` (front to back) into `maps`, which it empties first; `features[s * K + k]` are the splats' channels.
-    /// The sum of squared depths and the depth of the surface are found only where `SQUARE` and `SURFACE` say so.
-    pub fn forward<const K: usize, const SQUARE: bool, const SURFACE: bool>(
+    /// The sum of squared depths and the median depth are found only where `SQUARE` and `MEDIANS` say so.
+    pub fn forward<const K: usize, const SQUARE: bool, const MEDIANS: bool>(
         list: &[Entry],
         splats: &[Splat],
         features: &[f32],
         frame: &TileFrame,
         maps: &mut TileMaps<K>,
     ) {
-        maps.clear(frame, SQUARE, SURFACE);
+        maps.clear(frame, SQUARE, MEDIANS);
         let mut met = [Met::<K>::NOTHING; BATCH];
         let mut groups = Groups::new();
         for (number, batch) in list.chunks(BATCH).enumerate() {
@@ -30,7 +30,7 @@ vectorised! {
                 splat.groups(frame, &mut groups, &mut pixels);
                 splat.alphas::<false>(&mut groups);
                 for g in groups.numbers() {
-                    composite::<K, SQUARE, SURFACE>(splat, &groups, g, maps, frame.surface_transmittance);
+                    composite::<K, SQUARE, MEDIANS>(splat, &groups, g, maps);
                 }
             }
             maps.pairs += pixels.iter().sum::<f32>() as u64;
@@ -40,12 +40,11 @@ vectorised! {
 
 /// Adds a splat to the eight pixels of its group `g`.
 #[inline(always)]
-fn composite<const K: usize, const SQUARE: bool, const SURFACE: bool>(
+fn composite<const K: usize, const SQUARE: bool, const MEDIANS: bool>(
     splat: &Met<K>,
     groups: &Groups,
     g: usize,
     maps: &mut TileMaps<K>,
-    until: f32,
 ) {
     let (at, depth_at_row) = (groups.place(g), groups.depth[g]);
     let mut t = load(&maps.transmittance, at);
@@ -64,14 +63,14 @@ fn composite<const K: usize, const SQUARE: bool, const SURFACE: bool>(
         }
         store(&mut maps.depth_square, at, square);
     }
-    if SURFACE {
-        let mut surface = load(&maps.surface_depth, at);
+    if MEDIANS {
+        let mut median = load(&maps.median_depth, at);
         for l in 0..LANES {
             // Zeros and ones instead of a choice, which would be stored through a mask: slow on many processors.
-            let here = if t[l] > until && w[l] > 0.0 { 1.0 } else { 0.0 };
-            surface[l] = here * z[l] + (1.0 - here) * surface[l];
+            let here = if t[l] > MEDIAN && w[l] > 0.0 { 1.0 } else { 0.0 };
+            median[l] = here * z[l] + (1.0 - here) * median[l];
         }
-        store(&mut maps.surface_depth, at, surface);
+        store(&mut maps.median_depth, at, median);
     }
     for l in 0..LANES {
         t[l] -= w[l];

@@ -25,7 +25,7 @@ const OPTIONS: PassOptions = PassOptions {
         occluder_gradients: true,
     },
     normals: true,
-    depths: Depths::Surface,
+    depths: Depths::Median,
 };
 
 struct Seen {
@@ -90,7 +90,7 @@ fn is_physical(seen: &Seen) -> Result<(), TestCaseError> {
             maps.depth[i]
         );
         prop_assert!(
-            maps.surface_depth[i].is_finite() || alpha == 0.0,
+            maps.median_depth[i].is_finite() || alpha == 0.0,
             "surface of alpha {alpha}"
         );
         // At most four times the sun of level ground, and the sky.
@@ -154,7 +154,7 @@ proptest! {
             let seen = look(&drawn, &camera, sun);
             let tables = [seen.gradients.gaussians, seen.gradients.globals];
             let gradients = tables.iter().flat_map(|t| &t.groups).flat_map(|g| &g.values);
-            let maps = seen.maps.channels.iter().flatten().chain(&seen.maps.depth).chain(&seen.maps.surface_depth);
+            let maps = seen.maps.channels.iter().flatten().chain(&seen.maps.depth).chain(&seen.maps.median_depth);
             maps.chain(&seen.image.values).chain(gradients).map(|v| v.to_bits()).collect::<Vec<_>>()
         };
         let (one, two) = with_one_and_two_threads(bits);
