@@ -22,6 +22,7 @@ mod pick;
 mod search;
 mod settle;
 mod sgm;
+mod smooth;
 pub mod surface;
 pub mod sweep;
 pub mod ties;

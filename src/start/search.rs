@@ -6,8 +6,8 @@ use super::grid::{Grid, Ladder};
 use super::ortho;
 use super::pairs::{self, Pair};
 use super::pick::{self, Choice};
-use super::settle;
 use super::sgm::{Penalties, Volume};
+use super::smooth;
 use super::sweep::SweepRequest;
 use super::views::{LevelView, SweepView};
 use super::visibility::FirstHits;
@@ -149,14 +149,14 @@ impl<'a> Search<'a> {
         };
         let options = &self.request.options;
         let manner = if self.views.len() < MANY_VIEWS { OF_FEW } else { OF_MANY };
-        let radius = settle::radius_for(self.sharpness());
+        let radius = smooth::radius_for(self.sharpness());
         let matching = Matching {
             grid,
             ladder,
             views: &views,
             pairs: &self.pairs,
             hits,
-            compared: if manner.without_noise || settle::is_widest(radius) {
+            compared: if manner.without_noise || smooth::is_widest(radius) {
                 options.compared
             } else {
                 [0.0, options.compared[1]]
@@ -174,7 +174,7 @@ impl<'a> Search<'a> {
             guide: guide.as_deref(),
             penalties: Penalties {
                 one_level: options.one_level_penalty,
-                jump: options.jump_penalty * manner.jump_thirds / 3 * settle::steadiness(radius),
+                jump: options.jump_penalty * manner.jump_thirds / 3 * smooth::steadiness(radius),
                 edge: options.edge,
             },
         };

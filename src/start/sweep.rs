@@ -3,6 +3,7 @@
 use super::grid::Grid;
 use super::search::Search;
 use super::settle;
+use super::smooth;
 use super::surface::Surface;
 use super::views::SweepView;
 use super::visibility::FirstHits;
@@ -108,10 +109,10 @@ pub fn sweep(views: &[SweepView], request: &SweepRequest, progress: &dyn Fn(f32)
     let filled = settle::islands(&grid, &altitude, step_m, ISLAND_CELLS);
     settle::fill(&grid, &mut altitude, &filled);
     let confidence: Vec<f32> = found.choices.iter().map(|c| c.margin).collect();
-    let radius = settle::radius_for(search.sharpness());
+    let radius = smooth::radius_for(search.sharpness());
     if radius > 0 {
-        altitude = settle::planes(&grid, &altitude, radius + 1, step_m);
-        altitude = settle::faint_planes(&grid, &altitude, &confidence, radius, found.step_m);
+        altitude = smooth::planes(&grid, &altitude, radius + 1, step_m);
+        altitude = smooth::faint_planes(&grid, &altitude, &confidence, radius, found.step_m);
     }
     Surface {
         width: grid.width,

@@ -135,40 +135,38 @@ pub fn plan(capture: &Capture, config: &ObjectConfig, session: &Session) -> Resu
         progress.set(trials.len() as u64);
         Ok(psnr_db)
     };
-    let (mut kind, mut parts, mut reasons) = (dull, NOTHING, Vec::new());
-    let mut best = tried("neither", dull, NOTHING)?;
     let least = config.model.least_gain_db;
-    let mut judge = |name: &str, psnr: f64, best: &mut f64, least: f64| {
-        let (gain, taken) = (psnr - *best, psnr - *best >= least);
-        reasons.push(format!(
-            "{name} {gain:+.2} dB: {}",
-            if taken { "taken" } else { "left out" }
-        ));
-        *best = if taken { psnr } else { *best };
-        taken
-    };
+    let (mut kind, mut parts) = (dull, NOTHING);
+    let mut best = tried("neither", dull, NOTHING)?;
+    let mut basis = format!("short fits, on images kept aside ({least} dB is needed");
+    let mut verdicts = Vec::new();
     if may.specular {
         let with = Parts {
             specular: true,
             ..parts
         };
-        let glossy_psnr = tried("gloss", glossy, with)?;
+        let psnr = tried("gloss", glossy, with)?;
         // A model of material is ahead of one of radiance by its normals already; that is not gloss.
-        let mut dull_psnr = best;
-        if glossy != dull {
-            dull_psnr = dull_psnr.max(tried("material without gloss", glossy, parts)?);
-        }
-        if judge("gloss", glossy_psnr, &mut dull_psnr, least) {
-            (kind, parts, best) = (glossy, with, glossy_psnr);
+        let without = match glossy == dull {
+            true => best,
+            false => best.max(tried("material without gloss", glossy, parts)?),
+        };
+        let taken = psnr - without >= least;
+        verdicts.push(verdict("gloss", psnr - without, taken));
+        if taken {
+            (kind, parts, best) = (glossy, with, psnr);
         }
     }
     if may.scattering {
+        basis.push_str(", for scattering two thirds of it");
         let with = Parts {
             scattering: true,
             ..parts
         };
-        let psnr = tried("scattering", kind, with)?;
-        if judge("scattering", psnr, &mut best, SCATTERING_SHARE * least) {
+        let gain = tried("scattering", kind, with)? - best;
+        let taken = gain >= SCATTERING_SHARE * least;
+        verdicts.push(verdict("scattering", gain, taken));
+        if taken {
             parts = with;
         }
     }
@@ -176,12 +174,14 @@ pub fn plan(capture: &Capture, config: &ObjectConfig, session: &Session) -> Resu
         kind,
         specular: parts.specular,
         scattering: parts.scattering,
-        reason: format!(
-            "short fits, on images kept aside ({least} dB is needed, for scattering two thirds of it): {}",
-            reasons.join("; ")
-        ),
+        reason: format!("{basis}): {}", verdicts.join("; ")),
         trials,
     })
+}
+
+/// What was found of a part, in words.
+fn verdict(part: &str, gain_db: f64, taken: bool) -> String {
+    format!("{part} {gain_db:+.2} dB: {}", if taken { "taken" } else { "left out" })
 }
 
 const NOTHING: Parts = Parts {
