@@ -13,6 +13,18 @@ pub(super) struct Grid {
 }
 
 impl Grid {
+    /// Cells of a metre, for tests.
+    #[cfg(test)]
+    pub(super) fn plain(width: usize, height: usize) -> Self {
+        Self {
+            width,
+            height,
+            west_m: 0.0,
+            north_m: 0.0,
+            cell_m: 1.0,
+        }
+    }
+
     pub(super) fn len(&self) -> usize {
         self.width * self.height
     }

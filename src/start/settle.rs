@@ -91,19 +91,9 @@ pub(super) fn median(values: &mut [f32]) -> f32 {
 mod tests {
     use super::*;
 
-    fn grid(width: usize, height: usize) -> Grid {
-        Grid {
-            width,
-            height,
-            west_m: 0.0,
-            north_m: 0.0,
-            cell_m: 1.0,
-        }
-    }
-
     #[test]
     fn a_spike_is_an_island_and_takes_the_altitude_around_it() {
-        let grid = grid(8, 8);
+        let grid = Grid::plain(8, 8);
         let mut altitude = vec![2.0; 64];
         altitude[27] = 40.0;
         altitude[28] = 40.5;
@@ -115,7 +105,7 @@ mod tests {
 
     #[test]
     fn a_house_is_no_island() {
-        let grid = grid(9, 9);
+        let grid = Grid::plain(9, 9);
         let altitude: Vec<f32> = (0..81)
             .map(|i| {
                 if (3..6).contains(&(i % 9)) && (3..6).contains(&(i / 9)) {

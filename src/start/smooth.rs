@@ -179,19 +179,9 @@ impl Sums {
 mod tests {
     use super::*;
 
-    fn grid(width: usize, height: usize) -> Grid {
-        Grid {
-            width,
-            height,
-            west_m: 0.0,
-            north_m: 0.0,
-            cell_m: 1.0,
-        }
-    }
-
     #[test]
     fn a_slope_stays_a_slope_and_a_step_a_step() {
-        let grid = grid(20, 20);
+        let grid = Grid::plain(20, 20);
         let slope: Vec<f32> = (0..400)
             .map(|i| 0.7 * (i % 20) as f32 - 0.2 * (i / 20) as f32)
             .collect();
@@ -205,7 +195,7 @@ mod tests {
     #[test]
     fn a_faint_slope_is_told_from_more_cells_than_a_clear_one() {
         const SIDE: usize = 160;
-        let grid = grid(SIDE, SIDE);
+        let grid = Grid::plain(SIDE, SIDE);
         // Two faces of a roof with waves of forty cells; the western one is faint.
         let face = |i: usize| 1.2 * (80.0 - ((i % SIDE) as f32 - 79.5).abs());
         let cells = SIDE * SIDE;
