@@ -183,7 +183,7 @@ pub fn image_moved(splats: &[SplatGradient]) -> [f32; 2] {
     sum.map(|d| d as f32)
 }
 
-/// Composites nothing but depths, all that there are: no model, no light.
+/// Composites alpha and depths (mean, squares and median, metres) of a view and nothing else: no model, no light.
 pub fn depths(gaussians: &Table, camera: &ProjectiveCamera, projection: &ProjectionOptions) -> Maps {
     let projected = project(gaussians, camera, projection);
     let stride = padded_channels(1);
@@ -192,7 +192,7 @@ pub fn depths(gaussians: &Table, camera: &ProjectiveCamera, projection: &Project
     rasteriser.forward(&features, stride)
 }
 
-/// Renders a model once, without keeping anything to walk back.
+/// Renders a model once, with normals and all depths whatever `options` say, without keeping anything to walk back.
 pub fn render(
     model: &dyn SceneModel,
     parameters: &Parameters,
@@ -211,7 +211,7 @@ pub fn render(
     let lit = occluders.as_ref().map_or(Lit::Everywhere, Lit::Traced);
     let options = PassOptions {
         normals: true,
-        depths: options.depths.max(Depths::Median),
+        depths: Depths::Median,
         ..options
     };
     let pass = Pass::new(model, context, lit, options);

@@ -29,6 +29,14 @@ impl Grid {
         self.width * self.height
     }
 
+    /// Cells of a square window, the centre among them.
+    pub(super) fn around(&self, cell: usize, radius: usize) -> impl Iterator<Item = usize> + use<> {
+        let (col, row, width) = (cell % self.width, cell / self.width, self.width);
+        let columns = col.saturating_sub(radius)..(col + radius + 1).min(width);
+        let rows = row.saturating_sub(radius)..(row + radius + 1).min(self.height);
+        rows.flat_map(move |r| columns.clone().map(move |c| r * width + c))
+    }
+
     /// The centre of a cell at an altitude; cells outside the grid are as good as any.
     pub(super) fn point(&self, col: isize, row: isize, altitude_m: f32) -> Vec3 {
         Vec3::new(

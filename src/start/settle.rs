@@ -57,7 +57,7 @@ pub(super) fn fill(grid: &Grid, altitude: &mut [f32], missing: &[bool]) {
         let mut found = Vec::new();
         left.retain(|&cell| {
             near.clear();
-            near.extend(around(grid, cell, 1).filter(|&n| known[n]).map(|n| altitude[n]));
+            near.extend(grid.around(cell, 1).filter(|&n| known[n]).map(|n| altitude[n]));
             if near.is_empty() {
                 return true;
             }
@@ -72,14 +72,6 @@ pub(super) fn fill(grid: &Grid, altitude: &mut [f32], missing: &[bool]) {
             known[cell] = true;
         }
     }
-}
-
-/// Cells of a square window, the centre among them.
-pub(super) fn around(grid: &Grid, cell: usize, radius: usize) -> impl Iterator<Item = usize> {
-    let (col, row, width) = (cell % grid.width, cell / grid.width, grid.width);
-    let columns = col.saturating_sub(radius)..(col + radius + 1).min(width);
-    let rows = row.saturating_sub(radius)..(row + radius + 1).min(grid.height);
-    rows.flat_map(move |r| columns.clone().map(move |c| r * width + c))
 }
 
 pub(super) fn median(values: &mut [f32]) -> f32 {

@@ -2,7 +2,7 @@
 //! wider the windows whose local planes the surface takes.
 
 use super::grid::Grid;
-use super::settle::{around, median};
+use super::settle::median;
 use rayon::prelude::*;
 
 /// Sharpness of the comparisons above which one cell at a time tells altitudes apart well enough.
@@ -50,11 +50,11 @@ pub(super) fn planes(grid: &Grid, altitude: &[f32], radius: usize, tolerance_m: 
 }
 
 fn plane_at(grid: &Grid, altitude: &[f32], cell: usize, radius: usize, tolerance_m: f32) -> f32 {
-    let mut values: Vec<f32> = around(grid, cell, radius).map(|n| altitude[n]).collect();
+    let mut values: Vec<f32> = grid.around(cell, radius).map(|n| altitude[n]).collect();
     let middle = median(&mut values);
     let (col, row) = ((cell % grid.width) as f64, (cell / grid.width) as f64);
     let mut fit = PlaneFit::default();
-    for near in around(grid, cell, radius) {
+    for near in grid.around(cell, radius) {
         if (altitude[near] - middle).abs() <= tolerance_m {
             let (a, b) = ((near % grid.width) as f64 - col, (near / grid.width) as f64 - row);
             fit.add([a, b], f64::from(altitude[near] - middle), 1.0);

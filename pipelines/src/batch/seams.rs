@@ -1,6 +1,7 @@
 //! What a mosaic's borders look like: steps there beside steps elsewhere, and what tiles say of the ground they share.
 
 use super::mosaic::Piece;
+use crate::statistics::median;
 use heliosplat::Raster;
 use serde::Serialize;
 use std::collections::BTreeSet;
@@ -170,20 +171,15 @@ fn difference(first: &Piece, second: &Piece) -> Option<Difference> {
         return None;
     }
     let mean_abs_m = apart.iter().map(|d| f64::from(d.abs())).sum::<f64>() / apart.len() as f64;
-    let median = median(&mut apart);
-    let mut spread: Vec<f32> = apart.iter().map(|d| (d - median).abs()).collect();
+    let middle = median(&mut apart)?;
+    let mut spread: Vec<f32> = apart.iter().map(|d| (d - middle).abs()).collect();
     Some(Difference {
         tiles: [first.unit.clone(), second.unit.clone()],
         cells: apart.len(),
-        median_m: median.into(),
-        nmad_m: 1.4826 * f64::from(self::median(&mut spread)),
+        median_m: middle.into(),
+        nmad_m: 1.4826 * f64::from(median(&mut spread)?),
         mean_abs_m,
     })
-}
-
-fn median(values: &mut [f32]) -> f32 {
-    let middle = values.len() / 2;
-    *values.select_nth_unstable_by(middle, f32::total_cmp).1
 }
 
 #[cfg(test)]

@@ -5,6 +5,7 @@
 //! explains the pixel `c = d + s (l - d)` best follows by least squares, every band weighed by its noise. The traced share is
 //! the expectation beforehand, with a deviation of 0.2; where a surface is too dark to tell, it stays.
 
+use crate::statistics::median;
 use heliosplat::Raster;
 use rayon::prelude::*;
 
@@ -79,11 +80,7 @@ impl Evidence<'_> {
             .map(|(a, b)| (a - b).abs())
             .filter(|d| d.is_finite())
             .collect();
-        if sizes.is_empty() {
-            return 1.0;
-        }
-        let middle = sizes.len() / 2;
-        (NORMAL * *sizes.select_nth_unstable_by(middle, f32::total_cmp).1).max(LEAST_NOISE)
+        median(&mut sizes).map_or(1.0, |size| (NORMAL * size).max(LEAST_NOISE))
     }
 }
 

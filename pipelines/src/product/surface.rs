@@ -9,8 +9,10 @@
 //!
 //! What either is worth is in docs/satellite.md.
 
+use super::dsm::ALPHA_KNOWN;
 use crate::scene::BandKind;
 use crate::scene::bands::{vegetation_bands, vegetation_index};
+use crate::statistics::median;
 use heliosplat::ProjectiveCamera;
 use heliosplat::gaussians::{OPACITY, Table, logit};
 use heliosplat::model::shadow_gs::ALBEDO;
@@ -22,8 +24,6 @@ use rayon::prelude::*;
 const PLACES: usize = 3;
 /// Vegetation index above which a Gaussian is leaves and nothing else: walls near trees have something of them.
 const LEAVES: f32 = 0.5;
-/// Coverage below which a place has no altitude of its own.
-const KNOWN: f32 = 0.5;
 
 /// The Gaussians of a satellite model, as far as they are a surface.
 #[derive(Clone, Copy)]
@@ -87,7 +87,7 @@ fn looks(standing: &Standing, nadir: &ProjectiveCamera) -> Vec<Vec<f32>> {
             ..
         } = depths(&facing, &camera, &projection);
         for (depth, alpha) in median_depth.iter_mut().zip(alpha) {
-            if alpha < KNOWN {
+            if alpha < ALPHA_KNOWN {
                 *depth = f32::NAN;
             }
         }
@@ -116,12 +116,6 @@ fn facing_up(standing: &Standing) -> Table {
         }
     });
     out
-}
-
-/// The middle one; of an even number the greater of the two in the middle.
-fn median(values: &mut [f32]) -> Option<f32> {
-    let middle = values.len() / 2;
-    (!values.is_empty()).then(|| *values.select_nth_unstable_by(middle, f32::total_cmp).1)
 }
 
 #[cfg(test)]

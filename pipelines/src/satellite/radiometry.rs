@@ -1,6 +1,7 @@
 //! Colours to start from: per-image gain and offset, and the albedo of each Gaussian, from what the views show of the start
 //! surface where they see it lit.
 
+use crate::statistics::median;
 use glam::Vec3;
 use heliosplat::gaussians::{OPACITY, Table, logit};
 use heliosplat::light::Light;
@@ -191,12 +192,4 @@ pub(super) fn initialise(
         })
         .collect();
     parameters.gaussians.group_mut(ALBEDO).copy_from_slice(&albedo);
-}
-
-fn median(values: &mut [f32]) -> Option<f32> {
-    if values.is_empty() {
-        return None;
-    }
-    let middle = values.len() / 2;
-    Some(*values.select_nth_unstable_by(middle, f32::total_cmp).1)
 }
