@@ -12,12 +12,13 @@
 //! ```
 //!
 //! Rooms: `terrain`, `city`, `vegetation`, `cars` and `solid` make the place; `materials` its colours; `raytrace` answers
-//! what a ray meets; `sensor` is the camera, `known` and `rational` those of real images; `radiometry` the light; `plan` decides
+//! what a ray meets; `sensor` is the camera, `known` and `rational` those of real images; `radiometry` the light, `clouds` what is in its way; `plan` decides
 //! where, when and from which side; `render` and `truth` make the rasters; `write` the files; `satellite` calls them in order.
 //! `objects` makes captures of an object from all around ([`write_object`]), by a path tracer of its own.
 
 mod cars;
 mod city;
+mod clouds;
 mod error;
 mod known;
 mod materials;

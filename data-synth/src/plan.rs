@@ -66,6 +66,8 @@ pub(crate) struct ViewPlan {
     pub(crate) pointing_bias_px: [f64; 2],
     /// Whether the image is held out for testing.
     pub(crate) held_out: bool,
+    /// Whether clouds are in view.
+    pub(crate) cloudy: bool,
     /// The camera, where it is that of a real image.
     pub(crate) known: Option<Rpc>,
 }
@@ -84,12 +86,14 @@ impl Collection {
     /// Plans everything about a request but the site's content.
     ///
     /// # Errors
-    /// When the request names cameras that cannot be used.
+    /// When the request names cameras that cannot be used, or clouds in more images than there are.
     pub(crate) fn new(request: &SatelliteRequest) -> Result<Self, SynthError> {
-        match &request.cameras {
-            None => Ok(Self::made_up(request)),
-            Some(path) => Self::through(request, known::read(path)?),
-        }
+        let mut collection = match &request.cameras {
+            None => Self::made_up(request),
+            Some(path) => Self::through(request, known::read(path)?)?,
+        };
+        cloud_over(&mut collection.views, request)?;
+        Ok(collection)
     }
 
     /// Through the cameras of real images.
@@ -126,6 +130,7 @@ impl Collection {
                 aim_px: [0.0; 2],
                 pointing_bias_px: [0.0; 2],
                 held_out: false,
+                cloudy: false,
                 known: Some(camera.rpc),
             });
         }
@@ -251,6 +256,7 @@ fn view_plans(
                 aim_px: [0, 1].map(|_| full_px * random.random_range(0.3..0.7)),
                 pointing_bias_px: [0.0; 2],
                 held_out: false,
+                cloudy: false,
                 known: None,
             }
         })
@@ -335,6 +341,23 @@ fn hold_out(views: &mut [ViewPlan], count: usize) {
     }
 }
 
+/// Clouds in as many training images as were asked for. Held-out images stay clear: they are what others are compared with.
+fn cloud_over(views: &mut [ViewPlan], request: &SatelliteRequest) -> Result<(), SynthError> {
+    let mut training: Vec<&mut ViewPlan> = views.iter_mut().filter(|view| !view.held_out).collect();
+    if request.clouds > training.len() {
+        return Err(SynthError::BadRequest(format!(
+            "clouds in {} images; ask for 0 to {}, the images to train with",
+            request.clouds,
+            training.len()
+        )));
+    }
+    training.shuffle(&mut stream(request.seed, 0xC10D));
+    for view in training.into_iter().take(request.clouds) {
+        view.cloudy = true;
+    }
+    Ok(())
+}
+
 /// Shifts in random directions, of random lengths whose root mean square is what was asked for.
 fn bias(views: &mut [ViewPlan], request: &SatelliteRequest) {
     let mut random = stream(request.seed, 0xB1A5);
@@ -392,6 +415,28 @@ mod tests {
         let square = |view: &ViewPlan| view.pointing_bias_px[0].powi(2) + view.pointing_bias_px[1].powi(2);
         let mean = views.iter().map(square).sum::<f64>() / views.len() as f64;
         assert!((mean.sqrt() - 3.0).abs() < 1e-12);
+    }
+
+    #[test]
+    fn clouds_are_in_as_many_training_images_as_asked_for_and_others_join_when_more_are_asked_for() {
+        let cloudy = |clouds: usize| -> Vec<usize> {
+            let request = SatelliteRequest {
+                clouds,
+                ..Default::default()
+            };
+            let views = Collection::new(&request).expect("a plan").views;
+            assert!(views.iter().all(|view| !(view.cloudy && view.held_out)));
+            (0..views.len()).filter(|&index| views[index].cloudy).collect()
+        };
+        let mut before = cloudy(0);
+        assert!(before.is_empty());
+        for clouds in 1..=10 {
+            let now = cloudy(clouds);
+            assert_eq!(now.len(), clouds);
+            assert_eq!(now, cloudy(clouds), "the same each time");
+            assert!(before.iter().all(|index| now.contains(index)));
+            before = now;
+        }
     }
 
     #[test]

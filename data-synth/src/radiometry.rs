@@ -4,8 +4,10 @@
 //! visibility of the sun (a point; no penumbra), `A` the share of the cosine-weighted hemisphere that is open sky, and
 //! `E_around` the light of an average neighbourhood that fills the rest. Irradiances are relative to the sun's above
 //! the air in each band. Water adds the mirror image of the sky and the glitter of the sun (C. Cox and W. Munk,
-//! "Measurement of the roughness of the sea surface from photographs of the sun's glitter", JOSA 44, 1954).
+//! "Measurement of the roughness of the sea surface from photographs of the sun's glitter", JOSA 44, 1954). Clouds take their share of the sun's beam on its way down and of the light on its way up; the
+//! light of the sky stays as it is without them.
 
+use crate::clouds::CloudField;
 use crate::materials::{Class, Season, Spectrum};
 use crate::noise::{hash2, noise, unit};
 use crate::raytrace::{GROUND, Hit, Ray, Tracer};
@@ -61,6 +63,7 @@ pub(crate) struct Light {
     haze: Spectrum,
     season: Season,
     weather: Weather,
+    clouds: Option<CloudField>,
 }
 
 /// Everything a ray may meet.
@@ -75,8 +78,10 @@ pub(crate) struct LitScene<'a> {
 pub(crate) struct Sample {
     /// Radiance at the satellite.
     pub(crate) radiance: Spectrum,
-    /// Whether the sun reaches the surface that is seen.
+    /// Whether more than half of the sun's beam reaches the surface that is seen, or would be but for a cloud before it.
     pub(crate) lit: bool,
+    /// Share of the surface's light that a cloud takes on the way to the satellite.
+    pub(crate) clouded: f64,
 }
 
 impl Light {
@@ -97,15 +102,41 @@ impl Light {
             haze: depth * (HAZE_PER_DEPTH / view_zenith_rad.cos().sqrt()),
             season,
             weather,
+            clouds: None,
         }
+    }
+
+    /// The same light with clouds in its way.
+    pub(crate) fn through(self, clouds: Option<CloudField>) -> Self {
+        Self { clouds, ..self }
     }
 
     /// What a ray of the sensor sees. `draw` is a random word of its own for each ray.
     pub(crate) fn sample(&self, scene: &LitScene, ray: &Ray, draw: u64) -> Sample {
+        let below = self.sample_below(scene, ray, draw);
+        let Some(clouds) = &self.clouds else {
+            return below;
+        };
+        let cloud = clouds.seen_along(ray);
+        Sample {
+            radiance: below.radiance * (1.0 - cloud.opacity) + self.cloud_radiance(cloud.albedo) * cloud.opacity,
+            clouded: cloud.opacity,
+            ..below
+        }
+    }
+
+    /// Radiance of a cloud at the satellite. Some of its billows face the sun at any hour, and those are what is bright.
+    fn cloud_radiance(&self, albedo: f64) -> Spectrum {
+        ((self.sun + self.sky) * (albedo / PI)).component_mul(&self.transmittance) + self.haze
+    }
+
+    /// What a ray sees where no cloud is in its own way. `draw` is a random word of its own for each ray.
+    fn sample_below(&self, scene: &LitScene, ray: &Ray, draw: u64) -> Sample {
         let Some(hit) = scene.tracer.trace(ray) else {
             return Sample {
                 radiance: self.haze,
                 lit: true,
+                clouded: 0.0,
             };
         };
         let (class, mut albedo) = scene.albedo(&hit, &self.season);
@@ -118,19 +149,25 @@ impl Light {
             origin: start,
             direction: self.to_sun,
         };
-        let lit = facing > 0.0 && !scene.tracer.occluded(&to_sun, f64::INFINITY);
+        let faces_sun = facing > 0.0 && !scene.tracer.occluded(&to_sun, f64::INFINITY);
+        let beam = match &self.clouds {
+            _ if !faces_sun => 0.0,
+            Some(clouds) => 1.0 - clouds.opacity_along(&to_sun),
+            None => 1.0,
+        };
         let open = self.sees_sky(scene, start, hit.normal, draw);
         let mut irradiance = if open { self.sky } else { self.around };
-        if lit {
-            irradiance += self.sun * facing;
+        if faces_sun {
+            irradiance += self.sun * (facing * beam);
         }
         let mut radiance = albedo.component_mul(&irradiance) / PI;
         if class == Class::Water {
-            radiance += self.mirror(&hit, ray, lit);
+            radiance += self.mirror(&hit, ray, beam);
         }
         Sample {
             radiance: radiance.component_mul(&self.transmittance) + self.haze,
-            lit,
+            lit: beam > 0.5,
+            clouded: 0.0,
         }
     }
 
@@ -152,20 +189,20 @@ impl Light {
         !scene.tracer.occluded(&ray, SKY_REACH_M)
     }
 
-    /// The sky's mirror image and the sun's glitter on rippled water.
-    fn mirror(&self, hit: &Hit, ray: &Ray, lit: bool) -> Spectrum {
+    /// The sky's mirror image and the sun's glitter on rippled water, which `beam` of the sun's light reaches.
+    fn mirror(&self, hit: &Hit, ray: &Ray, beam: f64) -> Spectrum {
         let to_eye = -ray.direction;
         let fresnel = 0.02 + 0.98 * (1.0 - to_eye.z.clamp(0.0, 1.0)).powi(5);
         let ripple = 1.0 + 0.35 * noise(self.weather.seed as u32, hit.point.x / 1.7, hit.point.y / 1.1);
         let sky = self.sky * (fresnel * ripple / PI);
-        if !lit {
+        if beam == 0.0 {
             return sky;
         }
         let half = (to_eye + self.to_sun).normalize();
         let tangent2 = (1.0 - half.z * half.z) / (half.z * half.z);
         let variance = self.weather.water_slope_variance;
         let slopes = (-tangent2 / variance).exp() / (PI * variance);
-        sky + self.sun * (fresnel * ripple * slopes / (4.0 * to_eye.z * half.z.powi(4)))
+        sky + self.sun * (beam * (fresnel * ripple * slopes / (4.0 * to_eye.z * half.z.powi(4))))
     }
 }
 

@@ -1,5 +1,6 @@
 //! Images: the sensor's rays, a point spread wider than a pixel, noise, and numbers of 8 or 16 bits.
 
+use crate::clouds;
 use crate::noise::{hash2, normal};
 use crate::radiometry::{Encoding, Light, LitScene, Sample, bands_of};
 use crate::raytrace::{Ray, Tracer};
@@ -35,7 +36,7 @@ pub(crate) struct Exposure<'a> {
     pub(crate) seed: u64,
 }
 
-/// An image and its shadow mask.
+/// An image and its masks.
 pub(crate) struct Image {
     pub(crate) width: usize,
     pub(crate) height: usize,
@@ -43,6 +44,8 @@ pub(crate) struct Image {
     pub(crate) counts: Vec<u16>,
     /// 1 where the sun reaches less than half of the pixel.
     pub(crate) shadow: Vec<u8>,
+    /// 1 where clouds hide a tenth of the pixel or more.
+    pub(crate) cloud: Vec<u8>,
 }
 
 /// One fine row, already blurred along the row and reduced to pixels.
@@ -50,6 +53,8 @@ struct FineRow {
     radiance: Vec<[f32; 4]>,
     /// Lit samples of each pixel.
     lit: Vec<u8>,
+    /// Sum of what clouds hide of each pixel's samples.
+    clouded: Vec<f64>,
 }
 
 /// Renders an image; `rows_done` is told of each batch of rows.
@@ -60,6 +65,7 @@ pub(crate) fn render(scene: &LitScene, exposure: &Exposure, rows_done: &mut dyn 
         height,
         counts: Vec::with_capacity(width * height * exposure.bands.names().len()),
         shadow: Vec::with_capacity(width * height),
+        cloud: Vec::with_capacity(width * height),
     };
     let kernel = point_spread();
     let mut row = 0;
@@ -126,16 +132,16 @@ fn fine_row_of(scene: &LitScene, exposure: &Exposure, kernel: &[f32], fine_row: 
             sum
         })
         .collect();
-    let lit = (0..width)
-        .map(|col| {
-            let first = col * FINE + REACH;
-            samples[first..first + FINE]
-                .iter()
-                .map(|sample| u8::from(sample.lit))
-                .sum()
-        })
-        .collect();
-    FineRow { radiance, lit }
+    let own = |col: usize| samples[col * FINE + REACH..][..FINE].iter();
+    FineRow {
+        radiance,
+        lit: (0..width)
+            .map(|col| own(col).map(|sample| u8::from(sample.lit)).sum())
+            .collect(),
+        clouded: (0..width)
+            .map(|col| own(col).map(|sample| sample.clouded).sum())
+            .collect(),
+    }
 }
 
 /// The same ray, started just above the scene: 600 km of the way would cost digits in every intersection.
@@ -163,6 +169,10 @@ fn finish_row(exposure: &Exposure, kernel: &[f32], row: usize, fine: &[FineRow],
         }
         let lit: u32 = own.iter().map(|line| u32::from(line.lit[col])).sum();
         image.shadow.push(u8::from(2 * lit < (FINE * FINE) as u32));
+        let clouded: f64 = own.iter().map(|line| line.clouded[col]).sum();
+        image
+            .cloud
+            .push(u8::from(clouded >= clouds::HIDING * (FINE * FINE) as f64));
     }
 }
 

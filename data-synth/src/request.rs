@@ -103,6 +103,13 @@ pub struct SatelliteRequest {
     pub pointing_bias_px: f64,
     /// Sensor noise relative to a good sensor's (1 = signal-to-noise about 100 at middle grey, 0 = none).
     pub noise: f64,
+    /// Training images that have clouds in view. Absent from the manifest if none, as it was before there were any.
+    #[serde(skip_serializing_if = "is_zero")]
+    pub clouds: usize,
+}
+
+fn is_zero(count: &usize) -> bool {
+    *count == 0
 }
 
 impl Default for SatelliteRequest {
@@ -119,6 +126,7 @@ impl Default for SatelliteRequest {
             bits: 16,
             pointing_bias_px: 0.0,
             noise: 1.0,
+            clouds: 0,
         }
     }
 }

@@ -2,6 +2,7 @@
 
 use crate::SynthError;
 use crate::city::{City, CityPlan};
+use crate::clouds::CloudField;
 use crate::materials::Class;
 use crate::plan::{Collection, ViewPlan};
 use crate::radiometry::{Encoding, Light, LitScene, MEAN_GAIN};
@@ -39,7 +40,7 @@ struct Camera {
 }
 
 /// Makes a satellite scene in `out_dir`: images with RPC, sun and date as a vendor would deliver them, Sat-NeRF style
-/// metadata beside them, `train.txt` and `test.txt`, and `truth/` (DSM, classes, shadow masks, albedo).
+/// metadata beside them, `train.txt` and `test.txt`, and `truth/` (DSM, classes, albedo, masks of shadows and clouds).
 ///
 /// `progress` is told how much of how much is done, from the calling thread. The same request gives the same bytes,
 /// for any number of threads.
@@ -53,8 +54,8 @@ pub fn write_satellite(
     progress: &dyn Fn(usize, usize),
 ) -> Result<Summary, SynthError> {
     request.check()?;
-    let staging = Staging::new(out_dir)?;
     let collection = Collection::new(request)?;
+    let staging = Staging::new(out_dir)?;
     let frame = LocalFrame::new(collection.origin);
     let grid = TruthGrid::around(collection.origin, request.site.extent_m(), request.gsd());
     let cameras = (collection.views.iter())
@@ -83,7 +84,8 @@ pub fn write_satellite(
             .filter(|(_, view)| view.date == date)
         {
             let camera = &cameras[index];
-            let light = Light::new(&view.sun, plan.weather, plan.season, view.geometry.zenith_rad());
+            let clouds = (view.cloudy).then(|| CloudField::over(&camera.sensor, &camera.crop, view.geometry.seed));
+            let light = Light::new(&view.sun, plan.weather, plan.season, view.geometry.zenith_rad()).through(clouds);
             let exposure = Exposure {
                 sensor: &camera.sensor,
                 crop: camera.crop,
@@ -292,7 +294,7 @@ fn write_image(
     image: &Image,
     altitudes_m: [f64; 2],
 ) -> Result<(), SynthError> {
-    let items = image_items(view, request.bits);
+    let items = image_items(view, request.bits, share_of(&image.cloud));
     let bytes: Vec<u8>;
     let samples = if request.bits == 8 {
         bytes = image.counts.iter().map(|&count| count.min(255) as u8).collect();
@@ -311,14 +313,24 @@ fn write_image(
         nodata: None,
     };
     write(&staging.path(&format!("{}.tif", view.name))?, &raster)?;
-    let what = "1 where the sun reaches less than half of the pixel: cast shadow, and surfaces that face away from it";
-    let shadow = Raster {
-        samples: Samples::U8(&image.shadow),
-        bands: &["shadow"],
-        items: &[("DESCRIPTION".to_string(), what.to_string())],
-        ..raster
+    let write_mask = |name: &'static str, mask: &[u8], what: &str| {
+        let raster = Raster {
+            samples: Samples::U8(mask),
+            bands: &[name],
+            items: &[("DESCRIPTION".to_string(), what.to_string())],
+            ..raster.clone()
+        };
+        write(&staging.path(&format!("truth/{name}_{}.tif", view.name))?, &raster)
     };
-    write(&staging.path(&format!("truth/shadow_{}.tif", view.name))?, &shadow)?;
+    let what = "1 where the sun reaches less than half of the pixel: cast shadow, and surfaces that face away from it";
+    write_mask("shadow", &image.shadow, what)?;
+    if view.cloudy {
+        write_mask(
+            "cloud",
+            &image.cloud,
+            "1 where clouds hide a tenth of the pixel or more",
+        )?;
+    }
     let json = satnerf_json(view, &camera.crop, &camera.rpc, altitudes_m).map_err(|source| SynthError::Camera {
         image: view.name.clone(),
         source,
@@ -339,7 +351,6 @@ fn write_lists(staging: &Staging, summary: &Summary) -> Result<(), SynthError> {
 }
 
 fn image_summary(view: &ViewPlan, camera: &Camera, image: &Image) -> ImageSummary {
-    let shadowed = image.shadow.iter().filter(|&&shadow| shadow == 1).count();
     ImageSummary {
         name: view.name.clone(),
         time: view.time,
@@ -354,8 +365,14 @@ fn image_summary(view: &ViewPlan, camera: &Camera, image: &Image) -> ImageSummar
         rpc_rms_px: camera.fit.rms_px,
         rpc_max_px: camera.fit.max_px,
         pointing_bias_px: view.pointing_bias_px,
-        shadow_share: shadowed as f64 / image.shadow.len().max(1) as f64,
+        shadow_share: share_of(&image.shadow),
+        cloud_share: share_of(&image.cloud),
     }
+}
+
+/// Share of a mask that is 1.
+fn share_of(mask: &[u8]) -> f64 {
+    mask.iter().filter(|&&value| value == 1).count() as f64 / mask.len().max(1) as f64
 }
 
 fn class_share(truth: &Truth) -> std::collections::BTreeMap<String, f64> {

@@ -54,4 +54,11 @@ pub struct ImageSummary {
     pub pointing_bias_px: [f64; 2],
     /// Share of the image in shadow.
     pub shadow_share: f64,
+    /// Share of the image behind clouds; absent from the manifest if none.
+    #[serde(default, skip_serializing_if = "is_zero")]
+    pub cloud_share: f64,
+}
+
+fn is_zero(share: &f64) -> bool {
+    *share == 0.0
 }

@@ -249,6 +249,41 @@ fn a_pointing_bias_moves_the_camera_and_nothing_else() {
 }
 
 #[test]
+fn clouds_change_the_images_they_are_in_and_no_other_file_of_the_scene() {
+    let (a, b) = (
+        tempfile::tempdir().expect("folder"),
+        tempfile::tempdir().expect("folder"),
+    );
+    let clear = make(&small(), a.path());
+    let cloudy = make(&SatelliteRequest { clouds: 2, ..small() }, b.path());
+    assert!(clear.images.iter().all(|image| image.cloud_share == 0.0));
+    let hidden: Vec<_> = (cloudy.images.iter())
+        .filter(|image| image.cloud_share > 0.0)
+        .map(|image| &image.name)
+        .collect();
+    assert_eq!(hidden.len(), 2);
+    for image in &cloudy.images {
+        assert!(image.cloud_share < 0.3, "{}", image.cloud_share);
+    }
+    let (before, after) = (bytes_of(a.path()), bytes_of(b.path()));
+    for (name, bytes) in &after {
+        let belongs = |image: &&String| name.contains(image.as_str());
+        let same = before.get(name) == Some(bytes);
+        match hidden.iter().find(|image| belongs(image)) {
+            Some(image) if name == &format!("{image}.tif") => assert!(!same, "{name}"),
+            Some(_) if name.starts_with("truth/cloud_") => assert!(!before.contains_key(name), "{name}"),
+            // Their shadow may lie outside.
+            Some(image) if name == &format!("truth/shadow_{image}.tif") => {}
+            None if name == "truth/summary.json" => assert!(!same),
+            _ => assert!(same, "{name}"),
+        }
+    }
+    assert_eq!(after.len(), before.len() + hidden.len());
+    let manifest = String::from_utf8_lossy(&before["truth/summary.json"]);
+    assert!(!manifest.contains("cloud"), "as it was before there were clouds");
+}
+
+#[test]
 fn requests_that_cannot_be_met_are_refused_before_anything_is_written() {
     let folder = tempfile::tempdir().expect("a temporary folder");
     let out = folder.path().join("scene");
@@ -278,6 +313,7 @@ fn requests_that_cannot_be_met_are_refused_before_anything_is_written() {
             noise: f64::INFINITY,
             ..small()
         },
+        SatelliteRequest { clouds: 4, ..small() },
     ] {
         let error = write_satellite(&request, &out, &|_, _| {}).expect_err("refused");
         assert!(matches!(error, SynthError::BadRequest(_)), "{error}");

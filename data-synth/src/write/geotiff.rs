@@ -21,6 +21,7 @@ const GDAL_NODATA: u16 = 42_113;
 const STRIP_BYTES: usize = 1 << 16;
 
 /// Samples, bands interleaved by pixel.
+#[derive(Clone, Copy)]
 pub(crate) enum Samples<'a> {
     U8(&'a [u8]),
     U16(&'a [u16]),
@@ -28,6 +29,7 @@ pub(crate) enum Samples<'a> {
 }
 
 /// A raster and everything its file says about it.
+#[derive(Clone)]
 pub(crate) struct Raster<'a> {
     pub(crate) width: usize,
     pub(crate) height: usize,

@@ -6,7 +6,7 @@ use heliosplat_rpc::{GeoPoint, ImagePoint, Rpc, RpcError};
 use serde_json::{Value, json};
 
 /// Items for GDAL's default metadata domain.
-pub(crate) fn image_items(view: &ViewPlan, bits: u8) -> Vec<(String, String)> {
+pub(crate) fn image_items(view: &ViewPlan, bits: u8, cloud_share: f64) -> Vec<(String, String)> {
     let time = view.time.strftime("%Y-%m-%dT%H:%M:%SZ").to_string();
     let radiometry = if bits == 8 {
         "display, sRGB"
@@ -24,7 +24,7 @@ pub(crate) fn image_items(view: &ViewPlan, bits: u8) -> Vec<(String, String)> {
             format!("{:.1}", view.sun.elevation_rad.to_degrees()),
         ),
         ("SATELLITEID", "HELIOSPLAT-SYNTH".to_string()),
-        ("CLOUDCOVER", "0".to_string()),
+        ("CLOUDCOVER", format!("{:.0}", 100.0 * cloud_share)),
         ("RADIOMETRY", radiometry.to_string()),
     ]
     .map(|(name, value)| (name.to_string(), value))

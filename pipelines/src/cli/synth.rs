@@ -57,6 +57,9 @@ pub struct SynthArgs {
     /// Sensor noise relative to a good sensor's
     #[arg(long, default_value_t = 1.0, value_name = "FACTOR")]
     noise: f64,
+    /// Training images of a satellite scene that have clouds in view
+    #[arg(long, default_value_t = 0, value_name = "N")]
+    clouds: usize,
 }
 
 /// Kinds of scenes.
@@ -127,6 +130,7 @@ impl SynthArgs {
             bits: self.bits,
             pointing_bias_px: self.pointing_bias,
             noise: self.noise,
+            clouds: self.clouds,
         }
     }
 }
@@ -220,7 +224,7 @@ fn table(summary: &Summary, out: &Path) -> String {
     );
     for image in &summary.images {
         // Writing to a String cannot fail.
-        let _ = writeln!(
+        let _ = write!(
             text,
             "{:<16} {:<5} {}  sun {:>5.1} / {:>4.1}  off-nadir {:>4.1}  shadow {:>4.1} %",
             image.name,
@@ -231,6 +235,10 @@ fn table(summary: &Summary, out: &Path) -> String {
             image.off_nadir_deg,
             100.0 * image.shadow_share
         );
+        if image.cloud_share > 0.0 {
+            let _ = write!(text, "  cloud {:>4.1} %", 100.0 * image.cloud_share);
+        }
+        text.push('\n');
     }
     text
 }

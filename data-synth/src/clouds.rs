@@ -1,0 +1,293 @@
+//! Clouds of one image: a thin level layer high above the site, whose opacity is smooth noise above a threshold.
+//!
+//! A line crosses the layer in one point. Where a line of sight crosses it, the cloud hides the ground; where a ray to
+//! the sun crosses it, some hundred metres to kilometres aside, the ground lies in the cloud's shadow.
+
+use crate::noise::{fractal, hash2, smoothstep, stream};
+use crate::raytrace::Ray;
+use crate::render::Crop;
+use crate::sensor::Sensor;
+use rand::RngExt;
+
+/// A pixel of which clouds hide this share counts as cloud.
+pub(crate) const HIDING: f64 = 0.1;
+
+/// Altitude above the site's centre, metres: that of fair-weather cumulus.
+const ALTITUDE_M: [f64; 2] = [900.0, 1500.0];
+/// The longest wave of the noise, metres: clouds are 15 to 60 m across, so that a site of 128 m has whole ones.
+const WAVELENGTH_M: f64 = 75.0;
+const OCTAVES: u32 = 4;
+/// Noise at which a cloud's edge begins, and at which it is opaque. About a ninth of the layer lies above the first.
+const EDGE: [f64; 2] = [0.39, 0.63];
+/// Albedo of the darkest and the brightest billows.
+const ALBEDO: [f64; 2] = [0.72, 0.90];
+/// Longest wave of the billows, metres.
+const BILLOW_M: f64 = 14.0;
+
+/// Share of the image that may be hidden, and share of its middle: something is hidden, most can be seen.
+const IMAGE_SHARE: [f64; 2] = [0.05, 0.20];
+const MIDDLE_SHARE: [f64; 2] = [0.05, 0.25];
+/// Lines of sight along each side of an image by which the shares are judged.
+const PROBES: usize = 48;
+/// Pieces of the layer that are tried. One of several fits; if none does, the nearest is taken.
+const ATTEMPTS: usize = 400;
+/// How far from each other the pieces may lie, metres.
+const REACH_M: f64 = 20e3;
+
+/// A layer of clouds.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(crate) struct CloudField {
+    altitude_m: f64,
+    /// Where in the noise the site lies, metres.
+    offset_m: [f64; 2],
+    /// Cosine and sine of the noise's turn: its lattice follows no street.
+    turn: [f64; 2],
+    seed: u32,
+}
+
+/// A cloud in a line of sight.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(crate) struct Cloud {
+    /// Share of what lies behind that it hides.
+    pub(crate) opacity: f64,
+    pub(crate) albedo: f64,
+}
+
+impl CloudField {
+    /// Clouds of which an image shows some, but not too many.
+    pub(crate) fn over(sensor: &Sensor, crop: &Crop, seed: u64) -> Self {
+        let mut random = stream(seed, 0xC10D);
+        let turn_rad: f64 = random.random_range(0.0..std::f64::consts::TAU);
+        let mut field = Self {
+            altitude_m: random.random_range(ALTITUDE_M[0]..ALTITUDE_M[1]),
+            offset_m: [0.0; 2],
+            turn: [turn_rad.cos(), turn_rad.sin()],
+            seed: hash2(seed, 0xC1) as u32,
+        };
+        let probes = field.probes(sensor, crop);
+        let mut least_excess = f64::INFINITY;
+        let mut offset_m = field.offset_m;
+        for _ in 0..ATTEMPTS {
+            field.offset_m = [0, 1].map(|_| random.random_range(-REACH_M..REACH_M));
+            let excess = field.excess(&probes);
+            if excess < least_excess {
+                (least_excess, offset_m) = (excess, field.offset_m);
+            }
+            if excess == 0.0 {
+                break;
+            }
+        }
+        Self { offset_m, ..field }
+    }
+
+    /// Share of the light along a line that the layer takes.
+    pub(crate) fn opacity_along(&self, ray: &Ray) -> f64 {
+        self.opacity(self.crossing(ray))
+    }
+
+    /// The cloud in a line of sight.
+    pub(crate) fn seen_along(&self, ray: &Ray) -> Cloud {
+        let [x, y] = self.crossing(ray);
+        let billows = fractal(self.seed ^ 0xB1110, x, y, BILLOW_M, 3);
+        Cloud {
+            opacity: self.opacity([x, y]),
+            albedo: ALBEDO[0] + (ALBEDO[1] - ALBEDO[0]) * smoothstep(-0.7, 0.7, billows),
+        }
+    }
+
+    /// Where a line crosses the layer, in the noise's own axes. Rays of the sensor start below it: the line goes on
+    /// behind their start.
+    fn crossing(&self, ray: &Ray) -> [f64; 2] {
+        let point = ray.at((self.altitude_m - ray.origin.z) / ray.direction.z);
+        let [cos, sin] = self.turn;
+        [
+            cos * point.x - sin * point.y + self.offset_m[0],
+            sin * point.x + cos * point.y + self.offset_m[1],
+        ]
+    }
+
+    fn opacity(&self, [x, y]: [f64; 2]) -> f64 {
+        smoothstep(EDGE[0], EDGE[1], fractal(self.seed, x, y, WAVELENGTH_M, OCTAVES))
+    }
+
+    /// Where lines of sight spread evenly over an image cross the layer, and whether they lie in the middle half of
+    /// its width and height.
+    fn probes(&self, sensor: &Sensor, crop: &Crop) -> Vec<([f64; 2], bool)> {
+        let share = |index: usize| (index as f64 + 0.5) / PROBES as f64;
+        let inner = |index: usize| (0.25..0.75).contains(&share(index));
+        (0..PROBES)
+            .flat_map(|row| {
+                let line = sensor.at_line(crop.row0 + share(row) * crop.height as f64 - 0.5);
+                (0..PROBES)
+                    .map(|col| {
+                        let ray = line.ray(crop.col0 + share(col) * crop.width as f64 - 0.5);
+                        (self.crossing(&ray), inner(row) && inner(col))
+                    })
+                    .collect::<Vec<_>>()
+            })
+            .collect()
+    }
+
+    /// By how much the shares that are hidden lie outside of what they may be.
+    fn excess(&self, probes: &[([f64; 2], bool)]) -> f64 {
+        let hidden = |[x, y]: [f64; 2]| self.opacity([x + self.offset_m[0], y + self.offset_m[1]]) >= HIDING;
+        // Hidden and all; in the image and in its middle.
+        let (mut image, mut middle) = ([0usize; 2], [0usize; 2]);
+        for &(point, inner) in probes {
+            let hides = usize::from(hidden(point));
+            image = [image[0] + hides, image[1] + 1];
+            if inner {
+                middle = [middle[0] + hides, middle[1] + 1];
+            }
+        }
+        let beyond = |[hides, all]: [usize; 2], [least, most]: [f64; 2]| {
+            let share = hides as f64 / all.max(1) as f64;
+            (least - share).max(share - most).max(0.0)
+        };
+        beyond(image, IMAGE_SHARE) + beyond(middle, MIDDLE_SHARE)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::city::Ground;
+    use crate::materials::{Material, Season, grey};
+    use crate::radiometry::{FULL_COUNT, Light, LitScene, MEAN_GAIN, Weather};
+    use crate::raytrace::Tracer;
+    use crate::sensor::{PushBroom, ViewGeometry};
+    use crate::solid::Solids;
+    use crate::terrain::HeightField;
+    use heliosplat_rpc::sun::SunPosition;
+    use heliosplat_rpc::{GeoPoint, LocalFrame};
+    use nalgebra::Vector3;
+
+    fn sensor(off_nadir_deg: f64) -> Sensor {
+        let frame = LocalFrame::new(GeoPoint {
+            lon_deg: 4.8,
+            lat_deg: 45.7,
+            height_m: 225.0,
+        });
+        let view = ViewGeometry {
+            azimuth_rad: 1.1,
+            off_nadir_rad: off_nadir_deg.to_radians(),
+            orbit_m: 620e3,
+            tilt_rad: 0.05,
+            gsd_m: 0.5,
+            full_px: 2400.0,
+            seed: 5,
+        };
+        Sensor::PushBroom(Box::new(PushBroom::new(&frame, &view, [1200.0, 1200.0])))
+    }
+
+    fn crop(size: usize) -> Crop {
+        Crop {
+            col0: 1200.0 - 0.5 * size as f64,
+            row0: 1200.0 - 0.5 * size as f64,
+            width: size,
+            height: size,
+        }
+    }
+
+    /// Share of an image's pixels that clouds hide, every second one looked at.
+    fn share(field: &CloudField, sensor: &Sensor, crop: &Crop) -> f64 {
+        let side = crop.width / 2;
+        let hidden = (0..side * side).filter(|index| {
+            let line = sensor.at_line(crop.row0 + (2 * (index / side)) as f64);
+            field.opacity_along(&line.ray(crop.col0 + (2 * (index % side)) as f64)) >= HIDING
+        });
+        hidden.count() as f64 / (side * side) as f64
+    }
+
+    #[test]
+    fn an_image_shows_some_clouds_and_most_of_the_ground_whatever_its_size() {
+        for seed in 0..25 {
+            for (size, off_nadir_deg) in [(80, 12.0), (300, 28.0), (600, 5.0)] {
+                let (sensor, crop) = (sensor(off_nadir_deg), crop(size));
+                let field = CloudField::over(&sensor, &crop, seed);
+                let share = share(&field, &sensor, &crop);
+                assert!((0.045..0.21).contains(&share), "{seed}, {size} px: {share}");
+                assert_eq!(field, CloudField::over(&sensor, &crop, seed));
+                assert!((ALTITUDE_M[0]..ALTITUDE_M[1]).contains(&field.altitude_m));
+            }
+        }
+    }
+
+    #[test]
+    fn clouds_are_tens_of_metres_across() {
+        const STEP_M: f64 = 1.0;
+        let field = CloudField::over(&sensor(10.0), &crop(300), 3);
+        let hidden = |east: usize, north: usize| field.opacity([east as f64 * STEP_M, 37.0 * north as f64]) >= HIDING;
+        let (mut inside, mut entries) = (0, 0);
+        for north in 0..300 {
+            for east in 1..3000 {
+                inside += usize::from(hidden(east, north));
+                entries += usize::from(hidden(east, north) && !hidden(east - 1, north));
+            }
+        }
+        let chord_m = inside as f64 * STEP_M / entries as f64;
+        let cover = inside as f64 / (300.0 * 3000.0);
+        println!("chord {chord_m} m, cover {cover}");
+        assert!((12.0..45.0).contains(&chord_m), "{chord_m} m");
+        assert!((0.08..0.20).contains(&cover), "{cover}");
+    }
+
+    #[test]
+    fn a_cloud_hides_what_is_under_it_and_throws_its_shadow_elsewhere() {
+        let terrain = HeightField::sample(400.0, 4.0, |_, _| 0.0);
+        let tracer = Tracer::new(&terrain, Solids::default().primitives);
+        let ground = Ground::plain(Material::Plain(grey(0.1)));
+        let scene = LitScene {
+            tracer: &tracer,
+            surfaces: &[],
+            ground: &ground,
+        };
+        let weather = Weather {
+            aerosol: 0.1,
+            exposure: 1.0,
+            water_slope_variance: 0.02,
+            water_turbidity: 1.0,
+            seed: 3,
+        };
+        let sun = SunPosition::from_degrees(130.0, 40.0);
+        let clear = Light::new(&sun, weather, Season::REFERENCE, 0.2);
+        let field = CloudField::over(&sensor(10.0), &crop(300), 3);
+        let cloudy = clear.through(Some(field));
+        let sight = Vector3::new(-0.15, 0.1, -1.0).normalize();
+        let (mut hidden, mut shaded, mut untouched) = (0, 0, 0);
+        for index in 0..160 * 160 {
+            let place = |index: i32| f64::from(index) * 4.0 - 320.0;
+            let point = Vector3::new(place(index % 160), place(index / 160), 0.0);
+            let ray = Ray {
+                origin: point - sight * 50.0,
+                direction: sight,
+            };
+            let to_sun = Ray {
+                origin: point,
+                direction: clear.to_sun,
+            };
+            let (before, after) = (clear.sample(&scene, &ray, 7), cloudy.sample(&scene, &ray, 7));
+            let (veil, shade) = (field.opacity_along(&ray), field.opacity_along(&to_sun));
+            assert!(before.lit && before.clouded == 0.0);
+            assert!((after.clouded - veil).abs() < 1e-9);
+            if (shade - 0.5).abs() > 1e-3 {
+                assert_eq!(after.lit, shade < 0.5);
+            }
+            if veil == 1.0 {
+                hidden += 1;
+                let count = MEAN_GAIN * after.radiance.x;
+                assert!((0.7 * FULL_COUNT..1.3 * FULL_COUNT).contains(&count), "{count}");
+            } else if veil == 0.0 && shade == 1.0 {
+                shaded += 1;
+                assert!(after.radiance.x < 0.5 * before.radiance.x);
+            } else if veil == 0.0 && shade == 0.0 {
+                untouched += 1;
+                assert_eq!(after.radiance, before.radiance);
+            }
+        }
+        assert!(
+            hidden > 20 && shaded > 20 && untouched > 10_000,
+            "{hidden} {shaded} {untouched}"
+        );
+    }
+}
