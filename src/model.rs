@@ -10,6 +10,7 @@ mod over;
 pub mod radiance;
 pub mod reflective;
 pub mod shadow_gs;
+mod sight;
 
 use crate::camera::ProjectiveCamera;
 use crate::gaussians::{GroupSpec, Table};

@@ -10,8 +10,8 @@
 //! harmonics join one after another: until its turn, a degree has a learning rate of zero.
 
 use super::over::{COLOURS, over, over_backward};
+use super::sight::{Sight, rate_of_degree};
 use super::{Context, NamedLoss, Parameters, SceneModel, Seen};
-use crate::camera::ProjectiveCamera;
 use crate::gaussians::{FEATURES, GroupSpec, POSITION, Table};
 use crate::raster::Raster;
 use crate::shade::sh::{self, MAX_FUNCTIONS};
@@ -21,10 +21,6 @@ use rayon::prelude::*;
 
 /// Learning rate of the constant function.
 const RATE: f32 = 5e-3;
-/// Higher degrees learn this much slower (Kerbl et al. 2023).
-const HIGHER: f32 = 0.05;
-/// Share of training after which the next degree joins.
-const DEGREE_SHARE: f32 = 0.1;
 
 /// What the model is made of.
 #[derive(Debug, Clone, PartialEq, serde::Serialize, serde::Deserialize)]
@@ -53,24 +49,6 @@ impl Default for RadianceOptions {
 pub struct Radiance {
     /// What it is made of.
     pub options: RadianceOptions,
-}
-
-/// From where a Gaussian is seen: the functions in that direction, and the direction.
-struct Sight {
-    direction: Vec3,
-    inverse_distance: f32,
-}
-
-impl Sight {
-    fn new(eye: Option<Vec3>, camera: &ProjectiveCamera, position: Vec3) -> Self {
-        // Parallel rays have no eye; their direction is the same everywhere.
-        let offset = eye.map_or(camera.depth_axis, |eye| position - eye);
-        let inverse = 1.0 / offset.length().max(1e-12);
-        Self {
-            direction: offset * inverse,
-            inverse_distance: if eye.is_some() { inverse } else { 0.0 },
-        }
-    }
 }
 
 impl Radiance {
@@ -119,15 +97,8 @@ impl SceneModel for Radiance {
     }
 
     fn learning_rate(&self, group: &str, progress: f32) -> f32 {
-        let degree = group
-            .strip_prefix("sh_")
-            .and_then(|n| n.parse::<u8>().ok())
-            .unwrap_or(0);
-        match degree {
-            0 => RATE,
-            n if progress >= f32::from(n) * DEGREE_SHARE => RATE * HIGHER,
-            _ => 0.0,
-        }
+        let degree = group.strip_prefix("sh_").and_then(|n| n.parse().ok()).unwrap_or(0);
+        RATE * rate_of_degree(degree, progress)
     }
 
     fn channels(&self) -> usize {

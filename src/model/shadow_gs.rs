@@ -12,19 +12,35 @@
 //! `L_sky` is a colour per image (its haze and its sun's height differ), positive through a softplus. `A` (a matrix) and `b`
 //! are per image; those of the reference image stay the identity and zero, which fixes the gauge.
 //!
+//! `f` of the paper is albedo by spherical harmonics of the viewing direction, and so is `L_n`. Here both are one value per Gaussian and
+//! band, to which `degree` adds harmonics of degree 1 and more, one after another, as differences to straight down:
+//!
+//! ```text
+//! F_k(v) = F_k + Σ_{l≥1,m} c_lmk (Y_lm(v) - Y_lm(down))
+//! ```
+//!
+//! with `v` from the camera to the centre. Satellites look from within some 30 degrees of the nadir, where functions of low degree
+//! hardly change: as they are, they would be the constant once more. As differences they leave `F_k` what is seen from straight above.
+//! Nothing is clamped.
+//!
 //! With `pointing` every image also has a shift against its camera, so that images which do not lie on each other are moved
 //! until they do. What all images share of it would move the scene instead, so it is left out.
 
 mod facing;
+mod harmonics;
+mod lighting;
 
+use super::sight::rate_of_degree;
 use super::{Context, NamedLoss, Parameters, SceneModel, Seen};
 use crate::gaussians::{FEATURES, GroupSpec};
 use crate::light::Light;
 use crate::loss::shadow::{opaqueness, prior};
 use crate::raster::Raster;
+use crate::shade::sh;
 use crate::splat::{MapGradients, Maps};
 use facing::Facing;
-use glam::Vec3;
+use harmonics::Harmonics;
+use lighting::{ChunkGradients, Lighting, SharedGradients};
 use rayon::prelude::*;
 
 /// What the satellite model is made of.
@@ -49,6 +65,8 @@ pub struct ShadowGsOptions {
     pub prior_weight: f32,
     /// A shift of each image against its camera.
     pub pointing: bool,
+    /// Largest degree of the spherical harmonics of albedo and near-surface light, 0 to 3; 0: the same from everywhere.
+    pub degree: usize,
 }
 
 /// Pixels per parallel job; fixed, so that results do not depend on the number of threads.
@@ -66,6 +84,7 @@ impl Default for ShadowGsOptions {
             opaqueness_weight: 0.3,
             prior_weight: 0.0,
             pointing: false,
+            degree: 0,
         }
     }
 }
@@ -87,6 +106,8 @@ pub const COLOUR: usize = 1;
 /// Index of the colour offsets in the global table.
 pub const OFFSET: usize = 2;
 
+/// Learning rate of albedo and near-surface light.
+const ALBEDO_RATE: f32 = 5e-3;
 /// Name of the group of the images' shifts, the last of the global table.
 const POINTING: &str = "pointing";
 /// Share of training after which images are moved.
@@ -107,9 +128,12 @@ pub fn softplus_inverse(y: f32) -> f32 {
 }
 
 impl ShadowGs {
-    /// A model of these options.
+    /// A model of these options; degrees above 3 are 3.
     pub fn new(options: ShadowGsOptions) -> Self {
-        Self { options }
+        let degree = options.degree.min(sh::MAX_DEGREE);
+        Self {
+            options: ShadowGsOptions { degree, ..options },
+        }
     }
 
     /// How the surfaces of `maps`, which hold the normals after the model's channels, face the sun; `None` where that is off or
@@ -216,133 +240,6 @@ impl ShadowGs {
     }
 }
 
-/// The light of one view, and what turns it into a pixel.
-struct Lighting<'a> {
-    maps: &'a Maps,
-    bands: usize,
-    near: Option<usize>,
-    facing: Option<Facing<'a>>,
-    normal_at: usize,
-    sky: Vec<f32>,
-    matrix: Vec<f32>,
-    offset: Vec<f32>,
-}
-
-/// Gradients that all pixels add to.
-struct SharedGradients {
-    sky: Vec<f64>,
-    matrix: Vec<f64>,
-    offset: Vec<f64>,
-}
-
-impl SharedGradients {
-    fn new(bands: usize) -> Self {
-        Self {
-            sky: vec![0.0; bands],
-            matrix: vec![0.0; bands * bands],
-            offset: vec![0.0; bands],
-        }
-    }
-
-    fn add(&mut self, other: &Self) {
-        let sum = |a: &mut [f64], b: &[f64]| a.iter_mut().zip(b).for_each(|(a, b)| *a += b);
-        sum(&mut self.sky, &other.sky);
-        sum(&mut self.matrix, &other.matrix);
-        sum(&mut self.offset, &other.offset);
-    }
-}
-
-/// Gradients of some pixels: `values[slot * count + pixel]` belongs to `channels[slot]`.
-struct ChunkGradients {
-    channels: Vec<usize>,
-    count: usize,
-    values: Vec<f32>,
-    shared: SharedGradients,
-}
-
-impl<'a> Lighting<'a> {
-    fn new(model: &ShadowGs, context: &Context, maps: &'a Maps) -> Self {
-        let image = model.image(context);
-        let (matrix, offset) = model.colour(context.parameters, image);
-        Self {
-            maps,
-            bands: model.options.bands,
-            near: model.near_channel(),
-            facing: model.facing(context.light, maps),
-            normal_at: model.channels(),
-            sky: model.sky(context.parameters, image),
-            matrix,
-            offset,
-        }
-    }
-
-    /// The sun's light on a pixel, `S f`, its `f` and the gradient of `f` to the normal.
-    #[inline]
-    fn sun(&self, pixel: usize) -> (f32, f32, Vec3) {
-        let visible = self.maps.channels[self.bands][pixel];
-        let (factor, d_normal) = self.facing.as_ref().map_or((1.0, Vec3::ZERO), |f| f.factor(pixel));
-        (visible * factor, factor, d_normal)
-    }
-
-    /// The light in shadow: sky, and what the neighbourhood reflects.
-    #[inline]
-    fn shade(&self, band: usize, pixel: usize) -> f32 {
-        self.sky[band] + self.near.map_or(0.0, |at| self.maps.channels[at + band][pixel])
-    }
-
-    fn chunk_backward(&self, chunk: usize, d_image: &Raster) -> ChunkGradients {
-        let (maps, bands) = (self.maps, self.bands);
-        let pixels = maps.alpha.len();
-        let range = chunk * CHUNK..((chunk + 1) * CHUNK).min(pixels);
-        let count = range.len();
-        let mut channels: Vec<usize> = (0..=bands).collect();
-        let near_slot = channels.len();
-        channels.extend(self.near.iter().flat_map(|&at| at..at + bands));
-        let normal_slot = channels.len();
-        if self.facing.is_some() {
-            channels.extend(self.normal_at..self.normal_at + 3);
-        }
-        let mut values = vec![0.0; channels.len() * count];
-        let mut shared = SharedGradients::new(bands);
-        for (j, i) in range.enumerate() {
-            let (sun, factor, facing_gradient) = self.sun(i);
-            let mut d_sun = 0.0;
-            for k in 0..bands {
-                let (albedo, shade) = (maps.channels[k][i], self.shade(k, i));
-                let light = shade + (1.0 - shade) * sun;
-                let mut d_colour = 0.0;
-                for row in 0..bands {
-                    let d = d_image.values[row * pixels + i];
-                    d_colour += self.matrix[row * bands + k] * d;
-                    shared.matrix[row * bands + k] += f64::from(d * albedo * light);
-                }
-                shared.offset[k] += f64::from(d_image.values[k * pixels + i]);
-                values[k * count + j] = d_colour * light;
-                let d_light = d_colour * albedo;
-                d_sun += d_light * (1.0 - shade);
-                let d_shade = d_light * (1.0 - sun);
-                shared.sky[k] += f64::from(d_shade);
-                if self.near.is_some() {
-                    values[(near_slot + k) * count + j] = d_shade;
-                }
-            }
-            values[bands * count + j] = d_sun * factor;
-            if self.facing.is_some() {
-                let d_normal = facing_gradient * (d_sun * maps.channels[bands][i]);
-                for (k, d) in d_normal.to_array().into_iter().enumerate() {
-                    values[(normal_slot + k) * count + j] = d;
-                }
-            }
-        }
-        ChunkGradients {
-            channels,
-            count,
-            values,
-            shared,
-        }
-    }
-}
-
 impl SceneModel for ShadowGs {
     fn name(&self) -> &'static str {
         "shadow_gs"
@@ -353,6 +250,7 @@ impl SceneModel for ShadowGs {
         if self.options.near_light {
             groups.push(GroupSpec::new("near_light", self.options.bands));
         }
+        groups.extend(harmonics::groups(&self.options));
         groups
     }
 
@@ -370,11 +268,14 @@ impl SceneModel for ShadowGs {
     }
 
     fn learning_rate(&self, group: &str, progress: f32) -> f32 {
+        if let Some(degree) = harmonics::degree_of(group) {
+            return ALBEDO_RATE * rate_of_degree(degree, progress);
+        }
         match group {
             // Not before surfaces and colours have settled, and ever more gently.
             POINTING if progress < POINTING_FROM => 0.0,
             POINTING => POINTING_RATE_PX * (1.0 - progress),
-            "albedo" | "near_light" => 5e-3,
+            "albedo" | "near_light" => ALBEDO_RATE,
             "sky" => 1e-2,
             _ => 2e-3,
         }
@@ -417,6 +318,7 @@ impl SceneModel for ShadowGs {
     fn features(&self, context: &Context, seen: &Seen, out: &mut [f32]) {
         let bands = self.options.bands;
         let albedo = context.parameters.gaussians.group(ALBEDO);
+        let harmonics = Harmonics::new(&self.options, context);
         out.par_chunks_mut(seen.stride)
             .with_min_len(1024)
             .enumerate()
@@ -428,12 +330,15 @@ impl SceneModel for ShadowGs {
                     let near = &context.parameters.gaussians.group(NEAR)[g * bands..(g + 1) * bands];
                     feature[at..at + bands].copy_from_slice(near);
                 }
+                if let Some(harmonics) = &harmonics {
+                    harmonics.add(g, feature);
+                }
             });
     }
 
     fn features_backward(
         &self,
-        _context: &Context,
+        context: &Context,
         seen: &Seen,
         d_features: &[f32],
         grads: &mut Parameters,
@@ -457,6 +362,9 @@ impl SceneModel for ShadowGs {
         if let Some(at) = self.near_channel() {
             add(NEAR, at);
         }
+        if let Some(harmonics) = Harmonics::new(&self.options, context) {
+            harmonics.backward(seen, d_features, grads);
+        }
     }
 
     fn compose(&self, context: &Context, maps: &Maps) -> Raster {
@@ -467,23 +375,7 @@ impl SceneModel for ShadowGs {
         let mut rows = out.values.chunks_mut(pixels.max(1)).collect::<Vec<_>>();
         let colours: Vec<Vec<f32>> = (0..pixels.div_ceil(CHUNK))
             .into_par_iter()
-            .map(|chunk| {
-                let range = chunk * CHUNK..((chunk + 1) * CHUNK).min(pixels);
-                let mut values = vec![0.0; range.len() * bands];
-                let mut colour = vec![0.0; bands];
-                for (j, i) in range.clone().enumerate() {
-                    let sun = lighting.sun(i).0;
-                    for (k, c) in colour.iter_mut().enumerate() {
-                        let shade = lighting.shade(k, i);
-                        *c = maps.channels[k][i] * (shade + (1.0 - shade) * sun);
-                    }
-                    for row in 0..bands {
-                        let mixed: f32 = (0..bands).map(|k| lighting.matrix[row * bands + k] * colour[k]).sum();
-                        values[row * range.len() + j] = mixed + lighting.offset[row];
-                    }
-                }
-                values
-            })
+            .map(|chunk| lighting.chunk(chunk))
             .collect();
         for (chunk, values) in colours.iter().enumerate() {
             let count = values.len() / bands;

@@ -10,8 +10,9 @@ use heliosplat::render::{Lit, Pass, PassOptions, image_moved};
 use heliosplat::splat::{Depths, ProjectionOptions};
 use heliosplat::trace::Occluders;
 use heliosplat::{ProjectiveCamera, Raster};
+use heliosplat_tests::harmonics::harmonics;
 use heliosplat_tests::reference::{self, Gaussian};
-use nalgebra::Vector3;
+use nalgebra::{Matrix3, Vector3};
 use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg32;
 
@@ -31,9 +32,10 @@ struct Case {
     functional: Vec<f64>,
 }
 
-fn model(near_light: bool) -> ShadowGs {
+fn model(near_light: bool, degree: usize) -> ShadowGs {
     ShadowGs::new(ShadowGsOptions {
         near_light,
+        degree,
         bands: BANDS,
         images: 2,
         opaqueness_weight: 0.0,
@@ -67,7 +69,7 @@ fn cameras(perspective: bool) -> (ProjectiveCamera, reference::Camera) {
 }
 
 fn case(seed: u64, count: usize, perspective: bool, antialias: bool) -> Case {
-    case_of(model(false), seed, count, perspective, antialias)
+    case_of(model(false, 0), seed, count, perspective, antialias)
 }
 
 fn case_of(model: ShadowGs, seed: u64, count: usize, perspective: bool, antialias: bool) -> Case {
@@ -87,8 +89,8 @@ fn case_of(model: ShadowGs, seed: u64, count: usize, perspective: bool, antialia
         }
         gaussians.group_mut(OPACITY)[i] = uniform(-2.0, 2.0);
     }
-    for near in &mut gaussians.groups[FEATURES + 1..] {
-        near.values.iter_mut().for_each(|v| *v = uniform(0.0, 0.4));
+    for group in &mut gaussians.groups[FEATURES + 1..] {
+        group.values.iter_mut().for_each(|v| *v = uniform(0.0, 0.4));
     }
     let mut globals = model.initial_globals(0.3);
     for k in 0..globals.group(COLOUR).len() {
@@ -146,7 +148,40 @@ fn flat(parameters: &Parameters) -> Flat {
     }
 }
 
-fn reference_gaussians(flat: &Flat) -> Vec<Gaussian> {
+/// Where all rays of a camera meet: there both numerators and the denominator of its projection vanish.
+fn eye(camera: &reference::Camera) -> Vector3<f64> {
+    let ([a, b, c, u], [d, e, f, v], w) = (camera.u, camera.v, camera.w);
+    Matrix3::new(a, b, c, d, e, f, w.x, w.y, w.z)
+        .lu()
+        .solve(&Vector3::new(-u, -v, -1.0))
+        .expect("a camera with an eye")
+}
+
+/// Albedo and, behind it, near-surface light of Gaussian `i` as the case's camera sees them.
+fn colours(case: &Case, g: &[Vec<f64>], i: usize) -> Vec<f64> {
+    let options = &case.model.options;
+    let parts = if options.near_light { 2 } else { 1 };
+    let position = Vector3::from_row_slice(&g[POSITION][i * 3..i * 3 + 3]);
+    let sight = (position - eye(&case.reference_camera)).normalize();
+    let functions = harmonics(options.degree, &sight);
+    let down = harmonics(options.degree, &-Vector3::z());
+    let mut all = Vec::new();
+    for part in 0..parts {
+        for k in 0..BANDS {
+            let mut value = g[FEATURES + part][i * BANDS + k];
+            for f in 1..functions.len() {
+                let degree = f.isqrt();
+                let group = FEATURES + parts + part * options.degree + degree - 1;
+                let place = (i * (2 * degree + 1) + f - degree * degree) * BANDS + k;
+                value += g[group][place] * (functions[f] - down[f]);
+            }
+            all.push(value);
+        }
+    }
+    all
+}
+
+fn reference_gaussians(case: &Case, flat: &Flat) -> Vec<Gaussian> {
     let g = &flat.gaussians;
     (0..g[OPACITY].len())
         .map(|i| Gaussian {
@@ -154,18 +189,14 @@ fn reference_gaussians(flat: &Flat) -> Vec<Gaussian> {
             log_scale: Vector3::from_row_slice(&g[LOG_SCALE][i * 3..i * 3 + 3]),
             rotation: [0, 1, 2, 3].map(|k| g[ROTATION][i * 4 + k]),
             opacity: g[OPACITY][i],
-            albedo: g[FEATURES..]
-                .iter()
-                .flat_map(|group| &group[i * BANDS..(i + 1) * BANDS])
-                .copied()
-                .collect(),
+            albedo: colours(case, g, i),
         })
         .collect()
 }
 
 /// All values of a view in the order of the functional: per pixel the image, then alpha, depth, depth², normal.
 fn reference_values(case: &Case, flat: &Flat) -> Vec<f64> {
-    let gaussians = reference_gaussians(flat);
+    let gaussians = reference_gaussians(case, flat);
     let sun = Vector3::new(f64::from(case.sun.x), f64::from(case.sun.y), f64::from(case.sun.z));
     let visibility: Vec<f64> = (0..gaussians.len())
         .map(|i| reference::transmittance(&gaussians, i, &sun))
@@ -298,7 +329,8 @@ fn the_forward_pass_matches_the_f64_reference() {
     for seed in 0..4 {
         for (perspective, antialias) in [(false, false), (false, true), (true, false), (true, true)] {
             check_values(&case(seed, 60, perspective, antialias));
-            check_values(&case_of(model(true), seed, 60, perspective, antialias));
+            check_values(&case_of(model(true, 0), seed, 60, perspective, antialias));
+            check_values(&case_of(model(true, 3), seed, 60, perspective, antialias));
         }
     }
 }
@@ -315,7 +347,33 @@ fn gradients_match_central_differences_from_nearby() {
 
 #[test]
 fn gradients_match_central_differences_with_near_surface_light() {
-    check_gradients(&case_of(model(true), 13, 24, false, true));
+    check_gradients(&case_of(model(true, 0), 13, 24, false, true));
+}
+
+/// Those to positions too: what the engine leaves out, the turning of the view with a Gaussian's place, is too little to see.
+#[test]
+fn gradients_match_central_differences_with_colours_that_change_with_the_view() {
+    check_gradients(&case_of(model(false, 2), 14, 20, false, false));
+    check_gradients(&case_of(model(true, 3), 15, 12, false, true));
+}
+
+#[test]
+fn harmonics_of_zero_change_no_number() {
+    let plain = case(6, 60, false, false);
+    let mut with = case_of(model(false, 3), 6, 60, false, false);
+    with.functional.clone_from(&plain.functional);
+    with.parameters.globals.clone_from(&plain.parameters.globals);
+    for group in &mut with.parameters.gaussians.groups[FEATURES + 1..] {
+        group.values.fill(0.0);
+    }
+    let ((values, grads), (with_values, with_grads)) = (engine_pass(&plain), engine_pass(&with));
+    assert!(values == with_values && grads.globals == with_grads.globals);
+    assert!(grads.gaussians.groups[..] == with_grads.gaussians.groups[..=FEATURES]);
+    assert!(
+        with_grads.gaussians.groups[FEATURES + 1..]
+            .iter()
+            .all(|g| g.values.iter().any(|&d| d != 0.0))
+    );
 }
 
 #[test]

@@ -99,8 +99,14 @@ mod tests {
     use heliosplat::model::shadow_gs::ShadowGsOptions;
 
     fn case() -> (ShadowGs, Table) {
+        case_of(0, false)
+    }
+
+    fn case_of(degree: usize, near_light: bool) -> (ShadowGs, Table) {
         let model = ShadowGs::new(ShadowGsOptions {
             bands: 4,
+            degree,
+            near_light,
             ..ShadowGsOptions::default()
         });
         let mut groups = core_groups();
@@ -116,8 +122,9 @@ mod tests {
 
     #[test]
     fn a_table_reads_back_to_the_same_bits() {
-        let (model, table) = case();
-        assert_eq!(decode(&encode(&table, 4), &model), Ok(table));
+        for (model, table) in [case(), case_of(2, false), case_of(3, true)] {
+            assert_eq!(decode(&encode(&table, 4), &model), Ok(table));
+        }
     }
 
     #[test]

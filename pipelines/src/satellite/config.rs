@@ -1,6 +1,7 @@
 //! The configuration of a satellite run: data, not code. Presets are files, `--set a.b=c` changes one value, and the
 //! resolved configuration is written beside every result.
 
+use heliosplat::shade::sh::MAX_DEGREE;
 use heliosplat::train::{TrainError, TrainOptions};
 use std::path::PathBuf;
 
@@ -132,6 +133,9 @@ pub struct ModelOptions {
     pub image_colour: Option<bool>,
     /// Near-surface light in shadows, per Gaussian.
     pub near_light: bool,
+    /// Largest degree of the spherical harmonics by which albedo (and near-surface light) changes with the viewing direction, 0 to 3;
+    /// 0: the same from everywhere.
+    pub sh_degree: usize,
     /// Surfaces are as bright as they face the sun.
     pub facing: bool,
     /// Weight of the shadow opaqueness loss; 0, off, is better on every site measured (docs/satellite.md).
@@ -152,6 +156,7 @@ impl Default for ModelOptions {
         Self {
             image_colour: None,
             near_light: false,
+            sh_degree: 0,
             facing: true,
             opaqueness_weight: 0.0,
             shadow_prior: None,
@@ -257,6 +262,12 @@ impl SatelliteConfig {
             ),
             ("model.sky", m.sky.into(), above_zero(m.sky.into()), ABOVE_ZERO),
             (
+                "model.sh_degree",
+                m.sh_degree as f64,
+                m.sh_degree <= MAX_DEGREE,
+                "a whole number from 0 to 3",
+            ),
+            (
                 "model.prior_weight",
                 m.prior_weight.into(),
                 not_negative(m.prior_weight.into()),
@@ -357,6 +368,8 @@ mod tests {
         assert_eq!(config.cameras.align, Align::Off);
         let config = SatelliteConfig::resolve("fast", &set("cameras.method", "shifts"), 1).expect("a known key");
         assert_eq!(config.cameras.method, PointingMethod::Shifts);
+        let config = SatelliteConfig::resolve("fast", &set("model.sh_degree", "3"), 1).expect("a known key");
+        assert_eq!(config.model.sh_degree, 3);
     }
 
     #[test]
@@ -365,6 +378,7 @@ mod tests {
             ("start.cell_gsd", "0.0"),
             ("start.opacity", "1.0"),
             ("model.sky", "-0.1"),
+            ("model.sh_degree", "4"),
             ("train.scale_gsd", "[8.0, 0.1]"),
             ("train.lambda_ssim", "nan"),
         ] {
@@ -377,5 +391,7 @@ mod tests {
     fn an_unknown_key_is_named() {
         let error = SatelliteConfig::resolve("fast", &set("train.iteration", "5"), 1).expect_err("no such key");
         assert!(error.to_string().contains("train.iteration=5"), "{error}");
+        let error = SatelliteConfig::resolve("fast", &set("model.sh_degree", "-1"), 1).expect_err("no such degree");
+        assert!(error.to_string().contains("model.sh_degree=-1"), "{error}");
     }
 }

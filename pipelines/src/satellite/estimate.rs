@@ -4,11 +4,12 @@
 //! estimate beside what was used.
 
 use super::budget::after_training_steps;
-use super::config::SatelliteConfig;
+use super::config::{ModelOptions, SatelliteConfig};
 use super::fit::FitError;
 use super::views;
 use crate::scene::{Area, Scene};
 use heliosplat::rates::{Descent, Site};
+use heliosplat::shade::sh::functions;
 use heliosplat::start::MANY_VIEWS;
 use heliosplat::train::TrainOptions;
 use std::time::Instant;
@@ -90,6 +91,12 @@ pub fn training_bytes(gaussians: f64, views: usize, bands: usize, pixels: f64) -
     SPARE_BYTES + gaussians * per_gaussian + pixels * planes * 4.0
 }
 
+/// Bytes per Gaussian of what `model` has besides one albedo per band: near-surface light, and harmonics of both.
+pub fn light_bytes(model: &ModelOptions, bands: usize) -> f64 {
+    let parts = if model.near_light { 2 } else { 1 };
+    TABLES * 4.0 * ((parts * functions(model.sh_degree) - 1) * bands) as f64
+}
+
 /// The most Gaussians that `bytes` of memory hold in training.
 pub fn gaussians_within(bytes: f64, views: usize, bands: usize, pixels: f64) -> f64 {
     let fixed = training_bytes(0.0, views, bands, pixels);
@@ -145,8 +152,9 @@ pub fn estimate_of(extent: &Extent, config: &SatelliteConfig, slowness: f64, hel
     let steps = config.train.clone().for_views(training).iterations;
     let pixels = cells * config.start.cell_gsd * config.start.cell_gsd * 1.2;
     let fixed = held + copies_bytes(training as f64 * pixels, bands);
-    let peak =
-        |gaussians: f64| fixed + training_bytes(gaussians, training, bands, pixels).max(SWEEP_BYTES_PER_CELL * cells);
+    let light = light_bytes(&config.model, bands);
+    let training_bytes = |gaussians: f64| training_bytes(gaussians, training, bands, pixels) + gaussians * light;
+    let peak = |gaussians: f64| fixed + training_bytes(gaussians).max(SWEEP_BYTES_PER_CELL * cells);
     let start_s_per_cell = if training < MANY_VIEWS {
         START_OF_FEW_S_PER_CELL
     } else {
@@ -202,6 +210,14 @@ mod tests {
         let bytes = training_bytes(1e6, 10, 4, 2.5e5);
         assert!((gaussians_within(bytes, 10, 4, 2.5e5) - 1e6).abs() < 1.0);
         assert!(gaussians_within(1e6, 10, 4, 2.5e5) == 0.0);
+    }
+
+    #[test]
+    fn light_takes_memory_only_where_it_is_asked_for() {
+        let mut model = ModelOptions::default();
+        assert!(light_bytes(&model, 4) == 0.0);
+        model.sh_degree = 2;
+        assert!(light_bytes(&model, 4) == TABLES * 4.0 * 32.0);
     }
 
     #[test]

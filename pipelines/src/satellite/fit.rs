@@ -291,6 +291,7 @@ pub fn fit(
         reference: reference(&ground.images),
         image_colour,
         near_light: config.model.near_light,
+        degree: config.model.sh_degree,
         facing: config.model.facing,
         opaqueness_weight: config.model.opaqueness_weight,
         // The plan has decided it by now.

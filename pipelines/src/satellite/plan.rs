@@ -182,6 +182,14 @@ fn items(facts: &Facts, config: &SatelliteConfig) -> Vec<PlanItem> {
             config.model.near_light,
             "light reflected into shadows is below what one ground sample shows".into(),
         ),
+        item(
+            "model.sh_degree",
+            config.model.sh_degree > 0,
+            match config.model.sh_degree {
+                0 => "surfaces look alike from all views: one albedo per Gaussian and band serves".into(),
+                degree => format!("albedo may change with the viewing direction, to degree {degree}"),
+            },
+        ),
     ]
 }
 
@@ -232,6 +240,16 @@ mod tests {
         let items = items(&facts(12, 5), &config);
         let prior = items.iter().find(|item| item.component == "model.shadow_prior");
         assert!(prior.is_some_and(|item| item.on && item.reason.starts_with("set so")));
+    }
+
+    #[test]
+    fn the_degree_of_albedo_is_said() {
+        let mut config = SatelliteConfig::default();
+        assert!(!on(&facts(9, 3), &config, "model.sh_degree"));
+        config.model.sh_degree = 2;
+        let items = items(&facts(9, 3), &config);
+        let degree = items.iter().find(|item| item.component == "model.sh_degree");
+        assert!(degree.is_some_and(|item| item.on && item.reason.ends_with("degree 2")));
     }
 
     #[test]

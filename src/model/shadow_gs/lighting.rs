@@ -1,0 +1,156 @@
+//! From composited channels to pixels: the light that reaches a surface, its colour in the image, and the gradients of both.
+
+use super::facing::Facing;
+use super::{CHUNK, ShadowGs};
+use crate::model::{Context, SceneModel};
+use crate::raster::Raster;
+use crate::splat::Maps;
+use glam::Vec3;
+
+/// The light of one view, and what turns it into a pixel.
+pub(super) struct Lighting<'a> {
+    maps: &'a Maps,
+    bands: usize,
+    near: Option<usize>,
+    facing: Option<Facing<'a>>,
+    normal_at: usize,
+    sky: Vec<f32>,
+    matrix: Vec<f32>,
+    offset: Vec<f32>,
+}
+
+/// Gradients that all pixels add to.
+pub(super) struct SharedGradients {
+    pub(super) sky: Vec<f64>,
+    pub(super) matrix: Vec<f64>,
+    pub(super) offset: Vec<f64>,
+}
+
+impl SharedGradients {
+    pub(super) fn new(bands: usize) -> Self {
+        Self {
+            sky: vec![0.0; bands],
+            matrix: vec![0.0; bands * bands],
+            offset: vec![0.0; bands],
+        }
+    }
+
+    pub(super) fn add(&mut self, other: &Self) {
+        let sum = |a: &mut [f64], b: &[f64]| a.iter_mut().zip(b).for_each(|(a, b)| *a += b);
+        sum(&mut self.sky, &other.sky);
+        sum(&mut self.matrix, &other.matrix);
+        sum(&mut self.offset, &other.offset);
+    }
+}
+
+/// Gradients of some pixels: `values[slot * count + pixel]` belongs to `channels[slot]`.
+pub(super) struct ChunkGradients {
+    pub(super) channels: Vec<usize>,
+    pub(super) count: usize,
+    pub(super) values: Vec<f32>,
+    pub(super) shared: SharedGradients,
+}
+
+impl<'a> Lighting<'a> {
+    pub(super) fn new(model: &ShadowGs, context: &Context, maps: &'a Maps) -> Self {
+        let image = model.image(context);
+        let (matrix, offset) = model.colour(context.parameters, image);
+        Self {
+            maps,
+            bands: model.options.bands,
+            near: model.near_channel(),
+            facing: model.facing(context.light, maps),
+            normal_at: model.channels(),
+            sky: model.sky(context.parameters, image),
+            matrix,
+            offset,
+        }
+    }
+
+    /// The sun's light on a pixel, `S f`, its `f` and the gradient of `f` to the normal.
+    #[inline]
+    fn sun(&self, pixel: usize) -> (f32, f32, Vec3) {
+        let visible = self.maps.channels[self.bands][pixel];
+        let (factor, d_normal) = self.facing.as_ref().map_or((1.0, Vec3::ZERO), |f| f.factor(pixel));
+        (visible * factor, factor, d_normal)
+    }
+
+    /// The light in shadow: sky, and what the neighbourhood reflects.
+    #[inline]
+    fn shade(&self, band: usize, pixel: usize) -> f32 {
+        self.sky[band] + self.near.map_or(0.0, |at| self.maps.channels[at + band][pixel])
+    }
+
+    /// The colours of a chunk's pixels, band by band.
+    pub(super) fn chunk(&self, chunk: usize) -> Vec<f32> {
+        let (maps, bands) = (self.maps, self.bands);
+        let range = chunk * CHUNK..((chunk + 1) * CHUNK).min(maps.alpha.len());
+        let mut values = vec![0.0; range.len() * bands];
+        let mut colour = vec![0.0; bands];
+        for (j, i) in range.clone().enumerate() {
+            let sun = self.sun(i).0;
+            for (k, c) in colour.iter_mut().enumerate() {
+                let shade = self.shade(k, i);
+                *c = maps.channels[k][i] * (shade + (1.0 - shade) * sun);
+            }
+            for row in 0..bands {
+                let mixed: f32 = (0..bands).map(|k| self.matrix[row * bands + k] * colour[k]).sum();
+                values[row * range.len() + j] = mixed + self.offset[row];
+            }
+        }
+        values
+    }
+
+    /// The gradients of a chunk's pixels.
+    pub(super) fn chunk_backward(&self, chunk: usize, d_image: &Raster) -> ChunkGradients {
+        let (maps, bands) = (self.maps, self.bands);
+        let pixels = maps.alpha.len();
+        let range = chunk * CHUNK..((chunk + 1) * CHUNK).min(pixels);
+        let count = range.len();
+        let mut channels: Vec<usize> = (0..=bands).collect();
+        let near_slot = channels.len();
+        channels.extend(self.near.iter().flat_map(|&at| at..at + bands));
+        let normal_slot = channels.len();
+        if self.facing.is_some() {
+            channels.extend(self.normal_at..self.normal_at + 3);
+        }
+        let mut values = vec![0.0; channels.len() * count];
+        let mut shared = SharedGradients::new(bands);
+        for (j, i) in range.enumerate() {
+            let (sun, factor, facing_gradient) = self.sun(i);
+            let mut d_sun = 0.0;
+            for k in 0..bands {
+                let (albedo, shade) = (maps.channels[k][i], self.shade(k, i));
+                let light = shade + (1.0 - shade) * sun;
+                let mut d_colour = 0.0;
+                for row in 0..bands {
+                    let d = d_image.values[row * pixels + i];
+                    d_colour += self.matrix[row * bands + k] * d;
+                    shared.matrix[row * bands + k] += f64::from(d * albedo * light);
+                }
+                shared.offset[k] += f64::from(d_image.values[k * pixels + i]);
+                values[k * count + j] = d_colour * light;
+                let d_light = d_colour * albedo;
+                d_sun += d_light * (1.0 - shade);
+                let d_shade = d_light * (1.0 - sun);
+                shared.sky[k] += f64::from(d_shade);
+                if self.near.is_some() {
+                    values[(near_slot + k) * count + j] = d_shade;
+                }
+            }
+            values[bands * count + j] = d_sun * factor;
+            if self.facing.is_some() {
+                let d_normal = facing_gradient * (d_sun * maps.channels[bands][i]);
+                for (k, d) in d_normal.to_array().into_iter().enumerate() {
+                    values[(normal_slot + k) * count + j] = d;
+                }
+            }
+        }
+        ChunkGradients {
+            channels,
+            count,
+            values,
+            shared,
+        }
+    }
+}
