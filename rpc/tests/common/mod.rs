@@ -2,6 +2,7 @@
 #![allow(dead_code, unreachable_pub)] // Each test binary uses its own part.
 
 pub mod push_broom;
+pub mod texts;
 
 use heliosplat_rpc::{GeoPoint, ImagePoint, Rpc};
 use serde_json::Value;
