@@ -17,6 +17,7 @@ use crate::gaussians::{GroupSpec, Table};
 use crate::light::Light;
 use crate::raster::Raster;
 use crate::splat::{MapGradients, Maps, Projected};
+use std::borrow::Cow;
 
 /// Everything that is trained.
 #[derive(Debug, Clone, PartialEq, Default, serde::Serialize, serde::Deserialize)]
@@ -59,6 +60,26 @@ pub struct View {
     pub weight: Vec<f32>,
     /// What is thought beforehand to be lit, 0 to 1, NaN where nothing is; `[row][column]`.
     pub lit: Option<Vec<f32>>,
+    /// The most that each band can say: such a value, or a greater one, was seen. Empty where no value is clipped.
+    pub ceiling: Vec<f32>,
+}
+
+impl View {
+    /// What was seen, as far as it contradicts `image`: a clipped value does not say how much brighter it was.
+    pub fn truth(&self, image: &Raster) -> Cow<'_, Raster> {
+        let mut truth = Cow::Borrowed(&self.image);
+        for (band, &ceiling) in self.ceiling.iter().enumerate().filter(|(_, c)| c.is_finite()) {
+            // The mean of equal values may differ from them in the last digit.
+            let clipped = ceiling * (1.0 - 1e-5);
+            let plane = truth.to_mut().plane_mut(band);
+            for (seen, shown) in plane.iter_mut().zip(image.plane(band)) {
+                if *seen >= clipped && *shown > *seen {
+                    *seen = *shown;
+                }
+            }
+        }
+        truth
+    }
 }
 
 /// What a model may look at when it makes features or pixels.
@@ -160,5 +181,33 @@ pub trait SceneModel: Send + Sync {
         _d_maps: &mut MapGradients,
     ) -> Option<NamedLoss> {
         None
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_clipped_value_contradicts_only_what_is_darker() {
+        let seen = |values: &[f32]| Raster {
+            width: values.len(),
+            height: 1,
+            bands: 1,
+            values: values.to_vec(),
+        };
+        let view = View {
+            name: "a".into(),
+            camera: ProjectiveCamera::nadir(0.0, 0.0, 1.0, (4, 1)),
+            image: seen(&[0.2, 0.9, 0.9, f32::NAN]),
+            light: None,
+            appearance: 0,
+            weight: vec![1.0; 4],
+            lit: None,
+            ceiling: vec![0.9],
+        };
+        let truth = view.truth(&seen(&[0.5, 1.3, 0.4, 2.0]));
+        assert_eq!(truth.values[..3], [0.2, 1.3, 0.9]);
+        assert!(truth.values[3].is_nan());
     }
 }

@@ -14,6 +14,7 @@
 pub mod align;
 mod bands;
 mod census;
+pub mod clouds;
 mod cost;
 mod grid;
 mod ortho;

@@ -322,12 +322,13 @@ impl<'a> Trainer<'a> {
         };
         let pass = Pass::new(self.model, context, lit, pass_options);
         let image = pass.image();
-        let (photo, mut d_image) = photometric(&image, &view.image, &view.weight, options.lambda_ssim);
+        let truth = view.truth(&image);
+        let (photo, mut d_image) = photometric(&image, &truth, &view.weight, options.lambda_ssim);
         for d in &mut d_image.values {
             *d *= options.photometric_weight;
         }
         let full = look.whole && look.pixel == 1.0;
-        let held_out = full.then(|| self.holdout.loss(index, &image, &view.image)).flatten();
+        let held_out = full.then(|| self.holdout.loss(index, &image, &truth)).flatten();
         let mut losses = vec![("photometric", photo)];
         let mut d_maps = pass.zero_gradients();
         self.model
@@ -363,7 +364,7 @@ impl<'a> Trainer<'a> {
             visits: light.visits + 1,
             ..light
         });
-        let l1 = mean_absolute(&image.values, &view.image.values);
+        let l1 = mean_absolute(&image.values, &truth.values);
         if full {
             self.holdout.record(index, held_out);
         }

@@ -2,6 +2,7 @@
 
 pub mod adjust;
 pub mod budget;
+mod clouds;
 pub mod config;
 pub mod estimate;
 pub mod fit;
@@ -10,7 +11,9 @@ mod initial;
 pub(crate) mod measure;
 pub mod plan;
 mod radiometry;
+pub(crate) mod saturation;
 mod shadow_prior;
+mod swept;
 pub mod training;
 pub mod views;
 
@@ -140,7 +143,11 @@ pub fn dsm(args: &DsmArgs, session: &Session) -> Result<Outcome, CliError> {
         DsmSource::Sweep => {
             let scene = Scene::open(&args.run, &args.ingest.options())?;
             let gsd_m = args.gsd.unwrap_or(scene.gsd_m);
-            let swept = fit::sweep_only(&scene, &SatelliteConfig::resolve("fast", &[], 1)?, session)?;
+            let swept = swept::sweep_only(
+                &scene,
+                &plan::with_plan(&scene, &SatelliteConfig::resolve("fast", &[], 1)?),
+                session,
+            )?;
             let surface = dsm::of_surface(&(&scene).into(), &swept, gsd_m, args.crs.as_deref())?;
             (surface, gsd_m)
         }

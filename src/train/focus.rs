@@ -81,6 +81,7 @@ impl Focus {
             weight: weight.copied().collect(),
             light: view.light,
             appearance: view.appearance,
+            ceiling: view.ceiling.clone(),
             lit: view
                 .lit
                 .as_ref()
@@ -106,6 +107,7 @@ fn coarser(view: &View, factor: usize) -> View {
         camera: view.camera.downscaled(factor),
         light: view.light,
         appearance: view.appearance,
+        ceiling: view.ceiling.clone(),
         lit: view
             .lit
             .as_ref()
@@ -144,6 +146,7 @@ mod tests {
             light: None,
             appearance: 0,
             lit: None,
+            ceiling: Vec::new(),
             image,
         }
     }

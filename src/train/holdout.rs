@@ -203,6 +203,7 @@ mod tests {
             appearance: 0,
             weight: vec![1.0; size * size],
             lit: None,
+            ceiling: Vec::new(),
         };
         vec![view]
     }

@@ -29,6 +29,7 @@ fn views(site: &Site) -> Vec<View> {
             appearance: 0,
             weight: vec![1.0; width * height],
             lit: None,
+            ceiling: Vec::new(),
             image,
         }
     };

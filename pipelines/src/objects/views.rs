@@ -126,6 +126,7 @@ pub fn view(frame: &Frame, centre: DVec3, preparation: &Preparation, appearance:
             .map(|light| Light::Point((light.position - centre).as_vec3())),
         appearance,
         lit: None,
+        ceiling: Vec::new(),
         image,
     })
 }

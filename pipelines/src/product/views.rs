@@ -3,7 +3,7 @@
 use super::shadow_mask::Evidence;
 use crate::evaluate::image::{ImageScore, score_image};
 use crate::run::{LoadedModel, ModelImage};
-use crate::satellite::views;
+use crate::satellite::{saturation, views};
 use glam::Vec3;
 use heliosplat::light::Light;
 use heliosplat::model::Context;
@@ -159,8 +159,8 @@ fn fit_band(albedo: &[f32], sunlight: &[f32], truth: &[f32], width: usize) -> Ba
     BandLight([solution.x, solution.y, solution.z])
 }
 
-/// Scores of a rendered view against its pixels; on its right half only where colours were fitted to the left one. `rgb` as in
-/// [`score_image`].
+/// Scores of a rendered view, clipped as its pixels are, against them; on its right half only where colours were fitted to the left
+/// one. `rgb` as in [`score_image`].
 pub fn score(rendered: &RenderedView, truth: &Raster, rgb: Option<[usize; 3]>) -> Option<ImageScore> {
     let mut truth = truth.clone();
     if rendered.colour == Colouring::LeftHalf {
@@ -171,5 +171,11 @@ pub fn score(rendered: &RenderedView, truth: &Raster, rgb: Option<[usize; 3]>) -
             }
         }
     }
-    score_image(&rendered.image, &truth, rgb)
+    let mut image = rendered.image.clone();
+    for (band, ceiling) in saturation::ceilings(&truth).into_iter().enumerate() {
+        // NaN stays.
+        let above = image.plane_mut(band).iter_mut().filter(|value| **value > ceiling);
+        above.for_each(|value| *value = ceiling);
+    }
+    score_image(&image, &truth, rgb)
 }

@@ -61,6 +61,10 @@ pub struct Prepared {
     pub surface: Surface,
     /// Pointing corrections, pixels.
     pub shifts_px: Vec<[f32; 2]>,
+    /// Ground points that ties between the images agree on, metres of the scene's frame.
+    pub ties_m: Vec<glam::Vec3>,
+    /// The pixels of each image that show clouds; empty where there are none.
+    pub clouds: Vec<Vec<bool>>,
     /// Seconds spent on alignment and on the sweep.
     pub seconds: [f64; 2],
 }

@@ -58,6 +58,8 @@ pub struct StartOptions {
     pub wall_pitch_cells: f32,
     /// Share of the images that must show a cell for Gaussians to start there; two always must.
     pub coverage: f64,
+    /// Whether Gaussians start at tie points that the surface misses.
+    pub ties: bool,
     /// Ground added around the area, metres, so that shadows can fall into it.
     pub margin_m: f64,
 }
@@ -73,6 +75,7 @@ impl Default for StartOptions {
             wall_from_m: 2.0,
             wall_pitch_cells: 2.0,
             coverage: 0.4,
+            ties: true,
             margin_m: 4.0,
         }
     }
@@ -131,6 +134,10 @@ impl Default for CameraOptions {
 pub struct ModelOptions {
     /// Per-image affine colour: on when images are of more than one date.
     pub image_colour: Option<bool>,
+    /// Whether clouds are found before anything else and left out: with enough views, unless said.
+    pub clouds: Option<bool>,
+    /// Whether values that images clip count as "at least": where some are clipped, unless said.
+    pub saturation: Option<bool>,
     /// Near-surface light in shadows, per Gaussian.
     pub near_light: bool,
     /// Largest degree of the spherical harmonics by which albedo (and near-surface light) changes with the viewing direction, 0 to 3;
@@ -155,6 +162,8 @@ impl Default for ModelOptions {
     fn default() -> Self {
         Self {
             image_colour: None,
+            clouds: None,
+            saturation: None,
             near_light: false,
             sh_degree: 0,
             facing: true,

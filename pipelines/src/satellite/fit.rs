@@ -1,24 +1,22 @@
 //! From a scene to a trained model: align, sweep, start, train.
 
-use super::adjust::{self, AdjustInput};
 use super::budget::{Budget, Pace};
-use super::config::{Align, PointingMethod, SatelliteConfig};
+use super::config::SatelliteConfig;
 use super::ground::Ground;
 use super::shadow_prior::{self, MaskError};
+use super::swept::Swept;
 use super::views;
-use super::{estimate, initial, measure, radiometry};
+use super::{clouds, estimate, initial, measure, radiometry};
 use crate::cli::Session;
 use crate::run::checkpoint::{CheckpointError, Keeper, Kept, Prepared};
 use crate::scene::{Area, Scene, SceneImage};
 use glam::Vec3;
+use heliosplat::ProjectiveCamera;
 use heliosplat::model::shadow_gs::{ShadowGs, ShadowGsOptions};
 use heliosplat::model::{Parameters, SceneModel, View};
 use heliosplat::render::PassOptions;
-use heliosplat::start::{Surface, SweepView, align::estimate_shifts, sweep::sweep};
+use heliosplat::start::Surface;
 use heliosplat::train::{EarlyStop, StepReport, TrainError, TrainOptions, Trainer};
-use heliosplat::{ProjectiveCamera, Raster};
-use heliosplat_rpc::RpcError;
-use heliosplat_rpc::adjust::BiasModel;
 use std::collections::BTreeMap;
 use std::time::Instant;
 
@@ -116,6 +114,8 @@ pub struct Fitted {
     pub images: Vec<String>,
     /// Pointing corrections, pixels, in that order.
     pub shifts_px: Vec<[f32; 2]>,
+    /// Share of each image that is left out because clouds hide the ground there, 0 to 1, in that order.
+    pub clouded: Vec<f64>,
     /// The surface that training started from.
     pub surface: Surface,
     /// How training ended.
@@ -132,40 +132,6 @@ pub struct Fitted {
     pub memory_estimate: f64,
 }
 
-/// Corrections of the images' pointing, pixels; zero where the configuration or the estimate says so.
-fn align(ground: &Ground, rasters: &[Raster], config: &SatelliteConfig, gsd_m: f64) -> Vec<[f32; 2]> {
-    let none = vec![[0.0; 2]; ground.images.len()];
-    if config.cameras.align == Align::Off {
-        return none;
-    }
-    let views = ground.sweep_views(rasters, &none);
-    let by_shifts = || estimate_shifts(&views, &ground.request(config.start.cell_gsd * gsd_m));
-    let shifts = match config.cameras.method {
-        PointingMethod::Shifts => by_shifts(),
-        PointingMethod::Ties => shifts_by_ties(ground, &views, gsd_m).unwrap_or_else(|error| {
-            tracing::warn!("whole images are compared, because ties do not tell: {error}");
-            by_shifts()
-        }),
-    };
-    let largest = shifts.iter().flatten().fold(0.0f32, |a, &b| a.max(b.abs()));
-    tracing::info!(largest_px = largest, "pointing of the images relative to each other");
-    if config.cameras.align == Align::On || largest > config.cameras.threshold_px {
-        shifts
-    } else {
-        none
-    }
-}
-
-fn shifts_by_ties(ground: &Ground, views: &[SweepView], gsd_m: f64) -> Result<Vec<[f32; 2]>, RpcError> {
-    // Patches of whole pixels, however coarse the model's cells are.
-    let input = AdjustInput {
-        ground,
-        views,
-        cell_m: gsd_m,
-    };
-    Ok(adjust::shifts(&input.adjust(BiasModel::Translation, &|_| {})?))
-}
-
 /// The image whose colour is the model's: the one under the highest sun, where least lies in shadow.
 fn reference(images: &[&SceneImage]) -> usize {
     let elevation = |i: usize| images[i].sun.elevation_rad;
@@ -179,75 +145,6 @@ pub fn nadir_camera(area: &Area, gsd_m: f64) -> ProjectiveCamera {
     let size = |length: f64| ((length / gsd_m).round() as usize).max(1);
     let size = (size(area.east_m - area.west_m), size(area.north_m - area.south_m));
     ProjectiveCamera::nadir(area.west_m + 0.5 * gsd_m, area.north_m - 0.5 * gsd_m, gsd_m, size)
-}
-
-/// A scene's surface before any training, and what it was found with.
-struct Swept<'a> {
-    ground: Ground<'a>,
-    surface: Surface,
-    /// Number of bands of the images.
-    bands: usize,
-    /// Pointing corrections, pixels.
-    shifts_px: Vec<[f32; 2]>,
-    /// Seconds spent on alignment and on the sweep.
-    seconds: [f64; 2],
-}
-
-impl<'a> Swept<'a> {
-    fn new(scene: &'a Scene, config: &SatelliteConfig, session: &Session) -> Result<Self, FitError> {
-        let started = Instant::now();
-        let ground = Ground::new(scene, scene.training(), config.start.margin_m)?;
-        let rasters = ground.rasters();
-        let shifts_px = align(&ground, &rasters, config, scene.gsd_m);
-        let aligned = started.elapsed();
-        let bands = rasters.first().map_or(0, |raster| raster.bands);
-        let request = ground.request(config.start.cell_gsd * scene.gsd_m);
-        let progress = session.progress("sweep", 100);
-        let indices = ground.vegetation_indices(&rasters);
-        let mut views = ground.sweep_views(&rasters, &shifts_px);
-        for (view, index) in views.iter_mut().zip(indices.iter().flatten()) {
-            view.index = Some(index);
-        }
-        let surface = sweep(&views, &request, &|share| progress.set((100.0 * share) as u64));
-        Ok(Self {
-            surface,
-            bands,
-            ground,
-            shifts_px,
-            seconds: [aligned.as_secs_f64(), (started.elapsed() - aligned).as_secs_f64()],
-        })
-    }
-
-    /// The same as it was found out before; `None` where it is not of this scene.
-    fn again(scene: &'a Scene, config: &SatelliteConfig, prepared: Prepared) -> Result<Option<Self>, FitError> {
-        let ground = Ground::new(scene, scene.training(), config.start.margin_m)?;
-        let fits = prepared.shifts_px.len() == ground.images.len() && prepared.surface.is_whole();
-        let bands = ground.images.first().map_or(0, |image| image.pixels.bands);
-        Ok(fits.then_some(Self {
-            ground,
-            surface: prepared.surface,
-            bands,
-            shifts_px: prepared.shifts_px,
-            seconds: prepared.seconds,
-        }))
-    }
-
-    /// What need not be found out again.
-    fn prepared(&self) -> Prepared {
-        Prepared {
-            surface: self.surface.clone(),
-            shifts_px: self.shifts_px.clone(),
-            seconds: self.seconds,
-        }
-    }
-}
-
-/// The surface that all views of `scene` find together, without training.
-///
-/// # Errors
-/// [`FitError::TooFewViews`] when too few images show the common ground.
-pub fn sweep_only(scene: &Scene, config: &SatelliteConfig, session: &Session) -> Result<Surface, FitError> {
-    Swept::new(scene, config, session).map(|swept| swept.surface)
 }
 
 /// Fits a model to `scene`, or goes on from where a fit of it was interrupted; `keeper` keeps its state meanwhile.
@@ -269,41 +166,32 @@ pub fn fit(
         Some(prepared) => Swept::again(scene, config, prepared)?,
         None => None,
     };
-    let swept = match again {
+    let Swept { ground, found } = match again {
         Some(swept) => swept,
         None => Swept::new(scene, config, session)?,
     };
-    keeper.prepared = Some(swept.prepared());
+    keeper.prepared = Some(found.clone());
     keeper.course = course.unwrap_or_default();
-    let Swept {
-        ground,
+    let Prepared {
         surface,
-        bands,
         mut shifts_px,
+        ties_m,
+        clouds,
         seconds: [align_s, sweep_s],
-    } = swept;
+    } = found;
     let swept = Instant::now();
 
-    let image_colour = config.model.image_colour.unwrap_or(ground.images.len() > 1);
-    let model = ShadowGs::new(ShadowGsOptions {
-        bands,
-        images: ground.images.len(),
-        reference: reference(&ground.images),
-        image_colour,
-        near_light: config.model.near_light,
-        degree: config.model.sh_degree,
-        facing: config.model.facing,
-        opaqueness_weight: config.model.opaqueness_weight,
-        // The plan has decided it by now.
-        prior_weight: match config.model.shadow_prior {
-            Some(true) => config.model.prior_weight,
-            _ => 0.0,
-        },
-        pointing: config.cameras.refine,
-    });
+    let model = model(&ground, config);
     let covered = ground.covered(&surface, config.start.coverage);
+    let ties: &[Vec3] = if config.start.ties { &ties_m } else { &[] };
     let mut parameters = Parameters {
-        gaussians: initial::gaussians_on(&surface, &covered, &config.start, model.feature_groups()),
+        gaussians: initial::Start {
+            surface: &surface,
+            covered: &covered,
+            ties,
+            options: &config.start,
+        }
+        .gaussians(model.feature_groups()),
         globals: model.initial_globals(config.model.sky),
     };
     tracing::info!(
@@ -312,8 +200,11 @@ pub fn fit(
         "start"
     );
     let mut views: Vec<View> = (0..ground.images.len())
-        .map(|i| views::view(ground.images[i], &ground.crops[i], shifts_px[i], i))
+        .map(|i| views::view(ground.images[i], &ground.crops[i], &clouds[i], shifts_px[i], i))
         .collect();
+    if config.model.saturation != Some(true) {
+        views.iter_mut().for_each(|view| view.ceiling.clear());
+    }
     if model.options.prior_weight > 0.0 {
         give_priors(&mut views, &ground, &surface, config)?;
     }
@@ -354,6 +245,7 @@ pub fn fit(
         model,
         images: ground.images.iter().map(|image| image.name.clone()).collect(),
         shifts_px,
+        clouded: clouds.iter().map(|mask| clouds::share(mask)).collect(),
         surface,
         seconds: [
             align_s,
@@ -361,6 +253,27 @@ pub fn fit(
             initialised.as_secs_f64(),
             (swept.elapsed() - initialised).as_secs_f64(),
         ],
+    })
+}
+
+/// The model of the images of `ground`.
+fn model(ground: &Ground, config: &SatelliteConfig) -> ShadowGs {
+    let images = ground.images.len();
+    ShadowGs::new(ShadowGsOptions {
+        bands: ground.images.first().map_or(0, |image| image.pixels.bands),
+        images,
+        reference: reference(&ground.images),
+        // The plan has decided these by now.
+        image_colour: config.model.image_colour.unwrap_or(images > 1),
+        prior_weight: match config.model.shadow_prior {
+            Some(true) => config.model.prior_weight,
+            _ => 0.0,
+        },
+        near_light: config.model.near_light,
+        degree: config.model.sh_degree,
+        facing: config.model.facing,
+        opaqueness_weight: config.model.opaqueness_weight,
+        pointing: config.cameras.refine,
     })
 }
 

@@ -5,6 +5,7 @@
 //! * A sweep makes roofs a cell or two too wide and roofs over narrow alleys. Near a step, and further where the sweep was in
 //!   doubt, the ground is laid under the roof as well, and the roof starts less opaque: training takes away what
 //!   the images do not show, and the ground is there when it does.
+//! * Tie points between the images are single but sure: where the surface misses one, a disc starts there as well.
 
 use super::config::StartOptions;
 use glam::{Mat3, Quat, Vec3};
@@ -109,61 +110,104 @@ fn lie(surface: &Surface, col: usize, row: usize) -> Quat {
     Quat::from_rotation_arc(Vec3::Z, Vec3::new(-east, -north, 1.0).normalize())
 }
 
-/// The Gaussians of the cells of `surface` that are `covered`; the groups of `features` are zero.
-pub(super) fn gaussians_on(
-    surface: &Surface,
-    covered: &[bool],
-    options: &StartOptions,
-    features: Vec<GroupSpec>,
-) -> Table {
-    let mut discs = Discs {
-        options,
-        cell_m: surface.cell_m,
-        position: Vec::new(),
-        rotation: Vec::new(),
-        log_scale: Vec::new(),
-        opacity: Vec::new(),
-    };
-    let wall_from_m = options.wall_from_m.max(WALL_FROM_STEPS * surface.resolution_m);
-    let floors = (surface.lowest(FLOOR_CELLS.0), surface.lowest(FLOOR_CELLS.1));
-    for cell in (0..covered.len()).filter(|&cell| covered[cell]) {
-        let (col, row) = (cell % surface.width, cell / surface.width);
-        let here = surface.point(col, row);
-        let doubtful = surface.confidence[cell] < DOUBT;
-        let floor_m = if doubtful { floors.1[cell] } else { floors.0[cell] };
-        let above_floor = here.z - floor_m > wall_from_m;
-        let opacity = if above_floor {
-            options.step_opacity
-        } else {
-            options.opacity
+/// What Gaussians start from.
+pub(super) struct Start<'a> {
+    /// The swept surface.
+    pub(super) surface: &'a Surface,
+    /// The cells that get discs.
+    pub(super) covered: &'a [bool],
+    /// Ground points that ties agree on, metres.
+    pub(super) ties: &'a [Vec3],
+    /// How the discs lie.
+    pub(super) options: &'a StartOptions,
+}
+
+impl Start<'_> {
+    /// The Gaussians; the groups of `features` are zero.
+    pub(super) fn gaussians(&self, features: Vec<GroupSpec>) -> Table {
+        let &Self { surface, options, .. } = self;
+        let mut discs = Discs {
+            options,
+            cell_m: surface.cell_m,
+            position: Vec::new(),
+            rotation: Vec::new(),
+            log_scale: Vec::new(),
+            opacity: Vec::new(),
         };
-        let top = Disc {
-            centre: here,
-            rotation: lie(surface, col, row),
-            extent_cells: [1.0; 2],
-            opacity,
-        };
-        discs.add(&top);
-        if above_floor {
+        self.on_surface(&mut discs);
+        let missed = self.ties.iter().filter(|tie| self.misses(**tie));
+        missed.for_each(|&centre| {
             discs.add(&Disc {
-                centre: Vec3::new(here.x, here.y, floor_m),
+                centre,
                 rotation: Quat::IDENTITY,
-                opacity: options.opacity,
-                ..top
+                extent_cells: [1.0; 2],
+                opacity: options.step_opacity,
             });
-        }
-        if let Some(step) = step_at(surface, col, row).filter(|step| step.drop_m > wall_from_m) {
-            discs.add_wall(here, &step, opacity);
+        });
+        let mut groups = core_groups();
+        groups.extend(features);
+        let mut table = Table::zeros(groups, discs.opacity.len());
+        table.group_mut(POSITION).copy_from_slice(&discs.position);
+        table.group_mut(ROTATION).copy_from_slice(&discs.rotation);
+        table.group_mut(LOG_SCALE).copy_from_slice(&discs.log_scale);
+        table.group_mut(OPACITY).copy_from_slice(&discs.opacity);
+        table
+    }
+
+    /// The discs of the covered cells, with their walls and floors.
+    fn on_surface(&self, discs: &mut Discs) {
+        let &Self {
+            surface,
+            covered,
+            options,
+            ..
+        } = self;
+        let wall_from_m = options.wall_from_m.max(WALL_FROM_STEPS * surface.resolution_m);
+        let floors = (surface.lowest(FLOOR_CELLS.0), surface.lowest(FLOOR_CELLS.1));
+        for cell in (0..covered.len()).filter(|&cell| covered[cell]) {
+            let (col, row) = (cell % surface.width, cell / surface.width);
+            let here = surface.point(col, row);
+            let doubtful = surface.confidence[cell] < DOUBT;
+            let floor_m = if doubtful { floors.1[cell] } else { floors.0[cell] };
+            let above_floor = here.z - floor_m > wall_from_m;
+            let opacity = if above_floor {
+                options.step_opacity
+            } else {
+                options.opacity
+            };
+            let top = Disc {
+                centre: here,
+                rotation: lie(surface, col, row),
+                extent_cells: [1.0; 2],
+                opacity,
+            };
+            discs.add(&top);
+            if above_floor {
+                discs.add(&Disc {
+                    centre: Vec3::new(here.x, here.y, floor_m),
+                    rotation: Quat::IDENTITY,
+                    opacity: options.opacity,
+                    ..top
+                });
+            }
+            if let Some(step) = step_at(surface, col, row).filter(|step| step.drop_m > wall_from_m) {
+                discs.add_wall(here, &step, opacity);
+            }
         }
     }
-    let mut groups = core_groups();
-    groups.extend(features);
-    let mut table = Table::zeros(groups, discs.opacity.len());
-    table.group_mut(POSITION).copy_from_slice(&discs.position);
-    table.group_mut(ROTATION).copy_from_slice(&discs.rotation);
-    table.group_mut(LOG_SCALE).copy_from_slice(&discs.log_scale);
-    table.group_mut(OPACITY).copy_from_slice(&discs.opacity);
-    table
+
+    /// Whether the surface, at a tie and in the cells around it, is elsewhere.
+    fn misses(&self, tie: Vec3) -> bool {
+        let surface = self.surface;
+        let Some(cell) = surface.cell_at(tie.x, tie.y).filter(|&cell| self.covered[cell]) else {
+            return false;
+        };
+        let tolerance_m = surface.cell_m.max(2.0 * surface.resolution_m);
+        let near = |at: usize, size: usize| at.saturating_sub(1)..(at + 2).min(size);
+        let mut around = near(cell / surface.width, surface.height)
+            .flat_map(|row| near(cell % surface.width, surface.width).map(move |col| row * surface.width + col));
+        around.all(|near| (surface.altitude[near] - tie.z).abs() > tolerance_m)
+    }
 }
 
 #[cfg(test)]
@@ -185,9 +229,32 @@ mod tests {
         }
     }
 
+    fn gaussians_on(surface: &Surface, covered: &[bool], ties: &[Vec3]) -> Table {
+        let options = &StartOptions::default();
+        let start = Start {
+            surface,
+            covered,
+            ties,
+            options,
+        };
+        start.gaussians(vec![])
+    }
+
+    #[test]
+    fn a_tie_that_the_surface_misses_gets_a_disc_and_others_do_not() {
+        let ground = surface(vec![3.0; 100], 10);
+        let (above, on) = (Vec3::new(2.2, -2.2, 9.0), Vec3::new(2.2, -2.2, 3.1));
+        let (outside, nowhere) = (Vec3::new(-9.0, 0.0, 9.0), Vec3::new(0.2, -0.2, 9.0));
+        let mut covered = [true; 100];
+        covered[0] = false;
+        let table = gaussians_on(&ground, &covered, &[above, on, outside, nowhere]);
+        assert_eq!(table.count, 100);
+        assert_eq!(table.position(99), above);
+    }
+
     #[test]
     fn level_ground_is_one_level_disc_per_cell() {
-        let table = gaussians_on(&surface(vec![3.0; 6], 3), &[true; 6], &StartOptions::default(), vec![]);
+        let table = gaussians_on(&surface(vec![3.0; 6], 3), &[true; 6], &[]);
         assert_eq!(table.count, 6);
         assert_eq!(table.position(4), Vec3::new(0.75, -0.75, 3.0));
         assert!((table.rotation(4) * Vec3::Z - Vec3::Z).length() < 1e-6);
@@ -196,12 +263,7 @@ mod tests {
     #[test]
     fn a_cell_that_few_images_show_gets_no_disc() {
         let covered = [true, false, true, true];
-        let table = gaussians_on(
-            &surface(vec![0.0, 9.0, 0.0, 0.0], 4),
-            &covered,
-            &StartOptions::default(),
-            vec![],
-        );
+        let table = gaussians_on(&surface(vec![0.0, 9.0, 0.0, 0.0], 4), &covered, &[]);
         assert_eq!(table.count, 3);
         assert!((0..3).all(|i| table.position(i).z < 1.0));
     }
@@ -209,7 +271,7 @@ mod tests {
     /// A strip of roof, 6 m up, west of level ground: twenty cells of each.
     fn eaves() -> Table {
         let altitude: Vec<f32> = (0..40).map(|i| if i < 20 { 6.0 } else { 0.0 }).collect();
-        gaussians_on(&surface(altitude, 40), &[true; 40], &StartOptions::default(), vec![])
+        gaussians_on(&surface(altitude, 40), &[true; 40], &[])
     }
 
     #[test]

@@ -195,6 +195,7 @@ pub(super) fn add_fit(metrics: &mut Value, fitted: &Fitted, model: &LoadedModel,
     metrics["peak_rss_bytes"] = json!(peak_rss_bytes());
     metrics["memory_estimate_bytes"] = json!(fitted.memory_estimate);
     metrics["shifts_px"] = json!(fitted.shifts_px);
+    metrics["clouded"] = json!(fitted.clouded);
     metrics["curve"] = json!(fitted.curve);
 }
 

@@ -5,10 +5,11 @@
 
 use super::config::SatelliteConfig;
 use super::shadow_prior::ENOUGH_VIEWS;
-use super::views;
+use super::{saturation, views};
 use crate::scene::{BandKind, Scene, SceneImage};
 use glam::Vec3;
 use heliosplat::start::MANY_VIEWS;
+use heliosplat::start::clouds::FEWEST_VIEWS;
 
 /// One component of the model, whether the scene requires it, and why.
 #[derive(Debug, Clone, PartialEq, serde::Serialize, serde::Deserialize)]
@@ -33,6 +34,8 @@ struct Facts {
     /// Widest ratio of base to height of two images.
     base_to_height: f32,
     near_infrared: bool,
+    /// Share of the values that are clipped.
+    clipped: f64,
     /// Largest difference between the given cameras and the pinhole cameras fitted to them, pixels.
     residual_px: f64,
 }
@@ -59,6 +62,8 @@ impl Facts {
             ),
             base_to_height: bases.fold(0.0, f32::max),
             near_infrared: has(BandKind::Red) && has(BandKind::NearInfrared),
+            clipped: images.iter().map(|image| saturation::share(&image.pixels)).sum::<f64>()
+                / images.len().max(1) as f64,
             residual_px: images.iter().map(|image| image.pinhole.max_px).fold(0.0, f64::max),
         }
     }
@@ -114,6 +119,26 @@ fn items(facts: &Facts, config: &SatelliteConfig) -> Vec<PlanItem> {
                 format!("{dates} dates differ in haze, exposure and season: each image gets an affine colour")
             } else {
                 "all images are of one date: one colour serves".into()
+            },
+        ),
+        decided(
+            "model.clouds",
+            config.model.clouds,
+            images >= FEWEST_VIEWS,
+            if images >= FEWEST_VIEWS {
+                format!("{images} views: what one shows brighter than the others show the ground in the sun is a cloud, and left out")
+            } else {
+                format!("{images} views cannot say which of them shows a cloud")
+            },
+        ),
+        decided(
+            "model.saturation",
+            config.model.saturation,
+            facts.clipped > 0.0,
+            if facts.clipped > 0.0 {
+                format!("{:.2} % of the values are as great as their images can say: the model may be brighter", 100.0 * facts.clipped)
+            } else {
+                "no image is clipped".into()
             },
         ),
         decided(
@@ -200,6 +225,8 @@ pub(super) fn with_plan(scene: &Scene, config: &SatelliteConfig) -> SatelliteCon
     let mut config = config.clone();
     let model = &mut config.model;
     model.image_colour = model.image_colour.or(on("model.image_colour"));
+    model.clouds = model.clouds.or(on("model.clouds"));
+    model.saturation = model.saturation.or(on("model.saturation"));
     model.shadow_prior = model.shadow_prior.or(on("model.shadow_prior"));
     config
 }
@@ -215,6 +242,7 @@ mod tests {
             suns_deg: (35.0, 60.0),
             base_to_height: 0.4,
             near_infrared: true,
+            clipped: 0.0,
             residual_px: 0.01,
         }
     }

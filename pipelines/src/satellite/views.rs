@@ -123,9 +123,11 @@ pub fn grown(area: &Area, margin_m: f64) -> Area {
     }
 }
 
-/// The view of an image; `appearance` is its place among the images with a colour of their own. Every known pixel weighs one.
-pub fn view(image: &SceneImage, crop: &Crop, shift_px: [f32; 2], appearance: usize) -> View {
-    let pixels = crop.cut(&image.pixels);
+/// The view of an image without its `clouds`; `appearance` is its place among the images with a colour of their own. Every known pixel
+/// weighs one.
+pub fn view(image: &SceneImage, crop: &Crop, clouds: &[bool], shift_px: [f32; 2], appearance: usize) -> View {
+    let mut pixels = crop.cut(&image.pixels);
+    super::clouds::blank(&mut pixels, clouds);
     let weight = (0..pixels.plane_len())
         .map(|i| {
             if (0..pixels.bands).all(|b| pixels.plane(b)[i].is_finite()) {
@@ -143,5 +145,6 @@ pub fn view(image: &SceneImage, crop: &Crop, shift_px: [f32; 2], appearance: usi
         appearance,
         weight,
         lit: None,
+        ceiling: super::saturation::ceilings(&image.pixels),
     }
 }

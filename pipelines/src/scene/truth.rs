@@ -10,6 +10,7 @@ pub(super) fn is_truth(path: &Path) -> bool {
     let ends = ["_dsm", "_dtm", "_cls", "_cls_v2", "_agl", "_water"];
     ["dsm", "classes", "albedo", "water"].contains(&name.as_str())
         || name.starts_with("shadow_")
+        || name.starts_with("cloud_")
         || ends.iter().any(|end| name.ends_with(end))
 }
 

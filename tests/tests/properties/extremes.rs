@@ -97,6 +97,7 @@ fn combination(number: u64) -> Combination {
                 appearance: v,
                 weight: vec![1.0; size.0 * size.1],
                 lit: None,
+                ceiling: Vec::new(),
                 camera,
             }
         })
@@ -227,6 +228,7 @@ fn sound() -> (ShadowGs, Vec<View>, Parameters, TrainOptions) {
         appearance: v,
         weight: vec![1.0; 24 * 24],
         lit: None,
+        ceiling: Vec::new(),
         camera: ProjectiveCamera::new(
             [2.0, 0.0, 0.3 * v as f64, 11.5],
             [0.0, -2.0, 0.0, 11.5],
