@@ -82,3 +82,45 @@ fn a_tiny_site_becomes_a_surface_model_near_the_truth() {
     let (alone, start) = (alone.as_f64().expect("a number"), start.as_f64().expect("a number"));
     assert!((alone - start).abs() < 0.02, "{alone} m alone, {start} m in the run");
 }
+
+#[test]
+fn clouds_are_left_out_of_the_images_that_have_them_and_of_no_other() {
+    let folder = tempfile::tempdir().expect("a temporary folder");
+    let (scene, run) = (folder.path().join("scene"), folder.path().join("run"));
+    let arg = |path: &Path| path.to_str().expect("an UTF-8 path").to_owned();
+    let scene_arg = arg(&scene);
+    json(&[
+        "synth",
+        "satellite",
+        "--site",
+        "tiny",
+        "--seed",
+        "2",
+        "--clouds",
+        "2",
+        "--out",
+        &scene_arg,
+    ]);
+    let masks = std::fs::read_dir(scene.join("truth")).expect("the truth of the scene");
+    let clouded = |name: std::ffi::OsString| name.to_string_lossy().starts_with("cloud_");
+    assert_eq!(masks.flatten().filter(|file| clouded(file.file_name())).count(), 2);
+    let train = [
+        "train",
+        &scene_arg,
+        "--preset",
+        "fast",
+        "--set",
+        "train.iterations=6",
+        "--out",
+    ];
+    json(&[&train[..], &[&arg(&run)]].concat());
+    let shares: Vec<f64> =
+        serde_json::from_value(metrics(&run)["clouded"].clone()).expect("a share for each image trained on");
+    assert_eq!(shares.len(), 6);
+    let found = shares.iter().filter(|share| **share > 0.05);
+    assert_eq!(found.count(), 2, "{shares:?}");
+    assert!(
+        shares.iter().all(|share| *share == 0.0 || (0.05..0.4).contains(share)),
+        "{shares:?}"
+    );
+}
