@@ -97,11 +97,11 @@ pub fn light_bytes(model: &ModelOptions, bands: usize) -> f64 {
     TABLES * 4.0 * ((parts * functions(model.sh_degree) - 1) * bands) as f64
 }
 
-/// The most Gaussians that `bytes` of memory hold in training.
-pub fn gaussians_within(bytes: f64, views: usize, bands: usize, pixels: f64) -> f64 {
-    let fixed = training_bytes(0.0, views, bands, pixels);
-    let each = training_bytes(1.0, views, bands, pixels) - fixed;
-    ((bytes - fixed) / each).max(0.0)
+/// The most Gaussians that `limit` bytes hold, where `bytes` says how much so many take: each as much as the next.
+pub fn gaussians_within(limit: f64, bytes: impl Fn(f64) -> f64) -> f64 {
+    let fixed = bytes(0.0);
+    let each = bytes(1.0) - fixed;
+    ((limit - fixed) / each).max(0.0)
 }
 
 /// What decides how much a training takes, besides its configuration.
@@ -207,9 +207,9 @@ mod tests {
 
     #[test]
     fn what_fits_is_what_was_asked_for() {
-        let bytes = training_bytes(1e6, 10, 4, 2.5e5);
-        assert!((gaussians_within(bytes, 10, 4, 2.5e5) - 1e6).abs() < 1.0);
-        assert!(gaussians_within(1e6, 10, 4, 2.5e5) == 0.0);
+        let bytes = |gaussians: f64| training_bytes(gaussians, 10, 4, 2.5e5);
+        assert!((gaussians_within(bytes(1e6), bytes) - 1e6).abs() < 1.0);
+        assert!(gaussians_within(1e6, bytes) == 0.0);
     }
 
     #[test]

@@ -316,10 +316,12 @@ fn fit_into_memory(
     let largest = views.iter().map(pixels).fold(0.0, f64::max);
     let bands = views.first().map_or(0, |v| v.image.bands);
     let held = estimate::held_bytes(scene) + estimate::copies_bytes(views.iter().map(pixels).sum(), bands);
-    let bytes = |gaussians: f64| held + estimate::training_bytes(gaussians, views.len(), bands, largest);
+    let light = estimate::light_bytes(&config.model, bands);
+    let bytes =
+        |gaussians: f64| held + estimate::training_bytes(gaussians, views.len(), bands, largest) + gaussians * light;
     estimate::must_fit(bytes(count as f64), limit, config)?;
     if let Some(limit) = limit {
-        let most = estimate::gaussians_within(limit as f64 - held, views.len(), bands, largest);
+        let most = estimate::gaussians_within(limit as f64, bytes);
         options.density.cap = options.density.cap.min(most as usize);
     }
     let grown = count as f64 * options.growth();
