@@ -31,6 +31,10 @@ const LEAST_M2: f32 = 64.0;
 const EDGE_M: f32 = 4.0;
 /// Of so many views besides, one may be clouded as well where the ground in the sun is asked for.
 const VIEWS_PER_CLOUD: usize = 8;
+/// Standard deviations beyond which a value has no say in the robust line (Beaton and Tukey 1974: 95 % efficient on a bell curve).
+const BIWEIGHT: f64 = 4.7;
+/// Standard deviations of a bell curve in its median absolute deviation.
+const DEVIATION_OF_MEDIAN: f64 = 1.48;
 /// Rounds of the robust line.
 const ROUNDS: usize = 8;
 
@@ -195,7 +199,7 @@ fn line(from: &[f32], to: &[f32]) -> (f32, f32) {
             .iter()
             .map(|(x, y)| (y - gain * x - offset).abs() as f32)
             .collect();
-        let Some(scale) = middle(&mut off).map(|m| 4.7 * 1.48 * f64::from(m).max(1e-6)) else {
+        let Some(scale) = middle(&mut off).map(|m| BIWEIGHT * DEVIATION_OF_MEDIAN * f64::from(m).max(1e-6)) else {
             break;
         };
         let [mut n, mut sx, mut sy, mut sxx, mut sxy] = [0.0; 5];
