@@ -6,7 +6,7 @@ pub(crate) const MAGIC: f32 = 12_582_912.0;
 
 /// The whole part of a number from 0 to below 2²², as a number and as an integer; conversions are slow in lanes.
 #[inline(always)]
-pub(crate) fn floor(x: f32) -> (f32, u32) {
+pub fn floor(x: f32) -> (f32, u32) {
     let nearest = (x + MAGIC) - MAGIC;
     let whole = if nearest > x { nearest - 1.0 } else { nearest };
     (whole, (whole + MAGIC).to_bits() & 0x003f_ffff)
@@ -14,7 +14,7 @@ pub(crate) fn floor(x: f32) -> (f32, u32) {
 
 /// An integer below 2²² as a number.
 #[inline(always)]
-pub(crate) fn number(n: u32) -> f32 {
+pub fn number(n: u32) -> f32 {
     f32::from_bits(MAGIC.to_bits() | n) - MAGIC
 }
 

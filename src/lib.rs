@@ -14,7 +14,6 @@ pub mod render;
 pub mod shade;
 pub mod simd;
 pub mod splat;
-pub mod start;
 pub mod trace;
 pub mod train;
 

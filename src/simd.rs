@@ -68,6 +68,7 @@ pub fn level() -> Level {
 
 /// Makes a function of plain loops one that is compiled for every level and chosen when called. What it calls takes part only
 /// when it is inlined.
+#[macro_export]
 macro_rules! vectorised {
     (
         $(#[$meta:meta])*
@@ -111,8 +112,6 @@ macro_rules! vectorised {
         }
     };
 }
-pub(crate) use vectorised;
-
 /// Asks the cache for `items[index]`, which may lie beyond the end: then nothing happens.
 #[inline(always)]
 pub(crate) fn prefetch<T>(items: &[T], index: usize) {

@@ -1,10 +1,10 @@
 //! Both estimates of the images' pointing on synthetic scenes, against the biases they were made with:
 //! `cargo run --release --example compare_pointing -- SCENE...`
 
-use heliosplat::start::align::estimate_shifts;
 use heliosplat_pipelines::satellite::adjust::{AdjustInput, ground, shifts, truth::camera_error};
 use heliosplat_pipelines::scene::Scene;
 use heliosplat_rpc::adjust::BiasModel;
+use heliosplat_stereo::align::estimate_shifts;
 use std::path::PathBuf;
 use std::time::Instant;
 

@@ -1,7 +1,7 @@
 //! `(1-λ) L1 + λ (1 - SSIM)`, masked; SSIM after Wang et al. 2004 with a Gaussian window of 11 pixels, σ 1.5.
 
 use crate::raster::Raster;
-use crate::simd::vectorised;
+use crate::vectorised;
 use rayon::prelude::*;
 
 /// Half size of the window, pixels.

@@ -4,7 +4,7 @@
 //! its gradient. Products of matrices follow the engine's contract (a fixed order of sums, no contraction), so results are the same
 //! bits for any number of threads and any set of instructions; crates for such products promise neither.
 
-use crate::simd::vectorised;
+use crate::vectorised;
 use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg32;
 use rayon::prelude::*;

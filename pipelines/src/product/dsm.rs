@@ -10,9 +10,9 @@ use crate::scene::{Area, Scene};
 use glam::DVec3;
 use heliosplat::render::{Rendering, render};
 use heliosplat::splat::Maps;
-use heliosplat::start::Surface;
 use heliosplat::{ProjectiveCamera, Raster};
 use heliosplat_rpc::LocalFrame;
+use heliosplat_stereo::Surface;
 use std::path::Path;
 
 /// Alpha below which a pixel has no altitude.

@@ -6,8 +6,8 @@
 use crate::raster::RasterError;
 use crate::raster::write::{remove_leftovers, write_atomically_with};
 use crate::satellite::fit::CurvePoint;
-use heliosplat::start::Surface;
 use heliosplat::train::{STATE_VERSION, StateError, Trainer, TrainerState};
+use heliosplat_stereo::Surface;
 use sha2::{Digest, Sha256};
 use std::borrow::Cow;
 use std::io::{BufWriter, Write};

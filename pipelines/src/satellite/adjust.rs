@@ -16,10 +16,10 @@ use super::fit::FitError;
 use super::ground::Ground;
 use crate::scene::Scene;
 use glam::Vec3;
-use heliosplat::start::ties::{Tie, TieOptions, find_ties};
-use heliosplat::start::{SweepView, align::coarse_shifts};
 use heliosplat_rpc::adjust::{AdjustImage, AdjustOptions, Adjustment, BiasModel, Sighting, Track, adjust};
 use heliosplat_rpc::{ImagePoint, RpcError};
+use heliosplat_stereo::ties::{Tie, TieOptions, find_ties};
+use heliosplat_stereo::{SweepView, align::coarse_shifts};
 use nalgebra::Vector3;
 
 /// Ties sought at half resolution, and at full.

@@ -2,7 +2,7 @@
 
 use super::ground::Ground;
 use heliosplat::Raster;
-use heliosplat::start::clouds::find_clouds;
+use heliosplat_stereo::clouds::find_clouds;
 
 /// The pixels of each crop of `ground` that show clouds; empty where there are none. `cell_m` is the width of the sweep's cells.
 pub(super) fn find(ground: &Ground, rasters: &[Raster], cell_m: f64) -> Vec<Vec<bool>> {

@@ -10,8 +10,8 @@ use super::views;
 use crate::scene::{Area, Scene};
 use heliosplat::rates::{Descent, Site};
 use heliosplat::shade::sh::functions;
-use heliosplat::start::MANY_VIEWS;
 use heliosplat::train::TrainOptions;
+use heliosplat_stereo::MANY_VIEWS;
 use std::time::Instant;
 
 /// Gaussians per cell of the ground grid: walls and doubtful ground add to one each (1.3 to 2.3 were seen).

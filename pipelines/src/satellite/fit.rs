@@ -15,8 +15,8 @@ use heliosplat::ProjectiveCamera;
 use heliosplat::model::shadow_gs::{ShadowGs, ShadowGsOptions};
 use heliosplat::model::{Parameters, SceneModel, View};
 use heliosplat::render::PassOptions;
-use heliosplat::start::Surface;
 use heliosplat::train::{EarlyStop, StepReport, TrainError, TrainOptions, Trainer};
+use heliosplat_stereo::Surface;
 use std::collections::BTreeMap;
 use std::time::Instant;
 

@@ -5,8 +5,8 @@ use super::views::{self, Crop};
 use crate::scene::bands::{vegetation_bands, vegetation_index};
 use crate::scene::{Area, Scene, SceneImage};
 use heliosplat::Raster;
-use heliosplat::start::{Surface, SweepOptions, SweepRequest, SweepView};
 use heliosplat_rpc::LocalFrame;
+use heliosplat_stereo::{Surface, SweepOptions, SweepRequest, SweepView};
 use rayon::prelude::*;
 
 /// Cells around a cell among which the lowest is its ground.

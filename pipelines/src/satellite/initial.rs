@@ -10,7 +10,7 @@
 use super::config::StartOptions;
 use glam::{Mat3, Quat, Vec3};
 use heliosplat::gaussians::{GroupSpec, LOG_SCALE, OPACITY, POSITION, ROTATION, Table, core_groups, logit};
-use heliosplat::start::Surface;
+use heliosplat_stereo::Surface;
 
 /// Slopes beyond this are steps, not slopes: the disc stays level there.
 const STEEPEST: f32 = 1.5;

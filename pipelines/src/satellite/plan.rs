@@ -8,8 +8,8 @@ use super::shadow_prior::ENOUGH_VIEWS;
 use super::{saturation, views};
 use crate::scene::{BandKind, Scene, SceneImage};
 use glam::Vec3;
-use heliosplat::start::MANY_VIEWS;
-use heliosplat::start::clouds::FEWEST_VIEWS;
+use heliosplat_stereo::MANY_VIEWS;
+use heliosplat_stereo::clouds::FEWEST_VIEWS;
 
 /// One component of the model, whether the scene requires it, and why.
 #[derive(Debug, Clone, PartialEq, serde::Serialize, serde::Deserialize)]

@@ -11,8 +11,8 @@ use crate::raster::file::RasterFile;
 use crate::scene::bands::{VEGETATION_INDEX, normalised_difference, vegetation_index};
 use crate::scene::{BandKind, SceneImage};
 use glam::{Vec2, Vec3};
-use heliosplat::start::Surface;
 use heliosplat::{ProjectiveCamera, Raster};
+use heliosplat_stereo::Surface;
 use rayon::prelude::*;
 use std::path::{Path, PathBuf};
 

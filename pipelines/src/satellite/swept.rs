@@ -10,9 +10,9 @@ use crate::run::checkpoint::Prepared;
 use crate::scene::Scene;
 use glam::Vec3;
 use heliosplat::Raster;
-use heliosplat::start::{Surface, SweepView, align::estimate_shifts, sweep::sweep};
 use heliosplat_rpc::RpcError;
 use heliosplat_rpc::adjust::BiasModel;
+use heliosplat_stereo::{Surface, SweepView, align::estimate_shifts, sweep::sweep};
 use std::time::Instant;
 
 /// A scene's surface before any training, and what it was found with.

@@ -7,9 +7,9 @@ use super::{
     BATCH, GEOMETRY, GROUPS, Groups, LANES, LOG2_ALPHA_MAX, Lane, Met, PLANE, Plane, TileFrame, TileGradients,
     announce, exp2, fetch, finished, load, store,
 };
-use crate::simd::vectorised;
 use crate::splat::bins::Entry;
 use crate::splat::project::Splat;
+use crate::vectorised;
 
 /// Most channels that are composited at once.
 const K_MAX: usize = 16;

@@ -1,9 +1,9 @@
 //! Front to back over one tile: what each splat adds to the maps.
 
 use super::{BATCH, Groups, LANES, MEDIAN, Met, TileFrame, TileMaps, announce, fetch, finished, load, store};
-use crate::simd::vectorised;
 use crate::splat::bins::Entry;
 use crate::splat::project::Splat;
+use crate::vectorised;
 
 vectorised! {
     /// Composites `list` (front to back) into `maps`, which it empties first; `features[s * K + k]` are the splats' channels.

@@ -4,7 +4,7 @@ use super::{ALPHA_MIN, DEPTH_FILTER_PX2, ProjectionOptions, Splat, SplatGradient
 use crate::camera::ProjectiveCamera;
 use crate::fast;
 use crate::gaussians::{CoreGradient, LOG_SCALE, OPACITY, POSITION, ROTATION, Table};
-use crate::simd::vectorised;
+use crate::vectorised;
 use glam::{Mat3, Vec3};
 
 /// Gaussians at once.

@@ -1,9 +1,10 @@
 //! The inner loops of the hierarchy: a bundle of rays past one Gaussian after another.
 
-use crate::simd::{prefetch, vectorised};
+use crate::simd::prefetch;
 use crate::trace::bvh::Occluder;
 use crate::trace::light_ray::LightRay;
 use crate::trace::transmittance::{Shade, attenuation};
+use crate::vectorised;
 use glam::{Mat3, Vec3};
 
 /// Rays that are worked on together.

@@ -3,8 +3,8 @@
 use super::cells::Cells;
 use super::ellipse::{Block, Ellipse, LANES, Lane, Moments, pull, whitened};
 use super::{CHUNK, PlaneRay, PlaneTrace};
-use crate::simd::vectorised;
 use crate::trace::transmittance::{Shade, attenuation};
+use crate::vectorised;
 use glam::{Vec2, Vec3};
 use rayon::prelude::*;
 use std::ops::Range;

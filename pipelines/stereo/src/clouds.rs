@@ -14,7 +14,7 @@ use super::settle;
 use super::sweep::SweepRequest;
 use super::views::{LevelView, SweepView};
 use super::visibility::FirstHits;
-use crate::Raster;
+use heliosplat::Raster;
 use rayon::prelude::*;
 
 /// Fewer views cannot say which of them is right.
@@ -261,9 +261,9 @@ fn paint(view: &SweepView, grid: &Grid, cell: usize, altitude_m: f32, mask: &mut
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::ProjectiveCamera;
-    use crate::start::SweepOptions;
+    use crate::SweepOptions;
     use glam::{DVec3, Vec3};
+    use heliosplat::ProjectiveCamera;
 
     const SIDE_PX: usize = 128;
 

@@ -1,8 +1,8 @@
 //! The census transform: which neighbours are darker than the centre. It survives any monotone change of brightness,
 //! so exposure, haze and season move it little (Zabih & Woodfill 1994).
 
-use crate::fast::{floor, number};
-use crate::simd::vectorised;
+use heliosplat::fast::{floor, number};
+use heliosplat::vectorised;
 
 /// Cells from the centre to the edge of the window.
 pub(super) const RADIUS: usize = 3;

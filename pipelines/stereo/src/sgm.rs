@@ -4,7 +4,7 @@
 //! it enters; levels that cell did not consider can only be reached by the large penalty.
 
 use super::bands::Bands;
-use crate::simd::vectorised;
+use heliosplat::vectorised;
 use rayon::prelude::*;
 
 /// Path costs stay far below this: 255 plus the large penalty.

@@ -1,9 +1,9 @@
 //! What the sweep sees of a view: one band, at the resolution of the grid.
 
-use crate::fast::floor;
-use crate::simd::vectorised;
-use crate::{ProjectiveCamera, Raster};
 use glam::{Vec2, Vec3};
+use heliosplat::fast::floor;
+use heliosplat::vectorised;
+use heliosplat::{ProjectiveCamera, Raster};
 
 /// One image with its camera, in the frame of the request.
 #[derive(Debug, Clone, Copy)]

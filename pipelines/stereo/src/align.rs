@@ -10,8 +10,8 @@ use super::pairs::Pair;
 use super::search::Search;
 use super::sweep::SweepRequest;
 use super::views::SweepView;
-use crate::ProjectiveCamera;
 use glam::{DMat2, DMat3, DVec2, DVec3, Vec3};
+use heliosplat::ProjectiveCamera;
 use rayon::prelude::*;
 
 /// Offsets looked at, cells of the level each way.
