@@ -1,0 +1,168 @@
+//! Values of arguments: what they look like, and what is said when they do not.
+
+use heliosplat_scene::AreaRequest;
+use std::time::Duration;
+
+/// `A,B`: two numbers.
+///
+/// # Errors
+/// A message for the user.
+pub fn pair(text: &str) -> Result<[f64; 2], String> {
+    let numbers = numbers(text)?;
+    <[f64; 2]>::try_from(numbers).map_err(|_| "expected two numbers, as in 10,20".to_owned())
+}
+
+/// `WEST,SOUTH,EAST,NORTH`, degrees, or with `,EPSG:N` at the end coordinates of that system.
+///
+/// # Errors
+/// A message for the user.
+pub fn area(text: &str) -> Result<AreaRequest, String> {
+    let (bounds, crs) = match text.split_once(",EPSG:") {
+        Some((bounds, number)) => (bounds, Some(format!("EPSG:{}", number.trim()))),
+        None => (text, None),
+    };
+    let bounds = <[f64; 4]>::try_from(numbers(bounds)?)
+        .map_err(|_| "expected WEST,SOUTH,EAST,NORTH, as in 36.90,37.58,36.91,37.59".to_owned())?;
+    let area = AreaRequest { bounds, crs };
+    area.check()?;
+    Ok(area)
+}
+
+/// `A,B,C`: three numbers.
+///
+/// # Errors
+/// A message for the user.
+pub fn triple(text: &str) -> Result<[f64; 3], String> {
+    let numbers = numbers(text)?;
+    <[f64; 3]>::try_from(numbers).map_err(|_| "expected three numbers, as in 1,2,3".to_owned())
+}
+
+/// Numbers separated by commas.
+///
+/// # Errors
+/// A message for the user.
+pub fn numbers(text: &str) -> Result<Vec<f64>, String> {
+    let number = |word: &str| {
+        let value: f64 = word.trim().parse().map_err(|_| format!("'{word}' is not a number"))?;
+        if value.is_finite() {
+            Ok(value)
+        } else {
+            Err(format!("'{word}' is not a finite number"))
+        }
+    };
+    text.split(',').map(number).collect()
+}
+
+/// A duration such as `90s`, `5m`, `1.5h`; a bare number is seconds.
+///
+/// # Errors
+/// A message for the user.
+pub fn duration(text: &str) -> Result<Duration, String> {
+    let (number, unit) = split_unit(text);
+    let factor = match unit {
+        "" | "s" => 1.0,
+        "m" | "min" => 60.0,
+        "h" => 3600.0,
+        _ => return Err("expected a time such as 90s, 5m or 1h".to_owned()),
+    };
+    let value: f64 = number
+        .parse()
+        .map_err(|_| "expected a time such as 90s, 5m or 1h".to_owned())?;
+    Duration::try_from_secs_f64(value * factor).map_err(|_| "expected a time that is not negative".to_owned())
+}
+
+/// A size such as `512MiB`, `4GiB`, `4G`; a bare number is bytes.
+///
+/// # Errors
+/// A message for the user.
+pub fn bytes(text: &str) -> Result<u64, String> {
+    let (number, unit) = split_unit(text);
+    let factor = match unit.to_lowercase().as_str() {
+        "" | "b" => 1.0,
+        "k" | "kib" => 1024.0,
+        "m" | "mib" => 1024.0 * 1024.0,
+        "g" | "gib" => 1024.0 * 1024.0 * 1024.0,
+        "kb" => 1e3,
+        "mb" => 1e6,
+        "gb" => 1e9,
+        _ => return Err("expected a size such as 512MiB or 4GiB".to_owned()),
+    };
+    match number.parse::<f64>() {
+        Ok(value) if value > 0.0 && (value * factor).is_finite() => Ok((value * factor) as u64),
+        _ => Err("expected a size such as 512MiB or 4GiB".to_owned()),
+    }
+}
+
+/// `key=value`.
+///
+/// # Errors
+/// A message for the user.
+pub fn key_value(text: &str) -> Result<(String, String), String> {
+    match text.split_once('=') {
+        Some((key, value)) if !key.trim().is_empty() => Ok((key.trim().to_owned(), value.trim().to_owned())),
+        _ => Err("expected key=value".to_owned()),
+    }
+}
+
+/// A moment, RFC 3339.
+///
+/// # Errors
+/// A message for the user.
+pub fn time(text: &str) -> Result<jiff::Timestamp, String> {
+    text.parse()
+        .map_err(|_| "expected a time such as 2016-04-23T08:34:00Z".to_owned())
+}
+
+/// A positive number.
+///
+/// # Errors
+/// A message for the user.
+pub fn positive(text: &str) -> Result<f64, String> {
+    match text.parse::<f64>() {
+        Ok(value) if value > 0.0 && value.is_finite() => Ok(value),
+        _ => Err("expected a number above 0".to_owned()),
+    }
+}
+
+fn split_unit(text: &str) -> (&str, &str) {
+    let text = text.trim();
+    let end = text
+        .find(|character: char| character.is_ascii_alphabetic())
+        .unwrap_or(text.len());
+    (text[..end].trim(), text[end..].trim())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn an_area_has_a_west_before_its_east_and_maybe_a_system() {
+        let area_of = area("36.9,37.5,37.0,37.6").expect("degrees");
+        assert_eq!((area_of.bounds[3], area_of.crs), (37.6, None));
+        let area_of = area("312000,4160000,312128,4160128,EPSG:32637").expect("metres");
+        assert_eq!(area_of.crs.as_deref(), Some("EPSG:32637"));
+        for bad in ["1,2,3", "3,2,1,4", "1,2,3,nan", "200,0,201,1"] {
+            assert!(area(bad).is_err(), "{bad}");
+        }
+    }
+
+    #[test]
+    fn durations_and_sizes_carry_their_units() {
+        assert_eq!(duration("90"), Ok(Duration::from_secs(90)));
+        assert_eq!(duration("1.5h"), Ok(Duration::from_secs(5400)));
+        assert!(duration("5x").is_err() && duration("-3m").is_err() && duration("").is_err());
+        assert_eq!(bytes("4GiB"), Ok(4 << 30));
+        assert_eq!(bytes("1.5MB"), Ok(1_500_000));
+        assert!(bytes("0").is_err() && bytes("lots").is_err());
+    }
+
+    #[test]
+    fn pairs_and_keys_are_checked() {
+        assert_eq!(pair("640, 780"), Ok([640.0, 780.0]));
+        assert_eq!(pair("-5,3e1"), Ok([-5.0, 30.0]));
+        assert!(pair("1").is_err() && pair("1,2,3").is_err() && pair("a,b").is_err() && pair("nan,1").is_err());
+        assert_eq!(key_value("a.b = 3"), Ok(("a.b".to_owned(), "3".to_owned())));
+        assert!(key_value("=3").is_err() && key_value("a").is_err());
+    }
+}
