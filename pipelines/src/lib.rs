@@ -12,6 +12,5 @@ pub mod report;
 pub mod run;
 pub mod satellite;
 pub mod scene;
-mod statistics;
 pub mod tradeoff;
 pub mod trust;

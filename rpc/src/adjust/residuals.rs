@@ -3,6 +3,7 @@
 use super::problem::Linear;
 use super::{Track, robust};
 use crate::ImagePoint;
+use crate::statistics::upper_median;
 use nalgebra::{Matrix3, Vector4};
 use std::collections::BTreeMap;
 
@@ -83,15 +84,11 @@ impl Sides {
 
 impl Spread {
     fn of(mut lengths: Vec<f64>) -> Self {
-        if lengths.is_empty() {
-            return Self::default();
-        }
         let square = lengths.iter().map(|l| l * l).sum::<f64>() / lengths.len() as f64;
-        let middle = lengths.len() / 2;
-        Self {
+        upper_median(&mut lengths).map_or_else(Self::default, |median_px| Self {
             rms_px: square.sqrt(),
-            median_px: *lengths.select_nth_unstable_by(middle, f64::total_cmp).1,
-        }
+            median_px,
+        })
     }
 }
 
