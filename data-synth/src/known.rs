@@ -1,6 +1,6 @@
 //! Cameras of real images, so that a made-up site is seen through real geometry, on real dates, under real suns.
 
-use crate::SynthError;
+use crate::error::SynthError;
 use heliosplat_rpc::statistics::upper_median;
 use heliosplat_rpc::{GeoPoint, ImagePoint, Rpc};
 use jiff::Timestamp;

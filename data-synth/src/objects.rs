@@ -12,7 +12,7 @@ mod trace;
 
 pub use request::{Capture, Look, ObjectRequest};
 
-use crate::SynthError;
+use crate::error::SynthError;
 use crate::raytrace::Ray;
 use crate::write::Staging;
 use image::{DynamicImage, GrayImage, Luma, Rgb, RgbImage, Rgba32FImage, RgbaImage};

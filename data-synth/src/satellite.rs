@@ -1,6 +1,6 @@
 //! A satellite scene from a request: city, dates, images, truth, files.
 
-use crate::SynthError;
+use crate::error::SynthError;
 use crate::city::{City, CityPlan};
 use crate::clouds::CloudField;
 use crate::materials::Class;

@@ -1,6 +1,6 @@
 //! How much a sighting counts, and how far off a good one is.
 
-use super::problem::Linear;
+use super::linear::Linear;
 use crate::statistics::upper_median;
 
 /// Residuals, in standard deviations, at which a sighting counts a quarter. So near because errors of matching are not symmetric:
