@@ -13,7 +13,7 @@ mod trace;
 pub use request::{Capture, Look, ObjectRequest};
 
 use crate::error::SynthError;
-use crate::raytrace::Ray;
+use crate::ray::Ray;
 use crate::write::Staging;
 use image::{DynamicImage, GrayImage, Luma, Rgb, RgbImage, Rgba32FImage, RgbaImage};
 use nalgebra::{Vector2, Vector3};
