@@ -2,6 +2,7 @@
 
 use super::{Protocol, Uncertainty, class_name};
 use heliosplat::Raster;
+use heliosplat_rpc::statistics::{median, nmad};
 use std::collections::BTreeMap;
 
 /// Statistics of height errors, metres.
@@ -113,25 +114,12 @@ pub(super) fn statistics(wanted: impl Iterator<Item = f32>) -> Option<HeightErro
     }
     let measured = errors.len() as f64;
     let mut absolute: Vec<f64> = errors.iter().map(|error| error.abs()).collect();
-    let middle = median(&mut errors);
-    let mut deviations: Vec<f64> = errors.iter().map(|error| (error - middle).abs()).collect();
     Some(HeightErrors {
         mae_m: absolute.iter().sum::<f64>() / measured,
         rmse_m: (absolute.iter().map(|error| error * error).sum::<f64>() / measured).sqrt(),
         within_1m: absolute.iter().filter(|error| **error <= 1.0).count() as f64 / measured,
-        median_m: median(&mut absolute),
-        nmad_m: 1.4826 * median(&mut deviations),
+        median_m: median(&mut absolute)?,
+        nmad_m: nmad(&errors)?,
         completeness: measured / count as f64,
     })
-}
-
-/// Median; of an even number of values the mean of the middle two. The values are reordered.
-pub(super) fn median(values: &mut [f64]) -> f64 {
-    let (half, odd) = (values.len() / 2, values.len() % 2 == 1);
-    let (below, &mut upper, _) = values.select_nth_unstable_by(half, f64::total_cmp);
-    if odd {
-        return upper;
-    }
-    let lower = below.iter().copied().fold(f64::NEG_INFINITY, f64::max);
-    (lower + upper) / 2.0
 }

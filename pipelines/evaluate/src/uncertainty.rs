@@ -1,6 +1,7 @@
 //! Whether a surface knows where it is wrong: its standard deviations beside its true errors.
 
 use heliosplat::Raster;
+use heliosplat_rpc::statistics::median;
 use std::fmt::Write;
 
 /// Groups of cells of about equal size, from the smallest standard deviations to the largest.
@@ -158,7 +159,7 @@ fn group(cells: &[(f64, f64)]) -> Group {
         expected_m: mean(|(deviation, _)| deviation * deviation).sqrt(),
         rmse_m: mean(|(_, error)| error * error).sqrt(),
         mae_m: mean(|(_, error)| *error),
-        median_m: super::metrics::median(&mut errors),
+        median_m: median(&mut errors).unwrap_or(f64::NAN),
     }
 }
 

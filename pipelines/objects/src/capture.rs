@@ -6,6 +6,7 @@ use super::pixels::{self, Encoding, Picture};
 use super::transforms::{self, FrameSpec, PointLight};
 use heliosplat_scene::Split;
 use glam::DVec3;
+use heliosplat_rpc::statistics::upper_median;
 use rayon::prelude::*;
 use std::path::{Path, PathBuf};
 
@@ -138,10 +139,14 @@ impl Capture {
             c.depth(centre) * reach
         };
         let pixel = |f: &Frame| f.camera.depth(centre) / f.camera.focal_px[0].max(f.camera.focal_px[1]);
+        let median = |of: &dyn Fn(&Frame) -> f64| {
+            let mut values: Vec<f64> = frames.iter().map(of).collect();
+            upper_median(&mut values).unwrap_or(1.0)
+        };
         Ok(Self {
             source: source.to_owned(),
-            half_size: median(frames.iter().map(half).collect()),
-            pixel_size: median(frames.iter().map(pixel).collect()),
+            half_size: median(&half),
+            pixel_size: median(&pixel),
             centre,
             frames,
             warnings,
@@ -157,11 +162,6 @@ impl Capture {
     pub fn has_coverage(&self) -> bool {
         self.frames.iter().all(|f| f.picture.coverage.is_some())
     }
-}
-
-fn median(mut values: Vec<f64>) -> f64 {
-    values.sort_by(f64::total_cmp);
-    values.get(values.len() / 2).copied().unwrap_or(1.0)
 }
 
 fn frame(spec: FrameSpec, split: Split, header: pixels::Header) -> Result<Frame, CaptureError> {

@@ -20,6 +20,7 @@ use heliosplat::model::radiance::{Radiance, RadianceOptions};
 use heliosplat::model::reflective::{Reflective, ReflectiveOptions};
 use heliosplat::model::{Parameters, SceneModel, View};
 use heliosplat::train::Trainer;
+use heliosplat_rpc::statistics::upper_median;
 use std::f32::consts::PI;
 use std::time::Instant;
 
@@ -64,8 +65,7 @@ fn preparation(capture: &Capture, kind: ModelKind, config: &ObjectConfig) -> Pre
     let intensities: Vec<[f64; 3]> = capture.frames.iter().filter_map(|f| f.light?.intensity).collect();
     let median = |k: usize| {
         let mut values: Vec<f64> = intensities.iter().map(|i| i[k]).filter(|&i| i > 0.0).collect();
-        values.sort_by(f64::total_cmp);
-        values.get(values.len() / 2).copied().unwrap_or(1.0)
+        upper_median(&mut values).unwrap_or(1.0)
     };
     Preparation {
         background,
@@ -111,7 +111,6 @@ fn begin(
         .of(Split::Train)
         .filter_map(|f| Some((f.light?.position - capture.centre).length()))
         .collect();
-    distances.sort_by(f64::total_cmp);
     let options = OlatOptions {
         specular: config.model.specular,
         shadow: config.model.shadow,
@@ -122,7 +121,7 @@ fn begin(
         half_size: capture.half_size as f32,
         background,
         coverage,
-        distance: distances.get(distances.len() / 2).map_or(1.0, |&d| d as f32),
+        distance: upper_median(&mut distances).map_or(1.0, |d| d as f32),
         radius: config.model.light_radius,
         normal_weight: config.model.normal_weight.unwrap_or(OLAT_NORMALS),
         normal_edge: (EDGE_PX * capture.pixel_size) as f32,

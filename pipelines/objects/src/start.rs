@@ -8,6 +8,7 @@ use super::config::StartOptions;
 use glam::{DVec3, Vec3};
 use heliosplat::gaussians::{GroupSpec, LOG_SCALE, OPACITY, POSITION, ROTATION, Table, core_groups, logit};
 use heliosplat::{ProjectiveCamera, Raster};
+use heliosplat_rpc::statistics::upper_median;
 use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg32;
 use rayon::prelude::*;
@@ -201,10 +202,7 @@ fn colour_at(sights: &[Sight], point: Vec3) -> [f32; 3] {
             seen.iter_mut().zip(values).for_each(|(list, value)| list.push(value));
         }
     }
-    seen.map(|mut values| {
-        values.sort_by(f32::total_cmp);
-        values.get(values.len() / 2).copied().unwrap_or(0.5)
-    })
+    seen.map(|mut values| upper_median(&mut values).unwrap_or(0.5))
 }
 
 /// Round Gaussians at the seeds, with the groups of a model that are all zero.

@@ -9,6 +9,7 @@ use heliosplat::Raster;
 use heliosplat::light::Light;
 use heliosplat::model::View;
 use heliosplat::shade::display;
+use heliosplat_rpc::statistics::upper_quantile;
 
 /// A border is one colour when half of its pixels are this close to it.
 const SAME_COLOUR: f32 = 0.02;
@@ -45,8 +46,7 @@ fn border(capture: &Capture) -> Option<[f32; 3]> {
             values.extend((0..image.height).flat_map(|row| [image.at(k, 0, row), image.at(k, right, row)]));
         }
         values.retain(|v| v.is_finite());
-        values.sort_by(f32::total_cmp);
-        let at = |share: f64| values.get((share * values.len() as f64) as usize).copied();
+        let mut at = |share: f64| upper_quantile(&mut values, share);
         let (low, middle, high) = (at(0.25)?, at(0.5)?, at(0.75)?);
         if high - low > 2.0 * SAME_COLOUR {
             return None;

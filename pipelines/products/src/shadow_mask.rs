@@ -5,8 +5,8 @@
 //! explains the pixel `c = d + s (l - d)` best follows by least squares, every band weighed by its noise. The traced share is
 //! the expectation beforehand, with a deviation of 0.2; where a surface is too dark to tell, it stays.
 
-use heliosplat_rpc::statistics::median;
 use heliosplat::Raster;
+use heliosplat_rpc::statistics::{SIGMA_PER_MAD, upper_median};
 use rayon::prelude::*;
 
 /// Standard deviation of the traced visibility near the border of a shadow.
@@ -16,8 +16,6 @@ const TRACED: f32 = 0.2;
 const REACH_PX: usize = 4;
 /// Least noise of an image, in units of its values.
 const LEAST_NOISE: f32 = 1e-3;
-/// Deviations of a normal distribution in a median deviation.
-const NORMAL: f32 = 1.4826;
 
 /// What is known of an image; rasters of one size.
 pub struct Evidence<'a> {
@@ -80,7 +78,7 @@ impl Evidence<'_> {
             .map(|(a, b)| (a - b).abs())
             .filter(|d| d.is_finite())
             .collect();
-        median(&mut sizes).map_or(1.0, |size| (NORMAL * size).max(LEAST_NOISE))
+        upper_median(&mut sizes).map_or(1.0, |size| (SIGMA_PER_MAD as f32 * size).max(LEAST_NOISE))
     }
 }
 

@@ -12,12 +12,12 @@
 use super::dsm::ALPHA_KNOWN;
 use heliosplat_scene::BandKind;
 use heliosplat_scene::bands::{vegetation_bands, vegetation_index};
-use heliosplat_rpc::statistics::median;
 use heliosplat::ProjectiveCamera;
 use heliosplat::gaussians::{OPACITY, Table, logit};
 use heliosplat::model::shadow_gs::ALBEDO;
 use heliosplat::render::depths;
 use heliosplat::splat::{Maps, ProjectionOptions};
+use heliosplat_rpc::statistics::upper_median;
 use rayon::prelude::*;
 
 /// Places in a cell, along each side of it.
@@ -57,7 +57,7 @@ pub(super) fn cells(input: &SurfaceGaussians, nadir: &ProjectiveCamera) -> Vec<C
         .map(|i| {
             let mut known: Vec<f32> = looks.iter().map(|look| look[i]).filter(|z| z.is_finite()).collect();
             // Cliffs face nowhere but aside: there the one look at all that stands has to do.
-            let depth = median(&mut known).unwrap_or(all.median_depth[i]);
+            let depth = upper_median(&mut known).unwrap_or(all.median_depth[i]);
             let coverage = all.alpha[i];
             let mean = all.depth[i] / coverage;
             let variance = (all.depth_square[i] / coverage - mean * mean).max(0.0);

@@ -3,6 +3,7 @@
 use super::RasterError;
 use super::write::write_atomically;
 use heliosplat::Raster;
+use heliosplat_rpc::statistics::quantile;
 use image::{ImageFormat, Rgb, RgbImage};
 use std::io::Cursor;
 use std::path::Path;
@@ -93,14 +94,7 @@ pub fn percentiles(values: &[f32], low: f64, high: f64) -> Option<(f32, f32)> {
     const MOST: usize = 400_000;
     let step = (values.len() / MOST).max(1);
     let mut sample: Vec<f32> = values.iter().step_by(step).copied().filter(|v| v.is_finite()).collect();
-    if sample.is_empty() {
-        return None;
-    }
-    let mut pick = |quantile: f64| {
-        let index = ((sample.len() - 1) as f64 * quantile).round() as usize;
-        *sample.select_nth_unstable_by(index, f32::total_cmp).1
-    };
-    Some((pick(low), pick(high)))
+    Some((quantile(&mut sample, low)?, quantile(&mut sample, high)?))
 }
 
 #[cfg(test)]

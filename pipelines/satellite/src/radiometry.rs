@@ -1,7 +1,6 @@
 //! Colours to start from: per-image gain and offset, and the albedo of each Gaussian, from what the views show of the start
 //! surface where they see it lit.
 
-use heliosplat_rpc::statistics::median;
 use glam::Vec3;
 use heliosplat::gaussians::{OPACITY, Table, logit};
 use heliosplat::light::Light;
@@ -11,6 +10,7 @@ use heliosplat::model::shadow_gs::{ALBEDO, COLOUR, OFFSET, ShadowGs};
 use heliosplat::render::{PassOptions, render};
 use heliosplat::splat::Maps;
 use heliosplat::trace::{Occluders, TraceOptions, transmittance};
+use heliosplat_rpc::statistics::{upper_median, upper_quantile};
 use rayon::prelude::*;
 
 /// Depth behind the visible surface within which a Gaussian still counts as visible, metres.
@@ -82,11 +82,7 @@ fn spread(values: &mut [f32]) -> Option<(f32, f32)> {
     if values.len() < 50 {
         return None;
     }
-    let mut at = |share: f64| {
-        let k = (values.len() as f64 * share) as usize;
-        *values.select_nth_unstable_by(k, f32::total_cmp).1
-    };
-    Some((at(0.2), at(0.8)))
+    Some((upper_quantile(values, 0.2)?, upper_quantile(values, 0.8)?))
 }
 
 /// Gain and offset that bring the reference image's values to this image's, from Gaussians both see lit.
@@ -187,7 +183,7 @@ pub(super) fn initialise(
                         value.is_finite().then(|| (value - offset) / gain / light)
                     })
                     .collect();
-                median(&mut seen).unwrap_or(0.3).clamp(0.005, 3.0)
+                upper_median(&mut seen).unwrap_or(0.3).clamp(0.005, 3.0)
             })
         })
         .collect();

@@ -5,6 +5,7 @@ use super::draft::Draft;
 use super::footprint::{self, Footprint};
 use super::layout::Layout;
 use super::{Area, Scene, SceneError, SceneImage, Split, acquisition, pixels};
+use heliosplat_rpc::statistics::upper_median;
 use heliosplat_rpc::{ImageWindow, LocalFrame, PinholeFit, Rpc};
 use nalgebra::Vector3;
 use rayon::prelude::*;
@@ -190,8 +191,7 @@ impl Ground {
 
 /// The median of `gsds` (metres, one at least) in two significant digits.
 pub(super) fn nominal_gsd_m(mut gsds: Vec<f64>) -> f64 {
-    gsds.sort_by(f64::total_cmp);
-    let median = gsds[gsds.len() / 2];
+    let median = upper_median(&mut gsds).unwrap_or(f64::NAN);
     // Multiples of a whole divisor are nearer to decimals than those of a fraction are.
     let per_unit = 10f64.powi(1 - median.log10().floor() as i32);
     (median * per_unit).round() / per_unit

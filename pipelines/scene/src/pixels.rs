@@ -6,6 +6,7 @@ use super::manifest::Counts;
 use heliosplat_raster::{RasterFile, Window};
 use heliosplat::Raster;
 use heliosplat::shade::display;
+use heliosplat_rpc::statistics::quantile;
 
 /// The share of values below the scene's unit: the brightest glints lie above 1.
 const UNIT_QUANTILE: f64 = 0.999;
@@ -61,11 +62,9 @@ pub(super) fn scale_together(images: &mut [Raster]) -> f64 {
             .filter(|value| value.is_finite());
         sample.extend(finite);
     }
-    if sample.is_empty() {
+    let Some(unit) = quantile(&mut sample, UNIT_QUANTILE) else {
         return 1.0;
-    }
-    let index = ((sample.len() - 1) as f64 * UNIT_QUANTILE).round() as usize;
-    let unit = *sample.select_nth_unstable_by(index, f32::total_cmp).1;
+    };
     // An image that is dark almost everywhere still needs a unit.
     let unit = if unit > 0.0 {
         unit

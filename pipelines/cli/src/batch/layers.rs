@@ -8,6 +8,7 @@ use super::BatchError;
 use super::mosaic::{Piece, in_row, one_surface};
 use heliosplat_raster::{RasterError, RasterFile};
 use heliosplat::Raster;
+use heliosplat_rpc::statistics::upper_median;
 use rayon::prelude::*;
 use std::path::Path;
 
@@ -122,8 +123,7 @@ impl Layer {
                 return None;
             }
             let cells = logs.len();
-            let (_, median, _) = logs.select_nth_unstable_by(cells / 2, f64::total_cmp);
-            Some((a, b, *median, cells))
+            Some((a, b, upper_median(&mut logs)?, cells))
         });
         told.collect()
     }

@@ -1,8 +1,8 @@
 //! What a mosaic's borders look like: steps there beside steps elsewhere, and what tiles say of the ground they share.
 
 use super::mosaic::Piece;
-use heliosplat_rpc::statistics::median;
 use heliosplat::Raster;
+use heliosplat_rpc::statistics::{SIGMA_PER_MAD, quantile, upper_median};
 use serde::Serialize;
 use std::collections::BTreeSet;
 
@@ -57,15 +57,15 @@ fn steps(mut all: Vec<f32>) -> Option<Steps> {
     if all.is_empty() {
         return None;
     }
+    // In order, so that the sum does not depend on where the steps come from.
     all.sort_by(f32::total_cmp);
     let count = all.len();
-    let at = |share: f64| f64::from(all[((count - 1) as f64 * share).round() as usize]);
     Some(Steps {
         count,
         mean_m: all.iter().copied().map(f64::from).sum::<f64>() / count as f64,
-        median_m: at(0.5),
-        p95_m: at(0.95),
         above_1m: all.iter().filter(|&&step| step > 1.0).count() as f64 / count as f64,
+        median_m: quantile(&mut all, 0.5)?.into(),
+        p95_m: quantile(&mut all, 0.95)?.into(),
     })
 }
 
@@ -171,13 +171,13 @@ fn difference(first: &Piece, second: &Piece) -> Option<Difference> {
         return None;
     }
     let mean_abs_m = apart.iter().map(|d| f64::from(d.abs())).sum::<f64>() / apart.len() as f64;
-    let middle = median(&mut apart)?;
+    let middle = upper_median(&mut apart)?;
     let mut spread: Vec<f32> = apart.iter().map(|d| (d - middle).abs()).collect();
     Some(Difference {
         tiles: [first.unit.clone(), second.unit.clone()],
         cells: apart.len(),
         median_m: middle.into(),
-        nmad_m: 1.4826 * f64::from(median(&mut spread)?),
+        nmad_m: SIGMA_PER_MAD * f64::from(upper_median(&mut spread)?),
         mean_abs_m,
     })
 }
