@@ -1,6 +1,6 @@
 //! Reading the `model.json` of an object: nothing in it is believed that asks for more memory than it fills, or is no number.
 
-use super::run::{Kind, ObjectFile, ObjectImage, SCHEMA};
+use super::model::{Kind, ObjectFile, ObjectImage, SCHEMA};
 use heliosplat::gaussians::{Group, GroupSpec};
 
 /// Most units of a hidden layer, and most hidden layers: thousands of times what objects take.

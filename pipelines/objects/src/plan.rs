@@ -6,7 +6,7 @@
 
 use super::capture::{Capture, Frame};
 use super::config::{ModelKind, ObjectConfig};
-use super::fit::{self, FitInput};
+use super::prepare::{self, FitInput};
 use heliosplat::light::Light;
 use heliosplat::model::View;
 use heliosplat::render::{PassOptions, render};
@@ -219,13 +219,13 @@ fn trial(capture: &Capture, config: &ObjectConfig, kind: ModelKind, parts: Parts
         preparation,
         parameters,
         ..
-    } = fit::input(capture, kind, &config, &frames);
+    } = prepare::input(capture, kind, &config, &frames);
     let model = kind.model();
     let view = |frame: &Frame, n: usize| Some(smaller(super::views::view(frame, capture.centre, &preparation, n)?));
     let views: Vec<View> = frames.iter().enumerate().filter_map(|(n, f)| view(f, n)).collect();
     let mut options = config.train.clone();
     options.gsd_m = (SMALLER as f64 * capture.pixel_size) as f32;
-    let mut trainer = Trainer::new(&*model, views, parameters, options, fit::bounds(capture), None)?;
+    let mut trainer = Trainer::new(&*model, views, parameters, options, prepare::bounds(capture), None)?;
     while !trainer.finished() {
         trainer.step()?;
     }

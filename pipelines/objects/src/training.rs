@@ -6,7 +6,8 @@ use crate::config::ObjectConfig;
 use crate::error::ObjectError;
 use crate::fit::{self, Fitted};
 use crate::measure;
-use crate::run::{self, ObjectModel, ObjectRun};
+use crate::model::ObjectModel;
+use crate::run::{self, ObjectRun};
 use heliosplat_fitting::checkpoint::{digest, identity_of_program};
 use heliosplat_fitting::run_folder::{
     Input, Opened, RunError, RunFolder, RunRequest, create_folder, hash, peak_rss_bytes, resident_bytes,

@@ -1,7 +1,6 @@
 //! A trained satellite model as files: `model.ply` (the Gaussians) and `model.json` (what they share, the frame, the cameras).
 
 use crate::ply;
-use crate::surface::SurfaceGaussians;
 use heliosplat::gaussians::Table;
 use heliosplat::model::Parameters;
 use heliosplat::model::shadow_gs::{ShadowGs, ShadowGsOptions};
@@ -90,15 +89,6 @@ pub struct LoadedModel {
 }
 
 impl LoadedModel {
-    /// Its Gaussians as a surface.
-    pub fn surface(&self) -> SurfaceGaussians<'_> {
-        SurfaceGaussians {
-            gaussians: &self.parameters.gaussians,
-            bands: &self.file.bands,
-            projection: self.file.projection,
-        }
-    }
-
     /// How products look at the model: as training did.
     pub fn pass_options(&self) -> PassOptions {
         PassOptions {

@@ -11,7 +11,7 @@ mod write;
 
 pub use report::{AdjustRequest, AdjustedScene, adjust_scene};
 
-use super::fit::FitError;
+use super::error::FitError;
 use super::ground::Ground;
 use glam::Vec3;
 use heliosplat_rpc::adjust::{AdjustImage, AdjustOptions, Adjustment, BiasModel, Sighting, Track, adjust};

@@ -4,7 +4,7 @@
 //! estimate beside what was used.
 
 use super::config::{ModelOptions, SatelliteConfig};
-use super::fit::FitError;
+use super::error::FitError;
 use heliosplat::rates::{Descent, Site};
 use heliosplat::shade::sh::functions;
 use heliosplat::train::TrainOptions;

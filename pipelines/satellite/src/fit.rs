@@ -1,60 +1,27 @@
 //! From a scene to a trained model: align, sweep, start, train.
 
 use super::config::SatelliteConfig;
+use super::error::{FitError, MaskError};
 use super::ground::Ground;
-use super::shadow_prior::{self, MaskError};
+use super::shadow_prior;
 use super::swept::{Preprocessed, Swept};
 use super::views;
-use super::{clouds, estimate, initial, measure, radiometry};
+use super::{clouds, estimate, initial, probe, radiometry};
 use glam::Vec3;
 use heliosplat::ProjectiveCamera;
 use heliosplat::model::shadow_gs::{ShadowGs, ShadowGsOptions};
 use heliosplat::model::{Parameters, SceneModel, View};
 use heliosplat::render::PassOptions;
-use heliosplat::train::{EarlyStop, TrainError, TrainOptions, Trainer};
+use heliosplat::train::{EarlyStop, TrainOptions, Trainer};
 use heliosplat_fitting::budget::Budget;
 use heliosplat_fitting::checkpoint::{CheckpointWriter, LoadedCheckpoint};
+use heliosplat_fitting::curve::CurvePoint;
 use heliosplat_fitting::run_folder::peak_rss_bytes;
-use heliosplat_fitting::training::{CurvePoint, Ending, TrainingError, train};
+use heliosplat_fitting::training::{Ending, TrainingError, train};
 use heliosplat_scene::{Area, Scene, SceneImage};
 use heliosplat_session::Session;
 use heliosplat_stereo::Surface;
 use std::time::Instant;
-
-/// Why a model could not be fitted.
-#[derive(Debug, thiserror::Error)]
-pub enum FitError {
-    /// Fewer than two images show the common ground.
-    #[error("{images} of the scene's images show the ground that at least two have in common; two are needed")]
-    TooFewViews {
-        /// How many do.
-        images: usize,
-    },
-    /// Training would take more memory than it may.
-    #[error(
-        "--memory: training needs about {needed_gib:.2} GiB and {limit_gib:.2} GiB are allowed; give more, fewer images, or a coarser model with --set start.cell_gsd={cell_gsd:.2}"
-    )]
-    Memory {
-        /// What it needs, GiB.
-        needed_gib: f64,
-        /// What it may take, GiB.
-        limit_gib: f64,
-        /// What would fit: width of a cell, ground sampling distances.
-        cell_gsd: f64,
-    },
-    /// A mask of shadows that cannot be used.
-    #[error(transparent)]
-    Mask(#[from] MaskError),
-    /// Training gave up, or its checkpoint is at fault.
-    #[error(transparent)]
-    Training(#[from] TrainingError),
-}
-
-impl From<TrainError> for FitError {
-    fn from(error: TrainError) -> Self {
-        Self::Training(error.into())
-    }
-}
 
 /// What a fit may take.
 #[derive(Debug, Clone, Copy, Default)]
@@ -190,7 +157,7 @@ pub fn fit(
         restored.map_err(TrainingError::from)?;
     }
     let trained = {
-        let probe = measure::height_probe(scene, pass.projection);
+        let probe = probe::height_probe(scene, pass.projection);
         train(trainer, steps, session, limits.budget, checkpoints, probe.as_deref())?
     };
     for (image, shift) in shifts_px.iter_mut().enumerate() {

@@ -1,6 +1,6 @@
 //! The ground that a scene's images have in common: what the sweep covers, and what ties between images are sought on.
 
-use super::fit::FitError;
+use super::error::FitError;
 use heliosplat::Raster;
 use heliosplat_rpc::LocalFrame;
 use heliosplat_scene::bands::{vegetation_bands, vegetation_index};

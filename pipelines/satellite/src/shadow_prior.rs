@@ -4,37 +4,17 @@
 //! left out (they are dark and they shade themselves), and so is water; what is dark is a shadow only where the swept surface has
 //! something toward the sun to throw it, else nothing is said. ShadowGS uses the masks of a trained detector in the same place.
 
+use super::error::MaskError;
 use super::ground::Ground;
 use glam::{Vec2, Vec3};
 use heliosplat::{ProjectiveCamera, Raster};
-use heliosplat_raster::RasterError;
 use heliosplat_raster::file::RasterFile;
 use heliosplat_scene::bands::{VEGETATION_INDEX, normalised_difference, vegetation_index};
 use heliosplat_scene::crop::{self, Crop};
 use heliosplat_scene::{BandKind, SceneImage};
 use heliosplat_stereo::Surface;
 use rayon::prelude::*;
-use std::path::{Path, PathBuf};
-
-/// Why a mask cannot be used.
-#[derive(Debug, thiserror::Error)]
-pub enum MaskError {
-    /// A file that is missing or damaged.
-    #[error("model.shadow_masks: {0}")]
-    File(#[from] RasterError),
-    /// A mask that does not lie on its image.
-    #[error(
-        "model.shadow_masks: {path} has {mask_px:?} pixels and its image {image_px:?}; a mask covers its image: 1 where it is lit, 0 in shadow"
-    )]
-    Size {
-        /// The mask.
-        path: PathBuf,
-        /// Its columns and rows.
-        mask_px: (usize, usize),
-        /// Those of its image.
-        image_px: (usize, usize),
-    },
-}
+use std::path::Path;
 
 /// Excess green (Woebbecke et al. 1995), as a share of the three colours, from which on it is one where there is no near infrared.
 const VEGETATION_GREEN: f32 = 0.08;

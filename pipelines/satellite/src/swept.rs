@@ -3,7 +3,7 @@
 use super::adjust::{self, AdjustInput};
 use super::clouds;
 use super::config::{Align, PointingMethod, SatelliteConfig};
-use super::fit::FitError;
+use super::error::FitError;
 use super::ground::Ground;
 use glam::Vec3;
 use heliosplat::Raster;
