@@ -21,8 +21,8 @@
 //!
 //! What is modelled: sun by date and place, sky light, haze, clouds and their shadows, seasons of vegetation, cars that come and go,
 //! glint on water, point spread, sensor noise, 8 or 16 bits, RPC bias, and cameras of real images (VisSat JSON) instead of made-up
-//! ones. What is not: light that surfaces send to each other, light through foliage, moving cars, and sensor artefacts such as
-//! striping.
+//! ones. What is not: light from one surface to another (that of an average neighbourhood stands for it), light through foliage, moving
+//! cars, and sensor artefacts such as striping.
 //!
 //! # Captures of objects
 //! [`write_object`] photographs a small still life from all around, under a fixed sky, under one light at a time (OLAT), or under an

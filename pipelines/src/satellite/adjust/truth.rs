@@ -3,7 +3,6 @@
 use crate::scene::SceneImage;
 use heliosplat_rpc::LocalFrame;
 use heliosplat_rpc::adjust::{pixels_per_metre, smallest_shifts};
-use heliosplat_synth::Summary;
 use nalgebra::{Vector2, Vector3};
 use std::path::Path;
 
@@ -18,6 +17,20 @@ pub struct CameraError {
     pub after_max_px: f64,
     /// Each image's error with the corrections, columns and rows, pixels.
     pub images_px: Vec<[f64; 2]>,
+}
+
+/// What is read of the summary beside a synthetic scene: the file format is all that ties this to the program that wrote it.
+#[derive(serde::Deserialize)]
+struct Summary {
+    images: Vec<ImageBias>,
+}
+
+/// One image of the summary.
+#[derive(serde::Deserialize)]
+struct ImageBias {
+    name: String,
+    /// RPC bias: constant error (column, row) put into the RPC, pixels.
+    pointing_bias_px: [f64; 2],
 }
 
 /// The error of `shifts_px` (columns, rows) against the truth in the scene's folder, if there is one.
