@@ -91,27 +91,13 @@ fn pairs(criterion: &mut Criterion) {
     group.finish();
 }
 
-/// Time per element is time per ray; `hit` is the time of the sun plane per hit; forward alone, and with the gradients of everything.
+/// Time per element is time per ray; forward alone, and with the gradients of everything.
 fn rays(criterion: &mut Criterion) {
     let site = Site::new(100_000, 512, SPREAD);
     let gaussians = &site.parameters.gaussians;
     let origins: Vec<u32> = (0..gaussians.count as u32).collect();
     let ones = vec![1.0; origins.len()];
     let mut out = gaussians.zeros_like();
-    let hits = transmittance(
-        &Occluders::new(gaussians),
-        &origins,
-        &site.sun,
-        &TraceOptions::default(),
-    );
-    let mut per_hit = criterion.benchmark_group("hit");
-    per_hit.throughput(Throughput::Elements(hits.hit_count()));
-    per_hit.sample_size(20);
-    let occluders = Occluders::new(gaussians);
-    per_hit.bench_function("forward/sun_plane", |b| {
-        b.iter(|| transmittance(&occluders, &origins, &site.sun, &TraceOptions::default()));
-    });
-    per_hit.finish();
     let mut group = criterion.benchmark_group("ray");
     group.throughput(Throughput::Elements(origins.len() as u64));
     group.sample_size(20);

@@ -1,7 +1,7 @@
 //! Gaussians that are seen and lit: rasterise, trace, shade, optimise. No files, no coordinate systems, no command line.
 
+mod binning;
 pub mod camera;
-mod deal;
 pub mod fast;
 pub mod gaussians;
 pub mod light;

@@ -4,17 +4,18 @@
 //! rasterised channels for a view and a light, how composited channels become a pixel, and the gradients of both. The
 //! rasteriser, the tracer, the losses, the optimiser and the trainer name no model.
 
+mod background;
 pub mod network;
 pub mod olat;
-mod over;
 pub mod radiance;
 pub mod reflective;
 pub mod shadow_gs;
-mod sight;
+mod view_direction;
 
 use crate::camera::ProjectiveCamera;
 use crate::gaussians::{GroupSpec, Table};
 use crate::light::Light;
+use crate::optim::ParameterGroup;
 use crate::raster::Raster;
 use crate::splat::{MapGradients, Maps, Projected};
 use std::borrow::Cow;
@@ -114,14 +115,21 @@ pub trait SceneModel: Send + Sync {
     /// Name, as in configurations and files.
     fn name(&self) -> &'static str;
 
-    /// Groups added to every Gaussian.
-    fn feature_groups(&self) -> Vec<GroupSpec>;
+    /// The groups of parameters added to every Gaussian, in the order of the table from [`FEATURES`](crate::gaussians::FEATURES) on.
+    fn feature_parameters(&self) -> Vec<ParameterGroup>;
 
-    /// Groups shared by all Gaussians (a table of one element).
-    fn global_groups(&self) -> Vec<GroupSpec>;
+    /// The groups of parameters shared by all Gaussians (a table of one element).
+    fn global_parameters(&self) -> Vec<ParameterGroup>;
 
-    /// Learning rate of a model group, by name, when `progress` (0 to 1) of training is done; what is not yet to learn has zero.
-    fn learning_rate(&self, group: &str, progress: f32) -> f32;
+    /// Names and widths of [`Self::feature_parameters`].
+    fn feature_groups(&self) -> Vec<GroupSpec> {
+        self.feature_parameters().into_iter().map(|group| group.spec).collect()
+    }
+
+    /// Names and widths of [`Self::global_parameters`].
+    fn global_groups(&self) -> Vec<GroupSpec> {
+        self.global_parameters().into_iter().map(|group| group.spec).collect()
+    }
 
     /// How far the image with these per-image parameters is moved against its camera, pixels: columns, rows.
     fn pointing(&self, _parameters: &Parameters, _appearance: usize) -> [f32; 2] {

@@ -13,12 +13,12 @@ pub use holdout::EarlyStop;
 pub use options::TrainOptions;
 
 use crate::camera::ProjectiveCamera;
-use crate::gaussians::{FEATURES, LOG_SCALE, OPACITY, POSITION};
+use crate::gaussians::{FEATURES, LOG_SCALE, OPACITY, POSITION, ROTATION};
 use crate::loss::geometry::{depth_normal, one_surface};
 use crate::loss::photometric::photometric;
 use crate::loss::shadow::{ConsistencyPass, consistency};
 use crate::model::{Context, NamedLoss, Parameters, SceneModel, View};
-use crate::optim::{Adam, DensityStatistics, exponential_decay};
+use crate::optim::{Adam, DensityStatistics, LearningRate, ParameterGroup, exponential_decay};
 use crate::render::{Lit, Pass, PassOptions, image_moved};
 use crate::splat::project::project;
 use crate::splat::{Depths, MapGradients};
@@ -70,6 +70,9 @@ pub struct Trainer<'a> {
     bounds: (Vec3, Vec3),
     /// What is trained.
     pub parameters: Parameters,
+    /// Learning rates of the model's groups, in the order of the tables; those of the core groups are options.
+    feature_rates: Vec<LearningRate>,
+    global_rates: Vec<LearningRate>,
     gaussians_adam: Adam,
     globals_adam: Adam,
     statistics: DensityStatistics,
@@ -92,8 +95,8 @@ impl<'a> Trainer<'a> {
     /// camera, shadow consistency is also asked for with view and light at the zenith.
     ///
     /// # Errors
-    /// Without views, pixels that count or Gaussians, when an option has no meaning, or when the start has numbers that are not
-    /// finite.
+    /// Without views, pixels that count or Gaussians, when an option has no meaning, or when `parameters` have other groups than the
+    /// model or numbers that are not finite.
     pub fn new(
         model: &'a dyn SceneModel,
         mut views: Vec<View>,
@@ -110,9 +113,14 @@ impl<'a> Trainer<'a> {
         }
         options.check()?;
         fault::check_start(&parameters)?;
+        let (features, globals) = (model.feature_parameters(), model.global_parameters());
+        fault::check_groups(model.name(), &parameters, &features, &globals)?;
+        let rates = |groups: Vec<ParameterGroup>| groups.into_iter().map(|group| group.rate).collect();
         let holdout = Holdout::new(&mut views, &options);
         fault::check_pixels(&views)?;
         Ok(Self {
+            feature_rates: rates(features),
+            global_rates: rates(globals),
             gaussians_adam: Adam {
                 sparse: options.sparse,
                 ..Adam::new(&parameters.gaussians)
@@ -401,26 +409,16 @@ impl<'a> Trainer<'a> {
     fn update(&mut self) {
         let o = &self.options;
         let f = self.fraction();
-        let mut rates: Vec<f32> = Vec::new();
-        for (index, group) in self.parameters.gaussians.groups.iter().enumerate() {
-            let rate = match index {
-                POSITION => exponential_decay(o.position_rate_gsd, o.position_rate_gsd * o.final_rate, f) * o.gsd_m,
-                _ if index == LOG_SCALE => o.log_scale_rate,
-                _ if index == OPACITY => o.opacity_rate,
-                _ if index < FEATURES => o.rotation_rate,
-                _ => exponential_decay(1.0, o.final_rate.max(0.1), f) * self.model.learning_rate(&group.spec.name, f),
-            };
-            rates.push(rate);
-        }
+        let mut rates = vec![0.0; FEATURES];
+        rates[POSITION] = exponential_decay(o.position_rate_gsd, o.position_rate_gsd * o.final_rate, f) * o.gsd_m;
+        rates[LOG_SCALE] = o.log_scale_rate;
+        rates[ROTATION] = o.rotation_rate;
+        rates[OPACITY] = o.opacity_rate;
+        let feature_decay = exponential_decay(1.0, o.final_rate.max(0.1), f);
+        rates.extend(self.feature_rates.iter().map(|rate| feature_decay * rate.at(f)));
         self.gaussians_adam
             .step(&mut self.parameters.gaussians, &self.gradients.gaussians, &rates);
-        let rates: Vec<f32> = self
-            .parameters
-            .globals
-            .groups
-            .iter()
-            .map(|g| self.model.learning_rate(&g.spec.name, f))
-            .collect();
+        let rates: Vec<f32> = self.global_rates.iter().map(|rate| rate.at(f)).collect();
         self.globals_adam
             .step(&mut self.parameters.globals, &self.gradients.globals, &rates);
         if o.light_moved > 0.0 {

@@ -30,11 +30,11 @@ mod facing;
 mod harmonics;
 mod lighting;
 
-use super::sight::rate_of_degree;
 use super::{Context, NamedLoss, Parameters, SceneModel, Seen};
-use crate::gaussians::{FEATURES, GroupSpec};
+use crate::gaussians::FEATURES;
 use crate::light::Light;
 use crate::loss::shadow::{opaqueness, prior};
+use crate::optim::{LearningRate, ParameterGroup};
 use crate::raster::Raster;
 use crate::shade::sh;
 use crate::splat::{MapGradients, Maps};
@@ -108,8 +108,10 @@ pub const OFFSET: usize = 2;
 
 /// Learning rate of albedo and near-surface light.
 const ALBEDO_RATE: f32 = 5e-3;
-/// Name of the group of the images' shifts, the last of the global table.
-const POINTING: &str = "pointing";
+/// Learning rate of the images' skies, before the softplus.
+const SKY_RATE: f32 = 1e-2;
+/// Learning rate of the images' colour matrices and offsets.
+const COLOUR_RATE: f32 = 2e-3;
 /// Share of training after which images are moved.
 const POINTING_FROM: f32 = 0.2;
 /// Learning rate of the shifts then, pixels.
@@ -245,40 +247,34 @@ impl SceneModel for ShadowGs {
         "shadow_gs"
     }
 
-    fn feature_groups(&self) -> Vec<GroupSpec> {
-        let mut groups = vec![GroupSpec::new("albedo", self.options.bands)];
+    fn feature_parameters(&self) -> Vec<ParameterGroup> {
+        let (bands, rate) = (self.options.bands, LearningRate::constant(ALBEDO_RATE));
+        let mut groups = vec![ParameterGroup::new("albedo", bands, rate)];
         if self.options.near_light {
-            groups.push(GroupSpec::new("near_light", self.options.bands));
+            groups.push(ParameterGroup::new("near_light", bands, rate));
         }
         groups.extend(harmonics::groups(&self.options));
         groups
     }
 
-    fn global_groups(&self) -> Vec<GroupSpec> {
+    fn global_parameters(&self) -> Vec<ParameterGroup> {
         let ShadowGsOptions { bands, images, .. } = self.options;
-        let mut groups = vec![GroupSpec::new("sky", images * bands)];
+        let colour = LearningRate::constant(COLOUR_RATE);
+        let mut groups = vec![ParameterGroup::new(
+            "sky",
+            images * bands,
+            LearningRate::constant(SKY_RATE),
+        )];
         if self.options.image_colour {
-            groups.push(GroupSpec::new("image_colour", images * bands * bands));
-            groups.push(GroupSpec::new("image_offset", images * bands));
+            groups.push(ParameterGroup::new("image_colour", images * bands * bands, colour));
+            groups.push(ParameterGroup::new("image_offset", images * bands, colour));
         }
         if self.options.pointing {
-            groups.push(GroupSpec::new(POINTING, images * 2));
+            // Not before surfaces and colours have settled, and ever more gently.
+            let rate = LearningRate::constant(POINTING_RATE_PX).starting_at(POINTING_FROM);
+            groups.push(ParameterGroup::new("pointing", images * 2, rate.linear_to_zero()));
         }
         groups
-    }
-
-    fn learning_rate(&self, group: &str, progress: f32) -> f32 {
-        if let Some(degree) = harmonics::degree_of(group) {
-            return ALBEDO_RATE * rate_of_degree(degree, progress);
-        }
-        match group {
-            // Not before surfaces and colours have settled, and ever more gently.
-            POINTING if progress < POINTING_FROM => 0.0,
-            POINTING => POINTING_RATE_PX * (1.0 - progress),
-            "albedo" | "near_light" => ALBEDO_RATE,
-            "sky" => 1e-2,
-            _ => 2e-3,
-        }
     }
 
     fn pointing(&self, parameters: &Parameters, appearance: usize) -> [f32; 2] {

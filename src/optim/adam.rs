@@ -91,19 +91,11 @@ impl Adam {
     }
 }
 
-/// `from · (to / from)^fraction`: a learning rate that falls by a constant factor per step; `fraction` 0 to 1. Nothing stays
-/// nothing.
-pub fn exponential_decay(from: f32, to: f32, fraction: f32) -> f32 {
-    if from == 0.0 {
-        return 0.0;
-    }
-    from * (to / from).powf(fraction.clamp(0.0, 1.0))
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
     use crate::gaussians::GroupSpec;
+    use crate::optim::schedule::exponential_decay;
 
     #[test]
     fn a_quadratic_is_descended_to_its_minimum() {
@@ -132,12 +124,6 @@ mod tests {
         gradients.group_mut(0)[0] = 1.0;
         Adam::new(&parameters.clone()).step(&mut parameters, &gradients, &[0.0]);
         assert_eq!(parameters.group(0), &[0.0]);
-    }
-
-    #[test]
-    fn a_rate_of_zero_decays_to_zero_and_not_to_no_number() {
-        assert_eq!(exponential_decay(0.0, 0.0, 0.3), 0.0);
-        assert_eq!(exponential_decay(0.5, 0.0, 0.0), 0.5);
     }
 
     #[test]
