@@ -1,8 +1,8 @@
 //! Parts of the engine on the standard site: per pair, per splat, per ray, per step, and how they grow.
 
 use criterion::{BenchmarkId, Criterion, Throughput, criterion_group, criterion_main};
+use heliosplat::bench_fixture::{Descent, Site, toward_grey};
 use heliosplat::optim::Adam;
-use heliosplat::rates::{Descent, Site, toward_grey};
 use heliosplat::splat::project::{project, project_backward};
 use heliosplat::splat::{Bins, Maps, Projected, ProjectionOptions, Rasteriser, SplatGradients};
 use heliosplat::trace::{Occluders, Route, TraceOptions, transmittance};

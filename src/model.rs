@@ -1,4 +1,4 @@
-//! The seam: what a kind of scene adds to the shared engine.
+//! Scene models: the trait through which a kind of scene plugs into the shared engine, and its implementations.
 //!
 //! A scene model says which parameters it adds to each Gaussian and which it shares between all, how those become
 //! rasterised channels for a view and a light, how composited channels become a pixel, and the gradients of both. The
@@ -44,22 +44,22 @@ impl Parameters {
     }
 }
 
-/// One image to learn from.
+/// One training image.
 #[derive(Debug, Clone)]
 pub struct View {
     /// Its name in reports.
     pub name: String,
-    /// Where it was seen from.
+    /// Its camera.
     pub camera: ProjectiveCamera,
-    /// What was seen; NaN where missing.
+    /// Its pixels, in the model's units; NaN where missing.
     pub image: Raster,
-    /// What lit it.
+    /// The light of its scene, if known.
     pub light: Option<Light>,
-    /// Which set of per-image parameters is its own.
+    /// Index of its per-image parameters.
     pub appearance: usize,
-    /// How much each pixel counts, 0 to 1, `[row][column]`.
+    /// Weight of each pixel in the losses, 0 to 1, `[row][column]`.
     pub weight: Vec<f32>,
-    /// What is thought beforehand to be lit, 0 to 1, NaN where nothing is; `[row][column]`.
+    /// Prior of the sun's visibility: 1 where a pixel is thought to be lit, 0 in shadow, NaN where unknown; `[row][column]`.
     pub lit: Option<Vec<f32>>,
     /// The most that each band can say: such a value, or a greater one, was seen. Empty where no value is clipped.
     pub ceiling: Vec<f32>,
@@ -83,20 +83,20 @@ impl View {
     }
 }
 
-/// What a model may look at when it makes features or pixels.
+/// The state and the view that a model computes features and pixels from.
 #[derive(Clone, Copy)]
 pub struct Context<'a> {
-    /// The state of training.
+    /// All parameters.
     pub parameters: &'a Parameters,
     /// The camera of the view.
     pub camera: &'a ProjectiveCamera,
-    /// Its light.
+    /// The light of the view.
     pub light: Option<Light>,
-    /// Its set of per-image parameters; `None` renders with those of the reference image.
+    /// Index of its per-image parameters; `None` renders with those of the reference image.
     pub appearance: Option<usize>,
 }
 
-/// The splats a model makes features for.
+/// The splats of a view, for which a model computes features.
 #[derive(Clone, Copy)]
 pub struct Seen<'a> {
     /// The projected Gaussians.
@@ -179,8 +179,7 @@ pub trait SceneModel: Send + Sync {
     /// Losses of the model's own on the maps; adds their gradients. `mask` is per pixel.
     fn map_losses(&self, context: &Context, maps: &Maps, mask: &[f32], d_maps: &mut MapGradients) -> Vec<NamedLoss>;
 
-    /// The loss between the light on the maps and what a view's pixels are thought to be lit by (see [`View::lit`]); adds its
-    /// gradients.
+    /// The loss between the rendered visibility of the sun and its prior (see [`View::lit`]); adds its gradients.
     fn light_prior_loss(
         &self,
         _maps: &Maps,

@@ -1,4 +1,4 @@
-//! Which instructions the inner loops use: the one place that asks the processor, and the one place that may be told.
+//! Which instructions the inner loops use: detected once, capped by an environment variable.
 //!
 //! A loop in plain Rust is compiled once for every level, and the best level that the processor has is taken when it is called.
 //! Loops use `a*b + c` without contraction and add in a fixed order, so every level gives the same bits. The environment

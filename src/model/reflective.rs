@@ -349,7 +349,7 @@ impl SceneModel for Reflective {
         let prepared = self.prepare(context, seen);
         let kept = (!prepared.inputs.is_empty()).then(|| {
             let weights = context.parameters.globals.group(DECODER);
-            self.network().keep(weights, &prepared.inputs)
+            self.network().forward_kept(weights, &prepared.inputs)
         });
         let decoded: &[f32] = kept.as_ref().map_or(&[], |kept| &kept.outputs);
         let (functions, scale) = (sh::functions(self.options.degree), 1.0 / self.options.half_size);

@@ -225,7 +225,7 @@ mod tests {
         let occluders = Occluders::new(&table);
         let origins: Vec<u32> = (0..table.count as u32).collect();
         let grads: Vec<f32> = origins.iter().map(|&o| ((o * 37) % 11) as f32 - 5.0).collect();
-        let walk = |route| {
+        let gradients = |route| {
             let options = TraceOptions {
                 route,
                 ..TraceOptions::default()
@@ -235,7 +235,7 @@ mod tests {
             traced.backward(&table, &occluders, &origins, &grads, &mut out);
             out
         };
-        let (plane, tree) = (walk(Route::SunPlane), walk(Route::Hierarchy));
+        let (plane, tree) = (gradients(Route::SunPlane), gradients(Route::Hierarchy));
         for (a, b) in plane.groups.iter().zip(&tree.groups) {
             let size = a.values.iter().map(|v| v.abs()).fold(0.0, f32::max);
             let apart = a.values.iter().zip(&b.values).map(|(a, b)| (a - b).abs());

@@ -1,6 +1,6 @@
 //! What a step looks at: all of a view, a coarser image of it, or a window.
 
-use super::TrainOptions;
+use super::options::TrainOptions;
 use crate::model::View;
 use crate::raster::Raster;
 use rand::{RngExt, SeedableRng};

@@ -1,6 +1,6 @@
 //! Early stopping: some tiles of every image are not learnt from; when they stop improving, training has begun to overfit.
 
-use super::TrainOptions;
+use super::options::TrainOptions;
 use crate::model::{Parameters, View};
 use crate::raster::Raster;
 use std::borrow::Cow;

@@ -1,6 +1,6 @@
 //! Light of earlier steps that still serves.
 
-use super::TrainOptions;
+use super::options::TrainOptions;
 use crate::gaussians::Table;
 use glam::Vec3;
 

@@ -1,6 +1,6 @@
 //! What a training run is made of; each entry has a default and a reason.
 
-use super::TrainError;
+use super::fault::TrainError;
 use crate::optim::DensityOptions;
 use crate::splat::ProjectionOptions;
 use crate::trace::TraceOptions;

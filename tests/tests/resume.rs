@@ -3,7 +3,7 @@
 use heliosplat::Raster;
 use heliosplat::model::View;
 use heliosplat::optim::DensityOptions;
-use heliosplat::rates::Site;
+use heliosplat::bench_fixture::Site;
 use heliosplat::trace::{Route, TraceOptions};
 use heliosplat::train::{TrainOptions, Trainer, TrainerState};
 use heliosplat_tests::program::{binary, fault, json, tiny_scene};
@@ -56,7 +56,7 @@ fn options(route: Route) -> TrainOptions {
             every: 11,
             from: 11,
             until_fraction: 1.0,
-            pull: 0.0,
+            gradient_threshold: 0.0,
             ..DensityOptions::default()
         },
         ..TrainOptions::default()

@@ -1,7 +1,7 @@
 //! `heliosplat bench`: what this machine does in a second, on all threads it is given.
 
 use super::{CliError, Outcome};
-use heliosplat::rates::{Descent, Site, toward_grey};
+use heliosplat::bench_fixture::{Descent, Site, toward_grey};
 use heliosplat::splat::project::project;
 use heliosplat::splat::{ProjectionOptions, Rasteriser};
 use heliosplat::trace::{Occluders, Route, TraceOptions, transmittance};

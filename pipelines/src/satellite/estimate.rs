@@ -8,7 +8,7 @@ use super::config::{ModelOptions, SatelliteConfig};
 use super::fit::FitError;
 use super::views;
 use crate::scene::{Area, Scene};
-use heliosplat::rates::{Descent, Site};
+use heliosplat::bench_fixture::{Descent, Site};
 use heliosplat::shade::sh::functions;
 use heliosplat::train::TrainOptions;
 use heliosplat_stereo::MANY_VIEWS;

@@ -1,6 +1,7 @@
-//! Front to back over one tile: what each splat adds to the maps.
+//! Forward over one tile, front to back: what each splat adds to the maps.
 
-use super::{BATCH, Groups, LANES, MEDIAN, Met, TileFrame, TileMaps, announce, fetch, finished, load, store};
+use super::footprint::{BATCH, Groups, TileSplat, load_batch, prefetch_batch};
+use super::tile::{LANES, MEDIAN, TileFrame, TileMaps, is_opaque, load, store};
 use crate::splat::bins::Entry;
 use crate::splat::project::Splat;
 use crate::vectorised;
@@ -16,17 +17,17 @@ vectorised! {
         maps: &mut TileMaps<K>,
     ) {
         maps.clear(frame, SQUARE, MEDIANS);
-        let mut met = [Met::<K>::NOTHING; BATCH];
+        let mut splats_in_tile = [TileSplat::<K>::NOTHING; BATCH];
         let mut groups = Groups::new();
         for (number, batch) in list.chunks(BATCH).enumerate() {
-            if number > 0 && finished(&maps.transmittance) {
+            if number > 0 && is_opaque(&maps.transmittance) {
                 return;
             }
             let next = &list[((number + 1) * BATCH).min(list.len())..((number + 2) * BATCH).min(list.len())];
-            announce::<K>(next, splats, features);
-            fetch(batch, splats, features, frame, &mut met);
+            prefetch_batch::<K>(next, splats, features);
+            load_batch(batch, splats, features, frame, &mut splats_in_tile);
             let mut pixels = [0.0; LANES];
-            for splat in &met[..batch.len()] {
+            for splat in &splats_in_tile[..batch.len()] {
                 splat.groups(frame, &mut groups, &mut pixels);
                 splat.alphas::<false>(&mut groups);
                 for g in groups.numbers() {
@@ -41,7 +42,7 @@ vectorised! {
 /// Adds a splat to the eight pixels of its group `g`.
 #[inline(always)]
 fn composite<const K: usize, const SQUARE: bool, const MEDIANS: bool>(
-    splat: &Met<K>,
+    splat: &TileSplat<K>,
     groups: &Groups,
     g: usize,
     maps: &mut TileMaps<K>,

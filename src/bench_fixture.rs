@@ -1,4 +1,5 @@
-//! A standard site to measure the engine's speed on: what `heliosplat bench` and the benches time.
+//! Fixture for benchmarks: a synthetic site of a standard kind, and training steps on it. `heliosplat bench`, the time estimate before a
+//! training and the benches measure the engine's speed with it; nothing else uses it.
 //!
 //! A sheet of flat Gaussians over a town of blocks, spread over a square image seen from near the nadir. Its size
 //! in pixels and its number of Gaussians are free; the splats' sizes follow, so that about as many pairs fall on a pixel.
@@ -72,7 +73,7 @@ impl Site {
         }
     }
 
-    /// What the model needs to look at the site.
+    /// The rendering context of the site's own camera and sun.
     pub fn context(&self) -> Context<'_> {
         Context {
             parameters: &self.parameters,
@@ -136,7 +137,7 @@ fn camera(size_px: usize) -> ProjectiveCamera {
     )
 }
 
-/// A model of a site in training, stripped to what every training does: look, walk back, move.
+/// A training of the site reduced to what every training does: render, backward pass, Adam step.
 pub struct Descent {
     site: Site,
     gradients: Parameters,
