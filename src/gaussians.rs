@@ -103,11 +103,6 @@ impl Table {
         &mut self.groups[index].values
     }
 
-    /// Index of the group called `name`.
-    pub fn index_of(&self, name: &str) -> Option<usize> {
-        self.groups.iter().position(|g| g.spec.name == name)
-    }
-
     /// The elements `indices`, in that order; an index may come more than once.
     pub fn gather(&self, indices: &[u32]) -> Self {
         let groups = self
@@ -135,11 +130,6 @@ impl Table {
     /// Whether every value is finite.
     pub fn is_finite(&self) -> bool {
         self.groups.iter().all(|g| g.values.iter().all(|v| v.is_finite()))
-    }
-
-    /// Bytes of memory that one element takes in one table.
-    pub fn bytes_per_element(&self) -> usize {
-        self.groups.iter().map(|g| g.spec.width * size_of::<f32>()).sum()
     }
 
     /// Centre of a Gaussian, metres.

@@ -123,14 +123,6 @@ pub trait SceneModel: Send + Sync {
     /// Learning rate of a model group, by name, when `progress` (0 to 1) of training is done; what is not yet to learn has zero.
     fn learning_rate(&self, group: &str, progress: f32) -> f32;
 
-    /// How far the image with these per-image parameters is moved against its camera, pixels: columns, rows.
-    fn pointing(&self, _parameters: &Parameters, _appearance: usize) -> [f32; 2] {
-        [0.0; 2]
-    }
-
-    /// Adds the gradients of the shared parameters from that of [`Self::pointing`].
-    fn pointing_backward(&self, _appearance: usize, _d_pointing: [f32; 2], _grads: &mut Parameters) {}
-
     /// Rasterised channels the model writes into the features.
     fn channels(&self) -> usize;
 

@@ -7,4 +7,4 @@ mod sun_plane;
 pub mod transmittance;
 
 pub use bvh::{Occluder, Occluders};
-pub use transmittance::{Route, TraceOptions, Transmittance, transmittance};
+pub use transmittance::{Transmittance, transmittance, transmittance_by_hierarchy};

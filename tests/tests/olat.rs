@@ -8,7 +8,7 @@ use heliosplat::light::Light;
 use heliosplat::model::olat::{DIFFUSE, FRAME, HEAD_ON, LOBES, Olat, OlatOptions, SPECULAR, WEIGHT};
 use heliosplat::model::{Context, Parameters, SceneModel};
 use heliosplat::render::Lit;
-use heliosplat::trace::{Occluders, TraceOptions, transmittance};
+use heliosplat::trace::{Occluders, transmittance};
 use heliosplat_tests::capture::{
     BANDS, Flat, SIZE, camera, engine_values, flat, network, reference_gaussians, reference_values, scatter,
 };
@@ -234,12 +234,7 @@ fn transmittance_to_a_point_light_is_that_of_the_f64_reference() {
         let table = &case.parameters.gaussians;
         let gaussians = reference_gaussians(&flat(table));
         let origins: Vec<u32> = (0..table.count as u32).collect();
-        let traced = transmittance(
-            &Occluders::new(table),
-            &origins,
-            &light(&case),
-            &TraceOptions::default(),
-        );
+        let traced = transmittance(&Occluders::new(table), &origins, &light(&case));
         for (i, value) in traced.values.iter().enumerate() {
             let exact = reference::transmittance_to_point(&gaussians, i, &case.light);
             assert!((f64::from(*value) - exact).abs() < 1e-4, "{seed} {i}: {value} {exact}");

@@ -28,8 +28,8 @@ struct Walk {
 
 vectorised! {
     /// Gradients of every splat of `list`: record `r` of the tile, whose first is `base`, fills `out[(r - base) * (K + 9)..]`,
-    /// channels first, then the nine geometric sums. Gradients to the sum of squared depths count only where `SQUARE` says so.
-    pub fn backward<const K: usize, const SQUARE: bool>(
+    /// channels first, then the nine geometric sums.
+    pub fn backward<const K: usize>(
         list: &[Entry],
         splats: &[Splat],
         features: &[f32],
@@ -71,7 +71,7 @@ vectorised! {
                 walk.sums[..K].fill([0.0; LANES]);
                 splat.alphas::<true>(&mut groups);
                 for g in groups.numbers() {
-                    walk_back::<K, SQUARE>(splat, &groups, g, grads, &mut walk);
+                    walk_back::<K>(splat, &groups, g, grads, &mut walk);
                 }
                 let moments = moments(&groups, &walk);
                 walk.sums[K..K + GEOMETRY].copy_from_slice(&moments);
@@ -83,24 +83,13 @@ vectorised! {
 
 /// What eight pixels say to a splat: adds to its channels' sums and notes `h` and `m`.
 #[inline(always)]
-fn walk_back<const K: usize, const SQUARE: bool>(
-    splat: &Met<K>,
-    groups: &Groups,
-    g: usize,
-    grads: &TileGradients<K>,
-    walk: &mut Walk,
-) {
+fn walk_back<const K: usize>(splat: &Met<K>, groups: &Groups, g: usize, grads: &TileGradients<K>, walk: &mut Walk) {
     let (at, depth_at_row, alpha) = (groups.place(g), groups.depth[g], &groups.alpha[g]);
     let saturated = exp2(LOG2_ALPHA_MAX);
     let mut t = load(&walk.transmittance, at);
     let mut left = load(&walk.rest, at);
     let mut dot = load(&grads.alpha, at);
     let gd = load(&grads.depth, at);
-    let gs = if SQUARE {
-        load(&grads.depth_square, at)
-    } else {
-        [0.0; LANES]
-    };
     let mut w = [0.0; LANES];
     for l in 0..LANES {
         w[l] = t[l] * alpha[l];
@@ -115,14 +104,8 @@ fn walk_back<const K: usize, const SQUARE: bool>(
     let (h, m) = (&mut walk.h[g], &mut walk.m[g]);
     for l in 0..LANES {
         let z = depth_at_row + splat.slope[0] * groups.offset(g, l);
-        let (slope, twice) = if SQUARE {
-            let gz = gs[l] * z;
-            (gd[l] + gz, gd[l] + gz + gz)
-        } else {
-            (gd[l], gd[l])
-        };
-        let d = dot[l] + slope * z;
-        m[l] = w[l] * twice;
+        let d = dot[l] + gd[l] * z;
+        m[l] = w[l] * gd[l];
         left[l] -= w[l] * d;
         let d_alpha = t[l] * d - left[l] * groups.inverse[g][l];
         let to_log = alpha[l] * d_alpha;

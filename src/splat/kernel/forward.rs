@@ -7,15 +7,15 @@ use crate::vectorised;
 
 vectorised! {
     /// Composites `list` (front to back) into `maps`, which it empties first; `features[s * K + k]` are the splats' channels.
-    /// The sum of squared depths and the median depth are found only where `SQUARE` and `MEDIANS` say so.
-    pub fn forward<const K: usize, const SQUARE: bool, const MEDIANS: bool>(
+    /// The sum of squared depths and the median depth are found only where `DEPTHS` says so.
+    pub fn forward<const K: usize, const DEPTHS: bool>(
         list: &[Entry],
         splats: &[Splat],
         features: &[f32],
         frame: &TileFrame,
         maps: &mut TileMaps<K>,
     ) {
-        maps.clear(frame, SQUARE, MEDIANS);
+        maps.clear(frame, DEPTHS);
         let mut met = [Met::<K>::NOTHING; BATCH];
         let mut groups = Groups::new();
         for (number, batch) in list.chunks(BATCH).enumerate() {
@@ -30,7 +30,7 @@ vectorised! {
                 splat.groups(frame, &mut groups, &mut pixels);
                 splat.alphas::<false>(&mut groups);
                 for g in groups.numbers() {
-                    composite::<K, SQUARE, MEDIANS>(splat, &groups, g, maps);
+                    composite::<K, DEPTHS>(splat, &groups, g, maps);
                 }
             }
             maps.pairs += pixels.iter().sum::<f32>() as u64;
@@ -40,12 +40,7 @@ vectorised! {
 
 /// Adds a splat to the eight pixels of its group `g`.
 #[inline(always)]
-fn composite<const K: usize, const SQUARE: bool, const MEDIANS: bool>(
-    splat: &Met<K>,
-    groups: &Groups,
-    g: usize,
-    maps: &mut TileMaps<K>,
-) {
+fn composite<const K: usize, const DEPTHS: bool>(splat: &Met<K>, groups: &Groups, g: usize, maps: &mut TileMaps<K>) {
     let (at, depth_at_row) = (groups.place(g), groups.depth[g]);
     let mut t = load(&maps.transmittance, at);
     let mut depth = load(&maps.depth, at);
@@ -56,14 +51,12 @@ fn composite<const K: usize, const SQUARE: bool, const MEDIANS: bool>(
         z[l] = depth_at_row + splat.slope[0] * groups.offset(g, l);
         depth[l] += w[l] * z[l];
     }
-    if SQUARE {
+    if DEPTHS {
         let mut square = load(&maps.depth_square, at);
         for l in 0..LANES {
             square[l] += (w[l] * z[l]) * z[l];
         }
         store(&mut maps.depth_square, at, square);
-    }
-    if MEDIANS {
         let mut median = load(&maps.median_depth, at);
         for l in 0..LANES {
             // Zeros and ones instead of a choice, which would be stored through a mask: slow on many processors.
