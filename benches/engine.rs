@@ -2,10 +2,11 @@
 
 use criterion::{BenchmarkId, Criterion, Throughput, criterion_group, criterion_main};
 use heliosplat::bench_fixture::{Descent, Site, toward_grey};
+use heliosplat::light::Light;
 use heliosplat::optim::Adam;
 use heliosplat::splat::project::{project, project_backward};
 use heliosplat::splat::{Bins, Maps, Projected, ProjectionOptions, Rasteriser, SplatGradients};
-use heliosplat::trace::{Occluders, Route, TraceOptions, transmittance};
+use heliosplat::trace::{Occluders, Transmittance, transmittance, transmittance_by_hierarchy};
 use std::hint::black_box;
 
 /// As in the binary.
@@ -101,22 +102,20 @@ fn rays(criterion: &mut Criterion) {
     let mut group = criterion.benchmark_group("ray");
     group.throughput(Throughput::Elements(origins.len() as u64));
     group.sample_size(20);
-    for (name, route) in [("sun_plane", Route::SunPlane), ("hierarchy", Route::Hierarchy)] {
-        let options = TraceOptions {
-            route,
-            ..TraceOptions::default()
-        };
+    type Trace = fn(&Occluders, &[u32], &Light) -> Transmittance;
+    let ways: [(&str, Trace); 2] = [("sun_plane", transmittance), ("hierarchy", transmittance_by_hierarchy)];
+    for (name, trace) in ways {
         let mut occluders = Occluders::new(gaussians);
         group.bench_function(BenchmarkId::new("forward", name), |b| {
             b.iter(|| {
                 occluders.renew(gaussians);
-                transmittance(&occluders, &origins, &site.sun, &options)
+                trace(&occluders, &origins, &site.sun)
             });
         });
         group.bench_function(BenchmarkId::new("with_gradients", name), |b| {
             b.iter(|| {
                 occluders.renew(gaussians);
-                let traced = transmittance(&occluders, &origins, &site.sun, &options);
+                let traced = trace(&occluders, &origins, &site.sun);
                 traced.backward(gaussians, &occluders, &origins, &ones, &mut out);
             });
         });

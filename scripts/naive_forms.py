@@ -38,7 +38,7 @@ BATCHES = {
         ]),
         ("exponent, hierarchy", "src/trace/hierarchy/meet.rs", [("let square = n[0] * n[0] + n[1] * n[1] + n[2] * n[2];", "let e = whitened(offset);\n            let along_it = e[0] * d[0] + e[1] * d[1] + e[2] * d[2];\n            let square = e[0] * e[0] + e[1] * e[1] + e[2] * e[2] - along_it * along_it / dd;")]),
         ("exponent, sun's plane", "src/trace/sun_plane/ellipse.rs", [("let det = a.cross(b).length_squared();", "let det = xx * yy - xy * xy;"), ("let (along, area) = (xx.sqrt(), det.sqrt());\n        let whiten = [1.0 / along, -xy / (along * area), along / area];", "let whiten = [1.0 / xx.sqrt(), -xy / (det * xx).sqrt(), xx.sqrt() / det.sqrt()];")]),
-        ("own sheet", "src/trace/light_ray.rs", [("const LIFT: f32 = 3.717;", "const LIFT: f32 = 0.0;"), ("bias: options.bias_sigmas * extent,", "bias: 0.0 * extent,")]),
+        ("own sheet", "src/trace/light_ray.rs", [("const LIFT: f32 = 3.717;", "const LIFT: f32 = 0.0;"), ("bias: extent,", "bias: 0.0 * extent,")]),
         ("alpha at most 0.99", "src/trace/transmittance.rs", [("let alpha = if alpha < ALPHA_MAX { alpha } else { ALPHA_MAX };\n", ""), ("let weight = if alpha < ALPHA_MAX { alpha / (1.0 - alpha) } else { 0.0 };", "let weight = alpha / (1.0 - alpha);")]),
         ("best held-out loss", "src/train/holdout.rs", [("loss.filter(|loss| loss.is_finite())", "loss")]),
     ],

@@ -131,14 +131,6 @@ pub trait SceneModel: Send + Sync {
         self.global_parameters().into_iter().map(|group| group.spec).collect()
     }
 
-    /// How far the image with these per-image parameters is moved against its camera, pixels: columns, rows.
-    fn pointing(&self, _parameters: &Parameters, _appearance: usize) -> [f32; 2] {
-        [0.0; 2]
-    }
-
-    /// Adds the gradients of the shared parameters from that of [`Self::pointing`].
-    fn pointing_backward(&self, _appearance: usize, _d_pointing: [f32; 2], _grads: &mut Parameters) {}
-
     /// Rasterised channels the model writes into the features.
     fn channels(&self) -> usize;
 

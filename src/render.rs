@@ -13,19 +13,30 @@ use crate::splat::{
     Bins, Depths, MapGradients, Maps, Projected, ProjectionOptions, Rasteriser, SplatGradient, project::project,
     project::project_backward,
 };
-use crate::trace::{Occluders, TraceOptions, Transmittance, transmittance};
+use crate::trace::{Occluders, Transmittance, transmittance};
 
 /// Options of a pass.
-#[derive(Debug, Clone, Copy, PartialEq, Default)]
+#[derive(Debug, Clone, Copy, PartialEq)]
 pub struct PassOptions {
     /// Gaussians to splats.
     pub projection: ProjectionOptions,
-    /// Light to Gaussians.
-    pub trace: TraceOptions,
+    /// Whether gradients of light reach what stands in its way; without them only where rays start moves.
+    pub occluder_gradients: bool,
     /// Whether three channels with the splats' normals follow the model's.
     pub normals: bool,
     /// What is composited of depths along rays besides their mean.
     pub depths: Depths,
+}
+
+impl Default for PassOptions {
+    fn default() -> Self {
+        Self {
+            projection: ProjectionOptions::default(),
+            occluder_gradients: true,
+            normals: false,
+            depths: Depths::default(),
+        }
+    }
 }
 
 /// Visibility of the light from the Gaussians: how a pass gets it.
@@ -63,7 +74,7 @@ impl<'a> Pass<'a> {
         let projected = project(gaussians, context.camera, &options.projection);
         let traced = match (light, &context.light) {
             (Lit::Traced(occluders), Some(source)) if model.needs_transmittance() => {
-                transmittance(occluders, &projected.gaussian, source, &options.trace)
+                transmittance(occluders, &projected.gaussian, source)
             }
             (Lit::Known(values), _) => {
                 Transmittance::known(projected.gaussian.iter().map(|&g| values[g as usize]).collect())
@@ -133,8 +144,7 @@ impl<'a> Pass<'a> {
     pub fn backward(&self, d_maps: &MapGradients, grads: &mut Parameters) -> Vec<SplatGradient> {
         let camera = self.context.camera;
         let gaussians = &self.context.parameters.gaussians;
-        let rasteriser = Rasteriser::with_bins(&self.projected, &self.bins, camera.width, camera.height)
-            .with_depths(self.options.depths);
+        let rasteriser = Rasteriser::with_bins(&self.projected, &self.bins, camera.width, camera.height);
         let mut splat_gradients = rasteriser.backward(&self.features, self.stride, &self.maps, d_maps);
         if self.options.normals {
             let at = self.model.channels();
@@ -168,9 +178,14 @@ impl<'a> Pass<'a> {
             &mut grads.gaussians,
         );
         if let Lit::Traced(occluders) = self.light {
-            let origins = &self.projected.gaussian;
-            self.traced
-                .backward(gaussians, occluders, origins, &d_transmittance, &mut grads.gaussians);
+            let (origins, out) = (&self.projected.gaussian, &mut grads.gaussians);
+            if self.options.occluder_gradients {
+                self.traced
+                    .backward(gaussians, occluders, origins, &d_transmittance, out);
+            } else {
+                self.traced
+                    .backward_to_origins(gaussians, origins, &d_transmittance, out);
+            }
         }
         splat_gradients.splats
     }
@@ -182,15 +197,6 @@ pub struct Rendering {
     pub image: Raster,
     /// The maps, the model's channels first, then the normals.
     pub maps: Maps,
-}
-
-/// Gradient to a shift of the whole image (columns, rows; per pixel), the sum of those of its splats: a pointing error of the camera
-/// moves all splats alike.
-pub fn image_moved(splats: &[SplatGradient]) -> [f32; 2] {
-    let sum = splats.iter().fold([0.0f64; 2], |[col, row], d| {
-        [col + f64::from(d.col), row + f64::from(d.row)]
-    });
-    sum.map(|d| d as f32)
 }
 
 /// Composites alpha and depths (mean, squares and median, metres) of a view and nothing else: no model, no light.

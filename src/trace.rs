@@ -8,10 +8,8 @@ pub mod bvh;
 mod hierarchy;
 mod light_ray;
 mod occlusion;
-mod options;
 mod sun_plane;
 pub mod transmittance;
 
 pub use bvh::{Occluder, Occluders};
-pub use options::{Route, TraceOptions};
-pub use transmittance::{Transmittance, transmittance};
+pub use transmittance::{Transmittance, transmittance, transmittance_by_hierarchy};

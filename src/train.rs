@@ -14,25 +14,39 @@ pub use options::TrainOptions;
 
 use crate::camera::ProjectiveCamera;
 use crate::gaussians::{FEATURES, LOG_SCALE, OPACITY, POSITION, ROTATION};
-use crate::loss::geometry::{depth_normal, one_surface};
+use crate::loss::geometry::depth_normal;
 use crate::loss::photometric::photometric;
 use crate::loss::shadow::{ConsistencyPass, consistency};
 use crate::model::{Context, NamedLoss, Parameters, SceneModel, View};
+use crate::optim::density::UNTIL_FRACTION;
 use crate::optim::{Adam, DensityStatistics, LearningRate, ParameterGroup, exponential_decay};
-use crate::render::{Lit, Pass, PassOptions, image_moved};
+use crate::render::{Lit, Pass, PassOptions};
 use crate::splat::project::project;
-use crate::splat::{Depths, MapGradients};
+use crate::splat::{Depths, MapGradients, ProjectionOptions};
 use crate::trace::Occluders;
-use focus::Focus;
+use focus::{Focus, Look};
 use glam::Vec3;
 use holdout::Holdout;
-use known_light::{KnownLight, Movement};
+use known_light::KnownLight;
 use rand::{SeedableRng, seq::SliceRandom};
 use rand_pcg::Pcg32;
 use rayon::prelude::*;
 
 /// Rejected steps in a row, or steps that saw no Gaussian, after which training stops.
 const REJECTED_LIMIT: usize = 20;
+/// Steps between two builds of the occluders' hierarchy, where that is how light is traced. In between it is fitted to Gaussians that
+/// have moved by hundredths of their size.
+const HIERARCHY_EVERY: usize = 25;
+/// Learning rate of log scales.
+const LOG_SCALE_RATE: f32 = 5e-3;
+/// Learning rate of rotations.
+const ROTATION_RATE: f32 = 2e-3;
+/// Weight of the photometric loss; the other weights are relative to it.
+const PHOTOMETRIC_WEIGHT: f32 = 10.0;
+/// Share of the structural part in it (Kerbl et al. 2023); without it `olat` loses 0.4 dB (docs/objects.md).
+const LAMBDA_SSIM: f32 = 0.2;
+/// Depth range, ground sampling distances, beyond which neighbouring pixels are an edge and not a slope.
+const DEPTH_NORMAL_EDGE_GSD: f32 = 3.0;
 
 /// What one step did.
 #[derive(Debug, Clone, Default)]
@@ -78,7 +92,6 @@ pub struct Trainer<'a> {
     statistics: DensityStatistics,
     holdout: Holdout,
     focus: Focus,
-    movement: Movement,
     gradients: Parameters,
     occluders: Option<Occluders>,
     occluders_step: usize,
@@ -121,14 +134,10 @@ impl<'a> Trainer<'a> {
         Ok(Self {
             feature_rates: rates(features),
             global_rates: rates(globals),
-            gaussians_adam: Adam {
-                sparse: options.sparse,
-                ..Adam::new(&parameters.gaussians)
-            },
+            gaussians_adam: Adam::new(&parameters.gaussians),
             globals_adam: Adam::new(&parameters.globals),
             statistics: DensityStatistics::new(parameters.gaussians.count),
             focus: Focus::new(&views, &options),
-            movement: Movement::new(&parameters.gaussians),
             holdout,
             gradients: parameters.zeros_like(),
             occluders: None,
@@ -206,9 +215,8 @@ impl<'a> Trainer<'a> {
     fn light_is_due(&self, index: usize) -> bool {
         let known = self.known_light[index]
             .as_ref()
-            .is_some_and(|known| known.serves(&self.options, &self.movement));
-        let whole = self.options.window_share >= 1.0;
-        !(known && whole) || self.consistency_is_due()
+            .is_some_and(|known| known.serves(self.options.light_every));
+        !known || self.consistency_is_due()
     }
 
     fn consistency_is_due(&self) -> bool {
@@ -222,7 +230,7 @@ impl<'a> Trainer<'a> {
             return;
         }
         let gaussians = &self.parameters.gaussians;
-        let fresh = self.step < self.occluders_step + self.options.hierarchy_every;
+        let fresh = self.step < self.occluders_step + HIERARCHY_EVERY;
         match &mut self.occluders {
             Some(occluders) if fresh && occluders.list.len() == gaussians.count => occluders.renew(gaussians),
             occluders => {
@@ -295,34 +303,23 @@ impl<'a> Trainer<'a> {
     }
 
     fn descend_view(&mut self, index: usize) -> StepReport {
-        let look = self.focus.look(&self.views, index, self.step, self.fraction());
-        let view = &*look.view;
+        let Look { view, full_size } = self.focus.look(&self.views, index, self.fraction());
         let options = &self.options;
-        let moved = self
-            .model
-            .pointing(&self.parameters, view.appearance)
-            .map(|px| px / look.pixel);
-        let camera = view.camera.shifted(moved[0], moved[1]);
         let context = Context {
             parameters: &self.parameters,
-            camera: &camera,
+            camera: &view.camera,
             light: view.light,
             appearance: Some(view.appearance),
         };
         let pass_options = PassOptions {
-            projection: options.projection,
-            trace: options.trace,
+            projection: ProjectionOptions::default(),
+            occluder_gradients: options.occluder_gradients,
             normals: options.depth_normal_weight > 0.0,
-            depths: if options.one_surface_weight > 0.0 {
-                Depths::Spread
-            } else {
-                Depths::Mean
-            },
+            depths: Depths::Mean,
         };
-        // A window does not know the light of what lies outside of it.
         let known = self.known_light[index]
             .take()
-            .filter(|known| look.whole && known.serves(options, &self.movement));
+            .filter(|known| known.serves(options.light_every));
         let lit = match (&known, &self.occluders) {
             (Some(known), _) => Lit::Known(&known.values),
             (None, Some(occluders)) => Lit::Traced(occluders),
@@ -331,12 +328,11 @@ impl<'a> Trainer<'a> {
         let pass = Pass::new(self.model, context, lit, pass_options);
         let image = pass.image();
         let truth = view.truth(&image);
-        let (photo, mut d_image) = photometric(&image, &truth, &view.weight, options.lambda_ssim);
+        let (photo, mut d_image) = photometric(&image, &truth, &view.weight, LAMBDA_SSIM);
         for d in &mut d_image.values {
-            *d *= options.photometric_weight;
+            *d *= PHOTOMETRIC_WEIGHT;
         }
-        let full = look.whole && look.pixel == 1.0;
-        let held_out = full.then(|| self.holdout.loss(index, &image, &truth)).flatten();
+        let held_out = full_size.then(|| self.holdout.loss(index, &image, &truth)).flatten();
         let mut losses = vec![("photometric", photo)];
         let mut d_maps = pass.zero_gradients();
         self.model
@@ -345,27 +341,20 @@ impl<'a> Trainer<'a> {
         if let Some(lit) = &view.lit {
             losses.extend(self.model.light_prior_loss(&pass.maps, lit, &view.weight, &mut d_maps));
         }
-        losses.extend(surface_losses(options, view, &pass, &mut d_maps));
+        losses.extend(surface_loss(options, &pass, &mut d_maps));
         let splat_gradients = pass.backward(&d_maps, &mut self.gradients);
-        let d_pointing = image_moved(&splat_gradients).map(|d| d / look.pixel);
-        self.model
-            .pointing_backward(view.appearance, d_pointing, &mut self.gradients);
         self.statistics.add(
             &pass.projected,
             &splat_gradients,
             view.camera.width * view.camera.height,
         );
-        let traced = (known.is_none() && look.whole).then(|| {
+        let traced = known.is_none().then(|| {
             // What this view does not show counts as lit; it is asked again before long.
             let mut values = vec![1.0; self.parameters.gaussians.count];
             for (&g, &t) in pass.projected.gaussian.iter().zip(pass.transmittances()) {
                 values[g as usize] = t;
             }
-            KnownLight {
-                values,
-                visits: 0,
-                traced_at: self.movement.total,
-            }
+            KnownLight { values, visits: 0 }
         });
         let pairs = pass.maps.pairs;
         self.known_light[index] = known.or(traced).map(|light| KnownLight {
@@ -373,7 +362,7 @@ impl<'a> Trainer<'a> {
             ..light
         });
         let l1 = mean_absolute(&image.values, &truth.values);
-        if full {
+        if full_size {
             self.holdout.record(index, held_out);
         }
         StepReport {
@@ -394,11 +383,12 @@ impl<'a> Trainer<'a> {
         };
         let Some(occluders) = &self.occluders else { return 0.0 };
         let gaussians = &self.parameters.gaussians;
-        let projected = project(gaussians, camera, &self.options.projection);
+        let projection = ProjectionOptions::default();
+        let projected = project(gaussians, camera, &projection);
         let pass = ConsistencyPass {
             camera,
-            projection: &self.options.projection,
-            trace: &self.options.trace,
+            projection: &projection,
+            occluder_gradients: self.options.occluder_gradients,
             occluders,
             // Asked for on one step in `consistency_every` only, so it weighs that much more there.
             weight: self.options.consistency_weight * self.options.consistency_every.max(1) as f32,
@@ -411,8 +401,8 @@ impl<'a> Trainer<'a> {
         let f = self.fraction();
         let mut rates = vec![0.0; FEATURES];
         rates[POSITION] = exponential_decay(o.position_rate_gsd, o.position_rate_gsd * o.final_rate, f) * o.gsd_m;
-        rates[LOG_SCALE] = o.log_scale_rate;
-        rates[ROTATION] = o.rotation_rate;
+        rates[LOG_SCALE] = LOG_SCALE_RATE;
+        rates[ROTATION] = ROTATION_RATE;
         rates[OPACITY] = o.opacity_rate;
         let feature_decay = exponential_decay(1.0, o.final_rate.max(0.1), f);
         rates.extend(self.feature_rates.iter().map(|rate| feature_decay * rate.at(f)));
@@ -421,9 +411,6 @@ impl<'a> Trainer<'a> {
         let rates: Vec<f32> = self.global_rates.iter().map(|rate| rate.at(f)).collect();
         self.globals_adam
             .step(&mut self.parameters.globals, &self.gradients.globals, &rates);
-        if o.light_moved > 0.0 {
-            self.movement.add(&self.parameters.gaussians, o.gsd_m);
-        }
         let (least, most) = ((o.scale_gsd.0 * o.gsd_m).ln(), (o.scale_gsd.1 * o.gsd_m).ln());
         self.parameters
             .gaussians
@@ -440,7 +427,7 @@ impl<'a> Trainer<'a> {
     fn control_density(&mut self) {
         let d = &self.options.density;
         let due = d.every > 0 && self.step >= d.from && self.step.is_multiple_of(d.every);
-        if !due || self.step as f32 > d.until_fraction * self.options.iterations as f32 {
+        if !due || self.step as f32 > UNTIL_FRACTION * self.options.iterations as f32 {
             return;
         }
         let seed = self.options.seed.wrapping_add(self.step as u64);
@@ -450,7 +437,6 @@ impl<'a> Trainer<'a> {
         self.gaussians_adam.follow(&rebuild.sources, rebuild.fresh);
         self.occluders = None;
         self.known_light.fill(None);
-        self.movement.rebuilt(&self.parameters.gaussians);
         tracing::debug!(
             step = self.step,
             gaussians = self.parameters.gaussians.count,
@@ -461,21 +447,14 @@ impl<'a> Trainer<'a> {
     }
 }
 
-/// The losses that ask the maps for a surface.
-fn surface_losses(options: &TrainOptions, view: &View, pass: &Pass, d_maps: &mut MapGradients) -> Vec<NamedLoss> {
-    let mut losses = Vec::new();
-    if options.depth_normal_weight > 0.0 {
-        let edge_m = options.depth_normal_edge_gsd * options.gsd_m;
-        let (at, weight) = (pass.normal_channel(), options.depth_normal_weight);
-        let value = depth_normal(pass.camera(), &pass.maps, at, edge_m, weight, d_maps);
-        losses.push(("depth_normal", value));
-    }
-    if options.one_surface_weight > 0.0 {
-        let scale_m = options.one_surface_gsd * options.gsd_m;
-        let value = one_surface(&pass.maps, &view.weight, scale_m, options.one_surface_weight, d_maps);
-        losses.push(("one_surface", value));
-    }
-    losses
+/// The loss that asks the maps for a surface, where that is on.
+fn surface_loss(options: &TrainOptions, pass: &Pass, d_maps: &mut MapGradients) -> Option<NamedLoss> {
+    let weight = options.depth_normal_weight;
+    (weight > 0.0).then(|| {
+        let edge_m = DEPTH_NORMAL_EDGE_GSD * options.gsd_m;
+        let value = depth_normal(pass.camera(), &pass.maps, pass.normal_channel(), edge_m, weight, d_maps);
+        ("depth_normal", value)
+    })
 }
 
 fn mean_absolute(a: &[f32], b: &[f32]) -> f64 {

@@ -22,7 +22,6 @@ use heliosplat::model::Parameters;
 use heliosplat::model::shadow_gs::{ShadowGs, ShadowGsOptions};
 use heliosplat::render::PassOptions;
 use heliosplat::splat::ProjectionOptions;
-use heliosplat::trace::TraceOptions;
 use heliosplat_rpc::{GeoPoint, LocalFrame, ProjectiveMap, sun::SunPosition};
 use sha2::{Digest, Sha256};
 use std::path::{Path, PathBuf};
@@ -105,8 +104,6 @@ pub struct ModelFile {
     pub counts_per_unit: f64,
     /// How Gaussians become splats.
     pub projection: ProjectionOptions,
-    /// How light is traced.
-    pub trace: TraceOptions,
     /// What the bands are.
     pub bands: Vec<BandKind>,
     /// The images.
@@ -184,7 +181,6 @@ impl LoadedModel {
     pub fn pass_options(&self) -> PassOptions {
         PassOptions {
             projection: self.file.projection,
-            trace: self.file.trace,
             normals: true,
             ..PassOptions::default()
         }

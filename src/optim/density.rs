@@ -11,42 +11,49 @@ use glam::Vec3;
 use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg32;
 
+/// Last step at which the number changes, as a fraction of all: what is new has the rest to settle.
+pub(crate) const UNTIL_FRACTION: f32 = 0.6;
+/// Below this opacity a Gaussian goes: it takes a fiftieth of the light at most, and costs as much as any.
+const PRUNE_OPACITY: f32 = 0.02;
+
 /// When and how the number of Gaussians changes.
+///
+/// Fields that serde skips are no settings of users: they belong to the kind of scene, and the program sets them. Their defaults are
+/// those of ground seen from satellites.
 #[derive(Debug, Clone, PartialEq, serde::Serialize, serde::Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct DensityOptions {
-    /// Steps between two rounds of density control; 0 is never.
+    /// Steps between two rounds of density control; 0 is never. `fast` has none, `balanced` and objects one every 100 steps.
     pub every: usize,
+    /// At most this many Gaussians: 20,000 in `fast` of objects, 150,000 in `accurate`; `--memory` may lower it.
+    pub cap: usize,
     /// First step.
+    #[serde(skip)]
     pub from: usize,
-    /// Last step, as a fraction of all.
-    pub until_fraction: f32,
     /// Fraction of the Gaussians that may be added at a time, largest gradients first.
+    #[serde(skip)]
     pub growth: f32,
     /// Mean 2-D positional gradient below which nothing grows; per pixel, of a loss that is a mean over pixels times the pixels.
+    #[serde(skip)]
     pub gradient_threshold: f32,
     /// Larger than this many ground sampling distances: split instead of cloned.
+    #[serde(skip)]
     pub split_gsd: f32,
-    /// Below this opacity a Gaussian is pruned.
-    pub prune_opacity: f32,
     /// Larger than this many ground sampling distances: pruned.
+    #[serde(skip)]
     pub prune_gsd: f32,
-    /// At most this many Gaussians.
-    pub cap: usize,
 }
 
 impl Default for DensityOptions {
     fn default() -> Self {
         Self {
             every: 300,
-            from: 300,
-            until_fraction: 0.6,
+            cap: 2_000_000,
+            from: 0,
             growth: 0.05,
             gradient_threshold: 0.2,
             split_gsd: 1.2,
-            prune_opacity: 0.02,
             prune_gsd: 12.0,
-            cap: 2_000_000,
         }
     }
 }
@@ -154,7 +161,7 @@ fn is_kept(gaussians: &Table, index: usize, options: &DensityOptions, gsd_m: f32
     let position = gaussians.position(index);
     let inside = position.cmpge(bounds.0).all() && position.cmple(bounds.1).all();
     inside
-        && gaussians.opacity(index) > options.prune_opacity
+        && gaussians.opacity(index) > PRUNE_OPACITY
         && gaussians.scale(index).max_element() < options.prune_gsd * gsd_m
 }
 

@@ -12,17 +12,8 @@ pub struct LearningRate {
     rate: f32,
     /// Share of training, 0 to 1, before which the group is frozen.
     from: f32,
-    decay: Decay,
-}
-
-/// How a rate changes while the training goes on.
-#[derive(Debug, Clone, Copy, PartialEq)]
-enum Decay {
-    None,
-    /// Exponentially, to this share of the rate at the last step.
-    Exponential(f32),
-    /// Linearly, to zero at the last step.
-    Linear,
+    /// Share of the rate that is left at the last step, after an exponential decay; `None`: it does not decay.
+    end: Option<f32>,
 }
 
 impl LearningRate {
@@ -34,7 +25,7 @@ impl LearningRate {
         Self {
             rate,
             from: 0.0,
-            decay: Decay::None,
+            end: None,
         }
     }
 
@@ -45,18 +36,7 @@ impl LearningRate {
 
     /// The same, decaying exponentially to the share `end` of the rate at the last step.
     pub const fn decaying_to(self, end: f32) -> Self {
-        Self {
-            decay: Decay::Exponential(end),
-            ..self
-        }
-    }
-
-    /// The same, decaying linearly to zero at the last step.
-    pub const fn linear_to_zero(self) -> Self {
-        Self {
-            decay: Decay::Linear,
-            ..self
-        }
+        Self { end: Some(end), ..self }
     }
 
     /// The rate when the share `progress` (0 to 1) of training is done.
@@ -64,10 +44,9 @@ impl LearningRate {
         if progress < self.from {
             return 0.0;
         }
-        match self.decay {
-            Decay::None => self.rate,
-            Decay::Exponential(end) => exponential_decay(self.rate, end * self.rate, progress),
-            Decay::Linear => self.rate * (1.0 - progress),
+        match self.end {
+            None => self.rate,
+            Some(end) => exponential_decay(self.rate, end * self.rate, progress),
         }
     }
 }
@@ -117,6 +96,5 @@ mod tests {
         assert_eq!(rate.at(0.29), 0.0);
         assert_eq!(rate.at(0.3), exponential_decay(0.2, 0.1 * 0.2, 0.3));
         assert!((rate.at(1.0) - 0.02).abs() < 1e-7);
-        assert_eq!(LearningRate::constant(0.2).linear_to_zero().at(0.75), 0.2 * 0.25);
     }
 }

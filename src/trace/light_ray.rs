@@ -8,7 +8,6 @@
 //! extent `sqrt(rᵀΣr)` count.
 
 use super::bvh::Occluder;
-use super::options::TraceOptions;
 use crate::gaussians::{CoreGradient, rotation_backward};
 use crate::light::Light;
 use glam::{Mat3, Vec3};
@@ -41,7 +40,7 @@ struct Lift {
 
 impl LightRay {
     /// The ray of a Gaussian toward `light`.
-    pub(super) fn new(gaussian: &Occluder, light: &Light, options: &TraceOptions) -> Self {
+    pub(super) fn new(gaussian: &Occluder, light: &Light) -> Self {
         let (position, scale) = (gaussian.position, gaussian.scale);
         let (direction, distance) = light.seen_from(position);
         let thin = if scale.x <= scale.y && scale.x <= scale.z {
@@ -54,7 +53,7 @@ impl LightRay {
         let own = gaussian.scaled_axes.col(thin) / scale[thin];
         let sign = if own.dot(direction) < 0.0 { -1.0 } else { 1.0 };
         let axis = own * sign;
-        let full = options.lift * LIFT * scale[thin];
+        let full = LIFT * scale[thin];
         let height = full * (1.0 - axis.dot(direction));
         let extent = (gaussian.scaled_axes.transpose() * direction).length();
         let lift = Lift {
@@ -68,7 +67,7 @@ impl LightRay {
             origin: position + axis * height,
             direction,
             length: distance,
-            bias: options.bias_sigmas * extent,
+            bias: extent,
             lift,
         }
     }

@@ -4,7 +4,7 @@
 //! takes a state up. How it is written and where is not the engine's affair: a state is plain data for serde.
 
 use super::holdout::HoldoutState;
-use super::known_light::{KnownLight, Movement};
+use super::known_light::KnownLight;
 use super::{Trainer, TrainerOptionsState};
 use crate::gaussians::Table;
 use crate::model::Parameters;
@@ -14,7 +14,7 @@ use crate::trace::bvh::Bounds;
 use std::borrow::Cow;
 
 /// Version of [`TrainerState`]: changes with its layout, and whenever the steps of a training come to mean something else.
-pub const STATE_VERSION: u32 = 2;
+pub const STATE_VERSION: u32 = 3;
 
 /// Why a state cannot be taken up.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
@@ -33,7 +33,6 @@ pub struct TrainerState<'a> {
     globals_adam: Cow<'a, Adam>,
     statistics: Cow<'a, DensityStatistics>,
     holdout: HoldoutState<'a>,
-    movement: Cow<'a, Movement>,
     known_light: Cow<'a, [Option<KnownLight>]>,
     /// Step at which the occluders were made, and what a hierarchy over them was built on: where Gaussians are in it decides the
     /// order of products.
@@ -76,7 +75,6 @@ impl Trainer<'_> {
             globals_adam: Cow::Borrowed(&self.globals_adam),
             statistics: Cow::Borrowed(&self.statistics),
             holdout: self.holdout.state(),
-            movement: Cow::Borrowed(&self.movement),
             known_light: Cow::Borrowed(&self.known_light),
             occluders: self.occluders.as_ref().map(|occluders| {
                 let built_on = occluders.hierarchy_built_on().map(Cow::Borrowed);
@@ -102,7 +100,6 @@ impl Trainer<'_> {
         self.globals_adam = state.globals_adam.into_owned();
         self.statistics = state.statistics.into_owned();
         self.holdout.restore(state.holdout);
-        self.movement = state.movement.into_owned();
         self.known_light = state.known_light.into_owned();
         self.gradients = self.parameters.zeros_like();
         self.occluders_step = 0;

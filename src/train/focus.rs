@@ -1,91 +1,48 @@
-//! What a step looks at: all of a view, a coarser image of it, or a window.
+//! What a step looks at: a view, or at first an image of it half as wide.
 
 use super::options::TrainOptions;
 use crate::model::View;
 use crate::raster::Raster;
-use rand::{RngExt, SeedableRng};
-use rand_pcg::Pcg32;
-use std::borrow::Cow;
 
-/// Windows begin and end at multiples of this many pixels, and are never smaller.
-const WINDOW_STEP: usize = 64;
+/// How much wider than in the view the pixels are on which training begins.
+const COARSE: usize = 2;
 
-/// The coarser images of all views, and the plan of who looks at what.
+/// The coarser images of all views, and for how long they are looked at.
 pub(super) struct Focus {
-    /// `coarse[level - 1][view]`: pixels `2^level` times as wide.
-    coarse: Vec<Vec<View>>,
+    /// By view; empty where training begins at full size.
+    coarse: Vec<View>,
     share: f32,
-    window_share: f32,
-    seed: u64,
 }
 
 /// What one step looks at.
 pub(super) struct Look<'a> {
-    /// A view, its coarser image or a window of either; its weights are those to train with.
-    pub(super) view: Cow<'a, View>,
-    /// Width of its pixels, in those of the full image.
-    pub(super) pixel: f32,
-    /// Whether no part of the view is left out.
-    pub(super) whole: bool,
+    /// A view or its coarser image; its weights are those to train with.
+    pub(super) view: &'a View,
+    /// Whether it is the view itself.
+    pub(super) full_size: bool,
 }
 
 impl Focus {
     /// The plan of a training on `views`, whose weights are those to train with.
     pub(super) fn new(views: &[View], options: &TrainOptions) -> Self {
-        let level = |n: usize| views.iter().map(|view| coarser(view, 1 << n)).collect();
-        let sides = views.iter().map(|view| view.image.width.min(view.image.height));
-        // The coarsest image has a pixel still.
-        let levels = sides.min().map_or(0, |side| side.max(1).ilog2() as usize);
+        // The coarser image has a pixel still.
+        let wide_enough = |view: &View| view.image.width.min(view.image.height) >= COARSE;
+        let coarse = match options.pyramid_share > 0.0 && views.iter().all(wide_enough) {
+            true => views.iter().map(|view| coarser(view, COARSE)).collect(),
+            false => Vec::new(),
+        };
         Self {
-            coarse: (1..=options.pyramid_levels.min(levels)).map(level).collect(),
+            coarse,
             share: options.pyramid_share,
-            window_share: options.window_share,
-            seed: options.seed,
         }
     }
 
-    /// What step number `step`, a `fraction` of training, looks at of view `index` of `views`.
-    pub(super) fn look<'a>(&'a self, views: &'a [View], index: usize, step: usize, fraction: f32) -> Look<'a> {
-        let levels = self.coarse.len();
-        let left = 1.0 - fraction / self.share.max(1e-6);
-        let level = ((levels as f32 * left).ceil().max(0.0) as usize).min(levels);
-        let view = match level {
-            0 => &views[index],
-            _ => &self.coarse[level - 1][index],
-        };
-        let window = (self.window_share < 1.0).then(|| self.window(view, step));
+    /// What a step looks at of view `index` of `views` when this `fraction` of training is done.
+    pub(super) fn look<'a>(&'a self, views: &'a [View], index: usize, fraction: f32) -> Look<'a> {
+        let coarse = self.coarse.get(index).filter(|_| fraction < self.share);
         Look {
-            pixel: (1 << level) as f32,
-            whole: window.is_none(),
-            view: window.map_or(Cow::Borrowed(view), Cow::Owned),
-        }
-    }
-
-    fn window(&self, view: &View, step: usize) -> View {
-        let mut random = Pcg32::seed_from_u64(self.seed ^ (step as u64) << 20);
-        let mut along = |length: usize| {
-            let wanted = (length as f32 * self.window_share.sqrt() / WINDOW_STEP as f32).ceil();
-            let size = (wanted as usize * WINDOW_STEP).max(WINDOW_STEP).min(length);
-            (random.random_range(0..=length - size), size)
-        };
-        let (columns, rows) = (along(view.image.width), along(view.image.height));
-        let (corner, size) = ((columns.0, rows.0), (columns.1, rows.1));
-        let weight = (rows.0..rows.0 + rows.1).flat_map(|row| {
-            let start = row * view.image.width + columns.0;
-            &view.weight[start..start + columns.1]
-        });
-        View {
-            name: view.name.clone(),
-            camera: view.camera.window(corner, size),
-            image: view.image.window(corner, size),
-            weight: weight.copied().collect(),
-            light: view.light,
-            appearance: view.appearance,
-            ceiling: view.ceiling.clone(),
-            lit: view
-                .lit
-                .as_ref()
-                .map(|lit| plane(lit, view.image.width).window(corner, size).values),
+            view: coarse.unwrap_or(&views[index]),
+            full_size: coarse.is_none(),
         }
     }
 }
@@ -160,20 +117,20 @@ mod tests {
     #[test]
     fn training_begins_coarse_and_ends_at_full_size() {
         let views = [view()];
-        let options = TrainOptions {
-            pyramid_levels: 2,
-            pyramid_share: 0.5,
-            ..TrainOptions::default()
+        let widths = |pyramid_share| {
+            let options = TrainOptions {
+                pyramid_share,
+                ..TrainOptions::default()
+            };
+            let focus = Focus::new(&views, &options);
+            [0.0, 0.49, 0.5, 1.0].map(|f| focus.look(&views, 0, f).view.image.width)
         };
-        let focus = Focus::new(&views, &options);
-        let pixels: Vec<f32> = [0.0, 0.2, 0.3, 0.49, 0.5, 1.0]
-            .map(|f| focus.look(&views, 0, 0, f).pixel)
-            .to_vec();
-        assert_eq!(pixels, [4.0, 4.0, 2.0, 2.0, 1.0, 1.0]);
+        assert_eq!(widths(0.5), [100, 100, 200, 200]);
+        assert_eq!(widths(0.0), [200; 4]);
     }
 
     #[test]
-    fn coarser_images_and_windows_show_the_same_ground() {
+    fn coarser_images_show_the_same_ground() {
         let views = [view()];
         let point = Vec3::new(-12.25, 10.25, 0.0);
         let at = seen(&views[0], point);
@@ -185,22 +142,6 @@ mod tests {
             "{col} {row}"
         );
         assert!(half.camera.project(Vec3::new(-50.0 + 0.25, 40.0 - 0.25, 0.0)).0.abs() < 1e-4);
-        let options = TrainOptions {
-            window_share: 0.25,
-            ..TrainOptions::default()
-        };
-        let focus = Focus::new(&views, &options);
-        let mut hits = 0;
-        for step in 0..40 {
-            let look = focus.look(&views, 0, step, 0.0);
-            let window = &look.view;
-            let (col, row, _) = window.camera.project(point);
-            if col >= 0.0 && row >= 0.0 && col < window.image.width as f32 && row < window.image.height as f32 {
-                hits += 1;
-                assert_eq!(seen(window, point), at);
-            }
-        }
-        assert!(hits > 0);
     }
 
     #[test]

@@ -5,10 +5,10 @@ use glam::Vec3;
 use heliosplat::ProjectiveCamera;
 use heliosplat::gaussians::{FEATURES, POSITION, Table, core_groups};
 use heliosplat::light::Light;
-use heliosplat::model::olat::{DIFFUSE, FRAME, F0, LOBES, Olat, OlatOptions, SPECULAR, WEIGHT};
+use heliosplat::model::olat::{DIFFUSE, F0, FRAME, LOBES, Olat, OlatOptions, SPECULAR, WEIGHT};
 use heliosplat::model::{Context, Parameters, SceneModel};
 use heliosplat::render::Lit;
-use heliosplat::trace::{Occluders, TraceOptions, transmittance};
+use heliosplat::trace::{Occluders, transmittance};
 use heliosplat_tests::capture::{
     BANDS, Flat, SIZE, camera, engine_values, flat, network, reference_gaussians, reference_values, scatter,
 };
@@ -146,7 +146,12 @@ fn around(case: &Case, gaussians: &Flat, i: usize) -> (Vector3<f64>, Vector3<f64
     let embedding_group = case.model.embedding_group().expect("a network is on");
     let embedding = gaussians[embedding_group][i * 6..i * 6 + 6].to_vec();
     let (to_light, to_eye) = (case.light - position, case.eye - position);
-    (position / HALF_SIZE, to_light.normalize(), to_eye.normalize(), embedding)
+    (
+        position / HALF_SIZE,
+        to_light.normalize(),
+        to_eye.normalize(),
+        embedding,
+    )
 }
 
 /// What scatters out of Gaussian `i`: the dipole as printed, with what the network predicts.
@@ -204,7 +209,10 @@ fn reference_of(case: &Case, flat: &Flat, globals: &Flat) -> Vec<f64> {
         } else {
             transmittance[i]
         };
-        gaussian.albedo = reflected(case, flat, globals, i).into_iter().map(|c| c * transmittance).collect();
+        gaussian.albedo = reflected(case, flat, globals, i)
+            .into_iter()
+            .map(|c| c * transmittance)
+            .collect();
         if networks {
             let more = scattered(case, flat, globals, i);
             gaussian.albedo.iter_mut().zip(more).for_each(|(sum, c)| *sum += c);
@@ -236,12 +244,7 @@ fn transmittance_to_a_point_light_is_that_of_the_f64_reference() {
         let table = &case.parameters.gaussians;
         let gaussians = reference_gaussians(&flat(table));
         let origins: Vec<u32> = (0..table.count as u32).collect();
-        let traced = transmittance(
-            &Occluders::new(table),
-            &origins,
-            &light(&case),
-            &TraceOptions::default(),
-        );
+        let traced = transmittance(&Occluders::new(table), &origins, &light(&case));
         for (i, value) in traced.values.iter().enumerate() {
             let exact = reference::transmittance_to_point(&gaussians, i, &case.light);
             assert!((f64::from(*value) - exact).abs() < 1e-4, "{seed} {i}: {value} {exact}");

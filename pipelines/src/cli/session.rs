@@ -56,11 +56,6 @@ impl Session {
         self.bar(label, ProgressBar::no_length(), "{prefix} {elapsed} {msg}")
     }
 
-    /// The flag itself, for loops that know nothing of sessions.
-    pub fn stop_flag(&self) -> Arc<AtomicBool> {
-        Arc::clone(&self.stop)
-    }
-
     /// A progress bar of `total` steps; on a terminal only.
     pub fn progress(&self, label: &str, total: u64) -> Progress {
         let style = "{prefix} [{bar:30}] {pos}/{len} {per_sec} left {eta} {msg}";

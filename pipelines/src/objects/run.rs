@@ -22,7 +22,6 @@ use heliosplat::model::reflective::{Reflective, ReflectiveOptions};
 use heliosplat::model::{Parameters, SceneModel};
 use heliosplat::render::{PassOptions, render};
 use heliosplat::splat::{Maps, ProjectionOptions};
-use heliosplat::trace::TraceOptions;
 use heliosplat::{ProjectiveCamera, Raster};
 use std::path::{Path, PathBuf};
 
@@ -143,8 +142,6 @@ pub struct ObjectFile {
     pub preparation: Preparation,
     /// How Gaussians become splats.
     pub projection: ProjectionOptions,
-    /// How light is traced.
-    pub trace: TraceOptions,
     /// The images.
     pub images: Vec<ObjectImage>,
 }
@@ -217,7 +214,6 @@ impl ObjectModel {
         let model = own.as_deref().unwrap_or(&*self.model);
         let options = PassOptions {
             projection: self.file.projection,
-            trace: self.file.trace,
             ..PassOptions::default()
         };
         let maps = render(model, &self.parameters, &camera, None, None, options).maps;
@@ -275,7 +271,6 @@ impl ObjectModel {
         let camera = camera.projective(self.file.centre)?;
         let options = PassOptions {
             projection: self.file.projection,
-            trace: self.file.trace,
             ..PassOptions::default()
         };
         let rendering = render(model, &self.parameters, &camera, light, None, options);
@@ -307,13 +302,7 @@ pub fn is_object_run(folder: &Path) -> bool {
 }
 
 /// `model.json` of a training.
-pub fn file(
-    capture: &Capture,
-    config: &ObjectConfig,
-    kind: Kind,
-    preparation: Preparation,
-    globals: Table,
-) -> ObjectFile {
+pub fn file(capture: &Capture, kind: Kind, preparation: Preparation, globals: Table) -> ObjectFile {
     ObjectFile {
         schema: SCHEMA,
         kind,
@@ -323,8 +312,7 @@ pub fn file(
         pixel_size: capture.pixel_size,
         encoding: capture.frames.first().map_or(Encoding::Display, |f| f.picture.encoding),
         preparation,
-        projection: config.train.projection,
-        trace: config.train.trace,
+        projection: ProjectionOptions::default(),
         images: capture.frames.iter().map(ObjectImage::from).collect(),
     }
 }

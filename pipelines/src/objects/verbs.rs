@@ -146,8 +146,8 @@ fn identity(args: &TrainArgs, config: &ObjectConfig, capture: &Capture, inputs: 
     // Writing to a String cannot fail.
     let _ = writeln!(
         text,
-        "--time-budget {:?}\n--memory {:?}\n{config}",
-        args.time_budget, args.memory
+        "--time-budget {:?}\n--memory {:?}\nseed = {}\n{config}",
+        args.time_budget, args.memory, args.seed
     );
     for (frame, input) in capture.frames.iter().zip(inputs) {
         let _ = writeln!(text, "image {} {}", frame.name, input.sha256);

@@ -6,6 +6,7 @@ use crate::satellite::config::SatelliteConfig;
 use crate::satellite::views::Crop;
 use crate::scene::{Area, BandKind, Split};
 use heliosplat::model::shadow_gs::{ShadowGs, ShadowGsOptions};
+use heliosplat::splat::ProjectionOptions;
 use heliosplat_rpc::sun::SunPosition;
 use heliosplat_rpc::{GeoPoint, ProjectiveMap};
 use serde_json::json;
@@ -71,8 +72,7 @@ fn contents(folder: &Path) -> Contents {
             },
             gsd_m: 1.0,
             counts_per_unit: 1.0,
-            projection: config.train.projection,
-            trace: config.train.trace,
+            projection: ProjectionOptions::default(),
             bands: vec![BandKind::Pan],
             images: vec![image],
         },

@@ -15,7 +15,7 @@ use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
 /// First bytes of a checkpoint; the number is that of this layout.
-const MAGIC: &[u8] = b"heliosplat checkpoint 2\n";
+const MAGIC: &[u8] = b"heliosplat checkpoint 3\n";
 /// Bytes of the check sum at the end.
 const SUM: usize = 32;
 /// A checkpoint is written no more often than this many times the time that the last one took.
@@ -61,8 +61,6 @@ pub struct Prepared {
     pub surface: Surface,
     /// Pointing corrections, pixels.
     pub shifts_px: Vec<[f32; 2]>,
-    /// Ground points that ties between the images agree on, metres of the scene's frame.
-    pub ties_m: Vec<glam::Vec3>,
     /// The pixels of each image that show clouds; empty where there are none.
     pub clouds: Vec<Vec<bool>>,
     /// Seconds spent on alignment and on the sweep.

@@ -6,6 +6,7 @@
 use super::budget::after_training_steps;
 use super::config::{ModelOptions, SatelliteConfig};
 use super::fit::FitError;
+use super::ground;
 use super::views;
 use crate::scene::{Area, Scene};
 use heliosplat::bench_fixture::{Descent, Site};
@@ -145,7 +146,7 @@ pub fn estimate_of(extent: &Extent, config: &SatelliteConfig, slowness: f64, hel
         training,
         ..
     } = extent;
-    let area = views::grown(&extent.area, config.start.margin_m);
+    let area = views::grown(&extent.area, ground::MARGIN_M);
     let cell_m = config.start.cell_gsd * gsd_m;
     let cells = (area.east_m - area.west_m) * (area.north_m - area.south_m) / (cell_m * cell_m);
     let gaussians = GAUSSIANS_PER_CELL * cells;

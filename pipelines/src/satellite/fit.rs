@@ -14,7 +14,6 @@ use glam::Vec3;
 use heliosplat::ProjectiveCamera;
 use heliosplat::model::shadow_gs::{ShadowGs, ShadowGsOptions};
 use heliosplat::model::{Parameters, SceneModel, View};
-use heliosplat::render::PassOptions;
 use heliosplat::train::{EarlyStop, StepReport, TrainError, TrainOptions, Trainer};
 use heliosplat_stereo::Surface;
 use std::collections::BTreeMap;
@@ -79,6 +78,12 @@ pub struct Accuracy {
 /// Measures a model in training without changing it.
 pub(crate) type Probe<'a> = dyn Fn(&Parameters) -> Option<Accuracy> + 'a;
 
+/// Share of the images that must show a cell for Gaussians to start there; two always must. Below, the sweep is mostly noise.
+const COVERAGE: f64 = 0.4;
+/// Sky light at the start, as a share of the sun's: that of a clear day; training finds each image's own.
+const SKY: f32 = 0.3;
+/// Weight of the shadow prior, where it is on.
+const PRIOR_WEIGHT: f32 = 1.0;
 /// Steps between two points of the curve.
 const CURVE_EVERY: usize = 25;
 /// About as many points of it have an accuracy.
@@ -163,7 +168,7 @@ pub fn fit(
         (kept.prepared, Some(kept.course), Some(kept.trainer))
     });
     let again = match prepared {
-        Some(prepared) => Swept::again(scene, config, prepared)?,
+        Some(prepared) => Swept::again(scene, prepared)?,
         None => None,
     };
     let Swept { ground, found } = match again {
@@ -174,25 +179,22 @@ pub fn fit(
     keeper.course = course.unwrap_or_default();
     let Prepared {
         surface,
-        mut shifts_px,
-        ties_m,
+        shifts_px,
         clouds,
         seconds: [align_s, sweep_s],
     } = found;
     let swept = Instant::now();
 
     let model = model(&ground, config);
-    let covered = ground.covered(&surface, config.start.coverage);
-    let ties: &[Vec3] = if config.start.ties { &ties_m } else { &[] };
+    let covered = ground.covered(&surface, COVERAGE);
     let mut parameters = Parameters {
         gaussians: initial::Start {
             surface: &surface,
             covered: &covered,
-            ties,
-            options: &config.start,
+            step_opacity: config.start.step_opacity,
         }
         .gaussians(model.feature_groups()),
-        globals: model.initial_globals(config.model.sky),
+        globals: model.initial_globals(SKY),
     };
     tracing::info!(
         gaussians = parameters.gaussians.count,
@@ -212,12 +214,7 @@ pub fn fit(
     let steps = options.iterations;
     options.gsd_m = scene.gsd_m as f32;
     let memory_estimate = fit_into_memory(limits.memory, scene, &parameters, &views, config, &mut options)?;
-    let pass = PassOptions {
-        projection: options.projection,
-        trace: options.trace,
-        ..PassOptions::default()
-    };
-    radiometry::initialise(&model, &mut parameters, &mut views, pass, config.model.sky);
+    radiometry::initialise(&model, &mut parameters, &mut views, SKY);
     let initialised = swept.elapsed();
 
     let bounds = bounds(&ground);
@@ -228,13 +225,9 @@ pub fn fit(
         trainer.restore(state).map_err(|error| keeper.does_not_fit(&error))?;
     }
     let trained = {
-        let probe = measure::height_probe(scene, pass.projection);
+        let probe = measure::height_probe(scene);
         train(trainer, steps, session, limits.budget, keeper, probe.as_deref())?
     };
-    for (image, shift) in shifts_px.iter_mut().enumerate() {
-        let moved = model.pointing(&trained.parameters, image);
-        *shift = [shift[0] + moved[0], shift[1] + moved[1]];
-    }
     Ok(Fitted {
         parameters: trained.parameters,
         early_stop: trained.early_stop,
@@ -266,14 +259,13 @@ fn model(ground: &Ground, config: &SatelliteConfig) -> ShadowGs {
         // The plan has decided these by now.
         image_colour: config.model.image_colour.unwrap_or(images > 1),
         prior_weight: match config.model.shadow_prior {
-            Some(true) => config.model.prior_weight,
+            Some(true) => PRIOR_WEIGHT,
             _ => 0.0,
         },
         near_light: config.model.near_light,
         degree: config.model.sh_degree,
         facing: config.model.facing,
         opaqueness_weight: config.model.opaqueness_weight,
-        pointing: config.cameras.refine,
     })
 }
 

@@ -27,7 +27,7 @@ pub(super) fn dsm(scene: &Scene, run: &Path, protocol: Protocol) -> Result<Optio
 }
 
 /// Tells how far the surface of a model in training is from the scene's true one; `None` without truth.
-pub(super) fn height_probe(scene: &Scene, projection: ProjectionOptions) -> Option<Box<Probe<'_>>> {
+pub(super) fn height_probe(scene: &Scene) -> Option<Box<Probe<'_>>> {
     let truth = scene.truth.dsm.as_deref()?;
     let classes = scene.truth.classes.as_deref();
     let nadir = NadirGrid::new(&scene.into(), scene.gsd_m, None).ok()?;
@@ -35,7 +35,7 @@ pub(super) fn height_probe(scene: &Scene, projection: ProjectionOptions) -> Opti
         let standing = Standing {
             gaussians: &parameters.gaussians,
             bands: scene.bands(),
-            projection,
+            projection: ProjectionOptions::default(),
         };
         let surface = of_gaussians(&nadir, &standing).geo_raster();
         let evaluation = evaluate_raster((&scene.source, &surface), truth, classes, Protocol::Raw).ok()?;

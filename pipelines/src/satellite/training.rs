@@ -4,6 +4,7 @@ use super::budget::Budget;
 use super::config::SatelliteConfig;
 use super::estimate::{self, Estimate, estimate};
 use super::fit::{self, Ending, Fitted, Limits};
+use super::ground::MARGIN_M;
 use super::measure;
 use super::plan::{plan, with_plan};
 use crate::cli::satellite::{Preset, TrainArgs};
@@ -15,6 +16,7 @@ use crate::report;
 use crate::run::checkpoint::{self, Keeper};
 use crate::run::{self, Input, LoadedModel, ModelFile, RunFile};
 use crate::scene::{IngestOptions, Scene, SceneImage};
+use heliosplat::splat::ProjectionOptions;
 use std::fmt::Write;
 use std::path::Path;
 use std::time::{Duration, Instant};
@@ -87,7 +89,7 @@ pub(super) fn train_into(
     if fitted.ending == Ending::Interrupted {
         return Err(interrupted(out));
     }
-    let file = model_file(scene, &config, &fitted);
+    let file = model_file(scene, &fitted);
     let run_file = RunFile {
         version: env!("CARGO_PKG_VERSION").into(),
         preset: told.preset.into(),
@@ -148,12 +150,16 @@ fn inputs(scene: &Scene) -> Result<Vec<Input>, CliError> {
 /// All that decides a training, line by line: two of the same lines are the same training, wherever their files lie.
 fn identity(scene: &Scene, config: &SatelliteConfig, told: &Told, inputs: &[Input]) -> Result<String, CliError> {
     let mut text = checkpoint::identity_of_program();
+    let seed = config.train.seed;
     let config = toml::to_string(config).map_err(|error| CliError::Failed(error.to_string()))?;
     let Told {
         time_budget, memory, ..
     } = told;
     // Writing to a String cannot fail.
-    let _ = writeln!(text, "--time-budget {time_budget:?}\n--memory {memory:?}\n{config}");
+    let _ = writeln!(
+        text,
+        "--time-budget {time_budget:?}\n--memory {memory:?}\nseed = {seed}\n{config}"
+    );
     let _ = writeln!(text, "area {:?}\naltitudes {:?}", scene.area, scene.altitude_range_m);
     for (image, input) in scene.images.iter().zip(inputs) {
         let SceneImage {
@@ -202,7 +208,7 @@ pub(crate) fn create_folder(out: &Path) -> Result<(), CliError> {
     })
 }
 
-fn model_file(scene: &Scene, config: &SatelliteConfig, fitted: &Fitted) -> ModelFile {
+fn model_file(scene: &Scene, fitted: &Fitted) -> ModelFile {
     ModelFile {
         schema: run::SCHEMA,
         model: "shadow_gs".into(),
@@ -213,10 +219,9 @@ fn model_file(scene: &Scene, config: &SatelliteConfig, fitted: &Fitted) -> Model
         area: scene.area,
         gsd_m: scene.gsd_m,
         counts_per_unit: scene.counts_per_unit,
-        projection: config.train.projection,
-        trace: config.train.trace,
+        projection: ProjectionOptions::default(),
         bands: scene.bands().to_vec(),
-        images: run::model_images(scene, fitted, config.start.margin_m),
+        images: run::model_images(scene, fitted, MARGIN_M),
     }
 }
 

@@ -26,8 +26,8 @@ struct TileState {
 
 vectorised! {
     /// Gradients of every splat of `list`: record `r` of the tile, whose first is `base`, fills `out[(r - base) * (K + 9)..]`,
-    /// channels first, then the nine geometric sums. Gradients to the sum of squared depths count only where `SQUARE` says so.
-    pub fn backward<const K: usize, const SQUARE: bool>(
+    /// channels first, then the nine geometric sums.
+    pub fn backward<const K: usize>(
         list: &[Entry],
         splats: &[Splat],
         features: &[f32],
@@ -69,7 +69,7 @@ vectorised! {
                 state.sums[..K].fill([0.0; LANES]);
                 splat.alphas::<true>(&mut groups);
                 for g in groups.numbers() {
-                    group_backward::<K, SQUARE>(splat, &groups, g, grads, &mut state);
+                    group_backward::<K>(splat, &groups, g, grads, &mut state);
                 }
                 let moments = moments(&groups, &state);
                 state.sums[K..K + GEOMETRY].copy_from_slice(&moments);
@@ -81,7 +81,7 @@ vectorised! {
 
 /// Gradients from eight pixels to a splat: adds to the sums of its channels and stores `h` and `m`.
 #[inline(always)]
-fn group_backward<const K: usize, const SQUARE: bool>(
+fn group_backward<const K: usize>(
     splat: &TileSplat<K>,
     groups: &Groups,
     g: usize,
@@ -94,11 +94,6 @@ fn group_backward<const K: usize, const SQUARE: bool>(
     let mut left = load(&state.rest, at);
     let mut dot = load(&grads.alpha, at);
     let gd = load(&grads.depth, at);
-    let gs = if SQUARE {
-        load(&grads.depth_square, at)
-    } else {
-        [0.0; LANES]
-    };
     let mut w = [0.0; LANES];
     for l in 0..LANES {
         w[l] = t[l] * alpha[l];
@@ -113,14 +108,8 @@ fn group_backward<const K: usize, const SQUARE: bool>(
     let (h, m) = (&mut state.h[g], &mut state.m[g]);
     for l in 0..LANES {
         let z = depth_at_row + splat.slope[0] * groups.offset(g, l);
-        let (slope, twice) = if SQUARE {
-            let gz = gs[l] * z;
-            (gd[l] + gz, gd[l] + gz + gz)
-        } else {
-            (gd[l], gd[l])
-        };
-        let d = dot[l] + slope * z;
-        m[l] = w[l] * twice;
+        let d = dot[l] + gd[l] * z;
+        m[l] = w[l] * gd[l];
         left[l] -= w[l] * d;
         let d_alpha = t[l] * d - left[l] * groups.inverse[g][l];
         let to_log = alpha[l] * d_alpha;

@@ -8,15 +8,15 @@ use crate::vectorised;
 
 vectorised! {
     /// Composites `list` (front to back) into `maps`, which it empties first; `features[s * K + k]` are the splats' channels.
-    /// The sum of squared depths and the median depth are found only where `SQUARE` and `MEDIANS` say so.
-    pub fn forward<const K: usize, const SQUARE: bool, const MEDIANS: bool>(
+    /// The sum of squared depths and the median depth are found only where `DEPTHS` says so.
+    pub fn forward<const K: usize, const DEPTHS: bool>(
         list: &[Entry],
         splats: &[Splat],
         features: &[f32],
         frame: &TileFrame,
         maps: &mut TileMaps<K>,
     ) {
-        maps.clear(frame, SQUARE, MEDIANS);
+        maps.clear(frame, DEPTHS);
         let mut splats_in_tile = [TileSplat::<K>::NOTHING; BATCH];
         let mut groups = Groups::new();
         for (number, batch) in list.chunks(BATCH).enumerate() {
@@ -31,7 +31,7 @@ vectorised! {
                 splat.groups(frame, &mut groups, &mut pixels);
                 splat.alphas::<false>(&mut groups);
                 for g in groups.numbers() {
-                    composite::<K, SQUARE, MEDIANS>(splat, &groups, g, maps);
+                    composite::<K, DEPTHS>(splat, &groups, g, maps);
                 }
             }
             maps.pairs += pixels.iter().sum::<f32>() as u64;
@@ -41,7 +41,7 @@ vectorised! {
 
 /// Adds a splat to the eight pixels of its group `g`.
 #[inline(always)]
-fn composite<const K: usize, const SQUARE: bool, const MEDIANS: bool>(
+fn composite<const K: usize, const DEPTHS: bool>(
     splat: &TileSplat<K>,
     groups: &Groups,
     g: usize,
@@ -57,14 +57,12 @@ fn composite<const K: usize, const SQUARE: bool, const MEDIANS: bool>(
         z[l] = depth_at_row + splat.slope[0] * groups.offset(g, l);
         depth[l] += w[l] * z[l];
     }
-    if SQUARE {
+    if DEPTHS {
         let mut square = load(&maps.depth_square, at);
         for l in 0..LANES {
             square[l] += (w[l] * z[l]) * z[l];
         }
         store(&mut maps.depth_square, at, square);
-    }
-    if MEDIANS {
         let mut median = load(&maps.median_depth, at);
         for l in 0..LANES {
             // Zeros and ones instead of a choice, which would be stored through a mask: slow on many processors.

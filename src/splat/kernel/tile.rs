@@ -49,14 +49,12 @@ impl<const K: usize> TileMaps<K> {
     }
 
     /// Empties the tile, keeping the count of pairs.
-    pub(super) fn clear(&mut self, frame: &TileFrame, square: bool, median: bool) {
+    pub(super) fn clear(&mut self, frame: &TileFrame, depths: bool) {
         frame.reset_transmittance(&mut self.transmittance);
         self.channels.fill([0.0; PLANE]);
         self.depth.fill(0.0);
-        if square {
+        if depths {
             self.depth_square.fill(0.0);
-        }
-        if median {
             self.median_depth.fill(0.0);
         }
     }
@@ -71,8 +69,6 @@ pub struct TileGradients<const K: usize> {
     pub alpha: Plane,
     /// To `Σ w z`.
     pub depth: Plane,
-    /// To `Σ w z²`.
-    pub depth_square: Plane,
     /// `Σ_j w_j d_j`: the maps' values times these gradients, summed.
     pub total: Plane,
 }
@@ -84,7 +80,6 @@ impl<const K: usize> TileGradients<K> {
             channels: [[0.0; PLANE]; K],
             alpha: [0.0; PLANE],
             depth: [0.0; PLANE],
-            depth_square: [0.0; PLANE],
             total: [0.0; PLANE],
         })
     }
