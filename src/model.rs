@@ -60,7 +60,7 @@ pub struct View {
     /// Weight of each pixel in the losses, 0 to 1, `[row][column]`.
     pub weight: Vec<f32>,
     /// Prior of the sun's visibility: 1 where a pixel is thought to be lit, 0 in shadow, NaN where unknown; `[row][column]`.
-    pub lit: Option<Vec<f32>>,
+    pub visibility_prior: Option<Vec<f32>>,
     /// The most that each band can say: such a value, or a greater one, was seen. Empty where no value is clipped.
     pub ceiling: Vec<f32>,
 }
@@ -171,7 +171,7 @@ pub trait SceneModel: Send + Sync {
     /// Losses of the model's own on the maps; adds their gradients. `mask` is per pixel.
     fn map_losses(&self, context: &Context, maps: &Maps, mask: &[f32], d_maps: &mut MapGradients) -> Vec<NamedLoss>;
 
-    /// The loss between the rendered visibility of the sun and its prior (see [`View::lit`]); adds its gradients.
+    /// The loss between the rendered visibility of the sun and its prior (see [`View::visibility_prior`]); adds its gradients.
     fn light_prior_loss(
         &self,
         _maps: &Maps,
@@ -202,7 +202,7 @@ mod tests {
             light: None,
             appearance: 0,
             weight: vec![1.0; 4],
-            lit: None,
+            visibility_prior: None,
             ceiling: vec![0.9],
         };
         let truth = view.truth(&seen(&[0.5, 1.3, 0.4, 2.0]));

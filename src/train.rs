@@ -1,11 +1,11 @@
 //! The trainer: one view a step, whatever the model.
 
+mod cached_visibility;
 mod checkpoint;
 mod fault;
-mod focus;
 mod holdout;
-mod known_light;
 mod options;
+mod pyramid;
 
 pub use checkpoint::{STATE_VERSION, StateError, TrainerState};
 pub use fault::{Fault, TrainError};
@@ -24,10 +24,10 @@ use crate::render::{Lit, Pass, PassOptions};
 use crate::splat::project::project;
 use crate::splat::{Depths, MapGradients, ProjectionOptions};
 use crate::trace::Occluders;
-use focus::{Focus, Look};
+use cached_visibility::CachedVisibility;
 use glam::Vec3;
 use holdout::Holdout;
-use known_light::KnownLight;
+use pyramid::{Pyramid, PyramidLevel};
 use rand::{SeedableRng, seq::SliceRandom};
 use rand_pcg::Pcg32;
 use rayon::prelude::*;
@@ -91,11 +91,11 @@ pub struct Trainer<'a> {
     globals_adam: Adam,
     statistics: DensityStatistics,
     holdout: Holdout,
-    focus: Focus,
+    pyramid: Pyramid,
     gradients: Parameters,
     occluders: Option<Occluders>,
     occluders_step: usize,
-    known_light: Vec<Option<KnownLight>>,
+    cached_visibility: Vec<Option<CachedVisibility>>,
     order: Vec<usize>,
     step: usize,
     rejected: usize,
@@ -137,12 +137,12 @@ impl<'a> Trainer<'a> {
             gaussians_adam: Adam::new(&parameters.gaussians),
             globals_adam: Adam::new(&parameters.globals),
             statistics: DensityStatistics::new(parameters.gaussians.count),
-            focus: Focus::new(&views, &options),
+            pyramid: Pyramid::new(&views, &options),
             holdout,
             gradients: parameters.zeros_like(),
             occluders: None,
             occluders_step: 0,
-            known_light: vec![None; views.len()],
+            cached_visibility: vec![None; views.len()],
             order: Vec::new(),
             step: 0,
             rejected: 0,
@@ -198,14 +198,14 @@ impl<'a> Trainer<'a> {
         self.step as f32 / self.options.iterations.max(1) as f32
     }
 
-    /// Views come in a new random order every round; the order depends on the seed and the round alone.
+    /// Views come in a new random order every epoch; the order depends on the seed and the epoch alone.
     fn next_view(&mut self) -> usize {
         let place = self.step % self.views.len();
         if place == 0 || self.order.len() != self.views.len() {
-            let round = (self.step / self.views.len()) as u64;
+            let epoch = (self.step / self.views.len()) as u64;
             self.order = (0..self.views.len()).collect();
             self.order.shuffle(&mut Pcg32::seed_from_u64(
-                self.options.seed.wrapping_mul(1_000_003) ^ round,
+                self.options.seed.wrapping_mul(1_000_003) ^ epoch,
             ));
         }
         self.order[place]
@@ -213,10 +213,10 @@ impl<'a> Trainer<'a> {
 
     /// Whether this step traces light: for its view, or for shadow consistency.
     fn light_is_due(&self, index: usize) -> bool {
-        let known = self.known_light[index]
+        let cached = self.cached_visibility[index]
             .as_ref()
-            .is_some_and(|known| known.serves(self.options.light_every));
-        !known || self.consistency_is_due()
+            .is_some_and(|cached| cached.is_fresh(self.options.light_every));
+        !cached || self.consistency_is_due()
     }
 
     fn consistency_is_due(&self) -> bool {
@@ -276,7 +276,7 @@ impl<'a> Trainer<'a> {
                 steps: self.unseen_in_a_row,
             });
         }
-        self.holdout.round_done(self.step, self.views.len(), &self.parameters);
+        self.holdout.epoch_done(self.step, self.views.len(), &self.parameters);
         report.gaussians = self.parameters.gaussians.count;
         if report.gaussians == 0 {
             return Err(TrainError::Empty);
@@ -289,7 +289,7 @@ impl<'a> Trainer<'a> {
         self.rejected += 1;
         self.rejected_in_a_row += 1;
         // What this step knew of the light is not known to be sound.
-        self.known_light[view] = None;
+        self.cached_visibility[view] = None;
         let name = &self.views[view].name;
         tracing::warn!(step = self.step, view = %name, "step rejected: {fault}");
         if self.rejected_in_a_row < REJECTED_LIMIT {
@@ -303,7 +303,7 @@ impl<'a> Trainer<'a> {
     }
 
     fn descend_view(&mut self, index: usize) -> StepReport {
-        let Look { view, full_size } = self.focus.look(&self.views, index, self.fraction());
+        let PyramidLevel { view, full_size } = self.pyramid.level(&self.views, index, self.fraction());
         let options = &self.options;
         let context = Context {
             parameters: &self.parameters,
@@ -317,11 +317,11 @@ impl<'a> Trainer<'a> {
             normals: options.depth_normal_weight > 0.0,
             depths: Depths::Mean,
         };
-        let known = self.known_light[index]
+        let cached = self.cached_visibility[index]
             .take()
-            .filter(|known| known.serves(options.light_every));
-        let lit = match (&known, &self.occluders) {
-            (Some(known), _) => Lit::Known(&known.values),
+            .filter(|cached| cached.is_fresh(options.light_every));
+        let lit = match (&cached, &self.occluders) {
+            (Some(cached), _) => Lit::Known(&cached.values),
             (None, Some(occluders)) => Lit::Traced(occluders),
             (None, None) => Lit::Everywhere,
         };
@@ -338,8 +338,11 @@ impl<'a> Trainer<'a> {
         self.model
             .compose_backward(&context, &pass.maps, &d_image, &mut d_maps, &mut self.gradients);
         losses.extend(self.model.map_losses(&context, &pass.maps, &view.weight, &mut d_maps));
-        if let Some(lit) = &view.lit {
-            losses.extend(self.model.light_prior_loss(&pass.maps, lit, &view.weight, &mut d_maps));
+        if let Some(prior) = &view.visibility_prior {
+            losses.extend(
+                self.model
+                    .light_prior_loss(&pass.maps, prior, &view.weight, &mut d_maps),
+            );
         }
         losses.extend(surface_loss(options, &pass, &mut d_maps));
         let splat_gradients = pass.backward(&d_maps, &mut self.gradients);
@@ -348,17 +351,17 @@ impl<'a> Trainer<'a> {
             &splat_gradients,
             view.camera.width * view.camera.height,
         );
-        let traced = known.is_none().then(|| {
+        let traced = cached.is_none().then(|| {
             // What this view does not show counts as lit; it is asked again before long.
             let mut values = vec![1.0; self.parameters.gaussians.count];
             for (&g, &t) in pass.projected.gaussian.iter().zip(pass.transmittances()) {
                 values[g as usize] = t;
             }
-            KnownLight { values, visits: 0 }
+            CachedVisibility { values, uses: 0 }
         });
         let pairs = pass.maps.pairs;
-        self.known_light[index] = known.or(traced).map(|light| KnownLight {
-            visits: light.visits + 1,
+        self.cached_visibility[index] = cached.or(traced).map(|light| CachedVisibility {
+            uses: light.uses + 1,
             ..light
         });
         let l1 = mean_absolute(&image.values, &truth.values);
@@ -436,7 +439,7 @@ impl<'a> Trainer<'a> {
             .apply(&mut self.parameters.gaussians, d, self.options.gsd_m, self.bounds, seed);
         self.gaussians_adam.follow(&rebuild.sources, rebuild.fresh);
         self.occluders = None;
-        self.known_light.fill(None);
+        self.cached_visibility.fill(None);
         tracing::debug!(
             step = self.step,
             gaussians = self.parameters.gaussians.count,

@@ -3,8 +3,8 @@
 //! Views, options and the random order follow from the same inputs, so they are not part of it; a trainer made anew from those
 //! takes a state up. How it is written and where is not the engine's affair: a state is plain data for serde.
 
+use super::cached_visibility::CachedVisibility;
 use super::holdout::HoldoutState;
-use super::known_light::KnownLight;
 use super::{Trainer, TrainerOptionsState};
 use crate::gaussians::Table;
 use crate::model::Parameters;
@@ -33,7 +33,7 @@ pub struct TrainerState<'a> {
     globals_adam: Cow<'a, Adam>,
     statistics: Cow<'a, DensityStatistics>,
     holdout: HoldoutState<'a>,
-    known_light: Cow<'a, [Option<KnownLight>]>,
+    cached_visibility: Cow<'a, [Option<CachedVisibility>]>,
     /// Step at which the occluders were made, and what a hierarchy over them was built on: where Gaussians are in it decides the
     /// order of products.
     occluders: Option<(usize, Option<Cow<'a, [Bounds]>>)>,
@@ -75,7 +75,7 @@ impl Trainer<'_> {
             globals_adam: Cow::Borrowed(&self.globals_adam),
             statistics: Cow::Borrowed(&self.statistics),
             holdout: self.holdout.state(),
-            known_light: Cow::Borrowed(&self.known_light),
+            cached_visibility: Cow::Borrowed(&self.cached_visibility),
             occluders: self.occluders.as_ref().map(|occluders| {
                 let built_on = occluders.hierarchy_built_on().map(Cow::Borrowed);
                 (self.occluders_step, built_on)
@@ -100,7 +100,7 @@ impl Trainer<'_> {
         self.globals_adam = state.globals_adam.into_owned();
         self.statistics = state.statistics.into_owned();
         self.holdout.restore(state.holdout);
-        self.known_light = state.known_light.into_owned();
+        self.cached_visibility = state.cached_visibility.into_owned();
         self.gradients = self.parameters.zeros_like();
         self.occluders_step = 0;
         self.occluders = state.occluders.map(|(step, built_on)| {
@@ -123,7 +123,7 @@ impl Trainer<'_> {
         let globals = &state.parameters.globals;
         let (of_each, of_all) = (&state.gaussians_adam, &state.globals_adam);
         let best = state.holdout.parameters();
-        let light = state.known_light.iter().flatten();
+        let light = state.cached_visibility.iter().flatten();
         let bounds = state.occluders.iter().filter_map(|(_, built_on)| built_on.as_ref());
         let checks = [
             (
@@ -147,7 +147,7 @@ impl Trainer<'_> {
             ),
             (
                 "views",
-                state.known_light.len() == self.views.len() && state.holdout.views() == self.views.len(),
+                state.cached_visibility.len() == self.views.len() && state.holdout.views() == self.views.len(),
             ),
             (
                 "light",

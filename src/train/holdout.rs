@@ -25,7 +25,7 @@ pub(super) struct Holdout {
     held: Vec<Vec<u32>>,
     losses: Vec<Option<f64>>,
     best: Option<(usize, f64, Parameters)>,
-    rounds_without: usize,
+    epochs_without: usize,
     patience: usize,
     keep_from: usize,
 }
@@ -35,7 +35,7 @@ pub(super) struct Holdout {
 pub(super) struct HoldoutState<'a> {
     losses: Cow<'a, [Option<f64>]>,
     best: Option<(usize, f64, Cow<'a, Parameters>)>,
-    rounds_without: usize,
+    epochs_without: usize,
     keep_from: usize,
 }
 
@@ -45,7 +45,7 @@ impl HoldoutState<'_> {
         self.losses.len()
     }
 
-    /// The best parameters, if a round had some.
+    /// The best parameters, if an epoch had some.
     pub(super) fn parameters(&self) -> Option<&Parameters> {
         self.best.as_ref().map(|(_, _, parameters)| &**parameters)
     }
@@ -90,7 +90,7 @@ impl Holdout {
             held,
             losses,
             best: None,
-            rounds_without: 0,
+            epochs_without: 0,
             patience: options.patience,
             keep_from,
         }
@@ -117,17 +117,17 @@ impl Holdout {
         self.losses[view] = loss.filter(|loss| loss.is_finite());
     }
 
-    /// After every round over all views: is this the best state so far?
-    pub(super) fn round_done(&mut self, step: usize, views: usize, parameters: &Parameters) {
+    /// After every epoch: is this the best state so far?
+    pub(super) fn epoch_done(&mut self, step: usize, views: usize, parameters: &Parameters) {
         if self.patience == 0 || !step.is_multiple_of(views) || step < self.keep_from {
             return;
         }
         let Some(mean) = self.mean() else { return };
         match &self.best {
-            Some((_, best, _)) if mean > best * (1.0 - PROGRESS) => self.rounds_without += 1,
+            Some((_, best, _)) if mean > best * (1.0 - PROGRESS) => self.epochs_without += 1,
             _ => {
                 self.best = Some((step, mean, parameters.clone()));
-                self.rounds_without = 0;
+                self.epochs_without = 0;
             }
         }
     }
@@ -139,7 +139,7 @@ impl Holdout {
     }
 
     pub(super) fn stop(&self) -> bool {
-        self.patience > 0 && self.rounds_without >= self.patience
+        self.patience > 0 && self.epochs_without >= self.patience
     }
 
     pub(super) fn summary(&self, steps: usize) -> EarlyStop {
@@ -169,7 +169,7 @@ impl Holdout {
         HoldoutState {
             losses: Cow::Borrowed(&self.losses),
             best: best.map(|(step, loss, parameters)| (*step, *loss, Cow::Borrowed(parameters))),
-            rounds_without: self.rounds_without,
+            epochs_without: self.epochs_without,
             keep_from: self.keep_from,
         }
     }
@@ -180,7 +180,7 @@ impl Holdout {
         self.best = state
             .best
             .map(|(step, loss, parameters)| (step, loss, parameters.into_owned()));
-        self.rounds_without = state.rounds_without;
+        self.epochs_without = state.epochs_without;
         self.keep_from = state.keep_from;
     }
 
@@ -202,7 +202,7 @@ mod tests {
             light: None,
             appearance: 0,
             weight: vec![1.0; size * size],
-            lit: None,
+            visibility_prior: None,
             ceiling: Vec::new(),
         };
         vec![view]
@@ -214,7 +214,7 @@ mod tests {
         holdout.record(0, Some(0.25));
         holdout.record(0, Some(f64::NAN));
         assert_eq!(holdout.losses(), [None]);
-        holdout.round_done(1000, 1, &Parameters::default());
+        holdout.epoch_done(1000, 1, &Parameters::default());
         assert_eq!(holdout.summary(1000).best_l1, None);
     }
 

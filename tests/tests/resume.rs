@@ -28,7 +28,7 @@ fn views(site: &Site, light: Light) -> Vec<View> {
             light: Some(light),
             appearance: 0,
             weight: vec![1.0; width * height],
-            lit: None,
+            visibility_prior: None,
             ceiling: Vec::new(),
             image,
         }

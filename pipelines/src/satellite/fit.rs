@@ -289,7 +289,7 @@ fn give_priors(
         }
     };
     for (view, lit) in views.iter_mut().zip(priors) {
-        view.lit = Some(lit);
+        view.visibility_prior = Some(lit);
     }
     Ok(())
 }

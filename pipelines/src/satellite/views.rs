@@ -144,7 +144,7 @@ pub fn view(image: &SceneImage, crop: &Crop, clouds: &[bool], shift_px: [f32; 2]
         light: Some(Light::Directional(sun(image))),
         appearance,
         weight,
-        lit: None,
+        visibility_prior: None,
         ceiling: super::saturation::ceilings(&image.pixels),
     }
 }

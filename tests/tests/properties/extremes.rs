@@ -96,7 +96,7 @@ fn combination(number: u64) -> Combination {
                 light: Some(Light::Directional(sun)),
                 appearance: v,
                 weight: vec![1.0; size.0 * size.1],
-                lit: None,
+                visibility_prior: None,
                 ceiling: Vec::new(),
                 camera,
             }
@@ -223,7 +223,7 @@ fn sound() -> (ShadowGs, Vec<View>, Parameters, TrainOptions) {
         light: Some(Light::Directional(direction(40.0, 100.0))),
         appearance: v,
         weight: vec![1.0; 24 * 24],
-        lit: None,
+        visibility_prior: None,
         ceiling: Vec::new(),
         camera: ProjectiveCamera::new(
             [2.0, 0.0, 0.3 * v as f64, 11.5],

@@ -1,34 +1,34 @@
-//! What a step looks at: a view, or at first an image of it half as wide.
+//! The image pyramid of training: the first steps see every view at half its width, the others at full size.
 
 use super::options::TrainOptions;
 use crate::model::View;
 use crate::raster::Raster;
 
 /// How much wider than in the view the pixels are on which training begins.
-const COARSE: usize = 2;
+const COARSE_FACTOR: usize = 2;
 
-/// The coarser images of all views, and for how long they are looked at.
-pub(super) struct Focus {
+/// The coarser images of all views, and the share of training that uses them.
+pub(super) struct Pyramid {
     /// By view; empty where training begins at full size.
     coarse: Vec<View>,
     share: f32,
 }
 
-/// What one step looks at.
-pub(super) struct Look<'a> {
+/// The level of a view that one step trains on.
+pub(super) struct PyramidLevel<'a> {
     /// A view or its coarser image; its weights are those to train with.
     pub(super) view: &'a View,
     /// Whether it is the view itself.
     pub(super) full_size: bool,
 }
 
-impl Focus {
-    /// The plan of a training on `views`, whose weights are those to train with.
+impl Pyramid {
+    /// The pyramid of `views`, whose weights are those to train with.
     pub(super) fn new(views: &[View], options: &TrainOptions) -> Self {
-        // The coarser image has a pixel still.
-        let wide_enough = |view: &View| view.image.width.min(view.image.height) >= COARSE;
+        // The coarser image must have a pixel left.
+        let wide_enough = |view: &View| view.image.width.min(view.image.height) >= COARSE_FACTOR;
         let coarse = match options.pyramid_share > 0.0 && views.iter().all(wide_enough) {
-            true => views.iter().map(|view| coarser(view, COARSE)).collect(),
+            true => views.iter().map(|view| coarser(view, COARSE_FACTOR)).collect(),
             false => Vec::new(),
         };
         Self {
@@ -37,17 +37,17 @@ impl Focus {
         }
     }
 
-    /// What a step looks at of view `index` of `views` when this `fraction` of training is done.
-    pub(super) fn look<'a>(&'a self, views: &'a [View], index: usize, fraction: f32) -> Look<'a> {
+    /// The level of view `index` of `views` when this `fraction` of training is done.
+    pub(super) fn level<'a>(&'a self, views: &'a [View], index: usize, fraction: f32) -> PyramidLevel<'a> {
         let coarse = self.coarse.get(index).filter(|_| fraction < self.share);
-        Look {
+        PyramidLevel {
             view: coarse.unwrap_or(&views[index]),
             full_size: coarse.is_none(),
         }
     }
 }
 
-/// A view with pixels averaged by `factor × factor`; one that any part of does not count does not count.
+/// A view with pixels averaged by `factor × factor`; a coarse pixel has the least weight of its parts.
 fn coarser(view: &View, factor: usize) -> View {
     let image = view.image.downscaled(factor);
     let mut weight = vec![1.0f32; image.plane_len()];
@@ -65,10 +65,10 @@ fn coarser(view: &View, factor: usize) -> View {
         light: view.light,
         appearance: view.appearance,
         ceiling: view.ceiling.clone(),
-        lit: view
-            .lit
+        visibility_prior: view
+            .visibility_prior
             .as_ref()
-            .map(|lit| plane(lit, view.image.width).downscaled(factor).values),
+            .map(|prior| plane(prior, view.image.width).downscaled(factor).values),
         image,
         weight,
     }
@@ -102,7 +102,7 @@ mod tests {
             weight: vec![1.0; 200 * 160],
             light: None,
             appearance: 0,
-            lit: None,
+            visibility_prior: None,
             ceiling: Vec::new(),
             image,
         }
@@ -122,8 +122,8 @@ mod tests {
                 pyramid_share,
                 ..TrainOptions::default()
             };
-            let focus = Focus::new(&views, &options);
-            [0.0, 0.49, 0.5, 1.0].map(|f| focus.look(&views, 0, f).view.image.width)
+            let pyramid = Pyramid::new(&views, &options);
+            [0.0, 0.49, 0.5, 1.0].map(|f| pyramid.level(&views, 0, f).view.image.width)
         };
         assert_eq!(widths(0.5), [100, 100, 200, 200]);
         assert_eq!(widths(0.0), [200; 4]);
