@@ -13,8 +13,8 @@ use crate::optim::density::UNTIL_FRACTION;
 pub struct TrainOptions {
     /// Steps, one view each; at most. 100 in `fast`, 1000 in `accurate`.
     pub iterations: usize,
-    /// Rounds over all views, at most: a scene of few views needs fewer steps. 10 in `fast`, 100 in `accurate`.
-    pub rounds: usize,
+    /// Epochs, passes over all views, at most: a scene of few views needs fewer steps. 10 in `fast`, 100 in `accurate`.
+    pub epochs: usize,
     /// First learning rate of positions, ground sampling distances per step: 0.002 in `accurate`, because level ground gets rougher with
     /// every step that moves it, 0.04 for objects, which start from a hull.
     pub position_rate_gsd: f32,
@@ -32,7 +32,7 @@ pub struct TrainOptions {
     pub occluder_gradients: bool,
     /// Share of the steps spent on images of half size, at the beginning; 0 is off. 0.4 for ground, 0.15 for objects.
     pub pyramid_share: f32,
-    /// Rounds over all views without progress on held-out tiles after which training stops; 0 is never. 0 in `fast`, 2 in the ablation.
+    /// Epochs without progress on held-out tiles after which training stops; 0 is never. 0 in `fast`, 2 in the ablation.
     pub patience: usize,
     /// How the number of Gaussians changes.
     pub density: DensityOptions,
@@ -60,7 +60,7 @@ impl Default for TrainOptions {
     fn default() -> Self {
         Self {
             iterations: 2000,
-            rounds: 1000,
+            epochs: 1000,
             position_rate_gsd: 0.01,
             depth_normal_weight: 0.5,
             consistency_weight: 0.2,
@@ -83,7 +83,7 @@ impl Default for TrainOptions {
 impl TrainOptions {
     /// These options with the steps that a scene of `views` views gets.
     pub fn for_views(mut self, views: usize) -> Self {
-        self.iterations = self.iterations.min(self.rounds.saturating_mul(views));
+        self.iterations = self.iterations.min(self.epochs.saturating_mul(views));
         self
     }
 
@@ -139,7 +139,7 @@ mod tests {
     fn few_views_get_few_steps_and_many_no_more_than_said() {
         let options = TrainOptions {
             iterations: 600,
-            rounds: 60,
+            epochs: 60,
             ..TrainOptions::default()
         };
         assert_eq!(options.clone().for_views(2).iterations, 120);

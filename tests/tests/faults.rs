@@ -448,7 +448,7 @@ fn training_that_goes_astray_keeps_its_last_good_state_and_says_why_it_stopped()
     // Rates that grow instead of falling: after some steps colours are so bright that gradients are no numbers any more.
     let astray = [
         "train.iterations=120",
-        "train.rounds=40",
+        "train.epochs=40",
         "train.patience=1000",
         "train.position_rate_gsd=0",
         "train.final_rate=1e30",

@@ -159,7 +159,7 @@ impl Home {
             "--set",
             density,
             "--set",
-            "train.rounds=100",
+            "train.epochs=100",
         ] {
             all.push(text.into());
         }
