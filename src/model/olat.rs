@@ -107,7 +107,7 @@ impl Feature {
             Self::F0 => ParameterGroup::new("f0", 1, surface_rate(SPECULAR_FROM, 6e-2)),
             Self::Embedding => {
                 let rate = LearningRate::constant(5e-3).starting_at(REFINED_FROM);
-                ParameterGroup::new("code", EMBEDDING, rate)
+                ParameterGroup::new("embedding", EMBEDDING, rate)
             }
             Self::Scattered => {
                 let rate = LearningRate::constant(1e-2).starting_at(SCATTERING_FROM);

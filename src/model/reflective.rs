@@ -273,7 +273,7 @@ impl SceneModel for Reflective {
             ParameterGroup::new("albedo", COLOURS, constant(2e-2)),
             ParameterGroup::new("frame", 4, constant(5e-3)),
             ParameterGroup::new("material", 4, glossy(1e-2)),
-            ParameterGroup::new("code", EMBEDDING_WIDTH, glossy(5e-3)),
+            ParameterGroup::new("embedding", EMBEDDING_WIDTH, glossy(5e-3)),
         ];
         let light = |degree: usize| {
             let rate = match degree {
@@ -289,7 +289,7 @@ impl SceneModel for Reflective {
     fn global_parameters(&self) -> Vec<ParameterGroup> {
         let decaying = |rate: f32| LearningRate::constant(rate).decaying_to(SHARED_RATE_AT_END);
         let width = sh::MAX_FUNCTIONS * COLOURS;
-        let mut groups = vec![ParameterGroup::new("surroundings", width, decaying(5e-3))];
+        let mut groups = vec![ParameterGroup::new("environment", width, decaying(5e-3))];
         if self.options.specular {
             groups.push(ParameterGroup::new("decoder", self.network().weights(), decaying(3e-3)));
         }
