@@ -1,8 +1,8 @@
 //! Scene models: the trait through which a kind of scene plugs into the shared engine, and its implementations.
 //!
-//! A scene model says which parameters it adds to each Gaussian and which it shares between all, how those become
-//! rasterised channels for a view and a light, how composited channels become a pixel, and the gradients of both. The
-//! rasteriser, the tracer, the losses, the optimiser and the trainer name no model.
+//! A [`SceneModel`] defines which parameters it adds to each Gaussian and which it shares between all, with their learning rates; how
+//! those become rasterised channels for a view and a light; how composited channels become a pixel; and the gradients of both. The
+//! rasteriser, the tracer, the losses, the optimiser and the trainer depend on no particular model.
 
 mod background;
 pub mod network;
@@ -61,12 +61,13 @@ pub struct View {
     pub weight: Vec<f32>,
     /// Prior of the sun's visibility: 1 where a pixel is thought to be lit, 0 in shadow, NaN where unknown; `[row][column]`.
     pub visibility_prior: Option<Vec<f32>>,
-    /// The most that each band can say: such a value, or a greater one, was seen. Empty where no value is clipped.
+    /// Saturation value of each band: a pixel with it was that bright or brighter. Empty where no value is clipped.
     pub ceiling: Vec<f32>,
 }
 
 impl View {
-    /// What was seen, as far as it contradicts `image`: a clipped value does not say how much brighter it was.
+    /// The pixels to compare `image` with: where a value is clipped and `image` is brighter, that of `image`, because the true value is
+    /// unknown above saturation.
     pub fn truth(&self, image: &Raster) -> Cow<'_, Raster> {
         let mut truth = Cow::Borrowed(&self.image);
         for (band, &ceiling) in self.ceiling.iter().enumerate().filter(|(_, c)| c.is_finite()) {
@@ -101,7 +102,7 @@ pub struct Context<'a> {
 pub struct Seen<'a> {
     /// The projected Gaussians.
     pub projected: &'a Projected,
-    /// Transmittance toward the light, one per splat, when the model asked for it.
+    /// Transmittance toward the light, one per splat; ones where the model does not need it.
     pub transmittance: &'a [f32],
     /// Numbers per splat in the feature array.
     pub stride: usize,

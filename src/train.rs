@@ -105,7 +105,7 @@ pub struct Trainer<'a> {
 
 impl<'a> Trainer<'a> {
     /// A trainer of `model` on `views`, from `parameters`; Gaussians that leave `bounds` (metres) are pruned. With a `nadir`
-    /// camera, shadow consistency is also asked for with view and light at the zenith.
+    /// camera, the shadow consistency loss also applies with view and light at the zenith.
     ///
     /// # Errors
     /// Without views, pixels that count or Gaussians, when an option has no meaning, or when `parameters` have other groups than the
@@ -223,7 +223,7 @@ impl<'a> Trainer<'a> {
         self.options.consistency_weight > 0.0 && self.step.is_multiple_of(self.options.consistency_every.max(1))
     }
 
-    /// Occluders are always those of the moment; a hierarchy over them, where one was asked for, is dear to build: it is fitted to
+    /// Occluders are always those of the current step. A hierarchy over them, where one is used, is expensive to build: it is refitted to
     /// them, and built anew after some steps or when Gaussians come or go.
     fn refresh_occluders(&mut self) {
         if !self.model.needs_transmittance() {
@@ -352,7 +352,7 @@ impl<'a> Trainer<'a> {
             view.camera.width * view.camera.height,
         );
         let traced = cached.is_none().then(|| {
-            // What this view does not show counts as lit; it is asked again before long.
+            // Gaussians that this view does not show count as lit until the next trace.
             let mut values = vec![1.0; self.parameters.gaussians.count];
             for (&g, &t) in pass.projected.gaussian.iter().zip(pass.transmittances()) {
                 values[g as usize] = t;

@@ -1,4 +1,4 @@
-//! Adaptive density control (Kerbl et al. 2023): more Gaussians where the image asks for detail, none where nothing is seen.
+//! Adaptive density control (Kerbl et al. 2023): more Gaussians where the image needs detail, none where nothing is seen.
 //!
 //! The criterion is the mean 2-D positional gradient of a Gaussian: the mean length of its splats' gradients to column and row. Above a
 //! threshold a Gaussian larger than the split size is split in two smaller ones, a small one is cloned; transparent and oversized ones

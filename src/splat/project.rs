@@ -32,7 +32,7 @@ pub struct Projected {
     pub non_finite: usize,
 }
 
-/// Projects every Gaussian; those outside the image, too faint, or with a number that is not finite are left out.
+/// Projects every Gaussian; those outside the image, below the least alpha, or with a number that is not finite are left out.
 pub fn project(gaussians: &Table, camera: &ProjectiveCamera, options: &ProjectionOptions) -> Projected {
     let chunks: Vec<Projected> = (0..gaussians.count.div_ceil(CHUNK))
         .into_par_iter()

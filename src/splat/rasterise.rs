@@ -18,7 +18,7 @@ pub fn padded_channels(channels: usize) -> usize {
     CHANNEL_COUNTS
         .into_iter()
         .find(|&k| k >= channels)
-        .expect("a scene model asks for at most 16 channels")
+        .expect("a scene model has at most 16 channels")
 }
 
 /// What is composited of depths along rays besides their mean.
@@ -31,7 +31,7 @@ pub enum Depths {
     Median,
 }
 
-/// What a view looks like: composited maps, `[row][column]` planes.
+/// Composited maps of a view, `[row][column]` planes.
 #[derive(Debug, Clone, Default)]
 pub struct Maps {
     /// Columns.
@@ -44,9 +44,9 @@ pub struct Maps {
     pub alpha: Vec<f32>,
     /// `Σ w z`, metres; divide by alpha for the expected depth.
     pub depth: Vec<f32>,
-    /// `Σ w z²`, metres²; empty when it was not asked for.
+    /// `Σ w z²`, metres²; empty unless all depths are composited.
     pub depth_square: Vec<f32>,
-    /// Depth where half of the ray is left, or of its last splat, metres, NaN where nothing is; empty when it was not asked for.
+    /// Depth where half of the ray is left, or of its last splat, metres, NaN where nothing is; empty unless all depths are composited.
     pub median_depth: Vec<f32>,
     /// (splat, pixel) pairs: pixels inside the footprints of the splats, up to where a tile is opaque.
     pub pairs: u64,
@@ -169,15 +169,15 @@ impl<'a> Rasteriser<'a> {
         let pixels = self.width * self.height;
         let plane = || vec![0.0f32; pixels];
         let all_depths = self.depths == Depths::Median;
-        let asked = || if all_depths { plane() } else { Vec::new() };
+        let optional_plane = || if all_depths { plane() } else { Vec::new() };
         let mut out = Maps {
             width: self.width,
             height: self.height,
             channels: (0..K).map(|_| plane()).collect(),
             alpha: plane(),
             depth: plane(),
-            depth_square: asked(),
-            median_depth: asked(),
+            depth_square: optional_plane(),
+            median_depth: optional_plane(),
             pairs: 0,
         };
         let Maps {

@@ -118,7 +118,7 @@ impl Hierarchy {
     fn on(bounds: &[Aabb]) -> Self {
         let mut spent = Duration::default();
         let mut tree = build_bvh2(bounds, BvhBuildParams::fast_build(), &mut spent);
-        // Parents before children: a refit is then one sweep, and a walk goes forward in memory.
+        // Parents before children: a refit is then one sweep, and a traversal goes forward in memory.
         tree.reorder_in_stack_traversal_order();
         let mut rank = vec![0; bounds.len()];
         let leaves = tree.nodes.iter().filter(|node| node.is_leaf());

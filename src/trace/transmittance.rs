@@ -84,7 +84,7 @@ impl Transmittance {
 }
 
 /// Transmittance of the Gaussians `origins` toward `light` through all of `occluders`: parallel light by grids in the plane normal to
-/// it, a lamp's by a bounding volume hierarchy.
+/// it, point lights by a bounding volume hierarchy.
 pub fn transmittance(occluders: &Occluders, origins: &[u32], light: &Light) -> Transmittance {
     match light {
         Light::Directional(direction) => {

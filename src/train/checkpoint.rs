@@ -1,4 +1,4 @@
-//! All that a training knows, to be kept and taken up again: what follows is the same, byte for byte.
+//! The state of a training, to be stored and resumed: the steps that follow are the same, byte for byte.
 //!
 //! Views, options and the random order follow from the same inputs, so they are not part of it; a trainer made anew from those
 //! takes a state up. How it is written and where is not the engine's affair: a state is plain data for serde.
@@ -63,7 +63,7 @@ fn same_shape(table: &Table, like: &Table) -> bool {
 }
 
 impl Trainer<'_> {
-    /// All that this training knows, without a copy of it.
+    /// The state of this training, borrowed.
     pub fn state(&self) -> TrainerState<'_> {
         TrainerState {
             options: TrainerOptionsState {

@@ -30,7 +30,7 @@ pub(super) struct Holdout {
     keep_from: usize,
 }
 
-/// What early stopping knows; which tiles are held out follows from the seed.
+/// State of early stopping; which tiles are held out follows from the seed.
 #[derive(Debug, Clone, serde::Serialize, serde::Deserialize)]
 pub(super) struct HoldoutState<'a> {
     losses: Cow<'a, [Option<f64>]>,
@@ -40,7 +40,7 @@ pub(super) struct HoldoutState<'a> {
 }
 
 impl HoldoutState<'_> {
-    /// Views it knows.
+    /// Number of views.
     pub(super) fn views(&self) -> usize {
         self.losses.len()
     }
@@ -163,7 +163,7 @@ impl Holdout {
         &self.losses
     }
 
-    /// What it knows, without a copy.
+    /// The state, borrowed.
     pub(super) fn state(&self) -> HoldoutState<'_> {
         let best = self.best.as_ref();
         HoldoutState {
@@ -174,7 +174,7 @@ impl Holdout {
         }
     }
 
-    /// Takes up what was known.
+    /// Restores a state.
     pub(super) fn restore(&mut self, state: HoldoutState) {
         self.losses = state.losses.into_owned();
         self.best = state

@@ -24,7 +24,7 @@ pub struct TrainOptions {
     pub consistency_weight: f32,
     /// Steps between two passes of shadow consistency, which weigh that much more: 16 in `fast`, 4 in `accurate`.
     pub consistency_every: usize,
-    /// Visits of a view that one trace of its light serves; gradients go back along the light on the visit that traces. 2 in `fast`, 1 in
+    /// Steps of a view that share one trace of its light; gradients go back along the light on the step that traces. 2 in `fast`, 1 in
     /// `balanced`.
     pub light_every: usize,
     /// Whether gradients of light reach what stands in its way; without them only where rays start moves. Off in the ablation: of all

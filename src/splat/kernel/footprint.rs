@@ -48,7 +48,7 @@ pub(super) struct Groups {
     pub(super) depth: [f32; GROUPS],
     /// Alpha of the eight pixels, zero outside the footprint.
     pub(super) alpha: [Lane; GROUPS],
-    /// `1 / (1 - alpha)`, where it was asked for.
+    /// `1 / (1 - alpha)`, filled for the backward pass only.
     pub(super) inverse: [Lane; GROUPS],
     pub(super) count: usize,
 }

@@ -8,7 +8,7 @@ use crate::vectorised;
 
 vectorised! {
     /// Composites `list` (front to back) into `maps`, which it empties first; `features[s * K + k]` are the splats' channels.
-    /// The sum of squared depths and the median depth are found only where `DEPTHS` says so.
+    /// The sum of squared depths and the median depth are computed only with `DEPTHS`.
     pub fn forward<const K: usize, const DEPTHS: bool>(
         list: &[Entry],
         splats: &[Splat],

@@ -12,7 +12,7 @@ use glam::{Mat3, Vec3};
 pub(super) const LANES: usize = 8;
 pub(super) type Lane = [f32; LANES];
 
-/// Cull status of a Gaussian, an integer per lane: outside the image, behind the camera or too faint.
+/// Cull status of a Gaussian, an integer per lane: outside the image, behind the camera or below the least alpha.
 pub(super) const CULLED: u32 = 0;
 /// It is a splat.
 pub(super) const VISIBLE: u32 = 1;
@@ -167,7 +167,7 @@ impl Whitened {
         }
     }
 
-    /// `sqrt(det before / det after)` the filter, where that is asked for.
+    /// `sqrt(det before / det after)` the filter, or one without antialiasing.
     #[inline(always)]
     pub(super) fn dimming(&self, det_filtered: f32, options: &ProjectionOptions) -> f32 {
         let ratio = self.area_square / det_filtered;
