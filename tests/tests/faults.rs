@@ -448,7 +448,7 @@ fn training_that_goes_astray_keeps_its_last_good_state_and_says_why_it_stopped()
     // Rates that grow instead of falling: after some steps colours are so bright that gradients are no numbers any more.
     let astray = [
         "train.iterations=120",
-        "train.rounds=40",
+        "train.epochs=40",
         "train.patience=1000",
         "train.position_rate_gsd=0",
         "train.final_rate=1e30",
@@ -491,12 +491,12 @@ fn settings_that_mean_nothing_are_named() {
     let run = home.path().join("run");
     for (set, said) in [
         (
-            "train.scale_gsd=[8.0, 0.1]",
-            "train.scale_gsd is [8, 0.1], expected two finite numbers",
+            "train.pyramid_share=1.5",
+            "train.pyramid_share is 1.5, expected a number from 0 to 1",
         ),
         (
-            "start.opacity=1.0",
-            "start.opacity is 1, expected a number between 0 and 1",
+            "start.step_opacity=1.0",
+            "start.step_opacity is 1, expected a number between 0 and 1",
         ),
         ("train.position_rate_gsd=nan", "train.position_rate_gsd is NaN"),
     ] {

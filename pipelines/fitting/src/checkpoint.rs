@@ -16,7 +16,7 @@ use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
 /// First bytes of a checkpoint; the number is that of this layout.
-const MAGIC: &[u8] = b"heliosplat checkpoint 2\n";
+const MAGIC: &[u8] = b"heliosplat checkpoint 3\n";
 /// Bytes of the check sum at the end.
 const SUM: usize = 32;
 /// A checkpoint is written no more often than this many times the time that the last one took.

@@ -48,7 +48,7 @@ pub fn baked(model: &ObjectModel, light: Option<Light>) -> Result<Table, String>
     };
     let transmittances = match light {
         Some(light) if shading.needs_transmittance() => {
-            transmittance(&Occluders::new(gaussians), &all.gaussian, &light, &model.file.trace).values
+            transmittance(&Occluders::new(gaussians), &all.gaussian, &light).values
         }
         _ => vec![1.0; gaussians.count],
     };

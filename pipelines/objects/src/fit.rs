@@ -91,9 +91,9 @@ pub fn fit(
             .restore(checkpoint.trainer)
             .map_err(|error| checkpoints.does_not_fit(&error))?;
     }
-    let probe = measure::psnr_probe(capture, model::file(capture, config, kind.clone(), preparation, begins));
+    let probe = measure::psnr_probe(capture, model::file(capture, kind.clone(), preparation, begins));
     let trained = train(trainer, steps, session, budget, checkpoints, probe.as_deref())?;
-    let file = model::file(capture, config, kind, preparation, trained.parameters.globals.clone());
+    let file = model::file(capture, kind, preparation, trained.parameters.globals.clone());
     Ok(Fitted {
         model: ObjectModel {
             model: file.kind.model(),

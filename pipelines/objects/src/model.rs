@@ -1,7 +1,6 @@
 //! A model of an object, and its files: `model.ply`, `model.json`.
 
 use super::capture::{Capture, Frame};
-use super::config::ObjectConfig;
 use super::pinhole::Pinhole;
 use super::pixels::Encoding;
 use super::ply;
@@ -17,7 +16,6 @@ use heliosplat::model::reflective::{Reflective, ReflectiveOptions};
 use heliosplat::model::{Parameters, SceneModel};
 use heliosplat::render::{PassOptions, render};
 use heliosplat::splat::{Maps, ProjectionOptions};
-use heliosplat::trace::TraceOptions;
 use heliosplat::{ProjectiveCamera, Raster};
 use heliosplat_fitting::run_folder::RunError;
 use heliosplat_raster::bounded;
@@ -142,8 +140,6 @@ pub struct ObjectFile {
     pub preparation: Preparation,
     /// How Gaussians become splats.
     pub projection: ProjectionOptions,
-    /// How light is traced.
-    pub trace: TraceOptions,
     /// The images.
     pub images: Vec<ObjectImage>,
 }
@@ -196,7 +192,6 @@ impl ObjectModel {
         let model = own.as_deref().unwrap_or(&*self.model);
         let options = PassOptions {
             projection: self.file.projection,
-            trace: self.file.trace,
             ..PassOptions::default()
         };
         let maps = render(model, &self.parameters, &camera, None, None, options).maps;
@@ -254,7 +249,6 @@ impl ObjectModel {
         let camera = camera.projective(self.file.centre)?;
         let options = PassOptions {
             projection: self.file.projection,
-            trace: self.file.trace,
             ..PassOptions::default()
         };
         let rendering = render(model, &self.parameters, &camera, light, None, options);
@@ -286,13 +280,7 @@ pub fn is_object_run(folder: &Path) -> bool {
 }
 
 /// `model.json` of a training.
-pub fn file(
-    capture: &Capture,
-    config: &ObjectConfig,
-    kind: Kind,
-    preparation: Preparation,
-    globals: Table,
-) -> ObjectFile {
+pub fn file(capture: &Capture, kind: Kind, preparation: Preparation, globals: Table) -> ObjectFile {
     ObjectFile {
         schema: SCHEMA,
         kind,
@@ -302,8 +290,7 @@ pub fn file(
         pixel_size: capture.pixel_size,
         encoding: capture.frames.first().map_or(Encoding::Display, |f| f.picture.encoding),
         preparation,
-        projection: config.train.projection,
-        trace: config.train.trace,
+        projection: ProjectionOptions::default(),
         images: capture.frames.iter().map(ObjectImage::from).collect(),
     }
 }

@@ -18,8 +18,13 @@ use std::f32::consts::PI;
 
 /// Gaussians that leave the cube that cameras see by this much of it are pruned.
 const SLACK: f32 = 1.1;
-/// How much normals agree with those of the depth where the configuration leaves it open: under one lamp at a time, where a firm hold
-/// keeps highlights in one piece (docs/objects.md).
+/// Opacity of the Gaussians at the start: half, for a hull is only about where the surface is.
+const OPACITY: f32 = 0.5;
+/// Units of the hidden layers of all networks, and how many layers: smaller than the papers' (3 of 64 units, 6 of 256), which would
+/// take most of the time.
+const NETWORK: (usize, usize) = (32, 2);
+/// How much normals agree with those of the depth: under one lamp at a time, where a firm hold keeps highlights in one piece
+/// (docs/objects.md).
 const OLAT_NORMALS: f32 = 0.3;
 /// And in surroundings that stay.
 const REFLECTIVE_NORMALS: f32 = 0.05;
@@ -66,11 +71,7 @@ fn begin(
             background,
             coverage,
         };
-        let mut gaussians = start::gaussians(
-            start,
-            config.start.opacity,
-            Radiance::new(options.clone()).feature_groups(),
-        );
+        let mut gaussians = start::gaussians(start, OPACITY, Radiance::new(options.clone()).feature_groups());
         for (i, seed) in start.seeds.iter().enumerate() {
             Radiance::paint(&mut gaussians, i, seed.colour);
         }
@@ -86,19 +87,19 @@ fn begin(
         shadow: config.model.shadow,
         scattering: config.model.scattering,
         refined: config.model.refined_shadow && config.model.shadow,
-        width: config.model.network_width,
-        hidden: config.model.network_layers,
+        width: NETWORK.0,
+        hidden: NETWORK.1,
         half_size: capture.half_size as f32,
         background,
         coverage,
         distance: upper_median(&mut distances).map_or(1.0, |d| d as f32),
         radius: config.model.light_radius,
-        normal_weight: config.model.normal_weight.unwrap_or(OLAT_NORMALS),
+        normal_weight: OLAT_NORMALS,
         normal_edge: (EDGE_PX * capture.pixel_size) as f32,
         shows: Component::All,
     };
     let model = Olat::new(options.clone());
-    let mut gaussians = start::gaussians(start, config.start.opacity, model.feature_groups());
+    let mut gaussians = start::gaussians(start, OPACITY, model.feature_groups());
     for (i, seed) in start.seeds.iter().enumerate() {
         // Seen in the median under slanting light and often in shadow.
         let colour = seed.colour.map(|c| (2.0 * PI * c).clamp(0.05, 3.0));
@@ -119,10 +120,10 @@ fn begin_reflective(
     let options = ReflectiveOptions {
         specular: config.model.specular,
         degree: config.model.sh_degree,
-        width: config.model.decoder_width,
-        hidden: config.model.decoder_layers,
+        width: NETWORK.0,
+        hidden: NETWORK.1,
         half_size: capture.half_size as f32,
-        normal_weight: config.model.normal_weight.unwrap_or(REFLECTIVE_NORMALS),
+        normal_weight: REFLECTIVE_NORMALS,
         normal_edge: (EDGE_PX * capture.pixel_size) as f32,
         display,
         background: preparation.background,
@@ -130,7 +131,7 @@ fn begin_reflective(
         ..ReflectiveOptions::default()
     };
     let model = Reflective::new(options.clone());
-    let mut gaussians = start::gaussians(start, config.start.opacity, model.feature_groups());
+    let mut gaussians = start::gaussians(start, OPACITY, model.feature_groups());
     for (i, seed) in start.seeds.iter().enumerate() {
         model.paint(&mut gaussians, i, seed.colour, frame_of(seed));
     }

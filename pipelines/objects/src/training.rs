@@ -159,11 +159,12 @@ fn identity(
     inputs: &[Input],
 ) -> Result<String, ObjectError> {
     let mut text = identity_of_program();
+    let seed = config.train.seed;
     let config = toml::to_string(config).map_err(|error| ObjectError::Settings(error.to_string()))?;
     // Writing to a String cannot fail.
     let _ = writeln!(
         text,
-        "--time-budget {:?}\n--memory {:?}\n{config}",
+        "--time-budget {:?}\n--memory {:?}\nseed = {seed}\n{config}",
         request.time_budget, request.memory
     );
     for (frame, input) in capture.frames.iter().zip(inputs) {

@@ -6,7 +6,6 @@ use heliosplat::model::Parameters;
 use heliosplat::model::shadow_gs::{ShadowGs, ShadowGsOptions};
 use heliosplat::render::PassOptions;
 use heliosplat::splat::ProjectionOptions;
-use heliosplat::trace::TraceOptions;
 use heliosplat_fitting::run_folder::{RunError, read};
 use heliosplat_raster::bounded;
 use heliosplat_raster::write::write_atomically;
@@ -66,8 +65,6 @@ pub struct ModelFile {
     pub counts_per_unit: f64,
     /// How Gaussians become splats.
     pub projection: ProjectionOptions,
-    /// How light is traced.
-    pub trace: TraceOptions,
     /// What the bands are.
     pub bands: Vec<BandKind>,
     /// The images.
@@ -93,7 +90,6 @@ impl LoadedModel {
     pub fn pass_options(&self) -> PassOptions {
         PassOptions {
             projection: self.file.projection,
-            trace: self.file.trace,
             normals: true,
             ..PassOptions::default()
         }

@@ -9,6 +9,9 @@ use heliosplat_scene::{Area, Scene, SceneImage};
 use heliosplat_stereo::{Surface, SweepOptions, SweepRequest, SweepView};
 use rayon::prelude::*;
 
+/// Ground added around the area, metres: shadows fall into it, and ties near the edge have a surface.
+pub const MARGIN_M: f64 = 4.0;
+
 /// Cells around a cell among which the lowest is its ground.
 const GROUND_CELLS: usize = 12;
 
@@ -28,16 +31,12 @@ pub struct Ground<'a> {
 }
 
 impl<'a> Ground<'a> {
-    /// The ground of `scene`, grown by `margin_m` metres, in those of `images` that show it.
+    /// The ground of `scene`, grown by [`MARGIN_M`], in those of `images` that show it.
     ///
     /// # Errors
     /// [`FitError::TooFewViews`] when fewer than two do.
-    pub fn new(
-        scene: &'a Scene,
-        images: impl Iterator<Item = &'a SceneImage>,
-        margin_m: f64,
-    ) -> Result<Self, FitError> {
-        let area = crop::grown(&scene.area, margin_m);
+    pub fn new(scene: &'a Scene, images: impl Iterator<Item = &'a SceneImage>) -> Result<Self, FitError> {
+        let area = crop::grown(&scene.area, MARGIN_M);
         let up_m = crop::altitude_range(scene);
         let (images, crops): (Vec<&SceneImage>, Vec<Crop>) = images
             .filter_map(|image| Some((image, Crop::of(image, &area, up_m)?)))

@@ -5,6 +5,7 @@
 
 use super::config::SatelliteConfig;
 use super::shadow_prior::ENOUGH_VIEWS;
+use super::swept::THRESHOLD_PX;
 use glam::Vec3;
 use heliosplat_scene::{BandKind, Scene, SceneImage};
 use heliosplat_scene::{crop, saturation};
@@ -109,7 +110,9 @@ fn items(facts: &Facts, config: &SatelliteConfig) -> Vec<PlanItem> {
         item(
             "sun",
             true,
-            format!("{dates} date(s) with known suns, {lowest:.0} to {highest:.0} degrees high: cast shadows are traced through the geometry"),
+            format!(
+                "{dates} date(s) with known suns, {lowest:.0} to {highest:.0} degrees high: cast shadows are traced through the geometry"
+            ),
         ),
         decided(
             "model.image_colour",
@@ -126,7 +129,9 @@ fn items(facts: &Facts, config: &SatelliteConfig) -> Vec<PlanItem> {
             config.model.clouds,
             images >= FEWEST_VIEWS,
             if images >= FEWEST_VIEWS {
-                format!("{images} views: what one shows brighter than the others show the ground in the sun is a cloud, and left out")
+                format!(
+                    "{images} views: what one shows brighter than the others show the ground in the sun is a cloud, and left out"
+                )
             } else {
                 format!("{images} views cannot say which of them shows a cloud")
             },
@@ -136,7 +141,10 @@ fn items(facts: &Facts, config: &SatelliteConfig) -> Vec<PlanItem> {
             config.model.saturation,
             facts.clipped > 0.0,
             if facts.clipped > 0.0 {
-                format!("{:.2} % of the values are as great as their images can say: the model may be brighter", 100.0 * facts.clipped)
+                format!(
+                    "{:.2} % of the values are as great as their images can say: the model may be brighter",
+                    100.0 * facts.clipped
+                )
             } else {
                 "no image is clipped".into()
             },
@@ -146,7 +154,9 @@ fn items(facts: &Facts, config: &SatelliteConfig) -> Vec<PlanItem> {
             config.model.shadow_prior,
             images < ENOUGH_VIEWS,
             if images < ENOUGH_VIEWS {
-                format!("{images} views say little of what throws a shadow: dark places with something toward the sun guide it")
+                format!(
+                    "{images} views say little of what throws a shadow: dark places with something toward the sun guide it"
+                )
             } else {
                 format!("{images} views: shadows follow from what they agree on")
             },
@@ -185,17 +195,17 @@ fn items(facts: &Facts, config: &SatelliteConfig) -> Vec<PlanItem> {
         item(
             "cameras.pinhole",
             true,
-            format!("pinhole cameras fit the given ones to {:.3} px over the area", facts.residual_px),
+            format!(
+                "pinhole cameras fit the given ones to {:.3} px over the area",
+                facts.residual_px
+            ),
         ),
         item(
             "cameras.align",
             config.cameras.align != super::config::Align::Off,
-            "one shift per image is estimated, and used where it exceeds a quarter pixel and the images agree better with it".into(),
-        ),
-        item(
-            "cameras.refine",
-            config.cameras.refine,
-            "images are moved against each other before training; moving them in it too is for cameras that stay off".into(),
+            format!(
+                "one shift per image follows from ties between the images; they are used where one exceeds {THRESHOLD_PX} pixels"
+            ),
         ),
         item(
             "model.facing",

@@ -9,7 +9,7 @@ use heliosplat_products::surface::SurfaceGaussians;
 use heliosplat_scene::Scene;
 
 /// Tells how far the surface of a model in training is from the scene's true one; `None` without truth.
-pub(super) fn height_probe(scene: &Scene, projection: ProjectionOptions) -> Option<Box<Probe<'_>>> {
+pub(super) fn height_probe(scene: &Scene) -> Option<Box<Probe<'_>>> {
     let truth = scene.truth.dsm.as_deref()?;
     let classes = scene.truth.classes.as_deref();
     let nadir = NadirGrid::new(&scene.into(), scene.gsd_m, None).ok()?;
@@ -17,7 +17,7 @@ pub(super) fn height_probe(scene: &Scene, projection: ProjectionOptions) -> Opti
         let gaussians = SurfaceGaussians {
             gaussians: &parameters.gaussians,
             bands: scene.bands(),
-            projection,
+            projection: ProjectionOptions::default(),
         };
         let surface = of_gaussians(&nadir, &gaussians).geo_raster();
         let evaluation = evaluate_raster((&scene.source, &surface), truth, classes, Protocol::Raw).ok()?;

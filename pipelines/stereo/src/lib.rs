@@ -5,7 +5,7 @@
 //! pairs of views, robustly combined), makes the
 //! answers consistent with their neighbours (semi-global matching on the ground grid), drops the views that the surface
 //! itself hides, and refines below the step of the ladder. Views of other dates take part with less weight: what
-//! changed, moved with the sun or is hidden must not veto. [`align::estimate_shifts`] finds the pointing bias between
+//! changed, moved with the sun or is hidden must not veto. [`align::coarse_shifts`] finds the pointing bias between
 //! the images with the same machinery; [`ties`] finds single points of the ground in several images, for a camera adjustment.
 //!
 //! Limits: one altitude per cell (no overhangs, façades are steps), and a surface a few cells wide at best: trees

@@ -115,7 +115,6 @@ pub(super) fn models() -> Vec<Vec<u8>> {
             unit_light: Some([2.0; 3]),
         },
         projection: heliosplat::splat::ProjectionOptions::default(),
-        trace: heliosplat::trace::TraceOptions::default(),
         images: vec![image.clone()],
     };
     kinds
