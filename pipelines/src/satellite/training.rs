@@ -25,7 +25,7 @@ use std::time::{Duration, Instant};
 pub const CHECKPOINT_EVERY: Duration = Duration::from_secs(60);
 
 /// What a training was told besides its scene and its configuration.
-pub(super) struct Told {
+pub struct Told {
     preset: &'static str,
     ingest: IngestOptions,
     begun: Instant,
@@ -37,7 +37,7 @@ pub(super) struct Told {
 
 impl Told {
     /// Nothing but a preset; time counts from `begun`.
-    pub(super) fn new(preset: &'static str, begun: Instant) -> Self {
+    pub fn new(preset: &'static str, begun: Instant) -> Self {
         Self {
             preset,
             ingest: IngestOptions::default(),
@@ -51,7 +51,10 @@ impl Told {
 }
 
 /// Fits a scene and writes the run, with its DSM and, where there is truth, its errors.
-pub(super) fn train_into(
+///
+/// # Errors
+/// When the scene is at fault, training finds no good state, or a file cannot be written.
+pub fn train_into(
     scene: &Scene,
     out: &Path,
     config: &SatelliteConfig,
