@@ -474,7 +474,8 @@ fn training_that_goes_astray_keeps_its_last_good_state_and_says_why_it_stopped()
     };
     let read = Scene::open(home.path(), &IngestOptions::default()).expect("a scene");
     let told = Told::new("fast", Instant::now());
-    let (_, _, ending) = train_into(&read, &run, &config, &told, &Session::quiet()).expect("a run of the last good state");
+    let (_, _, ending) =
+        train_into(&read, &run, &config, &told, &Session::quiet()).expect("a run of the last good state");
     let Ending::GaveUp(error) = ending else {
         panic!("it went on to the end: {ending:?}")
     };
