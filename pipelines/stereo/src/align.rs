@@ -7,8 +7,8 @@
 use super::grid::Grid;
 use super::ortho;
 use super::pairs::Pair;
-use super::search::Search;
-use super::sweep::SweepRequest;
+use super::pyramid::Search;
+use super::request::PlaneSweepRequest;
 use super::views::SweepView;
 use glam::{DMat2, DMat3, DVec2, DVec3, Vec3};
 use heliosplat::ProjectiveCamera;
@@ -34,7 +34,7 @@ const WORTHWHILE: f64 = 0.01;
 /// remains.
 ///
 /// Shifts that do not make the views agree better on their surface are mistakes of the estimate: then all are zero.
-pub fn estimate_shifts(views: &[SweepView], request: &SweepRequest) -> Vec<[f32; 2]> {
+pub fn estimate_shifts(views: &[SweepView], request: &PlaneSweepRequest) -> Vec<[f32; 2]> {
     let shifts = descend(views, request, finest_factor(request));
     let before = disagreement(views, request);
     let moved: Vec<SweepView> = views
@@ -59,12 +59,12 @@ pub fn estimate_shifts(views: &[SweepView], request: &SweepRequest) -> Vec<[f32;
 const COARSE_FACTOR: usize = 4;
 
 /// As [`estimate_shifts`], but only down to coarse cells and without the check: a start for [`super::ties`], good to a pixel or two.
-pub fn coarse_shifts(views: &[SweepView], request: &SweepRequest) -> Vec<[f32; 2]> {
+pub fn coarse_shifts(views: &[SweepView], request: &PlaneSweepRequest) -> Vec<[f32; 2]> {
     descend(views, request, COARSE_FACTOR)
 }
 
 /// Mean cost of the surface the views find together.
-fn disagreement(views: &[SweepView], request: &SweepRequest) -> f64 {
+fn disagreement(views: &[SweepView], request: &PlaneSweepRequest) -> f64 {
     let search = Search::new(views, request);
     let finest = finest_factor(request);
     search.descend(finest, &|_| {}).map_or(0.0, |found| {
@@ -73,12 +73,12 @@ fn disagreement(views: &[SweepView], request: &SweepRequest) -> f64 {
     })
 }
 
-fn finest_factor(request: &SweepRequest) -> usize {
+fn finest_factor(request: &PlaneSweepRequest) -> usize {
     let grid = request.grid();
     if grid.width.min(grid.height) < SMALL_SIDE { 1 } else { 2 }
 }
 
-fn descend(views: &[SweepView], request: &SweepRequest, finest: usize) -> Vec<[f32; 2]> {
+fn descend(views: &[SweepView], request: &PlaneSweepRequest, finest: usize) -> Vec<[f32; 2]> {
     let mut moved = views.to_vec();
     let mut shifts = vec![DVec2::ZERO; views.len()];
     for factor in Search::new(views, request).factors(finest) {

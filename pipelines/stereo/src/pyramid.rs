@@ -1,107 +1,83 @@
-//! From coarse to fine: the pyramid of volumes that both the sweep and the alignment descend.
+//! The coarse-to-fine search of the plane sweep: each level of the pyramid matches, aggregates and chooses heights around those that the
+//! coarser level left as candidates.
+//!
+//! Tie points, clouds and pointing shifts use the same search down to a coarser level, as an approximate surface to work on. Nothing is
+//! decided here: how to match stands in the request's [`MatchingParameters`](super::parameters::MatchingParameters).
 
-use super::bands::Bands;
-use super::cost::Matching;
-use super::grid::{Grid, Ladder};
+use super::cost::MatchingCost;
+use super::grid::Grid;
+use super::heights::HeightHypotheses;
+use super::level::LevelView;
 use super::ortho;
 use super::pairs::{self, Pair};
-use super::pick::{self, Choice};
+use super::ranges::SearchRanges;
+use super::request::PlaneSweepRequest;
 use super::sgm::{Penalties, Volume};
-use super::smooth;
-use super::sweep::SweepRequest;
-use super::views::{LevelView, SweepView};
+use super::views::{SweepView, ViewGeometry};
 use super::visibility::FirstHits;
+use super::wta::{self, HeightChoice};
 use glam::Vec3;
 use rayon::prelude::*;
 
-/// How boldly a surface is sought: what many views agree on is less often chance.
-#[derive(Debug, Clone, Copy)]
-struct Manner {
-    /// Summed cost above the best within which another level stays possible at the next, finer round.
-    tolerance: u16,
-    /// Weight, as a share of all pairs, of the assumption that nothing matches: altitudes that few views see must not win
-    /// by chance.
-    doubt: f32,
-    /// Whether views of one date are compared pixel by pixel too: the same sun makes them alike, and a single pixel does not reach
-    /// over edges as a window does.
-    same_date_values: bool,
-    /// Thirds of the penalty for jumps that are asked: a whole number, like the penalty.
-    jump_thirds: u16,
-    /// Whether differences that may be noise are left out of the comparison: few views, unless they stand so close that noise is
-    /// most of what they show, have nothing to spare.
-    without_noise: bool,
-}
-
-/// Views from which on they are many: the search is bolder then, and takes longer.
-pub const MANY_VIEWS: usize = 8;
-const OF_FEW: Manner = Manner {
-    tolerance: 80,
-    doubt: 0.08,
-    same_date_values: false,
-    jump_thirds: 3,
-    without_noise: false,
-};
-const OF_MANY: Manner = Manner {
-    tolerance: 200,
-    doubt: 0.03,
-    same_date_values: true,
-    jump_thirds: 2,
-    without_noise: true,
-};
-/// Tolerance at most with cells of twice the size asked for; wider ones take time and find nothing more.
-const TOLERANCE_AT_TWO: u16 = 120;
-/// Coarse cells around a fine one whose altitudes stay possible for it.
+/// Coarse cells on each side of a fine one whose candidates it searches too.
 const REACH_CELLS: usize = 2;
-
+/// Height steps of the coarser level added above and below the candidates.
+const MARGIN_STEPS: f32 = 3.0;
 /// Coarsest cells of the pyramid, in cells of the request.
 const COARSEST: usize = 8;
 /// A level needs this many cells each way to be worth its own search.
 const FEWEST_CELLS: usize = 16;
+/// Base-to-height ratios below this one count as this one, so that the height step stays finite.
+const LEAST_BASE_TO_HEIGHT: f32 = 1e-3;
 
 /// What is searched and with which views; the same on every level.
 pub(super) struct Search<'a> {
     pub(super) views: &'a [SweepView<'a>],
-    pub(super) request: &'a SweepRequest,
+    pub(super) request: &'a PlaneSweepRequest,
     pub(super) grid: Grid,
     pub(super) centre: Vec3,
     pub(super) pairs: Vec<Pair>,
-    /// Whether the views' indices are compared too.
-    with_index: bool,
+    /// Weight of a comparison of index planes beside one of brightness, where they are compared.
+    index_weight: Option<f32>,
 }
 
-/// What a level found.
-pub(super) struct Found {
+/// The heights chosen at one level.
+pub(super) struct LevelResult {
     pub(super) grid: Grid,
     /// Cells of the request per cell of this level.
     pub(super) factor: usize,
-    /// Step of this level's ladder.
+    /// Height step of this level, metres.
     pub(super) step_m: f32,
-    pub(super) choices: Vec<Choice>,
+    pub(super) choices: Vec<HeightChoice>,
 }
 
-impl Found {
+impl LevelResult {
+    /// Altitude of each cell, metres.
     pub(super) fn altitude(&self) -> Vec<f32> {
         self.choices.iter().map(|choice| choice.altitude_m).collect()
     }
 }
 
 impl<'a> Search<'a> {
-    pub(super) fn new(views: &'a [SweepView<'a>], request: &'a SweepRequest) -> Self {
+    /// A search that compares brightness alone.
+    pub(super) fn new(views: &'a [SweepView<'a>], request: &'a PlaneSweepRequest) -> Self {
         let centre = request.centre();
+        let geometries: Vec<ViewGeometry> = views.iter().map(SweepView::geometry).collect();
         Self {
             views,
             request,
             grid: request.grid(),
             centre,
-            pairs: pairs::choose(views, centre),
-            with_index: false,
+            pairs: pairs::choose(&geometries, centre),
+            index_weight: None,
         }
     }
 
-    /// The same, which compares the views' indices too.
+    /// The same, which compares index planes too where the request says so and every view has one.
     pub(super) fn with_index(self) -> Self {
+        let all_have_one = self.views.iter().all(|view| view.index.is_some());
         Self {
-            with_index: true,
+            index_weight: self.request.parameters.index_weight.filter(|_| all_have_one),
             ..self
         }
     }
@@ -120,12 +96,12 @@ impl<'a> Search<'a> {
         factors
     }
 
-    /// Searches all levels down to `finest`; `None` when there is nothing to search.
-    pub(super) fn descend(&self, finest: usize, heard: &dyn Fn(usize)) -> Option<Found> {
+    /// Searches all levels down to `finest`; `progress` hears the factor of each when it is done. `None` when there is nothing to search.
+    pub(super) fn descend(&self, finest: usize, progress: &dyn Fn(usize)) -> Option<LevelResult> {
         let mut found = None;
         for factor in self.factors(finest) {
             found = Some(self.level(factor, found.as_ref(), None));
-            heard(factor);
+            progress(factor);
         }
         found
     }
@@ -133,106 +109,85 @@ impl<'a> Search<'a> {
     /// The views averaged down for a level.
     pub(super) fn level_views(&self, factor: usize) -> Vec<LevelView> {
         let cell_m = self.grid.cell_m * factor as f32;
-        let one = |view: &SweepView| LevelView::new(view, cell_m, self.centre, self.with_index);
+        let with_index = self.index_weight.is_some();
+        let one = |view: &SweepView| LevelView::new(view, cell_m, self.centre, with_index);
         self.views.par_iter().map(one).collect()
     }
 
-    /// Searches one level: everywhere, or around what a coarser (or equal) level found; with `hits`, hidden views are
-    /// left out.
-    pub(super) fn level(&self, factor: usize, before: Option<&Found>, hits: Option<&[FirstHits]>) -> Found {
+    /// Searches one level: all heights, or those around what a coarser (or equal) level found; with `hits`, cells that a view does not
+    /// see are left out.
+    pub(super) fn level(&self, factor: usize, before: Option<&LevelResult>, hits: Option<&[FirstHits]>) -> LevelResult {
         let grid = self.grid.coarser(factor);
         let views = self.level_views(factor);
-        let ladder = self.ladder(grid.cell_m);
-        let (bands, guide) = match before {
-            None => (Bands::full(grid.len(), &ladder), None),
-            Some(found) => self.narrowed(&grid, &ladder, &views, factor, found),
+        let heights = self.heights(grid.cell_m);
+        let (ranges, guide) = match before {
+            None => (SearchRanges::full(grid.len(), &heights), None),
+            Some(found) => self.narrowed(&grid, &heights, &views, factor, found),
         };
-        let options = &self.request.options;
-        let manner = if self.views.len() < MANY_VIEWS { OF_FEW } else { OF_MANY };
-        let radius = smooth::radius_for(self.sharpness());
-        let matching = Matching {
+        let parameters = &self.request.parameters;
+        let matching = MatchingCost {
             grid,
-            ladder,
+            heights,
             views: &views,
             pairs: &self.pairs,
             hits,
-            compared: if manner.without_noise || smooth::is_widest(radius) {
-                options.compared
-            } else {
-                [0.0, options.compared[1]]
-            },
-            doubt: manner.doubt,
-            same_date_values: manner.same_date_values,
-            radius,
+            parameters,
+            index_weight: self.index_weight,
         };
-        let costs = matching.costs(&bands);
+        let costs = matching.costs(&ranges);
         let volume = Volume {
             width: grid.width,
             height: grid.height,
-            bands: &bands,
+            ranges: &ranges,
             costs: &costs,
             guide: guide.as_deref(),
             penalties: Penalties {
-                one_level: options.one_level_penalty,
-                jump: options.jump_penalty * manner.jump_thirds / 3 * smooth::steadiness(radius),
-                edge: options.edge,
+                one_step: parameters.one_step_penalty,
+                jump: parameters.jump_penalty,
+                edge: parameters.guide_edge,
             },
         };
         let sums = volume.aggregate();
-        // Finer levels have less left to decide.
-        let tolerance = manner.tolerance.min(match factor {
-            1 => OF_FEW.tolerance,
-            2 => TOLERANCE_AT_TWO,
-            _ => u16::MAX,
-        });
-        let choices = pick::choose(&bands, &ladder, &sums, tolerance);
-        Found {
+        let tolerance = parameters.candidate_tolerance.at(factor);
+        let choices = wta::winner_takes_all(&ranges, &heights, &sums, tolerance);
+        LevelResult {
             grid,
             factor,
-            step_m: ladder.step_m,
+            step_m: heights.step_m,
             choices,
         }
     }
 
-    /// How sharply all comparisons together tell altitudes apart: the root of the sum of squared ratios of base to height.
-    pub(super) fn sharpness(&self) -> f32 {
-        self.pairs
-            .iter()
-            .map(|pair| pair.base_to_height.powi(2))
-            .sum::<f32>()
-            .sqrt()
+    /// The height hypotheses of a level whose cells are `cell_m` wide: the pair with the widest base shifts by `step_cells` from one to the
+    /// next.
+    fn heights(&self, cell_m: f32) -> HeightHypotheses {
+        let PlaneSweepRequest { volume, parameters } = self.request;
+        let widest = pairs::widest_base_to_height(&self.pairs).max(LEAST_BASE_TO_HEIGHT);
+        let step_m = parameters.step_cells * cell_m / widest;
+        HeightHypotheses::new(volume.altitude_min_m, volume.altitude_max_m, step_m)
     }
 
-    /// Largest ratio of base to height among the pairs that are compared.
-    fn widest_base(&self) -> f32 {
-        self.pairs.iter().map(|pair| pair.base_to_height).fold(0.0, f32::max)
-    }
-
-    fn ladder(&self, cell_m: f32) -> Ladder {
-        let step_m = self.request.options.step_cells * cell_m / self.widest_base().max(1e-3);
-        Ladder::new(self.request.altitude_min_m, self.request.altitude_max_m, step_m)
-    }
-
+    /// The search ranges around what a coarser (or equal) level found, and the guide image on its surface.
     fn narrowed(
         &self,
         grid: &Grid,
-        ladder: &Ladder,
+        heights: &HeightHypotheses,
         views: &[LevelView],
         factor: usize,
-        found: &Found,
-    ) -> (Bands, Option<Vec<f32>>) {
+        found: &LevelResult,
+    ) -> (SearchRanges, Option<Vec<f32>>) {
         let finer = found.factor / factor;
-        let possible: Vec<_> = found.choices.iter().map(|choice| choice.possible).collect();
-        let bands = Bands::around(
+        let candidates: Vec<_> = found.choices.iter().map(|choice| choice.candidates).collect();
+        let ranges = SearchRanges::around(
             grid,
-            ladder,
+            heights,
             &found.grid,
             finer,
-            &possible,
+            &candidates,
             REACH_CELLS,
-            3.0 * found.step_m,
+            MARGIN_STEPS * found.step_m,
         );
         let altitude = ortho::repeated(grid, &found.grid, finer, &found.altitude());
-        (bands, Some(ortho::guide(grid, views, &altitude)))
+        (ranges, Some(ortho::guide(grid, views, &altitude)))
     }
 }

@@ -17,10 +17,11 @@ mod patch;
 mod refine;
 
 use super::grid::Grid;
+use super::level::LevelView;
 use super::ortho;
-use super::search::Search;
-use super::sweep::SweepRequest;
-use super::views::{LevelView, SweepView};
+use super::pyramid::Search;
+use super::request::PlaneSweepRequest;
+use super::views::SweepView;
 use corners::Corner;
 use glam::{Vec2, Vec3};
 use patch::{Match, Region};
@@ -67,7 +68,7 @@ pub struct TieOptions {
 }
 
 /// Seeks ties between the views, whose cameras must agree to about `REACH` cells. The same for any number of threads.
-pub fn find_ties(views: &[SweepView], request: &SweepRequest, options: TieOptions) -> Vec<Tie> {
+pub fn find_ties(views: &[SweepView], request: &PlaneSweepRequest, options: TieOptions) -> Vec<Tie> {
     let search = Search::new(views, request);
     let Some(found) = search.descend(SURFACE_FACTOR * options.factor, &|_| {}) else {
         return Vec::new();

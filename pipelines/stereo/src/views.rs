@@ -1,0 +1,73 @@
+//! The input of the plane sweep: images with their cameras.
+
+use glam::{Vec2, Vec3};
+use heliosplat::{ProjectiveCamera, Raster};
+
+/// Rays flatter than this (the vertical part of their unit direction) count as this steep, so that parallax stays finite.
+const FLATTEST_RAY: f32 = 1e-3;
+
+/// Where a view looks from and under which light: all that is known of it without its pixels.
+#[derive(Debug, Clone, Copy)]
+pub struct ViewGeometry {
+    /// Projects ground points (metres) into the image (pixels).
+    pub camera: ProjectiveCamera,
+    /// Equal for views of one date: same shadows, same season.
+    pub date_group: u32,
+    /// Unit vector toward the sun, east-north-up.
+    pub sun: Vec3,
+}
+
+impl ViewGeometry {
+    /// Ground distance between pixels at `centre`, metres.
+    pub(super) fn ground_sampling_m(&self, centre: Vec3) -> f32 {
+        let (col, row, denominator) = self.camera.project(centre);
+        let (u, v) = self.camera.jacobian(col, row, denominator);
+        let det = (u.x * v.y - u.y * v.x).abs();
+        if det > 0.0 { det.sqrt().recip() } else { f32::INFINITY }
+    }
+
+    /// How far the pixel that sees `centre` moves over the ground per metre of altitude: east, north.
+    pub(super) fn parallax(&self, centre: Vec3) -> Vec2 {
+        let (col, row, _) = self.camera.project(centre);
+        let ray = self.camera.ray_direction(col, row);
+        ray.truncate()
+            / if ray.z.abs() > FLATTEST_RAY {
+                ray.z
+            } else {
+                -FLATTEST_RAY
+            }
+    }
+
+    /// Unit vector from the scene toward the camera.
+    pub(super) fn toward(&self, centre: Vec3) -> Vec3 {
+        let (col, row, _) = self.camera.project(centre);
+        -self.camera.ray_direction(col, row)
+    }
+}
+
+/// One image with its camera, in the frame of the request.
+#[derive(Debug, Clone, Copy)]
+pub struct SweepView<'a> {
+    /// Projects ground points (metres) into the image (pixels).
+    pub camera: ProjectiveCamera,
+    /// Linear values, any number of bands, NaN where there is nothing; their mean is what is compared.
+    pub image: &'a Raster,
+    /// Of the same size, one band: what tells things apart that are equally bright, such as a vegetation index.
+    /// [`plane_sweep`](super::plane_sweep::plane_sweep) compares it where its parameters say so.
+    pub index: Option<&'a Raster>,
+    /// Equal for views of one date: same shadows, same season.
+    pub date_group: u32,
+    /// Unit vector toward the sun, east-north-up.
+    pub sun: Vec3,
+}
+
+impl SweepView<'_> {
+    /// The view without its pixels.
+    pub fn geometry(&self) -> ViewGeometry {
+        ViewGeometry {
+            camera: self.camera,
+            date_group: self.date_group,
+            sun: self.sun,
+        }
+    }
+}
