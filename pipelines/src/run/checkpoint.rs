@@ -57,7 +57,7 @@ impl CheckpointError {
 /// What was found out before training began, and need not be again.
 #[derive(Debug, Clone, serde::Serialize, serde::Deserialize)]
 pub struct Prepared {
-    /// The swept surface.
+    /// The initial surface.
     pub surface: Surface,
     /// Pointing corrections, pixels.
     pub shifts_px: Vec<[f32; 2]>,

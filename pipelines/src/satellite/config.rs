@@ -38,7 +38,7 @@ pub enum ConfigError {
     },
 }
 
-/// How Gaussians start on the swept surface. Lengths in cells, which are one ground sampling distance wide.
+/// How Gaussians start on the initial surface. Lengths in cells, which are one ground sampling distance wide.
 #[derive(Debug, Clone, PartialEq, serde::Serialize, serde::Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct StartOptions {

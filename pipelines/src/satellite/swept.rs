@@ -1,4 +1,4 @@
-//! What is found out of a scene before any training: clouds, pointing, ties and the swept surface.
+//! What is found out of a scene before any training: clouds, pointing, tie points and the initial surface.
 
 use super::adjust::{self, AdjustInput};
 use super::clouds;
@@ -12,7 +12,7 @@ use glam::Vec3;
 use heliosplat::Raster;
 use heliosplat_rpc::RpcError;
 use heliosplat_rpc::adjust::BiasModel;
-use heliosplat_stereo::{Surface, SweepView, align::estimate_shifts, sweep::sweep};
+use heliosplat_stereo::{PlaneSweepRequest, Surface, SweepView, align::estimate_shifts, plane_sweep};
 use std::time::Instant;
 
 /// A scene's surface before any training, and what it was found with.
@@ -29,23 +29,24 @@ impl<'a> Swept<'a> {
     pub(super) fn new(scene: &'a Scene, config: &SatelliteConfig, session: &Session) -> Result<Self, FitError> {
         let started = Instant::now();
         let ground = Ground::new(scene, scene.training(), config.start.margin_m)?;
+        let request = ground.request(config.start.cell_gsd * scene.gsd_m);
+        tracing::debug!(parameters = ?request.parameters, "matching");
         let mut rasters = ground.rasters();
         let clouds = match config.model.clouds {
-            Some(true) => clouds::find(&ground, &rasters, config.start.cell_gsd * scene.gsd_m),
+            Some(true) => clouds::find(&ground, &rasters, &request),
             _ => vec![Vec::new(); rasters.len()],
         };
         let clouded = rasters.iter_mut().zip(&clouds);
         clouded.for_each(|(raster, mask)| clouds::blank(raster, mask));
-        let Pointing { shifts_px, ties_m } = align(&ground, &rasters, config, scene.gsd_m);
+        let Pointing { shifts_px, ties_m } = align(&ground, &rasters, &request, config, scene.gsd_m);
         let aligned = started.elapsed();
-        let request = ground.request(config.start.cell_gsd * scene.gsd_m);
         let progress = session.progress("sweep", 100);
         let indices = ground.vegetation_indices(&rasters);
         let mut views = ground.sweep_views(&rasters, &shifts_px);
         for (view, index) in views.iter_mut().zip(indices.iter().flatten()) {
             view.index = Some(index);
         }
-        let surface = sweep(&views, &request, &|share| progress.set((100.0 * share) as u64));
+        let surface = plane_sweep(&views, &request, &|share| progress.set((100.0 * share) as u64));
         let seconds = [aligned.as_secs_f64(), (started.elapsed() - aligned).as_secs_f64()];
         let found = Prepared {
             surface,
@@ -91,7 +92,13 @@ struct Pointing {
 }
 
 /// Corrections of the images' pointing; zero where the configuration or the estimate says so.
-fn align(ground: &Ground, rasters: &[Raster], config: &SatelliteConfig, gsd_m: f64) -> Pointing {
+fn align(
+    ground: &Ground,
+    rasters: &[Raster],
+    request: &PlaneSweepRequest,
+    config: &SatelliteConfig,
+    gsd_m: f64,
+) -> Pointing {
     let none = vec![[0.0; 2]; ground.images.len()];
     if config.cameras.align == Align::Off {
         return Pointing {
@@ -101,7 +108,7 @@ fn align(ground: &Ground, rasters: &[Raster], config: &SatelliteConfig, gsd_m: f
     }
     let views = ground.sweep_views(rasters, &none);
     let by_shifts = || Pointing {
-        shifts_px: estimate_shifts(&views, &ground.request(config.start.cell_gsd * gsd_m)),
+        shifts_px: estimate_shifts(&views, request),
         ..Pointing::default()
     };
     let pointing = match config.cameras.method {

@@ -1,11 +1,11 @@
-//! Clouds, before anything is modelled: what one view shows brighter, in every band and over metres, than the others show the ground
-//! in the sun.
+//! Clouds: pixels of one view that are brighter than the ground in the sun, in every band and over metres.
 //!
-//! The views are laid on a coarse sweep's surface, band by band, and brought to one scale (a robust line to the median of all). What
-//! the brightest of the others agree on is the ground in the sun: shadows, leaves that fall and haze do not exceed it, a cloud does.
-//! The sweep hardly minds clouds, since it compares views in pairs; what training does to explain them spoils colours and heights.
+//! The views are laid on the surface of a coarse search, band by band, and brought to one scale (`brightness`). What the brightest of the
+//! other views agree on is the ground in the sun: shadows, fallen leaves and haze are darker, a cloud is brighter. The plane sweep needs
+//! no such masks, since it compares views in pairs; but a model trained on clouded pixels has wrong colours and heights there.
 //!
-//! Limits: the shadow of a cloud looks like any other shadow, and snow on one date like a cloud.
+//! Limits: the shadow of a cloud looks like any other shadow, and snow on one date like a cloud. The thresholds were chosen on synthetic
+//! clouds of 15 to 60 m over cells of half a metre.
 
 mod brightness;
 
@@ -17,18 +17,24 @@ use super::request::PlaneSweepRequest;
 use super::views::SweepView;
 use rayon::prelude::*;
 
-/// Fewer views cannot say which of them is right.
+/// Least number of views: fewer cannot say which of them is right.
 pub const FEWEST_VIEWS: usize = 5;
-/// Cells of the request per cell of the surface that the views are laid on.
+/// Cells of the request per cell of the surface that the views are laid on: clouds need no more detail.
 const FACTOR: usize = 2;
-/// Half of the window over which a cloud must be brighter, metres.
+/// Radius of the median filter of that surface, cells.
+const MEDIAN_RADIUS: usize = 2;
+/// Half of the window over which a cloud must be brighter, metres: wider than a car.
 const WINDOW_M: f32 = 2.25;
-/// How much brighter than the ground in the sun, as a share of the mean of it and the view's median: bright roofs differ by more.
+/// How much brighter than the ground in the sun a cloud is at least, relative to the mean of that ground and the view's median; bright
+/// roofs differ by less.
 const BRIGHTER: f32 = 0.4;
-/// What is smaller is no cloud but a car, or a roof that the coarse surface has in the wrong place, square metres.
+/// Least area of a cloud, square metres: smaller patches are cars, or roofs that the coarse surface has in the wrong place.
 const LEAST_M2: f32 = 64.0;
-/// Soft edges around what is found count too, metres.
+/// Margin around a cloud, metres: its soft edge is masked too.
 const EDGE_M: f32 = 4.0;
+/// A point counts as hidden when it lies this many height steps below the surface that its view sees first.
+const HIDDEN_STEPS: f32 = 2.0;
+
 /// The pixels of each view that show a cloud, `[row][column]`; none with fewer than [`FEWEST_VIEWS`] views. Cameras may be off by some
 /// pixels.
 pub fn find_clouds(views: &[SweepView], request: &PlaneSweepRequest) -> Vec<Vec<bool>> {
@@ -41,8 +47,8 @@ pub fn find_clouds(views: &[SweepView], request: &PlaneSweepRequest) -> Vec<Vec<
         return masks;
     };
     let grid = found.grid;
-    let altitude = ortho::median(&grid, &found.altitude(), 2);
-    let excess = brightness::excess(views, &search, &grid, &altitude, 2.0 * found.step_m);
+    let altitude = ortho::median(&grid, &found.altitude(), MEDIAN_RADIUS);
+    let excess = brightness::excess(views, &search, &grid, &altitude, HIDDEN_STEPS * found.step_m);
     let radius = |metres: f32| (metres / grid.cell_m).round() as usize;
     let cells = (LEAST_M2 / grid.cell_m.powi(2)).ceil() as usize;
     masks
@@ -55,6 +61,7 @@ pub fn find_clouds(views: &[SweepView], request: &PlaneSweepRequest) -> Vec<Vec<
                 .iter()
                 .map(|&mean| f32::from(u8::from(mean > BRIGHTER)))
                 .collect();
+            // The mask is 0 or 1: any step between the two separates patches.
             let small = postprocess::speckles(&grid, &brighter, 0.5, cells);
             for cell in (0..grid.len()).filter(|&cell| brighter[cell] > 0.0 && !small[cell]) {
                 paint(view, &grid, cell, altitude[cell], mask);

@@ -1,7 +1,7 @@
 //! A view at one level of the pyramid: the mean of its bands and its index, averaged down to about one pixel per cell.
 //!
 //! Matching works on one plane of brightness (and one of an index where there is one), so bands are averaged first; pixels much smaller
-//! than a cell would alias. The factor is a whole number: where the pixel size does not divide the cell size, the level is the nearest.
+//! than a cell would alias. The factor is the nearest whole number to cell size over pixel size, so a level's pixels are only about as large as its cells.
 
 use super::sampling::{self, Line, Place, cubic_weights};
 use super::views::SweepView;
@@ -18,22 +18,22 @@ pub(super) struct LevelView {
     pub(super) width: usize,
     pub(super) height: usize,
     /// The mean of the bands.
-    pub(super) mean: Plane,
+    pub(super) mean: PixelPlane,
     /// The index, where it is to be compared.
-    pub(super) index: Option<Plane>,
+    pub(super) index: Option<PixelPlane>,
 }
 
 /// One plane of values that is compared.
 #[derive(Debug, Clone)]
-pub(super) struct Plane {
+pub(super) struct PixelPlane {
     pub(super) pixels: Vec<f32>,
-    /// Typical difference between neighbouring pixels.
+    /// Median absolute difference between neighbouring pixels: the unit of differences in this plane.
     pub(super) contrast: f32,
     /// Median of the pixels.
     pub(super) middle: f32,
 }
 
-impl Plane {
+impl PixelPlane {
     fn new(image: Raster) -> Self {
         Self {
             contrast: contrast(&image),
@@ -60,8 +60,8 @@ impl LevelView {
             camera,
             width: image.width,
             height: image.height,
-            mean: Plane::new(image),
-            index: index.map(Plane::new),
+            mean: PixelPlane::new(image),
+            index: index.map(PixelPlane::new),
         }
     }
 
@@ -71,7 +71,7 @@ impl LevelView {
     }
 
     /// Bilinear values of one of the planes; NaN outside the image and beside missing pixels.
-    pub(super) fn sample_places(&self, plane: &Plane, places: &[Place], out: &mut [f32]) {
+    pub(super) fn sample_places(&self, plane: &PixelPlane, places: &[Place], out: &mut [f32]) {
         sampling::bilinear(&plane.pixels, self.width, places, out);
     }
 
@@ -160,7 +160,7 @@ mod tests {
             camera,
             width,
             height,
-            mean: Plane {
+            mean: PixelPlane {
                 pixels,
                 contrast: 1.0,
                 middle: 0.0,

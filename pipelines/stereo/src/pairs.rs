@@ -59,6 +59,9 @@ pub(super) fn choose(views: &[ViewGeometry], centre: Vec3) -> Vec<Pair> {
         .collect()
 }
 
+/// Base-to-height ratios below this one count as this one, so that what is divided by them stays finite.
+pub(super) const LEAST_BASE_TO_HEIGHT: f32 = 1e-3;
+
 /// Combined base-to-height ratio of all comparisons: the root of the sum of squares. The precision of a height from independent pairs
 /// is proportional to it.
 pub(super) fn combined_base_to_height(pairs: &[Pair]) -> f32 {

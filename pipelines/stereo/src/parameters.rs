@@ -10,7 +10,7 @@
 //!
 //! Constants without a source were chosen by experiment; docs/sweep.md has the tables.
 
-use super::pairs;
+use super::pairs::{self, LEAST_BASE_TO_HEIGHT};
 use super::views::ViewGeometry;
 use glam::Vec3;
 
@@ -56,8 +56,6 @@ const TOLERANCE_MANY: CandidateTolerance = CandidateTolerance {
 const SINGLE_CELL_BASE_TO_HEIGHT: f32 = 0.8;
 /// Largest radius of the aggregation window, cells; reached at a combined base-to-height ratio of 0.133.
 const LARGEST_RADIUS: f32 = 6.0;
-/// Base-to-height ratios below this one count as this one, so that the quotient stays finite.
-const LEAST_BASE_TO_HEIGHT: f32 = 1e-3;
 /// Radius of the aggregation window, cells, per unit of the smoothness scale: with a very short base, single mismatches are as tall as
 /// houses, and jumps cost twice as much at the largest window.
 const RADIUS_PER_SMOOTHNESS: usize = 3;

@@ -9,7 +9,7 @@ use super::grid::Grid;
 use super::heights::HeightHypotheses;
 use super::level::LevelView;
 use super::ortho;
-use super::pairs::{self, Pair};
+use super::pairs::{self, LEAST_BASE_TO_HEIGHT, Pair};
 use super::ranges::SearchRanges;
 use super::request::PlaneSweepRequest;
 use super::sgm::{Penalties, Volume};
@@ -27,8 +27,6 @@ const MARGIN_STEPS: f32 = 3.0;
 const COARSEST: usize = 8;
 /// A level needs this many cells each way to be worth its own search.
 const FEWEST_CELLS: usize = 16;
-/// Base-to-height ratios below this one count as this one, so that the height step stays finite.
-const LEAST_BASE_TO_HEIGHT: f32 = 1e-3;
 
 /// What is searched and with which views; the same on every level.
 pub(super) struct Search<'a> {

@@ -12,17 +12,26 @@ use super::{FACTOR, FEWEST_VIEWS};
 use heliosplat::Raster;
 use rayon::prelude::*;
 
-/// Of so many views besides, one may be clouded as well where the ground in the sun is asked for.
+/// One in so many of the other views may be clouded too where the ground in the sun is asked for.
 const VIEWS_PER_CLOUD: usize = 8;
-/// Standard deviations beyond which a value has no say in the robust line (Beaton and Tukey 1974: 95 % efficient on a bell curve).
+/// Standard deviations beyond which a value has no weight in the robust line (Beaton and Tukey 1974: 95 % efficient for normal errors).
 const BIWEIGHT: f64 = 4.7;
-/// Standard deviations of a bell curve in its median absolute deviation.
+/// Standard deviation of normal errors in units of their median absolute deviation.
 const DEVIATION_OF_MEDIAN: f64 = 1.48;
 /// Rounds of the robust line.
 const ROUNDS: usize = 8;
+/// Least scale of the residuals, in units of the view's median: keeps weights finite where all values lie on the line.
+const LEAST_SCALE: f64 = 1e-6;
+/// Gains of the line are held to this range: beyond it the fit has followed a few extreme values.
+const GAINS: [f64; 2] = [0.2, 5.0];
+/// Variance below which values do not determine a gain, in units of the view's median, squared.
+const LEAST_VARIANCE: f64 = 1e-9;
+/// Least distance below the first hit at which a point is hidden, metres.
+const HIDDEN_M: f32 = 1.0;
 
-/// How much brighter each view is at each cell than the ground in the sun, in the band where that is least; NaN where it is not seen or
-/// too few others see it.
+/// How much brighter each view is at each cell than the ground in the sun, relative to the mean of that ground and the view's median, in
+/// the band where that is least; NaN where the view does not see the cell or too few others do. Points more than `tolerance_m` below
+/// what a view sees first are hidden.
 pub(super) fn excess(
     views: &[SweepView],
     search: &Search,
@@ -34,7 +43,7 @@ pub(super) fn excess(
     let hits: Vec<FirstHits> = search
         .level_views(FACTOR)
         .iter()
-        .map(|level| FirstHits::new(level, grid, altitude, tolerance_m.max(1.0)))
+        .map(|level| FirstHits::new(level, grid, altitude, tolerance_m.max(HIDDEN_M)))
         .collect();
     let mut least = vec![vec![f32::INFINITY; grid.len()]; views.len()];
     for band in 0..bands {
@@ -64,7 +73,8 @@ pub(super) fn excess(
     least
 }
 
-/// What most agree is the brightest that the ground gets; `None` where too few tell.
+/// The brightness of the ground in the sun: the brightest of the other views after those that may be clouded; `None` where too few see the
+/// cell.
 fn in_the_sun(others: &mut [f32]) -> Option<f32> {
     let rank = 1 + others.len() / VIEWS_PER_CLOUD;
     if others.len() + 2 < FEWEST_VIEWS {
@@ -74,7 +84,7 @@ fn in_the_sun(others: &mut [f32]) -> Option<f32> {
     Some(*others.select_nth_unstable_by(at, f32::total_cmp).1)
 }
 
-/// One band of a view on the surface, NaN where it sees something else.
+/// One band of a view on the surface, NaN where the cell is hidden or outside of the image.
 fn ortho_of_band(
     view: &SweepView,
     band: usize,
@@ -107,7 +117,7 @@ fn ortho_of_band(
     values
 }
 
-/// The views' values in units of their common median, haze and exposure taken out.
+/// The views' values on the scale of their common median: the gain and offset of haze and exposure are taken out.
 fn on_one_scale(orthos: &[Vec<f32>]) -> Vec<Vec<f32>> {
     let relative: Vec<Vec<f32>> = orthos
         .par_iter()
@@ -139,8 +149,7 @@ fn middle(values: &mut [f32]) -> Option<f32> {
     (!values.is_empty()).then(|| *values.select_nth_unstable_by(at, f32::total_cmp).1)
 }
 
-/// Gain and offset of the line that most of `to` lies on over `from`: least squares, from which what lies far off is left out in
-/// rounds (Tukey's biweight).
+/// Gain and offset of the line `to = gain · from + offset` by iteratively reweighted least squares with Tukey's biweight.
 fn line(from: &[f32], to: &[f32]) -> (f32, f32) {
     let pairs: Vec<(f64, f64)> = from
         .iter()
@@ -154,7 +163,8 @@ fn line(from: &[f32], to: &[f32]) -> (f32, f32) {
             .iter()
             .map(|(x, y)| (y - gain * x - offset).abs() as f32)
             .collect();
-        let Some(scale) = middle(&mut off).map(|m| BIWEIGHT * DEVIATION_OF_MEDIAN * f64::from(m).max(1e-6)) else {
+        let Some(scale) = middle(&mut off).map(|m| BIWEIGHT * DEVIATION_OF_MEDIAN * f64::from(m).max(LEAST_SCALE))
+        else {
             break;
         };
         let [mut n, mut sx, mut sy, mut sxx, mut sxy] = [0.0; 5];
@@ -168,10 +178,10 @@ fn line(from: &[f32], to: &[f32]) -> (f32, f32) {
             sxy += w * x * y;
         }
         let spread = n * sxx - sx * sx;
-        if spread <= 1e-9 * n * n {
+        if spread <= LEAST_VARIANCE * n * n {
             break;
         }
-        gain = ((n * sxy - sx * sy) / spread).clamp(0.2, 5.0);
+        gain = ((n * sxy - sx * sy) / spread).clamp(GAINS[0], GAINS[1]);
         offset = (sy - gain * sx) / n;
     }
     (gain as f32, offset as f32)
