@@ -189,7 +189,7 @@ fn variance_around(raster: &Raster, cell: usize) -> f32 {
     (squares / count - mean * mean).max(0.0)
 }
 
-/// A swept surface on a map grid; its coverage is the sweep's confidence and it has no standard deviation.
+/// An initial surface on a map grid; its coverage is the sweep's confidence and it has no standard deviation.
 ///
 /// # Errors
 /// When the coordinate system does not cover the place.

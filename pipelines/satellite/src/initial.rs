@@ -1,4 +1,4 @@
-//! Gaussians on a swept surface: one flat disc per cell, walls under its steps, and a floor under what stands at a step.
+//! Gaussians on an initial surface: one flat disc per cell, walls under its steps, and a floor under what stands at a step.
 //!
 //! * Without walls a roof is a table: oblique views look under it and the sun shines through below. The discs of a wall stand
 //!   half a cell inside the roof's edge, where the roof hides them from above, and begin below the roof.
@@ -22,7 +22,7 @@ const WALL_FROM_M: f32 = 2.0;
 const WALL_PITCH_CELLS: f32 = 2.0;
 /// Slopes beyond this are steps, not slopes: the disc stays level there.
 const STEEPEST: f32 = 1.5;
-/// A step of fewer steps of the sweep's ladder than this is noise and no wall.
+/// A step of fewer height steps of the plane sweep than this is noise and no wall.
 const WALL_FROM_STEPS: f32 = 3.0;
 /// Cells around a cell among which the lowest is the floor beneath it: near a step, and where the sweep was in doubt.
 const FLOOR_CELLS: (usize, usize) = (4, 9);
@@ -117,7 +117,7 @@ fn lie(surface: &Surface, col: usize, row: usize) -> Quat {
 
 /// What Gaussians start from.
 pub(super) struct Start<'a> {
-    /// The swept surface.
+    /// The initial surface.
     pub(super) surface: &'a Surface,
     /// The cells that get discs.
     pub(super) covered: &'a [bool],

@@ -200,7 +200,7 @@ pub fn summary(metrics: &Value) -> String {
         number("/rejected_steps").filter(|&n| n > 0.0),
         "(numbers that were not finite)",
     );
-    say("start MAE", number("/start/mae_m"), "m (raw, the swept surface)");
+    say("start MAE", number("/start/mae_m"), "m (raw, the initial surface)");
     say("DSM MAE", number("/dsm/mae_m"), &format!("m ({protocol})"));
     say(
         "DSM MAE",

@@ -1,4 +1,4 @@
-//! What is found out of a scene before any training: clouds, pointing, ties and the swept surface.
+//! What is found out of a scene before any training: clouds, pointing, tie points and the initial surface.
 
 use super::adjust::{self, AdjustInput};
 use super::clouds;
@@ -9,7 +9,7 @@ use heliosplat::Raster;
 use heliosplat_rpc::adjust::BiasModel;
 use heliosplat_scene::Scene;
 use heliosplat_session::Session;
-use heliosplat_stereo::{Surface, sweep::sweep};
+use heliosplat_stereo::{Surface, plane_sweep};
 use std::time::Instant;
 
 /// Shift, pixels, above which [`Align::Auto`] corrects. Ties find shifts to 0.03 px; below a tenth what they find may be noise, and
@@ -43,23 +43,24 @@ impl<'a> Swept<'a> {
     pub(super) fn new(scene: &'a Scene, config: &SatelliteConfig, session: &Session) -> Result<Self, FitError> {
         let started = Instant::now();
         let ground = Ground::new(scene, scene.training())?;
+        let request = ground.request(config.start.cell_gsd * scene.gsd_m);
+        tracing::debug!(parameters = ?request.parameters, "matching");
         let mut rasters = ground.rasters();
         let clouds = match config.model.clouds {
-            Some(true) => clouds::find(&ground, &rasters, config.start.cell_gsd * scene.gsd_m),
+            Some(true) => clouds::find(&ground, &rasters, &request),
             _ => vec![Vec::new(); rasters.len()],
         };
         let clouded = rasters.iter_mut().zip(&clouds);
         clouded.for_each(|(raster, mask)| clouds::blank(raster, mask));
         let shifts_px = align(&ground, &rasters, config.cameras.align, scene.gsd_m);
         let aligned = started.elapsed();
-        let request = ground.request(config.start.cell_gsd * scene.gsd_m);
         let progress = session.progress("sweep", 100);
         let indices = ground.vegetation_indices(&rasters);
         let mut views = ground.sweep_views(&rasters, &shifts_px);
         for (view, index) in views.iter_mut().zip(indices.iter().flatten()) {
             view.index = Some(index);
         }
-        let surface = sweep(&views, &request, &|share| progress.set((100.0 * share) as u64));
+        let surface = plane_sweep(&views, &request, &|share| progress.set((100.0 * share) as u64));
         let seconds = [aligned.as_secs_f64(), (started.elapsed() - aligned).as_secs_f64()];
         let found = Preprocessed {
             surface,

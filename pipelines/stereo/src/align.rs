@@ -7,8 +7,8 @@
 use super::grid::Grid;
 use super::ortho;
 use super::pairs::Pair;
-use super::search::Search;
-use super::sweep::SweepRequest;
+use super::pyramid::Search;
+use super::request::PlaneSweepRequest;
 use super::views::SweepView;
 use glam::{DMat2, DMat3, DVec2, DVec3, Vec3};
 use heliosplat::ProjectiveCamera;
@@ -29,7 +29,7 @@ const COARSE_FACTOR: usize = 4;
 /// What the images cannot tell — a common translation of the scene in three dimensions — is left as the cameras have it:
 /// of all equivalent sets of shifts this is the smallest. With two views only the shift across their epipolar lines
 /// remains.
-pub fn coarse_shifts(views: &[SweepView], request: &SweepRequest) -> Vec<[f32; 2]> {
+pub fn coarse_shifts(views: &[SweepView], request: &PlaneSweepRequest) -> Vec<[f32; 2]> {
     let mut moved = views.to_vec();
     let mut shifts = vec![DVec2::ZERO; views.len()];
     for factor in Search::new(views, request).factors(COARSE_FACTOR) {
