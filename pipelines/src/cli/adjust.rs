@@ -1,6 +1,8 @@
 //! `heliosplat adjust`: arguments, and their way to the satellite pipeline.
 
 use super::{CliError, IngestArgs, Outcome, Session};
+use crate::page::residuals;
+use crate::raster::write_atomically;
 use clap::{Args, ValueEnum};
 use heliosplat_rpc::adjust::BiasModel;
 use std::path::PathBuf;
@@ -44,5 +46,8 @@ impl From<ModelName> for BiasModel {
 }
 
 pub(super) fn run(args: &AdjustArgs, session: &Session) -> Result<Outcome, CliError> {
-    crate::satellite::adjust::run(args, session)
+    let adjusted = crate::satellite::adjust::run(args, session)?;
+    let picture = residuals::picture(&adjusted.residuals);
+    write_atomically(&args.out.join("adjustment.svg"), picture.as_bytes())?;
+    Ok(adjusted.outcome)
 }

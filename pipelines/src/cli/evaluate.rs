@@ -2,6 +2,7 @@
 
 use super::{CliError, Outcome, Session};
 use crate::evaluate::{DsmEvaluation, DsmMetrics, HeightErrors, Protocol, error_map, evaluate_dsm};
+use crate::page::calibration;
 use crate::raster::preview::write_png;
 use crate::raster::write_atomically;
 use clap::Args;
@@ -71,7 +72,7 @@ pub fn write_pictures(args: &EvaluateArgs, evaluation: &DsmEvaluation) -> Result
                     .into(),
             ));
         };
-        write_atomically(path, uncertainty.svg().as_bytes())?;
+        write_atomically(path, calibration::picture(uncertainty).as_bytes())?;
     }
     Ok(())
 }

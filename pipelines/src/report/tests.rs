@@ -1,4 +1,4 @@
-//! A page of hostile contents: everything that comes from outside stays text, and nothing is fetched.
+//! Pages of hostile contents: every text from outside stays text, and nothing is fetched.
 
 use super::*;
 use crate::satellite::PlanItem;
@@ -10,7 +10,7 @@ use heliosplat_rpc::sun::SunPosition;
 use heliosplat_rpc::{GeoPoint, ProjectiveMap};
 use serde_json::json;
 
-const EVIL: &str = "<img src=x onerror=alert(1)>\"'&";
+const EVIL: &str = "<script>alert(1)</script><img src=x onerror=alert(1)>\"'&";
 
 fn contents(folder: &Path) -> Contents {
     let options = ShadowGsOptions::default();

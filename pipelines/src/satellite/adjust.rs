@@ -10,7 +10,8 @@ mod report;
 pub mod truth;
 mod write;
 
-pub use report::run;
+pub use plot::ImageVectors;
+pub use report::{Adjusted, run};
 
 use super::fit::FitError;
 use super::ground::Ground;

@@ -7,7 +7,7 @@ use crate::evaluate::{DsmEvaluation, ImageScore, Protocol, error_map, evaluate_d
 use crate::product::dsm::{NadirGrid, of_gaussians, of_surface};
 use crate::product::surface::Standing;
 use crate::product::views::{RenderedView, render_view, score};
-use crate::raster::{RasterFile, preview, write_atomically};
+use crate::raster::{RasterFile, preview};
 use crate::run::{LoadedModel, peak_rss_bytes};
 use crate::scene::{BandKind, Scene, Split};
 use heliosplat::Raster;
@@ -52,9 +52,6 @@ pub(super) fn metrics(scene: &Scene, model: &LoadedModel, run: &Path, protocol: 
     if let Some(evaluation) = dsm(scene, run, protocol)? {
         out["dsm"] = surface_metrics(&evaluation);
         preview::write_png(&run.join("error.png"), &error_map::draw(&evaluation.errors))?;
-        if let Some(uncertainty) = &evaluation.metrics.uncertainty {
-            write_atomically(&run.join("calibration.svg"), uncertainty.svg().as_bytes())?;
-        }
     }
     let (mut train, mut test) = (Vec::new(), Vec::new());
     let (mut shadows, mut traced) = (ShadowCounts::default(), ShadowCounts::default());

@@ -1,7 +1,8 @@
-//! The verb `adjust`: what comes of it, as text, as JSON, and in the folder.
+//! The adjustment of a scene's cameras as a user asks for it: its files, and its report as text and as JSON.
 
+use super::plot::{ImageVectors, image_vectors};
 use super::truth::{CameraError, camera_error};
-use super::{AdjustInput, plot, write};
+use super::{AdjustInput, write};
 use crate::cli::adjust::AdjustArgs;
 use crate::cli::{CliError, Outcome, Session};
 use crate::satellite::training::create_folder;
@@ -11,11 +12,20 @@ use serde_json::{Value, json};
 use std::fmt::Write;
 use std::time::Instant;
 
-/// Adjusts a scene's cameras and writes them.
+/// An adjustment whose cameras are written.
+#[derive(Debug)]
+pub struct Adjusted {
+    /// The report.
+    pub outcome: Outcome,
+    /// The residuals of every image, for a picture of them.
+    pub residuals: Vec<ImageVectors>,
+}
+
+/// Adjusts a scene's cameras and writes them, with `adjustment.json`.
 ///
 /// # Errors
 /// When the scene cannot be read, its images have too few ties, or the folder cannot be written.
-pub fn run(args: &AdjustArgs, session: &Session) -> Result<Outcome, CliError> {
+pub fn run(args: &AdjustArgs, session: &Session) -> Result<Adjusted, CliError> {
     let scene = Scene::open(&args.scene, &args.ingest.options())?;
     let ground = super::ground(&scene)?;
     create_folder(&args.out)?;
@@ -57,11 +67,12 @@ pub fn run(args: &AdjustArgs, session: &Session) -> Result<Outcome, CliError> {
     let json = report.json();
     let text = serde_json::to_string_pretty(&json).unwrap_or_default() + "\n";
     crate::raster::write_atomically(&args.out.join("adjustment.json"), text.as_bytes())?;
-    let picture = plot::svg(&names, &ground, &adjustment);
-    crate::raster::write_atomically(&args.out.join("adjustment.svg"), picture.as_bytes())?;
-    Ok(Outcome {
-        json,
-        text: report.text() + &format!("written to {}\n", args.out.display()),
+    Ok(Adjusted {
+        outcome: Outcome {
+            text: report.text() + &format!("written to {}\n", args.out.display()),
+            json,
+        },
+        residuals: image_vectors(&ground, &adjustment),
     })
 }
 
