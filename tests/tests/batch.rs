@@ -248,9 +248,9 @@ fn products_of_the_mosaic(out: &Path) {
     assert_eq!(item["collection"], collection["id"]);
     let page = std::fs::read_to_string(folder.join("report.html")).expect("a page");
     for part in [
-        "Borders of tiles",
+        "Tile-edge consistency",
         "tile-r1c1/run/report.html",
-        "Shadows, date by date",
+        "Shadows by date",
         "relit.tif",
     ] {
         assert!(page.contains(part), "{part}");

@@ -75,9 +75,9 @@ fn its_page_needs_nothing_else(run: &Path, metrics: &Value) {
     let path = run.join("report.html");
     let page = std::fs::read_to_string(&path).expect("train writes it");
     for part in [
-        "Images held out",
-        "What it is made of",
-        "PSNR of images held out, dB",
+        "Held-out images",
+        "Light components",
+        "PSNR of held-out images, dB",
         "Component plan",
         "Time and memory",
     ] {

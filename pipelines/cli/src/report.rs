@@ -1,42 +1,40 @@
-//! `report.html`: a run, or a mosaic of many, on one page that needs nothing else. It is made of what the folder holds, so it can be made
-//! again at any time, without the scene.
+//! `report.html`: a run, or a mosaic of many, on one page that fetches nothing.
+//!
+//! It is made from the files in the folder alone, so that it can be made again at any time, without the scene.
 
 pub mod mosaic;
 pub mod object;
 mod parts;
 
-use crate::page::{STYLE, escaped};
+use crate::page::{calibration, document};
+use heliosplat_evaluate::uncertainty::Uncertainty;
 use heliosplat_fitting::run_folder::RunError;
 use heliosplat_objects::model::is_object_run;
 use heliosplat_products::model::{ModelFile, load_file};
 use heliosplat_raster::write_atomically;
 use heliosplat_satellite::run_file::{RunFile, load_run};
 use image::{ImageReader, Limits, RgbImage};
+use maud::{Markup, html};
+use serde::Deserialize;
 use serde_json::Value;
 use std::path::{Path, PathBuf};
 
 /// Name of the page.
 pub const FILE: &str = "report.html";
+/// Name of the calibration plot of runs with truth.
+const CALIBRATION: &str = "calibration.svg";
 /// Longest side of a picture that is read, pixels, and the most memory it may take.
 const SIDE_MAX: u32 = 60_000;
 const BYTES_MAX: u64 = 400 << 20;
 
-const MORE_STYLE: &str = ".grid{display:grid;grid-template-columns:repeat(auto-fit,minmax(min(100%,18rem),1fr));gap:1rem}\
-figure{margin:0}figure img{width:100%;height:auto;display:block;background:var(--panel)}figcaption{color:var(--faint);font-size:.9em}\
-.four{display:grid;grid-template-columns:repeat(auto-fit,minmax(min(45%,13rem),1fr));gap:.5rem;margin:.3rem 0 1.2rem}\
-.key{display:grid;grid-template-columns:repeat(auto-fit,minmax(8.5rem,1fr));gap:.6rem;margin:1rem 0}\
-.key div{background:var(--panel);padding:.5rem .7rem;border-radius:.4rem}.key b{display:block;font-size:1.25em;font-variant-numeric:tabular-nums}\
-.charts{display:grid;grid-template-columns:repeat(auto-fit,minmax(min(100%,24rem),1fr));gap:1rem 2rem}.charts svg{max-width:36rem}\
-h1{overflow-wrap:anywhere}h3{margin:.6rem 0 .2rem;font-size:1em}.off{color:var(--faint)}";
-
-/// A folder of pictures, and what was measured there.
+/// A folder of pictures with its metrics.
 struct Folder {
     path: PathBuf,
     metrics: Value,
 }
 
 impl Folder {
-    /// A folder whose measurements are in the file of this name; it may be absent: a run that was stopped before its measuring has none.
+    /// A folder whose metrics are in the file of this name. It may be absent: a run that was stopped early has none.
     fn read(path: &Path, metrics: &str) -> Result<Self, RunError> {
         let file = path.join(metrics);
         let metrics = match heliosplat_raster::bounded::read_text(&file) {
@@ -71,6 +69,12 @@ impl Folder {
         self.metrics.pointer(pointer).and_then(Value::as_f64)
     }
 
+    /// An array of the metrics; empty where it is absent.
+    fn list(&self, pointer: &str) -> &[Value] {
+        let list = self.metrics.pointer(pointer).and_then(Value::as_array);
+        list.map_or(&[], Vec::as_slice)
+    }
+
     /// Its own name.
     fn name(&self) -> String {
         let whole = std::fs::canonicalize(&self.path).unwrap_or_else(|_| self.path.clone());
@@ -78,7 +82,7 @@ impl Folder {
     }
 }
 
-/// What the folder of a run of a satellite scene holds.
+/// The folder of a run of a satellite scene.
 struct Contents {
     folder: Folder,
     run: RunFile,
@@ -95,16 +99,22 @@ impl Contents {
     }
 }
 
-/// Writes `report.html` into the folder of a run of a satellite scene; returns its path.
+/// Writes `report.html` into the folder of a run of a satellite scene, and `calibration.svg` where its DSM states standard
+/// deviations and was compared with truth; returns the path of the page.
 ///
 /// # Errors
-/// When the folder holds no run, or the page cannot be written.
+/// When the folder holds no run, or a file cannot be written.
 pub fn write(folder: &Path) -> Result<PathBuf, RunError> {
     let contents = Contents::read(folder)?;
+    let uncertainty = &contents.folder.metrics["dsm"]["uncertainty"];
+    if let Ok(uncertainty) = Uncertainty::deserialize(uncertainty) {
+        write_atomically(&folder.join(CALIBRATION), calibration::picture(&uncertainty).as_bytes())?;
+    }
+    // Last: where it is, the pictures are complete.
     save(folder, &page(&contents))
 }
 
-/// Writes the page of a finished run that has none, because it was killed between its figures and its page.
+/// Writes the page of a finished run that has none because it was killed after its metrics were written.
 ///
 /// # Errors
 /// When the folder holds no run, or the page cannot be written.
@@ -125,18 +135,13 @@ fn save(folder: &Path, page: &str) -> Result<PathBuf, RunError> {
     Ok(path)
 }
 
-/// A page of some parts.
-fn html(title: &str, parts: &[String]) -> String {
-    let title = escaped(title);
-    format!(
-        "<!doctype html><html lang=\"en\"><meta charset=\"utf-8\"><meta name=\"viewport\" content=\"width=device-width,initial-scale=1\">\
-         <title>{title}</title><style>{STYLE}{MORE_STYLE}</style><h1>{title}</h1>{}</html>\n",
-        parts.concat()
-    )
+/// A page of some sections.
+fn page_of(title: &str, sections: &[Markup]) -> String {
+    document(title, &html! { @for section in sections { (section) } })
 }
 
 fn page(run: &Contents) -> String {
-    let parts = [
+    let sections = [
         parts::head(run),
         parts::surface(&run.folder),
         parts::views(run),
@@ -145,7 +150,7 @@ fn page(run: &Contents) -> String {
         parts::plan(run),
         parts::costs(run),
     ];
-    html(&run.folder.name(), &parts)
+    page_of(&run.folder.name(), &sections)
 }
 
 #[cfg(test)]

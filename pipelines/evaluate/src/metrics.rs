@@ -72,10 +72,10 @@ impl DsmMetrics {
                 }
             }
         }
-        let lasting = classes.and_then(|classes| {
+        let static_classes = classes.and_then(|classes| {
             let cells = classes.plane(0).iter().zip(errors.plane(0)).zip(wanted);
-            let lasting = cells.filter(|((class, _), wanted)| **wanted && GROUND_AND_BUILDINGS.contains(class));
-            statistics(lasting.map(|((_, error), _)| *error))
+            let static_cells = cells.filter(|((class, _), wanted)| **wanted && GROUND_AND_BUILDINGS.contains(class));
+            statistics(static_cells.map(|((_, error), _)| *error))
         });
         let by_class = by_name
             .into_iter()
@@ -93,7 +93,7 @@ impl DsmMetrics {
             shift_m,
             protocol: protocol.name().to_owned(),
             by_class,
-            ground_and_buildings: lasting,
+            ground_and_buildings: static_classes,
             uncertainty: None,
         }
     }

@@ -1,4 +1,4 @@
-//! Whether a surface knows where it is wrong: its standard deviations beside its true errors.
+//! Calibration of a surface model's standard deviations: how they compare with its true errors.
 
 use heliosplat::Raster;
 use heliosplat_rpc::statistics::median;
@@ -6,28 +6,28 @@ use std::fmt::Write;
 
 /// Groups of cells of about equal size, from the smallest standard deviations to the largest.
 const GROUPS: usize = 10;
-/// Fewer cells than this say nothing.
+/// Fewer cells than this are too few for statistics.
 const FEWEST: usize = 100;
 
 /// `dsm.uncertainty` of `metrics.json`.
 #[derive(Debug, Clone, PartialEq, serde::Serialize, serde::Deserialize)]
 pub struct Uncertainty {
-    /// Spearman's rank correlation of standard deviation and absolute error, -1..1: whether doubt is where errors are.
+    /// Spearman's rank correlation of standard deviation and absolute error, -1..1: whether uncertain cells are the wrong ones.
     pub spearman: f64,
-    /// Share of cells whose error is within one standard deviation, 0..1: 0.68 where errors are normal and the deviations theirs.
+    /// Share of cells whose error is within one standard deviation, 0..1: 0.68 for normal errors with these deviations.
     pub within_one: f64,
     /// The same within two: 0.95.
     pub within_two: f64,
-    /// Tenths of the cells, from the most certain to the least.
+    /// Ten groups of equally many cells, from the most certain to the least.
     pub groups: Vec<Group>,
 }
 
 /// Cells of about the same standard deviation.
 #[derive(Debug, Clone, Copy, PartialEq, serde::Serialize, serde::Deserialize)]
 pub struct Group {
-    /// Root of their mean variance, metres: what the surface expects.
+    /// Root of their mean variance, metres: the error that the surface states.
     pub expected_m: f64,
-    /// Root of their mean square error, metres: what came true.
+    /// Root of their mean square error, metres.
     pub rmse_m: f64,
     /// Mean absolute error, metres.
     pub mae_m: f64,
@@ -79,79 +79,9 @@ impl Uncertainty {
         }
         text
     }
-
-    /// An SVG: what was expected across, what came true up, both logarithmic; on the diagonal they agree.
-    pub fn svg(&self) -> String {
-        const SIDE: f64 = 360.0;
-        const MARGIN: f64 = 56.0;
-        let of_all = |pick: fn(f64, f64) -> f64, start: f64| {
-            let values = self.groups.iter().flat_map(|g| [g.expected_m, g.rmse_m, g.median_m]);
-            values.filter(|v| *v > 0.0).fold(start, pick)
-        };
-        let low = of_all(f64::min, 1.0).log10().floor();
-        let high = of_all(f64::max, 1.0).log10().ceil().max(low + 1.0);
-        let at = |metres: f64| SIDE * (metres.max(1e-12).log10().clamp(low, high) - low) / (high - low);
-        let (x, y) = (|m: f64| MARGIN + at(m), |m: f64| MARGIN + SIDE - at(m));
-        let size = SIDE + 2.0 * MARGIN;
-        let mut text = format!(
-            "<svg xmlns=\"http://www.w3.org/2000/svg\" viewBox=\"0 0 {size} {size}\" width=\"{size}\" height=\"{size}\" \
-             font-family=\"sans-serif\" font-size=\"12\">\n<rect width=\"100%\" height=\"100%\" fill=\"white\"/>\n\
-             <text x=\"{MARGIN}\" y=\"20\">Standard deviation and error of tenths of the cells, metres</text>\n\
-             <text x=\"{MARGIN}\" y=\"38\">rank correlation {:.2}, within one deviation {:.0} %, within two {:.0} %</text>\n",
-            self.spearman,
-            100.0 * self.within_one,
-            100.0 * self.within_two
-        );
-        for decade in low as i32..=high as i32 {
-            let metres = 10f64.powi(decade);
-            let (x, y, end) = (x(metres), y(metres), MARGIN + SIDE);
-            // Writing to a String cannot fail.
-            let _ = writeln!(
-                text,
-                "<path d=\"M{x:.1} {MARGIN}V{end}M{MARGIN} {y:.1}H{end}\" stroke=\"#ddd\" fill=\"none\"/>\
-                 <text x=\"{x:.1}\" y=\"{:.1}\" text-anchor=\"middle\">{metres}</text>\
-                 <text x=\"{:.1}\" y=\"{:.1}\" text-anchor=\"end\">{metres}</text>",
-                end + 16.0,
-                MARGIN - 6.0,
-                y + 4.0
-            );
-        }
-        let _ = writeln!(
-            text,
-            "<path d=\"M{0} {1}L{1} {0}\" stroke=\"#999\" stroke-dasharray=\"4 4\"/>\
-             <text x=\"{2:.1}\" y=\"{3:.1}\" text-anchor=\"middle\">standard deviation</text>",
-            MARGIN,
-            MARGIN + SIDE,
-            MARGIN + 0.5 * SIDE,
-            size - 12.0
-        );
-        for (name, colour, row, pick) in [
-            (
-                "root of the mean square error",
-                "#b5561c",
-                0.0,
-                (|g: &Group| g.rmse_m) as fn(&Group) -> f64,
-            ),
-            ("median error", "#2a6f97", 1.0, |g: &Group| g.median_m),
-        ] {
-            let points = self
-                .groups
-                .iter()
-                .map(|g| format!("{:.1},{:.1}", x(g.expected_m), y(pick(g))));
-            let _ = writeln!(
-                text,
-                "<polyline points=\"{}\" fill=\"none\" stroke=\"{colour}\" stroke-width=\"2\"/>\
-                 <text x=\"{:.1}\" y=\"{:.1}\" fill=\"{colour}\">{name}</text>",
-                points.collect::<Vec<_>>().join(" "),
-                MARGIN + 10.0,
-                MARGIN + 18.0 + 16.0 * row
-            );
-        }
-        text + "</svg>\n"
-    }
 }
 
-/// What cells (deviation, absolute error) have in common.
+/// Statistics of cells (deviation, absolute error).
 fn group(cells: &[(f64, f64)]) -> Group {
     let mean = |value: fn(&(f64, f64)) -> f64| cells.iter().map(value).sum::<f64>() / cells.len() as f64;
     let mut errors: Vec<f64> = cells.iter().map(|(_, error)| *error).collect();
@@ -233,7 +163,7 @@ mod tests {
                 .iter()
                 .all(|g| (g.rmse_m / g.expected_m - 2.0).abs() < 1e-6)
         );
-        assert!(found.svg().contains("<polyline") && found.table().contains("1.000"));
+        assert!(found.table().contains("1.000"));
     }
 
     #[test]

@@ -7,9 +7,11 @@
 
 pub mod camera_error;
 mod report;
+mod vectors;
 mod write;
 
 pub use report::{AdjustRequest, AdjustedScene, adjust_scene};
+pub use vectors::ImageVectors;
 
 use super::error::FitError;
 use super::ground::Ground;

@@ -9,7 +9,7 @@ use heliosplat_fitting::run_folder::{RunError, create_folder, peak_rss_bytes};
 use heliosplat_products::dsm::of_surface;
 use heliosplat_products::model::LoadedModel;
 use heliosplat_products::views::{RenderedView, render_view, score};
-use heliosplat_raster::{RasterFile, preview, write_atomically};
+use heliosplat_raster::{RasterFile, preview};
 use heliosplat_scene::{BandKind, Scene, Split};
 use serde_json::{Value, json};
 use std::path::Path;
@@ -31,9 +31,6 @@ pub fn metrics(scene: &Scene, model: &LoadedModel, run: &Path, protocol: Protoco
     if let Some(evaluation) = dsm(scene, run, protocol)? {
         out["dsm"] = surface_metrics(&evaluation);
         preview::write_png(&run.join("error.png"), &error_map::draw(&evaluation.errors))?;
-        if let Some(uncertainty) = &evaluation.metrics.uncertainty {
-            write_atomically(&run.join("calibration.svg"), uncertainty.svg().as_bytes())?;
-        }
     }
     let (mut train, mut test) = (Vec::new(), Vec::new());
     let (mut shadows, mut traced) = (ShadowCounts::default(), ShadowCounts::default());

@@ -1,11 +1,13 @@
-//! What came of a batch: a table for people and for machines.
+//! The results of a batch: tables for people (terminal, HTML) and for machines (CSV, JSON).
 
 use super::driver::log_of;
 use super::plan::{Plan, Unit, Work};
 use super::stamp::{Stamp, finished};
+use crate::page::{self, MIB, document};
 use heliosplat_products::stac;
 use heliosplat_raster::RasterError;
 use heliosplat_raster::write::{deliver, write_atomically};
+use maud::{Markup, html};
 use serde_json::{Value, json};
 use std::fmt::Write;
 use std::path::Path;
@@ -207,13 +209,11 @@ fn csv(rows: &[Row]) -> String {
 
 /// Seconds, most memory in MiB, mean absolute error, completeness; empty where not known.
 fn numbers(row: &Row) -> [String; 4] {
-    let may = |value: Option<f64>, digits: usize| value.map_or(String::new(), |v| format!("{v:.digits$}"));
-    let peak = row.peak_rss_bytes.map(|bytes| bytes as f64 / f64::from(1 << 20));
     [
-        may(row.seconds, 1),
-        may(peak, 0),
-        may(row.mae_m, 4),
-        may(row.completeness, 4),
+        page::number(row.seconds, 1),
+        page::number(row.peak_rss_bytes.map(|bytes| bytes as f64 / MIB), 0),
+        page::number(row.mae_m, 4),
+        page::number(row.completeness, 4),
     ]
 }
 
@@ -239,79 +239,63 @@ pub fn table(rows: &[Row]) -> String {
     text
 }
 
-const STYLE: &str = "body{font:15px/1.5 system-ui,sans-serif;max-width:76rem;margin:2rem auto;padding:0 1rem;color:#1b1b1b;background:#fff}\
-table{border-collapse:collapse;width:100%;font-variant-numeric:tabular-nums}th,td{text-align:right;padding:.25rem .5rem;border-bottom:1px solid #ddd}\
-th:first-child,td:first-child,.words{text-align:left}.failed{background:#fde8e8}.blocked{background:#fff4d6}.faint{color:#666}";
-
-fn escaped(text: &str) -> String {
-    let text = text.replace('&', "&amp;").replace('<', "&lt;");
-    text.replace('>', "&gt;").replace('"', "&quot;")
-}
-
 fn page(rows: &[Row]) -> String {
     let count = |pick: &dyn Fn(State) -> bool| rows.iter().filter(|row| pick(row.state)).count();
-    let mut body = String::new();
-    for row in rows {
-        let [seconds, peak, mae, known] = numbers(row);
-        let class = match row.state {
-            State::Failed => " class=\"failed\"",
-            State::Blocked => " class=\"blocked\"",
-            _ => "",
-        };
-        let error = row
-            .error
-            .as_deref()
-            .map_or(String::new(), |e| format!(": {}", escaped(e)));
-        let _ = writeln!(
-            body,
-            "<tr{class}><td>{}<td class=\"words\">{}<td class=\"words\">{}{error}<td>{seconds}<td>{peak}<td>{}<td>{mae}<td>{known}</tr>",
-            escaped(&row.unit),
-            row.kind,
-            row.state.name(),
-            row.mem_mb
-        );
-    }
-    format!(
-        "<!doctype html><html lang=\"en\"><meta charset=\"utf-8\"><meta name=\"viewport\" content=\"width=device-width\">\
-         <title>Batch</title><style>{STYLE}</style><h1>Batch</h1><p>{} units: {} finished, {} failed, {} not done.</p>\
-         <table><tr><th>unit<th class=\"words\">kind<th class=\"words\">state<th>seconds<th>MiB<th>estimated MiB<th>MAE, m<th>known</tr>\n{body}</table>{}\
-         <p class=\"faint\">heliosplat {}. MAE: mean absolute error against truth, protocol raw.</p></html>\n",
-        rows.len(),
-        count(&State::is_done),
-        count(&State::is_lost),
-        count(&|state| !state.is_final()),
-        borders(rows),
-        env!("CARGO_PKG_VERSION"),
-    )
+    let body = html! {
+        p {
+            (rows.len()) " units: " (count(&State::is_done)) " finished, " (count(&State::is_lost)) " failed, "
+            (count(&|state| !state.is_final())) " not done."
+        }
+        div.wide { table {
+            tr {
+                th { "unit" } th.words { "kind" } th.words { "state" } th { "time, s" } th { "peak memory, MiB" } th { "estimated, MiB" }
+                th { "DSM MAE, m" } th { "completeness" }
+            }
+            @for row in rows {
+                @let [seconds, peak, mae, completeness] = numbers(row);
+                tr.failed[row.state == State::Failed].blocked[row.state == State::Blocked] {
+                    td { (row.unit) }
+                    td.words { (row.kind) }
+                    td.words { (row.state.name()) @if let Some(error) = &row.error { ": " (error) } }
+                    td { (seconds) }
+                    td { (peak) }
+                    td { (row.mem_mb) }
+                    td { (mae) }
+                    td { (completeness) }
+                }
+            }
+        } }
+        (borders(rows))
+        p.faint { "heliosplat " (env!("CARGO_PKG_VERSION")) ". MAE: mean absolute error against truth, protocol raw." }
+    };
+    document("Batch", &body)
 }
 
-/// The borders of the mosaics.
-fn borders(rows: &[Row]) -> String {
-    let mut body = String::new();
-    for row in rows {
-        let number = |pointer: &str| {
-            let value = row.metrics.pointer(pointer).and_then(Value::as_f64);
-            value.map_or(String::new(), |v| format!("{v:.3}"))
-        };
-        if row.metrics.pointer("/seams/border/mean_m").is_some() {
-            let _ = writeln!(
-                body,
-                "<tr><td>{}<td>{}<td>{}<td>{}<td>{}</tr>",
-                escaped(&row.unit),
-                number("/seams/border/mean_m"),
-                number("/seams/border_within_tiles/mean_m"),
-                number("/seams/edge/mean_m"),
-                number("/seams/interior/mean_m")
-            );
+/// Height steps at the tile boundaries of the mosaics.
+fn borders(rows: &[Row]) -> Markup {
+    let metric = |row: &Row, key: &str| {
+        let value = row.metrics.pointer(&format!("/seams/{key}/mean_m"));
+        value.and_then(Value::as_f64)
+    };
+    let mosaics: Vec<&Row> = rows.iter().filter(|row| metric(row, "border").is_some()).collect();
+    html! {
+        @if !mosaics.is_empty() {
+            h2 { "Tile-edge consistency" }
+            p {
+                "Mean height step between neighbouring cells, metres: across tile boundaries, at the same places within single tiles, "
+                "where a tile's overlap ends, and elsewhere."
+            }
+            div.wide { table {
+                tr { th { "mosaic" } th { "between tiles" } th { "within tiles" } th { "at overlap ends" } th { "elsewhere" } }
+                @for row in mosaics {
+                    tr {
+                        td { (row.unit) }
+                        @for key in ["border", "border_within_tiles", "edge", "interior"] { td { (page::number(metric(row, key), 3)) } }
+                    }
+                }
+            } }
         }
     }
-    if body.is_empty() {
-        return String::new();
-    }
-    format!(
-        "<h2>Borders of tiles</h2><p>Mean step between neighbouring cells, metres: across the lines between tiles, there within each tile alone, \
-         where tiles begin and end, and elsewhere.</p><table><tr><th>mosaic<th>between tiles<th>within tiles<th>at edges<th>elsewhere</tr>\n{body}</table>"
-    )
 }
 
 #[cfg(test)]

@@ -1,20 +1,406 @@
-//! Lines over a common axis, as an SVG that follows the page's colours.
+//! Charts as SVG. Every plot of the program is drawn here: a frame with two axes, lines, labelled dots, a legend.
+//!
+//! A chart within a page takes its colours from the page's stylesheet; one in a file of its own has fixed colours.
 
-use super::{escaped, plain, ticks};
-use std::fmt::Write;
+use super::{plain, without_control_characters};
+use maud::{Markup, html};
 
-/// Size and margins (left, right, top, bottom), in the chart's own units. Small, so that its text stays readable on a phone.
-const SIZE: (f64, f64) = (440.0, 230.0);
-const MARGIN: (f64, f64, f64, f64) = (52.0, 14.0, 26.0, 40.0);
-const COLOURS: [&str; 4] = ["var(--warm)", "var(--cool)", "var(--faint)", "var(--text)"];
+/// Left, right, top and bottom margins, in the chart's own units.
+const MARGIN: [f64; 4] = [52.0, 14.0, 26.0, 42.0];
+/// Height of a line of text and mean width of a character at [`FONT_SIZE`].
+const LINE_HEIGHT: f64 = 15.0;
+const CHARACTER: f64 = 6.8;
+const FONT_SIZE: f64 = 12.0;
+/// More ticks than this on an axis are too many.
+const MOST_TICKS: usize = 8;
+/// Radius of a dot.
+const DOT: f64 = 5.0;
 
-/// One line.
+/// The colours of a chart, as CSS writes them.
+#[derive(Debug)]
+pub struct Theme {
+    /// Text.
+    pub text: &'static str,
+    /// What stands back: reference lines, frames.
+    pub faint: &'static str,
+    /// The grid.
+    pub grid: &'static str,
+    /// The background.
+    pub paper: &'static str,
+    /// The lines, in their order.
+    pub series: [&'static str; 4],
+}
+
+/// Variables of the page's stylesheet.
+const PAGE: Theme = Theme {
+    text: "var(--text)",
+    faint: "var(--faint)",
+    grid: "var(--line)",
+    paper: "var(--paper)",
+    series: ["var(--warm)", "var(--cool)", "var(--faint)", "var(--text)"],
+};
+
+/// The same in light mode.
+pub const FILE: Theme = Theme {
+    text: "#1b1b1b",
+    faint: "#666",
+    grid: "#ddd",
+    paper: "#fff",
+    series: ["#b5561c", "#2a6f97", "#666", "#1b1b1b"],
+};
+
+/// How values are spread along an axis.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Scale {
+    /// Evenly.
+    Linear,
+    /// By their logarithm.
+    Logarithmic,
+}
+
+/// One axis.
+#[derive(Debug, Clone, Copy)]
+pub struct Axis<'a> {
+    /// What it shows, with the unit.
+    pub label: &'a str,
+    /// Value at its beginning.
+    pub low: f64,
+    /// Value at its end.
+    pub high: f64,
+    /// How values are spread.
+    pub scale: Scale,
+}
+
+impl Axis<'_> {
+    /// Where a value lies: 0 at the beginning, 1 at the end, values beyond at the nearer of the two.
+    fn share(&self, value: f64) -> f64 {
+        let share = match self.scale {
+            Scale::Linear => (value - self.low) / (self.high - self.low),
+            Scale::Logarithmic => (value / self.low).ln() / (self.high / self.low).ln(),
+        };
+        if share.is_nan() { 0.0 } else { share.clamp(0.0, 1.0) }
+    }
+
+    /// Round values with their labels.
+    fn ticks(&self) -> Vec<(f64, String)> {
+        match self.scale {
+            Scale::Linear => linear_ticks(self.low, self.high),
+            Scale::Logarithmic => logarithmic_ticks(self.low, self.high),
+        }
+    }
+}
+
+/// Multiples of 1, 2 or 5 times a power of ten.
+fn linear_ticks(low: f64, high: f64) -> Vec<(f64, String)> {
+    let span = high - low;
+    let power = 10f64.powf((span / 5.0).log10().floor());
+    let steps = [1.0, 2.0, 5.0, 10.0].map(|step| step * power);
+    let step = steps.into_iter().find(|step| span / step <= 7.0).unwrap_or(steps[3]);
+    if !(step.is_finite() && step > 0.0) {
+        return Vec::new();
+    }
+    // As many digits as the step has; the small number is for steps such as 0.1 that are a little less.
+    let digits = (-(step.log10() + 1e-9).floor()).clamp(0.0, 12.0) as usize;
+    let (first, last) = ((low / step).ceil() as i64, (high / step).floor() as i64);
+    let ticks = (first..=last).map(|n| n as f64 * step);
+    ticks.map(|tick| (tick, format!("{tick:.digits$}"))).collect()
+}
+
+/// 1, 2 and 5 times powers of ten; the powers alone over many decades, multiples of one step within less than one.
+fn logarithmic_ticks(low: f64, high: f64) -> Vec<(f64, String)> {
+    if !(low > 0.0 && low < high && high.is_finite()) {
+        return Vec::new();
+    }
+    let within = |steps: &[f64]| -> Vec<f64> {
+        let decades = low.log10().floor() as i32..=high.log10().ceil() as i32;
+        let all = decades.flat_map(|power| steps.iter().map(move |step| step * 10f64.powi(power)));
+        // Ends that are ticks themselves stay in spite of rounding.
+        let range = low * (1.0 - 1e-9)..=high * (1.0 + 1e-9);
+        all.filter(|tick| range.contains(tick)).collect()
+    };
+    let mut ticks = within(&[1.0, 2.0, 5.0]);
+    if ticks.len() > MOST_TICKS {
+        ticks = within(&[1.0]);
+    }
+    if ticks.len() < 3 {
+        return linear_ticks(low, high);
+    }
+    ticks.into_iter().map(|tick| (tick, plain(tick))).collect()
+}
+
+/// A line through points.
 #[derive(Debug, Clone)]
 pub struct Line {
-    /// What it is.
+    /// What it is; no legend where empty.
     pub name: String,
-    /// Its points, from left to right.
+    /// Its points, from left to right; those that are not finite are left out.
     pub points: Vec<(f64, f64)>,
+}
+
+/// A dot with a label beside it.
+#[derive(Debug, Clone)]
+pub struct Dot<'a> {
+    /// Where it is.
+    pub at: (f64, f64),
+    /// What it is: shown where there is room, and when pointed at.
+    pub label: &'a str,
+    /// Whether it is filled.
+    pub filled: bool,
+}
+
+/// All that is drawn on one pair of axes.
+#[derive(Debug)]
+pub struct Chart<'a> {
+    /// Width and height, in the chart's own units: a character is about 7 of them wide.
+    pub size: (f64, f64),
+    /// Heading.
+    pub title: &'a str,
+    /// A second line under it; none where empty.
+    pub note: &'a str,
+    /// The axis from left to right.
+    pub across: Axis<'a>,
+    /// The axis upwards; its label is not drawn, the title says it.
+    pub up: Axis<'a>,
+    /// A dashed line to compare with, from the first point to the second.
+    pub reference: Option<[(f64, f64); 2]>,
+    /// The lines.
+    pub lines: &'a [Line],
+    /// The dots, over the lines; the first get their labels first.
+    pub dots: &'a [Dot<'a>],
+}
+
+impl Chart<'_> {
+    /// The chart as part of a page.
+    pub fn inline(&self) -> Markup {
+        let (width, height) = self.size;
+        html! {
+            svg viewBox=(format_args!("0 0 {width} {height}")) role="img" aria-label=(self.title) {
+                (self.draw(&PAGE))
+            }
+        }
+    }
+
+    /// The chart as a file of its own.
+    pub fn file(&self) -> String {
+        svg_file(self.size, &self.draw(&FILE))
+    }
+
+    fn top(&self) -> f64 {
+        MARGIN[2] + if self.note.is_empty() { 0.0 } else { LINE_HEIGHT + 4.0 }
+    }
+
+    fn place(&self, (x, y): (f64, f64)) -> (f64, f64) {
+        let (width, height) = self.size;
+        let (top, bottom) = (self.top(), height - MARGIN[3]);
+        (
+            MARGIN[0] + self.across.share(x) * (width - MARGIN[0] - MARGIN[1]),
+            bottom - self.up.share(y) * (bottom - top),
+        )
+    }
+
+    fn draw(&self, theme: &Theme) -> Markup {
+        let path = |points: &[(f64, f64)]| -> String {
+            let known = points.iter().filter(|p| p.0.is_finite() && p.1.is_finite());
+            let placed = known.map(|p| self.place(*p));
+            placed
+                .map(|(x, y)| format!("{x:.1},{y:.1}"))
+                .collect::<Vec<_>>()
+                .join(" ")
+        };
+        html! {
+            g font-family="system-ui,sans-serif" font-size=(FONT_SIZE) fill=(theme.text) {
+                text x=(MARGIN[0]) y="14" font-weight="600" { (self.title) }
+                @if !self.note.is_empty() {
+                    text x=(MARGIN[0]) y=(14.0 + LINE_HEIGHT + 2.0) { (self.note) }
+                }
+                (self.axes(theme))
+                @if let Some(ends) = &self.reference {
+                    polyline points=(path(ends)) fill="none" stroke=(theme.faint) stroke-dasharray="4 4" {}
+                }
+                @for (line, colour) in self.lines.iter().zip(theme.series.iter().cycle()) {
+                    polyline points=(path(&line.points)) fill="none" stroke=(colour) stroke-width="2" {}
+                }
+                (self.legend(theme))
+                (self.dots(theme))
+            }
+        }
+    }
+
+    /// The grid and what its lines stand for.
+    fn axes(&self, theme: &Theme) -> Markup {
+        let (width, height) = self.size;
+        let (left, right, top, bottom) = (MARGIN[0], width - MARGIN[1], self.top(), height - MARGIN[3]);
+        html! {
+            @for (tick, label) in self.across.ticks() {
+                @let x = format!("{:.1}", self.place((tick, self.up.low)).0);
+                path d=(format_args!("M{x} {top}V{bottom}")) stroke=(theme.grid) {}
+                text x=(x) y=(bottom + 16.0) text-anchor="middle" { (label) }
+            }
+            @for (tick, label) in self.up.ticks() {
+                @let y = self.place((self.across.low, tick)).1;
+                path d=(format_args!("M{left} {y:.1}H{right}")) stroke=(theme.grid) {}
+                text x=(left - 6.0) y=(format_args!("{:.1}", y + 4.0)) text-anchor="end" { (label) }
+            }
+            text x=(0.5 * (left + right)) y=(height - 6.0) text-anchor="middle" { (self.across.label) }
+        }
+    }
+
+    /// The names of the lines, in the corner that the lines leave free.
+    fn legend(&self, theme: &Theme) -> Markup {
+        let named = || {
+            self.lines
+                .iter()
+                .zip(theme.series.iter().cycle())
+                .filter(|(line, _)| !line.name.is_empty())
+        };
+        let count = named().count();
+        let longest = named().map(|(line, _)| line.name.chars().count()).max().unwrap_or(0);
+        let (width, height) = (longest as f64 * CHARACTER, count as f64 * LINE_HEIGHT);
+        let (left, right) = (MARGIN[0] + 8.0, self.size.0 - MARGIN[1] - 4.0 - width);
+        let (top, bottom) = (self.top() + 4.0, self.size.1 - MARGIN[3] - 6.0 - height);
+        let corners = [(right, bottom), (left, top), (right, top), (left, bottom)];
+        let covered = |(x, y): &(f64, f64)| {
+            let area = Area([*x, x + width, *y, y + height]);
+            let samples = self
+                .lines
+                .iter()
+                .flat_map(|line| line.points.windows(2).flat_map(between));
+            samples.filter(|p| area.holds(self.place(*p))).count()
+        };
+        // The first of equal ones.
+        let (x, y) = corners.into_iter().min_by_key(covered).unwrap_or_default();
+        html! {
+            @for (row, (line, colour)) in named().enumerate() {
+                text x=(format_args!("{x:.1}")) y=(format_args!("{:.1}", y + 11.0 + LINE_HEIGHT * row as f64)) fill=(colour) { (line.name) }
+            }
+        }
+    }
+
+    fn dots(&self, theme: &Theme) -> Markup {
+        let mut taken: Vec<Area> = self.dots.iter().map(|dot| Area::around(self.place(dot.at))).collect();
+        let frame = Area([0.0, self.size.0, self.top(), self.size.1 - MARGIN[3]]);
+        let placed: Vec<_> = self
+            .dots
+            .iter()
+            .map(|dot| {
+                let width = dot.label.chars().count() as f64 * CHARACTER;
+                let free = |(_, area): &(_, Area)| frame.contains(area) && !taken.iter().any(|other| other.meets(area));
+                let label = labels_around(self.place(dot.at), width).into_iter().find(free);
+                label.map(|(text, area)| {
+                    taken.push(area);
+                    text
+                })
+            })
+            .collect();
+        let colour = theme.series[0];
+        html! {
+            @for (dot, label) in self.dots.iter().zip(placed) {
+                @let (x, y) = self.place(dot.at);
+                circle cx=(format_args!("{x:.1}")) cy=(format_args!("{y:.1}")) r=(DOT) fill=(if dot.filled { colour } else { theme.paper }) stroke=(colour) {
+                    title { (dot.label) }
+                }
+                @if let Some((anchor, x, y)) = label {
+                    text x=(format_args!("{x:.1}")) y=(format_args!("{y:.1}")) text-anchor=(anchor) { (dot.label) }
+                }
+            }
+        }
+    }
+}
+
+/// Points along a piece of a line.
+fn between(ends: &[(f64, f64)]) -> impl Iterator<Item = (f64, f64)> + use<> {
+    const PARTS: usize = 8;
+    let ((x0, y0), (x1, y1)) = (ends[0], ends[1]);
+    (0..=PARTS).map(move |part| {
+        let share = part as f64 / PARTS as f64;
+        (x0 + share * (x1 - x0), y0 + share * (y1 - y0))
+    })
+}
+
+/// Where the label of a dot may stand, the best first: its anchor and place, and the area it takes.
+fn labels_around((x, y): (f64, f64), width: f64) -> [((&'static str, f64, f64), Area); 4] {
+    let label = |anchor: &'static str, left: f64, x: f64, baseline: f64| {
+        let area = Area([left, left + width, baseline - 10.0, baseline + 3.0]);
+        ((anchor, x, baseline), area)
+    };
+    let room = DOT + 4.0;
+    [
+        label("start", x + room, x + room, y + 4.0),
+        label("end", x - room - width, x - room, y + 4.0),
+        label("middle", x - 0.5 * width, x, y - room),
+        label("middle", x - 0.5 * width, x, y + room + 10.0),
+    ]
+}
+
+/// Left, right, top, bottom.
+struct Area([f64; 4]);
+
+impl Area {
+    fn around((x, y): (f64, f64)) -> Self {
+        Self([x - DOT, x + DOT, y - DOT, y + DOT])
+    }
+
+    fn holds(&self, (x, y): (f64, f64)) -> bool {
+        let [left, right, top, bottom] = self.0;
+        (left..=right).contains(&x) && (top..=bottom).contains(&y)
+    }
+
+    fn contains(&self, other: &Self) -> bool {
+        let [left, right, top, bottom] = other.0;
+        self.holds((left, top)) && self.holds((right, bottom))
+    }
+
+    fn meets(&self, other: &Self) -> bool {
+        let ([l0, r0, t0, b0], [l1, r1, t1, b1]) = (&self.0, &other.0);
+        l0 < r1 && l1 < r0 && t0 < b1 && t1 < b0
+    }
+}
+
+/// An SVG file on white ground.
+pub(super) fn svg_file((width, height): (f64, f64), body: &Markup) -> String {
+    let file = html! {
+        svg xmlns="http://www.w3.org/2000/svg" viewBox=(format_args!("0 0 {width} {height}")) width=(width) height=(height) {
+            rect width="100%" height="100%" fill=(FILE.paper) {}
+            (body)
+        }
+    };
+    without_control_characters(file.into_string() + "\n")
+}
+
+/// A chart of some lines whose upward axis begins at zero; `None` where there are no two points to join.
+pub fn lines(title: &str, across: &str, lines: &[Line]) -> Option<Markup> {
+    let top = 1.05 * known(lines).fold(0.0f64, |top, p| top.max(p.1));
+    line_chart(title, across, lines, (0.0, top))
+}
+
+/// The same with an upward axis just around the lines: for values such as decibels, whose zero means nothing.
+pub fn lines_within(title: &str, across: &str, lines: &[Line]) -> Option<Markup> {
+    let (low, high) = range(known(lines).map(|p| p.1));
+    let room = 0.05 * (high - low).max(1.0);
+    line_chart(title, across, lines, (low - room, high + room))
+}
+
+fn line_chart(title: &str, across: &str, lines: &[Line], (bottom, top): (f64, f64)) -> Option<Markup> {
+    // Small, so that its text stays readable on a phone.
+    const SIZE: (f64, f64) = (440.0, 230.0);
+    let (low, high) = range(known(lines).map(|p| p.0));
+    let axis = |label, low, high| Axis {
+        label,
+        low,
+        high,
+        scale: Scale::Linear,
+    };
+    let chart = Chart {
+        size: SIZE,
+        title,
+        note: "",
+        across: axis(across, low, high),
+        up: axis("", bottom, top),
+        reference: None,
+        lines,
+        dots: &[],
+    };
+    (high > low && top > bottom).then(|| chart.inline())
 }
 
 fn known(lines: &[Line]) -> impl Iterator<Item = &(f64, f64)> {
@@ -22,136 +408,11 @@ fn known(lines: &[Line]) -> impl Iterator<Item = &(f64, f64)> {
     points.filter(|p| p.0.is_finite() && p.1.is_finite())
 }
 
-/// A chart of some lines whose upward axis begins at zero; nothing where there are no two points to join.
-pub fn lines(title: &str, across: &str, lines: &[Line]) -> String {
-    let top = 1.05 * known(lines).fold(0.0f64, |top, p| top.max(p.1));
-    draw(title, across, lines, (0.0, top))
-}
-
-/// The same with an upward axis that holds what the lines do and no more: of values whose zero means nothing, such as decibels.
-pub fn lines_within(title: &str, across: &str, lines: &[Line]) -> String {
-    let ends = (f64::INFINITY, f64::NEG_INFINITY);
-    let (low, high) = known(lines).fold(ends, |(l, h), p| (l.min(p.1), h.max(p.1)));
-    let room = 0.05 * (high - low).max(1.0);
-    draw(title, across, lines, (low - room, high + room))
-}
-
-fn draw(title: &str, across: &str, lines: &[Line], (foot, top): (f64, f64)) -> String {
-    let ends = (f64::INFINITY, f64::NEG_INFINITY);
-    let (low, high) = known(lines).fold(ends, |(l, h), p| (l.min(p.0), h.max(p.0)));
-    if !(high > low && top > foot) {
-        return String::new();
-    }
-    let x = |v: f64| MARGIN.0 + (v - low) / (high - low) * (SIZE.0 - MARGIN.0 - MARGIN.1);
-    let y = |v: f64| SIZE.1 - MARGIN.3 - (v - foot) / (top - foot) * (SIZE.1 - MARGIN.2 - MARGIN.3);
-    let mut out = format!(
-        "<svg viewBox=\"0 0 {} {}\" role=\"img\" aria-label=\"{}\"><text x=\"{}\" y=\"14\" font-weight=\"600\">{}</text>",
-        SIZE.0,
-        SIZE.1,
-        escaped(title),
-        MARGIN.0,
-        escaped(title)
-    );
-    let (right, bottom) = (SIZE.0 - MARGIN.1, SIZE.1 - MARGIN.3);
-    for tick in ticks(foot, top) {
-        // Writing to a String cannot fail.
-        let _ = write!(
-            out,
-            "<path d=\"M{0} {1:.1}H{right}\" stroke=\"var(--line)\"/><text x=\"{2:.1}\" y=\"{3:.1}\" text-anchor=\"end\">{4}</text>",
-            MARGIN.0,
-            y(tick),
-            MARGIN.0 - 6.0,
-            y(tick) + 4.0,
-            plain(tick)
-        );
-    }
-    for tick in ticks(low, high) {
-        let _ = write!(
-            out,
-            "<text x=\"{:.1}\" y=\"{:.1}\" text-anchor=\"middle\">{}</text>",
-            x(tick),
-            bottom + 16.0,
-            plain(tick)
-        );
-    }
-    let _ = write!(
-        out,
-        "<text x=\"{right}\" y=\"{:.1}\" text-anchor=\"end\">{}</text>",
-        SIZE.1 - 6.0,
-        escaped(across)
-    );
-    for (place, line) in lines.iter().enumerate() {
-        let colour = COLOURS[place % COLOURS.len()];
-        let known = line.points.iter().filter(|p| p.0.is_finite() && p.1.is_finite());
-        let joined: Vec<String> = known.map(|p| format!("{:.1},{:.1}", x(p.0), y(p.1))).collect();
-        let _ = write!(
-            out,
-            "<polyline points=\"{}\" fill=\"none\" stroke=\"{colour}\" stroke-width=\"2\"/>",
-            joined.join(" ")
-        );
-        if lines.len() > 1 {
-            let _ = write!(
-                out,
-                "<text x=\"{:.1}\" y=\"{:.1}\" text-anchor=\"end\" style=\"fill:{colour}\">{}</text>",
-                right - 4.0,
-                bottom - 8.0 - 15.0 * (lines.len() - 1 - place) as f64,
-                escaped(&line.name)
-            );
-        }
-    }
-    out + "</svg>"
+/// The least and the largest; infinite and the wrong way round of nothing.
+pub fn range(values: impl Iterator<Item = f64>) -> (f64, f64) {
+    let nothing = (f64::INFINITY, f64::NEG_INFINITY);
+    values.fold(nothing, |(low, high), v| (low.min(v), high.max(v)))
 }
 
 #[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn a_line_is_drawn_and_its_name_escaped() {
-        let line = |name: &str| Line {
-            name: name.into(),
-            points: vec![(0.0, 1.0), (10.0, f64::NAN), (20.0, 0.5)],
-        };
-        let drawn = lines("<b>", "step", &[line("<i>"), line("b")]);
-        assert_eq!(drawn.matches("<polyline").count(), 2);
-        assert!(!drawn.contains("<b>") && !drawn.contains("<i>") && !drawn.contains("NaN"));
-    }
-
-    #[test]
-    fn decibels_fill_their_chart() {
-        let line = Line {
-            name: String::new(),
-            points: vec![(0.0, 25.0), (10.0, 30.0)],
-        };
-        let drawn = lines_within("PSNR", "step", std::slice::from_ref(&line));
-        assert!(
-            drawn.contains(">26</text>") && !drawn.contains(">0</text><path"),
-            "{drawn}"
-        );
-        let heights = |drawn: &str| -> Vec<f64> {
-            let points = drawn
-                .split("<polyline points=\"")
-                .nth(1)
-                .and_then(|rest| rest.split('"').next());
-            let points = points.expect("a line").split(' ');
-            points
-                .map(|p| p.split(',').nth(1).and_then(|y| y.parse().ok()).expect("a number"))
-                .collect()
-        };
-        let (high, flat) = (heights(&drawn), heights(&lines("PSNR", "step", &[line])));
-        assert!(
-            high[0] - high[1] > 100.0 && flat[0] - flat[1] < 50.0,
-            "{high:?} {flat:?}"
-        );
-    }
-
-    #[test]
-    fn nothing_is_drawn_of_nothing() {
-        assert!(lines("a", "b", &[]).is_empty() && lines_within("a", "b", &[]).is_empty());
-        let flat = Line {
-            name: String::new(),
-            points: vec![(1.0, 1.0)],
-        };
-        assert!(lines("a", "b", &[flat]).is_empty());
-    }
-}
+mod tests;

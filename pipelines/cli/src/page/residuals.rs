@@ -1,91 +1,67 @@
-//! The residuals as a picture: per image two frames, as delivered and adjusted, with a vector for every sighting.
+//! The picture of a camera adjustment: per image two frames, as delivered and adjusted, with a vector for every observation.
 
-use crate::page::escaped;
-use heliosplat_rpc::adjust::{Adjustment, ResidualVector};
-use heliosplat_satellite::ground::Ground;
+use super::chart::{FILE, svg_file};
+use heliosplat_satellite::adjust::ImageVectors;
+use maud::{Markup, html};
 use std::fmt::Write;
 
-/// Side of a frame, picture units.
+/// Longer side of a frame, picture units.
 const FRAME: f64 = 220.0;
 const GAP: f64 = 14.0;
 const TITLE: f64 = 34.0;
 /// Length of a residual of one pixel, picture units.
 const PER_PIXEL: f64 = 12.0;
-/// Pairs of frames in a row.
+/// Images in a row.
 const ACROSS: usize = 2;
 
-/// An SVG of all images' residual vectors; sightings that the adjustment left out are grey.
-pub fn svg(names: &[&str], ground: &Ground, adjustment: &Adjustment) -> String {
-    let rows = names.len().div_ceil(ACROSS);
-    let cell = (2.0 * FRAME + 2.0 * GAP + GAP, FRAME + TITLE + GAP);
-    let (width, height) = (ACROSS as f64 * cell.0 + GAP, rows as f64 * cell.1 + 2.0 * TITLE);
-    let mut text = format!(
-        "<svg xmlns=\"http://www.w3.org/2000/svg\" viewBox=\"0 0 {width} {height}\" width=\"{width}\" height=\"{height}\" \
-         font-family=\"sans-serif\" font-size=\"11\">\n<rect width=\"100%\" height=\"100%\" fill=\"white\"/>\n\
-         <text x=\"{GAP}\" y=\"20\">Residuals as delivered (left) and adjusted (right); the bar is one pixel; grey: left out</text>\n\
-         <path d=\"M{GAP} 30h{PER_PIXEL}\" stroke=\"black\" stroke-width=\"3\"/>\n"
-    );
-    for (image, name) in names.iter().enumerate() {
-        let corner = (
-            GAP + (image % ACROSS) as f64 * cell.0,
-            TITLE + (image / ACROSS) as f64 * cell.1,
-        );
-        let residuals = &adjustment.images[image];
-        // Writing to a String cannot fail.
-        let _ = writeln!(
-            text,
-            "<text x=\"{:.0}\" y=\"{:.0}\">{}: rms {:.2} → {:.2} px, {} of {} ties</text>",
-            corner.0,
-            corner.1 + 20.0,
-            escaped(name),
-            residuals.before.rms_px,
-            residuals.after.rms_px,
-            residuals.good,
-            residuals.sightings
-        );
-        let pixels = &ground.images[image].pixels;
-        let scale = FRAME / pixels.width.max(pixels.height).max(1) as f64;
-        for side in 0..2 {
-            let origin = (corner.0 + side as f64 * (FRAME + GAP), corner.1 + TITLE - 6.0);
-            let size = (pixels.width as f64 * scale, pixels.height as f64 * scale);
-            open_frame(&mut text, origin, size);
-            for good in [false, true] {
-                let vectors = adjustment
-                    .residuals
-                    .iter()
-                    .filter(|r| r.image == image && r.good == good);
-                draw(&mut text, scale, vectors, (side == 1, good));
+/// An SVG file of all images' residual vectors; outliers, which the adjustment left out, are grey.
+pub fn picture(images: &[ImageVectors]) -> String {
+    let rows = images.len().div_ceil(ACROSS);
+    let cell = (2.0 * FRAME + 3.0 * GAP, FRAME + TITLE + GAP);
+    let size = (ACROSS as f64 * cell.0 + GAP, rows as f64 * cell.1 + 2.0 * TITLE);
+    let body = html! {
+        g font-family="system-ui,sans-serif" font-size="11" fill=(FILE.text) {
+            text x=(GAP) y="20" { "Residuals as delivered (left) and adjusted (right); the bar is one pixel; grey: outliers" }
+            path d=(format_args!("M{GAP} 30h{PER_PIXEL}")) stroke=(FILE.text) stroke-width="3" {}
+            @for (place, image) in images.iter().enumerate() {
+                (both_frames(image, (GAP + (place % ACROSS) as f64 * cell.0, TITLE + (place / ACROSS) as f64 * cell.1)))
             }
-            text += "</svg>\n";
+        }
+    };
+    svg_file(size, &body)
+}
+
+/// The two frames of an image, under its name.
+fn both_frames(image: &ImageVectors, (left, top): (f64, f64)) -> Markup {
+    let scale = FRAME / image.width.max(image.height).max(1) as f64;
+    let (width, height) = (image.width as f64 * scale, image.height as f64 * scale);
+    let residuals = &image.residuals;
+    html! {
+        text x=(left) y=(top + 20.0) {
+            (image.name) ": rms " (format_args!("{:.2} → {:.2}", residuals.before.rms_px, residuals.after.rms_px))
+            " px, " (residuals.good) " of " (residuals.sightings) " ties"
+        }
+        @for (place, after) in [false, true].into_iter().enumerate() {
+            // An SVG of its own, which clips what is drawn in it.
+            svg x=(left + place as f64 * (FRAME + GAP)) y=(top + TITLE - 6.0) width=(format_args!("{width:.1}")) height=(format_args!("{height:.1}")) {
+                rect width="100%" height="100%" fill="none" stroke=(FILE.faint) {}
+                // Inliers over outliers.
+                @for (good, colour) in [(false, "#ccc"), (true, FILE.series[1])] {
+                    path d=(vectors(image, scale, after, good)) fill="none" stroke=(colour) stroke-width="0.8" {}
+                }
+            }
         }
     }
-    text + "</svg>\n"
 }
 
-/// An SVG of its own, which clips what is drawn in it.
-fn open_frame(text: &mut String, (x, y): (f64, f64), (width, height): (f64, f64)) {
-    let _ = writeln!(
-        text,
-        "<svg x=\"{x:.1}\" y=\"{y:.1}\" width=\"{width:.1}\" height=\"{height:.1}\">\
-         <rect width=\"100%\" height=\"100%\" fill=\"none\" stroke=\"#999\"/>"
-    );
-}
-
-fn draw<'a>(
-    text: &mut String,
-    scale: f64,
-    vectors: impl Iterator<Item = &'a ResidualVector>,
-    (after, good): (bool, bool),
-) {
+/// The vectors of one frame as a path.
+fn vectors(image: &ImageVectors, scale: f64, after: bool, good: bool) -> String {
     let mut path = String::new();
-    for residual in vectors {
-        let [col, row] = if after { residual.after_px } else { residual.before_px };
-        let (x, y) = (residual.at.col * scale, residual.at.row * scale);
+    for vector in image.vectors.iter().filter(|vector| vector.good == good) {
+        let [col, row] = if after { vector.after_px } else { vector.before_px };
+        let (x, y) = (vector.at.col * scale, vector.at.row * scale);
+        // Writing to a String cannot fail.
         let _ = write!(path, "M{x:.1} {y:.1}l{:.1} {:.1}", col * PER_PIXEL, row * PER_PIXEL);
     }
-    let colour = if good { "#1f6fb4" } else { "#ccc" };
-    let _ = writeln!(
-        text,
-        "<path d=\"{path}\" fill=\"none\" stroke=\"{colour}\" stroke-width=\"0.8\"/>"
-    );
+    path
 }

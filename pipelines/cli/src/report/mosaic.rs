@@ -1,15 +1,16 @@
-//! The page of a mosaic: the whole area, its borders, its tiles. Made of what lies in its folder and in those of its tiles beside it.
+//! The page of a mosaic: the whole area, the consistency of its tiles at their edges, and every tile. It is made from the files of
+//! the mosaic's folder and those of the tiles beside it.
 
-use super::parts::{self, MIB, SURFACE_PX, figure, keys};
-use super::{Folder, html, save};
-use crate::page::escaped;
+use super::parts::{self, SURFACE_PX, figure, gallery, keys};
+use super::{Folder, page_of, save};
+use crate::page::{MIB, number};
 use heliosplat_fitting::run_folder::RunError;
 use image::{Rgb, RgbImage};
+use maud::{Markup, html};
 use serde_json::Value;
-use std::fmt::Write;
 use std::path::{Path, PathBuf};
 
-/// Name of the file that says what came of a mosaic.
+/// Name of the file with a mosaic's metrics.
 pub const FILE: &str = "mosaic.json";
 /// Widest picture of a date, pixels.
 const DATE_PX: u32 = 480;
@@ -22,13 +23,13 @@ const ROWS: usize = 400;
 /// Colour of the lines between tiles.
 const LINE: Rgb<u8> = Rgb([230, 80, 30]);
 
-/// A tile as the page knows it.
+/// A tile of the mosaic.
 struct Tile {
     /// Its folder beside the mosaic's.
     name: String,
     /// First and one past last column and row of its core.
     core: [[u32; 2]; 2],
-    /// Its stamp.
+    /// Its folder with its metrics.
     stamp: Folder,
 }
 
@@ -60,12 +61,11 @@ pub fn write(folder: &Path) -> Result<PathBuf, RunError> {
         table(&tiles),
         products(&mosaic),
     ];
-    save(folder, &html(&title.join(" / "), &sections))
+    save(folder, &page_of(&title.join(" / "), &sections))
 }
 
 fn tiles(mosaic: &Folder) -> Result<Vec<Tile>, RunError> {
-    let empty = Vec::new();
-    let pieces = mosaic.metrics["pieces"].as_array().unwrap_or(&empty);
+    let pieces = mosaic.list("/pieces");
     let mut tiles = Vec::with_capacity(pieces.len());
     for piece in pieces {
         let name = piece["unit"]
@@ -86,7 +86,7 @@ fn tiles(mosaic: &Folder) -> Result<Vec<Tile>, RunError> {
     Ok(tiles)
 }
 
-fn head(mosaic: &Folder, tiles: &[Tile]) -> String {
+fn head(mosaic: &Folder, tiles: &[Tile]) -> Markup {
     let number = |pointer: &str| mosaic.number(pointer);
     let gsd_m = number("/gsd_m").unwrap_or(0.0);
     let side = |key: &str| number(key).map(|cells| cells * gsd_m);
@@ -98,38 +98,45 @@ fn head(mosaic: &Folder, tiles: &[Tile]) -> String {
     };
     let memory = all("/peak_rss_bytes").into_iter().reduce(f64::max);
     keys(&[
-        ("mean height error, raw", number("/dsm/mae_m"), 3, "m"),
-        ("median height error", number("/dsm/median_m"), 3, "m"),
+        ("DSM mean absolute error, raw", number("/dsm/mae_m"), 3, "m"),
+        ("DSM median error", number("/dsm/median_m"), 3, "m"),
         (
-            "of the ground known",
+            "DSM completeness",
             number("/completeness").map(|share| 100.0 * share),
             1,
             "%",
         ),
-        ("mean step between tiles", number("/seams/border/mean_m"), 3, "m"),
-        ("mean step elsewhere", number("/seams/interior/mean_m"), 3, "m"),
-        ("from west to east", side("/width"), 0, "m"),
-        ("from south to north", side("/height"), 0, "m"),
+        (
+            "mean height step across tile boundaries",
+            number("/seams/border/mean_m"),
+            3,
+            "m",
+        ),
+        ("mean height step elsewhere", number("/seams/interior/mean_m"), 3, "m"),
+        ("extent west to east", side("/width"), 0, "m"),
+        ("extent south to north", side("/height"), 0, "m"),
         ("tiles", number("/tiles"), 0, ""),
-        ("time of all tiles", Some(all("/seconds").iter().sum()), 0, "s"),
-        ("memory of the largest", memory.map(|bytes| bytes / MIB), 0, "MiB"),
+        ("total time of tiles", Some(all("/seconds").iter().sum()), 0, "s"),
+        ("peak memory of a tile", memory.map(|bytes| bytes / MIB), 0, "MiB"),
     ])
 }
 
-/// The surface with the lines between tiles, its errors, its albedo.
-fn surface(mosaic: &Folder, tiles: &[Tile]) -> String {
+/// The surface without and with the tile boundaries, its errors, its albedo.
+fn surface(mosaic: &Folder, tiles: &[Tile]) -> Markup {
     let surface = mosaic.picture("dsm.png");
-    let lined = surface.clone().filter(|_| tiles.len() > 1).map(|mut picture| {
+    let outlined = surface.clone().filter(|_| tiles.len() > 1).map(|mut picture| {
         tiles.iter().for_each(|tile| outline(&mut picture, tile.core));
         picture
     });
     let show = |name: &str, caption: &str| figure(mosaic.picture(name), SURFACE_PX, caption);
-    let figures = figure(surface, SURFACE_PX, "The surface, lit from the north-west")
-        + &figure(lined, SURFACE_PX, "The same with the lines between tiles")
-        + &show("error.png", "Its height errors: blue too low, red too high")
-        + &show("pictures/albedo.png", "Albedo, seen from straight above")
-        + &show("pictures/relit.png", "Lit by the sun asked for");
-    format!("<h2>Surface</h2><div class=\"grid\">{figures}</div>")
+    let figures = html! {
+        (figure(surface, SURFACE_PX, "DSM, hillshade with light from the north-west"))
+        (figure(outlined, SURFACE_PX, "The same with the tile boundaries"))
+        (show("error.png", "Height errors: blue too low, red too high"))
+        (show("pictures/albedo.png", "Albedo, nadir view"))
+        (show("pictures/relit.png", "Relit with the requested sun"))
+    };
+    gallery("Surface", "grid", &figures)
 }
 
 /// Draws the outline of a tile's core; thick enough to be seen when the picture is made small.
@@ -153,119 +160,91 @@ fn outline(picture: &mut RgbImage, [columns, rows]: [[u32; 2]; 2]) {
 }
 
 /// The shadows of every date over the albedo.
-fn dates(mosaic: &Folder) -> String {
-    let empty = Vec::new();
-    let dates = mosaic
-        .metrics
-        .pointer("/products/dates")
-        .and_then(Value::as_array)
-        .unwrap_or(&empty);
-    let mut out = String::new();
-    for date in dates.iter().filter_map(Value::as_str).take(SHOWN) {
-        if !date.contains(['/', '\\']) {
-            out += &figure(mosaic.picture(&format!("pictures/shadow_{date}.png")), DATE_PX, date);
+fn dates(mosaic: &Folder) -> Markup {
+    let dates = mosaic.list("/products/dates").iter().filter_map(Value::as_str);
+    let figures = html! {
+        // A date becomes part of a path.
+        @for date in dates.take(SHOWN).filter(|date| !date.contains(['/', '\\'])) {
+            (figure(mosaic.picture(&format!("pictures/shadow_{date}.png")), DATE_PX, date))
         }
-    }
-    if out.is_empty() {
-        return out;
-    }
-    format!("<h2>Shadows, date by date</h2><div class=\"grid\">{out}</div>")
+    };
+    gallery("Shadows by date", "grid", &figures)
 }
 
-fn metres(value: Option<f64>) -> String {
-    value.map_or_else(String::new, |v| format!("{v:.3}"))
-}
-
-/// Steps at the borders of tiles and elsewhere, and how tiles differ where they overlap.
-fn borders(mosaic: &Folder) -> String {
-    let mut rows = String::new();
-    for (key, label) in [
-        ("border", "across the lines between tiles"),
-        ("border_within_tiles", "at the same places within each tile"),
-        ("edge", "where tiles begin and end"),
+/// Height steps at tile boundaries and elsewhere, and the differences of tiles where they overlap.
+fn borders(mosaic: &Folder) -> Markup {
+    let steps = [
+        ("border", "across tile boundaries, in the mosaic"),
+        ("border_within_tiles", "at the same places, within single tiles"),
+        ("edge", "where a tile's overlap ends"),
         ("interior", "elsewhere"),
-    ] {
-        let number = |name: &str| mosaic.number(&format!("/seams/{key}/{name}"));
-        if number("mean_m").is_some() {
-            let above = number("above_1m").map_or_else(String::new, |v| format!("{:.1}", 100.0 * v));
-            // Writing to a String cannot fail.
-            let _ = write!(
-                rows,
-                "<tr><td>{label}<td>{}<td>{}<td>{}<td>{above}</tr>",
-                metres(number("mean_m")),
-                metres(number("median_m")),
-                metres(number("p95_m"))
-            );
+    ];
+    let metric = |key: &str, name: &str| mosaic.number(&format!("/seams/{key}/{name}"));
+    let measured = steps.iter().filter(|(key, _)| metric(key, "mean_m").is_some());
+    let overlaps = mosaic.list("/seams/overlaps");
+    let tile = |overlap: &Value, place: usize| {
+        let unit = overlap["tiles"][place].as_str().unwrap_or("");
+        unit.rsplit('/').next().unwrap_or(unit).to_owned()
+    };
+    html! {
+        @if !overlaps.is_empty() {
+            h2 { "Tile-edge consistency" }
+            p { "Height steps between neighbouring cells." }
+            div.wide { table {
+                tr { th { "cells" } th { "mean, m" } th { "median, m" } th { "95th percentile, m" } th { "above 1 m, %" } }
+                @for (key, label) in measured {
+                    tr {
+                        td { (label) }
+                        @for name in ["mean_m", "median_m", "p95_m"] { td { (number(metric(key, name), 3)) } }
+                        td { (number(metric(key, "above_1m").map(|share| 100.0 * share), 1)) }
+                    }
+                }
+            } }
+            p { "Where two tiles overlap: height of the second minus that of the first." }
+            div.wide { table {
+                tr { th { "tiles" } th { "cells" } th { "median, m" } th { "NMAD, m" } th { "mean absolute, m" } }
+                @for overlap in overlaps.iter().take(ROWS) {
+                    tr {
+                        td { (tile(overlap, 0)) " and " (tile(overlap, 1)) }
+                        td { (overlap["cells"].as_u64().unwrap_or(0)) }
+                        @for name in ["median_m", "nmad_m", "mean_abs_m"] { td { (number(overlap[name].as_f64(), 3)) } }
+                    }
+                }
+            } }
         }
     }
-    let mut overlaps = String::new();
-    let empty = Vec::new();
-    let all = mosaic
-        .metrics
-        .pointer("/seams/overlaps")
-        .and_then(Value::as_array)
-        .unwrap_or(&empty);
-    for overlap in all.iter().take(ROWS) {
-        let name = |index: usize| {
-            let unit = overlap["tiles"][index].as_str().unwrap_or("");
-            escaped(unit.rsplit('/').next().unwrap_or(unit))
-        };
-        let number = |key: &str| metres(overlap[key].as_f64());
-        let _ = write!(
-            overlaps,
-            "<tr><td>{} and {}<td>{}<td>{}<td>{}<td>{}</tr>",
-            name(0),
-            name(1),
-            overlap["cells"].as_u64().unwrap_or(0),
-            number("median_m"),
-            number("nmad_m"),
-            number("mean_abs_m")
-        );
-    }
-    if overlaps.is_empty() {
-        return String::new();
-    }
-    format!(
-        "<h2>Borders of tiles</h2><p>Steps between neighbouring cells.</p><div class=\"wide\"><table><tr><th>steps<th>mean m<th>median m<th>95 % below, m\
-         <th>above 1 m, %</tr>{rows}</table></div><p>Where two tiles overlap, the second minus the first.</p><div class=\"wide\"><table><tr><th>tiles\
-         <th>cells<th>median m<th>spread (NMAD) m<th>mean distance m</tr>{overlaps}</table></div>"
-    )
 }
 
 /// The tiles, each with its own page.
-fn table(tiles: &[Tile]) -> String {
-    let (mut rows, mut figures) = (String::new(), String::new());
-    for (place, tile) in tiles.iter().take(ROWS).enumerate() {
-        let number = |pointer: &str, digits: usize| {
-            let value = tile.stamp.number(pointer);
-            value.map_or_else(String::new, |v| format!("{v:.digits$}"))
-        };
-        let name = escaped(&tile.name);
-        let memory = tile
-            .stamp
-            .number("/peak_rss_bytes")
-            .map_or_else(String::new, |b| format!("{:.0}", b / MIB));
-        let _ = write!(
-            rows,
-            "<tr><td><a href=\"../{name}/run/report.html\">{name}</a><td>{}<td>{}<td>{}<td>{}<td>{}<td>{memory}</tr>",
-            number("/metrics/dsm/mae_m", 3),
-            number("/metrics/test/psnr", 2),
-            number("/metrics/residual_px", 4),
-            number("/metrics/gaussians", 0),
-            number("/seconds", 1)
-        );
-        if place < SHOWN {
-            figures += &figure(tile.stamp.picture("run/dsm.png"), TILE_PX, &tile.name);
+fn table(tiles: &[Tile]) -> Markup {
+    html! {
+        h2 { "Tiles" }
+        div.wide { table {
+            tr {
+                th { "tile" } th { "DSM MAE, m" } th { "PSNR held out, dB" } th { "camera residual, px" } th { "Gaussians" } th { "time, s" }
+                th { "peak memory, MiB" }
+            }
+            @for tile in tiles.iter().take(ROWS) {
+                @let metric = |pointer: &str, digits: usize| number(tile.stamp.number(pointer), digits);
+                tr {
+                    td { a href={ "../" (tile.name) "/run/report.html" } { (tile.name) } }
+                    td { (metric("/metrics/dsm/mae_m", 3)) }
+                    td { (metric("/metrics/test/psnr", 2)) }
+                    td { (metric("/metrics/residual_px", 4)) }
+                    td { (metric("/metrics/gaussians", 0)) }
+                    td { (metric("/seconds", 1)) }
+                    td { (number(tile.stamp.number("/peak_rss_bytes").map(|bytes| bytes / MIB), 0)) }
+                }
+            }
+        } }
+        div.four {
+            @for tile in tiles.iter().take(SHOWN) { (figure(tile.stamp.picture("run/dsm.png"), TILE_PX, &tile.name)) }
         }
     }
-    format!(
-        "<h2>Tiles</h2><div class=\"wide\"><table><tr><th>tile<th>mean height error m<th>PSNR held out dB<th>camera residual px<th>Gaussians<th>s<th>MiB</tr>\
-         {rows}</table></div><div class=\"four\">{figures}</div>"
-    )
 }
 
-/// The files that lie beside the page.
-fn products(mosaic: &Folder) -> String {
+/// Links to the products beside the page.
+fn products(mosaic: &Folder) -> Markup {
     let mut names: Vec<String> = std::fs::read_dir(&mosaic.path)
         .into_iter()
         .flatten()
@@ -274,12 +253,10 @@ fn products(mosaic: &Folder) -> String {
         .filter(|name| [".tif", ".laz", "item.json"].iter().any(|end| name.ends_with(end)) && !name.starts_with('.'))
         .collect();
     names.sort_unstable();
-    let links: Vec<String> = names
-        .iter()
-        .map(|name| format!("<a href=\"{0}\">{0}</a>", escaped(name)))
-        .collect();
-    if links.is_empty() {
-        return String::new();
+    html! {
+        @if !names.is_empty() {
+            h2 { "Files" }
+            p { @for (place, name) in names.iter().enumerate() { @if place > 0 { ", " } a href={ "./" (name) } { (name) } } }
+        }
     }
-    format!("<h2>Files</h2><p>{}</p>", links.join(", "))
 }

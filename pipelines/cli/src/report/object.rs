@@ -1,22 +1,22 @@
-//! The page of a run on a capture of an object: its held-out images, the parts of its light, how training went.
+//! The page of a run on a capture of an object: held-out images, the components of its light, the course of training.
 
-use super::parts::{self, Cost, MIB, costs_of, figure, keys};
-use super::{Folder, html, save};
-use crate::page::escaped;
+use super::parts::{self, Cost, costs_of, figure, gallery, keys, origin};
+use super::{Folder, page_of, save};
+use crate::page::{MIB, number, section};
 use heliosplat_fitting::run_folder::RunError;
 use heliosplat_objects::measure::{file_name, normal_picture, picture};
 use heliosplat_objects::model::{self, ObjectModel, components};
 use heliosplat_objects::run::{self, ObjectRun};
 use heliosplat_scene::Split;
 use image::imageops::crop_imm;
-use std::fmt::Write;
+use maud::{Markup, html};
 use std::path::{Path, PathBuf};
 
 /// Widest picture, pixels.
 const VIEW_PX: u32 = 420;
-/// Most images held out that are shown beside what the model shows.
+/// Most held-out images that are shown beside their renderings.
 const VIEWS: usize = 16;
-/// Views whose light is shown part by part.
+/// Views whose light is shown component by component.
 const PARTED: usize = 3;
 
 /// Writes `report.html` into the folder of a run on a capture; returns its path.
@@ -28,7 +28,7 @@ pub fn write(folder: &Path) -> Result<PathBuf, RunError> {
     of(folder, &model, &run)
 }
 
-/// The same of a run that is at hand.
+/// The same for a run that is in memory.
 ///
 /// # Errors
 /// When the page cannot be written.
@@ -42,110 +42,102 @@ pub fn of(folder: &Path, model: &ObjectModel, run: &ObjectRun) -> Result<PathBuf
         plan(run),
         costs(&measured, run),
     ];
-    save(folder, &html(&measured.name(), &sections))
+    save(folder, &page_of(&measured.name(), &sections))
 }
 
-fn head(measured: &Folder, run: &ObjectRun) -> String {
+fn head(measured: &Folder, run: &ObjectRun) -> Markup {
     let number = |pointer: &str| measured.number(pointer);
-    let said = format!(
-        "<p class=\"faint\">{} · preset {} · seed {} · heliosplat {}</p>",
-        escaped(&run.capture.display().to_string()),
-        escaped(&run.preset),
-        run.seed,
-        escaped(&run.version)
-    );
-    said + &keys(&[
-        ("PSNR of images held out", number("/test/psnr"), 2, "dB"),
-        ("SSIM of images held out", number("/test/ssim"), 4, ""),
-        ("PSNR near lights of training", number("/test/near/psnr"), 2, "dB"),
-        ("PSNR far from them", number("/test/far/psnr"), 2, "dB"),
-        ("PSNR of images trained on", number("/train/psnr"), 2, "dB"),
-        ("normals off in the mean", number("/test/normals/mean_deg"), 1, "°"),
-        ("time", number("/seconds"), 1, "s"),
-        ("memory at most", number("/peak_rss_bytes").map(|b| b / MIB), 0, "MiB"),
-        ("Gaussians", number("/gaussians"), 0, ""),
-    ])
+    html! {
+        (origin(&run.capture, &run.preset, run.seed, &run.version))
+        (keys(&[
+            ("PSNR of held-out images", number("/test/psnr"), 2, "dB"),
+            ("SSIM of held-out images", number("/test/ssim"), 4, ""),
+            ("PSNR near training lights", number("/test/near/psnr"), 2, "dB"),
+            ("PSNR far from training lights", number("/test/far/psnr"), 2, "dB"),
+            ("PSNR of training images", number("/train/psnr"), 2, "dB"),
+            ("mean normal error", number("/test/normals/mean_deg"), 1, "°"),
+            ("time", number("/seconds"), 1, "s"),
+            ("peak memory", number("/peak_rss_bytes").map(|b| b / MIB), 0, "MiB"),
+            ("Gaussians", number("/gaussians"), 0, ""),
+        ]))
+    }
 }
 
-/// Images held out beside what the model shows in their place.
-fn views(measured: &Folder, model: &ObjectModel) -> String {
+/// Held-out images beside their renderings.
+fn views(measured: &Folder, model: &ObjectModel) -> Markup {
     let images = model.file.images.iter();
     let held_out: Vec<_> = images.filter(|image| image.split == Split::Test).collect();
-    let mut out = String::new();
-    for image in held_out.iter().step_by(held_out.len().div_ceil(VIEWS).max(1)) {
-        let name = file_name(&image.name);
-        let Some(pair) = measured.picture(&format!("views/{name}.png")) else {
-            continue;
-        };
-        let half = pair.width() / 2;
-        let part = |left: u32| Some(crop_imm(&pair, left, 0, half, pair.height()).to_image());
-        out += &figure(part(0), VIEW_PX, &format!("{}: image", image.name));
-        out += &figure(part(half), VIEW_PX, "rendering");
+    let pairs = held_out.iter().step_by(held_out.len().div_ceil(VIEWS).max(1));
+    let figures = html! {
+        @for image in pairs {
+            @if let Some(pair) = measured.picture(&format!("views/{}.png", file_name(&image.name))) {
+                @let half = pair.width() / 2;
+                @for (left, caption) in [(0, format!("{}: image", image.name)), (half, "rendering".to_owned())] {
+                    (figure(Some(crop_imm(&pair, left, 0, half, pair.height()).to_image()), VIEW_PX, &caption))
+                }
+            }
+        }
+    };
+    html! {
+        (gallery("Held-out images", "four", &figures))
+        @if !figures.0.is_empty() { p.faint { "All are in views/." } }
     }
-    if out.is_empty() {
-        return out;
-    }
-    format!("<h2>Images held out</h2><div class=\"four\">{out}</div><p class=\"faint\">All are in views/.</p>")
 }
 
-/// The parts of the light and the normals of some views.
-fn light(model: &ObjectModel) -> String {
+/// The light components and the normals of some views.
+fn light(model: &ObjectModel) -> Markup {
     let has = model.file.kind.parts();
     let mut parts = components(model);
     parts.retain(|(name, _)| has.contains(name));
     let of_split = |split: Split| model.file.images.iter().filter(move |image| image.split == split);
     let all: Vec<_> = of_split(Split::Test).chain(of_split(Split::Train)).collect();
-    let mut out = String::new();
-    // Spread over those held out, which come first.
+    // Spread over the held-out ones, which come first.
     let step = (of_split(Split::Test).count() / PARTED).max(1);
-    for image in all.iter().step_by(step).take(PARTED) {
-        let mut row = figure(
-            model.render(image).map(|seen| picture(&seen, model)),
-            VIEW_PX,
-            "all light",
-        );
-        for (name, shown) in &parts {
-            let seen = model.render_as(&**shown, image);
-            row += &figure(seen.map(|seen| picture(&seen, model)), VIEW_PX, name);
+    let body = html! {
+        @for image in all.iter().step_by(step).take(PARTED) {
+            h3 { (image.name) }
+            div.four {
+                (figure(model.render(image).map(|seen| picture(&seen, model)), VIEW_PX, "all light"))
+                @for (name, shown) in &parts {
+                    (figure(model.render_as(&**shown, image).map(|seen| picture(&seen, model)), VIEW_PX, name))
+                }
+                (figure(model.normals(image).map(|n| normal_picture(&n)), VIEW_PX, "normals"))
+            }
         }
-        row += &figure(model.normals(image).map(|n| normal_picture(&n)), VIEW_PX, "normals");
-        // Writing to a String cannot fail.
-        let _ = write!(out, "<h3>{}</h3><div class=\"four\">{row}</div>", escaped(&image.name));
-    }
-    format!("<h2>What it is made of</h2>{out}")
+    };
+    section("Light components", body)
 }
 
-/// Which model was taken, and what was tried.
-fn plan(run: &ObjectRun) -> String {
-    let Some(plan) = &run.plan else { return String::new() };
+/// Which model was chosen, and the short fits that decided.
+fn plan(run: &ObjectRun) -> Markup {
+    let Some(plan) = &run.plan else { return html! {} };
     let kind = serde_json::to_value(plan.kind).unwrap_or_default();
     let yes = |on: bool| if on { "yes" } else { "no" };
-    let mut out = format!(
-        "<h2>Component plan</h2><p>{}</p><div class=\"wide\"><table><tr><td>model<td>{}</tr><tr><td>glossy<td>{}</tr>\
-         <tr><td>light under the surface<td>{}</tr></table></div>",
-        escaped(&plan.reason),
-        escaped(kind.as_str().unwrap_or("")),
-        yes(plan.specular),
-        yes(plan.scattering)
-    );
-    if !plan.trials.is_empty() {
-        out += "<div class=\"wide\"><table><tr><th>tried in a short fit<th>PSNR dB</tr>";
-        for trial in &plan.trials {
-            let _ = write!(out, "<tr><td>{}<td>{:.2}</tr>", escaped(&trial.what), trial.psnr_db);
+    html! {
+        h2 { "Component plan" }
+        p { (plan.reason) }
+        div.wide { table {
+            tr { td { "model" } td { (kind.as_str().unwrap_or("")) } }
+            tr { td { "specular reflection" } td { (yes(plan.specular)) } }
+            tr { td { "subsurface scattering" } td { (yes(plan.scattering)) } }
+        } }
+        @if !plan.trials.is_empty() {
+            div.wide { table {
+                tr { th { "short trial fit" } th { "PSNR, dB" } }
+                @for trial in &plan.trials { tr { td { (trial.what) } td { (number(Some(trial.psnr_db), 2)) } } }
+            } }
         }
-        out += "</table></div>";
     }
-    out
 }
 
-fn costs(measured: &Folder, run: &ObjectRun) -> String {
+fn costs(measured: &Folder, run: &ObjectRun) -> Markup {
     let number = |pointer: &str| measured.number(pointer);
     let rows: [Cost; 5] = [
-        ("start", number("/stage_seconds/start"), "s"),
+        ("initial Gaussians", number("/stage_seconds/start"), "s"),
         ("training", number("/stage_seconds/train"), "s"),
-        ("all, measuring included", number("/seconds"), "s"),
+        ("total, evaluation included", number("/seconds"), "s"),
         ("steps", number("/iterations"), ""),
-        ("memory used at most", number("/peak_rss_bytes").map(|b| b / MIB), "MiB"),
+        ("peak memory", number("/peak_rss_bytes").map(|b| b / MIB), "MiB"),
     ];
     costs_of(&rows, run)
 }

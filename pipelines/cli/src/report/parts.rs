@@ -1,300 +1,279 @@
-//! The parts of a report, from top to bottom.
+//! The sections of a report, from top to bottom; most of them serve runs, objects and mosaics alike.
 
 use super::{Contents, Folder};
 use crate::page::chart::{Line, lines, lines_within};
-use crate::page::{escaped, inline_picture, plain};
+use crate::page::{MIB, inline_picture, number, plain, section};
 use heliosplat_products::set::date_of;
 use heliosplat_scene::Split;
 use image::RgbImage;
 use image::imageops::crop_imm;
+use maud::{Markup, html};
 use serde_json::Value;
-use std::fmt::Write;
 
 /// Widest pictures of the surface and of views, pixels.
 pub(super) const SURFACE_PX: u32 = 720;
 const VIEW_PX: u32 = 420;
 /// More views than this are not shown: the page is to be sent by mail.
 const VIEWS_MAX: usize = 40;
-/// What the panels of a view's picture are.
+/// The panels of a view's picture, from left to right.
 const PANELS: [&str; 4] = [
     "image",
     "rendering",
-    "shadows found",
-    "shadows against truth: blue missing, red too many",
+    "shadow mask",
+    "shadow errors: blue missed, red false",
 ];
 
-pub(super) const MIB: f64 = 1_048_576.0;
-
-/// A number that matters: what it is, its value if it is known, digits after the point, its unit.
+/// A main number: its label, its value if it is known, digits after the point, its unit.
 pub(super) type Key<'a> = (&'a str, Option<f64>, usize, &'a str);
 
-/// Numbers that matter, side by side; those that are not known are left out.
-pub(super) fn keys(all: &[Key]) -> String {
-    let mut out = "<div class=\"key\">".to_owned();
-    for (label, value, digits, unit) in all {
-        if let Some(value) = value {
-            // Writing to a String cannot fail.
-            let _ = write!(out, "<div><b>{value:.digits$} {unit}</b>{label}</div>");
+/// The main numbers, side by side; those that are not known are left out.
+pub(super) fn keys(all: &[Key]) -> Markup {
+    html! {
+        div.key {
+            @for (label, value, digits, unit) in all {
+                @if value.is_some() {
+                    div { b { (number(*value, *digits)) " " (unit) } (label) }
+                }
+            }
         }
     }
-    out + "</div>"
 }
 
-/// What was trained, and the numbers that matter.
-pub(super) fn head(run: &Contents) -> String {
-    let file = &run.run;
-    let said = format!(
-        "<p class=\"faint\">{} · preset {} · seed {} · heliosplat {}</p>",
-        escaped(&file.scene.display().to_string()),
-        escaped(&file.preset),
-        file.seed,
-        escaped(&file.version)
-    );
+/// Input, preset and version of a run.
+pub(super) fn origin(scene: &std::path::Path, preset: &str, seed: u64, version: &str) -> Markup {
+    html! { p.faint { (scene.display().to_string()) " · preset " (preset) " · seed " (seed) " · heliosplat " (version) } }
+}
+
+/// What was trained, and the main numbers.
+pub(super) fn head(run: &Contents) -> Markup {
     let measured = &run.folder;
-    let protocol = measured
-        .metrics
-        .pointer("/dsm/protocol")
-        .and_then(Value::as_str)
-        .unwrap_or("raw");
-    let height_error = format!("mean height error, {}", escaped(protocol));
+    let protocol = measured.metrics.pointer("/dsm/protocol").and_then(Value::as_str);
+    let mae = format!("DSM mean absolute error, {}", protocol.unwrap_or("raw"));
     let number = |pointer: &str| measured.number(pointer);
     let percent = |pointer: &str| number(pointer).map(|share| 100.0 * share);
-    let numbers = keys(&[
-        (&height_error, number("/dsm/mae_m"), 3, "m"),
-        ("median height error", number("/dsm/median_m"), 3, "m"),
-        ("of the ground known", percent("/dsm/completeness"), 1, "%"),
-        ("shadows right", percent("/shadow/accuracy"), 1, "%"),
-        ("PSNR of images trained on", number("/train/psnr"), 2, "dB"),
-        ("PSNR of images held out", number("/test/psnr"), 2, "dB"),
-        ("time", number("/seconds"), 1, "s"),
-        ("memory at most", number("/peak_rss_bytes").map(|b| b / MIB), 0, "MiB"),
-        ("Gaussians", number("/gaussians"), 0, ""),
-    ]);
-    said + &numbers
+    html! {
+        (origin(&run.run.scene, &run.run.preset, run.run.seed, &run.run.version))
+        (keys(&[
+            (&mae, number("/dsm/mae_m"), 3, "m"),
+            ("DSM median error", number("/dsm/median_m"), 3, "m"),
+            ("DSM completeness", percent("/dsm/completeness"), 1, "%"),
+            ("shadow accuracy", percent("/shadow/accuracy"), 1, "%"),
+            ("PSNR of training images", number("/train/psnr"), 2, "dB"),
+            ("PSNR of held-out images", number("/test/psnr"), 2, "dB"),
+            ("time", number("/seconds"), 1, "s"),
+            ("peak memory", number("/peak_rss_bytes").map(|b| b / MIB), 0, "MiB"),
+            ("Gaussians", number("/gaussians"), 0, ""),
+        ]))
+    }
 }
 
-pub(super) fn figure(picture: Option<RgbImage>, width: u32, caption: &str) -> String {
+/// A picture over its caption; nothing where there is none.
+pub(super) fn figure(picture: Option<RgbImage>, width: u32, caption: &str) -> Markup {
     let address = picture.and_then(|picture| inline_picture(picture, width));
-    address.map_or_else(String::new, |address| {
-        let caption = escaped(caption);
-        format!("<figure><img src=\"{address}\" alt=\"{caption}\"><figcaption>{caption}</figcaption></figure>")
-    })
+    html! {
+        @if let Some(address) = address {
+            figure { img src=(address) alt=(caption); figcaption { (caption) } }
+        }
+    }
+}
+
+/// Pictures side by side under a heading; nothing where there is none.
+pub(super) fn gallery(heading: &str, class: &str, figures: &Markup) -> Markup {
+    html! {
+        @if !figures.0.is_empty() {
+            h2 { (heading) }
+            div class=(class) { (figures) }
+        }
+    }
 }
 
 /// Hillshades of the surface, and the map of its errors.
-pub(super) fn surface(run: &Folder) -> String {
+pub(super) fn surface(run: &Folder) -> Markup {
     let show = |name: &str, caption: &str| figure(run.picture(name), SURFACE_PX, caption);
-    let figures = show("dsm.png", "The surface, lit from the north-west")
-        + &show("error.png", "Its height errors: blue too low, red too high")
-        + &show("start.png", "The surface that training started from");
-    if figures.is_empty() {
-        return String::new();
-    }
-    format!("<h2>Surface</h2><div class=\"grid\">{figures}</div>")
+    let figures = html! {
+        (show("dsm.png", "DSM, hillshade with light from the north-west"))
+        (show("error.png", "Height errors: blue too low, red too high"))
+        (show("start.png", "Initial surface, before training"))
+    };
+    gallery("Surface", "grid", &figures)
 }
 
 /// Each view beside its rendering and its shadows, date by date.
-pub(super) fn views(run: &Contents) -> String {
+pub(super) fn views(run: &Contents) -> Markup {
     let mut images: Vec<_> = run.model.images.iter().collect();
     images.sort_by_key(|image| (date_of(image), image.name.clone()));
-    let mut out = String::new();
     let mut date = None;
-    for image in images.iter().take(VIEWS_MAX) {
-        let Some(picture) = run.folder.picture(&format!("views/{}.png", image.name)) else {
-            continue;
-        };
+    let shown = images.iter().take(VIEWS_MAX).filter_map(|image| {
+        let picture = run.folder.picture(&format!("views/{}.png", image.name))?;
         let this = date_of(image);
-        if date.as_ref() != Some(&this) {
-            let (azimuth, elevation) = (image.sun.azimuth_rad.to_degrees(), image.sun.elevation_rad.to_degrees());
-            let _ = write!(
-                out,
-                "<h3>{} <span class=\"faint\">sun at azimuth {azimuth:.1}°, elevation {elevation:.1}°</span></h3>",
-                escaped(&this)
-            );
-            date = Some(this);
-        }
-        let held_out = if image.split == Split::Test { ", held out" } else { "" };
-        let width = image.crop.width as u32;
-        let _ = write!(
-            out,
-            "<div class=\"faint\">{}{held_out}</div><div class=\"four\">",
-            escaped(&image.name)
-        );
-        for (place, panel) in PANELS.iter().enumerate() {
-            let left = place as u32 * width;
-            if width > 0 && left + width <= picture.width() {
-                let panel_picture = crop_imm(&picture, left, 0, width, picture.height()).to_image();
-                out += &figure(Some(panel_picture), VIEW_PX, panel);
+        let new_date = date.replace(this.clone()).as_ref() != Some(&this);
+        let (azimuth, elevation) = (image.sun.azimuth_rad.to_degrees(), image.sun.elevation_rad.to_degrees());
+        let sun = format!("sun at azimuth {azimuth:.1}°, elevation {elevation:.1}°");
+        let panels = panels(&picture, image.crop.width as u32);
+        Some(html! {
+            @if new_date { h3 { (this) " " span.faint { (sun) } } }
+            div.faint { (image.name) @if image.split == Split::Test { ", held out" } }
+            div.four {
+                @for (panel, caption) in panels.into_iter().zip(PANELS) { (figure(Some(panel), VIEW_PX, caption)) }
             }
+        })
+    });
+    let shown: Vec<Markup> = shown.collect();
+    let body = html! {
+        @for view in &shown { (view) }
+        @if images.len() > VIEWS_MAX && !shown.is_empty() {
+            p.faint { "The first " (VIEWS_MAX) " of " (images.len()) " views; the others are in views/." }
         }
-        out += "</div>";
-    }
-    if out.is_empty() {
-        return out;
-    }
-    if images.len() > VIEWS_MAX {
-        let _ = write!(
-            out,
-            "<p class=\"faint\">The first {VIEWS_MAX} of {} views; the others are in views/.</p>",
-            images.len()
-        );
-    }
-    format!("<h2>Images and shadows, date by date</h2>{out}")
+    };
+    section("Images and shadows by date", body)
+}
+
+/// The panels of this width that lie side by side in a picture.
+fn panels(picture: &RgbImage, width: u32) -> Vec<RgbImage> {
+    let count = picture.width().checked_div(width).unwrap_or(0);
+    let panel = |place| crop_imm(picture, place * width, 0, width, picture.height()).to_image();
+    (0..count.min(PANELS.len() as u32)).map(panel).collect()
 }
 
 /// The course of training.
-pub(super) fn curves(run: &Folder) -> String {
-    let empty = Vec::new();
-    let curve = run.metrics.get("curve").and_then(Value::as_array).unwrap_or(&empty);
-    let line = |name: &str, pick: &dyn Fn(&Value) -> Option<f64>| Line {
+pub(super) fn curves(run: &Folder) -> Markup {
+    let curve = run.list("/curve");
+    let line = |name: &str, value: &dyn Fn(&Value) -> Option<f64>| Line {
         name: name.to_owned(),
         points: curve
             .iter()
-            .filter_map(|point| Some((point["step"].as_f64()?, pick(point)?)))
+            .filter_map(|point| Some((point["step"].as_f64()?, value(point)?)))
             .collect(),
     };
-    let chart = |title: &str, drawn: &[Line]| {
-        let known: Vec<Line> = drawn.iter().filter(|line| line.points.len() > 1).cloned().collect();
-        lines(title, "step", &known)
-    };
+    let chart = |title: &str, drawn: &[Line]| lines(title, "step", &several_points(drawn));
+    let height = line("", &|point| point["accuracy"]["height_mae_m"].as_f64());
     let psnr = line("", &|point| point["accuracy"]["psnr_db"].as_f64());
-    let accuracy = chart(
-        "Mean height error, metres",
-        &[line("", &|point| point["accuracy"]["height_mae_m"].as_f64())],
-    ) + &lines_within("PSNR of images held out, dB", "step", &[psnr]);
-    let difference = chart(
-        "Difference to the images",
-        &[
-            line("all pixels, smoothed", &|point| point["l1"].as_f64()),
-            line("pixels held out", &|point| point["held_out_l1"].as_f64()),
-        ],
-    );
-    let mut names: Vec<&String> = curve
-        .iter()
-        .filter_map(|point| point["losses"].as_object())
-        .flat_map(|losses| losses.keys())
-        .collect();
+    let difference = [
+        line("all pixels, smoothed", &|point| point["l1"].as_f64()),
+        line("held-out pixels", &|point| point["held_out_l1"].as_f64()),
+    ];
+    let mut charts = vec![
+        chart("DSM mean absolute error, m", &[height]),
+        lines_within("PSNR of held-out images, dB", "step", &[psnr]),
+        chart("L1 difference to the images", &difference),
+    ];
+    let losses = curve.iter().filter_map(|point| point["losses"].as_object());
+    let mut names: Vec<&String> = losses.flat_map(|losses| losses.keys()).collect();
     names.sort_unstable();
     names.dedup();
-    let mut losses = String::new();
-    for name in names {
-        losses += &chart(
-            &format!("Loss: {name}"),
-            &[line("", &|point| point["losses"].get(name.as_str())?.as_f64())],
-        );
-    }
-    if (accuracy.len() + difference.len() + losses.len()) == 0 {
-        return String::new();
-    }
-    format!("<h2>Training</h2><div class=\"charts\">{accuracy}{difference}{losses}</div>")
+    charts.extend(names.into_iter().map(|name| {
+        let loss = line("", &|point| point["losses"].get(name)?.as_f64());
+        chart(&format!("Loss: {}", name.replace('_', " ")), &[loss])
+    }));
+    let charts = html! { @for chart in charts.iter().flatten() { (chart) } };
+    gallery("Training", "charts", &charts)
 }
 
-/// How many cells are how near to the truth.
-pub(super) fn accuracy(run: &Folder) -> String {
-    let list = |pointer: &str| -> Vec<f64> {
-        let values = run.metrics.pointer(pointer).and_then(Value::as_array);
-        values.map_or_else(Vec::new, |v| v.iter().filter_map(Value::as_f64).collect())
-    };
-    let shares = |quantiles: Vec<f64>| -> Vec<(f64, f64)> {
+/// Lines that have something to join.
+fn several_points(lines: &[Line]) -> Vec<Line> {
+    lines.iter().filter(|line| line.points.len() > 1).cloned().collect()
+}
+
+/// Height errors against truth: their distribution, and by class.
+pub(super) fn accuracy(run: &Folder) -> Markup {
+    // Beyond this the line would only show how rare the worst errors are.
+    const WORST_M: f64 = 5.0;
+    let line = |name: &str, pointer: &str| {
+        let quantiles: Vec<f64> = run.list(pointer).iter().filter_map(Value::as_f64).collect();
         let last = quantiles.len().saturating_sub(1).max(1) as f64;
-        // Beyond this the line would only show how rare the worst errors are.
-        const WORST_M: f64 = 5.0;
-        let points = quantiles
+        let shares = quantiles
             .into_iter()
             .enumerate()
             .map(|(i, m)| (m, 100.0 * i as f64 / last));
-        points.take_while(|(m, _)| *m <= WORST_M).collect()
-    };
-    let line = |name: &str, pointer: &str| Line {
-        name: name.into(),
-        points: shares(list(pointer)),
-    };
-    let all = [
-        line("the surface", "/dsm/error_quantiles_m"),
-        line("as it started", "/start/error_quantiles_m"),
-    ];
-    let known: Vec<Line> = all.into_iter().filter(|line| line.points.len() > 1).collect();
-    let chart = lines("Cells nearer to the truth than this, %", "metres", &known);
-    let mut table = String::new();
-    if let Some(classes) = run.metrics.pointer("/dsm/by_class").and_then(Value::as_object) {
-        table += "<div class=\"wide\"><table><tr><th>class<th>mean m<th>median m<th>RMSE m<th>in 1 m %</tr>";
-        for (name, class) in classes {
-            let number = |key: &str, gain: f64| {
-                class[key]
-                    .as_f64()
-                    .map_or_else(String::new, |v| format!("{:.3}", gain * v))
-            };
-            let _ = write!(
-                table,
-                "<tr><td>{}<td>{}<td>{}<td>{}<td>{}</tr>",
-                escaped(name),
-                number("mae_m", 1.0),
-                number("median_m", 1.0),
-                number("rmse_m", 1.0),
-                class["within_1m"]
-                    .as_f64()
-                    .map_or_else(String::new, |v| format!("{:.1}", 100.0 * v)),
-            );
+        Line {
+            name: name.into(),
+            points: shares.take_while(|(m, _)| *m <= WORST_M).collect(),
         }
-        table += "</table></div>";
-    }
-    if chart.is_empty() && table.is_empty() {
-        return String::new();
-    }
-    format!("<h2>Accuracy against truth</h2><div class=\"charts\">{chart}</div>{table}")
+    };
+    let distributions = [
+        line("DSM", "/dsm/error_quantiles_m"),
+        line("initial surface", "/start/error_quantiles_m"),
+    ];
+    let chart = lines(
+        "Cells with a smaller height error, %",
+        "height error, m",
+        &several_points(&distributions),
+    );
+    let dsm = &run.metrics["dsm"];
+    let static_classes = dsm.get("ground_and_buildings").filter(|errors| errors.is_object());
+    let static_classes = static_classes.map(|errors| ("static classes (ground, road, building)", errors));
+    let classes = dsm["by_class"].as_object().into_iter().flatten();
+    let classes: Vec<_> = static_classes
+        .into_iter()
+        .chain(classes.map(|(name, errors)| (name.as_str(), errors)))
+        .collect();
+    let body = html! {
+        @if let Some(chart) = chart { div.charts { (chart) } }
+        @if !classes.is_empty() {
+            div.wide { table {
+                tr { th { "class" } th { "MAE, m" } th { "median, m" } th { "RMSE, m" } th { "within 1 m, %" } }
+                @for (name, errors) in classes {
+                    tr {
+                        td { (name) }
+                        @for key in ["mae_m", "median_m", "rmse_m"] { td { (number(errors[key].as_f64(), 3)) } }
+                        td { (number(errors["within_1m"].as_f64().map(|share| 100.0 * share), 1)) }
+                    }
+                }
+            } }
+        }
+    };
+    section("Accuracy against truth", body)
 }
 
 /// Which components the scene required, and why.
-pub(super) fn plan(run: &Contents) -> String {
-    let mut out = "<h2>Component plan</h2><div class=\"wide\"><table><tr><th>component<th class=\"words\">used<th class=\"words\">why</tr>".to_owned();
-    for item in &run.run.plan {
-        let (class, used) = if item.on { ("", "yes") } else { (" class=\"off\"", "no") };
-        let _ = write!(
-            out,
-            "<tr{class}><td>{}<td class=\"words\">{used}<td class=\"words\">{}</tr>",
-            escaped(&item.component),
-            escaped(&item.reason)
-        );
+pub(super) fn plan(run: &Contents) -> Markup {
+    html! {
+        h2 { "Component plan" }
+        div.wide { table {
+            tr { th { "component" } th.words { "used" } th.words { "reason" } }
+            @for item in &run.run.plan {
+                tr.off[!item.on] {
+                    td { (item.component) }
+                    td.words { (if item.on { "yes" } else { "no" }) }
+                    td.words { (item.reason) }
+                }
+            }
+        } }
     }
-    out + "</table></div>"
 }
 
-/// A row of [`costs_of`]: what it is, its value if it is known, its unit.
+/// A row of [`costs_of`]: its label, its value if it is known, its unit.
 pub(super) type Cost<'a> = (&'a str, Option<f64>, &'a str);
 
-/// What was taken, and the configuration.
-pub(super) fn costs_of(rows: &[Cost], configuration: &impl serde::Serialize) -> String {
-    let mut out = "<h2>Time and memory</h2><div class=\"wide\"><table>".to_owned();
-    for (label, value, unit) in rows {
-        if let Some(value) = value {
-            let _ = write!(out, "<tr><td>{}<td>{} {unit}</tr>", escaped(label), plain(*value));
+/// Time and memory, and the configuration.
+pub(super) fn costs_of(rows: &[Cost], configuration: &impl serde::Serialize) -> Markup {
+    html! {
+        h2 { "Time and memory" }
+        div.wide { table {
+            @for (label, value, unit) in rows {
+                @if let Some(value) = value { tr { td { (label) } td { (plain(*value)) " " (unit) } } }
+            }
+        } }
+        @if let Ok(text) = toml::to_string_pretty(configuration) {
+            details { summary { "Configuration and inputs" } pre { (text) } }
         }
     }
-    out += "</table></div>";
-    if let Ok(text) = toml::to_string_pretty(configuration) {
-        let _ = write!(
-            out,
-            "<details><summary>Configuration and inputs</summary><pre>{}</pre></details>",
-            escaped(&text)
-        );
-    }
-    out
 }
 
 /// Time and memory of a run of a satellite scene.
-pub(super) fn costs(run: &Contents) -> String {
+pub(super) fn costs(run: &Contents) -> Markup {
     let number = |pointer: &str| run.folder.number(pointer);
     let mebibytes = |pointer: &str| number(pointer).map(|bytes| bytes / MIB);
     let rows = [
-        ("pointing of the images", number("/stages_s/align"), "s"),
-        ("sweep", number("/stages_s/sweep"), "s"),
-        ("start", number("/stages_s/start"), "s"),
+        ("camera bias correction", number("/stages_s/align"), "s"),
+        ("plane sweep", number("/stages_s/sweep"), "s"),
+        ("initial Gaussians", number("/stages_s/start"), "s"),
         ("training", number("/stages_s/train"), "s"),
-        ("all, products included", number("/seconds"), "s"),
+        ("total, products included", number("/seconds"), "s"),
         ("steps", number("/iterations"), ""),
         ("best step", number("/best_iteration"), ""),
-        ("memory used at most", mebibytes("/peak_rss_bytes"), "MiB"),
-        ("memory expected", mebibytes("/memory_estimate_bytes"), "MiB"),
+        ("peak memory", mebibytes("/peak_rss_bytes"), "MiB"),
+        ("estimated peak memory", mebibytes("/memory_estimate_bytes"), "MiB"),
     ];
     costs_of(&rows, &run.run)
 }

@@ -1,4 +1,4 @@
-//! A page of hostile contents: everything that comes from outside stays text, and nothing is fetched.
+//! Pages of hostile contents: every text from outside stays text, and nothing is fetched.
 
 use super::*;
 use heliosplat::model::shadow_gs::{ShadowGs, ShadowGsOptions};
@@ -11,7 +11,7 @@ use heliosplat_scene::crop::Crop;
 use heliosplat_scene::{Area, BandKind, Split};
 use serde_json::json;
 
-const EVIL: &str = "<img src=x onerror=alert(1)>\"'&";
+const EVIL: &str = "<script>alert(1)</script><img src=x onerror=alert(1)>\"'&";
 
 fn contents(folder: &Path) -> Contents {
     let options = ShadowGsOptions::default();

@@ -40,7 +40,7 @@ pub(crate) fn run(args: &AdjustArgs, session: &Session) -> Result<Outcome, CliEr
         images: args.images,
     };
     let adjusted = adjust_scene(&scene, &request, session)?;
-    let picture = residuals::svg(&adjusted.names(), &adjusted.ground, &adjusted.adjustment);
+    let picture = residuals::picture(&adjusted.vectors());
     write_atomically(&args.out.join("adjustment.svg"), picture.as_bytes())?;
     Ok(Outcome {
         json: adjusted.json(),

@@ -2,6 +2,7 @@
 
 use crate::names::ProtocolName;
 use crate::outcome::CliError;
+use crate::page::calibration;
 use clap::Args;
 use heliosplat_evaluate::{DsmEvaluation, DsmMetrics, HeightErrors, error_map};
 use heliosplat_raster::preview::write_png;
@@ -50,7 +51,7 @@ pub fn write_pictures(args: &EvaluateArgs, evaluation: &DsmEvaluation) -> Result
                     .into(),
             ));
         };
-        write_atomically(path, uncertainty.svg().as_bytes())?;
+        write_atomically(path, calibration::picture(uncertainty).as_bytes())?;
     }
     Ok(())
 }

@@ -1,6 +1,7 @@
 //! Adjusting the cameras of a whole scene: what comes of it, as text, as JSON, and as files.
 
 use super::camera_error::{CameraError, camera_error};
+use super::vectors::{ImageVectors, image_vectors};
 use super::{AdjustInput, write};
 use crate::error::SatelliteError;
 use crate::ground::Ground;
@@ -92,9 +93,9 @@ pub fn adjust_scene<'a>(
 }
 
 impl AdjustedScene<'_> {
-    /// Names of the images, in their order.
-    pub fn names(&self) -> Vec<&str> {
-        self.ground.images.iter().map(|image| image.name.as_str()).collect()
+    /// The residuals of every image, for a picture of them.
+    pub fn vectors(&self) -> Vec<ImageVectors> {
+        image_vectors(&self.ground, &self.adjustment)
     }
 
     fn images(&self) -> impl Iterator<Item = (&str, &Correction, &ImageResiduals, f64)> {
