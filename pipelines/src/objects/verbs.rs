@@ -66,10 +66,11 @@ pub fn train(args: &TrainArgs, session: &Session) -> Result<Outcome, CliError> {
     let mut config = ObjectConfig::resolve(preset.name(), &args.set, args.seed)?;
     let capture = open(&args.scene, args.memory)?;
     if let Some(limit) = args.memory {
-        let left = limit as f64 - resident_bytes();
+        let resident = resident_bytes() as f64;
+        let left = limit as f64 - resident;
         let most = (left / BYTES_PER_GAUSSIAN).max(0.0) as usize;
         if most < config.start.gaussians {
-            let least = config.start.gaussians as f64 * BYTES_PER_GAUSSIAN + resident_bytes();
+            let least = config.start.gaussians as f64 * BYTES_PER_GAUSSIAN + resident;
             return Err(CliError::Input(format!(
                 "--memory: the images leave no room for {} Gaussians; give {:.2}GiB or more, or fewer with --set start.gaussians={most}",
                 config.start.gaussians,
