@@ -19,6 +19,7 @@
 mod cars;
 mod city;
 mod clouds;
+mod crop;
 mod error;
 mod known;
 mod materials;
@@ -27,6 +28,7 @@ mod objects;
 mod plan;
 mod radiometry;
 mod rational;
+mod ray;
 mod raytrace;
 mod render;
 mod request;

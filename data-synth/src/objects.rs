@@ -12,8 +12,8 @@ mod trace;
 
 pub use request::{Capture, Look, ObjectRequest};
 
-use crate::SynthError;
-use crate::raytrace::Ray;
+use crate::error::SynthError;
+use crate::ray::Ray;
 use crate::write::Staging;
 use image::{DynamicImage, GrayImage, Luma, Rgb, RgbImage, Rgba32FImage, RgbaImage};
 use nalgebra::{Vector2, Vector3};

@@ -1,6 +1,6 @@
 //! Where a site lies, when it was seen, from where, and in what weather.
 
-use crate::SynthError;
+use crate::error::SynthError;
 use crate::known::{self, KnownCamera};
 use crate::materials::Season;
 use crate::noise::{hash2, stream};

@@ -1,6 +1,6 @@
 //! What a caller asks for.
 
-use crate::SynthError;
+use crate::error::SynthError;
 use serde::{Deserialize, Serialize};
 use std::path::PathBuf;
 

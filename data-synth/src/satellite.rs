@@ -1,14 +1,15 @@
 //! A satellite scene from a request: city, dates, images, truth, files.
 
-use crate::SynthError;
 use crate::city::{City, CityPlan};
 use crate::clouds::CloudField;
+use crate::crop::Crop;
+use crate::error::SynthError;
 use crate::materials::Class;
 use crate::plan::{Collection, ViewPlan};
 use crate::radiometry::{Encoding, Light, LitScene, MEAN_GAIN};
 use crate::rational::{self, RationalSensor};
 use crate::raytrace::Tracer;
-use crate::render::{Crop, Exposure, Image, render};
+use crate::render::{Exposure, Image, render};
 use crate::request::{SatelliteRequest, Site};
 use crate::sensor::{PushBroom, Sensor};
 use crate::summary::{ImageSummary, Summary};

@@ -14,6 +14,7 @@ pub mod frame;
 pub mod pinhole;
 pub mod read;
 pub mod rpc;
+pub mod statistics;
 pub mod sun;
 pub mod triangulate;
 pub mod write;

@@ -1,6 +1,6 @@
 //! What to make.
 
-use crate::SynthError;
+use crate::error::SynthError;
 
 /// Under which light an object is photographed.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]

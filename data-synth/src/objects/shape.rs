@@ -1,6 +1,6 @@
 //! Shapes with exact intersections: spheres, boxes and tori, placed and turned.
 
-use crate::raytrace::Ray;
+use crate::ray::Ray;
 use nalgebra::{Matrix3, Vector3};
 
 /// Hits nearer than this along a ray are the surface that the ray starts on.

@@ -3,7 +3,7 @@
 use super::material::{Colour, Material, Surface, across};
 use super::numbers::Numbers;
 use super::shape::Solid;
-use crate::raytrace::Ray;
+use crate::ray::Ray;
 use nalgebra::{Vector2, Vector3};
 use std::f64::consts::PI;
 

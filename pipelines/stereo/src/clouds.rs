@@ -15,6 +15,7 @@ use super::sweep::SweepRequest;
 use super::views::{LevelView, SweepView};
 use super::visibility::FirstHits;
 use heliosplat::Raster;
+use heliosplat_rpc::statistics::upper_median;
 use rayon::prelude::*;
 
 /// Fewer views cannot say which of them is right.
@@ -33,7 +34,8 @@ const EDGE_M: f32 = 4.0;
 const VIEWS_PER_CLOUD: usize = 8;
 /// Standard deviations beyond which a value has no say in the robust line (Beaton and Tukey 1974: 95 % efficient on a bell curve).
 const BIWEIGHT: f64 = 4.7;
-/// Standard deviations of a bell curve in its median absolute deviation.
+/// Standard deviation of a normal distribution in units of its median absolute deviation: `SIGMA_PER_MAD` in two decimals. Masks of
+/// clouds depend on it.
 const DEVIATION_OF_MEDIAN: f64 = 1.48;
 /// Rounds of the robust line.
 const ROUNDS: usize = 8;
@@ -158,7 +160,7 @@ fn on_one_scale(orthos: &[Vec<f32>]) -> Vec<Vec<f32>> {
         .par_iter()
         .map(|values| {
             let mut known: Vec<f32> = values.iter().copied().filter(|v| v.is_finite()).collect();
-            let unit = middle(&mut known).filter(|&m| m > 0.0).unwrap_or(1.0);
+            let unit = upper_median(&mut known).filter(|&m| m > 0.0).unwrap_or(1.0);
             values.iter().map(|v| v / unit).collect()
         })
         .collect();
@@ -167,7 +169,7 @@ fn on_one_scale(orthos: &[Vec<f32>]) -> Vec<Vec<f32>> {
         .into_par_iter()
         .map(|cell| {
             let mut known: Vec<f32> = relative.iter().map(|v| v[cell]).filter(|v| v.is_finite()).collect();
-            middle(&mut known).unwrap_or(f32::NAN)
+            upper_median(&mut known).unwrap_or(f32::NAN)
         })
         .collect();
     relative
@@ -177,11 +179,6 @@ fn on_one_scale(orthos: &[Vec<f32>]) -> Vec<Vec<f32>> {
             values.iter().map(|v| (v - offset) / gain).collect()
         })
         .collect()
-}
-
-fn middle(values: &mut [f32]) -> Option<f32> {
-    let at = values.len() / 2;
-    (!values.is_empty()).then(|| *values.select_nth_unstable_by(at, f32::total_cmp).1)
 }
 
 /// Gain and offset of the line that most of `to` lies on over `from`: least squares, from which what lies far off is left out in
@@ -199,7 +196,8 @@ fn line(from: &[f32], to: &[f32]) -> (f32, f32) {
             .iter()
             .map(|(x, y)| (y - gain * x - offset).abs() as f32)
             .collect();
-        let Some(scale) = middle(&mut off).map(|m| BIWEIGHT * DEVIATION_OF_MEDIAN * f64::from(m).max(1e-6)) else {
+        let Some(scale) = upper_median(&mut off).map(|m| BIWEIGHT * DEVIATION_OF_MEDIAN * f64::from(m).max(1e-6))
+        else {
             break;
         };
         let [mut n, mut sx, mut sy, mut sxx, mut sxy] = [0.0; 5];

@@ -2,6 +2,7 @@
 
 use super::grid::Grid;
 use super::views::LevelView;
+use heliosplat_rpc::statistics::upper_median;
 use rayon::prelude::*;
 
 /// What a view shows at each cell of a surface; NaN where it shows nothing.
@@ -57,8 +58,8 @@ pub(super) fn median(grid: &Grid, values: &[f32], radius: usize) -> Vec<f32> {
                 for r in rows.clone() {
                     near.extend_from_slice(&values[r * grid.width + cols.start..r * grid.width + cols.end]);
                 }
-                let middle = near.len() / 2;
-                *value = *near.select_nth_unstable_by(middle, f32::total_cmp).1;
+                // The cell itself is always among them.
+                *value = upper_median(&mut near).unwrap_or(f32::NAN);
             }
         });
     out

@@ -1,6 +1,7 @@
 //! What the search leaves behind, put in order: islands too small to be anything go, and what is missing is filled from around.
 
 use super::grid::Grid;
+use heliosplat_rpc::statistics::upper_median;
 
 /// Cells that belong to a connected patch of fewer than `fewest` cells; neighbours belong together when their altitudes
 /// differ by less than `step_m`.
@@ -58,11 +59,9 @@ pub(super) fn fill(grid: &Grid, altitude: &mut [f32], missing: &[bool]) {
         left.retain(|&cell| {
             near.clear();
             near.extend(grid.around(cell, 1).filter(|&n| known[n]).map(|n| altitude[n]));
-            if near.is_empty() {
-                return true;
-            }
-            found.push((cell, median(&mut near)));
-            false
+            let value = upper_median(&mut near);
+            found.extend(value.map(|value| (cell, value)));
+            value.is_none()
         });
         if found.is_empty() {
             return;
@@ -72,11 +71,6 @@ pub(super) fn fill(grid: &Grid, altitude: &mut [f32], missing: &[bool]) {
             known[cell] = true;
         }
     }
-}
-
-pub(super) fn median(values: &mut [f32]) -> f32 {
-    let middle = values.len() / 2;
-    *values.select_nth_unstable_by(middle, f32::total_cmp).1
 }
 
 #[cfg(test)]

@@ -2,7 +2,7 @@
 //! wider the windows whose local planes the surface takes.
 
 use super::grid::Grid;
-use super::settle::median;
+use heliosplat_rpc::statistics::upper_median;
 use rayon::prelude::*;
 
 /// Sharpness of the comparisons above which one cell at a time tells altitudes apart well enough.
@@ -51,7 +51,9 @@ pub(super) fn planes(grid: &Grid, altitude: &[f32], radius: usize, tolerance_m: 
 
 fn plane_at(grid: &Grid, altitude: &[f32], cell: usize, radius: usize, tolerance_m: f32) -> f32 {
     let mut values: Vec<f32> = grid.around(cell, radius).map(|n| altitude[n]).collect();
-    let middle = median(&mut values);
+    let Some(middle) = upper_median(&mut values) else {
+        return altitude[cell];
+    };
     let (col, row) = ((cell % grid.width) as f64, (cell / grid.width) as f64);
     let mut fit = PlaneFit::default();
     for near in grid.around(cell, radius) {

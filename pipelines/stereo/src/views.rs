@@ -4,6 +4,7 @@ use glam::{Vec2, Vec3};
 use heliosplat::fast::floor;
 use heliosplat::vectorised;
 use heliosplat::{ProjectiveCamera, Raster};
+use heliosplat_rpc::statistics::upper_median;
 
 /// One image with its camera, in the frame of the request.
 #[derive(Debug, Clone, Copy)]
@@ -70,7 +71,7 @@ impl Plane {
     fn new(image: Raster) -> Self {
         Self {
             contrast: contrast(&image),
-            middle: median(image.values.iter().copied()),
+            middle: finite_median(image.values.iter().copied()),
             pixels: image.values,
         }
     }
@@ -244,18 +245,13 @@ fn mean_of_bands(image: &Raster) -> Raster {
 
 /// Median absolute difference between neighbours along rows.
 fn contrast(image: &Raster) -> f32 {
-    median(image.values.windows(2).map(|pair| (pair[1] - pair[0]).abs()))
+    finite_median(image.values.windows(2).map(|pair| (pair[1] - pair[0]).abs()))
 }
 
 /// Median of what is finite; zero where nothing is.
-fn median(values: impl Iterator<Item = f32>) -> f32 {
+fn finite_median(values: impl Iterator<Item = f32>) -> f32 {
     let mut values: Vec<f32> = values.filter(|v| v.is_finite()).collect();
-    let middle = values.len() / 2;
-    if values.is_empty() {
-        0.0
-    } else {
-        *values.select_nth_unstable_by(middle, f32::total_cmp).1
-    }
+    upper_median(&mut values).unwrap_or(0.0)
 }
 
 #[cfg(test)]

@@ -1,0 +1,67 @@
+//! `heliosplat adjust`: corrected cameras, and a picture of their residuals.
+
+use crate::outcome::{CliError, Outcome};
+use crate::args::IngestArgs;
+use heliosplat_session::Session;
+use clap::{Args, ValueEnum};
+use crate::page::residuals;
+use heliosplat_raster::write_atomically;
+use heliosplat_rpc::adjust::BiasModel;
+use heliosplat_satellite::adjust::{AdjustRequest, adjust_scene};
+use heliosplat_scene::Scene;
+use std::path::PathBuf;
+
+/// `adjust`.
+#[derive(Debug, Clone, Args)]
+pub struct AdjustArgs {
+    /// A folder of images, a scene.toml, or a folder of Sat-NeRF or EOGS
+    #[arg(value_name = "SCENE")]
+    pub scene: PathBuf,
+    /// Folder for the corrected cameras, adjustment.json and adjustment.svg, made if absent
+    #[arg(long, value_name = "DIR")]
+    pub out: PathBuf,
+    /// What may be wrong with a camera
+    #[arg(long, value_enum, default_value = "translation")]
+    pub model: ModelName,
+    /// Also write copies of the images with the corrected camera in their GeoTIFF tag: the folder is then a scene
+    #[arg(long)]
+    pub images: bool,
+    /// What is said about the scene
+    #[command(flatten)]
+    pub ingest: IngestArgs,
+}
+
+/// What may be wrong with a camera.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+pub enum ModelName {
+    /// A shift of the whole image
+    Translation,
+    /// A shift that changes linearly over the image: rotation, scale, drift
+    Affine,
+}
+
+impl From<ModelName> for BiasModel {
+    fn from(name: ModelName) -> Self {
+        match name {
+            ModelName::Translation => Self::Translation,
+            ModelName::Affine => Self::Affine,
+        }
+    }
+}
+
+/// Adjusts the cameras of a scene and writes what comes of it.
+pub(crate) fn run(args: &AdjustArgs, session: &Session) -> Result<Outcome, CliError> {
+    let scene = Scene::open(&args.scene, &args.ingest.options())?;
+    let request = AdjustRequest {
+        out: &args.out,
+        model: args.model.into(),
+        images: args.images,
+    };
+    let adjusted = adjust_scene(&scene, &request, session)?;
+    let picture = residuals::svg(&adjusted.names(), &adjusted.ground, &adjusted.adjustment);
+    write_atomically(&args.out.join("adjustment.svg"), picture.as_bytes())?;
+    Ok(Outcome {
+        json: adjusted.json(),
+        text: adjusted.text() + &format!("written to {}\n", args.out.display()),
+    })
+}
