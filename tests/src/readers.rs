@@ -8,14 +8,15 @@ mod captures;
 use heliosplat::gaussians::{Table, core_groups};
 use heliosplat::model::SceneModel;
 use heliosplat::model::shadow_gs::{ShadowGs, ShadowGsOptions};
-use heliosplat_pipelines::batch::manifest::Manifest;
-use heliosplat_pipelines::objects::run::{ObjectFile, ObjectRun};
-use heliosplat_pipelines::objects::{self, transforms};
-use heliosplat_pipelines::run::{ModelFile, RunFile, ply};
-use heliosplat_pipelines::satellite::config::SatelliteConfig;
-use heliosplat_pipelines::scene;
+use heliosplat_cli::batch::manifest::Manifest;
+use heliosplat_objects::run::{ObjectFile, ObjectRun};
+use heliosplat_objects::{self as objects, transforms};
+use heliosplat_products::{model::ModelFile, ply};
 use heliosplat_rpc::read::{self, acquisition};
 use heliosplat_rpc::{ImagePoint, Rpc, write};
+use heliosplat_satellite::config::SatelliteConfig;
+use heliosplat_satellite::run_file::RunFile;
+use heliosplat_scene as scene;
 use std::collections::BTreeMap;
 
 /// A reader and where it begins.
@@ -159,7 +160,7 @@ pub fn settings(bytes: &[u8]) -> bool {
     let text = text(bytes);
     let pairs = text.lines().take(16).filter_map(|line| line.split_once('='));
     let set: Vec<(String, String)> = pairs.map(|(k, v)| (k.trim().to_owned(), v.trim().to_owned())).collect();
-    SatelliteConfig::resolve("fast", &set, 1).is_ok()
+    SatelliteConfig::resolve(heliosplat_fitting::settings::Preset::Fast, &set, 1).is_ok()
 }
 
 /// `model.ply`, of a model of four bands.
@@ -354,7 +355,7 @@ fn runs() -> Vec<Vec<u8>> {
         altitude_range_m: Some((640.0, 780.0)),
         plan: Vec::new(),
         inputs: Vec::new(),
-        config: SatelliteConfig::resolve("fast", &[], 1).unwrap_or_default(),
+        config: SatelliteConfig::resolve(heliosplat_fitting::settings::Preset::Fast, &[], 1).unwrap_or_default(),
     };
     vec![toml::to_string_pretty(&run).unwrap_or_default().into_bytes()]
 }

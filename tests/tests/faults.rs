@@ -1,7 +1,7 @@
 //! What a user can get wrong: each gets one line that names the file and what to do, the right exit code, and nothing
 //! half-written.
 
-use heliosplat_pipelines::raster::GeoRaster;
+use heliosplat_raster::GeoRaster;
 use heliosplat_tests::program::{fault, heliosplat, json};
 use heliosplat_tests::scenes::{Shows, View, write_altitudes, write_scene};
 use std::ffi::OsString;
@@ -463,7 +463,7 @@ fn training_that_goes_astray_keeps_its_last_good_state_and_says_why_it_stopped()
     for part in said.into_iter().chain([&*run.display().to_string()]) {
         assert!(line.contains(part), "'{part}' is not in '{line}'");
     }
-    let model = heliosplat_pipelines::run::load(&run).expect("a run that can be read");
+    let model = heliosplat_products::model::load(&run).expect("a run that can be read");
     assert!(model.parameters.is_finite() && model.parameters.gaussians.count > 100);
     let text = std::fs::read_to_string(run.join("metrics.json")).expect("metrics");
     let metrics: serde_json::Value = serde_json::from_str(&text).expect("JSON");

@@ -1,8 +1,9 @@
 //! Arguments that several verbs share.
 
+use crate::names::RpcName;
 use crate::parse;
 use clap::Args;
-use heliosplat_scene::{AreaRequest, IngestOptions, RpcPreference};
+use heliosplat_scene::{AreaRequest, IngestOptions};
 
 /// What a user may say about a scene that its files do not.
 #[derive(Debug, Clone, Args)]
@@ -15,7 +16,7 @@ pub struct IngestArgs {
     pub area: Option<AreaRequest>,
     /// Which camera counts where an image's own RPC and a Sat-NeRF JSON differ
     #[arg(long, value_name = "SOURCE", default_value = "json")]
-    pub rpc: RpcPreference,
+    pub rpc: RpcName,
 }
 
 impl IngestArgs {
@@ -23,7 +24,7 @@ impl IngestArgs {
     pub fn options(&self) -> IngestOptions {
         IngestOptions {
             altitude_range_m: self.altitude.map(|[low, high]| (low, high)),
-            rpc: self.rpc,
+            rpc: self.rpc.into(),
             area: self.area.clone(),
         }
     }

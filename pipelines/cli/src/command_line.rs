@@ -39,9 +39,11 @@ pub struct Cli {
 /// The verbs.
 #[derive(Debug, Subcommand)]
 pub enum Command {
+    #[cfg(feature = "synth")]
     /// Synthesise a site, train on it, write the DSM, its picture and its error against truth
     #[command(after_help = "Example: heliosplat demo --out demo")]
-    Demo(model::DemoArgs),
+    Demo(demo::DemoArgs),
+    #[cfg(feature = "synth")]
     /// Make a scene with known truth
     #[command(
         after_help = "Examples: heliosplat synth satellite --out site --site block --seed 1\n          \
@@ -59,13 +61,13 @@ pub enum Command {
         after_help = "Examples: heliosplat train my_images --out run --preset balanced --time-budget 10m\n          \
                             heliosplat train nerf_synthetic/lego --out run"
     )]
-    Train(model::TrainArgs),
+    Train(model_args::TrainArgs),
     /// Write the surface model of a run, or that of a scene's sweep, as a cloud-optimised GeoTIFF
     #[command(
         after_help = "Examples: heliosplat dsm run --out dsm.tif --gsd 0.5 --crs EPSG:32637\n          \
                             heliosplat dsm my_images --from sweep --out quick.tif"
     )]
-    Dsm(model::DsmArgs),
+    Dsm(model_args::DsmArgs),
     /// Write all that a run gives to a GIS: cloud-optimised GeoTIFFs, a point cloud, and a STAC item that describes them
     #[command(after_help = "Examples: heliosplat products run --sun 250,35\n          \
                             heliosplat products north south --out catalogue --geoid egm96")]
@@ -78,21 +80,21 @@ pub enum Command {
         after_help = "Examples: heliosplat relight run --out evening.tif --sun 270,20\n          \
                             heliosplat relight object_run --out lit.png --light 2,1,3 --view test/near_000"
     )]
-    Relight(model::RelightArgs),
+    Relight(model_args::RelightArgs),
     /// Render the views of a run; those of satellites each with its shadow mask
     #[command(after_help = "Example: heliosplat render run --out rendered --split test")]
-    Render(model::RenderArgs),
+    Render(model_args::RenderArgs),
     /// Write what other programs can use of a run on an object
     #[command(
         after_help = "Examples: heliosplat export run --ply lit.ply --light 2,-1,3\n          \
                             heliosplat export run --asset figure\n          \
                             heliosplat export run --mesh figure.glb"
     )]
-    Export(export::ExportArgs),
+    Export(export_args::ExportArgs),
     /// Measure a run, or any DSM, against truth
     #[command(after_help = "Examples: heliosplat evaluate run\n          \
                             heliosplat evaluate --dsm dsm.tif --truth lidar.tif --protocol aligned --json")]
-    Evaluate(evaluate::EvaluateArgs),
+    Evaluate(evaluate_args::EvaluateArgs),
     /// Use an image's RPC camera by hand
     #[command(after_help = "Example: echo '36.91 37.58 700' | heliosplat rpc project image.tif")]
     Rpc(rpc::RpcArgs),
@@ -150,18 +152,20 @@ fn run(cli: &Cli) -> Result<Outcome, CliError> {
     }
     let session = Session::start()?;
     match &cli.command {
-        Command::Demo(args) => model::demo(args, &session),
+        #[cfg(feature = "synth")]
+        Command::Demo(args) => demo::demo(args, &session),
+        #[cfg(feature = "synth")]
         Command::Synth(args) => synth::run(args, &session),
         Command::Inspect(args) => inspect::run(args),
         Command::Adjust(args) => adjust::run(args, &session),
         Command::Train(args) => model::train(args, &session),
-        Command::Dsm(args) => model::dsm(args, &session),
+        Command::Dsm(args) => satellite::dsm(args, &session),
         Command::Products(args) => products::run(args, &session),
         Command::Report(args) => report::run(args),
-        Command::Relight(args) => model::relight(args, &session),
+        Command::Relight(args) => model::relight(args),
         Command::Render(args) => model::render(args, &session),
-        Command::Export(args) => export::run(args, &session),
-        Command::Evaluate(args) => evaluate::run(args, &session),
+        Command::Export(args) => object::export(args, &session),
+        Command::Evaluate(args) => evaluate::run(args),
         Command::Rpc(args) => rpc::run(args),
         Command::Sun(args) => sun::run(args),
         Command::Tradeoff(args) => tradeoff::run(args, cli.threads, &session),
@@ -201,12 +205,5 @@ mod tests {
             let help = verb.get_after_help().map(ToString::to_string).unwrap_or_default();
             assert!(help.contains("Example"), "{} has no example", verb.get_name());
         }
-    }
-
-    #[test]
-    fn faults_have_the_exit_codes_of_the_conventions() {
-        assert_eq!(CliError::from(SceneError::NoRpc("a.tif".into())).exit_code(), 2);
-        assert_eq!(CliError::from(RasterError::DiskFull("a.tif".into())).exit_code(), 1);
-        assert_eq!(CliError::Interrupted("saved".to_owned()).exit_code(), 130);
     }
 }

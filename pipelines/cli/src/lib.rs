@@ -6,6 +6,7 @@
 pub mod args;
 pub mod batch;
 pub mod command_line;
+pub mod names;
 pub mod outcome;
 pub mod page;
 pub mod parse;

@@ -55,7 +55,6 @@ impl CliError {
     }
 }
 
-
 /// Errors that know whether what the user gave is at fault, rather than the machine.
 macro_rules! by_fault {
     ($($error:ty),*) => {$(
@@ -67,7 +66,14 @@ macro_rules! by_fault {
     )*};
 }
 
-by_fault!(SceneError, RasterError, EvaluateError, CheckpointError, RunError, RelightError);
+by_fault!(
+    SceneError,
+    RasterError,
+    EvaluateError,
+    CheckpointError,
+    RunError,
+    RelightError
+);
 
 impl From<SessionError> for CliError {
     fn from(error: SessionError) -> Self {
@@ -128,9 +134,9 @@ impl From<SatelliteError> for CliError {
             SatelliteError::Run(error) => error.into(),
             SatelliteError::Raster(error) => error.into(),
             SatelliteError::Evaluate(error) => error.into(),
-            SatelliteError::TimeBudget { .. }
-            | SatelliteError::SceneOfRun { .. }
-            | SatelliteError::Adjust { .. } => Self::Input(error.to_string()),
+            SatelliteError::TimeBudget { .. } | SatelliteError::SceneOfRun { .. } | SatelliteError::Adjust { .. } => {
+                Self::Input(error.to_string())
+            }
             SatelliteError::Settings(_) | SatelliteError::CorrectedCamera { .. } => Self::Failed(error.to_string()),
         }
     }
@@ -148,5 +154,17 @@ impl From<ObjectError> for CliError {
             ObjectError::Memory { .. } => Self::Input(error.to_string()),
             ObjectError::Settings(_) => Self::Failed(error.to_string()),
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn faults_have_the_exit_codes_of_the_conventions() {
+        assert_eq!(CliError::from(SceneError::NoRpc("a.tif".into())).exit_code(), 2);
+        assert_eq!(CliError::from(RasterError::DiskFull("a.tif".into())).exit_code(), 1);
+        assert_eq!(CliError::Interrupted("saved".to_owned()).exit_code(), 130);
     }
 }

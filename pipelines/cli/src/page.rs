@@ -1,6 +1,7 @@
 //! What pages for people share: one HTML file that needs nothing else, readable on a phone, in the light and in the dark.
 
 pub mod chart;
+pub mod residuals;
 
 use base64::Engine;
 use base64::engine::general_purpose::STANDARD;

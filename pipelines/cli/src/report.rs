@@ -5,11 +5,11 @@ pub mod mosaic;
 pub mod object;
 mod parts;
 
-use heliosplat_objects::run::is_object_run;
 use crate::page::{STYLE, escaped};
-use heliosplat_raster::write_atomically;
 use heliosplat_fitting::run_folder::RunError;
+use heliosplat_objects::run::is_object_run;
 use heliosplat_products::model::{ModelFile, load_file};
+use heliosplat_raster::write_atomically;
 use heliosplat_satellite::run_file::{RunFile, load_run};
 use image::{ImageReader, Limits, RgbImage};
 use serde_json::Value;

@@ -5,8 +5,8 @@ pub mod points;
 pub mod summary;
 
 use crate::outcome::CliError;
-use heliosplat_session::Session;
 use heliosplat_raster::write::write_atomically;
+use heliosplat_session::Session;
 use points::{Point, Seeds};
 use serde_json::Value;
 use std::path::{Path, PathBuf};
@@ -183,7 +183,12 @@ fn canonical(path: &Path) -> String {
 }
 
 fn metrics(folder: &Path) -> Option<Value> {
-    serde_json::from_slice(heliosplat_raster::bounded::read_text(&folder.join("metrics.json")).ok()?.as_bytes()).ok()
+    serde_json::from_slice(
+        heliosplat_raster::bounded::read_text(&folder.join("metrics.json"))
+            .ok()?
+            .as_bytes(),
+    )
+    .ok()
 }
 
 fn row(job: &Job, metrics: &Value) -> Row {

@@ -4,8 +4,8 @@
 //! integer shift with the largest NCC is searched within ±5 cells of twice the shift of the level above; then the mean
 //! height difference over the overlap is removed. This is the rule by which Sat-NeRF and EOGS are measured.
 
-use heliosplat_raster::GeoTransform;
 use heliosplat::Raster;
+use heliosplat_raster::GeoTransform;
 use rayon::prelude::*;
 
 /// What is done to a prediction: its value at a cell is taken from `(col - columns, row - rows)` and `height_m` is added.

@@ -22,9 +22,9 @@ pub use metrics::{DsmMetrics, HeightErrors};
 pub use shadow::{ShadowScore, score_shadow};
 pub use uncertainty::Uncertainty;
 
-use heliosplat_raster::{GeoRaster, RasterError, dsm_bands};
 use align::Shift;
 use heliosplat::Raster;
+use heliosplat_raster::{GeoRaster, RasterError, dsm_bands};
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
@@ -32,7 +32,7 @@ use std::path::{Path, PathBuf};
 const WATER: f32 = 9.0;
 
 /// How a prediction is registered to the truth before it is measured.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, clap::ValueEnum, serde::Serialize, serde::Deserialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, serde::Serialize, serde::Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Protocol {
     /// Not at all.

@@ -1,7 +1,7 @@
 //! Bringing a raster onto another's grid.
 
-use heliosplat_raster::{CrsTransform, GeoRaster, RasterError};
 use heliosplat::Raster;
+use heliosplat_raster::{CrsTransform, GeoRaster, RasterError};
 use rayon::prelude::*;
 
 /// Where the cell centres of a target grid lie in a source raster.

@@ -1,8 +1,8 @@
 //! Truth rasters as they come: georeferenced, or placed by a text beside them as in DFC2019.
 
 use super::EvaluateError;
-use heliosplat_raster::{GeoRaster, GeoTransform, RasterError, RasterFile};
 use heliosplat::Raster;
+use heliosplat_raster::{GeoRaster, GeoTransform, RasterError, RasterFile};
 use std::path::Path;
 
 /// Reads a truth DSM. Without a geotransform its place is read from the text of the same name (`X_DSM.txt`: easting and

@@ -3,10 +3,10 @@
 //! A line that names the format, the contents, their SHA-256. Written to a temporary name and renamed, so that there is always a whole
 //! one; it is of the same version, configuration and inputs as the training that takes it up, or it is refused.
 
-use heliosplat_raster::RasterError;
-use heliosplat_raster::write::{remove_leftovers, write_atomically_with};
 use crate::training::CurvePoint;
 use heliosplat::train::{STATE_VERSION, StateError, Trainer, TrainerState};
+use heliosplat_raster::RasterError;
+use heliosplat_raster::write::{remove_leftovers, write_atomically_with};
 use serde::Serialize;
 use serde::de::DeserializeOwned;
 use sha2::{Digest, Sha256};
@@ -110,7 +110,10 @@ pub fn identity_of_program() -> String {
 ///
 /// # Errors
 /// When it is damaged, or of another training.
-pub fn read<P: Clone + DeserializeOwned>(run: &Path, identity: &str) -> Result<Option<LoadedCheckpoint<P>>, CheckpointError> {
+pub fn read<P: Clone + DeserializeOwned + 'static>(
+    run: &Path,
+    identity: &str,
+) -> Result<Option<LoadedCheckpoint<P>>, CheckpointError> {
     let path = path_in(run);
     for folder in [run, &run.join(PLACE[0])] {
         remove_leftovers(folder);
@@ -136,7 +139,7 @@ enum Fault {
     Other(String),
 }
 
-fn decode<P: Clone + DeserializeOwned>(bytes: &[u8], identity: &str) -> Result<LoadedCheckpoint<P>, Fault> {
+fn decode<P: Clone + DeserializeOwned + 'static>(bytes: &[u8], identity: &str) -> Result<LoadedCheckpoint<P>, Fault> {
     let damaged = |reason: &str| Fault::Damaged(reason.to_owned());
     let rest = bytes
         .strip_prefix(MAGIC)
@@ -160,7 +163,7 @@ fn decode<P: Clone + DeserializeOwned>(bytes: &[u8], identity: &str) -> Result<L
     })
 }
 
-fn owned<P: Clone + DeserializeOwned>(contents: &[u8]) -> Result<Contents<'static, P>, Fault> {
+fn owned<P: Clone + DeserializeOwned + 'static>(contents: &[u8]) -> Result<Contents<'static, P>, Fault> {
     let mut reader = postcard::Deserializer::from_bytes(contents);
     serde::Deserialize::deserialize(&mut reader).map_err(|error: postcard::Error| Fault::Damaged(error.to_string()))
 }

@@ -204,7 +204,7 @@ pub enum OpenError {
     Checkpoint(#[from] CheckpointError),
 }
 
-impl<'a, P: Clone + Serialize + DeserializeOwned> Opened<'a, P> {
+impl<'a, P: Clone + Serialize + DeserializeOwned + 'static> Opened<'a, P> {
     /// Looks into the folder of a run, and makes it where it is absent: better to hear now than after the training that nothing can
     /// be written there.
     ///

@@ -80,12 +80,15 @@ impl Ending {
     ///
     /// # Errors
     /// [`TrainingError::Interrupted`] or [`TrainingError::GaveUp`].
-    pub fn check(self, out: &Path) -> Result<(), TrainingError> {
+    pub fn check(&self, out: &Path) -> Result<(), TrainingError> {
         let out = out.to_owned();
         match self {
             Self::Done => Ok(()),
             Self::Interrupted => Err(TrainingError::Interrupted(out)),
-            Self::GaveUp(error) => Err(TrainingError::GaveUp { error, out }),
+            Self::GaveUp(error) => Err(TrainingError::GaveUp {
+                error: error.clone(),
+                out,
+            }),
         }
     }
 }

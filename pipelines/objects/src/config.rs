@@ -1,7 +1,7 @@
 //! The configuration of a run on a capture: data, not code, as for satellite scenes.
 
-use heliosplat_fitting::settings::{ConfigError, Preset, resolve};
 use heliosplat::train::TrainOptions;
+use heliosplat_fitting::settings::{ConfigError, Preset, resolve};
 
 /// How Gaussians start.
 #[derive(Debug, Clone, PartialEq, serde::Serialize, serde::Deserialize)]

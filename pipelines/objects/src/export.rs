@@ -2,8 +2,6 @@
 
 use super::run::{self, ObjectModel};
 use super::{measure, ply};
-use heliosplat_raster::write::write_atomically;
-use heliosplat_fitting::run_folder::RunError;
 use glam::{DVec3, Vec3};
 use heliosplat::ProjectiveCamera;
 use heliosplat::gaussians::{FEATURES, POSITION, Table, core_groups};
@@ -13,6 +11,8 @@ use heliosplat::model::{Context, SceneModel, Seen};
 use heliosplat::shade::{display, sh};
 use heliosplat::splat::Projected;
 use heliosplat::trace::{Occluders, transmittance};
+use heliosplat_fitting::run_folder::RunError;
+use heliosplat_raster::write::write_atomically;
 use rayon::prelude::*;
 use std::f32::consts::PI;
 use std::path::Path;

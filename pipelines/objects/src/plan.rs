@@ -7,13 +7,13 @@
 use super::capture::{Capture, Frame};
 use super::config::{ModelKind, ObjectConfig};
 use super::fit::{self, FitInput};
-use heliosplat_session::Session;
-use heliosplat_fitting::training::TrainingError;
-use heliosplat_scene::Split;
 use heliosplat::light::Light;
 use heliosplat::model::View;
 use heliosplat::render::{PassOptions, render};
 use heliosplat::train::Trainer;
+use heliosplat_fitting::training::TrainingError;
+use heliosplat_scene::Split;
+use heliosplat_session::Session;
 
 /// Every so many images of training one is kept aside.
 const ASIDE: usize = 6;

@@ -1,8 +1,8 @@
 //! Gaussians as viewers of splats read them: binary PLY of named float columns, `f_dc_*` and `f_rest_*` (all of red, then green,
 //! then blue), opacity logit, log scales, quaternion with the scalar first. Columns of a model's own stand behind them.
 
-use heliosplat_fitting::ply::{Rows, header};
 use heliosplat::gaussians::{FEATURES, GroupSpec, LOG_SCALE, OPACITY, POSITION, ROTATION, Table, core_groups};
+use heliosplat_fitting::ply::{Rows, header};
 use std::collections::BTreeMap;
 
 /// Name of the groups of spherical harmonics, by degree.

@@ -9,10 +9,6 @@ use super::ply;
 use super::surroundings::Lamp;
 use super::transforms::PointLight;
 use super::views::Preparation;
-use heliosplat_raster::write::write_atomically;
-use heliosplat_fitting::run_folder::{Input, RunError};
-use heliosplat_scene::Split;
-use heliosplat_raster::bounded;
 use glam::DVec3;
 use heliosplat::gaussians::Table;
 use heliosplat::light::Light;
@@ -24,6 +20,10 @@ use heliosplat::render::{PassOptions, render};
 use heliosplat::splat::{Maps, ProjectionOptions};
 use heliosplat::trace::TraceOptions;
 use heliosplat::{ProjectiveCamera, Raster};
+use heliosplat_fitting::run_folder::{Input, RunError};
+use heliosplat_raster::bounded;
+use heliosplat_raster::write::write_atomically;
+use heliosplat_scene::Split;
 use std::path::{Path, PathBuf};
 
 /// Version of `model.json`.

@@ -83,11 +83,7 @@ pub fn open(path: &Path, memory: Option<u64>) -> Result<Capture, ObjectError> {
 ///
 /// # Errors
 /// When the capture, the configuration or a limit is at fault, the user stops the training, or a file cannot be written.
-pub fn train(
-    mut config: ObjectConfig,
-    request: &TrainRequest,
-    session: &Session,
-) -> Result<TrainOutcome, ObjectError> {
+pub fn train(mut config: ObjectConfig, request: &TrainRequest, session: &Session) -> Result<TrainOutcome, ObjectError> {
     let out = request.out.as_path();
     let capture = open(&request.capture, request.memory)?;
     if let Some(limit) = request.memory {
@@ -173,12 +169,7 @@ fn identity(
     for (frame, input) in capture.frames.iter().zip(inputs) {
         let _ = writeln!(text, "image {} {}", frame.name, input.sha256);
         let camera = format!("{:?} {:?} {:?}", frame.split, frame.camera, frame.light);
-        let _ = writeln!(
-            text,
-            "camera and light of {} {}",
-            frame.name,
-            digest(&camera)
-        );
+        let _ = writeln!(text, "camera and light of {} {}", frame.name, digest(&camera));
     }
     Ok(text)
 }
@@ -203,4 +194,3 @@ fn add_fit(metrics: &mut Value, fitted: &Fitted, seconds: f64) {
     metrics["peak_rss_bytes"] = json!(peak_rss_bytes());
     metrics["curve"] = json!(fitted.curve);
 }
-

@@ -1,17 +1,17 @@
 //! The surface model: altitude seen from straight above, on a map grid.
 
 use super::surface::{self, SurfaceGaussians};
-use heliosplat_raster::geoid::GeoidGrid;
-use heliosplat_raster::grid::{EnuGrid, GridSpec};
-use heliosplat_raster::write::{ImageSpec, write_cog};
-use heliosplat_raster::{Crs, GeoRaster, Geoid, RasterError, dsm_bands};
 use crate::model::LoadedModel;
-use heliosplat_scene::{Area, Scene};
 use glam::DVec3;
 use heliosplat::render::{Rendering, render};
 use heliosplat::splat::Maps;
 use heliosplat::{ProjectiveCamera, Raster};
+use heliosplat_raster::geoid::GeoidGrid;
+use heliosplat_raster::grid::{EnuGrid, GridSpec};
+use heliosplat_raster::write::{ImageSpec, write_cog};
+use heliosplat_raster::{Crs, GeoRaster, Geoid, RasterError, dsm_bands};
 use heliosplat_rpc::LocalFrame;
+use heliosplat_scene::{Area, Scene};
 use heliosplat_stereo::Surface;
 use std::path::Path;
 

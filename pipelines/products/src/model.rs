@@ -1,6 +1,5 @@
 //! A trained satellite model as files: `model.ply` (the Gaussians) and `model.json` (what they share, the frame, the cameras).
 
-use crate::model_file;
 use crate::ply;
 use crate::surface::SurfaceGaussians;
 use heliosplat::gaussians::Table;

@@ -2,9 +2,9 @@
 
 use super::dsm::ALPHA_KNOWN;
 use crate::model::LoadedModel;
-use heliosplat_scene::bands::{VEGETATION_INDEX, vegetation_index};
 use heliosplat::Raster;
 use heliosplat::splat::Maps;
+use heliosplat_scene::bands::{VEGETATION_INDEX, vegetation_index};
 
 /// The albedo seen from straight above, band by band; `NaN` where nothing is known. A surface of albedo 1 that lies level in the full
 /// sun is as bright as one unit of the model's colours.

@@ -1,10 +1,10 @@
 //! `model.ply`: Gaussians in the layout that splat viewers read (positions, `f_dc` colours, opacity logit, log scales,
 //! quaternion with the scalar first), and the exact albedo of every band besides.
 
-use heliosplat_fitting::ply::{Rows, header};
 use heliosplat::gaussians::{LOG_SCALE, OPACITY, POSITION, ROTATION, Table, core_groups};
 use heliosplat::model::SceneModel;
 use heliosplat::model::shadow_gs::{ALBEDO, ShadowGs};
+use heliosplat_fitting::ply::{Rows, header};
 
 /// First coefficient of the spherical harmonics: viewers show `0.5 + C0 · f_dc`.
 const C0: f32 = 0.282_094_8;

@@ -1,11 +1,11 @@
 //! The Gaussians as a point cloud: LAZ 1.4, points of format 7 with colours, and the class of vegetation where it is known.
 
-use heliosplat_raster::geoid::{GeoidGrid, Undulation};
-use heliosplat_raster::{Crs, CrsTransform, Geoid, GridSpec, RasterError, preview, write_atomically};
 use crate::model::LoadedModel;
-use heliosplat_scene::bands::{VEGETATION_INDEX, vegetation_bands, vegetation_index};
 use heliosplat::gaussians::POSITION;
 use heliosplat::model::shadow_gs::ALBEDO;
+use heliosplat_raster::geoid::{GeoidGrid, Undulation};
+use heliosplat_raster::{Crs, CrsTransform, Geoid, GridSpec, RasterError, preview, write_atomically};
+use heliosplat_scene::bands::{VEGETATION_INDEX, vegetation_bands, vegetation_index};
 use las::point::{Classification, Format};
 use las::{Builder, Color, Point, Reader, Transform, Vector, Writer};
 use nalgebra::Vector3;

@@ -2,13 +2,13 @@
 
 use super::dsm::NadirGrid;
 use super::views::camera_of;
-use heliosplat_raster::write::{ImageSpec, Sample, write_cog, write_geotiff};
-use heliosplat_raster::{GridSpec, RasterError, preview};
 use crate::model::LoadedModel;
-use heliosplat_fitting::run_folder::RunError;
 use heliosplat::light::Light;
 use heliosplat::render::render;
 use heliosplat::{ProjectiveCamera, Raster};
+use heliosplat_fitting::run_folder::RunError;
+use heliosplat_raster::write::{ImageSpec, Sample, write_cog, write_geotiff};
+use heliosplat_raster::{GridSpec, RasterError, preview};
 use heliosplat_rpc::sun::SunPosition;
 use std::path::{Path, PathBuf};
 

@@ -4,8 +4,9 @@ use super::dsm::{NadirGrid, maps, of_gaussians};
 use super::relight::{RelightError, relight_ortho};
 use super::writer::{Said, Writer};
 use super::{ortho, points};
+use crate::model::{LoadedModel, ModelImage};
+use heliosplat_fitting::run_folder::inputs;
 use heliosplat_raster::{Geoid, RasterError};
-use crate::model::{self, LoadedModel, ModelImage};
 use heliosplat_rpc::sun::SunPosition;
 use jiff::Timestamp;
 use std::collections::BTreeMap;
@@ -129,10 +130,7 @@ pub fn times(images: &[ModelImage], runs: &[&Path]) -> Vec<Timestamp> {
     }
     let written = |path: &Path| std::fs::metadata(path).and_then(|data| data.modified()).ok();
     let inputs = runs.iter().filter_map(|run| inputs(run).ok());
-    let of_files: Option<SystemTime> = inputs
-        .flatten()
-        .filter_map(|input| written(&input.path))
-        .max();
+    let of_files: Option<SystemTime> = inputs.flatten().filter_map(|input| written(&input.path)).max();
     let newest = of_files.or_else(|| runs.iter().filter_map(|run| written(&run.join("model.json"))).max());
     vec![
         newest

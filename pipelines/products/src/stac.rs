@@ -1,8 +1,8 @@
 //! What products are, for catalogues: a STAC 1.1 Item for the products of a run, a Collection for several, with the extensions
 //! projection, raster and view (stacspec.org, stac-extensions.github.io).
 
-use heliosplat_raster::{CrsTransform, GridSpec, RasterError};
 use heliosplat::Raster;
+use heliosplat_raster::{CrsTransform, GridSpec, RasterError};
 use heliosplat_rpc::sun::SunPosition;
 use jiff::Timestamp;
 use serde_json::{Map, Value, json};

@@ -10,14 +10,14 @@
 //! What either is worth is in docs/satellite.md.
 
 use super::dsm::ALPHA_KNOWN;
-use heliosplat_scene::BandKind;
-use heliosplat_scene::bands::{vegetation_bands, vegetation_index};
 use heliosplat::ProjectiveCamera;
 use heliosplat::gaussians::{OPACITY, Table, logit};
 use heliosplat::model::shadow_gs::ALBEDO;
 use heliosplat::render::depths;
 use heliosplat::splat::{Maps, ProjectionOptions};
 use heliosplat_rpc::statistics::upper_median;
+use heliosplat_scene::BandKind;
+use heliosplat_scene::bands::{vegetation_bands, vegetation_index};
 use rayon::prelude::*;
 
 /// Places in a cell, along each side of it.

@@ -1,14 +1,14 @@
 //! The images of a run as the model sees them, and how well.
 
 use super::shadow_mask::Evidence;
-use heliosplat_evaluate::image::{ImageScore, score_image};
 use crate::model::{LoadedModel, ModelImage};
-use heliosplat_scene::{crop, saturation};
 use glam::Vec3;
 use heliosplat::light::Light;
 use heliosplat::model::Context;
 use heliosplat::render::{Rendering, render};
 use heliosplat::{ProjectiveCamera, Raster};
+use heliosplat_evaluate::image::{ImageScore, score_image};
+use heliosplat_scene::{crop, saturation};
 
 /// The engine's camera of an image of a run.
 pub fn camera_of(image: &ModelImage) -> ProjectiveCamera {

@@ -3,12 +3,12 @@
 use super::dsm::{BANDS, Dsm, UNITS};
 use super::stac::{self, About, Asset, Band};
 use super::{ortho, set::Set};
+use heliosplat::Raster;
 use heliosplat_raster::write::{Bytes, ImageSpec, write_byte_cog, write_cog};
 use heliosplat_raster::{GridSpec, RasterError, write_atomically};
+use heliosplat_rpc::sun::SunPosition;
 use heliosplat_scene::BandKind;
 use heliosplat_scene::bands::vegetation_bands;
-use heliosplat::Raster;
-use heliosplat_rpc::sun::SunPosition;
 use jiff::Timestamp;
 use std::path::{Path, PathBuf};
 

@@ -5,7 +5,7 @@ use super::{Crs, CrsTransform, GridSpec, RasterError, messages};
 use gdal::spatial_ref::{AxisMappingStrategy, CoordTransform, CoordTransformOptions, SpatialRef};
 
 /// A model of mean sea level.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, clap::ValueEnum, serde::Serialize, serde::Deserialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Geoid {
     /// EGM96, on a grid of 15 minutes.

@@ -13,10 +13,10 @@ pub use report::{AdjustRequest, AdjustedScene, adjust_scene};
 
 use super::fit::FitError;
 use super::ground::Ground;
-use heliosplat_scene::Scene;
 use glam::Vec3;
 use heliosplat_rpc::adjust::{AdjustImage, AdjustOptions, Adjustment, BiasModel, Sighting, Track, adjust};
 use heliosplat_rpc::{ImagePoint, RpcError};
+use heliosplat_scene::Scene;
 use heliosplat_stereo::ties::{Tie, TieOptions, find_ties};
 use heliosplat_stereo::{SweepView, align::coarse_shifts};
 use nalgebra::Vector3;

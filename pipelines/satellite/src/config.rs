@@ -315,7 +315,8 @@ mod tests {
     fn an_unknown_key_is_named() {
         let error = SatelliteConfig::resolve(Preset::Fast, &set("train.iteration", "5"), 1).expect_err("no such key");
         assert!(error.to_string().contains("train.iteration=5"), "{error}");
-        let error = SatelliteConfig::resolve(Preset::Fast, &set("model.sh_degree", "-1"), 1).expect_err("no such degree");
+        let error =
+            SatelliteConfig::resolve(Preset::Fast, &set("model.sh_degree", "-1"), 1).expect_err("no such degree");
         assert!(error.to_string().contains("model.sh_degree=-1"), "{error}");
     }
 }

@@ -3,14 +3,14 @@
 //! The constants were fitted to runs on `block` and a town (docs/satellite.md; 0.17 to 0.62 million Gaussians); `metrics.json` keeps the
 //! estimate beside what was used.
 
-use heliosplat_fitting::budget::after_training_steps;
 use super::config::{ModelOptions, SatelliteConfig};
 use super::fit::FitError;
-use heliosplat_scene::crop;
-use heliosplat_scene::{Area, Scene};
 use heliosplat::rates::{Descent, Site};
 use heliosplat::shade::sh::functions;
 use heliosplat::train::TrainOptions;
+use heliosplat_fitting::budget::after_training_steps;
+use heliosplat_scene::crop;
+use heliosplat_scene::{Area, Scene};
 use heliosplat_stereo::MANY_VIEWS;
 use std::time::Instant;
 

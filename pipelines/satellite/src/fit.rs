@@ -6,20 +6,19 @@ use super::shadow_prior::{self, MaskError};
 use super::swept::{Preprocessed, Swept};
 use super::views;
 use super::{clouds, estimate, initial, measure, radiometry};
-use heliosplat_session::Session;
-use heliosplat_fitting::budget::Budget;
-use heliosplat_fitting::checkpoint::{CheckpointWriter, LoadedCheckpoint};
-use heliosplat_fitting::run_folder::peak_rss_bytes;
-use heliosplat_fitting::training::{CurvePoint, Ending, TrainingError, train};
-use heliosplat_scene::{Area, Scene, SceneImage};
 use glam::Vec3;
 use heliosplat::ProjectiveCamera;
 use heliosplat::model::shadow_gs::{ShadowGs, ShadowGsOptions};
 use heliosplat::model::{Parameters, SceneModel, View};
 use heliosplat::render::PassOptions;
-use heliosplat::train::{EarlyStop, StepReport, TrainError, TrainOptions, Trainer};
+use heliosplat::train::{EarlyStop, TrainError, TrainOptions, Trainer};
+use heliosplat_fitting::budget::Budget;
+use heliosplat_fitting::checkpoint::{CheckpointWriter, LoadedCheckpoint};
+use heliosplat_fitting::run_folder::peak_rss_bytes;
+use heliosplat_fitting::training::{CurvePoint, Ending, TrainingError, train};
+use heliosplat_scene::{Area, Scene, SceneImage};
+use heliosplat_session::Session;
 use heliosplat_stereo::Surface;
-use std::collections::BTreeMap;
 use std::time::Instant;
 
 /// Why a model could not be fitted.

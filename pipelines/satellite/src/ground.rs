@@ -1,11 +1,11 @@
 //! The ground that a scene's images have in common: what the sweep covers, and what ties between images are sought on.
 
 use super::fit::FitError;
-use heliosplat_scene::crop::{self, Crop};
-use heliosplat_scene::bands::{vegetation_bands, vegetation_index};
-use heliosplat_scene::{Area, Scene, SceneImage};
 use heliosplat::Raster;
 use heliosplat_rpc::LocalFrame;
+use heliosplat_scene::bands::{vegetation_bands, vegetation_index};
+use heliosplat_scene::crop::{self, Crop};
+use heliosplat_scene::{Area, Scene, SceneImage};
 use heliosplat_stereo::{Surface, SweepOptions, SweepRequest, SweepView};
 use rayon::prelude::*;
 

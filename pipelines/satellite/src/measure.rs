@@ -2,18 +2,18 @@
 
 use super::error::SatelliteError;
 use super::fit::Fitted;
-use heliosplat_fitting::run_folder::{RunError, create_folder, peak_rss_bytes};
-use heliosplat_fitting::training::{Accuracy, Probe};
+use heliosplat::Raster;
+use heliosplat::splat::ProjectionOptions;
 use heliosplat_evaluate::shadow::ShadowCounts;
 use heliosplat_evaluate::{DsmEvaluation, ImageScore, Protocol, error_map, evaluate_dsm, evaluate_raster};
+use heliosplat_fitting::run_folder::{RunError, create_folder, peak_rss_bytes};
+use heliosplat_fitting::training::{Accuracy, Probe};
 use heliosplat_products::dsm::{NadirGrid, of_gaussians, of_surface};
+use heliosplat_products::model::LoadedModel;
 use heliosplat_products::surface::SurfaceGaussians;
 use heliosplat_products::views::{RenderedView, render_view, score};
 use heliosplat_raster::{RasterFile, preview, write_atomically};
-use heliosplat_products::model::LoadedModel;
 use heliosplat_scene::{BandKind, Scene, Split};
-use heliosplat::Raster;
-use heliosplat::splat::ProjectionOptions;
 use serde_json::{Value, json};
 use std::path::Path;
 
@@ -155,7 +155,12 @@ fn draw(
 }
 
 /// The surface that training started from, as a file and a picture, and its error where there is truth.
-pub(super) fn write_start(scene: &Scene, run: &Path, fitted: &Fitted, model: &LoadedModel) -> Result<Value, SatelliteError> {
+pub(super) fn write_start(
+    scene: &Scene,
+    run: &Path,
+    fitted: &Fitted,
+    model: &LoadedModel,
+) -> Result<Value, SatelliteError> {
     let start = of_surface(&model.into(), &fitted.surface, model.file.gsd_m, None)?;
     let path = run.join("start.tif");
     start.write(&path)?;

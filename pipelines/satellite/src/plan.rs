@@ -5,9 +5,9 @@
 
 use super::config::SatelliteConfig;
 use super::shadow_prior::ENOUGH_VIEWS;
-use heliosplat_scene::{crop, saturation};
-use heliosplat_scene::{BandKind, Scene, SceneImage};
 use glam::Vec3;
+use heliosplat_scene::{BandKind, Scene, SceneImage};
+use heliosplat_scene::{crop, saturation};
 use heliosplat_stereo::MANY_VIEWS;
 use heliosplat_stereo::clouds::FEWEST_VIEWS;
 
@@ -72,7 +72,7 @@ impl Facts {
 /// How far the ray of the image's middle moves over the ground per metre of altitude.
 fn parallax(image: &SceneImage) -> Vec3 {
     let (width, height) = (image.pixels.width, image.pixels.height);
-    let whole = views::Crop {
+    let whole = crop::Crop {
         col0: 0,
         row0: 0,
         width,

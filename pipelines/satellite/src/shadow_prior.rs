@@ -5,13 +5,13 @@
 //! something toward the sun to throw it, else nothing is said. ShadowGS uses the masks of a trained detector in the same place.
 
 use super::ground::Ground;
-use heliosplat_scene::crop::{self, Crop};
+use glam::{Vec2, Vec3};
+use heliosplat::{ProjectiveCamera, Raster};
 use heliosplat_raster::RasterError;
 use heliosplat_raster::file::RasterFile;
 use heliosplat_scene::bands::{VEGETATION_INDEX, normalised_difference, vegetation_index};
+use heliosplat_scene::crop::{self, Crop};
 use heliosplat_scene::{BandKind, SceneImage};
-use glam::{Vec2, Vec3};
-use heliosplat::{ProjectiveCamera, Raster};
 use heliosplat_stereo::Surface;
 use rayon::prelude::*;
 use std::path::{Path, PathBuf};

@@ -5,12 +5,12 @@ use super::clouds;
 use super::config::{Align, PointingMethod, SatelliteConfig};
 use super::fit::FitError;
 use super::ground::Ground;
-use heliosplat_session::Session;
-use heliosplat_scene::Scene;
 use glam::Vec3;
 use heliosplat::Raster;
 use heliosplat_rpc::RpcError;
 use heliosplat_rpc::adjust::BiasModel;
+use heliosplat_scene::Scene;
+use heliosplat_session::Session;
 use heliosplat_stereo::{Surface, SweepView, align::estimate_shifts, sweep::sweep};
 use std::time::Instant;
 
@@ -75,7 +75,11 @@ impl<'a> Swept<'a> {
     ///
     /// # Errors
     /// As [`Self::new`].
-    pub(super) fn again(scene: &'a Scene, config: &SatelliteConfig, found: Preprocessed) -> Result<Option<Self>, FitError> {
+    pub(super) fn again(
+        scene: &'a Scene,
+        config: &SatelliteConfig,
+        found: Preprocessed,
+    ) -> Result<Option<Self>, FitError> {
         let ground = Ground::new(scene, scene.training(), config.start.margin_m)?;
         let images = ground.images.len();
         let mut masks = found.clouds.iter().zip(&ground.crops);

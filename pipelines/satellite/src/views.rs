@@ -8,7 +8,7 @@ use heliosplat_scene::{SceneImage, saturation};
 
 /// The view of an image without its `clouds`; `appearance` is its place among the images with a colour of their own. Every known pixel
 /// weighs one.
-pub fn view(image: &SceneImage, crop: &Crop, clouds: &[bool], shift_px: [f32; 2], appearance: usize) -> View {
+pub(crate) fn view(image: &SceneImage, crop: &Crop, clouds: &[bool], shift_px: [f32; 2], appearance: usize) -> View {
     let mut pixels = crop.cut(&image.pixels);
     clouds::blank(&mut pixels, clouds);
     let weight = (0..pixels.plane_len())

@@ -25,10 +25,10 @@ mod truth;
 pub use area::AreaRequest;
 pub use error::SceneError;
 
-use heliosplat_raster::{RasterFile, Window};
 use draft::Draft;
 use ground::Ground;
 use heliosplat::Raster;
+use heliosplat_raster::{RasterFile, Window};
 use heliosplat_rpc::{GeoPoint, LocalFrame, PinholeFit, Rpc, sun::SunPosition};
 use layout::ImageEntry;
 use nalgebra::Vector3;
@@ -77,7 +77,7 @@ pub enum Split {
 }
 
 /// Which camera is used where an image's own RPC and a Sat-NeRF JSON differ.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, clap::ValueEnum, serde::Serialize, serde::Deserialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, serde::Serialize, serde::Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum RpcPreference {
     /// The JSON: somebody made it on purpose, by bundle adjustment or for a crop.

@@ -3,9 +3,9 @@
 use super::SceneError;
 use super::bands::BandPlan;
 use super::manifest::Counts;
-use heliosplat_raster::{RasterFile, Window};
 use heliosplat::Raster;
 use heliosplat::shade::display;
+use heliosplat_raster::{RasterFile, Window};
 use heliosplat_rpc::statistics::quantile;
 
 /// The share of values below the scene's unit: the brightest glints lie above 1.

@@ -1,7 +1,7 @@
 //! Truth that comes with a scene: our own `truth/` folder, or the rasters of Sat-NeRF, EOGS and DFC2019.
 
-use super::{Scene, Truth};
 use super::layout::{file_name, files_in, has_extension, neighbours, stem};
+use super::{Scene, Truth};
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 

@@ -6,10 +6,10 @@
 use super::plan::{Plan, Unit};
 use super::stamp::finished;
 use super::summary::{Row, State};
-use heliosplat_session::Progress;
 use crate::outcome::CliError;
-use heliosplat_session::Session;
 use heliosplat_fitting::run_folder::create_folder;
+use heliosplat_session::Progress;
+use heliosplat_session::Session;
 use std::collections::BTreeMap;
 use std::fs::{File, OpenOptions};
 use std::io::{Read, Seek, SeekFrom};

@@ -6,8 +6,8 @@
 
 use super::BatchError;
 use super::mosaic::{Piece, in_row, one_surface};
-use heliosplat_raster::{RasterError, RasterFile};
 use heliosplat::Raster;
+use heliosplat_raster::{RasterError, RasterFile};
 use heliosplat_rpc::statistics::upper_median;
 use rayon::prelude::*;
 use std::path::Path;

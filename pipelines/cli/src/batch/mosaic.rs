@@ -7,9 +7,9 @@
 use super::BatchError;
 use super::plan::{MosaicTile, MosaicWork};
 use super::stamp::STAMP;
+use heliosplat::Raster;
 use heliosplat_products::dsm::Dsm;
 use heliosplat_raster::{Crs, GeoRaster, GeoTransform, GridSpec, RasterError};
-use heliosplat::Raster;
 use rayon::prelude::*;
 use std::path::Path;
 

@@ -2,9 +2,9 @@
 
 use super::BatchError;
 use super::plan::Unit;
+use heliosplat_fitting::run_folder;
 use heliosplat_raster::write::write_atomically;
 use heliosplat_raster::{RasterError, is_virtual};
-use heliosplat_fitting::run_folder;
 use serde_json::Value;
 use std::collections::BTreeMap;
 use std::fs::{File, TryLockError};

@@ -1,8 +1,8 @@
 //! The residuals as a picture: per image two frames, as delivered and adjusted, with a vector for every sighting.
 
 use crate::page::escaped;
-use heliosplat_satellite::ground::Ground;
 use heliosplat_rpc::adjust::{Adjustment, ResidualVector};
+use heliosplat_satellite::ground::Ground;
 use std::fmt::Write;
 
 /// Side of a frame, picture units.

@@ -2,10 +2,10 @@
 
 use super::parts::{self, Cost, MIB, costs_of, figure, keys};
 use super::{Folder, html, save};
-use heliosplat_objects::measure::{file_name, normal_picture, picture};
-use heliosplat_objects::run::{self, ObjectModel, ObjectRun, components};
 use crate::page::escaped;
 use heliosplat_fitting::run_folder::RunError;
+use heliosplat_objects::measure::{file_name, normal_picture, picture};
+use heliosplat_objects::run::{self, ObjectModel, ObjectRun, components};
 use heliosplat_scene::Split;
 use image::imageops::crop_imm;
 use std::fmt::Write;

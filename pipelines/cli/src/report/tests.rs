@@ -1,13 +1,13 @@
 //! A page of hostile contents: everything that comes from outside stays text, and nothing is fetched.
 
 use super::*;
-use heliosplat_satellite::PlanItem;
-use heliosplat_satellite::config::SatelliteConfig;
-use heliosplat_satellite::views::Crop;
-use heliosplat_scene::{Area, BandKind, Split};
 use heliosplat::model::shadow_gs::{ShadowGs, ShadowGsOptions};
 use heliosplat_rpc::sun::SunPosition;
 use heliosplat_rpc::{GeoPoint, ProjectiveMap};
+use heliosplat_satellite::PlanItem;
+use heliosplat_satellite::config::SatelliteConfig;
+use heliosplat_scene::crop::Crop;
+use heliosplat_scene::{Area, BandKind, Split};
 use serde_json::json;
 
 const EVIL: &str = "<img src=x onerror=alert(1)>\"'&";
@@ -15,8 +15,8 @@ const EVIL: &str = "<img src=x onerror=alert(1)>\"'&";
 fn contents(folder: &Path) -> Contents {
     let options = ShadowGsOptions::default();
     let model = ShadowGs::new(options.clone());
-    let config = SatelliteConfig::resolve("fast", &[], 1).expect("a preset");
-    let image = run::ModelImage {
+    let config = SatelliteConfig::resolve(heliosplat_fitting::settings::Preset::Fast, &[], 1).expect("a preset");
+    let image = heliosplat_products::model::ModelImage {
         name: "view".into(),
         split: Split::Test,
         appearance: None,
@@ -53,7 +53,7 @@ fn contents(folder: &Path) -> Contents {
             config: config.clone(),
         },
         model: ModelFile {
-            schema: run::SCHEMA,
+            schema: heliosplat_products::model::SCHEMA,
             model: "shadow_gs".into(),
             globals: model.initial_globals(0.3),
             options,

@@ -1,14 +1,14 @@
 //! `heliosplat adjust`: corrected cameras, and a picture of their residuals.
 
-use crate::outcome::{CliError, Outcome};
 use crate::args::IngestArgs;
-use heliosplat_session::Session;
-use clap::{Args, ValueEnum};
+use crate::names::BiasName;
+use crate::outcome::{CliError, Outcome};
 use crate::page::residuals;
+use clap::Args;
 use heliosplat_raster::write_atomically;
-use heliosplat_rpc::adjust::BiasModel;
 use heliosplat_satellite::adjust::{AdjustRequest, adjust_scene};
 use heliosplat_scene::Scene;
+use heliosplat_session::Session;
 use std::path::PathBuf;
 
 /// `adjust`.
@@ -22,31 +22,13 @@ pub struct AdjustArgs {
     pub out: PathBuf,
     /// What may be wrong with a camera
     #[arg(long, value_enum, default_value = "translation")]
-    pub model: ModelName,
+    pub model: BiasName,
     /// Also write copies of the images with the corrected camera in their GeoTIFF tag: the folder is then a scene
     #[arg(long)]
     pub images: bool,
     /// What is said about the scene
     #[command(flatten)]
     pub ingest: IngestArgs,
-}
-
-/// What may be wrong with a camera.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
-pub enum ModelName {
-    /// A shift of the whole image
-    Translation,
-    /// A shift that changes linearly over the image: rotation, scale, drift
-    Affine,
-}
-
-impl From<ModelName> for BiasModel {
-    fn from(name: ModelName) -> Self {
-        match name {
-            ModelName::Translation => Self::Translation,
-            ModelName::Affine => Self::Affine,
-        }
-    }
 }
 
 /// Adjusts the cameras of a scene and writes what comes of it.

@@ -1,14 +1,14 @@
 //! `heliosplat batch`: arguments, and which of its ways is gone.
 
-use crate::outcome::{CliError, Outcome};
-use heliosplat_session::Session;
-use crate::parse;
 use crate::batch::driver::Batch;
 use crate::batch::plan::Plan;
 use crate::batch::stamp::finished;
 use crate::batch::summary::{self, Row, State};
 use crate::batch::unit::do_unit;
+use crate::outcome::{CliError, Outcome};
+use crate::parse;
 use clap::Args;
+use heliosplat_session::Session;
 use serde_json::{Value, json};
 use std::fmt::Write;
 use std::path::PathBuf;

@@ -1,8 +1,8 @@
 //! `heliosplat demo`: a site is made, trained on, and its products are written.
 
-use super::model_args::DemoArgs;
 use crate::outcome::{CliError, Outcome};
 use crate::report;
+use clap::Args;
 use heliosplat_fitting::run_folder::create_folder;
 use heliosplat_fitting::settings::Preset;
 use heliosplat_products::relight;
@@ -12,7 +12,19 @@ use heliosplat_satellite::measure;
 use heliosplat_satellite::training::{TrainOutcome, TrainRequest, train};
 use heliosplat_scene::Scene;
 use heliosplat_session::Session;
+use std::path::PathBuf;
 use std::time::Instant;
+
+/// `demo`.
+#[derive(Debug, Clone, Args)]
+pub struct DemoArgs {
+    /// Folder to write to
+    #[arg(long, value_name = "DIR", default_value = "demo")]
+    pub out: PathBuf,
+    /// Seed of the site and of the training
+    #[arg(long, default_value_t = 1)]
+    pub seed: u64,
+}
 
 /// Synthesises a site, trains on it and writes its products.
 ///

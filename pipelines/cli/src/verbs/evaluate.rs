@@ -16,7 +16,7 @@ pub(crate) fn run(args: &EvaluateArgs) -> Result<Outcome, CliError> {
     let Some(truth) = &args.truth else {
         return Err(CliError::Input("evaluate: --dsm needs --truth FILE".to_owned()));
     };
-    let evaluation = evaluate_dsm(&dsm, truth, args.classes.as_deref(), args.protocol)?;
+    let evaluation = evaluate_dsm(&dsm, truth, args.classes.as_deref(), args.protocol.into())?;
     for warning in &evaluation.warnings {
         tracing::warn!("{warning}");
     }

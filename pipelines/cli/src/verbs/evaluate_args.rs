@@ -1,8 +1,9 @@
 //! Arguments of `evaluate`, and how an evaluation is said and drawn.
 
+use crate::names::ProtocolName;
 use crate::outcome::CliError;
 use clap::Args;
-use heliosplat_evaluate::{DsmEvaluation, DsmMetrics, HeightErrors, Protocol, error_map};
+use heliosplat_evaluate::{DsmEvaluation, DsmMetrics, HeightErrors, error_map};
 use heliosplat_raster::preview::write_png;
 use heliosplat_raster::write_atomically;
 use std::fmt::Write;
@@ -25,7 +26,7 @@ pub struct EvaluateArgs {
     pub classes: Option<PathBuf>,
     /// How the DSM is registered to the truth before it is measured
     #[arg(long, value_name = "NAME", default_value = "raw")]
-    pub protocol: Protocol,
+    pub protocol: ProtocolName,
     /// Write a picture of the errors (PNG, blue too low, red too high, 5 m)
     #[arg(long, value_name = "FILE")]
     pub error_map: Option<PathBuf>,

@@ -1,13 +1,13 @@
 //! `heliosplat inspect`: what a scene is, before anything is done with it.
 
-use crate::outcome::{CliError, Outcome};
-use crate::args::IngestArgs;
 use super::object;
+use crate::args::IngestArgs;
+use crate::outcome::{CliError, Outcome};
+use clap::Args;
 use heliosplat_fitting::settings::Preset;
 use heliosplat_satellite::config::SatelliteConfig;
 use heliosplat_satellite::estimate::{Estimate, estimate, slowness};
 use heliosplat_scene::{Scene, SceneImage, Split};
-use clap::Args;
 use serde_json::{Value, json};
 use std::fmt::Write;
 use std::path::PathBuf;

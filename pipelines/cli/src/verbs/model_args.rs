@@ -1,44 +1,11 @@
-//! Arguments of the verbs that satellite scenes and objects share: `demo`, `train`, `dsm`, `relight`, `render`.
+//! Arguments of the verbs that satellite scenes and objects share: `train`, `dsm`, `relight`, `render`.
 
 use crate::args::IngestArgs;
+use crate::names::PresetName;
 use crate::parse;
 use clap::{Args, ValueEnum};
-use heliosplat_fitting::settings;
 use std::path::PathBuf;
 use std::time::Duration;
-
-/// How much time a training may take for how good a result.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, ValueEnum)]
-pub enum Preset {
-    /// A first look.
-    Fast,
-    /// The default.
-    #[default]
-    Balanced,
-    /// As good as it gets.
-    Accurate,
-}
-
-impl From<Preset> for settings::Preset {
-    fn from(preset: Preset) -> Self {
-        match preset {
-            Preset::Fast => Self::Fast,
-            Preset::Balanced => Self::Balanced,
-            Preset::Accurate => Self::Accurate,
-        }
-    }
-}
-
-/// `demo`.
-#[derive(Debug, Clone, Args)]
-pub struct DemoArgs {
-    /// Folder to write to
-    #[arg(long, value_name = "DIR", default_value = "demo")]
-    pub out: PathBuf,
-    /// Seed of the site and of the training
-    #[arg(long, default_value_t = 1)]
-    pub seed: u64,
-}
 
 /// `train`.
 #[derive(Debug, Clone, Args)]
@@ -51,7 +18,7 @@ pub struct TrainArgs {
     pub out: PathBuf,
     /// How much time for how good a result [default: balanced, or what fits into --time-budget]
     #[arg(long, value_enum)]
-    pub preset: Option<Preset>,
+    pub preset: Option<PresetName>,
     /// Use this time and no more, products included, such as 90s, 5m, 1h30m
     #[arg(long, value_parser = parse::duration, value_name = "TIME")]
     pub time_budget: Option<Duration>,

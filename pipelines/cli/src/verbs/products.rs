@@ -1,15 +1,16 @@
 //! `heliosplat products`: what a run gives to a GIS.
 
+use crate::names::GeoidName;
 use crate::outcome::{CliError, Outcome};
-use heliosplat_session::Session;
 use crate::parse;
+use clap::Args;
+use heliosplat_products::model;
 use heliosplat_products::set::{self, Request};
 use heliosplat_products::stac;
 use heliosplat_raster::{Geoid, write_atomically};
-use heliosplat_products::model;
-use clap::Args;
 use heliosplat_rpc::GeoPoint;
 use heliosplat_rpc::sun::{SunPosition, sun_position};
+use heliosplat_session::Session;
 use serde_json::json;
 use std::path::{Path, PathBuf};
 
@@ -30,7 +31,7 @@ pub struct ProductsArgs {
     pub crs: Option<String>,
     /// Heights above this geoid instead of the ellipsoid; its grid must be among PROJ's
     #[arg(long, value_enum, value_name = "NAME")]
-    pub geoid: Option<Geoid>,
+    pub geoid: Option<GeoidName>,
     /// Also an ortho image under this sun: azimuth (clockwise from north) and elevation, degrees
     #[arg(long, value_parser = parse::pair, allow_hyphen_values = true, value_name = "AZ,EL", conflicts_with = "at")]
     pub sun: Option<[f64; 2]>,
@@ -107,7 +108,7 @@ fn one(
     let request = Request {
         gsd_m: args.gsd,
         crs: args.crs.clone(),
-        geoid: args.geoid,
+        geoid: args.geoid.map(Geoid::from),
         sun: args.sun(model.frame.origin),
     };
     let progress = session.progress("products", set::steps(&model));

@@ -1,9 +1,10 @@
 //! `heliosplat rpc project` and `heliosplat rpc localise`: lines of numbers in, lines of numbers out.
 
+use crate::names::RpcName;
 use crate::outcome::{CliError, Outcome};
-use heliosplat_scene::{RpcPreference, camera_of};
 use clap::{Args, Subcommand};
 use heliosplat_rpc::{GeoPoint, ImagePoint, Rpc};
+use heliosplat_scene::camera_of;
 use std::path::PathBuf;
 
 /// Which direction.
@@ -32,13 +33,13 @@ struct CameraArgs {
     camera: PathBuf,
     /// Which camera counts where an image's own RPC and a Sat-NeRF JSON differ
     #[arg(long, value_name = "SOURCE", default_value = "json")]
-    rpc: RpcPreference,
+    rpc: RpcName,
 }
 
 /// Transforms all of stdin.
 pub(crate) fn run(args: &RpcArgs) -> Result<Outcome, CliError> {
     let (Direction::Project(camera) | Direction::Localise(camera)) = &args.direction;
-    let rpc = camera_of(&camera.camera, camera.rpc)?;
+    let rpc = camera_of(&camera.camera, camera.rpc.into())?;
     let transform = match args.direction {
         Direction::Project(_) => project,
         Direction::Localise(_) => localise,

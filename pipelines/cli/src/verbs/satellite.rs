@@ -205,8 +205,8 @@ pub(crate) fn render(args: &RenderArgs, session: &Session) -> Result<Outcome, Cl
 pub(crate) fn evaluate(run: &Path, args: &EvaluateArgs) -> Result<Outcome, CliError> {
     let model = load(run)?;
     let scene = scene_of(run)?;
-    let evaluation = measure::dsm(&scene, run, args.protocol)?;
-    let metrics = measure::metrics(&scene, &model, run, args.protocol)?;
+    let evaluation = measure::dsm(&scene, run, args.protocol.into())?;
+    let metrics = measure::metrics(&scene, &model, run, args.protocol.into())?;
     let mut text = String::new();
     if let Some(evaluation) = &evaluation {
         text = table(&evaluation.metrics);

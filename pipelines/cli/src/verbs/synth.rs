@@ -1,9 +1,9 @@
 //! `heliosplat synth`: scenes with known truth.
 
 use crate::outcome::{CliError, Outcome};
-use heliosplat_session::Session;
 use crate::parse;
 use clap::{Args, ValueEnum};
+use heliosplat_session::Session;
 use heliosplat_synth::{
     BandSet, Capture, Look, ObjectRequest, SatelliteRequest, Site, Summary, SynthError, write_object, write_satellite,
 };

@@ -1,13 +1,13 @@
 //! `heliosplat tradeoff`: arguments and what is written.
 
 use crate::outcome::{CliError, Outcome};
-use heliosplat_session::Session;
-use heliosplat_raster::write::write_atomically;
 use crate::tradeoff::page::{Making, page};
 use crate::tradeoff::points::{self, PointsError};
 use crate::tradeoff::summary::{Summary, summarise};
 use crate::tradeoff::{Row, Sweep, csv};
 use clap::Args;
+use heliosplat_raster::write::write_atomically;
+use heliosplat_session::Session;
 use std::path::PathBuf;
 
 /// `tradeoff`.

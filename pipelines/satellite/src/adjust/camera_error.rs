@@ -1,7 +1,7 @@
 //! Corrections against the biases that a synthetic scene was made with.
 
-use heliosplat_scene::{Scene, SceneImage};
 use heliosplat_rpc::adjust::{pixels_per_metre, smallest_shifts};
+use heliosplat_scene::{Scene, SceneImage};
 use nalgebra::{Vector2, Vector3};
 
 /// How far cameras are off, a common translation of the scene apart, which no image shows.

@@ -69,7 +69,11 @@ pub fn adjust_scene<'a>(
     let seconds = begun.elapsed().as_secs_f64();
     for (image, residuals) in ground.images.iter().zip(&adjustment.images) {
         if residuals.good < FEWEST_SIGHTINGS {
-            tracing::warn!("{}: too few good ties ({}), do not trust its camera", image.name, residuals.good);
+            tracing::warn!(
+                "{}: too few good ties ({}), do not trust its camera",
+                image.name,
+                residuals.good
+            );
         }
     }
     let refit_px = write::cameras(scene, &ground, &adjustment, request)?;

@@ -2,12 +2,12 @@
 
 use super::AdjustRequest;
 use crate::error::SatelliteError;
-use heliosplat_raster::{copy_with_rpc, write_atomically};
 use crate::ground::Ground;
-use heliosplat_scene::{Scene, SceneImage};
+use heliosplat_raster::{copy_with_rpc, write_atomically};
 use heliosplat_rpc::Rpc;
 use heliosplat_rpc::adjust::{Adjustment, corrected_rpc};
 use heliosplat_rpc::write::{gdal_domain, rpc_txt, satnerf_json_rpc};
+use heliosplat_scene::{Scene, SceneImage};
 use serde_json::{Value, json};
 
 /// Height kept below and above the scene's range where a camera is fitted anew, metres.
@@ -25,11 +25,12 @@ pub(super) fn cameras(
     let mut refit_px = Vec::with_capacity(ground.images.len());
     for (image, correction) in ground.images.iter().zip(&adjustment.corrections) {
         let size = (image.pixels.width, image.pixels.height);
-        let corrected = corrected_rpc(&image.rpc, correction, size, heights_m)
-            .map_err(|error| SatelliteError::CorrectedCamera {
+        let corrected = corrected_rpc(&image.rpc, correction, size, heights_m).map_err(|error| {
+            SatelliteError::CorrectedCamera {
                 image: image.path.clone(),
                 error,
-            })?;
+            }
+        })?;
         let text = rpc_txt(&corrected.rpc);
         write_atomically(&request.out.join(format!("{}_RPC.TXT", image.name)), text.as_bytes())?;
         let text = serde_json::to_string_pretty(&description(scene, image, &corrected.rpc)).unwrap_or_default() + "\n";
