@@ -1,7 +1,7 @@
-//! Camera adjustment: one small correction per image, so that all images agree on where the ground is.
+//! RPC bias correction by block adjustment: one small correction per image, so that all images agree on where the ground is.
 //!
-//! Vendors' cameras point wrong by up to some ten pixels, nearly the same all over a crop. The correction of an image is
-//! therefore a function of the image position alone, added to what its RPC projects ([`BiasModel`]; J. Grodecki, G. Dial, *Block
+//! RPCs as delivered are biased: they are off by up to some ten pixels, by nearly the same all over a crop. The correction of an image
+//! is therefore a function of the image position alone, added to what its RPC projects ([`BiasModel`]; J. Grodecki, G. Dial, *Block
 //! adjustment of high-resolution satellite images described by rational polynomials*, PE&RS 69(1), 2003). Corrections and the ground
 //! points of all tracks are found together by Gauss-Newton on pixel residuals; points are eliminated (Schur complement), so that
 //! the system has a few unknowns per image. Sightings count the less the farther off they are (Geman-McClure, reweighted each
@@ -11,7 +11,10 @@
 //! that fit alike, the smallest are given: [`smallest_shifts`]. With two views that leaves the shift across their epipolar
 //! lines. Rotation and drift are held small by a prior of [`SLOPE_SIGMA_PX`]: they may say what the ties show and no more.
 //!
-//! No pixels and no files: tracks come from whoever matches images.
+//! **Words.** A track is one tie point: a ground point that several images show. A sighting is the place where one of them shows it.
+//!
+//! **Limits.** No pixels and no files: tracks come from whoever matches images. Ground control is not taken: the result is relative, up
+//! to the translation of the gauge.
 
 mod correction;
 mod export;

@@ -1,4 +1,4 @@
-//! A camera to measure speed with.
+//! A camera for examples, tests and benchmarks.
 
 use crate::rpc::Rpc;
 

@@ -9,7 +9,8 @@ use heliosplat::gaussians::{Table, core_groups};
 use heliosplat::model::SceneModel;
 use heliosplat::model::shadow_gs::{ShadowGs, ShadowGsOptions};
 use heliosplat_cli::batch::manifest::Manifest;
-use heliosplat_objects::run::{ObjectFile, ObjectRun};
+use heliosplat_objects::model::ObjectFile;
+use heliosplat_objects::run::ObjectRun;
 use heliosplat_objects::{self as objects, transforms};
 use heliosplat_products::{model::ModelFile, ply};
 use heliosplat_rpc::read::{self, acquisition};
@@ -361,7 +362,7 @@ fn runs() -> Vec<Vec<u8>> {
 }
 
 fn setting_lists() -> Vec<Vec<u8>> {
-    let text = "train.iterations=200\ntrain.scale_gsd=[0.1, 8.0]\ncameras.align=off\nmodel.image_colour=true\ntrain.density.cap=1000\n";
+    let text = "train.iterations=200\ntrain.position_rate_gsd=0.002\ncameras.align=off\nmodel.image_colour=true\ntrain.density.cap=1000\n";
     vec![text.as_bytes().to_vec()]
 }
 
@@ -391,7 +392,7 @@ fn models() -> Vec<Vec<u8>> {
         "schema": 1, "model": "shadow_gs", "options": model.options, "globals": model.initial_globals(0.3),
         "origin": {"lon_deg": 36.9, "lat_deg": 37.6, "height_m": 700.0}, "altitude_range_m": [690.0, 720.0],
         "area": {"west_m": -16.0, "south_m": -16.0, "east_m": 16.0, "north_m": 16.0}, "gsd_m": 0.5, "counts_per_unit": 1000.0,
-        "projection": heliosplat::splat::ProjectionOptions::default(), "trace": heliosplat::trace::TraceOptions::default(),
+        "projection": heliosplat::splat::ProjectionOptions::default(),
         "bands": bands, "images": [image],
     });
     vec![file.to_string().into_bytes()]

@@ -1,4 +1,4 @@
-//! The drawing board: one block at a time, in its own two axes, with a record of what stands where.
+//! The city under construction: zones, buildings, trees and cars placed so far, one block at a time, in the axes of the block.
 
 use super::building::{Building, Roof};
 use super::ground::{Outline, Pond, Zone};

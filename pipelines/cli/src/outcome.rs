@@ -9,7 +9,7 @@ use heliosplat_objects::{CaptureError, ObjectError};
 use heliosplat_products::relight::RelightError;
 use heliosplat_raster::RasterError;
 use heliosplat_satellite::SatelliteError;
-use heliosplat_satellite::fit::FitError;
+use heliosplat_satellite::error::FitError;
 use heliosplat_scene::SceneError;
 use heliosplat_session::SessionError;
 

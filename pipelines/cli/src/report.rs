@@ -7,7 +7,7 @@ mod parts;
 
 use crate::page::{STYLE, escaped};
 use heliosplat_fitting::run_folder::RunError;
-use heliosplat_objects::run::is_object_run;
+use heliosplat_objects::model::is_object_run;
 use heliosplat_products::model::{ModelFile, load_file};
 use heliosplat_raster::write_atomically;
 use heliosplat_satellite::run_file::{RunFile, load_run};

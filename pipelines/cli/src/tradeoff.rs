@@ -194,7 +194,7 @@ fn metrics(folder: &Path) -> Option<Value> {
 fn row(job: &Job, metrics: &Value) -> Row {
     let number = |pointer: &str| metrics.pointer(pointer).and_then(Value::as_f64);
     let steps = number("/iterations").unwrap_or(f64::NAN);
-    // Without training the surface is the swept one: what stands at an edge is undecided still.
+    // Without training the surface is the initial one: what stands at an edge is undecided still.
     let surface = if steps == 0.0 { "start" } else { "dsm" };
     Row {
         scene: job.scene_name.clone(),

@@ -39,7 +39,7 @@ impl Budget {
     }
 }
 
-/// How long a step takes, over the last rounds: steps that trace light take longer than those that do not.
+/// How long a step takes, over the last epochs: steps that trace light take longer than those that do not.
 #[derive(Debug)]
 pub struct Pace {
     last: VecDeque<f64>,
@@ -85,7 +85,7 @@ mod tests {
     }
 
     #[test]
-    fn the_pace_follows_the_last_rounds() {
+    fn the_pace_follows_the_last_epochs() {
         let mut pace = Pace::new(1);
         for step in [9, 9, 9, 1, 1, 1, 1] {
             pace.add(Duration::from_secs(step));

@@ -3,7 +3,7 @@
 //! A line that names the format, the contents, their SHA-256. Written to a temporary name and renamed, so that there is always a whole
 //! one; it is of the same version, configuration and inputs as the training that takes it up, or it is refused.
 
-use crate::training::CurvePoint;
+use crate::curve::CurvePoint;
 use heliosplat::train::{STATE_VERSION, StateError, Trainer, TrainerState};
 use heliosplat_raster::RasterError;
 use heliosplat_raster::write::{remove_leftovers, write_atomically_with};
@@ -16,7 +16,7 @@ use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
 /// First bytes of a checkpoint; the number is that of this layout.
-const MAGIC: &[u8] = b"heliosplat checkpoint 2\n";
+const MAGIC: &[u8] = b"heliosplat checkpoint 3\n";
 /// Bytes of the check sum at the end.
 const SUM: usize = 32;
 /// A checkpoint is written no more often than this many times the time that the last one took.

@@ -6,6 +6,7 @@
 
 pub mod budget;
 pub mod checkpoint;
+pub mod curve;
 pub mod ply;
 pub mod run_folder;
 pub mod settings;

@@ -2,11 +2,11 @@
 
 use crate::budget::{Budget, Pace};
 use crate::checkpoint::{CheckpointError, CheckpointWriter};
+use crate::curve::{Accuracy, CurvePoint};
 use heliosplat::model::Parameters;
 use heliosplat::train::{EarlyStop, StepReport, TrainError, Trainer};
 use heliosplat_session::Session;
 use serde::Serialize;
-use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 use std::time::Instant;
 
@@ -30,30 +30,6 @@ pub enum TrainingError {
         /// The folder of the run.
         out: PathBuf,
     },
-}
-
-/// The losses of one step.
-#[derive(Debug, Clone, PartialEq, serde::Serialize, serde::Deserialize)]
-pub struct CurvePoint {
-    /// The step.
-    pub step: usize,
-    /// Mean absolute difference to the images, smoothed.
-    pub l1: f64,
-    /// Named losses, unweighted.
-    pub losses: BTreeMap<String, f64>,
-    /// Mean absolute difference on tiles that are not learnt from.
-    pub held_out_l1: Option<f64>,
-    /// How good the model was by then, where that was asked.
-    pub accuracy: Option<Accuracy>,
-}
-
-/// How good a model is while it is trained.
-#[derive(Debug, Clone, Copy, Default, PartialEq, serde::Serialize, serde::Deserialize)]
-pub struct Accuracy {
-    /// Mean height error against truth, protocol `raw`, metres.
-    pub height_mae_m: Option<f64>,
-    /// PSNR of some images held out, decibels.
-    pub psnr_db: Option<f64>,
 }
 
 /// Measures a model in training without changing it.

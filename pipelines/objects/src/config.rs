@@ -1,5 +1,6 @@
 //! The configuration of a run on a capture: data, not code, as for satellite scenes.
 
+use heliosplat::optim::DensityOptions;
 use heliosplat::train::TrainOptions;
 use heliosplat_fitting::settings::{ConfigError, Preset, resolve};
 
@@ -7,18 +8,13 @@ use heliosplat_fitting::settings::{ConfigError, Preset, resolve};
 #[derive(Debug, Clone, PartialEq, serde::Serialize, serde::Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct StartOptions {
-    /// About as many Gaussians.
+    /// About as many Gaussians: fewer for small images or little memory, more for large ones.
     pub gaussians: usize,
-    /// Opacity.
-    pub opacity: f32,
 }
 
 impl Default for StartOptions {
     fn default() -> Self {
-        Self {
-            gaussians: 8000,
-            opacity: 0.5,
-        }
+        Self { gaussians: 8000 }
     }
 }
 
@@ -53,35 +49,24 @@ pub enum ModelKind {
 #[derive(Debug, Clone, PartialEq, serde::Serialize, serde::Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct ModelOptions {
-    /// Which one.
+    /// Which one; said where the images decide otherwise than the user wants.
     pub kind: ModelKind,
     /// Whether surfaces may be glossy: they are where that is needed, see [`super::plan`], or where `kind` says the model.
     pub specular: bool,
     /// Whether light may scatter under surfaces, in `olat`; as for gloss.
     pub scattering: bool,
-    /// Whether a network refines shadows, in `olat`.
+    /// Whether a network refines shadows, in `olat`: on for matt objects (1.9 dB), off for metal, where it is worth nothing.
     pub refined_shadow: bool,
-    /// Units of the hidden layers of the networks of `olat`.
-    pub network_width: usize,
-    /// Their hidden layers.
-    pub network_layers: usize,
-    /// Whether the light that reaches surfaces is traced, in `olat`.
+    /// Whether the light that reaches surfaces is traced, in `olat`; off in the comparison of docs/objects.md, for a sixth of the time.
     pub shadow: bool,
-    /// Radius of the lights, in `olat`, in the capture's units.
+    /// Radius of the lights, in `olat`, in the capture's units: 0 for points, larger for lamps that are near.
     pub light_radius: f32,
-    /// Largest degree of the spherical harmonics, 0 to 3.
+    /// Largest degree of the spherical harmonics: 3, or 0 for objects that look alike from everywhere.
     pub sh_degree: usize,
-    /// Units of the hidden layers of the network that says what glossy surfaces mirror, in `reflective`.
-    pub decoder_width: usize,
-    /// Its hidden layers.
-    pub decoder_layers: usize,
-    /// How much the normals of surfaces agree with those of the depth, in `olat` (0.3 unless said) and `reflective` (0.05).
-    pub normal_weight: Option<f32>,
-    /// Decibels on images kept aside by which a part must help in a short fit to be taken; see [`super::plan`].
-    pub least_gain_db: f64,
-    /// Steps of such a fit; 0 leaves parts as the configuration says.
+    /// Steps of the short fits that decide which parts there are (see [`super::plan`]); 0, for those who know, leaves parts as the
+    /// configuration says.
     pub pilot_steps: usize,
-    /// What is behind the object.
+    /// What is behind the object; said where the images' coverage does not tell.
     pub background: Background,
 }
 
@@ -92,15 +77,9 @@ impl Default for ModelOptions {
             specular: true,
             scattering: true,
             refined_shadow: false,
-            network_width: 32,
-            network_layers: 2,
             shadow: true,
             light_radius: 0.0,
             sh_degree: 3,
-            decoder_width: 32,
-            decoder_layers: 2,
-            normal_weight: None,
-            least_gain_db: 0.3,
             pilot_steps: 300,
             background: Background::Auto,
         }
@@ -131,8 +110,31 @@ impl ObjectConfig {
             Preset::Accurate => include_str!("../presets/accurate.toml"),
         };
         let mut config: Self = resolve(preset.name(), text, set)?;
-        config.train.seed = seed;
+        config.train = for_objects(config.train, seed);
         Ok(config)
+    }
+}
+
+/// What trainings on objects have otherwise than those on ground, whoever runs them. Lengths are in pixels at the object's centre.
+fn for_objects(train: TrainOptions, seed: u64) -> TrainOptions {
+    TrainOptions {
+        seed,
+        final_rate: 0.02,
+        opacity_rate: 0.05,
+        // Level parts of an object need few Gaussians.
+        scale_gsd: (0.1, 60.0),
+        // Held-out tiles would be holes in the object.
+        holdout: 0.0,
+        density: DensityOptions {
+            // A hull is coarser than a swept surface: it first finds its shape, then grows faster.
+            from: 300,
+            growth: 0.15,
+            gradient_threshold: 0.1,
+            split_gsd: 2.0,
+            prune_gsd: 120.0,
+            ..train.density
+        },
+        ..train
     }
 }
 

@@ -1,6 +1,6 @@
 //! What other programs can use of a model: splats with colours baked for a light, and the model itself as two files.
 
-use super::run::{self, ObjectModel};
+use super::model::{Kind, ObjectModel};
 use super::{measure, ply};
 use glam::{DVec3, Vec3};
 use heliosplat::ProjectiveCamera;
@@ -29,7 +29,7 @@ const STRIDE: usize = 16;
 /// A sentence that says what is wrong.
 pub fn baked(model: &ObjectModel, light: Option<Light>) -> Result<Table, String> {
     let kind = match light {
-        None if matches!(model.file.kind, run::Kind::Olat(_)) => {
+        None if matches!(model.file.kind, Kind::Olat(_)) => {
             return Err("a model of one light at a time shows nothing without one; say --light or --toward".into());
         }
         None => model.file.kind.clone(),
@@ -48,7 +48,7 @@ pub fn baked(model: &ObjectModel, light: Option<Light>) -> Result<Table, String>
     };
     let transmittances = match light {
         Some(light) if shading.needs_transmittance() => {
-            transmittance(&Occluders::new(gaussians), &all.gaussian, &light, &model.file.trace).values
+            transmittance(&Occluders::new(gaussians), &all.gaussian, &light).values
         }
         _ => vec![1.0; gaussians.count],
     };

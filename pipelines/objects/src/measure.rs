@@ -1,15 +1,16 @@
 //! How well a model shows what it was not shown.
 
 use super::capture::{Capture, Frame};
+use super::model::{Kind, ObjectFile, ObjectImage, ObjectModel};
 use super::pixels::Encoding;
-use super::run::{Kind, ObjectFile, ObjectImage, ObjectModel};
 use super::views::Preparation;
 use glam::Vec3;
 use heliosplat::Raster;
 use heliosplat::model::Parameters;
 use heliosplat::shade::display;
 use heliosplat_evaluate::image::{ImageScore, score_image};
-use heliosplat_fitting::training::{Accuracy, Probe};
+use heliosplat_fitting::curve::Accuracy;
+use heliosplat_fitting::training::Probe;
 use heliosplat_raster::RasterError;
 use heliosplat_raster::preview::write_png;
 use heliosplat_scene::Split;

@@ -8,7 +8,7 @@ mod file;
 pub use file::{Format, encode};
 
 use super::measure;
-use super::run::ObjectModel;
+use super::model::ObjectModel;
 use fast_surface_nets::ndshape::{RuntimeShape, Shape};
 use fast_surface_nets::{SurfaceNetsBuffer, surface_nets};
 use glam::Vec3;

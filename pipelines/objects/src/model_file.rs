@@ -1,6 +1,6 @@
 //! Reading the `model.json` of an object: nothing in it is believed that asks for more memory than it fills, or is no number.
 
-use super::run::{Kind, ObjectFile, ObjectImage, SCHEMA};
+use super::model::{Kind, ObjectFile, ObjectImage, SCHEMA};
 use heliosplat::gaussians::{Group, GroupSpec};
 
 /// Most units of a hidden layer, and most hidden layers: thousands of times what objects take.
@@ -32,12 +32,9 @@ impl ObjectFile {
         if !(file.centre.is_finite() && positive(file.half_size) && positive(file.pixel_size)) {
             return Err("its centre, half_size and pixel_size are those of no object".into());
         }
-        let not_negative = |v: f32| v >= 0.0 && v.is_finite();
-        if ![file.projection.filter_px2, file.trace.bias_sigmas, file.trace.lift]
-            .into_iter()
-            .all(not_negative)
-        {
-            return Err("projection and trace must be finite and not negative".into());
+        let filter_px2 = file.projection.filter_px2;
+        if !(filter_px2 >= 0.0 && filter_px2.is_finite()) {
+            return Err("its projection has a filter that is none".into());
         }
         file.images.iter().try_for_each(check_image)?;
         Ok(file)

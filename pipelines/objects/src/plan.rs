@@ -1,12 +1,12 @@
 //! Which model explains a capture, and which of its parts: what is needed is measured, not guessed.
 //!
 //! Lights decide between the kinds that know them and those that do not. A part whose worth only images can tell is tried: short fits
-//! at half size with and without it, scored on images of training kept aside. It is taken when it helps by
-//! `model.least_gain_db`, and is otherwise not there at all.
+//! at half size with and without it, scored on images of training kept aside. It is taken when it helps by 0.3 dB, and is otherwise not
+//! there at all.
 
 use super::capture::{Capture, Frame};
 use super::config::{ModelKind, ObjectConfig};
-use super::fit::{self, FitInput};
+use super::prepare::{self, FitInput};
 use heliosplat::light::Light;
 use heliosplat::model::View;
 use heliosplat::render::{PassOptions, render};
@@ -24,6 +24,9 @@ const SMALLER: usize = 2;
 /// Most Gaussians a short fit starts from.
 const MOST_GAUSSIANS: usize = 6000;
 
+/// Decibels on images kept aside by which a part must help to be taken: short fits find gloss worth 0.16 to 0.31 dB to
+/// matt objects, which have none.
+const LEAST_GAIN_DB: f64 = 0.3;
 /// Share of the gain asked for that is enough for scattering: light that seeps out is smooth, and takes longer to learn than gloss
 /// (wax: 0.30 dB in short fits, 1.2 dB in the end).
 const SCATTERING_SHARE: f64 = 2.0 / 3.0;
@@ -135,7 +138,7 @@ pub fn plan(capture: &Capture, config: &ObjectConfig, session: &Session) -> Resu
         progress.set(trials.len() as u64);
         Ok(psnr_db)
     };
-    let least = config.model.least_gain_db;
+    let least = LEAST_GAIN_DB;
     let (mut kind, mut parts) = (dull, NOTHING);
     let mut best = tried("neither", dull, NOTHING)?;
     let mut basis = format!("short fits, on images kept aside ({least} dB is needed");
@@ -210,7 +213,7 @@ fn trial(capture: &Capture, config: &ObjectConfig, kind: ModelKind, parts: Parts
     config.start.gaussians = config.start.gaussians.min(MOST_GAUSSIANS);
     config.train.iterations = config.model.pilot_steps;
     config.train.density.every = 0;
-    config.train.pyramid_levels = 0;
+    config.train.pyramid_share = 0.0;
     let all: Vec<&Frame> = capture.of(Split::Train).collect();
     let kept = |n: usize| n % ASIDE == ASIDE / 2;
     let frames: Vec<&Frame> = (0..all.len()).filter(|&n| !kept(n)).map(|n| all[n]).collect();
@@ -219,27 +222,22 @@ fn trial(capture: &Capture, config: &ObjectConfig, kind: ModelKind, parts: Parts
         preparation,
         parameters,
         ..
-    } = fit::input(capture, kind, &config, &frames);
+    } = prepare::input(capture, kind, &config, &frames);
     let model = kind.model();
     let view = |frame: &Frame, n: usize| Some(smaller(super::views::view(frame, capture.centre, &preparation, n)?));
     let views: Vec<View> = frames.iter().enumerate().filter_map(|(n, f)| view(f, n)).collect();
     let mut options = config.train.clone();
     options.gsd_m = (SMALLER as f64 * capture.pixel_size) as f32;
-    let mut trainer = Trainer::new(&*model, views, parameters, options, fit::bounds(capture), None)?;
+    let mut trainer = Trainer::new(&*model, views, parameters, options, prepare::bounds(capture), None)?;
     while !trainer.finished() {
         trainer.step()?;
     }
     let (parameters, _) = trainer.into_best();
-    let passes = PassOptions {
-        projection: config.train.projection,
-        trace: config.train.trace,
-        ..PassOptions::default()
-    };
     let (mut sum, mut count) = (0.0f64, 0usize);
     for (n, frame) in all.iter().enumerate().filter(|(n, _)| kept(*n)) {
         let Some(view) = view(frame, n) else { continue };
         let light: Option<Light> = view.light;
-        let seen = render(&*model, &parameters, &view.camera, light, None, passes).image;
+        let seen = render(&*model, &parameters, &view.camera, light, None, PassOptions::default()).image;
         for (a, b) in seen.values.iter().zip(&view.image.values) {
             if b.is_finite() {
                 sum += f64::from(a - b).powi(2);

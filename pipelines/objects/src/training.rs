@@ -6,7 +6,8 @@ use crate::config::ObjectConfig;
 use crate::error::ObjectError;
 use crate::fit::{self, Fitted};
 use crate::measure;
-use crate::run::{self, ObjectModel, ObjectRun};
+use crate::model::ObjectModel;
+use crate::run::{self, ObjectRun};
 use heliosplat_fitting::checkpoint::{digest, identity_of_program};
 use heliosplat_fitting::run_folder::{
     Input, Opened, RunError, RunFolder, RunRequest, create_folder, hash, peak_rss_bytes, resident_bytes,
@@ -159,11 +160,12 @@ fn identity(
     inputs: &[Input],
 ) -> Result<String, ObjectError> {
     let mut text = identity_of_program();
+    let seed = config.train.seed;
     let config = toml::to_string(config).map_err(|error| ObjectError::Settings(error.to_string()))?;
     // Writing to a String cannot fail.
     let _ = writeln!(
         text,
-        "--time-budget {:?}\n--memory {:?}\n{config}",
+        "--time-budget {:?}\n--memory {:?}\nseed = {seed}\n{config}",
         request.time_budget, request.memory
     );
     for (frame, input) in capture.frames.iter().zip(inputs) {

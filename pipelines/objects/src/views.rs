@@ -125,7 +125,7 @@ pub fn view(frame: &Frame, centre: DVec3, preparation: &Preparation, appearance:
             .light
             .map(|light| Light::Point((light.position - centre).as_vec3())),
         appearance,
-        lit: None,
+        visibility_prior: None,
         ceiling: Vec::new(),
         image,
     })

@@ -1,6 +1,6 @@
 //! The surface model: altitude seen from straight above, on a map grid.
 
-use super::surface::{self, SurfaceGaussians};
+use super::surface::{self, ALPHA_KNOWN, SurfaceGaussians};
 use crate::model::LoadedModel;
 use glam::DVec3;
 use heliosplat::render::{Rendering, render};
@@ -14,9 +14,6 @@ use heliosplat_rpc::LocalFrame;
 use heliosplat_scene::{Area, Scene};
 use heliosplat_stereo::Surface;
 use std::path::Path;
-
-/// Alpha below which a pixel has no altitude.
-pub(super) const ALPHA_KNOWN: f32 = 0.5;
 
 /// Names of the bands of a surface model.
 pub const BANDS: [&str; 3] = [dsm_bands::ALTITUDE, dsm_bands::STANDARD_DEVIATION, dsm_bands::COVERAGE];
@@ -134,7 +131,7 @@ fn nadir_camera(enu: &EnuGrid, grid: &GridSpec, height_m: f64) -> ProjectiveCame
 /// When the coordinate system does not cover the place.
 pub fn dsm(model: &LoadedModel, gsd_m: f64, crs: Option<&str>) -> Result<Dsm, RasterError> {
     let nadir = NadirGrid::new(&model.into(), gsd_m, crs)?;
-    Ok(of_gaussians(&nadir, &model.surface()))
+    Ok(of_gaussians(&nadir, &model.into()))
 }
 
 /// What is seen of `model` from straight above, without any light.
@@ -192,7 +189,7 @@ fn variance_around(raster: &Raster, cell: usize) -> f32 {
     (squares / count - mean * mean).max(0.0)
 }
 
-/// A swept surface on a map grid; its coverage is the sweep's confidence and it has no standard deviation.
+/// An initial surface on a map grid; its coverage is the sweep's confidence and it has no standard deviation.
 ///
 /// # Errors
 /// When the coordinate system does not cover the place.

@@ -1,13 +1,11 @@
 //! A trained satellite model as files: `model.ply` (the Gaussians) and `model.json` (what they share, the frame, the cameras).
 
 use crate::ply;
-use crate::surface::SurfaceGaussians;
 use heliosplat::gaussians::Table;
 use heliosplat::model::Parameters;
 use heliosplat::model::shadow_gs::{ShadowGs, ShadowGsOptions};
 use heliosplat::render::PassOptions;
 use heliosplat::splat::ProjectionOptions;
-use heliosplat::trace::TraceOptions;
 use heliosplat_fitting::run_folder::{RunError, read};
 use heliosplat_raster::bounded;
 use heliosplat_raster::write::write_atomically;
@@ -67,8 +65,6 @@ pub struct ModelFile {
     pub counts_per_unit: f64,
     /// How Gaussians become splats.
     pub projection: ProjectionOptions,
-    /// How light is traced.
-    pub trace: TraceOptions,
     /// What the bands are.
     pub bands: Vec<BandKind>,
     /// The images.
@@ -90,20 +86,10 @@ pub struct LoadedModel {
 }
 
 impl LoadedModel {
-    /// Its Gaussians as a surface.
-    pub fn surface(&self) -> SurfaceGaussians<'_> {
-        SurfaceGaussians {
-            gaussians: &self.parameters.gaussians,
-            bands: &self.file.bands,
-            projection: self.file.projection,
-        }
-    }
-
     /// How products look at the model: as training did.
     pub fn pass_options(&self) -> PassOptions {
         PassOptions {
             projection: self.file.projection,
-            trace: self.file.trace,
             normals: true,
             ..PassOptions::default()
         }

@@ -1,6 +1,6 @@
 //! What lies straight below, on a map grid: albedo, vegetation, hillshade.
 
-use super::dsm::ALPHA_KNOWN;
+use super::surface::ALPHA_KNOWN;
 use crate::model::LoadedModel;
 use heliosplat::Raster;
 use heliosplat::splat::Maps;

@@ -80,7 +80,7 @@ pub fn write(
     let gsd_m = request.gsd_m.unwrap_or(model.file.gsd_m);
     let nadir = NadirGrid::new(&model.into(), gsd_m, request.crs.as_deref())?;
     let seen = maps(model, &nadir);
-    let mut surface = of_gaussians(&nadir, &model.surface());
+    let mut surface = of_gaussians(&nadir, &model.into());
     if let Some(geoid) = request.geoid {
         surface = surface.above(geoid)?;
     }

@@ -9,7 +9,7 @@
 //!
 //! What either is worth is in docs/satellite.md.
 
-use super::dsm::ALPHA_KNOWN;
+use crate::model::LoadedModel;
 use heliosplat::ProjectiveCamera;
 use heliosplat::gaussians::{OPACITY, Table, logit};
 use heliosplat::model::shadow_gs::ALBEDO;
@@ -19,6 +19,9 @@ use heliosplat_rpc::statistics::upper_median;
 use heliosplat_scene::BandKind;
 use heliosplat_scene::bands::{vegetation_bands, vegetation_index};
 use rayon::prelude::*;
+
+/// Alpha below which a pixel has no altitude.
+pub(super) const ALPHA_KNOWN: f32 = 0.5;
 
 /// Places in a cell, along each side of it.
 const PLACES: usize = 3;
@@ -34,6 +37,16 @@ pub struct SurfaceGaussians<'a> {
     pub bands: &'a [BandKind],
     /// How they become splats.
     pub projection: ProjectionOptions,
+}
+
+impl<'a> From<&'a LoadedModel> for SurfaceGaussians<'a> {
+    fn from(model: &'a LoadedModel) -> Self {
+        Self {
+            gaussians: &model.parameters.gaussians,
+            bands: &model.file.bands,
+            projection: model.file.projection,
+        }
+    }
 }
 
 /// What is known of a cell.

@@ -11,9 +11,8 @@ mod write;
 
 pub use report::{AdjustRequest, AdjustedScene, adjust_scene};
 
-use super::fit::FitError;
+use super::error::FitError;
 use super::ground::Ground;
-use glam::Vec3;
 use heliosplat_rpc::adjust::{AdjustImage, AdjustOptions, Adjustment, BiasModel, Sighting, Track, adjust};
 use heliosplat_rpc::{ImagePoint, RpcError};
 use heliosplat_scene::Scene;
@@ -25,17 +24,13 @@ use nalgebra::Vector3;
 const TILES: [usize; 2] = [900, 2000];
 /// Correlation at which a sighting counts nothing.
 const WORTHLESS_SCORE: f32 = 0.7;
-/// Two sightings of a wrong match agree on some altitude as well.
-const FEWEST_GOOD: usize = 3;
-/// Ground added around the area so that ties near its edge have a surface, metres.
-const MARGIN_M: f64 = 4.0;
 
 /// The ground of `scene` in all of its images, held-out ones too: their cameras are as wrong as the others.
 ///
 /// # Errors
 /// [`FitError::TooFewViews`] when fewer than two images show the common ground.
 pub fn ground(scene: &Scene) -> Result<Ground<'_>, FitError> {
-    Ground::new(scene, scene.images.iter(), MARGIN_M)
+    Ground::new(scene, scene.images.iter())
 }
 
 /// What ties are sought in.
@@ -152,23 +147,6 @@ fn weight(score: f32) -> f64 {
 /// Sightings that fit.
 fn agreement(adjustment: &Adjustment) -> usize {
     adjustment.images.iter().map(|image| image.good).sum()
-}
-
-/// Where the ground points are that at least three sightings agree on, metres of the frame of `ground`.
-pub fn points(adjustment: &Adjustment, ground: &Ground) -> Vec<Vec3> {
-    let mut good = vec![0; adjustment.points.len()];
-    for sighting in adjustment.residuals.iter().filter(|sighting| sighting.good) {
-        good[sighting.track] += 1;
-    }
-    let agreed = adjustment
-        .points
-        .iter()
-        .zip(good)
-        .filter(|(_, good)| *good >= FEWEST_GOOD);
-    agreed
-        .map(|(point, _)| ground.frame.enu_from_geo(*point))
-        .map(|p| Vec3::new(p.x as f32, p.y as f32, p.z as f32))
-        .collect()
 }
 
 /// The corrections' shifts as the engine takes them.

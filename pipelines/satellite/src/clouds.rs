@@ -2,12 +2,13 @@
 
 use super::ground::Ground;
 use heliosplat::Raster;
+use heliosplat_stereo::PlaneSweepRequest;
 use heliosplat_stereo::clouds::find_clouds;
 
-/// The pixels of each crop of `ground` that show clouds; empty where there are none. `cell_m` is the width of the sweep's cells.
-pub(super) fn find(ground: &Ground, rasters: &[Raster], cell_m: f64) -> Vec<Vec<bool>> {
+/// The pixels of each crop of `ground` that show clouds; empty where there are none.
+pub(super) fn find(ground: &Ground, rasters: &[Raster], request: &PlaneSweepRequest) -> Vec<Vec<bool>> {
     let none = vec![[0.0; 2]; rasters.len()];
-    let mut masks = find_clouds(&ground.sweep_views(rasters, &none), &ground.request(cell_m));
+    let mut masks = find_clouds(&ground.sweep_views(rasters, &none), request);
     for (mask, image) in masks.iter_mut().zip(&ground.images) {
         match share(mask) {
             0.0 => mask.clear(),

@@ -1,6 +1,6 @@
 //! What can go wrong between a scene and its run.
 
-use crate::fit::FitError;
+use heliosplat::train::TrainError;
 use heliosplat_evaluate::EvaluateError;
 use heliosplat_fitting::run_folder::{OpenError, RunError};
 use heliosplat_fitting::settings::ConfigError;
@@ -78,5 +78,60 @@ pub enum SatelliteError {
         image: PathBuf,
         /// Why not.
         error: RpcError,
+    },
+}
+
+/// Why a model could not be fitted.
+#[derive(Debug, thiserror::Error)]
+pub enum FitError {
+    /// Fewer than two images show the common ground.
+    #[error("{images} of the scene's images show the ground that at least two have in common; two are needed")]
+    TooFewViews {
+        /// How many do.
+        images: usize,
+    },
+    /// Training would take more memory than it may.
+    #[error(
+        "--memory: training needs about {needed_gib:.2} GiB and {limit_gib:.2} GiB are allowed; give more, fewer images, or a coarser model with --set start.cell_gsd={cell_gsd:.2}"
+    )]
+    Memory {
+        /// What it needs, GiB.
+        needed_gib: f64,
+        /// What it may take, GiB.
+        limit_gib: f64,
+        /// What would fit: width of a cell, ground sampling distances.
+        cell_gsd: f64,
+    },
+    /// A mask of shadows that cannot be used.
+    #[error(transparent)]
+    Mask(#[from] MaskError),
+    /// Training gave up, or its checkpoint is at fault.
+    #[error(transparent)]
+    Training(#[from] TrainingError),
+}
+
+impl From<TrainError> for FitError {
+    fn from(error: TrainError) -> Self {
+        Self::Training(error.into())
+    }
+}
+
+/// Why a mask cannot be used.
+#[derive(Debug, thiserror::Error)]
+pub enum MaskError {
+    /// A file that is missing or damaged.
+    #[error("model.shadow_masks: {0}")]
+    File(#[from] RasterError),
+    /// A mask that does not lie on its image.
+    #[error(
+        "model.shadow_masks: {path} has {mask_px:?} pixels and its image {image_px:?}; a mask covers its image: 1 where it is lit, 0 in shadow"
+    )]
+    Size {
+        /// The mask.
+        path: PathBuf,
+        /// Its columns and rows.
+        mask_px: (usize, usize),
+        /// Those of its image.
+        image_px: (usize, usize),
     },
 }

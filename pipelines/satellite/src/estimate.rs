@@ -4,8 +4,9 @@
 //! estimate beside what was used.
 
 use super::config::{ModelOptions, SatelliteConfig};
-use super::fit::FitError;
-use heliosplat::rates::{Descent, Site};
+use super::error::FitError;
+use super::ground;
+use heliosplat::bench_fixture::{Descent, Site};
 use heliosplat::shade::sh::functions;
 use heliosplat::train::TrainOptions;
 use heliosplat_fitting::budget::after_training_steps;
@@ -145,7 +146,7 @@ pub fn estimate_of(extent: &Extent, config: &SatelliteConfig, slowness: f64, hel
         training,
         ..
     } = extent;
-    let area = crop::grown(&extent.area, config.start.margin_m);
+    let area = crop::grown(&extent.area, ground::MARGIN_M);
     let cell_m = config.start.cell_gsd * gsd_m;
     let cells = (area.east_m - area.west_m) * (area.north_m - area.south_m) / (cell_m * cell_m);
     let gaussians = GAUSSIANS_PER_CELL * cells;

@@ -1,60 +1,33 @@
 //! From a scene to a trained model: align, sweep, start, train.
 
 use super::config::SatelliteConfig;
+use super::error::{FitError, MaskError};
 use super::ground::Ground;
-use super::shadow_prior::{self, MaskError};
+use super::shadow_prior;
 use super::swept::{Preprocessed, Swept};
 use super::views;
-use super::{clouds, estimate, initial, measure, radiometry};
+use super::{clouds, estimate, initial, probe, radiometry};
 use glam::Vec3;
 use heliosplat::ProjectiveCamera;
 use heliosplat::model::shadow_gs::{ShadowGs, ShadowGsOptions};
 use heliosplat::model::{Parameters, SceneModel, View};
-use heliosplat::render::PassOptions;
-use heliosplat::train::{EarlyStop, TrainError, TrainOptions, Trainer};
+use heliosplat::train::{EarlyStop, TrainOptions, Trainer};
 use heliosplat_fitting::budget::Budget;
 use heliosplat_fitting::checkpoint::{CheckpointWriter, LoadedCheckpoint};
+use heliosplat_fitting::curve::CurvePoint;
 use heliosplat_fitting::run_folder::peak_rss_bytes;
-use heliosplat_fitting::training::{CurvePoint, Ending, TrainingError, train};
+use heliosplat_fitting::training::{Ending, TrainingError, train};
 use heliosplat_scene::{Area, Scene, SceneImage};
 use heliosplat_session::Session;
 use heliosplat_stereo::Surface;
 use std::time::Instant;
 
-/// Why a model could not be fitted.
-#[derive(Debug, thiserror::Error)]
-pub enum FitError {
-    /// Fewer than two images show the common ground.
-    #[error("{images} of the scene's images show the ground that at least two have in common; two are needed")]
-    TooFewViews {
-        /// How many do.
-        images: usize,
-    },
-    /// Training would take more memory than it may.
-    #[error(
-        "--memory: training needs about {needed_gib:.2} GiB and {limit_gib:.2} GiB are allowed; give more, fewer images, or a coarser model with --set start.cell_gsd={cell_gsd:.2}"
-    )]
-    Memory {
-        /// What it needs, GiB.
-        needed_gib: f64,
-        /// What it may take, GiB.
-        limit_gib: f64,
-        /// What would fit: width of a cell, ground sampling distances.
-        cell_gsd: f64,
-    },
-    /// A mask of shadows that cannot be used.
-    #[error(transparent)]
-    Mask(#[from] MaskError),
-    /// Training gave up, or its checkpoint is at fault.
-    #[error(transparent)]
-    Training(#[from] TrainingError),
-}
-
-impl From<TrainError> for FitError {
-    fn from(error: TrainError) -> Self {
-        Self::Training(error.into())
-    }
-}
+/// Share of the images that must show a cell for Gaussians to start there; two always must. Below, the sweep is mostly noise.
+const COVERAGE: f64 = 0.4;
+/// Sky light at the start, as a share of the sun's: that of a clear day; training finds each image's own.
+const SKY: f32 = 0.3;
+/// Weight of the shadow prior, where it is on.
+const PRIOR_WEIGHT: f32 = 1.0;
 
 /// What a fit may take.
 #[derive(Debug, Clone, Copy, Default)]
@@ -124,7 +97,7 @@ pub fn fit(
         (checkpoint.preprocessed, Some(checkpoint.log), Some(checkpoint.trainer))
     });
     let again = match preprocessed {
-        Some(preprocessed) => Swept::again(scene, config, preprocessed)?,
+        Some(preprocessed) => Swept::again(scene, preprocessed)?,
         None => None,
     };
     let Swept { ground, found } = match again {
@@ -135,25 +108,22 @@ pub fn fit(
     checkpoints.log = log.unwrap_or_default();
     let Preprocessed {
         surface,
-        mut shifts_px,
-        ties_m,
+        shifts_px,
         clouds,
         seconds: [align_s, sweep_s],
     } = found;
     let swept = Instant::now();
 
     let model = model(&ground, config);
-    let covered = ground.covered(&surface, config.start.coverage);
-    let ties: &[Vec3] = if config.start.ties { &ties_m } else { &[] };
+    let covered = ground.covered(&surface, COVERAGE);
     let mut parameters = Parameters {
         gaussians: initial::Start {
             surface: &surface,
             covered: &covered,
-            ties,
-            options: &config.start,
+            step_opacity: config.start.step_opacity,
         }
         .gaussians(model.feature_groups()),
-        globals: model.initial_globals(config.model.sky),
+        globals: model.initial_globals(SKY),
     };
     tracing::info!(
         gaussians = parameters.gaussians.count,
@@ -173,12 +143,7 @@ pub fn fit(
     let steps = options.iterations;
     options.gsd_m = scene.gsd_m as f32;
     let memory_estimate = fit_into_memory(limits.memory, scene, &parameters, &views, config, &mut options)?;
-    let pass = PassOptions {
-        projection: options.projection,
-        trace: options.trace,
-        ..PassOptions::default()
-    };
-    radiometry::initialise(&model, &mut parameters, &mut views, pass, config.model.sky);
+    radiometry::initialise(&model, &mut parameters, &mut views, SKY);
     let initialised = swept.elapsed();
 
     let bounds = bounds(&ground);
@@ -190,13 +155,9 @@ pub fn fit(
         restored.map_err(TrainingError::from)?;
     }
     let trained = {
-        let probe = measure::height_probe(scene, pass.projection);
+        let probe = probe::height_probe(scene);
         train(trainer, steps, session, limits.budget, checkpoints, probe.as_deref())?
     };
-    for (image, shift) in shifts_px.iter_mut().enumerate() {
-        let moved = model.pointing(&trained.parameters, image);
-        *shift = [shift[0] + moved[0], shift[1] + moved[1]];
-    }
     Ok(Fitted {
         parameters: trained.parameters,
         early_stop: trained.early_stop,
@@ -228,14 +189,13 @@ fn model(ground: &Ground, config: &SatelliteConfig) -> ShadowGs {
         // The plan has decided these by now.
         image_colour: config.model.image_colour.unwrap_or(images > 1),
         prior_weight: match config.model.shadow_prior {
-            Some(true) => config.model.prior_weight,
+            Some(true) => PRIOR_WEIGHT,
             _ => 0.0,
         },
         near_light: config.model.near_light,
         degree: config.model.sh_degree,
         facing: config.model.facing,
         opaqueness_weight: config.model.opaqueness_weight,
-        pointing: config.cameras.refine,
     })
 }
 
@@ -259,7 +219,7 @@ fn give_priors(
         }
     };
     for (view, lit) in views.iter_mut().zip(priors) {
-        view.lit = Some(lit);
+        view.visibility_prior = Some(lit);
     }
     Ok(())
 }

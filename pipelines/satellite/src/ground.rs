@@ -1,13 +1,18 @@
-//! The ground that a scene's images have in common: what the sweep covers, and what ties between images are sought on.
+//! The ground that a scene's images have in common: what the plane sweep covers, and what tie points are searched on.
 
-use super::fit::FitError;
+use super::error::FitError;
 use heliosplat::Raster;
 use heliosplat_rpc::LocalFrame;
 use heliosplat_scene::bands::{vegetation_bands, vegetation_index};
 use heliosplat_scene::crop::{self, Crop};
 use heliosplat_scene::{Area, Scene, SceneImage};
-use heliosplat_stereo::{Surface, SweepOptions, SweepRequest, SweepView};
+use heliosplat_stereo::{
+    MatchingFacts, MatchingParameters, PlaneSweepRequest, SearchVolume, Surface, SweepView, ViewGeometry,
+};
 use rayon::prelude::*;
+
+/// Ground added around the area, metres: shadows fall into it, and ties near the edge have a surface.
+pub const MARGIN_M: f64 = 4.0;
 
 /// Cells around a cell among which the lowest is its ground.
 const GROUND_CELLS: usize = 12;
@@ -28,16 +33,12 @@ pub struct Ground<'a> {
 }
 
 impl<'a> Ground<'a> {
-    /// The ground of `scene`, grown by `margin_m` metres, in those of `images` that show it.
+    /// The ground of `scene`, grown by [`MARGIN_M`], in those of `images` that show it.
     ///
     /// # Errors
     /// [`FitError::TooFewViews`] when fewer than two do.
-    pub fn new(
-        scene: &'a Scene,
-        images: impl Iterator<Item = &'a SceneImage>,
-        margin_m: f64,
-    ) -> Result<Self, FitError> {
-        let area = crop::grown(&scene.area, margin_m);
+    pub fn new(scene: &'a Scene, images: impl Iterator<Item = &'a SceneImage>) -> Result<Self, FitError> {
+        let area = crop::grown(&scene.area, MARGIN_M);
         let up_m = crop::altitude_range(scene);
         let (images, crops): (Vec<&SceneImage>, Vec<Crop>) = images
             .filter_map(|image| Some((image, Crop::of(image, &area, up_m)?)))
@@ -61,15 +62,27 @@ impl<'a> Ground<'a> {
         crops.map(|(image, crop)| crop.cut(&image.pixels)).collect()
     }
 
-    /// The crops with their pixels and their cameras moved by `shifts` (columns, rows), pixels.
-    pub fn sweep_views<'r>(&self, rasters: &'r [Raster], shifts: &[[f32; 2]]) -> Vec<SweepView<'r>> {
+    /// Where the crops are seen from and under which sun, their cameras moved by `shifts` (columns, rows), pixels.
+    fn geometries(&self, shifts: &[[f32; 2]]) -> Vec<ViewGeometry> {
         (0..self.images.len())
-            .map(|i| SweepView {
+            .map(|i| ViewGeometry {
                 camera: crop::camera(&self.images[i].pinhole.map, &self.crops[i], shifts[i]),
-                image: &rasters[i],
-                index: None,
                 date_group: self.groups[i],
                 sun: crop::sun(self.images[i]),
+            })
+            .collect()
+    }
+
+    /// The crops with their pixels and their cameras moved by `shifts` (columns, rows), pixels.
+    pub fn sweep_views<'r>(&self, rasters: &'r [Raster], shifts: &[[f32; 2]]) -> Vec<SweepView<'r>> {
+        let geometries = self.geometries(shifts).into_iter().zip(rasters);
+        geometries
+            .map(|(geometry, image)| SweepView {
+                camera: geometry.camera,
+                image,
+                index: None,
+                date_group: geometry.date_group,
+                sun: geometry.sun,
             })
             .collect()
     }
@@ -91,7 +104,7 @@ impl<'a> Ground<'a> {
     }
 
     /// Cells that enough of the images show, at their altitude and at that of the ground around: `share` of the images, and at
-    /// least two. At the ragged edge of the common ground, where two dates meet at best, a swept surface is mostly noise; a rim
+    /// least two. At the ragged edge of the common ground, where two dates meet at best, the initial surface is mostly noise; a rim
     /// of it would throw shadows over the scene.
     pub(super) fn covered(&self, surface: &Surface, share: f64) -> Vec<bool> {
         let needed = ((self.images.len() as f64 * share).ceil() as usize).max(2);
@@ -108,10 +121,10 @@ impl<'a> Ground<'a> {
             .collect()
     }
 
-    /// What a sweep with cells of `cell_m` metres covers.
-    pub fn request(&self, cell_m: f64) -> SweepRequest {
+    /// What a plane sweep with cells of `cell_m` metres searches.
+    pub fn volume(&self, cell_m: f64) -> SearchVolume {
         let snapped = |v: f64| (v / cell_m).round() * cell_m;
-        SweepRequest {
+        SearchVolume {
             west_m: snapped(self.area.west_m) as f32,
             south_m: snapped(self.area.south_m) as f32,
             east_m: snapped(self.area.east_m) as f32,
@@ -119,7 +132,22 @@ impl<'a> Ground<'a> {
             cell_m: cell_m as f32,
             altitude_min_m: self.up_m.0 as f32,
             altitude_max_m: self.up_m.1 as f32,
-            options: SweepOptions::default(),
+        }
+    }
+
+    /// What the choice of the matching parameters depends on, with cells of `cell_m` metres. It takes no pixels, and the cameras as given:
+    /// pointing corrections do not change viewing directions.
+    pub fn matching_facts(&self, cell_m: f64) -> MatchingFacts {
+        let shifts = vec![[0.0; 2]; self.images.len()];
+        let has_index = self.images.iter().all(|image| vegetation_bands(&image.bands).is_some());
+        MatchingFacts::new(&self.geometries(&shifts), self.volume(cell_m).centre(), has_index)
+    }
+
+    /// A plane sweep with cells of `cell_m` metres and the parameters that these views require.
+    pub fn request(&self, cell_m: f64) -> PlaneSweepRequest {
+        PlaneSweepRequest {
+            volume: self.volume(cell_m),
+            parameters: MatchingParameters::choose(&self.matching_facts(cell_m)),
         }
     }
 }

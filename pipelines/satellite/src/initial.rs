@@ -1,20 +1,28 @@
-//! Gaussians on a swept surface: one flat disc per cell, walls under its steps, and a floor under what stands at a step.
+//! Gaussians on an initial surface: one flat disc per cell, walls under its steps, and a floor under what stands at a step.
 //!
 //! * Without walls a roof is a table: oblique views look under it and the sun shines through below. The discs of a wall stand
 //!   half a cell inside the roof's edge, where the roof hides them from above, and begin below the roof.
 //! * A sweep makes roofs a cell or two too wide and roofs over narrow alleys. Near a step, and further where the sweep was in
 //!   doubt, the ground is laid under the roof as well, and the roof starts less opaque: training takes away what
 //!   the images do not show, and the ground is there when it does.
-//! * Tie points between the images are single but sure: where the surface misses one, a disc starts there as well.
 
-use super::config::StartOptions;
 use glam::{Mat3, Quat, Vec3};
 use heliosplat::gaussians::{GroupSpec, LOG_SCALE, OPACITY, POSITION, ROTATION, Table, core_groups, logit};
 use heliosplat_stereo::Surface;
 
+/// Standard deviation of a disc in the surface, cells: neighbours overlap until no light comes between them.
+const SPREAD_CELLS: f32 = 0.65;
+/// Standard deviation across the surface, cells: flat, but thick enough to be seen from the side.
+const THICKNESS_CELLS: f32 = 0.2;
+/// Opacity of what is sure; above it opacity is saturated and has no gradients.
+const OPACITY_SURE: f32 = 0.99;
+/// Steps lower than this get no wall, metres: cars and hedges, or noise.
+const WALL_FROM_M: f32 = 2.0;
+/// Vertical distance between the discs of a wall, cells; they are stretched to meet.
+const WALL_PITCH_CELLS: f32 = 2.0;
 /// Slopes beyond this are steps, not slopes: the disc stays level there.
 const STEEPEST: f32 = 1.5;
-/// A step of fewer steps of the sweep's ladder than this is noise and no wall.
+/// A step of fewer height steps of the plane sweep than this is noise and no wall.
 const WALL_FROM_STEPS: f32 = 3.0;
 /// Cells around a cell among which the lowest is the floor beneath it: near a step, and where the sweep was in doubt.
 const FLOOR_CELLS: (usize, usize) = (4, 9);
@@ -22,8 +30,7 @@ const FLOOR_CELLS: (usize, usize) = (4, 9);
 const DOUBT: f32 = 0.1;
 
 /// Where the discs stand and how they lie.
-struct Discs<'a> {
-    options: &'a StartOptions,
+struct Discs {
     cell_m: f32,
     position: Vec<f32>,
     rotation: Vec<f32>,
@@ -39,12 +46,10 @@ struct Disc {
     opacity: f32,
 }
 
-impl Discs<'_> {
+impl Discs {
     fn add(&mut self, disc: &Disc) {
-        let spread = disc
-            .extent_cells
-            .map(|cells| (self.options.spread_cells * cells * self.cell_m).ln());
-        let thickness = (self.options.thickness_cells * self.cell_m).ln();
+        let spread = disc.extent_cells.map(|cells| (SPREAD_CELLS * cells * self.cell_m).ln());
+        let thickness = (THICKNESS_CELLS * self.cell_m).ln();
         self.position.extend(disc.centre.to_array());
         self.rotation.extend(disc.rotation.to_array());
         self.log_scale.extend([spread[0], spread[1], thickness]);
@@ -53,7 +58,7 @@ impl Discs<'_> {
 
     /// The wall under a cell that stands `step.drop_m` above its lowest neighbour.
     fn add_wall(&mut self, top: Vec3, step: &Step, opacity: f32) {
-        let pitch = self.options.wall_pitch_cells * self.cell_m;
+        let pitch = WALL_PITCH_CELLS * self.cell_m;
         let height = (step.drop_m - self.cell_m).max(self.cell_m);
         let count = (height / pitch).ceil().max(1.0);
         for k in 0..count as usize {
@@ -112,38 +117,25 @@ fn lie(surface: &Surface, col: usize, row: usize) -> Quat {
 
 /// What Gaussians start from.
 pub(super) struct Start<'a> {
-    /// The swept surface.
+    /// The initial surface.
     pub(super) surface: &'a Surface,
     /// The cells that get discs.
     pub(super) covered: &'a [bool],
-    /// Ground points that ties agree on, metres.
-    pub(super) ties: &'a [Vec3],
-    /// How the discs lie.
-    pub(super) options: &'a StartOptions,
+    /// Opacity of what stands near a step.
+    pub(super) step_opacity: f32,
 }
 
 impl Start<'_> {
     /// The Gaussians; the groups of `features` are zero.
     pub(super) fn gaussians(&self, features: Vec<GroupSpec>) -> Table {
-        let &Self { surface, options, .. } = self;
         let mut discs = Discs {
-            options,
-            cell_m: surface.cell_m,
+            cell_m: self.surface.cell_m,
             position: Vec::new(),
             rotation: Vec::new(),
             log_scale: Vec::new(),
             opacity: Vec::new(),
         };
         self.on_surface(&mut discs);
-        let missed = self.ties.iter().filter(|tie| self.misses(**tie));
-        missed.for_each(|&centre| {
-            discs.add(&Disc {
-                centre,
-                rotation: Quat::IDENTITY,
-                extent_cells: [1.0; 2],
-                opacity: options.step_opacity,
-            });
-        });
         let mut groups = core_groups();
         groups.extend(features);
         let mut table = Table::zeros(groups, discs.opacity.len());
@@ -159,10 +151,9 @@ impl Start<'_> {
         let &Self {
             surface,
             covered,
-            options,
-            ..
+            step_opacity,
         } = self;
-        let wall_from_m = options.wall_from_m.max(WALL_FROM_STEPS * surface.resolution_m);
+        let wall_from_m = WALL_FROM_M.max(WALL_FROM_STEPS * surface.resolution_m);
         let floors = (surface.lowest(FLOOR_CELLS.0), surface.lowest(FLOOR_CELLS.1));
         for cell in (0..covered.len()).filter(|&cell| covered[cell]) {
             let (col, row) = (cell % surface.width, cell / surface.width);
@@ -170,11 +161,7 @@ impl Start<'_> {
             let doubtful = surface.confidence[cell] < DOUBT;
             let floor_m = if doubtful { floors.1[cell] } else { floors.0[cell] };
             let above_floor = here.z - floor_m > wall_from_m;
-            let opacity = if above_floor {
-                options.step_opacity
-            } else {
-                options.opacity
-            };
+            let opacity = if above_floor { step_opacity } else { OPACITY_SURE };
             let top = Disc {
                 centre: here,
                 rotation: lie(surface, col, row),
@@ -186,7 +173,7 @@ impl Start<'_> {
                 discs.add(&Disc {
                     centre: Vec3::new(here.x, here.y, floor_m),
                     rotation: Quat::IDENTITY,
-                    opacity: options.opacity,
+                    opacity: OPACITY_SURE,
                     ..top
                 });
             }
@@ -194,19 +181,6 @@ impl Start<'_> {
                 discs.add_wall(here, &step, opacity);
             }
         }
-    }
-
-    /// Whether the surface, at a tie and in the cells around it, is elsewhere.
-    fn misses(&self, tie: Vec3) -> bool {
-        let surface = self.surface;
-        let Some(cell) = surface.cell_at(tie.x, tie.y).filter(|&cell| self.covered[cell]) else {
-            return false;
-        };
-        let tolerance_m = surface.cell_m.max(2.0 * surface.resolution_m);
-        let near = |at: usize, size: usize| at.saturating_sub(1)..(at + 2).min(size);
-        let mut around = near(cell / surface.width, surface.height)
-            .flat_map(|row| near(cell % surface.width, surface.width).map(move |col| row * surface.width + col));
-        around.all(|near| (surface.altitude[near] - tie.z).abs() > tolerance_m)
     }
 }
 
@@ -229,32 +203,18 @@ mod tests {
         }
     }
 
-    fn gaussians_on(surface: &Surface, covered: &[bool], ties: &[Vec3]) -> Table {
-        let options = &StartOptions::default();
+    fn gaussians_on(surface: &Surface, covered: &[bool]) -> Table {
         let start = Start {
             surface,
             covered,
-            ties,
-            options,
+            step_opacity: 0.35,
         };
         start.gaussians(vec![])
     }
 
     #[test]
-    fn a_tie_that_the_surface_misses_gets_a_disc_and_others_do_not() {
-        let ground = surface(vec![3.0; 100], 10);
-        let (above, on) = (Vec3::new(2.2, -2.2, 9.0), Vec3::new(2.2, -2.2, 3.1));
-        let (outside, nowhere) = (Vec3::new(-9.0, 0.0, 9.0), Vec3::new(0.2, -0.2, 9.0));
-        let mut covered = [true; 100];
-        covered[0] = false;
-        let table = gaussians_on(&ground, &covered, &[above, on, outside, nowhere]);
-        assert_eq!(table.count, 100);
-        assert_eq!(table.position(99), above);
-    }
-
-    #[test]
     fn level_ground_is_one_level_disc_per_cell() {
-        let table = gaussians_on(&surface(vec![3.0; 6], 3), &[true; 6], &[]);
+        let table = gaussians_on(&surface(vec![3.0; 6], 3), &[true; 6]);
         assert_eq!(table.count, 6);
         assert_eq!(table.position(4), Vec3::new(0.75, -0.75, 3.0));
         assert!((table.rotation(4) * Vec3::Z - Vec3::Z).length() < 1e-6);
@@ -263,7 +223,7 @@ mod tests {
     #[test]
     fn a_cell_that_few_images_show_gets_no_disc() {
         let covered = [true, false, true, true];
-        let table = gaussians_on(&surface(vec![0.0, 9.0, 0.0, 0.0], 4), &covered, &[]);
+        let table = gaussians_on(&surface(vec![0.0, 9.0, 0.0, 0.0], 4), &covered);
         assert_eq!(table.count, 3);
         assert!((0..3).all(|i| table.position(i).z < 1.0));
     }
@@ -271,7 +231,7 @@ mod tests {
     /// A strip of roof, 6 m up, west of level ground: twenty cells of each.
     fn eaves() -> Table {
         let altitude: Vec<f32> = (0..40).map(|i| if i < 20 { 6.0 } else { 0.0 }).collect();
-        gaussians_on(&surface(altitude, 40), &[true; 40], &[])
+        gaussians_on(&surface(altitude, 40), &[true; 40])
     }
 
     #[test]

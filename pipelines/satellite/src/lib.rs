@@ -14,6 +14,7 @@ pub mod ground;
 mod initial;
 pub mod measure;
 pub mod plan;
+mod probe;
 mod radiometry;
 pub mod run_file;
 mod shadow_prior;

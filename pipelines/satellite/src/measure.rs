@@ -3,14 +3,11 @@
 use super::error::SatelliteError;
 use super::fit::Fitted;
 use heliosplat::Raster;
-use heliosplat::splat::ProjectionOptions;
 use heliosplat_evaluate::shadow::ShadowCounts;
-use heliosplat_evaluate::{DsmEvaluation, ImageScore, Protocol, error_map, evaluate_dsm, evaluate_raster};
+use heliosplat_evaluate::{DsmEvaluation, ImageScore, Protocol, error_map, evaluate_dsm};
 use heliosplat_fitting::run_folder::{RunError, create_folder, peak_rss_bytes};
-use heliosplat_fitting::training::{Accuracy, Probe};
-use heliosplat_products::dsm::{NadirGrid, of_gaussians, of_surface};
+use heliosplat_products::dsm::of_surface;
 use heliosplat_products::model::LoadedModel;
-use heliosplat_products::surface::SurfaceGaussians;
 use heliosplat_products::views::{RenderedView, render_view, score};
 use heliosplat_raster::{RasterFile, preview, write_atomically};
 use heliosplat_scene::{BandKind, Scene, Split};
@@ -26,26 +23,6 @@ pub fn dsm(scene: &Scene, run: &Path, protocol: Protocol) -> Result<Option<DsmEv
         scene.truth.classes.as_deref(),
         protocol,
     )?))
-}
-
-/// Tells how far the surface of a model in training is from the scene's true one; `None` without truth.
-pub(super) fn height_probe(scene: &Scene, projection: ProjectionOptions) -> Option<Box<Probe<'_>>> {
-    let truth = scene.truth.dsm.as_deref()?;
-    let classes = scene.truth.classes.as_deref();
-    let nadir = NadirGrid::new(&scene.into(), scene.gsd_m, None).ok()?;
-    Some(Box::new(move |parameters| {
-        let gaussians = SurfaceGaussians {
-            gaussians: &parameters.gaussians,
-            bands: scene.bands(),
-            projection,
-        };
-        let surface = of_gaussians(&nadir, &gaussians).geo_raster();
-        let evaluation = evaluate_raster((&scene.source, &surface), truth, classes, Protocol::Raw).ok()?;
-        Some(Accuracy {
-            height_mae_m: Some(evaluation.metrics.all.mae_m),
-            psnr_db: None,
-        })
-    }))
 }
 
 /// `metrics.json` as far as it follows from model and scene; also draws pictures into the run's folder.
@@ -223,7 +200,7 @@ pub fn summary(metrics: &Value) -> String {
         number("/rejected_steps").filter(|&n| n > 0.0),
         "(numbers that were not finite)",
     );
-    say("start MAE", number("/start/mae_m"), "m (raw, the swept surface)");
+    say("start MAE", number("/start/mae_m"), "m (raw, the initial surface)");
     say("DSM MAE", number("/dsm/mae_m"), &format!("m ({protocol})"));
     say(
         "DSM MAE",

@@ -3,13 +3,15 @@
 //! Decided from what is known then: views, dates, suns, bands and baselines. `inspect` shows the plan, `run.toml` keeps it, and every
 //! entry gives way to a value that was set.
 
-use super::config::SatelliteConfig;
+use super::config::{Align, SatelliteConfig};
+use super::ground::Ground;
 use super::shadow_prior::ENOUGH_VIEWS;
-use glam::Vec3;
+use super::swept::THRESHOLD_PX;
 use heliosplat_scene::{BandKind, Scene, SceneImage};
 use heliosplat_scene::{crop, saturation};
-use heliosplat_stereo::MANY_VIEWS;
+
 use heliosplat_stereo::clouds::FEWEST_VIEWS;
+use heliosplat_stereo::{MANY_VIEWS, MatchingFacts, MatchingParameters};
 
 /// One component of the model, whether the scene requires it, and why.
 #[derive(Debug, Clone, PartialEq, serde::Serialize, serde::Deserialize)]
@@ -22,17 +24,14 @@ pub struct PlanItem {
     pub reason: String,
 }
 
-/// Ratio of base to height above which pairs tell altitudes apart well, and below which hardly.
-const WIDE_BASE: f32 = 0.15;
-
 /// What the plan is made from.
 struct Facts {
     images: usize,
     dates: usize,
     /// Lowest and highest sun, degrees.
     suns_deg: (f64, f64),
-    /// Widest ratio of base to height of two images.
-    base_to_height: f32,
+    /// What the plane sweep's matching parameters are chosen from; `None` where no two images show the common ground.
+    matching: Option<MatchingFacts>,
     near_infrared: bool,
     /// Share of the values that are clipped.
     clipped: f64,
@@ -41,14 +40,10 @@ struct Facts {
 }
 
 impl Facts {
-    fn of(scene: &Scene) -> Self {
+    fn of(scene: &Scene, config: &SatelliteConfig) -> Self {
         let images: Vec<&SceneImage> = scene.training().collect();
         let elevations = || images.iter().map(|image| image.sun.elevation_rad.to_degrees());
-        let parallax: Vec<Vec3> = images.iter().map(|image| parallax(image)).collect();
-        let bases = parallax
-            .iter()
-            .enumerate()
-            .flat_map(|(i, a)| parallax[..i].iter().map(move |b| a.distance(*b)));
+        let ground = Ground::new(scene, scene.training()).ok();
         let has = |kind| images.iter().all(|image| image.bands.contains(&kind));
         Self {
             images: images.len(),
@@ -60,7 +55,7 @@ impl Facts {
                 elevations().fold(f64::INFINITY, f64::min),
                 elevations().fold(f64::NEG_INFINITY, f64::max),
             ),
-            base_to_height: bases.fold(0.0, f32::max),
+            matching: ground.map(|ground| ground.matching_facts(config.start.cell_gsd * scene.gsd_m)),
             near_infrared: has(BandKind::Red) && has(BandKind::NearInfrared),
             clipped: images.iter().map(|image| saturation::share(&image.pixels)).sum::<f64>()
                 / images.len().max(1) as f64,
@@ -69,23 +64,9 @@ impl Facts {
     }
 }
 
-/// How far the ray of the image's middle moves over the ground per metre of altitude.
-fn parallax(image: &SceneImage) -> Vec3 {
-    let (width, height) = (image.pixels.width, image.pixels.height);
-    let whole = crop::Crop {
-        col0: 0,
-        row0: 0,
-        width,
-        height,
-    };
-    let camera = crop::camera(&image.pinhole.map, &whole, [0.0; 2]);
-    let ray = camera.ray_direction(width as f32 / 2.0, height as f32 / 2.0);
-    ray / if ray.z.abs() > 1e-3 { ray.z } else { -1e-3 }
-}
-
 /// Which components of the model this scene requires; what `config` sets stays as it is.
 pub fn plan(scene: &Scene, config: &SatelliteConfig) -> Vec<PlanItem> {
-    items(&Facts::of(scene), config)
+    items(&Facts::of(scene, config), config)
 }
 
 fn items(facts: &Facts, config: &SatelliteConfig) -> Vec<PlanItem> {
@@ -105,11 +86,14 @@ fn items(facts: &Facts, config: &SatelliteConfig) -> Vec<PlanItem> {
     };
     let &Facts { images, dates, .. } = facts;
     let (lowest, highest) = facts.suns_deg;
+    let [many_view_matching, cost_aggregation] = matching_items(facts.matching);
     vec![
         item(
             "sun",
             true,
-            format!("{dates} date(s) with known suns, {lowest:.0} to {highest:.0} degrees high: cast shadows are traced through the geometry"),
+            format!(
+                "{dates} date(s) with known suns, {lowest:.0} to {highest:.0} degrees high: cast shadows are traced through the geometry"
+            ),
         ),
         decided(
             "model.image_colour",
@@ -126,7 +110,9 @@ fn items(facts: &Facts, config: &SatelliteConfig) -> Vec<PlanItem> {
             config.model.clouds,
             images >= FEWEST_VIEWS,
             if images >= FEWEST_VIEWS {
-                format!("{images} views: what one shows brighter than the others show the ground in the sun is a cloud, and left out")
+                format!(
+                    "{images} views: what one shows brighter than the others show the ground in the sun is a cloud, and left out"
+                )
             } else {
                 format!("{images} views cannot say which of them shows a cloud")
             },
@@ -136,7 +122,10 @@ fn items(facts: &Facts, config: &SatelliteConfig) -> Vec<PlanItem> {
             config.model.saturation,
             facts.clipped > 0.0,
             if facts.clipped > 0.0 {
-                format!("{:.2} % of the values are as great as their images can say: the model may be brighter", 100.0 * facts.clipped)
+                format!(
+                    "{:.2} % of the values are as great as their images can say: the model may be brighter",
+                    100.0 * facts.clipped
+                )
             } else {
                 "no image is clipped".into()
             },
@@ -146,7 +135,9 @@ fn items(facts: &Facts, config: &SatelliteConfig) -> Vec<PlanItem> {
             config.model.shadow_prior,
             images < ENOUGH_VIEWS,
             if images < ENOUGH_VIEWS {
-                format!("{images} views say little of what throws a shadow: dark places with something toward the sun guide it")
+                format!(
+                    "{images} views say little of what throws a shadow: dark places with something toward the sun guide it"
+                )
             } else {
                 format!("{images} views: shadows follow from what they agree on")
             },
@@ -160,42 +151,20 @@ fn items(facts: &Facts, config: &SatelliteConfig) -> Vec<PlanItem> {
                 "no near infrared in all images: the sweep compares brightness alone".into()
             },
         ),
-        item(
-            "start.bold_search",
-            images >= MANY_VIEWS,
-            if images >= MANY_VIEWS {
-                format!("{images} views: what they agree on is seldom chance, so walls and trees are sought boldly")
-            } else {
-                format!("{images} views agree by chance more often: the surface is sought with caution")
-            },
-        ),
-        item(
-            "start.wide_windows",
-            facts.base_to_height < WIDE_BASE,
-            format!(
-                "widest ratio of base to height {:.2}: {}",
-                facts.base_to_height,
-                if facts.base_to_height < WIDE_BASE {
-                    "a pixel is metres of altitude, so costs are averaged and surfaces smoothed"
-                } else {
-                    "single cells tell altitudes apart"
-                }
-            ),
-        ),
+        many_view_matching,
+        cost_aggregation,
         item(
             "cameras.pinhole",
             true,
-            format!("pinhole cameras fit the given ones to {:.3} px over the area", facts.residual_px),
+            format!(
+                "pinhole cameras fit the given ones to {:.3} px over the area",
+                facts.residual_px
+            ),
         ),
         item(
             "cameras.align",
-            config.cameras.align != super::config::Align::Off,
-            "one shift per image is estimated, and used where it exceeds a quarter pixel and the images agree better with it".into(),
-        ),
-        item(
-            "cameras.refine",
-            config.cameras.refine,
-            "images are moved against each other before training; moving them in it too is for cameras that stay off".into(),
+            config.cameras.align != Align::Off,
+            pointing_reason(config.cameras.align),
         ),
         item(
             "model.facing",
@@ -216,6 +185,73 @@ fn items(facts: &Facts, config: &SatelliteConfig) -> Vec<PlanItem> {
             },
         ),
     ]
+}
+
+/// Said of matching where there is nothing to match.
+const NO_COMMON_GROUND: &str = "no two images show the common ground";
+
+/// What the plane sweep's matching parameters are: those of many views or of few, and its windows.
+fn matching_items(facts: Option<MatchingFacts>) -> [PlanItem; 2] {
+    let item = |component: &str, on: bool, reason: String| PlanItem {
+        component: component.into(),
+        on,
+        reason,
+    };
+    let components = ["start.many_view_matching", "start.cost_aggregation"];
+    let Some(facts) = facts else {
+        return components.map(|component| item(component, false, NO_COMMON_GROUND.into()));
+    };
+    let parameters = MatchingParameters::choose(&facts);
+    let [many_views, aggregation] = components;
+    [
+        item(
+            many_views,
+            facts.views >= MANY_VIEWS,
+            format!(
+                "{} views: no match weighs {:.0} % of all comparisons, a jump of altitude costs {}, pixel values within a date are {}compared",
+                facts.views,
+                100.0 * parameters.no_match_weight,
+                parameters.jump_penalty,
+                if parameters.same_date_values { "" } else { "not " }
+            ),
+        ),
+        item(
+            aggregation,
+            parameters.aggregation_radius > 0,
+            format!(
+                "combined base-to-height ratio {:.2}: {}",
+                facts.combined_base_to_height,
+                windows(&parameters)
+            ),
+        ),
+    ]
+}
+
+/// The windows over which the plane sweep averages its costs and smooths its surface.
+fn windows(parameters: &MatchingParameters) -> String {
+    let side = |radius: usize| 2 * radius + 1;
+    if parameters.aggregation_radius == 0 {
+        return "costs are those of single cells, the surface is not smoothed".into();
+    }
+    let adaptive = match parameters.adaptive_plane_radius {
+        Some(least) => format!(" and then over {0} x {0} or more where confidence is low", side(least)),
+        None => String::new(),
+    };
+    format!(
+        "costs are averaged over {0} x {0} cells, the surface is smoothed by planes over {1} x {1}{adaptive}",
+        side(parameters.aggregation_radius),
+        side(parameters.plane_radius),
+    )
+}
+
+/// How the images' relative pointing is corrected.
+fn pointing_reason(align: Align) -> String {
+    let method = "one shift per image is estimated from tie points";
+    match align {
+        Align::Auto => format!("{method}, and all are used where the largest exceeds {THRESHOLD_PX} px"),
+        Align::On => format!("{method}, and used"),
+        Align::Off => "the cameras are used as they are".into(),
+    }
 }
 
 /// The configuration with what the plan decides where nothing was set.
@@ -240,7 +276,11 @@ mod tests {
             images,
             dates,
             suns_deg: (35.0, 60.0),
-            base_to_height: 0.4,
+            matching: Some(MatchingFacts {
+                views: images,
+                combined_base_to_height: 0.4,
+                has_index: true,
+            }),
             near_infrared: true,
             clipped: 0.0,
             residual_px: 0.01,
@@ -258,7 +298,8 @@ mod tests {
         let config = SatelliteConfig::default();
         assert!(on(&facts(3, 3), &config, "model.shadow_prior") && on(&facts(3, 3), &config, "model.image_colour"));
         assert!(!on(&facts(9, 1), &config, "model.shadow_prior") && !on(&facts(9, 1), &config, "model.image_colour"));
-        assert!(on(&facts(9, 1), &config, "start.bold_search") && !on(&facts(3, 1), &config, "start.bold_search"));
+        let component = "start.many_view_matching";
+        assert!(on(&facts(9, 1), &config, component) && !on(&facts(3, 1), &config, component));
     }
 
     #[test]
@@ -280,12 +321,63 @@ mod tests {
         assert!(degree.is_some_and(|item| item.on && item.reason.ends_with("degree 2")));
     }
 
+    fn reason(facts: &Facts, config: &SatelliteConfig, component: &str) -> String {
+        let items = items(facts, config);
+        let found = items.into_iter().find(|item| item.component == component);
+        found.map(|item| item.reason).unwrap_or_default()
+    }
+
     #[test]
-    fn a_short_base_and_missing_bands_are_seen() {
+    fn missing_bands_are_seen() {
         let mut scene = facts(2, 1);
-        scene.base_to_height = 0.085;
         scene.near_infrared = false;
+        assert!(!on(&scene, &SatelliteConfig::default(), "start.vegetation_index"));
+    }
+
+    #[test]
+    fn the_windows_said_are_those_that_the_sweep_is_given() {
         let config = SatelliteConfig::default();
-        assert!(on(&scene, &config, "start.wide_windows") && !on(&scene, &config, "start.vegetation_index"));
+        let mut scene = facts(2, 1);
+        for ratio in [0.085, 0.31, 0.5, 1.2] {
+            let matching = MatchingFacts {
+                views: 2,
+                combined_base_to_height: ratio,
+                has_index: false,
+            };
+            scene.matching = Some(matching);
+            let parameters = MatchingParameters::choose(&matching);
+            let (radius, said) = (
+                parameters.aggregation_radius,
+                reason(&scene, &config, "start.cost_aggregation"),
+            );
+            assert_eq!(on(&scene, &config, "start.cost_aggregation"), radius > 0);
+            let side = 2 * radius + 1;
+            assert_eq!(
+                said.contains(&format!("averaged over {side} x {side} cells")),
+                radius > 0,
+                "{said}"
+            );
+            assert_eq!(
+                said.contains("confidence"),
+                parameters.adaptive_plane_radius.is_some(),
+                "{said}"
+            );
+        }
+    }
+
+    #[test]
+    fn scenes_without_common_ground_are_planned_all_the_same() {
+        let mut scene = facts(1, 1);
+        scene.matching = None;
+        let config = SatelliteConfig::default();
+        assert_eq!(reason(&scene, &config, "start.cost_aggregation"), NO_COMMON_GROUND);
+        assert!(!on(&scene, &config, "start.many_view_matching"));
+    }
+
+    #[test]
+    fn the_threshold_of_pointing_is_that_of_the_configuration() {
+        let config = SatelliteConfig::default();
+        let said = reason(&facts(3, 1), &config, "cameras.align");
+        assert!(said.contains("tie points") && said.contains("0.1 px"), "{said}");
     }
 }

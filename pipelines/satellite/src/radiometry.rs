@@ -9,7 +9,7 @@ use heliosplat::model::View;
 use heliosplat::model::shadow_gs::{ALBEDO, COLOUR, OFFSET, ShadowGs};
 use heliosplat::render::{PassOptions, render};
 use heliosplat::splat::Maps;
-use heliosplat::trace::{Occluders, TraceOptions, transmittance};
+use heliosplat::trace::{Occluders, transmittance};
 use heliosplat_rpc::statistics::{upper_median, upper_quantile};
 use rayon::prelude::*;
 
@@ -41,7 +41,7 @@ impl Sample {
 fn samples(gaussians: &Table, occluders: &Occluders, view: &View, maps: &Maps, facing: bool) -> Vec<Sample> {
     let all: Vec<u32> = (0..gaussians.count as u32).collect();
     let lit: Vec<f32> = match &view.light {
-        Some(light @ Light::Directional(_)) => transmittance(occluders, &all, light, &TraceOptions::default()).values,
+        Some(light @ Light::Directional(_)) => transmittance(occluders, &all, light).values,
         _ => vec![1.0; all.len()],
     };
     all.par_iter()
@@ -123,13 +123,7 @@ fn cover(view: &mut View, maps: &Maps) {
 }
 
 /// Sets albedo and per-image colour of `parameters` from `views`, and the views' weights to what the surface covers.
-pub(super) fn initialise(
-    model: &ShadowGs,
-    parameters: &mut Parameters,
-    views: &mut [View],
-    pass: PassOptions,
-    sky: f32,
-) {
+pub(super) fn initialise(model: &ShadowGs, parameters: &mut Parameters, views: &mut [View], sky: f32) {
     let bands = model.options.bands;
     let occluders = Occluders::new(&parameters.gaussians);
     let mut shown = Vec::new();
@@ -137,8 +131,11 @@ pub(super) fn initialise(
     let mut solid = parameters.clone();
     solid.gaussians.group_mut(OPACITY).fill(logit(SOLID));
     for view in views.iter_mut() {
-        cover(view, &render(model, &solid, &view.camera, None, None, pass).maps);
-        let maps = render(model, parameters, &view.camera, None, None, pass).maps;
+        cover(
+            view,
+            &render(model, &solid, &view.camera, None, None, PassOptions::default()).maps,
+        );
+        let maps = render(model, parameters, &view.camera, None, None, PassOptions::default()).maps;
         let facing = model.options.facing;
         shown.push(samples(&parameters.gaussians, &occluders, view, &maps, facing));
     }

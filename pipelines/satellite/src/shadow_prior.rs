@@ -1,40 +1,20 @@
 //! What the images themselves say of shadows, before any model knows: darkness, where something stands toward the sun.
 //!
 //! The detector is radiometric (no network): in each image brightness falls into lit and dark (Otsu 1979 on its logarithm). Leaves are
-//! left out (they are dark and they shade themselves), and so is water; what is dark is a shadow only where the swept surface has
+//! left out (they are dark and they shade themselves), and so is water; what is dark is a shadow only where the initial surface has
 //! something toward the sun to throw it, else nothing is said. ShadowGS uses the masks of a trained detector in the same place.
 
+use super::error::MaskError;
 use super::ground::Ground;
 use glam::{Vec2, Vec3};
 use heliosplat::{ProjectiveCamera, Raster};
-use heliosplat_raster::RasterError;
 use heliosplat_raster::file::RasterFile;
 use heliosplat_scene::bands::{VEGETATION_INDEX, normalised_difference, vegetation_index};
 use heliosplat_scene::crop::{self, Crop};
 use heliosplat_scene::{BandKind, SceneImage};
 use heliosplat_stereo::Surface;
 use rayon::prelude::*;
-use std::path::{Path, PathBuf};
-
-/// Why a mask cannot be used.
-#[derive(Debug, thiserror::Error)]
-pub enum MaskError {
-    /// A file that is missing or damaged.
-    #[error("model.shadow_masks: {0}")]
-    File(#[from] RasterError),
-    /// A mask that does not lie on its image.
-    #[error(
-        "model.shadow_masks: {path} has {mask_px:?} pixels and its image {image_px:?}; a mask covers its image: 1 where it is lit, 0 in shadow"
-    )]
-    Size {
-        /// The mask.
-        path: PathBuf,
-        /// Its columns and rows.
-        mask_px: (usize, usize),
-        /// Those of its image.
-        image_px: (usize, usize),
-    },
-}
+use std::path::Path;
 
 /// Excess green (Woebbecke et al. 1995), as a share of the three colours, from which on it is one where there is no near infrared.
 const VEGETATION_GREEN: f32 = 0.08;
@@ -46,7 +26,7 @@ const STEPS: usize = 128;
 const DOUBT: f32 = 0.25;
 /// Least distance between the logarithms of what is lit and what is dark: less is no shadow.
 const LEAST_CONTRAST: f32 = 0.5;
-/// How far below the line to the sun, metres, a thing may end and still count as throwing the shadow: swept edges are rough.
+/// How far below the line to the sun, metres, a thing may end and still count as throwing the shadow: edges of the initial surface are rough.
 const SLACK_M: f32 = 1.5;
 /// Rounds in which a ray finds the surface.
 const ROUNDS: usize = 8;
@@ -188,8 +168,8 @@ fn may_be_shaded(surface: &Surface, point: Vec3, sun: Vec3, top_m: f32) -> bool 
     false
 }
 
-/// What each image of `ground` says is lit (1) or in shadow (0), NaN where it says nothing, pixel by pixel of its crop; `surface` is what
-/// was swept, and `cameras` are those of the crops.
+/// What each image of `ground` says is lit (1) or in shadow (0), NaN where it says nothing, pixel by pixel of its crop; `surface` is the
+/// initial one, and `cameras` are those of the crops.
 pub(super) fn found(
     ground: &Ground,
     rasters: &[&Raster],

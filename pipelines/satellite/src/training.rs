@@ -8,9 +8,11 @@ use crate::config::SatelliteConfig;
 use crate::error::SatelliteError;
 use crate::estimate::{Estimate, estimate};
 use crate::fit::{self, Fitted, Limits};
+use crate::ground::MARGIN_M;
 use crate::measure;
 use crate::plan::{plan, with_plan};
 use crate::run_file::{self, RunFile};
+use heliosplat::splat::ProjectionOptions;
 use heliosplat_evaluate::Protocol;
 use heliosplat_fitting::checkpoint::{digest, identity_of_program};
 use heliosplat_fitting::run_folder::{Input, Opened, RunFolder, RunRequest, hash, hash_of_pixels};
@@ -131,7 +133,7 @@ pub fn train(
         fitted.ending.check(&request.out)?;
     }
     // Save.
-    let file = model_file(scene, &config, &fitted);
+    let file = model_file(scene, &fitted);
     let run = RunFile {
         version: env!("CARGO_PKG_VERSION").into(),
         preset: request.preset.name().into(),
@@ -196,12 +198,16 @@ fn identity(
     inputs: &[Input],
 ) -> Result<String, SatelliteError> {
     let mut text = identity_of_program();
+    let seed = config.train.seed;
     let config = toml::to_string(config).map_err(|error| SatelliteError::Settings(error.to_string()))?;
     let TrainRequest {
         time_budget, memory, ..
     } = request;
     // Writing to a String cannot fail.
-    let _ = writeln!(text, "--time-budget {time_budget:?}\n--memory {memory:?}\n{config}");
+    let _ = writeln!(
+        text,
+        "--time-budget {time_budget:?}\n--memory {memory:?}\nseed = {seed}\n{config}"
+    );
     let _ = writeln!(text, "area {:?}\naltitudes {:?}", scene.area, scene.altitude_range_m);
     for (image, input) in scene.images.iter().zip(inputs) {
         let SceneImage {
@@ -219,7 +225,7 @@ fn identity(
     Ok(text)
 }
 
-fn model_file(scene: &Scene, config: &SatelliteConfig, fitted: &Fitted) -> ModelFile {
+fn model_file(scene: &Scene, fitted: &Fitted) -> ModelFile {
     ModelFile {
         schema: SCHEMA,
         model: "shadow_gs".into(),
@@ -230,10 +236,9 @@ fn model_file(scene: &Scene, config: &SatelliteConfig, fitted: &Fitted) -> Model
         area: scene.area,
         gsd_m: scene.gsd_m,
         counts_per_unit: scene.counts_per_unit,
-        projection: config.train.projection,
-        trace: config.train.trace,
+        projection: ProjectionOptions::default(),
         bands: scene.bands().to_vec(),
-        images: run_file::model_images(scene, fitted, config.start.margin_m),
+        images: run_file::model_images(scene, fitted, MARGIN_M),
     }
 }
 

@@ -27,7 +27,7 @@ pub(crate) fn view(image: &SceneImage, crop: &Crop, clouds: &[bool], shift_px: [
         light: Some(Light::Directional(sun(image))),
         appearance,
         weight,
-        lit: None,
+        visibility_prior: None,
         ceiling: saturation::ceilings(&image.pixels),
     }
 }

@@ -2,7 +2,8 @@
 
 use super::SceneError;
 use super::camera::{belonging_texts, read_text};
-use super::layout::{ImageEntry, file_name};
+use super::files::file_name;
+use super::layout::ImageEntry;
 use heliosplat_raster::RasterFile;
 use heliosplat_rpc::GeoPoint;
 use heliosplat_rpc::read::acquisition::{self, Acquisition};

@@ -1,6 +1,7 @@
 //! The rational camera of an image: which of its sources is used, and what it must be turned into for a crop.
 
-use super::layout::{ImageEntry, file_name, files_in, stem};
+use super::files::{file_name, files_in, stem};
+use super::layout::ImageEntry;
 use super::{RpcPreference, SceneError};
 use heliosplat_raster::{GeoTransform, RasterFile, is_virtual};
 use heliosplat_rpc::{ImagePoint, Rpc, read};

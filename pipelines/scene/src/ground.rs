@@ -41,7 +41,7 @@ impl Ground {
         let (width, height) = drafts[0].file.size();
         let near = drafts[0].localise(width as f64 / 2.0, height as f64 / 2.0, altitude_m)?;
         let near = LocalFrame::new(near);
-        let drafts = drop_strangers(drafts, &near, altitude_m, warnings)?;
+        let drafts = drop_non_overlapping(drafts, &near, altitude_m, warnings)?;
         let footprints = training_footprints(&drafts, &near, altitude_m)?;
         let centre = footprint::common(&footprints).centre();
         let wanted_near = wanted.map(|wanted| wanted.place(near.origin.height_m)).transpose()?;
@@ -208,7 +208,7 @@ pub(super) fn training_footprints(
 }
 
 /// Leaves out images that see no ground a training image sees; at least two training images must remain.
-fn drop_strangers(
+fn drop_non_overlapping(
     drafts: Vec<Draft>,
     frame: &LocalFrame,
     altitude_m: f64,
@@ -220,7 +220,7 @@ fn drop_strangers(
     }
     let least_m2 = LEAST_OVERLAP_PX.powi(2) * drafts[0].gsd_m(frame, altitude_m)?.powi(2);
     let is_training = |index: usize| drafts[index].entry.split == Split::Train;
-    let has_company: Vec<bool> = (0..drafts.len())
+    let overlaps: Vec<bool> = (0..drafts.len())
         .map(|index| {
             (0..drafts.len()).any(|other| {
                 let shared = || footprints[index].intersection(&footprints[other]).area_m2();
@@ -229,7 +229,7 @@ fn drop_strangers(
         })
         .collect();
     let remaining = (0..drafts.len())
-        .filter(|&index| is_training(index) && has_company[index])
+        .filter(|&index| is_training(index) && overlaps[index])
         .count();
     if remaining < 2 {
         let mut training = (0..drafts.len()).filter(|&index| is_training(index));
@@ -242,8 +242,8 @@ fn drop_strangers(
         });
     }
     let mut kept = Vec::with_capacity(drafts.len());
-    for (draft, has_company) in drafts.into_iter().zip(has_company) {
-        if has_company {
+    for (draft, overlaps) in drafts.into_iter().zip(overlaps) {
+        if overlaps {
             kept.push(draft);
         } else {
             warnings.push(format!(

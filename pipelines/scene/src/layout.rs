@@ -1,6 +1,7 @@
 //! Which files make up a scene: a `scene.toml`, a folder of images, or the folders of Sat-NeRF and EOGS, where images,
 //! cameras (JSON) and truth may lie in folders of their own.
 
+use super::files::{IMAGE_EXTENSIONS, entries_of, file_name, has_extension, images_in, neighbours, stem};
 use super::manifest::{Counts, Manifest, ManifestImage, reject_address};
 use super::satnerf::{self, JsonIndex};
 use super::{BandKind, SceneError, Split, Truth};
@@ -31,7 +32,6 @@ pub(super) struct Layout {
     pub(super) warnings: Vec<String>,
 }
 
-const IMAGE_EXTENSIONS: [&str; 6] = ["tif", "tiff", "jp2", "ntf", "nitf", "img"];
 /// Folders of a scene in which its images may lie.
 const IMAGE_FOLDERS: [&str; 3] = ["images", "img", "imgs"];
 
@@ -273,36 +273,6 @@ impl SplitLists {
     }
 }
 
-/// Images directly in a folder, sorted by name; truth rasters are no images. An absent folder has none.
-pub(super) fn images_in(folder: &Path) -> Result<Vec<PathBuf>, SceneError> {
-    let is_image = |path: &PathBuf| has_extension(path, &IMAGE_EXTENSIONS) && !super::truth::is_truth(path);
-    Ok(files_in(folder)?.into_iter().filter(is_image).collect())
-}
-
-/// Files directly in a folder, sorted by name, hidden ones left out. An absent folder has none.
-pub(super) fn files_in(folder: &Path) -> Result<Vec<PathBuf>, SceneError> {
-    Ok(entries_of(folder)?.into_iter().filter(|path| path.is_file()).collect())
-}
-
-fn entries_of(folder: &Path) -> Result<Vec<PathBuf>, SceneError> {
-    if !folder.is_dir() {
-        return Ok(Vec::new());
-    }
-    let unreadable = |error: std::io::Error| SceneError::Unreadable {
-        path: folder.to_owned(),
-        reason: error.to_string(),
-    };
-    let mut found = Vec::new();
-    for entry in std::fs::read_dir(folder).map_err(unreadable)? {
-        let entry = entry.map_err(unreadable)?;
-        if !entry.file_name().to_string_lossy().starts_with('.') {
-            found.push(entry.path());
-        }
-    }
-    found.sort();
-    Ok(found)
-}
-
 fn folders_below(folder: &Path, depth: usize) -> Result<Vec<PathBuf>, SceneError> {
     let mut found = Vec::new();
     for path in entries_of(folder)?.into_iter().filter(|path| path.is_dir()) {
@@ -318,23 +288,6 @@ fn folders_below(folder: &Path, depth: usize) -> Result<Vec<PathBuf>, SceneError
     Ok(found)
 }
 
-/// Folders in which the other half of a Sat-NeRF or EOGS scene may lie, given one half: siblings of the folder and of
-/// its parent, and folders of the same name inside them.
-pub(super) fn neighbours(folder: &Path) -> Vec<PathBuf> {
-    let absolute = folder.canonicalize().unwrap_or_else(|_| folder.to_owned());
-    let name = file_name(&absolute);
-    let mut found = Vec::new();
-    for ancestor in absolute.ancestors().skip(1).take(2) {
-        let siblings = entries_of(ancestor).unwrap_or_default();
-        for sibling in siblings.into_iter().filter(|path| path.is_dir() && *path != absolute) {
-            found.push(sibling.join(&name));
-            found.push(sibling);
-        }
-    }
-    found.retain(|path| path.is_dir() && *path != absolute);
-    found
-}
-
 fn with_distinct_names(mut images: Vec<ImageEntry>) -> Vec<ImageEntry> {
     let mut seen: BTreeMap<String, usize> = BTreeMap::new();
     for image in &mut images {
@@ -345,20 +298,4 @@ fn with_distinct_names(mut images: Vec<ImageEntry>) -> Vec<ImageEntry> {
         }
     }
     images
-}
-
-/// File name without its extension.
-pub(super) fn stem(path: &Path) -> String {
-    path.file_stem().unwrap_or_default().to_string_lossy().into_owned()
-}
-
-/// File name as text.
-pub(super) fn file_name(path: &Path) -> String {
-    path.file_name().unwrap_or_default().to_string_lossy().into_owned()
-}
-
-/// Whether a path has one of the extensions, in upper or lower case.
-pub(super) fn has_extension(path: &Path, extensions: &[&str]) -> bool {
-    let extension = path.extension().unwrap_or_default().to_string_lossy().to_lowercase();
-    extensions.contains(&extension.as_str())
 }

@@ -12,6 +12,7 @@ mod camera;
 pub mod crop;
 mod draft;
 mod error;
+mod files;
 mod footprint;
 mod ground;
 mod layout;
@@ -259,12 +260,12 @@ pub fn camera_of(path: &Path, preference: RpcPreference) -> Result<Rpc, SceneErr
     if !path.is_file() {
         return Err(SceneError::Missing(path.to_owned()));
     }
-    if layout::has_extension(path, &["rpb", "txt", "xml", "json", "rpc"]) {
+    if files::has_extension(path, &["rpb", "txt", "xml", "json", "rpc"]) {
         return camera::from_text_file(path).map(|found| found.rpc);
     }
     let file = RasterFile::open(path)?;
     let entry = ImageEntry {
-        name: layout::stem(path),
+        name: files::stem(path),
         path: path.to_owned(),
         split: Split::Train,
         json: satnerf::beside(path),

@@ -1,7 +1,7 @@
 //! The JSON files of Sat-NeRF and EOGS: which image each describes, and the altitudes it states.
 
 use super::SceneError;
-use super::layout::{file_name, files_in, has_extension, images_in, neighbours, stem};
+use super::files::{file_name, files_in, has_extension, images_in, neighbours, stem};
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 

@@ -4,7 +4,8 @@ use super::area::window_over;
 use super::draft::{self, Draft, image_window};
 use super::footprint::Footprint;
 use super::ground::{self, Ground};
-use super::{Area, AreaRequest, IngestOptions, SceneError, Split, Truth, altitude, layout};
+
+use super::{Area, AreaRequest, IngestOptions, SceneError, Split, Truth, altitude, files, layout};
 use heliosplat_raster::{Window, is_virtual};
 use heliosplat_rpc::{ImageWindow, LocalFrame, PinholeFit, Rpc};
 use rayon::prelude::*;
@@ -183,7 +184,7 @@ fn beside(image: &Path) -> Vec<PathBuf> {
         return Vec::new();
     }
     let folder = image.parent().unwrap_or_else(|| Path::new("."));
-    let stem = layout::stem(image);
+    let stem = files::stem(image);
     let entries = std::fs::read_dir(folder).into_iter().flatten().flatten();
     entries
         .filter(|entry| entry.file_name().to_string_lossy().contains(&stem))

@@ -1,19 +1,9 @@
 //! Truth that comes with a scene: our own `truth/` folder, or the rasters of Sat-NeRF, EOGS and DFC2019.
 
-use super::layout::{file_name, files_in, has_extension, neighbours, stem};
+use super::files::{file_name, files_in, has_extension, is_truth, neighbours, stem};
 use super::{Scene, Truth};
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
-
-/// Whether a raster is truth by its name, not an image: `*_DSM.tif`, `*_CLS.tif`, `*_DTM.tif` and our own names.
-pub(super) fn is_truth(path: &Path) -> bool {
-    let name = stem(path).to_lowercase();
-    let ends = ["_dsm", "_dtm", "_cls", "_cls_v2", "_agl", "_water"];
-    ["dsm", "classes", "albedo", "water"].contains(&name.as_str())
-        || name.starts_with("shadow_")
-        || name.starts_with("cloud_")
-        || ends.iter().any(|end| name.ends_with(end))
-}
 
 /// Looks for truth in the scene's `truth` folder and its own, then in truth folders beside it, where only rasters
 /// that bear the scene's name are taken.

@@ -1,7 +1,7 @@
-//! Views laid on a surface.
+//! Orthorectified views: what each shows at the cells of a surface, and small filters on such grids.
 
 use super::grid::Grid;
-use super::views::LevelView;
+use super::level::LevelView;
 use heliosplat_rpc::statistics::upper_median;
 use rayon::prelude::*;
 
@@ -21,7 +21,8 @@ pub(super) fn ortho(grid: &Grid, view: &LevelView, altitude: &[f32]) -> Vec<f32>
     values
 }
 
-/// Mean of the views on a surface, each in units of its own typical difference between neighbours.
+/// The guide image of the smoothness penalties: mean of the views on a surface, each in units of its own typical difference between
+/// neighbours.
 pub(super) fn guide(grid: &Grid, views: &[LevelView], altitude: &[f32]) -> Vec<f32> {
     let mut sum = vec![0.0; grid.len()];
     let mut count = vec![0.0; grid.len()];

@@ -1,4 +1,5 @@
-//! The normal equations of one round, with the ground points eliminated.
+//! The normal equations of one iteration, with the ground points eliminated (Schur complement): a dense system of a few unknowns per
+//! image.
 
 use super::correction::Correction;
 use super::linear::{Linear, POINT_HOLD, basis};

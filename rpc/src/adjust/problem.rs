@@ -1,4 +1,4 @@
-//! The images and tracks of one adjustment, and the rounds that solve it.
+//! The iterations of one adjustment: robust Gauss-Newton over the corrections of all images and the ground points of all tracks.
 
 use super::correction::{BiasModel, Correction};
 use super::gauge::{pixels_per_metre, smallest_shifts};

@@ -1,4 +1,4 @@
-//! What sightings leave before and after: per image, per pair of images, and one by one.
+//! Residuals before and after the adjustment: per image, per pair of images (across the epipolar lines), and one by one.
 
 use super::linear::Linear;
 use super::robust;

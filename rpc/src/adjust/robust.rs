@@ -1,4 +1,4 @@
-//! How much a sighting counts, and how far off a good one is.
+//! Robust weights of sightings, and the scale of the residuals of good ones.
 
 use super::linear::Linear;
 use crate::statistics::upper_median;

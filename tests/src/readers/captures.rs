@@ -7,10 +7,11 @@ use heliosplat::model::olat::{Olat, OlatOptions};
 use heliosplat::model::radiance::RadianceOptions;
 use heliosplat::model::reflective::{Reflective, ReflectiveOptions};
 use heliosplat_objects::config::ObjectConfig;
+use heliosplat_objects::model::{Kind, ObjectFile, ObjectImage, SCHEMA};
 use heliosplat_objects::pinhole::Pinhole;
 use heliosplat_objects::pixels::Encoding;
 use heliosplat_objects::ply;
-use heliosplat_objects::run::{Kind, ObjectFile, ObjectImage, ObjectRun, SCHEMA};
+use heliosplat_objects::run::ObjectRun;
 use heliosplat_objects::transforms::PointLight;
 use heliosplat_objects::views::Preparation;
 use heliosplat_scene::Split;
@@ -114,7 +115,6 @@ pub(super) fn models() -> Vec<Vec<u8>> {
             unit_light: Some([2.0; 3]),
         },
         projection: heliosplat::splat::ProjectionOptions::default(),
-        trace: heliosplat::trace::TraceOptions::default(),
         images: vec![image.clone()],
     };
     kinds

@@ -5,7 +5,8 @@ use super::{Folder, html, save};
 use crate::page::escaped;
 use heliosplat_fitting::run_folder::RunError;
 use heliosplat_objects::measure::{file_name, normal_picture, picture};
-use heliosplat_objects::run::{self, ObjectModel, ObjectRun, components};
+use heliosplat_objects::model::{self, ObjectModel, components};
+use heliosplat_objects::run::{self, ObjectRun};
 use heliosplat_scene::Split;
 use image::imageops::crop_imm;
 use std::fmt::Write;
@@ -23,7 +24,7 @@ const PARTED: usize = 3;
 /// # Errors
 /// When the folder holds no run, or the page cannot be written.
 pub fn write(folder: &Path) -> Result<PathBuf, RunError> {
-    let (model, run) = (run::load(folder)?, run::load_run(folder)?);
+    let (model, run) = (model::load(folder)?, run::load_run(folder)?);
     of(folder, &model, &run)
 }
 

@@ -2,6 +2,7 @@
 
 use super::*;
 use heliosplat::model::shadow_gs::{ShadowGs, ShadowGsOptions};
+use heliosplat::splat::ProjectionOptions;
 use heliosplat_rpc::sun::SunPosition;
 use heliosplat_rpc::{GeoPoint, ProjectiveMap};
 use heliosplat_satellite::PlanItem;
@@ -71,8 +72,7 @@ fn contents(folder: &Path) -> Contents {
             },
             gsd_m: 1.0,
             counts_per_unit: 1.0,
-            projection: config.train.projection,
-            trace: config.train.trace,
+            projection: ProjectionOptions::default(),
             bands: vec![BandKind::Pan],
             images: vec![image],
         },

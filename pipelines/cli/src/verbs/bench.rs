@@ -1,10 +1,11 @@
 //! `heliosplat bench`: what this machine does in a second, on all threads it is given.
 
 use crate::outcome::{CliError, Outcome};
-use heliosplat::rates::{Descent, Site, toward_grey};
+use heliosplat::bench_fixture::{Descent, Site, toward_grey};
+use heliosplat::light::Light;
 use heliosplat::splat::project::project;
 use heliosplat::splat::{ProjectionOptions, Rasteriser};
-use heliosplat::trace::{Occluders, Route, TraceOptions, transmittance};
+use heliosplat::trace::{Occluders, Transmittance, transmittance, transmittance_by_hierarchy};
 use heliosplat_rpc::{GeoPoint, ImagePoint, Rpc};
 use rayon::prelude::*;
 use std::time::{Duration, Instant};
@@ -80,19 +81,15 @@ fn splat_rates(site: &Site) -> (f64, f64, f64) {
 
 /// Nanoseconds per ray toward the sun of a step in training: listing, or fitting the hierarchy to Gaussians that have moved;
 /// tracing; and gradients of everything.
-fn light_rate(site: &Site, route: Route) -> f64 {
+fn light_rate(site: &Site, trace: fn(&Occluders, &[u32], &Light) -> Transmittance) -> f64 {
     let gaussians = &site.parameters.gaussians;
     let origins: Vec<u32> = (0..gaussians.count as u32).collect();
-    let options = TraceOptions {
-        route,
-        ..TraceOptions::default()
-    };
     let gradients = vec![1.0; origins.len()];
     let mut out = gaussians.zeros_like();
     let mut occluders = Occluders::new(gaussians);
     let whole = seconds(|| {
         occluders.renew(gaussians);
-        let traced = transmittance(&occluders, &origins, &site.sun, &options);
+        let traced = trace(&occluders, &origins, &site.sun);
         traced.backward(gaussians, &occluders, &origins, &gradients, &mut out);
     });
     whole / origins.len() as f64 * 1e9
@@ -104,7 +101,10 @@ pub(crate) fn run() -> Result<Outcome, CliError> {
     let (project, localise) = camera_rates();
     let site = Site::new(GAUSSIANS, SIZE_PX, SPREAD);
     let (forward, backward, pairs_per_pixel) = splat_rates(&site);
-    let (plane, tree) = (light_rate(&site, Route::SunPlane), light_rate(&site, Route::Hierarchy));
+    let (plane, tree) = (
+        light_rate(&site, transmittance),
+        light_rate(&site, transmittance_by_hierarchy),
+    );
     let mut descent = Descent::new(site);
     let steps_per_s = 1.0 / seconds(|| descent.step());
     let json = serde_json::json!({

@@ -5,7 +5,7 @@ use super::model_args::{RelightArgs, RenderArgs, TrainArgs};
 use super::{object, satellite};
 use crate::outcome::{CliError, Outcome};
 use heliosplat_objects::is_capture;
-use heliosplat_objects::run::is_object_run;
+use heliosplat_objects::model::is_object_run;
 use heliosplat_session::Session;
 use std::path::Path;
 

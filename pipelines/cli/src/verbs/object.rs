@@ -9,8 +9,9 @@ use heliosplat::light::Light;
 use heliosplat_fitting::run_folder::create_folder;
 use heliosplat_fitting::settings::Preset;
 use heliosplat_objects::config::{Background, ObjectConfig};
+use heliosplat_objects::model::{self, components};
 use heliosplat_objects::pixels::Encoding;
-use heliosplat_objects::run::{self, components};
+use heliosplat_objects::run;
 use heliosplat_objects::surroundings::{self, Lamp};
 use heliosplat_objects::training::{self, TrainOutcome, TrainRequest, open};
 use heliosplat_objects::{export, measure, mesh, plan, views};
@@ -73,7 +74,7 @@ pub(crate) fn train(args: &TrainArgs, session: &Session) -> Result<Outcome, CliE
 /// # Errors
 /// When the run is at fault, or a file cannot be written.
 pub(crate) fn render(args: &RenderArgs, session: &Session) -> Result<Outcome, CliError> {
-    let model = run::load(&args.run)?;
+    let model = model::load(&args.run)?;
     let wanted = |split: Split| match args.split {
         RenderSplit::Train => split == Split::Train,
         RenderSplit::Test => split == Split::Test,
@@ -125,7 +126,7 @@ pub(crate) fn render(args: &RenderArgs, session: &Session) -> Result<Outcome, Cl
 /// # Errors
 /// When the run, the lights, the view or the file to write is at fault.
 pub(crate) fn relight(args: &RelightArgs) -> Result<Outcome, CliError> {
-    let model = run::load(&args.run)?;
+    let model = model::load(&args.run)?;
     let folder = args.run.display();
     if model.file.kind.lit().is_none() {
         return Err(CliError::Input(format!(
@@ -185,7 +186,7 @@ pub(crate) fn relight(args: &RelightArgs) -> Result<Outcome, CliError> {
 /// # Errors
 /// When the run or the light is at fault, or a file cannot be written.
 pub(crate) fn export(args: &ExportArgs, session: &Session) -> Result<Outcome, CliError> {
-    if !run::is_object_run(&args.run) {
+    if !model::is_object_run(&args.run) {
         return Err(CliError::Input(format!(
             "{}: no run on an object; train a capture first, e.g. heliosplat train capture --out run",
             args.run.display()
@@ -195,7 +196,7 @@ pub(crate) fn export(args: &ExportArgs, session: &Session) -> Result<Outcome, Cl
         Some(path) => Some((path, mesh_format(path)?)),
         None => None,
     };
-    let model = run::load(&args.run)?;
+    let model = model::load(&args.run)?;
     let mut written = Vec::new();
     if let Some(path) = &args.ply {
         let light = match (args.light, args.toward) {
@@ -210,7 +211,7 @@ pub(crate) fn export(args: &ExportArgs, session: &Session) -> Result<Outcome, Cl
     }
     if let Some(folder) = &args.asset {
         create_folder(folder)?;
-        run::save_model(folder, &model)?;
+        model::save_model(folder, &model)?;
         written.push(folder.clone());
     }
     if let Some((path, format)) = format {
@@ -248,7 +249,7 @@ fn parallel(toward: [f64; 3]) -> Result<Light, CliError> {
 /// # Errors
 /// When the run or its capture cannot be read.
 pub(crate) fn evaluate(folder: &Path) -> Result<Outcome, CliError> {
-    let (model, run) = (run::load(folder)?, run::load_run(folder)?);
+    let (model, run) = (model::load(folder)?, run::load_run(folder)?);
     let capture = open(&run.capture, None)?;
     let metrics = measure::metrics(&model, &capture, None)?;
     Ok(Outcome {

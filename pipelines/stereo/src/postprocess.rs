@@ -1,13 +1,13 @@
-//! What the search leaves behind, put in order: islands too small to be anything go, and what is missing is filled from around.
+//! Post-processing of a matched surface: a speckle filter removes patches too small to be real, and gaps are filled from their edges.
 
 use super::grid::Grid;
 use heliosplat_rpc::statistics::upper_median;
 
-/// Cells that belong to a connected patch of fewer than `fewest` cells; neighbours belong together when their altitudes
-/// differ by less than `step_m`.
-pub(super) fn islands(grid: &Grid, altitude: &[f32], step_m: f32, fewest: usize) -> Vec<bool> {
+/// Speckles: cells of connected patches of fewer than `fewest` cells. Neighbours belong to one patch when their altitudes differ by less
+/// than `step_m` metres.
+pub(super) fn speckles(grid: &Grid, altitude: &[f32], step_m: f32, fewest: usize) -> Vec<bool> {
     let mut seen = vec![false; grid.len()];
-    let mut island = vec![false; grid.len()];
+    let mut speckle = vec![false; grid.len()];
     let mut patch = Vec::new();
     for start in 0..grid.len() {
         if seen[start] {
@@ -29,13 +29,14 @@ pub(super) fn islands(grid: &Grid, altitude: &[f32], step_m: f32, fewest: usize)
         }
         if patch.len() < fewest {
             for &cell in &patch {
-                island[cell] = true;
+                speckle[cell] = true;
             }
         }
     }
-    island
+    speckle
 }
 
+/// The up to four neighbours that share a side with a cell.
 fn sides(grid: &Grid, cell: usize) -> impl Iterator<Item = usize> {
     let (col, row, width) = (cell % grid.width, cell / grid.width, grid.width);
     [
@@ -78,19 +79,19 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_spike_is_an_island_and_takes_the_altitude_around_it() {
+    fn a_spike_is_a_speckle_and_takes_the_altitude_around_it() {
         let grid = Grid::plain(8, 8);
         let mut altitude = vec![2.0; 64];
         altitude[27] = 40.0;
         altitude[28] = 40.5;
-        let island = islands(&grid, &altitude, 1.0, 3);
-        assert_eq!(island.iter().filter(|i| **i).count(), 2);
-        fill(&grid, &mut altitude, &island);
+        let speckle = speckles(&grid, &altitude, 1.0, 3);
+        assert_eq!(speckle.iter().filter(|s| **s).count(), 2);
+        fill(&grid, &mut altitude, &speckle);
         assert!(altitude.iter().all(|&z| z == 2.0));
     }
 
     #[test]
-    fn a_house_is_no_island() {
+    fn a_house_is_no_speckle() {
         let grid = Grid::plain(9, 9);
         let altitude: Vec<f32> = (0..81)
             .map(|i| {
@@ -101,6 +102,6 @@ mod tests {
                 }
             })
             .collect();
-        assert!(islands(&grid, &altitude, 1.0, 9).iter().all(|i| !i));
+        assert!(speckles(&grid, &altitude, 1.0, 9).iter().all(|s| !s));
     }
 }

@@ -1,6 +1,8 @@
-//! Dealing boxes to the cells of a grid that they touch, in parallel and always in the same order.
+//! Binning: boxes sorted into the cells of a grid that they touch, in parallel and always in the same order.
 //!
-//! Boxes are dealt to rows of cells chunk by chunk; a row then reads its own from all chunks, in their order.
+//! Two passes of a bucket sort. First, chunks of boxes are sorted by the rows of cells they touch, every chunk on its own
+//! ([`RowBins`]). Then every row of cells reads its boxes from all chunks, in their order, and sorts them by column
+//! ([`cell_starts`], [`split_rows`]). Tiles of the rasteriser and grids of the tracer are binned with it.
 
 use rayon::prelude::*;
 
@@ -9,12 +11,12 @@ const CHUNK: usize = 4096;
 
 /// The cells that a box touches: first and one past last column and row.
 #[derive(Debug, Clone, Copy)]
-pub(crate) struct Span {
+pub(crate) struct CellSpan {
     pub(crate) columns: (u16, u16),
     pub(crate) rows: (u16, u16),
 }
 
-impl Span {
+impl CellSpan {
     /// The columns, as a range.
     pub(crate) fn columns(&self) -> std::ops::Range<usize> {
         usize::from(self.columns.0)..usize::from(self.columns.1)
@@ -25,8 +27,8 @@ impl Span {
     }
 }
 
-/// What touches each row of a grid.
-pub(crate) struct Rows<T> {
+/// The boxes that touch each row of a grid, chunk by chunk.
+pub(crate) struct RowBins<T> {
     chunks: Vec<Chunk<T>>,
 }
 
@@ -36,9 +38,9 @@ struct Chunk<T> {
     items: Vec<T>,
 }
 
-impl<T: Copy + Default + Send + Sync> Rows<T> {
-    /// Deals boxes to `rows` rows; `item` says what stands for a box.
-    pub(crate) fn new(spans: &[Span], rows: usize, item: impl Fn(usize) -> T + Sync) -> Self {
+impl<T: Copy + Default + Send + Sync> RowBins<T> {
+    /// Bins boxes to `rows` rows; `item` makes the entry of a box from its index.
+    pub(crate) fn new(spans: &[CellSpan], rows: usize, item: impl Fn(usize) -> T + Sync) -> Self {
         let chunks = spans
             .par_chunks(CHUNK)
             .enumerate()
@@ -54,7 +56,7 @@ impl<T: Copy + Default + Send + Sync> Rows<T> {
 }
 
 impl<T: Copy + Default> Chunk<T> {
-    fn new(spans: &[Span], rows: usize, item: impl Fn(usize) -> T) -> Self {
+    fn new(spans: &[CellSpan], rows: usize, item: impl Fn(usize) -> T) -> Self {
         let mut starts = vec![0u32; rows + 1];
         for span in spans {
             starts[1..][span.rows()].iter_mut().for_each(|count| *count += 1);
@@ -79,10 +81,10 @@ impl<T: Copy + Default> Chunk<T> {
     }
 }
 
-/// The places of a row's cells in a list: where each begins, and where the last ends.
+/// Where each cell of a row begins in the row's list, and where the last ends: a prefix sum over the counts.
 pub(crate) fn cell_starts<'t, T: Copy + 't>(
     row: impl Iterator<Item = &'t [T]>,
-    span: impl Fn(T) -> Span,
+    span: impl Fn(T) -> CellSpan,
     columns: usize,
 ) -> Vec<u32> {
     let mut starts = vec![0u32; columns + 1];
@@ -99,7 +101,7 @@ pub(crate) fn cell_starts<'t, T: Copy + 't>(
     starts
 }
 
-/// A row of cells and its part of the list of all.
+/// A row of cells and its part of the list of all cells.
 pub(crate) struct RowList<'l, T> {
     pub(crate) row: usize,
     /// Where its cells begin in `list`.
@@ -109,8 +111,8 @@ pub(crate) struct RowList<'l, T> {
     pub(crate) list: &'l mut [T],
 }
 
-/// Cuts the list of all cells into rows, and lists where every cell begins in it, with the end at the end.
-pub(crate) fn cut_rows<T: Clone + Default>(
+/// Splits the list of all cells into rows, and lists where every cell begins in it, and last where the list ends.
+pub(crate) fn split_rows<T: Clone + Default>(
     row_starts: Vec<Vec<u32>>,
     list: &mut Vec<T>,
 ) -> (Vec<u32>, Vec<RowList<'_, T>>) {

@@ -1,4 +1,5 @@
-//! A standard site to measure the engine's speed on: what `heliosplat bench` and the benches time.
+//! Fixture for benchmarks: a synthetic site of a standard kind, and training steps on it. `heliosplat bench`, the time estimate before a
+//! training and the benches measure the engine's speed with it; nothing else uses it.
 //!
 //! A sheet of flat Gaussians over a town of blocks, spread over a square image seen from near the nadir. Its size
 //! in pixels and its number of Gaussians are free; the splats' sizes follow, so that about as many pairs fall on a pixel.
@@ -38,9 +39,9 @@ pub struct Site {
 }
 
 impl Site {
-    /// `count` Gaussians seen by an image of `size_px × size_px`; `spread` is a Gaussian's standard deviation in
+    /// `count` Gaussians seen by an image of `size_px × size_px`; `sigma` is a Gaussian's standard deviation in
     /// distances between neighbours (0.6: some fifteen pairs on a pixel).
-    pub fn new(count: usize, size_px: usize, spread: f32) -> Self {
+    pub fn new(count: usize, size_px: usize, sigma: f32) -> Self {
         let model = ShadowGs::new(ShadowGsOptions {
             bands: BANDS,
             // Three colours and their visibility: facing would composite the normals too.
@@ -58,7 +59,7 @@ impl Site {
         for index in 0..count {
             let cell = [(index % per_row) as f32, (index / per_row) as f32];
             let corner = cell.map(|c| c * spacing - 0.5 * side_m);
-            place(&mut gaussians, index, corner, spacing, spread, &mut random);
+            place(&mut gaussians, index, corner, spacing, sigma, &mut random);
         }
         let (sin, cos) = SUN_ELEVATION_DEG.to_radians().sin_cos();
         Self {
@@ -72,7 +73,7 @@ impl Site {
         }
     }
 
-    /// What the model needs to look at the site.
+    /// The rendering context of the site's own camera and sun.
     pub fn context(&self) -> Context<'_> {
         Context {
             parameters: &self.parameters,
@@ -97,16 +98,16 @@ fn height_m(x: f32, y: f32) -> f32 {
     }
 }
 
-fn place(gaussians: &mut Table, index: usize, corner: [f32; 2], cell: f32, spread: f32, random: &mut Pcg32) {
-    let sigma = spread * cell;
+fn place(gaussians: &mut Table, index: usize, corner: [f32; 2], cell: f32, sigma: f32, random: &mut Pcg32) {
+    let sigma_m = sigma * cell;
     let mut uniform = |low: f32, high: f32| low + (high - low) * random.random::<f32>();
     let (x, y) = (corner[0] + uniform(0.0, cell), corner[1] + uniform(0.0, cell));
     let position = [x, y, height_m(x, y) + uniform(-0.1, 0.1)];
     gaussians.group_mut(POSITION)[index * 3..index * 3 + 3].copy_from_slice(&position);
     let log_scale = [
-        (sigma * uniform(0.7, 1.3)).ln(),
-        (sigma * uniform(0.7, 1.3)).ln(),
-        (0.2 * sigma).ln(),
+        (sigma_m * uniform(0.7, 1.3)).ln(),
+        (sigma_m * uniform(0.7, 1.3)).ln(),
+        (0.2 * sigma_m).ln(),
     ];
     gaussians.group_mut(LOG_SCALE)[index * 3..index * 3 + 3].copy_from_slice(&log_scale);
     let tilt = Quat::from_rotation_z(uniform(0.0, 6.3)) * Quat::from_rotation_x(uniform(-0.2, 0.2));
@@ -136,7 +137,7 @@ fn camera(size_px: usize) -> ProjectiveCamera {
     )
 }
 
-/// A model of a site in training, stripped to what every training does: look, walk back, move.
+/// A training of the site reduced to what every training does: render, backward pass, Adam step.
 pub struct Descent {
     site: Site,
     gradients: Parameters,

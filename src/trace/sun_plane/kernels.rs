@@ -1,30 +1,30 @@
-//! The inner loops of the plane: a ray past eight ellipses, and an ellipse past eight rays.
+//! The inner loops of the sun plane: forward, a ray against eight ellipses at a time; backward, an ellipse against eight rays at a time.
 
 use super::cells::Cells;
-use super::ellipse::{Block, Ellipse, LANES, Lane, Moments, pull, whitened};
-use super::{CHUNK, PlaneRay, PlaneTrace};
-use crate::trace::transmittance::{Shade, attenuation};
+use super::ellipse::{Ellipse, EllipseBlock, EllipseMoments, LANES, Lane, transposed_whitening, whitened};
+use super::{CHUNK, PlaneRay, SunPlaneTrace};
+use crate::trace::occlusion::{RayTransmittance, attenuation};
 use crate::vectorised;
 use glam::{Vec2, Vec3};
 use rayon::prelude::*;
 use std::ops::Range;
 
 vectorised! {
-    /// What every ray meets on the plane.
-    pub(super) fn shade(rays: &[PlaneRay], plane: &PlaneTrace, out: &mut [Shade]) {
+    /// Traces every ray past the ellipses around it, level by level.
+    pub(super) fn trace_rays(rays: &[PlaneRay], plane: &SunPlaneTrace, out: &mut [RayTransmittance]) {
         for (ray, out) in rays.iter().zip(out) {
-            let mut sums = ShadeLanes::NOTHING;
+            let mut sums = RayLanes::EMPTY;
             for level in &plane.levels {
-                let window = level.cells.window(ray.place - level.half, ray.place + level.half);
+                let window = level.cells.window(ray.place - level.half_size, ray.place + level.half_size);
                 for row in window.rows.clone() {
                     let run = level.cells.run(&window, row);
                     let run = level.first + run.start..level.first + run.end;
                     for number in run.start / LANES..run.end.div_ceil(LANES) {
-                        sums.meet(ray, &plane.blocks[number], inside(&run, number));
+                        sums.add(ray, &plane.blocks[number], inside(&run, number));
                     }
                 }
             }
-            *out = sums.together(plane);
+            *out = sums.reduce(plane);
         }
     }
 }
@@ -39,25 +39,25 @@ fn inside(run: &Range<usize>, number: usize) -> [i32; 2] {
 /// The numbers of the lanes.
 const NUMBERS: [i32; LANES] = [0, 1, 2, 3, 4, 5, 6, 7];
 
-/// What a ray meets, lane by lane.
-struct ShadeLanes {
-    clear: Lane,
-    pull: [Lane; 2],
+/// Result of a ray so far, lane by lane.
+struct RayLanes {
+    value: Lane,
+    d_origin: [Lane; 2],
     hits: [u32; LANES],
 }
 
-impl ShadeLanes {
-    const NOTHING: Self = Self {
-        clear: [1.0; LANES],
-        pull: [[0.0; LANES]; 2],
+impl RayLanes {
+    const EMPTY: Self = Self {
+        value: [1.0; LANES],
+        d_origin: [[0.0; LANES]; 2],
         hits: [0; LANES],
     };
 
-    /// Lets the ray pass the ellipses in `lanes` of a block.
+    /// Adds the attenuations of the ellipses in `lanes` of a block.
     #[inline(always)]
-    fn meet(&mut self, ray: &PlaneRay, block: &Block, lanes: [i32; 2]) {
+    fn add(&mut self, ray: &PlaneRay, block: &EllipseBlock, lanes: [i32; 2]) {
         let (mut tx, mut ty, mut square) = ([0.0; LANES], [0.0; LANES], [0.0; LANES]);
-        let mut met = [0u32; LANES];
+        let mut hit = [0u32; LANES];
         for l in 0..LANES {
             let (dx, dy) = (ray.place.x - block.x[l], ray.place.y - block.y[l]);
             let w = [block.whiten[0][l], block.whiten[1][l], block.whiten[2][l]];
@@ -65,33 +65,34 @@ impl ShadeLanes {
             square[l] = tx[l] * tx[l] + ty[l] * ty[l];
             let peak = block.depth[l] + block.slope[0][l] * dx + block.slope[1][l] * dy;
             let listed = (NUMBERS[l] >= lanes[0]) & (NUMBERS[l] <= lanes[1]);
-            // Written so that a NaN counts as a miss.
-            let here = (square[l] < block.reach_square[l]) & (peak > ray.depth) & listed;
-            met[l] = u32::from(here);
+            // Written so that NaN counts as a miss.
+            let hits_here = (square[l] < block.reach_square[l]) & (peak > ray.depth) & listed;
+            hit[l] = u32::from(hits_here);
         }
-        // Most rays of the day meet nothing for a whole block, and the next.
-        if met == [0; LANES] {
+        // Most blocks hold no ellipse that the ray hits.
+        if hit == [0; LANES] {
             return;
         }
         for l in 0..LANES {
-            let met = met[l] & u32::from(block.id[l] != ray.id);
-            let (alpha, weight) = attenuation(block.opacity[l], square[l], met);
-            self.clear[l] *= 1.0 - alpha;
+            let hit = hit[l] & u32::from(block.id[l] != ray.id);
+            let (alpha, weight) = attenuation(block.opacity[l], square[l], hit);
+            self.value[l] *= 1.0 - alpha;
             let w = [block.whiten[0][l], block.whiten[1][l], block.whiten[2][l]];
-            let [px, py] = pull(w, tx[l], ty[l]);
-            self.pull[0][l] += weight * px;
-            self.pull[1][l] += weight * py;
-            self.hits[l] += met;
+            let [px, py] = transposed_whitening(w, tx[l], ty[l]);
+            self.d_origin[0][l] += weight * px;
+            self.d_origin[1][l] += weight * py;
+            self.hits[l] += hit;
         }
     }
 
+    /// Joins the lanes.
     #[inline(always)]
-    fn together(&self, plane: &PlaneTrace) -> Shade {
-        let pull = Vec2::new(self.pull[0].iter().sum(), self.pull[1].iter().sum());
-        Shade {
-            clear: self.clear.iter().product(),
-            pull: plane.axes.in_scene(pull),
-            turn: Vec3::ZERO,
+    fn reduce(&self, plane: &SunPlaneTrace) -> RayTransmittance {
+        let d_origin = Vec2::new(self.d_origin[0].iter().sum(), self.d_origin[1].iter().sum());
+        RayTransmittance {
+            value: self.value.iter().product(),
+            d_origin: plane.axes.in_scene(d_origin),
+            d_turn: Vec3::ZERO,
             hits: self.hits.iter().sum(),
         }
     }
@@ -108,7 +109,7 @@ struct RayBlock {
 }
 
 impl RayBlock {
-    /// Up to eight of `rays`; what is missing says nothing.
+    /// Up to eight of `rays`; missing ones contribute nothing.
     fn new(rays: &[(PlaneRay, f32)], order: &[u32]) -> Self {
         let of = |number: fn(&(PlaneRay, f32)) -> f32| {
             std::array::from_fn(|l| order.get(l).map_or(0.0, |&place| number(&rays[place as usize])))
@@ -131,9 +132,9 @@ pub(super) struct RayGrid {
 
 impl RayGrid {
     /// Sorts `rays`, each with the gradient to the logarithm of its transmittance.
-    pub(super) fn new(rays: &[(PlaneRay, f32)], cell: Vec2) -> Self {
+    pub(super) fn new(rays: &[(PlaneRay, f32)], cell_size: Vec2) -> Self {
         let places: Vec<Vec2> = rays.par_iter().with_min_len(CHUNK).map(|(ray, _)| ray.place).collect();
-        let (cells, order) = Cells::sort(&places, cell);
+        let (cells, order) = Cells::sort(&places, cell_size);
         let blocks = order
             .par_chunks(LANES)
             .with_min_len(CHUNK / LANES)
@@ -144,23 +145,23 @@ impl RayGrid {
 }
 
 vectorised! {
-    /// What the rays of the grid say to each ellipse; `out` is zero before.
-    pub(super) fn gather(ellipses: &[Ellipse], grid: &RayGrid, out: &mut [Moments]) {
+    /// Sums the contributions of the rays of the grid to each ellipse; `out` is zero before.
+    pub(super) fn gather_gradients(ellipses: &[Ellipse], grid: &RayGrid, out: &mut [EllipseMoments]) {
         for (ellipse, out) in ellipses.iter().zip(out) {
             let mut sums = [[0.0; LANES]; 6];
-            let mut met = false;
-            let window = grid.cells.window(ellipse.centre - ellipse.half, ellipse.centre + ellipse.half);
+            let mut hit = false;
+            let window = grid.cells.window(ellipse.centre - ellipse.half_size, ellipse.centre + ellipse.half_size);
             for row in window.rows.clone() {
                 let run = grid.cells.run(&window, row);
                 for number in run.start / LANES..run.end.div_ceil(LANES) {
-                    met |= listen(ellipse, &grid.blocks[number], inside(&run, number), &mut sums);
+                    hit |= add_contributions(ellipse, &grid.blocks[number], inside(&run, number), &mut sums);
                 }
             }
-            if !met {
+            if !hit {
                 continue;
             }
             let [h, tx, ty, xx, xy, yy] = sums.map(|lane| lane.iter().sum());
-            *out = Moments {
+            *out = EllipseMoments {
                 h,
                 t: [tx, ty],
                 tt: [xx, xy, yy],
@@ -169,26 +170,26 @@ vectorised! {
     }
 }
 
-/// Adds what the rays in `lanes` of a block say to an ellipse; whether any met it.
+/// Adds the contributions of the rays in `lanes` of a block to an ellipse; returns whether any hit it.
 #[inline(always)]
-fn listen(ellipse: &Ellipse, block: &RayBlock, lanes: [i32; 2], sums: &mut [Lane; 6]) -> bool {
+fn add_contributions(ellipse: &Ellipse, block: &RayBlock, lanes: [i32; 2], sums: &mut [Lane; 6]) -> bool {
     let (mut tx, mut ty, mut square) = ([0.0; LANES], [0.0; LANES], [0.0; LANES]);
-    let mut met = [0u32; LANES];
+    let mut hit = [0u32; LANES];
     for l in 0..LANES {
         let (dx, dy) = (block.x[l] - ellipse.centre.x, block.y[l] - ellipse.centre.y);
         [tx[l], ty[l]] = whitened(ellipse.whiten, dx, dy);
         square[l] = tx[l] * tx[l] + ty[l] * ty[l];
         let peak = ellipse.depth + ellipse.slope.x * dx + ellipse.slope.y * dy;
         let listed = (NUMBERS[l] >= lanes[0]) & (NUMBERS[l] <= lanes[1]);
-        let here = (square[l] < ellipse.reach_square) & (peak > block.depth[l]) & listed;
-        met[l] = u32::from(here);
+        let hits_here = (square[l] < ellipse.reach_square) & (peak > block.depth[l]) & listed;
+        hit[l] = u32::from(hits_here);
     }
-    if met == [0; LANES] {
+    if hit == [0; LANES] {
         return false;
     }
     for l in 0..LANES {
-        let met = met[l] & u32::from(block.id[l] != ellipse.id);
-        let (_, weight) = attenuation(ellipse.opacity, square[l], met);
+        let hit = hit[l] & u32::from(block.id[l] != ellipse.id);
+        let (_, weight) = attenuation(ellipse.opacity, square[l], hit);
         let h = -block.d_log[l] * weight;
         let (hx, hy) = (h * tx[l], h * ty[l]);
         sums[0][l] += h;

@@ -1,4 +1,6 @@
-//! Composited colours in front of a background, coverage as a band, and normals behind the colours: what models of objects share.
+//! Background compositing, shared by the models of objects: colours over a constant background, and coverage as a fourth band.
+//!
+//! Channels of these models are the three colours, then, where a model rasterises them, the three components of the normal.
 
 use super::NamedLoss;
 use crate::camera::ProjectiveCamera;
@@ -6,11 +8,11 @@ use crate::loss::geometry::depth_normal;
 use crate::raster::Raster;
 use crate::splat::{MapGradients, Maps};
 
-/// Colours of a pixel.
+/// Colour channels of a pixel.
 pub(super) const COLOURS: usize = 3;
 
 /// `Σ w c + (1 - Σ w) background` per pixel, and with `coverage` a fourth band `Σ w`.
-pub(super) fn over(maps: &Maps, background: [f32; 3], coverage: bool) -> Raster {
+pub(super) fn over_background(maps: &Maps, background: [f32; 3], coverage: bool) -> Raster {
     let bands = COLOURS + usize::from(coverage);
     let mut out = Raster::filled(maps.width, maps.height, bands, 0.0);
     for (k, background) in background.into_iter().enumerate() {
@@ -25,8 +27,13 @@ pub(super) fn over(maps: &Maps, background: [f32; 3], coverage: bool) -> Raster 
     out
 }
 
-/// Adds the gradients of the maps from that of the image.
-pub(super) fn over_backward(d_image: &Raster, background: [f32; 3], coverage: bool, d_maps: &mut MapGradients) {
+/// Backward of [`over_background`]: adds the gradients of the maps from that of the image.
+pub(super) fn over_background_backward(
+    d_image: &Raster,
+    background: [f32; 3],
+    coverage: bool,
+    d_maps: &mut MapGradients,
+) {
     for (k, background) in background.into_iter().enumerate() {
         let sinks = d_maps.channels[k].iter_mut().zip(&mut d_maps.alpha);
         for ((d_colour, d_alpha), d) in sinks.zip(d_image.plane(k)) {
@@ -41,9 +48,9 @@ pub(super) fn over_backward(d_image: &Raster, background: [f32; 3], coverage: bo
     }
 }
 
-/// The loss that holds normals, which stand behind the colours, to those of the depth, where steps of more than `edge` are no slopes; none
-/// without a weight.
-pub(super) fn normals_of_depth(
+/// The depth–normal loss of a model whose normals follow its colours, see [`depth_normal`]; empty when `weight` is zero. Depths
+/// that differ by more than `edge` (scene units) are an edge.
+pub(super) fn depth_normal_loss(
     camera: &ProjectiveCamera,
     maps: &Maps,
     weight: f32,

@@ -1,4 +1,5 @@
-//! Numbers in [0, 1) for a pixel's paths: spread evenly over all of them where that helps, random where it cannot.
+//! Random numbers of a pixel's paths: stratified over all paths of the pixel (Sobol) where few dimensions are drawn, independent in
+//! random walks, whose number of dimensions has no bound.
 
 use nalgebra::Vector2;
 use rand::{RngExt, SeedableRng};
@@ -11,13 +12,13 @@ const OF_PIXEL: u32 = 2;
 
 /// The numbers of one path of a pixel. What all paths of the pixel draw for the same purpose is a Sobol sequence, scrambled after Owen
 /// (Burley 2020) with the pixel's seed: best where the number of paths is a power of two.
-pub(crate) struct Numbers {
+pub(crate) struct PathSampler {
     seed: u32,
     path: u32,
     random: Pcg32,
 }
 
-impl Numbers {
+impl PathSampler {
     pub(crate) fn new(seed: u64, path: u32) -> Self {
         let mut random = Pcg32::new(seed, u64::from(path));
         // The first number of neighbouring streams is alike.
@@ -29,21 +30,21 @@ impl Numbers {
         }
     }
 
-    fn even(&self, dimension: u32) -> f64 {
+    fn sobol(&self, dimension: u32) -> f64 {
         f64::from(sobol_burley::sample(self.path, dimension, self.seed))
     }
 
     /// A place within the pixel.
     pub(crate) fn within_pixel(&self) -> Vector2<f64> {
-        Vector2::new(self.even(0), self.even(1))
+        Vector2::new(self.sobol(0), self.sobol(1))
     }
 
     /// A choice and a place for one of the two samples of a turn of the path.
     pub(crate) fn at_turn(&self, turn: usize, sample: u32) -> (f64, Vector2<f64>) {
         let first = OF_PIXEL + PER_TURN * turn as u32 + 3 * sample;
         (
-            self.even(first),
-            Vector2::new(self.even(first + 1), self.even(first + 2)),
+            self.sobol(first),
+            Vector2::new(self.sobol(first + 1), self.sobol(first + 2)),
         )
     }
 
@@ -64,7 +65,7 @@ mod tests {
 
     #[test]
     fn sixteen_paths_put_one_place_in_each_of_sixteen_squares_and_pixels_differ() {
-        let places = |seed| (0..16).map(move |path| Numbers::new(seed, path).within_pixel());
+        let places = |seed| (0..16).map(move |path| PathSampler::new(seed, path).within_pixel());
         for seed in [1, 77] {
             let mut squares: Vec<_> = places(seed).map(|u| ((u.x * 4.0) as u8, (u.y * 4.0) as u8)).collect();
             squares.sort_unstable();
@@ -77,7 +78,7 @@ mod tests {
     #[test]
     fn unrelated_numbers_are_even_over_paths() {
         let paths = 1 << 12;
-        let mean = (0..paths).map(|path| Numbers::new(5, path).any()).sum::<f64>() / f64::from(paths);
+        let mean = (0..paths).map(|path| PathSampler::new(5, path).any()).sum::<f64>() / f64::from(paths);
         assert!((mean - 0.5).abs() < 0.02, "{mean}");
     }
 }
