@@ -115,6 +115,15 @@ pub enum Command {
     /// Measure the rates of this machine: cameras, splats, light, whole steps; under a minute
     #[command(after_help = "Example: heliosplat bench --json")]
     Bench,
+    /// Print the completions of a shell
+    #[command(
+        after_help = "Examples: heliosplat completions bash > ~/.local/share/bash-completion/completions/heliosplat\n          \
+                            heliosplat completions fish > ~/.config/fish/completions/heliosplat.fish"
+    )]
+    Completions(completions::CompletionsArgs),
+    /// Write the manual pages, one for each verb
+    #[command(after_help = "Example: heliosplat man --out ~/.local/share/man/man1")]
+    Man(man::ManArgs),
 }
 
 /// Parses the arguments of the process and runs the verb.
@@ -162,6 +171,8 @@ fn run(cli: &Cli) -> Result<Outcome, CliError> {
         Command::Tradeoff(args) => tradeoff::run(args, cli.threads, &session),
         Command::Batch(args) => batch::run(args, cli.threads, &session),
         Command::Bench => bench::run(),
+        Command::Completions(args) => completions::run(args),
+        Command::Man(args) => man::run(args),
     }
 }
 

@@ -1,5 +1,6 @@
 //! Values of arguments: what they look like, and what is said when they do not.
 
+use bytesize::ByteSize;
 use heliosplat_scene::AreaRequest;
 use std::time::Duration;
 
@@ -53,42 +54,27 @@ pub fn numbers(text: &str) -> Result<Vec<f64>, String> {
     text.split(',').map(number).collect()
 }
 
-/// A duration such as `90s`, `5m`, `1.5h`; a bare number is seconds.
+/// A duration such as `90s`, `5m`, `1h30m`, `1.5h`; a bare number is seconds.
 ///
 /// # Errors
 /// A message for the user.
 pub fn duration(text: &str) -> Result<Duration, String> {
-    let (number, unit) = split_unit(text);
-    let factor = match unit {
-        "" | "s" => 1.0,
-        "m" | "min" => 60.0,
-        "h" => 3600.0,
-        _ => return Err("expected a time such as 90s, 5m or 1h".to_owned()),
-    };
-    let value: f64 = number
-        .parse()
-        .map_err(|_| "expected a time such as 90s, 5m or 1h".to_owned())?;
-    Duration::try_from_secs_f64(value * factor).map_err(|_| "expected a time that is not negative".to_owned())
+    let expected = |_| "expected a time such as 90s, 5m or 1h30m".to_owned();
+    let negative = "expected a time that is not negative".to_owned();
+    if let Ok(seconds) = text.trim().parse::<f64>() {
+        return Duration::try_from_secs_f64(seconds).map_err(|_| negative);
+    }
+    let duration: jiff::SignedDuration = text.trim().parse().map_err(expected)?;
+    Duration::try_from(duration).map_err(|_| negative)
 }
 
-/// A size such as `512MiB`, `4GiB`, `4G`; a bare number is bytes.
+/// A size such as `512MiB`, `4GiB`, `500MB`; a bare number is bytes. `k`, `M` and `G` alone are powers of 1000, as `kB`, `MB` and `GB` are.
 ///
 /// # Errors
 /// A message for the user.
 pub fn bytes(text: &str) -> Result<u64, String> {
-    let (number, unit) = split_unit(text);
-    let factor = match unit.to_lowercase().as_str() {
-        "" | "b" => 1.0,
-        "k" | "kib" => 1024.0,
-        "m" | "mib" => 1024.0 * 1024.0,
-        "g" | "gib" => 1024.0 * 1024.0 * 1024.0,
-        "kb" => 1e3,
-        "mb" => 1e6,
-        "gb" => 1e9,
-        _ => return Err("expected a size such as 512MiB or 4GiB".to_owned()),
-    };
-    match number.parse::<f64>() {
-        Ok(value) if value > 0.0 && (value * factor).is_finite() => Ok((value * factor) as u64),
+    match text.trim().parse::<ByteSize>() {
+        Ok(size) if size.as_u64() > 0 => Ok(size.as_u64()),
         _ => Err("expected a size such as 512MiB or 4GiB".to_owned()),
     }
 }
@@ -124,14 +110,6 @@ pub fn positive(text: &str) -> Result<f64, String> {
     }
 }
 
-fn split_unit(text: &str) -> (&str, &str) {
-    let text = text.trim();
-    let end = text
-        .find(|character: char| character.is_ascii_alphabetic())
-        .unwrap_or(text.len());
-    (text[..end].trim(), text[end..].trim())
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -148,13 +126,44 @@ mod tests {
     }
 
     #[test]
-    fn durations_and_sizes_carry_their_units() {
-        assert_eq!(duration("90"), Ok(Duration::from_secs(90)));
-        assert_eq!(duration("1.5h"), Ok(Duration::from_secs(5400)));
-        assert!(duration("5x").is_err() && duration("-3m").is_err() && duration("").is_err());
-        assert_eq!(bytes("4GiB"), Ok(4 << 30));
-        assert_eq!(bytes("1.5MB"), Ok(1_500_000));
-        assert!(bytes("0").is_err() && bytes("lots").is_err());
+    fn durations_carry_their_units_and_bare_numbers_are_seconds() {
+        for (text, secs) in [
+            ("0", 0.0),
+            ("90", 90.0),
+            ("0.5", 0.5),
+            ("90s", 90.0),
+            (" 5m ", 300.0),
+            ("5 min", 300.0),
+            ("1.5h", 5400.0),
+            ("1h30m", 5400.0),
+            ("1h 30m 5s", 5405.0),
+            ("250ms", 0.25),
+        ] {
+            assert_eq!(duration(text), Ok(Duration::from_secs_f64(secs)), "{text}");
+        }
+        for bad in ["", "5x", "-3m", "-3", "inf", "nan", "m", "1h-30m", "1e300"] {
+            assert!(duration(bad).is_err(), "{bad}");
+        }
+    }
+
+    #[test]
+    fn sizes_carry_their_units_and_bare_numbers_are_bytes() {
+        for (text, bytes_of) in [
+            ("4096", 4096),
+            ("4GiB", 4 << 30),
+            (" 4 gib ", 4 << 30),
+            ("0.5GiB", 1 << 29),
+            ("512MiB", 512 << 20),
+            ("500MB", 500_000_000),
+            ("1.5MB", 1_500_000),
+            ("4G", 4_000_000_000),
+            ("1TiB", 1 << 40),
+        ] {
+            assert_eq!(bytes(text), Ok(bytes_of), "{text}");
+        }
+        for bad in ["", "0", "0GiB", "-1GiB", "lots", "GiB", "4Gib/s", "nan", "inf"] {
+            assert!(bytes(bad).is_err(), "{bad}");
+        }
     }
 
     #[test]

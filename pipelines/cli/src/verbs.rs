@@ -3,12 +3,14 @@
 pub mod adjust;
 pub mod batch;
 pub mod bench;
+pub mod completions;
 #[cfg(feature = "synth")]
 pub mod demo;
 pub mod evaluate;
 pub mod evaluate_args;
 pub mod export_args;
 pub mod inspect;
+pub mod man;
 pub mod model;
 pub mod model_args;
 pub mod object;

@@ -98,8 +98,7 @@ pub fn remove(run: &Path) {
 
 /// Short name of an identity: its SHA-256, hexadecimal.
 pub fn digest(identity: &str) -> String {
-    let sum = Sha256::digest(identity.as_bytes());
-    sum.iter().map(|byte| format!("{byte:02x}")).collect()
+    hex::encode(Sha256::digest(identity.as_bytes()))
 }
 
 /// What comes first in every identity: versions.

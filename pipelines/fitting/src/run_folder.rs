@@ -92,7 +92,7 @@ pub fn hash(path: &Path) -> Result<String, RunError> {
     let mut file = std::fs::File::open(path).map_err(io)?;
     let mut hasher = Sha256::new();
     std::io::copy(&mut file, &mut hasher).map_err(io)?;
-    Ok(hasher.finalize().iter().map(|byte| format!("{byte:02x}")).collect())
+    Ok(hex::encode(hasher.finalize()))
 }
 
 /// SHA-256 of the values of a raster, hexadecimal.
@@ -101,7 +101,7 @@ pub fn hash_of_pixels(raster: &Raster) -> String {
     for value in &raster.values {
         hasher.update(value.to_le_bytes());
     }
-    hasher.finalize().iter().map(|byte| format!("{byte:02x}")).collect()
+    hex::encode(hasher.finalize())
 }
 
 /// Writes `metrics.json`.
@@ -114,23 +114,22 @@ pub fn save_metrics(folder: &Path, metrics: &serde_json::Value) -> Result<(), Ru
 }
 
 /// Memory that this process holds now, bytes; zero where the system does not tell.
-pub fn resident_bytes() -> f64 {
-    let text = std::fs::read_to_string("/proc/self/statm").unwrap_or_default();
-    let pages: f64 = text
-        .split_whitespace()
-        .nth(1)
-        .and_then(|n| n.parse().ok())
-        .unwrap_or(0.0);
-    pages * 4096.0
+pub fn resident_bytes() -> u64 {
+    status_bytes("VmRSS:")
 }
 
 /// The most memory this process has used, bytes; zero where the system does not tell.
 pub fn peak_rss_bytes() -> u64 {
+    status_bytes("VmHWM:")
+}
+
+/// One size of `/proc/self/status`, bytes. The kernel says them in KiB there, whatever the size of its pages.
+fn status_bytes(field: &str) -> u64 {
     let status = std::fs::read_to_string("/proc/self/status").unwrap_or_default();
-    let line = status.lines().find(|line| line.starts_with("VmHWM:"));
-    let kib = line
-        .and_then(|line| line.split_whitespace().nth(1))
-        .and_then(|n| n.parse::<u64>().ok());
+    let kib = status
+        .lines()
+        .find_map(|line| line.strip_prefix(field))
+        .and_then(|rest| rest.split_whitespace().next()?.parse::<u64>().ok());
     kib.unwrap_or(0) * 1024
 }
 
@@ -284,4 +283,18 @@ pub fn inputs(run: &Path) -> Result<Vec<Input>, RunError> {
         path,
         reason: error.message().to_owned(),
     })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    #[cfg(target_os = "linux")]
+    fn the_most_memory_used_is_no_less_than_what_was_held_before() {
+        let before = resident_bytes();
+        drop(std::hint::black_box(vec![1u8; 64 << 20]));
+        let most = peak_rss_bytes();
+        assert!(before > 0 && most >= before + (32 << 20), "{before} {most}");
+    }
 }

@@ -88,10 +88,11 @@ pub fn train(mut config: ObjectConfig, request: &TrainRequest, session: &Session
     let out = request.out.as_path();
     let capture = open(&request.capture, request.memory)?;
     if let Some(limit) = request.memory {
-        let left = limit as f64 - resident_bytes();
+        let resident = resident_bytes() as f64;
+        let left = limit as f64 - resident;
         let most = (left / BYTES_PER_GAUSSIAN).max(0.0) as usize;
         if most < config.start.gaussians {
-            let least = config.start.gaussians as f64 * BYTES_PER_GAUSSIAN + resident_bytes();
+            let least = config.start.gaussians as f64 * BYTES_PER_GAUSSIAN + resident;
             return Err(ObjectError::Memory {
                 gaussians: config.start.gaussians,
                 needed_gib: least / f64::from(1 << 30) + 0.01,

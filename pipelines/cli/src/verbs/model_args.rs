@@ -19,10 +19,10 @@ pub struct TrainArgs {
     /// How much time for how good a result [default: balanced, or what fits into --time-budget]
     #[arg(long, value_enum)]
     pub preset: Option<PresetName>,
-    /// Use this time and no more, products included, such as 90s, 5m, 1h
+    /// Use this time and no more, products included, such as 90s, 5m, 1h30m
     #[arg(long, value_parser = parse::duration, value_name = "TIME")]
     pub time_budget: Option<Duration>,
-    /// Stay below this much memory, such as 4GiB
+    /// Stay below this much memory, such as 4GiB or 500MB
     #[arg(long, value_parser = parse::bytes, value_name = "SIZE")]
     pub memory: Option<u64>,
     /// Seed of everything random
