@@ -36,7 +36,7 @@ use surface::{Lobes, Place, Surface, SurfaceGradient};
 /// Lobes that all Gaussians share.
 pub const LOBES: usize = 8;
 /// Directions in which lobes are longest at the start, evenly over half a circle: a Gaussian whose frame lies across the grain would
-/// have to turn through shapes that are worse, and stays where it is; so it chooses first (docs/objects.md).
+/// have to turn through shapes that are worse, and stays where it is; so it chooses first (docs/lab/objects.md).
 const ORIENTATIONS: usize = 4;
 /// Index of the group of diffuse colours, before the softplus.
 pub const DIFFUSE: usize = FEATURES;
@@ -53,7 +53,7 @@ const LOBE_FRAME: usize = 0;
 const LOBE_SCALE: usize = 1;
 const LOBE_SIGMA: usize = 2;
 /// Share of training from which on gloss joins. SSD-GS has 16 of 100: by then normals have turned to make highlights of what is matte, and do
-/// not find back (docs/objects.md).
+/// not find back (docs/lab/objects.md).
 const SPECULAR_FROM: f32 = 0.05;
 /// Share of training from which on the lobes change their shape (SSD-GS: 22 of 100).
 const LOBES_FROM: f32 = 0.08;

@@ -26,7 +26,7 @@ use std::time::Instant;
 /// Gaussians that leave the cube that cameras see by this much of it are pruned.
 const SLACK: f32 = 1.1;
 /// How much normals agree with those of the depth where the configuration leaves it open: under one lamp at a time, where a firm hold
-/// keeps highlights in one piece (docs/objects.md).
+/// keeps highlights in one piece (docs/lab/objects.md).
 const OLAT_NORMALS: f32 = 0.3;
 /// And in surroundings that stay.
 const REFLECTIVE_NORMALS: f32 = 0.05;

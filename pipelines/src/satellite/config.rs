@@ -145,7 +145,7 @@ pub struct ModelOptions {
     pub sh_degree: usize,
     /// Surfaces are as bright as they face the sun.
     pub facing: bool,
-    /// Weight of the shadow opaqueness loss; 0, off, is better on every site measured (docs/satellite.md).
+    /// Weight of the shadow opaqueness loss; 0, off, is better on every site measured (docs/lab/components.md).
     pub opaqueness_weight: f32,
     /// Whether shadows that images show as dark places guide training: with few views, unless said.
     pub shadow_prior: Option<bool>,
