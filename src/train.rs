@@ -43,7 +43,7 @@ const LOG_SCALE_RATE: f32 = 5e-3;
 const ROTATION_RATE: f32 = 2e-3;
 /// Weight of the photometric loss; the other weights are relative to it.
 const PHOTOMETRIC_WEIGHT: f32 = 10.0;
-/// Share of the structural part in it (Kerbl et al. 2023); without it `olat` loses 0.4 dB (docs/objects.md).
+/// Share of the structural part in it (Kerbl et al. 2023); without it `olat` loses 0.4 dB (docs/lab/objects.md).
 const LAMBDA_SSIM: f32 = 0.2;
 /// Depth range, ground sampling distances, beyond which neighbouring pixels are an edge and not a slope.
 const DEPTH_NORMAL_EDGE_GSD: f32 = 3.0;

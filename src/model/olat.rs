@@ -39,7 +39,7 @@ use surface::{LightGeometry, Lobes, Surface, SurfaceGradient};
 /// Lobes that all Gaussians share.
 pub const LOBES: usize = 8;
 /// Orientations of the lobes' long axes at the start, evenly over half a circle. A Gaussian whose frame lies across the grain would have
-/// to turn through worse fits and gets stuck; with several orientations it finds one nearby by weight alone (docs/objects.md).
+/// to turn through worse fits and gets stuck; with several orientations it finds one nearby by weight alone (docs/lab/objects.md).
 const ORIENTATIONS: usize = 4;
 /// Index of the group of diffuse colours, before the softplus.
 pub const DIFFUSE: usize = FEATURES;
@@ -56,7 +56,7 @@ const LOBE_FRAME: usize = 0;
 const LOBE_SCALE: usize = 1;
 const LOBE_SIGMA: usize = 2;
 /// Share of training from which on the specular term is trained. SSD-GS has 16 of 100: by then normals have turned to imitate highlights
-/// with the diffuse term, and do not recover (docs/objects.md).
+/// with the diffuse term, and do not recover (docs/lab/objects.md).
 const SPECULAR_FROM: f32 = 0.05;
 /// Share of training from which on the lobes change their shape (SSD-GS: 22 of 100).
 const LOBES_FROM: f32 = 0.08;

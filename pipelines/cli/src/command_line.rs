@@ -110,7 +110,7 @@ pub enum Command {
     /// Train many areas, cut into tiles, and merge them: a manifest of areas, images and presets
     #[command(after_help = "Examples: heliosplat batch city.toml --out city --jobs 2\n          \
                             heliosplat batch city.toml --out city --plan --json\n\n\
-                            The same command goes on where it was stopped. The manifest: docs/batch.md.")]
+                            The same command goes on where it was stopped. The manifest: docs/guide/batch.md.")]
     Batch(batch::BatchArgs),
     /// Measure the rates of this machine: cameras, splats, light, whole steps; under a minute
     #[command(after_help = "Example: heliosplat bench --json")]

@@ -57,7 +57,7 @@ pub struct ModelOptions {
     pub scattering: bool,
     /// Whether a network refines shadows, in `olat`: on for matt objects (1.9 dB), off for metal, where it is worth nothing.
     pub refined_shadow: bool,
-    /// Whether the light that reaches surfaces is traced, in `olat`; off in the comparison of docs/objects.md, for a sixth of the time.
+    /// Whether the light that reaches surfaces is traced, in `olat`; off in the comparison of docs/lab/objects.md, for a sixth of the time.
     pub shadow: bool,
     /// Radius of the lights, in `olat`, in the capture's units: 0 for points, larger for lamps that are near.
     pub light_radius: f32,

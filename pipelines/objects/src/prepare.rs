@@ -24,7 +24,7 @@ const OPACITY: f32 = 0.5;
 /// take most of the time.
 const NETWORK: (usize, usize) = (32, 2);
 /// How much normals agree with those of the depth: under one lamp at a time, where a firm hold keeps highlights in one piece
-/// (docs/objects.md).
+/// (docs/lab/objects.md).
 const OLAT_NORMALS: f32 = 0.3;
 /// And in surroundings that stay.
 const REFLECTIVE_NORMALS: f32 = 0.05;

@@ -2,7 +2,7 @@
 //!
 //! One reader serves NeRF-synthetic, Shiny Blender, NRHints, GS³, RNG and nerfstudio, which differ in which keys they have, and
 //! SSS-GS, whose frames hold a list of lights with an image for each. A key that is absent in one frame is absent there: nothing
-//! is carried over from the frame before. `docs/objects.md` lists the keys.
+//! is carried over from the frame before. `docs/guide/objects.md` lists the keys.
 
 use super::error::CaptureError;
 use super::pinhole::Pinhole;

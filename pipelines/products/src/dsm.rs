@@ -172,7 +172,7 @@ pub fn of_gaussians(nadir: &NadirGrid, surface: &SurfaceGaussians) -> Dsm {
 }
 
 /// Variance of the altitudes known in the 3 x 3 cells around `cell`, metres²: what is known of a surface is known to about a cell
-/// sideways. The spread along the ray alone is a third too small (docs/satellite.md).
+/// sideways. The spread along the ray alone is a third too small (docs/lab/surface.md).
 fn variance_around(raster: &Raster, cell: usize) -> f32 {
     let (col, row) = (cell % raster.width, cell / raster.width);
     let (mut count, mut sum, mut squares) = (0.0f32, 0.0f32, 0.0f32);

@@ -7,7 +7,7 @@
 //! * A cell has as many altitudes as places, and the middle one is what a cell is said to have. So every cell is looked at in
 //!   3 x 3 places.
 //!
-//! What either is worth is in docs/satellite.md.
+//! What either is worth is in docs/lab/surface.md.
 
 use crate::model::LoadedModel;
 use heliosplat::ProjectiveCamera;

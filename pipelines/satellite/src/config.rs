@@ -70,7 +70,7 @@ pub struct ModelOptions {
     pub sh_degree: usize,
     /// Whether surfaces are as bright as they face the sun; off it is the paper's model.
     pub facing: bool,
-    /// Weight of the shadow opaqueness loss; 0, off, is better on every site measured (docs/satellite.md), the paper and the ablation
+    /// Weight of the shadow opaqueness loss; 0, off, is better on every site measured (docs/lab/components.md), the paper and the ablation
     /// have it.
     pub opaqueness_weight: f32,
     /// Whether shadows that images show as dark places guide training: on with few views, off with many.

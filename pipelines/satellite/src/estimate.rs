@@ -1,6 +1,6 @@
 //! What a training will take, before it begins: memory and time.
 //!
-//! The constants were fitted to runs on `block` and a town (docs/satellite.md; 0.17 to 0.62 million Gaussians); `metrics.json` keeps the
+//! The constants were fitted to runs on `block` and a town (docs/lab/presets.md; 0.17 to 0.62 million Gaussians); `metrics.json` keeps the
 //! estimate beside what was used.
 
 use super::config::{ModelOptions, SatelliteConfig};

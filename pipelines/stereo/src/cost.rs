@@ -24,7 +24,7 @@ use std::collections::BTreeMap;
 
 /// Census distances beyond this share of the comparisons are truncated: they say "no match" and no more.
 const TRUNCATION: f32 = 0.36;
-/// Differences of brightness within a date at which they are truncated too, in median differences between neighbours (docs/sweep.md).
+/// Differences of brightness within a date at which they are truncated too, in median differences between neighbours (docs/lab/plane-sweep.md).
 const VALUE_TRUNCATION: f32 = 4.0;
 
 /// What is compared, and where.

@@ -8,7 +8,7 @@
 //! - the combined base-to-height ratio: noise in height grows with its inverse, and so does the window that averages it out;
 //! - whether every view has an index plane (a vegetation index): then it is compared beside brightness.
 //!
-//! Constants without a source were chosen by experiment; docs/sweep.md has the tables.
+//! Constants without a source were chosen by experiment; docs/lab/plane-sweep.md has the tables.
 
 use super::pairs::{self, LEAST_BASE_TO_HEIGHT};
 use super::views::ViewGeometry;
@@ -20,7 +20,7 @@ pub const MANY_VIEWS: usize = 8;
 /// Height step of the hypotheses, as the relative shift in cells of the pair of views with the widest base: half a cell is what matching
 /// resolves before the sub-step refinement.
 const STEP_CELLS: f32 = 0.5;
-/// Rounds at full resolution in which views that the surface hides are left out; docs/sweep.md: a second one gains nothing.
+/// Rounds at full resolution in which views that the surface hides are left out; docs/lab/plane-sweep.md: a second one gains nothing.
 const VISIBILITY_ROUNDS: usize = 1;
 /// Cost of a change by one height step between neighbours (P1 of Hirschmüller 2008), in units of a full mismatch / 255.
 const ONE_STEP_PENALTY: u16 = 30;

@@ -17,7 +17,7 @@ use std::time::Duration;
 /// `batch`.
 #[derive(Debug, Clone, Args)]
 pub struct BatchArgs {
-    /// A manifest of areas, images and presets (docs/batch.md)
+    /// A manifest of areas, images and presets (docs/guide/batch.md)
     #[arg(value_name = "MANIFEST.toml")]
     pub manifest: PathBuf,
     /// Folder for all units, summary.csv, summary.json and summary.html; what is finished there is not done again
