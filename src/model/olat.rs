@@ -18,26 +18,28 @@
 //! Not in the papers: F0 per Gaussian, and Fresnel over the squared cosine. Limits: the shadow is traced from the centre only, and
 //! scattering sees no neighbours, only the predicted distance.
 
+mod groups;
 mod network_pass;
 mod networks;
+mod options;
 mod surface;
 
+pub use options::{Component, OlatOptions};
+pub use surface::LOBES;
+
 use super::background::{COLOURS, depth_normal_loss, over_background, over_background_backward};
-use super::network::Network;
 use super::shadow_gs::{softplus, softplus_inverse};
 use super::{Context, NamedLoss, Parameters, SceneModel, Seen};
 use crate::gaussians::{FEATURES, POSITION, Table, logit, normalised, sigmoid};
-use crate::optim::{LearningRate, ParameterGroup};
+use crate::optim::ParameterGroup;
 use crate::raster::Raster;
 use crate::splat::{MapGradients, Maps};
 use glam::Vec3;
-use networks::{EMBEDDING, SCATTER_INPUTS, SHADOW_INPUTS, network};
+use groups::{Feature, LOBE_FRAME, LOBE_GROUPS, LOBE_SCALE, Shared};
 use rayon::prelude::*;
 use std::f32::consts::PI;
 use surface::{LightGeometry, Lobes, Surface, SurfaceGradient};
 
-/// Lobes that all Gaussians share.
-pub const LOBES: usize = 8;
 /// Orientations of the lobes' long axes at the start, evenly over half a circle. A Gaussian whose frame lies across the grain would have
 /// to turn through worse fits and gets stuck; with several orientations it finds one nearby by weight alone (docs/lab/objects.md).
 const ORIENTATIONS: usize = 4;
@@ -51,21 +53,6 @@ pub const SPECULAR: usize = FEATURES + 2;
 pub const WEIGHT: usize = FEATURES + 3;
 /// Index of the group of F0, reflectance at normal incidence, before the sigmoid.
 pub const F0: usize = FEATURES + 4;
-/// Indices of the shared groups: frames, relative widths and widths of the lobes.
-const LOBE_FRAME: usize = 0;
-const LOBE_SCALE: usize = 1;
-const LOBE_SIGMA: usize = 2;
-/// Share of training from which on the specular term is trained. SSD-GS has 16 of 100: by then normals have turned to imitate highlights
-/// with the diffuse term, and do not recover (docs/lab/objects.md).
-const SPECULAR_FROM: f32 = 0.05;
-/// Share of training from which on the lobes change their shape (SSD-GS: 22 of 100).
-const LOBES_FROM: f32 = 0.08;
-/// Share of the surfaces' learning rates that is left at the end of training: without decay the shared lobes keep oscillating.
-const RATE_AT_END: f32 = 0.1;
-/// Share of training from which on light scatters (SSD-GS: 9 of 100).
-const SCATTERING_FROM: f32 = 0.09;
-/// Share of training from which on shadows are refined (SSD-GS: 5 of 100).
-const REFINED_FROM: f32 = 0.05;
 /// Initial colour of scattered light, of which the dipole shows a fraction.
 const INITIAL_SCATTERED: f32 = 0.1;
 /// Initial scale of the networks' last layer, relative to its others: they start with little effect.
@@ -74,147 +61,6 @@ const NETWORK_OUTPUT_SCALE: f32 = 0.1;
 const DIELECTRIC_F0: f32 = 0.04;
 /// Initial specular colour: next to nothing.
 const INITIAL_SPECULAR: f32 = 0.02;
-
-/// The groups of parameters that a Gaussian can have, in the order of the table.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-enum Feature {
-    Diffuse,
-    Frame,
-    Specular,
-    LobeWeight,
-    F0,
-    Embedding,
-    Scattered,
-}
-
-impl Feature {
-    const ALL: [Self; 7] = [
-        Self::Diffuse,
-        Self::Frame,
-        Self::Specular,
-        Self::LobeWeight,
-        Self::F0,
-        Self::Embedding,
-        Self::Scattered,
-    ];
-
-    fn describe(self) -> ParameterGroup {
-        match self {
-            Self::Diffuse => ParameterGroup::new("diffuse", COLOURS, surface_rate(0.0, 3e-2)),
-            Self::Frame => ParameterGroup::new("frame", 4, surface_rate(0.0, 2e-2)),
-            Self::Specular => ParameterGroup::new("specular", COLOURS, surface_rate(SPECULAR_FROM, 0.1)),
-            Self::LobeWeight => ParameterGroup::new("lobe_weight", LOBES, surface_rate(SPECULAR_FROM, 3e-2)),
-            Self::F0 => ParameterGroup::new("f0", 1, surface_rate(SPECULAR_FROM, 6e-2)),
-            Self::Embedding => {
-                let rate = LearningRate::constant(5e-3).starting_at(REFINED_FROM);
-                ParameterGroup::new("embedding", EMBEDDING, rate)
-            }
-            Self::Scattered => {
-                let rate = LearningRate::constant(1e-2).starting_at(SCATTERING_FROM);
-                ParameterGroup::new("scattered", COLOURS, rate)
-            }
-        }
-    }
-}
-
-/// The groups of parameters that all Gaussians can share, in the order of their table.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-enum Shared {
-    LobeFrame,
-    LobeScale,
-    LobeSigma,
-    ScatteringNetwork,
-    ShadowNetwork,
-}
-
-impl Shared {
-    const ALL: [Self; 5] = [
-        Self::LobeFrame,
-        Self::LobeScale,
-        Self::LobeSigma,
-        Self::ScatteringNetwork,
-        Self::ShadowNetwork,
-    ];
-}
-
-/// Learning rate of what surfaces are made of: `rate` from the share `from` of training on, decaying.
-fn surface_rate(from: f32, rate: f32) -> LearningRate {
-    LearningRate::constant(rate).starting_at(from).decaying_to(RATE_AT_END)
-}
-
-/// Options of the model.
-#[derive(Debug, Clone, PartialEq, serde::Serialize, serde::Deserialize)]
-#[serde(default, deny_unknown_fields)]
-pub struct OlatOptions {
-    /// Whether surfaces are glossy.
-    pub specular: bool,
-    /// Whether the light that reaches a surface is traced.
-    pub shadow: bool,
-    /// Whether light scatters under the surface.
-    pub scattering: bool,
-    /// Whether the shadow network refines the traced shadows.
-    pub refined: bool,
-    /// Units of the hidden layers of both networks.
-    pub width: usize,
-    /// Their hidden layers.
-    pub hidden: usize,
-    /// Half of the side of the cube that positions lie in.
-    pub half_size: f32,
-    /// Colour behind everything.
-    pub background: [f32; 3],
-    /// Whether images have coverage as a fourth band.
-    pub coverage: bool,
-    /// Distance at which a light of strength one counts as one.
-    pub distance: f32,
-    /// Radius of the lights.
-    pub radius: f32,
-    /// How much normals agree with those of the depth.
-    pub normal_weight: f32,
-    /// Depths that differ by more than this are an edge, not a slope.
-    pub normal_edge: f32,
-    /// Which component is rendered.
-    pub shows: Component,
-}
-
-/// Components of the rendered light, to show one alone.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, serde::Serialize, serde::Deserialize)]
-#[serde(rename_all = "snake_case")]
-pub enum Component {
-    /// All of it.
-    #[default]
-    All,
-    /// The diffuse part, in shadow too.
-    Diffuse,
-    /// The specular part, in shadow too.
-    Specular,
-    /// Transmittance toward the light.
-    Shadow,
-    /// Light scattered under the surface.
-    Scattering,
-    /// The normals of the frames behind the colours, where a model rasterises them.
-    Normal,
-}
-
-impl Default for OlatOptions {
-    fn default() -> Self {
-        Self {
-            specular: true,
-            shadow: true,
-            scattering: false,
-            refined: false,
-            width: 32,
-            hidden: 3,
-            half_size: 1.0,
-            background: [0.0; 3],
-            coverage: false,
-            distance: 1.0,
-            radius: 0.0,
-            normal_weight: 0.0,
-            normal_edge: 0.1,
-            shows: Component::All,
-        }
-    }
-}
 
 /// The model.
 #[derive(Debug, Clone)]
@@ -229,90 +75,25 @@ impl Olat {
         Self { options }
     }
 
-    fn scattering_network(&self) -> Network {
-        network(
-            SCATTER_INPUTS,
-            COLOURS,
-            self.options.width.max(1),
-            self.options.hidden.max(1),
-        )
-    }
-
-    fn shadow_network(&self) -> Network {
-        network(SHADOW_INPUTS, 1, self.options.width.max(1), self.options.hidden.max(1))
-    }
-
-    /// Whether a network is on that reads the material embedding.
-    fn has_embedding(&self) -> bool {
-        self.options.scattering || self.options.refined
-    }
-
-    fn has_feature(&self, feature: Feature) -> bool {
-        match feature {
-            Feature::Diffuse | Feature::Frame => true,
-            Feature::Specular | Feature::LobeWeight | Feature::F0 => self.options.specular,
-            Feature::Embedding => self.has_embedding(),
-            Feature::Scattered => self.options.scattering,
-        }
-    }
-
-    fn has_shared(&self, shared: Shared) -> bool {
-        match shared {
-            Shared::LobeFrame | Shared::LobeScale | Shared::LobeSigma => self.options.specular,
-            Shared::ScatteringNetwork => self.options.scattering,
-            Shared::ShadowNetwork => self.options.refined,
-        }
-    }
-
-    /// Index in the table of Gaussians; `None` where the options leave the group out.
-    fn feature_index(&self, feature: Feature) -> Option<usize> {
-        let mut present = Feature::ALL.into_iter().filter(|&other| self.has_feature(other));
-        present.position(|other| other == feature).map(|at| FEATURES + at)
-    }
-
-    /// Index in the table of shared parameters; `None` where the options leave the group out.
-    fn shared_index(&self, shared: Shared) -> Option<usize> {
-        let mut present = Shared::ALL.into_iter().filter(|&other| self.has_shared(other));
-        present.position(|other| other == shared)
-    }
-
-    fn describe_shared(&self, shared: Shared) -> ParameterGroup {
-        let lobes = surface_rate(LOBES_FROM, 2e-2);
-        let network = |from: f32| LearningRate::constant(2e-3).starting_at(from);
-        match shared {
-            Shared::LobeFrame => ParameterGroup::new("lobe_frame", LOBES * 4, lobes),
-            Shared::LobeScale => ParameterGroup::new("lobe_scale", LOBES * 2, lobes),
-            Shared::LobeSigma => ParameterGroup::new("lobe_sigma", LOBES, lobes),
-            Shared::ScatteringNetwork => ParameterGroup::new(
-                "scattering_network",
-                self.scattering_network().weights(),
-                network(SCATTERING_FROM),
-            ),
-            Shared::ShadowNetwork => {
-                ParameterGroup::new("shadow_network", self.shadow_network().weights(), network(REFINED_FROM))
-            }
-        }
-    }
-
     /// Index of the group of material embeddings, which the networks read; `None` where both are off.
     pub fn embedding_group(&self) -> Option<usize> {
-        self.feature_index(Feature::Embedding)
+        self.options.feature_index(Feature::Embedding)
     }
 
     /// Index of the group of colours of scattered light, before the softplus; `None` where nothing scatters.
     pub fn scattered_group(&self) -> Option<usize> {
-        self.feature_index(Feature::Scattered)
+        self.options.feature_index(Feature::Scattered)
     }
 
     /// Shared parameters at the start: lobes around the normal, from narrow to wide and turned in turns; networks with little effect.
     pub fn initial_globals(&self) -> Table {
         let mut table = Table::zeros(self.global_groups(), 1);
-        if let Some(group) = self.shared_index(Shared::ScatteringNetwork) {
-            let weights = self.scattering_network().initial(1, NETWORK_OUTPUT_SCALE);
+        if let Some(group) = self.options.shared_index(Shared::ScatteringNetwork) {
+            let weights = self.options.scattering_network().initial(1, NETWORK_OUTPUT_SCALE);
             table.group_mut(group).copy_from_slice(&weights);
         }
-        if let Some(group) = self.shared_index(Shared::ShadowNetwork) {
-            let weights = self.shadow_network().initial(2, NETWORK_OUTPUT_SCALE);
+        if let Some(group) = self.options.shared_index(Shared::ShadowNetwork) {
+            let weights = self.options.shadow_network().initial(2, NETWORK_OUTPUT_SCALE);
             table.group_mut(group).copy_from_slice(&weights);
         }
         if self.options.specular {
@@ -349,11 +130,8 @@ impl Olat {
 
     fn lobes(&self, globals: &Table) -> Option<Lobes> {
         self.options.specular.then(|| {
-            Lobes::new(
-                globals.group(LOBE_FRAME),
-                globals.group(LOBE_SCALE),
-                globals.group(LOBE_SIGMA),
-            )
+            let [frames, scales, sigmas] = LOBE_GROUPS.map(|group| globals.group(group));
+            Lobes::new(frames, scales, sigmas)
         })
     }
 
@@ -401,13 +179,11 @@ impl SceneModel for Olat {
     }
 
     fn feature_parameters(&self) -> Vec<ParameterGroup> {
-        let present = Feature::ALL.into_iter().filter(|&feature| self.has_feature(feature));
-        present.map(Feature::describe).collect()
+        self.options.feature_parameters()
     }
 
     fn global_parameters(&self) -> Vec<ParameterGroup> {
-        let present = Shared::ALL.into_iter().filter(|&shared| self.has_shared(shared));
-        present.map(|shared| self.describe_shared(shared)).collect()
+        self.options.shared_parameters()
     }
 
     fn channels(&self) -> usize {
@@ -502,16 +278,16 @@ impl SceneModel for Olat {
         };
         let three = |v: [f32; COLOURS]| std::array::from_fn(|k| if k < COLOURS { v[k] } else { 0.0 });
         through(DIFFUSE, &|s| three(parts[s].diffuse));
-        if let Some(lobes) = &lobes {
+        if lobes.is_some() {
             through(SPECULAR, &|s| three(parts[s].specular));
             through(WEIGHT, &|s| parts[s].weights);
             table.add_to_group(F0, indices, |s, slots| {
                 let share = sigmoid(gaussians.group(F0)[indices[s] as usize]);
                 slots[0] += parts[s].f0 * share * (1.0 - share);
             });
-            let mut shared = lobes.gradients(&context.parameters.globals, &parts);
-            for (group, values) in shared.iter_mut().enumerate() {
-                add(grads.globals.group_mut(group), values);
+            let raw = LOBE_GROUPS.map(|group| context.parameters.globals.group(group));
+            for (group, values) in LOBE_GROUPS.into_iter().zip(Lobes::gradients(raw, &parts)) {
+                add(grads.globals.group_mut(group), &values);
             }
         }
     }

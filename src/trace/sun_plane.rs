@@ -225,7 +225,7 @@ impl SunPlaneTrace {
         ellipse: &Ellipse,
         moments: &EllipseMoments,
     ) -> CoreGradient {
-        let shape = moments.to_shape(ellipse, &self.axes, occluder);
+        let shape = moments.shape_gradient(ellipse, &self.axes, occluder);
         CoreGradient {
             position: shape.position,
             log_scale: shape.log_scale,

@@ -5,12 +5,13 @@
 //! back through the encoding to position, directions, normal and embedding, and from there to the parameters. A network that the
 //! options switch off has no rows.
 
+use super::groups::{Feature, Shared};
 use super::networks::{
     EMBEDDING, InputGradient, NetworkInput, SCATTER_INPUTS, SHADOW_INPUTS, encode_scattering_backward,
     encode_shadow_backward, refined_shadow, refined_shadow_backward, scattered, scattered_backward,
 };
 use super::surface::{LightGeometry, SurfaceGradient};
-use super::{FRAME, Feature, Olat, Shared, normal};
+use super::{FRAME, Olat, normal};
 use crate::gaussians::{Table, rotation_backward, sigmoid};
 use crate::model::background::COLOURS;
 use crate::model::shadow_gs::softplus;
@@ -39,7 +40,7 @@ pub(super) struct NetworkOutput {
 impl NetworkOutput {
     /// Colours of the light that scatters out of splat `s`, which is Gaussian `g`.
     pub(super) fn scattered(&self, model: &Olat, gaussians: &Table, s: usize, g: usize) -> [f32; COLOURS] {
-        let Some(group) = model.feature_index(Feature::Scattered) else {
+        let Some(group) = model.options.feature_index(Feature::Scattered) else {
             return [0.0; COLOURS];
         };
         if self.scattering.outputs.is_empty() {
@@ -72,7 +73,7 @@ impl Olat {
             scattering: NetworkRows::default(),
             shadow: NetworkRows::default(),
         };
-        let Some(embedding) = self.feature_index(Feature::Embedding) else {
+        let Some(embedding) = self.options.feature_index(Feature::Embedding) else {
             return out;
         };
         if context.light.is_none() {
@@ -92,18 +93,18 @@ impl Olat {
                 });
             rows
         };
-        if let Some(group) = self.shared_index(Shared::ScatteringNetwork) {
+        if let Some(group) = self.options.shared_index(Shared::ScatteringNetwork) {
             let inputs = encode(SCATTER_INPUTS, &|_, input, geometry, row| {
                 input.encode_scattering(geometry, row);
             });
-            let outputs = self.scattering_network().forward(globals.group(group), &inputs);
+            let outputs = self.options.scattering_network().forward(globals.group(group), &inputs);
             out.scattering = NetworkRows { inputs, outputs };
         }
-        if let Some(group) = self.shared_index(Shared::ShadowNetwork) {
+        if let Some(group) = self.options.shared_index(Shared::ShadowNetwork) {
             let inputs = encode(SHADOW_INPUTS, &|s, input, geometry, row| {
                 input.encode_shadow(geometry, seen.transmittance[s], row);
             });
-            let outputs = self.shadow_network().forward(globals.group(group), &inputs);
+            let outputs = self.options.shadow_network().forward(globals.group(group), &inputs);
             for (transmittance, &output) in out.transmittance.iter_mut().zip(&outputs) {
                 *transmittance = refined_shadow(*transmittance, output);
             }
@@ -123,7 +124,7 @@ impl Olat {
         (parts, grads): (&mut [SurfaceGradient], &mut Parameters),
     ) {
         let (gaussians, globals) = (&context.parameters.gaussians, &context.parameters.globals);
-        let Some(embedding) = self.feature_index(Feature::Embedding) else {
+        let Some(embedding) = self.options.feature_index(Feature::Embedding) else {
             return;
         };
         if context.light.is_none() {
@@ -134,8 +135,8 @@ impl Olat {
         let mut d_falloff = vec![0.0; indices.len()];
         let add = |slots: &mut [f32], values: &[f32]| slots.iter_mut().zip(values).for_each(|(s, v)| *s += v);
         if let (Some(group), Some(colour_group)) = (
-            self.shared_index(Shared::ScatteringNetwork),
-            self.feature_index(Feature::Scattered),
+            self.options.shared_index(Shared::ScatteringNetwork),
+            self.options.feature_index(Feature::Scattered),
         ) {
             let NetworkRows { inputs, outputs } = &output.scattering;
             let (mut d_outputs, mut d_colours) = (vec![0.0; outputs.len()], vec![[0.0; COLOURS]; indices.len()]);
@@ -155,7 +156,7 @@ impl Olat {
                 }
                 d_outputs[s * COLOURS..(s + 1) * COLOURS].copy_from_slice(&scattered_backward(out, d_value));
             }
-            let network = self.scattering_network();
+            let network = self.options.scattering_network();
             let (d_inputs, d_weights) = network.backward(globals.group(group), inputs, &d_outputs);
             add(grads.globals.group_mut(group), &d_weights);
             for (s, gradient) in input_gradients.iter_mut().enumerate() {
@@ -166,14 +167,14 @@ impl Olat {
                 .gaussians
                 .add_to_group(colour_group, indices, |s, slots| add(slots, &d_colours[s]));
         }
-        if let Some(group) = self.shared_index(Shared::ShadowNetwork) {
+        if let Some(group) = self.options.shared_index(Shared::ShadowNetwork) {
             let NetworkRows { inputs, outputs } = &output.shadow;
             let mut d_outputs = vec![0.0; outputs.len()];
             for (s, part) in parts.iter_mut().enumerate() {
                 (part.transmittance, d_outputs[s]) =
                     refined_shadow_backward(seen.transmittance[s], outputs[s], part.transmittance);
             }
-            let network = self.shadow_network();
+            let network = self.options.shadow_network();
             let (d_inputs, d_weights) = network.backward(globals.group(group), inputs, &d_outputs);
             add(grads.globals.group_mut(group), &d_weights);
             for (s, (gradient, part)) in input_gradients.iter_mut().zip(parts.iter_mut()).enumerate() {

@@ -3,9 +3,7 @@
 //! [`LightGeometry`] holds the directions and the falloff, [`Surface`] the material, [`Lobes`] the shared specular basis. The formulas
 //! stand in the head of [`super`].
 
-use super::LOBES;
 use crate::camera::ProjectiveCamera;
-use crate::gaussians::Table;
 use crate::gaussians::{normalised, rotation_backward, sigmoid};
 use crate::light::Light;
 use crate::model::background::COLOURS;
@@ -15,6 +13,8 @@ use crate::shade::falloff::falloff;
 use glam::{Mat3, Vec3};
 use std::f32::consts::FRAC_1_PI;
 
+/// Lobes that all Gaussians share.
+pub const LOBES: usize = 8;
 /// How far the softened cosine reaches below zero.
 const SOFT: f32 = 0.01;
 /// `SOFT · (1 - 1/e)`: what makes it zero at -1.
@@ -63,7 +63,7 @@ impl Lobes {
     }
 
     /// Gradients of the lobes' groups (frames, relative widths, widths) from those of all Gaussians.
-    pub(super) fn gradients(&self, globals: &Table, parts: &[SurfaceGradient]) -> [Vec<f32>; 3] {
+    pub(super) fn gradients([frames, scales, sigmas]: [&[f32]; 3], parts: &[SurfaceGradient]) -> [Vec<f32>; 3] {
         let mut out = [vec![0.0; LOBES * 4], vec![0.0; LOBES * 2], vec![0.0; LOBES]];
         for j in 0..LOBES {
             // One after another, in f64: the same sum for any number of threads.
@@ -78,13 +78,13 @@ impl Lobes {
                 shape.iter_mut().zip(d.shape).for_each(|(sum, d)| *sum += f64::from(d));
             }
             let d_frame = Mat3::from_cols_array(&turned.map(|d| d as f32));
-            let raw = [0, 1, 2, 3].map(|k| globals.group(0)[j * 4 + k]);
+            let raw = [0, 1, 2, 3].map(|k| frames[j * 4 + k]);
             out[0][j * 4..j * 4 + 4].copy_from_slice(&rotation_backward(raw, d_frame));
             let slope = |raw: f32| sigmoid(raw) * (1.0 - sigmoid(raw));
             for k in 0..2 {
-                out[1][j * 2 + k] = shape[k] as f32 * WIDEST * slope(globals.group(1)[j * 2 + k]);
+                out[1][j * 2 + k] = shape[k] as f32 * WIDEST * slope(scales[j * 2 + k]);
             }
-            out[2][j] = shape[2] as f32 * widest(j) * slope(globals.group(2)[j]);
+            out[2][j] = shape[2] as f32 * widest(j) * slope(sigmas[j]);
         }
         out
     }

@@ -179,7 +179,7 @@ pub(super) struct ShapeGradient {
 impl EllipseMoments {
     /// Gradient of the Gaussian's shape, to_shape through the projection. With `B = (A P L)ᵀ`, whose columns are orthonormal, the nearest point of a ray in the
     /// Gaussian's whitened space is `n = B t`; `∂/∂ ln s_k = Σ h n_k²` and `∂/∂R e_k = Σ h (Pᵀ Aᵀ t) n_k s_k`.
-    pub(super) fn to_shape(&self, ellipse: &Ellipse, axes: &Axes, occluder: &Occluder) -> ShapeGradient {
+    pub(super) fn shape_gradient(&self, ellipse: &Ellipse, axes: &Axes, occluder: &Occluder) -> ShapeGradient {
         let columns = [ellipse.in_scene(axes, Vec2::X), ellipse.in_scene(axes, Vec2::Y)];
         let n = columns.map(|v| occluder.scaled_axes.transpose() * v);
         let [xx, xy, yy] = self.tt;
