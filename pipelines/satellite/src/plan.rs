@@ -197,7 +197,7 @@ fn matching_items(facts: Option<MatchingFacts>) -> [PlanItem; 2] {
         on,
         reason,
     };
-    let components = ["start.many_view_matching", "start.cost_aggregation"];
+    let components = ["start.many_views", "start.cost_aggregation"];
     let Some(facts) = facts else {
         return components.map(|component| item(component, false, NO_COMMON_GROUND.into()));
     };
@@ -298,7 +298,7 @@ mod tests {
         let config = SatelliteConfig::default();
         assert!(on(&facts(3, 3), &config, "model.shadow_prior") && on(&facts(3, 3), &config, "model.image_colour"));
         assert!(!on(&facts(9, 1), &config, "model.shadow_prior") && !on(&facts(9, 1), &config, "model.image_colour"));
-        let component = "start.many_view_matching";
+        let component = "start.many_views";
         assert!(on(&facts(9, 1), &config, component) && !on(&facts(3, 1), &config, component));
     }
 
@@ -371,7 +371,7 @@ mod tests {
         scene.matching = None;
         let config = SatelliteConfig::default();
         assert_eq!(reason(&scene, &config, "start.cost_aggregation"), NO_COMMON_GROUND);
-        assert!(!on(&scene, &config, "start.many_view_matching"));
+        assert!(!on(&scene, &config, "start.many_views"));
     }
 
     #[test]

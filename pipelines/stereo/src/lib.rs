@@ -4,7 +4,8 @@
 //! From views to surface, step by step:
 //!
 //! 1. `views.rs`: the input, images with cameras, dates and suns; `pairs.rs`: which of them are compared, and with which weight.
-//! 2. [`parameters`]: everything about matching that depends on the scene is decided from the views' geometry, before any pixel is read.
+//! 2. `parameters.rs`: everything about matching that depends on the scene is decided from the views' geometry, before any pixel is read,
+//!    and kept in [`MatchingParameters`].
 //! 3. `request.rs`: the part of space to search and those parameters; `grid.rs` and `heights.rs`: its cells and height hypotheses.
 //! 4. `pyramid.rs`: the search from coarse to fine cells; `ranges.rs`: each cell searches around the candidates of the coarser level.
 //! 5. `level.rs`, `sampling.rs`: views averaged down to the cells of a level, and sampled on the plane of a height hypothesis.
@@ -12,15 +13,15 @@
 //! 7. `sgm.rs`: semi-global aggregation of the costs; `ortho.rs` makes the guide image of its penalties.
 //! 8. `wta.rs`: the cheapest height of each cell, refined below the height step, with its confidence.
 //! 9. `visibility.rs`: at full resolution, what the surface hides from a view is left out, and steps 6 to 8 are repeated.
-//! 10. [`plane_sweep`] runs all this, then removes speckles (`postprocess.rs`) and smooths by planes where the base is short
-//!     (`plane_smoothing.rs`); [`surface`] is the result.
+//! 10. `plane_sweep.rs`: [`plane_sweep()`] runs all this, then removes speckles (`postprocess.rs`) and smooths by planes where the base is
+//!     short (`plane_smoothing.rs`). The result is a [`Surface`] (`surface.rs`).
 //!
 //! On the way there, on a coarse surface of the same search: [`align`] finds the pointing shifts between images, [`ties`] single points of
 //! the ground in several images, [`clouds`] the pixels that show clouds.
 //!
-//! Limits: one altitude per cell (no overhangs, façades are steps), and features a few cells wide at best: trees without leaves, wires
-//! and narrow courtyards are left to later stages. Views of other dates take part with less weight; what changed between them counts as
-//! no match. Results are the same bytes for any number of threads.
+//! Limits: one altitude per cell (no overhangs, façades are steps), and what is narrower than a few cells (trees without leaves, wires,
+//! courtyards) is missed. Views of other dates take part with less weight; what changed between them counts as no match. Results are the
+//! same bytes for any number of threads.
 
 pub mod align;
 mod census;
@@ -31,22 +32,22 @@ mod heights;
 mod level;
 mod ortho;
 mod pairs;
-pub mod parameters;
+mod parameters;
 mod plane_smoothing;
-pub mod plane_sweep;
+mod plane_sweep;
 mod postprocess;
 mod pyramid;
 mod ranges;
 mod request;
 mod sampling;
 mod sgm;
-pub mod surface;
+mod surface;
 pub mod ties;
 mod views;
 mod visibility;
 mod wta;
 
-pub use parameters::{MANY_VIEWS, MatchingFacts, MatchingParameters};
+pub use parameters::{CandidateTolerance, MANY_VIEWS, MatchingFacts, MatchingParameters};
 pub use plane_sweep::plane_sweep;
 pub use request::{PlaneSweepRequest, SearchVolume};
 pub use surface::Surface;

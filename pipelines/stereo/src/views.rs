@@ -53,7 +53,7 @@ pub struct SweepView<'a> {
     /// Linear values, any number of bands, NaN where there is nothing; their mean is what is compared.
     pub image: &'a Raster,
     /// Of the same size, one band: what tells things apart that are equally bright, such as a vegetation index.
-    /// [`plane_sweep`](super::plane_sweep::plane_sweep) compares it where its parameters say so.
+    /// [`plane_sweep`](super::plane_sweep()) compares it where its parameters say so.
     pub index: Option<&'a Raster>,
     /// Equal for views of one date: same shadows, same season.
     pub date_group: u32,
