@@ -7,7 +7,7 @@
 //!
 //! | module | what it answers |
 //! |---|---|
-//! | [`read`], [`write`] | RPCs and acquisition metadata from RPB, `_RPC.TXT`, DIMAP, Maxar XML, Sat-NeRF JSON, GeoTIFF tags, GDAL's domains; and back |
+//! | [`mod@read`], [`mod@write`] | RPCs and acquisition metadata from RPB, `_RPC.TXT`, DIMAP, Maxar XML, Sat-NeRF JSON, GeoTIFF tags, GDAL's domains; and back |
 //! | [`rpc`] | where in the image is a ground point ([`Rpc::project`]), and which ground point at a height does a pixel see ([`Rpc::localise`]) |
 //! | [`frame`] | WGS 84 longitude, latitude, height to local east, north, up, and back |
 //! | [`pinhole`] | the projective camera that is nearest to an RPC over a window, with its largest error in pixels |
