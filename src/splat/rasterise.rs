@@ -10,6 +10,9 @@ use std::sync::{Mutex, PoisonError};
 /// Channel counts that are compiled; a request is rounded up to the next one.
 pub const CHANNEL_COUNTS: [usize; 9] = [0, 1, 4, 5, 7, 8, 10, 12, 16];
 
+/// The largest of [`CHANNEL_COUNTS`].
+pub const MOST_CHANNELS: usize = CHANNEL_COUNTS[CHANNEL_COUNTS.len() - 1];
+
 /// The compiled channel count that holds `channels`.
 ///
 /// # Panics

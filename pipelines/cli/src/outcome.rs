@@ -115,7 +115,7 @@ impl From<OpenError> for CliError {
 impl From<FitError> for CliError {
     fn from(error: FitError) -> Self {
         match error {
-            FitError::TooFewViews { .. } | FitError::Memory { .. } | FitError::Mask(_) => {
+            FitError::TooFewViews { .. } | FitError::Memory { .. } | FitError::Channels { .. } | FitError::Mask(_) => {
                 Self::Input(error.to_string())
             }
             FitError::Training(error) => error.into(),

@@ -4,7 +4,7 @@ use crate::model::{ModelFile, ModelImage, SCHEMA};
 use heliosplat::gaussians::Table;
 use heliosplat::model::SceneModel;
 use heliosplat::model::shadow_gs::{ShadowGs, ShadowGsOptions};
-use heliosplat::splat::rasterise::CHANNEL_COUNTS;
+use heliosplat::splat::rasterise::MOST_CHANNELS;
 
 /// Channels that hold the normals, behind the model's own.
 const NORMALS: usize = 3;
@@ -62,7 +62,7 @@ impl ModelFile {
 }
 
 fn check_options(options: &ShadowGsOptions) -> Result<(), String> {
-    let most = CHANNEL_COUNTS[CHANNEL_COUNTS.len() - 1];
+    let most = MOST_CHANNELS;
     // First the bands alone: what follows from them is not computed from nonsense.
     let fits = (1..most).contains(&options.bands) && ShadowGs::new(options.clone()).channels() + NORMALS <= most;
     if !fits {

@@ -19,7 +19,7 @@ use heliosplat_rpc::adjust::{AdjustImage, AdjustOptions, Adjustment, BiasModel, 
 use heliosplat_rpc::{ImagePoint, RpcError};
 use heliosplat_scene::Scene;
 use heliosplat_stereo::ties::{Tie, TieOptions, find_ties};
-use heliosplat_stereo::{SweepView, align::coarse_shifts};
+use heliosplat_stereo::{MatchingParameters, SweepView, align::coarse_shifts};
 use nalgebra::Vector3;
 
 /// Ties sought at half resolution, and at full.
@@ -44,6 +44,8 @@ pub struct AdjustInput<'a> {
     pub views: &'a [SweepView<'a>],
     /// Width of the patches' cells: a pixel on the ground, metres.
     pub cell_m: f64,
+    /// Parameters of the plane sweeps that the ties lie on.
+    pub matching: MatchingParameters,
 }
 
 impl AdjustInput<'_> {
@@ -52,18 +54,13 @@ impl AdjustInput<'_> {
     /// # Errors
     /// [`RpcError::Invalid`] when there are too few ties.
     pub fn adjust(&self, model: BiasModel, progress: &dyn Fn(f32)) -> Result<Adjustment, RpcError> {
-        let coarse = coarse_shifts(self.views, &self.ground.request(self.cell_m));
+        let coarse = coarse_shifts(self.views, &self.ground.request(self.cell_m, self.matching));
         progress(0.1);
         let half = self.at_half_resolution(&coarse)?;
         progress(0.5);
         let full = self.round(&shifts(&half), 1, model)?;
         progress(1.0);
-        tracing::info!(
-            ties = full.points.len(),
-            sigma_px = full.sigma_px,
-            rounds = full.rounds,
-            "cameras adjusted"
-        );
+        tracing::info!("cameras adjusted: {} ties, {:.2} px", full.points.len(), full.sigma_px);
         Ok(full)
     }
 
@@ -94,7 +91,7 @@ impl AdjustInput<'_> {
             factor: 2 - level,
             tiles: TILES[level],
         };
-        let ties = find_ties(&moved, &self.ground.request(self.cell_m), options);
+        let ties = find_ties(&moved, &self.ground.request(self.cell_m, self.matching), options);
         let tracks: Vec<Track> = ties.iter().map(|tie| self.track(tie)).collect();
         let images: Vec<AdjustImage> = self
             .ground

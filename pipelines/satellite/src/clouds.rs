@@ -12,7 +12,7 @@ pub(super) fn find(ground: &Ground, rasters: &[Raster], request: &PlaneSweepRequ
     for (mask, image) in masks.iter_mut().zip(&ground.images) {
         match share(mask) {
             0.0 => mask.clear(),
-            share => tracing::info!(image = %image.name, percent = 100.0 * share, "clouds are left out"),
+            share => tracing::info!("{}: clouds over {:.1} % are left out", image.name, 100.0 * share),
         }
     }
     masks

@@ -102,6 +102,16 @@ pub enum FitError {
         /// What would fit: width of a cell, ground sampling distances.
         cell_gsd: f64,
     },
+    /// More bands than near-surface light of its own for each leaves room for.
+    #[error(
+        "model.near_light: {bands} bands of albedo and as many of near-surface light are more than the {most} channels of the rasteriser; leave it off, or give images of fewer bands"
+    )]
+    Channels {
+        /// Bands of the images.
+        bands: usize,
+        /// Channels of the rasteriser.
+        most: usize,
+    },
     /// A mask of shadows that cannot be used.
     #[error(transparent)]
     Mask(#[from] MaskError),

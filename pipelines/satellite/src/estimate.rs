@@ -11,6 +11,7 @@ use heliosplat::shade::sh::functions;
 use heliosplat::train::TrainOptions;
 use heliosplat_fitting::budget::after_training_steps;
 use heliosplat_scene::crop;
+use heliosplat_scene::survey::Survey;
 use heliosplat_scene::{Area, Scene};
 use heliosplat_stereo::MANY_VIEWS;
 use std::time::Instant;
@@ -130,6 +131,30 @@ impl From<&Scene> for Extent {
             training: scene.training().count(),
         }
     }
+}
+
+impl From<&Survey> for Extent {
+    fn from(survey: &Survey) -> Self {
+        let (images, training) = survey.images();
+        Self {
+            area: *survey.area(),
+            gsd_m: survey.gsd_m,
+            bands: survey.bands,
+            images,
+            training,
+        }
+    }
+}
+
+/// Refuses a scene whose training will not fit into `limit` bytes, before a pixel of it is read.
+///
+/// # Errors
+/// [`FitError::Memory`].
+pub fn must_fit_unread(survey: &Survey, limit: Option<u64>, config: &SatelliteConfig) -> Result<(), FitError> {
+    let held = PROGRAM_BYTES + 4.0 * survey.bands as f64 * survey.pixels();
+    // Memory does not depend on how fast the machine is.
+    let estimate = estimate_of(&survey.into(), config, 1.0, held);
+    must_fit(estimate.least_bytes, limit, config)
 }
 
 /// What training `scene` will take on a machine of this [`slowness`]; the scene's images are in memory already.

@@ -3,6 +3,7 @@
 use super::config::SatelliteConfig;
 use super::error::{FitError, MaskError};
 use super::ground::Ground;
+use super::plan::Decisions;
 use super::shadow_prior;
 use super::swept::{Preprocessed, Swept};
 use super::views;
@@ -11,6 +12,7 @@ use glam::Vec3;
 use heliosplat::ProjectiveCamera;
 use heliosplat::model::shadow_gs::{ShadowGs, ShadowGsOptions};
 use heliosplat::model::{Parameters, SceneModel, View};
+use heliosplat::splat::rasterise::MOST_CHANNELS;
 use heliosplat::train::{EarlyStop, TrainOptions, Trainer};
 use heliosplat_fitting::budget::Budget;
 use heliosplat_fitting::checkpoint::{CheckpointWriter, LoadedCheckpoint};
@@ -88,11 +90,20 @@ pub fn nadir_camera(area: &Area, gsd_m: f64) -> ProjectiveCamera {
 pub fn fit(
     scene: &Scene,
     config: &SatelliteConfig,
+    decisions: &Decisions,
     session: &Session,
     limits: &Limits,
     mut checkpoints: CheckpointWriter<Preprocessed>,
     checkpoint: Option<LoadedCheckpoint<Preprocessed>>,
 ) -> Result<Fitted, FitError> {
+    let bands = scene.bands().len();
+    // Visibility and a normal are rendered beside the bands.
+    if decisions.near_light && 2 * bands + 1 + 3 > MOST_CHANNELS {
+        return Err(FitError::Channels {
+            bands,
+            most: MOST_CHANNELS,
+        });
+    }
     let (preprocessed, log, state) = checkpoint.map_or((None, None, None), |checkpoint| {
         (checkpoint.preprocessed, Some(checkpoint.log), Some(checkpoint.trainer))
     });
@@ -102,7 +113,7 @@ pub fn fit(
     };
     let Swept { ground, found } = match again {
         Some(swept) => swept,
-        None => Swept::new(scene, config, session)?,
+        None => Swept::new(scene, config, decisions, session)?,
     };
     checkpoints.preprocessed = Some(found.clone());
     checkpoints.log = log.unwrap_or_default();
@@ -114,7 +125,7 @@ pub fn fit(
     } = found;
     let swept = Instant::now();
 
-    let model = model(&ground, config);
+    let model = model(&ground, decisions);
     let covered = ground.covered(&surface, COVERAGE);
     let mut parameters = Parameters {
         gaussians: initial::Start {
@@ -126,14 +137,14 @@ pub fn fit(
         globals: model.initial_globals(SKY),
     };
     tracing::info!(
-        gaussians = parameters.gaussians.count,
-        cells = surface.altitude.len(),
-        "start"
+        "start: {} Gaussians on {} cells",
+        parameters.gaussians.count,
+        surface.altitude.len()
     );
     let mut views: Vec<View> = (0..ground.images.len())
         .map(|i| views::view(ground.images[i], &ground.crops[i], &clouds[i], shifts_px[i], i))
         .collect();
-    if config.model.saturation != Some(true) {
+    if !decisions.saturation {
         views.iter_mut().for_each(|view| view.ceiling.clear());
     }
     if model.options.prior_weight > 0.0 {
@@ -150,7 +161,7 @@ pub fn fit(
     let nadir = nadir_camera(&scene.area, scene.gsd_m);
     let mut trainer = Trainer::new(&model, views, parameters, options, bounds, Some(nadir))?;
     if let Some(state) = state {
-        tracing::info!(step = state.steps(), of = steps, "training goes on");
+        tracing::info!("training is resumed at step {} of {steps}", state.steps());
         let restored = trainer.restore(state).map_err(|error| checkpoints.does_not_fit(&error));
         restored.map_err(TrainingError::from)?;
     }
@@ -180,22 +191,18 @@ pub fn fit(
 }
 
 /// The model of the images of `ground`.
-fn model(ground: &Ground, config: &SatelliteConfig) -> ShadowGs {
+fn model(ground: &Ground, decisions: &Decisions) -> ShadowGs {
     let images = ground.images.len();
     ShadowGs::new(ShadowGsOptions {
         bands: ground.images.first().map_or(0, |image| image.pixels.bands),
         images,
         reference: reference(&ground.images),
-        // The plan has decided these by now.
-        image_colour: config.model.image_colour.unwrap_or(images > 1),
-        prior_weight: match config.model.shadow_prior {
-            Some(true) => PRIOR_WEIGHT,
-            _ => 0.0,
-        },
-        near_light: config.model.near_light,
-        degree: config.model.sh_degree,
-        facing: config.model.facing,
-        opaqueness_weight: config.model.opaqueness_weight,
+        image_colour: decisions.image_colour,
+        prior_weight: if decisions.shadow_prior { PRIOR_WEIGHT } else { 0.0 },
+        near_light: decisions.near_light,
+        degree: decisions.sh_degree,
+        facing: decisions.facing,
+        opaqueness_weight: decisions.opaqueness_weight,
     })
 }
 

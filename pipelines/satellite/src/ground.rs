@@ -143,11 +143,11 @@ impl<'a> Ground<'a> {
         MatchingFacts::new(&self.geometries(&shifts), self.volume(cell_m).centre(), has_index)
     }
 
-    /// A plane sweep with cells of `cell_m` metres and the parameters that these views require.
-    pub fn request(&self, cell_m: f64) -> PlaneSweepRequest {
+    /// A plane sweep with cells of `cell_m` metres.
+    pub fn request(&self, cell_m: f64, parameters: MatchingParameters) -> PlaneSweepRequest {
         PlaneSweepRequest {
             volume: self.volume(cell_m),
-            parameters: MatchingParameters::choose(&self.matching_facts(cell_m)),
+            parameters,
         }
     }
 }

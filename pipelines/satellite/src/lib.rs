@@ -23,4 +23,4 @@ pub mod training;
 mod views;
 
 pub use error::SatelliteError;
-pub use plan::{PlanItem, plan};
+pub use plan::{Decisions, PlanItem};

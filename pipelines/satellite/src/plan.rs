@@ -1,7 +1,8 @@
-//! The planner: which components a scene requires, and why, before anything is trained.
+//! The planner: what a scene requires, decided once, before anything is matched or trained.
 //!
-//! Decided from what is known then: views, dates, suns, bands and baselines. `inspect` shows the plan, `run.toml` keeps it, and every
-//! entry gives way to a value that was set.
+//! [`Decisions::of`] looks at what is known then (views, dates, suns, bands, baselines, clipped values) and returns one value, which the
+//! plane sweep, the start and the trainer consume. `inspect` prints that value with its reasons, and `run.toml` keeps it. What is
+//! set by hand stays as it is.
 
 use super::config::{Align, SatelliteConfig};
 use super::ground::Ground;
@@ -9,9 +10,38 @@ use super::shadow_prior::ENOUGH_VIEWS;
 use super::swept::THRESHOLD_PX;
 use heliosplat_scene::{BandKind, Scene, SceneImage};
 use heliosplat_scene::{crop, saturation};
-
 use heliosplat_stereo::clouds::FEWEST_VIEWS;
 use heliosplat_stereo::{MANY_VIEWS, MatchingFacts, MatchingParameters};
+
+/// What is decided about a scene.
+#[derive(Debug, Clone, PartialEq, serde::Serialize)]
+pub struct Decisions {
+    /// Each image has an affine colour of its own.
+    pub image_colour: bool,
+    /// Clouds are searched and left out.
+    pub clouds: bool,
+    /// Clipped values count as lower bounds.
+    pub saturation: bool,
+    /// The sun-visibility prior guides training.
+    pub shadow_prior: bool,
+    /// The plane sweep compares a vegetation index besides brightness.
+    pub vegetation_index: bool,
+    /// When the images' relative pointing is corrected.
+    pub align: Align,
+    /// Gaussians have near-surface light.
+    pub near_light: bool,
+    /// Largest degree of the spherical harmonics of albedo.
+    pub sh_degree: usize,
+    /// Albedo is shaded by the Lambert cosine.
+    pub facing: bool,
+    /// Weight of the shadow opaqueness loss.
+    pub opaqueness_weight: f32,
+    /// Parameters of the plane sweep; `None` where no two images show the common ground.
+    pub matching: Option<MatchingParameters>,
+    /// The same in words, with reasons.
+    #[serde(skip)]
+    pub items: Vec<PlanItem>,
+}
 
 /// One component of the model, whether the scene requires it, and why.
 #[derive(Debug, Clone, PartialEq, serde::Serialize, serde::Deserialize)]
@@ -64,144 +94,178 @@ impl Facts {
     }
 }
 
-/// Which components of the model this scene requires; what `config` sets stays as it is.
-pub fn plan(scene: &Scene, config: &SatelliteConfig) -> Vec<PlanItem> {
-    items(&Facts::of(scene, config), config)
-}
+impl Decisions {
+    /// What `scene` requires; what `config` sets stays as it is.
+    pub fn of(scene: &Scene, config: &SatelliteConfig) -> Self {
+        Self::from_facts(&Facts::of(scene, config), config)
+    }
 
-fn items(facts: &Facts, config: &SatelliteConfig) -> Vec<PlanItem> {
-    let item = |component: &str, on: bool, reason: String| PlanItem {
-        component: component.into(),
-        on,
-        reason,
-    };
-    // What was set wins, and says so.
-    let decided = |component: &str, set: Option<bool>, on: bool, reason: String| match set {
-        Some(set) if set != on => item(
-            component,
-            set,
-            format!("set so; otherwise {}: {reason}", if on { "on" } else { "off" }),
-        ),
-        _ => item(component, on, reason),
-    };
-    let &Facts { images, dates, .. } = facts;
-    let (lowest, highest) = facts.suns_deg;
-    let [many_view_matching, cost_aggregation] = matching_items(facts.matching);
-    vec![
-        item(
-            "sun",
-            true,
-            format!(
-                "{dates} date(s) with known suns, {lowest:.0} to {highest:.0} degrees high: cast shadows are traced through the geometry"
+    fn from_facts(facts: &Facts, config: &SatelliteConfig) -> Self {
+        let model = &config.model;
+        let mut decisions = Self {
+            image_colour: model.image_colour.unwrap_or(facts.dates > 1),
+            clouds: model.clouds.unwrap_or(facts.images >= FEWEST_VIEWS),
+            saturation: model.saturation.unwrap_or(facts.clipped > 0.0),
+            shadow_prior: model.shadow_prior.unwrap_or(facts.images < ENOUGH_VIEWS),
+            vegetation_index: facts.near_infrared && facts.images >= 2,
+            align: config.cameras.align,
+            near_light: model.near_light,
+            sh_degree: model.sh_degree,
+            facing: model.facing,
+            opaqueness_weight: model.opaqueness_weight,
+            matching: facts.matching.as_ref().map(MatchingParameters::choose),
+            items: Vec::new(),
+        };
+        decisions.items = decisions.in_words(facts, config);
+        decisions
+    }
+
+    /// The configuration with what was decided where nothing was set, as `run.toml` keeps it.
+    pub fn resolved(&self, config: &SatelliteConfig) -> SatelliteConfig {
+        let mut config = config.clone();
+        let model = &mut config.model;
+        model.image_colour = Some(self.image_colour);
+        model.clouds = Some(self.clouds);
+        model.saturation = Some(self.saturation);
+        model.shadow_prior = Some(self.shadow_prior);
+        config
+    }
+
+    fn in_words(&self, facts: &Facts, config: &SatelliteConfig) -> Vec<PlanItem> {
+        let item = |component: &str, on: bool, reason: String| PlanItem {
+            component: component.into(),
+            on,
+            reason,
+        };
+        // What was set by hand wins over what the facts say, and the plan says so.
+        let decided = |component: &str, on: bool, set: Option<bool>, by_facts: bool, reason: String| {
+            let reason = match set {
+                Some(set) if set != by_facts => {
+                    format!("set so; otherwise {}: {reason}", if by_facts { "on" } else { "off" })
+                }
+                _ => reason,
+            };
+            item(component, on, reason)
+        };
+        let &Facts { images, dates, .. } = facts;
+        let (lowest, highest) = facts.suns_deg;
+        let [many_view_matching, cost_aggregation] = matching_items(facts.matching, self.matching);
+        vec![
+            item(
+                "sun",
+                true,
+                format!(
+                    "{dates} date(s) with known suns, {lowest:.0} to {highest:.0} degrees high: cast shadows are traced through the geometry"
+                ),
             ),
-        ),
-        decided(
-            "model.image_colour",
-            config.model.image_colour,
-            dates > 1,
-            if dates > 1 {
-                format!("{dates} dates differ in haze, exposure and season: each image gets an affine colour")
-            } else {
-                "all images are of one date: one colour serves".into()
-            },
-        ),
-        decided(
-            "model.clouds",
-            config.model.clouds,
-            images >= FEWEST_VIEWS,
-            if images >= FEWEST_VIEWS {
-                format!(
-                    "{images} views: what one shows brighter than the others show the ground in the sun is a cloud, and left out"
-                )
-            } else {
-                format!("{images} views cannot say which of them shows a cloud")
-            },
-        ),
-        decided(
-            "model.saturation",
-            config.model.saturation,
-            facts.clipped > 0.0,
-            if facts.clipped > 0.0 {
-                format!(
-                    "{:.2} % of the values are as great as their images can say: the model may be brighter",
-                    100.0 * facts.clipped
-                )
-            } else {
-                "no image is clipped".into()
-            },
-        ),
-        decided(
-            "model.shadow_prior",
-            config.model.shadow_prior,
-            images < ENOUGH_VIEWS,
-            if images < ENOUGH_VIEWS {
-                format!(
-                    "{images} views say little of what throws a shadow: dark places with something toward the sun guide it"
-                )
-            } else {
-                format!("{images} views: shadows follow from what they agree on")
-            },
-        ),
-        item(
-            "start.vegetation_index",
-            facts.near_infrared && images >= 2,
-            if facts.near_infrared {
-                "red and near infrared: leaves are told from pavement where both are as bright".into()
-            } else {
-                "no near infrared in all images: the sweep compares brightness alone".into()
-            },
-        ),
-        many_view_matching,
-        cost_aggregation,
-        item(
-            "cameras.pinhole",
-            true,
-            format!(
-                "pinhole cameras fit the given ones to {:.3} px over the area",
-                facts.residual_px
+            decided(
+                "model.image_colour",
+                self.image_colour,
+                config.model.image_colour,
+                dates > 1,
+                if dates > 1 {
+                    format!("{dates} dates differ in haze, exposure and season: each image gets an affine colour")
+                } else {
+                    "all images are of one date: one colour serves".into()
+                },
             ),
-        ),
-        item(
-            "cameras.align",
-            config.cameras.align != Align::Off,
-            pointing_reason(config.cameras.align),
-        ),
-        item(
-            "model.facing",
-            config.model.facing,
-            "roofs and façades are as bright as they face the sun".into(),
-        ),
-        item(
-            "model.near_light",
-            config.model.near_light,
-            "light reflected into shadows is below what one ground sample shows".into(),
-        ),
-        item(
-            "model.sh_degree",
-            config.model.sh_degree > 0,
-            match config.model.sh_degree {
-                0 => "surfaces look alike from all views: one albedo per Gaussian and band serves".into(),
-                degree => format!("albedo may change with the viewing direction, to degree {degree}"),
-            },
-        ),
-    ]
+            decided(
+                "model.clouds",
+                self.clouds,
+                config.model.clouds,
+                images >= FEWEST_VIEWS,
+                if images >= FEWEST_VIEWS {
+                    format!(
+                        "{images} views: what one shows brighter than the others show the ground in the sun is a cloud, and left out"
+                    )
+                } else {
+                    format!("{images} views cannot say which of them shows a cloud")
+                },
+            ),
+            decided(
+                "model.saturation",
+                self.saturation,
+                config.model.saturation,
+                facts.clipped > 0.0,
+                if facts.clipped > 0.0 {
+                    format!(
+                        "{:.2} % of the values are as great as their images can say: the model may be brighter",
+                        100.0 * facts.clipped
+                    )
+                } else {
+                    "no image is clipped".into()
+                },
+            ),
+            decided(
+                "model.shadow_prior",
+                self.shadow_prior,
+                config.model.shadow_prior,
+                images < ENOUGH_VIEWS,
+                if images < ENOUGH_VIEWS {
+                    format!(
+                        "{images} views say little of what throws a shadow: dark places with something toward the sun guide it"
+                    )
+                } else {
+                    format!("{images} views: shadows follow from what they agree on")
+                },
+            ),
+            item(
+                "start.vegetation_index",
+                self.vegetation_index,
+                if facts.near_infrared {
+                    "red and near infrared: leaves are told from pavement where both are as bright".into()
+                } else {
+                    "no near infrared in all images: the sweep compares brightness alone".into()
+                },
+            ),
+            many_view_matching,
+            cost_aggregation,
+            item(
+                "cameras.pinhole",
+                true,
+                format!(
+                    "pinhole cameras fit the given ones to {:.3} px over the area",
+                    facts.residual_px
+                ),
+            ),
+            item("cameras.align", self.align != Align::Off, pointing_reason(self.align)),
+            item(
+                "model.facing",
+                self.facing,
+                "roofs and façades are as bright as they face the sun".into(),
+            ),
+            item(
+                "model.near_light",
+                self.near_light,
+                "near-surface light per Gaussian: not decided here, set it where shadows have a colour of their own"
+                    .into(),
+            ),
+            item(
+                "model.sh_degree",
+                self.sh_degree > 0,
+                match self.sh_degree {
+                    0 => "one albedo per Gaussian and band: not decided here, set it where surfaces shine".into(),
+                    degree => format!("albedo may change with the viewing direction, to degree {degree}"),
+                },
+            ),
+        ]
+    }
 }
 
 /// Said of matching where there is nothing to match.
 const NO_COMMON_GROUND: &str = "no two images show the common ground";
 
 /// What the plane sweep's matching parameters are: those of many views or of few, and its windows.
-fn matching_items(facts: Option<MatchingFacts>) -> [PlanItem; 2] {
+fn matching_items(facts: Option<MatchingFacts>, parameters: Option<MatchingParameters>) -> [PlanItem; 2] {
     let item = |component: &str, on: bool, reason: String| PlanItem {
         component: component.into(),
         on,
         reason,
     };
     let components = ["start.many_views", "start.cost_aggregation"];
-    let Some(facts) = facts else {
+    let (Some(facts), Some(parameters)) = (facts, parameters) else {
         return components.map(|component| item(component, false, NO_COMMON_GROUND.into()));
     };
-    let parameters = MatchingParameters::choose(&facts);
     let [many_views, aggregation] = components;
     [
         item(
@@ -254,19 +318,6 @@ fn pointing_reason(align: Align) -> String {
     }
 }
 
-/// The configuration with what the plan decides where nothing was set.
-pub fn with_plan(scene: &Scene, config: &SatelliteConfig) -> SatelliteConfig {
-    let plan = plan(scene, config);
-    let on = |component: &str| plan.iter().find(|item| item.component == component).map(|item| item.on);
-    let mut config = config.clone();
-    let model = &mut config.model;
-    model.image_colour = model.image_colour.or(on("model.image_colour"));
-    model.clouds = model.clouds.or(on("model.clouds"));
-    model.saturation = model.saturation.or(on("model.saturation"));
-    model.shadow_prior = model.shadow_prior.or(on("model.shadow_prior"));
-    config
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -288,7 +339,7 @@ mod tests {
     }
 
     fn on(facts: &Facts, config: &SatelliteConfig, component: &str) -> bool {
-        let items = items(facts, config);
+        let items = Decisions::from_facts(facts, config).items;
         let found = items.iter().find(|item| item.component == component);
         found.is_some_and(|item| item.on)
     }
@@ -306,7 +357,7 @@ mod tests {
     fn what_was_set_stays_and_says_so() {
         let mut config = SatelliteConfig::default();
         config.model.shadow_prior = Some(true);
-        let items = items(&facts(12, 5), &config);
+        let items = Decisions::from_facts(&facts(12, 5), &config).items;
         let prior = items.iter().find(|item| item.component == "model.shadow_prior");
         assert!(prior.is_some_and(|item| item.on && item.reason.starts_with("set so")));
     }
@@ -316,13 +367,13 @@ mod tests {
         let mut config = SatelliteConfig::default();
         assert!(!on(&facts(9, 3), &config, "model.sh_degree"));
         config.model.sh_degree = 2;
-        let items = items(&facts(9, 3), &config);
+        let items = Decisions::from_facts(&facts(9, 3), &config).items;
         let degree = items.iter().find(|item| item.component == "model.sh_degree");
         assert!(degree.is_some_and(|item| item.on && item.reason.ends_with("degree 2")));
     }
 
     fn reason(facts: &Facts, config: &SatelliteConfig, component: &str) -> String {
-        let items = items(facts, config);
+        let items = Decisions::from_facts(facts, config).items;
         let found = items.into_iter().find(|item| item.component == component);
         found.map(|item| item.reason).unwrap_or_default()
     }

@@ -5,11 +5,12 @@ use super::clouds;
 use super::config::{Align, SatelliteConfig};
 use super::error::FitError;
 use super::ground::Ground;
+use super::plan::Decisions;
 use heliosplat::Raster;
 use heliosplat_rpc::adjust::BiasModel;
 use heliosplat_scene::Scene;
 use heliosplat_session::Session;
-use heliosplat_stereo::{Surface, plane_sweep};
+use heliosplat_stereo::{MatchingParameters, Surface, plane_sweep};
 use std::time::Instant;
 
 /// Shift, pixels, above which [`Align::Auto`] corrects. Ties find shifts to 0.03 px; below a tenth what they find may be noise, and
@@ -40,22 +41,32 @@ impl<'a> Swept<'a> {
     ///
     /// # Errors
     /// [`FitError::TooFewViews`] when too few images show the common ground.
-    pub(super) fn new(scene: &'a Scene, config: &SatelliteConfig, session: &Session) -> Result<Self, FitError> {
+    pub(super) fn new(
+        scene: &'a Scene,
+        config: &SatelliteConfig,
+        decisions: &Decisions,
+        session: &Session,
+    ) -> Result<Self, FitError> {
         let started = Instant::now();
         let ground = Ground::new(scene, scene.training())?;
-        let request = ground.request(config.start.cell_gsd * scene.gsd_m);
-        tracing::debug!(parameters = ?request.parameters, "matching");
+        let images = ground.images.len();
+        let matching = decisions.matching.ok_or(FitError::TooFewViews { images })?;
+        let request = ground.request(config.start.cell_gsd * scene.gsd_m, matching);
+        tracing::debug!(parameters = ?matching, "matching");
         let mut rasters = ground.rasters();
-        let clouds = match config.model.clouds {
-            Some(true) => clouds::find(&ground, &rasters, &request),
-            _ => vec![Vec::new(); rasters.len()],
+        let clouds = match decisions.clouds {
+            true => clouds::find(&ground, &rasters, &request),
+            false => vec![Vec::new(); rasters.len()],
         };
         let clouded = rasters.iter_mut().zip(&clouds);
         clouded.for_each(|(raster, mask)| clouds::blank(raster, mask));
-        let shifts_px = align(&ground, &rasters, config.cameras.align, scene.gsd_m);
+        let shifts_px = align(&ground, &rasters, decisions.align, matching, scene.gsd_m);
         let aligned = started.elapsed();
         let progress = session.progress("sweep", 100);
-        let indices = ground.vegetation_indices(&rasters);
+        let indices = match decisions.vegetation_index {
+            true => ground.vegetation_indices(&rasters),
+            false => None,
+        };
         let mut views = ground.sweep_views(&rasters, &shifts_px);
         for (view, index) in views.iter_mut().zip(indices.iter().flatten()) {
             view.index = Some(index);
@@ -92,11 +103,12 @@ impl<'a> Swept<'a> {
 /// # Errors
 /// [`FitError::TooFewViews`] when too few images show the common ground.
 pub fn sweep_only(scene: &Scene, config: &SatelliteConfig, session: &Session) -> Result<Surface, FitError> {
-    Swept::new(scene, config, session).map(|swept| swept.found.surface)
+    let decisions = Decisions::of(scene, config);
+    Swept::new(scene, config, &decisions, session).map(|swept| swept.found.surface)
 }
 
 /// Corrections of the images' pointing, pixels; zero where the configuration or the estimate says so.
-fn align(ground: &Ground, rasters: &[Raster], align: Align, gsd_m: f64) -> Vec<[f32; 2]> {
+fn align(ground: &Ground, rasters: &[Raster], align: Align, matching: MatchingParameters, gsd_m: f64) -> Vec<[f32; 2]> {
     let none = vec![[0.0; 2]; ground.images.len()];
     if align == Align::Off {
         return none;
@@ -107,6 +119,7 @@ fn align(ground: &Ground, rasters: &[Raster], align: Align, gsd_m: f64) -> Vec<[
         views: &views,
         // Patches of whole pixels, however coarse the model's cells are.
         cell_m: gsd_m,
+        matching,
     };
     let shifts_px = match input.adjust(BiasModel::Translation, &|_| {}) {
         Ok(adjustment) => adjust::shifts(&adjustment),
@@ -116,7 +129,7 @@ fn align(ground: &Ground, rasters: &[Raster], align: Align, gsd_m: f64) -> Vec<[
         }
     };
     let largest = shifts_px.iter().flatten().fold(0.0f32, |a, &b| a.max(b.abs()));
-    tracing::info!(largest_px = largest, "pointing of the images relative to each other");
+    tracing::info!("largest pointing correction: {largest:.2} px");
     if align == Align::On || largest > THRESHOLD_PX {
         shifts_px
     } else {

@@ -10,7 +10,7 @@ use crate::estimate::{Estimate, estimate};
 use crate::fit::{self, Fitted, Limits};
 use crate::ground::MARGIN_M;
 use crate::measure;
-use crate::plan::{plan, with_plan};
+use crate::plan::Decisions;
 use crate::run_file::{self, RunFile};
 use heliosplat::splat::ProjectionOptions;
 use heliosplat_evaluate::Protocol;
@@ -99,10 +99,10 @@ pub fn train(
     session: &Session,
 ) -> Result<TrainOutcome, SatelliteError> {
     // Decide.
-    let plan = plan(scene, config);
-    let config = with_plan(scene, config);
+    let decisions = Decisions::of(scene, config);
+    let config = decisions.resolved(config);
     let inputs = hashes(scene)?;
-    let identity = identity(scene, &config, request, &inputs)?;
+    let identity = identity(scene, &config, &decisions, request, &inputs)?;
     let folder = match Opened::look(RunRequest {
         out: &request.out,
         identity: &identity,
@@ -127,7 +127,7 @@ pub fn train(
         memory: request.memory,
     };
     // Start and fit.
-    let fitted = fit::fit(scene, &config, session, &limits, checkpoints, checkpoint);
+    let fitted = fit::fit(scene, &config, &decisions, session, &limits, checkpoints, checkpoint);
     let mut fitted = fitted.inspect_err(|_| closing.discard())?;
     if fitted.ending == Ending::Interrupted {
         fitted.ending.check(&request.out)?;
@@ -141,7 +141,7 @@ pub fn train(
         scene: std::fs::canonicalize(&scene.source).unwrap_or_else(|_| scene.source.clone()),
         altitude_range_m: request.ingest.altitude_range_m,
         area: request.ingest.area.clone(),
-        plan,
+        plan: decisions.items,
         inputs,
         config,
     };
@@ -194,6 +194,7 @@ fn hashes(scene: &Scene) -> Result<Vec<Input>, SatelliteError> {
 fn identity(
     scene: &Scene,
     config: &SatelliteConfig,
+    decisions: &Decisions,
     request: &TrainRequest,
     inputs: &[Input],
 ) -> Result<String, SatelliteError> {
@@ -208,6 +209,7 @@ fn identity(
         text,
         "--time-budget {time_budget:?}\n--memory {memory:?}\nseed = {seed}\n{config}"
     );
+    let _ = writeln!(text, "matching {:?}", decisions.matching);
     let _ = writeln!(text, "area {:?}\naltitudes {:?}", scene.area, scene.altitude_range_m);
     for (image, input) in scene.images.iter().zip(inputs) {
         let SceneImage {

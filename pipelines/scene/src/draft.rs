@@ -4,10 +4,14 @@ use super::bands::{self, BandPlan};
 use super::footprint::Footprint;
 use super::layout::{ImageEntry, Layout};
 use super::{IngestOptions, SceneError, acquisition, altitude, camera, satnerf};
+use heliosplat::splat::rasterise::MOST_CHANNELS;
 use heliosplat_raster::{RasterFile, Window};
 use heliosplat_rpc::read::acquisition::Acquisition;
 use heliosplat_rpc::{GeoPoint, ImagePoint, ImageWindow, LocalFrame, Rpc};
 use nalgebra::Vector3;
+
+/// Most bands of an image: the rasteriser renders them beside the sun visibility and a normal.
+const MOST_BANDS: usize = MOST_CHANNELS - 1 - 3;
 
 /// An image whose file is open and whose metadata are read.
 pub(super) struct Draft {
@@ -121,10 +125,19 @@ pub(super) fn read_all(
 }
 
 /// All images of a scene have the same bands.
+/// Refuses images of different bands, and more bands than a model renders.
 pub(super) fn check_bands(drafts: &[Draft]) -> Result<(), SceneError> {
     let Some(first) = drafts.first() else {
         return Ok(());
     };
+    let bands = first.plan.kinds.len();
+    if bands > MOST_BANDS {
+        return Err(SceneError::TooManyBands {
+            path: first.file.path().to_owned(),
+            bands,
+            most: MOST_BANDS,
+        });
+    }
     match drafts.iter().find(|draft| draft.plan.kinds != first.plan.kinds) {
         None => Ok(()),
         Some(differing) => Err(SceneError::MixedBands {

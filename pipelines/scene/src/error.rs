@@ -13,6 +13,20 @@ pub enum SceneError {
     /// An address instead of a path.
     #[error("{0}: addresses are not read; download the images and give their folder")]
     Address(String),
+    /// More bands than a model renders.
+    #[error(
+        "{}: {bands} bands, and a model renders {most} at most; write the bands that matter to new files, as with `gdal_translate -b 1 -b 2 -b 3 -b 4 {} new.tif`",
+        path.display(),
+        path.display()
+    )]
+    TooManyBands {
+        /// The first image.
+        path: PathBuf,
+        /// How many it has.
+        bands: usize,
+        /// How many it may have.
+        most: usize,
+    },
     /// A folder that cannot be listed, a text that cannot be read.
     #[error("{}: cannot be read ({reason})", path.display())]
     Unreadable {

@@ -82,6 +82,18 @@ impl Survey {
         })
     }
 
+    /// Pixels that [`super::Scene::open`] will read, of all images together.
+    pub fn pixels(&self) -> f64 {
+        let windows = self.ground.drafts().iter().map(|draft| &draft.window);
+        windows.map(|window| window.width as f64 * window.height as f64).sum()
+    }
+
+    /// Images, and those of them that are trained on.
+    pub fn images(&self) -> (usize, usize) {
+        let drafts = self.ground.drafts();
+        (drafts.len(), drafts.iter().filter(|draft| is_training(draft)).count())
+    }
+
     /// The frame at its middle.
     pub fn frame(&self) -> &LocalFrame {
         self.ground.frame()

@@ -61,7 +61,7 @@ const LARGEST_RADIUS: f32 = 6.0;
 const RADIUS_PER_SMOOTHNESS: usize = 3;
 
 /// What the choice of the matching parameters depends on.
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, Copy, PartialEq, serde::Serialize)]
 pub struct MatchingFacts {
     /// Number of views.
     pub views: usize,
@@ -88,7 +88,7 @@ impl MatchingFacts {
 
 /// Summed cost above the least within which another height remains a candidate at the next, finer search; in units of a full mismatch /
 /// 255, summed over the eight paths.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, serde::Serialize)]
 pub struct CandidateTolerance {
     /// In cells of the requested size.
     pub full_resolution: u16,
@@ -110,7 +110,7 @@ impl CandidateTolerance {
 }
 
 /// Everything the plane sweep is told about how to match. Costs are in units of a full mismatch / 255.
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, Copy, PartialEq, serde::Serialize)]
 pub struct MatchingParameters {
     /// Height step of the hypotheses: the relative shift, cells, of the pair of views with the widest base.
     pub step_cells: f32,

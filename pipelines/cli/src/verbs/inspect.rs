@@ -7,6 +7,7 @@ use clap::Args;
 use heliosplat_fitting::settings::Preset;
 use heliosplat_satellite::config::SatelliteConfig;
 use heliosplat_satellite::estimate::{Estimate, estimate, slowness};
+use heliosplat_satellite::{Decisions, PlanItem};
 use heliosplat_scene::{Scene, SceneImage, Split};
 use serde_json::{Value, json};
 use std::fmt::Write;
@@ -29,16 +30,16 @@ pub(crate) fn run(args: &InspectArgs) -> Result<Outcome, CliError> {
     }
     let scene = Scene::open(&args.scene, &args.ingest.options())?;
     let coverage = Coverage::of(&scene);
-    let plan = heliosplat_satellite::plan(&scene, &SatelliteConfig::default());
+    let decisions = Decisions::of(&scene, &SatelliteConfig::default());
     let estimates = estimates(&scene)?;
-    let mut json = describe(&scene, &coverage, &plan);
+    let mut json = describe(&scene, &coverage, &decisions);
     json["estimates"] = estimates
         .iter()
         .map(|(preset, e)| ((*preset).to_owned(), json!(e)))
         .collect();
     Ok(Outcome {
         json,
-        text: table(&scene, &coverage, &plan) + &estimates_table(&estimates),
+        text: table(&scene, &coverage, &decisions.items) + &estimates_table(&estimates),
     })
 }
 
@@ -104,7 +105,7 @@ impl Coverage {
     }
 }
 
-fn describe(scene: &Scene, coverage: &Coverage, plan: &[heliosplat_satellite::PlanItem]) -> Value {
+fn describe(scene: &Scene, coverage: &Coverage, decisions: &Decisions) -> Value {
     let origin = scene.origin();
     json!({
         "kind": "satellite",
@@ -124,7 +125,8 @@ fn describe(scene: &Scene, coverage: &Coverage, plan: &[heliosplat_satellite::Pl
             "classes": scene.truth.classes,
             "shadows": scene.truth.shadows.len(),
         },
-        "plan": plan,
+        "plan": decisions.items,
+        "decisions": decisions,
         "warnings": scene.warnings,
     })
 }
@@ -167,7 +169,7 @@ fn off_nadir_deg(image: &SceneImage) -> f64 {
     ray.z.abs().clamp(0.0, 1.0).acos().to_degrees()
 }
 
-fn table(scene: &Scene, coverage: &Coverage, plan: &[heliosplat_satellite::PlanItem]) -> String {
+fn table(scene: &Scene, coverage: &Coverage, plan: &[PlanItem]) -> String {
     let origin = scene.origin();
     let (low, high) = scene.altitude_range_m;
     let area = scene.area;

@@ -11,11 +11,11 @@ use heliosplat_products::{dsm, relight, views as rendered};
 use heliosplat_raster::write::{ImageSpec, Sample, write_geotiff};
 use heliosplat_rpc::sun::{SunPosition, sun_position};
 use heliosplat_satellite::config::SatelliteConfig;
-use heliosplat_satellite::plan::with_plan;
 use heliosplat_satellite::run_file::scene_of;
 use heliosplat_satellite::swept::sweep_only;
 use heliosplat_satellite::training::{TrainOutcome, TrainRequest, configure};
 use heliosplat_satellite::{estimate, measure, training};
+use heliosplat_scene::survey::Survey;
 use heliosplat_scene::{Scene, Split};
 use heliosplat_session::Session;
 use serde_json::json;
@@ -29,6 +29,11 @@ use std::time::Instant;
 pub(crate) fn train(args: &TrainArgs, session: &Session) -> Result<Outcome, CliError> {
     let begun = Instant::now();
     let ingest = args.ingest.options();
+    if args.memory.is_some() {
+        let preset = args.preset.map(Preset::from).unwrap_or_default();
+        let config = SatelliteConfig::resolve(preset, &args.set, args.seed)?;
+        estimate::must_fit_unread(&Survey::open(&args.scene, &ingest)?, args.memory, &config)?;
+    }
     let scene = Scene::open(&args.scene, &ingest)?;
     for warning in &scene.warnings {
         tracing::warn!("{warning}");
@@ -36,10 +41,10 @@ pub(crate) fn train(args: &TrainArgs, session: &Session) -> Result<Outcome, CliE
     let preset = args.preset.map(Preset::from);
     let (preset, config, estimate) = configure(&scene, preset, &args.set, args.seed, args.time_budget)?;
     tracing::info!(
-        preset = preset.name(),
-        gib = estimate.peak_bytes / f64::from(1 << 30),
-        seconds = estimate.seconds,
-        "estimate"
+        "estimate: preset {}, {:.2} GiB, {:.0} s",
+        preset.name(),
+        estimate.peak_bytes / f64::from(1 << 30),
+        estimate.seconds
     );
     // Before its surface is known, a scene is refused only where it would not even fit if it were flat.
     estimate::must_fit(estimate.least_bytes, args.memory, &config)?;
@@ -91,11 +96,7 @@ pub(crate) fn dsm(args: &DsmArgs, session: &Session) -> Result<Outcome, CliError
         DsmSource::Sweep => {
             let scene = Scene::open(&args.run, &args.ingest.options())?;
             let gsd_m = args.gsd.unwrap_or(scene.gsd_m);
-            let swept = sweep_only(
-                &scene,
-                &with_plan(&scene, &SatelliteConfig::resolve(Preset::Fast, &[], 1)?),
-                session,
-            )?;
+            let swept = sweep_only(&scene, &SatelliteConfig::resolve(Preset::Fast, &[], 1)?, session)?;
             let surface = dsm::of_surface(&(&scene).into(), &swept, gsd_m, args.crs.as_deref())?;
             (surface, gsd_m)
         }

@@ -10,6 +10,7 @@ use heliosplat_raster::write_atomically;
 use heliosplat_rpc::adjust::{Adjustment, BiasModel, Correction, FEWEST_SIGHTINGS, ImageResiduals, PairResiduals};
 use heliosplat_scene::Scene;
 use heliosplat_session::Session;
+use heliosplat_stereo::MatchingParameters;
 use serde_json::{Value, json};
 use std::fmt::Write;
 use std::path::Path;
@@ -59,6 +60,7 @@ pub fn adjust_scene<'a>(
         ground: &ground,
         views: &views,
         cell_m: scene.gsd_m,
+        matching: MatchingParameters::choose(&ground.matching_facts(scene.gsd_m)),
     };
     let adjustment = input
         .adjust(request.model, &|share| progress.set((100.0 * share) as u64))
