@@ -20,7 +20,7 @@ test: setup
 	cargo test --workspace
 
 build: setup
-	cargo build --release --package heliosplat-pipelines
+	cargo build --release --package heliosplat-cli
 
 setup:
 	@scripts/setup.sh

@@ -1,11 +1,12 @@
 //! Parts of the engine on the standard site: per pair, per splat, per ray, per step, and how they grow.
 
 use criterion::{BenchmarkId, Criterion, Throughput, criterion_group, criterion_main};
+use heliosplat::bench_fixture::{Descent, Site, toward_grey};
+use heliosplat::light::Light;
 use heliosplat::optim::Adam;
-use heliosplat::rates::{Descent, Site, toward_grey};
 use heliosplat::splat::project::{project, project_backward};
 use heliosplat::splat::{Bins, Maps, Projected, ProjectionOptions, Rasteriser, SplatGradients};
-use heliosplat::trace::{Occluders, Route, TraceOptions, transmittance};
+use heliosplat::trace::{Occluders, Transmittance, transmittance, transmittance_by_hierarchy};
 use std::hint::black_box;
 
 /// As in the binary.
@@ -91,46 +92,30 @@ fn pairs(criterion: &mut Criterion) {
     group.finish();
 }
 
-/// Time per element is time per ray; `hit` is the time of the sun plane per hit; forward alone, and with the gradients of everything.
+/// Time per element is time per ray; forward alone, and with the gradients of everything.
 fn rays(criterion: &mut Criterion) {
     let site = Site::new(100_000, 512, SPREAD);
     let gaussians = &site.parameters.gaussians;
     let origins: Vec<u32> = (0..gaussians.count as u32).collect();
     let ones = vec![1.0; origins.len()];
     let mut out = gaussians.zeros_like();
-    let hits = transmittance(
-        &Occluders::new(gaussians),
-        &origins,
-        &site.sun,
-        &TraceOptions::default(),
-    );
-    let mut per_hit = criterion.benchmark_group("hit");
-    per_hit.throughput(Throughput::Elements(hits.hit_count()));
-    per_hit.sample_size(20);
-    let occluders = Occluders::new(gaussians);
-    per_hit.bench_function("forward/sun_plane", |b| {
-        b.iter(|| transmittance(&occluders, &origins, &site.sun, &TraceOptions::default()));
-    });
-    per_hit.finish();
     let mut group = criterion.benchmark_group("ray");
     group.throughput(Throughput::Elements(origins.len() as u64));
     group.sample_size(20);
-    for (name, route) in [("sun_plane", Route::SunPlane), ("hierarchy", Route::Hierarchy)] {
-        let options = TraceOptions {
-            route,
-            ..TraceOptions::default()
-        };
+    type Trace = fn(&Occluders, &[u32], &Light) -> Transmittance;
+    let ways: [(&str, Trace); 2] = [("sun_plane", transmittance), ("hierarchy", transmittance_by_hierarchy)];
+    for (name, trace) in ways {
         let mut occluders = Occluders::new(gaussians);
         group.bench_function(BenchmarkId::new("forward", name), |b| {
             b.iter(|| {
                 occluders.renew(gaussians);
-                transmittance(&occluders, &origins, &site.sun, &options)
+                trace(&occluders, &origins, &site.sun)
             });
         });
         group.bench_function(BenchmarkId::new("with_gradients", name), |b| {
             b.iter(|| {
                 occluders.renew(gaussians);
-                let traced = transmittance(&occluders, &origins, &site.sun, &options);
+                let traced = trace(&occluders, &origins, &site.sun);
                 traced.backward(gaussians, &occluders, &origins, &ones, &mut out);
             });
         });

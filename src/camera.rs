@@ -154,15 +154,6 @@ impl ProjectiveCamera {
             ..*self
         }
     }
-
-    /// The camera of a window of the image that begins at (`col0`, `row0`) and is `width × height` pixels.
-    pub fn window(&self, (col0, row0): (usize, usize), (width, height): (usize, usize)) -> Self {
-        Self {
-            width,
-            height,
-            ..self.shifted(-(col0 as f32), -(row0 as f32))
-        }
-    }
 }
 
 #[cfg(test)]

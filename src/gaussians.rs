@@ -1,8 +1,9 @@
-//! The parameter table: every trained number, in named groups.
+//! The parameter table: every trained number, as a structure of arrays in named groups.
 //!
 //! One [`Table`] holds the Gaussians, another the numbers a scene model shares between them (sky, per-image colour).
-//! Gradients and Adam's moments are tables of the same shape, so optimiser, density control and checkpoint all walk the
-//! same groups and none of them knows what a group means.
+//! Gradients and Adam's moments are tables of the same shape, so optimiser, density control and checkpoint all loop over the
+//! same groups without knowing what a group means. How fast a group is trained is no part of the table: see
+//! [`ParameterGroup`](crate::optim::ParameterGroup).
 
 use glam::{Mat3, Quat, Vec3};
 use rayon::prelude::*;
@@ -22,7 +23,7 @@ pub const FEATURES: usize = 4;
 /// What a group is called and how many numbers an element has in it.
 #[derive(Debug, Clone, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
 pub struct GroupSpec {
-    /// Name, as written in checkpoints and learning rates.
+    /// Name, as written in checkpoints, model files and messages.
     pub name: String,
     /// Numbers per element.
     pub width: usize,
@@ -103,11 +104,6 @@ impl Table {
         &mut self.groups[index].values
     }
 
-    /// Index of the group called `name`.
-    pub fn index_of(&self, name: &str) -> Option<usize> {
-        self.groups.iter().position(|g| g.spec.name == name)
-    }
-
     /// The elements `indices`, in that order; an index may come more than once.
     pub fn gather(&self, indices: &[u32]) -> Self {
         let groups = self
@@ -135,11 +131,6 @@ impl Table {
     /// Whether every value is finite.
     pub fn is_finite(&self) -> bool {
         self.groups.iter().all(|g| g.values.iter().all(|v| v.is_finite()))
-    }
-
-    /// Bytes of memory that one element takes in one table.
-    pub fn bytes_per_element(&self) -> usize {
-        self.groups.iter().map(|g| g.spec.width * size_of::<f32>()).sum()
     }
 
     /// Centre of a Gaussian, metres.
@@ -223,10 +214,10 @@ impl Table {
             })
     }
 
-    /// Adds to each of the Gaussians `indices`, which rise, what `gradient` says for its place among them.
+    /// Adds to each of the Gaussians `indices`, which are in ascending order, the `gradient` for its place among them.
     ///
     /// # Panics
-    /// When the indices do not rise.
+    /// When the indices are not in ascending order.
     pub(crate) fn add_core(&mut self, indices: &[u32], gradient: impl Fn(usize) -> CoreGradient + Sync) {
         self.add_core_in_blocks::<1>(indices, |places, add| add(0, &gradient(places.start)));
     }
@@ -235,7 +226,7 @@ impl Table {
     /// the first, second and so on of them.
     ///
     /// # Panics
-    /// When the indices do not rise.
+    /// When the indices are not in ascending order.
     pub(crate) fn add_core_in_blocks<const N: usize>(
         &mut self,
         indices: &[u32],
@@ -258,10 +249,10 @@ impl Table {
         });
     }
 
-    /// Calls `add` with the values of each of the elements `indices`, which rise, in a group, and its place among them.
+    /// Calls `add` with the place of each of the elements `indices`, which are in ascending order, and its values in a group.
     ///
     /// # Panics
-    /// When the indices do not rise.
+    /// When the indices are not in ascending order.
     pub(crate) fn add_to_group(&mut self, group: usize, indices: &[u32], add: impl Fn(usize, &mut [f32]) + Sync) {
         const CHUNK: usize = 4096;
         assert!(

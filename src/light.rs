@@ -1,4 +1,5 @@
-//! A light is a direction or a position, with one question: what transmittance does a Gaussian have toward it?
+//! Light sources: a direction (the sun) or a position (a lamp). What reaches a Gaussian from either is its transmittance, see
+//! [`crate::trace`].
 
 use glam::Vec3;
 

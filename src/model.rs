@@ -1,20 +1,21 @@
-//! The seam: what a kind of scene adds to the shared engine.
+//! Scene models: the trait through which a kind of scene plugs into the shared engine, and its implementations.
 //!
-//! A scene model says which parameters it adds to each Gaussian and which it shares between all, how those become
-//! rasterised channels for a view and a light, how composited channels become a pixel, and the gradients of both. The
-//! rasteriser, the tracer, the losses, the optimiser and the trainer name no model.
+//! A [`SceneModel`] defines which parameters it adds to each Gaussian and which it shares between all, with their learning rates; how
+//! those become rasterised channels for a view and a light; how composited channels become a pixel; and the gradients of both. The
+//! rasteriser, the tracer, the losses, the optimiser and the trainer depend on no particular model.
 
+mod background;
 pub mod network;
 pub mod olat;
-mod over;
 pub mod radiance;
 pub mod reflective;
 pub mod shadow_gs;
-mod sight;
+mod view_direction;
 
 use crate::camera::ProjectiveCamera;
 use crate::gaussians::{GroupSpec, Table};
 use crate::light::Light;
+use crate::optim::ParameterGroup;
 use crate::raster::Raster;
 use crate::splat::{MapGradients, Maps, Projected};
 use std::borrow::Cow;
@@ -43,29 +44,30 @@ impl Parameters {
     }
 }
 
-/// One image to learn from.
+/// One training image.
 #[derive(Debug, Clone)]
 pub struct View {
     /// Its name in reports.
     pub name: String,
-    /// Where it was seen from.
+    /// Its camera.
     pub camera: ProjectiveCamera,
-    /// What was seen; NaN where missing.
+    /// Its pixels, in the model's units; NaN where missing.
     pub image: Raster,
-    /// What lit it.
+    /// The light of its scene, if known.
     pub light: Option<Light>,
-    /// Which set of per-image parameters is its own.
+    /// Index of its per-image parameters.
     pub appearance: usize,
-    /// How much each pixel counts, 0 to 1, `[row][column]`.
+    /// Weight of each pixel in the losses, 0 to 1, `[row][column]`.
     pub weight: Vec<f32>,
-    /// What is thought beforehand to be lit, 0 to 1, NaN where nothing is; `[row][column]`.
-    pub lit: Option<Vec<f32>>,
-    /// The most that each band can say: such a value, or a greater one, was seen. Empty where no value is clipped.
+    /// Prior of the sun's visibility: 1 where a pixel is thought to be lit, 0 in shadow, NaN where unknown; `[row][column]`.
+    pub visibility_prior: Option<Vec<f32>>,
+    /// Saturation value of each band: a pixel with it was that bright or brighter. Empty where no value is clipped.
     pub ceiling: Vec<f32>,
 }
 
 impl View {
-    /// What was seen, as far as it contradicts `image`: a clipped value does not say how much brighter it was.
+    /// The pixels to compare `image` with: where a value is clipped and `image` is brighter, that of `image`, because the true value is
+    /// unknown above saturation.
     pub fn truth(&self, image: &Raster) -> Cow<'_, Raster> {
         let mut truth = Cow::Borrowed(&self.image);
         for (band, &ceiling) in self.ceiling.iter().enumerate().filter(|(_, c)| c.is_finite()) {
@@ -82,25 +84,25 @@ impl View {
     }
 }
 
-/// What a model may look at when it makes features or pixels.
+/// The state and the view that a model computes features and pixels from.
 #[derive(Clone, Copy)]
 pub struct Context<'a> {
-    /// The state of training.
+    /// All parameters.
     pub parameters: &'a Parameters,
     /// The camera of the view.
     pub camera: &'a ProjectiveCamera,
-    /// Its light.
+    /// The light of the view.
     pub light: Option<Light>,
-    /// Its set of per-image parameters; `None` renders with those of the reference image.
+    /// Index of its per-image parameters; `None` renders with those of the reference image.
     pub appearance: Option<usize>,
 }
 
-/// The splats a model makes features for.
+/// The splats of a view, for which a model computes features.
 #[derive(Clone, Copy)]
 pub struct Seen<'a> {
     /// The projected Gaussians.
     pub projected: &'a Projected,
-    /// Transmittance toward the light, one per splat, when the model asked for it.
+    /// Transmittance toward the light, one per splat; ones where the model does not need it.
     pub transmittance: &'a [f32],
     /// Numbers per splat in the feature array.
     pub stride: usize,
@@ -114,22 +116,21 @@ pub trait SceneModel: Send + Sync {
     /// Name, as in configurations and files.
     fn name(&self) -> &'static str;
 
-    /// Groups added to every Gaussian.
-    fn feature_groups(&self) -> Vec<GroupSpec>;
+    /// The groups of parameters added to every Gaussian, in the order of the table from [`FEATURES`](crate::gaussians::FEATURES) on.
+    fn feature_parameters(&self) -> Vec<ParameterGroup>;
 
-    /// Groups shared by all Gaussians (a table of one element).
-    fn global_groups(&self) -> Vec<GroupSpec>;
+    /// The groups of parameters shared by all Gaussians (a table of one element).
+    fn global_parameters(&self) -> Vec<ParameterGroup>;
 
-    /// Learning rate of a model group, by name, when `progress` (0 to 1) of training is done; what is not yet to learn has zero.
-    fn learning_rate(&self, group: &str, progress: f32) -> f32;
-
-    /// How far the image with these per-image parameters is moved against its camera, pixels: columns, rows.
-    fn pointing(&self, _parameters: &Parameters, _appearance: usize) -> [f32; 2] {
-        [0.0; 2]
+    /// Names and widths of [`Self::feature_parameters`].
+    fn feature_groups(&self) -> Vec<GroupSpec> {
+        self.feature_parameters().into_iter().map(|group| group.spec).collect()
     }
 
-    /// Adds the gradients of the shared parameters from that of [`Self::pointing`].
-    fn pointing_backward(&self, _appearance: usize, _d_pointing: [f32; 2], _grads: &mut Parameters) {}
+    /// Names and widths of [`Self::global_parameters`].
+    fn global_groups(&self) -> Vec<GroupSpec> {
+        self.global_parameters().into_iter().map(|group| group.spec).collect()
+    }
 
     /// Rasterised channels the model writes into the features.
     fn channels(&self) -> usize;
@@ -171,8 +172,7 @@ pub trait SceneModel: Send + Sync {
     /// Losses of the model's own on the maps; adds their gradients. `mask` is per pixel.
     fn map_losses(&self, context: &Context, maps: &Maps, mask: &[f32], d_maps: &mut MapGradients) -> Vec<NamedLoss>;
 
-    /// The loss between the light on the maps and what a view's pixels are thought to be lit by (see [`View::lit`]); adds its
-    /// gradients.
+    /// The loss between the rendered visibility of the sun and its prior (see [`View::visibility_prior`]); adds its gradients.
     fn light_prior_loss(
         &self,
         _maps: &Maps,
@@ -203,7 +203,7 @@ mod tests {
             light: None,
             appearance: 0,
             weight: vec![1.0; 4],
-            lit: None,
+            visibility_prior: None,
             ceiling: vec![0.9],
         };
         let truth = view.truth(&seen(&[0.5, 1.3, 0.4, 2.0]));

@@ -46,23 +46,6 @@ impl Raster {
         self.values[(band * self.height + row) * self.width + col]
     }
 
-    /// The values of a window that begins at (`col0`, `row0`) and lies inside.
-    pub fn window(&self, (col0, row0): (usize, usize), (width, height): (usize, usize)) -> Self {
-        let mut values = Vec::with_capacity(self.bands * width * height);
-        for band in 0..self.bands {
-            for row in row0..row0 + height {
-                let start = (band * self.height + row) * self.width + col0;
-                values.extend_from_slice(&self.values[start..start + width]);
-            }
-        }
-        Self {
-            width,
-            height,
-            bands: self.bands,
-            values,
-        }
-    }
-
     /// The mean over `factor × factor` blocks; a block is NaN when all of it is, else the mean of what is there.
     pub fn downscaled(&self, factor: usize) -> Self {
         let (width, height) = (self.width / factor, self.height / factor);

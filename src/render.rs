@@ -1,6 +1,7 @@
-//! One whole look at a model: project, trace, make features, rasterise.
+//! A rendering pass: project, trace, compute features, rasterise, compose, and its backward pass.
 //!
-//! Training and products go through the same pass; training keeps it to walk back.
+//! Training and products render through the same [`Pass`]; training keeps it for the backward pass. Nothing is stored per pixel and
+//! splat: backward repeats the forward arithmetic.
 
 use crate::camera::ProjectiveCamera;
 use crate::gaussians::Table;
@@ -12,33 +13,44 @@ use crate::splat::{
     Bins, Depths, MapGradients, Maps, Projected, ProjectionOptions, Rasteriser, SplatGradient, project::project,
     project::project_backward,
 };
-use crate::trace::{Occluders, TraceOptions, Transmittance, transmittance};
+use crate::trace::{Occluders, Transmittance, transmittance};
 
-/// How a pass is made.
-#[derive(Debug, Clone, Copy, PartialEq, Default)]
+/// Options of a pass.
+#[derive(Debug, Clone, Copy, PartialEq)]
 pub struct PassOptions {
     /// Gaussians to splats.
     pub projection: ProjectionOptions,
-    /// Light to Gaussians.
-    pub trace: TraceOptions,
+    /// Whether gradients of light reach what stands in its way; without them only where rays start moves.
+    pub occluder_gradients: bool,
     /// Whether three channels with the splats' normals follow the model's.
     pub normals: bool,
     /// What is composited of depths along rays besides their mean.
     pub depths: Depths,
 }
 
-/// What is known of the light that reaches the Gaussians.
+impl Default for PassOptions {
+    fn default() -> Self {
+        Self {
+            projection: ProjectionOptions::default(),
+            occluder_gradients: true,
+            normals: false,
+            depths: Depths::default(),
+        }
+    }
+}
+
+/// Visibility of the light from the Gaussians: how a pass gets it.
 #[derive(Clone, Copy)]
 pub enum Lit<'a> {
-    /// All of it.
+    /// Every Gaussian is fully lit.
     Everywhere,
-    /// It is traced through these, and gradients go back along it.
+    /// Traced through these occluders; gradients go back along the rays.
     Traced(&'a Occluders),
-    /// These transmittances, one per Gaussian, from a trace not long ago; no gradients go back.
+    /// Cached transmittances, one per Gaussian, of an earlier trace; no gradients go back.
     Known(&'a [f32]),
 }
 
-/// A pass over one view, with what is needed to walk it back.
+/// A rendered view, with what its backward pass needs.
 pub struct Pass<'a> {
     model: &'a dyn SceneModel,
     context: Context<'a>,
@@ -55,14 +67,14 @@ pub struct Pass<'a> {
 }
 
 impl<'a> Pass<'a> {
-    /// Looks at the model of `context` through its camera. `light` says how the transmittance toward the context's light is found.
+    /// Renders the model of `context` through its camera; `light` is how the transmittance toward the context's light is found.
     pub fn new(model: &'a dyn SceneModel, context: Context<'a>, light: Lit<'a>, mut options: PassOptions) -> Self {
         options.normals |= model.needs_normals();
         let gaussians = &context.parameters.gaussians;
         let projected = project(gaussians, context.camera, &options.projection);
         let traced = match (light, &context.light) {
             (Lit::Traced(occluders), Some(source)) if model.needs_transmittance() => {
-                transmittance(occluders, &projected.gaussian, source, &options.trace)
+                transmittance(occluders, &projected.gaussian, source)
             }
             (Lit::Known(values), _) => {
                 Transmittance::known(projected.gaussian.iter().map(|&g| values[g as usize]).collect())
@@ -112,7 +124,7 @@ impl<'a> Pass<'a> {
         &self.traced.values
     }
 
-    /// The image that the maps make.
+    /// The image that the model composes of the maps.
     pub fn image(&self) -> Raster {
         self.model.compose(&self.context, &self.maps)
     }
@@ -128,16 +140,19 @@ impl<'a> Pass<'a> {
         MapGradients::zeros(channels, self.maps.alpha.len())
     }
 
-    /// Walks back from gradients of the maps to those of all parameters; returns the splats' own for density control.
+    /// Backward pass: adds to the gradients of all parameters from those of the maps; returns those of the splats, for density control.
     pub fn backward(&self, d_maps: &MapGradients, grads: &mut Parameters) -> Vec<SplatGradient> {
         let camera = self.context.camera;
         let gaussians = &self.context.parameters.gaussians;
-        let rasteriser = Rasteriser::with_bins(&self.projected, &self.bins, camera.width, camera.height)
-            .with_depths(self.options.depths);
-        let mut back = rasteriser.backward(&self.features, self.stride, &self.maps, d_maps);
+        let rasteriser = Rasteriser::with_bins(&self.projected, &self.bins, camera.width, camera.height);
+        let mut splat_gradients = rasteriser.backward(&self.features, self.stride, &self.maps, d_maps);
         if self.options.normals {
             let at = self.model.channels();
-            for (splat, feature) in back.splats.iter_mut().zip(back.features.chunks(self.stride)) {
+            for (splat, feature) in splat_gradients
+                .splats
+                .iter_mut()
+                .zip(splat_gradients.features.chunks(self.stride))
+            {
                 splat.normal.copy_from_slice(&feature[at..at + 3]);
             }
         }
@@ -147,40 +162,41 @@ impl<'a> Pass<'a> {
             stride: self.stride,
         };
         let mut d_transmittance = vec![0.0; self.projected.splats.len()];
-        self.model
-            .features_backward(&self.context, &seen, &back.features, grads, &mut d_transmittance);
+        self.model.features_backward(
+            &self.context,
+            &seen,
+            &splat_gradients.features,
+            grads,
+            &mut d_transmittance,
+        );
         project_backward(
             gaussians,
             camera,
             &self.options.projection,
             &self.projected,
-            &back.splats,
+            &splat_gradients.splats,
             &mut grads.gaussians,
         );
         if let Lit::Traced(occluders) = self.light {
-            let origins = &self.projected.gaussian;
-            self.traced
-                .backward(gaussians, occluders, origins, &d_transmittance, &mut grads.gaussians);
+            let (origins, out) = (&self.projected.gaussian, &mut grads.gaussians);
+            if self.options.occluder_gradients {
+                self.traced
+                    .backward(gaussians, occluders, origins, &d_transmittance, out);
+            } else {
+                self.traced
+                    .backward_to_origins(gaussians, origins, &d_transmittance, out);
+            }
         }
-        back.splats
+        splat_gradients.splats
     }
 }
 
-/// Everything a product wants to know of a view.
+/// A rendered view for products.
 pub struct Rendering {
     /// The image.
     pub image: Raster,
     /// The maps, the model's channels first, then the normals.
     pub maps: Maps,
-}
-
-/// Gradient to the place of the whole image, columns and rows, from those of its splats: a camera that is off by some pixels moves
-/// them all.
-pub fn image_moved(splats: &[SplatGradient]) -> [f32; 2] {
-    let sum = splats.iter().fold([0.0f64; 2], |[col, row], d| {
-        [col + f64::from(d.col), row + f64::from(d.row)]
-    });
-    sum.map(|d| d as f32)
 }
 
 /// Composites alpha and depths (mean, squares and median, metres) of a view and nothing else: no model, no light.
@@ -192,7 +208,7 @@ pub fn depths(gaussians: &Table, camera: &ProjectiveCamera, projection: &Project
     rasteriser.forward(&features, stride)
 }
 
-/// Renders a model once, with normals and all depths whatever `options` say, without keeping anything to walk back.
+/// Renders a model once, with normals and all depths whatever `options` say, and keeps nothing for a backward pass.
 pub fn render(
     model: &dyn SceneModel,
     parameters: &Parameters,

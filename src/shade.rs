@@ -1,4 +1,5 @@
-//! What surfaces do with light: formulas, each with its gradient.
+//! Shading formulas, each with its gradient: spherical harmonics, microfacets, shared lobes, subsurface scattering, falloff, display
+//! curve.
 
 pub mod asg;
 pub mod dipole;

@@ -1,4 +1,4 @@
-//! Which instructions the inner loops use: the one place that asks the processor, and the one place that may be told.
+//! Instruction sets of the inner loops: detected once at run time, and capped by an environment variable.
 //!
 //! A loop in plain Rust is compiled once for every level, and the best level that the processor has is taken when it is called.
 //! Loops use `a*b + c` without contraction and add in a fixed order, so every level gives the same bits. The environment
@@ -49,7 +49,7 @@ impl Level {
     }
 }
 
-/// The level in use: the processor's best, or less where the variable says so.
+/// The level in use: the processor's best, or the cap of [`VARIABLE`] where that is lower.
 pub fn level() -> Level {
     static LEVEL: OnceLock<Level> = OnceLock::new();
     *LEVEL.get_or_init(|| {

@@ -1,11 +1,11 @@
 //! The trainer: one view a step, whatever the model.
 
+mod cached_visibility;
 mod checkpoint;
 mod fault;
-mod focus;
 mod holdout;
-mod known_light;
 mod options;
+mod pyramid;
 
 pub use checkpoint::{STATE_VERSION, StateError, TrainerState};
 pub use fault::{Fault, TrainError};
@@ -13,26 +13,40 @@ pub use holdout::EarlyStop;
 pub use options::TrainOptions;
 
 use crate::camera::ProjectiveCamera;
-use crate::gaussians::{FEATURES, LOG_SCALE, OPACITY, POSITION};
-use crate::loss::geometry::{depth_normal, one_surface};
+use crate::gaussians::{FEATURES, LOG_SCALE, OPACITY, POSITION, ROTATION};
+use crate::loss::geometry::depth_normal;
 use crate::loss::photometric::photometric;
 use crate::loss::shadow::{ConsistencyPass, consistency};
 use crate::model::{Context, NamedLoss, Parameters, SceneModel, View};
-use crate::optim::{Adam, DensityStatistics, exponential_decay};
-use crate::render::{Lit, Pass, PassOptions, image_moved};
+use crate::optim::density::UNTIL_FRACTION;
+use crate::optim::{Adam, DensityStatistics, LearningRate, ParameterGroup, exponential_decay};
+use crate::render::{Lit, Pass, PassOptions};
 use crate::splat::project::project;
-use crate::splat::{Depths, MapGradients};
+use crate::splat::{Depths, MapGradients, ProjectionOptions};
 use crate::trace::Occluders;
-use focus::Focus;
+use cached_visibility::CachedVisibility;
 use glam::Vec3;
 use holdout::Holdout;
-use known_light::{KnownLight, Movement};
+use pyramid::{Pyramid, PyramidLevel};
 use rand::{SeedableRng, seq::SliceRandom};
 use rand_pcg::Pcg32;
 use rayon::prelude::*;
 
 /// Rejected steps in a row, or steps that saw no Gaussian, after which training stops.
 const REJECTED_LIMIT: usize = 20;
+/// Steps between two builds of the occluders' hierarchy, where that is how light is traced. In between it is fitted to Gaussians that
+/// have moved by hundredths of their size.
+const HIERARCHY_EVERY: usize = 25;
+/// Learning rate of log scales.
+const LOG_SCALE_RATE: f32 = 5e-3;
+/// Learning rate of rotations.
+const ROTATION_RATE: f32 = 2e-3;
+/// Weight of the photometric loss; the other weights are relative to it.
+const PHOTOMETRIC_WEIGHT: f32 = 10.0;
+/// Share of the structural part in it (Kerbl et al. 2023); without it `olat` loses 0.4 dB (docs/lab/objects.md).
+const LAMBDA_SSIM: f32 = 0.2;
+/// Depth range, ground sampling distances, beyond which neighbouring pixels are an edge and not a slope.
+const DEPTH_NORMAL_EDGE_GSD: f32 = 3.0;
 
 /// What one step did.
 #[derive(Debug, Clone, Default)]
@@ -70,16 +84,18 @@ pub struct Trainer<'a> {
     bounds: (Vec3, Vec3),
     /// What is trained.
     pub parameters: Parameters,
+    /// Learning rates of the model's groups, in the order of the tables; those of the core groups are options.
+    feature_rates: Vec<LearningRate>,
+    global_rates: Vec<LearningRate>,
     gaussians_adam: Adam,
     globals_adam: Adam,
     statistics: DensityStatistics,
     holdout: Holdout,
-    focus: Focus,
-    movement: Movement,
+    pyramid: Pyramid,
     gradients: Parameters,
     occluders: Option<Occluders>,
     occluders_step: usize,
-    known_light: Vec<Option<KnownLight>>,
+    cached_visibility: Vec<Option<CachedVisibility>>,
     order: Vec<usize>,
     step: usize,
     rejected: usize,
@@ -89,11 +105,11 @@ pub struct Trainer<'a> {
 
 impl<'a> Trainer<'a> {
     /// A trainer of `model` on `views`, from `parameters`; Gaussians that leave `bounds` (metres) are pruned. With a `nadir`
-    /// camera, shadow consistency is also asked for with view and light at the zenith.
+    /// camera, the shadow consistency loss also applies with view and light at the zenith.
     ///
     /// # Errors
-    /// Without views, pixels that count or Gaussians, when an option has no meaning, or when the start has numbers that are not
-    /// finite.
+    /// Without views, pixels that count or Gaussians, when an option has no meaning, or when `parameters` have other groups than the
+    /// model or numbers that are not finite.
     pub fn new(
         model: &'a dyn SceneModel,
         mut views: Vec<View>,
@@ -110,22 +126,23 @@ impl<'a> Trainer<'a> {
         }
         options.check()?;
         fault::check_start(&parameters)?;
+        let (features, globals) = (model.feature_parameters(), model.global_parameters());
+        fault::check_groups(model.name(), &parameters, &features, &globals)?;
+        let rates = |groups: Vec<ParameterGroup>| groups.into_iter().map(|group| group.rate).collect();
         let holdout = Holdout::new(&mut views, &options);
         fault::check_pixels(&views)?;
         Ok(Self {
-            gaussians_adam: Adam {
-                sparse: options.sparse,
-                ..Adam::new(&parameters.gaussians)
-            },
+            feature_rates: rates(features),
+            global_rates: rates(globals),
+            gaussians_adam: Adam::new(&parameters.gaussians),
             globals_adam: Adam::new(&parameters.globals),
             statistics: DensityStatistics::new(parameters.gaussians.count),
-            focus: Focus::new(&views, &options),
-            movement: Movement::new(&parameters.gaussians),
+            pyramid: Pyramid::new(&views, &options),
             holdout,
             gradients: parameters.zeros_like(),
             occluders: None,
             occluders_step: 0,
-            known_light: vec![None; views.len()],
+            cached_visibility: vec![None; views.len()],
             order: Vec::new(),
             step: 0,
             rejected: 0,
@@ -181,14 +198,14 @@ impl<'a> Trainer<'a> {
         self.step as f32 / self.options.iterations.max(1) as f32
     }
 
-    /// Views come in a new random order every round; the order depends on the seed and the round alone.
+    /// Views come in a new random order every epoch; the order depends on the seed and the epoch alone.
     fn next_view(&mut self) -> usize {
         let place = self.step % self.views.len();
         if place == 0 || self.order.len() != self.views.len() {
-            let round = (self.step / self.views.len()) as u64;
+            let epoch = (self.step / self.views.len()) as u64;
             self.order = (0..self.views.len()).collect();
             self.order.shuffle(&mut Pcg32::seed_from_u64(
-                self.options.seed.wrapping_mul(1_000_003) ^ round,
+                self.options.seed.wrapping_mul(1_000_003) ^ epoch,
             ));
         }
         self.order[place]
@@ -196,25 +213,24 @@ impl<'a> Trainer<'a> {
 
     /// Whether this step traces light: for its view, or for shadow consistency.
     fn light_is_due(&self, index: usize) -> bool {
-        let known = self.known_light[index]
+        let cached = self.cached_visibility[index]
             .as_ref()
-            .is_some_and(|known| known.serves(&self.options, &self.movement));
-        let whole = self.options.window_share >= 1.0;
-        !(known && whole) || self.consistency_is_due()
+            .is_some_and(|cached| cached.is_fresh(self.options.light_every));
+        !cached || self.consistency_is_due()
     }
 
     fn consistency_is_due(&self) -> bool {
         self.options.consistency_weight > 0.0 && self.step.is_multiple_of(self.options.consistency_every.max(1))
     }
 
-    /// Occluders are always those of the moment; a hierarchy over them, where one was asked for, is dear to build: it is fitted to
+    /// Occluders are always those of the current step. A hierarchy over them, where one is used, is expensive to build: it is refitted to
     /// them, and built anew after some steps or when Gaussians come or go.
     fn refresh_occluders(&mut self) {
         if !self.model.needs_transmittance() {
             return;
         }
         let gaussians = &self.parameters.gaussians;
-        let fresh = self.step < self.occluders_step + self.options.hierarchy_every;
+        let fresh = self.step < self.occluders_step + HIERARCHY_EVERY;
         match &mut self.occluders {
             Some(occluders) if fresh && occluders.list.len() == gaussians.count => occluders.renew(gaussians),
             occluders => {
@@ -260,7 +276,7 @@ impl<'a> Trainer<'a> {
                 steps: self.unseen_in_a_row,
             });
         }
-        self.holdout.round_done(self.step, self.views.len(), &self.parameters);
+        self.holdout.epoch_done(self.step, self.views.len(), &self.parameters);
         report.gaussians = self.parameters.gaussians.count;
         if report.gaussians == 0 {
             return Err(TrainError::Empty);
@@ -273,7 +289,7 @@ impl<'a> Trainer<'a> {
         self.rejected += 1;
         self.rejected_in_a_row += 1;
         // What this step knew of the light is not known to be sound.
-        self.known_light[view] = None;
+        self.cached_visibility[view] = None;
         let name = &self.views[view].name;
         tracing::warn!(step = self.step, view = %name, "step rejected: {fault}");
         if self.rejected_in_a_row < REJECTED_LIMIT {
@@ -287,85 +303,69 @@ impl<'a> Trainer<'a> {
     }
 
     fn descend_view(&mut self, index: usize) -> StepReport {
-        let look = self.focus.look(&self.views, index, self.step, self.fraction());
-        let view = &*look.view;
+        let PyramidLevel { view, full_size } = self.pyramid.level(&self.views, index, self.fraction());
         let options = &self.options;
-        let moved = self
-            .model
-            .pointing(&self.parameters, view.appearance)
-            .map(|px| px / look.pixel);
-        let camera = view.camera.shifted(moved[0], moved[1]);
         let context = Context {
             parameters: &self.parameters,
-            camera: &camera,
+            camera: &view.camera,
             light: view.light,
             appearance: Some(view.appearance),
         };
         let pass_options = PassOptions {
-            projection: options.projection,
-            trace: options.trace,
+            projection: ProjectionOptions::default(),
+            occluder_gradients: options.occluder_gradients,
             normals: options.depth_normal_weight > 0.0,
-            depths: if options.one_surface_weight > 0.0 {
-                Depths::Spread
-            } else {
-                Depths::Mean
-            },
+            depths: Depths::Mean,
         };
-        // A window does not know the light of what lies outside of it.
-        let known = self.known_light[index]
+        let cached = self.cached_visibility[index]
             .take()
-            .filter(|known| look.whole && known.serves(options, &self.movement));
-        let lit = match (&known, &self.occluders) {
-            (Some(known), _) => Lit::Known(&known.values),
+            .filter(|cached| cached.is_fresh(options.light_every));
+        let lit = match (&cached, &self.occluders) {
+            (Some(cached), _) => Lit::Known(&cached.values),
             (None, Some(occluders)) => Lit::Traced(occluders),
             (None, None) => Lit::Everywhere,
         };
         let pass = Pass::new(self.model, context, lit, pass_options);
         let image = pass.image();
         let truth = view.truth(&image);
-        let (photo, mut d_image) = photometric(&image, &truth, &view.weight, options.lambda_ssim);
+        let (photo, mut d_image) = photometric(&image, &truth, &view.weight, LAMBDA_SSIM);
         for d in &mut d_image.values {
-            *d *= options.photometric_weight;
+            *d *= PHOTOMETRIC_WEIGHT;
         }
-        let full = look.whole && look.pixel == 1.0;
-        let held_out = full.then(|| self.holdout.loss(index, &image, &truth)).flatten();
+        let held_out = full_size.then(|| self.holdout.loss(index, &image, &truth)).flatten();
         let mut losses = vec![("photometric", photo)];
         let mut d_maps = pass.zero_gradients();
         self.model
             .compose_backward(&context, &pass.maps, &d_image, &mut d_maps, &mut self.gradients);
         losses.extend(self.model.map_losses(&context, &pass.maps, &view.weight, &mut d_maps));
-        if let Some(lit) = &view.lit {
-            losses.extend(self.model.light_prior_loss(&pass.maps, lit, &view.weight, &mut d_maps));
+        if let Some(prior) = &view.visibility_prior {
+            losses.extend(
+                self.model
+                    .light_prior_loss(&pass.maps, prior, &view.weight, &mut d_maps),
+            );
         }
-        losses.extend(surface_losses(options, view, &pass, &mut d_maps));
+        losses.extend(surface_loss(options, &pass, &mut d_maps));
         let splat_gradients = pass.backward(&d_maps, &mut self.gradients);
-        let d_pointing = image_moved(&splat_gradients).map(|d| d / look.pixel);
-        self.model
-            .pointing_backward(view.appearance, d_pointing, &mut self.gradients);
         self.statistics.add(
             &pass.projected,
             &splat_gradients,
             view.camera.width * view.camera.height,
         );
-        let traced = (known.is_none() && look.whole).then(|| {
-            // What this view does not show counts as lit; it is asked again before long.
+        let traced = cached.is_none().then(|| {
+            // Gaussians that this view does not show count as lit until the next trace.
             let mut values = vec![1.0; self.parameters.gaussians.count];
             for (&g, &t) in pass.projected.gaussian.iter().zip(pass.transmittances()) {
                 values[g as usize] = t;
             }
-            KnownLight {
-                values,
-                visits: 0,
-                traced_at: self.movement.total,
-            }
+            CachedVisibility { values, uses: 0 }
         });
         let pairs = pass.maps.pairs;
-        self.known_light[index] = known.or(traced).map(|light| KnownLight {
-            visits: light.visits + 1,
+        self.cached_visibility[index] = cached.or(traced).map(|light| CachedVisibility {
+            uses: light.uses + 1,
             ..light
         });
         let l1 = mean_absolute(&image.values, &truth.values);
-        if full {
+        if full_size {
             self.holdout.record(index, held_out);
         }
         StepReport {
@@ -386,11 +386,12 @@ impl<'a> Trainer<'a> {
         };
         let Some(occluders) = &self.occluders else { return 0.0 };
         let gaussians = &self.parameters.gaussians;
-        let projected = project(gaussians, camera, &self.options.projection);
+        let projection = ProjectionOptions::default();
+        let projected = project(gaussians, camera, &projection);
         let pass = ConsistencyPass {
             camera,
-            projection: &self.options.projection,
-            trace: &self.options.trace,
+            projection: &projection,
+            occluder_gradients: self.options.occluder_gradients,
             occluders,
             // Asked for on one step in `consistency_every` only, so it weighs that much more there.
             weight: self.options.consistency_weight * self.options.consistency_every.max(1) as f32,
@@ -401,31 +402,18 @@ impl<'a> Trainer<'a> {
     fn update(&mut self) {
         let o = &self.options;
         let f = self.fraction();
-        let mut rates: Vec<f32> = Vec::new();
-        for (index, group) in self.parameters.gaussians.groups.iter().enumerate() {
-            let rate = match index {
-                POSITION => exponential_decay(o.position_rate_gsd, o.position_rate_gsd * o.final_rate, f) * o.gsd_m,
-                _ if index == LOG_SCALE => o.log_scale_rate,
-                _ if index == OPACITY => o.opacity_rate,
-                _ if index < FEATURES => o.rotation_rate,
-                _ => exponential_decay(1.0, o.final_rate.max(0.1), f) * self.model.learning_rate(&group.spec.name, f),
-            };
-            rates.push(rate);
-        }
+        let mut rates = vec![0.0; FEATURES];
+        rates[POSITION] = exponential_decay(o.position_rate_gsd, o.position_rate_gsd * o.final_rate, f) * o.gsd_m;
+        rates[LOG_SCALE] = LOG_SCALE_RATE;
+        rates[ROTATION] = ROTATION_RATE;
+        rates[OPACITY] = o.opacity_rate;
+        let feature_decay = exponential_decay(1.0, o.final_rate.max(0.1), f);
+        rates.extend(self.feature_rates.iter().map(|rate| feature_decay * rate.at(f)));
         self.gaussians_adam
             .step(&mut self.parameters.gaussians, &self.gradients.gaussians, &rates);
-        let rates: Vec<f32> = self
-            .parameters
-            .globals
-            .groups
-            .iter()
-            .map(|g| self.model.learning_rate(&g.spec.name, f))
-            .collect();
+        let rates: Vec<f32> = self.global_rates.iter().map(|rate| rate.at(f)).collect();
         self.globals_adam
             .step(&mut self.parameters.globals, &self.gradients.globals, &rates);
-        if o.light_moved > 0.0 {
-            self.movement.add(&self.parameters.gaussians, o.gsd_m);
-        }
         let (least, most) = ((o.scale_gsd.0 * o.gsd_m).ln(), (o.scale_gsd.1 * o.gsd_m).ln());
         self.parameters
             .gaussians
@@ -442,7 +430,7 @@ impl<'a> Trainer<'a> {
     fn control_density(&mut self) {
         let d = &self.options.density;
         let due = d.every > 0 && self.step >= d.from && self.step.is_multiple_of(d.every);
-        if !due || self.step as f32 > d.until_fraction * self.options.iterations as f32 {
+        if !due || self.step as f32 > UNTIL_FRACTION * self.options.iterations as f32 {
             return;
         }
         let seed = self.options.seed.wrapping_add(self.step as u64);
@@ -451,8 +439,7 @@ impl<'a> Trainer<'a> {
             .apply(&mut self.parameters.gaussians, d, self.options.gsd_m, self.bounds, seed);
         self.gaussians_adam.follow(&rebuild.sources, rebuild.fresh);
         self.occluders = None;
-        self.known_light.fill(None);
-        self.movement.rebuilt(&self.parameters.gaussians);
+        self.cached_visibility.fill(None);
         tracing::debug!(
             step = self.step,
             gaussians = self.parameters.gaussians.count,
@@ -463,21 +450,14 @@ impl<'a> Trainer<'a> {
     }
 }
 
-/// The losses that ask the maps for a surface.
-fn surface_losses(options: &TrainOptions, view: &View, pass: &Pass, d_maps: &mut MapGradients) -> Vec<NamedLoss> {
-    let mut losses = Vec::new();
-    if options.depth_normal_weight > 0.0 {
-        let edge_m = options.depth_normal_edge_gsd * options.gsd_m;
-        let (at, weight) = (pass.normal_channel(), options.depth_normal_weight);
-        let value = depth_normal(pass.camera(), &pass.maps, at, edge_m, weight, d_maps);
-        losses.push(("depth_normal", value));
-    }
-    if options.one_surface_weight > 0.0 {
-        let scale_m = options.one_surface_gsd * options.gsd_m;
-        let value = one_surface(&pass.maps, &view.weight, scale_m, options.one_surface_weight, d_maps);
-        losses.push(("one_surface", value));
-    }
-    losses
+/// The loss that asks the maps for a surface, where that is on.
+fn surface_loss(options: &TrainOptions, pass: &Pass, d_maps: &mut MapGradients) -> Option<NamedLoss> {
+    let weight = options.depth_normal_weight;
+    (weight > 0.0).then(|| {
+        let edge_m = DEPTH_NORMAL_EDGE_GSD * options.gsd_m;
+        let value = depth_normal(pass.camera(), &pass.maps, pass.normal_channel(), edge_m, weight, d_maps);
+        ("depth_normal", value)
+    })
 }
 
 fn mean_absolute(a: &[f32], b: &[f32]) -> f64 {

@@ -3,9 +3,9 @@
 //! A line crosses the layer in one point. Where a line of sight crosses it, the cloud hides the ground; where a ray to
 //! the sun crosses it, some hundred metres to kilometres aside, the ground lies in the cloud's shadow.
 
+use crate::crop::Crop;
 use crate::noise::{fractal, hash2, smoothstep, stream};
-use crate::raytrace::Ray;
-use crate::render::Crop;
+use crate::ray::Ray;
 use crate::sensor::Sensor;
 use rand::RngExt;
 

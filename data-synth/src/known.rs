@@ -1,6 +1,7 @@
 //! Cameras of real images, so that a made-up site is seen through real geometry, on real dates, under real suns.
 
-use crate::SynthError;
+use crate::error::SynthError;
+use heliosplat_rpc::statistics::upper_median;
 use heliosplat_rpc::{GeoPoint, ImagePoint, Rpc};
 use jiff::Timestamp;
 use serde_json::Value;
@@ -91,8 +92,7 @@ pub(crate) fn thinned(cameras: Vec<KnownCamera>, count: usize) -> Vec<KnownCamer
 pub(crate) fn common_centre(cameras: &[KnownCamera]) -> GeoPoint {
     let median = |pick: fn(&GeoPoint) -> f64| {
         let mut values: Vec<f64> = cameras.iter().map(|camera| pick(&camera.centre)).collect();
-        values.sort_by(f64::total_cmp);
-        values[values.len() / 2]
+        upper_median(&mut values).unwrap_or(f64::NAN)
     };
     GeoPoint {
         lon_deg: median(|p| p.lon_deg),

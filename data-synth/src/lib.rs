@@ -1,7 +1,15 @@
-//! Scenes with known truth, rendered by a plain ray tracer that shares no code with the engine.
+//! Test scenes with exact truth for multi-view reconstruction: satellite images of a synthetic city, and captures of objects.
 //!
-//! [`write_satellite`] makes a place (terrain, streets, buildings, trees, water), photographs it on several dates with
-//! a push-broom satellite whose RPC is fitted as a vendor would, and writes images and exact truth.
+//! Real scenes have no exact truth: a lidar DSM is from another year, and nobody knows where a shadow really ends. Here everything is
+//! known, because everything is made: the altitude, class and albedo of each cell, which pixels lie in shadow or behind clouds, and
+//! the camera without its error. A reconstruction can be judged to the centimetre, and a bug cannot hide behind the data.
+//!
+//! The renderer is a plain `f64` ray tracer with no approximations. It shares no code with the engine it is used to test, so that an
+//! error in one is not an error in both.
+//!
+//! # Satellite scenes
+//! [`write_satellite`] makes a place (terrain, streets, buildings, trees, water), photographs it on several dates with a push-broom
+//! satellite whose RPC is fitted as a vendor would, and writes images, metadata and truth:
 //!
 //! ```no_run
 //! use heliosplat_synth::{SatelliteRequest, Site, write_satellite};
@@ -11,14 +19,38 @@
 //! # Ok::<(), heliosplat_synth::SynthError>(())
 //! ```
 //!
-//! Rooms: `terrain`, `city`, `vegetation`, `cars` and `solid` make the place; `materials` its colours; `raytrace` answers
-//! what a ray meets; `sensor` is the camera, `known` and `rational` those of real images; `radiometry` the light, `clouds` what is in its way; `plan` decides
-//! where, when and from which side; `render` and `truth` make the rasters; `write` the files; `satellite` calls them in order.
-//! `objects` makes captures of an object from all around ([`write_object`]), by a path tracer of its own.
+//! What is modelled: sun by date and place, sky light, haze, clouds and their shadows, seasons of vegetation, cars that come and go,
+//! glint on water, point spread, sensor noise, 8 or 16 bits, RPC bias, and cameras of real images (VisSat JSON) instead of made-up
+//! ones. What is not: light from one surface to another (that of an average neighbourhood stands for it), light through foliage, moving
+//! cars, and sensor artefacts such as striping.
+//!
+//! # Captures of objects
+//! [`write_object`] photographs a small still life from all around, under a fixed sky, under one light at a time (OLAT), or under an
+//! environment map to be seen in reflections. It uses a path tracer of its own and writes the `transforms_*.json` that NeRF tools read.
+//!
+//! # Determinism
+//! A request with a seed gives the same bytes on every run, for any number of threads. A folder is written beside its target and moved
+//! into place at the end; what fails leaves nothing behind.
+//!
+//! # Modules
+//! From the bottom up; arrows go one way.
+//!
+//! | modules | what they make |
+//! |---|---|
+//! | `noise`, `materials` | random streams, hashes and value noise; albedos and textures of surfaces |
+//! | `ray`, `terrain`, `raytrace`, `solid` | rays, the height field, what a ray meets, and primitives with their surfaces |
+//! | `vegetation`, `cars`, `city` | trees and hedges, cars, and the city of streets and blocks that holds them |
+//! | `crop`, `rational`, `sensor`, `known` | windows of images, cameras that are known as an RPC, the push-broom camera, cameras of real images |
+//! | `clouds`, `radiometry` | clouds, sun, sky, haze, and the encoding of light in counts |
+//! | `plan`, `render`, `truth` | place, dates and views; images; truth rasters |
+//! | `write`, `satellite` | files; the steps in order |
+//! | `objects` | everything about captures of objects |
+//! | [`utm`] | Transverse Mercator without PROJ, for the truth rasters |
 
 mod cars;
 mod city;
 mod clouds;
+mod crop;
 mod error;
 mod known;
 mod materials;
@@ -27,6 +59,7 @@ mod objects;
 mod plan;
 mod radiometry;
 mod rational;
+mod ray;
 mod raytrace;
 mod render;
 mod request;

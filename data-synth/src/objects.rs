@@ -4,25 +4,25 @@
 //! held-out views, `(n + 1) / 2` in the frame of the cameras, and the number of the part that each pixel shows lie in `truth/`.
 
 mod material;
-mod numbers;
 mod request;
+mod sampler;
 mod shape;
 mod stage;
 mod trace;
 
 pub use request::{Capture, Look, ObjectRequest};
 
-use crate::SynthError;
-use crate::raytrace::Ray;
+use crate::error::SynthError;
+use crate::ray::Ray;
 use crate::write::Staging;
 use image::{DynamicImage, GrayImage, Luma, Rgb, RgbImage, Rgba32FImage, RgbaImage};
 use nalgebra::{Vector2, Vector3};
-use numbers::Numbers;
 use rayon::prelude::*;
+use sampler::PathSampler;
 use serde_json::json;
-use stage::{LAMP_STRENGTH, Shot};
+use stage::{LIGHT_STRENGTH, Shot};
 use std::path::Path;
-use trace::{Lamp, Stage};
+use trace::{LightSource, Stage};
 
 /// Horizontal field of view of every camera, radians; that of NeRF-synthetic.
 const FIELD_OF_VIEW: f64 = 0.691_111_2;
@@ -34,7 +34,7 @@ pub struct ObjectSummary {
     pub train: usize,
     /// Images held out.
     pub test: usize,
-    /// Those of them whose lamp is far from all lamps of training.
+    /// Those of them whose light is far from all lights of training.
     pub far: usize,
     /// Width and height of every image, pixels.
     pub size_px: usize,
@@ -46,7 +46,7 @@ pub struct ObjectSummary {
 }
 
 /// A camera that looks at the middle.
-struct Camera {
+struct LookAtCamera {
     eye: Vector3<f64>,
     right: Vector3<f64>,
     up: Vector3<f64>,
@@ -55,7 +55,7 @@ struct Camera {
     size_px: usize,
 }
 
-impl Camera {
+impl LookAtCamera {
     fn new(eye: Vector3<f64>, size_px: usize) -> Self {
         let backward = eye.normalize();
         let right = Vector3::z().cross(&backward).normalize();
@@ -136,7 +136,7 @@ pub fn write_object(
         let mut frames = Vec::new();
         for (number, shot) in shots.iter().enumerate() {
             let name = format!("{split}/{name}_{number:03}");
-            let camera = Camera::new(shot.eye, request.size_px);
+            let camera = LookAtCamera::new(shot.eye, request.size_px);
             let pixels = photograph(request, &stage, shot, &camera, done as u64);
             covered += pixels.iter().map(|p| p.coverage).sum::<f64>() / (pixels.len() * total) as f64;
             write_image(request, &staging, &name, &pixels)?;
@@ -147,9 +147,9 @@ pub fn write_object(
                 floors.push(-10.0 * variance.max(1e-12).log10());
             }
             let mut frame = json!({"file_path": format!("./{name}"), "transform_matrix": camera.matrix()});
-            if let Some(lamp) = shot.lamp {
-                frame["pl_pos"] = json!([lamp.x, lamp.y, lamp.z]);
-                frame["pl_intensity"] = json!([LAMP_STRENGTH, LAMP_STRENGTH, LAMP_STRENGTH]);
+            if let Some(light) = shot.light {
+                frame["pl_pos"] = json!([light.x, light.y, light.z]);
+                frame["pl_intensity"] = json!([LIGHT_STRENGTH, LIGHT_STRENGTH, LIGHT_STRENGTH]);
             }
             frames.push(frame);
             done += 1;
@@ -188,11 +188,11 @@ fn half_of(path: u32, paths: u32) -> f64 {
 }
 
 /// Follows the paths of all pixels of an image.
-fn photograph(request: &ObjectRequest, stage: &Stage, shot: &Shot, camera: &Camera, number: u64) -> Vec<Pixel> {
+fn photograph(request: &ObjectRequest, stage: &Stage, shot: &Shot, camera: &LookAtCamera, number: u64) -> Vec<Pixel> {
     let mut stage = stage.clone();
-    stage.lamps.extend(shot.lamp.map(|position| Lamp::Point {
+    stage.lights.extend(shot.light.map(|position| LightSource::Point {
         position,
-        strength: Vector3::repeat(LAMP_STRENGTH),
+        strength: Vector3::repeat(LIGHT_STRENGTH),
     }));
     let size = request.size_px;
     let paths = request.paths as u32;
@@ -210,11 +210,11 @@ fn photograph(request: &ObjectRequest, stage: &Stage, shot: &Shot, camera: &Came
             };
             let mut met = vec![0usize; stage.parts.len()];
             for path in 0..paths {
-                let mut numbers = Numbers::new(seed, path);
-                let place = numbers.within_pixel() + Vector2::new((i % size) as f64, (i / size) as f64);
-                if let Some(seen) = stage.look(&camera.ray(place.x, place.y), &mut numbers) {
-                    pixel.colour += seen.light;
-                    pixel.doubt += seen.light * half_of(path, paths);
+                let mut sampler = PathSampler::new(seed, path);
+                let place = sampler.within_pixel() + Vector2::new((i % size) as f64, (i / size) as f64);
+                if let Some(seen) = stage.look(&camera.ray(place.x, place.y), &mut sampler) {
+                    pixel.colour += seen.radiance;
+                    pixel.doubt += seen.radiance * half_of(path, paths);
                     met[seen.part] += 1;
                     pixel.coverage += 1.0;
                     pixel.normal += seen.normal;
@@ -247,7 +247,7 @@ fn save(staging: &Staging, relative: &str, picture: DynamicImage) -> Result<(), 
     picture.save(&path).map_err(|source| SynthError::Image { path, source })
 }
 
-/// Captures under one lamp are linear, EXR; others are for a display, PNG.
+/// Captures under one light are linear, EXR; others are for a display, PNG.
 fn write_image(request: &ObjectRequest, staging: &Staging, name: &str, pixels: &[Pixel]) -> Result<(), SynthError> {
     let size = request.size_px as u32;
     let at = |x: u32, y: u32| &pixels[(y * size + x) as usize];

@@ -1,6 +1,6 @@
 //! Where a site lies, when it was seen, from where, and in what weather.
 
-use crate::SynthError;
+use crate::error::SynthError;
 use crate::known::{self, KnownCamera};
 use crate::materials::Season;
 use crate::noise::{hash2, stream};
@@ -62,8 +62,8 @@ pub(crate) struct ViewPlan {
     pub(crate) geometry: ViewGeometry,
     /// Pixel (sample, line) of the full scene that sees the site's centre.
     pub(crate) aim_px: [f64; 2],
-    /// (column, row) error put into the RPC, pixels.
-    pub(crate) pointing_bias_px: [f64; 2],
+    /// Constant error (column, row) put into the RPC, pixels: what bias correction has to find.
+    pub(crate) rpc_bias_px: [f64; 2],
     /// Whether the image is held out for testing.
     pub(crate) held_out: bool,
     /// Whether clouds are in view.
@@ -128,7 +128,7 @@ impl Collection {
                     ..geometry
                 },
                 aim_px: [0.0; 2],
-                pointing_bias_px: [0.0; 2],
+                rpc_bias_px: [0.0; 2],
                 held_out: false,
                 cloudy: false,
                 known: Some(camera.rpc),
@@ -254,7 +254,7 @@ fn view_plans(
                     seed: hash2(request.seed, 0x5E0 + index as u64),
                 },
                 aim_px: [0, 1].map(|_| full_px * random.random_range(0.3..0.7)),
-                pointing_bias_px: [0.0; 2],
+                rpc_bias_px: [0.0; 2],
                 held_out: false,
                 cloudy: false,
                 known: None,
@@ -265,7 +265,7 @@ fn view_plans(
     views
 }
 
-/// Names, held-out images and pointing errors.
+/// Names, held-out images and biases of the cameras.
 fn finish(views: &mut [ViewPlan], request: &SatelliteRequest) {
     for (index, view) in views.iter_mut().enumerate() {
         view.name = format!("{}_{:03}_{:02}", request.site.name(), request.seed, index);
@@ -371,7 +371,7 @@ fn bias(views: &mut [ViewPlan], request: &SatelliteRequest) {
     let mean_square = shifts.iter().map(|[c, r]| c * c + r * r).sum::<f64>() / shifts.len().max(1) as f64;
     let scale = request.pointing_bias_px / mean_square.sqrt();
     for (view, shift) in views.iter_mut().zip(shifts) {
-        view.pointing_bias_px = shift.map(|s| s * scale);
+        view.rpc_bias_px = shift.map(|s| s * scale);
     }
 }
 
@@ -412,7 +412,7 @@ mod tests {
             ..Default::default()
         };
         let views = Collection::made_up(&request).views;
-        let square = |view: &ViewPlan| view.pointing_bias_px[0].powi(2) + view.pointing_bias_px[1].powi(2);
+        let square = |view: &ViewPlan| view.rpc_bias_px[0].powi(2) + view.rpc_bias_px[1].powi(2);
         let mean = views.iter().map(square).sum::<f64>() / views.len() as f64;
         assert!((mean.sqrt() - 3.0).abs() < 1e-12);
     }

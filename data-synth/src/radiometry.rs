@@ -10,7 +10,8 @@
 use crate::clouds::CloudField;
 use crate::materials::{Class, Season, Spectrum};
 use crate::noise::{hash2, noise, unit};
-use crate::raytrace::{GROUND, Hit, Ray, Tracer};
+use crate::ray::Ray;
+use crate::raytrace::{GROUND, Hit, Tracer};
 use crate::request::BandSet;
 use crate::solid::Surface;
 use heliosplat_rpc::sun::SunPosition;

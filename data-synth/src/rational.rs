@@ -1,7 +1,7 @@
 //! A camera that is known as an RPC only: the real camera of a real image, through which a site is seen.
 
-use crate::raytrace::Ray;
-use crate::render::Crop;
+use crate::crop::Crop;
+use crate::ray::Ray;
 use heliosplat_rpc::{ImagePoint, LocalFrame, Rpc, RpcError};
 use nalgebra::Vector3;
 

@@ -5,6 +5,7 @@
 //! algorithm for ray tracing", Eurographics 1987) and looks into a column only when it dips below that altitude.
 //! Nothing here is shared with the engine, and nothing is approximated: the truth rasters are made by the same rays.
 
+use crate::ray::Ray;
 use crate::terrain::HeightField;
 use nalgebra::Vector3;
 
@@ -16,19 +17,6 @@ pub(crate) const GROUND: SurfaceId = u32::MAX;
 
 /// Hits nearer than this along a ray are the surface the ray starts on, metres.
 const SELF_HIT_M: f64 = 1e-6;
-
-/// A half line; `direction` is a unit vector.
-#[derive(Debug, Clone, Copy)]
-pub(crate) struct Ray {
-    pub(crate) origin: Vector3<f64>,
-    pub(crate) direction: Vector3<f64>,
-}
-
-impl Ray {
-    pub(crate) fn at(&self, t: f64) -> Vector3<f64> {
-        self.origin + self.direction * t
-    }
-}
 
 /// Where a ray ends. The normal is a unit vector on the side the ray came from.
 #[derive(Debug, Clone, Copy)]

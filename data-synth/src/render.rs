@@ -1,9 +1,11 @@
 //! Images: the sensor's rays, a point spread wider than a pixel, noise, and numbers of 8 or 16 bits.
 
 use crate::clouds;
+use crate::crop::Crop;
 use crate::noise::{hash2, normal};
 use crate::radiometry::{Encoding, Light, LitScene, Sample, bands_of};
-use crate::raytrace::{Ray, Tracer};
+use crate::ray::Ray;
+use crate::raytrace::Tracer;
 use crate::request::BandSet;
 use crate::sensor::Sensor;
 use rayon::prelude::*;
@@ -16,15 +18,6 @@ const BLUR_PX: f64 = 0.45;
 const REACH: usize = 5;
 /// Rows rendered at a time.
 const ROWS_AT_ONCE: usize = 48;
-
-/// Which part of the sensor's full scene an image is.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub(crate) struct Crop {
-    pub(crate) col0: f64,
-    pub(crate) row0: f64,
-    pub(crate) width: usize,
-    pub(crate) height: usize,
-}
 
 /// How to turn light into an image.
 pub(crate) struct Exposure<'a> {

@@ -1,6 +1,6 @@
-//! What a caller asks for.
+//! Which satellite scene to make: settings, their limits and defaults. Also written into the manifest beside the scene.
 
-use crate::SynthError;
+use crate::error::SynthError;
 use serde::{Deserialize, Serialize};
 use std::path::PathBuf;
 
@@ -99,7 +99,7 @@ pub struct SatelliteRequest {
     pub bands: BandSet,
     /// 16: linear counts of 11 bits, as vendors deliver them. 8: display images, sRGB transfer curve.
     pub bits: u8,
-    /// Root mean square length of the constant (column, row) error put into the RPC of each image, pixels.
+    /// RPC bias: root mean square length of the constant (column, row) error put into the RPC of each image, pixels.
     pub pointing_bias_px: f64,
     /// Sensor noise relative to a good sensor's (1 = signal-to-noise about 100 at middle grey, 0 = none).
     pub noise: f64,

@@ -1,14 +1,15 @@
 //! A satellite scene from a request: city, dates, images, truth, files.
 
-use crate::SynthError;
 use crate::city::{City, CityPlan};
 use crate::clouds::CloudField;
+use crate::crop::Crop;
+use crate::error::SynthError;
 use crate::materials::Class;
 use crate::plan::{Collection, ViewPlan};
 use crate::radiometry::{Encoding, Light, LitScene, MEAN_GAIN};
 use crate::rational::{self, RationalSensor};
 use crate::raytrace::Tracer;
-use crate::render::{Crop, Exposure, Image, render};
+use crate::render::{Exposure, Image, render};
 use crate::request::{SatelliteRequest, Site};
 use crate::sensor::{PushBroom, Sensor};
 use crate::summary::{ImageSummary, Summary};
@@ -31,11 +32,11 @@ const COVERED_ALTITUDES_M: [f64; 2] = [-10.0, 44.0];
 const NODATA: f32 = -9999.0;
 
 /// One image's camera: the sensor, the part of it that is the image, and the RPC to be delivered.
-struct Camera {
+struct ImageCamera {
     sensor: Sensor,
     crop: Crop,
     fit: RpcFit,
-    /// Of the crop, with the pointing bias.
+    /// Of the crop, with the bias that the request asks for.
     rpc: Rpc,
 }
 
@@ -125,7 +126,7 @@ fn camera(
     frame: &LocalFrame,
     grid: &TruthGrid,
     view: &ViewPlan,
-) -> Result<Camera, SynthError> {
+) -> Result<ImageCamera, SynthError> {
     let fault = |source| SynthError::Camera {
         image: view.name.clone(),
         source,
@@ -149,9 +150,9 @@ fn camera(
         }
     };
     let mut rpc = fit.rpc.cropped(crop.col0, crop.row0);
-    rpc.sample_offset += view.pointing_bias_px[0];
-    rpc.line_offset += view.pointing_bias_px[1];
-    Ok(Camera { sensor, crop, fit, rpc })
+    rpc.sample_offset += view.rpc_bias_px[0];
+    rpc.line_offset += view.rpc_bias_px[1];
+    Ok(ImageCamera { sensor, crop, fit, rpc })
 }
 
 fn crop_of(
@@ -201,9 +202,9 @@ fn crop_of(
 }
 
 /// A city that fills every image and stands around it.
-fn city_plan(request: &SatelliteRequest, cameras: &[Camera]) -> CityPlan {
+fn city_plan(request: &SatelliteRequest, cameras: &[ImageCamera]) -> CityPlan {
     let mut reach_m = 0.5 * request.site.extent_m();
-    for Camera { sensor, crop, .. } in cameras {
+    for ImageCamera { sensor, crop, .. } in cameras {
         for (col, row) in [(0, 0), (crop.width, 0), (0, crop.height), (crop.width, crop.height)] {
             let ray = sensor.at_line(crop.row0 + row as f64).ray(crop.col0 + col as f64);
             let ground = ray.at((COVERED_ALTITUDES_M[0] - ray.origin.z) / ray.direction.z);
@@ -290,7 +291,7 @@ fn write_image(
     staging: &Staging,
     request: &SatelliteRequest,
     view: &ViewPlan,
-    camera: &Camera,
+    camera: &ImageCamera,
     image: &Image,
     altitudes_m: [f64; 2],
 ) -> Result<(), SynthError> {
@@ -350,7 +351,7 @@ fn write_lists(staging: &Staging, summary: &Summary) -> Result<(), SynthError> {
     staging.text("truth/summary.json", &(text + "\n"))
 }
 
-fn image_summary(view: &ViewPlan, camera: &Camera, image: &Image) -> ImageSummary {
+fn image_summary(view: &ViewPlan, camera: &ImageCamera, image: &Image) -> ImageSummary {
     ImageSummary {
         name: view.name.clone(),
         time: view.time,
@@ -364,7 +365,7 @@ fn image_summary(view: &ViewPlan, camera: &Camera, image: &Image) -> ImageSummar
         off_nadir_deg: view.geometry.off_nadir_rad.to_degrees(),
         rpc_rms_px: camera.fit.rms_px,
         rpc_max_px: camera.fit.max_px,
-        pointing_bias_px: view.pointing_bias_px,
+        pointing_bias_px: view.rpc_bias_px,
         shadow_share: share_of(&image.shadow),
         cloud_share: share_of(&image.cloud),
     }

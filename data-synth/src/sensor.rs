@@ -7,7 +7,7 @@
 
 use crate::noise::stream;
 use crate::rational::RationalSensor;
-use crate::raytrace::Ray;
+use crate::ray::Ray;
 use heliosplat_rpc::fit::{RpcFit, fit_rpc};
 use heliosplat_rpc::{ImagePoint, LocalFrame, RpcError};
 use nalgebra::{Rotation3, Unit, Vector3};

@@ -158,7 +158,8 @@ impl Solids {
 mod tests {
     use super::*;
     use crate::materials::grey;
-    use crate::raytrace::{Ray, Tracer};
+    use crate::ray::Ray;
+    use crate::raytrace::Tracer;
     use crate::terrain::HeightField;
 
     fn plain(class: Class) -> Finish {

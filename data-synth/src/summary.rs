@@ -1,4 +1,4 @@
-//! What a caller is told about a scene that was made.
+//! What was made: the request as it was met, and the numbers of each image. Written as the manifest beside the scene.
 
 use crate::request::SatelliteRequest;
 use crate::truth::TruthGrid;
@@ -50,7 +50,7 @@ pub struct ImageSummary {
     pub rpc_rms_px: f64,
     /// Largest residual, pixels.
     pub rpc_max_px: f64,
-    /// (column, row) error put into the RPC, pixels.
+    /// RPC bias: constant (column, row) error put into the RPC, pixels.
     pub pointing_bias_px: [f64; 2],
     /// Share of the image in shadow.
     pub shadow_share: f64,

@@ -1,7 +1,7 @@
 //! The ground as a height field: square cells of two triangles each, so that every ray meets it exactly.
 
 use crate::noise::{hash2, noise};
-use crate::raytrace::Ray;
+use crate::ray::Ray;
 use nalgebra::Vector3;
 use rayon::prelude::*;
 

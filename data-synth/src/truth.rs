@@ -2,7 +2,8 @@
 
 use crate::materials::Season;
 use crate::radiometry::{LitScene, bands_of};
-use crate::raytrace::{Hit, Ray};
+use crate::ray::Ray;
+use crate::raytrace::Hit;
 use crate::request::BandSet;
 use crate::utm::UtmZone;
 use heliosplat_rpc::{GeoPoint, LocalFrame};

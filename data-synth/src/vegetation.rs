@@ -156,7 +156,8 @@ impl Hedge {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::raytrace::{Ray, Tracer};
+    use crate::ray::Ray;
+    use crate::raytrace::Tracer;
     use crate::terrain::HeightField;
 
     #[test]

@@ -5,7 +5,7 @@
 
 use crate::polynomial::{gradient_horizontal, monomials, value};
 use crate::rpc::wrapped_longitude_deg;
-use crate::{GeoPoint, ImagePoint, Rpc};
+use crate::rpc::{GeoPoint, ImagePoint, Rpc};
 
 /// Points side by side.
 const LANES: usize = 8;

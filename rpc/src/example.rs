@@ -1,6 +1,6 @@
-//! A camera to measure speed with.
+//! A camera for examples, tests and benchmarks.
 
-use crate::Rpc;
+use crate::rpc::Rpc;
 
 impl Rpc {
     /// A cubic camera like those of real satellites, over 36.91 E 37.58 N at 700 m: 16,000 pixels square of half a metre, mildly

@@ -7,8 +7,8 @@
 //! the residuals' noise warrants keeps the denominator near 1, so that it gains no poles.
 
 use crate::polynomial::{Monomials, monomials, value};
+use crate::rpc::{GeoPoint, ImagePoint, Rpc, RpcError};
 use crate::rpc::{wrapped_difference_deg, wrapped_longitude_deg};
-use crate::{GeoPoint, ImagePoint, Rpc, RpcError};
 use nalgebra::{SMatrix, SVector};
 
 /// Fewest samples: the 39 unknowns of one rational.

@@ -1,6 +1,6 @@
 //! The local east-north-up frame at a scene centre on the WGS84 ellipsoid.
 
-use crate::GeoPoint;
+use crate::rpc::GeoPoint;
 use nalgebra::{Matrix3, Vector3};
 
 /// WGS84 semi-major axis, metres.

@@ -1,7 +1,68 @@
-//! Rational cameras, local frames, pinhole fits and the sun: the geometry of the camera, the Earth and the sun.
+//! Rational polynomial cameras (RPC) of satellite images: projection, localisation, fitting, bias correction, and the sun.
 //!
-//! Everything here is `f64`, knows no pixels and no files' locations: readers take text and tags, not paths. Image
-//! coordinates have pixel centres at integers (RPC00B); heights are metres above the WGS84 ellipsoid.
+//! Vendors deliver a satellite image with an RPC: two ratios of cubic polynomials that map longitude, latitude and height to column
+//! and row. This crate reads such cameras, evaluates and inverts them, corrects their biases, and brings them into a local frame in
+//! which computer vision can work. It takes text and numbers and returns numbers: it reads no pixels, opens no files, and needs
+//! neither GDAL nor PROJ.
+//!
+//! | module | what it answers |
+//! |---|---|
+//! | [`mod@read`], [`mod@write`] | RPCs and acquisition metadata from RPB, `_RPC.TXT`, DIMAP, Maxar XML, Sat-NeRF JSON, GeoTIFF tags, GDAL's domains; and back |
+//! | [`rpc`] | where in the image is a ground point ([`Rpc::project`]), and which ground point at a height does a pixel see ([`Rpc::localise`]) |
+//! | [`frame`] | WGS 84 longitude, latitude, height to local east, north, up, and back |
+//! | [`pinhole`] | the projective camera that is nearest to an RPC over a window, with its largest error in pixels |
+//! | [`triangulate`] | the ground point of corresponding pixels |
+//! | [`adjust`] | RPC bias correction: small corrections of all images from tie points (block adjustment) |
+//! | [`fit`] | an RPC from pairs of ground and image points |
+//! | [`sun`] | azimuth and elevation of the sun from time and place |
+//! | [`statistics`] | medians, quantiles and robust spreads |
+//!
+//! # Conventions
+//! - All numbers are `f64`.
+//! - Image coordinates have pixel centres at integers, as RPC00B has: the upper left pixel's centre is (0, 0). GDAL's pixel corners are
+//!   half a pixel off; turning them is left to whoever reads the image.
+//! - Heights are metres above the WGS 84 ellipsoid, not above the geoid.
+//! - Angles are degrees where a name ends in `_deg`, else radians. Azimuths count clockwise from north.
+//!
+//! # Example
+//! A ground point projected through a camera that looks straight down, and back again:
+//!
+//! ```
+//! use heliosplat_rpc::{GeoPoint, Rpc};
+//!
+//! // The terms are 1, L (longitude), P (latitude), H (height), and sixteen of higher order, all normalised.
+//! let polynomial = |first: [f64; 4]| -> [f64; 20] { std::array::from_fn(|k| first.get(k).copied().unwrap_or(0.0)) };
+//! let rpc = Rpc {
+//!     line_offset: 5_000.0,
+//!     sample_offset: 5_000.0,
+//!     line_scale: 5_000.0,
+//!     sample_scale: 5_000.0,
+//!     latitude_offset_deg: 48.1,
+//!     longitude_offset_deg: 11.6,
+//!     height_offset_m: 560.0,
+//!     latitude_scale_deg: 0.02,
+//!     longitude_scale_deg: 0.03,
+//!     height_scale_m: 500.0,
+//!     line_numerator: polynomial([0.0, 0.0, -1.0, 0.0]),
+//!     line_denominator: polynomial([1.0, 0.0, 0.0, 0.0]),
+//!     sample_numerator: polynomial([0.0, 1.0, 0.0, 0.0]),
+//!     sample_denominator: polynomial([1.0, 0.0, 0.0, 0.0]),
+//!     error_bias_m: None,
+//!     error_random_m: None,
+//! };
+//!
+//! // Half a scale east and half a scale north of the centre.
+//! let ground = GeoPoint { lon_deg: 11.615, lat_deg: 48.11, height_m: 560.0 };
+//! let pixel = rpc.project(ground);
+//! assert!((pixel.col - 7_500.0).abs() < 1e-6 && (pixel.row - 2_500.0).abs() < 1e-6);
+//!
+//! let back = rpc.localise(pixel, 560.0)?;
+//! assert!((back.lon_deg - ground.lon_deg).abs() < 1e-9 && (back.lat_deg - ground.lat_deg).abs() < 1e-9);
+//! # Ok::<(), heliosplat_rpc::RpcError>(())
+//! ```
+//!
+//! # Limits
+//! RPC00B with two denominators; no rigorous sensor models, no datums besides WGS 84, no geoid.
 
 mod batch;
 mod localise;
@@ -14,6 +75,7 @@ pub mod frame;
 pub mod pinhole;
 pub mod read;
 pub mod rpc;
+pub mod statistics;
 pub mod sun;
 pub mod triangulate;
 pub mod write;

@@ -6,7 +6,7 @@
 
 use crate::polynomial::{gradient_horizontal, monomials, value};
 use crate::rpc::wrapped_longitude_deg;
-use crate::{GeoPoint, ImagePoint, Rpc, RpcError};
+use crate::rpc::{GeoPoint, ImagePoint, Rpc, RpcError};
 use nalgebra::{Matrix2, Vector2};
 
 /// A residual below this is as good as f64 allows; iteration stops.

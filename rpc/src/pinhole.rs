@@ -4,7 +4,8 @@
 //! the denominator's three coefficients are barely seen by the data. The fit therefore runs in normalised coordinates
 //! and holds the denominator near 1 by a prior that is far weaker than any perspective the pixels do show.
 
-use crate::{GeoPoint, ImagePoint, LocalFrame, Rpc, RpcError};
+use crate::frame::LocalFrame;
+use crate::rpc::{GeoPoint, ImagePoint, Rpc, RpcError};
 use nalgebra::{SMatrix, SVector, Vector2, Vector3};
 
 /// Samples along rows and columns, and along height.

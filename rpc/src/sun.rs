@@ -8,7 +8,7 @@
 mod vsop;
 
 use crate::frame::{LocalFrame, ecef_from_geo};
-use crate::{GeoPoint, rpc::wrapped_longitude_deg};
+use crate::rpc::{GeoPoint, wrapped_longitude_deg};
 use nalgebra::Vector3;
 use std::f64::consts::TAU;
 use vsop::HeliocentricEarth;

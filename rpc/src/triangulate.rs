@@ -1,6 +1,7 @@
 //! Multi-view triangulation: the ground point whose projections lie nearest to where it was seen.
 
-use crate::{GeoPoint, ImagePoint, LocalFrame, Rpc, RpcError};
+use crate::frame::LocalFrame;
+use crate::rpc::{GeoPoint, ImagePoint, Rpc, RpcError};
 use nalgebra::{Matrix2x3, Matrix3, Vector2, Vector3};
 
 /// A triangulated point.

@@ -1,6 +1,6 @@
 //! Cameras to what other tools read. Every number is written so that it reads back bit for bit (17 significant digits).
 
-use crate::Rpc;
+use crate::rpc::Rpc;
 use serde_json::{Value, json};
 use std::collections::BTreeMap;
 use std::fmt::Write;

@@ -123,30 +123,6 @@ struct PixelGradient {
     depths: [f32; 4],
 }
 
-/// Mean of the depth variance along the rays, `Σ w z²/A - (Σ w z/A)²`, saturating at `scale_m²`; adds `weight` times the
-/// gradient to `grads`. One surface per ray (in the spirit of HLC-GS's layer dominance).
-pub fn one_surface(maps: &Maps, mask: &[f32], scale_m: f32, weight: f32, grads: &mut MapGradients) -> f64 {
-    let count = mask.iter().filter(|&&m| m > 0.0).count().max(1) as f32;
-    let mut total = 0.0f64;
-    let limit = scale_m * scale_m;
-    for i in 0..maps.alpha.len() {
-        let alpha = maps.alpha[i];
-        if mask[i] <= 0.0 || alpha < ALPHA_SEEN {
-            continue;
-        }
-        let mean = maps.depth[i] / alpha;
-        let variance = (maps.depth_square[i] / alpha - mean * mean).max(0.0);
-        // v / (1 + v): a far second surface behind a crown must not outweigh everything else.
-        let v = variance / limit;
-        total += f64::from(v / (1.0 + v));
-        let d_variance = weight / (count * limit * (1.0 + v) * (1.0 + v));
-        grads.depth_square[i] += d_variance / alpha;
-        grads.depth[i] -= d_variance * 2.0 * mean / alpha;
-        grads.alpha[i] += d_variance * (2.0 * mean * mean - maps.depth_square[i] / alpha) / alpha;
-    }
-    total / f64::from(count)
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -163,11 +139,6 @@ mod tests {
                 .map(|k| (0..pixels).map(|i| 0.2 + 0.1 * ((i * (k + 3)) % 5) as f32).collect())
                 .collect(),
             depth: alpha.iter().zip(&depths).map(|(a, d)| a * d).collect(),
-            depth_square: alpha
-                .iter()
-                .zip(&depths)
-                .map(|(a, d)| a * (d * d + 0.3 + 0.01 * d))
-                .collect(),
             alpha,
             ..Maps::default()
         }
@@ -192,9 +163,7 @@ mod tests {
         let camera = ProjectiveCamera::nadir(-4.0, 4.0, 0.5, (9, 8));
         let base = maps(&camera, |col, row| (0.7 * col as f32).sin() + 0.3 * (row as f32).cos());
         // A wide edge scale keeps the (gradient-free) edge weight constant.
-        let loss = |m: &Maps, g: &mut MapGradients| {
-            depth_normal(&camera, m, 0, 1e4, 1.0, g) + one_surface(m, &vec![1.0; 72], 1.5, 1.0, g)
-        };
+        let loss = |m: &Maps, g: &mut MapGradients| depth_normal(&camera, m, 0, 1e4, 1.0, g);
         let mut grads = MapGradients::zeros(3, 72);
         loss(&base, &mut grads);
         let check = |pick: &dyn Fn(&mut Maps) -> &mut Vec<f32>, analytic: &[f32], step: f32| {
@@ -213,7 +182,6 @@ mod tests {
         };
         check(&|m| &mut m.depth, &grads.depth, 2e-3);
         check(&|m| &mut m.alpha, &grads.alpha, 2e-3);
-        check(&|m| &mut m.depth_square, &grads.depth_square, 2e-3);
         check(&|m| &mut m.channels[1], &grads.channels[1], 1e-2);
     }
 }

@@ -4,7 +4,7 @@ use crate::camera::ProjectiveCamera;
 use crate::gaussians::Table;
 use crate::light::Light;
 use crate::splat::{MapGradients, Projected, ProjectionOptions, Rasteriser, project::project_backward};
-use crate::trace::{Occluders, TraceOptions, transmittance};
+use crate::trace::{Occluders, transmittance};
 
 /// Visibilities outside `[CLAMP, 1 - CLAMP]` are settled: no gradient.
 const CLAMP: f32 = 0.02;
@@ -55,8 +55,8 @@ pub struct ConsistencyPass<'a> {
     pub camera: &'a ProjectiveCamera,
     /// How Gaussians become splats.
     pub projection: &'a ProjectionOptions,
-    /// How light is traced.
-    pub trace: &'a TraceOptions,
+    /// Whether gradients of light reach what stands in its way.
+    pub occluder_gradients: bool,
     /// The occluders.
     pub occluders: &'a Occluders,
     /// Weight of the loss.
@@ -69,7 +69,7 @@ pub struct ConsistencyPass<'a> {
 /// With a nadir camera this is the paper's second form, light and view both at the zenith.
 pub fn consistency(gaussians: &Table, projected: &Projected, pass: &ConsistencyPass, out: &mut Table) -> f64 {
     let light = Light::Directional(-pass.camera.depth_axis);
-    let traced = transmittance(pass.occluders, &projected.gaussian, &light, pass.trace);
+    let traced = transmittance(pass.occluders, &projected.gaussian, &light);
     let rasteriser = Rasteriser::new(projected, pass.camera.width, pass.camera.height);
     let maps = rasteriser.forward(&traced.values, 1);
     let pixels = pass.camera.width * pass.camera.height;
@@ -87,7 +87,11 @@ pub fn consistency(gaussians: &Table, projected: &Projected, pass: &ConsistencyP
     d_maps.channels[0].fill(-unit);
     let back = rasteriser.backward(&traced.values, 1, &maps, &d_maps);
     project_backward(gaussians, pass.camera, pass.projection, projected, &back.splats, out);
-    traced.backward(gaussians, pass.occluders, &projected.gaussian, &back.features, out);
+    if pass.occluder_gradients {
+        traced.backward(gaussians, pass.occluders, &projected.gaussian, &back.features, out);
+    } else {
+        traced.backward_to_origins(gaussians, &projected.gaussian, &back.features, out);
+    }
     shadow
 }
 

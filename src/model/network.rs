@@ -1,7 +1,6 @@
-//! A small dense network: rows of inputs to rows of outputs, with its gradients.
+//! A small multilayer perceptron: rows of inputs to rows of outputs, and its gradients.
 //!
-//! Hidden layers are rectified; the inputs join again in front of one of them (a skip), which is also how a position among them keeps
-//! its gradient. Products of matrices follow the engine's contract (a fixed order of sums, no contraction), so results are the same
+//! Hidden layers are leaky rectified linear units; the inputs are concatenated again in front of one of them (a skip connection, ARS-GS). Products of matrices follow the engine's contract (a fixed order of sums, no contraction), so results are the same
 //! bits for any number of threads and any set of instructions; crates for such products promise neither.
 
 use crate::vectorised;
@@ -15,8 +14,8 @@ const TILE: usize = 16;
 const ROWS: usize = 4;
 /// Rows of inputs that go through all layers at once; their gradients are summed by blocks, in order.
 const BLOCK: usize = 256;
-/// Slope of a rectifier below zero: small, but a unit can find its way back.
-const LEAK: f32 = 0.01;
+/// Slope of the rectifier below zero: small, but a unit that is off everywhere still gets a gradient.
+const NEGATIVE_SLOPE: f32 = 0.01;
 
 /// Widths of a network.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
@@ -39,7 +38,7 @@ struct Layer {
     outputs: usize,
     /// Where its weights begin among all.
     from: usize,
-    /// Whether the network's inputs stand behind what the layer before gives.
+    /// Whether the network's inputs follow the outputs of the layer before.
     joined: bool,
 }
 
@@ -112,18 +111,18 @@ struct Prepared {
     backward: Vec<Vec<f32>>,
 }
 
-/// Rows that went through a network, kept for the way back.
-pub struct Kept {
+/// A forward pass over some rows, kept for the backward pass.
+pub struct ForwardPass {
     network: Network,
     prepared: Prepared,
-    trails: Vec<Trail>,
+    blocks: Vec<LayerInputs>,
     rows: usize,
     /// `[row][output]`.
     pub outputs: Vec<f32>,
 }
 
-/// What a block of rows went through: the inputs of every layer, padded, and what the last gives.
-struct Trail {
+/// Activations of a block of rows: the inputs of every layer, padded, and the outputs of the last.
+struct LayerInputs {
     inputs: Vec<Vec<f32>>,
     out: Vec<f32>,
 }
@@ -154,13 +153,13 @@ impl Network {
         self.layers().iter().map(|l| (l.inputs + 1) * l.outputs).sum()
     }
 
-    /// Weights at the start: hidden layers keep the size of what goes through them (He et al. 2015), the last is `quiet` times that.
-    pub fn initial(&self, seed: u64, quiet: f32) -> Vec<f32> {
+    /// Initial weights: hidden layers keep the variance of their inputs (He et al. 2015), the last layer is scaled by `output_scale`.
+    pub fn initial(&self, seed: u64, output_scale: f32) -> Vec<f32> {
         let mut random = Pcg32::seed_from_u64(seed);
         let mut weights = vec![0.0; self.weights()];
         let layers = self.layers();
         for (n, layer) in layers.iter().enumerate() {
-            let scale = (6.0 / layer.inputs as f32).sqrt() * if n + 1 == layers.len() { quiet } else { 1.0 };
+            let scale = (6.0 / layer.inputs as f32).sqrt() * if n + 1 == layers.len() { output_scale } else { 1.0 };
             for weight in &mut weights[layer.from..layer.from + layer.inputs * layer.outputs] {
                 *weight = scale * (2.0 * random.random::<f32>() - 1.0);
             }
@@ -195,9 +194,9 @@ impl Network {
     }
 
     /// Rows of `inputs` through all layers.
-    fn walk(&self, prepared: &Prepared, inputs: &[f32]) -> Trail {
+    fn forward_block(&self, prepared: &Prepared, inputs: &[f32]) -> LayerInputs {
         let rows = inputs.len() / self.inputs;
-        let (mut trail, mut last): (Vec<Vec<f32>>, Vec<f32>) = (Vec::new(), Vec::new());
+        let (mut activations, mut last): (Vec<Vec<f32>>, Vec<f32>) = (Vec::new(), Vec::new());
         for (n, layer) in prepared.layers.iter().enumerate() {
             let tall = padded(layer.inputs);
             let mut into = vec![0.0; rows * tall];
@@ -209,7 +208,7 @@ impl Network {
                 }
                 let wide = padded(self.width);
                 for (slot, x) in line.iter_mut().zip(&last[row * wide..row * wide + self.width]) {
-                    *slot = if *x > 0.0 { *x } else { LEAK * x };
+                    *slot = if *x > 0.0 { *x } else { NEGATIVE_SLOPE * x };
                 }
                 if layer.joined {
                     line[self.width..self.width + self.inputs].copy_from_slice(own);
@@ -225,10 +224,10 @@ impl Network {
                 b: weights,
             };
             multiply(&product, &mut last, bias.len());
-            trail.push(into);
+            activations.push(into);
         }
-        Trail {
-            inputs: trail,
+        LayerInputs {
+            inputs: activations,
             out: last,
         }
     }
@@ -241,38 +240,44 @@ impl Network {
         out.par_chunks_mut(BLOCK * self.outputs)
             .zip(inputs.par_chunks(BLOCK * self.inputs))
             .for_each(|(out, inputs)| {
-                let trail = self.walk(&prepared, inputs);
-                for (out, line) in out.chunks_mut(self.outputs).zip(trail.out.chunks(wide)) {
+                let activations = self.forward_block(&prepared, inputs);
+                for (out, line) in out.chunks_mut(self.outputs).zip(activations.out.chunks(wide)) {
                     out.copy_from_slice(&line[..self.outputs]);
                 }
             });
         out
     }
 
-    /// The same, kept for the way back.
-    pub fn keep(&self, weights: &[f32], inputs: &[f32]) -> Kept {
+    /// The same, kept for the backward pass.
+    pub fn forward_kept(&self, weights: &[f32], inputs: &[f32]) -> ForwardPass {
         let prepared = self.prepare(weights);
-        let trails: Vec<Trail> = inputs
+        let blocks: Vec<LayerInputs> = inputs
             .par_chunks(BLOCK * self.inputs)
-            .map(|inputs| self.walk(&prepared, inputs))
+            .map(|inputs| self.forward_block(&prepared, inputs))
             .collect();
         let wide = padded(self.outputs);
-        let lines = trails.iter().flat_map(|trail| trail.out.chunks(wide));
-        Kept {
+        let lines = blocks.iter().flat_map(|activations| activations.out.chunks(wide));
+        ForwardPass {
             outputs: lines.flat_map(|line| line[..self.outputs].iter().copied()).collect(),
             rows: inputs.len() / self.inputs,
             network: *self,
             prepared,
-            trails,
+            blocks,
         }
     }
 
     /// Gradients of the inputs and of the weights, from those of the outputs.
     pub fn backward(&self, weights: &[f32], inputs: &[f32], d_outputs: &[f32]) -> (Vec<f32>, Vec<f32>) {
-        self.keep(weights, inputs).backward(d_outputs)
+        self.forward_kept(weights, inputs).backward(d_outputs)
     }
 
-    fn walk_back(&self, prepared: &Prepared, trail: &Trail, d_outputs: &[f32], d_inputs: &mut [f32]) -> Vec<f32> {
+    fn backward_block(
+        &self,
+        prepared: &Prepared,
+        activations: &LayerInputs,
+        d_outputs: &[f32],
+        d_inputs: &mut [f32],
+    ) -> Vec<f32> {
         let rows = d_outputs.len() / self.outputs;
         let mut d_weights = vec![0.0; self.weights()];
         let mut wide = padded(self.outputs);
@@ -281,7 +286,7 @@ impl Network {
             line[..self.outputs].copy_from_slice(d);
         }
         for (n, layer) in prepared.layers.iter().enumerate().rev() {
-            let (into, tall) = (&trail.inputs[n], padded(layer.inputs));
+            let (into, tall) = (&activations.inputs[n], padded(layer.inputs));
             // Weights: inputs transposed times gradients.
             let mut part = vec![0.0; layer.inputs * wide];
             let product = Product {
@@ -324,7 +329,11 @@ impl Network {
                 d_out = vec![0.0; rows * wide];
                 for row in 0..rows {
                     for u in 0..self.width {
-                        let slope = if into[row * tall + u] > 0.0 { 1.0 } else { LEAK };
+                        let slope = if into[row * tall + u] > 0.0 {
+                            1.0
+                        } else {
+                            NEGATIVE_SLOPE
+                        };
                         d_out[row * wide + u] = slope * d_into[row * tall + u];
                     }
                 }
@@ -334,16 +343,18 @@ impl Network {
     }
 }
 
-impl Kept {
+impl ForwardPass {
     /// Gradients of the inputs and of the weights, from those of the outputs.
     pub fn backward(&self, d_outputs: &[f32]) -> (Vec<f32>, Vec<f32>) {
         let network = &self.network;
         let mut d_inputs = vec![0.0; self.rows * network.inputs];
         let parts: Vec<Vec<f32>> = d_inputs
             .par_chunks_mut(BLOCK * network.inputs)
-            .zip(&self.trails)
+            .zip(&self.blocks)
             .zip(d_outputs.par_chunks(BLOCK * network.outputs))
-            .map(|((d_inputs, trail), d_outputs)| network.walk_back(&self.prepared, trail, d_outputs, d_inputs))
+            .map(|((d_inputs, activations), d_outputs)| {
+                network.backward_block(&self.prepared, activations, d_outputs, d_inputs)
+            })
             .collect();
         let mut d_weights = vec![0.0f32; network.weights()];
         for part in &parts {
@@ -371,7 +382,7 @@ mod tests {
             let mut into = if n == 0 { inputs.to_vec() } else { last.clone() };
             if n > 0 {
                 into.iter_mut()
-                    .for_each(|x| *x = if *x > 0.0 { *x } else { f64::from(LEAK) * *x });
+                    .for_each(|x| *x = if *x > 0.0 { *x } else { f64::from(NEGATIVE_SLOPE) * *x });
             }
             if layer.joined {
                 into.extend(inputs);
@@ -441,7 +452,7 @@ mod tests {
     }
 
     #[test]
-    fn a_network_learns_a_curve_it_is_shown() {
+    fn a_network_learns_a_curve() {
         let shape = Network {
             inputs: 1,
             width: 16,

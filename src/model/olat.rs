@@ -1,155 +1,71 @@
-//! One light at a time: what a surface reflects of a point light, and how much of that light reaches it.
+//! One light at a time (OLAT): surfaces under a known point light, with traced shadow, shared specular lobes and subsurface scattering.
 //!
 //! After SSD-GS (2026) and GS³ (Bi et al. 2024), per Gaussian and evaluated at its centre, for a light of unit strength
 //!
 //! ```text
 //! C = ((c_d f_d + c_s f_s) S + c_v f_v) · D² / (d² + r²)
 //! f_d = cosE(n·ω_i) / π                    cosE(c) = (ELU(c) + t) / (1 + t): a cosine with a gradient on the dark side
-//! f_s = Σ_j a_j G_j(h) · F(ω_i·h) / (ω_i·h)² · cosE(n·ω_i)        eight lobes that all share, Schlick's F with an F0 of the Gaussian's
-//! f_v = R(r; σ_s', σ_a)        what scatters under the surface: a dipole, of which a network predicts the three numbers
+//! f_s = Σ_j a_j G_j(h) · F(ω_i·h) / (ω_i·h)² · cosE(n·ω_i)        eight shared lobes, Schlick's F with an F0 per Gaussian
+//! f_v = R(r; σ_s', σ_a)        subsurface scattering: a dipole whose three numbers a network predicts
 //! ```
 //!
-//! Light that scatters comes from elsewhere on the object, so the shadow does not dim it. `S` is the transmittance toward the light
-//! (another network may move its logit by what it makes of place, direction and a code of the Gaussian), `d` its distance, `r` its radius
-//! (a thousandth of `D` at least), `D` the distance at which a light counts as one.
+//! Scattered light enters elsewhere on the object, so the shadow does not dim it. `S` is the transmittance toward the light, whose
+//! logit the shadow network may move (it reads position, direction and the Gaussian's material embedding), `d` the distance to the
+//! light, `r` its radius (at least a thousandth of `D`), `D` the distance at which a light counts as one.
 //! The normal `n` and the lobes' frames turn with a frame per Gaussian of its own. Lights add up, so strength and colour of a light
-//! multiply its image: the model itself knows lights of strength one. Parallel light has no distance and falls off nowhere.
+//! multiply its image: the model itself knows lights of strength one. Parallel light has no distance and no falloff.
+//!
+//! Not in the papers: F0 per Gaussian, and Fresnel over the squared cosine. Limits: the shadow is traced from the centre only, and
+//! scattering sees no neighbours, only the predicted distance.
 
-mod ask;
+mod groups;
+mod network_pass;
 mod networks;
+mod options;
 mod surface;
 
-use super::network::Network;
-use super::over::{COLOURS, normals_of_depth, over, over_backward};
+pub use options::{Component, OlatOptions};
+pub use surface::LOBES;
+
+use super::background::{COLOURS, depth_normal_loss, over_background, over_background_backward};
 use super::shadow_gs::{softplus, softplus_inverse};
 use super::{Context, NamedLoss, Parameters, SceneModel, Seen};
-use crate::gaussians::{FEATURES, GroupSpec, POSITION, Table, logit, normalised, sigmoid};
-use crate::optim::exponential_decay;
+use crate::gaussians::{FEATURES, POSITION, Table, logit, normalised, sigmoid};
+use crate::optim::ParameterGroup;
 use crate::raster::Raster;
 use crate::splat::{MapGradients, Maps};
 use glam::Vec3;
-use networks::{CODE, SCATTER_INPUTS, SHADOW_INPUTS, network};
+use groups::{Feature, LOBE_FRAME, LOBE_GROUPS, LOBE_SCALE, Shared};
 use rayon::prelude::*;
 use std::f32::consts::PI;
-use surface::{Lobes, Place, Surface, SurfaceGradient};
+use surface::{LightGeometry, Lobes, Surface, SurfaceGradient};
 
-/// Lobes that all Gaussians share.
-pub const LOBES: usize = 8;
-/// Directions in which lobes are longest at the start, evenly over half a circle: a Gaussian whose frame lies across the grain would
-/// have to turn through shapes that are worse, and stays where it is; so it chooses first (docs/objects.md).
+/// Orientations of the lobes' long axes at the start, evenly over half a circle. A Gaussian whose frame lies across the grain would have
+/// to turn through worse fits and gets stuck; with several orientations it finds one nearby by weight alone (docs/lab/objects.md).
 const ORIENTATIONS: usize = 4;
 /// Index of the group of diffuse colours, before the softplus.
 pub const DIFFUSE: usize = FEATURES;
 /// Index of the group of frames: quaternion `x, y, z, w` that turns the surface's own z axis to its normal.
 pub const FRAME: usize = FEATURES + 1;
-/// Index of the group of glossy colours, before the softplus.
+/// Index of the group of specular colours, before the softplus.
 pub const SPECULAR: usize = FEATURES + 2;
 /// Index of the group of the lobes' weights, before the softplus.
 pub const WEIGHT: usize = FEATURES + 3;
-/// Index of the group of reflectances head on, before the sigmoid.
-pub const HEAD_ON: usize = FEATURES + 4;
-/// Indices of the shared groups: frames, relative widths and widths of the lobes.
-const LOBE_FRAME: usize = 0;
-const LOBE_SCALE: usize = 1;
-const LOBE_SIGMA: usize = 2;
-/// Share of training from which on gloss joins. SSD-GS has 16 of 100: by then normals have turned to make highlights of what is matte, and do
-/// not find back (docs/objects.md).
-const SPECULAR_FROM: f32 = 0.05;
-/// Share of training from which on the lobes change their shape (SSD-GS: 22 of 100).
-const LOBES_FROM: f32 = 0.08;
-/// What is left of the rates of surfaces at the end of training: highlights that all share tremble otherwise.
-const RATE_AT_END: f32 = 0.1;
-/// Share of training from which on light scatters (SSD-GS: 9 of 100).
-const SCATTERING_FROM: f32 = 0.09;
-/// Share of training from which on shadows are refined (SSD-GS: 5 of 100).
-const REFINED_FROM: f32 = 0.05;
-/// Scattered light before it joins, of which the dipole shows a fraction.
-const LITTLE_SCATTERS: f32 = 0.1;
-/// What networks say at first, relative to their layers.
-const QUIET: f32 = 0.1;
-/// Reflectance head on before it is known: that of plastics and of most that is no metal.
-const PLASTIC: f32 = 0.04;
-/// Gloss before it joins: as good as none.
-const NO_GLOSS: f32 = 0.02;
-
-/// What the model is made of.
-#[derive(Debug, Clone, PartialEq, serde::Serialize, serde::Deserialize)]
-#[serde(default, deny_unknown_fields)]
-pub struct OlatOptions {
-    /// Whether surfaces are glossy.
-    pub specular: bool,
-    /// Whether the light that reaches a surface is traced.
-    pub shadow: bool,
-    /// Whether light scatters under the surface.
-    pub scattering: bool,
-    /// Whether a network refines the shadows.
-    pub refined: bool,
-    /// Units of the hidden layers of both networks.
-    pub width: usize,
-    /// Their hidden layers.
-    pub hidden: usize,
-    /// Half of the side of the cube that positions lie in.
-    pub half_size: f32,
-    /// Colour behind everything.
-    pub background: [f32; 3],
-    /// Whether images have coverage as a fourth band.
-    pub coverage: bool,
-    /// Distance at which a light of strength one counts as one.
-    pub distance: f32,
-    /// Radius of the lights.
-    pub radius: f32,
-    /// How much normals agree with those of the depth.
-    pub normal_weight: f32,
-    /// Depths that differ by more than this are an edge, not a slope.
-    pub normal_edge: f32,
-    /// What is shown of the light that surfaces reflect.
-    pub shows: Component,
-}
-
-/// Parts of the light.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, serde::Serialize, serde::Deserialize)]
-#[serde(rename_all = "snake_case")]
-pub enum Component {
-    /// All of it.
-    #[default]
-    All,
-    /// What is reflected evenly, in shadow too.
-    Diffuse,
-    /// What is reflected as by a mirror, in shadow too.
-    Specular,
-    /// How much of the light arrives.
-    Shadow,
-    /// What comes out of the surface after it went in elsewhere.
-    Scattering,
-    /// The normals of the frames behind the colours, where a model rasterises them.
-    Normal,
-}
-
-impl Default for OlatOptions {
-    fn default() -> Self {
-        Self {
-            specular: true,
-            shadow: true,
-            scattering: false,
-            refined: false,
-            width: 32,
-            hidden: 3,
-            half_size: 1.0,
-            background: [0.0; 3],
-            coverage: false,
-            distance: 1.0,
-            radius: 0.0,
-            normal_weight: 0.0,
-            normal_edge: 0.1,
-            shows: Component::All,
-        }
-    }
-}
+/// Index of the group of F0, reflectance at normal incidence, before the sigmoid.
+pub const F0: usize = FEATURES + 4;
+/// Initial colour of scattered light, of which the dipole shows a fraction.
+const INITIAL_SCATTERED: f32 = 0.1;
+/// Initial scale of the networks' last layer, relative to its others: they start with little effect.
+const NETWORK_OUTPUT_SCALE: f32 = 0.1;
+/// Initial F0: that of plastics and most other dielectrics.
+const DIELECTRIC_F0: f32 = 0.04;
+/// Initial specular colour: next to nothing.
+const INITIAL_SPECULAR: f32 = 0.02;
 
 /// The model.
 #[derive(Debug, Clone)]
 pub struct Olat {
-    /// What it is made of.
+    /// Its options.
     pub options: OlatOptions,
 }
 
@@ -159,44 +75,26 @@ impl Olat {
         Self { options }
     }
 
-    fn scatterer(&self) -> Network {
-        network(
-            SCATTER_INPUTS,
-            COLOURS,
-            self.options.width.max(1),
-            self.options.hidden.max(1),
-        )
+    /// Index of the group of material embeddings, which the networks read; `None` where both are off.
+    pub fn embedding_group(&self) -> Option<usize> {
+        self.options.feature_index(Feature::Embedding)
     }
 
-    fn refiner(&self) -> Network {
-        network(SHADOW_INPUTS, 1, self.options.width.max(1), self.options.hidden.max(1))
+    /// Index of the group of colours of scattered light, before the softplus; `None` where nothing scatters.
+    pub fn scattered_group(&self) -> Option<usize> {
+        self.options.feature_index(Feature::Scattered)
     }
 
-    /// Whether Gaussians have a code that networks read.
-    fn coded(&self) -> bool {
-        self.options.scattering || self.options.refined
-    }
-
-    /// Index of the group of codes; that of the colours of scattered light stands behind it.
-    pub fn code_group(&self) -> usize {
-        if self.options.specular { HEAD_ON + 1 } else { SPECULAR }
-    }
-
-    /// Index of the first shared group of a network.
-    fn networks_at(&self) -> usize {
-        if self.options.specular { LOBE_SIGMA + 1 } else { 0 }
-    }
-
-    /// Shared parameters at the start: lobes around the normal, from narrow to wide and turned in turns; networks that say little.
+    /// Shared parameters at the start: lobes around the normal, from narrow to wide and turned in turns; networks with little effect.
     pub fn initial_globals(&self) -> Table {
         let mut table = Table::zeros(self.global_groups(), 1);
-        let at = self.networks_at();
-        if self.options.scattering {
-            table.group_mut(at).copy_from_slice(&self.scatterer().initial(1, QUIET));
+        if let Some(group) = self.options.shared_index(Shared::ScatteringNetwork) {
+            let weights = self.options.scattering_network().initial(1, NETWORK_OUTPUT_SCALE);
+            table.group_mut(group).copy_from_slice(&weights);
         }
-        if self.options.refined {
-            let at = at + usize::from(self.options.scattering);
-            table.group_mut(at).copy_from_slice(&self.refiner().initial(2, QUIET));
+        if let Some(group) = self.options.shared_index(Shared::ShadowNetwork) {
+            let weights = self.options.shadow_network().initial(2, NETWORK_OUTPUT_SCALE);
+            table.group_mut(group).copy_from_slice(&weights);
         }
         if self.options.specular {
             for j in 0..LOBES {
@@ -217,12 +115,11 @@ impl Olat {
         }
         gaussians.group_mut(FRAME)[g * 4..g * 4 + 4].copy_from_slice(&frame);
         if self.options.specular {
-            gaussians.group_mut(SPECULAR)[g * COLOURS..(g + 1) * COLOURS].fill(softplus_inverse(NO_GLOSS));
-            gaussians.group_mut(HEAD_ON)[g] = logit(PLASTIC);
+            gaussians.group_mut(SPECULAR)[g * COLOURS..(g + 1) * COLOURS].fill(softplus_inverse(INITIAL_SPECULAR));
+            gaussians.group_mut(F0)[g] = logit(DIELECTRIC_F0);
         }
-        if self.options.scattering {
-            let at = self.code_group() + 1;
-            gaussians.group_mut(at)[g * COLOURS..(g + 1) * COLOURS].fill(softplus_inverse(LITTLE_SCATTERS));
+        if let Some(group) = self.scattered_group() {
+            gaussians.group_mut(group)[g * COLOURS..(g + 1) * COLOURS].fill(softplus_inverse(INITIAL_SCATTERED));
         }
     }
 
@@ -233,37 +130,34 @@ impl Olat {
 
     fn lobes(&self, globals: &Table) -> Option<Lobes> {
         self.options.specular.then(|| {
-            Lobes::new(
-                globals.group(LOBE_FRAME),
-                globals.group(LOBE_SCALE),
-                globals.group(LOBE_SIGMA),
-            )
+            let [frames, scales, sigmas] = LOBE_GROUPS.map(|group| globals.group(group));
+            Lobes::new(frames, scales, sigmas)
         })
     }
 
     fn surface(&self, gaussians: &Table, g: usize) -> Surface {
-        let part = |group: usize, width: usize| &gaussians.group(group)[g * width..(g + 1) * width];
+        let values = |group: usize, width: usize| &gaussians.group(group)[g * width..(g + 1) * width];
         let positive = |values: &[f32], k: usize| softplus(values[k]);
-        let frame = part(FRAME, 4);
+        let frame = values(FRAME, 4);
         let mut surface = Surface {
-            diffuse: std::array::from_fn(|k| positive(part(DIFFUSE, COLOURS), k)),
+            diffuse: std::array::from_fn(|k| positive(values(DIFFUSE, COLOURS), k)),
             frame: [frame[0], frame[1], frame[2], frame[3]],
             specular: [0.0; COLOURS],
             weights: [0.0; LOBES],
-            head_on: PLASTIC,
+            f0: DIELECTRIC_F0,
         };
         if self.options.specular {
-            surface.specular = std::array::from_fn(|k| positive(part(SPECULAR, COLOURS), k));
-            surface.weights = std::array::from_fn(|j| positive(part(WEIGHT, LOBES), j));
-            surface.head_on = sigmoid(gaussians.group(HEAD_ON)[g]);
+            surface.specular = std::array::from_fn(|k| positive(values(SPECULAR, COLOURS), k));
+            surface.weights = std::array::from_fn(|j| positive(values(WEIGHT, LOBES), j));
+            surface.f0 = sigmoid(gaussians.group(F0)[g]);
         }
         surface
     }
 
-    fn place(&self, context: &Context, g: usize) -> Option<Place> {
+    fn light_geometry(&self, context: &Context, g: usize) -> Option<LightGeometry> {
         let position = context.parameters.gaussians.position(g);
         let light = context.light?;
-        Some(Place::new(
+        Some(LightGeometry::new(
             position,
             &light,
             context.camera,
@@ -284,53 +178,12 @@ impl SceneModel for Olat {
         "olat"
     }
 
-    fn feature_groups(&self) -> Vec<GroupSpec> {
-        let mut groups = vec![GroupSpec::new("diffuse", COLOURS), GroupSpec::new("frame", 4)];
-        if self.options.specular {
-            groups.push(GroupSpec::new("specular", COLOURS));
-            groups.push(GroupSpec::new("lobe_weight", LOBES));
-            groups.push(GroupSpec::new("head_on", 1));
-        }
-        if self.coded() {
-            groups.push(GroupSpec::new("code", CODE));
-        }
-        if self.options.scattering {
-            groups.push(GroupSpec::new("scattered", COLOURS));
-        }
-        groups
+    fn feature_parameters(&self) -> Vec<ParameterGroup> {
+        self.options.feature_parameters()
     }
 
-    fn global_groups(&self) -> Vec<GroupSpec> {
-        let mut groups = Vec::new();
-        if self.options.specular {
-            groups.push(GroupSpec::new("lobe_frame", LOBES * 4));
-            groups.push(GroupSpec::new("lobe_scale", LOBES * 2));
-            groups.push(GroupSpec::new("lobe_sigma", LOBES));
-        }
-        if self.options.scattering {
-            groups.push(GroupSpec::new("scatterer", self.scatterer().weights()));
-        }
-        if self.options.refined {
-            groups.push(GroupSpec::new("refiner", self.refiner().weights()));
-        }
-        groups
-    }
-
-    fn learning_rate(&self, group: &str, progress: f32) -> f32 {
-        let from = |start: f32, rate: f32| if progress >= start { rate } else { 0.0 };
-        let falling = |start: f32, rate: f32| from(start, exponential_decay(rate, RATE_AT_END * rate, progress));
-        match group {
-            "diffuse" => falling(0.0, 3e-2),
-            "frame" => falling(0.0, 2e-2),
-            "specular" => falling(SPECULAR_FROM, 0.1),
-            "head_on" => falling(SPECULAR_FROM, 6e-2),
-            "lobe_weight" => falling(SPECULAR_FROM, 3e-2),
-            "scattered" => from(SCATTERING_FROM, 1e-2),
-            "scatterer" => from(SCATTERING_FROM, 2e-3),
-            "refiner" => from(REFINED_FROM, 2e-3),
-            "code" => from(REFINED_FROM, 5e-3),
-            _ => falling(LOBES_FROM, 2e-2),
-        }
+    fn global_parameters(&self) -> Vec<ParameterGroup> {
+        self.options.shared_parameters()
     }
 
     fn channels(&self) -> usize {
@@ -344,30 +197,32 @@ impl SceneModel for Olat {
     fn features(&self, context: &Context, seen: &Seen, out: &mut [f32]) {
         let (gaussians, lobes) = (&context.parameters.gaussians, self.lobes(&context.parameters.globals));
         let shows = self.options.shows;
-        let added = self.ask(context, seen);
+        let networks = self.evaluate_networks(context, seen);
         out.par_chunks_mut(seen.stride)
             .with_min_len(256)
             .enumerate()
             .for_each(|(s, feature)| {
                 let g = seen.projected.gaussian[s] as usize;
-                let lit = added.lit[s];
+                let transmittance = networks.transmittance[s];
                 if self.shows_normals() {
                     feature[COLOURS..2 * COLOURS].copy_from_slice(&normal(gaussians, g).to_array());
                 }
                 // Without a light it is dark.
-                let Some(place) = self.place(context, g) else { return };
+                let Some(geometry) = self.light_geometry(context, g) else {
+                    return;
+                };
                 let surface = self.surface(gaussians, g);
-                let shaded = surface.shade(lobes.as_ref(), &place);
-                let scattered = added.scattered(self, gaussians, s, g);
+                let shaded = surface.shade(lobes.as_ref(), &geometry);
+                let scattered = networks.scattered(self, gaussians, s, g);
                 for k in 0..COLOURS {
                     feature[k] = match shows {
                         Component::All | Component::Normal => {
-                            ((shaded.diffuse[k] + shaded.specular[k]) * lit + scattered[k]) * place.falling
+                            ((shaded.diffuse[k] + shaded.specular[k]) * transmittance + scattered[k]) * geometry.falloff
                         }
-                        Component::Diffuse => shaded.diffuse[k] * place.falling,
-                        Component::Specular => shaded.specular[k] * place.falling,
-                        Component::Shadow => lit,
-                        Component::Scattering => scattered[k] * place.falling,
+                        Component::Diffuse => shaded.diffuse[k] * geometry.falloff,
+                        Component::Specular => shaded.specular[k] * geometry.falloff,
+                        Component::Shadow => transmittance,
+                        Component::Scattering => scattered[k] * geometry.falloff,
                     };
                 }
             });
@@ -382,25 +237,26 @@ impl SceneModel for Olat {
         d_transmittance: &mut [f32],
     ) {
         let (gaussians, lobes) = (&context.parameters.gaussians, self.lobes(&context.parameters.globals));
-        let added = self.ask(context, seen);
+        let networks = self.evaluate_networks(context, seen);
         let mut parts: Vec<SurfaceGradient> = d_features
             .par_chunks(seen.stride)
             .with_min_len(256)
             .enumerate()
             .map(|(s, d)| {
                 let g = seen.projected.gaussian[s] as usize;
-                let Some(place) = self.place(context, g) else {
+                let Some(geometry) = self.light_geometry(context, g) else {
                     return SurfaceGradient::default();
                 };
                 let surface = self.surface(gaussians, g);
-                let mut part = surface.shade_backward(lobes.as_ref(), &place, added.lit[s], [d[0], d[1], d[2]]);
+                let mut part =
+                    surface.shade_backward(lobes.as_ref(), &geometry, networks.transmittance[s], [d[0], d[1], d[2]]);
                 if self.shows_normals() {
                     part.turn_normal(&surface, Vec3::from_slice(&d[COLOURS..2 * COLOURS]));
                 }
                 part
             })
             .collect();
-        self.ask_backward(context, seen, &added, d_features, (&mut parts, grads));
+        self.networks_backward(context, seen, &networks, d_features, (&mut parts, grads));
         for (slot, part) in d_transmittance.iter_mut().zip(&parts) {
             *slot += part.transmittance;
         }
@@ -422,22 +278,22 @@ impl SceneModel for Olat {
         };
         let three = |v: [f32; COLOURS]| std::array::from_fn(|k| if k < COLOURS { v[k] } else { 0.0 });
         through(DIFFUSE, &|s| three(parts[s].diffuse));
-        if let Some(lobes) = &lobes {
+        if lobes.is_some() {
             through(SPECULAR, &|s| three(parts[s].specular));
             through(WEIGHT, &|s| parts[s].weights);
-            table.add_to_group(HEAD_ON, indices, |s, slots| {
-                let share = sigmoid(gaussians.group(HEAD_ON)[indices[s] as usize]);
-                slots[0] += parts[s].head_on * share * (1.0 - share);
+            table.add_to_group(F0, indices, |s, slots| {
+                let share = sigmoid(gaussians.group(F0)[indices[s] as usize]);
+                slots[0] += parts[s].f0 * share * (1.0 - share);
             });
-            let mut shared = lobes.gradients(&context.parameters.globals, &parts);
-            for (group, values) in shared.iter_mut().enumerate() {
-                add(grads.globals.group_mut(group), values);
+            let raw = LOBE_GROUPS.map(|group| context.parameters.globals.group(group));
+            for (group, values) in LOBE_GROUPS.into_iter().zip(Lobes::gradients(raw, &parts)) {
+                add(grads.globals.group_mut(group), &values);
             }
         }
     }
 
     fn compose(&self, _context: &Context, maps: &Maps) -> Raster {
-        over(maps, self.options.background, self.options.coverage)
+        over_background(maps, self.options.background, self.options.coverage)
     }
 
     fn compose_backward(
@@ -448,11 +304,11 @@ impl SceneModel for Olat {
         d_maps: &mut MapGradients,
         _grads: &mut Parameters,
     ) {
-        over_backward(d_image, self.options.background, self.options.coverage, d_maps);
+        over_background_backward(d_image, self.options.background, self.options.coverage, d_maps);
     }
 
     fn map_losses(&self, context: &Context, maps: &Maps, _: &[f32], d_maps: &mut MapGradients) -> Vec<NamedLoss> {
         let (weight, edge) = (self.options.normal_weight, self.options.normal_edge);
-        normals_of_depth(context.camera, maps, weight, edge, d_maps)
+        depth_normal_loss(context.camera, maps, weight, edge, d_maps)
     }
 }

@@ -1,4 +1,4 @@
-//! Plain radiance: the colour of every Gaussian as seen from anywhere, under the light it was photographed in (Kerbl et al. 2023).
+//! Plain radiance: view-dependent colour per Gaussian under the light of the photographs (Kerbl et al. 2023). Nothing is relit.
 //!
 //! Channels: red, green, blue, `max(0, ½ + Σ c_lm Y_lm(v))` with `v` from the camera to the centre. Per pixel
 //!
@@ -6,13 +6,14 @@
 //! C = Σ w_i c_i + (1 - Σ w_i) background
 //! ```
 //!
-//! and, where the images come with their coverage, `Σ w_i` as a fourth band, so that it is learnt like a colour. Degrees of the
-//! harmonics join one after another: until its turn, a degree has a learning rate of zero.
+//! and, where the images come with their coverage, `Σ w_i` as a fourth band, so that it is learnt like a colour. The degrees of the
+//! harmonics join one after another: until its turn, a degree is frozen.
 
-use super::over::{COLOURS, over, over_backward};
-use super::sight::{Sight, rate_of_degree};
+use super::background::{COLOURS, over_background, over_background_backward};
+use super::view_direction::{ViewDirection, rate_of_degree};
 use super::{Context, NamedLoss, Parameters, SceneModel, Seen};
-use crate::gaussians::{FEATURES, GroupSpec, POSITION, Table};
+use crate::gaussians::{FEATURES, POSITION, Table};
+use crate::optim::ParameterGroup;
 use crate::raster::Raster;
 use crate::shade::sh::{self, MAX_FUNCTIONS};
 use crate::splat::{MapGradients, Maps};
@@ -22,7 +23,7 @@ use rayon::prelude::*;
 /// Learning rate of the constant function.
 const RATE: f32 = 5e-3;
 
-/// What the model is made of.
+/// Options of the model.
 #[derive(Debug, Clone, PartialEq, serde::Serialize, serde::Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct RadianceOptions {
@@ -47,7 +48,7 @@ impl Default for RadianceOptions {
 /// The model.
 #[derive(Debug, Clone)]
 pub struct Radiance {
-    /// What it is made of.
+    /// Its options.
     pub options: RadianceOptions,
 }
 
@@ -86,19 +87,17 @@ impl SceneModel for Radiance {
         "radiance"
     }
 
-    fn feature_groups(&self) -> Vec<GroupSpec> {
+    fn feature_parameters(&self) -> Vec<ParameterGroup> {
         (0..=self.options.degree)
-            .map(|degree| GroupSpec::new(&format!("sh_{degree}"), (2 * degree + 1) * COLOURS))
+            .map(|degree| {
+                let width = (2 * degree + 1) * COLOURS;
+                ParameterGroup::new(&format!("sh_{degree}"), width, rate_of_degree(RATE, degree))
+            })
             .collect()
     }
 
-    fn global_groups(&self) -> Vec<GroupSpec> {
+    fn global_parameters(&self) -> Vec<ParameterGroup> {
         Vec::new()
-    }
-
-    fn learning_rate(&self, group: &str, progress: f32) -> f32 {
-        let degree = group.strip_prefix("sh_").and_then(|n| n.parse().ok()).unwrap_or(0);
-        RATE * rate_of_degree(degree, progress)
     }
 
     fn channels(&self) -> usize {
@@ -117,8 +116,8 @@ impl SceneModel for Radiance {
             .enumerate()
             .for_each(|(s, feature)| {
                 let g = seen.projected.gaussian[s] as usize;
-                let sight = Sight::new(eye, context.camera, gaussians.position(g));
-                let (basis, coefficients) = (sh::basis(sight.direction), self.coefficients(gaussians, g));
+                let view = ViewDirection::new(eye, context.camera, gaussians.position(g));
+                let (basis, coefficients) = (sh::basis(view.direction), self.coefficients(gaussians, g));
                 for k in 0..COLOURS {
                     let sum: f32 = (0..functions).map(|f| basis[f] * coefficients[f][k]).sum();
                     feature[k] = (0.5 + sum).max(0.0);
@@ -143,15 +142,15 @@ impl SceneModel for Radiance {
             .enumerate()
             .map(|(s, d)| {
                 let g = seen.projected.gaussian[s] as usize;
-                let sight = Sight::new(eye, context.camera, gaussians.position(g));
-                let (basis, coefficients) = (sh::basis(sight.direction), self.coefficients(gaussians, g));
+                let view = ViewDirection::new(eye, context.camera, gaussians.position(g));
+                let (basis, coefficients) = (sh::basis(view.direction), self.coefficients(gaussians, g));
                 let d_colour: [f32; COLOURS] = std::array::from_fn(|k| {
                     let sum: f32 = (0..functions).map(|f| basis[f] * coefficients[f][k]).sum();
-                    // Below black a colour hears only what would make it brighter: it must find its way back.
+                    // Below black only gradients that brighten pass: a clamped colour must be able to recover.
                     if 0.5 + sum > 0.0 { d[k] } else { d[k].min(0.0) }
                 });
                 let mut d_direction = Vec3::ZERO;
-                for (f, gradient) in sh::basis_gradients(sight.direction)
+                for (f, gradient) in sh::basis_gradients(view.direction)
                     .iter()
                     .enumerate()
                     .take(functions)
@@ -160,11 +159,11 @@ impl SceneModel for Radiance {
                     let weight: f32 = (0..COLOURS).map(|k| d_colour[k] * coefficients[f][k]).sum();
                     d_direction += *gradient * weight;
                 }
-                let along = sight.direction.dot(d_direction);
+                let along = view.direction.dot(d_direction);
                 (
                     d_colour,
                     basis,
-                    (d_direction - sight.direction * along) * sight.inverse_distance,
+                    (d_direction - view.direction * along) * view.inverse_distance,
                 )
             })
             .collect();
@@ -186,7 +185,7 @@ impl SceneModel for Radiance {
     }
 
     fn compose(&self, _context: &Context, maps: &Maps) -> Raster {
-        over(maps, self.options.background, self.options.coverage)
+        over_background(maps, self.options.background, self.options.coverage)
     }
 
     fn compose_backward(
@@ -197,7 +196,7 @@ impl SceneModel for Radiance {
         d_maps: &mut MapGradients,
         _grads: &mut Parameters,
     ) {
-        over_backward(d_image, self.options.background, self.options.coverage, d_maps);
+        over_background_backward(d_image, self.options.background, self.options.coverage, d_maps);
     }
 
     fn map_losses(&self, _: &Context, _: &Maps, _: &[f32], _: &mut MapGradients) -> Vec<NamedLoss> {
@@ -213,11 +212,8 @@ mod tests {
     fn degrees_join_one_after_another() {
         let model = Radiance::new(RadianceOptions::default());
         let learning = |progress: f32| -> Vec<bool> {
-            let groups = model.feature_groups();
-            groups
-                .iter()
-                .map(|g| model.learning_rate(&g.name, progress) > 0.0)
-                .collect()
+            let groups = model.feature_parameters();
+            groups.iter().map(|group| group.rate.at(progress) > 0.0).collect()
         };
         assert_eq!(learning(0.0), [true, false, false, false]);
         assert_eq!(learning(0.25), [true, true, true, false]);

@@ -22,19 +22,16 @@
 //! with `v` from the camera to the centre. Satellites look from within some 30 degrees of the nadir, where functions of low degree
 //! hardly change: as they are, they would be the constant once more. As differences they leave `F_k` what is seen from straight above.
 //! Nothing is clamped.
-//!
-//! With `pointing` every image also has a shift against its camera, so that images which do not lie on each other are moved
-//! until they do. What all images share of it would move the scene instead, so it is left out.
 
 mod facing;
 mod harmonics;
 mod lighting;
 
-use super::sight::rate_of_degree;
 use super::{Context, NamedLoss, Parameters, SceneModel, Seen};
-use crate::gaussians::{FEATURES, GroupSpec};
+use crate::gaussians::FEATURES;
 use crate::light::Light;
 use crate::loss::shadow::{opaqueness, prior};
+use crate::optim::{LearningRate, ParameterGroup};
 use crate::raster::Raster;
 use crate::shade::sh;
 use crate::splat::{MapGradients, Maps};
@@ -63,8 +60,6 @@ pub struct ShadowGsOptions {
     pub opaqueness_weight: f32,
     /// Weight of the shadow prior, for views that bring one.
     pub prior_weight: f32,
-    /// A shift of each image against its camera.
-    pub pointing: bool,
     /// Largest degree of the spherical harmonics of albedo and near-surface light, 0 to 3; 0: the same from everywhere.
     pub degree: usize,
 }
@@ -83,7 +78,6 @@ impl Default for ShadowGsOptions {
             facing: true,
             opaqueness_weight: 0.3,
             prior_weight: 0.0,
-            pointing: false,
             degree: 0,
         }
     }
@@ -108,12 +102,10 @@ pub const OFFSET: usize = 2;
 
 /// Learning rate of albedo and near-surface light.
 const ALBEDO_RATE: f32 = 5e-3;
-/// Name of the group of the images' shifts, the last of the global table.
-const POINTING: &str = "pointing";
-/// Share of training after which images are moved.
-const POINTING_FROM: f32 = 0.2;
-/// Learning rate of the shifts then, pixels.
-const POINTING_RATE_PX: f32 = 0.01;
+/// Learning rate of the images' skies, before the softplus.
+const SKY_RATE: f32 = 1e-2;
+/// Learning rate of the images' colour matrices and offsets.
+const COLOUR_RATE: f32 = 2e-3;
 
 /// `ln(1 + e^x)` without overflow.
 #[inline]
@@ -230,11 +222,6 @@ impl ShadowGs {
         )
     }
 
-    fn pointing_group(&self) -> Option<usize> {
-        let colours = if self.options.image_colour { 2 } else { 0 };
-        self.options.pointing.then_some(SKY + 1 + colours)
-    }
-
     fn near_channel(&self) -> Option<usize> {
         self.options.near_light.then_some(self.options.bands + 1)
     }
@@ -245,61 +232,29 @@ impl SceneModel for ShadowGs {
         "shadow_gs"
     }
 
-    fn feature_groups(&self) -> Vec<GroupSpec> {
-        let mut groups = vec![GroupSpec::new("albedo", self.options.bands)];
+    fn feature_parameters(&self) -> Vec<ParameterGroup> {
+        let (bands, rate) = (self.options.bands, LearningRate::constant(ALBEDO_RATE));
+        let mut groups = vec![ParameterGroup::new("albedo", bands, rate)];
         if self.options.near_light {
-            groups.push(GroupSpec::new("near_light", self.options.bands));
+            groups.push(ParameterGroup::new("near_light", bands, rate));
         }
         groups.extend(harmonics::groups(&self.options));
         groups
     }
 
-    fn global_groups(&self) -> Vec<GroupSpec> {
+    fn global_parameters(&self) -> Vec<ParameterGroup> {
         let ShadowGsOptions { bands, images, .. } = self.options;
-        let mut groups = vec![GroupSpec::new("sky", images * bands)];
+        let colour = LearningRate::constant(COLOUR_RATE);
+        let mut groups = vec![ParameterGroup::new(
+            "sky",
+            images * bands,
+            LearningRate::constant(SKY_RATE),
+        )];
         if self.options.image_colour {
-            groups.push(GroupSpec::new("image_colour", images * bands * bands));
-            groups.push(GroupSpec::new("image_offset", images * bands));
-        }
-        if self.options.pointing {
-            groups.push(GroupSpec::new(POINTING, images * 2));
+            groups.push(ParameterGroup::new("image_colour", images * bands * bands, colour));
+            groups.push(ParameterGroup::new("image_offset", images * bands, colour));
         }
         groups
-    }
-
-    fn learning_rate(&self, group: &str, progress: f32) -> f32 {
-        if let Some(degree) = harmonics::degree_of(group) {
-            return ALBEDO_RATE * rate_of_degree(degree, progress);
-        }
-        match group {
-            // Not before surfaces and colours have settled, and ever more gently.
-            POINTING if progress < POINTING_FROM => 0.0,
-            POINTING => POINTING_RATE_PX * (1.0 - progress),
-            "albedo" | "near_light" => ALBEDO_RATE,
-            "sky" => 1e-2,
-            _ => 2e-3,
-        }
-    }
-
-    fn pointing(&self, parameters: &Parameters, appearance: usize) -> [f32; 2] {
-        let Some(group) = self.pointing_group() else {
-            return [0.0; 2];
-        };
-        let shifts = parameters.globals.group(group);
-        let images = self.options.images as f32;
-        [0, 1].map(|axis| {
-            let shared: f32 = shifts.iter().skip(axis).step_by(2).sum();
-            shifts[appearance * 2 + axis] - shared / images
-        })
-    }
-
-    fn pointing_backward(&self, appearance: usize, d_pointing: [f32; 2], grads: &mut Parameters) {
-        let Some(group) = self.pointing_group() else { return };
-        let images = self.options.images as f32;
-        for (place, slot) in grads.globals.group_mut(group).iter_mut().enumerate() {
-            let own = if place / 2 == appearance { 1.0 } else { 0.0 };
-            *slot += d_pointing[place % 2] * (own - 1.0 / images);
-        }
     }
 
     fn channels(&self) -> usize {

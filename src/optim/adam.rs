@@ -16,9 +16,6 @@ pub struct Adam {
     pub second: Table,
     /// Steps taken.
     pub steps: u32,
-    /// Whether elements without any gradient in a group stay as they are there, memory included, instead of coasting.
-    #[serde(default)]
-    pub sparse: bool,
 }
 
 impl Adam {
@@ -28,7 +25,6 @@ impl Adam {
             first: parameters.zeros_like(),
             second: parameters.zeros_like(),
             steps: 0,
-            sparse: false,
         }
     }
 
@@ -37,7 +33,6 @@ impl Adam {
         self.steps += 1;
         let correction1 = 1.0 - BETA1.powi(self.steps as i32);
         let correction2 = (1.0 - BETA2.powi(self.steps as i32)).sqrt();
-        let sparse = self.sparse;
         for (group, &rate) in rates.iter().enumerate() {
             if rate == 0.0 {
                 continue;
@@ -49,30 +44,15 @@ impl Adam {
             let gradients = gradients.group(group).par_chunks(chunk);
             let first = self.first.group_mut(group).par_chunks_mut(chunk);
             let second = self.second.group_mut(group).par_chunks_mut(chunk);
-            let descend = |values: &mut [f32], gradients: &[f32], first: &mut [f32], second: &mut [f32]| {
-                for (((p, &g), m), v) in values.iter_mut().zip(gradients).zip(first).zip(second) {
-                    *m = BETA1 * *m + (1.0 - BETA1) * g;
-                    *v = BETA2 * *v + (1.0 - BETA2) * g * g;
-                    *p -= step * *m / (v.sqrt() / correction2 + EPSILON);
-                }
-            };
             values
                 .zip(gradients)
                 .zip(first)
                 .zip(second)
                 .for_each(|(((values, gradients), first), second)| {
-                    if !sparse {
-                        return descend(values, gradients, first, second);
-                    }
-                    let elements = values
-                        .chunks_mut(width)
-                        .zip(gradients.chunks(width))
-                        .zip(first.chunks_mut(width))
-                        .zip(second.chunks_mut(width));
-                    for (((values, gradients), first), second) in elements {
-                        if gradients.iter().any(|&g| g != 0.0) {
-                            descend(values, gradients, first, second);
-                        }
+                    for (((p, &g), m), v) in values.iter_mut().zip(gradients).zip(first).zip(second) {
+                        *m = BETA1 * *m + (1.0 - BETA1) * g;
+                        *v = BETA2 * *v + (1.0 - BETA2) * g * g;
+                        *p -= step * *m / (v.sqrt() / correction2 + EPSILON);
                     }
                 });
         }
@@ -91,19 +71,11 @@ impl Adam {
     }
 }
 
-/// `from · (to / from)^fraction`: a learning rate that falls by a constant factor per step; `fraction` 0 to 1. Nothing stays
-/// nothing.
-pub fn exponential_decay(from: f32, to: f32, fraction: f32) -> f32 {
-    if from == 0.0 {
-        return 0.0;
-    }
-    from * (to / from).powf(fraction.clamp(0.0, 1.0))
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
     use crate::gaussians::GroupSpec;
+    use crate::optim::schedule::exponential_decay;
 
     #[test]
     fn a_quadratic_is_descended_to_its_minimum() {
@@ -132,33 +104,5 @@ mod tests {
         gradients.group_mut(0)[0] = 1.0;
         Adam::new(&parameters.clone()).step(&mut parameters, &gradients, &[0.0]);
         assert_eq!(parameters.group(0), &[0.0]);
-    }
-
-    #[test]
-    fn a_rate_of_zero_decays_to_zero_and_not_to_no_number() {
-        assert_eq!(exponential_decay(0.0, 0.0, 0.3), 0.0);
-        assert_eq!(exponential_decay(0.5, 0.0, 0.0), 0.5);
-    }
-
-    #[test]
-    fn what_was_not_seen_stays_when_sparse_and_coasts_otherwise() {
-        let seen_once = |sparse: bool| {
-            let mut parameters = Table::zeros(vec![GroupSpec::new("x", 2)], 2);
-            let mut adam = Adam {
-                sparse,
-                ..Adam::new(&parameters)
-            };
-            let mut gradients = parameters.zeros_like();
-            gradients.group_mut(0).copy_from_slice(&[1.0, 0.0, 1.0, 1.0]);
-            adam.step(&mut parameters, &gradients, &[0.1]);
-            let after_one = parameters.group(0).to_vec();
-            gradients.group_mut(0)[..2].fill(0.0);
-            adam.step(&mut parameters, &gradients, &[0.1]);
-            (after_one, parameters.group(0).to_vec())
-        };
-        let (once, twice) = seen_once(true);
-        assert!(once[..2] == twice[..2] && once[2..] != twice[2..]);
-        let (once, twice) = seen_once(false);
-        assert!(once[0] != twice[0]);
     }
 }

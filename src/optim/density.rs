@@ -1,8 +1,9 @@
-//! Density control: more Gaussians where the image pulls, none where nothing is seen.
+//! Adaptive density control (Kerbl et al. 2023): more Gaussians where the image needs detail, none where nothing is seen.
 //!
-//! The pull is the mean length of a splat's gradient in the image (Kerbl et al. 2023). Above a threshold a Gaussian larger
-//! than the split size becomes two of a smaller one, a small one is doubled; faint and oversized ones go. A cap on the
-//! number, which follows from the memory budget, takes the strongest pulls first. No opacity reset (ShadowGS).
+//! The criterion is the mean 2-D positional gradient of a Gaussian: the mean length of its splats' gradients to column and row. Above a
+//! threshold a Gaussian larger than the split size is split in two smaller ones, a small one is cloned; transparent and oversized ones
+//! are pruned. A cap on the number, which follows from the memory budget, takes the largest gradients first. No opacity reset
+//! (ShadowGS).
 
 use crate::gaussians::{LOG_SCALE, OPACITY, POSITION, Table};
 use crate::splat::{Projected, SplatGradient};
@@ -10,50 +11,59 @@ use glam::Vec3;
 use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg32;
 
+/// Last step at which the number changes, as a fraction of all: what is new has the rest to settle.
+pub(crate) const UNTIL_FRACTION: f32 = 0.6;
+/// Below this opacity a Gaussian goes: it takes a fiftieth of the light at most, and costs as much as any.
+const PRUNE_OPACITY: f32 = 0.02;
+
 /// When and how the number of Gaussians changes.
+///
+/// Fields that serde skips are no settings of users: they belong to the kind of scene, and the program sets them. Their defaults are
+/// those of ground seen from satellites.
 #[derive(Debug, Clone, PartialEq, serde::Serialize, serde::Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct DensityOptions {
-    /// Steps between two looks; 0 is never.
+    /// Steps between two rounds of density control; 0 is never. `fast` has none, `balanced` and objects one every 100 steps.
     pub every: usize,
-    /// First step.
-    pub from: usize,
-    /// Last step, as a fraction of all.
-    pub until_fraction: f32,
-    /// Fraction of the Gaussians that may be added at one look, strongest pulls first.
-    pub growth: f32,
-    /// Pull (per pixel, on a loss that is a mean over pixels times the pixels) below which nothing grows.
-    pub pull: f32,
-    /// Larger than this many ground sampling distances: split instead of double.
-    pub split_gsd: f32,
-    /// Below this opacity a Gaussian goes.
-    pub prune_opacity: f32,
-    /// Larger than this many ground sampling distances: goes.
-    pub prune_gsd: f32,
-    /// At most this many Gaussians.
+    /// At most this many Gaussians: 20,000 in `fast` of objects, 150,000 in `accurate`; `--memory` may lower it.
     pub cap: usize,
+    /// First step.
+    #[serde(skip)]
+    pub from: usize,
+    /// Fraction of the Gaussians that may be added at a time, largest gradients first.
+    #[serde(skip)]
+    pub growth: f32,
+    /// Mean 2-D positional gradient below which nothing grows; per pixel, of a loss that is a mean over pixels times the pixels.
+    #[serde(skip)]
+    pub gradient_threshold: f32,
+    /// Larger than this many ground sampling distances: split instead of cloned.
+    #[serde(skip)]
+    pub split_gsd: f32,
+    /// Larger than this many ground sampling distances: pruned.
+    #[serde(skip)]
+    pub prune_gsd: f32,
 }
 
 impl Default for DensityOptions {
     fn default() -> Self {
         Self {
             every: 300,
-            from: 300,
-            until_fraction: 0.6,
-            growth: 0.05,
-            pull: 0.2,
-            split_gsd: 1.2,
-            prune_opacity: 0.02,
-            prune_gsd: 12.0,
             cap: 2_000_000,
+            from: 0,
+            growth: 0.05,
+            gradient_threshold: 0.2,
+            split_gsd: 1.2,
+            prune_gsd: 12.0,
         }
     }
 }
 
-/// What was seen of each Gaussian since the last look.
+/// Gradients of each Gaussian since the table was last rebuilt.
 #[derive(Debug, Clone, Default, PartialEq, serde::Serialize, serde::Deserialize)]
 pub struct DensityStatistics {
-    pull: Vec<f32>,
+    /// Sum of the lengths of the 2-D positional gradients, per pixel.
+    gradient: Vec<f32>,
+    /// Views that saw it.
     seen: Vec<u32>,
 }
 
@@ -64,39 +74,39 @@ pub struct Rebuild {
     pub sources: Vec<u32>,
     /// From here on, elements are new.
     pub fresh: usize,
-    /// Elements that went.
+    /// Elements that were pruned.
     pub pruned: usize,
 }
 
 impl DensityStatistics {
-    /// Nothing seen, for `count` Gaussians.
+    /// Empty statistics of `count` Gaussians.
     pub fn new(count: usize) -> Self {
         Self {
-            pull: vec![0.0; count],
+            gradient: vec![0.0; count],
             seen: vec![0; count],
         }
     }
 
     /// Whether this is about `count` Gaussians.
     pub(crate) fn fits(&self, count: usize) -> bool {
-        self.pull.len() == count && self.seen.len() == count
+        self.gradient.len() == count && self.seen.len() == count
     }
 
     /// Adds one view; `pixels` turns the gradient of a mean over pixels into one per pixel.
     pub fn add(&mut self, projected: &Projected, grads: &[SplatGradient], pixels: usize) {
-        // A step with numbers that are not finite is rejected: it must leave nothing behind here either.
+        // A step with numbers that are not finite is rejected, so its gradients must not count here either.
         let sound = projected
             .gaussian
             .iter()
             .zip(grads)
             .filter(|(_, d)| (d.col * d.col + d.row * d.row).is_finite());
         for (&g, d) in sound {
-            self.pull[g as usize] += (d.col * d.col + d.row * d.row).sqrt() * pixels as f32;
+            self.gradient[g as usize] += (d.col * d.col + d.row * d.row).sqrt() * pixels as f32;
             self.seen[g as usize] += 1;
         }
     }
 
-    /// Rebuilds `gaussians` and forgets what was seen.
+    /// Prunes, splits and clones `gaussians`, and starts new statistics. `bounds` in metres; what lies outside is pruned.
     pub fn apply(
         &mut self,
         gaussians: &mut Table,
@@ -106,11 +116,15 @@ impl DensityStatistics {
         seed: u64,
     ) -> Rebuild {
         let keep: Vec<u32> = (0..gaussians.count as u32)
-            .filter(|&i| keeps(gaussians, i as usize, options, gsd_m, bounds))
+            .filter(|&i| is_kept(gaussians, i as usize, options, gsd_m, bounds))
             .collect();
-        let pull = |i: u32| self.pull[i as usize] / self.seen[i as usize].max(1) as f32;
-        let mut grow: Vec<u32> = keep.iter().copied().filter(|&i| pull(i) > options.pull).collect();
-        grow.sort_by(|&a, &b| pull(b).total_cmp(&pull(a)).then(a.cmp(&b)));
+        let gradient = |i: u32| self.gradient[i as usize] / self.seen[i as usize].max(1) as f32;
+        let mut grow: Vec<u32> = keep
+            .iter()
+            .copied()
+            .filter(|&i| gradient(i) > options.gradient_threshold)
+            .collect();
+        grow.sort_by(|&a, &b| gradient(b).total_cmp(&gradient(a)).then(a.cmp(&b)));
         let room = options
             .cap
             .saturating_sub(keep.len())
@@ -129,7 +143,7 @@ impl DensityStatistics {
         }
         let mut random = Pcg32::seed_from_u64(seed);
         for (n, &source) in grow.iter().enumerate() {
-            part(
+            split_or_clone(
                 &mut rebuilt,
                 place_of[source as usize] as usize,
                 fresh + n,
@@ -143,17 +157,17 @@ impl DensityStatistics {
     }
 }
 
-fn keeps(gaussians: &Table, index: usize, options: &DensityOptions, gsd_m: f32, bounds: (Vec3, Vec3)) -> bool {
+fn is_kept(gaussians: &Table, index: usize, options: &DensityOptions, gsd_m: f32, bounds: (Vec3, Vec3)) -> bool {
     let position = gaussians.position(index);
     let inside = position.cmpge(bounds.0).all() && position.cmple(bounds.1).all();
     inside
-        && gaussians.opacity(index) > options.prune_opacity
+        && gaussians.opacity(index) > PRUNE_OPACITY
         && gaussians.scale(index).max_element() < options.prune_gsd * gsd_m
 }
 
-/// Makes two of one: a large Gaussian is split along its longest axis, a small one doubled where it stands, each of the two
-/// with the opacity that lets both together take what the one took.
-fn part(table: &mut Table, old: usize, new: usize, split_m: f32, random: &mut Pcg32) {
+/// Makes two Gaussians of one, larger than `split_m` metres or not: a large one is split along its longest axis, a small one cloned in
+/// place, each of the two with the opacity with which both together absorb what the one did.
+fn split_or_clone(table: &mut Table, old: usize, new: usize, split_m: f32, random: &mut Pcg32) {
     let scale = table.scale(old);
     let longest = if scale.x >= scale.y && scale.x >= scale.z {
         0
@@ -199,11 +213,11 @@ mod tests {
     const BOUNDS: (Vec3, Vec3) = (Vec3::splat(-100.0), Vec3::splat(100.0));
 
     #[test]
-    fn faint_gaussians_go_and_pulled_ones_are_parted() {
+    fn transparent_gaussians_are_pruned_and_those_with_large_gradients_split() {
         let mut gaussians = table();
         gaussians.group_mut(OPACITY)[1] = logit(0.001);
         let mut statistics = DensityStatistics::new(3);
-        statistics.pull = vec![0.0, 9.0, 9.0];
+        statistics.gradient = vec![0.0, 9.0, 9.0];
         statistics.seen = vec![1; 3];
         let options = DensityOptions {
             growth: 1.0,
@@ -228,7 +242,7 @@ mod tests {
     fn the_cap_holds() {
         let mut gaussians = table();
         let mut statistics = DensityStatistics::new(3);
-        statistics.pull = vec![9.0; 3];
+        statistics.gradient = vec![9.0; 3];
         statistics.seen = vec![1; 3];
         let options = DensityOptions {
             growth: 10.0,

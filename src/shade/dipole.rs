@@ -1,4 +1,4 @@
-//! Light that enters a translucent surface here and leaves it there: the standard dipole (Jensen et al. 2001).
+//! Subsurface scattering of a translucent half space: the standard dipole (Jensen et al. 2001).
 //!
 //! ```text
 //! R(r) = α'/(4π) [ z_r (1 + σ_tr d_r) e^(-σ_tr d_r) / d_r³  +  z_v (1 + σ_tr d_v) e^(-σ_tr d_v) / d_v³ ]
@@ -19,7 +19,7 @@ const MOST: f32 = 1e9;
 /// Depths of transport beyond which nothing arrives: `e^-80` is 2e-35.
 const FAR: f32 = 80.0;
 
-/// What is under a surface.
+/// Optical coefficients of the medium under a surface.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Medium {
     /// Reduced scattering coefficient, per length.
@@ -73,11 +73,11 @@ impl Medium {
         let albedo = s / extinction;
         let depth = 1.0 / extinction;
         let transport = (3.0 * a * extinction).sqrt();
-        let mirrored = 1.0 + 4.0 / 3.0 * A;
+        let virtual_depth_ratio = 1.0 + 4.0 / 3.0 * A;
         let (real, real_r, real_z, real_s) = pole(r, depth, transport);
-        let (virt, virt_r, virt_z, virt_s) = pole(r, depth * mirrored, transport);
+        let (virt, virt_r, virt_z, virt_s) = pole(r, depth * virtual_depth_ratio, transport);
         let (unit, sum) = (albedo / (4.0 * PI), real + virt);
-        let to_depth = unit * (real_z + virt_z * mirrored);
+        let to_depth = unit * (real_z + virt_z * virtual_depth_ratio);
         let to_transport_square = unit * (real_s + virt_s);
         // Both coefficients are in the extinction: d depth = -depth², d transport² = 3 a.
         let both = -to_depth * depth * depth + to_transport_square * 3.0 * a;
@@ -89,13 +89,6 @@ impl Medium {
             absorption: -to_albedo * (s * depth) * depth + both + to_transport_square * 3.0 * extinction,
         }
     }
-
-    /// All light that leaves per light that enters: the integral of the profile over the plane, in closed form.
-    pub fn reflectance(&self) -> f32 {
-        let albedo = self.scattering / (self.scattering + self.absorption);
-        let q = (3.0 * (1.0 - albedo)).sqrt();
-        0.5 * albedo * (1.0 + (-4.0 / 3.0 * A * q).exp()) * (-q).exp()
-    }
 }
 
 #[cfg(test)]
@@ -103,6 +96,13 @@ mod tests {
     use super::*;
 
     const GRID: [f32; 5] = [0.05, 0.3, 1.0, 2.05, 10.0];
+
+    /// All light that leaves per light that enters: the integral of the profile over the plane, in closed form.
+    fn reflectance(medium: &Medium) -> f32 {
+        let albedo = medium.scattering / (medium.scattering + medium.absorption);
+        let q = (3.0 * (1.0 - albedo)).sqrt();
+        0.5 * albedo * (1.0 + (-4.0 / 3.0 * A * q).exp()) * (-q).exp()
+    }
 
     /// `∫ 2π r R(r) dr` with `r = z sinh t`: Simpson's rule is exact to rounding on the smooth, falling integrand.
     fn integral(medium: &Medium) -> f64 {
@@ -123,7 +123,7 @@ mod tests {
         for scattering in GRID {
             for absorption in GRID {
                 let medium = Medium { scattering, absorption };
-                let (found, exact) = (integral(&medium), f64::from(medium.reflectance()));
+                let (found, exact) = (integral(&medium), f64::from(reflectance(&medium)));
                 assert!(
                     (found - exact).abs() < 1e-6 * exact,
                     "{medium:?}: {found} {exact} {:e}",
@@ -136,7 +136,7 @@ mod tests {
     #[test]
     fn the_closed_form_has_its_published_values() {
         for (scattering, absorption, expected) in [(2.0, 0.05, 0.518), (10.0, 0.1, 0.646)] {
-            let found = Medium { scattering, absorption }.reflectance();
+            let found = reflectance(&Medium { scattering, absorption });
             assert!((found - expected).abs() < 1e-3, "{found}");
         }
         let f = -1.440 / (ETA * ETA) + 0.710 / ETA + 0.668 + 0.0636 * ETA;

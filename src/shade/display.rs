@@ -1,14 +1,14 @@
-//! Light to what a display is told, and back (sRGB, IEC 61966-2-1). Above one the curve goes on.
+//! The transfer curve of sRGB (IEC 61966-2-1): linear light to display values and back. Values above one follow the same curve.
 
-/// Where the curve stops being a line.
-const LINE: f32 = 0.003_130_8;
-/// The same, told.
-const TOLD: f32 = 0.040_45;
+/// Linear light up to which the curve is a line.
+const LINEAR_END: f32 = 0.003_130_8;
+/// The display value there.
+const LINEAR_END_ENCODED: f32 = 0.040_45;
 
 /// The display value of light, and its slope.
 #[inline]
 pub fn encode(light: f32) -> (f32, f32) {
-    if light <= LINE {
+    if light <= LINEAR_END {
         return (12.92 * light, 12.92);
     }
     let power = light.powf(1.0 / 2.4);
@@ -18,7 +18,7 @@ pub fn encode(light: f32) -> (f32, f32) {
 /// The light that a display value stands for.
 #[inline]
 pub fn decode(value: f32) -> f32 {
-    if value <= TOLD {
+    if value <= LINEAR_END_ENCODED {
         value / 12.92
     } else {
         ((value + 0.055) / 1.055).powf(2.4)
@@ -37,10 +37,10 @@ mod tests {
     }
 
     #[test]
-    fn what_is_told_is_read_back_and_the_slope_is_that_of_the_curve() {
+    fn encoding_is_inverted_and_its_slope_is_that_of_the_curve() {
         for light in [0.0f32, 0.001, 0.0031, 0.0032, 0.05, 0.5, 1.0, 3.0] {
-            let (told, slope) = encode(light);
-            assert!((decode(told) - light).abs() < 1e-5 * (1.0 + light), "{light}");
+            let (encoded, slope) = encode(light);
+            assert!((decode(encoded) - light).abs() < 1e-5 * (1.0 + light), "{light}");
             let step = 1e-4 * (light + 1e-3);
             let numeric =
                 (f64::from(encode(light + step).0) - f64::from(encode(light - step).0)) / (2.0 * f64::from(step));

@@ -1,14 +1,14 @@
-//! How light falls off with the distance to a lamp that has a size.
+//! Distance falloff of a light that has a size.
 
-/// Radius that every lamp has at least, as a share of the distance at which it counts as one: it may stand in the very place of a
+/// Least radius of a point light, as a share of the distance at which it counts as one: the light may be at the very position of a
 /// Gaussian, and nothing is lit without bounds.
 pub const LEAST_RADIUS: f32 = 1e-3;
 
-/// `D² / (d² + r²)` at distance `d` from a lamp of radius `r` that counts as one at distance `D`, and its slope to `d`.
+/// `D² / (d² + r²)` at distance `d` from a light of radius `r` that counts as one at distance `D`, and its slope to `d`.
 #[inline]
-pub fn falloff(away: f32, distance: f32, radius: f32) -> (f32, f32) {
+pub fn falloff(to_light: f32, distance: f32, radius: f32) -> (f32, f32) {
     // In units of D: its square may not be a number.
-    let (d, r) = (away / distance, (radius / distance).max(LEAST_RADIUS));
+    let (d, r) = (to_light / distance, (radius / distance).max(LEAST_RADIUS));
     let value = 1.0 / (d * d + r * r);
     (value, -2.0 * d * value * value / distance)
 }
@@ -29,14 +29,14 @@ mod tests {
 
     #[test]
     fn its_slope_is_that_of_the_value() {
-        for away in [0.01f32, 0.5, 3.0, 40.0] {
+        for to_light in [0.01f32, 0.5, 3.0, 40.0] {
             let exact = |d: f64| 9.0 / (d * d + 0.25);
-            let (d, step) = (f64::from(away), 1e-6);
+            let (d, step) = (f64::from(to_light), 1e-6);
             let numeric = (exact(d + step) - exact(d - step)) / (2.0 * step);
-            let slope = f64::from(falloff(away, 3.0, 0.5).1);
+            let slope = f64::from(falloff(to_light, 3.0, 0.5).1);
             assert!(
                 (slope - numeric).abs() < 1e-5 * numeric.abs(),
-                "{away}: {slope} {numeric}"
+                "{to_light}: {slope} {numeric}"
             );
         }
     }

@@ -30,10 +30,10 @@ pub fn masking(w: Vec3, alpha: [f32; 2]) -> f32 {
     2.0 * cosine / (cosine + stretched).max(1e-12)
 }
 
-/// Schlick's reflectance (1994) of what reflects `head_on`, at the cosine between light and half vector.
+/// Schlick's Fresnel reflectance (1994) with reflectance `f0` at normal incidence, at the cosine between light and half vector.
 #[inline]
-pub fn schlick(head_on: f32, cosine: f32) -> f32 {
-    head_on + (1.0 - head_on) * (1.0 - cosine).clamp(0.0, 1.0).powi(5)
+pub fn schlick(f0: f32, cosine: f32) -> f32 {
+    f0 + (1.0 - f0) * (1.0 - cosine).clamp(0.0, 1.0).powi(5)
 }
 
 /// `D G / (4 (n·l) (n·v))` times `n·l`, for unit vectors to light and eye in the frame of the surface: what reflects, but for

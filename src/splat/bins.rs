@@ -1,16 +1,16 @@
-//! Listing splats by tile, front to back.
+//! Binning of splats to tiles: per tile a list of its splats, front to back.
 //!
-//! Chunks of splats are dealt to rows of tiles; each row of tiles sorts its splats by depth and deals them to its tiles in
+//! Chunks of splats are binned to rows of tiles; each row of tiles sorts its splats by depth and bins them to its tiles in
 //! that order. Every stage runs in parallel, on memory that fits a cache, and gives the same lists for any number of threads.
 
 use super::project::Splat;
-use crate::deal::{RowList, Rows, Span, cell_starts, cut_rows};
+use crate::binning::{CellSpan, RowBins, RowList, cell_starts, split_rows};
 use rayon::prelude::*;
 use std::sync::atomic::{AtomicU32, Ordering};
 
 /// Columns of a tile, pixels. Wide tiles: fewer splats lie in two, and a row stays in few lines of the cache.
 pub const TILE_WIDTH: usize = 32;
-/// Rows of a tile, pixels.
+/// RowBins of a tile, pixels.
 pub const TILE_HEIGHT: usize = 16;
 
 /// Per-tile lists of splats, front to back; equal depths in the order of their splats.
@@ -18,7 +18,7 @@ pub const TILE_HEIGHT: usize = 16;
 pub struct Bins {
     /// Tiles per row of tiles.
     pub columns: usize,
-    /// Rows of tiles.
+    /// RowBins of tiles.
     pub rows: usize,
     /// `starts[t]..starts[t + 1]` is the part of `list` of tile `t`.
     pub starts: Vec<u32>,
@@ -35,8 +35,8 @@ pub struct Bins {
 pub struct Entry {
     /// Which splat.
     pub splat: u32,
-    /// Where what the tile has to say about it stands: like the list tile after tile, but by index within a tile, so that
-    /// neighbours in the table of splats are neighbours in memory.
+    /// Index of the gradient record that the tile writes for it: like the list tile after tile, but by index within a tile, so
+    /// that neighbours in the table of splats are neighbours in memory.
     pub record: u32,
 }
 
@@ -72,18 +72,18 @@ fn sort_by_upper_half(keys: &mut Vec<u64>) {
     }
 }
 
-fn span(splat: &Splat, columns: usize, rows: usize) -> Span {
-    Span {
+fn span(splat: &Splat, columns: usize, rows: usize) -> CellSpan {
+    CellSpan {
         columns: tile_span(splat.col, splat.half[0], TILE_WIDTH, columns),
         rows: tile_span(splat.row, splat.half[1], TILE_HEIGHT, rows),
     }
 }
 
-fn width(span: &Span) -> u32 {
+fn width(span: &CellSpan) -> u32 {
     u32::from(span.columns.1) - u32::from(span.columns.0)
 }
 
-fn tiles(span: &Span) -> u32 {
+fn tiles(span: &CellSpan) -> u32 {
     width(span) * (u32::from(span.rows.1) - u32::from(span.rows.0))
 }
 
@@ -100,18 +100,18 @@ fn tile_span(centre: f32, half: f32, size: usize, tiles: usize) -> (u16, u16) {
     (first as u16, end.max(first) as u16)
 }
 
-/// What dealing rows of tiles reads, and where it notes the places of splats.
-struct Deal<'a> {
-    spans: &'a [Span],
+/// Inputs of binning, and the record indices of each splat that it writes.
+struct Binning<'a> {
+    spans: &'a [CellSpan],
     /// Depth above, splat below: what is sorted.
-    keys: Rows<u64>,
+    keys: RowBins<u64>,
     slot_starts: &'a [u32],
     /// Every slot is written once, so the order of threads does not matter.
     slots: &'a [AtomicU32],
 }
 
-impl Deal<'_> {
-    fn span(&self, key: u64) -> &Span {
+impl Binning<'_> {
+    fn span(&self, key: u64) -> &CellSpan {
         &self.spans[key as u32 as usize]
     }
 
@@ -157,7 +157,7 @@ impl Bins {
     /// Lists `splats` for an image of `width × height` pixels.
     pub fn new(splats: &[Splat], width: usize, height: usize) -> Self {
         let (columns, rows) = (width.div_ceil(TILE_WIDTH), height.div_ceil(TILE_HEIGHT));
-        let spans: Vec<Span> = splats
+        let spans: Vec<CellSpan> = splats
             .par_iter()
             .with_min_len(4096)
             .map(|splat| span(splat, columns, rows))
@@ -171,19 +171,22 @@ impl Bins {
         }));
         let slots: Vec<AtomicU32> = (0..total).map(|_| AtomicU32::new(0)).collect();
         let key = |s: usize| u64::from(ordered_bits(splats[s].depth)) << 32 | s as u64;
-        let deal = Deal {
+        let binning = Binning {
             spans: &spans,
-            keys: Rows::new(&spans, rows, key),
+            keys: RowBins::new(&spans, rows, key),
             slot_starts: &slot_starts,
             slots: &slots,
         };
-        let row_starts = (0..rows).into_par_iter().map(|row| deal.starts(row, columns)).collect();
+        let row_starts = (0..rows)
+            .into_par_iter()
+            .map(|row| binning.starts(row, columns))
+            .collect();
         let mut list = Vec::new();
-        let (starts, row_lists) = cut_rows(row_starts, &mut list);
+        let (starts, row_lists) = split_rows(row_starts, &mut list);
         row_lists
             .into_par_iter()
             .with_max_len(1)
-            .for_each(|tiles| deal.fill(tiles));
+            .for_each(|tiles| binning.fill(tiles));
         Self {
             columns,
             rows,

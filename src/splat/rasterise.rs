@@ -18,22 +18,20 @@ pub fn padded_channels(channels: usize) -> usize {
     CHANNEL_COUNTS
         .into_iter()
         .find(|&k| k >= channels)
-        .expect("a scene model asks for at most 16 channels")
+        .expect("a scene model has at most 16 channels")
 }
 
 /// What is composited of depths along rays besides their mean.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Default)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub enum Depths {
     /// Nothing: what training needs.
     #[default]
     Mean,
-    /// Squares, for the spread along a ray.
-    Spread,
-    /// Squares and the median depth, where half of the ray is left: what products need.
+    /// Squares, for the spread along a ray, and the median depth, where half of the ray is left: what products need.
     Median,
 }
 
-/// What a view looks like: composited maps, `[row][column]` planes.
+/// Composited maps of a view, `[row][column]` planes.
 #[derive(Debug, Clone, Default)]
 pub struct Maps {
     /// Columns.
@@ -46,9 +44,9 @@ pub struct Maps {
     pub alpha: Vec<f32>,
     /// `Σ w z`, metres; divide by alpha for the expected depth.
     pub depth: Vec<f32>,
-    /// `Σ w z²`, metres²; empty when it was not asked for.
+    /// `Σ w z²`, metres²; empty unless all depths are composited.
     pub depth_square: Vec<f32>,
-    /// Depth where half of the ray is left, or of its last splat, metres, NaN where nothing is; empty when it was not asked for.
+    /// Depth where half of the ray is left, or of its last splat, metres, NaN where nothing is; empty unless all depths are composited.
     pub median_depth: Vec<f32>,
     /// (splat, pixel) pairs: pixels inside the footprints of the splats, up to where a tile is opaque.
     pub pairs: u64,
@@ -63,8 +61,6 @@ pub struct MapGradients {
     pub alpha: Vec<f32>,
     /// To `Σ w z`.
     pub depth: Vec<f32>,
-    /// To `Σ w z²`; does not count where that was not asked for.
-    pub depth_square: Vec<f32>,
 }
 
 impl MapGradients {
@@ -74,7 +70,6 @@ impl MapGradients {
             channels: vec![vec![0.0; pixels]; channels],
             alpha: vec![0.0; pixels],
             depth: vec![0.0; pixels],
-            depth_square: vec![0.0; pixels],
         }
     }
 }
@@ -173,15 +168,16 @@ impl<'a> Rasteriser<'a> {
     fn forward_k<const K: usize>(&self, features: &[f32]) -> Maps {
         let pixels = self.width * self.height;
         let plane = || vec![0.0f32; pixels];
-        let asked = |depths| if self.depths >= depths { plane() } else { Vec::new() };
+        let all_depths = self.depths == Depths::Median;
+        let optional_plane = || if all_depths { plane() } else { Vec::new() };
         let mut out = Maps {
             width: self.width,
             height: self.height,
             channels: (0..K).map(|_| plane()).collect(),
             alpha: plane(),
             depth: plane(),
-            depth_square: asked(Depths::Spread),
-            median_depth: asked(Depths::Median),
+            depth_square: optional_plane(),
+            median_depth: optional_plane(),
             pairs: 0,
         };
         let Maps {
@@ -224,9 +220,8 @@ impl<'a> Rasteriser<'a> {
             let list = self.bins.tile(tile);
             let splats = &self.projected.splats;
             match self.depths {
-                Depths::Mean => kernel::forward::<K, false, false>(list, splats, features, &frame, &mut maps),
-                Depths::Spread => kernel::forward::<K, true, false>(list, splats, features, &frame, &mut maps),
-                Depths::Median => kernel::forward::<K, true, true>(list, splats, features, &frame, &mut maps),
+                Depths::Mean => kernel::forward::<K, false>(list, splats, features, &frame, &mut maps),
+                Depths::Median => kernel::forward::<K, true>(list, splats, features, &frame, &mut maps),
             }
             for r in 0..frame.height {
                 let start = r * self.width + column * TILE_WIDTH;
@@ -281,9 +276,6 @@ impl<'a> Rasteriser<'a> {
         }
         add(&maps.alpha, &grads.alpha, &mut out.alpha);
         add(&maps.depth, &grads.depth, &mut out.depth);
-        if self.depths >= Depths::Spread {
-            add(&maps.depth_square, &grads.depth_square, &mut out.depth_square);
-        }
     }
 
     fn backward_k<const K: usize>(&self, features: &[f32], maps: &Maps, grads: &MapGradients) -> SplatGradients {
@@ -305,11 +297,7 @@ impl<'a> Rasteriser<'a> {
                 if !list.is_empty() {
                     self.cut_gradients(tile, maps, grads, gradients);
                     let (frame, base) = (self.frame(tile), self.bins.starts[tile]);
-                    if self.depths >= Depths::Spread {
-                        kernel::backward::<K, true>(list, splats, features, &frame, gradients, base, part);
-                    } else {
-                        kernel::backward::<K, false>(list, splats, features, &frame, gradients, base, part);
-                    }
+                    kernel::backward::<K>(list, splats, features, &frame, gradients, base, part);
                 }
             });
         let records = &*records.values();

@@ -1,8 +1,8 @@
-//! Occluders and the hierarchy over their bounds; the only place that speaks `obvhs`.
+//! Occluders and the bounding volume hierarchy over them; the only file that uses `obvhs`.
 //!
 //! A Gaussian occludes inside the ellipsoid of `sqrt(2 ln(o / o_min))` standard deviations (the stretched icosahedron of
 //! 3D Gaussian ray tracing, Moenne-Loccoz et al. 2024, encloses the same ellipsoid); its axis-aligned bounds go into a
-//! binary hierarchy, which is asked for bundles of neighbouring rays, not for single ones.
+//! binary hierarchy, which is traversed by bundles of neighbouring rays, not by single ones.
 
 use crate::gaussians::Table;
 use glam::{Mat3, Vec3, Vec3A};
@@ -15,14 +15,14 @@ use std::time::Duration;
 /// Opacity at which a Gaussian ends for the light.
 pub const OPACITY_MIN: f32 = 0.001;
 
-/// One Gaussian as the light meets it.
+/// One Gaussian as an occluder of light.
 #[derive(Debug, Clone, Copy)]
 pub struct Occluder {
     /// Centre, metres.
     pub position: Vec3,
-    /// `R S`: standard deviations to scene metres.
-    pub spread: Mat3,
-    /// Standard deviations along its own axes, metres: the lengths of the columns of `spread`.
+    /// `R S`, rotation times scales: its columns are the own axes, one standard deviation long, in scene metres.
+    pub scaled_axes: Mat3,
+    /// Standard deviations along its own axes, metres: the lengths of the columns of `scaled_axes`.
     pub scale: Vec3,
     /// Opacity, 0 to 1.
     pub opacity: f32,
@@ -36,13 +36,14 @@ impl Occluder {
         let opacity = gaussians.opacity(index);
         let scale = gaussians.scale(index);
         let rotation = gaussians.rotation(index);
-        let spread = Mat3::from_cols(
+        let scaled_axes = Mat3::from_cols(
             rotation.x_axis * scale.x,
             rotation.y_axis * scale.y,
             rotation.z_axis * scale.z,
         );
         let position = gaussians.position(index);
-        let finite = position.is_finite() && scale.recip().is_finite() && spread.is_finite() && opacity.is_finite();
+        let finite =
+            position.is_finite() && scale.recip().is_finite() && scaled_axes.is_finite() && opacity.is_finite();
         let reach_square = if finite && opacity > OPACITY_MIN {
             2.0 * (opacity / OPACITY_MIN).ln()
         } else {
@@ -50,7 +51,7 @@ impl Occluder {
         };
         Self {
             position,
-            spread,
+            scaled_axes,
             scale,
             opacity,
             reach_square,
@@ -62,9 +63,9 @@ impl Occluder {
     pub fn whiten(&self) -> Mat3 {
         let inverse = (self.scale * self.scale).recip();
         let rows = [
-            self.spread.x_axis * inverse.x,
-            self.spread.y_axis * inverse.y,
-            self.spread.z_axis * inverse.z,
+            self.scaled_axes.x_axis * inverse.x,
+            self.scaled_axes.y_axis * inverse.y,
+            self.scaled_axes.z_axis * inverse.z,
         ];
         Mat3::from_cols(rows[0], rows[1], rows[2]).transpose()
     }
@@ -72,10 +73,10 @@ impl Occluder {
     /// Axis-aligned bounds of its reach.
     fn bounds(&self) -> Aabb {
         if self.reach_square <= 0.0 {
-            // A point that no ray meets; the index must keep its place.
+            // A point that no ray hits; the index must keep its place.
             return Aabb::from_point(Vec3A::from(self.position.clamp(Vec3::splat(-1e18), Vec3::splat(1e18))));
         }
-        let variance = |r: usize| self.spread.row(r).length_squared();
+        let variance = |r: usize| self.scaled_axes.row(r).length_squared();
         let half = Vec3::new(variance(0), variance(1), variance(2)).map(f32::sqrt) * self.reach_square.sqrt();
         Aabb::new(Vec3A::from(self.position - half), Vec3A::from(self.position + half))
     }
@@ -117,7 +118,7 @@ impl Hierarchy {
     fn on(bounds: &[Aabb]) -> Self {
         let mut spent = Duration::default();
         let mut tree = build_bvh2(bounds, BvhBuildParams::fast_build(), &mut spent);
-        // Parents before children: a refit is then one sweep, and a walk goes forward in memory.
+        // Parents before children: a refit is then one sweep, and a traversal goes forward in memory.
         tree.reorder_in_stack_traversal_order();
         let mut rank = vec![0; bounds.len()];
         let leaves = tree.nodes.iter().filter(|node| node.is_leaf());
@@ -148,25 +149,25 @@ impl Hierarchy {
         self.tree.refit_all();
     }
 
-    /// Lists in `found` every Gaussian whose leaf's bounds meet the shaft, in the order of the tree; `pending` is room to work in.
-    pub(super) fn meeting(&self, shaft: &Shaft, pending: &mut Vec<u32>, found: &mut Vec<u32>) {
-        found.clear();
-        pending.clear();
+    /// Lists in `candidates` every Gaussian whose leaf's bounds intersect the shaft, in the order of the tree; `stack` is scratch space.
+    pub(super) fn intersecting(&self, shaft: &Shaft, stack: &mut Vec<u32>, candidates: &mut Vec<u32>) {
+        candidates.clear();
+        stack.clear();
         if self.tree.nodes.is_empty() {
             return;
         }
         let slab = Slab::new(shaft);
-        pending.push(0);
-        while let Some(index) = pending.pop() {
+        stack.push(0);
+        while let Some(index) = stack.pop() {
             let node = &self.tree.nodes[index as usize];
-            if !slab.meets(node.aabb()) {
+            if !slab.intersects(node.aabb()) {
                 continue;
             }
             if node.is_leaf() {
                 let held = leaf_range(node.first_index, node.prim_count);
-                found.extend_from_slice(&self.tree.primitive_indices[held]);
+                candidates.extend_from_slice(&self.tree.primitive_indices[held]);
             } else {
-                pending.extend([node.first_index + 1, node.first_index]);
+                stack.extend([node.first_index + 1, node.first_index]);
             }
         }
     }
@@ -198,7 +199,7 @@ impl Slab {
     }
 
     #[inline(always)]
-    fn meets(&self, bounds: &Aabb) -> bool {
+    fn intersects(&self, bounds: &Aabb) -> bool {
         let a = (bounds.min - self.half - self.centre) * self.inverse;
         let b = (bounds.max + self.half - self.centre) * self.inverse;
         let (near, far) = (a.min(b).max_element(), a.max(b).min_element());
@@ -206,8 +207,7 @@ impl Slab {
     }
 }
 
-/// All Gaussians of a table as the light meets them, as they stood when this was made. The hierarchy over them is built
-/// when it is first asked for.
+/// All Gaussians of a table as occluders, as they were when this was made. The hierarchy over them is built on first use.
 pub struct Occluders {
     /// The occluders, by Gaussian.
     pub list: Vec<Occluder>,
@@ -283,11 +283,11 @@ mod tests {
         table
     }
 
-    fn met(hierarchy: &Hierarchy, shaft: &Shaft) -> Vec<u32> {
-        let (mut pending, mut found) = (Vec::new(), Vec::new());
-        hierarchy.meeting(shaft, &mut pending, &mut found);
-        found.sort_unstable();
-        found
+    fn listed(hierarchy: &Hierarchy, shaft: &Shaft) -> Vec<u32> {
+        let (mut stack, mut candidates) = (Vec::new(), Vec::new());
+        hierarchy.intersecting(shaft, &mut stack, &mut candidates);
+        candidates.sort_unstable();
+        candidates
     }
 
     #[test]
@@ -307,12 +307,12 @@ mod tests {
             // Leaves differ; what truly lies in the shaft must be in both.
             let slab = Slab::new(&shaft);
             let truly: Vec<u32> = (0..500)
-                .filter(|&i| slab.meets(&anew.list[i as usize].bounds()))
+                .filter(|&i| slab.intersects(&anew.list[i as usize].bounds()))
                 .collect();
             assert!(!truly.is_empty());
             for hierarchy in [occluders.hierarchy(), anew.hierarchy()] {
-                let found = met(hierarchy, &shaft);
-                assert!(truly.iter().all(|i| found.binary_search(i).is_ok()), "{direction}");
+                let candidates = listed(hierarchy, &shaft);
+                assert!(truly.iter().all(|i| candidates.binary_search(i).is_ok()), "{direction}");
             }
         }
     }

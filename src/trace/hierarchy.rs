@@ -1,26 +1,27 @@
-//! Light of any kind, by the hierarchy: bundles of neighbouring rays walk it together.
+//! Transmittance toward any light, by the bounding volume hierarchy: bundles of neighbouring rays traverse it together.
 //!
-//! A bundle lists the Gaussians that its shaft may meet and lets its rays pass them, eight at a time; those that some ray met are
-//! kept for the way back. There, what a bundle says to a Gaussian is summed to one record, and the records are joined by
-//! Gaussian in the order of the bundles: no sum is shared between threads.
+//! Forward, a bundle of eight rays lists the Gaussians whose bounds its shaft intersects, tests all its rays against each of them
+//! (`bundle`), and keeps those that some ray hit. Backward, every bundle visits the Gaussians it hit again and sums the contributions
+//! of its rays to one record per Gaussian; the records are by_neighbourhood by ranges of Gaussians and added in the order of the bundles. No sum
+//! is shared between threads, so results do not depend on their number.
 
-mod meet;
+mod bundle;
 
 use super::bvh::{Hierarchy, Occluder, Occluders, Shaft};
 use super::light_ray::LightRay;
-use super::transmittance::{RaysBack, Shade};
+use super::occlusion::{RayGradients, RayTransmittance};
 use crate::gaussians::{CoreGradient, Table, rotation_backward};
 use crate::light::Light;
+use bundle::{BUNDLE, Bundle, Lane, Moments, gather_gradients, trace_bundle};
 use glam::{Mat3, Vec3};
-use meet::{BLOCKS, BUNDLE, Bundle, LANES, Lane, Moments, listen, shade};
 use rayon::prelude::*;
 
 /// Bundles per parallel job; fixed, so that results do not depend on the number of threads.
 const CHUNK: usize = 32;
-/// Occluders per parallel job of the way back.
+/// Occluders per parallel job of the backward pass.
 const RANGE: usize = 2048;
 
-/// Rays in bundles, and what each bundle met.
+/// Rays in bundles, and the Gaussians each bundle hit.
 pub(super) struct HierarchyTrace {
     /// Places of the rays among the origins, neighbours together, [`BUNDLE`] to a bundle.
     order: Vec<u32>,
@@ -30,20 +31,20 @@ pub(super) struct HierarchyTrace {
 /// Some bundles.
 struct Chunk {
     bundles: Vec<Bundle>,
-    /// Where the met of each bundle end; they begin where those of the bundle before end.
-    met_ends: Vec<u32>,
-    met: Vec<u32>,
+    /// Where the hits of each bundle end in `hits`; they begin where those of the bundle before end.
+    hit_ends: Vec<u32>,
+    hits: Vec<u32>,
 }
 
 impl Chunk {
-    fn met_of(&self, bundle: usize) -> &[u32] {
-        let start = if bundle == 0 { 0 } else { self.met_ends[bundle - 1] };
-        &self.met[start as usize..self.met_ends[bundle] as usize]
+    fn hits_of(&self, bundle: usize) -> &[u32] {
+        let start = if bundle == 0 { 0 } else { self.hit_ends[bundle - 1] };
+        &self.hits[start as usize..self.hit_ends[bundle] as usize]
     }
 }
 
 /// Places of `origins` such that neighbours in the scene are neighbours.
-fn sorted(origins: &[u32], hierarchy: &Hierarchy) -> Vec<u32> {
+fn by_neighbourhood(origins: &[u32], hierarchy: &Hierarchy) -> Vec<u32> {
     let mut place_of = vec![u32::MAX; hierarchy.rank.len()];
     let mut again = Vec::new();
     for (place, &origin) in origins.iter().enumerate() {
@@ -60,31 +61,36 @@ fn sorted(origins: &[u32], hierarchy: &Hierarchy) -> Vec<u32> {
 }
 
 impl HierarchyTrace {
-    /// Lets rays toward `light` pass the occluders; returns what each met.
-    pub(super) fn new(occluders: &Occluders, light: &Light, rays: &[LightRay], origins: &[u32]) -> (Self, Vec<Shade>) {
+    /// Traces `rays`, which start from `origins`, toward `light` past all occluders; returns the result of each, too.
+    pub(super) fn new(
+        occluders: &Occluders,
+        light: &Light,
+        rays: &[LightRay],
+        origins: &[u32],
+    ) -> (Self, Vec<RayTransmittance>) {
         let hierarchy = occluders.hierarchy();
-        let order = sorted(origins, hierarchy);
-        let (chunks, shades): (Vec<Chunk>, Vec<Vec<Shade>>) = order
+        let order = by_neighbourhood(origins, hierarchy);
+        let (chunks, results): (Vec<Chunk>, Vec<Vec<RayTransmittance>>) = order
             .par_chunks(CHUNK * BUNDLE)
             .map(|places| trace_chunk(occluders, light, (rays, origins, places)))
             .unzip();
-        let mut in_place = vec![Shade::default(); rays.len()];
-        for (&place, shade) in order.iter().zip(shades.iter().flatten()) {
-            in_place[place as usize] = *shade;
+        let mut in_place = vec![RayTransmittance::default(); rays.len()];
+        for (&place, trace_bundle) in order.iter().zip(results.iter().flatten()) {
+            in_place[place as usize] = *trace_bundle;
         }
         (Self { order, chunks }, in_place)
     }
 
     /// Adds the gradients of the occluders.
-    pub(super) fn backward(&self, gaussians: &Table, occluders: &Occluders, back: &RaysBack, out: &mut Table) {
+    pub(super) fn backward(&self, gaussians: &Table, occluders: &Occluders, gradients: &RayGradients, out: &mut Table) {
         let ranges = gaussians.count.div_ceil(RANGE);
-        let records: Vec<Records> = self
+        let records: Vec<ContributionsByRange> = self
             .chunks
             .par_iter()
             .zip(self.order.par_chunks(CHUNK * BUNDLE))
             .map(|(chunk, places)| {
-                let d_log: Vec<f32> = places.iter().map(|&place| back.d_log[place as usize]).collect();
-                Records::sorted(&said(chunk, &d_log, occluders), ranges)
+                let d_log: Vec<f32> = places.iter().map(|&place| gradients.d_log[place as usize]).collect();
+                ContributionsByRange::new(&contributions(chunk, &d_log, occluders), ranges)
             })
             .collect();
         out.add_core_by_range(RANGE, |range, add| {
@@ -94,7 +100,7 @@ impl HierarchyTrace {
             }
             for (index, moments) in sums.iter().enumerate().filter(|(_, moments)| moments.h != 0.0) {
                 let id = range * RANGE + index;
-                add(index, &of_gaussian(gaussians, &occluders.list[id], id, moments));
+                add(index, &core_gradient(gaussians, &occluders.list[id], id, moments));
             }
         });
     }
@@ -104,29 +110,29 @@ fn trace_chunk(
     occluders: &Occluders,
     light: &Light,
     (rays, origins, places): (&[LightRay], &[u32], &[u32]),
-) -> (Chunk, Vec<Shade>) {
+) -> (Chunk, Vec<RayTransmittance>) {
     let hierarchy = occluders.hierarchy();
     let mut chunk = Chunk {
         bundles: Vec::with_capacity(CHUNK),
-        met_ends: Vec::with_capacity(CHUNK),
-        met: Vec::new(),
+        hit_ends: Vec::with_capacity(CHUNK),
+        hits: Vec::new(),
     };
-    let mut shades = vec![Shade::default(); places.len()];
-    let (mut pending, mut candidates) = (Vec::new(), Vec::new());
-    for (places, shades) in places.chunks(BUNDLE).zip(shades.chunks_mut(BUNDLE)) {
+    let mut results = vec![RayTransmittance::default(); places.len()];
+    let (mut stack, mut candidates) = (Vec::new(), Vec::new());
+    for (places, results) in places.chunks(BUNDLE).zip(results.chunks_mut(BUNDLE)) {
         let of = |l: usize| places.get(l).map(|&p| (&rays[p as usize], origins[p as usize]));
         let bundle = Bundle::new(of);
-        hierarchy.meeting(&shaft(places, rays, light), &mut pending, &mut candidates);
-        shade(&bundle, &candidates, &occluders.list, &mut chunk.met, shades);
-        chunk.met_ends.push(chunk.met.len() as u32);
+        hierarchy.intersecting(&shaft(places, rays, light), &mut stack, &mut candidates);
+        trace_bundle(&bundle, &candidates, &occluders.list, &mut chunk.hits, results);
+        chunk.hit_ends.push(chunk.hits.len() as u32);
         chunk.bundles.push(bundle);
     }
-    (chunk, shades)
+    (chunk, results)
 }
 
-/// What holds the rays at `places` all the way to the light.
+/// The shaft around the rays at `places`, all the way to the light.
 fn shaft(places: &[u32], rays: &[LightRay], light: &Light) -> Shaft {
-    // A start that is no number meets nothing itself; it must not take its neighbours along.
+    // An origin that is not finite hits nothing itself; it must not widen the shaft of its neighbours.
     let starts = places.iter().map(|&place| rays[place as usize].origin);
     let starts = starts.filter(|start| start.is_finite());
     let (low, high) = starts.fold((Vec3::INFINITY, Vec3::NEG_INFINITY), |(low, high), start| {
@@ -142,30 +148,28 @@ fn shaft(places: &[u32], rays: &[LightRay], light: &Light) -> Shaft {
     }
 }
 
-/// What the bundles of a chunk say to the Gaussians they met.
-fn said(chunk: &Chunk, d_log: &[f32], occluders: &Occluders) -> Vec<(u32, Moments)> {
-    let mut records = Vec::with_capacity(chunk.met.len());
+/// Contributions of the bundles of a chunk to the gradients of the Gaussians they hit, bundle after bundle.
+fn contributions(chunk: &Chunk, d_log: &[f32], occluders: &Occluders) -> Vec<(u32, Moments)> {
+    let mut records = Vec::with_capacity(chunk.hits.len());
     for (number, (bundle, values)) in chunk.bundles.iter().zip(d_log.chunks(BUNDLE)).enumerate() {
         if values.iter().all(|&d| d == 0.0) {
             continue;
         }
-        let mut lanes: [Lane; BLOCKS] = [[0.0; LANES]; BLOCKS];
-        for (slot, value) in lanes.as_flattened_mut().iter_mut().zip(values) {
-            *slot = *value;
-        }
-        listen(bundle, &lanes, chunk.met_of(number), &occluders.list, &mut records);
+        let mut lanes: Lane = [0.0; BUNDLE];
+        lanes[..values.len()].copy_from_slice(values);
+        gather_gradients(bundle, &lanes, chunk.hits_of(number), &occluders.list, &mut records);
     }
     records
 }
 
-/// What was said, by ranges of occluders, in its order within each.
-struct Records {
+/// Contributions by_neighbourhood by ranges of occluders, within each in the order in which they were made.
+struct ContributionsByRange {
     starts: Vec<u32>,
-    sorted: Vec<(u32, Moments)>,
+    records: Vec<(u32, Moments)>,
 }
 
-impl Records {
-    fn sorted(records: &[(u32, Moments)], ranges: usize) -> Self {
+impl ContributionsByRange {
+    fn new(records: &[(u32, Moments)], ranges: usize) -> Self {
         let range = |id: u32| id as usize / RANGE;
         let mut starts = vec![0u32; ranges + 1];
         for (id, _) in records {
@@ -175,29 +179,32 @@ impl Records {
             starts[number + 1] += starts[number];
         }
         let mut cursor = starts.clone();
-        let mut sorted = vec![(0, Moments::default()); records.len()];
+        let mut ordered = vec![(0, Moments::default()); records.len()];
         for record in records {
             let place = &mut cursor[range(record.0)];
-            sorted[*place as usize] = *record;
+            ordered[*place as usize] = *record;
             *place += 1;
         }
-        Self { starts, sorted }
+        Self {
+            starts,
+            records: ordered,
+        }
     }
 
     fn of(&self, range: usize) -> &[(u32, Moments)] {
-        &self.sorted[self.starts[range] as usize..self.starts[range + 1] as usize]
+        &self.records[self.starts[range] as usize..self.starts[range + 1] as usize]
     }
 }
 
-/// With `W = S⁻¹Rᵀ` and `n` the nearest point of a ray in the whitened space: `∂/∂p = Wᵀ Σhn`, `∂/∂ ln s_k = Σ h n_k²`, and
+/// Gradient of a Gaussian from its moments: with `W = S⁻¹Rᵀ` and `n` the nearest point of a ray in the whitened space: `∂/∂p = Wᵀ Σhn`, `∂/∂ ln s_k = Σ h n_k²`, and
 /// `∂/∂R = Wᵀ (Σ h n nᵀ) S` up to what a rotation cannot follow.
-fn of_gaussian(gaussians: &Table, occluder: &Occluder, id: usize, moments: &Moments) -> CoreGradient {
+fn core_gradient(gaussians: &Table, occluder: &Occluder, id: usize, moments: &Moments) -> CoreGradient {
     let [nx, ny, nz, xx, xy, xz, yy, yz, zz] = moments.sums;
-    let back = occluder.whiten().transpose();
+    let gradients = occluder.whiten().transpose();
     let square = Mat3::from_cols(Vec3::new(xx, xy, xz), Vec3::new(xy, yy, yz), Vec3::new(xz, yz, zz));
-    let d_rotation = back * square * Mat3::from_diagonal(occluder.scale);
+    let d_rotation = gradients * square * Mat3::from_diagonal(occluder.scale);
     CoreGradient {
-        position: back * Vec3::new(nx, ny, nz),
+        position: gradients * Vec3::new(nx, ny, nz),
         log_scale: Vec3::new(xx, yy, zz),
         rotation: rotation_backward(gaussians.raw_rotation(id), d_rotation),
         // h is ∂L/∂ ln α̃ = ∂L/∂ ln o, and do/dlogit = o (1 - o).

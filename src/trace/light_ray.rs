@@ -1,20 +1,20 @@
-//! The ray from a Gaussian to a light: where it starts, forward and backward.
+//! The ray from a Gaussian to a light: its origin above the surface, forward and backward.
 //!
-//! Self-shadow. A surface is a sheet of overlapping flat Gaussians; a ray that starts inside the sheet meets its own
-//! neighbours. Two rules keep a lit plane lit at every elevation without moving the feet of shadows at ordinary suns:
+//! Self-shadowing: a surface is a sheet of overlapping flat Gaussians, and a ray that starts inside the sheet hits its own
+//! neighbours. Two rules keep a lit plane lit at every elevation without moving the base of shadows under an ordinary sun:
 //! the ray starts above the sheet, lifted along the origin's own thinnest axis (turned to the light) by
 //! `LIFT · σ_min · (1 - cos θ)`, `θ` the angle between that axis and the light, so that a grazing ray clears the
 //! neighbours' whole reach and a steep one hardly moves; and only peaks further along the ray than the origin's own
 //! extent `sqrt(rᵀΣr)` count.
 
 use super::bvh::Occluder;
-use super::transmittance::TraceOptions;
 use crate::gaussians::{CoreGradient, rotation_backward};
 use crate::light::Light;
 use glam::{Mat3, Vec3};
 
-/// Standard deviations that a grazing ray is lifted off its own sheet: the reach of an opaque Gaussian, `sqrt(2 ln 1000)`.
+/// Standard deviations that a grazing ray is lifted off its own surface: the reach of an opaque Gaussian, `sqrt(2 ln 1000)`.
 const LIFT: f32 = 3.717;
+
 /// A ray from a Gaussian toward the light.
 #[derive(Debug, Clone)]
 pub(super) struct LightRay {
@@ -25,7 +25,7 @@ pub(super) struct LightRay {
     lift: Lift,
 }
 
-/// How far and along which own axis a ray was lifted off its sheet.
+/// How far and along which own axis a ray was lifted off its surface.
 #[derive(Debug, Clone)]
 struct Lift {
     thin: usize,
@@ -40,7 +40,7 @@ struct Lift {
 
 impl LightRay {
     /// The ray of a Gaussian toward `light`.
-    pub(super) fn new(gaussian: &Occluder, light: &Light, options: &TraceOptions) -> Self {
+    pub(super) fn new(gaussian: &Occluder, light: &Light) -> Self {
         let (position, scale) = (gaussian.position, gaussian.scale);
         let (direction, distance) = light.seen_from(position);
         let thin = if scale.x <= scale.y && scale.x <= scale.z {
@@ -50,12 +50,12 @@ impl LightRay {
         } else {
             2
         };
-        let own = gaussian.spread.col(thin) / scale[thin];
+        let own = gaussian.scaled_axes.col(thin) / scale[thin];
         let sign = if own.dot(direction) < 0.0 { -1.0 } else { 1.0 };
         let axis = own * sign;
-        let full = options.lift * LIFT * scale[thin];
+        let full = LIFT * scale[thin];
         let height = full * (1.0 - axis.dot(direction));
-        let extent = (gaussian.spread.transpose() * direction).length();
+        let extent = (gaussian.scaled_axes.transpose() * direction).length();
         let lift = Lift {
             thin,
             axis,
@@ -67,14 +67,14 @@ impl LightRay {
             origin: position + axis * height,
             direction,
             length: distance,
-            bias: options.bias_sigmas * extent,
+            bias: extent,
             lift,
         }
     }
 
-    /// Gradient to the origin's parameters from that to the start: `start = position + axis · full · (1 - axis·r)`, `full`
-    /// proportional to the thinnest scale. A ray to a point light turns as the origin moves, `∂r/∂position = -(I - rrᵀ) / length`:
-    /// `d_turn` is what the gradient loses by that along the ray, and the lift follows `r`.
+    /// Gradient to the parameters of the Gaussian that the ray starts from, from that to the ray's start: `start = position + axis ·
+    /// full · (1 - axis·r)`, `full` proportional to the thinnest scale. A ray to a point light turns as its start moves,
+    /// `∂r/∂position = -(I - rrᵀ) / length`: `d_turn` is what the gradient loses by that along the ray, and the lift follows `r`.
     pub(super) fn backward(&self, d_start: Vec3, d_turn: Vec3, raw_rotation: [f32; 4]) -> CoreGradient {
         if d_start == Vec3::ZERO {
             return CoreGradient::default();

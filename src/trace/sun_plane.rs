@@ -1,37 +1,44 @@
-//! Parallel light, answered on a plane: all its rays are points in the plane normal to it.
+//! Transmittance toward parallel light, in the plane normal to the light, where every ray is a point.
 //!
 //! Seen along the light, a Gaussian is an ellipse whose squared Mahalanobis distance is exactly the `‖e×d‖²/‖d‖²` of a ray
-//! (the projected covariance is the marginal one), and its peaks lie on a plane in depth. The ellipses are sorted by their
-//! centres into the cells of a few grids, one for every doubling of their size, so that a ray looks at some whole rows of
-//! cells around it, eight ellipses at a time, one after another in memory. Backward, the rays are sorted the same way and
-//! every ellipse looks at the rays in its box: no hit is ever stored, and every sum has one owner and one order.
+//! (the projected covariance is the marginal one), and the peaks along the rays lie on a plane in depth (`ellipse`).
+//!
+//! *Forward*, [`SunPlaneTrace::new`] projects all Gaussians and sorts the ellipses by their centres into the cells of a few grids
+//! (`cells`), one grid, or level, for every doubling of their size. [`SunPlaneTrace::trace`] then has every ray test the ellipses of
+//! the cells around it, eight at a time, contiguous in memory (`kernels`).
+//!
+//! *Backward* ([`SunPlaneTrace::backward`]), the rays whose gradient is not zero are sorted into cells the same way, and every ellipse
+//! sums the contributions of the rays in its box to its moments, from which the gradient of its Gaussian follows. No hit is ever
+//! stored, and every sum has one owner and one order, so results do not depend on the number of threads.
+//!
+//! Limit: parallel light only; point lights take `hierarchy`.
 
 mod cells;
 mod ellipse;
-mod meet;
+mod kernels;
 
 use super::bvh::{Occluder, Occluders};
 use super::light_ray::LightRay;
-use super::transmittance::{RaysBack, Shade};
+use super::occlusion::{RayGradients, RayTransmittance};
 use crate::gaussians::{CoreGradient, Table, rotation_backward};
 use cells::Cells;
-use ellipse::{Axes, Block, Ellipse, LANES, Moments};
+use ellipse::{Axes, Ellipse, EllipseBlock, EllipseMoments, LANES};
 use glam::{Vec2, Vec3};
-use meet::{RayGrid, gather, shade};
+use kernels::{RayGrid, gather_gradients, trace_rays};
 use rayon::prelude::*;
 use std::sync::atomic::{AtomicU32, Ordering};
 
-/// Sizes that have a grid of their own, each up to twice the one before.
+/// Levels: grids of ellipses of one size, each up to twice that of the level before.
 const LEVELS: usize = 8;
-/// Half sizes of the smallest grid's ellipses at most, in mean half sizes.
+/// Largest half size of the ellipses of the first level, in mean half sizes.
 const SMALLEST: f32 = 2.0;
-/// Columns of cells in half a size: they only cut what a ray looks at, whose cells lie one after another in memory.
-const COLUMNS_PER_HALF: f32 = 4.0;
+/// Columns of cells per half size. Cells of a row are contiguous, so more columns only cut away ellipses that a ray need not test.
+const COLUMNS_PER_HALF_SIZE: f32 = 4.0;
 /// Ellipses and rays per parallel job; fixed, so that results do not depend on the number of threads.
 const CHUNK: usize = 1024;
 const _: () = assert!(CHUNK.is_multiple_of(LANES));
 
-/// A ray on the plane.
+/// A ray in the plane normal to the light.
 #[derive(Debug, Clone, Copy)]
 struct PlaneRay {
     place: Vec2,
@@ -47,26 +54,26 @@ struct Level {
     /// Where they begin in the list of all.
     first: usize,
     /// The largest half sizes.
-    half: Vec2,
+    half_size: Vec2,
 }
 
-/// Gaussians listed by where they stand in the plane normal to a light.
-pub(super) struct PlaneTrace {
+/// Gaussians as ellipses in the plane normal to a light, sorted into grids by size and place.
+pub(super) struct SunPlaneTrace {
     axes: Axes,
     levels: Vec<Level>,
     /// Level after level, cell after cell.
     ellipses: Vec<Ellipse>,
     /// The same, eight at a time.
-    blocks: Vec<Block>,
+    blocks: Vec<EllipseBlock>,
     /// Mean half sizes.
-    half: Vec2,
+    half_size: Vec2,
 }
 
 /// Mean half sizes of the ellipses that exist; chunks are summed side by side, then in their order.
-fn mean_half(all: &[Ellipse]) -> Vec2 {
+fn mean_half_size(all: &[Ellipse]) -> Vec2 {
     let chunk_sum = |chunk: &[Ellipse]| {
         chunk.iter().filter(|e| e.exists()).fold([0.0f64; 3], |[x, y, n], e| {
-            [x + f64::from(e.half.x), y + f64::from(e.half.y), n + 1.0]
+            [x + f64::from(e.half_size.x), y + f64::from(e.half_size.y), n + 1.0]
         })
     };
     let sums: Vec<[f64; 3]> = all.par_chunks(4 * CHUNK).map(chunk_sum).collect();
@@ -75,10 +82,10 @@ fn mean_half(all: &[Ellipse]) -> Vec2 {
     Vec2::new((x / count.max(1.0)) as f32, (y / count.max(1.0)) as f32).max(Vec2::splat(1e-9))
 }
 
-/// The numbers of the ellipses of every level.
-fn by_size(all: &[Ellipse], mean_half: Vec2) -> [Vec<u32>; LEVELS] {
+/// Indices of the ellipses of every level.
+fn by_level(all: &[Ellipse], mean_half_size: Vec2) -> [Vec<u32>; LEVELS] {
     let level = |ellipse: &Ellipse| {
-        let size = (ellipse.half / mean_half).max_element() / SMALLEST;
+        let size = (ellipse.half_size / mean_half_size).max_element() / SMALLEST;
         let doublings = (1..LEVELS).filter(|&level| size > (1u32 << (level - 1)) as f32).count();
         ellipse.exists().then_some(doublings as u8)
     };
@@ -92,12 +99,12 @@ fn by_size(all: &[Ellipse], mean_half: Vec2) -> [Vec<u32>; LEVELS] {
     levels
 }
 
-/// Cells for what is looked for within `half`: whole rows of cells cost a look each, columns cost nothing.
-fn cell(half: Vec2) -> Vec2 {
-    Vec2::new(half.x / COLUMNS_PER_HALF, half.y)
+/// Size of the cells for searches within `half_size`: every row of cells costs a lookup, columns cost nothing.
+fn cell_size(half_size: Vec2) -> Vec2 {
+    Vec2::new(half_size.x / COLUMNS_PER_HALF_SIZE, half_size.y)
 }
 
-impl PlaneTrace {
+impl SunPlaneTrace {
     /// Lists `occluders` for light from `direction` (unit, toward the light).
     pub(super) fn new(occluders: &Occluders, direction: Vec3) -> Self {
         let axes = Axes::new(direction);
@@ -108,39 +115,39 @@ impl PlaneTrace {
             .enumerate()
             .map(|(id, occluder)| Ellipse::new(occluder, id, &axes))
             .collect();
-        let half = mean_half(&all);
+        let half_size = mean_half_size(&all);
         let mut plane = Self {
             axes,
             levels: Vec::new(),
             ellipses: Vec::with_capacity(all.len()),
             blocks: Vec::new(),
-            half,
+            half_size,
         };
-        for numbers in by_size(&all, half).iter().filter(|numbers| !numbers.is_empty()) {
+        for numbers in by_level(&all, half_size).iter().filter(|numbers| !numbers.is_empty()) {
             plane.add_level(&all, numbers);
         }
         plane.blocks = plane
             .ellipses
             .par_chunks(LANES)
             .with_min_len(256)
-            .map(Block::new)
+            .map(EllipseBlock::new)
             .collect();
         plane
     }
 
     fn add_level(&mut self, all: &[Ellipse], numbers: &[u32]) {
         let of_level = |place: usize| &all[numbers[place] as usize];
-        let (centres, halves): (Vec<Vec2>, Vec<Vec2>) = (0..numbers.len())
+        let (centres, half_sizes): (Vec<Vec2>, Vec<Vec2>) = (0..numbers.len())
             .into_par_iter()
             .with_min_len(CHUNK)
-            .map(|place| (of_level(place).centre, of_level(place).half))
+            .map(|place| (of_level(place).centre, of_level(place).half_size))
             .unzip();
-        let half = halves.iter().fold(Vec2::ZERO, |half, &h| half.max(h));
-        let (cells, order) = Cells::sort(&centres, cell(half));
+        let half_size = half_sizes.iter().fold(Vec2::ZERO, |half_size, &h| half_size.max(h));
+        let (cells, order) = Cells::sort(&centres, cell_size(half_size));
         self.levels.push(Level {
             cells,
             first: self.ellipses.len(),
-            half,
+            half_size,
         });
         let sorted = order
             .par_iter()
@@ -157,39 +164,42 @@ impl PlaneTrace {
         }
     }
 
-    /// What every ray meets; `rays` start from `origins`.
-    pub(super) fn shades(&self, rays: &[LightRay], origins: &[u32]) -> Vec<Shade> {
-        let mut shades = vec![Shade::default(); rays.len()];
+    /// Traces `rays`, which start from `origins`, past all ellipses.
+    pub(super) fn trace(&self, rays: &[LightRay], origins: &[u32]) -> Vec<RayTransmittance> {
+        let mut results = vec![RayTransmittance::default(); rays.len()];
         let chunks = rays.par_chunks(CHUNK).zip(origins.par_chunks(CHUNK));
         chunks
-            .zip(shades.par_chunks_mut(CHUNK))
-            .for_each(|((rays, origins), shades)| {
+            .zip(results.par_chunks_mut(CHUNK))
+            .for_each(|((rays, origins), results)| {
                 let rays = rays
                     .iter()
                     .zip(origins)
                     .map(|(ray, &origin)| self.on_plane(ray, origin));
-                shade(&rays.collect::<Vec<_>>(), self, shades);
+                trace_rays(&rays.collect::<Vec<_>>(), self, results);
             });
-        shades
+        results
     }
 
-    /// Adds the gradients of the occluders.
-    pub(super) fn backward(&self, gaussians: &Table, occluders: &Occluders, back: &RaysBack, out: &mut Table) {
-        let telling: Vec<u32> = (0..back.d_log.len() as u32)
-            .filter(|&place| back.d_log[place as usize] != 0.0)
+    /// Adds the gradients of the occluders to `out`.
+    pub(super) fn backward(&self, gaussians: &Table, occluders: &Occluders, gradients: &RayGradients, out: &mut Table) {
+        let active: Vec<u32> = (0..gradients.d_log.len() as u32)
+            .filter(|&place| gradients.d_log[place as usize] != 0.0)
             .collect();
-        let places: Vec<(PlaneRay, f32)> = telling
+        let plane_rays: Vec<(PlaneRay, f32)> = active
             .par_iter()
             .with_min_len(CHUNK)
             .map(|&place| {
                 let place = place as usize;
-                (self.on_plane(&back.rays[place], back.origins[place]), back.d_log[place])
+                (
+                    self.on_plane(&gradients.rays[place], gradients.origins[place]),
+                    gradients.d_log[place],
+                )
             })
             .collect();
-        let grid = RayGrid::new(&places, cell(self.half));
-        let mut moments = vec![Moments::default(); self.ellipses.len()];
+        let grid = RayGrid::new(&plane_rays, cell_size(self.half_size));
+        let mut moments = vec![EllipseMoments::default(); self.ellipses.len()];
         let chunks = self.ellipses.par_chunks(CHUNK).zip(moments.par_chunks_mut(CHUNK));
-        chunks.for_each(|(ellipses, moments)| gather(ellipses, &grid, moments));
+        chunks.for_each(|(ellipses, moments)| gather_gradients(ellipses, &grid, moments));
         // Every Gaussian has one place at most, so the order of threads does not matter.
         let place_of: Vec<AtomicU32> = (0..gaussians.count).map(|_| AtomicU32::new(u32::MAX)).collect();
         let numbered = self.ellipses.par_iter().with_min_len(CHUNK).enumerate();
@@ -200,21 +210,22 @@ impl PlaneTrace {
                 let place = place_of[id].load(Ordering::Relaxed) as usize;
                 if moments.get(place).is_some_and(|m| m.h != 0.0) {
                     let (ellipse, moments) = (&self.ellipses[place], &moments[place]);
-                    let d = self.of_gaussian(gaussians, &occluders.list[id], ellipse, moments);
+                    let d = self.core_gradient(gaussians, &occluders.list[id], ellipse, moments);
                     add(id - first, &d);
                 }
             }
         });
     }
 
-    fn of_gaussian(
+    /// Gradient of a Gaussian from the moments of its ellipse.
+    fn core_gradient(
         &self,
         gaussians: &Table,
         occluder: &Occluder,
         ellipse: &Ellipse,
-        moments: &Moments,
+        moments: &EllipseMoments,
     ) -> CoreGradient {
-        let shape = moments.back(ellipse, &self.axes, occluder);
+        let shape = moments.shape_gradient(ellipse, &self.axes, occluder);
         CoreGradient {
             position: shape.position,
             log_scale: shape.log_scale,

@@ -1,102 +1,54 @@
 //! Transmittance from Gaussians to a light, and its gradients.
 //!
 //! From the centre of Gaussian 0 toward the light `r`, every Gaussian `i` whose 1-D density along the ray peaks beyond
-//! the self-shadow bias takes `α̃_i = o_i exp(-½ ‖e×d‖²/‖d‖²)` (whitened offset `e` and direction `d`), and
-//! `S = Π (1 - α̃_i)`. The product has no order, so nothing is sorted (ShadowGS, Luo et al. 2026, eq. 10–12). A ray that has lost
-//! all but a millionth is dark: nothing that it would meet further on could be seen, nor light it again.
+//! the self-shadow bias absorbs `α̃_i = o_i exp(-½ ‖e×d‖²/‖d‖²)` (whitened offset `e` and direction `d`), and
+//! `S = Π (1 - α̃_i)`. The product has no order, so nothing is sorted (ShadowGS, Luo et al. 2026, eq. 10–12). A ray with less than
+//! a millionth left counts as dark, with value zero and no gradients.
 //!
 //! Where rays start, and which peaks are too near to count: `light_ray`. How the Gaussians on a ray are found: `sun_plane` for
-//! parallel light, `hierarchy` for any.
+//! parallel light, which takes it two thirds of the time, `hierarchy` for any.
 
 use super::bvh::Occluders;
 use super::hierarchy::HierarchyTrace;
 use super::light_ray::LightRay;
-use super::sun_plane::PlaneTrace;
-use crate::fast::exp;
+use super::occlusion::{RayGradients, RayTransmittance};
+use super::sun_plane::SunPlaneTrace;
 use crate::gaussians::Table;
 use crate::light::Light;
-use crate::splat::project::ALPHA_MAX;
 use glam::Vec3;
 use rayon::prelude::*;
 
-/// Transmittance below which a ray is dark: its value is zero, and it has no gradients. They would be below `DARK / (1 - ALPHA_MAX)`,
-/// a ten-thousandth.
-const DARK: f32 = 1e-6;
+/// Transmittance below which a ray is dark: its value is zero, and it has no gradients. They would be below
+/// `TRANSMITTANCE_MIN / (1 - ALPHA_MAX)`, a ten-thousandth.
+const TRANSMITTANCE_MIN: f32 = 1e-6;
 /// Rays per parallel job.
 const CHUNK: usize = 1024;
 
-/// How the Gaussians on a ray of parallel light are found; the answers are the same.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
-#[serde(rename_all = "snake_case")]
-pub enum Route {
-    /// Grids in the plane normal to the light: cheapest, parallel light only.
-    SunPlane,
-    /// The bounding volume hierarchy that also answers point lights.
-    Hierarchy,
-}
-
-/// How light is traced.
-#[derive(Debug, Clone, Copy, PartialEq, serde::Serialize, serde::Deserialize)]
-#[serde(default, deny_unknown_fields)]
-pub struct TraceOptions {
-    /// Peaks nearer than this many standard deviations of the origin (along the ray) do not count.
-    pub bias_sigmas: f32,
-    /// Fraction of the full lift off the own sheet.
-    pub lift: f32,
-    /// How parallel light is answered.
-    pub route: Route,
-    /// Whether gradients reach the occluders; without them only the origins move.
-    pub occluder_gradients: bool,
-}
-
-impl Default for TraceOptions {
-    fn default() -> Self {
-        Self {
-            bias_sigmas: 1.0,
-            lift: 1.0,
-            route: Route::SunPlane,
-            occluder_gradients: true,
-        }
-    }
-}
-
-/// What a ray met.
-#[derive(Debug, Clone, Copy, Default)]
-pub(super) struct Shade {
-    /// `Π (1 - α̃)`.
-    pub(super) clear: f32,
-    /// Change of `ln Π (1 - α̃)` as the ray's start moves, per metre.
-    pub(super) pull: Vec3,
-    /// What of it is lost as the ray turns to stay on a point light: each part in proportion to its share of the way there.
-    pub(super) turn: Vec3,
-    /// Gaussians met.
-    pub(super) hits: u32,
-}
-
-/// Transmittances of some Gaussians toward one light, and what is needed to walk back.
+/// Transmittances of some Gaussians toward one light, and what the backward pass needs.
 #[derive(Default)]
 pub struct Transmittance {
     /// Transmittance of each origin, 0 to 1.
     pub values: Vec<f32>,
     rays: Vec<LightRay>,
-    /// Change of the logarithm of each value as the ray's start moves, per metre, and what of it is lost as the ray turns.
-    pulls: Vec<(Vec3, Vec3)>,
+    /// Gradient of the logarithm of each value to the ray's origin, 1/m, and the part that a point light takes back, see
+    /// [`RayTransmittance`](super::occlusion::RayTransmittance).
+    ray_gradients: Vec<(Vec3, Vec3)>,
+    /// Gaussians hit by all rays together; without any there is nothing to go back to.
     hits: u64,
-    found_by: FoundBy,
-    occluder_gradients: bool,
+    finder: Finder,
 }
 
-/// What found the Gaussians on the rays, and finds them again on the way back.
+/// What found the Gaussians on the rays, and finds them again in the backward pass.
 #[derive(Default)]
-enum FoundBy {
+enum Finder {
     #[default]
     Nothing,
-    Plane(PlaneTrace),
+    SunPlane(SunPlaneTrace),
     Hierarchy(HierarchyTrace),
 }
 
 impl Transmittance {
-    /// Values known from elsewhere: no gradients go back.
+    /// Values known from elsewhere; their backward pass adds nothing.
     pub fn known(values: Vec<f32>) -> Self {
         Self {
             values,
@@ -104,105 +56,107 @@ impl Transmittance {
         }
     }
 
-    /// Number of occluders met by all rays together.
-    pub fn hit_count(&self) -> u64 {
-        self.hits
+    /// From the results of all rays.
+    fn of(traced_rays: &[RayTransmittance], rays: Vec<LightRay>, finder: Finder) -> Self {
+        let (values, ray_gradients) = traced_rays
+            .par_iter()
+            .with_min_len(CHUNK)
+            .map(|s| {
+                if s.value >= TRANSMITTANCE_MIN {
+                    (s.value, (s.d_origin, s.d_turn))
+                } else {
+                    (0.0, (Vec3::ZERO, Vec3::ZERO))
+                }
+            })
+            .unzip();
+        Self {
+            values,
+            ray_gradients,
+            hits: traced_rays
+                .par_iter()
+                .with_min_len(CHUNK)
+                .map(|s| u64::from(s.hits))
+                .sum(),
+            rays,
+            finder,
+        }
     }
 }
 
-/// Transmittance of the Gaussians `origins` toward `light` through all of `occluders`.
-pub fn transmittance(occluders: &Occluders, origins: &[u32], light: &Light, options: &TraceOptions) -> Transmittance {
-    let rays: Vec<LightRay> = origins
-        .par_iter()
-        .with_min_len(CHUNK)
-        .map(|&origin| LightRay::new(&occluders.list[origin as usize], light, options))
-        .collect();
-    let (shades, found_by) = match (light, options.route) {
-        (Light::Directional(direction), Route::SunPlane) => {
-            let trace = PlaneTrace::new(occluders, *direction);
-            (trace.shades(&rays, origins), FoundBy::Plane(trace))
+/// Transmittance of the Gaussians `origins` toward `light` through all of `occluders`: parallel light by grids in the plane normal to
+/// it, point lights by a bounding volume hierarchy.
+pub fn transmittance(occluders: &Occluders, origins: &[u32], light: &Light) -> Transmittance {
+    match light {
+        Light::Directional(direction) => {
+            let rays = rays(occluders, origins, light);
+            let trace = SunPlaneTrace::new(occluders, *direction);
+            let traced_rays = trace.trace(&rays, origins);
+            Transmittance::of(&traced_rays, rays, Finder::SunPlane(trace))
         }
-        _ => {
-            let (trace, shades) = HierarchyTrace::new(occluders, light, &rays, origins);
-            (shades, FoundBy::Hierarchy(trace))
-        }
-    };
-    let (values, pulls) = shades
-        .par_iter()
-        .with_min_len(CHUNK)
-        .map(|s| {
-            if s.clear >= DARK {
-                (s.clear, (s.pull, s.turn))
-            } else {
-                (0.0, (Vec3::ZERO, Vec3::ZERO))
-            }
-        })
-        .unzip();
-    Transmittance {
-        values,
-        pulls,
-        hits: shades.par_iter().with_min_len(CHUNK).map(|s| u64::from(s.hits)).sum(),
-        rays,
-        found_by,
-        occluder_gradients: options.occluder_gradients,
+        Light::Point(_) => transmittance_by_hierarchy(occluders, origins, light),
     }
 }
 
-/// Rays on their way back.
-#[derive(Clone, Copy)]
-pub(super) struct RaysBack<'a> {
-    pub(super) rays: &'a [LightRay],
-    /// The Gaussian that each starts from.
-    pub(super) origins: &'a [u32],
-    /// Gradient to the logarithm of each transmittance.
-    pub(super) d_log: &'a [f32],
+/// The same by the hierarchy whatever the light: the slower way for parallel light, with which the faster one is compared.
+pub fn transmittance_by_hierarchy(occluders: &Occluders, origins: &[u32], light: &Light) -> Transmittance {
+    let rays = rays(occluders, origins, light);
+    let (trace, traced_rays) = HierarchyTrace::new(occluders, light, &rays, origins);
+    Transmittance::of(&traced_rays, rays, Finder::Hierarchy(trace))
 }
 
-/// `α̃` at a squared distance in standard deviations, and `α̃ / (1 - α̃)`: what its logarithm changes that of the transmittance by;
-/// nothing where `α̃` is saturated. Zero for what is not `met`.
-#[inline(always)]
-pub(super) fn attenuation(opacity: f32, square: f32, met: u32) -> (f32, f32) {
-    let alpha = opacity * exp(-0.5 * square);
-    let alpha = if alpha < ALPHA_MAX { alpha } else { ALPHA_MAX };
-    let alpha = if met != 0 { alpha } else { 0.0 };
-    let weight = if alpha < ALPHA_MAX { alpha / (1.0 - alpha) } else { 0.0 };
-    (alpha, weight)
+fn rays(occluders: &Occluders, origins: &[u32], light: &Light) -> Vec<LightRay> {
+    origins
+        .par_iter()
+        .with_min_len(CHUNK)
+        .map(|&origin| LightRay::new(&occluders.list[origin as usize], light))
+        .collect()
 }
 
 impl Transmittance {
-    /// Adds the gradients that `grads` (to each origin's transmittance) gives the parameters of occluders and origins.
+    /// Adds the gradients of the parameters of occluders and origins, from those of the transmittances (`grads`, one per origin).
     /// `occluders` and `origins` are those the transmittance was traced with, `gaussians` those the occluders were made of.
     pub fn backward(&self, gaussians: &Table, occluders: &Occluders, origins: &[u32], grads: &[f32], out: &mut Table) {
         if self.hits == 0 {
             return;
         }
-        let d_log: Vec<f32> = grads.iter().zip(&self.values).map(|(g, value)| g * value).collect();
+        let d_log = self.to_logarithms(grads);
         self.origins_backward(gaussians, origins, &d_log, out);
-        let back = RaysBack {
+        let gradients_back = RayGradients {
             rays: &self.rays,
             origins,
             d_log: &d_log,
         };
-        match &self.found_by {
-            _ if !self.occluder_gradients => {}
-            FoundBy::Nothing => {}
-            FoundBy::Plane(trace) => trace.backward(gaussians, occluders, &back, out),
-            FoundBy::Hierarchy(trace) => trace.backward(gaussians, occluders, &back, out),
+        match &self.finder {
+            Finder::Nothing => {}
+            Finder::SunPlane(trace) => trace.backward(gaussians, occluders, &gradients_back, out),
+            Finder::Hierarchy(trace) => trace.backward(gaussians, occluders, &gradients_back, out),
         }
     }
 
+    /// As [`Self::backward`], but without the gradients of the occluders: those of the ray origins only.
+    pub fn backward_to_origins(&self, gaussians: &Table, origins: &[u32], grads: &[f32], out: &mut Table) {
+        if self.hits > 0 {
+            self.origins_backward(gaussians, origins, &self.to_logarithms(grads), out);
+        }
+    }
+
+    /// Gradients to the logarithms of the values from those to the values.
+    fn to_logarithms(&self, grads: &[f32]) -> Vec<f32> {
+        grads.iter().zip(&self.values).map(|(g, value)| g * value).collect()
+    }
+
     fn origins_backward(&self, gaussians: &Table, origins: &[u32], d_log: &[f32], out: &mut Table) {
-        let of_origin = |place: usize| {
-            let (pull, turn) = self.pulls[place];
-            let (d_start, d_turn) = (pull * d_log[place], turn * d_log[place]);
-            self.rays[place].backward(d_start, d_turn, gaussians.raw_rotation(origins[place] as usize))
+        let origin_gradient = |place: usize| {
+            let (d_origin, d_turn) = self.ray_gradients[place];
+            let (d_start, d_turning) = (d_origin * d_log[place], d_turn * d_log[place]);
+            self.rays[place].backward(d_start, d_turning, gaussians.raw_rotation(origins[place] as usize))
         };
         if origins.is_sorted_by(|a, b| a < b) {
-            out.add_core(origins, of_origin);
+            out.add_core(origins, origin_gradient);
         } else {
             // Origins in another order, or more than once: one after another.
             for (place, &origin) in origins.iter().enumerate() {
-                out.add_core_to(origin as usize, &of_origin(place));
+                out.add_core_to(origin as usize, &origin_gradient(place));
             }
         }
     }
@@ -212,6 +166,11 @@ impl Transmittance {
 mod tests {
     use super::*;
     use crate::gaussians::{LOG_SCALE, OPACITY, POSITION, ROTATION, core_groups, logit};
+
+    type Way = fn(&Occluders, &[u32], &Light) -> Transmittance;
+
+    /// The two ways to trace parallel light.
+    const WAYS: [Way; 2] = [transmittance, transmittance_by_hierarchy];
 
     /// A horizontal sheet of overlapping flat discs, one metre apart, plus optional further discs.
     fn sheet(side: i32, spacing: f32, sigma: f32, thickness: f32) -> Table {
@@ -245,7 +204,7 @@ mod tests {
             let occluders = Occluders::new(&table);
             let origins: Vec<u32> = (0..table.count as u32).collect();
             for elevation in [1.0, 2.0, 3.0, 5.0, 10.0, 20.0, 35.0, 50.0, 70.0, 85.0, 90.0] {
-                let traced = transmittance(&occluders, &origins, &sun(elevation), &TraceOptions::default());
+                let traced = transmittance(&occluders, &origins, &sun(elevation));
                 let least = traced.values.iter().copied().fold(1.0, f32::min);
                 assert!(least >= 0.99, "elevation {elevation}, sigma {sigma}: {least}");
             }
@@ -272,15 +231,8 @@ mod tests {
         let occluders = Occluders::new(&table);
         let origins: Vec<u32> = (0..table.count as u32).collect();
         for elevation in [2.0, 35.0, 90.0] {
-            let trace = |route| {
-                let options = TraceOptions {
-                    route,
-                    ..TraceOptions::default()
-                };
-                transmittance(&occluders, &origins, &sun(elevation), &options)
-            };
-            let (plane, tree) = (trace(Route::SunPlane), trace(Route::Hierarchy));
-            assert!(plane.hit_count() > 1000);
+            let [plane, tree] = WAYS.map(|way| way(&occluders, &origins, &sun(elevation)));
+            assert!(plane.hits > 1000);
             for (a, b) in plane.values.iter().zip(&tree.values) {
                 assert!((a - b).abs() < 2e-3, "elevation {elevation}: {a} against {b}");
             }
@@ -293,17 +245,12 @@ mod tests {
         let occluders = Occluders::new(&table);
         let origins: Vec<u32> = (0..table.count as u32).collect();
         let grads: Vec<f32> = origins.iter().map(|&o| ((o * 37) % 11) as f32 - 5.0).collect();
-        let walk = |route| {
-            let options = TraceOptions {
-                route,
-                ..TraceOptions::default()
-            };
-            let traced = transmittance(&occluders, &origins, &sun(35.0), &options);
+        let [plane, tree] = WAYS.map(|way| {
+            let traced = way(&occluders, &origins, &sun(35.0));
             let mut out = table.zeros_like();
             traced.backward(&table, &occluders, &origins, &grads, &mut out);
             out
-        };
-        let (plane, tree) = (walk(Route::SunPlane), walk(Route::Hierarchy));
+        });
         for (a, b) in plane.groups.iter().zip(&tree.groups) {
             let size = a.values.iter().map(|v| v.abs()).fold(0.0, f32::max);
             let apart = a.values.iter().zip(&b.values).map(|(a, b)| (a - b).abs());
@@ -322,7 +269,7 @@ mod tests {
         let occluders = Occluders::new(&table);
         let origins: Vec<u32> = (1..table.count as u32).collect();
         let light = Light::Directional(Vec3::new(0.0, 0.2, 1.0).normalize());
-        let traced = transmittance(&occluders, &origins, &light, &TraceOptions::default());
+        let traced = transmittance(&occluders, &origins, &light);
         let value_at = |x: f32, y: f32| {
             let place = origins.iter().position(|&o| {
                 let p = table.position(o as usize);
@@ -342,12 +289,8 @@ mod tests {
             table.group_mut(POSITION)[i * 3 + 2] = 5.0 * i as f32;
         }
         let occluders = Occluders::new(&table);
-        for route in [Route::SunPlane, Route::Hierarchy] {
-            let options = TraceOptions {
-                route,
-                ..TraceOptions::default()
-            };
-            let traced = transmittance(&occluders, &[0, 198], &sun(90.0), &options);
+        for way in WAYS {
+            let traced = way(&occluders, &[0, 198], &sun(90.0));
             assert!(traced.values[0] == 0.0, "{:?}", traced.values);
             assert!((traced.values[1] - 0.05).abs() < 1e-4);
             let mut gradients = table.zeros_like();
@@ -361,13 +304,9 @@ mod tests {
         }
     }
 
-    fn traced_by(route: Route, table: &Table) -> Vec<f32> {
-        let options = TraceOptions {
-            route,
-            ..TraceOptions::default()
-        };
+    fn traced_by(way: Way, table: &Table) -> Vec<f32> {
         let origins: Vec<u32> = (0..table.count as u32).collect();
-        transmittance(&Occluders::new(table), &origins, &sun(35.0), &options).values
+        way(&Occluders::new(table), &origins, &sun(35.0)).values
     }
 
     #[test]
@@ -382,19 +321,19 @@ mod tests {
         for &index in &broken_ones {
             broken.group_mut(POSITION)[3 * index + index % 3] = f32::NAN;
         }
-        for route in [Route::SunPlane, Route::Hierarchy] {
-            let (before, after) = (traced_by(route, &table), traced_by(route, &broken));
+        for (number, way) in WAYS.into_iter().enumerate() {
+            let (before, after) = (traced_by(way, &table), traced_by(way, &broken));
             for place in (0..before.len()).filter(|place| place % 7 != 0) {
-                assert!((before[place] - after[place]).abs() < 1e-6, "{route:?}, {place}");
+                assert!((before[place] - after[place]).abs() < 1e-6, "way {number}, {place}");
             }
         }
     }
 
     #[test]
     fn none_and_one_gaussian_are_lit() {
-        for route in [Route::SunPlane, Route::Hierarchy] {
-            assert!(traced_by(route, &Table::zeros(core_groups(), 0)).is_empty());
-            assert_eq!(traced_by(route, &sheet(1, 1.0, 0.5, 0.05)), [1.0]);
+        for way in WAYS {
+            assert!(traced_by(way, &Table::zeros(core_groups(), 0)).is_empty());
+            assert_eq!(traced_by(way, &sheet(1, 1.0, 0.5, 0.05)), [1.0]);
         }
     }
 
@@ -403,18 +342,8 @@ mod tests {
         let mut table = sheet(3, 1.0, 0.5, 0.05);
         table.group_mut(POSITION)[..3].copy_from_slice(&[0.0, 0.0, 10.0]);
         let occluders = Occluders::new(&table);
-        let near = transmittance(
-            &occluders,
-            &[4],
-            &Light::Point(Vec3::new(0.0, 0.0, 5.0)),
-            &TraceOptions::default(),
-        );
-        let far = transmittance(
-            &occluders,
-            &[4],
-            &Light::Point(Vec3::new(0.0, 0.0, 15.0)),
-            &TraceOptions::default(),
-        );
+        let near = transmittance(&occluders, &[4], &Light::Point(Vec3::new(0.0, 0.0, 5.0)));
+        let far = transmittance(&occluders, &[4], &Light::Point(Vec3::new(0.0, 0.0, 15.0)));
         assert!(near.values[0] > 0.99 && far.values[0] < 0.1);
     }
 }

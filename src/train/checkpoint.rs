@@ -1,10 +1,10 @@
-//! All that a training knows, to be kept and taken up again: what follows is the same, byte for byte.
+//! The state of a training, to be stored and resumed: the steps that follow are the same, byte for byte.
 //!
 //! Views, options and the random order follow from the same inputs, so they are not part of it; a trainer made anew from those
 //! takes a state up. How it is written and where is not the engine's affair: a state is plain data for serde.
 
+use super::cached_visibility::CachedVisibility;
 use super::holdout::HoldoutState;
-use super::known_light::{KnownLight, Movement};
 use super::{Trainer, TrainerOptionsState};
 use crate::gaussians::Table;
 use crate::model::Parameters;
@@ -14,7 +14,7 @@ use crate::trace::bvh::Bounds;
 use std::borrow::Cow;
 
 /// Version of [`TrainerState`]: changes with its layout, and whenever the steps of a training come to mean something else.
-pub const STATE_VERSION: u32 = 2;
+pub const STATE_VERSION: u32 = 3;
 
 /// Why a state cannot be taken up.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
@@ -33,8 +33,7 @@ pub struct TrainerState<'a> {
     globals_adam: Cow<'a, Adam>,
     statistics: Cow<'a, DensityStatistics>,
     holdout: HoldoutState<'a>,
-    movement: Cow<'a, Movement>,
-    known_light: Cow<'a, [Option<KnownLight>]>,
+    cached_visibility: Cow<'a, [Option<CachedVisibility>]>,
     /// Step at which the occluders were made, and what a hierarchy over them was built on: where Gaussians are in it decides the
     /// order of products.
     occluders: Option<(usize, Option<Cow<'a, [Bounds]>>)>,
@@ -64,7 +63,7 @@ fn same_shape(table: &Table, like: &Table) -> bool {
 }
 
 impl Trainer<'_> {
-    /// All that this training knows, without a copy of it.
+    /// The state of this training, borrowed.
     pub fn state(&self) -> TrainerState<'_> {
         TrainerState {
             options: TrainerOptionsState {
@@ -76,8 +75,7 @@ impl Trainer<'_> {
             globals_adam: Cow::Borrowed(&self.globals_adam),
             statistics: Cow::Borrowed(&self.statistics),
             holdout: self.holdout.state(),
-            movement: Cow::Borrowed(&self.movement),
-            known_light: Cow::Borrowed(&self.known_light),
+            cached_visibility: Cow::Borrowed(&self.cached_visibility),
             occluders: self.occluders.as_ref().map(|occluders| {
                 let built_on = occluders.hierarchy_built_on().map(Cow::Borrowed);
                 (self.occluders_step, built_on)
@@ -102,8 +100,7 @@ impl Trainer<'_> {
         self.globals_adam = state.globals_adam.into_owned();
         self.statistics = state.statistics.into_owned();
         self.holdout.restore(state.holdout);
-        self.movement = state.movement.into_owned();
-        self.known_light = state.known_light.into_owned();
+        self.cached_visibility = state.cached_visibility.into_owned();
         self.gradients = self.parameters.zeros_like();
         self.occluders_step = 0;
         self.occluders = state.occluders.map(|(step, built_on)| {
@@ -126,7 +123,7 @@ impl Trainer<'_> {
         let globals = &state.parameters.globals;
         let (of_each, of_all) = (&state.gaussians_adam, &state.globals_adam);
         let best = state.holdout.parameters();
-        let light = state.known_light.iter().flatten();
+        let light = state.cached_visibility.iter().flatten();
         let bounds = state.occluders.iter().filter_map(|(_, built_on)| built_on.as_ref());
         let checks = [
             (
@@ -150,7 +147,7 @@ impl Trainer<'_> {
             ),
             (
                 "views",
-                state.known_light.len() == self.views.len() && state.holdout.views() == self.views.len(),
+                state.cached_visibility.len() == self.views.len() && state.holdout.views() == self.views.len(),
             ),
             (
                 "light",

@@ -1,7 +1,8 @@
 //! What makes a step or a whole training impossible, and how it is said.
 
-use crate::gaussians::Table;
+use crate::gaussians::{GroupSpec, Table, core_groups};
 use crate::model::{NamedLoss, Parameters, View};
+use crate::optim::ParameterGroup;
 use rayon::prelude::*;
 
 /// Gradients from here on are as good as infinite: Adam squares them, and the sum of squares must stay finite.
@@ -58,6 +59,12 @@ pub enum TrainError {
         /// The group they are in.
         group: String,
     },
+    /// The start does not have the model's groups of parameters.
+    #[error("the start has other groups of parameters than the model '{model}' of these options")]
+    Groups {
+        /// The model.
+        model: &'static str,
+    },
     /// An option has a value that means nothing.
     #[error("train.{option} is {value}, expected {expected}")]
     Option {
@@ -102,6 +109,24 @@ pub(super) fn check_start(parameters: &Parameters) -> Result<(), TrainError> {
     }
 }
 
+/// Whether the groups of `parameters` are those that the model describes, in its order: learning rates go by that order.
+pub(super) fn check_groups(
+    model: &'static str,
+    parameters: &Parameters,
+    features: &[ParameterGroup],
+    globals: &[ParameterGroup],
+) -> Result<(), TrainError> {
+    let same = |table: &Table, core: Vec<GroupSpec>, own: &[ParameterGroup]| {
+        let expected = core.iter().chain(own.iter().map(|group| &group.spec));
+        table.groups.iter().map(|group| &group.spec).eq(expected)
+    };
+    if same(&parameters.gaussians, core_groups(), features) && same(&parameters.globals, Vec::new(), globals) {
+        Ok(())
+    } else {
+        Err(TrainError::Groups { model })
+    }
+}
+
 /// Whether any pixel of any view counts.
 pub(super) fn check_pixels(views: &[View]) -> Result<(), TrainError> {
     let counts = |view: &View| {
@@ -118,13 +143,26 @@ pub(super) fn check_pixels(views: &[View]) -> Result<(), TrainError> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::gaussians::{GroupSpec, OPACITY, core_groups};
+    use crate::gaussians::OPACITY;
+    use crate::optim::LearningRate;
 
     fn gradients() -> Parameters {
         Parameters {
             gaussians: Table::zeros(core_groups(), 3),
             globals: Table::zeros(vec![GroupSpec::new("sky", 2)], 1),
         }
+    }
+
+    #[test]
+    fn a_start_with_other_groups_than_the_model_is_refused() {
+        let group = |name: &str, width: usize| ParameterGroup::new(name, width, LearningRate::FROZEN);
+        let check = |features: &[ParameterGroup], globals: &[ParameterGroup]| {
+            check_groups("a", &gradients(), features, globals).is_ok()
+        };
+        assert!(check(&[], &[group("sky", 2)]));
+        assert!(
+            !check(&[], &[group("sky", 3)]) && !check(&[], &[]) && !check(&[group("albedo", 3)], &[group("sky", 2)])
+        );
     }
 
     #[test]

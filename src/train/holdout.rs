@@ -1,6 +1,6 @@
 //! Early stopping: some tiles of every image are not learnt from; when they stop improving, training has begun to overfit.
 
-use super::TrainOptions;
+use super::options::TrainOptions;
 use crate::model::{Parameters, View};
 use crate::raster::Raster;
 use std::borrow::Cow;
@@ -25,27 +25,27 @@ pub(super) struct Holdout {
     held: Vec<Vec<u32>>,
     losses: Vec<Option<f64>>,
     best: Option<(usize, f64, Parameters)>,
-    rounds_without: usize,
+    epochs_without: usize,
     patience: usize,
     keep_from: usize,
 }
 
-/// What early stopping knows; which tiles are held out follows from the seed.
+/// State of early stopping; which tiles are held out follows from the seed.
 #[derive(Debug, Clone, serde::Serialize, serde::Deserialize)]
 pub(super) struct HoldoutState<'a> {
     losses: Cow<'a, [Option<f64>]>,
     best: Option<(usize, f64, Cow<'a, Parameters>)>,
-    rounds_without: usize,
+    epochs_without: usize,
     keep_from: usize,
 }
 
 impl HoldoutState<'_> {
-    /// Views it knows.
+    /// Number of views.
     pub(super) fn views(&self) -> usize {
         self.losses.len()
     }
 
-    /// The best parameters, if a round had some.
+    /// The best parameters, if an epoch had some.
     pub(super) fn parameters(&self) -> Option<&Parameters> {
         self.best.as_ref().map(|(_, _, parameters)| &**parameters)
     }
@@ -90,7 +90,7 @@ impl Holdout {
             held,
             losses,
             best: None,
-            rounds_without: 0,
+            epochs_without: 0,
             patience: options.patience,
             keep_from,
         }
@@ -117,17 +117,17 @@ impl Holdout {
         self.losses[view] = loss.filter(|loss| loss.is_finite());
     }
 
-    /// After every round over all views: is this the best state so far?
-    pub(super) fn round_done(&mut self, step: usize, views: usize, parameters: &Parameters) {
+    /// After every epoch: is this the best state so far?
+    pub(super) fn epoch_done(&mut self, step: usize, views: usize, parameters: &Parameters) {
         if self.patience == 0 || !step.is_multiple_of(views) || step < self.keep_from {
             return;
         }
         let Some(mean) = self.mean() else { return };
         match &self.best {
-            Some((_, best, _)) if mean > best * (1.0 - PROGRESS) => self.rounds_without += 1,
+            Some((_, best, _)) if mean > best * (1.0 - PROGRESS) => self.epochs_without += 1,
             _ => {
                 self.best = Some((step, mean, parameters.clone()));
-                self.rounds_without = 0;
+                self.epochs_without = 0;
             }
         }
     }
@@ -139,7 +139,7 @@ impl Holdout {
     }
 
     pub(super) fn stop(&self) -> bool {
-        self.patience > 0 && self.rounds_without >= self.patience
+        self.patience > 0 && self.epochs_without >= self.patience
     }
 
     pub(super) fn summary(&self, steps: usize) -> EarlyStop {
@@ -163,24 +163,24 @@ impl Holdout {
         &self.losses
     }
 
-    /// What it knows, without a copy.
+    /// The state, borrowed.
     pub(super) fn state(&self) -> HoldoutState<'_> {
         let best = self.best.as_ref();
         HoldoutState {
             losses: Cow::Borrowed(&self.losses),
             best: best.map(|(step, loss, parameters)| (*step, *loss, Cow::Borrowed(parameters))),
-            rounds_without: self.rounds_without,
+            epochs_without: self.epochs_without,
             keep_from: self.keep_from,
         }
     }
 
-    /// Takes up what was known.
+    /// Restores a state.
     pub(super) fn restore(&mut self, state: HoldoutState) {
         self.losses = state.losses.into_owned();
         self.best = state
             .best
             .map(|(step, loss, parameters)| (step, loss, parameters.into_owned()));
-        self.rounds_without = state.rounds_without;
+        self.epochs_without = state.epochs_without;
         self.keep_from = state.keep_from;
     }
 
@@ -202,7 +202,7 @@ mod tests {
             light: None,
             appearance: 0,
             weight: vec![1.0; size * size],
-            lit: None,
+            visibility_prior: None,
             ceiling: Vec::new(),
         };
         vec![view]
@@ -214,7 +214,7 @@ mod tests {
         holdout.record(0, Some(0.25));
         holdout.record(0, Some(f64::NAN));
         assert_eq!(holdout.losses(), [None]);
-        holdout.round_done(1000, 1, &Parameters::default());
+        holdout.epoch_done(1000, 1, &Parameters::default());
         assert_eq!(holdout.summary(1000).best_l1, None);
     }
 

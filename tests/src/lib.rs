@@ -8,5 +8,6 @@ pub mod mutate;
 pub mod program;
 pub mod readers;
 pub mod reference;
+pub mod results;
 pub mod scenes;
 pub mod shared;

@@ -2,6 +2,7 @@
 
 use crate::program::binary;
 use std::ffi::OsStr;
+use std::path::Path;
 use std::process::{Command, Stdio};
 use std::time::{Duration, Instant};
 
@@ -10,6 +11,8 @@ use std::time::{Duration, Instant};
 pub struct Measured {
     /// Its exit code; `None` when a signal ended it.
     pub code: Option<i32>,
+    /// What it wrote on stdout.
+    pub stdout: String,
     /// What it wrote on stderr.
     pub stderr: String,
     /// The most memory it held, bytes.
@@ -19,16 +22,21 @@ pub struct Measured {
 }
 
 /// Runs the program; it is killed after `limit`.
-#[expect(clippy::zombie_processes, reason = "`ended` waits for the child")]
 pub fn run<S: AsRef<OsStr>>(arguments: &[S], limit: Duration) -> Measured {
-    let said = tempfile::NamedTempFile::new().expect("a temporary file");
+    run_program(binary(), arguments, limit)
+}
+
+/// Runs `program`; it is killed after `limit`.
+#[expect(clippy::zombie_processes, reason = "`ended` waits for the child")]
+pub fn run_program<S: AsRef<OsStr>>(program: &Path, arguments: &[S], limit: Duration) -> Measured {
+    let [out, err] = [(), ()].map(|()| tempfile::NamedTempFile::new().expect("a temporary file"));
     let begun = Instant::now();
-    let mut child = Command::new(binary())
+    let mut child = Command::new(program)
         .args(arguments)
         .env_remove("HELIOSPLAT_LOG")
         .stdin(Stdio::null())
-        .stdout(Stdio::null())
-        .stderr(said.reopen().expect("the same file"))
+        .stdout(out.reopen().expect("the same file"))
+        .stderr(err.reopen().expect("the same file"))
         .spawn()
         .expect("the program runs");
     let mut killed = false;
@@ -43,9 +51,13 @@ pub fn run<S: AsRef<OsStr>>(arguments: &[S], limit: Duration) -> Measured {
         std::thread::sleep(Duration::from_millis(3));
     };
     let exited = libc::WIFEXITED(status);
+    let text = |file: &tempfile::NamedTempFile| {
+        String::from_utf8_lossy(&std::fs::read(file.path()).expect("readable")).into_owned()
+    };
     Measured {
         code: exited.then(|| libc::WEXITSTATUS(status)),
-        stderr: String::from_utf8_lossy(&std::fs::read(said.path()).expect("readable")).into_owned(),
+        stdout: text(&out),
+        stderr: text(&err),
         peak_bytes,
         took: begun.elapsed(),
     }

@@ -8,14 +8,16 @@ mod captures;
 use heliosplat::gaussians::{Table, core_groups};
 use heliosplat::model::SceneModel;
 use heliosplat::model::shadow_gs::{ShadowGs, ShadowGsOptions};
-use heliosplat_pipelines::batch::manifest::Manifest;
-use heliosplat_pipelines::objects::run::{ObjectFile, ObjectRun};
-use heliosplat_pipelines::objects::{self, transforms};
-use heliosplat_pipelines::run::{ModelFile, RunFile, ply};
-use heliosplat_pipelines::satellite::config::SatelliteConfig;
-use heliosplat_pipelines::scene;
+use heliosplat_cli::batch::manifest::Manifest;
+use heliosplat_objects::model::ObjectFile;
+use heliosplat_objects::run::ObjectRun;
+use heliosplat_objects::{self as objects, transforms};
+use heliosplat_products::{model::ModelFile, ply};
 use heliosplat_rpc::read::{self, acquisition};
 use heliosplat_rpc::{ImagePoint, Rpc, write};
+use heliosplat_satellite::config::SatelliteConfig;
+use heliosplat_satellite::run_file::RunFile;
+use heliosplat_scene as scene;
 use std::collections::BTreeMap;
 
 /// A reader and where it begins.
@@ -159,7 +161,7 @@ pub fn settings(bytes: &[u8]) -> bool {
     let text = text(bytes);
     let pairs = text.lines().take(16).filter_map(|line| line.split_once('='));
     let set: Vec<(String, String)> = pairs.map(|(k, v)| (k.trim().to_owned(), v.trim().to_owned())).collect();
-    SatelliteConfig::resolve("fast", &set, 1).is_ok()
+    SatelliteConfig::resolve(heliosplat_fitting::settings::Preset::Fast, &set, 1).is_ok()
 }
 
 /// `model.ply`, of a model of four bands.
@@ -354,13 +356,13 @@ fn runs() -> Vec<Vec<u8>> {
         altitude_range_m: Some((640.0, 780.0)),
         plan: Vec::new(),
         inputs: Vec::new(),
-        config: SatelliteConfig::resolve("fast", &[], 1).unwrap_or_default(),
+        config: SatelliteConfig::resolve(heliosplat_fitting::settings::Preset::Fast, &[], 1).unwrap_or_default(),
     };
     vec![toml::to_string_pretty(&run).unwrap_or_default().into_bytes()]
 }
 
 fn setting_lists() -> Vec<Vec<u8>> {
-    let text = "train.iterations=200\ntrain.scale_gsd=[0.1, 8.0]\ncameras.align=off\nmodel.image_colour=true\ntrain.density.cap=1000\n";
+    let text = "train.iterations=200\ntrain.position_rate_gsd=0.002\ncameras.align=off\nmodel.image_colour=true\ntrain.density.cap=1000\n";
     vec![text.as_bytes().to_vec()]
 }
 
@@ -390,7 +392,7 @@ fn models() -> Vec<Vec<u8>> {
         "schema": 1, "model": "shadow_gs", "options": model.options, "globals": model.initial_globals(0.3),
         "origin": {"lon_deg": 36.9, "lat_deg": 37.6, "height_m": 700.0}, "altitude_range_m": [690.0, 720.0],
         "area": {"west_m": -16.0, "south_m": -16.0, "east_m": 16.0, "north_m": 16.0}, "gsd_m": 0.5, "counts_per_unit": 1000.0,
-        "projection": heliosplat::splat::ProjectionOptions::default(), "trace": heliosplat::trace::TraceOptions::default(),
+        "projection": heliosplat::splat::ProjectionOptions::default(),
         "bands": bands, "images": [image],
     });
     vec![file.to_string().into_bytes()]

@@ -1,7 +1,7 @@
 //! Small satellite scenes to break: textured images over flat ground with simple, exact RPC cameras.
 
 use heliosplat::Raster;
-use heliosplat_pipelines::raster::{Crs, GeoTransform, ImageSpec, Sample, write_geotiff};
+use heliosplat_raster::{Crs, GeoTransform, ImageSpec, Sample, write_geotiff};
 use heliosplat_rpc::{Rpc, write};
 use serde_json::{Value, json};
 use std::path::{Path, PathBuf};
@@ -166,5 +166,5 @@ pub fn write_altitudes(path: &Path, raster: &Raster, west_m: f64, north_m: f64) 
         georeference: Some((&transform, &crs)),
         ..ImageSpec::plain(raster)
     };
-    heliosplat_pipelines::raster::write_cog(path, &spec).expect("the raster is written");
+    heliosplat_raster::write_cog(path, &spec).expect("the raster is written");
 }

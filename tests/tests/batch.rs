@@ -36,7 +36,7 @@ scene = \"scene\"
 [[presets]]
 name = \"quick\"
 preset = \"fast\"
-set = { \"train.iterations\" = 12, \"train.rounds\" = 100 }
+set = { \"train.iterations\" = 12, \"train.epochs\" = 100 }
 ";
 
 fn batch(home: &Path, out: &str, more: &[&str]) -> Vec<String> {

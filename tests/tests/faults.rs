@@ -1,7 +1,14 @@
 //! What a user can get wrong: each gets one line that names the file and what to do, the right exit code, and nothing
 //! half-written.
 
-use heliosplat_pipelines::raster::GeoRaster;
+use heliosplat::train::TrainOptions;
+use heliosplat_fitting::settings::Preset;
+use heliosplat_fitting::training::Ending;
+use heliosplat_raster::GeoRaster;
+use heliosplat_satellite::config::SatelliteConfig;
+use heliosplat_satellite::training::{TrainOutcome, TrainRequest, train};
+use heliosplat_scene::{IngestOptions, Scene};
+use heliosplat_session::Session;
 use heliosplat_tests::program::{fault, heliosplat, json};
 use heliosplat_tests::scenes::{Shows, View, write_altitudes, write_scene};
 use std::ffi::OsString;
@@ -431,7 +438,16 @@ fn training_that_finds_no_finite_step_fails_says_where_and_leaves_no_run() {
     let home = scene(&[View::new(0), View::new(1), View::new(2)]);
     let run = home.path().join("run");
     let line = fault(
-        &training(home.path(), &run, &["--set", "train.photometric_weight=1e30"]),
+        &training(
+            home.path(),
+            &run,
+            &[
+                "--set",
+                "train.consistency_weight=3e38",
+                "--set",
+                "train.consistency_every=1",
+            ],
+        ),
         1,
     );
     assert!(
@@ -445,25 +461,36 @@ fn training_that_finds_no_finite_step_fails_says_where_and_leaves_no_run() {
 fn training_that_goes_astray_keeps_its_last_good_state_and_says_why_it_stopped() {
     let home = scene(&[View::new(0), View::new(1), View::new(2)]);
     let run = home.path().join("run");
-    // Rates that grow instead of falling: after some steps colours are so bright that gradients are no numbers any more.
-    let astray = [
-        "train.iterations=120",
-        "train.rounds=40",
-        "train.patience=1000",
-        "train.position_rate_gsd=0",
-        "train.final_rate=1e30",
-    ];
-    let sets = astray.map(|set| ["--set", set]);
-    let line = fault(&training(home.path(), &run, sets.as_flattened()), 1);
-    let said = [
+    let mut config = SatelliteConfig::resolve(Preset::Fast, &[], 1).expect("a preset");
+    // Rates that grow instead of falling, which no user can ask for: after some steps colours are so bright that gradients are no
+    // numbers any more.
+    config.train = TrainOptions {
+        iterations: 120,
+        epochs: 40,
+        patience: 1000,
+        position_rate_gsd: 0.0,
+        final_rate: 1e30,
+        ..config.train
+    };
+    let read = Scene::open(home.path(), &IngestOptions::default()).expect("a scene");
+    let request = TrainRequest::new(run.clone(), Preset::Fast);
+    let outcome = train(&read, &config, &request, &Session::quiet()).expect("a run of the last good state");
+    let TrainOutcome::Trained(trained) = outcome else {
+        panic!("there was no run before")
+    };
+    let Ending::GaveUp(error) = &trained.ending else {
+        panic!("it went on to the end: {:?}", trained.ending)
+    };
+    assert!(trained.ending.check(&run).is_err());
+    let line = error.to_string();
+    for part in [
         "20 steps in a row",
         "is not finite, last in view view_",
         "the last good state is kept",
-    ];
-    for part in said.into_iter().chain([&*run.display().to_string()]) {
+    ] {
         assert!(line.contains(part), "'{part}' is not in '{line}'");
     }
-    let model = heliosplat_pipelines::run::load(&run).expect("a run that can be read");
+    let model = heliosplat_products::model::load(&run).expect("a run that can be read");
     assert!(model.parameters.is_finite() && model.parameters.gaussians.count > 100);
     let text = std::fs::read_to_string(run.join("metrics.json")).expect("metrics");
     let metrics: serde_json::Value = serde_json::from_str(&text).expect("JSON");
@@ -491,12 +518,12 @@ fn settings_that_mean_nothing_are_named() {
     let run = home.path().join("run");
     for (set, said) in [
         (
-            "train.scale_gsd=[8.0, 0.1]",
-            "train.scale_gsd is [8, 0.1], expected two finite numbers",
+            "train.pyramid_share=1.5",
+            "train.pyramid_share is 1.5, expected a number from 0 to 1",
         ),
         (
-            "start.opacity=1.0",
-            "start.opacity is 1, expected a number between 0 and 1",
+            "start.step_opacity=1.0",
+            "start.step_opacity is 1, expected a number between 0 and 1",
         ),
         ("train.position_rate_gsd=nan", "train.position_rate_gsd is NaN"),
     ] {

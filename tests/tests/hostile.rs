@@ -470,6 +470,7 @@ fn hostile_inputs_are_refused_in_one_line_in_seconds_and_in_little_memory() {
             stderr,
             peak_bytes,
             took,
+            ..
         } = measured::run(&arguments, LONGEST);
         println!(
             "{name}: {} MiB, {} ms: {}",

@@ -1,7 +1,7 @@
 //! How scenes lie on disk: folders of Sat-NeRF and EOGS with images, cameras and truth apart, lists, `scene.toml`, crops.
 
-use heliosplat_pipelines::raster::{ImageSpec, RasterFile, Sample, write_geotiff};
-use heliosplat_pipelines::scene::{IngestOptions, RpcPreference, Scene, SceneError, Split};
+use heliosplat_raster::{ImageSpec, RasterFile, Sample, write_geotiff};
+use heliosplat_scene::{IngestOptions, RpcPreference, Scene, SceneError, Split};
 use heliosplat_tests::scenes::{SIZE_PX, View, write_altitudes, write_scene};
 use std::fs;
 use std::path::Path;

@@ -5,10 +5,10 @@ use glam::Vec3;
 use heliosplat::ProjectiveCamera;
 use heliosplat::gaussians::{FEATURES, POSITION, Table, core_groups};
 use heliosplat::light::Light;
-use heliosplat::model::olat::{DIFFUSE, FRAME, HEAD_ON, LOBES, Olat, OlatOptions, SPECULAR, WEIGHT};
+use heliosplat::model::olat::{DIFFUSE, F0, FRAME, LOBES, Olat, OlatOptions, SPECULAR, WEIGHT};
 use heliosplat::model::{Context, Parameters, SceneModel};
 use heliosplat::render::Lit;
-use heliosplat::trace::{Occluders, TraceOptions, transmittance};
+use heliosplat::trace::{Occluders, transmittance};
 use heliosplat_tests::capture::{
     BANDS, Flat, SIZE, camera, engine_values, flat, network, reference_gaussians, reference_values, scatter,
 };
@@ -101,16 +101,16 @@ fn lobe(lambda: f64, mu: f64, sigma: f64, v: &Vector3<f64>) -> f64 {
 fn reflected(case: &Case, gaussians: &Flat, globals: &Flat, i: usize) -> Vec<f64> {
     let position = Vector3::from_row_slice(&gaussians[POSITION][i * 3..i * 3 + 3]);
     let (to_light, to_eye) = (case.light - position, case.eye - position);
-    let falling = DISTANCE * DISTANCE / (to_light.norm_squared() + RADIUS * RADIUS);
+    let falloff = DISTANCE * DISTANCE / (to_light.norm_squared() + RADIUS * RADIUS);
     let (to_light, to_eye) = (to_light.normalize(), to_eye.normalize());
     let frame = rotation(&gaussians[FRAME][i * 4..i * 4 + 4]);
     let cosine = soft_cosine(frame.column(2).dot(&to_light));
     let mut gloss = 0.0;
     if case.model.options.specular {
         let half = (to_light + to_eye).normalize();
-        let (cosine, head_on) = (to_light.dot(&half), sigmoid(gaussians[HEAD_ON][i]));
+        let (cosine, f0) = (to_light.dot(&half), sigmoid(gaussians[F0][i]));
         let masking = 1.0 / cosine.max(0.25).powi(2);
-        let fresnel = (head_on + (1.0 - head_on) * (1.0 - cosine).powi(5)) * masking;
+        let fresnel = (f0 + (1.0 - f0) * (1.0 - cosine).powi(5)) * masking;
         let own = frame.transpose() * half;
         for j in 0..LOBES {
             let v = rotation(&globals[0][j * 4..j * 4 + 4]).transpose() * own;
@@ -128,13 +128,13 @@ fn reflected(case: &Case, gaussians: &Flat, globals: &Flat, i: usize) -> Vec<f64
             } else {
                 0.0
             };
-            (diffuse + specular) * cosine * falling
+            (diffuse + specular) * cosine * falloff
         })
         .collect()
 }
 
-/// A vector as networks are told of it.
-fn told(v: &Vector3<f64>) -> Vec<f64> {
+/// A vector as the networks read it.
+fn encoded(v: &Vector3<f64>) -> Vec<f64> {
     v.iter()
         .flat_map(|x| [*x, x.sin(), x.cos(), (2.0 * x).sin(), (2.0 * x).cos()])
         .collect()
@@ -143,21 +143,27 @@ fn told(v: &Vector3<f64>) -> Vec<f64> {
 /// The directions to light and eye, and what networks read of Gaussian `i` besides them.
 fn around(case: &Case, gaussians: &Flat, i: usize) -> (Vector3<f64>, Vector3<f64>, Vector3<f64>, Vec<f64>) {
     let position = Vector3::from_row_slice(&gaussians[POSITION][i * 3..i * 3 + 3]);
-    let code = gaussians[case.model.code_group()][i * 6..i * 6 + 6].to_vec();
+    let embedding_group = case.model.embedding_group().expect("a network is on");
+    let embedding = gaussians[embedding_group][i * 6..i * 6 + 6].to_vec();
     let (to_light, to_eye) = (case.light - position, case.eye - position);
-    (position / HALF_SIZE, to_light.normalize(), to_eye.normalize(), code)
+    (
+        position / HALF_SIZE,
+        to_light.normalize(),
+        to_eye.normalize(),
+        embedding,
+    )
 }
 
 /// What scatters out of Gaussian `i`: the dipole as printed, with what the network predicts.
 fn scattered(case: &Case, gaussians: &Flat, globals: &Flat, i: usize) -> Vec<f64> {
-    let (place, to_light, to_eye, code) = around(case, gaussians, i);
+    let (position, to_light, to_eye, embedding) = around(case, gaussians, i);
     let normal = rotation(&gaussians[FRAME][i * 4..i * 4 + 4]).column(2).into_owned();
     let inputs = [
-        told(&place),
-        told(&to_light),
-        told(&to_eye),
+        encoded(&position),
+        encoded(&to_light),
+        encoded(&to_eye),
         normal.as_slice().to_vec(),
-        code,
+        embedding,
     ]
     .concat();
     let at = if case.model.options.specular { 3 } else { 0 };
@@ -174,35 +180,39 @@ fn scattered(case: &Case, gaussians: &Flat, globals: &Flat, i: usize) -> Vec<f64
     };
     let profile = s / t / (4.0 * PI) * (pole(1.0 / t) + pole((1.0 + 4.0 / 3.0 * 2.602_064) / t));
     let position = Vector3::from_row_slice(&gaussians[POSITION][i * 3..i * 3 + 3]);
-    let falling = DISTANCE * DISTANCE / ((case.light - position).norm_squared() + RADIUS * RADIUS);
-    let colours = &gaussians[case.model.code_group() + 1][i * 3..i * 3 + 3];
-    colours.iter().map(|&c| softplus(c) * profile * falling).collect()
+    let falloff = DISTANCE * DISTANCE / ((case.light - position).norm_squared() + RADIUS * RADIUS);
+    let scattered_group = case.model.scattered_group().expect("light scatters");
+    let colours = &gaussians[scattered_group][i * 3..i * 3 + 3];
+    colours.iter().map(|&c| softplus(c) * profile * falloff).collect()
 }
 
 /// A shadow as the network refines it.
 fn refined(case: &Case, gaussians: &Flat, globals: &Flat, i: usize, transmittance: f64) -> f64 {
-    let (place, to_light, _, code) = around(case, gaussians, i);
-    let inputs = [told(&place), told(&to_light), code, vec![transmittance]].concat();
+    let (position, to_light, _, embedding) = around(case, gaussians, i);
+    let inputs = [encoded(&position), encoded(&to_light), embedding, vec![transmittance]].concat();
     let at = if case.model.options.specular { 4 } else { 1 };
-    let moved = network(&globals[at], &inputs, 16, 1)[0];
+    let logit_shift = network(&globals[at], &inputs, 16, 1)[0];
     let t = transmittance.clamp(0.02, 0.98);
-    sigmoid((t / (1.0 - t)).ln() + moved)
+    sigmoid((t / (1.0 - t)).ln() + logit_shift)
 }
 
 /// The image's values, pixel after pixel: red, green, blue, coverage.
 fn reference_of(case: &Case, flat: &Flat, globals: &Flat) -> Vec<f64> {
     let mut gaussians = reference_gaussians(flat);
-    let lit: Vec<f64> = (0..gaussians.len())
+    let transmittance: Vec<f64> = (0..gaussians.len())
         .map(|i| reference::transmittance_to_point(&gaussians, i, &case.light))
         .collect();
     for (i, gaussian) in gaussians.iter_mut().enumerate() {
         let networks = case.model.options.scattering;
-        let lit = if networks {
-            refined(case, flat, globals, i, lit[i])
+        let transmittance = if networks {
+            refined(case, flat, globals, i, transmittance[i])
         } else {
-            lit[i]
+            transmittance[i]
         };
-        gaussian.albedo = reflected(case, flat, globals, i).into_iter().map(|c| c * lit).collect();
+        gaussian.albedo = reflected(case, flat, globals, i)
+            .into_iter()
+            .map(|c| c * transmittance)
+            .collect();
         if networks {
             let more = scattered(case, flat, globals, i);
             gaussian.albedo.iter_mut().zip(more).for_each(|(sum, c)| *sum += c);
@@ -234,12 +244,7 @@ fn transmittance_to_a_point_light_is_that_of_the_f64_reference() {
         let table = &case.parameters.gaussians;
         let gaussians = reference_gaussians(&flat(table));
         let origins: Vec<u32> = (0..table.count as u32).collect();
-        let traced = transmittance(
-            &Occluders::new(table),
-            &origins,
-            &light(&case),
-            &TraceOptions::default(),
-        );
+        let traced = transmittance(&Occluders::new(table), &origins, &light(&case));
         for (i, value) in traced.values.iter().enumerate() {
             let exact = reference::transmittance_to_point(&gaussians, i, &case.light);
             assert!((f64::from(*value) - exact).abs() < 1e-4, "{seed} {i}: {value} {exact}");

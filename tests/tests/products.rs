@@ -2,8 +2,8 @@
 //! STAC item says the same of them as the files do.
 
 use gdal::{Dataset, Metadata};
-use heliosplat_pipelines::raster::Geoid;
-use heliosplat_pipelines::raster::geoid::Undulation;
+use heliosplat_raster::Geoid;
+use heliosplat_raster::geoid::Undulation;
 use heliosplat_tests::program::{fault, json};
 use heliosplat_tests::scenes::{View, write_scene};
 use serde_json::Value;

@@ -1,6 +1,6 @@
 //! Ingest of real images, where they are present.
 
-use heliosplat_pipelines::raster::{CrsTransform, GeoRaster};
+use heliosplat_raster::{CrsTransform, GeoRaster};
 use heliosplat_tests::program::json;
 use heliosplat_tests::shared::shared;
 use serde_json::Value;

@@ -1,9 +1,9 @@
 //! The reflective model against its f64 form, written anew: values to 1e-4, gradients to 1e-3 of central differences, per parameter
-//! group; and that what is not glossy does not ask the decoder.
+//! group; and that what is not glossy does not evaluate the decoder.
 
 use heliosplat::ProjectiveCamera;
 use heliosplat::gaussians::{FEATURES, POSITION, Table, core_groups};
-use heliosplat::model::reflective::{ALBEDO, CODES, FRAME, LIGHT, MATERIAL, Reflective, ReflectiveOptions};
+use heliosplat::model::reflective::{ALBEDO, EMBEDDING, FRAME, LIGHT, MATERIAL, Reflective, ReflectiveOptions};
 use heliosplat::model::{Context, Parameters, SceneModel};
 use heliosplat::render::Lit;
 use heliosplat_tests::capture::{
@@ -157,8 +157,8 @@ fn seen(case: &Case, gaussians: &Flat, globals: &Flat, i: usize) -> Vec<f64> {
     let frame: Matrix3<f64> = frame.to_rotation_matrix().into_inner();
     let (x, y, n) = (frame.column(0), frame.column(1), frame.column(2));
     let eye = (case.eye - position).normalize();
-    let facing = n.dot(&eye);
-    let t = n * (2.0 * facing) - eye;
+    let n_dot_eye = n.dot(&eye);
+    let t = n * (2.0 * n_dot_eye) - eye;
     let material: Vec<f64> = part(MATERIAL, 4).iter().map(|&v| sigmoid(v)).collect();
     let (metallic, gloss) = (material[0], material[3]);
     let alpha = [0.03 + 0.97 * material[1], 0.03 + 0.97 * material[2]];
@@ -168,22 +168,22 @@ fn seen(case: &Case, gaussians: &Flat, globals: &Flat, i: usize) -> Vec<f64> {
         let own = part(LIGHT + degree, (2 * degree + 1) * 3);
         own[(f - degree * degree) * 3 + k] + globals[0][f * 3 + k]
     };
-    let gathered = [1.0, 2.0 / 3.0, 0.25, 0.0];
-    let (across, along) = (harmonics(&(n * facing.signum())), harmonics(&t));
+    let cosine_kernel = [1.0, 2.0 / 3.0, 0.25, 0.0];
+    let (diffuse_basis, reflected_basis) = (harmonics(&(n * n_dot_eye.signum())), harmonics(&t));
     let rho = alpha[0] * alpha[0] + alpha[1] * alpha[1];
-    let (mut even, mut mirrored) = ([0.0; 3], [0.0; 3]);
+    let (mut irradiance, mut reflected) = ([0.0; 3], [0.0; 3]);
     for f in 0..16 {
         let degree = (f as f64).sqrt() as usize;
         let blur = (-rho * (degree * (degree + 1)) as f64 / 2.0).exp();
         for k in 0..3 {
-            even[k] += gathered[degree] * across[f] * light(f, k);
-            mirrored[k] += blur * along[f] * light(f, k);
+            irradiance[k] += cosine_kernel[degree] * diffuse_basis[f] * light(f, k);
+            reflected[k] += blur * reflected_basis[f] * light(f, k);
         }
     }
     let mut specular = [0.0; 3];
     if case.model.options.specular {
-        let spread = |axis: Vector3<f64>, a: f64| (n * eye.dot(&axis) + axis * facing) * (2f64.sqrt() * a);
-        let spread = [spread(x.into(), alpha[0]), spread(y.into(), alpha[1])];
+        let lobe_deviation = |axis: Vector3<f64>, a: f64| (n * eye.dot(&axis) + axis * n_dot_eye) * (2f64.sqrt() * a);
+        let lobe_deviation = [lobe_deviation(x.into(), alpha[0]), lobe_deviation(y.into(), alpha[1])];
         // Corners of an icosahedron: a unit vector whose parts are in the golden ratio.
         let golden = (1.0 + 5f64.sqrt()) / 2.0;
         let (a, b) = (
@@ -198,32 +198,32 @@ fn seen(case: &Case, gaussians: &Flat, globals: &Flat, i: usize) -> Vec<f64> {
             [b, 0.0, a],
             [-b, 0.0, a],
         ];
-        let mut told = Vec::new();
+        let mut inputs = Vec::new();
         for axis in axes.map(Vector3::from) {
             for wave in [1.5, 3.0, 6.0, 12.0] {
-                let variance = axis.dot(&spread[0]).powi(2) + axis.dot(&spread[1]).powi(2);
+                let variance = axis.dot(&lobe_deviation[0]).powi(2) + axis.dot(&lobe_deviation[1]).powi(2);
                 let factor = (-0.5 * wave * wave * variance).exp();
                 let angle = wave * axis.dot(&t);
-                told.extend([factor * angle.sin(), factor * angle.cos()]);
+                inputs.extend([factor * angle.sin(), factor * angle.cos()]);
             }
         }
-        told.extend(mirrored);
-        told.push(facing.abs());
-        told.extend(alpha);
-        told.extend((position / HALF_SIZE).iter());
-        told.extend(part(CODES, 6));
-        let decoded = network(&globals[1], &told, 16, 3);
-        let sums = split_sums((alpha[0] * alpha[1]).powf(0.25), facing.abs());
+        inputs.extend(reflected);
+        inputs.push(n_dot_eye.abs());
+        inputs.extend(alpha);
+        inputs.extend((position / HALF_SIZE).iter());
+        inputs.extend(part(EMBEDDING, 6));
+        let decoded = network(&globals[1], &inputs, 16, 3);
+        let sums = split_sums((alpha[0] * alpha[1]).powf(0.25), n_dot_eye.abs());
         for k in 0..3 {
-            let head_on = 0.04 * (1.0 - metallic) + metallic * albedo[k];
-            let u = mirrored[k] + decoded[k];
+            let f0 = 0.04 * (1.0 - metallic) + metallic * albedo[k];
+            let u = reflected[k] + decoded[k];
             let arriving = u.max(0.0) + (-u.abs()).exp().ln_1p();
-            specular[k] = gloss * arriving * (head_on * sums[0] + sums[1]);
+            specular[k] = gloss * arriving * (f0 * sums[0] + sums[1]);
         }
     }
     (0..3)
         .map(|k| {
-            let diffuse = albedo[k] * (1.0 - metallic) * even[k].max(0.0);
+            let diffuse = albedo[k] * (1.0 - metallic) * irradiance[k].max(0.0);
             shown(case.model.options.display, diffuse + specular[k])
         })
         .collect()

@@ -1,10 +1,10 @@
 //! Trainings that are interrupted: whatever stops them and whenever, what they end with is the same, byte for byte.
 
 use heliosplat::Raster;
+use heliosplat::bench_fixture::Site;
+use heliosplat::light::Light;
 use heliosplat::model::View;
 use heliosplat::optim::DensityOptions;
-use heliosplat::rates::Site;
-use heliosplat::trace::{Route, TraceOptions};
 use heliosplat::train::{TrainOptions, Trainer, TrainerState};
 use heliosplat_tests::program::{binary, fault, json, tiny_scene};
 use std::path::{Path, PathBuf};
@@ -12,10 +12,10 @@ use std::process::{Child, Command, Stdio};
 use std::time::{Duration, Instant};
 use tempfile::{TempDir, tempdir};
 
-const STEPS: usize = 26;
+const STEPS: usize = 28;
 
 /// A site of `Site::new`, seen twice, in a training that uses every memory a trainer has.
-fn views(site: &Site) -> Vec<View> {
+fn views(site: &Site, light: Light) -> Vec<View> {
     let (width, height) = (site.camera.width, site.camera.height);
     let view = |number: usize| {
         let mut image = Raster::filled(width, height, 3, 0.3);
@@ -25,10 +25,10 @@ fn views(site: &Site) -> Vec<View> {
         View {
             name: format!("view {number}"),
             camera: site.camera,
-            light: Some(site.sun),
+            light: Some(light),
             appearance: 0,
             weight: vec![1.0; width * height],
-            lit: None,
+            visibility_prior: None,
             ceiling: Vec::new(),
             image,
         }
@@ -36,41 +36,33 @@ fn views(site: &Site) -> Vec<View> {
     vec![view(0), view(1), view(2)]
 }
 
-fn options(route: Route) -> TrainOptions {
+fn options() -> TrainOptions {
     TrainOptions {
         iterations: STEPS,
         gsd_m: 0.5,
         holdout: 0.3,
         patience: 50,
         light_every: 3,
-        light_moved: 0.002,
-        hierarchy_every: 9,
         consistency_every: 5,
-        pyramid_levels: 1,
+        pyramid_share: 0.4,
         depth_normal_weight: 0.0,
-        trace: TraceOptions {
-            route,
-            ..TraceOptions::default()
-        },
         density: DensityOptions {
             every: 11,
-            from: 11,
-            until_fraction: 1.0,
-            pull: 0.0,
+            gradient_threshold: 0.0,
             ..DensityOptions::default()
         },
         ..TrainOptions::default()
     }
 }
 
-fn trainer<'a>(site: &'a Site, route: Route) -> Trainer<'a> {
+fn trainer(site: &Site, light: Light) -> Trainer<'_> {
     let reach = glam::Vec3::splat(200.0);
     let parameters = site.parameters.clone();
     Trainer::new(
         &site.model,
-        views(site),
+        views(site, light),
         parameters,
-        options(route),
+        options(),
         (-reach, reach),
         None,
     )
@@ -80,11 +72,12 @@ fn trainer<'a>(site: &'a Site, route: Route) -> Trainer<'a> {
 #[test]
 fn a_trainer_that_takes_up_a_state_goes_on_as_the_one_that_left_it() {
     let site = Site::new(900, 64, 0.6);
-    for route in [Route::SunPlane, Route::Hierarchy] {
-        let mut whole = trainer(&site, route);
+    // One is traced on the plane normal to it, the other through a hierarchy.
+    for light in [site.sun, Light::Point(glam::Vec3::new(20.0, -10.0, 60.0))] {
+        let mut whole = trainer(&site, light);
         let mut kept = Vec::new();
         while !whole.finished() {
-            if [1, 4, 10, 11, 12, 19, 25].contains(&whole.steps()) {
+            if [1, 4, 10, 11, 12, 19, 25, 27].contains(&whole.steps()) {
                 kept.push(postcard::to_allocvec(&whole.state()).expect("plain data"));
             }
             whole.step().expect("a sound step");
@@ -95,13 +88,13 @@ fn a_trainer_that_takes_up_a_state_goes_on_as_the_one_that_left_it() {
         for bytes in &kept {
             let state: TrainerState = postcard::from_bytes(bytes).expect("what was written");
             let from = state.steps();
-            let mut later = trainer(&site, route);
+            let mut later = trainer(&site, light);
             later.restore(state).expect("of the same training");
             assert_eq!(later.steps(), from);
             while !later.finished() {
                 later.step().expect("a sound step");
             }
-            assert!(later.into_best() == whole, "{route:?} from step {from}");
+            assert!(later.into_best() == whole, "{light:?} from step {from}");
         }
     }
 }
@@ -109,18 +102,18 @@ fn a_trainer_that_takes_up_a_state_goes_on_as_the_one_that_left_it() {
 #[test]
 fn a_state_of_another_training_is_refused_and_changes_nothing() {
     let (site, other) = (Site::new(400, 64, 0.6), Site::new(400, 64, 0.6));
-    let mut first = trainer(&site, Route::SunPlane);
+    let mut first = trainer(&site, site.sun);
     first.step().expect("a sound step");
     let state = postcard::to_allocvec(&first.state()).expect("plain data");
     let state: TrainerState = postcard::from_bytes(&state).expect("what was written");
     let reach = glam::Vec3::splat(200.0);
-    let fewer = views(&other)[..2].to_vec();
+    let fewer = views(&other, other.sun)[..2].to_vec();
     let parameters = other.parameters.clone();
     let mut second = Trainer::new(
         &other.model,
         fewer,
         parameters.clone(),
-        options(Route::SunPlane),
+        options(),
         (-reach, reach),
         None,
     )
@@ -166,7 +159,7 @@ impl Home {
             "--set",
             density,
             "--set",
-            "train.rounds=100",
+            "train.epochs=100",
         ] {
             all.push(text.into());
         }
@@ -246,10 +239,10 @@ fn trainings_that_are_stopped_or_killed_end_with_the_same_bytes() {
     }
 
     // What was given then must be given now.
-    let other = ["--resume", "--set", "train.opacity_rate=0.05"];
+    let other = ["--resume", "--set", "train.position_rate_gsd=0.05"];
     let line = fault(&home.arguments(&run, &other), 2);
     assert!(
-        line.contains("training.bin") && line.contains("then: opacity_rate = "),
+        line.contains("training.bin") && line.contains("then: position_rate_gsd = "),
         "{line}"
     );
     let line = fault(&home.arguments(&run, &["--resume", "--seed", "2"]), 2);

@@ -1,6 +1,6 @@
 //! The main job end to end on a tiny synthetic site: images in, a DSM near the truth out, and its other products.
 
-use heliosplat_pipelines::raster::RasterFile;
+use heliosplat_raster::RasterFile;
 use heliosplat_tests::program::{fault, json};
 use std::path::Path;
 

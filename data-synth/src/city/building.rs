@@ -230,7 +230,8 @@ impl Building {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::raytrace::{Ray, Tracer};
+    use crate::ray::Ray;
+    use crate::raytrace::Tracer;
     use crate::terrain::HeightField;
 
     fn house(roof: Roof) -> Building {

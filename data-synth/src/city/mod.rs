@@ -6,6 +6,7 @@ mod homes;
 mod palette;
 mod planner;
 mod streets;
+mod trees;
 mod works;
 
 pub(crate) use ground::Ground;
@@ -15,7 +16,7 @@ use crate::materials::{Class, Material};
 use crate::noise::{hash2, stream};
 use crate::solid::Solids;
 use crate::terrain::{HeightField, Relief};
-use crate::vegetation::{Hedge, Tree, TreeKind};
+use crate::vegetation::{Hedge, Tree};
 use building::Building;
 use ground::{Landform, Outline, Zone};
 use planner::{Planner, Plot};
@@ -74,7 +75,7 @@ impl City {
             fill(&mut planner, block, purpose);
         }
         for block in &kept {
-            street_trees(&mut planner, block);
+            trees::along_pavement(&mut planner, block);
         }
         planner.grow();
         for street in &streets.streets {
@@ -220,31 +221,6 @@ fn lay_pavement(planner: &mut Planner, block: &Block) -> Zone {
     };
     planner.zones.extend([kerb, pavement]);
     kerb
-}
-
-fn street_trees(planner: &mut Planner, block: &Block) {
-    let plot = Plot::inside(block, 1.1);
-    let kind = planner.pick(&[TreeKind::Broadleaf, TreeKind::Broadleaf, TreeKind::Evergreen]);
-    for side in [-1.0, 1.0] {
-        for (axis, chance) in [(0, 0.75), (1, 0.6)] {
-            if !planner.chance(chance) {
-                continue;
-            }
-            let spacing_m = planner.range(8.5, 13.0);
-            let radius_m = planner.range(1.9, 3.1);
-            let reach = plot.half[axis] - 4.0;
-            let mut place = -reach;
-            while place < reach {
-                let mut at = [place; 2];
-                at[1 - axis] = side * plot.half[1 - axis];
-                if planner.chance(0.85) {
-                    let grown = radius_m * planner.range(0.85, 1.15);
-                    planner.plant(&plot, at, grown, kind);
-                }
-                place += spacing_m;
-            }
-        }
-    }
 }
 
 /// Bays along the kerbs of streets wide enough for them.

@@ -1,8 +1,7 @@
-//! The drawing board: one block at a time, in its own two axes, with a record of what stands where.
+//! The city under construction: zones, buildings, trees and cars placed so far, one block at a time, in the axes of the block.
 
 use super::building::{Building, Roof};
 use super::ground::{Outline, Pond, Zone};
-use super::palette;
 use super::streets::{Bend, Block};
 use crate::cars::CarSlot;
 use crate::materials::{Class, Material};
@@ -24,8 +23,8 @@ pub(crate) struct Planner {
     pub(crate) hedges: Vec<Hedge>,
     pub(crate) car_slots: Vec<CarSlot>,
     pub(crate) ponds: Vec<Pond>,
-    /// Trees that are wanted: place in city coordinates, crown radius, kind.
-    wishes: Vec<([f64; 2], f64, TreeKind)>,
+    /// Trees that may grow once everything is built: place in city coordinates, crown radius, kind.
+    pub(crate) wanted_trees: Vec<([f64; 2], f64, TreeKind)>,
     seed: u64,
 }
 
@@ -94,7 +93,7 @@ impl Planner {
             hedges: Vec::new(),
             car_slots: Vec::new(),
             ponds: Vec::new(),
-            wishes: Vec::new(),
+            wanted_trees: Vec::new(),
             seed,
         }
     }
@@ -165,53 +164,6 @@ impl Planner {
     /// A number in [0, 1).
     pub(crate) fn share(&mut self) -> f64 {
         self.random.random()
-    }
-
-    /// Wants a tree at a place of a plot. It grows when [`Self::grow`] is called, if nothing is in its way by then.
-    pub(crate) fn plant(&mut self, plot: &Plot, at: [f64; 2], radius_m: f64, kind: TreeKind) {
-        self.wishes.push((plot.uv(at[0], at[1]), radius_m, kind));
-    }
-
-    /// Grows the trees that were wanted, except where a wall, another tree or water is in the way.
-    pub(crate) fn grow(&mut self) {
-        for (uv, radius_m, kind) in std::mem::take(&mut self.wishes) {
-            self.grow_one(uv, radius_m, kind);
-        }
-    }
-
-    fn grow_one(&mut self, uv: [f64; 2], radius_m: f64, kind: TreeKind) {
-        let [x, y] = self.bend.xy_from_uv(uv[0], uv[1]);
-        let near_wall = (self.buildings.iter()).any(|b| b.footprint.distance_m(x, y) < 0.7 * radius_m + 0.4);
-        let near_tree = (self.trees.iter()).any(|t| (t.x - x).hypot(t.y - y) < 0.62 * (t.radius_m + radius_m));
-        let near_water = (self.ponds.iter()).any(|p| p.zone.distance_m(uv) < 0.6 * radius_m + 0.5);
-        if near_wall || near_tree || near_water {
-            return;
-        }
-        let seed = self.next_seed();
-        let slender = match kind {
-            TreeKind::Conifer => self.range(2.6, 3.6),
-            _ => self.range(1.9, 2.6),
-        };
-        let height_m = (slender * radius_m + self.range(0.5, 2.5)).min(16.0);
-        let leaf = palette::leaf(self, kind);
-        self.trees.push(Tree {
-            x,
-            y,
-            radius_m,
-            height_m,
-            kind,
-            leaf,
-            seed,
-        });
-    }
-
-    /// A tree of any common kind.
-    pub(crate) fn any_tree(&mut self) -> TreeKind {
-        match self.random.random_range(0..10) {
-            0..7 => TreeKind::Broadleaf,
-            7..9 => TreeKind::Evergreen,
-            _ => TreeKind::Conifer,
-        }
     }
 
     /// A bay a car may stand in, pointing along the plot's length or across it.

@@ -26,8 +26,8 @@ pub(crate) enum Pattern {
 pub(crate) struct Gloss {
     /// GGX widths along the tangent and across it.
     pub(crate) alpha: [f64; 2],
-    /// Reflectance head on.
-    pub(crate) head_on: Colour,
+    /// Reflectance at normal incidence (F0).
+    pub(crate) normal_reflectance: Colour,
 }
 
 /// What scatters under a surface, the same in all directions.
@@ -41,7 +41,7 @@ pub(crate) struct Medium {
 
 /// What a part is made of.
 #[derive(Debug, Clone, Copy)]
-pub(crate) struct Material {
+pub(crate) struct PartMaterial {
     pub(crate) colours: [Colour; 2],
     pub(crate) pattern: Pattern,
     pub(crate) gloss: Option<Gloss>,
@@ -53,7 +53,7 @@ pub(crate) struct Material {
 
 /// A surface at one point: its frame, its base and its lobe.
 #[derive(Debug, Clone, Copy)]
-pub(crate) struct Surface {
+pub(crate) struct SurfacePoint {
     pub(crate) normal: Vector3<f64>,
     pub(crate) tangent: Vector3<f64>,
     pub(crate) base: Colour,
@@ -61,9 +61,9 @@ pub(crate) struct Surface {
     pub(crate) medium: Option<Medium>,
 }
 
-impl Material {
+impl PartMaterial {
     /// The surface at a point in the part's own frame.
-    pub(crate) fn at(&self, own: &Vector3<f64>, normal: Vector3<f64>, own_up: Vector3<f64>) -> Surface {
+    pub(crate) fn at(&self, own: &Vector3<f64>, normal: Vector3<f64>, own_up: Vector3<f64>) -> SurfacePoint {
         let share = match self.pattern {
             Pattern::Plain => 0.0,
             Pattern::Checks(width) => {
@@ -86,10 +86,10 @@ impl Material {
             across(&normal)
         };
         let gloss = self.gloss.map(|gloss| Gloss {
-            head_on: if self.metal { colour } else { gloss.head_on },
+            normal_reflectance: if self.metal { colour } else { gloss.normal_reflectance },
             ..gloss
         });
-        Surface {
+        SurfacePoint {
             normal,
             tangent,
             base: if self.metal || self.medium.is_some() {
@@ -109,7 +109,7 @@ pub(crate) fn across(n: &Vector3<f64>) -> Vector3<f64> {
     n.cross(&other).normalize()
 }
 
-impl Surface {
+impl SurfacePoint {
     /// A white, matte surface: how light leaves a medium.
     pub(crate) fn white(normal: Vector3<f64>) -> Self {
         Self {
@@ -201,7 +201,7 @@ impl Surface {
 impl Gloss {
     fn fresnel(&self, cosine: f64) -> Colour {
         let rest = (1.0 - cosine).clamp(0.0, 1.0).powi(5);
-        self.head_on + (Colour::repeat(1.0) - self.head_on) * rest
+        self.normal_reflectance + (Colour::repeat(1.0) - self.normal_reflectance) * rest
     }
 
     /// Density of the facets' normals.
@@ -216,9 +216,9 @@ impl Gloss {
 mod tests {
     use super::*;
 
-    fn surface(base: f64, gloss: Option<Gloss>) -> Surface {
+    fn surface(base: f64, gloss: Option<Gloss>) -> SurfacePoint {
         let normal = Vector3::new(0.2, -0.3, 0.9).normalize();
-        Surface {
+        SurfacePoint {
             normal,
             tangent: across(&normal),
             base: Colour::repeat(base),
@@ -227,11 +227,11 @@ mod tests {
         }
     }
 
-    fn surfaces() -> [Surface; 3] {
-        let gloss = |alpha, head_on| {
+    fn surfaces() -> [SurfacePoint; 3] {
+        let gloss = |alpha, normal_reflectance| {
             Some(Gloss {
                 alpha,
-                head_on: Colour::repeat(head_on),
+                normal_reflectance: Colour::repeat(normal_reflectance),
             })
         };
         [

@@ -1,15 +1,15 @@
-//! What to make.
+//! Which capture of an object to make.
 
-use crate::SynthError;
+use crate::error::SynthError;
 
 /// Under which light an object is photographed.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Capture {
     /// A sky and a sun that stay: display images (PNG), as NeRF-synthetic.
     Object,
-    /// One lamp at a time, somewhere else in every image: linear images (EXR), as GS³ and NRHints.
+    /// One light at a time, somewhere else in every image: linear images (EXR), as GS³ and NRHints.
     Olat,
-    /// Surroundings with bright patches, to be seen in reflections: display images (PNG), as Shiny Blender.
+    /// An environment map with bright patches, to be seen in reflections: display images (PNG), as Shiny Blender.
     Reflective,
 }
 
@@ -37,7 +37,7 @@ pub struct ObjectRequest {
     pub seed: u64,
     /// Images to train with; `None` is as many as such captures usually have.
     pub views: Option<usize>,
-    /// Images held out; for [`Capture::Olat`] one half with lamps near those of training, one half far from them.
+    /// Images held out; for [`Capture::Olat`] one half with lights near those of training, one half far from them.
     pub held_out: Option<usize>,
     /// Width and height of every image, pixels.
     pub size_px: usize,

@@ -1,6 +1,6 @@
 //! Shapes with exact intersections: spheres, boxes and tori, placed and turned.
 
-use crate::raytrace::Ray;
+use crate::ray::Ray;
 use nalgebra::{Matrix3, Vector3};
 
 /// Hits nearer than this along a ray are the surface that the ray starts on.
@@ -35,15 +35,15 @@ pub(crate) struct Solid {
 
 /// Where a ray meets a solid. `normal` points out of the solid; `own` is the point in the solid's frame.
 #[derive(Debug, Clone, Copy)]
-pub(crate) struct Meeting {
+pub(crate) struct Intersection {
     pub(crate) distance: f64,
     pub(crate) normal: Vector3<f64>,
     pub(crate) own: Vector3<f64>,
 }
 
 impl Solid {
-    /// The first meeting before `limit`.
-    pub(crate) fn meet(&self, ray: &Ray, limit: f64) -> Option<Meeting> {
+    /// The first intersection before `limit`.
+    pub(crate) fn intersect(&self, ray: &Ray, limit: f64) -> Option<Intersection> {
         let origin = self.own_from_world * (ray.origin - self.centre);
         let direction = self.own_from_world * ray.direction;
         let (distance, normal) = match self.shape {
@@ -51,7 +51,7 @@ impl Solid {
             Shape::Box { half } => cuboid(&origin, &direction, &half)?,
             Shape::Torus { major, minor } => torus(&origin, &direction, major, minor, limit)?,
         };
-        (distance < limit).then(|| Meeting {
+        (distance < limit).then(|| Intersection {
             distance,
             normal: self.own_from_world.transpose() * normal,
             own: origin + direction * distance,
@@ -59,9 +59,9 @@ impl Solid {
     }
 }
 
-type Found = Option<(f64, Vector3<f64>)>;
+type Crossing = Option<(f64, Vector3<f64>)>;
 
-fn sphere(origin: &Vector3<f64>, direction: &Vector3<f64>, radius: f64) -> Found {
+fn sphere(origin: &Vector3<f64>, direction: &Vector3<f64>, radius: f64) -> Crossing {
     let b = origin.dot(direction);
     // The squared distance of the line, without the cancellation of b² - c.
     let miss = (origin - direction * b).norm_squared();
@@ -74,7 +74,7 @@ fn sphere(origin: &Vector3<f64>, direction: &Vector3<f64>, radius: f64) -> Found
     Some((t, (origin + direction * t) / radius))
 }
 
-fn cuboid(origin: &Vector3<f64>, direction: &Vector3<f64>, half: &Vector3<f64>) -> Found {
+fn cuboid(origin: &Vector3<f64>, direction: &Vector3<f64>, half: &Vector3<f64>) -> Crossing {
     let (mut enter, mut leave) = ((f64::NEG_INFINITY, 0), (f64::INFINITY, 0));
     for k in 0..3 {
         if direction[k].abs() < 1e-15 {
@@ -104,7 +104,7 @@ fn cuboid(origin: &Vector3<f64>, direction: &Vector3<f64>, half: &Vector3<f64>) 
 }
 
 /// Marched by its distance field, which is exact; then polished by Newton's rule.
-fn torus(origin: &Vector3<f64>, direction: &Vector3<f64>, major: f64, minor: f64, limit: f64) -> Found {
+fn torus(origin: &Vector3<f64>, direction: &Vector3<f64>, major: f64, minor: f64, limit: f64) -> Crossing {
     let field = |p: &Vector3<f64>| (p.xy().norm() - major).hypot(p.z) - minor;
     let slope = |p: &Vector3<f64>| {
         let ring = p.xy().norm().max(1e-12);
@@ -193,7 +193,7 @@ mod tests {
                     origin: eye,
                     direction: (aim - eye).normalize(),
                 };
-                let Some(hit) = solid.meet(&ray, f64::INFINITY) else {
+                let Some(hit) = solid.intersect(&ray, f64::INFINITY) else {
                     continue;
                 };
                 met += 1;
@@ -211,7 +211,7 @@ mod tests {
                 };
                 assert!(
                     solid
-                        .meet(&out, f64::INFINITY)
+                        .intersect(&out, f64::INFINITY)
                         .is_none_or(|again| again.distance > 1e-2),
                     "{shape:?}"
                 );

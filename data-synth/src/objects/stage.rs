@@ -1,9 +1,9 @@
-//! What stands on the stage, and from where it is looked at and lit.
+//! The object, its light, and the poses of cameras and lights: all that a seed decides about a capture.
 
-use super::material::{Colour, Gloss, Material, Medium, Pattern};
+use super::material::{Colour, Gloss, Medium, PartMaterial, Pattern};
 use super::request::{Capture, Look, ObjectRequest};
 use super::shape::{Shape, Solid};
-use super::trace::{Lamp, Part, Sky, Stage};
+use super::trace::{Environment, LightSource, Part, Stage};
 use nalgebra::{Rotation3, Vector3};
 use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg32;
@@ -11,23 +11,23 @@ use std::f64::consts::PI;
 
 /// Distance of the cameras from the middle.
 const EYE_DISTANCE: f64 = 4.0;
-/// Distance of the lamps from the middle.
-const LAMP_DISTANCE: f64 = 4.0;
-/// Radiant intensity of a lamp: a white surface that faces it shows about one half.
-pub(crate) const LAMP_STRENGTH: f64 = 25.0;
-/// Half of the sector of azimuths, radians, in which no lamp of training stands, and lamps far from those do.
+/// Distance of the lights from the middle.
+const LIGHT_DISTANCE: f64 = 4.0;
+/// Radiant intensity of a light: a white surface that faces it shows about one half.
+pub(crate) const LIGHT_STRENGTH: f64 = 25.0;
+/// Half of the sector of azimuths, radians, in which no light of training stands, and lights far from those do.
 const DARK_SECTOR: f64 = PI / 5.0;
-/// Lamps near those of training are this far from one, radians.
+/// Lights near those of training are this far from one, radians.
 const NEAR: f64 = 0.1;
 
-/// From where an image is taken, and its lamp where it has one of its own.
+/// From where an image is taken, and its light where it has one of its own.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Shot {
     pub(crate) eye: Vector3<f64>,
-    pub(crate) lamp: Option<Vector3<f64>>,
+    pub(crate) light: Option<Vector3<f64>>,
 }
 
-/// Images of a capture: to train with, held out with lamps near those, held out with lamps far from them. Where lamps do not
+/// Images of a capture: to train with, held out with lights near those, held out with lights far from them. Where lights do not
 /// move, the last is empty.
 #[derive(Debug, Clone)]
 pub(crate) struct Shots {
@@ -82,17 +82,17 @@ fn dome(count: usize, phase: f64, lowest: f64, highest: f64) -> Vec<(f64, f64)> 
 
 /// The object: a base plate with a ball, a ring and a block on it.
 fn parts(look: Look, dice: &mut Dice) -> Vec<Part> {
-    let matte = |dice: &mut Dice, pattern| Material {
+    let matte = |dice: &mut Dice, pattern| PartMaterial {
         colours: [dice.colour(), dice.colour()],
         pattern,
         gloss: None,
         metal: false,
         medium: None,
     };
-    let coated = |base| Material {
+    let coated = |base| PartMaterial {
         gloss: Some(Gloss {
             alpha: [0.08; 2],
-            head_on: Colour::repeat(0.05),
+            normal_reflectance: Colour::repeat(0.05),
         }),
         ..base
     };
@@ -105,21 +105,21 @@ fn parts(look: Look, dice: &mut Dice) -> Vec<Part> {
         let base = matte(dice, pattern);
         match look {
             Look::Matte => base,
-            Look::Glossy => Material {
+            Look::Glossy => PartMaterial {
                 pattern: Pattern::Spots(0.9),
                 ..coated(base)
             },
-            Look::Brushed => Material {
+            Look::Brushed => PartMaterial {
                 colours: [base.colours[0].map(|c| 0.45 + 0.5 * c); 2],
                 pattern: Pattern::Plain,
                 gloss: Some(Gloss {
                     alpha: [0.4, 0.15],
-                    head_on: Colour::zeros(),
+                    normal_reflectance: Colour::zeros(),
                 }),
                 metal: true,
                 ..base
             },
-            Look::Translucent => Material {
+            Look::Translucent => PartMaterial {
                 pattern: Pattern::Plain,
                 medium: Some(Medium {
                     extinction: 16.0,
@@ -183,23 +183,23 @@ fn parts(look: Look, dice: &mut Dice) -> Vec<Part> {
     ]
 }
 
-fn sky(capture: Capture, dice: &mut Dice) -> (Sky, Vec<Lamp>) {
+fn environment(capture: Capture, dice: &mut Dice) -> (Environment, Vec<LightSource>) {
     let grey = Colour::repeat;
     match capture {
-        Capture::Olat => (Sky::default(), Vec::new()),
+        Capture::Olat => (Environment::default(), Vec::new()),
         Capture::Object => {
             let sun = direction(dice.between(0.0, 2.0 * PI), dice.between(0.7, 1.1));
             let shades = [Colour::new(0.55, 0.62, 0.75), grey(0.45), grey(0.25)];
-            let lamp = Lamp::Sun {
+            let light = LightSource::Sun {
                 toward: sun,
                 strength: Colour::new(1.7, 1.6, 1.4),
             };
             (
-                Sky {
+                Environment {
                     shades,
                     patches: Vec::new(),
                 },
-                vec![lamp],
+                vec![light],
             )
         }
         Capture::Reflective => {
@@ -214,7 +214,7 @@ fn sky(capture: Capture, dice: &mut Dice) -> (Sky, Vec<Lamp>) {
             });
             let shades = [Colour::new(0.5, 0.55, 0.65), Colour::new(0.5, 0.42, 0.35), grey(0.15)];
             let patches = patches.collect();
-            (Sky { shades, patches }, Vec::new())
+            (Environment { shades, patches }, Vec::new())
         }
     }
 }
@@ -223,8 +223,12 @@ fn sky(capture: Capture, dice: &mut Dice) -> (Sky, Vec<Lamp>) {
 pub(crate) fn stage(request: &ObjectRequest) -> Stage {
     let mut dice = Dice(Pcg32::seed_from_u64(request.seed));
     let parts = parts(request.look, &mut dice);
-    let (sky, lamps) = sky(request.capture, &mut dice);
-    Stage { parts, lamps, sky }
+    let (environment, lights) = environment(request.capture, &mut dice);
+    Stage {
+        parts,
+        lights,
+        environment,
+    }
 }
 
 /// From where it is looked at and lit.
@@ -239,7 +243,7 @@ pub(crate) fn shots(request: &ObjectRequest) -> Shots {
     };
     let (training, testing) = (request.training(), request.testing());
     let still =
-        |eyes: Vec<Vector3<f64>>| -> Vec<Shot> { eyes.into_iter().map(|eye| Shot { eye, lamp: None }).collect() };
+        |eyes: Vec<Vector3<f64>>| -> Vec<Shot> { eyes.into_iter().map(|eye| Shot { eye, light: None }).collect() };
     if request.capture != Capture::Olat {
         return Shots {
             train: still(eyes(training, phase)),
@@ -247,30 +251,30 @@ pub(crate) fn shots(request: &ObjectRequest) -> Shots {
             far: Vec::new(),
         };
     }
-    // Lamps keep out of a sector of azimuths; those far from them stand in its middle half.
+    // Lights keep out of a sector of azimuths; those far from them stand in its middle half.
     let dark = dice.between(0.0, 2.0 * PI);
     let lit = |share: f64| dark + DARK_SECTOR + share * (2.0 * PI - 2.0 * DARK_SECTOR);
-    let mut lamps: Vec<Vector3<f64>> = dome(training, 0.0, 0.3, 0.98)
+    let mut lights: Vec<Vector3<f64>> = dome(training, 0.0, 0.3, 0.98)
         .into_iter()
-        .map(|(azimuth, elevation)| direction(lit(azimuth / (2.0 * PI)), elevation) * LAMP_DISTANCE)
+        .map(|(azimuth, elevation)| direction(lit(azimuth / (2.0 * PI)), elevation) * LIGHT_DISTANCE)
         .collect();
-    // Neighbours of a camera see the object under unlike lamps.
-    for i in (1..lamps.len()).rev() {
+    // Neighbours of a camera see the object under unlike lights.
+    for i in (1..lights.len()).rev() {
         let other = (dice.between(0.0, 1.0) * (i + 1) as f64) as usize;
-        lamps.swap(i, other.min(i));
+        lights.swap(i, other.min(i));
     }
     let far_count = testing / 2;
     let near = eyes(testing - far_count, phase + 1.0).into_iter().map(|eye| {
-        let lamp = lamps[(dice.between(0.0, 1.0) * training as f64) as usize % training];
+        let light = lights[(dice.between(0.0, 1.0) * training as f64) as usize % training];
         let aside = Vector3::new(
             dice.between(-1.0, 1.0),
             dice.between(-1.0, 1.0),
             dice.between(-1.0, 1.0),
         );
-        let moved = lamp.normalize() + aside.cross(&lamp).normalize() * NEAR;
+        let moved = light.normalize() + aside.cross(&light).normalize() * NEAR;
         Shot {
             eye,
-            lamp: Some(moved.normalize() * LAMP_DISTANCE),
+            light: Some(moved.normalize() * LIGHT_DISTANCE),
         }
     });
     let near = near.collect();
@@ -281,13 +285,18 @@ pub(crate) fn shots(request: &ObjectRequest) -> Shots {
         );
         Shot {
             eye,
-            lamp: Some(direction(azimuth, elevation) * LAMP_DISTANCE),
+            light: Some(direction(azimuth, elevation) * LIGHT_DISTANCE),
         }
     });
     let far = far.collect();
-    let train = eyes(training, phase).into_iter().zip(&lamps);
+    let train = eyes(training, phase).into_iter().zip(&lights);
     Shots {
-        train: train.map(|(eye, &lamp)| Shot { eye, lamp: Some(lamp) }).collect(),
+        train: train
+            .map(|(eye, &light)| Shot {
+                eye,
+                light: Some(light),
+            })
+            .collect(),
         near,
         far,
     }
@@ -298,15 +307,18 @@ mod tests {
     use super::*;
 
     fn angle_to_nearest(shot: &Shot, others: &[Shot]) -> f64 {
-        let lamp = shot.lamp.expect("a lamp").normalize();
-        let angles = others
-            .iter()
-            .map(|o| lamp.dot(&o.lamp.expect("a lamp").normalize()).clamp(-1.0, 1.0).acos());
+        let light = shot.light.expect("a light").normalize();
+        let angles = others.iter().map(|o| {
+            light
+                .dot(&o.light.expect("a light").normalize())
+                .clamp(-1.0, 1.0)
+                .acos()
+        });
         angles.fold(f64::INFINITY, f64::min)
     }
 
     #[test]
-    fn lamps_held_out_are_near_those_of_training_or_far_from_them() {
+    fn lights_held_out_are_near_those_of_training_or_far_from_them() {
         for seed in 1..4 {
             let request = ObjectRequest {
                 capture: Capture::Olat,

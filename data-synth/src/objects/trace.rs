@@ -1,47 +1,48 @@
-//! A path tracer: light gathered along random paths, with the lamps asked for directly at every turn.
+//! A path tracer with next-event estimation: radiance along random paths of at most three bounces, and the lights sampled directly at
+//! each of them.
 
-use super::material::{Colour, Material, Surface, across};
-use super::numbers::Numbers;
+use super::material::{Colour, PartMaterial, SurfacePoint, across};
+use super::sampler::PathSampler;
 use super::shape::Solid;
-use crate::raytrace::Ray;
+use crate::ray::Ray;
 use nalgebra::{Vector2, Vector3};
 use std::f64::consts::PI;
 
 /// Turns of a path.
 const BOUNCES: usize = 3;
 /// Least width of lobes behind the first turn of a path: light that gloss throws on other surfaces is blurred, for a path finds a
-/// sharp reflection of a lamp once in a thousand and then as a speck (Kaplanyan and Dachsbacher 2013).
+/// sharp reflection of a light once in a thousand and then as a speck (Kaplanyan and Dachsbacher 2013).
 const LEAST_ALPHA: f64 = 0.5;
 
 /// Most turns of a walk through a medium.
 const LONGEST_WALK: usize = 400;
 
 /// Where a walk through a medium left it, and what is left of it.
-struct Left {
+struct WalkExit {
     point: Vector3<f64>,
     normal: Vector3<f64>,
     weight: Colour,
 }
 
-/// A lamp.
+/// A light without extent.
 #[derive(Debug, Clone, Copy)]
-pub(crate) enum Lamp {
+pub(crate) enum LightSource {
     /// Parallel light from a unit direction; what it lays on a surface that faces it.
     Sun { toward: Vector3<f64>, strength: Colour },
     /// A point that radiates evenly; radiant intensity.
     Point { position: Vector3<f64>, strength: Colour },
 }
 
-/// Light from infinitely far: a smooth sky and glowing patches on it.
+/// Light from infinitely far: a smooth environment map and bright patches on it.
 #[derive(Debug, Clone, Default)]
-pub(crate) struct Sky {
+pub(crate) struct Environment {
     /// Straight up, at the horizon, straight down.
     pub(crate) shades: [Colour; 3],
     /// Direction, sharpness and peak of each patch.
     pub(crate) patches: Vec<(Vector3<f64>, f64, Colour)>,
 }
 
-impl Sky {
+impl Environment {
     /// Light from a unit direction, without that of the patches.
     fn smooth(&self, from: &Vector3<f64>) -> Colour {
         let (up, down) = (from.z.max(0.0), (-from.z).max(0.0));
@@ -96,22 +97,22 @@ impl Sky {
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Part {
     pub(crate) solid: Solid,
-    pub(crate) material: Material,
+    pub(crate) material: PartMaterial,
 }
 
 /// An object under its light.
 #[derive(Debug, Clone)]
 pub(crate) struct Stage {
     pub(crate) parts: Vec<Part>,
-    pub(crate) lamps: Vec<Lamp>,
-    pub(crate) sky: Sky,
+    pub(crate) lights: Vec<LightSource>,
+    pub(crate) environment: Environment,
 }
 
 /// What a path from the camera saw first.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub(crate) struct Seen {
+pub(crate) struct PathSample {
     /// Light toward the camera.
-    pub(crate) light: Colour,
+    pub(crate) radiance: Colour,
     /// Unit normal of the surface.
     pub(crate) normal: Vector3<f64>,
     /// The part of the object, by number.
@@ -119,11 +120,11 @@ pub(crate) struct Seen {
 }
 
 impl Stage {
-    fn first(&self, ray: &Ray) -> Option<(Vector3<f64>, Surface, usize)> {
-        let mut nearest: Option<(f64, Vector3<f64>, Surface, usize)> = None;
+    fn first_hit(&self, ray: &Ray) -> Option<(Vector3<f64>, SurfacePoint, usize)> {
+        let mut nearest: Option<(f64, Vector3<f64>, SurfacePoint, usize)> = None;
         for (number, part) in self.parts.iter().enumerate() {
             let limit = nearest.as_ref().map_or(f64::INFINITY, |n| n.0);
-            if let Some(hit) = part.solid.meet(ray, limit) {
+            if let Some(hit) = part.solid.intersect(ray, limit) {
                 let own_up = part.solid.own_from_world.row(2).transpose();
                 let surface = part.material.at(&hit.own, hit.normal, own_up);
                 nearest = Some((hit.distance, ray.at(hit.distance), surface, number));
@@ -133,16 +134,16 @@ impl Stage {
     }
 
     fn blocked(&self, ray: &Ray, limit: f64) -> bool {
-        self.parts.iter().any(|part| part.solid.meet(ray, limit).is_some())
+        self.parts.iter().any(|part| part.solid.intersect(ray, limit).is_some())
     }
 
-    /// Light of the lamps that `surface` at `point` sends to the eye.
-    fn lamps_at(&self, point: &Vector3<f64>, surface: &Surface, to_eye: &Vector3<f64>) -> Colour {
+    /// Light of the point lights and the sun that `surface` at `point` sends to the eye.
+    fn direct_light_at(&self, point: &Vector3<f64>, surface: &SurfacePoint, to_eye: &Vector3<f64>) -> Colour {
         let mut sum = Colour::zeros();
-        for lamp in &self.lamps {
-            let (toward, limit, falling) = match lamp {
-                Lamp::Sun { toward, strength } => (*toward, f64::INFINITY, *strength),
-                Lamp::Point { position, strength } => {
+        for light in &self.lights {
+            let (toward, limit, falling) = match light {
+                LightSource::Sun { toward, strength } => (*toward, f64::INFINITY, *strength),
+                LightSource::Point { position, strength } => {
                     let offset = position - point;
                     let distance = offset.norm().max(1e-9);
                     (offset / distance, distance, strength / (distance * distance))
@@ -165,12 +166,12 @@ impl Stage {
     fn patch_at(
         &self,
         point: &Vector3<f64>,
-        surface: &Surface,
+        surface: &SurfacePoint,
         to_eye: &Vector3<f64>,
         choice: f64,
         u: Vector2<f64>,
     ) -> Colour {
-        let Some(toward) = self.sky.toward_patch(choice, u) else {
+        let Some(toward) = self.environment.toward_patch(choice, u) else {
             return Colour::zeros();
         };
         let cosine = surface.normal.dot(&toward);
@@ -181,31 +182,40 @@ impl Stage {
         if cosine <= 0.0 || self.blocked(&ray, f64::INFINITY) {
             return Colour::zeros();
         }
-        let density = self.sky.density(&toward) + surface.density(&toward, to_eye);
-        surface.reflect(&toward, to_eye).component_mul(&self.sky.glow(&toward)) * (cosine / density.max(1e-12))
+        let density = self.environment.density(&toward) + surface.density(&toward, to_eye);
+        surface
+            .reflect(&toward, to_eye)
+            .component_mul(&self.environment.glow(&toward))
+            * (cosine / density.max(1e-12))
     }
 
     /// A random walk through the medium of a part, from the surface inward until it leaves: light that comes out here went in there,
     /// for the way back is as likely. Both ways through the surface are matte, and nothing is turned back inside. `None` when next to
     /// nothing is left.
-    fn wander(&self, part: usize, point: &Vector3<f64>, surface: &Surface, numbers: &mut Numbers) -> Option<Left> {
+    fn random_walk(
+        &self,
+        part: usize,
+        point: &Vector3<f64>,
+        surface: &SurfacePoint,
+        sampler: &mut PathSampler,
+    ) -> Option<WalkExit> {
         let (part, medium) = (&self.parts[part], surface.medium?);
-        let inward = Surface::white(-surface.normal);
-        let u = numbers.any_pair();
+        let inward = SurfacePoint::white(-surface.normal);
+        let u = sampler.any_pair();
         let mut ray = Ray {
             origin: *point,
             direction: inward.sample(&-surface.normal, 1.0, u)?,
         };
         let mut weight = Colour::repeat(1.0);
         for _ in 0..LONGEST_WALK {
-            let distance = -(1.0 - numbers.any()).ln() / medium.extinction;
-            if let Some(hit) = part.solid.meet(&ray, distance) {
+            let distance = -(1.0 - sampler.any()).ln() / medium.extinction;
+            if let Some(hit) = part.solid.intersect(&ray, distance) {
                 let normal = if hit.normal.dot(&ray.direction) < 0.0 {
                     -hit.normal
                 } else {
                     hit.normal
                 };
-                return Some(Left {
+                return Some(WalkExit {
                     point: ray.at(hit.distance),
                     normal,
                     weight,
@@ -215,7 +225,7 @@ impl Stage {
             if weight.max() < 1e-3 {
                 return None;
             }
-            let (up, azimuth) = (2.0 * numbers.any() - 1.0, 2.0 * PI * numbers.any());
+            let (up, azimuth) = (2.0 * sampler.any() - 1.0, 2.0 * PI * sampler.any());
             let sine = (1.0 - up * up).sqrt();
             ray = Ray {
                 origin: ray.at(distance),
@@ -226,27 +236,27 @@ impl Stage {
     }
 
     /// Follows one path from the camera; `None` when it meets nothing.
-    pub(crate) fn look(&self, ray: &Ray, numbers: &mut Numbers) -> Option<Seen> {
-        let (mut point, mut surface, part) = self.first(ray)?;
+    pub(crate) fn look(&self, ray: &Ray, sampler: &mut PathSampler) -> Option<PathSample> {
+        let (mut point, mut surface, part) = self.first_hit(ray)?;
         let (normal, mut within) = (surface.normal, part);
         let (mut light, mut weight) = (Colour::zeros(), Colour::repeat(1.0));
         let mut to_eye = -ray.direction;
         for bounce in 0..=BOUNCES {
             if surface.medium.is_some() {
-                let Some(left) = self.wander(within, &point, &surface, numbers) else {
+                let Some(left) = self.random_walk(within, &point, &surface, sampler) else {
                     break;
                 };
                 weight.component_mul_assign(&left.weight);
-                (point, surface) = (left.point, Surface::white(left.normal));
+                (point, surface) = (left.point, SurfacePoint::white(left.normal));
                 to_eye = left.normal;
             }
-            light += weight.component_mul(&self.lamps_at(&point, &surface, &to_eye));
+            light += weight.component_mul(&self.direct_light_at(&point, &surface, &to_eye));
             if bounce == BOUNCES {
                 break;
             }
-            let (choice, u) = numbers.at_turn(bounce, 0);
-            if !self.sky.patches.is_empty() {
-                let (choice, u) = numbers.at_turn(bounce, 1);
+            let (choice, u) = sampler.at_turn(bounce, 0);
+            if !self.environment.patches.is_empty() {
+                let (choice, u) = sampler.at_turn(bounce, 1);
                 light += weight.component_mul(&self.patch_at(&point, &surface, &to_eye, choice, u));
             }
             let Some(onward) = surface.sample(&to_eye, choice, u) else {
@@ -262,10 +272,10 @@ impl Stage {
                 origin: point,
                 direction: onward,
             };
-            match self.first(&ray) {
+            match self.first_hit(&ray) {
                 None => {
-                    let own = density / (density + self.sky.density(&onward)).max(1e-12);
-                    let arriving = self.sky.smooth(&onward) + self.sky.glow(&onward) * own;
+                    let own = density / (density + self.environment.density(&onward)).max(1e-12);
+                    let arriving = self.environment.smooth(&onward) + self.environment.glow(&onward) * own;
                     light += weight.component_mul(&arriving);
                     break;
                 }
@@ -276,7 +286,11 @@ impl Stage {
             }
             to_eye = -onward;
         }
-        Some(Seen { light, normal, part })
+        Some(PathSample {
+            radiance: light,
+            normal,
+            part,
+        })
     }
 }
 
@@ -294,7 +308,7 @@ mod tests {
                 centre,
                 own_from_world: Matrix3::identity(),
             },
-            material: Material {
+            material: PartMaterial {
                 colours: [Colour::repeat(0.5); 2],
                 pattern: Pattern::Plain,
                 gloss: None,
@@ -310,16 +324,16 @@ mod tests {
             direction: -Vector3::z(),
         };
         let paths = 4096;
-        let sum = (0..paths).filter_map(|path| stage.look(&ray, &mut Numbers::new(3, path)));
-        sum.fold(Colour::zeros(), |sum, seen| sum + seen.light) / f64::from(paths)
+        let sum = (0..paths).filter_map(|path| stage.look(&ray, &mut PathSampler::new(3, path)));
+        sum.fold(Colour::zeros(), |sum, seen| sum + seen.radiance) / f64::from(paths)
     }
 
     #[test]
     fn a_matte_ball_under_an_even_sky_shows_its_albedo_times_the_sky() {
         let stage = Stage {
             parts: vec![matte(Shape::Sphere { radius: 1.0 }, Vector3::zeros())],
-            lamps: Vec::new(),
-            sky: Sky {
+            lights: Vec::new(),
+            environment: Environment {
                 shades: [Colour::repeat(0.8); 3],
                 patches: Vec::new(),
             },
@@ -337,8 +351,8 @@ mod tests {
         let patch = |z: f64| (Vector3::z() * z, sharpness, Colour::repeat(3.0));
         let stage = Stage {
             parts: vec![matte(floor, Vector3::new(0.0, 0.0, -0.5))],
-            lamps: Vec::new(),
-            sky: Sky {
+            lights: Vec::new(),
+            environment: Environment {
                 shades: [Colour::zeros(); 3],
                 patches: vec![patch(1.0), patch(-1.0)],
             },
@@ -359,24 +373,24 @@ mod tests {
         });
         let even = Stage {
             parts: vec![ball],
-            lamps: Vec::new(),
-            sky: Sky {
+            lights: Vec::new(),
+            environment: Environment {
                 shades: [Colour::repeat(0.8); 3],
                 patches: Vec::new(),
             },
         };
-        // Where nothing is absorbed, an even sky is all that is seen; where something is, less.
+        // Where nothing is absorbed, an even environment is all that is seen; where something is, less.
         let seen = look(&even, 0.3);
         assert!(
             (seen.x - 0.8).abs() < 0.01 && seen.y < 0.75 && seen.z < seen.y,
             "{seen}"
         );
         let below = Stage {
-            lamps: vec![Lamp::Sun {
+            lights: vec![LightSource::Sun {
                 toward: -Vector3::z(),
                 strength: Colour::repeat(1.0),
             }],
-            sky: Sky::default(),
+            environment: Environment::default(),
             ..even
         };
         let through = look(&below, 0.3);
@@ -388,19 +402,19 @@ mod tests {
         let floor = Shape::Box {
             half: Vector3::new(5.0, 5.0, 0.5),
         };
-        let lamp = |z: f64| Lamp::Point {
+        let light = |z: f64| LightSource::Point {
             position: Vector3::new(0.0, 0.0, z),
             strength: Colour::repeat(9.0),
         };
         let stage = |parts, z| Stage {
             parts,
-            lamps: vec![lamp(z)],
-            sky: Sky::default(),
+            lights: vec![light(z)],
+            environment: Environment::default(),
         };
         let ground = matte(floor, Vector3::new(0.0, 0.0, -0.5));
         let open = stage(vec![ground], 3.0);
         assert!((look(&open, 0.0).x - 0.5 / PI).abs() < 1e-6);
-        // A ball between lamp and floor, off the camera's way.
+        // A ball between light and floor, off the camera's way.
         let ball = matte(Shape::Sphere { radius: 0.3 }, Vector3::new(0.5, 0.0, 1.5));
         let shaded = stage(vec![ground, ball], 3.0);
         assert!(look(&shaded, 1.0).x < 0.05 * look(&open, 1.0).x);

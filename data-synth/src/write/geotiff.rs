@@ -1,7 +1,7 @@
 //! GeoTIFF, written tag by tag: rational cameras, georeferencing, GDAL's metadata.
 
 use super::failed;
-use crate::SynthError;
+use crate::error::SynthError;
 use crate::truth::TruthGrid;
 use std::fs::File;
 use std::io::BufWriter;

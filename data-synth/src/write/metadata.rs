@@ -1,7 +1,7 @@
 //! What vendors say about an image: acquisition time, sun, footprint, camera.
 
+use crate::crop::Crop;
 use crate::plan::ViewPlan;
-use crate::render::Crop;
 use heliosplat_rpc::{GeoPoint, ImagePoint, Rpc, RpcError};
 use serde_json::{Value, json};
 

@@ -4,7 +4,7 @@
 pub(crate) mod geotiff;
 pub(crate) mod metadata;
 
-use crate::SynthError;
+use crate::error::SynthError;
 use std::fs;
 use std::io;
 use std::path::{Path, PathBuf};

@@ -7,8 +7,8 @@
 use super::grid::Grid;
 use super::ortho;
 use super::pairs::Pair;
-use super::search::Search;
-use super::sweep::SweepRequest;
+use super::pyramid::Search;
+use super::request::PlaneSweepRequest;
 use super::views::SweepView;
 use glam::{DMat2, DMat3, DVec2, DVec3, Vec3};
 use heliosplat::ProjectiveCamera;
@@ -20,68 +20,19 @@ const REACH: isize = 3;
 const ROUNDS: usize = 2;
 /// Radius of the window in which values are made zero mean and unit spread, cells.
 const WINDOW: usize = 4;
-/// Below this many cells on a side the finest level takes part too; beyond, half its resolution is enough for
-/// hundredths of a pixel.
-const SMALL_SIDE: usize = 200;
-/// Share of the views' disagreement that shifts must take away to be believed.
-const WORTHWHILE: f64 = 0.01;
+/// Cells of the request per cell on which [`coarse_shifts`] stops.
+const COARSE_FACTOR: usize = 4;
 
-/// Shifts (columns, rows in pixels) that make the views agree: `camera.shifted(shift[0], shift[1])` is the corrected
-/// camera.
+/// Shifts (columns, rows in pixels) that make the views agree, good to a pixel or two, a start for [`super::ties`]:
+/// `camera.shifted(shift[0], shift[1])` is the corrected camera.
 ///
 /// What the images cannot tell — a common translation of the scene in three dimensions — is left as the cameras have it:
 /// of all equivalent sets of shifts this is the smallest. With two views only the shift across their epipolar lines
 /// remains.
-///
-/// Shifts that do not make the views agree better on their surface are mistakes of the estimate: then all are zero.
-pub fn estimate_shifts(views: &[SweepView], request: &SweepRequest) -> Vec<[f32; 2]> {
-    let shifts = descend(views, request, finest_factor(request));
-    let before = disagreement(views, request);
-    let moved: Vec<SweepView> = views
-        .iter()
-        .zip(&shifts)
-        .map(|(view, shift)| SweepView {
-            camera: view.camera.shifted(shift[0], shift[1]),
-            ..*view
-        })
-        .collect();
-    let after = disagreement(&moved, request);
-    let gain = 1.0 - after / before.max(f64::MIN_POSITIVE);
-    tracing::debug!(before, after, "disagreement of the views on their surface");
-    if gain > WORTHWHILE {
-        shifts
-    } else {
-        vec![[0.0; 2]; views.len()]
-    }
-}
-
-/// Cells of the request per cell on which [`coarse_shifts`] stops.
-const COARSE_FACTOR: usize = 4;
-
-/// As [`estimate_shifts`], but only down to coarse cells and without the check: a start for [`super::ties`], good to a pixel or two.
-pub fn coarse_shifts(views: &[SweepView], request: &SweepRequest) -> Vec<[f32; 2]> {
-    descend(views, request, COARSE_FACTOR)
-}
-
-/// Mean cost of the surface the views find together.
-fn disagreement(views: &[SweepView], request: &SweepRequest) -> f64 {
-    let search = Search::new(views, request);
-    let finest = finest_factor(request);
-    search.descend(finest, &|_| {}).map_or(0.0, |found| {
-        let sum: f64 = found.choices.iter().map(|choice| f64::from(choice.cost)).sum();
-        sum / found.choices.len().max(1) as f64
-    })
-}
-
-fn finest_factor(request: &SweepRequest) -> usize {
-    let grid = request.grid();
-    if grid.width.min(grid.height) < SMALL_SIDE { 1 } else { 2 }
-}
-
-fn descend(views: &[SweepView], request: &SweepRequest, finest: usize) -> Vec<[f32; 2]> {
+pub fn coarse_shifts(views: &[SweepView], request: &PlaneSweepRequest) -> Vec<[f32; 2]> {
     let mut moved = views.to_vec();
     let mut shifts = vec![DVec2::ZERO; views.len()];
-    for factor in Search::new(views, request).factors(finest) {
+    for factor in Search::new(views, request).factors(COARSE_FACTOR) {
         for _ in 0..ROUNDS {
             for (view, (original, shift)) in moved.iter_mut().zip(views.iter().zip(&shifts)) {
                 view.camera = original.camera.shifted(shift.x as f32, shift.y as f32);

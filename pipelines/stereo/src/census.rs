@@ -1,28 +1,33 @@
-//! The census transform: which neighbours are darker than the centre. It survives any monotone change of brightness,
-//! so exposure, haze and season move it little (Zabih & Woodfill 1994).
+//! The census transform: which neighbours are darker than the centre (Zabih and Woodfill 1994).
+//!
+//! It does not change under any monotone change of brightness, so exposure, haze and season move it little. Differences below a noise
+//! floor or beyond a contrast limit are not compared: the share of differing bits among those that both cells compare is the distance.
+//! Views of one date are compared by brightness itself too ([`compare_values`]).
+//!
+//! Thirty-two bits a cell and whole-number sums, so that eight cells are worked on together and the result does not depend on order.
 
 use heliosplat::fast::{floor, number};
 use heliosplat::vectorised;
 
 /// Cells from the centre to the edge of the window.
 pub(super) const RADIUS: usize = 3;
-/// Neighbours compared: the full 5 × 5 window, and every other cell of the ring around it for reach.
+/// Neighbours compared: every other cell of the 7 × 7 window, as on a chessboard, without the centre.
 pub(super) const COMPARISONS: u32 = 24;
-/// Set in [`Words::darker`] where the window is not complete.
+/// Set in [`Descriptors::darker`] where the window is not complete.
 pub(super) const INVALID: u32 = 1 << 31;
 
-/// Descriptors of some cells, a bit per neighbour in each list: thirty-two bits, so that eight cells are worked on together.
+/// Descriptors of some cells, a bit per neighbour in each list.
 #[derive(Debug, Clone, Default, PartialEq)]
-pub(super) struct Words {
+pub(super) struct Descriptors {
     /// Neighbours that are darker than the cell.
     pub(super) darker: Vec<u32>,
-    /// Neighbours that are compared: neither as bright as the cell but for noise, nor of another surface or light.
+    /// Neighbours that are compared: differences between the noise floor and the contrast limit.
     pub(super) compared: Vec<u32>,
-    /// The cell itself, from the middle of its image, in typical differences between neighbours.
+    /// Brightness of the cell less the median of its image, in median differences between neighbours.
     pub(super) value: Vec<f32>,
 }
 
-impl Words {
+impl Descriptors {
     /// Room for `cells`.
     pub(super) fn new(cells: usize) -> Self {
         Self {
@@ -54,7 +59,7 @@ const OFFSETS: [(isize, isize); COMPARISONS as usize] = offsets();
 vectorised! {
     /// Descriptors of a block of `width × height` cells from their values, which reach [`RADIUS`] further on every side. Neighbours
     /// are compared whose value is `range[0]` to `range[1]` away from the cell's.
-    pub(super) fn describe(values: &[f32], width: usize, height: usize, range: [f32; 2], out: &mut Words) {
+    pub(super) fn describe(values: &[f32], width: usize, height: usize, range: [f32; 2], out: &mut Descriptors) {
         let stride = width + 2 * RADIUS;
         for row in 0..height {
             let centre_at = (row + RADIUS) * stride + RADIUS;
@@ -65,7 +70,7 @@ vectorised! {
     }
 }
 
-/// Cells that are described together: their words stay in registers.
+/// Cells that are described together: their descriptors stay in registers.
 const LANES: usize = 8;
 
 /// Descriptors of a row of cells; `values` begins at the upper left corner of the first window.
@@ -120,7 +125,7 @@ fn describe_cells<const N: usize>(values: &[f32], stride: usize, range: [f32; 2]
 vectorised! {
     /// Adds to `sum` the weighted distance between two blocks of descriptors, cut off at `cut`, and to `weights` the weight,
     /// where both are valid.
-    pub(super) fn compare(a: &Words, b: &Words, weight: u32, cut: u32, sum: &mut [u32], weights: &mut [u32]) {
+    pub(super) fn compare(a: &Descriptors, b: &Descriptors, weight: u32, cut: u32, sum: &mut [u32], weights: &mut [u32]) {
         let cells = sum.len();
         let (a_darker, a_compared) = (&a.darker[..cells], &a.compared[..cells]);
         let (b_darker, b_compared) = (&b.darker[..cells], &b.compared[..cells]);
@@ -129,7 +134,8 @@ vectorised! {
             let both = a_compared[k] & b_compared[k];
             let n = number(both.count_ones());
             let differing = number(((a_darker[k] ^ b_darker[k]) & both).count_ones());
-            let (_, distance) = floor(24.0 * (differing + 1.0) / (n + 2.0));
+            // Laplace's rule of succession: with nothing to compare the distance is one half.
+            let (_, distance) = floor(COMPARISONS as f32 * (differing + 1.0) / (n + 2.0));
             let distance = if distance < cut { distance } else { cut };
             let weight = if (a_darker[k] | b_darker[k]) & INVALID == 0 { weight } else { 0 };
             sum[k] += weight * distance;
@@ -140,14 +146,14 @@ vectorised! {
 
 vectorised! {
     /// Values of a block of `width × height` cells, which reach [`RADIUS`] further on every side, less `middle`, in units of `unit`.
-    pub(super) fn keep(values: &[f32], width: usize, height: usize, middle: f32, unit: f32, out: &mut Words) {
+    pub(super) fn store_values(values: &[f32], width: usize, height: usize, middle: f32, unit: f32, out: &mut Descriptors) {
         let stride = width + 2 * RADIUS;
         let inverse = 1.0 / unit;
         for row in 0..height {
             let start = (row + RADIUS) * stride + RADIUS;
-            let kept = out.value[row * width..(row + 1) * width].iter_mut();
-            for (kept, value) in kept.zip(&values[start..start + width]) {
-                *kept = (value - middle) * inverse;
+            let stored = out.value[row * width..(row + 1) * width].iter_mut();
+            for (stored, value) in stored.zip(&values[start..start + width]) {
+                *stored = (value - middle) * inverse;
             }
         }
     }
@@ -156,7 +162,7 @@ vectorised! {
 vectorised! {
     /// Adds to `sum` the weighted difference between two blocks of values, `reach` and more being `cut`, and to `weights` the weight,
     /// where the descriptors of both are valid.
-    pub(super) fn differ(a: &Words, b: &Words, weight: u32, reach: f32, cut: u32, sum: &mut [u32], weights: &mut [u32]) {
+    pub(super) fn compare_values(a: &Descriptors, b: &Descriptors, weight: u32, reach: f32, cut: u32, sum: &mut [u32], weights: &mut [u32]) {
         let cells = sum.len();
         let (a_darker, a_value) = (&a.darker[..cells], &a.value[..cells]);
         let (b_darker, b_value) = (&b.darker[..cells], &b.value[..cells]);
@@ -185,17 +191,17 @@ mod tests {
     #[test]
     fn the_descriptor_does_not_see_gain_and_offset() {
         let (width, stride) = (6, 6 + 2 * RADIUS);
-        let (mut a, mut b) = (Words::new(36), Words::new(36));
+        let (mut a, mut b) = (Descriptors::new(36), Descriptors::new(36));
         describe(&ramp(stride, 1.0), width, width, [0.0, 1e3], &mut a);
         describe(&ramp(stride, 3.5), width, width, [0.0, 3.5e3], &mut b);
         assert_eq!(a, b);
-        assert!(a.darker.iter().any(|&word| word != a.darker[0]));
+        assert!(a.darker.iter().any(|&darker| darker != a.darker[0]));
     }
 
     #[test]
-    fn what_is_only_noise_says_neither_match_nor_mismatch() {
+    fn noise_is_neither_a_match_nor_a_mismatch() {
         let (width, stride) = (6, 6 + 2 * RADIUS);
-        let (mut a, mut b) = (Words::new(36), Words::new(36));
+        let (mut a, mut b) = (Descriptors::new(36), Descriptors::new(36));
         let level: Vec<f32> = ramp(stride, 1e-4);
         let turned: Vec<f32> = level.iter().map(|v| 10.0 - v).collect();
         describe(&level, width, width, [0.1, 8.0], &mut a);
@@ -216,37 +222,37 @@ mod tests {
         let (width, stride) = (6, 6 + 2 * RADIUS);
         let mut values = ramp(stride, 1.0);
         values[0] = f32::NAN;
-        let mut words = Words::new(36);
-        describe(&values, width, width, [0.0, 1e3], &mut words);
+        let mut descriptors = Descriptors::new(36);
+        describe(&values, width, width, [0.0, 1e3], &mut descriptors);
         assert_ne!(
-            words.darker[0] & INVALID,
+            descriptors.darker[0] & INVALID,
             0,
             "the window of the first cell holds the hole"
         );
-        assert_eq!(words.darker[35] & INVALID, 0);
+        assert_eq!(descriptors.darker[35] & INVALID, 0);
         let (mut sum, mut weights) = (vec![0; 36], vec![0; 36]);
-        compare(&words, &words, 3, 10, &mut sum, &mut weights);
+        compare(&descriptors, &descriptors, 3, 10, &mut sum, &mut weights);
         assert_eq!((weights[0], weights[35], sum[35]), (0, 3, 0));
     }
 
     #[test]
     fn values_differ_up_to_a_cut_and_holes_do_not_count() {
         let (width, stride) = (6, 6 + 2 * RADIUS);
-        let (mut a, mut b) = (Words::new(36), Words::new(36));
+        let (mut a, mut b) = (Descriptors::new(36), Descriptors::new(36));
         let mut values = ramp(stride, 1.0);
-        keep(&values, width, width, 5.0, 2.0, &mut a);
+        store_values(&values, width, width, 5.0, 2.0, &mut a);
         values.iter_mut().for_each(|v| *v += 2.0);
-        keep(&values, width, width, 5.0, 2.0, &mut b);
+        store_values(&values, width, width, 5.0, 2.0, &mut b);
         b.darker[1] = INVALID;
         let (mut sum, mut weights) = (vec![0; 36], vec![0; 36]);
-        differ(&a, &b, 3, 4.0, 8, &mut sum, &mut weights);
+        compare_values(&a, &b, 3, 4.0, 8, &mut sum, &mut weights);
         assert_eq!(
             (sum[0], weights[0]),
             (6, 3),
             "a quarter of the reach is a quarter of the cut"
         );
         assert_eq!((sum[1], weights[1]), (0, 0));
-        differ(&a, &b, 3, 0.5, 8, &mut sum, &mut weights);
+        compare_values(&a, &b, 3, 0.5, 8, &mut sum, &mut weights);
         assert_eq!(sum[0], 6 + 24, "no more than the cut");
     }
 
@@ -254,14 +260,14 @@ mod tests {
     fn cells_of_a_narrow_row_are_described_as_those_of_a_wide_one() {
         let values = ramp(20 + 2 * RADIUS, 1.0);
         let stride = 20 + 2 * RADIUS;
-        let mut wide = Words::new(20);
+        let mut wide = Descriptors::new(20);
         describe(&values, 20, 1, [2.5, 7.0], &mut wide);
         let narrow: Vec<f32> = values
             .chunks(stride)
             .take(1 + 2 * RADIUS)
             .flat_map(|row| row[..3 + 2 * RADIUS].to_vec())
             .collect();
-        let mut few = Words::new(3);
+        let mut few = Descriptors::new(3);
         describe(&narrow, 3, 1, [2.5, 7.0], &mut few);
         assert_eq!(
             (&wide.darker[..3], &wide.compared[..3]),

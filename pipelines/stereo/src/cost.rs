@@ -1,87 +1,93 @@
-//! How badly the views agree on each cell at each altitude.
+//! The matching cost of each cell at each height: how badly the views agree there.
+//!
+//! All views are sampled on a plane at the altitude of a hypothesis; pairs of them are compared by the census transform of brightness
+//! (and of the index), views of one date by brightness itself. Each comparison is truncated, so a view that is hidden or has changed is
+//! no worse than no match at all; the no-match cost keeps heights that few views see from winning by chance. The weighted mean is then
+//! averaged over the aggregation window.
+//!
+//! Cells are worked on in blocks that fit the cache, strips of blocks in parallel; integer sums keep the result independent of threads.
 
-use super::bands::Bands;
-use super::census::{self, COMPARISONS, INVALID, RADIUS, Words};
-use super::grid::{Grid, Ladder};
+mod block;
+
+use super::census::{self, COMPARISONS, Descriptors, INVALID, RADIUS};
+use super::grid::Grid;
+use super::heights::HeightHypotheses;
+use super::level::LevelView;
 use super::pairs::Pair;
-use super::views::{LevelView, Line, Place};
+use super::parameters::MatchingParameters;
+use super::ranges::SearchRanges;
+use super::sampling::{Line, Place};
 use super::visibility::FirstHits;
+use block::{BLOCK, Block, Scratch, WideBlock};
 use rayon::prelude::*;
 use std::collections::BTreeMap;
 
-/// Cells of a block: rows × columns small enough for the cache, large enough that the window's margin stays cheap.
-const BLOCK: (usize, usize) = (16, 64);
-/// Distances beyond this share of the comparisons say only "no match": a hidden or changed view is no worse than that.
-const CUT: f32 = 0.36;
-/// Differences of brightness within a date, in typical differences between neighbours, beyond which they say only "no match".
-const VALUE_REACH: f32 = 4.0;
-/// What a comparison of indices is worth beside one of brightness.
-const INDEX_WORTH: f32 = 0.5;
+/// Census distances beyond this share of the comparisons are truncated: they say "no match" and no more.
+const TRUNCATION: f32 = 0.36;
+/// Differences of brightness within a date at which they are truncated too, in median differences between neighbours (docs/lab/plane-sweep.md).
+const VALUE_TRUNCATION: f32 = 4.0;
 
-/// What the search compares, and where.
-pub(super) struct Matching<'a> {
+/// What is compared, and where.
+pub(super) struct MatchingCost<'a> {
     pub(super) grid: Grid,
-    pub(super) ladder: Ladder,
+    pub(super) heights: HeightHypotheses,
     pub(super) views: &'a [LevelView],
     pub(super) pairs: &'a [Pair],
-    pub(super) compared: [f32; 2],
-    /// Weight, as a share of all pairs, of the assumption that nothing matches.
-    pub(super) doubt: f32,
-    /// Whether the brightness itself of views of one date is compared.
-    pub(super) same_date_values: bool,
-    /// Costs are averaged over windows of this radius, cells: where the base is short, a wider look tells altitudes apart.
-    pub(super) radius: usize,
+    pub(super) parameters: &'a MatchingParameters,
+    /// Weight of a comparison of index planes; `None` where they are not compared.
+    pub(super) index_weight: Option<f32>,
     /// What each view sees first, where a surface is known already.
     pub(super) hits: Option<&'a [FirstHits]>,
 }
 
-impl Matching<'_> {
-    /// Costs 0 (all agree) to 255 of all levels of all cells, in the order of `bands`.
-    pub(super) fn costs(&self, bands: &Bands) -> Vec<u8> {
-        let mut costs = vec![0; bands.total()];
+impl MatchingCost<'_> {
+    /// Costs 0 (all agree) to 255 of all levels of all cells, in the order of `ranges`.
+    pub(super) fn costs(&self, ranges: &SearchRanges) -> Vec<u8> {
+        let mut costs = vec![0; ranges.total()];
         let mut strips = Vec::new();
         let mut rest = costs.as_mut_slice();
         for row0 in (0..self.grid.height).step_by(BLOCK.0) {
             let row1 = (row0 + BLOCK.0).min(self.grid.height);
-            let values = bands.start[row1 * self.grid.width] - bands.start[row0 * self.grid.width];
+            let values = ranges.start[row1 * self.grid.width] - ranges.start[row0 * self.grid.width];
             let (strip, tail) = rest.split_at_mut(values);
             strips.push((row0, row1, strip));
             rest = tail;
         }
         strips.into_par_iter().for_each(|(row0, row1, strip)| {
-            let mut scratch = Scratch::new(self.views.len(), self.radius);
+            let mut scratch = Scratch::new(self.views.len(), self.parameters.aggregation_radius);
             for col0 in (0..self.grid.width).step_by(BLOCK.1) {
                 let col1 = (col0 + BLOCK.1).min(self.grid.width);
                 let block = Block { row0, row1, col0, col1 };
-                self.fill_block(&block, bands, &mut scratch, strip);
+                self.fill_block(&block, ranges, &mut scratch, strip);
             }
         });
         costs
     }
 
-    fn fill_block(&self, block: &Block, bands: &Bands, scratch: &mut Scratch, strip: &mut [u8]) {
-        let strip_start = bands.start[block.row0 * self.grid.width];
-        for (level, part) in self.parts(block, bands) {
-            self.block_costs(&part.wider(self.radius), self.ladder.altitude(level as f32), scratch);
-            scratch.average(&part, self.radius);
+    fn fill_block(&self, block: &Block, ranges: &SearchRanges, scratch: &mut Scratch, strip: &mut [u8]) {
+        let radius = self.parameters.aggregation_radius;
+        let strip_start = ranges.start[block.row0 * self.grid.width];
+        for (level, part) in self.parts(block, ranges) {
+            self.block_costs(&part.wider(radius), self.heights.altitude(level as f32), scratch);
+            scratch.average(&part, radius);
             part.cells(&self.grid, |k, cell| {
-                let low = usize::from(bands.low[cell]);
-                if level >= low && level < low + bands.count(cell) {
-                    strip[bands.start[cell] - strip_start + level - low] = scratch.cost[k];
+                let low = usize::from(ranges.low[cell]);
+                if level >= low && level < low + ranges.count(cell) {
+                    strip[ranges.start[cell] - strip_start + level - low] = scratch.cost[k];
                 }
             });
         }
     }
 
-    /// The levels that some cell of a block considers, each with the least part of the block that holds those cells: between the
-    /// ground and the roofs there is often none, and then nothing need be compared.
-    fn parts(&self, block: &Block, bands: &Bands) -> impl Iterator<Item = (usize, Block)> {
+    /// The levels that some cell of a block searches, each with the smallest part of the block that holds those cells: between the ground
+    /// and the roofs there is often none, and then nothing need be compared.
+    fn parts(&self, block: &Block, ranges: &SearchRanges) -> impl Iterator<Item = (usize, Block)> {
         let mut parts: BTreeMap<usize, Block> = BTreeMap::new();
         for row in block.row0..block.row1 {
             for col in block.col0..block.col1 {
                 let cell = row * self.grid.width + col;
-                let low = usize::from(bands.low[cell]);
-                for level in low..low + bands.count(cell) {
+                let low = usize::from(ranges.low[cell]);
+                for level in low..low + ranges.count(cell) {
                     let this = Block::of_cell(row, col);
                     parts.entry(level).and_modify(|part| part.grow(&this)).or_insert(this);
                 }
@@ -98,37 +104,32 @@ impl Matching<'_> {
         for (index, view) in self.views.iter().enumerate() {
             self.describe_view(index, view, block, altitude_m, scratch);
         }
-        let cut = (CUT * COMPARISONS as f32) as u32;
+        let cut = (TRUNCATION * COMPARISONS as f32) as u32;
         let Scratch {
-            words,
-            index_words,
+            descriptors,
+            index_descriptors,
             sum,
             weights,
             cost,
             ..
         } = scratch;
         let (sum, weights) = (&mut sum[..cells], &mut weights[..cells]);
-        let mut full = self.compare(words, 1.0, cut, sum, weights);
-        if self.same_date_values {
-            full += self.compare_values(words, cut, sum, weights);
+        let mut full = self.compare(descriptors, 1.0, cut, sum, weights);
+        if self.parameters.same_date_values {
+            full += self.compare_values(descriptors, cut, sum, weights);
         }
-        if self.with_index() {
-            full += self.compare(index_words, INDEX_WORTH, cut, sum, weights);
+        if let Some(weight) = self.index_weight {
+            full += self.compare(index_descriptors, weight, cut, sum, weights);
         }
-        let doubt = ((full as f32 * self.doubt) as u32).max(1);
+        let no_match = ((full as f32 * self.parameters.no_match_weight) as u32).max(1);
         for (cost, (sum, weights)) in cost.iter_mut().zip(sum.iter().zip(weights)) {
-            *cost = (255 * (*sum + doubt * cut) / ((*weights + doubt) * cut)) as u8;
+            *cost = (255 * (*sum + no_match * cut) / ((*weights + no_match) * cut)) as u8;
         }
     }
 
-    /// What differences are compared in a plane whose neighbours differ by `contrast` in the median.
+    /// The differences that the census compares in a plane whose neighbours differ by `contrast` in the median.
     fn range(&self, contrast: f32) -> [f32; 2] {
-        self.compared.map(|differences| differences * contrast)
-    }
-
-    /// Whether the views' indices are compared too.
-    fn with_index(&self) -> bool {
-        self.views.iter().all(|view| view.index.is_some())
+        [self.parameters.noise_floor, self.parameters.contrast_limit].map(|differences| differences * contrast)
     }
 
     /// Descriptors of a view's planes on a block at one altitude.
@@ -144,11 +145,11 @@ impl Matching<'_> {
         let (columns, rows) = (width + 2 * RADIUS, height + 2 * RADIUS);
         self.find_block(view, block, altitude_m, &mut scratch.places[..columns * rows]);
         let (places, values) = (&scratch.places[..columns * rows], &mut scratch.values[..columns * rows]);
-        let words = &mut scratch.words[number];
+        let descriptors = &mut scratch.descriptors[number];
         view.sample_places(&view.mean, places, values);
-        census::describe(values, width, height, self.range(view.mean.contrast), words);
-        if self.same_date_values {
-            census::keep(values, width, height, view.mean.middle, view.mean.contrast, words);
+        census::describe(values, width, height, self.range(view.mean.contrast), descriptors);
+        if self.parameters.same_date_values {
+            census::store_values(values, width, height, view.mean.middle, view.mean.contrast, descriptors);
         }
         if let Some(hits) = self.hits {
             drop_hidden(
@@ -156,42 +157,42 @@ impl Matching<'_> {
                 places,
                 block,
                 altitude_m,
-                &mut words.darker[..width * height],
+                &mut descriptors.darker[..width * height],
             );
         }
-        if let Some(index) = view.index.as_ref().filter(|_| self.with_index()) {
-            let index_words = &mut scratch.index_words[number];
+        if let Some(index) = view.index.as_ref().filter(|_| self.index_weight.is_some()) {
+            let of_index = &mut scratch.index_descriptors[number];
             view.sample_places(index, places, values);
-            census::describe(values, width, height, self.range(index.contrast), index_words);
-            for (of_index, of_mean) in index_words.darker.iter_mut().zip(&words.darker[..width * height]) {
+            census::describe(values, width, height, self.range(index.contrast), of_index);
+            for (of_index, of_mean) in of_index.darker.iter_mut().zip(&descriptors.darker[..width * height]) {
                 *of_index |= of_mean & INVALID;
             }
         }
     }
 
-    /// Adds the comparisons of one plane's descriptors, each worth `worth` of its pair's weight; returns the weight of them all.
-    fn compare(&self, words: &[Words], worth: f32, cut: u32, sum: &mut [u32], weights: &mut [u32]) -> u32 {
+    /// Adds the comparisons of one plane's descriptors, each of `share` of its pair's weight; returns the weight of them all.
+    fn compare(&self, descriptors: &[Descriptors], share: f32, cut: u32, sum: &mut [u32], weights: &mut [u32]) -> u32 {
         let mut full = 0;
         for pair in self.pairs {
-            let weight = ((pair.weight as f32 * worth) as u32).max(1);
-            census::compare(&words[pair.a], &words[pair.b], weight, cut, sum, weights);
+            let weight = ((pair.weight as f32 * share) as u32).max(1);
+            census::compare(&descriptors[pair.a], &descriptors[pair.b], weight, cut, sum, weights);
             full += weight;
         }
         full
     }
 
     /// Adds the differences of brightness of the views of one date; returns the weight of them all.
-    fn compare_values(&self, words: &[Words], cut: u32, sum: &mut [u32], weights: &mut [u32]) -> u32 {
+    fn compare_values(&self, descriptors: &[Descriptors], cut: u32, sum: &mut [u32], weights: &mut [u32]) -> u32 {
         let mut full = 0;
-        for pair in self.pairs.iter().filter(|pair| pair.same) {
-            let (a, b) = (&words[pair.a], &words[pair.b]);
-            census::differ(a, b, pair.weight, VALUE_REACH, cut, sum, weights);
+        for pair in self.pairs.iter().filter(|pair| pair.same_date) {
+            let (a, b) = (&descriptors[pair.a], &descriptors[pair.b]);
+            census::compare_values(a, b, pair.weight, VALUE_TRUNCATION, cut, sum, weights);
             full += pair.weight;
         }
         full
     }
 
-    /// Where a view shows a block and its margin at one altitude.
+    /// Projects a block and its margin, at one altitude, into a view.
     fn find_block(&self, view: &LevelView, block: &WideBlock, altitude_m: f32, places: &mut [Place]) {
         let columns = block.width + 2 * RADIUS;
         let camera = &view.camera;
@@ -211,121 +212,15 @@ impl Matching<'_> {
     }
 }
 
-/// Leaves out the cells of a block that a view does not see.
-fn drop_hidden(hits: &FirstHits, places: &[Place], block: &WideBlock, altitude_m: f32, words: &mut [u32]) {
+/// Marks the cells of a block that a view does not see as invalid.
+fn drop_hidden(hits: &FirstHits, places: &[Place], block: &WideBlock, altitude_m: f32, darker: &mut [u32]) {
     let columns = block.width + 2 * RADIUS;
-    for (row, words) in words.chunks_mut(block.width).enumerate() {
+    for (row, darker) in darker.chunks_mut(block.width).enumerate() {
         let start = (row + RADIUS) * columns + RADIUS;
-        for (place, word) in places[start..start + block.width].iter().zip(words) {
+        for (place, word) in places[start..start + block.width].iter().zip(darker) {
             // A place beyond the image is invalid already.
             if hits.hides(place.nearest(hits.width()), altitude_m) {
                 *word |= INVALID;
-            }
-        }
-    }
-}
-
-/// A rectangle of cells.
-struct Block {
-    row0: usize,
-    row1: usize,
-    col0: usize,
-    col1: usize,
-}
-
-impl Block {
-    fn of_cell(row: usize, col: usize) -> Self {
-        Self {
-            row0: row,
-            row1: row + 1,
-            col0: col,
-            col1: col + 1,
-        }
-    }
-
-    /// Becomes the least block that holds another too.
-    fn grow(&mut self, other: &Self) {
-        self.row0 = self.row0.min(other.row0);
-        self.row1 = self.row1.max(other.row1);
-        self.col0 = self.col0.min(other.col0);
-        self.col1 = self.col1.max(other.col1);
-    }
-
-    /// Calls with the index inside the block and the index on the grid of each cell.
-    fn cells(&self, grid: &Grid, mut each: impl FnMut(usize, usize)) {
-        let mut k = 0;
-        for row in self.row0..self.row1 {
-            for col in self.col0..self.col1 {
-                each(k, row * grid.width + col);
-                k += 1;
-            }
-        }
-    }
-}
-
-/// A block with a margin, which may reach beyond the grid.
-struct WideBlock {
-    row0: isize,
-    col0: isize,
-    width: usize,
-    height: usize,
-}
-
-impl Block {
-    fn wider(&self, margin: usize) -> WideBlock {
-        WideBlock {
-            row0: self.row0 as isize - margin as isize,
-            col0: self.col0 as isize - margin as isize,
-            width: self.col1 - self.col0 + 2 * margin,
-            height: self.row1 - self.row0 + 2 * margin,
-        }
-    }
-}
-
-struct Scratch {
-    values: Vec<f32>,
-    places: Vec<Place>,
-    words: Vec<Words>,
-    index_words: Vec<Words>,
-    sum: Vec<u32>,
-    weights: Vec<u32>,
-    cost: Vec<u8>,
-    across: Vec<u32>,
-}
-
-impl Scratch {
-    fn new(views: usize, radius: usize) -> Self {
-        let cells = (BLOCK.0 + 2 * radius) * (BLOCK.1 + 2 * radius);
-        let margin = 2 * (RADIUS + radius);
-        Self {
-            values: vec![0.0; (BLOCK.0 + margin) * (BLOCK.1 + margin)],
-            places: vec![Place::default(); (BLOCK.0 + margin) * (BLOCK.1 + margin)],
-            across: vec![0; cells],
-            words: vec![Words::new(cells); views],
-            index_words: vec![Words::new(cells); views],
-            sum: vec![0; cells],
-            weights: vec![0; cells],
-            cost: vec![0; cells],
-        }
-    }
-
-    /// Means over windows of the costs of a block with its margin; those of the block itself come first then.
-    fn average(&mut self, block: &Block, radius: usize) {
-        if radius == 0 {
-            return;
-        }
-        let (width, height) = (block.col1 - block.col0, block.row1 - block.row0);
-        let (stride, side) = (width + 2 * radius, 2 * radius + 1);
-        for row in 0..height + 2 * radius {
-            for col in 0..width {
-                let window = &self.cost[row * stride + col..row * stride + col + side];
-                self.across[row * width + col] = window.iter().map(|&c| u32::from(c)).sum();
-            }
-        }
-        for row in 0..height {
-            for col in 0..width {
-                let sum: u32 = (row..row + side).map(|r| self.across[r * width + col]).sum();
-                self.cost[row * width + col] = (sum / (side * side) as u32) as u8;
             }
         }
     }

@@ -1,4 +1,4 @@
-//! The ground grid and the altitude ladder: the two axes of the search.
+//! The ground grid: cells in rows from north to south, columns from west to east.
 
 use glam::Vec3;
 
@@ -37,7 +37,7 @@ impl Grid {
         rows.flat_map(move |r| columns.clone().map(move |c| r * width + c))
     }
 
-    /// The centre of a cell at an altitude; cells outside the grid are as good as any.
+    /// The centre of a cell at an altitude, metres; cells outside the grid are allowed.
     pub(super) fn point(&self, col: isize, row: isize, altitude_m: f32) -> Vec3 {
         Vec3::new(
             self.west_m + (col as f32 + 0.5) * self.cell_m,
@@ -67,38 +67,6 @@ impl Grid {
     pub(super) fn contains(&self, x_m: f32, y_m: f32) -> bool {
         let (col, row) = ((x_m - self.west_m) / self.cell_m, (self.north_m - y_m) / self.cell_m);
         col >= 0.0 && row >= 0.0 && col < self.width as f32 && row < self.height as f32
-    }
-}
-
-/// Regular altitudes `base_m + level · step_m`.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub(super) struct Ladder {
-    pub(super) base_m: f32,
-    pub(super) step_m: f32,
-    pub(super) levels: usize,
-}
-
-/// Levels are counted in 16 bits, and more of them than this is never useful.
-const MOST_LEVELS: usize = 8192;
-
-impl Ladder {
-    pub(super) fn new(low_m: f32, high_m: f32, step_m: f32) -> Self {
-        let range = (high_m - low_m).max(0.0);
-        let step = step_m.max(range / (MOST_LEVELS - 2) as f32).max(1e-4);
-        Self {
-            base_m: low_m,
-            step_m: step,
-            levels: (range / step).ceil() as usize + 1,
-        }
-    }
-
-    pub(super) fn altitude(&self, level: f32) -> f32 {
-        self.base_m + level * self.step_m
-    }
-
-    /// The level of an altitude, not rounded and not held inside the ladder.
-    pub(super) fn level(&self, altitude_m: f32) -> f32 {
-        (altitude_m - self.base_m) / self.step_m
     }
 }
 

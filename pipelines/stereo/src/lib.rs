@@ -1,36 +1,54 @@
-//! Where training starts from: a surface in seconds, swept through the views in object space.
+//! Dense stereo for satellite images: an initial surface in seconds, by an object-space plane sweep with semi-global matching on the
+//! ground grid; also tie points for camera adjustment and a search for clouds.
 //!
-//! For each cell of a local ground grid and each altitude of a ladder, [`sweep::sweep`] asks how well the views agree
-//! on what they see there (census over a window on the ground plane, of brightness and, where views have one, of an index;
-//! pairs of views, robustly combined), makes the
-//! answers consistent with their neighbours (semi-global matching on the ground grid), drops the views that the surface
-//! itself hides, and refines below the step of the ladder. Views of other dates take part with less weight: what
-//! changed, moved with the sun or is hidden must not veto. [`align::estimate_shifts`] finds the pointing bias between
-//! the images with the same machinery; [`ties`] finds single points of the ground in several images, for a camera adjustment.
+//! From views to surface, step by step:
 //!
-//! Limits: one altitude per cell (no overhangs, façades are steps), and a surface a few cells wide at best: trees
-//! without leaves, wires and narrow courtyards are left to training.
+//! 1. `views.rs`: the input, images with cameras, dates and suns; `pairs.rs`: which of them are compared, and with which weight.
+//! 2. `parameters.rs`: everything about matching that depends on the scene is decided from the views' geometry, before any pixel is read,
+//!    and kept in [`MatchingParameters`].
+//! 3. `request.rs`: the part of space to search and those parameters; `grid.rs` and `heights.rs`: its cells and height hypotheses.
+//! 4. `pyramid.rs`: the search from coarse to fine cells; `ranges.rs`: each cell searches around the candidates of the coarser level.
+//! 5. `level.rs`, `sampling.rs`: views averaged down to the cells of a level, and sampled on the plane of a height hypothesis.
+//! 6. `cost.rs`, `census.rs`: how badly pairs of views agree on each cell at each height.
+//! 7. `sgm.rs`: semi-global aggregation of the costs; `ortho.rs` makes the guide image of its penalties.
+//! 8. `wta.rs`: the cheapest height of each cell, refined below the height step, with its confidence.
+//! 9. `visibility.rs`: at full resolution, what the surface hides from a view is left out, and steps 6 to 8 are repeated.
+//! 10. `plane_sweep.rs`: [`plane_sweep()`] runs all this, then removes speckles (`postprocess.rs`) and smooths by planes where the base is
+//!     short (`plane_smoothing.rs`). The result is a [`Surface`] (`surface.rs`).
+//!
+//! On the way there, on a coarse surface of the same search: [`align`] finds the pointing shifts between images, [`ties`] single points of
+//! the ground in several images, [`clouds`] the pixels that show clouds.
+//!
+//! Limits: one altitude per cell (no overhangs, façades are steps), and what is narrower than a few cells (trees without leaves, wires,
+//! courtyards) is missed. Views of other dates take part with less weight; what changed between them counts as no match. Results are the
+//! same bytes for any number of threads.
 
 pub mod align;
-mod bands;
 mod census;
 pub mod clouds;
 mod cost;
 mod grid;
+mod heights;
+mod level;
 mod ortho;
 mod pairs;
-mod pick;
-mod search;
-mod settle;
+mod parameters;
+mod plane_smoothing;
+mod plane_sweep;
+mod postprocess;
+mod pyramid;
+mod ranges;
+mod request;
+mod sampling;
 mod sgm;
-mod smooth;
-pub mod surface;
-pub mod sweep;
+mod surface;
 pub mod ties;
 mod views;
 mod visibility;
+mod wta;
 
-pub use search::MANY_VIEWS;
+pub use parameters::{CandidateTolerance, MANY_VIEWS, MatchingFacts, MatchingParameters};
+pub use plane_sweep::plane_sweep;
+pub use request::{PlaneSweepRequest, SearchVolume};
 pub use surface::Surface;
-pub use sweep::{SweepOptions, SweepRequest};
-pub use views::SweepView;
+pub use views::{SweepView, ViewGeometry};

@@ -1,7 +1,8 @@
-//! Views laid on a surface.
+//! Orthorectified views: what each shows at the cells of a surface, and small filters on such grids.
 
 use super::grid::Grid;
-use super::views::LevelView;
+use super::level::LevelView;
+use heliosplat_rpc::statistics::upper_median;
 use rayon::prelude::*;
 
 /// What a view shows at each cell of a surface; NaN where it shows nothing.
@@ -20,7 +21,8 @@ pub(super) fn ortho(grid: &Grid, view: &LevelView, altitude: &[f32]) -> Vec<f32>
     values
 }
 
-/// Mean of the views on a surface, each in units of its own typical difference between neighbours.
+/// The guide image of the smoothness penalties: mean of the views on a surface, each in units of its own typical difference between
+/// neighbours.
 pub(super) fn guide(grid: &Grid, views: &[LevelView], altitude: &[f32]) -> Vec<f32> {
     let mut sum = vec![0.0; grid.len()];
     let mut count = vec![0.0; grid.len()];
@@ -57,8 +59,8 @@ pub(super) fn median(grid: &Grid, values: &[f32], radius: usize) -> Vec<f32> {
                 for r in rows.clone() {
                     near.extend_from_slice(&values[r * grid.width + cols.start..r * grid.width + cols.end]);
                 }
-                let middle = near.len() / 2;
-                *value = *near.select_nth_unstable_by(middle, f32::total_cmp).1;
+                // The cell itself is always among them.
+                *value = upper_median(&mut near).unwrap_or(f32::NAN);
             }
         });
     out

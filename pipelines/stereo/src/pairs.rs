@@ -1,6 +1,9 @@
-//! Which views are compared with which, and how much each comparison is worth.
+//! Which views are compared with which, and the weight of each comparison.
+//!
+//! A pair weighs more the longer its base, the more alike both views see a façade, and the more alike the light: `B/H / (B/H + 0.15)`,
+//! times a bell curve of the intersection angle, times a factor for dates.
 
-use super::views::SweepView;
+use super::views::ViewGeometry;
 use glam::Vec3;
 
 /// Two views to compare and the weight of the comparison.
@@ -9,29 +12,32 @@ pub(super) struct Pair {
     pub(super) a: usize,
     pub(super) b: usize,
     pub(super) weight: u32,
-    pub(super) same: bool,
+    /// Whether both views are of one date.
+    pub(super) same_date: bool,
     /// Base-to-height ratio: ground metres of relative parallax per metre of altitude.
     pub(super) base_to_height: f32,
 }
 
-/// Weight of a perfect pair.
+/// Weight of a perfect pair: weights are whole numbers, so that sums do not depend on their order.
 const FULL_WEIGHT: f32 = 64.0;
-/// Base-to-height ratio at which half of the attainable sharpness in altitude is reached.
-const HALF_BASE: f32 = 0.15;
-/// Intersection angle over which surfaces stop looking alike, radians (about 40 degrees).
+/// Base-to-height ratio at which a pair has half of the weight of an infinitely long base.
+const HALF_WEIGHT_BASE: f32 = 0.15;
+/// Intersection angle at which surfaces have stopped looking alike (weight 1/e), radians: about 40 degrees.
 const ALIKE_ANGLE_RAD: f32 = 0.7;
-/// What a comparison across dates with the sun in one place is worth beside one within a date.
+/// Weight of a comparison across dates with the sun in one place, beside one within a date.
 const OTHER_DATE: f32 = 0.5;
-/// Partners each view brings in; more only cost time.
+/// Least of the cosine between two suns that counts: opposite shadows still leave roofs to compare.
+const LEAST_SUN_COSINE: f32 = 0.3;
+/// Partners that each view brings in, those of most weight; more only cost time.
 const PARTNERS: usize = 8;
 
 /// The comparisons worth making, in a fixed order.
-pub(super) fn choose(views: &[SweepView], centre: Vec3) -> Vec<Pair> {
+pub(super) fn choose(views: &[ViewGeometry], centre: Vec3) -> Vec<Pair> {
     let mut chosen: Vec<(usize, usize)> = Vec::new();
     for a in 0..views.len() {
         let mut partners: Vec<(f32, usize)> = (0..views.len())
             .filter(|&b| b != a)
-            .map(|b| (worth(&views[a], &views[b], centre).0, b))
+            .map(|b| (weight(&views[a], &views[b], centre).0, b))
             .collect();
         partners.sort_by(|x, y| y.0.total_cmp(&x.0).then(x.1.cmp(&y.1)));
         chosen.extend(partners.iter().take(PARTNERS).map(|&(_, b)| (a.min(b), a.max(b))));
@@ -41,28 +47,42 @@ pub(super) fn choose(views: &[SweepView], centre: Vec3) -> Vec<Pair> {
     chosen
         .into_iter()
         .map(|(a, b)| {
-            let (worth, base_to_height) = worth(&views[a], &views[b], centre);
+            let (weight, base_to_height) = weight(&views[a], &views[b], centre);
             Pair {
                 a,
                 b,
-                weight: ((worth * FULL_WEIGHT).round() as u32).max(1),
+                weight: ((weight * FULL_WEIGHT).round() as u32).max(1),
                 base_to_height,
-                same: views[a].date_group == views[b].date_group,
+                same_date: views[a].date_group == views[b].date_group,
             }
         })
         .collect()
 }
 
+/// Base-to-height ratios below this one count as this one, so that what is divided by them stays finite.
+pub(super) const LEAST_BASE_TO_HEIGHT: f32 = 1e-3;
+
+/// Combined base-to-height ratio of all comparisons: the root of the sum of squares. The precision of a height from independent pairs
+/// is proportional to it.
+pub(super) fn combined_base_to_height(pairs: &[Pair]) -> f32 {
+    pairs.iter().map(|pair| pair.base_to_height.powi(2)).sum::<f32>().sqrt()
+}
+
+/// Largest base-to-height ratio of the comparisons.
+pub(super) fn widest_base_to_height(pairs: &[Pair]) -> f32 {
+    pairs.iter().map(|pair| pair.base_to_height).fold(0.0, f32::max)
+}
+
 /// Weight in 0..1 and base-to-height ratio of a pair.
-fn worth(a: &SweepView, b: &SweepView, centre: Vec3) -> (f32, f32) {
+fn weight(a: &ViewGeometry, b: &ViewGeometry, centre: Vec3) -> (f32, f32) {
     let base_to_height = (a.parallax(centre) - b.parallax(centre)).length();
     let angle = a.toward(centre).angle_between(b.toward(centre));
-    let sharp = base_to_height / (base_to_height + HALF_BASE);
+    let base = base_to_height / (base_to_height + HALF_WEIGHT_BASE);
     let alike = (-(angle / ALIKE_ANGLE_RAD).powi(2)).exp();
     let light = if a.date_group == b.date_group {
         1.0
     } else {
-        OTHER_DATE * a.sun.dot(b.sun).clamp(0.3, 1.0)
+        OTHER_DATE * a.sun.dot(b.sun).clamp(LEAST_SUN_COSINE, 1.0)
     };
-    (sharp * alike * light, base_to_height)
+    (base * alike * light, base_to_height)
 }

@@ -1,33 +1,37 @@
 //! Semi-global matching on the ground grid (Hirschmüller 2008): eight paths of dynamic programming, summed.
 //!
-//! Each cell has its own run of levels, so a path first brings the costs of the cell before it into the run of the cell
-//! it enters; levels that cell did not consider can only be reached by the large penalty.
+//! Each cell has its own search range, so a path first brings the costs of the cell before it into the range of the cell it enters;
+//! levels that the cell before did not search can only be reached by the large penalty. Where a guide image has an edge, the large
+//! penalty shrinks, so that altitude jumps where brightness does. Sums are 16-bit integers: the result does not depend on threads.
 
-use super::bands::Bands;
+use super::ranges::SearchRanges;
 use heliosplat::vectorised;
 use rayon::prelude::*;
 
 /// Path costs stay far below this: 255 plus the large penalty.
 const UNREACHABLE: u16 = 20_000;
 
+/// Columns that one task takes through a row: enough work to be worth sharing out.
+const CHUNK: usize = 64;
+
 /// What it costs to change altitude between neighbours.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) struct Penalties {
-    /// One level up or down, in units of cost (0..255).
-    pub(super) one_level: u16,
-    /// Any other change, where the image shows no edge.
+    /// P1: one height step up or down, in units of cost (0..255).
+    pub(super) one_step: u16,
+    /// P2: any other change, where the guide shows no edge.
     pub(super) jump: u16,
-    /// Difference of the guide at which the jump costs half.
+    /// Difference of the guide at which P2 is half.
     pub(super) edge: f32,
 }
 
-/// A volume to make smooth.
+/// A cost volume to aggregate.
 pub(super) struct Volume<'a> {
     pub(super) width: usize,
     pub(super) height: usize,
-    pub(super) bands: &'a Bands,
+    pub(super) ranges: &'a SearchRanges,
     pub(super) costs: &'a [u8],
-    /// An image of the ground, one value per cell: altitude jumps where it does.
+    /// An image of the ground, one value per cell.
     pub(super) guide: Option<&'a [f32]>,
     pub(super) penalties: Penalties,
 }
@@ -40,21 +44,22 @@ struct Cell<'a> {
 }
 
 impl Volume<'_> {
-    /// Sums of the eight path costs, in the order of the bands.
+    /// Sums of the eight path costs, in the order of the search ranges.
     pub(super) fn aggregate(&self) -> Vec<u16> {
-        let mut sums = vec![0; self.bands.total()];
+        let mut sums = vec![0; self.ranges.total()];
         self.along_rows(&mut sums);
         self.across_rows(&mut sums, false);
         self.across_rows(&mut sums, true);
         sums
     }
 
+    /// P2 between two cells; always more than P1.
     fn jump(&self, from: usize, to: usize) -> u16 {
-        let Penalties { one_level, jump, edge } = self.penalties;
+        let Penalties { one_step, jump, edge } = self.penalties;
         let difference = self.guide.map_or(0.0, |guide| (guide[from] - guide[to]).abs());
         // A missing guide value (NaN) is no edge.
         let difference = if difference.is_finite() { difference } else { 0.0 };
-        ((f32::from(jump) / (1.0 + difference / edge)) as u16).max(one_level + one_level / 2 + 1)
+        ((f32::from(jump) / (1.0 + difference / edge)) as u16).max(one_step + one_step / 2 + 1)
     }
 
     /// East and west paths: rows do not touch each other.
@@ -69,7 +74,7 @@ impl Volume<'_> {
                     let col = if backward { self.width - 1 - step } else { step };
                     let cell = row * self.width + col;
                     let before = (step > 0).then(|| if backward { cell + 1 } else { cell - 1 });
-                    let range = self.bands.start[cell] - start..self.bands.start[cell + 1] - start;
+                    let range = self.ranges.start[cell] - start..self.ranges.start[cell + 1] - start;
                     let (left, right) = path.0.split_at_mut(if backward { range.end } else { range.start });
                     let (done, done_from, here) = if backward {
                         (right, range.end, &mut left[range.start..])
@@ -77,9 +82,9 @@ impl Volume<'_> {
                         (left, 0, &mut right[..range.end - range.start])
                     };
                     let previous = before.map(|b| Cell {
-                        low: usize::from(self.bands.low[b]),
+                        low: usize::from(self.ranges.low[b]),
                         costs: &done
-                            [self.bands.start[b] - start - done_from..self.bands.start[b + 1] - start - done_from],
+                            [self.ranges.start[b] - start - done_from..self.ranges.start[b + 1] - start - done_from],
                         least: path.1[b % self.width],
                     });
                     let jump = before.map_or(0, |b| self.jump(b, cell));
@@ -92,7 +97,6 @@ impl Volume<'_> {
 
     /// The three paths that enter from the row above (or below): rows in turn, chunks of columns side by side.
     fn across_rows(&self, sums: &mut [u16], upward: bool) {
-        const CHUNK: usize = 64;
         let mut before: [PathRow; 3] = Default::default();
         let mut here: [PathRow; 3] = Default::default();
         for step in 0..self.height {
@@ -105,7 +109,7 @@ impl Volume<'_> {
             }
             let chunks = self.width.div_ceil(CHUNK);
             let first = |k: usize| row * self.width + (k * CHUNK).min(self.width);
-            let sizes = || (0..chunks).map(|k| self.bands.start[first(k + 1)] - self.bands.start[first(k)]);
+            let sizes = || (0..chunks).map(|k| self.ranges.start[first(k + 1)] - self.ranges.start[first(k)]);
             let [west, straight, east] = here.each_mut().map(|path| {
                 let costs = split_by(&mut path.costs, sizes());
                 costs.into_iter().zip(path.least.chunks_mut(CHUNK)).collect::<Vec<_>>()
@@ -137,7 +141,7 @@ impl Volume<'_> {
             col0,
             direction,
         } = *entry;
-        let chunk_start = self.bands.start[row * self.width + col0];
+        let chunk_start = self.ranges.start[row * self.width + col0];
         for (k, least) in least.iter_mut().enumerate() {
             let col = col0 + k;
             let cell = row * self.width + col;
@@ -146,22 +150,22 @@ impl Volume<'_> {
                 Some(r * self.width + c)
             });
             let previous = from.map(|b| {
-                let start = self.bands.start[b / self.width * self.width];
+                let start = self.ranges.start[b / self.width * self.width];
                 Cell {
-                    low: usize::from(self.bands.low[b]),
-                    costs: &before.costs[self.bands.start[b] - start..self.bands.start[b + 1] - start],
+                    low: usize::from(self.ranges.low[b]),
+                    costs: &before.costs[self.ranges.start[b] - start..self.ranges.start[b + 1] - start],
                     least: before.least[b % self.width],
                 }
             });
             let jump = from.map_or(0, |b| self.jump(b, cell));
-            let range = self.bands.start[cell] - chunk_start..self.bands.start[cell + 1] - chunk_start;
+            let range = self.ranges.start[cell] - chunk_start..self.ranges.start[cell + 1] - chunk_start;
             *least = self.step(cell, previous, jump, aligned, &mut costs[range]);
         }
     }
 
     /// Path costs of one cell from those of the cell before; returns the least of them.
     fn step(&self, cell: usize, previous: Option<Cell>, jump: u16, aligned: &mut Vec<u16>, out: &mut [u16]) -> u16 {
-        let costs = &self.costs[self.bands.range(cell)];
+        let costs = &self.costs[self.ranges.range(cell)];
         let Some(previous) = previous else {
             for (out, cost) in out.iter_mut().zip(costs) {
                 *out = u16::from(*cost);
@@ -169,7 +173,7 @@ impl Volume<'_> {
             return out.iter().copied().min().unwrap_or(0);
         };
         // aligned[k] belongs to level low - 1 + k.
-        let low = usize::from(self.bands.low[cell]);
+        let low = usize::from(self.ranges.low[cell]);
         aligned.clear();
         aligned.resize(costs.len() + 2, UNREACHABLE);
         let (from, to) = (
@@ -180,11 +184,11 @@ impl Volume<'_> {
             aligned[from + 1 - low..to + 1 - low]
                 .copy_from_slice(&previous.costs[from - previous.low..to - previous.low]);
         }
-        recurse(costs, aligned, previous.least, self.penalties.one_level, jump, out)
+        recurse(costs, aligned, previous.least, self.penalties.one_step, jump, out)
     }
 
     fn row_values(&self, row: usize) -> std::ops::Range<usize> {
-        self.bands.start[row * self.width]..self.bands.start[(row + 1) * self.width]
+        self.ranges.start[row * self.width]..self.ranges.start[(row + 1) * self.width]
     }
 }
 

@@ -1,9 +1,9 @@
-//! The surface a sweep finds.
+//! The initial surface: what the plane sweep finds, one altitude per cell.
 
 use super::grid::lowest_within;
 use glam::Vec3;
 
-/// Altitudes on a regular ground grid, with what is known of their worth.
+/// Altitudes on a regular ground grid, with how far each can be trusted.
 #[derive(Debug, Clone, PartialEq, Default, serde::Serialize, serde::Deserialize)]
 pub struct Surface {
     /// Columns.
@@ -18,9 +18,9 @@ pub struct Surface {
     pub cell_m: f32,
     /// Altitude of each cell, metres; never NaN.
     pub altitude: Vec<f32>,
-    /// Trust in each altitude as it was matched, before islands were filled: 0 (a guess) to 1.
+    /// Confidence in each altitude as it was matched, before speckles were filled: 0 (a guess) to 1.
     pub confidence: Vec<f32>,
-    /// Step of the altitudes that were compared, metres: what the views can tell apart.
+    /// Step of the height hypotheses, metres: what the views can tell apart.
     pub resolution_m: f32,
     /// Cells whose altitude was not matched but taken from their neighbours.
     pub filled: Vec<bool>,

@@ -1,7 +1,9 @@
-//! What each view sees first of a surface: a point below that is hidden.
+//! Visibility: for each pixel of a view, the altitude at which its ray meets the surface first; a point below that is hidden.
+//!
+//! Rays are walked down over the grid in steps of less than a cell, from an altitude that the highest cells under them bound.
 
 use super::grid::{Grid, lowest_within};
-use super::views::LevelView;
+use super::level::LevelView;
 use rayon::prelude::*;
 
 /// Altitude at which the ray of each pixel meets the surface first; below it nothing is seen.
@@ -12,18 +14,24 @@ pub(super) struct FirstHits {
     tolerance_m: f32,
 }
 
-/// Cells of a tile whose highest altitude bounds where a ray can start.
+/// Side of a tile whose highest altitude bounds where a ray can start, cells.
 const TILE: usize = 16;
+/// Length of a step along a ray over the ground, cells: shorter than a cell, so that no cell is stepped over along an axis.
+const STEP_CELLS: f32 = 0.7;
+/// Rounds of lowering the start of a ray by the tiles under it.
+const BOUND_ROUNDS: usize = 2;
+/// Cells each way whose lowest altitude hides: a surface one cell too wide hides nothing.
+const EDGE_CELLS: usize = 1;
 
 /// Highest altitude of tiles of a surface.
-struct Roof {
+struct HighestTiles {
     grid: Grid,
     highest: Vec<f32>,
     top_m: f32,
     bottom_m: f32,
 }
 
-impl Roof {
+impl HighestTiles {
     fn new(grid: &Grid, altitude: &[f32]) -> Self {
         let coarse = grid.coarser(TILE);
         let mut highest = vec![f32::MIN; coarse.len()];
@@ -58,14 +66,14 @@ impl Roof {
 
 impl FirstHits {
     pub(super) fn new(view: &LevelView, grid: &Grid, altitude: &[f32], tolerance_m: f32) -> Self {
-        let altitude = &lowest_within((grid.width, grid.height), altitude, 1);
-        let roof = Roof::new(grid, altitude);
+        let altitude = &lowest_within((grid.width, grid.height), altitude, EDGE_CELLS);
+        let highest = HighestTiles::new(grid, altitude);
         let mut hits = vec![f32::MIN; view.width * view.height];
         hits.par_chunks_mut(view.width.max(1))
             .enumerate()
             .for_each(|(row, line)| {
                 for (col, hit) in line.iter_mut().enumerate() {
-                    *hit = first_hit(view, (col as f32, row as f32), grid, altitude, &roof);
+                    *hit = first_hit(view, (col as f32, row as f32), grid, altitude, &highest);
                 }
             });
         Self {
@@ -88,17 +96,17 @@ impl FirstHits {
 }
 
 /// Walks down the ray of a pixel until it is below the surface; `f32::MIN` where it never is.
-fn first_hit(view: &LevelView, (col, row): (f32, f32), grid: &Grid, altitude: &[f32], roof: &Roof) -> f32 {
+fn first_hit(view: &LevelView, (col, row): (f32, f32), grid: &Grid, altitude: &[f32], highest: &HighestTiles) -> f32 {
     let at = |z: f32| view.camera.point_at_altitude(col, row, z);
-    let (Some(mut start), Some(end)) = (at(roof.top_m), at(roof.bottom_m)) else {
+    let (Some(mut start), Some(end)) = (at(highest.top_m), at(highest.bottom_m)) else {
         return f32::MIN;
     };
-    for _ in 0..2 {
+    for _ in 0..BOUND_ROUNDS {
         // The higher the surface under the ray can be, the earlier the walk must begin; and the other way round.
-        let top = roof.over(start, end).min(start.z);
+        let top = highest.over(start, end).min(start.z);
         start = at(top).unwrap_or(start);
     }
-    let steps = ((end - start).truncate().length() / (0.7 * grid.cell_m))
+    let steps = ((end - start).truncate().length() / (STEP_CELLS * grid.cell_m))
         .ceil()
         .max(1.0);
     let mut above = start.z;

@@ -1,8 +1,8 @@
 //! A correction as part of the camera itself, for programs that know nothing of corrections.
 
-use super::Correction;
+use super::correction::Correction;
 use crate::fit::fit_rpc;
-use crate::{ImagePoint, Rpc, RpcError};
+use crate::rpc::{ImagePoint, Rpc, RpcError};
 
 /// Samples along columns, rows and heights for a refitted camera.
 const GRID: (usize, usize) = (13, 9);

@@ -1,10 +1,15 @@
-//! The normal equations of one round, with the ground points eliminated.
+//! The normal equations of one iteration, with the ground points eliminated (Schur complement): a dense system of a few unknowns per
+//! image.
 
-use super::problem::{Linear, POINT_HOLD, Problem, basis};
-use super::{Correction, SHIFT_SIGMA_PX, SLOPE_SIGMA_PX};
-use crate::RpcError;
+use super::correction::Correction;
+use super::linear::{Linear, POINT_HOLD, basis};
+use crate::rpc::RpcError;
 use nalgebra::{DMatrix, DVector, Matrix3, SMatrix, SVector, Vector3};
 
+/// Standard deviation given to shifts beforehand, pixels: weak, it only decides what ties leave open.
+pub const SHIFT_SIGMA_PX: f64 = 10.0;
+/// Standard deviation given to rotation and drift beforehand, pixels half an image from its centre.
+pub const SLOPE_SIGMA_PX: f64 = 0.5;
 /// Standard deviation of a sighting that priors are weighed against, pixels.
 const SIGHTING_SIGMA_PX: f64 = 0.15;
 
@@ -25,8 +30,9 @@ pub(super) struct NormalEquations<const K: usize> {
 }
 
 impl<const K: usize> NormalEquations<K> {
-    pub(super) fn of(problem: &Problem, linear: &[Vec<Linear>], weights: &[Vec<f64>], now: &[Correction]) -> Self {
-        let unknowns = K * problem.images.len();
+    /// The system at the corrections `now`; `seen` says which images have enough sightings to be corrected.
+    pub(super) fn of(linear: &[Vec<Linear>], weights: &[Vec<f64>], now: &[Correction], seen: &[bool]) -> Self {
+        let unknowns = K * now.len();
         let mut system = Self {
             curvature: DMatrix::zeros(unknowns, unknowns),
             gradient: DVector::zeros(unknowns),
@@ -36,7 +42,7 @@ impl<const K: usize> NormalEquations<K> {
             system.add_track(lines, weights);
         }
         for (image, correction) in now.iter().enumerate() {
-            system.add_prior(image, correction, problem.seen[image]);
+            system.add_prior(image, correction, seen[image]);
         }
         system
     }

@@ -1,14 +1,17 @@
-//! The images and tracks of one adjustment, and the rounds that solve it.
+//! The iterations of one adjustment: robust Gauss-Newton over the corrections of all images and the ground points of all tracks.
 
+use super::correction::{BiasModel, Correction};
+use super::gauge::{pixels_per_metre, smallest_shifts};
+use super::linear::{Linear, POINT_HOLD};
 use super::normal::NormalEquations;
 use super::residuals::{self, Sides};
-use super::{
-    AdjustImage, AdjustOptions, Adjustment, BiasModel, Correction, FEWEST_SIGHTINGS, Sighting, Track, robust,
-    smallest_shifts,
-};
+use super::robust;
+use super::solution::{AdjustOptions, Adjustment};
+use super::tracks::{AdjustImage, FEWEST_SIGHTINGS, Sighting, Track};
+use crate::frame::LocalFrame;
+use crate::rpc::RpcError;
 use crate::triangulate::geo_slope;
-use crate::{LocalFrame, RpcError};
-use nalgebra::{Matrix2x3, Matrix3, SMatrix, SVector, Vector2, Vector3};
+use nalgebra::{Matrix2x3, Matrix3, SVector, Vector2, Vector3};
 
 /// Rounds in which every sighting counts alike: until biases are out, good ones cannot be told from bad ones.
 const PLAIN_ROUNDS: usize = 3;
@@ -18,36 +21,13 @@ const SCALE_ROUNDS: usize = 10;
 const LAST_CHANGE_PX: f64 = 5e-4;
 /// Rounds of triangulation with the cameras held.
 const POINT_ROUNDS: usize = 5;
-/// Weight that holds points where nothing else does, square pixels per square metre.
-pub(super) const POINT_HOLD: f64 = 1e-8;
-
 /// What is adjusted.
-pub(super) struct Problem<'a> {
-    pub(super) images: &'a [AdjustImage<'a>],
-    pub(super) tracks: Vec<&'a Track>,
-    pub(super) frame: &'a LocalFrame,
+pub(super) struct BlockAdjustment<'a> {
+    images: &'a [AdjustImage<'a>],
+    tracks: Vec<&'a Track>,
+    frame: &'a LocalFrame,
     /// Whether an image has enough sightings to be corrected.
-    pub(super) seen: Vec<bool>,
-}
-
-/// One sighting's residual at the current estimate, and what it depends on.
-#[derive(Debug, Clone)]
-pub(super) struct Linear {
-    pub(super) image: usize,
-    /// How much the sighting counts if it fits.
-    pub(super) weight: f64,
-    /// Seen minus corrected projection, pixels.
-    pub(super) residual: Vector2<f64>,
-    /// Pixels per metre east, north, up.
-    pub(super) slope: Matrix2x3<f64>,
-    /// Column and row from the image's centre, in half sides.
-    pub(super) from_centre: [f64; 2],
-}
-
-/// How a correction's parameters move the image there.
-pub(super) fn basis<const K: usize>([u, v]: [f64; 2]) -> SMatrix<f64, 2, K> {
-    let all = SMatrix::<f64, 2, 6>::new(1.0, 0.0, u, v, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, u, v);
-    all.fixed_columns::<K>(0).into_owned()
+    seen: Vec<bool>,
 }
 
 /// A correction's parameters become part of it.
@@ -59,7 +39,7 @@ fn add<const K: usize>(correction: &mut Correction, step: &SVector<f64, K>) {
     }
 }
 
-impl<'a> Problem<'a> {
+impl<'a> BlockAdjustment<'a> {
     pub(super) fn new(
         images: &'a [AdjustImage<'a>],
         tracks: &'a [Track],
@@ -116,7 +96,7 @@ impl<'a> Problem<'a> {
                 }
                 weights = reweighted(&linear, sigma_px);
             }
-            let steps = NormalEquations::<K>::of(self, &linear, &weights, &corrections).solve(&mut points)?;
+            let steps = NormalEquations::<K>::of(&linear, &weights, &corrections, &self.seen).solve(&mut points)?;
             let mut largest: f64 = 0.0;
             for (correction, step) in corrections.iter_mut().zip(&steps) {
                 add(correction, step);
@@ -231,7 +211,7 @@ impl<'a> Problem<'a> {
         let shifts: Vec<Vector2<f64>> = seen.iter().map(|&image| corrections[image].shift_px.into()).collect();
         let slopes: Vec<Matrix2x3<f64>> = seen
             .iter()
-            .map(|&image| super::pixels_per_metre(self.images[image].rpc, self.frame, centre))
+            .map(|&image| pixels_per_metre(self.images[image].rpc, self.frame, centre))
             .collect();
         let (smallest, translation_m) = smallest_shifts(&shifts, &slopes);
         for (&image, shift) in seen.iter().zip(smallest) {

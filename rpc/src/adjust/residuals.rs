@@ -1,8 +1,10 @@
-//! What sightings leave before and after: per image, per pair of images, and one by one.
+//! Residuals before and after the adjustment: per image, per pair of images (across the epipolar lines), and one by one.
 
-use super::problem::Linear;
-use super::{Track, robust};
-use crate::ImagePoint;
+use super::linear::Linear;
+use super::robust;
+use super::tracks::Track;
+use crate::rpc::ImagePoint;
+use crate::statistics::upper_median;
 use nalgebra::{Matrix3, Vector4};
 use std::collections::BTreeMap;
 
@@ -11,7 +13,7 @@ const LEAST_NORMAL: f64 = 1e-4;
 
 /// Size of a set of residuals, pixels.
 #[derive(Debug, Clone, Copy, PartialEq, Default, serde::Serialize, serde::Deserialize)]
-pub struct Spread {
+pub struct ResidualSize {
     /// Root mean square of their lengths.
     pub rms_px: f64,
     /// Median length.
@@ -27,9 +29,9 @@ pub struct ImageResiduals {
     /// Those within three standard deviations.
     pub good: usize,
     /// With the cameras as delivered.
-    pub before: Spread,
+    pub before: ResidualSize,
     /// With the corrections.
-    pub after: Spread,
+    pub after: ResidualSize,
 }
 
 /// What is left across the epipolar lines of two images: how far one's ray passes the other's, pixels. What lies along the
@@ -41,9 +43,9 @@ pub struct PairResiduals {
     /// Tracks that both see.
     pub ties: usize,
     /// With the cameras as delivered.
-    pub before: Spread,
+    pub before: ResidualSize,
     /// With the corrections.
-    pub after: Spread,
+    pub after: ResidualSize,
 }
 
 /// What one sighting leaves.
@@ -81,17 +83,13 @@ impl Sides {
     }
 }
 
-impl Spread {
+impl ResidualSize {
     fn of(mut lengths: Vec<f64>) -> Self {
-        if lengths.is_empty() {
-            return Self::default();
-        }
         let square = lengths.iter().map(|l| l * l).sum::<f64>() / lengths.len() as f64;
-        let middle = lengths.len() / 2;
-        Self {
+        upper_median(&mut lengths).map_or_else(Self::default, |median_px| Self {
             rms_px: square.sqrt(),
-            median_px: *lengths.select_nth_unstable_by(middle, f64::total_cmp).1,
-        }
+            median_px,
+        })
     }
 }
 
@@ -117,8 +115,8 @@ pub(super) fn of_images(sides: &Sides, images: usize) -> Vec<ImageResiduals> {
     let one = |(sightings, before, after): (usize, Vec<f64>, Vec<f64>)| ImageResiduals {
         sightings,
         good: before.len(),
-        before: Spread::of(before),
-        after: Spread::of(after),
+        before: ResidualSize::of(before),
+        after: ResidualSize::of(after),
     };
     lengths.into_iter().map(one).collect()
 }
@@ -162,8 +160,8 @@ pub(super) fn of_pairs(sides: &Sides) -> Vec<PairResiduals> {
         .map(|(images, (before, after))| PairResiduals {
             images,
             ties: before.len(),
-            before: Spread::of(before),
-            after: Spread::of(after),
+            before: ResidualSize::of(before),
+            after: ResidualSize::of(after),
         })
         .collect()
 }

@@ -1,6 +1,7 @@
-//! How much a sighting counts, and how far off a good one is.
+//! Robust weights of sightings, and the scale of the residuals of good ones.
 
-use super::problem::Linear;
+use super::linear::Linear;
+use crate::statistics::upper_median;
 
 /// Residuals, in standard deviations, at which a sighting counts a quarter. So near because errors of matching are not symmetric:
 /// shadows that moved by little pull all one way, and only the peak of the residuals' distribution is where the ground is.
@@ -27,12 +28,10 @@ pub(super) fn lengths_px(track: &[Linear]) -> Vec<f64> {
 /// The standard deviation of one direction of the residuals whose lengths are given, by their median, so that up to half of them may
 /// be wrong. `freedom` is the share of equations that the unknowns leave.
 pub(super) fn sigma_px(mut lengths_px: Vec<f64>, freedom: f64) -> f64 {
-    if lengths_px.is_empty() {
+    let Some(median_px) = upper_median(&mut lengths_px) else {
         return LEAST_SIGMA_PX;
-    }
-    let middle = lengths_px.len() / 2;
-    let median = *lengths_px.select_nth_unstable_by(middle, f64::total_cmp).1;
-    (median / MEDIAN_OF_LENGTH / freedom.max(0.05).sqrt()).max(LEAST_SIGMA_PX)
+    };
+    (median_px / MEDIAN_OF_LENGTH / freedom.max(0.05).sqrt()).max(LEAST_SIGMA_PX)
 }
 
 /// Weight of a residual (S. Geman, D. McClure, 1987): 1 for none, a quarter at [`QUARTER_AT`] standard deviations.

@@ -6,94 +6,23 @@
 
 mod domain;
 mod time;
+mod values;
 
 pub use domain::gdal_domain;
+pub use values::Acquisition;
 
-use super::TextKind;
 use super::fields::number;
 use super::json::json_number;
+use super::kind::{TextKind, kind};
 use super::statements::{Statement, assignments, colon_lines, without_mark};
 use super::xml::{child_text, find, find_all, parse, text as text_of};
-use crate::{GeoPoint, SunPosition, sun_position};
-use jiff::Timestamp;
 use roxmltree::Node;
 use serde_json::Value;
 use time::{utc, utc_of_date_and_time};
 
-/// Time and sun of an acquisition, as far as they are known.
-#[derive(Debug, Clone, Copy, Default, PartialEq)]
-pub struct Acquisition {
-    /// When, UTC.
-    pub time: Option<Timestamp>,
-    /// Azimuth of the sun as the vendor says, degrees clockwise from north, in [0, 360).
-    pub sun_azimuth_deg: Option<f64>,
-    /// Elevation of the sun as the vendor says, degrees above the horizon.
-    pub sun_elevation_deg: Option<f64>,
-}
-
-impl Acquisition {
-    /// These values, and those of `other` where there are none. The two angles go together: one is never filled in
-    /// beside the other's.
-    pub fn merge(self, other: Self) -> Self {
-        let own_angles = self.sun_azimuth_deg.is_some() || self.sun_elevation_deg.is_some();
-        let (sun_azimuth_deg, sun_elevation_deg) = if own_angles && self.stated_sun().is_some() {
-            (self.sun_azimuth_deg, self.sun_elevation_deg)
-        } else if other.stated_sun().is_some() {
-            (other.sun_azimuth_deg, other.sun_elevation_deg)
-        } else {
-            (
-                self.sun_azimuth_deg.or(other.sun_azimuth_deg),
-                self.sun_elevation_deg.or(other.sun_elevation_deg),
-            )
-        };
-        Self {
-            time: self.time.or(other.time),
-            sun_azimuth_deg,
-            sun_elevation_deg,
-        }
-    }
-
-    /// Whether nothing is known.
-    pub fn is_empty(&self) -> bool {
-        *self == Self::default()
-    }
-
-    /// The sun as the vendor says, when both angles are there.
-    pub fn stated_sun(&self) -> Option<SunPosition> {
-        Some(SunPosition::from_degrees(
-            self.sun_azimuth_deg?,
-            self.sun_elevation_deg?,
-        ))
-    }
-
-    /// The sun at `at`: computed where the time is known, else as the vendor says.
-    pub fn sun_at(&self, at: GeoPoint) -> Option<SunPosition> {
-        self.time
-            .map(|time| sun_position(time, at))
-            .or_else(|| self.stated_sun())
-    }
-
-    /// The angle between the computed and the stated sun, degrees; `None` unless both are there.
-    pub fn sun_disagreement_deg(&self, at: GeoPoint) -> Option<f64> {
-        let computed = sun_position(self.time?, at).direction_enu();
-        let stated = self.stated_sun()?.direction_enu();
-        Some(computed.cross(&stated).norm().atan2(computed.dot(&stated)).to_degrees())
-    }
-
-    fn new(time: Option<Timestamp>, azimuth_deg: Option<f64>, elevation_deg: Option<f64>) -> Self {
-        Self {
-            time,
-            sun_azimuth_deg: azimuth_deg
-                .filter(|v| (-360.0..=360.0).contains(v))
-                .map(|v| v.rem_euclid(360.0)),
-            sun_elevation_deg: elevation_deg.filter(|v| (-90.0..=90.0).contains(v)),
-        }
-    }
-}
-
 /// From text of any kind this module reads, told by content; `None` when there is nothing in it. The name matters not.
 pub fn from_text(_file_name: &str, text: &str) -> Option<Acquisition> {
-    let acquisition = match super::kind(text) {
+    let acquisition = match kind(text) {
         TextKind::Dimap => dimap(text),
         TextKind::MaxarXml => maxar_xml(text),
         TextKind::OtherXml(_) | TextKind::FixedWidth => Acquisition::default(),

@@ -1,8 +1,8 @@
 //! The GeoTIFF tag and GDAL's `RPC` metadata domain.
 
-use super::ReadError;
+use super::error::ReadError;
 use super::fields::{OrderedSource, TextSource, camera, customary};
-use crate::Rpc;
+use crate::rpc::Rpc;
 use std::collections::BTreeMap;
 
 /// The camera of GeoTIFF tag 50844 (RPCCoefficientTag): 92 doubles, errors, offsets, scales and four polynomials.

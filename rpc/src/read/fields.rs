@@ -1,7 +1,7 @@
 //! From named values to a checked camera: every reader ends here.
 
-use super::ReadError;
-use crate::Rpc;
+use super::error::ReadError;
+use crate::rpc::Rpc;
 
 /// What a format calls the values of a camera; scalars and polynomials in the order of the GeoTIFF tag.
 pub(super) struct Dialect {

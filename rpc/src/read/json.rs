@@ -1,9 +1,9 @@
 //! Cameras in JSON: Sat-NeRF (and rpcm), VisSat, and GDAL's own RPC names.
 
-use super::ReadError;
+use super::error::ReadError;
 use super::fields::{Dialect, Source, camera, customary, number};
 use super::statements::without_mark;
-use crate::Rpc;
+use crate::rpc::Rpc;
 use serde_json::{Map, Value};
 
 /// The camera of a Sat-NeRF image JSON (`rpc: {row_offset, ..., row_num, ...}`), or of the `rpc` object alone.

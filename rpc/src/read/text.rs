@@ -1,9 +1,9 @@
 //! Cameras in vendors' text files: RPB, `_RPC.TXT` in its dialects, OSSIM `.geom`, and fixed-width RPC00B.
 
-use super::ReadError;
+use super::error::ReadError;
 use super::fields::{Dialect, OrderedSource, TextSource, camera, customary, number, numbered_from_one};
 use super::statements::{assignments, colon_lines, without_mark};
-use crate::Rpc;
+use crate::rpc::Rpc;
 use std::collections::HashMap;
 
 /// Characters of the numbers of an RPC00B record: ten scalars, and eighty coefficients of twelve.

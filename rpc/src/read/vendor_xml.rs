@@ -1,10 +1,10 @@
 //! Cameras in vendors' XML: DIMAP (Pleiades, SPOT 6/7, Pleiades Neo) and Maxar.
 
-use super::ReadError;
+use super::error::ReadError;
 use super::fields::{Dialect, TextSource, camera, customary, numbered_from_one};
 use super::text::check_specification;
 use super::xml::{child_text, find, parse, text as text_of};
-use crate::Rpc;
+use crate::rpc::Rpc;
 use roxmltree::Node;
 
 /// The camera of a DIMAP `RPC_*.XML`.

@@ -3,7 +3,7 @@
 //! The parser neither recurses nor reads DTDs, but its time and memory grow with the square of some counts; those are
 //! bounded here, far above any product description, before it sees the text.
 
-use super::ReadError;
+use super::error::ReadError;
 use super::statements::without_mark;
 use roxmltree::{Document, Node};
 

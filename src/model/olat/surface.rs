@@ -1,22 +1,25 @@
-//! The light one Gaussian reflects, forward and backward.
+//! Surface shading of one Gaussian under one light, forward and backward: softened Lambert plus shared lobes times Fresnel.
+//!
+//! [`LightGeometry`] holds the directions and the falloff, [`Surface`] the material, [`Lobes`] the shared specular basis. The formulas
+//! stand in the head of [`super`].
 
-use super::LOBES;
 use crate::camera::ProjectiveCamera;
-use crate::gaussians::Table;
 use crate::gaussians::{normalised, rotation_backward, sigmoid};
 use crate::light::Light;
-use crate::model::over::COLOURS;
+use crate::model::background::COLOURS;
 use crate::model::shadow_gs::softplus;
 use crate::shade::asg::Lobe;
 use crate::shade::falloff::falloff;
 use glam::{Mat3, Vec3};
 use std::f32::consts::FRAC_1_PI;
 
+/// Lobes that all Gaussians share.
+pub const LOBES: usize = 8;
 /// How far the softened cosine reaches below zero.
 const SOFT: f32 = 0.01;
 /// `SOFT · (1 - 1/e)`: what makes it zero at -1.
 const SOFT_OFFSET: f32 = 0.006_321_206;
-/// Least length of the sum of the directions to light and eye: below it, they are opposite and nothing is reflected.
+/// Least length of the sum of the directions to light and eye, below which they count as opposite.
 const LEAST_SUM: f32 = 1e-3;
 /// The relative widths of a lobe reach from zero to this.
 const WIDEST: f32 = 10.0;
@@ -59,8 +62,8 @@ impl Lobes {
         }
     }
 
-    /// Gradients of the shared groups, in their order, from those of all Gaussians.
-    pub(super) fn gradients(&self, globals: &Table, parts: &[SurfaceGradient]) -> [Vec<f32>; 3] {
+    /// Gradients of the lobes' groups (frames, relative widths, widths) from those of all Gaussians.
+    pub(super) fn gradients([frames, scales, sigmas]: [&[f32]; 3], parts: &[SurfaceGradient]) -> [Vec<f32>; 3] {
         let mut out = [vec![0.0; LOBES * 4], vec![0.0; LOBES * 2], vec![0.0; LOBES]];
         for j in 0..LOBES {
             // One after another, in f64: the same sum for any number of threads.
@@ -74,36 +77,36 @@ impl Lobes {
                 }
                 shape.iter_mut().zip(d.shape).for_each(|(sum, d)| *sum += f64::from(d));
             }
-            let turned = Mat3::from_cols_array(&turned.map(|d| d as f32));
-            let raw = [0, 1, 2, 3].map(|k| globals.group(0)[j * 4 + k]);
-            out[0][j * 4..j * 4 + 4].copy_from_slice(&rotation_backward(raw, turned));
+            let d_frame = Mat3::from_cols_array(&turned.map(|d| d as f32));
+            let raw = [0, 1, 2, 3].map(|k| frames[j * 4 + k]);
+            out[0][j * 4..j * 4 + 4].copy_from_slice(&rotation_backward(raw, d_frame));
             let slope = |raw: f32| sigmoid(raw) * (1.0 - sigmoid(raw));
             for k in 0..2 {
-                out[1][j * 2 + k] = shape[k] as f32 * WIDEST * slope(globals.group(1)[j * 2 + k]);
+                out[1][j * 2 + k] = shape[k] as f32 * WIDEST * slope(scales[j * 2 + k]);
             }
-            out[2][j] = shape[2] as f32 * widest(j) * slope(globals.group(2)[j]);
+            out[2][j] = shape[2] as f32 * widest(j) * slope(sigmas[j]);
         }
         out
     }
 }
 
-/// Where a Gaussian stands between light and eye.
+/// Directions from a Gaussian to light and eye, and the light's falloff there.
 #[derive(Debug, Clone, Copy)]
-pub(super) struct Place {
+pub(super) struct LightGeometry {
     pub(super) to_light: Vec3,
     pub(super) to_eye: Vec3,
     /// Per distance to light and eye; zero where they are infinitely far.
     inverse_light: f32,
     inverse_eye: f32,
-    /// How much a light of strength one counts here.
-    pub(super) falling: f32,
+    /// Falloff of a light of strength one, see [`falloff`].
+    pub(super) falloff: f32,
     /// Its gradient to the position.
-    d_falling: Vec3,
+    d_falloff: Vec3,
 }
 
-impl Place {
+impl LightGeometry {
     pub(super) fn new(position: Vec3, light: &Light, camera: &ProjectiveCamera, distance: f32, radius: f32) -> Self {
-        let (to_light, away) = light.seen_from(position);
+        let (to_light, distance_to_light) = light.seen_from(position);
         let (to_eye, inverse_eye) = match camera.eye() {
             Some(eye) => {
                 let length = (eye - position).length().max(1e-12);
@@ -111,34 +114,38 @@ impl Place {
             }
             None => (-camera.depth_axis, 0.0),
         };
-        if !away.is_finite() {
+        if !distance_to_light.is_finite() {
             return Self {
                 to_light,
                 to_eye,
                 inverse_light: 0.0,
                 inverse_eye,
-                falling: 1.0,
-                d_falling: Vec3::ZERO,
+                falloff: 1.0,
+                d_falloff: Vec3::ZERO,
             };
         }
-        let (falling, slope) = falloff(away, distance, radius);
+        let (value, slope) = falloff(distance_to_light, distance, radius);
         Self {
             to_light,
             to_eye,
-            // In the place of the lamp itself the direction is a convention and does not turn.
-            inverse_light: if away > 0.0 { 1.0 / away } else { 0.0 },
+            // At the position of the light itself the direction is a convention and does not turn.
+            inverse_light: if distance_to_light > 0.0 {
+                1.0 / distance_to_light
+            } else {
+                0.0
+            },
             inverse_eye,
-            falling,
-            d_falling: to_light * -slope,
+            falloff: value,
+            d_falloff: to_light * -slope,
         }
     }
 }
 
-impl Place {
-    /// Gradient of the position, from those of the directions to light and eye and of the falling off.
-    pub(super) fn position_gradient(&self, d_light: Vec3, d_eye: Vec3, d_falling: f32) -> Vec3 {
+impl LightGeometry {
+    /// Gradient of the position, from those of the directions to light and eye and of the falloff.
+    pub(super) fn position_gradient(&self, d_light: Vec3, d_eye: Vec3, d_falloff: f32) -> Vec3 {
         let across = |unit: Vec3, d: Vec3| d - unit * unit.dot(d);
-        self.d_falling * d_falling
+        self.d_falloff * d_falloff
             - across(self.to_light, d_light) * self.inverse_light
             - across(self.to_eye, d_eye) * self.inverse_eye
     }
@@ -151,20 +158,20 @@ pub(super) struct Surface {
     pub(super) frame: [f32; 4],
     pub(super) specular: [f32; COLOURS],
     pub(super) weights: [f32; LOBES],
-    /// Share that is reflected head on (Schlick 1994): a twenty-fifth by what is no metal, most by metals.
-    pub(super) head_on: f32,
+    /// F0, reflectance at normal incidence (Schlick 1994): about 0.04 for dielectrics, most for metals.
+    pub(super) f0: f32,
 }
 
-/// Light reflected per light that falls in, evenly and as by a mirror.
+/// Reflected light per incoming light: the diffuse and the specular part.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Shaded {
     pub(super) diffuse: [f32; COLOURS],
     pub(super) specular: [f32; COLOURS],
 }
 
-/// What of a lobe's gradients the shared parameters need.
+/// What the gradients of the shared lobes need of one Gaussian.
 #[derive(Debug, Clone, Copy, Default)]
-pub(super) struct LobePart {
+pub(super) struct LobeGradient {
     direction: Vec3,
     shape: [f32; 3],
 }
@@ -175,13 +182,13 @@ pub(super) struct SurfaceGradient {
     pub(super) diffuse: [f32; COLOURS],
     pub(super) specular: [f32; COLOURS],
     pub(super) weights: [f32; LOBES],
-    pub(super) head_on: f32,
+    pub(super) f0: f32,
     pub(super) frame: [f32; 4],
     pub(super) position: Vec3,
     pub(super) transmittance: f32,
-    /// The half vector in the surface's frame, and what the lobes make of it.
+    /// The half vector in the surface's frame, and each lobe's gradients there.
     half: Vec3,
-    lobes: [LobePart; LOBES],
+    lobes: [LobeGradient; LOBES],
 }
 
 impl SurfaceGradient {
@@ -194,21 +201,21 @@ impl SurfaceGradient {
     }
 }
 
-/// The half vector and what it makes of reflectance.
-struct Half {
+/// The half vector of light and eye, and the Fresnel and masking terms that depend on it.
+struct HalfVector {
     sum: f32,
     direction: Vec3,
     /// Between it and the light.
     cosine: f32,
 }
 
-/// Least cosine between the half vector and the light that masking is reckoned with: below it, surfaces of middling roughness hide
-/// more of themselves than the square says.
+/// Least cosine between half vector and light in the masking term: below it, surfaces of medium roughness mask more than the
+/// inverse square says.
 const LEAST_COSINE: f32 = 0.25;
 
-impl Half {
-    fn new(place: &Place) -> Self {
-        let sum = place.to_light + place.to_eye;
+impl HalfVector {
+    fn new(geometry: &LightGeometry) -> Self {
+        let sum = geometry.to_light + geometry.to_eye;
         let length = sum.length().max(LEAST_SUM);
         Self {
             sum: length,
@@ -217,13 +224,13 @@ impl Half {
         }
     }
 
-    /// Schlick's share of the light that is reflected, of that head on, over the square of the cosine, which stands for what rough
-    /// surfaces hide of themselves (Kelemen and Szirmay-Kalos 2001); its slopes to that head on and to the cosine.
-    fn fresnel(&self, head_on: f32) -> (f32, f32, f32) {
+    /// Schlick's Fresnel term over the squared cosine, which approximates masking and shadowing over `(n·l)(n·v)` (Kelemen and
+    /// Szirmay-Kalos 2001): value, and slopes to F0 and to the cosine.
+    fn fresnel(&self, f0: f32) -> (f32, f32, f32) {
         let rest = 1.0 - self.cosine;
         let grazing = rest.powi(5);
-        let share = head_on + (1.0 - head_on) * grazing;
-        let slope = -5.0 * (1.0 - head_on) * rest.powi(4);
+        let share = f0 + (1.0 - f0) * grazing;
+        let slope = -5.0 * (1.0 - f0) * rest.powi(4);
         let cosine = self.cosine.max(LEAST_COSINE);
         let seen = 1.0 / (cosine * cosine);
         let bending = if self.cosine > LEAST_COSINE {
@@ -236,15 +243,15 @@ impl Half {
 }
 
 impl Surface {
-    /// What the surface reflects to the eye of a light of strength one that reaches it.
-    pub(super) fn shade(&self, lobes: Option<&Lobes>, place: &Place) -> Shaded {
+    /// Light toward the eye from a light of strength one, before shadow and falloff.
+    pub(super) fn shade(&self, lobes: Option<&Lobes>, geometry: &LightGeometry) -> Shaded {
         let frame = Mat3::from_quat(normalised(self.frame));
-        let (cosine, _) = soft_cosine(frame.z_axis.dot(place.to_light));
+        let (cosine, _) = soft_cosine(frame.z_axis.dot(geometry.to_light));
         let gloss = lobes.map_or(0.0, |lobes| {
-            let half = Half::new(place);
+            let half = HalfVector::new(geometry);
             let own = frame.transpose() * half.direction;
             let lobe = |j: usize| self.weights[j] * lobes.shapes[j].value(lobes.frames[j].transpose() * own);
-            (0..LOBES).map(lobe).sum::<f32>() * half.fresnel(self.head_on).0
+            (0..LOBES).map(lobe).sum::<f32>() * half.fresnel(self.f0).0
         });
         Shaded {
             diffuse: self.diffuse.map(|c| c * cosine * FRAC_1_PI),
@@ -252,43 +259,43 @@ impl Surface {
         }
     }
 
-    /// Gradients from that of the colour `(diffuse + specular) · transmittance · falling`.
+    /// Backward of the colour `(diffuse + specular) · transmittance · falloff`.
     pub(super) fn shade_backward(
         &self,
         lobes: Option<&Lobes>,
-        place: &Place,
+        geometry: &LightGeometry,
         transmittance: f32,
         d_colour: [f32; COLOURS],
     ) -> SurfaceGradient {
         let frame = Mat3::from_quat(normalised(self.frame));
-        let (cosine, slope) = soft_cosine(frame.z_axis.dot(place.to_light));
+        let (cosine, slope) = soft_cosine(frame.z_axis.dot(geometry.to_light));
         let mut out = SurfaceGradient::default();
-        let half = Half::new(place);
+        let half = HalfVector::new(geometry);
         out.half = frame.transpose() * half.direction;
         let mut values = [0.0; LOBES];
-        let (mut gathered, mut in_frames) = (0.0, [Vec3::ZERO; LOBES]);
+        let (mut lobe_sum, mut in_frames) = (0.0, [Vec3::ZERO; LOBES]);
         if let Some(lobes) = lobes {
             for j in 0..LOBES {
                 in_frames[j] = lobes.frames[j].transpose() * out.half;
                 values[j] = lobes.shapes[j].value(in_frames[j]);
-                gathered += self.weights[j] * values[j];
+                lobe_sum += self.weights[j] * values[j];
             }
         }
-        let (fresnel, by_head_on, by_cosine) = half.fresnel(self.head_on);
-        let gloss = gathered * fresnel;
-        let arriving = transmittance * place.falling;
-        let (mut d_cosine, mut d_gloss, mut d_falling) = (0.0, 0.0, 0.0);
+        let (fresnel, by_f0, by_cosine) = half.fresnel(self.f0);
+        let gloss = lobe_sum * fresnel;
+        let arriving = transmittance * geometry.falloff;
+        let (mut d_cosine, mut d_gloss, mut d_falloff) = (0.0, 0.0, 0.0);
         for (k, d) in d_colour.into_iter().enumerate() {
             let per_cosine = self.diffuse[k] * FRAC_1_PI + self.specular[k] * gloss;
             out.diffuse[k] = d * arriving * cosine * FRAC_1_PI;
             out.specular[k] = d * arriving * cosine * gloss;
-            out.transmittance += d * per_cosine * cosine * place.falling;
-            d_falling += d * per_cosine * cosine * transmittance;
+            out.transmittance += d * per_cosine * cosine * geometry.falloff;
+            d_falloff += d * per_cosine * cosine * transmittance;
             d_cosine += d * arriving * per_cosine;
             d_gloss += d * arriving * cosine * self.specular[k];
         }
         let mut d_frame = Mat3::ZERO;
-        d_frame.z_axis = place.to_light * (d_cosine * slope);
+        d_frame.z_axis = geometry.to_light * (d_cosine * slope);
         let mut d_light = frame.z_axis * (d_cosine * slope);
         let mut d_eye = Vec3::ZERO;
         if let Some(lobes) = lobes {
@@ -299,7 +306,7 @@ impl Surface {
                 let weight = d_value * self.weights[j];
                 let found = lobes.shapes[j].value_and_gradients(in_frames[j]);
                 let direction = found.direction * weight;
-                out.lobes[j] = LobePart {
+                out.lobes[j] = LobeGradient {
                     direction,
                     shape: found.shape.map(|d| d * weight),
                 };
@@ -312,14 +319,14 @@ impl Surface {
             let d_half = frame * d_own;
             let along = half.direction.dot(d_half);
             let mut d_sum = (d_half - half.direction * along) / half.sum;
-            out.head_on = d_gloss * gathered * by_head_on;
+            out.f0 = d_gloss * lobe_sum * by_f0;
             // The cosine is half of the sum's length.
-            d_sum += half.direction * (0.5 * d_gloss * gathered * by_cosine);
+            d_sum += half.direction * (0.5 * d_gloss * lobe_sum * by_cosine);
             d_light += d_sum;
             d_eye += d_sum;
         }
         out.frame = rotation_backward(self.frame, d_frame);
-        out.position = place.position_gradient(d_light, d_eye, d_falling);
+        out.position = geometry.position_gradient(d_light, d_eye, d_falloff);
         out
     }
 }
@@ -337,7 +344,7 @@ mod tests {
             frame,
             specular: [0.0; COLOURS],
             weights: [0.0; LOBES],
-            head_on: 0.04,
+            f0: 0.04,
         };
         let (at, d) = ([0.3, -0.5, 0.2, 0.9], Vec3::new(0.7, -0.2, 0.4));
         let along = |frame: [f32; 4]| (Mat3::from_quat(normalised(frame)) * Vec3::Z).dot(d);
@@ -357,20 +364,17 @@ mod tests {
     #[test]
     fn reflectance_has_the_slopes_it_says() {
         for cosine in [0.1f32, 0.4, 0.9] {
-            let half = |cosine: f32| Half {
+            let half = |cosine: f32| HalfVector {
                 sum: 2.0 * cosine,
                 direction: Vec3::Z,
                 cosine,
             };
             let (h, step) = (0.3, 1e-3);
-            let (_, by_head_on, by_cosine) = half(cosine).fresnel(h);
+            let (_, by_f0, by_cosine) = half(cosine).fresnel(h);
             let slope = |hi: f32, lo: f32| (hi - lo) / (2.0 * step);
-            let head_on = slope(half(cosine).fresnel(h + step).0, half(cosine).fresnel(h - step).0);
+            let f0 = slope(half(cosine).fresnel(h + step).0, half(cosine).fresnel(h - step).0);
             let turned = slope(half(cosine + step).fresnel(h).0, half(cosine - step).fresnel(h).0);
-            assert!(
-                (head_on - by_head_on).abs() < 2e-2 * by_head_on.abs().max(1.0),
-                "{cosine}"
-            );
+            assert!((f0 - by_f0).abs() < 2e-2 * by_f0.abs().max(1.0), "{cosine}");
             assert!((turned - by_cosine).abs() < 2e-2 * by_cosine.abs().max(1.0), "{cosine}");
         }
     }

@@ -1,18 +1,32 @@
-//! One Gaussian's surface in its surroundings, forward and backward.
+//! Shading of one Gaussian's surface by environment light, forward and backward.
+//!
+//! Forward, per splat: [`ViewGeometry::new`] (frame, direction to the eye, reflected direction, size of the reflected lobe), then
+//! [`Surface::encode`] (the decoder's inputs), then, after the decoder ran over all splats, [`Surface::shade`].
+//!
+//! Backward runs in phases, because the decoder stands between shading and its own inputs and is evaluated for all splats at
+//! once:
+//!
+//! 1. [`Surface::shade_backward`]: from the light toward the eye to material, normal and cosine, and to the decoder's *output*.
+//! 2. the decoder's own backward pass (in [`super`]): from its output to its weights and *inputs*.
+//! 3. [`Surface::encode_backward`]: from the decoder's inputs, and from the light of the harmonics which the decoder's output is
+//!    added to, to material, reflected direction and lobe.
+//! 4. [`PartialGradient::finish`]: everything that was collected on the view geometry goes to frame and position.
+//!
+//! [`PartialGradient`] carries what phases 1 and 3 have collected.
 
 use crate::gaussians::{normalised, rotation_backward};
-use crate::model::over::COLOURS;
+use crate::model::background::COLOURS;
 use crate::model::shadow_gs::softplus;
 use crate::shade::sh::{self, MAX_FUNCTIONS};
 use crate::shade::{ggx, split_sum};
 use glam::{Mat3, Vec3};
 use std::f32::consts::{FRAC_1_PI, SQRT_2};
 
-/// Reflectance of what is no metal, head on.
-pub(super) const HEAD_ON: f32 = 0.04;
-/// What a surface gathers of a degree of the harmonics, cosine and 1/π included (Ramamoorthi and Hanrahan 2001).
-const GATHERED: [f32; 4] = [1.0, 2.0 / 3.0, 0.25, 0.0];
-/// Axes along which reflected directions are told to the decoder: those of an icosahedron.
+/// Reflectance of dielectrics at normal incidence.
+pub(super) const DIELECTRIC_F0: f32 = 0.04;
+/// The clamped cosine in spherical harmonics, by degree, over π (Ramamoorthi and Hanrahan 2001): radiance to irradiance over π.
+const COSINE_KERNEL: [f32; 4] = [1.0, 2.0 / 3.0, 0.25, 0.0];
+/// Axes along which the reflected direction is encoded: those of an icosahedron.
 const AXES: [Vec3; 6] = [
     Vec3::new(0.0, 0.525_731_1, 0.850_650_8),
     Vec3::new(0.0, 0.525_731_1, -0.850_650_8),
@@ -21,19 +35,19 @@ const AXES: [Vec3; 6] = [
     Vec3::new(0.850_650_8, 0.0, 0.525_731_1),
     Vec3::new(-0.850_650_8, 0.0, 0.525_731_1),
 ];
-/// Waves per axis, radians: each twice as fine as the one before.
+/// Frequencies of the encoding per axis, radians: each twice the one before.
 const WAVES: [f32; 4] = [1.5, 3.0, 6.0, 12.0];
-/// Numbers that tell a direction.
-const TOLD: usize = 2 * AXES.len() * WAVES.len();
-/// Numbers of a Gaussian's own that the decoder reads.
-pub(super) const CODE: usize = 6;
-const AT_LIGHT: usize = TOLD;
+/// Numbers of the encoded direction.
+const ENCODED: usize = 2 * AXES.len() * WAVES.len();
+/// Numbers of the material embedding of a Gaussian.
+pub(super) const EMBEDDING_WIDTH: usize = 6;
+const AT_LIGHT: usize = ENCODED;
 const AT_COSINE: usize = AT_LIGHT + COLOURS;
 const AT_WIDTH: usize = AT_COSINE + 1;
 const AT_POSITION: usize = AT_WIDTH + 2;
-const AT_CODE: usize = AT_POSITION + 3;
-/// Numbers that the decoder reads.
-pub(super) const INPUTS: usize = AT_CODE + CODE;
+const AT_EMBEDDING: usize = AT_POSITION + 3;
+/// Inputs of the decoder: encoded direction, light of the harmonics, cosine, widths, position, embedding.
+pub(super) const INPUTS: usize = AT_EMBEDDING + EMBEDDING_WIDTH;
 
 /// Coefficients of light, `[function][colour]`.
 pub(super) type Coefficients = [[f32; COLOURS]; MAX_FUNCTIONS];
@@ -43,7 +57,7 @@ fn degree(function: usize) -> usize {
     [0, 1, 1, 1, 2, 2, 2, 2, 2, 3, 3, 3, 3, 3, 3, 3][function]
 }
 
-/// What a Gaussian's surface is.
+/// Material, frame and light of a Gaussian.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Surface {
     pub(super) position: Vec3,
@@ -51,11 +65,11 @@ pub(super) struct Surface {
     pub(super) metallic: f32,
     /// Widths of the lobe, along x and y of the frame.
     pub(super) alpha: [f32; 2],
-    /// Share of the gloss that is there at all.
+    /// Weight of the specular term, 0 to 1.
     pub(super) gloss: f32,
     pub(super) frame: [f32; 4],
     pub(super) light: Coefficients,
-    pub(super) code: [f32; CODE],
+    pub(super) embedding: [f32; EMBEDDING_WIDTH],
 }
 
 /// Gradients of a surface.
@@ -68,44 +82,44 @@ pub(super) struct SurfaceGradient {
     pub(super) gloss: f32,
     pub(super) frame: [f32; 4],
     pub(super) light: Coefficients,
-    pub(super) code: [f32; CODE],
+    pub(super) embedding: [f32; EMBEDDING_WIDTH],
 }
 
-/// How a surface is looked at.
-pub(super) struct Sight {
+/// How a camera sees a surface, and where its eye ray is reflected to.
+pub(super) struct ViewGeometry {
     frame: Mat3,
     to_eye: Vec3,
     inverse_distance: f32,
     /// 1 where the frame's normal faces the eye, else -1.
     side: f32,
     cosine: f32,
-    /// Where a mirror would send the eye's ray.
-    mirrored: Vec3,
-    /// One standard deviation of the reflected lobe, for each of the two widths.
-    spread: [Vec3; 2],
+    /// The eye direction reflected at the normal.
+    reflected: Vec3,
+    /// One standard deviation of the reflected lobe, for each of its two widths.
+    lobe_deviation: [Vec3; 2],
 }
 
-impl Sight {
+impl ViewGeometry {
     /// `eye` is where rays meet; with parallel rays, `toward` is where they come from.
     pub(super) fn new(surface: &Surface, eye: Option<Vec3>, toward: Vec3) -> Self {
         let frame = Mat3::from_quat(normalised(surface.frame));
         let offset = eye.map_or(toward, |eye| eye - surface.position);
         let inverse = 1.0 / offset.length().max(1e-12);
         let (to_eye, n) = (offset * inverse, frame.z_axis);
-        let facing = n.dot(to_eye);
-        // A facet turned by δ around y turns the mirrored ray by 2 (ω·x) n + 2 (ω·n) x times δ, and GGX of width α has a variance
+        let n_dot_eye = n.dot(to_eye);
+        // A facet turned by δ around y turns the reflected ray by 2 (ω·x) n + 2 (ω·n) x times δ, and GGX of width α has a variance
         // of α²/2 near its peak.
-        let spread = |k: usize| {
+        let lobe_deviation = |k: usize| {
             let axis = frame.col(k);
-            (n * to_eye.dot(axis) + axis * facing) * (SQRT_2 * surface.alpha[k])
+            (n * to_eye.dot(axis) + axis * n_dot_eye) * (SQRT_2 * surface.alpha[k])
         };
         Self {
             to_eye,
             inverse_distance: if eye.is_some() { inverse } else { 0.0 },
-            side: if facing < 0.0 { -1.0 } else { 1.0 },
-            cosine: facing.abs(),
-            mirrored: n * (2.0 * facing) - to_eye,
-            spread: [spread(0), spread(1)],
+            side: if n_dot_eye < 0.0 { -1.0 } else { 1.0 },
+            cosine: n_dot_eye.abs(),
+            reflected: n * (2.0 * n_dot_eye) - to_eye,
+            lobe_deviation: [lobe_deviation(0), lobe_deviation(1)],
             frame,
         }
     }
@@ -116,36 +130,38 @@ impl Sight {
     }
 }
 
-/// How much the lobe blurs a degree: `e^(-ρ l (l+1) / 2)` with the lobe's variance ρ, and its slope to ρ over itself.
-fn blurred(alpha: [f32; 2], degree: usize) -> (f32, f32) {
+/// Factor by which the lobe blurs a degree: `e^(-ρ l (l+1) / 2)` with the lobe's variance ρ, and its slope to ρ over itself.
+fn blur_factor(alpha: [f32; 2], degree: usize) -> (f32, f32) {
     let rate = -0.5 * (degree * (degree + 1)) as f32;
     ((rate * (alpha[0] * alpha[0] + alpha[1] * alpha[1])).exp(), rate)
 }
 
 impl Surface {
-    /// Light that the surface gathers, and that a mirror as rough would show, as far as harmonics know.
-    fn gathered(&self, sight: &Sight, functions: usize) -> ([f32; COLOURS], [f32; COLOURS]) {
-        let (across, along) = (sh::basis(sight.normal()), sh::basis(sight.mirrored));
-        let (mut even, mut mirrored) = ([0.0; COLOURS], [0.0; COLOURS]);
-        let blurs: [f32; 4] = std::array::from_fn(|degree| blurred(self.alpha, degree).0);
+    /// Irradiance over π, and the radiance of the blurred reflection, both of the harmonics alone.
+    fn harmonic_light(&self, view: &ViewGeometry, functions: usize) -> ([f32; COLOURS], [f32; COLOURS]) {
+        let (diffuse_basis, reflected_basis) = (sh::basis(view.normal()), sh::basis(view.reflected));
+        let (mut irradiance, mut reflected) = ([0.0; COLOURS], [0.0; COLOURS]);
+        let blurs: [f32; 4] = std::array::from_fn(|degree| blur_factor(self.alpha, degree).0);
         for f in 0..functions {
-            let (gathers, blur) = (GATHERED[degree(f)], blurs[degree(f)]);
+            let (kernel, blur) = (COSINE_KERNEL[degree(f)], blurs[degree(f)]);
             for k in 0..COLOURS {
-                even[k] += gathers * across[f] * self.light[f][k];
-                mirrored[k] += blur * along[f] * self.light[f][k];
+                irradiance[k] += kernel * diffuse_basis[f] * self.light[f][k];
+                reflected[k] += blur * reflected_basis[f] * self.light[f][k];
             }
         }
-        (even, mirrored)
+        (irradiance, reflected)
     }
 
-    /// What the decoder reads. A wave over all directions, blurred by the lobe, is the wave times the lobe's own factor: told like
-    /// this, what the decoder makes of waves is light that went through the anisotropic lobe.
-    pub(super) fn tell(&self, sight: &Sight, functions: usize, scale: f32, out: &mut [f32]) {
-        let (_, mirrored) = self.gathered(sight, functions);
+    /// Writes the decoder's inputs. A plane wave over the directions, blurred by the anisotropic lobe, is the wave times a factor of the
+    /// lobe; with these factors, whatever the decoder makes of the waves is light seen through the lobe (as in the integrated directional
+    /// encoding, Verbin et al. 2022, here for an anisotropic lobe). `functions` harmonics are used; `scale` is one over half the side
+    /// of the cube that positions lie in.
+    pub(super) fn encode(&self, view: &ViewGeometry, functions: usize, scale: f32, out: &mut [f32]) {
+        let (_, reflected) = self.harmonic_light(view, functions);
         let mut at = 0;
         for axis in AXES {
-            let along = axis.dot(sight.mirrored);
-            let variance = axis.dot(sight.spread[0]).powi(2) + axis.dot(sight.spread[1]).powi(2);
+            let along = axis.dot(view.reflected);
+            let variance = axis.dot(view.lobe_deviation[0]).powi(2) + axis.dot(view.lobe_deviation[1]).powi(2);
             let mut factor = (-0.5 * WAVES[0] * WAVES[0] * variance).exp();
             let (mut sine, mut cosine) = (WAVES[0] * along).sin_cos();
             for _ in WAVES {
@@ -157,88 +173,88 @@ impl Surface {
                 factor = (factor * factor) * (factor * factor);
             }
         }
-        out[AT_LIGHT..AT_COSINE].copy_from_slice(&mirrored);
-        out[AT_COSINE] = sight.cosine;
+        out[AT_LIGHT..AT_COSINE].copy_from_slice(&reflected);
+        out[AT_COSINE] = view.cosine;
         out[AT_WIDTH..AT_POSITION].copy_from_slice(&self.alpha);
-        out[AT_POSITION..AT_CODE].copy_from_slice(&(self.position * scale).to_array());
-        out[AT_CODE..INPUTS].copy_from_slice(&self.code);
+        out[AT_POSITION..AT_EMBEDDING].copy_from_slice(&(self.position * scale).to_array());
+        out[AT_EMBEDDING..INPUTS].copy_from_slice(&self.embedding);
     }
 
     fn roughness(&self) -> f32 {
         (self.alpha[0] * self.alpha[1]).sqrt().sqrt()
     }
 
-    /// Light toward the eye, reflected evenly and as by a mirror; `decoded` is what the decoder made of [`Self::tell`], `None` where
-    /// nothing is glossy.
+    /// Light toward the eye, diffuse and specular; `decoded` is the decoder's output for [`Self::encode`], `None` where the surface is
+    /// not glossy and the decoder was not evaluated.
     pub(super) fn shade(
         &self,
-        sight: &Sight,
+        view: &ViewGeometry,
         functions: usize,
         decoded: Option<[f32; COLOURS]>,
     ) -> ([f32; COLOURS], [f32; COLOURS]) {
-        let (even, mirrored) = self.gathered(sight, functions);
-        let diffuse = std::array::from_fn(|k| self.albedo[k] * (1.0 - self.metallic) * even[k].max(0.0));
+        let (irradiance, reflected) = self.harmonic_light(view, functions);
+        let diffuse = std::array::from_fn(|k| self.albedo[k] * (1.0 - self.metallic) * irradiance[k].max(0.0));
         let Some(decoded) = decoded else {
             return (diffuse, [0.0; COLOURS]);
         };
-        let sums = split_sum::look_up(self.roughness(), sight.cosine).values;
+        let sums = split_sum::look_up(self.roughness(), view.cosine).values;
         let specular = std::array::from_fn(|k| {
-            let head_on = HEAD_ON * (1.0 - self.metallic) + self.metallic * self.albedo[k];
-            self.gloss * softplus(mirrored[k] + decoded[k]) * (head_on * sums[0] + sums[1])
+            let f0 = DIELECTRIC_F0 * (1.0 - self.metallic) + self.metallic * self.albedo[k];
+            self.gloss * softplus(reflected[k] + decoded[k]) * (f0 * sums[0] + sums[1])
         });
         (diffuse, specular)
     }
 
-    /// First half of the way back: from the gradient of the light toward the eye to all but what goes through the decoder's inputs;
-    /// returns the gradient of what the decoder gives, too.
+    /// First phase of the backward pass: from the gradient of the light toward the eye to everything but what goes through the
+    /// decoder's inputs. Returns the gradient of the decoder's output.
     pub(super) fn shade_backward(
         &self,
-        sight: &Sight,
+        view: &ViewGeometry,
         functions: usize,
         decoded: Option<[f32; COLOURS]>,
         d_light: [f32; COLOURS],
-        back: &mut Backward,
+        back: &mut PartialGradient,
     ) -> [f32; COLOURS] {
-        let (even, mirrored) = self.gathered(sight, functions);
-        let mut d_even = [0.0; COLOURS];
+        let (irradiance, reflected) = self.harmonic_light(view, functions);
+        let mut d_irradiance = [0.0; COLOURS];
         let out = &mut back.surface;
         for k in 0..COLOURS {
-            let lit = even[k].max(0.0);
+            let lit = irradiance[k].max(0.0);
             out.albedo[k] += d_light[k] * (1.0 - self.metallic) * lit;
             out.metallic -= d_light[k] * self.albedo[k] * lit;
             let d = d_light[k] * self.albedo[k] * (1.0 - self.metallic);
-            // In the dark, light hears only what would make it brighter: it must find its way back.
-            d_even[k] = if even[k] > 0.0 { d } else { d.min(0.0) };
+            // Below zero only gradients that brighten pass: clamped light must be able to recover.
+            d_irradiance[k] = if irradiance[k] > 0.0 { d } else { d.min(0.0) };
         }
-        let normal = sight.normal();
+        let normal = view.normal();
         let (basis, slopes) = (sh::basis(normal), sh::basis_gradients(normal));
         let mut d_normal = Vec3::ZERO;
         for f in 0..functions {
-            let gathers = GATHERED[degree(f)];
+            let kernel = COSINE_KERNEL[degree(f)];
             let mut weight = 0.0;
             for k in 0..COLOURS {
-                out.light[f][k] += d_even[k] * gathers * basis[f];
-                weight += d_even[k] * self.light[f][k];
+                out.light[f][k] += d_irradiance[k] * kernel * basis[f];
+                weight += d_irradiance[k] * self.light[f][k];
             }
-            d_normal += slopes[f] * (gathers * weight);
+            d_normal += slopes[f] * (kernel * weight);
         }
-        back.normal += d_normal * sight.side;
+        back.normal += d_normal * view.side;
         let Some(decoded) = decoded else {
             return [0.0; COLOURS];
         };
-        let found = split_sum::look_up(self.roughness(), sight.cosine);
+        let found = split_sum::look_up(self.roughness(), view.cosine);
         let (mut d_sums, mut d_decoded) = ([0.0; 2], [0.0; COLOURS]);
         for k in 0..COLOURS {
-            let head_on = HEAD_ON * (1.0 - self.metallic) + self.metallic * self.albedo[k];
+            let f0 = DIELECTRIC_F0 * (1.0 - self.metallic) + self.metallic * self.albedo[k];
             let (arriving, share) = (
-                softplus(mirrored[k] + decoded[k]),
-                head_on * found.values[0] + found.values[1],
+                softplus(reflected[k] + decoded[k]),
+                f0 * found.values[0] + found.values[1],
             );
             out.gloss += d_light[k] * arriving * share;
             let d_share = d_light[k] * self.gloss * arriving;
-            d_sums[0] += d_share * head_on;
+            d_sums[0] += d_share * f0;
             d_sums[1] += d_share;
-            out.metallic += d_share * found.values[0] * (self.albedo[k] - HEAD_ON);
+            out.metallic += d_share * found.values[0] * (self.albedo[k] - DIELECTRIC_F0);
             out.albedo[k] += d_share * found.values[0] * self.metallic;
             // Slope of the softplus.
             d_decoded[k] = d_light[k] * self.gloss * share * -(-arriving).exp_m1();
@@ -251,113 +267,113 @@ impl Surface {
         d_decoded
     }
 
-    /// Second half: from gradients of what the decoder reads (`told`, `d_told`) and of what it gives, which is also that of the
-    /// mirrored light.
-    pub(super) fn tell_backward(
+    /// Second phase of the backward pass: from the decoder's inputs and their gradients (`inputs`, `d_inputs`), and from the gradient
+    /// of its output, which is also that of the blurred reflection of the harmonics.
+    pub(super) fn encode_backward(
         &self,
-        sight: &Sight,
+        view: &ViewGeometry,
         functions: usize,
         scale: f32,
-        (told, d_told): (&[f32], &[f32]),
+        (inputs, d_inputs): (&[f32], &[f32]),
         d_decoded: [f32; COLOURS],
-        back: &mut Backward,
+        back: &mut PartialGradient,
     ) {
         let mut at = 0;
         for axis in AXES {
             let (mut d_along, mut d_variance) = (0.0, 0.0);
             for wave in WAVES {
-                let (s, c, ds, dc) = (told[at], told[at + 1], d_told[at], d_told[at + 1]);
+                let (s, c, ds, dc) = (inputs[at], inputs[at + 1], d_inputs[at], d_inputs[at + 1]);
                 d_along += wave * (ds * c - dc * s);
                 d_variance -= 0.5 * wave * wave * (ds * s + dc * c);
                 at += 2;
             }
-            back.mirrored += axis * d_along;
+            back.reflected += axis * d_along;
             for k in 0..2 {
-                back.spread[k] += axis * (2.0 * d_variance * axis.dot(sight.spread[k]));
+                back.lobe_deviation[k] += axis * (2.0 * d_variance * axis.dot(view.lobe_deviation[k]));
             }
         }
         let out = &mut back.surface;
-        let (basis, slopes) = (sh::basis(sight.mirrored), sh::basis_gradients(sight.mirrored));
-        let blurs: [(f32, f32); 4] = std::array::from_fn(|degree| blurred(self.alpha, degree));
+        let (basis, slopes) = (sh::basis(view.reflected), sh::basis_gradients(view.reflected));
+        let blurs: [(f32, f32); 4] = std::array::from_fn(|degree| blur_factor(self.alpha, degree));
         for f in 0..functions {
             let (blur, rate) = blurs[degree(f)];
             let mut weight = 0.0;
             for k in 0..COLOURS {
-                let d = d_told[AT_LIGHT + k] + d_decoded[k];
+                let d = d_inputs[AT_LIGHT + k] + d_decoded[k];
                 out.light[f][k] += d * blur * basis[f];
                 weight += d * self.light[f][k];
             }
-            back.mirrored += slopes[f] * (blur * weight);
+            back.reflected += slopes[f] * (blur * weight);
             for k in 0..2 {
                 out.alpha[k] += rate * blur * weight * basis[f] * 2.0 * self.alpha[k];
             }
         }
-        back.cosine += d_told[AT_COSINE];
+        back.cosine += d_inputs[AT_COSINE];
         for k in 0..2 {
-            out.alpha[k] += d_told[AT_WIDTH + k];
+            out.alpha[k] += d_inputs[AT_WIDTH + k];
         }
-        out.position += Vec3::from_slice(&d_told[AT_POSITION..AT_CODE]) * scale;
-        out.code.copy_from_slice(&d_told[AT_CODE..INPUTS]);
+        out.position += Vec3::from_slice(&d_inputs[AT_POSITION..AT_EMBEDDING]) * scale;
+        out.embedding.copy_from_slice(&d_inputs[AT_EMBEDDING..INPUTS]);
     }
 
-    /// Light toward the eye of a light of strength one that reaches the surface from `to_light`, by the material alone.
-    pub(super) fn under(&self, sight: &Sight, to_light: Vec3) -> ([f32; COLOURS], [f32; COLOURS]) {
-        let mut frame = sight.frame;
-        frame.z_axis *= sight.side;
-        let (light, eye) = (frame.transpose() * to_light, frame.transpose() * sight.to_eye);
+    /// Light toward the eye from a light of strength one in direction `to_light`, without the environment: diffuse and specular.
+    pub(super) fn shade_under_light(&self, view: &ViewGeometry, to_light: Vec3) -> ([f32; COLOURS], [f32; COLOURS]) {
+        let mut frame = view.frame;
+        frame.z_axis *= view.side;
+        let (light, eye) = (frame.transpose() * to_light, frame.transpose() * view.to_eye);
         let cosine = light.z.max(0.0);
         let half = (light + eye).normalize_or(Vec3::Z);
         let lobe = self.gloss * ggx::reflected(light, eye, self.alpha);
         let diffuse = std::array::from_fn(|k| self.albedo[k] * (1.0 - self.metallic) * cosine * FRAC_1_PI);
         let specular = std::array::from_fn(|k| {
-            let head_on = HEAD_ON * (1.0 - self.metallic) + self.metallic * self.albedo[k];
-            lobe * ggx::schlick(head_on, light.dot(half))
+            let f0 = DIELECTRIC_F0 * (1.0 - self.metallic) + self.metallic * self.albedo[k];
+            lobe * ggx::schlick(f0, light.dot(half))
         });
         (diffuse, specular)
     }
 }
 
-/// Gradients on their way back to a surface.
+/// Gradients of a surface and of its view geometry, collected over the phases of the backward pass.
 #[derive(Default)]
-pub(super) struct Backward {
+pub(super) struct PartialGradient {
     pub(super) surface: SurfaceGradient,
     normal: Vec3,
     cosine: f32,
-    mirrored: Vec3,
-    spread: [Vec3; 2],
+    reflected: Vec3,
+    lobe_deviation: [Vec3; 2],
 }
 
-impl Backward {
-    /// Adds the gradient of [`Sight::normal`].
-    pub(super) fn facing_normal(&mut self, sight: &Sight, d: Vec3) {
-        self.normal += d * sight.side;
+impl PartialGradient {
+    /// Adds the gradient of [`ViewGeometry::normal`].
+    pub(super) fn add_facing_normal(&mut self, view: &ViewGeometry, d: Vec3) {
+        self.normal += d * view.side;
     }
 
-    /// Through the frame and the direction to the eye.
-    pub(super) fn finish(mut self, surface: &Surface, sight: &Sight) -> SurfaceGradient {
-        let (n, eye) = (sight.frame.z_axis, sight.to_eye);
-        let facing = sight.side * sight.cosine;
+    /// Last phase: through the view geometry to frame and position.
+    pub(super) fn finish(mut self, surface: &Surface, view: &ViewGeometry) -> SurfaceGradient {
+        let (n, eye) = (view.frame.z_axis, view.to_eye);
+        let n_dot_eye = view.side * view.cosine;
         let mut d_frame = Mat3::ZERO;
-        // The mirrored direction 2 (n·ω) n - ω.
-        let along = self.mirrored.dot(n);
-        let mut d_normal = self.normal + (self.mirrored * facing + eye * along) * 2.0;
-        let mut d_eye = n * (2.0 * along) - self.mirrored;
-        let d_facing = self.cosine * sight.side;
+        // The reflected direction 2 (n·ω) n - ω.
+        let along = self.reflected.dot(n);
+        let mut d_normal = self.normal + (self.reflected * n_dot_eye + eye * along) * 2.0;
+        let mut d_eye = n * (2.0 * along) - self.reflected;
+        let d_facing = self.cosine * view.side;
         d_normal += eye * d_facing;
         d_eye += n * d_facing;
         for k in 0..2 {
-            let (axis, d) = (sight.frame.col(k), self.spread[k]);
-            self.surface.alpha[k] += d.dot(sight.spread[k]) / surface.alpha[k];
+            let (axis, d) = (view.frame.col(k), self.lobe_deviation[k]);
+            self.surface.alpha[k] += d.dot(view.lobe_deviation[k]) / surface.alpha[k];
             let d = d * (SQRT_2 * surface.alpha[k]);
             let (by_normal, by_axis) = (d.dot(n), d.dot(axis));
-            *d_frame.col_mut(k) += d * facing + eye * by_normal;
+            *d_frame.col_mut(k) += d * n_dot_eye + eye * by_normal;
             d_normal += d * eye.dot(axis) + eye * by_axis;
             d_eye += axis * by_normal + n * by_axis;
         }
         d_frame.z_axis += d_normal;
         let mut out = self.surface;
         out.frame = rotation_backward(surface.frame, d_frame);
-        out.position -= (d_eye - eye * eye.dot(d_eye)) * sight.inverse_distance;
+        out.position -= (d_eye - eye * eye.dot(d_eye)) * view.inverse_distance;
         out
     }
 }

@@ -1,11 +1,12 @@
 //! Albedo and near-surface light that change with the viewing direction: what spherical harmonics of degree 1 and more add to them,
 //! relative to what is seen from straight above.
 
-use super::ShadowGsOptions;
+use super::{ALBEDO_RATE, ShadowGsOptions};
 use crate::camera::ProjectiveCamera;
-use crate::gaussians::{FEATURES, GroupSpec, Table};
-use crate::model::sight::Sight;
+use crate::gaussians::{FEATURES, Table};
+use crate::model::view_direction::{ViewDirection, rate_of_degree};
 use crate::model::{Context, Parameters, Seen};
+use crate::optim::ParameterGroup;
 use crate::shade::sh::{self, MAX_FUNCTIONS};
 use glam::Vec3;
 
@@ -18,20 +19,16 @@ fn parts(options: &ShadowGsOptions) -> usize {
 }
 
 /// The groups of a model's harmonics, which follow its other ones: part by part, degree by degree.
-pub(super) fn groups(options: &ShadowGsOptions) -> impl Iterator<Item = GroupSpec> + use<> {
+pub(super) fn groups(options: &ShadowGsOptions) -> impl Iterator<Item = ParameterGroup> + use<> {
     let &ShadowGsOptions { bands, degree, .. } = options;
+    let group = move |part: &str, l: usize| {
+        let width = (2 * l + 1) * bands;
+        ParameterGroup::new(&format!("{part}{l}"), width, rate_of_degree(ALBEDO_RATE, l))
+    };
     PARTS
         .into_iter()
         .take(parts(options))
-        .flat_map(move |part| (1..=degree).map(move |l| GroupSpec::new(&format!("{part}{l}"), (2 * l + 1) * bands)))
-}
-
-/// The degree that a group's functions have; `None` where it holds no harmonics.
-pub(super) fn degree_of(group: &str) -> Option<usize> {
-    PARTS
-        .iter()
-        .find_map(|part| group.strip_prefix(part))
-        .and_then(|degree| degree.parse().ok())
+        .flat_map(move |part| (1..=degree).map(move |l| group(part, l)))
 }
 
 /// The harmonics of a model as one camera sees them.
@@ -68,8 +65,8 @@ impl<'a> Harmonics<'a> {
     /// The functions in the direction in which Gaussian `g` is seen, less those straight down.
     #[inline]
     fn functions(&self, g: usize) -> [f32; MAX_FUNCTIONS] {
-        let sight = Sight::new(self.eye, self.camera, self.gaussians.position(g));
-        let seen = sh::basis(sight.direction);
+        let seen_along = ViewDirection::new(self.eye, self.camera, self.gaussians.position(g));
+        let seen = sh::basis(seen_along.direction);
         std::array::from_fn(|f| seen[f] - self.down[f])
     }
 
@@ -153,16 +150,18 @@ mod tests {
     fn degrees_join_one_after_another() {
         let model = model(3, true);
         let learning = |progress: f32| -> Vec<bool> {
-            let groups = model.feature_groups();
-            groups
-                .iter()
-                .map(|g| model.learning_rate(&g.name, progress) > 0.0)
-                .collect()
+            let groups = model.feature_parameters();
+            groups.iter().map(|group| group.rate.at(progress) > 0.0).collect()
         };
         assert_eq!(learning(0.0), [true, true, false, false, false, false, false, false]);
         assert_eq!(learning(0.25), [true, true, true, true, false, true, true, false]);
         assert_eq!(learning(1.0), [true; 8]);
-        assert!(model.learning_rate("albedo_sh_1", 1.0) < model.learning_rate("albedo", 1.0));
+        let rates: Vec<f32> = model
+            .feature_parameters()
+            .iter()
+            .map(|group| group.rate.at(1.0))
+            .collect();
+        assert!(rates[2] < rates[0], "albedo_sh_1 learns slower than albedo: {rates:?}");
     }
 
     /// Channels of one Gaussian below the scene's centre, seen by a camera without an eye that looks along `axis`.

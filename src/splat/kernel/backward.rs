@@ -1,12 +1,10 @@
-//! Front to back over one tile again: the gradients of each splat.
+//! Backward over one tile, front to back again: the gradients of each splat.
 //!
-//! A splat's groups are walked twice, so that the sums of each walk stay in registers: first what needs the pixels, then the
+//! The groups of a splat are looped over twice, so that the sums of each loop stay in registers: first what needs the pixels, then the
 //! moments of two numbers per pixel, `h = ∂L/∂ ln α` and `m = ∂L/∂z`, over the splat.
 
-use super::{
-    BATCH, GEOMETRY, GROUPS, Groups, LANES, LOG2_ALPHA_MAX, Lane, Met, PLANE, Plane, TileFrame, TileGradients,
-    announce, exp2, fetch, finished, load, store,
-};
+use super::footprint::{BATCH, GROUPS, Groups, LOG2_ALPHA_MAX, TileSplat, exp2, load_batch, prefetch_batch};
+use super::tile::{GEOMETRY, LANES, Lane, PLANE, Plane, TileFrame, TileGradients, is_opaque, load, store};
 use crate::splat::bins::Entry;
 use crate::splat::project::Splat;
 use crate::vectorised;
@@ -14,8 +12,8 @@ use crate::vectorised;
 /// Most channels that are composited at once.
 const K_MAX: usize = 16;
 
-/// Where a tile stands on its way front to back.
-struct Walk {
+/// State of a tile while its splats are visited front to back.
+struct TileState {
     transmittance: Plane,
     /// `G - Σ_{j≤i} w_j d_j`.
     rest: Plane,
@@ -28,8 +26,8 @@ struct Walk {
 
 vectorised! {
     /// Gradients of every splat of `list`: record `r` of the tile, whose first is `base`, fills `out[(r - base) * (K + 9)..]`,
-    /// channels first, then the nine geometric sums. Gradients to the sum of squared depths count only where `SQUARE` says so.
-    pub fn backward<const K: usize, const SQUARE: bool>(
+    /// channels first, then the nine geometric sums.
+    pub fn backward<const K: usize>(
         list: &[Entry],
         splats: &[Splat],
         features: &[f32],
@@ -45,62 +43,57 @@ vectorised! {
             let start = (entry.record - base) as usize * width;
             start..start + width
         };
-        let mut walk = Walk {
+        let mut state = TileState {
             transmittance: [0.0; PLANE],
             rest: grads.total,
             h: [[0.0; LANES]; GROUPS],
             m: [[0.0; LANES]; GROUPS],
             sums: [[0.0; LANES]; K_MAX + GEOMETRY],
         };
-        frame.clear_sky(&mut walk.transmittance);
-        let mut met = [Met::<K>::NOTHING; BATCH];
+        frame.reset_transmittance(&mut state.transmittance);
+        let mut splats_in_tile = [TileSplat::<K>::NOTHING; BATCH];
         let mut groups = Groups::new();
         let mut pixels = [0.0; LANES];
         for (number, batch) in list.chunks(BATCH).enumerate() {
-            if number > 0 && finished(&walk.transmittance) {
+            if number > 0 && is_opaque(&state.transmittance) {
                 for entry in &list[number * BATCH..] {
                     out[place(entry)].fill(0.0);
                 }
                 return;
             }
             let next = &list[((number + 1) * BATCH).min(list.len())..((number + 2) * BATCH).min(list.len())];
-            announce::<K>(next, splats, features);
-            fetch(batch, splats, features, frame, &mut met);
-            for (splat, entry) in met.iter().zip(batch) {
+            prefetch_batch::<K>(next, splats, features);
+            load_batch(batch, splats, features, frame, &mut splats_in_tile);
+            for (splat, entry) in splats_in_tile.iter().zip(batch) {
                 splat.groups(frame, &mut groups, &mut pixels);
-                walk.sums[..K].fill([0.0; LANES]);
+                state.sums[..K].fill([0.0; LANES]);
                 splat.alphas::<true>(&mut groups);
                 for g in groups.numbers() {
-                    walk_back::<K, SQUARE>(splat, &groups, g, grads, &mut walk);
+                    group_backward::<K>(splat, &groups, g, grads, &mut state);
                 }
-                let moments = moments(&groups, &walk);
-                walk.sums[K..K + GEOMETRY].copy_from_slice(&moments);
-                add_lanes(&walk.sums[..quantities], &mut out[place(entry)]);
+                let moments = moments(&groups, &state);
+                state.sums[K..K + GEOMETRY].copy_from_slice(&moments);
+                add_lanes(&state.sums[..quantities], &mut out[place(entry)]);
             }
         }
     }
 }
 
-/// What eight pixels say to a splat: adds to its channels' sums and notes `h` and `m`.
+/// Gradients from eight pixels to a splat: adds to the sums of its channels and stores `h` and `m`.
 #[inline(always)]
-fn walk_back<const K: usize, const SQUARE: bool>(
-    splat: &Met<K>,
+fn group_backward<const K: usize>(
+    splat: &TileSplat<K>,
     groups: &Groups,
     g: usize,
     grads: &TileGradients<K>,
-    walk: &mut Walk,
+    state: &mut TileState,
 ) {
     let (at, depth_at_row, alpha) = (groups.place(g), groups.depth[g], &groups.alpha[g]);
     let saturated = exp2(LOG2_ALPHA_MAX);
-    let mut t = load(&walk.transmittance, at);
-    let mut left = load(&walk.rest, at);
+    let mut t = load(&state.transmittance, at);
+    let mut left = load(&state.rest, at);
     let mut dot = load(&grads.alpha, at);
     let gd = load(&grads.depth, at);
-    let gs = if SQUARE {
-        load(&grads.depth_square, at)
-    } else {
-        [0.0; LANES]
-    };
     let mut w = [0.0; LANES];
     for l in 0..LANES {
         w[l] = t[l] * alpha[l];
@@ -109,36 +102,30 @@ fn walk_back<const K: usize, const SQUARE: bool>(
         let gk = load(&grads.channels[k], at);
         for l in 0..LANES {
             dot[l] += gk[l] * splat.values[k];
-            walk.sums[k][l] += w[l] * gk[l];
+            state.sums[k][l] += w[l] * gk[l];
         }
     }
-    let (h, m) = (&mut walk.h[g], &mut walk.m[g]);
+    let (h, m) = (&mut state.h[g], &mut state.m[g]);
     for l in 0..LANES {
         let z = depth_at_row + splat.slope[0] * groups.offset(g, l);
-        let (slope, twice) = if SQUARE {
-            let gz = gs[l] * z;
-            (gd[l] + gz, gd[l] + gz + gz)
-        } else {
-            (gd[l], gd[l])
-        };
-        let d = dot[l] + slope * z;
-        m[l] = w[l] * twice;
+        let d = dot[l] + gd[l] * z;
+        m[l] = w[l] * gd[l];
         left[l] -= w[l] * d;
         let d_alpha = t[l] * d - left[l] * groups.inverse[g][l];
         let to_log = alpha[l] * d_alpha;
         h[l] = if alpha[l] >= saturated { 0.0 } else { to_log };
         t[l] -= w[l];
     }
-    store(&mut walk.transmittance, at, t);
-    store(&mut walk.rest, at, left);
+    store(&mut state.transmittance, at, t);
+    store(&mut state.rest, at, left);
 }
 
 /// Lane sums of the nine moments of a splat's pixels.
 #[inline(always)]
-fn moments(groups: &Groups, walk: &Walk) -> [Lane; GEOMETRY] {
+fn moments(groups: &Groups, state: &TileState) -> [Lane; GEOMETRY] {
     let mut sums = [[0.0; LANES]; GEOMETRY];
     for g in groups.numbers() {
-        let (h, m, y) = (&walk.h[g], &walk.m[g], groups.y[g]);
+        let (h, m, y) = (&state.h[g], &state.m[g], groups.y[g]);
         for l in 0..LANES {
             let x = groups.offset(g, l);
             let (hx, hy) = (h[l] * x, h[l] * y);

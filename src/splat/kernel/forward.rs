@@ -1,36 +1,37 @@
-//! Front to back over one tile: what each splat adds to the maps.
+//! Forward over one tile, front to back: what each splat adds to the maps.
 
-use super::{BATCH, Groups, LANES, MEDIAN, Met, TileFrame, TileMaps, announce, fetch, finished, load, store};
+use super::footprint::{BATCH, Groups, TileSplat, load_batch, prefetch_batch};
+use super::tile::{LANES, MEDIAN, TileFrame, TileMaps, is_opaque, load, store};
 use crate::splat::bins::Entry;
 use crate::splat::project::Splat;
 use crate::vectorised;
 
 vectorised! {
     /// Composites `list` (front to back) into `maps`, which it empties first; `features[s * K + k]` are the splats' channels.
-    /// The sum of squared depths and the median depth are found only where `SQUARE` and `MEDIANS` say so.
-    pub fn forward<const K: usize, const SQUARE: bool, const MEDIANS: bool>(
+    /// The sum of squared depths and the median depth are computed only with `DEPTHS`.
+    pub fn forward<const K: usize, const DEPTHS: bool>(
         list: &[Entry],
         splats: &[Splat],
         features: &[f32],
         frame: &TileFrame,
         maps: &mut TileMaps<K>,
     ) {
-        maps.clear(frame, SQUARE, MEDIANS);
-        let mut met = [Met::<K>::NOTHING; BATCH];
+        maps.clear(frame, DEPTHS);
+        let mut splats_in_tile = [TileSplat::<K>::NOTHING; BATCH];
         let mut groups = Groups::new();
         for (number, batch) in list.chunks(BATCH).enumerate() {
-            if number > 0 && finished(&maps.transmittance) {
+            if number > 0 && is_opaque(&maps.transmittance) {
                 return;
             }
             let next = &list[((number + 1) * BATCH).min(list.len())..((number + 2) * BATCH).min(list.len())];
-            announce::<K>(next, splats, features);
-            fetch(batch, splats, features, frame, &mut met);
+            prefetch_batch::<K>(next, splats, features);
+            load_batch(batch, splats, features, frame, &mut splats_in_tile);
             let mut pixels = [0.0; LANES];
-            for splat in &met[..batch.len()] {
+            for splat in &splats_in_tile[..batch.len()] {
                 splat.groups(frame, &mut groups, &mut pixels);
                 splat.alphas::<false>(&mut groups);
                 for g in groups.numbers() {
-                    composite::<K, SQUARE, MEDIANS>(splat, &groups, g, maps);
+                    composite::<K, DEPTHS>(splat, &groups, g, maps);
                 }
             }
             maps.pairs += pixels.iter().sum::<f32>() as u64;
@@ -40,8 +41,8 @@ vectorised! {
 
 /// Adds a splat to the eight pixels of its group `g`.
 #[inline(always)]
-fn composite<const K: usize, const SQUARE: bool, const MEDIANS: bool>(
-    splat: &Met<K>,
+fn composite<const K: usize, const DEPTHS: bool>(
+    splat: &TileSplat<K>,
     groups: &Groups,
     g: usize,
     maps: &mut TileMaps<K>,
@@ -56,14 +57,12 @@ fn composite<const K: usize, const SQUARE: bool, const MEDIANS: bool>(
         z[l] = depth_at_row + splat.slope[0] * groups.offset(g, l);
         depth[l] += w[l] * z[l];
     }
-    if SQUARE {
+    if DEPTHS {
         let mut square = load(&maps.depth_square, at);
         for l in 0..LANES {
             square[l] += (w[l] * z[l]) * z[l];
         }
         store(&mut maps.depth_square, at, square);
-    }
-    if MEDIANS {
         let mut median = load(&maps.median_depth, at);
         for l in 0..LANES {
             // Zeros and ones instead of a choice, which would be stored through a mask: slow on many processors.

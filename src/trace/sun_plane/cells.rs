@@ -1,16 +1,16 @@
-//! Points of a plane, sorted into the cells of a grid, row of cells after row of cells.
+//! A grid over points of a plane: the points sorted by cell, row of cells after row of cells (a bucket sort).
 
-use crate::deal::{Rows, Span, cell_starts, cut_rows};
+use crate::binning::{CellSpan, RowBins, cell_starts, split_rows};
 use glam::Vec2;
 use rayon::prelude::*;
 use std::ops::Range;
 
-/// Cells per point, at most: what is far from everything else must not make the grid as large as its distance.
+/// Cells per point, at most: an outlier must not make the grid as large as its distance.
 const CELLS_PER_POINT: f32 = 8.0;
 /// Cells along either side, at most; they are numbered with 16 bits.
 const SIDE_MAX: f32 = 30_000.0;
 
-/// A grid and what stands in its cells.
+/// A grid and where the points of each cell are in the sorted order.
 pub(super) struct Cells {
     corner: Vec2,
     inverse_cell: Vec2,
@@ -21,8 +21,8 @@ pub(super) struct Cells {
 }
 
 impl Cells {
-    /// Sorts `points` into cells of about `cell`; returns the grid, and the points' numbers in the order of their cells.
-    pub(super) fn sort(points: &[Vec2], cell: Vec2) -> (Self, Vec<u32>) {
+    /// Sorts `points` into cells of about `cell_size` metres; returns the grid, and the indices of the points in the order of their cells.
+    pub(super) fn sort(points: &[Vec2], cell_size: Vec2) -> (Self, Vec<u32>) {
         let (mut low, mut high) = (Vec2::INFINITY, Vec2::NEG_INFINITY);
         for point in points.iter().filter(|point| point.is_finite()) {
             low = low.min(*point);
@@ -32,43 +32,43 @@ impl Cells {
             (low, high) = (Vec2::ZERO, Vec2::ZERO);
         }
         let extent = high - low;
-        let mut cell = cell.max(extent / SIDE_MAX).max(Vec2::splat(1e-6));
+        let mut cell_size = cell_size.max(extent / SIDE_MAX).max(Vec2::splat(1e-6));
         let most = CELLS_PER_POINT * points.len() as f32 + 1024.0;
-        let cells = (extent.x / cell.x + 1.0) * (extent.y / cell.y + 1.0);
+        let cells = (extent.x / cell_size.x + 1.0) * (extent.y / cell_size.y + 1.0);
         if cells > most {
-            cell *= (cells / most).sqrt().max(cells / most * 1e-3);
+            cell_size *= (cells / most).sqrt().max(cells / most * 1e-3);
         }
         let mut grid = Self {
             corner: low,
-            inverse_cell: cell.recip(),
-            columns: (extent.x / cell.x) as usize + 1,
-            rows: (extent.y / cell.y) as usize + 1,
+            inverse_cell: cell_size.recip(),
+            columns: (extent.x / cell_size.x) as usize + 1,
+            rows: (extent.y / cell_size.y) as usize + 1,
             starts: Vec::new(),
         };
-        let order = grid.deal(points);
+        let order = grid.bin(points);
         (grid, order)
     }
 
-    fn deal(&mut self, points: &[Vec2]) -> Vec<u32> {
-        let spans: Vec<Span> = points
+    fn bin(&mut self, points: &[Vec2]) -> Vec<u32> {
+        let spans: Vec<CellSpan> = points
             .par_iter()
             .with_min_len(4096)
             .map(|point| {
                 let (column, row) = (self.column(point.x) as u16, self.row(point.y) as u16);
-                Span {
+                CellSpan {
                     columns: (column, column + 1),
                     rows: (row, row + 1),
                 }
             })
             .collect();
-        let places = Rows::new(&spans, self.rows, |place| place as u32);
+        let places = RowBins::new(&spans, self.rows, |place| place as u32);
         let span = |place: u32| spans[place as usize];
         let row_starts = (0..self.rows)
             .into_par_iter()
             .map(|row| cell_starts(places.row(row), span, self.columns))
             .collect();
         let mut order = Vec::new();
-        let (starts, row_lists) = cut_rows(row_starts, &mut order);
+        let (starts, row_lists) = split_rows(row_starts, &mut order);
         row_lists.into_par_iter().for_each(|mut cells| {
             for &place in places.row(cells.row).flatten() {
                 let next = &mut cells.starts[usize::from(span(place).columns.0)];

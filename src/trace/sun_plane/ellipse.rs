@@ -1,4 +1,5 @@
-//! A Gaussian as parallel light sees it: an ellipse on the plane normal to the light, its peaks on a plane in depth.
+//! A Gaussian projected along parallel light: an ellipse in the plane normal to the light, its peaks on a plane in depth; and the way
+//! to_shape from moments of an ellipse to the gradient of its Gaussian.
 
 use crate::trace::bvh::Occluder;
 use glam::{Mat3, Vec2, Vec3};
@@ -52,12 +53,12 @@ pub(super) struct Ellipse {
     pub(super) opacity: f32,
     pub(super) id: u32,
     /// Half sizes of its box, metres.
-    pub(super) half: Vec2,
+    pub(super) half_size: Vec2,
 }
 
 impl Ellipse {
-    /// What occludes nothing.
-    const NOTHING: Self = Self {
+    /// An ellipse that occludes nothing.
+    const EMPTY: Self = Self {
         centre: Vec2::ZERO,
         whiten: [0.0; 3],
         reach_square: 0.0,
@@ -65,15 +66,15 @@ impl Ellipse {
         slope: Vec2::ZERO,
         opacity: 0.0,
         id: u32::MAX,
-        half: Vec2::ZERO,
+        half_size: Vec2::ZERO,
     };
 
     /// The ellipse of Gaussian `id`; one that does not exist if it occludes nothing or is seen as less than an area.
     pub(super) fn new(occluder: &Occluder, id: usize, axes: &Axes) -> Self {
         if occluder.reach_square <= 0.0 {
-            return Self::NOTHING;
+            return Self::EMPTY;
         }
-        let whitened = |axis: Vec3| occluder.spread.transpose() * axis;
+        let whitened = |axis: Vec3| occluder.scaled_axes.transpose() * axis;
         let (a, b, c) = (whitened(axes.right), whitened(axes.up), whitened(axes.light));
         let (xx, xy, yy) = (a.dot(a), a.dot(b), b.dot(b));
         // The determinant as the squared area of the two whitened axes: never negative, no cancellation for a thin disc.
@@ -82,7 +83,7 @@ impl Ellipse {
         let (along, area) = (xx.sqrt(), det.sqrt());
         let whiten = [1.0 / along, -xy / (along * area), along / area];
         let (cx, cy) = (c.dot(a), c.dot(b));
-        let half = Vec2::new((xx * occluder.reach_square).sqrt(), (yy * occluder.reach_square).sqrt());
+        let half_size = Vec2::new((xx * occluder.reach_square).sqrt(), (yy * occluder.reach_square).sqrt());
         let shape = Self {
             centre: axes.place(occluder.position),
             whiten,
@@ -91,13 +92,13 @@ impl Ellipse {
             slope: Vec2::new((yy * cx - xy * cy) / det, (xx * cy - xy * cx) / det),
             opacity: occluder.opacity,
             id: id as u32,
-            half,
+            half_size,
         };
-        let finite = whiten.iter().all(|w| w.is_finite()) && shape.centre.is_finite() && half.is_finite();
+        let finite = whiten.iter().all(|w| w.is_finite()) && shape.centre.is_finite() && half_size.is_finite();
         if det > 0.0 && det.is_finite() && finite {
             shape
         } else {
-            Self::NOTHING
+            Self::EMPTY
         }
     }
 
@@ -107,28 +108,28 @@ impl Ellipse {
         self.reach_square > 0.0
     }
 
-    /// `Pᵀ Aᵀ t`: the change in the scene of half a squared distance, where `t = A (place - centre)`.
+    /// `Pᵀ Aᵀ t`: gradient of half a squared distance to the place of the ray, in the scene, where `t = A (place - centre)`.
     #[inline(always)]
-    pub(super) fn back(&self, axes: &Axes, t: Vec2) -> Vec3 {
-        axes.in_scene(pull(self.whiten, t.x, t.y).into())
+    pub(super) fn in_scene(&self, axes: &Axes, t: Vec2) -> Vec3 {
+        axes.in_scene(transposed_whitening(self.whiten, t.x, t.y).into())
     }
 }
 
-/// Whitened offset.
+/// Offset from the centre in standard deviations.
 #[inline(always)]
 pub(super) fn whitened(w: [f32; 3], dx: f32, dy: f32) -> [f32; 2] {
     [w[0] * dx, w[1] * dx + w[2] * dy]
 }
 
-/// The transposed whitening: from `t` back to the plane.
+/// The transposed whitening applied to `t`: a gradient to `t` becomes one in the plane.
 #[inline(always)]
-pub(super) fn pull(w: [f32; 3], tx: f32, ty: f32) -> [f32; 2] {
+pub(super) fn transposed_whitening(w: [f32; 3], tx: f32, ty: f32) -> [f32; 2] {
     [w[0] * tx + w[1] * ty, w[2] * ty]
 }
 
 /// Eight ellipses, number by number.
 #[derive(Debug, Clone, Copy)]
-pub(super) struct Block {
+pub(super) struct EllipseBlock {
     pub(super) x: Lane,
     pub(super) y: Lane,
     pub(super) whiten: [Lane; 3],
@@ -139,8 +140,8 @@ pub(super) struct Block {
     pub(super) id: [u32; LANES],
 }
 
-impl Block {
-    /// Up to eight ellipses; what is missing is met by nothing.
+impl EllipseBlock {
+    /// Up to eight ellipses; missing ones are hit by no ray.
     pub(super) fn new(ellipses: &[Ellipse]) -> Self {
         let of = |number: fn(&Ellipse) -> f32| std::array::from_fn(|l| ellipses.get(l).map_or(0.0, number));
         Self {
@@ -156,9 +157,9 @@ impl Block {
     }
 }
 
-/// What the rays that meet an ellipse say to it: sums over rays with `h = ∂L/∂(-½‖t‖²)`.
+/// Contributions of the rays that hit an ellipse to its gradient: sums over rays with `h = ∂L/∂(-½‖t‖²)`.
 #[derive(Debug, Clone, Copy, Default)]
-pub(super) struct Moments {
+pub(super) struct EllipseMoments {
     /// `Σh`.
     pub(super) h: f32,
     /// `Σ h t`.
@@ -175,12 +176,12 @@ pub(super) struct ShapeGradient {
     pub(super) rotation: Mat3,
 }
 
-impl Moments {
-    /// Through the projection. With `B = (A P L)ᵀ`, whose columns are orthonormal, the nearest point of a ray in the
+impl EllipseMoments {
+    /// Gradient of the Gaussian's shape, to_shape through the projection. With `B = (A P L)ᵀ`, whose columns are orthonormal, the nearest point of a ray in the
     /// Gaussian's whitened space is `n = B t`; `∂/∂ ln s_k = Σ h n_k²` and `∂/∂R e_k = Σ h (Pᵀ Aᵀ t) n_k s_k`.
-    pub(super) fn back(&self, ellipse: &Ellipse, axes: &Axes, occluder: &Occluder) -> ShapeGradient {
-        let columns = [ellipse.back(axes, Vec2::X), ellipse.back(axes, Vec2::Y)];
-        let n = columns.map(|v| occluder.spread.transpose() * v);
+    pub(super) fn shape_gradient(&self, ellipse: &Ellipse, axes: &Axes, occluder: &Occluder) -> ShapeGradient {
+        let columns = [ellipse.in_scene(axes, Vec2::X), ellipse.in_scene(axes, Vec2::Y)];
+        let n = columns.map(|v| occluder.scaled_axes.transpose() * v);
         let [xx, xy, yy] = self.tt;
         let mixed = [n[0] * xx + n[1] * xy, n[0] * xy + n[1] * yy];
         let column = |k: usize| (columns[0] * mixed[0][k] + columns[1] * mixed[1][k]) * occluder.scale[k];

@@ -6,14 +6,15 @@ use heliosplat::model::SceneModel;
 use heliosplat::model::olat::{Olat, OlatOptions};
 use heliosplat::model::radiance::RadianceOptions;
 use heliosplat::model::reflective::{Reflective, ReflectiveOptions};
-use heliosplat_pipelines::objects::config::ObjectConfig;
-use heliosplat_pipelines::objects::pinhole::Pinhole;
-use heliosplat_pipelines::objects::pixels::Encoding;
-use heliosplat_pipelines::objects::ply;
-use heliosplat_pipelines::objects::run::{Kind, ObjectFile, ObjectImage, ObjectRun, SCHEMA};
-use heliosplat_pipelines::objects::transforms::PointLight;
-use heliosplat_pipelines::objects::views::Preparation;
-use heliosplat_pipelines::scene::Split;
+use heliosplat_objects::config::ObjectConfig;
+use heliosplat_objects::model::{Kind, ObjectFile, ObjectImage, SCHEMA};
+use heliosplat_objects::pinhole::Pinhole;
+use heliosplat_objects::pixels::Encoding;
+use heliosplat_objects::ply;
+use heliosplat_objects::run::ObjectRun;
+use heliosplat_objects::transforms::PointLight;
+use heliosplat_objects::views::Preparation;
+use heliosplat_scene::Split;
 use std::path::Path;
 use std::sync::OnceLock;
 
@@ -114,7 +115,6 @@ pub(super) fn models() -> Vec<Vec<u8>> {
             unit_light: Some([2.0; 3]),
         },
         projection: heliosplat::splat::ProjectionOptions::default(),
-        trace: heliosplat::trace::TraceOptions::default(),
         images: vec![image.clone()],
     };
     kinds
@@ -144,7 +144,7 @@ pub(super) fn runs() -> Vec<Vec<u8>> {
         seed: 1,
         capture: "capture".into(),
         inputs: Vec::new(),
-        config: ObjectConfig::resolve("fast", &[], 1).unwrap_or_default(),
+        config: ObjectConfig::resolve(heliosplat_fitting::settings::Preset::Fast, &[], 1).unwrap_or_default(),
         plan: None,
     };
     vec![toml::to_string_pretty(&run).unwrap_or_default().into_bytes()]

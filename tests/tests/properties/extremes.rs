@@ -96,7 +96,7 @@ fn combination(number: u64) -> Combination {
                 light: Some(Light::Directional(sun)),
                 appearance: v,
                 weight: vec![1.0; size.0 * size.1],
-                lit: None,
+                visibility_prior: None,
                 ceiling: Vec::new(),
                 camera,
             }
@@ -122,14 +122,10 @@ fn combination(number: u64) -> Combination {
         gsd_m: [0.05, 0.5, 30.0][random.random_range(0..3)],
         density: DensityOptions {
             every: 40,
-            from: 40,
             ..DensityOptions::default()
         },
-        one_surface_weight: if random.random() { 0.3 } else { 0.0 },
-        pyramid_levels: random.random_range(0..3),
-        window_share: if random.random() { 1.0 } else { 0.5 },
-        sparse: random.random(),
-        light_moved: if random.random() { 0.5 } else { 0.0 },
+        pyramid_share: if random.random() { 0.4 } else { 0.0 },
+        occluder_gradients: random.random(),
         light_every: random.random_range(1..5),
         ..TrainOptions::default()
     };
@@ -227,7 +223,7 @@ fn sound() -> (ShadowGs, Vec<View>, Parameters, TrainOptions) {
         light: Some(Light::Directional(direction(40.0, 100.0))),
         appearance: v,
         weight: vec![1.0; 24 * 24],
-        lit: None,
+        visibility_prior: None,
         ceiling: Vec::new(),
         camera: ProjectiveCamera::new(
             [2.0, 0.0, 0.3 * v as f64, 11.5],
@@ -326,7 +322,7 @@ fn what_cannot_be_trained_says_why() {
     assert!(said(&|views, _, _| views.iter_mut().for_each(|v| v.weight.fill(0.0))).contains("no pixel of any view"));
     assert!(said(&|_, p, _| p.gaussians.group_mut(OPACITY)[3] = f32::NAN).contains("'opacity'"));
     assert!(said(&|_, p, _| p.globals.group_mut(0)[0] = f32::NEG_INFINITY).contains("'sky'"));
-    assert!(said(&|_, _, o| o.scale_gsd = (8.0, 0.1)).contains("train.scale_gsd"));
+    assert!(said(&|_, _, o| o.pyramid_share = 1.5).contains("train.pyramid_share"));
 }
 
 #[test]

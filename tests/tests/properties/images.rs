@@ -1,7 +1,7 @@
 //! Losses on images and maps that nobody would choose: even ones, one saturated pixel, half of them missing, raw counts.
 
 use crate::config;
-use heliosplat::loss::geometry::{depth_normal, one_surface};
+use heliosplat::loss::geometry::depth_normal;
 use heliosplat::loss::photometric::photometric;
 use heliosplat::loss::shadow::opaqueness;
 use heliosplat::splat::{MapGradients, Maps};
@@ -88,7 +88,6 @@ proptest! {
             width,
             height,
             channels: (0..3).map(|_| values[..pixels].iter().map(|v| v.2).collect()).collect(),
-            depth_square: alpha.iter().zip(&values).map(|(a, v)| a * v.1 * v.1).collect(),
             alpha,
             depth,
             ..Maps::default()
@@ -97,16 +96,12 @@ proptest! {
         let mut grads = MapGradients::zeros(3, pixels);
         let mask = vec![1.0; pixels];
         let visibility: Vec<f32> = values[..pixels].iter().map(|v| v.3).collect();
-        let (normal, surface) = (
-            depth_normal(&camera, &maps, 0, 3.0 * gsd, 1.0, &mut grads),
-            one_surface(&maps, &mask, 2.0 * gsd, 1.0, &mut grads),
-        );
+        let normal = depth_normal(&camera, &maps, 0, 3.0 * gsd, 1.0, &mut grads);
         let entropy = opaqueness(&visibility, &mask, 1.0, &mut grads.channels[0]);
         // Normals that are drawn are up to sqrt(3) long.
         prop_assert!((-0.8..=2.8).contains(&normal), "{normal}");
-        prop_assert!((0.0..=1.0).contains(&surface), "{surface}");
         prop_assert!((0.0..=1.0001).contains(&entropy), "{entropy}");
-        let all = [&grads.alpha, &grads.depth, &grads.depth_square].into_iter().chain(&grads.channels);
+        let all = [&grads.alpha, &grads.depth].into_iter().chain(&grads.channels);
         for plane in all {
             prop_assert!(plane.iter().all(|g| g.is_finite()), "{plane:?}");
         }

@@ -8,9 +8,16 @@ use crate::draw::{
 use glam::Vec3;
 use heliosplat::gaussians::Table;
 use heliosplat::light::Light;
-use heliosplat::trace::{Occluders, Route, TraceOptions, Transmittance, transmittance};
+use heliosplat::trace::{Occluders, Transmittance, transmittance, transmittance_by_hierarchy};
 use heliosplat_tests::reference;
 use proptest::prelude::*;
+
+/// How the Gaussians on a ray are found: as they are in training, or by the hierarchy whatever the light.
+#[derive(Debug, Clone, Copy)]
+enum Route {
+    SunPlane,
+    Hierarchy,
+}
 
 const ROUTES: [Route; 2] = [Route::SunPlane, Route::Hierarchy];
 
@@ -26,11 +33,10 @@ fn light() -> impl Strategy<Value = Light> {
 fn traced(gaussians: &Table, light: &Light, route: Route) -> (Transmittance, Table) {
     let occluders = Occluders::new(gaussians);
     let origins: Vec<u32> = (0..gaussians.count as u32).collect();
-    let options = TraceOptions {
-        route,
-        ..TraceOptions::default()
+    let traced = match route {
+        Route::SunPlane => transmittance(&occluders, &origins, light),
+        Route::Hierarchy => transmittance_by_hierarchy(&occluders, &origins, light),
     };
-    let traced = transmittance(&occluders, &origins, light, &options);
     let mut out = gaussians.zeros_like();
     let d = origins
         .iter()

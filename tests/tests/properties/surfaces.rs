@@ -67,8 +67,8 @@ proptest! {
         let found = f64::from(ggx::reflected(light, eye, alpha));
         let narrow = f64::from(a.min(b));
         prop_assert!(found >= 0.0 && found <= 0.5 / (PI * f64::from(a) * f64::from(b) * narrow), "{found}");
-        let (masked, head_on) = (ggx::masking(eye, alpha), ggx::schlick(0.04, light.dot(eye)));
-        prop_assert!((0.0..=1.0001).contains(&masked) && (0.0399..=1.0).contains(&head_on), "{masked} {head_on}");
+        let (masked, f0) = (ggx::masking(eye, alpha), ggx::schlick(0.04, light.dot(eye)));
+        prop_assert!((0.0..=1.0001).contains(&masked) && (0.0399..=1.0).contains(&f0), "{masked} {f0}");
         if light.z > 1e-15 && eye.z > 1e-15 {
             let exact = textbook(light, eye, alpha);
             // The half vector is known to rounding only, and the narrower the lobe the more that is.

@@ -18,12 +18,7 @@ const OPTIONS: PassOptions = PassOptions {
         filter_px2: 0.1,
         antialias: true,
     },
-    trace: heliosplat::trace::TraceOptions {
-        bias_sigmas: 1.0,
-        lift: 1.0,
-        route: heliosplat::trace::Route::SunPlane,
-        occluder_gradients: true,
-    },
+    occluder_gradients: true,
     normals: true,
     depths: Depths::Median,
 };

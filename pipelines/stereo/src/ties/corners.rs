@@ -1,10 +1,15 @@
-//! Where ties are sought: on corners of the views' texture, spread over the ground.
+//! Where tie points are searched: on corners of the views' texture (Shi and Tomasi 1994), spread over the ground.
 
 use super::super::grid::Grid;
 use rayon::prelude::*;
 
-/// Radius over which the structure of the texture is summed, cells.
+/// Radius over which the structure tensor is summed, cells.
 const RADIUS: usize = 3;
+/// Least side of a tile, cells: smaller ones hold no corner of their own, since the structure tensor is summed over seven.
+const LEAST_TILE: usize = 4;
+/// By how many views the first reference moves from one row of tiles to the next: it shares no factor with most numbers of views, so one
+/// view's tiles do not stand in columns.
+const ROW_STEP: usize = 5;
 
 /// A cell worth matching and the view it is seen best in.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -21,13 +26,12 @@ pub(super) struct Corner {
 /// ties all over the ground; a view that does not show a tile leaves it to the next.
 pub(super) fn choose(grid: &Grid, orthos: &[Vec<f32>], tiles: usize) -> Vec<Corner> {
     let strengths: Vec<Vec<f32>> = orthos.par_iter().map(|values| strength(grid, values)).collect();
-    let side = ((grid.len() as f64 / tiles.max(1) as f64).sqrt().round() as usize).max(4);
+    let side = ((grid.len() as f64 / tiles.max(1) as f64).sqrt().round() as usize).max(LEAST_TILE);
     let (across, down) = (grid.width.div_ceil(side), grid.height.div_ceil(side));
     let mut corners = Vec::new();
     for tile in 0..across * down {
         let (tile_col, tile_row) = (tile % across, tile / across);
-        // A step that shares no factor with usual numbers of views keeps one view's tiles from standing in columns.
-        let first = tile_col + 5 * tile_row;
+        let first = tile_col + ROW_STEP * tile_row;
         let best = (0..orthos.len()).find_map(|turn| {
             let view = (first + turn) % orthos.len();
             sharpest(grid, &strengths[view], (tile_col * side, tile_row * side), side).map(|(col, row)| Corner {

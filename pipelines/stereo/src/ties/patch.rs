@@ -9,9 +9,13 @@ const SIDE: usize = 2 * EXTENT as usize + 1;
 pub(super) const CELLS: usize = ((2 * HALF + 1) * (2 * HALF + 1)) as usize;
 /// Least correlation at whole cells for a match to be refined.
 const LEAST_SCORE: f32 = 0.6;
-/// Share of the best correlation that another peak may reach.
+/// Share of the best correlation that another peak may reach: beyond it the match is ambiguous.
 const MOST_RIVAL: f32 = 0.95;
-/// Spread below which a patch has no texture, of its mean.
+/// Shifts this close to the best belong to its own peak, cells.
+const SAME_PEAK: isize = 2;
+/// Largest offset of the search back, cells.
+const CLOSURE: isize = 1;
+/// Standard deviation below which a patch has no texture, as a share of its mean.
 const LEAST_SPREAD: f32 = 5e-3;
 
 /// What a view shows around a point; NaN where it shows nothing.
@@ -121,7 +125,7 @@ impl Peak {
         let best = self.score(self.col, self.row);
         let rival = (-REACH..=REACH).any(|row| {
             (-REACH..=REACH).any(|col| {
-                let apart = (row - self.row).abs().max((col - self.col).abs()) > 2;
+                let apart = (row - self.row).abs().max((col - self.col).abs()) > SAME_PEAK;
                 apart && self.score(col, row) > MOST_RIVAL * best
             })
         });
@@ -157,7 +161,7 @@ pub(super) fn find(reference: &Region, template: &Template, region: &Region) -> 
     }
     let seen = region.template(peak.col, peak.row)?;
     let back = reference.best(&seen, 0, 0)?;
-    let closed = back.col.abs() <= 1 && back.row.abs() <= 1;
+    let closed = back.col.abs() <= CLOSURE && back.row.abs() <= CLOSURE;
     closed.then(|| Match {
         shift: peak.top(),
         score: peak.score(peak.col, peak.row),

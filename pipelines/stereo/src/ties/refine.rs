@@ -4,6 +4,7 @@ use super::HALF;
 use super::patch::{CELLS, Match, Region, Template, normalise};
 use glam::{DMat2, DVec2};
 
+/// Most rounds of Gauss-Newton.
 const MAX_ROUNDS: usize = 8;
 /// A step below this ends the refinement, cells.
 const LAST_STEP: f64 = 5e-3;

@@ -1,7 +1,7 @@
 //! Acquisitions from GDAL's metadata domains.
 
-use super::Acquisition;
 use super::time::{utc, utc_of_date_and_time};
+use super::values::Acquisition;
 use crate::read::fields::number;
 use jiff::Timestamp;
 use std::collections::BTreeMap;

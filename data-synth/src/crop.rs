@@ -1,0 +1,10 @@
+//! The window of the sensor's full scene that an image is.
+
+/// Which part of the sensor's full scene an image is.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(crate) struct Crop {
+    pub(crate) col0: f64,
+    pub(crate) row0: f64,
+    pub(crate) width: usize,
+    pub(crate) height: usize,
+}

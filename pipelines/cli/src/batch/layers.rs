@@ -1,0 +1,241 @@
+//! Everything on the map besides the surface, merged from tiles as their surfaces were: every tile counts as much as it does there, and
+//! those that show another surface do not count.
+//!
+//! A model knows its colours up to one gain per band. Before albedos are merged, tiles are given the gains with which they agree best
+//! where they overlap.
+
+use super::BatchError;
+use super::mosaic::{Piece, in_row, one_surface};
+use heliosplat::Raster;
+use heliosplat_raster::{RasterError, RasterFile};
+use heliosplat_rpc::statistics::upper_median;
+use rayon::prelude::*;
+use std::path::Path;
+
+/// Cells of an overlap that are compared, at most, in each direction.
+const COMPARED: isize = 300;
+/// Fewer cells do not tell a gain.
+const LEAST_CELLS: usize = 50;
+/// Colours darker than this tell no ratio.
+const DARK: f32 = 1e-4;
+/// Rounds in which gains settle.
+const ROUNDS: usize = 500;
+
+/// A raster of every tile, in the order of the pieces; `None` where a tile has none.
+pub struct Layer {
+    rasters: Vec<Option<Raster>>,
+}
+
+/// How tiles become one.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Merge {
+    /// The mean.
+    Mean,
+    /// Yes or no, as most of the weight says.
+    Majority,
+}
+
+impl Layer {
+    /// Reads `name` of every tile.
+    ///
+    /// # Errors
+    /// When a file is damaged or not on the grid of its tile's surface model.
+    pub fn read(out: &Path, pieces: &[Piece], name: &str) -> Result<Self, BatchError> {
+        let read = |piece: &Piece| -> Result<Option<Raster>, BatchError> {
+            let path = out.join(&piece.unit).join(name);
+            if !path.is_file() {
+                return Ok(None);
+            }
+            let raster = RasterFile::open(&path)?.read_all()?;
+            if (raster.width, raster.height) != (piece.raster.width, piece.raster.height) {
+                return Err(RasterError::Damaged {
+                    path,
+                    reason: "it is not on the grid of its surface model".into(),
+                }
+                .into());
+            }
+            Ok(Some(raster))
+        };
+        let rasters = pieces.iter().map(read).collect::<Result<_, _>>()?;
+        Ok(Self { rasters })
+    }
+
+    /// Bands that all rasters have; none without rasters.
+    fn bands(&self) -> usize {
+        self.rasters
+            .iter()
+            .flatten()
+            .map(|raster| raster.bands)
+            .min()
+            .unwrap_or(0)
+    }
+
+    fn value(&self, pieces: &[Piece], index: usize, band: usize, (col, row): (isize, isize)) -> f32 {
+        let raster = self.rasters[index].as_ref();
+        raster.map_or(f32::NAN, |raster| pieces[index].value_of(raster, band, col, row))
+    }
+
+    /// Multiplies every tile's bands so that tiles agree where they overlap; returns the gains, band by band. Their geometric mean over
+    /// tiles is one.
+    pub fn balance(&mut self, pieces: &[Piece], gsd_m: f32) -> Vec<Vec<f64>> {
+        let bands = self.bands();
+        let mut gains = vec![vec![1.0; bands]; self.rasters.len()];
+        for band in 0..bands {
+            let ratios = self.ratios(pieces, band, gsd_m);
+            let logs = settled(&ratios, self.rasters.len());
+            for (raster, (log, gain)) in self.rasters.iter_mut().zip(logs.iter().zip(&mut gains)) {
+                gain[band] = log.exp();
+                let Some(raster) = raster else { continue };
+                raster.plane_mut(band).iter_mut().for_each(|v| *v *= gain[band] as f32);
+            }
+        }
+        gains
+    }
+
+    /// How tiles differ where two overlap and show one surface: the two, the median of the logarithm of the first over the second, and
+    /// how many cells tell it.
+    fn ratios(&self, pieces: &[Piece], band: usize, gsd_m: f32) -> Vec<(usize, usize, f64, usize)> {
+        let span = |a: usize, b: usize, axis: usize| {
+            let (p, q) = (pieces[a].bounds[axis], pieces[b].bounds[axis]);
+            (p[0].max(q[0]), p[1].min(q[1]))
+        };
+        let overlap = |a: usize, b: usize| [0, 1].into_iter().all(|axis| span(a, b, axis).0 < span(a, b, axis).1);
+        let after = |a: usize| (a + 1..pieces.len()).map(move |b| (a, b));
+        let pairs: Vec<(usize, usize)> = (0..pieces.len())
+            .flat_map(after)
+            .filter(|&(a, b)| overlap(a, b))
+            .collect();
+        let told = pairs.into_par_iter().filter_map(|(a, b)| {
+            let ((left, right), (top, bottom)) = (span(a, b, 0), span(a, b, 1));
+            let step = |from: isize, to: isize| ((to - from) / COMPARED).max(1) as usize;
+            let mut logs = Vec::new();
+            let mut said = Vec::new();
+            for row in (top..bottom).step_by(step(top, bottom)) {
+                for col in (left..right).step_by(step(left, right)) {
+                    one_surface(&mut said, (pieces, &[a, b]), (col, row), gsd_m);
+                    let [p, q] = [a, b].map(|index| self.value(pieces, index, band, (col, row)));
+                    if said.len() == 2 && p > DARK && q > DARK {
+                        logs.push(f64::from(p / q).ln());
+                    }
+                }
+            }
+            if logs.len() < LEAST_CELLS {
+                return None;
+            }
+            let cells = logs.len();
+            Some((a, b, upper_median(&mut logs)?, cells))
+        });
+        told.collect()
+    }
+
+    /// One raster of all.
+    pub fn merged(&self, pieces: &[Piece], (width, height): (usize, usize), gsd_m: f32, merge: Merge) -> Raster {
+        let bands = self.bands();
+        let mut out = Raster::filled(width, height, bands, f32::NAN);
+        for band in 0..bands {
+            let rows = out.plane_mut(band).par_chunks_mut(width).enumerate();
+            rows.for_each(|(row, values)| {
+                let row = row as isize;
+                let here = in_row(pieces, row);
+                let mut said = Vec::with_capacity(4);
+                for (col, value) in values.iter_mut().enumerate() {
+                    let at = (col as isize, row);
+                    one_surface(&mut said, (pieces, &here), at, gsd_m);
+                    let (mut sum, mut weight) = (0.0, 0.0);
+                    for one in &said {
+                        let own = self.value(pieces, one.piece, band, at);
+                        if own.is_finite() {
+                            sum += one.weight * own;
+                            weight += one.weight;
+                        }
+                    }
+                    if weight > 0.0 {
+                        *value = match merge {
+                            Merge::Mean => sum / weight,
+                            Merge::Majority => f32::from(u8::from(sum > 0.5 * weight)),
+                        };
+                    }
+                }
+            });
+        }
+        out
+    }
+}
+
+/// The logarithms of gains with which what was told of pairs agrees best, by least squares: `x_a - x_b = -log(a / b)`, their mean zero.
+fn settled(ratios: &[(usize, usize, f64, usize)], count: usize) -> Vec<f64> {
+    let mut logs = vec![0.0f64; count];
+    let mut beside: Vec<Vec<(usize, f64, f64)>> = vec![Vec::new(); count];
+    for &(a, b, log, cells) in ratios {
+        beside[a].push((b, -log, cells as f64));
+        beside[b].push((a, log, cells as f64));
+    }
+    for _ in 0..ROUNDS {
+        for index in 0..count {
+            let weight: f64 = beside[index].iter().map(|(_, _, w)| w).sum();
+            if weight > 0.0 {
+                let sum: f64 = beside[index].iter().map(|(other, d, w)| w * (logs[*other] + d)).sum();
+                logs[index] = sum / weight;
+            }
+        }
+    }
+    let mean = logs.iter().sum::<f64>() / count.max(1) as f64;
+    logs.iter_mut().for_each(|log| *log -= mean);
+    logs
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Two tiles of 30 x 20 cells of level ground whose cores meet at column 20, and what they show.
+    fn pair(values: [f32; 2]) -> (Vec<Piece>, Layer) {
+        let piece = |at: isize, core: [isize; 2], bounds: [isize; 2]| {
+            let mut raster = Raster::filled(30, 20, 3, 100.0);
+            raster.plane_mut(1).fill(0.2);
+            Piece {
+                unit: format!("t{at}"),
+                raster,
+                at: [at, 0],
+                core: [core, [0, 20]],
+                bounds: [bounds, [0, 20]],
+            }
+        };
+        let layer = Layer {
+            rasters: values.map(|v| Some(Raster::filled(30, 20, 1, v))).to_vec(),
+        };
+        (vec![piece(0, [0, 20], [0, 30]), piece(10, [20, 40], [10, 40])], layer)
+    }
+
+    #[test]
+    fn colours_of_tiles_with_other_gains_meet_without_a_seam() {
+        let (pieces, mut layer) = pair([0.2, 0.4]);
+        let gains = layer.balance(&pieces, 0.5);
+        assert!((gains[0][0] - 2f64.sqrt()).abs() < 1e-6 && (gains[0][0] * gains[1][0] - 1.0).abs() < 1e-9);
+        let merged = layer.merged(&pieces, (40, 20), 0.5, Merge::Mean);
+        let expected = 0.2 * 2f32.sqrt();
+        assert!(merged.values.iter().all(|v| (v - expected).abs() < 1e-5));
+    }
+
+    #[test]
+    fn shadows_stay_yes_or_no_and_the_tile_that_is_nearer_says() {
+        let (pieces, layer) = pair([1.0, 0.0]);
+        let merged = layer.merged(&pieces, (40, 20), 0.5, Merge::Majority);
+        let line = &merged.values[5 * 40..6 * 40];
+        assert!(
+            line[..19].iter().all(|v| *v == 1.0) && line[21..].iter().all(|v| *v == 0.0),
+            "{line:?}"
+        );
+    }
+
+    #[test]
+    fn a_tile_on_another_surface_or_without_the_raster_does_not_count() {
+        let (mut pieces, mut layer) = pair([1.0, 0.0]);
+        pieces[0].raster.plane_mut(0)[5 * 30 + 25] = 120.0;
+        layer.rasters[0] = None;
+        let merged = layer.merged(&pieces, (40, 20), 0.5, Merge::Majority);
+        assert_eq!(merged.at(0, 12, 5), 0.0, "what the other says");
+        assert!(merged.at(0, 2, 5).is_nan(), "what none says");
+        assert!(layer.balance(&pieces, 0.5).iter().flatten().all(|gain| *gain == 1.0));
+    }
+}

@@ -1,0 +1,216 @@
+//! Doing one unit.
+
+use super::BatchError;
+use super::mosaic::mosaic;
+use super::plan::{MosaicWork, Plan, TileWork, Unit, Work};
+use super::products;
+use super::seams;
+use super::stamp::{Output, STAMP, Stamp, claim, finished};
+use crate::outcome::CliError;
+use crate::report;
+use heliosplat_evaluate::{Protocol, error_map, evaluate_raster};
+use heliosplat_fitting::checkpoint;
+use heliosplat_fitting::run_folder::{create_folder, peak_rss_bytes};
+use heliosplat_products::{dsm, model};
+use heliosplat_raster::preview;
+use heliosplat_raster::write::{deliver, remove_leftovers, write_atomically};
+use heliosplat_satellite::config::SatelliteConfig;
+use heliosplat_satellite::measure;
+use heliosplat_satellite::training::{TrainOutcome, TrainRequest, train};
+use heliosplat_scene::{IngestOptions, Scene};
+use heliosplat_session::Session;
+use serde_json::{Value, json};
+use std::path::Path;
+use std::time::{Duration, Instant};
+
+/// Name of the file that says which work a folder was last used for.
+const BEGUN: &str = "begun.txt";
+/// Name of a page.
+const REPORT: &str = crate::report::FILE;
+/// Folder of a tile's training.
+pub(super) const RUN: &str = "run";
+
+/// Does a unit, unless it is finished; returns its stamp and whether it was finished before.
+///
+/// # Errors
+/// When what it waits for is not finished, its inputs are at fault, or the user stops it.
+pub fn do_unit(
+    plan: &Plan,
+    unit: &Unit,
+    out: &Path,
+    checkpoint_every: Duration,
+    session: &Session,
+) -> Result<(Stamp, bool), CliError> {
+    for after in &unit.after {
+        if finished(out, plan.unit(after)?).is_none() {
+            return Err(BatchError::NotYet {
+                unit: unit.id.clone(),
+                after: after.clone(),
+            }
+            .into());
+        }
+    }
+    let folder = out.join(&unit.id);
+    create_folder(&folder)?;
+    let Some(_claim) = claim(&folder, &|| session.stopped())? else {
+        return Err(CliError::Interrupted(format!("{}: stopped before it began", unit.id)));
+    };
+    if let Some(stamp) = finished(out, unit) {
+        return Ok((stamp, true));
+    }
+    begin(&folder, unit)?;
+    let begun = Instant::now();
+    let (outputs, metrics) = match &unit.work {
+        Work::Tile(work) => tile(work, unit, &folder, checkpoint_every, session)?,
+        Work::Mosaic(work) => mosaic_unit(work, unit, out, &folder)?,
+        Work::Refused { reason } => return Err(CliError::Input(reason.clone())),
+    };
+    if let Some(to) = &unit.deliver {
+        // Of a run its page alone, which a mosaic's page links to.
+        let told = |name: &&String| !name.starts_with(RUN) || name.ends_with(REPORT);
+        for name in outputs.iter().filter(told) {
+            deliver(&folder.join(name), Path::new(&format!("{to}/{}/{name}", unit.id)))?;
+        }
+    }
+    let seconds = metrics["seconds"]
+        .as_f64()
+        .unwrap_or_else(|| begun.elapsed().as_secs_f64());
+    let mut stamp = Stamp {
+        unit: unit.id.clone(),
+        key: unit.key.clone(),
+        outputs: Vec::new(),
+        seconds,
+        peak_rss_bytes: peak_rss_bytes(),
+        metrics,
+    };
+    for output in outputs {
+        stamp.outputs.push(Output::of(&folder, &output)?);
+    }
+    let text = serde_json::to_string_pretty(&stamp).unwrap_or_default();
+    write_atomically(&folder.join(STAMP), text.as_bytes())?;
+    Ok((stamp, false))
+}
+
+/// Puts away what an earlier use of the folder for other work left unfinished.
+fn begin(folder: &Path, unit: &Unit) -> Result<(), CliError> {
+    remove_leftovers(folder);
+    let path = folder.join(BEGUN);
+    let same = std::fs::read_to_string(&path).is_ok_and(|before| before.trim() == unit.key);
+    // A stamp that is of other work, or whose products are gone, must not be found again.
+    let _ = std::fs::remove_file(folder.join(STAMP));
+    if !same {
+        checkpoint::remove(&folder.join(RUN));
+        write_atomically(&path, unit.key.as_bytes())?;
+    }
+    Ok(())
+}
+
+/// The names of products, and what was measured.
+type Done = (Vec<String>, Value);
+
+fn tile(
+    work: &TileWork,
+    unit: &Unit,
+    folder: &Path,
+    checkpoint_every: Duration,
+    session: &Session,
+) -> Result<Done, CliError> {
+    let run = folder.join(RUN);
+    let ingest = IngestOptions {
+        altitude_range_m: work.altitude_m.map(|[low, high]| (low, high)),
+        rpc: work.rpc,
+        area: Some(work.area.clone()),
+    };
+    let begun = Instant::now();
+    let scene = Scene::open(&work.scene, &ingest)?;
+    for warning in &scene.warnings {
+        tracing::warn!("{warning}");
+    }
+    let preset = work.preset.base().parse()?;
+    let config = SatelliteConfig::resolve(preset, &work.preset.changes(), work.preset.seed)?;
+    let request = TrainRequest {
+        ingest,
+        begun,
+        resume: true,
+        checkpoint_every,
+        ..TrainRequest::new(run.clone(), preset)
+    };
+    let trained = match train(&scene, &config, &request, session)? {
+        TrainOutcome::FinishedBefore { metrics } => {
+            report::complete(&run)?;
+            metrics
+        }
+        TrainOutcome::Trained(trained) => {
+            report::write(&run)?;
+            trained.ending.check(&run)?;
+            trained.metrics
+        }
+    };
+    drop(scene);
+    let model = model::load(&run)?;
+    let mut outputs = if work.products.dsm_only {
+        dsm::dsm(&model, work.gsd_m, Some(&work.crs))?.write(&folder.join("dsm.tif"))?;
+        vec!["dsm.tif".into()]
+    } else {
+        products::of_tile(&model, unit, folder, (work.gsd_m, &work.crs), work.products.sun)?
+    };
+    let mut metrics = json!({"residual_px": work.residual_px});
+    for key in [
+        "seconds",
+        "iterations",
+        "gaussians",
+        "peak_rss_bytes",
+        "dsm",
+        "train",
+        "test",
+        "shadow",
+    ] {
+        if let Some(value) = trained.get(key) {
+            metrics[key] = value.clone();
+        }
+    }
+    let of_run = ["model.ply", "model.json", "run.toml", "metrics.json", REPORT];
+    outputs.extend(of_run.map(|name| format!("{RUN}/{name}")));
+    Ok((outputs, metrics))
+}
+
+fn mosaic_unit(work: &MosaicWork, unit: &Unit, out: &Path, folder: &Path) -> Result<Done, CliError> {
+    let mut mosaic = mosaic(out, work)?;
+    let path = folder.join("dsm.tif");
+    let altitude = mosaic.dsm.altitude();
+    preview::write_png(&folder.join("dsm.png"), &preview::hillshade(&altitude, work.gsd_m))?;
+    let mut metrics = json!({
+        "tiles": mosaic.pieces.len(),
+        "width": altitude.width,
+        "height": altitude.height,
+        "gsd_m": work.gsd_m,
+        "completeness": mosaic.dsm.completeness(),
+        "seams": seams::measure(&altitude, &mosaic.pieces),
+        "pieces": mosaic.pieces.iter().map(|p| json!({"unit": p.unit, "core": p.core, "bounds": p.bounds})).collect::<Vec<_>>(),
+    });
+    let mut outputs: Vec<String> = vec!["dsm.png".into()];
+    if let Some(truth) = &work.truth {
+        // Truth is above the ellipsoid, whatever the products are above.
+        let made = mosaic.dsm.geo_raster();
+        let evaluation = evaluate_raster((&path, &made), truth, work.classes.as_deref(), Protocol::Raw)?;
+        metrics["dsm"] = measure::surface_metrics(&evaluation);
+        preview::write_png(&folder.join("error.png"), &error_map::draw(&evaluation.errors))?;
+        outputs.push("error.png".into());
+    }
+    if let Some(geoid) = work.products.geoid {
+        mosaic.dsm = mosaic.dsm.above(geoid)?;
+    }
+    if work.products.dsm_only {
+        mosaic.dsm.write(&path)?;
+        outputs.push("dsm.tif".into());
+    } else {
+        let (names, said) = products::of_mosaic(out, work, &mosaic, unit, folder)?;
+        outputs.extend(names);
+        metrics["products"] = said;
+    }
+    let text = format!("{metrics:#}\n");
+    write_atomically(&folder.join("mosaic.json"), text.as_bytes())?;
+    report::mosaic::write(folder)?;
+    outputs.extend(["mosaic.json".into(), REPORT.into()]);
+    Ok((outputs, metrics))
+}

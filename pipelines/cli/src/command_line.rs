@@ -1,0 +1,209 @@
+//! The command line: one binary, verbs first.
+//!
+//! Every verb ends in an [`Outcome`], printed as text or as one JSON object on stdout (`--json`); logs and progress go to
+//! stderr. Exit codes: 0 done, 1 failed, 2 bad usage or bad input (one line: what, where, what to do), 130 interrupted
+//! after saving.
+
+use crate::outcome::{CliError, Outcome};
+use crate::verbs::*;
+use clap::{Parser, Subcommand};
+use heliosplat_raster::library_versions;
+use heliosplat_session::{Session, log};
+use std::process::ExitCode;
+use std::sync::LazyLock;
+
+static VERSION: LazyLock<String> = LazyLock::new(|| {
+    let (gdal, proj) = library_versions();
+    format!("{} (GDAL {gdal}, PROJ {proj})", env!("CARGO_PKG_VERSION"))
+});
+
+/// Real satellite images in, a surface model for GIS out.
+#[derive(Debug, Parser)]
+#[command(name = "heliosplat", version = VERSION.as_str(), max_term_width = 110, subcommand_required = true)]
+#[command(after_help = "Example: heliosplat demo --out demo")]
+pub struct Cli {
+    /// Print one JSON object on stdout instead of text
+    #[arg(long, global = true)]
+    pub json: bool,
+    /// Say more on stderr (twice: everything)
+    #[arg(short, long, global = true, action = clap::ArgAction::Count)]
+    pub verbose: u8,
+    /// Threads to use [default: all cores]
+    #[arg(long, global = true, value_name = "N")]
+    pub threads: Option<usize>,
+    /// What to do
+    #[command(subcommand)]
+    pub command: Command,
+}
+
+/// The verbs.
+#[derive(Debug, Subcommand)]
+pub enum Command {
+    #[cfg(feature = "synth")]
+    /// Synthesise a site, train on it, write the DSM, its picture and its error against truth
+    #[command(after_help = "Example: heliosplat demo --out demo")]
+    Demo(demo::DemoArgs),
+    #[cfg(feature = "synth")]
+    /// Make a scene with known truth
+    #[command(
+        after_help = "Examples: heliosplat synth satellite --out site --site block --seed 1\n          \
+                            heliosplat synth object --out toy --size 200 --views 30"
+    )]
+    Synth(synth::SynthArgs),
+    /// Show what a scene is: cameras and their fit, suns, bands, overlap, truth
+    #[command(after_help = "Example: heliosplat inspect my_images --altitude 640,780")]
+    Inspect(inspect::InspectArgs),
+    /// Correct the cameras of a scene so that its images agree
+    #[command(after_help = "Example: heliosplat adjust my_images --out adjusted --images")]
+    Adjust(adjust::AdjustArgs),
+    /// Train a model of a scene
+    #[command(
+        after_help = "Examples: heliosplat train my_images --out run --preset balanced --time-budget 10m\n          \
+                            heliosplat train nerf_synthetic/lego --out run"
+    )]
+    Train(model_args::TrainArgs),
+    /// Write the surface model of a run, or that of a scene's sweep, as a cloud-optimised GeoTIFF
+    #[command(
+        after_help = "Examples: heliosplat dsm run --out dsm.tif --gsd 0.5 --crs EPSG:32637\n          \
+                            heliosplat dsm my_images --from sweep --out quick.tif"
+    )]
+    Dsm(model_args::DsmArgs),
+    /// Write all that a run gives to a GIS: cloud-optimised GeoTIFFs, a point cloud, and a STAC item that describes them
+    #[command(after_help = "Examples: heliosplat products run --sun 250,35\n          \
+                            heliosplat products north south --out catalogue --geoid egm96")]
+    Products(products::ProductsArgs),
+    /// Write the page of a run: images, surface, shadows, errors, curves, plan, time and memory
+    #[command(after_help = "Example: heliosplat report run")]
+    Report(report::ReportArgs),
+    /// Write the scene under another sun, and its shadow mask
+    #[command(
+        after_help = "Examples: heliosplat relight run --out evening.tif --sun 270,20\n          \
+                            heliosplat relight object_run --out lit.png --light 2,1,3 --view test/near_000"
+    )]
+    Relight(model_args::RelightArgs),
+    /// Render the views of a run; those of satellites each with its shadow mask
+    #[command(after_help = "Example: heliosplat render run --out rendered --split test")]
+    Render(model_args::RenderArgs),
+    /// Write what other programs can use of a run on an object
+    #[command(
+        after_help = "Examples: heliosplat export run --ply lit.ply --light 2,-1,3\n          \
+                            heliosplat export run --asset figure\n          \
+                            heliosplat export run --mesh figure.glb"
+    )]
+    Export(export_args::ExportArgs),
+    /// Measure a run, or any DSM, against truth
+    #[command(after_help = "Examples: heliosplat evaluate run\n          \
+                            heliosplat evaluate --dsm dsm.tif --truth lidar.tif --protocol aligned --json")]
+    Evaluate(evaluate_args::EvaluateArgs),
+    /// Use an image's RPC camera by hand
+    #[command(after_help = "Example: echo '36.91 37.58 700' | heliosplat rpc project image.tif")]
+    Rpc(rpc::RpcArgs),
+    /// Where the sun stands: azimuth and geometric elevation, degrees
+    #[command(after_help = "Example: heliosplat sun --time 2016-04-23T08:34:00Z --at 37.58,36.91,700")]
+    Sun(sun::SunArgs),
+    /// Train scenes in many ways: what time, memory and each component buy
+    #[command(
+        after_help = "Example: heliosplat tradeoff my_images --out tradeoff --only preset,steps\n\n\
+                            All points take hours; --list shows them. The same command goes on where it was stopped."
+    )]
+    Tradeoff(tradeoff::TradeoffArgs),
+    /// Train many areas, cut into tiles, and merge them: a manifest of areas, images and presets
+    #[command(after_help = "Examples: heliosplat batch city.toml --out city --jobs 2\n          \
+                            heliosplat batch city.toml --out city --plan --json\n\n\
+                            The same command goes on where it was stopped. The manifest: docs/guide/batch.md.")]
+    Batch(batch::BatchArgs),
+    /// Measure the rates of this machine: cameras, splats, light, whole steps; under a minute
+    #[command(after_help = "Example: heliosplat bench --json")]
+    Bench,
+    /// Print the completions of a shell
+    #[command(
+        after_help = "Examples: heliosplat completions bash > ~/.local/share/bash-completion/completions/heliosplat\n          \
+                            heliosplat completions fish > ~/.config/fish/completions/heliosplat.fish"
+    )]
+    Completions(completions::CompletionsArgs),
+    /// Write the manual pages, one for each verb
+    #[command(after_help = "Example: heliosplat man --out ~/.local/share/man/man1")]
+    Man(man::ManArgs),
+}
+
+/// Parses the arguments of the process and runs the verb.
+pub fn main() -> ExitCode {
+    let cli = Cli::parse();
+    log::start(cli.verbose);
+    heliosplat_raster::messages::install();
+    let outcome = run(&cli);
+    match &outcome {
+        Ok(outcome) if cli.json => print_line(&outcome.json.to_string()),
+        Ok(outcome) => print_line(outcome.text.trim_end()),
+        Err(error) => report(error, cli.json),
+    }
+    ExitCode::from(outcome.err().map_or(0, |error| error.exit_code()))
+}
+
+fn run(cli: &Cli) -> Result<Outcome, CliError> {
+    if let Some(threads) = cli.threads {
+        if threads == 0 {
+            return Err(CliError::Input("--threads 0: give at least 1".to_owned()));
+        }
+        rayon::ThreadPoolBuilder::new()
+            .num_threads(threads)
+            .build_global()
+            .map_err(|error| CliError::Failed(format!("threads cannot be started: {error}")))?;
+    }
+    let session = Session::start()?;
+    match &cli.command {
+        #[cfg(feature = "synth")]
+        Command::Demo(args) => demo::demo(args, &session),
+        #[cfg(feature = "synth")]
+        Command::Synth(args) => synth::run(args, &session),
+        Command::Inspect(args) => inspect::run(args),
+        Command::Adjust(args) => adjust::run(args, &session),
+        Command::Train(args) => model::train(args, &session),
+        Command::Dsm(args) => satellite::dsm(args, &session),
+        Command::Products(args) => products::run(args, &session),
+        Command::Report(args) => report::run(args),
+        Command::Relight(args) => model::relight(args),
+        Command::Render(args) => model::render(args, &session),
+        Command::Export(args) => object::export(args, &session),
+        Command::Evaluate(args) => evaluate::run(args),
+        Command::Rpc(args) => rpc::run(args),
+        Command::Sun(args) => sun::run(args),
+        Command::Tradeoff(args) => tradeoff::run(args, cli.threads, &session),
+        Command::Batch(args) => batch::run(args, cli.threads, &session),
+        Command::Bench => bench::run(),
+        Command::Completions(args) => completions::run(args),
+        Command::Man(args) => man::run(args),
+    }
+}
+
+fn report(error: &CliError, json: bool) {
+    let line = error.to_string().split_whitespace().collect::<Vec<_>>().join(" ");
+    log::line_on_stderr(&format!("error: {line}"));
+    if json {
+        print_line(&serde_json::json!({ "error": line, "exit_code": error.exit_code() }).to_string());
+    }
+}
+
+/// Prints to stdout; a reader that went away (`| head`) is no failure.
+fn print_line(text: &str) {
+    use std::io::Write;
+    if !text.is_empty() {
+        let _ = writeln!(std::io::stdout().lock(), "{text}");
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use clap::CommandFactory;
+
+    #[test]
+    fn the_command_line_is_consistent_and_every_verb_shows_an_example() {
+        let command = Cli::command();
+        command.clone().debug_assert();
+        for verb in command.get_subcommands() {
+            let help = verb.get_after_help().map(ToString::to_string).unwrap_or_default();
+            assert!(help.contains("Example"), "{} has no example", verb.get_name());
+        }
+    }
+}

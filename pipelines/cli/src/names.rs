@@ -1,0 +1,78 @@
+//! Choices of the command line, by name: what the libraries below know as enums of their own.
+
+use clap::ValueEnum;
+
+/// A `ValueEnum` with the values of an enum of a library, and its way there.
+macro_rules! names {
+    ($(#[$meta:meta])* $name:ident for $target:path { $($(#[$doc:meta])* $variant:ident,)+ }) => {
+        $(#[$meta])*
+        #[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+        pub enum $name {
+            $($(#[$doc])* $variant,)+
+        }
+
+        impl From<$name> for $target {
+            fn from(name: $name) -> Self {
+                match name {
+                    $($name::$variant => Self::$variant,)+
+                }
+            }
+        }
+    };
+}
+
+names! {
+    /// How much time a training may take for how good a result.
+    PresetName for heliosplat_fitting::settings::Preset {
+        /// A first look.
+        Fast,
+        /// The default.
+        Balanced,
+        /// As good as it gets.
+        Accurate,
+    }
+}
+
+names! {
+    /// A model of mean sea level.
+    GeoidName for heliosplat_raster::Geoid {
+        /// EGM96, on a grid of 15 minutes.
+        Egm96,
+        /// EGM2008, on a grid of 2.5 minutes.
+        Egm2008,
+    }
+}
+
+names! {
+    /// Which camera is used where an image's own RPC and a Sat-NeRF JSON differ.
+    RpcName for heliosplat_scene::RpcPreference {
+        /// The JSON: somebody made it on purpose, by bundle adjustment or for a crop.
+        Json,
+        /// What GDAL finds in the image or beside it.
+        Image,
+    }
+}
+
+names! {
+    /// How a prediction is registered to the truth before it is measured.
+    ProtocolName for heliosplat_evaluate::Protocol {
+        /// Not at all.
+        Raw,
+        /// Integer shift and mean height; water out of registration and metric.
+        Aligned,
+        /// Integer shift and mean height; water out of the metric only.
+        AlignedWater,
+        /// Sub-pixel shift and mean height; water out of registration and metric.
+        Subpixel,
+    }
+}
+
+names! {
+    /// What may be wrong with a camera.
+    BiasName for heliosplat_rpc::adjust::BiasModel {
+        /// A shift of the whole image
+        Translation,
+        /// A shift that changes linearly over the image: rotation, scale, drift
+        Affine,
+    }
+}

@@ -1,0 +1,170 @@
+//! What a verb ends in: an [`Outcome`], or a [`CliError`] with the exit code that it stands for.
+
+use heliosplat_evaluate::EvaluateError;
+use heliosplat_fitting::checkpoint::CheckpointError;
+use heliosplat_fitting::run_folder::{OpenError, RunError};
+use heliosplat_fitting::settings::ConfigError;
+use heliosplat_fitting::training::TrainingError;
+use heliosplat_objects::{CaptureError, ObjectError};
+use heliosplat_products::relight::RelightError;
+use heliosplat_raster::RasterError;
+use heliosplat_satellite::SatelliteError;
+use heliosplat_satellite::error::FitError;
+use heliosplat_scene::SceneError;
+use heliosplat_session::SessionError;
+
+/// What a verb has to say when it is done.
+#[derive(Debug, Clone)]
+pub struct Outcome {
+    /// For machines.
+    pub json: serde_json::Value,
+    /// For people.
+    pub text: String,
+}
+
+/// Why a verb did not get done.
+#[derive(Debug, thiserror::Error)]
+pub enum CliError {
+    /// Bad usage or bad input: exit code 2.
+    #[error("{0}")]
+    Input(String),
+    /// The machine failed: exit code 1.
+    #[error("{0}")]
+    Failed(String),
+    /// Stopped by the user after saving what there was: exit code 130.
+    #[error("{0}")]
+    Interrupted(String),
+}
+
+impl CliError {
+    /// The process's exit code.
+    pub fn exit_code(&self) -> u8 {
+        match self {
+            Self::Input(_) => 2,
+            Self::Failed(_) => 1,
+            Self::Interrupted(_) => 130,
+        }
+    }
+
+    fn sorted(is_input_fault: bool, message: String) -> Self {
+        if is_input_fault {
+            Self::Input(message)
+        } else {
+            Self::Failed(message)
+        }
+    }
+}
+
+/// Errors that know whether what the user gave is at fault, rather than the machine.
+macro_rules! by_fault {
+    ($($error:ty),*) => {$(
+        impl From<$error> for CliError {
+            fn from(error: $error) -> Self {
+                Self::sorted(error.is_input_fault(), error.to_string())
+            }
+        }
+    )*};
+}
+
+by_fault!(
+    SceneError,
+    RasterError,
+    EvaluateError,
+    CheckpointError,
+    RunError,
+    RelightError
+);
+
+impl From<SessionError> for CliError {
+    fn from(error: SessionError) -> Self {
+        Self::Failed(error.to_string())
+    }
+}
+
+impl From<ConfigError> for CliError {
+    fn from(error: ConfigError) -> Self {
+        Self::Input(error.to_string())
+    }
+}
+
+impl From<CaptureError> for CliError {
+    fn from(error: CaptureError) -> Self {
+        Self::Input(error.to_string())
+    }
+}
+
+impl From<TrainingError> for CliError {
+    fn from(error: TrainingError) -> Self {
+        match error {
+            TrainingError::Checkpoint(error) => error.into(),
+            TrainingError::Interrupted(_) => Self::Interrupted(error.to_string()),
+            TrainingError::Train(_) | TrainingError::GaveUp { .. } => Self::Failed(error.to_string()),
+        }
+    }
+}
+
+impl From<OpenError> for CliError {
+    fn from(error: OpenError) -> Self {
+        match error {
+            OpenError::Run(error) => error.into(),
+            OpenError::Checkpoint(error) => error.into(),
+        }
+    }
+}
+
+impl From<FitError> for CliError {
+    fn from(error: FitError) -> Self {
+        match error {
+            FitError::TooFewViews { .. } | FitError::Memory { .. } | FitError::Mask(_) => {
+                Self::Input(error.to_string())
+            }
+            FitError::Training(error) => error.into(),
+        }
+    }
+}
+
+impl From<SatelliteError> for CliError {
+    fn from(error: SatelliteError) -> Self {
+        match error {
+            SatelliteError::Scene(error) => error.into(),
+            SatelliteError::Config(error) => error.into(),
+            SatelliteError::Fit(error) => error.into(),
+            SatelliteError::Training(error) => error.into(),
+            SatelliteError::Open(error) => error.into(),
+            SatelliteError::Run(error) => error.into(),
+            SatelliteError::Raster(error) => error.into(),
+            SatelliteError::Evaluate(error) => error.into(),
+            SatelliteError::TimeBudget { .. } | SatelliteError::SceneOfRun { .. } | SatelliteError::Adjust { .. } => {
+                Self::Input(error.to_string())
+            }
+            SatelliteError::Settings(_) | SatelliteError::CorrectedCamera { .. } => Self::Failed(error.to_string()),
+        }
+    }
+}
+
+impl From<ObjectError> for CliError {
+    fn from(error: ObjectError) -> Self {
+        match error {
+            ObjectError::Capture(error) => error.into(),
+            ObjectError::Config(error) => error.into(),
+            ObjectError::Training(error) => error.into(),
+            ObjectError::Open(error) => error.into(),
+            ObjectError::Run(error) => error.into(),
+            ObjectError::Raster(error) => error.into(),
+            ObjectError::Memory { .. } => Self::Input(error.to_string()),
+            ObjectError::Settings(_) => Self::Failed(error.to_string()),
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn faults_have_the_exit_codes_of_the_conventions() {
+        assert_eq!(CliError::from(SceneError::NoRpc("a.tif".into())).exit_code(), 2);
+        assert_eq!(CliError::from(RasterError::DiskFull("a.tif".into())).exit_code(), 1);
+        assert_eq!(CliError::Interrupted("saved".to_owned()).exit_code(), 130);
+    }
+}

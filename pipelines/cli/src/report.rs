@@ -1,0 +1,157 @@
+//! `report.html`: a run, or a mosaic of many, on one page that fetches nothing.
+//!
+//! It is made from the files in the folder alone, so that it can be made again at any time, without the scene.
+
+pub mod mosaic;
+pub mod object;
+mod parts;
+
+use crate::page::{calibration, document};
+use heliosplat_evaluate::uncertainty::Uncertainty;
+use heliosplat_fitting::run_folder::RunError;
+use heliosplat_objects::model::is_object_run;
+use heliosplat_products::model::{ModelFile, load_file};
+use heliosplat_raster::write_atomically;
+use heliosplat_satellite::run_file::{RunFile, load_run};
+use image::{ImageReader, Limits, RgbImage};
+use maud::{Markup, html};
+use serde::Deserialize;
+use serde_json::Value;
+use std::path::{Path, PathBuf};
+
+/// Name of the page.
+pub const FILE: &str = "report.html";
+/// Name of the calibration plot of runs with truth.
+const CALIBRATION: &str = "calibration.svg";
+/// Longest side of a picture that is read, pixels, and the most memory it may take.
+const SIDE_MAX: u32 = 60_000;
+const BYTES_MAX: u64 = 400 << 20;
+
+/// A folder of pictures with its metrics.
+struct Folder {
+    path: PathBuf,
+    metrics: Value,
+}
+
+impl Folder {
+    /// A folder whose metrics are in the file of this name. It may be absent: a run that was stopped early has none.
+    fn read(path: &Path, metrics: &str) -> Result<Self, RunError> {
+        let file = path.join(metrics);
+        let metrics = match heliosplat_raster::bounded::read_text(&file) {
+            Ok(text) => serde_json::from_str(&text).map_err(|error| RunError::Damaged {
+                path: file,
+                reason: error.to_string(),
+            })?,
+            Err(_) => Value::Null,
+        };
+        Ok(Self {
+            path: path.to_owned(),
+            metrics,
+        })
+    }
+
+    /// A picture, if it is there and of a size that can be shown.
+    fn picture(&self, name: &str) -> Option<RgbImage> {
+        let path = self.path.join(name);
+        if !path.is_file() {
+            return None;
+        }
+        let mut reader = ImageReader::open(path).ok()?;
+        let mut limits = Limits::default();
+        limits.max_image_width = Some(SIDE_MAX);
+        limits.max_image_height = Some(SIDE_MAX);
+        limits.max_alloc = Some(BYTES_MAX);
+        reader.limits(limits);
+        reader.decode().ok().map(|picture| picture.to_rgb8())
+    }
+
+    fn number(&self, pointer: &str) -> Option<f64> {
+        self.metrics.pointer(pointer).and_then(Value::as_f64)
+    }
+
+    /// An array of the metrics; empty where it is absent.
+    fn list(&self, pointer: &str) -> &[Value] {
+        let list = self.metrics.pointer(pointer).and_then(Value::as_array);
+        list.map_or(&[], Vec::as_slice)
+    }
+
+    /// Its own name.
+    fn name(&self) -> String {
+        let whole = std::fs::canonicalize(&self.path).unwrap_or_else(|_| self.path.clone());
+        whole.file_name().unwrap_or_default().to_string_lossy().into_owned()
+    }
+}
+
+/// The folder of a run of a satellite scene.
+struct Contents {
+    folder: Folder,
+    run: RunFile,
+    model: ModelFile,
+}
+
+impl Contents {
+    fn read(folder: &Path) -> Result<Self, RunError> {
+        Ok(Self {
+            run: load_run(folder)?,
+            model: load_file(folder)?,
+            folder: Folder::read(folder, "metrics.json")?,
+        })
+    }
+}
+
+/// Writes `report.html` into the folder of a run of a satellite scene, and `calibration.svg` where its DSM states standard
+/// deviations and was compared with truth; returns the path of the page.
+///
+/// # Errors
+/// When the folder holds no run, or a file cannot be written.
+pub fn write(folder: &Path) -> Result<PathBuf, RunError> {
+    let contents = Contents::read(folder)?;
+    let uncertainty = &contents.folder.metrics["dsm"]["uncertainty"];
+    if let Ok(uncertainty) = Uncertainty::deserialize(uncertainty) {
+        write_atomically(&folder.join(CALIBRATION), calibration::picture(&uncertainty).as_bytes())?;
+    }
+    // Last: where it is, the pictures are complete.
+    save(folder, &page(&contents))
+}
+
+/// Writes the page of a finished run that has none because it was killed after its metrics were written.
+///
+/// # Errors
+/// When the folder holds no run, or the page cannot be written.
+pub fn complete(folder: &Path) -> Result<(), RunError> {
+    if folder.join(FILE).is_file() {
+        return Ok(());
+    }
+    match is_object_run(folder) {
+        true => object::write(folder),
+        false => write(folder),
+    }
+    .map(|_| ())
+}
+
+fn save(folder: &Path, page: &str) -> Result<PathBuf, RunError> {
+    let path = folder.join(FILE);
+    write_atomically(&path, page.as_bytes())?;
+    Ok(path)
+}
+
+/// A page of some sections.
+fn page_of(title: &str, sections: &[Markup]) -> String {
+    document(title, &html! { @for section in sections { (section) } })
+}
+
+fn page(run: &Contents) -> String {
+    let sections = [
+        parts::head(run),
+        parts::surface(&run.folder),
+        parts::views(run),
+        parts::curves(&run.folder),
+        parts::accuracy(&run.folder),
+        parts::plan(run),
+        parts::costs(run),
+    ];
+    page_of(&run.folder.name(), &sections)
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,262 @@
+//! The page of a mosaic: the whole area, the consistency of its tiles at their edges, and every tile. It is made from the files of
+//! the mosaic's folder and those of the tiles beside it.
+
+use super::parts::{self, SURFACE_PX, figure, gallery, keys};
+use super::{Folder, page_of, save};
+use crate::page::{MIB, number};
+use heliosplat_fitting::run_folder::RunError;
+use image::{Rgb, RgbImage};
+use maud::{Markup, html};
+use serde_json::Value;
+use std::path::{Path, PathBuf};
+
+/// Name of the file with a mosaic's metrics.
+pub const FILE: &str = "mosaic.json";
+/// Widest picture of a date, pixels.
+const DATE_PX: u32 = 480;
+/// Widest picture of a tile, pixels.
+const TILE_PX: u32 = 260;
+/// More pictures of dates, or of tiles, than this are not shown.
+const SHOWN: usize = 40;
+/// Most rows of a table.
+const ROWS: usize = 400;
+/// Colour of the lines between tiles.
+const LINE: Rgb<u8> = Rgb([230, 80, 30]);
+
+/// A tile of the mosaic.
+struct Tile {
+    /// Its folder beside the mosaic's.
+    name: String,
+    /// First and one past last column and row of its core.
+    core: [[u32; 2]; 2],
+    /// Its folder with its metrics.
+    stamp: Folder,
+}
+
+/// Writes `report.html` into the folder of a mosaic; returns its path.
+///
+/// # Errors
+/// When the folder holds none, or the page cannot be written.
+pub fn write(folder: &Path) -> Result<PathBuf, RunError> {
+    if !folder.join(FILE).is_file() {
+        return Err(RunError::NotARun(folder.to_owned()));
+    }
+    let mosaic = Folder::read(folder, FILE)?;
+    let tiles = tiles(&mosaic)?;
+    let whole = std::fs::canonicalize(folder).unwrap_or_else(|_| folder.to_owned());
+    // Area, images, preset.
+    let mut title: Vec<String> = whole
+        .ancestors()
+        .skip(1)
+        .take(3)
+        .filter_map(|part| Some(part.file_name()?.to_string_lossy().into_owned()))
+        .collect();
+    title.reverse();
+    let sections = [
+        head(&mosaic, &tiles),
+        surface(&mosaic, &tiles),
+        dates(&mosaic),
+        borders(&mosaic),
+        parts::accuracy(&mosaic),
+        table(&tiles),
+        products(&mosaic),
+    ];
+    save(folder, &page_of(&title.join(" / "), &sections))
+}
+
+fn tiles(mosaic: &Folder) -> Result<Vec<Tile>, RunError> {
+    let pieces = mosaic.list("/pieces");
+    let mut tiles = Vec::with_capacity(pieces.len());
+    for piece in pieces {
+        let name = piece["unit"]
+            .as_str()
+            .and_then(|unit| unit.rsplit('/').next())
+            .unwrap_or("");
+        // It becomes part of a path and of an address.
+        if name.is_empty() || name.starts_with('.') || name.contains('\\') {
+            continue;
+        }
+        let beside = mosaic.path.join("..").join(name);
+        tiles.push(Tile {
+            core: serde_json::from_value(piece["core"].clone()).unwrap_or_default(),
+            stamp: Folder::read(&beside, "unit.json")?,
+            name: name.to_owned(),
+        });
+    }
+    Ok(tiles)
+}
+
+fn head(mosaic: &Folder, tiles: &[Tile]) -> Markup {
+    let number = |pointer: &str| mosaic.number(pointer);
+    let gsd_m = number("/gsd_m").unwrap_or(0.0);
+    let side = |key: &str| number(key).map(|cells| cells * gsd_m);
+    let all = |pointer: &str| {
+        tiles
+            .iter()
+            .filter_map(|tile| tile.stamp.number(pointer))
+            .collect::<Vec<_>>()
+    };
+    let memory = all("/peak_rss_bytes").into_iter().reduce(f64::max);
+    keys(&[
+        ("DSM mean absolute error, raw", number("/dsm/mae_m"), 3, "m"),
+        ("DSM median error", number("/dsm/median_m"), 3, "m"),
+        (
+            "DSM completeness",
+            number("/completeness").map(|share| 100.0 * share),
+            1,
+            "%",
+        ),
+        (
+            "mean height step across tile boundaries",
+            number("/seams/border/mean_m"),
+            3,
+            "m",
+        ),
+        ("mean height step elsewhere", number("/seams/interior/mean_m"), 3, "m"),
+        ("extent west to east", side("/width"), 0, "m"),
+        ("extent south to north", side("/height"), 0, "m"),
+        ("tiles", number("/tiles"), 0, ""),
+        ("total time of tiles", Some(all("/seconds").iter().sum()), 0, "s"),
+        ("peak memory of a tile", memory.map(|bytes| bytes / MIB), 0, "MiB"),
+    ])
+}
+
+/// The surface without and with the tile boundaries, its errors, its albedo.
+fn surface(mosaic: &Folder, tiles: &[Tile]) -> Markup {
+    let surface = mosaic.picture("dsm.png");
+    let outlined = surface.clone().filter(|_| tiles.len() > 1).map(|mut picture| {
+        tiles.iter().for_each(|tile| outline(&mut picture, tile.core));
+        picture
+    });
+    let show = |name: &str, caption: &str| figure(mosaic.picture(name), SURFACE_PX, caption);
+    let figures = html! {
+        (figure(surface, SURFACE_PX, "DSM, hillshade with light from the north-west"))
+        (figure(outlined, SURFACE_PX, "The same with the tile boundaries"))
+        (show("error.png", "Height errors: blue too low, red too high"))
+        (show("pictures/albedo.png", "Albedo, nadir view"))
+        (show("pictures/relit.png", "Relit with the requested sun"))
+    };
+    gallery("Surface", "grid", &figures)
+}
+
+/// Draws the outline of a tile's core; thick enough to be seen when the picture is made small.
+fn outline(picture: &mut RgbImage, [columns, rows]: [[u32; 2]; 2]) {
+    let (width, height) = picture.dimensions();
+    let thick = width.max(height).div_ceil(SURFACE_PX);
+    let mut fill = |[left, right]: [u32; 2], [top, bottom]: [u32; 2]| {
+        for row in top..bottom.min(height) {
+            for col in left..right.min(width) {
+                picture.put_pixel(col, row, LINE);
+            }
+        }
+    };
+    let [[left, right], [top, bottom]] = [columns, rows];
+    for at in [left, right.saturating_sub(thick)] {
+        fill([at, at.saturating_add(thick)], rows);
+    }
+    for at in [top, bottom.saturating_sub(thick)] {
+        fill(columns, [at, at.saturating_add(thick)]);
+    }
+}
+
+/// The shadows of every date over the albedo.
+fn dates(mosaic: &Folder) -> Markup {
+    let dates = mosaic.list("/products/dates").iter().filter_map(Value::as_str);
+    let figures = html! {
+        // A date becomes part of a path.
+        @for date in dates.take(SHOWN).filter(|date| !date.contains(['/', '\\'])) {
+            (figure(mosaic.picture(&format!("pictures/shadow_{date}.png")), DATE_PX, date))
+        }
+    };
+    gallery("Shadows by date", "grid", &figures)
+}
+
+/// Height steps at tile boundaries and elsewhere, and the differences of tiles where they overlap.
+fn borders(mosaic: &Folder) -> Markup {
+    let steps = [
+        ("border", "across tile boundaries, in the mosaic"),
+        ("border_within_tiles", "at the same places, within single tiles"),
+        ("edge", "where a tile's overlap ends"),
+        ("interior", "elsewhere"),
+    ];
+    let metric = |key: &str, name: &str| mosaic.number(&format!("/seams/{key}/{name}"));
+    let measured = steps.iter().filter(|(key, _)| metric(key, "mean_m").is_some());
+    let overlaps = mosaic.list("/seams/overlaps");
+    let tile = |overlap: &Value, place: usize| {
+        let unit = overlap["tiles"][place].as_str().unwrap_or("");
+        unit.rsplit('/').next().unwrap_or(unit).to_owned()
+    };
+    html! {
+        @if !overlaps.is_empty() {
+            h2 { "Tile-edge consistency" }
+            p { "Height steps between neighbouring cells." }
+            div.wide { table {
+                tr { th { "cells" } th { "mean, m" } th { "median, m" } th { "95th percentile, m" } th { "above 1 m, %" } }
+                @for (key, label) in measured {
+                    tr {
+                        td { (label) }
+                        @for name in ["mean_m", "median_m", "p95_m"] { td { (number(metric(key, name), 3)) } }
+                        td { (number(metric(key, "above_1m").map(|share| 100.0 * share), 1)) }
+                    }
+                }
+            } }
+            p { "Where two tiles overlap: height of the second minus that of the first." }
+            div.wide { table {
+                tr { th { "tiles" } th { "cells" } th { "median, m" } th { "NMAD, m" } th { "mean absolute, m" } }
+                @for overlap in overlaps.iter().take(ROWS) {
+                    tr {
+                        td { (tile(overlap, 0)) " and " (tile(overlap, 1)) }
+                        td { (overlap["cells"].as_u64().unwrap_or(0)) }
+                        @for name in ["median_m", "nmad_m", "mean_abs_m"] { td { (number(overlap[name].as_f64(), 3)) } }
+                    }
+                }
+            } }
+        }
+    }
+}
+
+/// The tiles, each with its own page.
+fn table(tiles: &[Tile]) -> Markup {
+    html! {
+        h2 { "Tiles" }
+        div.wide { table {
+            tr {
+                th { "tile" } th { "DSM MAE, m" } th { "PSNR held out, dB" } th { "camera residual, px" } th { "Gaussians" } th { "time, s" }
+                th { "peak memory, MiB" }
+            }
+            @for tile in tiles.iter().take(ROWS) {
+                @let metric = |pointer: &str, digits: usize| number(tile.stamp.number(pointer), digits);
+                tr {
+                    td { a href={ "../" (tile.name) "/run/report.html" } { (tile.name) } }
+                    td { (metric("/metrics/dsm/mae_m", 3)) }
+                    td { (metric("/metrics/test/psnr", 2)) }
+                    td { (metric("/metrics/residual_px", 4)) }
+                    td { (metric("/metrics/gaussians", 0)) }
+                    td { (metric("/seconds", 1)) }
+                    td { (number(tile.stamp.number("/peak_rss_bytes").map(|bytes| bytes / MIB), 0)) }
+                }
+            }
+        } }
+        div.four {
+            @for tile in tiles.iter().take(SHOWN) { (figure(tile.stamp.picture("run/dsm.png"), TILE_PX, &tile.name)) }
+        }
+    }
+}
+
+/// Links to the products beside the page.
+fn products(mosaic: &Folder) -> Markup {
+    let mut names: Vec<String> = std::fs::read_dir(&mosaic.path)
+        .into_iter()
+        .flatten()
+        .flatten()
+        .map(|entry| entry.file_name().to_string_lossy().into_owned())
+        .filter(|name| [".tif", ".laz", "item.json"].iter().any(|end| name.ends_with(end)) && !name.starts_with('.'))
+        .collect();
+    names.sort_unstable();
+    html! {
+        @if !names.is_empty() {
+            h2 { "Files" }
+            p { @for (place, name) in names.iter().enumerate() { @if place > 0 { ", " } a href={ "./" (name) } { (name) } } }
+        }
+    }
+}

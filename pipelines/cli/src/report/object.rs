@@ -1,0 +1,143 @@
+//! The page of a run on a capture of an object: held-out images, the components of its light, the course of training.
+
+use super::parts::{self, Cost, costs_of, figure, gallery, keys, origin};
+use super::{Folder, page_of, save};
+use crate::page::{MIB, number, section};
+use heliosplat_fitting::run_folder::RunError;
+use heliosplat_objects::measure::{file_name, normal_picture, picture};
+use heliosplat_objects::model::{self, ObjectModel, components};
+use heliosplat_objects::run::{self, ObjectRun};
+use heliosplat_scene::Split;
+use image::imageops::crop_imm;
+use maud::{Markup, html};
+use std::path::{Path, PathBuf};
+
+/// Widest picture, pixels.
+const VIEW_PX: u32 = 420;
+/// Most held-out images that are shown beside their renderings.
+const VIEWS: usize = 16;
+/// Views whose light is shown component by component.
+const PARTED: usize = 3;
+
+/// Writes `report.html` into the folder of a run on a capture; returns its path.
+///
+/// # Errors
+/// When the folder holds no run, or the page cannot be written.
+pub fn write(folder: &Path) -> Result<PathBuf, RunError> {
+    let (model, run) = (model::load(folder)?, run::load_run(folder)?);
+    of(folder, &model, &run)
+}
+
+/// The same for a run that is in memory.
+///
+/// # Errors
+/// When the page cannot be written.
+pub fn of(folder: &Path, model: &ObjectModel, run: &ObjectRun) -> Result<PathBuf, RunError> {
+    let measured = Folder::read(folder, "metrics.json")?;
+    let sections = [
+        head(&measured, run),
+        views(&measured, model),
+        light(model),
+        parts::curves(&measured),
+        plan(run),
+        costs(&measured, run),
+    ];
+    save(folder, &page_of(&measured.name(), &sections))
+}
+
+fn head(measured: &Folder, run: &ObjectRun) -> Markup {
+    let number = |pointer: &str| measured.number(pointer);
+    html! {
+        (origin(&run.capture, &run.preset, run.seed, &run.version))
+        (keys(&[
+            ("PSNR of held-out images", number("/test/psnr"), 2, "dB"),
+            ("SSIM of held-out images", number("/test/ssim"), 4, ""),
+            ("PSNR near training lights", number("/test/near/psnr"), 2, "dB"),
+            ("PSNR far from training lights", number("/test/far/psnr"), 2, "dB"),
+            ("PSNR of training images", number("/train/psnr"), 2, "dB"),
+            ("mean normal error", number("/test/normals/mean_deg"), 1, "°"),
+            ("time", number("/seconds"), 1, "s"),
+            ("peak memory", number("/peak_rss_bytes").map(|b| b / MIB), 0, "MiB"),
+            ("Gaussians", number("/gaussians"), 0, ""),
+        ]))
+    }
+}
+
+/// Held-out images beside their renderings.
+fn views(measured: &Folder, model: &ObjectModel) -> Markup {
+    let images = model.file.images.iter();
+    let held_out: Vec<_> = images.filter(|image| image.split == Split::Test).collect();
+    let pairs = held_out.iter().step_by(held_out.len().div_ceil(VIEWS).max(1));
+    let figures = html! {
+        @for image in pairs {
+            @if let Some(pair) = measured.picture(&format!("views/{}.png", file_name(&image.name))) {
+                @let half = pair.width() / 2;
+                @for (left, caption) in [(0, format!("{}: image", image.name)), (half, "rendering".to_owned())] {
+                    (figure(Some(crop_imm(&pair, left, 0, half, pair.height()).to_image()), VIEW_PX, &caption))
+                }
+            }
+        }
+    };
+    html! {
+        (gallery("Held-out images", "four", &figures))
+        @if !figures.0.is_empty() { p.faint { "All are in views/." } }
+    }
+}
+
+/// The light components and the normals of some views.
+fn light(model: &ObjectModel) -> Markup {
+    let has = model.file.kind.parts();
+    let mut parts = components(model);
+    parts.retain(|(name, _)| has.contains(name));
+    let of_split = |split: Split| model.file.images.iter().filter(move |image| image.split == split);
+    let all: Vec<_> = of_split(Split::Test).chain(of_split(Split::Train)).collect();
+    // Spread over the held-out ones, which come first.
+    let step = (of_split(Split::Test).count() / PARTED).max(1);
+    let body = html! {
+        @for image in all.iter().step_by(step).take(PARTED) {
+            h3 { (image.name) }
+            div.four {
+                (figure(model.render(image).map(|seen| picture(&seen, model)), VIEW_PX, "all light"))
+                @for (name, shown) in &parts {
+                    (figure(model.render_as(&**shown, image).map(|seen| picture(&seen, model)), VIEW_PX, name))
+                }
+                (figure(model.normals(image).map(|n| normal_picture(&n)), VIEW_PX, "normals"))
+            }
+        }
+    };
+    section("Light components", body)
+}
+
+/// Which model was chosen, and the short fits that decided.
+fn plan(run: &ObjectRun) -> Markup {
+    let Some(plan) = &run.plan else { return html! {} };
+    let kind = serde_json::to_value(plan.kind).unwrap_or_default();
+    let yes = |on: bool| if on { "yes" } else { "no" };
+    html! {
+        h2 { "Component plan" }
+        p { (plan.reason) }
+        div.wide { table {
+            tr { td { "model" } td { (kind.as_str().unwrap_or("")) } }
+            tr { td { "specular reflection" } td { (yes(plan.specular)) } }
+            tr { td { "subsurface scattering" } td { (yes(plan.scattering)) } }
+        } }
+        @if !plan.trials.is_empty() {
+            div.wide { table {
+                tr { th { "short trial fit" } th { "PSNR, dB" } }
+                @for trial in &plan.trials { tr { td { (trial.what) } td { (number(Some(trial.psnr_db), 2)) } } }
+            } }
+        }
+    }
+}
+
+fn costs(measured: &Folder, run: &ObjectRun) -> Markup {
+    let number = |pointer: &str| measured.number(pointer);
+    let rows: [Cost; 5] = [
+        ("initial Gaussians", number("/stage_seconds/start"), "s"),
+        ("training", number("/stage_seconds/train"), "s"),
+        ("total, evaluation included", number("/seconds"), "s"),
+        ("steps", number("/iterations"), ""),
+        ("peak memory", number("/peak_rss_bytes").map(|b| b / MIB), "MiB"),
+    ];
+    costs_of(&rows, run)
+}

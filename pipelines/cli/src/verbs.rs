@@ -1,0 +1,24 @@
+//! The verbs of the program: the arguments of each, and what it does with them.
+
+pub mod adjust;
+pub mod batch;
+pub mod bench;
+pub mod completions;
+#[cfg(feature = "synth")]
+pub mod demo;
+pub mod evaluate;
+pub mod evaluate_args;
+pub mod export_args;
+pub mod inspect;
+pub mod man;
+pub mod model;
+pub mod model_args;
+pub mod object;
+pub mod products;
+pub mod report;
+pub mod rpc;
+pub mod satellite;
+pub mod sun;
+#[cfg(feature = "synth")]
+pub mod synth;
+pub mod tradeoff;

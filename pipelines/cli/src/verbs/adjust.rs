@@ -1,0 +1,49 @@
+//! `heliosplat adjust`: corrected cameras, and a picture of their residuals.
+
+use crate::args::IngestArgs;
+use crate::names::BiasName;
+use crate::outcome::{CliError, Outcome};
+use crate::page::residuals;
+use clap::Args;
+use heliosplat_raster::write_atomically;
+use heliosplat_satellite::adjust::{AdjustRequest, adjust_scene};
+use heliosplat_scene::Scene;
+use heliosplat_session::Session;
+use std::path::PathBuf;
+
+/// `adjust`.
+#[derive(Debug, Clone, Args)]
+pub struct AdjustArgs {
+    /// A folder of images, a scene.toml, or a folder of Sat-NeRF or EOGS
+    #[arg(value_name = "SCENE")]
+    pub scene: PathBuf,
+    /// Folder for the corrected cameras, adjustment.json and adjustment.svg, made if absent
+    #[arg(long, value_name = "DIR")]
+    pub out: PathBuf,
+    /// What may be wrong with a camera
+    #[arg(long, value_enum, default_value = "translation")]
+    pub model: BiasName,
+    /// Also write copies of the images with the corrected camera in their GeoTIFF tag: the folder is then a scene
+    #[arg(long)]
+    pub images: bool,
+    /// What is said about the scene
+    #[command(flatten)]
+    pub ingest: IngestArgs,
+}
+
+/// Adjusts the cameras of a scene and writes what comes of it.
+pub(crate) fn run(args: &AdjustArgs, session: &Session) -> Result<Outcome, CliError> {
+    let scene = Scene::open(&args.scene, &args.ingest.options())?;
+    let request = AdjustRequest {
+        out: &args.out,
+        model: args.model.into(),
+        images: args.images,
+    };
+    let adjusted = adjust_scene(&scene, &request, session)?;
+    let picture = residuals::picture(&adjusted.vectors());
+    write_atomically(&args.out.join("adjustment.svg"), picture.as_bytes())?;
+    Ok(Outcome {
+        json: adjusted.json(),
+        text: adjusted.text() + &format!("written to {}\n", args.out.display()),
+    })
+}

@@ -1,0 +1,146 @@
+//! `heliosplat batch`: arguments, and which of its ways is gone.
+
+use crate::batch::driver::Batch;
+use crate::batch::plan::Plan;
+use crate::batch::stamp::finished;
+use crate::batch::summary::{self, Row, State};
+use crate::batch::unit::do_unit;
+use crate::outcome::{CliError, Outcome};
+use crate::parse;
+use clap::Args;
+use heliosplat_session::Session;
+use serde_json::{Value, json};
+use std::fmt::Write;
+use std::path::PathBuf;
+use std::time::Duration;
+
+/// `batch`.
+#[derive(Debug, Clone, Args)]
+pub struct BatchArgs {
+    /// A manifest of areas, images and presets (docs/guide/batch.md)
+    #[arg(value_name = "MANIFEST.toml")]
+    pub manifest: PathBuf,
+    /// Folder for all units, summary.csv, summary.json and summary.html; what is finished there is not done again
+    #[arg(long, value_name = "DIR")]
+    pub out: PathBuf,
+    /// Units at a time; threads are shared between them
+    #[arg(long, default_value_t = 1, value_name = "N", value_parser = clap::value_parser!(u16).range(1..=1024))]
+    pub jobs: u16,
+    /// Do this unit only; what it waits for must be finished
+    #[arg(long, value_name = "UNIT", conflicts_with_all = ["plan", "dry_run", "summary"])]
+    pub only: Option<String>,
+    /// Print the units with their memory, time and order, and stop
+    #[arg(long, conflicts_with_all = ["dry_run", "summary"])]
+    pub plan: bool,
+    /// Print what would be done, and stop
+    #[arg(long, conflicts_with = "summary")]
+    pub dry_run: bool,
+    /// Only write the summary of what is finished, whoever did it
+    #[arg(long)]
+    pub summary: bool,
+    /// Time between two checkpoints of a training; 0 keeps one after every step
+    #[arg(long, value_parser = parse::duration, value_name = "TIME", default_value = "60s")]
+    pub checkpoint_every: Duration,
+    /// Stop when standard input ends
+    #[arg(long, hide = true)]
+    pub attended: bool,
+}
+
+/// Plans, does, or sums up a batch.
+pub(crate) fn run(args: &BatchArgs, threads: Option<usize>, session: &Session) -> Result<Outcome, CliError> {
+    if args.attended {
+        session.stop_with_input();
+    }
+    let plan = Plan::of(&args.manifest, &args.out)?;
+    if let Some(id) = &args.only {
+        return only(args, &plan, id, session);
+    }
+    if args.plan || args.dry_run {
+        return Ok(told(args, &plan));
+    }
+    if args.summary {
+        let rows = summary::of_stamps(&plan, &args.out);
+        return finish(args, &plan, &rows);
+    }
+    let batch = Batch {
+        plan: &plan,
+        manifest: &args.manifest,
+        out: &args.out,
+        jobs: args.jobs.into(),
+        threads: threads.unwrap_or_else(rayon::current_num_threads),
+        checkpoint_every: args.checkpoint_every,
+    };
+    let rows = batch.run(session)?;
+    let outcome = finish(args, &plan, &rows)?;
+    let failed: Vec<&str> = rows
+        .iter()
+        .filter(|row| row.state.is_lost())
+        .map(|row| row.unit.as_str())
+        .collect();
+    if session.stopped() && rows.iter().any(|row| row.state == State::Pending) {
+        return Err(CliError::Interrupted(
+            "stopped; what is finished is kept, and trainings have their checkpoints: the same command goes on".into(),
+        ));
+    }
+    if failed.is_empty() {
+        return Ok(outcome);
+    }
+    Err(CliError::Failed(format!(
+        "{} of {} units are not done ({}); {} says why, the same command tries them again",
+        failed.len(),
+        rows.len(),
+        failed.join(", "),
+        args.out.join("summary.html").display()
+    )))
+}
+
+fn only(args: &BatchArgs, plan: &Plan, id: &str, session: &Session) -> Result<Outcome, CliError> {
+    let unit = plan.unit(id)?;
+    let (stamp, before) = do_unit(plan, unit, &args.out, args.checkpoint_every, session)?;
+    let how = if before { "finished before" } else { "done" };
+    Ok(Outcome {
+        text: format!("{id}: {how}, {:.1} s", stamp.seconds),
+        json: serde_json::to_value(&stamp).unwrap_or_default(),
+    })
+}
+
+/// The plan, or what of it is left to do.
+fn told(args: &BatchArgs, plan: &Plan) -> Outcome {
+    let mut text = String::new();
+    let mut units = Vec::new();
+    for unit in &plan.units {
+        let done = finished(&args.out, unit).is_some();
+        let what = if done { "finished" } else { "to do" };
+        // Writing to a String cannot fail.
+        let _ = writeln!(
+            text,
+            "{:<8}  {}  ({} MiB, {} s)",
+            what, unit.id, unit.mem_mb, unit.runtime_s
+        );
+        let mut told = serde_json::to_value(unit).unwrap_or_default();
+        if let Value::Object(map) = &mut told {
+            map.insert("done".into(), json!(done));
+            map.insert(
+                "stamp".into(),
+                json!(format!("{}/{}", unit.id, crate::batch::stamp::STAMP)),
+            );
+        }
+        units.push(told);
+    }
+    Outcome {
+        text,
+        json: json!({"units": units}),
+    }
+}
+
+fn finish(args: &BatchArgs, plan: &Plan, rows: &[Row]) -> Result<Outcome, CliError> {
+    summary::write(rows, plan, &args.out)?;
+    Ok(Outcome {
+        text: format!(
+            "{}summary        {}",
+            summary::table(rows),
+            args.out.join("summary.html").display()
+        ),
+        json: summary::json(rows),
+    })
+}

@@ -1,0 +1,134 @@
+//! `heliosplat bench`: what this machine does in a second, on all threads it is given.
+
+use crate::outcome::{CliError, Outcome};
+use heliosplat::bench_fixture::{Descent, Site, toward_grey};
+use heliosplat::light::Light;
+use heliosplat::splat::project::project;
+use heliosplat::splat::{ProjectionOptions, Rasteriser};
+use heliosplat::trace::{Occluders, Transmittance, transmittance, transmittance_by_hierarchy};
+use heliosplat_rpc::{GeoPoint, ImagePoint, Rpc};
+use rayon::prelude::*;
+use std::time::{Duration, Instant};
+
+/// Gaussians of the site.
+const GAUSSIANS: usize = 100_000;
+/// Side of its image, pixels.
+const SIZE_PX: usize = 512;
+/// Size of a Gaussian in distances between neighbours; makes some twelve pairs on a pixel.
+const SPREAD: f32 = 0.6;
+/// Channels composited: three colours and the visibility.
+const CHANNELS: usize = 4;
+/// Points through a camera in one go.
+const POINTS: usize = 1_000_000;
+/// Points per parallel job.
+const BLOCK: usize = 4096;
+/// How long one rate is measured.
+const PATIENCE: Duration = Duration::from_secs(4);
+
+/// Seconds of the quickest of some runs: the one that other work on the machine disturbed least.
+fn seconds<T>(mut work: impl FnMut() -> T) -> f64 {
+    work();
+    let start = Instant::now();
+    let mut best = f64::INFINITY;
+    while start.elapsed() < PATIENCE {
+        let begun = Instant::now();
+        std::hint::black_box(work());
+        best = best.min(begun.elapsed().as_secs_f64());
+    }
+    best
+}
+
+/// Points per second, ground to image and image to ground.
+fn camera_rates() -> (f64, f64) {
+    let rpc = Rpc::example();
+    let fraction = |i: usize, step: f64| (i as f64 * step).fract();
+    let ground = |i: usize| GeoPoint {
+        lon_deg: 36.88 + 0.06 * fraction(i, 0.618_033_988_7),
+        lat_deg: 37.56 + 0.04 * fraction(i, 0.754_877_666_2),
+        height_m: 500.0 + 400.0 * fraction(i, 0.569_840_290_9),
+    };
+    let image = |i: usize| ImagePoint {
+        col: 16_000.0 * fraction(i, 0.618_033_988_7),
+        row: 16_000.0 * fraction(i, 0.754_877_666_2),
+    };
+    let ground: Vec<GeoPoint> = (0..POINTS).map(ground).collect();
+    let image: Vec<ImagePoint> = (0..POINTS).map(image).collect();
+    let level = vec![700.0; POINTS];
+    let project =
+        seconds(|| -> Vec<Vec<ImagePoint>> { ground.par_chunks(BLOCK).map(|block| rpc.project_all(block)).collect() });
+    let localise = seconds(|| -> Vec<Vec<Option<GeoPoint>>> {
+        let blocks = image.par_chunks(BLOCK).zip(level.par_chunks(BLOCK));
+        blocks
+            .map(|(points, heights)| rpc.localise_all(points, heights))
+            .collect()
+    });
+    (POINTS as f64 / project, POINTS as f64 / localise)
+}
+
+/// What compositing costs, nanoseconds per pair, forward and backward, and pairs per pixel.
+fn splat_rates(site: &Site) -> (f64, f64, f64) {
+    let projected = project(&site.parameters.gaussians, &site.camera, &ProjectionOptions::default());
+    let rasteriser = Rasteriser::new(&projected, SIZE_PX, SIZE_PX);
+    let features = vec![0.5; projected.splats.len() * CHANNELS];
+    let maps = rasteriser.forward(&features, CHANNELS);
+    let d_maps = toward_grey(&maps);
+    let pairs = maps.pairs as f64;
+    let forward = seconds(|| rasteriser.forward(&features, CHANNELS));
+    let backward = seconds(|| rasteriser.backward(&features, CHANNELS, &maps, &d_maps));
+    let pixels = (SIZE_PX * SIZE_PX) as f64;
+    (forward / pairs * 1e9, backward / pairs * 1e9, pairs / pixels)
+}
+
+/// Nanoseconds per ray toward the sun of a step in training: listing, or fitting the hierarchy to Gaussians that have moved;
+/// tracing; and gradients of everything.
+fn light_rate(site: &Site, trace: fn(&Occluders, &[u32], &Light) -> Transmittance) -> f64 {
+    let gaussians = &site.parameters.gaussians;
+    let origins: Vec<u32> = (0..gaussians.count as u32).collect();
+    let gradients = vec![1.0; origins.len()];
+    let mut out = gaussians.zeros_like();
+    let mut occluders = Occluders::new(gaussians);
+    let whole = seconds(|| {
+        occluders.renew(gaussians);
+        let traced = trace(&occluders, &origins, &site.sun);
+        traced.backward(gaussians, &occluders, &origins, &gradients, &mut out);
+    });
+    whole / origins.len() as f64 * 1e9
+}
+
+/// Measures and reports.
+pub(crate) fn run() -> Result<Outcome, CliError> {
+    let threads = rayon::current_num_threads();
+    let (project, localise) = camera_rates();
+    let site = Site::new(GAUSSIANS, SIZE_PX, SPREAD);
+    let (forward, backward, pairs_per_pixel) = splat_rates(&site);
+    let (plane, tree) = (
+        light_rate(&site, transmittance),
+        light_rate(&site, transmittance_by_hierarchy),
+    );
+    let mut descent = Descent::new(site);
+    let steps_per_s = 1.0 / seconds(|| descent.step());
+    let json = serde_json::json!({
+        "threads": threads,
+        "rpc_project_points_per_s": project,
+        "rpc_localise_points_per_s": localise,
+        "forward_ns_per_pair": forward,
+        "backward_ns_per_pair": backward,
+        "pairs_per_pixel": pairs_per_pixel,
+        "transmittance_ns_per_ray": { "sun_plane": plane, "hierarchy": tree },
+        "steps_per_s": steps_per_s,
+    });
+    let text = format!(
+        "threads                {threads}\n\
+         rpc project            {:.1} million points/s\n\
+         rpc localise           {:.1} million points/s\n\
+         forward                {forward:.2} ns per pair\n\
+         backward               {backward:.2} ns per pair\n\
+         pairs                  {pairs_per_pixel:.1} per pixel\n\
+         light, sun plane       {plane:.0} ns per ray, with gradients\n\
+         light, hierarchy       {tree:.0} ns per ray, with gradients\n\
+         training               {steps_per_s:.1} steps/s ({GAUSSIANS} Gaussians, {SIZE_PX} x {SIZE_PX})",
+        project / 1e6,
+        localise / 1e6,
+    );
+    Ok(Outcome { json, text })
+}

@@ -1,0 +1,28 @@
+//! `heliosplat completions`: what a shell needs to complete the command line, from the definition of the command line itself.
+
+use crate::command_line::Cli;
+use crate::outcome::{CliError, Outcome};
+use clap::{Args, CommandFactory};
+use clap_complete::Shell;
+
+/// `completions`.
+#[derive(Debug, Clone, Args)]
+pub struct CompletionsArgs {
+    /// The shell
+    #[arg(value_name = "SHELL", value_enum)]
+    pub shell: Shell,
+}
+
+/// The script on stdout.
+pub(crate) fn run(args: &CompletionsArgs) -> Result<Outcome, CliError> {
+    let mut command = Cli::command();
+    let name = command.get_name().to_owned();
+    let mut script = Vec::new();
+    clap_complete::generate(args.shell, &mut command, name, &mut script);
+    let text = String::from_utf8(script)
+        .map_err(|error| CliError::Failed(format!("the script for {} is not UTF-8: {error}", args.shell)))?;
+    Ok(Outcome {
+        json: serde_json::json!({ "shell": args.shell.to_string(), "script": text }),
+        text,
+    })
+}

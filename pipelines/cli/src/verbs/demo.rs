@@ -1,0 +1,75 @@
+//! `heliosplat demo`: a site is made, trained on, and its products are written.
+
+use crate::outcome::{CliError, Outcome};
+use crate::report;
+use clap::Args;
+use heliosplat_fitting::run_folder::create_folder;
+use heliosplat_fitting::settings::Preset;
+use heliosplat_products::relight;
+use heliosplat_rpc::sun::SunPosition;
+use heliosplat_satellite::config::SatelliteConfig;
+use heliosplat_satellite::measure;
+use heliosplat_satellite::training::{TrainOutcome, TrainRequest, train};
+use heliosplat_scene::Scene;
+use heliosplat_session::Session;
+use std::path::PathBuf;
+use std::time::Instant;
+
+/// `demo`.
+#[derive(Debug, Clone, Args)]
+pub struct DemoArgs {
+    /// Folder to write to
+    #[arg(long, value_name = "DIR", default_value = "demo")]
+    pub out: PathBuf,
+    /// Seed of the site and of the training
+    #[arg(long, default_value_t = 1)]
+    pub seed: u64,
+}
+
+/// Synthesises a site, trains on it and writes its products.
+///
+/// # Errors
+/// When the folder cannot be written, or a stage fails.
+pub(crate) fn demo(args: &DemoArgs, session: &Session) -> Result<Outcome, CliError> {
+    let scene_folder = args.out.join("scene");
+    create_folder(&args.out)?;
+    let request = heliosplat_synth::SatelliteRequest {
+        site: heliosplat_synth::Site::Block,
+        seed: args.seed,
+        ..Default::default()
+    };
+    let progress = session.progress("synthesise", 100);
+    heliosplat_synth::write_satellite(&request, &scene_folder, &|done, total| {
+        progress.set((100 * done / total.max(1)) as u64);
+    })
+    .map_err(|error| CliError::Failed(error.to_string()))?;
+    drop(progress);
+    let begun = Instant::now();
+    let scene = Scene::open(&scene_folder, &Default::default())?;
+    let config = SatelliteConfig::resolve(Preset::Fast, &[], args.seed)?;
+    let run_folder = args.out.join("run");
+    let request = TrainRequest {
+        begun,
+        ..TrainRequest::new(run_folder.clone(), Preset::Fast)
+    };
+    let TrainOutcome::Trained(run) = train(&scene, &config, &request, session)? else {
+        return Err(CliError::Failed(format!("{}: trained before", run_folder.display())));
+    };
+    report::write(&run_folder)?;
+    run.ending.check(&run_folder)?;
+    let metrics = run.metrics;
+    let evening = SunPosition::from_degrees(250.0, 20.0);
+    relight::relight(&run.model, &evening, "nadir")?.write(&args.out.join("evening.png"))?;
+    let mae = metrics
+        .pointer("/dsm/mae_m")
+        .and_then(serde_json::Value::as_f64)
+        .unwrap_or(f64::NAN);
+    let folder = args.out.display();
+    Ok(Outcome {
+        text: format!(
+            "{}\nDSM            {folder}/run/dsm.tif   (open it in QGIS)\npicture        {folder}/run/dsm.png\nerrors         {folder}/run/error.png\nanother sun    {folder}/evening.png\nmean absolute error against truth: {mae:.3} m (protocol raw)",
+            measure::summary(&metrics)
+        ),
+        json: metrics,
+    })
+}

@@ -1,0 +1,28 @@
+//! `heliosplat evaluate`.
+
+use super::evaluate_args::{EvaluateArgs, table, write_pictures};
+use super::model;
+use crate::outcome::{CliError, Outcome};
+use heliosplat_evaluate::evaluate_dsm;
+
+/// Compares and reports.
+pub(crate) fn run(args: &EvaluateArgs) -> Result<Outcome, CliError> {
+    let dsm = match (&args.dsm, &args.run) {
+        (Some(dsm), _) => dsm.clone(),
+        (None, Some(run)) if args.truth.is_some() => run.join("dsm.tif"),
+        (None, Some(run)) => return model::evaluate(run, args),
+        (None, None) => return Err(CliError::Input("evaluate: give a RUN, or --dsm and --truth".to_owned())),
+    };
+    let Some(truth) = &args.truth else {
+        return Err(CliError::Input("evaluate: --dsm needs --truth FILE".to_owned()));
+    };
+    let evaluation = evaluate_dsm(&dsm, truth, args.classes.as_deref(), args.protocol.into())?;
+    for warning in &evaluation.warnings {
+        tracing::warn!("{warning}");
+    }
+    write_pictures(args, &evaluation)?;
+    Ok(Outcome {
+        json: serde_json::json!({ "dsm": evaluation.metrics }),
+        text: table(&evaluation.metrics),
+    })
+}

@@ -1,0 +1,90 @@
+//! Arguments of `evaluate`, and how an evaluation is said and drawn.
+
+use crate::names::ProtocolName;
+use crate::outcome::CliError;
+use crate::page::calibration;
+use clap::Args;
+use heliosplat_evaluate::{DsmEvaluation, DsmMetrics, HeightErrors, error_map};
+use heliosplat_raster::preview::write_png;
+use heliosplat_raster::write_atomically;
+use std::fmt::Write;
+use std::path::PathBuf;
+
+/// What to compare, and how.
+#[derive(Debug, Args)]
+pub struct EvaluateArgs {
+    /// A run, measured against the truth of its scene
+    #[arg(value_name = "RUN", required_unless_present = "dsm", conflicts_with = "dsm")]
+    pub run: Option<PathBuf>,
+    /// A DSM
+    #[arg(long, value_name = "FILE", requires = "truth")]
+    pub dsm: Option<PathBuf>,
+    /// The true DSM
+    #[arg(long, value_name = "FILE")]
+    pub truth: Option<PathBuf>,
+    /// LAS classes on the truth's grid
+    #[arg(long, value_name = "FILE", requires = "truth")]
+    pub classes: Option<PathBuf>,
+    /// How the DSM is registered to the truth before it is measured
+    #[arg(long, value_name = "NAME", default_value = "raw")]
+    pub protocol: ProtocolName,
+    /// Write a picture of the errors (PNG, blue too low, red too high, 5 m)
+    #[arg(long, value_name = "FILE")]
+    pub error_map: Option<PathBuf>,
+    /// Write a picture of the DSM's standard deviations beside its errors (SVG)
+    #[arg(long, value_name = "FILE")]
+    pub calibration: Option<PathBuf>,
+}
+
+/// Writes the pictures of an evaluation that were asked for.
+///
+/// # Errors
+/// When a file cannot be written, or the DSM has no standard deviations to be drawn.
+pub fn write_pictures(args: &EvaluateArgs, evaluation: &DsmEvaluation) -> Result<(), CliError> {
+    if let Some(path) = &args.error_map {
+        write_png(path, &error_map::draw(&evaluation.errors))?;
+    }
+    if let Some(path) = &args.calibration {
+        let Some(uncertainty) = &evaluation.metrics.uncertainty else {
+            return Err(CliError::Input(
+                "evaluate: --calibration needs a DSM with a band of standard deviations, as `heliosplat dsm` writes it"
+                    .into(),
+            ));
+        };
+        write_atomically(path, calibration::picture(uncertainty).as_bytes())?;
+    }
+    Ok(())
+}
+
+/// The metrics as a table for people.
+pub fn table(metrics: &DsmMetrics) -> String {
+    let mut text = format!(
+        "protocol {}   shift east {:.2} north {:.2} up {:.2} m\n",
+        metrics.protocol, metrics.shift_m[0], metrics.shift_m[1], metrics.shift_m[2]
+    );
+    text.push_str("class          MAE m   RMSE m  median m   NMAD m  within 1 m  complete\n");
+    let mut line = |name: &str, errors: &HeightErrors| {
+        // Writing to a String cannot fail.
+        let _ = writeln!(
+            text,
+            "{name:<12} {:>7.3}  {:>7.3}   {:>7.3}  {:>7.3}     {:>5.1} %   {:>5.1} %",
+            errors.mae_m,
+            errors.rmse_m,
+            errors.median_m,
+            errors.nmad_m,
+            100.0 * errors.within_1m,
+            100.0 * errors.completeness
+        );
+    };
+    line("all", &metrics.all);
+    if let Some(errors) = &metrics.ground_and_buildings {
+        line("ground, built", errors);
+    }
+    for (name, errors) in &metrics.by_class {
+        line(name, errors);
+    }
+    if let Some(uncertainty) = &metrics.uncertainty {
+        text += &uncertainty.table();
+    }
+    text
+}

@@ -1,0 +1,250 @@
+//! `heliosplat inspect`: what a scene is, before anything is done with it.
+
+use super::object;
+use crate::args::IngestArgs;
+use crate::outcome::{CliError, Outcome};
+use clap::Args;
+use heliosplat_fitting::settings::Preset;
+use heliosplat_satellite::config::SatelliteConfig;
+use heliosplat_satellite::estimate::{Estimate, estimate, slowness};
+use heliosplat_scene::{Scene, SceneImage, Split};
+use serde_json::{Value, json};
+use std::fmt::Write;
+use std::path::PathBuf;
+
+/// Which scene.
+#[derive(Debug, Args)]
+pub struct InspectArgs {
+    /// A folder of images, a scene.toml, a folder of Sat-NeRF or EOGS, or one with transforms_train.json
+    #[arg(value_name = "SCENE")]
+    scene: PathBuf,
+    #[command(flatten)]
+    ingest: IngestArgs,
+}
+
+/// Reads the scene and describes it.
+pub(crate) fn run(args: &InspectArgs) -> Result<Outcome, CliError> {
+    if heliosplat_objects::is_capture(&args.scene) {
+        return object::inspect(&args.scene);
+    }
+    let scene = Scene::open(&args.scene, &args.ingest.options())?;
+    let coverage = Coverage::of(&scene);
+    let plan = heliosplat_satellite::plan(&scene, &SatelliteConfig::default());
+    let estimates = estimates(&scene)?;
+    let mut json = describe(&scene, &coverage, &plan);
+    json["estimates"] = estimates
+        .iter()
+        .map(|(preset, e)| ((*preset).to_owned(), json!(e)))
+        .collect();
+    Ok(Outcome {
+        json,
+        text: table(&scene, &coverage, &plan) + &estimates_table(&estimates),
+    })
+}
+
+/// What each preset will take on this machine.
+fn estimates(scene: &Scene) -> Result<Vec<(&'static str, Estimate)>, CliError> {
+    if scene.training().count() < 2 {
+        return Ok(Vec::new());
+    }
+    let slowness = slowness();
+    [Preset::Fast, Preset::Balanced, Preset::Accurate]
+        .into_iter()
+        .map(|preset| {
+            let config = SatelliteConfig::resolve(preset, &[], 1)?;
+            Ok((preset.name(), estimate(scene, &config, slowness)))
+        })
+        .collect()
+}
+
+fn estimates_table(estimates: &[(&str, Estimate)]) -> String {
+    let mut text = String::new();
+    if !estimates.is_empty() {
+        text += "\ntraining will take about\n";
+    }
+    for (preset, e) in estimates {
+        // Writing to a String cannot fail.
+        let _ = writeln!(
+            text,
+            "  {preset:<9} {:>6.0} s, {:.1} GiB",
+            e.seconds,
+            e.peak_bytes / f64::from(1 << 30)
+        );
+    }
+    text
+}
+
+/// How many training images see the points of a grid over the scene's area, at mid altitude.
+struct Coverage {
+    /// Shares of the area seen by at least 1, 2, 3 … images.
+    at_least: Vec<f64>,
+}
+
+impl Coverage {
+    fn of(scene: &Scene) -> Self {
+        const STEPS: usize = 64;
+        let views = scene.training().count();
+        let mut at_least = vec![0usize; views];
+        for step in 0..STEPS * STEPS {
+            let along = |low: f64, high: f64, index: usize| low + (high - low) * (index as f64 + 0.5) / STEPS as f64;
+            let east = along(scene.area.west_m, scene.area.east_m, step % STEPS);
+            let north = along(scene.area.south_m, scene.area.north_m, step / STEPS);
+            for count in &mut at_least[..scene.views_covering(east, north, 0.0)] {
+                *count += 1;
+            }
+        }
+        let share = |count: usize| count as f64 / (STEPS * STEPS) as f64;
+        Self {
+            at_least: at_least.into_iter().map(share).collect(),
+        }
+    }
+
+    fn by(&self, views: usize) -> f64 {
+        self.at_least.get(views.saturating_sub(1)).copied().unwrap_or(0.0)
+    }
+}
+
+fn describe(scene: &Scene, coverage: &Coverage, plan: &[heliosplat_satellite::PlanItem]) -> Value {
+    let origin = scene.origin();
+    json!({
+        "kind": "satellite",
+        "why": "images with RPC cameras",
+        "source": scene.source,
+        "images": scene.images.iter().map(describe_image).collect::<Vec<_>>(),
+        "bands": scene.bands(),
+        "origin": { "lon_deg": origin.lon_deg, "lat_deg": origin.lat_deg, "height_m": origin.height_m },
+        "altitude_range_m": [scene.altitude_range_m.0, scene.altitude_range_m.1],
+        "altitude_source": scene.altitude_source,
+        "area_m": scene.area,
+        "gsd_m": scene.gsd_m,
+        "counts_per_unit": scene.counts_per_unit,
+        "covered_by_at_least": coverage.at_least,
+        "truth": {
+            "dsm": scene.truth.dsm,
+            "classes": scene.truth.classes,
+            "shadows": scene.truth.shadows.len(),
+        },
+        "plan": plan,
+        "warnings": scene.warnings,
+    })
+}
+
+fn describe_image(image: &SceneImage) -> Value {
+    let sun = |sun: heliosplat_rpc::sun::SunPosition| json!({ "azimuth_deg": sun.azimuth_rad.to_degrees(), "elevation_deg": sun.elevation_rad.to_degrees() });
+    json!({
+        "name": image.name,
+        "path": image.path,
+        "split": image.split,
+        "width": image.pixels.width,
+        "height": image.pixels.height,
+        "data_type": image.data_type,
+        "bands": image.bands,
+        "rpc_source": image.rpc_source,
+        "pinhole_rms_px": image.pinhole.rms_px,
+        "pinhole_max_px": image.pinhole.max_px,
+        "gsd_m": image.gsd_m,
+        "off_nadir_deg": off_nadir_deg(image),
+        "time": image.time.map(|time| time.to_string()),
+        "sun": sun(image.sun),
+        "sun_source": image.sun_source,
+        "metadata_sun": image.metadata_sun.map(sun),
+    })
+}
+
+/// Angle between the vertical and the direction to the satellite at the scene's centre, degrees.
+fn off_nadir_deg(image: &SceneImage) -> f64 {
+    let map = &image.pinhole.map;
+    let [col, row] = map.project(nalgebra::Vector3::zeros());
+    let along = |numerator: &[f64; 4], at: f64| {
+        nalgebra::Vector3::new(
+            numerator[0] - at * map.w[0],
+            numerator[1] - at * map.w[1],
+            numerator[2] - at * map.w[2],
+        )
+    };
+    // A view ray keeps column and row: it is normal to both of their gradients.
+    let ray = along(&map.u, col).cross(&along(&map.v, row)).normalize();
+    ray.z.abs().clamp(0.0, 1.0).acos().to_degrees()
+}
+
+fn table(scene: &Scene, coverage: &Coverage, plan: &[heliosplat_satellite::PlanItem]) -> String {
+    let origin = scene.origin();
+    let (low, high) = scene.altitude_range_m;
+    let area = scene.area;
+    let bands: Vec<&str> = scene.bands().iter().map(|band| band.name()).collect();
+    let mut text = String::new();
+    // Writing to a String cannot fail.
+    let mut line = |args: std::fmt::Arguments| {
+        let _ = writeln!(text, "{args}");
+    };
+    line(format_args!(
+        "satellite scene (images with RPC cameras): {}",
+        scene.source.display()
+    ));
+    line(format_args!(
+        "centre    {}, altitudes {low:.0} to {high:.0} m ({})",
+        crate::args::place_in_words(origin),
+        scene.altitude_source
+    ));
+    line(format_args!(
+        "area      {:.0} x {:.0} m seen twice; {:.0} % of it by 2 or more, {:.0} % by all {} training images",
+        area.east_m - area.west_m,
+        area.north_m - area.south_m,
+        100.0 * coverage.by(2),
+        100.0 * coverage.by(coverage.at_least.len()),
+        coverage.at_least.len()
+    ));
+    line(format_args!(
+        "bands     {} ({:.2} m per pixel)",
+        bands.join(", "),
+        scene.gsd_m
+    ));
+    let truth = |path: &Option<PathBuf>| {
+        path.as_ref()
+            .map_or("none".to_owned(), |path| path.display().to_string())
+    };
+    line(format_args!(
+        "truth     DSM {}, classes {}, {} shadow masks",
+        truth(&scene.truth.dsm),
+        truth(&scene.truth.classes),
+        scene.truth.shadows.len()
+    ));
+    let longest = scene
+        .images
+        .iter()
+        .map(|image| image.name.len())
+        .max()
+        .unwrap_or(0)
+        .max(5);
+    line(format_args!(
+        "\n{:<longest$}  split  pixels       type     off-nadir  fit rms / max px  sun az / el          time",
+        "image"
+    ));
+    for image in &scene.images {
+        line(format_args!(
+            "{:<longest$}  {:<5}  {:<11}  {:<7}  {:>7.1}    {:>7.4} / {:<7.4} {:>6.1} / {:<4.1} {:<8}  {}",
+            image.name,
+            if image.split == Split::Train { "train" } else { "test" },
+            format!("{}x{}", image.pixels.width, image.pixels.height),
+            image.data_type,
+            off_nadir_deg(image),
+            image.pinhole.rms_px,
+            image.pinhole.max_px,
+            image.sun.azimuth_rad.to_degrees(),
+            image.sun.elevation_rad.to_degrees(),
+            image.sun_source,
+            image.time.map_or("unknown".to_owned(), |time| time.to_string())
+        ));
+    }
+    if !plan.is_empty() {
+        line(format_args!("\ncomponents"));
+        for item in plan {
+            let state = if item.on { "on " } else { "off" };
+            line(format_args!("  {state} {:<24} {}", item.component, item.reason));
+        }
+    }
+    for warning in &scene.warnings {
+        line(format_args!("\nwarning: {warning}"));
+    }
+    text
+}

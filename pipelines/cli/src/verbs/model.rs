@@ -1,0 +1,38 @@
+//! `train`, `relight`, `render` and `evaluate` of a run: the way to the pipeline of what they are given.
+
+use super::evaluate_args::EvaluateArgs;
+use super::model_args::{RelightArgs, RenderArgs, TrainArgs};
+use super::{object, satellite};
+use crate::outcome::{CliError, Outcome};
+use heliosplat_objects::is_capture;
+use heliosplat_objects::model::is_object_run;
+use heliosplat_session::Session;
+use std::path::Path;
+
+pub(crate) fn train(args: &TrainArgs, session: &Session) -> Result<Outcome, CliError> {
+    match is_capture(&args.scene) {
+        true => object::train(args, session),
+        false => satellite::train(args, session),
+    }
+}
+
+pub(crate) fn relight(args: &RelightArgs) -> Result<Outcome, CliError> {
+    match is_object_run(&args.run) {
+        true => object::relight(args),
+        false => satellite::relight(args),
+    }
+}
+
+pub(crate) fn render(args: &RenderArgs, session: &Session) -> Result<Outcome, CliError> {
+    match is_object_run(&args.run) {
+        true => object::render(args, session),
+        false => satellite::render(args, session),
+    }
+}
+
+pub(crate) fn evaluate(run: &Path, args: &EvaluateArgs) -> Result<Outcome, CliError> {
+    match is_object_run(run) {
+        true => object::evaluate(run),
+        false => satellite::evaluate(run, args),
+    }
+}

@@ -1,0 +1,135 @@
+//! Arguments of the verbs that satellite scenes and objects share: `train`, `dsm`, `relight`, `render`.
+
+use crate::args::IngestArgs;
+use crate::names::PresetName;
+use crate::parse;
+use clap::{Args, ValueEnum};
+use std::path::PathBuf;
+use std::time::Duration;
+
+/// `train`.
+#[derive(Debug, Clone, Args)]
+pub struct TrainArgs {
+    /// A folder of images, a scene.toml, a folder of Sat-NeRF or EOGS, or one with transforms_train.json
+    #[arg(value_name = "SCENE")]
+    pub scene: PathBuf,
+    /// Folder of the run, made if absent
+    #[arg(long, value_name = "RUN")]
+    pub out: PathBuf,
+    /// How much time for how good a result [default: balanced, or what fits into --time-budget]
+    #[arg(long, value_enum)]
+    pub preset: Option<PresetName>,
+    /// Use this time and no more, products included, such as 90s, 5m, 1h30m
+    #[arg(long, value_parser = parse::duration, value_name = "TIME")]
+    pub time_budget: Option<Duration>,
+    /// Stay below this much memory, such as 4GiB or 500MB
+    #[arg(long, value_parser = parse::bytes, value_name = "SIZE")]
+    pub memory: Option<u64>,
+    /// Seed of everything random
+    #[arg(long, default_value_t = 1)]
+    pub seed: u64,
+    /// Change one value of the configuration, as in --set train.iterations=2000
+    #[arg(long = "set", value_parser = parse::key_value, value_name = "KEY=VALUE")]
+    pub set: Vec<(String, String)>,
+    /// Go on from the run's last checkpoint; a run that is finished is left as it is
+    #[arg(long)]
+    pub resume: bool,
+    /// Time between two checkpoints; 0 keeps one after every step
+    #[arg(long, value_parser = parse::duration, value_name = "TIME", default_value = "60s")]
+    pub checkpoint_every: Duration,
+    /// What is said about the scene
+    #[command(flatten)]
+    pub ingest: IngestArgs,
+}
+
+/// `dsm`.
+#[derive(Debug, Clone, Args)]
+pub struct DsmArgs {
+    /// A finished run; with --from sweep a scene, as `train` takes it
+    #[arg(value_name = "RUN")]
+    pub run: PathBuf,
+    /// The GeoTIFF to write
+    #[arg(long, value_name = "FILE.tif")]
+    pub out: PathBuf,
+    /// What the surface is taken from
+    #[arg(long, value_enum, default_value = "model")]
+    pub from: DsmSource,
+    /// Ground sampling distance, metres [default: that of the images]
+    #[arg(long, value_parser = parse::positive, value_name = "M")]
+    pub gsd: Option<f64>,
+    /// Coordinate reference system [default: the local UTM zone]
+    #[arg(long, value_name = "EPSG:N")]
+    pub crs: Option<String>,
+    /// What is said about the scene
+    #[command(flatten)]
+    pub ingest: IngestArgs,
+}
+
+/// What a surface model is taken from.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+pub enum DsmSource {
+    /// The trained model of a run.
+    Model,
+    /// The object-space sweep of a scene, in seconds and without training.
+    Sweep,
+}
+
+/// `relight`.
+#[derive(Debug, Clone, Args)]
+pub struct RelightArgs {
+    /// A finished run
+    #[arg(value_name = "RUN")]
+    pub run: PathBuf,
+    /// The GeoTIFF or PNG to write; its shadow mask is written beside it
+    #[arg(long, value_name = "FILE")]
+    pub out: PathBuf,
+    /// Azimuth (clockwise from north) and elevation of the sun, degrees
+    #[arg(long, value_parser = parse::pair, allow_hyphen_values = true, value_name = "AZ,EL", required_unless_present_any = ["time", "light", "toward", "surroundings"], conflicts_with = "time")]
+    pub sun: Option<[f64; 2]>,
+    /// The sun of this moment, RFC 3339
+    #[arg(long, value_parser = parse::time, value_name = "RFC3339")]
+    pub time: Option<jiff::Timestamp>,
+    /// A point light for an object, in the frame of its cameras; several add up
+    #[arg(long, value_parser = parse::triple, allow_hyphen_values = true, value_name = "X,Y,Z", conflicts_with_all = ["sun", "time"])]
+    pub light: Vec<[f64; 3]>,
+    /// Parallel light for an object: the direction it comes from; several add up
+    #[arg(long, value_parser = parse::triple, allow_hyphen_values = true, value_name = "X,Y,Z", conflicts_with_all = ["sun", "time"])]
+    pub toward: Vec<[f64; 3]>,
+    /// Light from all around an object: an image of all directions (PNG, JPEG or EXR), up at the top, +x in the middle
+    #[arg(long, value_name = "FILE", conflicts_with_all = ["sun", "time"])]
+    pub surroundings: Option<PathBuf>,
+    /// Lamps that stand for the light from all around
+    #[arg(long, value_name = "N", default_value_t = 128, requires = "surroundings")]
+    pub samples: usize,
+    /// From above (nadir), or as the image of this name saw it; of an object the first image if nothing is said
+    #[arg(long, value_name = "nadir|NAME", default_value = "nadir")]
+    pub view: String,
+}
+
+/// `render`.
+#[derive(Debug, Clone, Args)]
+pub struct RenderArgs {
+    /// A finished run
+    #[arg(value_name = "RUN")]
+    pub run: PathBuf,
+    /// Folder to write to
+    #[arg(long, value_name = "DIR")]
+    pub out: PathBuf,
+    /// Which views
+    #[arg(long, value_enum, default_value = "test")]
+    pub split: RenderSplit,
+    /// Also write the parts of the light, where a model knows them: diffuse, specular, shadow
+    #[arg(long)]
+    pub components: bool,
+}
+
+/// Which views are rendered.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+pub enum RenderSplit {
+    /// Those trained on.
+    Train,
+    /// Those held out.
+    Test,
+    /// All.
+    All,
+}

@@ -1,0 +1,294 @@
+//! The verbs of captures of objects and of runs on them.
+
+use super::export_args::ExportArgs;
+use super::model_args::{RelightArgs, RenderArgs, RenderSplit, TrainArgs};
+use crate::outcome::{CliError, Outcome};
+use crate::report;
+use glam::DVec3;
+use heliosplat::light::Light;
+use heliosplat_fitting::run_folder::create_folder;
+use heliosplat_fitting::settings::Preset;
+use heliosplat_objects::config::{Background, ObjectConfig};
+use heliosplat_objects::model::{self, components};
+use heliosplat_objects::pixels::Encoding;
+use heliosplat_objects::run;
+use heliosplat_objects::surroundings::{self, Lamp};
+use heliosplat_objects::training::{self, TrainOutcome, TrainRequest, open};
+use heliosplat_objects::{export, measure, mesh, plan, views};
+use heliosplat_raster::preview::write_png;
+use heliosplat_raster::write::write_atomically;
+use heliosplat_scene::Split;
+use heliosplat_session::Session;
+use serde_json::json;
+use std::path::Path;
+use std::time::Instant;
+
+/// Trains a model.
+///
+/// # Errors
+/// When the capture, the configuration or a limit is at fault, training gives up, or a file cannot be written.
+pub(crate) fn train(args: &TrainArgs, session: &Session) -> Result<Outcome, CliError> {
+    let begun = Instant::now();
+    for (given, name) in [
+        (args.ingest.altitude.is_some(), "altitude"),
+        (args.ingest.area.is_some(), "area"),
+    ] {
+        if given {
+            let text = format!("train --{name}: not for captures of objects; train again without it");
+            return Err(CliError::Input(text));
+        }
+    }
+    let preset = args.preset.map(Preset::from).unwrap_or_default();
+    let config = ObjectConfig::resolve(preset, &args.set, args.seed)?;
+    let request = TrainRequest {
+        capture: args.scene.clone(),
+        out: args.out.clone(),
+        preset,
+        begun,
+        time_budget: args.time_budget,
+        memory: args.memory,
+        resume: args.resume,
+        checkpoint_every: args.checkpoint_every,
+    };
+    let (metrics, before) = match training::train(config, &request, session)? {
+        TrainOutcome::FinishedBefore { metrics } => {
+            report::complete(&args.out)?;
+            (metrics, " (finished before)")
+        }
+        TrainOutcome::Trained(run) => {
+            report::object::of(&args.out, &run.model, &run.run)?;
+            run.ending.check(&args.out)?;
+            (run.metrics, "")
+        }
+    };
+    let text = format!(
+        "{}\nrun            {}{before}",
+        measure::summary(&metrics),
+        args.out.display()
+    );
+    Ok(Outcome { json: metrics, text })
+}
+
+/// Renders the views of a run.
+///
+/// # Errors
+/// When the run is at fault, or a file cannot be written.
+pub(crate) fn render(args: &RenderArgs, session: &Session) -> Result<Outcome, CliError> {
+    let model = model::load(&args.run)?;
+    let wanted = |split: Split| match args.split {
+        RenderSplit::Train => split == Split::Train,
+        RenderSplit::Test => split == Split::Test,
+        RenderSplit::All => true,
+    };
+    let images: Vec<_> = model.file.images.iter().filter(|image| wanted(image.split)).collect();
+    if images.is_empty() {
+        let run = args.run.display();
+        return Err(CliError::Input(format!(
+            "{run}: the run has no image of that split; try --split all"
+        )));
+    }
+    let parts = args.components.then(|| components(&model));
+    if parts.as_ref().is_some_and(Vec::is_empty) {
+        let name = model.model.name();
+        return Err(CliError::Input(format!(
+            "--components: a model of kind {name} knows no parts of the light"
+        )));
+    }
+    create_folder(&args.out)?;
+    let progress = session.progress("render", images.len() as u64);
+    let mut written = Vec::new();
+    for (done, image) in images.iter().enumerate() {
+        let Some(seen) = model.render(image) else { continue };
+        let path = args.out.join(format!("{}.png", measure::file_name(&image.name)));
+        write_png(&path, &measure::picture(&seen, &model))?;
+        written.push(json!({"image": path, "name": image.name}));
+        if let Some(normals) = parts.as_ref().and_then(|_| model.normals(image)) {
+            let path = args.out.join(format!("{}_normal.png", measure::file_name(&image.name)));
+            write_png(&path, &measure::normal_picture(&normals))?;
+        }
+        for (name, shown) in parts.iter().flatten() {
+            let Some(seen) = model.render_as(&**shown, image) else {
+                continue;
+            };
+            let path = args.out.join(format!("{}_{name}.png", measure::file_name(&image.name)));
+            write_png(&path, &measure::picture(&seen, &model))?;
+        }
+        progress.set(done as u64 + 1);
+    }
+    Ok(Outcome {
+        text: format!("{} views in {}", written.len(), args.out.display()),
+        json: json!({"views": written}),
+    })
+}
+
+/// Shows an object under other lights.
+///
+/// # Errors
+/// When the run, the lights, the view or the file to write is at fault.
+pub(crate) fn relight(args: &RelightArgs) -> Result<Outcome, CliError> {
+    let model = model::load(&args.run)?;
+    let folder = args.run.display();
+    if model.file.kind.lit().is_none() {
+        return Err(CliError::Input(format!(
+            "{folder}: this model knows only the light it was photographed in; a capture with a light for every image makes one that does not"
+        )));
+    }
+    let mut lights: Vec<Lamp> = Vec::new();
+    let one = |light| Lamp {
+        light,
+        colour: [1.0; 3],
+    };
+    for &position in &args.light {
+        lights.push(one(Light::Point((DVec3::from(position) - model.file.centre).as_vec3())));
+    }
+    for &toward in &args.toward {
+        lights.push(one(parallel(toward)?));
+    }
+    if let Some(path) = &args.surroundings {
+        let image = surroundings::read(path)?;
+        lights.extend(surroundings::lamps(&image, args.samples));
+    }
+    if lights.is_empty() {
+        return Err(CliError::Input(
+            "relight: an object takes --light X,Y,Z, --toward X,Y,Z or --surroundings FILE that is not black".into(),
+        ));
+    }
+    let images = &model.file.images;
+    let image = match args.view.as_str() {
+        "nadir" => images.first(),
+        name => images.iter().find(|image| image.name.trim_start_matches("./") == name),
+    };
+    let image = image.ok_or_else(|| {
+        let some = images.first().map_or("none", |image| image.name.as_str());
+        CliError::Input(format!(
+            "--view {}: {folder} has no image of that name; one is {some}",
+            args.view
+        ))
+    })?;
+    let seen = model.relit(image, &lights);
+    let seen =
+        seen.ok_or_else(|| CliError::Input(format!("--view {}: the object lies behind that camera", args.view)))?;
+    // Lamps add up in linear values, whatever the images of the capture are.
+    write_png(&args.out, &measure::picture_of(&seen, true))?;
+    Ok(Outcome {
+        text: format!(
+            "{}: {} light(s), as {} saw it",
+            args.out.display(),
+            lights.len(),
+            image.name
+        ),
+        json: json!({"image": args.out, "lights": lights.len(), "view": image.name}),
+    })
+}
+
+/// Writes what other programs can use of a run.
+///
+/// # Errors
+/// When the run or the light is at fault, or a file cannot be written.
+pub(crate) fn export(args: &ExportArgs, session: &Session) -> Result<Outcome, CliError> {
+    if !model::is_object_run(&args.run) {
+        return Err(CliError::Input(format!(
+            "{}: no run on an object; train a capture first, e.g. heliosplat train capture --out run",
+            args.run.display()
+        )));
+    }
+    let format = match &args.mesh {
+        Some(path) => Some((path, mesh_format(path)?)),
+        None => None,
+    };
+    let model = model::load(&args.run)?;
+    let mut written = Vec::new();
+    if let Some(path) = &args.ply {
+        let light = match (args.light, args.toward) {
+            (Some(position), _) => Some(Light::Point((DVec3::from(position) - model.file.centre).as_vec3())),
+            (None, Some(toward)) => Some(parallel(toward)?),
+            (None, None) => None,
+        };
+        let splats = export::baked(&model, light)
+            .map_err(|reason| CliError::Input(format!("{}: {reason}", args.run.display())))?;
+        export::write_splats(&splats, path)?;
+        written.push(path.clone());
+    }
+    if let Some(folder) = &args.asset {
+        create_folder(folder)?;
+        model::save_model(folder, &model)?;
+        written.push(folder.clone());
+    }
+    if let Some((path, format)) = format {
+        let progress = session.progress("mesh", 2 * model.file.images.len() as u64);
+        let mesh = mesh::mesh(&model, args.cells as usize, &|done| progress.set(done))
+            .map_err(|reason| CliError::Input(format!("{}: {reason}", args.run.display())))?;
+        write_atomically(path, &mesh::encode(&mesh, format))?;
+        written.push(path.clone());
+    }
+    let names: Vec<String> = written.iter().map(|path| path.display().to_string()).collect();
+    Ok(Outcome {
+        text: format!("{} Gaussians in {}", model.parameters.gaussians.count, names.join(", ")),
+        json: json!({"written": written, "gaussians": model.parameters.gaussians.count}),
+    })
+}
+
+fn mesh_format(path: &Path) -> Result<mesh::Format, CliError> {
+    let format = mesh::Format::of(path);
+    format.ok_or_else(|| {
+        CliError::Input(format!(
+            "--mesh {}: a name that ends in .ply or .glb says how",
+            path.display()
+        ))
+    })
+}
+
+fn parallel(toward: [f64; 3]) -> Result<Light, CliError> {
+    let direction = DVec3::from(toward).try_normalize();
+    let direction = direction.ok_or_else(|| CliError::Input("--toward 0,0,0 is no direction".into()))?;
+    Ok(Light::Directional(direction.as_vec3()))
+}
+
+/// Measures a run against the held-out images of its capture.
+///
+/// # Errors
+/// When the run or its capture cannot be read.
+pub(crate) fn evaluate(folder: &Path) -> Result<Outcome, CliError> {
+    let (model, run) = (model::load(folder)?, run::load_run(folder)?);
+    let capture = open(&run.capture, None)?;
+    let metrics = measure::metrics(&model, &capture, None)?;
+    Ok(Outcome {
+        text: measure::summary(&metrics),
+        json: metrics,
+    })
+}
+
+/// Describes a capture.
+///
+/// # Errors
+/// When the capture is at fault.
+pub(crate) fn inspect(path: &Path) -> Result<Outcome, CliError> {
+    let capture = open(path, None)?;
+    let (background, why) = views::background(&capture, Background::Auto);
+    let (kind, kind_why) = plan::outlook(&capture);
+    let lights = capture.frames.iter().filter(|f| f.light.is_some()).count();
+    let size = capture.frames.first().map_or([0; 2], |f| f.camera.size_px);
+    let (train, test) = (capture.of(Split::Train).count(), capture.of(Split::Test).count());
+    let encoding = capture.frames.first().map(|f| f.picture.encoding);
+    let coverage = capture.has_coverage();
+    let text = format!(
+        "a capture of an object (transforms file)\nmodel          {kind:?}: {kind_why}\nimages         {train} to train with, {test} held out, {} x {} pixels\nvalues         {}, {}\nbackground     {background:?}: {why}\nlights         {lights} images have a point light\ncentre         {:.4}, half size {:.4}, a pixel there is {:.5} wide",
+        size[0],
+        size[1],
+        if encoding == Some(Encoding::Linear) {
+            "linear (EXR)"
+        } else {
+            "display (PNG, JPEG)"
+        },
+        if coverage { "with coverage" } else { "without coverage" },
+        capture.centre,
+        capture.half_size,
+        capture.pixel_size,
+    );
+    let json = json!({
+        "kind": "object", "model": kind, "train": train, "test": test, "size_px": size, "values": encoding, "coverage": coverage,
+        "background": background, "lights": lights, "centre": capture.centre.to_array(),
+        "half_size": capture.half_size, "pixel_size": capture.pixel_size, "warnings": capture.warnings,
+    });
+    Ok(Outcome { json, text })
+}

@@ -1,0 +1,162 @@
+//! `heliosplat products`: what a run gives to a GIS.
+
+use crate::names::GeoidName;
+use crate::outcome::{CliError, Outcome};
+use crate::parse;
+use clap::Args;
+use heliosplat_products::model;
+use heliosplat_products::set::{self, Request};
+use heliosplat_products::stac;
+use heliosplat_raster::{Geoid, write_atomically};
+use heliosplat_rpc::GeoPoint;
+use heliosplat_rpc::sun::{SunPosition, sun_position};
+use heliosplat_session::Session;
+use serde_json::json;
+use std::path::{Path, PathBuf};
+
+/// `products`.
+#[derive(Debug, Clone, Args)]
+pub struct ProductsArgs {
+    /// Finished runs
+    #[arg(value_name = "RUN", required = true)]
+    pub runs: Vec<PathBuf>,
+    /// Folder to write to [default: RUN/products; several runs need one, and get a folder each in it]
+    #[arg(long, value_name = "FOLDER")]
+    pub out: Option<PathBuf>,
+    /// Ground sampling distance, metres [default: that of the images]
+    #[arg(long, value_parser = parse::positive, value_name = "M")]
+    pub gsd: Option<f64>,
+    /// Coordinate reference system [default: the local UTM zone]
+    #[arg(long, value_name = "EPSG:N")]
+    pub crs: Option<String>,
+    /// Heights above this geoid instead of the ellipsoid; its grid must be among PROJ's
+    #[arg(long, value_enum, value_name = "NAME")]
+    pub geoid: Option<GeoidName>,
+    /// Also an ortho image under this sun: azimuth (clockwise from north) and elevation, degrees
+    #[arg(long, value_parser = parse::pair, allow_hyphen_values = true, value_name = "AZ,EL", conflicts_with = "at")]
+    pub sun: Option<[f64; 2]>,
+    /// Also an ortho image under the sun of this moment, RFC 3339
+    #[arg(long, value_parser = parse::time, value_name = "TIME")]
+    pub at: Option<jiff::Timestamp>,
+}
+
+impl ProductsArgs {
+    fn sun(&self, origin: GeoPoint) -> Option<SunPosition> {
+        let given = self
+            .sun
+            .map(|[azimuth, elevation]| SunPosition::from_degrees(azimuth, elevation));
+        given.or(self.at.map(|time| sun_position(time, origin)))
+    }
+}
+
+pub(crate) fn run(args: &ProductsArgs, session: &Session) -> Result<Outcome, CliError> {
+    let several = args.runs.len() > 1;
+    let out = match (&args.out, several) {
+        (Some(out), _) => out.clone(),
+        (None, false) => args.runs[0].join("products"),
+        (None, true) => return Err(CliError::Input("products: several runs need --out FOLDER".into())),
+    };
+    let collection = name(&out);
+    let ids = ids(&args.runs);
+    let mut items = Vec::new();
+    let mut files = Vec::new();
+    let mut text = String::new();
+    for (run, id) in args.runs.iter().zip(&ids) {
+        if session.stopped() {
+            return Err(CliError::Interrupted(format!(
+                "stopped; what is written is in {}",
+                out.display()
+            )));
+        }
+        let folder = if several { out.join(id) } else { out.clone() };
+        let set = one(
+            args,
+            run,
+            &folder,
+            (id, several.then_some((collection.as_str(), "../collection.json"))),
+            session,
+        )?;
+        text += &format!(
+            "{}: {} files, {:.1} % of the ground known\n",
+            folder.display(),
+            set.files.len(),
+            100.0 * set.completeness
+        );
+        items.push((id.clone(), set.item));
+        files.extend(set.files);
+    }
+    if several {
+        let path = out.join("collection.json");
+        let collection = stac::collection(&collection, &items);
+        write_atomically(&path, format!("{collection:#}\n").as_bytes())?;
+        files.push(path);
+    }
+    Ok(Outcome {
+        text,
+        json: json!({"out": out, "files": files, "items": ids}),
+    })
+}
+
+fn one(
+    args: &ProductsArgs,
+    run: &Path,
+    folder: &Path,
+    names: (&str, Option<(&str, &str)>),
+    session: &Session,
+) -> Result<set::Set, CliError> {
+    let model = model::load(run)?;
+    let request = Request {
+        gsd_m: args.gsd,
+        crs: args.crs.clone(),
+        geoid: args.geoid.map(Geoid::from),
+        sun: args.sun(model.frame.origin),
+    };
+    let progress = session.progress("products", set::steps(&model));
+    Ok(set::write(&model, folder, &request, names, &|done| progress.set(done))?)
+}
+
+/// A name for a folder's contents: its own, of letters, digits and `._-` only.
+fn name(folder: &Path) -> String {
+    let whole = std::fs::canonicalize(folder).unwrap_or_else(|_| folder.to_owned());
+    let name = whole.file_name().unwrap_or_default().to_string_lossy().into_owned();
+    let safe = |c: char| {
+        if c.is_ascii_alphanumeric() || "._-".contains(c) {
+            c
+        } else {
+            '_'
+        }
+    };
+    let name: String = name.chars().map(safe).collect();
+    if name.trim_matches('.').is_empty() {
+        "run".into()
+    } else {
+        name
+    }
+}
+
+/// The names of the runs, numbered where they repeat.
+fn ids(runs: &[PathBuf]) -> Vec<String> {
+    let mut ids: Vec<String> = Vec::new();
+    for run in runs {
+        let name = name(run);
+        let mut id = name.clone();
+        let mut number = 2;
+        while ids.contains(&id) {
+            id = format!("{name}_{number}");
+            number += 1;
+        }
+        ids.push(id);
+    }
+    ids
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn ids_are_safe_and_do_not_repeat() {
+        let runs = ["a/run", "b/run", "c/a b", "d/..", "e/übung"].map(PathBuf::from);
+        assert_eq!(ids(&runs), ["run", "run_2", "a_b", "run_3", "_bung"]);
+    }
+}

@@ -1,0 +1,29 @@
+//! `heliosplat report`: a run, or a mosaic, on one page.
+
+use crate::outcome::{CliError, Outcome};
+use crate::report;
+use clap::Args;
+use serde_json::json;
+use std::path::PathBuf;
+
+/// `report`.
+#[derive(Debug, Clone, Args)]
+pub struct ReportArgs {
+    /// A finished run, of a satellite scene or of an object, or the mosaic of a batch
+    #[arg(value_name = "RUN")]
+    pub run: PathBuf,
+}
+
+pub(crate) fn run(args: &ReportArgs) -> Result<Outcome, CliError> {
+    let path = if args.run.join(report::mosaic::FILE).is_file() {
+        report::mosaic::write(&args.run)?
+    } else if heliosplat_objects::model::is_object_run(&args.run) {
+        report::object::write(&args.run)?
+    } else {
+        report::write(&args.run)?
+    };
+    Ok(Outcome {
+        text: format!("{}: open it in a browser", path.display()),
+        json: json!({ "report": path }),
+    })
+}

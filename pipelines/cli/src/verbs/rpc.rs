@@ -1,0 +1,128 @@
+//! `heliosplat rpc project` and `heliosplat rpc localise`: lines of numbers in, lines of numbers out.
+
+use crate::names::RpcName;
+use crate::outcome::{CliError, Outcome};
+use clap::{Args, Subcommand};
+use heliosplat_rpc::{GeoPoint, ImagePoint, Rpc};
+use heliosplat_scene::camera_of;
+use std::path::PathBuf;
+
+/// Which direction.
+#[derive(Debug, Args)]
+pub struct RpcArgs {
+    #[command(subcommand)]
+    direction: Direction,
+}
+
+/// From the ground to the image, or back.
+#[derive(Debug, Subcommand)]
+enum Direction {
+    /// Lines "lon lat alt" on stdin become lines "col row" on stdout
+    #[command(after_help = "Example: echo '36.91 37.58 700' | heliosplat rpc project image.tif")]
+    Project(CameraArgs),
+    /// Lines "col row alt" on stdin become lines "lon lat" on stdout
+    #[command(after_help = "Example: echo '500 500 700' | heliosplat rpc localise image.RPB")]
+    Localise(CameraArgs),
+}
+
+/// Which camera.
+#[derive(Debug, Args)]
+struct CameraArgs {
+    /// An image with an RPC, or an RPC file (.RPB, _RPC.TXT, RPC_*.XML, Maxar .XML, Sat-NeRF .json)
+    #[arg(value_name = "IMAGE|RPCFILE")]
+    camera: PathBuf,
+    /// Which camera counts where an image's own RPC and a Sat-NeRF JSON differ
+    #[arg(long, value_name = "SOURCE", default_value = "json")]
+    rpc: RpcName,
+}
+
+/// Transforms all of stdin.
+pub(crate) fn run(args: &RpcArgs) -> Result<Outcome, CliError> {
+    let (Direction::Project(camera) | Direction::Localise(camera)) = &args.direction;
+    let rpc = camera_of(&camera.camera, camera.rpc.into())?;
+    let transform = match args.direction {
+        Direction::Project(_) => project,
+        Direction::Localise(_) => localise,
+    };
+    let (mut points, mut lines) = (Vec::new(), Vec::new());
+    for (number, line) in std::io::stdin().lines().enumerate() {
+        let line = line.map_err(|error| CliError::Failed(format!("stdin cannot be read: {error}")))?;
+        if line.trim().is_empty() {
+            continue;
+        }
+        let fault = |reason: String| CliError::Input(format!("stdin line {}: {reason}", number + 1));
+        let point = transform(&rpc, three_numbers(&line).map_err(fault)?).map_err(fault)?;
+        lines.push(format!("{} {}", digits17(point[0]), digits17(point[1])));
+        points.push(point);
+    }
+    Ok(Outcome {
+        json: serde_json::json!({ "points": points }),
+        text: lines.join("\n"),
+    })
+}
+
+fn project(rpc: &Rpc, [lon_deg, lat_deg, height_m]: [f64; 3]) -> Result<[f64; 2], String> {
+    let point = rpc.project(GeoPoint {
+        lon_deg,
+        lat_deg,
+        height_m,
+    });
+    if point.col.is_finite() && point.row.is_finite() {
+        Ok([point.col, point.row])
+    } else {
+        Err("this point has no place in the image; give lon lat alt near the image".to_owned())
+    }
+}
+
+fn localise(rpc: &Rpc, [col, row, height_m]: [f64; 3]) -> Result<[f64; 2], String> {
+    let ground = rpc
+        .localise(ImagePoint { col, row }, height_m)
+        .map_err(|error| error.to_string())?;
+    Ok([ground.lon_deg, ground.lat_deg])
+}
+
+fn three_numbers(line: &str) -> Result<[f64; 3], String> {
+    let words = line.split(|character: char| character.is_whitespace() || character == ',');
+    let numbers: Result<Vec<f64>, _> = words.filter(|word| !word.is_empty()).map(str::parse::<f64>).collect();
+    match numbers.as_deref() {
+        Ok(&[a, b, c]) if a.is_finite() && b.is_finite() && c.is_finite() => Ok([a, b, c]),
+        _ => Err(format!("expected three numbers, found '{}'", line.trim())),
+    }
+}
+
+/// Plain decimal notation with 17 significant digits, which identify a double.
+fn digits17(value: f64) -> String {
+    if value == 0.0 {
+        return "0".to_owned();
+    }
+    let magnitude = value.abs().log10().floor() as i32;
+    let decimals = (16 - magnitude).clamp(0, 30) as usize;
+    format!("{value:.decimals$}")
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn seventeen_digits_read_back_as_the_same_number() {
+        for value in [
+            36.909_441_225_382_15,
+            -0.000_123_456_789_012_345_67,
+            12_345_678.901_234_567,
+            1.0,
+            -5e-17,
+        ] {
+            let text = digits17(value);
+            assert_eq!(text.parse::<f64>(), Ok(value), "{text}");
+        }
+    }
+
+    #[test]
+    fn lines_take_spaces_tabs_and_commas_and_nothing_else() {
+        assert_eq!(three_numbers("1, 2\t3 "), Ok([1.0, 2.0, 3.0]));
+        for bad in ["1 2", "1 2 3 4", "a b c", "1 2 nan"] {
+            assert!(three_numbers(bad).is_err(), "{bad}");
+        }
+    }
+}

@@ -1,0 +1,219 @@
+//! The verbs of satellite scenes and of runs on them.
+
+use super::evaluate_args::{EvaluateArgs, table, write_pictures};
+use super::model_args::{DsmArgs, DsmSource, RelightArgs, RenderArgs, RenderSplit, TrainArgs};
+use crate::outcome::{CliError, Outcome};
+use crate::report;
+use heliosplat_fitting::run_folder::create_folder;
+use heliosplat_fitting::settings::Preset;
+use heliosplat_products::model::load;
+use heliosplat_products::{dsm, relight, views as rendered};
+use heliosplat_raster::write::{ImageSpec, Sample, write_geotiff};
+use heliosplat_rpc::sun::{SunPosition, sun_position};
+use heliosplat_satellite::config::SatelliteConfig;
+use heliosplat_satellite::plan::with_plan;
+use heliosplat_satellite::run_file::scene_of;
+use heliosplat_satellite::swept::sweep_only;
+use heliosplat_satellite::training::{TrainOutcome, TrainRequest, configure};
+use heliosplat_satellite::{estimate, measure, training};
+use heliosplat_scene::{Scene, Split};
+use heliosplat_session::Session;
+use serde_json::json;
+use std::path::Path;
+use std::time::Instant;
+
+/// Trains a model.
+///
+/// # Errors
+/// When the scene, the configuration or a limit is at fault, training gives up, or a file cannot be written.
+pub(crate) fn train(args: &TrainArgs, session: &Session) -> Result<Outcome, CliError> {
+    let begun = Instant::now();
+    let ingest = args.ingest.options();
+    let scene = Scene::open(&args.scene, &ingest)?;
+    for warning in &scene.warnings {
+        tracing::warn!("{warning}");
+    }
+    let preset = args.preset.map(Preset::from);
+    let (preset, config, estimate) = configure(&scene, preset, &args.set, args.seed, args.time_budget)?;
+    tracing::info!(
+        preset = preset.name(),
+        gib = estimate.peak_bytes / f64::from(1 << 30),
+        seconds = estimate.seconds,
+        "estimate"
+    );
+    // Before its surface is known, a scene is refused only where it would not even fit if it were flat.
+    estimate::must_fit(estimate.least_bytes, args.memory, &config)?;
+    let request = TrainRequest {
+        out: args.out.clone(),
+        preset,
+        ingest,
+        begun,
+        time_budget: args.time_budget,
+        memory: args.memory,
+        resume: args.resume,
+        checkpoint_every: args.checkpoint_every,
+    };
+    let (metrics, before) = match training::train(&scene, &config, &request, session)? {
+        TrainOutcome::FinishedBefore { metrics } => {
+            report::complete(&args.out)?;
+            (metrics, " (finished before)")
+        }
+        TrainOutcome::Trained(run) => {
+            report::write(&args.out)?;
+            run.ending.check(&args.out)?;
+            (run.metrics, "")
+        }
+    };
+    let text = format!(
+        "{}\nrun            {}{before}",
+        measure::summary(&metrics),
+        args.out.display()
+    );
+    Ok(Outcome { json: metrics, text })
+}
+
+/// Writes the surface model of a run, or that of a scene's sweep.
+///
+/// # Errors
+/// When the run, the scene, the coordinate system or the file to write is at fault.
+pub(crate) fn dsm(args: &DsmArgs, session: &Session) -> Result<Outcome, CliError> {
+    let (surface, gsd_m) = match args.from {
+        DsmSource::Model => {
+            if args.ingest.altitude.is_some() {
+                return Err(CliError::Input(
+                    "dsm: --altitude is for --from sweep; a run knows its own".into(),
+                ));
+            }
+            let model = load(&args.run)?;
+            let gsd_m = args.gsd.unwrap_or(model.file.gsd_m);
+            (dsm::dsm(&model, gsd_m, args.crs.as_deref())?, gsd_m)
+        }
+        DsmSource::Sweep => {
+            let scene = Scene::open(&args.run, &args.ingest.options())?;
+            let gsd_m = args.gsd.unwrap_or(scene.gsd_m);
+            let swept = sweep_only(
+                &scene,
+                &with_plan(&scene, &SatelliteConfig::resolve(Preset::Fast, &[], 1)?),
+                session,
+            )?;
+            let surface = dsm::of_surface(&(&scene).into(), &swept, gsd_m, args.crs.as_deref())?;
+            (surface, gsd_m)
+        }
+    };
+    let known = surface.raster.plane(0).iter().filter(|v| v.is_finite()).count();
+    if known == 0 {
+        let crs = surface.grid.crs.name();
+        return Err(CliError::Input(format!(
+            "dsm: nothing of {} falls on a grid in {crs}; choose a projected coordinate system of the place with --crs",
+            args.run.display()
+        )));
+    }
+    surface.write(&args.out)?;
+    let share = known as f64 / surface.raster.plane_len().max(1) as f64;
+    let (width, height) = (surface.grid.width, surface.grid.height);
+    let crs = surface.grid.crs.name().to_owned();
+    Ok(Outcome {
+        text: format!(
+            "{}: {width} x {height} cells of {gsd_m} m, {crs}, {:.1} % known",
+            args.out.display(),
+            100.0 * share
+        ),
+        json: json!({"dsm": args.out, "width": width, "height": height, "gsd_m": gsd_m, "crs": crs, "completeness": share}),
+    })
+}
+
+/// Writes the scene of a run under another sun.
+///
+/// # Errors
+/// When the run, the sun, the view or the file to write is at fault.
+pub(crate) fn relight(args: &RelightArgs) -> Result<Outcome, CliError> {
+    let model = load(&args.run)?;
+    let sun = match (args.sun, args.time) {
+        (Some([azimuth, elevation]), _) => SunPosition::from_degrees(azimuth, elevation),
+        (None, Some(time)) => sun_position(time, model.frame.origin),
+        (None, None) => {
+            return Err(CliError::Input(
+                "relight: a satellite scene takes --sun AZ,EL or --time RFC3339".into(),
+            ));
+        }
+    };
+    let relit = relight::relight(&model, &sun, &args.view)?;
+    let mask = relit.write(&args.out)?;
+    let (azimuth, elevation) = (sun.azimuth_rad.to_degrees(), sun.elevation_rad.to_degrees());
+    Ok(Outcome {
+        text: format!(
+            "{} and {}: sun at azimuth {azimuth:.2}, elevation {elevation:.2}",
+            args.out.display(),
+            mask.display()
+        ),
+        json: json!({"image": args.out, "shadow": mask, "sun_azimuth_deg": azimuth, "sun_elevation_deg": elevation}),
+    })
+}
+
+/// Renders the views of a run.
+///
+/// # Errors
+/// When the run is at fault, or a file cannot be written.
+pub(crate) fn render(args: &RenderArgs, session: &Session) -> Result<Outcome, CliError> {
+    let model = load(&args.run)?;
+    let wanted = |split: Split| match args.split {
+        RenderSplit::Train => split == Split::Train,
+        RenderSplit::Test => split == Split::Test,
+        RenderSplit::All => true,
+    };
+    let images: Vec<_> = model.file.images.iter().filter(|image| wanted(image.split)).collect();
+    if images.is_empty() {
+        return Err(CliError::Input(format!(
+            "{}: the run has no image of that split",
+            args.run.display()
+        )));
+    }
+    create_folder(&args.out)?;
+    let scene = scene_of(&args.run).ok();
+    let progress = session.progress("render", images.len() as u64);
+    let mut written = Vec::new();
+    for (done, image) in images.iter().enumerate() {
+        let truth = scene
+            .as_ref()
+            .and_then(|s| s.images.iter().find(|i| i.name == image.name));
+        let truth = truth.map(|i| image.crop.cut(&i.pixels));
+        let view = rendered::render_view(&model, image, truth.as_ref());
+        let path = args.out.join(format!("{}.tif", image.name));
+        let mut counts = view.image;
+        counts
+            .values
+            .iter_mut()
+            .for_each(|v| *v *= model.file.counts_per_unit as f32);
+        write_geotiff(&path, &ImageSpec::plain(&counts), Sample::F32)?;
+        let mask_path = args.out.join(format!("{}_shadow.tif", image.name));
+        let mut mask = view.visibility;
+        mask.values.iter_mut().for_each(|v| *v = 1.0 - *v);
+        write_geotiff(&mask_path, &ImageSpec::plain(&mask), Sample::F32)?;
+        written.push(json!({"image": path, "shadow": mask_path, "name": image.name, "colour": view.colour.text()}));
+        progress.set(done as u64 + 1);
+    }
+    Ok(Outcome {
+        text: format!("{} views in {}", written.len(), args.out.display()),
+        json: json!({"views": written}),
+    })
+}
+
+/// Measures a run against the truth of its scene.
+///
+/// # Errors
+/// When the run or its scene cannot be read.
+pub(crate) fn evaluate(run: &Path, args: &EvaluateArgs) -> Result<Outcome, CliError> {
+    let model = load(run)?;
+    let scene = scene_of(run)?;
+    let evaluation = measure::dsm(&scene, run, args.protocol.into())?;
+    let metrics = measure::metrics(&scene, &model, run, args.protocol.into())?;
+    let mut text = String::new();
+    if let Some(evaluation) = &evaluation {
+        text = table(&evaluation.metrics);
+        write_pictures(args, evaluation)?;
+    }
+    Ok(Outcome {
+        text: text + &measure::summary(&metrics),
+        json: metrics,
+    })
+}

@@ -1,0 +1,159 @@
+//! Registration of one altitude raster to another: the shift of largest normalised cross-correlation (NCC).
+//!
+//! Over a pyramid of halved rasters (means that ignore missing cells, until the shorter side is 100 cells or less) the
+//! integer shift with the largest NCC is searched within ±5 cells of twice the shift of the level above; then the mean
+//! height difference over the overlap is removed. This is the rule by which Sat-NeRF and EOGS are measured.
+
+use heliosplat::Raster;
+use heliosplat_raster::GeoTransform;
+use rayon::prelude::*;
+
+/// What is done to a prediction: its value at a cell is taken from `(col - columns, row - rows)` and `height_m` is added.
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
+pub struct Shift {
+    /// To the right, cells.
+    pub columns: f64,
+    /// Downwards, cells.
+    pub rows: f64,
+    /// Upwards, metres.
+    pub height_m: f64,
+}
+
+/// Search range per pyramid level, cells.
+const RANGE: i64 = 5;
+/// The pyramid stops when its shorter side is this long, cells.
+const SMALLEST_SIDE: usize = 100;
+/// An overlap with a smaller share of the truth's known cells says nothing about the shift.
+const LEAST_OVERLAP: f64 = 0.25;
+
+impl Shift {
+    /// East, north and up, metres, on a grid with `metres` per map unit.
+    pub fn metres(&self, transform: &GeoTransform, metres: f64) -> [f64; 3] {
+        let along =
+            |axis: usize| (self.columns * transform.per_col[axis] + self.rows * transform.per_row[axis]) * metres;
+        [along(0), along(1), self.height_m]
+    }
+}
+
+/// A raster (first band) moved by columns to the right and rows down: missing where it comes from outside or from missing
+/// cells.
+pub fn moved(raster: &Raster, columns: f64, rows: f64) -> Raster {
+    let mut out = Raster::filled(raster.width, raster.height, 1, f32::NAN);
+    let lines = out.values.par_chunks_mut(raster.width).enumerate();
+    lines.for_each(|(row, line)| {
+        for (col, value) in line.iter_mut().enumerate() {
+            *value = super::resample::bilinear(raster, col as f64 - columns, row as f64 - rows);
+        }
+    });
+    out
+}
+
+/// The integer shift of largest correlation, and the mean height difference after it.
+pub fn integer(truth: &Raster, prediction: &Raster) -> Shift {
+    let (columns, rows) = integer_cells(truth, prediction);
+    let (columns, rows) = (columns as f64, rows as f64);
+    with_height(truth, &moved(prediction, columns, rows), columns, rows)
+}
+
+/// As [`integer`], with the shift refined below a cell: the peak of the NCC on successively finer steps down to 1/32.
+/// `prediction` gives the prediction moved by columns and rows.
+pub fn subpixel(truth: &Raster, prediction: &(impl Fn(f64, f64) -> Raster + Sync)) -> Shift {
+    let (columns, rows) = integer_cells(truth, &prediction(0.0, 0.0));
+    let (mut best, mut step) = ((columns as f64, rows as f64), 0.5);
+    while step >= 1.0 / 32.0 {
+        let around: Vec<(f64, f64)> = (-1..=1)
+            .flat_map(|dr| (-1..=1).map(move |dc| (f64::from(dc), f64::from(dr))))
+            .map(|(dc, dr)| (best.0 + dc * step, best.1 + dr * step))
+            .collect();
+        let score = |(columns, rows)| correlation(truth, &prediction(columns, rows), 0, 0);
+        best = best_of(&around, score).unwrap_or(best);
+        step /= 2.0;
+    }
+    with_height(truth, &prediction(best.0, best.1), best.0, best.1)
+}
+
+/// A shift whose prediction has been moved already, completed by the mean height difference that is left.
+fn with_height(truth: &Raster, moved: &Raster, columns: f64, rows: f64) -> Shift {
+    let (mut sum, mut count) = (0.0, 0usize);
+    for (want, got) in truth.plane(0).iter().zip(moved.plane(0)) {
+        let difference = f64::from(want - got);
+        if difference.is_finite() {
+            sum += difference;
+            count += 1;
+        }
+    }
+    Shift {
+        columns,
+        rows,
+        height_m: if count > 0 { sum / count as f64 } else { 0.0 },
+    }
+}
+
+fn integer_cells(truth: &Raster, prediction: &Raster) -> (i64, i64) {
+    if truth.width.min(truth.height) > SMALLEST_SIDE {
+        let (columns, rows) = integer_cells(&truth.downscaled(2), &prediction.downscaled(2));
+        search(truth, prediction, (2 * columns, 2 * rows))
+    } else {
+        search(truth, prediction, (0, 0))
+    }
+}
+
+fn search(truth: &Raster, prediction: &Raster, around: (i64, i64)) -> (i64, i64) {
+    let candidates: Vec<(i64, i64)> = (-RANGE..=RANGE)
+        .flat_map(|dr| (-RANGE..=RANGE).map(move |dc| (around.0 + dc, around.1 + dr)))
+        .collect();
+    best_of(&candidates, |(columns, rows)| {
+        correlation(truth, prediction, columns, rows)
+    })
+    .unwrap_or(around)
+}
+
+/// The candidate of highest score; the first of equals, so that the result does not depend on threads.
+fn best_of<T: Copy + Send + Sync>(candidates: &[T], score: impl Fn(T) -> Option<f64> + Sync) -> Option<T> {
+    let scores: Vec<Option<f64>> = candidates.par_iter().map(|&candidate| score(candidate)).collect();
+    let mut best: Option<(f64, T)> = None;
+    for (score, &candidate) in scores.into_iter().zip(candidates) {
+        if let Some(score) = score
+            && best.is_none_or(|(highest, _)| score > highest)
+        {
+            best = Some((score, candidate));
+        }
+    }
+    best.map(|(_, candidate)| candidate)
+}
+
+/// NCC of the truth and the prediction moved by whole cells, over the cells known in both; `None` when they are too few
+/// or one of the two is flat.
+fn correlation(truth: &Raster, prediction: &Raster, columns: i64, rows: i64) -> Option<f64> {
+    let (width, height) = (truth.width as i64, truth.height as i64);
+    let pairs = || {
+        (rows.max(0)..(height + rows).min(height)).flat_map(move |row| {
+            (columns.max(0)..(width + columns).min(width)).filter_map(move |col| {
+                let want = truth.values[(row * width + col) as usize];
+                let got = prediction.values[((row - rows) * width + col - columns) as usize];
+                (want.is_finite() && got.is_finite()).then_some((f64::from(want), f64::from(got)))
+            })
+        })
+    };
+    let (mut count, mut mean_want, mut mean_got) = (0usize, 0.0, 0.0);
+    for (want, got) in pairs() {
+        count += 1;
+        mean_want += want;
+        mean_got += got;
+    }
+    let known = truth.plane(0).iter().filter(|value| value.is_finite()).count();
+    if count == 0 || (count as f64) < LEAST_OVERLAP * known as f64 {
+        return None;
+    }
+    mean_want /= count as f64;
+    mean_got /= count as f64;
+    let (mut both, mut wants, mut gots) = (0.0, 0.0, 0.0);
+    for (want, got) in pairs() {
+        let (want, got) = (want - mean_want, got - mean_got);
+        both += want * got;
+        wants += want * want;
+        gots += got * got;
+    }
+    let score = both / (wants * gots).sqrt();
+    score.is_finite().then_some(score)
+}

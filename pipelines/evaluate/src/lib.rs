@@ -1,0 +1,292 @@
+//! How far a result is from truth: one evaluator, several named protocols, the protocol always beside the number.
+//!
+//! * `raw`: no registration; what a GIS user gets. Water counts.
+//! * `aligned`: the integer shift of largest normalised cross-correlation, then the mean height difference removed; water
+//!   (class 9) is taken out of the prediction before both, as Sat-NeRF and EOGS do.
+//! * `aligned-water`: the same, but water takes part in the registration and is left out of the metric only.
+//! * `subpixel`: `aligned`, with the shift refined below a pixel.
+//!
+//! Predictions are never clipped toward the truth.
+
+pub mod align;
+pub mod error_map;
+pub mod image;
+pub mod metrics;
+pub mod resample;
+pub mod shadow;
+pub mod truth;
+pub mod uncertainty;
+
+pub use self::image::{ImageScore, score_image};
+pub use metrics::{DsmMetrics, HeightErrors};
+pub use shadow::{ShadowScore, score_shadow};
+pub use uncertainty::Uncertainty;
+
+use align::Shift;
+use heliosplat::Raster;
+use heliosplat_raster::{GeoRaster, RasterError, dsm_bands};
+use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
+
+/// Water in LAS classes.
+const WATER: f32 = 9.0;
+
+/// How a prediction is registered to the truth before it is measured.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, serde::Serialize, serde::Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Protocol {
+    /// Not at all.
+    #[default]
+    Raw,
+    /// Integer shift and mean height; water out of registration and metric.
+    Aligned,
+    /// Integer shift and mean height; water out of the metric only.
+    AlignedWater,
+    /// Sub-pixel shift and mean height; water out of registration and metric.
+    Subpixel,
+}
+
+impl Protocol {
+    /// Its name beside every number.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Raw => "raw",
+            Self::Aligned => "aligned",
+            Self::AlignedWater => "aligned-water",
+            Self::Subpixel => "subpixel",
+        }
+    }
+
+    fn excludes_water(self) -> bool {
+        self != Self::Raw
+    }
+}
+
+/// Why two rasters cannot be compared.
+#[derive(Debug, thiserror::Error)]
+pub enum EvaluateError {
+    /// A raster that cannot be read or placed.
+    #[error(transparent)]
+    Raster(#[from] RasterError),
+    /// No common ground.
+    #[error("{}: has no known altitude where {} has one; they may be of different places or coordinate systems", prediction.display(), truth.display())]
+    NoOverlap {
+        /// The prediction.
+        prediction: PathBuf,
+        /// The truth.
+        truth: PathBuf,
+    },
+    /// Heights over different surfaces.
+    #[error("{}: its heights are in {name}, not ellipsoidal like the other raster's; convert it first (gdalwarp -t_srs), or use --protocol aligned", path.display())]
+    VerticalDatum {
+        /// The file with the vertical datum.
+        path: PathBuf,
+        /// The coordinate system.
+        name: String,
+    },
+    /// A text that tells a truth raster's place and cannot be read.
+    #[error("{}: expected four numbers (easting, northing, size in pixels, metres per pixel), found none; correct or remove it", .0.display())]
+    RegionText(PathBuf),
+    /// Classes on another grid.
+    #[error("{}: {found} pixels, but the truth has {expected}; classes must lie on the truth's grid", path.display())]
+    ClassGrid {
+        /// The classes.
+        path: PathBuf,
+        /// Size found.
+        found: String,
+        /// Size needed.
+        expected: String,
+    },
+}
+
+impl EvaluateError {
+    /// Whether the user's input is at fault rather than the machine.
+    pub fn is_input_fault(&self) -> bool {
+        match self {
+            Self::Raster(error) => error.is_input_fault(),
+            _ => true,
+        }
+    }
+}
+
+/// The outcome of a comparison.
+#[derive(Debug, Clone)]
+pub struct DsmEvaluation {
+    /// The numbers.
+    pub metrics: DsmMetrics,
+    /// Prediction minus truth after registration, metres, on the truth's grid; `NaN` where not measured.
+    pub errors: Raster,
+    /// Metres per pixel of the truth's grid.
+    pub gsd_m: f64,
+    /// What a reader should know, one line each.
+    pub warnings: Vec<String>,
+}
+
+/// Compares two altitude rasters on disk; `classes` are LAS codes on the truth's grid.
+///
+/// # Errors
+/// [`EvaluateError`], naming the file at fault.
+pub fn evaluate_dsm(
+    prediction_path: &Path,
+    truth_path: &Path,
+    classes_path: Option<&Path>,
+    protocol: Protocol,
+) -> Result<DsmEvaluation, EvaluateError> {
+    let prediction = GeoRaster::read(prediction_path)?;
+    evaluate_raster((prediction_path, &prediction), truth_path, classes_path, protocol)
+}
+
+/// The same of a prediction in memory, with the path that names it in errors.
+///
+/// # Errors
+/// [`EvaluateError`], naming the file at fault.
+pub fn evaluate_raster(
+    (prediction_path, prediction): (&Path, &GeoRaster),
+    truth_path: &Path,
+    classes_path: Option<&Path>,
+    protocol: Protocol,
+) -> Result<DsmEvaluation, EvaluateError> {
+    let mut warnings = Vec::new();
+    let truth = truth::read(truth_path, prediction, &mut warnings)?;
+    check_vertical(prediction_path, prediction, truth_path, &truth, protocol, &mut warnings)?;
+    let classes = match classes_path {
+        Some(path) => Some(truth::read_classes(path, &truth.raster)?),
+        None => None,
+    };
+    let (pixel_width, pixel_height) = truth.transform.pixel_size();
+    let metres = truth.crs.as_ref().map_or(1.0, |crs| crs.metres_per_unit());
+    let gsd_m = (pixel_width * pixel_height).sqrt() * metres;
+    let placement = resample::Placement::new(prediction, &truth)?;
+    let moved = |columns: f64, rows: f64| placement.moved(columns, rows);
+    let Some((errors, shift)) = register(&moved, &truth.raster, classes.as_ref(), protocol) else {
+        return Err(EvaluateError::NoOverlap {
+            prediction: prediction_path.to_owned(),
+            truth: truth_path.to_owned(),
+        });
+    };
+    let wanted = wanted_cells(&truth.raster, classes.as_ref(), protocol);
+    let mut metrics = DsmMetrics::new(
+        &errors,
+        &wanted,
+        classes.as_ref(),
+        protocol,
+        shift.metres(&truth.transform, metres),
+    );
+    metrics.uncertainty = prediction
+        .band(dsm_bands::STANDARD_DEVIATION)
+        .and_then(|band| Uncertainty::of(&errors, &placement.moved_band(band, shift.columns, shift.rows)));
+    Ok(DsmEvaluation {
+        metrics,
+        errors,
+        gsd_m,
+        warnings,
+    })
+}
+
+/// Registers and subtracts: prediction minus truth on the truth's grid, and the shift that was applied. `None` when no
+/// cell is known in both.
+pub fn compare(
+    prediction: &Raster,
+    truth: &Raster,
+    classes: Option<&Raster>,
+    protocol: Protocol,
+) -> Option<(Raster, Shift)> {
+    let moved = |columns: f64, rows: f64| align::moved(prediction, columns, rows);
+    register(&moved, truth, classes, protocol)
+}
+
+/// As [`compare`]; `prediction` gives the prediction on the truth's grid after a move of columns and rows, so that a move
+/// below a cell is interpolated once, from the prediction as it came.
+fn register(
+    prediction: &(impl Fn(f64, f64) -> Raster + Sync),
+    truth: &Raster,
+    classes: Option<&Raster>,
+    protocol: Protocol,
+) -> Option<(Raster, Shift)> {
+    let is_water = |index: usize| classes.is_some_and(|classes| classes.values[index] == WATER);
+    let without_water = |mut raster: Raster| {
+        for index in (0..raster.values.len()).filter(|&index| is_water(index)) {
+            raster.values[index] = f32::NAN;
+        }
+        raster
+    };
+    let shift = match protocol {
+        Protocol::Raw => Shift::default(),
+        Protocol::Aligned => align::integer(truth, &without_water(prediction(0.0, 0.0))),
+        Protocol::AlignedWater => align::integer(truth, &prediction(0.0, 0.0)),
+        Protocol::Subpixel => align::subpixel(truth, &|columns, rows| without_water(prediction(columns, rows))),
+    };
+    let moved = match protocol {
+        // Water is taken out where the prediction shows it, before it is moved: as Sat-NeRF and EOGS do.
+        Protocol::Aligned => align::moved(&without_water(prediction(0.0, 0.0)), shift.columns, shift.rows),
+        Protocol::Raw | Protocol::AlignedWater | Protocol::Subpixel => prediction(shift.columns, shift.rows),
+    };
+    let mut errors = Raster::filled(truth.width, truth.height, 1, f32::NAN);
+    for (index, error) in errors.values.iter_mut().enumerate() {
+        if !(protocol.excludes_water() && is_water(index)) {
+            *error = moved.values[index] + shift.height_m as f32 - truth.values[index];
+        }
+    }
+    errors
+        .values
+        .iter()
+        .any(|error| error.is_finite())
+        .then_some((errors, shift))
+}
+
+/// Cells a complete prediction would have a value in.
+fn wanted_cells(truth: &Raster, classes: Option<&Raster>, protocol: Protocol) -> Vec<bool> {
+    let is_water = |index: usize| classes.is_some_and(|classes| classes.values[index] == WATER);
+    let known = truth.plane(0).iter().enumerate();
+    known
+        .map(|(index, value)| value.is_finite() && !(protocol.excludes_water() && is_water(index)))
+        .collect()
+}
+
+fn check_vertical(
+    prediction_path: &Path,
+    prediction: &GeoRaster,
+    truth_path: &Path,
+    truth: &GeoRaster,
+    protocol: Protocol,
+    warnings: &mut Vec<String>,
+) -> Result<(), EvaluateError> {
+    let datum = |raster: &GeoRaster| raster.crs.clone().filter(|crs| crs.has_vertical_datum());
+    let (ours, theirs) = (datum(prediction), datum(truth));
+    let (path, crs) = match (ours, theirs) {
+        (Some(a), Some(b)) if a.wkt() == b.wkt() => return Ok(()),
+        (_, Some(crs)) => (truth_path, crs),
+        (Some(crs), None) => (prediction_path, crs),
+        (None, None) => return Ok(()),
+    };
+    if protocol == Protocol::Raw {
+        return Err(EvaluateError::VerticalDatum {
+            path: path.to_owned(),
+            name: crs.name().to_owned(),
+        });
+    }
+    warnings.push(format!(
+        "{}: its heights are in {}; the mean difference is removed by the protocol",
+        path.display(),
+        crs.name()
+    ));
+    Ok(())
+}
+
+/// LAS class codes and the names they have in reports.
+pub fn class_name(code: f32) -> Option<&'static str> {
+    let names: BTreeMap<u32, &'static str> = BTreeMap::from([
+        (2, "ground"),
+        (5, "vegetation"),
+        (6, "building"),
+        (9, "water"),
+        (11, "road"),
+        (17, "bridge"),
+        (64, "car"),
+        (65, "unlabelled"),
+    ]);
+    names.get(&(code as u32)).copied()
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,125 @@
+//! Height errors in numbers.
+
+use super::{Protocol, Uncertainty, class_name};
+use heliosplat::Raster;
+use heliosplat_rpc::statistics::{median, nmad};
+use std::collections::BTreeMap;
+
+/// Statistics of height errors, metres.
+#[derive(Debug, Clone, Copy, PartialEq, serde::Serialize, serde::Deserialize)]
+pub struct HeightErrors {
+    /// Mean absolute error.
+    pub mae_m: f64,
+    /// Root mean square error.
+    pub rmse_m: f64,
+    /// Median absolute error.
+    pub median_m: f64,
+    /// Normalised median absolute deviation from the median: 1.4826 · median(|e − median(e)|).
+    pub nmad_m: f64,
+    /// Share of measured cells within 1 m, 0..1.
+    pub within_1m: f64,
+    /// Share of the cells with truth that have a prediction, 0..1.
+    pub completeness: f64,
+}
+
+/// `dsm` of `metrics.json`.
+#[derive(Debug, Clone, PartialEq, serde::Serialize, serde::Deserialize)]
+pub struct DsmMetrics {
+    /// Over all cells that count in the protocol.
+    #[serde(flatten)]
+    pub all: HeightErrors,
+    /// East, north, up applied to the prediction before it was measured, metres.
+    pub shift_m: [f64; 3],
+    /// The protocol's name.
+    pub protocol: String,
+    /// The same statistics by class, where classes are known.
+    #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
+    pub by_class: BTreeMap<String, HeightErrors>,
+    /// Ground, roads, bridges and buildings together, where classes are known: what stays as it is from season to season.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub ground_and_buildings: Option<HeightErrors>,
+    /// What the prediction's own standard deviations are worth, where it has them.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub uncertainty: Option<Uncertainty>,
+}
+
+/// Classes that do not grow, flow or drive.
+const GROUND_AND_BUILDINGS: [f32; 4] = [2.0, 6.0, 11.0, 17.0];
+
+impl DsmMetrics {
+    /// From errors (prediction minus truth, `NaN` where not measured), the cells that should have one, and classes.
+    pub(super) fn new(
+        errors: &Raster,
+        wanted: &[bool],
+        classes: Option<&Raster>,
+        protocol: Protocol,
+        shift_m: [f64; 3],
+    ) -> Self {
+        let all = statistics(
+            errors
+                .plane(0)
+                .iter()
+                .zip(wanted)
+                .filter(|(_, wanted)| **wanted)
+                .map(|(error, _)| *error),
+        );
+        let mut by_name: BTreeMap<String, Vec<f32>> = BTreeMap::new();
+        if let Some(classes) = classes {
+            let cells = classes.plane(0).iter().zip(errors.plane(0)).zip(wanted);
+            for ((&class, &error), &wanted) in cells {
+                if let (true, Some(name)) = (wanted, class_name(class)) {
+                    by_name.entry(name.to_owned()).or_default().push(error);
+                }
+            }
+        }
+        let static_classes = classes.and_then(|classes| {
+            let cells = classes.plane(0).iter().zip(errors.plane(0)).zip(wanted);
+            let static_cells = cells.filter(|((class, _), wanted)| **wanted && GROUND_AND_BUILDINGS.contains(class));
+            statistics(static_cells.map(|((_, error), _)| *error))
+        });
+        let by_class = by_name
+            .into_iter()
+            .filter_map(|(name, errors)| Some((name, statistics(errors.into_iter())?)))
+            .collect();
+        Self {
+            all: all.unwrap_or(HeightErrors {
+                mae_m: f64::NAN,
+                rmse_m: f64::NAN,
+                median_m: f64::NAN,
+                nmad_m: f64::NAN,
+                within_1m: 0.0,
+                completeness: 0.0,
+            }),
+            shift_m,
+            protocol: protocol.name().to_owned(),
+            by_class,
+            ground_and_buildings: static_classes,
+            uncertainty: None,
+        }
+    }
+}
+
+/// Statistics of the errors of the wanted cells, `NaN` where there is no prediction; `None` when none is measured.
+pub(super) fn statistics(wanted: impl Iterator<Item = f32>) -> Option<HeightErrors> {
+    let mut count = 0usize;
+    let mut errors: Vec<f64> = Vec::new();
+    for error in wanted {
+        count += 1;
+        if error.is_finite() {
+            errors.push(f64::from(error));
+        }
+    }
+    if errors.is_empty() {
+        return None;
+    }
+    let measured = errors.len() as f64;
+    let mut absolute: Vec<f64> = errors.iter().map(|error| error.abs()).collect();
+    Some(HeightErrors {
+        mae_m: absolute.iter().sum::<f64>() / measured,
+        rmse_m: (absolute.iter().map(|error| error * error).sum::<f64>() / measured).sqrt(),
+        within_1m: absolute.iter().filter(|error| **error <= 1.0).count() as f64 / measured,
+        median_m: median(&mut absolute)?,
+        nmad_m: nmad(&errors)?,
+        completeness: measured / count as f64,
+    })
+}

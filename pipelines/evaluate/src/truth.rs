@@ -1,0 +1,76 @@
+//! Truth rasters as they come: georeferenced, or placed by a text beside them as in DFC2019.
+
+use super::EvaluateError;
+use heliosplat::Raster;
+use heliosplat_raster::{GeoRaster, GeoTransform, RasterError, RasterFile};
+use std::path::Path;
+
+/// Reads a truth DSM. Without a geotransform its place is read from the text of the same name (`X_DSM.txt`: easting and
+/// northing of the lower-left corner, size in pixels, metres per pixel), in the prediction's coordinate system.
+pub(super) fn read(
+    path: &Path,
+    prediction: &GeoRaster,
+    warnings: &mut Vec<String>,
+) -> Result<GeoRaster, EvaluateError> {
+    let file = RasterFile::open(path)?;
+    let mut raster = file.read(file.whole(), &[0])?;
+    blank_absurd_heights(&mut raster);
+    let (transform, crs) = match file.geo_transform() {
+        Some(transform) => (transform, file.crs()),
+        None => (placed_by_text(path, &raster)?, None),
+    };
+    if crs.is_none() {
+        warnings.push(format!(
+            "{}: says no coordinate system; taken to be in the prediction's",
+            path.display()
+        ));
+    }
+    Ok(GeoRaster {
+        raster,
+        transform,
+        crs: crs.or_else(|| prediction.crs.clone()),
+        band_names: Vec::new(),
+    })
+}
+
+/// Reads classes on the truth's grid.
+pub(super) fn read_classes(path: &Path, truth: &Raster) -> Result<Raster, EvaluateError> {
+    let file = RasterFile::open(path)?;
+    let classes = file.read(file.whole(), &[0])?;
+    if (classes.width, classes.height) == (truth.width, truth.height) {
+        return Ok(classes);
+    }
+    Err(EvaluateError::ClassGrid {
+        path: path.to_owned(),
+        found: format!("{} x {}", classes.width, classes.height),
+        expected: format!("{} x {}", truth.width, truth.height),
+    })
+}
+
+/// Airborne DSMs mark missing cells with -9999, -32767 or 1e38 and often forget to declare it.
+fn blank_absurd_heights(raster: &mut Raster) {
+    for value in &mut raster.values {
+        if !(-1000.0..=10_000.0).contains(value) {
+            *value = f32::NAN;
+        }
+    }
+}
+
+fn placed_by_text(path: &Path, raster: &Raster) -> Result<GeoTransform, EvaluateError> {
+    let text_path = path.with_extension("txt");
+    if !text_path.is_file() {
+        return Err(RasterError::NotGeoreferenced(path.to_owned()).into());
+    }
+    let text = heliosplat_raster::bounded::read_text(&text_path).unwrap_or_default();
+    let numbers: Vec<f64> = text
+        .split_whitespace()
+        .filter_map(|word| word.parse().ok().filter(|number: &f64| number.is_finite()))
+        .collect();
+    match numbers[..] {
+        [west, south, _, metres] if metres > 0.0 => {
+            let north = south + raster.height as f64 * metres;
+            Ok(GeoTransform::north_up(west, north, metres))
+        }
+        _ => Err(EvaluateError::RegionText(text_path)),
+    }
+}

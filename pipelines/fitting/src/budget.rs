@@ -1,0 +1,95 @@
+//! Keeping a training within the time it was given.
+
+use std::collections::VecDeque;
+use std::time::{Duration, Instant};
+
+/// Share of the time that is kept back for what cannot be foreseen.
+const SLACK: f64 = 0.04;
+/// What one image costs after training (its rendering, its shadows, its scores), and the DSM likewise, in steps.
+const STEPS_PER_PRODUCT: f64 = 1.0;
+
+/// What comes after training on a scene of `images` images, in steps.
+pub fn after_training_steps(images: usize) -> f64 {
+    STEPS_PER_PRODUCT * (images + 2) as f64
+}
+
+/// The time a run may take in all.
+#[derive(Debug, Clone, Copy)]
+pub struct Budget {
+    begun: Instant,
+    limit: Duration,
+    images: usize,
+}
+
+impl Budget {
+    /// `limit` from `begun` on, for a scene of `images` images.
+    pub fn new(begun: Instant, limit: Duration, images: usize) -> Self {
+        Self { begun, limit, images }
+    }
+
+    /// Steps in all that fit, when `done` are done and one takes `step_s` seconds.
+    pub fn steps(&self, done: usize, step_s: f64) -> usize {
+        done + self.steps_left(self.begun.elapsed().as_secs_f64(), step_s)
+    }
+
+    fn steps_left(&self, elapsed_s: f64, step_s: f64) -> usize {
+        let after_s = after_training_steps(self.images) * step_s;
+        let left_s = self.limit.as_secs_f64() * (1.0 - SLACK) - elapsed_s - after_s;
+        (left_s / step_s.max(1e-6)).max(0.0) as usize
+    }
+}
+
+/// How long a step takes, over the last epochs: steps that trace light take longer than those that do not.
+#[derive(Debug)]
+pub struct Pace {
+    last: VecDeque<f64>,
+    window: usize,
+}
+
+impl Pace {
+    /// Of a training on `views` views.
+    pub fn new(views: usize) -> Self {
+        Self {
+            last: VecDeque::new(),
+            window: 4 * views.max(1),
+        }
+    }
+
+    /// Adds a step.
+    pub fn add(&mut self, step: Duration) {
+        if self.last.len() == self.window {
+            self.last.pop_front();
+        }
+        self.last.push_back(step.as_secs_f64());
+    }
+
+    /// Seconds per step; zero before the first.
+    pub fn step_s(&self) -> f64 {
+        self.last.iter().sum::<f64>() / self.last.len().max(1) as f64
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn steps_and_what_follows_them_fit_into_the_time() {
+        let budget = Budget::new(Instant::now(), Duration::from_secs(100), 10);
+        for step_s in [0.01, 0.2, 1.0] {
+            let steps = budget.steps_left(20.0, step_s);
+            let end_s = 20.0 + (steps as f64 + after_training_steps(10)) * step_s;
+            assert!(end_s <= 96.0 && end_s > 94.0, "{step_s}: {end_s}");
+        }
+        assert_eq!(budget.steps_left(99.0, 0.1), 0);
+    }
+
+    #[test]
+    fn the_pace_follows_the_last_epochs() {
+        let mut pace = Pace::new(1);
+        for step in [9, 9, 9, 1, 1, 1, 1] {
+            pace.add(Duration::from_secs(step));
+        }
+        assert!((pace.step_s() - 1.0).abs() < 1e-12);
+    }
+}

@@ -1,0 +1,326 @@
+//! The state of a training in its run's folder, from which `--resume` goes on: `checkpoint/training.bin`.
+//!
+//! A line that names the format, the contents, their SHA-256. Written to a temporary name and renamed, so that there is always a whole
+//! one; it is of the same version, configuration and inputs as the training that takes it up, or it is refused.
+
+use crate::curve::CurvePoint;
+use heliosplat::train::{STATE_VERSION, StateError, Trainer, TrainerState};
+use heliosplat_raster::RasterError;
+use heliosplat_raster::write::{remove_leftovers, write_atomically_with};
+use serde::Serialize;
+use serde::de::DeserializeOwned;
+use sha2::{Digest, Sha256};
+use std::borrow::Cow;
+use std::io::{BufWriter, Write};
+use std::path::{Path, PathBuf};
+use std::time::{Duration, Instant};
+
+/// First bytes of a checkpoint; the number is that of this layout.
+const MAGIC: &[u8] = b"heliosplat checkpoint 3\n";
+/// Bytes of the check sum at the end.
+const SUM: usize = 32;
+/// A checkpoint is written no more often than this many times the time that the last one took.
+const SPARING: u32 = 20;
+/// Name of the folder in a run, and of the file in it.
+const PLACE: [&str; 2] = ["checkpoint", "training.bin"];
+
+/// Why a checkpoint cannot be used, or not be written.
+#[derive(Debug, thiserror::Error)]
+pub enum CheckpointError {
+    /// A file that is none, or not whole.
+    #[error("{}: {reason}; delete it to begin anew", path.display())]
+    Damaged {
+        /// The file.
+        path: PathBuf,
+        /// What is wrong with it.
+        reason: String,
+    },
+    /// Of another training.
+    #[error("{}: it is of another training ({difference}); give what was given then, or leave --resume out to begin anew", path.display())]
+    Other {
+        /// The file.
+        path: PathBuf,
+        /// The first difference.
+        difference: String,
+    },
+    /// It cannot be written.
+    #[error(transparent)]
+    Write(#[from] RasterError),
+}
+
+impl CheckpointError {
+    /// Whether what the user gave is at fault, rather than the machine.
+    pub fn is_input_fault(&self) -> bool {
+        !matches!(self, Self::Write(_))
+    }
+}
+
+/// The progress of a training so far, kept in its checkpoint.
+#[derive(Debug, Clone, Default, serde::Serialize, serde::Deserialize)]
+pub struct TrainingLog {
+    /// Points of its curve.
+    pub curve: Vec<CurvePoint>,
+    /// The smoothed difference to the images.
+    pub smoothed: Option<f64>,
+    /// Seconds since the run began, pauses not counted.
+    pub elapsed_s: f64,
+}
+
+#[derive(serde::Serialize, serde::Deserialize)]
+struct Contents<'a, P: Clone> {
+    identity: Cow<'a, str>,
+    preprocessed: Option<Cow<'a, P>>,
+    log: Cow<'a, TrainingLog>,
+    trainer: TrainerState<'a>,
+}
+
+/// The checkpoint of an interrupted training; `P` is what a pipeline computes once before training starts.
+pub struct LoadedCheckpoint<P> {
+    /// Results of preprocessing, which need not be computed again.
+    pub preprocessed: Option<P>,
+    /// The progress so far.
+    pub log: TrainingLog,
+    /// The trainer's state.
+    pub trainer: TrainerState<'static>,
+}
+
+/// Where a run's checkpoint is.
+pub fn path_in(run: &Path) -> PathBuf {
+    run.join(PLACE[0]).join(PLACE[1])
+}
+
+/// Removes the checkpoint of a run, if there is one.
+pub fn remove(run: &Path) {
+    // What stays is of no harm: it is refused by any other training, and gone on from by the same.
+    let _ = std::fs::remove_file(path_in(run));
+    let _ = std::fs::remove_dir(run.join(PLACE[0]));
+}
+
+/// Short name of an identity: its SHA-256, hexadecimal.
+pub fn digest(identity: &str) -> String {
+    hex::encode(Sha256::digest(identity.as_bytes()))
+}
+
+/// What comes first in every identity: versions.
+pub fn identity_of_program() -> String {
+    format!("heliosplat {}, state {STATE_VERSION}\n", env!("CARGO_PKG_VERSION"))
+}
+
+/// The checkpoint of a run, if there is one; `identity` says which training may go on from it, line by line.
+///
+/// # Errors
+/// When it is damaged, or of another training.
+pub fn read<P: Clone + DeserializeOwned + 'static>(
+    run: &Path,
+    identity: &str,
+) -> Result<Option<LoadedCheckpoint<P>>, CheckpointError> {
+    let path = path_in(run);
+    for folder in [run, &run.join(PLACE[0])] {
+        remove_leftovers(folder);
+    }
+    let bytes = match std::fs::read(&path) {
+        Ok(bytes) => bytes,
+        Err(error) if error.kind() == std::io::ErrorKind::NotFound => return Ok(None),
+        Err(error) => {
+            return Err(CheckpointError::Damaged {
+                path,
+                reason: error.to_string(),
+            });
+        }
+    };
+    decode(&bytes, identity).map(Some).map_err(|fault| match fault {
+        Fault::Damaged(reason) => CheckpointError::Damaged { path, reason },
+        Fault::Other(difference) => CheckpointError::Other { path, difference },
+    })
+}
+
+enum Fault {
+    Damaged(String),
+    Other(String),
+}
+
+fn decode<P: Clone + DeserializeOwned + 'static>(bytes: &[u8], identity: &str) -> Result<LoadedCheckpoint<P>, Fault> {
+    let damaged = |reason: &str| Fault::Damaged(reason.to_owned());
+    let rest = bytes
+        .strip_prefix(MAGIC)
+        .ok_or_else(|| damaged("it is no checkpoint of this version of the program"))?;
+    let (contents, sum) = rest
+        .split_last_chunk::<SUM>()
+        .ok_or_else(|| damaged("it is truncated"))?;
+    if Sha256::digest(contents)[..] != sum[..] {
+        return Err(damaged("its check sum is wrong: it is truncated or damaged"));
+    }
+    // The identity first: what follows may have another layout in another version.
+    let (before, _) = postcard::take_from_bytes::<Cow<str>>(contents).map_err(|e| Fault::Damaged(e.to_string()))?;
+    if let Some(difference) = difference(&before, identity) {
+        return Err(Fault::Other(difference));
+    }
+    let contents: Contents<'static, P> = owned(contents)?;
+    Ok(LoadedCheckpoint {
+        preprocessed: contents.preprocessed.map(Cow::into_owned),
+        log: contents.log.into_owned(),
+        trainer: contents.trainer,
+    })
+}
+
+fn owned<P: Clone + DeserializeOwned + 'static>(contents: &[u8]) -> Result<Contents<'static, P>, Fault> {
+    let mut reader = postcard::Deserializer::from_bytes(contents);
+    serde::Deserialize::deserialize(&mut reader).map_err(|error: postcard::Error| Fault::Damaged(error.to_string()))
+}
+
+/// The first line in which two identities differ, in words.
+fn difference(then: &str, now: &str) -> Option<String> {
+    if then == now {
+        return None;
+    }
+    let mut pairs = then.lines().zip(now.lines());
+    let said = pairs.find(|(a, b)| a != b);
+    let (then, now) = said.unwrap_or(("less or more of it", "as it is now"));
+    let short = |text: &str| text.chars().take(120).collect::<String>();
+    Some(format!("then: {}, now: {}", short(then), short(now)))
+}
+
+/// Writes the checkpoints of a training.
+pub struct CheckpointWriter<'a, P> {
+    run: &'a Path,
+    identity: &'a str,
+    every: Duration,
+    begun: Instant,
+    last: Instant,
+    took: Duration,
+    /// Results of preprocessing.
+    pub preprocessed: Option<P>,
+    /// The progress so far.
+    pub log: TrainingLog,
+}
+
+impl<'a, P: Clone + Serialize> CheckpointWriter<'a, P> {
+    /// Checkpoints into `run` after `every`, of the training that `identity` describes; `begun` is when the run began, pauses not
+    /// counted.
+    pub fn new(run: &'a Path, identity: &'a str, every: Duration, begun: Instant) -> Self {
+        Self {
+            run,
+            identity,
+            every,
+            begun,
+            last: Instant::now(),
+            took: Duration::ZERO,
+            preprocessed: None,
+            log: TrainingLog::default(),
+        }
+    }
+
+    /// The fault of a state that does not fit although its identity does.
+    pub fn does_not_fit(&self, error: &StateError) -> CheckpointError {
+        CheckpointError::Damaged {
+            path: path_in(self.run),
+            reason: error.to_string(),
+        }
+    }
+
+    /// Writes a checkpoint where one is due; that it cannot be written is no reason to stop.
+    pub fn step_done(&mut self, trainer: &Trainer) {
+        if self.last.elapsed() < self.every.max(SPARING * self.took) && self.every > Duration::ZERO {
+            return;
+        }
+        if let Err(error) = self.write(trainer) {
+            tracing::warn!("no checkpoint: {error}");
+        }
+    }
+
+    /// Writes a checkpoint.
+    ///
+    /// # Errors
+    /// [`CheckpointError::Write`].
+    pub fn write(&mut self, trainer: &Trainer) -> Result<(), CheckpointError> {
+        let begun = Instant::now();
+        self.log.elapsed_s = self.begun.elapsed().as_secs_f64();
+        let contents = Contents {
+            identity: Cow::Borrowed(self.identity),
+            preprocessed: self.preprocessed.as_ref().map(Cow::Borrowed),
+            log: Cow::Borrowed(&self.log),
+            trainer: trainer.state(),
+        };
+        let written = write_atomically_with(&path_in(self.run), |file| {
+            let mut out = BufWriter::with_capacity(1 << 20, Summed::new(file));
+            out.get_mut().file.write_all(MAGIC)?;
+            postcard::to_io(&contents, &mut out).map_err(|error| std::io::Error::other(error.to_string()))?;
+            out.flush()?;
+            out.get_mut().finish()
+        });
+        self.last = Instant::now();
+        self.took = begun.elapsed();
+        Ok(written?)
+    }
+}
+
+/// A file and the sum of what was written to it.
+struct Summed<'f> {
+    file: &'f mut dyn Write,
+    sum: Sha256,
+    fault: Option<std::io::Error>,
+}
+
+impl<'f> Summed<'f> {
+    fn new(file: &'f mut dyn Write) -> Self {
+        Self {
+            file,
+            sum: Sha256::new(),
+            fault: None,
+        }
+    }
+
+    fn finish(&mut self) -> std::io::Result<()> {
+        if let Some(fault) = self.fault.take() {
+            return Err(fault);
+        }
+        let sum = self.sum.finalize_reset();
+        self.file.write_all(&sum)
+    }
+}
+
+impl Write for Summed<'_> {
+    fn write(&mut self, bytes: &[u8]) -> std::io::Result<usize> {
+        // The encoder forgets why it failed (a full disk): the fault is kept here and told at the end.
+        if self.fault.is_none() {
+            self.sum.update(bytes);
+            self.fault = self.file.write_all(bytes).err();
+        }
+        Ok(bytes.len())
+    }
+
+    fn flush(&mut self) -> std::io::Result<()> {
+        Ok(())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_first_difference_between_two_trainings_is_told() {
+        assert_eq!(difference("a\nb = 1\n", "a\nb = 1\n"), None);
+        let said = difference("a\nb = 1\nc", "a\nb = 2\nd").expect("they differ");
+        assert_eq!(said, "then: b = 1, now: b = 2");
+        assert!(difference("a", "a\nb").is_some());
+    }
+
+    #[test]
+    fn what_is_no_whole_checkpoint_is_refused_without_a_guess() {
+        let said = |bytes: &[u8]| match decode::<()>(bytes, "x") {
+            Err(Fault::Damaged(reason)) => reason,
+            _ => String::new(),
+        };
+        assert!(said(b"anything").contains("no checkpoint"));
+        assert!(said(MAGIC).contains("truncated"));
+        let mut bytes = MAGIC.to_vec();
+        bytes.extend([7; 100]);
+        assert!(said(&bytes).contains("check sum"));
+        // A sum that is right about contents that are none.
+        let mut bytes = MAGIC.to_vec();
+        bytes.extend([255; 60]);
+        bytes.extend(Sha256::digest([255; 60]));
+        assert!(!said(&bytes).is_empty());
+    }
+}

@@ -1,0 +1,27 @@
+//! The curve of a training: its losses, and how good the model was, step by step.
+
+use std::collections::BTreeMap;
+
+/// The losses of one step.
+#[derive(Debug, Clone, PartialEq, serde::Serialize, serde::Deserialize)]
+pub struct CurvePoint {
+    /// The step.
+    pub step: usize,
+    /// Mean absolute difference to the images, smoothed.
+    pub l1: f64,
+    /// Named losses, unweighted.
+    pub losses: BTreeMap<String, f64>,
+    /// Mean absolute difference on tiles that are not learnt from.
+    pub held_out_l1: Option<f64>,
+    /// How good the model was by then, where that was asked.
+    pub accuracy: Option<Accuracy>,
+}
+
+/// How good a model is while it is trained.
+#[derive(Debug, Clone, Copy, Default, PartialEq, serde::Serialize, serde::Deserialize)]
+pub struct Accuracy {
+    /// Mean height error against truth, protocol `raw`, metres.
+    pub height_mae_m: Option<f64>,
+    /// PSNR of some images held out, decibels.
+    pub psnr_db: Option<f64>,
+}

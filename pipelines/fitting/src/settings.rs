@@ -1,0 +1,126 @@
+//! Settings in layers: the defaults of a configuration, then the text of a preset, then what was set by hand.
+
+/// Why a configuration cannot be used.
+#[derive(Debug, thiserror::Error)]
+pub enum ConfigError {
+    /// A preset file that does not parse (a fault of the program, not of the user).
+    #[error("preset {name}: {reason}")]
+    Preset {
+        /// The preset.
+        name: String,
+        /// What the parser says.
+        reason: String,
+    },
+    /// A value that means nothing.
+    #[error("{key} is {value}, expected {expected}")]
+    Value {
+        /// The key.
+        key: String,
+        /// The value.
+        value: String,
+        /// What it may be.
+        expected: &'static str,
+    },
+    /// A `--set` that does not fit.
+    #[error("--set {key}={value}: {reason}; the keys are those of run.toml, such as train.iterations=2000")]
+    Set {
+        /// The key.
+        key: String,
+        /// The value.
+        value: String,
+        /// What is wrong.
+        reason: String,
+    },
+}
+
+/// How much time a training may take for how good a result; the preset is a file of settings of that name.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub enum Preset {
+    /// A first look.
+    Fast,
+    /// The default.
+    #[default]
+    Balanced,
+    /// As good as it gets.
+    Accurate,
+}
+
+impl Preset {
+    /// All of them, the most accurate first.
+    pub const ALL: [Self; 3] = [Self::Accurate, Self::Balanced, Self::Fast];
+
+    /// Its name, as on the command line.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Fast => "fast",
+            Self::Balanced => "balanced",
+            Self::Accurate => "accurate",
+        }
+    }
+}
+
+impl std::str::FromStr for Preset {
+    type Err = ConfigError;
+
+    fn from_str(text: &str) -> Result<Self, ConfigError> {
+        let found = Self::ALL.into_iter().find(|preset| preset.name() == text);
+        found.ok_or_else(|| ConfigError::Value {
+            key: "preset".into(),
+            value: text.into(),
+            expected: "fast, balanced or accurate",
+        })
+    }
+}
+
+/// The defaults of a configuration, then the text of a preset, then the `--set` pairs in their order.
+///
+/// # Errors
+/// [`ConfigError::Set`] for a key that does not exist or a value of another kind.
+pub fn resolve<T: serde::de::DeserializeOwned>(
+    preset: &str,
+    text: &str,
+    set: &[(String, String)],
+) -> Result<T, ConfigError> {
+    let fault = |reason: String| ConfigError::Preset {
+        name: preset.into(),
+        reason,
+    };
+    let mut table: toml::Table = text.parse().map_err(|e: toml::de::Error| fault(e.to_string()))?;
+    let parse = |table: &toml::Table| table.clone().try_into::<T>().map_err(|e| e.to_string());
+    parse(&table).map_err(fault)?;
+    for (key, value) in set {
+        let error = |reason: String| ConfigError::Set {
+            key: key.clone(),
+            value: value.clone(),
+            reason,
+        };
+        insert(&mut table, key, parse_value(value)).map_err(error)?;
+        parse(&table).map_err(|e| error(e.lines().next().unwrap_or("does not fit").to_owned()))?;
+    }
+    parse(&table).map_err(fault)
+}
+
+/// A TOML value where the text is one, a string otherwise.
+fn parse_value(text: &str) -> toml::Value {
+    format!("v = {text}")
+        .parse::<toml::Table>()
+        .ok()
+        .and_then(|mut t| t.remove("v"))
+        .unwrap_or_else(|| toml::Value::String(text.into()))
+}
+
+fn insert(table: &mut toml::Table, key: &str, value: toml::Value) -> Result<(), String> {
+    match key.split_once('.') {
+        None => {
+            table.insert(key.into(), value);
+            Ok(())
+        }
+        Some((head, rest)) => {
+            let inner = table
+                .entry(head)
+                .or_insert_with(|| toml::Value::Table(toml::Table::new()));
+            let inner = inner.as_table_mut().ok_or_else(|| format!("{head} is not a section"))?;
+            insert(inner, rest, value)
+        }
+    }
+}

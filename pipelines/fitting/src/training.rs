@@ -1,0 +1,169 @@
+//! The loop around a trainer: steps, a budget of time, points of a curve, checkpoints on the way, and how it ends.
+
+use crate::budget::{Budget, Pace};
+use crate::checkpoint::{CheckpointError, CheckpointWriter};
+use crate::curve::{Accuracy, CurvePoint};
+use heliosplat::model::Parameters;
+use heliosplat::train::{EarlyStop, StepReport, TrainError, Trainer};
+use heliosplat_session::Session;
+use serde::Serialize;
+use std::path::{Path, PathBuf};
+use std::time::Instant;
+
+/// Why a training came to nothing.
+#[derive(Debug, thiserror::Error)]
+pub enum TrainingError {
+    /// The trainer gave up before there was a model worth keeping.
+    #[error("training stopped: {0}")]
+    Train(#[from] TrainError),
+    /// A checkpoint is at fault, or cannot be written.
+    #[error(transparent)]
+    Checkpoint(#[from] CheckpointError),
+    /// The user stopped it; a checkpoint keeps its state.
+    #[error("stopped; the training is kept in {}/checkpoint, the same command with --resume goes on", .0.display())]
+    Interrupted(PathBuf),
+    /// It could not go on; the run holds the last good state.
+    #[error("training stopped: {error}, in {}", out.display())]
+    GaveUp {
+        /// What happened.
+        error: TrainError,
+        /// The folder of the run.
+        out: PathBuf,
+    },
+}
+
+/// Measures a model in training without changing it.
+pub type Probe<'a> = dyn Fn(&Parameters) -> Option<Accuracy> + 'a;
+
+/// Steps between two points of the curve.
+const CURVE_EVERY: usize = 25;
+/// About as many points of it have an accuracy.
+const PROBES: usize = 12;
+
+/// How a fit that has a model to show ended.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub enum Ending {
+    /// As it should.
+    Done,
+    /// The user stopped it; its state is kept in a checkpoint.
+    Interrupted,
+    /// Training could not go on; the model is the last good state.
+    GaveUp(TrainError),
+}
+
+impl Ending {
+    /// The error of a training into `out` that ended before its time.
+    ///
+    /// # Errors
+    /// [`TrainingError::Interrupted`] or [`TrainingError::GaveUp`].
+    pub fn check(&self, out: &Path) -> Result<(), TrainingError> {
+        let out = out.to_owned();
+        match self {
+            Self::Done => Ok(()),
+            Self::Interrupted => Err(TrainingError::Interrupted(out)),
+            Self::GaveUp(error) => Err(TrainingError::GaveUp {
+                error: error.clone(),
+                out,
+            }),
+        }
+    }
+}
+
+/// The result of a training.
+pub struct Trained {
+    /// The best parameters.
+    pub parameters: Parameters,
+    /// How many steps were taken, and which was the best.
+    pub early_stop: EarlyStop,
+    /// Steps rejected because of a number that is not finite.
+    pub rejected: usize,
+    /// The points of the curve.
+    pub curve: Vec<CurvePoint>,
+    /// How training ended.
+    pub ending: Ending,
+}
+
+/// Trains to the end, or until the user or the time stops it.
+///
+/// # Errors
+/// [`TrainingError::Train`] when the trainer gives up in its first steps, [`TrainingError::Checkpoint`] when an interrupted
+/// training cannot be kept.
+pub fn train<P: Clone + Serialize>(
+    mut trainer: Trainer,
+    steps: usize,
+    session: &Session,
+    budget: Option<Budget>,
+    mut checkpoints: CheckpointWriter<P>,
+    probe: Option<&Probe>,
+) -> Result<Trained, TrainingError> {
+    let probe_every = CURVE_EVERY * (steps / CURVE_EVERY / PROBES).max(1);
+    let progress = session.progress("train", steps as u64);
+    progress.set(trainer.steps() as u64);
+    let mut pace = Pace::new(trainer.views());
+    let mut ending = Ending::Done;
+    while !trainer.finished() && !session.stopped() {
+        let begun = Instant::now();
+        let report = match trainer.step() {
+            Ok(report) => report,
+            Err(error @ TrainError::NotFinite { .. }) if trainer.steps() > trainer.rejected() => {
+                ending = Ending::GaveUp(error);
+                break;
+            }
+            Err(error) => return Err(error.into()),
+        };
+        pace.add(begun.elapsed());
+        if let Some(budget) = budget {
+            let steps = budget.steps(report.step, pace.step_s());
+            trainer.set_iterations(steps);
+            progress.set_total(steps as u64);
+        }
+        let log = &mut checkpoints.log;
+        let l1 = log.smoothed.map_or(report.l1, |old| 0.95 * old + 0.05 * report.l1);
+        log.smoothed = Some(l1);
+        progress.set(report.step as u64);
+        if report.step % CURVE_EVERY == 0 {
+            progress.say(&format!("L1 {l1:.4} gaussians {}", report.gaussians));
+            let probe = probe.filter(|_| report.step % probe_every == 0);
+            log.curve.push(CurvePoint {
+                held_out_l1: trainer.held_out_l1(),
+                accuracy: probe.and_then(|probe| probe(&trainer.parameters)),
+                ..point(&report, l1)
+            });
+        }
+        if report.step % 100 == 0 {
+            let StepReport {
+                step, gaussians, pairs, ..
+            } = report;
+            tracing::info!(step, l1, gaussians, pairs, "training");
+        }
+        checkpoints.step_done(&trainer);
+    }
+    if ending == Ending::Done && !trainer.finished() {
+        ending = Ending::Interrupted;
+        checkpoints.write(&trainer)?;
+    }
+    let rejected = trainer.rejected();
+    let (parameters, early_stop) = trainer.into_best();
+    Ok(Trained {
+        parameters,
+        early_stop,
+        rejected,
+        curve: checkpoints.log.curve,
+        ending,
+    })
+}
+
+fn point(report: &StepReport, l1: f64) -> CurvePoint {
+    let losses = report
+        .losses
+        .iter()
+        .map(|(name, value)| ((*name).to_owned(), *value))
+        .collect();
+    CurvePoint {
+        step: report.step,
+        l1,
+        losses,
+        held_out_l1: None,
+        accuracy: None,
+    }
+}

@@ -1,0 +1,364 @@
+//! A capture: images of an object from around it, with cameras and, where known, lights.
+
+use super::error::CaptureError;
+use super::pinhole::{Pinhole, common_centre};
+use super::pixels::{self, Encoding, Picture};
+use super::transforms::{self, FrameSpec, PointLight};
+use glam::DVec3;
+use heliosplat_rpc::statistics::upper_median;
+use heliosplat_scene::Split;
+use rayon::prelude::*;
+use std::path::{Path, PathBuf};
+
+/// What images may take in memory where nothing is said, bytes.
+pub const IMAGE_BYTES: u64 = 8 << 30;
+/// Without files that say which images are held out, every eighth is, as NeRF and its successors do.
+const HOLD_EVERY: usize = 8;
+/// Files of a capture, and what their images are for. Where there are images to test with, those to validate with are left alone.
+const FILES: [(&str, Split); 4] = [
+    ("transforms_train.json", Split::Train),
+    ("transforms_test.json", Split::Test),
+    ("transforms_val.json", Split::Test),
+    ("transforms_valid.json", Split::Test),
+];
+
+/// One image of a capture.
+#[derive(Debug, Clone)]
+pub struct Frame {
+    /// Its name: the path as written in the list, without extension.
+    pub name: String,
+    /// Its file.
+    pub path: PathBuf,
+    /// Train or test.
+    pub split: Split,
+    /// Its camera.
+    pub camera: Pinhole,
+    /// Its light, if known.
+    pub light: Option<PointLight>,
+    /// What it shows.
+    pub picture: Picture,
+}
+
+/// The images of an object.
+#[derive(Debug, Clone)]
+pub struct Capture {
+    /// The folder, or the file that was given.
+    pub source: PathBuf,
+    /// The images, in the order of their lists.
+    pub frames: Vec<Frame>,
+    /// Where the cameras look, in their frame: the origin of the model's.
+    pub centre: DVec3,
+    /// Half of the side of the cube that cameras see, in their units.
+    pub half_size: f64,
+    /// Width of a pixel at the centre.
+    pub pixel_size: f64,
+    /// What looks wrong but stops nothing.
+    pub warnings: Vec<String>,
+}
+
+/// Whether `path` is a capture: a `transforms` file, or a folder with one.
+pub fn is_capture(path: &Path) -> bool {
+    if path.is_file() {
+        let name = path.file_name().and_then(|n| n.to_str()).unwrap_or_default();
+        return name.starts_with("transforms") && name.ends_with(".json");
+    }
+    path.join("transforms.json").is_file() || FILES.iter().any(|(name, _)| path.join(name).is_file())
+}
+
+impl Capture {
+    /// True normals, `(n + 1) / 2`, and the number of the part of the object that each pixel of a frame shows; `None` where the
+    /// capture does not know.
+    pub fn true_parts(&self, frame: &Frame) -> Option<(image::RgbImage, image::GrayImage)> {
+        let folder = match self.source.is_dir() {
+            true => self.source.as_path(),
+            false => self.source.parent()?,
+        };
+        let name = frame.name.trim_start_matches("./");
+        let file = |kind: &str| image::open(folder.join(format!("truth/{name}_{kind}.png"))).ok();
+        Some((file("normal")?.to_rgb8(), file("part")?.to_luma8()))
+    }
+
+    /// Opens the capture in a folder, or of one `transforms` file, and reads its images, which may take `image_bytes`.
+    ///
+    /// # Errors
+    /// [`CaptureError`], naming the file at fault.
+    pub fn open(path: &Path, image_bytes: u64) -> Result<Self, CaptureError> {
+        let specs = list(path)?;
+        let headers: Vec<pixels::Header> = specs
+            .par_iter()
+            .map(|(spec, _)| pixels::header(&spec.path))
+            .collect::<Result<_, _>>()?;
+        let needed: u64 = headers
+            .iter()
+            .map(|h| 4 * 4 * (h.size_px[0] * h.size_px[1]) as u64)
+            .sum();
+        if needed > image_bytes {
+            let gib = |bytes: u64| bytes as f64 / f64::from(1 << 30);
+            return Err(CaptureError::TooLarge {
+                folder: path.to_owned(),
+                needed_gib: gib(needed),
+                limit_gib: gib(image_bytes),
+            });
+        }
+        let frames: Vec<Frame> = specs
+            .into_par_iter()
+            .zip(headers)
+            .map(|((spec, split), header)| frame(spec, split, header))
+            .collect::<Result<_, _>>()?;
+        Self::of_frames(path, frames)
+    }
+
+    fn of_frames(source: &Path, mut frames: Vec<Frame>) -> Result<Self, CaptureError> {
+        let cameras: Vec<Pinhole> = frames.iter().map(|f| f.camera).collect();
+        let centre = common_centre(&cameras);
+        let mut warnings = Vec::new();
+        let before = frames.len();
+        frames.retain(|frame| frame.camera.depth(centre) > 1e-6 * (centre - frame.camera.eye).length());
+        if frames.len() < before {
+            let away = before - frames.len();
+            warnings.push(format!(
+                "{away} of {before} cameras look away from where the others look: left out"
+            ));
+        }
+        if !frames.iter().any(|f| f.split == Split::Train) {
+            return Err(CaptureError::Transforms {
+                path: source.to_owned(),
+                what: "no camera looks at a common point".into(),
+                remedy: "check that transform_matrix goes from camera to world, in OpenGL's axes",
+            });
+        }
+        let encodings: Vec<Encoding> = frames.iter().map(|f| f.picture.encoding).collect();
+        if encodings.iter().any(|&e| e != encodings[0]) {
+            warnings.push("some images are EXR and some are not: their brightness will not agree".into());
+        }
+        let half = |f: &Frame| {
+            let c = &f.camera;
+            let reach = (0..2)
+                .map(|k| 0.5 * c.size_px[k] as f64 / c.focal_px[k])
+                .fold(f64::INFINITY, f64::min);
+            c.depth(centre) * reach
+        };
+        let pixel = |f: &Frame| f.camera.depth(centre) / f.camera.focal_px[0].max(f.camera.focal_px[1]);
+        let median = |of: &dyn Fn(&Frame) -> f64| {
+            let mut values: Vec<f64> = frames.iter().map(of).collect();
+            upper_median(&mut values).unwrap_or(1.0)
+        };
+        Ok(Self {
+            source: source.to_owned(),
+            half_size: median(&half),
+            pixel_size: median(&pixel),
+            centre,
+            frames,
+            warnings,
+        })
+    }
+
+    /// The images of a split.
+    pub fn of(&self, split: Split) -> impl Iterator<Item = &Frame> {
+        self.frames.iter().filter(move |f| f.split == split)
+    }
+
+    /// Whether all images come with their coverage.
+    pub fn has_coverage(&self) -> bool {
+        self.frames.iter().all(|f| f.picture.coverage.is_some())
+    }
+}
+
+fn frame(spec: FrameSpec, split: Split, header: pixels::Header) -> Result<Frame, CaptureError> {
+    let camera = spec.camera(header.size_px).map_err(|what| CaptureError::Image {
+        path: spec.path.clone(),
+        what,
+        remedy: "correct w and h in the transforms file, or remove them",
+    })?;
+    Ok(Frame {
+        picture: pixels::read(&spec.path)?,
+        name: spec.name,
+        path: spec.path,
+        split,
+        camera,
+        light: spec.light,
+    })
+}
+
+/// The images that a capture lists, and what each is for.
+fn list(path: &Path) -> Result<Vec<(FrameSpec, Split)>, CaptureError> {
+    if path.is_file() {
+        return Ok(held_out(transforms::read(path)?));
+    }
+    let mut all: Vec<(FrameSpec, Split)> = Vec::new();
+    for (name, split) in FILES {
+        let file = path.join(name);
+        let tested = all.iter().any(|(_, split)| *split == Split::Test);
+        if file.is_file() && !(tested && split == Split::Test) {
+            all.extend(transforms::read(&file)?.into_iter().map(|spec| (spec, split)));
+        }
+    }
+    if all.iter().any(|(_, split)| *split == Split::Train) {
+        let tested = all.iter().any(|(_, split)| *split == Split::Test);
+        return Ok(if tested {
+            all
+        } else {
+            held_out(all.into_iter().map(|(spec, _)| spec).collect())
+        });
+    }
+    let single = path.join("transforms.json");
+    if single.is_file() {
+        return Ok(held_out(transforms::read(&single)?));
+    }
+    Err(CaptureError::NoTransforms(path.to_owned()))
+}
+
+/// Every eighth image is held out, the first one first; none of fewer than eight.
+fn held_out(specs: Vec<FrameSpec>) -> Vec<(FrameSpec, Split)> {
+    let many = specs.len() >= HOLD_EVERY;
+    let split = |i: usize| {
+        if many && i.is_multiple_of(HOLD_EVERY) {
+            Split::Test
+        } else {
+            Split::Train
+        }
+    };
+    specs
+        .into_iter()
+        .enumerate()
+        .map(|(i, spec)| (spec, split(i)))
+        .collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use image::{Rgba, RgbaImage};
+    use serde_json::{Value, json};
+
+    fn picture(tone: u8) -> RgbaImage {
+        RgbaImage::from_fn(10, 8, |x, y| {
+            Rgba([x as u8 * 20, y as u8 * 30, tone, if x > 2 { 255 } else { 0 }])
+        })
+    }
+
+    /// A camera on the x axis that looks at the origin, turned around the z axis.
+    fn matrix(turn: f64) -> Value {
+        let (s, c) = turn.sin_cos();
+        json!([
+            [-s, 0.0, c, 4.0 * c],
+            [c, 0.0, s, 4.0 * s],
+            [0.0, 1.0, 0.0, 0.0],
+            [0.0, 0.0, 0.0, 1.0]
+        ])
+    }
+
+    fn write(folder: &Path, name: &str, value: &Value) {
+        std::fs::write(folder.join(name), value.to_string()).expect("written");
+    }
+
+    /// What the images of a folder look like to the engine.
+    fn views(folder: &Path) -> Vec<(String, Split, Pinhole, Picture, Option<PointLight>)> {
+        let capture = Capture::open(folder, IMAGE_BYTES).expect("a sound capture");
+        let frames = capture.frames.into_iter();
+        frames
+            .map(|f| (f.name, f.split, f.camera, f.picture, f.light))
+            .collect()
+    }
+
+    #[test]
+    fn the_same_images_in_any_dialect_are_the_same_views() {
+        let angle = 2.0 * (5.0f64 / 12.0).atan();
+        let folder = || {
+            let folder = tempfile::tempdir().expect("a temporary folder");
+            std::fs::create_dir(folder.path().join("train")).expect("a folder");
+            for i in 0..3u8 {
+                picture(i)
+                    .save(folder.path().join(format!("train/r_{i}.png")))
+                    .expect("written");
+                // What must not be taken for images.
+                picture(99)
+                    .save(folder.path().join(format!("train/r_{i}_normal.png")))
+                    .expect("written");
+            }
+            folder
+        };
+        let place = |i: usize| json!([i as f64, 2.0, 3.0]);
+        let frames = |frame: &dyn Fn(usize) -> Value| -> Vec<Value> { (0..3).map(frame).collect() };
+        let turn = |i: usize| matrix(i as f64);
+        let nerf = folder();
+        let list = frames(
+            &|i| json!({"file_path": format!("./train/r_{i}"), "transform_matrix": turn(i), "pl_pos": place(i)}),
+        );
+        write(
+            nerf.path(),
+            "transforms_train.json",
+            &json!({"camera_angle_x": angle, "frames": list}),
+        );
+        let hints = folder();
+        let list = frames(&|i| {
+            json!({"file_path": format!("train/r_{i}"), "file_ext": ".png", "transform_matrix": turn(i),
+                "pl_pos": place(i), "camera_intrinsics": [5.0, 4.0, 12.0, 12.0]})
+        });
+        write(hints.path(), "transforms_train.json", &json!({"frames": list}));
+        let studio = folder();
+        let list = frames(
+            &|i| json!({"file_path": format!("train/r_{i}.png"), "transform_matrix": turn(i), "light": {"position": place(i)}}),
+        );
+        let whole = json!({"fl_x": 12.0, "fl_y": 12.0, "cx": 5.0, "cy": 4.0, "w": 10, "h": 8, "frames": list});
+        write(studio.path(), "transforms.json", &whole);
+        let lists = folder();
+        let list = frames(&|i| {
+            json!({"file_paths": [format!("train/r_{i}")], "light_positions": [place(i)], "transform_matrix": turn(i),
+                "width": 10, "height": 8, "fl_x": 12.0})
+        });
+        write(lists.path(), "transforms_train.json", &json!({"frames": list}));
+        let expected = views(nerf.path());
+        assert_eq!(expected.len(), 3);
+        for other in [hints, studio, lists] {
+            let seen = views(other.path());
+            for (a, b) in seen.iter().zip(&expected) {
+                assert!((a.2.focal_px[0] - b.2.focal_px[0]).abs() < 1e-9);
+                let camera = Pinhole {
+                    focal_px: b.2.focal_px,
+                    ..a.2
+                };
+                assert_eq!((&a.0, a.1, camera, &a.3, a.4), (&b.0, b.1, b.2, &b.3, b.4));
+            }
+            assert_eq!(seen.len(), 3);
+        }
+    }
+
+    #[test]
+    fn images_are_held_out_as_the_files_say_or_every_eighth() {
+        let folder = tempfile::tempdir().expect("a temporary folder");
+        picture(1).save(folder.path().join("a.png")).expect("written");
+        let list = |count: usize| -> Value {
+            let frames = (0..count).map(|i| json!({"file_path": "a", "transform_matrix": matrix(i as f64)}));
+            json!({"camera_angle_x": 0.7, "frames": frames.collect::<Vec<_>>()})
+        };
+        let count = |split| {
+            let capture = Capture::open(folder.path(), IMAGE_BYTES).expect("a sound capture");
+            capture.of(split).count()
+        };
+        write(folder.path(), "transforms.json", &list(16));
+        assert_eq!((count(Split::Train), count(Split::Test)), (14, 2));
+        write(folder.path(), "transforms_train.json", &list(9));
+        write(folder.path(), "transforms_val.json", &list(3));
+        assert_eq!((count(Split::Train), count(Split::Test)), (9, 3));
+        // Where there are images to test with, those to validate with are left alone.
+        write(folder.path(), "transforms_test.json", &list(5));
+        assert_eq!((count(Split::Train), count(Split::Test)), (9, 5));
+    }
+
+    #[test]
+    fn images_that_take_too_much_memory_are_refused_before_they_are_read() {
+        let folder = tempfile::tempdir().expect("a temporary folder");
+        picture(1).save(folder.path().join("a.png")).expect("written");
+        let frames: Vec<Value> = (0..50)
+            .map(|i| json!({"file_path": "a", "transform_matrix": matrix(f64::from(i))}))
+            .collect();
+        write(
+            folder.path(),
+            "transforms.json",
+            &json!({"camera_angle_x": 0.7, "frames": frames}),
+        );
+        let error = Capture::open(folder.path(), 1000).expect_err("too much").to_string();
+        assert!(error.contains("--memory"), "{error}");
+    }
+}

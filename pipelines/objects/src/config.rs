@@ -1,0 +1,160 @@
+//! The configuration of a run on a capture: data, not code, as for satellite scenes.
+
+use heliosplat::optim::DensityOptions;
+use heliosplat::train::TrainOptions;
+use heliosplat_fitting::settings::{ConfigError, Preset, resolve};
+
+/// How Gaussians start.
+#[derive(Debug, Clone, PartialEq, serde::Serialize, serde::Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct StartOptions {
+    /// About as many Gaussians: fewer for small images or little memory, more for large ones.
+    pub gaussians: usize,
+}
+
+impl Default for StartOptions {
+    fn default() -> Self {
+        Self { gaussians: 8000 }
+    }
+}
+
+/// What is behind the object.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Background {
+    /// White for PNG with coverage, as is common; black for EXR with coverage; else the colour of the images' borders.
+    Auto,
+    /// White.
+    White,
+    /// Black.
+    Black,
+}
+
+/// Which model explains the images.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum ModelKind {
+    /// `olat` where every image has a light and they are in different places; else `reflective` where short fits show that gloss is
+    /// needed, and `radiance` where not.
+    Auto,
+    /// Colours as seen from anywhere, under the light of the photographs.
+    Radiance,
+    /// What surfaces reflect of one light at a time.
+    Olat,
+    /// Glossy surfaces in surroundings that stay.
+    Reflective,
+}
+
+/// The model.
+#[derive(Debug, Clone, PartialEq, serde::Serialize, serde::Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct ModelOptions {
+    /// Which one; said where the images decide otherwise than the user wants.
+    pub kind: ModelKind,
+    /// Whether surfaces may be glossy: they are where that is needed, see [`super::plan`], or where `kind` says the model.
+    pub specular: bool,
+    /// Whether light may scatter under surfaces, in `olat`; as for gloss.
+    pub scattering: bool,
+    /// Whether a network refines shadows, in `olat`: on for matt objects (1.9 dB), off for metal, where it is worth nothing.
+    pub refined_shadow: bool,
+    /// Whether the light that reaches surfaces is traced, in `olat`; off in the comparison of docs/lab/objects.md, for a sixth of the time.
+    pub shadow: bool,
+    /// Radius of the lights, in `olat`, in the capture's units: 0 for points, larger for lamps that are near.
+    pub light_radius: f32,
+    /// Largest degree of the spherical harmonics: 3, or 0 for objects that look alike from everywhere.
+    pub sh_degree: usize,
+    /// Steps of the short fits that decide which parts there are (see [`super::plan`]); 0, for those who know, leaves parts as the
+    /// configuration says.
+    pub pilot_steps: usize,
+    /// What is behind the object; said where the images' coverage does not tell.
+    pub background: Background,
+}
+
+impl Default for ModelOptions {
+    fn default() -> Self {
+        Self {
+            kind: ModelKind::Auto,
+            specular: true,
+            scattering: true,
+            refined_shadow: false,
+            shadow: true,
+            light_radius: 0.0,
+            sh_degree: 3,
+            pilot_steps: 300,
+            background: Background::Auto,
+        }
+    }
+}
+
+/// Everything that decides a run besides its capture.
+#[derive(Debug, Clone, PartialEq, Default, serde::Serialize, serde::Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct ObjectConfig {
+    /// Training.
+    pub train: TrainOptions,
+    /// The start.
+    pub start: StartOptions,
+    /// The model.
+    pub model: ModelOptions,
+}
+
+impl ObjectConfig {
+    /// The defaults, then the preset's file, then the `--set` pairs in their order.
+    ///
+    /// # Errors
+    /// [`ConfigError::Set`] for a key that does not exist or a value of another kind.
+    pub fn resolve(preset: Preset, set: &[(String, String)], seed: u64) -> Result<Self, ConfigError> {
+        let text = match preset {
+            Preset::Fast => include_str!("../presets/fast.toml"),
+            Preset::Balanced => include_str!("../presets/balanced.toml"),
+            Preset::Accurate => include_str!("../presets/accurate.toml"),
+        };
+        let mut config: Self = resolve(preset.name(), text, set)?;
+        config.train = for_objects(config.train, seed);
+        Ok(config)
+    }
+}
+
+/// What trainings on objects have otherwise than those on ground, whoever runs them. Lengths are in pixels at the object's centre.
+fn for_objects(train: TrainOptions, seed: u64) -> TrainOptions {
+    TrainOptions {
+        seed,
+        final_rate: 0.02,
+        opacity_rate: 0.05,
+        // Level parts of an object need few Gaussians.
+        scale_gsd: (0.1, 60.0),
+        // Held-out tiles would be holes in the object.
+        holdout: 0.0,
+        density: DensityOptions {
+            // A hull is coarser than a swept surface: it first finds its shape, then grows faster.
+            from: 300,
+            growth: 0.15,
+            gradient_threshold: 0.1,
+            split_gsd: 2.0,
+            prune_gsd: 120.0,
+            ..train.density
+        },
+        ..train
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn every_preset_parses_and_asks_no_ground_of_an_object() {
+        for preset in Preset::ALL {
+            let config = ObjectConfig::resolve(preset, &[], 3).expect("a sound preset");
+            assert_eq!((config.train.seed, config.train.consistency_weight), (3, 0.0));
+        }
+        let set = [("model.sh_degree".to_owned(), "1".to_owned())];
+        assert_eq!(
+            ObjectConfig::resolve(Preset::Fast, &set, 1)
+                .expect("a known key")
+                .model
+                .sh_degree,
+            1
+        );
+    }
+}

@@ -1,0 +1,93 @@
+//! What can go wrong between a capture of an object and its run.
+
+use heliosplat_fitting::run_folder::{OpenError, RunError};
+use heliosplat_fitting::settings::ConfigError;
+use heliosplat_fitting::training::TrainingError;
+use heliosplat_raster::RasterError;
+use std::path::PathBuf;
+
+/// Why a capture cannot be used; one line that names the file and what to do.
+#[derive(Debug, thiserror::Error)]
+pub enum CaptureError {
+    /// There is no `transforms_*.json`.
+    #[error("{0}: no transforms_train.json or transforms.json here; give a folder that holds one")]
+    NoTransforms(PathBuf),
+    /// A file that cannot be read.
+    #[error("{path}: {reason}; check that it is there and may be read")]
+    Io {
+        /// The file.
+        path: PathBuf,
+        /// What the system says.
+        reason: std::io::Error,
+    },
+    /// A `transforms` file that does not say what it should.
+    #[error("{path}: {what}; {remedy}")]
+    Transforms {
+        /// The file.
+        path: PathBuf,
+        /// What is wrong.
+        what: String,
+        /// What to do.
+        remedy: &'static str,
+    },
+    /// An image that is not usable.
+    #[error("{path}: {what}; {remedy}")]
+    Image {
+        /// The file.
+        path: PathBuf,
+        /// What is wrong.
+        what: String,
+        /// What to do.
+        remedy: &'static str,
+    },
+    /// More pixels than fit.
+    #[error(
+        "{folder}: its images take {needed_gib:.1} GiB and at most {limit_gib:.1} GiB are used; give fewer or smaller ones, or more with --memory"
+    )]
+    TooLarge {
+        /// The capture.
+        folder: PathBuf,
+        /// What they take, GiB.
+        needed_gib: f64,
+        /// What they may take, GiB.
+        limit_gib: f64,
+    },
+}
+
+/// Why a capture did not become a run, or a run could not be measured.
+#[derive(Debug, thiserror::Error)]
+pub enum ObjectError {
+    /// The capture.
+    #[error(transparent)]
+    Capture(#[from] CaptureError),
+    /// A setting.
+    #[error(transparent)]
+    Config(#[from] ConfigError),
+    /// Settings that cannot be written down.
+    #[error("the configuration cannot be written: {0}")]
+    Settings(String),
+    /// No room for the Gaussians that training starts from.
+    #[error(
+        "--memory: the images leave no room for {gaussians} Gaussians; give {needed_gib:.2}GiB or more, or fewer with --set start.gaussians={most}"
+    )]
+    Memory {
+        /// How many there should be.
+        gaussians: usize,
+        /// What would be enough, GiB.
+        needed_gib: f64,
+        /// How many there is room for.
+        most: usize,
+    },
+    /// The course of a training.
+    #[error(transparent)]
+    Training(#[from] TrainingError),
+    /// The run's folder, or its checkpoint.
+    #[error(transparent)]
+    Open(#[from] OpenError),
+    /// A file of the run.
+    #[error(transparent)]
+    Run(#[from] RunError),
+    /// A picture.
+    #[error(transparent)]
+    Raster(#[from] RasterError),
+}

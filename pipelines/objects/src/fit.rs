@@ -1,0 +1,112 @@
+//! From a capture to a trained model.
+
+use super::capture::{Capture, Frame};
+use super::config::ObjectConfig;
+use super::model::{self, ObjectModel};
+use super::plan::{self, Plan};
+use super::prepare::{self, FitInput};
+use super::{measure, views};
+use heliosplat::model::View;
+use heliosplat::train::Trainer;
+use heliosplat_fitting::budget::Budget;
+use heliosplat_fitting::checkpoint::{CheckpointWriter, LoadedCheckpoint};
+use heliosplat_fitting::curve::CurvePoint;
+use heliosplat_fitting::training::{Ending, TrainingError, train};
+use heliosplat_scene::Split;
+use heliosplat_session::Session;
+use std::time::Instant;
+
+/// A trained model and how it came about.
+pub struct Fitted {
+    /// The model.
+    pub model: ObjectModel,
+    /// What was fitted, and why.
+    pub plan: Plan,
+    /// How Gaussians started, in words.
+    pub start: &'static str,
+    /// How many did.
+    pub started: usize,
+    /// Steps done.
+    pub iterations: usize,
+    /// Steps rejected because of a number that is not finite.
+    pub rejected: usize,
+    /// Seconds before training and in it.
+    pub seconds: [f64; 2],
+    /// The course of training.
+    pub curve: Vec<CurvePoint>,
+    /// How training ended.
+    pub ending: Ending,
+}
+
+/// Fits a model to `capture`, or goes on from the `checkpoint` of a fit that was interrupted; `checkpoints` writes its state meanwhile.
+///
+/// # Errors
+/// [`TrainingError`] when training gives up.
+pub fn fit(
+    capture: &Capture,
+    config: &ObjectConfig,
+    session: &Session,
+    budget: Option<Budget>,
+    mut checkpoints: CheckpointWriter<()>,
+    checkpoint: Option<LoadedCheckpoint<()>>,
+) -> Result<Fitted, TrainingError> {
+    let begun = Instant::now();
+    let plan = plan::plan(capture, config, session)?;
+    tracing::info!(kind = ?plan.kind, specular = plan.specular, scattering = plan.scattering, why = plan.reason, "model");
+    let mut planned = config.clone();
+    planned.model.specular = plan.specular;
+    planned.model.scattering = plan.scattering;
+    let frames: Vec<&Frame> = capture.of(Split::Train).collect();
+    let FitInput {
+        kind,
+        preparation,
+        parameters,
+        how,
+    } = prepare::input(capture, plan.kind, &planned, &frames);
+    tracing::info!(gaussians = parameters.gaussians.count, how, "start");
+    let scene_model = kind.model();
+    let views: Vec<View> = frames
+        .iter()
+        .enumerate()
+        .filter_map(|(i, frame)| views::view(frame, capture.centre, &preparation, i))
+        .collect();
+    let mut options = config.train.clone().for_views(views.len());
+    options.gsd_m = capture.pixel_size as f32;
+    let steps = options.iterations;
+    let started = parameters.gaussians.count;
+    let begins = parameters.globals.clone();
+    let prepared = begun.elapsed();
+    let mut trainer = Trainer::new(
+        &*scene_model,
+        views,
+        parameters,
+        options,
+        prepare::bounds(capture),
+        None,
+    )?;
+    if let Some(checkpoint) = checkpoint {
+        tracing::info!(step = checkpoint.trainer.steps(), of = steps, "training goes on");
+        checkpoints.log = checkpoint.log;
+        trainer
+            .restore(checkpoint.trainer)
+            .map_err(|error| checkpoints.does_not_fit(&error))?;
+    }
+    let probe = measure::psnr_probe(capture, model::file(capture, kind.clone(), preparation, begins));
+    let trained = train(trainer, steps, session, budget, checkpoints, probe.as_deref())?;
+    let file = model::file(capture, kind, preparation, trained.parameters.globals.clone());
+    Ok(Fitted {
+        model: ObjectModel {
+            model: file.kind.model(),
+            parameters: trained.parameters,
+            file,
+        },
+        plan,
+        start: how,
+        started,
+        iterations: trained.early_stop.steps,
+        rejected: trained.rejected,
+        seconds: [prepared.as_secs_f64(), (begun.elapsed() - prepared).as_secs_f64()],
+        curve: trained.curve,
+        ending: trained.ending,
+    })
+}

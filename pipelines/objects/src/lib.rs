@@ -1,0 +1,28 @@
+//! Captures of objects: images from around an object with cameras and lights in `transforms_*.json`, as NeRF made them common.
+//!
+//! `transforms` reads cameras and lights, `pixels` images, `capture` puts them together; `plan`, `start`, `views` and `fit` make a model
+//! of them, `run` keeps it, `measure` says how good it is, and `training` is the whole way.
+
+pub mod capture;
+pub mod config;
+pub mod error;
+pub mod export;
+pub mod fit;
+pub mod measure;
+pub mod mesh;
+pub mod model;
+mod model_file;
+pub mod pinhole;
+pub mod pixels;
+pub mod plan;
+pub mod ply;
+mod prepare;
+pub mod run;
+pub mod start;
+pub mod surroundings;
+pub mod training;
+pub mod transforms;
+pub mod views;
+
+pub use capture::{Capture, is_capture};
+pub use error::{CaptureError, ObjectError};

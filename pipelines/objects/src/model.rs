@@ -1,0 +1,352 @@
+//! A model of an object, and its files: `model.ply`, `model.json`.
+
+use super::capture::{Capture, Frame};
+use super::pinhole::Pinhole;
+use super::pixels::Encoding;
+use super::ply;
+use super::surroundings::Lamp;
+use super::transforms::PointLight;
+use super::views::Preparation;
+use glam::DVec3;
+use heliosplat::gaussians::Table;
+use heliosplat::light::Light;
+use heliosplat::model::olat::{Component, Olat, OlatOptions};
+use heliosplat::model::radiance::{Radiance, RadianceOptions};
+use heliosplat::model::reflective::{Reflective, ReflectiveOptions};
+use heliosplat::model::{Parameters, SceneModel};
+use heliosplat::render::{PassOptions, render};
+use heliosplat::splat::{Maps, ProjectionOptions};
+use heliosplat::{ProjectiveCamera, Raster};
+use heliosplat_fitting::run_folder::RunError;
+use heliosplat_raster::bounded;
+use heliosplat_raster::write::write_atomically;
+use heliosplat_scene::Split;
+use std::path::Path;
+
+/// Version of `model.json`.
+pub const SCHEMA: u32 = 1;
+
+/// A kind of model, and what it is made of.
+#[derive(Debug, Clone, PartialEq, serde::Serialize, serde::Deserialize)]
+#[serde(tag = "model", content = "options", rename_all = "snake_case")]
+pub enum Kind {
+    /// Colours as seen from anywhere.
+    Radiance(RadianceOptions),
+    /// What surfaces reflect of one light at a time.
+    Olat(OlatOptions),
+    /// Glossy surfaces in surroundings that stay.
+    Reflective(ReflectiveOptions),
+}
+
+impl Kind {
+    /// The model itself.
+    pub fn model(&self) -> Box<dyn SceneModel> {
+        match self {
+            Self::Radiance(options) => Box::new(Radiance::new(options.clone())),
+            Self::Olat(options) => Box::new(Olat::new(options.clone())),
+            Self::Reflective(options) => Box::new(Reflective::new(options.clone())),
+        }
+    }
+
+    /// The same, of which only a part of the light is shown; `None` where a model knows no parts.
+    pub fn showing(&self, shows: Component) -> Option<Self> {
+        match self {
+            Self::Radiance(_) => None,
+            Self::Olat(options) if shows == Component::Scattering && !options.scattering => None,
+            Self::Olat(options) => Some(Self::Olat(OlatOptions {
+                shows,
+                ..options.clone()
+            })),
+            Self::Reflective(_) if shows == Component::Shadow || shows == Component::Scattering => None,
+            Self::Reflective(options) => Some(Self::Reflective(ReflectiveOptions {
+                shows,
+                ..options.clone()
+            })),
+        }
+    }
+
+    /// The same under lamps; `None` where a model knows only the light it was photographed in.
+    pub fn lit(&self) -> Option<Self> {
+        match self {
+            Self::Radiance(_) => None,
+            Self::Olat(_) => Some(self.clone()),
+            Self::Reflective(options) => Some(Self::Reflective(ReflectiveOptions {
+                lit: true,
+                ..options.clone()
+            })),
+        }
+    }
+
+    /// What gives `model` its parts, in words.
+    pub fn parts(&self) -> Vec<&'static str> {
+        let named = |parts: &[(&'static str, bool)]| parts.iter().filter(|p| p.1).map(|p| p.0).collect();
+        match self {
+            Self::Radiance(_) => Vec::new(),
+            Self::Olat(o) => named(&[
+                ("diffuse", true),
+                ("specular", o.specular),
+                ("shadow", o.shadow),
+                ("refined_shadow", o.refined),
+                ("scattering", o.scattering),
+            ]),
+            Self::Reflective(o) => named(&[("diffuse", true), ("specular", o.specular)]),
+        }
+    }
+}
+
+/// One image as the model knows it.
+#[derive(Debug, Clone, PartialEq, serde::Serialize, serde::Deserialize)]
+pub struct ObjectImage {
+    /// Its name.
+    pub name: String,
+    /// Train or test.
+    pub split: Split,
+    /// Its camera, in the frame of the capture.
+    pub camera: Pinhole,
+    /// Its light, if known.
+    pub light: Option<PointLight>,
+}
+
+impl From<&Frame> for ObjectImage {
+    fn from(frame: &Frame) -> Self {
+        Self {
+            name: frame.name.clone(),
+            split: frame.split,
+            camera: frame.camera,
+            light: frame.light,
+        }
+    }
+}
+
+/// `model.json`: all of a model besides its Gaussians.
+#[derive(Debug, Clone, PartialEq, serde::Serialize, serde::Deserialize)]
+pub struct ObjectFile {
+    /// Version of this layout.
+    pub schema: u32,
+    /// Kind of model.
+    #[serde(flatten)]
+    pub kind: Kind,
+    /// What all Gaussians share.
+    pub globals: Table,
+    /// Origin of the model in the frame of the cameras; `model.ply` counts from here.
+    pub centre: DVec3,
+    /// Half of the side of the cube that cameras see.
+    pub half_size: f64,
+    /// Width of a pixel at the centre.
+    pub pixel_size: f64,
+    /// What pixel values are.
+    pub encoding: Encoding,
+    /// How images became what the model was trained on.
+    pub preparation: Preparation,
+    /// How Gaussians become splats.
+    pub projection: ProjectionOptions,
+    /// The images.
+    pub images: Vec<ObjectImage>,
+}
+
+/// A model and all that is known of it.
+pub struct ObjectModel {
+    /// What `model.json` says.
+    pub file: ObjectFile,
+    /// The model.
+    pub model: Box<dyn SceneModel>,
+    /// Its parameters.
+    pub parameters: Parameters,
+}
+
+impl ObjectModel {
+    /// What a camera sees: red, green and blue, in front of the model's background, under the image's light. `None` when the model
+    /// lies behind it.
+    pub fn render(&self, image: &ObjectImage) -> Option<Raster> {
+        self.render_as(&*self.model, image)
+    }
+
+    /// The same under other lamps, which add up, in linear values; a lamp of strength one is as strong as those of the capture. `None`
+    /// when the model lies behind the camera, knows only the light it was photographed in, or there is no lamp.
+    pub fn relit(&self, image: &ObjectImage, lamps: &[Lamp]) -> Option<Raster> {
+        let model = self.file.kind.lit()?.model();
+        let behind = self.file.preparation.background;
+        let mut sum: Option<Raster> = None;
+        for lamp in lamps {
+            let (_, maps, mut seen) = self.look(&*model, &image.camera, Some(lamp.light))?;
+            for (k, behind) in behind.into_iter().enumerate() {
+                for (value, alpha) in seen.plane_mut(k).iter_mut().zip(&maps.alpha) {
+                    let open = (1.0 - alpha) * behind;
+                    // The background is there once, whatever the lamps.
+                    *value = (*value - open) * lamp.colour[k] + if sum.is_none() { open } else { 0.0 };
+                }
+            }
+            match &mut sum {
+                None => sum = Some(seen),
+                Some(sum) => sum.values.iter_mut().zip(seen.values).for_each(|(s, v)| *s += v),
+            }
+        }
+        sum
+    }
+
+    /// Unit normals that a camera sees, in the frame of the cameras: of the surfaces where the model knows them, else of the
+    /// Gaussians; zero where nothing is seen.
+    pub fn normals(&self, image: &ObjectImage) -> Option<Raster> {
+        let camera = image.camera.projective(self.file.centre)?;
+        let own = self.file.kind.showing(Component::Normal).map(|kind| kind.model());
+        let model = own.as_deref().unwrap_or(&*self.model);
+        let options = PassOptions {
+            projection: self.file.projection,
+            ..PassOptions::default()
+        };
+        let maps = render(model, &self.parameters, &camera, None, None, options).maps;
+        // Behind three colours stand the model's own normals, or those of the Gaussians.
+        let mut out = Raster::filled(camera.width, camera.height, 3, 0.0);
+        for i in 0..out.plane_len() {
+            let n = [3, 4, 5].map(|k| maps.channels[k][i]);
+            let length = n.iter().map(|x| x * x).sum::<f32>().sqrt();
+            if maps.alpha[i] > 0.5 && length > 1e-6 {
+                (0..3).for_each(|k| out.plane_mut(k)[i] = n[k] / length);
+            }
+        }
+        Some(out)
+    }
+
+    /// The same by another model of the same parameters.
+    pub fn render_as(&self, model: &dyn SceneModel, image: &ObjectImage) -> Option<Raster> {
+        let (_, maps, mut seen) = self.look(model, &image.camera, self.light(image))?;
+        let behind = self.file.preparation.background;
+        for (k, strength) in self
+            .file
+            .preparation
+            .strength(image.light.as_ref())
+            .into_iter()
+            .enumerate()
+        {
+            if strength != 1.0 {
+                for (value, alpha) in seen.plane_mut(k).iter_mut().zip(&maps.alpha) {
+                    let open = (1.0 - alpha) * behind[k];
+                    *value = (*value - open) * strength + open;
+                }
+            }
+        }
+        Some(seen)
+    }
+
+    /// What the camera of an image sees under its light at strength one: the camera, all maps, and red, green and blue. `None` when
+    /// the model lies behind it.
+    pub fn seen(&self, image: &ObjectImage) -> Option<(ProjectiveCamera, Maps, Raster)> {
+        self.look(&*self.model, &image.camera, self.light(image))
+    }
+
+    fn light(&self, image: &ObjectImage) -> Option<Light> {
+        image
+            .light
+            .map(|light| Light::Point((light.position - self.file.centre).as_vec3()))
+    }
+
+    fn look(
+        &self,
+        model: &dyn SceneModel,
+        camera: &Pinhole,
+        light: Option<Light>,
+    ) -> Option<(ProjectiveCamera, Maps, Raster)> {
+        let camera = camera.projective(self.file.centre)?;
+        let options = PassOptions {
+            projection: self.file.projection,
+            ..PassOptions::default()
+        };
+        let rendering = render(model, &self.parameters, &camera, light, None, options);
+        let mut seen = rendering.image;
+        seen.values.truncate(3 * seen.plane_len());
+        seen.bands = 3;
+        Some((camera, rendering.maps, seen))
+    }
+}
+
+pub(super) fn damaged(path: &Path, reason: impl ToString) -> RunError {
+    RunError::Damaged {
+        path: path.to_owned(),
+        reason: reason.to_string(),
+    }
+}
+
+/// Whether a folder holds a run on a capture, finished or not, or a model of one without its run.
+pub fn is_object_run(folder: &Path) -> bool {
+    let (run, model) = (folder.join("run.toml"), folder.join("model.json"));
+    if !run.is_file() {
+        let text = bounded::read_text(&model).unwrap_or_default();
+        let keys = serde_json::from_str::<serde_json::Value>(&text).unwrap_or_default();
+        return keys.get("half_size").is_some() && keys.get("globals").is_some();
+    }
+    let text = bounded::read_text(&run).unwrap_or_default();
+    text.parse::<toml::Table>()
+        .is_ok_and(|table| table.contains_key("capture"))
+}
+
+/// `model.json` of a training.
+pub fn file(capture: &Capture, kind: Kind, preparation: Preparation, globals: Table) -> ObjectFile {
+    ObjectFile {
+        schema: SCHEMA,
+        kind,
+        globals,
+        centre: capture.centre,
+        half_size: capture.half_size,
+        pixel_size: capture.pixel_size,
+        encoding: capture.frames.first().map_or(Encoding::Display, |f| f.picture.encoding),
+        preparation,
+        projection: ProjectionOptions::default(),
+        images: capture.frames.iter().map(ObjectImage::from).collect(),
+    }
+}
+
+/// Writes a model alone into `folder`, which must exist: `model.ply`, then `model.json`. That is all that is needed to show it.
+///
+/// # Errors
+/// When a file cannot be written.
+pub fn save_model(folder: &Path, model: &ObjectModel) -> Result<(), RunError> {
+    write_atomically(&folder.join("model.ply"), &ply::encode(&model.parameters.gaussians))?;
+    let path = folder.join("model.json");
+    let text = serde_json::to_string_pretty(&model.file).map_err(|e| damaged(&path, e))?;
+    write_atomically(&path, text.as_bytes())?;
+    Ok(())
+}
+
+pub(super) fn read(path: &Path) -> Result<Vec<u8>, RunError> {
+    bounded::read_bytes(path, bounded::MODEL_MAX).map_err(|reason| RunError::Io {
+        path: path.to_owned(),
+        reason,
+    })
+}
+
+/// The model of a run.
+///
+/// # Errors
+/// When a file is missing or damaged.
+pub fn load(folder: &Path) -> Result<ObjectModel, RunError> {
+    let path = folder.join("model.json");
+    if !path.is_file() {
+        return Err(RunError::NotARun(folder.to_owned()));
+    }
+    let file = ObjectFile::parse(&read(&path)?).map_err(|e| damaged(&path, e))?;
+    let model = file.kind.model();
+    let ply_path = folder.join("model.ply");
+    let gaussians = ply::decode(&read(&ply_path)?, model.feature_groups()).map_err(|e| damaged(&ply_path, e))?;
+    Ok(ObjectModel {
+        parameters: Parameters {
+            gaussians,
+            globals: file.globals.clone(),
+        },
+        model,
+        file,
+    })
+}
+
+/// Models that show the parts of the light that a model knows, with their names.
+pub fn components(model: &ObjectModel) -> Vec<(&'static str, Box<dyn SceneModel>)> {
+    let parts = [
+        ("diffuse", Component::Diffuse),
+        ("specular", Component::Specular),
+        ("shadow", Component::Shadow),
+        ("scattering", Component::Scattering),
+    ];
+    let shown = parts
+        .into_iter()
+        .filter_map(|(name, part)| Some((name, model.file.kind.showing(part)?.model())));
+    shown.collect()
+}

@@ -1,0 +1,59 @@
+//! The folder of a run on a capture: `run.toml`, `model.ply`, `model.json`, `metrics.json`, `views/`.
+
+use crate::config::ObjectConfig;
+use crate::model::{ObjectModel, damaged, read, save_model};
+use crate::plan::Plan;
+use heliosplat_fitting::run_folder::{Input, RunError};
+use heliosplat_raster::write::write_atomically;
+use std::path::{Path, PathBuf};
+
+/// `run.toml`.
+#[derive(Debug, Clone, PartialEq, serde::Serialize, serde::Deserialize)]
+pub struct ObjectRun {
+    /// Version of the program.
+    pub version: String,
+    /// Preset the configuration started from.
+    pub preset: String,
+    /// Seed of everything random.
+    pub seed: u64,
+    /// The capture.
+    pub capture: PathBuf,
+    /// The images, hashed.
+    pub inputs: Vec<Input>,
+    /// The resolved configuration.
+    pub config: ObjectConfig,
+    /// What was fitted, and why.
+    #[serde(default)]
+    pub plan: Option<Plan>,
+}
+
+/// Writes a run into `folder`, which must exist; `model.json` last, which makes the run a run.
+///
+/// # Errors
+/// When a file cannot be written.
+pub fn save(folder: &Path, run: &ObjectRun, model: &ObjectModel) -> Result<(), RunError> {
+    let path = folder.join("run.toml");
+    let text = toml::to_string_pretty(run).map_err(|e| damaged(&path, e))?;
+    write_atomically(&path, text.as_bytes())?;
+    save_model(folder, model)
+}
+
+/// The `run.toml` of a run.
+///
+/// # Errors
+/// When it is missing or damaged.
+pub fn load_run(folder: &Path) -> Result<ObjectRun, RunError> {
+    let path = folder.join("run.toml");
+    let text = String::from_utf8(read(&path)?).map_err(|e| damaged(&path, e))?;
+    ObjectRun::parse(&text).map_err(|e| damaged(&path, e))
+}
+
+impl ObjectRun {
+    /// What the text of a `run.toml` says.
+    ///
+    /// # Errors
+    /// A sentence that says what is wrong with it.
+    pub fn parse(text: &str) -> Result<Self, String> {
+        toml::from_str(text).map_err(|e| e.message().to_owned())
+    }
+}

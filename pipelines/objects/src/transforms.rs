@@ -1,0 +1,438 @@
+//! `transforms*.json`: cameras and lights of a capture, in every dialect in use.
+//!
+//! One reader serves NeRF-synthetic, Shiny Blender, NRHints, GS³, RNG and nerfstudio, which differ in which keys they have, and
+//! SSS-GS, whose frames hold a list of lights with an image for each. A key that is absent in one frame is absent there: nothing
+//! is carried over from the frame before. `docs/guide/objects.md` lists the keys.
+
+use super::error::CaptureError;
+use super::pinhole::Pinhole;
+use glam::{DMat3, DVec3};
+use serde_json::{Map, Value};
+use std::collections::BTreeSet;
+use std::path::{Component, Path, PathBuf};
+
+/// A file larger than this lists more frames than anyone has.
+const LARGEST_FILE: u64 = 64 << 20;
+/// Most images of a capture.
+const MOST_FRAMES: usize = 100_000;
+
+/// Where a frame's intrinsics are taken from, before the size of its image is known.
+#[derive(Debug, Clone, Copy, PartialEq)]
+enum Intrinsics {
+    /// Focal lengths and principal point, pixels with corners at integers.
+    Given {
+        focal: [f64; 2],
+        principal: Option<[f64; 2]>,
+    },
+    /// Horizontal field of view, radians.
+    Angle(f64),
+}
+
+/// A point light of a frame.
+#[derive(Debug, Clone, Copy, PartialEq, serde::Serialize, serde::Deserialize)]
+pub struct PointLight {
+    /// Where it is, in the frame of the cameras.
+    pub position: DVec3,
+    /// Its intensity per colour, in the capture's own units; `None` where the files do not say.
+    pub intensity: Option<[f64; 3]>,
+}
+
+/// One image as the file describes it.
+#[derive(Debug, Clone, PartialEq)]
+pub struct FrameSpec {
+    /// Its name: the path as written, without extension.
+    pub name: String,
+    /// Its file.
+    pub path: PathBuf,
+    /// Its light, if it says.
+    pub light: Option<PointLight>,
+    pinhole: Pinhole,
+    intrinsics: Intrinsics,
+    declared_size: Option<[f64; 2]>,
+}
+
+impl FrameSpec {
+    /// The camera of the frame, whose image turned out to be `size` pixels; intrinsics of an image declared larger or smaller in
+    /// both ways alike are scaled. A sentence when they do not fit.
+    pub fn camera(&self, size: [usize; 2]) -> Result<Pinhole, String> {
+        let [width, height] = size.map(|n| n as f64);
+        let (mut focal, principal) = match self.intrinsics {
+            Intrinsics::Given { focal, principal } => (focal, principal),
+            Intrinsics::Angle(angle) => ([0.5 * width / (0.5 * angle).tan(); 2], None),
+        };
+        let mut principal = principal.unwrap_or([0.5 * width, 0.5 * height]);
+        if let (Some([w, h]), Intrinsics::Given { principal: given, .. }) = (self.declared_size, self.intrinsics) {
+            let scale = [width / w, height / h];
+            if (scale[0] / scale[1] - 1.0).abs() > 0.02 {
+                return Err(format!("the image has {width} x {height} pixels and not {w} x {h}"));
+            }
+            for k in 0..2 {
+                focal[k] *= scale[k];
+                principal[k] *= if given.is_some() { scale[k] } else { 1.0 };
+            }
+        }
+        Ok(Pinhole {
+            focal_px: focal,
+            // Corners at integers in the files, centres at integers here.
+            principal_px: principal.map(|c| c - 0.5),
+            size_px: size,
+            ..self.pinhole
+        })
+    }
+}
+
+/// Reads one `transforms` file.
+///
+/// # Errors
+/// [`CaptureError`] naming the file, and the frame where one is at fault.
+pub fn read(path: &Path) -> Result<Vec<FrameSpec>, CaptureError> {
+    let io = |reason| CaptureError::Io {
+        path: path.to_owned(),
+        reason,
+    };
+    let size = std::fs::metadata(path).map_err(io)?.len();
+    if size > LARGEST_FILE {
+        return Err(fault(
+            path,
+            format!("it has {size} bytes"),
+            "64 MiB are the most a list of cameras takes",
+        ));
+    }
+    let text = heliosplat_raster::bounded::read_bytes(path, heliosplat_raster::bounded::TEXT_MAX).map_err(io)?;
+    parse(path, &text)
+}
+
+/// The frames that the contents of the file at `path` list; images are looked for beside it.
+///
+/// # Errors
+/// As [`read`].
+pub fn parse(path: &Path, text: &[u8]) -> Result<Vec<FrameSpec>, CaptureError> {
+    let value: Value = serde_json::from_slice(text).map_err(|error| {
+        let remedy = "write the file anew; JSON knows no NaN and no infinity";
+        fault(path, format!("it is not JSON ({error})"), remedy)
+    })?;
+    let folder = path.parent().unwrap_or(Path::new("."));
+    let reader = Reader::new(path, folder, &value)?;
+    reader.frames()
+}
+
+fn fault(path: &Path, what: String, remedy: &'static str) -> CaptureError {
+    CaptureError::Transforms {
+        path: path.to_owned(),
+        what,
+        remedy,
+    }
+}
+
+type Object = Map<String, Value>;
+
+struct Reader<'a> {
+    path: &'a Path,
+    folder: &'a Path,
+    top: &'a Object,
+    excluded: BTreeSet<String>,
+}
+
+impl<'a> Reader<'a> {
+    fn new(path: &'a Path, folder: &'a Path, value: &'a Value) -> Result<Self, CaptureError> {
+        let top = value.as_object().ok_or_else(|| {
+            fault(
+                path,
+                "it is not a JSON object".into(),
+                "a transforms file has a list `frames`",
+            )
+        })?;
+        // SSS-GS lists images that are not to be used; where there is no such file, none are.
+        let list = heliosplat_raster::bounded::read_text(&folder.join("exclude_list.txt")).unwrap_or_default();
+        let excluded = list
+            .lines()
+            .map(|line| plain_name(line.trim()))
+            .filter(|name| !name.is_empty());
+        Ok(Self {
+            path,
+            folder,
+            top,
+            excluded: excluded.collect(),
+        })
+    }
+
+    fn frames(&self) -> Result<Vec<FrameSpec>, CaptureError> {
+        let remedy = "a transforms file has a list `frames` with a `file_path` and a `transform_matrix` each";
+        let frames = self.top.get("frames").and_then(Value::as_array);
+        let frames = frames.ok_or_else(|| fault(self.path, "it has no list `frames`".into(), remedy))?;
+        let mut all = Vec::new();
+        for (number, frame) in frames.iter().enumerate() {
+            let specs = frame.as_object().ok_or_else(|| "it is not an object".to_owned());
+            let specs = specs.and_then(|frame| self.frame(frame));
+            all.extend(specs.map_err(|what| {
+                fault(
+                    self.path,
+                    format!("frame {number}: {what}"),
+                    "correct or remove the frame",
+                )
+            })?);
+            if all.len() > MOST_FRAMES {
+                return Err(fault(
+                    self.path,
+                    format!("it lists over {MOST_FRAMES} images"),
+                    "give fewer",
+                ));
+            }
+        }
+        all.retain(|spec| !self.excluded.contains(&spec.name));
+        if all.is_empty() {
+            return Err(fault(self.path, "it lists no image".into(), remedy));
+        }
+        Ok(all)
+    }
+
+    /// The images of a frame: one, or in the dialect of SSS-GS one per light.
+    fn frame(&self, frame: &Object) -> Result<Vec<FrameSpec>, String> {
+        let pinhole = pose(frame)?;
+        let intrinsics = self.intrinsics(frame)?;
+        let declared_size = self.declared_size(frame)?;
+        let spec = |written: &str, path: PathBuf, light| FrameSpec {
+            name: plain_name(written),
+            path,
+            light,
+            pinhole,
+            intrinsics,
+            declared_size,
+        };
+        let Some(paths) = frame.get("file_paths").filter(|v| !v.is_null()) else {
+            let (written, path) = self.image_of(frame)?;
+            return Ok(vec![spec(written, path, light_of(frame)?)]);
+        };
+        let paths = paths.as_array().ok_or("`file_paths` is not a list")?;
+        let none = Vec::new();
+        let list = |key: &str| -> Result<&Vec<Value>, String> {
+            match frame.get(key) {
+                None | Some(Value::Null) => Ok(&none),
+                Some(value) => value.as_array().ok_or(format!("`{key}` is not a list")),
+            }
+        };
+        let (positions, intensities) = (list("light_positions")?, list("light_intensities")?);
+        for (key, values) in [("light_positions", positions), ("light_intensities", intensities)] {
+            if !values.is_empty() && values.len() != paths.len() {
+                return Err(format!(
+                    "`{key}` has {} entries for {} images",
+                    values.len(),
+                    paths.len()
+                ));
+            }
+        }
+        let mut specs = Vec::with_capacity(paths.len());
+        for (i, written) in paths.iter().enumerate() {
+            let written = written.as_str().ok_or("`file_paths` holds something that is no text")?;
+            let position = positions.get(i).map(|p| three("light_positions", p)).transpose()?;
+            let light = position.map(|position| -> Result<_, String> {
+                let intensity = intensities.get(i).map(intensity).transpose()?;
+                Ok(PointLight { position, intensity })
+            });
+            specs.push(spec(written, self.find(written, None)?, light.transpose()?));
+        }
+        Ok(specs)
+    }
+
+    /// The image of a frame as written, and its file. `img_path`, an absolute path on the machine that wrote the file, counts
+    /// only where it lies in this folder.
+    fn image_of<'f>(&self, frame: &'f Object) -> Result<(&'f str, PathBuf), String> {
+        let text = |key: &str| frame.get(key).and_then(Value::as_str);
+        if let Some(path) = text("img_path").map(Path::new)
+            && path.starts_with(self.folder)
+            && !path.components().any(|part| part == Component::ParentDir)
+            && path.is_file()
+        {
+            return Ok((
+                text("file_path").or(text("img_path")).unwrap_or_default(),
+                path.to_owned(),
+            ));
+        }
+        let written = text("file_path").ok_or("it has no `file_path`")?;
+        Ok((written, self.find(written, text("file_ext"))?))
+    }
+
+    /// The file of an image as written, whose extension may be missing.
+    fn find(&self, written: &str, extension: Option<&str>) -> Result<PathBuf, String> {
+        let relative = inside(written)?;
+        let whole = self.folder.join(&relative);
+        if whole.is_file() {
+            return Ok(whole);
+        }
+        let known = [".png", ".exr", ".jpg", ".jpeg", ".PNG", ".EXR", ".JPG"];
+        for ending in extension.into_iter().chain(known) {
+            if ending.contains(['/', '\\']) {
+                return Err(format!("`file_ext` {ending:?} is no extension"));
+            }
+            let dot = if ending.starts_with('.') { "" } else { "." };
+            let mut name = whole.clone().into_os_string();
+            name.push(dot);
+            name.push(ending);
+            let path = PathBuf::from(name);
+            if path.is_file() {
+                return Ok(path);
+            }
+        }
+        Err(format!("there is no image {written} (nor with .png, .exr or .jpg)"))
+    }
+
+    /// Those of the frame, else those of the whole file.
+    fn intrinsics(&self, frame: &Object) -> Result<Intrinsics, String> {
+        for from in [frame, self.top] {
+            if let Some(value) = from.get("camera_intrinsics").filter(|v| !v.is_null()) {
+                let n = numbers("camera_intrinsics", value, 4)?;
+                // Centre first.
+                return given([n[2], n[3]], Some([n[0], n[1]]));
+            }
+            if let Some(fx) = number(from, "fl_x")? {
+                let fy = number(from, "fl_y")?.unwrap_or(fx);
+                let principal = number(from, "cx")?.zip(number(from, "cy")?).map(|(cx, cy)| [cx, cy]);
+                return given([fx, fy], principal);
+            }
+            if let Some(angle) = number(from, "camera_angle_x")? {
+                let sound = angle > 1e-4 && angle < std::f64::consts::PI - 1e-3;
+                return sound
+                    .then_some(Intrinsics::Angle(angle))
+                    .ok_or(format!("a field of view of {angle} rad (camera_angle_x) is none"));
+            }
+        }
+        Err("neither it nor the file has camera_angle_x, camera_intrinsics or fl_x".into())
+    }
+
+    fn declared_size(&self, frame: &Object) -> Result<Option<[f64; 2]>, String> {
+        for from in [frame, self.top] {
+            for [w, h] in [["w", "h"], ["width", "height"]] {
+                if let Some(size) = number(from, w)?.zip(number(from, h)?) {
+                    let size = [size.0, size.1];
+                    return match size.iter().all(|&n| (1.0..1e6).contains(&n)) {
+                        true => Ok(Some(size)),
+                        false => Err(format!("an image of {} x {} pixels is none", size[0], size[1])),
+                    };
+                }
+            }
+        }
+        Ok(None)
+    }
+}
+
+fn given(focal: [f64; 2], principal: Option<[f64; 2]>) -> Result<Intrinsics, String> {
+    let sound = focal.iter().all(|f| (1e-3..1e9).contains(f));
+    let sound = sound && principal.is_none_or(|c| c.iter().all(|c| c.abs() < 1e9));
+    sound.then_some(Intrinsics::Given { focal, principal }).ok_or(format!(
+        "focal lengths {focal:?} and principal point {principal:?} are of no camera"
+    ))
+}
+
+/// `transform_matrix`, or the refined pose of GS³ (`R_opt`, `T_opt`: world to camera in OpenCV's axes, the rotation transposed).
+fn pose(frame: &Object) -> Result<Pinhole, String> {
+    let present = |key: &str| frame.get(key).filter(|v| !v.is_null());
+    let bad = "spans no space, is mirrored, or holds numbers beyond reason";
+    if let (Some(r), Some(t)) = (present("R_opt"), present("T_opt")) {
+        let rows = matrix("R_opt", r, 3, 3)?;
+        let column = |k: usize| DVec3::new(rows[0][k], rows[1][k], rows[2][k]);
+        let world_from_camera = DMat3::from_cols(column(0), -column(1), -column(2));
+        let eye = -(DMat3::from_cols(column(0), column(1), column(2)) * three("T_opt", t)?);
+        return Pinhole::from_opengl(world_from_camera, eye).ok_or(format!("R_opt {bad}"));
+    }
+    let value = present("transform_matrix").ok_or("it has no `transform_matrix`")?;
+    let rows = matrix("transform_matrix", value, 3, 4)?;
+    let column = |k: usize| DVec3::new(rows[0][k], rows[1][k], rows[2][k]);
+    let world_from_camera = DMat3::from_cols(column(0), column(1), column(2));
+    Pinhole::from_opengl(world_from_camera, column(3)).ok_or(format!("transform_matrix {bad}"))
+}
+
+/// `pl_pos` with `pl_intensity`, or `light` with `position` and `intensity`; `null` is no light.
+fn light_of(frame: &Object) -> Result<Option<PointLight>, String> {
+    let present = |object: &'_ Object, key: &str| object.get(key).filter(|v| !v.is_null()).cloned();
+    let (position, strength) = match present(frame, "pl_pos") {
+        Some(position) => (Some(position), present(frame, "pl_intensity")),
+        None => match frame.get("light").and_then(Value::as_object) {
+            Some(light) => (present(light, "position"), present(light, "intensity")),
+            None => (None, None),
+        },
+    };
+    let Some(position) = position else { return Ok(None) };
+    Ok(Some(PointLight {
+        position: three("pl_pos", &position)?,
+        intensity: strength.as_ref().map(intensity).transpose()?,
+    }))
+}
+
+/// A number for all colours, or one for each.
+fn intensity(value: &Value) -> Result<[f64; 3], String> {
+    let all = match value.as_f64() {
+        Some(one) => [one; 3],
+        None => three("a light's intensity", value)?.into(),
+    };
+    let sound = all.iter().all(|i| (0.0..1e12).contains(i));
+    sound
+        .then_some(all)
+        .ok_or(format!("a light of intensity {all:?} is none"))
+}
+
+fn number(object: &Object, key: &str) -> Result<Option<f64>, String> {
+    match object.get(key) {
+        None | Some(Value::Null) => Ok(None),
+        Some(value) => value.as_f64().map(Some).ok_or(format!("`{key}` is not a number")),
+    }
+}
+
+fn numbers(key: &str, value: &Value, count: usize) -> Result<Vec<f64>, String> {
+    let list: Option<Vec<f64>> = value
+        .as_array()
+        .and_then(|list| list.iter().map(Value::as_f64).collect());
+    list.filter(|list| list.len() == count && list.iter().all(|n| n.is_finite()))
+        .ok_or(format!("`{key}` is not a list of {count} finite numbers"))
+}
+
+fn three(key: &str, value: &Value) -> Result<DVec3, String> {
+    numbers(key, value, 3).map(|n| DVec3::new(n[0], n[1], n[2]))
+}
+
+/// At least `rows` rows of `columns` numbers.
+fn matrix(key: &str, value: &Value, rows: usize, columns: usize) -> Result<Vec<Vec<f64>>, String> {
+    let list = value.as_array().filter(|list| list.len() >= rows);
+    let list = list.ok_or(format!("`{key}` has fewer than {rows} rows"))?;
+    list[..rows].iter().map(|row| numbers(key, row, columns)).collect()
+}
+
+/// A path as written, if it stays in its folder.
+fn inside(written: &str) -> Result<PathBuf, String> {
+    // Files written on Windows.
+    let text = written.replace('\\', "/");
+    let mut path = PathBuf::new();
+    for part in Path::new(&text).components() {
+        let stays = match part {
+            Component::CurDir => true,
+            Component::Normal(name) => {
+                path.push(name);
+                true
+            }
+            Component::ParentDir => path.pop(),
+            _ => false,
+        };
+        if !stays {
+            return Err(format!("the path {written:?} points out of the folder"));
+        }
+    }
+    if path.as_os_str().is_empty() {
+        return Err("its `file_path` is empty".into());
+    }
+    Ok(path)
+}
+
+/// A path as written without `./` and without the extension of an image.
+fn plain_name(written: &str) -> String {
+    let name = written.trim_start_matches("./");
+    let ending = Path::new(name).extension().and_then(|e| e.to_str()).unwrap_or_default();
+    let known = ["png", "exr", "jpg", "jpeg", "npy"].contains(&ending.to_ascii_lowercase().as_str());
+    let length = if known {
+        name.len() - ending.len() - 1
+    } else {
+        name.len()
+    };
+    name[..length].to_owned()
+}
+
+#[cfg(test)]
+mod tests;

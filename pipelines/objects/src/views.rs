@@ -1,0 +1,188 @@
+//! Images of a capture as training and scoring see them: in front of a background.
+
+use super::capture::{Capture, Frame};
+use super::config::Background;
+use super::pixels::{Encoding, Picture};
+use super::transforms::PointLight;
+use glam::DVec3;
+use heliosplat::Raster;
+use heliosplat::light::Light;
+use heliosplat::model::View;
+use heliosplat::shade::display;
+use heliosplat_rpc::statistics::upper_quantile;
+
+/// A border is one colour when half of its pixels are this close to it.
+const SAME_COLOUR: f32 = 0.02;
+
+/// What is behind the object in the images of `capture`, and why.
+pub fn background(capture: &Capture, wanted: Background) -> ([f32; 3], &'static str) {
+    match wanted {
+        Background::White => ([1.0; 3], "as told"),
+        Background::Black => ([0.0; 3], "as told"),
+        Background::Auto if capture.has_coverage() => {
+            let linear = capture.frames.iter().any(|f| f.picture.encoding == Encoding::Linear);
+            if linear {
+                ([0.0; 3], "linear images with coverage")
+            } else {
+                ([1.0; 3], "display images with coverage")
+            }
+        }
+        Background::Auto => match border(capture) {
+            Some(colour) => (colour, "the colour of the images' borders"),
+            None => ([0.0; 3], "the images' borders have no one colour"),
+        },
+    }
+}
+
+/// The colour that all images have along their borders.
+fn border(capture: &Capture) -> Option<[f32; 3]> {
+    let mut colour = [0.0; 3];
+    for (k, colour) in colour.iter_mut().enumerate() {
+        let mut values = Vec::new();
+        for frame in &capture.frames {
+            let image = &frame.picture.colour;
+            let (right, bottom) = (image.width - 1, image.height - 1);
+            values.extend((0..image.width).flat_map(|col| [image.at(k, col, 0), image.at(k, col, bottom)]));
+            values.extend((0..image.height).flat_map(|row| [image.at(k, 0, row), image.at(k, right, row)]));
+        }
+        values.retain(|v| v.is_finite());
+        let mut at = |share: f64| upper_quantile(&mut values, share);
+        let (low, middle, high) = (at(0.25)?, at(0.5)?, at(0.75)?);
+        if high - low > 2.0 * SAME_COLOUR {
+            return None;
+        }
+        *colour = middle;
+    }
+    Some(colour)
+}
+
+/// How images become what a model is trained on.
+#[derive(Debug, Clone, Copy, PartialEq, serde::Serialize, serde::Deserialize)]
+pub struct Preparation {
+    /// What is behind the object.
+    pub background: [f32; 3],
+    /// Whether coverage becomes a fourth band.
+    pub coverage: bool,
+    /// Whether display values become linear ones.
+    pub linear: bool,
+    /// Intensity of a light that counts as one, where lights count.
+    pub unit_light: Option<[f64; 3]>,
+}
+
+impl Preparation {
+    /// An image in front of the background.
+    pub fn image(&self, picture: &Picture) -> Raster {
+        let mut out = picture.colour.clone();
+        let decode = self.linear && picture.encoding == Encoding::Display;
+        if let Some(covered) = &picture.coverage {
+            for (k, behind) in self.background.into_iter().enumerate() {
+                for (value, &covered) in out.plane_mut(k).iter_mut().zip(covered) {
+                    if decode {
+                        *value = covered * display::decode(*value / covered.max(1e-6));
+                    }
+                    *value += (1.0 - covered) * behind;
+                }
+            }
+            if self.coverage {
+                out.bands = 4;
+                out.values.extend(covered);
+            }
+        } else if decode {
+            out.values.iter_mut().for_each(|v| *v = display::decode(*v));
+        }
+        out
+    }
+
+    /// How much stronger than one the light of a frame is, per colour; one where that is not known.
+    pub fn strength(&self, light: Option<&PointLight>) -> [f32; 3] {
+        let known = self.unit_light.zip(light.and_then(|light| light.intensity));
+        known.map_or([1.0; 3], |(unit, own)| {
+            std::array::from_fn(|k| (own[k] / unit[k]) as f32)
+        })
+    }
+}
+
+/// A frame as training sees it: under a light of strength one, where lights count. `None` when its camera does not look at the
+/// capture's centre.
+pub fn view(frame: &Frame, centre: DVec3, preparation: &Preparation, appearance: usize) -> Option<View> {
+    let mut image = preparation.image(&frame.picture);
+    let behind = preparation.background;
+    for (k, strength) in preparation.strength(frame.light.as_ref()).into_iter().enumerate() {
+        if strength != 1.0 && strength > 0.0 {
+            let open = frame.picture.coverage.as_deref();
+            for (i, value) in image.plane_mut(k).iter_mut().enumerate() {
+                // What is behind the object is no light of the lamp.
+                let seen = open.map_or(0.0, |covered| (1.0 - covered[i]) * behind[k]);
+                *value = (*value - seen) / strength + seen;
+            }
+        }
+    }
+    Some(View {
+        name: frame.name.clone(),
+        camera: frame.camera.projective(centre)?,
+        weight: vec![1.0; image.plane_len()],
+        light: frame
+            .light
+            .map(|light| Light::Point((light.position - centre).as_vec3())),
+        appearance,
+        visibility_prior: None,
+        ceiling: Vec::new(),
+        image,
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn picture(encoding: Encoding) -> Picture {
+        Picture {
+            // A pixel half covered, of which the colour is 0.6, and one wholly covered.
+            colour: Raster {
+                width: 2,
+                height: 1,
+                bands: 3,
+                values: vec![0.3, 0.6, 0.3, 0.6, 0.3, 0.6],
+            },
+            coverage: Some(vec![0.5, 1.0]),
+            encoding,
+        }
+    }
+
+    fn preparation(linear: bool) -> Preparation {
+        Preparation {
+            background: [1.0, 0.0, 0.5],
+            coverage: true,
+            linear,
+            unit_light: Some([2.0; 3]),
+        }
+    }
+
+    #[test]
+    fn images_stand_in_front_of_the_background_with_coverage_as_a_band() {
+        let image = preparation(false).image(&picture(Encoding::Display));
+        assert_eq!(image.bands, 4);
+        assert_eq!(image.values, [0.8, 0.6, 0.3, 0.6, 0.55, 0.6, 0.5, 1.0]);
+    }
+
+    #[test]
+    fn display_values_become_linear_where_asked_for_and_linear_ones_stay() {
+        let decoded = preparation(true).image(&picture(Encoding::Display));
+        assert!((decoded.values[1] - 0.318_546_8).abs() < 1e-5, "{}", decoded.values[1]);
+        assert!((decoded.values[2] - 0.5 * 0.318_546_8).abs() < 1e-5);
+        let kept = preparation(true).image(&picture(Encoding::Linear));
+        assert_eq!(kept.values[1], 0.6);
+    }
+
+    #[test]
+    fn a_lamp_twice_as_strong_counts_twice() {
+        let light = |intensity| PointLight {
+            position: DVec3::ZERO,
+            intensity,
+        };
+        let strength = |intensity| preparation(true).strength(Some(&light(intensity)));
+        assert_eq!(strength(Some([4.0, 2.0, 1.0])), [2.0, 1.0, 0.5]);
+        assert_eq!(strength(None), [1.0; 3]);
+        assert_eq!(preparation(true).strength(None), [1.0; 3]);
+    }
+}

@@ -1,0 +1,310 @@
+//! The surface model: altitude seen from straight above, on a map grid.
+
+use super::surface::{self, ALPHA_KNOWN, SurfaceGaussians};
+use crate::model::LoadedModel;
+use glam::DVec3;
+use heliosplat::render::{Rendering, render};
+use heliosplat::splat::Maps;
+use heliosplat::{ProjectiveCamera, Raster};
+use heliosplat_raster::geoid::GeoidGrid;
+use heliosplat_raster::grid::{EnuGrid, GridSpec};
+use heliosplat_raster::write::{ImageSpec, write_cog};
+use heliosplat_raster::{Crs, GeoRaster, Geoid, RasterError, dsm_bands};
+use heliosplat_rpc::LocalFrame;
+use heliosplat_scene::{Area, Scene};
+use heliosplat_stereo::Surface;
+use std::path::Path;
+
+/// Names of the bands of a surface model.
+pub const BANDS: [&str; 3] = [dsm_bands::ALTITUDE, dsm_bands::STANDARD_DEVIATION, dsm_bands::COVERAGE];
+
+/// Units of the bands of a surface model.
+pub const UNITS: [&str; 3] = ["metre", "metre", "1"];
+
+/// A surface model on its grid: altitude (metres above the ellipsoid; NaN where unknown), standard deviation (metres) and
+/// coverage (accumulated alpha, 0 to 1).
+pub struct Dsm {
+    /// The three bands.
+    pub raster: Raster,
+    /// Where they lie.
+    pub grid: GridSpec,
+    /// What altitudes are above: a geoid, or the ellipsoid.
+    pub geoid: Option<Geoid>,
+}
+
+/// A grid over the model's area and the camera that looks straight down on it.
+pub struct NadirGrid {
+    /// The grid.
+    pub grid: GridSpec,
+    /// Its camera: one pixel per grid cell.
+    pub camera: ProjectiveCamera,
+    enu: EnuGrid,
+}
+
+/// A piece of ground, and how high it reaches.
+#[derive(Debug, Clone, Copy)]
+pub struct Place {
+    /// The local frame.
+    pub frame: LocalFrame,
+    /// The ground, metres of the frame.
+    pub area: Area,
+    /// Lowest and highest ellipsoidal altitude, metres.
+    pub altitude_range_m: (f64, f64),
+}
+
+impl From<&LoadedModel> for Place {
+    fn from(model: &LoadedModel) -> Self {
+        Self {
+            frame: model.frame,
+            area: model.file.area,
+            altitude_range_m: model.file.altitude_range_m,
+        }
+    }
+}
+
+impl From<&Scene> for Place {
+    fn from(scene: &Scene) -> Self {
+        Self {
+            frame: scene.frame,
+            area: scene.area,
+            altitude_range_m: scene.altitude_range_m,
+        }
+    }
+}
+
+impl NadirGrid {
+    /// The grid of `crs` (the local UTM zone by default) with pixels of `gsd_m` metres over a place.
+    ///
+    /// # Errors
+    /// When the coordinate system does not cover the place.
+    pub fn new(place: &Place, gsd_m: f64, crs: Option<&str>) -> Result<Self, RasterError> {
+        let Place { frame, area, .. } = place;
+        let crs = match crs {
+            Some(definition) => Crs::from_definition(definition)?,
+            None => Crs::utm(frame.origin)?,
+        };
+        let rectangle = [area.west_m, area.south_m, area.east_m, area.north_m];
+        let grid = GridSpec::covering(frame, rectangle, &crs, gsd_m)?;
+        let enu = EnuGrid::new(frame, &grid, place.altitude_range_m)?;
+        let camera = nadir_camera(&enu, &grid, frame.origin.height_m);
+        Ok(Self { grid, camera, enu })
+    }
+
+    /// Ellipsoidal height of a grid cell where the model's surface is `up_m` above the frame's origin.
+    pub fn height(&self, col: usize, row: usize, up_m: f32) -> f64 {
+        self.enu.height(col as f64, row as f64, f64::from(up_m))
+    }
+}
+
+/// The affine map from the local frame to grid cells, least squares over nine nodes: over a few kilometres a map projection
+/// is affine to far below a pixel.
+fn nadir_camera(enu: &EnuGrid, grid: &GridSpec, height_m: f64) -> ProjectiveCamera {
+    let (w, h) = ((grid.width - 1) as f64, (grid.height - 1) as f64);
+    let mut normal = nalgebra::Matrix3::<f64>::zeros();
+    let mut right = nalgebra::Matrix3x2::<f64>::zeros();
+    for fx in [0.0, 0.5, 1.0] {
+        for fy in [0.0, 0.5, 1.0] {
+            let (col, row) = (fx * w, fy * h);
+            let [e, n, _] = enu.enu(col, row, height_m);
+            let x = nalgebra::Vector3::new(e, n, 1.0);
+            normal += x * x.transpose();
+            right += x * nalgebra::RowVector2::new(col, row);
+        }
+    }
+    // A grid of one row or column does not fix the map: then the pixel size does.
+    let solved = normal
+        .try_inverse()
+        .map(|inverse| inverse * right)
+        .filter(|m| m.iter().all(|v| v.is_finite()));
+    let map = solved.filter(|_| grid.width > 1 && grid.height > 1).unwrap_or_else(|| {
+        let [e, n, _] = enu.enu(0.0, 0.0, height_m);
+        let inverse = 1.0 / (grid.transform.pixel_size().0 * grid.crs.metres_per_unit());
+        nalgebra::Matrix3x2::new(inverse, 0.0, 0.0, -inverse, -e * inverse, n * inverse)
+    });
+    let row = |k: usize| [map[(0, k)], map[(1, k)], 0.0, map[(2, k)]];
+    ProjectiveCamera::new(row(0), row(1), [0.0; 3], (grid.width, grid.height), -DVec3::Z)
+}
+
+/// The surface model of `model`.
+///
+/// # Errors
+/// When the coordinate system does not cover the place.
+pub fn dsm(model: &LoadedModel, gsd_m: f64, crs: Option<&str>) -> Result<Dsm, RasterError> {
+    let nadir = NadirGrid::new(&model.into(), gsd_m, crs)?;
+    Ok(of_gaussians(&nadir, &model.into()))
+}
+
+/// What is seen of `model` from straight above, without any light.
+pub fn maps(model: &LoadedModel, nadir: &NadirGrid) -> Maps {
+    let Rendering { maps, .. } = render(
+        &model.model,
+        &model.parameters,
+        &nadir.camera,
+        None,
+        None,
+        model.pass_options(),
+    );
+    maps
+}
+
+/// The surface model of Gaussians.
+pub fn of_gaussians(nadir: &NadirGrid, surface: &SurfaceGaussians) -> Dsm {
+    let (width, height) = (nadir.grid.width, nadir.grid.height);
+    let mut raster = Raster::filled(width, height, 3, f32::NAN);
+    let pixels = width * height;
+    let cells = surface::cells(surface, &nadir.camera);
+    for (i, cell) in cells.iter().enumerate() {
+        raster.values[2 * pixels + i] = cell.coverage;
+        if cell.coverage >= ALPHA_KNOWN {
+            raster.values[i] = nadir.height(i % width, i / width, cell.up_m) as f32;
+            raster.values[pixels + i] = cell.spread_m2;
+        }
+    }
+    for i in 0..pixels {
+        let inside = raster.values[pixels + i];
+        raster.values[pixels + i] = (inside + variance_around(&raster, i)).sqrt();
+    }
+    Dsm {
+        raster,
+        grid: nadir.grid.clone(),
+        geoid: None,
+    }
+}
+
+/// Variance of the altitudes known in the 3 x 3 cells around `cell`, metres²: what is known of a surface is known to about a cell
+/// sideways. The spread along the ray alone is a third too small (docs/lab/surface.md).
+fn variance_around(raster: &Raster, cell: usize) -> f32 {
+    let (col, row) = (cell % raster.width, cell / raster.width);
+    let (mut count, mut sum, mut squares) = (0.0f32, 0.0f32, 0.0f32);
+    for r in row.saturating_sub(1)..(row + 2).min(raster.height) {
+        for c in col.saturating_sub(1)..(col + 2).min(raster.width) {
+            // Differences to the middle keep their digits where altitudes are in thousands.
+            let above = raster.values[r * raster.width + c] - raster.values[cell];
+            if above.is_finite() {
+                (count, sum, squares) = (count + 1.0, sum + above, squares + above * above);
+            }
+        }
+    }
+    let mean = sum / count;
+    (squares / count - mean * mean).max(0.0)
+}
+
+/// An initial surface on a map grid; its coverage is the sweep's confidence and it has no standard deviation.
+///
+/// # Errors
+/// When the coordinate system does not cover the place.
+pub fn of_surface(place: &Place, surface: &Surface, gsd_m: f64, crs: Option<&str>) -> Result<Dsm, RasterError> {
+    let nadir = NadirGrid::new(place, gsd_m, crs)?;
+    let (width, height) = (nadir.grid.width, nadir.grid.height);
+    let mut raster = Raster::filled(width, height, 3, f32::NAN);
+    let pixels = width * height;
+    for i in 0..pixels {
+        let (col, row) = (i % width, i / width);
+        let at = |height_m: f64| nadir.enu.enu(col as f64, row as f64, height_m);
+        let mut height_m = place.frame.origin.height_m;
+        // A plumb line hardly leans over a scene: the second look is at the altitude that the first one found.
+        for _ in 0..2 {
+            let [east, north, _] = at(height_m);
+            let Some(up_m) = surface.altitude_at(east as f32, north as f32) else {
+                break;
+            };
+            height_m = nadir.height(col, row, up_m);
+            raster.values[i] = height_m as f32;
+            raster.values[2 * pixels + i] = surface
+                .cell_at(east as f32, north as f32)
+                .map_or(0.0, |cell| surface.confidence[cell]);
+        }
+    }
+    Ok(Dsm {
+        raster,
+        grid: nadir.grid,
+        geoid: None,
+    })
+}
+
+impl Dsm {
+    /// The same surface with altitudes above `geoid` instead of the ellipsoid, and a coordinate system that says so.
+    ///
+    /// # Errors
+    /// When the geoid's grid is missing, or the coordinate system takes no heights.
+    pub fn above(mut self, geoid: Geoid) -> Result<Self, RasterError> {
+        let table = GeoidGrid::new(geoid, &self.grid)?;
+        let width = self.raster.width;
+        for (i, altitude) in self.raster.plane_mut(0).iter_mut().enumerate() {
+            *altitude = (f64::from(*altitude) - table.at(i % width, i / width)) as f32;
+        }
+        self.grid.crs = geoid.compound(&self.grid.crs)?;
+        self.geoid = Some(geoid);
+        Ok(self)
+    }
+
+    /// Share of its grid whose altitude is known.
+    pub fn completeness(&self) -> f64 {
+        let known = self.raster.plane(0).iter().filter(|v| v.is_finite()).count();
+        known as f64 / self.raster.plane_len().max(1) as f64
+    }
+
+    /// What its altitudes are above.
+    pub fn vertical_datum(&self) -> &'static str {
+        self.geoid.map_or("WGS84 ellipsoid", Geoid::name)
+    }
+
+    /// Writes the surface model as a cloud-optimised GeoTIFF.
+    ///
+    /// # Errors
+    /// When the file cannot be written; nothing is left behind then.
+    pub fn write(&self, path: &Path) -> Result<(), RasterError> {
+        let items = [
+            ("VERTICAL_DATUM", self.vertical_datum()),
+            ("UNIT", "metre"),
+            ("SOFTWARE", concat!("heliosplat ", env!("CARGO_PKG_VERSION"))),
+        ];
+        let metadata: Vec<(String, String)> = items.map(|(k, v)| (k.into(), v.into())).to_vec();
+        let spec = ImageSpec {
+            band_descriptions: &BANDS,
+            band_units: &UNITS,
+            georeference: Some((&self.grid.transform, &self.grid.crs)),
+            metadata: &metadata,
+            ..ImageSpec::plain(&self.raster)
+        };
+        write_cog(path, &spec)
+    }
+
+    /// The same as a raster on the map, as if it had been read from its file.
+    pub fn geo_raster(&self) -> GeoRaster {
+        GeoRaster {
+            raster: self.raster.clone(),
+            transform: self.grid.transform,
+            crs: Some(self.grid.crs.clone()),
+            band_names: BANDS.map(str::to_owned).to_vec(),
+        }
+    }
+
+    /// The altitude alone.
+    pub fn altitude(&self) -> Raster {
+        let Raster { width, height, .. } = self.raster;
+        Raster {
+            width,
+            height,
+            bands: 1,
+            values: self.raster.plane(0).to_vec(),
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn cells_at_a_step_are_in_more_doubt_than_level_ones() {
+        let mut raster = Raster::filled(6, 3, 1, 4000.0);
+        for row in 0..3 {
+            raster.values[row * 6 + 5] = 4006.0;
+        }
+        raster.values[6] = f32::NAN;
+        assert_eq!(variance_around(&raster, 6 + 1), 0.0);
+        // Three of nine cells stand 6 m higher.
+        assert!((variance_around(&raster, 6 + 4) - 8.0).abs() < 1e-3);
+    }
+}

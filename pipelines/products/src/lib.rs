@@ -1,0 +1,18 @@
+//! A trained satellite model becomes files: surface models, true orthos, relit images, shadow masks, point clouds, STAC items.
+//!
+//! [`model`] reads a run; [`surface`] and [`dsm`] look at it from above; [`views`] renders its images; [`relight`] puts it under
+//! another sun; [`set`] writes everything for a GIS through [`writer`], and [`stac`] describes it.
+
+pub mod dsm;
+pub mod model;
+mod model_file;
+pub mod ortho;
+pub mod ply;
+pub mod points;
+pub mod relight;
+pub mod set;
+pub mod shadow_mask;
+pub mod stac;
+pub mod surface;
+pub mod views;
+pub mod writer;

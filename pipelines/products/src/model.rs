@@ -1,0 +1,164 @@
+//! A trained satellite model as files: `model.ply` (the Gaussians) and `model.json` (what they share, the frame, the cameras).
+
+use crate::ply;
+use heliosplat::gaussians::Table;
+use heliosplat::model::Parameters;
+use heliosplat::model::shadow_gs::{ShadowGs, ShadowGsOptions};
+use heliosplat::render::PassOptions;
+use heliosplat::splat::ProjectionOptions;
+use heliosplat_fitting::run_folder::{RunError, read};
+use heliosplat_raster::bounded;
+use heliosplat_raster::write::write_atomically;
+use heliosplat_rpc::{GeoPoint, LocalFrame, ProjectiveMap, sun::SunPosition};
+use heliosplat_scene::crop::Crop;
+use heliosplat_scene::{Area, BandKind, Split};
+use std::path::{Path, PathBuf};
+
+/// Version of `model.json`.
+pub const SCHEMA: u32 = 1;
+
+/// One image as the model knows it.
+#[derive(Debug, Clone, PartialEq, serde::Serialize, serde::Deserialize)]
+pub struct ModelImage {
+    /// Its name.
+    pub name: String,
+    /// Train or test.
+    pub split: Split,
+    /// Its own colour in the model, if it was trained on.
+    pub appearance: Option<usize>,
+    /// For an image held out: the colour of one taken the same day that was trained on.
+    #[serde(default)]
+    pub same_day: Option<usize>,
+    /// The pinhole camera of the whole image.
+    pub map: ProjectiveMap,
+    /// The rectangle of it that shows the area.
+    pub crop: Crop,
+    /// Correction of its pointing, pixels.
+    pub shift_px: [f32; 2],
+    /// Its sun.
+    pub sun: SunPosition,
+    /// When it was taken, if known.
+    #[serde(default)]
+    pub time: Option<jiff::Timestamp>,
+}
+
+/// `model.json`: all of a model besides its Gaussians.
+#[derive(Debug, Clone, PartialEq, serde::Serialize, serde::Deserialize)]
+pub struct ModelFile {
+    /// Version of this layout.
+    pub schema: u32,
+    /// Kind of scene.
+    pub model: String,
+    /// What the model is made of.
+    pub options: ShadowGsOptions,
+    /// What all Gaussians share.
+    pub globals: Table,
+    /// Origin of the local east-north-up frame.
+    pub origin: GeoPoint,
+    /// Lowest and highest ellipsoidal altitude, metres.
+    pub altitude_range_m: (f64, f64),
+    /// Ground that is modelled, metres of the local frame.
+    pub area: Area,
+    /// Ground sampling distance of the images, metres.
+    pub gsd_m: f64,
+    /// Counts of the files per unit of the model's colours.
+    pub counts_per_unit: f64,
+    /// How Gaussians become splats.
+    pub projection: ProjectionOptions,
+    /// What the bands are.
+    pub bands: Vec<BandKind>,
+    /// The images.
+    pub images: Vec<ModelImage>,
+}
+
+/// A model read back from its run.
+pub struct LoadedModel {
+    /// The folder.
+    pub folder: PathBuf,
+    /// What `model.json` says.
+    pub file: ModelFile,
+    /// The model.
+    pub model: ShadowGs,
+    /// Its parameters.
+    pub parameters: Parameters,
+    /// The local frame.
+    pub frame: LocalFrame,
+}
+
+impl LoadedModel {
+    /// How products look at the model: as training did.
+    pub fn pass_options(&self) -> PassOptions {
+        PassOptions {
+            projection: self.file.projection,
+            normals: true,
+            ..PassOptions::default()
+        }
+    }
+}
+
+/// What the `model.json` of a run says.
+///
+/// # Errors
+/// When it is missing or damaged.
+pub fn load_file(folder: &Path) -> Result<ModelFile, RunError> {
+    let path = folder.join("model.json");
+    if !path.is_file() {
+        return Err(RunError::NotARun(folder.to_owned()));
+    }
+    ModelFile::parse(&read(&path)?).map_err(|reason| RunError::Damaged { path, reason })
+}
+
+/// The model of a run.
+///
+/// # Errors
+/// When a file is missing or damaged.
+pub fn load(folder: &Path) -> Result<LoadedModel, RunError> {
+    let damaged = |path: &Path, reason: String| RunError::Damaged {
+        path: path.to_owned(),
+        reason,
+    };
+    let file = load_file(folder)?;
+    let model = ShadowGs::new(file.options.clone());
+    let ply_path = folder.join("model.ply");
+    let bytes = bounded::read_bytes(&ply_path, bounded::MODEL_MAX).map_err(|reason| RunError::Io {
+        path: ply_path.clone(),
+        reason,
+    })?;
+    let gaussians = ply::decode(&bytes, &model).map_err(|reason| damaged(&ply_path, reason))?;
+    let frame = LocalFrame::new(file.origin);
+    let parameters = Parameters {
+        gaussians,
+        globals: file.globals.clone(),
+    };
+    Ok(LoadedModel {
+        folder: folder.to_owned(),
+        file,
+        model,
+        parameters,
+        frame,
+    })
+}
+
+/// Writes `model.ply` into `folder`, which must exist.
+///
+/// # Errors
+/// When it cannot be written.
+pub fn save_gaussians(folder: &Path, options: &ShadowGsOptions, gaussians: &Table) -> Result<(), RunError> {
+    Ok(write_atomically(
+        &folder.join("model.ply"),
+        &ply::encode(gaussians, options.bands),
+    )?)
+}
+
+/// Writes `model.json` into `folder`, which must exist.
+///
+/// # Errors
+/// When it cannot be written.
+pub fn save_file(folder: &Path, model: &ModelFile) -> Result<(), RunError> {
+    let path = folder.join("model.json");
+    let text = serde_json::to_string_pretty(model).map_err(|e| RunError::Damaged {
+        path: path.clone(),
+        reason: e.to_string(),
+    })?;
+    Ok(write_atomically(&path, text.as_bytes())?)
+}

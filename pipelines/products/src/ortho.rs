@@ -1,0 +1,109 @@
+//! What lies straight below, on a map grid: albedo, vegetation, hillshade.
+
+use super::surface::ALPHA_KNOWN;
+use crate::model::LoadedModel;
+use heliosplat::Raster;
+use heliosplat::splat::Maps;
+use heliosplat_scene::bands::{VEGETATION_INDEX, vegetation_index};
+
+/// The albedo seen from straight above, band by band; `NaN` where nothing is known. A surface of albedo 1 that lies level in the full
+/// sun is as bright as one unit of the model's colours.
+pub fn albedo(model: &LoadedModel, maps: &Maps) -> Raster {
+    let bands = model.file.bands.len();
+    let mut out = Raster::filled(maps.width, maps.height, bands, f32::NAN);
+    for band in 0..bands {
+        let plane = out.plane_mut(band);
+        for (i, value) in plane.iter_mut().enumerate() {
+            if maps.alpha[i] >= ALPHA_KNOWN {
+                *value = maps.channels[band][i] / maps.alpha[i];
+            }
+        }
+    }
+    out
+}
+
+/// Where an albedo is that of vegetation: 1, else 0, `NaN` where nothing is known.
+pub fn vegetation(albedo: &Raster, (red, near_infrared): (usize, usize)) -> Raster {
+    let pixels = albedo.plane(red).iter().zip(albedo.plane(near_infrared));
+    let values = pixels.map(|(&r, &n)| {
+        let index = vegetation_index(r, n);
+        if index.is_nan() {
+            f32::NAN
+        } else {
+            f32::from(u8::from(index > VEGETATION_INDEX))
+        }
+    });
+    Raster {
+        width: albedo.width,
+        height: albedo.height,
+        bands: 1,
+        values: values.collect(),
+    }
+}
+
+/// Slopes by Horn's 3 × 3 differences (Horn 1981, as `gdaldem hillshade`), lit from the north-west at 45°: shades 1 to 255, `NaN`
+/// where the altitude is not known. Cells beside unknown ones count these as level with themselves.
+pub fn hillshade(altitude: &Raster, gsd_m: f64) -> Raster {
+    let (width, height) = (altitude.width, altitude.height);
+    let plane = altitude.plane(0);
+    let light = [-0.5f64, 0.5, std::f64::consts::FRAC_1_SQRT_2];
+    let mut out = Raster::filled(width, height, 1, f32::NAN);
+    for row in 0..height {
+        for col in 0..width {
+            let centre = plane[row * width + col];
+            if !centre.is_finite() {
+                continue;
+            }
+            let at = |dc: isize, dr: isize| {
+                let c = col.saturating_add_signed(dc).min(width - 1);
+                let r = row.saturating_add_signed(dr).min(height - 1);
+                let value = plane[r * width + c];
+                f64::from(if value.is_finite() { value } else { centre })
+            };
+            let to_east =
+                (at(1, -1) + 2.0 * at(1, 0) + at(1, 1) - at(-1, -1) - 2.0 * at(-1, 0) - at(-1, 1)) / (8.0 * gsd_m);
+            let to_north =
+                (at(-1, -1) + 2.0 * at(0, -1) + at(1, -1) - at(-1, 1) - 2.0 * at(0, 1) - at(1, 1)) / (8.0 * gsd_m);
+            let length = (1.0 + to_east * to_east + to_north * to_north).sqrt();
+            let shade = ((light[2] - to_east * light[0] - to_north * light[1]) / length).max(0.0);
+            out.values[row * width + col] = (1.0 + 254.0 * shade) as f32;
+        }
+    }
+    out
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_plane_is_as_bright_as_its_slope_faces_the_light() {
+        // One in one, facing north-west: the light is 45 degrees up there, so it falls straight onto the plane.
+        let mut facing = Raster::filled(8, 8, 1, 0.0);
+        for row in 0..8 {
+            for col in 0..8 {
+                facing.values[row * 8 + col] = (col + row) as f32 * 0.5 * std::f32::consts::FRAC_1_SQRT_2;
+            }
+        }
+        let away = Raster {
+            values: facing.values.iter().map(|v| -v).collect(),
+            ..facing.clone()
+        };
+        let at = |raster: &Raster| hillshade(raster, 0.5).at(0, 4, 4);
+        assert!((at(&facing) - 255.0).abs() < 0.01, "{}", at(&facing));
+        assert!((at(&away) - 1.0).abs() < 0.01, "{}", at(&away));
+        let level = hillshade(&Raster::filled(4, 4, 1, 7.0), 0.5);
+        let expected = 1.0 + 254.0 * std::f32::consts::FRAC_1_SQRT_2;
+        assert!(level.values.iter().all(|v| (v - expected).abs() < 0.01));
+    }
+
+    #[test]
+    fn what_is_not_known_has_no_shade_and_no_vegetation() {
+        let mut raster = Raster::filled(3, 3, 2, 0.2);
+        raster.values[0] = f32::NAN;
+        raster.plane_mut(1).fill(0.6);
+        let (shade, leaves) = (hillshade(&raster, 1.0), vegetation(&raster, (0, 1)));
+        assert!(shade.values[0].is_nan() && leaves.values[0].is_nan());
+        assert!(shade.values[1].is_finite() && leaves.values[1] == 1.0);
+    }
+}

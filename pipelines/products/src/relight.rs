@@ -1,0 +1,185 @@
+//! The scene under any sun, and its shadow mask.
+
+use super::dsm::NadirGrid;
+use super::views::camera_of;
+use crate::model::LoadedModel;
+use heliosplat::light::Light;
+use heliosplat::render::render;
+use heliosplat::{ProjectiveCamera, Raster};
+use heliosplat_fitting::run_folder::RunError;
+use heliosplat_raster::write::{ImageSpec, Sample, write_cog, write_geotiff};
+use heliosplat_raster::{GridSpec, RasterError, preview};
+use heliosplat_rpc::sun::SunPosition;
+use std::path::{Path, PathBuf};
+
+/// Why a scene cannot be relit.
+#[derive(Debug, thiserror::Error)]
+pub enum RelightError {
+    /// The sun is below the horizon.
+    #[error(
+        "the sun stands {elevation_deg:.2} degrees above the horizon; relight needs it at {LOWEST_SUN_DEG} degrees or higher"
+    )]
+    Night {
+        /// Its elevation.
+        elevation_deg: f64,
+    },
+    /// No image of that name.
+    #[error("no image of the run is called {name}; the names are {known}, or nadir")]
+    NoView {
+        /// The name asked for.
+        name: String,
+        /// The names there are.
+        known: String,
+    },
+    /// The run cannot be used.
+    #[error(transparent)]
+    Run(#[from] RunError),
+    /// A file cannot be written.
+    #[error(transparent)]
+    Raster(#[from] RasterError),
+}
+
+impl RelightError {
+    /// Whether what the user gave is at fault, rather than the machine.
+    pub fn is_input_fault(&self) -> bool {
+        match self {
+            Self::Run(error) => error.is_input_fault(),
+            Self::Raster(error) => error.is_input_fault(),
+            Self::Night { .. } | Self::NoView { .. } => true,
+        }
+    }
+}
+
+/// Elevation of the sun below which a scene is not relit: shadows are longer than any site.
+pub const LOWEST_SUN_DEG: f64 = 1.0;
+
+/// A relit view.
+pub struct Relit {
+    /// Its colours in the units of the images' counts.
+    pub image: Raster,
+    /// Share of the sun that reaches each pixel, 0 to 1.
+    pub visibility: Raster,
+    grid: Option<GridSpec>,
+}
+
+/// Renders `model` under `sun`, from above (`nadir`) or as the image called `view` saw it, with the colours of the reference image.
+///
+/// # Errors
+/// [`RelightError`] when the sun is down or there is no such view.
+pub fn relight(model: &LoadedModel, sun: &SunPosition, view: &str) -> Result<Relit, RelightError> {
+    if view == "nadir" {
+        let nadir = NadirGrid::new(&model.into(), model.file.gsd_m, None)?;
+        return relight_ortho(model, sun, &nadir);
+    }
+    lit(model, sun, &named_camera(model, view)?)
+}
+
+/// Renders `model` under `sun` from straight above, on a grid.
+///
+/// # Errors
+/// [`RelightError::Night`] when the sun is down.
+pub fn relight_ortho(model: &LoadedModel, sun: &SunPosition, nadir: &NadirGrid) -> Result<Relit, RelightError> {
+    let mut relit = lit(model, sun, &nadir.camera)?;
+    relit.grid = Some(nadir.grid.clone());
+    Ok(relit)
+}
+
+fn lit(model: &LoadedModel, sun: &SunPosition, camera: &ProjectiveCamera) -> Result<Relit, RelightError> {
+    let elevation_deg = sun.elevation_rad.to_degrees();
+    if !elevation_deg.is_finite() || elevation_deg < LOWEST_SUN_DEG {
+        return Err(RelightError::Night { elevation_deg });
+    }
+    let direction = sun.direction_enu();
+    let light = Light::Directional(glam::DVec3::new(direction.x, direction.y, direction.z).as_vec3());
+    let rendering = render(
+        &model.model,
+        &model.parameters,
+        camera,
+        Some(light),
+        None,
+        model.pass_options(),
+    );
+    let mut image = rendering.image;
+    for value in &mut image.values {
+        *value *= model.file.counts_per_unit as f32;
+    }
+    let visibility = Raster {
+        width: image.width,
+        height: image.height,
+        bands: 1,
+        values: model.model.sunlit(Some(light), &rendering.maps),
+    };
+    for (i, lit) in visibility.values.iter().enumerate() {
+        if lit.is_nan() {
+            for band in 0..image.bands {
+                image.plane_mut(band)[i] = f32::NAN;
+            }
+        }
+    }
+    Ok(Relit {
+        image,
+        visibility,
+        grid: None,
+    })
+}
+
+fn named_camera(model: &LoadedModel, view: &str) -> Result<ProjectiveCamera, RelightError> {
+    let image = model.file.images.iter().find(|image| image.name == view);
+    image.map(camera_of).ok_or_else(|| RelightError::NoView {
+        name: view.into(),
+        known: model
+            .file
+            .images
+            .iter()
+            .map(|image| image.name.as_str())
+            .collect::<Vec<_>>()
+            .join(", "),
+    })
+}
+
+impl Relit {
+    /// Its shadow mask: 1 in shadow, 0 in the sun, `NaN` where nothing is known.
+    pub fn shadows(&self) -> Raster {
+        let mut mask = self.visibility.clone();
+        for value in mask.values.iter_mut().filter(|v| !v.is_nan()) {
+            *value = if *value < 0.5 { 1.0 } else { 0.0 };
+        }
+        mask
+    }
+
+    /// Writes the image to `path` (PNG: a picture; otherwise GeoTIFF in counts) and its shadow mask beside it (`*_shadow`, 1 =
+    /// in shadow); returns the mask's path.
+    ///
+    /// # Errors
+    /// When a file cannot be written.
+    pub fn write(&self, path: &Path) -> Result<PathBuf, RasterError> {
+        let png = path.extension().is_some_and(|e| e.eq_ignore_ascii_case("png"));
+        let stem = path.file_stem().unwrap_or_default().to_string_lossy().into_owned();
+        let mask_path = path.with_file_name(format!("{stem}_shadow.{}", if png { "png" } else { "tif" }));
+        let mut mask = self.shadows();
+        mask.values.iter_mut().filter(|v| v.is_nan()).for_each(|v| *v = 0.0);
+        if png {
+            preview::write_png(path, &preview::stretched(&self.image))?;
+            preview::write_png(&mask_path, &preview::stretched(&mask))?;
+            return Ok(mask_path);
+        }
+        let georeference = self.grid.as_ref().map(|grid| (&grid.transform, &grid.crs));
+        let spec = ImageSpec {
+            georeference,
+            ..ImageSpec::plain(&self.image)
+        };
+        match georeference {
+            Some(_) => write_cog(path, &spec)?,
+            None => write_geotiff(path, &spec, Sample::F32)?,
+        }
+        write_geotiff(
+            &mask_path,
+            &ImageSpec {
+                georeference,
+                ..ImageSpec::plain(&mask)
+            },
+            Sample::U8,
+        )?;
+        Ok(mask_path)
+    }
+}

@@ -1,0 +1,140 @@
+//! All products of a run: cloud-optimised GeoTIFFs on one grid, a point cloud, and a STAC item that describes them.
+
+use super::dsm::{NadirGrid, maps, of_gaussians};
+use super::relight::{RelightError, relight_ortho};
+use super::writer::{Said, Writer};
+use super::{ortho, points};
+use crate::model::{LoadedModel, ModelImage};
+use heliosplat_fitting::run_folder::inputs;
+use heliosplat_raster::{Geoid, RasterError};
+use heliosplat_rpc::sun::SunPosition;
+use jiff::Timestamp;
+use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
+use std::time::SystemTime;
+
+/// What is asked of the products of a run.
+#[derive(Debug, Clone, Default)]
+pub struct Request {
+    /// Ground sampling distance, metres; that of the images by default.
+    pub gsd_m: Option<f64>,
+    /// Coordinate system; the local UTM zone by default.
+    pub crs: Option<String>,
+    /// What heights are above; the ellipsoid by default.
+    pub geoid: Option<Geoid>,
+    /// The sun of the relit ortho image, if there is to be one.
+    pub sun: Option<SunPosition>,
+}
+
+/// The products of a run.
+#[derive(Debug)]
+pub struct Set {
+    /// The STAC item.
+    pub item: serde_json::Value,
+    /// The files, `item.json` last.
+    pub files: Vec<PathBuf>,
+    /// Their names in the folder.
+    pub names: Vec<String>,
+    /// Share of the grid whose altitude is known.
+    pub completeness: f64,
+}
+
+/// The date of an image by name: its day, or without a time the place of its sun.
+pub fn date_of(image: &ModelImage) -> String {
+    match image.time {
+        Some(time) => time.strftime("%Y-%m-%d").to_string(),
+        None => format!(
+            "sun_{:03.0}_{:02.0}",
+            image.sun.azimuth_rad.to_degrees().rem_euclid(360.0),
+            image.sun.elevation_rad.to_degrees()
+        ),
+    }
+}
+
+/// The dates of a run, and the sun of the first image of each.
+pub fn dates(images: &[ModelImage]) -> Vec<(String, SunPosition)> {
+    let mut known = BTreeMap::new();
+    for image in images {
+        known.entry(date_of(image)).or_insert(image.sun);
+    }
+    known.into_iter().collect()
+}
+
+/// How many steps [`write()`] reports.
+pub fn steps(model: &LoadedModel) -> u64 {
+    4 + dates(&model.file.images).len() as u64
+}
+
+/// Writes all products of `model` into the folder `out`, `item.json` last, under the name `id`, in a collection (its name and where it
+/// is) if there is one; `done` is called with the number of steps done.
+///
+/// # Errors
+/// When the grid cannot be made, a geoid is missing, the sun asked for is down (before anything is written), or a file cannot be written.
+pub fn write(
+    model: &LoadedModel,
+    out: &Path,
+    request: &Request,
+    (id, collection): (&str, Option<(&str, &str)>),
+    done: &dyn Fn(u64),
+) -> Result<Set, RelightError> {
+    let gsd_m = request.gsd_m.unwrap_or(model.file.gsd_m);
+    let nadir = NadirGrid::new(&model.into(), gsd_m, request.crs.as_deref())?;
+    let seen = maps(model, &nadir);
+    let mut surface = of_gaussians(&nadir, &model.into());
+    if let Some(geoid) = request.geoid {
+        surface = surface.above(geoid)?;
+    }
+    if surface.completeness() == 0.0 {
+        return Err(RelightError::Raster(RasterError::Transform {
+            crs: nadir.grid.crs.name().to_owned(),
+            reason: "nothing of the run falls on its grid".into(),
+        }));
+    }
+    let relit = request
+        .sun
+        .map(|sun| Ok::<_, RelightError>((sun, relight_ortho(model, &sun, &nadir)?)));
+    let relit = relit.transpose()?;
+    done(1);
+    let bands = &model.file.bands;
+    let mut writer = Writer::new(&nadir.grid, gsd_m, out);
+    writer.surface(&surface)?;
+    writer.colours(&ortho::albedo(model, &seen), bands)?;
+    done(2);
+    if let Some((sun, relit)) = &relit {
+        writer.relit(&relit.image, &relit.shadows(), bands, sun)?;
+    }
+    done(3);
+    let dates = dates(&model.file.images);
+    for (place, (date, sun)) in dates.iter().enumerate() {
+        writer.shadows(date, &relight_ortho(model, sun, &nadir)?.shadows(), sun)?;
+        done(4 + place as u64);
+    }
+    let count = points::write(&out.join("points.laz"), model, &nadir.grid.crs, request.geoid)?;
+    writer.points("points.laz", count);
+    let set = writer.finish(&Said {
+        id,
+        times: &times(&model.file.images, &[&model.folder]),
+        sun: dates.first().filter(|_| dates.len() == 1).map(|(_, sun)| sun),
+        collection,
+    })?;
+    done(steps(model));
+    Ok(set)
+}
+
+/// When the images of some runs were taken; where none is known, when the newest of their files was written, and where those are gone,
+/// when the models were.
+pub fn times(images: &[ModelImage], runs: &[&Path]) -> Vec<Timestamp> {
+    let times: Vec<Timestamp> = images.iter().filter_map(|image| image.time).collect();
+    if !times.is_empty() {
+        return times;
+    }
+    let written = |path: &Path| std::fs::metadata(path).and_then(|data| data.modified()).ok();
+    let inputs = runs.iter().filter_map(|run| inputs(run).ok());
+    let of_files: Option<SystemTime> = inputs.flatten().filter_map(|input| written(&input.path)).max();
+    let newest = of_files.or_else(|| runs.iter().filter_map(|run| written(&run.join("model.json"))).max());
+    vec![
+        newest
+            .and_then(|time| Timestamp::try_from(time).ok())
+            .unwrap_or_default(),
+    ]
+}

@@ -1,0 +1,178 @@
+//! Shadow masks of images: which shadows there are is traced, where exactly they end an image says better.
+//!
+//! A traced border is off by the error in altitude times the length of the shadow, so by a pixel or two; the pixels beside it show
+//! which of them the sun reaches. For each there are two predictions, shaded `d` and lit `l`, and the share of the sun `s` that
+//! explains the pixel `c = d + s (l - d)` best follows by least squares, every band weighed by its noise. The traced share is
+//! the expectation beforehand, with a deviation of 0.2; where a surface is too dark to tell, it stays.
+
+use heliosplat::Raster;
+use heliosplat_rpc::statistics::{SIGMA_PER_MAD, upper_median};
+use rayon::prelude::*;
+
+/// Standard deviation of the traced visibility near the border of a shadow.
+const TRACED: f32 = 0.2;
+/// Pixels on either side of a traced border within which the image is asked: further off, what is dark may be dark for
+/// another reason.
+const REACH_PX: usize = 4;
+/// Least noise of an image, in units of its values.
+const LEAST_NOISE: f32 = 1e-3;
+
+/// What is known of an image; rasters of one size.
+pub struct Evidence<'a> {
+    /// Share of the sun that reaches each pixel by the trace, `NaN` where nothing is known.
+    pub traced: &'a Raster,
+    /// The image as the model has it.
+    pub rendered: &'a Raster,
+    /// The same without sun anywhere.
+    pub shaded: &'a Raster,
+    /// The same without cast shadows.
+    pub lit: &'a Raster,
+    /// The image itself, `NaN` where it has no value.
+    pub image: &'a Raster,
+}
+
+impl Evidence<'_> {
+    /// Share of the sun that reaches each pixel by trace and image together, 0 to 1; `NaN` where the trace has none.
+    pub fn visibility(&self) -> Raster {
+        let near = near_border(self.traced);
+        let weights: Vec<f32> = (0..self.image.bands).map(|band| self.noise(band).powi(-2)).collect();
+        let values = (0..self.traced.plane_len())
+            .into_par_iter()
+            .map(|i| {
+                let traced = self.traced.values[i];
+                if near[i] {
+                    self.weighed(i, traced, &weights)
+                } else {
+                    traced
+                }
+            })
+            .collect();
+        Raster { values, ..*self.traced }
+    }
+
+    /// Least squares of one pixel, the traced share held to itself.
+    fn weighed(&self, i: usize, traced: f32, weights: &[f32]) -> f32 {
+        let (mut known, mut told) = (TRACED.powi(-2), traced * TRACED.powi(-2));
+        for (band, weight) in weights.iter().enumerate() {
+            let shaded = self.shaded.plane(band)[i];
+            let range = self.lit.plane(band)[i] - shaded;
+            let (information, word) = (
+                weight * range * range,
+                weight * range * (self.image.plane(band)[i] - shaded),
+            );
+            if information.is_finite() && word.is_finite() {
+                known += information;
+                told += word;
+            }
+        }
+        (told / known).clamp(0.0, 1.0)
+    }
+
+    /// Deviation of a band from its rendering, by the median so that cars and edges count little.
+    fn noise(&self, band: usize) -> f32 {
+        let mut sizes: Vec<f32> = self
+            .image
+            .plane(band)
+            .iter()
+            .zip(self.rendered.plane(band))
+            .map(|(a, b)| (a - b).abs())
+            .filter(|d| d.is_finite())
+            .collect();
+        upper_median(&mut sizes).map_or(1.0, |size| (SIGMA_PER_MAD as f32 * size).max(LEAST_NOISE))
+    }
+}
+
+/// Pixels with both light and shadow within [`REACH_PX`].
+fn near_border(traced: &Raster) -> Vec<bool> {
+    let (width, height) = (traced.width, traced.height);
+    // Light and shadow seen within reach, first along rows, then along columns.
+    let own: Vec<[bool; 2]> = traced.values.iter().map(|&v| [v >= 0.5, v < 0.5]).collect();
+    let spread = |from: &[[bool; 2]], along: usize, length: usize| -> Vec<[bool; 2]> {
+        (0..from.len())
+            .into_par_iter()
+            .with_min_len(4096)
+            .map(|i| {
+                let place = i / along % length;
+                let (first, last) = (place.saturating_sub(REACH_PX), (place + REACH_PX).min(length - 1));
+                (first..=last).fold([false; 2], |any, p| {
+                    let [light, shadow] = from[i + p * along - place * along];
+                    [any[0] | light, any[1] | shadow]
+                })
+            })
+            .collect()
+    };
+    let both = spread(&spread(&own, 1, width), width, height);
+    both.iter().map(|[light, shadow]| *light && *shadow).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn row(values: &[f32]) -> Raster {
+        Raster {
+            width: values.len(),
+            height: 1,
+            bands: 1,
+            values: values.to_vec(),
+        }
+    }
+
+    /// A row whose left half lies in shadow by the trace; surfaces of brightness `albedo`, a third of it from the sky.
+    fn seen(traced: &[f32], image: &[f32], albedo: f32) -> Vec<f32> {
+        let (shaded, lit) = (vec![albedo / 3.0; traced.len()], vec![albedo; traced.len()]);
+        let rendered: Vec<f32> = traced.iter().map(|s| albedo / 3.0 + s * albedo * 2.0 / 3.0).collect();
+        let evidence = Evidence {
+            traced: &row(traced),
+            rendered: &row(&rendered),
+            shaded: &row(&shaded),
+            lit: &row(&lit),
+            image: &row(image),
+        };
+        evidence.visibility().values
+    }
+
+    #[test]
+    fn a_border_moves_to_where_the_image_shows_it() {
+        let mut traced = vec![0.0; 12];
+        traced[6..].fill(1.0);
+        let mut image = vec![0.2; 12];
+        image[8..].fill(0.6);
+        let found = seen(&traced, &image, 0.6);
+        assert!(found[..8].iter().all(|&s| s < 0.05), "{found:?}");
+        assert!(found[8..].iter().all(|&s| s > 0.95), "{found:?}");
+    }
+
+    #[test]
+    fn dark_ground_far_from_a_traced_shadow_is_not_one() {
+        let mut traced = vec![0.0; 24];
+        traced[4..].fill(1.0);
+        let mut image: Vec<f32> = traced.iter().map(|s| 0.2 + 0.4 * s).collect();
+        image[14] = 0.2;
+        assert_eq!(seen(&traced, &image, 0.6)[14], 1.0);
+    }
+
+    #[test]
+    fn the_trace_decides_where_the_image_cannot() {
+        let mut traced = vec![0.1; 12];
+        traced[6..].fill(0.9);
+        // As dark as its noise: light and shadow differ by less than a thousandth.
+        let found = seen(&traced, &[0.0; 12], 1e-4);
+        assert!(
+            found.iter().zip(&traced).all(|(a, b)| (a - b).abs() < 0.01),
+            "{found:?}"
+        );
+        // And where it has no value.
+        let found = seen(&traced, &[f32::NAN; 12], 0.6);
+        assert!(
+            found.iter().zip(&traced).all(|(a, b)| (a - b).abs() < 1e-6),
+            "{found:?}"
+        );
+    }
+
+    #[test]
+    fn what_is_not_known_stays_so() {
+        let found = seen(&[0.0, f32::NAN, 1.0, 1.0], &[0.2, 0.2, 0.2, 0.6], 0.6);
+        assert!(found[1].is_nan() && found[2] < 0.05 && found[3] > 0.95, "{found:?}");
+    }
+}

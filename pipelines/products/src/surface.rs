@@ -1,0 +1,247 @@
+//! How high Gaussians reach in the cells of a grid, seen from straight above.
+//!
+//! One look through the middle of every cell errs beside walls, for two reasons:
+//! * Gaussians let light through independently of each other, but those of a wall stand one below the other. Ten of them, each of
+//!   which shows a fifth of itself in the cell beside the wall, would cover nine tenths of that cell, and its altitude would be
+//!   somewhere in the wall. So what stands upright counts as far as it faces up; but leaves, which have no sides, count whole.
+//! * A cell has as many altitudes as places, and the middle one is what a cell is said to have. So every cell is looked at in
+//!   3 x 3 places.
+//!
+//! What either is worth is in docs/lab/surface.md.
+
+use crate::model::LoadedModel;
+use heliosplat::ProjectiveCamera;
+use heliosplat::gaussians::{OPACITY, Table, logit};
+use heliosplat::model::shadow_gs::ALBEDO;
+use heliosplat::render::depths;
+use heliosplat::splat::{Maps, ProjectionOptions};
+use heliosplat_rpc::statistics::upper_median;
+use heliosplat_scene::BandKind;
+use heliosplat_scene::bands::{vegetation_bands, vegetation_index};
+use rayon::prelude::*;
+
+/// Alpha below which a pixel has no altitude.
+pub(super) const ALPHA_KNOWN: f32 = 0.5;
+
+/// Places in a cell, along each side of it.
+const PLACES: usize = 3;
+/// Vegetation index above which a Gaussian is leaves and nothing else: walls near trees have something of them.
+const LEAVES: f32 = 0.5;
+
+/// The Gaussians of a satellite model, as far as they are a surface.
+#[derive(Clone, Copy)]
+pub struct SurfaceGaussians<'a> {
+    /// The Gaussians.
+    pub gaussians: &'a Table,
+    /// The bands of their albedo.
+    pub bands: &'a [BandKind],
+    /// How they become splats.
+    pub projection: ProjectionOptions,
+}
+
+impl<'a> From<&'a LoadedModel> for SurfaceGaussians<'a> {
+    fn from(model: &'a LoadedModel) -> Self {
+        Self {
+            gaussians: &model.parameters.gaussians,
+            bands: &model.file.bands,
+            projection: model.file.projection,
+        }
+    }
+}
+
+/// What is known of a cell.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(super) struct Cell {
+    /// Accumulated alpha, 0 to 1.
+    pub coverage: f32,
+    /// Altitude above the frame's origin, metres; NaN where nothing is.
+    pub up_m: f32,
+    /// Mean squared distance of what a ray meets to that altitude, metres².
+    pub spread_m2: f32,
+}
+
+/// The cells that are the pixels of `nadir`, a camera that looks straight down.
+pub(super) fn cells(input: &SurfaceGaussians, nadir: &ProjectiveCamera) -> Vec<Cell> {
+    let all = depths(input.gaussians, nadir, &input.projection);
+    let looks = looks(input, nadir);
+    (0..all.alpha.len())
+        .into_par_iter()
+        .with_min_len(1024)
+        .map(|i| {
+            let mut known: Vec<f32> = looks.iter().map(|look| look[i]).filter(|z| z.is_finite()).collect();
+            // Cliffs face nowhere but aside: there the one look at all that stands has to do.
+            let depth = upper_median(&mut known).unwrap_or(all.median_depth[i]);
+            let coverage = all.alpha[i];
+            let mean = all.depth[i] / coverage;
+            let variance = (all.depth_square[i] / coverage - mean * mean).max(0.0);
+            Cell {
+                coverage,
+                up_m: -depth,
+                spread_m2: variance + (depth - mean) * (depth - mean),
+            }
+        })
+        .collect()
+}
+
+/// Median depths of what faces up, metres, in each of the places of the cells; NaN where little is.
+fn looks(input: &SurfaceGaussians, nadir: &ProjectiveCamera) -> Vec<Vec<f32>> {
+    let facing = facing_up(input);
+    // The filter of a pixel as wide as a place.
+    let projection = ProjectionOptions {
+        filter_px2: input.projection.filter_px2 / (PLACES * PLACES) as f32,
+        ..input.projection
+    };
+    let aside = |k: usize| (k as f32 - (PLACES - 1) as f32 / 2.0) / PLACES as f32;
+    let look = |place: usize| {
+        let camera = nadir.shifted(aside(place % PLACES), aside(place / PLACES));
+        let Maps {
+            mut median_depth,
+            alpha,
+            ..
+        } = depths(&facing, &camera, &projection);
+        for (depth, alpha) in median_depth.iter_mut().zip(alpha) {
+            if alpha < ALPHA_KNOWN {
+                *depth = f32::NAN;
+            }
+        }
+        median_depth
+    };
+    (0..PLACES * PLACES).map(look).collect()
+}
+
+/// The Gaussians, less opaque the more upright they stand: whole up to a slope of 45 degrees, `2 cos²` of it beyond.
+fn facing_up(input: &SurfaceGaussians) -> Table {
+    let SurfaceGaussians { gaussians, bands, .. } = *input;
+    let index = vegetation_bands(bands);
+    let leaf = |g: usize| {
+        let albedo = &gaussians.group(ALBEDO)[g * bands.len()..];
+        index.is_some_and(|(red, infrared)| vegetation_index(albedo[red], albedo[infrared]) > LEAVES)
+    };
+    let mut out = gaussians.clone();
+    let opacities = out.group_mut(OPACITY).par_iter_mut().with_min_len(1024);
+    opacities.enumerate().for_each(|(g, opacity)| {
+        let scale = gaussians.scale(g);
+        let thinnest = (0..3).min_by(|&a, &b| scale[a].total_cmp(&scale[b])).unwrap_or(2);
+        let up = gaussians.rotation(g).col(thinnest).z;
+        let share = 2.0 * up * up;
+        if share < 1.0 && !leaf(g) {
+            *opacity = logit((gaussians.opacity(g) * share).max(f32::MIN_POSITIVE));
+        }
+    });
+    out
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use glam::{Quat, Vec3};
+    use heliosplat::gaussians::{GroupSpec, LOG_SCALE, POSITION, ROTATION, core_groups};
+
+    const CELL_M: f32 = 0.5;
+    const BANDS: [BandKind; 2] = [BandKind::Red, BandKind::NearInfrared];
+
+    /// Discs of 0.65 cells, 0.3 thick, given by their places, how they are turned, and their near infrared where red is 0.2.
+    fn discs(of: &[(Vec3, Quat, f32)]) -> Table {
+        let mut groups = core_groups();
+        groups.push(GroupSpec::new("albedo", BANDS.len()));
+        let mut table = Table::zeros(groups, of.len());
+        let across = (0.65 * CELL_M).ln();
+        for (i, (place, turn, infrared)) in of.iter().enumerate() {
+            table.group_mut(POSITION)[3 * i..3 * i + 3].copy_from_slice(&place.to_array());
+            table.group_mut(ROTATION)[4 * i..4 * i + 4].copy_from_slice(&turn.to_array());
+            table.group_mut(LOG_SCALE)[3 * i..3 * i + 3].copy_from_slice(&[across, across, (0.3 * CELL_M).ln()]);
+            table.group_mut(OPACITY)[i] = logit(0.9);
+            table.group_mut(ALBEDO)[2 * i..2 * i + 2].copy_from_slice(&[0.2, *infrared]);
+        }
+        table
+    }
+
+    /// Level ground of 16 x 16 cells, one disc in the middle of each.
+    fn ground() -> Vec<(Vec3, Quat, f32)> {
+        let place = |i: usize| Vec3::new((i % 16) as f32 + 0.5, -((i / 16) as f32 + 0.5), 0.0) * CELL_M;
+        (0..256).map(|i| (place(i), Quat::IDENTITY, 0.2)).collect()
+    }
+
+    fn look(of: &[(Vec3, Quat, f32)]) -> Vec<Cell> {
+        let table = discs(of);
+        let input = SurfaceGaussians {
+            gaussians: &table,
+            bands: &BANDS,
+            projection: ProjectionOptions::default(),
+        };
+        cells(&input, &above(1))
+    }
+
+    /// A camera above the ground that cuts each side of a cell into `places`.
+    fn above(places: usize) -> ProjectiveCamera {
+        let pixel_m = f64::from(CELL_M) / places as f64;
+        ProjectiveCamera::nadir(0.5 * pixel_m, -0.5 * pixel_m, pixel_m, (16 * places, 16 * places))
+    }
+
+    /// Upright discs one below the other over the boundary of columns 7 and 8, as walls are.
+    fn wall(infrared: f32) -> Vec<(Vec3, Quat, f32)> {
+        let upright = Quat::from_rotation_y(std::f32::consts::FRAC_PI_2);
+        let stack = |i: usize| Vec3::new(8.0, -((i / 40) as f32 + 0.5), (i % 40) as f32 * 0.5 + 0.5) * CELL_M;
+        (0..640).map(|i| (stack(i), upright, infrared)).collect()
+    }
+
+    #[test]
+    fn a_wall_is_no_surface_and_leaves_are() {
+        let of = |infrared: f32| look(&[ground(), wall(infrared)].concat());
+        let beside = 8 * 16 + 8;
+        assert!(of(0.2)[beside].up_m.abs() < 0.05, "{:?}", of(0.2)[beside]);
+        assert!(of(0.8)[beside].up_m > 2.0, "{:?}", of(0.8)[beside]);
+        assert!(of(0.2)[beside].spread_m2 > 1.0, "in doubt: {:?}", of(0.2)[beside]);
+    }
+
+    #[test]
+    fn a_cliff_has_an_altitude() {
+        let cells = look(&wall(0.2));
+        let cell = cells[8 * 16 + 8];
+        assert!(cell.coverage > 0.5 && cell.up_m > 2.0, "{cell:?}");
+    }
+
+    #[test]
+    fn a_steep_roof_stays_where_it_is() {
+        // 60 degrees up to the east: twice as many discs per cell, since it has twice the area.
+        let turn = Quat::from_rotation_y(-std::f32::consts::FRAC_PI_3);
+        let place = |i: usize| {
+            let (column, row) = ((i % 32) as f32 / 2.0 + 0.25, (i / 32) as f32 + 0.5);
+            Vec3::new(column, -row, column * 3f32.sqrt()) * CELL_M
+        };
+        let roof: Vec<_> = (0..512).map(|i| (place(i), turn, 0.2)).collect();
+        let (table, middle) = (discs(&roof), 8 * 16 + 8);
+        let all = depths(&table, &above(1), &ProjectionOptions::default()).median_depth[middle];
+        let cell = look(&roof)[middle];
+        assert!((cell.up_m - 8.5 * 3f32.sqrt() * CELL_M).abs() < 0.3, "{cell:?}");
+        assert!(
+            (cell.up_m + all).abs() < 0.1,
+            "{cell:?}, all that stands is at {}",
+            -all
+        );
+    }
+
+    #[test]
+    fn a_cell_is_as_high_as_most_of_it() {
+        let beside = |end: f32| {
+            let place = move |i: usize| Vec3::new(end - (i % 8) as f32, -((i / 8) as f32 + 0.5), 8.0) * CELL_M;
+            let roof = (0..128).map(move |i| (place(i), Quat::IDENTITY, 0.2));
+            ground().into_iter().chain(roof).collect::<Vec<_>>()
+        };
+        let mut seen = [0, 0];
+        for tenth in 65..90 {
+            let scene = beside(tenth as f32 / 10.0);
+            let depths = depths(&discs(&scene), &above(30), &ProjectionOptions::default()).median_depth;
+            let places = (0..900).map(|i| depths[(8 * 30 + i / 30) * 480 + 8 * 30 + i % 30]);
+            let roofed = places.filter(|&depth| depth < -2.0).count();
+            let up_m = look(&scene)[8 * 16 + 8].up_m;
+            match roofed {
+                0..=300 => assert!(up_m.abs() < 0.05, "{roofed} of 900 places: {up_m}"),
+                600..=900 => assert!((up_m - 4.0).abs() < 0.05, "{roofed} of 900 places: {up_m}"),
+                _ => {}
+            }
+            seen[usize::from(roofed > 450)] += usize::from(roofed > 0 && roofed < 900);
+        }
+        assert!(seen.iter().all(|&cells| cells > 0), "cells of either kind: {seen:?}");
+    }
+}

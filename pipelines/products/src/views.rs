@@ -1,0 +1,181 @@
+//! The images of a run as the model sees them, and how well.
+
+use super::shadow_mask::Evidence;
+use crate::model::{LoadedModel, ModelImage};
+use glam::Vec3;
+use heliosplat::light::Light;
+use heliosplat::model::Context;
+use heliosplat::render::{Rendering, render};
+use heliosplat::{ProjectiveCamera, Raster};
+use heliosplat_evaluate::image::{ImageScore, score_image};
+use heliosplat_scene::{crop, saturation};
+
+/// The engine's camera of an image of a run.
+pub fn camera_of(image: &ModelImage) -> ProjectiveCamera {
+    crop::camera(&image.map, &image.crop, image.shift_px)
+}
+
+/// An image of a run, rendered.
+pub struct RenderedView {
+    /// Its colours, in the model's units; NaN where the model shows nothing.
+    pub image: Raster,
+    /// Share of the sun that reaches each pixel by the trace; NaN where the model shows nothing.
+    pub traced: Raster,
+    /// The same after the image itself was asked where exactly shadows end ([`Evidence`]); as traced without the image, or
+    /// without an image of its day among those of training.
+    pub visibility: Raster,
+    /// Where its colours come from.
+    pub colour: Colouring,
+}
+
+/// Where the colours of a rendered view come from.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Colouring {
+    /// Trained on the image itself.
+    Own,
+    /// Those of an image of the same day.
+    SameDay,
+    /// Fitted to the left half of the image: only the right one may be scored.
+    LeftHalf,
+    /// Those of the model's reference image.
+    Reference,
+}
+
+impl Colouring {
+    /// For reports.
+    pub fn text(self) -> &'static str {
+        match self {
+            Self::Own => "its own",
+            Self::SameDay => "of an image of the same day",
+            Self::LeftHalf => "fitted on the left half, scored on the right",
+            Self::Reference => "of the reference image",
+        }
+    }
+}
+
+/// Renders an image of a run in its own colours. One that was not trained on takes those of an image of the same day; without
+/// such an image, colours fitted to the left half of `truth` (sun, sky and offset per band); without truth, those of the
+/// reference image.
+pub fn render_view(model: &LoadedModel, image: &ModelImage, truth: Option<&Raster>) -> RenderedView {
+    let camera = camera_of(image);
+    let direction = image.sun.direction_enu();
+    let light = Light::Directional(Vec3::new(direction.x as f32, direction.y as f32, direction.z as f32));
+    let appearance = image.appearance.or(image.same_day);
+    let Rendering {
+        image: mut colours,
+        maps,
+    } = render(
+        &model.model,
+        &model.parameters,
+        &camera,
+        Some(light),
+        appearance,
+        model.pass_options(),
+    );
+    let traced = Raster {
+        width: camera.width,
+        height: camera.height,
+        bands: 1,
+        values: model.model.sunlit(Some(light), &maps),
+    };
+    let sunlight = model.model.sunlight(Some(light), &maps);
+    let mut colour = Colouring::Own;
+    if image.appearance.is_none() && image.same_day.is_some() {
+        colour = Colouring::SameDay;
+    } else if image.appearance.is_none() {
+        colour = Colouring::Reference;
+        if let Some(truth) = truth {
+            colour = Colouring::LeftHalf;
+            for band in 0..colours.bands {
+                fit_band(&maps.channels[band], &sunlight, truth.plane(band), camera.width).apply(
+                    &maps.channels[band],
+                    &sunlight,
+                    colours.plane_mut(band),
+                );
+            }
+        }
+    }
+    // What another image's colours say of this one's light is not to be believed.
+    let own = truth.filter(|_| appearance.is_some());
+    let visibility = own.map(|image| {
+        let context = Context {
+            parameters: &model.parameters,
+            camera: &camera,
+            light: Some(light),
+            appearance,
+        };
+        let [shaded, lit] = [0.0, 1.0].map(|share| model.model.compose_in(share, &context, &maps));
+        Evidence {
+            traced: &traced,
+            rendered: &colours,
+            shaded: &shaded,
+            lit: &lit,
+            image,
+        }
+        .visibility()
+    });
+    for (i, v) in traced.values.iter().enumerate() {
+        if v.is_nan() {
+            for band in 0..colours.bands {
+                colours.plane_mut(band)[i] = f32::NAN;
+            }
+        }
+    }
+    RenderedView {
+        image: colours,
+        visibility: visibility.unwrap_or_else(|| traced.clone()),
+        traced,
+        colour,
+    }
+}
+
+/// One band of a date's light: `sun · F L + sky · F (1 - L) + offset`, `L` the sun's light on a pixel.
+struct BandLight([f64; 3]);
+
+impl BandLight {
+    fn apply(&self, albedo: &[f32], sunlight: &[f32], out: &mut [f32]) {
+        for ((o, &f), &s) in out.iter_mut().zip(albedo).zip(sunlight) {
+            let [sun, sky, offset] = self.0;
+            *o = (f64::from(f) * (sun * f64::from(s) + sky * f64::from(1.0 - s)) + offset) as f32;
+        }
+    }
+}
+
+/// Least squares over the left half of the image.
+fn fit_band(albedo: &[f32], sunlight: &[f32], truth: &[f32], width: usize) -> BandLight {
+    let mut normal = nalgebra::Matrix3::<f64>::identity() * 1e-6;
+    let mut right = nalgebra::Vector3::<f64>::new(1e-6, 3e-7, 0.0);
+    for (i, &t) in truth.iter().enumerate() {
+        if i % width < width / 2 && t.is_finite() {
+            let (f, s) = (f64::from(albedo[i]), f64::from(sunlight[i]));
+            let x = nalgebra::Vector3::new(f * s, f * (1.0 - s), 1.0);
+            normal += x * x.transpose();
+            right += x * f64::from(t);
+        }
+    }
+    let solution = normal
+        .try_inverse()
+        .map_or(nalgebra::Vector3::new(1.0, 0.3, 0.0), |inverse| inverse * right);
+    BandLight([solution.x, solution.y, solution.z])
+}
+
+/// Scores of a rendered view, clipped as its pixels are, against them; on its right half only where colours were fitted to the left
+/// one. `rgb` as in [`score_image`].
+pub fn score(rendered: &RenderedView, truth: &Raster, rgb: Option<[usize; 3]>) -> Option<ImageScore> {
+    let mut truth = truth.clone();
+    if rendered.colour == Colouring::LeftHalf {
+        let (width, height) = (truth.width, truth.height);
+        for band in 0..truth.bands {
+            for row in 0..height {
+                truth.plane_mut(band)[row * width..row * width + width / 2].fill(f32::NAN);
+            }
+        }
+    }
+    let mut image = rendered.image.clone();
+    for (band, ceiling) in saturation::ceilings(&truth).into_iter().enumerate() {
+        // NaN stays.
+        let above = image.plane_mut(band).iter_mut().filter(|value| **value > ceiling);
+        above.for_each(|value| *value = ceiling);
+    }
+    score_image(&image, &truth, rgb)
+}

@@ -1,0 +1,225 @@
+//! Products on one grid, written one after the other, each noted for the STAC item that comes last.
+
+use super::dsm::{BANDS, Dsm, UNITS};
+use super::stac::{self, About, Asset, Band};
+use super::{ortho, set::Set};
+use heliosplat::Raster;
+use heliosplat_raster::write::{Bytes, ImageSpec, write_byte_cog, write_cog};
+use heliosplat_raster::{GridSpec, RasterError, write_atomically};
+use heliosplat_rpc::sun::SunPosition;
+use heliosplat_scene::BandKind;
+use heliosplat_scene::bands::vegetation_bands;
+use jiff::Timestamp;
+use std::path::{Path, PathBuf};
+
+/// Name of the STAC item.
+const ITEM: &str = "item.json";
+
+/// What an item says besides its assets.
+#[derive(Debug, Clone)]
+pub struct Said<'a> {
+    /// Its name.
+    pub id: &'a str,
+    /// When the images were taken; not empty.
+    pub times: &'a [Timestamp],
+    /// The sun of all products, where there is but one.
+    pub sun: Option<&'a SunPosition>,
+    /// Name of the collection it belongs to and where that is, if any.
+    pub collection: Option<(&'a str, &'a str)>,
+}
+
+/// Writes products of one grid into a folder.
+pub struct Writer<'a> {
+    grid: &'a GridSpec,
+    gsd_m: f64,
+    out: &'a Path,
+    vertical_datum: &'static str,
+    completeness: f64,
+    assets: Vec<Asset>,
+}
+
+impl<'a> Writer<'a> {
+    /// Nothing yet; rasters will lie on `grid` with cells of `gsd_m` metres.
+    pub fn new(grid: &'a GridSpec, gsd_m: f64, out: &'a Path) -> Self {
+        Self {
+            grid,
+            gsd_m,
+            out,
+            vertical_datum: "WGS84 ellipsoid",
+            completeness: 0.0,
+            assets: Vec::new(),
+        }
+    }
+
+    fn spec<'s>(&'s self, raster: &'s Raster, names: &'s [&'s str], metadata: &'s [(String, String)]) -> ImageSpec<'s> {
+        ImageSpec {
+            band_descriptions: names,
+            georeference: Some((&self.grid.transform, &self.grid.crs)),
+            metadata,
+            ..ImageSpec::plain(raster)
+        }
+    }
+
+    fn bytes(
+        &mut self,
+        (key, title, name): (&str, &str, &str),
+        raster: &Raster,
+        bytes: Bytes,
+        sun: Option<&SunPosition>,
+    ) -> Result<(), RasterError> {
+        let file = format!("{key}.tif");
+        write_byte_cog(
+            &self.out.join(&file),
+            &self.spec(raster, &[name], &metadata(sun)),
+            bytes,
+        )?;
+        let bands = [Band { name, unit: "" }];
+        let shown;
+        // What the file holds is what is described: whole shades.
+        let raster = if bytes == Bytes::Shades {
+            shown = Raster {
+                values: raster.values.iter().map(|v| v.round()).collect(),
+                ..raster.clone()
+            };
+            &shown
+        } else {
+            raster
+        };
+        let asset = Asset::raster(
+            (key, &file, title),
+            raster,
+            &bands,
+            Some(bytes.nodata()),
+            self.gsd_m,
+            sun,
+        );
+        self.assets.push(asset);
+        Ok(())
+    }
+
+    fn floats(
+        &mut self,
+        (key, title): (&str, &str),
+        raster: &Raster,
+        bands: &[BandKind],
+        sun: Option<&SunPosition>,
+    ) -> Result<(), RasterError> {
+        let file = format!("{key}.tif");
+        let names: Vec<&str> = bands.iter().map(|band| band.name()).collect();
+        write_cog(&self.out.join(&file), &self.spec(raster, &names, &metadata(sun)))?;
+        let bands: Vec<Band> = names.iter().map(|name| Band { name, unit: "" }).collect();
+        let asset = Asset::raster((key, &file, title), raster, &bands, None, self.gsd_m, sun);
+        self.assets.push(asset);
+        Ok(())
+    }
+
+    /// The surface model and its hillshade.
+    ///
+    /// # Errors
+    /// When a file cannot be written.
+    pub fn surface(&mut self, dsm: &Dsm) -> Result<(), RasterError> {
+        dsm.write(&self.out.join("dsm.tif"))?;
+        let bands: Vec<Band> = BANDS
+            .iter()
+            .zip(UNITS)
+            .map(|(name, unit)| Band { name, unit })
+            .collect();
+        self.vertical_datum = dsm.vertical_datum();
+        let title = format!("Surface model, metres above {}", self.vertical_datum);
+        let asset = Asset::raster(("dsm", "dsm.tif", &title), &dsm.raster, &bands, None, self.gsd_m, None);
+        self.assets.push(asset);
+        self.completeness = dsm.completeness();
+        let shade = ortho::hillshade(&dsm.altitude(), self.gsd_m);
+        let title = "Hillshade of the surface, light from the north-west";
+        self.bytes(("hillshade", title, "shade"), &shade, Bytes::Shades, None)
+    }
+
+    /// The albedo and, where red and near infrared are known, what of it is vegetation.
+    ///
+    /// # Errors
+    /// When a file cannot be written.
+    pub fn colours(&mut self, albedo: &Raster, bands: &[BandKind]) -> Result<(), RasterError> {
+        let title = "True-ortho albedo, relative to level ground in full sun";
+        self.floats(("albedo", title), albedo, bands, None)?;
+        let Some(pair) = vegetation_bands(bands) else {
+            return Ok(());
+        };
+        let leaves = ortho::vegetation(albedo, pair);
+        let names = ("vegetation", "Vegetation by its index", "vegetation");
+        self.bytes(names, &leaves, Bytes::Mask, None)
+    }
+
+    /// The ortho image under a sun, in counts, and its shadows.
+    ///
+    /// # Errors
+    /// When a file cannot be written.
+    pub fn relit(
+        &mut self,
+        image: &Raster,
+        shadows: &Raster,
+        bands: &[BandKind],
+        sun: &SunPosition,
+    ) -> Result<(), RasterError> {
+        let title = "Ortho image under the sun asked for, counts";
+        self.floats(("relit", title), image, bands, Some(sun))?;
+        let names = ("relit_shadow", "Shadows under the sun asked for", "shadow");
+        self.bytes(names, shadows, Bytes::Mask, Some(sun))
+    }
+
+    /// The shadows of a date.
+    ///
+    /// # Errors
+    /// When the file cannot be written.
+    pub fn shadows(&mut self, date: &str, shadows: &Raster, sun: &SunPosition) -> Result<(), RasterError> {
+        let (key, title) = (format!("shadow_{date}"), format!("Shadows of {date}"));
+        self.bytes((&key, &title, "shadow"), shadows, Bytes::Mask, Some(sun))
+    }
+
+    /// Notes a point cloud that was written beside the rasters.
+    pub fn points(&mut self, file: &str, count: usize) {
+        self.assets.push(Asset::points(file, count));
+    }
+
+    /// Writes the STAC item of all that was written before.
+    ///
+    /// # Errors
+    /// When the grid cannot be placed, or the file not be written.
+    pub fn finish(self, said: &Said) -> Result<Set, RasterError> {
+        let about = About {
+            id: said.id,
+            grid: self.grid,
+            gsd_m: self.gsd_m,
+            vertical_datum: self.vertical_datum,
+            times: said.times,
+            sun: said.sun,
+            collection: said.collection,
+        };
+        let item = stac::item(&about, &self.assets)?;
+        write_atomically(&self.out.join(ITEM), format!("{item:#}\n").as_bytes())?;
+        let mut names: Vec<String> = self.assets.into_iter().map(|asset| asset.file).collect();
+        names.push(ITEM.into());
+        let files: Vec<PathBuf> = names.iter().map(|name| self.out.join(name)).collect();
+        Ok(Set {
+            item,
+            files,
+            names,
+            completeness: self.completeness,
+        })
+    }
+}
+
+/// Metadata items that say which sun a raster stands for.
+fn metadata(sun: Option<&SunPosition>) -> Vec<(String, String)> {
+    let mut items = vec![(
+        "SOFTWARE".to_owned(),
+        concat!("heliosplat ", env!("CARGO_PKG_VERSION")).to_owned(),
+    )];
+    if let Some(sun) = sun {
+        items.push((
+            "SUN_AZIMUTH".into(),
+            format!("{:.4}", sun.azimuth_rad.to_degrees().rem_euclid(360.0)),
+        ));
+        items.push(("SUN_ELEVATION".into(), format!("{:.4}", sun.elevation_rad.to_degrees())));
+    }
+    items
+}

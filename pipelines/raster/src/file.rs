@@ -1,0 +1,398 @@
+//! Reading: what a raster file is, and its pixels as `f32` with `NaN` where nothing is known.
+
+use super::{Crs, GeoTransform, RasterError, messages};
+use gdal::raster::{ColorInterpretation, GdalDataType};
+use gdal::{Dataset, DatasetOptions, GdalOpenFlags, Metadata};
+use heliosplat::Raster;
+use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
+
+/// The formats that are read: each is complete in its own file and a header beside it. Formats that name other files or addresses
+/// (VRT, WMS, DIMAP, PDF …) are not among them, so that what somebody else wrote opens nothing but itself.
+const DRIVERS: [&str; 22] = [
+    "GTiff",
+    "LIBERTIFF",
+    "JP2OpenJPEG",
+    "JP2KAK",
+    "JP2ECW",
+    "JP2MrSID",
+    "JP2Lura",
+    "NITF",
+    "HFA",
+    "ENVI",
+    "EHdr",
+    "PNG",
+    "JPEG",
+    "WEBP",
+    "BMP",
+    "PNM",
+    "AAIGrid",
+    "DTED",
+    "SRTMHGT",
+    "USGSDEM",
+    "PCIDSK",
+    "GTX",
+];
+
+/// Most samples that are ever read at once.
+const SAMPLES_MAX: u128 = 1 << 33;
+/// Fewer samples than this are read from however small a file.
+const SAMPLES_FREE: u128 = 1 << 25;
+/// Deflate makes at most a thousand bytes of one, and of images never a hundred.
+const SAMPLES_PER_BYTE: u128 = 200;
+
+/// Whether a file that was not opened is one of GDAL's virtual rasters.
+fn names_other_files(path: &Path) -> bool {
+    let start = crate::bounded::read_start(path, 256);
+    String::from_utf8_lossy(&start).contains("<VRTDataset")
+}
+
+/// What a band's colour interpretation says it shows.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Colour {
+    /// Grey, or nothing said.
+    Grey,
+    /// Red.
+    Red,
+    /// Green.
+    Green,
+    /// Blue.
+    Blue,
+    /// Opacity.
+    Alpha,
+    /// Indices into a colour table.
+    Palette,
+    /// Nothing said.
+    Undefined,
+}
+
+/// One band of a file.
+#[derive(Debug, Clone, PartialEq)]
+pub struct BandInfo {
+    /// Its description, empty where the file has none.
+    pub description: String,
+    /// Its colour interpretation.
+    pub colour: Colour,
+    /// GDAL's name of the data type, such as `UInt16`.
+    pub data_type: String,
+    /// The unit of its values, empty where the file says none.
+    pub unit: String,
+    /// The value that means "nothing here".
+    pub nodata: Option<f64>,
+}
+
+/// A pixel window: first column and row, columns and rows.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Window {
+    /// First column.
+    pub col0: usize,
+    /// First row.
+    pub row0: usize,
+    /// Columns.
+    pub width: usize,
+    /// Rows.
+    pub height: usize,
+}
+
+/// An open raster file.
+pub struct RasterFile {
+    path: PathBuf,
+    dataset: Dataset,
+    /// Its bands, in file order.
+    pub bands: Vec<BandInfo>,
+}
+
+/// Whether a path is on one of GDAL's virtual file systems, such as `/vsizip/` and `/vsis3/`.
+pub fn is_virtual(path: &Path) -> bool {
+    path.to_string_lossy().starts_with("/vsi")
+}
+
+/// GDAL's file systems that lie on the network.
+pub const REMOTE: [&str; 9] = [
+    "/vsicurl",
+    "/vsis3",
+    "/vsigs",
+    "/vsiaz",
+    "/vsiadls",
+    "/vsioss",
+    "/vsiswift",
+    "/vsiwebhdfs",
+    "/vsihdfs",
+];
+
+/// Whether a path leads to the network, also from within another virtual file system (`/vsizip//vsicurl/…`).
+pub fn is_remote(path: &Path) -> bool {
+    let text = path.to_string_lossy();
+    is_virtual(path) && (REMOTE.iter().any(|system| text.contains(system)) || text.contains("://"))
+}
+
+/// Files in a folder of a virtual file system that the user names, sorted; where it is remote, such file systems may reach the network
+/// from here on.
+///
+/// # Errors
+/// [`RasterError::Missing`] when there is no such folder, or it cannot be reached.
+pub fn list_virtual(folder: &Path) -> Result<Vec<PathBuf>, RasterError> {
+    if is_remote(folder) {
+        messages::allow_network();
+    }
+    let names = messages::collect(|| gdal::vsi::read_dir(folder, false));
+    let mut names = names.map_err(|_| RasterError::Missing(folder.to_owned()))?;
+    names.sort();
+    Ok(names.into_iter().map(|name| folder.join(name)).collect())
+}
+
+impl RasterFile {
+    /// Opens a file for reading.
+    ///
+    /// # Errors
+    /// [`RasterError::Missing`] or [`RasterError::NotAnImage`].
+    pub fn open(path: &Path) -> Result<Self, RasterError> {
+        if !is_virtual(path) && !path.exists() {
+            return Err(RasterError::Missing(path.to_owned()));
+        }
+        let not_an_image = |reason| RasterError::NotAnImage {
+            path: path.to_owned(),
+            reason,
+        };
+        // Opening a pipe would wait for ever.
+        if !is_virtual(path) && !path.is_file() {
+            return Err(not_an_image("it is a folder, a device or a pipe".to_owned()));
+        }
+        let dataset = messages::collect(|| {
+            Dataset::open_ex(
+                path,
+                DatasetOptions {
+                    open_flags: GdalOpenFlags::GDAL_OF_READONLY | GdalOpenFlags::GDAL_OF_RASTER,
+                    allowed_drivers: Some(&DRIVERS),
+                    ..DatasetOptions::default()
+                },
+            )
+        })
+        .map_err(|_| {
+            let reason = if names_other_files(path) {
+                "a virtual raster names other files; make a GeoTIFF of it with gdal_translate"
+            } else {
+                "its format is not recognised"
+            };
+            not_an_image(reason.to_owned())
+        })?;
+        if dataset.raster_count() == 0 {
+            return Err(not_an_image("it has no bands".to_owned()));
+        }
+        let bands = messages::collect(|| band_infos(&dataset)).map_err(not_an_image)?;
+        Ok(Self {
+            path: path.to_owned(),
+            dataset,
+            bands,
+        })
+    }
+
+    /// The file.
+    pub fn path(&self) -> &Path {
+        &self.path
+    }
+
+    pub(super) fn dataset(&self) -> &Dataset {
+        &self.dataset
+    }
+
+    /// Columns and rows.
+    pub fn size(&self) -> (usize, usize) {
+        self.dataset.raster_size()
+    }
+
+    /// The whole image.
+    pub fn whole(&self) -> Window {
+        let (width, height) = self.size();
+        Window {
+            col0: 0,
+            row0: 0,
+            width,
+            height,
+        }
+    }
+
+    /// Items of one metadata domain; the default domain is `""`, an absent domain is empty.
+    pub fn domain(&self, name: &str) -> BTreeMap<String, String> {
+        let items = self.dataset.metadata_domain(name).unwrap_or_default();
+        items
+            .iter()
+            .filter_map(|item| item.split_once('='))
+            .map(|(key, value)| (key.to_owned(), value.to_owned()))
+            .collect()
+    }
+
+    /// Where the pixels lie in map coordinates; `None` without georeferencing.
+    pub fn geo_transform(&self) -> Option<GeoTransform> {
+        messages::collect(|| self.dataset.geo_transform())
+            .ok()
+            .map(GeoTransform::from_gdal)
+    }
+
+    /// The coordinate reference system; `None` without one.
+    pub fn crs(&self) -> Option<Crs> {
+        let wkt = self.dataset.projection();
+        if wkt.is_empty() {
+            return None;
+        }
+        Crs::from_definition(&wkt).ok()
+    }
+
+    /// Reads a window of the given bands (0-based) as `f32`: nodata values and infinities become `NaN`.
+    ///
+    /// # Errors
+    /// [`RasterError::Damaged`] when the pixels cannot be read.
+    pub fn read(&self, window: Window, bands: &[usize]) -> Result<Raster, RasterError> {
+        self.check_size(window, bands.len())?;
+        let mut raster = Raster {
+            width: window.width,
+            height: window.height,
+            bands: bands.len(),
+            values: Vec::with_capacity(window.width * window.height * bands.len()),
+        };
+        for &band in bands {
+            raster.values.extend(self.read_band(window, band)?);
+        }
+        Ok(raster)
+    }
+
+    /// Refuses to read more samples than the bytes of the file can stand for: they would only fill the memory.
+    fn check_size(&self, window: Window, bands: usize) -> Result<(), RasterError> {
+        let claimed = window.width as u128 * window.height as u128 * bands as u128;
+        let siblings = ["ige", "dat"].map(|extension| self.path.with_extension(extension));
+        let bytes = |path: &Path| std::fs::metadata(path).map_or(0, |known| u128::from(known.len()));
+        let held = bytes(&self.path) + siblings.iter().map(|path| bytes(path)).sum::<u128>();
+        // How many bytes an archive or an object store holds of it is not known.
+        let known = !is_virtual(&self.path);
+        if claimed > SAMPLES_MAX || (known && claimed > SAMPLES_FREE.max(held * SAMPLES_PER_BYTE)) {
+            return Err(RasterError::Damaged {
+                path: self.path.clone(),
+                reason: format!("it claims {} x {} pixels in {held} bytes", window.width, window.height),
+            });
+        }
+        Ok(())
+    }
+
+    /// Reads all bands of the whole image.
+    ///
+    /// # Errors
+    /// As [`RasterFile::read`].
+    pub fn read_all(&self) -> Result<Raster, RasterError> {
+        let bands: Vec<usize> = (0..self.bands.len()).collect();
+        self.read(self.whole(), &bands)
+    }
+
+    fn read_band(&self, window: Window, band: usize) -> Result<Vec<f32>, RasterError> {
+        let size = (window.width, window.height);
+        let (_, mut values) = messages::collect(|| {
+            let origin = (window.col0 as isize, window.row0 as isize);
+            self.dataset
+                .rasterband(band + 1)?
+                .read_as::<f32>(origin, size, size, None)
+        })
+        .map_err(|reason| RasterError::Damaged {
+            path: self.path.clone(),
+            reason,
+        })?
+        .into_shape_and_vec();
+        let nodata = self.bands[band].nodata.map(|value| value as f32);
+        for value in &mut values {
+            if !value.is_finite() || nodata == Some(*value) {
+                *value = f32::NAN;
+            }
+        }
+        Ok(values)
+    }
+}
+
+fn band_infos(dataset: &Dataset) -> gdal::errors::Result<Vec<BandInfo>> {
+    (1..=dataset.raster_count())
+        .map(|index| {
+            let band = dataset.rasterband(index)?;
+            let data_type = match band.band_type() {
+                GdalDataType::Unknown => "unknown".to_owned(),
+                known => known.name(),
+            };
+            Ok(BandInfo {
+                description: band.description().unwrap_or_default(),
+                colour: colour(band.color_interpretation()),
+                data_type,
+                unit: band.unit(),
+                nodata: band.no_data_value(),
+            })
+        })
+        .collect()
+}
+
+fn colour(interpretation: ColorInterpretation) -> Colour {
+    match interpretation {
+        ColorInterpretation::GrayIndex => Colour::Grey,
+        ColorInterpretation::RedBand => Colour::Red,
+        ColorInterpretation::GreenBand => Colour::Green,
+        ColorInterpretation::BlueBand => Colour::Blue,
+        ColorInterpretation::AlphaBand => Colour::Alpha,
+        ColorInterpretation::PaletteIndex => Colour::Palette,
+        _ => Colour::Undefined,
+    }
+}
+
+/// A raster that lies on the map.
+#[derive(Debug, Clone)]
+pub struct GeoRaster {
+    /// Values; `NaN` where nothing is known.
+    pub raster: Raster,
+    /// Where the pixels lie.
+    pub transform: GeoTransform,
+    /// In which coordinates; `None` where the file does not say.
+    pub crs: Option<Crs>,
+    /// Descriptions of the bands, empty where the file has none.
+    pub band_names: Vec<String>,
+}
+
+impl GeoRaster {
+    /// Reads all bands of a georeferenced file. The coordinate system may be absent, the geotransform may not.
+    ///
+    /// # Errors
+    /// [`RasterError::NotGeoreferenced`] and what opening and reading may give.
+    pub fn read(path: &Path) -> Result<Self, RasterError> {
+        let file = RasterFile::open(path)?;
+        let transform = file
+            .geo_transform()
+            .ok_or_else(|| RasterError::NotGeoreferenced(path.to_owned()))?;
+        Ok(Self {
+            raster: file.read_all()?,
+            transform,
+            crs: file.crs(),
+            band_names: file.bands.iter().map(|band| band.description.clone()).collect(),
+        })
+    }
+
+    /// Number of the band of this description, counted from zero.
+    pub fn band(&self, name: &str) -> Option<usize> {
+        self.band_names.iter().position(|description| description == name)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn only_paths_that_lead_to_the_network_open_it() {
+        for path in [
+            "/vsis3/bucket/scene",
+            "/vsicurl/http://host/a.tif",
+            "/vsizip//vsigs/bucket/a.zip",
+        ] {
+            assert!(is_remote(Path::new(path)), "{path}");
+        }
+        for path in [
+            "/vsizip/home/scene.zip",
+            "/vsitar//data/a.tar",
+            "/home/vsis3/a.tif",
+            "http://host/a.tif",
+        ] {
+            assert!(!is_remote(Path::new(path)), "{path}");
+        }
+    }
+}

@@ -1,0 +1,127 @@
+//! Raster files: the only place that speaks GDAL and PROJ.
+//!
+//! Everything else sees [`Raster`](heliosplat::Raster) values, a [`GeoTransform`] and a [`Crs`]. Two conventions are
+//! turned here and nowhere else: missing values become `NaN`, and GDAL's pixel corners become our pixel centres at
+//! integers (the items of GDAL's `RPC` metadata domain are RPC00B's own and already count from pixel centres).
+
+pub mod bounded;
+pub mod crs;
+pub mod dsm_bands;
+pub mod file;
+pub mod geoid;
+pub mod grid;
+pub mod messages;
+pub mod preview;
+pub mod write;
+
+pub use crs::{Crs, CrsTransform};
+pub use file::{BandInfo, Colour, GeoRaster, RasterFile, Window, is_virtual, list_virtual};
+pub use geoid::Geoid;
+pub use grid::{EnuGrid, GeoTransform, GridSpec};
+pub use write::{Bytes, ImageSpec, Sample, copy_with_rpc, write_atomically, write_byte_cog, write_cog, write_geotiff};
+
+use std::path::{Path, PathBuf};
+
+/// What can go wrong with a raster file. Every message names the file and what to do about it.
+#[derive(Debug, thiserror::Error)]
+pub enum RasterError {
+    /// No such file.
+    #[error("{}: no such file", .0.display())]
+    Missing(PathBuf),
+    /// Something GDAL does not recognise as an image.
+    #[error("{}: not an image GDAL can read ({reason}); give a GeoTIFF, JPEG 2000, NITF or another raster format", path.display())]
+    NotAnImage {
+        /// The file.
+        path: PathBuf,
+        /// What GDAL said.
+        reason: String,
+    },
+    /// A recognised image whose pixels cannot be read.
+    #[error("{}: its pixels cannot be read ({reason}); the file is truncated or damaged, fetch it again", path.display())]
+    Damaged {
+        /// The file.
+        path: PathBuf,
+        /// What GDAL said.
+        reason: String,
+    },
+    /// A raster that has to lie on the map, and does not.
+    #[error("{}: it has no georeferencing; it needs a geotransform and a coordinate system", .0.display())]
+    NotGeoreferenced(PathBuf),
+    /// A coordinate reference system PROJ does not know.
+    #[error("coordinate reference system '{definition}' is not usable ({reason}); give a projected one as EPSG:N")]
+    UnknownCrs {
+        /// What was asked for.
+        definition: String,
+        /// What PROJ said.
+        reason: String,
+    },
+    /// A coordinate that cannot be transformed.
+    #[error("a coordinate cannot be transformed to {crs} ({reason}); choose a coordinate system that covers the scene")]
+    Transform {
+        /// The target.
+        crs: String,
+        /// What PROJ said.
+        reason: String,
+    },
+    /// A geoid whose grid PROJ does not find.
+    #[error(
+        "geoid {name}: PROJ finds none of its grids ({grids}); install one into PROJ's data folder, as with `projsync --file {first}`, or leave --geoid out for heights above the ellipsoid"
+    )]
+    MissingGrid {
+        /// The geoid.
+        name: &'static str,
+        /// All grids that would do.
+        grids: String,
+        /// The one to fetch.
+        first: &'static str,
+    },
+    /// The disk is full.
+    #[error("{}: the disk is full, nothing was written; free some space or choose another folder", .0.display())]
+    DiskFull(PathBuf),
+    /// Writing was refused.
+    #[error("{}: no permission to write here; choose another folder", .0.display())]
+    Permission(PathBuf),
+    /// Any other failure to write.
+    #[error("{}: cannot be written ({reason})", path.display())]
+    Write {
+        /// The file.
+        path: PathBuf,
+        /// Why.
+        reason: String,
+    },
+    /// A failure inside GDAL that is no fault of a file.
+    #[error("GDAL: {0}")]
+    Gdal(String),
+}
+
+impl RasterError {
+    /// Whether the user's input is at fault, rather than the machine's disk or rights.
+    pub fn is_input_fault(&self) -> bool {
+        !matches!(
+            self,
+            Self::DiskFull(_) | Self::Permission(_) | Self::Write { .. } | Self::Gdal(_)
+        )
+    }
+
+    /// The error for a failed write of `path`.
+    pub fn from_io(path: &Path, error: &std::io::Error) -> Self {
+        use std::io::ErrorKind;
+        match error.kind() {
+            ErrorKind::StorageFull | ErrorKind::QuotaExceeded => Self::DiskFull(path.to_owned()),
+            ErrorKind::PermissionDenied | ErrorKind::ReadOnlyFilesystem => Self::Permission(path.to_owned()),
+            _ => Self::Write {
+                path: path.to_owned(),
+                reason: error.to_string(),
+            },
+        }
+    }
+}
+
+/// Versions of GDAL and PROJ in this process, for `--version` and reports.
+pub fn library_versions() -> (String, String) {
+    let gdal = gdal::version::VersionInfo::release_name();
+    let proj = proj::ProjBuilder::new()
+        .lib_info()
+        .map_or_else(|_| "unknown".to_owned(), |info| info.version);
+    (gdal, proj)
+}

@@ -1,0 +1,479 @@
+//! Writing: cloud-optimised GeoTIFFs and plain GeoTIFFs, whole or not at all.
+//!
+//! GDAL writes into memory; the finished bytes go to a temporary file beside the target, which is renamed when it is
+//! complete. So a full disk or a refused permission is an error of the operating system with its own name, and nothing
+//! half-written is ever seen under the target's name.
+
+use super::{Crs, GeoTransform, RasterError, messages};
+use gdal::raster::{Buffer, GdalType, RasterBand, RasterCreationOptions};
+use gdal::{Dataset, DriverManager, Metadata};
+use heliosplat::Raster;
+use std::io::Write;
+use std::path::{Path, PathBuf};
+use std::sync::atomic::{AtomicU64, Ordering};
+
+/// What stands for "nothing known" in the float rasters we write.
+pub const NODATA: f32 = -9999.0;
+
+/// How the names of files begin that are being written.
+const TEMPORARY: &str = ".heliosplat-";
+
+/// A raster to write and what is to be said about it.
+#[derive(Debug, Clone, Copy)]
+pub struct ImageSpec<'a> {
+    /// The values; `NaN` becomes nodata in float files and 0 in integer files.
+    pub raster: &'a Raster,
+    /// One description per band, or none at all.
+    pub band_descriptions: &'a [&'a str],
+    /// One unit per band, or none at all.
+    pub band_units: &'a [&'a str],
+    /// Where it lies on the map, if it does.
+    pub georeference: Option<(&'a GeoTransform, &'a Crs)>,
+    /// Items of the default metadata domain.
+    pub metadata: &'a [(String, String)],
+    /// Items of the `RPC` domain (pixel centres at integers), if it has a rational camera.
+    pub rpc: &'a [(String, String)],
+}
+
+impl<'a> ImageSpec<'a> {
+    /// A raster about which nothing is said.
+    pub fn plain(raster: &'a Raster) -> Self {
+        Self {
+            raster,
+            band_descriptions: &[],
+            band_units: &[],
+            georeference: None,
+            metadata: &[],
+            rpc: &[],
+        }
+    }
+}
+
+/// The sample type of a file.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Sample {
+    /// 8 bits, 0..=255.
+    U8,
+    /// 16 bits, 0..=65535.
+    U16,
+    /// 32-bit float.
+    F32,
+}
+
+/// What the bytes of an 8-bit raster are.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Bytes {
+    /// Yes and no: 1, 0, and 255 where nothing is known. Overviews show what most pixels are.
+    Mask,
+    /// Shades from 1 to 255, 0 where nothing is known. Overviews show the mean.
+    Shades,
+}
+
+impl Bytes {
+    /// What stands for "nothing known".
+    pub fn nodata(self) -> u8 {
+        match self {
+            Self::Mask => 255,
+            Self::Shades => 0,
+        }
+    }
+}
+
+/// Writes a float32 cloud-optimised GeoTIFF: tiled, deflated with the floating-point predictor, overviews, nodata -9999.
+///
+/// # Errors
+/// [`RasterError::DiskFull`], [`RasterError::Permission`] or [`RasterError::Write`]; nothing is left behind.
+pub fn write_cog(path: &Path, spec: &ImageSpec) -> Result<(), RasterError> {
+    write_copy(
+        path,
+        &in_memory(path, spec, Sample::F32)?,
+        "COG",
+        &cog_options("AVERAGE"),
+    )
+}
+
+/// Writes an 8-bit cloud-optimised GeoTIFF; values are rounded and clamped, `NaN` becomes the nodata of `bytes`.
+///
+/// # Errors
+/// As [`write_cog`].
+pub fn write_byte_cog(path: &Path, spec: &ImageSpec, bytes: Bytes) -> Result<(), RasterError> {
+    let (nodata, resampling) = match bytes {
+        Bytes::Mask => (bytes.nodata(), "MODE"),
+        Bytes::Shades => (bytes.nodata(), "AVERAGE"),
+    };
+    let convert = |value: f32| if value.is_nan() { nodata } else { value.round() as u8 };
+    let dataset = build(spec, convert, Some(f32::from(nodata))).map_err(|reason| RasterError::Write {
+        path: path.to_owned(),
+        reason,
+    })?;
+    write_copy(path, &dataset, "COG", &cog_options(resampling))
+}
+
+fn cog_options(resampling: &str) -> [String; 6] {
+    [
+        "COMPRESS=DEFLATE".into(),
+        "PREDICTOR=YES".into(),
+        "BLOCKSIZE=256".into(),
+        "OVERVIEWS=AUTO".into(),
+        format!("RESAMPLING={resampling}"),
+        "BIGTIFF=IF_SAFER".into(),
+    ]
+}
+
+/// Writes a plain deflated GeoTIFF with samples of the given type; integers are rounded and clamped.
+///
+/// # Errors
+/// As [`write_cog`].
+pub fn write_geotiff(path: &Path, spec: &ImageSpec, sample: Sample) -> Result<(), RasterError> {
+    let predictor = if sample == Sample::F32 {
+        "PREDICTOR=3"
+    } else {
+        "PREDICTOR=2"
+    };
+    let options = ["COMPRESS=DEFLATE", predictor, "INTERLEAVE=BAND", "BIGTIFF=IF_SAFER"];
+    let dataset = in_memory(path, spec, sample)?;
+    write_copy(path, &dataset, "GTiff", &options)
+}
+
+/// Copies an image to a plain deflated GeoTIFF, its samples and metadata as they are, with another rational camera: items of GDAL's
+/// `RPC` domain (pixel centres at integers).
+///
+/// # Errors
+/// As [`write_cog`], and what [`super::RasterFile::open`] says of the image.
+pub fn copy_with_rpc(image: &Path, target: &Path, rpc: &[(String, String)]) -> Result<(), RasterError> {
+    let source = super::RasterFile::open(image)?;
+    let copy = messages::collect_strictly(|| {
+        let driver = DriverManager::get_driver_by_name("MEM")?;
+        let mut copy = source
+            .dataset()
+            .create_copy(&driver, "", &RasterCreationOptions::new())?;
+        for (key, value) in rpc {
+            copy.set_metadata_item(key, value, "RPC")?;
+        }
+        Ok(copy)
+    })
+    .map_err(|reason| RasterError::Write {
+        path: target.to_owned(),
+        reason,
+    })?;
+    write_copy(target, &copy, "GTiff", &["COMPRESS=DEFLATE", "BIGTIFF=IF_SAFER"])
+}
+
+/// Bytes that are handed on at once.
+const PART: usize = 8 << 20;
+
+/// Copies a file, byte for byte, to a place on one of GDAL's virtual file systems.
+///
+/// # Errors
+/// [`RasterError::Write`] with what GDAL says, and what the operating system says of the source.
+pub fn deliver(source: &Path, target: &Path) -> Result<(), RasterError> {
+    messages::allow_network();
+    let mut file = std::fs::File::open(source).map_err(|error| RasterError::from_io(source, &error))?;
+    let failed = |reason: String| RasterError::Write {
+        path: target.to_owned(),
+        reason,
+    };
+    let mut fault = None;
+    messages::collect_strictly(|| {
+        let mut out = VirtualFile::create(target)?;
+        let mut part = vec![0; PART];
+        loop {
+            match std::io::Read::read(&mut file, &mut part) {
+                Ok(0) => return out.close(),
+                Ok(bytes) => out.write(&part[..bytes])?,
+                Err(error) => {
+                    fault = Some(error);
+                    return Ok(());
+                }
+            }
+        }
+    })
+    .map_err(failed)?;
+    fault.map_or(Ok(()), |error| Err(RasterError::from_io(source, &error)))
+}
+
+/// A file that is written on one of GDAL's virtual file systems, from one end to the other, as object stores take files.
+struct VirtualFile {
+    handle: *mut gdal_sys::VSILFILE,
+}
+
+#[allow(unsafe_code, reason = "the crate gdal writes no files on virtual file systems")]
+impl VirtualFile {
+    fn fault(what: &'static str) -> gdal::errors::GdalError {
+        gdal::errors::GdalError::NullPointer {
+            method_name: what,
+            msg: "the store does not take it".into(),
+        }
+    }
+
+    fn create(path: &Path) -> gdal::errors::Result<Self> {
+        let name = std::ffi::CString::new(path.to_string_lossy().as_bytes())?;
+        // SAFETY: both texts end in a zero and outlive the call.
+        let handle = unsafe { gdal_sys::VSIFOpenL(name.as_ptr(), c"wb".as_ptr()) };
+        match handle.is_null() {
+            true => Err(Self::fault("VSIFOpenL")),
+            false => Ok(Self { handle }),
+        }
+    }
+
+    fn write(&mut self, bytes: &[u8]) -> gdal::errors::Result<()> {
+        // SAFETY: the handle is open, and the pointer leads to that many bytes.
+        let written = unsafe { gdal_sys::VSIFWriteL(bytes.as_ptr().cast(), 1, bytes.len(), self.handle) };
+        match written == bytes.len() {
+            true => Ok(()),
+            false => Err(Self::fault("VSIFWriteL")),
+        }
+    }
+
+    fn close(self) -> gdal::errors::Result<()> {
+        let handle = self.handle;
+        std::mem::forget(self);
+        // SAFETY: the handle is open, and forgotten so that it is closed once.
+        match unsafe { gdal_sys::VSIFCloseL(handle) } {
+            0 => Ok(()),
+            _ => Err(Self::fault("VSIFCloseL")),
+        }
+    }
+}
+
+#[allow(unsafe_code, reason = "the crate gdal writes no files on virtual file systems")]
+impl Drop for VirtualFile {
+    fn drop(&mut self) {
+        // SAFETY: the handle is open; `close` forgets what it closed.
+        unsafe { gdal_sys::VSIFCloseL(self.handle) };
+    }
+}
+
+fn in_memory(path: &Path, spec: &ImageSpec, sample: Sample) -> Result<Dataset, RasterError> {
+    let built = match sample {
+        Sample::F32 => build(
+            spec,
+            |value| if value.is_finite() { value } else { NODATA },
+            Some(NODATA),
+        ),
+        // `as` saturates and turns NaN into 0.
+        Sample::U8 => build(spec, |value| value.round() as u8, None),
+        Sample::U16 => build(spec, |value| value.round() as u16, None),
+    };
+    built.map_err(|reason| RasterError::Write {
+        path: path.to_owned(),
+        reason,
+    })
+}
+
+fn build<T: GdalType + Copy>(
+    spec: &ImageSpec,
+    convert: impl Fn(f32) -> T,
+    nodata: Option<f32>,
+) -> Result<Dataset, String> {
+    let raster = spec.raster;
+    let size = (raster.width, raster.height);
+    messages::collect_strictly(|| {
+        let driver = DriverManager::get_driver_by_name("MEM")?;
+        let mut dataset = driver.create_with_band_type::<T, _>("", size.0, size.1, raster.bands)?;
+        if let Some((transform, crs)) = spec.georeference {
+            dataset.set_geo_transform(&transform.to_gdal())?;
+            dataset.set_projection(crs.wkt())?;
+        }
+        for (key, value) in spec.metadata {
+            dataset.set_metadata_item(key, value, "")?;
+        }
+        for (key, value) in spec.rpc {
+            dataset.set_metadata_item(key, value, "RPC")?;
+        }
+        for index in 0..raster.bands {
+            let mut band = dataset.rasterband(index + 1)?;
+            if let Some(nodata) = nodata {
+                band.set_no_data_value(Some(f64::from(nodata)))?;
+            }
+            if let Some(text) = spec.band_descriptions.get(index) {
+                band.set_description(text)?;
+            }
+            if let Some(unit) = spec.band_units.get(index) {
+                set_unit(&band, unit)?;
+            }
+            let values = raster.plane(index).iter().map(|&value| convert(value)).collect();
+            band.write((0, 0), size, &mut Buffer::new(size, values))?;
+        }
+        Ok(dataset)
+    })
+}
+
+/// Sets the unit of a band, which the crate can only read.
+#[allow(unsafe_code, reason = "the crate gdal has no name for this function")]
+fn set_unit(band: &RasterBand, unit: &str) -> gdal::errors::Result<()> {
+    let text = std::ffi::CString::new(unit)?;
+    // SAFETY: the band's dataset is borrowed and so still open; GDAL copies the text, which outlives the call.
+    unsafe { gdal_sys::GDALSetRasterUnitType(band.c_rasterband(), text.as_ptr()) };
+    Ok(())
+}
+
+/// A file in GDAL's memory, gone when dropped.
+struct MemoryFile(PathBuf);
+
+impl MemoryFile {
+    fn new() -> Self {
+        static COUNTER: AtomicU64 = AtomicU64::new(0);
+        let number = COUNTER.fetch_add(1, Ordering::Relaxed);
+        Self(PathBuf::from(format!("/vsimem/heliosplat_{number}.tif")))
+    }
+}
+
+impl Drop for MemoryFile {
+    fn drop(&mut self) {
+        // Already gone when its bytes were taken.
+        let _ = messages::collect(|| gdal::vsi::unlink_mem_file(&self.0));
+    }
+}
+
+fn write_copy<S: AsRef<str>>(path: &Path, dataset: &Dataset, driver: &str, options: &[S]) -> Result<(), RasterError> {
+    let memory = MemoryFile::new();
+    let bytes = messages::collect_strictly(|| {
+        let driver = DriverManager::get_driver_by_name(driver)?;
+        let options = RasterCreationOptions::from_iter(options.iter().map(AsRef::as_ref));
+        dataset.create_copy(&driver, &memory.0, &options)?.close()?;
+        gdal::vsi::get_vsi_mem_file_bytes_owned(&memory.0)
+    })
+    .map_err(|reason| RasterError::Write {
+        path: path.to_owned(),
+        reason,
+    })?;
+    write_atomically(path, &bytes)
+}
+
+/// Removes files from a folder that a process was writing when it was killed; only where no other process writes.
+pub fn remove_leftovers(folder: &Path) {
+    let entries = std::fs::read_dir(folder).into_iter().flatten().flatten();
+    for entry in entries.filter(|entry| entry.file_name().to_string_lossy().starts_with(TEMPORARY)) {
+        // One that stays takes room and does no other harm.
+        let _ = std::fs::remove_file(entry.path());
+    }
+}
+
+/// Writes `bytes` to a temporary file beside `path` and renames it; parent folders are made.
+///
+/// # Errors
+/// As [`write_cog`].
+pub fn write_atomically(path: &Path, bytes: &[u8]) -> Result<(), RasterError> {
+    write_atomically_with(path, |file| file.write_all(bytes))
+}
+
+/// The same with what `fill` writes.
+///
+/// # Errors
+/// As [`write_cog`].
+pub fn write_atomically_with(
+    path: &Path,
+    fill: impl FnOnce(&mut dyn Write) -> std::io::Result<()>,
+) -> Result<(), RasterError> {
+    let failed = |error: &std::io::Error| RasterError::from_io(path, error);
+    let folder = match path.parent() {
+        Some(parent) if !parent.as_os_str().is_empty() => parent,
+        _ => Path::new("."),
+    };
+    std::fs::create_dir_all(folder).map_err(|error| failed(&error))?;
+    let mut builder = tempfile::Builder::new();
+    builder.prefix(TEMPORARY);
+    #[cfg(unix)]
+    {
+        // A temporary file is private by default; the finished one follows the user's umask like any other.
+        use std::os::unix::fs::PermissionsExt;
+        builder.permissions(std::fs::Permissions::from_mode(0o666));
+    }
+    let mut file = builder.tempfile_in(folder).map_err(|error| failed(&error))?;
+    fill(file.as_file_mut()).map_err(|error| failed(&error))?;
+    file.as_file().sync_all().map_err(|error| failed(&error))?;
+    file.persist(path).map_err(|error| failed(&error.error))?;
+    Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::{GeoRaster, RasterFile};
+
+    fn sample_raster(width: usize, height: usize, bands: usize) -> Raster {
+        let mut raster = Raster::filled(width, height, bands, 0.0);
+        for (index, value) in raster.values.iter_mut().enumerate() {
+            *value = (index % 977) as f32 * 0.25 - 20.0;
+        }
+        raster.values[5] = f32::NAN;
+        raster
+    }
+
+    #[test]
+    fn a_cog_comes_back_as_it_was_and_says_it_is_one() {
+        let folder = tempfile::tempdir().expect("a temporary folder");
+        let path = folder.path().join("new/dsm.tif");
+        let raster = sample_raster(700, 530, 3);
+        let transform = GeoTransform::north_up(312_000.0, 4_160_500.0, 0.5);
+        let crs = Crs::from_epsg(32637).expect("UTM 37N");
+        let spec = ImageSpec {
+            band_descriptions: &["altitude", "standard deviation", "coverage"],
+            band_units: &["metre", "metre", "1"],
+            georeference: Some((&transform, &crs)),
+            metadata: &[("SEED".to_owned(), "7".to_owned())],
+            ..ImageSpec::plain(&raster)
+        };
+        write_cog(&path, &spec).expect("written");
+
+        let file = RasterFile::open(&path).expect("readable");
+        assert_eq!(
+            file.domain("IMAGE_STRUCTURE").get("LAYOUT").map(String::as_str),
+            Some("COG")
+        );
+        assert_eq!(file.domain("").get("SEED").map(String::as_str), Some("7"));
+        assert_eq!(file.bands[2].description, "coverage");
+        assert_eq!(file.bands[0].nodata, Some(-9999.0));
+        assert_eq!(file.bands[1].unit, "metre");
+        let back = GeoRaster::read(&path).expect("georeferenced");
+        assert_eq!(back.transform, transform);
+        assert_eq!(back.crs.expect("a CRS").definition(), "EPSG:32637");
+        for (got, want) in back.raster.values.iter().zip(&raster.values) {
+            assert!(got == want || (got.is_nan() && want.is_nan()), "{got} {want}");
+        }
+        let left: Vec<_> = std::fs::read_dir(path.parent().expect("a parent"))
+            .expect("listable")
+            .collect();
+        assert_eq!(left.len(), 1, "only the product is left");
+    }
+
+    #[test]
+    fn integers_are_rounded_clamped_and_an_rpc_domain_is_kept() {
+        let folder = tempfile::tempdir().expect("a temporary folder");
+        let path = folder.path().join("image.tif");
+        let raster = Raster {
+            width: 4,
+            height: 1,
+            bands: 1,
+            values: vec![-3.0, 1.6, 70_000.0, f32::NAN],
+        };
+        write_geotiff(&path, &ImageSpec::plain(&raster), Sample::U16).expect("written");
+        let back = RasterFile::open(&path).expect("readable").read_all().expect("pixels");
+        assert_eq!(back.values, vec![0.0, 2.0, 65535.0, 0.0]);
+    }
+
+    #[test]
+    fn a_target_that_cannot_be_a_folder_is_a_clear_error() {
+        let folder = tempfile::tempdir().expect("a temporary folder");
+        let blocker = folder.path().join("file");
+        std::fs::write(&blocker, b"x").expect("written");
+        let error = write_cog(&blocker.join("dsm.tif"), &ImageSpec::plain(&sample_raster(8, 8, 1)))
+            .expect_err("a file is no folder");
+        assert!(error.to_string().contains("dsm.tif"), "{error}");
+        assert!(!error.is_input_fault());
+    }
+
+    #[test]
+    fn a_full_disk_is_named_and_leaves_nothing() {
+        // /dev/full refuses every byte the way a full disk does; it exists on Linux only.
+        let full = Path::new("/dev/full");
+        if !full.exists() {
+            return;
+        }
+        let mut file = std::fs::OpenOptions::new().write(true).open(full).expect("writable");
+        let error = file.write_all(b"x").expect_err("it is full");
+        let error = RasterError::from_io(Path::new("dsm.tif"), &error);
+        assert!(matches!(error, RasterError::DiskFull(_)), "{error}");
+    }
+}

@@ -1,0 +1,158 @@
+//! Camera adjustment of a scene: ties between its images, corrections of their pointing, corrected cameras as files.
+//!
+//! Ties need cameras that agree to a few pixels, and the surface they lie on needs the same; so pointing is estimated from coarse
+//! to fine: shifts from a coarse sweep, ties and an adjustment at half resolution, and again at full resolution. The coarse
+//! shifts can be wrong (few textures, few views); ties from the cameras as they are compete with them, and what more ties agree
+//! on wins.
+
+pub mod camera_error;
+mod report;
+mod vectors;
+mod write;
+
+pub use report::{AdjustRequest, AdjustedScene, adjust_scene};
+pub use vectors::ImageVectors;
+
+use super::error::FitError;
+use super::ground::Ground;
+use heliosplat_rpc::adjust::{AdjustImage, AdjustOptions, Adjustment, BiasModel, Sighting, Track, adjust};
+use heliosplat_rpc::{ImagePoint, RpcError};
+use heliosplat_scene::Scene;
+use heliosplat_stereo::ties::{Tie, TieOptions, find_ties};
+use heliosplat_stereo::{SweepView, align::coarse_shifts};
+use nalgebra::Vector3;
+
+/// Ties sought at half resolution, and at full.
+const TILES: [usize; 2] = [900, 2000];
+/// Correlation at which a sighting counts nothing.
+const WORTHLESS_SCORE: f32 = 0.7;
+
+/// The ground of `scene` in all of its images, held-out ones too: their cameras are as wrong as the others.
+///
+/// # Errors
+/// [`FitError::TooFewViews`] when fewer than two images show the common ground.
+pub fn ground(scene: &Scene) -> Result<Ground<'_>, FitError> {
+    Ground::new(scene, scene.images.iter())
+}
+
+/// What ties are sought in.
+#[derive(Clone, Copy)]
+pub struct AdjustInput<'a> {
+    /// The ground.
+    pub ground: &'a Ground<'a>,
+    /// Its views with their cameras as delivered.
+    pub views: &'a [SweepView<'a>],
+    /// Width of the patches' cells: a pixel on the ground, metres.
+    pub cell_m: f64,
+}
+
+impl AdjustInput<'_> {
+    /// Finds ties and the corrections that make the images agree on them; `progress` hears the share done.
+    ///
+    /// # Errors
+    /// [`RpcError::Invalid`] when there are too few ties.
+    pub fn adjust(&self, model: BiasModel, progress: &dyn Fn(f32)) -> Result<Adjustment, RpcError> {
+        let coarse = coarse_shifts(self.views, &self.ground.request(self.cell_m));
+        progress(0.1);
+        let half = self.at_half_resolution(&coarse)?;
+        progress(0.5);
+        let full = self.round(&shifts(&half), 1, model)?;
+        progress(1.0);
+        tracing::info!(
+            ties = full.points.len(),
+            sigma_px = full.sigma_px,
+            rounds = full.rounds,
+            "cameras adjusted"
+        );
+        Ok(full)
+    }
+
+    /// The better of what comes of the coarse shifts and of none.
+    fn at_half_resolution(&self, coarse: &[[f32; 2]]) -> Result<Adjustment, RpcError> {
+        let none = vec![[0.0; 2]; self.views.len()];
+        let from_coarse = self.round(coarse, 0, BiasModel::Translation);
+        let from_none = self.round(&none, 0, BiasModel::Translation);
+        match (from_coarse, from_none) {
+            (Ok(a), Ok(b)) => Ok(if agreement(&a) < agreement(&b) { b } else { a }),
+            (Ok(a), Err(_)) => Ok(a),
+            (Err(_), other) => other,
+        }
+    }
+
+    /// Ties between the cameras moved by `shifts`, at half (0) or full (1) resolution, and the adjustment of the delivered ones.
+    fn round(&self, shifts: &[[f32; 2]], level: usize, model: BiasModel) -> Result<Adjustment, RpcError> {
+        let moved: Vec<SweepView> = self
+            .views
+            .iter()
+            .zip(shifts)
+            .map(|(view, shift)| SweepView {
+                camera: view.camera.shifted(shift[0], shift[1]),
+                ..*view
+            })
+            .collect();
+        let options = TieOptions {
+            factor: 2 - level,
+            tiles: TILES[level],
+        };
+        let ties = find_ties(&moved, &self.ground.request(self.cell_m), options);
+        let tracks: Vec<Track> = ties.iter().map(|tie| self.track(tie)).collect();
+        let images: Vec<AdjustImage> = self
+            .ground
+            .images
+            .iter()
+            .map(|image| AdjustImage {
+                rpc: &image.rpc,
+                width: image.pixels.width,
+                height: image.pixels.height,
+            })
+            .collect();
+        let options = AdjustOptions {
+            model,
+            ..Default::default()
+        };
+        let adjustment = adjust(&images, &tracks, self.ground.frame, options)?;
+        tracing::debug!(
+            level,
+            ties = tracks.len(),
+            good = agreement(&adjustment),
+            sigma_px = adjustment.sigma_px,
+            "adjustment"
+        );
+        Ok(adjustment)
+    }
+
+    fn track(&self, tie: &Tie) -> Track {
+        let near = tie.near.as_dvec3();
+        let sightings = tie.sightings.iter().map(|sighting| Sighting {
+            image: sighting.view,
+            at: ImagePoint {
+                col: f64::from(sighting.col) + self.ground.crops[sighting.view].col0 as f64,
+                row: f64::from(sighting.row) + self.ground.crops[sighting.view].row0 as f64,
+            },
+            weight: weight(sighting.score),
+        });
+        Track {
+            near: self.ground.frame.geo_from_enu(Vector3::new(near.x, near.y, near.z)),
+            sightings: sightings.collect(),
+        }
+    }
+}
+
+/// How much a sighting of this correlation counts. What lowers correlation between dates are shadows above all, and those move
+/// matches too.
+fn weight(score: f32) -> f64 {
+    f64::from((score - WORTHLESS_SCORE) / (1.0 - WORTHLESS_SCORE))
+        .clamp(0.0, 1.0)
+        .powi(2)
+}
+
+/// Sightings that fit.
+fn agreement(adjustment: &Adjustment) -> usize {
+    adjustment.images.iter().map(|image| image.good).sum()
+}
+
+/// The corrections' shifts as the engine takes them.
+pub fn shifts(adjustment: &Adjustment) -> Vec<[f32; 2]> {
+    let shift = |c: &heliosplat_rpc::adjust::Correction| c.shift_px.map(|v| v as f32);
+    adjustment.corrections.iter().map(shift).collect()
+}

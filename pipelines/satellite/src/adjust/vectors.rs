@@ -1,0 +1,37 @@
+//! The residuals of an adjustment, image by image, as far as a picture of them needs.
+
+use crate::ground::Ground;
+use heliosplat_rpc::adjust::{Adjustment, ImageResiduals, ResidualVector};
+
+/// One image's residuals.
+#[derive(Debug, Clone, PartialEq)]
+pub struct ImageVectors {
+    /// Name of the image.
+    pub name: String,
+    /// Its width, pixels.
+    pub width: usize,
+    /// Its height, pixels.
+    pub height: usize,
+    /// Their statistics.
+    pub residuals: ImageResiduals,
+    /// All of its residuals, outliers too.
+    pub vectors: Vec<ResidualVector>,
+}
+
+/// The residuals of every image of `ground`, in its order.
+pub(super) fn image_vectors(ground: &Ground, adjustment: &Adjustment) -> Vec<ImageVectors> {
+    let images = ground.images.iter().zip(&adjustment.images).enumerate();
+    let of_image = |place: usize| {
+        let all = adjustment.residuals.iter();
+        all.filter(move |residual| residual.image == place).copied().collect()
+    };
+    images
+        .map(|(place, (image, residuals))| ImageVectors {
+            name: image.name.clone(),
+            width: image.pixels.width,
+            height: image.pixels.height,
+            residuals: *residuals,
+            vectors: of_image(place),
+        })
+        .collect()
+}

@@ -1,0 +1,34 @@
+//! What of a scene's images shows clouds, and what becomes of it.
+
+use super::ground::Ground;
+use heliosplat::Raster;
+use heliosplat_stereo::PlaneSweepRequest;
+use heliosplat_stereo::clouds::find_clouds;
+
+/// The pixels of each crop of `ground` that show clouds; empty where there are none.
+pub(super) fn find(ground: &Ground, rasters: &[Raster], request: &PlaneSweepRequest) -> Vec<Vec<bool>> {
+    let none = vec![[0.0; 2]; rasters.len()];
+    let mut masks = find_clouds(&ground.sweep_views(rasters, &none), request);
+    for (mask, image) in masks.iter_mut().zip(&ground.images) {
+        match share(mask) {
+            0.0 => mask.clear(),
+            share => tracing::info!(image = %image.name, percent = 100.0 * share, "clouds are left out"),
+        }
+    }
+    masks
+}
+
+/// Share of a mask that shows clouds.
+pub(super) fn share(mask: &[bool]) -> f64 {
+    mask.iter().filter(|&&cloud| cloud).count() as f64 / mask.len().max(1) as f64
+}
+
+/// Makes the pixels of a mask unknown; an empty mask has none.
+pub(super) fn blank(raster: &mut Raster, mask: &[bool]) {
+    for band in 0..raster.bands {
+        let values = raster.plane_mut(band).iter_mut().zip(mask);
+        values
+            .filter(|(_, cloud)| **cloud)
+            .for_each(|(value, _)| *value = f32::NAN);
+    }
+}

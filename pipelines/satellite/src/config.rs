@@ -1,0 +1,242 @@
+//! The configuration of a satellite run: data, not code. Presets are files, `--set a.b=c` changes one value, and the
+//! resolved configuration is written beside every result.
+
+use heliosplat::shade::sh::MAX_DEGREE;
+use heliosplat::train::{TrainError, TrainOptions};
+use heliosplat_fitting::settings::{ConfigError, Preset, resolve};
+use std::path::PathBuf;
+
+/// How Gaussians start on the swept surface. Lengths in cells, which are one ground sampling distance wide.
+#[derive(Debug, Clone, PartialEq, serde::Serialize, serde::Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct StartOptions {
+    /// Width of a cell, ground sampling distances: one Gaussian per cell. 2 where memory or time is short, 1.5 in the ablation.
+    pub cell_gsd: f64,
+    /// Opacity of what stands near a step, above ground that is laid beneath it: training decides which of them is there. 0.98 in the
+    /// ablation, which leaves nothing to decide.
+    pub step_opacity: f32,
+}
+
+impl Default for StartOptions {
+    fn default() -> Self {
+        Self {
+            cell_gsd: 1.0,
+            step_opacity: 0.35,
+        }
+    }
+}
+
+/// When the images' relative pointing is estimated and corrected.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Align {
+    /// Estimate; correct when an image is off by more than a tenth of a pixel.
+    Auto,
+    /// Estimate and correct.
+    On,
+    /// Believe the cameras.
+    Off,
+}
+
+/// What is done about the cameras.
+#[derive(Debug, Clone, PartialEq, serde::Serialize, serde::Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct CameraOptions {
+    /// Relative pointing, from tie points and a robust adjustment. `off` where cameras were adjusted already, `on` to correct even less
+    /// than a tenth of a pixel.
+    pub align: Align,
+}
+
+impl Default for CameraOptions {
+    fn default() -> Self {
+        Self { align: Align::Auto }
+    }
+}
+
+/// The satellite model's components. What is left open the plan decides.
+#[derive(Debug, Clone, PartialEq, serde::Serialize, serde::Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct ModelOptions {
+    /// Per-image affine colour: on for images of more than one date, off for those of one.
+    pub image_colour: Option<bool>,
+    /// Whether clouds are found before anything else and left out: on from five views on; off for images that are known to be clear.
+    pub clouds: Option<bool>,
+    /// Whether values that images clip count as "at least": on where some are clipped.
+    pub saturation: Option<bool>,
+    /// Near-surface light in shadows, per Gaussian: on where shadows have a colour of their own, off elsewhere for its memory.
+    pub near_light: bool,
+    /// Largest degree of the spherical harmonics by which albedo (and near-surface light) changes with the viewing direction: 0, the same
+    /// from everywhere, for matt ground, up to 3 for ground that shines.
+    pub sh_degree: usize,
+    /// Whether surfaces are as bright as they face the sun; off it is the paper's model.
+    pub facing: bool,
+    /// Weight of the shadow opaqueness loss; 0, off, is better on every site measured (docs/lab/components.md), the paper and the ablation
+    /// have it.
+    pub opaqueness_weight: f32,
+    /// Whether shadows that images show as dark places guide training: on with few views, off with many.
+    pub shadow_prior: Option<bool>,
+    /// Folder of masks that say what is lit (1) and what in shadow (0), `NAME.tif` for the image `NAME`, for users who have some; in place
+    /// of those that are found.
+    pub shadow_masks: Option<PathBuf>,
+}
+
+impl Default for ModelOptions {
+    fn default() -> Self {
+        Self {
+            image_colour: None,
+            clouds: None,
+            saturation: None,
+            near_light: false,
+            sh_degree: 0,
+            facing: true,
+            opaqueness_weight: 0.0,
+            shadow_prior: None,
+            shadow_masks: None,
+        }
+    }
+}
+
+/// Everything that decides a satellite run besides its scene.
+#[derive(Debug, Clone, PartialEq, Default, serde::Serialize, serde::Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct SatelliteConfig {
+    /// Training.
+    pub train: TrainOptions,
+    /// The start.
+    pub start: StartOptions,
+    /// Cameras.
+    pub cameras: CameraOptions,
+    /// The model.
+    pub model: ModelOptions,
+}
+
+fn preset_text(preset: Preset) -> &'static str {
+    match preset {
+        Preset::Fast => include_str!("../presets/fast.toml"),
+        Preset::Balanced => include_str!("../presets/balanced.toml"),
+        Preset::Accurate => include_str!("../presets/accurate.toml"),
+    }
+}
+
+impl SatelliteConfig {
+    /// The defaults, then the preset's file, then the `--set` pairs in their order.
+    ///
+    /// # Errors
+    /// [`ConfigError::Set`] for a key that does not exist or a value of another kind, [`ConfigError::Value`] for one that means
+    /// nothing.
+    pub fn resolve(preset: Preset, set: &[(String, String)], seed: u64) -> Result<Self, ConfigError> {
+        let mut config: Self = resolve(preset.name(), preset_text(preset), set)?;
+        config.train.seed = seed;
+        config.check()?;
+        Ok(config)
+    }
+
+    /// Whether every value means something.
+    fn check(&self) -> Result<(), ConfigError> {
+        if let Err(TrainError::Option {
+            option,
+            value,
+            expected,
+        }) = self.train.check()
+        {
+            let key = format!("train.{option}");
+            return Err(ConfigError::Value { key, value, expected });
+        }
+        let (s, m) = (&self.start, &self.model);
+        let opacity = f64::from(s.step_opacity);
+        let weight = f64::from(m.opaqueness_weight);
+        for (key, value, fits, expected) in [
+            (
+                "start.cell_gsd",
+                s.cell_gsd,
+                s.cell_gsd > 0.0 && s.cell_gsd.is_finite(),
+                "a finite number above zero",
+            ),
+            (
+                "start.step_opacity",
+                opacity,
+                opacity > 0.0 && opacity < 1.0,
+                "a number between 0 and 1, neither of them",
+            ),
+            (
+                "model.sh_degree",
+                m.sh_degree as f64,
+                m.sh_degree <= MAX_DEGREE,
+                "a whole number from 0 to 3",
+            ),
+            (
+                "model.opaqueness_weight",
+                weight,
+                weight >= 0.0 && weight.is_finite(),
+                "a finite number that is not negative",
+            ),
+        ] {
+            if !fits {
+                return Err(ConfigError::Value {
+                    key: key.into(),
+                    value: value.to_string(),
+                    expected,
+                });
+            }
+        }
+        Ok(())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn set(key: &str, value: &str) -> Vec<(String, String)> {
+        vec![(key.into(), value.into())]
+    }
+
+    #[test]
+    fn every_preset_parses() {
+        for preset in Preset::ALL {
+            assert!(SatelliteConfig::resolve(preset, &[], 3).is_ok_and(|c| c.train.seed == 3));
+        }
+    }
+
+    #[test]
+    fn one_value_can_be_set() {
+        let config = SatelliteConfig::resolve(Preset::Fast, &set("train.density.cap", "1000"), 1).expect("a known key");
+        assert_eq!(config.train.density.cap, 1000);
+        let config = SatelliteConfig::resolve(Preset::Fast, &set("cameras.align", "off"), 1).expect("a known key");
+        assert_eq!(config.cameras.align, Align::Off);
+        let config = SatelliteConfig::resolve(Preset::Fast, &set("model.sh_degree", "3"), 1).expect("a known key");
+        assert_eq!(config.model.sh_degree, 3);
+    }
+
+    #[test]
+    fn a_value_that_means_nothing_is_named() {
+        for (key, value) in [
+            ("start.cell_gsd", "0.0"),
+            ("start.step_opacity", "1.0"),
+            ("model.opaqueness_weight", "-0.1"),
+            ("model.sh_degree", "4"),
+            ("train.pyramid_share", "1.5"),
+            ("train.position_rate_gsd", "nan"),
+        ] {
+            let error = SatelliteConfig::resolve(Preset::Fast, &set(key, value), 1).expect_err(key);
+            assert!(error.to_string().starts_with(key), "{error}");
+        }
+    }
+
+    #[test]
+    fn an_unknown_key_is_named() {
+        let error = SatelliteConfig::resolve(Preset::Fast, &set("train.iteration", "5"), 1).expect_err("no such key");
+        assert!(error.to_string().contains("train.iteration=5"), "{error}");
+        let error =
+            SatelliteConfig::resolve(Preset::Fast, &set("model.sh_degree", "-1"), 1).expect_err("no such degree");
+        assert!(error.to_string().contains("model.sh_degree=-1"), "{error}");
+    }
+
+    #[test]
+    fn what_the_program_decides_is_no_key() {
+        for key in ["train.seed", "train.gsd_m", "train.holdout", "train.density.growth"] {
+            let error = SatelliteConfig::resolve(Preset::Fast, &set(key, "1"), 1).expect_err(key);
+            assert!(error.to_string().contains("unknown field"), "{error}");
+        }
+    }
+}

@@ -1,0 +1,137 @@
+//! What can go wrong between a scene and its run.
+
+use heliosplat::train::TrainError;
+use heliosplat_evaluate::EvaluateError;
+use heliosplat_fitting::run_folder::{OpenError, RunError};
+use heliosplat_fitting::settings::ConfigError;
+use heliosplat_fitting::training::TrainingError;
+use heliosplat_raster::RasterError;
+use heliosplat_rpc::RpcError;
+use heliosplat_scene::SceneError;
+use std::path::PathBuf;
+use std::time::Duration;
+
+/// Why a satellite scene did not become a run, or a run could not be measured.
+#[derive(Debug, thiserror::Error)]
+pub enum SatelliteError {
+    /// The scene.
+    #[error(transparent)]
+    Scene(#[from] SceneError),
+    /// A setting.
+    #[error(transparent)]
+    Config(#[from] ConfigError),
+    /// Settings that cannot be written down.
+    #[error("the configuration cannot be written: {0}")]
+    Settings(String),
+    /// A limit of time within which training would not even begin.
+    #[error(
+        "--time-budget {limit:?}: before the first step this scene takes about {start_s:.0} s on this machine; give {:.0}s or more, or a coarser model with --set start.cell_gsd=2",
+        2.0 * start_s
+    )]
+    TimeBudget {
+        /// The limit.
+        limit: Duration,
+        /// Seconds before the first step.
+        start_s: f64,
+    },
+    /// The fit.
+    #[error(transparent)]
+    Fit(#[from] FitError),
+    /// The course of a training.
+    #[error(transparent)]
+    Training(#[from] TrainingError),
+    /// The run's folder, or its checkpoint.
+    #[error(transparent)]
+    Open(#[from] OpenError),
+    /// A file of the run.
+    #[error(transparent)]
+    Run(#[from] RunError),
+    /// A raster.
+    #[error(transparent)]
+    Raster(#[from] RasterError),
+    /// The evaluation.
+    #[error(transparent)]
+    Evaluate(#[from] EvaluateError),
+    /// The scene that a run was trained on.
+    #[error("{}: the scene of the run: {error}", run.display())]
+    SceneOfRun {
+        /// The run.
+        run: PathBuf,
+        /// What is wrong with its scene.
+        error: SceneError,
+    },
+    /// Cameras that cannot be adjusted.
+    #[error(
+        "{}: the cameras cannot be adjusted: {error}; check the overlap and --altitude with `heliosplat inspect`",
+        scene.display()
+    )]
+    Adjust {
+        /// The scene.
+        scene: PathBuf,
+        /// Why not.
+        error: RpcError,
+    },
+    /// An adjusted camera that cannot be written as a rational one.
+    #[error("{}: its corrected camera: {error}", image.display())]
+    CorrectedCamera {
+        /// The image.
+        image: PathBuf,
+        /// Why not.
+        error: RpcError,
+    },
+}
+
+/// Why a model could not be fitted.
+#[derive(Debug, thiserror::Error)]
+pub enum FitError {
+    /// Fewer than two images show the common ground.
+    #[error("{images} of the scene's images show the ground that at least two have in common; two are needed")]
+    TooFewViews {
+        /// How many do.
+        images: usize,
+    },
+    /// Training would take more memory than it may.
+    #[error(
+        "--memory: training needs about {needed_gib:.2} GiB and {limit_gib:.2} GiB are allowed; give more, fewer images, or a coarser model with --set start.cell_gsd={cell_gsd:.2}"
+    )]
+    Memory {
+        /// What it needs, GiB.
+        needed_gib: f64,
+        /// What it may take, GiB.
+        limit_gib: f64,
+        /// What would fit: width of a cell, ground sampling distances.
+        cell_gsd: f64,
+    },
+    /// A mask of shadows that cannot be used.
+    #[error(transparent)]
+    Mask(#[from] MaskError),
+    /// Training gave up, or its checkpoint is at fault.
+    #[error(transparent)]
+    Training(#[from] TrainingError),
+}
+
+impl From<TrainError> for FitError {
+    fn from(error: TrainError) -> Self {
+        Self::Training(error.into())
+    }
+}
+
+/// Why a mask cannot be used.
+#[derive(Debug, thiserror::Error)]
+pub enum MaskError {
+    /// A file that is missing or damaged.
+    #[error("model.shadow_masks: {0}")]
+    File(#[from] RasterError),
+    /// A mask that does not lie on its image.
+    #[error(
+        "model.shadow_masks: {path} has {mask_px:?} pixels and its image {image_px:?}; a mask covers its image: 1 where it is lit, 0 in shadow"
+    )]
+    Size {
+        /// The mask.
+        path: PathBuf,
+        /// Its columns and rows.
+        mask_px: (usize, usize),
+        /// Those of its image.
+        image_px: (usize, usize),
+    },
+}

@@ -1,0 +1,233 @@
+//! What a training will take, before it begins: memory and time.
+//!
+//! The constants were fitted to runs on `block` and a town (docs/lab/presets.md; 0.17 to 0.62 million Gaussians); `metrics.json` keeps the
+//! estimate beside what was used.
+
+use super::config::{ModelOptions, SatelliteConfig};
+use super::error::FitError;
+use super::ground;
+use heliosplat::bench_fixture::{Descent, Site};
+use heliosplat::shade::sh::functions;
+use heliosplat::train::TrainOptions;
+use heliosplat_fitting::budget::after_training_steps;
+use heliosplat_scene::crop;
+use heliosplat_scene::{Area, Scene};
+use heliosplat_stereo::MANY_VIEWS;
+use std::time::Instant;
+
+/// Gaussians per cell of the ground grid: walls and doubtful ground add to one each (1.3 to 2.3 were seen).
+const GAUSSIANS_PER_CELL: f64 = 1.8;
+/// Tables of all parameters that training holds: values, gradients, two moments, the best state.
+const TABLES: f64 = 5.0;
+/// Bytes per Gaussian of what one step makes besides: splats, lists of tiles, gradients, ellipses on the plane of the sun.
+const STEP_BYTES_PER_GAUSSIAN: f64 = 560.0;
+/// The program itself with its libraries and their buffers, bytes.
+pub const PROGRAM_BYTES: f64 = 100.0 * 1_048_576.0;
+/// What the allocator keeps at hand, bytes.
+const SPARE_BYTES: f64 = 64.0 * 1_048_576.0;
+/// Planes of 32-bit numbers per pixel of the largest view that one step makes, besides those per channel.
+const PLANES: f64 = 24.0;
+/// The same per channel.
+const PLANES_PER_CHANNEL: f64 = 4.0;
+/// Bytes per cell of the ground grid while its surface is searched.
+const SWEEP_BYTES_PER_CELL: f64 = 600.0;
+/// Seconds per cell and image before the first step: pointing, search, start. Many views are searched more widely, and most of
+/// them with an index.
+const START_S_PER_CELL: f64 = 1.2e-5;
+/// The same for few views.
+const START_OF_FEW_S_PER_CELL: f64 = 4.8e-6;
+/// Seconds per Gaussian and step, without light.
+const STEP_S_PER_GAUSSIAN: f64 = 4.2e-7;
+/// Seconds per Gaussian to trace light once, with gradients.
+const TRACE_S_PER_GAUSSIAN: f64 = 1.03e-6;
+/// Seconds of one step of the small site on the machine that the seconds above were measured on.
+const REFERENCE_STEP_S: f64 = 0.012;
+
+/// What a run will take.
+#[derive(Debug, Clone, Copy, PartialEq, serde::Serialize, serde::Deserialize)]
+pub struct Estimate {
+    /// Gaussians at the start.
+    pub gaussians: f64,
+    /// Most memory, bytes.
+    pub peak_bytes: f64,
+    /// The same if there were one Gaussian per cell and no more.
+    pub least_bytes: f64,
+    /// Steps.
+    pub steps: usize,
+    /// Seconds before the first step.
+    pub start_s: f64,
+    /// Seconds in all.
+    pub seconds: f64,
+}
+
+/// How much slower this machine is than the one the constants are from; takes a quarter of a second.
+pub fn slowness() -> f64 {
+    let mut descent = Descent::new(Site::new(20_000, 256, 0.6));
+    let mut best = f64::INFINITY;
+    for _ in 0..8 {
+        let begun = Instant::now();
+        descent.step();
+        best = best.min(begun.elapsed().as_secs_f64());
+    }
+    best / REFERENCE_STEP_S
+}
+
+/// Bytes that the process holds when its scene is open: itself and the images. What the system says it holds is no measure: an
+/// allocator keeps what was freed.
+pub fn held_bytes(scene: &Scene) -> f64 {
+    let values: usize = scene.images.iter().map(|image| image.pixels.values.len()).sum();
+    PROGRAM_BYTES + 4.0 * values as f64
+}
+
+/// Bytes of the copies of `pixels` that are swept and trained on, the latter with weights.
+pub fn copies_bytes(pixels: f64, bands: usize) -> f64 {
+    4.0 * pixels * (2.0 * bands as f64 + 1.0)
+}
+
+/// Bytes that training adds to what the process holds when it begins: `gaussians` at most, `pixels` of the largest view.
+pub fn training_bytes(gaussians: f64, views: usize, bands: usize, pixels: f64) -> f64 {
+    let width = 11.0 + bands as f64;
+    let per_gaussian = TABLES * 4.0 * width + 4.0 * views as f64 + STEP_BYTES_PER_GAUSSIAN;
+    let planes = PLANES + PLANES_PER_CHANNEL * (bands as f64 + 4.0);
+    SPARE_BYTES + gaussians * per_gaussian + pixels * planes * 4.0
+}
+
+/// Bytes per Gaussian of what `model` has besides one albedo per band: near-surface light, and harmonics of both.
+pub fn light_bytes(model: &ModelOptions, bands: usize) -> f64 {
+    let parts = if model.near_light { 2 } else { 1 };
+    TABLES * 4.0 * ((parts * functions(model.sh_degree) - 1) * bands) as f64
+}
+
+/// The most Gaussians that `limit` bytes hold, where `bytes` says how much so many take: each as much as the next.
+pub fn gaussians_within(limit: f64, bytes: impl Fn(f64) -> f64) -> f64 {
+    let fixed = bytes(0.0);
+    let each = bytes(1.0) - fixed;
+    ((limit - fixed) / each).max(0.0)
+}
+
+/// What decides how much a training takes, besides its configuration.
+#[derive(Debug, Clone, Copy)]
+pub struct Extent {
+    /// The ground, metres.
+    pub area: Area,
+    /// Ground sampling distance, metres.
+    pub gsd_m: f64,
+    /// Bands of every image.
+    pub bands: usize,
+    /// Images.
+    pub images: usize,
+    /// Those of them that are trained on.
+    pub training: usize,
+}
+
+impl From<&Scene> for Extent {
+    fn from(scene: &Scene) -> Self {
+        Self {
+            area: scene.area,
+            gsd_m: scene.gsd_m,
+            bands: scene.bands().len(),
+            images: scene.images.len(),
+            training: scene.training().count(),
+        }
+    }
+}
+
+/// What training `scene` will take on a machine of this [`slowness`]; the scene's images are in memory already.
+pub fn estimate(scene: &Scene, config: &SatelliteConfig, slowness: f64) -> Estimate {
+    estimate_of(&scene.into(), config, slowness, held_bytes(scene))
+}
+
+/// The same of any ground, in a process that holds `held` bytes when training begins, the images among them.
+pub fn estimate_of(extent: &Extent, config: &SatelliteConfig, slowness: f64, held: f64) -> Estimate {
+    let &Extent {
+        gsd_m,
+        bands,
+        images,
+        training,
+        ..
+    } = extent;
+    let area = crop::grown(&extent.area, ground::MARGIN_M);
+    let cell_m = config.start.cell_gsd * gsd_m;
+    let cells = (area.east_m - area.west_m) * (area.north_m - area.south_m) / (cell_m * cell_m);
+    let gaussians = GAUSSIANS_PER_CELL * cells;
+    let steps = config.train.clone().for_views(training).iterations;
+    let pixels = cells * config.start.cell_gsd * config.start.cell_gsd * 1.2;
+    let fixed = held + copies_bytes(training as f64 * pixels, bands);
+    let light = light_bytes(&config.model, bands);
+    let training_bytes = |gaussians: f64| training_bytes(gaussians, training, bands, pixels) + gaussians * light;
+    let peak = |gaussians: f64| fixed + training_bytes(gaussians).max(SWEEP_BYTES_PER_CELL * cells);
+    let start_s_per_cell = if training < MANY_VIEWS {
+        START_OF_FEW_S_PER_CELL
+    } else {
+        START_S_PER_CELL
+    };
+    let start_s = start_s_per_cell * cells * training as f64 * slowness;
+    let growth = config.train.clone().for_views(training).growth();
+    let per_gaussian = STEP_S_PER_GAUSSIAN + TRACE_S_PER_GAUSSIAN * traces_per_step(&config.train);
+    let step_s = per_gaussian * gaussians * 0.5 * (1.0 + growth) * slowness;
+    Estimate {
+        gaussians,
+        peak_bytes: peak(gaussians * growth),
+        least_bytes: peak(cells),
+        steps,
+        start_s,
+        seconds: start_s + (steps as f64 + after_training_steps(images)) * step_s,
+    }
+}
+
+/// How often a step traces light, in the mean: for its view, and twice where shadow consistency is due.
+fn traces_per_step(train: &TrainOptions) -> f64 {
+    let every = |steps: usize| 1.0 / steps.max(1) as f64;
+    let consistency = if train.consistency_weight > 0.0 {
+        2.0 * every(train.consistency_every)
+    } else {
+        0.0
+    };
+    every(train.light_every) + consistency
+}
+
+/// Refuses a scene that will not fit into `limit` bytes, with what would.
+///
+/// # Errors
+/// When `needed` is more.
+pub fn must_fit(needed: f64, limit: Option<u64>, config: &SatelliteConfig) -> Result<(), FitError> {
+    let gib = |bytes: f64| bytes / f64::from(1 << 30);
+    match limit.map(|bytes| bytes as f64) {
+        Some(limit) if needed > limit => Err(FitError::Memory {
+            needed_gib: gib(needed),
+            limit_gib: gib(limit),
+            cell_gsd: config.start.cell_gsd * (needed / limit).sqrt() * 1.05,
+        }),
+        _ => Ok(()),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn what_fits_is_what_was_asked_for() {
+        let bytes = |gaussians: f64| training_bytes(gaussians, 10, 4, 2.5e5);
+        assert!((gaussians_within(bytes(1e6), bytes) - 1e6).abs() < 1.0);
+        assert!(gaussians_within(1e6, bytes) == 0.0);
+    }
+
+    #[test]
+    fn light_takes_memory_only_where_it_is_asked_for() {
+        let mut model = ModelOptions::default();
+        assert!(light_bytes(&model, 4) == 0.0);
+        model.sh_degree = 2;
+        assert!(light_bytes(&model, 4) == TABLES * 4.0 * 32.0);
+    }
+
+    #[test]
+    fn a_scene_that_is_too_large_is_told_what_would_fit() {
+        let config = SatelliteConfig::default();
+        assert!(must_fit(1e9, None, &config).is_ok() && must_fit(1e9, Some(1 << 30), &config).is_ok());
+        let error = must_fit(4e9, Some(1 << 30), &config)
+            .expect_err("too large")
+            .to_string();
+        assert!(error.contains("start.cell_gsd=2.0"), "{error}");
+    }
+}

@@ -1,0 +1,268 @@
+//! From a scene to a trained model: align, sweep, start, train.
+
+use super::config::SatelliteConfig;
+use super::error::{FitError, MaskError};
+use super::ground::Ground;
+use super::shadow_prior;
+use super::swept::{Preprocessed, Swept};
+use super::views;
+use super::{clouds, estimate, initial, probe, radiometry};
+use glam::Vec3;
+use heliosplat::ProjectiveCamera;
+use heliosplat::model::shadow_gs::{ShadowGs, ShadowGsOptions};
+use heliosplat::model::{Parameters, SceneModel, View};
+use heliosplat::train::{EarlyStop, TrainOptions, Trainer};
+use heliosplat_fitting::budget::Budget;
+use heliosplat_fitting::checkpoint::{CheckpointWriter, LoadedCheckpoint};
+use heliosplat_fitting::curve::CurvePoint;
+use heliosplat_fitting::run_folder::peak_rss_bytes;
+use heliosplat_fitting::training::{Ending, TrainingError, train};
+use heliosplat_scene::{Area, Scene, SceneImage};
+use heliosplat_session::Session;
+use heliosplat_stereo::Surface;
+use std::time::Instant;
+
+/// Share of the images that must show a cell for Gaussians to start there; two always must. Below, the sweep is mostly noise.
+const COVERAGE: f64 = 0.4;
+/// Sky light at the start, as a share of the sun's: that of a clear day; training finds each image's own.
+const SKY: f32 = 0.3;
+/// Weight of the shadow prior, where it is on.
+const PRIOR_WEIGHT: f32 = 1.0;
+
+/// What a fit may take.
+#[derive(Debug, Clone, Copy, Default)]
+pub struct Limits {
+    /// Time.
+    pub budget: Option<Budget>,
+    /// Memory, bytes.
+    pub memory: Option<u64>,
+}
+
+/// A trained model and how it came about.
+pub struct Fitted {
+    /// The model.
+    pub model: ShadowGs,
+    /// Its parameters.
+    pub parameters: Parameters,
+    /// Names of the images trained on, in the order of their colours.
+    pub images: Vec<String>,
+    /// Pointing corrections, pixels, in that order.
+    pub shifts_px: Vec<[f32; 2]>,
+    /// Share of each image that is left out because clouds hide the ground there, 0 to 1, in that order.
+    pub clouded: Vec<f64>,
+    /// The surface that training started from.
+    pub surface: Surface,
+    /// How training ended.
+    pub early_stop: EarlyStop,
+    /// Steps rejected because of a number that is not finite.
+    pub rejected: usize,
+    /// Seconds spent on alignment, sweep, start and training.
+    pub seconds: [f64; 4],
+    /// The course of training.
+    pub curve: Vec<CurvePoint>,
+    /// How training ended.
+    pub ending: Ending,
+    /// The most memory that training was expected to take when it began, bytes.
+    pub memory_estimate: f64,
+}
+
+/// The image whose colour is the model's: the one under the highest sun, where least lies in shadow.
+fn reference(images: &[&SceneImage]) -> usize {
+    let elevation = |i: usize| images[i].sun.elevation_rad;
+    (0..images.len())
+        .max_by(|&a, &b| elevation(a).total_cmp(&elevation(b)).then(b.cmp(&a)))
+        .unwrap_or(0)
+}
+
+/// A nadir camera over an area of the scene frame.
+pub fn nadir_camera(area: &Area, gsd_m: f64) -> ProjectiveCamera {
+    let size = |length: f64| ((length / gsd_m).round() as usize).max(1);
+    let size = (size(area.east_m - area.west_m), size(area.north_m - area.south_m));
+    ProjectiveCamera::nadir(area.west_m + 0.5 * gsd_m, area.north_m - 0.5 * gsd_m, gsd_m, size)
+}
+
+/// Fits a model to `scene`, or goes on from the `checkpoint` of a fit that was interrupted; `checkpoints` writes its state meanwhile.
+///
+/// # Errors
+/// [`FitError`] when too few images show the common ground, training gives up, or the state cannot be kept or taken up.
+pub fn fit(
+    scene: &Scene,
+    config: &SatelliteConfig,
+    session: &Session,
+    limits: &Limits,
+    mut checkpoints: CheckpointWriter<Preprocessed>,
+    checkpoint: Option<LoadedCheckpoint<Preprocessed>>,
+) -> Result<Fitted, FitError> {
+    let (preprocessed, log, state) = checkpoint.map_or((None, None, None), |checkpoint| {
+        (checkpoint.preprocessed, Some(checkpoint.log), Some(checkpoint.trainer))
+    });
+    let again = match preprocessed {
+        Some(preprocessed) => Swept::again(scene, preprocessed)?,
+        None => None,
+    };
+    let Swept { ground, found } = match again {
+        Some(swept) => swept,
+        None => Swept::new(scene, config, session)?,
+    };
+    checkpoints.preprocessed = Some(found.clone());
+    checkpoints.log = log.unwrap_or_default();
+    let Preprocessed {
+        surface,
+        shifts_px,
+        clouds,
+        seconds: [align_s, sweep_s],
+    } = found;
+    let swept = Instant::now();
+
+    let model = model(&ground, config);
+    let covered = ground.covered(&surface, COVERAGE);
+    let mut parameters = Parameters {
+        gaussians: initial::Start {
+            surface: &surface,
+            covered: &covered,
+            step_opacity: config.start.step_opacity,
+        }
+        .gaussians(model.feature_groups()),
+        globals: model.initial_globals(SKY),
+    };
+    tracing::info!(
+        gaussians = parameters.gaussians.count,
+        cells = surface.altitude.len(),
+        "start"
+    );
+    let mut views: Vec<View> = (0..ground.images.len())
+        .map(|i| views::view(ground.images[i], &ground.crops[i], &clouds[i], shifts_px[i], i))
+        .collect();
+    if config.model.saturation != Some(true) {
+        views.iter_mut().for_each(|view| view.ceiling.clear());
+    }
+    if model.options.prior_weight > 0.0 {
+        give_priors(&mut views, &ground, &surface, config)?;
+    }
+    let mut options = config.train.clone().for_views(views.len());
+    let steps = options.iterations;
+    options.gsd_m = scene.gsd_m as f32;
+    let memory_estimate = fit_into_memory(limits.memory, scene, &parameters, &views, config, &mut options)?;
+    radiometry::initialise(&model, &mut parameters, &mut views, SKY);
+    let initialised = swept.elapsed();
+
+    let bounds = bounds(&ground);
+    let nadir = nadir_camera(&scene.area, scene.gsd_m);
+    let mut trainer = Trainer::new(&model, views, parameters, options, bounds, Some(nadir))?;
+    if let Some(state) = state {
+        tracing::info!(step = state.steps(), of = steps, "training goes on");
+        let restored = trainer.restore(state).map_err(|error| checkpoints.does_not_fit(&error));
+        restored.map_err(TrainingError::from)?;
+    }
+    let trained = {
+        let probe = probe::height_probe(scene);
+        train(trainer, steps, session, limits.budget, checkpoints, probe.as_deref())?
+    };
+    Ok(Fitted {
+        parameters: trained.parameters,
+        early_stop: trained.early_stop,
+        rejected: trained.rejected,
+        curve: trained.curve,
+        ending: trained.ending,
+        memory_estimate,
+        model,
+        images: ground.images.iter().map(|image| image.name.clone()).collect(),
+        shifts_px,
+        clouded: clouds.iter().map(|mask| clouds::share(mask)).collect(),
+        surface,
+        seconds: [
+            align_s,
+            sweep_s,
+            initialised.as_secs_f64(),
+            (swept.elapsed() - initialised).as_secs_f64(),
+        ],
+    })
+}
+
+/// The model of the images of `ground`.
+fn model(ground: &Ground, config: &SatelliteConfig) -> ShadowGs {
+    let images = ground.images.len();
+    ShadowGs::new(ShadowGsOptions {
+        bands: ground.images.first().map_or(0, |image| image.pixels.bands),
+        images,
+        reference: reference(&ground.images),
+        // The plan has decided these by now.
+        image_colour: config.model.image_colour.unwrap_or(images > 1),
+        prior_weight: match config.model.shadow_prior {
+            Some(true) => PRIOR_WEIGHT,
+            _ => 0.0,
+        },
+        near_light: config.model.near_light,
+        degree: config.model.sh_degree,
+        facing: config.model.facing,
+        opaqueness_weight: config.model.opaqueness_weight,
+    })
+}
+
+/// Tells each view what it seems to be lit by: from the user's masks, else from its own darkness.
+fn give_priors(
+    views: &mut [View],
+    ground: &Ground,
+    surface: &Surface,
+    config: &SatelliteConfig,
+) -> Result<(), MaskError> {
+    let priors = match &config.model.shadow_masks {
+        Some(folder) => {
+            let images = ground.images.iter().zip(&ground.crops);
+            images
+                .map(|(image, crop)| shadow_prior::from_folder(folder, image, crop))
+                .collect::<Result<Vec<_>, _>>()?
+        }
+        None => {
+            let (rasters, cameras): (Vec<_>, Vec<_>) = views.iter().map(|view| (&view.image, view.camera)).unzip();
+            shadow_prior::found(ground, &rasters, surface, &cameras)
+        }
+    };
+    for (view, lit) in views.iter_mut().zip(priors) {
+        view.visibility_prior = Some(lit);
+    }
+    Ok(())
+}
+
+/// Limits the Gaussians to what `limit` bytes hold; returns what training will take at most.
+fn fit_into_memory(
+    limit: Option<u64>,
+    scene: &Scene,
+    parameters: &Parameters,
+    views: &[View],
+    config: &SatelliteConfig,
+    options: &mut TrainOptions,
+) -> Result<f64, FitError> {
+    let count = parameters.gaussians.count;
+    let pixels = |view: &View| view.image.plane_len() as f64;
+    let largest = views.iter().map(pixels).fold(0.0, f64::max);
+    let bands = views.first().map_or(0, |v| v.image.bands);
+    let held = estimate::held_bytes(scene) + estimate::copies_bytes(views.iter().map(pixels).sum(), bands);
+    let light = estimate::light_bytes(&config.model, bands);
+    let bytes =
+        |gaussians: f64| held + estimate::training_bytes(gaussians, views.len(), bands, largest) + gaussians * light;
+    estimate::must_fit(bytes(count as f64), limit, config)?;
+    if let Some(limit) = limit {
+        let most = estimate::gaussians_within(limit as f64, bytes);
+        options.density.cap = options.density.cap.min(most as usize);
+    }
+    let grown = count as f64 * options.growth();
+    Ok(bytes(grown.min(options.density.cap.max(count) as f64)).max(peak_rss_bytes() as f64))
+}
+
+/// Outside of this box Gaussians are pruned, metres.
+fn bounds(ground: &Ground) -> (Vec3, Vec3) {
+    let (area, slack) = (&ground.area, 2.0);
+    (
+        Vec3::new(
+            (area.west_m - slack) as f32,
+            (area.south_m - slack) as f32,
+            (ground.up_m.0 - slack) as f32,
+        ),
+        Vec3::new(
+            (area.east_m + slack) as f32,
+            (area.north_m + slack) as f32,
+            (ground.up_m.1 + slack) as f32,
+        ),
+    )
+}

@@ -1,0 +1,153 @@
+//! The ground that a scene's images have in common: what the plane sweep covers, and what tie points are searched on.
+
+use super::error::FitError;
+use heliosplat::Raster;
+use heliosplat_rpc::LocalFrame;
+use heliosplat_scene::bands::{vegetation_bands, vegetation_index};
+use heliosplat_scene::crop::{self, Crop};
+use heliosplat_scene::{Area, Scene, SceneImage};
+use heliosplat_stereo::{
+    MatchingFacts, MatchingParameters, PlaneSweepRequest, SearchVolume, Surface, SweepView, ViewGeometry,
+};
+use rayon::prelude::*;
+
+/// Ground added around the area, metres: shadows fall into it, and ties near the edge have a surface.
+pub const MARGIN_M: f64 = 4.0;
+
+/// Cells around a cell among which the lowest is its ground.
+const GROUND_CELLS: usize = 12;
+
+/// A piece of ground and the images that show it.
+pub struct Ground<'a> {
+    /// The images.
+    pub images: Vec<&'a SceneImage>,
+    /// What of each shows the ground.
+    pub crops: Vec<Crop>,
+    /// The ground, metres of the scene's frame.
+    pub area: Area,
+    /// Lowest and highest altitude, metres of the scene's frame.
+    pub up_m: (f64, f64),
+    /// The scene's frame.
+    pub frame: &'a LocalFrame,
+    groups: Vec<u32>,
+}
+
+impl<'a> Ground<'a> {
+    /// The ground of `scene`, grown by [`MARGIN_M`], in those of `images` that show it.
+    ///
+    /// # Errors
+    /// [`FitError::TooFewViews`] when fewer than two do.
+    pub fn new(scene: &'a Scene, images: impl Iterator<Item = &'a SceneImage>) -> Result<Self, FitError> {
+        let area = crop::grown(&scene.area, MARGIN_M);
+        let up_m = crop::altitude_range(scene);
+        let (images, crops): (Vec<&SceneImage>, Vec<Crop>) = images
+            .filter_map(|image| Some((image, Crop::of(image, &area, up_m)?)))
+            .unzip();
+        if images.len() < 2 {
+            return Err(FitError::TooFewViews { images: images.len() });
+        }
+        Ok(Self {
+            groups: crop::date_groups(&images),
+            images,
+            crops,
+            area,
+            up_m,
+            frame: &scene.frame,
+        })
+    }
+
+    /// The pixels of the crops.
+    pub fn rasters(&self) -> Vec<Raster> {
+        let crops = self.images.iter().zip(&self.crops);
+        crops.map(|(image, crop)| crop.cut(&image.pixels)).collect()
+    }
+
+    /// Where the crops are seen from and under which sun, their cameras moved by `shifts` (columns, rows), pixels.
+    fn geometries(&self, shifts: &[[f32; 2]]) -> Vec<ViewGeometry> {
+        (0..self.images.len())
+            .map(|i| ViewGeometry {
+                camera: crop::camera(&self.images[i].pinhole.map, &self.crops[i], shifts[i]),
+                date_group: self.groups[i],
+                sun: crop::sun(self.images[i]),
+            })
+            .collect()
+    }
+
+    /// The crops with their pixels and their cameras moved by `shifts` (columns, rows), pixels.
+    pub fn sweep_views<'r>(&self, rasters: &'r [Raster], shifts: &[[f32; 2]]) -> Vec<SweepView<'r>> {
+        let geometries = self.geometries(shifts).into_iter().zip(rasters);
+        geometries
+            .map(|(geometry, image)| SweepView {
+                camera: geometry.camera,
+                image,
+                index: None,
+                date_group: geometry.date_group,
+                sun: geometry.sun,
+            })
+            .collect()
+    }
+
+    /// A vegetation index of each crop, where the images have red and near infrared: leaves on pavement are as bright as it is, and
+    /// an index hardly knows shadows.
+    pub fn vegetation_indices(&self, rasters: &[Raster]) -> Option<Vec<Raster>> {
+        let index = |(image, raster): (&&SceneImage, &Raster)| {
+            let (red, near_infrared) = vegetation_bands(&image.bands)?;
+            let bands = raster.plane(red).iter().zip(raster.plane(near_infrared));
+            Some(Raster {
+                width: raster.width,
+                height: raster.height,
+                bands: 1,
+                values: bands.map(|(&r, &n)| vegetation_index(r, n)).collect(),
+            })
+        };
+        self.images.iter().zip(rasters).map(index).collect()
+    }
+
+    /// Cells that enough of the images show, at their altitude and at that of the ground around: `share` of the images, and at
+    /// least two. At the ragged edge of the common ground, where two dates meet at best, the initial surface is mostly noise; a rim
+    /// of it would throw shadows over the scene.
+    pub(super) fn covered(&self, surface: &Surface, share: f64) -> Vec<bool> {
+        let needed = ((self.images.len() as f64 * share).ceil() as usize).max(2);
+        let floor = surface.lowest(GROUND_CELLS);
+        let shows = |image: &SceneImage, cell: usize| {
+            let p = surface.point(cell % surface.width, cell / surface.width).as_dvec3();
+            [p.z, floor[cell].into()]
+                .iter()
+                .all(|&z| image.sees(nalgebra::Vector3::new(p.x, p.y, z)))
+        };
+        (0..surface.altitude.len())
+            .into_par_iter()
+            .map(|cell| self.images.iter().filter(|image| shows(image, cell)).count() >= needed)
+            .collect()
+    }
+
+    /// What a plane sweep with cells of `cell_m` metres searches.
+    pub fn volume(&self, cell_m: f64) -> SearchVolume {
+        let snapped = |v: f64| (v / cell_m).round() * cell_m;
+        SearchVolume {
+            west_m: snapped(self.area.west_m) as f32,
+            south_m: snapped(self.area.south_m) as f32,
+            east_m: snapped(self.area.east_m) as f32,
+            north_m: snapped(self.area.north_m) as f32,
+            cell_m: cell_m as f32,
+            altitude_min_m: self.up_m.0 as f32,
+            altitude_max_m: self.up_m.1 as f32,
+        }
+    }
+
+    /// What the choice of the matching parameters depends on, with cells of `cell_m` metres. It takes no pixels, and the cameras as given:
+    /// pointing corrections do not change viewing directions.
+    pub fn matching_facts(&self, cell_m: f64) -> MatchingFacts {
+        let shifts = vec![[0.0; 2]; self.images.len()];
+        let has_index = self.images.iter().all(|image| vegetation_bands(&image.bands).is_some());
+        MatchingFacts::new(&self.geometries(&shifts), self.volume(cell_m).centre(), has_index)
+    }
+
+    /// A plane sweep with cells of `cell_m` metres and the parameters that these views require.
+    pub fn request(&self, cell_m: f64) -> PlaneSweepRequest {
+        PlaneSweepRequest {
+            volume: self.volume(cell_m),
+            parameters: MatchingParameters::choose(&self.matching_facts(cell_m)),
+        }
+    }
+}

@@ -1,0 +1,266 @@
+//! Gaussians on an initial surface: one flat disc per cell, walls under its steps, and a floor under what stands at a step.
+//!
+//! * Without walls a roof is a table: oblique views look under it and the sun shines through below. The discs of a wall stand
+//!   half a cell inside the roof's edge, where the roof hides them from above, and begin below the roof.
+//! * A sweep makes roofs a cell or two too wide and roofs over narrow alleys. Near a step, and further where the sweep was in
+//!   doubt, the ground is laid under the roof as well, and the roof starts less opaque: training takes away what
+//!   the images do not show, and the ground is there when it does.
+
+use glam::{Mat3, Quat, Vec3};
+use heliosplat::gaussians::{GroupSpec, LOG_SCALE, OPACITY, POSITION, ROTATION, Table, core_groups, logit};
+use heliosplat_stereo::Surface;
+
+/// Standard deviation of a disc in the surface, cells: neighbours overlap until no light comes between them.
+const SPREAD_CELLS: f32 = 0.65;
+/// Standard deviation across the surface, cells: flat, but thick enough to be seen from the side.
+const THICKNESS_CELLS: f32 = 0.2;
+/// Opacity of what is sure; above it opacity is saturated and has no gradients.
+const OPACITY_SURE: f32 = 0.99;
+/// Steps lower than this get no wall, metres: cars and hedges, or noise.
+const WALL_FROM_M: f32 = 2.0;
+/// Vertical distance between the discs of a wall, cells; they are stretched to meet.
+const WALL_PITCH_CELLS: f32 = 2.0;
+/// Slopes beyond this are steps, not slopes: the disc stays level there.
+const STEEPEST: f32 = 1.5;
+/// A step of fewer height steps of the plane sweep than this is noise and no wall.
+const WALL_FROM_STEPS: f32 = 3.0;
+/// Cells around a cell among which the lowest is the floor beneath it: near a step, and where the sweep was in doubt.
+const FLOOR_CELLS: (usize, usize) = (4, 9);
+/// Confidence below which the sweep was in doubt.
+const DOUBT: f32 = 0.1;
+
+/// Where the discs stand and how they lie.
+struct Discs {
+    cell_m: f32,
+    position: Vec<f32>,
+    rotation: Vec<f32>,
+    log_scale: Vec<f32>,
+    opacity: Vec<f32>,
+}
+
+/// One disc: its normal is the rotated z axis; its extents along the rotated x and y axes are in cells.
+struct Disc {
+    centre: Vec3,
+    rotation: Quat,
+    extent_cells: [f32; 2],
+    opacity: f32,
+}
+
+impl Discs {
+    fn add(&mut self, disc: &Disc) {
+        let spread = disc.extent_cells.map(|cells| (SPREAD_CELLS * cells * self.cell_m).ln());
+        let thickness = (THICKNESS_CELLS * self.cell_m).ln();
+        self.position.extend(disc.centre.to_array());
+        self.rotation.extend(disc.rotation.to_array());
+        self.log_scale.extend([spread[0], spread[1], thickness]);
+        self.opacity.push(logit(disc.opacity));
+    }
+
+    /// The wall under a cell that stands `step.drop_m` above its lowest neighbour.
+    fn add_wall(&mut self, top: Vec3, step: &Step, opacity: f32) {
+        let pitch = WALL_PITCH_CELLS * self.cell_m;
+        let height = (step.drop_m - self.cell_m).max(self.cell_m);
+        let count = (height / pitch).ceil().max(1.0);
+        for k in 0..count as usize {
+            let down = self.cell_m + height * (k as f32 + 0.5) / count;
+            self.add(&Disc {
+                centre: top - Vec3::Z * down,
+                rotation: upright(step.outward),
+                extent_cells: [1.0, height / count / self.cell_m],
+                opacity,
+            });
+        }
+    }
+}
+
+/// The rotation that brings z to a horizontal direction and y to the vertical.
+fn upright(outward: Vec3) -> Quat {
+    Quat::from_mat3(&Mat3::from_cols(Vec3::Z.cross(outward), Vec3::Z, outward))
+}
+
+/// Where the ground falls away beside a cell.
+struct Step {
+    /// How far the cell stands above its lowest side neighbour, metres.
+    drop_m: f32,
+    /// The horizontal direction down the step.
+    outward: Vec3,
+}
+
+fn step_at(surface: &Surface, col: usize, row: usize) -> Option<Step> {
+    let here = surface.altitude[row * surface.width + col];
+    let (mut drop_m, mut outward) = (0.0f32, Vec3::ZERO);
+    for (dc, dr) in [(-1, 0), (1, 0), (0, -1), (0, 1), (-1, -1), (1, -1), (-1, 1), (1, 1)] {
+        let (c, r) = (col as isize + dc, row as isize + dr);
+        if c < 0 || r < 0 || c >= surface.width as isize || r >= surface.height as isize {
+            continue;
+        }
+        let fall = here - surface.altitude[r as usize * surface.width + c as usize];
+        if fall > 0.0 {
+            outward += Vec3::new(dc as f32, -dr as f32, 0.0).normalize() * fall;
+            if dc == 0 || dr == 0 {
+                drop_m = drop_m.max(fall);
+            }
+        }
+    }
+    let outward = outward.try_normalize()?;
+    Some(Step { drop_m, outward })
+}
+
+/// The level or inclined rotation of a cell's disc.
+fn lie(surface: &Surface, col: usize, row: usize) -> Quat {
+    let (east, north) = surface.slope(col, row);
+    if east.abs().max(north.abs()) > STEEPEST {
+        return Quat::IDENTITY;
+    }
+    Quat::from_rotation_arc(Vec3::Z, Vec3::new(-east, -north, 1.0).normalize())
+}
+
+/// What Gaussians start from.
+pub(super) struct Start<'a> {
+    /// The initial surface.
+    pub(super) surface: &'a Surface,
+    /// The cells that get discs.
+    pub(super) covered: &'a [bool],
+    /// Opacity of what stands near a step.
+    pub(super) step_opacity: f32,
+}
+
+impl Start<'_> {
+    /// The Gaussians; the groups of `features` are zero.
+    pub(super) fn gaussians(&self, features: Vec<GroupSpec>) -> Table {
+        let mut discs = Discs {
+            cell_m: self.surface.cell_m,
+            position: Vec::new(),
+            rotation: Vec::new(),
+            log_scale: Vec::new(),
+            opacity: Vec::new(),
+        };
+        self.on_surface(&mut discs);
+        let mut groups = core_groups();
+        groups.extend(features);
+        let mut table = Table::zeros(groups, discs.opacity.len());
+        table.group_mut(POSITION).copy_from_slice(&discs.position);
+        table.group_mut(ROTATION).copy_from_slice(&discs.rotation);
+        table.group_mut(LOG_SCALE).copy_from_slice(&discs.log_scale);
+        table.group_mut(OPACITY).copy_from_slice(&discs.opacity);
+        table
+    }
+
+    /// The discs of the covered cells, with their walls and floors.
+    fn on_surface(&self, discs: &mut Discs) {
+        let &Self {
+            surface,
+            covered,
+            step_opacity,
+        } = self;
+        let wall_from_m = WALL_FROM_M.max(WALL_FROM_STEPS * surface.resolution_m);
+        let floors = (surface.lowest(FLOOR_CELLS.0), surface.lowest(FLOOR_CELLS.1));
+        for cell in (0..covered.len()).filter(|&cell| covered[cell]) {
+            let (col, row) = (cell % surface.width, cell / surface.width);
+            let here = surface.point(col, row);
+            let doubtful = surface.confidence[cell] < DOUBT;
+            let floor_m = if doubtful { floors.1[cell] } else { floors.0[cell] };
+            let above_floor = here.z - floor_m > wall_from_m;
+            let opacity = if above_floor { step_opacity } else { OPACITY_SURE };
+            let top = Disc {
+                centre: here,
+                rotation: lie(surface, col, row),
+                extent_cells: [1.0; 2],
+                opacity,
+            };
+            discs.add(&top);
+            if above_floor {
+                discs.add(&Disc {
+                    centre: Vec3::new(here.x, here.y, floor_m),
+                    rotation: Quat::IDENTITY,
+                    opacity: OPACITY_SURE,
+                    ..top
+                });
+            }
+            if let Some(step) = step_at(surface, col, row).filter(|step| step.drop_m > wall_from_m) {
+                discs.add_wall(here, &step, opacity);
+            }
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn surface(altitude: Vec<f32>, width: usize) -> Surface {
+        let count = altitude.len();
+        Surface {
+            width,
+            height: count / width,
+            west_m: 0.0,
+            north_m: 0.0,
+            cell_m: 0.5,
+            altitude,
+            confidence: vec![1.0; count],
+            resolution_m: 0.1,
+            filled: vec![false; count],
+        }
+    }
+
+    fn gaussians_on(surface: &Surface, covered: &[bool]) -> Table {
+        let start = Start {
+            surface,
+            covered,
+            step_opacity: 0.35,
+        };
+        start.gaussians(vec![])
+    }
+
+    #[test]
+    fn level_ground_is_one_level_disc_per_cell() {
+        let table = gaussians_on(&surface(vec![3.0; 6], 3), &[true; 6]);
+        assert_eq!(table.count, 6);
+        assert_eq!(table.position(4), Vec3::new(0.75, -0.75, 3.0));
+        assert!((table.rotation(4) * Vec3::Z - Vec3::Z).length() < 1e-6);
+    }
+
+    #[test]
+    fn a_cell_that_few_images_show_gets_no_disc() {
+        let covered = [true, false, true, true];
+        let table = gaussians_on(&surface(vec![0.0, 9.0, 0.0, 0.0], 4), &covered);
+        assert_eq!(table.count, 3);
+        assert!((0..3).all(|i| table.position(i).z < 1.0));
+    }
+
+    /// A strip of roof, 6 m up, west of level ground: twenty cells of each.
+    fn eaves() -> Table {
+        let altitude: Vec<f32> = (0..40).map(|i| if i < 20 { 6.0 } else { 0.0 }).collect();
+        gaussians_on(&surface(altitude, 40), &[true; 40])
+    }
+
+    #[test]
+    fn a_step_gets_a_wall_below_its_roof_and_above_the_ground() {
+        let table = eaves();
+        let upright: Vec<usize> = (0..table.count)
+            .filter(|&i| (table.rotation(i) * Vec3::Z).z.abs() < 1e-3)
+            .collect();
+        assert!(!upright.is_empty());
+        for i in upright {
+            let (p, normal) = (table.position(i), table.rotation(i) * Vec3::Z);
+            assert!((p.x - 9.75).abs() < 1e-5, "in the last cell of the roof: {p}");
+            assert!(p.z > 0.0 && p.z < 5.5, "{p}");
+            assert!(
+                (normal - Vec3::X).length() < 1e-3,
+                "facing the ground beside it: {normal}"
+            );
+        }
+    }
+
+    #[test]
+    fn ground_lies_under_the_edge_of_a_roof_and_only_there() {
+        let table = eaves();
+        let under_roof: Vec<f32> = (0..table.count)
+            .map(|i| table.position(i))
+            .filter(|p| p.x < 10.0 && p.z == 0.0)
+            .map(|p| p.x)
+            .collect();
+        assert_eq!(under_roof.len(), FLOOR_CELLS.0);
+        assert!(under_roof.iter().all(|&x| x > 8.0));
+    }
+}

@@ -1,0 +1,26 @@
+//! Multi-date satellite images with RPC cameras become a shadow-aware Gaussian model of the ground.
+//!
+//! [`training::train`] is the whole way, stage by stage; [`swept::sweep_only`] stops at the surface that is found before training.
+//! [`plan`] decides which components a scene requires, [`estimate`] what a training will take, [`adjust`] corrects cameras, and
+//! [`measure`] compares a run with the truth of its scene.
+
+pub mod adjust;
+mod clouds;
+pub mod config;
+pub mod error;
+pub mod estimate;
+pub mod fit;
+pub mod ground;
+mod initial;
+pub mod measure;
+pub mod plan;
+mod probe;
+mod radiometry;
+pub mod run_file;
+mod shadow_prior;
+pub mod swept;
+pub mod training;
+mod views;
+
+pub use error::SatelliteError;
+pub use plan::{PlanItem, plan};

@@ -1,0 +1,230 @@
+//! What a run is worth: images, shadows and surface against what the scene knows of the truth.
+
+use super::error::SatelliteError;
+use super::fit::Fitted;
+use heliosplat::Raster;
+use heliosplat_evaluate::shadow::ShadowCounts;
+use heliosplat_evaluate::{DsmEvaluation, ImageScore, Protocol, error_map, evaluate_dsm};
+use heliosplat_fitting::run_folder::{RunError, create_folder, peak_rss_bytes};
+use heliosplat_products::dsm::of_surface;
+use heliosplat_products::model::LoadedModel;
+use heliosplat_products::views::{RenderedView, render_view, score};
+use heliosplat_raster::{RasterFile, preview};
+use heliosplat_scene::{BandKind, Scene, Split};
+use serde_json::{Value, json};
+use std::path::Path;
+
+/// The run's `dsm.tif` against the scene's true one; `None` without truth.
+pub fn dsm(scene: &Scene, run: &Path, protocol: Protocol) -> Result<Option<DsmEvaluation>, SatelliteError> {
+    let Some(truth) = &scene.truth.dsm else { return Ok(None) };
+    Ok(Some(evaluate_dsm(
+        &run.join("dsm.tif"),
+        truth,
+        scene.truth.classes.as_deref(),
+        protocol,
+    )?))
+}
+
+/// `metrics.json` as far as it follows from model and scene; also draws pictures into the run's folder.
+pub fn metrics(scene: &Scene, model: &LoadedModel, run: &Path, protocol: Protocol) -> Result<Value, SatelliteError> {
+    let mut out = json!({ "gaussians": model.parameters.gaussians.count });
+    if let Some(evaluation) = dsm(scene, run, protocol)? {
+        out["dsm"] = surface_metrics(&evaluation);
+        preview::write_png(&run.join("error.png"), &error_map::draw(&evaluation.errors))?;
+    }
+    let (mut train, mut test) = (Vec::new(), Vec::new());
+    let (mut shadows, mut traced) = (ShadowCounts::default(), ShadowCounts::default());
+    let mut colour = None;
+    let rgb = colours_among(&model.file.bands);
+    for known in &model.file.images {
+        let Some(image) = scene.images.iter().find(|i| i.name == known.name) else {
+            continue;
+        };
+        let truth = known.crop.cut(&image.pixels);
+        let held_out = known.split == Split::Test;
+        let rendered = render_view(model, known, Some(&truth));
+        if let Some(score) = score(&rendered, &truth, rgb) {
+            if held_out {
+                colour = Some(rendered.colour.text());
+                test.push(score);
+            } else {
+                train.push(score);
+            }
+        }
+        let mask = match scene.truth.shadows.iter().find(|(name, _)| *name == known.name) {
+            Some((_, path)) => Some(known.crop.cut(&RasterFile::open(path)?.read(image.window, &[0])?)),
+            None => None,
+        };
+        if let (false, Some(mask)) = (held_out, &mask) {
+            shadows.add(ShadowCounts::of(&rendered.visibility, mask));
+            traced.add(ShadowCounts::of(&rendered.traced, mask));
+        }
+        draw(run, &known.name, &truth, &rendered, mask.as_ref())?;
+    }
+    if !train.is_empty() {
+        out["train"] = mean(&train);
+    }
+    if !test.is_empty() {
+        out["test"] = mean(&test);
+        out["test"]["colour"] = json!(colour);
+    }
+    if let Some(score) = shadows.score().filter(|_| !scene.truth.shadows.is_empty()) {
+        out["shadow"] = serde_json::to_value(score).unwrap_or_default();
+        out["shadow"]["traced"] = serde_json::to_value(traced.score()).unwrap_or_default();
+    }
+    Ok(out)
+}
+
+/// Where red, green and blue are, if there are other bands besides.
+fn colours_among(bands: &[BandKind]) -> Option<[usize; 3]> {
+    let place = |kind: BandKind| bands.iter().position(|&band| band == kind);
+    let rgb = [place(BandKind::Red)?, place(BandKind::Green)?, place(BandKind::Blue)?];
+    (bands.len() > rgb.len()).then_some(rgb)
+}
+
+/// The mean of the scores of some images.
+fn mean(scores: &[ImageScore]) -> Value {
+    let mean = |pick: &dyn Fn(&ImageScore) -> f64| scores.iter().map(pick).sum::<f64>() / scores.len().max(1) as f64;
+    let mut out = json!({"psnr": mean(&|s| s.psnr), "ssim": mean(&|s| s.ssim)});
+    if scores.iter().all(|s| s.psnr_rgb.is_some()) {
+        out["psnr_rgb"] = json!(mean(&|s| s.psnr_rgb.unwrap_or(f64::NAN)));
+    }
+    out
+}
+
+/// The image, its rendering, and the shadows over the image, side by side; with a true mask also where they are wrong: blue
+/// where a shadow is missing, red where one is too many.
+fn draw(
+    run: &Path,
+    name: &str,
+    truth: &Raster,
+    rendered: &RenderedView,
+    mask: Option<&Raster>,
+) -> Result<(), RunError> {
+    let folder = run.join("views");
+    create_folder(&folder)?;
+    let left = preview::stretched(truth);
+    let mut shadows = left.clone();
+    let shadow = |v: f32| 1.0 - v;
+    let share = |pick: &dyn Fn(usize) -> f32| {
+        let mut share = rendered.visibility.clone();
+        share.values.iter_mut().enumerate().for_each(|(i, v)| *v = pick(i));
+        share
+    };
+    let visible = &rendered.visibility.values;
+    preview::overlay(&mut shadows, &share(&|i| shadow(visible[i])), [40, 80, 255]);
+    let mut panels = vec![left.clone(), preview::stretched(&rendered.image), shadows];
+    if let Some(mask) = mask {
+        let mut wrong = left;
+        let difference = |i: usize| mask.values[i] - shadow(visible[i]);
+        preview::overlay(&mut wrong, &share(&|i| difference(i).max(0.0)), [40, 80, 255]);
+        preview::overlay(&mut wrong, &share(&|i| (-difference(i)).max(0.0)), [255, 40, 40]);
+        panels.push(wrong);
+    }
+    let (width, height) = panels[0].dimensions();
+    let picture = image::RgbImage::from_fn(width * panels.len() as u32, height, |col, row| {
+        *panels[(col / width) as usize].get_pixel(col % width, row)
+    });
+    Ok(preview::write_png(&folder.join(format!("{name}.png")), &picture)?)
+}
+
+/// The surface that training started from, as a file and a picture, and its error where there is truth.
+pub(super) fn write_start(
+    scene: &Scene,
+    run: &Path,
+    fitted: &Fitted,
+    model: &LoadedModel,
+) -> Result<Value, SatelliteError> {
+    let start = of_surface(&model.into(), &fitted.surface, model.file.gsd_m, None)?;
+    let path = run.join("start.tif");
+    start.write(&path)?;
+    preview::write_png(
+        &run.join("start.png"),
+        &preview::hillshade(&start.altitude(), model.file.gsd_m),
+    )?;
+    let Some(truth) = &scene.truth.dsm else {
+        return Ok(Value::Null);
+    };
+    let evaluation = evaluate_dsm(&path, truth, scene.truth.classes.as_deref(), Protocol::Raw)?;
+    Ok(surface_metrics(&evaluation))
+}
+
+/// The numbers of an evaluation, and the absolute errors that 0 %, 5 % … 100 % of the cells stay within.
+pub fn surface_metrics(evaluation: &DsmEvaluation) -> Value {
+    const PARTS: usize = 20;
+    let mut out = serde_json::to_value(&evaluation.metrics).unwrap_or_default();
+    let finite = evaluation.errors.values.iter().filter(|v| v.is_finite());
+    let mut errors: Vec<f32> = finite.map(|v| v.abs()).collect();
+    errors.sort_unstable_by(f32::total_cmp);
+    if let Some(last) = errors.len().checked_sub(1) {
+        let quantiles: Vec<f32> = (0..=PARTS).map(|part| errors[last * part / PARTS]).collect();
+        out["error_quantiles_m"] = json!(quantiles);
+    }
+    out
+}
+
+/// Adds what only the fit knows.
+pub(super) fn add_fit(metrics: &mut Value, fitted: &Fitted, model: &LoadedModel, seconds: f64) {
+    let [align, sweep, start, train] = fitted.seconds;
+    metrics["seconds"] = json!(seconds);
+    metrics["stages_s"] = json!({"align": align, "sweep": sweep, "start": start, "train": train});
+    metrics["iterations"] = json!(fitted.early_stop.steps);
+    metrics["best_iteration"] = json!(fitted.early_stop.best_step);
+    metrics["rejected_steps"] = json!(fitted.rejected);
+    metrics["gaussians"] = json!(model.parameters.gaussians.count);
+    metrics["peak_rss_bytes"] = json!(peak_rss_bytes());
+    metrics["memory_estimate_bytes"] = json!(fitted.memory_estimate);
+    metrics["shifts_px"] = json!(fitted.shifts_px);
+    metrics["clouded"] = json!(fitted.clouded);
+    metrics["curve"] = json!(fitted.curve);
+}
+
+/// The main numbers for people.
+pub fn summary(metrics: &Value) -> String {
+    let number = |pointer: &str| metrics.pointer(pointer).and_then(Value::as_f64);
+    let mut lines = Vec::new();
+    let protocol = metrics
+        .pointer("/dsm/protocol")
+        .and_then(Value::as_str)
+        .unwrap_or("raw");
+    let mut say = |label: &str, value: Option<f64>, unit: &str| {
+        if let Some(value) = value {
+            lines.push(format!("{label:<14} {value:.3} {unit}"));
+        }
+    };
+    say(
+        "rejected steps",
+        number("/rejected_steps").filter(|&n| n > 0.0),
+        "(numbers that were not finite)",
+    );
+    say("start MAE", number("/start/mae_m"), "m (raw, the initial surface)");
+    say("DSM MAE", number("/dsm/mae_m"), &format!("m ({protocol})"));
+    say(
+        "DSM MAE",
+        number("/dsm/ground_and_buildings/mae_m"),
+        &format!("m ({protocol}, ground, roads and buildings)"),
+    );
+    say("DSM median", number("/dsm/median_m"), &format!("m ({protocol})"));
+    say("shadow BER", number("/shadow/ber").map(|b| 100.0 * b), "%");
+    say(
+        "... traced",
+        number("/shadow/traced/ber").map(|b| 100.0 * b),
+        "% (before images say where shadows end)",
+    );
+    say("shadows right", number("/shadow/accuracy").map(|a| 100.0 * a), "%");
+    say("PSNR train", number("/train/psnr"), "dB");
+    let colour = metrics.pointer("/test/colour").and_then(Value::as_str).unwrap_or("");
+    say("PSNR held out", number("/test/psnr"), &format!("dB (colour {colour})"));
+    let colours = "dB (red, green, blue alone)";
+    say("PSNR held out", number("/test/psnr_rgb"), colours);
+    say("time", number("/seconds"), "s");
+    say(
+        "memory",
+        number("/peak_rss_bytes").map(|b| b / f64::from(1 << 20)),
+        "MiB at most",
+    );
+    if let Some(count) = metrics["gaussians"].as_u64() {
+        lines.push(format!("{:<14} {count}", "Gaussians"));
+    }
+    lines.join("\n")
+}

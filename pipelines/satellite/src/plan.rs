@@ -1,0 +1,383 @@
+//! The planner: which components a scene requires, and why, before anything is trained.
+//!
+//! Decided from what is known then: views, dates, suns, bands and baselines. `inspect` shows the plan, `run.toml` keeps it, and every
+//! entry gives way to a value that was set.
+
+use super::config::{Align, SatelliteConfig};
+use super::ground::Ground;
+use super::shadow_prior::ENOUGH_VIEWS;
+use super::swept::THRESHOLD_PX;
+use heliosplat_scene::{BandKind, Scene, SceneImage};
+use heliosplat_scene::{crop, saturation};
+
+use heliosplat_stereo::clouds::FEWEST_VIEWS;
+use heliosplat_stereo::{MANY_VIEWS, MatchingFacts, MatchingParameters};
+
+/// One component of the model, whether the scene requires it, and why.
+#[derive(Debug, Clone, PartialEq, serde::Serialize, serde::Deserialize)]
+pub struct PlanItem {
+    /// Its name: that of the configuration, where it can be set.
+    pub component: String,
+    /// Whether it is on.
+    pub on: bool,
+    /// Why, in one line.
+    pub reason: String,
+}
+
+/// What the plan is made from.
+struct Facts {
+    images: usize,
+    dates: usize,
+    /// Lowest and highest sun, degrees.
+    suns_deg: (f64, f64),
+    /// What the plane sweep's matching parameters are chosen from; `None` where no two images show the common ground.
+    matching: Option<MatchingFacts>,
+    near_infrared: bool,
+    /// Share of the values that are clipped.
+    clipped: f64,
+    /// Largest difference between the given cameras and the pinhole cameras fitted to them, pixels.
+    residual_px: f64,
+}
+
+impl Facts {
+    fn of(scene: &Scene, config: &SatelliteConfig) -> Self {
+        let images: Vec<&SceneImage> = scene.training().collect();
+        let elevations = || images.iter().map(|image| image.sun.elevation_rad.to_degrees());
+        let ground = Ground::new(scene, scene.training()).ok();
+        let has = |kind| images.iter().all(|image| image.bands.contains(&kind));
+        Self {
+            images: images.len(),
+            dates: crop::date_groups(&images)
+                .into_iter()
+                .max()
+                .map_or(0, |last| last as usize + 1),
+            suns_deg: (
+                elevations().fold(f64::INFINITY, f64::min),
+                elevations().fold(f64::NEG_INFINITY, f64::max),
+            ),
+            matching: ground.map(|ground| ground.matching_facts(config.start.cell_gsd * scene.gsd_m)),
+            near_infrared: has(BandKind::Red) && has(BandKind::NearInfrared),
+            clipped: images.iter().map(|image| saturation::share(&image.pixels)).sum::<f64>()
+                / images.len().max(1) as f64,
+            residual_px: images.iter().map(|image| image.pinhole.max_px).fold(0.0, f64::max),
+        }
+    }
+}
+
+/// Which components of the model this scene requires; what `config` sets stays as it is.
+pub fn plan(scene: &Scene, config: &SatelliteConfig) -> Vec<PlanItem> {
+    items(&Facts::of(scene, config), config)
+}
+
+fn items(facts: &Facts, config: &SatelliteConfig) -> Vec<PlanItem> {
+    let item = |component: &str, on: bool, reason: String| PlanItem {
+        component: component.into(),
+        on,
+        reason,
+    };
+    // What was set wins, and says so.
+    let decided = |component: &str, set: Option<bool>, on: bool, reason: String| match set {
+        Some(set) if set != on => item(
+            component,
+            set,
+            format!("set so; otherwise {}: {reason}", if on { "on" } else { "off" }),
+        ),
+        _ => item(component, on, reason),
+    };
+    let &Facts { images, dates, .. } = facts;
+    let (lowest, highest) = facts.suns_deg;
+    let [many_view_matching, cost_aggregation] = matching_items(facts.matching);
+    vec![
+        item(
+            "sun",
+            true,
+            format!(
+                "{dates} date(s) with known suns, {lowest:.0} to {highest:.0} degrees high: cast shadows are traced through the geometry"
+            ),
+        ),
+        decided(
+            "model.image_colour",
+            config.model.image_colour,
+            dates > 1,
+            if dates > 1 {
+                format!("{dates} dates differ in haze, exposure and season: each image gets an affine colour")
+            } else {
+                "all images are of one date: one colour serves".into()
+            },
+        ),
+        decided(
+            "model.clouds",
+            config.model.clouds,
+            images >= FEWEST_VIEWS,
+            if images >= FEWEST_VIEWS {
+                format!(
+                    "{images} views: what one shows brighter than the others show the ground in the sun is a cloud, and left out"
+                )
+            } else {
+                format!("{images} views cannot say which of them shows a cloud")
+            },
+        ),
+        decided(
+            "model.saturation",
+            config.model.saturation,
+            facts.clipped > 0.0,
+            if facts.clipped > 0.0 {
+                format!(
+                    "{:.2} % of the values are as great as their images can say: the model may be brighter",
+                    100.0 * facts.clipped
+                )
+            } else {
+                "no image is clipped".into()
+            },
+        ),
+        decided(
+            "model.shadow_prior",
+            config.model.shadow_prior,
+            images < ENOUGH_VIEWS,
+            if images < ENOUGH_VIEWS {
+                format!(
+                    "{images} views say little of what throws a shadow: dark places with something toward the sun guide it"
+                )
+            } else {
+                format!("{images} views: shadows follow from what they agree on")
+            },
+        ),
+        item(
+            "start.vegetation_index",
+            facts.near_infrared && images >= 2,
+            if facts.near_infrared {
+                "red and near infrared: leaves are told from pavement where both are as bright".into()
+            } else {
+                "no near infrared in all images: the sweep compares brightness alone".into()
+            },
+        ),
+        many_view_matching,
+        cost_aggregation,
+        item(
+            "cameras.pinhole",
+            true,
+            format!(
+                "pinhole cameras fit the given ones to {:.3} px over the area",
+                facts.residual_px
+            ),
+        ),
+        item(
+            "cameras.align",
+            config.cameras.align != Align::Off,
+            pointing_reason(config.cameras.align),
+        ),
+        item(
+            "model.facing",
+            config.model.facing,
+            "roofs and façades are as bright as they face the sun".into(),
+        ),
+        item(
+            "model.near_light",
+            config.model.near_light,
+            "light reflected into shadows is below what one ground sample shows".into(),
+        ),
+        item(
+            "model.sh_degree",
+            config.model.sh_degree > 0,
+            match config.model.sh_degree {
+                0 => "surfaces look alike from all views: one albedo per Gaussian and band serves".into(),
+                degree => format!("albedo may change with the viewing direction, to degree {degree}"),
+            },
+        ),
+    ]
+}
+
+/// Said of matching where there is nothing to match.
+const NO_COMMON_GROUND: &str = "no two images show the common ground";
+
+/// What the plane sweep's matching parameters are: those of many views or of few, and its windows.
+fn matching_items(facts: Option<MatchingFacts>) -> [PlanItem; 2] {
+    let item = |component: &str, on: bool, reason: String| PlanItem {
+        component: component.into(),
+        on,
+        reason,
+    };
+    let components = ["start.many_views", "start.cost_aggregation"];
+    let Some(facts) = facts else {
+        return components.map(|component| item(component, false, NO_COMMON_GROUND.into()));
+    };
+    let parameters = MatchingParameters::choose(&facts);
+    let [many_views, aggregation] = components;
+    [
+        item(
+            many_views,
+            facts.views >= MANY_VIEWS,
+            format!(
+                "{} views: no match weighs {:.0} % of all comparisons, a jump of altitude costs {}, pixel values within a date are {}compared",
+                facts.views,
+                100.0 * parameters.no_match_weight,
+                parameters.jump_penalty,
+                if parameters.same_date_values { "" } else { "not " }
+            ),
+        ),
+        item(
+            aggregation,
+            parameters.aggregation_radius > 0,
+            format!(
+                "combined base-to-height ratio {:.2}: {}",
+                facts.combined_base_to_height,
+                windows(&parameters)
+            ),
+        ),
+    ]
+}
+
+/// The windows over which the plane sweep averages its costs and smooths its surface.
+fn windows(parameters: &MatchingParameters) -> String {
+    let side = |radius: usize| 2 * radius + 1;
+    if parameters.aggregation_radius == 0 {
+        return "costs are those of single cells, the surface is not smoothed".into();
+    }
+    let adaptive = match parameters.adaptive_plane_radius {
+        Some(least) => format!(" and then over {0} x {0} or more where confidence is low", side(least)),
+        None => String::new(),
+    };
+    format!(
+        "costs are averaged over {0} x {0} cells, the surface is smoothed by planes over {1} x {1}{adaptive}",
+        side(parameters.aggregation_radius),
+        side(parameters.plane_radius),
+    )
+}
+
+/// How the images' relative pointing is corrected.
+fn pointing_reason(align: Align) -> String {
+    let method = "one shift per image is estimated from tie points";
+    match align {
+        Align::Auto => format!("{method}, and all are used where the largest exceeds {THRESHOLD_PX} px"),
+        Align::On => format!("{method}, and used"),
+        Align::Off => "the cameras are used as they are".into(),
+    }
+}
+
+/// The configuration with what the plan decides where nothing was set.
+pub fn with_plan(scene: &Scene, config: &SatelliteConfig) -> SatelliteConfig {
+    let plan = plan(scene, config);
+    let on = |component: &str| plan.iter().find(|item| item.component == component).map(|item| item.on);
+    let mut config = config.clone();
+    let model = &mut config.model;
+    model.image_colour = model.image_colour.or(on("model.image_colour"));
+    model.clouds = model.clouds.or(on("model.clouds"));
+    model.saturation = model.saturation.or(on("model.saturation"));
+    model.shadow_prior = model.shadow_prior.or(on("model.shadow_prior"));
+    config
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn facts(images: usize, dates: usize) -> Facts {
+        Facts {
+            images,
+            dates,
+            suns_deg: (35.0, 60.0),
+            matching: Some(MatchingFacts {
+                views: images,
+                combined_base_to_height: 0.4,
+                has_index: true,
+            }),
+            near_infrared: true,
+            clipped: 0.0,
+            residual_px: 0.01,
+        }
+    }
+
+    fn on(facts: &Facts, config: &SatelliteConfig, component: &str) -> bool {
+        let items = items(facts, config);
+        let found = items.iter().find(|item| item.component == component);
+        found.is_some_and(|item| item.on)
+    }
+
+    #[test]
+    fn few_views_get_a_prior_and_many_dates_their_colours() {
+        let config = SatelliteConfig::default();
+        assert!(on(&facts(3, 3), &config, "model.shadow_prior") && on(&facts(3, 3), &config, "model.image_colour"));
+        assert!(!on(&facts(9, 1), &config, "model.shadow_prior") && !on(&facts(9, 1), &config, "model.image_colour"));
+        let component = "start.many_views";
+        assert!(on(&facts(9, 1), &config, component) && !on(&facts(3, 1), &config, component));
+    }
+
+    #[test]
+    fn what_was_set_stays_and_says_so() {
+        let mut config = SatelliteConfig::default();
+        config.model.shadow_prior = Some(true);
+        let items = items(&facts(12, 5), &config);
+        let prior = items.iter().find(|item| item.component == "model.shadow_prior");
+        assert!(prior.is_some_and(|item| item.on && item.reason.starts_with("set so")));
+    }
+
+    #[test]
+    fn the_degree_of_albedo_is_said() {
+        let mut config = SatelliteConfig::default();
+        assert!(!on(&facts(9, 3), &config, "model.sh_degree"));
+        config.model.sh_degree = 2;
+        let items = items(&facts(9, 3), &config);
+        let degree = items.iter().find(|item| item.component == "model.sh_degree");
+        assert!(degree.is_some_and(|item| item.on && item.reason.ends_with("degree 2")));
+    }
+
+    fn reason(facts: &Facts, config: &SatelliteConfig, component: &str) -> String {
+        let items = items(facts, config);
+        let found = items.into_iter().find(|item| item.component == component);
+        found.map(|item| item.reason).unwrap_or_default()
+    }
+
+    #[test]
+    fn missing_bands_are_seen() {
+        let mut scene = facts(2, 1);
+        scene.near_infrared = false;
+        assert!(!on(&scene, &SatelliteConfig::default(), "start.vegetation_index"));
+    }
+
+    #[test]
+    fn the_windows_said_are_those_that_the_sweep_is_given() {
+        let config = SatelliteConfig::default();
+        let mut scene = facts(2, 1);
+        for ratio in [0.085, 0.31, 0.5, 1.2] {
+            let matching = MatchingFacts {
+                views: 2,
+                combined_base_to_height: ratio,
+                has_index: false,
+            };
+            scene.matching = Some(matching);
+            let parameters = MatchingParameters::choose(&matching);
+            let (radius, said) = (
+                parameters.aggregation_radius,
+                reason(&scene, &config, "start.cost_aggregation"),
+            );
+            assert_eq!(on(&scene, &config, "start.cost_aggregation"), radius > 0);
+            let side = 2 * radius + 1;
+            assert_eq!(
+                said.contains(&format!("averaged over {side} x {side} cells")),
+                radius > 0,
+                "{said}"
+            );
+            assert_eq!(
+                said.contains("confidence"),
+                parameters.adaptive_plane_radius.is_some(),
+                "{said}"
+            );
+        }
+    }
+
+    #[test]
+    fn scenes_without_common_ground_are_planned_all_the_same() {
+        let mut scene = facts(1, 1);
+        scene.matching = None;
+        let config = SatelliteConfig::default();
+        assert_eq!(reason(&scene, &config, "start.cost_aggregation"), NO_COMMON_GROUND);
+        assert!(!on(&scene, &config, "start.many_views"));
+    }
+
+    #[test]
+    fn the_threshold_of_pointing_is_that_of_the_configuration() {
+        let config = SatelliteConfig::default();
+        let said = reason(&facts(3, 1), &config, "cameras.align");
+        assert!(said.contains("tie points") && said.contains("0.1 px"), "{said}");
+    }
+}

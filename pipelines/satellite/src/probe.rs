@@ -1,0 +1,29 @@
+//! Accuracy of a model while it is trained, where the scene has truth.
+
+use heliosplat::splat::ProjectionOptions;
+use heliosplat_evaluate::{Protocol, evaluate_raster};
+use heliosplat_fitting::curve::Accuracy;
+use heliosplat_fitting::training::Probe;
+use heliosplat_products::dsm::{NadirGrid, of_gaussians};
+use heliosplat_products::surface::SurfaceGaussians;
+use heliosplat_scene::Scene;
+
+/// Tells how far the surface of a model in training is from the scene's true one; `None` without truth.
+pub(super) fn height_probe(scene: &Scene) -> Option<Box<Probe<'_>>> {
+    let truth = scene.truth.dsm.as_deref()?;
+    let classes = scene.truth.classes.as_deref();
+    let nadir = NadirGrid::new(&scene.into(), scene.gsd_m, None).ok()?;
+    Some(Box::new(move |parameters| {
+        let gaussians = SurfaceGaussians {
+            gaussians: &parameters.gaussians,
+            bands: scene.bands(),
+            projection: ProjectionOptions::default(),
+        };
+        let surface = of_gaussians(&nadir, &gaussians).geo_raster();
+        let evaluation = evaluate_raster((&scene.source, &surface), truth, classes, Protocol::Raw).ok()?;
+        Some(Accuracy {
+            height_mae_m: Some(evaluation.metrics.all.mae_m),
+            psnr_db: None,
+        })
+    }))
+}

@@ -1,0 +1,188 @@
+//! Colours to start from: per-image gain and offset, and the albedo of each Gaussian, from what the views show of the start
+//! surface where they see it lit.
+
+use glam::Vec3;
+use heliosplat::gaussians::{OPACITY, Table, logit};
+use heliosplat::light::Light;
+use heliosplat::model::Parameters;
+use heliosplat::model::View;
+use heliosplat::model::shadow_gs::{ALBEDO, COLOUR, OFFSET, ShadowGs};
+use heliosplat::render::{PassOptions, render};
+use heliosplat::splat::Maps;
+use heliosplat::trace::{Occluders, transmittance};
+use heliosplat_rpc::statistics::{upper_median, upper_quantile};
+use rayon::prelude::*;
+
+/// Depth behind the visible surface within which a Gaussian still counts as visible, metres.
+const VISIBLE_M: f32 = 1.0;
+/// Transmittance above which a Gaussian counts as lit.
+const LIT: f32 = 0.7;
+/// Alpha below which a pixel is not covered by the start surface.
+const COVERED: f32 = 0.9;
+/// Opacity at which coverage is judged.
+const SOLID: f32 = 0.99;
+/// Pixels next to uncovered ones that do not count either.
+const EDGE_PX: usize = 3;
+
+/// What one view shows of every Gaussian: its pixel, where it is visible, and the sun's light on it in units of that on level
+/// ground.
+struct Sample {
+    pixel: Option<u32>,
+    sun: f32,
+}
+
+impl Sample {
+    /// Lit, and lying about level: what two dates show alike.
+    fn plain(&self) -> bool {
+        (0.7..1.4).contains(&self.sun)
+    }
+}
+
+fn samples(gaussians: &Table, occluders: &Occluders, view: &View, maps: &Maps, facing: bool) -> Vec<Sample> {
+    let all: Vec<u32> = (0..gaussians.count as u32).collect();
+    let lit: Vec<f32> = match &view.light {
+        Some(light @ Light::Directional(_)) => transmittance(occluders, &all, light).values,
+        _ => vec![1.0; all.len()],
+    };
+    all.par_iter()
+        .with_min_len(1024)
+        .map(|&g| {
+            let position = gaussians.position(g as usize);
+            let (col, row, _) = view.camera.project(position);
+            let (c, r) = (col.round(), row.round());
+            let inside = c >= 0.0 && r >= 0.0 && c < maps.width as f32 && r < maps.height as f32;
+            let pixel = if inside {
+                Some((r as usize * maps.width + c as usize) as u32)
+            } else {
+                None
+            };
+            let visible = pixel.filter(|&p| {
+                let depth = maps.median_depth[p as usize];
+                view.weight[p as usize] > 0.0 && view.camera.depth(position) < depth + VISIBLE_M
+            });
+            let bright = match &view.light {
+                Some(Light::Directional(sun)) if facing => {
+                    let normal = gaussians.rotation(g as usize) * Vec3::Z;
+                    // A disc is seen, and lit, on the side it turns to the camera.
+                    let outward = normal * -normal.dot(view.camera.depth_axis).signum();
+                    (outward.dot(*sun) / sun.z.max(0.05)).clamp(0.0, 4.0)
+                }
+                _ => 1.0,
+            };
+            Sample {
+                pixel: visible,
+                sun: if lit[g as usize] > LIT { bright } else { 0.0 },
+            }
+        })
+        .collect()
+}
+
+/// 20th and 80th percentile.
+fn spread(values: &mut [f32]) -> Option<(f32, f32)> {
+    if values.len() < 50 {
+        return None;
+    }
+    Some((upper_quantile(values, 0.2)?, upper_quantile(values, 0.8)?))
+}
+
+/// Gain and offset that bring the reference image's values to this image's, from Gaussians both see lit.
+fn gain(reference: &[Sample], truth: &[f32], own: &[Sample], values: &[f32]) -> (f32, f32) {
+    let both: Vec<(f32, f32)> = reference
+        .iter()
+        .zip(own)
+        .filter(|(a, b)| a.plain() && b.plain())
+        .filter_map(|(a, b)| Some((truth[a.pixel? as usize], values[b.pixel? as usize])))
+        .collect();
+    let mut from: Vec<f32> = both.iter().map(|p| p.0).collect();
+    let mut to: Vec<f32> = both.iter().map(|p| p.1).collect();
+    match (spread(&mut from), spread(&mut to)) {
+        (Some((a, b)), Some((c, d))) if b - a > 1e-3 => {
+            let gain = ((d - c) / (b - a)).clamp(0.2, 5.0);
+            (gain, 0.5 * (c + d) - gain * 0.5 * (a + b))
+        }
+        _ => (1.0, 0.0),
+    }
+}
+
+/// Pixels that the start surface covers, a few pixels from its edge; the others have weight zero from now on.
+fn cover(view: &mut View, maps: &Maps) {
+    let (width, height) = (maps.width, maps.height);
+    let covered: Vec<bool> = maps.alpha.iter().map(|&a| a > COVERED).collect();
+    for row in 0..height {
+        for col in 0..width {
+            let rows = row.saturating_sub(EDGE_PX)..(row + EDGE_PX + 1).min(height);
+            let whole = rows.into_iter().all(|r| {
+                let columns = col.saturating_sub(EDGE_PX)..(col + EDGE_PX + 1).min(width);
+                covered[r * width..][columns].iter().all(|&c| c)
+            });
+            if !whole {
+                view.weight[row * width + col] = 0.0;
+            }
+        }
+    }
+}
+
+/// Sets albedo and per-image colour of `parameters` from `views`, and the views' weights to what the surface covers.
+pub(super) fn initialise(model: &ShadowGs, parameters: &mut Parameters, views: &mut [View], sky: f32) {
+    let bands = model.options.bands;
+    let occluders = Occluders::new(&parameters.gaussians);
+    let mut shown = Vec::new();
+    // What training may make opaque counts as covered.
+    let mut solid = parameters.clone();
+    solid.gaussians.group_mut(OPACITY).fill(logit(SOLID));
+    for view in views.iter_mut() {
+        cover(
+            view,
+            &render(model, &solid, &view.camera, None, None, PassOptions::default()).maps,
+        );
+        let maps = render(model, parameters, &view.camera, None, None, PassOptions::default()).maps;
+        let facing = model.options.facing;
+        shown.push(samples(&parameters.gaussians, &occluders, view, &maps, facing));
+    }
+    let reference = views
+        .iter()
+        .position(|v| v.appearance == model.options.reference)
+        .unwrap_or(0);
+    let colours: Vec<Vec<(f32, f32)>> = (0..views.len())
+        .map(|v| {
+            (0..bands)
+                .map(|k| {
+                    if v == reference || !model.options.image_colour {
+                        return (1.0, 0.0);
+                    }
+                    let (truth, values) = (views[reference].image.plane(k), views[v].image.plane(k));
+                    gain(&shown[reference], truth, &shown[v], values)
+                })
+                .collect()
+        })
+        .collect();
+    if model.options.image_colour {
+        for (view, colour) in views.iter().zip(&colours) {
+            for (k, &(gain, offset)) in colour.iter().enumerate() {
+                let at = view.appearance;
+                parameters.globals.group_mut(COLOUR)[at * bands * bands + k * bands + k] = gain;
+                parameters.globals.group_mut(OFFSET)[at * bands + k] = offset;
+            }
+        }
+    }
+    let albedo: Vec<f32> = (0..parameters.gaussians.count)
+        .into_par_iter()
+        .with_min_len(1024)
+        .flat_map_iter(|g| {
+            let (views, shown, colours) = (&*views, &shown, &colours);
+            (0..bands).map(move |k| {
+                let mut seen: Vec<f32> = (0..views.len())
+                    .filter_map(|v| {
+                        let sample = &shown[v][g];
+                        let value = views[v].image.plane(k)[sample.pixel? as usize];
+                        let (gain, offset) = colours[v][k];
+                        let light = sky + (1.0 - sky) * sample.sun;
+                        value.is_finite().then(|| (value - offset) / gain / light)
+                    })
+                    .collect();
+                upper_median(&mut seen).unwrap_or(0.3).clamp(0.005, 3.0)
+            })
+        })
+        .collect();
+    parameters.gaussians.group_mut(ALBEDO).copy_from_slice(&albedo);
+}

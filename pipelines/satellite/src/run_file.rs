@@ -1,0 +1,130 @@
+//! `run.toml` of a satellite run: what was trained, from what, with what; and writing a run's folder.
+//!
+//! A run is `run.toml` (resolved configuration, version, seed, inputs with hashes), `model.ply` (the Gaussians), `model.json` (what they
+//! share, the frame and the cameras), `metrics.json`, `dsm.tif`, pictures. Everything is written to a temporary name and renamed.
+
+use crate::config::SatelliteConfig;
+use crate::error::SatelliteError;
+use crate::fit::Fitted;
+use crate::plan::PlanItem;
+use heliosplat::gaussians::Table;
+use heliosplat_fitting::run_folder::{Input, RunError, read};
+use heliosplat_products::model::{self, ModelFile, ModelImage};
+use heliosplat_raster::write_atomically;
+use heliosplat_scene::crop::{self, Crop};
+use heliosplat_scene::{AreaRequest, IngestOptions, Scene, Split};
+use std::path::{Path, PathBuf};
+
+/// `run.toml`.
+#[derive(Debug, Clone, PartialEq, serde::Serialize, serde::Deserialize)]
+pub struct RunFile {
+    /// Version of the program.
+    pub version: String,
+    /// Preset the configuration started from.
+    pub preset: String,
+    /// Seed of everything random.
+    pub seed: u64,
+    /// The scene.
+    pub scene: PathBuf,
+    /// The altitude range asked for, if any, metres.
+    pub altitude_range_m: Option<(f64, f64)>,
+    /// The piece of ground asked for, if any.
+    #[serde(default)]
+    pub area: Option<AreaRequest>,
+    /// Which components the scene required, and why.
+    pub plan: Vec<PlanItem>,
+    /// The images, hashed.
+    pub inputs: Vec<Input>,
+    /// The resolved configuration.
+    pub config: SatelliteConfig,
+}
+
+impl RunFile {
+    /// What the text of a `run.toml` says.
+    ///
+    /// # Errors
+    /// A sentence that says what is wrong with it.
+    pub fn parse(text: &str) -> Result<Self, String> {
+        toml::from_str(text).map_err(|e| e.message().to_owned())
+    }
+}
+
+/// What `model.json` says of a scene's images: all that show the area, those trained on with their colours.
+pub fn model_images(scene: &Scene, fitted: &Fitted, margin_m: f64) -> Vec<ModelImage> {
+    let area = crop::grown(&scene.area, margin_m);
+    let up_m = crop::altitude_range(scene);
+    let all: Vec<_> = scene.images.iter().collect();
+    let dates = crop::date_groups(&all);
+    let date_of = |name: &str| all.iter().position(|image| image.name == name).map(|i| dates[i]);
+    scene
+        .images
+        .iter()
+        .filter_map(|image| {
+            let appearance = fitted
+                .images
+                .iter()
+                .position(|name| *name == image.name && image.split == Split::Train);
+            Some(ModelImage {
+                name: image.name.clone(),
+                split: image.split,
+                appearance,
+                same_day: fitted
+                    .images
+                    .iter()
+                    .position(|name| appearance.is_none() && date_of(name) == date_of(&image.name)),
+                map: image.pinhole.map,
+                crop: Crop::of(image, &area, up_m)?,
+                shift_px: appearance.map_or([0.0; 2], |a| fitted.shifts_px[a]),
+                sun: image.sun,
+                time: image.time,
+            })
+        })
+        .collect()
+}
+
+/// Writes model and configuration into `folder`, which must exist; `model.json` last, which makes the run a run.
+///
+/// # Errors
+/// When a file cannot be written.
+pub fn save(folder: &Path, run: &RunFile, file: &ModelFile, gaussians: &Table) -> Result<(), RunError> {
+    let path = folder.join("run.toml");
+    let text = toml::to_string_pretty(run).map_err(|error| RunError::Damaged {
+        path: path.clone(),
+        reason: error.to_string(),
+    })?;
+    // What was measured of an earlier run here is not true of this one; and metrics are what makes a run finished.
+    let _ = std::fs::remove_file(folder.join("metrics.json"));
+    // The large file first: where it finds no room, nothing is written.
+    model::save_gaussians(folder, &file.options, gaussians)?;
+    write_atomically(&path, text.as_bytes())?;
+    model::save_file(folder, file)
+}
+
+/// The `run.toml` of a run.
+///
+/// # Errors
+/// When it is missing or damaged.
+pub fn load_run(folder: &Path) -> Result<RunFile, RunError> {
+    let path = folder.join("run.toml");
+    if !path.is_file() {
+        return Err(RunError::NotARun(folder.to_owned()));
+    }
+    RunFile::parse(&read(&path)?).map_err(|reason| RunError::Damaged { path, reason })
+}
+
+/// The scene that a run was trained on, read as it was then.
+///
+/// # Errors
+/// When the run or its scene cannot be read.
+pub fn scene_of(run: &Path) -> Result<Scene, SatelliteError> {
+    let file = load_run(run)?;
+    let options = IngestOptions {
+        altitude_range_m: file.altitude_range_m,
+        area: file.area,
+        ..Default::default()
+    };
+    Scene::open(&file.scene, &options).map_err(|error| SatelliteError::SceneOfRun {
+        run: run.to_owned(),
+        error,
+    })
+}

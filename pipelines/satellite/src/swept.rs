@@ -1,0 +1,125 @@
+//! What is found out of a scene before any training: clouds, pointing, tie points and the initial surface.
+
+use super::adjust::{self, AdjustInput};
+use super::clouds;
+use super::config::{Align, SatelliteConfig};
+use super::error::FitError;
+use super::ground::Ground;
+use heliosplat::Raster;
+use heliosplat_rpc::adjust::BiasModel;
+use heliosplat_scene::Scene;
+use heliosplat_session::Session;
+use heliosplat_stereo::{Surface, plane_sweep};
+use std::time::Instant;
+
+/// Shift, pixels, above which [`Align::Auto`] corrects. Ties find shifts to 0.03 px; below a tenth what they find may be noise, and
+/// sound cameras are better left as they are.
+pub(super) const THRESHOLD_PX: f32 = 0.1;
+
+/// Results that are computed once before training, and kept in its checkpoint.
+#[derive(Debug, Clone, serde::Serialize, serde::Deserialize)]
+pub struct Preprocessed {
+    /// The swept surface.
+    pub surface: Surface,
+    /// Pointing corrections, pixels.
+    pub shifts_px: Vec<[f32; 2]>,
+    /// The pixels of each image that show clouds; empty where there are none.
+    pub clouds: Vec<Vec<bool>>,
+    /// Seconds spent on alignment and on the sweep.
+    pub seconds: [f64; 2],
+}
+
+/// A scene's surface before any training, and what it was found with.
+pub(super) struct Swept<'a> {
+    pub(super) ground: Ground<'a>,
+    pub(super) found: Preprocessed,
+}
+
+impl<'a> Swept<'a> {
+    /// Finds it out.
+    ///
+    /// # Errors
+    /// [`FitError::TooFewViews`] when too few images show the common ground.
+    pub(super) fn new(scene: &'a Scene, config: &SatelliteConfig, session: &Session) -> Result<Self, FitError> {
+        let started = Instant::now();
+        let ground = Ground::new(scene, scene.training())?;
+        let request = ground.request(config.start.cell_gsd * scene.gsd_m);
+        tracing::debug!(parameters = ?request.parameters, "matching");
+        let mut rasters = ground.rasters();
+        let clouds = match config.model.clouds {
+            Some(true) => clouds::find(&ground, &rasters, &request),
+            _ => vec![Vec::new(); rasters.len()],
+        };
+        let clouded = rasters.iter_mut().zip(&clouds);
+        clouded.for_each(|(raster, mask)| clouds::blank(raster, mask));
+        let shifts_px = align(&ground, &rasters, config.cameras.align, scene.gsd_m);
+        let aligned = started.elapsed();
+        let progress = session.progress("sweep", 100);
+        let indices = ground.vegetation_indices(&rasters);
+        let mut views = ground.sweep_views(&rasters, &shifts_px);
+        for (view, index) in views.iter_mut().zip(indices.iter().flatten()) {
+            view.index = Some(index);
+        }
+        let surface = plane_sweep(&views, &request, &|share| progress.set((100.0 * share) as u64));
+        let seconds = [aligned.as_secs_f64(), (started.elapsed() - aligned).as_secs_f64()];
+        let found = Preprocessed {
+            surface,
+            shifts_px,
+            clouds,
+            seconds,
+        };
+        Ok(Self { ground, found })
+    }
+
+    /// The same as it was found out before; `None` where it is not of this scene.
+    ///
+    /// # Errors
+    /// As [`Self::new`].
+    pub(super) fn again(scene: &'a Scene, found: Preprocessed) -> Result<Option<Self>, FitError> {
+        let ground = Ground::new(scene, scene.training())?;
+        let images = ground.images.len();
+        let mut masks = found.clouds.iter().zip(&ground.crops);
+        let fits = found.shifts_px.len() == images
+            && found.clouds.len() == images
+            && masks.all(|(mask, crop)| mask.is_empty() || mask.len() == crop.width * crop.height)
+            && found.surface.is_whole();
+        Ok(fits.then_some(Self { ground, found }))
+    }
+}
+
+/// The surface that all views of `scene` find together, without training.
+///
+/// # Errors
+/// [`FitError::TooFewViews`] when too few images show the common ground.
+pub fn sweep_only(scene: &Scene, config: &SatelliteConfig, session: &Session) -> Result<Surface, FitError> {
+    Swept::new(scene, config, session).map(|swept| swept.found.surface)
+}
+
+/// Corrections of the images' pointing, pixels; zero where the configuration or the estimate says so.
+fn align(ground: &Ground, rasters: &[Raster], align: Align, gsd_m: f64) -> Vec<[f32; 2]> {
+    let none = vec![[0.0; 2]; ground.images.len()];
+    if align == Align::Off {
+        return none;
+    }
+    let views = ground.sweep_views(rasters, &none);
+    let input = AdjustInput {
+        ground,
+        views: &views,
+        // Patches of whole pixels, however coarse the model's cells are.
+        cell_m: gsd_m,
+    };
+    let shifts_px = match input.adjust(BiasModel::Translation, &|_| {}) {
+        Ok(adjustment) => adjust::shifts(&adjustment),
+        Err(error) => {
+            tracing::warn!("cameras are believed, because ties do not tell: {error}");
+            return none;
+        }
+    };
+    let largest = shifts_px.iter().flatten().fold(0.0f32, |a, &b| a.max(b.abs()));
+    tracing::info!(largest_px = largest, "pointing of the images relative to each other");
+    if align == Align::On || largest > THRESHOLD_PX {
+        shifts_px
+    } else {
+        none
+    }
+}

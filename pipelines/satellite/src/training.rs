@@ -1,0 +1,283 @@
+//! A satellite training from a scene to a finished run, stage by stage:
+//!
+//! read (the caller's [`Scene`]) → decide ([`plan`](crate::plan)) → start ([`swept`](crate::swept), [`initial`](crate::initial)) →
+//! fit ([`fit`](crate::fit)) → save ([`run_file`](crate::run_file)) → products (`dsm.tif`) → evaluate ([`measure`](crate::measure)).
+//! The page of the run is the caller's again, who has the pictures.
+
+use crate::config::SatelliteConfig;
+use crate::error::SatelliteError;
+use crate::estimate::{Estimate, estimate};
+use crate::fit::{self, Fitted, Limits};
+use crate::ground::MARGIN_M;
+use crate::measure;
+use crate::plan::{plan, with_plan};
+use crate::run_file::{self, RunFile};
+use heliosplat::splat::ProjectionOptions;
+use heliosplat_evaluate::Protocol;
+use heliosplat_fitting::checkpoint::{digest, identity_of_program};
+use heliosplat_fitting::run_folder::{Input, Opened, RunFolder, RunRequest, hash, hash_of_pixels};
+use heliosplat_fitting::settings::Preset;
+use heliosplat_fitting::training::Ending;
+use heliosplat_products::dsm;
+use heliosplat_products::model::{LoadedModel, ModelFile, SCHEMA};
+use heliosplat_raster::{is_virtual, preview};
+use heliosplat_scene::{IngestOptions, Scene, SceneImage};
+use heliosplat_session::Session;
+use std::fmt::Write;
+use std::path::PathBuf;
+use std::time::{Duration, Instant};
+
+/// Time between two checkpoints, unless said otherwise.
+pub const CHECKPOINT_EVERY: Duration = Duration::from_secs(60);
+
+/// What a training is asked for, besides its scene and its configuration.
+#[derive(Debug, Clone)]
+pub struct TrainRequest {
+    /// Folder of the run, made where it is absent.
+    pub out: PathBuf,
+    /// Preset that the configuration started from.
+    pub preset: Preset,
+    /// How the scene was read.
+    pub ingest: IngestOptions,
+    /// When the program began: the time budget counts from here.
+    pub begun: Instant,
+    /// The time that the run may take, products included.
+    pub time_budget: Option<Duration>,
+    /// The memory that the process may take, bytes.
+    pub memory: Option<u64>,
+    /// Whether a checkpoint in the folder is taken up, and a finished run left as it is.
+    pub resume: bool,
+    /// Time between two checkpoints.
+    pub checkpoint_every: Duration,
+}
+
+impl TrainRequest {
+    /// A training into `out` without limits; its time counts from now.
+    pub fn new(out: PathBuf, preset: Preset) -> Self {
+        Self {
+            out,
+            preset,
+            ingest: IngestOptions::default(),
+            begun: Instant::now(),
+            time_budget: None,
+            memory: None,
+            resume: false,
+            checkpoint_every: CHECKPOINT_EVERY,
+        }
+    }
+}
+
+/// The outcome of a training.
+pub enum TrainOutcome {
+    /// The folder holds this very training, finished before.
+    FinishedBefore {
+        /// Its `metrics.json`.
+        metrics: serde_json::Value,
+    },
+    /// It was trained now; the model is written and measured.
+    Trained(Box<TrainedRun>),
+}
+
+/// A run that was trained now.
+pub struct TrainedRun {
+    /// The model.
+    pub model: LoadedModel,
+    /// Its `metrics.json`.
+    pub metrics: serde_json::Value,
+    /// How training ended: a run whose training gave up is written all the same.
+    pub ending: Ending,
+}
+
+/// Trains a model of `scene` and writes its run: model, configuration, DSM, and where there is truth its errors.
+///
+/// # Errors
+/// When a limit or a file of the scene is at fault, the user stops the training, or a file cannot be written.
+pub fn train(
+    scene: &Scene,
+    config: &SatelliteConfig,
+    request: &TrainRequest,
+    session: &Session,
+) -> Result<TrainOutcome, SatelliteError> {
+    // Decide.
+    let plan = plan(scene, config);
+    let config = with_plan(scene, config);
+    let inputs = hashes(scene)?;
+    let identity = identity(scene, &config, request, &inputs)?;
+    let folder = match Opened::look(RunRequest {
+        out: &request.out,
+        identity: &identity,
+        resume: request.resume,
+        checkpoint_every: request.checkpoint_every,
+        begun: request.begun,
+        time_budget: request.time_budget,
+        images: scene.images.len(),
+    })? {
+        Opened::Finished(metrics) => return Ok(TrainOutcome::FinishedBefore { metrics }),
+        Opened::Open(folder) => *folder,
+    };
+    let RunFolder {
+        begun,
+        budget,
+        checkpoints,
+        checkpoint,
+        closing,
+    } = folder;
+    let limits = Limits {
+        budget,
+        memory: request.memory,
+    };
+    // Start and fit.
+    let fitted = fit::fit(scene, &config, session, &limits, checkpoints, checkpoint);
+    let mut fitted = fitted.inspect_err(|_| closing.discard())?;
+    if fitted.ending == Ending::Interrupted {
+        fitted.ending.check(&request.out)?;
+    }
+    // Save.
+    let file = model_file(scene, &fitted);
+    let run = RunFile {
+        version: env!("CARGO_PKG_VERSION").into(),
+        preset: request.preset.name().into(),
+        seed: config.train.seed,
+        scene: std::fs::canonicalize(&scene.source).unwrap_or_else(|_| scene.source.clone()),
+        altitude_range_m: request.ingest.altitude_range_m,
+        area: request.ingest.area.clone(),
+        plan,
+        inputs,
+        config,
+    };
+    run_file::save(&request.out, &run, &file, &fitted.parameters.gaussians)?;
+    let model = LoadedModel {
+        folder: request.out.clone(),
+        model: fitted.model.clone(),
+        parameters: std::mem::take(&mut fitted.parameters),
+        file,
+        frame: scene.frame,
+    };
+    // Products.
+    let surface = dsm::dsm(&model, model.file.gsd_m, None)?;
+    surface.write(&request.out.join("dsm.tif"))?;
+    preview::write_png(
+        &request.out.join("dsm.png"),
+        &preview::hillshade(&surface.altitude(), model.file.gsd_m),
+    )?;
+    // Evaluate.
+    let start = measure::write_start(scene, &request.out, &fitted, &model)?;
+    let mut metrics = measure::metrics(scene, &model, &request.out, Protocol::Raw)?;
+    if !start.is_null() {
+        metrics["start"] = start;
+    }
+    measure::add_fit(&mut metrics, &fitted, &model, begun.elapsed().as_secs_f64());
+    closing.finish(&mut metrics, &fitted.ending)?;
+    Ok(TrainOutcome::Trained(Box::new(TrainedRun {
+        model,
+        metrics,
+        ending: fitted.ending,
+    })))
+}
+
+/// The images, hashed.
+fn hashes(scene: &Scene) -> Result<Vec<Input>, SatelliteError> {
+    let input = |image: &SceneImage| {
+        Ok(Input {
+            path: image.path.clone(),
+            sha256: match is_virtual(&image.path) {
+                // Not to be fetched once more: what was read of it stands for it.
+                true => hash_of_pixels(&image.pixels),
+                false => hash(&image.path)?,
+            },
+        })
+    };
+    scene.images.iter().map(input).collect()
+}
+
+/// All that decides a training, line by line: two of the same lines are the same training, wherever their files lie.
+fn identity(
+    scene: &Scene,
+    config: &SatelliteConfig,
+    request: &TrainRequest,
+    inputs: &[Input],
+) -> Result<String, SatelliteError> {
+    let mut text = identity_of_program();
+    let seed = config.train.seed;
+    let config = toml::to_string(config).map_err(|error| SatelliteError::Settings(error.to_string()))?;
+    let TrainRequest {
+        time_budget, memory, ..
+    } = request;
+    // Writing to a String cannot fail.
+    let _ = writeln!(
+        text,
+        "--time-budget {time_budget:?}\n--memory {memory:?}\nseed = {seed}\n{config}"
+    );
+    let _ = writeln!(text, "area {:?}\naltitudes {:?}", scene.area, scene.altitude_range_m);
+    for (image, input) in scene.images.iter().zip(inputs) {
+        let SceneImage {
+            name,
+            split,
+            pinhole,
+            sun,
+            bands,
+            ..
+        } = image;
+        let _ = writeln!(text, "image {name} {}", input.sha256);
+        let camera = format!("{split:?} {:?} {sun:?} {bands:?}", pinhole.map);
+        let _ = writeln!(text, "camera, sun and bands of {name} {}", digest(&camera));
+    }
+    Ok(text)
+}
+
+fn model_file(scene: &Scene, fitted: &Fitted) -> ModelFile {
+    ModelFile {
+        schema: SCHEMA,
+        model: "shadow_gs".into(),
+        options: fitted.model.options.clone(),
+        globals: fitted.parameters.globals.clone(),
+        origin: scene.origin(),
+        altitude_range_m: scene.altitude_range_m,
+        area: scene.area,
+        gsd_m: scene.gsd_m,
+        counts_per_unit: scene.counts_per_unit,
+        projection: ProjectionOptions::default(),
+        bands: scene.bands().to_vec(),
+        images: run_file::model_images(scene, fitted, MARGIN_M),
+    }
+}
+
+/// The configuration of `preset` with what was `set`; without a preset but with a limit of time, of the most accurate preset that
+/// fits into it on this machine.
+///
+/// # Errors
+/// [`SatelliteError::Config`] for a setting that does not fit, [`SatelliteError::TimeBudget`] for a limit within which training would
+/// not even begin.
+pub fn configure(
+    scene: &Scene,
+    preset: Option<Preset>,
+    set: &[(String, String)],
+    seed: u64,
+    time_budget: Option<Duration>,
+) -> Result<(Preset, SatelliteConfig, Estimate), SatelliteError> {
+    let slowness = crate::estimate::slowness();
+    let resolve = |preset: Preset| -> Result<_, SatelliteError> {
+        let config = SatelliteConfig::resolve(preset, set, seed)?;
+        let estimate = estimate(scene, &config, slowness);
+        Ok((preset, config, estimate))
+    };
+    let Some(limit) = time_budget else {
+        return resolve(preset.unwrap_or_default());
+    };
+    let limit_s = limit.as_secs_f64();
+    let mut chosen = resolve(preset.unwrap_or(Preset::Fast))?;
+    if preset.is_none() {
+        for preset in Preset::ALL {
+            let (_, config, estimate) = resolve(preset)?;
+            if estimate.seconds <= limit_s {
+                chosen = (preset, config, estimate);
+                break;
+            }
+        }
+    }
+    let start_s = chosen.2.start_s;
+    if start_s > limit_s {
+        return Err(SatelliteError::TimeBudget { limit, start_s });
+    }
+    Ok(chosen)
+}

@@ -1,0 +1,33 @@
+//! From a scene's images to the engine's views.
+
+use crate::clouds;
+use heliosplat::light::Light;
+use heliosplat::model::View;
+use heliosplat_scene::crop::{Crop, camera, sun};
+use heliosplat_scene::{SceneImage, saturation};
+
+/// The view of an image without its `clouds`; `appearance` is its place among the images with a colour of their own. Every known pixel
+/// weighs one.
+pub(crate) fn view(image: &SceneImage, crop: &Crop, clouds: &[bool], shift_px: [f32; 2], appearance: usize) -> View {
+    let mut pixels = crop.cut(&image.pixels);
+    clouds::blank(&mut pixels, clouds);
+    let weight = (0..pixels.plane_len())
+        .map(|i| {
+            if (0..pixels.bands).all(|b| pixels.plane(b)[i].is_finite()) {
+                1.0
+            } else {
+                0.0
+            }
+        })
+        .collect();
+    View {
+        name: image.name.clone(),
+        camera: camera(&image.pinhole.map, crop, shift_px),
+        image: pixels,
+        light: Some(Light::Directional(sun(image))),
+        appearance,
+        weight,
+        visibility_prior: None,
+        ceiling: saturation::ceilings(&image.pixels),
+    }
+}

@@ -1,0 +1,127 @@
+//! When an image was taken and where the sun stood.
+
+use super::SceneError;
+use super::camera::{belonging_texts, read_text};
+use super::files::file_name;
+use super::layout::ImageEntry;
+use heliosplat_raster::RasterFile;
+use heliosplat_rpc::GeoPoint;
+use heliosplat_rpc::read::acquisition::{self, Acquisition};
+use heliosplat_rpc::sun::{SunPosition, sun_position};
+
+/// The sun of one image.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(super) struct FoundSun {
+    pub(super) sun: SunPosition,
+    pub(super) source: &'static str,
+    pub(super) metadata: Option<SunPosition>,
+}
+
+/// Vendors use the geocentric vertical, up to 0.4° off; more than this is a mistake somewhere, degrees.
+const WORTH_A_WARNING_DEG: f64 = 0.5;
+/// Below this, shadows are longer than most scenes, degrees.
+const LOW_SUN_DEG: f64 = 5.0;
+
+/// Collects what is known: `scene.toml` first, then a Sat-NeRF JSON, then texts beside the image, then GDAL's domains.
+pub(super) fn find(file: &RasterFile, entry: &ImageEntry) -> Result<Acquisition, SceneError> {
+    let mut known = Acquisition::default();
+    let mut texts = Vec::new();
+    if let Some(said) = &entry.said {
+        known = Acquisition {
+            time: said.time,
+            sun_azimuth_deg: said.sun_azimuth_deg,
+            sun_elevation_deg: said.sun_elevation_deg,
+        };
+        texts.extend(said.metadata.clone());
+    }
+    texts.extend(entry.json.clone());
+    texts.extend(belonging_texts(file.path())?);
+    for path in texts {
+        if let Some(more) = acquisition::from_text(&file_name(&path), &read_text(&path)?) {
+            known = known.merge(more);
+        }
+    }
+    let mut items = file.domain("");
+    for domain in ["IMD", "IMAGERY"] {
+        items.extend(file.domain(domain));
+    }
+    Ok(known.merge(acquisition::gdal_domain(&items)))
+}
+
+/// The sun over the scene: computed from the time where there is one, else as the metadata say.
+pub(super) fn sun(
+    file: &RasterFile,
+    known: &Acquisition,
+    at: GeoPoint,
+    warnings: &mut Vec<String>,
+) -> Result<FoundSun, SceneError> {
+    let metadata = known.stated_sun();
+    let found = match (known.time, metadata) {
+        (Some(time), _) => FoundSun {
+            sun: sun_position(time, at),
+            source: "time",
+            metadata,
+        },
+        (None, Some(sun)) => FoundSun {
+            sun,
+            source: "metadata",
+            metadata,
+        },
+        (None, None) => return Err(SceneError::NoSun(file.path().to_owned())),
+    };
+    check_height(file, known, &found, warnings)?;
+    if let (Some(apart_deg), Some(stated)) = (known.sun_disagreement_deg(at), metadata)
+        && apart_deg > WORTH_A_WARNING_DEG
+    {
+        let angles = |sun: SunPosition| {
+            let (azimuth, elevation) = (sun.azimuth_rad.to_degrees(), sun.elevation_rad.to_degrees());
+            format!("azimuth {azimuth:.1}, elevation {elevation:.1}")
+        };
+        warnings.push(format!(
+            "{}: the sun of its acquisition time ({}) is {apart_deg:.1} degrees off the one its metadata state ({}); the time is used",
+            file.path().display(),
+            angles(found.sun),
+            angles(stated),
+        ));
+    }
+    Ok(found)
+}
+
+fn check_height(
+    file: &RasterFile,
+    known: &Acquisition,
+    found: &FoundSun,
+    warnings: &mut Vec<String>,
+) -> Result<(), SceneError> {
+    let elevation_deg = found.sun.elevation_rad.to_degrees();
+    if elevation_deg.is_nan() || elevation_deg <= 0.0 {
+        let stated = found.metadata.map(|sun| sun.elevation_rad.to_degrees());
+        let (origin, remedy) = match (known.time, stated) {
+            (Some(time), Some(stated)) if stated > 0.0 => (
+                format!("at {time}"),
+                format!("its metadata say {stated:.1}: correct the acquisition time, or remove it"),
+            ),
+            (Some(time), _) => (
+                format!("at {time}"),
+                "correct the acquisition time (UTC), or take the image out of the scene".to_owned(),
+            ),
+            (None, _) => (
+                "as its metadata say".to_owned(),
+                "correct the metadata, or take the image out of the scene".to_owned(),
+            ),
+        };
+        return Err(SceneError::SunBelowHorizon {
+            path: file.path().to_owned(),
+            elevation_deg,
+            origin,
+            remedy,
+        });
+    }
+    if elevation_deg < LOW_SUN_DEG {
+        warnings.push(format!(
+            "{}: the sun is only {elevation_deg:.1} degrees above the horizon; its shadows leave the scene",
+            file.path().display()
+        ));
+    }
+    Ok(())
+}

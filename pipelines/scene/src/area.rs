@@ -1,0 +1,165 @@
+//! A piece of a scene's ground, and what of each image shows it.
+
+use super::draft::Draft;
+use super::{Area, SceneError};
+use heliosplat_raster::{Crs, CrsTransform, Window};
+use heliosplat_rpc::{GeoPoint, LocalFrame};
+use nalgebra::Vector3;
+
+/// Ground around an area that is read with it, metres: the margin of a model, and what its pointing may be off.
+const MARGIN_M: f64 = 12.0;
+/// Pixels around that.
+const MARGIN_PX: f64 = 16.0;
+/// Fewer columns or rows show nothing.
+const LEAST_PX: usize = 32;
+/// Points per edge of a rectangle that is taken from one system to another: its edges may be curved there.
+const POINTS_PER_EDGE: usize = 8;
+
+/// A rectangle of ground, as a user asks for it.
+#[derive(Debug, Clone, PartialEq, serde::Serialize, serde::Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct AreaRequest {
+    /// West, south, east, north.
+    pub bounds: [f64; 4],
+    /// Their coordinate reference system; absent: longitude and latitude, degrees.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub crs: Option<String>,
+}
+
+impl std::fmt::Display for AreaRequest {
+    fn fmt(&self, f: &mut std::fmt::Formatter) -> std::fmt::Result {
+        let [west, south, east, north] = self.bounds;
+        write!(f, "{west},{south},{east},{north}")?;
+        self.crs.iter().try_for_each(|crs| write!(f, ",{crs}"))
+    }
+}
+
+impl AreaRequest {
+    /// Whether it is a rectangle on Earth.
+    ///
+    /// # Errors
+    /// A sentence that says why not.
+    pub fn check(&self) -> Result<(), String> {
+        let [west, south, east, north] = self.bounds;
+        if !(west < east && south < north && self.bounds.iter().all(|v| v.is_finite())) {
+            return Err(format!("{self}: expected west below east and south below north"));
+        }
+        let on_earth = west >= -180.0 && east <= 180.0 && south >= -90.0 && north <= 90.0;
+        if self.crs.is_none() && !on_earth {
+            return Err(format!(
+                "{self}: these are no degrees; say the system with EPSG:N at the end"
+            ));
+        }
+        Ok(())
+    }
+
+    /// Longitudes and latitudes (degrees) of points along its edges.
+    fn outline(&self) -> Result<Vec<[f64; 2]>, SceneError> {
+        let [west, south, east, north] = self.bounds;
+        let transform = match &self.crs {
+            Some(crs) => Some(CrsTransform::to_lon_lat(&Crs::from_definition(crs)?)?),
+            None => None,
+        };
+        let mut points = Vec::with_capacity(4 * POINTS_PER_EDGE);
+        for step in 0..POINTS_PER_EDGE {
+            let t = step as f64 / POINTS_PER_EDGE as f64;
+            let (x, y) = (west + t * (east - west), south + t * (north - south));
+            let (back_x, back_y) = (east - t * (east - west), north - t * (north - south));
+            for (x, y) in [(x, south), (east, y), (back_x, north), (west, back_y)] {
+                let (lon, lat) = match &transform {
+                    Some(transform) => transform.apply(x, y)?,
+                    None => (x, y),
+                };
+                points.push([lon, lat]);
+            }
+        }
+        Ok(points)
+    }
+
+    /// Its middle, at a height in metres.
+    pub(super) fn place(&self, height_m: f64) -> Result<GeoPoint, SceneError> {
+        let [west, south, east, north] = self.bounds;
+        let (x, y) = (0.5 * (west + east), 0.5 * (south + north));
+        let (lon_deg, lat_deg) = match &self.crs {
+            Some(crs) => CrsTransform::to_lon_lat(&Crs::from_definition(crs)?)?.apply(x, y)?,
+            None => (x, y),
+        };
+        Ok(GeoPoint {
+            lon_deg,
+            lat_deg,
+            height_m,
+        })
+    }
+
+    /// The rectangle of a local frame that holds it.
+    pub(super) fn area(&self, frame: &LocalFrame) -> Result<Area, SceneError> {
+        let mut area = Area {
+            west_m: f64::INFINITY,
+            south_m: f64::INFINITY,
+            east_m: f64::NEG_INFINITY,
+            north_m: f64::NEG_INFINITY,
+        };
+        for [lon_deg, lat_deg] in self.outline()? {
+            let enu = frame.enu_from_geo(GeoPoint {
+                lon_deg,
+                lat_deg,
+                height_m: frame.origin.height_m,
+            });
+            area.west_m = area.west_m.min(enu.x);
+            area.east_m = area.east_m.max(enu.x);
+            area.south_m = area.south_m.min(enu.y);
+            area.north_m = area.north_m.max(enu.y);
+        }
+        Ok(area)
+    }
+}
+
+impl Area {
+    /// What two areas share; `None` when it is less than a metre wide.
+    pub fn intersection(&self, other: &Self) -> Option<Self> {
+        let shared = Self {
+            west_m: self.west_m.max(other.west_m),
+            south_m: self.south_m.max(other.south_m),
+            east_m: self.east_m.min(other.east_m),
+            north_m: self.north_m.min(other.north_m),
+        };
+        (shared.east_m - shared.west_m >= 1.0 && shared.north_m - shared.south_m >= 1.0).then_some(shared)
+    }
+}
+
+/// The window of an image that shows an area between two ellipsoidal altitudes (metres), with a margin; `None` when it shows none of it.
+pub(super) fn window_over(
+    draft: &Draft,
+    frame: &LocalFrame,
+    area: &Area,
+    altitude_range_m: (f64, f64),
+) -> Option<Window> {
+    let origin_m = frame.origin.height_m;
+    let (mut low, mut high) = ([f64::INFINITY; 2], [f64::NEG_INFINITY; 2]);
+    for x in [area.west_m - MARGIN_M, area.east_m + MARGIN_M] {
+        for y in [area.south_m - MARGIN_M, area.north_m + MARGIN_M] {
+            for height_m in [altitude_range_m.0, altitude_range_m.1] {
+                let place = frame.geo_from_enu(Vector3::new(x, y, height_m - origin_m));
+                let at = draft.rpc.project(place);
+                for (axis, v) in [at.col, at.row].into_iter().enumerate() {
+                    low[axis] = low[axis].min(v);
+                    high[axis] = high[axis].max(v);
+                }
+            }
+        }
+    }
+    let (width, height) = draft.file.size();
+    let along = |axis: usize, size: usize| {
+        // `as` saturates: what lies before the image begins at its first pixel.
+        let first = (low[axis] - MARGIN_PX).floor().max(0.0) as usize;
+        let end = ((high[axis] + MARGIN_PX).ceil().max(0.0) as usize + 1).min(size);
+        (first, end.saturating_sub(first))
+    };
+    let ((col0, width), (row0, height)) = (along(0, width), along(1, height));
+    (width >= LEAST_PX && height >= LEAST_PX).then_some(Window {
+        col0,
+        row0,
+        width,
+        height,
+    })
+}

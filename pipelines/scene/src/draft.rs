@@ -1,0 +1,137 @@
+//! An image on its way into a scene: its file is open, its metadata are read, its pixels are not.
+
+use super::bands::{self, BandPlan};
+use super::footprint::Footprint;
+use super::layout::{ImageEntry, Layout};
+use super::{IngestOptions, SceneError, acquisition, altitude, camera, satnerf};
+use heliosplat_raster::{RasterFile, Window};
+use heliosplat_rpc::read::acquisition::Acquisition;
+use heliosplat_rpc::{GeoPoint, ImagePoint, ImageWindow, LocalFrame, Rpc};
+use nalgebra::Vector3;
+
+/// An image whose file is open and whose metadata are read.
+pub(super) struct Draft {
+    pub(super) entry: ImageEntry,
+    pub(super) file: RasterFile,
+    pub(super) plan: BandPlan,
+    pub(super) rpc: Rpc,
+    pub(super) rpc_source: String,
+    pub(super) acquisition: Acquisition,
+    /// What of the file is read.
+    pub(super) window: Window,
+}
+
+impl Draft {
+    /// The window that is read, as camera fits take it.
+    pub(super) fn image_window(&self) -> ImageWindow {
+        image_window(&self.window)
+    }
+
+    pub(super) fn stated_altitude(&self) -> altitude::Stated {
+        altitude::Stated {
+            json_m: self.entry.json.as_deref().and_then(satnerf::altitude_range),
+            rpc_m: (
+                self.rpc.height_offset_m - self.rpc.height_scale_m.abs(),
+                self.rpc.height_offset_m + self.rpc.height_scale_m.abs(),
+            ),
+        }
+    }
+
+    pub(super) fn localise(&self, col: f64, row: f64, height_m: f64) -> Result<GeoPoint, SceneError> {
+        self.rpc
+            .localise(ImagePoint { col, row }, height_m)
+            .map_err(|source| self.camera_fault(height_m, source))
+    }
+
+    pub(super) fn camera_fault(&self, height_m: f64, source: heliosplat_rpc::RpcError) -> SceneError {
+        SceneError::Camera {
+            path: self.file.path().to_owned(),
+            height_m,
+            source,
+        }
+    }
+
+    /// Outer corners of the image on the ground, in a local frame.
+    pub(super) fn footprint(&self, frame: &LocalFrame, height_m: f64) -> Result<Footprint, SceneError> {
+        let (width, height) = self.file.size();
+        let (right, bottom) = (width as f64 - 0.5, height as f64 - 0.5);
+        let corners = [(-0.5, -0.5), (right, -0.5), (right, bottom), (-0.5, bottom)];
+        let on_ground = |&(col, row): &(f64, f64)| {
+            let enu = frame.enu_from_geo(self.localise(col, row, height_m)?);
+            Ok([enu.x, enu.y])
+        };
+        Ok(Footprint::new(
+            corners.iter().map(on_ground).collect::<Result<_, SceneError>>()?,
+        ))
+    }
+
+    /// Square root of the ground area of the central pixel, metres.
+    pub(super) fn gsd_m(&self, frame: &LocalFrame, height_m: f64) -> Result<f64, SceneError> {
+        let (width, height) = self.file.size();
+        let (col, row) = ((width as f64 - 1.0) / 2.0, (height as f64 - 1.0) / 2.0);
+        let ground = |col, row| -> Result<Vector3<f64>, SceneError> {
+            Ok(frame.enu_from_geo(self.localise(col, row, height_m)?))
+        };
+        let centre = ground(col, row)?;
+        let (along, down) = (ground(col + 1.0, row)? - centre, ground(col, row + 1.0)? - centre);
+        Ok((along.x * down.y - along.y * down.x).abs().sqrt())
+    }
+}
+
+pub(super) fn image_window(window: &Window) -> ImageWindow {
+    ImageWindow {
+        col0: window.col0 as f64,
+        row0: window.row0 as f64,
+        width: window.width,
+        height: window.height,
+    }
+}
+
+/// Opens every image and reads what its files say about it.
+pub(super) fn read_all(
+    layout: &Layout,
+    options: &IngestOptions,
+    warnings: &mut Vec<String>,
+) -> Result<Vec<Draft>, SceneError> {
+    let mut drafts = Vec::with_capacity(layout.images.len());
+    for entry in &layout.images {
+        let file = RasterFile::open(&entry.path)?;
+        let found = camera::find(&file, entry, options.rpc, warnings)?;
+        let plan = bands::plan(&file, layout.bands.as_deref())?;
+        let acquisition = acquisition::find(&file, entry)?;
+        let window = file.whole();
+        drafts.push(Draft {
+            entry: entry.clone(),
+            file,
+            plan,
+            rpc: found.rpc,
+            rpc_source: found.source,
+            acquisition,
+            window,
+        });
+    }
+    // The same assumption about every image is one warning.
+    if let Some(assumption) = drafts.iter().find_map(|draft| draft.plan.assumption.as_ref()) {
+        warnings.push(format!(
+            "{}: {assumption}; say otherwise with bands = [...] in a scene.toml",
+            layout.images[0].path.display()
+        ));
+    }
+    Ok(drafts)
+}
+
+/// All images of a scene have the same bands.
+pub(super) fn check_bands(drafts: &[Draft]) -> Result<(), SceneError> {
+    let Some(first) = drafts.first() else {
+        return Ok(());
+    };
+    match drafts.iter().find(|draft| draft.plan.kinds != first.plan.kinds) {
+        None => Ok(()),
+        Some(differing) => Err(SceneError::MixedBands {
+            path: differing.file.path().to_owned(),
+            found: bands::in_words(&differing.plan.kinds),
+            other: first.file.path().to_owned(),
+            expected: bands::in_words(&first.plan.kinds),
+        }),
+    }
+}

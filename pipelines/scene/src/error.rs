@@ -1,0 +1,156 @@
+//! What can be wrong with a scene: one line each, naming the file and the remedy.
+
+use heliosplat_raster::RasterError;
+use heliosplat_rpc::RpcError;
+use std::path::PathBuf;
+
+/// Why a scene cannot be opened. Every message is one line.
+#[derive(Debug, thiserror::Error)]
+pub enum SceneError {
+    /// No such file or folder.
+    #[error("{}: no such file or folder; give a folder of images or a scene.toml", .0.display())]
+    Missing(PathBuf),
+    /// An address instead of a path.
+    #[error("{0}: addresses are not read; download the images and give their folder")]
+    Address(String),
+    /// A folder that cannot be listed, a text that cannot be read.
+    #[error("{}: cannot be read ({reason})", path.display())]
+    Unreadable {
+        /// File or folder.
+        path: PathBuf,
+        /// Why.
+        reason: String,
+    },
+    /// A folder without images.
+    #[error("{}: no images found (looked for .tif, .tiff, .jp2, .ntf, .nitf, .img); give a folder of images or a scene.toml", .0.display())]
+    Empty(PathBuf),
+    /// A folder of several scenes.
+    #[error("{}: holds several scenes ({candidates}); give one of them", path.display())]
+    Several {
+        /// The folder.
+        path: PathBuf,
+        /// The scenes.
+        candidates: String,
+    },
+    /// A piece of ground that fewer than two images show.
+    #[error("{}: fewer than two training images show the area {area}; give another --area", path.display())]
+    NotCovered {
+        /// The scene.
+        path: PathBuf,
+        /// The area.
+        area: String,
+    },
+    /// A `scene.toml` or list that cannot be understood.
+    #[error("{}: {reason}", path.display())]
+    Manifest {
+        /// The file.
+        path: PathBuf,
+        /// What is wrong and what to do.
+        reason: String,
+    },
+    /// An image that is listed but not there.
+    #[error("{image}: listed in {} but not found; put it beside that file or in a folder named images", listed_in.display())]
+    MissingImage {
+        /// The image's name as listed.
+        image: String,
+        /// Where it is listed.
+        listed_in: PathBuf,
+    },
+    /// No camera.
+    #[error("{}: no RPC camera found; put its .RPB, _RPC.TXT, RPC_*.XML or .json beside it, or take the image out of the scene", .0.display())]
+    NoRpc(PathBuf),
+    /// A camera file that cannot be understood.
+    #[error("{}: its RPC camera cannot be read ({reason}); replace it or delete it", path.display())]
+    BadRpc {
+        /// The camera file, or the image whose tag it is.
+        path: PathBuf,
+        /// Why.
+        reason: String,
+    },
+    /// A camera that cannot be inverted over its own image.
+    #[error("{}: its RPC camera does not work over this image at {height_m:.0} m ({source}); it may belong to another image, or the altitude range is wrong (--altitude MIN,MAX)", path.display())]
+    Camera {
+        /// The image.
+        path: PathBuf,
+        /// Ellipsoidal height tried, metres.
+        height_m: f64,
+        /// What failed.
+        source: RpcError,
+    },
+    /// Bands that differ between images.
+    #[error("{}: has {found}, but {} has {expected}; all images of a scene need the same bands, keep one kind per scene", path.display(), other.display())]
+    MixedBands {
+        /// The image that differs.
+        path: PathBuf,
+        /// Its bands.
+        found: String,
+        /// The first image.
+        other: PathBuf,
+        /// Its bands.
+        expected: String,
+    },
+    /// A colour table instead of measured values.
+    #[error("{}: has a colour table instead of measured values; convert it with gdal_translate -expand rgb, or give the original", .0.display())]
+    Palette(PathBuf),
+    /// An image without any pixel.
+    #[error("{}: every pixel is missing or zero; take the image out of the scene", .0.display())]
+    NoPixels(PathBuf),
+    /// Neither time nor sun.
+    #[error("{}: neither acquisition time nor sun angles are known; add its .IMD, DIM_*.XML or .json, or time = \"...\" in scene.toml", .0.display())]
+    NoSun(PathBuf),
+    /// Night.
+    #[error("{}: the sun is below the horizon (elevation {elevation_deg:.1} degrees, {origin}); {remedy}", path.display())]
+    SunBelowHorizon {
+        /// The image.
+        path: PathBuf,
+        /// Elevation, degrees.
+        elevation_deg: f64,
+        /// Where the elevation comes from.
+        origin: String,
+        /// What to do.
+        remedy: String,
+    },
+    /// Fewer than two views to train on.
+    #[error("{}: {count} training image{}; at least two overlapping views are needed", path.display(), if *count == 1 { "" } else { "s" })]
+    TooFewViews {
+        /// The scene.
+        path: PathBuf,
+        /// Training images found.
+        count: usize,
+    },
+    /// Footprints that have nothing in common.
+    #[error("{}: does not overlap {} at {altitude_m:.0} m altitude; give images of one place, or correct the altitude range (--altitude MIN,MAX)", first.display(), second.display())]
+    NoOverlap {
+        /// One image.
+        first: PathBuf,
+        /// Another.
+        second: PathBuf,
+        /// Altitude at which the footprints were compared, metres.
+        altitude_m: f64,
+    },
+    /// An altitude range that is none.
+    #[error(
+        "altitude range {low_m} to {high_m} m ({origin}) is not usable; give --altitude MIN,MAX in metres above the ellipsoid, MIN below MAX"
+    )]
+    AltitudeRange {
+        /// Lower end, metres.
+        low_m: f64,
+        /// Upper end, metres.
+        high_m: f64,
+        /// Where it comes from.
+        origin: String,
+    },
+    /// A raster that cannot be read.
+    #[error(transparent)]
+    Raster(#[from] RasterError),
+}
+
+impl SceneError {
+    /// Whether the user's input is at fault (exit code 2) rather than the machine (exit code 1).
+    pub fn is_input_fault(&self) -> bool {
+        match self {
+            Self::Raster(error) => error.is_input_fault(),
+            _ => true,
+        }
+    }
+}

@@ -1,0 +1,81 @@
+//! Files and folders of a scene by their names: what is an image, what is truth, and where the other half of a scene may lie.
+
+use super::SceneError;
+use std::path::{Path, PathBuf};
+
+/// Extensions of images, in lower case.
+pub(super) const IMAGE_EXTENSIONS: [&str; 6] = ["tif", "tiff", "jp2", "ntf", "nitf", "img"];
+
+/// Images directly in a folder, sorted by name; truth rasters are no images. An absent folder has none.
+pub(super) fn images_in(folder: &Path) -> Result<Vec<PathBuf>, SceneError> {
+    let is_image = |path: &PathBuf| has_extension(path, &IMAGE_EXTENSIONS) && !is_truth(path);
+    Ok(files_in(folder)?.into_iter().filter(is_image).collect())
+}
+
+/// Files directly in a folder, sorted by name, hidden ones left out. An absent folder has none.
+pub(super) fn files_in(folder: &Path) -> Result<Vec<PathBuf>, SceneError> {
+    Ok(entries_of(folder)?.into_iter().filter(|path| path.is_file()).collect())
+}
+
+/// What is directly in a folder, sorted by name, hidden entries left out. An absent folder has nothing.
+pub(super) fn entries_of(folder: &Path) -> Result<Vec<PathBuf>, SceneError> {
+    if !folder.is_dir() {
+        return Ok(Vec::new());
+    }
+    let unreadable = |error: std::io::Error| SceneError::Unreadable {
+        path: folder.to_owned(),
+        reason: error.to_string(),
+    };
+    let mut found = Vec::new();
+    for entry in std::fs::read_dir(folder).map_err(unreadable)? {
+        let entry = entry.map_err(unreadable)?;
+        if !entry.file_name().to_string_lossy().starts_with('.') {
+            found.push(entry.path());
+        }
+    }
+    found.sort();
+    Ok(found)
+}
+
+/// Whether a raster is truth by its name, not an image: `*_DSM.tif`, `*_CLS.tif`, `*_DTM.tif` and our own names.
+pub(super) fn is_truth(path: &Path) -> bool {
+    let name = stem(path).to_lowercase();
+    let ends = ["_dsm", "_dtm", "_cls", "_cls_v2", "_agl", "_water"];
+    ["dsm", "classes", "albedo", "water"].contains(&name.as_str())
+        || name.starts_with("shadow_")
+        || name.starts_with("cloud_")
+        || ends.iter().any(|end| name.ends_with(end))
+}
+
+/// Folders in which the other half of a Sat-NeRF or EOGS scene may lie, given one half: siblings of the folder and of
+/// its parent, and folders of the same name inside them.
+pub(super) fn neighbours(folder: &Path) -> Vec<PathBuf> {
+    let absolute = folder.canonicalize().unwrap_or_else(|_| folder.to_owned());
+    let name = file_name(&absolute);
+    let mut found = Vec::new();
+    for ancestor in absolute.ancestors().skip(1).take(2) {
+        let siblings = entries_of(ancestor).unwrap_or_default();
+        for sibling in siblings.into_iter().filter(|path| path.is_dir() && *path != absolute) {
+            found.push(sibling.join(&name));
+            found.push(sibling);
+        }
+    }
+    found.retain(|path| path.is_dir() && *path != absolute);
+    found
+}
+
+/// File name without its extension.
+pub(super) fn stem(path: &Path) -> String {
+    path.file_stem().unwrap_or_default().to_string_lossy().into_owned()
+}
+
+/// File name as text.
+pub(super) fn file_name(path: &Path) -> String {
+    path.file_name().unwrap_or_default().to_string_lossy().into_owned()
+}
+
+/// Whether a path has one of the extensions, in upper or lower case.
+pub(super) fn has_extension(path: &Path, extensions: &[&str]) -> bool {
+    let extension = path.extension().unwrap_or_default().to_string_lossy().to_lowercase();
+    extensions.contains(&extension.as_str())
+}

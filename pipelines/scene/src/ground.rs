@@ -1,0 +1,301 @@
+//! The ground images share, and the scene made of those that share some.
+
+use super::area::{AreaRequest, window_over};
+use super::draft::Draft;
+use super::footprint::{self, Footprint};
+use super::layout::Layout;
+use super::{Area, Scene, SceneError, SceneImage, Split, acquisition, pixels};
+use heliosplat_rpc::statistics::upper_median;
+use heliosplat_rpc::{ImageWindow, LocalFrame, PinholeFit, Rpc};
+use nalgebra::Vector3;
+use rayon::prelude::*;
+use std::path::Path;
+
+/// Images that overlap, and the ground they share.
+pub(super) struct Ground {
+    drafts: Vec<Draft>,
+    frame: LocalFrame,
+    area: Area,
+}
+
+/// An overlap smaller than this many pixels on a side is none.
+const LEAST_OVERLAP_PX: f64 = 16.0;
+
+impl Ground {
+    pub(super) fn find(
+        source: &Path,
+        drafts: Vec<Draft>,
+        altitude_range_m: (f64, f64),
+        wanted: Option<&AreaRequest>,
+        warnings: &mut Vec<String>,
+    ) -> Result<Self, SceneError> {
+        let count = drafts.iter().filter(|draft| draft.entry.split == Split::Train).count();
+        if count < 2 {
+            return Err(SceneError::TooFewViews {
+                path: source.to_owned(),
+                count,
+            });
+        }
+        let altitude_m = (altitude_range_m.0 + altitude_range_m.1) / 2.0;
+        // Any frame near the scene will do to find out where its centre is.
+        let (width, height) = drafts[0].file.size();
+        let near = drafts[0].localise(width as f64 / 2.0, height as f64 / 2.0, altitude_m)?;
+        let near = LocalFrame::new(near);
+        let drafts = drop_non_overlapping(drafts, &near, altitude_m, warnings)?;
+        let footprints = training_footprints(&drafts, &near, altitude_m)?;
+        let centre = footprint::common(&footprints).centre();
+        let wanted_near = wanted.map(|wanted| wanted.place(near.origin.height_m)).transpose()?;
+        let centre = match (centre, footprint::covered_twice(&footprints, 0.0)) {
+            (Some(centre), _) => centre,
+            (None, Some(area)) => [(area.west_m + area.east_m) / 2.0, (area.south_m + area.north_m) / 2.0],
+            (None, None) => [0.0; 2],
+        };
+        let mut origin = match wanted_near {
+            Some(middle) => middle,
+            None => near.geo_from_enu(Vector3::new(centre[0], centre[1], 0.0)),
+        };
+        origin.height_m = altitude_m;
+        let frame = LocalFrame::new(origin);
+        let footprints = training_footprints(&drafts, &frame, altitude_m)?;
+        let least_m2 = LEAST_OVERLAP_PX.powi(2) * drafts[0].gsd_m(&frame, altitude_m)?.powi(2);
+        let area = footprint::covered_twice(&footprints, least_m2).ok_or_else(|| SceneError::NoOverlap {
+            first: drafts[0].file.path().to_owned(),
+            second: drafts[drafts.len() - 1].file.path().to_owned(),
+            altitude_m,
+        })?;
+        let mut ground = Self { drafts, frame, area };
+        if let Some(wanted) = wanted {
+            ground.limit(wanted, source, altitude_range_m, warnings)?;
+        }
+        Ok(ground)
+    }
+
+    /// Leaves of the ground what is wanted, and of the images what shows it.
+    fn limit(
+        &mut self,
+        wanted: &AreaRequest,
+        source: &Path,
+        altitude_range_m: (f64, f64),
+        warnings: &mut Vec<String>,
+    ) -> Result<(), SceneError> {
+        let Some(area) = wanted.area(&self.frame)?.intersection(&self.area) else {
+            return Err(SceneError::NotCovered {
+                path: source.to_owned(),
+                area: wanted.to_string(),
+            });
+        };
+        self.area = area;
+        let mut kept = Vec::with_capacity(self.drafts.len());
+        for mut draft in std::mem::take(&mut self.drafts) {
+            match window_over(&draft, &self.frame, &self.area, altitude_range_m) {
+                Some(window) => {
+                    draft.window = window;
+                    kept.push(draft);
+                }
+                None => warnings.push(format!(
+                    "{}: does not show the area, left out",
+                    draft.file.path().display()
+                )),
+            }
+        }
+        self.drafts = kept;
+        if self
+            .drafts
+            .iter()
+            .filter(|draft| draft.entry.split == Split::Train)
+            .count()
+            < 2
+        {
+            return Err(SceneError::NotCovered {
+                path: source.to_owned(),
+                area: wanted.to_string(),
+            });
+        }
+        Ok(())
+    }
+
+    pub(super) fn drafts(&self) -> &[Draft] {
+        &self.drafts
+    }
+
+    pub(super) fn frame(&self) -> &LocalFrame {
+        &self.frame
+    }
+
+    pub(super) fn area(&self) -> &Area {
+        &self.area
+    }
+
+    pub(super) fn finish(
+        self,
+        source: &Path,
+        layout: Layout,
+        (altitude_range_m, altitude_source): ((f64, f64), String),
+        mut warnings: Vec<String>,
+    ) -> Result<Scene, SceneError> {
+        let Self { drafts, frame, area } = self;
+        let mut suns = Vec::with_capacity(drafts.len());
+        for draft in &drafts {
+            suns.push(acquisition::sun(
+                &draft.file,
+                &draft.acquisition,
+                frame.origin,
+                &mut warnings,
+            )?);
+        }
+        let mut rasters = Vec::with_capacity(drafts.len());
+        for draft in &drafts {
+            let Draft { file, plan, window, .. } = draft;
+            rasters.push(pixels::read(file, plan, *window, layout.counts, &mut warnings)?);
+        }
+        let counts_per_unit = pixels::scale_together(&mut rasters);
+        let fits = fit_pinholes(&drafts, &frame, altitude_range_m, &mut warnings)?;
+        let mut images = Vec::with_capacity(drafts.len());
+        for (((draft, sun), pixels), pinhole) in drafts.into_iter().zip(suns).zip(rasters).zip(fits) {
+            let gsd_m = draft.gsd_m(&frame, frame.origin.height_m)?;
+            images.push(SceneImage {
+                name: draft.entry.name,
+                path: draft.entry.path,
+                split: draft.entry.split,
+                window: draft.window,
+                pixels,
+                data_type: draft.file.bands[draft.plan.file_bands[0]].data_type.clone(),
+                bands: draft.plan.kinds,
+                rpc: draft.rpc,
+                rpc_source: draft.rpc_source,
+                pinhole,
+                time: draft.acquisition.time,
+                sun: sun.sun,
+                sun_source: sun.source,
+                metadata_sun: sun.metadata,
+                gsd_m,
+            });
+        }
+        images.sort_by_key(|image| image.split == Split::Test);
+        let training = images.iter().filter(|image| image.split == Split::Train);
+        let gsd_m = nominal_gsd_m(training.map(|image| image.gsd_m).collect());
+        Ok(Scene {
+            source: source.to_owned(),
+            gsd_m,
+            images,
+            frame,
+            altitude_range_m,
+            altitude_source,
+            area,
+            counts_per_unit,
+            truth: layout.truth,
+            warnings,
+        })
+    }
+}
+
+/// The median of `gsds` (metres, one at least) in two significant digits.
+pub(super) fn nominal_gsd_m(mut gsds: Vec<f64>) -> f64 {
+    let median = upper_median(&mut gsds).unwrap_or(f64::NAN);
+    // Multiples of a whole divisor are nearer to decimals than those of a fraction are.
+    let per_unit = 10f64.powi(1 - median.log10().floor() as i32);
+    (median * per_unit).round() / per_unit
+}
+
+/// Corners of the training images on the ground.
+pub(super) fn training_footprints(
+    drafts: &[Draft],
+    frame: &LocalFrame,
+    altitude_m: f64,
+) -> Result<Vec<Footprint>, SceneError> {
+    let training = drafts.iter().filter(|draft| draft.entry.split == Split::Train);
+    training.map(|draft| draft.footprint(frame, altitude_m)).collect()
+}
+
+/// Leaves out images that see no ground a training image sees; at least two training images must remain.
+fn drop_non_overlapping(
+    drafts: Vec<Draft>,
+    frame: &LocalFrame,
+    altitude_m: f64,
+    warnings: &mut Vec<String>,
+) -> Result<Vec<Draft>, SceneError> {
+    let mut footprints = Vec::with_capacity(drafts.len());
+    for draft in &drafts {
+        footprints.push(draft.footprint(frame, altitude_m)?);
+    }
+    let least_m2 = LEAST_OVERLAP_PX.powi(2) * drafts[0].gsd_m(frame, altitude_m)?.powi(2);
+    let is_training = |index: usize| drafts[index].entry.split == Split::Train;
+    let overlaps: Vec<bool> = (0..drafts.len())
+        .map(|index| {
+            (0..drafts.len()).any(|other| {
+                let shared = || footprints[index].intersection(&footprints[other]).area_m2();
+                other != index && is_training(other) && shared() >= least_m2
+            })
+        })
+        .collect();
+    let remaining = (0..drafts.len())
+        .filter(|&index| is_training(index) && overlaps[index])
+        .count();
+    if remaining < 2 {
+        let mut training = (0..drafts.len()).filter(|&index| is_training(index));
+        let first = training.next().unwrap_or(0);
+        let second = training.next().unwrap_or(first);
+        return Err(SceneError::NoOverlap {
+            first: drafts[first].file.path().to_owned(),
+            second: drafts[second].file.path().to_owned(),
+            altitude_m,
+        });
+    }
+    let mut kept = Vec::with_capacity(drafts.len());
+    for (draft, overlaps) in drafts.into_iter().zip(overlaps) {
+        if overlaps {
+            kept.push(draft);
+        } else {
+            warnings.push(format!(
+                "{}: overlaps no other training image, left out",
+                draft.file.path().display()
+            ));
+        }
+    }
+    Ok(kept)
+}
+
+fn fit_pinholes(
+    drafts: &[Draft],
+    frame: &LocalFrame,
+    altitude_range_m: (f64, f64),
+    warnings: &mut Vec<String>,
+) -> Result<Vec<PinholeFit>, SceneError> {
+    /// A larger residual shows as blur in the model.
+    const WORTH_A_WARNING_PX: f64 = 0.25;
+    // Open GDAL files cannot be shared between threads: take out what the fit needs.
+    let cameras: Vec<(&Rpc, ImageWindow)> = drafts.iter().map(|draft| (&draft.rpc, draft.image_window())).collect();
+    let fits: Vec<_> = cameras
+        .par_iter()
+        .map(|(rpc, window)| PinholeFit::fit(rpc, frame, *window, altitude_range_m))
+        .collect();
+    let mut good = Vec::with_capacity(fits.len());
+    for (draft, fit) in drafts.iter().zip(fits) {
+        let fit = fit.map_err(|source| draft.camera_fault(frame.origin.height_m, source))?;
+        if fit.max_px > WORTH_A_WARNING_PX {
+            warnings.push(format!(
+                "{}: a pinhole camera stands for its RPC only to {:.2} px (rms {:.2}); give smaller crops or a narrower altitude \
+                 range",
+                draft.file.path().display(),
+                fit.max_px,
+                fit.rms_px
+            ));
+        }
+        good.push(fit);
+    }
+    Ok(good)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn cells_are_as_wide_as_people_say() {
+        assert_eq!(nominal_gsd_m(vec![0.62, 0.504_142, 0.49]), 0.5);
+        assert_eq!(nominal_gsd_m(vec![0.309]), 0.31);
+        assert_eq!(nominal_gsd_m(vec![0.0996]), 0.1);
+        assert_eq!(nominal_gsd_m(vec![1.94, 2.06]), 2.1);
+        assert_eq!(nominal_gsd_m(vec![12.4]), 12.0);
+    }
+}

@@ -1,0 +1,280 @@
+//! Ingest: a folder of satellite images becomes a [`Scene`].
+//!
+//! A scene is recognised, not declared: a `scene.toml`, a folder of images, or the folders of Sat-NeRF and EOGS. Every
+//! image needs a rational camera and either an acquisition time or sun angles; what is missing or contradictory is an
+//! error of one line that names the file, what is merely odd is a warning in [`Scene::warnings`].
+
+mod acquisition;
+mod altitude;
+mod area;
+pub mod bands;
+mod camera;
+pub mod crop;
+mod draft;
+mod error;
+mod files;
+mod footprint;
+mod ground;
+mod layout;
+mod manifest;
+mod pixels;
+mod satnerf;
+pub mod saturation;
+pub mod survey;
+mod truth;
+
+pub use area::AreaRequest;
+pub use error::SceneError;
+
+use draft::Draft;
+use ground::Ground;
+use heliosplat::Raster;
+use heliosplat_raster::{RasterFile, Window};
+use heliosplat_rpc::{GeoPoint, LocalFrame, PinholeFit, Rpc, sun::SunPosition};
+use layout::ImageEntry;
+use nalgebra::Vector3;
+use std::path::{Path, PathBuf};
+
+/// What a band shows, as far as the file tells.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum BandKind {
+    /// Panchromatic.
+    Pan,
+    /// Red.
+    Red,
+    /// Green.
+    Green,
+    /// Blue.
+    Blue,
+    /// Near infrared.
+    NearInfrared,
+    /// Unknown.
+    Other,
+}
+
+impl BandKind {
+    /// Its name in reports and band descriptions.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Pan => "pan",
+            Self::Red => "red",
+            Self::Green => "green",
+            Self::Blue => "blue",
+            Self::NearInfrared => "near_infrared",
+            Self::Other => "other",
+        }
+    }
+}
+
+/// Whether an image is trained on or held out.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Split {
+    /// Used in training.
+    Train,
+    /// Held out.
+    Test,
+}
+
+/// Which camera is used where an image's own RPC and a Sat-NeRF JSON differ.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, serde::Serialize, serde::Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum RpcPreference {
+    /// The JSON: somebody made it on purpose, by bundle adjustment or for a crop.
+    #[default]
+    Json,
+    /// What GDAL finds in the image or beside it.
+    Image,
+}
+
+/// What a user may say about a scene that its files do not.
+#[derive(Debug, Clone, Default)]
+pub struct IngestOptions {
+    /// Lowest and highest ellipsoidal altitude of the surface, metres.
+    pub altitude_range_m: Option<(f64, f64)>,
+    /// Which camera is used where two differ.
+    pub rpc: RpcPreference,
+    /// The piece of ground to model, if not all.
+    pub area: Option<AreaRequest>,
+}
+
+/// One image of a scene, with everything that was found out about it.
+#[derive(Debug, Clone)]
+pub struct SceneImage {
+    /// File stem: the name in every report and product.
+    pub name: String,
+    /// The file.
+    pub path: PathBuf,
+    /// Train or test.
+    pub split: Split,
+    /// Pixels: counts divided by a robust per-scene maximum so that most lie in 0..1, linear; NaN where nodata.
+    pub pixels: Raster,
+    /// What each band of `pixels` is.
+    pub bands: Vec<BandKind>,
+    /// What of the file was read: all of it, or what shows the area that was asked for.
+    pub window: Window,
+    /// Its rational camera, in the file's pixel coordinates.
+    pub rpc: Rpc,
+    /// Where the camera was found: `image` (tag, or a sidecar GDAL knows) or a file name.
+    pub rpc_source: String,
+    /// The pinhole camera fitted in the scene's frame over the window and the altitude range; it counts pixels of the window.
+    pub pinhole: PinholeFit,
+    /// Acquisition time, if known.
+    pub time: Option<jiff::Timestamp>,
+    /// Where the sun stood: from the time where known, else from metadata.
+    pub sun: SunPosition,
+    /// Whether `sun` was computed (`time`) or read (`metadata`).
+    pub sun_source: &'static str,
+    /// The sun as metadata state it, where they do.
+    pub metadata_sun: Option<SunPosition>,
+    /// Ground sampling distance at the image's centre, metres.
+    pub gsd_m: f64,
+    /// Data type of the file, as GDAL names it.
+    pub data_type: String,
+}
+
+/// Ground rectangle in the scene's ENU frame, metres.
+#[derive(Debug, Clone, Copy, PartialEq, serde::Serialize, serde::Deserialize)]
+pub struct Area {
+    /// Western edge.
+    pub west_m: f64,
+    /// Southern edge.
+    pub south_m: f64,
+    /// Eastern edge.
+    pub east_m: f64,
+    /// Northern edge.
+    pub north_m: f64,
+}
+
+/// Truth that came with a scene.
+#[derive(Debug, Clone, Default)]
+pub struct Truth {
+    /// Altitude raster.
+    pub dsm: Option<PathBuf>,
+    /// Classes, LAS codes.
+    pub classes: Option<PathBuf>,
+    /// Shadow mask of each image (1 = in cast shadow), by image name.
+    pub shadows: Vec<(String, PathBuf)>,
+}
+
+/// Images with cameras and suns, in one local frame.
+#[derive(Debug, Clone)]
+pub struct Scene {
+    /// Folder or `scene.toml` it came from.
+    pub source: PathBuf,
+    /// Its images: those of the training split first.
+    pub images: Vec<SceneImage>,
+    /// ENU frame: the centre of the common footprint at the middle of the altitude range.
+    pub frame: LocalFrame,
+    /// Lowest and highest ellipsoidal altitude the surface may have, metres.
+    pub altitude_range_m: (f64, f64),
+    /// Where the altitude range comes from, in words.
+    pub altitude_source: String,
+    /// Ground covered by at least two training images (bounding rectangle at mid altitude).
+    pub area: Area,
+    /// Nominal ground sampling distance, metres: the median of the training images, in two significant digits, so that cells of
+    /// products are 0.5 m wide and not 0.504, and lie on the grids of other data.
+    pub gsd_m: f64,
+    /// Counts per unit of `pixels`.
+    pub counts_per_unit: f64,
+    /// Truth, where the scene brings it.
+    pub truth: Truth,
+    /// Things a user should know (sun mismatch, unknown bands, images skipped), one line each.
+    pub warnings: Vec<String>,
+}
+
+impl Scene {
+    /// Opens a folder of images, a `scene.toml`, or a folder of Sat-NeRF or EOGS.
+    ///
+    /// # Errors
+    /// The first [`SceneError`] found; nothing is written anywhere.
+    pub fn open(path: &Path, options: &IngestOptions) -> Result<Self, SceneError> {
+        let mut layout = layout::find(path)?;
+        let mut warnings = std::mem::take(&mut layout.warnings);
+        let drafts = draft::read_all(&layout, options, &mut warnings)?;
+        draft::check_bands(&drafts)?;
+        let ranges: Vec<altitude::Stated> = drafts.iter().map(Draft::stated_altitude).collect();
+        let (altitude_range_m, altitude_source) = altitude::choose(
+            options.altitude_range_m,
+            layout.altitude_range_m,
+            &ranges,
+            &mut warnings,
+        )?;
+        let ground = Ground::find(path, drafts, altitude_range_m, options.area.as_ref(), &mut warnings)?;
+        ground.finish(path, layout, (altitude_range_m, altitude_source), warnings)
+    }
+
+    /// Geodetic position of the frame's origin.
+    pub fn origin(&self) -> GeoPoint {
+        self.frame.origin
+    }
+
+    /// The images to train on.
+    pub fn training(&self) -> impl Iterator<Item = &SceneImage> {
+        self.images.iter().filter(|image| image.split == Split::Train)
+    }
+
+    /// The bands of every image.
+    pub fn bands(&self) -> &[BandKind] {
+        self.images.first().map_or(&[], |image| &image.bands)
+    }
+
+    /// How many training images see a point of the scene's frame (metres) inside their frame and on known pixels,
+    /// whatever stands in between.
+    pub fn views_covering(&self, east_m: f64, north_m: f64, up_m: f64) -> usize {
+        let point = Vector3::new(east_m, north_m, up_m);
+        self.training().filter(|image| image.sees(point)).count()
+    }
+}
+
+impl SceneImage {
+    /// Whether a point of the scene's frame projects onto a known pixel.
+    pub fn sees(&self, enu_m: Vector3<f64>) -> bool {
+        let [col, row] = self.pinhole.map.project(enu_m).map(f64::round);
+        let inside = col >= 0.0 && row >= 0.0 && col < self.pixels.width as f64 && row < self.pixels.height as f64;
+        inside && self.pixels.at(0, col as usize, row as usize).is_finite()
+    }
+}
+
+/// The images that the text of a `scene.toml` lists, as it names them.
+///
+/// # Errors
+/// A sentence that says what is wrong, and in which line.
+pub fn images_listed(manifest: &str) -> Result<Vec<PathBuf>, String> {
+    let manifest = manifest::Manifest::parse(manifest)?;
+    Ok(manifest.images.into_iter().map(|image| image.path).collect())
+}
+
+/// The image that the text of a Sat-NeRF JSON describes, and the altitudes it states, metres; `None` where it is none.
+pub fn image_described(json: &str) -> Option<(String, [Option<f64>; 2])> {
+    satnerf::image_and_altitudes(json)
+}
+
+/// The rational camera of one file by itself: of an image, as a scene would find it, or of an RPC text file.
+///
+/// # Errors
+/// [`SceneError::NoRpc`] and others that name the file.
+pub fn camera_of(path: &Path, preference: RpcPreference) -> Result<Rpc, SceneError> {
+    manifest::reject_address(path)?;
+    if !path.is_file() {
+        return Err(SceneError::Missing(path.to_owned()));
+    }
+    if files::has_extension(path, &["rpb", "txt", "xml", "json", "rpc"]) {
+        return camera::from_text_file(path).map(|found| found.rpc);
+    }
+    let file = RasterFile::open(path)?;
+    let entry = ImageEntry {
+        name: files::stem(path),
+        path: path.to_owned(),
+        split: Split::Train,
+        json: satnerf::beside(path),
+        said: None,
+    };
+    let mut warnings = Vec::new();
+    let found = camera::find(&file, &entry, preference, &mut warnings)?;
+    for warning in warnings {
+        tracing::warn!("{warning}");
+    }
+    Ok(found.rpc)
+}

@@ -1,0 +1,121 @@
+//! `scene.toml`: a scene that lists its images.
+
+use super::{BandKind, SceneError, Split};
+use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
+
+/// The file's contents. Paths are relative to the file.
+#[derive(Debug, Clone, serde::Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(super) struct Manifest {
+    /// Lowest and highest ellipsoidal altitude, metres.
+    pub(super) altitude_range_m: Option<[f64; 2]>,
+    /// What the bands of every file are, in file order.
+    pub(super) bands: Option<Vec<BandKind>>,
+    /// Whether values are proportional to radiance or encoded for display (sRGB); absent: as each file says.
+    pub(super) counts: Option<Counts>,
+    /// The images.
+    #[serde(default)]
+    pub(super) images: Vec<ManifestImage>,
+    /// Truth.
+    pub(super) truth: Option<ManifestTruth>,
+}
+
+/// What pixel values mean.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, serde::Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub(super) enum Counts {
+    /// Radiance up to a gain.
+    Linear,
+    /// sRGB-encoded 8-bit display values.
+    Display,
+}
+
+/// One image.
+#[derive(Debug, Clone, serde::Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(super) struct ManifestImage {
+    pub(super) path: PathBuf,
+    pub(super) split: Option<Split>,
+    pub(super) rpc: Option<PathBuf>,
+    pub(super) metadata: Option<PathBuf>,
+    pub(super) time: Option<jiff::Timestamp>,
+    pub(super) sun_azimuth_deg: Option<f64>,
+    pub(super) sun_elevation_deg: Option<f64>,
+}
+
+/// Truth files.
+#[derive(Debug, Clone, serde::Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(super) struct ManifestTruth {
+    pub(super) dsm: Option<PathBuf>,
+    pub(super) classes: Option<PathBuf>,
+    #[serde(default)]
+    pub(super) shadows: BTreeMap<String, PathBuf>,
+}
+
+impl Manifest {
+    /// What the text says, its paths as it has them.
+    pub(super) fn parse(text: &str) -> Result<Self, String> {
+        let manifest: Self = toml::from_str(text).map_err(|error| one_line(&error, text))?;
+        if manifest.images.is_empty() {
+            return Err("it lists no images; add [[images]] tables with a path each".to_owned());
+        }
+        Ok(manifest)
+    }
+
+    /// Reads and checks a `scene.toml`; its paths come back resolved against its folder.
+    pub(super) fn read(path: &Path) -> Result<Self, SceneError> {
+        let fault = |reason: String| SceneError::Manifest {
+            path: path.to_owned(),
+            reason,
+        };
+        let text = heliosplat_raster::bounded::read_text(path).map_err(|error| SceneError::Unreadable {
+            path: path.to_owned(),
+            reason: error.to_string(),
+        })?;
+        let mut manifest = Self::parse(&text).map_err(fault)?;
+        let folder = path.parent().unwrap_or_else(|| Path::new("."));
+        for image in &mut manifest.images {
+            resolve(folder, &mut image.path)?;
+            for path in [&mut image.rpc, &mut image.metadata].into_iter().flatten() {
+                resolve(folder, path)?;
+            }
+        }
+        if let Some(truth) = &mut manifest.truth {
+            let named = [&mut truth.dsm, &mut truth.classes].into_iter().flatten();
+            for path in named.chain(truth.shadows.values_mut()) {
+                resolve(folder, path)?;
+            }
+        }
+        Ok(manifest)
+    }
+}
+
+fn resolve(folder: &Path, path: &mut PathBuf) -> Result<(), SceneError> {
+    reject_address(path)?;
+    *path = folder.join(&*path);
+    if path.exists() {
+        Ok(())
+    } else {
+        Err(SceneError::Missing(path.clone()))
+    }
+}
+
+/// Refuses web addresses and GDAL's virtual file systems: a scene is read from the disk the user sees.
+pub(super) fn reject_address(path: &Path) -> Result<(), SceneError> {
+    let text = path.to_string_lossy();
+    if text.contains("://") || text.starts_with("/vsi") {
+        return Err(SceneError::Address(text.into_owned()));
+    }
+    Ok(())
+}
+
+fn one_line(error: &toml::de::Error, text: &str) -> String {
+    let line = error.span().map(|span| text[..span.start].matches('\n').count() + 1);
+    let message = error.message().split_whitespace().collect::<Vec<_>>().join(" ");
+    match line {
+        Some(line) => format!("line {line}: {message}"),
+        None => message,
+    }
+}

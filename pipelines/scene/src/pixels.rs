@@ -1,0 +1,171 @@
+//! Pixel values: missing ones marked, display values made linear, all images of a scene on one scale.
+
+use super::SceneError;
+use super::bands::BandPlan;
+use super::manifest::Counts;
+use heliosplat::Raster;
+use heliosplat::shade::display;
+use heliosplat_raster::{RasterFile, Window};
+use heliosplat_rpc::statistics::quantile;
+
+/// The share of values below the scene's unit: the brightest glints lie above 1.
+const UNIT_QUANTILE: f64 = 0.999;
+
+/// Reads the planned bands of a window of a file; transparent pixels and black borders become `NaN`, display values linear.
+///
+/// Satellite counts are proportional to radiance, with 8 bits too, unless `declared` or the file (item `RADIOMETRY`)
+/// says that they are encoded for display.
+pub(super) fn read(
+    file: &RasterFile,
+    plan: &BandPlan,
+    window: Window,
+    declared: Option<Counts>,
+    warnings: &mut Vec<String>,
+) -> Result<Raster, SceneError> {
+    let mut raster = file.read(window, &plan.file_bands)?;
+    if let Some(alpha) = plan.alpha {
+        let opacity = file.read(window, &[alpha])?;
+        blank(&mut raster, |index| opacity.values[index] == 0.0);
+    }
+    blank_black_border(&mut raster, file, warnings);
+    let known_and_lit = raster.values.iter().any(|&value| value.is_finite() && value > 0.0);
+    if !known_and_lit {
+        return Err(SceneError::NoPixels(file.path().to_owned()));
+    }
+    if declared.unwrap_or_else(|| stated_counts(file)) == Counts::Display {
+        for value in &mut raster.values {
+            *value = display::decode(*value / 255.0);
+        }
+    }
+    Ok(raster)
+}
+
+fn stated_counts(file: &RasterFile) -> Counts {
+    match file.domain("").get("RADIOMETRY") {
+        Some(radiometry) if radiometry.to_lowercase().contains("srgb") => Counts::Display,
+        _ => Counts::Linear,
+    }
+}
+
+/// Divides all images by the 99.9 % quantile of all their values; returns that quantile.
+pub(super) fn scale_together(images: &mut [Raster]) -> f64 {
+    const SAMPLES: usize = 4_000_000;
+    let total: usize = images.iter().map(|image| image.values.len()).sum();
+    let step = (total / SAMPLES).max(1);
+    let mut sample: Vec<f32> = Vec::with_capacity(total / step + images.len());
+    for image in images.iter() {
+        let finite = image
+            .values
+            .iter()
+            .step_by(step)
+            .copied()
+            .filter(|value| value.is_finite());
+        sample.extend(finite);
+    }
+    let Some(unit) = quantile(&mut sample, UNIT_QUANTILE) else {
+        return 1.0;
+    };
+    // An image that is dark almost everywhere still needs a unit.
+    let unit = if unit > 0.0 {
+        unit
+    } else {
+        sample.iter().copied().fold(f32::MIN_POSITIVE, f32::max)
+    };
+    for value in images.iter_mut().flat_map(|image| image.values.iter_mut()) {
+        *value /= unit;
+    }
+    f64::from(unit)
+}
+
+fn blank(raster: &mut Raster, is_missing: impl Fn(usize) -> bool) {
+    let plane = raster.plane_len();
+    for index in (0..plane).filter(|&index| is_missing(index)) {
+        for band in 0..raster.bands {
+            raster.values[band * plane + index] = f32::NAN;
+        }
+    }
+}
+
+/// Crops of rotated or orthorectified images have borders of zeros that no nodata value declares: zeros in all bands
+/// that hang together with the image's edge and are too many to be shadow.
+fn blank_black_border(raster: &mut Raster, file: &RasterFile, warnings: &mut Vec<String>) {
+    const LEAST_SHARE: f64 = 0.005;
+    let border = black_border(raster);
+    let count = border.iter().filter(|&&black| black).count();
+    if (count as f64) < LEAST_SHARE * raster.plane_len() as f64 {
+        return;
+    }
+    warnings.push(format!(
+        "{}: a black border of {:.1} % of its pixels is taken as missing",
+        file.path().display(),
+        100.0 * count as f64 / raster.plane_len() as f64
+    ));
+    blank(raster, |index| border[index]);
+}
+
+fn black_border(raster: &Raster) -> Vec<bool> {
+    let (width, height, plane) = (raster.width, raster.height, raster.plane_len());
+    let is_black = |index: usize| (0..raster.bands).all(|band| raster.values[band * plane + index] == 0.0);
+    let mut border = vec![false; plane];
+    let mut open: Vec<usize> = Vec::new();
+    let visit = |index: usize, border: &mut Vec<bool>, open: &mut Vec<usize>| {
+        if !border[index] && is_black(index) {
+            border[index] = true;
+            open.push(index);
+        }
+    };
+    for col in 0..width {
+        visit(col, &mut border, &mut open);
+        visit((height - 1) * width + col, &mut border, &mut open);
+    }
+    for row in 0..height {
+        visit(row * width, &mut border, &mut open);
+        visit(row * width + width - 1, &mut border, &mut open);
+    }
+    while let Some(index) = open.pop() {
+        let (col, row) = (index % width, index / width);
+        if col > 0 {
+            visit(index - 1, &mut border, &mut open);
+        }
+        if col + 1 < width {
+            visit(index + 1, &mut border, &mut open);
+        }
+        if row > 0 {
+            visit(index - width, &mut border, &mut open);
+        }
+        if row + 1 < height {
+            visit(index + width, &mut border, &mut open);
+        }
+    }
+    border
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_unit_is_one_quantile_over_all_images_and_ignores_missing_values() {
+        let mut bright = Raster::filled(100, 10, 1, 1000.0);
+        bright.values[0] = 60_000.0;
+        bright.values[1] = f32::NAN;
+        let dark = Raster::filled(100, 10, 1, 500.0);
+        let mut images = [bright, dark];
+        let unit = scale_together(&mut images);
+        assert_eq!(unit, 1000.0);
+        assert_eq!(images[1].values[7], 0.5);
+        assert!(images[0].values[1].is_nan());
+    }
+
+    #[test]
+    fn zeros_at_the_edge_are_border_and_zeros_inside_are_shadow() {
+        let mut image = Raster::filled(6, 6, 1, 9.0);
+        for row in 0..6 {
+            image.values[row * 6] = 0.0;
+        }
+        image.values[2 * 6 + 3] = 0.0;
+        let border = black_border(&image);
+        assert_eq!(border.iter().filter(|&&black| black).count(), 6);
+        assert!(!border[2 * 6 + 3]);
+    }
+}

@@ -1,0 +1,128 @@
+//! The JSON files of Sat-NeRF and EOGS: which image each describes, and the altitudes it states.
+
+use super::SceneError;
+use super::files::{file_name, files_in, has_extension, images_in, neighbours, stem};
+use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
+
+/// The parts of a Sat-NeRF JSON that tie it to an image; its camera and sun are read by `heliosplat_rpc`.
+#[derive(Debug, Clone, serde::Deserialize)]
+struct Description {
+    img: String,
+    #[serde(default, deserialize_with = "lenient_number")]
+    min_alt: Option<f64>,
+    #[serde(default, deserialize_with = "lenient_number")]
+    max_alt: Option<f64>,
+    rpc: serde::de::IgnoredAny,
+}
+
+fn lenient_number<'de, D: serde::Deserializer<'de>>(deserializer: D) -> Result<Option<f64>, D::Error> {
+    let value: serde_json::Value = serde::Deserialize::deserialize(deserializer)?;
+    Ok(match value {
+        serde_json::Value::Number(number) => number.as_f64(),
+        serde_json::Value::String(text) => text.trim().parse().ok(),
+        _ => None,
+    })
+}
+
+fn describe(path: &Path) -> Option<Description> {
+    description(&heliosplat_raster::bounded::read_text(path).ok()?)
+}
+
+fn description(text: &str) -> Option<Description> {
+    let description: Description = serde_json::from_str(text).ok()?;
+    let _ = &description.rpc;
+    Some(description)
+}
+
+/// The image that the text of a Sat-NeRF JSON describes, and the altitudes it states, metres.
+pub(super) fn image_and_altitudes(text: &str) -> Option<(String, [Option<f64>; 2])> {
+    let description = description(text)?;
+    Some((description.img, [description.min_alt, description.max_alt]))
+}
+
+/// The Sat-NeRF JSON of an image in the same folder, by its name.
+pub(super) fn beside(image: &Path) -> Option<PathBuf> {
+    let json = image.with_extension("json");
+    (json.is_file() && describe(&json).is_some()).then_some(json)
+}
+
+/// Lowest and highest altitude a Sat-NeRF JSON states, metres.
+pub(super) fn altitude_range(json: &Path) -> Option<(f64, f64)> {
+    let description = describe(json)?;
+    Some((description.min_alt?, description.max_alt?))
+}
+
+/// The Sat-NeRF JSONs of a folder, by the stem of the image they describe.
+#[derive(Debug, Default)]
+pub(super) struct JsonIndex {
+    by_image: BTreeMap<String, (PathBuf, String)>,
+}
+
+impl JsonIndex {
+    /// Reads all JSONs directly in a folder; those that describe no image are no matter.
+    pub(super) fn read(folder: &Path) -> Result<Self, SceneError> {
+        let mut index = Self::default();
+        for path in files_in(folder)? {
+            if has_extension(&path, &["json"])
+                && let Some(description) = describe(&path)
+            {
+                let image = stem(Path::new(&description.img));
+                index.by_image.insert(image, (path, description.img));
+            }
+        }
+        Ok(index)
+    }
+
+    /// Whether the folder had none.
+    pub(super) fn is_empty(&self) -> bool {
+        self.by_image.is_empty()
+    }
+
+    /// Adds those of another folder that are not there yet.
+    pub(super) fn extend(&mut self, other: Self) {
+        for (image, json) in other.by_image {
+            self.by_image.entry(image).or_insert(json);
+        }
+    }
+
+    /// Only those that describe one of the images.
+    pub(super) fn restricted_to(mut self, images: &[PathBuf]) -> Self {
+        let names: Vec<String> = images.iter().map(|image| stem(image)).collect();
+        self.by_image.retain(|image, _| names.contains(image));
+        self
+    }
+
+    /// The folder of the first of them.
+    pub(super) fn folder(&self) -> Option<&Path> {
+        self.by_image.values().next().and_then(|(json, _)| json.parent())
+    }
+
+    /// The JSON that describes an image.
+    pub(super) fn json_of(&self, image: &Path) -> Option<PathBuf> {
+        self.by_image.get(&stem(image)).map(|(json, _)| json.clone())
+    }
+
+    /// The images described here, which lie in another folder near `home`.
+    pub(super) fn find_images(&self, home: &Path) -> Result<Vec<PathBuf>, SceneError> {
+        let mut available: BTreeMap<String, PathBuf> = BTreeMap::new();
+        for folder in neighbours(home) {
+            for image in images_in(&folder)? {
+                available.entry(file_name(&image)).or_insert(image);
+            }
+        }
+        let mut found = Vec::new();
+        for (json, image) in self.by_image.values() {
+            match available.get(&file_name(Path::new(image))) {
+                Some(path) => found.push(path.clone()),
+                None => {
+                    return Err(SceneError::MissingImage {
+                        image: image.clone(),
+                        listed_in: json.clone(),
+                    });
+                }
+            }
+        }
+        Ok(found)
+    }
+}

@@ -1,0 +1,193 @@
+//! What is known of a scene without reading a pixel of it: enough to cut it into tiles.
+
+use super::area::window_over;
+use super::draft::{self, Draft, image_window};
+use super::footprint::Footprint;
+use super::ground::{self, Ground};
+
+use super::{Area, AreaRequest, IngestOptions, SceneError, Split, Truth, altitude, files, layout};
+use heliosplat_raster::{Window, is_virtual};
+use heliosplat_rpc::{ImageWindow, LocalFrame, PinholeFit, Rpc};
+use rayon::prelude::*;
+use std::collections::BTreeSet;
+use std::path::{Path, PathBuf};
+
+/// A scene whose files are open and whose pixels are not read.
+pub struct Survey {
+    ground: Ground,
+    /// Corners of the training images on the ground.
+    footprints: Vec<Footprint>,
+    /// Lowest and highest ellipsoidal altitude the surface may have, metres.
+    pub altitude_range_m: (f64, f64),
+    /// Nominal ground sampling distance, metres, as that of [`super::Scene`].
+    pub gsd_m: f64,
+    /// Number of bands of every image.
+    pub bands: usize,
+    /// All files that say something about the scene.
+    pub files: Vec<PathBuf>,
+    /// Truth, where the scene brings it.
+    pub truth: Truth,
+}
+
+/// What a tile of a scene takes.
+#[derive(Debug, Clone, Copy, PartialEq, serde::Serialize, serde::Deserialize)]
+pub struct TileSurvey {
+    /// Its ground in a local frame at its middle, metres.
+    pub area: Area,
+    /// Images that show some of it.
+    pub images: usize,
+    /// Those of them that are trained on.
+    pub training: usize,
+    /// Share of it that at least two training images show.
+    pub covered: f64,
+    /// Largest residual of the pinhole cameras, pixels.
+    pub residual_px: f64,
+    /// Pixels of all windows together.
+    pub pixels: f64,
+}
+
+impl Survey {
+    /// Opens the files of a scene; its area is what `options` say, or all of it.
+    ///
+    /// # Errors
+    /// As [`super::Scene::open`].
+    pub fn open(path: &Path, options: &IngestOptions) -> Result<Self, SceneError> {
+        let layout = layout::find(path)?;
+        let mut warnings = Vec::new();
+        let drafts = draft::read_all(&layout, options, &mut warnings)?;
+        draft::check_bands(&drafts)?;
+        let stated: Vec<altitude::Stated> = drafts.iter().map(Draft::stated_altitude).collect();
+        let (altitude_range_m, _) = altitude::choose(
+            options.altitude_range_m,
+            layout.altitude_range_m,
+            &stated,
+            &mut warnings,
+        )?;
+        let files = files_of(path, &layout, &drafts);
+        let bands = drafts.first().map_or(0, |draft| draft.plan.kinds.len());
+        let ground = Ground::find(path, drafts, altitude_range_m, options.area.as_ref(), &mut warnings)?;
+        let height_m = ground.frame().origin.height_m;
+        let mut gsds = Vec::new();
+        for draft in ground.drafts().iter().filter(|draft| is_training(draft)) {
+            gsds.push(draft.gsd_m(ground.frame(), height_m)?);
+        }
+        Ok(Self {
+            footprints: ground::training_footprints(ground.drafts(), ground.frame(), height_m)?,
+            altitude_range_m,
+            gsd_m: ground::nominal_gsd_m(gsds),
+            bands,
+            files,
+            truth: layout.truth,
+            ground,
+        })
+    }
+
+    /// The frame at its middle.
+    pub fn frame(&self) -> &LocalFrame {
+        self.ground.frame()
+    }
+
+    /// Its ground, metres of that frame.
+    pub fn area(&self) -> &Area {
+        self.ground.area()
+    }
+
+    /// What a tile takes; `None` where two training images do not show it.
+    ///
+    /// # Errors
+    /// When its coordinates cannot be transformed, or a camera does not see it.
+    pub fn tile(&self, wanted: &AreaRequest) -> Result<Option<TileSurvey>, SceneError> {
+        let height_m = self.frame().origin.height_m;
+        let frame = LocalFrame::new(wanted.place(height_m)?);
+        let area = wanted.area(&frame)?;
+        let covered = self.covered(&wanted.area(self.frame())?);
+        let seen: Vec<(&Draft, Window)> = self
+            .ground
+            .drafts()
+            .iter()
+            .filter_map(|draft| Some((draft, window_over(draft, &frame, &area, self.altitude_range_m)?)))
+            .collect();
+        let training = seen.iter().filter(|(draft, _)| is_training(draft)).count();
+        if training < 2 || covered <= 0.0 {
+            return Ok(None);
+        }
+        let pixels = seen
+            .iter()
+            .map(|(_, window)| window.width as f64 * window.height as f64)
+            .sum();
+        let cameras: Vec<(&Rpc, ImageWindow)> = seen.iter().map(|(d, w)| (&d.rpc, image_window(w))).collect();
+        // Open GDAL files cannot be shared between threads.
+        let altitude_range_m = self.altitude_range_m;
+        let fits: Vec<_> = cameras
+            .par_iter()
+            .map(|(rpc, window)| PinholeFit::fit(rpc, &frame, *window, altitude_range_m))
+            .collect();
+        let mut residual_px = 0.0f64;
+        for (fit, (draft, _)) in fits.into_iter().zip(&seen) {
+            let fit = fit.map_err(|source| draft.camera_fault(height_m, source))?;
+            residual_px = residual_px.max(fit.max_px);
+        }
+        Ok(Some(TileSurvey {
+            area,
+            images: seen.len(),
+            training,
+            covered,
+            residual_px,
+            pixels,
+        }))
+    }
+
+    /// Share of an area that at least two training images show, counted on a grid.
+    fn covered(&self, area: &Area) -> f64 {
+        const STEPS: usize = 24;
+        let mut count = 0;
+        for i in 0..STEPS * STEPS {
+            let along = |low: f64, high: f64, index: usize| low + (high - low) * (index as f64 + 0.5) / STEPS as f64;
+            let x = along(area.west_m, area.east_m, i % STEPS);
+            let y = along(area.south_m, area.north_m, i / STEPS);
+            let showing = self.footprints.iter().filter(|footprint| footprint.contains([x, y]));
+            count += usize::from(showing.take(2).count() == 2);
+        }
+        count as f64 / (STEPS * STEPS) as f64
+    }
+}
+
+fn is_training(draft: &Draft) -> bool {
+    draft.entry.split == Split::Train
+}
+
+/// The images, what was said about them, and what lies beside them under their names.
+fn files_of(path: &Path, layout: &layout::Layout, drafts: &[Draft]) -> Vec<PathBuf> {
+    let mut files = BTreeSet::new();
+    for name in ["scene.toml", "train.txt", "test.txt"] {
+        files.insert(path.join(name));
+    }
+    files.insert(path.to_owned());
+    for draft in drafts {
+        let image = &draft.entry.path;
+        files.insert(image.clone());
+        files.extend(draft.entry.json.clone());
+        if let Some(said) = &draft.entry.said {
+            files.extend([&said.rpc, &said.metadata].into_iter().flatten().cloned());
+        }
+        files.extend(beside(image));
+    }
+    let truth = &layout.truth;
+    files.extend([&truth.dsm, &truth.classes].into_iter().flatten().cloned());
+    files.extend(truth.shadows.iter().map(|(_, path)| path.clone()));
+    files.into_iter().filter(|file| !file.is_dir()).collect()
+}
+
+/// Files in an image's folder whose names begin as its own.
+fn beside(image: &Path) -> Vec<PathBuf> {
+    if is_virtual(image) {
+        return Vec::new();
+    }
+    let folder = image.parent().unwrap_or_else(|| Path::new("."));
+    let stem = files::stem(image);
+    let entries = std::fs::read_dir(folder).into_iter().flatten().flatten();
+    entries
+        .filter(|entry| entry.file_name().to_string_lossy().contains(&stem))
+        .map(|entry| entry.path())
+        .collect()
+}

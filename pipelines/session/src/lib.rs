@@ -1,0 +1,115 @@
+//! What every verb shares with the terminal: progress bars, log lines written around them, and whether the user wants it to stop.
+//!
+//! Libraries take a [`Session`] to report how far they are and to stop early; [`Session::quiet`] is for use without a terminal.
+
+pub mod log;
+
+use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
+use std::io::IsTerminal;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::time::Duration;
+
+/// The signal handler cannot be installed.
+#[derive(Debug, thiserror::Error)]
+#[error("the signal handler cannot be installed: {0}")]
+pub struct SessionError(ctrlc::Error);
+
+/// The run of one verb.
+#[derive(Debug, Clone, Default)]
+pub struct Session {
+    stop: Arc<AtomicBool>,
+}
+
+impl Session {
+    /// A session that SIGINT and SIGTERM ask to stop; a second signal ends the process at once.
+    ///
+    /// # Errors
+    /// When the signal handler cannot be installed.
+    pub fn start() -> Result<Self, SessionError> {
+        let session = Self::default();
+        let stop = Arc::clone(&session.stop);
+        ctrlc::set_handler(move || {
+            if stop.swap(true, Ordering::SeqCst) {
+                std::process::exit(130);
+            }
+            log::line_on_stderr("stopping: saving what there is (once more to stop at once)");
+        })
+        .map_err(SessionError)?;
+        Ok(session)
+    }
+
+    /// A session nobody will stop, for tests and for use as a library.
+    pub fn quiet() -> Self {
+        Self::default()
+    }
+
+    /// Whether the user asked to stop.
+    pub fn stopped(&self) -> bool {
+        self.stop.load(Ordering::SeqCst)
+    }
+
+    /// Also stops when standard input ends: whoever started this process and holds the other end is gone, or asks for it.
+    pub fn stop_with_input(&self) {
+        let stop = Arc::clone(&self.stop);
+        std::thread::spawn(move || {
+            // What comes is not for us; that it ends is.
+            let _ = std::io::copy(&mut std::io::stdin().lock(), &mut std::io::sink());
+            stop.store(true, Ordering::SeqCst);
+        });
+    }
+
+    /// A line about something that runs beside others, its time and what it says; on a terminal only.
+    pub fn watch(&self, label: &str) -> Progress {
+        self.bar(label, ProgressBar::no_length(), "{prefix} {elapsed} {msg}")
+    }
+
+    /// A progress bar of `total` steps; on a terminal only.
+    pub fn progress(&self, label: &str, total: u64) -> Progress {
+        let style = "{prefix} [{bar:30}] {pos}/{len} {per_sec} left {eta} {msg}";
+        self.bar(label, ProgressBar::new(total), style)
+    }
+
+    fn bar(&self, label: &str, bar: ProgressBar, style: &str) -> Progress {
+        if std::io::stderr().is_terminal() {
+            let bar = log::BARS.add(bar);
+            if let Ok(style) = ProgressStyle::with_template(style) {
+                bar.set_style(style.progress_chars("=> "));
+            }
+            bar.set_prefix(label.to_owned());
+            bar.enable_steady_tick(Duration::from_millis(250));
+            return Progress { bar };
+        }
+        bar.set_draw_target(ProgressDrawTarget::hidden());
+        Progress { bar }
+    }
+}
+
+/// A progress bar; gone when dropped.
+#[derive(Debug)]
+pub struct Progress {
+    bar: ProgressBar,
+}
+
+impl Progress {
+    /// Sets the number of steps done.
+    pub fn set(&self, done: u64) {
+        self.bar.set_position(done);
+    }
+
+    /// Changes how many steps there are.
+    pub fn set_total(&self, total: u64) {
+        self.bar.set_length(total);
+    }
+
+    /// Says something short beside the bar, such as the loss.
+    pub fn say(&self, message: &str) {
+        self.bar.set_message(message.to_owned());
+    }
+}
+
+impl Drop for Progress {
+    fn drop(&mut self) {
+        self.bar.finish_and_clear();
+    }
+}

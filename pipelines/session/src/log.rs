@@ -1,0 +1,56 @@
+//! Logs on stderr, written around a progress bar if there is one.
+
+use indicatif::MultiProgress;
+use std::io::{IsTerminal, Write};
+use std::sync::LazyLock;
+use tracing_subscriber::EnvFilter;
+use tracing_subscriber::fmt::MakeWriter;
+
+/// All bars of the process, so that log lines can step around them.
+pub(crate) static BARS: LazyLock<MultiProgress> = LazyLock::new(MultiProgress::new);
+
+struct Stderr;
+
+impl Write for Stderr {
+    fn write(&mut self, bytes: &[u8]) -> std::io::Result<usize> {
+        BARS.suspend(|| std::io::stderr().write_all(bytes))?;
+        Ok(bytes.len())
+    }
+
+    fn flush(&mut self) -> std::io::Result<()> {
+        std::io::stderr().flush()
+    }
+}
+
+struct StderrMaker;
+
+impl<'a> MakeWriter<'a> for StderrMaker {
+    type Writer = Stderr;
+
+    fn make_writer(&'a self) -> Stderr {
+        Stderr
+    }
+}
+
+/// Starts logging; `HELIOSPLAT_LOG` (as `RUST_LOG` elsewhere) wins over `verbose`.
+pub fn start(verbose: u8) {
+    let level = match verbose {
+        0 => "info",
+        1 => "debug",
+        _ => "trace",
+    };
+    let filter = EnvFilter::try_from_env("HELIOSPLAT_LOG").unwrap_or_else(|_| EnvFilter::new(level));
+    // A second start, as in tests, keeps the first logger.
+    let _ = tracing_subscriber::fmt()
+        .with_env_filter(filter)
+        .with_writer(StderrMaker)
+        .with_ansi(std::io::stderr().is_terminal())
+        .without_time()
+        .with_target(false)
+        .try_init();
+}
+
+/// One line on stderr, whatever the log level.
+pub fn line_on_stderr(line: &str) {
+    let _ = writeln!(Stderr, "{line}");
+}

@@ -1,0 +1,203 @@
+//! How much brighter each view is than the ground in the sun, as the other views show it.
+//!
+//! Haze and exposure differ between images, so each is first brought to the scale of the median of all by a robust line.
+
+use super::super::grid::Grid;
+use super::super::level::LevelView;
+use super::super::ortho;
+use super::super::pyramid::Search;
+use super::super::views::SweepView;
+use super::super::visibility::FirstHits;
+use super::{FACTOR, FEWEST_VIEWS};
+use heliosplat::Raster;
+use heliosplat_rpc::statistics::upper_median;
+use rayon::prelude::*;
+
+/// One in so many of the other views may be clouded too where the ground in the sun is asked for.
+const VIEWS_PER_CLOUD: usize = 8;
+/// Standard deviations beyond which a value has no weight in the robust line (Beaton and Tukey 1974: 95 % efficient for normal errors).
+const BIWEIGHT: f64 = 4.7;
+/// Standard deviation of normal errors in units of their median absolute deviation.
+const DEVIATION_OF_MEDIAN: f64 = 1.48;
+/// Rounds of the robust line.
+const ROUNDS: usize = 8;
+/// Least scale of the residuals, in units of the view's median: keeps weights finite where all values lie on the line.
+const LEAST_SCALE: f64 = 1e-6;
+/// Gains of the line are held to this range: beyond it the fit has followed a few extreme values.
+const GAINS: [f64; 2] = [0.2, 5.0];
+/// Variance below which values do not determine a gain, in units of the view's median, squared.
+const LEAST_VARIANCE: f64 = 1e-9;
+/// Least distance below the first hit at which a point is hidden, metres.
+const HIDDEN_M: f32 = 1.0;
+
+/// How much brighter each view is at each cell than the ground in the sun, relative to the mean of that ground and the view's median, in
+/// the band where that is least; NaN where the view does not see the cell or too few others do. Points more than `tolerance_m` below
+/// what a view sees first are hidden.
+pub(super) fn excess(
+    views: &[SweepView],
+    search: &Search,
+    grid: &Grid,
+    altitude: &[f32],
+    tolerance_m: f32,
+) -> Vec<Vec<f32>> {
+    let bands = views.iter().map(|view| view.image.bands).min().unwrap_or(0);
+    let hits: Vec<FirstHits> = search
+        .level_views(FACTOR)
+        .iter()
+        .map(|level| FirstHits::new(level, grid, altitude, tolerance_m.max(HIDDEN_M)))
+        .collect();
+    let mut least = vec![vec![f32::INFINITY; grid.len()]; views.len()];
+    for band in 0..bands {
+        let orthos: Vec<Vec<f32>> = views
+            .iter()
+            .zip(&hits)
+            .map(|(view, hits)| ortho_of_band(view, band, search, grid, altitude, hits))
+            .collect();
+        let scaled = on_one_scale(&orthos);
+        least.par_iter_mut().enumerate().for_each(|(view, least)| {
+            let mut others = Vec::new();
+            for (cell, least) in least.iter_mut().enumerate() {
+                others.clear();
+                let besides = (0..scaled.len()).filter(|&other| other != view);
+                others.extend(besides.map(|other| scaled[other][cell]).filter(|v| v.is_finite()));
+                let above = in_the_sun(&mut others)
+                    .map_or(f32::NAN, |sun| 2.0 * (scaled[view][cell] - sun) / (1.0 + sun.max(0.0)));
+                // What is not known in one band stays unknown.
+                *least = if least.is_nan() || *least < above {
+                    *least
+                } else {
+                    above
+                };
+            }
+        });
+    }
+    least
+}
+
+/// The brightness of the ground in the sun: the brightest of the other views after those that may be clouded; `None` where too few see the
+/// cell.
+fn in_the_sun(others: &mut [f32]) -> Option<f32> {
+    let rank = 1 + others.len() / VIEWS_PER_CLOUD;
+    if others.len() + 2 < FEWEST_VIEWS {
+        return None;
+    }
+    let at = others.len() - 1 - rank;
+    Some(*others.select_nth_unstable_by(at, f32::total_cmp).1)
+}
+
+/// One band of a view on the surface, NaN where the cell is hidden or outside of the image.
+fn ortho_of_band(
+    view: &SweepView,
+    band: usize,
+    search: &Search,
+    grid: &Grid,
+    altitude: &[f32],
+    hits: &FirstHits,
+) -> Vec<f32> {
+    let plane = Raster {
+        width: view.image.width,
+        height: view.image.height,
+        bands: 1,
+        values: view.image.plane(band).to_vec(),
+    };
+    let of_band = SweepView { image: &plane, ..*view };
+    let level = LevelView::new(&of_band, grid.cell_m, search.centre, false);
+    let mut values = ortho::ortho(grid, &level, altitude);
+    values.par_iter_mut().enumerate().for_each(|(cell, value)| {
+        let p = grid.point(
+            (cell % grid.width) as isize,
+            (cell / grid.width) as isize,
+            altitude[cell],
+        );
+        let (col, row, _) = level.camera.project(p);
+        // Outside of the image the value is NaN already.
+        if value.is_finite() && hits.hides(row.round() as usize * level.width + col.round() as usize, p.z) {
+            *value = f32::NAN;
+        }
+    });
+    values
+}
+
+/// The views' values on the scale of their common median: the gain and offset of haze and exposure are taken out.
+fn on_one_scale(orthos: &[Vec<f32>]) -> Vec<Vec<f32>> {
+    let relative: Vec<Vec<f32>> = orthos
+        .par_iter()
+        .map(|values| {
+            let mut known: Vec<f32> = values.iter().copied().filter(|v| v.is_finite()).collect();
+            let unit = upper_median(&mut known).filter(|&m| m > 0.0).unwrap_or(1.0);
+            values.iter().map(|v| v / unit).collect()
+        })
+        .collect();
+    let cells = orthos.first().map_or(0, Vec::len);
+    let common: Vec<f32> = (0..cells)
+        .into_par_iter()
+        .map(|cell| {
+            let mut known: Vec<f32> = relative.iter().map(|v| v[cell]).filter(|v| v.is_finite()).collect();
+            upper_median(&mut known).unwrap_or(f32::NAN)
+        })
+        .collect();
+    relative
+        .into_par_iter()
+        .map(|values| {
+            let (gain, offset) = line(&common, &values);
+            values.iter().map(|v| (v - offset) / gain).collect()
+        })
+        .collect()
+}
+
+/// Gain and offset of the line `to = gain · from + offset` by iteratively reweighted least squares with Tukey's biweight.
+fn line(from: &[f32], to: &[f32]) -> (f32, f32) {
+    let pairs: Vec<(f64, f64)> = from
+        .iter()
+        .zip(to)
+        .filter(|(x, y)| x.is_finite() && y.is_finite())
+        .map(|(&x, &y)| (f64::from(x), f64::from(y)))
+        .collect();
+    let (mut gain, mut offset) = (1.0, 0.0);
+    for _ in 0..ROUNDS {
+        let mut off: Vec<f32> = pairs
+            .iter()
+            .map(|(x, y)| (y - gain * x - offset).abs() as f32)
+            .collect();
+        let Some(scale) =
+            upper_median(&mut off).map(|m| BIWEIGHT * DEVIATION_OF_MEDIAN * f64::from(m).max(LEAST_SCALE))
+        else {
+            break;
+        };
+        let [mut n, mut sx, mut sy, mut sxx, mut sxy] = [0.0; 5];
+        for (x, y) in &pairs {
+            let t = (y - gain * x - offset) / scale;
+            let w = (1.0 - t * t).max(0.0).powi(2);
+            n += w;
+            sx += w * x;
+            sy += w * y;
+            sxx += w * x * x;
+            sxy += w * x * y;
+        }
+        let spread = n * sxx - sx * sx;
+        if spread <= LEAST_VARIANCE * n * n {
+            break;
+        }
+        gain = ((n * sxy - sx * sy) / spread).clamp(GAINS[0], GAINS[1]);
+        offset = (sy - gain * sx) / n;
+    }
+    (gain as f32, offset as f32)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_line_through_most_values_leaves_out_what_lies_far_off() {
+        let from: Vec<f32> = (0..200).map(|i| i as f32 / 100.0).collect();
+        let to: Vec<f32> = (0..200)
+            .map(|i| if i % 5 == 0 { 9.0 } else { 1.3 * from[i] + 0.2 })
+            .collect();
+        let (gain, offset) = line(&from, &to);
+        assert!(
+            (gain - 1.3).abs() < 1e-3 && (offset - 0.2).abs() < 1e-3,
+            "{gain} {offset}"
+        );
+    }
+}

@@ -1,0 +1,124 @@
+//! Blocks of cells and the memory that their costs are computed in.
+
+use super::super::census::{Descriptors, RADIUS};
+use super::super::grid::Grid;
+use super::super::sampling::Place;
+
+/// Rows and columns of a block: small enough for the cache, large enough that the window's margin stays cheap.
+pub(super) const BLOCK: (usize, usize) = (16, 64);
+
+/// A rectangle of cells.
+pub(super) struct Block {
+    pub(super) row0: usize,
+    pub(super) row1: usize,
+    pub(super) col0: usize,
+    pub(super) col1: usize,
+}
+
+impl Block {
+    /// The block of one cell.
+    pub(super) fn of_cell(row: usize, col: usize) -> Self {
+        Self {
+            row0: row,
+            row1: row + 1,
+            col0: col,
+            col1: col + 1,
+        }
+    }
+
+    /// Becomes the smallest block that holds another too.
+    pub(super) fn grow(&mut self, other: &Self) {
+        self.row0 = self.row0.min(other.row0);
+        self.row1 = self.row1.max(other.row1);
+        self.col0 = self.col0.min(other.col0);
+        self.col1 = self.col1.max(other.col1);
+    }
+
+    /// Calls with the index inside the block and the index on the grid of each cell.
+    pub(super) fn cells(&self, grid: &Grid, mut each: impl FnMut(usize, usize)) {
+        let mut k = 0;
+        for row in self.row0..self.row1 {
+            for col in self.col0..self.col1 {
+                each(k, row * grid.width + col);
+                k += 1;
+            }
+        }
+    }
+
+    /// The same with `margin` cells more on each side.
+    pub(super) fn wider(&self, margin: usize) -> WideBlock {
+        WideBlock {
+            row0: self.row0 as isize - margin as isize,
+            col0: self.col0 as isize - margin as isize,
+            width: self.col1 - self.col0 + 2 * margin,
+            height: self.row1 - self.row0 + 2 * margin,
+        }
+    }
+}
+
+/// A block with a margin, which may reach beyond the grid.
+pub(super) struct WideBlock {
+    pub(super) row0: isize,
+    pub(super) col0: isize,
+    pub(super) width: usize,
+    pub(super) height: usize,
+}
+
+/// Buffers for one block, reused from block to block.
+pub(super) struct Scratch {
+    /// A view's samples.
+    pub(super) values: Vec<f32>,
+    /// Where they are taken.
+    pub(super) places: Vec<Place>,
+    /// Descriptors of brightness, per view.
+    pub(super) descriptors: Vec<Descriptors>,
+    /// Descriptors of the index, per view.
+    pub(super) index_descriptors: Vec<Descriptors>,
+    /// Weighted sums of the comparisons.
+    pub(super) sum: Vec<u32>,
+    /// Sums of their weights.
+    pub(super) weights: Vec<u32>,
+    /// The costs, 0 to 255.
+    pub(super) cost: Vec<u8>,
+    /// Sums over the rows of the aggregation window.
+    across: Vec<u32>,
+}
+
+impl Scratch {
+    /// Room for a block with a margin of `radius` cells and its census windows.
+    pub(super) fn new(views: usize, radius: usize) -> Self {
+        let cells = (BLOCK.0 + 2 * radius) * (BLOCK.1 + 2 * radius);
+        let margin = 2 * (RADIUS + radius);
+        Self {
+            values: vec![0.0; (BLOCK.0 + margin) * (BLOCK.1 + margin)],
+            places: vec![Place::default(); (BLOCK.0 + margin) * (BLOCK.1 + margin)],
+            across: vec![0; cells],
+            descriptors: vec![Descriptors::new(cells); views],
+            index_descriptors: vec![Descriptors::new(cells); views],
+            sum: vec![0; cells],
+            weights: vec![0; cells],
+            cost: vec![0; cells],
+        }
+    }
+
+    /// Averages the costs of a block with its margin over the aggregation window; those of the block itself come first afterwards.
+    pub(super) fn average(&mut self, block: &Block, radius: usize) {
+        if radius == 0 {
+            return;
+        }
+        let (width, height) = (block.col1 - block.col0, block.row1 - block.row0);
+        let (stride, side) = (width + 2 * radius, 2 * radius + 1);
+        for row in 0..height + 2 * radius {
+            for col in 0..width {
+                let window = &self.cost[row * stride + col..row * stride + col + side];
+                self.across[row * width + col] = window.iter().map(|&c| u32::from(c)).sum();
+            }
+        }
+        for row in 0..height {
+            for col in 0..width {
+                let sum: u32 = (row..row + side).map(|r| self.across[r * width + col]).sum();
+                self.cost[row * width + col] = (sum / (side * side) as u32) as u8;
+            }
+        }
+    }
+}

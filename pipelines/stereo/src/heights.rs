@@ -1,0 +1,36 @@
+//! The height hypotheses: the altitudes that every cell is tried at, in equal steps.
+
+/// Regular altitudes `base_m + level · step_m`.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(super) struct HeightHypotheses {
+    pub(super) base_m: f32,
+    pub(super) step_m: f32,
+    pub(super) levels: usize,
+}
+
+/// Most levels; a search range counts its first level in 16 bits. Where the altitude range needs more, the step grows.
+const MOST_LEVELS: usize = 8192;
+/// Least step, metres, so that the number of levels stays finite for any request.
+const LEAST_STEP_M: f32 = 1e-4;
+
+impl HeightHypotheses {
+    pub(super) fn new(low_m: f32, high_m: f32, step_m: f32) -> Self {
+        let range = (high_m - low_m).max(0.0);
+        let step = step_m.max(range / (MOST_LEVELS - 2) as f32).max(LEAST_STEP_M);
+        Self {
+            base_m: low_m,
+            step_m: step,
+            levels: (range / step).ceil() as usize + 1,
+        }
+    }
+
+    /// The altitude of a level, metres; fractions of a level are allowed.
+    pub(super) fn altitude(&self, level: f32) -> f32 {
+        self.base_m + level * self.step_m
+    }
+
+    /// The level of an altitude, neither rounded nor clamped to the range.
+    pub(super) fn level(&self, altitude_m: f32) -> f32 {
+        (altitude_m - self.base_m) / self.step_m
+    }
+}

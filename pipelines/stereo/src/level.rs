@@ -1,0 +1,195 @@
+//! A view at one level of the pyramid: the mean of its bands and its index, averaged down to about one pixel per cell.
+//!
+//! Matching works on one plane of brightness (and one of an index where there is one), so bands are averaged first; pixels much smaller
+//! than a cell would alias. The factor is the nearest whole number to cell size over pixel size, so a level's pixels are only about as large as its cells.
+
+use super::sampling::{self, Line, Place, cubic_weights};
+use super::views::SweepView;
+use glam::Vec3;
+use heliosplat::{ProjectiveCamera, Raster};
+use heliosplat_rpc::statistics::upper_median;
+
+/// The smaller side of a level has at least this many pixels, however large the cells: fewer hold no window of the census.
+const FEWEST_PIXELS: usize = 8;
+
+/// One view, averaged down to about one pixel per cell.
+#[derive(Debug, Clone)]
+pub(super) struct LevelView {
+    pub(super) camera: ProjectiveCamera,
+    pub(super) width: usize,
+    pub(super) height: usize,
+    /// The mean of the bands.
+    pub(super) mean: PixelPlane,
+    /// The index, where it is to be compared.
+    pub(super) index: Option<PixelPlane>,
+}
+
+/// One plane of values that is compared.
+#[derive(Debug, Clone)]
+pub(super) struct PixelPlane {
+    pub(super) pixels: Vec<f32>,
+    /// Median absolute difference between neighbouring pixels: the unit of differences in this plane.
+    pub(super) contrast: f32,
+    /// Median of the pixels.
+    pub(super) middle: f32,
+}
+
+impl PixelPlane {
+    fn new(image: Raster) -> Self {
+        Self {
+            contrast: contrast(&image),
+            middle: finite_median(image.values.iter().copied()),
+            pixels: image.values,
+        }
+    }
+}
+
+impl LevelView {
+    pub(super) fn new(view: &SweepView, cell_m: f32, centre: Vec3, with_index: bool) -> Self {
+        let ratio = (cell_m / view.geometry().ground_sampling_m(centre)).round();
+        let largest = (view.image.width.min(view.image.height) / FEWEST_PIXELS).max(1);
+        let factor = (ratio as usize).clamp(1, largest);
+        let mean = mean_of_bands(view.image);
+        let index = view.index.filter(|_| with_index);
+        let smaller = |image: &Raster| image.downscaled(factor);
+        let (image, index, camera) = if factor > 1 {
+            (smaller(&mean), index.map(smaller), view.camera.downscaled(factor))
+        } else {
+            (mean, index.cloned(), view.camera)
+        };
+        Self {
+            camera,
+            width: image.width,
+            height: image.height,
+            mean: PixelPlane::new(image),
+            index: index.map(PixelPlane::new),
+        }
+    }
+
+    /// Projects the points of a line of the ground into the image.
+    pub(super) fn find_line(&self, line: &Line, places: &mut [Place]) {
+        sampling::find(line, self.width, self.height, places);
+    }
+
+    /// Bilinear values of one of the planes; NaN outside the image and beside missing pixels.
+    pub(super) fn sample_places(&self, plane: &PixelPlane, places: &[Place], out: &mut [f32]) {
+        sampling::bilinear(&plane.pixels, self.width, places, out);
+    }
+
+    /// Bilinear value at a pixel position; NaN outside the image and beside missing pixels.
+    #[inline]
+    pub(super) fn sample(&self, col: f32, row: f32) -> f32 {
+        // Written so that a NaN position fails the test too.
+        let inside = col >= 0.0 && row >= 0.0 && col < (self.width - 1) as f32 && row < (self.height - 1) as f32;
+        if !inside {
+            return f32::NAN;
+        }
+        let (c, r) = (col as usize, row as usize);
+        let (fc, fr) = (col - c as f32, row - r as f32);
+        let i = r * self.width + c;
+        let upper = &self.mean.pixels[i..i + 2];
+        let lower = &self.mean.pixels[i + self.width..i + self.width + 2];
+        let top = upper[0] + (upper[1] - upper[0]) * fc;
+        let bottom = lower[0] + (lower[1] - lower[0]) * fc;
+        top + (bottom - top) * fr
+    }
+
+    /// Bicubic value at a pixel position; NaN outside the image, in its outermost pixels and beside missing ones.
+    #[inline]
+    pub(super) fn sample_cubic(&self, col: f32, row: f32) -> f32 {
+        // Written so that a NaN position fails the test too.
+        let inside = col >= 1.0 && row >= 1.0 && col < (self.width as f32 - 2.0) && row < (self.height as f32 - 2.0);
+        if !inside {
+            return f32::NAN;
+        }
+        let (c, r) = (col as usize, row as usize);
+        let (across, down) = (cubic_weights(col - c as f32), cubic_weights(row - r as f32));
+        let mut value = 0.0;
+        for (weight, line) in down.into_iter().zip(0..4) {
+            let start = (r + line - 1) * self.width + c - 1;
+            let p = &self.mean.pixels[start..start + 4];
+            value += weight * (across[0] * p[0] + across[1] * p[1] + across[2] * p[2] + across[3] * p[3]);
+        }
+        value
+    }
+}
+
+fn mean_of_bands(image: &Raster) -> Raster {
+    let mut mean = Raster::filled(image.width, image.height, 1, 0.0);
+    let scale = 1.0 / image.bands.max(1) as f32;
+    for band in 0..image.bands {
+        for (sum, value) in mean.values.iter_mut().zip(image.plane(band)) {
+            *sum += value * scale;
+        }
+    }
+    mean
+}
+
+/// Median absolute difference between neighbours along rows.
+fn contrast(image: &Raster) -> f32 {
+    finite_median(image.values.windows(2).map(|pair| (pair[1] - pair[0]).abs()))
+}
+
+/// Median of what is finite; zero where nothing is.
+fn finite_median(values: impl Iterator<Item = f32>) -> f32 {
+    let mut values: Vec<f32> = values.filter(|v| v.is_finite()).collect();
+    upper_median(&mut values).unwrap_or(0.0)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_values_of_a_line_are_those_of_its_points() {
+        let (width, height) = (40, 30);
+        let mut pixels: Vec<f32> = (0..width * height).map(|i| ((i * 7919) % 101) as f32).collect();
+        pixels[15 * width + 20] = f32::NAN;
+        let camera = ProjectiveCamera::new(
+            [1.0, 0.0, 0.0, 0.0],
+            [0.0, 1.0, 0.0, 0.0],
+            [0.0; 3],
+            (width, height),
+            glam::DVec3::NEG_Z,
+        );
+        let view = LevelView {
+            camera,
+            width,
+            height,
+            mean: PixelPlane {
+                pixels,
+                contrast: 1.0,
+                middle: 0.0,
+            },
+            index: None,
+        };
+        for start in [
+            [-3.2, 4.7, 1.0],
+            [0.0, 0.0, 1.0],
+            [3.0, 28.9, 1.0],
+            [5.5, 14.5, 1.01],
+            [f32::NAN, 1.0, 1.0],
+        ] {
+            let line = Line {
+                start,
+                step: [0.83, 0.21, 1e-4],
+            };
+            let (mut places, mut values) = ([Place::default(); 61], [0.0; 61]);
+            view.find_line(&line, &mut places);
+            view.sample_places(&view.mean, &places, &mut values);
+            for (k, value) in values.iter().enumerate() {
+                let k = k as f32;
+                let inverse = 1.0 / (start[2] + k * line.step[2]);
+                let expected = view.sample(
+                    (start[0] + k * line.step[0]) * inverse,
+                    (start[1] + k * line.step[1]) * inverse,
+                );
+                assert_eq!(
+                    value.to_bits(),
+                    expected.to_bits(),
+                    "{start:?}, {k}: {value} against {expected}"
+                );
+            }
+        }
+    }
+}

@@ -1,0 +1,63 @@
+//! The plane sweep from its request to the initial surface: coarse to fine, then with hidden views left out, then post-processed.
+
+use super::plane_smoothing;
+use super::postprocess;
+use super::pyramid::Search;
+use super::request::PlaneSweepRequest;
+use super::surface::Surface;
+use super::views::SweepView;
+use super::visibility::FirstHits;
+
+/// A point counts as hidden when it lies this many height steps below the surface that its view sees first, so that the surface's own
+/// error of matching hides nothing.
+const HIDDEN_STEPS: f32 = 2.0;
+/// The same at least, metres.
+const HIDDEN_M: f32 = 1.0;
+/// Neighbours whose altitudes differ by less than this many cells (or [`SAME_PATCH_STEPS`]) belong to one patch.
+const SAME_PATCH_CELLS: f32 = 2.0;
+/// The same in height steps.
+const SAME_PATCH_STEPS: f32 = 2.0;
+/// Patches of fewer cells are taken for mismatches: 16 are two metres across at half a metre a cell.
+const SPECKLE_CELLS: usize = 16;
+
+/// Finds the surface that the views agree on. `progress` hears the share done, 0 to 1.
+pub fn plane_sweep(views: &[SweepView], request: &PlaneSweepRequest, progress: &dyn Fn(f32)) -> Surface {
+    let parameters = &request.parameters;
+    let grid = request.grid();
+    let search = Search::new(views, request).with_index();
+    let mut found = search
+        .descend(1, &|factor| progress(0.5 / factor as f32))
+        .expect("the finest level is always searched");
+    for _ in 0..parameters.visibility_rounds {
+        let altitude = found.altitude();
+        let tolerance_m = HIDDEN_M.max(HIDDEN_STEPS * found.step_m);
+        let hits: Vec<_> = search
+            .level_views(1)
+            .iter()
+            .map(|view| FirstHits::new(view, &grid, &altitude, tolerance_m))
+            .collect();
+        found = search.level(1, Some(&found), Some(&hits));
+    }
+    let mut altitude = found.altitude();
+    let same_patch_m = (SAME_PATCH_STEPS * found.step_m).max(SAME_PATCH_CELLS * grid.cell_m);
+    let filled = postprocess::speckles(&grid, &altitude, same_patch_m, SPECKLE_CELLS);
+    postprocess::fill(&grid, &mut altitude, &filled);
+    let confidence: Vec<f32> = found.choices.iter().map(|choice| choice.margin).collect();
+    if parameters.plane_radius > 0 {
+        altitude = plane_smoothing::smooth(&grid, &altitude, parameters.plane_radius, same_patch_m);
+    }
+    if let Some(least) = parameters.adaptive_plane_radius {
+        altitude = plane_smoothing::smooth_adaptively(&grid, &altitude, &confidence, least, found.step_m);
+    }
+    Surface {
+        width: grid.width,
+        height: grid.height,
+        west_m: grid.west_m,
+        north_m: grid.north_m,
+        cell_m: grid.cell_m,
+        confidence,
+        resolution_m: found.step_m,
+        filled,
+        altitude,
+    }
+}

@@ -1,0 +1,191 @@
+//! The coarse-to-fine search of the plane sweep: each level of the pyramid matches, aggregates and chooses heights around those that the
+//! coarser level left as candidates.
+//!
+//! Tie points, clouds and pointing shifts use the same search down to a coarser level, as an approximate surface to work on. Nothing is
+//! decided here: how to match stands in the request's [`MatchingParameters`](super::parameters::MatchingParameters).
+
+use super::cost::MatchingCost;
+use super::grid::Grid;
+use super::heights::HeightHypotheses;
+use super::level::LevelView;
+use super::ortho;
+use super::pairs::{self, LEAST_BASE_TO_HEIGHT, Pair};
+use super::ranges::SearchRanges;
+use super::request::PlaneSweepRequest;
+use super::sgm::{Penalties, Volume};
+use super::views::{SweepView, ViewGeometry};
+use super::visibility::FirstHits;
+use super::wta::{self, HeightChoice};
+use glam::Vec3;
+use rayon::prelude::*;
+
+/// Coarse cells on each side of a fine one whose candidates it searches too.
+const REACH_CELLS: usize = 2;
+/// Height steps of the coarser level added above and below the candidates.
+const MARGIN_STEPS: f32 = 3.0;
+/// Coarsest cells of the pyramid, in cells of the request.
+const COARSEST: usize = 8;
+/// A level needs this many cells each way to be worth its own search.
+const FEWEST_CELLS: usize = 16;
+
+/// What is searched and with which views; the same on every level.
+pub(super) struct Search<'a> {
+    pub(super) views: &'a [SweepView<'a>],
+    pub(super) request: &'a PlaneSweepRequest,
+    pub(super) grid: Grid,
+    pub(super) centre: Vec3,
+    pub(super) pairs: Vec<Pair>,
+    /// Weight of a comparison of index planes beside one of brightness, where they are compared.
+    index_weight: Option<f32>,
+}
+
+/// The heights chosen at one level.
+pub(super) struct LevelResult {
+    pub(super) grid: Grid,
+    /// Cells of the request per cell of this level.
+    pub(super) factor: usize,
+    /// Height step of this level, metres.
+    pub(super) step_m: f32,
+    pub(super) choices: Vec<HeightChoice>,
+}
+
+impl LevelResult {
+    /// Altitude of each cell, metres.
+    pub(super) fn altitude(&self) -> Vec<f32> {
+        self.choices.iter().map(|choice| choice.altitude_m).collect()
+    }
+}
+
+impl<'a> Search<'a> {
+    /// A search that compares brightness alone.
+    pub(super) fn new(views: &'a [SweepView<'a>], request: &'a PlaneSweepRequest) -> Self {
+        let centre = request.centre();
+        let geometries: Vec<ViewGeometry> = views.iter().map(SweepView::geometry).collect();
+        Self {
+            views,
+            request,
+            grid: request.grid(),
+            centre,
+            pairs: pairs::choose(&geometries, centre),
+            index_weight: None,
+        }
+    }
+
+    /// The same, which compares index planes too where the request says so and every view has one.
+    pub(super) fn with_index(self) -> Self {
+        let all_have_one = self.views.iter().all(|view| view.index.is_some());
+        Self {
+            index_weight: self.request.parameters.index_weight.filter(|_| all_have_one),
+            ..self
+        }
+    }
+
+    /// Factors from the coarsest useful level down to `finest`.
+    pub(super) fn factors(&self, finest: usize) -> Vec<usize> {
+        let side = self.grid.width.min(self.grid.height);
+        let mut factors = Vec::new();
+        let mut factor = COARSEST.max(finest);
+        while factor >= finest {
+            if factor == finest || side >= FEWEST_CELLS * factor {
+                factors.push(factor);
+            }
+            factor /= 2;
+        }
+        factors
+    }
+
+    /// Searches all levels down to `finest`; `progress` hears the factor of each when it is done. `None` when there is nothing to search.
+    pub(super) fn descend(&self, finest: usize, progress: &dyn Fn(usize)) -> Option<LevelResult> {
+        let mut found = None;
+        for factor in self.factors(finest) {
+            found = Some(self.level(factor, found.as_ref(), None));
+            progress(factor);
+        }
+        found
+    }
+
+    /// The views averaged down for a level.
+    pub(super) fn level_views(&self, factor: usize) -> Vec<LevelView> {
+        let cell_m = self.grid.cell_m * factor as f32;
+        let with_index = self.index_weight.is_some();
+        let one = |view: &SweepView| LevelView::new(view, cell_m, self.centre, with_index);
+        self.views.par_iter().map(one).collect()
+    }
+
+    /// Searches one level: all heights, or those around what a coarser (or equal) level found; with `hits`, cells that a view does not
+    /// see are left out.
+    pub(super) fn level(&self, factor: usize, before: Option<&LevelResult>, hits: Option<&[FirstHits]>) -> LevelResult {
+        let grid = self.grid.coarser(factor);
+        let views = self.level_views(factor);
+        let heights = self.heights(grid.cell_m);
+        let (ranges, guide) = match before {
+            None => (SearchRanges::full(grid.len(), &heights), None),
+            Some(found) => self.narrowed(&grid, &heights, &views, factor, found),
+        };
+        let parameters = &self.request.parameters;
+        let matching = MatchingCost {
+            grid,
+            heights,
+            views: &views,
+            pairs: &self.pairs,
+            hits,
+            parameters,
+            index_weight: self.index_weight,
+        };
+        let costs = matching.costs(&ranges);
+        let volume = Volume {
+            width: grid.width,
+            height: grid.height,
+            ranges: &ranges,
+            costs: &costs,
+            guide: guide.as_deref(),
+            penalties: Penalties {
+                one_step: parameters.one_step_penalty,
+                jump: parameters.jump_penalty,
+                edge: parameters.guide_edge,
+            },
+        };
+        let sums = volume.aggregate();
+        let tolerance = parameters.candidate_tolerance.at(factor);
+        let choices = wta::winner_takes_all(&ranges, &heights, &sums, tolerance);
+        LevelResult {
+            grid,
+            factor,
+            step_m: heights.step_m,
+            choices,
+        }
+    }
+
+    /// The height hypotheses of a level whose cells are `cell_m` wide: the pair with the widest base shifts by `step_cells` from one to the
+    /// next.
+    fn heights(&self, cell_m: f32) -> HeightHypotheses {
+        let PlaneSweepRequest { volume, parameters } = self.request;
+        let widest = pairs::widest_base_to_height(&self.pairs).max(LEAST_BASE_TO_HEIGHT);
+        let step_m = parameters.step_cells * cell_m / widest;
+        HeightHypotheses::new(volume.altitude_min_m, volume.altitude_max_m, step_m)
+    }
+
+    /// The search ranges around what a coarser (or equal) level found, and the guide image on its surface.
+    fn narrowed(
+        &self,
+        grid: &Grid,
+        heights: &HeightHypotheses,
+        views: &[LevelView],
+        factor: usize,
+        found: &LevelResult,
+    ) -> (SearchRanges, Option<Vec<f32>>) {
+        let finer = found.factor / factor;
+        let candidates: Vec<_> = found.choices.iter().map(|choice| choice.candidates).collect();
+        let ranges = SearchRanges::around(
+            grid,
+            heights,
+            &found.grid,
+            finer,
+            &candidates,
+            REACH_CELLS,
+            MARGIN_STEPS * found.step_m,
+        );
+        let altitude = ortho::repeated(grid, &found.grid, finer, &found.altitude());
+        (ranges, Some(ortho::guide(grid, views, &altitude)))
+    }
+}

@@ -1,0 +1,73 @@
+//! What an adjustment finds for an image: a correction of its camera that depends on the image position alone.
+
+use crate::rpc::ImagePoint;
+
+/// What the error of an image's camera may be.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, serde::Serialize, serde::Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum BiasModel {
+    /// The same shift all over the image.
+    #[default]
+    Translation,
+    /// A shift, and a change of it that is linear along columns and rows: rotation, scale and drift.
+    Affine,
+}
+
+/// What is added to a camera's projections.
+///
+/// With `u` and `v` the column and row from the image's centre in units of half its longer side:
+/// `col += shift_px[0] + slope_px[0][0] u + slope_px[0][1] v`, `row` likewise with the second entries.
+#[derive(Debug, Clone, Copy, PartialEq, serde::Serialize, serde::Deserialize)]
+pub struct Correction {
+    /// Columns and rows at the image's centre, pixels.
+    pub shift_px: [f64; 2],
+    /// How the correction of columns (first) and rows (second) changes from the centre to the edge along columns and rows, pixels.
+    pub slope_px: [[f64; 2]; 2],
+    /// The image's centre, pixels.
+    pub centre: ImagePoint,
+    /// Half the image's longer side, pixels.
+    pub half_side_px: f64,
+}
+
+impl Correction {
+    /// No correction of an image of this size.
+    pub fn none(width: usize, height: usize) -> Self {
+        Self {
+            shift_px: [0.0; 2],
+            slope_px: [[0.0; 2]; 2],
+            centre: ImagePoint {
+                col: (width as f64 - 1.0) / 2.0,
+                row: (height as f64 - 1.0) / 2.0,
+            },
+            half_side_px: (width.max(height) as f64 / 2.0).max(1.0),
+        }
+    }
+
+    /// What is added at a projected position: columns and rows, pixels.
+    pub fn at(&self, projected: ImagePoint) -> [f64; 2] {
+        let [u, v] = self.half_sides_from_centre(projected);
+        [0, 1].map(|axis| self.shift_px[axis] + self.slope_px[axis][0] * u + self.slope_px[axis][1] * v)
+    }
+
+    /// A projected position, corrected.
+    pub fn apply(&self, projected: ImagePoint) -> ImagePoint {
+        let [col, row] = self.at(projected);
+        ImagePoint {
+            col: projected.col + col,
+            row: projected.row + row,
+        }
+    }
+
+    /// Whether it is the same all over the image.
+    pub fn is_translation(&self) -> bool {
+        self.slope_px == [[0.0; 2]; 2]
+    }
+
+    /// Column and row from the image's centre, in units of half its longer side.
+    pub(super) fn half_sides_from_centre(&self, at: ImagePoint) -> [f64; 2] {
+        [
+            (at.col - self.centre.col) / self.half_side_px,
+            (at.row - self.centre.row) / self.half_side_px,
+        ]
+    }
+}

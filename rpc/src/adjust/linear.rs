@@ -1,0 +1,26 @@
+//! One sighting, linearised: its residual and how the ground point and the correction move it.
+
+use nalgebra::{Matrix2x3, SMatrix, Vector2};
+
+/// Weight that holds points where nothing else does, square pixels per square metre.
+pub(super) const POINT_HOLD: f64 = 1e-8;
+
+/// One sighting's residual at the current estimate, and what it depends on.
+#[derive(Debug, Clone)]
+pub(super) struct Linear {
+    pub(super) image: usize,
+    /// How much the sighting counts if it fits.
+    pub(super) weight: f64,
+    /// Seen minus corrected projection, pixels.
+    pub(super) residual: Vector2<f64>,
+    /// Pixels per metre east, north, up.
+    pub(super) slope: Matrix2x3<f64>,
+    /// Column and row from the image's centre, in half sides.
+    pub(super) from_centre: [f64; 2],
+}
+
+/// How a correction's parameters move the image there.
+pub(super) fn basis<const K: usize>([u, v]: [f64; 2]) -> SMatrix<f64, 2, K> {
+    let all = SMatrix::<f64, 2, 6>::new(1.0, 0.0, u, v, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, u, v);
+    all.fixed_columns::<K>(0).into_owned()
+}

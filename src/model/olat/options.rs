@@ -1,0 +1,75 @@
+//! Options of the model, and the components of its light that can be shown alone.
+
+/// Options of the model.
+#[derive(Debug, Clone, PartialEq, serde::Serialize, serde::Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct OlatOptions {
+    /// Whether surfaces are glossy.
+    pub specular: bool,
+    /// Whether the light that reaches a surface is traced.
+    pub shadow: bool,
+    /// Whether light scatters under the surface.
+    pub scattering: bool,
+    /// Whether the shadow network refines the traced shadows.
+    pub refined: bool,
+    /// Units of the hidden layers of both networks.
+    pub width: usize,
+    /// Their hidden layers.
+    pub hidden: usize,
+    /// Half of the side of the cube that positions lie in.
+    pub half_size: f32,
+    /// Colour behind everything.
+    pub background: [f32; 3],
+    /// Whether images have coverage as a fourth band.
+    pub coverage: bool,
+    /// Distance at which a light of strength one counts as one.
+    pub distance: f32,
+    /// Radius of the lights.
+    pub radius: f32,
+    /// How much normals agree with those of the depth.
+    pub normal_weight: f32,
+    /// Depths that differ by more than this are an edge, not a slope.
+    pub normal_edge: f32,
+    /// Which component is rendered.
+    pub shows: Component,
+}
+
+/// Components of the rendered light, to show one alone.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, serde::Serialize, serde::Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Component {
+    /// All of it.
+    #[default]
+    All,
+    /// The diffuse part, in shadow too.
+    Diffuse,
+    /// The specular part, in shadow too.
+    Specular,
+    /// Transmittance toward the light.
+    Shadow,
+    /// Light scattered under the surface.
+    Scattering,
+    /// The normals of the frames behind the colours, where a model rasterises them.
+    Normal,
+}
+
+impl Default for OlatOptions {
+    fn default() -> Self {
+        Self {
+            specular: true,
+            shadow: true,
+            scattering: false,
+            refined: false,
+            width: 32,
+            hidden: 3,
+            half_size: 1.0,
+            background: [0.0; 3],
+            coverage: false,
+            distance: 1.0,
+            radius: 0.0,
+            normal_weight: 0.0,
+            normal_edge: 0.1,
+            shows: Component::All,
+        }
+    }
+}

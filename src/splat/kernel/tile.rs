@@ -1,0 +1,146 @@
+//! One tile of the image: its planes of accumulated values and of gradients, and how eight pixels of them are read and written.
+
+use crate::splat::bins::{TILE_HEIGHT, TILE_WIDTH};
+
+/// Pixels handled together.
+pub(super) const LANES: usize = 8;
+/// Distance between the rows of a tile in memory: its pixels, and room for eight that begin in its last column.
+pub const STRIDE: usize = TILE_WIDTH + LANES;
+/// Numbers of one plane of a tile.
+pub const PLANE: usize = TILE_HEIGHT * STRIDE;
+/// Transmittance below which a pixel is opaque: no further splat changes it.
+pub(super) const T_MIN: f32 = 1e-4;
+/// Transmittance at the median depth.
+pub(super) const MEDIAN: f32 = 0.5;
+/// Numbers besides the channels in a splat's gradient record: Σh, Σhx, Σhy, Σhx², Σhxy, Σhy², Σm, Σmx, Σmy.
+pub const GEOMETRY: usize = 9;
+
+pub(super) type Lane = [f32; LANES];
+pub(super) type Plane = [f32; PLANE];
+
+/// Accumulated values of one tile.
+#[derive(Clone)]
+pub struct TileMaps<const K: usize> {
+    /// Transmittance behind what was seen so far; zero outside the image.
+    pub transmittance: Plane,
+    /// Composited channels.
+    pub channels: [Plane; K],
+    /// `Σ w z`, metres.
+    pub depth: Plane,
+    /// `Σ w z²`, metres².
+    pub depth_square: Plane,
+    /// Depth where the transmittance falls through a half, metres; the last seen where it never does, zero where nothing was seen.
+    pub median_depth: Plane,
+    /// (splat, pixel) pairs inside the footprints.
+    pub pairs: u64,
+}
+
+impl<const K: usize> TileMaps<K> {
+    /// Room for a tile, on the heap.
+    pub fn boxed() -> Box<Self> {
+        Box::new(Self {
+            transmittance: [0.0; PLANE],
+            channels: [[0.0; PLANE]; K],
+            depth: [0.0; PLANE],
+            depth_square: [0.0; PLANE],
+            median_depth: [0.0; PLANE],
+            pairs: 0,
+        })
+    }
+
+    /// Empties the tile, keeping the count of pairs.
+    pub(super) fn clear(&mut self, frame: &TileFrame, depths: bool) {
+        frame.reset_transmittance(&mut self.transmittance);
+        self.channels.fill([0.0; PLANE]);
+        self.depth.fill(0.0);
+        if depths {
+            self.depth_square.fill(0.0);
+            self.median_depth.fill(0.0);
+        }
+    }
+}
+
+/// Gradients of a loss to the maps of one tile; zero outside the image.
+#[derive(Clone)]
+pub struct TileGradients<const K: usize> {
+    /// To the composited channels.
+    pub channels: [Plane; K],
+    /// To the accumulated alpha `Σ w`.
+    pub alpha: Plane,
+    /// To `Σ w z`.
+    pub depth: Plane,
+    /// `Σ_j w_j d_j`: the maps' values times these gradients, summed.
+    pub total: Plane,
+}
+
+impl<const K: usize> TileGradients<K> {
+    /// All zero, on the heap.
+    pub fn boxed() -> Box<Self> {
+        Box::new(Self {
+            channels: [[0.0; PLANE]; K],
+            alpha: [0.0; PLANE],
+            depth: [0.0; PLANE],
+            total: [0.0; PLANE],
+        })
+    }
+}
+
+/// What a tile covers.
+#[derive(Clone, Copy)]
+pub struct TileFrame {
+    /// First column, pixels.
+    pub col0: f32,
+    /// First row, pixels.
+    pub row0: f32,
+    /// Columns inside the image.
+    pub width: usize,
+    /// Rows inside the image.
+    pub height: usize,
+}
+
+impl TileFrame {
+    /// Transmittance before the first splat: one in the image, zero outside, where nothing then adds anything.
+    pub(super) fn reset_transmittance(&self, plane: &mut Plane) {
+        for (number, row) in plane.chunks_exact_mut(STRIDE).enumerate() {
+            let width = if number < self.height { self.width } else { 0 };
+            row[..width].fill(1.0);
+            row[width..].fill(0.0);
+        }
+    }
+}
+
+#[inline(always)]
+pub(super) fn load(values: &Plane, at: usize) -> Lane {
+    let mut lane = [0.0; LANES];
+    lane.copy_from_slice(&values[at..at + LANES]);
+    lane
+}
+
+#[inline(always)]
+pub(super) fn store(values: &mut Plane, at: usize, lane: Lane) {
+    values[at..at + LANES].copy_from_slice(&lane);
+}
+
+/// Whether every pixel of the tile is opaque.
+#[inline(always)]
+pub(super) fn is_opaque(transmittance: &Plane) -> bool {
+    let mut highest = [0.0f32; LANES];
+    for lane in transmittance.chunks_exact(LANES) {
+        for l in 0..LANES {
+            highest[l] = most(lane[l], highest[l]);
+        }
+    }
+    highest.iter().all(|&t| t < T_MIN)
+}
+
+/// The lesser, `b` where `a` is not a number; unlike `f32::min` one instruction.
+#[inline(always)]
+pub(super) fn least(a: f32, b: f32) -> f32 {
+    if a < b { a } else { b }
+}
+
+/// The greater, `b` where `a` is not a number.
+#[inline(always)]
+pub(super) fn most(a: f32, b: f32) -> f32 {
+    if a > b { a } else { b }
+}
