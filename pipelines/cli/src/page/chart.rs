@@ -165,7 +165,7 @@ pub struct Chart<'a> {
     pub reference: Option<[(f64, f64); 2]>,
     /// The lines.
     pub lines: &'a [Line],
-    /// The dots, over the lines; the first get their labels first.
+    /// The dots, over the lines; the first lie on top and get their labels first.
     pub dots: &'a [Dot<'a>],
 }
 
@@ -259,14 +259,7 @@ impl Chart<'_> {
         let (left, right) = (MARGIN[0] + 8.0, self.size.0 - MARGIN[1] - 4.0 - width);
         let (top, bottom) = (self.top() + 4.0, self.size.1 - MARGIN[3] - 6.0 - height);
         let corners = [(right, bottom), (left, top), (right, top), (left, bottom)];
-        let covered = |(x, y): &(f64, f64)| {
-            let area = Area([*x, x + width, *y, y + height]);
-            let samples = self
-                .lines
-                .iter()
-                .flat_map(|line| line.points.windows(2).flat_map(between));
-            samples.filter(|p| area.holds(self.place(*p))).count()
-        };
+        let covered = |(x, y): &(f64, f64)| self.lines_within(&Area([*x, x + width, *y, y + height]));
         // The first of equal ones.
         let (x, y) = corners.into_iter().min_by_key(covered).unwrap_or_default();
         html! {
@@ -274,6 +267,15 @@ impl Chart<'_> {
                 text x=(format_args!("{x:.1}")) y=(format_args!("{:.1}", y + 11.0 + LINE_HEIGHT * row as f64)) fill=(colour) { (line.name) }
             }
         }
+    }
+
+    /// How much of the lines lies within an area: a count of points along them.
+    fn lines_within(&self, area: &Area) -> usize {
+        let samples = self
+            .lines
+            .iter()
+            .flat_map(|line| line.points.windows(2).flat_map(between));
+        samples.filter(|p| area.holds(self.place(*p))).count()
     }
 
     fn dots(&self, theme: &Theme) -> Markup {
@@ -285,7 +287,9 @@ impl Chart<'_> {
             .map(|dot| {
                 let width = dot.label.chars().count() as f64 * CHARACTER;
                 let free = |(_, area): &(_, Area)| frame.contains(area) && !taken.iter().any(|other| other.meets(area));
-                let label = labels_around(self.place(dot.at), width).into_iter().find(free);
+                // The first of those that no line crosses, or else the first.
+                let places = labels_around(self.place(dot.at), width).into_iter().filter(free);
+                let label = places.min_by_key(|(_, area)| self.lines_within(area) > 0);
                 label.map(|(text, area)| {
                     taken.push(area);
                     text
@@ -294,7 +298,7 @@ impl Chart<'_> {
             .collect();
         let colour = theme.series[0];
         html! {
-            @for (dot, label) in self.dots.iter().zip(placed) {
+            @for (dot, label) in self.dots.iter().zip(placed).rev() {
                 @let (x, y) = self.place(dot.at);
                 circle cx=(format_args!("{x:.1}")) cy=(format_args!("{y:.1}")) r=(DOT) fill=(if dot.filled { colour } else { theme.paper }) stroke=(colour) {
                     title { (dot.label) }
@@ -309,7 +313,7 @@ impl Chart<'_> {
 
 /// Points along a piece of a line.
 fn between(ends: &[(f64, f64)]) -> impl Iterator<Item = (f64, f64)> + use<> {
-    const PARTS: usize = 8;
+    const PARTS: usize = 32;
     let ((x0, y0), (x1, y1)) = (ends[0], ends[1]);
     (0..=PARTS).map(move |part| {
         let share = part as f64 / PARTS as f64;

@@ -65,3 +65,46 @@ fn vectors(image: &ImageVectors, scale: f64, after: bool, good: bool) -> String 
     }
     path
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use heliosplat_rpc::ImagePoint;
+    use heliosplat_rpc::adjust::{ImageResiduals, ResidualVector, Spread};
+
+    #[test]
+    fn every_image_has_two_frames_with_its_vectors_and_its_name_stays_text() {
+        let spread = |rms_px: f64| Spread {
+            rms_px,
+            median_px: rms_px,
+        };
+        let vector = |good: bool| ResidualVector {
+            track: 0,
+            image: 0,
+            at: ImagePoint { col: 100.0, row: 50.0 },
+            before_px: [1.0, 2.0],
+            after_px: [0.5, 0.0],
+            good,
+        };
+        let image = ImageVectors {
+            name: "<script>\u{1}".into(),
+            width: 220,
+            height: 110,
+            residuals: ImageResiduals {
+                sightings: 3,
+                good: 2,
+                before: spread(2.2),
+                after: spread(0.5),
+            },
+            vectors: vec![vector(true), vector(false), vector(true)],
+        };
+        let drawn = picture(&[image.clone(), image]);
+        assert!(
+            drawn.contains("&lt;script&gt;\u{fffd}: rms 2.20 → 0.50 px, 2 of 3 ties") && !drawn.contains("<script")
+        );
+        // The picture itself, and two frames each.
+        assert_eq!(drawn.matches("<svg").count(), 5);
+        assert_eq!(drawn.matches("M100.0 50.0l12.0 24.0").count(), 6);
+        assert_eq!(drawn.matches("M100.0 50.0l6.0 0.0").count(), 6);
+    }
+}
