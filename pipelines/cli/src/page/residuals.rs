@@ -70,11 +70,11 @@ fn vectors(image: &ImageVectors, scale: f64, after: bool, good: bool) -> String 
 mod tests {
     use super::*;
     use heliosplat_rpc::ImagePoint;
-    use heliosplat_rpc::adjust::{ImageResiduals, ResidualVector, Spread};
+    use heliosplat_rpc::adjust::{ImageResiduals, ResidualSize, ResidualVector};
 
     #[test]
     fn every_image_has_two_frames_with_its_vectors_and_its_name_stays_text() {
-        let spread = |rms_px: f64| Spread {
+        let spread = |rms_px: f64| ResidualSize {
             rms_px,
             median_px: rms_px,
         };
