@@ -1,0 +1,183 @@
+//! The arenas: what each is, which numbers its table shows, and what is kept of one run.
+
+use serde::{Deserialize, Serialize};
+use std::collections::BTreeMap;
+
+/// What is measured on.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Arena {
+    /// Synthetic site of 128 m × 128 m.
+    Block,
+    /// Synthetic site of 256 m × 256 m.
+    City,
+    /// A city rendered by an independent path tracer.
+    CityB,
+    /// Real images of DFC2019.
+    Jax068,
+    /// Synthetic object, one light at a time.
+    Olat,
+    /// Synthetic object in bright surroundings.
+    Reflective,
+}
+
+impl Arena {
+    pub(super) const ALL: [Self; 6] = [
+        Self::Block,
+        Self::City,
+        Self::CityB,
+        Self::Jax068,
+        Self::Olat,
+        Self::Reflective,
+    ];
+
+    /// As the option `--arenas` names it.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Block => "block",
+            Self::City => "city",
+            Self::CityB => "cityb",
+            Self::Jax068 => "jax068",
+            Self::Olat => "olat",
+            Self::Reflective => "reflective",
+        }
+    }
+
+    pub(super) fn is_object(self) -> bool {
+        matches!(self, Self::Olat | Self::Reflective)
+    }
+
+    /// Heading, what the arena is, how it is measured, and the commands.
+    pub(super) fn head(self) -> [&'static str; 3] {
+        match self {
+            Self::Block => [
+                "Synthetic block",
+                "128 m × 128 m, 12 views of 0.5 m, 10 of them trained on. Exact truth. Protocol `raw`. The seed is that of the site.",
+                "`synth satellite --site block --seed SEED --out SCENE`, then `train SCENE --preset PRESET --out RUN`; sweep: `dsm SCENE --from sweep --out DSM`, then `evaluate --dsm DSM --truth TRUTH`",
+            ],
+            Self::City => [
+                "Synthetic city",
+                "256 m × 256 m, 16 views of 0.5 m, 14 of them trained on. Exact truth. Protocol `raw`. The seed is that of the site.",
+                "`synth satellite --site city --seed SEED --out SCENE`, then as for the block",
+            ],
+            Self::CityB => [
+                "Independent city",
+                "12 views of 0.5 m, RGB, rendered by a path tracer that is no part of this project. All views are trained on, without any truth beside them. Protocol `raw`. The seed is that of training.",
+                "`train SCENE --preset PRESET --seed SEED --out RUN`, then `evaluate --dsm RUN/dsm.tif --truth TRUTH --classes CLASSES`",
+            ],
+            Self::Jax068 => [
+                "DFC2019 JAX_068",
+                "19 real WorldView-3 crops of 0.33 m, RGB, split and bundle-adjusted RPCs of Sat-NeRF, lidar truth. Protocol `aligned`. The seed is that of training. Data: DFC2019, IEEE DataPort; US3D by JHU/APL, images courtesy DigitalGlobe.",
+                "`train SCENE --preset PRESET --seed SEED --out RUN`, then `evaluate --dsm RUN/dsm.tif --truth TRUTH --classes CLASSES --protocol aligned`",
+            ],
+            Self::Olat => [
+                "Synthetic object, one light at a time",
+                "Brushed metal, 128 × 128 pixels, 40 held-out images, half of them under lights far from those of training. PSNR of linear values.",
+                "`synth olat --look brushed --size 128 --seed SEED --out SCENE`, then `train SCENE --preset fast --out RUN`",
+            ],
+            Self::Reflective => [
+                "Synthetic reflective object",
+                "Clear coat, 128 × 128 pixels, 20 held-out images. PSNR of display values.",
+                "`synth reflective --look glossy --size 128 --seed SEED --out SCENE`, then `train SCENE --preset fast --out RUN`",
+            ],
+        }
+    }
+
+    pub(super) fn columns(self) -> &'static [Column] {
+        match self {
+            Self::Block | Self::City => &SURFACE,
+            Self::CityB => &SURFACE_WITHOUT_IMAGES,
+            Self::Jax068 => &SURFACE_WITH_IMAGES,
+            Self::Olat => &OLAT,
+            Self::Reflective => &REFLECTIVE,
+        }
+    }
+
+    /// What a reader must know of the columns.
+    pub(super) fn note(self) -> &'static str {
+        match self {
+            Self::Block | Self::City => {
+                "BER is the balanced error rate of shadow masks of the images trained on. \"With the image\" uses the image itself to place the border of each traced shadow; \"traced\" does not. PSNR is of held-out images, with the colour of an image of the same day."
+            }
+            _ => "",
+        }
+    }
+}
+/// One column of a table.
+pub(super) struct Column {
+    pub(super) head: &'static str,
+    /// Key of [`Record::numbers`].
+    pub(super) key: &'static str,
+    pub(super) factor: f64,
+    pub(super) decimals: usize,
+}
+
+const fn column(head: &'static str, key: &'static str, factor: f64, decimals: usize) -> Column {
+    Column {
+        head,
+        key,
+        factor,
+        decimals,
+    }
+}
+
+const MAE: Column = column("MAE m", "/dsm/mae_m", 1.0, 3);
+const MEDIAN: Column = column("median m", "/dsm/median_m", 1.0, 3);
+const WITHIN: Column = column("within 1 m %", "/dsm/within_1m", 100.0, 1);
+const COMPLETE: Column = column("completeness %", "/dsm/completeness", 100.0, 1);
+const HELD_OUT: Column = column("PSNR held out dB", "/test/psnr", 1.0, 2);
+const TIME: Column = column("time s", SECONDS, 1.0, 0);
+const MEMORY: Column = column("peak memory MiB", PEAK_BYTES, 1.0 / 1_048_576.0, 0);
+
+const SURFACE: [Column; 10] = [
+    MAE,
+    MEDIAN,
+    WITHIN,
+    COMPLETE,
+    column("BER with the image %", "/shadow/ber", 100.0, 1),
+    column("BER traced %", "/shadow/traced/ber", 100.0, 1),
+    HELD_OUT,
+    column("the same, RGB dB", "/test/psnr_rgb", 1.0, 2),
+    TIME,
+    MEMORY,
+];
+const SURFACE_WITHOUT_IMAGES: [Column; 6] = [MAE, MEDIAN, WITHIN, COMPLETE, TIME, MEMORY];
+const SURFACE_WITH_IMAGES: [Column; 7] = [MAE, MEDIAN, WITHIN, COMPLETE, HELD_OUT, TIME, MEMORY];
+const NORMALS: Column = column("normals off °", "/test/normals/mean_deg", 1.0, 1);
+const SSIM: Column = column("SSIM", "/test/ssim", 1.0, 3);
+const OLAT: [Column; 7] = [
+    HELD_OUT,
+    column("near dB", "/test/near/psnr", 1.0, 2),
+    column("far dB", "/test/far/psnr", 1.0, 2),
+    SSIM,
+    NORMALS,
+    TIME,
+    MEMORY,
+];
+const REFLECTIVE: [Column; 5] = [HELD_OUT, SSIM, NORMALS, TIME, MEMORY];
+/// Wall time of the command, seconds.
+pub(super) const SECONDS: &str = "seconds";
+/// Most memory that the command held, bytes.
+pub(super) const PEAK_BYTES: &str = "peak_bytes";
+/// What was measured in one run.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Record {
+    /// Where.
+    pub arena: Arena,
+    /// The preset, or `sweep`.
+    pub preset: String,
+    /// The seed.
+    pub seed: u64,
+    /// What the program says of its version.
+    pub version: String,
+    /// Hash of the program's file: records of another program are not used.
+    pub program: String,
+    /// Day of the run.
+    pub date: String,
+    /// Cores and processor.
+    pub machine: String,
+    /// Numbers by their place in `metrics.json`, and [`SECONDS`] and [`PEAK_BYTES`] of the process.
+    pub numbers: BTreeMap<String, f64>,
+    /// Why nothing could be measured, if so.
+    pub not_run: Option<String>,
+}
