@@ -36,10 +36,10 @@ pub(crate) fn train(args: &TrainArgs, session: &Session) -> Result<Outcome, CliE
     let preset = args.preset.map(Preset::from);
     let (preset, config, estimate) = configure(&scene, preset, &args.set, args.seed, args.time_budget)?;
     tracing::info!(
-        preset = preset.name(),
-        gib = estimate.peak_bytes / f64::from(1 << 30),
-        seconds = estimate.seconds,
-        "estimate"
+        "estimate: preset {}, {:.2} GiB, {:.0} s",
+        preset.name(),
+        estimate.peak_bytes / f64::from(1 << 30),
+        estimate.seconds
     );
     // Before its surface is known, a scene is refused only where it would not even fit if it were flat.
     estimate::must_fit(estimate.least_bytes, args.memory, &config)?;
