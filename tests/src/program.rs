@@ -8,25 +8,42 @@ use std::sync::LazyLock;
 /// which costs nothing when it is up to date. `HELIOSPLAT_BIN` names another one.
 static BINARY: LazyLock<PathBuf> = LazyLock::new(|| match std::env::var_os("HELIOSPLAT_BIN") {
     Some(path) => path.into(),
-    None => build(),
+    None => build(&["--bin", "heliosplat"]).remove(0),
 });
 
-fn build() -> PathBuf {
+/// The programs in the folder `examples`, built as the binary is: `cargo test --test examples` alone would not build them.
+static EXAMPLES: LazyLock<Vec<PathBuf>> = LazyLock::new(|| build(&["--examples"]));
+
+/// Builds programs of the workspace, which must be some.
+fn build(which: &[&str]) -> Vec<PathBuf> {
     let workspace = Path::new(env!("CARGO_MANIFEST_DIR")).join("..");
     let cargo = std::env::var_os("CARGO").unwrap_or_else(|| "cargo".into());
     let output = std::process::Command::new(cargo)
         .current_dir(workspace)
-        .args(["build", "--profile", "test", "--workspace", "--bin", "heliosplat"])
+        .args(["build", "--profile", "test", "--workspace"])
+        .args(which)
         .args(["--message-format", "json-render-diagnostics"])
         .output()
         .expect("cargo runs");
     assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
     let messages = String::from_utf8_lossy(&output.stdout).into_owned();
-    let executable = messages
+    let executables: Vec<PathBuf> = messages
         .lines()
         .filter_map(|line| serde_json::from_str::<serde_json::Value>(line).ok())
-        .find_map(|message| message["executable"].as_str().map(PathBuf::from));
-    executable.expect("cargo names the executable")
+        .filter_map(|message| message["executable"].as_str().map(PathBuf::from))
+        .collect();
+    assert!(!executables.is_empty(), "cargo names what it built");
+    executables
+}
+
+/// A program of the folder `examples` with its arguments.
+pub fn example<S: AsRef<std::ffi::OsStr>>(name: &str, arguments: &[S]) -> Command {
+    let found = EXAMPLES
+        .iter()
+        .find(|path| path.file_stem().is_some_and(|stem| stem == name));
+    let mut command = Command::new(found.expect("an example of this name"));
+    command.args(arguments);
+    command
 }
 
 /// Path of the binary.

@@ -5,11 +5,13 @@
 //! checkpoint, and a batch that was killed is taken up by the same command.
 
 pub mod driver;
+pub mod hashes;
 pub mod layers;
 pub mod manifest;
 pub mod mosaic;
 pub mod plan;
 pub mod products;
+pub mod row;
 pub mod seams;
 pub mod stamp;
 pub mod summary;

@@ -6,7 +6,7 @@
 
 use crate::outcome::{CliError, Outcome};
 use crate::verbs::*;
-use clap::{Parser, Subcommand};
+use clap::{CommandFactory, Parser, Subcommand};
 use heliosplat_raster::library_versions;
 use heliosplat_session::{Session, log};
 use std::process::ExitCode;
@@ -171,8 +171,8 @@ fn run(cli: &Cli) -> Result<Outcome, CliError> {
         Command::Tradeoff(args) => tradeoff::run(args, cli.threads, &session),
         Command::Batch(args) => batch::run(args, cli.threads, &session),
         Command::Bench => bench::run(),
-        Command::Completions(args) => completions::run(args),
-        Command::Man(args) => man::run(args),
+        Command::Completions(args) => completions::run(args, Cli::command()),
+        Command::Man(args) => man::run(args, Cli::command()),
     }
 }
 
@@ -195,7 +195,6 @@ fn print_line(text: &str) {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use clap::CommandFactory;
 
     #[test]
     fn the_command_line_is_consistent_and_every_verb_shows_an_example() {

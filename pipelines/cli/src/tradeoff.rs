@@ -114,11 +114,11 @@ impl Sweep {
             rows.push(row(job, &self.train(job, session)?));
             progress.set(done as u64 + 1);
             tracing::info!(
-                point = job.point.name,
-                seed = job.seed,
-                done = done + 1,
-                of = jobs.len(),
-                "trained"
+                "trained {} of {}: {}, seed {}",
+                done + 1,
+                jobs.len(),
+                job.point.name,
+                job.seed
             );
         }
         Ok(rows)

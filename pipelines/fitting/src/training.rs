@@ -6,6 +6,7 @@ use crate::curve::{Accuracy, CurvePoint};
 use heliosplat::model::Parameters;
 use heliosplat::train::{EarlyStop, StepReport, TrainError, Trainer};
 use heliosplat_session::Session;
+use heliosplat_session::log::grouped;
 use serde::Serialize;
 use std::path::{Path, PathBuf};
 use std::time::Instant;
@@ -100,7 +101,7 @@ pub fn train<P: Clone + Serialize>(
     let progress = session.progress("train", steps as u64);
     progress.set(trainer.steps() as u64);
     let mut pace = Pace::new(trainer.views());
-    let mut ending = Ending::Done;
+    let (mut ending, mut steps) = (Ending::Done, steps);
     while !trainer.finished() && !session.stopped() {
         let begun = Instant::now();
         let report = match trainer.step() {
@@ -113,7 +114,7 @@ pub fn train<P: Clone + Serialize>(
         };
         pace.add(begun.elapsed());
         if let Some(budget) = budget {
-            let steps = budget.steps(report.step, pace.step_s());
+            steps = budget.steps(report.step, pace.step_s());
             trainer.set_iterations(steps);
             progress.set_total(steps as u64);
         }
@@ -122,7 +123,7 @@ pub fn train<P: Clone + Serialize>(
         log.smoothed = Some(l1);
         progress.set(report.step as u64);
         if report.step % CURVE_EVERY == 0 {
-            progress.say(&format!("L1 {l1:.4} gaussians {}", report.gaussians));
+            progress.say(&format!("L1 {l1:.4}, {} Gaussians", grouped(report.gaussians)));
             let probe = probe.filter(|_| report.step % probe_every == 0);
             log.curve.push(CurvePoint {
                 held_out_l1: trainer.held_out_l1(),
@@ -131,10 +132,11 @@ pub fn train<P: Clone + Serialize>(
             });
         }
         if report.step % 100 == 0 {
-            let StepReport {
-                step, gaussians, pairs, ..
-            } = report;
-            tracing::info!(step, l1, gaussians, pairs, "training");
+            let gaussians = grouped(report.gaussians);
+            tracing::info!(
+                "training: step {} of {steps}, L1 {l1:.4}, {gaussians} Gaussians",
+                report.step
+            );
         }
         checkpoints.step_done(&trainer);
     }

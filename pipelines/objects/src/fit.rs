@@ -14,6 +14,7 @@ use heliosplat_fitting::curve::CurvePoint;
 use heliosplat_fitting::training::{Ending, TrainingError, train};
 use heliosplat_scene::Split;
 use heliosplat_session::Session;
+use heliosplat_session::log::grouped;
 use std::time::Instant;
 
 /// A trained model and how it came about.
@@ -52,7 +53,14 @@ pub fn fit(
 ) -> Result<Fitted, TrainingError> {
     let begun = Instant::now();
     let plan = plan::plan(capture, config, session)?;
-    tracing::info!(kind = ?plan.kind, specular = plan.specular, scattering = plan.scattering, why = plan.reason, "model");
+    let with_or_without = |has: bool| if has { "with" } else { "without" };
+    tracing::info!(
+        "model: {:?}, {} gloss, {} scattering ({})",
+        plan.kind,
+        with_or_without(plan.specular),
+        with_or_without(plan.scattering),
+        plan.reason
+    );
     let mut planned = config.clone();
     planned.model.specular = plan.specular;
     planned.model.scattering = plan.scattering;
@@ -63,7 +71,7 @@ pub fn fit(
         parameters,
         how,
     } = prepare::input(capture, plan.kind, &planned, &frames);
-    tracing::info!(gaussians = parameters.gaussians.count, how, "start");
+    tracing::info!("start: {} Gaussians {how}", grouped(parameters.gaussians.count));
     let scene_model = kind.model();
     let views: Vec<View> = frames
         .iter()
@@ -85,7 +93,10 @@ pub fn fit(
         None,
     )?;
     if let Some(checkpoint) = checkpoint {
-        tracing::info!(step = checkpoint.trainer.steps(), of = steps, "training goes on");
+        tracing::info!(
+            "training continues after step {} of {steps}",
+            checkpoint.trainer.steps()
+        );
         checkpoints.log = checkpoint.log;
         trainer
             .restore(checkpoint.trainer)

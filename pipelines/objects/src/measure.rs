@@ -8,7 +8,7 @@ use glam::Vec3;
 use heliosplat::Raster;
 use heliosplat::model::Parameters;
 use heliosplat::shade::display;
-use heliosplat_evaluate::image::{ImageScore, score_image};
+use heliosplat_evaluate::image::{ImageScore, psnr_db, score_image};
 use heliosplat_fitting::curve::Accuracy;
 use heliosplat_fitting::training::Probe;
 use heliosplat_raster::RasterError;
@@ -183,7 +183,7 @@ fn by_part(model: &ObjectModel, capture: &Capture, frames: &[&Frame]) -> Option<
         .iter()
         .map(|(part, sum)| {
             json!({
-                "part": part, "pixels": sum.pixels, "psnr": -10.0 * (sum.square / sum.pixels as f64).max(1e-12).log10(),
+                "part": part, "pixels": sum.pixels, "psnr": psnr_db((sum.square / sum.pixels as f64).max(1e-12), 1.0),
                 "normals_deg": sum.angle_deg / sum.angles.max(1) as f64,
             })
         })

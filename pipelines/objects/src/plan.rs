@@ -11,6 +11,7 @@ use heliosplat::light::Light;
 use heliosplat::model::View;
 use heliosplat::render::{PassOptions, render};
 use heliosplat::train::Trainer;
+use heliosplat_evaluate::image::psnr_db;
 use heliosplat_fitting::training::TrainingError;
 use heliosplat_scene::Split;
 use heliosplat_session::Session;
@@ -245,5 +246,5 @@ fn trial(capture: &Capture, config: &ObjectConfig, kind: ModelKind, parts: Parts
             }
         }
     }
-    Ok(-10.0 * (sum / count.max(1) as f64).max(1e-12).log10())
+    Ok(psnr_db((sum / count.max(1) as f64).max(1e-12), 1.0))
 }

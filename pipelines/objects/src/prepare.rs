@@ -34,7 +34,8 @@ const EDGE_PX: f64 = 6.0;
 /// What the images of `capture` are made for a model of `kind`.
 fn preparation(capture: &Capture, kind: ModelKind, config: &ObjectConfig) -> Preparation {
     let (background, why) = views::background(capture, config.model.background);
-    tracing::info!(?background, why, "background");
+    let [red, green, blue] = background;
+    tracing::info!("background: red {red:.2}, green {green:.2}, blue {blue:.2} ({why})");
     let olat = kind == ModelKind::Olat;
     let display = capture.frames.iter().any(|f| f.picture.encoding == Encoding::Display);
     let intensities: Vec<[f64; 3]> = capture.frames.iter().filter_map(|f| f.light?.intensity).collect();

@@ -2,7 +2,7 @@
 
 use super::dsm::{NadirGrid, maps, of_gaussians};
 use super::relight::{RelightError, relight_ortho};
-use super::writer::{Said, Writer};
+use super::writer::{Said, Set, Writer};
 use super::{ortho, points};
 use crate::model::{LoadedModel, ModelImage};
 use heliosplat_fitting::run_folder::inputs;
@@ -10,7 +10,7 @@ use heliosplat_raster::{Geoid, RasterError};
 use heliosplat_rpc::sun::SunPosition;
 use jiff::Timestamp;
 use std::collections::BTreeMap;
-use std::path::{Path, PathBuf};
+use std::path::Path;
 use std::time::SystemTime;
 
 /// What is asked of the products of a run.
@@ -24,19 +24,6 @@ pub struct Request {
     pub geoid: Option<Geoid>,
     /// The sun of the relit ortho image, if there is to be one.
     pub sun: Option<SunPosition>,
-}
-
-/// The products of a run.
-#[derive(Debug)]
-pub struct Set {
-    /// The STAC item.
-    pub item: serde_json::Value,
-    /// The files, `item.json` last.
-    pub files: Vec<PathBuf>,
-    /// Their names in the folder.
-    pub names: Vec<String>,
-    /// Share of the grid whose altitude is known.
-    pub completeness: f64,
 }
 
 /// The date of an image by name: its day, or without a time the place of its sun.

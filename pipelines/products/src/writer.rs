@@ -1,8 +1,8 @@
 //! Products on one grid, written one after the other, each noted for the STAC item that comes last.
 
 use super::dsm::{BANDS, Dsm, UNITS};
+use super::ortho;
 use super::stac::{self, About, Asset, Band};
-use super::{ortho, set::Set};
 use heliosplat::Raster;
 use heliosplat_raster::write::{Bytes, ImageSpec, write_byte_cog, write_cog};
 use heliosplat_raster::{GridSpec, RasterError, write_atomically};
@@ -26,6 +26,19 @@ pub struct Said<'a> {
     pub sun: Option<&'a SunPosition>,
     /// Name of the collection it belongs to and where that is, if any.
     pub collection: Option<(&'a str, &'a str)>,
+}
+
+/// What was written.
+#[derive(Debug)]
+pub struct Set {
+    /// The STAC item.
+    pub item: serde_json::Value,
+    /// The files, `item.json` last.
+    pub files: Vec<PathBuf>,
+    /// Their names in the folder.
+    pub names: Vec<String>,
+    /// Share of the grid whose altitude is known.
+    pub completeness: f64,
 }
 
 /// Writes products of one grid into a folder.

@@ -4,8 +4,8 @@
 //! works on after a batch that was killed, and the next one finds what there is.
 
 use super::plan::{Plan, Unit};
+use super::row::{Row, State, log_of};
 use super::stamp::finished;
-use super::summary::{Row, State};
 use crate::outcome::CliError;
 use heliosplat_fitting::run_folder::create_folder;
 use heliosplat_session::Progress;
@@ -13,7 +13,7 @@ use heliosplat_session::Session;
 use std::collections::BTreeMap;
 use std::fs::{File, OpenOptions};
 use std::io::{Read, Seek, SeekFrom};
-use std::path::{Path, PathBuf};
+use std::path::Path;
 use std::process::{Child, Command, Stdio};
 use std::time::{Duration, Instant};
 
@@ -51,11 +51,6 @@ struct Running<'a> {
     line: Progress,
 }
 
-/// Where the log of a unit is.
-pub fn log_of(out: &Path, unit: &Unit) -> PathBuf {
-    out.join(&unit.id).join("log.txt")
-}
-
 impl Batch<'_> {
     /// Does every unit that is not finished; what comes of each, in the order of the plan. A unit that fails stops those that wait for
     /// it and no others.
@@ -71,7 +66,11 @@ impl Batch<'_> {
             }
         }
         let done = rows.iter().filter(|row| row.state == State::Skipped).count();
-        tracing::info!(units = units.len(), finished = done, jobs = self.jobs, "batch");
+        tracing::info!(
+            "batch: {} units, {done} of them finished before; up to {} at a time",
+            units.len(),
+            self.jobs
+        );
         let progress = session.progress("units", units.len() as u64);
         let mut running: Vec<Running> = Vec::new();
         let mut looks = 0;
@@ -138,7 +137,7 @@ impl Batch<'_> {
                 Some((place, unit)) if running.len() < self.jobs => {
                     let child = self.spawn(unit)?;
                     rows[place].state = State::Running;
-                    tracing::info!(unit = unit.id, "begun");
+                    tracing::info!("{}: started", unit.id);
                     running.push(Running {
                         unit,
                         place,
@@ -193,7 +192,7 @@ impl Batch<'_> {
         match (code, finished(self.out, unit)) {
             (Some(0), Some(stamp)) => {
                 row.finish(State::Done, &stamp);
-                tracing::info!(unit = unit.id, seconds, "done");
+                tracing::info!("{}: done in {seconds:.1} s", unit.id);
             }
             (Some(130), _) if session.stopped() => row.state = State::Pending,
             (code, _) => {
@@ -202,7 +201,7 @@ impl Batch<'_> {
                     Some(code) => format!("it ended with exit code {code}"),
                     None => "it was killed".into(),
                 });
-                tracing::error!(unit = unit.id, "failed: {line}");
+                tracing::error!("{}: failed: {line}", unit.id);
                 row.fail(line);
             }
         }

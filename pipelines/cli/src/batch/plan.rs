@@ -1,8 +1,8 @@
 //! The units of a batch, in an order in which they can be done.
 
 use super::BatchError;
+use super::hashes::{Hashes, Seen, seen};
 use super::manifest::{AreaEntry, ImagesEntry, Manifest, PresetEntry, ProductOptions};
-use super::stamp::{Hashes, Seen, seen};
 use super::tiles::{self, Tiling};
 use heliosplat_fitting::checkpoint::{digest, identity_of_program};
 use heliosplat_raster::write::write_atomically;

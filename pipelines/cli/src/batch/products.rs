@@ -5,7 +5,6 @@ use super::layers::{Layer, Merge};
 use super::mosaic::Mosaic;
 use super::plan::{MosaicWork, Unit};
 use super::summary::COLLECTION;
-use super::unit::RUN;
 use crate::outcome::CliError;
 use heliosplat::Raster;
 use heliosplat_products::model::{self, LoadedModel, ModelFile, ModelImage};
@@ -18,6 +17,8 @@ use serde_json::{Value, json};
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
+/// Folder of a tile's training, below the tile's own.
+pub(super) const RUN: &str = "run";
 /// Name of the point cloud.
 const POINTS: &str = "points.laz";
 /// Folder of pictures for people.

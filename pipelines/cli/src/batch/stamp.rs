@@ -3,18 +3,13 @@
 use super::BatchError;
 use super::plan::Unit;
 use heliosplat_fitting::run_folder;
-use heliosplat_raster::write::write_atomically;
-use heliosplat_raster::{RasterError, is_virtual};
 use serde_json::Value;
-use std::collections::BTreeMap;
 use std::fs::{File, TryLockError};
-use std::path::{Path, PathBuf};
-use std::time::{Duration, SystemTime};
+use std::path::Path;
+use std::time::Duration;
 
 /// Name of the stamp in a unit's folder.
 pub const STAMP: &str = "unit.json";
-/// Name of the file that hashes are kept in.
-const HASHES: &str = "inputs.json";
 
 /// What a unit leaves when it is finished; written last.
 #[derive(Debug, Clone, PartialEq, serde::Serialize, serde::Deserialize)]
@@ -73,79 +68,6 @@ pub fn finished(out: &Path, unit: &Unit) -> Option<Stamp> {
     (stamp.key == unit.key && stamp.unit == unit.id && stamp.outputs.iter().all(there)).then_some(stamp)
 }
 
-/// Size and time of change of a file, as far as they can be told.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
-pub struct Seen {
-    bytes: u64,
-    changed_ns: u128,
-}
-
-/// What can be seen of a file without reading it; nothing of one that is not there.
-pub fn seen(path: &Path) -> Seen {
-    let data = std::fs::metadata(path).ok();
-    let changed = data.as_ref().and_then(|data| data.modified().ok());
-    let since = changed.and_then(|time| time.duration_since(SystemTime::UNIX_EPOCH).ok());
-    Seen {
-        bytes: data.map_or(0, |data| data.len()),
-        changed_ns: since.unwrap_or_default().as_nanos(),
-    }
-}
-
-/// Hashes of files that have not changed since.
-#[derive(Debug, Default)]
-pub struct Hashes {
-    known: BTreeMap<PathBuf, (Seen, String)>,
-}
-
-impl Hashes {
-    /// Those that are kept in `out`.
-    pub fn open(out: &Path) -> Self {
-        let text = std::fs::read(out.join(HASHES)).unwrap_or_default();
-        Self {
-            known: serde_json::from_slice(&text).unwrap_or_default(),
-        }
-    }
-
-    /// Keeps them in `out`.
-    ///
-    /// # Errors
-    /// When they cannot be written.
-    pub fn save(&self, out: &Path) -> Result<(), RasterError> {
-        let text = serde_json::to_string(&self.known).unwrap_or_default();
-        write_atomically(&out.join(HASHES), text.as_bytes())
-    }
-
-    /// Names and hashes of files, a line each. A file on a virtual file system stands for itself by its name.
-    ///
-    /// # Errors
-    /// When one cannot be read.
-    pub fn of(&mut self, files: &[PathBuf]) -> Result<String, BatchError> {
-        let mut text = String::new();
-        for file in files {
-            let name = file.file_name().unwrap_or_default().to_string_lossy().into_owned();
-            if is_virtual(file) {
-                text += &format!("{}\n", file.display());
-                continue;
-            }
-            if !file.is_file() {
-                continue;
-            }
-            let now = seen(file);
-            let before = self.known.get(file).filter(|(then, _)| *then == now);
-            let sum = match before {
-                Some((_, sum)) => sum.clone(),
-                None => run_folder::hash(file).map_err(|error| BatchError::Io {
-                    path: file.clone(),
-                    reason: std::io::Error::other(error.to_string()),
-                })?,
-            };
-            text += &format!("{name} {sum}\n");
-            self.known.insert(file.clone(), (now, sum));
-        }
-        Ok(text)
-    }
-}
-
 /// The right to work in a unit's folder; given back when dropped, or when the process ends, however it does.
 #[derive(Debug)]
 pub struct Claim {
@@ -175,7 +97,7 @@ pub fn claim(folder: &Path, stopped: &dyn Fn() -> bool) -> Result<Option<Claim>,
             return Ok(None);
         }
         if !told {
-            tracing::info!(folder = %folder.display(), "another process works here; waiting for it");
+            tracing::info!("{}: another process works here; waiting for it", folder.display());
             told = true;
         }
         std::thread::sleep(Duration::from_millis(100));
@@ -249,19 +171,5 @@ mod tests {
         assert!(claim(folder.path(), &|| true).expect("lockable").is_none());
         drop(claimed);
         assert!(claim(folder.path(), &|| true).expect("lockable").is_some());
-    }
-
-    #[test]
-    fn a_hash_is_taken_again_when_a_file_has_changed() {
-        let folder = tempfile::tempdir().expect("a temporary folder");
-        let file = folder.path().join("a.tif");
-        std::fs::write(&file, b"one").expect("written");
-        let mut hashes = Hashes::default();
-        let before = hashes.of(std::slice::from_ref(&file)).expect("readable");
-        hashes.save(folder.path()).expect("written");
-        let mut hashes = Hashes::open(folder.path());
-        assert_eq!(hashes.of(std::slice::from_ref(&file)).expect("readable"), before);
-        std::fs::write(&file, b"three").expect("written");
-        assert_ne!(hashes.of(std::slice::from_ref(&file)).expect("readable"), before);
     }
 }

@@ -3,7 +3,7 @@
 use super::BatchError;
 use super::mosaic::mosaic;
 use super::plan::{MosaicWork, Plan, TileWork, Unit, Work};
-use super::products;
+use super::products::{self, RUN};
 use super::seams;
 use super::stamp::{Output, STAMP, Stamp, claim, finished};
 use crate::outcome::CliError;
@@ -27,8 +27,6 @@ use std::time::{Duration, Instant};
 const BEGUN: &str = "begun.txt";
 /// Name of a page.
 const REPORT: &str = crate::report::FILE;
-/// Folder of a tile's training.
-pub(super) const RUN: &str = "run";
 
 /// Does a unit, unless it is finished; returns its stamp and whether it was finished before.
 ///

@@ -2,8 +2,9 @@
 
 use crate::batch::driver::Batch;
 use crate::batch::plan::Plan;
+use crate::batch::row::{Row, State};
 use crate::batch::stamp::finished;
-use crate::batch::summary::{self, Row, State};
+use crate::batch::summary;
 use crate::batch::unit::do_unit;
 use crate::outcome::{CliError, Outcome};
 use crate::parse;

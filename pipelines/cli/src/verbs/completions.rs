@@ -1,8 +1,7 @@
 //! `heliosplat completions`: what a shell needs to complete the command line, from the definition of the command line itself.
 
-use crate::command_line::Cli;
 use crate::outcome::{CliError, Outcome};
-use clap::{Args, CommandFactory};
+use clap::{Args, Command};
 use clap_complete::Shell;
 
 /// `completions`.
@@ -13,9 +12,8 @@ pub struct CompletionsArgs {
     pub shell: Shell,
 }
 
-/// The script on stdout.
-pub(crate) fn run(args: &CompletionsArgs) -> Result<Outcome, CliError> {
-    let mut command = Cli::command();
+/// The script for `command` on stdout.
+pub(crate) fn run(args: &CompletionsArgs, mut command: Command) -> Result<Outcome, CliError> {
     let name = command.get_name().to_owned();
     let mut script = Vec::new();
     clap_complete::generate(args.shell, &mut command, name, &mut script);

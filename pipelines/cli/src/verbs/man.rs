@@ -1,8 +1,7 @@
 //! `heliosplat man`: manual pages, one for the program and one for each verb, from the definition of the command line itself.
 
-use crate::command_line::Cli;
 use crate::outcome::{CliError, Outcome};
-use clap::{Args, Command, CommandFactory};
+use clap::{Args, Command};
 use clap_mangen::Man;
 use heliosplat_raster::write::write_atomically;
 use std::path::{Path, PathBuf};
@@ -15,12 +14,10 @@ pub struct ManArgs {
     pub out: PathBuf,
 }
 
-/// Writes the pages: `heliosplat.1`, `heliosplat-train.1` and so on.
-pub(crate) fn run(args: &ManArgs) -> Result<Outcome, CliError> {
+/// Writes the pages of `command`: `heliosplat.1`, `heliosplat-train.1` and so on.
+pub(crate) fn run(args: &ManArgs, command: Command) -> Result<Outcome, CliError> {
     // The libraries that `--version` names are those of this machine; a manual page is read on others.
-    let mut command = Cli::command()
-        .version(env!("CARGO_PKG_VERSION"))
-        .disable_help_subcommand(true);
+    let mut command = command.version(env!("CARGO_PKG_VERSION")).disable_help_subcommand(true);
     command.build();
     let mut pages = Vec::new();
     write_pages(&command, &args.out, &mut pages)?;

@@ -7,6 +7,7 @@ use clap::Args;
 use heliosplat_products::model;
 use heliosplat_products::set::{self, Request};
 use heliosplat_products::stac;
+use heliosplat_products::writer::Set;
 use heliosplat_raster::{Geoid, write_atomically};
 use heliosplat_rpc::GeoPoint;
 use heliosplat_rpc::sun::{SunPosition, sun_position};
@@ -103,7 +104,7 @@ fn one(
     folder: &Path,
     names: (&str, Option<(&str, &str)>),
     session: &Session,
-) -> Result<set::Set, CliError> {
+) -> Result<Set, CliError> {
     let model = model::load(run)?;
     let request = Request {
         gsd_m: args.gsd,

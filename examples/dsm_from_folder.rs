@@ -1,0 +1,62 @@
+//! A surface model from a folder of satellite images by the plane sweep, without training.
+//!
+//! Usage: `dsm_from_folder SCENE OUT.tif [LOW,HIGH]` (lowest and highest altitude of the surface, metres above the WGS 84 ellipsoid;
+//! without them the files of the scene must say)
+//!
+//! Writes a cloud-optimised GeoTIFF in the local UTM zone, with the cell size of the images, and prints a line about it.
+
+use heliosplat_fitting::settings::Preset;
+use heliosplat_products::dsm::{Place, of_surface};
+use heliosplat_satellite::config::SatelliteConfig;
+use heliosplat_satellite::swept::sweep_only;
+use heliosplat_scene::{IngestOptions, Scene};
+use heliosplat_session::Session;
+use std::error::Error;
+use std::path::Path;
+use std::process::ExitCode;
+
+fn main() -> ExitCode {
+    match run() {
+        Ok(()) => ExitCode::SUCCESS,
+        Err(error) => {
+            eprintln!("error: {error}");
+            ExitCode::FAILURE
+        }
+    }
+}
+
+fn run() -> Result<(), Box<dyn Error>> {
+    let arguments: Vec<String> = std::env::args().skip(1).collect();
+    let (folder, out, altitude_range_m) = match arguments.as_slice() {
+        [folder, out] => (folder, out, None),
+        [folder, out, range] => (folder, out, Some(parse(range)?)),
+        _ => return Err("usage: dsm_from_folder SCENE OUT.tif [LOW,HIGH]".into()),
+    };
+    let options = IngestOptions {
+        altitude_range_m,
+        ..Default::default()
+    };
+    let scene = Scene::open(Path::new(folder), &options)?;
+    for warning in &scene.warnings {
+        eprintln!("warning: {warning}");
+    }
+    let config = SatelliteConfig::resolve(Preset::Balanced, &[], 1)?;
+    let surface = sweep_only(&scene, &config, &Session::quiet())?;
+    let dsm = of_surface(&Place::from(&scene), &surface, scene.gsd_m, None)?;
+    dsm.write(Path::new(out))?;
+    println!(
+        "{out}: {} x {} cells of {:.2} m, {:.1} % known",
+        dsm.grid.width,
+        dsm.grid.height,
+        scene.gsd_m,
+        100.0 * dsm.completeness()
+    );
+    Ok(())
+}
+
+fn parse(text: &str) -> Result<(f64, f64), Box<dyn Error>> {
+    let numbers = text
+        .split_once(',')
+        .and_then(|(low, high)| Some((low.parse().ok()?, high.parse().ok()?)));
+    numbers.ok_or_else(|| format!("{text}: expected LOW,HIGH in metres").into())
+}

@@ -1,0 +1,67 @@
+//! Where points of the ground are in an image, and where the image says they are on the ground.
+//!
+//! Usage: `project_points IMAGE|RPCFILE LON,LAT,ALT...` (degrees, and metres above the WGS 84 ellipsoid)
+//!
+//! Prints a line for each point: lon lat alt, col row, and the lon lat that the camera localises from col, row and alt. Pixel centres
+//! are at whole numbers.
+
+use heliosplat_rpc::{GeoPoint, Rpc};
+use heliosplat_scene::{RpcPreference, camera_of};
+use std::error::Error;
+use std::path::Path;
+use std::process::ExitCode;
+
+fn main() -> ExitCode {
+    match run() {
+        Ok(()) => ExitCode::SUCCESS,
+        Err(error) => {
+            eprintln!("error: {error}");
+            ExitCode::FAILURE
+        }
+    }
+}
+
+fn run() -> Result<(), Box<dyn Error>> {
+    let arguments: Vec<String> = std::env::args().skip(1).collect();
+    let [file, points @ ..] = arguments.as_slice() else {
+        return Err("usage: project_points IMAGE|RPCFILE LON,LAT,ALT...".into());
+    };
+    let camera = camera_of(Path::new(file), RpcPreference::default())?;
+    for text in points {
+        println!("{}", there_and_back(&camera, parse(text)?)?);
+    }
+    Ok(())
+}
+
+fn there_and_back(camera: &Rpc, point: GeoPoint) -> Result<String, Box<dyn Error>> {
+    let GeoPoint {
+        lon_deg,
+        lat_deg,
+        height_m,
+    } = point;
+    let pixel = camera.project(point);
+    if !(pixel.col.is_finite() && pixel.row.is_finite()) {
+        return Err(format!("{lon_deg} {lat_deg} {height_m} has no place in the image").into());
+    }
+    let back = camera.localise(pixel, height_m)?;
+    Ok(format!(
+        "{lon_deg} {lat_deg} {height_m} {:.3} {:.3} {:.9} {:.9}",
+        pixel.col, pixel.row, back.lon_deg, back.lat_deg
+    ))
+}
+
+fn parse(text: &str) -> Result<GeoPoint, Box<dyn Error>> {
+    let numbers: Vec<f64> = text
+        .split(',')
+        .map(str::parse)
+        .collect::<Result<_, _>>()
+        .unwrap_or_default();
+    let &[lon_deg, lat_deg, height_m] = numbers.as_slice() else {
+        return Err(format!("{text}: expected LON,LAT,ALT").into());
+    };
+    Ok(GeoPoint {
+        lon_deg,
+        lat_deg,
+        height_m,
+    })
+}
