@@ -4,10 +4,9 @@
 //! plane sweep, the start and the trainer consume. `inspect` prints that value with its reasons, and `run.toml` keeps it. What is
 //! set by hand stays as it is.
 
-use super::config::{Align, SatelliteConfig};
+use super::config::{Align, SatelliteConfig, THRESHOLD_PX};
 use super::ground::Ground;
 use super::shadow_prior::ENOUGH_VIEWS;
-use super::swept::THRESHOLD_PX;
 use heliosplat_scene::{BandKind, Scene, SceneImage};
 use heliosplat_scene::{crop, saturation};
 use heliosplat_stereo::clouds::FEWEST_VIEWS;

@@ -2,7 +2,7 @@
 
 use super::adjust::{self, AdjustInput};
 use super::clouds;
-use super::config::{Align, SatelliteConfig};
+use super::config::{Align, SatelliteConfig, THRESHOLD_PX};
 use super::error::FitError;
 use super::ground::Ground;
 use super::plan::Decisions;
@@ -12,10 +12,6 @@ use heliosplat_scene::Scene;
 use heliosplat_session::Session;
 use heliosplat_stereo::{MatchingParameters, Surface, plane_sweep};
 use std::time::Instant;
-
-/// Shift, pixels, above which [`Align::Auto`] corrects. Ties find shifts to 0.03 px; below a tenth what they find may be noise, and
-/// sound cameras are better left as they are.
-pub(super) const THRESHOLD_PX: f32 = 0.1;
 
 /// Results that are computed once before training, and kept in its checkpoint.
 #[derive(Debug, Clone, serde::Serialize, serde::Deserialize)]
