@@ -170,7 +170,13 @@ mod tests {
         let request = parse("--arenas block,olat --seeds 21 --presets fast --out page.md").expect("sound options");
         assert_eq!(request.arenas, [Arena::Block, Arena::Olat]);
         assert_eq!((request.seeds, request.presets), (vec![21], vec!["fast".to_owned()]));
-        for text in ["--arenas nowhere", "--seeds x", "--presets quick", "--colour red", "--out"] {
+        for text in [
+            "--arenas nowhere",
+            "--seeds x",
+            "--presets quick",
+            "--colour red",
+            "--out",
+        ] {
             let fault = parse(text).expect_err(text);
             assert!(text.split(' ').any(|word| fault.contains(word)), "{fault}");
         }
