@@ -176,7 +176,7 @@ pub struct Record {
     pub date: String,
     /// Cores and processor.
     pub machine: String,
-    /// Numbers by their place in `metrics.json`, and [`SECONDS`] and [`PEAK_BYTES`] of the process.
+    /// Numbers by their place in `metrics.json`, and wall seconds and peak bytes of the process.
     pub numbers: BTreeMap<String, f64>,
     /// Why nothing could be measured, if so.
     pub not_run: Option<String>,
