@@ -195,6 +195,24 @@ fn neither_time_nor_sun_is_named_with_the_remedy() {
 }
 
 #[test]
+fn more_bands_than_a_model_renders_are_refused_before_anything_is_computed() {
+    let of_bands = |number: usize, bands: usize| View {
+        bands,
+        ..View::new(number)
+    };
+    let folder = scene(&[of_bands(0, 13), of_bands(1, 13)]);
+    refused(
+        folder.path(),
+        &["view_0.tif", "13 bands", "12 at most", "gdal_translate"],
+    );
+    // Twelve are inspected as any others.
+    let folder = scene(&[of_bands(0, 12), of_bands(1, 12)]);
+    heliosplat(&["inspect".as_ref(), folder.path().as_os_str()])
+        .assert()
+        .success();
+}
+
+#[test]
 fn mixed_band_counts_name_both_images() {
     let colour = View {
         bands: 3,
