@@ -1,5 +1,5 @@
-//! An object training from a capture to a finished run, stage by stage: read ([`open`]) → plan, start and fit ([`fit`](crate::fit)) →
-//! save ([`run`](crate::run)) → evaluate ([`measure`](crate::measure)).
+//! An object training from a capture to a finished run, stage by stage: read ([`open`]) → plan, start and fit ([`fit`]) →
+//! save ([`run`]) → evaluate ([`measure`]).
 
 use crate::capture::{Capture, IMAGE_BYTES};
 use crate::config::ObjectConfig;
