@@ -21,7 +21,6 @@ BATCHES = {
         ("learning rate", "src/optim/schedule.rs", [("    if from == 0.0 {\n        return 0.0;\n    }\n", "")]),
         ("quaternion", "src/gaussians.rs", [("    if norm < 1e-12 || !norm.is_finite() {\n        return Quat::IDENTITY;\n    }\n", "")]),
         ("entropy", "src/loss/shadow.rs", [("const CLAMP: f32 = 0.02;", "const CLAMP: f32 = 0.0;")]),
-        ("facing", SHADOW_GS.replace(".rs", "/facing.rs"), [("const LEAST_HEIGHT: f32 = 0.05;", "const LEAST_HEIGHT: f32 = f32::MIN_POSITIVE;"), ("const MOST: f32 = 4.0;", "const MOST: f32 = f32::INFINITY;")]),
         ("point light", "src/light.rs", [("if distance > 1e-12 {", "if distance >= 0.0 {")]),
         ("exp saturates", FAST, [("    let x = if x > 88.0 { 88.0 } else { x };\n    let x = if x < -87.0 { -87.0 } else { x };\n", "")]),
         ("Adam's squares", "src/train/fault.rs", [("let sound = |value: f32| value.abs() < GRADIENT_MAX;", "let sound = f32::is_finite;")]),

@@ -45,7 +45,6 @@ impl Site {
         let model = ShadowGs::new(ShadowGsOptions {
             bands: BANDS,
             // Three colours and their visibility: facing would composite the normals too.
-            facing: false,
             ..ShadowGsOptions::default()
         });
         let mut groups = core_groups();

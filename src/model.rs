@@ -138,11 +138,6 @@ pub trait SceneModel: Send + Sync {
     /// Whether features need the transmittance toward the light.
     fn needs_transmittance(&self) -> bool;
 
-    /// Whether composing needs the composited normals, which then follow the model's channels.
-    fn needs_normals(&self) -> bool {
-        false
-    }
-
     /// Writes the channels of every splat: `out[splat * stride + channel]`.
     fn features(&self, context: &Context, seen: &Seen, out: &mut [f32]);
 

@@ -68,8 +68,7 @@ pub struct Pass<'a> {
 
 impl<'a> Pass<'a> {
     /// Renders the model of `context` through its camera; `light` is how the transmittance toward the context's light is found.
-    pub fn new(model: &'a dyn SceneModel, context: Context<'a>, light: Lit<'a>, mut options: PassOptions) -> Self {
-        options.normals |= model.needs_normals();
+    pub fn new(model: &'a dyn SceneModel, context: Context<'a>, light: Lit<'a>, options: PassOptions) -> Self {
         let gaussians = &context.parameters.gaussians;
         let projected = project(gaussians, context.camera, &options.projection);
         let traced = match (light, &context.light) {

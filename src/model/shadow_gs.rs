@@ -3,16 +3,13 @@
 //! Channels: albedo `F` (one per band), visibility of the sun `S`, and, when switched on, near-surface light `L_n`. Per pixel
 //!
 //! ```text
-//! L = S f + (1 - S f)(L_sky + L_n)        C = F ⊙ L        C' = A C + b
+//! L = S + (1 - S)(L_sky + L_n)        C = F ⊙ L        C' = A C + b
 //! ```
-//!
-//! The paper has `f = 1`: one brightness whatever way a surface lies. Here `f` is how much it faces the sun, relative to level
-//! ground (`facing`), because roofs and façades change from date to date; it can be switched off.
 //!
 //! `L_sky` is a colour per image (its haze and its sun's height differ), positive through a softplus. `A` (a matrix) and `b`
 //! are per image; those of the reference image stay the identity and zero, which fixes the gauge.
 //!
-//! `f` of the paper is albedo by spherical harmonics of the viewing direction, and so is `L_n`. Here both are one value per Gaussian and
+//! The paper's albedo is by spherical harmonics of the viewing direction, and so is `L_n`. Here both are one value per Gaussian and
 //! band, to which `degree` adds harmonics of degree 1 and more, one after another, as differences to straight down:
 //!
 //! ```text
@@ -23,19 +20,16 @@
 //! hardly change: as they are, they would be the constant once more. As differences they leave `F_k` what is seen from straight above.
 //! Nothing is clamped.
 
-mod facing;
 mod harmonics;
 mod lighting;
 
 use super::{Context, NamedLoss, Parameters, SceneModel, Seen};
 use crate::gaussians::FEATURES;
-use crate::light::Light;
 use crate::loss::shadow::{opaqueness, prior};
 use crate::optim::{LearningRate, ParameterGroup};
 use crate::raster::Raster;
 use crate::shade::sh;
 use crate::splat::{MapGradients, Maps};
-use facing::Facing;
 use harmonics::Harmonics;
 use lighting::{ChunkGradients, Lighting, SharedGradients};
 use rayon::prelude::*;
@@ -54,8 +48,6 @@ pub struct ShadowGsOptions {
     pub image_colour: bool,
     /// Near-surface light in shadows, per Gaussian.
     pub near_light: bool,
-    /// Surfaces are as bright as they face the sun.
-    pub facing: bool,
     /// Weight of the shadow opaqueness loss.
     pub opaqueness_weight: f32,
     /// Weight of the shadow prior, for views that bring one.
@@ -75,7 +67,6 @@ impl Default for ShadowGsOptions {
             reference: 0,
             image_colour: true,
             near_light: false,
-            facing: true,
             opaqueness_weight: 0.3,
             prior_weight: 0.0,
             degree: 0,
@@ -128,39 +119,20 @@ impl ShadowGs {
         }
     }
 
-    /// How the surfaces of `maps`, which hold the normals after the model's channels, face the sun; `None` where that is off or
-    /// not known.
-    fn facing<'m>(&self, light: Option<Light>, maps: &'m Maps) -> Option<Facing<'m>> {
-        self.options
-            .facing
-            .then(|| Facing::new(light, maps, self.channels()))
-            .flatten()
-    }
-
-    /// Share of the sun that reaches each pixel, 0 to 1: its visibility, and none where the surface turns away from it; NaN
-    /// where there is no surface. `maps` hold the normals after the model's channels.
-    pub fn sunlit(&self, light: Option<Light>, maps: &Maps) -> Vec<f32> {
-        let visibility = &maps.channels[self.visibility_channel()];
-        let facing = self.facing(light, maps);
-        (0..maps.alpha.len())
-            .map(|i| {
-                if maps.alpha[i] > 0.5 {
-                    let lit = facing.as_ref().map_or(1.0, |f| f.lit(i));
-                    (lit * visibility[i] / maps.alpha[i]).clamp(0.0, 1.0)
-                } else {
-                    f32::NAN
-                }
+    /// Share of the sun that reaches each pixel, 0 to 1; NaN where there is no surface.
+    pub fn sunlit(&self, maps: &Maps) -> Vec<f32> {
+        let pixels = self.visibility(maps).iter().zip(&maps.alpha);
+        pixels
+            .map(|(visibility, &alpha)| match alpha > 0.5 {
+                true => (visibility / alpha).clamp(0.0, 1.0),
+                false => f32::NAN,
             })
             .collect()
     }
 
-    /// The sun's light on each pixel, `S f`, in units of its light on level ground.
-    pub fn sunlight(&self, light: Option<Light>, maps: &Maps) -> Vec<f32> {
-        let visibility = &maps.channels[self.visibility_channel()];
-        let facing = self.facing(light, maps);
-        (0..maps.alpha.len())
-            .map(|i| visibility[i] * facing.as_ref().map_or(1.0, |f| f.factor(i).0))
-            .collect()
+    /// The composited visibility of the sun, `S`, pixel by pixel.
+    pub fn visibility<'m>(&self, maps: &'m Maps) -> &'m [f32] {
+        &maps.channels[self.visibility_channel()]
     }
 
     /// The image of `maps` as if this share of the sun, 0 to 1, reached every surface.
@@ -264,10 +236,6 @@ impl SceneModel for ShadowGs {
 
     fn needs_transmittance(&self) -> bool {
         true
-    }
-
-    fn needs_normals(&self) -> bool {
-        self.options.facing
     }
 
     fn features(&self, context: &Context, seen: &Seen, out: &mut [f32]) {

@@ -285,19 +285,10 @@ pub fn render(gaussians: &[Gaussian], camera: &Camera, visibility: &[f64], filte
     pixels
 }
 
-/// How much a pixel faces the sun, relative to level ground: `max(0, n·s) / s_z`, at most 4.
-pub fn facing(pixel: &Pixel, sun: &Sun) -> f64 {
-    let length = pixel.normal.norm();
-    if length < 1e-3 {
-        return 1.0;
-    }
-    (pixel.normal.dot(sun) / length / sun.z.max(0.05)).clamp(0.0, 4.0)
-}
-
-/// The composed colour of a pixel: `A (F ⊙ (S f + (1 - S f) (sky + near))) + b`.
-pub fn compose(pixel: &Pixel, facing: f64, sky: &[f64], matrix: &[f64], offset: &[f64]) -> Vec<f64> {
+/// The composed colour of a pixel: `A (F ⊙ (S + (1 - S) (sky + near))) + b`.
+pub fn compose(pixel: &Pixel, sky: &[f64], matrix: &[f64], offset: &[f64]) -> Vec<f64> {
     let bands = sky.len();
-    let s = pixel.visibility * facing;
+    let s = pixel.visibility;
     let shade = |k: usize| sky[k] + pixel.albedo.get(bands + k).unwrap_or(&0.0);
     let colour: Vec<f64> = (0..bands)
         .map(|k| pixel.albedo[k] * (s + (1.0 - s) * shade(k)))

@@ -215,7 +215,7 @@ fn reference_values(case: &Case, flat: &Flat) -> Vec<f64> {
     pixels
         .iter()
         .flat_map(|p| {
-            let mut values = reference::compose(p, reference::facing(p, &sun), &sky, matrix, offset);
+            let mut values = reference::compose(p, &sky, matrix, offset);
             values.extend([p.alpha, p.depth, p.depth_square, p.normal.x, p.normal.y, p.normal.z]);
             values
         })

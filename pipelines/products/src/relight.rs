@@ -107,7 +107,7 @@ fn lit(model: &LoadedModel, sun: &SunPosition, camera: &ProjectiveCamera) -> Res
         width: image.width,
         height: image.height,
         bands: 1,
-        values: model.model.sunlit(Some(light), &rendering.maps),
+        values: model.model.sunlit(&rendering.maps),
     };
     for (i, lit) in visibility.values.iter().enumerate() {
         if lit.is_nan() {

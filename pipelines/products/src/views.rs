@@ -76,9 +76,9 @@ pub fn render_view(model: &LoadedModel, image: &ModelImage, truth: Option<&Raste
         width: camera.width,
         height: camera.height,
         bands: 1,
-        values: model.model.sunlit(Some(light), &maps),
+        values: model.model.sunlit(&maps),
     };
-    let sunlight = model.model.sunlight(Some(light), &maps);
+    let sunlight = model.model.visibility(&maps);
     let mut colour = Colouring::Own;
     if image.appearance.is_none() && image.same_day.is_some() {
         colour = Colouring::SameDay;
@@ -87,9 +87,9 @@ pub fn render_view(model: &LoadedModel, image: &ModelImage, truth: Option<&Raste
         if let Some(truth) = truth {
             colour = Colouring::LeftHalf;
             for band in 0..colours.bands {
-                fit_band(&maps.channels[band], &sunlight, truth.plane(band), camera.width).apply(
+                fit_band(&maps.channels[band], sunlight, truth.plane(band), camera.width).apply(
                     &maps.channels[band],
-                    &sunlight,
+                    sunlight,
                     colours.plane_mut(band),
                 );
             }

@@ -72,8 +72,6 @@ pub struct ModelOptions {
     /// Largest degree of the spherical harmonics by which albedo (and near-surface light) changes with the viewing direction: 0, the same
     /// from everywhere, for matt ground, up to 3 for ground that shines.
     pub sh_degree: usize,
-    /// Whether surfaces are as bright as they face the sun; off it is the paper's model.
-    pub facing: bool,
     /// Weight of the shadow opaqueness loss; 0, off, is better on every site measured (docs/lab/components.md), the paper and the ablation
     /// have it.
     pub opaqueness_weight: f32,
@@ -92,7 +90,6 @@ impl Default for ModelOptions {
             saturation: None,
             near_light: false,
             sh_degree: 0,
-            facing: true,
             opaqueness_weight: 0.0,
             shadow_prior: None,
             shadow_masks: None,

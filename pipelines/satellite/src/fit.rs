@@ -201,7 +201,6 @@ fn model(ground: &Ground, decisions: &Decisions) -> ShadowGs {
         prior_weight: if decisions.shadow_prior { PRIOR_WEIGHT } else { 0.0 },
         near_light: decisions.near_light,
         degree: decisions.sh_degree,
-        facing: decisions.facing,
         opaqueness_weight: decisions.opaqueness_weight,
     })
 }

@@ -31,8 +31,6 @@ pub struct Decisions {
     pub near_light: bool,
     /// Largest degree of the spherical harmonics of albedo.
     pub sh_degree: usize,
-    /// Albedo is shaded by the Lambert cosine.
-    pub facing: bool,
     /// Weight of the shadow opaqueness loss.
     pub opaqueness_weight: f32,
     /// Parameters of the plane sweep; `None` where no two images show the common ground.
@@ -110,7 +108,6 @@ impl Decisions {
             align: config.cameras.align,
             near_light: model.near_light,
             sh_degree: model.sh_degree,
-            facing: model.facing,
             opaqueness_weight: model.opaqueness_weight,
             matching: facts.matching.as_ref().map(MatchingParameters::choose),
             items: Vec::new(),
@@ -228,11 +225,6 @@ impl Decisions {
                 ),
             ),
             item("cameras.align", self.align != Align::Off, pointing_reason(self.align)),
-            item(
-                "model.facing",
-                self.facing,
-                "roofs and façades are as bright as they face the sun".into(),
-            ),
             item(
                 "model.near_light",
                 self.near_light,

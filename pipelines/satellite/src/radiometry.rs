@@ -1,7 +1,6 @@
 //! Colours to start from: per-image gain and offset, and the albedo of each Gaussian, from what the views show of the start
 //! surface where they see it lit.
 
-use glam::Vec3;
 use heliosplat::gaussians::{OPACITY, Table, logit};
 use heliosplat::light::Light;
 use heliosplat::model::Parameters;
@@ -24,21 +23,13 @@ const SOLID: f32 = 0.99;
 /// Pixels next to uncovered ones that do not count either.
 const EDGE_PX: usize = 3;
 
-/// What one view shows of every Gaussian: its pixel, where it is visible, and the sun's light on it in units of that on level
-/// ground.
+/// What one view shows of every Gaussian: its pixel, where it is visible, and whether the sun reaches it.
 struct Sample {
     pixel: Option<u32>,
-    sun: f32,
+    lit: bool,
 }
 
-impl Sample {
-    /// Lit, and lying about level: what two dates show alike.
-    fn plain(&self) -> bool {
-        (0.7..1.4).contains(&self.sun)
-    }
-}
-
-fn samples(gaussians: &Table, occluders: &Occluders, view: &View, maps: &Maps, facing: bool) -> Vec<Sample> {
+fn samples(gaussians: &Table, occluders: &Occluders, view: &View, maps: &Maps) -> Vec<Sample> {
     let all: Vec<u32> = (0..gaussians.count as u32).collect();
     let lit: Vec<f32> = match &view.light {
         Some(light @ Light::Directional(_)) => transmittance(occluders, &all, light).values,
@@ -60,18 +51,9 @@ fn samples(gaussians: &Table, occluders: &Occluders, view: &View, maps: &Maps, f
                 let depth = maps.median_depth[p as usize];
                 view.weight[p as usize] > 0.0 && view.camera.depth(position) < depth + VISIBLE_M
             });
-            let bright = match &view.light {
-                Some(Light::Directional(sun)) if facing => {
-                    let normal = gaussians.rotation(g as usize) * Vec3::Z;
-                    // A disc is seen, and lit, on the side it turns to the camera.
-                    let outward = normal * -normal.dot(view.camera.depth_axis).signum();
-                    (outward.dot(*sun) / sun.z.max(0.05)).clamp(0.0, 4.0)
-                }
-                _ => 1.0,
-            };
             Sample {
                 pixel: visible,
-                sun: if lit[g as usize] > LIT { bright } else { 0.0 },
+                lit: lit[g as usize] > LIT,
             }
         })
         .collect()
@@ -90,7 +72,7 @@ fn gain(reference: &[Sample], truth: &[f32], own: &[Sample], values: &[f32]) -> 
     let both: Vec<(f32, f32)> = reference
         .iter()
         .zip(own)
-        .filter(|(a, b)| a.plain() && b.plain())
+        .filter(|(a, b)| a.lit && b.lit)
         .filter_map(|(a, b)| Some((truth[a.pixel? as usize], values[b.pixel? as usize])))
         .collect();
     let mut from: Vec<f32> = both.iter().map(|p| p.0).collect();
@@ -136,8 +118,7 @@ pub(super) fn initialise(model: &ShadowGs, parameters: &mut Parameters, views: &
             &render(model, &solid, &view.camera, None, None, PassOptions::default()).maps,
         );
         let maps = render(model, parameters, &view.camera, None, None, PassOptions::default()).maps;
-        let facing = model.options.facing;
-        shown.push(samples(&parameters.gaussians, &occluders, view, &maps, facing));
+        shown.push(samples(&parameters.gaussians, &occluders, view, &maps));
     }
     let reference = views
         .iter()
@@ -176,7 +157,7 @@ pub(super) fn initialise(model: &ShadowGs, parameters: &mut Parameters, views: &
                         let sample = &shown[v][g];
                         let value = views[v].image.plane(k)[sample.pixel? as usize];
                         let (gain, offset) = colours[v][k];
-                        let light = sky + (1.0 - sky) * sample.sun;
+                        let light = sky + (1.0 - sky) * f32::from(u8::from(sample.lit));
                         value.is_finite().then(|| (value - offset) / gain / light)
                     })
                     .collect();

@@ -13,8 +13,6 @@ pub(super) struct HeightChoice {
     pub(super) altitude_m: f32,
     /// Lowest and highest altitude that stay candidates for the next search, metres.
     pub(super) candidates: (f32, f32),
-    /// Summed cost of the level: how badly the views agree, with what smoothness adds.
-    pub(super) cost: u16,
     /// How much worse the best distant alternative is, 0 (equal) to 1.
     pub(super) margin: f32,
 }
@@ -78,7 +76,6 @@ fn winner(sums: &[u16], low: usize, heights: &HeightHypotheses, tolerance: u16) 
             heights.altitude((low + least) as f32),
             heights.altitude((low + most) as f32),
         ),
-        cost: sums[best],
         margin,
     }
 }

@@ -1,19 +1,15 @@
 //! From composited channels to pixels: the light that reaches a surface, its colour in the image, and the gradients of both.
 
-use super::facing::Facing;
 use super::{CHUNK, ShadowGs};
-use crate::model::{Context, SceneModel};
+use crate::model::Context;
 use crate::raster::Raster;
 use crate::splat::Maps;
-use glam::Vec3;
 
 /// The light of one view, and what turns it into a pixel.
 pub(super) struct Lighting<'a> {
     maps: &'a Maps,
     bands: usize,
     near: Option<usize>,
-    facing: Option<Facing<'a>>,
-    normal_at: usize,
     sky: Vec<f32>,
     matrix: Vec<f32>,
     offset: Vec<f32>,
@@ -59,20 +55,10 @@ impl<'a> Lighting<'a> {
             maps,
             bands: model.options.bands,
             near: model.near_channel(),
-            facing: model.facing(context.light, maps),
-            normal_at: model.channels(),
             sky: model.sky(context.parameters, image),
             matrix,
             offset,
         }
-    }
-
-    /// The sun's light on a pixel, `S f`, its `f` and the gradient of `f` to the normal.
-    #[inline]
-    fn sun(&self, pixel: usize) -> (f32, f32, Vec3) {
-        let visible = self.maps.channels[self.bands][pixel];
-        let (factor, d_normal) = self.facing.as_ref().map_or((1.0, Vec3::ZERO), |f| f.factor(pixel));
-        (visible * factor, factor, d_normal)
     }
 
     /// The light in shadow: sky, and what the neighbourhood reflects.
@@ -88,7 +74,7 @@ impl<'a> Lighting<'a> {
         let mut values = vec![0.0; range.len() * bands];
         let mut colour = vec![0.0; bands];
         for (j, i) in range.clone().enumerate() {
-            let sun = self.sun(i).0;
+            let sun = maps.channels[bands][i];
             for (k, c) in colour.iter_mut().enumerate() {
                 let shade = self.shade(k, i);
                 *c = maps.channels[k][i] * (shade + (1.0 - shade) * sun);
@@ -110,14 +96,10 @@ impl<'a> Lighting<'a> {
         let mut channels: Vec<usize> = (0..=bands).collect();
         let near_slot = channels.len();
         channels.extend(self.near.iter().flat_map(|&at| at..at + bands));
-        let normal_slot = channels.len();
-        if self.facing.is_some() {
-            channels.extend(self.normal_at..self.normal_at + 3);
-        }
         let mut values = vec![0.0; channels.len() * count];
         let mut shared = SharedGradients::new(bands);
         for (j, i) in range.enumerate() {
-            let (sun, factor, facing_gradient) = self.sun(i);
+            let sun = maps.channels[bands][i];
             let mut d_sun = 0.0;
             for k in 0..bands {
                 let (albedo, shade) = (maps.channels[k][i], self.shade(k, i));
@@ -138,13 +120,7 @@ impl<'a> Lighting<'a> {
                     values[(near_slot + k) * count + j] = d_shade;
                 }
             }
-            values[bands * count + j] = d_sun * factor;
-            if self.facing.is_some() {
-                let d_normal = facing_gradient * (d_sun * maps.channels[bands][i]);
-                for (k, d) in d_normal.to_array().into_iter().enumerate() {
-                    values[(normal_slot + k) * count + j] = d;
-                }
-            }
+            values[bands * count + j] = d_sun;
         }
         ChunkGradients {
             channels,

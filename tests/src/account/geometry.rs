@@ -1,29 +1,18 @@
-//! Splats: the footprint of a Gaussian, the stack of them along a ray, surfaces that face the sun, brightness in a window.
+//! Splats: the footprint of a Gaussian, the stack of them along a ray, brightness in a window.
 
 use super::{Errors, Row, Worst, ratio, relative, steps};
 use crate::reference;
 use glam::{Mat3, Quat, Vec3};
 use heliosplat::gaussians::{LOG_SCALE, OPACITY, POSITION, ROTATION, Table, core_groups};
-use heliosplat::light::Light;
 use heliosplat::loss::photometric::photometric;
-use heliosplat::model::shadow_gs::{ShadowGs, ShadowGsOptions};
 use heliosplat::splat::project::{project, project_backward};
-use heliosplat::splat::{MapGradients, Maps, Projected, ProjectionOptions, Rasteriser, SplatGradient};
+use heliosplat::splat::{MapGradients, Projected, ProjectionOptions, Rasteriser, SplatGradient};
 use heliosplat::{ProjectiveCamera, Raster};
 use nalgebra::Vector3;
 
 pub(super) fn rows(timed: bool) -> Vec<Row> {
     let [conic, dimming, slope, alpha] = footprint_rows(timed);
-    vec![
-        conic,
-        dimming,
-        slope,
-        alpha,
-        stack_row(),
-        facing_row(),
-        frame_row(),
-        window_row(),
-    ]
+    vec![conic, dimming, slope, alpha, stack_row(), frame_row(), window_row()]
 }
 
 const OPTIONS: ProjectionOptions = ProjectionOptions {
@@ -319,52 +308,6 @@ fn stack_row() -> Row {
         },
         limit: (1.1e-4, 1e-2),
         naive,
-        cost: None,
-    }
-}
-
-fn facing_row() -> Row {
-    let model = ShadowGs::new(ShadowGsOptions {
-        bands: 1,
-        ..ShadowGsOptions::default()
-    });
-    let (mut robust, mut naive) = (Worst::default(), Worst::default());
-    for elevation in [-0.5f32, 0.0, 0.1, 0.5, 1.0, 3.0, 10.0, 45.0, 90.0] {
-        for tilt in steps(0.0, 180.0, 181) {
-            let (st, ct) = (tilt as f32).to_radians().sin_cos();
-            let (normal, sun) = (
-                Vec3::new(st, 0.0, ct),
-                Vec3::new(elevation.to_radians().cos(), 0.0, elevation.to_radians().sin()),
-            );
-            let planes = [1.0, 1.0, normal.x, normal.y, normal.z];
-            let maps = Maps {
-                width: 1,
-                height: 1,
-                channels: planes.iter().map(|&v| vec![v]).collect(),
-                alpha: vec![1.0],
-                ..Maps::default()
-            };
-            let got = f64::from(model.sunlight(Some(Light::Directional(sun)), &maps)[0]);
-            let cosine = normal.as_dvec3().normalize().dot(sun.as_dvec3());
-            let exact = (cosine / f64::from(sun.z).max(0.05f32.into())).clamp(0.0, 4.0);
-            let at = || format!("sun {elevation} degrees, slope {tilt:.0} degrees");
-            robust.see(relative(got, exact, 1.0), at);
-            // The same ratio without its bounds against the bounded one: how much more light than the sun has.
-            naive.see((f64::from(normal.dot(sun) / sun.z) - exact).abs(), at);
-        }
-    }
-    Row {
-        formula: "facing the sun `clamp(n·s / max(s_z, 0.05), 0, 4)`",
-        domain: "sun from -0.5 to 90 degrees, slopes to 180, relative, absolute below 1",
-        robust: Errors {
-            value: robust,
-            gradient: None,
-        },
-        limit: (3e-6, 0.0),
-        naive: Errors {
-            value: naive,
-            gradient: None,
-        },
         cost: None,
     }
 }

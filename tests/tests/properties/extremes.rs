@@ -75,7 +75,6 @@ fn combination(number: u64) -> Combination {
         bands: 1,
         images: count,
         near_light: random.random(),
-        facing: random.random(),
         image_colour: random.random(),
         ..ShadowGsOptions::default()
     });

@@ -188,7 +188,7 @@ mod tests {
         vec![
             trained("fast", 40.0, 0.7),
             trained("balanced", 160.0, 0.6),
-            trained("no-facing", 39.0, 0.75),
+            trained("no-image-colour", 39.0, 0.75),
         ]
     }
 

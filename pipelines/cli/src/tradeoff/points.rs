@@ -206,9 +206,9 @@ mod tests {
 
     #[test]
     fn a_choice_brings_what_it_is_compared_with() {
-        let points = load(None, &["no-facing".to_owned()]).expect("a known point");
+        let points = load(None, &["no-image-colour".to_owned()]).expect("a known point");
         let names: Vec<&str> = points.iter().map(|p| p.name.as_str()).collect();
-        assert_eq!(names, ["fast", "no-facing"]);
+        assert_eq!(names, ["fast", "no-image-colour"]);
         assert!(matches!(
             load(None, &["nothing".to_owned()]),
             Err(PointsError::Nothing(..))
