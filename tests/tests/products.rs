@@ -73,7 +73,7 @@ fn band(dataset: &Dataset, index: usize) -> Vec<f32> {
 
 /// Name of the file, descriptions of its bands, nodata.
 const EXPECTED: [(&str, &[&str], f64); 8] = [
-    ("dsm", &["altitude", "standard_deviation", "coverage"], -9999.0),
+    ("dsm", &["altitude", "standard_deviation", "coverage", "views"], -9999.0),
     ("hillshade", &["shade"], 0.0),
     ("albedo", &["red", "green", "blue", "near_infrared"], -9999.0),
     ("vegetation", &["vegetation"], 255.0),

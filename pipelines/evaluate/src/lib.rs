@@ -116,10 +116,27 @@ pub struct DsmEvaluation {
     pub metrics: DsmMetrics,
     /// Prediction minus truth after registration, metres, on the truth's grid; `NaN` where not measured.
     pub errors: Raster,
+    /// The truth.
+    pub truth: GeoRaster,
+    /// Cells that a complete prediction would have a value in.
+    pub wanted: Vec<bool>,
     /// Metres per pixel of the truth's grid.
     pub gsd_m: f64,
     /// What a reader should know, one line each.
     pub warnings: Vec<String>,
+}
+
+impl DsmEvaluation {
+    /// Adds to the metrics which share of the wanted cells that `seen` says are seen the prediction does not know.
+    pub fn count_seen_unknown(&mut self, seen: &[bool]) {
+        let cells = seen.iter().zip(&self.wanted).zip(self.errors.plane(0));
+        let (mut all, mut unknown) = (0usize, 0usize);
+        for ((_, _), error) in cells.filter(|((seen, wanted), _)| **seen && **wanted) {
+            all += 1;
+            unknown += usize::from(error.is_nan());
+        }
+        self.metrics.seen_unknown = (all > 0).then(|| unknown as f64 / all as f64);
+    }
 }
 
 /// Compares two altitude rasters on disk; `classes` are LAS codes on the truth's grid.
@@ -178,6 +195,8 @@ pub fn evaluate_raster(
     Ok(DsmEvaluation {
         metrics,
         errors,
+        truth,
+        wanted,
         gsd_m,
         warnings,
     })

@@ -18,6 +18,9 @@ pub struct HeightErrors {
     pub nmad_m: f64,
     /// Share of measured cells within 1 m, 0..1.
     pub within_1m: f64,
+    /// Share of measured cells off by more than 5 m, 0..1.
+    #[serde(default)]
+    pub beyond_5m: f64,
     /// Share of the cells with truth that have a prediction, 0..1.
     pub completeness: f64,
 }
@@ -38,6 +41,10 @@ pub struct DsmMetrics {
     /// Ground, roads, bridges and buildings together, where classes are known: what stays as it is from season to season.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub ground_and_buildings: Option<HeightErrors>,
+    /// Share of the cells that at least two images see (on the true surface) whose altitude the prediction does not know, 0..1; absent
+    /// where it is not known who sees what.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub seen_unknown: Option<f64>,
     /// What the prediction's own standard deviations are worth, where it has them.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub uncertainty: Option<Uncertainty>,
@@ -88,12 +95,14 @@ impl DsmMetrics {
                 median_m: f64::NAN,
                 nmad_m: f64::NAN,
                 within_1m: 0.0,
+                beyond_5m: 0.0,
                 completeness: 0.0,
             }),
             shift_m,
             protocol: protocol.name().to_owned(),
             by_class,
             ground_and_buildings: static_classes,
+            seen_unknown: None,
             uncertainty: None,
         }
     }
@@ -117,6 +126,7 @@ pub(super) fn statistics(wanted: impl Iterator<Item = f32>) -> Option<HeightErro
     Some(HeightErrors {
         mae_m: absolute.iter().sum::<f64>() / measured,
         rmse_m: (absolute.iter().map(|error| error * error).sum::<f64>() / measured).sqrt(),
+        beyond_5m: absolute.iter().filter(|error| **error > 5.0).count() as f64 / measured,
         within_1m: absolute.iter().filter(|error| **error <= 1.0).count() as f64 / measured,
         median_m: median(&mut absolute)?,
         nmad_m: nmad(&errors)?,

@@ -1,6 +1,7 @@
 //! The surface model: altitude seen from straight above, on a map grid.
 
 use super::surface::{self, ALPHA_KNOWN, SurfaceGaussians};
+use super::{fill, seen};
 use crate::model::LoadedModel;
 use glam::DVec3;
 use heliosplat::render::{Rendering, render};
@@ -12,19 +13,30 @@ use heliosplat_raster::write::{ImageSpec, write_cog};
 use heliosplat_raster::{Crs, GeoRaster, Geoid, RasterError, dsm_bands};
 use heliosplat_rpc::LocalFrame;
 use heliosplat_scene::{Area, Scene};
-use heliosplat_stereo::Surface;
+use heliosplat_stereo::{FEWEST_VIEWS, Surface};
 use std::path::Path;
 
 /// Names of the bands of a surface model.
-pub const BANDS: [&str; 3] = [dsm_bands::ALTITUDE, dsm_bands::STANDARD_DEVIATION, dsm_bands::COVERAGE];
+pub const BANDS: [&str; 4] = [
+    dsm_bands::ALTITUDE,
+    dsm_bands::STANDARD_DEVIATION,
+    dsm_bands::COVERAGE,
+    dsm_bands::VIEWS,
+];
 
 /// Units of the bands of a surface model.
-pub const UNITS: [&str; 3] = ["metre", "metre", "1"];
+pub const UNITS: [&str; 4] = ["metre", "metre", "1", "1"];
 
-/// A surface model on its grid: altitude (metres above the ellipsoid; NaN where unknown), standard deviation (metres) and
-/// coverage (accumulated alpha, 0 to 1).
+/// Places of the bands.
+const ALTITUDE: usize = 0;
+const DEVIATION: usize = 1;
+const COVERAGE: usize = 2;
+const VIEWS: usize = 3;
+
+/// A surface model on its grid: altitude (metres above the ellipsoid), standard deviation (metres), coverage (accumulated alpha, or the
+/// probability of a swept altitude, 0 to 1) and the number of images that see the cell; NaN in all of them where the altitude is unknown.
 pub struct Dsm {
-    /// The three bands.
+    /// The four bands.
     pub raster: Raster,
     /// Where they lie.
     pub grid: GridSpec,
@@ -38,7 +50,7 @@ pub struct NadirGrid {
     pub grid: GridSpec,
     /// Its camera: one pixel per grid cell.
     pub camera: ProjectiveCamera,
-    enu: EnuGrid,
+    pub(super) enu: EnuGrid,
 }
 
 /// A piece of ground, and how high it reaches.
@@ -85,8 +97,16 @@ impl NadirGrid {
         };
         let rectangle = [area.west_m, area.south_m, area.east_m, area.north_m];
         let grid = GridSpec::covering(frame, rectangle, &crs, gsd_m)?;
-        let enu = EnuGrid::new(frame, &grid, place.altitude_range_m)?;
-        let camera = nadir_camera(&enu, &grid, frame.origin.height_m);
+        Self::on(place, grid)
+    }
+
+    /// The same on a grid that there is already.
+    ///
+    /// # Errors
+    /// When the grid lies outside its coordinate system.
+    pub fn on(place: &Place, grid: GridSpec) -> Result<Self, RasterError> {
+        let enu = EnuGrid::new(&place.frame, &grid, place.altitude_range_m)?;
+        let camera = nadir_camera(&enu, &grid, place.frame.origin.height_m);
         Ok(Self { grid, camera, enu })
     }
 
@@ -131,7 +151,15 @@ fn nadir_camera(enu: &EnuGrid, grid: &GridSpec, height_m: f64) -> ProjectiveCame
 /// When the coordinate system does not cover the place.
 pub fn dsm(model: &LoadedModel, gsd_m: f64, crs: Option<&str>) -> Result<Dsm, RasterError> {
     let nadir = NadirGrid::new(&model.into(), gsd_m, crs)?;
-    Ok(of_gaussians(&nadir, &model.into()))
+    Ok(of_model(&nadir, model))
+}
+
+/// The surface model of `model`, known where at least [`FEWEST_VIEWS`] of the images that it was trained on see it.
+pub fn of_model(nadir: &NadirGrid, model: &LoadedModel) -> Dsm {
+    let mut dsm = of_gaussians(nadir, &model.into());
+    let views = seen::views(nadir, dsm.raster.plane(ALTITUDE), &model.file);
+    dsm.keep_seen(&views);
+    dsm
 }
 
 /// What is seen of `model` from straight above, without any light.
@@ -147,27 +175,32 @@ pub fn maps(model: &LoadedModel, nadir: &NadirGrid) -> Maps {
     maps
 }
 
-/// The surface model of Gaussians.
+/// The surface model of Gaussians, known where they cover a cell; who sees it is not asked, and the band of views is empty.
 pub fn of_gaussians(nadir: &NadirGrid, surface: &SurfaceGaussians) -> Dsm {
     let (width, height) = (nadir.grid.width, nadir.grid.height);
-    let mut raster = Raster::filled(width, height, 3, f32::NAN);
-    let pixels = width * height;
+    let mut raster = Raster::filled(width, height, BANDS.len(), f32::NAN);
     let cells = surface::cells(surface, &nadir.camera);
     for (i, cell) in cells.iter().enumerate() {
-        raster.values[2 * pixels + i] = cell.coverage;
         if cell.coverage >= ALPHA_KNOWN {
-            raster.values[i] = nadir.height(i % width, i / width, cell.up_m) as f32;
-            raster.values[pixels + i] = cell.spread_m2;
+            raster.plane_mut(ALTITUDE)[i] = nadir.height(i % width, i / width, cell.up_m) as f32;
+            raster.plane_mut(DEVIATION)[i] = cell.spread_m2.sqrt();
+            raster.plane_mut(COVERAGE)[i] = cell.coverage;
         }
     }
-    for i in 0..pixels {
-        let inside = raster.values[pixels + i];
-        raster.values[pixels + i] = (inside + variance_around(&raster, i)).sqrt();
-    }
+    widen_deviations(&mut raster);
     Dsm {
         raster,
         grid: nadir.grid.clone(),
         geoid: None,
+    }
+}
+
+/// Adds to each standard deviation that of the altitudes around.
+fn widen_deviations(raster: &mut Raster) {
+    for i in 0..raster.plane_len() {
+        let around = variance_around(raster, i);
+        let own = &mut raster.plane_mut(DEVIATION)[i];
+        *own = (*own * *own + around).sqrt();
     }
 }
 
@@ -189,16 +222,15 @@ fn variance_around(raster: &Raster, cell: usize) -> f32 {
     (squares / count - mean * mean).max(0.0)
 }
 
-/// An initial surface on a map grid; its coverage is the sweep's confidence and it has no standard deviation.
+/// A swept surface on a map grid, where it is known; its coverage is the probability of each altitude.
 ///
 /// # Errors
 /// When the coordinate system does not cover the place.
 pub fn of_surface(place: &Place, surface: &Surface, gsd_m: f64, crs: Option<&str>) -> Result<Dsm, RasterError> {
     let nadir = NadirGrid::new(place, gsd_m, crs)?;
     let (width, height) = (nadir.grid.width, nadir.grid.height);
-    let mut raster = Raster::filled(width, height, 3, f32::NAN);
-    let pixels = width * height;
-    for i in 0..pixels {
+    let mut raster = Raster::filled(width, height, BANDS.len(), f32::NAN);
+    for i in 0..width * height {
         let (col, row) = (i % width, i / width);
         let at = |height_m: f64| nadir.enu.enu(col as f64, row as f64, height_m);
         let mut height_m = place.frame.origin.height_m;
@@ -209,12 +241,17 @@ pub fn of_surface(place: &Place, surface: &Surface, gsd_m: f64, crs: Option<&str
                 break;
             };
             height_m = nadir.height(col, row, up_m);
-            raster.values[i] = height_m as f32;
-            raster.values[2 * pixels + i] = surface
-                .cell_at(east as f32, north as f32)
-                .map_or(0.0, |cell| surface.confidence[cell]);
+        }
+        let [east, north, _] = at(height_m);
+        let cell = surface.cell_at(east as f32, north as f32);
+        if let Some(cell) = cell.filter(|&cell| surface.is_known(cell)) {
+            raster.plane_mut(ALTITUDE)[i] = height_m as f32;
+            raster.plane_mut(DEVIATION)[i] = surface.deviation_m[cell];
+            raster.plane_mut(COVERAGE)[i] = surface.probability[cell];
+            raster.plane_mut(VIEWS)[i] = surface.views[cell].into();
         }
     }
+    widen_deviations(&mut raster);
     Ok(Dsm {
         raster,
         grid: nadir.grid,
@@ -236,6 +273,28 @@ impl Dsm {
         self.grid.crs = geoid.compound(&self.grid.crs)?;
         self.geoid = Some(geoid);
         Ok(self)
+    }
+
+    /// Takes what too few images see as not known; `views` says how many see each cell.
+    fn keep_seen(&mut self, views: &[u8]) {
+        for (i, &views) in views.iter().enumerate() {
+            let known = views >= FEWEST_VIEWS && self.raster.plane(ALTITUDE)[i].is_finite();
+            self.raster.plane_mut(VIEWS)[i] = views.into();
+            for band in (0..BANDS.len()).filter(|_| !known) {
+                self.raster.plane_mut(band)[i] = f32::NAN;
+            }
+        }
+    }
+
+    /// Closes the holes, the unknown cells that known ones enclose, and returns how many cells it closed. They have an altitude, a
+    /// coverage and views of zero, and no standard deviation.
+    pub fn fill(&mut self) -> usize {
+        let closed = fill::close_holes(self.raster.width, self.raster.plane_mut(ALTITUDE));
+        for &cell in &closed {
+            self.raster.plane_mut(COVERAGE)[cell] = 0.0;
+            self.raster.plane_mut(VIEWS)[cell] = 0.0;
+        }
+        closed.len()
     }
 
     /// Share of its grid whose altitude is known.

@@ -4,12 +4,14 @@
 //! another sun; [`set`] writes everything for a GIS through [`writer`], and [`stac`] describes it.
 
 pub mod dsm;
+mod fill;
 pub mod model;
 mod model_file;
 pub mod ortho;
 pub mod ply;
 pub mod points;
 pub mod relight;
+pub mod seen;
 pub mod set;
 pub mod shadow_mask;
 pub mod stac;

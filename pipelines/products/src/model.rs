@@ -11,7 +11,7 @@ use heliosplat_raster::bounded;
 use heliosplat_raster::write::write_atomically;
 use heliosplat_rpc::{GeoPoint, LocalFrame, ProjectiveMap, sun::SunPosition};
 use heliosplat_scene::crop::Crop;
-use heliosplat_scene::{Area, BandKind, Split};
+use heliosplat_scene::{Area, BandKind, KnownTiles, Split};
 use std::path::{Path, PathBuf};
 
 /// Version of `model.json`.
@@ -35,6 +35,9 @@ pub struct ModelImage {
     pub crop: Crop,
     /// Correction of its pointing, pixels.
     pub shift_px: [f32; 2],
+    /// Where the rectangle has data and no clouds; `None`: everywhere.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub known: Option<KnownTiles>,
     /// Its sun.
     pub sun: SunPosition,
     /// When it was taken, if known.

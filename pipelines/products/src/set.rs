@@ -1,6 +1,6 @@
 //! All products of a run: cloud-optimised GeoTIFFs on one grid, a point cloud, and a STAC item that describes them.
 
-use super::dsm::{NadirGrid, maps, of_gaussians};
+use super::dsm::{NadirGrid, maps, of_model};
 use super::relight::{RelightError, relight_ortho};
 use super::writer::{Said, Set, Writer};
 use super::{ortho, points};
@@ -67,7 +67,7 @@ pub fn write(
     let gsd_m = request.gsd_m.unwrap_or(model.file.gsd_m);
     let nadir = NadirGrid::new(&model.into(), gsd_m, request.crs.as_deref())?;
     let seen = maps(model, &nadir);
-    let mut surface = of_gaussians(&nadir, &model.into());
+    let mut surface = of_model(&nadir, model);
     if let Some(geoid) = request.geoid {
         surface = surface.above(geoid)?;
     }

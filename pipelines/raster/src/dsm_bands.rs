@@ -6,3 +6,5 @@ pub const ALTITUDE: &str = "altitude";
 pub const STANDARD_DEVIATION: &str = "standard_deviation";
 /// Accumulated alpha, or confidence of the plane sweep, 0 to 1.
 pub const COVERAGE: &str = "coverage";
+/// Number of images that see the cell at its altitude.
+pub const VIEWS: &str = "views";

@@ -222,10 +222,13 @@ impl RasterFile {
             .collect()
     }
 
-    /// Where the pixels lie in map coordinates; `None` without georeferencing.
+    /// Where the pixels lie in map coordinates; `None` without georeferencing. Some writers store the identity where they mean none
+    /// (GDAL's own default), and no map has its origin at the equator and pixels of one unit that run north: it counts as none.
     pub fn geo_transform(&self) -> Option<GeoTransform> {
+        const IDENTITY: [f64; 6] = [0.0, 1.0, 0.0, 0.0, 0.0, 1.0];
         messages::collect(|| self.dataset.geo_transform())
             .ok()
+            .filter(|transform| *transform != IDENTITY)
             .map(GeoTransform::from_gdal)
     }
 

@@ -19,7 +19,7 @@ use heliosplat_fitting::checkpoint::{CheckpointWriter, LoadedCheckpoint};
 use heliosplat_fitting::curve::CurvePoint;
 use heliosplat_fitting::run_folder::peak_rss_bytes;
 use heliosplat_fitting::training::{Ending, TrainingError, train};
-use heliosplat_scene::{Area, Scene, SceneImage};
+use heliosplat_scene::{Area, KnownTiles, Scene, SceneImage};
 use heliosplat_session::Session;
 use heliosplat_stereo::Surface;
 use std::time::Instant;
@@ -50,6 +50,8 @@ pub struct Fitted {
     pub images: Vec<String>,
     /// Pointing corrections, pixels, in that order.
     pub shifts_px: Vec<[f32; 2]>,
+    /// Where each image has data and no clouds; `None`: everywhere.
+    pub known: Vec<Option<KnownTiles>>,
     /// Share of each image that is left out because clouds hide the ground there, 0 to 1, in that order.
     pub clouded: Vec<f64>,
     /// The surface that training started from.
@@ -144,6 +146,11 @@ pub fn fit(
     let mut views: Vec<View> = (0..ground.images.len())
         .map(|i| views::view(ground.images[i], &ground.crops[i], &clouds[i], shifts_px[i], i))
         .collect();
+    let known = views.iter().map(|view| {
+        let known: Vec<bool> = view.weight.iter().map(|&weight| weight > 0.0).collect();
+        KnownTiles::of(view.image.width, &known)
+    });
+    let known = known.collect();
     if !decisions.saturation {
         views.iter_mut().for_each(|view| view.ceiling.clear());
     }
@@ -179,6 +186,7 @@ pub fn fit(
         model,
         images: ground.images.iter().map(|image| image.name.clone()).collect(),
         shifts_px,
+        known,
         clouded: clouds.iter().map(|mask| clouds::share(mask)).collect(),
         surface,
         seconds: [

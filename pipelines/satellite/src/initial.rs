@@ -200,6 +200,7 @@ mod tests {
             confidence: vec![1.0; count],
             resolution_m: 0.1,
             filled: vec![false; count],
+            ..Surface::default()
         }
     }
 

@@ -6,29 +6,50 @@ use heliosplat::Raster;
 use heliosplat_evaluate::shadow::ShadowCounts;
 use heliosplat_evaluate::{DsmEvaluation, ImageScore, Protocol, error_map, evaluate_dsm};
 use heliosplat_fitting::run_folder::{RunError, create_folder, peak_rss_bytes};
-use heliosplat_products::dsm::of_surface;
+use heliosplat_products::dsm::{NadirGrid, of_surface};
 use heliosplat_products::model::LoadedModel;
+use heliosplat_products::seen;
 use heliosplat_products::views::{RenderedView, render_view, score};
+use heliosplat_raster::grid::GridSpec;
 use heliosplat_raster::{RasterFile, preview};
 use heliosplat_scene::{BandKind, Scene, Split};
+use heliosplat_stereo::FEWEST_VIEWS;
 use serde_json::{Value, json};
 use std::path::Path;
 
-/// The run's `dsm.tif` against the scene's true one; `None` without truth.
-pub fn dsm(scene: &Scene, run: &Path, protocol: Protocol) -> Result<Option<DsmEvaluation>, SatelliteError> {
+/// The run's `dsm.tif` against the scene's true one, and how much of what the run's images see of that is unknown; `None` without truth.
+///
+/// # Errors
+/// When the surface or its truth cannot be read.
+pub fn dsm(
+    scene: &Scene,
+    model: &LoadedModel,
+    run: &Path,
+    protocol: Protocol,
+) -> Result<Option<DsmEvaluation>, SatelliteError> {
     let Some(truth) = &scene.truth.dsm else { return Ok(None) };
-    Ok(Some(evaluate_dsm(
-        &run.join("dsm.tif"),
-        truth,
-        scene.truth.classes.as_deref(),
-        protocol,
-    )?))
+    let classes = scene.truth.classes.as_deref();
+    let mut evaluation = evaluate_dsm(&run.join("dsm.tif"), truth, classes, protocol)?;
+    if let Some(crs) = evaluation.truth.crs.clone() {
+        let raster = &evaluation.truth.raster;
+        let grid = GridSpec {
+            width: raster.width,
+            height: raster.height,
+            transform: evaluation.truth.transform,
+            crs,
+        };
+        let nadir = NadirGrid::on(&model.into(), grid)?;
+        let views = seen::views(&nadir, raster.plane(0), &model.file);
+        let seen: Vec<bool> = views.iter().map(|&views| views >= FEWEST_VIEWS).collect();
+        evaluation.count_seen_unknown(&seen);
+    }
+    Ok(Some(evaluation))
 }
 
 /// `metrics.json` as far as it follows from model and scene; also draws pictures into the run's folder.
 pub fn metrics(scene: &Scene, model: &LoadedModel, run: &Path, protocol: Protocol) -> Result<Value, SatelliteError> {
     let mut out = json!({ "gaussians": model.parameters.gaussians.count });
-    if let Some(evaluation) = dsm(scene, run, protocol)? {
+    if let Some(evaluation) = dsm(scene, model, run, protocol)? {
         out["dsm"] = surface_metrics(&evaluation);
         preview::write_png(&run.join("error.png"), &error_map::draw(&evaluation.errors))?;
     }

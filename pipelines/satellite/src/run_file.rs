@@ -75,6 +75,7 @@ pub fn model_images(scene: &Scene, fitted: &Fitted, margin_m: f64) -> Vec<ModelI
                 map: image.pinhole.map,
                 crop: Crop::of(image, &area, up_m)?,
                 shift_px: appearance.map_or([0.0; 2], |a| fitted.shifts_px[a]),
+                known: appearance.and_then(|a| fitted.known[a].clone()),
                 sun: image.sun,
                 time: image.time,
             })

@@ -15,6 +15,7 @@ mod error;
 mod files;
 mod footprint;
 mod ground;
+mod known_tiles;
 mod layout;
 mod manifest;
 mod pixels;
@@ -25,6 +26,7 @@ mod truth;
 
 pub use area::AreaRequest;
 pub use error::SceneError;
+pub use known_tiles::KnownTiles;
 
 use draft::Draft;
 use ground::Ground;

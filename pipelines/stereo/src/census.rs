@@ -1,7 +1,9 @@
 //! The census transform: which neighbours are darker than the centre (Zabih and Woodfill 1994).
 //!
-//! It does not change under any monotone change of brightness, so exposure, haze and season move it little. Differences below a noise
-//! floor or beyond a contrast limit are not compared: the share of differing bits among those that both cells compare is the distance.
+//! It does not change under any monotone change of brightness, so exposure, haze and season move it little. Differences beyond a contrast
+//! limit are not compared, because they lie across the edge of a shadow or of another surface: the share of differing bits among those
+//! that both cells compare is the distance. The limit is that of the cell's own surroundings, so what else an image shows (sea, snow, deep
+//! shade) does not matter.
 //! Views of one date are compared by brightness itself too ([`compare_values`]).
 //!
 //! Thirty-two bits a cell and whole-number sums, so that eight cells are worked on together and the result does not depend on order.
@@ -21,7 +23,7 @@ pub(super) const INVALID: u32 = 1 << 31;
 pub(super) struct Descriptors {
     /// Neighbours that are darker than the cell.
     pub(super) darker: Vec<u32>,
-    /// Neighbours that are compared: differences between the noise floor and the contrast limit.
+    /// Neighbours that are compared: those within the contrast limit.
     pub(super) compared: Vec<u32>,
     /// Brightness of the cell less the median of its image, in median differences between neighbours.
     pub(super) value: Vec<f32>,
@@ -58,14 +60,14 @@ const OFFSETS: [(isize, isize); COMPARISONS as usize] = offsets();
 
 vectorised! {
     /// Descriptors of a block of `width × height` cells from their values, which reach [`RADIUS`] further on every side. Neighbours
-    /// are compared whose value is `range[0]` to `range[1]` away from the cell's.
-    pub(super) fn describe(values: &[f32], width: usize, height: usize, range: [f32; 2], out: &mut Descriptors) {
+    /// are compared whose value is less than the cell's `limits` away from the cell's.
+    pub(super) fn describe(values: &[f32], width: usize, height: usize, limits: &[f32], out: &mut Descriptors) {
         let stride = width + 2 * RADIUS;
         for row in 0..height {
             let centre_at = (row + RADIUS) * stride + RADIUS;
             let cells = row * width..(row + 1) * width;
             let (darker, compared) = (&mut out.darker[cells.clone()], &mut out.compared[cells]);
-            describe_row(&values[centre_at - RADIUS * stride - RADIUS..], stride, range, darker, compared);
+            describe_row(&values[centre_at - RADIUS * stride - RADIUS..], stride, &limits[row * width..(row + 1) * width], darker, compared);
         }
     }
 }
@@ -75,19 +77,19 @@ const LANES: usize = 8;
 
 /// Descriptors of a row of cells; `values` begins at the upper left corner of the first window.
 #[inline(always)]
-fn describe_row(values: &[f32], stride: usize, range: [f32; 2], darker: &mut [u32], compared: &mut [u32]) {
+fn describe_row(values: &[f32], stride: usize, limits: &[f32], darker: &mut [u32], compared: &mut [u32]) {
     let width = darker.len();
     for first in (0..width).step_by(LANES) {
         // The last group begins earlier, so that it is whole; a row of less than a group goes cell by cell.
         if width < LANES {
             for k in 0..width {
-                let [d, c] = describe_cells::<1>(&values[k..], stride, range);
+                let [d, c] = describe_cells::<1>(&values[k..], stride, &limits[k..]);
                 (darker[k], compared[k]) = (d[0], c[0]);
             }
             return;
         }
         let first = first.min(width - LANES);
-        let [d, c] = describe_cells::<LANES>(&values[first..], stride, range);
+        let [d, c] = describe_cells::<LANES>(&values[first..], stride, &limits[first..]);
         darker[first..first + LANES].copy_from_slice(&d);
         compared[first..first + LANES].copy_from_slice(&c);
     }
@@ -95,7 +97,8 @@ fn describe_row(values: &[f32], stride: usize, range: [f32; 2], darker: &mut [u3
 
 /// What is darker and what is compared around `N` neighbouring cells.
 #[inline(always)]
-fn describe_cells<const N: usize>(values: &[f32], stride: usize, range: [f32; 2]) -> [[u32; N]; 2] {
+fn describe_cells<const N: usize>(values: &[f32], stride: usize, limits: &[f32]) -> [[u32; N]; 2] {
+    let limits = &limits[..N];
     let at = |col: isize, row: isize| {
         let start = (RADIUS as isize + row) as usize * stride + (RADIUS as isize + col) as usize;
         let mut lane = [0.0; N];
@@ -112,7 +115,7 @@ fn describe_cells<const N: usize>(values: &[f32], stride: usize, range: [f32; 2]
             let difference = other[l] - centre[l];
             darker[l] |= u32::from(difference < 0.0) << bit;
             let away = difference.abs();
-            compared[l] |= u32::from((away >= range[0]) & (away < range[1])) << bit;
+            compared[l] |= u32::from(away < limits[l]) << bit;
             sum[l] += difference;
         }
     }
@@ -192,26 +195,27 @@ mod tests {
     fn the_descriptor_does_not_see_gain_and_offset() {
         let (width, stride) = (6, 6 + 2 * RADIUS);
         let (mut a, mut b) = (Descriptors::new(36), Descriptors::new(36));
-        describe(&ramp(stride, 1.0), width, width, [0.0, 1e3], &mut a);
-        describe(&ramp(stride, 3.5), width, width, [0.0, 3.5e3], &mut b);
+        describe(&ramp(stride, 1.0), width, width, &[1e3; 36], &mut a);
+        describe(&ramp(stride, 3.5), width, width, &[3.5e3; 36], &mut b);
         assert_eq!(a, b);
         assert!(a.darker.iter().any(|&darker| darker != a.darker[0]));
     }
 
     #[test]
-    fn noise_is_neither_a_match_nor_a_mismatch() {
+    fn differences_across_an_edge_are_neither_a_match_nor_a_mismatch() {
         let (width, stride) = (6, 6 + 2 * RADIUS);
         let (mut a, mut b) = (Descriptors::new(36), Descriptors::new(36));
-        let level: Vec<f32> = ramp(stride, 1e-4);
-        let turned: Vec<f32> = level.iter().map(|v| 10.0 - v).collect();
-        describe(&level, width, width, [0.1, 8.0], &mut a);
-        describe(&turned, width, width, [0.1, 8.0], &mut b);
+        let values: Vec<f32> = ramp(stride, 1.0);
+        let turned: Vec<f32> = values.iter().map(|v| 10.0 - v).collect();
+        // Values are whole numbers and differ by one at least: no neighbour is within the limit.
+        describe(&values, width, width, &[0.5; 36], &mut a);
+        describe(&turned, width, width, &[0.5; 36], &mut b);
         let (mut sum, mut weights) = (vec![0; 36], vec![0; 36]);
         compare(&a, &b, 1, COMPARISONS, &mut sum, &mut weights);
         assert_eq!((sum, weights), (vec![COMPARISONS / 2; 36], vec![1; 36]));
         // With every difference counted, the opposite is the worst of matches.
-        describe(&level, width, width, [0.0, 8.0], &mut a);
-        describe(&turned, width, width, [0.0, 8.0], &mut b);
+        describe(&values, width, width, &[1e3; 36], &mut a);
+        describe(&turned, width, width, &[1e3; 36], &mut b);
         let mut sum = vec![0; 36];
         compare(&a, &b, 1, COMPARISONS, &mut sum, &mut [0; 36]);
         assert!(sum.iter().all(|&s| s > 20), "{sum:?}");
@@ -223,7 +227,7 @@ mod tests {
         let mut values = ramp(stride, 1.0);
         values[0] = f32::NAN;
         let mut descriptors = Descriptors::new(36);
-        describe(&values, width, width, [0.0, 1e3], &mut descriptors);
+        describe(&values, width, width, &[1e3; 36], &mut descriptors);
         assert_ne!(
             descriptors.darker[0] & INVALID,
             0,
@@ -261,14 +265,14 @@ mod tests {
         let values = ramp(20 + 2 * RADIUS, 1.0);
         let stride = 20 + 2 * RADIUS;
         let mut wide = Descriptors::new(20);
-        describe(&values, 20, 1, [2.5, 7.0], &mut wide);
+        describe(&values, 20, 1, &[7.0; 20], &mut wide);
         let narrow: Vec<f32> = values
             .chunks(stride)
             .take(1 + 2 * RADIUS)
             .flat_map(|row| row[..3 + 2 * RADIUS].to_vec())
             .collect();
         let mut few = Descriptors::new(3);
-        describe(&narrow, 3, 1, [2.5, 7.0], &mut few);
+        describe(&narrow, 3, 1, &[7.0; 3], &mut few);
         assert_eq!(
             (&wide.darker[..3], &wide.compared[..3]),
             (&few.darker[..], &few.compared[..])

@@ -12,7 +12,7 @@ mod block;
 use super::census::{self, COMPARISONS, Descriptors, INVALID, RADIUS};
 use super::grid::Grid;
 use super::heights::HeightHypotheses;
-use super::level::LevelView;
+use super::level::{LevelView, PixelPlane};
 use super::pairs::Pair;
 use super::parameters::MatchingParameters;
 use super::ranges::SearchRanges;
@@ -26,6 +26,10 @@ use std::collections::BTreeMap;
 const TRUNCATION: f32 = 0.36;
 /// Differences of brightness within a date at which they are truncated too, in median differences between neighbours (docs/lab/plane-sweep.md).
 const VALUE_TRUNCATION: f32 = 4.0;
+
+/// Differences from here on lie across the edge of a shadow or of another surface, in median differences between the neighbours around
+/// (docs/lab/plane-sweep.md).
+const CONTRAST_LIMIT: f32 = 8.0;
 
 /// What is compared, and where.
 pub(super) struct MatchingCost<'a> {
@@ -127,11 +131,6 @@ impl MatchingCost<'_> {
         }
     }
 
-    /// The differences that the census compares in a plane whose neighbours differ by `contrast` in the median.
-    fn range(&self, contrast: f32) -> [f32; 2] {
-        [self.parameters.noise_floor, self.parameters.contrast_limit].map(|differences| differences * contrast)
-    }
-
     /// Descriptors of a view's planes on a block at one altitude.
     fn describe_view(
         &self,
@@ -147,7 +146,9 @@ impl MatchingCost<'_> {
         let (places, values) = (&scratch.places[..columns * rows], &mut scratch.values[..columns * rows]);
         let descriptors = &mut scratch.descriptors[number];
         view.sample_places(&view.mean, places, values);
-        census::describe(values, width, height, self.range(view.mean.contrast), descriptors);
+        let limits = &mut scratch.limits[..width * height];
+        contrast_limits(&view.mean, view.width, places, block, limits);
+        census::describe(values, width, height, limits, descriptors);
         if self.parameters.same_date_values {
             census::store_values(values, width, height, view.mean.middle, view.mean.contrast, descriptors);
         }
@@ -163,7 +164,8 @@ impl MatchingCost<'_> {
         if let Some(index) = view.index.as_ref().filter(|_| self.index_weight.is_some()) {
             let of_index = &mut scratch.index_descriptors[number];
             view.sample_places(index, places, values);
-            census::describe(values, width, height, self.range(index.contrast), of_index);
+            contrast_limits(index, view.width, places, block, limits);
+            census::describe(values, width, height, limits, of_index);
             for (of_index, of_mean) in of_index.darker.iter_mut().zip(&descriptors.darker[..width * height]) {
                 *of_index |= of_mean & INVALID;
             }
@@ -208,6 +210,17 @@ impl MatchingCost<'_> {
                 step: [du, dv, dw],
             };
             view.find_line(&line, places);
+        }
+    }
+}
+
+/// The largest differences that the census compares at the cells of a block: so many contrasts of what is around each.
+fn contrast_limits(plane: &PixelPlane, width: usize, places: &[Place], block: &WideBlock, limits: &mut [f32]) {
+    let columns = block.width + 2 * RADIUS;
+    for (row, limits) in limits.chunks_mut(block.width).enumerate() {
+        let start = (row + RADIUS) * columns + RADIUS;
+        for (place, limit) in places[start..start + block.width].iter().zip(limits) {
+            *limit = CONTRAST_LIMIT * plane.local_contrast[place.nearest(width)];
         }
     }
 }

@@ -3,6 +3,7 @@
 //! Matching works on one plane of brightness (and one of an index where there is one), so bands are averaged first; pixels much smaller
 //! than a cell would alias. The factor is the nearest whole number to cell size over pixel size, so a level's pixels are only about as large as its cells.
 
+use super::contrast;
 use super::sampling::{self, Line, Place, cubic_weights};
 use super::views::SweepView;
 use glam::Vec3;
@@ -28,8 +29,10 @@ pub(super) struct LevelView {
 #[derive(Debug, Clone)]
 pub(super) struct PixelPlane {
     pub(super) pixels: Vec<f32>,
-    /// Median absolute difference between neighbouring pixels: the unit of differences in this plane.
+    /// Median difference between neighbouring pixels of the whole image.
     pub(super) contrast: f32,
+    /// Median difference between neighbouring pixels around each pixel: the unit of differences there.
+    pub(super) local_contrast: Vec<f32>,
     /// Median of the pixels.
     pub(super) middle: f32,
 }
@@ -37,7 +40,8 @@ pub(super) struct PixelPlane {
 impl PixelPlane {
     fn new(image: Raster) -> Self {
         Self {
-            contrast: contrast(&image),
+            contrast: contrast::whole(&image),
+            local_contrast: contrast::local(&image),
             middle: finite_median(image.values.iter().copied()),
             pixels: image.values,
         }
@@ -125,11 +129,6 @@ fn mean_of_bands(image: &Raster) -> Raster {
     mean
 }
 
-/// Median absolute difference between neighbours along rows.
-fn contrast(image: &Raster) -> f32 {
-    finite_median(image.values.windows(2).map(|pair| (pair[1] - pair[0]).abs()))
-}
-
 /// Median of what is finite; zero where nothing is.
 fn finite_median(values: impl Iterator<Item = f32>) -> f32 {
     let mut values: Vec<f32> = values.filter(|v| v.is_finite()).collect();
@@ -159,6 +158,7 @@ mod tests {
             mean: PixelPlane {
                 pixels,
                 contrast: 1.0,
+                local_contrast: Vec::new(),
                 middle: 0.0,
             },
             index: None,

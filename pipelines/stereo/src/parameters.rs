@@ -30,10 +30,6 @@ const JUMP_PENALTY_FEW: u16 = 90;
 const JUMP_PENALTY_MANY: u16 = 60;
 /// Difference of the guide image between neighbours, in its typical differences, that halves the cost of a jump there.
 const GUIDE_EDGE: f32 = 30.0;
-/// Smallest difference that the census compares, in median differences between neighbours; smaller ones are noise.
-const NOISE_FLOOR: f32 = 0.16;
-/// Differences from here on lie across the edge of a shadow or of another surface, in the same units.
-const CONTRAST_LIMIT: f32 = 8.0;
 /// No-match weight with few views, as a share of the weights of all comparisons: heights that few views see must not win by chance.
 const NO_MATCH_FEW: f32 = 0.08;
 /// The same with many views.
@@ -116,11 +112,6 @@ pub struct MatchingParameters {
     pub step_cells: f32,
     /// Radius of the square window over which matching costs are averaged, cells; 0 for costs of single cells.
     pub aggregation_radius: usize,
-    /// Smallest difference from the centre that the census compares, in median differences between neighbouring pixels; 0 compares all.
-    /// Even and shaded ground then matches with anything alike, and what is around decides.
-    pub noise_floor: f32,
-    /// Differences from here on are not compared, in the same units.
-    pub contrast_limit: f32,
     /// Weight of the no-match (occlusion) cost, as a share of the weights of all comparisons.
     pub no_match_weight: f32,
     /// Whether the brightness itself of views of one date is compared too: the same sun makes them alike, and a single pixel does not
@@ -154,9 +145,6 @@ impl MatchingParameters {
         Self {
             step_cells: STEP_CELLS,
             aggregation_radius: radius,
-            // Few views have nothing to spare, unless they stand so close that noise is most of what they show.
-            noise_floor: if many || very_short_base { NOISE_FLOOR } else { 0.0 },
-            contrast_limit: CONTRAST_LIMIT,
             no_match_weight: if many { NO_MATCH_MANY } else { NO_MATCH_FEW },
             same_date_values: many,
             index_weight: facts.has_index.then_some(INDEX_WEIGHT),
@@ -214,14 +202,6 @@ mod tests {
     fn surfaces_are_smoothed_only_where_costs_are_averaged_and_adaptively_at_the_shortest_base() {
         let smoothing = |ratio| (chosen(3, ratio).plane_radius, chosen(3, ratio).adaptive_plane_radius);
         assert_eq!([0.08, 0.2, 2.0].map(smoothing), [(7, Some(6)), (5, None), (0, None)]);
-    }
-
-    #[test]
-    fn noise_is_compared_by_few_views_of_a_fair_base_only() {
-        assert_eq!(
-            [(3, 0.3), (3, 0.1), (8, 0.3)].map(|(views, ratio)| chosen(views, ratio).noise_floor),
-            [0.0, 0.16, 0.16]
-        );
     }
 
     /// A camera 600 km away whose rays move `lean` metres east per metre of altitude.

@@ -1,12 +1,15 @@
 //! The plane sweep from its request to the initial surface: coarse to fine, then with hidden views left out, then post-processed.
 
+use super::grid::Grid;
 use super::plane_smoothing;
 use super::postprocess;
 use super::pyramid::Search;
 use super::request::PlaneSweepRequest;
+use super::seen::{AltitudeGrid, views_seeing};
 use super::surface::Surface;
 use super::views::SweepView;
 use super::visibility::FirstHits;
+use heliosplat::ProjectiveCamera;
 
 /// A point counts as hidden when it lies this many height steps below the surface that its view sees first, so that the surface's own
 /// error of matching hides nothing.
@@ -34,7 +37,7 @@ pub fn plane_sweep(views: &[SweepView], request: &PlaneSweepRequest, progress: &
         let hits: Vec<_> = search
             .level_views(1)
             .iter()
-            .map(|view| FirstHits::new(view, &grid, &altitude, tolerance_m))
+            .map(|view| FirstHits::new(&view.camera, &grid, &altitude, tolerance_m))
             .collect();
         found = search.level(1, Some(&found), Some(&hits));
     }
@@ -56,8 +59,28 @@ pub fn plane_sweep(views: &[SweepView], request: &PlaneSweepRequest, progress: &
         north_m: grid.north_m,
         cell_m: grid.cell_m,
         confidence,
+        deviation_m: found.choices.iter().map(|choice| choice.deviation_m).collect(),
+        probability: found.choices.iter().map(|choice| choice.probability).collect(),
+        views: seen(&search, &grid, &altitude, found.step_m),
         resolution_m: found.step_m,
         filled,
         altitude,
     }
+}
+
+/// How many views see each cell of the surface.
+fn seen(search: &Search, grid: &Grid, altitude: &[f32], step_m: f32) -> Vec<u8> {
+    let views = search.level_views(1);
+    let cameras: Vec<ProjectiveCamera> = views.iter().map(|view| view.camera).collect();
+    let surface = AltitudeGrid {
+        size: (grid.width, grid.height),
+        west_m: grid.west_m,
+        north_m: grid.north_m,
+        cell_m: grid.cell_m,
+        altitude_m: altitude,
+        resolution_m: HIDDEN_STEPS * step_m,
+    };
+    views_seeing(&surface, &cameras, &|view, pixel| {
+        views[view].mean.pixels[pixel].is_finite()
+    })
 }

@@ -1,7 +1,11 @@
 //! The initial surface: what the plane sweep finds, one altitude per cell.
 
 use super::grid::lowest_within;
+use super::seen::FEWEST_VIEWS;
 use glam::Vec3;
+
+/// Probability from which on an altitude is known: chance would not have it.
+const KNOWN_PROBABILITY: f32 = 0.5;
 
 /// Altitudes on a regular ground grid, with how far each can be trusted.
 #[derive(Debug, Clone, PartialEq, Default, serde::Serialize, serde::Deserialize)]
@@ -20,6 +24,12 @@ pub struct Surface {
     pub altitude: Vec<f32>,
     /// Confidence in each altitude as it was matched, before speckles were filled: 0 (a guess) to 1.
     pub confidence: Vec<f32>,
+    /// Standard deviation of each altitude as it was matched, metres.
+    pub deviation_m: Vec<f32>,
+    /// Probability that each altitude was matched right to within two height steps, 0 to 1.
+    pub probability: Vec<f32>,
+    /// Number of views that see each cell at its altitude.
+    pub views: Vec<u8>,
     /// Step of the height hypotheses, metres: what the views can tell apart.
     pub resolution_m: f32,
     /// Cells whose altitude was not matched but taken from their neighbours.
@@ -30,9 +40,22 @@ impl Surface {
     /// Whether every cell has its altitude, its confidence and its flag.
     pub fn is_whole(&self) -> bool {
         let cells = self.width.checked_mul(self.height);
-        [self.altitude.len(), self.confidence.len(), self.filled.len()]
-            .into_iter()
-            .all(|length| Some(length) == cells)
+        [
+            self.altitude.len(),
+            self.confidence.len(),
+            self.deviation_m.len(),
+            self.probability.len(),
+            self.views.len(),
+            self.filled.len(),
+        ]
+        .into_iter()
+        .all(|length| Some(length) == cells)
+    }
+
+    /// Whether the altitude of a cell is known: at least [`FEWEST_VIEWS`] views see it there, and it is more probable than all other
+    /// altitudes together.
+    pub fn is_known(&self, cell: usize) -> bool {
+        self.views[cell] >= FEWEST_VIEWS && self.probability[cell] >= KNOWN_PROBABILITY
     }
 
     /// Whether the ground position lies on the grid.

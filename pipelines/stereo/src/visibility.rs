@@ -3,7 +3,7 @@
 //! Rays are walked down over the grid in steps of less than a cell, from an altitude that the highest cells under them bound.
 
 use super::grid::{Grid, lowest_within};
-use super::level::LevelView;
+use heliosplat::ProjectiveCamera;
 use rayon::prelude::*;
 
 /// Altitude at which the ray of each pixel meets the surface first; below it nothing is seen.
@@ -65,20 +65,21 @@ impl HighestTiles {
 }
 
 impl FirstHits {
-    pub(super) fn new(view: &LevelView, grid: &Grid, altitude: &[f32], tolerance_m: f32) -> Self {
+    /// The first hits of the pixels of `camera` on a surface (metres; `f32::MIN` where it has none).
+    pub(super) fn new(camera: &ProjectiveCamera, grid: &Grid, altitude: &[f32], tolerance_m: f32) -> Self {
         let altitude = &lowest_within((grid.width, grid.height), altitude, EDGE_CELLS);
         let highest = HighestTiles::new(grid, altitude);
-        let mut hits = vec![f32::MIN; view.width * view.height];
-        hits.par_chunks_mut(view.width.max(1))
+        let mut hits = vec![f32::MIN; camera.width * camera.height];
+        hits.par_chunks_mut(camera.width.max(1))
             .enumerate()
             .for_each(|(row, line)| {
                 for (col, hit) in line.iter_mut().enumerate() {
-                    *hit = first_hit(view, (col as f32, row as f32), grid, altitude, &highest);
+                    *hit = first_hit(camera, (col as f32, row as f32), grid, altitude, &highest);
                 }
             });
         Self {
             altitude: hits,
-            width: view.width,
+            width: camera.width,
             tolerance_m,
         }
     }
@@ -96,8 +97,14 @@ impl FirstHits {
 }
 
 /// Walks down the ray of a pixel until it is below the surface; `f32::MIN` where it never is.
-fn first_hit(view: &LevelView, (col, row): (f32, f32), grid: &Grid, altitude: &[f32], highest: &HighestTiles) -> f32 {
-    let at = |z: f32| view.camera.point_at_altitude(col, row, z);
+fn first_hit(
+    camera: &ProjectiveCamera,
+    (col, row): (f32, f32),
+    grid: &Grid,
+    altitude: &[f32],
+    highest: &HighestTiles,
+) -> f32 {
+    let at = |z: f32| camera.point_at_altitude(col, row, z);
     let (Some(mut start), Some(end)) = (at(highest.top_m), at(highest.bottom_m)) else {
         return f32::MIN;
     };

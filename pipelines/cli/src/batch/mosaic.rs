@@ -17,8 +17,8 @@ use std::path::Path;
 const LEAST_SIGMA_CELLS: f32 = 0.25;
 /// Altitudes further apart than this many cells are two surfaces.
 const ONE_SURFACE_CELLS: f32 = 2.0;
-/// Bands of a surface model: altitude, standard deviation, coverage.
-const BANDS: usize = 3;
+/// Bands of a surface model: altitude, standard deviation, coverage, views.
+const BANDS: usize = 4;
 
 /// A tile's surface model on the mosaic's grid.
 pub struct Piece {
@@ -177,22 +177,21 @@ pub fn blend(pieces: &[Piece], (width, height): (usize, usize), gsd_m: f32) -> R
 pub(super) struct Said {
     /// The tile.
     pub(super) piece: usize,
-    /// Altitude, standard deviation, coverage.
+    /// Altitude, standard deviation, coverage, views.
     values: [f32; BANDS],
     /// How much they count.
     pub(super) weight: f32,
 }
 
 fn say(index: usize, piece: &Piece, col: isize, row: isize, gsd_m: f32) -> Option<Said> {
-    let values = [0, 1, 2].map(|band| piece.value(band, col, row));
-    let [altitude, sigma, _] = values;
+    let [altitude, sigma, coverage, views] = [0, 1, 2, 3].map(|band| piece.value(band, col, row));
     let sigma = if sigma.is_finite() { sigma } else { 0.0 };
     let least = LEAST_SIGMA_CELLS * gsd_m;
     let weight = piece.taper(col, row) / (sigma * sigma + least * least);
     let known = altitude.is_finite() && weight > 0.0;
     known.then_some(Said {
         piece: index,
-        values: [altitude, sigma, values[2]],
+        values: [altitude, sigma, coverage, views],
         weight,
     })
 }
@@ -229,8 +228,7 @@ pub(super) fn one_surface(
 /// The bands of one surface.
 fn together(said: &[Said]) -> [f32; BANDS] {
     let Some(strongest) = said.first() else {
-        // No altitude, and nothing there.
-        return [f32::NAN, f32::NAN, 0.0];
+        return [f32::NAN; BANDS];
     };
     let weight: f32 = said.iter().map(|one| one.weight).sum();
     let mean = |value: &dyn Fn(&[f32; BANDS]) -> f32| {
@@ -240,7 +238,9 @@ fn together(said: &[Said]) -> [f32; BANDS] {
     // Relative to the strongest, so that nothing is lost on a mountain.
     let altitude = strongest.values[0] + mean(&|v| v[0] - strongest.values[0]);
     let variance = mean(&|v| v[1] * v[1] + (v[0] - altitude) * (v[0] - altitude));
-    [altitude, variance.max(0.0).sqrt(), mean(&|v| v[2])]
+    // The tile that shows most of the images knows best how many see the cell.
+    let views = said.iter().map(|one| one.values[3]).fold(0.0, f32::max);
+    [altitude, variance.max(0.0).sqrt(), mean(&|v| v[2]), views]
 }
 
 #[cfg(test)]
@@ -253,6 +253,7 @@ mod tests {
             let mut raster = Raster::filled(30, 10, BANDS, value);
             raster.plane_mut(1).fill(sigma);
             raster.plane_mut(2).fill(1.0);
+            raster.plane_mut(3).fill(6.0);
             Piece {
                 unit: format!("t{at}"),
                 raster,
@@ -304,6 +305,6 @@ mod tests {
         pieces[0].raster.plane_mut(0)[5 * 30 + 3] = f32::NAN;
         let raster = blend(&pieces, (40, 10), 0.5);
         assert!((raster.at(0, 25, 5) - 100.0).abs() < 1e-4);
-        assert!(raster.at(0, 3, 5).is_nan() && raster.at(2, 3, 5) == 0.0);
+        assert!((0..BANDS).all(|band| raster.at(band, 3, 5).is_nan()));
     }
 }

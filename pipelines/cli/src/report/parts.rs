@@ -211,12 +211,12 @@ pub(super) fn accuracy(run: &Folder) -> Markup {
         @if let Some(chart) = chart { div.charts { (chart) } }
         @if !classes.is_empty() {
             div.wide { table {
-                tr { th { "class" } th { "MAE, m" } th { "median, m" } th { "RMSE, m" } th { "within 1 m, %" } }
+                tr { th { "class" } th { "MAE, m" } th { "median, m" } th { "RMSE, m" } th { "within 1 m, %" } th { "beyond 5 m, %" } }
                 @for (name, errors) in classes {
                     tr {
                         td { (name) }
                         @for key in ["mae_m", "median_m", "rmse_m"] { td { (number(errors[key].as_f64(), 3)) } }
-                        td { (number(errors["within_1m"].as_f64().map(|share| 100.0 * share), 1)) }
+                        @for key in ["within_1m", "beyond_5m"] { td { (number(errors[key].as_f64().map(|share| 100.0 * share), 1)) } }
                     }
                 }
             } }

@@ -34,6 +34,7 @@ fn contents(folder: &Path) -> Contents {
             height: 10,
         },
         shift_px: [0.0; 2],
+        known: None,
         sun: SunPosition::from_degrees(100.0, 40.0),
         time: None,
     };

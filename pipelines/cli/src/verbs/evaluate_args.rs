@@ -62,17 +62,18 @@ pub fn table(metrics: &DsmMetrics) -> String {
         "protocol {}   shift east {:.2} north {:.2} up {:.2} m\n",
         metrics.protocol, metrics.shift_m[0], metrics.shift_m[1], metrics.shift_m[2]
     );
-    text.push_str("class          MAE m   RMSE m  median m   NMAD m  within 1 m  complete\n");
+    text.push_str("class          MAE m   RMSE m  median m   NMAD m  within 1 m  beyond 5 m  complete\n");
     let mut line = |name: &str, errors: &HeightErrors| {
         // Writing to a String cannot fail.
         let _ = writeln!(
             text,
-            "{name:<12} {:>7.3}  {:>7.3}   {:>7.3}  {:>7.3}     {:>5.1} %   {:>5.1} %",
+            "{name:<12} {:>7.3}  {:>7.3}   {:>7.3}  {:>7.3}     {:>5.1} %     {:>5.2} %   {:>5.1} %",
             errors.mae_m,
             errors.rmse_m,
             errors.median_m,
             errors.nmad_m,
             100.0 * errors.within_1m,
+            100.0 * errors.beyond_5m,
             100.0 * errors.completeness
         );
     };
@@ -82,6 +83,10 @@ pub fn table(metrics: &DsmMetrics) -> String {
     }
     for (name, errors) in &metrics.by_class {
         line(name, errors);
+    }
+    if let Some(share) = metrics.seen_unknown {
+        // Writing to a String cannot fail.
+        let _ = writeln!(text, "unknown of what two images see: {:.2} %", 100.0 * share);
     }
     if let Some(uncertainty) = &metrics.uncertainty {
         text += &uncertainty.table();

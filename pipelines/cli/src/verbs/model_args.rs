@@ -60,6 +60,9 @@ pub struct DsmArgs {
     /// Coordinate reference system [default: the local UTM zone]
     #[arg(long, value_name = "EPSG:N")]
     pub crs: Option<String>,
+    /// Close holes with the lower of the altitudes around them; closed cells have a coverage and views of 0 and no standard deviation
+    #[arg(long)]
+    pub fill: bool,
     /// What is said about the scene
     #[command(flatten)]
     pub ingest: IngestArgs,

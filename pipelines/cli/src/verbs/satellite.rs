@@ -82,7 +82,7 @@ pub(crate) fn train(args: &TrainArgs, session: &Session) -> Result<Outcome, CliE
 /// # Errors
 /// When the run, the scene, the coordinate system or the file to write is at fault.
 pub(crate) fn dsm(args: &DsmArgs, session: &Session) -> Result<Outcome, CliError> {
-    let (surface, gsd_m) = match args.from {
+    let (mut surface, gsd_m) = match args.from {
         DsmSource::Model => {
             if args.ingest.altitude.is_some() {
                 return Err(CliError::Input(
@@ -109,17 +109,24 @@ pub(crate) fn dsm(args: &DsmArgs, session: &Session) -> Result<Outcome, CliError
             args.run.display()
         )));
     }
+    let filled = if args.fill { surface.fill() } else { 0 };
     surface.write(&args.out)?;
-    let share = known as f64 / surface.raster.plane_len().max(1) as f64;
+    let [share, filled] = [known, filled].map(|cells| cells as f64 / surface.raster.plane_len().max(1) as f64);
     let (width, height) = (surface.grid.width, surface.grid.height);
     let crs = surface.grid.crs.name().to_owned();
     Ok(Outcome {
         text: format!(
-            "{}: {width} x {height} cells of {gsd_m} m, {crs}, {:.1} % known",
+            "{}: {width} x {height} cells of {gsd_m} m, {crs}, {:.1} % known{}",
             args.out.display(),
-            100.0 * share
+            100.0 * share,
+            match args.fill {
+                true => format!(", {:.1} % filled", 100.0 * filled),
+                false => String::new(),
+            }
         ),
-        json: json!({"dsm": args.out, "width": width, "height": height, "gsd_m": gsd_m, "crs": crs, "completeness": share}),
+        json: json!({
+            "dsm": args.out, "width": width, "height": height, "gsd_m": gsd_m, "crs": crs, "completeness": share, "filled": filled
+        }),
     })
 }
 
@@ -206,7 +213,7 @@ pub(crate) fn render(args: &RenderArgs, session: &Session) -> Result<Outcome, Cl
 pub(crate) fn evaluate(run: &Path, args: &EvaluateArgs) -> Result<Outcome, CliError> {
     let model = load(run)?;
     let scene = scene_of(run)?;
-    let evaluation = measure::dsm(&scene, run, args.protocol.into())?;
+    let evaluation = measure::dsm(&scene, &model, run, args.protocol.into())?;
     let metrics = measure::metrics(&scene, &model, run, args.protocol.into())?;
     let mut text = String::new();
     if let Some(evaluation) = &evaluation {

@@ -44,7 +44,7 @@ pub(super) fn excess(
     let hits: Vec<FirstHits> = search
         .level_views(FACTOR)
         .iter()
-        .map(|level| FirstHits::new(level, grid, altitude, tolerance_m.max(HIDDEN_M)))
+        .map(|level| FirstHits::new(&level.camera, grid, altitude, tolerance_m.max(HIDDEN_M)))
         .collect();
     let mut least = vec![vec![f32::INFINITY; grid.len()]; views.len()];
     for band in 0..bands {

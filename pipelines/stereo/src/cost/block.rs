@@ -74,6 +74,8 @@ pub(super) struct Scratch {
     pub(super) descriptors: Vec<Descriptors>,
     /// Descriptors of the index, per view.
     pub(super) index_descriptors: Vec<Descriptors>,
+    /// Largest differences that the census compares, cell by cell.
+    pub(super) limits: Vec<f32>,
     /// Weighted sums of the comparisons.
     pub(super) sum: Vec<u32>,
     /// Sums of their weights.
@@ -95,6 +97,7 @@ impl Scratch {
             across: vec![0; cells],
             descriptors: vec![Descriptors::new(cells); views],
             index_descriptors: vec![Descriptors::new(cells); views],
+            limits: vec![0.0; cells],
             sum: vec![0; cells],
             weights: vec![0; cells],
             cost: vec![0; cells],

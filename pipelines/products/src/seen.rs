@@ -1,0 +1,70 @@
+//! How many of the images that a model was trained on see each cell of a surface.
+
+use crate::dsm::NadirGrid;
+use crate::model::{ModelFile, ModelImage};
+use glam::Vec3;
+use heliosplat::ProjectiveCamera;
+use heliosplat_scene::crop;
+use heliosplat_stereo::{AltitudeGrid, views_seeing};
+
+/// The number of training images that see each cell of `nadir`'s grid at its ellipsoidal `altitude_m` (NaN where there is none, which no
+/// image sees). Pixels without data, and those that show clouds, see nothing.
+pub fn views(nadir: &NadirGrid, altitude_m: &[f32], model: &ModelFile) -> Vec<u8> {
+    let (width, height) = (nadir.grid.width, nadir.grid.height);
+    let cell_m = nadir.grid.transform.pixel_size().0 * nadir.grid.crs.metres_per_unit();
+    let enu = |cell: usize| {
+        let height_m = f64::from(altitude_m[cell]);
+        let height_m = if height_m.is_finite() {
+            height_m
+        } else {
+            model.origin.height_m
+        };
+        nadir.enu.enu((cell % width) as f64, (cell / width) as f64, height_m)
+    };
+    // Rays are walked over a grid of the local frame, which the map grid is turned against.
+    let corners = [0, width - 1, (height - 1) * width, height * width - 1].map(enu);
+    let bound = |axis: usize, sign: f64| sign * corners.iter().map(|c| sign * c[axis]).fold(f64::MIN, f64::max);
+    let (west, south) = (bound(0, -1.0) - cell_m, bound(1, -1.0) - cell_m);
+    let (east, north) = (bound(0, 1.0) + cell_m, bound(1, 1.0) + cell_m);
+    let size = [east - west, north - south].map(|length| (length / cell_m).ceil().max(1.0) as usize);
+    let standing: Vec<f32> = (0..size[0] * size[1])
+        .map(|i| {
+            let x = west + (0.5 + (i % size[0]) as f64) * cell_m;
+            let y = north - (0.5 + (i / size[0]) as f64) * cell_m;
+            let (col, row, _) = nadir.camera.project(Vec3::new(x as f32, y as f32, 0.0));
+            let (col, row) = (col.round(), row.round());
+            let inside = col >= 0.0 && row >= 0.0 && col < width as f32 && row < height as f32;
+            let cell = inside.then(|| row as usize * width + col as usize);
+            let cell = cell.filter(|&cell| altitude_m[cell].is_finite());
+            cell.map_or(f32::NAN, |cell| enu(cell)[2] as f32)
+        })
+        .collect();
+    let seeing: Vec<&ModelImage> = model.images.iter().filter(|image| image.appearance.is_some()).collect();
+    let cameras: Vec<ProjectiveCamera> = seeing
+        .iter()
+        .map(|image| crop::camera(&image.map, &image.crop, image.shift_px))
+        .collect();
+    let surface = AltitudeGrid {
+        size: (size[0], size[1]),
+        west_m: west as f32,
+        north_m: north as f32,
+        cell_m: cell_m as f32,
+        altitude_m: &standing,
+        resolution_m: cell_m as f32,
+    };
+    let seen = views_seeing(&surface, &cameras, &|view, pixel| {
+        let image = seeing[view];
+        let at = (pixel % image.crop.width, pixel / image.crop.width);
+        image.known.as_ref().is_none_or(|known| known.at(at))
+    });
+    (0..width * height)
+        .map(|cell| {
+            if !altitude_m[cell].is_finite() {
+                return 0;
+            }
+            let [x, y, _] = enu(cell);
+            let (col, row) = (((x - west) / cell_m) as usize, ((north - y) / cell_m) as usize);
+            seen[row.min(size[1] - 1) * size[0] + col.min(size[0] - 1)]
+        })
+        .collect()
+}

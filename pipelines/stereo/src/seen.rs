@@ -1,0 +1,133 @@
+//! Which views see a surface: how many of them show each cell at its altitude.
+//!
+//! One image alone says nothing of an altitude, so a cell that fewer than [`FEWEST_VIEWS`] see is not known, whatever was matched there.
+
+use super::grid::Grid;
+use super::visibility::FirstHits;
+use glam::Vec3;
+use heliosplat::ProjectiveCamera;
+use rayon::prelude::*;
+
+/// Views that must see a cell for its altitude to be known.
+pub const FEWEST_VIEWS: u8 = 2;
+/// A cell counts as hidden when it lies at least this far below what hides it, metres: a kerb or a hedge hides nothing.
+const HIDDEN_M: f32 = 1.0;
+
+/// Altitudes on a ground grid whose row 0 is the northern one.
+#[derive(Debug, Clone, Copy)]
+pub struct AltitudeGrid<'a> {
+    /// Columns and rows.
+    pub size: (usize, usize),
+    /// Western edge, metres.
+    pub west_m: f32,
+    /// Northern edge, metres.
+    pub north_m: f32,
+    /// Width of a cell, metres.
+    pub cell_m: f32,
+    /// Altitude of each cell, metres; NaN where none is known: such a cell is seen by no view, and hides nothing.
+    pub altitude_m: &'a [f32],
+    /// What the altitudes can be off by, metres: a cell that lies less than this below another is not hidden by it.
+    pub resolution_m: f32,
+}
+
+/// How many views see each cell: its centre projects into the image, onto a pixel of which `is_known` (view, pixel in row order) says
+/// that it has data, and nothing higher stands before it.
+pub fn views_seeing(
+    surface: &AltitudeGrid,
+    cameras: &[ProjectiveCamera],
+    is_known: &(dyn Fn(usize, usize) -> bool + Sync),
+) -> Vec<u8> {
+    let grid = Grid {
+        width: surface.size.0,
+        height: surface.size.1,
+        west_m: surface.west_m,
+        north_m: surface.north_m,
+        cell_m: surface.cell_m,
+    };
+    let standing: Vec<f32> = surface
+        .altitude_m
+        .iter()
+        .map(|z| if z.is_nan() { f32::MIN } else { *z })
+        .collect();
+    let tolerance_m = surface.resolution_m.max(HIDDEN_M);
+    let mut seen = vec![0u8; grid.len()];
+    // View by view: the hits of one image are in memory at a time.
+    for (view, camera) in cameras.iter().enumerate() {
+        let hits = FirstHits::new(camera, &grid, &standing, tolerance_m);
+        seen.par_iter_mut()
+            .enumerate()
+            .with_min_len(1024)
+            .for_each(|(cell, seen)| {
+                let altitude_m = surface.altitude_m[cell];
+                let at = grid.point((cell % grid.width) as isize, (cell / grid.width) as isize, altitude_m);
+                let shown =
+                    pixel_of(camera, at).is_some_and(|pixel| is_known(view, pixel) && !hits.hides(pixel, altitude_m));
+                *seen = seen.saturating_add(u8::from(shown));
+            });
+    }
+    seen
+}
+
+/// The pixel, in row order, that a point (metres) projects into; `None` outside the image.
+fn pixel_of(camera: &ProjectiveCamera, at: Vec3) -> Option<usize> {
+    let (col, row, _) = camera.project(at);
+    let (col, row) = (col.round(), row.round());
+    // Written so that a NaN position is outside too.
+    let inside = col >= 0.0 && row >= 0.0 && col < camera.width as f32 && row < camera.height as f32;
+    inside.then(|| row as usize * camera.width + col as usize)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use glam::DVec3;
+
+    /// A camera far away whose rays move `lean` metres east per metre of altitude, with pixels of a metre over `size` metres.
+    fn camera(lean: f64, size: usize) -> ProjectiveCamera {
+        let axis = DVec3::new(lean, 0.0, -1.0).normalize();
+        let half = size as f64 / 2.0;
+        ProjectiveCamera::new(
+            [1.0, 0.0, lean, half - 0.5],
+            [0.0, -1.0, 0.0, half - 0.5],
+            [0.0; 3],
+            (size, size),
+            axis,
+        )
+    }
+
+    fn surface(altitude_m: &[f32], side: usize) -> AltitudeGrid<'_> {
+        AltitudeGrid {
+            size: (side, side),
+            west_m: -(side as f32) / 2.0,
+            north_m: side as f32 / 2.0,
+            cell_m: 1.0,
+            altitude_m,
+            resolution_m: 0.1,
+        }
+    }
+
+    #[test]
+    fn ground_behind_a_tower_is_seen_by_the_views_from_the_other_side_alone() {
+        const SIDE: usize = 60;
+        let tower = |i: usize| (25..35).contains(&(i % SIDE)) && (25..35).contains(&(i / SIDE));
+        let altitude: Vec<f32> = (0..SIDE * SIDE).map(|i| if tower(i) { 10.0 } else { 0.0 }).collect();
+        let cameras = [camera(0.0, SIDE), camera(-1.0, SIDE), camera(1.0, SIDE)];
+        let seen = views_seeing(&surface(&altitude, SIDE), &cameras, &|_, _| true);
+        let at = |col: usize| seen[30 * SIDE + col];
+        assert_eq!((at(30), at(5)), (3, 3), "the roof and open ground");
+        // Beside the tower each oblique view misses one side, well within the length of its lean.
+        assert_eq!((at(21), at(38)), (2, 2));
+    }
+
+    #[test]
+    fn pixels_without_data_and_cells_without_altitude_count_for_nothing() {
+        const SIDE: usize = 8;
+        let mut altitude = vec![0.0; SIDE * SIDE];
+        altitude[9] = f32::NAN;
+        let cameras = [camera(0.0, SIDE), camera(0.0, SIDE)];
+        let seen = views_seeing(&surface(&altitude, SIDE), &cameras, &|view, pixel| {
+            view == 0 || pixel != 20
+        });
+        assert_eq!((seen[9], seen[20], seen[0]), (0, 1, 2));
+    }
+}
