@@ -1,15 +1,16 @@
 //! A surface model from a folder of satellite images by the plane sweep, without training.
 //!
 //! Usage: `dsm_from_folder SCENE OUT.tif [LOW,HIGH]` (lowest and highest altitude of the surface, metres above the WGS 84 ellipsoid;
-//! without them the files of the scene must say)
+//! without them the files of the scene say, or tie points between its images)
 //!
 //! Writes a cloud-optimised GeoTIFF in the local UTM zone, with the cell size of the images, and prints a line about it.
 
 use heliosplat_fitting::settings::Preset;
 use heliosplat_products::dsm::{Place, of_surface};
+use heliosplat_satellite::altitude;
 use heliosplat_satellite::config::SatelliteConfig;
 use heliosplat_satellite::swept::sweep_only;
-use heliosplat_scene::{IngestOptions, Scene};
+use heliosplat_scene::IngestOptions;
 use heliosplat_session::Session;
 use std::error::Error;
 use std::path::Path;
@@ -36,7 +37,7 @@ fn run() -> Result<(), Box<dyn Error>> {
         altitude_range_m,
         ..Default::default()
     };
-    let scene = Scene::open(Path::new(folder), &options)?;
+    let scene = altitude::open(Path::new(folder), &options)?;
     for warning in &scene.warnings {
         eprintln!("warning: {warning}");
     }

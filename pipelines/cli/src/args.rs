@@ -24,6 +24,7 @@ impl IngestArgs {
     pub fn options(&self) -> IngestOptions {
         IngestOptions {
             altitude_range_m: self.altitude.map(|[low, high]| (low, high)),
+            altitude_from_ties_m: None,
             rpc: self.rpc.into(),
             area: self.area.clone(),
         }

@@ -1,7 +1,7 @@
 //! Reading: what a raster file is, and its pixels as `f32` with `NaN` where nothing is known.
 
 use super::{Crs, GeoTransform, RasterError, messages};
-use gdal::raster::{ColorInterpretation, GdalDataType};
+use gdal::raster::{ColorInterpretation, GdalDataType, ResampleAlg};
 use gdal::{Dataset, DatasetOptions, GdalOpenFlags, Metadata};
 use heliosplat::Raster;
 use std::collections::BTreeMap;
@@ -254,9 +254,35 @@ impl RasterFile {
             values: Vec::with_capacity(window.width * window.height * bands.len()),
         };
         for &band in bands {
-            raster.values.extend(self.read_band(window, band)?);
+            raster.values.extend(self.read_band(window, 1, band)?);
         }
         Ok(raster)
+    }
+
+    /// Reads a window of the given bands (0-based) averaged down: each pixel of the result is the mean of `factor` by `factor` pixels of the
+    /// file, from an overview where the file has one. Columns and rows of the window beyond a multiple of `factor` are left out.
+    ///
+    /// # Errors
+    /// [`RasterError::Damaged`] when the pixels cannot be read.
+    pub fn read_reduced(&self, window: Window, factor: usize, bands: &[usize]) -> Result<Raster, RasterError> {
+        let factor = factor.max(1);
+        let (width, height) = (window.width / factor, window.height / factor);
+        let reduced = Window {
+            width,
+            height,
+            ..window
+        };
+        self.check_size(reduced, bands.len())?;
+        let mut values = Vec::with_capacity(width * height * bands.len());
+        for &band in bands {
+            values.extend(self.read_band(window, factor, band)?);
+        }
+        Ok(Raster {
+            width,
+            height,
+            bands: bands.len(),
+            values,
+        })
     }
 
     /// Refuses to read more samples than the bytes of the file can stand for: they would only fill the memory.
@@ -285,13 +311,16 @@ impl RasterFile {
         self.read(self.whole(), &bands)
     }
 
-    fn read_band(&self, window: Window, band: usize) -> Result<Vec<f32>, RasterError> {
-        let size = (window.width, window.height);
+    /// The values of a window, `factor` pixels each way averaged into one.
+    fn read_band(&self, window: Window, factor: usize, band: usize) -> Result<Vec<f32>, RasterError> {
+        let size = (window.width / factor, window.height / factor);
+        let from = (size.0 * factor, size.1 * factor);
         let (_, mut values) = messages::collect(|| {
             let origin = (window.col0 as isize, window.row0 as isize);
+            let average = (factor > 1).then_some(ResampleAlg::Average);
             self.dataset
                 .rasterband(band + 1)?
-                .read_as::<f32>(origin, size, size, None)
+                .read_as::<f32>(origin, from, size, average)
         })
         .map_err(|reason| RasterError::Damaged {
             path: self.path.clone(),

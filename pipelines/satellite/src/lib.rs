@@ -5,6 +5,7 @@
 //! [`measure`] compares a run with the truth of its scene.
 
 pub mod adjust;
+pub mod altitude;
 mod clouds;
 pub mod config;
 pub mod error;

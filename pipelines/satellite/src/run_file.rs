@@ -28,6 +28,9 @@ pub struct RunFile {
     pub scene: PathBuf,
     /// The altitude range asked for, if any, metres.
     pub altitude_range_m: Option<(f64, f64)>,
+    /// The altitude range that tie points gave, where none was stated, metres.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub altitude_from_ties_m: Option<(f64, f64)>,
     /// The piece of ground asked for, if any.
     #[serde(default)]
     pub area: Option<AreaRequest>,
@@ -121,6 +124,7 @@ pub fn scene_of(run: &Path) -> Result<Scene, SatelliteError> {
     let file = load_run(run)?;
     let options = IngestOptions {
         altitude_range_m: file.altitude_range_m,
+        altitude_from_ties_m: file.altitude_from_ties_m,
         area: file.area,
         ..Default::default()
     };

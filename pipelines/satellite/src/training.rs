@@ -21,7 +21,7 @@ use heliosplat_fitting::training::Ending;
 use heliosplat_products::dsm;
 use heliosplat_products::model::{LoadedModel, ModelFile, SCHEMA};
 use heliosplat_raster::{is_virtual, preview};
-use heliosplat_scene::{IngestOptions, Scene, SceneImage};
+use heliosplat_scene::{AltitudeSource, IngestOptions, Scene, SceneImage};
 use heliosplat_session::Session;
 use std::fmt::Write;
 use std::path::PathBuf;
@@ -140,6 +140,7 @@ pub fn train(
         seed: config.train.seed,
         scene: std::fs::canonicalize(&scene.source).unwrap_or_else(|_| scene.source.clone()),
         altitude_range_m: request.ingest.altitude_range_m,
+        altitude_from_ties_m: (scene.altitude_known_from == AltitudeSource::Ties).then_some(scene.altitude_range_m),
         area: request.ingest.area.clone(),
         plan: decisions.items,
         inputs,

@@ -1,6 +1,38 @@
-//! The altitudes a scene's surface may have: said by the user, by its files, or by the cameras' validity.
+//! The altitudes a scene's surface may have: said by the user or by its files, found from tie points, or all that the cameras are valid for.
 
-use super::SceneError;
+use super::{IngestOptions, SceneError};
+
+/// Where the range of altitudes comes from.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum AltitudeSource {
+    /// Somebody stated it: the user, `scene.toml`, or the JSON files of the images.
+    Given,
+    /// Tie points between the images gave it.
+    Ties,
+    /// Nothing is known but the heights that the RPC cameras are valid for.
+    Cameras,
+}
+
+/// The altitudes the surface may have, metres above the ellipsoid.
+#[derive(Debug, Clone, PartialEq, serde::Serialize)]
+pub struct AltitudeRange {
+    /// Lowest.
+    pub low_m: f64,
+    /// Highest.
+    pub high_m: f64,
+    /// Where they come from.
+    pub source: AltitudeSource,
+    /// The same in words.
+    pub words: String,
+}
+
+impl AltitudeRange {
+    /// Lowest and highest.
+    pub fn limits_m(&self) -> (f64, f64) {
+        (self.low_m, self.high_m)
+    }
+}
 
 /// What one image's files say about altitude, metres above the ellipsoid.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -11,44 +43,81 @@ pub(super) struct Stated {
     pub(super) rpc_m: (f64, f64),
 }
 
+/// What is said about the altitudes of a whole scene, metres above the ellipsoid.
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
+pub(super) struct Said {
+    /// The user's.
+    pub(super) option_m: Option<(f64, f64)>,
+    /// That of `scene.toml`.
+    pub(super) manifest_m: Option<(f64, f64)>,
+    /// What tie points gave.
+    pub(super) ties_m: Option<(f64, f64)>,
+}
+
+impl Said {
+    /// What the user and `scene.toml` say.
+    pub(super) fn of(options: &IngestOptions, manifest_m: Option<(f64, f64)>) -> Self {
+        Self {
+            option_m: options.altitude_range_m,
+            manifest_m,
+            ties_m: options.altitude_from_ties_m,
+        }
+    }
+}
+
 /// Surfaces on Earth lie between the Dead Sea and Everest, metres.
 const EARTH_M: (f64, f64) = (-500.0, 9000.0);
 
-/// The range to use and where it comes from: the option, `scene.toml`, the JSONs together, or what all RPCs are valid for.
-pub(super) fn choose(
-    option_m: Option<(f64, f64)>,
-    manifest_m: Option<(f64, f64)>,
-    stated: &[Stated],
-    warnings: &mut Vec<String>,
-) -> Result<((f64, f64), String), SceneError> {
-    if let Some(range) = option_m {
-        return checked(range, "as given");
+/// The range to use: the option's, that of `scene.toml`, that of the JSONs together, that of the tie points, or what all RPCs are valid for.
+pub(super) fn choose(said: Said, stated: &[Stated], warnings: &mut Vec<String>) -> Result<AltitudeRange, SceneError> {
+    if let Some(range) = said.option_m {
+        return checked(range, AltitudeSource::Given, "as given");
     }
-    if let Some(range) = manifest_m {
-        return checked(range, "from scene.toml");
+    if let Some(range) = said.manifest_m {
+        return checked(range, AltitudeSource::Given, "from scene.toml");
     }
     let from_json = stated
         .iter()
         .filter_map(|image| image.json_m)
         .reduce(|a, b| (a.0.min(b.0), a.1.max(b.1)));
     if let Some(range) = from_json {
-        return checked(range, "from min_alt and max_alt of the JSON files");
+        return checked(
+            range,
+            AltitudeSource::Given,
+            "from min_alt and max_alt of the JSON files",
+        );
     }
-    let valid = stated.iter().fold(EARTH_M, |range, image| {
-        (range.0.max(image.rpc_m.0), range.1.min(image.rpc_m.1))
-    });
-    let (range, source) = checked(valid, "from the RPC cameras' height range")?;
+    if let Some(range) = said.ties_m {
+        return checked(range, AltitudeSource::Ties, "from tie points between the images");
+    }
+    let range = checked(
+        valid_for_all(stated),
+        AltitudeSource::Cameras,
+        "from the RPC cameras' height range",
+    )?;
     warnings.push(format!(
         "altitudes from {:.0} to {:.0} m are searched, which is all its RPC cameras allow; --altitude MIN,MAX makes it faster and safer",
-        range.0, range.1
+        range.low_m, range.high_m
     ));
-    Ok((range, source))
+    Ok(range)
 }
 
-fn checked((low_m, high_m): (f64, f64), origin: &str) -> Result<((f64, f64), String), SceneError> {
+/// The heights that all RPCs are valid for, metres; empty (lowest above highest) where they contradict each other.
+pub(super) fn valid_for_all(stated: &[Stated]) -> (f64, f64) {
+    stated.iter().fold(EARTH_M, |range, image| {
+        (range.0.max(image.rpc_m.0), range.1.min(image.rpc_m.1))
+    })
+}
+
+fn checked((low_m, high_m): (f64, f64), source: AltitudeSource, origin: &str) -> Result<AltitudeRange, SceneError> {
     // Written so that values that are no numbers fail too.
     if low_m < high_m && low_m >= EARTH_M.0 - 500.0 && high_m <= EARTH_M.1 + 500.0 {
-        Ok(((low_m, high_m), origin.to_owned()))
+        Ok(AltitudeRange {
+            low_m,
+            high_m,
+            source,
+            words: origin.to_owned(),
+        })
     } else {
         Err(SceneError::AltitudeRange {
             low_m,
@@ -67,26 +136,43 @@ mod tests {
     }
 
     #[test]
-    fn the_user_wins_then_the_files_then_the_cameras() {
+    fn the_user_wins_then_the_files_then_ties_then_the_cameras() {
         let images = [
             image(Some((10.0, 50.0)), (-50.0, 900.0)),
             image(Some((5.0, 40.0)), (0.0, 950.0)),
         ];
-        let mut warnings = Vec::new();
-        let mut range =
-            |option, manifest, images: &[Stated]| choose(option, manifest, images, &mut warnings).expect("a range").0;
-        assert_eq!(range(Some((1.0, 2.0)), Some((3.0, 4.0)), &images), (1.0, 2.0));
-        assert_eq!(range(None, Some((3.0, 4.0)), &images), (3.0, 4.0));
-        assert_eq!(range(None, None, &images), (5.0, 50.0));
         let bare = [image(None, (-50.0, 900.0)), image(None, (0.0, 950.0))];
-        assert_eq!(range(None, None, &bare), (0.0, 900.0));
+        let all = Said {
+            option_m: Some((1.0, 2.0)),
+            manifest_m: Some((3.0, 4.0)),
+            ties_m: Some((6.0, 7.0)),
+        };
+        let files = Said { option_m: None, ..all };
+        let ties = Said {
+            manifest_m: None,
+            ..files
+        };
+        let mut warnings = Vec::new();
+        let mut range = |said, images: &[Stated]| {
+            let range = choose(said, images, &mut warnings).expect("a range");
+            (range.limits_m(), range.source)
+        };
+        assert_eq!(range(all, &images), ((1.0, 2.0), AltitudeSource::Given));
+        assert_eq!(range(files, &images), ((3.0, 4.0), AltitudeSource::Given));
+        assert_eq!(range(ties, &images), ((5.0, 50.0), AltitudeSource::Given));
+        assert_eq!(range(ties, &bare), ((6.0, 7.0), AltitudeSource::Ties));
+        assert_eq!(range(Said::default(), &bare), ((0.0, 900.0), AltitudeSource::Cameras));
         assert_eq!(warnings.len(), 1);
     }
 
     #[test]
     fn a_range_upside_down_or_off_the_earth_is_an_error() {
         for bad in [(5.0, 5.0), (9.0, 1.0), (f64::NAN, 3.0), (0.0, 1e6)] {
-            assert!(choose(Some(bad), None, &[], &mut Vec::new()).is_err(), "{bad:?}");
+            let said = Said {
+                option_m: Some(bad),
+                ..Said::default()
+            };
+            assert!(choose(said, &[], &mut Vec::new()).is_err(), "{bad:?}");
         }
     }
 }

@@ -15,6 +15,11 @@ impl Footprint {
         Self(corners)
     }
 
+    /// Its corners in order, metres.
+    pub(super) fn corners(&self) -> &[[f64; 2]] {
+        &self.0
+    }
+
     /// Square metres.
     pub(super) fn area_m2(&self) -> f64 {
         signed_area(&self.0)

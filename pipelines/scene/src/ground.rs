@@ -4,7 +4,7 @@ use super::area::{AreaRequest, window_over};
 use super::draft::Draft;
 use super::footprint::{self, Footprint};
 use super::layout::Layout;
-use super::{Area, Scene, SceneError, SceneImage, Split, acquisition, pixels};
+use super::{AltitudeRange, Area, Scene, SceneError, SceneImage, Split, acquisition, pixels};
 use heliosplat_rpc::statistics::upper_median;
 use heliosplat_rpc::{ImageWindow, LocalFrame, PinholeFit, Rpc};
 use nalgebra::Vector3;
@@ -130,10 +130,11 @@ impl Ground {
         self,
         source: &Path,
         layout: Layout,
-        (altitude_range_m, altitude_source): ((f64, f64), String),
+        range: AltitudeRange,
         mut warnings: Vec<String>,
     ) -> Result<Scene, SceneError> {
         let Self { drafts, frame, area } = self;
+        let altitude_range_m = range.limits_m();
         let mut suns = Vec::with_capacity(drafts.len());
         for draft in &drafts {
             suns.push(acquisition::sun(
@@ -180,7 +181,8 @@ impl Ground {
             images,
             frame,
             altitude_range_m,
-            altitude_source,
+            altitude_known_from: range.source,
+            altitude_source: range.words,
             area,
             counts_per_unit,
             truth: layout.truth,

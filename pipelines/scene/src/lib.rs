@@ -9,6 +9,7 @@ mod altitude;
 mod area;
 pub mod bands;
 mod camera;
+pub mod cameras;
 pub mod crop;
 mod draft;
 mod error;
@@ -24,6 +25,7 @@ pub mod saturation;
 pub mod survey;
 mod truth;
 
+pub use altitude::{AltitudeRange, AltitudeSource};
 pub use area::AreaRequest;
 pub use error::SceneError;
 pub use known_tiles::KnownTiles;
@@ -95,6 +97,8 @@ pub enum RpcPreference {
 pub struct IngestOptions {
     /// Lowest and highest ellipsoidal altitude of the surface, metres.
     pub altitude_range_m: Option<(f64, f64)>,
+    /// The same as tie points between the images gave it; used where neither this nor a file of the scene states a range.
+    pub altitude_from_ties_m: Option<(f64, f64)>,
     /// Which camera is used where two differ.
     pub rpc: RpcPreference,
     /// The piece of ground to model, if not all.
@@ -171,7 +175,9 @@ pub struct Scene {
     pub frame: LocalFrame,
     /// Lowest and highest ellipsoidal altitude the surface may have, metres.
     pub altitude_range_m: (f64, f64),
-    /// Where the altitude range comes from, in words.
+    /// Where the altitude range comes from.
+    pub altitude_known_from: AltitudeSource,
+    /// The same in words.
     pub altitude_source: String,
     /// Ground covered by at least two training images (bounding rectangle at mid altitude).
     pub area: Area,
@@ -197,14 +203,13 @@ impl Scene {
         let drafts = draft::read_all(&layout, options, &mut warnings)?;
         draft::check_bands(&drafts)?;
         let ranges: Vec<altitude::Stated> = drafts.iter().map(Draft::stated_altitude).collect();
-        let (altitude_range_m, altitude_source) = altitude::choose(
-            options.altitude_range_m,
-            layout.altitude_range_m,
+        let range = altitude::choose(
+            altitude::Said::of(options, layout.altitude_range_m),
             &ranges,
             &mut warnings,
         )?;
-        let ground = Ground::find(path, drafts, altitude_range_m, options.area.as_ref(), &mut warnings)?;
-        ground.finish(path, layout, (altitude_range_m, altitude_source), warnings)
+        let ground = Ground::find(path, drafts, range.limits_m(), options.area.as_ref(), &mut warnings)?;
+        ground.finish(path, layout, range, warnings)
     }
 
     /// Geodetic position of the frame's origin.

@@ -57,12 +57,8 @@ impl Survey {
         let drafts = draft::read_all(&layout, options, &mut warnings)?;
         draft::check_bands(&drafts)?;
         let stated: Vec<altitude::Stated> = drafts.iter().map(Draft::stated_altitude).collect();
-        let (altitude_range_m, _) = altitude::choose(
-            options.altitude_range_m,
-            layout.altitude_range_m,
-            &stated,
-            &mut warnings,
-        )?;
+        let said = altitude::Said::of(options, layout.altitude_range_m);
+        let altitude_range_m = altitude::choose(said, &stated, &mut warnings)?.limits_m();
         let files = files_of(path, &layout, &drafts);
         let bands = drafts.first().map_or(0, |draft| draft.plan.kinds.len());
         let ground = Ground::find(path, drafts, altitude_range_m, options.area.as_ref(), &mut warnings)?;

@@ -12,6 +12,7 @@
 //! has to reject such sightings.
 
 mod corners;
+pub mod epipolar;
 mod patch;
 mod refine;
 

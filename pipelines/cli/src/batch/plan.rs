@@ -6,6 +6,7 @@ use super::manifest::{AreaEntry, ImagesEntry, Manifest, PresetEntry, ProductOpti
 use super::tiles::{self, Tiling};
 use heliosplat_fitting::checkpoint::{digest, identity_of_program};
 use heliosplat_raster::write::write_atomically;
+use heliosplat_satellite::altitude;
 use heliosplat_satellite::estimate::slowness;
 use heliosplat_scene::survey::Survey;
 use heliosplat_scene::{AreaRequest, IngestOptions, RpcPreference};
@@ -75,6 +76,9 @@ pub struct TileWork {
     pub area: AreaRequest,
     /// Lowest and highest ellipsoidal altitude, metres.
     pub altitude_m: Option<[f64; 2]>,
+    /// The same as tie points between the images of the whole area gave it, where none is stated.
+    #[serde(default)]
+    pub altitude_from_ties_m: Option<(f64, f64)>,
     /// Which camera counts.
     pub rpc: RpcPreference,
     /// How it is trained.
@@ -218,9 +222,12 @@ fn units_of(
 ) -> Result<(Vec<Unit>, Vec<PathBuf>), BatchError> {
     let options = IngestOptions {
         altitude_range_m: area.altitude_m.map(|[low, high]| (low, high)),
+        altitude_from_ties_m: None,
         rpc: images.preference(),
         area: area.request(),
     };
+    // Once for all tiles, so that they are parts of one surface.
+    let options = altitude::resolve(&images.scene, &options)?;
     let survey = Survey::open(&images.scene, &options)?;
     let inputs = hashes.of(&survey.files)?;
     let mut units = Vec::new();
@@ -240,6 +247,7 @@ fn units_of(
         let combination = Combination {
             area,
             images,
+            altitude_from_ties_m: options.altitude_from_ties_m,
             preset,
             inputs: &inputs,
             config: toml::to_string(&config).unwrap_or_default(),
@@ -267,6 +275,8 @@ fn refused(area: &AreaEntry, images: &ImagesEntry, error: &BatchError) -> Unit {
 struct Combination<'a> {
     area: &'a AreaEntry,
     images: &'a ImagesEntry,
+    /// The altitudes of the whole area, where tie points gave them, metres.
+    altitude_from_ties_m: Option<(f64, f64)>,
     preset: &'a PresetEntry,
     /// The files that say something about the scene, and their hashes.
     inputs: &'a str,
@@ -331,6 +341,7 @@ impl Combination<'_> {
             scene: self.images.scene.clone(),
             area: tile.area.clone(),
             altitude_m: self.area.altitude_m,
+            altitude_from_ties_m: self.altitude_from_ties_m,
             rpc: self.images.preference(),
             preset: self.preset.clone(),
             crs: tiling.crs.clone(),
@@ -343,10 +354,11 @@ impl Combination<'_> {
             },
         };
         let said = format!(
-            "{}tile\n{} {:?} {:?} {} {} {:?} {:?}\n{}\n{}",
+            "{}tile\n{} {:?} {:?} {:?} {} {} {:?} {:?}\n{}\n{}",
             identity_of_program(),
             work.area,
             work.altitude_m,
+            work.altitude_from_ties_m,
             work.rpc,
             work.crs,
             work.gsd_m,

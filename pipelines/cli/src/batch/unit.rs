@@ -116,6 +116,7 @@ fn tile(
     let run = folder.join(RUN);
     let ingest = IngestOptions {
         altitude_range_m: work.altitude_m.map(|[low, high]| (low, high)),
+        altitude_from_ties_m: work.altitude_from_ties_m,
         rpc: work.rpc,
         area: Some(work.area.clone()),
     };

@@ -7,7 +7,7 @@ use clap::Args;
 use heliosplat_fitting::settings::Preset;
 use heliosplat_satellite::config::SatelliteConfig;
 use heliosplat_satellite::estimate::{Estimate, estimate, slowness};
-use heliosplat_satellite::{Decisions, PlanItem};
+use heliosplat_satellite::{Decisions, PlanItem, altitude};
 use heliosplat_scene::{Scene, SceneImage, Split};
 use serde_json::{Value, json};
 use std::fmt::Write;
@@ -28,7 +28,7 @@ pub(crate) fn run(args: &InspectArgs) -> Result<Outcome, CliError> {
     if heliosplat_objects::is_capture(&args.scene) {
         return object::inspect(&args.scene);
     }
-    let scene = Scene::open(&args.scene, &args.ingest.options())?;
+    let scene = altitude::open(&args.scene, &args.ingest.options())?;
     let coverage = Coverage::of(&scene);
     let decisions = Decisions::of(&scene, &SatelliteConfig::default());
     let estimates = estimates(&scene)?;
@@ -116,6 +116,11 @@ fn describe(scene: &Scene, coverage: &Coverage, decisions: &Decisions) -> Value 
         "origin": { "lon_deg": origin.lon_deg, "lat_deg": origin.lat_deg, "height_m": origin.height_m },
         "altitude_range_m": [scene.altitude_range_m.0, scene.altitude_range_m.1],
         "altitude_source": scene.altitude_source,
+        "altitude_m": {
+            "low": scene.altitude_range_m.0,
+            "high": scene.altitude_range_m.1,
+            "source": scene.altitude_known_from,
+        },
         "area_m": scene.area,
         "gsd_m": scene.gsd_m,
         "counts_per_unit": scene.counts_per_unit,

@@ -14,7 +14,7 @@ use heliosplat_satellite::config::SatelliteConfig;
 use heliosplat_satellite::run_file::scene_of;
 use heliosplat_satellite::swept::sweep_only;
 use heliosplat_satellite::training::{TrainOutcome, TrainRequest, configure};
-use heliosplat_satellite::{estimate, measure, training};
+use heliosplat_satellite::{altitude, estimate, measure, training};
 use heliosplat_scene::survey::Survey;
 use heliosplat_scene::{Scene, Split};
 use heliosplat_session::Session;
@@ -28,7 +28,7 @@ use std::time::Instant;
 /// When the scene, the configuration or a limit is at fault, training gives up, or a file cannot be written.
 pub(crate) fn train(args: &TrainArgs, session: &Session) -> Result<Outcome, CliError> {
     let begun = Instant::now();
-    let ingest = args.ingest.options();
+    let ingest = altitude::resolve(&args.scene, &args.ingest.options())?;
     if args.memory.is_some() {
         let preset = args.preset.map(Preset::from).unwrap_or_default();
         let config = SatelliteConfig::resolve(preset, &args.set, args.seed)?;
@@ -94,7 +94,7 @@ pub(crate) fn dsm(args: &DsmArgs, session: &Session) -> Result<Outcome, CliError
             (dsm::dsm(&model, gsd_m, args.crs.as_deref())?, gsd_m)
         }
         DsmSource::Sweep => {
-            let scene = Scene::open(&args.run, &args.ingest.options())?;
+            let scene = altitude::open(&args.run, &args.ingest.options())?;
             let gsd_m = args.gsd.unwrap_or(scene.gsd_m);
             let swept = sweep_only(&scene, &SatelliteConfig::resolve(Preset::Fast, &[], 1)?, session)?;
             let surface = dsm::of_surface(&(&scene).into(), &swept, gsd_m, args.crs.as_deref())?;

@@ -1,0 +1,247 @@
+//! The altitudes of a scene that states none: found from tie points between its images, coarse to fine.
+//!
+//! A range that is too wide costs common ground, sharp pinhole cameras and time, and lets ground that one image sees match anything; one
+//! that is too narrow cuts the surface off. Nothing of the scene but its rational cameras is known then, so pairs of images are matched along
+//! their epipolar lines ([`epipolar`]): first over all heights that the cameras are valid for, on images averaged down to a few hundred
+//! pixels, then around what was found, on finer ones. What the matches of all pairs span, with a margin, is the range.
+
+use heliosplat_rpc::statistics::quantile;
+use heliosplat_scene::cameras::SceneCameras;
+use heliosplat_scene::{AltitudeSource, IngestOptions, Scene, SceneError};
+use heliosplat_stereo::ties::epipolar::{EpipolarSearch, ReducedView, TiedAltitudes, tied_altitudes};
+use std::path::Path;
+
+/// Most pairs of images that are matched: a range takes no more.
+const MOST_PAIRS: usize = 8;
+/// Partners that each image has.
+const PARTNERS: usize = 2;
+/// Base-to-height ratio at which a pair has half of the weight of an infinitely long base.
+const HALF_WEIGHT_BASE: f64 = 0.15;
+/// Pairs with a shorter base tell nothing of altitudes.
+const LEAST_BASE_TO_HEIGHT: f64 = 0.01;
+/// Intersection angle at which images have stopped looking alike (weight 1/e), radians.
+const ALIKE_ANGLE_RAD: f64 = 0.7;
+/// Weight of a pair of two days beside one of a single day.
+const OTHER_DAY: f64 = 0.5;
+/// Pixels each way to which images are averaged down for the first search: a few hundred patches of their own.
+const COARSE_PX: f64 = 320.0;
+/// The same at most for the second search.
+const FINE_PX: f64 = 2048.0;
+/// How much finer the second search is.
+const FINER: usize = 4;
+/// Corners that are tried in each pair: first, then.
+const CORNERS: [usize; 2] = [300, 900];
+/// What cameras as delivered may point beside each other, metres on the ground.
+const POINTING_M: f64 = 10.0;
+/// Fewer agreeing tie points of all pairs together say nothing.
+const FEWEST_TIES: usize = 8;
+/// Share of the matches that has to agree with its neighbours: by chance it is far less.
+const LEAST_AGREEING: f64 = 0.3;
+/// Shares of the tie points that are left out below and above: first, then.
+const TAILS: [f64; 2] = [0.02, 0.005];
+/// Margin around the first search's range: metres, share of its span, pixels of parallax.
+const COARSE_MARGIN: (f64, f64, f64) = (40.0, 0.25, 4.0);
+/// Margin below and above the second search's range, metres: corners lie on roofs and streets, but seldom in a pit or on a spire.
+const MARGIN_M: (f64, f64) = (15.0, 40.0);
+/// The same as a share of the span.
+const MARGIN_SHARE: f64 = 0.15;
+
+/// Opens a scene; where neither `options` nor its files state its altitudes, they are found.
+///
+/// # Errors
+/// As [`Scene::open`].
+pub fn open(path: &Path, options: &IngestOptions) -> Result<Scene, SceneError> {
+    Scene::open(path, &resolve(path, options)?)
+}
+
+/// `options` with the altitudes that were found, where neither they nor the scene's files state any and the images tell.
+///
+/// # Errors
+/// As [`Scene::open`].
+pub fn resolve(path: &Path, options: &IngestOptions) -> Result<IngestOptions, SceneError> {
+    let mut options = options.clone();
+    if options.altitude_range_m.is_some() || options.altitude_from_ties_m.is_some() {
+        return Ok(options);
+    }
+    let cameras = SceneCameras::open(path, &options)?;
+    if cameras.range.source == AltitudeSource::Cameras {
+        options.altitude_from_ties_m = find(&cameras)?;
+    }
+    Ok(options)
+}
+
+/// The altitudes of the surface by tie points, with a margin, metres above the ellipsoid; `None` where the images do not tell.
+fn find(cameras: &SceneCameras) -> Result<Option<(f64, f64)>, SceneError> {
+    let bound_m = cameras.range.limits_m();
+    let mut pairs = pairs(cameras, bound_m)?;
+    // Where nothing is found on the coarsest images, their texture may be finer.
+    for finer in [1, 2, 4] {
+        let Some(span) = search(cameras, &mut pairs, bound_m, 0, finer)? else {
+            continue;
+        };
+        let (metres, share, px) = COARSE_MARGIN;
+        let margin_m = metres.max(share * (span.high_m - span.low_m)).max(px * span.step_m);
+        let range_m = clamped((span.low_m - margin_m, span.high_m + margin_m), bound_m);
+        let Some(span) = search(cameras, &mut pairs, range_m, 1, finer)? else {
+            continue;
+        };
+        let share_m = MARGIN_SHARE * (span.high_m - span.low_m);
+        let range_m = (
+            (span.low_m - MARGIN_M.0.max(share_m)).floor(),
+            (span.high_m + MARGIN_M.1.max(share_m)).ceil(),
+        );
+        return Ok(Some(clamped(range_m, bound_m)));
+    }
+    Ok(None)
+}
+
+fn clamped((low_m, high_m): (f64, f64), bound_m: (f64, f64)) -> (f64, f64) {
+    (low_m.max(bound_m.0), high_m.min(bound_m.1))
+}
+
+/// Two images that may share ground.
+#[derive(Debug, Clone, Copy)]
+struct Pair {
+    images: [usize; 2],
+    weight: f64,
+    gsd_m: f64,
+    /// How far the second image is off across the epipolar lines, pixels of the first.
+    across_px: f64,
+    /// Pixels averaged into one at the first search, each way.
+    factor: usize,
+}
+
+/// The pairs worth matching, best first.
+fn pairs(cameras: &SceneCameras, bound_m: (f64, f64)) -> Result<Vec<Pair>, SceneError> {
+    let count = cameras.count();
+    let middle_m = 0.5 * (bound_m.0 + bound_m.1);
+    let mut parallaxes = Vec::with_capacity(count);
+    for image in 0..count {
+        parallaxes.push(cameras.parallax(image, bound_m)?);
+    }
+    let mut all = Vec::new();
+    for a in 0..count {
+        for b in a + 1..count {
+            let [p, q] = [a, b].map(|image| glam::DVec2::from(parallaxes[image]));
+            let base = (p - q).length();
+            if base < LEAST_BASE_TO_HEIGHT {
+                continue;
+            }
+            let angle = p.extend(1.0).angle_between(q.extend(1.0));
+            let day = if cameras.same_day(a, b) { 1.0 } else { OTHER_DAY };
+            let weight = base / (base + HALF_WEIGHT_BASE) * (-(angle / ALIKE_ANGLE_RAD).powi(2)).exp() * day;
+            all.push(Pair {
+                images: [a, b],
+                weight,
+                gsd_m: cameras.gsd_m(a, middle_m)?,
+                across_px: 0.0,
+                factor: 1,
+            });
+        }
+    }
+    all.sort_by(|a, b| b.weight.total_cmp(&a.weight).then(a.images.cmp(&b.images)));
+    let mut partners = vec![0usize; count];
+    let mut chosen = Vec::new();
+    for pair in all {
+        let wanted = pair.images.iter().all(|&image| partners[image] < PARTNERS);
+        if chosen.len() < MOST_PAIRS
+            && wanted
+            && let Some([window, _]) = cameras.shared_windows(pair.images[0], pair.images[1], bound_m)?
+        {
+            pair.images.iter().for_each(|&image| partners[image] += 1);
+            let side = (window.width as f64 * window.height as f64).sqrt();
+            let factor = ((side / COARSE_PX).ceil().max(1.0) as usize).next_power_of_two();
+            chosen.push(Pair { factor, ..pair });
+        }
+    }
+    Ok(chosen)
+}
+
+/// What tie points span, metres above the ellipsoid.
+struct Span {
+    low_m: f64,
+    high_m: f64,
+    /// Altitude per pixel of parallax, of the pair that tells least.
+    step_m: f64,
+}
+
+/// Matches all pairs over a range of altitudes, for the first or the second time, `finer` times finer than usual; remembers how far the
+/// cameras of each pair point beside each other.
+fn search(
+    cameras: &SceneCameras,
+    pairs: &mut [Pair],
+    range_m: (f64, f64),
+    time: usize,
+    finer: usize,
+) -> Result<Option<Span>, SceneError> {
+    let mut found: Vec<TiedAltitudes> = Vec::new();
+    for pair in pairs {
+        let Some(ties) = match_pair(cameras, pair, range_m, time, finer)? else {
+            continue;
+        };
+        tracing::debug!(
+            pair = ?pair.images,
+            range_m = ?range_m,
+            tried = ties.tried,
+            matched = ties.matched,
+            agreeing = ties.altitudes_m.len(),
+            across_px = ties.across_px,
+            step_m = ties.step_m,
+            "altitudes of tie points"
+        );
+        pair.across_px = ties.across_px;
+        found.push(ties);
+    }
+    let matched: usize = found.iter().map(|ties| ties.matched).sum();
+    let mut altitudes_m: Vec<f64> = found.iter().flat_map(|ties| ties.altitudes_m.iter().copied()).collect();
+    if altitudes_m.len() < FEWEST_TIES || (altitudes_m.len() as f64) < LEAST_AGREEING * matched as f64 {
+        return Ok(None);
+    }
+    let told = found.iter().filter(|ties| !ties.altitudes_m.is_empty());
+    let step_m = told.map(|ties| ties.step_m).fold(0.0, f64::max);
+    let low_m = quantile(&mut altitudes_m, TAILS[time]);
+    let high_m = quantile(&mut altitudes_m, 1.0 - TAILS[time]);
+    Ok(low_m.zip(high_m).map(|(low_m, high_m)| Span { low_m, high_m, step_m }))
+}
+
+fn match_pair(
+    cameras: &SceneCameras,
+    pair: &Pair,
+    range_m: (f64, f64),
+    time: usize,
+    finer: usize,
+) -> Result<Option<TiedAltitudes>, SceneError> {
+    let Some(windows) = cameras.shared_windows(pair.images[0], pair.images[1], range_m)? else {
+        return Ok(None);
+    };
+    let coarse = (pair.factor / finer).max(1);
+    let mut factor = coarse;
+    if time > 0 {
+        factor = (coarse / FINER).max(1);
+        let side = windows.map(|w| (w.width as f64 * w.height as f64).sqrt());
+        while side[0].max(side[1]) / factor as f64 > FINE_PX {
+            factor *= 2;
+        }
+    }
+    let [a, b] = pair.images;
+    let first = cameras.read_reduced(a, windows[0], factor)?;
+    let second = cameras.read_reduced(b, windows[1], factor)?;
+    let view = |image: usize, raster, window: heliosplat_raster::Window| ReducedView {
+        rpc: cameras.rpc(image),
+        image: raster,
+        first_px: [window.col0, window.row0],
+        factor,
+    };
+    let search = EpipolarSearch {
+        range_m,
+        across_px: pair.across_px,
+        reach_px: match time {
+            0 => POINTING_M / pair.gsd_m,
+            _ => 2.0 * coarse as f64,
+        },
+        corners: CORNERS[time],
+        gsd_m: pair.gsd_m,
+    };
+    let views = (view(a, &first, windows[0]), view(b, &second, windows[1]));
+    Ok(Some(tied_altitudes(&views.0, &views.1, &search)))
+}

@@ -1,0 +1,192 @@
+//! The training images of a scene before it is known how high its ground lies: their cameras, the ground that two of them may share, and
+//! pixels averaged down. Enough to find the altitudes that the surface has.
+
+use super::draft::{self, Draft};
+use super::footprint::Footprint;
+use super::{AltitudeRange, IngestOptions, SceneError, Split, altitude, layout};
+use heliosplat::Raster;
+use heliosplat_raster::Window;
+use heliosplat_rpc::{LocalFrame, Rpc};
+use nalgebra::{Vector2, Vector3};
+use std::path::Path;
+
+/// Altitudes at which the ground that two images share is computed.
+const ALTITUDES: usize = 33;
+/// Pixels around the shared ground that are read with it.
+const MARGIN_PX: f64 = 16.0;
+/// Fewer columns or rows tell nothing.
+const LEAST_PX: usize = 32;
+
+/// The training images of a scene: files open, pixels not read.
+pub struct SceneCameras {
+    drafts: Vec<Draft>,
+    /// A frame near the scene.
+    frame: LocalFrame,
+    /// The piece of ground wanted, corners in that frame, metres.
+    wanted: Option<Footprint>,
+    /// The range of altitudes that would be used without tie points.
+    pub range: AltitudeRange,
+}
+
+impl SceneCameras {
+    /// Opens the files of a scene.
+    ///
+    /// # Errors
+    /// As [`super::Scene::open`].
+    pub fn open(path: &Path, options: &IngestOptions) -> Result<Self, SceneError> {
+        let layout = layout::find(path)?;
+        let mut warnings = Vec::new();
+        let drafts = draft::read_all(&layout, options, &mut warnings)?;
+        let said = altitude::Said {
+            ties_m: None,
+            ..altitude::Said::of(options, layout.altitude_range_m)
+        };
+        let stated: Vec<altitude::Stated> = drafts.iter().map(Draft::stated_altitude).collect();
+        let range = altitude::choose(said, &stated, &mut warnings)?;
+        let drafts: Vec<Draft> = drafts
+            .into_iter()
+            .filter(|draft| draft.entry.split == Split::Train)
+            .collect();
+        let Some(first) = drafts.first() else {
+            return Err(SceneError::TooFewViews {
+                path: path.to_owned(),
+                count: 0,
+            });
+        };
+        let middle_m = 0.5 * (range.low_m + range.high_m);
+        let origin = match &options.area {
+            Some(wanted) => wanted.place(middle_m)?,
+            None => {
+                let (width, height) = first.file.size();
+                first.localise(width as f64 / 2.0, height as f64 / 2.0, middle_m)?
+            }
+        };
+        let frame = LocalFrame::new(origin);
+        let wanted = options.area.as_ref().map(|wanted| wanted.area(&frame)).transpose()?;
+        let wanted = wanted.map(|a| {
+            Footprint::new(vec![
+                [a.west_m, a.south_m],
+                [a.east_m, a.south_m],
+                [a.east_m, a.north_m],
+                [a.west_m, a.north_m],
+            ])
+        });
+        Ok(Self {
+            drafts,
+            frame,
+            wanted,
+            range,
+        })
+    }
+
+    /// Number of images.
+    pub fn count(&self) -> usize {
+        self.drafts.len()
+    }
+
+    /// The rational camera of an image, in the pixel coordinates of its file.
+    pub fn rpc(&self, image: usize) -> &Rpc {
+        &self.drafts[image].rpc
+    }
+
+    /// Whether two images are of one UTC day, as far as their times are known.
+    pub fn same_day(&self, first: usize, second: usize) -> bool {
+        let day = |image: usize| {
+            let time = self.drafts[image].acquisition.time;
+            time.map(|time| time.as_second().div_euclid(86_400))
+        };
+        day(first).is_some() && day(first) == day(second)
+    }
+
+    /// Ground distance between the pixels of an image at an altitude (metres above the ellipsoid), metres.
+    ///
+    /// # Errors
+    /// When its camera does not see that altitude.
+    pub fn gsd_m(&self, image: usize, altitude_m: f64) -> Result<f64, SceneError> {
+        self.drafts[image].gsd_m(&self.frame, altitude_m)
+    }
+
+    /// How far the ground that the middle of an image sees moves east and north per metre of altitude, between two altitudes, metres.
+    ///
+    /// # Errors
+    /// When its camera does not see one of them.
+    pub fn parallax(&self, image: usize, (low_m, high_m): (f64, f64)) -> Result<[f64; 2], SceneError> {
+        let draft = &self.drafts[image];
+        let (width, height) = draft.file.size();
+        let at = |height_m| {
+            let place = draft.localise(width as f64 / 2.0, height as f64 / 2.0, height_m)?;
+            Ok::<_, SceneError>(self.frame.enu_from_geo(place))
+        };
+        let moved: Vector2<f64> = (at(high_m)? - at(low_m)?).xy() / (high_m - low_m);
+        Ok(moved.into())
+    }
+
+    /// What of two images shows ground that they share at some altitude of a range, with a margin; `None` where they share none.
+    ///
+    /// # Errors
+    /// When a camera does not see one of the altitudes.
+    pub fn shared_windows(
+        &self,
+        first: usize,
+        second: usize,
+        (low_m, high_m): (f64, f64),
+    ) -> Result<Option<[Window; 2]>, SceneError> {
+        let pair = [&self.drafts[first], &self.drafts[second]];
+        let mut limits = [([f64::INFINITY; 2], [f64::NEG_INFINITY; 2]); 2];
+        for step in 0..ALTITUDES {
+            let altitude_m = low_m + (high_m - low_m) * step as f64 / (ALTITUDES - 1) as f64;
+            let footprint = |draft: &Draft| draft.footprint(&self.frame, altitude_m);
+            let mut shared = footprint(pair[0])?.intersection(&footprint(pair[1])?);
+            if let Some(wanted) = &self.wanted {
+                shared = shared.intersection(wanted);
+            }
+            for &[east_m, north_m] in shared.corners() {
+                let up_m = altitude_m - self.frame.origin.height_m;
+                let place = self.frame.geo_from_enu(Vector3::new(east_m, north_m, up_m));
+                for (draft, (low, high)) in pair.iter().zip(&mut limits) {
+                    let at = draft.rpc.project(place);
+                    for (axis, value) in [at.col, at.row].into_iter().enumerate() {
+                        low[axis] = low[axis].min(value);
+                        high[axis] = high[axis].max(value);
+                    }
+                }
+            }
+        }
+        let window = |index: usize| {
+            let (low, high): ([f64; 2], [f64; 2]) = limits[index];
+            let (width, height) = pair[index].file.size();
+            let along = |axis: usize, size: usize| {
+                // `as` saturates: what lies before the image begins at its first pixel.
+                let first = (low[axis] - MARGIN_PX).floor().max(0.0) as usize;
+                let end = ((high[axis] + MARGIN_PX).ceil().max(0.0) as usize + 1).min(size);
+                (first, end.saturating_sub(first))
+            };
+            let ((col0, width), (row0, height)) = (along(0, width), along(1, height));
+            let window = Window {
+                col0,
+                row0,
+                width,
+                height,
+            };
+            (width >= LEAST_PX && height >= LEAST_PX).then_some(window)
+        };
+        Ok(window(0).zip(window(1)).map(|(a, b)| [a, b]))
+    }
+
+    /// The mean of the bands of a window of an image, `factor` by `factor` pixels averaged into one; `NaN` where nothing is known.
+    ///
+    /// # Errors
+    /// When the pixels cannot be read.
+    pub fn read_reduced(&self, image: usize, window: Window, factor: usize) -> Result<Raster, SceneError> {
+        let draft = &self.drafts[image];
+        let raster = draft.file.read_reduced(window, factor, &draft.plan.file_bands)?;
+        let plane = raster.plane_len();
+        let mut mean = Raster::filled(raster.width, raster.height, 1, 0.0);
+        for values in raster.values.chunks_exact(plane.max(1)) {
+            for (sum, value) in mean.values.iter_mut().zip(values) {
+                *sum += value / raster.bands as f32;
+            }
+        }
+        Ok(mean)
+    }
+}
