@@ -60,6 +60,10 @@ pub(crate) struct Truth {
     pub(crate) class: Vec<u8>,
     /// Mean albedo of each cell, bands interleaved.
     pub(crate) albedo: Vec<f32>,
+    /// 1 where sea or snow covers the cell's centre.
+    pub(crate) cover: Vec<u8>,
+    /// 1 where the cell's centre would be glossy.
+    pub(crate) glossy: Vec<u8>,
 }
 
 impl Truth {
@@ -80,11 +84,15 @@ pub(crate) fn survey(scene: &LitScene, frame: &LocalFrame, grid: &TruthGrid, ban
         altitude_m: Vec::new(),
         class: Vec::new(),
         albedo: Vec::new(),
+        cover: Vec::new(),
+        glossy: Vec::new(),
     };
     for row in rows {
         truth.altitude_m.extend(row.altitude_m);
         truth.class.extend(row.class);
         truth.albedo.extend(row.albedo);
+        truth.cover.extend(row.cover);
+        truth.glossy.extend(row.glossy);
     }
     truth
 }
@@ -95,6 +103,8 @@ fn survey_row(scene: &LitScene, frame: &LocalFrame, grid: &TruthGrid, bands: Ban
         altitude_m: Vec::with_capacity(grid.size),
         class: Vec::with_capacity(grid.size),
         albedo: Vec::with_capacity(grid.size * band_count),
+        cover: Vec::with_capacity(grid.size),
+        glossy: Vec::with_capacity(grid.size),
     };
     for col in 0..grid.size {
         let centre = look_down(scene, frame, grid, [col as f64 + 0.5, row as f64 + 0.5]);
@@ -102,6 +112,11 @@ fn survey_row(scene: &LitScene, frame: &LocalFrame, grid: &TruthGrid, bands: Ban
             .altitude_m
             .push(centre.map_or(f32::NAN, |hit| frame.geo_from_enu(hit.point).height_m as f32));
         truth.class.push(centre.map_or(0, |hit| scene.class(&hit) as u8));
+        let covered = centre.is_some_and(|hit| scene.ground.is_covered(hit.point.x, hit.point.y));
+        truth.cover.push(u8::from(covered));
+        truth
+            .glossy
+            .push(u8::from(centre.is_some_and(|hit| scene.lobe(&hit).is_some())));
         let mut sum = [0f32; 4];
         for k in 0..FINE * FINE {
             let place = |index: usize, fine: usize| index as f64 + (fine as f64 + 0.5) / FINE as f64;
