@@ -319,7 +319,10 @@ fn write_truth(
         .iter()
         .map(|m| if m.is_nan() { NODATA } else { *m })
         .collect();
-    let dsm = [about("highest surface at the centre of each cell, without cars"), datum];
+    let dsm = [
+        about("highest surface at the centre of each cell, without cars"),
+        datum.clone(),
+    ];
     write_grid(
         "truth/dsm.tif",
         Samples::F32(&altitudes_m),
@@ -350,6 +353,15 @@ fn write_truth(
     if request.cover.is_some() {
         let what = [about("1 under sea or snow")];
         write_grid("truth/cover.tif", Samples::U8(&truth.cover), &["cover"], &what, None)?;
+        let bare: Vec<f32> = (altitudes_m.iter().zip(&truth.bare))
+            .map(|(&altitude_m, &bare)| if bare { altitude_m } else { NODATA })
+            .collect();
+        let what = [
+            about("dsm.tif more than 4 m outside of sea and snow, nodata elsewhere"),
+            datum,
+        ];
+        let name = "truth/dsm_uncovered.tif";
+        write_grid(name, Samples::F32(&bare), &["altitude"], &what, Some(NODATA))?;
     }
     if request.has(Fault::Glossy) {
         let what = [about(

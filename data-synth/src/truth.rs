@@ -10,6 +10,8 @@ use heliosplat_rpc::{GeoPoint, LocalFrame};
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
+/// Cells nearer to sea or snow are not counted as bare, metres: windows of a matcher reach over the edge.
+const BESIDE_COVER_M: f64 = 4.0;
 /// Albedo samples along each side of a cell.
 const FINE: usize = 3;
 
@@ -62,6 +64,8 @@ pub(crate) struct Truth {
     pub(crate) albedo: Vec<f32>,
     /// 1 where sea or snow covers the cell's centre.
     pub(crate) cover: Vec<u8>,
+    /// Whether the cell's centre lies well outside of sea and snow.
+    pub(crate) bare: Vec<bool>,
     /// 1 where the cell's centre would be glossy.
     pub(crate) glossy: Vec<u8>,
 }
@@ -85,6 +89,7 @@ pub(crate) fn survey(scene: &LitScene, frame: &LocalFrame, grid: &TruthGrid, ban
         class: Vec::new(),
         albedo: Vec::new(),
         cover: Vec::new(),
+        bare: Vec::new(),
         glossy: Vec::new(),
     };
     for row in rows {
@@ -92,6 +97,7 @@ pub(crate) fn survey(scene: &LitScene, frame: &LocalFrame, grid: &TruthGrid, ban
         truth.class.extend(row.class);
         truth.albedo.extend(row.albedo);
         truth.cover.extend(row.cover);
+        truth.bare.extend(row.bare);
         truth.glossy.extend(row.glossy);
     }
     truth
@@ -104,6 +110,7 @@ fn survey_row(scene: &LitScene, frame: &LocalFrame, grid: &TruthGrid, bands: Ban
         class: Vec::with_capacity(grid.size),
         albedo: Vec::with_capacity(grid.size * band_count),
         cover: Vec::with_capacity(grid.size),
+        bare: Vec::with_capacity(grid.size),
         glossy: Vec::with_capacity(grid.size),
     };
     for col in 0..grid.size {
@@ -112,8 +119,9 @@ fn survey_row(scene: &LitScene, frame: &LocalFrame, grid: &TruthGrid, bands: Ban
             .altitude_m
             .push(centre.map_or(f32::NAN, |hit| frame.geo_from_enu(hit.point).height_m as f32));
         truth.class.push(centre.map_or(0, |hit| scene.class(&hit) as u8));
-        let covered = centre.is_some_and(|hit| scene.ground.is_covered(hit.point.x, hit.point.y));
-        truth.cover.push(u8::from(covered));
+        let inside_m = centre.map_or(0.0, |hit| scene.ground.inside_cover_m(hit.point.x, hit.point.y));
+        truth.cover.push(u8::from(inside_m > 0.0));
+        truth.bare.push(inside_m < -BESIDE_COVER_M);
         truth
             .glossy
             .push(u8::from(centre.is_some_and(|hit| scene.lobe(&hit).is_some())));

@@ -281,7 +281,13 @@ fn half_of_the_area_is_a_level_sea_and_the_land_alone_is_the_same_land() {
         "nothing lies lower"
     );
     assert!((classes.iter().zip(&cover)).all(|(&class, &cover)| cover == 0.0 || class == 9.0));
-    for name in ["dsm", "classes", "albedo", "cover"] {
+    let bare = sea.raster("truth/dsm_uncovered.tif");
+    let land_cells = bare.iter().filter(|&&height| height != -9999.0).count() as f64 / bare.len() as f64;
+    assert!((0.25..0.5).contains(&land_cells), "{land_cells}");
+    for ((bare, height), cover) in bare.iter().zip(&heights).zip(&cover) {
+        assert!(*bare == -9999.0 || (bare == height && *cover == 0.0));
+    }
+    for name in ["dsm", "dsm_uncovered", "classes", "albedo", "cover"] {
         let name = format!("truth/{name}.tif");
         assert!(sea.bytes(&name) == land.bytes(&name), "{name}");
     }

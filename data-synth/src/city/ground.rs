@@ -125,9 +125,14 @@ impl Ground {
         Self { covered, ..self }
     }
 
+    /// Distance of a place from the edge of sea or snow, positive where it is covered, metres; far outside where nothing is.
+    pub(crate) fn inside_cover_m(&self, x: f64, y: f64) -> f64 {
+        (self.covered).map_or(f64::NEG_INFINITY, |covered| covered.inside_m(x, y))
+    }
+
     /// Whether a place is covered by sea or snow.
     pub(crate) fn is_covered(&self, x: f64, y: f64) -> bool {
-        self.covered.is_some_and(|covered| covered.inside_m(x, y) > 0.0)
+        self.inside_cover_m(x, y) > 0.0
     }
 
     /// Whether a place lies in the sea.
