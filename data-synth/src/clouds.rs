@@ -14,19 +14,12 @@ pub(crate) const HIDING: f64 = 0.1;
 
 /// Altitude above the site's centre, metres: that of fair-weather cumulus.
 const ALTITUDE_M: [f64; 2] = [900.0, 1500.0];
-/// The longest wave of the noise, metres: clouds are 15 to 60 m across, so that a site of 128 m has whole ones.
-const WAVELENGTH_M: f64 = 75.0;
 const OCTAVES: u32 = 4;
-/// Noise at which a cloud's edge begins, and at which it is opaque. About a ninth of the layer lies above the first.
-const EDGE: [f64; 2] = [0.39, 0.63];
 /// Albedo of the darkest and the brightest billows.
 const ALBEDO: [f64; 2] = [0.72, 0.90];
 /// Longest wave of the billows, metres.
 const BILLOW_M: f64 = 14.0;
 
-/// Share of the image that may be hidden, and share of its middle: something is hidden, most can be seen.
-const IMAGE_SHARE: [f64; 2] = [0.05, 0.20];
-const MIDDLE_SHARE: [f64; 2] = [0.05, 0.25];
 /// Lines of sight along each side of an image by which the shares are judged.
 const PROBES: usize = 48;
 /// Pieces of the layer that are tried. One of several fits; if none does, the nearest is taken.
@@ -34,9 +27,50 @@ const ATTEMPTS: usize = 400;
 /// How far from each other the pieces may lie, metres.
 const REACH_M: f64 = 20e3;
 
+/// How large clouds are, and how much of an image they hide.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(crate) struct CloudSize {
+    /// The longest wave of the noise, metres, or, if more, as a share of the image's width.
+    wavelength_m: f64,
+    width_share: f64,
+    /// Noise at which a cloud's edge begins, and at which it is opaque.
+    edge: [f64; 2],
+    /// Share of the image that may be hidden, and share of its middle.
+    image_share: [f64; 2],
+    middle_share: [f64; 2],
+    /// Largest opacity of the thin veil that lies everywhere else.
+    veil: f64,
+}
+
+impl CloudSize {
+    /// Fair-weather cumulus 15 to 60 m across, so that a site of 128 m has whole ones: something is hidden, most can be seen. About a ninth
+    /// of the layer lies above the edge.
+    pub(crate) const SMALL: CloudSize = CloudSize {
+        wavelength_m: 75.0,
+        width_share: 0.0,
+        edge: [0.39, 0.63],
+        image_share: [0.05, 0.20],
+        middle_share: [0.05, 0.25],
+        veil: 0.0,
+    };
+
+    /// One or two clouds that hide a third of the image, under a veil of haze.
+    pub(crate) const LARGE: CloudSize = CloudSize {
+        wavelength_m: 200.0,
+        width_share: 1.6,
+        edge: [0.20, 0.36],
+        image_share: [0.28, 0.40],
+        middle_share: [0.0, 1.0],
+        veil: 0.35,
+    };
+}
+
 /// A layer of clouds.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) struct CloudField {
+    size: CloudSize,
+    /// The longest wave of the noise, metres.
+    wavelength_m: f64,
     altitude_m: f64,
     /// Where in the noise the site lies, metres.
     offset_m: [f64; 2],
@@ -48,23 +82,28 @@ pub(crate) struct CloudField {
 /// A cloud in a line of sight.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) struct Cloud {
-    /// Share of what lies behind that it hides.
+    /// Share of what lies behind that cloud and veil hide.
     pub(crate) opacity: f64,
+    /// The same of the cloud alone: what masks show.
+    pub(crate) hides: f64,
     pub(crate) albedo: f64,
 }
 
 impl CloudField {
     /// Clouds of which an image shows some, but not too many.
-    pub(crate) fn over(sensor: &Sensor, crop: &Crop, seed: u64) -> Self {
+    pub(crate) fn over(sensor: &Sensor, crop: &Crop, size: CloudSize, seed: u64) -> Self {
         let mut random = stream(seed, 0xC10D);
         let turn_rad: f64 = random.random_range(0.0..std::f64::consts::TAU);
         let mut field = Self {
+            size,
+            wavelength_m: size.wavelength_m,
             altitude_m: random.random_range(ALTITUDE_M[0]..ALTITUDE_M[1]),
             offset_m: [0.0; 2],
             turn: [turn_rad.cos(), turn_rad.sin()],
             seed: hash2(seed, 0xC1) as u32,
         };
         let probes = field.probes(sensor, crop);
+        field.wavelength_m = size.wavelength_m.max(size.width_share * width_m(&probes));
         let mut least_excess = f64::INFINITY;
         let mut offset_m = field.offset_m;
         for _ in 0..ATTEMPTS {
@@ -82,15 +121,18 @@ impl CloudField {
 
     /// Share of the light along a line that the layer takes.
     pub(crate) fn opacity_along(&self, ray: &Ray) -> f64 {
-        self.opacity(self.crossing(ray))
+        let place = self.crossing(ray);
+        through_both(self.opacity(place), self.veil(place))
     }
 
     /// The cloud in a line of sight.
     pub(crate) fn seen_along(&self, ray: &Ray) -> Cloud {
         let [x, y] = self.crossing(ray);
         let billows = fractal(self.seed ^ 0xB1110, x, y, BILLOW_M, 3);
+        let hides = self.opacity([x, y]);
         Cloud {
-            opacity: self.opacity([x, y]),
+            opacity: through_both(hides, self.veil([x, y])),
+            hides,
             albedo: ALBEDO[0] + (ALBEDO[1] - ALBEDO[0]) * smoothstep(-0.7, 0.7, billows),
         }
     }
@@ -107,7 +149,16 @@ impl CloudField {
     }
 
     fn opacity(&self, [x, y]: [f64; 2]) -> f64 {
-        smoothstep(EDGE[0], EDGE[1], fractal(self.seed, x, y, WAVELENGTH_M, OCTAVES))
+        let [begins, opaque] = self.size.edge;
+        smoothstep(begins, opaque, fractal(self.seed, x, y, self.wavelength_m, OCTAVES))
+    }
+
+    /// Opacity of the veil: smooth, thicker here and thinner there.
+    fn veil(&self, [x, y]: [f64; 2]) -> f64 {
+        if self.size.veil == 0.0 {
+            return 0.0;
+        }
+        self.size.veil * smoothstep(-0.5, 0.6, fractal(self.seed ^ 0x7E11, x, y, self.wavelength_m, 2))
     }
 
     /// Where lines of sight spread evenly over an image cross the layer, and whether they lie in the middle half of
@@ -144,8 +195,23 @@ impl CloudField {
             let share = hides as f64 / all.max(1) as f64;
             (least - share).max(share - most).max(0.0)
         };
-        beyond(image, IMAGE_SHARE) + beyond(middle, MIDDLE_SHARE)
+        beyond(image, self.size.image_share) + beyond(middle, self.size.middle_share)
     }
+}
+
+/// What two layers take together.
+fn through_both(one: f64, other: f64) -> f64 {
+    // The first stays as it is, to the last digit, where there is no other.
+    one + other * (1.0 - one)
+}
+
+/// Width of an image where its lines of sight cross the layer, metres: of the square with the same area as the box around them.
+fn width_m(probes: &[([f64; 2], bool)]) -> f64 {
+    let span = |axis: usize| {
+        let values = || probes.iter().map(|(place, _)| place[axis]);
+        values().fold(f64::NEG_INFINITY, f64::max) - values().fold(f64::INFINITY, f64::min)
+    };
+    (span(0) * span(1)).sqrt()
 }
 
 #[cfg(test)]
@@ -204,19 +270,49 @@ mod tests {
         for seed in 0..25 {
             for (size, off_nadir_deg) in [(80, 12.0), (300, 28.0), (600, 5.0)] {
                 let (sensor, crop) = (sensor(off_nadir_deg), crop(size));
-                let field = CloudField::over(&sensor, &crop, seed);
+                let field = CloudField::over(&sensor, &crop, CloudSize::SMALL, seed);
                 let share = share(&field, &sensor, &crop);
                 assert!((0.045..0.21).contains(&share), "{seed}, {size} px: {share}");
-                assert_eq!(field, CloudField::over(&sensor, &crop, seed));
+                assert_eq!(field, CloudField::over(&sensor, &crop, CloudSize::SMALL, seed));
                 assert!((ALTITUDE_M[0]..ALTITUDE_M[1]).contains(&field.altitude_m));
             }
         }
     }
 
     #[test]
+    fn large_clouds_hide_a_third_of_an_image_and_the_veil_is_no_cloud() {
+        let mut veiled_images = 0;
+        for seed in 0..10 {
+            for size in [100, 320] {
+                let (sensor, crop) = (sensor(15.0), crop(size));
+                let field = CloudField::over(&sensor, &crop, CloudSize::LARGE, seed);
+                let (mut hidden, mut veiled, mut all) = (0, 0, 0);
+                for row in (0..size).step_by(4) {
+                    let line = sensor.at_line(crop.row0 + row as f64);
+                    for col in (0..size).step_by(4) {
+                        let cloud = field.seen_along(&line.ray(crop.col0 + col as f64));
+                        assert!(cloud.opacity >= cloud.hides && cloud.opacity - cloud.hides <= 0.351);
+                        hidden += usize::from(cloud.hides >= HIDING);
+                        veiled += usize::from(cloud.hides == 0.0 && cloud.opacity > 0.02);
+                        all += 1;
+                    }
+                }
+                let share = |count: usize| count as f64 / all as f64;
+                assert!(
+                    (0.26..0.42).contains(&share(hidden)),
+                    "{seed}, {size} px: {}",
+                    share(hidden)
+                );
+                veiled_images += usize::from(share(veiled) > 0.1);
+            }
+        }
+        assert!(veiled_images >= 15, "{veiled_images} of 20");
+    }
+
+    #[test]
     fn clouds_are_tens_of_metres_across() {
         const STEP_M: f64 = 1.0;
-        let field = CloudField::over(&sensor(10.0), &crop(300), 3);
+        let field = CloudField::over(&sensor(10.0), &crop(300), CloudSize::SMALL, 3);
         let hidden = |east: usize, north: usize| field.opacity([east as f64 * STEP_M, 37.0 * north as f64]) >= HIDING;
         let (mut inside, mut entries) = (0, 0);
         for north in 0..300 {
@@ -251,7 +347,7 @@ mod tests {
         };
         let sun = SunPosition::from_degrees(130.0, 40.0);
         let clear = Light::new(&sun, weather, Season::REFERENCE, 0.2);
-        let field = CloudField::over(&sensor(10.0), &crop(300), 3);
+        let field = CloudField::over(&sensor(10.0), &crop(300), CloudSize::SMALL, 3);
         let cloudy = clear.through(Some(field));
         let sight = Vector3::new(-0.15, 0.1, -1.0).normalize();
         let (mut hidden, mut shaded, mut untouched) = (0, 0, 0);

@@ -21,8 +21,11 @@
 //!
 //! What is modelled: sun by date and place, sky light, haze, clouds and their shadows, seasons of vegetation, cars that come and go,
 //! glint on water, point spread, sensor noise, 8 or 16 bits, RPC bias, and cameras of real images (VisSat JSON) instead of made-up
-//! ones. What is not: light from one surface to another (that of an average neighbourhood stands for it), light through foliage, moving
-//! cars, and sensor artefacts such as striping.
+//! ones. What is not: light through foliage, moving cars, and sensor artefacts such as striping.
+//!
+//! Real images are worse. [`Fault`] has what is off unless it is asked for: gains of bands, a layer of haze for each date, light from one
+//! surface to another (that of an average neighbourhood stands for it otherwise), glossy surfaces, large clouds, and display images
+//! that were stretched. [`Cover`] puts one half of a site under the sea or under snow.
 //!
 //! # Captures of objects
 //! [`write_object`] photographs a small still life from all around, under a fixed sky, under one light at a time (OLAT), or under an
@@ -37,11 +40,13 @@
 //!
 //! | modules | what they make |
 //! |---|---|
-//! | `noise`, `materials` | random streams, hashes and value noise; albedos and textures of surfaces |
+//! | `noise`, `materials`, `panels` | random streams, hashes and value noise; albedos and textures of surfaces, solar panels |
 //! | `ray`, `terrain`, `raytrace`, `solid` | rays, the height field, what a ray meets, and primitives with their surfaces |
+//! | `cover` | half of a site under sea or snow, and the sea's waves |
 //! | `vegetation`, `cars`, `city` | trees and hedges, cars, and the city of streets and blocks that holds them |
 //! | `crop`, `rational`, `sensor`, `known` | windows of images, cameras that are known as an RPC, the push-broom camera, cameras of real images |
-//! | `clouds`, `radiometry` | clouds, sun, sky, haze, and the encoding of light in counts |
+//! | `clouds`, `faults`, `gloss` | clouds, gains, haze and stretch, the lobe of glossy surfaces |
+//! | `radiometry` | sun, sky, light between surfaces, and the encoding of light in counts |
 //! | `plan`, `render`, `truth` | place, dates and views; images; truth rasters |
 //! | `write`, `satellite` | files; the steps in order |
 //! | `objects` | everything about captures of objects |
@@ -50,12 +55,16 @@
 mod cars;
 mod city;
 mod clouds;
+mod cover;
 mod crop;
 mod error;
+mod faults;
+mod gloss;
 mod known;
 mod materials;
 mod noise;
 mod objects;
+mod panels;
 mod plan;
 mod radiometry;
 mod rational;
@@ -74,8 +83,9 @@ mod vegetation;
 mod write;
 
 pub use error::SynthError;
+pub use faults::{Haze, Stretch};
 pub use objects::{Capture, Look, ObjectRequest, ObjectSummary, write_object};
-pub use request::{BandSet, SatelliteRequest, Site};
+pub use request::{BandSet, Cover, Fault, Faults, SatelliteRequest, Site};
 pub use satellite::write_satellite;
 pub use summary::{ImageSummary, Summary};
 pub use truth::TruthGrid;

@@ -344,7 +344,8 @@ fn hold_out(views: &mut [ViewPlan], count: usize) {
 /// Clouds in as many training images as were asked for. Held-out images stay clear: they are what others are compared with.
 fn cloud_over(views: &mut [ViewPlan], request: &SatelliteRequest) -> Result<(), SynthError> {
     let mut training: Vec<&mut ViewPlan> = views.iter_mut().filter(|view| !view.held_out).collect();
-    if request.clouds > training.len() {
+    let cloudy = request.cloudy_images(training.len());
+    if cloudy > training.len() {
         return Err(SynthError::BadRequest(format!(
             "clouds in {} images; ask for 0 to {}, the images to train with",
             request.clouds,
@@ -352,7 +353,7 @@ fn cloud_over(views: &mut [ViewPlan], request: &SatelliteRequest) -> Result<(), 
         )));
     }
     training.shuffle(&mut stream(request.seed, 0xC10D));
-    for view in training.into_iter().take(request.clouds) {
+    for view in training.into_iter().take(cloudy) {
         view.cloudy = true;
     }
     Ok(())

@@ -6,13 +6,19 @@
 //! the air in each band. Water adds the mirror image of the sky and the glitter of the sun (C. Cox and W. Munk,
 //! "Measurement of the roughness of the sea surface from photographs of the sun's glitter", JOSA 44, 1954). Clouds take their share of the sun's beam on its way down and of the light on its way up; the
 //! light of the sky stays as it is without them.
+//!
+//! On request (`Fault`): haze over the scene, a lobe of glossy surfaces, and instead of `E_around` the light that surfaces in view really
+//! send, for one bounce: their own `albedo (E_sun cos(i) V + E_sky or E_around)`.
 
 use crate::clouds::CloudField;
+use crate::cover::{SeaSurface, Waves};
+use crate::faults::Haze;
+use crate::gloss::{self, Lobe};
 use crate::materials::{Class, Season, Spectrum};
 use crate::noise::{hash2, noise, unit};
 use crate::ray::Ray;
 use crate::raytrace::{GROUND, Hit, Tracer};
-use crate::request::BandSet;
+use crate::request::{BandSet, Fault, Faults};
 use crate::solid::Surface;
 use heliosplat_rpc::sun::SunPosition;
 use nalgebra::Vector3;
@@ -30,6 +36,10 @@ const AEROSOL: [f64; 4] = [1.0, 1.15, 1.35, 0.75];
 const SKY_SHARE: f64 = 0.4;
 /// Path radiance per optical depth, relative to the sun above the air.
 const HAZE_PER_DEPTH: f64 = 0.042;
+/// Share of the light that a layer of haze takes from the sun's beam and that reaches the ground: droplets scatter forwards.
+const HAZE_FORWARDS: f64 = 0.65;
+/// Directions in which a surface looks for the light of others, along each of the two axes of the hemisphere.
+const BOUNCE_STRATA: u64 = 2;
 /// Albedo of an average neighbourhood, half of which lies in shadow.
 const AROUND: [f64; 4] = [0.15, 0.14, 0.12, 0.24];
 /// Weights of red, green, blue and near infrared in a panchromatic band (450 to 800 nm).
@@ -65,6 +75,12 @@ pub(crate) struct Light {
     season: Season,
     weather: Weather,
     clouds: Option<CloudField>,
+    /// Whether the light that surfaces reflect reaches others.
+    bounce: bool,
+    /// Whether glossy surfaces are glossy.
+    glossy: bool,
+    /// The waves of the sea, where there is one.
+    waves: Option<Waves>,
 }
 
 /// Everything a ray may meet.
@@ -83,6 +99,8 @@ pub(crate) struct Sample {
     pub(crate) lit: bool,
     /// Share of the surface's light that a cloud takes on the way to the satellite.
     pub(crate) clouded: f64,
+    /// Whether the ray ends on the sea.
+    pub(crate) sea: bool,
 }
 
 impl Light {
@@ -104,6 +122,45 @@ impl Light {
             season,
             weather,
             clouds: None,
+            bounce: false,
+            glossy: false,
+            waves: None,
+        }
+    }
+
+    /// The same light between surfaces that do what the faults say.
+    pub(crate) fn among(self, faults: &Faults) -> Self {
+        Self {
+            bounce: faults.contains(&Fault::Interreflection),
+            glossy: faults.contains(&Fault::Glossy),
+            ..self
+        }
+    }
+
+    /// The same light on a sea with these waves.
+    pub(crate) fn on_sea(self, waves: Option<Waves>) -> Self {
+        Self { waves, ..self }
+    }
+
+    /// The same light under a layer of haze, seen at an angle from the zenith.
+    pub(crate) fn under_haze(self, haze: Option<&Haze>, view_zenith_rad: f64) -> Self {
+        let Some(layer) = haze else { return self };
+        let (depth, height) = (layer.depths(), self.to_sun.z);
+        let passed = depth.map(|d| (-d / height).exp());
+        let sun = self.sun.component_mul(&passed);
+        let sky =
+            self.sky.component_mul(&depth.map(|d| (-0.5 * d).exp())) + (self.sun - sun) * (height * HAZE_FORWARDS);
+        let level = sun * (0.5 * height) + sky;
+        let transmittance = depth.map(|d| (-0.5 * d / view_zenith_rad.cos()).exp());
+        // The sun above the air is 1 in each band: a layer without end sends this share of it back.
+        let airlight = height * layer.airlight / PI;
+        Self {
+            sun,
+            sky,
+            around: level.component_mul(&Spectrum::from(AROUND)),
+            haze: self.haze.component_mul(&transmittance) + transmittance.map(|t| airlight * (1.0 - t)),
+            transmittance: self.transmittance.component_mul(&transmittance),
+            ..self
         }
     }
 
@@ -121,7 +178,7 @@ impl Light {
         let cloud = clouds.seen_along(ray);
         Sample {
             radiance: below.radiance * (1.0 - cloud.opacity) + self.cloud_radiance(cloud.albedo) * cloud.opacity,
-            clouded: cloud.opacity,
+            clouded: cloud.hides,
             ..below
         }
     }
@@ -138,56 +195,146 @@ impl Light {
                 radiance: self.haze,
                 lit: true,
                 clouded: 0.0,
+                sea: false,
             };
         };
         let (class, mut albedo) = scene.albedo(&hit, &self.season);
-        if class == Class::Water {
+        let sea = hit.surface == GROUND && scene.ground.is_sea(hit.point.x, hit.point.y);
+        let waves = match self.waves {
+            Some(waves) if sea => Some(waves.at(hit.point.x, hit.point.y)),
+            _ => None,
+        };
+        if let Some(waves) = &waves {
+            albedo = waves.albedo;
+        } else if class == Class::Water {
             albedo *= self.weather.water_turbidity;
+        }
+        let lobe = if self.glossy { scene.lobe(&hit) } else { None };
+        if let Some(lobe) = &lobe {
+            albedo *= lobe.diffuse;
         }
         let start = hit.point + hit.normal * SURFACE_BIAS_M;
         let facing = hit.normal.dot(&self.to_sun);
-        let to_sun = Ray {
-            origin: start,
-            direction: self.to_sun,
-        };
-        let faces_sun = facing > 0.0 && !scene.tracer.occluded(&to_sun, f64::INFINITY);
-        let beam = match &self.clouds {
-            _ if !faces_sun => 0.0,
-            Some(clouds) => 1.0 - clouds.opacity_along(&to_sun),
-            None => 1.0,
-        };
-        let open = self.sees_sky(scene, start, hit.normal, draw);
-        let mut irradiance = if open { self.sky } else { self.around };
-        if faces_sun {
+        let beam = self.beam(scene, start, facing);
+        let mut irradiance = self.ambient(scene, start, hit.normal, draw);
+        if beam > 0.0 {
             irradiance += self.sun * (facing * beam);
         }
         let mut radiance = albedo.component_mul(&irradiance) / PI;
-        if class == Class::Water {
+        if let Some(waves) = &waves {
+            radiance += self.mirror_of_waves(waves, ray, beam);
+        } else if class == Class::Water {
             radiance += self.mirror(&hit, ray, beam);
+        }
+        if let Some(lobe) = &lobe {
+            radiance += self.gloss(scene, lobe, start, ray, beam, draw);
         }
         Sample {
             radiance: radiance.component_mul(&self.transmittance) + self.haze,
             lit: beam > 0.5,
             clouded: 0.0,
+            sea,
         }
     }
 
-    /// Whether one cosine-weighted direction above a surface is open sky: an unbiased draw of the sky-view factor.
-    fn sees_sky(&self, scene: &LitScene, start: Vector3<f64>, normal: Vector3<f64>, draw: u64) -> bool {
-        let (u, turn) = (unit(draw), 2.0 * PI * unit(hash2(draw, 0x5C)));
-        // A point on the unit sphere around the tip of the normal (Lambert's cosine law).
-        let z = 1.0 - 2.0 * u;
-        let level = (1.0 - z * z).max(0.0).sqrt();
-        let direction = normal + Vector3::new(level * turn.cos(), level * turn.sin(), z);
-        let length = direction.norm();
-        if length < 1e-9 || direction.z < 0.01 * length {
-            return false;
+    /// Share of the sun's beam that reaches a point whose normal has the cosine `facing` with it.
+    fn beam(&self, scene: &LitScene, start: Vector3<f64>, facing: f64) -> f64 {
+        let to_sun = Ray {
+            origin: start,
+            direction: self.to_sun,
+        };
+        let faces_sun = facing > 0.0 && !scene.tracer.occluded(&to_sun, f64::INFINITY);
+        match &self.clouds {
+            _ if !faces_sun => 0.0,
+            Some(clouds) => 1.0 - clouds.opacity_along(&to_sun),
+            None => 1.0,
+        }
+    }
+
+    /// Irradiance of everything but the sun: one draw of the hemisphere, or, where surfaces light each other, one in each stratum.
+    fn ambient(&self, scene: &LitScene, start: Vector3<f64>, normal: Vector3<f64>, draw: u64) -> Spectrum {
+        if !self.bounce {
+            let (u, turn) = (unit(draw), 2.0 * PI * unit(hash2(draw, 0x5C)));
+            return match cosine_weighted(&normal, u, turn) {
+                Some(direction) => self.sky_or_around(scene, start, direction),
+                None => self.around,
+            };
+        }
+        let mut sum = Spectrum::zeros();
+        for stratum in 0..BOUNCE_STRATA * BOUNCE_STRATA {
+            let draw = hash2(draw, 0xB0C0 + stratum);
+            let within = |index: u64, draw: u64| (index as f64 + unit(draw)) / BOUNCE_STRATA as f64;
+            let u = within(stratum % BOUNCE_STRATA, draw);
+            let turn = 2.0 * PI * within(stratum / BOUNCE_STRATA, hash2(draw, 0x5C));
+            if let Some(direction) = cosine_weighted(&normal, u, turn) {
+                sum += self.arriving(scene, start, direction, draw);
+            }
+        }
+        sum / (BOUNCE_STRATA * BOUNCE_STRATA) as f64
+    }
+
+    /// The sky if a direction is open, else the average neighbourhood: irradiance if the whole hemisphere looked like this direction.
+    fn sky_or_around(&self, scene: &LitScene, start: Vector3<f64>, direction: Vector3<f64>) -> Spectrum {
+        let ray = Ray {
+            origin: start,
+            direction,
+        };
+        let open = direction.z >= 0.01 && !scene.tracer.occluded(&ray, SKY_REACH_M);
+        if open { self.sky } else { self.around }
+    }
+
+    /// What arrives from a direction, as [`Light::sky_or_around`], with what the surface there really sends where surfaces light each other.
+    fn arriving(&self, scene: &LitScene, start: Vector3<f64>, direction: Vector3<f64>, draw: u64) -> Spectrum {
+        if !self.bounce {
+            return self.sky_or_around(scene, start, direction);
         }
         let ray = Ray {
             origin: start,
-            direction: direction / length,
+            direction,
         };
-        !scene.tracer.occluded(&ray, SKY_REACH_M)
+        let Some(hit) = scene.tracer.trace(&ray) else {
+            return if direction.z > 0.0 { self.sky } else { self.around };
+        };
+        let (_, albedo) = scene.albedo(&hit, &self.season);
+        let start = hit.point + hit.normal * SURFACE_BIAS_M;
+        let facing = hit.normal.dot(&self.to_sun);
+        let (u, turn) = (unit(hash2(draw, 0xB0D0)), 2.0 * PI * unit(hash2(draw, 0xB0D1)));
+        let ambient = match cosine_weighted(&hit.normal, u, turn) {
+            Some(direction) => self.sky_or_around(scene, start, direction),
+            None => self.around,
+        };
+        let beam = self.beam(scene, start, facing);
+        albedo.component_mul(&(ambient + self.sun * (facing.max(0.0) * beam)))
+    }
+
+    /// Sun and surroundings in the lobe of a glossy surface, which `beam` of the sun's light reaches.
+    fn gloss(&self, scene: &LitScene, lobe: &Lobe, start: Vector3<f64>, ray: &Ray, beam: f64, draw: u64) -> Spectrum {
+        let to_eye = -ray.direction;
+        let sun = self.sun.component_mul(&lobe.of_light(&to_eye, &self.to_sun)) * beam;
+        let around = lobe.draw(&to_eye, draw).map(|(direction, share)| {
+            let arriving = self.arriving(scene, start, direction, hash2(draw, 0x6105));
+            arriving.component_mul(&share) / PI
+        });
+        sun + around.unwrap_or_else(Spectrum::zeros)
+    }
+
+    /// The sky's mirror image on the waves of the sea, and the sun's glitter on the finer ones.
+    fn mirror_of_waves(&self, sea: &SeaSurface, ray: &Ray, beam: f64) -> Spectrum {
+        let to_eye = -ray.direction;
+        let normal = sea.normal();
+        let cosine = normal.dot(&to_eye).clamp(0.0, 1.0);
+        let fresnel = |cosine: f64| 0.02 + 0.98 * (1.0 - cosine).powi(5);
+        // The sky is brighter towards the horizon.
+        let mirrored = normal * (2.0 * cosine) - to_eye;
+        let sky = self.sky * (fresnel(cosine) * (0.7 + 0.9 * (1.0 - mirrored.z.clamp(0.0, 1.0))) / PI);
+        if beam == 0.0 {
+            return sky;
+        }
+        let half = (to_eye + self.to_sun).normalize();
+        let beyond = [-half.x / half.z - sea.slope[0], -half.y / half.z - sea.slope[1]];
+        let variance = sea.fine_variance;
+        let slopes = (-(beyond[0] * beyond[0] + beyond[1] * beyond[1]) / variance).exp() / (PI * variance);
+        sky + self.sun * (beam * (fresnel(half.dot(&to_eye)) * slopes / (4.0 * to_eye.z * half.z.powi(4))))
     }
 
     /// The sky's mirror image and the sun's glitter on rippled water, which `beam` of the sun's light reaches.
@@ -207,14 +354,36 @@ impl Light {
     }
 }
 
+/// A direction above a surface, as many as Lambert's cosine law asks for: a point on the unit sphere around the tip of the normal.
+/// `None` for the one draw that has no direction.
+fn cosine_weighted(normal: &Vector3<f64>, u: f64, turn: f64) -> Option<Vector3<f64>> {
+    let z = 1.0 - 2.0 * u;
+    let level = (1.0 - z * z).max(0.0).sqrt();
+    let direction = normal + Vector3::new(level * turn.cos(), level * turn.sin(), z);
+    let length = direction.norm();
+    (length >= 1e-9).then(|| direction / length)
+}
+
 impl LitScene<'_> {
-    /// Class and albedo of what was hit.
+    /// Class and albedo of what was hit; the class is that of what lies under snow.
     pub(crate) fn albedo(&self, hit: &Hit, season: &Season) -> (Class, Spectrum) {
+        let (class, albedo) = if hit.surface == GROUND {
+            self.ground.albedo(hit.point.x, hit.point.y, season)
+        } else {
+            let surface = &self.surfaces[hit.surface as usize];
+            (surface.class, surface.albedo(hit.point, season))
+        };
+        (class, self.ground.snow_on(hit, class).unwrap_or(albedo))
+    }
+
+    /// The glossy part of what was hit, if it has one and no snow lies on it.
+    pub(crate) fn lobe(&self, hit: &Hit) -> Option<Lobe> {
         if hit.surface == GROUND {
-            return self.ground.albedo(hit.point.x, hit.point.y, season);
+            return None;
         }
         let surface = &self.surfaces[hit.surface as usize];
-        (surface.class, surface.albedo(hit.point, season))
+        let bare = self.ground.snow_on(hit, surface.class).is_none();
+        if bare { gloss::lobe_of(surface, hit) } else { None }
     }
 
     /// Class of what was hit.
@@ -281,6 +450,10 @@ fn srgb(linear: f64) -> f64 {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::city::Ground;
+    use crate::materials::Material;
+    use crate::solid::{Finish, Footprint, Solids};
+    use crate::terrain::HeightField;
 
     fn light(elevation_deg: f64, aerosol: f64) -> Light {
         let weather = Weather {
@@ -317,6 +490,104 @@ mod tests {
         let (clear, hazy) = (light(45.0, 0.03), light(45.0, 0.22));
         assert!(hazy.haze.x > 1.5 * clear.haze.x);
         assert!(clear.haze.z > 1.5 * clear.haze.x);
+    }
+
+    /// Flat ground and a wide sunlit wall that stands `distance_m` east of the origin, of a material.
+    fn beside_a_wall(distance_m: f64, material: Material, look: impl Fn(&LitScene)) {
+        let terrain = HeightField::sample(150.0, 2.0, |_, _| 0.0);
+        let finish = Finish {
+            class: Class::Building,
+            material,
+            seed: 1,
+        };
+        let mut solids = Solids::default();
+        let wall = Footprint {
+            x: distance_m + 1.0,
+            y: 0.0,
+            angle_rad: 0.0,
+            half: [1.0, 140.0],
+        };
+        solids.block(&wall, -1.0, 10.0, finish, finish);
+        let tracer = Tracer::new(&terrain, solids.primitives);
+        let ground = Ground::plain(Material::Plain(crate::materials::grey(0.2)));
+        look(&LitScene {
+            tracer: &tracer,
+            surfaces: &solids.surfaces,
+            ground: &ground,
+        });
+    }
+
+    #[test]
+    fn ground_beside_a_sunlit_wall_gets_the_light_that_its_share_of_the_view_sends() {
+        // The wall faces west, and so does the sun.
+        let sun = SunPosition::from_degrees(270.0, 35.0);
+        let faults = Faults::from([Fault::Interreflection]);
+        let weather = light(35.0, 0.1).weather;
+        let light = Light::new(&sun, weather, Season::REFERENCE, 0.3).among(&faults);
+        let (distance_m, height_m) = (4.0, 10.0f64);
+        let wall = Material::Plain(Spectrum::repeat(0.6));
+        beside_a_wall(distance_m, wall, |scene| {
+            let draws = 6000;
+            let sum: Spectrum = (0..draws)
+                .map(|k| light.ambient(scene, Vector3::new(0.0, 0.0, SURFACE_BIAS_M), Vector3::z(), hash2(7, k)))
+                .sum();
+            let got = sum / draws as f64;
+            // The share of the view of a level place that a long wall fills, and the wall's own light.
+            let share = 0.5 * (1.0 - distance_m / distance_m.hypot(height_m));
+            let on_wall = light.sun * light.to_sun.x.abs() + (light.sky + light.around) * 0.5;
+            let expected = on_wall * (0.6 * share) + light.sky * (1.0 - share);
+            for band in 0..4 {
+                let error = (got[band] - expected[band]).abs() / expected[band];
+                assert!(error < 0.03, "band {band}: {} {}", got[band], expected[band]);
+            }
+            let without = Light::new(&sun, weather, Season::REFERENCE, 0.3);
+            let dimmer = light.sky * (1.0 - share) + without.around * share;
+            assert!(got.x > 1.2 * dimmer.x, "more than from an average neighbourhood");
+        });
+    }
+
+    #[test]
+    fn metal_looks_brighter_towards_the_sun_s_mirror_image_and_lambertian_ground_does_not() {
+        let faults = Faults::from([Fault::Glossy]);
+        let light = light(55.0, 0.1).among(&faults);
+        beside_a_wall(2.0, Material::Metal(crate::materials::grey(0.4)), |scene| {
+            let seen = |point: Vector3<f64>, direction: Vector3<f64>| {
+                let ray = Ray {
+                    origin: point - direction * 40.0,
+                    direction,
+                };
+                let mean: f64 = (0..400)
+                    .map(|k| light.sample(scene, &ray, hash2(3, k)).radiance.x)
+                    .sum();
+                mean / 400.0
+            };
+            let mirror = Vector3::new(light.to_sun.x, light.to_sun.y, -light.to_sun.z);
+            let other = Vector3::new(-0.3, 0.3, -1.0).normalize();
+            let (roof, ground) = (Vector3::new(3.0, 20.0, 10.0), Vector3::new(-60.0, 20.0, 0.0));
+            assert!(seen(roof, mirror) > 2.0 * seen(roof, other));
+            let (a, b) = (seen(ground, mirror), seen(ground, other));
+            assert!((a - b).abs() < 0.02 * a, "{a} {b}");
+        });
+    }
+
+    #[test]
+    fn haze_is_seen_as_transmitted_light_plus_airlight_and_dims_the_beam() {
+        let clear = light(45.0, 0.1);
+        let layer = Haze {
+            depth: 0.4,
+            airlight: 0.4,
+        };
+        let hazy = clear.under_haze(Some(&layer), 0.3);
+        let share = layer.depths().map(|d| (-0.5 * d / 0.3f64.cos()).exp());
+        let airlight = clear.to_sun.z * 0.4 / PI;
+        for band in 0..4 {
+            let radiance = 0.1;
+            let seen = |light: &Light| radiance * light.transmittance[band] + light.haze[band];
+            let expected = seen(&clear) * share[band] + airlight * (1.0 - share[band]);
+            assert!((seen(&hazy) - expected).abs() < 1e-12);
+            assert!(hazy.sun[band] < clear.sun[band] && hazy.sky[band] > clear.sky[band]);
+        }
+        assert!(hazy.haze.z - clear.haze.z > 1.2 * (hazy.haze.x - clear.haze.x));
     }
 
     #[test]

@@ -26,6 +26,10 @@ pub(crate) struct Exposure<'a> {
     pub(crate) light: &'a Light,
     pub(crate) bands: BandSet,
     pub(crate) encoding: Encoding,
+    /// Gain of each of the renderer's bands relative to the encoding's.
+    pub(crate) band_gains: [f64; 4],
+    /// Whether pixels that see the sea are missing.
+    pub(crate) sea_is_missing: bool,
     pub(crate) seed: u64,
 }
 
@@ -48,6 +52,8 @@ struct FineRow {
     lit: Vec<u8>,
     /// Sum of what clouds hide of each pixel's samples.
     clouded: Vec<f64>,
+    /// Whether any sample in a pixel's point spread sees the sea.
+    sea: Vec<bool>,
 }
 
 /// Renders an image; `rows_done` is told of each batch of rows.
@@ -134,6 +140,12 @@ fn fine_row_of(scene: &LitScene, exposure: &Exposure, kernel: &[f32], fine_row: 
         clouded: (0..width)
             .map(|col| own(col).map(|sample| sample.clouded).sum())
             .collect(),
+        sea: (0..width)
+            .map(|col| {
+                let first = col * FINE + FINE / 2;
+                samples[first..][..kernel.len()].iter().any(|sample| sample.sea)
+            })
+            .collect(),
     }
 }
 
@@ -150,7 +162,12 @@ fn finish_row(exposure: &Exposure, kernel: &[f32], row: usize, fine: &[FineRow],
     let bands = exposure.bands.names().len();
     let own = &fine[REACH - FINE / 2..=REACH + FINE / 2];
     for col in 0..exposure.crop.width {
+        let missing = exposure.sea_is_missing && fine.iter().any(|line| line.sea[col]);
         for band in 0..bands {
+            if missing {
+                image.counts.push(0);
+                continue;
+            }
             let radiance: f32 = fine
                 .iter()
                 .zip(kernel)
@@ -158,7 +175,8 @@ fn finish_row(exposure: &Exposure, kernel: &[f32], row: usize, fine: &[FineRow],
                 .sum();
             let place = ((row * exposure.crop.width + col) * bands + band) as u64;
             let draw = normal(hash2(exposure.seed ^ 0x4015E, place));
-            image.counts.push(exposure.encoding.count(f64::from(radiance), draw));
+            let radiance = exposure.band_gains[band] * f64::from(radiance);
+            image.counts.push(exposure.encoding.count(radiance, draw));
         }
         let lit: u32 = own.iter().map(|line| u32::from(line.lit[col])).sum();
         image.shadow.push(u8::from(2 * lit < (FINE * FINE) as u32));
@@ -252,6 +270,8 @@ mod tests {
                     noise: 0.0,
                     bits,
                 },
+                band_gains: [1.0; 4],
+                sea_is_missing: false,
                 seed: 8,
             };
             render(&scene, &exposure, &mut |_| {})

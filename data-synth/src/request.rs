@@ -2,6 +2,7 @@
 
 use crate::error::SynthError;
 use serde::{Deserialize, Serialize};
+use std::collections::BTreeSet;
 use std::path::PathBuf;
 
 /// The size and make-up of a site.
@@ -77,6 +78,39 @@ impl BandSet {
     }
 }
 
+/// A fault of real images that a satellite scene can be given.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Fault {
+    /// Each band has a gain of its own, the same in all images to within some per cent: counts are not calibrated.
+    BandGains,
+    /// A layer of haze, another on each date: airlight that is stronger in blue, less contrast, softer shadows' depth.
+    Haze,
+    /// Light that surfaces reflect reaches other surfaces: one bounce instead of that of an average neighbourhood.
+    Interreflection,
+    /// Metal roofs, membranes, cars and solar panels reflect sun and sky in a microfacet lobe.
+    Glossy,
+    /// Clouds hide a third of the images that have clouds, and a thin veil lies over the rest of them.
+    LargeClouds,
+    /// 8-bit display images: each band of each image is stretched between two percentiles, with a gamma, both ends clipped.
+    Stretch,
+}
+
+/// The faults of a scene.
+pub type Faults = BTreeSet<Fault>;
+
+/// What covers one half of a site.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Cover {
+    /// Sea at one altitude, whose waves are others in every image.
+    Sea,
+    /// Snow on the ground and on roofs: bright, hardly any texture, clipped where the sun is on it.
+    Snow,
+    /// The land of [`Cover::Sea`] alone: the same scene, with pixels that see the sea missing (0).
+    Nodata,
+}
+
 /// A satellite scene to be made.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
@@ -106,6 +140,12 @@ pub struct SatelliteRequest {
     /// Training images that have clouds in view. Absent from the manifest if none, as it was before there were any.
     #[serde(skip_serializing_if = "is_zero")]
     pub clouds: usize,
+    /// Faults of real images. Absent from the manifest if none.
+    #[serde(skip_serializing_if = "Faults::is_empty")]
+    pub faults: Faults,
+    /// What covers one half of the site, or a little more. Absent from the manifest if nothing.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub cover: Option<Cover>,
 }
 
 fn is_zero(count: &usize) -> bool {
@@ -127,6 +167,8 @@ impl Default for SatelliteRequest {
             pointing_bias_px: 0.0,
             noise: 1.0,
             clouds: 0,
+            faults: Faults::new(),
+            cover: None,
         }
     }
 }
@@ -145,6 +187,25 @@ impl SatelliteRequest {
     /// Number of acquisition dates.
     pub fn date_count(&self) -> usize {
         self.dates.unwrap_or(self.site.default_dates()).min(self.view_count())
+    }
+
+    /// Whether the scene is asked to have a fault.
+    pub fn has(&self, fault: Fault) -> bool {
+        self.faults.contains(&fault)
+    }
+
+    /// Bits per sample of the files: stretched images have 8 whatever `bits` says.
+    pub fn file_bits(&self) -> u8 {
+        if self.has(Fault::Stretch) { 8 } else { self.bits }
+    }
+
+    /// Images with clouds, of so many to train with: with [`Fault::LargeClouds`] a quarter of them unless `clouds` says otherwise.
+    pub fn cloudy_images(&self, training: usize) -> usize {
+        if self.clouds == 0 && self.has(Fault::LargeClouds) {
+            training.div_ceil(4)
+        } else {
+            self.clouds
+        }
     }
 
     /// How many of `views` images are held out for testing: none below 4 views, one below 8, else two.

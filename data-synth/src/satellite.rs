@@ -1,17 +1,20 @@
 //! A satellite scene from a request: city, dates, images, truth, files.
 
 use crate::city::{City, CityPlan};
-use crate::clouds::CloudField;
+use crate::clouds::{CloudField, CloudSize};
+use crate::cover::Waves;
 use crate::crop::Crop;
 use crate::error::SynthError;
+use crate::faults::{self, Haze};
 use crate::materials::Class;
-use crate::plan::{Collection, ViewPlan};
+use crate::plan::{Collection, DatePlan, ViewPlan};
 use crate::radiometry::{Encoding, Light, LitScene, MEAN_GAIN};
 use crate::rational::{self, RationalSensor};
 use crate::raytrace::Tracer;
 use crate::render::{Exposure, Image, render};
-use crate::request::{SatelliteRequest, Site};
+use crate::request::{Cover, Fault, SatelliteRequest, Site};
 use crate::sensor::{PushBroom, Sensor};
+use crate::solid::Solids;
 use crate::summary::{ImageSummary, Summary};
 use crate::truth::{Truth, TruthGrid, survey};
 use crate::write::Staging;
@@ -28,6 +31,8 @@ const MARGIN_PX: f64 = 12.0;
 const SURROUNDINGS_M: f64 = 50.0;
 /// Altitudes above and below the site's centre that images are made to cover, metres.
 const COVERED_ALTITUDES_M: [f64; 2] = [-10.0, 44.0];
+/// Exposure of scenes with snow relative to that for a sun in the zenith, apart from the sun's height.
+const SNOWY_EXPOSURE: f64 = 1.25;
 /// NaN would do, but not every tool reads it.
 const NODATA: f32 = -9999.0;
 
@@ -71,7 +76,8 @@ pub fn write_satellite(
     let mut images: Vec<Option<ImageSummary>> = vec![None; cameras.len()];
     for date in 0..collection.dates.len() {
         let plan = &collection.dates[date];
-        let solids = city.solids_with_cars(date as u64, plan.car_occupancy);
+        let haze = request.has(Fault::Haze).then(|| Haze::of_date(request.seed, date));
+        let solids = fitted(request, city.solids_with_cars(date as u64, plan.car_occupancy));
         let tracer = Tracer::new(&city.terrain, solids.primitives);
         let scene = LitScene {
             tracer: &tracer,
@@ -85,26 +91,31 @@ pub fn write_satellite(
             .filter(|(_, view)| view.date == date)
         {
             let camera = &cameras[index];
-            let clouds = (view.cloudy).then(|| CloudField::over(&camera.sensor, &camera.crop, view.geometry.seed));
-            let light = Light::new(&view.sun, plan.weather, plan.season, view.geometry.zenith_rad()).through(clouds);
+            let light = light_of(request, plan, view, camera, haze.as_ref());
+            let gains = (request.has(Fault::BandGains)).then(|| faults::band_gains(request.seed, index));
             let exposure = Exposure {
                 sensor: &camera.sensor,
                 crop: camera.crop,
                 light: &light,
                 bands: request.bands,
-                encoding: Encoding {
-                    gain: MEAN_GAIN * plan.weather.exposure,
-                    noise: request.noise,
-                    bits: request.bits,
-                },
+                encoding: encoding_of(request, plan, view),
+                band_gains: gains.unwrap_or([1.0; 4]),
+                sea_is_missing: request.cover == Some(Cover::Nodata),
                 seed: view.geometry.seed,
             };
-            let image = render(&scene, &exposure, &mut |rows| {
+            let mut image = render(&scene, &exposure, &mut |rows| {
                 done += rows;
                 progress(done, total);
             });
+            let stretch = (request.has(Fault::Stretch))
+                .then(|| faults::stretch(&mut image.counts, request.bands, view.geometry.seed));
             write_image(&staging, request, view, camera, &image, altitudes_m)?;
-            images[index] = Some(image_summary(view, camera, &image));
+            images[index] = Some(ImageSummary {
+                band_gains: gains.map_or_else(Vec::new, |gains| gains[..request.bands.names().len()].to_vec()),
+                haze,
+                stretch,
+                ..image_summary(view, camera, &image)
+            });
         }
     }
     let summary = Summary {
@@ -113,11 +124,64 @@ pub fn write_satellite(
         grid,
         altitude_range_m: truth.altitude_range_m(),
         class_share: class_share(&truth),
+        cover_share: share_of(&truth.cover),
+        glossy_share: if request.has(Fault::Glossy) {
+            share_of(&truth.glossy)
+        } else {
+            0.0
+        },
         images: images.into_iter().flatten().collect(),
     };
     write_lists(&staging, &summary)?;
     staging.finish()?;
     Ok(summary)
+}
+
+/// What stands in the scene, with what glossy roofs carry.
+fn fitted(request: &SatelliteRequest, mut solids: Solids) -> Solids {
+    if request.has(Fault::Glossy) {
+        solids.lay_panels();
+    }
+    solids
+}
+
+/// The light of an image, with the weather and the faults that the request asks for.
+fn light_of(
+    request: &SatelliteRequest,
+    date: &DatePlan,
+    view: &ViewPlan,
+    camera: &ImageCamera,
+    haze: Option<&Haze>,
+) -> Light {
+    let size = if request.has(Fault::LargeClouds) {
+        CloudSize::LARGE
+    } else {
+        CloudSize::SMALL
+    };
+    let clouds = (view.cloudy).then(|| CloudField::over(&camera.sensor, &camera.crop, size, view.geometry.seed));
+    let sea = matches!(request.cover, Some(Cover::Sea | Cover::Nodata));
+    let waves = sea.then(|| Waves::of_image(view.geometry.seed, date.weather.water_slope_variance));
+    let zenith_rad = view.geometry.zenith_rad();
+    Light::new(&view.sun, date.weather, date.season, zenith_rad)
+        .under_haze(haze, zenith_rad)
+        .among(&request.faults)
+        .on_sea(waves)
+        .through(clouds)
+}
+
+/// How the light of an image becomes counts.
+fn encoding_of(request: &SatelliteRequest, date: &DatePlan, view: &ViewPlan) -> Encoding {
+    let mut gain = MEAN_GAIN * date.weather.exposure;
+    if request.cover == Some(Cover::Snow) {
+        // Exposed for bare land under the sun of the day, the snow clips.
+        gain *= SNOWY_EXPOSURE / view.sun.elevation_rad.sin();
+    }
+    Encoding {
+        gain,
+        noise: request.noise,
+        // Display images are stretched from linear counts.
+        bits: if request.has(Fault::Stretch) { 16 } else { request.bits },
+    }
 }
 
 /// The sensor of a view, the crop that covers the site at all altitudes, and the RPC a vendor would deliver with it.
@@ -214,11 +278,12 @@ fn city_plan(request: &SatelliteRequest, cameras: &[ImageCamera]) -> CityPlan {
     CityPlan {
         half_extent_m: reach_m + SURROUNDINGS_M,
         longest_block_m: if request.site == Site::Tiny { 54.0 } else { 92.0 },
+        cover: request.cover,
     }
 }
 
 fn survey_city(request: &SatelliteRequest, city: &City, frame: &LocalFrame, grid: &TruthGrid) -> Truth {
-    let solids = city.solids();
+    let solids = fitted(request, city.solids());
     let tracer = Tracer::new(&city.terrain, solids.primitives);
     let scene = LitScene {
         tracer: &tracer,
@@ -254,7 +319,10 @@ fn write_truth(
         .iter()
         .map(|m| if m.is_nan() { NODATA } else { *m })
         .collect();
-    let dsm = [about("highest surface at the centre of each cell, without cars"), datum];
+    let dsm = [
+        about("highest surface at the centre of each cell, without cars"),
+        datum.clone(),
+    ];
     write_grid(
         "truth/dsm.tif",
         Samples::F32(&altitudes_m),
@@ -282,6 +350,25 @@ fn write_truth(
         &albedo,
         None,
     )?;
+    if request.cover.is_some() {
+        let what = [about("1 under sea or snow")];
+        write_grid("truth/cover.tif", Samples::U8(&truth.cover), &["cover"], &what, None)?;
+        let bare: Vec<f32> = (altitudes_m.iter().zip(&truth.bare))
+            .map(|(&altitude_m, &bare)| if bare { altitude_m } else { NODATA })
+            .collect();
+        let what = [
+            about("dsm.tif more than 4 m outside of sea and snow, nodata elsewhere"),
+            datum,
+        ];
+        let name = "truth/dsm_uncovered.tif";
+        write_grid(name, Samples::F32(&bare), &["altitude"], &what, Some(NODATA))?;
+    }
+    if request.has(Fault::Glossy) {
+        let what = [about(
+            "1 where the highest surface is not Lambertian: metal, membranes, solar panels",
+        )];
+        write_grid("truth/glossy.tif", Samples::U8(&truth.glossy), &["glossy"], &what, None)?;
+    }
     let [south_m, cell_m] = [grid.north_m - grid.size as f64 * grid.cell_m, grid.cell_m];
     let text = format!("{}\n{}\n{}\n{}\n", grid.west_m, south_m, grid.size, cell_m);
     staging.text("truth/dsm.txt", &text)
@@ -295,9 +382,9 @@ fn write_image(
     image: &Image,
     altitudes_m: [f64; 2],
 ) -> Result<(), SynthError> {
-    let items = image_items(view, request.bits, share_of(&image.cloud));
+    let items = image_items(view, request, share_of(&image.cloud));
     let bytes: Vec<u8>;
-    let samples = if request.bits == 8 {
+    let samples = if request.file_bits() == 8 {
         bytes = image.counts.iter().map(|&count| count.min(255) as u8).collect();
         Samples::U8(&bytes)
     } else {
@@ -368,6 +455,9 @@ fn image_summary(view: &ViewPlan, camera: &ImageCamera, image: &Image) -> ImageS
         pointing_bias_px: view.rpc_bias_px,
         shadow_share: share_of(&image.shadow),
         cloud_share: share_of(&image.cloud),
+        band_gains: Vec::new(),
+        haze: None,
+        stretch: None,
     }
 }
 
@@ -405,6 +495,7 @@ mod tests {
             let plan = CityPlan {
                 half_extent_m: 100.0,
                 longest_block_m: 92.0,
+                cover: None,
             };
             let truth = survey_city(&request, &City::new(seed, plan), &frame, &grid);
             let [low_m, high_m] = truth.altitude_range_m();
@@ -437,6 +528,7 @@ mod tests {
                 let plan = CityPlan {
                     half_extent_m: 0.5 * site.extent_m() + 20.0,
                     longest_block_m: 70.0,
+                    cover: None,
                 };
                 let truth = survey_city(&request, &City::new(seed, plan), &frame, &grid);
                 let [low_m, high_m] = truth.altitude_range_m().map(|m| m - collection.origin.height_m);

@@ -1,6 +1,7 @@
 //! Puts surfaces and primitives together: the vocabulary in which buildings, trees and cars are described.
 
 use crate::materials::{Class, Material, Season, Spectrum, Spot};
+use crate::panels;
 use crate::raytrace::{Ellipsoid, Primitives, SurfaceId, Triangle};
 use nalgebra::Vector3;
 
@@ -13,18 +14,26 @@ pub(crate) struct Surface {
     pub(crate) origin: Vector3<f64>,
     pub(crate) along_u: Vector3<f64>,
     pub(crate) along_v: Vector3<f64>,
+    /// Whether solar panels lie on it.
+    pub(crate) panels: bool,
 }
 
 impl Surface {
     /// Albedo at a point of the surface.
     pub(crate) fn albedo(&self, point: Vector3<f64>, season: &Season) -> Spectrum {
+        let at = self.spot(point);
+        let module = if self.panels { panels::albedo(at) } else { None };
+        module.unwrap_or_else(|| self.material.albedo(at, season))
+    }
+
+    /// Where on the surface a point is.
+    pub(crate) fn spot(&self, point: Vector3<f64>) -> Spot {
         let offset = point - self.origin;
-        let at = Spot {
+        Spot {
             u: offset.dot(&self.along_u),
             v: offset.dot(&self.along_v),
             seed: self.seed,
-        };
-        self.material.albedo(at, season)
+        }
     }
 }
 
@@ -106,6 +115,7 @@ impl Solids {
             origin,
             along_u,
             along_v: normal.cross(&along_u),
+            panels: false,
         });
         (self.surfaces.len() - 1) as SurfaceId
     }
@@ -129,6 +139,15 @@ impl Solids {
         }
     }
 
+    /// Lays solar panels on some of the roofs.
+    pub(crate) fn lay_panels(&mut self) {
+        for surface in &mut self.surfaces {
+            let faces_up = surface.along_u.cross(&surface.along_v).z > 0.5;
+            let roof = surface.class == Class::Building && faces_up;
+            surface.panels = roof && panels::carried_by(&surface.material, surface.seed);
+        }
+    }
+
     /// A box with a flat top.
     pub(crate) fn block(&mut self, footprint: &Footprint, from_z: f64, to_z: f64, sides: Finish, top: Finish) {
         self.walls(footprint, from_z, to_z, sides);
@@ -149,6 +168,7 @@ impl Solids {
             origin,
             along_u: Vector3::new(1.0, 0.0, 0.8),
             along_v: Vector3::new(0.0, 1.0, -0.6),
+            panels: false,
         });
         (self.surfaces.len() - 1) as SurfaceId
     }

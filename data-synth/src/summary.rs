@@ -1,5 +1,6 @@
 //! What was made: the request as it was met, and the numbers of each image. Written as the manifest beside the scene.
 
+use crate::faults::{Haze, Stretch};
 use crate::request::SatelliteRequest;
 use crate::truth::TruthGrid;
 use heliosplat_rpc::GeoPoint;
@@ -19,6 +20,12 @@ pub struct Summary {
     pub altitude_range_m: [f64; 2],
     /// Share of the truth's cells in each class, by name.
     pub class_share: BTreeMap<String, f64>,
+    /// Share of the truth's cells under sea or snow; absent from the manifest if none.
+    #[serde(default, skip_serializing_if = "is_zero")]
+    pub cover_share: f64,
+    /// Share of the truth's cells that are glossy; absent from the manifest if glossy surfaces were not asked for.
+    #[serde(default, skip_serializing_if = "is_zero")]
+    pub glossy_share: f64,
     /// The images in order of time.
     pub images: Vec<ImageSummary>,
 }
@@ -57,6 +64,15 @@ pub struct ImageSummary {
     /// Share of the image behind clouds; absent from the manifest if none.
     #[serde(default, skip_serializing_if = "is_zero")]
     pub cloud_share: f64,
+    /// Gain of each band of the file relative to the collection's mean; absent from the manifest if bands have no gains of their own.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub band_gains: Vec<f64>,
+    /// The haze of its date; absent from the manifest if there is none.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub haze: Option<Haze>,
+    /// How linear counts became display values; absent from the manifest if they did not.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub stretch: Option<Stretch>,
 }
 
 fn is_zero(share: &f64) -> bool {

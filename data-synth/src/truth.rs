@@ -10,6 +10,8 @@ use heliosplat_rpc::{GeoPoint, LocalFrame};
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
+/// Cells nearer to sea or snow are not counted as bare, metres: windows of a matcher reach over the edge.
+const BESIDE_COVER_M: f64 = 4.0;
 /// Albedo samples along each side of a cell.
 const FINE: usize = 3;
 
@@ -60,6 +62,12 @@ pub(crate) struct Truth {
     pub(crate) class: Vec<u8>,
     /// Mean albedo of each cell, bands interleaved.
     pub(crate) albedo: Vec<f32>,
+    /// 1 where sea or snow covers the cell's centre.
+    pub(crate) cover: Vec<u8>,
+    /// Whether the cell's centre lies well outside of sea and snow.
+    pub(crate) bare: Vec<bool>,
+    /// 1 where the cell's centre would be glossy.
+    pub(crate) glossy: Vec<u8>,
 }
 
 impl Truth {
@@ -80,11 +88,17 @@ pub(crate) fn survey(scene: &LitScene, frame: &LocalFrame, grid: &TruthGrid, ban
         altitude_m: Vec::new(),
         class: Vec::new(),
         albedo: Vec::new(),
+        cover: Vec::new(),
+        bare: Vec::new(),
+        glossy: Vec::new(),
     };
     for row in rows {
         truth.altitude_m.extend(row.altitude_m);
         truth.class.extend(row.class);
         truth.albedo.extend(row.albedo);
+        truth.cover.extend(row.cover);
+        truth.bare.extend(row.bare);
+        truth.glossy.extend(row.glossy);
     }
     truth
 }
@@ -95,6 +109,9 @@ fn survey_row(scene: &LitScene, frame: &LocalFrame, grid: &TruthGrid, bands: Ban
         altitude_m: Vec::with_capacity(grid.size),
         class: Vec::with_capacity(grid.size),
         albedo: Vec::with_capacity(grid.size * band_count),
+        cover: Vec::with_capacity(grid.size),
+        bare: Vec::with_capacity(grid.size),
+        glossy: Vec::with_capacity(grid.size),
     };
     for col in 0..grid.size {
         let centre = look_down(scene, frame, grid, [col as f64 + 0.5, row as f64 + 0.5]);
@@ -102,6 +119,12 @@ fn survey_row(scene: &LitScene, frame: &LocalFrame, grid: &TruthGrid, bands: Ban
             .altitude_m
             .push(centre.map_or(f32::NAN, |hit| frame.geo_from_enu(hit.point).height_m as f32));
         truth.class.push(centre.map_or(0, |hit| scene.class(&hit) as u8));
+        let inside_m = centre.map_or(0.0, |hit| scene.ground.inside_cover_m(hit.point.x, hit.point.y));
+        truth.cover.push(u8::from(inside_m > 0.0));
+        truth.bare.push(inside_m < -BESIDE_COVER_M);
+        truth
+            .glossy
+            .push(u8::from(centre.is_some_and(|hit| scene.lobe(&hit).is_some())));
         let mut sum = [0f32; 4];
         for k in 0..FINE * FINE {
             let place = |index: usize, fine: usize| index as f64 + (fine as f64 + 0.5) / FINE as f64;

@@ -1,13 +1,17 @@
 //! What covers the ground: zones in city coordinates, the later over the earlier, and the shape they give the terrain.
 
 use super::streets::Bend;
+use crate::cover::{Coast, Covered};
 use crate::materials::{Class, Material, Season, Spectrum, Spot, grey};
 use crate::noise::{noise, smoothstep};
+use crate::raytrace::Hit;
 use crate::terrain::Relief;
 use std::collections::HashMap;
 
 /// How far carriageways lie below the pavements, metres.
 const KERB_M: f64 = 0.12;
+/// Mean albedo of the sea; images have their own, with waves.
+const SEA: [f64; 4] = [0.028, 0.046, 0.050, 0.006];
 /// Side of the squares by which zones are found, metres.
 const LOOKUP_M: f64 = 6.0;
 
@@ -78,6 +82,8 @@ pub(crate) struct Ground {
     by_square: HashMap<(i64, i64), Vec<u32>>,
     /// What lies between all zones: a junction's asphalt.
     between: Zone,
+    /// What lies on one half of it.
+    covered: Option<Covered>,
 }
 
 impl Ground {
@@ -110,7 +116,33 @@ impl Ground {
                 material: Material::Asphalt(grey(0.10)),
                 seed,
             },
+            covered: None,
         }
+    }
+
+    /// The same ground, one half of it covered.
+    pub(crate) fn under(self, covered: Option<Covered>) -> Self {
+        Self { covered, ..self }
+    }
+
+    /// Distance of a place from the edge of sea or snow, positive where it is covered, metres; far outside where nothing is.
+    pub(crate) fn inside_cover_m(&self, x: f64, y: f64) -> f64 {
+        (self.covered).map_or(f64::NEG_INFINITY, |covered| covered.inside_m(x, y))
+    }
+
+    /// Whether a place is covered by sea or snow.
+    pub(crate) fn is_covered(&self, x: f64, y: f64) -> bool {
+        self.inside_cover_m(x, y) > 0.0
+    }
+
+    /// Whether a place lies in the sea.
+    pub(crate) fn is_sea(&self, x: f64, y: f64) -> bool {
+        matches!(self.covered, Some(Covered::Sea(_))) && self.is_covered(x, y)
+    }
+
+    /// The albedo of snow, where it lies on what was hit.
+    pub(crate) fn snow_on(&self, hit: &Hit, class: Class) -> Option<Spectrum> {
+        self.covered?.snow_on(hit, class)
     }
 
     /// The same material everywhere.
@@ -137,11 +169,17 @@ impl Ground {
 
     /// Class of the ground at a place.
     pub(crate) fn class_at(&self, x: f64, y: f64) -> Class {
+        if self.is_sea(x, y) {
+            return Class::Water;
+        }
         self.zone_at(x, y).0.class
     }
 
     /// Class and albedo of the ground at a place in a season.
     pub(crate) fn albedo(&self, x: f64, y: f64, season: &Season) -> (Class, Spectrum) {
+        if self.is_sea(x, y) {
+            return (Class::Water, Spectrum::from(SEA));
+        }
         let (zone, spot) = self.zone_at(x, y);
         (zone.class, zone.material.albedo(spot, season))
     }
@@ -154,6 +192,8 @@ pub(crate) struct Landform<'a> {
     /// The blocks, pavement included.
     pub(crate) blocks: &'a [Zone],
     pub(crate) ponds: &'a [Pond],
+    /// The sea, where there is one.
+    pub(crate) coast: Option<Coast>,
 }
 
 impl Landform<'_> {
@@ -173,6 +213,9 @@ impl Landform<'_> {
             // Level for 2 m beyond the shore, so that no cell under the water is tilted; then a bank.
             let bank = smoothstep(2.0, 8.0, pond.zone.distance_m(uv));
             height_m = pond.level_m + (height_m - pond.level_m) * bank;
+        }
+        if let Some(coast) = &self.coast {
+            height_m = coast.height_m(height_m, x, y);
         }
         height_m
     }

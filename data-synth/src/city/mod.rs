@@ -12,8 +12,10 @@ mod works;
 pub(crate) use ground::Ground;
 
 use crate::cars::CarSlot;
+use crate::cover::{Coast, Covered, Shore};
 use crate::materials::{Class, Material};
 use crate::noise::{hash2, stream};
+use crate::request::Cover;
 use crate::solid::Solids;
 use crate::terrain::{HeightField, Relief};
 use crate::vegetation::{Hedge, Tree};
@@ -26,6 +28,8 @@ use streets::{Bend, Block, Street, StreetPlan};
 
 /// Width of the pavement between kerb and building line, metres.
 const PAVEMENT_M: f64 = 2.4;
+/// Nothing stands nearer to the sea, metres.
+const QUAY_M: f64 = 1.0;
 /// Side of a terrain cell, metres.
 const TERRAIN_CELL_M: f64 = 1.0;
 
@@ -36,6 +40,8 @@ pub(crate) struct CityPlan {
     pub(crate) half_extent_m: f64,
     /// Longest side of a block, metres.
     pub(crate) longest_block_m: f64,
+    /// What covers one half.
+    pub(crate) cover: Option<Cover>,
 }
 
 /// A city and the ground it stands on.
@@ -81,16 +87,28 @@ impl City {
         for street in &streets.streets {
             parked_cars(&mut planner, street);
         }
+        let covered = plan.cover.map(|cover| match cover {
+            Cover::Sea | Cover::Nodata => Covered::Sea(Coast::new(seed, &relief)),
+            Cover::Snow => Covered::Snow(Shore::new(seed)),
+        });
+        let coast = match covered {
+            Some(Covered::Sea(coast)) => Some(coast),
+            _ => None,
+        };
+        if let Some(coast) = &coast {
+            planner.clear(|[x, y], reach_m| coast.shore.inside_m(x, y) + reach_m > -QUAY_M);
+        }
         let landform = Landform {
             relief,
             bend,
             blocks: &pavements,
             ponds: &planner.ponds,
+            coast,
         };
         let terrain = HeightField::sample(plan.half_extent_m, TERRAIN_CELL_M, |x, y| landform.height_m(x, y));
         Self {
             terrain,
-            ground: Ground::new(bend, planner.zones, hash2(seed, 0x60) as u32),
+            ground: Ground::new(bend, planner.zones, hash2(seed, 0x60) as u32).under(covered),
             buildings: planner.buildings,
             trees: planner.trees,
             hedges: planner.hedges,

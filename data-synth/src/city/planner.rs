@@ -189,6 +189,27 @@ impl Planner {
         self.hedges.push(Hedge { ends, height_m, seed });
     }
 
+    /// Takes away what stands where `taken(place, reach in metres)` says so: buildings, plants, cars and ponds.
+    pub(crate) fn clear(&mut self, taken: impl Fn([f64; 2], f64) -> bool) {
+        /// Ponds need their level shores.
+        const SHORE_M: f64 = 10.0;
+        self.buildings.retain(|building| {
+            let corners = building.footprint.corners(0.0);
+            !corners.iter().any(|corner| taken([corner.x, corner.y], 0.0))
+        });
+        self.trees.retain(|tree| !taken([tree.x, tree.y], tree.radius_m));
+        self.hedges
+            .retain(|hedge| !hedge.ends.iter().any(|end| taken(*end, 0.0)));
+        self.car_slots.retain(|slot| !taken([slot.x, slot.y], 2.5));
+        let bend = self.bend;
+        let gone = |zone: &Zone| {
+            let [u, v] = zone.centre;
+            taken(bend.xy_from_uv(u, v), zone.half[0].hypot(zone.half[1]) + SHORE_M)
+        };
+        self.ponds.retain(|pond| !gone(&pond.zone));
+        self.zones.retain(|zone| zone.class != Class::Water || !gone(zone));
+    }
+
     /// A pond as an ellipse with a wavering shore, level with the lowest ground at its rim.
     pub(crate) fn pond(&mut self, plot: &Plot, at: [f64; 2], half: [f64; 2]) {
         let seed = self.next_seed() as u32;

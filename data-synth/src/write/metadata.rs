@@ -2,18 +2,19 @@
 
 use crate::crop::Crop;
 use crate::plan::ViewPlan;
+use crate::request::{Fault, SatelliteRequest};
 use heliosplat_rpc::{GeoPoint, ImagePoint, Rpc, RpcError};
 use serde_json::{Value, json};
 
 /// Items for GDAL's default metadata domain.
-pub(crate) fn image_items(view: &ViewPlan, bits: u8, cloud_share: f64) -> Vec<(String, String)> {
+pub(crate) fn image_items(view: &ViewPlan, request: &SatelliteRequest, cloud_share: f64) -> Vec<(String, String)> {
     let time = view.time.strftime("%Y-%m-%dT%H:%M:%SZ").to_string();
-    let radiometry = if bits == 8 {
+    let radiometry = if request.bits == 8 {
         "display, sRGB"
     } else {
         "linear counts, 11 bits"
     };
-    [
+    let mut items = [
         ("ACQUISITIONDATETIME", time),
         (
             "NITF_USE00A_SUN_AZ",
@@ -28,7 +29,12 @@ pub(crate) fn image_items(view: &ViewPlan, bits: u8, cloud_share: f64) -> Vec<(S
         ("RADIOMETRY", radiometry.to_string()),
     ]
     .map(|(name, value)| (name.to_string(), value))
-    .to_vec()
+    .to_vec();
+    if request.has(Fault::Stretch) {
+        // Nobody says how display images were made.
+        items.retain(|(name, _)| name != "RADIOMETRY");
+    }
+    items
 }
 
 /// Altitude bounds that a public elevation model would give: wider than the truth by 10 to 25 m on either side.

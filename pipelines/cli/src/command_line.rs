@@ -47,6 +47,8 @@ pub enum Command {
     /// Make a scene with known truth
     #[command(
         after_help = "Examples: heliosplat synth satellite --out site --site block --seed 1\n          \
+                            heliosplat synth satellite --out hazy --faults band-gains,haze,interreflection,glossy\n          \
+                            heliosplat synth satellite --out coast --cover sea\n          \
                             heliosplat synth object --out toy --size 200 --views 30"
     )]
     Synth(synth::SynthArgs),

@@ -5,7 +5,8 @@ use crate::parse;
 use clap::{Args, ValueEnum};
 use heliosplat_session::Session;
 use heliosplat_synth::{
-    BandSet, Capture, Look, ObjectRequest, SatelliteRequest, Site, Summary, SynthError, write_object, write_satellite,
+    BandSet, Capture, Cover, Fault, Look, ObjectRequest, SatelliteRequest, Site, Summary, SynthError, write_object,
+    write_satellite,
 };
 use std::cell::RefCell;
 use std::fmt::Write;
@@ -62,6 +63,40 @@ pub struct SynthArgs {
     /// Training images of a satellite scene that have clouds in view
     #[arg(long, default_value_t = 0, value_name = "N")]
     clouds: usize,
+    /// Faults of real images, separated by commas
+    #[arg(long, value_enum, value_delimiter = ',', value_name = "LIST")]
+    faults: Vec<FaultName>,
+    /// What covers one half of a satellite scene
+    #[arg(long, value_enum)]
+    cover: Option<CoverName>,
+}
+
+/// Faults of real images.
+#[derive(Debug, Clone, Copy, ValueEnum)]
+enum FaultName {
+    /// A gain of its own for each band, within some per cent the same in all images: counts that are not calibrated
+    BandGains,
+    /// A layer of haze, another on each date: bluish airlight, less contrast
+    Haze,
+    /// Light that surfaces reflect reaches other surfaces, for one bounce
+    Interreflection,
+    /// Metal roofs, membranes, cars and solar panels that are not Lambertian
+    Glossy,
+    /// Clouds over a third of an image, and a veil over the rest; in --clouds images, or a quarter of those to train with
+    LargeClouds,
+    /// 8-bit display images, each band stretched between percentiles of the image, with a gamma that no file tells
+    Stretch,
+}
+
+/// What covers one half of a scene.
+#[derive(Debug, Clone, Copy, ValueEnum)]
+enum CoverName {
+    /// Sea at one altitude, with other waves in every image
+    Sea,
+    /// Snow: bright, hardly any texture, clipped in the sun
+    Snow,
+    /// Nothing: the land of `sea` alone, pixels that see the sea are missing
+    Nodata,
 }
 
 /// Kinds of scenes.
@@ -133,6 +168,31 @@ impl SynthArgs {
             pointing_bias_px: self.pointing_bias,
             noise: self.noise,
             clouds: self.clouds,
+            faults: self.faults.iter().map(|fault| Fault::from(*fault)).collect(),
+            cover: self.cover.map(Cover::from),
+        }
+    }
+}
+
+impl From<FaultName> for Fault {
+    fn from(name: FaultName) -> Self {
+        match name {
+            FaultName::BandGains => Self::BandGains,
+            FaultName::Haze => Self::Haze,
+            FaultName::Interreflection => Self::Interreflection,
+            FaultName::Glossy => Self::Glossy,
+            FaultName::LargeClouds => Self::LargeClouds,
+            FaultName::Stretch => Self::Stretch,
+        }
+    }
+}
+
+impl From<CoverName> for Cover {
+    fn from(name: CoverName) -> Self {
+        match name {
+            CoverName::Sea => Self::Sea,
+            CoverName::Snow => Self::Snow,
+            CoverName::Nodata => Self::Nodata,
         }
     }
 }
@@ -237,6 +297,9 @@ fn table(summary: &Summary, out: &Path) -> String {
             image.off_nadir_deg,
             100.0 * image.shadow_share
         );
+        if let Some(haze) = &image.haze {
+            let _ = write!(text, "  haze {:.2}", haze.depth);
+        }
         if image.cloud_share > 0.0 {
             let _ = write!(text, "  cloud {:>4.1} %", 100.0 * image.cloud_share);
         }
