@@ -202,6 +202,7 @@ impl Scene {
             &mut warnings,
         )?;
         let ground = Ground::find(path, drafts, altitude_range_m, options.area.as_ref(), &mut warnings)?;
+        truth::keep_if_here(&mut layout.truth, ground.frame(), ground.area(), &mut warnings);
         ground.finish(path, layout, (altitude_range_m, altitude_source), warnings)
     }
 
