@@ -7,6 +7,9 @@ use std::fs;
 use std::path::Path;
 use tempfile::{TempDir, tempdir};
 
+/// Easting and northing in UTM 37N of the middle of the views' ground, metres.
+const SITE_M: [f64; 2] = [315451.0, 4161270.0];
+
 fn open(path: &Path) -> Result<Scene, SceneError> {
     Scene::open(path, &IngestOptions::default())
 }
@@ -18,10 +21,36 @@ fn names(scene: &Scene, split: Split) -> Vec<&str> {
 
 /// `images/SITE/*.tif` without cameras, `rpcs/SITE/*.json` with them, `train.txt`, `test.txt` and `truth/SITE/SITE_DSM.tif`.
 fn eogs(home: &Path, site: &str) {
-    let images = home.join("images").join(site);
-    let cameras = home.join("rpcs").join(site);
-    let truth = home.join("truth").join(site);
-    for folder in [&images, &cameras, &truth] {
+    let [images, cameras, truth] = ["images", "rpcs", "truth"].map(|name| home.join(name).join(site));
+    parts(site, &images, &cameras, &truth);
+}
+
+/// As DFC2019 and Sat-NeRF are published: images and truth below `DFC2019`, two kinds of cameras below `root_dir`.
+fn published(home: &Path, site: &str) {
+    let [images, adjusted, raw] = [
+        "DFC2019/Track3-RGB-crops",
+        "root_dir/crops_rpcs_ba_v2",
+        "root_dir/crops_rpcs_raw",
+    ]
+    .map(|name| home.join(name).join(site));
+    parts(site, &images, &adjusted, &home.join("DFC2019/Track3-Truth"));
+    fs::create_dir_all(&raw).expect("made");
+    for entry in fs::read_dir(&adjusted).expect("cameras") {
+        let path = entry.expect("a file").path();
+        let text = fs::read_to_string(&path).expect("text");
+        let mut lines = text.clone();
+        if let Ok(mut json) = serde_json::from_str::<serde_json::Value>(&text) {
+            let moved = json["rpc"]["col_offset"].as_f64().expect("an offset") + 3.0;
+            json["rpc"]["col_offset"] = serde_json::json!(moved);
+            lines = json.to_string();
+        }
+        fs::write(raw.join(path.file_name().expect("a name")), lines).expect("written");
+    }
+}
+
+/// The parts of one site, each in a folder.
+fn parts(site: &str, images: &Path, cameras: &Path, truth: &Path) {
+    for folder in [images, cameras, truth] {
         fs::create_dir_all(folder).expect("made");
     }
     for number in 0..4 {
@@ -30,7 +59,7 @@ fn eogs(home: &Path, site: &str) {
             bands: 3,
             ..View::new(number)
         };
-        let with_tag = view.write(&images);
+        let with_tag = view.write(images);
         fs::rename(
             with_tag.with_extension("json"),
             cameras.join(format!("{}.json", view.name)),
@@ -48,7 +77,7 @@ fn eogs(home: &Path, site: &str) {
     fs::write(cameras.join("train.txt"), line(0) + &line(1) + &line(2)).expect("written");
     fs::write(cameras.join("test.txt"), line(3)).expect("written");
     let ground = heliosplat::Raster::filled(8, 8, 1, 700.0);
-    write_altitudes(&truth.join(format!("{site}_DSM.tif")), &ground, 312_000.0, 4_160_000.0);
+    write_altitudes(&truth.join(format!("{site}_DSM.tif")), &ground, SITE_M[0], SITE_M[1]);
 }
 
 #[test]
@@ -79,6 +108,106 @@ fn an_eogs_scene_is_found_from_its_cameras_its_images_and_its_root() {
             dsm.display()
         );
     }
+}
+
+#[test]
+fn the_published_layout_is_found_from_either_cameras_the_images_and_the_top() {
+    let home = tempdir().expect("a temporary folder");
+    published(home.path(), "JAX_068");
+    let column = |scene: &Scene| scene.images[0].rpc.sample_offset;
+    let adjusted = open(&home.path().join("root_dir/crops_rpcs_ba_v2/JAX_068")).expect("bundle-adjusted cameras");
+    assert!(
+        adjusted
+            .warnings
+            .iter()
+            .all(|line| !line.contains("cameras in several"))
+    );
+    for (start, moved_px) in [
+        ("root_dir/crops_rpcs_ba_v2/JAX_068", 0.0),
+        ("root_dir/crops_rpcs_raw/JAX_068", 3.0),
+        ("DFC2019/Track3-RGB-crops/JAX_068", 0.0),
+        ("root_dir", 0.0),
+        (".", 0.0),
+    ] {
+        let scene = open(&home.path().join(start)).unwrap_or_else(|error| panic!("{start}: {error}"));
+        assert_eq!(names(&scene, Split::Train).len(), 3, "{start}");
+        assert_eq!(names(&scene, Split::Test), ["JAX_068_003_RGB"], "{start}");
+        assert!((column(&scene) - column(&adjusted) - moved_px).abs() < 1e-9, "{start}");
+        let dsm = scene.truth.dsm.unwrap_or_else(|| panic!("{start}: no truth"));
+        assert!(dsm.ends_with("Track3-Truth/JAX_068_DSM.tif"), "{start}");
+        let chosen = scene.warnings.iter().filter(|line| line.contains("bundle-adjusted"));
+        let named = chosen.filter(|line| line.contains("crops_rpcs_raw")).count();
+        assert_eq!(
+            named,
+            usize::from(!start.contains("rpcs")),
+            "{start}: {:?}",
+            scene.warnings
+        );
+    }
+}
+
+#[test]
+fn a_top_of_several_areas_lists_one_folder_for_each() {
+    let home = tempdir().expect("a temporary folder");
+    published(home.path(), "JAX_004");
+    published(home.path(), "JAX_068");
+    let error = open(home.path()).expect_err("which one?").to_string();
+    for area in ["crops_rpcs_ba_v2/JAX_004", "crops_rpcs_ba_v2/JAX_068"] {
+        assert!(error.contains(area), "{error}");
+    }
+    assert!(!error.contains("crops_rpcs_raw"), "{error}");
+    let scene = open(&home.path().join("root_dir/crops_rpcs_raw/JAX_004")).expect("one of them");
+    assert!(scene.images.iter().all(|image| image.name.starts_with("JAX_004")));
+    assert!(scene.truth.dsm.is_some_and(|dsm| dsm.ends_with("JAX_004_DSM.tif")));
+}
+
+#[test]
+fn truth_of_another_area_is_not_taken() {
+    let home = tempdir().expect("a temporary folder");
+    published(home.path(), "JAX_068");
+    let truth = home.path().join("DFC2019/Track3-Truth");
+    fs::rename(truth.join("JAX_068_DSM.tif"), truth.join("JAX_004_DSM.tif")).expect("renamed");
+    let cameras = home.path().join("root_dir/crops_rpcs_ba_v2/JAX_068");
+    assert!(open(&cameras).expect("a scene").truth.dsm.is_none());
+    // The right name on the wrong ground, placed by its text: 2 km east.
+    let ground = heliosplat::Raster::filled(8, 8, 1, 700.0);
+    let dsm = truth.join("JAX_068_DSM.tif");
+    write_geotiff(&dsm, &ImageSpec::plain(&ground), Sample::F32).expect("written");
+    let origin = open(&cameras).expect("a scene").origin();
+    let utm = heliosplat_raster::Crs::utm(origin).expect("a zone");
+    let (east, north) = heliosplat_raster::CrsTransform::from_lon_lat(&utm)
+        .and_then(|way| way.apply(origin.lon_deg, origin.lat_deg))
+        .expect("in the zone");
+    for (moved_m, taken) in [(0.0, true), (2000.0, false)] {
+        let text = format!("{}\n{}\n8\n0.5\n", east + moved_m, north);
+        fs::write(dsm.with_extension("txt"), text).expect("written");
+        let scene = open(&cameras).expect("a scene");
+        assert_eq!(scene.truth.dsm.is_some(), taken, "{:?}", scene.warnings);
+        assert_eq!(scene.warnings.iter().any(|line| line.contains("other ground")), !taken);
+    }
+}
+
+#[test]
+fn crops_and_whole_images_of_one_name_are_told_apart_by_their_size() {
+    let home = tempdir().expect("a temporary folder");
+    published(home.path(), "JAX_068");
+    let whole = home.path().join("DFC2019/Track3-RGB-1");
+    fs::create_dir_all(&whole).expect("made");
+    let large = heliosplat::Raster::filled(2 * SIZE_PX, 2 * SIZE_PX, 3, 9.0);
+    for number in 0..4 {
+        let cameras = home.path().join("root_dir/crops_rpcs_ba_v2/JAX_068");
+        let camera = cameras.join(format!("JAX_068_{number:03}_RGB.json"));
+        let text = fs::read_to_string(&camera).expect("text");
+        let mut json: serde_json::Value = serde_json::from_str(&text).expect("JSON");
+        for side in ["width", "height"] {
+            json[side] = serde_json::json!(SIZE_PX);
+        }
+        fs::write(&camera, json.to_string()).expect("written");
+        let path = whole.join(format!("JAX_068_{number:03}_RGB.tif"));
+        write_geotiff(&path, &ImageSpec::plain(&large), Sample::U16).expect("written");
+    }
+    let scene = open(&home.path().join("root_dir/crops_rpcs_ba_v2/JAX_068")).expect("a scene");
+    assert!(scene.images.iter().all(|image| image.pixels.width == SIZE_PX));
 }
 
 #[test]
@@ -121,7 +250,7 @@ fn three_views() -> (TempDir, Vec<View>) {
 fn truth_in_the_same_folder_is_no_image() {
     let (folder, _) = three_views();
     let ground = heliosplat::Raster::filled(8, 8, 1, 700.0);
-    write_altitudes(&folder.path().join("site_DSM.tif"), &ground, 312_000.0, 4_160_000.0);
+    write_altitudes(&folder.path().join("site_DSM.tif"), &ground, SITE_M[0], SITE_M[1]);
     let scene = open(folder.path()).expect("a scene");
     assert_eq!(scene.images.len(), 3);
     assert!(scene.truth.dsm.is_some());

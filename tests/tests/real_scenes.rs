@@ -67,6 +67,33 @@ fn giza_and_ventoux_are_scenes_of_two_overlapping_views() {
     }
 }
 
+#[test]
+fn the_benchmark_is_read_as_it_is_published() {
+    let Some(top) = shared("data/jax068") else { return };
+    let adjusted = top.join("root_dir/crops_rpcs_ba_v2/JAX_068");
+    let raw = top.join("root_dir/crops_rpcs_raw/JAX_068");
+    for (start, warned) in [(&adjusted, false), (&raw, false), (&top, true)] {
+        let scene = json(&["inspect".as_ref(), start.as_os_str()]);
+        let images = scene["images"].as_array().expect("images");
+        let held_out = images.iter().filter(|image| image["split"] == "test").count();
+        assert_eq!((images.len(), held_out), (19, 3), "{}", start.display());
+        assert_eq!(images[0]["bands"], serde_json::json!(["red", "green", "blue"]));
+        assert!(
+            scene["truth"]["dsm"]
+                .as_str()
+                .is_some_and(|path| path.ends_with("Track3-Truth/JAX_068_DSM.tif"))
+        );
+        let warnings = scene["warnings"].as_array().expect("warnings");
+        let chosen = |line: &&Value| line.as_str().is_some_and(|line| line.contains("crops_rpcs_raw"));
+        assert_eq!(
+            warnings.iter().filter(chosen).count(),
+            usize::from(warned),
+            "{}",
+            scene["warnings"]
+        );
+    }
+}
+
 /// A face of the pyramid as a plane `height = slope · outward + along · sideways + apex`, by least squares with outliers left out
 /// round by round; `points` are outward, sideways, height.
 fn face(points: &[[f64; 3]]) -> nalgebra::Vector3<f64> {

@@ -2,11 +2,12 @@
 
 use super::EvaluateError;
 use heliosplat::Raster;
-use heliosplat_raster::{GeoRaster, GeoTransform, RasterError, RasterFile};
+use heliosplat_raster::{Crs, CrsTransform, GeoRaster, GeoTransform, RasterError, RasterFile};
+use heliosplat_rpc::GeoPoint;
 use std::path::Path;
 
 /// Reads a truth DSM. Without a geotransform its place is read from the text of the same name (`X_DSM.txt`: easting and
-/// northing of the lower-left corner, size in pixels, metres per pixel), in the prediction's coordinate system.
+/// northing of the lower-left corner, size in pixels, metres per pixel), in the UTM zone of the prediction.
 pub(super) fn read(
     path: &Path,
     prediction: &GeoRaster,
@@ -17,7 +18,7 @@ pub(super) fn read(
     blank_absurd_heights(&mut raster);
     let (transform, crs) = match file.geo_transform() {
         Some(transform) => (transform, file.crs()),
-        None => (placed_by_text(path, &raster)?, None),
+        None => (placed_by_text(path, &raster)?, utm_zone(prediction)),
     };
     if crs.is_none() {
         warnings.push(format!(
@@ -62,15 +63,22 @@ fn placed_by_text(path: &Path, raster: &Raster) -> Result<GeoTransform, Evaluate
         return Err(RasterError::NotGeoreferenced(path.to_owned()).into());
     }
     let text = heliosplat_raster::bounded::read_text(&text_path).unwrap_or_default();
-    let numbers: Vec<f64> = text
-        .split_whitespace()
-        .filter_map(|word| word.parse().ok().filter(|number: &f64| number.is_finite()))
-        .collect();
-    match numbers[..] {
-        [west, south, _, metres] if metres > 0.0 => {
-            let north = south + raster.height as f64 * metres;
-            Ok(GeoTransform::north_up(west, north, metres))
-        }
-        _ => Err(EvaluateError::RegionText(text_path)),
+    GeoTransform::from_region_text(&text, raster.height).ok_or(EvaluateError::RegionText(text_path))
+}
+
+/// The UTM zone in which a text counts that says none: the prediction's, or where that is in another system, the one it lies in.
+fn utm_zone(prediction: &GeoRaster) -> Option<Crs> {
+    let crs = prediction.crs.as_ref()?;
+    if crs.name().contains("UTM zone") {
+        return Some(crs.clone());
     }
+    let (width, height) = (prediction.raster.width as f64, prediction.raster.height as f64);
+    let [x, y] = prediction.transform.map_from_pixel(0.5 * width, 0.5 * height);
+    let (lon_deg, lat_deg) = CrsTransform::to_lon_lat(crs).ok()?.apply(x, y).ok()?;
+    let middle = GeoPoint {
+        lon_deg,
+        lat_deg,
+        height_m: 0.0,
+    };
+    Crs::utm(middle).ok()
 }

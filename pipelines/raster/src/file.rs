@@ -222,14 +222,12 @@ impl RasterFile {
             .collect()
     }
 
-    /// Where the pixels lie in map coordinates; `None` without georeferencing. Some writers store the identity where they mean none
-    /// (GDAL's own default), and no map has its origin at the equator and pixels of one unit that run north: it counts as none.
+    /// Where the pixels lie in map coordinates; `None` without georeferencing. Some writers store the identity where they know nothing:
+    /// without a coordinate system it is no georeferencing either.
     pub fn geo_transform(&self) -> Option<GeoTransform> {
-        const IDENTITY: [f64; 6] = [0.0, 1.0, 0.0, 0.0, 0.0, 1.0];
-        messages::collect(|| self.dataset.geo_transform())
-            .ok()
-            .filter(|transform| *transform != IDENTITY)
-            .map(GeoTransform::from_gdal)
+        let six = messages::collect(|| self.dataset.geo_transform()).ok()?;
+        let is_identity = six[..5] == [0.0, 1.0, 0.0, 0.0, 0.0] && six[5].abs() == 1.0;
+        (!is_identity || self.crs().is_some()).then(|| GeoTransform::from_gdal(six))
     }
 
     /// The coordinate reference system; `None` without one.

@@ -20,6 +20,21 @@ impl GeoTransform {
         Self::from_gdal([west, size, 0.0, north, 0.0, -size])
     }
 
+    /// From the text beside a truth raster of DFC2019 (`X_DSM.txt`): easting and northing of the raster's lower-left corner, its size
+    /// in pixels, metres per pixel; `rows` is the raster's own height. `None` where the text says something else.
+    pub fn from_region_text(text: &str, rows: usize) -> Option<Self> {
+        let numbers: Vec<f64> = text
+            .split_whitespace()
+            .filter_map(|word| word.parse().ok().filter(|number: &f64| number.is_finite()))
+            .collect();
+        match numbers[..] {
+            [west, south, _, metres] if metres > 0.0 => {
+                Some(Self::north_up(west, south + rows as f64 * metres, metres))
+            }
+            _ => None,
+        }
+    }
+
     /// From GDAL's six numbers, which count from the outer corner of the upper-left pixel.
     pub fn from_gdal(six: [f64; 6]) -> Self {
         Self {

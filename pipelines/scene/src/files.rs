@@ -1,6 +1,7 @@
 //! Files and folders of a scene by their names: what is an image, what is truth, and where the other half of a scene may lie.
 
 use super::SceneError;
+use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
 
 /// Extensions of images, in lower case.
@@ -47,8 +48,16 @@ pub(super) fn is_truth(path: &Path) -> bool {
         || ends.iter().any(|end| name.ends_with(end))
 }
 
-/// Folders in which the other half of a Sat-NeRF or EOGS scene may lie, given one half: siblings of the folder and of
-/// its parent, and folders of the same name inside them.
+/// Names of folders, in lower case, under which DFC2019, Sat-NeRF and EOGS publish one part of a scene each.
+const PUBLISHED_NAMES: [&str; 7] = ["dfc2019", "root_dir", "images", "img", "imgs", "truth", "cameras"];
+/// How such names begin where they are numbered or say what is inside: `Track3-RGB-crops`, `crops_rpcs_ba_v2`, `rpcs_raw`.
+const PUBLISHED_BEGINNINGS: [&str; 3] = ["track3", "crops_rpcs", "rpcs"];
+/// How far above a folder its other half is looked for under such names: `root_dir/crops_rpcs_raw/JAX_068` and
+/// `DFC2019/Track3-RGB-crops/JAX_068` meet three levels up.
+const LEVELS_UP: usize = 4;
+
+/// Folders in which the other half of a Sat-NeRF or EOGS scene may lie, given one half, nearest first: siblings of the folder and
+/// of its parent, and folders of the same name inside them; then, up to [`LEVELS_UP`] levels above, folders of published names.
 pub(super) fn neighbours(folder: &Path) -> Vec<PathBuf> {
     let absolute = folder.canonicalize().unwrap_or_else(|_| folder.to_owned());
     let name = file_name(&absolute);
@@ -60,8 +69,28 @@ pub(super) fn neighbours(folder: &Path) -> Vec<PathBuf> {
             found.push(sibling);
         }
     }
-    found.retain(|path| path.is_dir() && *path != absolute);
+    for ancestor in absolute.ancestors().skip(1).take(LEVELS_UP) {
+        for outer in published_in(ancestor) {
+            let inner = published_in(&outer);
+            for place in std::iter::once(outer).chain(inner) {
+                found.push(place.join(&name));
+                found.push(place);
+            }
+        }
+    }
+    let mut seen = BTreeSet::new();
+    found.retain(|path| path.is_dir() && *path != absolute && seen.insert(path.clone()));
     found
+}
+
+/// Folders of published names directly in a folder.
+fn published_in(folder: &Path) -> Vec<PathBuf> {
+    let is_published = |path: &PathBuf| {
+        let name = file_name(path).to_lowercase();
+        PUBLISHED_NAMES.contains(&name.as_str()) || PUBLISHED_BEGINNINGS.iter().any(|start| name.starts_with(start))
+    };
+    let entries = entries_of(folder).unwrap_or_default().into_iter();
+    entries.filter(|path| is_published(path) && path.is_dir()).collect()
 }
 
 /// File name without its extension.

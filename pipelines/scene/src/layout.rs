@@ -116,7 +116,7 @@ fn from_manifest(path: &Path) -> Result<Layout, SceneError> {
             classes: truth.classes,
             shadows: truth.shadows.into_iter().collect(),
         },
-        None => super::truth::find(path.parent().unwrap_or_else(|| Path::new("."))),
+        None => super::truth::find_for(path.parent().unwrap_or_else(|| Path::new(".")), &[]),
     };
     Ok(Layout {
         images: with_distinct_names(images),
@@ -129,7 +129,8 @@ fn from_manifest(path: &Path) -> Result<Layout, SceneError> {
 }
 
 fn from_folder(folder: &Path) -> Result<Layout, SceneError> {
-    let home = scene_folder(folder)?;
+    let mut warnings = Vec::new();
+    let home = scene_folder(folder, &mut warnings)?;
     let mut images = images_in(&home)?;
     let mut index = JsonIndex::read(&home)?;
     for name in IMAGE_FOLDERS {
@@ -142,9 +143,7 @@ fn from_folder(folder: &Path) -> Result<Layout, SceneError> {
         images = index.find_images(&home)?;
     } else if index.is_empty() {
         // Images of Sat-NeRF or EOGS given without the folder of their JSONs: look beside.
-        for neighbour in neighbours(&home) {
-            index.extend(JsonIndex::read(&neighbour)?.restricted_to(&images));
-        }
+        index = cameras_beside(&home, &images, &mut warnings)?;
     }
     if images.is_empty() {
         return Err(SceneError::Empty(folder.to_owned()));
@@ -153,8 +152,7 @@ fn from_folder(folder: &Path) -> Result<Layout, SceneError> {
         (None, Some(json_folder)) => SplitLists::read(json_folder)?,
         (lists, _) => lists,
     };
-    let mut warnings = Vec::new();
-    let entries = images
+    let entries: Vec<ImageEntry> = images
         .into_iter()
         .filter_map(|path| {
             let json = index.json_of(&path);
@@ -177,18 +175,132 @@ fn from_folder(folder: &Path) -> Result<Layout, SceneError> {
             })
         })
         .collect();
+    let names: Vec<String> = entries.iter().map(|entry| stem(&entry.path)).collect();
     Ok(Layout {
+        truth: super::truth::find_for(&home, &names),
         images: with_distinct_names(entries),
         altitude_range_m: None,
         bands: None,
         counts: None,
-        truth: super::truth::find(&home),
         warnings,
     })
 }
 
-/// The folder that holds the scene: `folder` itself, or the only folder below it that looks like one.
-fn scene_folder(folder: &Path) -> Result<PathBuf, SceneError> {
+/// The JSONs of images that lie in another folder: of the folder that describes most of them, since cameras of several kinds
+/// must not be mixed; of equals, the folder of the better kind.
+fn cameras_beside(home: &Path, images: &[PathBuf], warnings: &mut Vec<String>) -> Result<JsonIndex, SceneError> {
+    let mut found = Vec::new();
+    for folder in neighbours(home) {
+        let index = JsonIndex::read(&folder)?.restricted_to(images);
+        if !index.is_empty() {
+            found.push((folder, index));
+        }
+    }
+    // A stable sort: what is nearer stays before what is further away.
+    found.sort_by_key(|(folder, index)| {
+        let kind = camera_kind(folder);
+        (
+            std::cmp::Reverse(index.count_of(images)),
+            kind.0,
+            std::cmp::Reverse(kind.1),
+        )
+    });
+    let mut found = found.into_iter();
+    let Some((folder, index)) = found.next() else {
+        return Ok(JsonIndex::default());
+    };
+    let count = index.count_of(images);
+    if let Some((other, _)) = found.find(|(_, other)| other.count_of(images) == count) {
+        warnings.push(chosen_cameras(home, &folder, &other));
+    }
+    Ok(index)
+}
+
+/// How good the cameras of a folder are by its path: 0 bundle-adjusted, 1 unknown, 2 raw; and the name that says so, of whose
+/// versions the last in the alphabet counts. `crops_rpcs_ba_v2/JAX_068` is `(0, "crops_rpcs_ba_v2")`.
+fn camera_kind(folder: &Path) -> (u8, String) {
+    for name in folder
+        .iter()
+        .rev()
+        .take(3)
+        .map(|part| part.to_string_lossy().to_lowercase())
+    {
+        let says = |word: &str| name.split(['_', '-', '.', ' ']).any(|part| part == word);
+        if says("ba") || says("adjusted") {
+            return (0, name);
+        }
+        if says("raw") {
+            return (2, name);
+        }
+    }
+    (1, String::new())
+}
+
+/// The line that says which of two folders of cameras was taken.
+fn chosen_cameras(scene: &Path, used: &Path, other: &Path) -> String {
+    let why = match (camera_kind(used).0, camera_kind(other).0) {
+        (0, 1..) => "the bundle-adjusted ones of ",
+        _ => "those of ",
+    };
+    format!(
+        "{}: cameras in several folders; {why}{} are used; to use others give their folder, as {}",
+        scene.display(),
+        used.display(),
+        other.display()
+    )
+}
+
+/// A folder of cameras on its way to be chosen.
+struct CameraFolder {
+    path: PathBuf,
+    index: JsonIndex,
+    /// Its path below the scene's top, without the names that only say which kind of cameras it has.
+    place: Vec<String>,
+}
+
+impl CameraFolder {
+    fn new(top: &Path, path: PathBuf, index: JsonIndex) -> Self {
+        let below = path.strip_prefix(top).unwrap_or(&path);
+        let names = below.iter().map(|part| part.to_string_lossy().into_owned());
+        let is_kind = |name: &String| {
+            let name = name.to_lowercase();
+            name.contains("rpc") || name.contains("camera")
+        };
+        let place = names.filter(|name| !is_kind(name)).collect();
+        Self { path, index, place }
+    }
+
+    /// Whether both are cameras of the same images, of different kinds.
+    fn is_same_scene(&self, other: &Self) -> bool {
+        self.place == other.place && self.index.shares_an_image(&other.index)
+    }
+}
+
+/// Of folders with cameras of the same images the best, and the others with a warning; one per scene remains.
+fn best_cameras(top: &Path, mut folders: Vec<CameraFolder>) -> Vec<(PathBuf, Option<String>)> {
+    folders.sort_by_key(|folder| {
+        let kind = camera_kind(&folder.path);
+        (kind.0, std::cmp::Reverse(kind.1))
+    });
+    let mut scenes: Vec<(CameraFolder, Option<String>)> = Vec::new();
+    for folder in folders {
+        match scenes.iter_mut().find(|(known, _)| known.is_same_scene(&folder)) {
+            Some((known, warning)) => {
+                warning.get_or_insert_with(|| chosen_cameras(top, &known.path, &folder.path));
+            }
+            None => scenes.push((folder, None)),
+        }
+    }
+    let mut scenes: Vec<_> = scenes
+        .into_iter()
+        .map(|(folder, warning)| (folder.path, warning))
+        .collect();
+    scenes.sort();
+    scenes
+}
+
+/// The folder that holds the scene: `folder` itself, or the only scene below it; of several kinds of cameras of one scene the best.
+fn scene_folder(folder: &Path, warnings: &mut Vec<String>) -> Result<PathBuf, SceneError> {
     let looks_like_scene = |folder: &Path| -> Result<bool, SceneError> {
         Ok(!images_in(folder)?.is_empty() || !JsonIndex::read(folder)?.is_empty())
     };
@@ -205,28 +317,44 @@ fn scene_folder(folder: &Path) -> Result<PathBuf, SceneError> {
     let mut with_cameras = Vec::new();
     let mut with_images = Vec::new();
     for candidate in below {
-        if !JsonIndex::read(&candidate)?.is_empty() {
-            with_cameras.push(candidate);
+        let index = JsonIndex::read(&candidate)?;
+        if !index.is_empty() {
+            with_cameras.push(CameraFolder::new(folder, candidate, index));
         } else if !images_in(&candidate)?.is_empty() {
-            with_images.push(candidate);
+            with_images.push((candidate, None));
         }
     }
     let mut candidates = if with_cameras.is_empty() {
         with_images
     } else {
-        with_cameras
+        best_cameras(folder, with_cameras)
     };
     match candidates.len() {
         0 => Err(SceneError::Empty(folder.to_owned())),
-        1 => Ok(candidates.remove(0)),
-        _ => {
-            let names: Vec<String> = candidates.iter().map(|path| path.display().to_string()).collect();
-            Err(SceneError::Several {
-                path: folder.to_owned(),
-                candidates: names.join(", "),
-            })
+        1 => {
+            let (home, warning) = candidates.remove(0);
+            warnings.extend(warning);
+            Ok(home)
         }
+        _ => Err(SceneError::Several {
+            path: folder.to_owned(),
+            candidates: listed(&candidates),
+        }),
     }
+}
+
+/// The folders of several scenes in one line, the first of them where there are many.
+fn listed(candidates: &[(PathBuf, Option<String>)]) -> String {
+    const MOST: usize = 20;
+    let mut names: Vec<String> = candidates
+        .iter()
+        .take(MOST)
+        .map(|(path, _)| path.display().to_string())
+        .collect();
+    if candidates.len() > MOST {
+        names.push(format!("and {} more", candidates.len() - MOST));
+    }
+    names.join(", ")
 }
 
 /// `train.txt` and `test.txt` of Sat-NeRF: names of images or of their JSONs, one per line.

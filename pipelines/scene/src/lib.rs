@@ -209,6 +209,7 @@ impl Scene {
             &mut warnings,
         )?;
         let ground = Ground::find(path, drafts, range.limits_m(), options.area.as_ref(), &mut warnings)?;
+        truth::keep_if_here(&mut layout.truth, ground.frame(), ground.area(), &mut warnings);
         ground.finish(path, layout, range, warnings)
     }
 

@@ -2,6 +2,7 @@
 
 use super::SceneError;
 use super::files::{file_name, files_in, has_extension, images_in, neighbours, stem};
+use heliosplat_raster::RasterFile;
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
@@ -9,6 +10,10 @@ use std::path::{Path, PathBuf};
 #[derive(Debug, Clone, serde::Deserialize)]
 struct Description {
     img: String,
+    #[serde(default, deserialize_with = "lenient_number")]
+    width: Option<f64>,
+    #[serde(default, deserialize_with = "lenient_number")]
+    height: Option<f64>,
     #[serde(default, deserialize_with = "lenient_number")]
     min_alt: Option<f64>,
     #[serde(default, deserialize_with = "lenient_number")]
@@ -79,18 +84,24 @@ impl JsonIndex {
         self.by_image.is_empty()
     }
 
-    /// Adds those of another folder that are not there yet.
-    pub(super) fn extend(&mut self, other: Self) {
-        for (image, json) in other.by_image {
-            self.by_image.entry(image).or_insert(json);
-        }
-    }
-
     /// Only those that describe one of the images.
     pub(super) fn restricted_to(mut self, images: &[PathBuf]) -> Self {
         let names: Vec<String> = images.iter().map(|image| stem(image)).collect();
         self.by_image.retain(|image, _| names.contains(image));
         self
+    }
+
+    /// How many of the images are described here.
+    pub(super) fn count_of(&self, images: &[PathBuf]) -> usize {
+        images
+            .iter()
+            .filter(|image| self.by_image.contains_key(&stem(image)))
+            .count()
+    }
+
+    /// Whether both describe an image of the same name.
+    pub(super) fn shares_an_image(&self, other: &Self) -> bool {
+        self.by_image.keys().any(|image| other.by_image.contains_key(image))
     }
 
     /// The folder of the first of them.
@@ -105,16 +116,16 @@ impl JsonIndex {
 
     /// The images described here, which lie in another folder near `home`.
     pub(super) fn find_images(&self, home: &Path) -> Result<Vec<PathBuf>, SceneError> {
-        let mut available: BTreeMap<String, PathBuf> = BTreeMap::new();
+        let mut available: BTreeMap<String, Vec<PathBuf>> = BTreeMap::new();
         for folder in neighbours(home) {
             for image in images_in(&folder)? {
-                available.entry(file_name(&image)).or_insert(image);
+                available.entry(file_name(&image)).or_default().push(image);
             }
         }
         let mut found = Vec::new();
         for (json, image) in self.by_image.values() {
             match available.get(&file_name(Path::new(image))) {
-                Some(path) => found.push(path.clone()),
+                Some(paths) => found.push(of_stated_size(paths, json).clone()),
                 None => {
                     return Err(SceneError::MissingImage {
                         image: image.clone(),
@@ -125,4 +136,21 @@ impl JsonIndex {
         }
         Ok(found)
     }
+}
+
+/// The first of several images of one name that has as many pixels as the JSON says: crops bear the names of the whole images.
+fn of_stated_size<'a>(paths: &'a [PathBuf], json: &Path) -> &'a PathBuf {
+    let stated = || {
+        let description = describe(json)?;
+        Some((description.width? as usize, description.height? as usize))
+    };
+    if paths.len() > 1
+        && let Some(stated) = stated()
+        && let Some(fitting) = paths
+            .iter()
+            .find(|path| RasterFile::open(path).is_ok_and(|file| file.size() == stated))
+    {
+        return fitting;
+    }
+    &paths[0]
 }

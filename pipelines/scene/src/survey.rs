@@ -5,7 +5,7 @@ use super::draft::{self, Draft, image_window};
 use super::footprint::Footprint;
 use super::ground::{self, Ground};
 
-use super::{Area, AreaRequest, IngestOptions, SceneError, Split, Truth, altitude, files, layout};
+use super::{Area, AreaRequest, IngestOptions, SceneError, Split, Truth, altitude, files, layout, truth};
 use heliosplat_raster::{Window, is_virtual};
 use heliosplat_rpc::{ImageWindow, LocalFrame, PinholeFit, Rpc};
 use rayon::prelude::*;
@@ -52,7 +52,7 @@ impl Survey {
     /// # Errors
     /// As [`super::Scene::open`].
     pub fn open(path: &Path, options: &IngestOptions) -> Result<Self, SceneError> {
-        let layout = layout::find(path)?;
+        let mut layout = layout::find(path)?;
         let mut warnings = Vec::new();
         let drafts = draft::read_all(&layout, options, &mut warnings)?;
         draft::check_bands(&drafts)?;
@@ -62,6 +62,7 @@ impl Survey {
         let files = files_of(path, &layout, &drafts);
         let bands = drafts.first().map_or(0, |draft| draft.plan.kinds.len());
         let ground = Ground::find(path, drafts, altitude_range_m, options.area.as_ref(), &mut warnings)?;
+        truth::keep_if_here(&mut layout.truth, ground.frame(), ground.area(), &mut warnings);
         let height_m = ground.frame().origin.height_m;
         let mut gsds = Vec::new();
         for draft in ground.drafts().iter().filter(|draft| is_training(draft)) {
@@ -174,7 +175,11 @@ fn files_of(path: &Path, layout: &layout::Layout, drafts: &[Draft]) -> Vec<PathB
     for draft in drafts {
         let image = &draft.entry.path;
         files.insert(image.clone());
-        files.extend(draft.entry.json.clone());
+        if let Some(json) = &draft.entry.json {
+            files.insert(json.clone());
+            // The lists of a split lie beside the cameras where images have a folder of their own.
+            files.extend(["train.txt", "test.txt"].map(|name| json.with_file_name(name)));
+        }
         if let Some(said) = &draft.entry.said {
             files.extend([&said.rpc, &said.metadata].into_iter().flatten().cloned());
         }
@@ -182,6 +187,7 @@ fn files_of(path: &Path, layout: &layout::Layout, drafts: &[Draft]) -> Vec<PathB
     }
     let truth = &layout.truth;
     files.extend([&truth.dsm, &truth.classes].into_iter().flatten().cloned());
+    files.extend(truth.dsm.iter().map(|dsm| dsm.with_extension("txt")));
     files.extend(truth.shadows.iter().map(|(_, path)| path.clone()));
     files.into_iter().filter(|file| !file.is_dir()).collect()
 }
