@@ -216,7 +216,7 @@ impl<'a> Trainer<'a> {
         let cached = self.cached_visibility[index]
             .as_ref()
             .is_some_and(|cached| cached.is_fresh(self.options.light_every));
-        !cached || self.consistency_is_due()
+        (!cached && self.views[index].light.is_some()) || self.consistency_is_due()
     }
 
     fn consistency_is_due(&self) -> bool {

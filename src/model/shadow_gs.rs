@@ -353,8 +353,9 @@ impl SceneModel for ShadowGs {
         }
     }
 
-    fn map_losses(&self, _context: &Context, maps: &Maps, mask: &[f32], d_maps: &mut MapGradients) -> Vec<NamedLoss> {
-        if self.options.opaqueness_weight == 0.0 {
+    fn map_losses(&self, context: &Context, maps: &Maps, mask: &[f32], d_maps: &mut MapGradients) -> Vec<NamedLoss> {
+        // A view without a light says nothing of shadows.
+        if self.options.opaqueness_weight == 0.0 || context.light.is_none() {
             return Vec::new();
         }
         let channel = self.visibility_channel();

@@ -182,19 +182,6 @@ fn a_single_view_is_not_enough() {
 }
 
 #[test]
-fn neither_time_nor_sun_is_named_with_the_remedy() {
-    let timeless = View {
-        date: None,
-        ..View::new(1)
-    };
-    let folder = scene(&[View::new(0), timeless]);
-    refused(
-        folder.path(),
-        &["view_1.tif", "neither acquisition time nor sun angles", ".IMD"],
-    );
-}
-
-#[test]
 fn more_bands_than_a_model_renders_are_refused_before_anything_is_computed() {
     let of_bands = |number: usize, bands: usize| View {
         bands,

@@ -1,7 +1,7 @@
 //! How scenes lie on disk: folders of Sat-NeRF and EOGS with images, cameras and truth apart, lists, `scene.toml`, crops.
 
 use heliosplat_raster::{ImageSpec, RasterFile, Sample, write_geotiff};
-use heliosplat_scene::{IngestOptions, RpcPreference, Scene, SceneError, Split};
+use heliosplat_scene::{IngestOptions, RpcPreference, Scene, SceneError, Split, SunSource};
 use heliosplat_tests::scenes::{SIZE_PX, View, write_altitudes, write_scene};
 use std::fs;
 use std::path::Path;
@@ -271,9 +271,10 @@ fn a_scene_toml_says_what_the_files_do_not() {
     let scene = open(&path).expect("a scene");
     assert_eq!(scene.altitude_range_m, (650.0, 750.0));
     assert_eq!(names(&scene, Split::Test), ["view_2"]);
-    assert_eq!(scene.images[0].sun_source, "time");
-    assert_eq!(scene.images[1].sun_source, "metadata");
-    assert!((scene.images[1].sun.elevation_rad.to_degrees() - 60.0).abs() < 1e-9);
+    assert_eq!(scene.images[0].sun.source, SunSource::Time);
+    let stated = scene.images[1].sun;
+    assert_eq!(stated.source, SunSource::Metadata);
+    assert!((stated.angles_deg().expect("a sun")[1] - 60.0).abs() < 1e-9);
     assert_eq!(scene.bands()[0].name(), "near_infrared");
 }
 
@@ -393,8 +394,8 @@ fn a_time_that_contradicts_the_stated_sun_is_a_warning_and_the_time_counts() {
     write_scene(folder.path(), &[View::new(0), contradictory]);
     let scene = open(folder.path()).expect("a scene");
     let image = &scene.images[1];
-    assert_eq!(image.sun_source, "time");
-    assert!((image.sun.elevation_rad.to_degrees() - 62.1).abs() < 0.1);
+    assert_eq!(image.sun.source, SunSource::Time);
+    assert!((image.sun.angles_deg().expect("a sun")[1] - 62.1).abs() < 0.1);
     assert!(
         scene
             .warnings

@@ -11,7 +11,7 @@ use heliosplat_raster::bounded;
 use heliosplat_raster::write::write_atomically;
 use heliosplat_rpc::{GeoPoint, LocalFrame, ProjectiveMap, sun::SunPosition};
 use heliosplat_scene::crop::Crop;
-use heliosplat_scene::{Area, BandKind, KnownTiles, Split};
+use heliosplat_scene::{Area, BandKind, KnownTiles, Split, SunSource};
 use std::path::{Path, PathBuf};
 
 /// Version of `model.json`.
@@ -38,8 +38,15 @@ pub struct ModelImage {
     /// Where the rectangle has data and no clouds; `None`: everywhere.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub known: Option<KnownTiles>,
-    /// Its sun.
-    pub sun: SunPosition,
+    /// Its sun; `None` where it is unknown.
+    #[serde(default)]
+    pub sun: Option<SunPosition>,
+    /// Standard deviation of its sun's direction, degrees.
+    #[serde(default)]
+    pub sun_sigma_deg: Option<f64>,
+    /// Where its sun comes from.
+    #[serde(default)]
+    pub sun_source: SunSource,
     /// When it was taken, if known.
     #[serde(default)]
     pub time: Option<jiff::Timestamp>,
@@ -72,6 +79,14 @@ pub struct ModelFile {
     pub bands: Vec<BandKind>,
     /// The images.
     pub images: Vec<ModelImage>,
+}
+
+impl ModelFile {
+    /// Whether the model was trained with light: the sun of at least one of its images was known.
+    pub fn has_light(&self) -> bool {
+        let mut trained = self.images.iter().filter(|image| image.appearance.is_some());
+        trained.any(|image| image.sun.is_some())
+    }
 }
 
 /// A model read back from its run.

@@ -105,12 +105,14 @@ fn check_image(image: &ModelImage, options: &ShadowGsOptions) -> Result<(), Stri
         return Err(format!("image {name} has a crop of no possible size"));
     }
     let map = &image.map;
+    let angles = image.sun.iter().flat_map(|sun| [&sun.azimuth_rad, &sun.elevation_rad]);
     let numbers = map
         .u
         .iter()
         .chain(&map.v)
         .chain(&map.w)
-        .chain([&image.sun.azimuth_rad, &image.sun.elevation_rad]);
+        .chain(angles)
+        .chain(&image.sun_sigma_deg);
     if !numbers.copied().all(f64::is_finite) || !image.shift_px.iter().all(|s| s.is_finite()) {
         return Err(format!("image {name} has numbers that are not finite"));
     }

@@ -23,6 +23,15 @@ pub enum RelightError {
         /// Its elevation.
         elevation_deg: f64,
     },
+    /// A model without light.
+    #[error(
+        "{}: no sun was known in training, so the model has no light and cannot be relit; train again with acquisition times or sun angles of the images",
+        folder.display()
+    )]
+    NoLight {
+        /// Folder of the run.
+        folder: PathBuf,
+    },
     /// No image of that name.
     #[error("no image of the run is called {name}; the names are {known}, or nadir")]
     NoView {
@@ -45,7 +54,7 @@ impl RelightError {
         match self {
             Self::Run(error) => error.is_input_fault(),
             Self::Raster(error) => error.is_input_fault(),
-            Self::Night { .. } | Self::NoView { .. } => true,
+            Self::Night { .. } | Self::NoLight { .. } | Self::NoView { .. } => true,
         }
     }
 }
@@ -65,7 +74,7 @@ pub struct Relit {
 /// Renders `model` under `sun`, from above (`nadir`) or as the image called `view` saw it, with the colours of the reference image.
 ///
 /// # Errors
-/// [`RelightError`] when the sun is down or there is no such view.
+/// [`RelightError`] when the sun is down, the model has no light, or there is no such view.
 pub fn relight(model: &LoadedModel, sun: &SunPosition, view: &str) -> Result<Relit, RelightError> {
     if view == "nadir" {
         let nadir = NadirGrid::new(&model.into(), model.file.gsd_m, None)?;
@@ -77,7 +86,7 @@ pub fn relight(model: &LoadedModel, sun: &SunPosition, view: &str) -> Result<Rel
 /// Renders `model` under `sun` from straight above, on a grid.
 ///
 /// # Errors
-/// [`RelightError::Night`] when the sun is down.
+/// [`RelightError`] when the sun is down, or the model has no light.
 pub fn relight_ortho(model: &LoadedModel, sun: &SunPosition, nadir: &NadirGrid) -> Result<Relit, RelightError> {
     let mut relit = lit(model, sun, &nadir.camera)?;
     relit.grid = Some(nadir.grid.clone());
@@ -88,6 +97,11 @@ fn lit(model: &LoadedModel, sun: &SunPosition, camera: &ProjectiveCamera) -> Res
     let elevation_deg = sun.elevation_rad.to_degrees();
     if !elevation_deg.is_finite() || elevation_deg < LOWEST_SUN_DEG {
         return Err(RelightError::Night { elevation_deg });
+    }
+    if !model.file.has_light() {
+        return Err(RelightError::NoLight {
+            folder: model.folder.clone(),
+        });
     }
     let direction = sun.direction_enu();
     let light = Light::Directional(glam::DVec3::new(direction.x, direction.y, direction.z).as_vec3());

@@ -26,30 +26,50 @@ pub struct Request {
     pub sun: Option<SunPosition>,
 }
 
-/// The date of an image by name: its day, or without a time the place of its sun.
+/// The date of an image by name: its day, or without a time the place of its sun; `undated` where neither is known.
 pub fn date_of(image: &ModelImage) -> String {
-    match image.time {
-        Some(time) => time.strftime("%Y-%m-%d").to_string(),
-        None => format!(
+    match (image.time, image.sun) {
+        (Some(time), _) => time.strftime("%Y-%m-%d").to_string(),
+        (None, Some(sun)) => format!(
             "sun_{:03.0}_{:02.0}",
-            image.sun.azimuth_rad.to_degrees().rem_euclid(360.0),
-            image.sun.elevation_rad.to_degrees()
+            sun.azimuth_rad.to_degrees().rem_euclid(360.0),
+            sun.elevation_rad.to_degrees()
         ),
+        (None, None) => "undated".into(),
     }
 }
 
-/// The dates of a run, and the sun of the first image of each.
+/// The dates of a run whose sun is known, and the sun of the first image of each.
 pub fn dates(images: &[ModelImage]) -> Vec<(String, SunPosition)> {
     let mut known = BTreeMap::new();
     for image in images {
-        known.entry(date_of(image)).or_insert(image.sun);
+        if let Some(sun) = image.sun {
+            known.entry(date_of(image)).or_insert(sun);
+        }
     }
     known.into_iter().collect()
 }
 
+/// The sun that all images of a run share, where they do.
+pub fn only_sun<'a>(images: &[ModelImage], dates: &'a [(String, SunPosition)]) -> Option<&'a SunPosition> {
+    let all_known = images.iter().all(|image| image.sun.is_some());
+    dates
+        .first()
+        .filter(|_| dates.len() == 1 && all_known)
+        .map(|(_, sun)| sun)
+}
+
+/// The dates that get a shadow mask: none where the model has no light.
+fn shaded_dates(model: &LoadedModel) -> Vec<(String, SunPosition)> {
+    match model.file.has_light() {
+        true => dates(&model.file.images),
+        false => Vec::new(),
+    }
+}
+
 /// How many steps [`write()`] reports.
 pub fn steps(model: &LoadedModel) -> u64 {
-    4 + dates(&model.file.images).len() as u64
+    4 + shaded_dates(model).len() as u64
 }
 
 /// Writes all products of `model` into the folder `out`, `item.json` last, under the name `id`, in a collection (its name and where it
@@ -91,7 +111,7 @@ pub fn write(
         writer.relit(&relit.image, &relit.shadows(), bands, sun)?;
     }
     done(3);
-    let dates = dates(&model.file.images);
+    let dates = shaded_dates(model);
     for (place, (date, sun)) in dates.iter().enumerate() {
         writer.shadows(date, &relight_ortho(model, sun, &nadir)?.shadows(), sun)?;
         done(4 + place as u64);
@@ -101,7 +121,7 @@ pub fn write(
     let set = writer.finish(&Said {
         id,
         times: &times(&model.file.images, &[&model.folder]),
-        sun: dates.first().filter(|_| dates.len() == 1).map(|(_, sun)| sun),
+        sun: only_sun(&model.file.images, &dates),
         collection,
     })?;
     done(steps(model));

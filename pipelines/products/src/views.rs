@@ -19,7 +19,7 @@ pub fn camera_of(image: &ModelImage) -> ProjectiveCamera {
 pub struct RenderedView {
     /// Its colours, in the model's units; NaN where the model shows nothing.
     pub image: Raster,
-    /// Share of the sun that reaches each pixel by the trace; NaN where the model shows nothing.
+    /// Share of the sun that reaches each pixel by the trace; NaN where the model shows nothing, and everywhere where the sun is unknown.
     pub traced: Raster,
     /// The same after the image itself was asked where exactly shadows end ([`Evidence`]); as traced without the image, or
     /// without an image of its day among those of training.
@@ -58,8 +58,10 @@ impl Colouring {
 /// reference image.
 pub fn render_view(model: &LoadedModel, image: &ModelImage, truth: Option<&Raster>) -> RenderedView {
     let camera = camera_of(image);
-    let direction = image.sun.direction_enu();
-    let light = Light::Directional(Vec3::new(direction.x as f32, direction.y as f32, direction.z as f32));
+    let light = image.sun.filter(|_| model.file.has_light()).map(|sun| {
+        let direction = sun.direction_enu();
+        Light::Directional(Vec3::new(direction.x as f32, direction.y as f32, direction.z as f32))
+    });
     let appearance = image.appearance.or(image.same_day);
     let Rendering {
         image: mut colours,
@@ -68,11 +70,11 @@ pub fn render_view(model: &LoadedModel, image: &ModelImage, truth: Option<&Raste
         &model.model,
         &model.parameters,
         &camera,
-        Some(light),
+        light,
         appearance,
         model.pass_options(),
     );
-    let traced = Raster {
+    let mut traced = Raster {
         width: camera.width,
         height: camera.height,
         bands: 1,
@@ -96,12 +98,12 @@ pub fn render_view(model: &LoadedModel, image: &ModelImage, truth: Option<&Raste
         }
     }
     // What another image's colours say of this one's light is not to be believed.
-    let own = truth.filter(|_| appearance.is_some());
+    let own = truth.filter(|_| appearance.is_some() && light.is_some());
     let visibility = own.map(|image| {
         let context = Context {
             parameters: &model.parameters,
             camera: &camera,
-            light: Some(light),
+            light,
             appearance,
         };
         let [shaded, lit] = [0.0, 1.0].map(|share| model.model.compose_in(share, &context, &maps));
@@ -120,6 +122,10 @@ pub fn render_view(model: &LoadedModel, image: &ModelImage, truth: Option<&Raste
                 colours.plane_mut(band)[i] = f32::NAN;
             }
         }
+    }
+    if light.is_none() {
+        // Everything was rendered as lit; that is no statement about shadows.
+        traced.values.fill(f32::NAN);
     }
     RenderedView {
         image: colours,

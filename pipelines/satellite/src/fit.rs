@@ -3,7 +3,7 @@
 use super::config::SatelliteConfig;
 use super::error::{FitError, MaskError};
 use super::ground::Ground;
-use super::plan::Decisions;
+use super::plan::{Decisions, Light};
 use super::shadow_prior;
 use super::swept::{Preprocessed, Swept};
 use super::views;
@@ -19,7 +19,7 @@ use heliosplat_fitting::checkpoint::{CheckpointWriter, LoadedCheckpoint};
 use heliosplat_fitting::curve::CurvePoint;
 use heliosplat_fitting::run_folder::peak_rss_bytes;
 use heliosplat_fitting::training::{Ending, TrainingError, train};
-use heliosplat_scene::{Area, KnownTiles, Scene, SceneImage};
+use heliosplat_scene::{Area, ImageSun, KnownTiles, Scene, crop};
 use heliosplat_session::Session;
 use heliosplat_stereo::Surface;
 use std::time::Instant;
@@ -52,6 +52,8 @@ pub struct Fitted {
     pub shifts_px: Vec<[f32; 2]>,
     /// Where each image has data and no clouds; `None`: everywhere.
     pub known: Vec<Option<KnownTiles>>,
+    /// The suns that the images were lit by, in that order.
+    pub suns: Vec<ImageSun>,
     /// Share of each image that is left out because clouds hide the ground there, 0 to 1, in that order.
     pub clouded: Vec<f64>,
     /// The surface that training started from.
@@ -70,10 +72,10 @@ pub struct Fitted {
     pub memory_estimate: f64,
 }
 
-/// The image whose colour is the model's: the one under the highest sun, where least lies in shadow.
-fn reference(images: &[&SceneImage]) -> usize {
-    let elevation = |i: usize| images[i].sun.elevation_rad;
-    (0..images.len())
+/// The image whose colour is the model's: the one under the highest sun, where least lies in shadow; without any sun the first.
+fn reference(suns: &[ImageSun]) -> usize {
+    let elevation = |i: usize| suns[i].position.map_or(f64::NEG_INFINITY, |sun| sun.elevation_rad);
+    (0..suns.len())
         .max_by(|&a, &b| elevation(a).total_cmp(&elevation(b)).then(b.cmp(&a)))
         .unwrap_or(0)
 }
@@ -127,7 +129,8 @@ pub fn fit(
     } = found;
     let swept = Instant::now();
 
-    let model = model(&ground, decisions);
+    let suns: Vec<ImageSun> = ground.images.iter().map(|image| image.sun).collect();
+    let model = model(&ground, &suns, decisions);
     let covered = ground.covered(&surface, COVERAGE);
     let mut parameters = Parameters {
         gaussians: initial::Start {
@@ -144,7 +147,16 @@ pub fn fit(
         surface.altitude.len()
     );
     let mut views: Vec<View> = (0..ground.images.len())
-        .map(|i| views::view(ground.images[i], &ground.crops[i], &clouds[i], shifts_px[i], i))
+        .map(|i| {
+            views::view(
+                ground.images[i],
+                &suns[i],
+                &ground.crops[i],
+                &clouds[i],
+                shifts_px[i],
+                i,
+            )
+        })
         .collect();
     let known = views.iter().map(|view| {
         let known: Vec<bool> = view.weight.iter().map(|&weight| weight > 0.0).collect();
@@ -155,11 +167,14 @@ pub fn fit(
         views.iter_mut().for_each(|view| view.ceiling.clear());
     }
     if model.options.prior_weight > 0.0 {
-        give_priors(&mut views, &ground, &surface, config)?;
+        give_priors(&mut views, &suns, &ground, &surface, config)?;
     }
     let mut options = config.train.clone().for_views(views.len());
     let steps = options.iterations;
     options.gsd_m = scene.gsd_m as f32;
+    if decisions.light == Light::LeftOut {
+        options.consistency_weight = 0.0;
+    }
     let memory_estimate = fit_into_memory(limits.memory, scene, &parameters, &views, config, &mut options)?;
     radiometry::initialise(&model, &mut parameters, &mut views, SKY);
     let initialised = swept.elapsed();
@@ -187,6 +202,7 @@ pub fn fit(
         images: ground.images.iter().map(|image| image.name.clone()).collect(),
         shifts_px,
         known,
+        suns,
         clouded: clouds.iter().map(|mask| clouds::share(mask)).collect(),
         surface,
         seconds: [
@@ -199,12 +215,12 @@ pub fn fit(
 }
 
 /// The model of the images of `ground`.
-fn model(ground: &Ground, decisions: &Decisions) -> ShadowGs {
+fn model(ground: &Ground, suns: &[ImageSun], decisions: &Decisions) -> ShadowGs {
     let images = ground.images.len();
     ShadowGs::new(ShadowGsOptions {
         bands: ground.images.first().map_or(0, |image| image.pixels.bands),
         images,
-        reference: reference(&ground.images),
+        reference: reference(suns),
         image_colour: decisions.image_colour,
         prior_weight: if decisions.shadow_prior { PRIOR_WEIGHT } else { 0.0 },
         near_light: decisions.near_light,
@@ -216,6 +232,7 @@ fn model(ground: &Ground, decisions: &Decisions) -> ShadowGs {
 /// Tells each view what it seems to be lit by: from the user's masks, else from its own darkness.
 fn give_priors(
     views: &mut [View],
+    suns: &[ImageSun],
     ground: &Ground,
     surface: &Surface,
     config: &SatelliteConfig,
@@ -229,10 +246,13 @@ fn give_priors(
         }
         None => {
             let (rasters, cameras): (Vec<_>, Vec<_>) = views.iter().map(|view| (&view.image, view.camera)).unzip();
-            shadow_prior::found(ground, &rasters, surface, &cameras)
+            let suns: Vec<_> = suns.iter().map(crop::direction).collect();
+            shadow_prior::found(ground, &rasters, surface, &cameras, &suns)
         }
     };
-    for (view, lit) in views.iter_mut().zip(priors) {
+    // Without a sun nothing is in shadow, and no mask can change that.
+    let lit_views = views.iter_mut().zip(priors).filter(|(view, _)| view.light.is_some());
+    for (view, lit) in lit_views {
         view.visibility_prior = Some(lit);
     }
     Ok(())

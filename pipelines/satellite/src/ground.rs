@@ -68,7 +68,7 @@ impl<'a> Ground<'a> {
             .map(|i| ViewGeometry {
                 camera: crop::camera(&self.images[i].pinhole.map, &self.crops[i], shifts[i]),
                 date_group: self.groups[i],
-                sun: crop::sun(self.images[i]),
+                sun: crop::direction(&self.images[i].sun),
             })
             .collect()
     }

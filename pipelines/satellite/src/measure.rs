@@ -7,7 +7,7 @@ use heliosplat_evaluate::shadow::ShadowCounts;
 use heliosplat_evaluate::{DsmEvaluation, ImageScore, Protocol, error_map, evaluate_dsm};
 use heliosplat_fitting::run_folder::{RunError, create_folder, peak_rss_bytes};
 use heliosplat_products::dsm::{NadirGrid, of_surface};
-use heliosplat_products::model::LoadedModel;
+use heliosplat_products::model::{LoadedModel, ModelImage};
 use heliosplat_products::seen;
 use heliosplat_products::views::{RenderedView, render_view, score};
 use heliosplat_raster::grid::GridSpec;
@@ -48,7 +48,7 @@ pub fn dsm(
 
 /// `metrics.json` as far as it follows from model and scene; also draws pictures into the run's folder.
 pub fn metrics(scene: &Scene, model: &LoadedModel, run: &Path, protocol: Protocol) -> Result<Value, SatelliteError> {
-    let mut out = json!({ "gaussians": model.parameters.gaussians.count });
+    let mut out = json!({ "gaussians": model.parameters.gaussians.count, "suns": suns(&model.file.images) });
     if let Some(evaluation) = dsm(scene, model, run, protocol)? {
         out["dsm"] = surface_metrics(&evaluation);
         preview::write_png(&run.join("error.png"), &error_map::draw(&evaluation.errors))?;
@@ -94,6 +94,27 @@ pub fn metrics(scene: &Scene, model: &LoadedModel, run: &Path, protocol: Protoco
         out["shadow"]["traced"] = serde_json::to_value(traced.score()).unwrap_or_default();
     }
     Ok(out)
+}
+
+/// The suns of the images, degrees, their standard deviations, and where they come from; null where a sun is unknown.
+fn suns(images: &[ModelImage]) -> Value {
+    let sun = |image: &ModelImage| {
+        let [azimuth_deg, elevation_deg] = match image.sun {
+            Some(sun) => [
+                Some(sun.azimuth_rad.to_degrees().rem_euclid(360.0)),
+                Some(sun.elevation_rad.to_degrees()),
+            ],
+            None => [None; 2],
+        };
+        json!({
+            "image": image.name,
+            "azimuth_deg": azimuth_deg,
+            "elevation_deg": elevation_deg,
+            "sigma_deg": image.sun_sigma_deg,
+            "source": image.sun_source,
+        })
+    };
+    images.iter().map(sun).collect()
 }
 
 /// Where red, green and blue are, if there are other bands besides.

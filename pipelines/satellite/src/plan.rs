@@ -12,9 +12,21 @@ use heliosplat_scene::{crop, saturation};
 use heliosplat_stereo::clouds::FEWEST_VIEWS;
 use heliosplat_stereo::{MANY_VIEWS, MatchingFacts, MatchingParameters};
 
+/// How a model is lit.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, serde::Serialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Light {
+    /// By the suns that are known; images without one are rendered as lit everywhere, in a colour of their own.
+    Known,
+    /// Not at all: no sun is known, and each image has a colour of its own.
+    LeftOut,
+}
+
 /// What is decided about a scene.
 #[derive(Debug, Clone, PartialEq, serde::Serialize)]
 pub struct Decisions {
+    /// How the model is lit.
+    pub light: Light,
     /// Each image has an affine colour of its own.
     pub image_colour: bool,
     /// Clouds are searched and left out.
@@ -55,7 +67,9 @@ pub struct PlanItem {
 struct Facts {
     images: usize,
     dates: usize,
-    /// Lowest and highest sun, degrees.
+    /// Images whose sun is known.
+    suns: usize,
+    /// Lowest and highest of these, degrees.
     suns_deg: (f64, f64),
     /// What the plane sweep's matching parameters are chosen from; `None` where no two images show the common ground.
     matching: Option<MatchingFacts>,
@@ -69,7 +83,8 @@ struct Facts {
 impl Facts {
     fn of(scene: &Scene, config: &SatelliteConfig) -> Self {
         let images: Vec<&SceneImage> = scene.training().collect();
-        let elevations = || images.iter().map(|image| image.sun.elevation_rad.to_degrees());
+        let known = || images.iter().filter_map(|image| image.sun.position);
+        let elevations = || known().map(|sun| sun.elevation_rad.to_degrees());
         let ground = Ground::new(scene, scene.training()).ok();
         let has = |kind| images.iter().all(|image| image.bands.contains(&kind));
         Self {
@@ -78,6 +93,7 @@ impl Facts {
                 .into_iter()
                 .max()
                 .map_or(0, |last| last as usize + 1),
+            suns: known().count(),
             suns_deg: (
                 elevations().fold(f64::INFINITY, f64::min),
                 elevations().fold(f64::NEG_INFINITY, f64::max),
@@ -91,6 +107,37 @@ impl Facts {
     }
 }
 
+impl Facts {
+    fn light(&self) -> Light {
+        match self.suns {
+            0 => Light::LeftOut,
+            _ => Light::Known,
+        }
+    }
+
+    /// Why the model is lit as it is.
+    fn light_reason(&self) -> String {
+        let &Self {
+            images, dates, suns, ..
+        } = self;
+        let remedy = "add .IMD, DIM_*.XML or .json files, or time = \"...\" in scene.toml";
+        if suns == 0 {
+            return format!(
+                "no acquisition time and no sun angles are known ({remedy}): the light is left out, each image has a colour of its own, shadows count as dark ground, and nothing can be relit"
+            );
+        }
+        let (lowest, highest) = self.suns_deg;
+        let traced = format!("{lowest:.0} to {highest:.0} degrees high: cast shadows are traced through the geometry");
+        if suns < images {
+            return format!(
+                "{suns} of {images} suns are known, {traced}; the other {} images count as lit everywhere, in colours of their own ({remedy})",
+                images - suns
+            );
+        }
+        format!("{dates} date(s) with known suns, {traced}")
+    }
+}
+
 impl Decisions {
     /// What `scene` requires; what `config` sets stays as it is.
     pub fn of(scene: &Scene, config: &SatelliteConfig) -> Self {
@@ -99,16 +146,21 @@ impl Decisions {
 
     fn from_facts(facts: &Facts, config: &SatelliteConfig) -> Self {
         let model = &config.model;
+        let light = facts.light();
         let mut decisions = Self {
+            light,
             image_colour: model.image_colour.unwrap_or(facts.dates > 1),
             clouds: model.clouds.unwrap_or(facts.images >= FEWEST_VIEWS),
             saturation: model.saturation.unwrap_or(facts.clipped > 0.0),
-            shadow_prior: model.shadow_prior.unwrap_or(facts.images < ENOUGH_VIEWS),
+            shadow_prior: light == Light::Known && model.shadow_prior.unwrap_or(facts.images < ENOUGH_VIEWS),
             vegetation_index: facts.near_infrared && facts.images >= 2,
             align: config.cameras.align,
             near_light: model.near_light,
             sh_degree: model.sh_degree,
-            opaqueness_weight: model.opaqueness_weight,
+            opaqueness_weight: match light {
+                Light::Known => model.opaqueness_weight,
+                Light::LeftOut => 0.0,
+            },
             matching: facts.matching.as_ref().map(MatchingParameters::choose),
             items: Vec::new(),
         };
@@ -144,16 +196,9 @@ impl Decisions {
             item(component, on, reason)
         };
         let &Facts { images, dates, .. } = facts;
-        let (lowest, highest) = facts.suns_deg;
         let [many_view_matching, cost_aggregation] = matching_items(facts.matching, self.matching);
         vec![
-            item(
-                "sun",
-                true,
-                format!(
-                    "{dates} date(s) with known suns, {lowest:.0} to {highest:.0} degrees high: cast shadows are traced through the geometry"
-                ),
-            ),
+            item("sun", self.light == Light::Known, facts.light_reason()),
             decided(
                 "model.image_colour",
                 self.image_colour,
@@ -195,9 +240,11 @@ impl Decisions {
             decided(
                 "model.shadow_prior",
                 self.shadow_prior,
-                config.model.shadow_prior,
-                images < ENOUGH_VIEWS,
-                if images < ENOUGH_VIEWS {
+                config.model.shadow_prior.filter(|_| self.light == Light::Known),
+                images < ENOUGH_VIEWS && self.light == Light::Known,
+                if self.light == Light::LeftOut {
+                    "no sun is known: what throws a shadow cannot be asked".into()
+                } else if images < ENOUGH_VIEWS {
                     format!(
                         "{images} views say little of what throws a shadow: dark places with something toward the sun guide it"
                     )
@@ -317,6 +364,7 @@ mod tests {
         Facts {
             images,
             dates,
+            suns: images,
             suns_deg: (35.0, 60.0),
             matching: Some(MatchingFacts {
                 views: images,
@@ -342,6 +390,26 @@ mod tests {
         assert!(!on(&facts(9, 1), &config, "model.shadow_prior") && !on(&facts(9, 1), &config, "model.image_colour"));
         let component = "start.many_views";
         assert!(on(&facts(9, 1), &config, component) && !on(&facts(3, 1), &config, component));
+    }
+
+    #[test]
+    fn without_any_sun_the_light_is_left_out_whatever_is_set() {
+        let mut config = SatelliteConfig::default();
+        config.model.shadow_prior = Some(true);
+        config.model.opaqueness_weight = 1.0;
+        let dark = Facts { suns: 0, ..facts(3, 3) };
+        let decisions = Decisions::from_facts(&dark, &config);
+        assert_eq!((decisions.light, decisions.opaqueness_weight), (Light::LeftOut, 0.0));
+        assert!(!decisions.shadow_prior && decisions.image_colour);
+        assert!(!on(&dark, &config, "sun") && !on(&dark, &config, "model.shadow_prior"));
+    }
+
+    #[test]
+    fn images_without_a_sun_are_counted() {
+        let some = Facts { suns: 2, ..facts(5, 5) };
+        let items = Decisions::from_facts(&some, &SatelliteConfig::default()).items;
+        let sun = items.iter().find(|item| item.component == "sun").expect("the sun");
+        assert!(sun.on && sun.reason.contains("2 of 5 suns") && sun.reason.contains("other 3 images"));
     }
 
     #[test]

@@ -67,6 +67,7 @@ pub fn model_images(scene: &Scene, fitted: &Fitted, margin_m: f64) -> Vec<ModelI
                 .images
                 .iter()
                 .position(|name| *name == image.name && image.split == Split::Train);
+            let sun = appearance.map_or(image.sun, |a| fitted.suns[a]);
             Some(ModelImage {
                 name: image.name.clone(),
                 split: image.split,
@@ -79,7 +80,9 @@ pub fn model_images(scene: &Scene, fitted: &Fitted, margin_m: f64) -> Vec<ModelI
                 crop: Crop::of(image, &area, up_m)?,
                 shift_px: appearance.map_or([0.0; 2], |a| fitted.shifts_px[a]),
                 known: appearance.and_then(|a| fitted.known[a].clone()),
-                sun: image.sun,
+                sun: sun.position,
+                sun_sigma_deg: sun.sigma_deg,
+                sun_source: sun.source,
                 time: image.time,
             })
         })

@@ -10,7 +10,7 @@ use glam::{Vec2, Vec3};
 use heliosplat::{ProjectiveCamera, Raster};
 use heliosplat_raster::file::RasterFile;
 use heliosplat_scene::bands::{VEGETATION_INDEX, normalised_difference, vegetation_index};
-use heliosplat_scene::crop::{self, Crop};
+use heliosplat_scene::crop::Crop;
 use heliosplat_scene::{BandKind, SceneImage};
 use heliosplat_stereo::Surface;
 use rayon::prelude::*;
@@ -169,17 +169,20 @@ fn may_be_shaded(surface: &Surface, point: Vec3, sun: Vec3, top_m: f32) -> bool 
 }
 
 /// What each image of `ground` says is lit (1) or in shadow (0), NaN where it says nothing, pixel by pixel of its crop; `surface` is the
-/// initial one, and `cameras` are those of the crops.
+/// initial one, `cameras` are those of the crops, and `suns` unit vectors toward the sun: nothing is said where there is none.
 pub(super) fn found(
     ground: &Ground,
     rasters: &[&Raster],
     surface: &Surface,
     cameras: &[ProjectiveCamera],
+    suns: &[Option<Vec3>],
 ) -> Vec<Vec<f32>> {
     let top_m = surface.altitude.iter().copied().fold(f32::MIN, f32::max);
     let one = |(i, raster): (usize, &&Raster)| {
         let image = ground.images[i];
-        let sun = crop::sun(image);
+        let Some(sun) = suns[i] else {
+            return vec![f32::NAN; raster.plane_len()];
+        };
         let mut lit = by_brightness(&image.bands, raster);
         let width = raster.width;
         lit.par_iter_mut()

@@ -3,12 +3,19 @@
 use crate::clouds;
 use heliosplat::light::Light;
 use heliosplat::model::View;
-use heliosplat_scene::crop::{Crop, camera, sun};
-use heliosplat_scene::{SceneImage, saturation};
+use heliosplat_scene::crop::{Crop, camera, direction};
+use heliosplat_scene::{ImageSun, SceneImage, saturation};
 
-/// The view of an image without its `clouds`; `appearance` is its place among the images with a colour of their own. Every known pixel
+/// The view of an image under `sun`, without its `clouds`; under an unknown sun everything counts as lit; `appearance` is its place among the images with a colour of their own. Every known pixel
 /// weighs one.
-pub(crate) fn view(image: &SceneImage, crop: &Crop, clouds: &[bool], shift_px: [f32; 2], appearance: usize) -> View {
+pub(crate) fn view(
+    image: &SceneImage,
+    sun: &ImageSun,
+    crop: &Crop,
+    clouds: &[bool],
+    shift_px: [f32; 2],
+    appearance: usize,
+) -> View {
     let mut pixels = crop.cut(&image.pixels);
     clouds::blank(&mut pixels, clouds);
     let weight = (0..pixels.plane_len())
@@ -24,7 +31,7 @@ pub(crate) fn view(image: &SceneImage, crop: &Crop, clouds: &[bool], shift_px: [
         name: image.name.clone(),
         camera: camera(&image.pinhole.map, crop, shift_px),
         image: pixels,
-        light: Some(Light::Directional(sun(image))),
+        light: direction(sun).map(Light::Directional),
         appearance,
         weight,
         visibility_prior: None,

@@ -1,21 +1,13 @@
 //! When an image was taken and where the sun stood.
 
-use super::SceneError;
 use super::camera::{belonging_texts, read_text};
 use super::files::file_name;
 use super::layout::ImageEntry;
+use super::{ImageSun, SceneError};
 use heliosplat_raster::RasterFile;
 use heliosplat_rpc::GeoPoint;
 use heliosplat_rpc::read::acquisition::{self, Acquisition};
 use heliosplat_rpc::sun::{SunPosition, sun_position};
-
-/// The sun of one image.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub(super) struct FoundSun {
-    pub(super) sun: SunPosition,
-    pub(super) source: &'static str,
-    pub(super) metadata: Option<SunPosition>,
-}
 
 /// Vendors use the geocentric vertical, up to 0.4° off; more than this is a mistake somewhere, degrees.
 const WORTH_A_WARNING_DEG: f64 = 0.5;
@@ -48,28 +40,23 @@ pub(super) fn find(file: &RasterFile, entry: &ImageEntry) -> Result<Acquisition,
     Ok(known.merge(acquisition::gdal_domain(&items)))
 }
 
-/// The sun over the scene: computed from the time where there is one, else as the metadata say.
+/// The sun over the scene: computed from the time where there is one, else as the metadata say, else unknown.
 pub(super) fn sun(
     file: &RasterFile,
     known: &Acquisition,
     at: GeoPoint,
     warnings: &mut Vec<String>,
-) -> Result<FoundSun, SceneError> {
+) -> Result<ImageSun, SceneError> {
     let metadata = known.stated_sun();
     let found = match (known.time, metadata) {
-        (Some(time), _) => FoundSun {
-            sun: sun_position(time, at),
-            source: "time",
-            metadata,
-        },
-        (None, Some(sun)) => FoundSun {
-            sun,
-            source: "metadata",
-            metadata,
-        },
-        (None, None) => return Err(SceneError::NoSun(file.path().to_owned())),
+        (Some(time), _) => ImageSun::from_time(sun_position(time, at)),
+        (None, Some(sun)) => ImageSun::from_metadata(sun),
+        (None, None) => ImageSun::unknown(),
     };
-    check_height(file, known, &found, warnings)?;
+    let Some(position) = found.position else {
+        return Ok(found);
+    };
+    check_height(file, known, position, warnings)?;
     if let (Some(apart_deg), Some(stated)) = (known.sun_disagreement_deg(at), metadata)
         && apart_deg > WORTH_A_WARNING_DEG
     {
@@ -80,7 +67,7 @@ pub(super) fn sun(
         warnings.push(format!(
             "{}: the sun of its acquisition time ({}) is {apart_deg:.1} degrees off the one its metadata state ({}); the time is used",
             file.path().display(),
-            angles(found.sun),
+            angles(position),
             angles(stated),
         ));
     }
@@ -90,12 +77,12 @@ pub(super) fn sun(
 fn check_height(
     file: &RasterFile,
     known: &Acquisition,
-    found: &FoundSun,
+    found: SunPosition,
     warnings: &mut Vec<String>,
 ) -> Result<(), SceneError> {
-    let elevation_deg = found.sun.elevation_rad.to_degrees();
+    let elevation_deg = found.elevation_rad.to_degrees();
     if elevation_deg.is_nan() || elevation_deg <= 0.0 {
-        let stated = found.metadata.map(|sun| sun.elevation_rad.to_degrees());
+        let stated = known.stated_sun().map(|sun| sun.elevation_rad.to_degrees());
         let (origin, remedy) = match (known.time, stated) {
             (Some(time), Some(stated)) if stated > 0.0 => (
                 format!("at {time}"),

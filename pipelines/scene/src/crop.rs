@@ -1,6 +1,6 @@
 //! What a view needs of an image: the crop that shows an area, its camera in f32, its sun, and its date.
 
-use crate::{Area, Scene, SceneImage};
+use crate::{Area, ImageSun, Scene, SceneImage};
 use glam::{DVec3, Vec3};
 use heliosplat::{ProjectiveCamera, Raster};
 use heliosplat_rpc::ProjectiveMap;
@@ -79,25 +79,28 @@ pub fn camera(map: &ProjectiveMap, crop: &Crop, shift_px: [f32; 2]) -> Projectiv
     ProjectiveCamera::new(u, v, map.w, (crop.width, crop.height), -DVec3::Z)
 }
 
-/// Unit vector toward the sun of an image, scene frame.
-pub fn sun(image: &SceneImage) -> Vec3 {
-    let direction = image.sun.direction_enu();
-    Vec3::new(direction.x as f32, direction.y as f32, direction.z as f32)
+/// Unit vector toward a sun, scene frame; `None` where it is unknown.
+pub fn direction(sun: &ImageSun) -> Option<Vec3> {
+    let direction = sun.position?.direction_enu();
+    Some(Vec3::new(direction.x as f32, direction.y as f32, direction.z as f32))
 }
 
-/// A number per image that two images share when they are of one date (the same day, or without times the same sun).
+/// A number per image that two images share when they are of one date (the same day, or without times the same sun). An image of
+/// which neither is known has a date of its own: nothing says that its light is that of another.
 pub fn date_groups(images: &[&SceneImage]) -> Vec<u32> {
     let mut known = BTreeMap::new();
     images
         .iter()
-        .map(|image| {
-            let key = match image.time {
-                Some(time) => format!("{}", time.as_second().div_euclid(86_400)),
-                None => format!(
+        .enumerate()
+        .map(|(place, image)| {
+            let key = match (image.time, image.sun.position) {
+                (Some(time), _) => format!("{}", time.as_second().div_euclid(86_400)),
+                (None, Some(sun)) => format!(
                     "{:.0} {:.0}",
-                    image.sun.azimuth_rad.to_degrees(),
-                    image.sun.elevation_rad.to_degrees()
+                    sun.azimuth_rad.to_degrees(),
+                    sun.elevation_rad.to_degrees()
                 ),
+                (None, None) => format!("image {place}"),
             };
             let next = known.len() as u32;
             *known.entry(key).or_insert(next)

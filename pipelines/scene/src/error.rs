@@ -109,9 +109,6 @@ pub enum SceneError {
     /// An image without any pixel.
     #[error("{}: every pixel is missing or zero; take the image out of the scene", .0.display())]
     NoPixels(PathBuf),
-    /// Neither time nor sun.
-    #[error("{}: neither acquisition time nor sun angles are known; add its .IMD, DIM_*.XML or .json, or time = \"...\" in scene.toml", .0.display())]
-    NoSun(PathBuf),
     /// Night.
     #[error("{}: the sun is below the horizon (elevation {elevation_deg:.1} degrees, {origin}); {remedy}", path.display())]
     SunBelowHorizon {

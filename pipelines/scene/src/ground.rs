@@ -166,9 +166,8 @@ impl Ground {
                 rpc_source: draft.rpc_source,
                 pinhole,
                 time: draft.acquisition.time,
-                sun: sun.sun,
-                sun_source: sun.source,
-                metadata_sun: sun.metadata,
+                sun,
+                metadata_sun: draft.acquisition.stated_sun(),
                 gsd_m,
             });
         }

@@ -1,8 +1,8 @@
 //! Ingest: a folder of satellite images becomes a [`Scene`].
 //!
 //! A scene is recognised, not declared: a `scene.toml`, a folder of images, or the folders of Sat-NeRF and EOGS. Every
-//! image needs a rational camera and either an acquisition time or sun angles; what is missing or contradictory is an
-//! error of one line that names the file, what is merely odd is a warning in [`Scene::warnings`].
+//! image needs a rational camera; its sun may be unknown. What is missing or contradictory is an error of one line that
+//! names the file, what is merely odd is a warning in [`Scene::warnings`].
 
 mod acquisition;
 mod altitude;
@@ -22,6 +22,7 @@ mod manifest;
 mod pixels;
 mod satnerf;
 pub mod saturation;
+mod sun;
 pub mod survey;
 mod truth;
 
@@ -29,6 +30,7 @@ pub use altitude::{AltitudeRange, AltitudeSource};
 pub use area::AreaRequest;
 pub use error::SceneError;
 pub use known_tiles::KnownTiles;
+pub use sun::{ImageSun, SunSource};
 
 use draft::Draft;
 use ground::Ground;
@@ -128,10 +130,8 @@ pub struct SceneImage {
     pub pinhole: PinholeFit,
     /// Acquisition time, if known.
     pub time: Option<jiff::Timestamp>,
-    /// Where the sun stood: from the time where known, else from metadata.
-    pub sun: SunPosition,
-    /// Whether `sun` was computed (`time`) or read (`metadata`).
-    pub sun_source: &'static str,
+    /// Where the sun stood: from the time where known, else from metadata, else unknown.
+    pub sun: ImageSun,
     /// The sun as metadata state it, where they do.
     pub metadata_sun: Option<SunPosition>,
     /// Ground sampling distance at the image's centre, metres.
@@ -164,7 +164,7 @@ pub struct Truth {
     pub shadows: Vec<(String, PathBuf)>,
 }
 
-/// Images with cameras and suns, in one local frame.
+/// Images with cameras and what is known of their suns, in one local frame.
 #[derive(Debug, Clone)]
 pub struct Scene {
     /// Folder or `scene.toml` it came from.

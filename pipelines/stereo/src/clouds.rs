@@ -144,7 +144,7 @@ mod tests {
             image,
             index: None,
             date_group: number as u32,
-            sun: Vec3::new(0.5, 0.0, 0.8).normalize(),
+            sun: Some(Vec3::new(0.5, 0.0, 0.8).normalize()),
         }
     }
 

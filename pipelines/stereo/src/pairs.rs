@@ -28,6 +28,8 @@ const ALIKE_ANGLE_RAD: f32 = 0.7;
 const OTHER_DATE: f32 = 0.5;
 /// Least of the cosine between two suns that counts: opposite shadows still leave roofs to compare.
 const LEAST_SUN_COSINE: f32 = 0.3;
+/// The cosine between two suns of which one is unknown: that of morning passes of two seasons, some 35 degrees apart.
+const UNKNOWN_SUN_COSINE: f32 = 0.8;
 /// Partners that each view brings in, those of most weight; more only cost time.
 const PARTNERS: usize = 8;
 
@@ -82,7 +84,8 @@ fn weight(a: &ViewGeometry, b: &ViewGeometry, centre: Vec3) -> (f32, f32) {
     let light = if a.date_group == b.date_group {
         1.0
     } else {
-        OTHER_DATE * a.sun.dot(b.sun).clamp(LEAST_SUN_COSINE, 1.0)
+        let cosine = a.sun.zip(b.sun).map(|(a, b)| a.dot(b));
+        OTHER_DATE * cosine.map_or(UNKNOWN_SUN_COSINE, |cosine| cosine.clamp(LEAST_SUN_COSINE, 1.0))
     };
     (base * alike * light, base_to_height)
 }

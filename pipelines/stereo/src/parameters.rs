@@ -219,7 +219,7 @@ mod tests {
                 axis,
             ),
             date_group: 0,
-            sun: Vec3::Z,
+            sun: Some(Vec3::Z),
         }
     }
 

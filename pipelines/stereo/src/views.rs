@@ -13,8 +13,8 @@ pub struct ViewGeometry {
     pub camera: ProjectiveCamera,
     /// Equal for views of one date: same shadows, same season.
     pub date_group: u32,
-    /// Unit vector toward the sun, east-north-up.
-    pub sun: Vec3,
+    /// Unit vector toward the sun, east-north-up; `None` where it is unknown.
+    pub sun: Option<Vec3>,
 }
 
 impl ViewGeometry {
@@ -57,8 +57,8 @@ pub struct SweepView<'a> {
     pub index: Option<&'a Raster>,
     /// Equal for views of one date: same shadows, same season.
     pub date_group: u32,
-    /// Unit vector toward the sun, east-north-up.
-    pub sun: Vec3,
+    /// Unit vector toward the sun, east-north-up; `None` where it is unknown.
+    pub sun: Option<Vec3>,
 }
 
 impl SweepView<'_> {

@@ -9,7 +9,7 @@ use crate::outcome::CliError;
 use heliosplat::Raster;
 use heliosplat_products::model::{self, LoadedModel, ModelFile, ModelImage};
 use heliosplat_products::points;
-use heliosplat_products::set::{self, Request, dates, times};
+use heliosplat_products::set::{self, Request, dates, only_sun, times};
 use heliosplat_products::writer::{Said, Writer};
 use heliosplat_raster::preview;
 use heliosplat_rpc::sun::SunPosition;
@@ -133,7 +133,7 @@ pub fn of_mosaic(
     let set = writer.finish(&Said {
         id: &item_id(&unit.id),
         times: &times(&images, &runs),
-        sun: dates.first().filter(|_| dates.len() == 1).map(|(_, sun)| sun),
+        sun: only_sun(&images, &dates),
         collection: Some((COLLECTION, "../../../../collection.json")),
     })?;
     let names: Vec<&str> = dates.iter().map(|(date, _)| date.as_str()).collect();

@@ -107,8 +107,13 @@ pub(super) fn views(run: &Contents) -> Markup {
         let picture = run.folder.picture(&format!("views/{}.png", image.name))?;
         let this = date_of(image);
         let new_date = date.replace(this.clone()).as_ref() != Some(&this);
-        let (azimuth, elevation) = (image.sun.azimuth_rad.to_degrees(), image.sun.elevation_rad.to_degrees());
-        let sun = format!("sun at azimuth {azimuth:.1}°, elevation {elevation:.1}°");
+        let sun = match image.sun {
+            Some(sun) => {
+                let (azimuth, elevation) = (sun.azimuth_rad.to_degrees(), sun.elevation_rad.to_degrees());
+                format!("sun at azimuth {azimuth:.1}°, elevation {elevation:.1}°")
+            }
+            None => "sun unknown".to_owned(),
+        };
         let panels = panels(&picture, image.crop.width as u32);
         Some(html! {
             @if new_date { h3 { (this) " " span.faint { (sun) } } }

@@ -8,7 +8,7 @@ use heliosplat_rpc::{GeoPoint, ProjectiveMap};
 use heliosplat_satellite::PlanItem;
 use heliosplat_satellite::config::SatelliteConfig;
 use heliosplat_scene::crop::Crop;
-use heliosplat_scene::{Area, BandKind, Split};
+use heliosplat_scene::{Area, BandKind, Split, SunSource};
 use serde_json::json;
 
 const EVIL: &str = "<script>alert(1)</script><img src=x onerror=alert(1)>\"'&";
@@ -35,7 +35,9 @@ fn contents(folder: &Path) -> Contents {
         },
         shift_px: [0.0; 2],
         known: None,
-        sun: SunPosition::from_degrees(100.0, 40.0),
+        sun: Some(SunPosition::from_degrees(100.0, 40.0)),
+        sun_sigma_deg: Some(0.1),
+        sun_source: SunSource::Time,
         time: None,
     };
     Contents {
@@ -45,6 +47,7 @@ fn contents(folder: &Path) -> Contents {
             preset: EVIL.into(),
             seed: 1,
             scene: EVIL.into(),
+            altitude_from_ties_m: None,
             altitude_range_m: None,
             plan: vec![PlanItem {
                 component: EVIL.into(),

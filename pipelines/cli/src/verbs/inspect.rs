@@ -152,8 +152,12 @@ fn describe_image(image: &SceneImage) -> Value {
         "gsd_m": image.gsd_m,
         "off_nadir_deg": off_nadir_deg(image),
         "time": image.time.map(|time| time.to_string()),
-        "sun": sun(image.sun),
-        "sun_source": image.sun_source,
+        "sun": {
+            "azimuth_deg": image.sun.angles_deg().map(|[azimuth, _]| azimuth),
+            "elevation_deg": image.sun.angles_deg().map(|[_, elevation]| elevation),
+            "source": image.sun.source,
+        },
+        "sun_source": image.sun.source,
         "metadata_sun": image.metadata_sun.map(sun),
     })
 }
@@ -228,8 +232,12 @@ fn table(scene: &Scene, coverage: &Coverage, plan: &[PlanItem]) -> String {
         "image"
     ));
     for image in &scene.images {
+        let angle = |which: usize| match image.sun.angles_deg() {
+            Some(angles) => format!("{:.1}", angles[which]),
+            None => "-".to_owned(),
+        };
         line(format_args!(
-            "{:<longest$}  {:<5}  {:<11}  {:<7}  {:>7.1}    {:>7.4} / {:<7.4} {:>6.1} / {:<4.1} {:<8}  {}",
+            "{:<longest$}  {:<5}  {:<11}  {:<7}  {:>7.1}    {:>7.4} / {:<7.4} {:>6} / {:<4} {:<8}  {}",
             image.name,
             if image.split == Split::Train { "train" } else { "test" },
             format!("{}x{}", image.pixels.width, image.pixels.height),
@@ -237,9 +245,9 @@ fn table(scene: &Scene, coverage: &Coverage, plan: &[PlanItem]) -> String {
             off_nadir_deg(image),
             image.pinhole.rms_px,
             image.pinhole.max_px,
-            image.sun.azimuth_rad.to_degrees(),
-            image.sun.elevation_rad.to_degrees(),
-            image.sun_source,
+            angle(0),
+            angle(1),
+            image.sun.source.name(),
             image.time.map_or("unknown".to_owned(), |time| time.to_string())
         ));
     }

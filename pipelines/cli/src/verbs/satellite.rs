@@ -193,10 +193,16 @@ pub(crate) fn render(args: &RenderArgs, session: &Session) -> Result<Outcome, Cl
             .iter_mut()
             .for_each(|v| *v *= model.file.counts_per_unit as f32);
         write_geotiff(&path, &ImageSpec::plain(&counts), Sample::F32)?;
-        let mask_path = args.out.join(format!("{}_shadow.tif", image.name));
-        let mut mask = view.visibility;
-        mask.values.iter_mut().for_each(|v| *v = 1.0 - *v);
-        write_geotiff(&mask_path, &ImageSpec::plain(&mask), Sample::F32)?;
+        let mask_path = if image.sun.is_some() && model.file.has_light() {
+            let mask_path = args.out.join(format!("{}_shadow.tif", image.name));
+            let mut mask = view.visibility;
+            mask.values.iter_mut().for_each(|v| *v = 1.0 - *v);
+            write_geotiff(&mask_path, &ImageSpec::plain(&mask), Sample::F32)?;
+            Some(mask_path)
+        } else {
+            tracing::warn!("{}: no shadow mask, because its sun is unknown", image.name);
+            None
+        };
         written.push(json!({"image": path, "shadow": mask_path, "name": image.name, "colour": view.colour.text()}));
         progress.set(done as u64 + 1);
     }

@@ -49,14 +49,17 @@ fn description(scene: &Scene, image: &SceneImage, rpc: &Rpc) -> Value {
     let own = heliosplat_raster::bounded::read_text(&image.path.with_extension("json")).ok();
     let own = own.and_then(|text| serde_json::from_str::<Value>(&text).ok());
     let mut json = own.filter(|own| own.get("rpc").is_some()).unwrap_or_else(|| {
-        json!({
+        let mut known = json!({
             "width": image.pixels.width,
             "height": image.pixels.height,
             "min_alt": scene.altitude_range_m.0,
             "max_alt": scene.altitude_range_m.1,
-            "sun_azimuth": format!("{}", image.sun.azimuth_rad.to_degrees()),
-            "sun_elevation": format!("{:+}", image.sun.elevation_rad.to_degrees()),
-        })
+        });
+        if let Some(sun) = image.sun.position {
+            known["sun_azimuth"] = json!(format!("{}", sun.azimuth_rad.to_degrees()));
+            known["sun_elevation"] = json!(format!("{:+}", sun.elevation_rad.to_degrees()));
+        }
+        known
     });
     if json.get("acquisition_date").is_none()
         && json.get("acquisition_utc").is_none()
