@@ -60,14 +60,14 @@ const OFFSETS: [(isize, isize); COMPARISONS as usize] = offsets();
 
 vectorised! {
     /// Descriptors of a block of `width × height` cells from their values, which reach [`RADIUS`] further on every side. Neighbours
-    /// are compared whose value is less than the cell's `limits` away from the cell's.
-    pub(super) fn describe(values: &[f32], width: usize, height: usize, limits: &[f32], out: &mut Descriptors) {
+    /// are compared whose value is less than the cell's `limits` away from the cell's, and at least that times `noise`.
+    pub(super) fn describe(values: &[f32], width: usize, height: usize, limits: &[f32], noise: f32, out: &mut Descriptors) {
         let stride = width + 2 * RADIUS;
         for row in 0..height {
             let centre_at = (row + RADIUS) * stride + RADIUS;
             let cells = row * width..(row + 1) * width;
             let (darker, compared) = (&mut out.darker[cells.clone()], &mut out.compared[cells]);
-            describe_row(&values[centre_at - RADIUS * stride - RADIUS..], stride, &limits[row * width..(row + 1) * width], darker, compared);
+            describe_row(&values[centre_at - RADIUS * stride - RADIUS..], stride, &limits[row * width..(row + 1) * width], noise, darker, compared);
         }
     }
 }
@@ -77,19 +77,19 @@ const LANES: usize = 8;
 
 /// Descriptors of a row of cells; `values` begins at the upper left corner of the first window.
 #[inline(always)]
-fn describe_row(values: &[f32], stride: usize, limits: &[f32], darker: &mut [u32], compared: &mut [u32]) {
+fn describe_row(values: &[f32], stride: usize, limits: &[f32], noise: f32, darker: &mut [u32], compared: &mut [u32]) {
     let width = darker.len();
     for first in (0..width).step_by(LANES) {
         // The last group begins earlier, so that it is whole; a row of less than a group goes cell by cell.
         if width < LANES {
             for k in 0..width {
-                let [d, c] = describe_cells::<1>(&values[k..], stride, &limits[k..]);
+                let [d, c] = describe_cells::<1>(&values[k..], stride, &limits[k..], noise);
                 (darker[k], compared[k]) = (d[0], c[0]);
             }
             return;
         }
         let first = first.min(width - LANES);
-        let [d, c] = describe_cells::<LANES>(&values[first..], stride, &limits[first..]);
+        let [d, c] = describe_cells::<LANES>(&values[first..], stride, &limits[first..], noise);
         darker[first..first + LANES].copy_from_slice(&d);
         compared[first..first + LANES].copy_from_slice(&c);
     }
@@ -97,7 +97,7 @@ fn describe_row(values: &[f32], stride: usize, limits: &[f32], darker: &mut [u32
 
 /// What is darker and what is compared around `N` neighbouring cells.
 #[inline(always)]
-fn describe_cells<const N: usize>(values: &[f32], stride: usize, limits: &[f32]) -> [[u32; N]; 2] {
+fn describe_cells<const N: usize>(values: &[f32], stride: usize, limits: &[f32], noise: f32) -> [[u32; N]; 2] {
     let limits = &limits[..N];
     let at = |col: isize, row: isize| {
         let start = (RADIUS as isize + row) as usize * stride + (RADIUS as isize + col) as usize;
@@ -115,7 +115,7 @@ fn describe_cells<const N: usize>(values: &[f32], stride: usize, limits: &[f32])
             let difference = other[l] - centre[l];
             darker[l] |= u32::from(difference < 0.0) << bit;
             let away = difference.abs();
-            compared[l] |= u32::from(away < limits[l]) << bit;
+            compared[l] |= u32::from((away < limits[l]) & (away >= noise * limits[l])) << bit;
             sum[l] += difference;
         }
     }
@@ -195,8 +195,8 @@ mod tests {
     fn the_descriptor_does_not_see_gain_and_offset() {
         let (width, stride) = (6, 6 + 2 * RADIUS);
         let (mut a, mut b) = (Descriptors::new(36), Descriptors::new(36));
-        describe(&ramp(stride, 1.0), width, width, &[1e3; 36], &mut a);
-        describe(&ramp(stride, 3.5), width, width, &[3.5e3; 36], &mut b);
+        describe(&ramp(stride, 1.0), width, width, &[1e3; 36], 0.0, &mut a);
+        describe(&ramp(stride, 3.5), width, width, &[3.5e3; 36], 0.0, &mut b);
         assert_eq!(a, b);
         assert!(a.darker.iter().any(|&darker| darker != a.darker[0]));
     }
@@ -208,14 +208,14 @@ mod tests {
         let values: Vec<f32> = ramp(stride, 1.0);
         let turned: Vec<f32> = values.iter().map(|v| 10.0 - v).collect();
         // Values are whole numbers and differ by one at least: no neighbour is within the limit.
-        describe(&values, width, width, &[0.5; 36], &mut a);
-        describe(&turned, width, width, &[0.5; 36], &mut b);
+        describe(&values, width, width, &[0.5; 36], 0.0, &mut a);
+        describe(&turned, width, width, &[0.5; 36], 0.0, &mut b);
         let (mut sum, mut weights) = (vec![0; 36], vec![0; 36]);
         compare(&a, &b, 1, COMPARISONS, &mut sum, &mut weights);
         assert_eq!((sum, weights), (vec![COMPARISONS / 2; 36], vec![1; 36]));
         // With every difference counted, the opposite is the worst of matches.
-        describe(&values, width, width, &[1e3; 36], &mut a);
-        describe(&turned, width, width, &[1e3; 36], &mut b);
+        describe(&values, width, width, &[1e3; 36], 0.0, &mut a);
+        describe(&turned, width, width, &[1e3; 36], 0.0, &mut b);
         let mut sum = vec![0; 36];
         compare(&a, &b, 1, COMPARISONS, &mut sum, &mut [0; 36]);
         assert!(sum.iter().all(|&s| s > 20), "{sum:?}");
@@ -227,7 +227,7 @@ mod tests {
         let mut values = ramp(stride, 1.0);
         values[0] = f32::NAN;
         let mut descriptors = Descriptors::new(36);
-        describe(&values, width, width, &[1e3; 36], &mut descriptors);
+        describe(&values, width, width, &[1e3; 36], 0.0, &mut descriptors);
         assert_ne!(
             descriptors.darker[0] & INVALID,
             0,
@@ -265,14 +265,14 @@ mod tests {
         let values = ramp(20 + 2 * RADIUS, 1.0);
         let stride = 20 + 2 * RADIUS;
         let mut wide = Descriptors::new(20);
-        describe(&values, 20, 1, &[7.0; 20], &mut wide);
+        describe(&values, 20, 1, &[7.0; 20], 0.3, &mut wide);
         let narrow: Vec<f32> = values
             .chunks(stride)
             .take(1 + 2 * RADIUS)
             .flat_map(|row| row[..3 + 2 * RADIUS].to_vec())
             .collect();
         let mut few = Descriptors::new(3);
-        describe(&narrow, 3, 1, &[7.0; 3], &mut few);
+        describe(&narrow, 3, 1, &[7.0; 3], 0.3, &mut few);
         assert_eq!(
             (&wide.darker[..3], &wide.compared[..3]),
             (&few.darker[..], &few.compared[..])

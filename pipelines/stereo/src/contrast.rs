@@ -5,13 +5,18 @@
 //! few grey levels (8-bit, compressed, enlarged) are full of them and would have no contrast at all.
 
 use heliosplat::Raster;
-use heliosplat_rpc::statistics::upper_median;
+use heliosplat_rpc::statistics::{upper_median, upper_quantile};
 use rayon::prelude::*;
 
 /// Distance between the middles of two tiles, pixels.
 const STEP: usize = 16;
 /// Half the side of a tile, pixels: neighbouring tiles overlap by half.
 const HALF: usize = 16;
+/// Tiles on each side among which a tile's contrast is that of the brighter lit ones: 9 × 9 tiles are some 140 pixels across.
+const REACH: usize = 4;
+/// Share of the tiles around that have no more contrast. Shade has a fraction of the contrast of the ground beside it, and an edge in it
+/// is no shadow's edge for being stronger than what is around.
+const BRIGHTER: f64 = 0.75;
 /// Fewest differences that make a tile's contrast.
 const FEWEST: usize = 64;
 
@@ -22,7 +27,8 @@ pub(super) fn whole(image: &Raster) -> f32 {
     upper_median(&mut differences).unwrap_or(0.0)
 }
 
-/// The same around each pixel: that of tiles, interpolated between their middles. Tiles with few differences have that of the whole image.
+/// The same around each pixel: that of tiles, or of their better lit neighbours, interpolated between their middles. Tiles with few
+/// differences have that of the whole image.
 pub(super) fn local(image: &Raster) -> Vec<f32> {
     let tiles = Tiles::new(image);
     (0..image.values.len())
@@ -61,10 +67,17 @@ impl Tiles {
             }
             upper_median(&mut differences).unwrap_or(of_all)
         };
+        let own: Vec<f32> = (0..columns * rows).into_par_iter().map(one).collect();
+        let around = |tile: usize| {
+            let near = |at: usize, count: usize| at.saturating_sub(REACH)..(at + REACH + 1).min(count);
+            let rows = near(tile / columns, rows);
+            let window = rows.flat_map(|row| own[row * columns..][near(tile % columns, columns)].iter().copied());
+            upper_quantile(&mut window.collect::<Vec<f32>>(), BRIGHTER).unwrap_or(of_all)
+        };
         Self {
             columns,
             rows,
-            contrast: (0..columns * rows).into_par_iter().map(one).collect(),
+            contrast: (0..columns * rows).into_par_iter().map(around).collect(),
         }
     }
 
@@ -87,9 +100,10 @@ impl Tiles {
 mod tests {
     use super::*;
 
+    const SIDE: usize = 320;
+
     /// Noise of a contrast of its own west and east of the middle.
     fn image(west: f32, east: f32) -> Raster {
-        const SIDE: usize = 128;
         let mut image = Raster::filled(SIDE, SIDE, 1, 0.0);
         for (i, value) in image.values.iter_mut().enumerate() {
             let noise = ((i * 7919) % 101) as f32 / 101.0;
@@ -99,13 +113,16 @@ mod tests {
     }
 
     #[test]
-    fn what_lies_elsewhere_in_the_image_does_not_change_the_contrast_here() {
+    fn what_lies_far_away_in_the_image_does_not_change_the_contrast_here() {
         let (land, coast) = (local(&image(1.0, 1.0)), local(&image(1.0, 0.001)));
-        for row in 0..128 {
-            let i = row * 128 + 20;
+        for row in 0..SIDE {
+            let i = row * SIDE + 40;
             assert_eq!(land[i], coast[i]);
         }
-        assert!(coast[64 * 128 + 110] < 0.01 * coast[64 * 128 + 20]);
+        let at = |col: usize| coast[SIDE / 2 * SIDE + col];
+        assert!(at(SIDE - 20) < 0.01 * at(40));
+        // Shade beside sunlit ground has the contrast of that ground.
+        assert!(at(SIDE / 2 + 4) > 0.9 * at(40));
     }
 
     #[test]

@@ -148,7 +148,8 @@ impl MatchingCost<'_> {
         view.sample_places(&view.mean, places, values);
         let limits = &mut scratch.limits[..width * height];
         contrast_limits(&view.mean, view.width, places, block, limits);
-        census::describe(values, width, height, limits, descriptors);
+        let noise = self.parameters.noise_floor / CONTRAST_LIMIT;
+        census::describe(values, width, height, limits, noise, descriptors);
         if self.parameters.same_date_values {
             census::store_values(values, width, height, view.mean.middle, view.mean.contrast, descriptors);
         }
@@ -165,7 +166,7 @@ impl MatchingCost<'_> {
             let of_index = &mut scratch.index_descriptors[number];
             view.sample_places(index, places, values);
             contrast_limits(index, view.width, places, block, limits);
-            census::describe(values, width, height, limits, of_index);
+            census::describe(values, width, height, limits, noise, of_index);
             for (of_index, of_mean) in of_index.darker.iter_mut().zip(&descriptors.darker[..width * height]) {
                 *of_index |= of_mean & INVALID;
             }

@@ -30,6 +30,9 @@ const JUMP_PENALTY_FEW: u16 = 90;
 const JUMP_PENALTY_MANY: u16 = 60;
 /// Difference of the guide image between neighbours, in its typical differences, that halves the cost of a jump there.
 const GUIDE_EDGE: f32 = 30.0;
+/// Smallest difference that the census compares at the shortest base, where noise is most of what two views differ by, in median
+/// differences between the neighbours around.
+const NOISE_FLOOR: f32 = 0.16;
 /// No-match weight with few views, as a share of the weights of all comparisons: heights that few views see must not win by chance.
 const NO_MATCH_FEW: f32 = 0.08;
 /// The same with many views.
@@ -112,6 +115,8 @@ pub struct MatchingParameters {
     pub step_cells: f32,
     /// Radius of the square window over which matching costs are averaged, cells; 0 for costs of single cells.
     pub aggregation_radius: usize,
+    /// Smallest difference from the centre that the census compares, in median differences between the pixels around; 0 compares all.
+    pub noise_floor: f32,
     /// Weight of the no-match (occlusion) cost, as a share of the weights of all comparisons.
     pub no_match_weight: f32,
     /// Whether the brightness itself of views of one date is compared too: the same sun makes them alike, and a single pixel does not
@@ -145,6 +150,7 @@ impl MatchingParameters {
         Self {
             step_cells: STEP_CELLS,
             aggregation_radius: radius,
+            noise_floor: if very_short_base { NOISE_FLOOR } else { 0.0 },
             no_match_weight: if many { NO_MATCH_MANY } else { NO_MATCH_FEW },
             same_date_values: many,
             index_weight: facts.has_index.then_some(INDEX_WEIGHT),
