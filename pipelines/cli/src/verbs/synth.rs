@@ -307,3 +307,21 @@ fn table(summary: &Summary, out: &Path) -> String {
     }
     text
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn faults_and_covers_have_the_same_names_on_the_command_line_and_in_the_manifest() {
+        let said = |name: Option<clap::builder::PossibleValue>| name.map(|name| name.get_name().to_owned());
+        for name in FaultName::value_variants() {
+            let written = serde_json::to_value(Fault::from(*name)).expect("a name");
+            assert_eq!(written.as_str(), said(name.to_possible_value()).as_deref());
+        }
+        for name in CoverName::value_variants() {
+            let written = serde_json::to_value(Cover::from(*name)).expect("a name");
+            assert_eq!(written.as_str(), said(name.to_possible_value()).as_deref());
+        }
+    }
+}
