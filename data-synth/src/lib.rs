@@ -43,7 +43,7 @@
 //! | `crop`, `rational`, `sensor`, `known` | windows of images, cameras that are known as an RPC, the push-broom camera, cameras of real images |
 //! | `clouds`, `radiometry` | clouds, sun, sky, haze, and the encoding of light in counts |
 //! | `plan`, `render`, `truth` | place, dates and views; images; truth rasters |
-//! | `write`, `satellite` | files; the steps in order |
+//! | `write`, `delivery`, `satellite` | files; images in two files as vendors pack them; the steps in order |
 //! | `objects` | everything about captures of objects |
 //! | [`utm`] | Transverse Mercator without PROJ, for the truth rasters |
 
@@ -51,6 +51,7 @@ mod cars;
 mod city;
 mod clouds;
 mod crop;
+mod delivery;
 mod error;
 mod known;
 mod materials;
@@ -73,6 +74,7 @@ pub mod utm;
 mod vegetation;
 mod write;
 
+pub use delivery::Delivery;
 pub use error::SynthError;
 pub use objects::{Capture, Look, ObjectRequest, ObjectSummary, write_object};
 pub use request::{BandSet, SatelliteRequest, Site};

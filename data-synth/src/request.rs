@@ -1,5 +1,6 @@
 //! Which satellite scene to make: settings, their limits and defaults. Also written into the manifest beside the scene.
 
+use crate::delivery::Delivery;
 use crate::error::SynthError;
 use serde::{Deserialize, Serialize};
 use std::path::PathBuf;
@@ -106,6 +107,9 @@ pub struct SatelliteRequest {
     /// Training images that have clouds in view. Absent from the manifest if none, as it was before there were any.
     #[serde(skip_serializing_if = "is_zero")]
     pub clouds: usize,
+    /// How images are packed. Absent from the manifest if each is one file.
+    #[serde(skip_serializing_if = "Delivery::is_whole")]
+    pub delivery: Delivery,
 }
 
 fn is_zero(count: &usize) -> bool {
@@ -127,6 +131,7 @@ impl Default for SatelliteRequest {
             pointing_bias_px: 0.0,
             noise: 1.0,
             clouds: 0,
+            delivery: Delivery::Whole,
         }
     }
 }

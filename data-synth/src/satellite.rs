@@ -3,6 +3,7 @@
 use crate::city::{City, CityPlan};
 use crate::clouds::CloudField;
 use crate::crop::Crop;
+use crate::delivery::{self, Delivery};
 use crate::error::SynthError;
 use crate::materials::Class;
 use crate::plan::{Collection, ViewPlan};
@@ -103,8 +104,17 @@ pub fn write_satellite(
                 done += rows;
                 progress(done, total);
             });
-            write_image(&staging, request, view, camera, &image, altitudes_m)?;
-            images[index] = Some(image_summary(view, camera, &image));
+            let (view, image) = match request.delivery {
+                Delivery::Whole => (view.clone(), image),
+                Delivery::PanMs => {
+                    delivery::write_multispectral(&staging, request, view, &camera.rpc, &image)?;
+                    let exposure = delivery::panchromatic_exposure(&exposure);
+                    let pan = render(&scene, &exposure, &mut |_| ());
+                    (delivery::panchromatic_view(view), pan)
+                }
+            };
+            write_image(&staging, request, &view, camera, &image, altitudes_m)?;
+            images[index] = Some(image_summary(&view, camera, &image));
         }
     }
     let summary = Summary {
@@ -307,7 +317,7 @@ fn write_image(
         width: image.width,
         height: image.height,
         samples,
-        bands: request.bands.names(),
+        bands: request.delivery.main_bands(request.bands).names(),
         items: &items,
         rpc: Some(heliosplat_rpc::write::geotiff_tag(&camera.rpc)),
         grid: None,

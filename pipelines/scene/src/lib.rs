@@ -17,10 +17,12 @@ mod footprint;
 mod ground;
 mod layout;
 mod manifest;
+mod pairs;
 mod pixels;
 mod satnerf;
 pub mod saturation;
 pub mod survey;
+mod tiles;
 mod truth;
 
 pub use area::AreaRequest;
@@ -34,6 +36,7 @@ use heliosplat_rpc::{GeoPoint, LocalFrame, PinholeFit, Rpc, sun::SunPosition};
 use layout::ImageEntry;
 use nalgebra::Vector3;
 use std::path::{Path, PathBuf};
+use tiles::ImageFiles;
 
 /// What a band shows, as far as the file tells.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
@@ -271,6 +274,8 @@ pub fn camera_of(path: &Path, preference: RpcPreference) -> Result<Rpc, SceneErr
         split: Split::Train,
         json: satnerf::beside(path),
         said: None,
+        tiles: ImageFiles::one(path.to_owned()),
+        multispectral: None,
     };
     let mut warnings = Vec::new();
     let found = camera::find(&file, &entry, preference, &mut warnings)?;

@@ -5,7 +5,8 @@ use crate::parse;
 use clap::{Args, ValueEnum};
 use heliosplat_session::Session;
 use heliosplat_synth::{
-    BandSet, Capture, Look, ObjectRequest, SatelliteRequest, Site, Summary, SynthError, write_object, write_satellite,
+    BandSet, Capture, Delivery, Look, ObjectRequest, SatelliteRequest, Site, Summary, SynthError, write_object,
+    write_satellite,
 };
 use std::cell::RefCell;
 use std::fmt::Write;
@@ -62,6 +63,9 @@ pub struct SynthArgs {
     /// Training images of a satellite scene that have clouds in view
     #[arg(long, default_value_t = 0, value_name = "N")]
     clouds: usize,
+    /// How the images of a satellite scene are packed
+    #[arg(long, value_enum, default_value = "whole")]
+    delivery: DeliveryName,
 }
 
 /// Kinds of scenes.
@@ -110,6 +114,14 @@ enum BandName {
     RgbNir,
 }
 
+#[derive(Debug, Clone, Copy, ValueEnum)]
+enum DeliveryName {
+    /// One file for each image
+    Whole,
+    /// A panchromatic file and a multispectral one of a quarter of its resolution
+    PanMs,
+}
+
 impl SynthArgs {
     fn request(&self) -> SatelliteRequest {
         SatelliteRequest {
@@ -133,6 +145,10 @@ impl SynthArgs {
             pointing_bias_px: self.pointing_bias,
             noise: self.noise,
             clouds: self.clouds,
+            delivery: match self.delivery {
+                DeliveryName::Whole => Delivery::Whole,
+                DeliveryName::PanMs => Delivery::PanMs,
+            },
         }
     }
 }
