@@ -48,7 +48,7 @@
 //! | `clouds`, `faults`, `gloss` | clouds, gains, haze and stretch, the lobe of glossy surfaces |
 //! | `radiometry` | sun, sky, light between surfaces, and the encoding of light in counts |
 //! | `plan`, `render`, `truth` | place, dates and views; images; truth rasters |
-//! | `write`, `satellite` | files; the steps in order |
+//! | `write`, `delivery`, `satellite` | files; images in two files as vendors pack them; the steps in order |
 //! | `objects` | everything about captures of objects |
 //! | [`utm`] | Transverse Mercator without PROJ, for the truth rasters |
 
@@ -57,6 +57,7 @@ mod city;
 mod clouds;
 mod cover;
 mod crop;
+mod delivery;
 mod error;
 mod faults;
 mod gloss;
@@ -82,6 +83,7 @@ pub mod utm;
 mod vegetation;
 mod write;
 
+pub use delivery::Delivery;
 pub use error::SynthError;
 pub use faults::{Haze, Stretch};
 pub use objects::{Capture, Look, ObjectRequest, ObjectSummary, write_object};

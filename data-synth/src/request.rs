@@ -1,5 +1,6 @@
 //! Which satellite scene to make: settings, their limits and defaults. Also written into the manifest beside the scene.
 
+use crate::delivery::Delivery;
 use crate::error::SynthError;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeSet;
@@ -146,6 +147,9 @@ pub struct SatelliteRequest {
     /// What covers one half of the site, or a little more. Absent from the manifest if nothing.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub cover: Option<Cover>,
+    /// How images are packed. Absent from the manifest if each is one file.
+    #[serde(skip_serializing_if = "Delivery::is_whole")]
+    pub delivery: Delivery,
 }
 
 fn is_zero(count: &usize) -> bool {
@@ -169,6 +173,7 @@ impl Default for SatelliteRequest {
             clouds: 0,
             faults: Faults::new(),
             cover: None,
+            delivery: Delivery::Whole,
         }
     }
 }
@@ -231,6 +236,11 @@ impl SatelliteRequest {
         }
         if self.dates == Some(0) {
             return bad("0 dates; ask for at least 1".into());
+        }
+        if self.has(Fault::Stretch) && !self.delivery.is_whole() {
+            return bad(
+                "a stretch for display and a delivery of pan and multispectral; display images come whole".into(),
+            );
         }
         if !(0.1..=4.0).contains(&self.gsd()) {
             return bad(format!("a sampling distance of {} m; ask for 0.1 to 4 m", self.gsd()));

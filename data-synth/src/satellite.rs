@@ -4,6 +4,7 @@ use crate::city::{City, CityPlan};
 use crate::clouds::{CloudField, CloudSize};
 use crate::cover::Waves;
 use crate::crop::Crop;
+use crate::delivery::{self, Delivery};
 use crate::error::SynthError;
 use crate::faults::{self, Haze};
 use crate::materials::Class;
@@ -109,12 +110,21 @@ pub fn write_satellite(
             });
             let stretch = (request.has(Fault::Stretch))
                 .then(|| faults::stretch(&mut image.counts, request.bands, view.geometry.seed));
-            write_image(&staging, request, view, camera, &image, altitudes_m)?;
+            let (view, image) = match request.delivery {
+                Delivery::Whole => (view.clone(), image),
+                Delivery::PanMs => {
+                    delivery::write_multispectral(&staging, request, view, &camera.rpc, &image)?;
+                    let exposure = delivery::panchromatic_exposure(&exposure);
+                    let pan = render(&scene, &exposure, &mut |_| ());
+                    (delivery::panchromatic_view(view), pan)
+                }
+            };
+            write_image(&staging, request, &view, camera, &image, altitudes_m)?;
             images[index] = Some(ImageSummary {
                 band_gains: gains.map_or_else(Vec::new, |gains| gains[..request.bands.names().len()].to_vec()),
                 haze,
                 stretch,
-                ..image_summary(view, camera, &image)
+                ..image_summary(&view, camera, &image)
             });
         }
     }
@@ -394,7 +404,7 @@ fn write_image(
         width: image.width,
         height: image.height,
         samples,
-        bands: request.bands.names(),
+        bands: request.delivery.main_bands(request.bands).names(),
         items: &items,
         rpc: Some(heliosplat_rpc::write::geotiff_tag(&camera.rpc)),
         grid: None,

@@ -97,7 +97,14 @@ pub struct Window {
 /// An open raster file.
 pub struct RasterFile {
     path: PathBuf,
+    /// What GDAL opens to read its pixels: the path, or the description of a virtual raster of ours.
+    source: String,
+    /// Its pixels.
     dataset: Dataset,
+    /// What its metadata are read from, where the pixels come from several files.
+    described_by: Option<Dataset>,
+    /// The other files that its pixels come from.
+    others: Vec<PathBuf>,
     /// Its bands, in file order.
     pub bands: Vec<BandInfo>,
 }
@@ -182,9 +189,44 @@ impl RasterFile {
         let bands = messages::collect(|| band_infos(&dataset)).map_err(not_an_image)?;
         Ok(Self {
             path: path.to_owned(),
+            source: path.to_string_lossy().into_owned(),
             dataset,
+            described_by: None,
+            others: Vec::new(),
             bands,
         })
+    }
+
+    /// An image made of several files: pixels and bands of the virtual raster that `description` says, path and metadata of `first`.
+    pub(super) fn composed(first: Self, description: String, others: &[Self]) -> Result<Self, String> {
+        let dataset = messages::collect(|| open_virtual(&description))?;
+        let bands = messages::collect(|| band_infos(&dataset))?;
+        let mut paths = first.others;
+        for other in others {
+            paths.push(other.path.clone());
+            paths.extend_from_slice(&other.others);
+        }
+        Ok(Self {
+            path: first.path,
+            source: description,
+            dataset,
+            others: paths,
+            described_by: Some(first.described_by.unwrap_or(first.dataset)),
+            bands,
+        })
+    }
+
+    pub(super) fn source(&self) -> &str {
+        &self.source
+    }
+
+    /// The files beside [`RasterFile::path`] that its pixels come from.
+    pub fn others(&self) -> &[PathBuf] {
+        &self.others
+    }
+
+    fn metadata(&self) -> &Dataset {
+        self.described_by.as_ref().unwrap_or(&self.dataset)
     }
 
     /// The file.
@@ -214,7 +256,7 @@ impl RasterFile {
 
     /// Items of one metadata domain; the default domain is `""`, an absent domain is empty.
     pub fn domain(&self, name: &str) -> BTreeMap<String, String> {
-        let items = self.dataset.metadata_domain(name).unwrap_or_default();
+        let items = self.metadata().metadata_domain(name).unwrap_or_default();
         items
             .iter()
             .filter_map(|item| item.split_once('='))
@@ -225,14 +267,14 @@ impl RasterFile {
     /// Where the pixels lie in map coordinates; `None` without georeferencing. Some writers store the identity where they know nothing:
     /// without a coordinate system it is no georeferencing either.
     pub fn geo_transform(&self) -> Option<GeoTransform> {
-        let six = messages::collect(|| self.dataset.geo_transform()).ok()?;
+        let six = messages::collect(|| self.metadata().geo_transform()).ok()?;
         let is_identity = six[..5] == [0.0, 1.0, 0.0, 0.0, 0.0] && six[5].abs() == 1.0;
         (!is_identity || self.crs().is_some()).then(|| GeoTransform::from_gdal(six))
     }
 
     /// The coordinate reference system; `None` without one.
     pub fn crs(&self) -> Option<Crs> {
-        let wkt = self.dataset.projection();
+        let wkt = self.metadata().projection();
         if wkt.is_empty() {
             return None;
         }
@@ -286,7 +328,10 @@ impl RasterFile {
     /// Refuses to read more samples than the bytes of the file can stand for: they would only fill the memory.
     fn check_size(&self, window: Window, bands: usize) -> Result<(), RasterError> {
         let claimed = window.width as u128 * window.height as u128 * bands as u128;
-        let siblings = ["ige", "dat"].map(|extension| self.path.with_extension(extension));
+        let mut siblings = ["ige", "dat"]
+            .map(|extension| self.path.with_extension(extension))
+            .to_vec();
+        siblings.extend_from_slice(&self.others);
         let bytes = |path: &Path| std::fs::metadata(path).map_or(0, |known| u128::from(known.len()));
         let held = bytes(&self.path) + siblings.iter().map(|path| bytes(path)).sum::<u128>();
         // How many bytes an archive or an object store holds of it is not known.
@@ -333,6 +378,18 @@ impl RasterFile {
         }
         Ok(values)
     }
+}
+
+/// Opens a virtual raster that this crate described, in XML; it must name only files that were opened before.
+fn open_virtual(description: &str) -> gdal::errors::Result<Dataset> {
+    Dataset::open_ex(
+        description,
+        DatasetOptions {
+            open_flags: GdalOpenFlags::GDAL_OF_READONLY | GdalOpenFlags::GDAL_OF_RASTER,
+            allowed_drivers: Some(&["VRT"]),
+            ..DatasetOptions::default()
+        },
+    )
 }
 
 fn band_infos(dataset: &Dataset) -> gdal::errors::Result<Vec<BandInfo>> {

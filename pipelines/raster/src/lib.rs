@@ -11,13 +11,17 @@ pub mod file;
 pub mod geoid;
 pub mod grid;
 pub mod messages;
+pub mod pansharpen;
 pub mod preview;
+pub mod tiled;
 pub mod write;
 
 pub use crs::{Crs, CrsTransform};
 pub use file::{BandInfo, Colour, GeoRaster, RasterFile, Window, is_virtual, list_virtual};
 pub use geoid::Geoid;
 pub use grid::{EnuGrid, GeoTransform, GridSpec};
+pub use pansharpen::GridRelation;
+pub use tiled::Tile;
 pub use write::{Bytes, ImageSpec, Sample, copy_with_rpc, write_atomically, write_byte_cog, write_cog, write_geotiff};
 
 use std::path::{Path, PathBuf};

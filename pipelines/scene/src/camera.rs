@@ -221,8 +221,10 @@ pub(super) fn belonging_texts(image: &Path) -> Result<Vec<PathBuf>, SceneError> 
     }
     let folder = image.parent().filter(|parent| !parent.as_os_str().is_empty());
     let name = stem(image).to_lowercase();
-    let product = name.strip_prefix("img_").unwrap_or(&name);
-    let product = product.strip_suffix("_r1c1").unwrap_or(product);
+    // What is said of a product is said of its tiles.
+    let whole = super::tiles::product_name(&name);
+    let product = whole.as_deref().unwrap_or(&name);
+    let product = product.strip_prefix("img_").unwrap_or(product);
     let mut wanted: Vec<String> = Vec::new();
     for end in [
         ".rpb",
@@ -239,6 +241,7 @@ pub(super) fn belonging_texts(image: &Path) -> Result<Vec<PathBuf>, SceneError> 
         "_stac.json",
     ] {
         wanted.push(format!("{name}{end}"));
+        wanted.extend(whole.as_ref().map(|whole| format!("{whole}{end}")));
     }
     for start in ["rpc_", "dim_"] {
         wanted.push(format!("{start}{product}.xml"));

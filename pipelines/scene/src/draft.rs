@@ -3,12 +3,14 @@
 use super::bands::{self, BandPlan};
 use super::footprint::Footprint;
 use super::layout::{ImageEntry, Layout};
-use super::{IngestOptions, SceneError, acquisition, altitude, camera, satnerf};
+use super::tiles::ImageFiles;
+use super::{BandKind, IngestOptions, SceneError, acquisition, altitude, camera, pairs, satnerf};
 use heliosplat::splat::rasterise::MOST_CHANNELS;
 use heliosplat_raster::{RasterFile, Window};
 use heliosplat_rpc::read::acquisition::Acquisition;
 use heliosplat_rpc::{GeoPoint, ImagePoint, ImageWindow, LocalFrame, Rpc};
 use nalgebra::Vector3;
+use std::path::PathBuf;
 
 /// Most bands of an image: the rasteriser renders them beside the sun visibility and a normal.
 const MOST_BANDS: usize = MOST_CHANNELS - 1 - 3;
@@ -21,11 +23,27 @@ pub(super) struct Draft {
     pub(super) rpc: Rpc,
     pub(super) rpc_source: String,
     pub(super) acquisition: Acquisition,
+    /// The multispectral image it is pansharpened with.
+    pub(super) multispectral: Option<PathBuf>,
     /// What of the file is read.
     pub(super) window: Window,
 }
 
 impl Draft {
+    /// The same image, panchromatic until now, pansharpened with its multispectral half.
+    pub(super) fn sharpened_with(
+        mut self,
+        multispectral: &ImageFiles,
+        declared: Option<&[BandKind]>,
+    ) -> Result<Self, SceneError> {
+        let both = pairs::sharpened(self.file, &self.rpc, multispectral, declared)?;
+        self.file = both.file;
+        self.plan = both.plan;
+        self.acquisition = self.acquisition.merge(both.acquisition);
+        self.multispectral = Some(multispectral.path.clone());
+        Ok(self)
+    }
+
     /// The window that is read, as camera fits take it.
     pub(super) fn image_window(&self) -> ImageWindow {
         image_window(&self.window)
@@ -98,22 +116,34 @@ pub(super) fn read_all(
     warnings: &mut Vec<String>,
 ) -> Result<Vec<Draft>, SceneError> {
     let mut drafts = Vec::with_capacity(layout.images.len());
+    let declared = layout.bands.as_deref();
     for entry in &layout.images {
-        let file = RasterFile::open(&entry.path)?;
+        let file = entry.tiles.open()?;
         let found = camera::find(&file, entry, options.rpc, warnings)?;
-        let plan = bands::plan(&file, layout.bands.as_deref())?;
+        let plan = match &entry.multispectral {
+            // Its bands will be those of its other half.
+            Some(_) => bands::plan(&file, None)?,
+            None => bands::plan(&file, declared)?,
+        };
         let acquisition = acquisition::find(&file, entry)?;
         let window = file.whole();
-        drafts.push(Draft {
+        let draft = Draft {
             entry: entry.clone(),
             file,
             plan,
             rpc: found.rpc,
             rpc_source: found.source,
             acquisition,
+            multispectral: None,
             window,
+        };
+        drafts.push(match &entry.multispectral {
+            Some(multispectral) => draft.sharpened_with(multispectral, declared)?,
+            None => draft,
         });
     }
+    let drafts = pairs::by_time(drafts, declared)?;
+    warnings.extend(pairs::told(&drafts));
     // The same assumption about every image is one warning.
     if let Some(assumption) = drafts.iter().find_map(|draft| draft.plan.assumption.as_ref()) {
         warnings.push(format!(

@@ -103,6 +103,16 @@ pub enum SceneError {
         /// Its bands.
         expected: String,
     },
+    /// Two files that look like one acquisition and are not.
+    #[error("{}: looks like the panchromatic image of {}, but {reason}; keep one of them in the folder", pan.display(), multispectral.display())]
+    NotAPair {
+        /// The panchromatic image.
+        pan: PathBuf,
+        /// The multispectral image.
+        multispectral: PathBuf,
+        /// What speaks against it.
+        reason: String,
+    },
     /// A colour table instead of measured values.
     #[error("{}: has a colour table instead of measured values; convert it with gdal_translate -expand rgb, or give the original", .0.display())]
     Palette(PathBuf),

@@ -4,7 +4,8 @@
 use super::files::{IMAGE_EXTENSIONS, entries_of, file_name, has_extension, images_in, neighbours, stem};
 use super::manifest::{Counts, Manifest, ManifestImage, reject_address};
 use super::satnerf::{self, JsonIndex};
-use super::{BandKind, SceneError, Split, Truth};
+use super::tiles::{self, ImageFiles};
+use super::{BandKind, SceneError, Split, Truth, pairs};
 use heliosplat_raster::{is_virtual, list_virtual};
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
@@ -19,6 +20,10 @@ pub(super) struct ImageEntry {
     pub(super) json: Option<PathBuf>,
     /// What `scene.toml` says of it.
     pub(super) said: Option<ManifestImage>,
+    /// The file at `path`, or the tiles whose first it is.
+    pub(super) tiles: ImageFiles,
+    /// The multispectral image of the same acquisition, by its name.
+    pub(super) multispectral: Option<ImageFiles>,
 }
 
 /// The files of a scene.
@@ -76,6 +81,8 @@ fn from_virtual_folder(folder: &Path) -> Result<Layout, SceneError> {
         split: Split::Train,
         json: None,
         said: None,
+        tiles: ImageFiles::one(path.clone()),
+        multispectral: None,
         path,
     };
     let files = list_virtual(folder)?;
@@ -108,6 +115,8 @@ fn from_manifest(path: &Path) -> Result<Layout, SceneError> {
             split: image.split.unwrap_or(Split::Train),
             json: satnerf::beside(&image.path),
             said: Some(image.clone()),
+            tiles: ImageFiles::one(image.path.clone()),
+            multispectral: None,
         })
         .collect();
     let truth = match manifest.truth {
@@ -130,8 +139,14 @@ fn from_manifest(path: &Path) -> Result<Layout, SceneError> {
 
 fn from_folder(folder: &Path) -> Result<Layout, SceneError> {
     let mut warnings = Vec::new();
-    let home = scene_folder(folder, &mut warnings)?;
-    let mut images = images_in(&home)?;
+    let Home {
+        folder: home,
+        delivered,
+    } = scene_folder(folder, &mut warnings)?;
+    let mut images = match delivered {
+        Some(images) => images,
+        None => images_in(&home)?,
+    };
     let mut index = JsonIndex::read(&home)?;
     for name in IMAGE_FOLDERS {
         if images.is_empty() {
@@ -148,13 +163,15 @@ fn from_folder(folder: &Path) -> Result<Layout, SceneError> {
     if images.is_empty() {
         return Err(SceneError::Empty(folder.to_owned()));
     }
+    let (images, mut partners) = pairs::by_name(tiles::joined(images));
     let lists = match (lists, index.folder()) {
         (None, Some(json_folder)) => SplitLists::read(json_folder)?,
         (lists, _) => lists,
     };
     let entries: Vec<ImageEntry> = images
         .into_iter()
-        .filter_map(|path| {
+        .filter_map(|files| {
+            let path = files.path.clone();
             let json = index.json_of(&path);
             let split = match &lists {
                 Some(lists) => lists.split_of(&path, json.as_deref()),
@@ -169,6 +186,8 @@ fn from_folder(folder: &Path) -> Result<Layout, SceneError> {
             Some(ImageEntry {
                 name: stem(&path),
                 split: split?,
+                multispectral: partners.remove(&path),
+                tiles: files,
                 path,
                 json,
                 said: None,
@@ -300,16 +319,20 @@ fn best_cameras(top: &Path, mut folders: Vec<CameraFolder>) -> Vec<(PathBuf, Opt
 }
 
 /// The folder that holds the scene: `folder` itself, or the only scene below it; of several kinds of cameras of one scene the best.
-fn scene_folder(folder: &Path, warnings: &mut Vec<String>) -> Result<PathBuf, SceneError> {
+fn scene_folder(folder: &Path, warnings: &mut Vec<String>) -> Result<Home, SceneError> {
+    let by_itself = |folder: PathBuf| Home {
+        folder,
+        delivered: None,
+    };
     let looks_like_scene = |folder: &Path| -> Result<bool, SceneError> {
         Ok(!images_in(folder)?.is_empty() || !JsonIndex::read(folder)?.is_empty())
     };
     if looks_like_scene(folder)? {
-        return Ok(folder.to_owned());
+        return Ok(by_itself(folder.to_owned()));
     }
     for name in IMAGE_FOLDERS {
         if !images_in(&folder.join(name))?.is_empty() {
-            return Ok(folder.to_owned());
+            return Ok(by_itself(folder.to_owned()));
         }
     }
     const DEEPEST: usize = 4;
@@ -325,6 +348,12 @@ fn scene_folder(folder: &Path, warnings: &mut Vec<String>) -> Result<PathBuf, Sc
         }
     }
     let mut candidates = if with_cameras.is_empty() {
+        if let Some(images) = delivered(&with_images)? {
+            return Ok(Home {
+                folder: folder.to_owned(),
+                delivered: Some(images),
+            });
+        }
         with_images
     } else {
         best_cameras(folder, with_cameras)
@@ -334,13 +363,34 @@ fn scene_folder(folder: &Path, warnings: &mut Vec<String>) -> Result<PathBuf, Sc
         1 => {
             let (home, warning) = candidates.remove(0);
             warnings.extend(warning);
-            Ok(home)
+            Ok(by_itself(home))
         }
         _ => Err(SceneError::Several {
             path: folder.to_owned(),
             candidates: listed(&candidates),
         }),
     }
+}
+
+/// Where a scene lies.
+struct Home {
+    folder: PathBuf,
+    /// Its images, where they lie in folders of their own below it.
+    delivered: Option<Vec<PathBuf>>,
+}
+
+/// The images of folders that hold one image each, as vendors deliver them: a panchromatic or a multispectral file, both of one
+/// acquisition, or the tiles of one. Folders with several images are scenes of their own.
+fn delivered(folders: &[(PathBuf, Option<String>)]) -> Result<Option<Vec<PathBuf>>, SceneError> {
+    let mut all = Vec::new();
+    for (folder, _) in folders {
+        let images = images_in(folder)?;
+        if pairs::by_name(tiles::joined(images.clone())).0.len() > 1 {
+            return Ok(None);
+        }
+        all.extend(images);
+    }
+    Ok((folders.len() > 1).then_some(all))
 }
 
 /// The folders of several scenes in one line, the first of them where there are many.

@@ -19,11 +19,13 @@ mod ground;
 mod known_tiles;
 mod layout;
 mod manifest;
+mod pairs;
 mod pixels;
 mod satnerf;
 pub mod saturation;
 mod sun;
 pub mod survey;
+mod tiles;
 mod truth;
 
 pub use altitude::{AltitudeRange, AltitudeSource};
@@ -40,6 +42,7 @@ use heliosplat_rpc::{GeoPoint, LocalFrame, PinholeFit, Rpc, sun::SunPosition};
 use layout::ImageEntry;
 use nalgebra::Vector3;
 use std::path::{Path, PathBuf};
+use tiles::ImageFiles;
 
 /// What a band shows, as far as the file tells.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
@@ -278,6 +281,8 @@ pub fn camera_of(path: &Path, preference: RpcPreference) -> Result<Rpc, SceneErr
         split: Split::Train,
         json: satnerf::beside(path),
         said: None,
+        tiles: ImageFiles::one(path.to_owned()),
+        multispectral: None,
     };
     let mut warnings = Vec::new();
     let found = camera::find(&file, &entry, preference, &mut warnings)?;

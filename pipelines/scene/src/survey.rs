@@ -184,6 +184,10 @@ fn files_of(path: &Path, layout: &layout::Layout, drafts: &[Draft]) -> Vec<PathB
             files.extend([&said.rpc, &said.metadata].into_iter().flatten().cloned());
         }
         files.extend(beside(image));
+        for other in draft.file.others() {
+            files.insert(other.clone());
+            files.extend(beside(other));
+        }
     }
     let truth = &layout.truth;
     files.extend([&truth.dsm, &truth.classes].into_iter().flatten().cloned());

@@ -5,8 +5,8 @@ use crate::parse;
 use clap::{Args, ValueEnum};
 use heliosplat_session::Session;
 use heliosplat_synth::{
-    BandSet, Capture, Cover, Fault, Look, ObjectRequest, SatelliteRequest, Site, Summary, SynthError, write_object,
-    write_satellite,
+    BandSet, Capture, Cover, Delivery, Fault, Look, ObjectRequest, SatelliteRequest, Site, Summary, SynthError,
+    write_object, write_satellite,
 };
 use std::cell::RefCell;
 use std::fmt::Write;
@@ -69,6 +69,9 @@ pub struct SynthArgs {
     /// What covers one half of a satellite scene
     #[arg(long, value_enum)]
     cover: Option<CoverName>,
+    /// How the images of a satellite scene are packed
+    #[arg(long, value_enum, default_value = "whole")]
+    delivery: DeliveryName,
 }
 
 /// Faults of real images.
@@ -145,6 +148,14 @@ enum BandName {
     RgbNir,
 }
 
+#[derive(Debug, Clone, Copy, ValueEnum)]
+enum DeliveryName {
+    /// One file for each image
+    Whole,
+    /// A panchromatic file and a multispectral one of a quarter of its resolution
+    PanMs,
+}
+
 impl SynthArgs {
     fn request(&self) -> SatelliteRequest {
         SatelliteRequest {
@@ -170,6 +181,10 @@ impl SynthArgs {
             clouds: self.clouds,
             faults: self.faults.iter().map(|fault| Fault::from(*fault)).collect(),
             cover: self.cover.map(Cover::from),
+            delivery: match self.delivery {
+                DeliveryName::Whole => Delivery::Whole,
+                DeliveryName::PanMs => Delivery::PanMs,
+            },
         }
     }
 }

@@ -1,0 +1,138 @@
+//! How images are packed: each in one file, or as vendors deliver bundles, a panchromatic file in full resolution beside a multispectral
+//! one of pixels four times as wide, each with its own camera.
+
+use crate::error::SynthError;
+use crate::noise::hash2;
+use crate::plan::ViewPlan;
+use crate::render::{Exposure, Image};
+use crate::request::{BandSet, SatelliteRequest};
+use crate::write::Staging;
+use crate::write::geotiff::{Raster, Samples, write};
+use crate::write::metadata::image_items;
+use heliosplat_rpc::Rpc;
+use serde::{Deserialize, Serialize};
+
+/// Panchromatic pixels along the side of a multispectral one.
+const RATIO: usize = 4;
+/// Makes the noise of the panchromatic image another than that of the multispectral one.
+const PAN_NOISE: u64 = 0x9A;
+
+/// How images are packed.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Delivery {
+    /// One file for each image.
+    #[default]
+    Whole,
+    /// A panchromatic file `NAME-P1BS.tif` and a multispectral one `NAME-M1BS.tif` for each image.
+    PanMs,
+}
+
+impl Delivery {
+    pub(crate) fn is_whole(&self) -> bool {
+        *self == Self::Whole
+    }
+
+    /// Bands of the file that bears the image's name.
+    pub(crate) fn main_bands(self, bands: BandSet) -> BandSet {
+        match self {
+            Self::Whole => bands,
+            Self::PanMs => BandSet::Pan,
+        }
+    }
+}
+
+/// The view as its panchromatic file bears it.
+pub(crate) fn panchromatic_view(view: &ViewPlan) -> ViewPlan {
+    ViewPlan {
+        name: format!("{}-P1BS", view.name),
+        ..view.clone()
+    }
+}
+
+/// The exposure of the panchromatic detectors at the same time.
+pub(crate) fn panchromatic_exposure<'a>(exposure: &Exposure<'a>) -> Exposure<'a> {
+    Exposure {
+        bands: BandSet::Pan,
+        seed: hash2(exposure.seed, PAN_NOISE),
+        ..*exposure
+    }
+}
+
+/// Writes the multispectral file of a view from its image in full resolution.
+pub(crate) fn write_multispectral(
+    staging: &Staging,
+    request: &SatelliteRequest,
+    view: &ViewPlan,
+    fine_rpc: &Rpc,
+    fine: &Image,
+) -> Result<(), SynthError> {
+    let names = request.bands.names();
+    let (width, height) = (fine.width.div_ceil(RATIO), fine.height.div_ceil(RATIO));
+    let counts = coarse_counts(&fine.counts, (fine.width, fine.height), names.len());
+    let bytes: Vec<u8>;
+    let samples = if request.bits == 8 {
+        bytes = counts.iter().map(|&count| count.min(255) as u8).collect();
+        Samples::U8(&bytes)
+    } else {
+        Samples::U16(&counts)
+    };
+    let raster = Raster {
+        width,
+        height,
+        samples,
+        bands: names,
+        items: &image_items(view, request, 0.0),
+        rpc: Some(heliosplat_rpc::write::geotiff_tag(&coarse_camera(fine_rpc))),
+        grid: None,
+        nodata: None,
+    };
+    write(&staging.path(&format!("{}-M1BS.tif", view.name))?, &raster)
+}
+
+/// Counts of interleaved bands as pixels [`RATIO`] times as wide would have them: means, rounded. What such a pixel shows beyond the
+/// last column and row is what they show.
+fn coarse_counts(fine: &[u16], (width, height): (usize, usize), bands: usize) -> Vec<u16> {
+    let mut counts = Vec::with_capacity(width.div_ceil(RATIO) * height.div_ceil(RATIO) * bands);
+    for row in (0..height).step_by(RATIO) {
+        for col in (0..width).step_by(RATIO) {
+            for band in 0..bands {
+                let mut sum = 0u32;
+                for pixel in 0..RATIO * RATIO {
+                    let (x, y) = (col + pixel % RATIO, row + pixel / RATIO);
+                    let place = y.min(height - 1) * width + x.min(width - 1);
+                    sum += u32::from(fine[place * bands + band]);
+                }
+                let pixels = (RATIO * RATIO) as u32;
+                // A mean of 16-bit counts is one.
+                counts.push(((sum + pixels / 2) / pixels) as u16);
+            }
+        }
+    }
+    counts
+}
+
+/// The camera of the coarse image: the outer corners of its first pixel are those of [`RATIO`] x [`RATIO`] fine ones.
+fn coarse_camera(fine: &Rpc) -> Rpc {
+    let ratio = RATIO as f64;
+    let moved = |offset: f64| (offset + 0.5) / ratio - 0.5;
+    Rpc {
+        sample_offset: moved(fine.sample_offset),
+        line_offset: moved(fine.line_offset),
+        sample_scale: fine.sample_scale / ratio,
+        line_scale: fine.line_scale / ratio,
+        ..fine.clone()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn coarse_pixels_are_means_and_the_last_ones_repeat_the_edge() {
+        // 5 x 4 pixels of two bands: the column, and ten times as much.
+        let fine: Vec<u16> = (0..20).flat_map(|pixel| [pixel % 5, 10 * (pixel % 5)]).collect();
+        assert_eq!(coarse_counts(&fine, (5, 4), 2), [2, 15, 4, 40]);
+    }
+}

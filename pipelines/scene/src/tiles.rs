@@ -1,0 +1,204 @@
+//! Images that their vendor cut into tiles: `…_R1C1.TIF`, `…_R1C2.TIF` … of Airbus, `…_R1C1-…` with a `.TIL` of Maxar.
+
+use super::SceneError;
+use super::files::{files_in, has_extension, stem};
+use heliosplat_raster::{RasterFile, Tile};
+use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
+
+/// An image in one file or in several tiles.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub(super) struct ImageFiles {
+    /// The file, or the first tile.
+    pub(super) path: PathBuf,
+    /// Its tiles by row and column as their names count them; empty for a file by itself.
+    tiles: BTreeMap<[u32; 2], PathBuf>,
+}
+
+impl ImageFiles {
+    /// One file.
+    pub(super) fn one(path: PathBuf) -> Self {
+        Self {
+            path,
+            tiles: BTreeMap::new(),
+        }
+    }
+
+    /// Opens the file, or the tiles as one image.
+    pub(super) fn open(&self) -> Result<RasterFile, SceneError> {
+        if self.tiles.is_empty() {
+            return Ok(RasterFile::open(&self.path)?);
+        }
+        Ok(RasterFile::tiled(&self.placed()?)?)
+    }
+
+    /// The tiles where a `.TIL` beside them says, else side by side as their names count them.
+    fn placed(&self) -> Result<Vec<Tile>, SceneError> {
+        let folder = self.path.parent().unwrap_or_else(|| Path::new("."));
+        for til in files_in(folder)?.iter().filter(|path| has_extension(path, &["til"])) {
+            let text = super::camera::read_text(til)?;
+            let places = places_in_til(&text);
+            let place = |path: &PathBuf| {
+                let name = path.file_name()?.to_string_lossy().to_lowercase();
+                Some(Tile {
+                    first: *places.get(&name)?,
+                    path: path.clone(),
+                })
+            };
+            if let Some(tiles) = self.tiles.values().map(place).collect::<Option<Vec<_>>>() {
+                return Ok(tiles);
+            }
+        }
+        self.side_by_side()
+    }
+
+    fn side_by_side(&self) -> Result<Vec<Tile>, SceneError> {
+        let fault = |path: &Path, reason: String| SceneError::Unreadable {
+            path: path.to_owned(),
+            reason,
+        };
+        // Width of each column of tiles, height of each row.
+        let (mut widths, mut heights) = (BTreeMap::new(), BTreeMap::new());
+        for ([row, col], path) in &self.tiles {
+            let (width, height) = RasterFile::open(path)?.size();
+            let fits =
+                *widths.entry(*col).or_insert(width) == width && *heights.entry(*row).or_insert(height) == height;
+            if !fits {
+                let reason = format!("as a tile it has another size than those beside it, {width} x {height} pixels");
+                return Err(fault(path, reason));
+            }
+        }
+        for row in heights.keys() {
+            for col in widths.keys() {
+                if !self.tiles.contains_key(&[*row, *col]) {
+                    return Err(fault(&self.path, format!("its tile R{row}C{col} is not there")));
+                }
+            }
+        }
+        let before = |sizes: &BTreeMap<u32, usize>, at: u32| sizes.range(..at).map(|(_, size)| size).sum();
+        let tiles = self.tiles.iter().map(|([row, col], path)| Tile {
+            path: path.clone(),
+            first: [before(&widths, *col), before(&heights, *row)],
+        });
+        Ok(tiles.collect())
+    }
+}
+
+/// Row and column in a tile's name, and the name without them.
+fn tile_of(name: &str) -> Option<([u32; 2], String)> {
+    let is_edge = |c: char| c == '_' || c == '-';
+    let mut start = 0;
+    for part in name.split(is_edge) {
+        let end = start + part.len();
+        if let Some(place) = place_of(part) {
+            // The separator before it goes too.
+            let rest = format!("{}{}", &name[..start.saturating_sub(1)], &name[end..]);
+            return Some((place, rest));
+        }
+        start = end + 1;
+    }
+    None
+}
+
+/// `[2, 1]` of `R2C1`.
+fn place_of(part: &str) -> Option<[u32; 2]> {
+    let (row, col) = part.strip_prefix(['R', 'r'])?.split_once(['C', 'c'])?;
+    let number = |digits: &str| {
+        let plain = !digits.is_empty() && digits.bytes().all(|byte| byte.is_ascii_digit());
+        plain.then(|| digits.parse().ok()).flatten()
+    };
+    Some([number(row)?, number(col)?])
+}
+
+/// The name of the image that a file is a tile of, by the file's own name.
+pub(super) fn product_name(name: &str) -> Option<String> {
+    tile_of(name).map(|(_, rest)| rest)
+}
+
+/// Files as images: the tiles of one image are one.
+pub(super) fn joined(files: Vec<PathBuf>) -> Vec<ImageFiles> {
+    let mut products: BTreeMap<(PathBuf, String), BTreeMap<[u32; 2], PathBuf>> = BTreeMap::new();
+    for path in &files {
+        if let Some((place, rest)) = tile_of(&stem(path)) {
+            let folder = path.parent().unwrap_or_else(|| Path::new("")).to_owned();
+            products.entry((folder, rest)).or_default().insert(place, path.clone());
+        }
+    }
+    products.retain(|_, tiles| tiles.len() > 1);
+    let mut images = Vec::with_capacity(files.len());
+    for path in files {
+        let tiles = products.values().find(|tiles| tiles.values().any(|tile| *tile == path));
+        match tiles {
+            None => images.push(ImageFiles::one(path)),
+            Some(tiles) if tiles.values().next() == Some(&path) => images.push(ImageFiles {
+                path,
+                tiles: tiles.clone(),
+            }),
+            Some(_) => {}
+        }
+    }
+    images
+}
+
+/// Column and row of the first pixel of each tile in the text of a Maxar `.TIL`, by file name in lower case.
+fn places_in_til(text: &str) -> BTreeMap<String, [usize; 2]> {
+    let mut places = BTreeMap::new();
+    let (mut name, mut col) = (None, None);
+    for statement in text.split(';') {
+        let Some((key, value)) = statement.split_once('=') else {
+            continue;
+        };
+        let key = key.split_whitespace().last().unwrap_or("");
+        let value = value.trim().trim_matches('"');
+        match key {
+            "filename" => (name, col) = (Some(value.to_lowercase()), None),
+            "ULColOffset" => col = value.parse::<usize>().ok(),
+            "ULRowOffset" => {
+                if let (Some(name), Some(col), Ok(row)) = (name.take(), col.take(), value.parse()) {
+                    places.insert(name, [col, row]);
+                }
+            }
+            _ => {}
+        }
+    }
+    places
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn tiles_of_one_image_are_one_image() {
+        let names = [
+            "a/IMG_PHR1A_P_001_R1C1.TIF",
+            "a/IMG_PHR1A_P_001_R1C2.TIF",
+            "a/18JAN-P1BS_R1C1-055_P001.TIF",
+            "a/18JAN-P1BS_R2C1-055_P001.TIF",
+            "a/alone_R1C1.TIF",
+            "a/other.TIF",
+        ];
+        let images = joined(names.map(PathBuf::from).to_vec());
+        let paths: Vec<String> = images.iter().map(|image| image.path.display().to_string()).collect();
+        assert_eq!(paths, [names[0], names[2], names[4], names[5]]);
+        assert_eq!(
+            images.iter().map(|image| image.tiles.len()).collect::<Vec<_>>(),
+            [2, 2, 0, 0]
+        );
+        assert_eq!(
+            product_name("18JAN-P1BS_R1C1-055_P001").as_deref(),
+            Some("18JAN-P1BS-055_P001")
+        );
+        assert_eq!(product_name("RC_R1_C1"), None);
+    }
+
+    #[test]
+    fn a_til_says_where_tiles_lie() {
+        let text = "bandId = \"P\";\nnumTiles = 2;\nBEGIN_GROUP = TILE_1\n\tfilename = \"A_R1C1.TIF\";\n\tULColOffset = 0;\n\
+            \tULRowOffset = 0;\nEND_GROUP = TILE_1\nBEGIN_GROUP = TILE_2\n\tfilename = \"A_R1C2.TIF\";\n\tULColOffset = 16384;\n\
+            \tULRowOffset = 7;\nEND_GROUP = TILE_2\nEND;\n";
+        let places = places_in_til(text);
+        assert_eq!(places.get("a_r1c2.tif"), Some(&[16384, 7]));
+        assert_eq!(places.len(), 2);
+    }
+}
