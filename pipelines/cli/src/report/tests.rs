@@ -45,6 +45,7 @@ fn contents(folder: &Path) -> Contents {
             seed: 1,
             scene: EVIL.into(),
             altitude_range_m: None,
+            altitude_from_ties_m: None,
             plan: vec![PlanItem {
                 component: EVIL.into(),
                 on: true,
