@@ -355,6 +355,7 @@ fn runs() -> Vec<Vec<u8>> {
         scene: "scene".into(),
         altitude_from_ties_m: None,
         altitude_range_m: Some((640.0, 780.0)),
+        altitude_from_ties_m: Some((640.0, 780.0)),
         plan: Vec::new(),
         inputs: Vec::new(),
         config: SatelliteConfig::resolve(heliosplat_fitting::settings::Preset::Fast, &[], 1).unwrap_or_default(),

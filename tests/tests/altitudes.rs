@@ -1,6 +1,11 @@
 //! Altitudes of a scene that states none.
 
+use heliosplat::Raster;
+use heliosplat_raster::{ImageSpec, RasterFile, Sample, write_geotiff};
+use heliosplat_rpc::write;
+use heliosplat_scene::{IngestOptions, Scene};
 use heliosplat_tests::program::{json, tiny_scene};
+use heliosplat_tests::scenes::{SIZE_PX, View};
 use serde_json::Value;
 use std::fs;
 use std::path::Path;
@@ -51,4 +56,61 @@ fn a_scene_without_altitudes_is_searched_where_its_tie_points_lie() {
     let dsm = home.path().join("dsm.tif").display().to_string();
     let swept = json(&["dsm", &word, "--from", "sweep", "--out", &dsm]);
     assert!(swept["completeness"].as_f64().expect("a number") > 0.9, "{swept}");
+}
+
+/// Writes an image of `SIDE_PX` pixels each way that shows the view's ground from a corner at (`col`, `row`) on, and nothing else.
+fn on_a_canvas(view: &View, folder: &Path, (col, row): (usize, usize)) {
+    let shown = view.write(folder);
+    let small = RasterFile::open(&shown)
+        .and_then(|file| file.read_all())
+        .expect("readable");
+    let mut canvas = Raster::filled(SIDE_PX, SIDE_PX, 1, 0.0);
+    for line in 0..small.height {
+        let start = (row + line) * SIDE_PX + col;
+        let from = &small.values[line * small.width..(line + 1) * small.width];
+        canvas.values[start..start + small.width].copy_from_slice(from);
+    }
+    let rpc = view.rpc().cropped(-(col as f64), -(row as f64));
+    let rpc: Vec<(String, String)> = write::gdal_domain(&rpc).into_iter().collect();
+    let spec = ImageSpec {
+        rpc: &rpc,
+        ..ImageSpec::plain(&canvas)
+    };
+    write_geotiff(&shown, &spec, Sample::U16).expect("written");
+}
+
+const SIDE_PX: usize = 640;
+
+#[test]
+fn of_images_that_share_a_corner_that_corner_is_read() {
+    let folder = tempfile::tempdir().expect("a temporary folder");
+    let view = |number: usize| View {
+        date: None,
+        ..View::new(number)
+    };
+    let last = SIDE_PX - SIZE_PX;
+    on_a_canvas(&view(0), folder.path(), (last, last));
+    on_a_canvas(&view(1), folder.path(), (0, 0));
+    let images = ["view_0.tif", "view_1.tif"];
+    let images = images.map(|name| format!("[[images]]\npath = \"{name}\"\ntime = \"2016-04-23T08:34:00Z\"\n"));
+    let manifest = format!("altitude_range_m = [690, 720]\n{}", images.concat());
+    fs::write(folder.path().join("scene.toml"), manifest).expect("written");
+    let scene = Scene::open(folder.path(), &IngestOptions::default()).expect("a scene");
+    for image in &scene.images {
+        let (width, height) = (image.pixels.width, image.pixels.height);
+        assert!(
+            width < 3 * SIZE_PX && height < 3 * SIZE_PX,
+            "{}: {width} x {height}",
+            image.name
+        );
+        // The window's camera is that of the file.
+        let (enu, place) = (nalgebra::Vector3::zeros(), scene.origin());
+        let [col, row] = image.pinhole.map.project(enu);
+        let at = image.window_rpc().project(place);
+        assert!(
+            (at.col - col).abs() < 0.1 && (at.row - row).abs() < 0.1,
+            "{at:?} and {col}, {row}"
+        );
+        assert!(image.sees(enu), "the ground is on it");
+    }
 }

@@ -36,10 +36,14 @@ const DRIVERS: [&str; 22] = [
 
 /// Most samples that are ever read at once.
 const SAMPLES_MAX: u128 = 1 << 33;
-/// Fewer samples than this are read from however small a file.
-const SAMPLES_FREE: u128 = 1 << 25;
-/// Deflate makes at most a thousand bytes of one, and of images never a hundred.
-const SAMPLES_PER_BYTE: u128 = 200;
+/// Windows of fewer samples are read from however small a file: an image on an empty canvas has next to no bytes for most of its pixels, and
+/// a sparse file none. A gigabyte in memory: 16,384 × 16,384 of one band.
+const SAMPLES_FREE: u128 = 1 << 28;
+/// Deflate makes at most a thousand bytes of one.
+const SAMPLES_PER_BYTE: u128 = 1000;
+/// Samples of all bands that are read before the next rows are: blocks of files whose pixels hold all bands together stay in GDAL's cache for
+/// the next band.
+const SAMPLES_AT_ONCE: usize = 1 << 22;
 
 /// Whether a file that was not opened is one of GDAL's virtual rasters.
 fn names_other_files(path: &Path) -> bool {
@@ -287,14 +291,20 @@ impl RasterFile {
     /// [`RasterError::Damaged`] when the pixels cannot be read.
     pub fn read(&self, window: Window, bands: &[usize]) -> Result<Raster, RasterError> {
         self.check_size(window, bands.len())?;
-        let mut raster = Raster {
-            width: window.width,
-            height: window.height,
-            bands: bands.len(),
-            values: Vec::with_capacity(window.width * window.height * bands.len()),
-        };
-        for &band in bands {
-            raster.values.extend(self.read_band(window, 1, band)?);
+        let mut raster = Raster::filled(window.width, window.height, bands.len(), f32::NAN);
+        let plane = raster.plane_len();
+        let rows = (SAMPLES_AT_ONCE / (window.width * bands.len()).max(1)).max(1);
+        for first in (0..window.height).step_by(rows) {
+            let part = Window {
+                row0: window.row0 + first,
+                height: rows.min(window.height - first),
+                ..window
+            };
+            for (index, &band) in bands.iter().enumerate() {
+                let values = self.read_band(part, 1, band)?;
+                let start = index * plane + first * window.width;
+                raster.values[start..start + values.len()].copy_from_slice(&values);
+            }
         }
         Ok(raster)
     }
@@ -325,7 +335,7 @@ impl RasterFile {
         })
     }
 
-    /// Refuses to read more samples than the bytes of the file can stand for: they would only fill the memory.
+    /// Refuses to decode so many samples of a window that they would only fill the memory, unless the file is long enough to hold them.
     fn check_size(&self, window: Window, bands: usize) -> Result<(), RasterError> {
         let claimed = window.width as u128 * window.height as u128 * bands as u128;
         let mut siblings = ["ige", "dat"]

@@ -14,6 +14,12 @@ static INSTALL: Once = Once::new();
 /// Routes GDAL's messages to the log and to [`collect`]; safe to call often.
 pub fn install() {
     INSTALL.call_once(|| {
+        // Every image is read once, in order: blocks that were read are not needed again. GDAL would keep a twentieth of the memory.
+        if std::env::var_os("GDAL_CACHEMAX").is_none()
+            && gdal::config::set_config_option("GDAL_CACHEMAX", "64").is_err()
+        {
+            tracing::debug!("GDAL takes no options");
+        }
         // No file that is opened may lead to the network: GDAL's remote file systems open one name, which nothing has.
         if gdal::config::set_config_option("CPL_VSIL_CURL_ALLOWED_FILENAME", "/vsicurl/none").is_err() {
             tracing::debug!("GDAL takes no options");

@@ -16,7 +16,7 @@ pub use vectors::ImageVectors;
 use super::error::FitError;
 use super::ground::Ground;
 use heliosplat_rpc::adjust::{AdjustImage, AdjustOptions, Adjustment, BiasModel, Sighting, Track, adjust};
-use heliosplat_rpc::{ImagePoint, RpcError};
+use heliosplat_rpc::{ImagePoint, Rpc, RpcError};
 use heliosplat_scene::Scene;
 use heliosplat_stereo::ties::{Tie, TieOptions, find_ties};
 use heliosplat_stereo::{MatchingParameters, SweepView, align::coarse_shifts};
@@ -93,12 +93,15 @@ impl AdjustInput<'_> {
         };
         let ties = find_ties(&moved, &self.ground.request(self.cell_m, self.matching), options);
         let tracks: Vec<Track> = ties.iter().map(|tie| self.track(tie)).collect();
+        // Sightings count the pixels of what was read of each image.
+        let cameras: Vec<Rpc> = self.ground.images.iter().map(|image| image.window_rpc()).collect();
         let images: Vec<AdjustImage> = self
             .ground
             .images
             .iter()
-            .map(|image| AdjustImage {
-                rpc: &image.rpc,
+            .zip(&cameras)
+            .map(|(image, rpc)| AdjustImage {
+                rpc,
                 width: image.pixels.width,
                 height: image.pixels.height,
             })

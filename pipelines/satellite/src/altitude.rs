@@ -3,12 +3,16 @@
 //! A range that is too wide costs common ground, sharp pinhole cameras and time, and lets ground that one image sees match anything; one
 //! that is too narrow cuts the surface off. Nothing of the scene but its rational cameras is known then, so pairs of images are matched along
 //! their epipolar lines ([`epipolar`]): first over all heights that the cameras are valid for, on images averaged down to a few hundred
-//! pixels, then around what was found, on finer ones. What the matches of all pairs span, with a margin, is the range.
+//! pixels, then around what was found, on finer ones. What the matches of all pairs span, with a margin, is the range. A sweep of all images in
+//! large cells over that range confirms it, or widens it where its surface lies at a limit.
 
+use super::ground::Ground;
+use super::limits::AtLimits;
 use heliosplat_rpc::statistics::quantile;
 use heliosplat_scene::cameras::SceneCameras;
 use heliosplat_scene::{AltitudeSource, IngestOptions, Scene, SceneError};
 use heliosplat_stereo::ties::epipolar::{EpipolarSearch, ReducedView, TiedAltitudes, tied_altitudes};
+use heliosplat_stereo::{MatchingParameters, Surface, plane_sweep};
 use std::path::Path;
 
 /// Most pairs of images that are matched: a range takes no more.
@@ -38,7 +42,7 @@ const FEWEST_TIES: usize = 8;
 /// Share of the matches that has to agree with its neighbours: by chance it is far less.
 const LEAST_AGREEING: f64 = 0.3;
 /// Shares of the tie points that are left out below and above: first, then.
-const TAILS: [f64; 2] = [0.02, 0.005];
+const TAILS: [f64; 2] = [0.02, 0.02];
 /// Margin around the first search's range: metres, share of its span, pixels of parallax.
 const COARSE_MARGIN: (f64, f64, f64) = (40.0, 0.25, 4.0);
 /// Margin below and above the second search's range, metres: corners lie on roofs and streets, but seldom in a pit or on a spire.
@@ -46,12 +50,42 @@ const MARGIN_M: (f64, f64) = (15.0, 40.0);
 /// The same as a share of the span.
 const MARGIN_SHARE: f64 = 0.15;
 
-/// Opens a scene; where neither `options` nor its files state its altitudes, they are found.
+/// Width of a cell of the coarse sweep, ground sampling distances.
+const COARSE_CELL_GSD: f64 = 4.0;
+/// Most times that a range is widened.
+pub(super) const ROUNDS: usize = 3;
+/// Opens a scene; where neither `options` nor its files state its altitudes, they are found by tie points, and widened where a coarse sweep
+/// between them shows that the surface goes on beyond.
 ///
 /// # Errors
 /// As [`Scene::open`].
 pub fn open(path: &Path, options: &IngestOptions) -> Result<Scene, SceneError> {
-    Scene::open(path, &resolve(path, options)?)
+    let mut options = resolve(path, options)?;
+    let mut scene = Scene::open(path, &options)?;
+    for _ in 0..ROUNDS {
+        if scene.altitude_known_from != AltitudeSource::Ties {
+            break;
+        }
+        let wider = coarse_sweep(&scene).and_then(|surface| AtLimits::of(&surface, &scene).wider(&scene));
+        let Some(range_m) = wider else {
+            break;
+        };
+        tracing::debug!(searched_m = ?scene.altitude_range_m, ?range_m, "the coarse sweep goes on beyond the tie points");
+        options.altitude_from_ties_m = Some(range_m);
+        drop(scene);
+        scene = Scene::open(path, &options)?;
+    }
+    Ok(scene)
+}
+
+/// The surface of a scene in large cells, with its cameras as given; `None` where too few images show the common ground.
+fn coarse_sweep(scene: &Scene) -> Option<Surface> {
+    let ground = Ground::new(scene, scene.training()).ok()?;
+    let cell_m = COARSE_CELL_GSD * scene.gsd_m;
+    let matching = MatchingParameters::choose(&ground.matching_facts(cell_m));
+    let rasters = ground.rasters();
+    let views = ground.sweep_views(&rasters, &vec![[0.0; 2]; rasters.len()]);
+    Some(plane_sweep(&views, &ground.request(cell_m, matching), &|_| {}))
 }
 
 /// `options` with the altitudes that were found, where neither they nor the scene's files state any and the images tell.

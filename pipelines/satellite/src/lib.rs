@@ -13,6 +13,7 @@ pub mod estimate;
 pub mod fit;
 pub mod ground;
 mod initial;
+pub mod limits;
 pub mod measure;
 pub mod plan;
 mod probe;

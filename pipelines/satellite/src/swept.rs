@@ -1,16 +1,19 @@
 //! What is found out of a scene before any training: clouds, pointing, tie points and the initial surface.
 
 use super::adjust::{self, AdjustInput};
+use super::altitude;
 use super::clouds;
 use super::config::{Align, SatelliteConfig, THRESHOLD_PX};
-use super::error::FitError;
+use super::error::{FitError, SatelliteError};
 use super::ground::Ground;
+use super::limits::AtLimits;
 use super::plan::Decisions;
 use heliosplat::Raster;
 use heliosplat_rpc::adjust::BiasModel;
-use heliosplat_scene::Scene;
+use heliosplat_scene::{AltitudeSource, IngestOptions, Scene};
 use heliosplat_session::Session;
 use heliosplat_stereo::{MatchingParameters, Surface, plane_sweep};
+use std::path::Path;
 use std::time::Instant;
 
 /// Results that are computed once before training, and kept in its checkpoint.
@@ -68,6 +71,9 @@ impl<'a> Swept<'a> {
             view.index = Some(index);
         }
         let surface = plane_sweep(&views, &request, &|share| progress.set((100.0 * share) as u64));
+        if let Some(warning) = AtLimits::of(&surface, scene).warning(scene) {
+            tracing::warn!("{warning}");
+        }
         let seconds = [aligned.as_secs_f64(), (started.elapsed() - aligned).as_secs_f64()];
         let found = Preprocessed {
             surface,
@@ -101,6 +107,36 @@ impl<'a> Swept<'a> {
 pub fn sweep_only(scene: &Scene, config: &SatelliteConfig, session: &Session) -> Result<Surface, FitError> {
     let decisions = Decisions::of(scene, config);
     Swept::new(scene, config, &decisions, session).map(|swept| swept.found.surface)
+}
+
+/// A scene and the surface that its views find together without training. A range of altitudes that tie points gave is widened where
+/// the surface touches its limits; one that was stated is kept, which is a warning.
+///
+/// # Errors
+/// As [`Scene::open`], and [`FitError::TooFewViews`].
+pub fn open_and_sweep(
+    path: &Path,
+    options: &IngestOptions,
+    config: &SatelliteConfig,
+    session: &Session,
+) -> Result<(Scene, Surface), SatelliteError> {
+    let mut scene = altitude::open(path, options)?;
+    let mut surface = sweep_only(&scene, config, session)?;
+    for _ in 0..altitude::ROUNDS {
+        let wider = AtLimits::of(&surface, &scene).wider(&scene);
+        let Some(range_m) = wider.filter(|_| scene.altitude_known_from == AltitudeSource::Ties) else {
+            break;
+        };
+        tracing::info!("searched again from {:.0} to {:.0} m", range_m.0, range_m.1);
+        let options = IngestOptions {
+            altitude_from_ties_m: Some(range_m),
+            ..options.clone()
+        };
+        drop(scene);
+        scene = Scene::open(path, &options)?;
+        surface = sweep_only(&scene, config, session)?;
+    }
+    Ok((scene, surface))
 }
 
 /// Corrections of the images' pointing, pixels; zero where the configuration or the estimate says so.

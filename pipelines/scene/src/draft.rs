@@ -87,10 +87,18 @@ impl Draft {
         ))
     }
 
-    /// Square root of the ground area of the central pixel, metres.
+    /// Square root of the ground area of the pixel in the middle of what is read, metres.
     pub(super) fn gsd_m(&self, frame: &LocalFrame, height_m: f64) -> Result<f64, SceneError> {
-        let (width, height) = self.file.size();
-        let (col, row) = ((width as f64 - 1.0) / 2.0, (height as f64 - 1.0) / 2.0);
+        let Window {
+            col0,
+            row0,
+            width,
+            height,
+        } = self.window;
+        let (col, row) = (
+            col0 as f64 + (width as f64 - 1.0) / 2.0,
+            row0 as f64 + (height as f64 - 1.0) / 2.0,
+        );
         let ground = |col, row| -> Result<Vector3<f64>, SceneError> {
             Ok(frame.enu_from_geo(self.localise(col, row, height_m)?))
         };

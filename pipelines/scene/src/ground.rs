@@ -5,6 +5,7 @@ use super::draft::Draft;
 use super::footprint::{self, Footprint};
 use super::layout::Layout;
 use super::{AltitudeRange, Area, Scene, SceneError, SceneImage, Split, acquisition, pixels};
+use heliosplat_raster::Window;
 use heliosplat_rpc::statistics::upper_median;
 use heliosplat_rpc::{ImageWindow, LocalFrame, PinholeFit, Rpc};
 use nalgebra::Vector3;
@@ -18,6 +19,8 @@ pub(super) struct Ground {
     area: Area,
 }
 
+/// Share of an image's pixels below which a window of it is read instead of all of it.
+const WORTH_READING_LESS: f64 = 0.75;
 /// An overlap smaller than this many pixels on a side is none.
 const LEAST_OVERLAP_PX: f64 = 16.0;
 
@@ -64,10 +67,23 @@ impl Ground {
             altitude_m,
         })?;
         let mut ground = Self { drafts, frame, area };
-        if let Some(wanted) = wanted {
-            ground.limit(wanted, source, altitude_range_m, warnings)?;
+        match wanted {
+            Some(wanted) => ground.limit(wanted, source, altitude_range_m, warnings)?,
+            None => ground.leave_out(altitude_range_m),
         }
         Ok(ground)
+    }
+
+    /// Leaves out of the images what lies beyond the ground, where that is a good part of them.
+    fn leave_out(&mut self, altitude_range_m: (f64, f64)) {
+        for draft in &mut self.drafts {
+            let size = |window: &Window| window.width as f64 * window.height as f64;
+            if let Some(window) = window_over(draft, &self.frame, &self.area, altitude_range_m)
+                && size(&window) < WORTH_READING_LESS * size(&draft.window)
+            {
+                draft.window = window;
+            }
+        }
     }
 
     /// Leaves of the ground what is wanted, and of the images what shows it.

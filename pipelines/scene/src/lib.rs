@@ -240,6 +240,11 @@ impl Scene {
 }
 
 impl SceneImage {
+    /// Its rational camera in the pixel coordinates of `pixels`.
+    pub fn window_rpc(&self) -> Rpc {
+        self.rpc.cropped(self.window.col0 as f64, self.window.row0 as f64)
+    }
+
     /// Whether a point of the scene's frame projects onto a known pixel.
     pub fn sees(&self, enu_m: Vector3<f64>) -> bool {
         let [col, row] = self.pinhole.map.project(enu_m).map(f64::round);

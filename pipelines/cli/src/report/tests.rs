@@ -49,6 +49,7 @@ fn contents(folder: &Path) -> Contents {
             scene: EVIL.into(),
             altitude_from_ties_m: None,
             altitude_range_m: None,
+            altitude_from_ties_m: None,
             plan: vec![PlanItem {
                 component: EVIL.into(),
                 on: true,

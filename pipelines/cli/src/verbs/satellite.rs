@@ -12,11 +12,10 @@ use heliosplat_raster::write::{ImageSpec, Sample, write_geotiff};
 use heliosplat_rpc::sun::{SunPosition, sun_position};
 use heliosplat_satellite::config::SatelliteConfig;
 use heliosplat_satellite::run_file::scene_of;
-use heliosplat_satellite::swept::sweep_only;
 use heliosplat_satellite::training::{TrainOutcome, TrainRequest, configure};
-use heliosplat_satellite::{altitude, estimate, measure, training};
+use heliosplat_satellite::{altitude, estimate, measure, swept, training};
+use heliosplat_scene::Split;
 use heliosplat_scene::survey::Survey;
-use heliosplat_scene::{Scene, Split};
 use heliosplat_session::Session;
 use serde_json::json;
 use std::path::Path;
@@ -28,13 +27,14 @@ use std::time::Instant;
 /// When the scene, the configuration or a limit is at fault, training gives up, or a file cannot be written.
 pub(crate) fn train(args: &TrainArgs, session: &Session) -> Result<Outcome, CliError> {
     let begun = Instant::now();
-    let ingest = altitude::resolve(&args.scene, &args.ingest.options())?;
+    let mut ingest = args.ingest.options();
     if args.memory.is_some() {
         let preset = args.preset.map(Preset::from).unwrap_or_default();
         let config = SatelliteConfig::resolve(preset, &args.set, args.seed)?;
+        ingest = altitude::resolve(&args.scene, &ingest)?;
         estimate::must_fit_unread(&Survey::open(&args.scene, &ingest)?, args.memory, &config)?;
     }
-    let scene = Scene::open(&args.scene, &ingest)?;
+    let scene = altitude::open(&args.scene, &ingest)?;
     for warning in &scene.warnings {
         tracing::warn!("{warning}");
     }
@@ -94,10 +94,10 @@ pub(crate) fn dsm(args: &DsmArgs, session: &Session) -> Result<Outcome, CliError
             (dsm::dsm(&model, gsd_m, args.crs.as_deref())?, gsd_m)
         }
         DsmSource::Sweep => {
-            let scene = altitude::open(&args.run, &args.ingest.options())?;
+            let config = SatelliteConfig::resolve(Preset::Fast, &[], 1)?;
+            let (scene, found) = swept::open_and_sweep(&args.run, &args.ingest.options(), &config, session)?;
             let gsd_m = args.gsd.unwrap_or(scene.gsd_m);
-            let swept = sweep_only(&scene, &SatelliteConfig::resolve(Preset::Fast, &[], 1)?, session)?;
-            let surface = dsm::of_surface(&(&scene).into(), &swept, gsd_m, args.crs.as_deref())?;
+            let surface = dsm::of_surface(&(&scene).into(), &found, gsd_m, args.crs.as_deref())?;
             (surface, gsd_m)
         }
     };

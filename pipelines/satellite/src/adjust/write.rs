@@ -3,7 +3,7 @@
 use super::AdjustRequest;
 use crate::error::SatelliteError;
 use crate::ground::Ground;
-use heliosplat_raster::{copy_with_rpc, write_atomically};
+use heliosplat_raster::{RasterFile, copy_with_rpc, write_atomically};
 use heliosplat_rpc::Rpc;
 use heliosplat_rpc::adjust::{Adjustment, corrected_rpc};
 use heliosplat_rpc::write::{gdal_domain, rpc_txt, satnerf_json_rpc};
@@ -25,12 +25,15 @@ pub(super) fn cameras(
     let mut refit_px = Vec::with_capacity(ground.images.len());
     for (image, correction) in ground.images.iter().zip(&adjustment.corrections) {
         let size = (image.pixels.width, image.pixels.height);
-        let corrected = corrected_rpc(&image.rpc, correction, size, heights_m).map_err(|error| {
+        let mut corrected = corrected_rpc(&image.window_rpc(), correction, size, heights_m).map_err(|error| {
             SatelliteError::CorrectedCamera {
                 image: image.path.clone(),
                 error,
             }
         })?;
+        // Back to the pixel coordinates of the file.
+        let (col0, row0) = (image.window.col0 as f64, image.window.row0 as f64);
+        corrected.rpc = corrected.rpc.cropped(-col0, -row0);
         let text = rpc_txt(&corrected.rpc);
         write_atomically(&request.out.join(format!("{}_RPC.TXT", image.name)), text.as_bytes())?;
         let text = serde_json::to_string_pretty(&description(scene, image, &corrected.rpc)).unwrap_or_default() + "\n";
@@ -48,10 +51,13 @@ pub(super) fn cameras(
 fn description(scene: &Scene, image: &SceneImage, rpc: &Rpc) -> Value {
     let own = heliosplat_raster::bounded::read_text(&image.path.with_extension("json")).ok();
     let own = own.and_then(|text| serde_json::from_str::<Value>(&text).ok());
+    // What was read of it may be a window.
+    let file = RasterFile::open(&image.path).map(|file| file.size());
+    let (width, height) = file.unwrap_or((image.pixels.width, image.pixels.height));
     let mut json = own.filter(|own| own.get("rpc").is_some()).unwrap_or_else(|| {
         let mut known = json!({
-            "width": image.pixels.width,
-            "height": image.pixels.height,
+            "width": width,
+            "height": height,
             "min_alt": scene.altitude_range_m.0,
             "max_alt": scene.altitude_range_m.1,
         });

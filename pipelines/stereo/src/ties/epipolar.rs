@@ -183,7 +183,7 @@ impl Line {
         corner: Vector2<f64>,
         search: &EpipolarSearch,
     ) -> Option<Self> {
-        let (low_m, high_m) = search.range_m;
+        let (low_m, high_m) = Self::visible(first, second, corner, search.range_m)?;
         let middle_m = 0.5 * (low_m + high_m);
         let seen = |at: Vector2<f64>, height_m: f64| -> Option<Vector2<f64>> {
             let place: GeoPoint = first.rpc.localise(first.in_file(at), height_m).ok()?;
@@ -217,6 +217,35 @@ impl Line {
             across: reduced(search.reach_px).ceil() as usize,
             offset: reduced(search.across_px),
         })
+    }
+
+    /// The part of a range of altitudes at which the second image shows a corner; `None` where there is none.
+    fn visible(
+        first: &ReducedView,
+        second: &ReducedView,
+        corner: Vector2<f64>,
+        (low_m, high_m): (f64, f64),
+    ) -> Option<(f64, f64)> {
+        let place = |height_m: f64| {
+            let place = first.rpc.localise(first.in_file(corner), height_m).ok()?;
+            Some(second.reduced(second.rpc.project(place)))
+        };
+        let (from, to) = (place(low_m)?, place(high_m)?);
+        // Where the line enters and leaves the image, as shares of its length (Liang and Barsky 1984).
+        let (mut enters, mut leaves) = (0.0f64, 1.0f64);
+        for (at, along, size) in [
+            (from.x, to.x - from.x, second.image.width),
+            (from.y, to.y - from.y, second.image.height),
+        ] {
+            let ends = [-at / along, (size as f64 - 1.0 - at) / along];
+            if along == 0.0 {
+                continue;
+            }
+            enters = enters.max(ends[0].min(ends[1]));
+            leaves = leaves.min(ends[0].max(ends[1]));
+        }
+        let at = |share: f64| low_m + share * (high_m - low_m);
+        (enters < leaves).then(|| (at(enters), at(leaves)))
     }
 
     fn find(&self, first: &ReducedView, second: &ReducedView) -> Option<Match> {

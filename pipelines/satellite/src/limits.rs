@@ -1,0 +1,130 @@
+//! Whether a swept surface touches the limits of the altitudes that were searched: then it goes on beyond, and was cut off.
+
+use heliosplat_scene::{Scene, crop};
+use heliosplat_stereo::Surface;
+use rayon::prelude::*;
+
+/// Confidence from which on a cell of a surface counts as matched: at lower ones, cells that matched by chance lie at the limits too
+/// (docs/lab/altitude.md).
+const CONFIDENT: f32 = 0.5;
+/// Share of the matched cells at a limit of the altitudes from which on the surface is taken to go on beyond.
+const TOUCHING: f64 = 0.01;
+/// By which share of its width a range is widened on the side that the surface touches.
+const WIDENING: f64 = 0.5;
+/// The same at least, metres.
+const LEAST_WIDENING_M: f64 = 20.0;
+
+/// Shares of the matched cells of a surface that lie at the lowest and at the highest altitude that was searched.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct AtLimits {
+    /// At the lowest.
+    pub low: f64,
+    /// At the highest.
+    pub high: f64,
+}
+
+impl AtLimits {
+    /// Those of a surface that was searched over the altitudes of `scene`; cells that fewer than two images see do not count.
+    pub fn of(surface: &Surface, scene: &Scene) -> Self {
+        let limits_m = crop::altitude_range(scene);
+        let seen = |cell: usize| {
+            let p = surface.point(cell % surface.width, cell / surface.width).as_dvec3();
+            scene.views_covering(p.x, p.y, p.z) >= 2
+        };
+        let seen: Vec<bool> = (0..surface.altitude.len()).into_par_iter().map(seen).collect();
+        let at = shares(surface, &seen, limits_m);
+        tracing::debug!(
+            low = at.low,
+            high = at.high,
+            "matched cells at the limits of the altitudes searched"
+        );
+        at
+    }
+
+    /// A range that is wider where the surface touches a limit, metres above the ellipsoid; `None` where it touches none.
+    pub fn wider(&self, scene: &Scene) -> Option<(f64, f64)> {
+        widened(self, scene.altitude_range_m)
+    }
+
+    /// What to tell a user whose range of altitudes is too narrow; `None` where it is not.
+    pub fn warning(&self, scene: &Scene) -> Option<String> {
+        let wider = self.wider(scene)?;
+        let (low_m, high_m) = scene.altitude_range_m;
+        let mut ends = Vec::new();
+        if self.low > TOUCHING {
+            ends.push(format!(
+                "{:.1} % of its matched cells lie at the lowest, {low_m:.0} m",
+                100.0 * self.low
+            ));
+        }
+        if self.high > TOUCHING {
+            ends.push(format!(
+                "{:.1} % of its matched cells lie at the highest, {high_m:.0} m",
+                100.0 * self.high
+            ));
+        }
+        Some(format!(
+            "the surface touches the limits of the altitudes searched: {}; try --altitude {:.0},{:.0}",
+            ends.join(", "),
+            wider.0,
+            wider.1
+        ))
+    }
+}
+
+fn shares(surface: &Surface, seen: &[bool], (low_m, high_m): (f64, f64)) -> AtLimits {
+    let cells = surface.altitude.iter().zip(&surface.confidence).zip(&surface.filled);
+    let matched: Vec<f64> = cells
+        .zip(seen)
+        .filter(|(((_, confidence), filled), seen)| **confidence >= CONFIDENT && !**filled && **seen)
+        .map(|(((altitude, _), _), _)| f64::from(*altitude))
+        .collect();
+    let share = |count: usize| count as f64 / matched.len().max(1) as f64;
+    let step_m = f64::from(surface.resolution_m);
+    AtLimits {
+        low: share(matched.iter().filter(|&&up_m| up_m < low_m + step_m).count()),
+        high: share(matched.iter().filter(|&&up_m| up_m > high_m - step_m).count()),
+    }
+}
+
+fn widened(at: &AtLimits, (low_m, high_m): (f64, f64)) -> Option<(f64, f64)> {
+    let more_m = (WIDENING * (high_m - low_m)).max(LEAST_WIDENING_M).ceil();
+    let by = |share: f64| if share > TOUCHING { more_m } else { 0.0 };
+    (at.low.max(at.high) > TOUCHING).then(|| (low_m - by(at.low), high_m + by(at.high)))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn surface(altitude: Vec<f32>) -> Surface {
+        Surface {
+            width: altitude.len(),
+            height: 1,
+            confidence: vec![0.5; altitude.len()],
+            filled: vec![false; altitude.len()],
+            resolution_m: 1.0,
+            altitude,
+            ..Surface::default()
+        }
+    }
+
+    #[test]
+    fn cells_at_a_limit_are_counted_among_those_that_were_matched() {
+        let mut cut_off = surface(vec![3.0, 9.5, 9.8, -4.0, 9.9]);
+        let seen = [true, true, true, true, false];
+        let at = |cut_off: &Surface, range_m| shares(cut_off, &seen, range_m);
+        assert_eq!(at(&cut_off, (-10.0, 10.0)), AtLimits { low: 0.0, high: 0.5 });
+        cut_off.confidence[3] = 0.0;
+        cut_off.filled[1] = true;
+        assert_eq!(at(&cut_off, (2.5, 10.0)), AtLimits { low: 0.5, high: 0.5 });
+    }
+
+    #[test]
+    fn a_range_is_widened_on_the_side_that_the_surface_touches() {
+        let widened = |low, high| widened(&AtLimits { low, high }, (100.0, 200.0));
+        assert_eq!(widened(0.01, 0.01), None);
+        assert_eq!(widened(0.3, 0.0), Some((50.0, 200.0)));
+        assert_eq!(widened(0.0, 0.06), Some((100.0, 250.0)));
+    }
+}
