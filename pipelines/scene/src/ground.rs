@@ -4,7 +4,7 @@ use super::area::{AreaRequest, window_over};
 use super::draft::Draft;
 use super::footprint::{self, Footprint};
 use super::layout::Layout;
-use super::{Area, Scene, SceneError, SceneImage, Split, acquisition, pixels};
+use super::{Area, Scene, SceneError, SceneImage, Split, acquisition, pixels, weak_times};
 use heliosplat_rpc::statistics::upper_median;
 use heliosplat_rpc::{ImageWindow, LocalFrame, PinholeFit, Rpc};
 use nalgebra::Vector3;
@@ -133,7 +133,12 @@ impl Ground {
         (altitude_range_m, altitude_source): ((f64, f64), String),
         mut warnings: Vec<String>,
     ) -> Result<Scene, SceneError> {
-        let Self { drafts, frame, area } = self;
+        let Self {
+            mut drafts,
+            frame,
+            area,
+        } = self;
+        weak_times::fill(&mut drafts, frame.origin, &mut warnings);
         let mut suns = Vec::with_capacity(drafts.len());
         for draft in &drafts {
             suns.push(acquisition::sun(

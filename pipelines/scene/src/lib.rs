@@ -23,6 +23,7 @@ pub mod saturation;
 mod sun;
 pub mod survey;
 mod truth;
+mod weak_times;
 
 pub use area::AreaRequest;
 pub use error::SceneError;
