@@ -141,7 +141,7 @@ pub fn train(
         scene: std::fs::canonicalize(&scene.source).unwrap_or_else(|_| scene.source.clone()),
         altitude_range_m: request.ingest.altitude_range_m,
         area: request.ingest.area.clone(),
-        plan: decisions.items,
+        plan: fitted.decisions.items.clone(),
         inputs,
         config,
     };
