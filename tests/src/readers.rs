@@ -353,7 +353,6 @@ fn runs() -> Vec<Vec<u8>> {
         preset: "fast".into(),
         seed: 1,
         scene: "scene".into(),
-        altitude_from_ties_m: None,
         altitude_range_m: Some((640.0, 780.0)),
         altitude_from_ties_m: Some((640.0, 780.0)),
         plan: Vec::new(),

@@ -101,9 +101,9 @@ fn a_model_of_unknown_suns_has_no_light_and_cannot_be_relit() {
 fn images_with_a_sun_are_lit_and_the_others_are_counted() {
     let folder = scene([Some("20160423083400"), Some("20160423083400"), None, None]);
     let seen = json(&["inspect", text(folder.path())]);
-    assert_eq!(seen["decisions"]["light"], "known");
+    assert_eq!(seen["decisions"]["light"], "from_shadows");
     let reason = item(&seen["plan"], "sun")["reason"].as_str().expect("a reason");
-    assert!(reason.contains("2 of 4 suns"), "{reason}");
+    assert!(reason.contains("2 of 4 images"), "{reason}");
     let home = tempdir().expect("a temporary folder");
     let (run, picture) = (home.path().join("run"), home.path().join("lit.tif"));
     let metrics = trained(folder.path(), &run);

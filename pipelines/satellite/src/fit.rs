@@ -7,7 +7,7 @@ use super::plan::{Decisions, Light};
 use super::shadow_prior;
 use super::swept::{Preprocessed, Swept};
 use super::views;
-use super::{clouds, estimate, initial, probe, radiometry};
+use super::{clouds, estimate, initial, probe, radiometry, suns};
 use glam::Vec3;
 use heliosplat::ProjectiveCamera;
 use heliosplat::model::shadow_gs::{ShadowGs, ShadowGsOptions};
@@ -25,7 +25,7 @@ use heliosplat_stereo::Surface;
 use std::time::Instant;
 
 /// Share of the images that must show a cell for Gaussians to start there; two always must. Below, the sweep is mostly noise.
-const COVERAGE: f64 = 0.4;
+pub(super) const COVERAGE: f64 = 0.4;
 /// Sky light at the start, as a share of the sun's: that of a clear day; training finds each image's own.
 const SKY: f32 = 0.3;
 /// Weight of the shadow prior, where it is on.
@@ -52,7 +52,9 @@ pub struct Fitted {
     pub shifts_px: Vec<[f32; 2]>,
     /// Where each image has data and no clouds; `None`: everywhere.
     pub known: Vec<Option<KnownTiles>>,
-    /// The suns that the images were lit by, in that order.
+    /// What was decided, after suns were searched.
+    pub decisions: Decisions,
+    /// The suns of the scene's images, in the scene's order.
     pub suns: Vec<ImageSun>,
     /// Share of each image that is left out because clouds hide the ground there, 0 to 1, in that order.
     pub clouded: Vec<f64>,
@@ -117,7 +119,11 @@ pub fn fit(
     };
     let Swept { ground, found } = match again {
         Some(swept) => swept,
-        None => Swept::new(scene, config, decisions, session)?,
+        None => {
+            let mut swept = Swept::new(scene, config, decisions, session)?;
+            swept.found.shadow_suns = suns::search(scene, &swept);
+            swept
+        }
     };
     checkpoints.preprocessed = Some(found.clone());
     checkpoints.log = log.unwrap_or_default();
@@ -125,11 +131,18 @@ pub fn fit(
         surface,
         shifts_px,
         clouds,
+        shadow_suns,
         seconds: [align_s, sweep_s],
     } = found;
     let swept = Instant::now();
 
-    let suns: Vec<ImageSun> = ground.images.iter().map(|image| image.sun).collect();
+    let all_suns = suns::after(scene, &shadow_suns);
+    let places = ground.images.iter().filter_map(|image| suns::place_in(scene, image));
+    let (suns, searched): (Vec<ImageSun>, Vec<_>) = places.map(|place| (all_suns[place], shadow_suns[place])).unzip();
+    let decisions = &decisions.after_search(&suns, &searched);
+    if decisions.light == Light::LeftOut {
+        tracing::warn!("{}", decisions.light_reason());
+    }
     let model = model(&ground, &suns, decisions);
     let covered = ground.covered(&surface, COVERAGE);
     let mut parameters = Parameters {
@@ -202,7 +215,8 @@ pub fn fit(
         images: ground.images.iter().map(|image| image.name.clone()).collect(),
         shifts_px,
         known,
-        suns,
+        suns: all_suns,
+        decisions: decisions.clone(),
         clouded: clouds.iter().map(|mask| clouds::share(mask)).collect(),
         surface,
         seconds: [

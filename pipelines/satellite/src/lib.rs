@@ -20,6 +20,7 @@ mod probe;
 mod radiometry;
 pub mod run_file;
 mod shadow_prior;
+mod suns;
 pub mod swept;
 pub mod training;
 mod views;

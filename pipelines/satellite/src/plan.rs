@@ -7,9 +7,10 @@
 use super::config::{Align, SatelliteConfig, THRESHOLD_PX};
 use super::ground::Ground;
 use super::shadow_prior::ENOUGH_VIEWS;
-use heliosplat_scene::{BandKind, Scene, SceneImage};
+use heliosplat_scene::{BandKind, ImageSun, Scene, SceneImage, SunSource};
 use heliosplat_scene::{crop, saturation};
 use heliosplat_stereo::clouds::FEWEST_VIEWS;
+use heliosplat_stereo::suns::ShadowSun;
 use heliosplat_stereo::{MANY_VIEWS, MatchingFacts, MatchingParameters};
 
 /// How a model is lit.
@@ -18,6 +19,9 @@ use heliosplat_stereo::{MANY_VIEWS, MatchingFacts, MatchingParameters};
 pub enum Light {
     /// By the suns that are known; images without one are rendered as lit everywhere, in a colour of their own.
     Known,
+    /// By the suns that are known, and of the other images by those that shadows on the swept surface tell; without any sun then, not at
+    /// all.
+    FromShadows,
     /// Not at all: no sun is known, and each image has a colour of its own.
     LeftOut,
 }
@@ -109,33 +113,78 @@ impl Facts {
 
 impl Facts {
     fn light(&self) -> Light {
-        match self.suns {
-            0 => Light::LeftOut,
-            _ => Light::Known,
+        match self.suns == self.images {
+            true => Light::Known,
+            false => Light::FromShadows,
         }
     }
 
-    /// Why the model is lit as it is.
+    /// How the model will be lit, and why.
     fn light_reason(&self) -> String {
         let &Self {
             images, dates, suns, ..
         } = self;
-        let remedy = "add .IMD, DIM_*.XML or .json files, or time = \"...\" in scene.toml";
-        if suns == 0 {
+        if suns == images {
+            let (lowest, highest) = self.suns_deg;
             return format!(
-                "no acquisition time and no sun angles are known ({remedy}): the light is left out, each image has a colour of its own, shadows count as dark ground, and nothing can be relit"
+                "{dates} date(s) with known suns, {lowest:.0} to {highest:.0} degrees high: cast shadows are traced through the geometry"
             );
         }
-        let (lowest, highest) = self.suns_deg;
-        let traced = format!("{lowest:.0} to {highest:.0} degrees high: cast shadows are traced through the geometry");
-        if suns < images {
-            return format!(
-                "{suns} of {images} suns are known, {traced}; the other {} images count as lit everywhere, in colours of their own ({remedy})",
-                images - suns
-            );
-        }
-        format!("{dates} date(s) with known suns, {traced}")
+        format!(
+            "no acquisition time and no sun angles are known of {} of {images} images: estimated from shadows when trained, and left out where these do not tell ({REMEDY})",
+            images - suns
+        )
     }
+}
+
+/// Component of the plan: how the model is lit.
+const SUN: &str = "sun";
+/// Component of the plan: the prior of shadows.
+const SHADOW_PRIOR: &str = "model.shadow_prior";
+/// What makes suns known.
+const REMEDY: &str = "add .IMD, DIM_*.XML or .json files, or time = \"...\" in scene.toml";
+
+/// What was said of the suns that were searched, in words.
+fn search_in_words(suns: &[ImageSun], searched: &[Option<ShadowSun>]) -> String {
+    let images = suns.len();
+    let from_shadows = suns.iter().filter(|sun| sun.source == SunSource::Shadows);
+    let sigmas: Vec<f64> = from_shadows.filter_map(|sun| sun.sigma_deg).collect();
+    let unknown = suns.iter().filter(|sun| sun.position.is_none()).count();
+    let (least, most) = sigmas
+        .iter()
+        .fold((f64::INFINITY, 0.0f64), |(least, most), &s| (least.min(s), most.max(s)));
+    let mut text = format!(
+        "the suns of {} of {images} images are known",
+        images - unknown - sigmas.len()
+    );
+    if !sigmas.is_empty() {
+        text += &format!(
+            ", of {} they are estimated from shadows, to {least:.1} to {most:.1} degrees (standard deviation)",
+            sigmas.len()
+        );
+    }
+    if unknown == 0 {
+        return text + ": cast shadows are traced through the geometry";
+    }
+    // The one that came closest says why the others were not believed either.
+    let undecided = suns.iter().zip(searched).filter(|(sun, _)| sun.position.is_none());
+    let closest = undecided
+        .filter_map(|(_, found)| *found)
+        .max_by(|a, b| a.margin.total_cmp(&b.margin));
+    text += &match closest {
+        Some(sun) => format!(
+            ", of {unknown} shadows do not tell (at best correlation {:.2}, standard deviation {:.1} degrees, ahead of other suns by {:.1} deviations)",
+            sun.score, sun.sigma_deg, sun.margin
+        ),
+        None => format!(", of {unknown} shadows tell nothing"),
+    };
+    text += match unknown == images {
+        true => {
+            ": the light is left out, each image has a colour of its own, shadows count as dark ground, and nothing can be relit"
+        }
+        false => ": these count as lit everywhere, in colours of their own",
+    };
+    text + " (" + REMEDY + ")"
 }
 
 impl Decisions {
@@ -152,15 +201,12 @@ impl Decisions {
             image_colour: model.image_colour.unwrap_or(facts.dates > 1),
             clouds: model.clouds.unwrap_or(facts.images >= FEWEST_VIEWS),
             saturation: model.saturation.unwrap_or(facts.clipped > 0.0),
-            shadow_prior: light == Light::Known && model.shadow_prior.unwrap_or(facts.images < ENOUGH_VIEWS),
+            shadow_prior: model.shadow_prior.unwrap_or(facts.images < ENOUGH_VIEWS),
             vegetation_index: facts.near_infrared && facts.images >= 2,
             align: config.cameras.align,
             near_light: model.near_light,
             sh_degree: model.sh_degree,
-            opaqueness_weight: match light {
-                Light::Known => model.opaqueness_weight,
-                Light::LeftOut => 0.0,
-            },
+            opaqueness_weight: model.opaqueness_weight,
             matching: facts.matching.as_ref().map(MatchingParameters::choose),
             items: Vec::new(),
         };
@@ -177,6 +223,45 @@ impl Decisions {
         model.saturation = Some(self.saturation);
         model.shadow_prior = Some(self.shadow_prior);
         config
+    }
+
+    /// The same after suns were searched by their shadows: `suns` are those of the images that are trained on, `searched` what the
+    /// shadows said of each.
+    pub(super) fn after_search(&self, suns: &[ImageSun], searched: &[Option<ShadowSun>]) -> Self {
+        let mut decisions = self.clone();
+        if self.light != Light::FromShadows {
+            return decisions;
+        }
+        let any = |source: SunSource| suns.iter().any(|sun| sun.source == source);
+        let lit = suns.iter().any(|sun| sun.position.is_some());
+        decisions.light = match (lit, any(SunSource::Shadows)) {
+            (true, true) => Light::FromShadows,
+            (true, false) => Light::Known,
+            (false, _) => Light::LeftOut,
+        };
+        let mut say = |component: &str, on: bool, reason: String| {
+            let found = decisions.items.iter_mut().find(|item| item.component == component);
+            if let Some(item) = found {
+                (item.on, item.reason) = (on, reason);
+            }
+        };
+        say(SUN, lit, search_in_words(suns, searched));
+        if !lit {
+            say(
+                SHADOW_PRIOR,
+                false,
+                "no sun is known: what throws a shadow cannot be asked".into(),
+            );
+            decisions.shadow_prior = false;
+            decisions.opaqueness_weight = 0.0;
+        }
+        decisions
+    }
+
+    /// How the model is lit, and why.
+    pub fn light_reason(&self) -> &str {
+        let found = self.items.iter().find(|item| item.component == SUN);
+        found.map_or("", |item| &item.reason)
     }
 
     fn in_words(&self, facts: &Facts, config: &SatelliteConfig) -> Vec<PlanItem> {
@@ -198,7 +283,7 @@ impl Decisions {
         let &Facts { images, dates, .. } = facts;
         let [many_view_matching, cost_aggregation] = matching_items(facts.matching, self.matching);
         vec![
-            item("sun", self.light == Light::Known, facts.light_reason()),
+            item(SUN, self.light != Light::LeftOut, facts.light_reason()),
             decided(
                 "model.image_colour",
                 self.image_colour,
@@ -238,13 +323,11 @@ impl Decisions {
                 },
             ),
             decided(
-                "model.shadow_prior",
+                SHADOW_PRIOR,
                 self.shadow_prior,
-                config.model.shadow_prior.filter(|_| self.light == Light::Known),
-                images < ENOUGH_VIEWS && self.light == Light::Known,
-                if self.light == Light::LeftOut {
-                    "no sun is known: what throws a shadow cannot be asked".into()
-                } else if images < ENOUGH_VIEWS {
+                config.model.shadow_prior,
+                images < ENOUGH_VIEWS,
+                if images < ENOUGH_VIEWS {
                     format!(
                         "{images} views say little of what throws a shadow: dark places with something toward the sun guide it"
                     )
@@ -392,24 +475,58 @@ mod tests {
         assert!(on(&facts(9, 1), &config, component) && !on(&facts(3, 1), &config, component));
     }
 
+    fn shadow_sun(margin: f64) -> ShadowSun {
+        ShadowSun {
+            azimuth_deg: 150.0,
+            elevation_deg: 40.0,
+            sigma_deg: 0.7,
+            score: 0.5,
+            margin,
+        }
+    }
+
     #[test]
-    fn without_any_sun_the_light_is_left_out_whatever_is_set() {
+    fn where_no_sun_is_found_the_light_is_left_out_whatever_is_set() {
         let mut config = SatelliteConfig::default();
         config.model.shadow_prior = Some(true);
         config.model.opaqueness_weight = 1.0;
         let dark = Facts { suns: 0, ..facts(3, 3) };
-        let decisions = Decisions::from_facts(&dark, &config);
-        assert_eq!((decisions.light, decisions.opaqueness_weight), (Light::LeftOut, 0.0));
-        assert!(!decisions.shadow_prior && decisions.image_colour);
-        assert!(!on(&dark, &config, "sun") && !on(&dark, &config, "model.shadow_prior"));
+        let before = Decisions::from_facts(&dark, &config);
+        assert_eq!(before.light, Light::FromShadows);
+        let after = before.after_search(&[ImageSun::unknown(); 3], &[None, Some(shadow_sun(1.3)), None]);
+        assert_eq!((after.light, after.opaqueness_weight), (Light::LeftOut, 0.0));
+        assert!(!after.shadow_prior && after.image_colour);
+        let off = |component| after.items.iter().any(|item| item.component == component && !item.on);
+        assert!(off(SUN) && off(SHADOW_PRIOR));
+        assert!(
+            after.light_reason().contains("by 1.3 deviations"),
+            "{}",
+            after.light_reason()
+        );
     }
 
     #[test]
     fn images_without_a_sun_are_counted() {
-        let some = Facts { suns: 2, ..facts(5, 5) };
-        let items = Decisions::from_facts(&some, &SatelliteConfig::default()).items;
-        let sun = items.iter().find(|item| item.component == "sun").expect("the sun");
-        assert!(sun.on && sun.reason.contains("2 of 5 suns") && sun.reason.contains("other 3 images"));
+        let some = Facts { suns: 1, ..facts(3, 3) };
+        let before = Decisions::from_facts(&some, &SatelliteConfig::default());
+        assert!(
+            before.light_reason().contains("2 of 3 images"),
+            "{}",
+            before.light_reason()
+        );
+        let position = heliosplat_rpc::sun::SunPosition::from_degrees(150.0, 40.0);
+        let suns = [
+            ImageSun::from_time(position),
+            ImageSun::from_shadows(position, 0.7),
+            ImageSun::unknown(),
+        ];
+        let after = before.after_search(&suns, &[None, Some(shadow_sun(9.0)), None]);
+        assert_eq!(after.light, Light::FromShadows);
+        let said = after.light_reason();
+        assert!(
+            said.contains("of 1 of 3 images are known") && said.contains("of 1 shadows tell nothing"),
+            "{said}"
+        );
     }
 
     #[test]

@@ -62,12 +62,12 @@ pub fn model_images(scene: &Scene, fitted: &Fitted, margin_m: f64) -> Vec<ModelI
     scene
         .images
         .iter()
-        .filter_map(|image| {
+        .zip(&fitted.suns)
+        .filter_map(|(image, sun)| {
             let appearance = fitted
                 .images
                 .iter()
                 .position(|name| *name == image.name && image.split == Split::Train);
-            let sun = appearance.map_or(image.sun, |a| fitted.suns[a]);
             Some(ModelImage {
                 name: image.name.clone(),
                 split: image.split,

@@ -12,6 +12,7 @@ use heliosplat::Raster;
 use heliosplat_rpc::adjust::BiasModel;
 use heliosplat_scene::{AltitudeSource, IngestOptions, Scene};
 use heliosplat_session::Session;
+use heliosplat_stereo::suns::ShadowSun;
 use heliosplat_stereo::{MatchingParameters, Surface, plane_sweep};
 use std::path::Path;
 use std::time::Instant;
@@ -25,6 +26,8 @@ pub struct Preprocessed {
     pub shifts_px: Vec<[f32; 2]>,
     /// The pixels of each image that show clouds; empty where there are none.
     pub clouds: Vec<Vec<bool>>,
+    /// What shadows say of the suns of the scene's images, in the scene's order, where these are not known.
+    pub shadow_suns: Vec<Option<ShadowSun>>,
     /// Seconds spent on alignment and on the sweep.
     pub seconds: [f64; 2],
 }
@@ -79,6 +82,7 @@ impl<'a> Swept<'a> {
             surface,
             shifts_px,
             clouds,
+            shadow_suns: vec![None; scene.images.len()],
             seconds,
         };
         Ok(Self { ground, found })
@@ -94,6 +98,7 @@ impl<'a> Swept<'a> {
         let mut masks = found.clouds.iter().zip(&ground.crops);
         let fits = found.shifts_px.len() == images
             && found.clouds.len() == images
+            && found.shadow_suns.len() == scene.images.len()
             && masks.all(|(mask, crop)| mask.is_empty() || mask.len() == crop.width * crop.height)
             && found.surface.is_whole();
         Ok(fits.then_some(Self { ground, found }))

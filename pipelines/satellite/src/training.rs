@@ -142,7 +142,7 @@ pub fn train(
         altitude_range_m: request.ingest.altitude_range_m,
         altitude_from_ties_m: (scene.altitude_known_from == AltitudeSource::Ties).then_some(scene.altitude_range_m),
         area: request.ingest.area.clone(),
-        plan: decisions.items,
+        plan: fitted.decisions.items.clone(),
         inputs,
         config,
     };

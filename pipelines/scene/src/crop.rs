@@ -4,6 +4,8 @@ use crate::{Area, ImageSun, Scene, SceneImage};
 use glam::{DVec3, Vec3};
 use heliosplat::{ProjectiveCamera, Raster};
 use heliosplat_rpc::ProjectiveMap;
+use heliosplat_rpc::sun::SunPosition;
+use jiff::Timestamp;
 use std::collections::BTreeMap;
 
 /// Pixels kept around the area, so that losses with a window and splats that straddle the edge see their surroundings.
@@ -85,25 +87,54 @@ pub fn direction(sun: &ImageSun) -> Option<Vec3> {
     Some(Vec3::new(direction.x as f32, direction.y as f32, direction.z as f32))
 }
 
-/// A number per image that two images share when they are of one date (the same day, or without times the same sun). An image of
-/// which neither is known has a date of its own: nothing says that its light is that of another.
+/// Images taken within this time are of one pass under one light, seconds. A satellite 600 km up sees a place from 45 degrees before the
+/// nadir to 45 degrees behind it in some three minutes; in five the sun moves 1.25 degrees, and the shadow of a house by less than a pixel.
+const PASS_S: i64 = 300;
+/// Suns of images without times that are closer than this are one light, degrees of arc: as far as the sun moves during a pass.
+const ONE_SUN_DEG: f64 = 1.25;
+
+/// A number per image that two images share when they are of one pass and so under one light: taken within [`PASS_S`] of the first of
+/// them; of images without times, under suns within [`ONE_SUN_DEG`] of that of the first. An image of which neither is known is by
+/// itself: nothing says that its light is that of another. Numbers count up in the order of the images.
 pub fn date_groups(images: &[&SceneImage]) -> Vec<u32> {
-    let mut known = BTreeMap::new();
-    images
+    let lights: Vec<_> = images.iter().map(|image| (image.time, image.sun.position)).collect();
+    lights_in_groups(&lights)
+}
+
+fn lights_in_groups(lights: &[(Option<Timestamp>, Option<SunPosition>)]) -> Vec<u32> {
+    let mut in_time: Vec<(Timestamp, usize)> = lights
         .iter()
         .enumerate()
-        .map(|(place, image)| {
-            let key = match (image.time, image.sun.position) {
-                (Some(time), _) => format!("{}", time.as_second().div_euclid(86_400)),
-                (None, Some(sun)) => format!(
-                    "{:.0} {:.0}",
-                    sun.azimuth_rad.to_degrees(),
-                    sun.elevation_rad.to_degrees()
-                ),
-                (None, None) => format!("image {place}"),
-            };
+        .filter_map(|(place, light)| Some((light.0?, place)))
+        .collect();
+    in_time.sort();
+    // Each image's group is named by its first image for now.
+    let mut first: Vec<usize> = (0..lights.len()).collect();
+    let mut pass: Option<(Timestamp, usize)> = None;
+    for (time, place) in in_time {
+        match pass {
+            Some((begun, of)) if time.duration_since(begun).as_secs() <= PASS_S => first[place] = of,
+            _ => pass = Some((time, place)),
+        }
+    }
+    let timeless = |place: usize| lights[place].1.filter(|_| lights[place].0.is_none());
+    for place in 0..lights.len() {
+        let Some(sun) = timeless(place) else { continue };
+        let alike = |other: &usize| {
+            first[*other] == *other
+                && timeless(*other).is_some_and(|of| {
+                    let cosine = of.direction_enu().dot(&sun.direction_enu());
+                    cosine.clamp(-1.0, 1.0).acos().to_degrees() <= ONE_SUN_DEG
+                })
+        };
+        first[place] = (0..place).find(alike).unwrap_or(place);
+    }
+    let mut known = BTreeMap::new();
+    first
+        .into_iter()
+        .map(|of| {
             let next = known.len() as u32;
-            *known.entry(key).or_insert(next)
+            *known.entry(of).or_insert(next)
         })
         .collect()
 }
@@ -121,5 +152,56 @@ pub fn grown(area: &Area, margin_m: f64) -> Area {
         south_m: area.south_m - margin_m,
         east_m: area.east_m + margin_m,
         north_m: area.north_m + margin_m,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn groups(times: &[&str]) -> Vec<u32> {
+        let lights: Vec<_> = times
+            .iter()
+            .map(|text| (Some(text.parse().expect("RFC 3339")), None))
+            .collect();
+        lights_in_groups(&lights)
+    }
+
+    #[test]
+    fn a_pass_is_one_light_across_midnight_and_two_passes_of_a_day_are_two() {
+        assert_eq!(groups(&["2016-04-23T23:59:10Z", "2016-04-24T00:00:20Z"]), [0, 0]);
+        assert_eq!(
+            groups(&["2016-04-23T13:40:00Z", "2016-04-23T10:20:00Z", "2016-04-23T10:21:00Z"]),
+            [0, 1, 1]
+        );
+        assert_eq!(
+            groups(&["2016-04-23T10:20:00Z", "2016-04-23T10:50:00Z"]),
+            [0, 1],
+            "two satellites"
+        );
+    }
+
+    #[test]
+    fn a_group_does_not_grow_from_image_to_image() {
+        let minutes = ["2016-04-23T10:08:00Z", "2016-04-23T10:00:00Z", "2016-04-23T10:04:00Z"];
+        assert_eq!(groups(&minutes), [0, 1, 1]);
+    }
+
+    #[test]
+    fn images_without_times_are_grouped_by_their_suns_and_without_both_they_are_alone() {
+        let sun = |azimuth, elevation| (None, Some(SunPosition::from_degrees(azimuth, elevation)));
+        let timed = (
+            Some(Timestamp::UNIX_EPOCH),
+            Some(SunPosition::from_degrees(150.0, 40.0)),
+        );
+        let lights = [
+            sun(150.4, 40.4),
+            sun(150.6, 40.6),
+            sun(150.0, 43.0),
+            timed,
+            (None, None),
+            (None, None),
+        ];
+        assert_eq!(lights_in_groups(&lights), [0, 0, 1, 2, 3, 4]);
     }
 }

@@ -4,7 +4,7 @@ use super::area::{AreaRequest, window_over};
 use super::draft::Draft;
 use super::footprint::{self, Footprint};
 use super::layout::Layout;
-use super::{AltitudeRange, Area, Scene, SceneError, SceneImage, Split, acquisition, pixels};
+use super::{AltitudeRange, Area, Scene, SceneError, SceneImage, Split, acquisition, pixels, weak_times};
 use heliosplat_raster::Window;
 use heliosplat_rpc::statistics::upper_median;
 use heliosplat_rpc::{ImageWindow, LocalFrame, PinholeFit, Rpc};
@@ -149,7 +149,12 @@ impl Ground {
         range: AltitudeRange,
         mut warnings: Vec<String>,
     ) -> Result<Scene, SceneError> {
-        let Self { drafts, frame, area } = self;
+        let Self {
+            mut drafts,
+            frame,
+            area,
+        } = self;
+        weak_times::fill(&mut drafts, frame.origin, &mut warnings);
         let altitude_range_m = range.limits_m();
         let mut suns = Vec::with_capacity(drafts.len());
         for draft in &drafts {

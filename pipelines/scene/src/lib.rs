@@ -27,6 +27,7 @@ mod sun;
 pub mod survey;
 mod tiles;
 mod truth;
+mod weak_times;
 
 pub use altitude::{AltitudeRange, AltitudeSource};
 pub use area::AreaRequest;

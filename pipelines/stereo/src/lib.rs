@@ -17,7 +17,8 @@
 //!     short (`plane_smoothing.rs`). The result is a [`Surface`] (`surface.rs`).
 //!
 //! On the way there, on a coarse surface of the same search: [`align`] finds the pointing shifts between images, [`ties`] single points of
-//! the ground in several images, [`clouds`] the pixels that show clouds.
+//! the ground in several images, [`clouds`] the pixels that show clouds. And from it: [`suns`] finds the sun by the shadows that the surface
+//! casts.
 //!
 //! Limits: one altitude per cell (no overhangs, façades are steps), and what is narrower than a few cells (trees without leaves, wires,
 //! courtyards) is missed. Views of other dates take part with less weight; what changed between them counts as no match. Results are the
@@ -43,6 +44,7 @@ mod request;
 mod sampling;
 mod seen;
 mod sgm;
+pub mod suns;
 mod surface;
 pub mod ties;
 mod views;

@@ -5,10 +5,12 @@
 //! vertical), so the time comes first.
 
 mod domain;
+mod names;
 mod time;
 mod values;
 
 pub use domain::gdal_domain;
+pub use names::{from_file_name, tiff_date};
 pub use values::Acquisition;
 
 use super::fields::number;

@@ -1,0 +1,161 @@
+//! Acquisition times of images whose metadata state neither time nor sun: from vendors' file names, then from date tags of TIFFs.
+//!
+//! Nobody promises what either means, so a time at which the sun did not stand over the scene is left out. A date tag is mostly when a
+//! program wrote the file: tags are used only where they look like those of passes of satellites, all of them.
+
+use super::draft::Draft;
+use super::files::stem;
+use heliosplat_rpc::GeoPoint;
+use heliosplat_rpc::read::acquisition;
+use heliosplat_rpc::sun::sun_position;
+use jiff::{SignedDuration, Timestamp, tz::TimeZone};
+use std::path::Path;
+
+/// Lowest sun of an image worth taking, degrees.
+const LOWEST_SUN_DEG: f64 = 5.0;
+/// Mean solar time at which satellites with a fixed local time pass, hours: most at half past ten, some at half past one.
+const PASS_HOURS: [f64; 2] = [9.0, 15.0];
+/// A tag closer to the time of the file itself says when the file was made.
+const FROM_FILE_TIME: SignedDuration = SignedDuration::from_hours(24);
+
+/// Fills in times where neither time nor sun is known at `at`; what is taken, and what is not believed, is a line of `warnings`.
+pub(super) fn fill(drafts: &mut [Draft], at: GeoPoint, warnings: &mut Vec<String>) {
+    let unknown = |draft: &&mut Draft| draft.acquisition.time.is_none() && draft.acquisition.stated_sun().is_none();
+    let mut named = 0;
+    for draft in drafts.iter_mut().filter(unknown) {
+        let Some(time) = acquisition::from_file_name(&stem(draft.file.path())) else {
+            continue;
+        };
+        if elevation_deg(time, at) < LOWEST_SUN_DEG {
+            warnings.push(format!(
+                "{}: its name says {time}, when the sun was down; not used",
+                draft.file.path().display()
+            ));
+            continue;
+        }
+        draft.acquisition.time = Some(time);
+        named += 1;
+    }
+    if named > 0 {
+        warnings.push(format!(
+            "acquisition times of {named} images are read from their file names; say otherwise with time = \"...\" in a scene.toml"
+        ));
+    }
+    let tagged: Vec<(usize, Timestamp)> = drafts
+        .iter_mut()
+        .enumerate()
+        .filter(|(_, draft)| unknown(draft))
+        .filter_map(|(place, draft)| {
+            let tag = draft.file.domain("").remove("TIFFTAG_DATETIME")?;
+            Some((place, acquisition::tiff_date(&tag)?))
+        })
+        .collect();
+    if tagged.is_empty() {
+        return;
+    }
+    let tags: Vec<Tag> = tagged
+        .iter()
+        .map(|&(place, time)| Tag {
+            time,
+            written: written(drafts[place].file.path()),
+        })
+        .collect();
+    match disbelief(&tags, at) {
+        Some(reason) => warnings.push(format!(
+            "the TIFF date tags of {} images are not used as acquisition times: {reason}",
+            tags.len()
+        )),
+        None => {
+            for (place, time) in tagged {
+                drafts[place].acquisition.time = Some(time);
+            }
+            warnings.push(format!(
+                "acquisition times of {} images are read from their TIFF date tags; say otherwise with time = \"...\" in a scene.toml",
+                tags.len()
+            ));
+        }
+    }
+}
+
+/// The date tag of a file, and when the file was written.
+struct Tag {
+    time: Timestamp,
+    written: Option<Timestamp>,
+}
+
+fn written(path: &Path) -> Option<Timestamp> {
+    let written = std::fs::metadata(path).and_then(|data| data.modified()).ok()?;
+    Timestamp::try_from(written).ok()
+}
+
+/// Why these tags are no acquisition times; `None` where they may be.
+fn disbelief(tags: &[Tag], at: GeoPoint) -> Option<&'static str> {
+    let day = |tag: &Tag| tag.time.as_second().div_euclid(86_400);
+    if tags.iter().all(|tag| day(tag) == day(&tags[0])) {
+        return Some("all are of one day, as if the files had been made then");
+    }
+    if tags
+        .iter()
+        .any(|tag| tag.written.is_some_and(|written| tag.time > written - FROM_FILE_TIME))
+    {
+        return Some("they are as young as the files");
+    }
+    let solar_hours = |time: Timestamp| {
+        let utc = time.to_zoned(TimeZone::UTC);
+        let hours = f64::from(utc.hour()) + f64::from(utc.minute()) / 60.0;
+        (hours + at.lon_deg / 15.0).rem_euclid(24.0)
+    };
+    let by_day = |tag: &Tag| {
+        (PASS_HOURS[0]..=PASS_HOURS[1]).contains(&solar_hours(tag.time))
+            && elevation_deg(tag.time, at) >= LOWEST_SUN_DEG
+    };
+    (!tags.iter().all(by_day)).then_some("satellites do not pass at those hours")
+}
+
+fn elevation_deg(time: Timestamp, at: GeoPoint) -> f64 {
+    sun_position(time, at).elevation_rad.to_degrees()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const AT: GeoPoint = GeoPoint {
+        lon_deg: 36.91,
+        lat_deg: 37.58,
+        height_m: 700.0,
+    };
+
+    fn why(times: &[&str], written: &str) -> Option<&'static str> {
+        let tags: Vec<Tag> = times
+            .iter()
+            .map(|time| Tag {
+                time: time.parse().expect("RFC 3339"),
+                written: written.parse().ok(),
+            })
+            .collect();
+        disbelief(&tags, AT)
+    }
+
+    #[test]
+    fn tags_that_look_like_passes_are_believed() {
+        assert_eq!(
+            why(
+                &["2016-04-23T08:34:00Z", "2017-05-01T08:20:00Z"],
+                "2020-01-01T00:00:00Z"
+            ),
+            None
+        );
+    }
+
+    #[test]
+    fn tags_that_say_when_a_program_ran_are_not() {
+        let later = "2020-01-01T00:00:00Z";
+        let one_day = ["2016-04-23T08:34:00Z", "2016-04-23T09:00:00Z"];
+        assert!(why(&one_day, later).is_some_and(|why| why.contains("one day")));
+        let evening = ["2016-04-23T08:34:00Z", "2017-05-01T16:20:00Z"];
+        assert!(why(&evening, later).is_some_and(|why| why.contains("hours")));
+        let young = ["2016-04-23T08:34:00Z", "2017-05-01T08:20:00Z"];
+        assert!(why(&young, "2017-05-01T12:00:00Z").is_some_and(|why| why.contains("as young")));
+    }
+}
