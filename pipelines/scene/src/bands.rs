@@ -1,5 +1,7 @@
 //! What the bands of a file show: read from descriptions and colour interpretation, guessed from their number last.
 
+use super::camera::{belonging_texts, read_text};
+use super::files::{has_extension, stem};
 use super::{BandKind, SceneError};
 use heliosplat_raster::{BandInfo, Colour, RasterFile};
 
@@ -56,18 +58,129 @@ pub(super) fn plan(file: &RasterFile, declared: Option<&[BandKind]>) -> Result<B
         }
         return Ok(ordered(declared, &(0..declared.len()).collect::<Vec<_>>(), None, None));
     }
-    Ok(from_infos(&file.bands, is_maxar(file)))
+    let order = match dimap_order(file)? {
+        Some(order) => Some(order),
+        None => sensor_of(file).and_then(|sensor| sensor.order(file.bands.len())),
+    };
+    Ok(from_infos(&file.bands, order.as_deref()))
 }
 
-/// Maxar delivers four bands as blue, green, red, near infrared; Pleiades, SPOT and most others as red, green, blue, NIR.
-fn is_maxar(file: &RasterFile) -> bool {
+/// Sensors whose files name no bands, though their vendors document the order.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum Sensor {
+    /// WorldView, GeoEye, QuickBird: blue, green, red, near infrared; eight bands of WorldView-2 and -3.
+    Maxar,
+    /// PlanetScope: blue, green, red, near infrared; eight bands of SuperDove.
+    PlanetScope,
+    /// SkySat, GaoFen PMS, SuperView: blue, green, red, near infrared.
+    BlueFirst,
+}
+
+impl Sensor {
+    /// The bands of its files with so many bands.
+    fn order(self, bands: usize) -> Option<Vec<BandKind>> {
+        use BandKind::{Blue, Green, NearInfrared, Other, Red};
+        match (self, bands) {
+            (_, 4) => Some(vec![Blue, Green, Red, NearInfrared]),
+            // Coastal, blue, green, yellow, red, red edge, near infrared 1 and 2.
+            (Self::Maxar, 8) => Some(vec![Other, Blue, Green, Other, Red, Other, NearInfrared, Other]),
+            // Coastal blue, blue, green I, green, yellow, red, red edge, near infrared.
+            (Self::PlanetScope, 8) => Some(vec![Other, Blue, Other, Green, Other, Red, Other, NearInfrared]),
+            _ => None,
+        }
+    }
+}
+
+/// The sensor of a file: from what GDAL read beside it, else from the name its vendor gave it.
+fn sensor_of(file: &RasterFile) -> Option<Sensor> {
     let maxar_reader = file.domain("").get("METADATATYPE").is_some_and(|kind| kind == "DG");
     let satellite = file.domain("IMAGERY").get("SATELLITEID").cloned().unwrap_or_default();
     let satellite = satellite.trim_matches('"');
-    maxar_reader || ["WV", "QB", "GE01"].iter().any(|name| satellite.starts_with(name))
+    if maxar_reader || ["WV", "QB", "GE01"].iter().any(|name| satellite.starts_with(name)) {
+        return Some(Sensor::Maxar);
+    }
+    sensor_by_name(&stem(file.path()))
 }
 
-fn from_infos(bands: &[BandInfo], maxar: bool) -> BandPlan {
+/// `20200814_162132_ssc4_u0001_analytic`, `20160831_180302_0e26_3B_AnalyticMS_8b`, `GF2_PMS1_…-MSS1`, `SV1-01_…-MUX`,
+/// `16SEP18160424-M1BS-…`.
+fn sensor_by_name(name: &str) -> Option<Sensor> {
+    let name = name.to_uppercase();
+    let parts: Vec<&str> = name.split(['_', '-']).collect();
+    let numbered = |start: &str| {
+        let number = |part: &str| {
+            part.strip_prefix(start)
+                .is_some_and(|n| n.starts_with(|c: char| c.is_ascii_digit()))
+        };
+        parts.iter().any(|part| number(part))
+    };
+    let first = parts.first().copied().unwrap_or("");
+    let begins = |start: &str| {
+        first
+            .strip_prefix(start)
+            .is_some_and(|n| n.starts_with(|c: char| c.is_ascii_digit()))
+    };
+    // M1BS, M2AS, M3DS.
+    let is_maxar = |part: &&str| {
+        let bytes = part.as_bytes();
+        bytes.len() == 4 && bytes[0] == b'M' && bytes[1].is_ascii_digit() && bytes[3] == b'S'
+    };
+    if parts.iter().any(is_maxar) {
+        Some(Sensor::Maxar)
+    } else if parts.contains(&"ANALYTICMS") {
+        Some(Sensor::PlanetScope)
+    } else if begins("GF") || begins("SV") || (numbered("SSC") && parts.contains(&"ANALYTIC")) {
+        Some(Sensor::BlueFirst)
+    } else {
+        None
+    }
+}
+
+/// The bands of a file as the DIMAP beside it lists them (`Raster_Index_List`): of Pleiades and SPOT, and of Pleiades Neo.
+fn dimap_order(file: &RasterFile) -> Result<Option<Vec<BandKind>>, SceneError> {
+    for path in belonging_texts(file.path())? {
+        if has_extension(&path, &["xml"])
+            && let Some(order) = order_in_dimap(&read_text(&path)?)
+            && order.len() == file.bands.len()
+        {
+            return Ok(Some(order));
+        }
+    }
+    Ok(None)
+}
+
+fn order_in_dimap(text: &str) -> Option<Vec<BandKind>> {
+    let inside = |text: &str, name: &str| -> Option<String> {
+        let (_, rest) = text.split_once(&format!("<{name}>"))?;
+        Some(rest.split_once("</")?.0.trim().to_uppercase())
+    };
+    let list = text
+        .split_once("<Raster_Index_List>")?
+        .1
+        .split_once("</Raster_Index_List>")?
+        .0;
+    let mut places = Vec::new();
+    for entry in list.split("<Raster_Index>").skip(1) {
+        let place: usize = inside(entry, "BAND_INDEX")?.parse().ok()?;
+        let kind = match inside(entry, "BAND_ID")?.as_str() {
+            "P" | "PAN" => BandKind::Pan,
+            "B0" | "B" => BandKind::Blue,
+            "B1" | "G" => BandKind::Green,
+            "B2" | "R" => BandKind::Red,
+            "B3" | "NIR" => BandKind::NearInfrared,
+            _ => BandKind::Other,
+        };
+        places.push((place, kind));
+    }
+    places.sort_by_key(|(place, _)| *place);
+    let in_order = places.iter().enumerate().all(|(index, (place, _))| *place == index + 1);
+    let known = places.iter().any(|(_, kind)| *kind != BandKind::Other);
+    (in_order && known).then(|| places.into_iter().map(|(_, kind)| kind).collect())
+}
+
+/// `order` is what metadata beside the file, or its sensor, say of its bands. A guess never names near infrared: indices of guessed bands
+/// would be numbers without meaning.
+fn from_infos(bands: &[BandInfo], order: Option<&[BandKind]>) -> BandPlan {
     use BandKind::{Blue, Green, NearInfrared, Other, Pan, Red};
     let alpha = bands.iter().position(|band| band.colour == Colour::Alpha);
     let data: Vec<usize> = (0..bands.len()).filter(|&index| Some(index) != alpha).collect();
@@ -77,6 +190,10 @@ fn from_infos(bands: &[BandInfo], maxar: bool) -> BandPlan {
         .collect();
     if described.iter().any(|&kind| kind != Other) {
         return ordered(&described, &data, alpha, None);
+    }
+    if let Some(order) = order.filter(|order| order.len() == bands.len()) {
+        let kinds: Vec<BandKind> = data.iter().map(|&index| order[index]).collect();
+        return ordered(&kinds, &data, alpha, None);
     }
     let coloured: Vec<BandKind> = data.iter().map(|&index| from_colour(bands[index].colour)).collect();
     let has_rgb = [Red, Green, Blue].iter().all(|kind| coloured.contains(kind));
@@ -89,28 +206,21 @@ fn from_infos(bands: &[BandInfo], maxar: bool) -> BandPlan {
         return ordered(&kinds, &data, alpha, None);
     }
     let assumed = |what: &str| Some(format!("its bands have no names; assumed to be {what}"));
+    let without_index = "and one that takes no part in vegetation or water indices";
     match data.len() {
         1 => ordered(&[Pan], &data, alpha, None),
         3 => ordered(&[Red, Green, Blue], &data, alpha, assumed("red, green, blue")),
-        4 if maxar => ordered(
-            &[Blue, Green, Red, NearInfrared],
-            &data,
+        4 => BandPlan {
+            file_bands: data,
+            kinds: vec![Red, Green, Blue, Other],
             alpha,
-            assumed("blue, green, red, near infrared (Maxar order)"),
-        ),
-        4 => ordered(
-            &[Red, Green, Blue, NearInfrared],
-            &data,
-            alpha,
-            assumed("red, green, blue, near infrared"),
-        ),
+            assumption: assumed(&format!("red, green, blue {without_index}")),
+        },
         8 => ordered(
-            &[Other, Blue, Green, Other, Red, Other, NearInfrared, Other],
+            &[Other, Blue, Green, Other, Red, Other, Other, Other],
             &data,
             alpha,
-            assumed(
-                "the eight bands of WorldView-2 and -3, of which red, green, blue and the first near infrared are used",
-            ),
+            assumed("the eight bands of WorldView-2 and -3, of which red, green and blue are used"),
         ),
         count => ordered(&vec![Other; count], &data, alpha, assumed("just different")),
     }
@@ -202,7 +312,7 @@ mod tests {
 
     #[test]
     fn one_grey_band_is_panchromatic() {
-        let plan = from_infos(&[band("", Colour::Grey)], false);
+        let plan = from_infos(&[band("", Colour::Grey)], None);
         assert_eq!((plan.kinds, plan.assumption), (vec![Pan], None));
     }
 
@@ -210,7 +320,7 @@ mod tests {
     fn descriptions_win_over_order() {
         let names = ["Blue", "Green", "Red", "NIR"];
         let bands: Vec<_> = names.iter().map(|name| band(name, Colour::Undefined)).collect();
-        let plan = from_infos(&bands, false);
+        let plan = from_infos(&bands, None);
         assert_eq!(plan.file_bands, vec![2, 1, 0, 3]);
         assert_eq!(plan.kinds, vec![Red, Green, Blue, NearInfrared]);
         assert_eq!(plan.assumption, None);
@@ -224,31 +334,86 @@ mod tests {
             band("", Colour::Blue),
             band("", Colour::Undefined),
         ];
-        assert_eq!(from_infos(&bands, false).kinds, vec![Red, Green, Blue, NearInfrared]);
+        assert_eq!(from_infos(&bands, None).kinds, vec![Red, Green, Blue, NearInfrared]);
         bands[3].colour = Colour::Alpha;
-        let plan = from_infos(&bands, false);
+        let plan = from_infos(&bands, None);
         assert_eq!((plan.kinds, plan.alpha), (vec![Red, Green, Blue], Some(3)));
     }
 
     #[test]
-    fn eight_unnamed_bands_are_worldview() {
-        let bands: Vec<_> = (0..8).map(|_| band("", Colour::Undefined)).collect();
-        let plan = from_infos(&bands, true);
-        assert_eq!(plan.file_bands, vec![4, 2, 1, 6]);
-        assert!(plan.assumption.is_some());
+    fn bands_of_a_known_sensor_have_its_order() {
+        let plan = |sensor: Sensor, count: usize| {
+            let bands: Vec<_> = (0..count).map(|_| band("", Colour::Undefined)).collect();
+            from_infos(&bands, sensor.order(count).as_deref())
+        };
+        for (sensor, count, places) in [
+            (Sensor::Maxar, 4, vec![2, 1, 0, 3]),
+            (Sensor::Maxar, 8, vec![4, 2, 1, 6]),
+            (Sensor::PlanetScope, 4, vec![2, 1, 0, 3]),
+            (Sensor::PlanetScope, 8, vec![5, 3, 1, 7]),
+            (Sensor::BlueFirst, 4, vec![2, 1, 0, 3]),
+        ] {
+            let plan = plan(sensor, count);
+            assert_eq!(plan.file_bands, places, "{sensor:?} {count}");
+            assert_eq!(plan.kinds, [Red, Green, Blue, NearInfrared]);
+            assert_eq!(plan.assumption, None);
+        }
     }
 
     #[test]
-    fn four_unnamed_maxar_bands_start_with_blue() {
-        let bands: Vec<_> = (0..4).map(|_| band("", Colour::Undefined)).collect();
-        assert_eq!(from_infos(&bands, true).file_bands, vec![2, 1, 0, 3]);
-        assert_eq!(from_infos(&bands, false).file_bands, vec![0, 1, 2, 3]);
+    fn names_of_vendors_tell_the_sensor() {
+        for (name, sensor) in [
+            ("20160831_180302_0e26_3B_AnalyticMS", Some(Sensor::PlanetScope)),
+            ("20210228_185120_64_2495_3B_AnalyticMS_8b", Some(Sensor::PlanetScope)),
+            ("20200814_162132_ssc4_u0001_analytic", Some(Sensor::BlueFirst)),
+            ("GF2_PMS1_E113.5_N34.3_20190101_L1A0003-MSS1", Some(Sensor::BlueFirst)),
+            ("SV1-01_20190101_L1B-MUX", Some(Sensor::BlueFirst)),
+            ("16SEP18160424-M1BS-055675_01_P001", Some(Sensor::Maxar)),
+            ("JAX_068_001_RGB", None),
+            ("gf_site_1", None),
+        ] {
+            assert_eq!(sensor_by_name(name), sensor, "{name}");
+        }
+    }
+
+    #[test]
+    fn a_dimap_lists_its_bands() {
+        let entry = |id: &str, index: usize| {
+            format!("<Raster_Index><BAND_ID>{id}</BAND_ID><BAND_INDEX>{index}</BAND_INDEX></Raster_Index>")
+        };
+        let list = |ids: &[&str]| {
+            let entries: String = ids.iter().enumerate().map(|(index, id)| entry(id, index + 1)).collect();
+            format!("<Raster_Display><Raster_Index_List>\n{entries}</Raster_Index_List>")
+        };
+        assert_eq!(
+            order_in_dimap(&list(&["B2", "B1", "B0", "B3"])),
+            Some(vec![Red, Green, Blue, NearInfrared])
+        );
+        let neo = ["R", "G", "B", "NIR", "RE", "DB"];
+        let other = BandKind::Other;
+        assert_eq!(
+            order_in_dimap(&list(&neo)),
+            Some(vec![Red, Green, Blue, NearInfrared, other, other])
+        );
+        assert_eq!(order_in_dimap("<Raster_Index_List></Raster_Index_List>"), None);
+        assert_eq!(order_in_dimap("no DIMAP"), None);
+    }
+
+    #[test]
+    fn a_guess_gives_no_index() {
+        for count in [4, 8] {
+            let bands: Vec<_> = (0..count).map(|_| band("", Colour::Undefined)).collect();
+            let plan = from_infos(&bands, None);
+            assert!(plan.assumption.is_some());
+            assert_eq!(plan.kinds[..3], [Red, Green, Blue]);
+            assert_eq!(vegetation_bands(&plan.kinds), None, "{count}");
+        }
     }
 
     #[test]
     fn the_red_edge_is_not_red() {
         let names = ["coastal", "blue", "green", "yellow", "red", "red edge", "nir1", "nir2"];
         let bands: Vec<_> = names.iter().map(|name| band(name, Colour::Undefined)).collect();
-        assert_eq!(from_infos(&bands, false).file_bands, vec![4, 2, 1, 6]);
+        assert_eq!(from_infos(&bands, None).file_bands, vec![4, 2, 1, 6]);
     }
 }

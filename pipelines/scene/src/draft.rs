@@ -4,7 +4,7 @@ use super::bands::{self, BandPlan};
 use super::footprint::Footprint;
 use super::layout::{ImageEntry, Layout};
 use super::tiles::ImageFiles;
-use super::{BandKind, IngestOptions, SceneError, acquisition, altitude, camera, pairs, satnerf};
+use super::{BandKind, IngestOptions, SceneError, acquisition, altitude, camera, pairs, pixels, satnerf};
 use heliosplat::splat::rasterise::MOST_CHANNELS;
 use heliosplat_raster::{RasterFile, Window};
 use heliosplat_rpc::read::acquisition::Acquisition;
@@ -159,10 +159,10 @@ pub(super) fn read_all(
             layout.images[0].path.display()
         ));
     }
+    warnings.extend(pixels::eight_bits(&drafts, layout.counts));
     Ok(drafts)
 }
 
-/// All images of a scene have the same bands.
 /// Refuses images of different bands, and more bands than a model renders.
 pub(super) fn check_bands(drafts: &[Draft]) -> Result<(), SceneError> {
     let Some(first) = drafts.first() else {

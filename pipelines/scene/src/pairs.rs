@@ -134,23 +134,8 @@ pub(super) fn sharpened(
     let own = own.map_or_else(|| rpc.clone(), |found| found.rpc);
     let found = relation(&own, pan.size(), &camera.rpc, colours.size())
         .map_err(|source| not_a_pair(format!("their cameras cannot be compared ({source})")))?;
-    let [across, down] = found.relation.scale.map(|scale| 1.0 / scale);
-    if !RATIOS.contains(&across) || !RATIOS.contains(&down) {
-        return Err(not_a_pair(format!(
-            "a multispectral pixel is {across:.2} x {down:.2} panchromatic ones"
-        )));
-    }
-    if found.residual_px > AGREE_PX {
-        return Err(not_a_pair(format!(
-            "their cameras disagree by {:.1} multispectral pixels",
-            found.residual_px
-        )));
-    }
-    if found.shown < LEAST_SHOWN {
-        return Err(not_a_pair(format!(
-            "they share only {:.0} % of the ground",
-            100.0 * found.shown
-        )));
+    if let Some(reason) = found.fault() {
+        return Err(not_a_pair(reason));
     }
     Ok(Sharpened {
         plan: bands::plan(&colours, declared)?,
@@ -166,6 +151,24 @@ struct Found {
     residual_px: f64,
     /// Share of the panchromatic image inside the other.
     shown: f64,
+}
+
+impl Found {
+    /// What speaks against one acquisition, if anything does.
+    fn fault(&self) -> Option<String> {
+        let [across, down] = self.relation.scale.map(|scale| 1.0 / scale);
+        if !RATIOS.contains(&across) || !RATIOS.contains(&down) {
+            return Some(format!(
+                "a multispectral pixel is {across:.2} x {down:.2} panchromatic ones"
+            ));
+        }
+        if self.residual_px > AGREE_PX {
+            let off_px = self.residual_px;
+            return Some(format!("their cameras disagree by {off_px:.1} multispectral pixels"));
+        }
+        let shown = 100.0 * self.shown;
+        (self.shown < LEAST_SHOWN).then(|| format!("they share only {shown:.0} % of the ground"))
+    }
 }
 
 /// Places over an image that are compared, along each axis.
@@ -234,6 +237,11 @@ pub(super) fn by_time(drafts: Vec<Draft>, declared: Option<&[BandKind]>) -> Resu
     let mut near: Vec<[usize; 2]> = Vec::new();
     for (index, pan) in drafts.iter().enumerate().filter(|(_, draft)| is_pan(draft)) {
         let others = drafts.iter().enumerate().filter(|(_, draft)| has_colours(draft));
+        // Without a name that says so, a pair is what cameras say too.
+        let others = others.filter(|(_, other)| {
+            relation(&pan.rpc, pan.file.size(), &other.rpc, other.file.size())
+                .is_ok_and(|found| found.fault().is_none())
+        });
         let at_once = others.filter(|(_, other)| apart_ms(pan, other).is_some_and(|apart| apart <= SAME_TIME_MS));
         near.extend(at_once.map(|(place, _)| [index, place]));
     }

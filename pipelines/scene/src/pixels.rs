@@ -2,6 +2,7 @@
 
 use super::SceneError;
 use super::bands::BandPlan;
+use super::draft::Draft;
 use super::manifest::Counts;
 use heliosplat::Raster;
 use heliosplat::shade::display;
@@ -45,6 +46,24 @@ fn stated_counts(file: &RasterFile) -> Counts {
         Some(radiometry) if radiometry.to_lowercase().contains("srgb") => Counts::Display,
         _ => Counts::Linear,
     }
+}
+
+/// The line that says how eight-bit values are taken, of which nobody says what they mean.
+pub(super) fn eight_bits(drafts: &[Draft], declared: Option<Counts>) -> Option<String> {
+    let unsaid = |draft: &&Draft| {
+        let eight = draft.file.bands.first().is_some_and(|band| band.data_type == "Byte");
+        eight && !draft.file.domain("").contains_key("RADIOMETRY")
+    };
+    if declared.is_some() {
+        return None;
+    }
+    let count = drafts.iter().filter(unsaid).count();
+    let first = drafts.iter().find(unsaid)?;
+    Some(format!(
+        "{}: 8-bit values ({count} images) are taken as linear, and their greatest as clipped where many pixels have it; say \
+         counts = \"display\" in a scene.toml where a display curve was applied",
+        first.file.path().display()
+    ))
 }
 
 /// Divides all images by the 99.9 % quantile of all their values; returns that quantile.

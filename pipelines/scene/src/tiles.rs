@@ -145,7 +145,8 @@ fn places_in_til(text: &str) -> BTreeMap<String, [usize; 2]> {
     let mut places = BTreeMap::new();
     let (mut name, mut col) = (None, None);
     for statement in text.split(';') {
-        let Some((key, value)) = statement.split_once('=') else {
+        // Groups begin and end without a semicolon: the last assignment counts.
+        let Some((key, value)) = statement.rsplit_once('=') else {
             continue;
         };
         let key = key.split_whitespace().last().unwrap_or("");
