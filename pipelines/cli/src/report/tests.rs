@@ -47,7 +47,6 @@ fn contents(folder: &Path) -> Contents {
             preset: EVIL.into(),
             seed: 1,
             scene: EVIL.into(),
-            altitude_from_ties_m: None,
             altitude_range_m: None,
             altitude_from_ties_m: None,
             plan: vec![PlanItem {
