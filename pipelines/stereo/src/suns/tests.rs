@@ -31,6 +31,7 @@ fn of_altitude(altitude: Vec<f32>) -> Surface {
         filled: vec![false; altitude.len()],
         resolution_m: 0.1,
         altitude,
+        ..Surface::default()
     }
 }
 
