@@ -208,7 +208,7 @@ mod tests {
                 if inside_m > 0.0 {
                     assert_eq!(height_m, coast.level_m);
                 } else {
-                    assert!(height_m >= coast.level_m && height_m <= land_m.max(coast.level_m + LEAST_BANK_M));
+                    assert!(height_m >= coast.level_m && height_m <= land_m.max(coast.level_m + LEAST_BANK_M) + 1e-9);
                     assert!(inside_m > -BANK_M || height_m >= land_m - 1e-9);
                 }
             }
