@@ -2,7 +2,7 @@
 //!
 //! A range that is too wide costs common ground, sharp pinhole cameras and time, and lets ground that one image sees match anything; one
 //! that is too narrow cuts the surface off. Nothing of the scene but its rational cameras is known then, so pairs of images are matched along
-//! their epipolar lines ([`epipolar`]): first over all heights that the cameras are valid for, on images averaged down to a few hundred
+//! their epipolar lines ([`heliosplat_stereo::ties::epipolar`]): first over all heights that the cameras are valid for, on images averaged down to a few hundred
 //! pixels, then around what was found, on finer ones. What the matches of all pairs span, with a margin, is the range. A sweep of all images in
 //! large cells over that range confirms it, or widens it where its surface lies at a limit.
 
