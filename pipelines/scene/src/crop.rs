@@ -93,8 +93,8 @@ const PASS_S: i64 = 300;
 /// Suns of images without times that are closer than this are one light, degrees of arc: as far as the sun moves during a pass.
 const ONE_SUN_DEG: f64 = 1.25;
 
-/// A number per image that two images share when they are of one pass and so under one light: taken within [`PASS_S`] of the first of
-/// them; of images without times, under suns within [`ONE_SUN_DEG`] of that of the first. An image of which neither is known is by
+/// A number per image that two images share when they are of one pass and so under one light: taken within five minutes of the first of
+/// them; of images without times, under suns within 1.25 degrees of that of the first. An image of which neither is known is by
 /// itself: nothing says that its light is that of another. Numbers count up in the order of the images.
 pub fn date_groups(images: &[&SceneImage]) -> Vec<u32> {
     let lights: Vec<_> = images.iter().map(|image| (image.time, image.sun.position)).collect();
