@@ -44,7 +44,11 @@ impl HighestTiles {
         Self {
             grid: coarse,
             top_m: highest.iter().copied().fold(f32::MIN, f32::max),
-            bottom_m: altitude.iter().copied().fold(f32::MAX, f32::min),
+            bottom_m: altitude
+                .iter()
+                .copied()
+                .filter(|z| *z > f32::MIN)
+                .fold(f32::MAX, f32::min),
             highest,
         }
     }
@@ -70,6 +74,14 @@ impl FirstHits {
         let altitude = &lowest_within((grid.width, grid.height), altitude, EDGE_CELLS);
         let highest = HighestTiles::new(grid, altitude);
         let mut hits = vec![f32::MIN; camera.width * camera.height];
+        if highest.top_m == f32::MIN {
+            // There is no surface to hit.
+            return Self {
+                altitude: hits,
+                width: camera.width,
+                tolerance_m,
+            };
+        }
         hits.par_chunks_mut(camera.width.max(1))
             .enumerate()
             .for_each(|(row, line)| {
