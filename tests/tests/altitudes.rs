@@ -47,10 +47,12 @@ fn a_scene_without_altitudes_is_searched_where_its_tie_points_lie() {
         found["warnings"]
     );
     // What is said on the command line counts.
-    let given = json(&["inspect", &word, "--altitude", "650,750"]);
+    let (low_m, high_m) = ((middle_m - 60.0).round(), (middle_m + 60.0).round());
+    let range = format!("--altitude={low_m},{high_m}");
+    let given = json(&["inspect", &word, &range]);
     assert_eq!(
         given["altitude_m"],
-        serde_json::json!({"low": 650.0, "high": 750.0, "source": "given"})
+        serde_json::json!({"low": low_m, "high": high_m, "source": "given"})
     );
     // Every verb that reads a scene finds them.
     let dsm = home.path().join("dsm.tif").display().to_string();

@@ -1,10 +1,13 @@
 //! Closing holes of a surface model.
 //!
 //! Most holes are ground that something tall hides from all images but one, so they are closed with the lower of what is around them: a
-//! cell has the lower quartile of the altitudes beside it, from the hole's edges inward. Unknown cells that reach the border of the
+//! cell has the lower quartile of the altitudes beside it, and the lowest cells come first, so that the ground spreads up to the foot of a
+//! tower before the tower's roof is asked. Unknown cells that reach the border of the
 //! raster are no hole: the scene ends there.
 
 use heliosplat_rpc::statistics::upper_quantile;
+use std::cmp::{Ordering, Reverse};
+use std::collections::BinaryHeap;
 
 /// Which of the altitudes around a cell it takes.
 const QUARTILE: f64 = 0.25;
@@ -37,23 +40,47 @@ pub(super) fn close_holes(width: usize, altitude_m: &mut [f32]) -> Vec<usize> {
     let closed: Vec<usize> = (0..altitude_m.len())
         .filter(|&cell| altitude_m[cell].is_nan() && !outside[cell])
         .collect();
-    let mut left = closed.clone();
     let mut near = Vec::with_capacity(8);
-    while !left.is_empty() {
-        let mut found = Vec::new();
-        left.retain(|&cell| {
-            near.clear();
-            near.extend(around(cell).map(|n| altitude_m[n]).filter(|z| z.is_finite()));
-            let value = upper_quantile(&mut near, QUARTILE);
-            found.extend(value.map(|value| (cell, value)));
-            value.is_none()
-        });
-        // All of a hole's cells at one distance from its edge take theirs at once, whatever the order of cells.
-        for (cell, value) in found {
-            altitude_m[cell] = value;
+    let mut candidate = |altitude_m: &[f32], cell: usize| {
+        near.clear();
+        near.extend(around(cell).map(|n| altitude_m[n]).filter(|z| z.is_finite()));
+        upper_quantile(&mut near, QUARTILE).map(|altitude_m| Reverse(Candidate { altitude_m, cell }))
+    };
+    let mut waiting: BinaryHeap<Reverse<Candidate>> =
+        closed.iter().filter_map(|&cell| candidate(altitude_m, cell)).collect();
+    while let Some(Reverse(lowest)) = waiting.pop() {
+        if altitude_m[lowest.cell].is_finite() {
+            continue;
         }
+        altitude_m[lowest.cell] = lowest.altitude_m;
+        // What has a new neighbour has a new candidate; the old one comes too late or is taken for lower.
+        let beside = around(lowest.cell).filter(|&n| altitude_m[n].is_nan() && !outside[n]);
+        let again: Vec<_> = beside.filter_map(|cell| candidate(altitude_m, cell)).collect();
+        waiting.extend(again);
     }
     closed
+}
+
+/// An altitude for a cell; ordered by altitude, then by cell, so that the order of filling is always the same.
+#[derive(Debug, Clone, Copy, PartialEq)]
+struct Candidate {
+    altitude_m: f32,
+    cell: usize,
+}
+
+impl Eq for Candidate {}
+
+impl Ord for Candidate {
+    fn cmp(&self, other: &Self) -> Ordering {
+        let by_altitude = self.altitude_m.total_cmp(&other.altitude_m);
+        by_altitude.then(self.cell.cmp(&other.cell))
+    }
+}
+
+impl PartialOrd for Candidate {
+    fn partial_cmp(&self, other: &Self) -> Option<Ordering> {
+        Some(self.cmp(other))
+    }
 }
 
 #[cfg(test)]

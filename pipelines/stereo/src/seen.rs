@@ -124,10 +124,14 @@ mod tests {
         const SIDE: usize = 8;
         let mut altitude = vec![0.0; SIDE * SIDE];
         altitude[9] = f32::NAN;
-        let cameras = [camera(0.0, SIDE), camera(0.0, SIDE)];
+        // Oblique: a ray over the unknown cell goes on to the lowest of what is known, and no further.
+        let cameras = [camera(0.0, SIDE), camera(0.3, SIDE)];
         let seen = views_seeing(&surface(&altitude, SIDE), &cameras, &|view, pixel| {
             view == 0 || pixel != 20
         });
         assert_eq!((seen[9], seen[20], seen[0]), (0, 1, 2));
+        altitude.fill(f32::NAN);
+        let nothing = views_seeing(&surface(&altitude, SIDE), &cameras, &|_, _| true);
+        assert!(nothing.iter().all(|&seen| seen == 0));
     }
 }

@@ -122,7 +122,8 @@ fn first_hit(
     };
     for _ in 0..BOUND_ROUNDS {
         // The higher the surface under the ray can be, the earlier the walk must begin; and the other way round.
-        let top = highest.over(start, end).min(start.z);
+        // Where nothing is known under it there is nothing above the lowest of what is.
+        let top = highest.over(start, end).max(highest.bottom_m).min(start.z);
         start = at(top).unwrap_or(start);
     }
     let steps = ((end - start).truncate().length() / (STEP_CELLS * grid.cell_m))

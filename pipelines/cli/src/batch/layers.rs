@@ -191,7 +191,7 @@ mod tests {
     /// Two tiles of 30 x 20 cells of level ground whose cores meet at column 20, and what they show.
     fn pair(values: [f32; 2]) -> (Vec<Piece>, Layer) {
         let piece = |at: isize, core: [isize; 2], bounds: [isize; 2]| {
-            let mut raster = Raster::filled(30, 20, 3, 100.0);
+            let mut raster = Raster::filled(30, 20, 4, 100.0);
             raster.plane_mut(1).fill(0.2);
             Piece {
                 unit: format!("t{at}"),

@@ -191,7 +191,7 @@ mod tests {
     fn pieces(shared: isize, rise: f32) -> Vec<Piece> {
         let piece = |unit: &str, first: isize, core: [isize; 2], rise: f32| {
             let width = (20 + shared) as usize;
-            let mut raster = Raster::filled(width, 16, 3, 0.2);
+            let mut raster = Raster::filled(width, 16, 4, 0.2);
             for i in 0..width * 16 {
                 let (col, row) = (first as usize + i % width, i / width);
                 // Rough ground: steps of up to a tenth of a metre everywhere.
