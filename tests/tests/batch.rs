@@ -209,9 +209,14 @@ fn products_of_the_mosaic(out: &Path) {
         let pixels = band.read_as::<f32>(at, (30, 30), (30, 30), None).expect("pixels");
         pixels.data().to_vec()
     };
+    // Where the surface is not known the mosaic says nothing of it.
+    let surface = corner(&folder, "dsm.tif");
+    let known = |cell: &usize| surface[*cell] > -9999.0;
+    assert!((0..surface.len()).filter(known).count() > surface.len() / 2);
     for name in ["dsm.tif", "hillshade.tif", "relit_shadow.tif"] {
         let (one, all) = (corner(&tile, name), corner(&folder, name));
-        let apart = one.iter().zip(&all).filter(|(a, b)| (*a - *b).abs() > 1e-3).count();
+        let known = (0..one.len()).filter(known);
+        let apart = known.filter(|&cell| (one[cell] - all[cell]).abs() > 1e-3).count();
         assert!(apart == 0, "{name}: {apart} cells differ");
     }
     let (all, one) = (corner(&folder, "albedo.tif"), corner(&tile, "albedo.tif"));

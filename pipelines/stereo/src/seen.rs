@@ -1,8 +1,10 @@
 //! Which views see a surface: how many of them show each cell at its altitude.
 //!
 //! One image alone says nothing of an altitude, so a cell that fewer than [`FEWEST_VIEWS`] see is not known, whatever was matched there.
+//! At the rim of the common ground views meet at some altitudes only, and the sweep finds one of those, whatever the ground is. So a view
+//! counts where it would also show the place if that lay as low as the ground around.
 
-use super::grid::Grid;
+use super::grid::{Grid, lowest_within};
 use super::visibility::FirstHits;
 use glam::Vec3;
 use heliosplat::ProjectiveCamera;
@@ -12,6 +14,11 @@ use rayon::prelude::*;
 pub const FEWEST_VIEWS: u8 = 2;
 /// A cell counts as hidden when it lies at least this far below what hides it, metres: a kerb or a hedge hides nothing.
 const HIDDEN_M: f32 = 1.0;
+
+/// Side of the squares of which the lowest altitude is taken first, cells.
+const SQUARE: usize = 8;
+/// Squares each way among which the lowest is the ground around: 256 cells.
+const REACH: usize = 32;
 
 /// Altitudes on a ground grid whose row 0 is the northern one.
 #[derive(Debug, Clone, Copy)]
@@ -31,7 +38,7 @@ pub struct AltitudeGrid<'a> {
 }
 
 /// How many views see each cell: its centre projects into the image, onto a pixel of which `is_known` (view, pixel in row order) says
-/// that it has data, and nothing higher stands before it.
+/// that it has data, nothing higher stands before it, and the place is in the image at the altitude of the lowest ground around, too.
 pub fn views_seeing(
     surface: &AltitudeGrid,
     cameras: &[ProjectiveCamera],
@@ -50,6 +57,7 @@ pub fn views_seeing(
         .map(|z| if z.is_nan() { f32::MIN } else { *z })
         .collect();
     let tolerance_m = surface.resolution_m.max(HIDDEN_M);
+    let ground = LowestGround::new(&grid, surface.altitude_m);
     let mut seen = vec![0u8; grid.len()];
     // View by view: the hits of one image are in memory at a time.
     for (view, camera) in cameras.iter().enumerate() {
@@ -59,13 +67,39 @@ pub fn views_seeing(
             .with_min_len(1024)
             .for_each(|(cell, seen)| {
                 let altitude_m = surface.altitude_m[cell];
-                let at = grid.point((cell % grid.width) as isize, (cell / grid.width) as isize, altitude_m);
-                let shown =
-                    pixel_of(camera, at).is_some_and(|pixel| is_known(view, pixel) && !hits.hides(pixel, altitude_m));
+                let (col, row) = (cell % grid.width, cell / grid.width);
+                let at = |altitude_m: f32| pixel_of(camera, grid.point(col as isize, row as isize, altitude_m));
+                let shown = at(altitude_m).is_some_and(|pixel| is_known(view, pixel) && !hits.hides(pixel, altitude_m))
+                    && at(ground.at(col, row)).is_some();
                 *seen = seen.saturating_add(u8::from(shown));
             });
     }
     seen
+}
+
+/// The lowest altitude around each place, coarsely.
+struct LowestGround {
+    columns: usize,
+    lowest_m: Vec<f32>,
+}
+
+impl LowestGround {
+    fn new(grid: &Grid, altitude_m: &[f32]) -> Self {
+        let squares = grid.coarser(SQUARE);
+        let mut lowest = vec![f32::MAX; squares.len()];
+        for (cell, &altitude_m) in altitude_m.iter().enumerate().filter(|(_, z)| z.is_finite()) {
+            let square = cell / grid.width / SQUARE * squares.width + cell % grid.width / SQUARE;
+            lowest[square] = lowest[square].min(altitude_m);
+        }
+        Self {
+            columns: squares.width,
+            lowest_m: lowest_within((squares.width, squares.height), &lowest, REACH),
+        }
+    }
+
+    fn at(&self, col: usize, row: usize) -> f32 {
+        self.lowest_m[row / SQUARE * self.columns + col / SQUARE]
+    }
 }
 
 /// The pixel, in row order, that a point (metres) projects into; `None` outside the image.
@@ -117,6 +151,23 @@ mod tests {
         assert_eq!((at(30), at(5)), (3, 3), "the roof and open ground");
         // Beside the tower each oblique view misses one side, well within the length of its lean.
         assert_eq!((at(21), at(38)), (2, 2));
+    }
+
+    #[test]
+    fn where_views_meet_above_the_ground_alone_nothing_is_known() {
+        const SIDE: usize = 60;
+        // Their common ground ends at the images' borders; further out they meet high above the ground only.
+        let cameras = [camera(-1.0, SIDE), camera(1.0, SIDE)];
+        let altitude: Vec<f32> = (0..SIDE * SIDE)
+            .map(|i| if i % SIDE >= 50 { 0.0 } else { -20.0 })
+            .collect();
+        let seen = views_seeing(&surface(&altitude, SIDE), &cameras, &|_, _| true);
+        let on_the_ground = |col: usize| {
+            let p = Vec3::new(col as f32 + 0.5 - SIDE as f32 / 2.0, 0.0, -20.0);
+            cameras.iter().filter(|camera| pixel_of(camera, p).is_some()).count()
+        };
+        assert_eq!((on_the_ground(30), on_the_ground(55)), (2, 1));
+        assert_eq!((seen[30 * SIDE + 30], seen[30 * SIDE + 55]), (2, 1));
     }
 
     #[test]
