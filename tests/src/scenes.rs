@@ -105,8 +105,14 @@ impl View {
             Vec::new()
         };
         let raster = texture(self.bands, self.shows);
+        // Four bands have names: nothing is made of bands whose names are a guess.
+        let names: &[&str] = match self.bands {
+            4 => &["red", "green", "blue", "near_infrared"],
+            _ => &[],
+        };
         let spec = ImageSpec {
             rpc: &rpc,
+            band_descriptions: names,
             ..ImageSpec::plain(&raster)
         };
         write_geotiff(&path, &spec, Sample::U16).expect("the image is written");
