@@ -10,37 +10,11 @@ use crate::write::Staging;
 use crate::write::geotiff::{Raster, Samples, write};
 use crate::write::metadata::image_items;
 use heliosplat_rpc::Rpc;
-use serde::{Deserialize, Serialize};
 
 /// Panchromatic pixels along the side of a multispectral one.
 const RATIO: usize = 4;
 /// Makes the noise of the panchromatic image another than that of the multispectral one.
 const PAN_NOISE: u64 = 0x9A;
-
-/// How images are packed.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
-#[serde(rename_all = "kebab-case")]
-pub enum Delivery {
-    /// One file for each image.
-    #[default]
-    Whole,
-    /// A panchromatic file `NAME-P1BS.tif` and a multispectral one `NAME-M1BS.tif` for each image.
-    PanMs,
-}
-
-impl Delivery {
-    pub(crate) fn is_whole(&self) -> bool {
-        *self == Self::Whole
-    }
-
-    /// Bands of the file that bears the image's name.
-    pub(crate) fn main_bands(self, bands: BandSet) -> BandSet {
-        match self {
-            Self::Whole => bands,
-            Self::PanMs => BandSet::Pan,
-        }
-    }
-}
 
 /// The view as its panchromatic file bears it.
 pub(crate) fn panchromatic_view(view: &ViewPlan) -> ViewPlan {

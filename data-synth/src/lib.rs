@@ -83,11 +83,10 @@ pub mod utm;
 mod vegetation;
 mod write;
 
-pub use delivery::Delivery;
 pub use error::SynthError;
 pub use faults::{Haze, Stretch};
 pub use objects::{Capture, Look, ObjectRequest, ObjectSummary, write_object};
-pub use request::{BandSet, Cover, Fault, Faults, SatelliteRequest, Site};
+pub use request::{BandSet, Cover, Delivery, Fault, Faults, SatelliteRequest, Site};
 pub use satellite::write_satellite;
 pub use summary::{ImageSummary, Summary};
 pub use truth::TruthGrid;

@@ -1,10 +1,34 @@
 //! Which satellite scene to make: settings, their limits and defaults. Also written into the manifest beside the scene.
 
-use crate::delivery::Delivery;
 use crate::error::SynthError;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeSet;
 use std::path::PathBuf;
+
+/// How images are packed.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Delivery {
+    /// One file for each image.
+    #[default]
+    Whole,
+    /// A panchromatic file `NAME-P1BS.tif` and a multispectral one `NAME-M1BS.tif` for each image.
+    PanMs,
+}
+
+impl Delivery {
+    pub(crate) fn is_whole(&self) -> bool {
+        *self == Self::Whole
+    }
+
+    /// Bands of the file that bears the image's name.
+    pub(crate) fn main_bands(self, bands: BandSet) -> BandSet {
+        match self {
+            Self::Whole => bands,
+            Self::PanMs => BandSet::Pan,
+        }
+    }
+}
 
 /// The size and make-up of a site.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]

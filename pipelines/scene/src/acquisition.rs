@@ -1,8 +1,8 @@
 //! When an image was taken and where the sun stood.
 
-use super::camera::{belonging_texts, read_text};
-use super::files::file_name;
-use super::layout::ImageEntry;
+use super::camera::belonging_texts;
+use super::entry::ImageEntry;
+use super::files::{file_name, read_text};
 use super::{ImageSun, SceneError};
 use heliosplat_raster::RasterFile;
 use heliosplat_rpc::GeoPoint;

@@ -1,7 +1,7 @@
 //! What the bands of a file show: read from descriptions and colour interpretation, guessed from their number last.
 
-use super::camera::{belonging_texts, read_text};
-use super::files::{has_extension, stem};
+use super::camera::belonging_texts;
+use super::files::{has_extension, read_text, stem};
 use super::{BandKind, SceneError};
 use heliosplat_raster::{BandInfo, Colour, RasterFile};
 

@@ -1,7 +1,7 @@
 //! The rational camera of an image: which of its sources is used, and what it must be turned into for a crop.
 
-use super::files::{file_name, files_in, stem};
-use super::layout::ImageEntry;
+use super::entry::ImageEntry;
+use super::files::{file_name, files_in, read_text, stem};
 use super::{RpcPreference, SceneError};
 use heliosplat_raster::{GeoTransform, RasterFile, is_virtual};
 use heliosplat_rpc::{ImagePoint, Rpc, read};
@@ -256,14 +256,6 @@ pub(super) fn belonging_texts(image: &Path) -> Result<Vec<PathBuf>, SceneError> 
                 .cloned()
         })
         .collect())
-}
-
-/// Reads a text of at most a few megabytes; bytes that are no UTF-8 are replaced.
-pub(super) fn read_text(path: &Path) -> Result<String, SceneError> {
-    heliosplat_raster::bounded::read_text_lossy(path).map_err(|error| SceneError::Unreadable {
-        path: path.to_owned(),
-        reason: error.to_string(),
-    })
 }
 
 #[cfg(test)]

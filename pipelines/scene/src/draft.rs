@@ -1,10 +1,11 @@
 //! An image on its way into a scene: its file is open, its metadata are read, its pixels are not.
 
 use super::bands::{self, BandPlan};
+use super::entry::ImageEntry;
 use super::footprint::Footprint;
-use super::layout::{ImageEntry, Layout};
+use super::layout::Layout;
 use super::tiles::ImageFiles;
-use super::{BandKind, IngestOptions, SceneError, acquisition, altitude, camera, pairs, pixels, satnerf};
+use super::{BandKind, IngestOptions, SceneError, acquisition, altitude, camera, pairs, satnerf};
 use heliosplat::splat::rasterise::MOST_CHANNELS;
 use heliosplat_raster::{RasterFile, Window};
 use heliosplat_rpc::read::acquisition::Acquisition;
@@ -159,7 +160,6 @@ pub(super) fn read_all(
             layout.images[0].path.display()
         ));
     }
-    warnings.extend(pixels::eight_bits(&drafts, layout.counts));
     Ok(drafts)
 }
 

@@ -7,6 +7,14 @@ use std::path::{Path, PathBuf};
 /// Extensions of images, in lower case.
 pub(super) const IMAGE_EXTENSIONS: [&str; 6] = ["tif", "tiff", "jp2", "ntf", "nitf", "img"];
 
+/// Reads a text of at most a few megabytes; bytes that are no UTF-8 are replaced.
+pub(super) fn read_text(path: &Path) -> Result<String, SceneError> {
+    heliosplat_raster::bounded::read_text_lossy(path).map_err(|error| SceneError::Unreadable {
+        path: path.to_owned(),
+        reason: error.to_string(),
+    })
+}
+
 /// Images directly in a folder, sorted by name; truth rasters are no images. An absent folder has none.
 pub(super) fn images_in(folder: &Path) -> Result<Vec<PathBuf>, SceneError> {
     let is_image = |path: &PathBuf| has_extension(path, &IMAGE_EXTENSIONS) && !is_truth(path);

@@ -1,30 +1,15 @@
 //! Which files make up a scene: a `scene.toml`, a folder of images, or the folders of Sat-NeRF and EOGS, where images,
 //! cameras (JSON) and truth may lie in folders of their own.
 
+use super::entry::ImageEntry;
 use super::files::{IMAGE_EXTENSIONS, entries_of, file_name, has_extension, images_in, neighbours, stem};
-use super::manifest::{Counts, Manifest, ManifestImage, reject_address};
+use super::manifest::{Counts, Manifest, reject_address};
 use super::satnerf::{self, JsonIndex};
 use super::tiles::{self, ImageFiles};
-use super::{BandKind, SceneError, Split, Truth, pairs};
+use super::{BandKind, SceneError, Split, Truth, pair_names};
 use heliosplat_raster::{is_virtual, list_virtual};
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
-
-/// An image to read, and what was said about it outside of it.
-#[derive(Debug, Clone)]
-pub(super) struct ImageEntry {
-    pub(super) name: String,
-    pub(super) path: PathBuf,
-    pub(super) split: Split,
-    /// Sat-NeRF-like JSON that names it.
-    pub(super) json: Option<PathBuf>,
-    /// What `scene.toml` says of it.
-    pub(super) said: Option<ManifestImage>,
-    /// The file at `path`, or the tiles whose first it is.
-    pub(super) tiles: ImageFiles,
-    /// The multispectral image of the same acquisition, by its name.
-    pub(super) multispectral: Option<ImageFiles>,
-}
 
 /// The files of a scene.
 #[derive(Debug, Clone)]
@@ -163,7 +148,7 @@ fn from_folder(folder: &Path) -> Result<Layout, SceneError> {
     if images.is_empty() {
         return Err(SceneError::Empty(folder.to_owned()));
     }
-    let (images, mut partners) = pairs::by_name(tiles::joined(images));
+    let (images, mut partners) = pair_names::by_name(tiles::joined(images));
     let lists = match (lists, index.folder()) {
         (None, Some(json_folder)) => SplitLists::read(json_folder)?,
         (lists, _) => lists,
@@ -385,7 +370,7 @@ fn delivered(folders: &[(PathBuf, Option<String>)]) -> Result<Option<Vec<PathBuf
     let mut all = Vec::new();
     for (folder, _) in folders {
         let images = images_in(folder)?;
-        if pairs::by_name(tiles::joined(images.clone())).0.len() > 1 {
+        if pair_names::by_name(tiles::joined(images.clone())).0.len() > 1 {
             return Ok(None);
         }
         all.extend(images);

@@ -12,6 +12,7 @@ mod camera;
 pub mod cameras;
 pub mod crop;
 mod draft;
+mod entry;
 mod error;
 mod files;
 mod footprint;
@@ -19,6 +20,7 @@ mod ground;
 mod known_tiles;
 mod layout;
 mod manifest;
+mod pair_names;
 mod pairs;
 mod pixels;
 mod satnerf;
@@ -36,11 +38,11 @@ pub use known_tiles::KnownTiles;
 pub use sun::{ImageSun, SunSource};
 
 use draft::Draft;
+use entry::ImageEntry;
 use ground::Ground;
 use heliosplat::Raster;
 use heliosplat_raster::{RasterFile, Window};
 use heliosplat_rpc::{GeoPoint, LocalFrame, PinholeFit, Rpc, sun::SunPosition};
-use layout::ImageEntry;
 use nalgebra::Vector3;
 use std::path::{Path, PathBuf};
 use tiles::ImageFiles;
@@ -205,6 +207,7 @@ impl Scene {
         let mut layout = layout::find(path)?;
         let mut warnings = std::mem::take(&mut layout.warnings);
         let drafts = draft::read_all(&layout, options, &mut warnings)?;
+        warnings.extend(pixels::eight_bits(&drafts, layout.counts));
         draft::check_bands(&drafts)?;
         let ranges: Vec<altitude::Stated> = drafts.iter().map(Draft::stated_altitude).collect();
         let range = altitude::choose(

@@ -36,7 +36,7 @@ impl ImageFiles {
     fn placed(&self) -> Result<Vec<Tile>, SceneError> {
         let folder = self.path.parent().unwrap_or_else(|| Path::new("."));
         for til in files_in(folder)?.iter().filter(|path| has_extension(path, &["til"])) {
-            let text = super::camera::read_text(til)?;
+            let text = super::files::read_text(til)?;
             let places = places_in_til(&text);
             let place = |path: &PathBuf| {
                 let name = path.file_name()?.to_string_lossy().to_lowercase();
