@@ -6,7 +6,8 @@
 //! Writes a cloud-optimised GeoTIFF in the local UTM zone, with the cell size of the images, and prints a line about it.
 
 use heliosplat_fitting::settings::Preset;
-use heliosplat_products::dsm::{Place, of_surface};
+use heliosplat_products::dsm::of_surface;
+use heliosplat_products::nadir::Place;
 use heliosplat_satellite::altitude;
 use heliosplat_satellite::config::SatelliteConfig;
 use heliosplat_satellite::swept::sweep_only;

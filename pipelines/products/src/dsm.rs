@@ -3,16 +3,14 @@
 use super::surface::{self, ALPHA_KNOWN, SurfaceGaussians};
 use super::{fill, seen};
 use crate::model::LoadedModel;
-use glam::DVec3;
+use crate::nadir::{NadirGrid, Place};
+use heliosplat::Raster;
 use heliosplat::render::{Rendering, render};
 use heliosplat::splat::Maps;
-use heliosplat::{ProjectiveCamera, Raster};
 use heliosplat_raster::geoid::GeoidGrid;
-use heliosplat_raster::grid::{EnuGrid, GridSpec};
+use heliosplat_raster::grid::GridSpec;
 use heliosplat_raster::write::{ImageSpec, write_cog};
-use heliosplat_raster::{Crs, GeoRaster, Geoid, RasterError, dsm_bands};
-use heliosplat_rpc::LocalFrame;
-use heliosplat_scene::{Area, Scene};
+use heliosplat_raster::{GeoRaster, Geoid, RasterError, dsm_bands};
 use heliosplat_stereo::{FEWEST_VIEWS, Surface};
 use std::path::Path;
 
@@ -42,107 +40,6 @@ pub struct Dsm {
     pub grid: GridSpec,
     /// What altitudes are above: a geoid, or the ellipsoid.
     pub geoid: Option<Geoid>,
-}
-
-/// A grid over the model's area and the camera that looks straight down on it.
-pub struct NadirGrid {
-    /// The grid.
-    pub grid: GridSpec,
-    /// Its camera: one pixel per grid cell.
-    pub camera: ProjectiveCamera,
-    pub(super) enu: EnuGrid,
-}
-
-/// A piece of ground, and how high it reaches.
-#[derive(Debug, Clone, Copy)]
-pub struct Place {
-    /// The local frame.
-    pub frame: LocalFrame,
-    /// The ground, metres of the frame.
-    pub area: Area,
-    /// Lowest and highest ellipsoidal altitude, metres.
-    pub altitude_range_m: (f64, f64),
-}
-
-impl From<&LoadedModel> for Place {
-    fn from(model: &LoadedModel) -> Self {
-        Self {
-            frame: model.frame,
-            area: model.file.area,
-            altitude_range_m: model.file.altitude_range_m,
-        }
-    }
-}
-
-impl From<&Scene> for Place {
-    fn from(scene: &Scene) -> Self {
-        Self {
-            frame: scene.frame,
-            area: scene.area,
-            altitude_range_m: scene.altitude_range_m,
-        }
-    }
-}
-
-impl NadirGrid {
-    /// The grid of `crs` (the local UTM zone by default) with pixels of `gsd_m` metres over a place.
-    ///
-    /// # Errors
-    /// When the coordinate system does not cover the place.
-    pub fn new(place: &Place, gsd_m: f64, crs: Option<&str>) -> Result<Self, RasterError> {
-        let Place { frame, area, .. } = place;
-        let crs = match crs {
-            Some(definition) => Crs::from_definition(definition)?,
-            None => Crs::utm(frame.origin)?,
-        };
-        let rectangle = [area.west_m, area.south_m, area.east_m, area.north_m];
-        let grid = GridSpec::covering(frame, rectangle, &crs, gsd_m)?;
-        Self::on(place, grid)
-    }
-
-    /// The same on a grid that there is already.
-    ///
-    /// # Errors
-    /// When the grid lies outside its coordinate system.
-    pub fn on(place: &Place, grid: GridSpec) -> Result<Self, RasterError> {
-        let enu = EnuGrid::new(&place.frame, &grid, place.altitude_range_m)?;
-        let camera = nadir_camera(&enu, &grid, place.frame.origin.height_m);
-        Ok(Self { grid, camera, enu })
-    }
-
-    /// Ellipsoidal height of a grid cell where the model's surface is `up_m` above the frame's origin.
-    pub fn height(&self, col: usize, row: usize, up_m: f32) -> f64 {
-        self.enu.height(col as f64, row as f64, f64::from(up_m))
-    }
-}
-
-/// The affine map from the local frame to grid cells, least squares over nine nodes: over a few kilometres a map projection
-/// is affine to far below a pixel.
-fn nadir_camera(enu: &EnuGrid, grid: &GridSpec, height_m: f64) -> ProjectiveCamera {
-    let (w, h) = ((grid.width - 1) as f64, (grid.height - 1) as f64);
-    let mut normal = nalgebra::Matrix3::<f64>::zeros();
-    let mut right = nalgebra::Matrix3x2::<f64>::zeros();
-    for fx in [0.0, 0.5, 1.0] {
-        for fy in [0.0, 0.5, 1.0] {
-            let (col, row) = (fx * w, fy * h);
-            let [e, n, _] = enu.enu(col, row, height_m);
-            let x = nalgebra::Vector3::new(e, n, 1.0);
-            normal += x * x.transpose();
-            right += x * nalgebra::RowVector2::new(col, row);
-        }
-    }
-    // A grid of one row or column does not fix the map: then the pixel size does.
-    let solved = normal
-        .try_inverse()
-        .map(|inverse| inverse * right)
-        .filter(|m| m.iter().all(|v| v.is_finite()));
-    let map = solved.filter(|_| grid.width > 1 && grid.height > 1).unwrap_or_else(|| {
-        let [e, n, _] = enu.enu(0.0, 0.0, height_m);
-        let inverse = 1.0 / (grid.transform.pixel_size().0 * grid.crs.metres_per_unit());
-        nalgebra::Matrix3x2::new(inverse, 0.0, 0.0, -inverse, -e * inverse, n * inverse)
-    });
-    let row = |k: usize| [map[(0, k)], map[(1, k)], 0.0, map[(2, k)]];
-    ProjectiveCamera::new(row(0), row(1), [0.0; 3], (grid.width, grid.height), -DVec3::Z)
 }
 
 /// The surface model of `model`.

@@ -51,8 +51,14 @@ pub(super) fn close_holes(width: usize, altitude_m: &mut [f32]) -> Vec<usize> {
         if altitude_m[lowest.cell].is_finite() {
             continue;
         }
-        altitude_m[lowest.cell] = lowest.altitude_m;
-        // What has a new neighbour has a new candidate; the old one comes too late or is taken for lower.
+        // A neighbour that was filled meanwhile may have changed it.
+        match candidate(altitude_m, lowest.cell) {
+            Some(now) if now.0 == lowest => altitude_m[lowest.cell] = lowest.altitude_m,
+            now => {
+                waiting.extend(now);
+                continue;
+            }
+        }
         let beside = around(lowest.cell).filter(|&n| altitude_m[n].is_nan() && !outside[n]);
         let again: Vec<_> = beside.filter_map(|cell| candidate(altitude_m, cell)).collect();
         waiting.extend(again);

@@ -7,6 +7,7 @@ pub mod dsm;
 mod fill;
 pub mod model;
 mod model_file;
+pub mod nadir;
 pub mod ortho;
 pub mod ply;
 pub mod points;

@@ -1,6 +1,6 @@
 //! The scene under any sun, and its shadow mask.
 
-use super::dsm::NadirGrid;
+use super::nadir::NadirGrid;
 use super::views::camera_of;
 use crate::model::LoadedModel;
 use heliosplat::light::Light;

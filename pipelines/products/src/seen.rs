@@ -1,7 +1,7 @@
 //! How many of the images that a model was trained on see each cell of a surface.
 
-use crate::dsm::NadirGrid;
 use crate::model::{ModelFile, ModelImage};
+use crate::nadir::NadirGrid;
 use glam::Vec3;
 use heliosplat::ProjectiveCamera;
 use heliosplat_scene::crop;

@@ -1,6 +1,7 @@
 //! All products of a run: cloud-optimised GeoTIFFs on one grid, a point cloud, and a STAC item that describes them.
 
-use super::dsm::{NadirGrid, maps, of_model};
+use super::dsm::{maps, of_model};
+use super::nadir::NadirGrid;
 use super::relight::{RelightError, relight_ortho};
 use super::writer::{Said, Set, Writer};
 use super::{ortho, points};

@@ -24,8 +24,6 @@ use heliosplat_session::Session;
 use heliosplat_stereo::Surface;
 use std::time::Instant;
 
-/// Share of the images that must show a cell for Gaussians to start there; two always must. Below, the sweep is mostly noise.
-pub(super) const COVERAGE: f64 = 0.4;
 /// Sky light at the start, as a share of the sun's: that of a clear day; training finds each image's own.
 const SKY: f32 = 0.3;
 /// Weight of the shadow prior, where it is on.
@@ -144,7 +142,7 @@ pub fn fit(
         tracing::warn!("{}", decisions.light_reason());
     }
     let model = model(&ground, &suns, decisions);
-    let covered = ground.covered(&surface, COVERAGE);
+    let covered = ground.covered(&surface);
     let mut parameters = Parameters {
         gaussians: initial::Start {
             surface: &surface,

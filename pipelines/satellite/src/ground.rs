@@ -14,6 +14,8 @@ use rayon::prelude::*;
 /// Ground added around the area, metres: shadows fall into it, and ties near the edge have a surface.
 pub const MARGIN_M: f64 = 4.0;
 
+/// Share of the images that must show a cell for Gaussians to start there; two always must. Below, the sweep is mostly noise.
+const COVERAGE: f64 = 0.4;
 /// Cells around a cell among which the lowest is its ground.
 const GROUND_CELLS: usize = 12;
 
@@ -103,11 +105,11 @@ impl<'a> Ground<'a> {
         self.images.iter().zip(rasters).map(index).collect()
     }
 
-    /// Cells that enough of the images show, at their altitude and at that of the ground around: `share` of the images, and at
+    /// Cells that enough of the images show, at their altitude and at that of the ground around: [`COVERAGE`] of the images, and at
     /// least two. At the ragged edge of the common ground, where two dates meet at best, the initial surface is mostly noise; a rim
     /// of it would throw shadows over the scene.
-    pub(super) fn covered(&self, surface: &Surface, share: f64) -> Vec<bool> {
-        let needed = ((self.images.len() as f64 * share).ceil() as usize).max(2);
+    pub(super) fn covered(&self, surface: &Surface) -> Vec<bool> {
+        let needed = ((self.images.len() as f64 * COVERAGE).ceil() as usize).max(2);
         let floor = surface.lowest(GROUND_CELLS);
         let shows = |image: &SceneImage, cell: usize| {
             let p = surface.point(cell % surface.width, cell / surface.width).as_dvec3();

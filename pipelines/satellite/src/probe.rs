@@ -4,7 +4,8 @@ use heliosplat::splat::ProjectionOptions;
 use heliosplat_evaluate::{Protocol, evaluate_raster};
 use heliosplat_fitting::curve::Accuracy;
 use heliosplat_fitting::training::Probe;
-use heliosplat_products::dsm::{NadirGrid, of_gaussians};
+use heliosplat_products::dsm::of_gaussians;
+use heliosplat_products::nadir::NadirGrid;
 use heliosplat_products::surface::SurfaceGaussians;
 use heliosplat_scene::Scene;
 

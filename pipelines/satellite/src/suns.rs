@@ -1,7 +1,6 @@
 //! The suns that a model is lit by: those that are known, and of the other images those that their shadows tell.
 
 use super::clouds;
-use super::fit::COVERAGE;
 use super::ground::Ground;
 use super::swept::Swept;
 use heliosplat_rpc::sun::SunPosition;
@@ -34,7 +33,7 @@ pub(super) fn search(scene: &Scene, swept: &Swept) -> Vec<Option<ShadowSun>> {
     }
     let views = ground.sweep_views(&rasters, &shifts_px);
     let surface = &swept.found.surface;
-    let covered = swept.ground.covered(surface, COVERAGE);
+    let covered = swept.ground.covered(surface);
     let suns = find_suns(&views, surface, &covered, ground.frame.origin.lat_deg);
     for (image, sun) in ground.images.iter().zip(suns) {
         if let Some(sun) = sun {

@@ -1,7 +1,8 @@
 //! The training images of a scene before it is known how high its ground lies: their cameras, the ground that two of them may share, and
 //! pixels averaged down. Enough to find the altitudes that the surface has.
 
-use super::draft::{self, Draft};
+use super::draft::Draft;
+use super::drafts;
 use super::footprint::Footprint;
 use super::{AltitudeRange, IngestOptions, SceneError, Split, altitude, layout};
 use heliosplat::Raster;
@@ -36,7 +37,7 @@ impl SceneCameras {
     pub fn open(path: &Path, options: &IngestOptions) -> Result<Self, SceneError> {
         let layout = layout::find(path)?;
         let mut warnings = Vec::new();
-        let drafts = draft::read_all(&layout, options, &mut warnings)?;
+        let drafts = drafts::read_all(&layout, options, &mut warnings)?;
         let said = altitude::Said {
             ties_m: None,
             ..altitude::Said::of(options, layout.altitude_range_m)

@@ -12,6 +12,7 @@ mod camera;
 pub mod cameras;
 pub mod crop;
 mod draft;
+mod drafts;
 mod entry;
 mod error;
 mod files;
@@ -206,9 +207,9 @@ impl Scene {
     pub fn open(path: &Path, options: &IngestOptions) -> Result<Self, SceneError> {
         let mut layout = layout::find(path)?;
         let mut warnings = std::mem::take(&mut layout.warnings);
-        let drafts = draft::read_all(&layout, options, &mut warnings)?;
+        let drafts = drafts::read_all(&layout, options, &mut warnings)?;
         warnings.extend(pixels::eight_bits(&drafts, layout.counts));
-        draft::check_bands(&drafts)?;
+        drafts::check_bands(&drafts)?;
         let ranges: Vec<altitude::Stated> = drafts.iter().map(Draft::stated_altitude).collect();
         let range = altitude::choose(
             altitude::Said::of(options, layout.altitude_range_m),

@@ -3,14 +3,13 @@
 //! Vendors deliver such bundles in two files of the same ground and second. They are told by their names (`pair_names.rs`), or by their
 //! times; their cameras must agree.
 
-use super::bands::{self, BandPlan};
+use super::bands;
 use super::draft::Draft;
 use super::entry::ImageEntry;
 use super::files::stem;
 use super::tiles::ImageFiles;
 use super::{BandKind, RpcPreference, SceneError, Split, acquisition, camera, satnerf};
 use heliosplat_raster::{GridRelation, RasterFile};
-use heliosplat_rpc::read::acquisition::Acquisition;
 use heliosplat_rpc::{ImagePoint, Rpc, RpcError};
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
@@ -24,21 +23,13 @@ const SAME_TIME_MS: i64 = 2_500;
 /// Share of the panchromatic image that the other must show.
 const LEAST_SHOWN: f64 = 0.5;
 
-/// Both halves as one image.
-pub(super) struct Sharpened {
-    pub(super) file: RasterFile,
-    pub(super) plan: BandPlan,
-    /// What the multispectral half says of time and sun.
-    pub(super) acquisition: Acquisition,
-}
-
-/// The pansharpened image of a panchromatic one, whose camera is `rpc`, and its multispectral half.
-pub(super) fn sharpened(
-    pan: RasterFile,
-    rpc: &Rpc,
+/// An image, panchromatic until now, pansharpened with its multispectral half.
+pub(super) fn with_colours(
+    draft: Draft,
     multispectral: &ImageFiles,
     declared: Option<&[BandKind]>,
-) -> Result<Sharpened, SceneError> {
+) -> Result<Draft, SceneError> {
+    let pan = &draft.file;
     let pan_path = pan.path().to_owned();
     let not_a_pair = |reason: String| SceneError::NotAPair {
         pan: pan_path.clone(),
@@ -62,17 +53,19 @@ pub(super) fn sharpened(
     let mut ignored = Vec::new();
     let camera = camera::find(&colours, &entry, RpcPreference::Image, &mut ignored)?;
     // A camera that somebody adjusted is none of the vendor's, whose two cameras belong together.
-    let own = camera::from_gdal(&pan, &mut ignored)?;
-    let own = own.map_or_else(|| rpc.clone(), |found| found.rpc);
+    let own = camera::from_gdal(pan, &mut ignored)?;
+    let own = own.map_or_else(|| draft.rpc.clone(), |found| found.rpc);
     let found = relation(&own, pan.size(), &camera.rpc, colours.size())
         .map_err(|source| not_a_pair(format!("their cameras cannot be compared ({source})")))?;
     if let Some(reason) = found.fault() {
         return Err(not_a_pair(reason));
     }
-    Ok(Sharpened {
+    Ok(Draft {
         plan: bands::plan(&colours, declared)?,
-        acquisition: acquisition::find(&colours, &entry)?,
-        file: RasterFile::pansharpened(pan, colours, &found.relation)?,
+        acquisition: draft.acquisition.merge(acquisition::find(&colours, &entry)?),
+        file: RasterFile::pansharpened(draft.file, colours, &found.relation)?,
+        multispectral: Some(multispectral.path.clone()),
+        ..draft
     })
 }
 
@@ -194,7 +187,7 @@ pub(super) fn by_time(drafts: Vec<Draft>, declared: Option<&[BandKind]>) -> Resu
             continue;
         }
         joined.push(match colours.get(&index) {
-            Some(files) => draft.sharpened_with(files, declared)?,
+            Some(files) => with_colours(draft, files, declared)?,
             None => draft,
         });
     }

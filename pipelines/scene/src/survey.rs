@@ -1,7 +1,8 @@
 //! What is known of a scene without reading a pixel of it: enough to cut it into tiles.
 
 use super::area::window_over;
-use super::draft::{self, Draft, image_window};
+use super::draft::{Draft, image_window};
+use super::drafts;
 use super::footprint::Footprint;
 use super::ground::{self, Ground};
 
@@ -54,8 +55,8 @@ impl Survey {
     pub fn open(path: &Path, options: &IngestOptions) -> Result<Self, SceneError> {
         let mut layout = layout::find(path)?;
         let mut warnings = Vec::new();
-        let drafts = draft::read_all(&layout, options, &mut warnings)?;
-        draft::check_bands(&drafts)?;
+        let drafts = drafts::read_all(&layout, options, &mut warnings)?;
+        drafts::check_bands(&drafts)?;
         let stated: Vec<altitude::Stated> = drafts.iter().map(Draft::stated_altitude).collect();
         let said = altitude::Said::of(options, layout.altitude_range_m);
         let altitude_range_m = altitude::choose(said, &stated, &mut warnings)?.limits_m();
