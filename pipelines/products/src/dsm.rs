@@ -194,6 +194,17 @@ impl Dsm {
         closed.len()
     }
 
+    /// Takes the cells of a raster on the same grid as unknown (NaN) where the altitude is.
+    pub fn blank_unknown(&self, raster: &mut Raster) {
+        let altitude = self.raster.plane(ALTITUDE);
+        for band in 0..raster.bands {
+            let cells = raster.plane_mut(band).iter_mut().zip(altitude);
+            cells
+                .filter(|(_, z)| z.is_nan())
+                .for_each(|(value, _)| *value = f32::NAN);
+        }
+    }
+
     /// Share of its grid whose altitude is known.
     pub fn completeness(&self) -> f64 {
         let known = self.raster.plane(0).iter().filter(|v| v.is_finite()).count();

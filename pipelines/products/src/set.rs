@@ -106,15 +106,22 @@ pub fn write(
     let bands = &model.file.bands;
     let mut writer = Writer::new(&nadir.grid, gsd_m, out);
     writer.surface(&surface)?;
-    writer.colours(&ortho::albedo(model, &seen), bands)?;
+    let mut albedo = ortho::albedo(model, &seen);
+    surface.blank_unknown(&mut albedo);
+    writer.colours(&albedo, bands)?;
     done(2);
-    if let Some((sun, relit)) = &relit {
-        writer.relit(&relit.image, &relit.shadows(), bands, sun)?;
+    if let Some((sun, relit)) = relit {
+        let (mut image, mut shadows) = (relit.image, relit.shadows());
+        surface.blank_unknown(&mut image);
+        surface.blank_unknown(&mut shadows);
+        writer.relit(&image, &shadows, bands, &sun)?;
     }
     done(3);
     let dates = shaded_dates(model);
     for (place, (date, sun)) in dates.iter().enumerate() {
-        writer.shadows(date, &relight_ortho(model, sun, &nadir)?.shadows(), sun)?;
+        let mut shadows = relight_ortho(model, sun, &nadir)?.shadows();
+        surface.blank_unknown(&mut shadows);
+        writer.shadows(date, &shadows, sun)?;
         done(4 + place as u64);
     }
     let count = points::write(&out.join("points.laz"), model, &nadir.grid.crs, request.geoid)?;

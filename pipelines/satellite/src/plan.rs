@@ -4,6 +4,10 @@
 //! plane sweep, the start and the trainer consume. `inspect` prints that value with its reasons, and `run.toml` keeps it. What is
 //! set by hand stays as it is.
 
+mod light;
+
+pub use light::Light;
+
 use super::config::{Align, SatelliteConfig, THRESHOLD_PX};
 use super::ground::Ground;
 use super::shadow_prior::ENOUGH_VIEWS;
@@ -12,19 +16,6 @@ use heliosplat_scene::{crop, saturation};
 use heliosplat_stereo::clouds::FEWEST_VIEWS;
 use heliosplat_stereo::suns::ShadowSun;
 use heliosplat_stereo::{MANY_VIEWS, MatchingFacts, MatchingParameters};
-
-/// How a model is lit.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, serde::Serialize)]
-#[serde(rename_all = "snake_case")]
-pub enum Light {
-    /// By the suns that are known; images without one are rendered as lit everywhere, in a colour of their own.
-    Known,
-    /// By the suns that are known, and of the other images by those that shadows on the swept surface tell; without any sun then, not at
-    /// all.
-    FromShadows,
-    /// Not at all: no sun is known, and each image has a colour of its own.
-    LeftOut,
-}
 
 /// What is decided about a scene.
 #[derive(Debug, Clone, PartialEq, serde::Serialize)]
@@ -111,82 +102,10 @@ impl Facts {
     }
 }
 
-impl Facts {
-    fn light(&self) -> Light {
-        match self.suns == self.images {
-            true => Light::Known,
-            false => Light::FromShadows,
-        }
-    }
-
-    /// How the model will be lit, and why.
-    fn light_reason(&self) -> String {
-        let &Self {
-            images, dates, suns, ..
-        } = self;
-        if suns == images {
-            let (lowest, highest) = self.suns_deg;
-            return format!(
-                "{dates} date(s) with known suns, {lowest:.0} to {highest:.0} degrees high: cast shadows are traced through the geometry"
-            );
-        }
-        format!(
-            "no acquisition time and no sun angles are known of {} of {images} images: estimated from shadows when trained, and left out where these do not tell ({REMEDY})",
-            images - suns
-        )
-    }
-}
-
 /// Component of the plan: how the model is lit.
 const SUN: &str = "sun";
 /// Component of the plan: the prior of shadows.
 const SHADOW_PRIOR: &str = "model.shadow_prior";
-/// What makes suns known.
-const REMEDY: &str = "add .IMD, DIM_*.XML or .json files, or time = \"...\" in scene.toml";
-
-/// What was said of the suns that were searched, in words.
-fn search_in_words(suns: &[ImageSun], searched: &[Option<ShadowSun>]) -> String {
-    let images = suns.len();
-    let from_shadows = suns.iter().filter(|sun| sun.source == SunSource::Shadows);
-    let sigmas: Vec<f64> = from_shadows.filter_map(|sun| sun.sigma_deg).collect();
-    let unknown = suns.iter().filter(|sun| sun.position.is_none()).count();
-    let (least, most) = sigmas
-        .iter()
-        .fold((f64::INFINITY, 0.0f64), |(least, most), &s| (least.min(s), most.max(s)));
-    let mut text = format!(
-        "the suns of {} of {images} images are known",
-        images - unknown - sigmas.len()
-    );
-    if !sigmas.is_empty() {
-        text += &format!(
-            ", of {} they are estimated from shadows, to {least:.1} to {most:.1} degrees (standard deviation)",
-            sigmas.len()
-        );
-    }
-    if unknown == 0 {
-        return text + ": cast shadows are traced through the geometry";
-    }
-    // The one that came closest says why the others were not believed either.
-    let undecided = suns.iter().zip(searched).filter(|(sun, _)| sun.position.is_none());
-    let closest = undecided
-        .filter_map(|(_, found)| *found)
-        .max_by(|a, b| a.margin.total_cmp(&b.margin));
-    text += &match closest {
-        Some(sun) => format!(
-            ", of {unknown} shadows do not tell (at best correlation {:.2}, standard deviation {:.1} degrees, ahead of other suns by {:.1} deviations)",
-            sun.score, sun.sigma_deg, sun.margin
-        ),
-        None => format!(", of {unknown} shadows tell nothing"),
-    };
-    text += match unknown == images {
-        true => {
-            ": the light is left out, each image has a colour of its own, shadows count as dark ground, and nothing can be relit"
-        }
-        false => ": these count as lit everywhere, in colours of their own",
-    };
-    text + " (" + REMEDY + ")"
-}
-
 impl Decisions {
     /// What `scene` requires; what `config` sets stays as it is.
     pub fn of(scene: &Scene, config: &SatelliteConfig) -> Self {
@@ -245,7 +164,7 @@ impl Decisions {
                 (item.on, item.reason) = (on, reason);
             }
         };
-        say(SUN, lit, search_in_words(suns, searched));
+        say(SUN, lit, light::search_in_words(suns, searched));
         if !lit {
             say(
                 SHADOW_PRIOR,

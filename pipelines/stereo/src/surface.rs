@@ -79,15 +79,19 @@ impl Surface {
         )
     }
 
-    /// Altitude at a ground position, bilinear between cell centres and constant beyond the outermost ones; `None` off
-    /// the grid.
+    /// Altitude at a ground position, bilinear between cell centres and constant beyond the outermost ones; the cell's own where one of
+    /// the four is not known, so that guesses do not bend what is. `None` off the grid.
     pub fn altitude_at(&self, x_m: f32, y_m: f32) -> Option<f32> {
-        self.cell_at(x_m, y_m)?;
+        let own = self.cell_at(x_m, y_m)?;
         let col = ((x_m - self.west_m) / self.cell_m - 0.5).clamp(0.0, self.width as f32 - 1.0);
         let row = ((self.north_m - y_m) / self.cell_m - 0.5).clamp(0.0, self.height as f32 - 1.0);
         let (c0, r0) = (col as usize, row as usize);
         let (c1, r1) = ((c0 + 1).min(self.width - 1), (r0 + 1).min(self.height - 1));
         let (fc, fr) = (col - c0 as f32, row - r0 as f32);
+        let corners = [(c0, r0), (c1, r0), (c0, r1), (c1, r1)].map(|(c, r)| r * self.width + c);
+        if self.is_known(own) && !corners.iter().all(|&cell| self.is_known(cell)) {
+            return Some(self.altitude[own]);
+        }
         let at = |c: usize, r: usize| self.altitude[r * self.width + c];
         let north = at(c0, r0) * (1.0 - fc) + at(c1, r0) * fc;
         let south = at(c0, r1) * (1.0 - fc) + at(c1, r1) * fc;
