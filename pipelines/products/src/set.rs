@@ -111,7 +111,7 @@ pub fn write(
     writer.colours(&albedo, bands)?;
     done(2);
     if let Some((sun, relit)) = relit {
-        let (mut image, mut shadows) = (relit.image, relit.shadows());
+        let (mut shadows, mut image) = (relit.shadows(), relit.image);
         surface.blank_unknown(&mut image);
         surface.blank_unknown(&mut shadows);
         writer.relit(&image, &shadows, bands, &sun)?;
