@@ -181,7 +181,7 @@ pub fn estimate_of(extent: &Extent, config: &SatelliteConfig, slowness: f64, hel
     let light = light_bytes(&config.model, bands);
     let training_bytes = |gaussians: f64| training_bytes(gaussians, training, bands, pixels) + gaussians * light;
     let peak = |gaussians: f64| fixed + training_bytes(gaussians).max(SWEEP_BYTES_PER_CELL * cells);
-    let start_s_per_cell = if training < MANY_VIEWS {
+    let start_s_per_cell = if (training as f32) < MANY_VIEWS {
         START_OF_FEW_S_PER_CELL
     } else {
         START_S_PER_CELL

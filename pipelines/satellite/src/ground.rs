@@ -142,7 +142,7 @@ impl<'a> Ground<'a> {
     pub fn matching_facts(&self, cell_m: f64) -> MatchingFacts {
         let shifts = vec![[0.0; 2]; self.images.len()];
         let has_index = self.images.iter().all(|image| vegetation_bands(&image.bands).is_some());
-        MatchingFacts::new(&self.geometries(&shifts), self.volume(cell_m).centre(), has_index)
+        MatchingFacts::new(&self.geometries(&shifts), &self.volume(cell_m), has_index)
     }
 
     /// A plane sweep with cells of `cell_m` metres.

@@ -15,7 +15,7 @@ use heliosplat_scene::{BandKind, ImageSun, Scene, SceneImage, SunSource};
 use heliosplat_scene::{crop, saturation};
 use heliosplat_stereo::clouds::FEWEST_VIEWS;
 use heliosplat_stereo::suns::ShadowSun;
-use heliosplat_stereo::{MANY_VIEWS, MatchingFacts, MatchingParameters};
+use heliosplat_stereo::{FEW_VIEWS, MatchingFacts, MatchingParameters, no_match_weight};
 
 /// What is decided about a scene.
 #[derive(Debug, Clone, PartialEq, serde::Serialize)]
@@ -310,13 +310,16 @@ fn matching_items(facts: Option<MatchingFacts>, parameters: Option<MatchingParam
     [
         item(
             many_views,
-            facts.views >= MANY_VIEWS,
+            facts.views > FEW_VIEWS,
             format!(
-                "{} views: no match weighs {:.0} % of all comparisons, a jump of altitude costs {}, pixel values within a date are {}compared",
+                "{:.1} views of a piece of ground: no match weighs {:.1} % of their comparisons, a jump of altitude costs {}, {}",
                 facts.views,
-                100.0 * parameters.no_match_weight,
+                100.0 * no_match_weight(facts.views),
                 parameters.jump_penalty,
-                if parameters.same_date_values { "" } else { "not " }
+                match parameters.same_date_weight {
+                    Some(weight) => format!("pixel values within a date are compared with weight {weight:.2}"),
+                    None => "pixel values are not compared".into(),
+                }
             ),
         ),
         item(
@@ -369,7 +372,7 @@ mod tests {
             suns: images,
             suns_deg: (35.0, 60.0),
             matching: Some(MatchingFacts {
-                views: images,
+                views: images as f32,
                 combined_base_to_height: 0.4,
                 has_index: true,
             }),
@@ -486,7 +489,7 @@ mod tests {
         let mut scene = facts(2, 1);
         for ratio in [0.085, 0.31, 0.5, 1.2] {
             let matching = MatchingFacts {
-                views: 2,
+                views: 2.0,
                 combined_base_to_height: ratio,
                 has_index: false,
             };

@@ -1,5 +1,7 @@
-//! Colours to start from: per-image gain and offset, and the albedo of each Gaussian, from what the views show of the start
-//! surface where they see it lit.
+//! Colours to start from: per-image gain and offset, the path radiance of the reference image, and the albedo of each Gaussian, from what
+//! the views show of the start surface in the sun and in the shade.
+
+use super::path_radiance::{self, Pair};
 
 use heliosplat::gaussians::{OPACITY, Table, logit};
 use heliosplat::light::Light;
@@ -16,6 +18,8 @@ use rayon::prelude::*;
 const VISIBLE_M: f32 = 1.0;
 /// Transmittance above which a Gaussian counts as lit.
 const LIT: f32 = 0.7;
+/// Transmittance below which it counts as shaded.
+const SHADED: f32 = 0.1;
 /// Alpha below which a pixel is not covered by the start surface.
 const COVERED: f32 = 0.9;
 /// Opacity at which coverage is judged.
@@ -23,10 +27,12 @@ const SOLID: f32 = 0.99;
 /// Pixels next to uncovered ones that do not count either.
 const EDGE_PX: usize = 3;
 
-/// What one view shows of every Gaussian: its pixel, where it is visible, and whether the sun reaches it.
+/// What one view shows of every Gaussian: its pixel, where it is visible, and whether the sun reaches it. At the edge of a shadow it is
+/// neither lit nor shaded.
 struct Sample {
     pixel: Option<u32>,
     lit: bool,
+    shaded: bool,
 }
 
 fn samples(gaussians: &Table, occluders: &Occluders, view: &View, maps: &Maps) -> Vec<Sample> {
@@ -54,6 +60,7 @@ fn samples(gaussians: &Table, occluders: &Occluders, view: &View, maps: &Maps) -
             Sample {
                 pixel: visible,
                 lit: lit[g as usize] > LIT,
+                shaded: lit[g as usize] < SHADED,
             }
         })
         .collect()
@@ -67,8 +74,8 @@ fn spread(values: &mut [f32]) -> Option<(f32, f32)> {
     Some((upper_quantile(values, 0.2)?, upper_quantile(values, 0.8)?))
 }
 
-/// Gain and offset that bring the reference image's values to this image's, from Gaussians both see lit.
-fn gain(reference: &[Sample], truth: &[f32], own: &[Sample], values: &[f32]) -> (f32, f32) {
+/// The colour of an image by Gaussians that it and the reference image see lit.
+fn colour(reference: &[Sample], truth: &[f32], own: &[Sample], values: &[f32]) -> Colour {
     let both: Vec<(f32, f32)> = reference
         .iter()
         .zip(own)
@@ -80,9 +87,12 @@ fn gain(reference: &[Sample], truth: &[f32], own: &[Sample], values: &[f32]) -> 
     match (spread(&mut from), spread(&mut to)) {
         (Some((a, b)), Some((c, d))) if b - a > 1e-3 => {
             let gain = ((d - c) / (b - a)).clamp(0.2, 5.0);
-            (gain, 0.5 * (c + d) - gain * 0.5 * (a + b))
+            Colour {
+                gain,
+                offset: 0.5 * (c + d) - gain * 0.5 * (a + b),
+            }
         }
-        _ => (1.0, 0.0),
+        _ => Colour { gain: 1.0, offset: 0.0 },
     }
 }
 
@@ -120,29 +130,22 @@ pub(super) fn initialise(model: &ShadowGs, parameters: &mut Parameters, views: &
         let maps = render(model, parameters, &view.camera, None, None, PassOptions::default()).maps;
         shown.push(samples(&parameters.gaussians, &occluders, view, &maps));
     }
-    let reference = views
-        .iter()
-        .position(|v| v.appearance == model.options.reference)
-        .unwrap_or(0);
-    let colours: Vec<Vec<(f32, f32)>> = (0..views.len())
-        .map(|v| {
-            (0..bands)
-                .map(|k| {
-                    if v == reference || !model.options.image_colour {
-                        return (1.0, 0.0);
-                    }
-                    let (truth, values) = (views[reference].image.plane(k), views[v].image.plane(k));
-                    gain(&shown[reference], truth, &shown[v], values)
-                })
-                .collect()
-        })
-        .collect();
+    let shown = Shown {
+        colours: colours(model, &shown, views),
+        samples: shown,
+        views,
+    };
+    let path_radiance: Vec<f32> = match model.options.image_colour {
+        true => (0..bands).map(|k| shown.path_radiance(k)).collect(),
+        false => vec![0.0; bands],
+    };
+    tracing::info!("path radiance, in counts of the reference image: {path_radiance:.3?}");
     if model.options.image_colour {
-        for (view, colour) in views.iter().zip(&colours) {
-            for (k, &(gain, offset)) in colour.iter().enumerate() {
+        for (view, colours) in shown.views.iter().zip(&shown.colours) {
+            for (k, colour) in colours.iter().enumerate() {
                 let at = view.appearance;
-                parameters.globals.group_mut(COLOUR)[at * bands * bands + k * bands + k] = gain;
-                parameters.globals.group_mut(OFFSET)[at * bands + k] = offset;
+                parameters.globals.group_mut(COLOUR)[at * bands * bands + k * bands + k] = colour.gain;
+                parameters.globals.group_mut(OFFSET)[at * bands + k] = colour.offset + colour.gain * path_radiance[k];
             }
         }
     }
@@ -150,15 +153,12 @@ pub(super) fn initialise(model: &ShadowGs, parameters: &mut Parameters, views: &
         .into_par_iter()
         .with_min_len(1024)
         .flat_map_iter(|g| {
-            let (views, shown, colours) = (&*views, &shown, &colours);
+            let (shown, path_radiance) = (&shown, &path_radiance);
             (0..bands).map(move |k| {
-                let mut seen: Vec<f32> = (0..views.len())
+                let mut seen: Vec<f32> = (0..shown.views.len())
                     .filter_map(|v| {
-                        let sample = &shown[v][g];
-                        let value = views[v].image.plane(k)[sample.pixel? as usize];
-                        let (gain, offset) = colours[v][k];
-                        let light = sky + (1.0 - sky) * f32::from(u8::from(sample.lit));
-                        value.is_finite().then(|| (value - offset) / gain / light)
+                        let light = sky + (1.0 - sky) * f32::from(u8::from(shown.samples[v][g].lit));
+                        Some((shown.value(v, g, k)? - path_radiance[k]) / light)
                     })
                     .collect();
                 upper_median(&mut seen).unwrap_or(0.3).clamp(0.005, 3.0)
@@ -166,4 +166,76 @@ pub(super) fn initialise(model: &ShadowGs, parameters: &mut Parameters, views: &
         })
         .collect();
     parameters.gaussians.group_mut(ALBEDO).copy_from_slice(&albedo);
+}
+
+/// What an image makes of the reference image's values.
+#[derive(Clone, Copy)]
+struct Colour {
+    gain: f32,
+    offset: f32,
+}
+
+/// Of each view and band.
+fn colours(model: &ShadowGs, shown: &[Vec<Sample>], views: &[View]) -> Vec<Vec<Colour>> {
+    let reference = views
+        .iter()
+        .position(|v| v.appearance == model.options.reference)
+        .unwrap_or(0);
+    let of_band = |v: usize, k: usize| {
+        if v == reference || !model.options.image_colour {
+            return Colour { gain: 1.0, offset: 0.0 };
+        }
+        let (truth, values) = (views[reference].image.plane(k), views[v].image.plane(k));
+        colour(&shown[reference], truth, &shown[v], values)
+    };
+    (0..views.len())
+        .map(|v| (0..model.options.bands).map(|k| of_band(v, k)).collect())
+        .collect()
+}
+
+/// What all views show of the Gaussians.
+struct Shown<'a> {
+    views: &'a [View],
+    samples: Vec<Vec<Sample>>,
+    colours: Vec<Vec<Colour>>,
+}
+
+impl Shown<'_> {
+    /// What view `v` shows of Gaussian `g` in band `k`, in the counts of the reference image.
+    fn value(&self, v: usize, g: usize, k: usize) -> Option<f32> {
+        let value = self.views[v].image.plane(k)[self.samples[v][g].pixel? as usize];
+        let Colour { gain, offset } = self.colours[v][k];
+        value.is_finite().then(|| (value - offset) / gain)
+    }
+
+    /// The path radiance of the reference image in band `k`.
+    fn path_radiance(&self, k: usize) -> f32 {
+        let pairs = |v: usize| {
+            let gaussians = (0..self.samples[v].len()).into_par_iter().with_min_len(1024);
+            gaussians.filter_map(|g| self.pair(v, g, k)).collect()
+        };
+        path_radiance::of_band((0..self.views.len()).map(pairs).collect())
+    }
+
+    /// Gaussian `g` in the shade of view `v` and in the sun of others.
+    fn pair(&self, v: usize, g: usize, k: usize) -> Option<Pair> {
+        if !self.samples[v][g].shaded {
+            return None;
+        }
+        let shaded = self.value(v, g, k)?;
+        let mut lit = [Vec::new(), Vec::new()];
+        // Which half has more views alternates.
+        let mut half = g % 2;
+        for other in (0..self.views.len()).filter(|&other| self.samples[other][g].lit) {
+            if let Some(value) = self.value(other, g, k) {
+                lit[half].push(value);
+                half = 1 - half;
+            }
+        }
+        let [a, b] = &mut lit;
+        Some(Pair {
+            lit: [upper_median(a)?, upper_median(b)?],
+            shaded,
+        })
+    }
 }

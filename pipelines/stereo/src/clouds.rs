@@ -159,7 +159,7 @@ mod tests {
             altitude_max_m: 15.0,
         };
         let geometries: Vec<_> = views.iter().map(SweepView::geometry).collect();
-        let facts = MatchingFacts::new(&geometries, volume.centre(), false);
+        let facts = MatchingFacts::new(&geometries, &volume, false);
         PlaneSweepRequest {
             volume,
             parameters: MatchingParameters::choose(&facts),

@@ -8,6 +8,7 @@
 //! Cells are worked on in blocks that fit the cache, strips of blocks in parallel; integer sums keep the result independent of threads.
 
 mod block;
+mod no_match;
 
 use super::census::{self, COMPARISONS, Descriptors, INVALID, RADIUS};
 use super::grid::Grid;
@@ -57,22 +58,31 @@ impl MatchingCost<'_> {
             strips.push((row0, row1, strip));
             rest = tail;
         }
+        let no_match = self.no_match_weights();
         strips.into_par_iter().for_each(|(row0, row1, strip)| {
             let mut scratch = Scratch::new(self.views.len(), self.parameters.aggregation_radius);
             for col0 in (0..self.grid.width).step_by(BLOCK.1) {
                 let col1 = (col0 + BLOCK.1).min(self.grid.width);
                 let block = Block { row0, row1, col0, col1 };
-                self.fill_block(&block, ranges, &mut scratch, strip);
+                self.fill_block(&block, ranges, &no_match, &mut scratch, strip);
             }
         });
         costs
     }
 
-    fn fill_block(&self, block: &Block, ranges: &SearchRanges, scratch: &mut Scratch, strip: &mut [u8]) {
+    fn fill_block(
+        &self,
+        block: &Block,
+        ranges: &SearchRanges,
+        no_match: &[u32],
+        scratch: &mut Scratch,
+        strip: &mut [u8],
+    ) {
         let radius = self.parameters.aggregation_radius;
         let strip_start = ranges.start[block.row0 * self.grid.width];
         for (level, part) in self.parts(block, ranges) {
-            self.block_costs(&part.wider(radius), self.heights.altitude(level as f32), scratch);
+            let altitude_m = self.heights.altitude(level as f32);
+            self.block_costs(&part.wider(radius), altitude_m, no_match, scratch);
             scratch.average(&part, radius);
             part.cells(&self.grid, |k, cell| {
                 let low = usize::from(ranges.low[cell]);
@@ -101,7 +111,7 @@ impl MatchingCost<'_> {
     }
 
     /// Costs of a block at one altitude, into `scratch.cost`.
-    fn block_costs(&self, block: &WideBlock, altitude_m: f32, scratch: &mut Scratch) {
+    fn block_costs(&self, block: &WideBlock, altitude_m: f32, no_match: &[u32], scratch: &mut Scratch) {
         let cells = block.width * block.height;
         scratch.sum[..cells].fill(0);
         scratch.weights[..cells].fill(0);
@@ -118,15 +128,15 @@ impl MatchingCost<'_> {
             ..
         } = scratch;
         let (sum, weights) = (&mut sum[..cells], &mut weights[..cells]);
-        let mut full = self.compare(descriptors, 1.0, cut, sum, weights);
-        if self.parameters.same_date_values {
-            full += self.compare_values(descriptors, cut, sum, weights);
+        self.compare(descriptors, 1.0, cut, sum, weights);
+        if let Some(share) = self.parameters.same_date_weight {
+            self.compare_values(descriptors, share, cut, sum, weights);
         }
-        if let Some(weight) = self.index_weight {
-            full += self.compare(index_descriptors, weight, cut, sum, weights);
+        if let Some(share) = self.index_weight {
+            self.compare(index_descriptors, share, cut, sum, weights);
         }
-        let no_match = ((full as f32 * self.parameters.no_match_weight) as u32).max(1);
-        for (cost, (sum, weights)) in cost.iter_mut().zip(sum.iter().zip(weights)) {
+        for (k, (cost, (sum, weights))) in cost.iter_mut().zip(sum.iter().zip(weights)).enumerate() {
+            let no_match = no_match[block.nearest(k, &self.grid)];
             *cost = (255 * (*sum + no_match * cut) / ((*weights + no_match) * cut)) as u8;
         }
     }
@@ -150,7 +160,7 @@ impl MatchingCost<'_> {
         contrast_limits(&view.mean, view.width, places, block, limits);
         let noise = self.parameters.noise_floor / CONTRAST_LIMIT;
         census::describe(values, width, height, limits, noise, descriptors);
-        if self.parameters.same_date_values {
+        if self.parameters.same_date_weight.is_some() {
             census::store_values(values, width, height, view.mean.middle, view.mean.contrast, descriptors);
         }
         if let Some(hits) = self.hits {
@@ -173,26 +183,27 @@ impl MatchingCost<'_> {
         }
     }
 
-    /// Adds the comparisons of one plane's descriptors, each of `share` of its pair's weight; returns the weight of them all.
-    fn compare(&self, descriptors: &[Descriptors], share: f32, cut: u32, sum: &mut [u32], weights: &mut [u32]) -> u32 {
-        let mut full = 0;
+    /// Adds the comparisons of one plane's descriptors, each of `share` of its pair's weight.
+    fn compare(&self, descriptors: &[Descriptors], share: f32, cut: u32, sum: &mut [u32], weights: &mut [u32]) {
         for pair in self.pairs {
-            let weight = ((pair.weight as f32 * share) as u32).max(1);
+            let weight = pair.weight_of(share);
             census::compare(&descriptors[pair.a], &descriptors[pair.b], weight, cut, sum, weights);
-            full += weight;
         }
-        full
     }
 
-    /// Adds the differences of brightness of the views of one date; returns the weight of them all.
-    fn compare_values(&self, descriptors: &[Descriptors], cut: u32, sum: &mut [u32], weights: &mut [u32]) -> u32 {
-        let mut full = 0;
+    /// Adds the differences of brightness of the views of one date, each of `share` of its pair's weight.
+    fn compare_values(&self, descriptors: &[Descriptors], share: f32, cut: u32, sum: &mut [u32], weights: &mut [u32]) {
         for pair in self.pairs.iter().filter(|pair| pair.same_date) {
             let (a, b) = (&descriptors[pair.a], &descriptors[pair.b]);
-            census::compare_values(a, b, pair.weight, VALUE_TRUNCATION, cut, sum, weights);
-            full += pair.weight;
+            census::compare_values(a, b, pair.weight_of(share), VALUE_TRUNCATION, cut, sum, weights);
         }
-        full
+    }
+
+    /// The weight of all comparisons between two views.
+    fn total_weight(&self, pair: &Pair) -> u32 {
+        let values = self.parameters.same_date_weight.filter(|_| pair.same_date);
+        let others = [values, self.index_weight].into_iter().flatten();
+        pair.weight + others.map(|share| pair.weight_of(share)).sum::<u32>()
     }
 
     /// Projects a block and its margin, at one altitude, into a view.

@@ -51,7 +51,7 @@ mod views;
 mod visibility;
 mod wta;
 
-pub use parameters::{CandidateTolerance, MANY_VIEWS, MatchingFacts, MatchingParameters};
+pub use parameters::{CandidateTolerance, FEW_VIEWS, MANY_VIEWS, MatchingFacts, MatchingParameters, no_match_weight};
 pub use plane_sweep::plane_sweep;
 pub use request::{PlaneSweepRequest, SearchVolume};
 pub use seen::{AltitudeGrid, FEWEST_VIEWS, views_seeing};

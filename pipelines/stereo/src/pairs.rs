@@ -18,6 +18,13 @@ pub(super) struct Pair {
     pub(super) base_to_height: f32,
 }
 
+impl Pair {
+    /// The weight of a comparison that counts for `share` of one of brightness.
+    pub(super) fn weight_of(&self, share: f32) -> u32 {
+        ((self.weight as f32 * share) as u32).max(1)
+    }
+}
+
 /// Weight of a perfect pair: weights are whole numbers, so that sums do not depend on their order.
 const FULL_WEIGHT: f32 = 64.0;
 /// Base-to-height ratio at which a pair has half of the weight of an infinitely long base.

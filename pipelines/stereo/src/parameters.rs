@@ -4,18 +4,22 @@
 //! is read. [`MatchingParameters::choose`] decides, and the search consumes the values without deciding anything itself.
 //!
 //! Three facts decide:
-//! - the number of views: what [`MANY_VIEWS`] views agree on is seldom chance, so false matches need less protection;
+//! - the number of views of a piece of ground: what [`MANY_VIEWS`] views agree on is seldom chance, so false matches need less protection;
+//!   between [`FEW_VIEWS`] and as many the parameters change in proportion;
 //! - the combined base-to-height ratio: noise in height grows with its inverse, and so does the window that averages it out;
 //! - whether every view has an index plane (a vegetation index): then it is compared beside brightness.
 //!
 //! Constants without a source were chosen by experiment; docs/lab/plane-sweep.md has the tables.
 
 use super::pairs::{self, LEAST_BASE_TO_HEIGHT};
+use super::request::SearchVolume;
+use super::seen::pixel_of;
 use super::views::ViewGeometry;
-use glam::Vec3;
 
-/// Number of views from which on the parameters for many views are used.
-pub const MANY_VIEWS: usize = 8;
+/// Views of a piece of ground up to which the parameters for few views are used.
+pub const FEW_VIEWS: f32 = 4.0;
+/// The same from which on those for many views are used.
+pub const MANY_VIEWS: f32 = 8.0;
 
 /// Height step of the hypotheses, as the relative shift in cells of the pair of views with the widest base: half a cell is what matching
 /// resolves before the sub-step refinement.
@@ -33,7 +37,7 @@ const GUIDE_EDGE: f32 = 30.0;
 /// Smallest difference that the census compares at the shortest base, where noise is most of what two views differ by, in median
 /// differences between the neighbours around.
 const NOISE_FLOOR: f32 = 0.16;
-/// No-match weight with few views, as a share of the weights of all comparisons: heights that few views see must not win by chance.
+/// No-match weight with few views, as a share of the weights of all comparisons between the views of a cell: heights that few of these see must not win by chance.
 const NO_MATCH_FEW: f32 = 0.08;
 /// The same with many views.
 const NO_MATCH_MANY: f32 = 0.03;
@@ -62,8 +66,8 @@ const RADIUS_PER_SMOOTHNESS: usize = 3;
 /// What the choice of the matching parameters depends on.
 #[derive(Debug, Clone, Copy, PartialEq, serde::Serialize)]
 pub struct MatchingFacts {
-    /// Number of views.
-    pub views: usize,
+    /// Mean number of views of a piece of ground.
+    pub views: f32,
     /// Combined base-to-height ratio, metres per metre: the root of the sum of its squares over the pairs of views that are compared.
     pub combined_base_to_height: f32,
     /// Whether every view has an index plane.
@@ -71,18 +75,51 @@ pub struct MatchingFacts {
 }
 
 impl MatchingFacts {
-    /// The facts of views that look at `centre` (metres in the frame of the cameras); `has_index` says whether each of them has an
-    /// index plane.
+    /// The facts of views of the ground in `volume` (in the frame of the cameras); `has_index` says whether each of them has an index
+    /// plane.
     ///
-    /// Neither a crop nor a shift of the image (a pointing correction) changes a viewing direction, so both leave the facts as they are
-    /// but for rounding in f32; the pyramid's resolution does not enter.
-    pub fn new(views: &[ViewGeometry], centre: Vec3, has_index: bool) -> Self {
+    /// Neither a crop to the volume nor a shift of the image (a pointing correction) changes a viewing direction, so both leave the facts
+    /// as they are but for rounding in f32; the pyramid's resolution does not enter.
+    pub fn new(views: &[ViewGeometry], volume: &SearchVolume, has_index: bool) -> Self {
         Self {
-            views: views.len(),
-            combined_base_to_height: pairs::combined_base_to_height(&pairs::choose(views, centre)),
+            views: views_of_ground(views, volume),
+            combined_base_to_height: pairs::combined_base_to_height(&pairs::choose(views, volume.centre())),
             has_index,
         }
     }
+}
+
+/// Places along each side of the ground at which views are counted.
+const PLACES: usize = 32;
+
+/// Mean number of views of the places that at least two of them show, at the volume's middle altitude; all of them where there is no such
+/// place.
+fn views_of_ground(views: &[ViewGeometry], volume: &SearchVolume) -> f32 {
+    let along = |low: f32, high: f32, i: usize| low + (high - low) * (i as f32 + 0.5) / PLACES as f32;
+    let at_place = |i: usize| {
+        let mut place = volume.centre();
+        place.x = along(volume.west_m, volume.east_m, i % PLACES);
+        place.y = along(volume.south_m, volume.north_m, i / PLACES);
+        views
+            .iter()
+            .filter(|view| pixel_of(&view.camera, place).is_some())
+            .count()
+    };
+    let shown: Vec<usize> = (0..PLACES * PLACES).map(at_place).filter(|&count| count >= 2).collect();
+    match shown.is_empty() {
+        true => views.len() as f32,
+        false => shown.iter().sum::<usize>() as f32 / shown.len() as f32,
+    }
+}
+
+/// How far the parameters are those for many views: 0 up to [`FEW_VIEWS`], 1 from [`MANY_VIEWS`] on.
+fn many_views_share(views: f32) -> f32 {
+    ((views - FEW_VIEWS) / (MANY_VIEWS - FEW_VIEWS)).clamp(0.0, 1.0)
+}
+
+/// Weight of the no-match (occlusion) cost of a cell that so many views show, as a share of the weights of all comparisons between them.
+pub fn no_match_weight(views: f32) -> f32 {
+    NO_MATCH_FEW + (NO_MATCH_MANY - NO_MATCH_FEW) * many_views_share(views)
 }
 
 /// Summed cost above the least within which another height remains a candidate at the next, finer search; in units of a full mismatch /
@@ -117,11 +154,9 @@ pub struct MatchingParameters {
     pub aggregation_radius: usize,
     /// Smallest difference from the centre that the census compares, in median differences between the pixels around; 0 compares all.
     pub noise_floor: f32,
-    /// Weight of the no-match (occlusion) cost, as a share of the weights of all comparisons.
-    pub no_match_weight: f32,
-    /// Whether the brightness itself of views of one date is compared too: the same sun makes them alike, and a single pixel does not
-    /// reach over edges as a window does.
-    pub same_date_values: bool,
+    /// Weight of a comparison of the brightness itself of views of one date beside one by the census: the same sun makes them alike, and a
+    /// single pixel does not reach over edges as a window does. `None` compares them by the census alone.
+    pub same_date_weight: Option<f32>,
     /// Weight of a comparison of index planes beside one of brightness; `None` compares brightness alone.
     pub index_weight: Option<f32>,
     /// Cost of a change by one height step between neighbours (P1).
@@ -143,21 +178,25 @@ pub struct MatchingParameters {
 impl MatchingParameters {
     /// Decides all parameters from the facts.
     pub fn choose(facts: &MatchingFacts) -> Self {
-        let many = facts.views >= MANY_VIEWS;
+        let many = many_views_share(facts.views);
+        let between = |few: u16, all: u16| (f32::from(few) + (f32::from(all) - f32::from(few)) * many).round() as u16;
         let radius = aggregation_radius(facts.combined_base_to_height);
         let very_short_base = radius >= LARGEST_RADIUS as usize;
-        let jump_penalty = if many { JUMP_PENALTY_MANY } else { JUMP_PENALTY_FEW };
+        let jump_penalty = between(JUMP_PENALTY_FEW, JUMP_PENALTY_MANY);
         Self {
             step_cells: STEP_CELLS,
             aggregation_radius: radius,
             noise_floor: if very_short_base { NOISE_FLOOR } else { 0.0 },
-            no_match_weight: if many { NO_MATCH_MANY } else { NO_MATCH_FEW },
-            same_date_values: many,
+            same_date_weight: (many > 0.0).then_some(many),
             index_weight: facts.has_index.then_some(INDEX_WEIGHT),
             one_step_penalty: ONE_STEP_PENALTY,
             jump_penalty: jump_penalty * smoothness_scale(radius),
             guide_edge: GUIDE_EDGE,
-            candidate_tolerance: if many { TOLERANCE_MANY } else { TOLERANCE_FEW },
+            candidate_tolerance: CandidateTolerance {
+                full_resolution: between(TOLERANCE_FEW.full_resolution, TOLERANCE_MANY.full_resolution),
+                half_resolution: between(TOLERANCE_FEW.half_resolution, TOLERANCE_MANY.half_resolution),
+                coarser: between(TOLERANCE_FEW.coarser, TOLERANCE_MANY.coarser),
+            },
             visibility_rounds: VISIBILITY_ROUNDS,
             plane_radius: if radius > 0 { radius + 1 } else { 0 },
             adaptive_plane_radius: very_short_base.then_some(radius),
@@ -178,15 +217,67 @@ fn smoothness_scale(radius: usize) -> u16 {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use glam::DVec3;
+    use glam::{DVec3, Vec3};
     use heliosplat::ProjectiveCamera;
 
-    fn chosen(views: usize, combined_base_to_height: f32) -> MatchingParameters {
+    fn chosen(views: u8, combined_base_to_height: f32) -> MatchingParameters {
         MatchingParameters::choose(&MatchingFacts {
-            views,
+            views: views.into(),
             combined_base_to_height,
             has_index: false,
         })
+    }
+
+    #[test]
+    fn parameters_change_little_by_little_with_the_number_of_views() {
+        let of = |views| chosen(views, 2.0);
+        assert_eq!(
+            [2, 4, 6, 8, 12].map(|views| of(views).jump_penalty),
+            [90, 90, 75, 60, 60]
+        );
+        assert_eq!(
+            [4, 6, 8].map(|views| of(views).candidate_tolerance.coarser),
+            [80, 140, 200]
+        );
+        assert_eq!(
+            [4, 6, 8].map(|views| of(views).same_date_weight),
+            [None, Some(0.5), Some(1.0)]
+        );
+        let steps: Vec<f32> = (4..8)
+            .map(|v| no_match_weight(v as f32) - no_match_weight(v as f32 + 1.0))
+            .collect();
+        assert!(steps.iter().all(|step| (step - 0.0125).abs() < 1e-6), "{steps:?}");
+    }
+
+    /// Views of the western half of a ground, and views of all of it.
+    #[test]
+    fn views_are_counted_where_there_is_ground_to_see() {
+        let volume = SearchVolume {
+            west_m: -64.0,
+            south_m: -32.0,
+            east_m: 64.0,
+            north_m: 32.0,
+            cell_m: 0.5,
+            altitude_min_m: -10.0,
+            altitude_max_m: 10.0,
+        };
+        let looking = |west_m: f64, width: usize| ViewGeometry {
+            camera: ProjectiveCamera::new(
+                [1.0, 0.0, 0.0, -west_m],
+                [0.0, -1.0, 0.0, 32.0],
+                [0.0; 3],
+                (width, 64),
+                DVec3::NEG_Z,
+            ),
+            date_group: 0,
+            sun: None,
+        };
+        let counted = |views: &[ViewGeometry]| MatchingFacts::new(views, &volume, false).views;
+        let (all, western) = (looking(-64.0, 129), looking(-64.0, 64));
+        assert_eq!(counted(&[all, all, all]), 3.0);
+        assert!((counted(&[all, all, western, western]) - 3.0).abs() < 0.05);
+        // One view alone is no ground to match.
+        assert_eq!(counted(&[western, western, all]), 3.0);
     }
 
     #[test]
@@ -239,7 +330,16 @@ mod tests {
             camera: view.camera.shifted(4.25, -7.5),
             ..view
         });
-        let ratio = |views: &[ViewGeometry]| MatchingFacts::new(views, centre, false).combined_base_to_height;
+        let volume = SearchVolume {
+            west_m: centre.x - 50.0,
+            south_m: centre.y - 50.0,
+            east_m: centre.x + 50.0,
+            north_m: centre.y + 50.0,
+            cell_m: 0.5,
+            altitude_min_m: centre.z - 10.0,
+            altitude_max_m: centre.z + 10.0,
+        };
+        let ratio = |views: &[ViewGeometry]| MatchingFacts::new(views, &volume, false).combined_base_to_height;
         for other in [ratio(&cropped), ratio(&shifted)] {
             assert!(
                 (other / ratio(&whole) - 1.0).abs() < 1e-5,

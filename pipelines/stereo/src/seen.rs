@@ -103,7 +103,7 @@ impl LowestGround {
 }
 
 /// The pixel, in row order, that a point (metres) projects into; `None` outside the image.
-fn pixel_of(camera: &ProjectiveCamera, at: Vec3) -> Option<usize> {
+pub(super) fn pixel_of(camera: &ProjectiveCamera, at: Vec3) -> Option<usize> {
     let (col, row, _) = camera.project(at);
     let (col, row) = (col.round(), row.round());
     // Written so that a NaN position is outside too.

@@ -64,6 +64,15 @@ pub(super) struct WideBlock {
     pub(super) height: usize,
 }
 
+impl WideBlock {
+    /// The cell of the grid that is nearest to the block's cell `k`.
+    pub(super) fn nearest(&self, k: usize, grid: &Grid) -> usize {
+        let held = |at: isize, count: usize| (at.max(0) as usize).min(count - 1);
+        let row = held(self.row0 + (k / self.width) as isize, grid.height);
+        row * grid.width + held(self.col0 + (k % self.width) as isize, grid.width)
+    }
+}
+
 /// Buffers for one block, reused from block to block.
 pub(super) struct Scratch {
     /// A view's samples.
