@@ -536,3 +536,21 @@ fn settings_that_mean_nothing_are_named() {
         assert!(line.contains(said), "{line}");
     }
 }
+
+#[test]
+fn an_image_without_contrast_is_named() {
+    let views = [Shows::Waves, Shows::Nothing, Shows::Waves];
+    let views: Vec<View> = (0..3)
+        .map(|number| View {
+            shows: views[number],
+            ..View::new(number)
+        })
+        .collect();
+    let home = scene(&views);
+    let dsm = home.path().join("dsm.tif");
+    let mut arguments: Vec<OsString> = ["dsm".into(), home.path().into(), "--out".into(), dsm.clone().into()].to_vec();
+    arguments.extend(["--from", "sweep", "--altitude", "690,710"].map(OsString::from));
+    let line = fault(&arguments, 1);
+    assert!(line.contains("view_1.tif") && line.contains("contrast"), "{line}");
+    assert!(!dsm.exists());
+}

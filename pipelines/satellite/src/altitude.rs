@@ -41,8 +41,8 @@ const POINTING_M: f64 = 10.0;
 const FEWEST_TIES: usize = 8;
 /// Share of the matches that has to agree with its neighbours: by chance it is far less.
 const LEAST_AGREEING: f64 = 0.3;
-/// Shares of the tie points that are left out below and above: first, then.
-const TAILS: [f64; 2] = [0.02, 0.02];
+/// Share of the tie points that is left out below, and above.
+const TAIL: f64 = 0.02;
 /// Margin around the first search's range: metres, share of its span, pixels of parallax.
 const COARSE_MARGIN: (f64, f64, f64) = (40.0, 0.25, 4.0);
 /// Margin below and above the second search's range, metres: corners lie on roofs and streets, but seldom in a pit or on a spire.
@@ -233,8 +233,8 @@ fn search(
     }
     let told = found.iter().filter(|ties| !ties.altitudes_m.is_empty());
     let step_m = told.map(|ties| ties.step_m).fold(0.0, f64::max);
-    let low_m = quantile(&mut altitudes_m, TAILS[time]);
-    let high_m = quantile(&mut altitudes_m, 1.0 - TAILS[time]);
+    let low_m = quantile(&mut altitudes_m, TAIL);
+    let high_m = quantile(&mut altitudes_m, 1.0 - TAIL);
     Ok(low_m.zip(high_m).map(|(low_m, high_m)| Span { low_m, high_m, step_m }))
 }
 

@@ -90,6 +90,15 @@ pub enum FitError {
         /// How many do.
         images: usize,
     },
+    /// An image whose common ground is of one value.
+    #[error(
+        "{}: the ground that the images have in common has no contrast in it: nearly all of its pixels have one value; take the image out of the scene",
+        image.display()
+    )]
+    NoContrast {
+        /// The image.
+        image: PathBuf,
+    },
     /// Training would take more memory than it may.
     #[error(
         "--memory: training needs about {needed_gib:.2} GiB and {limit_gib:.2} GiB are allowed; give more, fewer images, or a coarser model with --set start.cell_gsd={cell_gsd:.2}"

@@ -3,6 +3,7 @@
 use super::error::FitError;
 use heliosplat::Raster;
 use heliosplat_rpc::LocalFrame;
+use heliosplat_rpc::statistics::upper_quantile;
 use heliosplat_scene::bands::{vegetation_bands, vegetation_index};
 use heliosplat_scene::crop::{self, Crop};
 use heliosplat_scene::{Area, Scene, SceneImage};
@@ -62,6 +63,20 @@ impl<'a> Ground<'a> {
     pub fn rasters(&self) -> Vec<Raster> {
         let crops = self.images.iter().zip(&self.crops);
         crops.map(|(image, crop)| crop.cut(&image.pixels)).collect()
+    }
+
+    /// Refuses an image whose crop shows nothing to match: nearly all of its pixels have one value in every band. Crops without any known
+    /// pixel pass; they are known to show nothing.
+    ///
+    /// # Errors
+    /// [`FitError::NoContrast`] for the first such image.
+    pub(super) fn check_contrast(&self, rasters: &[Raster]) -> Result<(), FitError> {
+        let flat = self.images.iter().zip(rasters).find(|(_, raster)| is_flat(raster));
+        flat.map_or(Ok(()), |(image, _)| {
+            Err(FitError::NoContrast {
+                image: image.path.clone(),
+            })
+        })
     }
 
     /// Where the crops are seen from and under which sun, their cameras moved by `shifts` (columns, rows), pixels.
@@ -151,5 +166,42 @@ impl<'a> Ground<'a> {
             volume: self.volume(cell_m),
             parameters,
         }
+    }
+}
+
+/// Share of an image's pixels at each end of their values that do not count as contrast.
+const TAIL: f64 = 0.01;
+/// Pixels by which the contrast of an image is judged, about.
+const JUDGED_PIXELS: usize = 1 << 16;
+
+/// Whether nearly all known pixels have one value, in every band.
+fn is_flat(raster: &Raster) -> bool {
+    let step = (raster.width * raster.height / JUDGED_PIXELS).max(1);
+    let spread = |band: usize| {
+        let known = raster
+            .plane(band)
+            .iter()
+            .step_by(step)
+            .filter(|value| value.is_finite());
+        let mut values: Vec<f32> = known.copied().collect();
+        Some(upper_quantile(&mut values, 1.0 - TAIL)? - upper_quantile(&mut values, TAIL)?)
+    };
+    (0..raster.bands).all(|band| spread(band) == Some(0.0))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn an_image_is_flat_only_where_hardly_a_pixel_differs() {
+        let mut raster = Raster::filled(40, 50, 2, 0.3);
+        assert!(is_flat(&raster));
+        // Hot pixels are no contrast; a street of thirty pixels is.
+        raster.values[7] = 0.9;
+        assert!(is_flat(&raster));
+        raster.values[100..130].fill(0.1);
+        assert!(!is_flat(&raster));
+        assert!(!is_flat(&Raster::filled(40, 50, 2, f32::NAN)), "nothing is known of it");
     }
 }

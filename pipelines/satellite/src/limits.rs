@@ -1,8 +1,7 @@
 //! Whether a swept surface touches the limits of the altitudes that were searched: then it goes on beyond, and was cut off.
 
 use heliosplat_scene::{Scene, crop};
-use heliosplat_stereo::Surface;
-use rayon::prelude::*;
+use heliosplat_stereo::{FEWEST_VIEWS, Surface};
 
 /// Confidence from which on a cell of a surface counts as matched: at lower ones, cells that matched by chance lie at the limits too
 /// (docs/lab/altitude.md).
@@ -26,13 +25,7 @@ pub struct AtLimits {
 impl AtLimits {
     /// Those of a surface that was searched over the altitudes of `scene`; cells that fewer than two images see do not count.
     pub fn of(surface: &Surface, scene: &Scene) -> Self {
-        let limits_m = crop::altitude_range(scene);
-        let seen = |cell: usize| {
-            let p = surface.point(cell % surface.width, cell / surface.width).as_dvec3();
-            scene.views_covering(p.x, p.y, p.z) >= 2
-        };
-        let seen: Vec<bool> = (0..surface.altitude.len()).into_par_iter().map(seen).collect();
-        let at = shares(surface, &seen, limits_m);
+        let at = shares(surface, crop::altitude_range(scene));
         tracing::debug!(
             low = at.low,
             high = at.high,
@@ -72,12 +65,13 @@ impl AtLimits {
     }
 }
 
-fn shares(surface: &Surface, seen: &[bool], (low_m, high_m): (f64, f64)) -> AtLimits {
-    let cells = surface.altitude.iter().zip(&surface.confidence).zip(&surface.filled);
-    let matched: Vec<f64> = cells
-        .zip(seen)
-        .filter(|(((_, confidence), filled), seen)| **confidence >= CONFIDENT && !**filled && **seen)
-        .map(|(((altitude, _), _), _)| f64::from(*altitude))
+fn shares(surface: &Surface, (low_m, high_m): (f64, f64)) -> AtLimits {
+    let is_matched = |cell: &usize| {
+        surface.confidence[*cell] >= CONFIDENT && !surface.filled[*cell] && surface.views[*cell] >= FEWEST_VIEWS
+    };
+    let matched: Vec<f64> = (0..surface.altitude.len())
+        .filter(is_matched)
+        .map(|cell| f64::from(surface.altitude[cell]))
         .collect();
     let share = |count: usize| count as f64 / matched.len().max(1) as f64;
     let step_m = f64::from(surface.resolution_m);
@@ -112,12 +106,11 @@ mod tests {
     #[test]
     fn cells_at_a_limit_are_counted_among_those_that_were_matched() {
         let mut cut_off = surface(vec![3.0, 9.5, 9.8, -4.0, 9.9]);
-        let seen = [true, true, true, true, false];
-        let at = |cut_off: &Surface, range_m| shares(cut_off, &seen, range_m);
-        assert_eq!(at(&cut_off, (-10.0, 10.0)), AtLimits { low: 0.0, high: 0.5 });
+        cut_off.views = vec![2, 3, 2, 2, 1];
+        assert_eq!(shares(&cut_off, (-10.0, 10.0)), AtLimits { low: 0.0, high: 0.5 });
         cut_off.confidence[3] = 0.0;
         cut_off.filled[1] = true;
-        assert_eq!(at(&cut_off, (2.5, 10.0)), AtLimits { low: 0.5, high: 0.5 });
+        assert_eq!(shares(&cut_off, (2.5, 10.0)), AtLimits { low: 0.5, high: 0.5 });
     }
 
     #[test]

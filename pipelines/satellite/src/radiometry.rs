@@ -139,7 +139,7 @@ pub(super) fn initialise(model: &ShadowGs, parameters: &mut Parameters, views: &
         true => (0..bands).map(|k| shown.path_radiance(k)).collect(),
         false => vec![0.0; bands],
     };
-    tracing::info!("path radiance, in counts of the reference image: {path_radiance:.3?}");
+    tracing::info!("path radiance of the reference image, per band: {path_radiance:.3?}");
     if model.options.image_colour {
         for (view, colours) in shown.views.iter().zip(&shown.colours) {
             for (k, colour) in colours.iter().enumerate() {

@@ -42,7 +42,7 @@ impl<'a> Swept<'a> {
     /// Finds it out.
     ///
     /// # Errors
-    /// [`FitError::TooFewViews`] when too few images show the common ground.
+    /// [`FitError::TooFewViews`] when too few images show the common ground, [`FitError::NoContrast`] when one of them shows nothing there.
     pub(super) fn new(
         scene: &'a Scene,
         config: &SatelliteConfig,
@@ -56,6 +56,7 @@ impl<'a> Swept<'a> {
         let request = ground.request(config.start.cell_gsd * scene.gsd_m, matching);
         tracing::debug!(parameters = ?matching, "matching");
         let mut rasters = ground.rasters();
+        ground.check_contrast(&rasters)?;
         let clouds = match decisions.clouds {
             true => clouds::find(&ground, &rasters, &request),
             false => vec![Vec::new(); rasters.len()],

@@ -4,7 +4,7 @@ use super::area::{AreaRequest, window_over};
 use super::draft::Draft;
 use super::footprint::{self, Footprint};
 use super::layout::Layout;
-use super::{AltitudeRange, Area, Scene, SceneError, SceneImage, Split, acquisition, pixels, weak_times};
+use super::{AltitudeRange, Area, ImageSun, Scene, SceneError, SceneImage, Split, acquisition, pixels, weak_times};
 use heliosplat_raster::Window;
 use heliosplat_rpc::statistics::upper_median;
 use heliosplat_rpc::{ImageWindow, LocalFrame, PinholeFit, Rpc};
@@ -154,16 +154,13 @@ impl Ground {
             frame,
             area,
         } = self;
-        weak_times::fill(&mut drafts, frame.origin, &mut warnings);
+        let doubtful = weak_times::fill(&mut drafts, frame.origin, &mut warnings);
         let altitude_range_m = range.limits_m();
         let mut suns = Vec::with_capacity(drafts.len());
-        for draft in &drafts {
-            suns.push(acquisition::sun(
-                &draft.file,
-                &draft.acquisition,
-                frame.origin,
-                &mut warnings,
-            )?);
+        for (place, draft) in drafts.iter().enumerate() {
+            let sun = acquisition::sun(&draft.file, &draft.acquisition, frame.origin, &mut warnings)?;
+            let sigma_deg = sun.sigma_deg.filter(|_| !doubtful.contains(&place));
+            suns.push(ImageSun { sigma_deg, ..sun });
         }
         let mut rasters = Vec::with_capacity(drafts.len());
         for draft in &drafts {

@@ -10,7 +10,7 @@ use super::super::grid::Grid;
 use super::{HALF, corners};
 use heliosplat::Raster;
 use heliosplat_rpc::statistics::median;
-use heliosplat_rpc::{GeoPoint, ImagePoint, Rpc};
+use heliosplat_rpc::{ImagePoint, Rpc};
 use nalgebra::{Matrix2, Vector2};
 use rayon::prelude::*;
 
@@ -65,6 +65,12 @@ impl ReducedView<'_> {
     fn reduced(&self, at: ImagePoint) -> Vector2<f64> {
         let one = |value: f64, first: usize| (value + 0.5 - first as f64) / self.factor as f64 - 0.5;
         Vector2::new(one(at.col, self.first_px[0]), one(at.row, self.first_px[1]))
+    }
+
+    /// Where this view shows what another shows at `at`, if that lies at an altitude, metres above the ellipsoid.
+    fn place_of(&self, other: &Self, at: Vector2<f64>, altitude_m: f64) -> Option<Vector2<f64>> {
+        let place = other.rpc.localise(other.in_file(at), altitude_m).ok()?;
+        Some(self.reduced(self.rpc.project(place)))
     }
 
     /// Bilinear value; `NaN` outside the image and beside missing pixels.
@@ -185,10 +191,7 @@ impl Line {
     ) -> Option<Self> {
         let (low_m, high_m) = Self::visible(first, second, corner, search.range_m)?;
         let middle_m = 0.5 * (low_m + high_m);
-        let seen = |at: Vector2<f64>, height_m: f64| -> Option<Vector2<f64>> {
-            let place: GeoPoint = first.rpc.localise(first.in_file(at), height_m).ok()?;
-            Some(second.reduced(second.rpc.project(place)))
-        };
+        let seen = |at: Vector2<f64>, height_m: f64| second.place_of(first, at, height_m);
         let per_m = (seen(corner, high_m)? - seen(corner, low_m)?) / (high_m - low_m);
         let slope = |step: Vector2<f64>| -> Option<Vector2<f64>> {
             Some((seen(corner + step, middle_m)? - seen(corner - step, middle_m)?) / (2.0 * JACOBIAN_PX))
@@ -226,10 +229,7 @@ impl Line {
         corner: Vector2<f64>,
         (low_m, high_m): (f64, f64),
     ) -> Option<(f64, f64)> {
-        let place = |height_m: f64| {
-            let place = first.rpc.localise(first.in_file(corner), height_m).ok()?;
-            Some(second.reduced(second.rpc.project(place)))
-        };
+        let place = |height_m: f64| second.place_of(first, corner, height_m);
         let (from, to) = (place(low_m)?, place(high_m)?);
         // Where the line enters and leaves the image, as shares of its length (Liang and Barsky 1984).
         let (mut enters, mut leaves) = (0.0f64, 1.0f64);
@@ -501,11 +501,9 @@ mod tests {
         image
     }
 
-    #[test]
-    fn the_altitude_of_the_ground_is_found_in_a_wide_range_though_the_pointing_is_off() {
-        let (first_rpc, second_rpc) = (camera(0.0), camera(0.3));
-        let (first, second) = (image(0.0, 583.0, 0.0), image(0.3, 583.0, 2.0));
-        let view = |rpc, image| ReducedView {
+    /// What the images of two cameras say of altitudes from 0 to 1,000 m.
+    fn tied(first: (&Rpc, &Raster), second: (&Rpc, &Raster)) -> TiedAltitudes {
+        let view = |(rpc, image)| ReducedView {
             rpc,
             image,
             first_px: [0, 0],
@@ -518,7 +516,14 @@ mod tests {
             corners: 100,
             gsd_m: GSD_M,
         };
-        let found = tied_altitudes(&view(&first_rpc, &first), &view(&second_rpc, &second), &search);
+        tied_altitudes(&view(first), &view(second), &search)
+    }
+
+    #[test]
+    fn the_altitude_of_the_ground_is_found_in_a_wide_range_though_the_pointing_is_off() {
+        let (first_rpc, second_rpc) = (camera(0.0), camera(0.3));
+        let (first, second) = (image(0.0, 583.0, 0.0), image(0.3, 583.0, 2.0));
+        let found = tied((&first_rpc, &first), (&second_rpc, &second));
         assert!(found.altitudes_m.len() > 30, "{found:?}");
         assert!((found.step_m - GSD_M / 0.3).abs() < 0.1, "{}", found.step_m);
         assert_eq!(found.across_px.abs(), 2.0);
@@ -537,20 +542,7 @@ mod tests {
                 6_789.0 + 2.0 * (index / SIZE) as f64,
             );
         }
-        let view = |rpc, image| ReducedView {
-            rpc,
-            image,
-            first_px: [0, 0],
-            factor: 1,
-        };
-        let search = EpipolarSearch {
-            range_m: (0.0, 1000.0),
-            across_px: 0.0,
-            reach_px: 4.0,
-            corners: 100,
-            gsd_m: GSD_M,
-        };
-        let found = tied_altitudes(&view(&rpcs.0, &first), &view(&rpcs.1, &other), &search);
+        let found = tied((&rpcs.0, &first), (&rpcs.1, &other));
         assert!(found.altitudes_m.len() < 3, "{found:?}");
     }
 }
