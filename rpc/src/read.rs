@@ -5,6 +5,8 @@
 //! text it was given, and errors name what is missing.
 
 pub mod acquisition;
+pub mod calibration;
+mod data_files;
 mod domain;
 mod error;
 mod fields;
@@ -16,6 +18,7 @@ mod vendor_xml;
 mod xml;
 
 pub use acquisition::Acquisition;
+pub use data_files::{DataFile, DataFiles, data_files};
 pub use domain::{gdal_domain, geotiff_tag};
 pub use error::ReadError;
 pub use json::satnerf_json;

@@ -59,12 +59,24 @@ impl SunPosition {
 /// The sun at `time`, seen from `at`; meant for 1900 to 2150, where the difference of Earth rotation and uniform time is
 /// known or foreseeable.
 pub fn sun_position(time: jiff::Timestamp, at: GeoPoint) -> SunPosition {
-    let seconds = time.as_second() as f64 + f64::from(time.subsec_nanosecond()) * 1e-9;
-    let days_ut = seconds / SECONDS_PER_DAY + (UNIX_EPOCH_JULIAN_DAY - J2000_JULIAN_DAY);
-    let days_tt = days_ut + delta_t_s(2000.0 + days_ut / 365.2425) / SECONDS_PER_DAY;
+    let (days_ut, days_tt) = days_since_j2000(time);
     let toward_sun_ecef_m = sun_ecef_m(days_ut, days_tt) - ecef_from_geo(at);
     let direction = LocalFrame::new(at).enu_from_ecef_rotation() * toward_sun_ecef_m;
     SunPosition::from_direction_enu(direction)
+}
+
+/// Days since J2000.0, universal and terrestrial time.
+fn days_since_j2000(time: jiff::Timestamp) -> (f64, f64) {
+    let seconds = time.as_second() as f64 + f64::from(time.subsec_nanosecond()) * 1e-9;
+    let days_ut = seconds / SECONDS_PER_DAY + (UNIX_EPOCH_JULIAN_DAY - J2000_JULIAN_DAY);
+    let days_tt = days_ut + delta_t_s(2000.0 + days_ut / 365.2425) / SECONDS_PER_DAY;
+    (days_ut, days_tt)
+}
+
+/// Distance from the Earth to the sun at `time`, astronomical units: 0.983 in January to 1.017 in July.
+pub fn earth_sun_distance_au(time: jiff::Timestamp) -> f64 {
+    let (_, days_tt) = days_since_j2000(time);
+    HeliocentricEarth::at(days_tt / DAYS_PER_CENTURY / 10.0).distance_au
 }
 
 /// Apparent position of the sun, Earth-centred and Earth-fixed, metres; days count from J2000.0.

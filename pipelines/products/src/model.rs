@@ -11,7 +11,8 @@ use heliosplat_raster::bounded;
 use heliosplat_raster::write::write_atomically;
 use heliosplat_rpc::{GeoPoint, LocalFrame, ProjectiveMap, sun::SunPosition};
 use heliosplat_scene::crop::Crop;
-use heliosplat_scene::{Area, BandKind, KnownTiles, Split, SunSource};
+use heliosplat_scene::indices::NormalisedDifference;
+use heliosplat_scene::{Area, BandKind, KnownTiles, Split, SunSource, Values};
 use std::path::{Path, PathBuf};
 
 /// Version of `model.json`.
@@ -77,11 +78,19 @@ pub struct ModelFile {
     pub projection: ProjectionOptions,
     /// What the bands are.
     pub bands: Vec<BandKind>,
+    /// What the values of the image are whose colour is the model's.
+    #[serde(default, skip_serializing_if = "Values::is_unknown")]
+    pub values: Values,
     /// The images.
     pub images: Vec<ModelImage>,
 }
 
 impl ModelFile {
+    /// The vegetation index of the model's colours, if they have one.
+    pub fn vegetation_index(&self) -> Option<NormalisedDifference> {
+        self.values.vegetation_index(&self.bands)
+    }
+
     /// Whether the model was trained with light: the sun of at least one of its images was known.
     pub fn has_light(&self) -> bool {
         let mut trained = self.images.iter().filter(|image| image.appearance.is_some());

@@ -28,6 +28,13 @@ impl ModelFile {
         if file.bands.len() != file.options.bands {
             return Err(format!("it names {} bands of {}", file.bands.len(), file.options.bands));
         }
+        let lines = file.values.reflectance.iter().flatten();
+        let finite = lines
+            .clone()
+            .all(|line| line.scale.is_finite() && line.offset.is_finite());
+        if !finite || ![0, file.bands.len()].contains(&file.values.reflectance.len()) {
+            return Err("its bands have no usable gains to reflectance".into());
+        }
         file.check_numbers()?;
         file.images
             .iter()

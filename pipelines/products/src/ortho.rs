@@ -4,7 +4,7 @@ use super::surface::ALPHA_KNOWN;
 use crate::model::LoadedModel;
 use heliosplat::Raster;
 use heliosplat::splat::Maps;
-use heliosplat_scene::bands::{VEGETATION_INDEX, vegetation_index};
+use heliosplat_scene::indices::{NormalisedDifference, VEGETATION_INDEX};
 
 /// The albedo seen from straight above, band by band; `NaN` where nothing is known. A surface of albedo 1 that lies level in the full
 /// sun is as bright as one unit of the model's colours.
@@ -23,10 +23,10 @@ pub fn albedo(model: &LoadedModel, maps: &Maps) -> Raster {
 }
 
 /// Where an albedo is that of vegetation: 1, else 0, `NaN` where nothing is known.
-pub fn vegetation(albedo: &Raster, (red, near_infrared): (usize, usize)) -> Raster {
-    let pixels = albedo.plane(red).iter().zip(albedo.plane(near_infrared));
-    let values = pixels.map(|(&r, &n)| {
-        let index = vegetation_index(r, n);
+pub fn vegetation(albedo: &Raster, index: NormalisedDifference) -> Raster {
+    let plane = albedo.plane_len();
+    let values = (0..plane).map(|pixel| {
+        let index = index.of(|band| albedo.values[band * plane + pixel]);
         if index.is_nan() {
             f32::NAN
         } else {
@@ -75,6 +75,7 @@ pub fn hillshade(altitude: &Raster, gsd_m: f64) -> Raster {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use heliosplat_scene::{BandKind, Values};
 
     #[test]
     fn a_plane_is_as_bright_as_its_slope_faces_the_light() {
@@ -102,7 +103,9 @@ mod tests {
         let mut raster = Raster::filled(3, 3, 2, 0.2);
         raster.values[0] = f32::NAN;
         raster.plane_mut(1).fill(0.6);
-        let (shade, leaves) = (hillshade(&raster, 1.0), vegetation(&raster, (0, 1)));
+        let bands = [BandKind::Red, BandKind::NearInfrared];
+        let index = Values::default().vegetation_index(&bands).expect("both bands");
+        let (shade, leaves) = (hillshade(&raster, 1.0), vegetation(&raster, index));
         assert!(shade.values[0].is_nan() && leaves.values[0].is_nan());
         assert!(shade.values[1].is_finite() && leaves.values[1] == 1.0);
     }

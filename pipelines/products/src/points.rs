@@ -5,7 +5,7 @@ use heliosplat::gaussians::POSITION;
 use heliosplat::model::shadow_gs::ALBEDO;
 use heliosplat_raster::geoid::{GeoidGrid, Undulation};
 use heliosplat_raster::{Crs, CrsTransform, Geoid, GridSpec, RasterError, preview, write_atomically};
-use heliosplat_scene::bands::{VEGETATION_INDEX, vegetation_bands, vegetation_index};
+use heliosplat_scene::indices::VEGETATION_INDEX;
 use las::point::{Classification, Format};
 use las::{Builder, Color, Point, Reader, Transform, Vector, Writer};
 use nalgebra::Vector3;
@@ -135,7 +135,7 @@ fn points(model: &LoadedModel, crs: &Crs, geoid: Option<Geoid>) -> Result<Vec<Po
     let albedo = gaussians.group(ALBEDO);
     let shown = if bands < 3 { [0, 0, 0] } else { [0, 1, 2] };
     let brightest = preview::percentiles(albedo, 0.0, 0.99).map_or(1.0, |(_, high)| high.max(1e-6));
-    let index = vegetation_bands(&model.file.bands);
+    let index = model.file.vegetation_index();
     let area = model.file.area;
     let transform = CrsTransform::from_lon_lat(crs)?;
     let undulation = geoid.map(Undulation::new).transpose()?;
@@ -154,7 +154,7 @@ fn points(model: &LoadedModel, crs: &Crs, geoid: Option<Geoid>) -> Result<Vec<Po
             None => 0.0,
         };
         let colour = &albedo[bands * i..bands * (i + 1)];
-        let green = index.is_some_and(|(r, n)| vegetation_index(colour[r], colour[n]) > VEGETATION_INDEX);
+        let green = index.is_some_and(|index| index.of(|band| colour[band]) > VEGETATION_INDEX);
         let count = |band: usize| (colour[band] / brightest).clamp(0.0, 1.0).powf(1.0 / 2.2) * f32::from(u16::MAX);
         let [red, g, blue] = shown.map(|band| count(band).round() as u16);
         points.push(Point {

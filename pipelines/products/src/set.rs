@@ -108,7 +108,7 @@ pub fn write(
     writer.surface(&surface)?;
     let mut albedo = ortho::albedo(model, &seen);
     surface.blank_unknown(&mut albedo);
-    writer.colours(&albedo, bands)?;
+    writer.colours(&albedo, bands, model.file.vegetation_index())?;
     done(2);
     if let Some((sun, relit)) = relit {
         let (mut shadows, mut image) = (relit.shadows(), relit.image);

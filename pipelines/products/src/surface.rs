@@ -16,8 +16,7 @@ use heliosplat::model::shadow_gs::ALBEDO;
 use heliosplat::render::depths;
 use heliosplat::splat::{Maps, ProjectionOptions};
 use heliosplat_rpc::statistics::upper_median;
-use heliosplat_scene::BandKind;
-use heliosplat_scene::bands::{vegetation_bands, vegetation_index};
+use heliosplat_scene::indices::NormalisedDifference;
 use rayon::prelude::*;
 
 /// Alpha below which a pixel has no altitude.
@@ -33,8 +32,10 @@ const LEAVES: f32 = 0.5;
 pub struct SurfaceGaussians<'a> {
     /// The Gaussians.
     pub gaussians: &'a Table,
-    /// The bands of their albedo.
-    pub bands: &'a [BandKind],
+    /// Bands of their albedo.
+    pub bands: usize,
+    /// The vegetation index of these, if there is one.
+    pub vegetation: Option<NormalisedDifference>,
     /// How they become splats.
     pub projection: ProjectionOptions,
 }
@@ -43,7 +44,8 @@ impl<'a> From<&'a LoadedModel> for SurfaceGaussians<'a> {
     fn from(model: &'a LoadedModel) -> Self {
         Self {
             gaussians: &model.parameters.gaussians,
-            bands: &model.file.bands,
+            bands: model.file.bands.len(),
+            vegetation: model.file.vegetation_index(),
             projection: model.file.projection,
         }
     }
@@ -111,11 +113,15 @@ fn looks(input: &SurfaceGaussians, nadir: &ProjectiveCamera) -> Vec<Vec<f32>> {
 
 /// The Gaussians, less opaque the more upright they stand: whole up to a slope of 45 degrees, `2 cos²` of it beyond.
 fn facing_up(input: &SurfaceGaussians) -> Table {
-    let SurfaceGaussians { gaussians, bands, .. } = *input;
-    let index = vegetation_bands(bands);
+    let SurfaceGaussians {
+        gaussians,
+        bands,
+        vegetation,
+        ..
+    } = *input;
     let leaf = |g: usize| {
-        let albedo = &gaussians.group(ALBEDO)[g * bands.len()..];
-        index.is_some_and(|(red, infrared)| vegetation_index(albedo[red], albedo[infrared]) > LEAVES)
+        let albedo = &gaussians.group(ALBEDO)[g * bands..];
+        vegetation.is_some_and(|index| index.of(|band| albedo[band]) > LEAVES)
     };
     let mut out = gaussians.clone();
     let opacities = out.group_mut(OPACITY).par_iter_mut().with_min_len(1024);
@@ -136,6 +142,7 @@ mod tests {
     use super::*;
     use glam::{Quat, Vec3};
     use heliosplat::gaussians::{GroupSpec, LOG_SCALE, POSITION, ROTATION, core_groups};
+    use heliosplat_scene::{BandKind, Values};
 
     const CELL_M: f32 = 0.5;
     const BANDS: [BandKind; 2] = [BandKind::Red, BandKind::NearInfrared];
@@ -166,7 +173,8 @@ mod tests {
         let table = discs(of);
         let input = SurfaceGaussians {
             gaussians: &table,
-            bands: &BANDS,
+            bands: BANDS.len(),
+            vegetation: Values::default().vegetation_index(&BANDS),
             projection: ProjectionOptions::default(),
         };
         cells(&input, &above(1))

@@ -8,7 +8,7 @@ use heliosplat_raster::write::{Bytes, ImageSpec, write_byte_cog, write_cog};
 use heliosplat_raster::{GridSpec, RasterError, write_atomically};
 use heliosplat_rpc::sun::SunPosition;
 use heliosplat_scene::BandKind;
-use heliosplat_scene::bands::vegetation_bands;
+use heliosplat_scene::indices::NormalisedDifference;
 use jiff::Timestamp;
 use std::path::{Path, PathBuf};
 
@@ -147,17 +147,22 @@ impl<'a> Writer<'a> {
         self.bytes(("hillshade", title, "shade"), &shade, Bytes::Shades, None)
     }
 
-    /// The albedo and, where red and near infrared are known, what of it is vegetation.
+    /// The albedo and, where it has a vegetation index, what of it is vegetation.
     ///
     /// # Errors
     /// When a file cannot be written.
-    pub fn colours(&mut self, albedo: &Raster, bands: &[BandKind]) -> Result<(), RasterError> {
+    pub fn colours(
+        &mut self,
+        albedo: &Raster,
+        bands: &[BandKind],
+        index: Option<NormalisedDifference>,
+    ) -> Result<(), RasterError> {
         let title = "True-ortho albedo, relative to level ground in full sun";
         self.floats(("albedo", title), albedo, bands, None)?;
-        let Some(pair) = vegetation_bands(bands) else {
+        let Some(index) = index else {
             return Ok(());
         };
-        let leaves = ortho::vegetation(albedo, pair);
+        let leaves = ortho::vegetation(albedo, index);
         let names = ("vegetation", "Vegetation by its index", "vegetation");
         self.bytes(names, &leaves, Bytes::Mask, None)
     }

@@ -83,6 +83,10 @@ pub struct BandInfo {
     pub unit: String,
     /// The value that means "nothing here".
     pub nodata: Option<f64>,
+    /// What a count is multiplied with to get to the unit, where the file says so.
+    pub scale: Option<f64>,
+    /// What is added then, where the file says so.
+    pub offset: Option<f64>,
 }
 
 /// A pixel window: first column and row, columns and rows.
@@ -416,6 +420,8 @@ fn band_infos(dataset: &Dataset) -> gdal::errors::Result<Vec<BandInfo>> {
                 data_type,
                 unit: band.unit(),
                 nodata: band.no_data_value(),
+                scale: band.scale(),
+                offset: band.offset(),
             })
         })
         .collect()

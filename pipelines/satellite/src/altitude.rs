@@ -50,6 +50,9 @@ const MARGIN_M: (f64, f64) = (15.0, 40.0);
 /// The same as a share of the span.
 const MARGIN_SHARE: f64 = 0.15;
 
+/// Ground sampling distances of two images that differ by more than this factor are made alike before matching.
+const UNLIKE: f64 = 1.5;
+
 /// Width of a cell of the coarse sweep, ground sampling distances.
 const COARSE_CELL_GSD: f64 = 4.0;
 /// Most times that a range is widened.
@@ -138,7 +141,10 @@ fn clamped((low_m, high_m): (f64, f64), bound_m: (f64, f64)) -> (f64, f64) {
 struct Pair {
     images: [usize; 2],
     weight: f64,
+    /// Ground sampling distance of the first image, metres.
     gsd_m: f64,
+    /// Of the second.
+    other_gsd_m: f64,
     /// How far the second image is off across the epipolar lines, pixels of the first.
     across_px: f64,
     /// Pixels averaged into one at the first search, each way.
@@ -168,6 +174,7 @@ fn pairs(cameras: &SceneCameras, bound_m: (f64, f64)) -> Result<Vec<Pair>, Scene
                 images: [a, b],
                 weight,
                 gsd_m: cameras.gsd_m(a, middle_m)?,
+                other_gsd_m: cameras.gsd_m(b, middle_m)?,
                 across_px: 0.0,
                 factor: 1,
             });
@@ -238,6 +245,19 @@ fn search(
     Ok(low_m.zip(high_m).map(|(low_m, high_m)| Span { low_m, high_m, step_m }))
 }
 
+/// How many pixels of two images are averaged into one, each way, so that both have about the resolution that `factor` gives the coarser
+/// one; images of like resolution have one factor.
+fn factors_alike(factor: usize, gsds_m: [f64; 2]) -> [usize; 2] {
+    let coarser_m = gsds_m[0].max(gsds_m[1]);
+    let ratio = |gsd_m: f64| coarser_m / gsd_m;
+    if ratio(gsds_m[0].min(gsds_m[1])) <= UNLIKE {
+        return [factor; 2];
+    }
+    // `factor` is meant for the first image.
+    let coarser = ((factor as f64 * gsds_m[0] / coarser_m).round() as usize).max(1);
+    gsds_m.map(|gsd_m| (coarser as f64 * ratio(gsd_m)).round() as usize)
+}
+
 fn match_pair(
     cameras: &SceneCameras,
     pair: &Pair,
@@ -258,9 +278,10 @@ fn match_pair(
         }
     }
     let [a, b] = pair.images;
-    let first = cameras.read_reduced(a, windows[0], factor)?;
-    let second = cameras.read_reduced(b, windows[1], factor)?;
-    let view = |image: usize, raster, window: heliosplat_raster::Window| ReducedView {
+    let factors = factors_alike(factor, [pair.gsd_m, pair.other_gsd_m]);
+    let first = cameras.read_reduced(a, windows[0], factors[0])?;
+    let second = cameras.read_reduced(b, windows[1], factors[1])?;
+    let view = |image: usize, raster, window: heliosplat_raster::Window, factor| ReducedView {
         rpc: cameras.rpc(image),
         image: raster,
         first_px: [window.col0, window.row0],
@@ -276,6 +297,9 @@ fn match_pair(
         corners: CORNERS[time],
         gsd_m: pair.gsd_m,
     };
-    let views = (view(a, &first, windows[0]), view(b, &second, windows[1]));
+    let views = (
+        view(a, &first, windows[0], factors[0]),
+        view(b, &second, windows[1], factors[1]),
+    );
     Ok(Some(tied_altitudes(&views.0, &views.1, &search)))
 }

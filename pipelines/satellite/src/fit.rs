@@ -199,7 +199,8 @@ pub fn fit(
         restored.map_err(TrainingError::from)?;
     }
     let trained = {
-        let probe = probe::height_probe(scene);
+        let reference = ground.images.get(model.options.reference);
+        let probe = probe::height_probe(scene, reference.and_then(|image| image.vegetation_index()));
         train(trainer, steps, session, limits.budget, checkpoints, probe.as_deref())?
     };
     Ok(Fitted {

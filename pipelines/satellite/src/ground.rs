@@ -4,7 +4,6 @@ use super::error::FitError;
 use heliosplat::Raster;
 use heliosplat_rpc::LocalFrame;
 use heliosplat_rpc::statistics::upper_quantile;
-use heliosplat_scene::bands::{vegetation_bands, vegetation_index};
 use heliosplat_scene::crop::{self, Crop};
 use heliosplat_scene::{Area, Scene, SceneImage};
 use heliosplat_stereo::{
@@ -108,13 +107,15 @@ impl<'a> Ground<'a> {
     /// an index hardly knows shadows.
     pub fn vegetation_indices(&self, rasters: &[Raster]) -> Option<Vec<Raster>> {
         let index = |(image, raster): (&&SceneImage, &Raster)| {
-            let (red, near_infrared) = vegetation_bands(&image.bands)?;
-            let bands = raster.plane(red).iter().zip(raster.plane(near_infrared));
+            let index = image.vegetation_index()?;
+            let plane = raster.plane_len();
             Some(Raster {
                 width: raster.width,
                 height: raster.height,
                 bands: 1,
-                values: bands.map(|(&r, &n)| vegetation_index(r, n)).collect(),
+                values: (0..plane)
+                    .map(|pixel| index.of(|band| raster.values[band * plane + pixel]))
+                    .collect(),
             })
         };
         self.images.iter().zip(rasters).map(index).collect()
@@ -156,7 +157,7 @@ impl<'a> Ground<'a> {
     /// pointing corrections do not change viewing directions.
     pub fn matching_facts(&self, cell_m: f64) -> MatchingFacts {
         let shifts = vec![[0.0; 2]; self.images.len()];
-        let has_index = self.images.iter().all(|image| vegetation_bands(&image.bands).is_some());
+        let has_index = self.images.iter().all(|image| image.vegetation_index().is_some());
         MatchingFacts::new(&self.geometries(&shifts), &self.volume(cell_m), has_index)
     }
 

@@ -27,4 +27,4 @@ pub mod training;
 mod views;
 
 pub use error::SatelliteError;
-pub use plan::{Decisions, PlanItem};
+pub use plan::{Decisions, Light, PlanItem};

@@ -4,14 +4,16 @@
 //! plane sweep, the start and the trainer consume. `inspect` prints that value with its reasons, and `run.toml` keeps it. What is
 //! set by hand stays as it is.
 
+mod index;
 mod light;
 
+use index::Index;
 pub use light::Light;
 
 use super::config::{Align, SatelliteConfig, THRESHOLD_PX};
 use super::ground::Ground;
 use super::shadow_prior::ENOUGH_VIEWS;
-use heliosplat_scene::{BandKind, ImageSun, Scene, SceneImage, SunSource};
+use heliosplat_scene::{ImageSun, Scene, SceneImage, SunSource};
 use heliosplat_scene::{crop, saturation};
 use heliosplat_stereo::clouds::FEWEST_VIEWS;
 use heliosplat_stereo::suns::ShadowSun;
@@ -68,7 +70,8 @@ struct Facts {
     suns_deg: (f64, f64),
     /// What the plane sweep's matching parameters are chosen from; `None` where no two images show the common ground.
     matching: Option<MatchingFacts>,
-    near_infrared: bool,
+    /// The vegetation index, if there is one.
+    index: Index,
     /// Share of the values that are clipped.
     clipped: f64,
     /// Largest difference between the given cameras and the pinhole cameras fitted to them, pixels.
@@ -81,7 +84,7 @@ impl Facts {
         let known = || images.iter().filter_map(|image| image.sun.position);
         let elevations = || known().map(|sun| sun.elevation_rad.to_degrees());
         let ground = Ground::new(scene, scene.training()).ok();
-        let has = |kind| images.iter().all(|image| image.bands.contains(&kind));
+        let index = Index::of(&images);
         Self {
             images: images.len(),
             dates: crop::date_groups(&images)
@@ -94,7 +97,7 @@ impl Facts {
                 elevations().fold(f64::NEG_INFINITY, f64::max),
             ),
             matching: ground.map(|ground| ground.matching_facts(config.start.cell_gsd * scene.gsd_m)),
-            near_infrared: has(BandKind::Red) && has(BandKind::NearInfrared),
+            index,
             clipped: images.iter().map(|image| saturation::share(&image.pixels)).sum::<f64>()
                 / images.len().max(1) as f64,
             residual_px: images.iter().map(|image| image.pinhole.max_px).fold(0.0, f64::max),
@@ -121,7 +124,7 @@ impl Decisions {
             clouds: model.clouds.unwrap_or(facts.images >= FEWEST_VIEWS),
             saturation: model.saturation.unwrap_or(facts.clipped > 0.0),
             shadow_prior: model.shadow_prior.unwrap_or(facts.images < ENOUGH_VIEWS),
-            vegetation_index: facts.near_infrared && facts.images >= 2,
+            vegetation_index: facts.index.is_there() && facts.images >= 2,
             align: config.cameras.align,
             near_light: model.near_light,
             sh_degree: model.sh_degree,
@@ -257,11 +260,7 @@ impl Decisions {
             item(
                 "start.vegetation_index",
                 self.vegetation_index,
-                if facts.near_infrared {
-                    "red and near infrared: leaves are told from pavement where both are as bright".into()
-                } else {
-                    "no near infrared in all images: the sweep compares brightness alone".into()
-                },
+                facts.index.reason().into(),
             ),
             many_view_matching,
             cost_aggregation,
@@ -376,7 +375,7 @@ mod tests {
                 combined_base_to_height: 0.4,
                 has_index: true,
             }),
-            near_infrared: true,
+            index: Index::Counts,
             clipped: 0.0,
             residual_px: 0.01,
         }

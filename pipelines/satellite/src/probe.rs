@@ -8,16 +8,19 @@ use heliosplat_products::dsm::of_gaussians;
 use heliosplat_products::nadir::NadirGrid;
 use heliosplat_products::surface::SurfaceGaussians;
 use heliosplat_scene::Scene;
+use heliosplat_scene::indices::NormalisedDifference;
 
-/// Tells how far the surface of a model in training is from the scene's true one; `None` without truth.
-pub(super) fn height_probe(scene: &Scene) -> Option<Box<Probe<'_>>> {
+/// Tells how far the surface of a model in training is from the scene's true one; `None` without truth. `vegetation` is the
+/// index of its colours.
+pub(super) fn height_probe(scene: &Scene, vegetation: Option<NormalisedDifference>) -> Option<Box<Probe<'_>>> {
     let truth = scene.truth.dsm.as_deref()?;
     let classes = scene.truth.classes.as_deref();
     let nadir = NadirGrid::new(&scene.into(), scene.gsd_m, None).ok()?;
     Some(Box::new(move |parameters| {
         let gaussians = SurfaceGaussians {
             gaussians: &parameters.gaussians,
-            bands: scene.bands(),
+            bands: scene.bands().len(),
+            vegetation,
             projection: ProjectionOptions::default(),
         };
         let surface = of_gaussians(&nadir, &gaussians).geo_raster();

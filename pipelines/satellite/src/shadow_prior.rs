@@ -9,9 +9,9 @@ use super::ground::Ground;
 use glam::{Vec2, Vec3};
 use heliosplat::{ProjectiveCamera, Raster};
 use heliosplat_raster::file::RasterFile;
-use heliosplat_scene::bands::{VEGETATION_INDEX, normalised_difference, vegetation_index};
 use heliosplat_scene::crop::Crop;
-use heliosplat_scene::{BandKind, SceneImage};
+use heliosplat_scene::indices::{NormalisedDifference, VEGETATION_INDEX};
+use heliosplat_scene::{BandKind, SceneImage, Values};
 use heliosplat_stereo::Surface;
 use rayon::prelude::*;
 use std::path::Path;
@@ -34,54 +34,54 @@ const ROUNDS: usize = 8;
 /// Views from which on images need no prior: shadows then follow from what they agree on.
 pub(super) const ENOUGH_VIEWS: usize = 8;
 
-/// Bands by what they are.
+/// What bands tell leaves and water by.
 struct Bands<'a> {
-    red: Option<&'a [f32]>,
-    green: Option<&'a [f32]>,
-    blue: Option<&'a [f32]>,
-    near_infrared: Option<&'a [f32]>,
+    raster: &'a Raster,
+    vegetation: Option<NormalisedDifference>,
+    water: Option<NormalisedDifference>,
+    /// Places of red, green and blue.
+    colours: Option<[usize; 3]>,
 }
 
 impl<'a> Bands<'a> {
-    fn new(kinds: &[BandKind], raster: &'a Raster) -> Self {
-        let plane = |kind| {
-            kinds
-                .iter()
-                .position(|&band| band == kind)
-                .filter(|&band| band < raster.bands)
-                .map(|band| raster.plane(band))
-        };
+    fn new(kinds: &[BandKind], values: &Values, raster: &'a Raster) -> Self {
+        let kinds = &kinds[..kinds.len().min(raster.bands)];
+        let place = |kind| kinds.iter().position(|&band| band == kind);
+        let colours = || Some([place(BandKind::Red)?, place(BandKind::Green)?, place(BandKind::Blue)?]);
         Self {
-            red: plane(BandKind::Red),
-            green: plane(BandKind::Green),
-            blue: plane(BandKind::Blue),
-            near_infrared: plane(BandKind::NearInfrared),
+            raster,
+            vegetation: values.vegetation_index(kinds),
+            water: values.water_index(kinds),
+            colours: colours(),
         }
+    }
+
+    fn value(&self, band: usize, pixel: usize) -> f32 {
+        self.raster.values[band * self.raster.plane_len() + pixel]
     }
 
     /// Whether a pixel shows leaves; `false` where bands do not tell.
     fn vegetation(&self, pixel: usize) -> bool {
-        match (self.red, self.green, self.blue, self.near_infrared) {
-            (Some(red), _, _, Some(infrared)) => vegetation_index(red[pixel], infrared[pixel]) > VEGETATION_INDEX,
-            (Some(red), Some(green), Some(blue), None) => {
-                let sum = red[pixel] + green[pixel] + blue[pixel];
-                (2.0 * green[pixel] - red[pixel] - blue[pixel]) / sum.max(f32::MIN_POSITIVE) > VEGETATION_GREEN
+        match (self.vegetation, self.colours) {
+            (Some(index), _) => index.of(|band| self.value(band, pixel)) > VEGETATION_INDEX,
+            (None, Some(colours)) => {
+                let [red, green, blue] = colours.map(|band| self.value(band, pixel));
+                let sum = red + green + blue;
+                (2.0 * green - red - blue) / sum.max(f32::MIN_POSITIVE) > VEGETATION_GREEN
             }
             _ => false,
         }
     }
 
     fn water(&self, pixel: usize) -> bool {
-        match (self.green, self.near_infrared) {
-            (Some(green), Some(infrared)) => normalised_difference(green[pixel], infrared[pixel]) > WATER,
-            _ => false,
-        }
+        let index = self.water.map(|index| index.of(|band| self.value(band, pixel)));
+        index.is_some_and(|index| index > WATER)
     }
 }
 
 /// What radiometry alone says of each pixel of an image: 1 is lit, 0 in shadow, NaN neither.
-fn by_brightness(kinds: &[BandKind], raster: &Raster) -> Vec<f32> {
-    let bands = Bands::new(kinds, raster);
+fn by_brightness(kinds: &[BandKind], values: &Values, raster: &Raster) -> Vec<f32> {
+    let bands = Bands::new(kinds, values, raster);
     let brightness: Vec<f32> = (0..raster.plane_len())
         .map(|pixel| {
             let mean: f32 = (0..raster.bands).map(|band| raster.plane(band)[pixel]).sum::<f32>() / raster.bands as f32;
@@ -183,7 +183,7 @@ pub(super) fn found(
         let Some(sun) = suns[i] else {
             return vec![f32::NAN; raster.plane_len()];
         };
-        let mut lit = by_brightness(&image.bands, raster);
+        let mut lit = by_brightness(&image.bands, &image.values, raster);
         let width = raster.width;
         lit.par_iter_mut()
             .enumerate()
@@ -243,14 +243,14 @@ mod tests {
         let (lit, dark) = ([0.9, 0.9, 0.9, 0.9], [0.2, 0.2, 0.25, 0.2]);
         let (leaves, water) = ([0.05, 0.08, 0.04, 0.4], [0.1, 0.15, 0.2, 0.02]);
         let raster = pixels(&[lit, lit, lit, dark, dark, leaves, water]);
-        let said = by_brightness(&KINDS, &raster);
+        let said = by_brightness(&KINDS, &Values::default(), &raster);
         assert_eq!(said[..5], [1.0, 1.0, 1.0, 0.0, 0.0]);
         assert!(said[5].is_nan() && said[6].is_nan());
     }
 
     #[test]
     fn an_even_image_says_nothing() {
-        let said = by_brightness(&KINDS, &pixels(&[[0.5, 0.5, 0.5, 0.5]; 8]));
+        let said = by_brightness(&KINDS, &Values::default(), &pixels(&[[0.5, 0.5, 0.5, 0.5]; 8]));
         assert!(said.iter().all(|s| s.is_nan()));
         assert_eq!(otsu(&[f32::NAN; 4]), None);
     }

@@ -21,7 +21,7 @@ use heliosplat_fitting::training::Ending;
 use heliosplat_products::dsm;
 use heliosplat_products::model::{LoadedModel, ModelFile, SCHEMA};
 use heliosplat_raster::{is_virtual, preview};
-use heliosplat_scene::{AltitudeSource, IngestOptions, Scene, SceneImage};
+use heliosplat_scene::{AltitudeSource, IngestOptions, Scene, SceneImage, Values};
 use heliosplat_session::Session;
 use std::fmt::Write;
 use std::path::PathBuf;
@@ -219,13 +219,24 @@ fn identity(
             pinhole,
             sun,
             bands,
+            values,
             ..
         } = image;
         let _ = writeln!(text, "image {name} {}", input.sha256);
         let camera = format!("{split:?} {:?} {sun:?} {bands:?}", pinhole.map);
         let _ = writeln!(text, "camera, sun and bands of {name} {}", digest(&camera));
+        if !values.is_unknown() {
+            let _ = writeln!(text, "values of {name} {values:?}");
+        }
     }
     Ok(text)
+}
+
+/// What the values of the image are whose colour is the model's.
+fn reference_values(scene: &Scene, fitted: &Fitted) -> Values {
+    let name = fitted.images.get(fitted.model.options.reference);
+    let image = scene.images.iter().find(|image| Some(&image.name) == name);
+    image.map_or_else(Values::default, |image| image.values.clone())
 }
 
 fn model_file(scene: &Scene, fitted: &Fitted) -> ModelFile {
@@ -241,6 +252,7 @@ fn model_file(scene: &Scene, fitted: &Fitted) -> ModelFile {
         counts_per_unit: scene.counts_per_unit,
         projection: ProjectionOptions::default(),
         bands: scene.bands().to_vec(),
+        values: reference_values(scene, fitted),
         images: run_file::model_images(scene, fitted, MARGIN_M),
     }
 }

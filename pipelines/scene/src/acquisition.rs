@@ -1,8 +1,8 @@
 //! When an image was taken and where the sun stood.
 
-use super::camera::belonging_texts;
 use super::entry::ImageEntry;
 use super::files::{file_name, read_text};
+use super::sidecars::describing_texts;
 use super::{ImageSun, SceneError};
 use heliosplat_raster::RasterFile;
 use heliosplat_rpc::GeoPoint;
@@ -17,18 +17,14 @@ const LOW_SUN_DEG: f64 = 5.0;
 /// Collects what is known: `scene.toml` first, then a Sat-NeRF JSON, then texts beside the image, then GDAL's domains.
 pub(super) fn find(file: &RasterFile, entry: &ImageEntry) -> Result<Acquisition, SceneError> {
     let mut known = Acquisition::default();
-    let mut texts = Vec::new();
     if let Some(said) = &entry.said {
         known = Acquisition {
             time: said.time,
             sun_azimuth_deg: said.sun_azimuth_deg,
             sun_elevation_deg: said.sun_elevation_deg,
         };
-        texts.extend(said.metadata.clone());
     }
-    texts.extend(entry.json.clone());
-    texts.extend(belonging_texts(file.path())?);
-    for path in texts {
+    for path in describing_texts(entry, file.path())? {
         if let Some(more) = acquisition::from_text(&file_name(&path), &read_text(&path)?) {
             known = known.merge(more);
         }

@@ -1,31 +1,10 @@
 //! What the bands of a file show: read from descriptions and colour interpretation, guessed from their number last.
 
-use super::camera::belonging_texts;
 use super::files::{has_extension, read_text, stem};
+use super::sidecars::belonging_texts;
 use super::{BandKind, SceneError};
 use heliosplat_raster::{BandInfo, Colour, RasterFile};
-
-/// Vegetation index above which a pixel is taken for vegetation.
-pub const VEGETATION_INDEX: f32 = 0.3;
-
-/// Less light than this says nothing of colour.
-const DARKEST: f32 = 1e-3;
-
-/// Places of red and near infrared among the bands, if both are there.
-pub fn vegetation_bands(bands: &[BandKind]) -> Option<(usize, usize)> {
-    let place = |kind: BandKind| bands.iter().position(|&band| band == kind);
-    Some((place(BandKind::Red)?, place(BandKind::NearInfrared)?))
-}
-
-/// `(n - r) / (n + r)`: the normalised difference vegetation index (Rouse et al. 1974).
-pub fn vegetation_index(red: f32, near_infrared: f32) -> f32 {
-    normalised_difference(near_infrared, red)
-}
-
-/// `(a - b) / (a + b)` of two bands, near zero where both are dark.
-pub fn normalised_difference(a: f32, b: f32) -> f32 {
-    (a - b) / (a + b).max(DARKEST)
-}
+use heliosplat_rpc::read::calibration::CalibratedBand;
 
 /// Which bands of a file become which bands of the scene.
 #[derive(Debug, Clone, PartialEq)]
@@ -162,15 +141,8 @@ fn order_in_dimap(text: &str) -> Option<Vec<BandKind>> {
     let mut places = Vec::new();
     for entry in list.split("<Raster_Index>").skip(1) {
         let place: usize = inside(entry, "BAND_INDEX")?.parse().ok()?;
-        let kind = match inside(entry, "BAND_ID")?.as_str() {
-            "P" | "PAN" => BandKind::Pan,
-            "B0" | "B" => BandKind::Blue,
-            "B1" | "G" => BandKind::Green,
-            "B2" | "R" => BandKind::Red,
-            "B3" | "NIR" => BandKind::NearInfrared,
-            _ => BandKind::Other,
-        };
-        places.push((place, kind));
+        let known = CalibratedBand::from_dimap_id(&inside(entry, "BAND_ID")?);
+        places.push((place, known.map_or(BandKind::Other, BandKind::of_metadata)));
     }
     places.sort_by_key(|(place, _)| *place);
     let in_order = places.iter().enumerate().all(|(index, (place, _))| *place == index + 1);
@@ -298,6 +270,7 @@ pub(super) fn in_words(kinds: &[BandKind]) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::Values;
     use BandKind::{Blue, Green, NearInfrared, Pan, Red};
 
     fn band(description: &str, colour: Colour) -> BandInfo {
@@ -307,6 +280,8 @@ mod tests {
             data_type: "UInt16".to_owned(),
             unit: String::new(),
             nodata: None,
+            scale: None,
+            offset: None,
         }
     }
 
@@ -406,7 +381,7 @@ mod tests {
             let plan = from_infos(&bands, None);
             assert!(plan.assumption.is_some());
             assert_eq!(plan.kinds[..3], [Red, Green, Blue]);
-            assert_eq!(vegetation_bands(&plan.kinds), None, "{count}");
+            assert_eq!(Values::default().vegetation_index(&plan.kinds), None, "{count}");
         }
     }
 

@@ -1,9 +1,10 @@
 //! The rational camera of an image: which of its sources is used, and what it must be turned into for a crop.
 
 use super::entry::ImageEntry;
-use super::files::{file_name, files_in, read_text, stem};
+use super::files::{file_name, read_text};
+use super::sidecars::belonging_texts;
 use super::{RpcPreference, SceneError};
-use heliosplat_raster::{GeoTransform, RasterFile, is_virtual};
+use heliosplat_raster::{GeoTransform, RasterFile};
 use heliosplat_rpc::{ImagePoint, Rpc, read};
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
@@ -211,51 +212,6 @@ fn sidecars(image: &Path) -> Result<Vec<(PathBuf, Rpc)>, SceneError> {
         }
     }
     Ok(found)
-}
-
-/// Text files beside an image that belong to it by their name: `X.RPB`, `X_RPC.TXT`, `X.XML`, `RPC_X.XML`, `DIM_X.XML` …
-/// for an image `X.TIF` or `IMG_X_R1C1.TIF`.
-pub(super) fn belonging_texts(image: &Path) -> Result<Vec<PathBuf>, SceneError> {
-    if is_virtual(image) {
-        return Ok(Vec::new());
-    }
-    let folder = image.parent().filter(|parent| !parent.as_os_str().is_empty());
-    let name = stem(image).to_lowercase();
-    // What is said of a product is said of its tiles.
-    let whole = super::tiles::product_name(&name);
-    let product = whole.as_deref().unwrap_or(&name);
-    let product = product.strip_prefix("img_").unwrap_or(product);
-    let mut wanted: Vec<String> = Vec::new();
-    for end in [
-        ".rpb",
-        "_rpc.txt",
-        ".rpc",
-        "_rpc.xml",
-        ".imd",
-        ".xml",
-        ".json",
-        ".txt",
-        ".pvl",
-        "_metadata.txt",
-        "_dim.xml",
-        "_stac.json",
-    ] {
-        wanted.push(format!("{name}{end}"));
-        wanted.extend(whole.as_ref().map(|whole| format!("{whole}{end}")));
-    }
-    for start in ["rpc_", "dim_"] {
-        wanted.push(format!("{start}{product}.xml"));
-    }
-    let files = files_in(folder.unwrap_or_else(|| Path::new(".")))?;
-    Ok(wanted
-        .iter()
-        .filter_map(|want| {
-            files
-                .iter()
-                .find(|path| file_name(path).to_lowercase() == *want)
-                .cloned()
-        })
-        .collect())
 }
 
 #[cfg(test)]

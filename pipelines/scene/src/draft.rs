@@ -1,6 +1,7 @@
 //! An image on its way into a scene: its file is open, its metadata are read, its pixels are not.
 
 use super::bands::BandPlan;
+use super::calibration::FoundRadiometry;
 use super::entry::ImageEntry;
 use super::footprint::Footprint;
 use super::{SceneError, altitude, satnerf};
@@ -18,6 +19,8 @@ pub(super) struct Draft {
     pub(super) rpc: Rpc,
     pub(super) rpc_source: String,
     pub(super) acquisition: Acquisition,
+    /// What metadata say of the values of its bands.
+    pub(super) radiometry: Option<FoundRadiometry>,
     /// The multispectral image it is pansharpened with.
     pub(super) multispectral: Option<PathBuf>,
     /// What of the file is read.

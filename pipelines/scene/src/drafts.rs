@@ -2,7 +2,7 @@
 
 use super::draft::Draft;
 use super::layout::Layout;
-use super::{IngestOptions, SceneError, acquisition, bands, camera, pairs};
+use super::{IngestOptions, SceneError, acquisition, bands, calibration, camera, pairs};
 use heliosplat::splat::rasterise::MOST_CHANNELS;
 
 /// Most bands of an image: the rasteriser renders them beside the sun visibility and a normal.
@@ -25,6 +25,7 @@ pub(super) fn read_all(
             None => bands::plan(&file, declared)?,
         };
         let acquisition = acquisition::find(&file, entry)?;
+        let radiometry = calibration::find(&file, entry)?;
         let window = file.whole();
         let draft = Draft {
             entry: entry.clone(),
@@ -33,6 +34,7 @@ pub(super) fn read_all(
             rpc: found.rpc,
             rpc_source: found.source,
             acquisition,
+            radiometry,
             multispectral: None,
             window,
         };

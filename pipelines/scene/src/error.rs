@@ -70,6 +70,14 @@ pub enum SceneError {
         /// Where it is listed.
         listed_in: PathBuf,
     },
+    /// A tile that a DIMAP lists and that is not there.
+    #[error("{}: a tile of the image that {} describes, but it is not there; copy it from the delivery, or leave out that image with its other tiles", tile.display(), dimap.display())]
+    MissingTile {
+        /// The tile.
+        tile: PathBuf,
+        /// The file that lists it.
+        dimap: PathBuf,
+    },
     /// No camera.
     #[error("{}: no RPC camera found; put its .RPB, _RPC.TXT, RPC_*.XML or .json beside it, or take the image out of the scene", .0.display())]
     NoRpc(PathBuf),

@@ -4,7 +4,10 @@ use super::area::{AreaRequest, window_over};
 use super::draft::Draft;
 use super::footprint::{self, Footprint};
 use super::layout::Layout;
-use super::{AltitudeRange, Area, ImageSun, Scene, SceneError, SceneImage, Split, acquisition, pixels, weak_times};
+use super::{
+    AltitudeRange, Area, ImageSun, Scene, SceneError, SceneImage, Split, Values, acquisition, pixels, values,
+    weak_times,
+};
 use heliosplat_raster::Window;
 use heliosplat_rpc::statistics::upper_median;
 use heliosplat_rpc::{ImageWindow, LocalFrame, PinholeFit, Rpc};
@@ -167,10 +170,23 @@ impl Ground {
             let Draft { file, plan, window, .. } = draft;
             rasters.push(pixels::read(file, plan, *window, layout.counts, &mut warnings)?);
         }
+        let shown = drafts.iter().zip(&rasters);
+        let shown: Vec<_> = shown
+            .map(|(draft, raster)| pixels::for_display(draft, raster, layout.counts))
+            .collect();
         let counts_per_unit = pixels::scale_together(&mut rasters);
+        let mut values = Vec::with_capacity(drafts.len());
+        for ((draft, sun), shown) in drafts.iter().zip(&suns).zip(shown) {
+            let path = draft.file.path().display().to_string();
+            values.push((path, shown.unwrap_or_else(|| values_of(draft, sun, counts_per_unit))));
+        }
+        let kinds = drafts.first().map_or(&[][..], |draft| &draft.plan.kinds);
+        warnings.extend(pixels::stretched(&values, kinds));
+        warnings.extend(values::same_for_all(&mut values));
         let fits = fit_pinholes(&drafts, &frame, altitude_range_m, &mut warnings)?;
         let mut images = Vec::with_capacity(drafts.len());
-        for (((draft, sun), pixels), pinhole) in drafts.into_iter().zip(suns).zip(rasters).zip(fits) {
+        let read = rasters.into_iter().zip(values);
+        for (((draft, sun), (pixels, (_, values))), pinhole) in drafts.into_iter().zip(suns).zip(read).zip(fits) {
             let gsd_m = draft.gsd_m(&frame, frame.origin.height_m)?;
             images.push(SceneImage {
                 name: draft.entry.name,
@@ -178,6 +194,7 @@ impl Ground {
                 split: draft.entry.split,
                 window: draft.window,
                 pixels,
+                values,
                 data_type: draft.file.bands[draft.plan.file_bands[0]].data_type.clone(),
                 bands: draft.plan.kinds,
                 rpc: draft.rpc,
@@ -208,9 +225,37 @@ impl Ground {
     }
 }
 
-/// The median of `gsds` (metres, one at least) in two significant digits.
+/// What metadata say of the values of an image.
+fn values_of(draft: &Draft, sun: &ImageSun, counts_per_unit: f64) -> Values {
+    let bands = values::FileBands {
+        kinds: &draft.plan.kinds,
+        places: &draft.plan.file_bands,
+    };
+    let light = values::Light {
+        sun: sun.position,
+        time: draft.acquisition.time,
+    };
+    let said = draft.radiometry.as_ref();
+    said.map_or_else(Values::default, |found| {
+        Values::of_metadata(found, &bands, &light, counts_per_unit)
+    })
+}
+
+/// Ground sampling distances that differ by more than this factor are not those of one kind of image.
+const UNLIKE: f64 = 1.5;
+
+/// The median of `gsds` (metres, one at least) in two significant digits: what at least half of the images resolve. A surface is found
+/// from pairs, and a pair shows what its coarser image resolves: cells of a few finer images would be empty detail, those of the coarsest
+/// would lose what most images show. Of two middle ones of unlike images the finer counts where two images or more have it.
 pub(super) fn nominal_gsd_m(mut gsds: Vec<f64>) -> f64 {
-    let median = upper_median(&mut gsds).unwrap_or(f64::NAN);
+    let upper = upper_median(&mut gsds).unwrap_or(f64::NAN);
+    gsds.sort_by(f64::total_cmp);
+    let lower = gsds.get(gsds.len().saturating_sub(1) / 2).copied().unwrap_or(upper);
+    let median = if gsds.len() > 3 && upper > UNLIKE * lower {
+        lower
+    } else {
+        upper
+    };
     // Multiples of a whole divisor are nearer to decimals than those of a fraction are.
     let per_unit = 10f64.powi(1 - median.log10().floor() as i32);
     (median * per_unit).round() / per_unit
@@ -316,5 +361,16 @@ mod tests {
         assert_eq!(nominal_gsd_m(vec![0.0996]), 0.1);
         assert_eq!(nominal_gsd_m(vec![1.94, 2.06]), 2.1);
         assert_eq!(nominal_gsd_m(vec![12.4]), 12.0);
+    }
+
+    #[test]
+    fn cells_are_what_half_of_the_images_resolve() {
+        assert_eq!(nominal_gsd_m(vec![0.5, 1.0, 0.5, 1.0]), 0.5);
+        assert_eq!(nominal_gsd_m(vec![0.3, 2.0, 2.0]), 2.0);
+        assert_eq!(nominal_gsd_m(vec![0.3, 2.0, 0.3]), 0.3);
+        // One fine image alone shows no surface.
+        assert_eq!(nominal_gsd_m(vec![0.3, 2.0]), 2.0);
+        // One camera that looks aslant is no other kind of image.
+        assert_eq!(nominal_gsd_m(vec![0.5, 0.5, 0.6, 0.6]), 0.6);
     }
 }

@@ -148,7 +148,7 @@ fn from_folder(folder: &Path) -> Result<Layout, SceneError> {
     if images.is_empty() {
         return Err(SceneError::Empty(folder.to_owned()));
     }
-    let (images, mut partners) = pair_names::by_name(tiles::joined(images));
+    let (images, mut partners) = pair_names::by_name(tiles::joined(images)?);
     let lists = match (lists, index.folder()) {
         (None, Some(json_folder)) => SplitLists::read(json_folder)?,
         (lists, _) => lists,
@@ -370,7 +370,7 @@ fn delivered(folders: &[(PathBuf, Option<String>)]) -> Result<Option<Vec<PathBuf
     let mut all = Vec::new();
     for (folder, _) in folders {
         let images = images_in(folder)?;
-        if pair_names::by_name(tiles::joined(images.clone())).0.len() > 1 {
+        if pair_names::by_name(tiles::joined(images.clone())?).0.len() > 1 {
             return Ok(None);
         }
         all.extend(images);

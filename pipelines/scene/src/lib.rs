@@ -7,10 +7,12 @@
 mod acquisition;
 mod altitude;
 mod area;
-pub mod bands;
+mod bands;
+mod calibration;
 mod camera;
 pub mod cameras;
 pub mod crop;
+mod dimap;
 mod draft;
 mod drafts;
 mod entry;
@@ -18,6 +20,7 @@ mod error;
 mod files;
 mod footprint;
 mod ground;
+pub mod indices;
 mod known_tiles;
 mod layout;
 mod manifest;
@@ -26,10 +29,12 @@ mod pairs;
 mod pixels;
 mod satnerf;
 pub mod saturation;
+mod sidecars;
 mod sun;
 pub mod survey;
 mod tiles;
 mod truth;
+mod values;
 mod weak_times;
 
 pub use altitude::{AltitudeRange, AltitudeSource};
@@ -37,13 +42,16 @@ pub use area::AreaRequest;
 pub use error::SceneError;
 pub use known_tiles::KnownTiles;
 pub use sun::{ImageSun, SunSource};
+pub use values::{BandReflectance, ValueKind, Values};
 
 use draft::Draft;
 use entry::ImageEntry;
 use ground::Ground;
 use heliosplat::Raster;
 use heliosplat_raster::{RasterFile, Window};
+use heliosplat_rpc::read::calibration::CalibratedBand;
 use heliosplat_rpc::{GeoPoint, LocalFrame, PinholeFit, Rpc, sun::SunPosition};
+use indices::NormalisedDifference;
 use nalgebra::Vector3;
 use std::path::{Path, PathBuf};
 use tiles::ImageFiles;
@@ -76,6 +84,18 @@ impl BandKind {
             Self::Blue => "blue",
             Self::NearInfrared => "near_infrared",
             Self::Other => "other",
+        }
+    }
+
+    /// What a band shows that metadata call so.
+    fn of_metadata(band: CalibratedBand) -> Self {
+        match band {
+            CalibratedBand::Pan => Self::Pan,
+            CalibratedBand::Blue => Self::Blue,
+            CalibratedBand::Green => Self::Green,
+            CalibratedBand::Red => Self::Red,
+            CalibratedBand::NearInfrared => Self::NearInfrared,
+            CalibratedBand::Place(_) => Self::Other,
         }
     }
 }
@@ -145,6 +165,8 @@ pub struct SceneImage {
     pub gsd_m: f64,
     /// Data type of the file, as GDAL names it.
     pub data_type: String,
+    /// What its values are, and who says so.
+    pub values: Values,
 }
 
 /// Ground rectangle in the scene's ENU frame, metres.
@@ -248,6 +270,11 @@ impl SceneImage {
     /// Its rational camera in the pixel coordinates of `pixels`.
     pub fn window_rpc(&self) -> Rpc {
         self.rpc.cropped(self.window.col0 as f64, self.window.row0 as f64)
+    }
+
+    /// Its vegetation index; `None` without red and near infrared, and of values for display.
+    pub fn vegetation_index(&self) -> Option<NormalisedDifference> {
+        self.values.vegetation_index(&self.bands)
     }
 
     /// Whether a point of the scene's frame projects onto a known pixel.

@@ -8,7 +8,7 @@ use super::draft::Draft;
 use super::entry::ImageEntry;
 use super::files::stem;
 use super::tiles::ImageFiles;
-use super::{BandKind, RpcPreference, SceneError, Split, acquisition, camera, satnerf};
+use super::{BandKind, RpcPreference, SceneError, Split, acquisition, calibration, camera, satnerf};
 use heliosplat_raster::{GridRelation, RasterFile};
 use heliosplat_rpc::{ImagePoint, Rpc, RpcError};
 use std::collections::BTreeMap;
@@ -63,6 +63,8 @@ pub(super) fn with_colours(
     Ok(Draft {
         plan: bands::plan(&colours, declared)?,
         acquisition: draft.acquisition.merge(acquisition::find(&colours, &entry)?),
+        // Pansharpening keeps the ratios between bands: they are those of the multispectral file.
+        radiometry: calibration::find(&colours, &entry)?,
         file: RasterFile::pansharpened(draft.file, colours, &found.relation)?,
         multispectral: Some(multispectral.path.clone()),
         ..draft

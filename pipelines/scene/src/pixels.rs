@@ -1,9 +1,9 @@
 //! Pixel values: missing ones marked, display values made linear, all images of a scene on one scale.
 
-use super::SceneError;
 use super::bands::BandPlan;
 use super::draft::Draft;
 use super::manifest::Counts;
+use super::{BandKind, SceneError, Values, saturation};
 use heliosplat::Raster;
 use heliosplat::shade::display;
 use heliosplat_raster::{RasterFile, Window};
@@ -48,12 +48,44 @@ fn stated_counts(file: &RasterFile) -> Counts {
     }
 }
 
+/// Whether nobody says what the eight bits of an image mean.
+fn is_unsaid(draft: &Draft) -> bool {
+    let eight = draft.file.bands.first().is_some_and(|band| band.data_type == "Byte");
+    eight && draft.radiometry.is_none() && !draft.file.domain("").contains_key("RADIOMETRY")
+}
+
+/// Who says that the values of an image are for display: `scene.toml`, the file, or, with eight bits of which nobody says anything, the
+/// values themselves, clipped at what eight bits hold. `raster` is what was read of it.
+pub(super) fn for_display(draft: &Draft, raster: &Raster, declared: Option<Counts>) -> Option<Values> {
+    match declared {
+        Some(Counts::Display) => return Some(Values::for_display(Some("scene.toml"))),
+        Some(Counts::Linear) => return None,
+        None => {}
+    }
+    if stated_counts(&draft.file) == Counts::Display {
+        return Some(Values::for_display(Some("image")));
+    }
+    (is_unsaid(draft) && saturation::at_limits_of_eight_bits(raster)).then(|| Values::for_display(None))
+}
+
+/// The line that says that images stretched for display have no index, where their bands would make one.
+pub(super) fn stretched(images: &[(String, Values)], bands: &[BandKind]) -> Option<String> {
+    let found = images.iter().filter(|(_, values)| *values == Values::for_display(None));
+    let first = found
+        .clone()
+        .next()
+        .filter(|_| Values::default().vegetation_index(bands).is_some())?;
+    Some(format!(
+        "{}: 8-bit values clipped at 0 or 255 ({} images) were stretched for display: no vegetation or water index; say counts = \
+         \"linear\" in a scene.toml where they were not",
+        first.0,
+        found.count(),
+    ))
+}
+
 /// The line that says how eight-bit values are taken, of which nobody says what they mean.
 pub(super) fn eight_bits(drafts: &[Draft], declared: Option<Counts>) -> Option<String> {
-    let unsaid = |draft: &&Draft| {
-        let eight = draft.file.bands.first().is_some_and(|band| band.data_type == "Byte");
-        eight && !draft.file.domain("").contains_key("RADIOMETRY")
-    };
+    let unsaid = |draft: &&Draft| is_unsaid(draft);
     if declared.is_some() {
         return None;
     }

@@ -1,4 +1,4 @@
-//! Values at which an image was clipped: they say "at least this bright".
+//! Values at which an image was clipped: the greatest say "at least this bright", the lowest "at most".
 
 use heliosplat::Raster;
 
@@ -12,16 +12,42 @@ pub fn ceilings(image: &Raster) -> Vec<f32> {
     (0..image.bands).map(|band| ceiling(image.plane(band))).collect()
 }
 
-/// Share of the known values of an image that were clipped.
+/// The value at which each band of an image was clipped below, minus infinity where it was not.
+pub fn floors(image: &Raster) -> Vec<f32> {
+    let floor = |band: usize| {
+        let mirrored: Vec<f32> = image.plane(band).iter().map(|value| -value).collect();
+        -ceiling(&mirrored)
+    };
+    (0..image.bands).map(floor).collect()
+}
+
+/// Share of the known values of an image that were clipped at their greatest.
 pub fn share(image: &Raster) -> f64 {
+    share_where(image, &ceilings(image), |value, ceiling| value >= ceiling)
+}
+
+/// Share of the known values of an image that were clipped at their lowest.
+pub fn share_below(image: &Raster) -> f64 {
+    share_where(image, &floors(image), |value, floor| value <= floor)
+}
+
+fn share_where(image: &Raster, limits: &[f32], is_clipped: impl Fn(f32, f32) -> bool) -> f64 {
     let (mut clipped, mut known) = (0usize, 0usize);
-    for (band, ceiling) in ceilings(image).into_iter().enumerate() {
+    for (band, limit) in limits.iter().enumerate() {
         for value in image.plane(band).iter().filter(|v| v.is_finite()) {
             known += 1;
-            clipped += usize::from(*value >= ceiling);
+            clipped += usize::from(is_clipped(*value, *limit));
         }
     }
     clipped as f64 / known.max(1) as f64
+}
+
+/// Whether most bands of an image of eight bits were clipped at the least or the greatest that eight bits hold. Sensors have ten bits and
+/// more: their own saturation would lie anywhere.
+pub fn at_limits_of_eight_bits(image: &Raster) -> bool {
+    let ends = ceilings(image).into_iter().zip(floors(image));
+    let clipped = ends.filter(|(high, low)| *high == 255.0 || *low == 0.0);
+    2 * clipped.count() > image.bands
 }
 
 fn ceiling(values: &[f32]) -> f32 {
@@ -71,6 +97,38 @@ mod tests {
         assert_eq!(ceilings(&image(9.0)), [f32::INFINITY]);
         assert_eq!(share(&image(9.0)), 0.0);
         assert_eq!(ceilings(&Raster::filled(9, 9, 1, 3.0)), [f32::INFINITY]);
+    }
+
+    #[test]
+    fn both_ends_are_found() {
+        let mut stretched = image(0.7);
+        stretched.values.iter_mut().for_each(|value| *value = value.max(0.3));
+        assert_eq!((ceilings(&stretched), floors(&stretched)), (vec![0.7], vec![0.3]));
+        let below = share_below(&stretched);
+        assert!(below > 0.02 && below < 0.3, "{below}");
+        assert_eq!(
+            (floors(&image(0.7)), share_below(&image(0.7))),
+            (vec![f32::NEG_INFINITY], 0.0)
+        );
+    }
+
+    #[test]
+    fn a_stretch_to_eight_bits_clips_at_their_limits_and_a_sensor_elsewhere() {
+        let counts = |gain: f32, offset: f32| {
+            let mut image = image(9.0);
+            let stretch = |value: &mut f32| *value = (*value * gain + offset).round().clamp(0.0, 255.0);
+            image.values.iter_mut().for_each(stretch);
+            at_limits_of_eight_bits(&image)
+        };
+        assert!(counts(360.0, 0.0), "clipped above");
+        assert!(counts(300.0, -80.0), "clipped below");
+        assert!(!counts(200.0, 10.0));
+        let mut saturated = image(0.7);
+        saturated
+            .values
+            .iter_mut()
+            .for_each(|value| *value = (*value * 300.0).round());
+        assert!(!at_limits_of_eight_bits(&saturated));
     }
 
     #[test]

@@ -6,7 +6,7 @@ use super::drafts;
 use super::footprint::Footprint;
 use super::ground::{self, Ground};
 
-use super::{Area, AreaRequest, IngestOptions, SceneError, Split, Truth, altitude, files, layout, truth};
+use super::{Area, AreaRequest, IngestOptions, SceneError, Split, Truth, altitude, files, layout, sidecars, truth};
 use heliosplat_raster::{Window, is_virtual};
 use heliosplat_rpc::{ImageWindow, LocalFrame, PinholeFit, Rpc};
 use rayon::prelude::*;
@@ -185,6 +185,7 @@ fn files_of(path: &Path, layout: &layout::Layout, drafts: &[Draft]) -> Vec<PathB
             files.extend([&said.rpc, &said.metadata].into_iter().flatten().cloned());
         }
         files.extend(beside(image));
+        files.extend(sidecars::belonging_texts(image).unwrap_or_default());
         for other in draft.file.others() {
             files.insert(other.clone());
             files.extend(beside(other));

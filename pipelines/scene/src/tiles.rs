@@ -1,9 +1,9 @@
 //! Images that their vendor cut into tiles: `…_R1C1.TIF`, `…_R1C2.TIF` … of Airbus, `…_R1C1-…` with a `.TIL` of Maxar.
 
-use super::SceneError;
 use super::files::{files_in, has_extension, stem};
+use super::{SceneError, dimap};
 use heliosplat_raster::{RasterFile, Tile};
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
 
 /// An image in one file or in several tiles.
@@ -11,8 +11,10 @@ use std::path::{Path, PathBuf};
 pub(super) struct ImageFiles {
     /// The file, or the first tile.
     pub(super) path: PathBuf,
-    /// Its tiles by row and column as their names count them; empty for a file by itself.
+    /// Its tiles by row and column as their names, or the DIMAP that lists them, count them; empty for a file by itself.
     tiles: BTreeMap<[u32; 2], PathBuf>,
+    /// Columns and rows from one tile to the next, where a DIMAP says so.
+    step_px: Option<[usize; 2]>,
 }
 
 impl ImageFiles {
@@ -21,6 +23,7 @@ impl ImageFiles {
         Self {
             path,
             tiles: BTreeMap::new(),
+            step_px: None,
         }
     }
 
@@ -32,8 +35,11 @@ impl ImageFiles {
         Ok(RasterFile::tiled(&self.placed()?)?)
     }
 
-    /// The tiles where a `.TIL` beside them says, else side by side as their names count them.
+    /// The tiles where their DIMAP or a `.TIL` beside them says, else side by side as they are counted.
     fn placed(&self) -> Result<Vec<Tile>, SceneError> {
+        if let Some(step_px) = self.step_px {
+            return Ok(self.at_steps(step_px));
+        }
         let folder = self.path.parent().unwrap_or_else(|| Path::new("."));
         for til in files_in(folder)?.iter().filter(|path| has_extension(path, &["til"])) {
             let text = super::files::read_text(til)?;
@@ -50,6 +56,15 @@ impl ImageFiles {
             }
         }
         self.side_by_side()
+    }
+
+    /// The tiles at equal distances.
+    fn at_steps(&self, [columns, rows]: [usize; 2]) -> Vec<Tile> {
+        let tile = |([row, col], path): (&[u32; 2], &PathBuf)| Tile {
+            path: path.clone(),
+            first: [before(*col) * columns, before(*row) * rows],
+        };
+        self.tiles.iter().map(tile).collect()
     }
 
     fn side_by_side(&self) -> Result<Vec<Tile>, SceneError> {
@@ -75,13 +90,18 @@ impl ImageFiles {
                 }
             }
         }
-        let before = |sizes: &BTreeMap<u32, usize>, at: u32| sizes.range(..at).map(|(_, size)| size).sum();
+        let until = |sizes: &BTreeMap<u32, usize>, at: u32| sizes.range(..at).map(|(_, size)| size).sum();
         let tiles = self.tiles.iter().map(|([row, col], path)| Tile {
             path: path.clone(),
-            first: [before(&widths, *col), before(&heights, *row)],
+            first: [until(&widths, *col), until(&heights, *row)],
         });
         Ok(tiles.collect())
     }
+}
+
+/// How many tiles lie before the one of this number, counted from one.
+fn before(number: u32) -> usize {
+    number.saturating_sub(1) as usize
 }
 
 /// Row and column in a tile's name, and the name without them.
@@ -115,8 +135,34 @@ pub(super) fn product_name(name: &str) -> Option<String> {
     tile_of(name).map(|(_, rest)| rest)
 }
 
-/// Files as images: the tiles of one image are one.
-pub(super) fn joined(files: Vec<PathBuf>) -> Vec<ImageFiles> {
+/// Files as images: the tiles of one image are one, as a DIMAP beside them lists them, else as their names tell.
+///
+/// # Errors
+/// [`SceneError::MissingTile`] when a DIMAP lists a tile that is not there.
+pub(super) fn joined(files: Vec<PathBuf>) -> Result<Vec<ImageFiles>, SceneError> {
+    let mut images = Vec::new();
+    let mut taken: BTreeSet<PathBuf> = BTreeSet::new();
+    for listed in dimap::tiled(&files)? {
+        let Some(first) = listed.tiles.values().next() else {
+            continue;
+        };
+        taken.extend(listed.tiles.values().cloned());
+        images.push(ImageFiles {
+            path: first.clone(),
+            tiles: listed.tiles,
+            step_px: listed.step_px,
+        });
+    }
+    let places: BTreeMap<PathBuf, usize> = files.iter().cloned().zip(0..).collect();
+    images.extend(by_names(
+        files.into_iter().filter(|path| !taken.contains(path)).collect(),
+    ));
+    images.sort_by_key(|image| places.get(&image.path).copied());
+    Ok(images)
+}
+
+/// The tiles of one image as their names tell.
+fn by_names(files: Vec<PathBuf>) -> Vec<ImageFiles> {
     let mut products: BTreeMap<(PathBuf, String), BTreeMap<[u32; 2], PathBuf>> = BTreeMap::new();
     for path in &files {
         if let Some((place, rest)) = tile_of(&stem(path)) {
@@ -133,6 +179,7 @@ pub(super) fn joined(files: Vec<PathBuf>) -> Vec<ImageFiles> {
             Some(tiles) if tiles.values().next() == Some(&path) => images.push(ImageFiles {
                 path,
                 tiles: tiles.clone(),
+                step_px: None,
             }),
             Some(_) => {}
         }
@@ -179,7 +226,7 @@ mod tests {
             "a/alone_R1C1.TIF",
             "a/other.TIF",
         ];
-        let images = joined(names.map(PathBuf::from).to_vec());
+        let images = by_names(names.map(PathBuf::from).to_vec());
         let paths: Vec<String> = images.iter().map(|image| image.path.display().to_string()).collect();
         assert_eq!(paths, [names[0], names[2], names[4], names[5]]);
         assert_eq!(

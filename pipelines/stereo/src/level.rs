@@ -23,6 +23,10 @@ pub(super) struct LevelView {
     pub(super) mean: PixelPlane,
     /// The index, where it is to be compared.
     pub(super) index: Option<PixelPlane>,
+    /// Pixels of the image averaged into one, each way.
+    pub(super) factor: usize,
+    /// Ground distance between the pixels of the image, metres.
+    pub(super) image_pixel_m: f32,
 }
 
 /// One plane of values that is compared.
@@ -50,7 +54,8 @@ impl PixelPlane {
 
 impl LevelView {
     pub(super) fn new(view: &SweepView, cell_m: f32, centre: Vec3, with_index: bool) -> Self {
-        let ratio = (cell_m / view.geometry().ground_sampling_m(centre)).round();
+        let image_pixel_m = view.geometry().ground_sampling_m(centre);
+        let ratio = (cell_m / image_pixel_m).round();
         let largest = (view.image.width.min(view.image.height) / FEWEST_PIXELS).max(1);
         let factor = (ratio as usize).clamp(1, largest);
         let mean = mean_of_bands(view.image);
@@ -67,7 +72,14 @@ impl LevelView {
             height: image.height,
             mean: PixelPlane::new(image),
             index: index.map(PixelPlane::new),
+            factor,
+            image_pixel_m,
         }
+    }
+
+    /// Ground distance between its pixels, metres.
+    pub(super) fn pixel_m(&self) -> f32 {
+        self.image_pixel_m * self.factor as f32
     }
 
     /// Projects the points of a line of the ground into the image.
@@ -162,6 +174,8 @@ mod tests {
                 middle: 0.0,
             },
             index: None,
+            factor: 1,
+            image_pixel_m: 1.0,
         };
         for start in [
             [-3.2, 4.7, 1.0],

@@ -35,7 +35,8 @@ pub fn plane_sweep(views: &[SweepView], request: &PlaneSweepRequest, progress: &
         let altitude = found.altitude();
         let tolerance_m = HIDDEN_M.max(HIDDEN_STEPS * found.step_m);
         let hits: Vec<_> = search
-            .level_views(1)
+            .compared(1)
+            .views
             .iter()
             .map(|view| FirstHits::new(&view.camera, &grid, &altitude, tolerance_m))
             .collect();

@@ -18,6 +18,7 @@ use super::visibility::FirstHits;
 use super::wta::{self, HeightChoice};
 use glam::Vec3;
 use rayon::prelude::*;
+use std::collections::BTreeMap;
 
 /// Coarse cells on each side of a fine one whose candidates it searches too.
 const REACH_CELLS: usize = 2;
@@ -27,6 +28,18 @@ const MARGIN_STEPS: f32 = 3.0;
 const COARSEST: usize = 8;
 /// A level needs this many cells each way to be worth its own search.
 const FEWEST_CELLS: usize = 16;
+
+/// Pixels of two views that differ by more than this factor are of unlike resolution: looking aslant makes those of one camera differ by
+/// up to some 1.4.
+const UNLIKE: f32 = 1.5;
+
+/// The views that a level compares.
+pub(super) struct Compared {
+    /// Those of the search, then finer ones again in the resolution of what they are compared with.
+    pub(super) views: Vec<LevelView>,
+    /// Pairs of these.
+    pairs: Vec<Pair>,
+}
 
 /// What is searched and with which views; the same on every level.
 pub(super) struct Search<'a> {
@@ -112,22 +125,49 @@ impl<'a> Search<'a> {
         self.views.par_iter().map(one).collect()
     }
 
-    /// Searches one level: all heights, or those around what a coarser (or equal) level found; with `hits`, cells that a view does not
-    /// see are left out.
+    /// The views of a level as they are compared. An image has no detail finer than its pixels, and the census of a finer one is full of
+    /// it: so beside a coarser view a finer one takes part in the coarser one's resolution.
+    pub(super) fn compared(&self, factor: usize) -> Compared {
+        let mut views = self.level_views(factor);
+        let with_index = self.index_weight.is_some();
+        let mut averaged: BTreeMap<(usize, usize), usize> = BTreeMap::new();
+        let mut pairs = self.pairs.clone();
+        for pair in &mut pairs {
+            let coarser = |a: usize, b: usize| {
+                let (a, b) = (&views[a], &views[b]);
+                a.image_pixel_m > UNLIKE * b.image_pixel_m && a.pixel_m() > UNLIKE * b.pixel_m()
+            };
+            let (coarse, fine) = match (coarser(pair.a, pair.b), coarser(pair.b, pair.a)) {
+                (true, _) => (pair.a, &mut pair.b),
+                (_, true) => (pair.b, &mut pair.a),
+                _ => continue,
+            };
+            let cell_m = views[coarse].pixel_m();
+            let of = (*fine, (cell_m / views[*fine].image_pixel_m).round() as usize);
+            *fine = *averaged.entry(of).or_insert_with(|| {
+                views.push(LevelView::new(&self.views[of.0], cell_m, self.centre, with_index));
+                views.len() - 1
+            });
+        }
+        Compared { views, pairs }
+    }
+
+    /// Searches one level: all heights, or those around what a coarser (or equal) level found; with `hits`, one for each view compared,
+    /// cells that a view does not see are left out.
     pub(super) fn level(&self, factor: usize, before: Option<&LevelResult>, hits: Option<&[FirstHits]>) -> LevelResult {
         let grid = self.grid.coarser(factor);
-        let views = self.level_views(factor);
+        let Compared { views, pairs } = self.compared(factor);
         let heights = self.heights(grid.cell_m);
         let (ranges, guide) = match before {
             None => (SearchRanges::full(grid.len(), &heights), None),
-            Some(found) => self.narrowed(&grid, &heights, &views, factor, found),
+            Some(found) => self.narrowed(&grid, &heights, &views[..self.views.len()], factor, found),
         };
         let parameters = &self.request.parameters;
         let matching = MatchingCost {
             grid,
             heights,
             views: &views,
-            pairs: &self.pairs,
+            pairs: &pairs,
             hits,
             parameters,
             index_weight: self.index_weight,

@@ -12,10 +12,16 @@ pub(super) struct Statement<'a> {
     pub(super) value: &'a str,
 }
 
-/// The statements of an IMD, RPB or PVL text, in order; groups are entered and left without a trace, since the keys this
-/// crate reads mean the same in every group.
+/// The statements of an IMD, RPB or PVL text, in order; groups are entered and left without a trace, for keys that mean the
+/// same in every group.
 pub(super) fn assignments(text: &str) -> Vec<Statement<'_>> {
+    grouped(text).into_iter().map(|(_, statement)| statement).collect()
+}
+
+/// The same, each with the innermost group it stands in, empty outside of all.
+pub(super) fn grouped(text: &str) -> Vec<(&str, Statement<'_>)> {
     let mut statements = Vec::new();
+    let mut groups = Vec::new();
     let mut rest = without_mark(text);
     while let Some(equals) = rest.find('=') {
         // The key is what stands before "=" on its own line.
@@ -29,11 +35,12 @@ pub(super) fn assignments(text: &str) -> Vec<Statement<'_>> {
         };
         let value = after[..end].trim();
         rest = &after[end..];
-        if !matches!(
-            key.to_ascii_uppercase().as_str(),
-            "BEGIN_GROUP" | "END_GROUP" | "GROUP" | "OBJECT"
-        ) {
-            statements.push(Statement { key, value });
+        match key.to_ascii_uppercase().as_str() {
+            "BEGIN_GROUP" | "GROUP" | "OBJECT" => groups.push(value),
+            "END_GROUP" => {
+                groups.pop();
+            }
+            _ => statements.push((groups.last().copied().unwrap_or(""), Statement { key, value })),
         }
     }
     statements
@@ -68,6 +75,13 @@ mod tests {
                 ("pixelScale", "(\n 7\n)")
             ]
         );
+    }
+
+    #[test]
+    fn statements_know_their_group() {
+        let text = "a = 1;\nBEGIN_GROUP = BAND_R\n\tgain = 2;\nEND_GROUP = BAND_R\nBEGIN_GROUP = BAND_N\n\tgain = 3;\nEND_GROUP = BAND_N\nb = 4;";
+        let found: Vec<_> = grouped(text).iter().map(|(group, s)| (*group, s.value)).collect();
+        assert_eq!(found, [("", "1"), ("BAND_R", "2"), ("BAND_N", "3"), ("", "4")]);
     }
 
     #[test]

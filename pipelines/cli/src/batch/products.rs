@@ -105,7 +105,8 @@ pub fn of_mosaic(
     let mut albedo = read("albedo.tif")?;
     let gains = albedo.balance(pieces, gsd_m);
     let albedo = albedo.merged(pieces, size, gsd_m, Merge::Mean);
-    writer.colours(&albedo, bands)?;
+    let index = models.files.first().and_then(ModelFile::vegetation_index);
+    writer.colours(&albedo, bands, index)?;
     let look = Look::new(&albedo, folder);
     drop(albedo);
     look.write("albedo", None)?;

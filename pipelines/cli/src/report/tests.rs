@@ -8,7 +8,7 @@ use heliosplat_rpc::{GeoPoint, ProjectiveMap};
 use heliosplat_satellite::PlanItem;
 use heliosplat_satellite::config::SatelliteConfig;
 use heliosplat_scene::crop::Crop;
-use heliosplat_scene::{Area, BandKind, Split, SunSource};
+use heliosplat_scene::{Area, BandKind, Split, SunSource, Values};
 use serde_json::json;
 
 const EVIL: &str = "<script>alert(1)</script><img src=x onerror=alert(1)>\"'&";
@@ -78,6 +78,7 @@ fn contents(folder: &Path) -> Contents {
             counts_per_unit: 1.0,
             projection: ProjectionOptions::default(),
             bands: vec![BandKind::Pan],
+            values: Values::default(),
             images: vec![image],
         },
         folder: Folder {

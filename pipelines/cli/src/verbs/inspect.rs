@@ -8,7 +8,7 @@ use heliosplat_fitting::settings::Preset;
 use heliosplat_satellite::config::SatelliteConfig;
 use heliosplat_satellite::estimate::{Estimate, estimate, slowness};
 use heliosplat_satellite::{Decisions, PlanItem, altitude};
-use heliosplat_scene::{Scene, SceneImage, Split};
+use heliosplat_scene::{Scene, SceneImage, Split, ValueKind, Values, saturation};
 use serde_json::{Value, json};
 use std::fmt::Write;
 use std::path::PathBuf;
@@ -146,6 +146,12 @@ fn describe_image(image: &SceneImage) -> Value {
         "height": image.pixels.height,
         "data_type": image.data_type,
         "bands": image.bands,
+        "values": {
+            "kind": image.values.kind,
+            "source": image.values.source,
+            "clipped_low": saturation::share_below(&image.pixels),
+            "clipped_high": saturation::share(&image.pixels),
+        },
         "rpc_source": image.rpc_source,
         "pinhole_rms_px": image.pinhole.rms_px,
         "pinhole_max_px": image.pinhole.max_px,
@@ -176,6 +182,31 @@ fn off_nadir_deg(image: &SceneImage) -> f64 {
     // A view ray keeps column and row: it is normal to both of their gradients.
     let ray = along(&map.u, col).cross(&along(&map.v, row)).normalize();
     ray.z.abs().clamp(0.0, 1.0).acos().to_degrees()
+}
+
+/// What the values of the images are, and who says so, such as `reflectance (12 images, a.IMD and others)`.
+fn values_in_words(images: &[SceneImage]) -> String {
+    let mut kinds: Vec<(&Values, usize)> = Vec::new();
+    for image in images {
+        match kinds.iter_mut().find(|(values, _)| values.kind == image.values.kind) {
+            Some((_, count)) => *count += 1,
+            None => kinds.push((&image.values, 1)),
+        }
+    }
+    let words = kinds.iter().map(|(values, count)| {
+        let source = match (&values.source, values.kind) {
+            (Some(source), _) if *count == 1 => source.clone(),
+            (Some(source), _) => format!("{source} and others"),
+            (None, ValueKind::Display) => "8 bits clipped at 0 or 255".to_owned(),
+            (None, _) => "no gains given".to_owned(),
+        };
+        format!(
+            "{} ({count} image{}, {source})",
+            values.kind.name(),
+            if *count == 1 { "" } else { "s" }
+        )
+    });
+    words.collect::<Vec<_>>().join(", ")
 }
 
 fn table(scene: &Scene, coverage: &Coverage, plan: &[PlanItem]) -> String {
@@ -210,6 +241,7 @@ fn table(scene: &Scene, coverage: &Coverage, plan: &[PlanItem]) -> String {
         bands.join(", "),
         scene.gsd_m
     ));
+    line(format_args!("values    {}", values_in_words(&scene.images)));
     let truth = |path: &Option<PathBuf>| {
         path.as_ref()
             .map_or("none".to_owned(), |path| path.display().to_string())

@@ -1,0 +1,45 @@
+//! What metadata say of the values of an image: gains, or that a display curve was applied.
+
+use super::SceneError;
+use super::entry::ImageEntry;
+use super::files::{file_name, read_text};
+use super::sidecars::describing_texts;
+use heliosplat_raster::RasterFile;
+use heliosplat_rpc::read::calibration::{self, Calibration, Radiometry};
+
+/// What is said, and where.
+#[derive(Debug, Clone, PartialEq)]
+pub(super) struct FoundRadiometry {
+    pub(super) radiometry: Radiometry,
+    /// A file name, or `image` for the image file itself and what GDAL found beside it.
+    pub(super) source: String,
+}
+
+/// The first that says something: texts that describe the image, then the image file itself.
+pub(super) fn find(file: &RasterFile, entry: &ImageEntry) -> Result<Option<FoundRadiometry>, SceneError> {
+    for path in describing_texts(entry, file.path())? {
+        if let Some(radiometry) = calibration::from_text(&read_text(&path)?) {
+            let source = file_name(&path);
+            return Ok(Some(FoundRadiometry { radiometry, source }));
+        }
+    }
+    Ok(in_image(file).map(|radiometry| FoundRadiometry {
+        radiometry,
+        source: "image".to_owned(),
+    }))
+}
+
+/// What the image file says: in its description, in GDAL's `IMD` domain, or by a scale and a unit of every band.
+fn in_image(file: &RasterFile) -> Option<Radiometry> {
+    let described = || calibration::from_text(file.domain("").get("TIFFTAG_IMAGEDESCRIPTION")?);
+    let scales = || {
+        let bands = file.bands.iter();
+        let said: Vec<_> = bands
+            .map(|band| (band.scale, band.offset, band.unit.as_str()))
+            .collect();
+        Calibration::of_bands(&said)
+    };
+    described()
+        .or_else(|| calibration::gdal_domain(&file.domain("IMD")))
+        .or_else(scales)
+}

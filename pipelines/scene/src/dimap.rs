@@ -1,0 +1,111 @@
+//! DIMAP files (`DIM_*.XML`) beside images: which files they list as tiles of one image, whatever these are called.
+
+use super::SceneError;
+use super::files::{file_name, files_in, has_extension, read_text};
+use heliosplat_rpc::read::{DataFile, DataFiles, data_files};
+use std::collections::{BTreeMap, BTreeSet};
+use std::path::{Component, Path, PathBuf};
+
+/// How their names begin, in lower case.
+pub(super) const PREFIX: &str = "dim_";
+
+/// The tiles of one image.
+pub(super) struct ListedTiles {
+    /// By row and column.
+    pub(super) tiles: BTreeMap<[u32; 2], PathBuf>,
+    /// Columns and rows from one tile to the next, where the DIMAP says so.
+    pub(super) step_px: Option<[usize; 2]>,
+}
+
+/// The DIMAPs of a folder that list files.
+fn in_folder(folder: &Path) -> Result<Vec<(PathBuf, DataFiles)>, SceneError> {
+    let is_dimap = |path: &PathBuf| has_extension(path, &["xml"]) && file_name(path).to_lowercase().starts_with(PREFIX);
+    let mut found = Vec::new();
+    for path in files_in(folder)?.into_iter().filter(is_dimap) {
+        if let Some(files) = data_files(&read_text(&path)?) {
+            found.push((path, files));
+        }
+    }
+    Ok(found)
+}
+
+/// Where a listed file lies: at or below the folder of its DIMAP, never elsewhere.
+fn place(folder: &Path, file: &DataFile) -> Option<PathBuf> {
+    let relative = Path::new(&file.href);
+    let below = relative
+        .components()
+        .all(|part| matches!(part, Component::Normal(_) | Component::CurDir));
+    let names: PathBuf = relative
+        .components()
+        .filter(|part| *part != Component::CurDir)
+        .collect();
+    below.then(|| folder.join(names))
+}
+
+fn folder_of(image: &Path) -> &Path {
+    image
+        .parent()
+        .filter(|folder| !folder.as_os_str().is_empty())
+        .unwrap_or_else(|| Path::new("."))
+}
+
+/// Images of which a DIMAP lists several tiles, some of which are among `files`.
+///
+/// # Errors
+/// [`SceneError::MissingTile`] when not all are there.
+pub(super) fn tiled(files: &[PathBuf]) -> Result<Vec<ListedTiles>, SceneError> {
+    let folders: BTreeSet<&Path> = files.iter().map(|path| folder_of(path)).collect();
+    let mut found = Vec::new();
+    for folder in folders {
+        for (dimap, DataFiles { images, step_px }) in in_folder(folder)? {
+            for listed in images.iter().filter(|listed| listed.len() > 1) {
+                let tiles = listed.iter().filter_map(|file| Some((file.tile, place(folder, file)?)));
+                let tiles: BTreeMap<[u32; 2], PathBuf> = tiles.collect();
+                if !tiles.values().any(|tile| files.contains(tile)) {
+                    continue;
+                }
+                if let Some(tile) = tiles.values().find(|tile| !tile.is_file()) {
+                    return Err(SceneError::MissingTile {
+                        tile: tile.clone(),
+                        dimap,
+                    });
+                }
+                found.push(ListedTiles { tiles, step_px });
+            }
+        }
+    }
+    Ok(found)
+}
+
+/// The DIMAP that lists an image, if one in its folder does.
+pub(super) fn of_image(folder: &Path, image: &Path) -> Result<Option<PathBuf>, SceneError> {
+    let name = file_name(image);
+    let lists = |files: &DataFiles| {
+        let mut listed = files.images.iter().flatten();
+        listed.any(|file| {
+            place(folder, file).is_some_and(|path| path.parent() == Some(folder) && file_name(&path) == name)
+        })
+    };
+    let found = in_folder(folder)?.into_iter().find(|(_, files)| lists(files));
+    Ok(found.map(|(path, _)| path))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_listed_file_never_leads_away_from_its_folder() {
+        let at = |href: &str| {
+            let file = DataFile {
+                tile: [1, 1],
+                href: href.to_owned(),
+            };
+            place(Path::new("a"), &file)
+        };
+        assert_eq!(at("./b/c.tif"), Some(PathBuf::from("a/b/c.tif")));
+        for elsewhere in ["../c.tif", "/etc/c.tif", "b/../../c.tif"] {
+            assert_eq!(at(elsewhere), None, "{elsewhere}");
+        }
+    }
+}

@@ -1,0 +1,71 @@
+//! The text files beside an image that say something of it, found by their names.
+
+use super::entry::ImageEntry;
+use super::files::{file_name, files_in, stem};
+use super::{SceneError, dimap, tiles};
+use heliosplat_raster::is_virtual;
+use std::path::{Path, PathBuf};
+
+/// All texts that describe an image, the strongest first: what `scene.toml` names, the JSON that names the image, what lies beside it.
+pub(super) fn describing_texts(entry: &ImageEntry, image: &Path) -> Result<Vec<PathBuf>, SceneError> {
+    let said = entry.said.as_ref().and_then(|said| said.metadata.clone());
+    let mut texts: Vec<PathBuf> = said.into_iter().chain(entry.json.clone()).collect();
+    texts.extend(belonging_texts(image)?);
+    Ok(texts)
+}
+
+/// Text files beside an image that belong to it by their name: `X.RPB`, `X_RPC.TXT`, `X.XML`, `RPC_X.XML`, `DIM_X.XML` …
+/// for an image `X.TIF` or `IMG_X_R1C1.TIF`.
+pub(super) fn belonging_texts(image: &Path) -> Result<Vec<PathBuf>, SceneError> {
+    if is_virtual(image) {
+        return Ok(Vec::new());
+    }
+    let folder = image.parent().filter(|parent| !parent.as_os_str().is_empty());
+    let name = stem(image).to_lowercase();
+    // What is said of a product is said of its tiles.
+    let whole = tiles::product_name(&name);
+    let product = whole.as_deref().unwrap_or(&name);
+    let product = product.strip_prefix("img_").unwrap_or(product);
+    let mut wanted: Vec<String> = Vec::new();
+    for end in [
+        ".rpb",
+        "_rpc.txt",
+        ".rpc",
+        "_rpc.xml",
+        ".imd",
+        ".xml",
+        ".json",
+        ".txt",
+        ".pvl",
+        "_metadata.txt",
+        "_metadata.xml",
+        "_dim.xml",
+        "_stac.json",
+    ] {
+        wanted.push(format!("{name}{end}"));
+        wanted.extend(whole.as_ref().map(|whole| format!("{whole}{end}")));
+    }
+    for start in ["rpc_", "dim_"] {
+        wanted.push(format!("{start}{product}.xml"));
+    }
+    let folder = folder.unwrap_or_else(|| Path::new("."));
+    let files = files_in(folder)?;
+    let named = |want: &String| {
+        files
+            .iter()
+            .find(|path| file_name(path).to_lowercase() == *want)
+            .cloned()
+    };
+    let mut found: Vec<PathBuf> = wanted.iter().filter_map(named).collect();
+    // A DIMAP says whose it is, whatever the names.
+    if let Some(dimap) = dimap::of_image(folder, image)? {
+        let rest = file_name(&dimap).to_lowercase();
+        let camera = rest.strip_prefix(dimap::PREFIX).map(|rest| format!("rpc_{rest}"));
+        for path in camera.as_ref().and_then(named).into_iter().chain([dimap]) {
+            if !found.contains(&path) {
+                found.push(path);
+            }
+        }
+    }
+    Ok(found)
+}
