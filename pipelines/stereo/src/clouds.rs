@@ -162,6 +162,7 @@ mod tests {
         let facts = MatchingFacts::new(&geometries, volume.centre(), false);
         PlaneSweepRequest {
             volume,
+            centre: volume.centre(),
             parameters: MatchingParameters::choose(&facts),
         }
     }
