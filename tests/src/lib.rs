@@ -11,3 +11,4 @@ pub mod reference;
 pub mod results;
 pub mod scenes;
 pub mod shared;
+pub mod town;

@@ -64,36 +64,17 @@ impl View {
 
     /// The camera: a parallel projection, columns to the east, rows to the south, over 36.91 E 37.58 N at 700 m.
     pub fn rpc(&self) -> Rpc {
-        let half_m = SIZE_PX as f64 / 2.0 * GSD_M;
-        let (height_scale_m, latitude) = (100.0, 37.58_f64);
-        let latitude_scale_deg = half_m / METRES_PER_DEGREE;
-        let longitude_scale_deg = latitude_scale_deg / latitude.to_radians().cos();
-        let numerator = |longitude: f64, latitude: f64, height: f64| {
-            let mut coefficients = [0.0; 20];
-            coefficients[1..4].copy_from_slice(&[longitude, latitude, height]);
-            coefficients
-        };
-        let mut one = [0.0; 20];
-        one[0] = 1.0;
-        let per_height = |tilt: f64| tilt * height_scale_m / half_m;
-        Rpc {
-            line_offset: (SIZE_PX as f64 - 1.0) / 2.0,
-            sample_offset: (SIZE_PX as f64 - 1.0) / 2.0,
-            latitude_offset_deg: latitude + self.centre_m[1] / METRES_PER_DEGREE,
-            longitude_offset_deg: 36.91 + self.centre_m[0] / half_m * longitude_scale_deg,
-            height_offset_m: 700.0,
-            line_scale: SIZE_PX as f64 / 2.0,
-            sample_scale: SIZE_PX as f64 / 2.0,
-            latitude_scale_deg,
-            longitude_scale_deg,
-            height_scale_m,
-            line_numerator: numerator(0.0, -1.0, -per_height(self.tilt[1])),
-            line_denominator: one,
-            sample_numerator: numerator(1.0, 0.0, per_height(self.tilt[0])),
-            sample_denominator: one,
-            error_bias_m: None,
-            error_random_m: None,
-        }
+        let latitude = 37.58_f64;
+        let longitude_per_m = 1.0 / METRES_PER_DEGREE / latitude.to_radians().cos();
+        parallel_camera(
+            SIZE_PX,
+            GSD_M,
+            [
+                36.91 + self.centre_m[0] * longitude_per_m,
+                latitude + self.centre_m[1] / METRES_PER_DEGREE,
+            ],
+            self.tilt,
+        )
     }
 
     /// Writes the GeoTIFF, and a JSON with what is known besides the camera if there is anything.
@@ -136,6 +117,40 @@ impl View {
             metadata["rpc"] = write::satnerf_json_rpc(&self.rpc());
         }
         metadata
+    }
+}
+
+/// A camera over a longitude and latitude (degrees) at 700 m: a parallel projection, columns to the east, rows to the south, `size_px` each way,
+/// whose image moves by `tilt` metres east and north per metre of height.
+pub fn parallel_camera(size_px: usize, gsd_m: f64, [longitude_deg, latitude_deg]: [f64; 2], tilt: [f64; 2]) -> Rpc {
+    let half_m = size_px as f64 / 2.0 * gsd_m;
+    let height_scale_m = 100.0;
+    let latitude_scale_deg = half_m / METRES_PER_DEGREE;
+    let numerator = |longitude: f64, latitude: f64, height: f64| {
+        let mut coefficients = [0.0; 20];
+        coefficients[1..4].copy_from_slice(&[longitude, latitude, height]);
+        coefficients
+    };
+    let mut one = [0.0; 20];
+    one[0] = 1.0;
+    let per_height = |tilt: f64| tilt * height_scale_m / half_m;
+    Rpc {
+        line_offset: (size_px as f64 - 1.0) / 2.0,
+        sample_offset: (size_px as f64 - 1.0) / 2.0,
+        latitude_offset_deg: latitude_deg,
+        longitude_offset_deg: longitude_deg,
+        height_offset_m: 700.0,
+        line_scale: size_px as f64 / 2.0,
+        sample_scale: size_px as f64 / 2.0,
+        latitude_scale_deg,
+        longitude_scale_deg: latitude_scale_deg / latitude_deg.to_radians().cos(),
+        height_scale_m,
+        line_numerator: numerator(0.0, -1.0, -per_height(tilt[1])),
+        line_denominator: one,
+        sample_numerator: numerator(1.0, 0.0, per_height(tilt[0])),
+        sample_denominator: one,
+        error_bias_m: None,
+        error_random_m: None,
     }
 }
 

@@ -550,7 +550,7 @@ fn an_image_without_contrast_is_named() {
     let dsm = home.path().join("dsm.tif");
     let mut arguments: Vec<OsString> = ["dsm".into(), home.path().into(), "--out".into(), dsm.clone().into()].to_vec();
     arguments.extend(["--from", "sweep", "--altitude", "690,710"].map(OsString::from));
-    let line = fault(&arguments, 1);
+    let line = fault(&arguments, 2);
     assert!(line.contains("view_1.tif") && line.contains("contrast"), "{line}");
     assert!(!dsm.exists());
 }

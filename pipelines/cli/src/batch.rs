@@ -12,7 +12,6 @@ pub mod mosaic;
 pub mod plan;
 pub mod products;
 pub mod row;
-pub mod seams;
 pub mod stamp;
 pub mod summary;
 pub mod tiles;

@@ -115,9 +115,12 @@ impl From<OpenError> for CliError {
 impl From<FitError> for CliError {
     fn from(error: FitError) -> Self {
         match error {
-            FitError::TooFewViews { .. } | FitError::Memory { .. } | FitError::Channels { .. } | FitError::Mask(_) => {
-                Self::Input(error.to_string())
-            }
+            FitError::TooFewViews { .. }
+            | FitError::NoContrast { .. }
+            | FitError::Memory { .. }
+            | FitError::SweepMemory { .. }
+            | FitError::Channels { .. }
+            | FitError::Mask(_) => Self::Input(error.to_string()),
             FitError::Training(error) => error.into(),
         }
     }
@@ -137,6 +140,7 @@ impl From<SatelliteError> for CliError {
             SatelliteError::TimeBudget { .. } | SatelliteError::SceneOfRun { .. } | SatelliteError::Adjust { .. } => {
                 Self::Input(error.to_string())
             }
+            SatelliteError::Stopped => Self::Interrupted(error.to_string()),
             SatelliteError::Settings(_) | SatelliteError::CorrectedCamera { .. } => Self::Failed(error.to_string()),
         }
     }

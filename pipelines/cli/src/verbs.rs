@@ -19,6 +19,7 @@ pub mod report;
 pub mod rpc;
 pub mod satellite;
 pub mod sun;
+pub mod sweep_dsm;
 #[cfg(feature = "synth")]
 pub mod synth;
 pub mod tradeoff;

@@ -10,7 +10,7 @@ use heliosplat::splat::Maps;
 use heliosplat_raster::geoid::GeoidGrid;
 use heliosplat_raster::grid::GridSpec;
 use heliosplat_raster::write::{ImageSpec, write_cog};
-use heliosplat_raster::{GeoRaster, Geoid, RasterError, dsm_bands};
+use heliosplat_raster::{GeoRaster, Geoid, RasterError, StreamedCog, dsm_bands};
 use heliosplat_stereo::{FEWEST_VIEWS, Surface};
 use std::path::Path;
 
@@ -24,6 +24,9 @@ pub const BANDS: [&str; 4] = [
 
 /// Units of the bands of a surface model.
 pub const UNITS: [&str; 4] = ["metre", "metre", "1", "1"];
+
+/// What altitudes are above where no geoid is said.
+const ELLIPSOID: &str = "WGS84 ellipsoid";
 
 /// Places of the bands.
 const ALTITUDE: usize = 0;
@@ -124,7 +127,11 @@ fn variance_around(raster: &Raster, cell: usize) -> f32 {
 /// # Errors
 /// When the coordinate system does not cover the place.
 pub fn of_surface(place: &Place, surface: &Surface, gsd_m: f64, crs: Option<&str>) -> Result<Dsm, RasterError> {
-    let nadir = NadirGrid::new(place, gsd_m, crs)?;
+    Ok(of_surface_on(NadirGrid::new(place, gsd_m, crs)?, place, surface))
+}
+
+/// The same on a grid that there is already.
+pub fn of_surface_on(nadir: NadirGrid, place: &Place, surface: &Surface) -> Dsm {
     let (width, height) = (nadir.grid.width, nadir.grid.height);
     let mut raster = Raster::filled(width, height, BANDS.len(), f32::NAN);
     for i in 0..width * height {
@@ -149,11 +156,11 @@ pub fn of_surface(place: &Place, surface: &Surface, gsd_m: f64, crs: Option<&str
         }
     }
     widen_deviations(&mut raster);
-    Ok(Dsm {
+    Dsm {
         raster,
         grid: nadir.grid,
         geoid: None,
-    })
+    }
 }
 
 impl Dsm {
@@ -213,7 +220,7 @@ impl Dsm {
 
     /// What its altitudes are above.
     pub fn vertical_datum(&self) -> &'static str {
-        self.geoid.map_or("WGS84 ellipsoid", Geoid::name)
+        self.geoid.map_or(ELLIPSOID, Geoid::name)
     }
 
     /// Writes the surface model as a cloud-optimised GeoTIFF.
@@ -221,12 +228,7 @@ impl Dsm {
     /// # Errors
     /// When the file cannot be written; nothing is left behind then.
     pub fn write(&self, path: &Path) -> Result<(), RasterError> {
-        let items = [
-            ("VERTICAL_DATUM", self.vertical_datum()),
-            ("UNIT", "metre"),
-            ("SOFTWARE", concat!("heliosplat ", env!("CARGO_PKG_VERSION"))),
-        ];
-        let metadata: Vec<(String, String)> = items.map(|(k, v)| (k.into(), v.into())).to_vec();
+        let metadata = metadata(self.vertical_datum());
         let spec = ImageSpec {
             band_descriptions: &BANDS,
             band_units: &UNITS,
@@ -257,6 +259,36 @@ impl Dsm {
             values: self.raster.plane(0).to_vec(),
         }
     }
+}
+
+fn metadata(vertical_datum: &str) -> Vec<(String, String)> {
+    let items = [
+        ("VERTICAL_DATUM", vertical_datum),
+        ("UNIT", "metre"),
+        ("SOFTWARE", concat!("heliosplat ", env!("CARGO_PKG_VERSION"))),
+    ];
+    items.map(|(k, v)| (k.into(), v.into())).to_vec()
+}
+
+/// The file of a surface model that is larger than memory, above the ellipsoid.
+///
+/// # Errors
+/// When the file cannot be written; nothing is left behind then.
+pub fn streamed(path: &Path, grid: &GridSpec) -> Result<StreamedCog, RasterError> {
+    let without_values = Raster {
+        width: grid.width,
+        height: grid.height,
+        bands: BANDS.len(),
+        values: Vec::new(),
+    };
+    let spec = ImageSpec {
+        band_descriptions: &BANDS,
+        band_units: &UNITS,
+        georeference: Some((&grid.transform, &grid.crs)),
+        metadata: &metadata(ELLIPSOID),
+        ..ImageSpec::plain(&without_values)
+    };
+    StreamedCog::create(path, &spec)
 }
 
 #[cfg(test)]

@@ -3,6 +3,7 @@
 //! [`model`] reads a run; [`surface`] and [`dsm`] look at it from above; [`views`] renders its images; [`relight`] puts it under
 //! another sun; [`set`] writes everything for a GIS through [`writer`], and [`stac`] describes it.
 
+pub mod blend;
 pub mod dsm;
 mod fill;
 pub mod model;
@@ -12,10 +13,12 @@ pub mod ortho;
 pub mod ply;
 pub mod points;
 pub mod relight;
+pub mod seams;
 pub mod seen;
 pub mod set;
 pub mod shadow_mask;
 pub mod stac;
+pub mod stored;
 pub mod surface;
 pub mod views;
 pub mod writer;

@@ -98,6 +98,20 @@ pub struct GridSpec {
 }
 
 impl GridSpec {
+    /// The part of the grid that begins at a column and a row and has `size` columns and rows.
+    #[must_use]
+    pub fn part(&self, (col0, row0): (usize, usize), (width, height): (usize, usize)) -> Self {
+        Self {
+            width,
+            height,
+            transform: GeoTransform {
+                origin: self.transform.map_from_pixel(col0 as f64, row0 as f64),
+                ..self.transform
+            },
+            crs: self.crs.clone(),
+        }
+    }
+
     /// The north-up grid of `crs`, with pixels of `gsd_m` metres snapped to whole multiples of it, that covers a
     /// rectangle of the local frame (west, south, east, north, metres) at the altitude of the frame's origin.
     ///

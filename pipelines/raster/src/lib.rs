@@ -13,6 +13,7 @@ pub mod grid;
 pub mod messages;
 pub mod pansharpen;
 pub mod preview;
+pub mod streamed;
 pub mod tiled;
 pub mod write;
 
@@ -21,6 +22,7 @@ pub use file::{BandInfo, Colour, GeoRaster, RasterFile, Window, is_virtual, list
 pub use geoid::Geoid;
 pub use grid::{EnuGrid, GeoTransform, GridSpec};
 pub use pansharpen::GridRelation;
+pub use streamed::StreamedCog;
 pub use tiled::Tile;
 pub use write::{Bytes, ImageSpec, Sample, copy_with_rpc, write_atomically, write_byte_cog, write_cog, write_geotiff};
 

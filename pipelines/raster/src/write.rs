@@ -16,7 +16,7 @@ use std::sync::atomic::{AtomicU64, Ordering};
 pub const NODATA: f32 = -9999.0;
 
 /// How the names of files begin that are being written.
-const TEMPORARY: &str = ".heliosplat-";
+pub(super) const TEMPORARY: &str = ".heliosplat-";
 
 /// A raster to write and what is to be said about it.
 #[derive(Debug, Clone, Copy)]
@@ -109,7 +109,7 @@ pub fn write_byte_cog(path: &Path, spec: &ImageSpec, bytes: Bytes) -> Result<(),
     write_copy(path, &dataset, "COG", &cog_options(resampling))
 }
 
-fn cog_options(resampling: &str) -> [String; 6] {
+pub(super) fn cog_options(resampling: &str) -> [String; 6] {
     [
         "COMPRESS=DEFLATE".into(),
         "PREDICTOR=YES".into(),
@@ -271,32 +271,41 @@ fn build<T: GdalType + Copy>(
     messages::collect_strictly(|| {
         let driver = DriverManager::get_driver_by_name("MEM")?;
         let mut dataset = driver.create_with_band_type::<T, _>("", size.0, size.1, raster.bands)?;
-        if let Some((transform, crs)) = spec.georeference {
-            dataset.set_geo_transform(&transform.to_gdal())?;
-            dataset.set_projection(crs.wkt())?;
-        }
-        for (key, value) in spec.metadata {
-            dataset.set_metadata_item(key, value, "")?;
-        }
-        for (key, value) in spec.rpc {
-            dataset.set_metadata_item(key, value, "RPC")?;
-        }
+        describe(&mut dataset, spec, nodata)?;
         for index in 0..raster.bands {
             let mut band = dataset.rasterband(index + 1)?;
-            if let Some(nodata) = nodata {
-                band.set_no_data_value(Some(f64::from(nodata)))?;
-            }
-            if let Some(text) = spec.band_descriptions.get(index) {
-                band.set_description(text)?;
-            }
-            if let Some(unit) = spec.band_units.get(index) {
-                set_unit(&band, unit)?;
-            }
             let values = raster.plane(index).iter().map(|&value| convert(value)).collect();
             band.write((0, 0), size, &mut Buffer::new(size, values))?;
         }
         Ok(dataset)
     })
+}
+
+/// Tells a dataset what a specification says about it.
+pub(super) fn describe(dataset: &mut Dataset, spec: &ImageSpec, nodata: Option<f32>) -> gdal::errors::Result<()> {
+    if let Some((transform, crs)) = spec.georeference {
+        dataset.set_geo_transform(&transform.to_gdal())?;
+        dataset.set_projection(crs.wkt())?;
+    }
+    for (key, value) in spec.metadata {
+        dataset.set_metadata_item(key, value, "")?;
+    }
+    for (key, value) in spec.rpc {
+        dataset.set_metadata_item(key, value, "RPC")?;
+    }
+    for index in 0..spec.raster.bands {
+        let mut band = dataset.rasterband(index + 1)?;
+        if let Some(nodata) = nodata {
+            band.set_no_data_value(Some(f64::from(nodata)))?;
+        }
+        if let Some(text) = spec.band_descriptions.get(index) {
+            band.set_description(text)?;
+        }
+        if let Some(unit) = spec.band_units.get(index) {
+            set_unit(&band, unit)?;
+        }
+    }
+    Ok(())
 }
 
 /// Sets the unit of a band, which the crate can only read.

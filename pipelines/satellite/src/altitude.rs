@@ -69,7 +69,8 @@ pub fn open(path: &Path, options: &IngestOptions) -> Result<Scene, SceneError> {
         if scene.altitude_known_from != AltitudeSource::Ties {
             break;
         }
-        let wider = coarse_sweep(&scene).and_then(|surface| AtLimits::of(&surface, &scene).wider(&scene));
+        let wider =
+            coarse_sweep(&scene).and_then(|surface| AtLimits::of(&surface, &scene).wider(scene.altitude_range_m));
         let Some(range_m) = wider else {
             break;
         };

@@ -34,6 +34,9 @@ pub enum SatelliteError {
         /// Seconds before the first step.
         start_s: f64,
     },
+    /// The user asked for it.
+    #[error("stopped: nothing was written")]
+    Stopped,
     /// The fit.
     #[error(transparent)]
     Fit(#[from] FitError),
@@ -110,6 +113,18 @@ pub enum FitError {
         limit_gib: f64,
         /// What would fit: width of a cell, ground sampling distances.
         cell_gsd: f64,
+    },
+    /// The smallest tiles of a plane sweep would take more memory than it may.
+    #[error(
+        "--memory: the smallest tiles of this sweep, of {levels} altitudes per cell, need about {needed_gib:.2} GiB and {limit_gib:.2} GiB are allowed; give more, or a narrower --altitude"
+    )]
+    SweepMemory {
+        /// What the smallest tiles need, GiB.
+        needed_gib: f64,
+        /// What the sweep may take, GiB.
+        limit_gib: f64,
+        /// Height hypotheses of a cell.
+        levels: usize,
     },
     /// More bands than near-surface light of its own for each leaves room for.
     #[error(

@@ -40,7 +40,14 @@ impl<'a> Ground<'a> {
     /// # Errors
     /// [`FitError::TooFewViews`] when fewer than two do.
     pub fn new(scene: &'a Scene, images: impl Iterator<Item = &'a SceneImage>) -> Result<Self, FitError> {
-        let area = crop::grown(&scene.area, MARGIN_M);
+        Self::over(scene, crop::grown(&scene.area, MARGIN_M), images)
+    }
+
+    /// `area`, metres of the scene's frame, in those of `images` that show it.
+    ///
+    /// # Errors
+    /// [`FitError::TooFewViews`] when fewer than two do.
+    pub fn over(scene: &'a Scene, area: Area, images: impl Iterator<Item = &'a SceneImage>) -> Result<Self, FitError> {
         let up_m = crop::altitude_range(scene);
         let (images, crops): (Vec<&SceneImage>, Vec<Crop>) = images
             .filter_map(|image| Some((image, Crop::of(image, &area, up_m)?)))
@@ -141,16 +148,7 @@ impl<'a> Ground<'a> {
 
     /// What a plane sweep with cells of `cell_m` metres searches.
     pub fn volume(&self, cell_m: f64) -> SearchVolume {
-        let snapped = |v: f64| (v / cell_m).round() * cell_m;
-        SearchVolume {
-            west_m: snapped(self.area.west_m) as f32,
-            south_m: snapped(self.area.south_m) as f32,
-            east_m: snapped(self.area.east_m) as f32,
-            north_m: snapped(self.area.north_m) as f32,
-            cell_m: cell_m as f32,
-            altitude_min_m: self.up_m.0 as f32,
-            altitude_max_m: self.up_m.1 as f32,
-        }
+        volume(&self.area, self.up_m, cell_m)
     }
 
     /// What the choice of the matching parameters depends on, with cells of `cell_m` metres. It takes no pixels, and the cameras as given:
@@ -163,10 +161,26 @@ impl<'a> Ground<'a> {
 
     /// A plane sweep with cells of `cell_m` metres.
     pub fn request(&self, cell_m: f64, parameters: MatchingParameters) -> PlaneSweepRequest {
+        let volume = self.volume(cell_m);
         PlaneSweepRequest {
-            volume: self.volume(cell_m),
+            centre: volume.centre(),
+            volume,
             parameters,
         }
+    }
+}
+
+/// `area` between two altitudes (metres), its edges on multiples of `cell_m`.
+pub(super) fn volume(area: &Area, up_m: (f64, f64), cell_m: f64) -> SearchVolume {
+    let snapped = |v: f64| (v / cell_m).round() * cell_m;
+    SearchVolume {
+        west_m: snapped(area.west_m) as f32,
+        south_m: snapped(area.south_m) as f32,
+        east_m: snapped(area.east_m) as f32,
+        north_m: snapped(area.north_m) as f32,
+        cell_m: cell_m as f32,
+        altitude_min_m: up_m.0 as f32,
+        altitude_max_m: up_m.1 as f32,
     }
 }
 

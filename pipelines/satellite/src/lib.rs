@@ -22,7 +22,10 @@ mod radiometry;
 pub mod run_file;
 mod shadow_prior;
 mod suns;
+mod sweep_memory;
+pub mod sweep_tiles;
 pub mod swept;
+pub mod tiled_sweep;
 pub mod training;
 mod views;
 

@@ -13,47 +13,62 @@ const WIDENING: f64 = 0.5;
 /// The same at least, metres.
 const LEAST_WIDENING_M: f64 = 20.0;
 
-/// Shares of the matched cells of a surface that lie at the lowest and at the highest altitude that was searched.
-#[derive(Debug, Clone, Copy, PartialEq)]
+/// Matched cells of a surface, and those of them that lie at the lowest and at the highest altitude that was searched.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub struct AtLimits {
     /// At the lowest.
-    pub low: f64,
+    pub low: usize,
     /// At the highest.
-    pub high: f64,
+    pub high: usize,
+    /// All.
+    pub matched: usize,
+}
+
+impl std::ops::AddAssign for AtLimits {
+    fn add_assign(&mut self, other: Self) {
+        self.low += other.low;
+        self.high += other.high;
+        self.matched += other.matched;
+    }
 }
 
 impl AtLimits {
     /// Those of a surface that was searched over the altitudes of `scene`; cells that fewer than two images see do not count.
     pub fn of(surface: &Surface, scene: &Scene) -> Self {
-        let at = shares(surface, crop::altitude_range(scene));
+        let at = counted(surface, crop::altitude_range(scene));
         tracing::debug!(
-            low = at.low,
-            high = at.high,
+            low = at.share(at.low),
+            high = at.share(at.high),
             "matched cells at the limits of the altitudes searched"
         );
         at
     }
 
-    /// A range that is wider where the surface touches a limit, metres above the ellipsoid; `None` where it touches none.
-    pub fn wider(&self, scene: &Scene) -> Option<(f64, f64)> {
-        widened(self, scene.altitude_range_m)
+    /// The share of the matched cells that `count` of them are.
+    fn share(&self, count: usize) -> f64 {
+        count as f64 / self.matched.max(1) as f64
+    }
+
+    /// A range that is wider where the surface touches a limit of the one searched, metres above the ellipsoid; `None` where it touches
+    /// none.
+    pub fn wider(&self, range_m: (f64, f64)) -> Option<(f64, f64)> {
+        widened(self, range_m)
     }
 
     /// What to tell a user whose range of altitudes is too narrow; `None` where it is not.
-    pub fn warning(&self, scene: &Scene) -> Option<String> {
-        let wider = self.wider(scene)?;
-        let (low_m, high_m) = scene.altitude_range_m;
+    pub fn warning(&self, (low_m, high_m): (f64, f64)) -> Option<String> {
+        let wider = self.wider((low_m, high_m))?;
         let mut ends = Vec::new();
-        if self.low > TOUCHING {
+        if self.share(self.low) > TOUCHING {
             ends.push(format!(
                 "{:.1} % of its matched cells lie at the lowest, {low_m:.0} m",
-                100.0 * self.low
+                100.0 * self.share(self.low)
             ));
         }
-        if self.high > TOUCHING {
+        if self.share(self.high) > TOUCHING {
             ends.push(format!(
                 "{:.1} % of its matched cells lie at the highest, {high_m:.0} m",
-                100.0 * self.high
+                100.0 * self.share(self.high)
             ));
         }
         Some(format!(
@@ -65,7 +80,7 @@ impl AtLimits {
     }
 }
 
-fn shares(surface: &Surface, (low_m, high_m): (f64, f64)) -> AtLimits {
+fn counted(surface: &Surface, (low_m, high_m): (f64, f64)) -> AtLimits {
     let is_matched = |cell: &usize| {
         surface.confidence[*cell] >= CONFIDENT && !surface.filled[*cell] && surface.views[*cell] >= FEWEST_VIEWS
     };
@@ -73,18 +88,18 @@ fn shares(surface: &Surface, (low_m, high_m): (f64, f64)) -> AtLimits {
         .filter(is_matched)
         .map(|cell| f64::from(surface.altitude[cell]))
         .collect();
-    let share = |count: usize| count as f64 / matched.len().max(1) as f64;
     let step_m = f64::from(surface.resolution_m);
     AtLimits {
-        low: share(matched.iter().filter(|&&up_m| up_m < low_m + step_m).count()),
-        high: share(matched.iter().filter(|&&up_m| up_m > high_m - step_m).count()),
+        low: matched.iter().filter(|&&up_m| up_m < low_m + step_m).count(),
+        high: matched.iter().filter(|&&up_m| up_m > high_m - step_m).count(),
+        matched: matched.len(),
     }
 }
 
 fn widened(at: &AtLimits, (low_m, high_m): (f64, f64)) -> Option<(f64, f64)> {
     let more_m = (WIDENING * (high_m - low_m)).max(LEAST_WIDENING_M).ceil();
-    let by = |share: f64| if share > TOUCHING { more_m } else { 0.0 };
-    (at.low.max(at.high) > TOUCHING).then(|| (low_m - by(at.low), high_m + by(at.high)))
+    let by = |count: usize| if at.share(count) > TOUCHING { more_m } else { 0.0 };
+    (at.share(at.low.max(at.high)) > TOUCHING).then(|| (low_m - by(at.low), high_m + by(at.high)))
 }
 
 #[cfg(test)]
@@ -107,17 +122,25 @@ mod tests {
     fn cells_at_a_limit_are_counted_among_those_that_were_matched() {
         let mut cut_off = surface(vec![3.0, 9.5, 9.8, -4.0, 9.9]);
         cut_off.views = vec![2, 3, 2, 2, 1];
-        assert_eq!(shares(&cut_off, (-10.0, 10.0)), AtLimits { low: 0.0, high: 0.5 });
+        let counts = |low, high, matched| AtLimits { low, high, matched };
+        assert_eq!(counted(&cut_off, (-10.0, 10.0)), counts(0, 2, 4));
         cut_off.confidence[3] = 0.0;
         cut_off.filled[1] = true;
-        assert_eq!(shares(&cut_off, (2.5, 10.0)), AtLimits { low: 0.5, high: 0.5 });
+        assert_eq!(counted(&cut_off, (2.5, 10.0)), counts(1, 1, 2));
     }
 
     #[test]
     fn a_range_is_widened_on_the_side_that_the_surface_touches() {
-        let widened = |low, high| widened(&AtLimits { low, high }, (100.0, 200.0));
-        assert_eq!(widened(0.01, 0.01), None);
-        assert_eq!(widened(0.3, 0.0), Some((50.0, 200.0)));
-        assert_eq!(widened(0.0, 0.06), Some((100.0, 250.0)));
+        let widened = |low, high| {
+            let at = AtLimits {
+                low,
+                high,
+                matched: 100,
+            };
+            widened(&at, (100.0, 200.0))
+        };
+        assert_eq!(widened(1, 1), None);
+        assert_eq!(widened(30, 0), Some((50.0, 200.0)));
+        assert_eq!(widened(0, 6), Some((100.0, 250.0)));
     }
 }

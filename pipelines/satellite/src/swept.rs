@@ -9,11 +9,12 @@ use super::ground::Ground;
 use super::limits::AtLimits;
 use super::plan::Decisions;
 use heliosplat::Raster;
+use heliosplat_rpc::RpcError;
 use heliosplat_rpc::adjust::BiasModel;
 use heliosplat_scene::{AltitudeSource, IngestOptions, Scene};
 use heliosplat_session::Session;
 use heliosplat_stereo::suns::ShadowSun;
-use heliosplat_stereo::{MatchingParameters, Surface, plane_sweep};
+use heliosplat_stereo::{MatchingParameters, PlaneSweepRequest, Surface, plane_sweep};
 use std::path::Path;
 use std::time::Instant;
 
@@ -55,27 +56,15 @@ impl<'a> Swept<'a> {
         let matching = decisions.matching.ok_or(FitError::TooFewViews { images })?;
         let request = ground.request(config.start.cell_gsd * scene.gsd_m, matching);
         tracing::debug!(parameters = ?matching, "matching");
-        let mut rasters = ground.rasters();
+        let (rasters, clouds) = clear_rasters(&ground, decisions, &request);
         ground.check_contrast(&rasters)?;
-        let clouds = match decisions.clouds {
-            true => clouds::find(&ground, &rasters, &request),
-            false => vec![Vec::new(); rasters.len()],
-        };
-        let clouded = rasters.iter_mut().zip(&clouds);
-        clouded.for_each(|(raster, mask)| clouds::blank(raster, mask));
         let shifts_px = align(&ground, &rasters, decisions.align, matching, scene.gsd_m);
         let aligned = started.elapsed();
         let progress = session.progress("sweep", 100);
-        let indices = match decisions.vegetation_index {
-            true => ground.vegetation_indices(&rasters),
-            false => None,
-        };
-        let mut views = ground.sweep_views(&rasters, &shifts_px);
-        for (view, index) in views.iter_mut().zip(indices.iter().flatten()) {
-            view.index = Some(index);
-        }
-        let surface = plane_sweep(&views, &request, &|share| progress.set((100.0 * share) as u64));
-        if let Some(warning) = AtLimits::of(&surface, scene).warning(scene) {
+        let surface = sweep(&ground, &rasters, &shifts_px, decisions, &request, &|share| {
+            progress.set((100.0 * share) as u64);
+        });
+        if let Some(warning) = AtLimits::of(&surface, scene).warning(scene.altitude_range_m) {
             tracing::warn!("{warning}");
         }
         let seconds = [aligned.as_secs_f64(), (started.elapsed() - aligned).as_secs_f64()];
@@ -106,6 +95,42 @@ impl<'a> Swept<'a> {
     }
 }
 
+/// The pixels of the crops of `ground` without clouds, and where clouds were, if they are to be searched.
+pub(super) fn clear_rasters(
+    ground: &Ground,
+    decisions: &Decisions,
+    request: &PlaneSweepRequest,
+) -> (Vec<Raster>, Vec<Vec<bool>>) {
+    let mut rasters = ground.rasters();
+    let clouds = match decisions.clouds {
+        true => clouds::find(ground, &rasters, request),
+        false => vec![Vec::new(); rasters.len()],
+    };
+    let clouded = rasters.iter_mut().zip(&clouds);
+    clouded.for_each(|(raster, mask)| clouds::blank(raster, mask));
+    (rasters, clouds)
+}
+
+/// The surface that the crops of `ground` find together, their cameras moved by `shifts_px`.
+pub(super) fn sweep(
+    ground: &Ground,
+    rasters: &[Raster],
+    shifts_px: &[[f32; 2]],
+    decisions: &Decisions,
+    request: &PlaneSweepRequest,
+    progress: &dyn Fn(f32),
+) -> Surface {
+    let indices = match decisions.vegetation_index {
+        true => ground.vegetation_indices(rasters),
+        false => None,
+    };
+    let mut views = ground.sweep_views(rasters, shifts_px);
+    for (view, index) in views.iter_mut().zip(indices.iter().flatten()) {
+        view.index = Some(index);
+    }
+    plane_sweep(&views, request, progress)
+}
+
 /// The surface that all views of `scene` find together, without training.
 ///
 /// # Errors
@@ -129,7 +154,7 @@ pub fn open_and_sweep(
     let mut scene = altitude::open(path, options)?;
     let mut surface = sweep_only(&scene, config, session)?;
     for _ in 0..altitude::ROUNDS {
-        let wider = AtLimits::of(&surface, &scene).wider(&scene);
+        let wider = AtLimits::of(&surface, &scene).wider(scene.altitude_range_m);
         let Some(range_m) = wider.filter(|_| scene.altitude_known_from == AltitudeSource::Ties) else {
             break;
         };
@@ -151,6 +176,26 @@ fn align(ground: &Ground, rasters: &[Raster], align: Align, matching: MatchingPa
     if align == Align::Off {
         return none;
     }
+    match shifts_of_ties(ground, rasters, matching, gsd_m) {
+        Ok(shifts_px) => worth_correcting(shifts_px, align),
+        Err(error) => {
+            tracing::warn!("cameras are believed, because ties do not tell: {error}");
+            none
+        }
+    }
+}
+
+/// Corrections of the images' pointing as tie points between them tell, pixels.
+///
+/// # Errors
+/// When there are too few ties.
+pub(super) fn shifts_of_ties(
+    ground: &Ground,
+    rasters: &[Raster],
+    matching: MatchingParameters,
+    gsd_m: f64,
+) -> Result<Vec<[f32; 2]>, RpcError> {
+    let none = vec![[0.0; 2]; ground.images.len()];
     let views = ground.sweep_views(rasters, &none);
     let input = AdjustInput {
         ground,
@@ -159,18 +204,16 @@ fn align(ground: &Ground, rasters: &[Raster], align: Align, matching: MatchingPa
         cell_m: gsd_m,
         matching,
     };
-    let shifts_px = match input.adjust(BiasModel::Translation, &|_| {}) {
-        Ok(adjustment) => adjust::shifts(&adjustment),
-        Err(error) => {
-            tracing::warn!("cameras are believed, because ties do not tell: {error}");
-            return none;
-        }
-    };
+    Ok(adjust::shifts(&input.adjust(BiasModel::Translation, &|_| {})?))
+}
+
+/// The same where `align` has them, or where they are large enough to be worth it; else none.
+pub(super) fn worth_correcting(shifts_px: Vec<[f32; 2]>, align: Align) -> Vec<[f32; 2]> {
     let largest = shifts_px.iter().flatten().fold(0.0f32, |a, &b| a.max(b.abs()));
     tracing::info!("largest pointing correction: {largest:.2} px");
     if align == Align::On || largest > THRESHOLD_PX {
         shifts_px
     } else {
-        none
+        vec![[0.0; 2]; shifts_px.len()]
     }
 }

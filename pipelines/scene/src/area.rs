@@ -114,6 +114,21 @@ impl AreaRequest {
     }
 }
 
+impl std::fmt::Display for Area {
+    fn fmt(&self, f: &mut std::fmt::Formatter) -> std::fmt::Result {
+        let Self {
+            west_m,
+            south_m,
+            east_m,
+            north_m,
+        } = self;
+        write!(
+            f,
+            "{west_m:.0} to {east_m:.0} m east and {south_m:.0} to {north_m:.0} m north of its middle"
+        )
+    }
+}
+
 impl Area {
     /// What two areas share; `None` when it is less than a metre wide.
     pub fn intersection(&self, other: &Self) -> Option<Self> {

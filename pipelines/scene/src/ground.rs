@@ -20,6 +20,8 @@ pub(super) struct Ground {
     drafts: Vec<Draft>,
     frame: LocalFrame,
     area: Area,
+    /// Whether it is a part of what the scene's images share: one of them may have no pixels there.
+    is_part: bool,
 }
 
 /// Share of an image's pixels below which a window of it is read instead of all of it.
@@ -69,7 +71,12 @@ impl Ground {
             second: drafts[drafts.len() - 1].file.path().to_owned(),
             altitude_m,
         })?;
-        let mut ground = Self { drafts, frame, area };
+        let mut ground = Self {
+            drafts,
+            frame,
+            area,
+            is_part: false,
+        };
         match wanted {
             Some(wanted) => ground.limit(wanted, source, altitude_range_m, warnings)?,
             None => ground.leave_out(altitude_range_m),
@@ -104,30 +111,46 @@ impl Ground {
             });
         };
         self.area = area;
-        let mut kept = Vec::with_capacity(self.drafts.len());
+        for draft in self.keep_showing(altitude_range_m) {
+            warnings.push(format!(
+                "{}: does not show the area, left out",
+                draft.file.path().display()
+            ));
+        }
+        self.must_be_shown_twice(source, || wanted.to_string())
+    }
+
+    /// Leaves `part` of the ground (metres of its frame), and of the training images what shows it.
+    pub(super) fn cut(&mut self, part: &Area, source: &Path, altitude_range_m: (f64, f64)) -> Result<(), SceneError> {
+        self.area = *part;
+        self.drafts.retain(|draft| draft.entry.split == Split::Train);
+        self.keep_showing(altitude_range_m);
+        self.is_part = true;
+        self.must_be_shown_twice(source, || part.to_string())
+    }
+
+    /// Limits every image to the window that shows the ground; returns those that show none of it, which are left out.
+    fn keep_showing(&mut self, altitude_range_m: (f64, f64)) -> Vec<Draft> {
+        let (mut kept, mut left_out) = (Vec::with_capacity(self.drafts.len()), Vec::new());
         for mut draft in std::mem::take(&mut self.drafts) {
             match window_over(&draft, &self.frame, &self.area, altitude_range_m) {
                 Some(window) => {
                     draft.window = window;
                     kept.push(draft);
                 }
-                None => warnings.push(format!(
-                    "{}: does not show the area, left out",
-                    draft.file.path().display()
-                )),
+                None => left_out.push(draft),
             }
         }
         self.drafts = kept;
-        if self
-            .drafts
-            .iter()
-            .filter(|draft| draft.entry.split == Split::Train)
-            .count()
-            < 2
-        {
+        left_out
+    }
+
+    fn must_be_shown_twice(&self, source: &Path, area: impl Fn() -> String) -> Result<(), SceneError> {
+        let training = self.drafts.iter().filter(|draft| draft.entry.split == Split::Train);
+        if training.count() < 2 {
             return Err(SceneError::NotCovered {
                 path: source.to_owned(),
-                area: wanted.to_string(),
+                area: area(),
             });
         }
         Ok(())
@@ -146,16 +169,33 @@ impl Ground {
     }
 
     pub(super) fn finish(
-        self,
+        mut self,
         source: &Path,
         layout: Layout,
         range: AltitudeRange,
         mut warnings: Vec<String>,
     ) -> Result<Scene, SceneError> {
+        let (mut rasters, mut known) = (
+            Vec::with_capacity(self.drafts.len()),
+            Vec::with_capacity(self.drafts.len()),
+        );
+        for Draft { file, plan, window, .. } in &self.drafts {
+            match pixels::read(file, plan, *window, layout.counts, &mut warnings) {
+                Err(SceneError::NoPixels(_)) if self.is_part => known.push(false),
+                read => {
+                    rasters.push(read?);
+                    known.push(true);
+                }
+            }
+        }
+        let mut known = known.into_iter();
+        self.drafts.retain(|_| known.next().unwrap_or(false));
+        self.must_be_shown_twice(source, || self.area.to_string())?;
         let Self {
             mut drafts,
             frame,
             area,
+            ..
         } = self;
         let doubtful = weak_times::fill(&mut drafts, frame.origin, &mut warnings);
         let altitude_range_m = range.limits_m();
@@ -164,11 +204,6 @@ impl Ground {
             let sun = acquisition::sun(&draft.file, &draft.acquisition, frame.origin, &mut warnings)?;
             let sigma_deg = sun.sigma_deg.filter(|_| !doubtful.contains(&place));
             suns.push(ImageSun { sigma_deg, ..sun });
-        }
-        let mut rasters = Vec::with_capacity(drafts.len());
-        for draft in &drafts {
-            let Draft { file, plan, window, .. } = draft;
-            rasters.push(pixels::read(file, plan, *window, layout.counts, &mut warnings)?);
         }
         let shown = drafts.iter().zip(&rasters);
         let shown: Vec<_> = shown

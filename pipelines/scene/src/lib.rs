@@ -227,6 +227,19 @@ impl Scene {
     /// # Errors
     /// The first [`SceneError`] found; nothing is written anywhere.
     pub fn open(path: &Path, options: &IngestOptions) -> Result<Self, SceneError> {
+        Self::read(path, options, None)
+    }
+
+    /// Opens what of a scene's training images shows a part of its ground, a rectangle in metres of the frame that the whole scene has
+    /// ([`survey::Survey::frame`]): the tiles of a scene lie in one frame. Images that show nothing of the part are left out.
+    ///
+    /// # Errors
+    /// As [`Self::open`]; [`SceneError::NotCovered`] where fewer than two images show the part.
+    pub fn open_part(path: &Path, options: &IngestOptions, part: &Area) -> Result<Self, SceneError> {
+        Self::read(path, options, Some(part))
+    }
+
+    fn read(path: &Path, options: &IngestOptions, part: Option<&Area>) -> Result<Self, SceneError> {
         let mut layout = layout::find(path)?;
         let mut warnings = std::mem::take(&mut layout.warnings);
         let drafts = drafts::read_all(&layout, options, &mut warnings)?;
@@ -238,7 +251,10 @@ impl Scene {
             &ranges,
             &mut warnings,
         )?;
-        let ground = Ground::find(path, drafts, range.limits_m(), options.area.as_ref(), &mut warnings)?;
+        let mut ground = Ground::find(path, drafts, range.limits_m(), options.area.as_ref(), &mut warnings)?;
+        if let Some(part) = part {
+            ground.cut(part, path, range.limits_m())?;
+        }
         truth::keep_if_here(&mut layout.truth, ground.frame(), ground.area(), &mut warnings);
         ground.finish(path, layout, range, warnings)
     }

@@ -30,6 +30,17 @@ pub struct Survey {
     pub truth: Truth,
 }
 
+/// What opening a part of a scene reads ([`super::Scene::open_part`]).
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
+pub struct PartSurvey {
+    /// Training images that show some of it.
+    pub images: usize,
+    /// Pixels of their windows together.
+    pub pixels: f64,
+    /// Pixels of the largest window.
+    pub largest: f64,
+}
+
 /// What a tile of a scene takes.
 #[derive(Debug, Clone, Copy, PartialEq, serde::Serialize, serde::Deserialize)]
 pub struct TileSurvey {
@@ -90,6 +101,52 @@ impl Survey {
     pub fn images(&self) -> (usize, usize) {
         let drafts = self.ground.drafts();
         (drafts.len(), drafts.iter().filter(|draft| is_training(draft)).count())
+    }
+
+    /// What opening a part of the ground, a rectangle in metres of the survey's frame, reads.
+    pub fn part(&self, part: &Area) -> PartSurvey {
+        let mut found = PartSurvey::default();
+        for draft in self.ground.drafts().iter().filter(|draft| is_training(draft)) {
+            if let Some(window) = window_over(draft, self.frame(), part, self.altitude_range_m) {
+                let pixels = window.width as f64 * window.height as f64;
+                found.images += 1;
+                found.pixels += pixels;
+                found.largest = found.largest.max(pixels);
+            }
+        }
+        found
+    }
+
+    /// Pixels of the largest window that [`super::Scene::open`] will read.
+    pub fn largest_image(&self) -> f64 {
+        let windows = self.ground.drafts().iter().map(|draft| &draft.window);
+        let pixels = windows.map(|window| window.width as f64 * window.height as f64);
+        pixels.fold(0.0, f64::max)
+    }
+
+    /// The largest base-to-height ratio of two training images, metres of relative parallax per metre of altitude, in their middles.
+    ///
+    /// # Errors
+    /// When a camera does not see the ground.
+    pub fn widest_base_to_height(&self) -> Result<f64, SceneError> {
+        let (low_m, high_m) = self.altitude_range_m;
+        let mut parallaxes = Vec::new();
+        for draft in self.ground.drafts().iter().filter(|draft| is_training(draft)) {
+            let (width, height) = draft.file.size();
+            let at = |height_m| {
+                let place = draft.localise(width as f64 / 2.0, height as f64 / 2.0, height_m)?;
+                Ok::<_, SceneError>(self.frame().enu_from_geo(place))
+            };
+            let apart = at(high_m)? - at(low_m)?;
+            parallaxes.push([apart.x / apart.z, apart.y / apart.z]);
+        }
+        let mut widest = 0.0f64;
+        for (index, [x, y]) in parallaxes.iter().enumerate() {
+            for [other_x, other_y] in &parallaxes[index + 1..] {
+                widest = widest.max((x - other_x).hypot(y - other_y));
+            }
+        }
+        Ok(widest)
     }
 
     /// The frame at its middle.

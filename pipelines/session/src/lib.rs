@@ -3,6 +3,7 @@
 //! Libraries take a [`Session`] to report how far they are and to stop early; [`Session::quiet`] is for use without a terminal.
 
 pub mod log;
+pub mod memory;
 
 use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
 use std::io::IsTerminal;

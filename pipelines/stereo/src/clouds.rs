@@ -162,6 +162,7 @@ mod tests {
         let facts = MatchingFacts::new(&geometries, &volume, false);
         PlaneSweepRequest {
             volume,
+            centre: volume.centre(),
             parameters: MatchingParameters::choose(&facts),
         }
     }

@@ -51,6 +51,7 @@ mod views;
 mod visibility;
 mod wta;
 
+pub use heights::height_levels;
 pub use parameters::{CandidateTolerance, FEW_VIEWS, MANY_VIEWS, MatchingFacts, MatchingParameters, no_match_weight};
 pub use plane_sweep::plane_sweep;
 pub use request::{PlaneSweepRequest, SearchVolume};

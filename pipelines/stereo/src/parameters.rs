@@ -23,7 +23,7 @@ pub const MANY_VIEWS: f32 = 8.0;
 
 /// Height step of the hypotheses, as the relative shift in cells of the pair of views with the widest base: half a cell is what matching
 /// resolves before the sub-step refinement.
-const STEP_CELLS: f32 = 0.5;
+pub(super) const STEP_CELLS: f32 = 0.5;
 /// Rounds at full resolution in which views that the surface hides are left out; docs/lab/plane-sweep.md: a second one gains nothing.
 const VISIBILITY_ROUNDS: usize = 1;
 /// Cost of a change by one height step between neighbours (P1 of Hirschmüller 2008), in units of a full mismatch / 255.

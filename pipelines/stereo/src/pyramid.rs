@@ -199,7 +199,7 @@ impl<'a> Search<'a> {
     /// The height hypotheses of a level whose cells are `cell_m` wide: the pair with the widest base shifts by `step_cells` from one to the
     /// next.
     fn heights(&self, cell_m: f32) -> HeightHypotheses {
-        let PlaneSweepRequest { volume, parameters } = self.request;
+        let PlaneSweepRequest { volume, parameters, .. } = self.request;
         let widest = pairs::widest_base_to_height(&self.pairs).max(LEAST_BASE_TO_HEIGHT);
         let step_m = parameters.step_cells * cell_m / widest;
         HeightHypotheses::new(volume.altitude_min_m, volume.altitude_max_m, step_m)

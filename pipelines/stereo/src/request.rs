@@ -24,7 +24,7 @@ pub struct SearchVolume {
 }
 
 impl SearchVolume {
-    /// Its middle, metres: where viewing directions are taken.
+    /// Its middle, metres.
     pub fn centre(&self) -> Vec3 {
         Vec3::new(
             0.5 * (self.west_m + self.east_m),
@@ -39,6 +39,8 @@ impl SearchVolume {
 pub struct PlaneSweepRequest {
     /// What is searched.
     pub volume: SearchVolume,
+    /// Where viewing directions are taken, metres: the middle of the volume, or of the whole ground of which it is a tile.
+    pub centre: Vec3,
     /// How views are matched.
     pub parameters: MatchingParameters,
 }
@@ -57,6 +59,6 @@ impl PlaneSweepRequest {
     }
 
     pub(super) fn centre(&self) -> Vec3 {
-        self.volume.centre()
+        self.centre
     }
 }

@@ -5,8 +5,8 @@
 //! where they overlap.
 
 use super::BatchError;
-use super::mosaic::{Piece, in_row, one_surface};
 use heliosplat::Raster;
+use heliosplat_products::blend::{Piece, in_row, one_surface};
 use heliosplat_raster::{RasterError, RasterFile};
 use heliosplat_rpc::statistics::upper_median;
 use rayon::prelude::*;

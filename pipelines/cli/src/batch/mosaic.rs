@@ -1,104 +1,12 @@
-//! One surface model of those of tiles, blended where they overlap.
-//!
-//! In the overlap every tile counts by how sure it is, `1 / (σ² + σ₀²)`, times a taper that falls from its core to its edge, so that none
-//! begins or ends with a step. Altitudes further apart than two cells are not one surface seen twice but two surfaces (a roof and the
-//! ground beside it): there the strongest counts alone, for their mean would be a surface that nobody saw.
+//! One surface model of those of tiles.
 
 use super::BatchError;
 use super::plan::{MosaicTile, MosaicWork};
 use super::stamp::STAMP;
-use heliosplat::Raster;
+use heliosplat_products::blend::{BANDS, Piece, blend};
 use heliosplat_products::dsm::Dsm;
 use heliosplat_raster::{Crs, GeoRaster, GeoTransform, GridSpec, RasterError};
-use rayon::prelude::*;
 use std::path::Path;
-
-/// Standard deviation that is added to every tile's own, cells: no cell is surer than this.
-const LEAST_SIGMA_CELLS: f32 = 0.25;
-/// Altitudes further apart than this many cells are two surfaces.
-const ONE_SURFACE_CELLS: f32 = 2.0;
-/// Bands of a surface model: altitude, standard deviation, coverage, views.
-const BANDS: usize = 4;
-
-/// A tile's surface model on the mosaic's grid.
-pub struct Piece {
-    /// Its unit.
-    pub unit: String,
-    /// Its bands.
-    pub raster: Raster,
-    /// Column and row of the mosaic at which it begins.
-    pub at: [isize; 2],
-    /// First and one past last column and row of the mosaic of its core.
-    pub core: [[isize; 2]; 2],
-    /// The same of all of it.
-    pub bounds: [[isize; 2]; 2],
-}
-
-impl Piece {
-    /// Reads the surface model of a tile.
-    fn read(out: &Path, tile: &MosaicTile, work: &MosaicWork) -> Result<Self, BatchError> {
-        let path = out.join(&tile.unit).join("dsm.tif");
-        let file = GeoRaster::read(&path)?;
-        if file.raster.bands < BANDS {
-            return Err(RasterError::Damaged {
-                path,
-                reason: format!("it has {} bands of {BANDS}", file.raster.bands),
-            }
-            .into());
-        }
-        let [west, _, _, north] = work.bounds;
-        let six = file.transform.to_gdal();
-        let cells = |distance: f64| (distance / work.gsd_m).round() as isize;
-        let span = |b: &[f64; 4]| {
-            [
-                [cells(b[0] - west), cells(b[2] - west)],
-                [cells(north - b[3]), cells(north - b[1])],
-            ]
-        };
-        Ok(Self {
-            unit: tile.unit.clone(),
-            raster: file.raster,
-            at: [cells(six[0] - west), cells(north - six[3])],
-            core: span(&tile.core),
-            bounds: span(&tile.bounds),
-        })
-    }
-
-    /// A value of a band at a cell of the mosaic; NaN outside of its bounds.
-    pub fn value(&self, band: usize, col: isize, row: isize) -> f32 {
-        self.value_of(&self.raster, band, col, row)
-    }
-
-    /// The same of another raster on its grid.
-    pub(super) fn value_of(&self, raster: &Raster, band: usize, col: isize, row: isize) -> f32 {
-        let [columns, rows] = self.bounds;
-        let inside = col >= columns[0] && col < columns[1] && row >= rows[0] && row < rows[1];
-        let (c, r) = (col - self.at[0], row - self.at[1]);
-        let there = c >= 0 && r >= 0 && c < raster.width as isize && r < raster.height as isize;
-        if inside && there {
-            raster.at(band, c as usize, r as usize)
-        } else {
-            f32::NAN
-        }
-    }
-
-    /// How much a cell counts by its place alone: 1 in the core, 0 at the edge, one half on the line between two cores.
-    fn taper(&self, col: isize, row: isize) -> f32 {
-        let along = |axis: usize, at: isize| {
-            let ([first, end], [core_first, core_end]) = (self.bounds[axis], self.core[axis]);
-            // At the rim of the mosaic there is no neighbour to give way to.
-            let rise = |shared: isize, inside: isize| {
-                if shared == 0 {
-                    return 1.0;
-                }
-                let t = ((inside as f32 + 0.5) / (2 * shared) as f32).clamp(0.0, 1.0);
-                t * t * (3.0 - 2.0 * t)
-            };
-            rise(core_first - first, at - first) * rise(end - core_end, end - 1 - at)
-        };
-        along(0, col) * along(1, row)
-    }
-}
 
 /// A mosaic and what it was made of.
 pub struct Mosaic {
@@ -123,7 +31,7 @@ pub fn mosaic(out: &Path, work: &MosaicWork) -> Result<Mosaic, BatchError> {
                 after: tile.unit.clone(),
             });
         }
-        pieces.push(Piece::read(out, tile, work)?);
+        pieces.push(read(out, tile, work)?);
     }
     let [west, south, east, north] = work.bounds;
     let cells = |length: f64| (length / work.gsd_m).round().max(1.0) as usize;
@@ -145,166 +53,31 @@ pub fn mosaic(out: &Path, work: &MosaicWork) -> Result<Mosaic, BatchError> {
     })
 }
 
-/// The surface models of all pieces on one grid.
-pub fn blend(pieces: &[Piece], (width, height): (usize, usize), gsd_m: f32) -> Raster {
-    let rows: Vec<Vec<[f32; BANDS]>> = (0..height as isize)
-        .into_par_iter()
-        .map(|row| {
-            let here = in_row(pieces, row);
-            let mut said = Vec::with_capacity(4);
-            (0..width as isize)
-                .map(|col| {
-                    one_surface(&mut said, (pieces, &here), (col, row), gsd_m);
-                    together(&said)
-                })
-                .collect()
-        })
-        .collect();
-    let mut raster = Raster::filled(width, height, BANDS, f32::NAN);
-    let plane = width * height;
-    for (row, values) in rows.iter().enumerate() {
-        for (col, value) in values.iter().enumerate() {
-            for band in 0..BANDS {
-                raster.values[band * plane + row * width + col] = value[band];
-            }
+/// Reads the surface model of a tile.
+fn read(out: &Path, tile: &MosaicTile, work: &MosaicWork) -> Result<Piece, BatchError> {
+    let path = out.join(&tile.unit).join("dsm.tif");
+    let file = GeoRaster::read(&path)?;
+    if file.raster.bands < BANDS {
+        return Err(RasterError::Damaged {
+            path,
+            reason: format!("it has {} bands of {BANDS}", file.raster.bands),
         }
+        .into());
     }
-    raster
-}
-
-/// What a tile says of a cell.
-#[derive(Debug, Clone, Copy)]
-pub(super) struct Said {
-    /// The tile.
-    pub(super) piece: usize,
-    /// Altitude, standard deviation, coverage, views.
-    values: [f32; BANDS],
-    /// How much they count.
-    pub(super) weight: f32,
-}
-
-fn say(index: usize, piece: &Piece, col: isize, row: isize, gsd_m: f32) -> Option<Said> {
-    let [altitude, sigma, coverage, views] = [0, 1, 2, 3].map(|band| piece.value(band, col, row));
-    let sigma = if sigma.is_finite() { sigma } else { 0.0 };
-    let least = LEAST_SIGMA_CELLS * gsd_m;
-    let weight = piece.taper(col, row) / (sigma * sigma + least * least);
-    let known = altitude.is_finite() && weight > 0.0;
-    known.then_some(Said {
-        piece: index,
-        values: [altitude, sigma, coverage, views],
-        weight,
-    })
-}
-
-/// The places among `pieces` of those that show anything of a row.
-pub(super) fn in_row(pieces: &[Piece], row: isize) -> Vec<usize> {
-    let shows = |piece: &Piece| (piece.bounds[1][0]..piece.bounds[1][1]).contains(&row);
-    (0..pieces.len()).filter(|&i| shows(&pieces[i])).collect()
-}
-
-/// Fills `said` with what tiles say of the surface at a cell, and with nothing of another surface; the one that counts most first.
-pub(super) fn one_surface(
-    said: &mut Vec<Said>,
-    (pieces, here): (&[Piece], &[usize]),
-    (col, row): (isize, isize),
-    gsd_m: f32,
-) {
-    said.clear();
-    said.extend(here.iter().filter_map(|&i| say(i, &pieces[i], col, row, gsd_m)));
-    // The first of equals, whatever the order of sums.
-    let strongest = (0..said.len()).reduce(|best, next| {
-        if said[next].weight > said[best].weight {
-            next
-        } else {
-            best
-        }
-    });
-    let Some(strongest) = strongest else { return };
-    let altitude = said[strongest].values[0];
-    said.swap(0, strongest);
-    said.retain(|one| (one.values[0] - altitude).abs() <= ONE_SURFACE_CELLS * gsd_m);
-}
-
-/// The bands of one surface.
-fn together(said: &[Said]) -> [f32; BANDS] {
-    let Some(strongest) = said.first() else {
-        return [f32::NAN; BANDS];
-    };
-    let weight: f32 = said.iter().map(|one| one.weight).sum();
-    let mean = |value: &dyn Fn(&[f32; BANDS]) -> f32| {
-        let sum: f32 = said.iter().map(|one| one.weight * value(&one.values)).sum();
-        sum / weight
-    };
-    // Relative to the strongest, so that nothing is lost on a mountain.
-    let altitude = strongest.values[0] + mean(&|v| v[0] - strongest.values[0]);
-    let variance = mean(&|v| v[1] * v[1] + (v[0] - altitude) * (v[0] - altitude));
-    // The tile that shows most of the images knows best how many see the cell.
-    let views = said.iter().map(|one| one.values[3]).fold(0.0, f32::max);
-    [altitude, variance.max(0.0).sqrt(), mean(&|v| v[2]), views]
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    /// Two tiles of 30 x 10 cells whose cores meet at column 20, each reaching 10 beyond.
-    fn pair(left: f32, right: f32, sigma: [f32; 2]) -> Vec<Piece> {
-        let piece = |value: f32, sigma: f32, at: isize, core: [isize; 2], bounds: [isize; 2]| {
-            let mut raster = Raster::filled(30, 10, BANDS, value);
-            raster.plane_mut(1).fill(sigma);
-            raster.plane_mut(2).fill(1.0);
-            raster.plane_mut(3).fill(6.0);
-            Piece {
-                unit: format!("t{at}"),
-                raster,
-                at: [at, 0],
-                core: [core, [0, 10]],
-                bounds: [bounds, [0, 10]],
-            }
-        };
-        vec![
-            piece(left, sigma[0], 0, [0, 20], [0, 30]),
-            piece(right, sigma[1], 10, [20, 40], [10, 40]),
+    let [west, _, _, north] = work.bounds;
+    let six = file.transform.to_gdal();
+    let cells = |distance: f64| (distance / work.gsd_m).round() as isize;
+    let span = |b: &[f64; 4]| {
+        [
+            [cells(b[0] - west), cells(b[2] - west)],
+            [cells(north - b[3]), cells(north - b[1])],
         ]
-    }
-
-    #[test]
-    fn two_tiles_of_one_surface_meet_without_a_step() {
-        let raster = blend(&pair(100.0, 100.6, [0.2, 0.2]), (40, 10), 0.5);
-        let line = &raster.plane(0)[5 * 40..6 * 40];
-        assert!((line[9] - 100.0).abs() < 1e-3 && (line[30] - 100.6).abs() < 1e-3);
-        let largest = line.windows(2).map(|w| (w[1] - w[0]).abs()).fold(0.0, f32::max);
-        // The whole difference over twenty cells, at the steepest of the taper one and a half times the mean.
-        assert!(largest < 0.6 / 20.0 * 1.6, "{largest}");
-        assert!(
-            (0.5 * (line[19] + line[20]) - 100.3).abs() < 1e-3,
-            "half and half on the line"
-        );
-    }
-
-    #[test]
-    fn the_surer_tile_counts_more() {
-        let raster = blend(&pair(100.0, 100.6, [2.0, 0.1]), (40, 10), 0.5);
-        assert!(raster.at(0, 19, 5) > 100.5, "{}", raster.at(0, 19, 5));
-        // Its deviation says how far the two are apart.
-        assert!(raster.at(1, 15, 5) > 0.1);
-    }
-
-    #[test]
-    fn a_roof_and_the_ground_are_not_averaged() {
-        let raster = blend(&pair(100.0, 110.0, [0.2, 0.2]), (40, 10), 0.5);
-        for &value in raster.plane(0) {
-            assert!(value == 100.0 || value == 110.0, "{value}");
-        }
-    }
-
-    #[test]
-    fn what_one_tile_does_not_know_the_other_says_and_what_none_knows_stays_unknown() {
-        let mut pieces = pair(100.0, 100.0, [0.2, 0.2]);
-        pieces[0].raster.plane_mut(0)[5 * 30 + 25] = f32::NAN;
-        pieces[0].raster.plane_mut(0)[5 * 30 + 3] = f32::NAN;
-        let raster = blend(&pieces, (40, 10), 0.5);
-        assert!((raster.at(0, 25, 5) - 100.0).abs() < 1e-4);
-        assert!((0..BANDS).all(|band| raster.at(band, 3, 5).is_nan()));
-    }
+    };
+    Ok(Piece {
+        unit: tile.unit.clone(),
+        raster: file.raster,
+        at: [cells(six[0] - west), cells(north - six[3])],
+        core: span(&tile.core),
+        bounds: span(&tile.bounds),
+    })
 }

@@ -63,6 +63,9 @@ pub struct DsmArgs {
     /// Close holes with the lower of the altitudes around them; closed cells have a coverage and views of 0 and no standard deviation
     #[arg(long)]
     pub fill: bool,
+    /// With --from sweep, stay below this much memory, such as 4GiB: a scene that takes more is swept in tiles [default: half of the machine's]
+    #[arg(long, value_parser = parse::bytes, value_name = "SIZE")]
+    pub memory: Option<u64>,
     /// What is said about the scene
     #[command(flatten)]
     pub ingest: IngestArgs,

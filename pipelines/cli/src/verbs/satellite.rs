@@ -2,6 +2,7 @@
 
 use super::evaluate_args::{EvaluateArgs, table, write_pictures};
 use super::model_args::{DsmArgs, DsmSource, RelightArgs, RenderArgs, RenderSplit, TrainArgs};
+use super::sweep_dsm::{self, Swept};
 use crate::outcome::{CliError, Outcome};
 use crate::report;
 use heliosplat_fitting::run_folder::create_folder;
@@ -13,7 +14,7 @@ use heliosplat_rpc::sun::{SunPosition, sun_position};
 use heliosplat_satellite::config::SatelliteConfig;
 use heliosplat_satellite::run_file::scene_of;
 use heliosplat_satellite::training::{TrainOutcome, TrainRequest, configure};
-use heliosplat_satellite::{altitude, estimate, measure, swept, training};
+use heliosplat_satellite::{altitude, estimate, measure, training};
 use heliosplat_scene::Split;
 use heliosplat_scene::survey::Survey;
 use heliosplat_session::Session;
@@ -82,38 +83,41 @@ pub(crate) fn train(args: &TrainArgs, session: &Session) -> Result<Outcome, CliE
 /// # Errors
 /// When the run, the scene, the coordinate system or the file to write is at fault.
 pub(crate) fn dsm(args: &DsmArgs, session: &Session) -> Result<Outcome, CliError> {
-    let (mut surface, gsd_m) = match args.from {
+    let (mut surface, gsd_m, memory) = match args.from {
         DsmSource::Model => {
             if args.ingest.altitude.is_some() {
                 return Err(CliError::Input(
                     "dsm: --altitude is for --from sweep; a run knows its own".into(),
                 ));
             }
+            if args.memory.is_some() {
+                return Err(CliError::Input("dsm: --memory is for --from sweep".into()));
+            }
             let model = load(&args.run)?;
             let gsd_m = args.gsd.unwrap_or(model.file.gsd_m);
-            (dsm::dsm(&model, gsd_m, args.crs.as_deref())?, gsd_m)
+            (dsm::dsm(&model, gsd_m, args.crs.as_deref())?, gsd_m, None)
         }
-        DsmSource::Sweep => {
-            let config = SatelliteConfig::resolve(Preset::Fast, &[], 1)?;
-            let (scene, found) = swept::open_and_sweep(&args.run, &args.ingest.options(), &config, session)?;
-            let gsd_m = args.gsd.unwrap_or(scene.gsd_m);
-            let surface = dsm::of_surface(&(&scene).into(), &found, gsd_m, args.crs.as_deref())?;
-            (surface, gsd_m)
-        }
+        DsmSource::Sweep => match sweep_dsm::sweep(args, session)? {
+            Swept::Whole { surface, gsd_m, memory } => (*surface, gsd_m, Some(memory)),
+            Swept::InTiles(outcome) => return Ok(outcome),
+        },
     };
     let known = surface.raster.plane(0).iter().filter(|v| v.is_finite()).count();
     if known == 0 {
-        let crs = surface.grid.crs.name();
-        return Err(CliError::Input(format!(
-            "dsm: nothing of {} falls on a grid in {crs}; choose a projected coordinate system of the place with --crs",
-            args.run.display()
-        )));
+        return Err(sweep_dsm::nothing_known(args, surface.grid.crs.name()));
     }
     let filled = if args.fill { surface.fill() } else { 0 };
     surface.write(&args.out)?;
     let [share, filled] = [known, filled].map(|cells| cells as f64 / surface.raster.plane_len().max(1) as f64);
     let (width, height) = (surface.grid.width, surface.grid.height);
     let crs = surface.grid.crs.name().to_owned();
+    let mut said = json!({
+        "dsm": args.out, "width": width, "height": height, "gsd_m": gsd_m, "crs": crs, "completeness": share, "filled": filled
+    });
+    if let Some(memory) = memory {
+        said["tiles"] = json!(1);
+        said["memory"] = memory;
+    }
     Ok(Outcome {
         text: format!(
             "{}: {width} x {height} cells of {gsd_m} m, {crs}, {:.1} % known{}",
@@ -124,9 +128,7 @@ pub(crate) fn dsm(args: &DsmArgs, session: &Session) -> Result<Outcome, CliError
                 false => String::new(),
             }
         ),
-        json: json!({
-            "dsm": args.out, "width": width, "height": height, "gsd_m": gsd_m, "crs": crs, "completeness": share, "filled": filled
-        }),
+        json: said,
     })
 }
 

@@ -1,6 +1,6 @@
 //! What a mosaic's borders look like: steps there beside steps elsewhere, and what tiles say of the ground they share.
 
-use super::mosaic::Piece;
+use super::blend::Piece;
 use heliosplat::Raster;
 use heliosplat_rpc::statistics::{SIGMA_PER_MAD, quantile, upper_median};
 use serde::Serialize;
@@ -185,7 +185,7 @@ fn difference(first: &Piece, second: &Piece) -> Option<Difference> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::batch::mosaic::blend;
+    use crate::blend::blend;
 
     /// Two tiles side by side that share nothing or ten cells on each side; the right one lies `rise` higher.
     fn pieces(shared: isize, rise: f32) -> Vec<Piece> {

@@ -1,0 +1,155 @@
+//! `dsm --from sweep`: the surface model of a scene without training, as a whole or in tiles, within a limit of memory.
+
+use super::model_args::DsmArgs;
+use crate::outcome::{CliError, Outcome};
+use heliosplat_fitting::run_folder::peak_rss_bytes;
+use heliosplat_fitting::settings::Preset;
+use heliosplat_products::dsm::{self, Dsm};
+use heliosplat_satellite::config::SatelliteConfig;
+use heliosplat_satellite::sweep_tiles::{MapRequest, SweepPlan, SweepTiling};
+use heliosplat_satellite::tiled_sweep::{MOST_ROUNDS, TiledSweep};
+use heliosplat_satellite::{altitude, swept};
+use heliosplat_scene::survey::Survey;
+use heliosplat_scene::{IngestOptions, SceneError};
+use heliosplat_session::{Session, memory};
+use serde_json::{Value, json};
+
+/// Share of the machine's memory that a sweep may take where nothing is said.
+const SHARE_OF_MEMORY: f64 = 0.5;
+
+/// A surface model that is made, and how.
+pub(super) enum Swept {
+    /// In memory.
+    Whole {
+        /// The surface model.
+        surface: Box<Dsm>,
+        /// Width of a cell, metres.
+        gsd_m: f64,
+        /// What `--json` says of the memory it took.
+        memory: Value,
+    },
+    /// Written already.
+    InTiles(Outcome),
+}
+
+/// Sweeps a scene; where it does not fit into memory, tile by tile into the file.
+pub(super) fn sweep(args: &DsmArgs, session: &Session) -> Result<Swept, CliError> {
+    let config = SatelliteConfig::resolve(Preset::Fast, &[], 1)?;
+    let options = altitude::resolve(&args.run, &args.ingest.options())?;
+    let survey = Survey::open(&args.run, &options)?;
+    let limit = args.memory.or_else(share_of_memory);
+    let plan = plan(args, &survey, &config, limit)?;
+    if plan.tiling.is_some() {
+        drop(survey);
+        return in_tiles(args, options, &config, limit, session).map(Swept::InTiles);
+    }
+    drop(survey);
+    let (scene, found) = swept::open_and_sweep(&args.run, &options, &config, session)?;
+    let gsd_m = args.gsd.unwrap_or(scene.gsd_m);
+    let surface = dsm::of_surface(&(&scene).into(), &found, gsd_m, args.crs.as_deref())?;
+    Ok(Swept::Whole {
+        surface: Box::new(surface),
+        gsd_m,
+        memory: told(limit, &plan),
+    })
+}
+
+fn share_of_memory() -> Option<u64> {
+    memory::machine_bytes().map(|bytes| (bytes as f64 * SHARE_OF_MEMORY) as u64)
+}
+
+fn plan(args: &DsmArgs, survey: &Survey, config: &SatelliteConfig, limit: Option<u64>) -> Result<SweepPlan, CliError> {
+    let map = MapRequest {
+        gsd_m: args.gsd,
+        crs: args.crs.as_deref(),
+    };
+    Ok(SweepPlan::of(survey, config, &map, limit)?)
+}
+
+fn told(limit: Option<u64>, plan: &SweepPlan) -> Value {
+    json!({"limit_bytes": limit, "planned_bytes": plan.peak_bytes.ceil(), "peak_bytes": peak_rss_bytes()})
+}
+
+/// Tile by tile; a range of altitudes that tie points gave is widened where the surface touches its limits.
+fn in_tiles(
+    args: &DsmArgs,
+    mut options: IngestOptions,
+    config: &SatelliteConfig,
+    limit: Option<u64>,
+    session: &Session,
+) -> Result<Outcome, CliError> {
+    for round in 0.. {
+        let survey = Survey::open(&args.run, &options)?;
+        let plan = plan(args, &survey, config, limit)?;
+        // A range that is wider never makes a scene fit as a whole that did not.
+        let Some(tiling) = &plan.tiling else { break };
+        if args.fill {
+            return Err(CliError::Input(
+                "dsm: --fill looks at all of a surface model at once, and this one does not fit into the memory allowed; give \
+                 more --memory, or leave --fill out"
+                    .into(),
+            ));
+        }
+        let (rows, columns) = tiling.size;
+        tracing::info!(
+            "swept in {} tiles ({rows} x {columns}) of at most {:.2} GiB",
+            tiling.tiles.len(),
+            plan.peak_bytes / f64::from(1 << 30)
+        );
+        let tiled = TiledSweep {
+            scene: &args.run,
+            options: &options,
+            config,
+            survey: &survey,
+            plan: &plan,
+            tiling,
+        };
+        let written = tiled.write(&args.out, session)?;
+        match written
+            .wider_m
+            .filter(|_| options.altitude_from_ties_m.is_some() && round < MOST_ROUNDS)
+        {
+            Some(range_m) => {
+                tracing::info!("searched again from {:.0} to {:.0} m", range_m.0, range_m.1);
+                options.altitude_from_ties_m = Some(range_m);
+            }
+            None => return said(args, tiling, written.completeness, written.tiles, &told(limit, &plan)),
+        }
+    }
+    Err(SceneError::NoPixels(args.run.clone()).into())
+}
+
+fn said(
+    args: &DsmArgs,
+    tiling: &SweepTiling,
+    completeness: f64,
+    tiles: usize,
+    memory: &Value,
+) -> Result<Outcome, CliError> {
+    let grid = &tiling.grid;
+    let crs = grid.crs.name();
+    if completeness == 0.0 {
+        return Err(nothing_known(args, crs));
+    }
+    let gsd_m = grid.transform.pixel_size().0 * grid.crs.metres_per_unit();
+    let (width, height) = (grid.width, grid.height);
+    Ok(Outcome {
+        text: format!(
+            "{}: {width} x {height} cells of {gsd_m} m, {crs}, {:.1} % known, in {tiles} tiles",
+            args.out.display(),
+            100.0 * completeness,
+        ),
+        json: json!({
+            "dsm": args.out, "width": width, "height": height, "gsd_m": gsd_m, "crs": crs, "completeness": completeness,
+            "filled": 0.0, "tiles": tiles, "memory": memory
+        }),
+    })
+}
+
+/// The error of a surface model that knows nothing.
+pub(super) fn nothing_known(args: &DsmArgs, crs: &str) -> CliError {
+    CliError::Input(format!(
+        "dsm: nothing of {} falls on a grid in {crs}; choose a projected coordinate system of the place with --crs",
+        args.run.display()
+    ))
+}

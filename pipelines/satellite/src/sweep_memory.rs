@@ -1,0 +1,104 @@
+//! The memory that a plane sweep takes, bounded before a pixel is read.
+//!
+//! Most of it is the cost volume: one byte of matching cost and two of summed costs for each height hypothesis of each cell. A cell of
+//! the finest level searches around what coarser levels found, all hypotheses at most; how many these are follows from the range of
+//! altitudes and the widest base of two images. So a range that is twice as wide may take twice the memory.
+
+use super::error::SatelliteError;
+use super::estimate::PROGRAM_BYTES;
+use heliosplat_scene::survey::Survey;
+use heliosplat_stereo::height_levels;
+
+/// Bytes per height hypothesis of a cell: a cost, and the sum over all paths.
+const BYTES_PER_LEVEL: f64 = 3.0;
+/// Bytes per cell besides: heights chosen at two levels of the search with their candidates, ranges, the guide image, the surface.
+const BYTES_PER_CELL: f64 = 100.0;
+/// Bytes per pixel and band of the images: as they were read, and as they are swept.
+const BYTES_PER_PIXEL_AND_BAND: f64 = 8.0;
+/// Bytes per pixel besides: mean of the bands and its contrast, a copy while it is made, what is seen first, the index.
+const BYTES_PER_PIXEL: f64 = 36.0;
+/// Bytes per pixel of the largest image while it is read.
+const BYTES_PER_PIXEL_READ: f64 = 12.0;
+/// Bytes per cell of the map while a surface model is made and written at once: its bands twice, and the finished file.
+const BYTES_PER_MAP_CELL: f64 = 40.0;
+/// What reading takes besides: GDAL's cache of blocks, and a sample of all values.
+const READING_BYTES: f64 = 96.0 * 1_048_576.0;
+/// Share that allocators add.
+const SPARE: f64 = 1.1;
+
+/// What decides how much memory a sweep takes, the same for all parts of a scene.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct SweepModel {
+    /// Height hypotheses of a cell.
+    pub levels: usize,
+    /// Bands of every image.
+    pub bands: usize,
+}
+
+/// The ground and the images of one sweep.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct SweepExtent {
+    /// Cells of the ground grid.
+    pub cells: f64,
+    /// Cells of the map that the surface model lies on.
+    pub map_cells: f64,
+    /// Pixels of all images.
+    pub pixels: f64,
+    /// Pixels of the largest.
+    pub largest: f64,
+}
+
+impl SweepModel {
+    /// The model of a scene that is swept in cells of `cell_m` metres.
+    ///
+    /// # Errors
+    /// When a camera does not see the ground.
+    pub fn of(survey: &Survey, cell_m: f64) -> Result<Self, SatelliteError> {
+        let (low_m, high_m) = survey.altitude_range_m;
+        let widest = survey.widest_base_to_height()?;
+        Ok(Self {
+            levels: height_levels((high_m - low_m) as f32, cell_m as f32, widest as f32),
+            bands: survey.bands,
+        })
+    }
+
+    /// Most bytes that the process holds while it sweeps.
+    pub fn bytes(&self, extent: &SweepExtent) -> f64 {
+        let SweepExtent {
+            cells,
+            map_cells,
+            pixels,
+            largest,
+        } = *extent;
+        let read = BYTES_PER_PIXEL_AND_BAND * self.bands as f64 * pixels;
+        let search = cells * (BYTES_PER_CELL + BYTES_PER_LEVEL * self.levels as f64) + BYTES_PER_PIXEL * pixels;
+        let reading = BYTES_PER_PIXEL_READ * largest;
+        let writing = BYTES_PER_CELL * cells + BYTES_PER_MAP_CELL * map_cells;
+        PROGRAM_BYTES + READING_BYTES + SPARE * (read + search.max(reading).max(writing))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn memory_grows_with_the_range_of_altitudes_and_with_the_ground() {
+        let extent = SweepExtent {
+            cells: 1e6,
+            map_cells: 1e6,
+            pixels: 2e6,
+            largest: 1e6,
+        };
+        let bytes = |levels: usize, extent: &SweepExtent| SweepModel { levels, bands: 1 }.bytes(extent);
+        assert!((bytes(300, &extent) - bytes(200, &extent) - SPARE * 3e8).abs() < 1.0);
+        let fixed = PROGRAM_BYTES + READING_BYTES;
+        let larger = SweepExtent {
+            cells: 4e6,
+            map_cells: 4e6,
+            pixels: 8e6,
+            largest: 4e6,
+        };
+        assert!((bytes(100, &larger) - fixed - 4.0 * (bytes(100, &extent) - fixed)).abs() < 1.0);
+    }
+}

@@ -1,0 +1,251 @@
+//! A plane sweep of a scene that does not fit into memory: tile by tile, into one surface model.
+//!
+//! What concerns all tiles is decided once: the range of altitudes, how views are matched, and how the cameras point, by tie points of
+//! patches all over the ground. Every tile reads its own windows of the images, fits its own pinhole cameras to them in the frame of the
+//! whole, and is swept on the cells of the whole. The surface models of tiles lie on disk until all are there, and are then blended
+//! row by row.
+
+use super::altitude::ROUNDS;
+use super::config::{Align, SatelliteConfig};
+use super::error::{FitError, SatelliteError};
+use super::ground::{Ground, volume};
+use super::limits::AtLimits;
+use super::plan::Decisions;
+use super::sweep_tiles::{ROWS_AT_ONCE, SweepPlan, SweepTile, SweepTiling};
+use super::swept::{clear_rasters, shifts_of_ties, sweep, worth_correcting};
+use heliosplat_products::blend::Piece;
+use heliosplat_products::dsm;
+use heliosplat_products::nadir::{NadirGrid, Place};
+use heliosplat_products::stored::{StoredPiece, blend_rows};
+use heliosplat_raster::streamed::temporary_folder_beside;
+use heliosplat_rpc::statistics::upper_median;
+use heliosplat_scene::survey::Survey;
+use heliosplat_scene::{Area, IngestOptions, Scene, SceneError};
+use heliosplat_session::Session;
+use heliosplat_stereo::{MatchingParameters, PlaneSweepRequest};
+use std::collections::BTreeMap;
+use std::path::Path;
+use std::time::Instant;
+
+/// Patches on which the pointing of the images is looked at: one in the middle and one in each quarter.
+const PATCHES: [[f64; 2]; 5] = [[0.5, 0.5], [0.25, 0.25], [0.75, 0.75], [0.75, 0.25], [0.25, 0.75]];
+/// Cells each way of a patch at most.
+const PATCH_CELLS: f64 = 1000.0;
+
+/// What is swept, and into which file.
+pub struct TiledSweep<'a> {
+    /// The scene.
+    pub scene: &'a Path,
+    /// What is said about it; its altitudes are resolved.
+    pub options: &'a IngestOptions,
+    /// How it is swept.
+    pub config: &'a SatelliteConfig,
+    /// The same scene with its pixels unread.
+    pub survey: &'a Survey,
+    /// Its plan.
+    pub plan: &'a SweepPlan,
+    /// The tiles of that plan.
+    pub tiling: &'a SweepTiling,
+}
+
+/// What came of it.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Written {
+    /// Tiles that were swept.
+    pub tiles: usize,
+    /// Share of the map whose altitude is known.
+    pub completeness: f64,
+    /// A wider range of altitudes, where the surface touches a limit of the one searched that tie points gave, metres.
+    pub wider_m: Option<(f64, f64)>,
+}
+
+/// What is decided once for all tiles.
+struct Decided {
+    decisions: Decisions,
+    matching: MatchingParameters,
+    /// Corrections of the images' pointing by image name, pixels.
+    shifts_px: BTreeMap<String, [f32; 2]>,
+}
+
+impl TiledSweep<'_> {
+    /// Sweeps all tiles and writes the surface model, whole or not at all.
+    ///
+    /// # Errors
+    /// When the scene is at fault, too few images show any of it, the file cannot be written, or the user stops it.
+    pub fn write(&self, out: &Path, session: &Session) -> Result<Written, SatelliteError> {
+        let decided = self.decide()?;
+        let folder = temporary_folder_beside(out)?;
+        let progress = session.progress("sweep", self.tiling.tiles.len() as u64);
+        let mut pieces = Vec::with_capacity(self.tiling.tiles.len());
+        let mut at_limits = AtLimits::default();
+        let count = self.tiling.tiles.len();
+        for (index, tile) in self.tiling.tiles.iter().enumerate() {
+            if session.stopped() {
+                return Err(SatelliteError::Stopped);
+            }
+            let begun = Instant::now();
+            if let Some((piece, at)) = self.tile(tile, &decided)? {
+                at_limits += at;
+                pieces.push(StoredPiece::write(piece, folder.path().join(format!("tile-{index}")))?);
+            }
+            tracing::info!("tile {} of {count}: {:.1} s", index + 1, begun.elapsed().as_secs_f64());
+            progress.set(index as u64 + 1);
+        }
+        if pieces.is_empty() {
+            return Err(FitError::TooFewViews { images: 0 }.into());
+        }
+        if let Some(warning) = at_limits.warning(self.survey.altitude_range_m) {
+            tracing::warn!("{warning}");
+        }
+        Ok(Written {
+            tiles: pieces.len(),
+            completeness: self.blended(&pieces, out)?,
+            wider_m: at_limits.wider(self.survey.altitude_range_m),
+        })
+    }
+
+    /// Blends the tiles into the file; returns the share of the map that is known.
+    fn blended(&self, pieces: &[StoredPiece], out: &Path) -> Result<f64, SatelliteError> {
+        let grid = &self.tiling.grid;
+        let gsd_m = grid.transform.pixel_size().0 * grid.crs.metres_per_unit();
+        let mut file = dsm::streamed(out, grid)?;
+        let mut known = 0;
+        for first in (0..grid.height).step_by(ROWS_AT_ONCE) {
+            let rows = first..(first + ROWS_AT_ONCE).min(grid.height);
+            let raster = blend_rows(pieces, grid.width, rows, gsd_m as f32)?;
+            known += raster.plane(0).iter().filter(|z| z.is_finite()).count();
+            file.write_rows(first, &raster)?;
+        }
+        // What nobody knows is no file.
+        if known > 0 {
+            file.finish()?;
+        }
+        Ok(known as f64 / (grid.width * grid.height).max(1) as f64)
+    }
+
+    /// What the surface model says over a tile, and how many of its cells lie at the limits of the altitudes; `None` where two images do not
+    /// show it.
+    fn tile(&self, tile: &SweepTile, decided: &Decided) -> Result<Option<(Piece, AtLimits)>, SatelliteError> {
+        let Some(scene) = self.open(&tile.area)? else {
+            return Ok(None);
+        };
+        let Ok(ground) = Ground::over(&scene, tile.area, scene.training()) else {
+            return Ok(None);
+        };
+        let request = self.request(&ground, decided.matching);
+        let (rasters, _) = clear_rasters(&ground, &decided.decisions, &request);
+        let shift = |name: &String| decided.shifts_px.get(name).copied().unwrap_or_default();
+        let shifts_px: Vec<[f32; 2]> = ground.images.iter().map(|image| shift(&image.name)).collect();
+        let surface = sweep(&ground, &rasters, &shifts_px, &decided.decisions, &request, &|_| {});
+        let at_limits = AtLimits::of(&surface, &scene);
+        let [columns, rows] = tile.bounds;
+        let grid = self
+            .tiling
+            .grid
+            .part((columns[0], rows[0]), (columns[1] - columns[0], rows[1] - rows[0]));
+        let place = Place::from(&scene);
+        let dsm = dsm::of_surface_on(NadirGrid::on(&place, grid)?, &place, &surface);
+        let signed = |spans: [[usize; 2]; 2]| spans.map(|span| span.map(|at| at as isize));
+        let piece = Piece {
+            unit: String::new(),
+            raster: dsm.raster,
+            at: [columns[0] as isize, rows[0] as isize],
+            core: signed(tile.core),
+            bounds: signed(tile.bounds),
+        };
+        Ok(Some((piece, at_limits)))
+    }
+
+    /// Reads what shows a part of the ground; `None` where fewer than two images do.
+    fn open(&self, part: &Area) -> Result<Option<Scene>, SatelliteError> {
+        match Scene::open_part(self.scene, self.options, part) {
+            Ok(scene) => Ok(Some(scene)),
+            Err(SceneError::NotCovered { .. }) => Ok(None),
+            Err(error) => Err(error.into()),
+        }
+    }
+
+    /// The sweep of a tile: viewing directions are those in the middle of the whole, so that all tiles have the same height hypotheses.
+    fn request(&self, ground: &Ground, matching: MatchingParameters) -> PlaneSweepRequest {
+        let whole = volume(&self.tiling.whole, ground.up_m, self.plan.cell_m);
+        PlaneSweepRequest {
+            centre: whole.centre(),
+            ..ground.request(self.plan.cell_m, matching)
+        }
+    }
+
+    /// Decides what concerns all tiles, on patches all over the ground.
+    fn decide(&self) -> Result<Decided, SatelliteError> {
+        let mut found: Option<(usize, Decisions, MatchingParameters)> = None;
+        let mut told: BTreeMap<String, Vec<[f32; 2]>> = BTreeMap::new();
+        for area in self.patches() {
+            let Some(scene) = self.open(&area)? else { continue };
+            let decisions = Decisions::of(&scene, self.config);
+            let (Some(matching), Ok(ground)) = (decisions.matching, Ground::over(&scene, area, scene.training()))
+            else {
+                continue;
+            };
+            // Where most images are seen, most is known of how they go together.
+            let images = ground.images.len();
+            if found.as_ref().is_none_or(|(most, ..)| images > *most) {
+                found = Some((images, decisions.clone(), matching));
+            }
+            if decisions.align == Align::Off {
+                break;
+            }
+            let request = self.request(&ground, matching);
+            let (rasters, _) = clear_rasters(&ground, &decisions, &request);
+            match shifts_of_ties(&ground, &rasters, matching, self.survey.gsd_m) {
+                Ok(shifts_px) => {
+                    for (image, shift) in ground.images.iter().zip(shifts_px) {
+                        told.entry(image.name.clone()).or_default().push(shift);
+                    }
+                }
+                Err(error) => tracing::debug!("ties of a patch do not tell: {error}"),
+            }
+        }
+        let Some((_, decisions, matching)) = found else {
+            return Err(FitError::TooFewViews { images: 0 }.into());
+        };
+        if told.is_empty() && decisions.align != Align::Off {
+            tracing::warn!("cameras are believed, because ties do not tell");
+        }
+        let (names, shifts): (Vec<String>, Vec<[f32; 2]>) =
+            told.into_iter().map(|(name, shifts)| (name, middle(&shifts))).unzip();
+        let shifts = worth_correcting(shifts, decisions.align);
+        Ok(Decided {
+            shifts_px: names.into_iter().zip(shifts).collect(),
+            decisions,
+            matching,
+        })
+    }
+
+    /// The patches on which cameras are looked at, none larger than a tile.
+    fn patches(&self) -> impl Iterator<Item = Area> {
+        let SweepTiling { whole, size, .. } = self.tiling;
+        let (wide_m, high_m) = (whole.east_m - whole.west_m, whole.north_m - whole.south_m);
+        let half = |length_m: f64, parts: usize| 0.5 * (length_m / parts as f64).min(PATCH_CELLS * self.plan.cell_m);
+        let (half_wide, half_high) = (half(wide_m, size.1), half(high_m, size.0));
+        let whole = *whole;
+        PATCHES.into_iter().map(move |[x, y]| {
+            let (east, north) = (whole.west_m + x * wide_m, whole.south_m + y * high_m);
+            Area {
+                west_m: east - half_wide,
+                south_m: north - half_high,
+                east_m: east + half_wide,
+                north_m: north + half_high,
+            }
+        })
+    }
+}
+
+/// The middle of several shifts, along each axis.
+fn middle(shifts: &[[f32; 2]]) -> [f32; 2] {
+    [0, 1].map(|axis| {
+        let mut values: Vec<f32> = shifts.iter().map(|shift| shift[axis]).collect();
+        upper_median(&mut values).unwrap_or(0.0)
+    })
+}
+
+/// Most times that a range of altitudes which tie points gave is widened and all is swept again.
+pub const MOST_ROUNDS: usize = ROUNDS;
