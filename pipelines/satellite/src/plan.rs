@@ -475,7 +475,7 @@ mod tests {
     #[test]
     fn missing_bands_are_seen() {
         let mut scene = facts(2, 1);
-        scene.near_infrared = false;
+        scene.index = Index::NoBands;
         assert!(!on(&scene, &SatelliteConfig::default(), "start.vegetation_index"));
     }
 
