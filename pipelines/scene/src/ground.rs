@@ -217,7 +217,9 @@ impl Ground {
         }
         let kinds = drafts.first().map_or(&[][..], |draft| &draft.plan.kinds);
         warnings.extend(pixels::stretched(&values, kinds));
-        warnings.extend(values::same_for_all(&mut values));
+        if Values::default().vegetation_index(kinds).is_some() {
+            warnings.extend(values::same_for_all(&mut values));
+        }
         let fits = fit_pinholes(&drafts, &frame, altitude_range_m, &mut warnings)?;
         let mut images = Vec::with_capacity(drafts.len());
         let read = rasters.into_iter().zip(values);

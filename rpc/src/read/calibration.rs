@@ -118,7 +118,8 @@ pub struct Calibration {
 }
 
 impl Calibration {
-    fn new(quantity: Quantity, gains: impl IntoIterator<Item = (CalibratedBand, Gain)>) -> Option<Radiometry> {
+    /// What gains say; `None` without any.
+    fn radiometry(quantity: Quantity, gains: impl IntoIterator<Item = (CalibratedBand, Gain)>) -> Option<Radiometry> {
         let gains: BTreeMap<_, _> = gains.into_iter().collect();
         (!gains.is_empty()).then_some(Radiometry::Calibrated(Self { quantity, gains }))
     }
@@ -139,7 +140,7 @@ impl Calibration {
             Some((CalibratedBand::Place(place), gain))
         };
         let gains: Option<Vec<_>> = bands.iter().enumerate().map(gain).collect();
-        Self::new(first, gains?)
+        Self::radiometry(first, gains?)
     }
 }
 
@@ -205,7 +206,7 @@ pub fn dimap(text: &str) -> Option<Radiometry> {
         "REFLECTANCE" => {
             let ids = find_all(root, "BAND_ID").filter_map(|id| CalibratedBand::from_dimap_id(id.text()?));
             let gain = Gain::new(DIMAP_REFLECTANCE_PER_COUNT, 0.0)?;
-            return Calibration::new(Quantity::Reflectance, ids.map(|band| (band, gain)));
+            return Calibration::radiometry(Quantity::Reflectance, ids.map(|band| (band, gain)));
         }
         _ => {}
     }
@@ -223,7 +224,7 @@ pub fn dimap(text: &str) -> Option<Radiometry> {
     let gains = second
         .chain(first)
         .map(|(band, gain)| (band, gain.under(irradiance(band))));
-    Calibration::new(Quantity::Radiance, gains)
+    Calibration::radiometry(Quantity::Radiance, gains)
 }
 
 /// From PlanetScope's `…_metadata.xml`: `reflectanceCoefficient` of each band, else `radiometricScaleFactor`.
@@ -239,9 +240,9 @@ pub fn planet_xml(text: &str) -> Option<Radiometry> {
         bands.iter().map(gain).collect()
     };
     if let Some(gains) = gains("reflectanceCoefficient") {
-        return Calibration::new(Quantity::Reflectance, gains);
+        return Calibration::radiometry(Quantity::Reflectance, gains);
     }
-    Calibration::new(Quantity::Radiance, gains("radiometricScaleFactor")?)
+    Calibration::radiometry(Quantity::Radiance, gains("radiometricScaleFactor")?)
 }
 
 /// From the JSON that SkySat images have in the description tag of their TIFF: `properties.reflectance_coefficients`.
@@ -253,7 +254,7 @@ fn planet_json(text: &str) -> Option<Radiometry> {
         .as_array()?;
     let gain = |(place, value): (usize, &Value)| Some((CalibratedBand::Place(place), Gain::new(value.as_f64()?, 0.0)?));
     let gains: Option<Vec<_>> = coefficients.iter().enumerate().map(gain).collect();
-    Calibration::new(Quantity::Reflectance, gains?)
+    Calibration::radiometry(Quantity::Reflectance, gains?)
 }
 
 #[cfg(test)]

@@ -26,7 +26,7 @@ const fn band(band: CalibratedBand, gain: f64, offset: f64, irradiance_w_m2_um: 
 use CalibratedBand::{Blue, Green, NearInfrared, Pan, Red};
 
 /// M. Kuester, "Absolute Radiometric Calibration: 2016v0", DigitalGlobe 2017 (release of 6 June 2017), by `satId`. Of QuickBird the
-/// irradiances alone: its corrections could not be checked against a second source, and its factors are taken as delivered.
+/// irradiances alone: no copy of its corrections was found, and its factors are taken as delivered.
 /// Satellites that the note does not have (WorldView-4, Legion) give radiance.
 const SATELLITES: [(&str, &[Band]); 5] = [
     ("WV01", &[band(Pan, 1.016, -1.824, 1478.62)]),
@@ -114,5 +114,5 @@ pub fn gdal_domain(items: &BTreeMap<String, String>) -> Option<Radiometry> {
         let gain = Gain::new(gain * per_count, offset)?;
         Some((of, gain.under(known.map(|band| band.irradiance_w_m2_um))))
     };
-    Calibration::new(Quantity::Radiance, GROUPS.into_iter().filter_map(gain))
+    Calibration::radiometry(Quantity::Radiance, GROUPS.into_iter().filter_map(gain))
 }
