@@ -52,6 +52,7 @@ mod visibility;
 mod wta;
 
 pub use heights::height_levels;
+pub use pairs::widest_base_to_height_of as widest_base_to_height;
 pub use parameters::{CandidateTolerance, MANY_VIEWS, MatchingFacts, MatchingParameters};
 pub use plane_sweep::plane_sweep;
 pub use request::{PlaneSweepRequest, SearchVolume};
