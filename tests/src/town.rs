@@ -13,11 +13,9 @@ use std::path::Path;
 
 /// Lowest and highest altitude that the images' JSON states, metres.
 pub const ALTITUDES_M: [f64; 2] = [690.0, 730.0];
-/// The altitude that cameras count from, metres.
-const BASE_M: f64 = 700.0;
 /// Width of a plot with one house, metres.
 const PLOT_M: f64 = 40.0;
-/// No roof is higher, no ground lower, metres above the base.
+/// No roof is higher, no ground lower, metres above the altitude that cameras count from.
 const HIGHEST_M: f64 = 24.0;
 const LOWEST_M: f64 = -6.0;
 
@@ -52,6 +50,9 @@ impl Pair {
             let rpc = parallel_camera(self.size_px, self.gsd_m, self.centre_deg, tilt);
             let items: Vec<(String, String)> = write::gdal_domain(&rpc).into_iter().collect();
             let raster = self.image(tilt);
+            // Half past ten in the morning, wherever that is.
+            let minutes = ((10.5 - self.centre_deg[0] / 15.0).rem_euclid(24.0) * 60.0) as u32;
+            let date = format!("20160423{:02}{:02}00", minutes / 60, minutes % 60);
             let spec = ImageSpec {
                 rpc: &items,
                 ..ImageSpec::plain(&raster)
@@ -60,7 +61,7 @@ impl Pair {
             write_geotiff(&path, &spec, Sample::U16).expect("the image is written");
             let said = json!({
                 "img": format!("{name}.tif"), "min_alt": ALTITUDES_M[0], "max_alt": ALTITUDES_M[1],
-                "acquisition_date": "20160423083400", "rpc": write::satnerf_json_rpc(&rpc),
+                "acquisition_date": date, "rpc": write::satnerf_json_rpc(&rpc),
             });
             std::fs::write(path.with_extension("json"), said.to_string()).expect("the JSON is written");
         }

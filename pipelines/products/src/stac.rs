@@ -141,8 +141,6 @@ pub struct About<'a> {
 /// When a corner of the grid lies outside of its coordinate system.
 pub fn item(about: &About, assets: &[Asset]) -> Result<Value, RasterError> {
     let corners = corners(about.grid)?;
-    let mut ring: Vec<[f64; 2]> = corners.to_vec();
-    ring.push(corners[0]);
     let assets: Map<String, Value> = assets
         .iter()
         .map(|asset| (asset.key.clone(), asset.value.clone()))
@@ -158,8 +156,8 @@ pub fn item(about: &About, assets: &[Asset]) -> Result<Value, RasterError> {
         "stac_version": VERSION,
         "stac_extensions": [PROJECTION, RASTER, VIEW],
         "id": about.id,
-        "geometry": {"type": "Polygon", "coordinates": [ring]},
-        "bbox": bounds(&corners),
+        "geometry": geometry(&corners),
+        "bbox": bounds(&[west_east(&corners)]),
         "properties": properties(about),
         "links": links,
         "assets": assets,
@@ -215,23 +213,112 @@ fn corners(grid: &GridSpec) -> Result<[[f64; 2]; 4], RasterError> {
     Ok(out)
 }
 
-fn bounds(points: &[[f64; 2]]) -> [f64; 4] {
-    let fold = |axis: usize, start: f64, pick: fn(f64, f64) -> f64| points.iter().map(|p| p[axis]).fold(start, pick);
-    let (low, high) = (f64::INFINITY, f64::NEG_INFINITY);
-    [
-        fold(0, low, f64::min),
-        fold(1, low, f64::min),
-        fold(0, high, f64::max),
-        fold(1, high, f64::max),
-    ]
+/// A longitude as the one of its kind that is nearest to `other`, degrees.
+fn around(lon: f64, other: f64) -> f64 {
+    other + (lon - other + 180.0).rem_euclid(360.0) - 180.0
+}
+
+/// A longitude from -180 up to 180 degrees.
+fn wrapped(lon: f64) -> f64 {
+    around(lon, 0.0)
+}
+
+/// West, south, east, north of points that lie less than half of the Earth apart; east is above 180 degrees where they lie on both sides of
+/// the antimeridian.
+fn west_east(points: &[[f64; 2]]) -> [f64; 4] {
+    let first = points.first().map_or(0.0, |point| point[0]);
+    let mut found = [f64::INFINITY, f64::INFINITY, f64::NEG_INFINITY, f64::NEG_INFINITY];
+    for &[lon, lat] in points {
+        let lon = around(lon, first);
+        found = [
+            found[0].min(lon),
+            found[1].min(lat),
+            found[2].max(lon),
+            found[3].max(lat),
+        ];
+    }
+    match found[0] < -180.0 {
+        true => [found[0] + 360.0, found[1], found[2] + 360.0, found[3]],
+        false => found,
+    }
+}
+
+/// The bounding box of boxes whose east is not below their west: as GeoJSON has it, with the west above the east where it crosses the
+/// antimeridian (RFC 7946, 5.2). It is the narrowest one: all longitudes but the widest gap between the boxes.
+fn bounds(boxes: &[[f64; 4]]) -> [f64; 4] {
+    let (mut south, mut north) = (f64::INFINITY, f64::NEG_INFINITY);
+    let mut spans = Vec::with_capacity(boxes.len());
+    for &[west, low, east, high] in boxes {
+        (south, north) = (south.min(low), north.max(high));
+        spans.push((west, east));
+    }
+    spans.sort_by(|a, b| a.0.total_cmp(&b.0));
+    let Some(&(first, _)) = spans.first() else {
+        return [-180.0, -90.0, 180.0, 90.0];
+    };
+    // Once around from the first: the end of what is covered so far, and the widest gap that follows it.
+    let (mut end, mut widest) = (f64::NEG_INFINITY, (f64::NEG_INFINITY, first, first));
+    for (west, east) in spans.iter().copied().chain([(first + 360.0, first + 360.0)]) {
+        if end.is_finite() && west - end > widest.0 {
+            widest = (west - end, end, west);
+        }
+        end = end.max(east);
+    }
+    let (gap, east, west) = widest;
+    if gap <= 0.0 {
+        return [-180.0, south, 180.0, north];
+    }
+    // A box that ends or begins on the antimeridian does so on its own side of it.
+    let wrapped_west = wrapped(west);
+    let east_of_west = around(east, wrapped_west + 180.0);
+    let east = if east_of_west > 180.0 {
+        east_of_west - 360.0
+    } else {
+        east_of_west
+    };
+    [wrapped_west, south, east, north]
+}
+
+/// The outline of corners in counter-clockwise order; in two parts where it crosses the antimeridian (RFC 7946, 3.1.9).
+fn geometry(corners: &[[f64; 2]; 4]) -> Value {
+    let closed = |mut ring: Vec<[f64; 2]>| {
+        ring.extend(ring.first().copied());
+        ring
+    };
+    let [west, _, east, _] = west_east(corners);
+    if east <= 180.0 {
+        return json!({"type": "Polygon", "coordinates": [closed(corners.to_vec())]});
+    }
+    let middle = 0.5 * (west + east);
+    let ring: Vec<[f64; 2]> = corners.iter().map(|&[lon, lat]| [around(lon, middle), lat]).collect();
+    let (before, after) = (side(&ring, 1.0), side(&ring, -1.0));
+    let after = after.into_iter().map(|[lon, lat]| [lon - 360.0, lat]).collect();
+    json!({"type": "MultiPolygon", "coordinates": [[closed(before)], [closed(after)]]})
+}
+
+/// What of a ring lies west (`sign` 1) or east (-1) of 180 degrees.
+fn side(ring: &[[f64; 2]], sign: f64) -> Vec<[f64; 2]> {
+    let beyond = |point: &[f64; 2]| sign * (point[0] - 180.0);
+    let mut out = Vec::with_capacity(ring.len() + 2);
+    for (index, a) in ring.iter().enumerate() {
+        let b = &ring[(index + 1) % ring.len()];
+        if beyond(a) <= 0.0 {
+            out.push(*a);
+        }
+        if beyond(a) * beyond(b) < 0.0 {
+            let t = (180.0 - a[0]) / (b[0] - a[0]);
+            out.push([180.0, a[1] + t * (b[1] - a[1])]);
+        }
+    }
+    out
 }
 
 /// The collection of some items, each with the folder that its `item.json` is in, seen from the collection.
 pub fn collection(id: &str, items: &[(String, Value)]) -> Value {
-    let corners: Vec<[f64; 2]> = items
+    let boxes: Vec<[f64; 4]> = items
         .iter()
         .filter_map(|(_, item)| serde_json::from_value::<[f64; 4]>(item["bbox"].clone()).ok())
-        .flat_map(|[west, south, east, north]| [[west, south], [east, north]])
+        .map(|[west, south, east, north]| [west, south, if east < west { east + 360.0 } else { east }, north])
         .collect();
     let times = |key: &'static str| {
         items.iter().filter_map(move |(_, item)| {
@@ -252,9 +339,102 @@ pub fn collection(id: &str, items: &[(String, Value)]) -> Value {
         "description": format!("{} areas, modelled by heliosplat {}", items.len(), env!("CARGO_PKG_VERSION")),
         "license": "other",
         "extent": {
-            "spatial": {"bbox": [bounds(&corners)]},
+            "spatial": {"bbox": [bounds(&boxes)]},
             "temporal": {"interval": [[times("start_datetime").min(), times("end_datetime").max()]]},
         },
         "links": links,
     })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use heliosplat_raster::Crs;
+    use heliosplat_rpc::{GeoPoint, LocalFrame};
+
+    fn item_at(lon_deg: f64, lat_deg: f64) -> Value {
+        let origin = GeoPoint {
+            lon_deg,
+            lat_deg,
+            height_m: 0.0,
+        };
+        let crs = Crs::utm(origin).expect("UTM");
+        let rectangle = [-500.0, -500.0, 500.0, 500.0];
+        let grid = GridSpec::covering(&LocalFrame::new(origin), rectangle, &crs, 1.0).expect("a grid");
+        let about = About {
+            id: "place",
+            grid: &grid,
+            gsd_m: 1.0,
+            vertical_datum: "WGS84 ellipsoid",
+            times: &[Timestamp::UNIX_EPOCH],
+            sun: None,
+            collection: None,
+        };
+        item(&about, &[]).expect("an item")
+    }
+
+    fn bbox(of: &Value) -> [f64; 4] {
+        serde_json::from_value(of.clone()).expect("four numbers")
+    }
+
+    #[test]
+    fn an_item_across_the_antimeridian_has_its_west_above_its_east_and_two_parts() {
+        for lon in [180.0, 179.999, -179.999] {
+            let item = item_at(lon, -17.0);
+            let [west, south, east, north] = bbox(&item["bbox"]);
+            assert!(
+                west > 179.98 && east < -179.98 && south < -17.0 && north > -17.0,
+                "{lon}: {}",
+                item["bbox"]
+            );
+            assert_eq!(item["geometry"]["type"], "MultiPolygon");
+            let parts = item["geometry"]["coordinates"].as_array().expect("parts");
+            let lons = |part: &Value| -> Vec<f64> {
+                let ring = part[0].as_array().expect("a ring");
+                assert!(ring.len() >= 4 && ring.first() == ring.last());
+                ring.iter().map(|point| point[0].as_f64().expect("a number")).collect()
+            };
+            assert!(
+                lons(&parts[0]).iter().all(|lon| (179.98..=180.0).contains(lon)),
+                "{}",
+                parts[0]
+            );
+            assert!(
+                lons(&parts[1]).iter().all(|lon| (-180.0..=-179.98).contains(lon)),
+                "{}",
+                parts[1]
+            );
+        }
+    }
+
+    #[test]
+    fn an_item_elsewhere_is_one_polygon() {
+        for lon in [0.0, 35.9999, 179.9, -179.9] {
+            let item = item_at(lon, 37.0);
+            let [west, _, east, _] = bbox(&item["bbox"]);
+            assert!(west < lon && lon < east && east - west < 0.013, "{}", item["bbox"]);
+            assert_eq!(item["geometry"]["type"], "Polygon");
+        }
+    }
+
+    #[test]
+    fn a_collection_spans_no_more_of_the_earth_than_its_items() {
+        let extent = |lons: &[f64]| {
+            let items: Vec<_> = lons.iter().map(|lon| (String::new(), item_at(*lon, -17.0))).collect();
+            let collection = collection("places", &items);
+            bbox(&collection["extent"]["spatial"]["bbox"][0])
+        };
+        let [west, _, east, _] = extent(&[179.0, -179.0]);
+        assert!(
+            (west - 178.995).abs() < 0.01 && (east + 178.995).abs() < 0.01,
+            "{west} {east}"
+        );
+        let [west, _, east, _] = extent(&[180.0, 179.0, -178.5]);
+        assert!(
+            west < 179.0 && west > 178.9 && east > -178.5 && east < -178.4,
+            "{west} {east}"
+        );
+        let [west, _, east, _] = extent(&[10.0, 12.0, 11.0]);
+        assert!(west < 10.0 && west > 9.9 && east > 12.0 && east < 12.1, "{west} {east}");
+    }
 }

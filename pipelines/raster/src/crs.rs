@@ -12,6 +12,7 @@ pub struct Crs {
     wkt: String,
     name: String,
     vertical: bool,
+    geographic: bool,
     metres_per_unit: f64,
 }
 
@@ -41,6 +42,7 @@ impl Crs {
         Ok(Self {
             definition: authority.unwrap_or_else(|| wkt.clone()),
             name: reference.name().unwrap_or_else(|| shortened(definition)),
+            geographic: reference.is_geographic(),
             vertical: reference.is_compound() || reference.is_vertical(),
             metres_per_unit: if reference.is_geographic() {
                 METRES_PER_DEGREE
@@ -85,6 +87,11 @@ impl Crs {
     /// Whether heights are tied to a vertical datum of their own; without, they are ellipsoidal.
     pub fn has_vertical_datum(&self) -> bool {
         self.vertical
+    }
+
+    /// Whether its coordinates are longitude and latitude in degrees.
+    pub fn is_geographic(&self) -> bool {
+        self.geographic
     }
 
     /// Metres per unit of its coordinates; for degrees, along the equator.

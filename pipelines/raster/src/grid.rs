@@ -129,6 +129,12 @@ impl GridSpec {
             for corner in [[x, south], [x, north], [west, y], [east, y]] {
                 let geo = frame.geo_from_enu(nalgebra::Vector3::new(corner[0], corner[1], 0.0));
                 let (x, y) = transform.apply(geo.lon_deg, geo.lat_deg)?;
+                // A place on both sides of the antimeridian is no wider for it: degrees go on beyond 180.
+                let x = if crs.is_geographic() {
+                    around(x, frame.origin.lon_deg)
+                } else {
+                    x
+                };
                 low = [low[0].min(x), low[1].min(y)];
                 high = [high[0].max(x), high[1].max(y)];
             }
@@ -153,6 +159,11 @@ impl GridSpec {
             crs: crs.clone(),
         })
     }
+}
+
+/// A longitude as the one of its kind that is nearest to another, degrees.
+fn around(lon_deg: f64, other_deg: f64) -> f64 {
+    other_deg + (lon_deg - other_deg + 180.0).rem_euclid(360.0) - 180.0
 }
 
 /// The way from a map grid to the local frame without a PROJ call per pixel: exact at nodes a few pixels apart and at
@@ -288,6 +299,43 @@ mod tests {
                 assert!((got[axis] - want[axis]).abs() < 1e-3, "{got:?} {want:?}");
             }
             assert!((table.height(col, row, want.z) - height).abs() < 1e-3);
+        }
+    }
+
+    #[test]
+    fn places_at_the_antimeridian_and_at_the_borders_of_zones_have_grids_as_small_as_they_are() {
+        for (lon_deg, lat_deg, zone) in [
+            (179.9999, -17.0, 32760),
+            (-179.9999, -17.0, 32701),
+            (180.0, 65.0, 32601),
+            (35.9999, 37.0, 32636),
+            (36.0, 37.0, 32637),
+            (2.9999, 60.0, 32631),
+            (20.9999, 78.0, 32633),
+        ] {
+            let origin = GeoPoint {
+                lon_deg,
+                lat_deg,
+                height_m: 0.0,
+            };
+            let frame = LocalFrame::new(origin);
+            let crs = Crs::utm(origin).expect("UTM");
+            assert_eq!(crs.definition(), format!("EPSG:{zone}"));
+            let rectangle = [-500.0, -400.0, 500.0, 400.0];
+            let grid = GridSpec::covering(&frame, rectangle, &crs, 1.0).expect("a grid");
+            // Meridians lean by up to three degrees at the border of a zone.
+            assert!(
+                (1000..1060).contains(&grid.width) && (800..870).contains(&grid.height),
+                "{grid:?}"
+            );
+            let degrees = Crs::from_epsg(4326).expect("WGS 84");
+            let grid = GridSpec::covering(&frame, rectangle, &degrees, 10.0).expect("a grid");
+            assert!(grid.width < 550 && grid.height < 82, "{} x {}", grid.width, grid.height);
+            // Cells on either side are where they belong.
+            let enu = EnuGrid::new(&frame, &grid, (0.0, 10.0)).expect("on Earth");
+            let [west, ..] = enu.enu(0.0, 40.0, 0.0);
+            let [east, ..] = enu.enu(grid.width as f64 - 1.0, 40.0, 0.0);
+            assert!(west > -530.0 && east < 530.0 && east - west > 950.0, "{west} {east}");
         }
     }
 

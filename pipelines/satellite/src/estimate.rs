@@ -6,6 +6,7 @@
 use super::config::{ModelOptions, SatelliteConfig};
 use super::error::FitError;
 use super::ground;
+use super::sweep_memory::search_bytes;
 use heliosplat::bench_fixture::{Descent, Site};
 use heliosplat::shade::sh::functions;
 use heliosplat::train::TrainOptions;
@@ -13,7 +14,7 @@ use heliosplat_fitting::budget::after_training_steps;
 use heliosplat_scene::crop;
 use heliosplat_scene::survey::Survey;
 use heliosplat_scene::{Area, Scene};
-use heliosplat_stereo::MANY_VIEWS;
+use heliosplat_stereo::{MANY_VIEWS, height_levels};
 use std::time::Instant;
 
 /// Gaussians per cell of the ground grid: walls and doubtful ground add to one each (1.3 to 2.3 were seen).
@@ -30,8 +31,6 @@ const SPARE_BYTES: f64 = 64.0 * 1_048_576.0;
 const PLANES: f64 = 24.0;
 /// The same per channel.
 const PLANES_PER_CHANNEL: f64 = 4.0;
-/// Bytes per cell of the ground grid while its surface is searched.
-const SWEEP_BYTES_PER_CELL: f64 = 600.0;
 /// Seconds per cell and image before the first step: pointing, search, start. Many views are searched more widely, and most of
 /// them with an index.
 const START_S_PER_CELL: f64 = 1.2e-5;
@@ -119,6 +118,10 @@ pub struct Extent {
     pub images: usize,
     /// Those of them that are trained on.
     pub training: usize,
+    /// Metres from the lowest to the highest altitude that is searched.
+    pub altitudes_m: f64,
+    /// Largest base-to-height ratio of two images.
+    pub widest_base_to_height: f64,
 }
 
 impl From<&Scene> for Extent {
@@ -129,12 +132,16 @@ impl From<&Scene> for Extent {
             bands: scene.bands().len(),
             images: scene.images.len(),
             training: scene.training().count(),
+            altitudes_m: scene.altitude_range_m.1 - scene.altitude_range_m.0,
+            widest_base_to_height: ground::Ground::new(scene, scene.training())
+                .map_or(0.0, |ground| ground.widest_base_to_height()),
         }
     }
 }
 
 impl From<&Survey> for Extent {
     fn from(survey: &Survey) -> Self {
+        let (low_m, high_m) = survey.altitude_range_m;
         let (images, training) = survey.images();
         Self {
             area: *survey.area(),
@@ -142,6 +149,8 @@ impl From<&Survey> for Extent {
             bands: survey.bands,
             images,
             training,
+            altitudes_m: high_m - low_m,
+            widest_base_to_height: survey.widest_base_to_height,
         }
     }
 }
@@ -169,6 +178,8 @@ pub fn estimate_of(extent: &Extent, config: &SatelliteConfig, slowness: f64, hel
         bands,
         images,
         training,
+        altitudes_m,
+        widest_base_to_height,
         ..
     } = extent;
     let area = crop::grown(&extent.area, ground::MARGIN_M);
@@ -180,7 +191,9 @@ pub fn estimate_of(extent: &Extent, config: &SatelliteConfig, slowness: f64, hel
     let fixed = held + copies_bytes(training as f64 * pixels, bands);
     let light = light_bytes(&config.model, bands);
     let training_bytes = |gaussians: f64| training_bytes(gaussians, training, bands, pixels) + gaussians * light;
-    let peak = |gaussians: f64| fixed + training_bytes(gaussians).max(SWEEP_BYTES_PER_CELL * cells);
+    let levels = height_levels(altitudes_m as f32, cell_m as f32, widest_base_to_height as f32);
+    let search = search_bytes(cells, levels, training as f64 * pixels);
+    let peak = |gaussians: f64| fixed + training_bytes(gaussians).max(search);
     let start_s_per_cell = if (training as f32) < MANY_VIEWS {
         START_OF_FEW_S_PER_CELL
     } else {

@@ -8,6 +8,7 @@ use heliosplat_scene::crop::{self, Crop};
 use heliosplat_scene::{Area, Scene, SceneImage};
 use heliosplat_stereo::{
     MatchingFacts, MatchingParameters, PlaneSweepRequest, SearchVolume, Surface, SweepView, ViewGeometry,
+    widest_base_to_height,
 };
 use rayon::prelude::*;
 
@@ -157,6 +158,13 @@ impl<'a> Ground<'a> {
         let shifts = vec![[0.0; 2]; self.images.len()];
         let has_index = self.images.iter().all(|image| image.vegetation_index().is_some());
         MatchingFacts::new(&self.geometries(&shifts), &self.volume(cell_m), has_index)
+    }
+
+    /// Largest base-to-height ratio of two of its images.
+    pub fn widest_base_to_height(&self) -> f64 {
+        let shifts = vec![[0.0; 2]; self.images.len()];
+        let centre = volume(&self.area, self.up_m, 1.0).centre();
+        widest_base_to_height(&self.geometries(&shifts), centre).into()
     }
 
     /// A plane sweep with cells of `cell_m` metres.

@@ -4,7 +4,6 @@
 //! the finest level searches around what coarser levels found, all hypotheses at most; how many these are follows from the range of
 //! altitudes and the widest base of two images. So a range that is twice as wide may take twice the memory.
 
-use super::error::SatelliteError;
 use super::estimate::PROGRAM_BYTES;
 use heliosplat_scene::survey::Survey;
 use heliosplat_stereo::height_levels;
@@ -28,42 +27,39 @@ const SPARE: f64 = 1.1;
 
 /// What decides how much memory a sweep takes, the same for all parts of a scene.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct SweepModel {
+pub(super) struct SweepModel {
     /// Height hypotheses of a cell.
-    pub levels: usize,
+    pub(super) levels: usize,
     /// Bands of every image.
-    pub bands: usize,
+    pub(super) bands: usize,
 }
 
 /// The ground and the images of one sweep.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct SweepExtent {
+pub(super) struct SweepExtent {
     /// Cells of the ground grid.
-    pub cells: f64,
+    pub(super) cells: f64,
     /// Cells of the map that the surface model lies on.
-    pub map_cells: f64,
+    pub(super) map_cells: f64,
     /// Pixels of all images.
-    pub pixels: f64,
+    pub(super) pixels: f64,
     /// Pixels of the largest.
-    pub largest: f64,
+    pub(super) largest: f64,
 }
 
 impl SweepModel {
     /// The model of a scene that is swept in cells of `cell_m` metres.
-    ///
-    /// # Errors
-    /// When a camera does not see the ground.
-    pub fn of(survey: &Survey, cell_m: f64) -> Result<Self, SatelliteError> {
+    pub(super) fn of(survey: &Survey, cell_m: f64) -> Self {
         let (low_m, high_m) = survey.altitude_range_m;
-        let widest = survey.widest_base_to_height()?;
-        Ok(Self {
+        let widest = survey.widest_base_to_height;
+        Self {
             levels: height_levels((high_m - low_m) as f32, cell_m as f32, widest as f32),
             bands: survey.bands,
-        })
+        }
     }
 
     /// Most bytes that the process holds while it sweeps.
-    pub fn bytes(&self, extent: &SweepExtent) -> f64 {
+    pub(super) fn bytes(&self, extent: &SweepExtent) -> f64 {
         let SweepExtent {
             cells,
             map_cells,
@@ -71,11 +67,16 @@ impl SweepModel {
             largest,
         } = *extent;
         let read = BYTES_PER_PIXEL_AND_BAND * self.bands as f64 * pixels;
-        let search = cells * (BYTES_PER_CELL + BYTES_PER_LEVEL * self.levels as f64) + BYTES_PER_PIXEL * pixels;
+        let search = search_bytes(cells, self.levels, pixels);
         let reading = BYTES_PER_PIXEL_READ * largest;
         let writing = BYTES_PER_CELL * cells + BYTES_PER_MAP_CELL * map_cells;
         PROGRAM_BYTES + READING_BYTES + SPARE * (read + search.max(reading).max(writing))
     }
+}
+
+/// Most bytes that the search of `cells` cells with so many height hypotheses adds to what images of so many pixels take.
+pub(super) fn search_bytes(cells: f64, levels: usize, pixels: f64) -> f64 {
+    cells * (BYTES_PER_CELL + BYTES_PER_LEVEL * levels as f64) + BYTES_PER_PIXEL * pixels
 }
 
 #[cfg(test)]

@@ -150,7 +150,7 @@ impl<'a> Cutter<'a> {
         let searched = volume(&crop::grown(area, MARGIN_M), (0.0, 0.0), cell_m);
         let on_lattice = |at: f32| (f64::from(at) / cell_m).round() * cell_m;
         Ok(Self {
-            model: SweepModel::of(survey, cell_m)?,
+            model: SweepModel::of(survey, cell_m),
             to_lon_lat: CrsTransform::to_lon_lat(&grid.crs)?,
             survey,
             cell_m,

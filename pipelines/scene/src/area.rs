@@ -19,7 +19,7 @@ const POINTS_PER_EDGE: usize = 8;
 #[derive(Debug, Clone, PartialEq, serde::Serialize, serde::Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct AreaRequest {
-    /// West, south, east, north.
+    /// West, south, east, north; in degrees west is above east where it crosses the antimeridian, as in GeoJSON (RFC 7946, 5.2).
     pub bounds: [f64; 4],
     /// Their coordinate reference system; absent: longitude and latitude, degrees.
     #[serde(default, skip_serializing_if = "Option::is_none")]
@@ -41,21 +41,36 @@ impl AreaRequest {
     /// A sentence that says why not.
     pub fn check(&self) -> Result<(), String> {
         let [west, south, east, north] = self.bounds;
-        if !(west < east && south < north && self.bounds.iter().all(|v| v.is_finite())) {
+        let apart = west < east || (self.crs.is_none() && west > east);
+        if !(apart && south < north && self.bounds.iter().all(|v| v.is_finite())) {
             return Err(format!("{self}: expected west below east and south below north"));
         }
-        let on_earth = west >= -180.0 && east <= 180.0 && south >= -90.0 && north <= 90.0;
+        let on_earth = [west, east].iter().all(|lon| lon.abs() <= 180.0) && south >= -90.0 && north <= 90.0;
         if self.crs.is_none() && !on_earth {
             return Err(format!(
                 "{self}: these are no degrees; say the system with EPSG:N at the end"
             ));
         }
+        if self.crs.is_none() && self.unwrapped()[2] - west > 180.0 {
+            return Err(format!(
+                "{self}: it spans more than half of the Earth; give west, south, east, north"
+            ));
+        }
         Ok(())
+    }
+
+    /// Its bounds with the east above the west: above 180 degrees where it crosses the antimeridian.
+    fn unwrapped(&self) -> [f64; 4] {
+        let [west, south, east, north] = self.bounds;
+        match self.crs.is_none() && west > east {
+            true => [west, south, east + 360.0, north],
+            false => self.bounds,
+        }
     }
 
     /// Longitudes and latitudes (degrees) of points along its edges.
     fn outline(&self) -> Result<Vec<[f64; 2]>, SceneError> {
-        let [west, south, east, north] = self.bounds;
+        let [west, south, east, north] = self.unwrapped();
         let transform = match &self.crs {
             Some(crs) => Some(CrsTransform::to_lon_lat(&Crs::from_definition(crs)?)?),
             None => None,
@@ -78,11 +93,11 @@ impl AreaRequest {
 
     /// Its middle, at a height in metres.
     pub(super) fn place(&self, height_m: f64) -> Result<GeoPoint, SceneError> {
-        let [west, south, east, north] = self.bounds;
+        let [west, south, east, north] = self.unwrapped();
         let (x, y) = (0.5 * (west + east), 0.5 * (south + north));
         let (lon_deg, lat_deg) = match &self.crs {
             Some(crs) => CrsTransform::to_lon_lat(&Crs::from_definition(crs)?)?.apply(x, y)?,
-            None => (x, y),
+            None => (if x > 180.0 { x - 360.0 } else { x }, y),
         };
         Ok(GeoPoint {
             lon_deg,
@@ -177,4 +192,45 @@ pub(super) fn window_over(
         width,
         height,
     })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn request(bounds: [f64; 4], crs: Option<&str>) -> AreaRequest {
+        AreaRequest {
+            bounds,
+            crs: crs.map(str::to_owned),
+        }
+    }
+
+    #[test]
+    fn an_area_may_cross_the_antimeridian_in_degrees_and_is_as_small_as_it_is() {
+        let crossing = request([179.99, -17.01, -179.99, -16.99], None);
+        crossing.check().expect("as GeoJSON writes it");
+        let place = crossing.place(0.0).expect("a place");
+        assert!((place.lon_deg.abs() - 180.0).abs() < 1e-9 && (place.lat_deg + 17.0).abs() < 1e-9);
+        let area = crossing.area(&LocalFrame::new(place)).expect("an area");
+        assert!((area.east_m - area.west_m - 2130.0).abs() < 10.0, "{area}");
+        // The middle is on the side where most of it is.
+        let eastern = request([179.99, -17.0, -179.9, -16.9], None)
+            .place(0.0)
+            .expect("a place");
+        assert!((eastern.lon_deg + 179.955).abs() < 1e-9, "{}", eastern.lon_deg);
+    }
+
+    #[test]
+    fn bounds_upside_down_or_around_the_earth_are_no_area() {
+        assert!(
+            request([10.0, 1.0, 9.0, 2.0], None).check().is_err(),
+            "almost all longitudes"
+        );
+        assert!(
+            request([-100.0, 1.0, 100.0, 2.0], None).check().is_err(),
+            "more than half of them"
+        );
+        assert!(request([10.0, 1.0, 9.0, 2.0], Some("EPSG:32601")).check().is_err());
+        assert!(request([179.0, 1.0, 181.0, 2.0], None).check().is_err());
+    }
 }

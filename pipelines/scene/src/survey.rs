@@ -20,6 +20,8 @@ pub struct Survey {
     footprints: Vec<Footprint>,
     /// Lowest and highest ellipsoidal altitude the surface may have, metres.
     pub altitude_range_m: (f64, f64),
+    /// Largest base-to-height ratio of two training images in their middles, metres of relative parallax per metre of altitude.
+    pub widest_base_to_height: f64,
     /// Nominal ground sampling distance, metres, as that of [`super::Scene`].
     pub gsd_m: f64,
     /// Number of bands of every image.
@@ -76,6 +78,7 @@ impl Survey {
         let ground = Ground::find(path, drafts, altitude_range_m, options.area.as_ref(), &mut warnings)?;
         truth::keep_if_here(&mut layout.truth, ground.frame(), ground.area(), &mut warnings);
         let height_m = ground.frame().origin.height_m;
+        let widest_base_to_height = widest_base_to_height(&ground, altitude_range_m)?;
         let mut gsds = Vec::new();
         for draft in ground.drafts().iter().filter(|draft| is_training(draft)) {
             gsds.push(draft.gsd_m(ground.frame(), height_m)?);
@@ -83,6 +86,7 @@ impl Survey {
         Ok(Self {
             footprints: ground::training_footprints(ground.drafts(), ground.frame(), height_m)?,
             altitude_range_m,
+            widest_base_to_height,
             gsd_m: ground::nominal_gsd_m(gsds),
             bands,
             files,
@@ -122,31 +126,6 @@ impl Survey {
         let windows = self.ground.drafts().iter().map(|draft| &draft.window);
         let pixels = windows.map(|window| window.width as f64 * window.height as f64);
         pixels.fold(0.0, f64::max)
-    }
-
-    /// The largest base-to-height ratio of two training images, metres of relative parallax per metre of altitude, in their middles.
-    ///
-    /// # Errors
-    /// When a camera does not see the ground.
-    pub fn widest_base_to_height(&self) -> Result<f64, SceneError> {
-        let (low_m, high_m) = self.altitude_range_m;
-        let mut parallaxes = Vec::new();
-        for draft in self.ground.drafts().iter().filter(|draft| is_training(draft)) {
-            let (width, height) = draft.file.size();
-            let at = |height_m| {
-                let place = draft.localise(width as f64 / 2.0, height as f64 / 2.0, height_m)?;
-                Ok::<_, SceneError>(self.frame().enu_from_geo(place))
-            };
-            let apart = at(high_m)? - at(low_m)?;
-            parallaxes.push([apart.x / apart.z, apart.y / apart.z]);
-        }
-        let mut widest = 0.0f64;
-        for (index, [x, y]) in parallaxes.iter().enumerate() {
-            for [other_x, other_y] in &parallaxes[index + 1..] {
-                widest = widest.max((x - other_x).hypot(y - other_y));
-            }
-        }
-        Ok(widest)
     }
 
     /// The frame at its middle.
@@ -217,6 +196,26 @@ impl Survey {
         }
         count as f64 / (STEPS * STEPS) as f64
     }
+}
+
+fn widest_base_to_height(ground: &Ground, (low_m, high_m): (f64, f64)) -> Result<f64, SceneError> {
+    let mut parallaxes = Vec::new();
+    for draft in ground.drafts().iter().filter(|draft| is_training(draft)) {
+        let (width, height) = draft.file.size();
+        let at = |height_m| {
+            let place = draft.localise(width as f64 / 2.0, height as f64 / 2.0, height_m)?;
+            Ok::<_, SceneError>(ground.frame().enu_from_geo(place))
+        };
+        let apart = at(high_m)? - at(low_m)?;
+        parallaxes.push([apart.x / apart.z, apart.y / apart.z]);
+    }
+    let mut widest = 0.0f64;
+    for (index, [x, y]) in parallaxes.iter().enumerate() {
+        for [other_x, other_y] in &parallaxes[index + 1..] {
+            widest = widest.max((x - other_x).hypot(y - other_y));
+        }
+    }
+    Ok(widest)
 }
 
 fn is_training(draft: &Draft) -> bool {

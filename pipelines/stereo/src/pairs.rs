@@ -77,6 +77,11 @@ pub(super) fn combined_base_to_height(pairs: &[Pair]) -> f32 {
     pairs.iter().map(|pair| pair.base_to_height.powi(2)).sum::<f32>().sqrt()
 }
 
+/// Largest base-to-height ratio of two views that are compared, at `centre` (metres in the frame of the cameras).
+pub fn widest_base_to_height_of(views: &[ViewGeometry], centre: Vec3) -> f32 {
+    widest_base_to_height(&choose(views, centre))
+}
+
 /// Largest base-to-height ratio of the comparisons.
 pub(super) fn widest_base_to_height(pairs: &[Pair]) -> f32 {
     pairs.iter().map(|pair| pair.base_to_height).fold(0.0, f32::max)

@@ -208,6 +208,8 @@ fn estimate(request: &Request, tile: &TileSurvey) -> Estimate {
         bands: request.survey.bands,
         images: tile.images,
         training: tile.training,
+        altitudes_m: request.survey.altitude_range_m.1 - request.survey.altitude_range_m.0,
+        widest_base_to_height: request.survey.widest_base_to_height,
     };
     let read = PROGRAM_BYTES + BYTES_PER_PIXEL * tile.pixels * request.survey.bands as f64;
     estimate_of(&extent, request.config, request.slowness, read)
