@@ -17,14 +17,14 @@ use heliosplat_scene::{Area, Scene};
 use heliosplat_stereo::{MANY_VIEWS, height_levels};
 use std::time::Instant;
 
+pub use super::sweep_memory::PROGRAM_BYTES;
+
 /// Gaussians per cell of the ground grid: walls and doubtful ground add to one each (1.3 to 2.3 were seen).
 const GAUSSIANS_PER_CELL: f64 = 1.8;
 /// Tables of all parameters that training holds: values, gradients, two moments, the best state.
 const TABLES: f64 = 5.0;
 /// Bytes per Gaussian of what one step makes besides: splats, lists of tiles, gradients, ellipses on the plane of the sun.
 const STEP_BYTES_PER_GAUSSIAN: f64 = 560.0;
-/// The program itself with its libraries and their buffers, bytes.
-pub const PROGRAM_BYTES: f64 = 100.0 * 1_048_576.0;
 /// What the allocator keeps at hand, bytes.
 const SPARE_BYTES: f64 = 64.0 * 1_048_576.0;
 /// Planes of 32-bit numbers per pixel of the largest view that one step makes, besides those per channel.

@@ -4,10 +4,11 @@
 //! the finest level searches around what coarser levels found, all hypotheses at most; how many these are follows from the range of
 //! altitudes and the widest base of two images. So a range that is twice as wide may take twice the memory.
 
-use super::estimate::PROGRAM_BYTES;
 use heliosplat_scene::survey::Survey;
 use heliosplat_stereo::height_levels;
 
+/// The program itself with its libraries and their buffers, bytes.
+pub const PROGRAM_BYTES: f64 = 100.0 * 1_048_576.0;
 /// Bytes per height hypothesis of a cell: a cost, and the sum over all paths.
 const BYTES_PER_LEVEL: f64 = 3.0;
 /// Bytes per cell besides: heights chosen at two levels of the search with their candidates, ranges, the guide image, the surface.
