@@ -49,13 +49,15 @@ mod surface;
 pub mod ties;
 mod views;
 mod visibility;
+mod volume;
 mod wta;
 
 pub use heights::height_levels;
 pub use pairs::widest_base_to_height_of as widest_base_to_height;
 pub use parameters::{CandidateTolerance, FEW_VIEWS, MANY_VIEWS, MatchingFacts, MatchingParameters, no_match_weight};
 pub use plane_sweep::plane_sweep;
-pub use request::{PlaneSweepRequest, SearchVolume};
+pub use request::PlaneSweepRequest;
 pub use seen::{AltitudeGrid, FEWEST_VIEWS, views_seeing};
 pub use surface::Surface;
 pub use views::{SweepView, ViewGeometry};
+pub use volume::SearchVolume;

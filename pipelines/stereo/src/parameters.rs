@@ -12,9 +12,10 @@
 //! Constants without a source were chosen by experiment; docs/lab/plane-sweep.md has the tables.
 
 use super::pairs::{self, LEAST_BASE_TO_HEIGHT};
-use super::request::SearchVolume;
+
 use super::seen::pixel_of;
 use super::views::ViewGeometry;
+use super::volume::SearchVolume;
 
 /// Views of a piece of ground up to which the parameters for few views are used.
 pub const FEW_VIEWS: f32 = 4.0;
