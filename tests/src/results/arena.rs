@@ -97,7 +97,7 @@ impl Arena {
     pub(super) fn note(self) -> &'static str {
         match self {
             Self::Block | Self::City => {
-                "BER is the balanced error rate of shadow masks of the images trained on. \"With the image\" uses the image itself to place the border of each traced shadow; \"traced\" does not. PSNR is of held-out images, with the colour of an image of the same day."
+                "\"Unknown of seen\" is the share of the ground that at least two images see and that is unknown. BER is the balanced error rate of shadow masks of the images trained on. \"With the image\" uses the image itself to place the border of each traced shadow; \"traced\" does not. PSNR is of held-out images, with the colour of an image of the same day."
             }
             _ => "",
         }
@@ -125,15 +125,19 @@ const MAE: Column = column("MAE m", "/dsm/mae_m", 1.0, 3);
 const MEDIAN: Column = column("median m", "/dsm/median_m", 1.0, 3);
 const WITHIN: Column = column("within 1 m %", "/dsm/within_1m", 100.0, 1);
 const COMPLETE: Column = column("completeness %", "/dsm/completeness", 100.0, 1);
+const BEYOND: Column = column("beyond 5 m %", "/dsm/beyond_5m", 100.0, 1);
+const SEEN_UNKNOWN: Column = column("unknown of seen %", "/dsm/seen_unknown", 100.0, 1);
 const HELD_OUT: Column = column("PSNR held out dB", "/test/psnr", 1.0, 2);
 const TIME: Column = column("time s", SECONDS, 1.0, 0);
 const MEMORY: Column = column("peak memory MiB", PEAK_BYTES, 1.0 / 1_048_576.0, 0);
 
-const SURFACE: [Column; 10] = [
+const SURFACE: [Column; 12] = [
     MAE,
     MEDIAN,
     WITHIN,
+    BEYOND,
     COMPLETE,
+    SEEN_UNKNOWN,
     column("BER with the image %", "/shadow/ber", 100.0, 1),
     column("BER traced %", "/shadow/traced/ber", 100.0, 1),
     HELD_OUT,
@@ -141,8 +145,8 @@ const SURFACE: [Column; 10] = [
     TIME,
     MEMORY,
 ];
-const SURFACE_WITHOUT_IMAGES: [Column; 6] = [MAE, MEDIAN, WITHIN, COMPLETE, TIME, MEMORY];
-const SURFACE_WITH_IMAGES: [Column; 7] = [MAE, MEDIAN, WITHIN, COMPLETE, HELD_OUT, TIME, MEMORY];
+const SURFACE_WITHOUT_IMAGES: [Column; 7] = [MAE, MEDIAN, WITHIN, BEYOND, COMPLETE, TIME, MEMORY];
+const SURFACE_WITH_IMAGES: [Column; 8] = [MAE, MEDIAN, WITHIN, BEYOND, COMPLETE, HELD_OUT, TIME, MEMORY];
 const NORMALS: Column = column("normals off °", "/test/normals/mean_deg", 1.0, 1);
 const SSIM: Column = column("SSIM", "/test/ssim", 1.0, 3);
 const OLAT: [Column; 7] = [
