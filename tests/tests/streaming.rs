@@ -36,17 +36,24 @@ fn number(of: &Value, pointer: &str) -> f64 {
     of.pointer(pointer).and_then(Value::as_f64).expect("a number")
 }
 
-/// Mean steps of two rasters across each line between two columns, where both know both sides; of lines that are known for the most part.
+/// Median steps of two rasters across each line between two columns, where both know both sides; of lines that are known for the most part.
+/// A wall that moves by a cell is in few places of a line; a seam is all along it.
 fn steps_between_columns(one: &Raster, many: &Raster) -> Vec<[f64; 2]> {
     let steps = |col: usize| {
         let across =
             |raster: &Raster, row: usize| f64::from((raster.at(0, col, row) - raster.at(0, col - 1, row)).abs());
         let both = (0..one.height).map(|row| [across(one, row), across(many, row)]);
         let known: Vec<[f64; 2]> = both.filter(|steps| steps.iter().all(|step| step.is_finite())).collect();
-        let mean = |which: usize| known.iter().map(|steps| steps[which]).sum::<f64>() / known.len() as f64;
-        (known.len() > one.height / 2).then(|| [mean(0), mean(1)])
+        let median = |which: usize| {
+            let mut steps: Vec<f64> = known.iter().map(|steps| steps[which]).collect();
+            steps.sort_by(f64::total_cmp);
+            steps[steps.len() / 2]
+        };
+        (known.len() > one.height / 2).then(|| [median(0), median(1)])
     };
-    (1..one.width).filter_map(steps).collect()
+    // At the rim of the scene, where two images hardly meet, heights are guessed anyway.
+    let rim = one.width / 8;
+    (rim..one.width - rim).filter_map(steps).collect()
 }
 
 fn turned(raster: &Raster) -> Raster {
@@ -89,7 +96,7 @@ fn a_pair_swept_in_tiles_is_that_swept_at_once_and_shows_no_seam() {
         let lines = steps_between_columns(one, many);
         assert!(lines.len() > SIZE_PX / 2);
         for (line, [one, many]) in lines.into_iter().enumerate() {
-            assert!(many - one < 0.05, "line {line}: {one} m and {many} m");
+            assert!(many - one < 0.02, "line {line}: {one} m and {many} m");
         }
     }
     // What is unknown is unknown in all bands, and nothing else is left in the folder.
