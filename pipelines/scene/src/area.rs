@@ -41,7 +41,9 @@ impl AreaRequest {
     /// A sentence that says why not.
     pub fn check(&self) -> Result<(), String> {
         let [west, south, east, north] = self.bounds;
-        let apart = west < east || (self.crs.is_none() && west > east);
+        // Across the antimeridian west is above east; all the way around the Earth they were taken for each other.
+        let crosses = self.crs.is_none() && west > east && self.unwrapped()[2] - west <= 180.0;
+        let apart = west < east || crosses;
         if !(apart && south < north && self.bounds.iter().all(|v| v.is_finite())) {
             return Err(format!("{self}: expected west below east and south below north"));
         }
@@ -51,7 +53,7 @@ impl AreaRequest {
                 "{self}: these are no degrees; say the system with EPSG:N at the end"
             ));
         }
-        if self.crs.is_none() && self.unwrapped()[2] - west > 180.0 {
+        if self.crs.is_none() && east - west > 180.0 {
             return Err(format!(
                 "{self}: it spans more than half of the Earth; give west, south, east, north"
             ));
