@@ -382,7 +382,7 @@ mod tests {
         assert!(refused("[tiles]\nmemory = \"much\"\n").contains("tiles.memory"));
         assert!(refused("[tiles]\noverlap_m = -1.0\n").contains("tiles.overlap_m"));
         assert!(refused("[[areas]]\nname = \"x\"\nimages = [\"b\"]\n").contains("'b'"));
-        assert!(refused("[[areas]]\nname = \"x\"\nbounds = [3.0, 0.0, 1.0, 1.0]\n").contains("half of the Earth"));
+        assert!(refused("[[areas]]\nname = \"x\"\nbounds = [3.0, 0.0, 1.0, 1.0]\n").contains("west below east"));
         assert!(refused("[[presets]]\nname = \"x\"\n").contains("preset ="));
         assert!(
             refused("[[presets]]\nname = \"fast\"\nset = { \"train.iteration\" = 4 }\n").contains("train.iteration")
