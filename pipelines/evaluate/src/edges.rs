@@ -100,9 +100,8 @@ fn is_wall(truth: &Raster, classes: &Raster, col: usize, row: usize) -> bool {
         (row > 0).then(|| here - width),
         (row + 1 < height).then(|| here + width),
     ];
-    let falls = |there: usize| {
-        classes.values[there] != BUILDING && truth.values[here] - truth.values[there] >= WALL_FROM_M
-    };
+    let falls =
+        |there: usize| classes.values[there] != BUILDING && truth.values[here] - truth.values[there] >= WALL_FROM_M;
     classes.values[here] == BUILDING && beside.into_iter().flatten().any(falls)
 }
 

@@ -169,6 +169,16 @@ impl Start<'_> {
                 opacity,
             };
             discs.add(&top);
+            let above_m = surface.above[cell];
+            if above_m - here.z > wall_from_m {
+                // The ground was preferred to what was matched here: training decides.
+                discs.add(&Disc {
+                    centre: Vec3::new(here.x, here.y, above_m),
+                    rotation: Quat::IDENTITY,
+                    opacity: step_opacity,
+                    ..top
+                });
+            }
             if above_floor {
                 discs.add(&Disc {
                     centre: Vec3::new(here.x, here.y, floor_m),
@@ -196,6 +206,7 @@ mod tests {
             west_m: 0.0,
             north_m: 0.0,
             cell_m: 0.5,
+            above: altitude.clone(),
             altitude,
             confidence: vec![1.0; count],
             resolution_m: 0.1,

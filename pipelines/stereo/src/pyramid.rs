@@ -60,6 +60,12 @@ pub(super) struct LevelResult {
     /// Height step of this level, metres.
     pub(super) step_m: f32,
     pub(super) choices: Vec<HeightChoice>,
+    /// Height hypotheses of this level.
+    pub(super) heights: HeightHypotheses,
+    /// Those of each cell.
+    pub(super) ranges: SearchRanges,
+    /// Summed costs of these.
+    pub(super) sums: Vec<u16>,
 }
 
 impl LevelResult {
@@ -193,6 +199,9 @@ impl<'a> Search<'a> {
             factor,
             step_m: heights.step_m,
             choices,
+            heights,
+            ranges,
+            sums,
         }
     }
 
