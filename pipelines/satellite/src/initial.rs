@@ -275,4 +275,14 @@ mod tests {
         assert_eq!(under_roof.len(), FLOOR_CELLS.0);
         assert!(under_roof.iter().all(|&x| x > 8.0));
     }
+
+    #[test]
+    fn what_the_ground_was_preferred_to_starts_above_it() {
+        let mut surface = surface(vec![0.0; 9], 3);
+        surface.above[4] = 6.0;
+        let table = gaussians_on(&surface, &[true; 9]);
+        let over: Vec<usize> = (0..table.count).filter(|&i| table.position(i).z == 6.0).collect();
+        assert_eq!((table.count, over.len()), (10, 1));
+        assert!((table.opacity(over[0]) - 0.35).abs() < 1e-5);
+    }
 }

@@ -91,3 +91,65 @@ fn floor(grid: &Grid, found: &LevelResult) -> Vec<f32> {
     let lowest = lowest_within((grid.width, grid.height), &places, REACH_CELLS);
     lowest.iter().zip(own).map(|(lowest, own)| lowest.min(own)).collect()
 }
+
+#[cfg(test)]
+mod tests {
+    use super::super::heights::HeightHypotheses;
+    use super::super::parameters::MatchingFacts;
+    use super::super::ranges::SearchRanges;
+    use super::*;
+
+    /// Level ground with a strip two cells wide that matches best 6 m above it, by `gap` in summed cost better than at the ground.
+    fn beside_a_wall(gap: u16) -> (Grid, LevelResult, MatchingParameters) {
+        let grid = Grid::plain(24, 24);
+        let heights = HeightHypotheses::new(0.0, 10.0, 0.5);
+        let ranges = SearchRanges::full(grid.len(), &heights);
+        let mut sums = vec![1900u16; ranges.total()];
+        for cell in 0..grid.len() {
+            let of_cell = &mut sums[ranges.range(cell)];
+            if cell % 24 < 2 {
+                (of_cell[2], of_cell[14]) = (1200 + gap, 1200);
+            } else {
+                of_cell[2] = 400;
+            }
+        }
+        let parameters = MatchingParameters::choose(&MatchingFacts {
+            views: 12.0,
+            combined_base_to_height: 3.0,
+            has_index: false,
+        });
+        let found = LevelResult {
+            grid,
+            factor: 1,
+            step_m: heights.step_m,
+            choices: wta::winner_takes_all(&ranges, &heights, &sums, 80),
+            heights,
+            ranges,
+            sums,
+        };
+        (grid, found, parameters)
+    }
+
+    #[test]
+    fn what_hardly_matches_better_than_the_ground_is_the_ground_and_what_clearly_does_stays() {
+        let strip = |gap: u16| {
+            let (grid, mut found, parameters) = beside_a_wall(gap);
+            assert_eq!(found.choices[24].altitude_m, 7.0);
+            prefer(&grid, &mut found, &parameters);
+            assert!(found.choices[5].altitude_m < 1.5, "the ground stays");
+            found.choices[24]
+        };
+        let doubtful = strip(100);
+        assert!(doubtful.altitude_m < 1.5, "{doubtful:?}");
+        assert!(doubtful.deviation_m > 1.0, "it could be a roof: {doubtful:?}");
+        assert_eq!(strip(400).altitude_m, 7.0);
+    }
+
+    #[test]
+    fn what_is_lowered_for_the_views_stays_a_candidate() {
+        let (grid, mut found, parameters) = beside_a_wall(200);
+        lower_for_visibility(&grid, &mut found, &parameters);
+        let choice = found.choices[24];
+        assert!(choice.altitude_m < 1.5 && choice.candidates.1 >= 7.0, "{choice:?}");
+    }
+}

@@ -32,8 +32,9 @@ pub fn plane_sweep(views: &[SweepView], request: &PlaneSweepRequest, progress: &
     let mut found = search
         .descend(1, &|factor| progress(0.5 / factor as f32))
         .expect("the finest level is always searched");
-    floor::lower_for_visibility(&grid, &mut found, parameters);
     for _ in 0..parameters.visibility_rounds {
+        floor::lower_for_visibility(&grid, &mut found, parameters);
+        found = found.without_sums();
         let altitude = found.altitude();
         let tolerance_m = HIDDEN_M.max(HIDDEN_STEPS * found.step_m);
         let hits: Vec<_> = search

@@ -69,6 +69,14 @@ pub(super) struct LevelResult {
 }
 
 impl LevelResult {
+    /// The same without what only a new choice of heights needs, which is large.
+    pub(super) fn without_sums(self) -> Self {
+        Self {
+            sums: Vec::new(),
+            ..self
+        }
+    }
+
     /// Altitude of each cell, metres.
     pub(super) fn altitude(&self) -> Vec<f32> {
         self.choices.iter().map(|choice| choice.altitude_m).collect()
@@ -117,7 +125,8 @@ impl<'a> Search<'a> {
     pub(super) fn descend(&self, finest: usize, progress: &dyn Fn(usize)) -> Option<LevelResult> {
         let mut found = None;
         for factor in self.factors(finest) {
-            found = Some(self.level(factor, found.as_ref(), None));
+            let level = self.level(factor, found.as_ref(), None);
+            found = Some(if factor == finest { level } else { level.without_sums() });
             progress(factor);
         }
         found
