@@ -126,6 +126,7 @@ mod tests {
             heights,
             ranges,
             sums,
+            evidence: Default::default(),
         };
         (grid, found, parameters)
     }

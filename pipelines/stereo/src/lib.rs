@@ -29,6 +29,7 @@ mod census;
 pub mod clouds;
 mod contrast;
 mod cost;
+mod evidence;
 mod floor;
 mod grid;
 mod heights;

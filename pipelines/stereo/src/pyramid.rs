@@ -5,6 +5,7 @@
 //! decided here: how to match stands in the request's [`MatchingParameters`](super::parameters::MatchingParameters).
 
 use super::cost::MatchingCost;
+use super::evidence::Evidence;
 use super::grid::Grid;
 use super::heights::HeightHypotheses;
 use super::level::LevelView;
@@ -66,6 +67,8 @@ pub(super) struct LevelResult {
     pub(super) ranges: SearchRanges,
     /// Summed costs of these.
     pub(super) sums: Vec<u16>,
+    /// What this level and the coarser ones say for these heights.
+    pub(super) evidence: Evidence,
 }
 
 impl LevelResult {
@@ -203,6 +206,8 @@ impl<'a> Search<'a> {
         let sums = volume.aggregate();
         let tolerance = parameters.candidate_tolerance.at(factor);
         let choices = wta::winner_takes_all(&ranges, &heights, &sums, tolerance);
+        let mut evidence = before.map(|found| found.evidence.clone()).unwrap_or_default();
+        evidence.add(&grid, factor, &ranges, &costs, &sums);
         LevelResult {
             grid,
             factor,
@@ -211,6 +216,7 @@ impl<'a> Search<'a> {
             heights,
             ranges,
             sums,
+            evidence,
         }
     }
 
