@@ -19,6 +19,7 @@ pub mod set;
 pub mod shadow_mask;
 pub mod stac;
 pub mod stored;
+pub mod style;
 pub mod surface;
 pub mod views;
 pub mod writer;

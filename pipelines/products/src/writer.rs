@@ -3,7 +3,9 @@
 use super::dsm::{BANDS, Dsm, UNITS};
 use super::ortho;
 use super::stac::{self, About, Asset, Band};
+use super::style::{Layer, Style, layer_file};
 use heliosplat::Raster;
+use heliosplat_raster::preview::{stretched, write_png};
 use heliosplat_raster::write::{Bytes, ImageSpec, write_byte_cog, write_cog};
 use heliosplat_raster::{GridSpec, RasterError, write_atomically};
 use heliosplat_rpc::sun::SunPosition;
@@ -14,6 +16,11 @@ use std::path::{Path, PathBuf};
 
 /// Name of the STAC item.
 const ITEM: &str = "item.json";
+/// Name of the layer file.
+const LAYERS: &str = "layers.qlr";
+/// Name of the small picture, and its longest side, pixels.
+const THUMBNAIL: &str = "thumbnail.png";
+const THUMBNAIL_PX: usize = 512;
 
 /// What an item says besides its assets.
 #[derive(Debug, Clone)]
@@ -49,6 +56,7 @@ pub struct Writer<'a> {
     vertical_datum: &'static str,
     completeness: f64,
     assets: Vec<Asset>,
+    layers: Vec<Layer>,
 }
 
 impl<'a> Writer<'a> {
@@ -61,6 +69,7 @@ impl<'a> Writer<'a> {
             vertical_datum: "WGS84 ellipsoid",
             completeness: 0.0,
             assets: Vec::new(),
+            layers: Vec::new(),
         }
     }
 
@@ -75,7 +84,7 @@ impl<'a> Writer<'a> {
 
     fn bytes(
         &mut self,
-        (key, title, name): (&str, &str, &str),
+        (key, title, name): (&str, &str, &'static str),
         raster: &Raster,
         bytes: Bytes,
         sun: Option<&SunPosition>,
@@ -86,6 +95,11 @@ impl<'a> Writer<'a> {
             &self.spec(raster, &[name], &metadata(sun)),
             bytes,
         )?;
+        let style = match bytes {
+            Bytes::Shades => Style::Shades([1.0, 255.0]),
+            Bytes::Mask => Style::mask(name),
+        };
+        self.styled(&file, title, style)?;
         let bands = [Band { name, unit: "" }];
         let shown;
         // What the file holds is what is described: whole shades.
@@ -120,9 +134,21 @@ impl<'a> Writer<'a> {
         let file = format!("{key}.tif");
         let names: Vec<&str> = bands.iter().map(|band| band.name()).collect();
         write_cog(&self.out.join(&file), &self.spec(raster, &names, &metadata(sun)))?;
+        self.styled(&file, title, Style::colours(raster, &names))?;
         let bands: Vec<Band> = names.iter().map(|name| Band { name, unit: "" }).collect();
         let asset = Asset::raster((key, &file, title), raster, &bands, None, self.gsd_m, sun);
         self.assets.push(asset);
+        Ok(())
+    }
+
+    /// Writes how a raster is shown beside it, and notes it for the layer file.
+    fn styled(&mut self, file: &str, title: &str, style: Style) -> Result<(), RasterError> {
+        write_atomically(&self.out.join(file).with_extension("qml"), style.qml().as_bytes())?;
+        self.layers.push(Layer {
+            file: file.to_owned(),
+            title: title.to_owned(),
+            style,
+        });
         Ok(())
     }
 
@@ -141,6 +167,7 @@ impl<'a> Writer<'a> {
         let title = format!("Surface model, metres above {}", self.vertical_datum);
         let asset = Asset::raster(("dsm", "dsm.tif", &title), &dsm.raster, &bands, None, self.gsd_m, None);
         self.assets.push(asset);
+        self.styled("dsm.tif", &title, Style::heights(&dsm.raster))?;
         self.completeness = dsm.completeness();
         let shade = ortho::hillshade(&dsm.altitude(), self.gsd_m);
         let title = "Hillshade of the surface, light from the north-west";
@@ -159,6 +186,11 @@ impl<'a> Writer<'a> {
     ) -> Result<(), RasterError> {
         let title = "True-ortho albedo, relative to level ground in full sun";
         self.floats(("albedo", title), albedo, bands, None)?;
+        let (width, height) = (self.grid.width, self.grid.height);
+        // A strip keeps a pixel of its shorter side.
+        let smaller = width.max(height).div_ceil(THUMBNAIL_PX).min(width.min(height)).max(1);
+        write_png(&self.out.join(THUMBNAIL), &stretched(&albedo.downscaled(smaller)))?;
+        self.assets.push(Asset::thumbnail(THUMBNAIL));
         let Some(index) = index else {
             return Ok(());
         };
@@ -202,7 +234,7 @@ impl<'a> Writer<'a> {
     ///
     /// # Errors
     /// When the grid cannot be placed, or the file not be written.
-    pub fn finish(self, said: &Said) -> Result<Set, RasterError> {
+    pub fn finish(mut self, said: &Said) -> Result<Set, RasterError> {
         let about = About {
             id: said.id,
             grid: self.grid,
@@ -214,7 +246,12 @@ impl<'a> Writer<'a> {
         };
         let item = stac::item(&about, &self.assets)?;
         write_atomically(&self.out.join(ITEM), format!("{item:#}\n").as_bytes())?;
-        let mut names: Vec<String> = self.assets.into_iter().map(|asset| asset.file).collect();
+        // What was written last lies on top.
+        self.layers.reverse();
+        write_atomically(&self.out.join(LAYERS), layer_file(said.id, &self.layers).as_bytes())?;
+        let styles = self.layers.iter().map(|layer| layer.file.replace(".tif", ".qml"));
+        let mut names: Vec<String> = self.assets.into_iter().map(|asset| asset.file).chain(styles).collect();
+        names.push(LAYERS.into());
         names.push(ITEM.into());
         let files: Vec<PathBuf> = names.iter().map(|name| self.out.join(name)).collect();
         Ok(Set {
