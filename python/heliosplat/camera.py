@@ -5,10 +5,10 @@ from __future__ import annotations
 import json
 import os
 from pathlib import Path
-from typing import Any
+from typing import Any, BinaryIO
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from . import _heliosplat
 
@@ -54,7 +54,8 @@ class Rpc:
 
     def to_dict(self) -> dict[str, Any]:
         """Its numbers under the keys of rpcm: ``rpcm.RPCModel(rpc.to_dict(), dict_format="rpcm")`` is the same camera."""
-        return json.loads(self._camera.json())
+        values: dict[str, Any] = json.loads(self._camera.json())
+        return values
 
     def to_rpc_txt(self) -> str:
         """The text of an ``_RPC.TXT`` file."""
@@ -86,7 +87,7 @@ def _elementwise(function: Any, *arrays: ArrayLike) -> tuple[Any, Any]:
     return first.reshape(shape), second.reshape(shape)
 
 
-def _opened(path: Path) -> Any:
+def _opened(path: Path) -> BinaryIO:
     try:
         return path.open("rb")
     except OSError as error:

@@ -59,7 +59,7 @@ impl Camera {
                         height_m: height[i],
                     })
                     .collect();
-                let found = self.rpc.project_all(&points).into_iter();
+                let found = project_all(&self.rpc, &points).into_iter();
                 found.map(|point| [point.col, point.row]).collect()
             })
         });
@@ -92,6 +92,13 @@ impl Camera {
             })
         });
         Ok((lons.into_pyarray(py), lats.into_pyarray(py)))
+    }
+}
+
+heliosplat::vectorised! {
+    /// The same bits by whatever instructions the processor has.
+    fn project_all(rpc: &Rpc, points: &[GeoPoint]) -> Vec<ImagePoint> {
+        rpc.project_all(points)
     }
 }
 

@@ -35,7 +35,9 @@ def points(rpc, count):
 
 def golden(shared):
     for path in sorted((shared / "golden/rpc").glob("*.json")):
-        yield path.stem, json.loads(path.read_text())["rpc"]
+        values = json.loads(path.read_text())
+        if "rpc" in values:
+            yield path.stem, values["rpc"]
 
 
 def test_points_are_where_rpcm_says_to_a_hundred_millionth_of_a_pixel(shared):

@@ -19,10 +19,10 @@ def box():
 
 
 def test_the_sun_is_where_pvlib_says(shared):
-    cases = json.loads((shared / "golden/sun.json").read_text())["cases"]
+    cases = json.loads((shared / "golden/sun.json").read_text())["rows"]
     assert len(cases) > 100
     times = np.array([case["utc"].rstrip("Z").replace("+00:00", "") for case in cases], dtype="datetime64[us]")
-    place = [np.array([case[name] for case in cases], dtype=float) for name in ("lat", "lon", "alt")]
+    place = [np.array([case[name] for case in cases], dtype=float) for name in ("lat", "lon", "alt_m")]
     azimuth, elevation = heliosplat.sun_position(times, *place)
     expected = np.array([[case["azimuth_deg"], case["elevation_deg"]] for case in cases])
     off_azimuth = (azimuth - expected[:, 0] + 180) % 360 - 180
@@ -40,7 +40,7 @@ def test_times_are_taken_as_texts_datetimes_and_arrays():
             heliosplat.sun_position(wrong, 37.58, 36.91)
 
 
-@pytest.mark.parametrize(("azimuth", "elevation"), [(90, 50), (270, 55), (180, 60), (0, 40)])
+@pytest.mark.parametrize(("azimuth", "elevation"), [(90, 50), (270, 55), (180, 60), (0, 55)])
 def test_a_shadow_is_as_long_as_height_and_sun_say(azimuth, elevation):
     mask = heliosplat.shadows(box(), azimuth, elevation, cell_m=0.5)
     line = {90: mask[30, :30], 270: mask[30, 36:], 180: mask[:20, 33], 0: mask[40:, 33]}[azimuth]
