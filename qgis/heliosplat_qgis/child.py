@@ -63,6 +63,8 @@ def run(command, say, progress, cancelled):
             last = line
     for reader in readers:
         reader.join()
+    child.stdout.close()
+    child.stderr.close()
     if child.returncode == 130:
         raise ChildError("stopped: " + (last or "the user cancelled"))
     if child.returncode != 0:

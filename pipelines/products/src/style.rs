@@ -4,6 +4,7 @@
 //! The renderers are templates in `style/`, in the words of QGIS 3.22, which later versions read; ranges are filled in from the values.
 
 use heliosplat::Raster;
+use heliosplat_raster::Crs;
 use heliosplat_rpc::statistics::quantile;
 use std::fmt::Write;
 
@@ -125,9 +126,15 @@ pub struct Layer {
     pub style: Style,
 }
 
-/// The layer file of a group, the topmost layer first.
-pub fn layer_file(group: &str, layers: &[Layer]) -> String {
+/// The layer file of a group in a coordinate system, the topmost layer first.
+pub fn layer_file(group: &str, crs: &Crs, layers: &[Layer]) -> String {
     let (mut tree, mut maps) = (String::new(), String::new());
+    // QGIS takes the code where there is one, else the text.
+    let code = Some(crs.definition()).filter(|definition| definition.starts_with("EPSG:") && !definition.contains('+'));
+    let srs = match code {
+        Some(code) => format!("<authid>{}</authid>", escaped(code)),
+        None => format!("<wkt>{}</wkt>", escaped(crs.wkt())),
+    };
     for (number, layer) in layers.iter().enumerate() {
         let (file, title) = (escaped(&layer.file), escaped(&layer.title));
         let id = format!(
@@ -147,7 +154,7 @@ pub fn layer_file(group: &str, layers: &[Layer]) -> String {
         let _ = write!(
             maps,
             "  <maplayer type=\"raster\">\n <id>{id}</id>\n <datasource>./{file}</datasource>\n <layername>{title}</layername>\n \
-             <provider>gdal</provider>\n{} <blendMode>{}</blendMode>\n  </maplayer>\n",
+             <provider>gdal</provider>\n <srs><spatialrefsys>{srs}</spatialrefsys></srs>\n{} <blendMode>{}</blendMode>\n  </maplayer>\n",
             layer.style.pipe(),
             layer.style.blend_mode()
         );
@@ -219,9 +226,11 @@ mod tests {
             title: "a <b>".into(),
             style,
         });
-        let text = layer_file("\"run\"", &layers);
+        let crs = Crs::from_epsg(32_637).expect("UTM");
+        let text = layer_file("\"run\"", &crs, &layers);
         assert!(!text.contains(['{', '}']) && text.contains("a&amp;b.tif") && text.contains("a &lt;b&gt;"));
         assert_eq!(text.matches("<maplayer ").count(), 5);
+        assert_eq!(text.matches("<authid>EPSG:32637</authid>").count(), 5);
     }
 
     #[test]

@@ -248,7 +248,10 @@ impl<'a> Writer<'a> {
         write_atomically(&self.out.join(ITEM), format!("{item:#}\n").as_bytes())?;
         // What was written last lies on top.
         self.layers.reverse();
-        write_atomically(&self.out.join(LAYERS), layer_file(said.id, &self.layers).as_bytes())?;
+        write_atomically(
+            &self.out.join(LAYERS),
+            layer_file(said.id, &self.grid.crs, &self.layers).as_bytes(),
+        )?;
         let styles = self.layers.iter().map(|layer| layer.file.replace(".tif", ".qml"));
         let mut names: Vec<String> = self.assets.into_iter().map(|asset| asset.file).chain(styles).collect();
         names.push(LAYERS.into());
