@@ -14,7 +14,7 @@ RENDERERS = {"dsm": "singlebandpseudocolor", "sun_hours": "singlebandpseudocolor
 
 application = QgsApplication([], False)
 application.initQgis()
-folder = Path(sys.argv[1])
+folder = Path(sys.argv[1]).resolve()
 for path in sorted(folder.glob("*.tif")):
     layer = QgsRasterLayer(str(path), path.stem)
     renderer = layer.renderer().type()
@@ -28,7 +28,8 @@ project = QgsProject.instance()
 good, message = QgsLayerDefinition.loadLayerDefinition(str(folder / "layers.qlr"), project, project.layerTreeRoot())
 assert good, message
 layers = list(project.mapLayers().values())
-assert layers and all(layer.isValid() and layer.crs().isValid() for layer in layers), [layer.name() for layer in layers]
+bad = [(layer.name(), layer.isValid(), layer.crs().isValid(), layer.source()) for layer in layers if not (layer.isValid() and layer.crs().isValid())]
+assert layers and not bad, f"{bad} of {len(layers)} layers have no place"
 print(f"{len(layers)} layers in group {project.layerTreeRoot().children()[0].name()!r}")
 if len(sys.argv) > 2:
     shown = project.layerTreeRoot().checkedLayers()

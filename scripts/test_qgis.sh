@@ -46,7 +46,7 @@ if "$process" run heliosplat:relight -- RUN="$work/home" OUTPUT="$work/relit.tif
   echo "relighting no run succeeded" >&2
   exit 1
 fi
-grep -i 'not a run\|no model' "$work/log"
+grep -i 'not a finished run' "$work/log" || { tail "$work/log"; exit 1; }
 
 say 'cancel'
 /usr/bin/python3 qgis/test_child.py "$HELIOSPLAT" "$scene"

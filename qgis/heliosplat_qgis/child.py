@@ -66,7 +66,7 @@ def run(command, say, progress, cancelled):
     child.stdout.close()
     child.stderr.close()
     if child.returncode == 130:
-        raise ChildError("stopped: " + (last or "the user cancelled"))
+        raise ChildError(last.replace("error: ", "", 1) or "stopped")
     if child.returncode != 0:
         raise ChildError(last.replace("error: ", "", 1) or f"heliosplat ended with code {child.returncode}")
     text = "".join(output)

@@ -129,12 +129,12 @@ pub struct Layer {
 /// The layer file of a group in a coordinate system, the topmost layer first.
 pub fn layer_file(group: &str, crs: &Crs, layers: &[Layer]) -> String {
     let (mut tree, mut maps) = (String::new(), String::new());
-    // QGIS takes the code where there is one, else the text.
     let code = Some(crs.definition()).filter(|definition| definition.starts_with("EPSG:") && !definition.contains('+'));
-    let srs = match code {
-        Some(code) => format!("<authid>{}</authid>", escaped(code)),
-        None => format!("<wkt>{}</wkt>", escaped(crs.wkt())),
-    };
+    let srs = format!(
+        "<wkt>{}</wkt><authid>{}</authid>",
+        escaped(crs.wkt()),
+        escaped(code.unwrap_or_default())
+    );
     for (number, layer) in layers.iter().enumerate() {
         let (file, title) = (escaped(&layer.file), escaped(&layer.title));
         let id = format!(
@@ -159,9 +159,11 @@ pub fn layer_file(group: &str, crs: &Crs, layers: &[Layer]) -> String {
             layer.style.blend_mode()
         );
     }
+    // The outer group is none: QGIS takes what is in it.
     format!(
-        "<!DOCTYPE qgis-layer-definition>\n<qlr>\n <layer-tree-group name=\"{}\" checked=\"Qt::Checked\" expanded=\"1\">\n{tree} \
-         </layer-tree-group>\n <maplayers>\n{maps} </maplayers>\n</qlr>\n",
+        "<!DOCTYPE qgis-layer-definition>\n<qlr>\n <layer-tree-group name=\"\" checked=\"Qt::Checked\" expanded=\"1\">\n \
+         <layer-tree-group name=\"{}\" checked=\"Qt::Checked\" expanded=\"1\">\n{tree} </layer-tree-group>\n </layer-tree-group>\n \
+         <maplayers>\n{maps} </maplayers>\n</qlr>\n",
         escaped(group)
     )
 }
