@@ -161,7 +161,7 @@ impl<'a> Surface<'a> {
 }
 
 fn check_sun(azimuth_deg: f64, elevation_deg: f64) -> PyResult<()> {
-    if !azimuth_deg.is_finite() || !(elevation_deg > 0.0 && elevation_deg < 90.0) {
+    if !(azimuth_deg.is_finite() && elevation_deg > 0.0 && elevation_deg < 90.0) {
         return Err(raised(format!(
             "a sun at azimuth {azimuth_deg}, elevation {elevation_deg} degrees casts no shadow; the elevation must be between 0 and 90"
         )));
