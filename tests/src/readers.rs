@@ -202,7 +202,7 @@ pub fn object_json(bytes: &[u8]) -> bool {
 
 /// `model.ply` of an object, of a model of one light at a time.
 pub fn object_ply(bytes: &[u8]) -> bool {
-    objects::ply::decode(bytes, captures::olat().feature_groups()).is_ok()
+    heliosplat_exchange::splat_ply::decode(bytes, captures::olat().feature_groups()).is_ok()
 }
 
 /// `run.toml` of an object.
