@@ -234,7 +234,7 @@ impl Ground {
             [0, 1].map(|k| (aside[k] as f32 + 0.5) / size[k])
         };
         let mut out = Triangles::default();
-        let mut add = |c: usize, r: usize, normal: Vec3, out: &mut Triangles| {
+        let add = |c: usize, r: usize, normal: Vec3, out: &mut Triangles| {
             out.positions.push(place(c, r).to_array());
             out.normals.push(normal.to_array());
             out.places.push(on_picture(c, r));
