@@ -35,7 +35,7 @@ import rasterio
 from PIL import Image
 
 ABOVE_M = 20000.0
-ZOOM = 4  # pixels of the screen for each of ours, along a side
+SCREEN_MOST = 1000  # pixels along a side of the screen
 CHROMIUM = ["--headless", "--no-sandbox", "--disable-dev-shm-usage", "--use-angle=swiftshader",
             "--enable-unsafe-swiftshader", "--hide-scrollbars", "--force-device-scale-factor=1"]
 
@@ -72,7 +72,7 @@ window.onerror=m=>post({error:String(m)});
     const lit=tileset.tilesLoaded&&url.length>20000;
     same=lit&&url===last?same+1:0; last=url;
     const waited=performance.now()-begun;
-    if(same>=4||waited>150000) post({url,corners,frames,seconds:waited/1000,settled:same>=4,
+    if(same>=4||waited>500000) post({url,corners,frames,seconds:waited/1000,settled:same>=4,
       tiles:tileset.statistics.numberOfTilesWithContentReady,version:Cesium.VERSION,size:[scene.canvas.width,scene.canvas.height]});
     else setTimeout(look,400);
   };
@@ -128,8 +128,8 @@ class Server:
             command = [chromium, *CHROMIUM, f"--window-size={size[0]},{size[1] + 200}", f"--user-data-dir={profile}", address]
             browser = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
             try:
-                if not self.done.wait(240):
-                    sys.exit("the page said nothing within 240 s")
+                if not self.done.wait(560):
+                    sys.exit("the page said nothing within 560 s")
             finally:
                 browser.terminate()
                 browser.wait()
@@ -213,8 +213,10 @@ def main():
     right[2] = 0
     right /= np.linalg.norm(right)
     up = np.array([-right[1], right[0], 0.0])
-    height, width = ZOOM * known.shape[0], ZOOM * known.shape[1]
-    pixel = gsd / ZOOM
+    # Pixels of the screen for each of ours, along a side.
+    zoom = max(2, min(4, SCREEN_MOST // max(known.shape)))
+    height, width = zoom * known.shape[0], zoom * known.shape[1]
+    pixel = gsd / zoom
     eye = middle + np.array([0, 0, ABOVE_M])
     lens = max(width, height) * pixel / ABOVE_M
     area = json.loads((args.run / "model.json").read_text())["area"]
@@ -244,7 +246,7 @@ def main():
     depth = ABOVE_M - aside[..., 2]
     x = (width - 1) / 2 + focal * (aside @ right) / depth
     y = (height - 1) / 2 - focal * (aside @ up) / depth
-    steps = (np.arange(ZOOM) - (ZOOM - 1) / 2)
+    steps = (np.arange(zoom) - (zoom - 1) / 2)
 
     def globe(dx, dy):
         parts = [sample(picture, x + dx + a, y + dy + b) for a in steps for b in steps]
@@ -256,12 +258,12 @@ def main():
     here = error(0, 0)
     psnr = -10 * np.log10(here)
     vertex = lambda a, b: 0.5 * (a - b) / (a - 2 * here + b)
-    shift = [vertex(error(-ZOOM / 2, 0), error(ZOOM / 2, 0)) * gsd / 2, vertex(error(0, -ZOOM / 2), error(0, ZOOM / 2)) * gsd / 2]
+    shift = [vertex(error(-zoom / 2, 0), error(zoom / 2, 0)) * gsd / 2, vertex(error(0, -zoom / 2), error(0, zoom / 2)) * gsd / 2]
     print(f"psnr {psnr:.2f} dB over {int(inner.sum())} pixels of {gsd:.2f} m; shifted by {shift[0]:.3f} m, {-shift[1]:.3f} m (right, up)")
     failed += ["psnr"] if psnr < 25 else []
     failed += ["shift"] if max(map(abs, shift)) > gsd / 2 else []
     save = lambda name, values: Image.fromarray((np.nan_to_num(np.clip(values, 0, 1)) * 255).round().astype(np.uint8)).save(args.out / name)
-    save("ours.png", np.kron(np.nan_to_num(ours), np.ones((ZOOM, ZOOM, 1))))
+    save("ours.png", np.kron(np.nan_to_num(ours), np.ones((zoom, zoom, 1))))
     save("globe.png", picture)
 
     # From the side, to look at: the splats, and the surface in the globe's own light.

@@ -5,7 +5,7 @@
 //! they stand in glTF, without the draft's change of axes: CesiumJS makes none either, and turned models by 180 degrees otherwise.
 //!
 //! Steps: 1/4096 m within 2 km of the origin and twice as much for each doubling of that, 6.4 % of a scale, 1/255 of opacity, 1/136 of
-//! colour, some 0.1 degrees of a turn. Places beyond 2000 km are brought to the edge.
+//! colour, 0.2 degrees of a turn. Places beyond 2000 km are brought to the edge.
 
 use crate::glb::{Builder, TooLarge, bounds};
 use crate::splats::{GAUSSIAN_SPLATTING, Splat, extension};
