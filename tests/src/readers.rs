@@ -11,7 +11,7 @@ use heliosplat::model::shadow_gs::{ShadowGs, ShadowGsOptions};
 use heliosplat_cli::batch::manifest::Manifest;
 use heliosplat_objects::model::ObjectFile;
 use heliosplat_objects::run::ObjectRun;
-use heliosplat_objects::{self as objects, transforms};
+use heliosplat_objects::transforms;
 use heliosplat_products::{model::ModelFile, ply};
 use heliosplat_rpc::read::{self, acquisition};
 use heliosplat_rpc::{ImagePoint, Rpc, write};

@@ -2,7 +2,7 @@
 //!
 //! Volumes are boxes in the frame of the tiles: metres east, north and up of the site. The root's transform brings them to
 //! Earth-centred, Earth-fixed metres. A tile is replaced by its children. Each holds the same ground with finer splats, so the tree is at
-//! least three levels deep: viewers leave splats out that are smaller than two pixels.
+//! least three levels deep, and as deep as it takes for a coarsest tile of a few hundred splats: viewers leave splats out that are small.
 
 use crate::glb::TooLarge;
 use crate::merge::merged;
@@ -15,13 +15,18 @@ use serde_json::{Value, json};
 const TILE_MOST: usize = 1 << 16;
 /// Levels of merged splats above the ones of the model, at least.
 const LEVELS_LEAST: usize = 2;
+/// Splats of the coarsest tile, about: a site is seen until they are too small.
+const ROOT_SPLATS: usize = 256;
 /// Depth at which nothing is cut any more: more splats than a tile may have, all in one place.
-const DEPTH_MOST: usize = 12;
+const DEPTH_MOST: usize = 16;
 /// Standard deviations that a splat reaches.
 const REACH: f32 = 3.0;
-/// Metres of geometric error for each metre of a cell. Viewers replace a tile whose error is 16 pixels wide on the screen, so that a
-/// cell is at most two pixels wide.
+/// Metres of geometric error for each metre of a cell of a mesh. Viewers replace a tile whose error is 16 pixels wide on the screen, so
+/// that a cell is at most two pixels wide.
 pub const ERROR_OF_CELL: f64 = 8.0;
+/// The same of splats. CesiumJS draws none whose axes, `sqrt(2)` standard deviations, are both below two pixels. Splats half as far apart have
+/// standard deviations of a third of a cell: they must not be shown before a cell is 4.4 pixels wide, and are from 5.3 pixels on.
+const ERROR_OF_SPLATS: f64 = 3.0;
 
 /// A tile and those below it.
 #[derive(Debug, Clone, PartialEq)]
@@ -107,7 +112,8 @@ pub fn of_splats<E: From<TooLarge>>(
     let (low, high) = extent(&splats);
     let ground = (high - low).truncate().element_product().max(f32::MIN_POSITIVE);
     let spacing_m = (ground / splats.len().max(1) as f32).sqrt();
-    Tree { spacing_m, write }.grow(splats, "tile".into(), LEVELS_LEAST, 0)
+    let levels = levels_above(splats.len(), ROOT_SPLATS).max(LEVELS_LEAST);
+    Tree { spacing_m, write }.grow(splats, "tile".into(), levels, 0)
 }
 
 struct Tree<'w, E> {
@@ -119,7 +125,7 @@ struct Tree<'w, E> {
 impl<E: From<TooLarge>> Tree<'_, E> {
     fn grow(&mut self, splats: Vec<Splat>, name: String, levels: usize, depth: usize) -> Result<Tile, E> {
         let levels = match depth < DEPTH_MOST {
-            true => levels.max(levels_to_cut(splats.len())),
+            true => levels.max(levels_above(splats.len(), TILE_MOST)),
             false => 0,
         };
         let (low, high) = extent(&splats);
@@ -141,7 +147,7 @@ impl<E: From<TooLarge>> Tree<'_, E> {
             coarse = merged(&coarse, cell_m);
         }
         (self.write)(&tile.file, spz::glb(&coarse)?)?;
-        tile.error_m = ERROR_OF_CELL * f64::from(cell_m);
+        tile.error_m = ERROR_OF_SPLATS * f64::from(cell_m);
         tile.include(extent(&coarse));
         drop(coarse);
         for (quarter, part) in parts(splats).into_iter().enumerate() {
@@ -170,10 +176,10 @@ impl Tile {
     }
 }
 
-/// How often so many splats are quartered until each part has few enough, if they lie evenly.
-fn levels_to_cut(count: usize) -> usize {
-    match count > TILE_MOST {
-        true => 1 + levels_to_cut(count.div_ceil(4)),
+/// How often so many are quartered until they are few enough.
+fn levels_above(count: usize, most: usize) -> usize {
+    match count > most {
+        true => 1 + levels_above(count.div_ceil(4), most),
         false => 0,
     }
 }
@@ -257,13 +263,13 @@ mod tests {
         check(&tile, &files, &mut leaves);
         assert_eq!(leaves, 1600);
         let coarsest = files[&tile.file];
-        assert!((60..400).contains(&coarsest), "{coarsest}");
+        assert!((60..2 * ROOT_SPLATS).contains(&coarsest), "{coarsest}");
     }
 
     #[test]
     fn a_large_site_is_cut_and_nothing_is_lost_or_twice() {
         let (tile, files) = grown(ground(700));
-        assert_eq!(tile.depth(), 3);
+        assert_eq!(tile.depth(), 7);
         assert!(tile.children.len() == 4 && tile.count() == files.len());
         let mut leaves = 0;
         check(&tile, &files, &mut leaves);
