@@ -129,8 +129,8 @@ impl<'a> Ground<'a> {
         self.images.iter().zip(rasters).map(index).collect()
     }
 
-    /// Cells that enough of the images show, at their altitude and at that of the ground around: [`COVERAGE`] of the images, and at
-    /// least two. At the ragged edge of the common ground, where two dates meet at best, the initial surface is mostly noise; a rim
+    /// Cells that are matched better than by chance and that enough of the images show, at their altitude and at that of the ground
+    /// around: [`COVERAGE`] of the images, and at least two. At the ragged edge of the common ground, where two dates meet at best, the initial surface is mostly noise; a rim
     /// of it would throw shadows over the scene.
     pub(super) fn covered(&self, surface: &Surface) -> Vec<bool> {
         let needed = ((self.images.len() as f64 * COVERAGE).ceil() as usize).max(2);
@@ -143,7 +143,9 @@ impl<'a> Ground<'a> {
         };
         (0..surface.altitude.len())
             .into_par_iter()
-            .map(|cell| self.images.iter().filter(|image| shows(image, cell)).count() >= needed)
+            .map(|cell| {
+                surface.matched[cell] && self.images.iter().filter(|image| shows(image, cell)).count() >= needed
+            })
             .collect()
     }
 

@@ -266,6 +266,7 @@ mod tests {
             cell_m: 1.0,
             views: vec![2; 160],
             probability: vec![1.0; 160],
+            matched: vec![true; 160],
             ..Surface::default()
         };
         surface.altitude = (0..160).map(|i| if i % 40 >= 20 { 10.0 } else { 0.0 }).collect();

@@ -10,7 +10,7 @@
 mod brightness;
 
 use super::grid::Grid;
-use super::ortho;
+use super::ortho::{self, box_mean};
 use super::postprocess;
 use super::pyramid::Search;
 use super::request::PlaneSweepRequest;
@@ -48,7 +48,13 @@ pub fn find_clouds(views: &[SweepView], request: &PlaneSweepRequest) -> Vec<Vec<
     };
     let grid = found.grid;
     let altitude = ortho::median(&grid, &found.altitude(), MEDIAN_RADIUS);
-    let excess = brightness::excess(views, &search, &grid, &altitude, HIDDEN_STEPS * found.step_m);
+    let mut excess = brightness::excess(views, &search, &grid, &altitude, HIDDEN_STEPS * found.step_m);
+    // Glitter on water is brighter than what other views show too, and no cloud: where nothing matches there is no ground to compare with.
+    let matched = found.evidence.matched(&search.grid);
+    let is_matched = |cell: usize| matched[cell / grid.width * FACTOR * search.grid.width + cell % grid.width * FACTOR];
+    for cell in (0..grid.len()).filter(|&cell| !is_matched(cell)) {
+        excess.iter_mut().for_each(|view| view[cell] = f32::NAN);
+    }
     let radius = |metres: f32| (metres / grid.cell_m).round() as usize;
     let cells = (LEAST_M2 / grid.cell_m.powi(2)).ceil() as usize;
     masks
@@ -68,27 +74,6 @@ pub fn find_clouds(views: &[SweepView], request: &PlaneSweepRequest) -> Vec<Vec<
             }
         });
     masks
-}
-
-/// Means over square windows of what is known; NaN where less than half of one is.
-fn box_mean(grid: &Grid, values: &[f32], radius: usize) -> Vec<f32> {
-    let whole = (2 * radius + 1).pow(2);
-    (0..grid.len())
-        .into_par_iter()
-        .with_min_len(grid.width)
-        .map(|cell| {
-            let known = grid
-                .around(cell, radius)
-                .map(|near| values[near])
-                .filter(|v| v.is_finite());
-            let (sum, count) = known.fold((0.0, 0), |(sum, count), v| (sum + v, count + 1));
-            if 2 * count >= whole {
-                sum / count as f32
-            } else {
-                f32::NAN
-            }
-        })
-        .collect()
 }
 
 /// Marks the pixels within [`EDGE_M`] of where a view shows a cell.

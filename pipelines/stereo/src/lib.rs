@@ -29,6 +29,7 @@ mod census;
 pub mod clouds;
 mod contrast;
 mod cost;
+mod evidence;
 mod grid;
 mod heights;
 mod level;

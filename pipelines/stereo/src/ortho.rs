@@ -65,3 +65,24 @@ pub(super) fn median(grid: &Grid, values: &[f32], radius: usize) -> Vec<f32> {
         });
     out
 }
+
+/// Means over square windows of what is known; NaN where less than half of one is.
+pub(super) fn box_mean(grid: &Grid, values: &[f32], radius: usize) -> Vec<f32> {
+    let whole = (2 * radius + 1).pow(2);
+    (0..grid.len())
+        .into_par_iter()
+        .with_min_len(grid.width)
+        .map(|cell| {
+            let known = grid
+                .around(cell, radius)
+                .map(|near| values[near])
+                .filter(|v| v.is_finite());
+            let (sum, count) = known.fold((0.0, 0), |(sum, count), v| (sum + v, count + 1));
+            if 2 * count >= whole {
+                sum / count as f32
+            } else {
+                f32::NAN
+            }
+        })
+        .collect()
+}

@@ -62,6 +62,7 @@ pub fn plane_sweep(views: &[SweepView], request: &PlaneSweepRequest, progress: &
         confidence,
         deviation_m: found.choices.iter().map(|choice| choice.deviation_m).collect(),
         probability: found.choices.iter().map(|choice| choice.probability).collect(),
+        matched: found.evidence.matched(&grid),
         views: seen(&search, &grid, &altitude, found.step_m),
         resolution_m: found.step_m,
         filled,

@@ -5,6 +5,7 @@
 //! decided here: how to match stands in the request's [`MatchingParameters`](super::parameters::MatchingParameters).
 
 use super::cost::MatchingCost;
+use super::evidence::Evidence;
 use super::grid::Grid;
 use super::heights::HeightHypotheses;
 use super::level::LevelView;
@@ -60,6 +61,8 @@ pub(super) struct LevelResult {
     /// Height step of this level, metres.
     pub(super) step_m: f32,
     pub(super) choices: Vec<HeightChoice>,
+    /// What this level and the coarser ones say for these heights.
+    pub(super) evidence: Evidence,
 }
 
 impl LevelResult {
@@ -188,11 +191,14 @@ impl<'a> Search<'a> {
         let sums = volume.aggregate();
         let tolerance = parameters.candidate_tolerance.at(factor);
         let choices = wta::winner_takes_all(&ranges, &heights, &sums, tolerance);
+        let mut evidence = before.map(|found| found.evidence.clone()).unwrap_or_default();
+        evidence.add(&grid, factor, &ranges, &costs, &sums);
         LevelResult {
             grid,
             factor,
             step_m: heights.step_m,
             choices,
+            evidence,
         }
     }
 

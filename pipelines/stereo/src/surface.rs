@@ -28,6 +28,8 @@ pub struct Surface {
     pub deviation_m: Vec<f32>,
     /// Probability that each altitude was matched right to within two height steps, 0 to 1.
     pub probability: Vec<f32>,
+    /// Whether the views agree there better than by chance.
+    pub matched: Vec<bool>,
     /// Number of views that see each cell at its altitude.
     pub views: Vec<u8>,
     /// Step of the height hypotheses, metres: what the views can tell apart.
@@ -45,6 +47,7 @@ impl Surface {
             self.confidence.len(),
             self.deviation_m.len(),
             self.probability.len(),
+            self.matched.len(),
             self.views.len(),
             self.filled.len(),
         ]
@@ -52,10 +55,10 @@ impl Surface {
         .all(|length| Some(length) == cells)
     }
 
-    /// Whether the altitude of a cell is known: at least [`FEWEST_VIEWS`] views see it there, and it is more probable than all other
-    /// altitudes together.
+    /// Whether the altitude of a cell is known: at least [`FEWEST_VIEWS`] views see it there and agree better than by chance, and it is more
+    /// probable than all other altitudes together.
     pub fn is_known(&self, cell: usize) -> bool {
-        self.views[cell] >= FEWEST_VIEWS && self.probability[cell] >= KNOWN_PROBABILITY
+        self.views[cell] >= FEWEST_VIEWS && self.matched[cell] && self.probability[cell] >= KNOWN_PROBABILITY
     }
 
     /// Whether the ground position lies on the grid.
