@@ -86,11 +86,13 @@ pub enum Command {
     /// Render the views of a run; those of satellites each with its shadow mask
     #[command(after_help = "Example: heliosplat render run --out rendered --split test")]
     Render(model_args::RenderArgs),
-    /// Write what other programs can use of a run on an object
+    /// Write splats, meshes and tiles of a run for viewers, editors and globes
     #[command(
-        after_help = "Examples: heliosplat export run --ply lit.ply --light 2,-1,3\n          \
-                            heliosplat export run --asset figure\n          \
-                            heliosplat export run --mesh figure.glb"
+        after_help = "Examples: heliosplat export run --tiles tiles --sun 250,35\n          \
+                            heliosplat export run --tiles surface --mesh\n          \
+                            heliosplat export run --splats site.glb --ply site.ply --time 2026-06-21T09:00:00Z\n          \
+                            heliosplat export object_run --ply lit.ply --light 2,-1,3\n          \
+                            heliosplat export object_run --mesh figure.glb"
     )]
     Export(export_args::ExportArgs),
     /// Measure a run, or any DSM, against truth
@@ -166,7 +168,7 @@ fn run(cli: &Cli) -> Result<Outcome, CliError> {
         Command::Report(args) => report::run(args),
         Command::Relight(args) => model::relight(args),
         Command::Render(args) => model::render(args, &session),
-        Command::Export(args) => object::export(args, &session),
+        Command::Export(args) => model::export(args, &session),
         Command::Evaluate(args) => evaluate::run(args),
         Command::Rpc(args) => rpc::run(args),
         Command::Sun(args) => sun::run(args),

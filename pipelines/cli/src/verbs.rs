@@ -8,6 +8,7 @@ pub mod completions;
 pub mod demo;
 pub mod evaluate;
 pub mod evaluate_args;
+pub mod export;
 pub mod export_args;
 pub mod inspect;
 pub mod man;

@@ -5,6 +5,7 @@
 
 pub mod blend;
 pub mod dsm;
+pub mod export;
 mod fill;
 pub mod model;
 mod model_file;

@@ -93,7 +93,11 @@ pub fn relight_ortho(model: &LoadedModel, sun: &SunPosition, nadir: &NadirGrid) 
     Ok(relit)
 }
 
-fn lit(model: &LoadedModel, sun: &SunPosition, camera: &ProjectiveCamera) -> Result<Relit, RelightError> {
+/// The light of a sun on `model`.
+///
+/// # Errors
+/// [`RelightError`] when the sun is down, or the model has no light.
+pub(crate) fn light_of(model: &LoadedModel, sun: &SunPosition) -> Result<Light, RelightError> {
     let elevation_deg = sun.elevation_rad.to_degrees();
     if !elevation_deg.is_finite() || elevation_deg < LOWEST_SUN_DEG {
         return Err(RelightError::Night { elevation_deg });
@@ -104,7 +108,13 @@ fn lit(model: &LoadedModel, sun: &SunPosition, camera: &ProjectiveCamera) -> Res
         });
     }
     let direction = sun.direction_enu();
-    let light = Light::Directional(glam::DVec3::new(direction.x, direction.y, direction.z).as_vec3());
+    Ok(Light::Directional(
+        glam::DVec3::new(direction.x, direction.y, direction.z).as_vec3(),
+    ))
+}
+
+fn lit(model: &LoadedModel, sun: &SunPosition, camera: &ProjectiveCamera) -> Result<Relit, RelightError> {
+    let light = light_of(model, sun)?;
     let rendering = render(
         &model.model,
         &model.parameters,

@@ -1,8 +1,9 @@
-//! `train`, `relight`, `render` and `evaluate` of a run: the way to the pipeline of what they are given.
+//! `train`, `relight`, `render`, `export` and `evaluate` of a run: the way to the pipeline of what they are given.
 
 use super::evaluate_args::EvaluateArgs;
+use super::export_args::ExportArgs;
 use super::model_args::{RelightArgs, RenderArgs, TrainArgs};
-use super::{object, satellite};
+use super::{export, object, satellite};
 use crate::outcome::{CliError, Outcome};
 use heliosplat_objects::is_capture;
 use heliosplat_objects::model::is_object_run;
@@ -27,6 +28,13 @@ pub(crate) fn render(args: &RenderArgs, session: &Session) -> Result<Outcome, Cl
     match is_object_run(&args.run) {
         true => object::render(args, session),
         false => satellite::render(args, session),
+    }
+}
+
+pub(crate) fn export(args: &ExportArgs, session: &Session) -> Result<Outcome, CliError> {
+    match is_object_run(&args.run) {
+        true => object::export(args, session),
+        false => export::of_satellite(args),
     }
 }
 
