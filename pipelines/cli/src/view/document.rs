@@ -12,11 +12,12 @@ use serde_json::{Value, json};
 /// What the page may do: run its own script, show its own pictures, and nothing with any network.
 const POLICY: &str = "default-src 'none'; script-src 'unsafe-inline'; style-src 'unsafe-inline'; img-src data: blob:";
 const STYLE: &str = include_str!("page/style.css");
-/// The sources of the page, in the order in which they are joined. The first four need no browser.
-const SCRIPTS: [&str; 12] = [
+/// The sources of the page, in the order in which they are joined. The first five need no browser.
+const SCRIPTS: [&str; 13] = [
     include_str!("page/sun.js"),
     include_str!("page/sweep.js"),
     include_str!("page/light.js"),
+    include_str!("page/inflate.js"),
     include_str!("page/field.js"),
     include_str!("page/layers.js"),
     include_str!("page/plan.js"),
