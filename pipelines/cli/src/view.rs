@@ -18,6 +18,7 @@ mod pack;
 mod place;
 
 pub use exhibit::{Exhibit, Light, TracedDate};
+pub use layer::{Layer, Ramp};
 pub use of_files::of_files;
 pub use of_mosaic::of_mosaic;
 pub use of_run::of_run;

@@ -11,6 +11,8 @@ use serde_json::{Value, json};
 
 /// What the page may do: run its own script, show its own pictures, and nothing with any network.
 const POLICY: &str = "default-src 'none'; script-src 'unsafe-inline'; style-src 'unsafe-inline'; img-src data: blob:";
+/// Most bytes of what a page carries; its own sources are some seventy thousand more.
+const BYTES_MAX: usize = 3_900_000;
 const STYLE: &str = include_str!("page/style.css");
 /// The sources of the page, in the order in which they are joined. The first five need no browser.
 const SCRIPTS: [&str; 13] = [
@@ -29,12 +31,31 @@ const SCRIPTS: [&str; 13] = [
     include_str!("page/main.js"),
 ];
 
-/// The page of what is to be shown.
+/// The page of what is to be shown. Where it would carry more than [`BYTES_MAX`], it does without the last images, then maps, then masks.
 ///
 /// # Errors
 /// When no height is known, or the grid lies outside its coordinate system.
-pub fn page(exhibit: &Exhibit) -> Result<String, ViewError> {
-    let data = data(exhibit)?;
+pub(super) fn page(exhibit: &Exhibit) -> Result<String, ViewError> {
+    let mut data = data(exhibit)?;
+    while data.to_string().len() > BYTES_MAX && drop_one(&mut data) {}
+    Ok(document(exhibit, &data))
+}
+
+/// Takes away what is missed least; whether there was something.
+fn drop_one(data: &mut Value) -> bool {
+    if let Some(layers) = data["layers"].as_array_mut() {
+        let picture = layers.iter().rposition(|layer| layer.get("picture").is_some());
+        if let Some(place) = picture.or(layers.len().checked_sub(1)) {
+            layers.remove(place);
+            return true;
+        }
+    }
+    let dates = data["dates"].as_array_mut().into_iter().flatten();
+    let last = dates.filter(|date| !date["mask"].is_null()).last();
+    last.map(|date| date["mask"] = Value::Null).is_some()
+}
+
+fn document(exhibit: &Exhibit, data: &Value) -> String {
     // A name may hold what would end the script.
     let data = data.to_string().replace('<', "\\u003c");
     let script = format!("(() => {{\n\"use strict\";\n{}\n}})();", SCRIPTS.join("\n"));
@@ -58,7 +79,7 @@ pub fn page(exhibit: &Exhibit) -> Result<String, ViewError> {
             }
         }
     };
-    Ok(without_control_characters(page.into_string() + "\n"))
+    without_control_characters(page.into_string() + "\n")
 }
 
 /// Everything that the scripts know.

@@ -9,7 +9,7 @@ use heliosplat_scene::BandKind;
 use serde::Serialize;
 
 /// Most cells of a page.
-pub const CELLS_MAX: usize = 1024 * 1024;
+pub(super) const CELLS_MAX: usize = 1024 * 1024;
 /// Skylight where no model says one: a clear sky gives a fifth to a third of the light of a high sun.
 const SKYLIGHT: f32 = 0.25;
 
@@ -88,7 +88,7 @@ impl Light {
 }
 
 /// The bands that are shown as red, green and blue: those, or the first three, or the first alone.
-pub fn shown(bands: &[BandKind]) -> [usize; 3] {
+pub(super) fn shown(bands: &[BandKind]) -> [usize; 3] {
     let place = |kind: BandKind| bands.iter().position(|&band| band == kind);
     match (place(BandKind::Red), place(BandKind::Green), place(BandKind::Blue)) {
         (Some(red), Some(green), Some(blue)) => [red, green, blue],
@@ -98,7 +98,7 @@ pub fn shown(bands: &[BandKind]) -> [usize; 3] {
 }
 
 /// The bands of a raster that are shown, as three planes.
-pub fn coloured(raster: &Raster, bands: [usize; 3]) -> Raster {
+pub(super) fn coloured(raster: &Raster, bands: [usize; 3]) -> Raster {
     Raster {
         width: raster.width,
         height: raster.height,
@@ -140,7 +140,7 @@ impl Exhibit {
 }
 
 /// Means of what is known in blocks of `factor` x `factor` cells; NaN where nothing is.
-fn averaged(raster: &Raster, factor: usize) -> Raster {
+pub(super) fn averaged(raster: &Raster, factor: usize) -> Raster {
     let (width, height) = (raster.width.div_ceil(factor), raster.height.div_ceil(factor));
     let mut out = Raster::filled(width, height, raster.bands, f32::NAN);
     for band in 0..raster.bands {

@@ -24,7 +24,7 @@ pub fn of_files(dsm: &Path, albedo: Option<&Path>) -> Result<Exhibit, ViewError>
 ///
 /// # Errors
 /// When the file cannot be read, or says no coordinate system.
-pub fn surface(path: &Path) -> Result<Exhibit, ViewError> {
+pub(super) fn surface(path: &Path) -> Result<Exhibit, ViewError> {
     let file = GeoRaster::read(path)?;
     let crs = file.crs.clone().ok_or_else(|| ViewError::NoCrs(path.to_owned()))?;
     let band = file.band(dsm_bands::ALTITUDE).unwrap_or(0);
@@ -66,7 +66,7 @@ pub fn surface(path: &Path) -> Result<Exhibit, ViewError> {
 ///
 /// # Errors
 /// When the file cannot be read or brought onto the grid.
-pub fn albedo_on(path: &Path, grid: &GridSpec) -> Result<Raster, ViewError> {
+pub(super) fn albedo_on(path: &Path, grid: &GridSpec) -> Result<Raster, ViewError> {
     let file = GeoRaster::read(path)?;
     let kinds: Vec<BandKind> = file.band_names.iter().map(|name| kind(name)).collect();
     let bands = shown(&kinds);
@@ -94,7 +94,7 @@ fn kind(name: &str) -> BandKind {
 ///
 /// # Errors
 /// When a coordinate system cannot be used.
-pub fn on_grid(source: &GeoRaster, band: usize, grid: &GridSpec) -> Result<Raster, ViewError> {
+pub(super) fn on_grid(source: &GeoRaster, band: usize, grid: &GridSpec) -> Result<Raster, ViewError> {
     let target = GeoRaster {
         raster: Raster {
             width: grid.width,

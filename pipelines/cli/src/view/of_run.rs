@@ -98,7 +98,7 @@ fn images(model: &LoadedModel, exhibit: &Exhibit) -> Result<Vec<Layer>, ViewErro
 ///
 /// # Errors
 /// When one of the files is damaged.
-pub fn maps(folder: &Path, exhibit: &Exhibit) -> Result<Vec<Layer>, ViewError> {
+pub(super) fn maps(folder: &Path, exhibit: &Exhibit) -> Result<Vec<Layer>, ViewError> {
     let mut out = Vec::new();
     let surface = GeoRaster::read(&folder.join("dsm.tif"))?;
     if let Some(band) = surface.band(dsm_bands::STANDARD_DEVIATION) {

@@ -14,7 +14,7 @@ const HIDDEN_M: f32 = 1.5;
 ///
 /// # Errors
 /// When the grid lies outside its coordinate system.
-pub fn project(
+pub(super) fn project(
     model: &LoadedModel,
     image: &ModelImage,
     picture: &RgbImage,

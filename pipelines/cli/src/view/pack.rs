@@ -20,14 +20,17 @@ use std::io::Write;
 
 /// Finest step of heights, metres.
 const STEP_M: f32 = 0.01;
-/// Quality of pictures.
+/// Quality of the albedo's picture, and that of other pictures, which are looked at now and then.
 const QUALITY: u8 = 86;
+const PLAIN_QUALITY: u8 = 70;
+/// Shades of a map: more cannot be told apart, and fewer are smaller.
+const SHADES: f32 = 50.0;
 /// Gamma of the albedo's picture.
-pub const GAMMA: f32 = 2.2;
+pub(super) const GAMMA: f32 = 2.2;
 
 /// Packed heights.
 #[derive(Debug, Serialize)]
-pub struct Heights {
+pub(super) struct Heights {
     /// Altitude of step 0, metres.
     pub low_m: f32,
     /// Metres per step.
@@ -46,7 +49,7 @@ fn deflated(bytes: &[u8]) -> String {
 }
 
 /// Heights of a raster's first band; `None` where none is known.
-pub fn heights(altitude: &Raster) -> Option<Heights> {
+pub(super) fn heights(altitude: &Raster) -> Option<Heights> {
     let plane = altitude.plane(0);
     let known = || plane.iter().copied().filter(|z| z.is_finite());
     let low_m = known().reduce(f32::min)?;
@@ -104,7 +107,7 @@ fn predicted(steps: &[u16], width: usize, i: usize) -> u16 {
 }
 
 /// A bit per cell.
-pub fn mask(cells: impl Iterator<Item = bool>) -> String {
+pub(super) fn mask(cells: impl Iterator<Item = bool>) -> String {
     let mut bytes = Vec::new();
     for (i, set) in cells.enumerate() {
         if i % 8 == 0 {
@@ -118,10 +121,13 @@ pub fn mask(cells: impl Iterator<Item = bool>) -> String {
 }
 
 /// A byte per cell of a raster's first band over a range.
-pub fn map(values: &Raster, [low, high]: [f32; 2]) -> String {
+pub(super) fn map(values: &Raster, [low, high]: [f32; 2]) -> String {
     let span = (high - low).max(f32::MIN_POSITIVE);
     let byte = |value: &f32| match value.is_finite() {
-        true => 1 + (254.0 * ((value - low) / span).clamp(0.0, 1.0)).round() as u8,
+        true => {
+            let shade = (SHADES * ((value - low) / span).clamp(0.0, 1.0)).round() / SHADES;
+            1 + (254.0 * shade).round() as u8
+        }
         false => 0,
     };
     deflated(&values.plane(0).iter().map(byte).collect::<Vec<u8>>())
@@ -129,7 +135,7 @@ pub fn map(values: &Raster, [low, high]: [f32; 2]) -> String {
 
 /// A packed albedo.
 #[derive(Debug, Serialize)]
-pub struct Albedo {
+pub(super) struct Albedo {
     /// The picture: `(albedo / white)^(1 / 2.2)`.
     pub picture: String,
     /// Albedo of its brightest value.
@@ -140,12 +146,12 @@ pub struct Albedo {
 
 /// A raster with red, green and blue as an albedo; `None` where nothing is known. `shade` is the darkest light: what lies
 /// in the darkest hundredth under it is black.
-pub fn albedo(raster: &Raster, shade: f32) -> Option<Albedo> {
+pub(super) fn albedo(raster: &Raster, shade: f32) -> Option<Albedo> {
     let (low, white) = percentiles(&raster.values, 0.01, 0.995)?;
     if white <= 0.0 {
         return None;
     }
-    let picture = picture(raster, |value| {
+    let picture = picture(raster, QUALITY, |value| {
         255.0 * (value / white).clamp(0.0, 1.0).powf(1.0 / GAMMA)
     })?;
     Some(Albedo {
@@ -156,12 +162,12 @@ pub fn albedo(raster: &Raster, shade: f32) -> Option<Albedo> {
 }
 
 /// A raster with red, green and blue from 0 to 255 as the address of a JPEG.
-pub fn plain_picture(raster: &Raster) -> Option<String> {
-    picture(raster, |value| value)
+pub(super) fn plain_picture(raster: &Raster) -> Option<String> {
+    picture(raster, PLAIN_QUALITY, |value| value)
 }
 
 /// A raster as the address of a JPEG: `shade` makes 0 to 255 of a value. What is unknown has the colour before it.
-fn picture(raster: &Raster, shade: impl Fn(f32) -> f32) -> Option<String> {
+fn picture(raster: &Raster, quality: u8, shade: impl Fn(f32) -> f32) -> Option<String> {
     let mut before = Rgb([0; 3]);
     let picture = RgbImage::from_fn(raster.width as u32, raster.height as u32, |col, row| {
         let at = |band: usize| raster.at(band.min(raster.bands - 1), col as usize, row as usize);
@@ -173,7 +179,7 @@ fn picture(raster: &Raster, shade: impl Fn(f32) -> f32) -> Option<String> {
     });
     let mut bytes = Vec::new();
     picture
-        .write_with_encoder(JpegEncoder::new_with_quality(&mut bytes, QUALITY))
+        .write_with_encoder(JpegEncoder::new_with_quality(&mut bytes, quality))
         .ok()?;
     Some(format!("data:image/jpeg;base64,{}", STANDARD.encode(bytes)))
 }

@@ -201,10 +201,18 @@ function begin(scene, albedo) {
     one.layer = id ? layerOf(id) : null;
     if (one.layer?.load) await one.layer.load();
     if (one.layer?.needs === "hours" && !app.hours) wantHours();
+    if (id === "compare" && !app.date) setDate(nearestDate());
     one.stale = true;
     legend();
     ask("colours");
   }
+  /// The date whose sun is next to the one there is.
+  const nearestDate = () => {
+    const toward = (az, el) => [Math.sin(az * RAD) * Math.cos(el * RAD), Math.cos(az * RAD) * Math.cos(el * RAD), Math.sin(el * RAD)];
+    const here = toward(app.sun.az, app.sun.el);
+    const near = (date) => toward(date.azimuth_deg, date.elevation_deg).reduce((sum, v, k) => sum + v * here[k], date.traced ? 0 : -4);
+    return scene.dates.reduce((a, b) => (near(b) > near(a) ? b : a));
+  };
   function legend() {
     const layer = [front.layer, back.layer].find((one) => one && (one.legend || one.words));
     byId("legend").hidden = !layer;
