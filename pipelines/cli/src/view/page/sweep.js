@@ -18,8 +18,8 @@ for (let i = 0; i < 129; i++) {
 }
 
 /// Between cells that differ by more than this slope stands a wall: heights are not interpolated over it.
-const STEEP = 2;
-/// A wall's upper edge is so many cells beyond the middle of the last high cell: half of that cell, and what the model's edges reach further.
+const STEEP = 1.5;
+/// A wall's upper edge is so many cells (below one) beyond the middle of the last high cell: half of that cell, and what the model's edges reach further.
 /// Measured against shadows traced through models (docs/lab/sun-page.md).
 const EDGE = 0.75;
 
