@@ -137,7 +137,10 @@ fn layer(layer: &Layer) -> Option<Value> {
         "range": layer.range,
     });
     match layer.ramp {
-        Ramp::Picture => out["picture"] = json!(pack::plain_picture(&layer.values)?),
+        Ramp::Picture => {
+            out["picture"] = json!(pack::plain_picture(&layer.values)?);
+            out["known"] = json!(pack::mask(layer.values.plane(0).iter().map(|value| value.is_finite())));
+        }
         Ramp::Diverging | Ramp::Sequential => out["data"] = json!(pack::map(&layer.values, layer.range)),
     }
     Some(out)

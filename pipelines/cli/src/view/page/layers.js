@@ -160,7 +160,12 @@ function makeLayers(app) {
         await image.decode();
         one.pixels = readPicture(image, width, height);
       };
-      one.paint = (rgba) => { if (one.pixels) each((i, j) => { rgba[j] = one.pixels[j]; rgba[j + 1] = one.pixels[j + 1]; rgba[j + 2] = one.pixels[j + 2]; })(rgba); };
+      const shown = readMask(layer.known, cells);
+      one.paint = (rgba) => {
+        if (!one.pixels) return;
+        // Outside of the image, and hidden in it.
+        each((i, j) => { for (let k = 0; k < 3; k++) rgba[j + k] = shown[i] ? one.pixels[j + k] : 128; })(rgba);
+      };
       layers.push(one);
       continue;
     }
