@@ -112,15 +112,32 @@ fn page_of_surface(folder: &Path) -> (PathBuf, Value) {
     (page, scene)
 }
 
-/// Shadows by a walk from each cell toward the sun, a tenth of a cell at a time, over the heights of the nearest cells.
+/// Height at a place between cells: bilinear, but that of the nearest cell where a wall stands between them; NaN outside and where unknown.
+fn height_at(raster: &Raster, col: f64, row: f64) -> f64 {
+    let (c, r) = (col.floor(), row.floor());
+    if c < 0.0 || r < 0.0 || c + 1.0 >= WIDTH as f64 || r + 1.0 >= HEIGHT as f64 {
+        return f64::NAN;
+    }
+    let at = |dc: usize, dr: usize| f64::from(raster.at(0, c as usize + dc, r as usize + dr));
+    let (fc, fr) = (col - c, row - r);
+    let all = [at(0, 0), at(1, 0), at(0, 1), at(1, 1)];
+    let (low, high) = (
+        all.into_iter().fold(f64::MAX, f64::min),
+        all.into_iter().fold(f64::MIN, f64::max),
+    );
+    if high - low > 1.5 * CELL_M || all.iter().any(|z| z.is_nan()) {
+        return at(usize::from(fc >= 0.5), usize::from(fr >= 0.5));
+    }
+    (all[0] * (1.0 - fc) + all[1] * fc) * (1.0 - fr) + (all[2] * (1.0 - fc) + all[3] * fc) * fr
+}
+
+/// Shadows by a walk from each cell toward the sun, a tenth of a cell at a time, up to the highest roof.
 fn walked([azimuth_deg, elevation_deg]: [f64; 2], transform: &GeoTransform, crs: &Crs) -> Vec<bool> {
     let raster = surface();
-    // A metre toward the sun, on the map: by way of longitude and latitude.
+    // Ten metres toward the sun, on the map: by way of longitude and latitude.
     let centre = transform.map_from_pixel(WIDTH as f64 / 2.0, HEIGHT as f64 / 2.0);
-    let (lon, lat) = CrsTransform::to_lon_lat(crs)
-        .expect("PROJ")
-        .apply(centre[0], centre[1])
-        .expect("inside");
+    let to_lon_lat = CrsTransform::to_lon_lat(crs).expect("PROJ");
+    let (lon, lat) = to_lon_lat.apply(centre[0], centre[1]).expect("inside");
     let (sin, cos) = azimuth_deg.to_radians().sin_cos();
     let degree_m = 111_320.0;
     let lon_step = sin * 10.0 / (degree_m * lat.to_radians().cos());
@@ -132,22 +149,18 @@ fn walked([azimuth_deg, elevation_deg]: [f64; 2], transform: &GeoTransform, crs:
     let length = toward[0].hypot(toward[1]);
     let toward = toward.map(|part| part / length);
     let rise_m = 0.1 * CELL_M * elevation_deg.to_radians().tan();
-    (0..WIDTH * HEIGHT)
-        .map(|i| {
-            let start = raster.values[i];
-            if start.is_nan() {
-                return false;
-            }
-            let (col, row) = ((i % WIDTH) as f64, (i / WIDTH) as f64);
-            (8..4000).any(|step| {
-                let far = 0.1 * f64::from(step);
-                let (c, r) = ((col + far * toward[0]).round(), (row + far * toward[1]).round());
-                if c < 0.0 || r < 0.0 || c >= WIDTH as f64 || r >= HEIGHT as f64 {
-                    return false;
-                }
-                f64::from(raster.values[r as usize * WIDTH + c as usize]) > f64::from(start) + rise_m * f64::from(step)
-            })
+    let highest = raster.values.iter().copied().fold(f32::MIN, f32::max);
+    let steps = ((f64::from(highest) - 650.0) / rise_m) as usize;
+    let shaded = |i: usize| {
+        let start = f64::from(raster.values[i]);
+        let (col, row) = ((i % WIDTH) as f64, (i / WIDTH) as f64);
+        (10..steps).any(|step| {
+            let far = 0.1 * step as f64;
+            height_at(&raster, col + far * toward[0], row + far * toward[1]) > start + rise_m * step as f64
         })
+    };
+    (0..WIDTH * HEIGHT)
+        .map(|i| raster.values[i].is_finite() && shaded(i))
         .collect()
 }
 

@@ -23,6 +23,9 @@ const STEEP = 1.5;
 /// Measured against shadows traced through models (docs/lab/sun-page.md).
 const EDGE = 0.75;
 
+/// What rises less than this above a far shadow, and still lies in its half-shade, does not hide what throws that shadow, metres.
+const LOW = 1;
+
 /// Rows become columns.
 function transposed(from, into, width, height) {
   const block = 32;
@@ -107,7 +110,8 @@ function sweeper(field, east, north) {
         let h = difference > jump || difference < -jump ? (part < 0.5 ? a : b) : a - difference * part;
         // Beside an unknown cell the known one counts.
         if (h !== h) h = a === a ? a : b;
-        if (h >= dark[r]) { dark[r] = h; behind[r] = 0; }
+        const clear = h - dark[r];
+        if (clear >= LOW || clear >= blur * behind[r]) { dark[r] = h; behind[r] = 0; }
         else if (behind[r] === 1 && dark[r] + drop - h > jump) {
           // A wall: the edge stands beyond the middle of the cell before.
           dark[r] += EDGE * drop;
