@@ -1,7 +1,7 @@
 //! `sun.html`: a surface in one file that opens by a double click, with a sun that can be moved.
 //!
 //! The page holds the heights, the albedo and the light of a model, and casts the shadows itself (`page/sweep.js`). It fetches nothing:
-//! its content security policy forbids it. [`of_run`], [`of_mosaic`] and [`of_files`] gather an [`Exhibit`]; `pack` makes it small,
+//! its content security policy forbids it. [`of_run()`], [`of_mosaic()`] and [`of_files()`] gather an [`Exhibit`]; `pack` makes it small,
 //! and `document` joins it with the sources of the page.
 //!
 //! Limits: the page knows heights, not what stands below them, so bridges and eaves cast shadows down to the ground. At most 1024² cells

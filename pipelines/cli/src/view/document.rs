@@ -50,8 +50,8 @@ fn drop_one(data: &mut Value) -> bool {
             return true;
         }
     }
-    let dates = data["dates"].as_array_mut().into_iter().flatten();
-    let last = dates.filter(|date| !date["mask"].is_null()).last();
+    let mut dates = data["dates"].as_array_mut().into_iter().flatten();
+    let last = dates.rfind(|date| !date["mask"].is_null());
     last.map(|date| date["mask"] = Value::Null).is_some()
 }
 

@@ -108,7 +108,7 @@ pub(super) fn coloured(raster: &Raster, bands: [usize; 3]) -> Raster {
 }
 
 impl Exhibit {
-    /// The same with cells averaged until there are at most [`CELLS_MAX`].
+    /// The same with cells averaged until there are at most 1024².
     #[must_use]
     pub fn reduced(mut self) -> Self {
         let cells = self.grid.width * self.grid.height;

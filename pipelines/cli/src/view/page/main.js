@@ -531,7 +531,7 @@ addEventListener("load", () => {
   try {
     begin(sceneOfPage, albedoOfPage);
   } catch (error) {
-    byId("said").textContent = `This browser cannot show the page: ${error.message}.`;
+    byId("said").textContent = `This browser cannot show the page: ${error.message}`;
     byId("report").textContent = JSON.stringify({ error: String(error) });
   }
 });
