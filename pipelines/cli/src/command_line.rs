@@ -83,6 +83,11 @@ pub enum Command {
                             heliosplat relight object_run --out lit.png --light 2,1,3 --view test/near_000"
     )]
     Relight(model_args::RelightArgs),
+    /// Write a page on which the sun can be moved over a surface: one file for any browser, without network
+    #[command(after_help = "Examples: heliosplat view run\n          \
+                            heliosplat view run --out sun.html\n          \
+                            heliosplat view --dsm dsm.tif --albedo ortho.tif --out sun.html")]
+    View(view::ViewArgs),
     /// Render the views of a run; those of satellites each with its shadow mask
     #[command(after_help = "Example: heliosplat render run --out rendered --split test")]
     Render(model_args::RenderArgs),
@@ -167,6 +172,7 @@ fn run(cli: &Cli) -> Result<Outcome, CliError> {
         Command::Products(args) => products::run(args, &session),
         Command::Report(args) => report::run(args),
         Command::Relight(args) => model::relight(args),
+        Command::View(args) => view::run(args, cli.json),
         Command::Render(args) => model::render(args, &session),
         Command::Export(args) => model::export(args, &session),
         Command::Evaluate(args) => evaluate::run(args),

@@ -24,3 +24,4 @@ pub mod sweep_dsm;
 #[cfg(feature = "synth")]
 pub mod synth;
 pub mod tradeoff;
+pub mod view;

@@ -73,6 +73,15 @@ impl Asset {
         }
     }
 
+    /// A page for a browser.
+    pub fn page(file: &str, title: &str) -> Self {
+        Self {
+            key: "page".into(),
+            file: file.into(),
+            value: json!({"href": format!("./{file}"), "title": title, "type": "text/html", "roles": ["overview"]}),
+        }
+    }
+
     /// A point cloud of `count` points.
     pub fn points(file: &str, count: usize) -> Self {
         Self {

@@ -230,6 +230,11 @@ impl<'a> Writer<'a> {
         self.assets.push(Asset::points(file, count));
     }
 
+    /// Notes a page for people that was written beside the rasters.
+    pub fn page(&mut self, file: &str, title: &str) {
+        self.assets.push(Asset::page(file, title));
+    }
+
     /// Writes the STAC item of all that was written before.
     ///
     /// # Errors

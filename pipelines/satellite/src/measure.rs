@@ -53,6 +53,7 @@ pub fn metrics(scene: &Scene, model: &LoadedModel, run: &Path, protocol: Protoco
     if let Some(evaluation) = dsm(scene, model, run, protocol)? {
         out["dsm"] = surface_metrics(&evaluation);
         preview::write_png(&run.join("error.png"), &error_map::draw(&evaluation.errors))?;
+        error_map::write(&run.join("error.tif"), &evaluation)?;
     }
     let (mut train, mut test) = (Vec::new(), Vec::new());
     let (mut shadows, mut traced) = (ShadowCounts::default(), ShadowCounts::default());

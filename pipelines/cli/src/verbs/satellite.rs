@@ -65,7 +65,7 @@ pub(crate) fn train(args: &TrainArgs, session: &Session) -> Result<Outcome, CliE
             (metrics, " (finished before)")
         }
         TrainOutcome::Trained(run) => {
-            report::write(&args.out)?;
+            report::write_both(&args.out)?;
             run.ending.check(&args.out)?;
             (run.metrics, "")
         }
