@@ -3,6 +3,7 @@
 //! [`model`] reads a run; [`surface`] and [`dsm`] look at it from above; [`views`] renders its images; [`relight`] puts it under
 //! another sun; [`set`] writes everything for a GIS through [`writer`], and [`stac`] describes it.
 
+pub mod animation;
 pub mod blend;
 pub mod dsm;
 mod fill;
@@ -19,6 +20,7 @@ pub mod set;
 pub mod shadow_mask;
 pub mod stac;
 pub mod stored;
+pub mod sunshine;
 pub mod surface;
 pub mod views;
 pub mod writer;
