@@ -43,11 +43,10 @@ fn the_horizon_of_a_wall_is_its_height_over_its_distance_in_every_direction() {
         for distance_m in [12.0, 25.0] {
             let (col, row) = (80.5 - sin * distance_m * 2.0, 80.5 + cos * distance_m * 2.0);
             let got = f64::from(horizons[row.round() as usize * side + col.round() as usize]);
-            // From the tower's near face, or where a corner is met a little later.
-            let [near, far] = [2.9, 0.9].map(|half| 20.0 / (distance_m - half + 0.4));
+            // To the tower's near face or corner, give or take the cell that looks.
             assert!(
                 (20.0 / (distance_m - 0.5)..=20.0 / (distance_m - 3.3)).contains(&got),
-                "{azimuth_deg} {distance_m}: {got} not {near} {far}"
+                "{azimuth_deg} {distance_m}: {got}"
             );
         }
         // Behind the one who looks there is nothing.
@@ -138,12 +137,9 @@ fn open_level_ground_has_the_whole_day_and_the_whole_sky() {
         got.sun_hours.values[middle]
     );
     assert!((got.sky_view.values[middle] - 1.0).abs() < 1e-3);
-    // Of a clear midsummer day at this latitude: tables of the model have 8 to 8.7 kWh/m².
-    assert!(
-        (7.8..8.9).contains(&got.irradiation.values[middle]),
-        "{}",
-        got.irradiation.values[middle]
-    );
+    // The model's formulas summed over the day apart from this program: 8.785 kWh/m².
+    let energy = got.irradiation.values[middle];
+    assert!((energy - 8.785).abs() < 0.09, "{energy}");
 }
 
 #[test]
@@ -164,7 +160,7 @@ fn a_long_wall_takes_half_of_the_sky_at_its_foot_and_the_sun_of_its_side() {
         "{}",
         got.sun_hours.values[foot]
     );
-    // Known share of the view of a place d before a wall of height h that has no ends: (1 + sin(atan(-h/d)))/2 is hidden less.
+    // Further off the wall hides less.
     let away = 60 * 120 + 20;
     assert!(got.sky_view.values[away] > got.sky_view.values[foot]);
 }
