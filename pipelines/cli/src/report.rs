@@ -5,6 +5,7 @@
 pub mod mosaic;
 pub mod object;
 mod parts;
+mod relit;
 
 use crate::page::{calibration, document, picture_of};
 use crate::view::{self, ViewError};
@@ -143,6 +144,7 @@ fn page(run: &Contents) -> String {
         parts::head(run),
         parts::surface(&run.folder),
         parts::views(run),
+        relit::relit(&run.folder),
         parts::curves(&run.folder),
         parts::accuracy(&run.folder),
         parts::plan(run),

@@ -3,6 +3,7 @@
 //! [`model`] reads a run; [`surface`] and [`dsm`] look at it from above; [`views`] renders its images; [`relight`] puts it under
 //! another sun; [`set`] writes everything for a GIS through [`writer`], and [`stac`] describes it.
 
+pub mod animation;
 pub mod blend;
 pub mod dsm;
 pub mod export;
@@ -21,6 +22,7 @@ pub mod shadow_mask;
 pub mod stac;
 pub mod stored;
 pub mod style;
+pub mod sunshine;
 pub mod surface;
 pub mod views;
 pub mod writer;

@@ -4,6 +4,7 @@ use super::dsm::{BANDS, Dsm, UNITS};
 use super::ortho;
 use super::stac::{self, About, Asset, Band};
 use super::style::{Layer, Style, layer_file};
+use super::sunshine::{LINKE_TURBIDITY, Period, Sunshine};
 use heliosplat::Raster;
 use heliosplat_raster::preview::{stretched, write_png};
 use heliosplat_raster::write::{Bytes, ImageSpec, write_byte_cog, write_cog};
@@ -214,6 +215,59 @@ impl<'a> Writer<'a> {
         self.floats(("relit", title), image, bands, Some(sun))?;
         let names = ("relit_shadow", "Shadows under the sun asked for", "shadow");
         self.bytes(names, shadows, Bytes::Mask, Some(sun))
+    }
+
+    /// Hours of direct sun, sky view factor and irradiation of a period.
+    ///
+    /// # Errors
+    /// When a file cannot be written.
+    pub fn sunshine(&mut self, shone: &Sunshine, period: &Period) -> Result<(), RasterError> {
+        let (from, to) = period.ends();
+        let when = format!("{from} to {to}");
+        let about = |text: &str| vec![("DESCRIPTION".to_owned(), text.to_owned())];
+        let during = |text: &str| {
+            let mut items = about(text);
+            items.extend([("FROM".to_owned(), from.to_string()), ("TO".to_owned(), to.to_string())]);
+            items
+        };
+        let title = format!("Hours of direct sun per day, mean of {when}");
+        let hours = during("hours of direct sun per day, mean over the days of the period");
+        self.quantity(("sun_hours", &title), &shone.sun_hours, ("sun_hours", "h"), &hours)?;
+        let title = "Sky view factor: share of the light of an even sky";
+        let sky = about("share of the light of an even sky that reaches the inclined surface");
+        self.quantity(("sky_view", title), &shone.sky_view, ("sky_view_factor", "1"), &sky)?;
+        let title = format!("Irradiation under a clear sky, total of {when}");
+        let mut energy = during(
+            "irradiation of the inclined surface under a clear sky, total of the period: beam and sky by the ESRA model, without reflected light",
+        );
+        energy.push(("LINKE_TURBIDITY".to_owned(), LINKE_TURBIDITY.to_string()));
+        self.quantity(
+            ("irradiation", &title),
+            &shone.irradiation,
+            ("irradiation", "kWh/m²"),
+            &energy,
+        )
+    }
+
+    fn quantity(
+        &mut self,
+        (key, title): (&str, &str),
+        raster: &Raster,
+        (name, unit): (&str, &str),
+        items: &[(String, String)],
+    ) -> Result<(), RasterError> {
+        let file = format!("{key}.tif");
+        let all: Vec<_> = metadata(None).into_iter().chain(items.iter().cloned()).collect();
+        let names = [name];
+        let spec = ImageSpec {
+            band_units: &[unit],
+            ..self.spec(raster, &names, &all)
+        };
+        write_cog(&self.out.join(&file), &spec)?;
+        let bands = [Band { name, unit }];
+        let asset = Asset::raster((key, &file, title), raster, &bands, None, self.gsd_m, None);
+        self.assets.push(asset);
+        Ok(())
     }
 
     /// The shadows of a date.

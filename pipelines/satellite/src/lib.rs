@@ -19,6 +19,7 @@ mod path_radiance;
 mod plan;
 mod probe;
 mod radiometry;
+pub mod relit;
 pub mod run_file;
 mod shadow_prior;
 mod suns;

@@ -54,6 +54,7 @@ pub fn of_tile(
         crs: Some(crs.to_owned()),
         geoid: None,
         sun: sun.map(sun_of),
+        sun_hours: None,
     };
     let set = set::write(model, folder, &request, (&item_id(&unit.id), None), &|_| {})?;
     Ok(set.names)
