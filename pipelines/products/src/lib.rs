@@ -4,6 +4,7 @@
 //! another sun; [`set`] writes everything for a GIS through [`writer`], and [`stac`] describes it.
 
 pub mod blend;
+pub mod daylight;
 pub mod dsm;
 mod fill;
 pub mod model;

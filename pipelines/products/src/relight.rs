@@ -4,6 +4,7 @@ use super::nadir::NadirGrid;
 use super::views::camera_of;
 use crate::model::LoadedModel;
 use heliosplat::light::Light;
+use heliosplat::model::shadow_gs::{SKY, softplus_inverse};
 use heliosplat::render::render;
 use heliosplat::{ProjectiveCamera, Raster};
 use heliosplat_fitting::run_folder::RunError;
@@ -32,6 +33,15 @@ pub enum RelightError {
         /// Folder of the run.
         folder: PathBuf,
     },
+    /// A model without the light of day.
+    #[error(
+        "{}: the model comes from a version that did not know how bright the ground is under another sun; train again to relight it",
+        folder.display()
+    )]
+    OldLight {
+        /// Folder of the run.
+        folder: PathBuf,
+    },
     /// No image of that name.
     #[error("no image of the run is called {name}; the names are {known}, or nadir")]
     NoView {
@@ -54,7 +64,7 @@ impl RelightError {
         match self {
             Self::Run(error) => error.is_input_fault(),
             Self::Raster(error) => error.is_input_fault(),
-            Self::Night { .. } | Self::NoLight { .. } | Self::NoView { .. } => true,
+            Self::Night { .. } | Self::NoLight { .. } | Self::OldLight { .. } | Self::NoView { .. } => true,
         }
     }
 }
@@ -71,7 +81,8 @@ pub struct Relit {
     grid: Option<GridSpec>,
 }
 
-/// Renders `model` under `sun`, from above (`nadir`) or as the image called `view` saw it, with the colours of the reference image.
+/// Renders `model` under `sun`, from above (`nadir`) or as the image called `view` saw it, in counts of the reference image: its exposure
+/// and its path radiance, but the irradiance and the sky of that sun.
 ///
 /// # Errors
 /// [`RelightError`] when the sun is down, the model has no light, or there is no such view.
@@ -103,19 +114,33 @@ fn lit(model: &LoadedModel, sun: &SunPosition, camera: &ProjectiveCamera) -> Res
             folder: model.folder.clone(),
         });
     }
+    let daylight = model.file.daylight.as_ref().ok_or_else(|| RelightError::OldLight {
+        folder: model.folder.clone(),
+    })?;
+    let (reference, bands) = (model.file.options.reference, model.file.options.bands);
+    let mut parameters = model.parameters.clone();
+    for k in 0..bands {
+        let shade = daylight.shade(k, sun.elevation_rad) as f32;
+        parameters.globals.group_mut(SKY)[reference * bands + k] = softplus_inverse(shade);
+    }
+    let (_, path_radiance) = model.model.colour(&model.parameters, reference);
     let direction = sun.direction_enu();
     let light = Light::Directional(glam::DVec3::new(direction.x, direction.y, direction.z).as_vec3());
     let rendering = render(
         &model.model,
-        &model.parameters,
+        &parameters,
         camera,
         Some(light),
         None,
         model.pass_options(),
     );
     let mut image = rendering.image;
-    for value in &mut image.values {
-        *value *= model.file.counts_per_unit as f32;
+    let counts = model.file.counts_per_unit as f32;
+    for (k, kept) in path_radiance.iter().enumerate() {
+        let gain = daylight.gain(k, sun.elevation_rad) as f32;
+        for value in image.plane_mut(k) {
+            *value = ((*value - kept) * gain + kept) * counts;
+        }
     }
     let visibility = Raster {
         width: image.width,
