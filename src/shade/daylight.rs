@@ -83,7 +83,14 @@ mod tests {
     #[test]
     fn air_mass_is_that_of_the_tables() {
         // Kasten and Young 1989, table 2.
-        for (elevation_deg, expected) in [(90.0, 1.0), (60.0, 1.154), (30.0, 1.994), (10.0, 5.585), (5.0, 10.32), (0.0, 38.09)] {
+        for (elevation_deg, expected) in [
+            (90.0, 1.0),
+            (60.0, 1.154),
+            (30.0, 1.994),
+            (10.0, 5.585),
+            (5.0, 10.32),
+            (0.0, 38.09),
+        ] {
             let found = air_mass(deg(elevation_deg));
             assert!((found / expected - 1.0).abs() < 5e-3, "{elevation_deg}: {found}");
         }

@@ -39,8 +39,14 @@ pub(crate) struct Evidence {
     pub(crate) gain: Vec<Option<f64>>,
 }
 
-/// The evidence of a trained model whose images have these elevations of the sun; those without a sun say nothing.
-pub(crate) fn evidence(model: &ShadowGs, parameters: &Parameters, elevations_rad: &[Option<f64>]) -> Vec<Evidence> {
+/// The evidence of a trained model whose images have these elevations of the sun and these `shades`, measured before training: the
+/// skies that training begins with are too bright, and a short training does not change them much. Images without a sun say nothing.
+pub(crate) fn evidence(
+    model: &ShadowGs,
+    parameters: &Parameters,
+    elevations_rad: &[Option<f64>],
+    shades: &[Vec<Option<f64>>],
+) -> Vec<Evidence> {
     let bands = model.options.bands;
     let of_image = |(image, elevation): (usize, &Option<f64>)| {
         let (matrix, _) = model.colour(parameters, image);
@@ -48,7 +54,7 @@ pub(crate) fn evidence(model: &ShadowGs, parameters: &Parameters, elevations_rad
         let white = |k: usize| matrix[k * bands..(k + 1) * bands].iter().map(|&v| f64::from(v)).sum();
         Some(Evidence {
             elevation_rad: (*elevation)?,
-            shade: model.sky(parameters, image).iter().map(|&s| Some(f64::from(s))).collect(),
+            shade: shades.get(image)?.clone(),
             gain: (0..bands).map(|k| own_colour.then(|| white(k))).collect(),
         })
     };
@@ -141,8 +147,12 @@ impl Band<'_> {
             let mut least = f64::INFINITY;
             for i in 0..=STEPS * STEPS + 2 * STEPS {
                 let air = BandAir {
-                    optical_depth: node(ranges[0], i / (STEPS + 1)).exp().clamp(OPTICAL_DEPTHS[0], OPTICAL_DEPTHS[1]),
-                    sky_share: node(ranges[1], i % (STEPS + 1)).exp().clamp(SKY_SHARES[0], SKY_SHARES[1]),
+                    optical_depth: node(ranges[0], i / (STEPS + 1))
+                        .exp()
+                        .clamp(OPTICAL_DEPTHS[0], OPTICAL_DEPTHS[1]),
+                    sky_share: node(ranges[1], i % (STEPS + 1))
+                        .exp()
+                        .clamp(SKY_SHARES[0], SKY_SHARES[1]),
                 };
                 let cost = self.cost(&air);
                 if cost < least {
@@ -229,8 +239,15 @@ mod tests {
             for elevation_deg in [12.0, 30.0, 66.0f64] {
                 let e = elevation_deg.to_radians();
                 let expected = air.level(e) / air.level(light.reference_elevation_rad);
-                assert!((light.gain(0, e) / expected - 1.0).abs() < 0.12, "{air:?} {elevation_deg}: {}", light.gain(0, e) / expected);
-                assert!((light.shade(0, e) / air.shade(e)).ln().abs() < 0.2, "{air:?} {elevation_deg}");
+                assert!(
+                    (light.gain(0, e) / expected - 1.0).abs() < 0.12,
+                    "{air:?} {elevation_deg}: {}",
+                    light.gain(0, e) / expected
+                );
+                assert!(
+                    (light.shade(0, e) / air.shade(e)).ln().abs() < 0.2,
+                    "{air:?} {elevation_deg}"
+                );
             }
             assert!(light.images_decide[0] > 0.5, "{}", light.images_decide[0]);
         }

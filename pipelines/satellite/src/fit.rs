@@ -190,7 +190,7 @@ pub fn fit(
         options.consistency_weight = 0.0;
     }
     let memory_estimate = fit_into_memory(limits.memory, scene, &parameters, &views, config, &mut options)?;
-    radiometry::initialise(&model, &mut parameters, &mut views, SKY);
+    let shades = radiometry::initialise(&model, &mut parameters, &mut views, SKY);
     let initialised = swept.elapsed();
 
     let bounds = bounds(&ground);
@@ -208,7 +208,7 @@ pub fn fit(
     };
     let daylight = {
         let elevations: Vec<Option<f64>> = suns.iter().map(|sun| Some(sun.position?.elevation_rad)).collect();
-        let evidence = daylight::evidence(&model, &trained.parameters, &elevations);
+        let evidence = daylight::evidence(&model, &trained.parameters, &elevations, &shades);
         daylight::fit(&evidence, elevations[model.options.reference], bands)
     };
     if let Some(light) = &daylight {

@@ -1,14 +1,13 @@
 //! Colours to start from: per-image gain and offset, the path radiance of the reference image, and the albedo of each Gaussian, from what
 //! the views show of the start surface in the sun and in the shade.
 
-use super::daylight::{self, Evidence};
 use super::path_radiance::{self, Pair};
 
 use heliosplat::gaussians::{OPACITY, Table, logit};
 use heliosplat::light::Light;
 use heliosplat::model::Parameters;
 use heliosplat::model::View;
-use heliosplat::model::shadow_gs::{ALBEDO, COLOUR, OFFSET, SKY, ShadowGs, softplus_inverse};
+use heliosplat::model::shadow_gs::{ALBEDO, COLOUR, OFFSET, ShadowGs};
 use heliosplat::render::{PassOptions, render};
 use heliosplat::splat::Maps;
 use heliosplat::trace::{Occluders, transmittance};
@@ -31,8 +30,6 @@ const SHADE_MAX: f32 = 0.6;
 const SHADE_SHARE: f64 = 0.3;
 /// Fewest pairs that tell the shade of an image.
 const FEWEST_SHADED: usize = 50;
-/// Least and greatest sky that a view starts with.
-const SKIES: [f32; 2] = [0.03, 0.9];
 /// Pixels next to uncovered ones that do not count either.
 const EDGE_PX: usize = 3;
 
@@ -123,9 +120,12 @@ fn cover(view: &mut View, maps: &Maps) {
     }
 }
 
-/// Sets albedo, per-image colour and sky of `parameters` from `views`, and the views' weights to what the surface covers. `sky` is the
-/// share of skylight where the views tell nothing.
-pub(super) fn initialise(model: &ShadowGs, parameters: &mut Parameters, views: &mut [View], sky: f32) {
+/// What a shadow is worth beside the same ground in the sun, for each view and band; `None` where the view does not tell.
+pub(super) type Shades = Vec<Vec<Option<f64>>>;
+
+/// Sets albedo and per-image colour of `parameters` from `views`, and the views' weights to what the surface covers. Returns what shadows
+/// are worth.
+pub(super) fn initialise(model: &ShadowGs, parameters: &mut Parameters, views: &mut [View], sky: f32) -> Shades {
     let bands = model.options.bands;
     let occluders = Occluders::new(&parameters.gaussians);
     let mut shown = Vec::new();
@@ -159,21 +159,14 @@ pub(super) fn initialise(model: &ShadowGs, parameters: &mut Parameters, views: &
             }
         }
     }
-    let skies = shown.skies(model, &path_radiance, sky);
-    for (view, skies) in shown.views.iter().zip(&skies) {
-        for (k, &sky) in skies.iter().enumerate() {
-            parameters.globals.group_mut(SKY)[view.appearance * bands + k] = softplus_inverse(sky);
-        }
-    }
     let albedo: Vec<f32> = (0..parameters.gaussians.count)
         .into_par_iter()
         .with_min_len(1024)
         .flat_map_iter(|g| {
-            let (shown, path_radiance, skies) = (&shown, &path_radiance, &skies);
+            let (shown, path_radiance) = (&shown, &path_radiance);
             (0..bands).map(move |k| {
                 let mut seen: Vec<f32> = (0..shown.views.len())
                     .filter_map(|v| {
-                        let sky = skies[v][k];
                         let light = sky + (1.0 - sky) * f32::from(u8::from(shown.samples[v][g].lit));
                         Some((shown.value(v, g, k)? - path_radiance[k]) / light)
                     })
@@ -183,20 +176,20 @@ pub(super) fn initialise(model: &ShadowGs, parameters: &mut Parameters, views: &
         })
         .collect();
     parameters.gaussians.group_mut(ALBEDO).copy_from_slice(&albedo);
+    let shades = |v: usize| (0..bands).map(|k| shown.shade(v, k, path_radiance[k])).collect();
+    (0..shown.views.len()).map(shades).collect()
 }
 
 /// The middle of the narrowest range that holds [`SHADE_SHARE`] of the values; `None` of too few.
-fn densest(mut values: Vec<f32>) -> Option<f32> {
+fn densest(mut values: Vec<f32>) -> Option<f64> {
     if values.len() < FEWEST_SHADED {
         return None;
     }
     values.sort_by(f32::total_cmp);
     let held = (values.len() as f64 * SHADE_SHARE) as usize;
-    let narrowest = values.windows(held).min_by(|a, b| {
-        let width = |window: &[f32]| window[held - 1] - window[0];
-        width(a).total_cmp(&width(b))
-    })?;
-    Some((0.5 * (narrowest[0] + narrowest[held - 1])).clamp(SKIES[0], SKIES[1]))
+    let width = |window: &[f32]| window[held - 1] - window[0];
+    let narrowest = values.windows(held).min_by(|a, b| width(a).total_cmp(&width(b)))?;
+    Some(f64::from(0.5 * (narrowest[0] + narrowest[held - 1])))
 }
 
 /// What an image makes of the reference image's values.
@@ -248,41 +241,9 @@ impl Shown<'_> {
         path_radiance::of_band((0..self.views.len()).map(pairs).collect())
     }
 
-    /// The sky of each view and band at the start: what its shadows are worth beside sunlit ground, and where they do not tell, what the
-    /// air that all views tell of makes of its sun; `otherwise` where no view has a sun.
-    fn skies(&self, model: &ShadowGs, path_radiance: &[f32], otherwise: f32) -> Vec<Vec<f32>> {
-        let bands = path_radiance.len();
-        let elevation = |view: &View| match view.light {
-            Some(Light::Directional(to_sun)) => Some(f64::from(to_sun.z.clamp(-1.0, 1.0)).asin()),
-            _ => None,
-        };
-        let shades: Vec<Vec<Option<f32>>> = (0..self.views.len())
-            .map(|v| (0..bands).map(|k| self.shade(v, k, path_radiance[k])).collect())
-            .collect();
-        let says = |v: usize| {
-            let own_colour = model.options.image_colour && self.views[v].appearance != model.options.reference;
-            let gain = |k: usize| own_colour.then(|| f64::from(self.colours[v][k].gain));
-            Some(Evidence {
-                elevation_rad: elevation(&self.views[v])?,
-                shade: shades[v].iter().map(|shade| shade.map(f64::from)).collect(),
-                gain: (0..bands).map(gain).collect(),
-            })
-        };
-        let evidence: Vec<Evidence> = (0..self.views.len()).filter_map(says).collect();
-        let highest = evidence.iter().map(|e| e.elevation_rad).max_by(f64::total_cmp);
-        let light = daylight::fit(&evidence, highest, bands);
-        let sky = |v: usize, k: usize| {
-            let of_air = || Some(light.as_ref()?.shade(k, elevation(&self.views[v])?) as f32);
-            shades[v][k].or_else(of_air).unwrap_or(otherwise)
-        };
-        (0..self.views.len())
-            .map(|v| (0..bands).map(|k| sky(v, k)).collect())
-            .collect()
-    }
-
     /// What ground in the shadows of view `v` is worth in band `k` beside the same ground in the sun. Where the surface is wrong, what
     /// counts as shaded is lit; so this is the middle of the narrowest range that holds many pairs, not their median.
-    fn shade(&self, v: usize, k: usize, path_radiance: f32) -> Option<f32> {
+    fn shade(&self, v: usize, k: usize, path_radiance: f32) -> Option<f64> {
         let gaussians = (0..self.samples[v].len()).into_par_iter().with_min_len(1024);
         let ratio = |g: usize| {
             let Pair { lit, shaded } = self.pair(v, g, k)?;
@@ -327,6 +288,6 @@ mod tests {
         let found = densest(shaded.chain(wrong).collect()).expect("a shade");
         assert!((0.12..0.16).contains(&found), "{found}");
         assert_eq!(densest(vec![0.1; FEWEST_SHADED - 1]), None);
-        assert_eq!(densest(vec![0.0; FEWEST_SHADED]), Some(SKIES[0]));
+        assert!(densest(vec![0.1; FEWEST_SHADED]).is_some());
     }
 }
