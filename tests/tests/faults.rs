@@ -2,11 +2,12 @@
 //! half-written.
 
 use heliosplat::train::TrainOptions;
+use heliosplat_fitting::request::{TrainOutcome, TrainRequest};
 use heliosplat_fitting::settings::Preset;
 use heliosplat_fitting::training::Ending;
 use heliosplat_raster::GeoRaster;
 use heliosplat_satellite::config::SatelliteConfig;
-use heliosplat_satellite::training::{TrainOutcome, TrainRequest, train};
+use heliosplat_satellite::training::train;
 use heliosplat_scene::{IngestOptions, Scene};
 use heliosplat_session::Session;
 use heliosplat_tests::program::{fault, heliosplat, json};
@@ -477,9 +478,10 @@ fn training_that_goes_astray_keeps_its_last_good_state_and_says_why_it_stopped()
         final_rate: 1e30,
         ..config.train
     };
-    let read = Scene::open(home.path(), &IngestOptions::default()).expect("a scene");
+    let ingest = IngestOptions::default();
+    let read = Scene::open(home.path(), &ingest).expect("a scene");
     let request = TrainRequest::new(run.clone(), Preset::Fast);
-    let outcome = train(&read, &config, &request, &Session::quiet()).expect("a run of the last good state");
+    let outcome = train(&read, &ingest, &config, &request, &Session::quiet()).expect("a run of the last good state");
     let TrainOutcome::Trained(trained) = outcome else {
         panic!("there was no run before")
     };

@@ -1,6 +1,6 @@
 //! The loop around a trainer, whatever the model: settings in layers, a budget of time, checkpoints, and the folder of a run.
 //!
-//! A pipeline resolves its [`settings`], opens a [`run_folder`], and hands its trainer to [`training::train`], which takes steps until
+//! A pipeline resolves its [`settings`], is given a [`request`], opens a [`run_folder`], and hands its trainer to [`training::train`], which takes steps until
 //! the model, the user or the budget says that it is enough, and keeps a [`checkpoint`] on the way. Nothing here knows satellites
 //! or objects.
 
@@ -8,6 +8,7 @@ pub mod budget;
 pub mod checkpoint;
 pub mod curve;
 pub mod ply;
+pub mod request;
 pub mod run_folder;
 pub mod settings;
 pub mod training;

@@ -3,6 +3,7 @@
 
 use crate::budget::Budget;
 use crate::checkpoint::{self, CheckpointError, CheckpointWriter, LoadedCheckpoint};
+use crate::request::TrainRequest;
 use crate::training::Ending;
 use heliosplat::Raster;
 use heliosplat_raster::write::write_atomically;
@@ -144,21 +145,13 @@ pub fn create_folder(path: &Path) -> Result<(), RunError> {
     })
 }
 
-/// Which training is to begin in which folder.
+/// Which training is to begin.
 #[derive(Debug, Clone, Copy)]
 pub struct RunRequest<'a> {
-    /// The folder.
-    pub out: &'a Path,
+    /// What was asked for.
+    pub request: &'a TrainRequest,
     /// All that decides the training, line by line: two of the same lines are the same training.
     pub identity: &'a str,
-    /// Whether a checkpoint in the folder is taken up, and a finished run left as it is.
-    pub resume: bool,
-    /// Time between two checkpoints.
-    pub checkpoint_every: Duration,
-    /// When the program began.
-    pub begun: Instant,
-    /// The time that the run may take.
-    pub time_budget: Option<Duration>,
     /// How many images it has.
     pub images: usize,
 }
@@ -210,8 +203,13 @@ impl<'a, P: Clone + Serialize + DeserializeOwned + 'static> Opened<'a, P> {
     ///
     /// # Errors
     /// When the checkpoint is damaged or of another training, or the folder cannot be made.
-    pub fn look(request: RunRequest<'a>) -> Result<Self, OpenError> {
-        let RunRequest { out, identity, .. } = request;
+    pub fn look(asked: RunRequest<'a>) -> Result<Self, OpenError> {
+        let RunRequest {
+            request,
+            identity,
+            images,
+        } = asked;
+        let out = request.out.as_path();
         if request.resume {
             let metrics = metrics_of(out).filter(|metrics| metrics["training"] == checkpoint::digest(identity));
             if let Some(metrics) = metrics {
@@ -231,9 +229,7 @@ impl<'a, P: Clone + Serialize + DeserializeOwned + 'static> Opened<'a, P> {
         create_folder(out)?;
         Ok(Self::Open(Box::new(RunFolder {
             begun,
-            budget: request
-                .time_budget
-                .map(|limit| Budget::new(begun, limit, request.images)),
+            budget: request.time_budget.map(|limit| Budget::new(begun, limit, images)),
             checkpoints: CheckpointWriter::new(out, identity, request.checkpoint_every, begun),
             checkpoint,
             closing: Closing { out, identity, new },

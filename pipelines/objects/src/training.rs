@@ -9,63 +9,26 @@ use crate::measure;
 use crate::model::ObjectModel;
 use crate::run::{self, ObjectRun};
 use heliosplat_fitting::checkpoint::{digest, identity_of_program};
+use heliosplat_fitting::request::{TrainOutcome, TrainRequest, TrainedRun};
 use heliosplat_fitting::run_folder::{
     Input, Opened, RunError, RunFolder, RunRequest, create_folder, hash, peak_rss_bytes, resident_bytes,
 };
-use heliosplat_fitting::settings::Preset;
 use heliosplat_fitting::training::Ending;
 use heliosplat_session::Session;
 use rayon::prelude::*;
 use serde_json::{Value, json};
 use std::fmt::Write;
-use std::path::{Path, PathBuf};
-use std::time::{Duration, Instant};
+use std::path::Path;
 
 /// Bytes that a Gaussian takes in training: its parameters, their gradients, Adam's two memories, and its splat.
 const BYTES_PER_GAUSSIAN: f64 = 4.0 * 4.0 * 59.0 + 500.0;
 
-/// What a training is asked for, besides its configuration.
-#[derive(Debug, Clone)]
-pub struct TrainRequest {
-    /// The capture.
-    pub capture: PathBuf,
-    /// Folder of the run, made where it is absent.
-    pub out: PathBuf,
-    /// Preset that the configuration started from.
-    pub preset: Preset,
-    /// When the program began: the time budget counts from here.
-    pub begun: Instant,
-    /// The time that the run may take.
-    pub time_budget: Option<Duration>,
-    /// The memory that the process may take, bytes.
-    pub memory: Option<u64>,
-    /// Whether a checkpoint in the folder is taken up, and a finished run left as it is.
-    pub resume: bool,
-    /// Time between two checkpoints.
-    pub checkpoint_every: Duration,
-}
-
-/// The outcome of a training.
-pub enum TrainOutcome {
-    /// The folder holds this very training, finished before.
-    FinishedBefore {
-        /// Its `metrics.json`.
-        metrics: Value,
-    },
-    /// It was trained now; the model is written and measured.
-    Trained(Box<TrainedRun>),
-}
-
-/// A run that was trained now.
-pub struct TrainedRun {
+/// The model of a capture and its `run.toml`.
+pub struct TrainedObject {
     /// The model.
     pub model: ObjectModel,
     /// Its `run.toml`.
     pub run: ObjectRun,
-    /// Its `metrics.json`.
-    pub metrics: Value,
-    /// How training ended: a run whose training gave up is written all the same.
-    pub ending: Ending,
 }
 
 /// Opens a capture; says what looks wrong.
@@ -80,13 +43,18 @@ pub fn open(path: &Path, memory: Option<u64>) -> Result<Capture, ObjectError> {
     Ok(capture)
 }
 
-/// Trains a model of a capture and writes its run.
+/// Trains a model of the capture in the folder `path` and writes its run.
 ///
 /// # Errors
 /// When the capture, the configuration or a limit is at fault, the user stops the training, or a file cannot be written.
-pub fn train(mut config: ObjectConfig, request: &TrainRequest, session: &Session) -> Result<TrainOutcome, ObjectError> {
+pub fn train(
+    path: &Path,
+    mut config: ObjectConfig,
+    request: &TrainRequest,
+    session: &Session,
+) -> Result<TrainOutcome<TrainedObject>, ObjectError> {
     let out = request.out.as_path();
-    let capture = open(&request.capture, request.memory)?;
+    let capture = open(path, request.memory)?;
     if let Some(limit) = request.memory {
         let resident = resident_bytes() as f64;
         let left = limit as f64 - resident;
@@ -104,12 +72,8 @@ pub fn train(mut config: ObjectConfig, request: &TrainRequest, session: &Session
     let inputs = hashes(&capture)?;
     let identity = identity(request, &config, &capture, &inputs)?;
     let folder = match Opened::<()>::look(RunRequest {
-        out,
+        request,
         identity: &identity,
-        resume: request.resume,
-        checkpoint_every: request.checkpoint_every,
-        begun: request.begun,
-        time_budget: request.time_budget,
         images: capture.frames.len(),
     })? {
         Opened::Finished(metrics) => return Ok(TrainOutcome::FinishedBefore { metrics }),
@@ -131,7 +95,7 @@ pub fn train(mut config: ObjectConfig, request: &TrainRequest, session: &Session
         version: env!("CARGO_PKG_VERSION").into(),
         preset: request.preset.name().into(),
         seed: config.train.seed,
-        capture: std::fs::canonicalize(&request.capture).unwrap_or_else(|_| request.capture.clone()),
+        capture: std::fs::canonicalize(path).unwrap_or_else(|_| path.to_owned()),
         inputs,
         config,
         plan: Some(fitted.plan.clone()),
@@ -145,8 +109,10 @@ pub fn train(mut config: ObjectConfig, request: &TrainRequest, session: &Session
     add_fit(&mut metrics, &fitted, begun.elapsed().as_secs_f64());
     closing.finish(&mut metrics, &fitted.ending)?;
     Ok(TrainOutcome::Trained(Box::new(TrainedRun {
-        model: fitted.model,
-        run,
+        model: TrainedObject {
+            model: fitted.model,
+            run,
+        },
         metrics,
         ending: fitted.ending,
     })))

@@ -5,10 +5,14 @@ use heliosplat::Raster;
 use heliosplat_stereo::PlaneSweepRequest;
 use heliosplat_stereo::clouds::find_clouds;
 
-/// The pixels of each crop of `ground` that show clouds; empty where there are none.
-pub(super) fn find(ground: &Ground, rasters: &[Raster], request: &PlaneSweepRequest) -> Vec<Vec<bool>> {
-    let none = vec![[0.0; 2]; rasters.len()];
-    let mut masks = find_clouds(&ground.sweep_views(rasters, &none), request);
+/// The pixels of each crop of `ground` that show clouds, its cameras moved by `shifts_px`; empty where there are none.
+pub(super) fn find(
+    ground: &Ground,
+    rasters: &[Raster],
+    shifts_px: &[[f32; 2]],
+    request: &PlaneSweepRequest,
+) -> Vec<Vec<bool>> {
+    let mut masks = find_clouds(&ground.sweep_views(rasters, shifts_px), request);
     for (mask, image) in masks.iter_mut().zip(&ground.images) {
         match share(mask) {
             0.0 => mask.clear(),

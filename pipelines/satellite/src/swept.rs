@@ -18,6 +18,9 @@ use heliosplat_stereo::{MatchingParameters, PlaneSweepRequest, Surface, plane_sw
 use std::path::Path;
 use std::time::Instant;
 
+/// Corrections of the pointing beyond which clouds are searched again, pixels: what bright roofs are off by when they pass for clouds.
+const CLOUDS_AGAIN_PX: f32 = 4.0;
+
 /// Results that are computed once before training, and kept in its checkpoint.
 #[derive(Debug, Clone, serde::Serialize, serde::Deserialize)]
 pub struct Preprocessed {
@@ -56,9 +59,13 @@ impl<'a> Swept<'a> {
         let matching = decisions.matching.ok_or(FitError::TooFewViews { images })?;
         let request = ground.request(config.start.cell_gsd * scene.gsd_m, matching);
         tracing::debug!(parameters = ?matching, "matching");
-        let (rasters, clouds) = clear_rasters(&ground, decisions, &request);
+        let (mut rasters, mut clouds) = clear_rasters(&ground, decisions, &vec![[0.0; 2]; images], &request);
         ground.check_contrast(&rasters)?;
         let shifts_px = align(&ground, &rasters, decisions.align, matching, scene.gsd_m);
+        if decisions.clouds && shifts_px.iter().flatten().any(|shift| shift.abs() > CLOUDS_AGAIN_PX) {
+            tracing::info!("clouds are searched again with the cameras corrected");
+            (rasters, clouds) = clear_rasters(&ground, decisions, &shifts_px, &request);
+        }
         let aligned = started.elapsed();
         let progress = session.progress("sweep", 100);
         let surface = sweep(&ground, &rasters, &shifts_px, decisions, &request, &|share| {
@@ -95,15 +102,16 @@ impl<'a> Swept<'a> {
     }
 }
 
-/// The pixels of the crops of `ground` without clouds, and where clouds were, if they are to be searched.
+/// The pixels of the crops of `ground` without clouds, and where clouds were, if they are to be searched; cameras are moved by `shifts_px`.
 pub(super) fn clear_rasters(
     ground: &Ground,
     decisions: &Decisions,
+    shifts_px: &[[f32; 2]],
     request: &PlaneSweepRequest,
 ) -> (Vec<Raster>, Vec<Vec<bool>>) {
     let mut rasters = ground.rasters();
     let clouds = match decisions.clouds {
-        true => clouds::find(ground, &rasters, request),
+        true => clouds::find(ground, &rasters, shifts_px, request),
         false => vec![Vec::new(); rasters.len()],
     };
     let clouded = rasters.iter_mut().zip(&clouds);

@@ -133,9 +133,9 @@ impl TiledSweep<'_> {
             return Ok(None);
         };
         let request = self.request(&ground, decided.matching);
-        let (rasters, _) = clear_rasters(&ground, &decided.decisions, &request);
         let shift = |name: &String| decided.shifts_px.get(name).copied().unwrap_or_default();
         let shifts_px: Vec<[f32; 2]> = ground.images.iter().map(|image| shift(&image.name)).collect();
+        let (rasters, _) = clear_rasters(&ground, &decided.decisions, &shifts_px, &request);
         let surface = sweep(&ground, &rasters, &shifts_px, &decided.decisions, &request, &|_| {});
         let at_limits = AtLimits::of(&surface, &scene);
         let [columns, rows] = tile.bounds;
@@ -194,7 +194,7 @@ impl TiledSweep<'_> {
                 break;
             }
             let request = self.request(&ground, matching);
-            let (rasters, _) = clear_rasters(&ground, &decisions, &request);
+            let (rasters, _) = clear_rasters(&ground, &decisions, &vec![[0.0; 2]; images], &request);
             match shifts_of_ties(&ground, &rasters, matching, self.survey.gsd_m) {
                 Ok(shifts_px) => {
                     for (image, shift) in ground.images.iter().zip(shifts_px) {

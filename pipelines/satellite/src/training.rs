@@ -15,6 +15,7 @@ use crate::run_file::{self, RunFile};
 use heliosplat::splat::ProjectionOptions;
 use heliosplat_evaluate::Protocol;
 use heliosplat_fitting::checkpoint::{digest, identity_of_program};
+use heliosplat_fitting::request::{TrainOutcome, TrainRequest, TrainedRun};
 use heliosplat_fitting::run_folder::{Input, Opened, RunFolder, RunRequest, hash, hash_of_pixels};
 use heliosplat_fitting::settings::Preset;
 use heliosplat_fitting::training::Ending;
@@ -24,92 +25,28 @@ use heliosplat_raster::{is_virtual, preview};
 use heliosplat_scene::{AltitudeSource, IngestOptions, Scene, SceneImage, Values};
 use heliosplat_session::Session;
 use std::fmt::Write;
-use std::path::PathBuf;
-use std::time::{Duration, Instant};
+use std::time::Duration;
 
-/// Time between two checkpoints, unless said otherwise.
-pub const CHECKPOINT_EVERY: Duration = Duration::from_secs(60);
-
-/// What a training is asked for, besides its scene and its configuration.
-#[derive(Debug, Clone)]
-pub struct TrainRequest {
-    /// Folder of the run, made where it is absent.
-    pub out: PathBuf,
-    /// Preset that the configuration started from.
-    pub preset: Preset,
-    /// How the scene was read.
-    pub ingest: IngestOptions,
-    /// When the program began: the time budget counts from here.
-    pub begun: Instant,
-    /// The time that the run may take, products included.
-    pub time_budget: Option<Duration>,
-    /// The memory that the process may take, bytes.
-    pub memory: Option<u64>,
-    /// Whether a checkpoint in the folder is taken up, and a finished run left as it is.
-    pub resume: bool,
-    /// Time between two checkpoints.
-    pub checkpoint_every: Duration,
-}
-
-impl TrainRequest {
-    /// A training into `out` without limits; its time counts from now.
-    pub fn new(out: PathBuf, preset: Preset) -> Self {
-        Self {
-            out,
-            preset,
-            ingest: IngestOptions::default(),
-            begun: Instant::now(),
-            time_budget: None,
-            memory: None,
-            resume: false,
-            checkpoint_every: CHECKPOINT_EVERY,
-        }
-    }
-}
-
-/// The outcome of a training.
-pub enum TrainOutcome {
-    /// The folder holds this very training, finished before.
-    FinishedBefore {
-        /// Its `metrics.json`.
-        metrics: serde_json::Value,
-    },
-    /// It was trained now; the model is written and measured.
-    Trained(Box<TrainedRun>),
-}
-
-/// A run that was trained now.
-pub struct TrainedRun {
-    /// The model.
-    pub model: LoadedModel,
-    /// Its `metrics.json`.
-    pub metrics: serde_json::Value,
-    /// How training ended: a run whose training gave up is written all the same.
-    pub ending: Ending,
-}
-
-/// Trains a model of `scene` and writes its run: model, configuration, DSM, and where there is truth its errors.
+/// Trains a model of `scene` and writes its run: model, configuration, DSM, and where there is truth its errors. `ingest` is how the
+/// scene was read, which the run keeps.
 ///
 /// # Errors
 /// When a limit or a file of the scene is at fault, the user stops the training, or a file cannot be written.
 pub fn train(
     scene: &Scene,
+    ingest: &IngestOptions,
     config: &SatelliteConfig,
     request: &TrainRequest,
     session: &Session,
-) -> Result<TrainOutcome, SatelliteError> {
+) -> Result<TrainOutcome<LoadedModel>, SatelliteError> {
     // Decide.
     let decisions = Decisions::of(scene, config);
     let config = decisions.resolved(config);
     let inputs = hashes(scene)?;
     let identity = identity(scene, &config, &decisions, request, &inputs)?;
     let folder = match Opened::look(RunRequest {
-        out: &request.out,
+        request,
         identity: &identity,
-        resume: request.resume,
-        checkpoint_every: request.checkpoint_every,
-        begun: request.begun,
-        time_budget: request.time_budget,
         images: scene.images.len(),
     })? {
         Opened::Finished(metrics) => return Ok(TrainOutcome::FinishedBefore { metrics }),
@@ -139,9 +76,9 @@ pub fn train(
         preset: request.preset.name().into(),
         seed: config.train.seed,
         scene: std::fs::canonicalize(&scene.source).unwrap_or_else(|_| scene.source.clone()),
-        altitude_range_m: request.ingest.altitude_range_m,
+        altitude_range_m: ingest.altitude_range_m,
         altitude_from_ties_m: (scene.altitude_known_from == AltitudeSource::Ties).then_some(scene.altitude_range_m),
-        area: request.ingest.area.clone(),
+        area: ingest.area.clone(),
         plan: fitted.decisions.items.clone(),
         inputs,
         config,

@@ -9,13 +9,14 @@ use crate::outcome::CliError;
 use crate::report;
 use heliosplat_evaluate::{Protocol, error_map, evaluate_raster};
 use heliosplat_fitting::checkpoint;
+use heliosplat_fitting::request::{TrainOutcome, TrainRequest};
 use heliosplat_fitting::run_folder::{create_folder, peak_rss_bytes};
 use heliosplat_products::{dsm, model, seams};
 use heliosplat_raster::preview;
 use heliosplat_raster::write::{deliver, remove_leftovers, write_atomically};
 use heliosplat_satellite::config::SatelliteConfig;
 use heliosplat_satellite::measure;
-use heliosplat_satellite::training::{TrainOutcome, TrainRequest, train};
+use heliosplat_satellite::training::train;
 use heliosplat_scene::{IngestOptions, Scene};
 use heliosplat_session::Session;
 use serde_json::{Value, json};
@@ -127,13 +128,12 @@ fn tile(
     let preset = work.preset.base().parse()?;
     let config = SatelliteConfig::resolve(preset, &work.preset.changes(), work.preset.seed)?;
     let request = TrainRequest {
-        ingest,
         begun,
         resume: true,
         checkpoint_every,
         ..TrainRequest::new(run.clone(), preset)
     };
-    let trained = match train(&scene, &config, &request, session)? {
+    let trained = match train(&scene, &ingest, &config, &request, session)? {
         TrainOutcome::FinishedBefore { metrics } => {
             report::complete(&run)?;
             metrics

@@ -3,14 +3,15 @@
 use crate::outcome::{CliError, Outcome};
 use crate::report;
 use clap::Args;
+use heliosplat_fitting::request::{TrainOutcome, TrainRequest};
 use heliosplat_fitting::run_folder::create_folder;
 use heliosplat_fitting::settings::Preset;
 use heliosplat_products::relight;
 use heliosplat_rpc::sun::SunPosition;
 use heliosplat_satellite::config::SatelliteConfig;
 use heliosplat_satellite::measure;
-use heliosplat_satellite::training::{TrainOutcome, TrainRequest, train};
-use heliosplat_scene::Scene;
+use heliosplat_satellite::training::train;
+use heliosplat_scene::{IngestOptions, Scene};
 use heliosplat_session::Session;
 use std::path::PathBuf;
 use std::time::Instant;
@@ -45,14 +46,15 @@ pub(crate) fn demo(args: &DemoArgs, session: &Session) -> Result<Outcome, CliErr
     .map_err(|error| CliError::Failed(error.to_string()))?;
     drop(progress);
     let begun = Instant::now();
-    let scene = Scene::open(&scene_folder, &Default::default())?;
+    let ingest = IngestOptions::default();
+    let scene = Scene::open(&scene_folder, &ingest)?;
     let config = SatelliteConfig::resolve(Preset::Fast, &[], args.seed)?;
     let run_folder = args.out.join("run");
     let request = TrainRequest {
         begun,
         ..TrainRequest::new(run_folder.clone(), Preset::Fast)
     };
-    let TrainOutcome::Trained(run) = train(&scene, &config, &request, session)? else {
+    let TrainOutcome::Trained(run) = train(&scene, &ingest, &config, &request, session)? else {
         return Err(CliError::Failed(format!("{}: trained before", run_folder.display())));
     };
     report::write(&run_folder)?;

@@ -6,6 +6,7 @@ use crate::outcome::{CliError, Outcome};
 use crate::report;
 use glam::DVec3;
 use heliosplat::light::Light;
+use heliosplat_fitting::request::{TrainOutcome, TrainRequest};
 use heliosplat_fitting::run_folder::create_folder;
 use heliosplat_fitting::settings::Preset;
 use heliosplat_objects::config::{Background, ObjectConfig};
@@ -13,7 +14,7 @@ use heliosplat_objects::model::{self, components};
 use heliosplat_objects::pixels::Encoding;
 use heliosplat_objects::run;
 use heliosplat_objects::surroundings::{self, Lamp};
-use heliosplat_objects::training::{self, TrainOutcome, TrainRequest, open};
+use heliosplat_objects::training::{self, open};
 use heliosplat_objects::{export, measure, mesh, plan, views};
 use heliosplat_raster::preview::write_png;
 use heliosplat_raster::write::write_atomically;
@@ -41,7 +42,6 @@ pub(crate) fn train(args: &TrainArgs, session: &Session) -> Result<Outcome, CliE
     let preset = args.preset.map(Preset::from).unwrap_or_default();
     let config = ObjectConfig::resolve(preset, &args.set, args.seed)?;
     let request = TrainRequest {
-        capture: args.scene.clone(),
         out: args.out.clone(),
         preset,
         begun,
@@ -50,13 +50,13 @@ pub(crate) fn train(args: &TrainArgs, session: &Session) -> Result<Outcome, CliE
         resume: args.resume,
         checkpoint_every: args.checkpoint_every,
     };
-    let (metrics, before) = match training::train(config, &request, session)? {
+    let (metrics, before) = match training::train(&args.scene, config, &request, session)? {
         TrainOutcome::FinishedBefore { metrics } => {
             report::complete(&args.out)?;
             (metrics, " (finished before)")
         }
         TrainOutcome::Trained(run) => {
-            report::object::of(&args.out, &run.model, &run.run)?;
+            report::object::of(&args.out, &run.model.model, &run.model.run)?;
             run.ending.check(&args.out)?;
             (run.metrics, "")
         }

@@ -5,6 +5,7 @@ use super::model_args::{DsmArgs, DsmSource, RelightArgs, RenderArgs, RenderSplit
 use super::sweep_dsm::{self, Swept};
 use crate::outcome::{CliError, Outcome};
 use crate::report;
+use heliosplat_fitting::request::{TrainOutcome, TrainRequest};
 use heliosplat_fitting::run_folder::create_folder;
 use heliosplat_fitting::settings::Preset;
 use heliosplat_products::model::load;
@@ -13,7 +14,7 @@ use heliosplat_raster::write::{ImageSpec, Sample, write_geotiff};
 use heliosplat_rpc::sun::{SunPosition, sun_position};
 use heliosplat_satellite::config::SatelliteConfig;
 use heliosplat_satellite::run_file::scene_of;
-use heliosplat_satellite::training::{TrainOutcome, TrainRequest, configure};
+use heliosplat_satellite::training::configure;
 use heliosplat_satellite::{altitude, estimate, measure, training};
 use heliosplat_scene::Split;
 use heliosplat_scene::survey::Survey;
@@ -52,14 +53,13 @@ pub(crate) fn train(args: &TrainArgs, session: &Session) -> Result<Outcome, CliE
     let request = TrainRequest {
         out: args.out.clone(),
         preset,
-        ingest,
         begun,
         time_budget: args.time_budget,
         memory: args.memory,
         resume: args.resume,
         checkpoint_every: args.checkpoint_every,
     };
-    let (metrics, before) = match training::train(&scene, &config, &request, session)? {
+    let (metrics, before) = match training::train(&scene, &ingest, &config, &request, session)? {
         TrainOutcome::FinishedBefore { metrics } => {
             report::complete(&args.out)?;
             (metrics, " (finished before)")

@@ -1,0 +1,65 @@
+//! What a training is asked for, and its outcome, whatever the model.
+
+use crate::settings::Preset;
+use crate::training::Ending;
+use serde_json::Value;
+use std::path::PathBuf;
+use std::time::{Duration, Instant};
+
+/// Time between two checkpoints, unless said otherwise.
+pub const CHECKPOINT_EVERY: Duration = Duration::from_secs(60);
+
+/// What a training is asked for, besides its images and its configuration.
+#[derive(Debug, Clone)]
+pub struct TrainRequest {
+    /// Folder of the run, made where it is absent.
+    pub out: PathBuf,
+    /// Preset that the configuration started from.
+    pub preset: Preset,
+    /// When the program began: the time budget counts from here.
+    pub begun: Instant,
+    /// The time that the run may take, products included.
+    pub time_budget: Option<Duration>,
+    /// The memory that the process may take, bytes.
+    pub memory: Option<u64>,
+    /// Whether a checkpoint in the folder is taken up, and a finished run left as it is.
+    pub resume: bool,
+    /// Time between two checkpoints.
+    pub checkpoint_every: Duration,
+}
+
+impl TrainRequest {
+    /// A training into `out` without limits; its time counts from now.
+    pub fn new(out: PathBuf, preset: Preset) -> Self {
+        Self {
+            out,
+            preset,
+            begun: Instant::now(),
+            time_budget: None,
+            memory: None,
+            resume: false,
+            checkpoint_every: CHECKPOINT_EVERY,
+        }
+    }
+}
+
+/// The outcome of a training; `M` is the model.
+pub enum TrainOutcome<M> {
+    /// The folder holds this very training, finished before.
+    FinishedBefore {
+        /// Its `metrics.json`.
+        metrics: Value,
+    },
+    /// It was trained now; the model is written and measured.
+    Trained(Box<TrainedRun<M>>),
+}
+
+/// A run that was trained now.
+pub struct TrainedRun<M> {
+    /// The model.
+    pub model: M,
+    /// Its `metrics.json`.
+    pub metrics: Value,
+    /// How training ended: a run whose training gave up is written all the same.
+    pub ending: Ending,
+}
