@@ -23,7 +23,8 @@ const LEAST_MEDIAN_PX: f64 = 0.5;
 /// `slopes` are the images' [`pixels_per_metre`]: shifts `s_i` and `s_i - slopes_i t` fit all ties alike for any `t`. The smallest are those
 /// of least squares over all images but those far off ([`FAR_OFF_MEDIANS`]), so that one wrong camera does not move the scene.
 pub fn smallest_shifts(shifts: &[Vector2<f64>], slopes: &[Matrix2x3<f64>]) -> (Vec<Vector2<f64>>, Vector3<f64>) {
-    let moved = |t: Vector3<f64>| -> Vec<Vector2<f64>> { shifts.iter().zip(slopes).map(|(s, slope)| s - slope * t).collect() };
+    let moved =
+        |t: Vector3<f64>| -> Vec<Vector2<f64>> { shifts.iter().zip(slopes).map(|(s, slope)| s - slope * t).collect() };
     let mut kept = vec![true; shifts.len()];
     loop {
         let translation_m = translation(shifts, slopes, &kept);
@@ -53,7 +54,9 @@ fn translation(shifts: &[Vector2<f64>], slopes: &[Matrix2x3<f64>], kept: &[bool]
     }
     // Views from one direction leave one component open; a trace of damping sets it to zero.
     normal += Matrix3::identity() * (1e-12 * normal.trace()).max(f64::MIN_POSITIVE);
-    normal.cholesky().map_or_else(Vector3::zeros, |factor| factor.solve(&right))
+    normal
+        .cholesky()
+        .map_or_else(Vector3::zeros, |factor| factor.solve(&right))
 }
 
 #[cfg(test)]
@@ -66,7 +69,9 @@ mod tests {
     }
 
     fn slopes() -> Vec<Matrix2x3<f64>> {
-        (0..9).map(|i| slope(0.1 * f64::from(i) - 0.4, 0.3 - 0.05 * f64::from(i * i % 7))).collect()
+        (0..9)
+            .map(|i| slope(0.1 * f64::from(i) - 0.4, 0.3 - 0.05 * f64::from(i * i % 7)))
+            .collect()
     }
 
     #[test]
