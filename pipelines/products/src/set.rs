@@ -2,7 +2,7 @@
 
 use super::dsm::{maps, of_model};
 use super::nadir::NadirGrid;
-use super::relight::{RelightError, relight_ortho};
+use super::relight::{RelightError, relight_ortho, shadows_ortho};
 use super::sunshine::{Period, sunshine};
 use super::writer::{Said, Set, Writer};
 use super::{ortho, points};
@@ -126,7 +126,7 @@ pub fn write(
     done(3);
     let dates = shaded_dates(model);
     for (place, (date, sun)) in dates.iter().enumerate() {
-        let mut shadows = relight_ortho(model, sun, &nadir)?.shadows();
+        let mut shadows = shadows_ortho(model, sun, &nadir)?;
         surface.blank_unknown(&mut shadows);
         writer.shadows(date, &shadows, sun)?;
         done(4 + place as u64);

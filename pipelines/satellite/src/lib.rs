@@ -8,6 +8,7 @@ pub mod adjust;
 pub mod altitude;
 mod clouds;
 pub mod config;
+mod daylight;
 pub mod error;
 pub mod estimate;
 pub mod fit;

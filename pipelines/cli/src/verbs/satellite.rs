@@ -162,11 +162,12 @@ pub(crate) fn relight(args: &RelightArgs, session: &Session) -> Result<Outcome, 
     let (azimuth, elevation) = (sun.azimuth_rad.to_degrees(), sun.elevation_rad.to_degrees());
     Ok(Outcome {
         text: format!(
-            "{} and {}: sun at azimuth {azimuth:.2}, elevation {elevation:.2}",
+            "{} and {}: sun at azimuth {azimuth:.2}, elevation {elevation:.2}; {}",
             args.out.display(),
-            mask.display()
+            mask.display(),
+            relit.exposure
         ),
-        json: json!({"image": args.out, "shadow": mask, "sun_azimuth_deg": azimuth, "sun_elevation_deg": elevation}),
+        json: json!({"image": args.out, "shadow": mask, "sun_azimuth_deg": azimuth, "sun_elevation_deg": elevation, "exposure": relit.exposure}),
     })
 }
 
