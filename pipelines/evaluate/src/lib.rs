@@ -9,6 +9,7 @@
 //! Predictions are never clipped toward the truth.
 
 pub mod align;
+pub mod edges;
 pub mod error_map;
 pub mod image;
 pub mod metrics;
@@ -19,6 +20,7 @@ pub mod truth;
 pub mod uncertainty;
 
 pub use self::image::{ImageScore, score_image};
+pub use edges::EdgeErrors;
 pub use metrics::{DsmMetrics, HeightErrors};
 pub use relit::{RelitPair, RelitScore, RelitScores, score_relit};
 pub use shadow::{ShadowScore, score_shadow};
@@ -194,6 +196,7 @@ pub fn evaluate_raster(
     metrics.uncertainty = prediction
         .band(dsm_bands::STANDARD_DEVIATION)
         .and_then(|band| Uncertainty::of(&errors, &placement.moved_band(band, shift.columns, shift.rows)));
+    metrics.edges = edges::edges(&errors, &wanted, &truth.raster, classes.as_ref(), gsd_m);
     Ok(DsmEvaluation {
         metrics,
         errors,

@@ -87,6 +87,20 @@ pub fn table(metrics: &DsmMetrics) -> String {
     for (name, errors) in &metrics.by_class {
         line(name, errors);
     }
+    for edge in &metrics.edges {
+        let distance = match edge.to_m {
+            Some(to_m) => format!("{} to {to_m} m from walls", edge.from_m),
+            None => format!("{} m and more", edge.from_m),
+        };
+        // Writing to a String cannot fail.
+        let _ = writeln!(
+            text,
+            "ground {distance:<23} MAE {:>6.3} m, mean {:>+6.3} m, {:>4.1} % of the error",
+            edge.errors.mae_m,
+            edge.mean_m,
+            100.0 * edge.share_of_error
+        );
+    }
     if let Some(share) = metrics.seen_unknown {
         // Writing to a String cannot fail.
         let _ = writeln!(text, "unknown of what two images see: {:.2} %", 100.0 * share);
