@@ -11,7 +11,7 @@ use heliosplat::model::shadow_gs::{ShadowGs, ShadowGsOptions};
 use heliosplat_cli::batch::manifest::Manifest;
 use heliosplat_objects::model::ObjectFile;
 use heliosplat_objects::run::ObjectRun;
-use heliosplat_objects::{self as objects, transforms};
+use heliosplat_objects::transforms;
 use heliosplat_products::{model::ModelFile, ply};
 use heliosplat_rpc::read::{self, acquisition};
 use heliosplat_rpc::{ImagePoint, Rpc, write};
@@ -202,7 +202,7 @@ pub fn object_json(bytes: &[u8]) -> bool {
 
 /// `model.ply` of an object, of a model of one light at a time.
 pub fn object_ply(bytes: &[u8]) -> bool {
-    objects::ply::decode(bytes, captures::olat().feature_groups()).is_ok()
+    heliosplat_exchange::splat_ply::decode(bytes, captures::olat().feature_groups()).is_ok()
 }
 
 /// `run.toml` of an object.

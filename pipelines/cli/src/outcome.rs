@@ -6,6 +6,7 @@ use heliosplat_fitting::run_folder::{OpenError, RunError};
 use heliosplat_fitting::settings::ConfigError;
 use heliosplat_fitting::training::TrainingError;
 use heliosplat_objects::{CaptureError, ObjectError};
+use heliosplat_products::export::ExportError;
 use heliosplat_products::relight::RelightError;
 use heliosplat_raster::RasterError;
 use heliosplat_satellite::SatelliteError;
@@ -72,7 +73,8 @@ by_fault!(
     EvaluateError,
     CheckpointError,
     RunError,
-    RelightError
+    RelightError,
+    ExportError
 );
 
 impl From<SessionError> for CliError {
@@ -137,9 +139,12 @@ impl From<SatelliteError> for CliError {
             SatelliteError::Run(error) => error.into(),
             SatelliteError::Raster(error) => error.into(),
             SatelliteError::Evaluate(error) => error.into(),
-            SatelliteError::TimeBudget { .. } | SatelliteError::SceneOfRun { .. } | SatelliteError::Adjust { .. } => {
-                Self::Input(error.to_string())
-            }
+            SatelliteError::Relight(error) => error.into(),
+            SatelliteError::TimeBudget { .. }
+            | SatelliteError::SceneOfRun { .. }
+            | SatelliteError::Adjust { .. }
+            | SatelliteError::RelitBands { .. }
+            | SatelliteError::RelitElsewhere(_) => Self::Input(error.to_string()),
             SatelliteError::Stopped => Self::Interrupted(error.to_string()),
             SatelliteError::Settings(_) | SatelliteError::CorrectedCamera { .. } => Self::Failed(error.to_string()),
         }

@@ -13,6 +13,7 @@ pub mod edges;
 pub mod error_map;
 pub mod image;
 pub mod metrics;
+pub mod relit;
 pub mod resample;
 pub mod shadow;
 pub mod truth;
@@ -21,6 +22,7 @@ pub mod uncertainty;
 pub use self::image::{ImageScore, score_image};
 pub use edges::EdgeErrors;
 pub use metrics::{DsmMetrics, HeightErrors};
+pub use relit::{RelitPair, RelitScore, RelitScores, score_relit};
 pub use shadow::{ShadowScore, score_shadow};
 pub use uncertainty::Uncertainty;
 

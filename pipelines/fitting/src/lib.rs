@@ -7,7 +7,6 @@
 pub mod budget;
 pub mod checkpoint;
 pub mod curve;
-pub mod ply;
 pub mod request;
 pub mod run_folder;
 pub mod settings;

@@ -1,7 +1,7 @@
 //! What other programs can use of a model: splats with colours baked for a light, and the model itself as two files.
 
+use super::measure;
 use super::model::{Kind, ObjectModel};
-use super::{measure, ply};
 use glam::{DVec3, Vec3};
 use heliosplat::ProjectiveCamera;
 use heliosplat::gaussians::{FEATURES, POSITION, Table, core_groups};
@@ -11,6 +11,7 @@ use heliosplat::model::{Context, SceneModel, Seen};
 use heliosplat::shade::{display, sh};
 use heliosplat::splat::Projected;
 use heliosplat::trace::{Occluders, transmittance};
+use heliosplat_exchange::splat_ply;
 use heliosplat_fitting::run_folder::RunError;
 use heliosplat_raster::write::write_atomically;
 use rayon::prelude::*;
@@ -130,7 +131,7 @@ fn table(gaussians: &Table, sums: &[[[f32; 3]; sh::MAX_FUNCTIONS]], centre: DVec
 /// # Errors
 /// [`RunError`] when the file cannot be written.
 pub fn write_splats(splats: &Table, path: &Path) -> Result<(), RunError> {
-    Ok(write_atomically(path, &ply::encode(splats))?)
+    Ok(write_atomically(path, &splat_ply::encode(splats, &[]))?)
 }
 
 #[cfg(test)]

@@ -15,7 +15,6 @@ mod model_file;
 pub mod pinhole;
 pub mod pixels;
 pub mod plan;
-pub mod ply;
 mod prepare;
 pub mod run;
 pub mod start;

@@ -3,7 +3,6 @@
 use super::capture::{Capture, Frame};
 use super::pinhole::Pinhole;
 use super::pixels::Encoding;
-use super::ply;
 use super::surroundings::Lamp;
 use super::transforms::PointLight;
 use super::views::Preparation;
@@ -17,6 +16,7 @@ use heliosplat::model::{Parameters, SceneModel};
 use heliosplat::render::{PassOptions, render};
 use heliosplat::splat::{Maps, ProjectionOptions};
 use heliosplat::{ProjectiveCamera, Raster};
+use heliosplat_exchange::splat_ply;
 use heliosplat_fitting::run_folder::RunError;
 use heliosplat_raster::bounded;
 use heliosplat_raster::write::write_atomically;
@@ -300,7 +300,10 @@ pub fn file(capture: &Capture, kind: Kind, preparation: Preparation, globals: Ta
 /// # Errors
 /// When a file cannot be written.
 pub fn save_model(folder: &Path, model: &ObjectModel) -> Result<(), RunError> {
-    write_atomically(&folder.join("model.ply"), &ply::encode(&model.parameters.gaussians))?;
+    write_atomically(
+        &folder.join("model.ply"),
+        &splat_ply::encode(&model.parameters.gaussians, &[]),
+    )?;
     let path = folder.join("model.json");
     let text = serde_json::to_string_pretty(&model.file).map_err(|e| damaged(&path, e))?;
     write_atomically(&path, text.as_bytes())?;
@@ -326,7 +329,7 @@ pub fn load(folder: &Path) -> Result<ObjectModel, RunError> {
     let file = ObjectFile::parse(&read(&path)?).map_err(|e| damaged(&path, e))?;
     let model = file.kind.model();
     let ply_path = folder.join("model.ply");
-    let gaussians = ply::decode(&read(&ply_path)?, model.feature_groups()).map_err(|e| damaged(&ply_path, e))?;
+    let gaussians = splat_ply::decode(&read(&ply_path)?, model.feature_groups()).map_err(|e| damaged(&ply_path, e))?;
     Ok(ObjectModel {
         parameters: Parameters {
             gaussians,

@@ -4,10 +4,8 @@
 use heliosplat::gaussians::{LOG_SCALE, OPACITY, POSITION, ROTATION, Table, core_groups};
 use heliosplat::model::SceneModel;
 use heliosplat::model::shadow_gs::{ALBEDO, ShadowGs};
-use heliosplat_fitting::ply::{Rows, header};
-
-/// First coefficient of the spherical harmonics: viewers show `0.5 + C0 · f_dc`.
-const C0: f32 = 0.282_094_8;
+use heliosplat_exchange::ply::{Rows, header};
+use heliosplat_exchange::splats::C0;
 
 fn properties(extra: &[(String, usize)]) -> Vec<String> {
     let mut names: Vec<String> = [
@@ -32,7 +30,7 @@ fn extra(table: &Table) -> Vec<(String, usize)> {
 /// The file of a table whose first model group is the albedo of `bands` bands.
 pub fn encode(gaussians: &Table, bands: usize) -> Vec<u8> {
     let extra = extra(gaussians);
-    let mut out = header(gaussians.count, properties(&extra).iter().map(String::as_str));
+    let mut out = header(&[], gaussians.count, properties(&extra).iter().map(String::as_str));
     let mut put = |v: f32| out.extend_from_slice(&v.to_le_bytes());
     for i in 0..gaussians.count {
         gaussians.group(POSITION)[i * 3..i * 3 + 3].iter().for_each(|&v| put(v));

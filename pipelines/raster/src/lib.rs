@@ -8,6 +8,7 @@ pub mod bounded;
 pub mod crs;
 pub mod dsm_bands;
 pub mod file;
+pub mod folder;
 pub mod geoid;
 pub mod grid;
 pub mod messages;
@@ -19,6 +20,7 @@ pub mod write;
 
 pub use crs::{Crs, CrsTransform};
 pub use file::{BandInfo, Colour, GeoRaster, RasterFile, Window, is_virtual, list_virtual};
+pub use folder::write_folder;
 pub use geoid::Geoid;
 pub use grid::{EnuGrid, GeoTransform, GridSpec};
 pub use pansharpen::GridRelation;
@@ -80,6 +82,14 @@ pub enum RasterError {
         grids: String,
         /// The one to fetch.
         first: &'static str,
+    },
+    /// A folder of something else stands where one is to be written.
+    #[error("{}: there is something else here already (no {mark}); choose another folder", path.display())]
+    Occupied {
+        /// The folder.
+        path: PathBuf,
+        /// The file that one of ours has.
+        mark: String,
     },
     /// The disk is full.
     #[error("{}: the disk is full, nothing was written; free some space or choose another folder", .0.display())]

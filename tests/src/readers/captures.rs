@@ -6,11 +6,11 @@ use heliosplat::model::SceneModel;
 use heliosplat::model::olat::{Olat, OlatOptions};
 use heliosplat::model::radiance::RadianceOptions;
 use heliosplat::model::reflective::{Reflective, ReflectiveOptions};
+use heliosplat_exchange::splat_ply;
 use heliosplat_objects::config::ObjectConfig;
 use heliosplat_objects::model::{Kind, ObjectFile, ObjectImage, SCHEMA};
 use heliosplat_objects::pinhole::Pinhole;
 use heliosplat_objects::pixels::Encoding;
-use heliosplat_objects::ply;
 use heliosplat_objects::run::ObjectRun;
 use heliosplat_objects::transforms::PointLight;
 use heliosplat_objects::views::Preparation;
@@ -133,7 +133,10 @@ pub(super) fn plys() -> Vec<Vec<u8>> {
             *v = (i as f32 * 0.61).cos();
         }
     }
-    vec![ply::encode(&table), ply::encode(&table.gather(&[]))]
+    vec![
+        splat_ply::encode(&table, &[]),
+        splat_ply::encode(&table.gather(&[]), &[]),
+    ]
 }
 
 /// `run.toml`.

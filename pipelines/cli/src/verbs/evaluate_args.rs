@@ -28,6 +28,9 @@ pub struct EvaluateArgs {
     /// How the DSM is registered to the truth before it is measured
     #[arg(long, value_name = "NAME", default_value = "raw")]
     pub protocol: ProtocolName,
+    /// Folder of images from above under suns that no image had (`relit.json`, `relit_K.tif`, `relit_K_shadow.tif`) [default: the scene's own]
+    #[arg(long, value_name = "FOLDER", requires = "run", conflicts_with = "truth")]
+    pub relit: Option<PathBuf>,
     /// Write a picture of the errors (PNG, blue too low, red too high, 5 m)
     #[arg(long, value_name = "FILE")]
     pub error_map: Option<PathBuf>,

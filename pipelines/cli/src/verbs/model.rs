@@ -1,8 +1,9 @@
-//! `train`, `relight`, `render` and `evaluate` of a run: the way to the pipeline of what they are given.
+//! `train`, `relight`, `render`, `export` and `evaluate` of a run: the way to the pipeline of what they are given.
 
 use super::evaluate_args::EvaluateArgs;
+use super::export_args::ExportArgs;
 use super::model_args::{RelightArgs, RenderArgs, TrainArgs};
-use super::{object, satellite};
+use super::{export, object, satellite};
 use crate::outcome::{CliError, Outcome};
 use heliosplat_objects::is_capture;
 use heliosplat_objects::model::is_object_run;
@@ -16,10 +17,14 @@ pub(crate) fn train(args: &TrainArgs, session: &Session) -> Result<Outcome, CliE
     }
 }
 
-pub(crate) fn relight(args: &RelightArgs) -> Result<Outcome, CliError> {
+pub(crate) fn relight(args: &RelightArgs, session: &Session) -> Result<Outcome, CliError> {
     match is_object_run(&args.run) {
+        true if args.times.is_some() => Err(CliError::Input(format!(
+            "{}: a run of an object; --times is for runs of satellite scenes",
+            args.run.display()
+        ))),
         true => object::relight(args),
-        false => satellite::relight(args),
+        false => satellite::relight(args, session),
     }
 }
 
@@ -30,8 +35,19 @@ pub(crate) fn render(args: &RenderArgs, session: &Session) -> Result<Outcome, Cl
     }
 }
 
+pub(crate) fn export(args: &ExportArgs, session: &Session) -> Result<Outcome, CliError> {
+    match is_object_run(&args.run) {
+        true => object::export(args, session),
+        false => export::of_satellite(args),
+    }
+}
+
 pub(crate) fn evaluate(run: &Path, args: &EvaluateArgs) -> Result<Outcome, CliError> {
     match is_object_run(run) {
+        true if args.relit.is_some() => Err(CliError::Input(format!(
+            "{}: a run of an object; --relit is for runs of satellite scenes",
+            run.display()
+        ))),
         true => object::evaluate(run),
         false => satellite::evaluate(run, args),
     }

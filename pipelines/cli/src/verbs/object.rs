@@ -186,14 +186,24 @@ pub(crate) fn relight(args: &RelightArgs) -> Result<Outcome, CliError> {
 /// # Errors
 /// When the run or the light is at fault, or a file cannot be written.
 pub(crate) fn export(args: &ExportArgs, session: &Session) -> Result<Outcome, CliError> {
-    if !model::is_object_run(&args.run) {
-        return Err(CliError::Input(format!(
-            "{}: no run on an object; train a capture first, e.g. heliosplat train capture --out run",
-            args.run.display()
-        )));
+    for (given, name) in [
+        (args.splats.is_some(), "splats"),
+        (args.tiles.is_some(), "tiles"),
+        (args.sun.is_some(), "sun"),
+        (args.time.is_some(), "time"),
+    ] {
+        if given {
+            let text = format!("export --{name}: for runs on satellite scenes; leave it out for one on an object");
+            return Err(CliError::Input(text));
+        }
     }
     let format = match &args.mesh {
-        Some(path) => Some((path, mesh_format(path)?)),
+        Some(Some(path)) => Some((path, mesh_format(path)?)),
+        Some(None) => {
+            return Err(CliError::Input(
+                "export --mesh: an object's needs the name of a file".into(),
+            ));
+        }
         None => None,
     };
     let model = model::load(&args.run)?;
@@ -216,9 +226,12 @@ pub(crate) fn export(args: &ExportArgs, session: &Session) -> Result<Outcome, Cl
     }
     if let Some((path, format)) = format {
         let progress = session.progress("mesh", 2 * model.file.images.len() as u64);
-        let mesh = mesh::mesh(&model, args.cells as usize, &|done| progress.set(done))
-            .map_err(|reason| CliError::Input(format!("{}: {reason}", args.run.display())))?;
-        write_atomically(path, &mesh::encode(&mesh, format))?;
+        let mesh = mesh::mesh(&model, args.cells.unwrap_or(MESH_CELLS) as usize, &|done| {
+            progress.set(done)
+        })
+        .map_err(|reason| CliError::Input(format!("{}: {reason}", args.run.display())))?;
+        let bytes = mesh::encode(&mesh, format).map_err(|error| CliError::Input(error.to_string()))?;
+        write_atomically(path, &bytes)?;
         written.push(path.clone());
     }
     let names: Vec<String> = written.iter().map(|path| path.display().to_string()).collect();
@@ -227,6 +240,9 @@ pub(crate) fn export(args: &ExportArgs, session: &Session) -> Result<Outcome, Cl
         json: json!({"written": written, "gaussians": model.parameters.gaussians.count}),
     })
 }
+
+/// Cells along the longest side of the grid of a mesh, unless said otherwise.
+const MESH_CELLS: u32 = 192;
 
 fn mesh_format(path: &Path) -> Result<mesh::Format, CliError> {
     let format = mesh::Format::of(path);

@@ -2,7 +2,8 @@
 
 use super::Mesh;
 use heliosplat::shade::display;
-use serde_json::json;
+use heliosplat_exchange::glb::TooLarge;
+use heliosplat_exchange::mesh as gltf;
 use std::path::Path;
 
 /// How a mesh is written.
@@ -27,9 +28,12 @@ impl Format {
 }
 
 /// The bytes of a file.
-pub fn encode(mesh: &Mesh, format: Format) -> Vec<u8> {
+///
+/// # Errors
+/// [`TooLarge`].
+pub fn encode(mesh: &Mesh, format: Format) -> Result<Vec<u8>, TooLarge> {
     match format {
-        Format::Ply => ply(mesh),
+        Format::Ply => Ok(ply(mesh)),
         Format::Glb => glb(mesh),
     }
 }
@@ -56,77 +60,23 @@ fn ply(mesh: &Mesh) -> Vec<u8> {
     out
 }
 
-/// Numbers of glTF 2.0.
-const FLOAT: u32 = 5126;
-const UNSIGNED_INT: u32 = 5125;
-const ARRAY_BUFFER: u32 = 34962;
-const ELEMENT_ARRAY_BUFFER: u32 = 34963;
-
-fn glb(mesh: &Mesh) -> Vec<u8> {
+fn glb(mesh: &Mesh) -> Result<Vec<u8>, TooLarge> {
     // Colours of corners are linear in glTF.
-    let colours = mesh
-        .colours
-        .iter()
-        .map(|c| c.map(|v| display::decode(f32::from(v) / 255.0)));
-    let floats = |values: &mut dyn Iterator<Item = [f32; 3]>| -> Vec<u8> {
-        values.flatten().flat_map(f32::to_le_bytes).collect()
+    let linear = |c: &[u8; 3]| c.map(|v| display::decode(f32::from(v) / 255.0));
+    let colours: Vec<[f32; 3]> = mesh.colours.iter().map(linear).collect();
+    let mesh = gltf::Mesh {
+        positions: &mesh.positions,
+        normals: &mesh.normals,
+        triangles: &mesh.triangles,
+        look: gltf::Look::Colours(&colours),
     };
-    let parts = [
-        floats(&mut mesh.positions.iter().copied()),
-        floats(&mut mesh.normals.iter().copied()),
-        floats(&mut { colours }),
-        mesh.triangles.iter().flatten().flat_map(|i| i.to_le_bytes()).collect(),
-    ];
-    let bound = |pick: fn(f32, f32) -> f32, from: f32| {
-        let fold = |bound: [f32; 3], p: &[f32; 3]| std::array::from_fn(|k| pick(bound[k], p[k]));
-        mesh.positions.iter().fold([from; 3], fold)
-    };
-    let (mut views, mut offset) = (Vec::new(), 0);
-    for (part, bytes) in parts.iter().enumerate() {
-        let target = if part == 3 { ELEMENT_ARRAY_BUFFER } else { ARRAY_BUFFER };
-        views.push(json!({"buffer": 0, "byteOffset": offset, "byteLength": bytes.len(), "target": target}));
-        offset += bytes.len();
-    }
-    let corners = mesh.positions.len();
-    let document = json!({
-        "asset": {"version": "2.0", "generator": concat!("heliosplat ", env!("CARGO_PKG_VERSION"))},
-        "scene": 0,
-        "scenes": [{"nodes": [0]}],
-        "nodes": [{"mesh": 0}],
-        "meshes": [{"primitives": [{
-            "attributes": {"POSITION": 0, "NORMAL": 1, "COLOR_0": 2}, "indices": 3, "material": 0,
-        }]}],
-        "materials": [{"pbrMetallicRoughness": {"metallicFactor": 0.0, "roughnessFactor": 1.0}}],
-        "buffers": [{"byteLength": offset}],
-        "bufferViews": views,
-        "accessors": [
-            {"bufferView": 0, "componentType": FLOAT, "count": corners, "type": "VEC3",
-             "min": bound(f32::min, f32::INFINITY), "max": bound(f32::max, f32::NEG_INFINITY)},
-            {"bufferView": 1, "componentType": FLOAT, "count": corners, "type": "VEC3"},
-            {"bufferView": 2, "componentType": FLOAT, "count": corners, "type": "VEC3"},
-            {"bufferView": 3, "componentType": UNSIGNED_INT, "count": 3 * mesh.triangles.len(), "type": "SCALAR"},
-        ],
-    });
-    let mut text = document.to_string().into_bytes();
-    // Chunks end at multiples of four: text in spaces.
-    text.resize(text.len().next_multiple_of(4), b' ');
-    let length = 12 + 8 + text.len() + 8 + offset;
-    let mut out = Vec::with_capacity(length);
-    out.extend(b"glTF");
-    for number in [2, length as u32, text.len() as u32] {
-        out.extend(number.to_le_bytes());
-    }
-    out.extend(b"JSON");
-    out.extend(text);
-    out.extend((offset as u32).to_le_bytes());
-    out.extend(b"BIN\0");
-    out.extend(parts.concat());
-    out
+    gltf::glb(&mesh, serde_json::Value::Null)
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+    use serde_json::json;
 
     fn triangle() -> Mesh {
         Mesh {
@@ -146,7 +96,7 @@ mod tests {
 
     #[test]
     fn a_ply_file_has_the_bytes_that_its_header_claims() {
-        let bytes = encode(&triangle(), Format::Ply);
+        let bytes = encode(&triangle(), Format::Ply).expect("small");
         let end = bytes.windows(11).position(|w| w == b"end_header\n").expect("a header") + 11;
         assert_eq!(bytes.len() - end, 3 * (6 * 4 + 3) + 1 + 3 * 4);
         assert_eq!(&bytes[end + 24..end + 27], &[255, 0, 128]);
@@ -154,7 +104,7 @@ mod tests {
 
     #[test]
     fn a_glb_file_is_two_chunks_whose_lengths_are_true() {
-        let bytes = encode(&triangle(), Format::Glb);
+        let bytes = encode(&triangle(), Format::Glb).expect("small");
         let number = |at: usize| u32::from_le_bytes([bytes[at], bytes[at + 1], bytes[at + 2], bytes[at + 3]]) as usize;
         assert_eq!((&bytes[..4], number(4), number(8)), (&b"glTF"[..], 2, bytes.len()));
         let text = number(12);

@@ -8,11 +8,16 @@ const HEADER_LIMIT: usize = 64 * 1024;
 const FORMAT: &str = "ply\nformat binary_little_endian 1.0\n";
 const END: &[u8] = b"end_header\n";
 
-/// The header of a file of `count` rows with these columns; the rows follow it, 32-bit floats, little-endian.
-pub fn header<'a>(count: usize, columns: impl Iterator<Item = &'a str>) -> Vec<u8> {
-    let mut text = format!("{FORMAT}comment heliosplat\nelement vertex {count}\n");
-    for column in columns {
+/// The header of a file of `count` rows with these comments and columns; the rows follow it, 32-bit floats, little-endian. Comments are
+/// lines: what would end one is left out.
+pub fn header<'a>(comments: &[String], count: usize, columns: impl Iterator<Item = &'a str>) -> Vec<u8> {
+    let mut text = format!("{FORMAT}comment heliosplat\n");
+    for comment in comments {
         // Writing to a String cannot fail.
+        let _ = writeln!(text, "comment {}", comment.replace(['\n', '\r'], " "));
+    }
+    let _ = writeln!(text, "element vertex {count}");
+    for column in columns {
         let _ = writeln!(text, "property float {column}");
     }
     let mut bytes = text.into_bytes();

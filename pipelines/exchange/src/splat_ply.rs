@@ -1,8 +1,9 @@
 //! Gaussians as viewers of splats read them: binary PLY of named float columns, `f_dc_*` and `f_rest_*` (all of red, then green,
 //! then blue), opacity logit, log scales, quaternion with the scalar first. Columns of a model's own stand behind them.
 
+use crate::ply::{Rows, header};
 use heliosplat::gaussians::{FEATURES, GroupSpec, LOG_SCALE, OPACITY, POSITION, ROTATION, Table, core_groups};
-use heliosplat_fitting::ply::{Rows, header};
+
 use std::collections::BTreeMap;
 
 /// Name of the groups of spherical harmonics, by degree.
@@ -53,11 +54,15 @@ fn columns(specs: &[GroupSpec]) -> Vec<Column> {
     all
 }
 
-/// The file of a table whose harmonics, if any, are its first groups of features.
-pub fn encode(gaussians: &Table) -> Vec<u8> {
+/// The file of a table whose harmonics, if any, are its first groups of features; comments stand in its header.
+pub fn encode(gaussians: &Table, comments: &[String]) -> Vec<u8> {
     let specs: Vec<GroupSpec> = gaussians.groups.iter().map(|g| g.spec.clone()).collect();
     let columns = columns(&specs);
-    let mut out = header(gaussians.count, columns.iter().map(|column| column.name.as_str()));
+    let mut out = header(
+        comments,
+        gaussians.count,
+        columns.iter().map(|column| column.name.as_str()),
+    );
     out.reserve(gaussians.count * columns.len() * size_of::<f32>());
     for i in 0..gaussians.count {
         for column in &columns {
@@ -124,12 +129,12 @@ mod tests {
 
     #[test]
     fn a_file_reads_back_to_the_same_table() {
-        assert_eq!(decode(&encode(&table()), features()), Ok(table()));
+        assert_eq!(decode(&encode(&table(), &[]), features()), Ok(table()));
     }
 
     #[test]
     fn the_layout_is_the_one_of_viewers() {
-        let bytes = encode(&table());
+        let bytes = encode(&table(), &[]);
         let header = String::from_utf8_lossy(&bytes).into_owned();
         for name in ["f_dc_2", "f_rest_44", "opacity", "scale_2", "rot_3", "own_1"] {
             assert!(header.contains(&format!("property float {name}\n")), "{name}");
@@ -145,14 +150,14 @@ mod tests {
 
     #[test]
     fn damaged_files_are_refused() {
-        let bytes = encode(&table());
+        let bytes = encode(&table(), &[]);
         for cut in [0, 10, bytes.len() - 1] {
             assert!(decode(&bytes[..cut], features()).is_err());
         }
         let claim = String::from_utf8_lossy(&bytes[..60]).replace("vertex 3", "vertex 99999999999");
         assert!(decode(claim.as_bytes(), features()).is_err());
         // No columns at all: then the rows take no bytes, however many there are.
-        let nothing = heliosplat_fitting::ply::header(usize::MAX / 8, std::iter::empty());
+        let nothing = header(&[], usize::MAX / 8, std::iter::empty());
         assert!(decode(&nothing, features()).is_err());
     }
 }

@@ -1,0 +1,86 @@
+//! `export` of a run on a satellite scene.
+
+use super::export_args::ExportArgs;
+use crate::outcome::{CliError, Outcome};
+use bytesize::ByteSize;
+use heliosplat_products::export::{Request, Written, write};
+use heliosplat_products::model::load;
+use heliosplat_rpc::sun::{SunPosition, sun_position};
+use serde_json::json;
+use std::path::Path;
+
+/// Writes what other programs can use of a run.
+///
+/// # Errors
+/// When the run, the sun or a name is at fault, or a file cannot be written.
+pub(crate) fn of_satellite(args: &ExportArgs) -> Result<Outcome, CliError> {
+    for (given, name) in [
+        (args.light.is_some(), "light"),
+        (args.toward.is_some(), "toward"),
+        (args.asset.is_some(), "asset"),
+        (args.cells.is_some(), "cells"),
+    ] {
+        if given {
+            let text = format!("export --{name}: for runs on objects; leave it out for one on a satellite scene");
+            return Err(CliError::Input(text));
+        }
+    }
+    let (mesh, tiles_of_mesh) = match &args.mesh {
+        Some(Some(path)) => (Some(path.clone()), false),
+        Some(None) if args.tiles.is_none() => {
+            let text = "export --mesh: give it a name that ends in .glb, or a folder for tiles with --tiles DIR";
+            return Err(CliError::Input(text.into()));
+        }
+        Some(None) => (None, true),
+        None => (None, false),
+    };
+    for (path, name, ending) in [
+        (&args.ply, "ply", "ply"),
+        (&args.splats, "splats", "glb"),
+        (&mesh, "mesh", "glb"),
+    ] {
+        if let Some(path) = path.as_ref().filter(|path| !ends_in(path, ending)) {
+            let text = format!("--{name} {}: give it a name that ends in .{ending}", path.display());
+            return Err(CliError::Input(text));
+        }
+    }
+    let model = load(&args.run)?;
+    let sun = match (args.sun, args.time) {
+        (Some([azimuth, elevation]), _) => Some(SunPosition::from_degrees(azimuth, elevation)),
+        (None, Some(time)) => Some(sun_position(time, model.frame.origin)),
+        (None, None) => None,
+    };
+    let request = Request {
+        ply: args.ply.clone(),
+        splats: args.splats.clone(),
+        mesh,
+        tiles: args.tiles.clone(),
+        tiles_of_mesh,
+        sun,
+    };
+    let export = write(&model, &request)?;
+    let lines: Vec<String> = export.written.iter().map(line).collect();
+    Ok(Outcome {
+        text: lines.join("\n"),
+        json: json!({"written": export.written, "said": export.said, "gaussians": model.parameters.gaussians.count}),
+    })
+}
+
+fn ends_in(path: &Path, ending: &str) -> bool {
+    path.extension().is_some_and(|e| e.eq_ignore_ascii_case(ending))
+}
+
+fn line(written: &Written) -> String {
+    let content = match (written.splats, written.triangles) {
+        (Some(splats), _) => format!("{splats} splats"),
+        (None, Some(triangles)) => format!("{triangles} triangles"),
+        (None, None) => String::new(),
+    };
+    format!(
+        "{}: {content}, {} level(s) of detail, {} file(s), {}",
+        written.path.display(),
+        written.levels,
+        written.files,
+        ByteSize(written.bytes)
+    )
+}

@@ -1,0 +1,13 @@
+//! The bytes of files that other programs read: splats and meshes as PLY, glTF, SPZ and 3D Tiles.
+//!
+//! [`splats`] is what all writers of splats take. [`glb`] frames glTF, [`ply`] frames tables of floats, [`spz`] packs splats,
+//! [`merge`] makes coarser ones of fine ones, and [`tiles`] makes a tree of tiles. Nothing here opens a file or knows a model.
+
+pub mod glb;
+pub mod merge;
+pub mod mesh;
+pub mod ply;
+pub mod splat_ply;
+pub mod splats;
+pub mod spz;
+pub mod tiles;

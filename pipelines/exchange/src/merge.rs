@@ -1,0 +1,119 @@
+//! Coarser splats of finer ones: those whose centres share a cell become one that has their moments.
+//!
+//! A splat weighs its opacity times its area, the product of its two larger standard deviations: surfaces are made of flat ones. The mean,
+//! the covariance and the colour of the merged splat are those of the mixture. Its opacity keeps what the parts cover, `Σ o A = o A`, and
+//! is 1 where they cover more than its own area.
+
+use crate::splats::Splat;
+use glam::{Mat3, Quat, Vec3};
+use rayon::prelude::*;
+
+/// No axis of a merged splat is thinner than this, metres.
+const THINNEST_M: f32 = 1e-3;
+
+/// One splat for each cell of `cell_m` metres that has any, in the order of the cells.
+pub fn merged(splats: &[Splat], cell_m: f32) -> Vec<Splat> {
+    let key = |splat: &Splat| (splat.position / cell_m).floor().as_ivec3().to_array();
+    let mut order: Vec<([i32; 3], u32)> = splats.iter().map(key).zip(0..).collect();
+    order.par_sort_unstable();
+    let cells: Vec<&[([i32; 3], u32)]> = order.chunk_by(|a, b| a.0 == b.0).collect();
+    cells
+        .par_iter()
+        .with_min_len(256)
+        .map(|cell| mixture(cell.iter().map(|&(_, i)| &splats[i as usize])))
+        .collect()
+}
+
+/// Product of the two larger of three lengths.
+fn area(scale: Vec3) -> f32 {
+    scale.element_product() / scale.min_element()
+}
+
+/// The splat that has the moments of some.
+fn mixture<'a>(parts: impl ExactSizeIterator<Item = &'a Splat> + Clone) -> Splat {
+    let only = parts.clone().next().filter(|_| parts.len() == 1);
+    if let Some(only) = only {
+        return *only;
+    }
+    let weight = |splat: &Splat| splat.opacity * area(splat.scale).max(f32::MIN_POSITIVE);
+    let (mut covered, mut mean, mut colour) = (0.0, Vec3::ZERO, Vec3::ZERO);
+    for part in parts.clone() {
+        let w = weight(part);
+        covered += w;
+        mean += w * part.position;
+        colour += w * Vec3::from(part.colour);
+    }
+    mean /= covered;
+    let mut covariance = Mat3::ZERO;
+    for part in parts {
+        let aside = part.position - mean;
+        let spread = Mat3::from_cols(aside * aside.x, aside * aside.y, aside * aside.z);
+        covariance += (part.covariance() + spread) * (weight(part) / covered);
+    }
+    let (scale, rotation) = axes(covariance);
+    Splat {
+        position: mean,
+        scale,
+        rotation,
+        opacity: (covered / area(scale)).min(1.0),
+        colour: (colour / covered).to_array(),
+    }
+}
+
+/// Standard deviations along the own axes of a covariance, and the turn to these.
+fn axes(covariance: Mat3) -> (Vec3, Quat) {
+    let matrix = nalgebra::Matrix3::from_column_slice(&covariance.to_cols_array());
+    let nalgebra::SymmetricEigen {
+        eigenvalues,
+        eigenvectors,
+    } = matrix.symmetric_eigen();
+    let column = |k: usize| Vec3::new(eigenvectors[(0, k)], eigenvectors[(1, k)], eigenvectors[(2, k)]);
+    let turn = Mat3::from_cols(column(0), column(1), column(0).cross(column(1)));
+    let scale = Vec3::new(eigenvalues[0], eigenvalues[1], eigenvalues[2]).max(Vec3::ZERO);
+    let scale = Vec3::from(scale.to_array().map(f32::sqrt)).max(Vec3::splat(THINNEST_M));
+    (scale, Quat::from_mat3(&turn).normalize())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::splats::sample;
+
+    #[test]
+    fn a_splat_alone_in_its_cell_stays_as_it_is() {
+        let merged = merged(&sample(), 1.0);
+        assert_eq!(merged.len(), 3);
+        assert!(sample().iter().all(|splat| merged.contains(splat)));
+    }
+
+    #[test]
+    fn level_discs_become_one_level_disc_of_their_extent() {
+        let disc = |x: f32, y: f32, grey: f32| Splat {
+            position: Vec3::new(x, y, 5.25),
+            scale: Vec3::new(0.3, 0.3, 0.02),
+            rotation: Quat::IDENTITY,
+            opacity: 0.5,
+            colour: [grey; 3],
+        };
+        let four = [
+            disc(0.5, 0.5, 0.2),
+            disc(1.5, 0.5, 0.2),
+            disc(0.5, 1.5, 0.6),
+            disc(1.5, 1.5, 0.6),
+        ];
+        let merged = merged(&four, 2.0);
+        let [one] = merged[..] else {
+            panic!("{merged:?}");
+        };
+        assert!((one.position - Vec3::new(1.0, 1.0, 5.25)).length() < 1e-5);
+        assert!((one.colour[0] - 0.4).abs() < 1e-6);
+        let expected = Mat3::from_diagonal(Vec3::new(0.34, 0.34, 0.0004));
+        let difference = one.covariance() - expected;
+        assert!(
+            difference.to_cols_array().iter().all(|d| d.abs() < 2e-3),
+            "{difference}"
+        );
+        // Four times 0.5 of 0.09 m² on 0.34 m².
+        assert!((one.opacity - 0.18 / 0.34).abs() < 1e-3, "{}", one.opacity);
+    }
+}

@@ -1,0 +1,65 @@
+//! Triangle meshes as glTF: with colours of the corners, or with a picture spread over them. Materials are rough and take light.
+
+use crate::glb::{Builder, TooLarge};
+use serde_json::{Value, json};
+
+/// What a mesh looks like before light falls on it.
+#[derive(Debug, Clone, Copy)]
+pub enum Look<'a> {
+    /// Linear light of each corner, red, green and blue.
+    Colours(&'a [[f32; 3]]),
+    /// A picture.
+    Picture {
+        /// The bytes of its file.
+        file: &'a [u8],
+        /// `image/png` or `image/jpeg`.
+        media_type: &'a str,
+        /// Place in the picture of each corner: 0 to 1 from left to right, and from top to bottom.
+        places: &'a [[f32; 2]],
+    },
+}
+
+/// A mesh in the frame of the file.
+#[derive(Debug, Clone, Copy)]
+pub struct Mesh<'a> {
+    /// Places of the corners.
+    pub positions: &'a [[f32; 3]],
+    /// Unit normals of the corners.
+    pub normals: &'a [[f32; 3]],
+    /// Corners of the triangles, anticlockwise as seen from outside.
+    pub triangles: &'a [[u32; 3]],
+    /// What it looks like.
+    pub look: Look<'a>,
+}
+
+/// The file of a mesh, and what else is said of it (an object, or nothing).
+///
+/// # Errors
+/// [`TooLarge`].
+pub fn glb(mesh: &Mesh, said: Value) -> Result<Vec<u8>, TooLarge> {
+    let mut file = Builder::default();
+    let mut attributes = json!({
+        "POSITION": file.places(mesh.positions), "NORMAL": file.floats(mesh.normals.iter().copied()),
+    });
+    let mut surface = json!({"metallicFactor": 0.0, "roughnessFactor": 1.0});
+    let mut document = json!({"extras": said, "scene": 0, "scenes": [{"nodes": [0]}], "nodes": [{"mesh": 0}]});
+    match mesh.look {
+        Look::Colours(colours) => attributes["COLOR_0"] = file.floats(colours.iter().copied()).into(),
+        Look::Picture {
+            file: picture,
+            media_type,
+            places,
+        } => {
+            attributes["TEXCOORD_0"] = file.floats(places.iter().copied()).into();
+            surface["baseColorTexture"] = json!({"index": 0});
+            document["images"] = json!([{"bufferView": file.bytes(picture), "mimeType": media_type}]);
+            document["textures"] = json!([{"source": 0, "sampler": 0}]);
+            // Linear filters and mip maps; the picture ends at its edges.
+            document["samplers"] = json!([{"magFilter": 9729, "minFilter": 9987, "wrapS": 33071, "wrapT": 33071}]);
+        }
+    }
+    let indices = file.triangles(mesh.triangles);
+    document["meshes"] = json!([{"primitives": [{"attributes": attributes, "indices": indices, "material": 0}]}]);
+    document["materials"] = Value::Array(vec![json!({"pbrMetallicRoughness": surface})]);
+    file.finish(document)
+}

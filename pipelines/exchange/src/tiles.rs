@@ -1,0 +1,293 @@
+//! 3D Tiles 1.1 (OGC 22-025r4): the tree of tiles, `tileset.json`, and how splats are cut into it.
+//!
+//! Volumes are boxes in the frame of the tiles: metres east, north and up of the site. The root's transform brings them to
+//! Earth-centred, Earth-fixed metres. A tile is replaced by its children. Each holds the same ground with finer splats, so the tree is at
+//! least three levels deep, and as deep as it takes for a coarsest tile of a few hundred splats: viewers leave splats out that are small.
+
+use crate::glb::TooLarge;
+use crate::merge::merged;
+use crate::splats::{GAUSSIAN_SPLATTING, Splat};
+use crate::spz;
+use glam::Vec3;
+use serde_json::{Value, json};
+
+/// Most splats of a tile; what has more is cut into quarters.
+const TILE_MOST: usize = 1 << 16;
+/// Levels of merged splats above the ones of the model, at least.
+const LEVELS_LEAST: usize = 2;
+/// Splats of the coarsest tile, about: a site is seen until they are too small.
+const ROOT_SPLATS: usize = 256;
+/// Depth at which nothing is cut any more: more splats than a tile may have, all in one place.
+const DEPTH_MOST: usize = 16;
+/// Standard deviations that a splat reaches.
+const REACH: f32 = 3.0;
+/// Metres of geometric error for each metre of a cell of a mesh. Viewers replace a tile whose error is 16 pixels wide on the screen, so
+/// that a cell is at most two pixels wide.
+pub const ERROR_OF_CELL: f64 = 8.0;
+/// The same of splats. CesiumJS draws none whose axes, `sqrt(2)` standard deviations, are both below two pixels. Splats half as far apart have
+/// standard deviations of a third of a cell: they must not be shown before a cell is 4.4 pixels wide, and are from 5.3 pixels on.
+const ERROR_OF_SPLATS: f64 = 3.0;
+
+/// A tile and those below it.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Tile {
+    /// Name of its file, relative to `tileset.json`.
+    pub file: String,
+    /// Lowest corner of what it and its children show, metres.
+    pub low: [f64; 3],
+    /// Highest corner.
+    pub high: [f64; 3],
+    /// Error in metres of showing it and not its children.
+    pub error_m: f64,
+    /// Finer tiles of the same ground.
+    pub children: Vec<Tile>,
+}
+
+impl Tile {
+    /// The number of tiles.
+    pub fn count(&self) -> usize {
+        1 + self.children.iter().map(Self::count).sum::<usize>()
+    }
+
+    /// The number of levels.
+    pub fn depth(&self) -> usize {
+        1 + self.children.iter().map(Self::depth).max().unwrap_or(0)
+    }
+
+    fn value(&self) -> Value {
+        let middle = |k: usize| 0.5 * (self.low[k] + self.high[k]);
+        // No box is flat.
+        let half = |k: usize| (0.5 * (self.high[k] - self.low[k])).max(0.01);
+        let volume = [
+            [middle(0), middle(1), middle(2)],
+            [half(0), 0.0, 0.0],
+            [0.0, half(1), 0.0],
+            [0.0, 0.0, half(2)],
+        ];
+        let mut value = json!({
+            "boundingVolume": {"box": volume.concat()}, "geometricError": self.error_m, "content": {"uri": self.file},
+        });
+        if !self.children.is_empty() {
+            value["children"] = self.children.iter().map(Self::value).collect();
+        }
+        value
+    }
+}
+
+/// What the tiles hold.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Contents {
+    /// Packed splats: CesiumJS takes glTF for splats only where `tileset.json` says so.
+    Splats,
+    /// Meshes.
+    Meshes,
+}
+
+/// `tileset.json`: the tree, the transform of its frame to Earth-centred, Earth-fixed metres (column after column), and what else is
+/// said of it.
+pub fn tileset(root: &Tile, transform: [f64; 16], contents: Contents, said: Value) -> Value {
+    let mut top = root.value();
+    top["transform"] = json!(transform);
+    top["refine"] = "REPLACE".into();
+    let sides = (0..3).map(|k| (root.high[k] - root.low[k]).powi(2)).sum::<f64>();
+    let mut tileset = json!({
+        "asset": {"version": "1.1", "extras": said}, "geometricError": sides.sqrt().max(root.error_m), "root": top,
+    });
+    if contents == Contents::Splats {
+        let names = json!([GAUSSIAN_SPLATTING, spz::COMPRESSION]);
+        tileset["extensionsUsed"] = json!(["3DTILES_content_gltf"]);
+        tileset["extensions"] = json!({"3DTILES_content_gltf": {"extensionsUsed": names, "extensionsRequired": names}});
+    }
+    tileset
+}
+
+/// Cuts splats into tiles, coarse ones above fine ones, and hands over each file with its name.
+///
+/// # Errors
+/// Those of `write`, and [`TooLarge`].
+pub fn of_splats<E: From<TooLarge>>(
+    splats: Vec<Splat>,
+    write: &mut dyn FnMut(&str, Vec<u8>) -> Result<(), E>,
+) -> Result<Tile, E> {
+    let (low, high) = extent(&splats);
+    let ground = (high - low).truncate().element_product().max(f32::MIN_POSITIVE);
+    let spacing_m = (ground / splats.len().max(1) as f32).sqrt();
+    let levels = levels_above(splats.len(), ROOT_SPLATS).max(LEVELS_LEAST);
+    Tree { spacing_m, write }.grow(splats, "tile".into(), levels, 0)
+}
+
+struct Tree<'w, E> {
+    /// Side of the ground that a splat of the model has to itself, metres.
+    spacing_m: f32,
+    write: &'w mut dyn FnMut(&str, Vec<u8>) -> Result<(), E>,
+}
+
+impl<E: From<TooLarge>> Tree<'_, E> {
+    fn grow(&mut self, splats: Vec<Splat>, name: String, levels: usize, depth: usize) -> Result<Tile, E> {
+        let levels = match depth < DEPTH_MOST {
+            true => levels.max(levels_above(splats.len(), TILE_MOST)),
+            false => 0,
+        };
+        let (low, high) = extent(&splats);
+        let mut tile = Tile {
+            file: format!("{name}.glb"),
+            low: low.as_dvec3().to_array(),
+            high: high.as_dvec3().to_array(),
+            error_m: 0.0,
+            children: Vec::new(),
+        };
+        if levels == 0 {
+            (self.write)(&tile.file, spz::glb(&splats)?)?;
+            return Ok(tile);
+        }
+        let mut cell_m = self.spacing_m * (1u32 << levels) as f32;
+        let mut coarse = merged(&splats, cell_m);
+        while coarse.len() > TILE_MOST && cell_m < f32::MAX / 4.0 {
+            cell_m *= 2.0;
+            coarse = merged(&coarse, cell_m);
+        }
+        (self.write)(&tile.file, spz::glb(&coarse)?)?;
+        tile.error_m = ERROR_OF_SPLATS * f64::from(cell_m);
+        tile.include(extent(&coarse));
+        drop(coarse);
+        for (quarter, part) in parts(splats).into_iter().enumerate() {
+            if !part.is_empty() {
+                let child = self.grow(part, format!("{name}-{quarter}"), levels - 1, depth + 1)?;
+                tile.include((
+                    Vec3::from(child.low.map(|v| v as f32)),
+                    Vec3::from(child.high.map(|v| v as f32)),
+                ));
+                tile.children.push(child);
+            }
+        }
+        // A cell may have been widened below: no child errs more than its parent.
+        let below = tile.children.iter().map(|child| child.error_m).fold(0.0, f64::max);
+        tile.error_m = tile.error_m.max(below);
+        Ok(tile)
+    }
+}
+
+impl Tile {
+    fn include(&mut self, (low, high): (Vec3, Vec3)) {
+        for k in 0..3 {
+            self.low[k] = self.low[k].min(f64::from(low[k]));
+            self.high[k] = self.high[k].max(f64::from(high[k]));
+        }
+    }
+}
+
+/// How often so many are quartered until they are few enough.
+fn levels_above(count: usize, most: usize) -> usize {
+    match count > most {
+        true => 1 + levels_above(count.div_ceil(4), most),
+        false => 0,
+    }
+}
+
+/// Splats as one part, or where they are too many as quarters: south-west, south-east, north-west, north-east.
+fn parts(splats: Vec<Splat>) -> Vec<Vec<Splat>> {
+    if splats.len() <= TILE_MOST {
+        return vec![splats];
+    }
+    let places = |fold: fn(Vec3, Vec3) -> Vec3| splats.iter().map(|s| s.position).reduce(fold);
+    let middle = match (places(Vec3::min), places(Vec3::max)) {
+        (Some(low), Some(high)) => 0.5 * (low + high),
+        _ => Vec3::ZERO,
+    };
+    let mut quarters = vec![Vec::new(); 4];
+    for splat in splats {
+        let (east, north) = (splat.position.x >= middle.x, splat.position.y >= middle.y);
+        quarters[usize::from(east) + 2 * usize::from(north)].push(splat);
+    }
+    quarters
+}
+
+/// Lowest and highest corner of what splats reach.
+fn extent(splats: &[Splat]) -> (Vec3, Vec3) {
+    let start = (Vec3::INFINITY, Vec3::NEG_INFINITY);
+    splats.iter().fold(start, |(low, high), splat| {
+        let covariance = splat.covariance();
+        let reach = Vec3::new(covariance.x_axis.x, covariance.y_axis.y, covariance.z_axis.z);
+        let reach = REACH * Vec3::from(reach.to_array().map(f32::sqrt));
+        (low.min(splat.position - reach), high.max(splat.position + reach))
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use glam::Quat;
+    use std::collections::BTreeMap;
+
+    fn ground(side: usize) -> Vec<Splat> {
+        let splat = |i: usize| Splat {
+            position: Vec3::new((i % side) as f32, (i / side) as f32, ((i * 7919) % 13) as f32 * 0.1),
+            scale: Vec3::new(0.6, 0.6, 0.1),
+            rotation: Quat::IDENTITY,
+            opacity: 0.9,
+            colour: [0.5; 3],
+        };
+        (0..side * side).map(splat).collect()
+    }
+
+    fn grown(splats: Vec<Splat>) -> (Tile, BTreeMap<String, usize>) {
+        let mut files = BTreeMap::new();
+        let mut write = |name: &str, bytes: Vec<u8>| {
+            let (document, _) = crate::glb::chunks(&bytes);
+            let count = document["accessors"][0]["count"].as_u64().expect("a count") as usize;
+            assert!(files.insert(name.to_owned(), count).is_none(), "{name} twice");
+            Ok::<(), TooLarge>(())
+        };
+        let tile = of_splats(splats, &mut write).expect("small");
+        (tile, files)
+    }
+
+    fn check(tile: &Tile, files: &BTreeMap<String, usize>, leaves: &mut usize) {
+        assert!(files[&tile.file] <= TILE_MOST);
+        if tile.children.is_empty() {
+            assert_eq!(tile.error_m, 0.0);
+            *leaves += files[&tile.file];
+        }
+        for child in &tile.children {
+            assert!(child.error_m < tile.error_m, "{tile:?}");
+            assert!((0..3).all(|k| child.low[k] >= tile.low[k] && child.high[k] <= tile.high[k]));
+            check(child, files, leaves);
+        }
+    }
+
+    #[test]
+    fn a_small_site_has_three_levels_of_the_same_ground() {
+        let (tile, files) = grown(ground(40));
+        assert_eq!((tile.count(), tile.depth()), (3, 3));
+        let mut leaves = 0;
+        check(&tile, &files, &mut leaves);
+        assert_eq!(leaves, 1600);
+        let coarsest = files[&tile.file];
+        assert!((60..2 * ROOT_SPLATS).contains(&coarsest), "{coarsest}");
+    }
+
+    #[test]
+    fn a_large_site_is_cut_and_nothing_is_lost_or_twice() {
+        let (tile, files) = grown(ground(700));
+        assert_eq!(tile.depth(), 7);
+        assert!(tile.children.len() == 4 && tile.count() == files.len());
+        let mut leaves = 0;
+        check(&tile, &files, &mut leaves);
+        assert_eq!(leaves, 490_000);
+    }
+
+    #[test]
+    fn the_tileset_says_that_its_files_are_splats() {
+        let (tile, _) = grown(ground(10));
+        let names = json!(["KHR_gaussian_splatting", "KHR_gaussian_splatting_compression_spz_2"]);
+        let tileset = tileset(&tile, [0.0; 16], Contents::Splats, json!({}));
+        let said = &tileset["extensions"]["3DTILES_content_gltf"];
+        assert_eq!((&said["extensionsUsed"], &said["extensionsRequired"]), (&names, &names));
+        assert_eq!(tileset["root"]["refine"], "REPLACE");
+        assert_eq!(
+            tileset["root"]["boundingVolume"]["box"].as_array().map(Vec::len),
+            Some(12)
+        );
+        assert_eq!(tileset["root"]["children"][0]["children"][0]["geometricError"], 0.0);
+    }
+}

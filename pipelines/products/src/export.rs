@@ -1,0 +1,308 @@
+//! A run for other programs: splats lit by a sun (PLY, glTF, 3D Tiles) and the textured surface (glTF, 3D Tiles).
+//!
+//! All of it stands in the local frame, metres east, north and up of the site's origin, never in map coordinates: a map's north and its
+//! scale are not those of the ground. [`anchor`] says where the frame stands on Earth.
+
+mod lit;
+mod textured;
+
+pub use lit::{Display, Lit};
+
+use crate::dsm;
+use crate::model::LoadedModel;
+use crate::nadir::NadirGrid;
+use crate::ortho;
+use crate::relight::RelightError;
+use heliosplat_exchange::glb::TooLarge;
+use heliosplat_exchange::tiles::{self, Contents, Tile};
+use heliosplat_exchange::{splat_ply, splats};
+use heliosplat_fitting::run_folder::RunError;
+use heliosplat_raster::{RasterError, write_atomically, write_folder};
+use heliosplat_rpc::LocalFrame;
+use heliosplat_rpc::frame::ecef_from_geo;
+use heliosplat_rpc::sun::SunPosition;
+use serde_json::{Value, json};
+use std::path::{Path, PathBuf};
+use textured::{Dressed, Ground};
+
+/// Name of the file that a folder of tiles begins with.
+const TILESET: &str = "tileset.json";
+
+/// What is asked for; at least one of the files.
+#[derive(Debug, Clone, Default)]
+pub struct Request {
+    /// Splats as viewers and editors of splats read them.
+    pub ply: Option<PathBuf>,
+    /// Splats as glTF.
+    pub splats: Option<PathBuf>,
+    /// The textured surface as glTF.
+    pub mesh: Option<PathBuf>,
+    /// A folder for 3D Tiles.
+    pub tiles: Option<PathBuf>,
+    /// Whether the tiles hold the textured surface, and not splats.
+    pub tiles_of_mesh: bool,
+    /// The sun of the splats; that of the reference image by default.
+    pub sun: Option<SunPosition>,
+}
+
+/// A file or folder that was written.
+#[derive(Debug, Clone, serde::Serialize)]
+pub struct Written {
+    /// What it is: `ply`, `splats`, `mesh`, `tiles`.
+    pub kind: &'static str,
+    /// Where it is.
+    pub path: PathBuf,
+    /// Its size, of a folder that of all its files.
+    pub bytes: u64,
+    /// Files that were written for it.
+    pub files: usize,
+    /// Splats in it, at the finest level.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub splats: Option<usize>,
+    /// Triangles in it, at the finest level.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub triangles: Option<usize>,
+    /// Levels of detail.
+    pub levels: usize,
+}
+
+/// What was written, and under which light.
+#[derive(Debug, Clone, serde::Serialize)]
+pub struct Export {
+    /// The files and folders.
+    pub written: Vec<Written>,
+    /// What is said in them: the anchor of the frame, and of splats the sun and the stretch.
+    pub said: Value,
+}
+
+/// Why a run cannot be exported.
+#[derive(Debug, thiserror::Error)]
+pub enum ExportError {
+    /// The sun, or the run.
+    #[error(transparent)]
+    Light(#[from] RelightError),
+    /// A file cannot be written.
+    #[error(transparent)]
+    Raster(#[from] RasterError),
+    /// A file would be too large.
+    #[error(transparent)]
+    TooLarge(#[from] TooLarge),
+    /// Nothing is known.
+    #[error("{}: the run knows no surface; train it again with more images of the place", .0.display())]
+    NoSurface(PathBuf),
+}
+
+impl From<RunError> for ExportError {
+    fn from(error: RunError) -> Self {
+        Self::Light(error.into())
+    }
+}
+
+impl ExportError {
+    /// Whether what the user gave is at fault, rather than the machine.
+    pub fn is_input_fault(&self) -> bool {
+        match self {
+            Self::Light(error) => error.is_input_fault(),
+            Self::Raster(error) => error.is_input_fault(),
+            Self::TooLarge(_) | Self::NoSurface(_) => true,
+        }
+    }
+}
+
+/// Brings metres of a local frame to Earth-centred, Earth-fixed metres (WGS 84): four columns of a 4 x 4 matrix, one after another.
+pub fn ecef_from_enu(frame: &LocalFrame) -> [f64; 16] {
+    let axes = frame.enu_from_ecef_rotation();
+    let origin = ecef_from_geo(frame.origin);
+    let mut matrix = [0.0; 16];
+    for k in 0..3 {
+        for axis in 0..3 {
+            matrix[4 * axis + k] = axes[(axis, k)];
+        }
+        matrix[12 + k] = origin[k];
+    }
+    matrix[15] = 1.0;
+    matrix
+}
+
+/// Where a local frame stands.
+pub fn anchor(frame: &LocalFrame) -> Value {
+    let origin = frame.origin;
+    json!({
+        "frame": "metres east, north and up of the origin",
+        "datum": "WGS 84, heights above the ellipsoid",
+        "origin": {"lon_deg": origin.lon_deg, "lat_deg": origin.lat_deg, "height_m": origin.height_m},
+        "ecef_from_enu": ecef_from_enu(frame),
+    })
+}
+
+/// Writes what is asked for of a run. Each file and each folder is whole or not there.
+///
+/// # Errors
+/// [`ExportError`].
+pub fn write(model: &LoadedModel, request: &Request) -> Result<Export, ExportError> {
+    let mut said = json!({
+        "anchor": anchor(&model.frame), "software": concat!("heliosplat ", env!("CARGO_PKG_VERSION")),
+    });
+    let mut written = Vec::new();
+    let tiles_of_splats = request.tiles.as_deref().filter(|_| !request.tiles_of_mesh);
+    let tiles_of_mesh = request.tiles.as_deref().filter(|_| request.tiles_of_mesh);
+    if request.ply.is_some() || request.splats.is_some() || tiles_of_splats.is_some() {
+        let lit = Lit::new(model, request.sun.as_ref())?;
+        if lit.splats.is_empty() {
+            return Err(ExportError::NoSurface(model.folder.clone()));
+        }
+        let of_splats = with(&said, &lit.said());
+        if let Some(path) = &request.ply {
+            written.push(write_ply(path, &lit, &of_splats)?);
+        }
+        if let Some(path) = &request.splats {
+            let bytes = splats::glb(&lit.splats, of_splats.clone())?;
+            written.push(write_one(path, "splats", &bytes, Some(lit.splats.len()), None)?);
+        }
+        if let Some(folder) = tiles_of_splats {
+            let count = lit.splats.len();
+            let splats = lit.splats.clone();
+            let mut tiled = write_tiles(folder, &model.frame, Contents::Splats, &of_splats, |write| {
+                Ok(Some(tiles::of_splats(splats, write)?))
+            })?;
+            tiled.splats = Some(count);
+            written.push(tiled);
+        }
+        said = of_splats;
+    }
+    if request.mesh.is_some() || tiles_of_mesh.is_some() {
+        let ground = ground(model)?;
+        let of_mesh = with(&said, &ground.said());
+        if let Some(path) = &request.mesh {
+            let Dressed { glb, triangles, .. } = ground
+                .whole(of_mesh.clone())?
+                .ok_or_else(|| ExportError::NoSurface(model.folder.clone()))?;
+            written.push(write_one(path, "mesh", &glb, None, Some(triangles))?);
+        }
+        if let Some(folder) = tiles_of_mesh {
+            let mut triangles = 0;
+            let mut tiled = write_tiles(folder, &model.frame, Contents::Meshes, &of_mesh, |write| {
+                ground.tiles(write, &mut triangles)
+            })?;
+            tiled.triangles = Some(triangles);
+            written.push(tiled);
+        }
+        said = of_mesh;
+    }
+    Ok(Export { written, said })
+}
+
+/// The surface of a run and its albedo.
+fn ground(model: &LoadedModel) -> Result<Ground, ExportError> {
+    let nadir = NadirGrid::new(&model.into(), model.file.gsd_m, None)?;
+    let mut albedo = ortho::albedo(model, &dsm::maps(model, &nadir));
+    let surface = dsm::of_model(&nadir, model);
+    surface.blank_unknown(&mut albedo);
+    Ok(Ground::new(&surface, &albedo, &model.file.bands, &nadir.enu))
+}
+
+/// The members of two objects.
+fn with(a: &Value, b: &Value) -> Value {
+    let members = [a, b].into_iter().filter_map(Value::as_object).flatten();
+    Value::Object(members.map(|(key, value)| (key.clone(), value.clone())).collect())
+}
+
+fn write_one(
+    path: &Path,
+    kind: &'static str,
+    bytes: &[u8],
+    splats: Option<usize>,
+    triangles: Option<usize>,
+) -> Result<Written, ExportError> {
+    write_atomically(path, bytes)?;
+    Ok(Written {
+        kind,
+        path: path.to_owned(),
+        bytes: bytes.len() as u64,
+        files: 1,
+        splats,
+        triangles,
+        levels: 1,
+    })
+}
+
+/// A PLY of splats; what is said of it stands in its comments and in a JSON file beside it.
+fn write_ply(path: &Path, lit: &Lit, said: &Value) -> Result<Written, ExportError> {
+    let mut sidecar = path.as_os_str().to_owned();
+    sidecar.push(".json");
+    let text = format!("{said:#}\n");
+    let comments: Vec<String> = said
+        .as_object()
+        .into_iter()
+        .flatten()
+        .map(|(key, value)| format!("{key} {value}"))
+        .collect();
+    write_atomically(Path::new(&sidecar), text.as_bytes())?;
+    let bytes = splat_ply::encode(&splats::table(&lit.splats), &comments);
+    let one = write_one(path, "ply", &bytes, Some(lit.splats.len()), None)?;
+    Ok(Written {
+        bytes: one.bytes + text.len() as u64,
+        files: 2,
+        ..one
+    })
+}
+
+/// Writes a folder of tiles, `tileset.json` last.
+fn write_tiles(
+    folder: &Path,
+    frame: &LocalFrame,
+    contents: Contents,
+    said: &Value,
+    grow: impl FnOnce(&mut dyn FnMut(&str, Vec<u8>) -> Result<(), ExportError>) -> Result<Option<Tile>, ExportError>,
+) -> Result<Written, ExportError> {
+    write_folder(folder, TILESET, |new| {
+        let (mut bytes, mut files) = (0, 0);
+        let mut write = |name: &str, content: Vec<u8>| {
+            write_atomically(&new.join(name), &content)?;
+            (bytes, files) = (bytes + content.len() as u64, files + 1);
+            Ok(())
+        };
+        let root = grow(&mut write)?.ok_or_else(|| ExportError::NoSurface(folder.to_owned()))?;
+        let text = format!(
+            "{:#}\n",
+            tiles::tileset(&root, ecef_from_enu(frame), contents, said.clone())
+        );
+        write(TILESET, text.into_bytes())?;
+        Ok(Written {
+            kind: "tiles",
+            path: folder.to_owned(),
+            bytes,
+            files,
+            splats: None,
+            triangles: None,
+            levels: root.depth(),
+        })
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use heliosplat_rpc::GeoPoint;
+    use heliosplat_rpc::frame::geo_from_ecef;
+    use nalgebra::{Matrix4, Vector4};
+
+    #[test]
+    fn corners_of_a_site_are_where_they_belong_on_earth() {
+        for (lon_deg, lat_deg) in [(36.91, 37.58), (-47.03, -22.89), (179.999, 65.0), (0.0, 0.0)] {
+            let frame = LocalFrame::new(GeoPoint {
+                lon_deg,
+                lat_deg,
+                height_m: 712.0,
+            });
+            let matrix = Matrix4::from_column_slice(&ecef_from_enu(&frame));
+            for (east, north, up) in [(0.0, 0.0, 0.0), (2000.0, -1500.0, 80.0), (-64.0, 64.0, -12.5)] {
+                let placed = matrix * Vector4::new(east, north, up, 1.0);
+                let geo = geo_from_ecef(placed.xyz());
+                let back = frame.enu_from_geo(geo) - nalgebra::Vector3::new(east, north, up);
+                assert!(back.norm() < 1e-6, "{back}");
+                assert_eq!(placed.w, 1.0);
+            }
+        }
+    }
+}

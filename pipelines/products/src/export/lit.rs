@@ -1,0 +1,233 @@
+//! The Gaussians of a run as splats: each has the colour of its albedo times the light that reaches it, as a display value.
+//!
+//! The light of each Gaussian is traced from its centre. A rendering multiplies what is composited of albedo and of light; here it is
+//! multiplied before: at the border of a shadow both differ a little. Viewers blend display values, a rendering blends light.
+
+use crate::model::{LoadedModel, ModelFile};
+use crate::nadir::NadirGrid;
+use crate::relight::{RelightError, light_of};
+use glam::Vec3;
+use heliosplat::gaussians::normalised;
+use heliosplat::light::Light;
+use heliosplat::model::{Context, SceneModel, Seen};
+use heliosplat::render::render;
+use heliosplat::shade::display;
+use heliosplat::splat::{Maps, Projected};
+use heliosplat::trace::{Occluders, transmittance};
+use heliosplat::{ProjectiveCamera, Raster};
+use heliosplat_exchange::splats::Splat;
+use heliosplat_raster::preview::percentiles;
+use heliosplat_rpc::sun::SunPosition;
+use heliosplat_scene::BandKind;
+use serde_json::{Value, json};
+
+/// Splats fainter than a step of a byte are left out.
+const OPACITY_LEAST: f32 = 1.0 / 255.0;
+/// Half-precision covariances of viewers end near here, metres.
+const SCALE_MOST_M: f32 = 100.0;
+/// Quantiles of what is seen from above that are shown black and white.
+const BLACK: f64 = 0.01;
+const WHITE: f64 = 0.995;
+
+/// How values become display values: linearly from black to white, then by the curve of sRGB.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Display {
+    /// The bands that are red, green and blue; the first one thrice where there is no colour.
+    pub bands: [usize; 3],
+    /// Value that is shown black.
+    pub black: f32,
+    /// Value that is shown white.
+    pub white: f32,
+}
+
+impl Display {
+    /// One that shows the middle quantiles of an image.
+    pub(super) fn of(image: &Raster, kinds: &[BandKind], quantiles: (f64, f64)) -> Self {
+        let bands = shown(kinds);
+        let values: Vec<f32> = bands.iter().flat_map(|&band| image.plane(band)).copied().collect();
+        let (black, white) = percentiles(&values, quantiles.0, quantiles.1).unwrap_or((0.0, 1.0));
+        Self {
+            bands,
+            black,
+            white: white.max(black + f32::MIN_POSITIVE.max(1e-6 * black.abs())),
+        }
+    }
+
+    /// The display value of a value, 0 to 1.
+    pub fn show(&self, value: f32) -> f32 {
+        display::encode(((value - self.black) / (self.white - self.black)).clamp(0.0, 1.0)).0
+    }
+}
+
+/// The bands that are red, green and blue.
+fn shown(kinds: &[BandKind]) -> [usize; 3] {
+    let place = |kind: BandKind| kinds.iter().position(|&k| k == kind);
+    match (place(BandKind::Red), place(BandKind::Green), place(BandKind::Blue)) {
+        (Some(red), Some(green), Some(blue)) => [red, green, blue],
+        _ if kinds.len() >= 3 => [0, 1, 2],
+        _ => [0; 3],
+    }
+}
+
+/// The splats of a run under a sun.
+pub struct Lit {
+    /// The splats, in the local frame.
+    pub splats: Vec<Splat>,
+    /// How they became display values.
+    pub display: Display,
+    /// The sun; `None` where the model knows no light, and shows the ground as it was photographed.
+    pub sun: Option<SunPosition>,
+    counts_per_unit: f64,
+}
+
+impl Lit {
+    /// The splats of `model` under `sun`, or under that of its reference image. The display is the same for all suns: that of the reference
+    /// image seen from above.
+    ///
+    /// # Errors
+    /// [`RelightError`] where the sun is down, or the model has no light and a sun is asked for.
+    pub fn new(model: &LoadedModel, sun: Option<&SunPosition>) -> Result<Self, RelightError> {
+        let own = reference_sun(&model.file).filter(|_| model.file.has_light());
+        let own_light = own.map(|sun| light_of(model, &sun)).transpose()?;
+        let (light, sun) = match sun {
+            Some(sun) => (Some(light_of(model, sun)?), Some(*sun)),
+            None => (own_light, own),
+        };
+        let display = Display::of(&from_above(model, own_light)?, &model.file.bands, (BLACK, WHITE));
+        let splats = splats(model, &colours(model, light), &display);
+        Ok(Self {
+            splats,
+            display,
+            sun,
+            counts_per_unit: model.file.counts_per_unit,
+        })
+    }
+
+    /// What is said of them in files.
+    pub(super) fn said(&self) -> Value {
+        let counts = |value: f32| f64::from(value) * self.counts_per_unit;
+        let sun = self.sun.map(|sun| {
+            json!({
+                "azimuth_deg": sun.azimuth_rad.to_degrees().rem_euclid(360.0),
+                "elevation_deg": sun.elevation_rad.to_degrees(),
+            })
+        });
+        json!({
+            "sun": sun,
+            "display": {
+                "bands": self.display.bands, "black_counts": counts(self.display.black),
+                "white_counts": counts(self.display.white), "curve": "sRGB",
+            },
+        })
+    }
+}
+
+/// The sun of the image whose colour is the model's; of the first other one where that is unknown.
+fn reference_sun(file: &ModelFile) -> Option<SunPosition> {
+    let trained = || file.images.iter().filter(|image| image.appearance.is_some());
+    let reference = trained().find(|image| image.appearance == Some(file.options.reference));
+    reference
+        .and_then(|image| image.sun)
+        .or_else(|| trained().find_map(|image| image.sun))
+}
+
+/// What is seen from straight above, in the model's units; NaN where nothing is.
+fn from_above(model: &LoadedModel, light: Option<Light>) -> Result<Raster, RelightError> {
+    let nadir = NadirGrid::new(&model.into(), model.file.gsd_m, None)?;
+    let seen = render(
+        &model.model,
+        &model.parameters,
+        &nadir.camera,
+        light,
+        None,
+        model.pass_options(),
+    );
+    let mut image = seen.image;
+    for band in 0..image.bands {
+        let cells = image.plane_mut(band).iter_mut().zip(&seen.maps.alpha);
+        cells
+            .filter(|(_, alpha)| **alpha < 0.5)
+            .for_each(|(value, _)| *value = f32::NAN);
+    }
+    Ok(image)
+}
+
+/// The colour of each Gaussian under a light, in the model's units: the model composes an image in which each Gaussian is a pixel that it
+/// covers alone.
+fn colours(model: &LoadedModel, light: Option<Light>) -> Raster {
+    let gaussians = &model.parameters.gaussians;
+    let all = Projected {
+        gaussian: (0..gaussians.count as u32).collect(),
+        ..Projected::default()
+    };
+    let transmittances = match light {
+        Some(light) => transmittance(&Occluders::new(gaussians), &all.gaussian, &light).values,
+        None => vec![1.0; gaussians.count],
+    };
+    // What it looks like from straight above it looks like from everywhere.
+    let camera = ProjectiveCamera::nadir(0.0, 0.0, 1.0, (gaussians.count, 1));
+    let context = Context {
+        parameters: &model.parameters,
+        camera: &camera,
+        light,
+        appearance: None,
+    };
+    let stride = model.model.channels();
+    let seen = Seen {
+        projected: &all,
+        transmittance: &transmittances,
+        stride,
+    };
+    let mut features = vec![0.0; gaussians.count * stride];
+    model.model.features(&context, &seen, &mut features);
+    let channel = |k: usize| features.iter().skip(k).step_by(stride).copied().collect();
+    let maps = Maps {
+        width: gaussians.count,
+        height: 1,
+        channels: (0..stride).map(channel).collect(),
+        alpha: vec![1.0; gaussians.count],
+        ..Maps::default()
+    };
+    model.model.compose(&context, &maps)
+}
+
+fn splats(model: &LoadedModel, colours: &Raster, display: &Display) -> Vec<Splat> {
+    let gaussians = &model.parameters.gaussians;
+    let splat = |i: usize| Splat {
+        position: gaussians.position(i),
+        scale: gaussians.scale(i).min(Vec3::splat(SCALE_MOST_M)),
+        rotation: normalised(gaussians.raw_rotation(i)),
+        opacity: gaussians.opacity(i),
+        colour: display.bands.map(|band| display.show(colours.plane(band)[i])),
+    };
+    let seen = |i: &usize| gaussians.opacity(*i) >= OPACITY_LEAST;
+    (0..gaussians.count).filter(seen).map(splat).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn colours_are_found_by_what_bands_are() {
+        use BandKind::{Blue, Green, NearInfrared, Other, Pan, Red};
+        assert_eq!(shown(&[Blue, Green, Red, NearInfrared]), [2, 1, 0]);
+        assert_eq!(shown(&[Other, Other, Other]), [0, 1, 2]);
+        assert_eq!(shown(&[Pan]), [0; 3]);
+    }
+
+    #[test]
+    fn black_and_white_are_the_ends_of_the_display() {
+        let mut image = Raster::filled(100, 10, 1, f32::NAN);
+        for (i, value) in image.values.iter_mut().enumerate().skip(1) {
+            *value = i as f32;
+        }
+        let display = Display::of(&image, &[BandKind::Pan], (0.01, 0.995));
+        assert!((display.black - 10.0).abs() < 2.0 && (display.white - 994.0).abs() < 2.0);
+        assert_eq!((display.show(-3.0), display.show(2000.0)), (0.0, 1.0));
+        let middle = 0.5 * (display.black + display.white);
+        assert!((display.show(middle) - 0.7354).abs() < 1e-3);
+        let even = Display::of(&Raster::filled(3, 3, 1, 7.0), &[BandKind::Pan], (0.01, 0.995));
+        assert!(even.show(7.0).is_finite());
+    }
+}
