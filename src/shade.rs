@@ -1,7 +1,8 @@
 //! Shading formulas, each with its gradient: spherical harmonics, microfacets, shared lobes, subsurface scattering, falloff, display
-//! curve.
+//! curve. And the light of day, which is not trained.
 
 pub mod asg;
+pub mod daylight;
 pub mod dipole;
 pub mod display;
 pub mod falloff;

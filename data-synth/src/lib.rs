@@ -48,7 +48,8 @@
 //! | `clouds`, `faults`, `gloss` | clouds, gains, haze and stretch, the lobe of glossy surfaces |
 //! | `radiometry` | sun, sky, light between surfaces, and the encoding of light in counts |
 //! | `plan`, `render`, `truth` | place, dates and views; images; truth rasters |
-//! | `write`, `delivery`, `satellite` | files; images in two files as vendors pack them; the steps in order |
+//! | `nadir`, `relit` | the view from straight above; truth under suns of no image, hours of sun |
+//! | `write`, `truth_files`, `delivery`, `satellite` | files; truth rasters; images in two files as vendors pack them; the steps in order |
 //! | `objects` | everything about captures of objects |
 //! | [`utm`] | Transverse Mercator without PROJ, for the truth rasters |
 
@@ -63,6 +64,7 @@ mod faults;
 mod gloss;
 mod known;
 mod materials;
+mod nadir;
 mod noise;
 mod objects;
 mod panels;
@@ -71,6 +73,7 @@ mod radiometry;
 mod rational;
 mod ray;
 mod raytrace;
+mod relit;
 mod render;
 mod request;
 mod satellite;
@@ -79,6 +82,7 @@ mod solid;
 mod summary;
 mod terrain;
 mod truth;
+mod truth_files;
 pub mod utm;
 mod vegetation;
 mod write;

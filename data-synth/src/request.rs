@@ -5,6 +5,9 @@ use serde::{Deserialize, Serialize};
 use std::collections::BTreeSet;
 use std::path::PathBuf;
 
+/// Most suns of no image that truth is rendered under.
+const MOST_SUNS: usize = 100;
+
 /// How images are packed.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
@@ -174,6 +177,9 @@ pub struct SatelliteRequest {
     /// How images are packed. Absent from the manifest if each is one file.
     #[serde(skip_serializing_if = "Delivery::is_whole")]
     pub delivery: Delivery,
+    /// Suns of no image under which the site is rendered from straight above as truth. Absent from the manifest if none.
+    #[serde(skip_serializing_if = "is_zero")]
+    pub relight: usize,
 }
 
 fn is_zero(count: &usize) -> bool {
@@ -198,6 +204,7 @@ impl Default for SatelliteRequest {
             faults: Faults::new(),
             cover: None,
             delivery: Delivery::Whole,
+            relight: 0,
         }
     }
 }
@@ -221,6 +228,11 @@ impl SatelliteRequest {
     /// Whether the scene is asked to have a fault.
     pub fn has(&self, fault: Fault) -> bool {
         self.faults.contains(&fault)
+    }
+
+    /// Whether pixels may see a sea.
+    pub(crate) fn has_sea(&self) -> bool {
+        matches!(self.cover, Some(Cover::Sea | Cover::Nodata))
     }
 
     /// Bits per sample of the files: stretched images have 8 whatever `bits` says.
@@ -284,6 +296,12 @@ impl SatelliteRequest {
             return bad(format!(
                 "a pointing bias of {} px; ask for 0 to 100",
                 self.pointing_bias_px
+            ));
+        }
+        if self.relight > MOST_SUNS {
+            return bad(format!(
+                "{} suns to relight under; ask for 0 to {MOST_SUNS}",
+                self.relight
             ));
         }
         if !(0.0..=100.0).contains(&self.noise) {

@@ -8,16 +8,19 @@ use crate::delivery;
 use crate::error::SynthError;
 use crate::faults::{self, Haze};
 use crate::materials::Class;
+use crate::nadir::NadirSensor;
 use crate::plan::{Collection, DatePlan, ViewPlan};
 use crate::radiometry::{Encoding, Light, LitScene, MEAN_GAIN};
 use crate::rational::{self, RationalSensor};
 use crate::raytrace::Tracer;
+use crate::relit::{self, Studio};
 use crate::render::{Exposure, Image, render};
 use crate::request::{Cover, Delivery, Fault, SatelliteRequest, Site};
 use crate::sensor::{PushBroom, Sensor};
 use crate::solid::Solids;
 use crate::summary::{ImageSummary, Summary};
 use crate::truth::{Truth, TruthGrid, survey};
+use crate::truth_files::{SHADOW_MEANS, write_relit, write_truth};
 use crate::write::Staging;
 use crate::write::geotiff::{Raster, Samples, write};
 use crate::write::metadata::{image_items, loose_altitudes_m, satnerf_json};
@@ -34,8 +37,6 @@ const SURROUNDINGS_M: f64 = 50.0;
 const COVERED_ALTITUDES_M: [f64; 2] = [-10.0, 44.0];
 /// Exposure of scenes with snow relative to that for a sun in the zenith, apart from the sun's height.
 const SNOWY_EXPOSURE: f64 = 1.25;
-/// NaN would do, but not every tool reads it.
-const NODATA: f32 = -9999.0;
 
 /// One image's camera: the sensor, the part of it that is the image, and the RPC to be delivered.
 struct ImageCamera {
@@ -47,7 +48,7 @@ struct ImageCamera {
 }
 
 /// Makes a satellite scene in `out_dir`: images with RPC, sun and date as a vendor would deliver them, Sat-NeRF style
-/// metadata beside them, `train.txt` and `test.txt`, and `truth/` (DSM, classes, albedo, masks of shadows and clouds).
+/// metadata beside them, `train.txt` and `test.txt`, and `truth/` (DSM, classes, albedo, masks of shadows and clouds, on request images under other suns).
 ///
 /// `progress` is told how much of how much is done, from the calling thread. The same request gives the same bytes,
 /// for any number of threads.
@@ -72,7 +73,7 @@ pub fn write_satellite(
     let truth = survey_city(request, &city, &frame, &grid);
     write_truth(&staging, request, &grid, &truth)?;
     let altitudes_m = loose_altitudes_m(truth.altitude_range_m(), request.seed);
-    let total: usize = cameras.iter().map(|camera| camera.crop.height).sum();
+    let total = cameras.iter().map(|camera| camera.crop.height).sum::<usize>() + request.relight * grid.size;
     let mut done = 0;
     let mut images: Vec<Option<ImageSummary>> = vec![None; cameras.len()];
     for date in 0..collection.dates.len() {
@@ -128,6 +129,13 @@ pub fn write_satellite(
             });
         }
     }
+    if request.relight > 0 {
+        let sensor = NadirSensor { frame, grid };
+        relight(&staging, request, &collection, (&city, &sensor), &mut |rows| {
+            done += rows;
+            progress(done, total);
+        })?;
+    }
     let summary = Summary {
         request: request.clone(),
         origin: collection.origin,
@@ -169,8 +177,9 @@ fn light_of(
         CloudSize::SMALL
     };
     let clouds = (view.cloudy).then(|| CloudField::over(&camera.sensor, &camera.crop, size, view.geometry.seed));
-    let sea = matches!(request.cover, Some(Cover::Sea | Cover::Nodata));
-    let waves = sea.then(|| Waves::of_image(view.geometry.seed, date.weather.water_slope_variance));
+    let waves = request
+        .has_sea()
+        .then(|| Waves::of_image(view.geometry.seed, date.weather.water_slope_variance));
     let zenith_rad = view.geometry.zenith_rad();
     Light::new(&view.sun, date.weather, date.season, zenith_rad)
         .under_haze(haze, zenith_rad)
@@ -303,85 +312,42 @@ fn survey_city(request: &SatelliteRequest, city: &City, frame: &LocalFrame, grid
     survey(&scene, frame, grid, request.bands)
 }
 
-fn write_truth(
+/// What truth under suns of no image is rendered with: the light of the image with the highest sun.
+fn studio_of(request: &SatelliteRequest, collection: &Collection) -> Option<Studio> {
+    let height = |view: &ViewPlan| view.sun.elevation_rad;
+    let views = collection.views.iter().enumerate();
+    let (index, view) = views.max_by(|(_, a), (_, b)| height(a).total_cmp(&height(b)))?;
+    let date = &collection.dates[view.date];
+    let gains = (request.has(Fault::BandGains)).then(|| faults::band_gains(request.seed, index));
+    Some(Studio {
+        weather: date.weather,
+        season: date.season,
+        haze: (request.has(Fault::Haze)).then(|| Haze::of_date(request.seed, view.date)),
+        gain: encoding_of(request, date, view).gain,
+        band_gains: gains.unwrap_or([1.0; 4]),
+    })
+}
+
+/// The site under suns that no image has, with nothing that comes and goes.
+fn relight(
     staging: &Staging,
     request: &SatelliteRequest,
-    grid: &TruthGrid,
-    truth: &Truth,
+    collection: &Collection,
+    (city, sensor): (&City, &NadirSensor),
+    rows_done: &mut dyn FnMut(usize),
 ) -> Result<(), SynthError> {
-    let about = |text: &str| ("DESCRIPTION".to_string(), text.to_string());
-    let datum = ("VERTICAL_DATUM".to_string(), "WGS84 ellipsoid, metres".to_string());
-    let write_grid = |name: &str, samples: Samples, bands: &[&str], items: &[(String, String)], nodata| {
-        let raster = Raster {
-            width: grid.size,
-            height: grid.size,
-            samples,
-            bands,
-            items,
-            rpc: None,
-            grid: Some(grid),
-            nodata,
-        };
-        write(&staging.path(name)?, &raster)
+    let Some(studio) = studio_of(request, collection) else {
+        return Ok(());
     };
-    let altitudes_m: Vec<f32> = truth
-        .altitude_m
-        .iter()
-        .map(|m| if m.is_nan() { NODATA } else { *m })
-        .collect();
-    let dsm = [
-        about("highest surface at the centre of each cell, without cars"),
-        datum.clone(),
-    ];
-    write_grid(
-        "truth/dsm.tif",
-        Samples::F32(&altitudes_m),
-        &["altitude"],
-        &dsm,
-        Some(NODATA),
-    )?;
-    let classes: Vec<_> = (Class::NAMES.iter())
-        .map(|(class, name)| ((*class as u8).to_string(), name.to_string()))
-        .collect();
-    write_grid(
-        "truth/classes.tif",
-        Samples::U8(&truth.class),
-        &["class"],
-        &classes,
-        None,
-    )?;
-    let albedo = [about(
-        "mean albedo of the highest surface in each cell, in the reference season, without cars",
-    )];
-    write_grid(
-        "truth/albedo.tif",
-        Samples::F32(&truth.albedo),
-        request.bands.names(),
-        &albedo,
-        None,
-    )?;
-    if request.cover.is_some() {
-        let what = [about("1 under sea or snow")];
-        write_grid("truth/cover.tif", Samples::U8(&truth.cover), &["cover"], &what, None)?;
-        let bare: Vec<f32> = (altitudes_m.iter().zip(&truth.bare))
-            .map(|(&altitude_m, &bare)| if bare { altitude_m } else { NODATA })
-            .collect();
-        let what = [
-            about("dsm.tif more than 4 m outside of sea and snow, nodata elsewhere"),
-            datum,
-        ];
-        let name = "truth/dsm_uncovered.tif";
-        write_grid(name, Samples::F32(&bare), &["altitude"], &what, Some(NODATA))?;
-    }
-    if request.has(Fault::Glossy) {
-        let what = [about(
-            "1 where the highest surface is not Lambertian: metal, membranes, solar panels",
-        )];
-        write_grid("truth/glossy.tif", Samples::U8(&truth.glossy), &["glossy"], &what, None)?;
-    }
-    let [south_m, cell_m] = [grid.north_m - grid.size as f64 * grid.cell_m, grid.cell_m];
-    let text = format!("{}\n{}\n{}\n{}\n", grid.west_m, south_m, grid.size, cell_m);
-    staging.text("truth/dsm.txt", &text)
+    let solids = fitted(request, city.solids());
+    let tracer = Tracer::new(&city.terrain, solids.primitives);
+    let scene = LitScene {
+        tracer: &tracer,
+        surfaces: &solids.surfaces,
+        ground: &city.ground,
+    };
+    let suns_deg = relit::suns_deg(request, collection);
+    write_relit(staging, request, (&scene, sensor), &studio, &suns_deg, rows_done)
 }
 
 fn write_image(
@@ -420,8 +386,7 @@ fn write_image(
         };
         write(&staging.path(&format!("truth/{name}_{}.tif", view.name))?, &raster)
     };
-    let what = "1 where the sun reaches less than half of the pixel: cast shadow, and surfaces that face away from it";
-    write_mask("shadow", &image.shadow, what)?;
+    write_mask("shadow", &image.shadow, SHADOW_MEANS)?;
     if view.cloudy {
         write_mask(
             "cloud",

@@ -5,6 +5,7 @@
 //! a trace of vibration, and a detector that is not perfectly straight. The rational camera that a vendor would
 //! deliver is fitted to this model over a scene several times larger than the image, so it is imperfect in the real way.
 
+use crate::nadir::NadirSensor;
 use crate::noise::stream;
 use crate::rational::RationalSensor;
 use crate::ray::Ray;
@@ -85,12 +86,15 @@ pub(crate) enum Sensor {
     PushBroom(Box<PushBroom>),
     /// The camera of a real image.
     Rational(RationalSensor),
+    /// No satellite: straight down on every cell of a map grid.
+    Nadir(NadirSensor),
 }
 
 /// A line of a sensor.
 pub(crate) enum SensorLine<'a> {
     PushBroom(&'a PushBroom, LineState),
     Rational(&'a RationalSensor, f64),
+    Nadir(&'a NadirSensor, f64),
 }
 
 impl Sensor {
@@ -99,6 +103,7 @@ impl Sensor {
         match self {
             Self::PushBroom(sensor) => SensorLine::PushBroom(sensor, sensor.at_line(line)),
             Self::Rational(sensor) => SensorLine::Rational(sensor, line),
+            Self::Nadir(sensor) => SensorLine::Nadir(sensor, line),
         }
     }
 }
@@ -109,6 +114,7 @@ impl SensorLine<'_> {
         match self {
             Self::PushBroom(sensor, state) => sensor.ray(state, sample),
             Self::Rational(sensor, line) => sensor.ray(sample, *line),
+            Self::Nadir(sensor, line) => sensor.ray(sample, *line),
         }
     }
 }

@@ -142,7 +142,14 @@ fn survey_row(scene: &LitScene, frame: &LocalFrame, grid: &TruthGrid, bands: Ban
 }
 
 /// The highest surface at a place of the grid (columns and rows of cells), along the ellipsoid's normal.
-pub(crate) fn look_down(scene: &LitScene, frame: &LocalFrame, grid: &TruthGrid, [col, row]: [f64; 2]) -> Option<Hit> {
+pub(crate) fn look_down(scene: &LitScene, frame: &LocalFrame, grid: &TruthGrid, at: [f64; 2]) -> Option<Hit> {
+    let limits_m = [scene.tracer.bottom_m() - 1.0, scene.tracer.top_m() + 1.0];
+    scene.tracer.trace(&plumb_line(frame, grid, at, limits_m))
+}
+
+/// The ray down the ellipsoid's normal through a place of the grid (columns and rows of cells), from the higher of two altitudes (metres
+/// above the frame's origin) toward the lower.
+pub(crate) fn plumb_line(frame: &LocalFrame, grid: &TruthGrid, [col, row]: [f64; 2], [low_m, high_m]: [f64; 2]) -> Ray {
     let [lon_deg, lat_deg] = grid.lon_lat(col, row);
     let at = |height_m: f64| {
         frame.enu_from_geo(GeoPoint {
@@ -151,11 +158,11 @@ pub(crate) fn look_down(scene: &LitScene, frame: &LocalFrame, grid: &TruthGrid, 
             height_m: frame.origin.height_m + height_m,
         })
     };
-    let (top, bottom) = (at(scene.tracer.top_m() + 1.0), at(scene.tracer.bottom_m() - 1.0));
-    scene.tracer.trace(&Ray {
+    let (top, bottom) = (at(high_m), at(low_m));
+    Ray {
         origin: top,
         direction: (bottom - top).normalize(),
-    })
+    }
 }
 
 #[cfg(test)]

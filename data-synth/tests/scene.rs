@@ -66,6 +66,59 @@ fn the_same_request_gives_the_same_bytes_for_any_number_of_threads() {
 }
 
 #[test]
+fn suns_of_no_image_add_truth_and_change_nothing_else() {
+    let (a, b) = (
+        tempfile::tempdir().expect("folder"),
+        tempfile::tempdir().expect("folder"),
+    );
+    make(&small(), a.path());
+    let relight = SatelliteRequest { relight: 3, ..small() };
+    let summary = make(&relight, b.path());
+    let (without, with) = (bytes_of(a.path()), bytes_of(b.path()));
+    for (name, bytes) in &without {
+        assert!(
+            name == "truth/summary.json" || *bytes == with[name],
+            "{name} has changed"
+        );
+    }
+    assert_eq!(with.len(), without.len() + 3 * 2 + 2);
+    let list: Vec<serde_json::Value> = serde_json::from_slice(&with["truth/relit.json"]).expect("a list");
+    let mut seen: Vec<(f64, f64, f64)> = (list.iter().enumerate())
+        .map(|(number, sun)| {
+            let Ok(DecodingResult::U16(counts)) =
+                open(&b.path().join(format!("truth/relit_{number}.tif"))).read_image()
+            else {
+                panic!("counts of 16 bits");
+            };
+            let mask = open(&b.path().join(format!("truth/relit_{number}_shadow.tif"))).read_image();
+            let Ok(DecodingResult::U8(mask)) = mask else {
+                panic!("a mask of 8 bits");
+            };
+            // The decoder gives colours only; near infrared is a fourth sample.
+            let cells = summary.grid.size.pow(2);
+            assert_eq!((counts.len(), mask.len()), (3 * cells, cells));
+            let mean = counts.iter().map(|&count| f64::from(count)).sum::<f64>() / counts.len() as f64;
+            let dark = mask.iter().map(|&shadow| f64::from(shadow)).sum::<f64>() / mask.len() as f64;
+            (sun["sun_elevation_deg"].as_f64().expect("an angle"), mean, dark)
+        })
+        .collect();
+    seen.sort_by(|x, y| x.0.total_cmp(&y.0));
+    assert_eq!(seen.iter().map(|sun| sun.0).collect::<Vec<_>>(), [10.0, 40.0, 70.0]);
+    assert!(
+        seen[0].1 < 0.7 * seen[1].1 && seen[1].1 < seen[2].1,
+        "brighter with the sun's height: {seen:?}"
+    );
+    assert!(
+        seen[0].2 > seen[1].2 && seen[1].2 > seen[2].2,
+        "and less in shadow: {seen:?}"
+    );
+    let Ok(DecodingResult::F32(hours)) = open(&b.path().join("truth/sun_hours.tif")).read_image() else {
+        panic!("hours as floats");
+    };
+    assert!(hours.iter().all(|hours| (0.0..=12.4).contains(hours)) && hours.iter().any(|hours| *hours > 6.0));
+}
+
+#[test]
 fn another_seed_gives_another_scene() {
     let (a, b) = (
         tempfile::tempdir().expect("folder"),
@@ -297,6 +350,10 @@ fn requests_that_cannot_be_met_are_refused_before_anything_is_written() {
             ..small()
         },
         SatelliteRequest { bits: 12, ..small() },
+        SatelliteRequest {
+            relight: 101,
+            ..small()
+        },
         SatelliteRequest {
             gsd_m: Some(f64::NAN),
             ..small()

@@ -61,6 +61,8 @@ struct Start {
 
 impl Rpc {
     /// Image positions of `points`: bit by bit what [`Self::project`] gives.
+    // Into the caller, who may have been compiled for more instructions.
+    #[inline]
     pub fn project_all(&self, points: &[GeoPoint]) -> Vec<ImagePoint> {
         let mut out = Vec::with_capacity(points.len());
         for block in points.chunks(LANES) {
@@ -157,7 +159,7 @@ impl Rpc {
     }
 
     /// Where eight points of the ground lie in the image.
-    #[inline]
+    #[inline(always)]
     fn look(&self, ground: &Ground) -> Image {
         let m = eight_monomials(ground);
         let row = eight_values(&self.line_numerator, &m);
@@ -220,7 +222,7 @@ impl Rpc {
 }
 
 /// The monomials of eight points.
-#[inline]
+#[inline(always)]
 fn eight_monomials(ground: &Ground) -> [Lane; 20] {
     let mut out = [[0.0; LANES]; 20];
     for lane in 0..LANES {
@@ -233,7 +235,7 @@ fn eight_monomials(ground: &Ground) -> [Lane; 20] {
 }
 
 /// A polynomial's values: the same sums in the same order as [`value`], eight side by side.
-#[inline]
+#[inline(always)]
 fn eight_values(coefficients: &[f64; 20], m: &[Lane; 20]) -> Lane {
     let mut sums = [[0.0; LANES]; 4];
     for (part, sums) in sums.iter_mut().enumerate() {

@@ -90,7 +90,11 @@ fn products_are_cloud_optimised_lie_on_one_grid_and_are_what_their_item_says() {
     json(&products(&[&run()], &out, &["--sun", "200,40", "--gsd", "0.1"]));
     let item = read_json(&out.join("item.json"));
     let assets = item["assets"].as_object().expect("assets");
-    assert_eq!(assets.len(), EXPECTED.len() + 1, "{:?}", assets.keys());
+    // The point cloud and the thumbnail besides.
+    assert_eq!(assets.len(), EXPECTED.len() + 2, "{:?}", assets.keys());
+    assert_eq!(assets["thumbnail"]["roles"], serde_json::json!(["thumbnail"]));
+    let thumbnail = image::open(out.join("thumbnail.png")).expect("a picture");
+    assert!(thumbnail.width().max(thumbnail.height()) <= 512);
     for (key, names, nodata) in EXPECTED {
         let dataset = Dataset::open(out.join(format!("{key}.tif"))).expect("GDAL reads it");
         let layout = dataset.metadata_item("LAYOUT", "IMAGE_STRUCTURE");
@@ -108,20 +112,37 @@ fn products_are_cloud_optimised_lie_on_one_grid_and_are_what_their_item_says() {
             assert!(band_of.overview_count().expect("overviews") > 0, "{key}");
             assert_eq!(band_of.block_size(), (256, 256), "{key}");
             assert_eq!(asset["bands"][index]["name"], *name);
-            assert_eq!(asset["raster:bands"][index]["nodata"].as_f64(), Some(nodata));
+            assert_eq!(asset["bands"][index]["nodata"].as_f64(), Some(nodata));
+            assert_eq!(asset["bands"][index]["raster:sampling"], "area");
             statistics_agree(
-                &asset["raster:bands"][index]["statistics"],
+                &asset["bands"][index]["statistics"],
                 &band(&dataset, index + 1),
                 nodata,
                 key,
             );
         }
     }
+    styles_are_beside_their_rasters(&out);
     values_make_sense(&out);
     required_fields(&item);
     let sun = &assets["relit"];
     assert!((sun["view:sun_azimuth"].as_f64().expect("an angle") - 200.0).abs() < 1e-9);
     assert!((sun["view:sun_elevation"].as_f64().expect("an angle") - 40.0).abs() < 1e-9);
+}
+
+/// A style beside every raster, and a layer file that opens each of them once.
+fn styles_are_beside_their_rasters(out: &Path) {
+    let text = |name: &str| std::fs::read_to_string(out.join(name)).expect("readable");
+    let layers = text("layers.qlr");
+    for (key, names, _) in EXPECTED {
+        let style = text(&format!("{key}.qml"));
+        assert!(style.contains("<rasterrenderer") && !style.contains('{'), "{key}");
+        if names[0] == "red" {
+            assert!(style.contains("redBand=\"1\" greenBand=\"2\" blueBand=\"3\""), "{key}");
+        }
+        assert_eq!(layers.matches(&format!("<datasource>./{key}.tif<")).count(), 1, "{key}");
+    }
+    assert_eq!(layers.matches("<maplayer ").count(), EXPECTED.len());
 }
 
 fn same_place(properties: &Value, (width, height): (usize, usize), transform: &[f64; 6], dataset: &Dataset) {

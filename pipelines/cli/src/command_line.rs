@@ -72,6 +72,7 @@ pub enum Command {
     Dsm(model_args::DsmArgs),
     /// Write all that a run gives to a GIS: cloud-optimised GeoTIFFs, a point cloud, and a STAC item that describes them
     #[command(after_help = "Examples: heliosplat products run --sun 250,35\n          \
+                            heliosplat products run --sun-hours 2026-06-01/2026-08-31\n          \
                             heliosplat products north south --out catalogue --geoid egm96")]
     Products(products::ProductsArgs),
     /// Write the page of a run: images, surface, shadows, errors, curves, plan, time and memory
@@ -80,9 +81,15 @@ pub enum Command {
     /// Write the scene under another sun, and its shadow mask
     #[command(
         after_help = "Examples: heliosplat relight run --out evening.tif --sun 270,20\n          \
+                            heliosplat relight run --out day.gif --times 2026-06-21T06:00:00Z,2026-06-21T18:00:00Z,30m\n          \
                             heliosplat relight object_run --out lit.png --light 2,1,3 --view test/near_000"
     )]
     Relight(model_args::RelightArgs),
+    /// Write a page on which the sun can be moved over a surface: one file for any browser, without network
+    #[command(after_help = "Examples: heliosplat view run\n          \
+                            heliosplat view run --out sun.html\n          \
+                            heliosplat view --dsm dsm.tif --albedo ortho.tif --out sun.html")]
+    View(view::ViewArgs),
     /// Render the views of a run; those of satellites each with its shadow mask
     #[command(after_help = "Example: heliosplat render run --out rendered --split test")]
     Render(model_args::RenderArgs),
@@ -166,7 +173,8 @@ fn run(cli: &Cli) -> Result<Outcome, CliError> {
         Command::Dsm(args) => satellite::dsm(args, &session),
         Command::Products(args) => products::run(args, &session),
         Command::Report(args) => report::run(args),
-        Command::Relight(args) => model::relight(args),
+        Command::Relight(args) => model::relight(args, &session),
+        Command::View(args) => view::run(args, cli.json),
         Command::Render(args) => model::render(args, &session),
         Command::Export(args) => model::export(args, &session),
         Command::Evaluate(args) => evaluate::run(args),

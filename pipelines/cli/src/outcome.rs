@@ -139,9 +139,12 @@ impl From<SatelliteError> for CliError {
             SatelliteError::Run(error) => error.into(),
             SatelliteError::Raster(error) => error.into(),
             SatelliteError::Evaluate(error) => error.into(),
-            SatelliteError::TimeBudget { .. } | SatelliteError::SceneOfRun { .. } | SatelliteError::Adjust { .. } => {
-                Self::Input(error.to_string())
-            }
+            SatelliteError::Relight(error) => error.into(),
+            SatelliteError::TimeBudget { .. }
+            | SatelliteError::SceneOfRun { .. }
+            | SatelliteError::Adjust { .. }
+            | SatelliteError::RelitBands { .. }
+            | SatelliteError::RelitElsewhere(_) => Self::Input(error.to_string()),
             SatelliteError::Stopped => Self::Interrupted(error.to_string()),
             SatelliteError::Settings(_) | SatelliteError::CorrectedCamera { .. } => Self::Failed(error.to_string()),
         }

@@ -11,11 +11,16 @@ use base64::Engine;
 use base64::engine::general_purpose::STANDARD;
 use image::codecs::jpeg::JpegEncoder;
 use image::imageops::FilterType;
-use image::{DynamicImage, RgbImage};
+use image::{DynamicImage, ImageReader, Limits, RgbImage};
 use maud::{DOCTYPE, Markup, PreEscaped, html};
+use std::path::Path;
 
 /// Bytes of a mebibyte.
 pub const MIB: f64 = 1_048_576.0;
+
+/// Longest side of a picture that is read, pixels, and the most memory it may take.
+const SIDE_MAX: u32 = 60_000;
+const BYTES_MAX: u64 = 400 << 20;
 
 const STYLE: &str = include_str!("page/style.css");
 
@@ -53,13 +58,27 @@ pub fn number(value: Option<f64>, digits: usize) -> String {
 }
 
 /// HTML and XML allow no control characters besides line breaks and tabs. One that came with a file name is replaced.
-fn without_control_characters(text: String) -> String {
+pub(crate) fn without_control_characters(text: String) -> String {
     let stray = |c: char| c.is_control() && c != '\n' && c != '\t';
     if text.contains(stray) {
         text.replace(stray, "\u{fffd}")
     } else {
         text
     }
+}
+
+/// A picture, if it is there and of a size that can be shown.
+pub fn picture_of(path: &Path) -> Option<RgbImage> {
+    if !path.is_file() {
+        return None;
+    }
+    let mut reader = ImageReader::open(path).ok()?;
+    let mut limits = Limits::default();
+    limits.max_image_width = Some(SIDE_MAX);
+    limits.max_image_height = Some(SIDE_MAX);
+    limits.max_alloc = Some(BYTES_MAX);
+    reader.limits(limits);
+    reader.decode().ok().map(|picture| picture.to_rgb8())
 }
 
 /// A picture as a `data:` address, JPEG, at most `width` pixels wide; `None` where it cannot be encoded.

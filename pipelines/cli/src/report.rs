@@ -5,15 +5,17 @@
 pub mod mosaic;
 pub mod object;
 mod parts;
+mod relit;
 
-use crate::page::{calibration, document};
+use crate::page::{calibration, document, picture_of};
+use crate::view::{self, ViewError};
 use heliosplat_evaluate::uncertainty::Uncertainty;
 use heliosplat_fitting::run_folder::RunError;
 use heliosplat_objects::model::is_object_run;
 use heliosplat_products::model::{ModelFile, load_file};
 use heliosplat_raster::write_atomically;
 use heliosplat_satellite::run_file::{RunFile, load_run};
-use image::{ImageReader, Limits, RgbImage};
+use image::RgbImage;
 use maud::{Markup, html};
 use serde::Deserialize;
 use serde_json::Value;
@@ -23,9 +25,6 @@ use std::path::{Path, PathBuf};
 pub const FILE: &str = "report.html";
 /// Name of the calibration plot of runs with truth.
 const CALIBRATION: &str = "calibration.svg";
-/// Longest side of a picture that is read, pixels, and the most memory it may take.
-const SIDE_MAX: u32 = 60_000;
-const BYTES_MAX: u64 = 400 << 20;
 
 /// A folder of pictures with its metrics.
 struct Folder {
@@ -52,17 +51,7 @@ impl Folder {
 
     /// A picture, if it is there and of a size that can be shown.
     fn picture(&self, name: &str) -> Option<RgbImage> {
-        let path = self.path.join(name);
-        if !path.is_file() {
-            return None;
-        }
-        let mut reader = ImageReader::open(path).ok()?;
-        let mut limits = Limits::default();
-        limits.max_image_width = Some(SIDE_MAX);
-        limits.max_image_height = Some(SIDE_MAX);
-        limits.max_alloc = Some(BYTES_MAX);
-        reader.limits(limits);
-        reader.decode().ok().map(|picture| picture.to_rgb8())
+        picture_of(&self.path.join(name))
     }
 
     fn number(&self, pointer: &str) -> Option<f64> {
@@ -114,19 +103,29 @@ pub fn write(folder: &Path) -> Result<PathBuf, RunError> {
     save(folder, &page(&contents))
 }
 
-/// Writes the page of a finished run that has none because it was killed after its metrics were written.
+/// Writes the pages of a run of a satellite scene that was trained now: `sun.html`, then `report.html`, which links it.
+///
+/// # Errors
+/// When the folder holds no run, or a file cannot be written.
+pub fn write_both(folder: &Path) -> Result<(), ViewError> {
+    view::into_folder(folder, view::of_run(folder))?;
+    write(folder)?;
+    Ok(())
+}
+
+/// Writes the pages of a finished run that has none because it was killed after its metrics were written.
 ///
 /// # Errors
 /// When the folder holds no run, or the page cannot be written.
-pub fn complete(folder: &Path) -> Result<(), RunError> {
+pub fn complete(folder: &Path) -> Result<(), ViewError> {
     if folder.join(FILE).is_file() {
         return Ok(());
     }
     match is_object_run(folder) {
-        true => object::write(folder),
-        false => write(folder),
+        true => object::write(folder).map(|_| ())?,
+        false => write_both(folder)?,
     }
-    .map(|_| ())
+    Ok(())
 }
 
 fn save(folder: &Path, page: &str) -> Result<PathBuf, RunError> {
@@ -145,6 +144,7 @@ fn page(run: &Contents) -> String {
         parts::head(run),
         parts::surface(&run.folder),
         parts::views(run),
+        relit::relit(&run.folder),
         parts::curves(&run.folder),
         parts::accuracy(&run.folder),
         parts::plan(run),

@@ -16,6 +16,7 @@ pub mod model;
 pub mod model_args;
 pub mod object;
 pub mod products;
+mod relight_series;
 pub mod report;
 pub mod rpc;
 pub mod satellite;
@@ -24,3 +25,4 @@ pub mod sweep_dsm;
 #[cfg(feature = "synth")]
 pub mod synth;
 pub mod tradeoff;
+pub mod view;

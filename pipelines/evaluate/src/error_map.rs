@@ -1,7 +1,11 @@
 //! Height errors as a picture: blue where the prediction is too low, red where it is too high, ±5 m, with a legend.
 
+use crate::DsmEvaluation;
 use heliosplat::Raster;
+use heliosplat_raster::RasterError;
+use heliosplat_raster::write::{ImageSpec, Sample, write_geotiff};
 use image::{Rgb, RgbImage};
+use std::path::Path;
 
 /// Errors at and beyond this have the full colour, metres. Fixed, so that pictures of different runs compare.
 pub const FULL_COLOUR_M: f32 = 5.0;
@@ -10,6 +14,21 @@ const NOT_MEASURED: Rgb<u8> = Rgb([64, 64, 64]);
 const LEGEND_ROWS: u32 = 24;
 const TEXT: Rgb<u8> = Rgb([0, 0, 0]);
 const PAPER: Rgb<u8> = Rgb([255, 255, 255]);
+
+/// Writes the errors of an evaluation as a GeoTIFF on the truth's grid: prediction minus truth, metres.
+///
+/// # Errors
+/// When the file cannot be written.
+pub fn write(path: &Path, evaluation: &DsmEvaluation) -> Result<(), RasterError> {
+    let truth = &evaluation.truth;
+    let spec = ImageSpec {
+        band_descriptions: &["difference_m"],
+        band_units: &["metre"],
+        georeference: truth.crs.as_ref().map(|crs| (&truth.transform, crs)),
+        ..ImageSpec::plain(&evaluation.errors)
+    };
+    write_geotiff(path, &spec, Sample::F32)
+}
 
 /// Draws errors (prediction minus truth, metres; first band) with a legend line below.
 pub fn draw(errors: &Raster) -> RgbImage {

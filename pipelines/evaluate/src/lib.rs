@@ -9,16 +9,20 @@
 //! Predictions are never clipped toward the truth.
 
 pub mod align;
+pub mod edges;
 pub mod error_map;
 pub mod image;
 pub mod metrics;
+pub mod relit;
 pub mod resample;
 pub mod shadow;
 pub mod truth;
 pub mod uncertainty;
 
 pub use self::image::{ImageScore, score_image};
+pub use edges::EdgeErrors;
 pub use metrics::{DsmMetrics, HeightErrors};
+pub use relit::{RelitPair, RelitScore, RelitScores, score_relit};
 pub use shadow::{ShadowScore, score_shadow};
 pub use uncertainty::Uncertainty;
 
@@ -192,6 +196,7 @@ pub fn evaluate_raster(
     metrics.uncertainty = prediction
         .band(dsm_bands::STANDARD_DEVIATION)
         .and_then(|band| Uncertainty::of(&errors, &placement.moved_band(band, shift.columns, shift.rows)));
+    metrics.edges = edges::edges(&errors, &wanted, &truth.raster, classes.as_ref(), gsd_m);
     Ok(DsmEvaluation {
         metrics,
         errors,

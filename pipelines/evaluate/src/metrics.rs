@@ -1,6 +1,6 @@
 //! Height errors in numbers.
 
-use super::{Protocol, Uncertainty, class_name};
+use super::{EdgeErrors, Protocol, Uncertainty, class_name};
 use heliosplat::Raster;
 use heliosplat_rpc::statistics::{median, nmad};
 use std::collections::BTreeMap;
@@ -45,6 +45,9 @@ pub struct DsmMetrics {
     /// where it is not known who sees what.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub seen_unknown: Option<f64>,
+    /// Errors of the ground by its distance to the nearest wall, where classes are known.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub edges: Vec<EdgeErrors>,
     /// What the prediction's own standard deviations are worth, where it has them.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub uncertainty: Option<Uncertainty>,
@@ -103,6 +106,7 @@ impl DsmMetrics {
             by_class,
             ground_and_buildings: static_classes,
             seen_unknown: None,
+            edges: Vec::new(),
             uncertainty: None,
         }
     }

@@ -50,6 +50,14 @@ impl ShadowCounts {
         self.lit_wrong += other.lit_wrong;
     }
 
+    /// Intersection over union of the shadows, 0..1; 1 where neither has any.
+    pub fn iou(&self) -> f64 {
+        match self.shadow_right + self.shadow_wrong + self.lit_wrong {
+            0 => 1.0,
+            union => self.shadow_right as f64 / union as f64,
+        }
+    }
+
     /// The score; `None` without any pixel. A class that does not occur has no error.
     pub fn score(&self) -> Option<ShadowScore> {
         let share = |wrong: u64, right: u64| match wrong + right {

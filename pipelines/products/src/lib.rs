@@ -3,7 +3,9 @@
 //! [`model`] reads a run; [`surface`] and [`dsm`] look at it from above; [`views`] renders its images; [`relight`] puts it under
 //! another sun; [`set`] writes everything for a GIS through [`writer`], and [`stac`] describes it.
 
+pub mod animation;
 pub mod blend;
+pub mod daylight;
 pub mod dsm;
 pub mod export;
 mod fill;
@@ -20,6 +22,8 @@ pub mod set;
 pub mod shadow_mask;
 pub mod stac;
 pub mod stored;
+pub mod style;
+pub mod sunshine;
 pub mod surface;
 pub mod views;
 pub mod writer;

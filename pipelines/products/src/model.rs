@@ -1,5 +1,6 @@
 //! A trained satellite model as files: `model.ply` (the Gaussians) and `model.json` (what they share, the frame, the cameras).
 
+use crate::daylight::Daylight;
 use crate::ply;
 use heliosplat::gaussians::Table;
 use heliosplat::model::Parameters;
@@ -81,6 +82,9 @@ pub struct ModelFile {
     /// What the values of the image are whose colour is the model's.
     #[serde(default, skip_serializing_if = "Values::is_unknown")]
     pub values: Values,
+    /// How bright its ground is under any sun; `None` without light, and in models of versions that did not know it.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub daylight: Option<Daylight>,
     /// The images.
     pub images: Vec<ModelImage>,
 }

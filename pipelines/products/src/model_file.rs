@@ -35,6 +35,10 @@ impl ModelFile {
         if !finite || ![0, file.bands.len()].contains(&file.values.reflectance.len()) {
             return Err("its bands have no usable gains to reflectance".into());
         }
+        let bands = file.options.bands;
+        if file.daylight.as_ref().is_some_and(|light| !light.is_possible(bands)) {
+            return Err("its daylight is none".into());
+        }
         file.check_numbers()?;
         file.images
             .iter()

@@ -1,6 +1,7 @@
 //! A map grid over a place, and the camera that looks straight down on it.
 
 use crate::model::LoadedModel;
+use crate::sunshine::CellVectors;
 use glam::DVec3;
 use heliosplat::ProjectiveCamera;
 use heliosplat_raster::grid::{EnuGrid, GridSpec};
@@ -72,6 +73,17 @@ impl NadirGrid {
         let enu = EnuGrid::new(&place.frame, &grid, place.altitude_range_m)?;
         let camera = nadir_camera(&enu, &grid, place.frame.origin.height_m);
         Ok(Self { grid, camera, enu })
+    }
+
+    /// Where the next column and the next row lie at the grid's middle, metres east and north of the local frame.
+    pub fn cell_vectors_m(&self, height_m: f64) -> CellVectors {
+        let (col, row) = (0.5 * self.grid.width as f64, 0.5 * self.grid.height as f64);
+        let at = |col: f64, row: f64| self.enu.enu(col, row, height_m);
+        let between = |[a, b, _]: [f64; 3], [c, d, _]: [f64; 3]| [c - a, d - b];
+        CellVectors {
+            per_col: between(at(col - 0.5, row), at(col + 0.5, row)),
+            per_row: between(at(col, row - 0.5), at(col, row + 0.5)),
+        }
     }
 
     /// Ellipsoidal height of a grid cell where the model's surface is `up_m` above the frame's origin.

@@ -3,8 +3,12 @@
 use super::nadir::NadirGrid;
 use super::views::camera_of;
 use crate::model::LoadedModel;
+use heliosplat::gaussians::Table;
 use heliosplat::light::Light;
+use heliosplat::model::shadow_gs::{SKY, softplus_inverse};
+use heliosplat::model::{Context, Parameters, SceneModel};
 use heliosplat::render::render;
+use heliosplat::splat::Maps;
 use heliosplat::{ProjectiveCamera, Raster};
 use heliosplat_fitting::run_folder::RunError;
 use heliosplat_raster::write::{ImageSpec, Sample, write_cog, write_geotiff};
@@ -32,6 +36,15 @@ pub enum RelightError {
         /// Folder of the run.
         folder: PathBuf,
     },
+    /// A model without the light of day.
+    #[error(
+        "{}: the model comes from a version that did not know how bright the ground is under another sun; train again to relight it",
+        folder.display()
+    )]
+    OldLight {
+        /// Folder of the run.
+        folder: PathBuf,
+    },
     /// No image of that name.
     #[error("no image of the run is called {name}; the names are {known}, or nadir")]
     NoView {
@@ -54,7 +67,7 @@ impl RelightError {
         match self {
             Self::Run(error) => error.is_input_fault(),
             Self::Raster(error) => error.is_input_fault(),
-            Self::Night { .. } | Self::NoLight { .. } | Self::NoView { .. } => true,
+            Self::Night { .. } | Self::NoLight { .. } | Self::OldLight { .. } | Self::NoView { .. } => true,
         }
     }
 }
@@ -68,10 +81,13 @@ pub struct Relit {
     pub image: Raster,
     /// Share of the sun that reaches each pixel, 0 to 1.
     pub visibility: Raster,
+    /// Of which exposure the counts are, in words; files carry it as the item `EXPOSURE`.
+    pub exposure: String,
     grid: Option<GridSpec>,
 }
 
-/// Renders `model` under `sun`, from above (`nadir`) or as the image called `view` saw it, with the colours of the reference image.
+/// Renders `model` under `sun`, from above (`nadir`) or as the image called `view` saw it, in counts of the reference image: its exposure
+/// and its path radiance, but the irradiance and the sky of that sun.
 ///
 /// # Errors
 /// [`RelightError`] when the sun is down, the model has no light, or there is no such view.
@@ -91,6 +107,15 @@ pub fn relight_ortho(model: &LoadedModel, sun: &SunPosition, nadir: &NadirGrid) 
     let mut relit = lit(model, sun, &nadir.camera)?;
     relit.grid = Some(nadir.grid.clone());
     Ok(relit)
+}
+
+/// The shadow mask of `model` under `sun` seen from straight above, on a grid: 1 in shadow, 0 in the sun, `NaN` where nothing is known.
+///
+/// # Errors
+/// [`RelightError`] when the sun is down, or the model has no light.
+pub fn shadows_ortho(model: &LoadedModel, sun: &SunPosition, nadir: &NadirGrid) -> Result<Raster, RelightError> {
+    let (_, maps) = traced(model, sun, &nadir.camera)?;
+    Ok(mask_of(visibility_of(model, &maps)))
 }
 
 /// The light of a sun on `model`.
@@ -113,26 +138,61 @@ pub(crate) fn light_of(model: &LoadedModel, sun: &SunPosition) -> Result<Light, 
     ))
 }
 
-fn lit(model: &LoadedModel, sun: &SunPosition, camera: &ProjectiveCamera) -> Result<Relit, RelightError> {
+/// The maps of `model` with its shadows traced under `sun`.
+fn traced(model: &LoadedModel, sun: &SunPosition, camera: &ProjectiveCamera) -> Result<(Light, Maps), RelightError> {
     let light = light_of(model, sun)?;
-    let rendering = render(
-        &model.model,
-        &model.parameters,
-        camera,
-        Some(light),
-        None,
-        model.pass_options(),
-    );
-    let mut image = rendering.image;
-    for value in &mut image.values {
-        *value *= model.file.counts_per_unit as f32;
-    }
-    let visibility = Raster {
-        width: image.width,
-        height: image.height,
+    let options = model.pass_options();
+    let rendering = render(&model.model, &model.parameters, camera, Some(light), None, options);
+    Ok((light, rendering.maps))
+}
+
+fn visibility_of(model: &LoadedModel, maps: &Maps) -> Raster {
+    Raster {
+        width: maps.width,
+        height: maps.height,
         bands: 1,
-        values: model.model.sunlit(&rendering.maps),
+        values: model.model.sunlit(maps),
+    }
+}
+
+fn mask_of(mut visibility: Raster) -> Raster {
+    for value in visibility.values.iter_mut().filter(|v| !v.is_nan()) {
+        *value = if *value < 0.5 { 1.0 } else { 0.0 };
+    }
+    visibility
+}
+
+fn lit(model: &LoadedModel, sun: &SunPosition, camera: &ProjectiveCamera) -> Result<Relit, RelightError> {
+    let (light, maps) = traced(model, sun, camera)?;
+    let daylight = model.file.daylight.as_ref().ok_or_else(|| RelightError::OldLight {
+        folder: model.folder.clone(),
+    })?;
+    let (reference, bands) = (model.file.options.reference, model.file.options.bands);
+    let mut globals = model.parameters.globals.clone();
+    for k in 0..bands {
+        let shade = daylight.shade(k, sun.elevation_rad) as f32;
+        globals.group_mut(SKY)[reference * bands + k] = softplus_inverse(shade);
+    }
+    // The maps hold what the Gaussians say.
+    let parameters = Parameters {
+        gaussians: Table::zeros(model.model.feature_groups(), 0),
+        globals,
     };
+    let context = Context {
+        parameters: &parameters,
+        camera,
+        light: Some(light),
+        appearance: None,
+    };
+    let mut image = model.model.compose(&context, &maps);
+    let counts = model.file.counts_per_unit as f32;
+    for (k, kept) in path_radiance(model).into_iter().enumerate() {
+        let gain = daylight.gain(k, sun.elevation_rad) as f32;
+        for value in image.plane_mut(k) {
+            *value = ((*value - kept) * gain + kept) * counts;
+        }
+    }
+    let visibility = visibility_of(model, &maps);
     for (i, lit) in visibility.values.iter().enumerate() {
         if lit.is_nan() {
             for band in 0..image.bands {
@@ -143,8 +203,33 @@ fn lit(model: &LoadedModel, sun: &SunPosition, camera: &ProjectiveCamera) -> Res
     Ok(Relit {
         image,
         visibility,
+        exposure: exposure(model),
         grid: None,
     })
+}
+
+/// The path radiance of the reference image, per band, in units of the model's colours.
+fn path_radiance(model: &LoadedModel) -> Vec<f32> {
+    model.model.colour(&model.parameters, model.file.options.reference).1
+}
+
+/// Of which exposure relit counts are, in words.
+fn exposure(model: &LoadedModel) -> String {
+    let reference = model.file.options.reference;
+    let image = model
+        .file
+        .images
+        .iter()
+        .find(|image| image.appearance == Some(reference));
+    let kept = path_radiance(model).into_iter();
+    let kept: Vec<String> = kept
+        .map(|value| format!("{:.0}", f64::from(value) * model.file.counts_per_unit))
+        .collect();
+    format!(
+        "counts of {} under this sun, its path radiance of {} kept",
+        image.map_or("the reference image", |image| image.name.as_str()),
+        kept.join(", ")
+    )
 }
 
 fn named_camera(model: &LoadedModel, view: &str) -> Result<ProjectiveCamera, RelightError> {
@@ -164,11 +249,7 @@ fn named_camera(model: &LoadedModel, view: &str) -> Result<ProjectiveCamera, Rel
 impl Relit {
     /// Its shadow mask: 1 in shadow, 0 in the sun, `NaN` where nothing is known.
     pub fn shadows(&self) -> Raster {
-        let mut mask = self.visibility.clone();
-        for value in mask.values.iter_mut().filter(|v| !v.is_nan()) {
-            *value = if *value < 0.5 { 1.0 } else { 0.0 };
-        }
-        mask
+        mask_of(self.visibility.clone())
     }
 
     /// Writes the image to `path` (PNG: a picture; otherwise GeoTIFF in counts) and its shadow mask beside it (`*_shadow`, 1 =
@@ -190,6 +271,7 @@ impl Relit {
         let georeference = self.grid.as_ref().map(|grid| (&grid.transform, &grid.crs));
         let spec = ImageSpec {
             georeference,
+            metadata: &[("EXPOSURE".into(), self.exposure.clone())],
             ..ImageSpec::plain(&self.image)
         };
         match georeference {

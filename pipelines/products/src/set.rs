@@ -2,7 +2,8 @@
 
 use super::dsm::{maps, of_model};
 use super::nadir::NadirGrid;
-use super::relight::{RelightError, relight_ortho};
+use super::relight::{RelightError, relight_ortho, shadows_ortho};
+use super::sunshine::{Period, sunshine};
 use super::writer::{Said, Set, Writer};
 use super::{ortho, points};
 use crate::model::{LoadedModel, ModelImage};
@@ -25,6 +26,8 @@ pub struct Request {
     pub geoid: Option<Geoid>,
     /// The sun of the relit ortho image, if there is to be one.
     pub sun: Option<SunPosition>,
+    /// The days whose sunshine is wanted, if any.
+    pub sun_hours: Option<Period>,
 }
 
 /// The date of an image by name: its day, or without a time the place of its sun; `undated` where neither is known.
@@ -116,10 +119,14 @@ pub fn write(
         surface.blank_unknown(&mut shadows);
         writer.relit(&image, &shadows, bands, &sun)?;
     }
+    if let Some(period) = &request.sun_hours {
+        let shone = sunshine(&nadir, &surface.altitude(), model.frame.origin, period);
+        writer.sunshine(&shone, period)?;
+    }
     done(3);
     let dates = shaded_dates(model);
     for (place, (date, sun)) in dates.iter().enumerate() {
-        let mut shadows = relight_ortho(model, sun, &nadir)?.shadows();
+        let mut shadows = shadows_ortho(model, sun, &nadir)?;
         surface.blank_unknown(&mut shadows);
         writer.shadows(date, &shadows, sun)?;
         done(4 + place as u64);

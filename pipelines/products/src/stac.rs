@@ -10,10 +10,11 @@ use serde_json::{Map, Value, json};
 /// Version of the core specification.
 const VERSION: &str = "1.1.0";
 const PROJECTION: &str = "https://stac-extensions.github.io/projection/v2.0.0/schema.json";
-const RASTER: &str = "https://stac-extensions.github.io/raster/v1.1.0/schema.json";
+const RASTER: &str = "https://stac-extensions.github.io/raster/v2.0.0/schema.json";
 const VIEW: &str = "https://stac-extensions.github.io/view/v1.0.0/schema.json";
 const COG: &str = "image/tiff; application=geotiff; profile=cloud-optimized";
 const LAZ: &str = "application/vnd.laszip";
+const PNG: &str = "image/png";
 
 /// One band of an asset.
 #[derive(Debug, Clone)]
@@ -49,10 +50,9 @@ impl Asset {
             .enumerate()
             .map(|(index, band)| describe(raster.plane(index), band, byte_nodata, gsd_m))
             .collect();
-        let names: Vec<Value> = bands.iter().map(|band| json!({"name": band.name})).collect();
         let mut value = json!({
             "href": format!("./{file}"), "title": title, "type": COG, "roles": ["data"],
-            "bands": names, "raster:bands": described,
+            "bands": described,
         });
         if let Some(sun) = sun {
             insert_sun(&mut value, sun);
@@ -61,6 +61,24 @@ impl Asset {
             key: key.into(),
             file: file.into(),
             value,
+        }
+    }
+
+    /// A small picture for catalogues.
+    pub fn thumbnail(file: &str) -> Self {
+        Self {
+            key: "thumbnail".into(),
+            file: file.into(),
+            value: json!({"href": format!("./{file}"), "title": "Thumbnail", "type": PNG, "roles": ["thumbnail"]}),
+        }
+    }
+
+    /// A page for a browser.
+    pub fn page(file: &str, title: &str) -> Self {
+        Self {
+            key: "page".into(),
+            file: file.into(),
+            value: json!({"href": format!("./{file}"), "title": title, "type": "text/html", "roles": ["overview"]}),
         }
     }
 
@@ -84,10 +102,11 @@ fn insert_sun(into: &mut Value, sun: &SunPosition) {
 
 fn describe(plane: &[f32], band: &Band, byte_nodata: Option<u8>, gsd_m: f64) -> Value {
     let mut out = json!({
+        "name": band.name,
         "data_type": if byte_nodata.is_some() { "uint8" } else { "float32" },
         "nodata": byte_nodata.map_or(f64::from(heliosplat_raster::write::NODATA), f64::from),
-        "sampling": "area",
-        "spatial_resolution": gsd_m,
+        "raster:sampling": "area",
+        "raster:spatial_resolution": gsd_m,
     });
     if !band.unit.is_empty() {
         out["unit"] = json!(band.unit);

@@ -3,7 +3,10 @@
 use super::dsm::{BANDS, Dsm, UNITS};
 use super::ortho;
 use super::stac::{self, About, Asset, Band};
+use super::style::{Layer, Style, layer_file};
+use super::sunshine::{LINKE_TURBIDITY, Period, Sunshine};
 use heliosplat::Raster;
+use heliosplat_raster::preview::{stretched, write_png};
 use heliosplat_raster::write::{Bytes, ImageSpec, write_byte_cog, write_cog};
 use heliosplat_raster::{GridSpec, RasterError, write_atomically};
 use heliosplat_rpc::sun::SunPosition;
@@ -14,6 +17,11 @@ use std::path::{Path, PathBuf};
 
 /// Name of the STAC item.
 const ITEM: &str = "item.json";
+/// Name of the layer file.
+const LAYERS: &str = "layers.qlr";
+/// Name of the small picture, and its longest side, pixels.
+const THUMBNAIL: &str = "thumbnail.png";
+const THUMBNAIL_PX: usize = 512;
 
 /// What an item says besides its assets.
 #[derive(Debug, Clone)]
@@ -49,6 +57,7 @@ pub struct Writer<'a> {
     vertical_datum: &'static str,
     completeness: f64,
     assets: Vec<Asset>,
+    layers: Vec<Layer>,
 }
 
 impl<'a> Writer<'a> {
@@ -61,6 +70,7 @@ impl<'a> Writer<'a> {
             vertical_datum: "WGS84 ellipsoid",
             completeness: 0.0,
             assets: Vec::new(),
+            layers: Vec::new(),
         }
     }
 
@@ -75,7 +85,7 @@ impl<'a> Writer<'a> {
 
     fn bytes(
         &mut self,
-        (key, title, name): (&str, &str, &str),
+        (key, title, name): (&str, &str, &'static str),
         raster: &Raster,
         bytes: Bytes,
         sun: Option<&SunPosition>,
@@ -86,6 +96,11 @@ impl<'a> Writer<'a> {
             &self.spec(raster, &[name], &metadata(sun)),
             bytes,
         )?;
+        let style = match bytes {
+            Bytes::Shades => Style::Shades([1.0, 255.0]),
+            Bytes::Mask => Style::mask(name),
+        };
+        self.styled(&file, title, style)?;
         let bands = [Band { name, unit: "" }];
         let shown;
         // What the file holds is what is described: whole shades.
@@ -120,9 +135,21 @@ impl<'a> Writer<'a> {
         let file = format!("{key}.tif");
         let names: Vec<&str> = bands.iter().map(|band| band.name()).collect();
         write_cog(&self.out.join(&file), &self.spec(raster, &names, &metadata(sun)))?;
+        self.styled(&file, title, Style::colours(raster, &names))?;
         let bands: Vec<Band> = names.iter().map(|name| Band { name, unit: "" }).collect();
         let asset = Asset::raster((key, &file, title), raster, &bands, None, self.gsd_m, sun);
         self.assets.push(asset);
+        Ok(())
+    }
+
+    /// Writes how a raster is shown beside it, and notes it for the layer file.
+    fn styled(&mut self, file: &str, title: &str, style: Style) -> Result<(), RasterError> {
+        write_atomically(&self.out.join(file).with_extension("qml"), style.qml().as_bytes())?;
+        self.layers.push(Layer {
+            file: file.to_owned(),
+            title: title.to_owned(),
+            style,
+        });
         Ok(())
     }
 
@@ -141,6 +168,7 @@ impl<'a> Writer<'a> {
         let title = format!("Surface model, metres above {}", self.vertical_datum);
         let asset = Asset::raster(("dsm", "dsm.tif", &title), &dsm.raster, &bands, None, self.gsd_m, None);
         self.assets.push(asset);
+        self.styled("dsm.tif", &title, Style::heights(&dsm.raster))?;
         self.completeness = dsm.completeness();
         let shade = ortho::hillshade(&dsm.altitude(), self.gsd_m);
         let title = "Hillshade of the surface, light from the north-west";
@@ -159,6 +187,11 @@ impl<'a> Writer<'a> {
     ) -> Result<(), RasterError> {
         let title = "True-ortho albedo, relative to level ground in full sun";
         self.floats(("albedo", title), albedo, bands, None)?;
+        let (width, height) = (self.grid.width, self.grid.height);
+        // A strip keeps a pixel of its shorter side.
+        let smaller = width.max(height).div_ceil(THUMBNAIL_PX).min(width.min(height)).max(1);
+        write_png(&self.out.join(THUMBNAIL), &stretched(&albedo.downscaled(smaller)))?;
+        self.assets.push(Asset::thumbnail(THUMBNAIL));
         let Some(index) = index else {
             return Ok(());
         };
@@ -184,6 +217,59 @@ impl<'a> Writer<'a> {
         self.bytes(names, shadows, Bytes::Mask, Some(sun))
     }
 
+    /// Hours of direct sun, sky view factor and irradiation of a period.
+    ///
+    /// # Errors
+    /// When a file cannot be written.
+    pub fn sunshine(&mut self, shone: &Sunshine, period: &Period) -> Result<(), RasterError> {
+        let (from, to) = period.ends();
+        let when = format!("{from} to {to}");
+        let about = |text: &str| vec![("DESCRIPTION".to_owned(), text.to_owned())];
+        let during = |text: &str| {
+            let mut items = about(text);
+            items.extend([("FROM".to_owned(), from.to_string()), ("TO".to_owned(), to.to_string())]);
+            items
+        };
+        let title = format!("Hours of direct sun per day, mean of {when}");
+        let hours = during("hours of direct sun per day, mean over the days of the period");
+        self.quantity(("sun_hours", &title), &shone.sun_hours, ("sun_hours", "h"), &hours)?;
+        let title = "Sky view factor: share of the light of an even sky";
+        let sky = about("share of the light of an even sky that reaches the inclined surface");
+        self.quantity(("sky_view", title), &shone.sky_view, ("sky_view_factor", "1"), &sky)?;
+        let title = format!("Irradiation under a clear sky, total of {when}");
+        let mut energy = during(
+            "irradiation of the inclined surface under a clear sky, total of the period: beam and sky by the ESRA model, without reflected light",
+        );
+        energy.push(("LINKE_TURBIDITY".to_owned(), LINKE_TURBIDITY.to_string()));
+        self.quantity(
+            ("irradiation", &title),
+            &shone.irradiation,
+            ("irradiation", "kWh/m²"),
+            &energy,
+        )
+    }
+
+    fn quantity(
+        &mut self,
+        (key, title): (&str, &str),
+        raster: &Raster,
+        (name, unit): (&str, &str),
+        items: &[(String, String)],
+    ) -> Result<(), RasterError> {
+        let file = format!("{key}.tif");
+        let all: Vec<_> = metadata(None).into_iter().chain(items.iter().cloned()).collect();
+        let names = [name];
+        let spec = ImageSpec {
+            band_units: &[unit],
+            ..self.spec(raster, &names, &all)
+        };
+        write_cog(&self.out.join(&file), &spec)?;
+        let bands = [Band { name, unit }];
+        let asset = Asset::raster((key, &file, title), raster, &bands, None, self.gsd_m, None);
+        self.assets.push(asset);
+        Ok(())
+    }
+
     /// The shadows of a date.
     ///
     /// # Errors
@@ -198,11 +284,16 @@ impl<'a> Writer<'a> {
         self.assets.push(Asset::points(file, count));
     }
 
+    /// Notes a page for people that was written beside the rasters.
+    pub fn page(&mut self, file: &str, title: &str) {
+        self.assets.push(Asset::page(file, title));
+    }
+
     /// Writes the STAC item of all that was written before.
     ///
     /// # Errors
     /// When the grid cannot be placed, or the file not be written.
-    pub fn finish(self, said: &Said) -> Result<Set, RasterError> {
+    pub fn finish(mut self, said: &Said) -> Result<Set, RasterError> {
         let about = About {
             id: said.id,
             grid: self.grid,
@@ -214,7 +305,15 @@ impl<'a> Writer<'a> {
         };
         let item = stac::item(&about, &self.assets)?;
         write_atomically(&self.out.join(ITEM), format!("{item:#}\n").as_bytes())?;
-        let mut names: Vec<String> = self.assets.into_iter().map(|asset| asset.file).collect();
+        // What was written last lies on top.
+        self.layers.reverse();
+        write_atomically(
+            &self.out.join(LAYERS),
+            layer_file(said.id, &self.grid.crs, &self.layers).as_bytes(),
+        )?;
+        let styles = self.layers.iter().map(|layer| layer.file.replace(".tif", ".qml"));
+        let mut names: Vec<String> = self.assets.into_iter().map(|asset| asset.file).chain(styles).collect();
+        names.push(LAYERS.into());
         names.push(ITEM.into());
         let files: Vec<PathBuf> = names.iter().map(|name| self.out.join(name)).collect();
         Ok(Set {

@@ -60,10 +60,18 @@ pub fn hillshade(altitude: &Raster, gsd_m: f64) -> RgbImage {
 /// The first three bands (or the first, as grey), each picture stretched between its 1st and 99th percentile over all
 /// shown bands, with display gamma 2.2.
 pub fn stretched(raster: &Raster) -> RgbImage {
-    let shown: [usize; 3] = if raster.bands >= 3 { [0, 1, 2] } else { [0; 3] };
+    stretched_within(raster, shown_range(raster).unwrap_or((0.0, 1.0)))
+}
+
+/// The 1st and the 99th percentile of the bands that a picture shows; `None` where nothing is known.
+pub fn shown_range(raster: &Raster) -> Option<(f32, f32)> {
     let distinct = if raster.bands >= 3 { 3 } else { 1 };
-    let values = &raster.values[..raster.plane_len() * distinct];
-    let (low, high) = percentiles(values, 0.01, 0.99).unwrap_or((0.0, 1.0));
+    percentiles(&raster.values[..raster.plane_len() * distinct], 0.01, 0.99)
+}
+
+/// As [`stretched`], between two given values: pictures of one range can be compared.
+pub fn stretched_within(raster: &Raster, (low, high): (f32, f32)) -> RgbImage {
+    let shown: [usize; 3] = if raster.bands >= 3 { [0, 1, 2] } else { [0; 3] };
     let span = (high - low).max(f32::MIN_POSITIVE);
     RgbImage::from_fn(raster.width as u32, raster.height as u32, |col, row| {
         let pixel = shown.map(|band| raster.at(band, col as usize, row as usize));
@@ -71,6 +79,14 @@ pub fn stretched(raster: &Raster) -> RgbImage {
             return UNKNOWN;
         }
         Rgb(pixel.map(|value| (((value - low) / span).clamp(0.0, 1.0).powf(1.0 / 2.2) * 255.0).round() as u8))
+    })
+}
+
+/// Pictures of one size from left to right; nothing of none.
+pub fn side_by_side(panels: &[RgbImage]) -> RgbImage {
+    let (width, height) = panels.first().map_or((0, 0), RgbImage::dimensions);
+    RgbImage::from_fn(width * panels.len() as u32, height, |col, row| {
+        *panels[(col / width) as usize].get_pixel(col % width, row)
     })
 }
 

@@ -5,6 +5,7 @@ use heliosplat_evaluate::EvaluateError;
 use heliosplat_fitting::run_folder::{OpenError, RunError};
 use heliosplat_fitting::settings::ConfigError;
 use heliosplat_fitting::training::TrainingError;
+use heliosplat_products::relight::RelightError;
 use heliosplat_raster::RasterError;
 use heliosplat_rpc::RpcError;
 use heliosplat_scene::SceneError;
@@ -55,6 +56,22 @@ pub enum SatelliteError {
     /// The evaluation.
     #[error(transparent)]
     Evaluate(#[from] EvaluateError),
+    /// A sun that the model cannot be put under.
+    #[error(transparent)]
+    Relight(#[from] RelightError),
+    /// Truth for relighting with other bands than the run.
+    #[error("{}: {found} bands, and the run has {expected}; truth for relighting has the bands of the images", path.display())]
+    RelitBands {
+        /// The image.
+        path: PathBuf,
+        /// Its bands.
+        found: usize,
+        /// Those of the run.
+        expected: usize,
+    },
+    /// Truth for relighting of another place.
+    #[error("{}: under one of its suns no pixel is known to the run; truth for relighting is of the run's ground", .0.display())]
+    RelitElsewhere(PathBuf),
     /// The scene that a run was trained on.
     #[error("{}: the scene of the run: {error}", run.display())]
     SceneOfRun {

@@ -7,7 +7,7 @@ use super::plan::{Decisions, Light};
 use super::shadow_prior;
 use super::swept::{Preprocessed, Swept};
 use super::views;
-use super::{clouds, estimate, initial, probe, radiometry, suns};
+use super::{clouds, daylight, estimate, initial, probe, radiometry, suns};
 use glam::Vec3;
 use heliosplat::ProjectiveCamera;
 use heliosplat::model::shadow_gs::{ShadowGs, ShadowGsOptions};
@@ -19,6 +19,7 @@ use heliosplat_fitting::checkpoint::{CheckpointWriter, LoadedCheckpoint};
 use heliosplat_fitting::curve::CurvePoint;
 use heliosplat_fitting::run_folder::peak_rss_bytes;
 use heliosplat_fitting::training::{Ending, TrainingError, train};
+use heliosplat_products::daylight::Daylight;
 use heliosplat_scene::{Area, ImageSun, KnownTiles, Scene, crop};
 use heliosplat_session::Session;
 use heliosplat_stereo::Surface;
@@ -56,6 +57,8 @@ pub struct Fitted {
     pub suns: Vec<ImageSun>,
     /// Share of each image that is left out because clouds hide the ground there, 0 to 1, in that order.
     pub clouded: Vec<f64>,
+    /// How bright the ground is under any sun; `None` without light.
+    pub daylight: Option<Daylight>,
     /// The surface that training started from.
     pub surface: Surface,
     /// How training ended.
@@ -187,7 +190,7 @@ pub fn fit(
         options.consistency_weight = 0.0;
     }
     let memory_estimate = fit_into_memory(limits.memory, scene, &parameters, &views, config, &mut options)?;
-    radiometry::initialise(&model, &mut parameters, &mut views, SKY);
+    let shades = radiometry::initialise(&model, &mut parameters, &mut views, SKY);
     let initialised = swept.elapsed();
 
     let bounds = bounds(&ground);
@@ -203,7 +206,16 @@ pub fn fit(
         let probe = probe::height_probe(scene, reference.and_then(|image| image.vegetation_index()));
         train(trainer, steps, session, limits.budget, checkpoints, probe.as_deref())?
     };
+    let daylight = {
+        let elevations: Vec<Option<f64>> = suns.iter().map(|sun| Some(sun.position?.elevation_rad)).collect();
+        let evidence = daylight::evidence(&model, &trained.parameters, &elevations, &shades);
+        daylight::fit(&evidence, elevations[model.options.reference], bands)
+    };
+    if let Some(light) = &daylight {
+        tracing::info!("{}", light.in_words());
+    }
     Ok(Fitted {
+        daylight,
         parameters: trained.parameters,
         early_stop: trained.early_stop,
         rejected: trained.rejected,

@@ -169,6 +169,16 @@ impl Start<'_> {
                 opacity,
             };
             discs.add(&top);
+            let above_m = surface.above[cell];
+            if above_m - here.z > wall_from_m {
+                // The ground was preferred to what was matched here: training decides.
+                discs.add(&Disc {
+                    centre: Vec3::new(here.x, here.y, above_m),
+                    rotation: Quat::IDENTITY,
+                    opacity: step_opacity,
+                    ..top
+                });
+            }
             if above_floor {
                 discs.add(&Disc {
                     centre: Vec3::new(here.x, here.y, floor_m),
@@ -196,6 +206,7 @@ mod tests {
             west_m: 0.0,
             north_m: 0.0,
             cell_m: 0.5,
+            above: altitude.clone(),
             altitude,
             confidence: vec![1.0; count],
             resolution_m: 0.1,
@@ -263,5 +274,15 @@ mod tests {
             .collect();
         assert_eq!(under_roof.len(), FLOOR_CELLS.0);
         assert!(under_roof.iter().all(|&x| x > 8.0));
+    }
+
+    #[test]
+    fn what_the_ground_was_preferred_to_starts_above_it() {
+        let mut surface = surface(vec![0.0; 9], 3);
+        surface.above[4] = 6.0;
+        let table = gaussians_on(&surface, &[true; 9]);
+        let over: Vec<usize> = (0..table.count).filter(|&i| table.position(i).z == 6.0).collect();
+        assert_eq!((table.count, over.len()), (10, 1));
+        assert!((table.opacity(over[0]) - 0.35).abs() < 1e-5);
     }
 }

@@ -2,6 +2,7 @@
 
 use super::error::SatelliteError;
 use super::fit::Fitted;
+use super::relit;
 use heliosplat::Raster;
 use heliosplat_evaluate::shadow::ShadowCounts;
 use heliosplat_evaluate::{DsmEvaluation, ImageScore, Protocol, error_map, evaluate_dsm};
@@ -53,6 +54,7 @@ pub fn metrics(scene: &Scene, model: &LoadedModel, run: &Path, protocol: Protoco
     if let Some(evaluation) = dsm(scene, model, run, protocol)? {
         out["dsm"] = surface_metrics(&evaluation);
         preview::write_png(&run.join("error.png"), &error_map::draw(&evaluation.errors))?;
+        error_map::write(&run.join("error.tif"), &evaluation)?;
     }
     let (mut train, mut test) = (Vec::new(), Vec::new());
     let (mut shadows, mut traced) = (ShadowCounts::default(), ShadowCounts::default());
@@ -93,6 +95,13 @@ pub fn metrics(scene: &Scene, model: &LoadedModel, run: &Path, protocol: Protoco
     if let Some(score) = shadows.score().filter(|_| !scene.truth.shadows.is_empty()) {
         out["shadow"] = serde_json::to_value(score).unwrap_or_default();
         out["shadow"]["traced"] = serde_json::to_value(traced.score()).unwrap_or_default();
+    }
+    if let Some(folder) = scene.truth.relit.as_deref().filter(|_| model.file.has_light()) {
+        // Truth that nobody asked for spoils no run.
+        match relit::measure(model, folder, run) {
+            Ok(relit) => out["relit"] = relit,
+            Err(error) => tracing::warn!("truth under other suns is left out: {error}"),
+        }
     }
     Ok(out)
 }
@@ -164,11 +173,10 @@ fn draw(
         preview::overlay(&mut wrong, &share(&|i| (-difference(i)).max(0.0)), [255, 40, 40]);
         panels.push(wrong);
     }
-    let (width, height) = panels[0].dimensions();
-    let picture = image::RgbImage::from_fn(width * panels.len() as u32, height, |col, row| {
-        *panels[(col / width) as usize].get_pixel(col % width, row)
-    });
-    Ok(preview::write_png(&folder.join(format!("{name}.png")), &picture)?)
+    Ok(preview::write_png(
+        &folder.join(format!("{name}.png")),
+        &preview::side_by_side(&panels),
+    )?)
 }
 
 /// The surface that training started from, as a file and a picture, and its error where there is truth.
@@ -255,6 +263,17 @@ pub fn summary(metrics: &Value) -> String {
         "% (before images say where shadows end)",
     );
     say("shadows right", number("/shadow/accuracy").map(|a| 100.0 * a), "%");
+    say(
+        "relit PSNR",
+        number("/relit/mean/psnr_one_gain_db"),
+        "dB (suns of no image, one gain for all)",
+    );
+    say(
+        "relit PSNR",
+        number("/relit/mean/psnr_own_gain_db"),
+        "dB (a gain for each sun)",
+    );
+    say("relit BER", number("/relit/mean/ber").map(|b| 100.0 * b), "% (traced)");
     say("PSNR train", number("/train/psnr"), "dB");
     let colour = metrics.pointer("/test/colour").and_then(Value::as_str).unwrap_or("");
     say("PSNR held out", number("/test/psnr"), &format!("dB (colour {colour})"));

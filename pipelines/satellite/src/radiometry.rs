@@ -24,6 +24,12 @@ const SHADED: f32 = 0.1;
 const COVERED: f32 = 0.9;
 /// Opacity at which coverage is judged.
 const SOLID: f32 = 0.99;
+/// Share of the sunlit value that a place in a shadow keeps at most; what keeps more was not in the shadow.
+const SHADE_MAX: f32 = 0.6;
+/// Share of the pairs of an image among which its shade is looked for: the narrowest range that holds so many.
+const SHADE_SHARE: f64 = 0.3;
+/// Fewest pairs that tell the shade of an image.
+const FEWEST_SHADED: usize = 50;
 /// Pixels next to uncovered ones that do not count either.
 const EDGE_PX: usize = 3;
 
@@ -114,8 +120,12 @@ fn cover(view: &mut View, maps: &Maps) {
     }
 }
 
-/// Sets albedo and per-image colour of `parameters` from `views`, and the views' weights to what the surface covers.
-pub(super) fn initialise(model: &ShadowGs, parameters: &mut Parameters, views: &mut [View], sky: f32) {
+/// What a shadow is worth beside the same ground in the sun, for each view and band; `None` where the view does not tell.
+pub(super) type Shades = Vec<Vec<Option<f64>>>;
+
+/// Sets albedo and per-image colour of `parameters` from `views`, and the views' weights to what the surface covers. Returns what shadows
+/// are worth.
+pub(super) fn initialise(model: &ShadowGs, parameters: &mut Parameters, views: &mut [View], sky: f32) -> Shades {
     let bands = model.options.bands;
     let occluders = Occluders::new(&parameters.gaussians);
     let mut shown = Vec::new();
@@ -166,6 +176,20 @@ pub(super) fn initialise(model: &ShadowGs, parameters: &mut Parameters, views: &
         })
         .collect();
     parameters.gaussians.group_mut(ALBEDO).copy_from_slice(&albedo);
+    let shades = |v: usize| (0..bands).map(|k| shown.shade(v, k, path_radiance[k])).collect();
+    (0..shown.views.len()).map(shades).collect()
+}
+
+/// The middle of the narrowest range that holds [`SHADE_SHARE`] of the values; `None` of too few.
+fn densest(mut values: Vec<f32>) -> Option<f64> {
+    if values.len() < FEWEST_SHADED {
+        return None;
+    }
+    values.sort_by(f32::total_cmp);
+    let held = (values.len() as f64 * SHADE_SHARE) as usize;
+    let width = |window: &[f32]| window[held - 1] - window[0];
+    let narrowest = values.windows(held).min_by(|a, b| width(a).total_cmp(&width(b)))?;
+    Some(f64::from(0.5 * (narrowest[0] + narrowest[held - 1])))
 }
 
 /// What an image makes of the reference image's values.
@@ -217,6 +241,19 @@ impl Shown<'_> {
         path_radiance::of_band((0..self.views.len()).map(pairs).collect())
     }
 
+    /// What ground in the shadows of view `v` is worth in band `k` beside the same ground in the sun. Where the surface is wrong, what
+    /// counts as shaded is lit; so this is the middle of the narrowest range that holds many pairs, not their median.
+    fn shade(&self, v: usize, k: usize, path_radiance: f32) -> Option<f64> {
+        let gaussians = (0..self.samples[v].len()).into_par_iter().with_min_len(1024);
+        let ratio = |g: usize| {
+            let Pair { lit, shaded } = self.pair(v, g, k)?;
+            let lit = 0.5 * (lit[0] + lit[1]) - path_radiance;
+            let ratio = (shaded - path_radiance) / lit;
+            (lit > 0.0 && (0.0..SHADE_MAX).contains(&ratio)).then_some(ratio)
+        };
+        densest(gaussians.filter_map(ratio).collect())
+    }
+
     /// Gaussian `g` in the shade of view `v` and in the sun of others.
     fn pair(&self, v: usize, g: usize, k: usize) -> Option<Pair> {
         if !self.samples[v][g].shaded {
@@ -237,5 +274,20 @@ impl Shown<'_> {
             lit: [upper_median(a)?, upper_median(b)?],
             shaded,
         })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_shade_is_where_most_pairs_are_and_errors_of_the_surface_do_not_move_it() {
+        let shaded = (0..400).map(|i| 0.12 + 0.04 * (i as f32 / 400.0));
+        let wrong = (0..600).map(|i| 0.2 + 0.4 * (i as f32 / 600.0));
+        let found = densest(shaded.chain(wrong).collect()).expect("a shade");
+        assert!((0.12..0.16).contains(&found), "{found}");
+        assert_eq!(densest(vec![0.1; FEWEST_SHADED - 1]), None);
+        assert!(densest(vec![0.1; FEWEST_SHADED]).is_some());
     }
 }

@@ -190,6 +190,7 @@ fn model_file(scene: &Scene, fitted: &Fitted) -> ModelFile {
         projection: ProjectionOptions::default(),
         bands: scene.bands().to_vec(),
         values: reference_values(scene, fitted),
+        daylight: fitted.daylight.clone(),
         images: run_file::model_images(scene, fitted, MARGIN_M),
     }
 }

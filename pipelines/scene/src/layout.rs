@@ -104,13 +104,15 @@ fn from_manifest(path: &Path) -> Result<Layout, SceneError> {
             multispectral: None,
         })
         .collect();
+    let home = path.parent().unwrap_or_else(|| Path::new("."));
     let truth = match manifest.truth {
         Some(truth) => Truth {
+            relit: super::relit_truth::folder_of(truth.dsm.as_deref(), home),
             dsm: truth.dsm,
             classes: truth.classes,
             shadows: truth.shadows.into_iter().collect(),
         },
-        None => super::truth::find_for(path.parent().unwrap_or_else(|| Path::new(".")), &[]),
+        None => super::truth::find_for(home, &[]),
     };
     Ok(Layout {
         images: with_distinct_names(images),

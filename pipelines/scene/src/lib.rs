@@ -27,6 +27,7 @@ mod manifest;
 mod pair_names;
 mod pairs;
 mod pixels;
+mod relit_truth;
 mod satnerf;
 pub mod saturation;
 mod sidecars;
@@ -41,6 +42,7 @@ pub use altitude::{AltitudeRange, AltitudeSource};
 pub use area::AreaRequest;
 pub use error::SceneError;
 pub use known_tiles::KnownTiles;
+pub use relit_truth::{RelitTruth, relit_truth};
 pub use sun::{ImageSun, SunSource};
 pub use values::{BandReflectance, ValueKind, Values};
 
@@ -191,6 +193,8 @@ pub struct Truth {
     pub classes: Option<PathBuf>,
     /// Shadow mask of each image (1 = in cast shadow), by image name.
     pub shadows: Vec<(String, PathBuf)>,
+    /// Folder of images from above under other suns, for [`relit_truth()`].
+    pub relit: Option<PathBuf>,
 }
 
 /// Images with cameras and what is known of their suns, in one local frame.

@@ -1,7 +1,7 @@
 //! Truth that comes with a scene: our own `truth/` folder, or the rasters of Sat-NeRF, EOGS and DFC2019.
 
 use super::files::{file_name, files_in, has_extension, is_truth, neighbours, stem};
-use super::{Area, Scene, Truth};
+use super::{Area, Scene, Truth, relit_truth};
 use heliosplat_raster::{Crs, CrsTransform, GeoTransform, RasterFile};
 use heliosplat_rpc::{GeoPoint, LocalFrame};
 use std::collections::BTreeMap;
@@ -12,9 +12,13 @@ use std::path::{Path, PathBuf};
 pub(super) fn find_for(home: &Path, images: &[String]) -> Truth {
     let folder = file_name(&home.canonicalize().unwrap_or_else(|_| home.to_owned()));
     let named_by_folder = find(home, &folder);
-    match area_of(images) {
+    let truth = match area_of(images) {
         Some(area) if named_by_folder.dsm.is_none() && area != folder => find(home, &area),
         _ => named_by_folder,
+    };
+    Truth {
+        relit: relit_truth::folder_of(truth.dsm.as_deref(), home),
+        ..truth
     }
 }
 
@@ -87,6 +91,7 @@ fn in_folder(folder: &Path, scene: &str, own_folder: bool) -> Truth {
         dsm: pick("dsm", &["_DSM"]),
         classes: pick("classes", &["_CLS_v2", "_CLS"]),
         shadows: shadows.collect(),
+        relit: None,
     }
 }
 
@@ -101,6 +106,7 @@ pub(super) fn keep_if_here(truth: &mut Truth, frame: &LocalFrame, area: &Area, w
         ));
         truth.dsm = None;
         truth.classes = None;
+        truth.relit = None;
     }
 }
 

@@ -8,8 +8,11 @@ pub mod memory;
 use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
 use std::io::IsTerminal;
 use std::sync::Arc;
-use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::time::Duration;
+
+/// Asks for progress in lines where stderr is no terminal.
+const PROGRESS_VARIABLE: &str = "HELIOSPLAT_PROGRESS";
 
 /// The signal handler cannot be installed.
 #[derive(Debug, thiserror::Error)]
@@ -65,7 +68,8 @@ impl Session {
         self.bar(label, ProgressBar::no_length(), "{prefix} {elapsed} {msg}")
     }
 
-    /// A progress bar of `total` steps; on a terminal only.
+    /// A progress bar of `total` steps on a terminal. Elsewhere, for programs that read stderr and set `HELIOSPLAT_PROGRESS=lines`, a
+    /// line `progress LABEL N %` for each of a hundred.
     pub fn progress(&self, label: &str, total: u64) -> Progress {
         let style = "{prefix} [{bar:30}] {pos}/{len} {per_sec} left {eta} {msg}";
         self.bar(label, ProgressBar::new(total), style)
@@ -79,10 +83,15 @@ impl Session {
             }
             bar.set_prefix(label.to_owned());
             bar.enable_steady_tick(Duration::from_millis(250));
-            return Progress { bar };
+            return Progress { bar, lines: None };
         }
         bar.set_draw_target(ProgressDrawTarget::hidden());
-        Progress { bar }
+        let wanted = std::env::var_os(PROGRESS_VARIABLE).is_some_and(|value| value == "lines");
+        let lines = wanted.then(|| Lines {
+            label: label.to_owned(),
+            said: AtomicU64::new(0),
+        });
+        Progress { bar, lines }
     }
 }
 
@@ -90,12 +99,36 @@ impl Session {
 #[derive(Debug)]
 pub struct Progress {
     bar: ProgressBar,
+    lines: Option<Lines>,
+}
+
+/// Progress for programs.
+#[derive(Debug)]
+struct Lines {
+    label: String,
+    /// Hundredths that were said already.
+    said: AtomicU64,
+}
+
+impl Lines {
+    fn at(&self, done: u64, total: Option<u64>) {
+        let Some(total) = total.filter(|&total| total > 0) else {
+            return;
+        };
+        let hundredths = done.min(total).saturating_mul(100) / total;
+        if self.said.fetch_max(hundredths, Ordering::Relaxed) < hundredths {
+            log::line_on_stderr(&format!("progress {} {hundredths} %", self.label));
+        }
+    }
 }
 
 impl Progress {
     /// Sets the number of steps done.
     pub fn set(&self, done: u64) {
         self.bar.set_position(done);
+        if let Some(lines) = &self.lines {
+            lines.at(done, self.bar.length());
+        }
     }
 
     /// Changes how many steps there are.

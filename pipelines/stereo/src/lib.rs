@@ -30,6 +30,7 @@ pub mod clouds;
 mod contrast;
 mod cost;
 mod evidence;
+mod floor;
 mod grid;
 mod heights;
 mod level;

@@ -25,6 +25,9 @@ pub const MANY_VIEWS: f32 = 8.0;
 /// Height step of the hypotheses, as the relative shift in cells of the pair of views with the widest base: half a cell is what matching
 /// resolves before the sub-step refinement.
 pub(super) const STEP_CELLS: f32 = 0.5;
+/// Summed cost by which the floor is cheaper than a surface in doubt above it, with many views (docs/lab/edges.md); with few views costs
+/// are too noisy to tell a sure floor, and where costs are averaged over windows there are no walls that single cells could place.
+const FLOOR_BONUS: u16 = 150;
 /// Rounds at full resolution in which views that the surface hides are left out; docs/lab/plane-sweep.md: a second one gains nothing.
 const VISIBILITY_ROUNDS: usize = 1;
 /// Cost of a change by one height step between neighbours (P1 of Hirschmüller 2008), in units of a full mismatch / 255.
@@ -168,6 +171,8 @@ pub struct MatchingParameters {
     pub guide_edge: f32,
     /// Which heights remain candidates from one search to the next.
     pub candidate_tolerance: CandidateTolerance,
+    /// Summed cost by which the floor beneath a surface in doubt is cheaper than what was matched; 0 for none.
+    pub floor_bonus: u16,
     /// Rounds at full resolution in which views hidden by the surface found so far are left out.
     pub visibility_rounds: usize,
     /// Radius of the window whose plane gives each cell its height, cells; 0 leaves heights as they were matched.
@@ -198,6 +203,7 @@ impl MatchingParameters {
                 half_resolution: between(TOLERANCE_FEW.half_resolution, TOLERANCE_MANY.half_resolution),
                 coarser: between(TOLERANCE_FEW.coarser, TOLERANCE_MANY.coarser),
             },
+            floor_bonus: if radius == 0 { between(0, FLOOR_BONUS) } else { 0 },
             visibility_rounds: VISIBILITY_ROUNDS,
             plane_radius: if radius > 0 { radius + 1 } else { 0 },
             adaptive_plane_radius: very_short_base.then_some(radius),

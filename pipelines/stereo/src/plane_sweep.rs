@@ -1,5 +1,6 @@
 //! The plane sweep from its request to the initial surface: coarse to fine, then with hidden views left out, then post-processed.
 
+use super::floor;
 use super::grid::Grid;
 use super::plane_smoothing;
 use super::postprocess;
@@ -32,6 +33,8 @@ pub fn plane_sweep(views: &[SweepView], request: &PlaneSweepRequest, progress: &
         .descend(1, &|factor| progress(0.5 / factor as f32))
         .expect("the finest level is always searched");
     for _ in 0..parameters.visibility_rounds {
+        floor::lower_for_visibility(&grid, &mut found, parameters);
+        found = found.without_sums();
         let altitude = found.altitude();
         let tolerance_m = HIDDEN_M.max(HIDDEN_STEPS * found.step_m);
         let hits: Vec<_> = search
@@ -42,6 +45,8 @@ pub fn plane_sweep(views: &[SweepView], request: &PlaneSweepRequest, progress: &
             .collect();
         found = search.level(1, Some(&found), Some(&hits));
     }
+    let matched = found.altitude();
+    floor::prefer(&grid, &mut found, parameters);
     let mut altitude = found.altitude();
     let same_patch_m = (SAME_PATCH_STEPS * found.step_m).max(SAME_PATCH_CELLS * grid.cell_m);
     let filled = postprocess::speckles(&grid, &altitude, same_patch_m, SPECKLE_CELLS);
@@ -59,6 +64,7 @@ pub fn plane_sweep(views: &[SweepView], request: &PlaneSweepRequest, progress: &
         west_m: grid.west_m,
         north_m: grid.north_m,
         cell_m: grid.cell_m,
+        above: above(&matched, &altitude, &filled),
         confidence,
         deviation_m: found.choices.iter().map(|choice| choice.deviation_m).collect(),
         probability: found.choices.iter().map(|choice| choice.probability).collect(),
@@ -68,6 +74,14 @@ pub fn plane_sweep(views: &[SweepView], request: &PlaneSweepRequest, progress: &
         filled,
         altitude,
     }
+}
+
+/// What was matched, where the floor was preferred to it; else the surface itself.
+fn above(matched: &[f32], altitude: &[f32], filled: &[bool]) -> Vec<f32> {
+    let cells = matched.iter().zip(altitude).zip(filled);
+    cells
+        .map(|((matched, altitude), filled)| if *filled { *altitude } else { matched.max(*altitude) })
+        .collect()
 }
 
 /// How many views see each cell of the surface.

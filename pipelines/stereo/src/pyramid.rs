@@ -61,11 +61,25 @@ pub(super) struct LevelResult {
     /// Height step of this level, metres.
     pub(super) step_m: f32,
     pub(super) choices: Vec<HeightChoice>,
+    /// Height hypotheses of this level.
+    pub(super) heights: HeightHypotheses,
+    /// Those of each cell.
+    pub(super) ranges: SearchRanges,
+    /// Summed costs of these.
+    pub(super) sums: Vec<u16>,
     /// What this level and the coarser ones say for these heights.
     pub(super) evidence: Evidence,
 }
 
 impl LevelResult {
+    /// The same without what only a new choice of heights needs, which is large.
+    pub(super) fn without_sums(self) -> Self {
+        Self {
+            sums: Vec::new(),
+            ..self
+        }
+    }
+
     /// Altitude of each cell, metres.
     pub(super) fn altitude(&self) -> Vec<f32> {
         self.choices.iter().map(|choice| choice.altitude_m).collect()
@@ -114,7 +128,8 @@ impl<'a> Search<'a> {
     pub(super) fn descend(&self, finest: usize, progress: &dyn Fn(usize)) -> Option<LevelResult> {
         let mut found = None;
         for factor in self.factors(finest) {
-            found = Some(self.level(factor, found.as_ref(), None));
+            let level = self.level(factor, found.as_ref(), None);
+            found = Some(if factor == finest { level } else { level.without_sums() });
             progress(factor);
         }
         found
@@ -198,6 +213,9 @@ impl<'a> Search<'a> {
             factor,
             step_m: heights.step_m,
             choices,
+            heights,
+            ranges,
+            sums,
             evidence,
         }
     }

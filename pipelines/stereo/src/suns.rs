@@ -20,7 +20,8 @@ use super::surface::Surface;
 use super::views::SweepView;
 use darkness::Darkness;
 use glam::Vec3;
-use horizon::Relief;
+use heliosplat::relief::Relief;
+use horizon::{relief_of, sample, toward};
 use rayon::prelude::*;
 use score::{BLOCKS, Moments, Sample, shaded_sums};
 
@@ -94,8 +95,8 @@ pub fn find_suns(
     if dates.is_empty() {
         return vec![None; views.len()];
     }
-    let relief = Relief::new(surface, covered);
-    let cells = relief.sample(MOST_CELLS);
+    let relief = relief_of(surface, covered);
+    let cells = sample(&relief, MOST_CELLS);
     let darkness = Darkness::new(views, surface, &relief, &cells);
     let horizons = Horizons::new(&relief, &cells);
     let mut samples: Vec<Vec<Sample>> = Vec::new();
@@ -170,7 +171,7 @@ impl Horizons {
     fn new(relief: &Relief, cells: &[usize]) -> Self {
         let azimuths = (360.0 / COARSE_DEG[0]) as usize;
         let of_azimuth = |step: usize| {
-            let toward = horizon::Toward::new(step as f64 * COARSE_DEG[0], ELEVATIONS_DEG[0]);
+            let toward = toward(step as f64 * COARSE_DEG[0], ELEVATIONS_DEG[0]);
             relief.horizons(cells, &toward)
         };
         Self {
@@ -272,12 +273,12 @@ fn refine(relief: &Relief, cells: &[usize], samples: &[Sample], sky: &Sky) -> Op
     let per_azimuth: Vec<Vec<Vec<Moments>>> = azimuths
         .par_iter()
         .map(|&azimuth| {
-            let toward = horizon::Toward::new(azimuth, elevations[0]);
+            let toward = toward(azimuth, elevations[0]);
             shaded_sums(&relief.horizons(cells, &toward), samples, &elevations)
         })
         .collect();
     let elsewhere = sky.other.map(|other| {
-        let toward = horizon::Toward::new(other.azimuth_deg, other.elevation_deg);
+        let toward = toward(other.azimuth_deg, other.elevation_deg);
         shaded_sums(&relief.horizons(cells, &toward), samples, &[other.elevation_deg]).remove(0)
     });
     let all = score::all_sums(samples);

@@ -22,6 +22,8 @@ pub struct Surface {
     pub cell_m: f32,
     /// Altitude of each cell, metres; never NaN.
     pub altitude: Vec<f32>,
+    /// Altitude of what else may stand there, metres: above the altitude where the ground was preferred to what was matched, else the same.
+    pub above: Vec<f32>,
     /// Confidence in each altitude as it was matched, before speckles were filled: 0 (a guess) to 1.
     pub confidence: Vec<f32>,
     /// Standard deviation of each altitude as it was matched, metres.
@@ -44,6 +46,7 @@ impl Surface {
         let cells = self.width.checked_mul(self.height);
         [
             self.altitude.len(),
+            self.above.len(),
             self.confidence.len(),
             self.deviation_m.len(),
             self.probability.len(),

@@ -48,7 +48,8 @@ pub(super) fn winner_takes_all(
         .collect()
 }
 
-fn winner(sums: &[u16], low: usize, heights: &HeightHypotheses, tolerance: u16) -> HeightChoice {
+/// The winner of one cell, whose first level is `low`.
+pub(super) fn winner(sums: &[u16], low: usize, heights: &HeightHypotheses, tolerance: u16) -> HeightChoice {
     let mut best = 0;
     for (level, sum) in sums.iter().enumerate() {
         if *sum < sums[best] {

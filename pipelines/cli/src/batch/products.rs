@@ -6,6 +6,7 @@ use super::mosaic::Mosaic;
 use super::plan::{MosaicWork, Unit};
 use super::summary::COLLECTION;
 use crate::outcome::CliError;
+use crate::view;
 use heliosplat::Raster;
 use heliosplat_products::model::{self, LoadedModel, ModelFile, ModelImage};
 use heliosplat_products::points;
@@ -53,6 +54,7 @@ pub fn of_tile(
         crs: Some(crs.to_owned()),
         geoid: None,
         sun: sun.map(sun_of),
+        sun_hours: None,
     };
     let set = set::write(model, folder, &request, (&item_id(&unit.id), None), &|_| {})?;
     Ok(set.names)
@@ -130,6 +132,10 @@ pub fn of_mosaic(
         .collect();
     let count = points::merge(&folder.join(POINTS), &parts, grid, work.products.geoid)?;
     writer.points(POINTS, count);
+    let light = models.runs.first().map(PathBuf::as_path);
+    if view::into_folder(folder, view::of_mosaic(folder, light))? {
+        writer.page(view::FILE, "The surface in a browser, under a sun that can be moved");
+    }
     let runs: Vec<&Path> = models.runs.iter().map(PathBuf::as_path).collect();
     let set = writer.finish(&Said {
         id: &item_id(&unit.id),

@@ -6,7 +6,7 @@ use super::plan::{MosaicWork, Plan, TileWork, Unit, Work};
 use super::products::{self, RUN};
 use super::stamp::{Output, STAMP, Stamp, claim, finished};
 use crate::outcome::CliError;
-use crate::report;
+use crate::{report, view};
 use heliosplat_evaluate::{Protocol, error_map, evaluate_raster};
 use heliosplat_fitting::checkpoint;
 use heliosplat_fitting::request::{TrainOutcome, TrainRequest};
@@ -27,6 +27,8 @@ use std::time::{Duration, Instant};
 const BEGUN: &str = "begun.txt";
 /// Name of a page.
 const REPORT: &str = crate::report::FILE;
+/// Name of the page with the sun.
+const SUN: &str = crate::view::FILE;
 
 /// Does a unit, unless it is finished; returns its stamp and whether it was finished before.
 ///
@@ -64,8 +66,8 @@ pub fn do_unit(
         Work::Refused { reason } => return Err(CliError::Input(reason.clone())),
     };
     if let Some(to) = &unit.deliver {
-        // Of a run its page alone, which a mosaic's page links to.
-        let told = |name: &&String| !name.starts_with(RUN) || name.ends_with(REPORT);
+        // Of a run its pages alone, which a mosaic's page links to.
+        let told = |name: &&String| !name.starts_with(RUN) || name.ends_with(REPORT) || name.ends_with(SUN);
         for name in outputs.iter().filter(told) {
             deliver(&folder.join(name), Path::new(&format!("{to}/{}/{name}", unit.id)))?;
         }
@@ -139,7 +141,7 @@ fn tile(
             metrics
         }
         TrainOutcome::Trained(trained) => {
-            report::write(&run)?;
+            report::write_both(&run)?;
             trained.ending.check(&run)?;
             trained.metrics
         }
@@ -167,8 +169,10 @@ fn tile(
             metrics[key] = value.clone();
         }
     }
-    let of_run = ["model.ply", "model.json", "run.toml", "metrics.json", REPORT];
-    outputs.extend(of_run.map(|name| format!("{RUN}/{name}")));
+    let of_run = ["model.ply", "model.json", "run.toml", "metrics.json", SUN, REPORT];
+    // A surface without any known height has no page.
+    let there = of_run.iter().filter(|name| run.join(name).is_file());
+    outputs.extend(there.map(|name| format!("{RUN}/{name}")));
     Ok((outputs, metrics))
 }
 
@@ -193,7 +197,8 @@ fn mosaic_unit(work: &MosaicWork, unit: &Unit, out: &Path, folder: &Path) -> Res
         let evaluation = evaluate_raster((&path, &made), truth, work.classes.as_deref(), Protocol::Raw)?;
         metrics["dsm"] = measure::surface_metrics(&evaluation);
         preview::write_png(&folder.join("error.png"), &error_map::draw(&evaluation.errors))?;
-        outputs.push("error.png".into());
+        error_map::write(&folder.join("error.tif"), &evaluation)?;
+        outputs.extend(["error.png".into(), "error.tif".into()]);
     }
     if let Some(geoid) = work.products.geoid {
         mosaic.dsm = mosaic.dsm.above(geoid)?;
@@ -201,6 +206,9 @@ fn mosaic_unit(work: &MosaicWork, unit: &Unit, out: &Path, folder: &Path) -> Res
     if work.products.dsm_only {
         mosaic.dsm.write(&path)?;
         outputs.push("dsm.tif".into());
+        if view::into_folder(folder, view::of_mosaic(folder, None))? {
+            outputs.push(SUN.into());
+        }
     } else {
         let (names, said) = products::of_mosaic(out, work, &mosaic, unit, folder)?;
         outputs.extend(names);

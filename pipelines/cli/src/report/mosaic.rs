@@ -53,6 +53,7 @@ pub fn write(folder: &Path) -> Result<PathBuf, RunError> {
         .collect();
     title.reverse();
     let sections = [
+        parts::sun_page(&mosaic),
         head(&mosaic, &tiles),
         surface(&mosaic, &tiles),
         dates(&mosaic),

@@ -3,6 +3,7 @@
 use super::{Contents, Folder};
 use crate::page::chart::{Line, lines, lines_within};
 use crate::page::{MIB, inline_picture, number, plain, section};
+use crate::view;
 use heliosplat_products::set::date_of;
 use heliosplat_scene::Split;
 use image::RgbImage;
@@ -44,6 +45,15 @@ pub(super) fn origin(scene: &std::path::Path, preset: &str, seed: u64, version: 
     html! { p.faint { (scene.display().to_string()) " · preset " (preset) " · seed " (seed) " · heliosplat " (version) } }
 }
 
+/// A link to the page with the sun, where there is one.
+pub(super) fn sun_page(folder: &Folder) -> Markup {
+    html! {
+        @if folder.path.join(view::FILE).is_file() {
+            p { a href={ "./" (view::FILE) } { "Move the sun over this surface" } }
+        }
+    }
+}
+
 /// What was trained, and the main numbers.
 pub(super) fn head(run: &Contents) -> Markup {
     let measured = &run.folder;
@@ -53,6 +63,7 @@ pub(super) fn head(run: &Contents) -> Markup {
     let percent = |pointer: &str| number(pointer).map(|share| 100.0 * share);
     html! {
         (origin(&run.run.scene, &run.run.preset, run.run.seed, &run.run.version))
+        (sun_page(measured))
         (keys(&[
             (&mae, number("/dsm/mae_m"), 3, "m"),
             ("DSM median error", number("/dsm/median_m"), 3, "m"),

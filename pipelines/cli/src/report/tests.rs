@@ -61,6 +61,7 @@ fn contents(folder: &Path) -> Contents {
             schema: heliosplat_products::model::SCHEMA,
             model: "shadow_gs".into(),
             globals: model.initial_globals(0.3),
+            daylight: None,
             options,
             origin: GeoPoint {
                 lon_deg: 0.0,

@@ -57,7 +57,7 @@ pub(crate) fn demo(args: &DemoArgs, session: &Session) -> Result<Outcome, CliErr
     let TrainOutcome::Trained(run) = train(&scene, &ingest, &config, &request, session)? else {
         return Err(CliError::Failed(format!("{}: trained before", run_folder.display())));
     };
-    report::write(&run_folder)?;
+    report::write_both(&run_folder)?;
     run.ending.check(&run_folder)?;
     let metrics = run.metrics;
     let evening = SunPosition::from_degrees(250.0, 20.0);
@@ -69,7 +69,7 @@ pub(crate) fn demo(args: &DemoArgs, session: &Session) -> Result<Outcome, CliErr
     let folder = args.out.display();
     Ok(Outcome {
         text: format!(
-            "{}\nDSM            {folder}/run/dsm.tif   (open it in QGIS)\npicture        {folder}/run/dsm.png\nerrors         {folder}/run/error.png\nanother sun    {folder}/evening.png\nmean absolute error against truth: {mae:.3} m (protocol raw)",
+            "{}\nDSM            {folder}/run/dsm.tif   (open it in QGIS)\npicture        {folder}/run/dsm.png\nerrors         {folder}/run/error.png\nanother sun    {folder}/evening.png\nany sun        {folder}/run/sun.html   (open it in a browser)\nmean absolute error against truth: {mae:.3} m (protocol raw)",
             measure::summary(&metrics)
         ),
         json: metrics,

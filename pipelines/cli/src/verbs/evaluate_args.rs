@@ -28,6 +28,9 @@ pub struct EvaluateArgs {
     /// How the DSM is registered to the truth before it is measured
     #[arg(long, value_name = "NAME", default_value = "raw")]
     pub protocol: ProtocolName,
+    /// Folder of images from above under suns that no image had (`relit.json`, `relit_K.tif`, `relit_K_shadow.tif`) [default: the scene's own]
+    #[arg(long, value_name = "FOLDER", requires = "run", conflicts_with = "truth")]
+    pub relit: Option<PathBuf>,
     /// Write a picture of the errors (PNG, blue too low, red too high, 5 m)
     #[arg(long, value_name = "FILE")]
     pub error_map: Option<PathBuf>,
@@ -83,6 +86,20 @@ pub fn table(metrics: &DsmMetrics) -> String {
     }
     for (name, errors) in &metrics.by_class {
         line(name, errors);
+    }
+    for edge in &metrics.edges {
+        let distance = match edge.to_m {
+            Some(to_m) => format!("{} to {to_m} m from walls", edge.from_m),
+            None => format!("{} m and more", edge.from_m),
+        };
+        // Writing to a String cannot fail.
+        let _ = writeln!(
+            text,
+            "ground {distance:<23} MAE {:>6.3} m, mean {:>+6.3} m, {:>4.1} % of the error",
+            edge.errors.mae_m,
+            edge.mean_m,
+            100.0 * edge.share_of_error
+        );
     }
     if let Some(share) = metrics.seen_unknown {
         // Writing to a String cannot fail.

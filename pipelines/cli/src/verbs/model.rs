@@ -17,10 +17,14 @@ pub(crate) fn train(args: &TrainArgs, session: &Session) -> Result<Outcome, CliE
     }
 }
 
-pub(crate) fn relight(args: &RelightArgs) -> Result<Outcome, CliError> {
+pub(crate) fn relight(args: &RelightArgs, session: &Session) -> Result<Outcome, CliError> {
     match is_object_run(&args.run) {
+        true if args.times.is_some() => Err(CliError::Input(format!(
+            "{}: a run of an object; --times is for runs of satellite scenes",
+            args.run.display()
+        ))),
         true => object::relight(args),
-        false => satellite::relight(args),
+        false => satellite::relight(args, session),
     }
 }
 
@@ -40,6 +44,10 @@ pub(crate) fn export(args: &ExportArgs, session: &Session) -> Result<Outcome, Cl
 
 pub(crate) fn evaluate(run: &Path, args: &EvaluateArgs) -> Result<Outcome, CliError> {
     match is_object_run(run) {
+        true if args.relit.is_some() => Err(CliError::Input(format!(
+            "{}: a run of an object; --relit is for runs of satellite scenes",
+            run.display()
+        ))),
         true => object::evaluate(run),
         false => satellite::evaluate(run, args),
     }

@@ -7,6 +7,7 @@ use clap::Args;
 use heliosplat_products::model;
 use heliosplat_products::set::{self, Request};
 use heliosplat_products::stac;
+use heliosplat_products::sunshine::Period;
 use heliosplat_products::writer::Set;
 use heliosplat_raster::{Geoid, write_atomically};
 use heliosplat_rpc::GeoPoint;
@@ -39,6 +40,9 @@ pub struct ProductsArgs {
     /// Also an ortho image under the sun of this moment, RFC 3339
     #[arg(long, value_parser = parse::time, value_name = "TIME")]
     pub at: Option<jiff::Timestamp>,
+    /// Also the sunshine of a day or of a period of at most a year: hours of direct sun, sky view factor, irradiation under a clear sky
+    #[arg(long, value_parser = parse::period, value_name = "FROM[/TO]")]
+    pub sun_hours: Option<Period>,
 }
 
 impl ProductsArgs {
@@ -111,6 +115,7 @@ fn one(
         crs: args.crs.clone(),
         geoid: args.geoid.map(Geoid::from),
         sun: args.sun(model.frame.origin),
+        sun_hours: args.sun_hours,
     };
     let progress = session.progress("products", set::steps(&model));
     Ok(set::write(&model, folder, &request, names, &|done| progress.set(done))?)

@@ -2,11 +2,12 @@
 
 use super::evaluate_args::{EvaluateArgs, table, write_pictures};
 use super::model_args::{DsmArgs, DsmSource, RelightArgs, RenderArgs, RenderSplit, TrainArgs};
+use super::relight_series;
 use super::sweep_dsm::{self, Swept};
 use crate::outcome::{CliError, Outcome};
 use crate::report;
 use heliosplat_fitting::request::{TrainOutcome, TrainRequest};
-use heliosplat_fitting::run_folder::create_folder;
+use heliosplat_fitting::run_folder::{RunError, create_folder, read, save_metrics};
 use heliosplat_fitting::settings::Preset;
 use heliosplat_products::model::load;
 use heliosplat_products::{dsm, relight, views as rendered};
@@ -15,11 +16,11 @@ use heliosplat_rpc::sun::{SunPosition, sun_position};
 use heliosplat_satellite::config::SatelliteConfig;
 use heliosplat_satellite::run_file::scene_of;
 use heliosplat_satellite::training::configure;
-use heliosplat_satellite::{altitude, estimate, measure, training};
+use heliosplat_satellite::{altitude, estimate, measure, relit, training};
 use heliosplat_scene::Split;
 use heliosplat_scene::survey::Survey;
 use heliosplat_session::Session;
-use serde_json::json;
+use serde_json::{Value, json};
 use std::path::Path;
 use std::time::Instant;
 
@@ -65,7 +66,7 @@ pub(crate) fn train(args: &TrainArgs, session: &Session) -> Result<Outcome, CliE
             (metrics, " (finished before)")
         }
         TrainOutcome::Trained(run) => {
-            report::write(&args.out)?;
+            report::write_both(&args.out)?;
             run.ending.check(&args.out)?;
             (run.metrics, "")
         }
@@ -132,18 +133,27 @@ pub(crate) fn dsm(args: &DsmArgs, session: &Session) -> Result<Outcome, CliError
     })
 }
 
-/// Writes the scene of a run under another sun.
+/// Writes the scene of a run under another sun, or under a series of them.
 ///
 /// # Errors
 /// When the run, the sun, the view or the file to write is at fault.
-pub(crate) fn relight(args: &RelightArgs) -> Result<Outcome, CliError> {
+pub(crate) fn relight(args: &RelightArgs, session: &Session) -> Result<Outcome, CliError> {
+    if args.times.is_none() && relight_series::is_animation(&args.out) {
+        return Err(CliError::Input(format!(
+            "{}: an animation is of a series of suns; give --times FROM,TO,STEP, or a .tif or .png",
+            args.out.display()
+        )));
+    }
     let model = load(&args.run)?;
+    if let Some(times) = &args.times {
+        return relight_series::run(args, &model, times, session);
+    }
     let sun = match (args.sun, args.time) {
         (Some([azimuth, elevation]), _) => SunPosition::from_degrees(azimuth, elevation),
         (None, Some(time)) => sun_position(time, model.frame.origin),
         (None, None) => {
             return Err(CliError::Input(
-                "relight: a satellite scene takes --sun AZ,EL or --time RFC3339".into(),
+                "relight: a satellite scene takes --sun AZ,EL, --time RFC3339 or --times FROM,TO,STEP".into(),
             ));
         }
     };
@@ -152,11 +162,12 @@ pub(crate) fn relight(args: &RelightArgs) -> Result<Outcome, CliError> {
     let (azimuth, elevation) = (sun.azimuth_rad.to_degrees(), sun.elevation_rad.to_degrees());
     Ok(Outcome {
         text: format!(
-            "{} and {}: sun at azimuth {azimuth:.2}, elevation {elevation:.2}",
+            "{} and {}: sun at azimuth {azimuth:.2}, elevation {elevation:.2}; {}",
             args.out.display(),
-            mask.display()
+            mask.display(),
+            relit.exposure
         ),
-        json: json!({"image": args.out, "shadow": mask, "sun_azimuth_deg": azimuth, "sun_elevation_deg": elevation}),
+        json: json!({"image": args.out, "shadow": mask, "sun_azimuth_deg": azimuth, "sun_elevation_deg": elevation, "exposure": relit.exposure}),
     })
 }
 
@@ -214,22 +225,48 @@ pub(crate) fn render(args: &RenderArgs, session: &Session) -> Result<Outcome, Cl
     })
 }
 
-/// Measures a run against the truth of its scene.
+/// Measures a run against the truth of its scene. What is measured under other suns is kept in the run and shown on its page.
 ///
 /// # Errors
-/// When the run or its scene cannot be read.
+/// When the run, its scene or the truth cannot be read.
 pub(crate) fn evaluate(run: &Path, args: &EvaluateArgs) -> Result<Outcome, CliError> {
     let model = load(run)?;
-    let scene = scene_of(run)?;
+    let mut scene = scene_of(run)?;
+    if args.relit.is_some() {
+        scene.truth.relit = None;
+    }
     let evaluation = measure::dsm(&scene, &model, run, args.protocol.into())?;
-    let metrics = measure::metrics(&scene, &model, run, args.protocol.into())?;
+    let mut metrics = measure::metrics(&scene, &model, run, args.protocol.into())?;
+    if let Some(folder) = &args.relit {
+        metrics["relit"] = relit::measure(&model, folder, run)?;
+    }
     let mut text = String::new();
     if let Some(evaluation) = &evaluation {
         text = table(&evaluation.metrics);
         write_pictures(args, evaluation)?;
     }
+    if let Some(measured) = metrics.get("relit") {
+        text += &relit::table(measured);
+        keep(run, measured)?;
+    }
     Ok(Outcome {
         text: text + &measure::summary(&metrics),
         json: metrics,
     })
+}
+
+/// Puts what was measured under other suns into the `metrics.json` of a finished run, and on its page.
+fn keep(run: &Path, relit: &Value) -> Result<(), CliError> {
+    let path = run.join("metrics.json");
+    if !path.is_file() {
+        return Ok(());
+    }
+    let mut metrics: Value = serde_json::from_str(&read(&path)?).map_err(|error| RunError::Damaged {
+        path,
+        reason: error.to_string(),
+    })?;
+    metrics["relit"] = relit.clone();
+    save_metrics(run, &metrics)?;
+    report::write(run)?;
+    Ok(())
 }

@@ -72,6 +72,9 @@ pub struct SynthArgs {
     /// How the images of a satellite scene are packed
     #[arg(long, value_enum, default_value = "whole")]
     delivery: DeliveryName,
+    /// Also render a satellite scene from straight above under N suns of no image, 10 to 70 degrees high, as truth for `evaluate`
+    #[arg(long, default_value_t = 0, value_name = "N")]
+    relight: usize,
 }
 
 /// Faults of real images.
@@ -185,6 +188,7 @@ impl SynthArgs {
                 DeliveryName::Whole => Delivery::Whole,
                 DeliveryName::PanMs => Delivery::PanMs,
             },
+            relight: self.relight,
         }
     }
 }

@@ -2,9 +2,10 @@
 
 use super::super::surface::Surface;
 use super::super::views::SweepView;
-use super::horizon::{Relief, Toward};
+use super::horizon::toward;
 use glam::Vec3;
 use heliosplat::Raster;
+use heliosplat::relief::Relief;
 use heliosplat_rpc::statistics::{upper_median, upper_quantile};
 use rayon::prelude::*;
 
@@ -114,7 +115,7 @@ fn seen(view: &SweepView, surface: &Surface, relief: &Relief, cells: &[usize]) -
     let azimuth_deg = f64::from(camera.x).atan2(f64::from(camera.y)).to_degrees();
     // Seen from straight above nothing hides anything.
     let rise = (across > 1e-3).then(|| camera.z / across);
-    let toward = rise.map(|rise| Toward::new(azimuth_deg, f64::from(rise).atan().to_degrees()));
+    let toward = rise.map(|rise| toward(azimuth_deg, f64::from(rise).atan().to_degrees()));
     cells
         .iter()
         .map(|&cell| {

@@ -37,8 +37,8 @@ fn of_altitude(altitude: Vec<f32>) -> Surface {
 
 /// What a camera straight above sees under a sun: patches of albedo, a third as bright in shadow.
 fn image(surface: &Surface, [azimuth_deg, elevation_deg]: [f64; 2]) -> Raster {
-    let relief = Relief::new(surface, &vec![true; SIDE * SIDE]);
-    let toward = horizon::Toward::new(azimuth_deg, 1.0);
+    let relief = relief_of(surface, &vec![true; SIDE * SIDE]);
+    let toward = toward(azimuth_deg, 1.0);
     let mut image = Raster::filled(SIDE, SIDE, 1, 0.0);
     for (cell, value) in image.values.iter_mut().enumerate() {
         let (col, row) = (cell % SIDE, cell / SIDE);

@@ -1,0 +1,33 @@
+//! A camera that is no satellite: every pixel looks straight down on its cell of the truth's grid.
+
+use crate::crop::Crop;
+use crate::ray::Ray;
+use crate::truth::{TruthGrid, plumb_line};
+use heliosplat_rpc::LocalFrame;
+
+/// Altitudes between which a ray is given, metres above the frame's origin: any two far enough apart to fix its direction.
+const SPAN_M: [f64; 2] = [-100.0, 1000.0];
+
+/// The camera over a grid. Lines and samples are rows and columns of its cells, whole numbers at their centres.
+#[derive(Debug, Clone)]
+pub(crate) struct NadirSensor {
+    pub(crate) frame: LocalFrame,
+    pub(crate) grid: TruthGrid,
+}
+
+impl NadirSensor {
+    /// The ray of a (fractional) sample of a (fractional) line, from high above the ground.
+    pub(crate) fn ray(&self, sample: f64, line: f64) -> Ray {
+        plumb_line(&self.frame, &self.grid, [sample + 0.5, line + 0.5], SPAN_M)
+    }
+
+    /// The whole grid.
+    pub(crate) fn crop(&self) -> Crop {
+        Crop {
+            col0: 0.0,
+            row0: 0.0,
+            width: self.grid.size,
+            height: self.grid.size,
+        }
+    }
+}

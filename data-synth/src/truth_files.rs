@@ -1,0 +1,155 @@
+//! The truth rasters as files.
+
+use crate::error::SynthError;
+use crate::materials::Class;
+use crate::nadir::NadirSensor;
+use crate::radiometry::LitScene;
+use crate::relit::{self, Studio};
+use crate::request::{Fault, SatelliteRequest};
+use crate::truth::{Truth, TruthGrid};
+use crate::write::Staging;
+use crate::write::geotiff::{Raster, Samples, write};
+
+/// NaN would do, but not every tool reads it.
+const NODATA: f32 = -9999.0;
+/// What masks of shadows say of themselves.
+pub(crate) const SHADOW_MEANS: &str =
+    "1 where the sun reaches less than half of the pixel: cast shadow, and surfaces that face away from it";
+
+/// A metadata item that says what a raster is.
+fn about(text: &str) -> (String, String) {
+    ("DESCRIPTION".to_string(), text.to_string())
+}
+
+fn on_grid<'a>(
+    grid: &'a TruthGrid,
+    samples: Samples<'a>,
+    bands: &'a [&'a str],
+    items: &'a [(String, String)],
+    nodata: Option<f32>,
+) -> Raster<'a> {
+    Raster {
+        width: grid.size,
+        height: grid.size,
+        samples,
+        bands,
+        items,
+        rpc: None,
+        grid: Some(grid),
+        nodata,
+    }
+}
+
+/// Altitude, classes and albedo from straight above, and where the request asks for them cover and gloss.
+pub(crate) fn write_truth(
+    staging: &Staging,
+    request: &SatelliteRequest,
+    grid: &TruthGrid,
+    truth: &Truth,
+) -> Result<(), SynthError> {
+    let datum = ("VERTICAL_DATUM".to_string(), "WGS84 ellipsoid, metres".to_string());
+    let write_grid = |name: &str, samples: Samples, bands: &[&str], items: &[(String, String)], nodata| {
+        write(&staging.path(name)?, &on_grid(grid, samples, bands, items, nodata))
+    };
+    let altitudes_m: Vec<f32> = truth
+        .altitude_m
+        .iter()
+        .map(|m| if m.is_nan() { NODATA } else { *m })
+        .collect();
+    let dsm = [
+        about("highest surface at the centre of each cell, without cars"),
+        datum.clone(),
+    ];
+    write_grid(
+        "truth/dsm.tif",
+        Samples::F32(&altitudes_m),
+        &["altitude"],
+        &dsm,
+        Some(NODATA),
+    )?;
+    let classes: Vec<_> = (Class::NAMES.iter())
+        .map(|(class, name)| ((*class as u8).to_string(), name.to_string()))
+        .collect();
+    write_grid(
+        "truth/classes.tif",
+        Samples::U8(&truth.class),
+        &["class"],
+        &classes,
+        None,
+    )?;
+    let albedo = [about(
+        "mean albedo of the highest surface in each cell, in the reference season, without cars",
+    )];
+    write_grid(
+        "truth/albedo.tif",
+        Samples::F32(&truth.albedo),
+        request.bands.names(),
+        &albedo,
+        None,
+    )?;
+    if request.cover.is_some() {
+        let what = [about("1 under sea or snow")];
+        write_grid("truth/cover.tif", Samples::U8(&truth.cover), &["cover"], &what, None)?;
+        let bare: Vec<f32> = (altitudes_m.iter().zip(&truth.bare))
+            .map(|(&altitude_m, &bare)| if bare { altitude_m } else { NODATA })
+            .collect();
+        let what = [
+            about("dsm.tif more than 4 m outside of sea and snow, nodata elsewhere"),
+            datum,
+        ];
+        let name = "truth/dsm_uncovered.tif";
+        write_grid(name, Samples::F32(&bare), &["altitude"], &what, Some(NODATA))?;
+    }
+    if request.has(Fault::Glossy) {
+        let what = [about(
+            "1 where the highest surface is not Lambertian: metal, membranes, solar panels",
+        )];
+        write_grid("truth/glossy.tif", Samples::U8(&truth.glossy), &["glossy"], &what, None)?;
+    }
+    let [south_m, cell_m] = [grid.north_m - grid.size as f64 * grid.cell_m, grid.cell_m];
+    let text = format!("{}\n{}\n{}\n{}\n", grid.west_m, south_m, grid.size, cell_m);
+    staging.text("truth/dsm.txt", &text)
+}
+
+/// The site from straight above under some suns (azimuth and elevation, degrees), their shadows, and the hours of sun of a day.
+pub(crate) fn write_relit(
+    staging: &Staging,
+    request: &SatelliteRequest,
+    (scene, sensor): (&LitScene, &NadirSensor),
+    studio: &Studio,
+    suns_deg: &[[f64; 2]],
+    rows_done: &mut dyn FnMut(usize),
+) -> Result<(), SynthError> {
+    let grid = &sensor.grid;
+    for (number, &sun_deg) in suns_deg.iter().enumerate() {
+        let image = relit::relit(request, scene, sensor, studio, sun_deg, rows_done);
+        let sun = [("SUN_AZIMUTH", sun_deg[0]), ("SUN_ELEVATION", sun_deg[1])];
+        let items = |what: &str| {
+            let sun = sun.iter().map(|(key, value)| ((*key).to_string(), value.to_string()));
+            std::iter::once(about(what)).chain(sun).collect::<Vec<_>>()
+        };
+        let said = items(
+            "the site from straight above under a sun of no image: linear counts at the gain of the image with the highest sun, no cars, no noise",
+        );
+        let counts = on_grid(grid, Samples::U16(&image.counts), request.bands.names(), &said, None);
+        write(&staging.path(&format!("truth/relit_{number}.tif"))?, &counts)?;
+        let said = items(SHADOW_MEANS);
+        let mask = on_grid(grid, Samples::U8(&image.shadow), &["shadow"], &said, None);
+        write(&staging.path(&format!("truth/relit_{number}_shadow.tif"))?, &mask)?;
+    }
+    let list: Vec<_> = (suns_deg.iter())
+        .map(|sun| serde_json::json!({"sun_azimuth_deg": sun[0], "sun_elevation_deg": sun[1]}))
+        .collect();
+    let list = serde_json::Value::from(list);
+    staging.text("truth/relit.json", &format!("{list:#}\n"))?;
+    let hours = relit::sun_hours(scene, &sensor.frame, grid);
+    let hours: Vec<f32> = hours.into_iter().map(|h| if h.is_nan() { NODATA } else { h }).collect();
+    let said = [
+        about(
+            "hours of direct sun on the highest surface at the centre of each cell, without cars, between two midnights of mean solar time",
+        ),
+        ("DATE".to_string(), relit::DAY.to_string()),
+    ];
+    let hours = on_grid(grid, Samples::F32(&hours), &["sun_hours"], &said, Some(NODATA));
+    write(&staging.path("truth/sun_hours.tif")?, &hours)
+}

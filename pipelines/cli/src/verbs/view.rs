@@ -1,0 +1,71 @@
+//! `heliosplat view`: a surface and its sun in one file for the browser.
+
+use crate::outcome::{CliError, Outcome};
+use crate::view::{self, ViewError};
+use clap::Args;
+use serde_json::json;
+use std::path::{Path, PathBuf};
+use std::process::{Command, Stdio};
+
+/// `view`.
+#[derive(Debug, Clone, Args)]
+pub struct ViewArgs {
+    /// A finished run of a satellite scene, or the mosaic of a batch
+    #[arg(value_name = "RUN", required_unless_present = "dsm", conflicts_with = "dsm")]
+    pub run: Option<PathBuf>,
+    /// Surface model to show instead of a run's
+    #[arg(long, value_name = "FILE")]
+    pub dsm: Option<PathBuf>,
+    /// Albedo, or another ortho image, over that surface model
+    #[arg(long, value_name = "FILE", requires = "dsm")]
+    pub albedo: Option<PathBuf>,
+    /// Page to write [default: sun.html in RUN, which is then opened in the browser]
+    #[arg(long, value_name = "FILE.html")]
+    pub out: Option<PathBuf>,
+}
+
+pub(crate) fn run(args: &ViewArgs, json: bool) -> Result<Outcome, CliError> {
+    let (exhibit, beside) = match (&args.run, &args.dsm) {
+        (Some(run), _) => (view::of_folder(run)?, run.join(view::FILE)),
+        (None, Some(dsm)) => (
+            view::of_files(dsm, args.albedo.as_deref())?,
+            dsm.with_file_name(view::FILE),
+        ),
+        (None, None) => return Err(CliError::Input("view: give a RUN, or --dsm FILE".into())),
+    };
+    let cells = exhibit.altitude.plane_len();
+    let written = view::write(exhibit, args.out.as_ref().unwrap_or(&beside))?;
+    let opened = args.out.is_none() && !json && open(&written.path);
+    let (width, height) = written.size;
+    Ok(Outcome {
+        text: format!(
+            "{}: {width} x {height} cells{}, {:.2} MB; {}",
+            written.path.display(),
+            if width * height < cells { " (averaged)" } else { "" },
+            written.bytes as f64 / 1e6,
+            if opened {
+                "opened in the browser"
+            } else {
+                "open it in a browser"
+            },
+        ),
+        json: json!({"page": written.path, "bytes": written.bytes, "width": width, "height": height}),
+    })
+}
+
+/// Opens a file in the user's browser; whether there was one to ask.
+fn open(path: &Path) -> bool {
+    let silent = Stdio::null;
+    let mut command = Command::new("xdg-open");
+    command.arg(path).stdin(silent()).stdout(silent()).stderr(silent());
+    command.status().is_ok_and(|status| status.success())
+}
+
+impl From<ViewError> for CliError {
+    fn from(error: ViewError) -> Self {
+        match error.is_input_fault() {
+            true => Self::Input(error.to_string()),
+            false => Self::Failed(error.to_string()),
+        }
+    }
+}

@@ -1,0 +1,135 @@
+//! `sun.html`: a surface in one file that opens by a double click, with a sun that can be moved.
+//!
+//! The page holds the heights, the albedo and the light of a model, and casts the shadows itself (`page/sweep.js`). It fetches nothing:
+//! its content security policy forbids it. [`of_run()`], [`of_mosaic()`] and [`of_files()`] gather an [`Exhibit`]; `pack` makes it small,
+//! and `document` joins it with the sources of the page.
+//!
+//! Limits: the page knows heights, not what stands below them, so bridges and eaves cast shadows down to the ground. At most 1024² cells
+//! are shown; a larger surface is averaged down.
+
+mod document;
+mod exhibit;
+mod layer;
+mod of_files;
+mod of_mosaic;
+mod of_run;
+mod ortho_image;
+mod pack;
+mod place;
+
+pub use exhibit::{Exhibit, Light, TracedDate};
+pub use layer::{Layer, Ramp};
+pub use of_files::of_files;
+pub use of_mosaic::of_mosaic;
+pub use of_run::of_run;
+
+use crate::report::mosaic;
+use heliosplat_evaluate::EvaluateError;
+use heliosplat_fitting::run_folder::RunError;
+use heliosplat_products::relight::RelightError;
+use heliosplat_raster::{RasterError, write_atomically};
+use std::path::{Path, PathBuf};
+
+/// Name of the page in the folder of a run or of a mosaic.
+pub const FILE: &str = "sun.html";
+
+/// Why there is no page.
+#[derive(Debug, thiserror::Error)]
+pub enum ViewError {
+    /// A run of an object.
+    #[error("{}: a run on an object has no ground and no sun; `heliosplat export` and `relight` show it", .0.display())]
+    Object(PathBuf),
+    /// A surface without a known height.
+    #[error("{what}: no height of the surface is known, so there is nothing to show")]
+    Nothing {
+        /// The surface.
+        what: String,
+    },
+    /// A file that is not where it should lie.
+    #[error("{}: says no coordinate system; the page needs one to place the sun", .0.display())]
+    NoCrs(PathBuf),
+    /// A run that cannot be used.
+    #[error(transparent)]
+    Run(#[from] RunError),
+    /// A model that cannot be lit.
+    #[error(transparent)]
+    Relight(#[from] RelightError),
+    /// A raster that cannot be used.
+    #[error(transparent)]
+    Raster(#[from] RasterError),
+    /// A raster that cannot be brought onto the grid.
+    #[error(transparent)]
+    Evaluate(#[from] EvaluateError),
+}
+
+impl ViewError {
+    /// Whether what the user gave is at fault, rather than the machine.
+    pub fn is_input_fault(&self) -> bool {
+        match self {
+            Self::Object(_) | Self::Nothing { .. } | Self::NoCrs(_) => true,
+            Self::Run(error) => error.is_input_fault(),
+            Self::Relight(error) => error.is_input_fault(),
+            Self::Raster(error) => error.is_input_fault(),
+            Self::Evaluate(error) => error.is_input_fault(),
+        }
+    }
+}
+
+/// A page that was written.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Written {
+    /// Where.
+    pub path: PathBuf,
+    /// Its size, bytes.
+    pub bytes: usize,
+    /// Columns and rows of what it shows.
+    pub size: (usize, usize),
+}
+
+/// What a folder shows: that of a run, or of a mosaic of a batch.
+///
+/// # Errors
+/// When the folder holds neither, or a file of it cannot be read.
+pub fn of_folder(folder: &Path) -> Result<Exhibit, ViewError> {
+    if folder.join(mosaic::FILE).is_file() {
+        return of_mosaic(folder, None);
+    }
+    if heliosplat_objects::model::is_object_run(folder) {
+        return Err(ViewError::Object(folder.to_owned()));
+    }
+    of_run(folder)
+}
+
+/// Writes the page of what is to be shown to `path`.
+///
+/// # Errors
+/// When no height is known, or the file cannot be written.
+pub fn write(exhibit: Exhibit, path: &Path) -> Result<Written, ViewError> {
+    let exhibit = exhibit.reduced();
+    let size = (exhibit.altitude.width, exhibit.altitude.height);
+    let page = document::page(&exhibit)?;
+    write_atomically(path, page.as_bytes())?;
+    Ok(Written {
+        path: path.to_owned(),
+        bytes: page.len(),
+        size,
+    })
+}
+
+/// Writes the page of what is to be shown into the folder of its run or mosaic, where `report.html` looks for it; whether it did. A
+/// surface without any known height gets none, and that is said.
+///
+/// # Errors
+/// When a file could not be read, or the page cannot be written.
+pub fn into_folder(folder: &Path, exhibit: Result<Exhibit, ViewError>) -> Result<bool, ViewError> {
+    match exhibit.and_then(|exhibit| write(exhibit, &folder.join(FILE))) {
+        Err(error @ ViewError::Nothing { .. }) => {
+            tracing::warn!("no {FILE}: {error}");
+            Ok(false)
+        }
+        other => other.map(|_| true),
+    }
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,91 @@
+//! What the page of a batch's mosaic shows, from the products in its folder.
+
+use super::ViewError;
+use super::exhibit::{Exhibit, Light, TracedDate};
+use super::of_files::{albedo_on, on_grid, surface};
+use super::of_run::maps;
+use crate::report::mosaic;
+use heliosplat::Raster;
+use heliosplat::model::shadow_gs::{SKY, softplus};
+use heliosplat_products::model::load_file;
+use heliosplat_raster::{GeoRaster, RasterFile, bounded};
+use heliosplat_rpc::sun::SunPosition;
+use serde_json::Value;
+use std::path::{Path, PathBuf};
+
+/// What shadow masks of dates are called: `shadow_DATE.tif`.
+const SHADOWS: &str = "shadow_";
+
+/// Gathers what the page of a mosaic shows. `run` is a run of one of its tiles, whose light counts; where it is not said, the first
+/// tile's is looked for beside the folder.
+///
+/// # Errors
+/// When a file of the folder cannot be read.
+pub fn of_mosaic(folder: &Path, run: Option<&Path>) -> Result<Exhibit, ViewError> {
+    let mut exhibit = surface(&folder.join("dsm.tif"))?;
+    exhibit.title = title(folder);
+    let albedo = folder.join("albedo.tif");
+    if albedo.is_file() {
+        exhibit.albedo = Some(albedo_on(&albedo, &exhibit.grid)?);
+    }
+    let first = run.map(Path::to_owned).or_else(|| first_run(folder));
+    exhibit.light = first.and_then(|run| light(&run)).unwrap_or_else(Light::usual);
+    exhibit.dates = dates(folder, &exhibit)?;
+    exhibit.layers = maps(folder, &exhibit)?;
+    Ok(exhibit)
+}
+
+/// Area and images: the folders that a mosaic's lies in.
+fn title(folder: &Path) -> String {
+    let whole = std::fs::canonicalize(folder).unwrap_or_else(|_| folder.to_owned());
+    let area = whole.ancestors().nth(3).and_then(Path::file_name);
+    area.unwrap_or_default().to_string_lossy().into_owned()
+}
+
+fn first_run(folder: &Path) -> Option<PathBuf> {
+    let text = bounded::read_text(&folder.join(mosaic::FILE)).ok()?;
+    let metrics: Value = serde_json::from_str(&text).ok()?;
+    let unit = metrics.pointer("/pieces/0/unit")?.as_str()?;
+    let name = unit.rsplit('/').next().filter(|name| !name.starts_with('.'))?;
+    Some(folder.join("..").join(name).join("run"))
+}
+
+/// The light of a tile's model; `None` where it is gone.
+fn light(run: &Path) -> Option<Light> {
+    let file = load_file(run).ok()?;
+    let (bands, reference) = (file.options.bands, file.options.reference);
+    let skies = &file.globals.groups.get(SKY)?.values;
+    let sky = skies.get(reference * bands..(reference + 1) * bands)?;
+    let sky: Vec<f32> = sky.iter().map(|&x| softplus(x)).collect();
+    Some(Light::of_model(&file, &sky))
+}
+
+/// The dates whose shadow masks lie in the folder.
+fn dates(folder: &Path, exhibit: &Exhibit) -> Result<Vec<TracedDate>, ViewError> {
+    let entries = std::fs::read_dir(folder).into_iter().flatten().flatten();
+    let mut names: Vec<String> = entries
+        .filter_map(|entry| {
+            let name = entry.file_name().to_string_lossy().into_owned();
+            let date = name.strip_prefix(SHADOWS)?.strip_suffix(".tif")?;
+            Some(date.to_owned())
+        })
+        .collect();
+    names.sort_unstable();
+    let mut out = Vec::new();
+    for name in names {
+        let path = folder.join(format!("{SHADOWS}{name}.tif"));
+        let metadata = RasterFile::open(&path)?.domain("");
+        let degrees = |key: &str| metadata.get(key).and_then(|text| text.parse::<f64>().ok());
+        let (Some(azimuth), Some(elevation)) = (degrees("SUN_AZIMUTH"), degrees("SUN_ELEVATION")) else {
+            continue;
+        };
+        let shadows: Raster = on_grid(&GeoRaster::read(&path)?, 0, &exhibit.grid)?;
+        out.push(TracedDate {
+            name,
+            time: None,
+            sun: SunPosition::from_degrees(azimuth, elevation),
+            shadows: Some(shadows),
+        });
+    }
+    Ok(out)
+}

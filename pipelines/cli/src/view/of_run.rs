@@ -1,0 +1,125 @@
+//! What the page of a run shows: its surface, albedo and light, the shadows traced for its dates, and what is wrong with it.
+
+use super::ViewError;
+use super::exhibit::{Exhibit, Light, TracedDate, coloured, shown};
+use super::layer::{Layer, Ramp};
+use super::of_files::{on_grid, surface};
+use super::ortho_image;
+use crate::page::picture_of;
+use heliosplat_products::model::{self, LoadedModel};
+use heliosplat_products::nadir::NadirGrid;
+use heliosplat_products::relight::{LOWEST_SUN_DEG, relight_ortho};
+use heliosplat_products::set::{date_of, dates};
+use heliosplat_products::{dsm, ortho};
+use heliosplat_raster::preview::percentiles;
+use heliosplat_raster::{GeoRaster, dsm_bands};
+use heliosplat_satellite::run_file::load_run;
+use std::path::Path;
+
+/// Most dates whose shadows are traced, and most images that are shown: evenly chosen, so that the page stays small.
+const DATES_MAX: usize = 12;
+const IMAGES_MAX: usize = 3;
+/// The map of height errors in a run's or mosaic's folder, and the one of changes among the products.
+const ERRORS: &str = "error.tif";
+const CHANGES: [&str; 2] = ["change.tif", "products/change.tif"];
+/// Errors at the ends of the ramp, metres: those of `error.png`.
+const ERROR_M: f32 = heliosplat_evaluate::error_map::FULL_COLOUR_M;
+
+/// Gathers what the page of a run shows.
+///
+/// # Errors
+/// When the folder holds no satellite run, or a file of it cannot be read.
+pub fn of_run(folder: &Path) -> Result<Exhibit, ViewError> {
+    let model = model::load(folder)?;
+    let mut exhibit = surface(&folder.join("dsm.tif"))?;
+    exhibit.title = title(folder);
+    let nadir = NadirGrid::on(&(&model).into(), exhibit.grid.clone())?;
+    let albedo = ortho::albedo(&model, &dsm::maps(&model, &nadir));
+    exhibit.albedo = Some(coloured(&albedo, shown(&model.file.bands)));
+    let sky = model.model.sky(&model.parameters, model.file.options.reference);
+    exhibit.light = Light::of_model(&model.file, &sky);
+    exhibit.dates = traced(&model, &nadir)?;
+    exhibit.layers = images(&model, &exhibit)?;
+    exhibit.layers.extend(maps(folder, &exhibit)?);
+    Ok(exhibit)
+}
+
+/// The name of the run's scene, or of its folder.
+fn title(folder: &Path) -> String {
+    let whole = std::fs::canonicalize(folder).unwrap_or_else(|_| folder.to_owned());
+    let scene = load_run(folder).map(|run| run.scene).unwrap_or(whole);
+    let name = scene.file_stem().unwrap_or_default().to_string_lossy();
+    name.into_owned()
+}
+
+/// The dates of the model with the shadows of each.
+fn traced(model: &LoadedModel, nadir: &NadirGrid) -> Result<Vec<TracedDate>, ViewError> {
+    let mut out = Vec::new();
+    let all = dates(&model.file.images);
+    let step = all.len().div_ceil(DATES_MAX).max(1);
+    for (name, sun) in all.into_iter().step_by(step) {
+        let image = model.file.images.iter().find(|image| date_of(image) == name);
+        let is_lit = model.file.has_light() && sun.elevation_rad.to_degrees() >= LOWEST_SUN_DEG;
+        let shadows = is_lit.then(|| relight_ortho(model, &sun, nadir)).transpose()?;
+        out.push(TracedDate {
+            time: image.and_then(|image| image.time),
+            name,
+            sun,
+            shadows: shadows.map(|relit| relit.shadows()),
+        });
+    }
+    Ok(out)
+}
+
+/// Some of the run's images on the grid.
+fn images(model: &LoadedModel, exhibit: &Exhibit) -> Result<Vec<Layer>, ViewError> {
+    let mut out = Vec::new();
+    let trained: Vec<_> = model
+        .file
+        .images
+        .iter()
+        .filter(|image| image.appearance.is_some())
+        .collect();
+    let step = trained.len().div_ceil(IMAGES_MAX).max(1);
+    for image in trained.into_iter().step_by(step) {
+        let path = model.folder.join("views").join(format!("{}.png", image.name));
+        let Some(picture) = picture_of(&path) else { continue };
+        if picture.width() < image.crop.width as u32 || picture.height() < image.crop.height as u32 {
+            continue;
+        }
+        let values = ortho_image::project(model, image, &picture, (&exhibit.grid, &exhibit.altitude))?;
+        let name = format!("Image of {}", date_of(image));
+        out.push(Layer::picture(&format!("image-{}", image.name), &name, values));
+    }
+    Ok(out)
+}
+
+/// Standard deviation, errors and changes, as far as there are files of them in the folder.
+///
+/// # Errors
+/// When one of the files is damaged.
+pub(super) fn maps(folder: &Path, exhibit: &Exhibit) -> Result<Vec<Layer>, ViewError> {
+    let mut out = Vec::new();
+    let surface = GeoRaster::read(&folder.join("dsm.tif"))?;
+    if let Some(band) = surface.band(dsm_bands::STANDARD_DEVIATION) {
+        let values = on_grid(&surface, band, &exhibit.grid)?;
+        if let Some((_, high)) = percentiles(&values.values, 0.02, 0.98) {
+            let ramp = (Ramp::Sequential, [0.0, high.max(0.1)]);
+            out.push(Layer::map("deviation", "Standard deviation of heights", ramp, values));
+        }
+    }
+    let errors = folder.join(ERRORS);
+    if errors.is_file() {
+        let values = on_grid(&GeoRaster::read(&errors)?, 0, &exhibit.grid)?;
+        let ramp = (Ramp::Diverging, [-ERROR_M, ERROR_M]);
+        out.push(Layer::map("errors", "Height errors against truth", ramp, values));
+    }
+    if let Some(path) = CHANGES.map(|name| folder.join(name)).iter().find(|path| path.is_file()) {
+        let changes = GeoRaster::read(path)?;
+        let band = changes.band("difference_m").unwrap_or(0);
+        let values = on_grid(&changes, band, &exhibit.grid)?;
+        let ramp = (Ramp::Diverging, [-10.0, 10.0]);
+        out.push(Layer::map("change", "Change of heights between dates", ramp, values));
+    }
+    Ok(out)
+}

@@ -1,0 +1,64 @@
+//! An image of a run on the page's grid: the picture of it in the run's `views` folder, projected onto the surface.
+
+use heliosplat::Raster;
+use heliosplat_products::model::{LoadedModel, ModelImage};
+use heliosplat_products::views::camera_of;
+use heliosplat_raster::{EnuGrid, GridSpec, RasterError};
+use image::RgbImage;
+
+/// A cell is hidden where something this much nearer to the camera falls on the same pixel, metres along the ray.
+const HIDDEN_M: f32 = 1.5;
+
+/// Red, green and blue of `picture`, whose left part shows what `image`'s camera sees, on the cells of `grid`; NaN where the surface is
+/// unknown, outside the image, or hidden in it.
+///
+/// # Errors
+/// When the grid lies outside its coordinate system.
+pub(super) fn project(
+    model: &LoadedModel,
+    image: &ModelImage,
+    picture: &RgbImage,
+    (grid, altitude): (&GridSpec, &Raster),
+) -> Result<Raster, RasterError> {
+    let enu = EnuGrid::new(&model.frame, grid, model.file.altitude_range_m)?;
+    let camera = camera_of(image);
+    let (width, height) = (camera.width, camera.height);
+    let cells = grid.width * grid.height;
+    // Where each cell falls, and how far from the camera.
+    let seen: Vec<Option<([f32; 2], f32)>> = (0..cells)
+        .map(|i| {
+            let (col, row) = (i % grid.width, i / grid.width);
+            let z = altitude.plane(0)[i];
+            let point = enu.enu(col as f64, row as f64, f64::from(z)).map(|v| v as f32).into();
+            let (x, y, _) = camera.project(point);
+            let inside = x >= 0.0 && y >= 0.0 && x <= (width - 1) as f32 && y <= (height - 1) as f32;
+            (z.is_finite() && inside).then(|| ([x, y], camera.depth(point)))
+        })
+        .collect();
+    let mut nearest = vec![f32::INFINITY; width * height];
+    for ([x, y], depth) in seen.iter().flatten() {
+        let slot = &mut nearest[y.round() as usize * width + x.round() as usize];
+        *slot = slot.min(*depth);
+    }
+    let mut out = Raster::filled(grid.width, grid.height, 3, f32::NAN);
+    for (i, found) in seen.iter().enumerate() {
+        let Some(([x, y], depth)) = *found else { continue };
+        if depth > nearest[y.round() as usize * width + x.round() as usize] + HIDDEN_M {
+            continue;
+        }
+        let (fx, fy) = (x.fract(), y.fract());
+        for band in 0..3 {
+            let at = |dx: u32, dy: u32| {
+                let (c, r) = (
+                    (x as u32 + dx).min(width as u32 - 1),
+                    (y as u32 + dy).min(height as u32 - 1),
+                );
+                f32::from(picture.get_pixel(c, r).0[band])
+            };
+            let top = at(0, 0) * (1.0 - fx) + at(1, 0) * fx;
+            let bottom = at(0, 1) * (1.0 - fx) + at(1, 1) * fx;
+            out.values[band * cells + i] = top * (1.0 - fy) + bottom * fy;
+        }
+    }
+    Ok(out)
+}

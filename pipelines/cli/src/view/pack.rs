@@ -1,0 +1,185 @@
+//! Rasters as text that is small: what a page carries, and `page/field.js` reads back.
+//!
+//! * Heights: whole steps above the lowest (a centimetre, more where the relief would not fit into 16 bits). Each is predicted from its
+//!   neighbours left, above and above left (the median edge detector of JPEG-LS, ISO 14495-1), what is left is folded to positive
+//!   numbers (0, -1, 1, -2 ...), its low bytes and then its high bytes are deflated (zlib).
+//! * Masks: a bit per cell, the highest of a byte first, deflated.
+//! * Maps: a byte per cell, 0 unknown, 1 to 255 over their range, deflated.
+//! * Pictures: JPEG; the albedo with gamma 2.2.
+
+use base64::Engine;
+use base64::engine::general_purpose::STANDARD;
+use flate2::Compression;
+use flate2::write::ZlibEncoder;
+use heliosplat::Raster;
+use heliosplat_raster::preview::percentiles;
+use image::codecs::jpeg::JpegEncoder;
+use image::{Rgb, RgbImage};
+use serde::Serialize;
+use std::io::Write;
+
+/// Finest step of heights, metres.
+const STEP_M: f32 = 0.01;
+/// Quality of the albedo's picture, and that of other pictures, which are looked at now and then.
+const QUALITY: u8 = 86;
+const PLAIN_QUALITY: u8 = 70;
+/// Shades of a map: more cannot be told apart, and fewer are smaller.
+const SHADES: f32 = 50.0;
+/// Gamma of the albedo's picture.
+pub(super) const GAMMA: f32 = 2.2;
+
+/// Packed heights.
+#[derive(Debug, Serialize)]
+pub(super) struct Heights {
+    /// Altitude of step 0, metres.
+    pub low_m: f32,
+    /// Metres per step.
+    pub step_m: f32,
+    /// The steps.
+    pub data: String,
+    /// Which cells are known: a mask.
+    pub known: String,
+}
+
+fn deflated(bytes: &[u8]) -> String {
+    // A Vec takes everything.
+    let mut encoder = ZlibEncoder::new(Vec::new(), Compression::best());
+    let _ = encoder.write_all(bytes);
+    STANDARD.encode(encoder.finish().unwrap_or_default())
+}
+
+/// Heights of a raster's first band; `None` where none is known.
+pub(super) fn heights(altitude: &Raster) -> Option<Heights> {
+    let plane = altitude.plane(0);
+    let known = || plane.iter().copied().filter(|z| z.is_finite());
+    let low_m = known().reduce(f32::min)?;
+    let high_m = known().reduce(f32::max)?;
+    let step_m = STEP_M.max((high_m - low_m) / f32::from(u16::MAX));
+    let steps = steps(altitude, low_m, step_m);
+    let width = altitude.width;
+    let folded: Vec<u16> = (0..steps.len())
+        .map(|i| {
+            let difference = steps[i].wrapping_sub(predicted(&steps, width, i)) as i16;
+            ((difference << 1) ^ (difference >> 15)) as u16
+        })
+        .collect();
+    let low = folded.iter().map(|value| *value as u8);
+    let bytes: Vec<u8> = low.chain(folded.iter().map(|value| (value >> 8) as u8)).collect();
+    Some(Heights {
+        low_m,
+        step_m,
+        data: deflated(&bytes),
+        known: mask(plane.iter().map(|z| z.is_finite())),
+    })
+}
+
+/// Whole steps; an unknown cell has those of the cell before it, which cost nothing.
+fn steps(altitude: &Raster, low_m: f32, step_m: f32) -> Vec<u16> {
+    let mut before = 0;
+    let step = |z: &f32| {
+        if z.is_finite() {
+            before = ((z - low_m) / step_m).round().clamp(0.0, f32::from(u16::MAX)) as u16;
+        }
+        before
+    };
+    altitude.plane(0).iter().map(step).collect()
+}
+
+/// What cell `i` is expected to be, from those before it.
+fn predicted(steps: &[u16], width: usize, i: usize) -> u16 {
+    match (i % width, i / width) {
+        (0, 0) => 0,
+        (_, 0) => steps[i - 1],
+        (0, _) => steps[i - width],
+        _ => {
+            let (left, above, corner) = (steps[i - 1], steps[i - width], steps[i - width - 1]);
+            let (low, high) = (left.min(above), left.max(above));
+            if corner >= high {
+                low
+            } else if corner <= low {
+                high
+            } else {
+                // Between the two, so is the sum.
+                (i32::from(left) + i32::from(above) - i32::from(corner)) as u16
+            }
+        }
+    }
+}
+
+/// A bit per cell.
+pub(super) fn mask(cells: impl Iterator<Item = bool>) -> String {
+    let mut bytes = Vec::new();
+    for (i, set) in cells.enumerate() {
+        if i % 8 == 0 {
+            bytes.push(0u8);
+        }
+        if let Some(last) = bytes.last_mut() {
+            *last |= u8::from(set) << (7 - i % 8);
+        }
+    }
+    deflated(&bytes)
+}
+
+/// A byte per cell of a raster's first band over a range.
+pub(super) fn map(values: &Raster, [low, high]: [f32; 2]) -> String {
+    let span = (high - low).max(f32::MIN_POSITIVE);
+    let byte = |value: &f32| match value.is_finite() {
+        true => {
+            let shade = (SHADES * ((value - low) / span).clamp(0.0, 1.0)).round() / SHADES;
+            1 + (254.0 * shade).round() as u8
+        }
+        false => 0,
+    };
+    deflated(&values.plane(0).iter().map(byte).collect::<Vec<u8>>())
+}
+
+/// A packed albedo.
+#[derive(Debug, Serialize)]
+pub(super) struct Albedo {
+    /// The picture: `(albedo / white)^(1 / 2.2)`.
+    pub picture: String,
+    /// Albedo of its brightest value.
+    pub white: f32,
+    /// Colours of this brightness and below are shown black, as multiples of `white`.
+    pub black: f32,
+}
+
+/// A raster with red, green and blue as an albedo; `None` where nothing is known. `shade` is the darkest light: what lies
+/// in the darkest hundredth under it is black.
+pub(super) fn albedo(raster: &Raster, shade: f32) -> Option<Albedo> {
+    let (low, white) = percentiles(&raster.values, 0.01, 0.995)?;
+    if white <= 0.0 {
+        return None;
+    }
+    let picture = picture(raster, QUALITY, |value| {
+        255.0 * (value / white).clamp(0.0, 1.0).powf(1.0 / GAMMA)
+    })?;
+    Some(Albedo {
+        picture,
+        white,
+        black: (0.7 * low * shade / white).clamp(0.0, 0.5),
+    })
+}
+
+/// A raster with red, green and blue from 0 to 255 as the address of a JPEG.
+pub(super) fn plain_picture(raster: &Raster) -> Option<String> {
+    picture(raster, PLAIN_QUALITY, |value| value)
+}
+
+/// A raster as the address of a JPEG: `shade` makes 0 to 255 of a value. What is unknown has the colour before it.
+fn picture(raster: &Raster, quality: u8, shade: impl Fn(f32) -> f32) -> Option<String> {
+    let mut before = Rgb([0; 3]);
+    let picture = RgbImage::from_fn(raster.width as u32, raster.height as u32, |col, row| {
+        let at = |band: usize| raster.at(band.min(raster.bands - 1), col as usize, row as usize);
+        let pixel = [0, 1, 2].map(at);
+        if pixel.iter().all(|value| value.is_finite()) {
+            before = Rgb(pixel.map(|value| shade(value).round().clamp(0.0, 255.0) as u8));
+        }
+        before
+    });
+    let mut bytes = Vec::new();
+    picture
+        .write_with_encoder(JpegEncoder::new_with_quality(&mut bytes, quality))
+        .ok()?;
+    Some(format!("data:image/jpeg;base64,{}", STANDARD.encode(bytes)))
+}

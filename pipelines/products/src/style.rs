@@ -1,0 +1,254 @@
+//! How QGIS shows a product: a style file (`.qml`) beside each raster, which QGIS applies when the raster is opened, and a layer file
+//! (`.qlr`) that opens all rasters of a folder as one group.
+//!
+//! The renderers are templates in `style/`, in the words of QGIS 3.22, which later versions read; ranges are filled in from the values.
+
+use heliosplat::Raster;
+use heliosplat_raster::Crs;
+use heliosplat_rpc::statistics::quantile;
+use std::fmt::Write;
+
+/// Values that are looked at for a range, at most.
+const SAMPLES: usize = 200_000;
+/// Shares of the values below and above the range that is stretched.
+const CUT: f64 = 0.02;
+/// Gamma that turns counts of light into what a screen shows.
+const DISPLAY_GAMMA: f32 = 2.2;
+
+/// From low to high ground.
+const GROUND: [&str; 5] = ["#2c5e4a", "#8fae6b", "#e8dca5", "#b8855a", "#f7f4ef"];
+/// From no sun to the most of it.
+const SUN: [&str; 5] = ["#1b1b4d", "#5e3c8b", "#c0527f", "#f28e55", "#fdf3b0"];
+
+/// What is shown.
+#[derive(Debug, Clone, PartialEq)]
+pub enum Style {
+    /// Altitudes by colour.
+    Heights([f32; 2]),
+    /// Hours of sun by colour.
+    Hours([f32; 2]),
+    /// Grey between two values.
+    Shades([f32; 2]),
+    /// Red, green and blue from these bands, from 1, between two values.
+    Colours([usize; 3], [f32; 2]),
+    /// What is marked, in this colour over what is below.
+    Mask(&'static str, &'static str),
+}
+
+impl Style {
+    /// The style of a surface model.
+    pub fn heights(raster: &Raster) -> Self {
+        Self::Heights(range(raster.plane(0)))
+    }
+
+    /// The style of hours of sun, in the first band.
+    pub fn hours(raster: &Raster) -> Self {
+        let [_, most] = range(raster.plane(0));
+        Self::Hours([0.0, most])
+    }
+
+    /// The style of an image whose bands have these names: red, green and blue where they are there, else the first band in grey.
+    pub fn colours(raster: &Raster, names: &[&str]) -> Self {
+        let of = |name| names.iter().position(|&n| n == name);
+        match (of("red"), of("green"), of("blue")) {
+            (Some(red), Some(green), Some(blue)) => Self::Colours(
+                [red + 1, green + 1, blue + 1],
+                joined([red, green, blue].map(|band| range(raster.plane(band)))),
+            ),
+            _ => Self::Shades(range(raster.plane(0))),
+        }
+    }
+
+    /// The style of a mask by the name of its band.
+    pub fn mask(name: &'static str) -> Self {
+        Self::Mask(name, if name == "vegetation" { "#2e8b3a" } else { "#14143c" })
+    }
+
+    /// Whether a group opens with the layer shown.
+    fn is_shown(&self) -> bool {
+        matches!(self, Self::Heights(_) | Self::Shades(_))
+    }
+
+    /// The renderer and what follows it.
+    fn pipe(&self) -> String {
+        let (template, [low, high]) = match self {
+            Self::Heights(range) | Self::Hours(range) => (include_str!("style/heights.xml"), *range),
+            Self::Shades(range) => (include_str!("style/shades.xml"), *range),
+            Self::Colours(_, range) => (include_str!("style/colours.xml"), *range),
+            Self::Mask(..) => (include_str!("style/mask.xml"), [0.0, 1.0]),
+        };
+        let mut text = template
+            .replace("{low}", &low.to_string())
+            .replace("{high}", &high.to_string());
+        match self {
+            Self::Heights(_) => text = text.replace("{items}", &items(&GROUND, [low, high])),
+            Self::Hours(_) => text = text.replace("{items}", &items(&SUN, [low, high])),
+            Self::Colours(bands, _) => {
+                for (name, band) in ["{red}", "{green}", "{blue}"].into_iter().zip(bands) {
+                    text = text.replace(name, &band.to_string());
+                }
+            }
+            Self::Mask(label, colour) => text = text.replace("{label}", label).replace("{colour}", colour),
+            Self::Shades(_) => (),
+        }
+        let gamma = if matches!(self, Self::Colours(..)) {
+            DISPLAY_GAMMA
+        } else {
+            1.0
+        };
+        format!(" <pipe>\n{text}  <brightnesscontrast brightness=\"0\" contrast=\"0\" gamma=\"{gamma}\"/>\n </pipe>\n")
+    }
+
+    /// The style file.
+    pub fn qml(&self) -> String {
+        format!(
+            "<!DOCTYPE qgis PUBLIC 'http://mrcc.com/qgis.dtd' 'SYSTEM'>\n<qgis version=\"3.22.0\" styleCategories=\"Symbology\">\n{}\
+             <blendMode>{}</blendMode>\n</qgis>\n",
+            self.pipe(),
+            self.blend_mode()
+        )
+    }
+
+    /// QGIS' number of how a layer is laid over those below: 6 multiplies, for the hillshade.
+    fn blend_mode(&self) -> u8 {
+        if matches!(self, Self::Shades([1.0, _])) { 6 } else { 0 }
+    }
+}
+
+/// A raster that a layer file opens.
+#[derive(Debug, Clone)]
+pub struct Layer {
+    /// Its file in the folder of the layer file.
+    pub file: String,
+    /// What it is called.
+    pub title: String,
+    /// How it is shown.
+    pub style: Style,
+}
+
+/// The layer file of a group in a coordinate system, the topmost layer first.
+pub fn layer_file(group: &str, crs: &Crs, layers: &[Layer]) -> String {
+    let (mut tree, mut maps) = (String::new(), String::new());
+    let code = Some(crs.definition()).filter(|definition| definition.starts_with("EPSG:") && !definition.contains('+'));
+    let srs = format!(
+        "<wkt>{}</wkt><authid>{}</authid>",
+        escaped(crs.wkt()),
+        escaped(code.unwrap_or_default())
+    );
+    for (number, layer) in layers.iter().enumerate() {
+        let (file, title) = (escaped(&layer.file), escaped(&layer.title));
+        let id = format!(
+            "heliosplat_{number}_{}",
+            file.replace(|c: char| !c.is_ascii_alphanumeric(), "_")
+        );
+        let checked = if layer.style.is_shown() {
+            "Qt::Checked"
+        } else {
+            "Qt::Unchecked"
+        };
+        // Writing to a String cannot fail.
+        let _ = writeln!(
+            tree,
+            "  <layer-tree-layer id=\"{id}\" name=\"{title}\" source=\"./{file}\" providerKey=\"gdal\" checked=\"{checked}\" expanded=\"0\"/>"
+        );
+        let _ = write!(
+            maps,
+            "  <maplayer type=\"raster\">\n <id>{id}</id>\n <datasource>./{file}</datasource>\n <layername>{title}</layername>\n \
+             <provider>gdal</provider>\n <srs><spatialrefsys>{srs}</spatialrefsys></srs>\n{} <blendMode>{}</blendMode>\n  </maplayer>\n",
+            layer.style.pipe(),
+            layer.style.blend_mode()
+        );
+    }
+    // The outer group is none: QGIS takes what is in it.
+    format!(
+        "<!DOCTYPE qgis-layer-definition>\n<qlr>\n <layer-tree-group name=\"\" checked=\"Qt::Checked\" expanded=\"1\">\n \
+         <layer-tree-group name=\"{}\" checked=\"Qt::Checked\" expanded=\"1\">\n{tree} </layer-tree-group>\n </layer-tree-group>\n \
+         <maplayers>\n{maps} </maplayers>\n</qlr>\n",
+        escaped(group)
+    )
+}
+
+fn escaped(text: &str) -> String {
+    text.replace('&', "&amp;")
+        .replace('<', "&lt;")
+        .replace('>', "&gt;")
+        .replace('"', "&quot;")
+}
+
+/// Steps of colour from low to high.
+fn items(colours: &[&str], [low, high]: [f32; 2]) -> String {
+    let last = colours.len().saturating_sub(1).max(1) as f32;
+    let mut text = String::new();
+    for (place, colour) in colours.iter().enumerate() {
+        let value = low + (high - low) * place as f32 / last;
+        let _ = writeln!(
+            text,
+            "     <item value=\"{value}\" label=\"{value:.1}\" color=\"{colour}\" alpha=\"255\"/>"
+        );
+    }
+    text
+}
+
+/// The range of most of what is known, never empty.
+fn range(plane: &[f32]) -> [f32; 2] {
+    let step = (plane.len() / SAMPLES).max(1);
+    let mut known: Vec<f32> = plane.iter().copied().step_by(step).filter(|v| v.is_finite()).collect();
+    let low = quantile(&mut known, CUT).unwrap_or(0.0);
+    let high = quantile(&mut known, 1.0 - CUT).unwrap_or(1.0);
+    [low, if high > low { high } else { low + 1.0 }]
+}
+
+fn joined(ranges: [[f32; 2]; 3]) -> [f32; 2] {
+    ranges
+        .into_iter()
+        .fold([f32::INFINITY, f32::NEG_INFINITY], |[low, high], [a, b]| {
+            [low.min(a), high.max(b)]
+        })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn no_place_in_a_template_stays_open_and_names_of_users_stay_text() {
+        let styles = [
+            Style::Heights([1.0, 2.0]),
+            Style::Hours([0.0, 9.5]),
+            Style::Shades([1.0, 255.0]),
+            Style::Colours([3, 2, 1], [0.0, 0.4]),
+            Style::mask("shadow"),
+        ];
+        for style in &styles {
+            let qml = style.qml();
+            assert!(!qml.contains(['{', '}']), "{qml}");
+        }
+        let layers = styles.map(|style| Layer {
+            file: "a&b.tif".into(),
+            title: "a <b>".into(),
+            style,
+        });
+        let crs = Crs::from_epsg(32_637).expect("UTM");
+        let text = layer_file("\"run\"", &crs, &layers);
+        assert!(!text.contains(['{', '}']) && text.contains("a&amp;b.tif") && text.contains("a &lt;b&gt;"));
+        assert_eq!(text.matches("<maplayer ").count(), 5);
+        assert_eq!(text.matches("<authid>EPSG:32637</authid>").count(), 5);
+    }
+
+    #[test]
+    fn colours_come_from_the_bands_of_their_names_and_ranges_leave_outliers_out() {
+        let mut image = Raster::filled(100, 1, 4, 0.0);
+        for (index, value) in image.values.iter_mut().enumerate() {
+            *value = (index % 100) as f32;
+        }
+        image.values[0] = 1e9;
+        image.values[50] = f32::NAN;
+        let style = Style::colours(&image, &["blue", "green", "red", "near_infrared"]);
+        let Style::Colours(bands, [low, high]) = style else {
+            panic!("{style:?}");
+        };
+        assert_eq!(bands, [3, 2, 1]);
+        assert!(low < 4.0 && (95.0..101.0).contains(&high), "{low} {high}");
+        assert!(matches!(Style::colours(&image, &["grey"]), Style::Shades(_)));
+    }
+}

@@ -1,0 +1,85 @@
+//! A surface as a small plane in each cell: what a horizon is seen from, and what light falls on.
+//!
+//! A surface model of half a metre is rough by a decimetre: taken as it is, level ground would face all ways and lie in its own shadow
+//! under a low sun. Each cell gets the plane that fits the cells around it, without those beyond an edge.
+
+use super::horizon::CellVectors;
+use heliosplat::Raster;
+use rayon::prelude::*;
+
+/// How far around a cell its plane is fitted, metres.
+const REACH_M: f64 = 1.5;
+/// A cell takes part whose altitude differs by no more than this plus [`STEEPEST`] times its distance, metres.
+const ROUGHNESS_M: f64 = 0.25;
+/// Rise per metre of the steepest surface that is one surface.
+const STEEPEST: f64 = 1.0;
+
+/// Planes of cells, `NaN` where the altitude is unknown.
+pub(super) struct Facets {
+    pub(super) width: usize,
+    pub(super) height: usize,
+    /// Altitude of each plane at its cell's centre, metres.
+    pub(super) up_m: Vec<f32>,
+    /// Rise per metre toward east and north.
+    pub(super) slope: Vec<[f32; 2]>,
+}
+
+impl Facets {
+    /// The planes of an altitude raster.
+    pub(super) fn of(altitude_m: &Raster, cells: &CellVectors) -> Self {
+        let planes: Vec<[f32; 3]> = (0..altitude_m.plane_len())
+            .into_par_iter()
+            .map(|cell| plane(altitude_m, cells, cell))
+            .collect();
+        Self {
+            width: altitude_m.width,
+            height: altitude_m.height,
+            up_m: planes.iter().map(|plane| plane[0]).collect(),
+            slope: planes.iter().map(|plane| [plane[1], plane[2]]).collect(),
+        }
+    }
+
+    /// Whether the altitude of a cell is known.
+    pub(super) fn is_known(&self, cell: usize) -> bool {
+        self.up_m[cell].is_finite()
+    }
+
+    /// The unit normal of a cell's plane: east, north, up.
+    pub(super) fn normal(&self, cell: usize) -> [f64; 3] {
+        let [east, north] = self.slope[cell].map(f64::from);
+        let length = (1.0 + east * east + north * north).sqrt();
+        [-east / length, -north / length, 1.0 / length]
+    }
+}
+
+/// Altitude at the centre and rise toward east and north of the plane around a cell, by least squares.
+fn plane(altitude_m: &Raster, cells: &CellVectors, cell: usize) -> [f32; 3] {
+    let (width, height) = (altitude_m.width, altitude_m.height);
+    let plane = altitude_m.plane(0);
+    let own = plane[cell];
+    if !own.is_finite() {
+        return [f32::NAN; 3];
+    }
+    let (col, row) = (cell % width, cell / width);
+    let [cols, rows] = cells.reach(REACH_M);
+    let mut normal = nalgebra::Matrix3::<f64>::zeros();
+    let mut right = nalgebra::Vector3::<f64>::zeros();
+    for r in row.saturating_sub(rows)..(row + rows + 1).min(height) {
+        for c in col.saturating_sub(cols)..(col + cols + 1).min(width) {
+            let above_m = f64::from(plane[r * width + c] - own);
+            let [east, north] = cells.offset_m(c as f64 - col as f64, r as f64 - row as f64);
+            let one_surface = above_m.abs() <= ROUGHNESS_M + STEEPEST * east.hypot(north);
+            if above_m.is_finite() && one_surface {
+                let at = nalgebra::Vector3::new(1.0, east, north);
+                normal += at * at.transpose();
+                right += at * above_m;
+            }
+        }
+    }
+    let fitted = normal.cholesky().map(|decomposed| decomposed.solve(&right));
+    match fitted.filter(|plane| plane.iter().all(|v| v.is_finite())) {
+        Some(plane) => [own + plane[0] as f32, plane[1] as f32, plane[2] as f32],
+        // Fewer than three cells of one surface: level.
+        None => [own, 0.0, 0.0],
+    }
+}

@@ -1,0 +1,103 @@
+//! Truth for relighting: images from straight above under suns that no image of the scene had.
+//!
+//! A folder holds `relit.json`, a list of `{sun_azimuth_deg, sun_elevation_deg}`, and for each entry K, counted from zero, the
+//! georeferenced rasters `relit_K.tif` (linear counts, the scene's bands) and `relit_K_shadow.tif` (1 = in cast shadow).
+
+use super::SceneError;
+use heliosplat_rpc::sun::SunPosition;
+use std::path::{Path, PathBuf};
+
+/// Name of the list of suns.
+pub(super) const LIST: &str = "relit.json";
+/// Most suns that are believed.
+const MOST_SUNS: usize = 10_000;
+
+/// The truth under one sun.
+#[derive(Debug, Clone, PartialEq)]
+pub struct RelitTruth {
+    /// Where the sun stands.
+    pub sun: SunPosition,
+    /// The image.
+    pub image: PathBuf,
+    /// The shadow mask.
+    pub shadow: PathBuf,
+}
+
+#[derive(serde::Deserialize)]
+struct Entry {
+    sun_azimuth_deg: f64,
+    sun_elevation_deg: f64,
+}
+
+/// The truth for relighting in a folder.
+///
+/// # Errors
+/// [`SceneError::Unreadable`] without a readable `relit.json`, [`SceneError::Manifest`] where it is no list of suns, and
+/// [`SceneError::MissingImage`] where a raster is absent.
+pub fn relit_truth(folder: &Path) -> Result<Vec<RelitTruth>, SceneError> {
+    let list = folder.join(LIST);
+    let text = heliosplat_raster::bounded::read_text(&list).map_err(|error| SceneError::Unreadable {
+        path: list.clone(),
+        reason: error.to_string(),
+    })?;
+    let fault = |reason: String| SceneError::Manifest {
+        path: list.clone(),
+        reason,
+    };
+    let entries: Vec<Entry> = serde_json::from_str(&text).map_err(|error| fault(error.to_string()))?;
+    if !(1..=MOST_SUNS).contains(&entries.len()) {
+        return Err(fault(format!(
+            "lists {} suns; 1 to {MOST_SUNS} are read",
+            entries.len()
+        )));
+    }
+    let truth = |(number, entry): (usize, Entry)| {
+        let here = |name: String| match folder.join(&name) {
+            path if path.is_file() => Ok(path),
+            _ => Err(SceneError::MissingImage {
+                image: name,
+                listed_in: list.clone(),
+            }),
+        };
+        Ok(RelitTruth {
+            sun: SunPosition::from_degrees(entry.sun_azimuth_deg, entry.sun_elevation_deg),
+            image: here(format!("relit_{number}.tif"))?,
+            shadow: here(format!("relit_{number}_shadow.tif"))?,
+        })
+    };
+    entries.into_iter().enumerate().map(truth).collect()
+}
+
+/// The folder of a truth raster, or the scene's own `truth` folder, if it holds truth for relighting.
+pub(super) fn folder_of(dsm: Option<&Path>, home: &Path) -> Option<PathBuf> {
+    let beside = dsm.and_then(Path::parent).map(Path::to_owned);
+    let mut folders = beside.into_iter().chain([home.join("truth")]);
+    folders.find(|folder| folder.join(LIST).is_file())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_list_says_the_suns_and_its_rasters_must_be_there() {
+        let home = tempfile::tempdir().expect("a folder");
+        let folder = home.path();
+        assert!(relit_truth(folder).is_err());
+        let list = |text: &str| std::fs::write(folder.join(LIST), text).expect("written");
+        list(r#"[{"sun_azimuth_deg": 120, "sun_elevation_deg": 30.5}]"#);
+        let missing = relit_truth(folder).expect_err("no rasters").to_string();
+        assert!(missing.contains("relit_0.tif"), "{missing}");
+        for name in ["relit_0.tif", "relit_0_shadow.tif"] {
+            std::fs::write(folder.join(name), "x").expect("written");
+        }
+        let truth = relit_truth(folder).expect("a list");
+        assert_eq!(truth.len(), 1);
+        assert!((truth[0].sun.elevation_rad.to_degrees() - 30.5).abs() < 1e-9);
+        for bad in ["[]", "{}", r#"[{"sun_azimuth_deg": 1}]"#] {
+            list(bad);
+            let said = relit_truth(folder).expect_err(bad).to_string();
+            assert!(said.contains(LIST) && !said.contains('\n'), "{said}");
+        }
+    }
+}

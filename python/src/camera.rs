@@ -1,0 +1,126 @@
+//! RPC cameras over arrays.
+
+use crate::error::raised;
+use heliosplat_rpc::read::rpc_from_text;
+use heliosplat_rpc::write::{rpc_txt, satnerf_json_rpc};
+use heliosplat_rpc::{GeoPoint, ImagePoint, Rpc};
+use numpy::{IntoPyArray, PyArray1, PyReadonlyArray1};
+use pyo3::prelude::*;
+use rayon::prelude::*;
+
+/// Points that one thread takes at a time: a multiple of the eight that are computed side by side.
+const CHUNK: usize = 8192;
+
+/// One array for each of two coordinates.
+type Pair<'py> = (Bound<'py, PyArray1<f64>>, Bound<'py, PyArray1<f64>>);
+
+/// A camera.
+#[pyclass(module = "heliosplat", frozen)]
+pub(crate) struct Camera {
+    pub(crate) rpc: Rpc,
+}
+
+#[pymethods]
+impl Camera {
+    /// The camera in a text of any known format; `name` is for the message only.
+    #[staticmethod]
+    fn from_text(name: &str, text: &str) -> PyResult<Self> {
+        rpc_from_text(name, text)
+            .map(|rpc| Self { rpc })
+            .map_err(|error| raised(format!("{name}: {error}")))
+    }
+
+    /// The object of rpcm and Sat-NeRF, as JSON.
+    fn json(&self) -> String {
+        satnerf_json_rpc(&self.rpc).to_string()
+    }
+
+    /// The text of an `_RPC.TXT` file.
+    fn rpc_txt(&self) -> String {
+        rpc_txt(&self.rpc)
+    }
+
+    /// Columns and rows of ground points.
+    fn project<'py>(
+        &self,
+        py: Python<'py>,
+        lon_deg: PyReadonlyArray1<'py, f64>,
+        lat_deg: PyReadonlyArray1<'py, f64>,
+        height_m: PyReadonlyArray1<'py, f64>,
+    ) -> PyResult<Pair<'py>> {
+        let (lon, lat, height) = (lon_deg.as_slice()?, lat_deg.as_slice()?, height_m.as_slice()?);
+        same_length(&[lon, lat, height])?;
+        let (cols, rows) = py.detach(|| {
+            in_chunks(lon.len(), |range| {
+                let points: Vec<GeoPoint> = range
+                    .map(|i| GeoPoint {
+                        lon_deg: lon[i],
+                        lat_deg: lat[i],
+                        height_m: height[i],
+                    })
+                    .collect();
+                let found = project_all(&self.rpc, &points).into_iter();
+                found.map(|point| [point.col, point.row]).collect()
+            })
+        });
+        Ok((cols.into_pyarray(py), rows.into_pyarray(py)))
+    }
+
+    /// Longitudes and latitudes of image points at heights; NaN where there is no such point of the ground.
+    fn localise<'py>(
+        &self,
+        py: Python<'py>,
+        col: PyReadonlyArray1<'py, f64>,
+        row: PyReadonlyArray1<'py, f64>,
+        height_m: PyReadonlyArray1<'py, f64>,
+    ) -> PyResult<Pair<'py>> {
+        let (col, row, height) = (col.as_slice()?, row.as_slice()?, height_m.as_slice()?);
+        same_length(&[col, row, height])?;
+        let (lons, lats) = py.detach(|| {
+            in_chunks(col.len(), |range| {
+                let points: Vec<ImagePoint> = range
+                    .clone()
+                    .map(|i| ImagePoint {
+                        col: col[i],
+                        row: row[i],
+                    })
+                    .collect();
+                let found = self.rpc.localise_all(&points, &height[range]).into_iter();
+                found
+                    .map(|point| point.map_or([f64::NAN; 2], |point| [point.lon_deg, point.lat_deg]))
+                    .collect()
+            })
+        });
+        Ok((lons.into_pyarray(py), lats.into_pyarray(py)))
+    }
+}
+
+heliosplat::vectorised! {
+    /// The same bits by whatever instructions the processor has.
+    fn project_all(rpc: &Rpc, points: &[GeoPoint]) -> Vec<ImagePoint> {
+        rpc.project_all(points)
+    }
+}
+
+fn same_length(arrays: &[&[f64]]) -> PyResult<()> {
+    match arrays.iter().all(|array| array.len() == arrays[0].len()) {
+        true => Ok(()),
+        false => Err(raised("the arrays of coordinates have different lengths")),
+    }
+}
+
+/// Pairs of numbers of `count` points, by threads that each write to a place of their own.
+fn in_chunks(count: usize, work: impl Fn(std::ops::Range<usize>) -> Vec<[f64; 2]> + Sync) -> (Vec<f64>, Vec<f64>) {
+    let (mut first, mut second) = (vec![0.0; count], vec![0.0; count]);
+    first
+        .par_chunks_mut(CHUNK)
+        .zip(second.par_chunks_mut(CHUNK))
+        .enumerate()
+        .for_each(|(chunk, (first, second))| {
+            let begin = chunk * CHUNK;
+            for (place, [a, b]) in work(begin..begin + first.len()).into_iter().enumerate() {
+                (first[place], second[place]) = (a, b);
+            }
+        });
+    (first, second)
+}

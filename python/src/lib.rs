@@ -1,0 +1,23 @@
+//! What Python calls: arrays in, arrays out, with the interpreter's lock released while numbers are crunched.
+//!
+//! The module is private to the Python package beside it (`heliosplat/`), which brings arrays to the shapes and types that are asked for
+//! here: one-dimensional or two-dimensional, contiguous. Nothing in it links GDAL.
+
+mod camera;
+mod error;
+mod geotiff;
+mod light;
+
+use pyo3::prelude::*;
+
+#[pymodule]
+mod _heliosplat {
+    #[pymodule_export]
+    use super::camera::Camera;
+    #[pymodule_export]
+    use super::error::Error;
+    #[pymodule_export]
+    use super::geotiff::{geotiff_rpc, read_geotiff};
+    #[pymodule_export]
+    use super::light::{horizons, shadows, sun_hours, sun_positions};
+}

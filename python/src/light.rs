@@ -1,0 +1,175 @@
+//! The sun, and what it does to a surface of heights.
+
+use crate::error::raised;
+use heliosplat::relief::{Relief, Toward};
+use heliosplat_rpc::{GeoPoint, sun_position};
+use jiff::Timestamp;
+use numpy::ndarray::Array2;
+use numpy::{IntoPyArray, PyArray1, PyArray2, PyReadonlyArray1, PyReadonlyArray2};
+use pyo3::prelude::*;
+use rayon::prelude::*;
+
+/// A cell whose height is unknown, in a mask.
+const UNKNOWN: u8 = 255;
+
+/// One array for each of two angles.
+type Pair<'py> = (Bound<'py, PyArray1<f64>>, Bound<'py, PyArray1<f64>>);
+
+/// Azimuths and elevations of the sun, degrees, at times in microseconds since 1970 and places.
+#[pyfunction]
+pub(crate) fn sun_positions<'py>(
+    py: Python<'py>,
+    time_us: PyReadonlyArray1<'py, i64>,
+    lat_deg: PyReadonlyArray1<'py, f64>,
+    lon_deg: PyReadonlyArray1<'py, f64>,
+    height_m: PyReadonlyArray1<'py, f64>,
+) -> PyResult<Pair<'py>> {
+    let (times, lat, lon, height) = (
+        time_us.as_slice()?,
+        lat_deg.as_slice()?,
+        lon_deg.as_slice()?,
+        height_m.as_slice()?,
+    );
+    if [lat, lon, height].iter().any(|array| array.len() != times.len()) {
+        return Err(raised("the arrays of times and places have different lengths"));
+    }
+    let found: Result<Vec<[f64; 2]>, jiff::Error> = py.detach(|| {
+        (0..times.len())
+            .into_par_iter()
+            .map(|i| {
+                let at = GeoPoint {
+                    lon_deg: lon[i],
+                    lat_deg: lat[i],
+                    height_m: height[i],
+                };
+                let sun = sun_position(Timestamp::from_microsecond(times[i])?, at);
+                Ok([sun.azimuth_rad.to_degrees(), sun.elevation_rad.to_degrees()])
+            })
+            .collect()
+    });
+    let (azimuths, elevations): (Vec<f64>, Vec<f64>) = found.map_err(raised)?.into_iter().map(|[a, e]| (a, e)).unzip();
+    Ok((azimuths.into_pyarray(py), elevations.into_pyarray(py)))
+}
+
+/// 1 in the shadow of a sun, 0 in the sun, 255 where the height is unknown.
+#[pyfunction]
+pub(crate) fn shadows<'py>(
+    py: Python<'py>,
+    height_m: PyReadonlyArray2<'py, f32>,
+    cell_m: f64,
+    azimuth_deg: f64,
+    elevation_deg: f64,
+) -> PyResult<Bound<'py, PyArray2<u8>>> {
+    let surface = Surface::new(&height_m, cell_m)?;
+    check_sun(azimuth_deg, elevation_deg)?;
+    let mask = py.detach(|| {
+        let relief = surface.relief();
+        let shaded = relief.shadows(azimuth_deg, elevation_deg);
+        let value = |(cell, &shaded): (usize, &bool)| match relief.is_known(cell) {
+            true => u8::from(shaded),
+            false => UNKNOWN,
+        };
+        shaded.iter().enumerate().map(value).collect()
+    });
+    shaped(py, surface.shape, mask)
+}
+
+/// Elevation of the horizon toward an azimuth, degrees, at least `lowest_deg`; NaN where the height is unknown.
+#[pyfunction]
+pub(crate) fn horizons<'py>(
+    py: Python<'py>,
+    height_m: PyReadonlyArray2<'py, f32>,
+    cell_m: f64,
+    azimuth_deg: f64,
+    lowest_deg: f64,
+) -> PyResult<Bound<'py, PyArray2<f32>>> {
+    let surface = Surface::new(&height_m, cell_m)?;
+    check_sun(azimuth_deg, lowest_deg)?;
+    let found = py.detach(|| {
+        let relief = surface.relief();
+        let toward = Toward::new(azimuth_deg, lowest_deg);
+        let elevation = |cell| match relief.is_known(cell) {
+            true => relief.horizon(cell, &toward).atan().to_degrees(),
+            false => f32::NAN,
+        };
+        (0..surface.heights.len()).into_par_iter().map(elevation).collect()
+    });
+    shaped(py, surface.shape, found)
+}
+
+/// Sum of `hours` over the suns that each cell sees; NaN where its height is unknown. A sun below `lowest_deg` shines on nothing.
+#[pyfunction]
+pub(crate) fn sun_hours<'py>(
+    py: Python<'py>,
+    height_m: PyReadonlyArray2<'py, f32>,
+    cell_m: f64,
+    azimuths_deg: PyReadonlyArray1<'py, f64>,
+    elevations_deg: PyReadonlyArray1<'py, f64>,
+    hours: f64,
+    lowest_deg: f64,
+) -> PyResult<Bound<'py, PyArray2<f32>>> {
+    let surface = Surface::new(&height_m, cell_m)?;
+    check_sun(0.0, lowest_deg)?;
+    let suns = azimuths_deg.as_slice()?.iter().zip(elevations_deg.as_slice()?);
+    let relief = py.detach(|| surface.relief());
+    let mut lit = vec![0u32; surface.heights.len()];
+    for (&azimuth, &elevation) in suns.filter(|(_, elevation)| **elevation >= lowest_deg) {
+        check_sun(azimuth, elevation)?;
+        // Between two suns, so that the user can interrupt.
+        py.check_signals()?;
+        py.detach(|| {
+            let shaded = relief.shadows(azimuth, elevation);
+            for (count, shaded) in lit.iter_mut().zip(shaded) {
+                *count += u32::from(!shaded);
+            }
+        });
+    }
+    let value = |(cell, count): (usize, &u32)| match relief.is_known(cell) {
+        true => (f64::from(*count) * hours) as f32,
+        false => f32::NAN,
+    };
+    let total = lit.iter().enumerate().map(value).collect();
+    shaped(py, surface.shape, total)
+}
+
+/// Heights as they came.
+struct Surface<'a> {
+    heights: &'a [f32],
+    shape: [usize; 2],
+    cell_m: f32,
+}
+
+impl<'a> Surface<'a> {
+    fn new(height_m: &'a PyReadonlyArray2<f32>, cell_m: f64) -> PyResult<Self> {
+        if !(cell_m > 0.0 && cell_m.is_finite()) {
+            return Err(raised(format!(
+                "the side of a cell is {cell_m} m; it must be above zero"
+            )));
+        }
+        let view = height_m.as_array();
+        Ok(Self {
+            heights: height_m.as_slice()?,
+            shape: [view.nrows(), view.ncols()],
+            cell_m: cell_m as f32,
+        })
+    }
+
+    fn relief(&self) -> Relief {
+        let [rows, cols] = self.shape;
+        Relief::new((cols, rows), self.cell_m, self.heights.to_vec())
+    }
+}
+
+fn check_sun(azimuth_deg: f64, elevation_deg: f64) -> PyResult<()> {
+    if !(azimuth_deg.is_finite() && elevation_deg > 0.0 && elevation_deg < 90.0) {
+        return Err(raised(format!(
+            "a sun at azimuth {azimuth_deg}, elevation {elevation_deg} degrees casts no shadow; the elevation must be between 0 and 90"
+        )));
+    }
+    Ok(())
+}
+
+fn shaped<T: numpy::Element>(py: Python<'_>, shape: [usize; 2], values: Vec<T>) -> PyResult<Bound<'_, PyArray2<T>>> {
+    let array = Array2::from_shape_vec(shape, values).map_err(raised)?;
+    Ok(array.into_pyarray(py))
+}

@@ -1,0 +1,77 @@
+"""Run folders and GeoTIFFs as arrays, and what xarray makes of them."""
+
+import os
+import shutil
+
+import numpy as np
+import pytest
+
+import heliosplat
+
+
+@pytest.fixture(scope="module")
+def run():
+    """A run with products, made by scripts/test_python.sh where the program is built."""
+    folder = os.environ.get("HELIOSPLAT_TEST_RUN")
+    if not folder:
+        pytest.skip("HELIOSPLAT_TEST_RUN names no run")
+    return heliosplat.open_run(folder)
+
+
+def test_a_geotiff_is_read_as_it_is(shared):
+    grid = heliosplat.read_geotiff(shared / "data/kahramanmaras/kahramanmaras_01.tif")
+    assert grid.values.ndim == 3 and grid.values.dtype.kind in "uf" and grid.values.size > 1000
+    assert grid.shape == grid.values.shape[1:]
+
+
+def test_a_run_opens_as_arrays_on_one_grid(run):
+    dsm, albedo = run.dsm, run.albedo
+    assert dsm.bands == ("altitude",) and dsm.shape == albedo.shape
+    assert dsm.epsg // 100 in (326, 327) and dsm.cell_m > 0.1
+    low, high = run.model["altitude_range_m"]
+    known = dsm.values[np.isfinite(dsm.values)]
+    assert known.size > 0.5 * dsm.values.size and low - 50 < known.min() < known.max() < high + 50
+    assert "standard_deviation" in run.surface.bands
+    assert set(np.unique(run.raster("hillshade").values)) <= set(range(256))
+    assert abs(run.grid_north) < 4 and str(run.folder) in repr(run)
+    with pytest.raises(heliosplat.Error, match="there are .*dsm"):
+        run.raster("nothing")
+
+
+def test_a_run_is_relit_by_the_program(run):
+    if not shutil.which(os.environ.get("HELIOSPLAT", "heliosplat")):
+        pytest.skip("no program heliosplat")
+    image, mask = run.relight(200.0, 40.0)
+    assert image.values.shape[0] == run.albedo.values.shape[0] and mask.values.max() == 1
+    # Shadows that the surface casts and those of the Gaussians are much the same.
+    cast = heliosplat.shadows(run.dsm, 200.0, 40.0, grid_north=run.grid_north)
+    if cast.shape == mask.shape:
+        known = cast.values[0] != 255
+        assert (cast.values[0] == mask.values[0])[known].mean() > 0.8
+    with pytest.raises(heliosplat.Error, match="-5"):
+        run.relight(200.0, -5.0)
+    with pytest.raises(heliosplat.Error, match="PATH"):
+        run.relight(200.0, 40.0, program="no_such_program")
+
+
+def test_xarray_has_coordinates_and_a_coordinate_system(run):
+    xarray = pytest.importorskip("xarray")
+    dsm = run.dsm
+    array = dsm.to_xarray()
+    assert isinstance(array, xarray.DataArray) and array.dims == ("band", "y", "x")
+    assert array.attrs["crs"] == f"EPSG:{dsm.epsg}"
+    assert float(array.x[0]) == pytest.approx(dsm.transform[0] + dsm.cell_m / 2)
+    assert float(array.y[0] - array.y[1]) == pytest.approx(dsm.cell_m)
+    mask = heliosplat.shadows(array, 200.0, 40.0)
+    assert mask.dims == ("y", "x") and mask.attrs["crs"] == array.attrs["crs"]
+    assert np.array_equal(mask.values, heliosplat.shadows(dsm, 200.0, 40.0).values[0])
+    with pytest.raises(heliosplat.Error, match="south"):
+        heliosplat.shadows(array.sortby("y"), 200.0, 40.0)
+
+
+def test_what_is_no_run_is_told(tmp_path):
+    with pytest.raises(heliosplat.Error, match="not a run"):
+        heliosplat.open_run(tmp_path)
+    (tmp_path / "model.json").write_text("{")
+    with pytest.raises(heliosplat.Error, match="model.json"):
+        heliosplat.open_run(tmp_path)
