@@ -101,14 +101,14 @@ pub fn tileset(root: &Tile, transform: [f64; 16], contents: Contents, said: Valu
     tileset
 }
 
+/// What takes each file of a tileset with its name.
+pub type WriteFile<'w, E> = dyn FnMut(&str, Vec<u8>) -> Result<(), E> + 'w;
+
 /// Cuts splats into tiles, coarse ones above fine ones, and hands over each file with its name.
 ///
 /// # Errors
 /// Those of `write`, and [`TooLarge`].
-pub fn of_splats<E: From<TooLarge>>(
-    splats: Vec<Splat>,
-    write: &mut dyn FnMut(&str, Vec<u8>) -> Result<(), E>,
-) -> Result<Tile, E> {
+pub fn of_splats<E: From<TooLarge>>(splats: Vec<Splat>, write: &mut WriteFile<E>) -> Result<Tile, E> {
     let (low, high) = extent(&splats);
     let ground = (high - low).truncate().element_product().max(f32::MIN_POSITIVE);
     let spacing_m = (ground / splats.len().max(1) as f32).sqrt();
@@ -119,7 +119,7 @@ pub fn of_splats<E: From<TooLarge>>(
 struct Tree<'w, E> {
     /// Side of the ground that a splat of the model has to itself, metres.
     spacing_m: f32,
-    write: &'w mut dyn FnMut(&str, Vec<u8>) -> Result<(), E>,
+    write: &'w mut WriteFile<'w, E>,
 }
 
 impl<E: From<TooLarge>> Tree<'_, E> {

@@ -162,8 +162,18 @@ fn mask_of(mut visibility: Raster) -> Raster {
     visibility
 }
 
-fn lit(model: &LoadedModel, sun: &SunPosition, camera: &ProjectiveCamera) -> Result<Relit, RelightError> {
-    let (light, maps) = traced(model, sun, camera)?;
+/// What `maps`, traced under the light of `sun`, look like there: with the irradiance and the sky of that sun, in units of the model's
+/// colours.
+///
+/// # Errors
+/// [`RelightError::OldLight`] for a model that does not know these.
+pub(crate) fn composed(
+    model: &LoadedModel,
+    sun: &SunPosition,
+    light: Light,
+    camera: &ProjectiveCamera,
+    maps: &Maps,
+) -> Result<Raster, RelightError> {
     let daylight = model.file.daylight.as_ref().ok_or_else(|| RelightError::OldLight {
         folder: model.folder.clone(),
     })?;
@@ -184,14 +194,21 @@ fn lit(model: &LoadedModel, sun: &SunPosition, camera: &ProjectiveCamera) -> Res
         light: Some(light),
         appearance: None,
     };
-    let mut image = model.model.compose(&context, &maps);
-    let counts = model.file.counts_per_unit as f32;
+    let mut image = model.model.compose(&context, maps);
     for (k, kept) in path_radiance(model).into_iter().enumerate() {
         let gain = daylight.gain(k, sun.elevation_rad) as f32;
         for value in image.plane_mut(k) {
-            *value = ((*value - kept) * gain + kept) * counts;
+            *value = (*value - kept) * gain + kept;
         }
     }
+    Ok(image)
+}
+
+fn lit(model: &LoadedModel, sun: &SunPosition, camera: &ProjectiveCamera) -> Result<Relit, RelightError> {
+    let (light, maps) = traced(model, sun, camera)?;
+    let mut image = composed(model, sun, light, camera, &maps)?;
+    let counts = model.file.counts_per_unit as f32;
+    image.values.iter_mut().for_each(|value| *value *= counts);
     let visibility = visibility_of(model, &maps);
     for (i, lit) in visibility.values.iter().enumerate() {
         if lit.is_nan() {

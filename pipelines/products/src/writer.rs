@@ -264,6 +264,7 @@ impl<'a> Writer<'a> {
             ..self.spec(raster, &names, &all)
         };
         write_cog(&self.out.join(&file), &spec)?;
+        self.styled(&file, title, Style::hours(raster))?;
         let bands = [Band { name, unit }];
         let asset = Asset::raster((key, &file, title), raster, &bands, None, self.gsd_m, None);
         self.assets.push(asset);

@@ -2,6 +2,7 @@
 
 use super::layer::Layer;
 use heliosplat::Raster;
+use heliosplat_products::daylight::Daylight;
 use heliosplat_products::model::ModelFile;
 use heliosplat_raster::GridSpec;
 use heliosplat_rpc::sun::SunPosition;
@@ -12,6 +13,8 @@ use serde::Serialize;
 pub(super) const CELLS_MAX: usize = 1024 * 1024;
 /// Skylight where no model says one: a clear sky gives a fifth to a third of the light of a high sun.
 const SKYLIGHT: f32 = 0.25;
+/// Elevations of the sun at which a page has the light of day, degrees; close together where air mass changes fast.
+const ELEVATIONS_DEG: [f64; 12] = [1.0, 3.0, 5.0, 8.0, 12.0, 17.0, 24.0, 32.0, 42.0, 55.0, 70.0, 90.0];
 
 /// What a page shows. All rasters have the size of the grid.
 #[derive(Debug, Clone)]
@@ -78,12 +81,30 @@ impl Light {
         Self::of_sky([SKYLIGHT; 3])
     }
 
-    /// The light of a model, whose sky per band of the reference image is `sky`.
+    /// The light of day of a model on the bands that are shown, beside that of its reference image.
+    fn of_daylight(daylight: &Daylight, bands: [usize; 3]) -> Self {
+        let elevation_deg: Vec<f64> = ELEVATIONS_DEG.to_vec();
+        let at = |light: &dyn Fn(usize, f64) -> f64| {
+            let of_sun = |deg: &f64| bands.map(|band| light(band, deg.to_radians()) as f32);
+            elevation_deg.iter().map(of_sun).collect()
+        };
+        Self {
+            sun: at(&|band, e| daylight.gain(band, e) * (1.0 - daylight.shade(band, e))),
+            shade: at(&|band, e| daylight.gain(band, e) * daylight.shade(band, e)),
+            elevation_deg,
+        }
+    }
+
+    /// The light of a model: that of day where it knows one; else that of its reference image, whose sky per band of the reference image is `sky`.
     pub fn of_model(file: &ModelFile, sky: &[f32]) -> Self {
         if !file.has_light() {
             return Self::usual();
         }
-        Self::of_sky(shown(&file.bands).map(|band| sky.get(band).copied().unwrap_or(SKYLIGHT)))
+        let bands = shown(&file.bands);
+        if let Some(daylight) = &file.daylight {
+            return Self::of_daylight(daylight, bands);
+        }
+        Self::of_sky(bands.map(|band| sky.get(band).copied().unwrap_or(SKYLIGHT)))
     }
 }
 

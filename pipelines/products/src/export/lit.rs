@@ -5,7 +5,7 @@
 
 use crate::model::{LoadedModel, ModelFile};
 use crate::nadir::NadirGrid;
-use crate::relight::{RelightError, light_of};
+use crate::relight::{RelightError, composed, light_of};
 use glam::Vec3;
 use heliosplat::gaussians::normalised;
 use heliosplat::light::Light;
@@ -88,13 +88,12 @@ impl Lit {
     /// [`RelightError`] where the sun is down, or the model has no light and a sun is asked for.
     pub fn new(model: &LoadedModel, sun: Option<&SunPosition>) -> Result<Self, RelightError> {
         let own = reference_sun(&model.file).filter(|_| model.file.has_light());
-        let own_light = own.map(|sun| light_of(model, &sun)).transpose()?;
-        let (light, sun) = match sun {
-            Some(sun) => (Some(light_of(model, sun)?), Some(*sun)),
-            None => (own_light, own),
-        };
-        let display = Display::of(&from_above(model, own_light)?, &model.file.bands, (BLACK, WHITE));
-        let splats = splats(model, &colours(model, light), &display);
+        let lit_by = |sun: SunPosition| Ok::<_, RelightError>((sun, light_of(model, &sun)?));
+        let own = own.map(lit_by).transpose()?;
+        let light = sun.copied().map(lit_by).transpose()?.or(own);
+        let display = Display::of(&from_above(model, own)?, &model.file.bands, (BLACK, WHITE));
+        let splats = splats(model, &colours(model, light)?, &display);
+        let sun = light.map(|(sun, _)| sun);
         Ok(Self {
             splats,
             display,
@@ -132,17 +131,20 @@ fn reference_sun(file: &ModelFile) -> Option<SunPosition> {
 }
 
 /// What is seen from straight above, in the model's units; NaN where nothing is.
-fn from_above(model: &LoadedModel, light: Option<Light>) -> Result<Raster, RelightError> {
+fn from_above(model: &LoadedModel, light: Option<(SunPosition, Light)>) -> Result<Raster, RelightError> {
     let nadir = NadirGrid::new(&model.into(), model.file.gsd_m, None)?;
     let seen = render(
         &model.model,
         &model.parameters,
         &nadir.camera,
-        light,
+        light.map(|(_, light)| light),
         None,
         model.pass_options(),
     );
-    let mut image = seen.image;
+    let mut image = match light {
+        Some((sun, light)) => composed(model, &sun, light, &nadir.camera, &seen.maps)?,
+        None => seen.image,
+    };
     for band in 0..image.bands {
         let cells = image.plane_mut(band).iter_mut().zip(&seen.maps.alpha);
         cells
@@ -154,7 +156,11 @@ fn from_above(model: &LoadedModel, light: Option<Light>) -> Result<Raster, Relig
 
 /// The colour of each Gaussian under a light, in the model's units: the model composes an image in which each Gaussian is a pixel that it
 /// covers alone.
-fn colours(model: &LoadedModel, light: Option<Light>) -> Raster {
+///
+/// # Errors
+/// [`RelightError::OldLight`].
+fn colours(model: &LoadedModel, lit_by: Option<(SunPosition, Light)>) -> Result<Raster, RelightError> {
+    let light = lit_by.map(|(_, light)| light);
     let gaussians = &model.parameters.gaussians;
     let all = Projected {
         gaussian: (0..gaussians.count as u32).collect(),
@@ -188,7 +194,10 @@ fn colours(model: &LoadedModel, light: Option<Light>) -> Raster {
         alpha: vec![1.0; gaussians.count],
         ..Maps::default()
     };
-    model.model.compose(&context, &maps)
+    match lit_by {
+        Some((sun, light)) => composed(model, &sun, light, &camera, &maps),
+        None => Ok(model.model.compose(&context, &maps)),
+    }
 }
 
 fn splats(model: &LoadedModel, colours: &Raster, display: &Display) -> Vec<Splat> {

@@ -11,7 +11,7 @@ use glam::Vec3;
 use heliosplat::Raster;
 use heliosplat_exchange::glb::{TooLarge, bounds};
 use heliosplat_exchange::mesh::{Look, Mesh, glb};
-use heliosplat_exchange::tiles::{ERROR_OF_CELL, Tile};
+use heliosplat_exchange::tiles::{ERROR_OF_CELL, Tile, WriteFile};
 use heliosplat_raster::EnuGrid;
 use heliosplat_scene::BandKind;
 use image::{ImageFormat, Rgb, RgbImage};
@@ -105,7 +105,7 @@ impl Ground {
     /// All of it as tiles, of which each of a coarser level has a quarter of the cells; counts the triangles of the finest level.
     pub(super) fn tiles(
         &self,
-        write: &mut dyn FnMut(&str, Vec<u8>) -> Result<(), ExportError>,
+        write: &mut WriteFile<ExportError>,
         triangles: &mut usize,
     ) -> Result<Option<Tile>, ExportError> {
         let side = self.width.max(self.height);
@@ -118,7 +118,7 @@ impl Ground {
         from: [usize; 2],
         level: u32,
         name: String,
-        write: &mut dyn FnMut(&str, Vec<u8>) -> Result<(), ExportError>,
+        write: &mut WriteFile<ExportError>,
         triangles: &mut usize,
     ) -> Result<Option<Tile>, ExportError> {
         let last = [self.width - 1, self.height - 1];
