@@ -17,7 +17,7 @@ demo: build
 	target/release/heliosplat demo --out $(OUT)
 
 test: setup
-	cargo test --workspace
+	cargo test --workspace --exclude heliosplat-python
 
 build: setup
 	cargo build --release --package heliosplat-cli
