@@ -347,7 +347,7 @@ fn a_reflective_model_is_planned_trained_relit_and_exported() {
         &["export", &home.path().display().to_string(), "--asset", &asset_text],
         2,
     );
-    assert!(line.contains("no run on an object"), "{line}");
+    assert!(line.contains("not a finished run"), "{line}");
     a_mesh_lies_where_the_object_is(&run_text, home.path());
 }
 

@@ -157,7 +157,7 @@ fn sunshine_is_cloud_optimised_has_units_joins_the_catalogue_and_is_near_the_tru
         let of = dataset.rasterband(1).expect("a band");
         assert_eq!((of.unit(), of.no_data_value()), (unit.to_owned(), Some(-9999.0)));
         assert_eq!(of.description().expect("a description"), band_name);
-        assert_eq!(item["assets"][name]["raster:bands"][0]["unit"], unit);
+        assert_eq!(item["assets"][name]["bands"][0]["unit"], unit);
         let known: Vec<f32> = band(&file).into_iter().filter(|v| *v != -9999.0).collect();
         assert!(
             known.len() > 1000 && known.iter().all(|v| (0.0..=most).contains(v)),

@@ -14,6 +14,7 @@ use std::path::Path;
 /// # Errors
 /// When the run, the sun or a name is at fault, or a file cannot be written.
 pub(crate) fn of_satellite(args: &ExportArgs) -> Result<Outcome, CliError> {
+    let model = load(&args.run)?;
     for (given, name) in [
         (args.light.is_some(), "light"),
         (args.toward.is_some(), "toward"),
@@ -44,7 +45,6 @@ pub(crate) fn of_satellite(args: &ExportArgs) -> Result<Outcome, CliError> {
             return Err(CliError::Input(text));
         }
     }
-    let model = load(&args.run)?;
     let sun = match (args.sun, args.time) {
         (Some([azimuth, elevation]), _) => Some(SunPosition::from_degrees(azimuth, elevation)),
         (None, Some(time)) => Some(sun_position(time, model.frame.origin)),

@@ -233,7 +233,8 @@ mod tests {
         }
         let display = Display::of(&image, &[BandKind::Pan], (0.01, 0.995));
         assert!((display.black - 10.0).abs() < 2.0 && (display.white - 994.0).abs() < 2.0);
-        assert_eq!((display.show(-3.0), display.show(2000.0)), (0.0, 1.0));
+        assert_eq!(display.show(-3.0), 0.0);
+        assert!((display.show(2000.0) - 1.0).abs() < 1e-6);
         let middle = 0.5 * (display.black + display.white);
         assert!((display.show(middle) - 0.7354).abs() < 1e-3);
         let even = Display::of(&Raster::filled(3, 3, 1, 7.0), &[BandKind::Pan], (0.01, 0.995));

@@ -23,6 +23,10 @@ const STEEP = 1.5;
 /// Measured against shadows traced through models (docs/lab/sun-page.md).
 const EDGE = 0.75;
 
+/// Cells are asked this far above their height, metres: less than heights err by, and enough that level roofs do not speckle themselves under a low
+/// sun. Against true shadows nothing is lost by it (docs/lab/sun-page.md).
+const LIFT = 0.1;
+
 /// What rises less than this above a far shadow, and still lies in its half-shade, does not hide what throws that shadow, metres.
 const LOW = 1;
 
@@ -94,7 +98,7 @@ function sweeper(field, east, north) {
         if (h !== h) { out[line + k] = 64; continue; }
         // What both rays see counts, not their mean height: the border of a long shadow stays in the middle between them.
         const r = first + k;
-        const a = h - dark[r], b = h - dark[r + 1];
+        const a = h + LIFT - dark[r], b = h + LIFT - dark[r + 1];
         const ra = blur * behind[r], rb = blur * behind[r + 1];
         const va = a >= ra ? 64 : a <= -ra ? 0 : DISC[(64 * (a / ra + 1) + 0.5) | 0];
         const vb = b >= rb ? 64 : b <= -rb ? 0 : DISC[(64 * (b / rb + 1) + 0.5) | 0];
