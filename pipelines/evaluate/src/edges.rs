@@ -1,7 +1,7 @@
 //! Errors of the ground by its distance to the nearest wall of the truth: surface models err most beside walls, and an error of the whole
 //! hides that.
 //!
-//! A wall is a side of a building's cell beside which the true surface drops by [`WALL_FROM_M`] or more to something that is no building.
+//! A wall is a side of a building's cell beside which the true surface drops by `WALL_FROM_M` or more to something that is no building.
 //! Without classes nobody knows what is ground, and there is nothing to say.
 
 use super::metrics::{HeightErrors, statistics};

@@ -1,6 +1,6 @@
 //! Products of light for planners: hours of direct sun, sky view factor, and irradiation under a clear sky.
 //!
-//! All three come from the surface model. For each of [`SECTORS`] azimuths one sweep finds how high the surface stands against the sky,
+//! All three come from the surface model. For each of `SECTORS` azimuths one sweep finds how high the surface stands against the sky,
 //! seen from every cell; a sun in that sector lights the cell while it stands higher. What lies beyond the model shades nothing, and
 //! light that other surfaces reflect is not counted.
 //!

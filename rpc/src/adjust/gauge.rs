@@ -21,7 +21,7 @@ const LEAST_MEDIAN_PX: f64 = 0.5;
 /// Of all sets of shifts (columns, rows) that differ by a translation of the scene, the smallest; and that translation, metres.
 ///
 /// `slopes` are the images' [`pixels_per_metre`]: shifts `s_i` and `s_i - slopes_i t` fit all ties alike for any `t`. The smallest are those
-/// of least squares over all images but those far off ([`FAR_OFF_MEDIANS`]), so that one wrong camera does not move the scene.
+/// of least squares over all images but those far off (`FAR_OFF_MEDIANS`), so that one wrong camera does not move the scene.
 pub fn smallest_shifts(shifts: &[Vector2<f64>], slopes: &[Matrix2x3<f64>]) -> (Vec<Vector2<f64>>, Vector3<f64>) {
     let moved =
         |t: Vector3<f64>| -> Vec<Vector2<f64>> { shifts.iter().zip(slopes).map(|(s, slope)| s - slope * t).collect() };
