@@ -10,7 +10,7 @@ use heliosplat_products::dsm::of_surface;
 use heliosplat_products::nadir::Place;
 use heliosplat_satellite::altitude;
 use heliosplat_satellite::config::SatelliteConfig;
-use heliosplat_satellite::swept::sweep_only;
+use heliosplat_satellite::preprocess::sweep_only;
 use heliosplat_scene::IngestOptions;
 use heliosplat_session::Session;
 use std::error::Error;

@@ -2,7 +2,7 @@
 
 use crate::crop::Crop;
 use crate::ray::Ray;
-use crate::truth::{TruthGrid, plumb_line};
+use crate::truth_grid::{TruthGrid, plumb_line};
 use heliosplat_rpc::LocalFrame;
 
 /// Altitudes between which a ray is given, metres above the frame's origin: any two far enough apart to fix its direction.

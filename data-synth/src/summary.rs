@@ -2,7 +2,7 @@
 
 use crate::faults::{Haze, Stretch};
 use crate::request::SatelliteRequest;
-use crate::truth::TruthGrid;
+use crate::truth_grid::TruthGrid;
 use heliosplat_rpc::GeoPoint;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;

@@ -6,7 +6,8 @@ use crate::nadir::NadirSensor;
 use crate::radiometry::LitScene;
 use crate::relit::{self, Studio};
 use crate::request::{Fault, SatelliteRequest};
-use crate::truth::{Truth, TruthGrid};
+use crate::truth::Truth;
+use crate::truth_grid::TruthGrid;
 use crate::write::Staging;
 use crate::write::geotiff::{Raster, Samples, write};
 

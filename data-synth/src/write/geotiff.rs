@@ -2,7 +2,7 @@
 
 use super::failed;
 use crate::error::SynthError;
-use crate::truth::TruthGrid;
+use crate::truth_grid::TruthGrid;
 use std::fs::File;
 use std::io::BufWriter;
 use std::path::Path;

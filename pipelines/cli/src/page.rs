@@ -18,6 +18,9 @@ use std::path::Path;
 /// Bytes of a mebibyte.
 pub const MIB: f64 = 1_048_576.0;
 
+/// Name of the file with the metrics of a mosaic, which tells the folder of one.
+pub const MOSAIC_FILE: &str = "mosaic.json";
+
 /// Longest side of a picture that is read, pixels, and the most memory it may take.
 const SIDE_MAX: u32 = 60_000;
 const BYTES_MAX: u64 = 400 << 20;

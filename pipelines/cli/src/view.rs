@@ -23,7 +23,7 @@ pub use of_files::of_files;
 pub use of_mosaic::of_mosaic;
 pub use of_run::of_run;
 
-use crate::report::mosaic;
+use crate::page::MOSAIC_FILE;
 use heliosplat_evaluate::EvaluateError;
 use heliosplat_fitting::run_folder::RunError;
 use heliosplat_products::relight::RelightError;
@@ -91,7 +91,7 @@ pub struct Written {
 /// # Errors
 /// When the folder holds neither, or a file of it cannot be read.
 pub fn of_folder(folder: &Path) -> Result<Exhibit, ViewError> {
-    if folder.join(mosaic::FILE).is_file() {
+    if folder.join(MOSAIC_FILE).is_file() {
         return of_mosaic(folder, None);
     }
     if heliosplat_objects::model::is_object_run(folder) {

@@ -1,7 +1,6 @@
 //! A map grid over a place, and the camera that looks straight down on it.
 
 use crate::model::LoadedModel;
-use crate::sunshine::CellVectors;
 use glam::DVec3;
 use heliosplat::ProjectiveCamera;
 use heliosplat_raster::grid::{EnuGrid, GridSpec};
@@ -119,4 +118,35 @@ fn nadir_camera(enu: &EnuGrid, grid: &GridSpec, height_m: f64) -> ProjectiveCame
     });
     let row = |k: usize| [map[(0, k)], map[(1, k)], 0.0, map[(2, k)]];
     ProjectiveCamera::new(row(0), row(1), [0.0; 3], (grid.width, grid.height), -DVec3::Z)
+}
+
+/// Where the next column and the next row lie, metres east and north.
+#[derive(Debug, Clone, Copy)]
+pub struct CellVectors {
+    /// Of one column.
+    pub per_col: [f64; 2],
+    /// Of one row.
+    pub per_row: [f64; 2],
+}
+
+impl CellVectors {
+    /// Metres east and north of some columns and rows.
+    pub(crate) fn offset_m(&self, cols: f64, rows: f64) -> [f64; 2] {
+        [0, 1].map(|axis| cols * self.per_col[axis] + rows * self.per_row[axis])
+    }
+
+    /// Columns and rows within a distance, at least one.
+    pub(crate) fn reach(&self, distance_m: f64) -> [usize; 2] {
+        [self.per_col, self.per_row].map(|[east, north]| ((distance_m / east.hypot(north)) as usize).max(1))
+    }
+
+    /// Columns and rows per metre in a direction (east, north).
+    pub(crate) fn toward(&self, [east, north]: [f64; 2]) -> [f64; 2] {
+        let ([a, b], [c, d]) = (self.per_col, self.per_row);
+        let determinant = a * d - b * c;
+        [
+            (east * d - north * c) / determinant,
+            (north * a - east * b) / determinant,
+        ]
+    }
 }

@@ -13,7 +13,6 @@ mod horizon;
 mod suns;
 
 pub use clear_sky::LINKE_TURBIDITY;
-pub use horizon::CellVectors;
 pub use suns::Period;
 
 use crate::nadir::NadirGrid;

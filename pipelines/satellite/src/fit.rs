@@ -4,8 +4,8 @@ use super::config::SatelliteConfig;
 use super::error::{FitError, MaskError};
 use super::ground::Ground;
 use super::plan::{Decisions, Light};
+use super::preprocess::{Preprocess, Preprocessed};
 use super::shadow_prior;
-use super::swept::{Preprocessed, Swept};
 use super::views;
 use super::{clouds, daylight, estimate, initial, probe, radiometry, suns};
 use glam::Vec3;
@@ -115,13 +115,13 @@ pub fn fit(
         (checkpoint.preprocessed, Some(checkpoint.log), Some(checkpoint.trainer))
     });
     let again = match preprocessed {
-        Some(preprocessed) => Swept::again(scene, preprocessed)?,
+        Some(preprocessed) => Preprocess::again(scene, preprocessed)?,
         None => None,
     };
-    let Swept { ground, found } = match again {
+    let Preprocess { ground, found } = match again {
         Some(swept) => swept,
         None => {
-            let mut swept = Swept::new(scene, config, decisions, session)?;
+            let mut swept = Preprocess::new(scene, config, decisions, session)?;
             swept.found.shadow_suns = suns::search(scene, &swept);
             swept
         }

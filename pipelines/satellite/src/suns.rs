@@ -2,14 +2,14 @@
 
 use super::clouds;
 use super::ground::Ground;
-use super::swept::Swept;
+use super::preprocess::Preprocess;
 use heliosplat_rpc::sun::SunPosition;
 use heliosplat_scene::{ImageSun, Scene, SceneImage};
 use heliosplat_stereo::suns::{ShadowSun, find_suns};
 
 /// What the shadows on the swept surface say of the suns that are unknown, image by image of the scene, those held out too; `None` where a
 /// sun is known, or nothing can be said.
-pub(super) fn search(scene: &Scene, swept: &Swept) -> Vec<Option<ShadowSun>> {
+pub(super) fn search(scene: &Scene, swept: &Preprocess) -> Vec<Option<ShadowSun>> {
     let mut found = vec![None; scene.images.len()];
     let Ok(ground) = Ground::new(scene, scene.images.iter()) else {
         return found;

@@ -6,6 +6,7 @@ use super::plan::{MosaicWork, Plan, TileWork, Unit, Work};
 use super::products::{self, RUN};
 use super::stamp::{Output, STAMP, Stamp, claim, finished};
 use crate::outcome::CliError;
+use crate::page::MOSAIC_FILE;
 use crate::{report, view};
 use heliosplat_evaluate::{Protocol, error_map, evaluate_raster};
 use heliosplat_fitting::checkpoint;
@@ -215,8 +216,8 @@ fn mosaic_unit(work: &MosaicWork, unit: &Unit, out: &Path, folder: &Path) -> Res
         metrics["products"] = said;
     }
     let text = format!("{metrics:#}\n");
-    write_atomically(&folder.join("mosaic.json"), text.as_bytes())?;
+    write_atomically(&folder.join(MOSAIC_FILE), text.as_bytes())?;
     report::mosaic::write(folder)?;
-    outputs.extend(["mosaic.json".into(), REPORT.into()]);
+    outputs.extend([MOSAIC_FILE.into(), REPORT.into()]);
     Ok((outputs, metrics))
 }

@@ -3,15 +3,13 @@
 
 use super::parts::{self, SURFACE_PX, figure, gallery, keys};
 use super::{Folder, page_of, save};
-use crate::page::{MIB, number};
+use crate::page::{MIB, MOSAIC_FILE, number};
 use heliosplat_fitting::run_folder::RunError;
 use image::{Rgb, RgbImage};
 use maud::{Markup, html};
 use serde_json::Value;
 use std::path::{Path, PathBuf};
 
-/// Name of the file with a mosaic's metrics.
-pub const FILE: &str = "mosaic.json";
 /// Widest picture of a date, pixels.
 const DATE_PX: u32 = 480;
 /// Widest picture of a tile, pixels.
@@ -38,10 +36,10 @@ struct Tile {
 /// # Errors
 /// When the folder holds none, or the page cannot be written.
 pub fn write(folder: &Path) -> Result<PathBuf, RunError> {
-    if !folder.join(FILE).is_file() {
+    if !folder.join(MOSAIC_FILE).is_file() {
         return Err(RunError::NotARun(folder.to_owned()));
     }
-    let mosaic = Folder::read(folder, FILE)?;
+    let mosaic = Folder::read(folder, MOSAIC_FILE)?;
     let tiles = tiles(&mosaic)?;
     let whole = std::fs::canonicalize(folder).unwrap_or_else(|_| folder.to_owned());
     // Area, images, preset.

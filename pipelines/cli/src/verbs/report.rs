@@ -15,7 +15,7 @@ pub struct ReportArgs {
 }
 
 pub(crate) fn run(args: &ReportArgs) -> Result<Outcome, CliError> {
-    let path = if args.run.join(report::mosaic::FILE).is_file() {
+    let path = if args.run.join(crate::page::MOSAIC_FILE).is_file() {
         report::mosaic::write(&args.run)?
     } else if heliosplat_objects::model::is_object_run(&args.run) {
         report::object::write(&args.run)?

@@ -3,7 +3,7 @@
 use super::evaluate_args::{EvaluateArgs, table, write_pictures};
 use super::model_args::{DsmArgs, DsmSource, RelightArgs, RenderArgs, RenderSplit, TrainArgs};
 use super::relight_series;
-use super::sweep_dsm::{self, Swept};
+use super::sweep_dsm::{self, SweptSurface};
 use crate::outcome::{CliError, Outcome};
 use crate::report;
 use heliosplat_fitting::request::{TrainOutcome, TrainRequest};
@@ -99,8 +99,8 @@ pub(crate) fn dsm(args: &DsmArgs, session: &Session) -> Result<Outcome, CliError
             (dsm::dsm(&model, gsd_m, args.crs.as_deref())?, gsd_m, None)
         }
         DsmSource::Sweep => match sweep_dsm::sweep(args, session)? {
-            Swept::Whole { surface, gsd_m, memory } => (*surface, gsd_m, Some(memory)),
-            Swept::InTiles(outcome) => return Ok(outcome),
+            SweptSurface::Whole { surface, gsd_m, memory } => (*surface, gsd_m, Some(memory)),
+            SweptSurface::InTiles(outcome) => return Ok(outcome),
         },
     };
     let known = surface.raster.plane(0).iter().filter(|v| v.is_finite()).count();

@@ -8,7 +8,7 @@ use heliosplat_products::dsm::{self, Dsm};
 use heliosplat_satellite::config::SatelliteConfig;
 use heliosplat_satellite::sweep_tiles::{MapRequest, SweepPlan, SweepTiling};
 use heliosplat_satellite::tiled_sweep::{MOST_ROUNDS, TiledSweep};
-use heliosplat_satellite::{altitude, swept};
+use heliosplat_satellite::{altitude, preprocess};
 use heliosplat_scene::survey::Survey;
 use heliosplat_scene::{IngestOptions, SceneError};
 use heliosplat_session::{Session, memory};
@@ -18,7 +18,7 @@ use serde_json::{Value, json};
 const SHARE_OF_MEMORY: f64 = 0.5;
 
 /// A surface model that is made, and how.
-pub(super) enum Swept {
+pub(super) enum SweptSurface {
     /// In memory.
     Whole {
         /// The surface model.
@@ -33,7 +33,7 @@ pub(super) enum Swept {
 }
 
 /// Sweeps a scene; where it does not fit into memory, tile by tile into the file.
-pub(super) fn sweep(args: &DsmArgs, session: &Session) -> Result<Swept, CliError> {
+pub(super) fn sweep(args: &DsmArgs, session: &Session) -> Result<SweptSurface, CliError> {
     let config = SatelliteConfig::resolve(Preset::Fast, &[], 1)?;
     let options = altitude::resolve(&args.run, &args.ingest.options())?;
     let survey = Survey::open(&args.run, &options)?;
@@ -41,13 +41,13 @@ pub(super) fn sweep(args: &DsmArgs, session: &Session) -> Result<Swept, CliError
     let plan = plan(args, &survey, &config, limit)?;
     if plan.tiling.is_some() {
         drop(survey);
-        return in_tiles(args, options, &config, limit, session).map(Swept::InTiles);
+        return in_tiles(args, options, &config, limit, session).map(SweptSurface::InTiles);
     }
     drop(survey);
-    let (scene, found) = swept::open_and_sweep(&args.run, &options, &config, session)?;
+    let (scene, found) = preprocess::open_and_sweep(&args.run, &options, &config, session)?;
     let gsd_m = args.gsd.unwrap_or(scene.gsd_m);
     let surface = dsm::of_surface(&(&scene).into(), &found, gsd_m, args.crs.as_deref())?;
-    Ok(Swept::Whole {
+    Ok(SweptSurface::Whole {
         surface: Box::new(surface),
         gsd_m,
         memory: told(limit, &plan),

@@ -4,7 +4,7 @@ use super::ViewError;
 use super::exhibit::{Exhibit, Light, TracedDate};
 use super::of_files::{albedo_on, on_grid, surface};
 use super::of_run::maps;
-use crate::report::mosaic;
+use crate::page::MOSAIC_FILE;
 use heliosplat::Raster;
 use heliosplat::model::shadow_gs::{SKY, softplus};
 use heliosplat_products::model::load_file;
@@ -43,7 +43,7 @@ fn title(folder: &Path) -> String {
 }
 
 fn first_run(folder: &Path) -> Option<PathBuf> {
-    let text = bounded::read_text(&folder.join(mosaic::FILE)).ok()?;
+    let text = bounded::read_text(&folder.join(MOSAIC_FILE)).ok()?;
     let metrics: Value = serde_json::from_str(&text).ok()?;
     let unit = metrics.pointer("/pieces/0/unit")?.as_str()?;
     let name = unit.rsplit('/').next().filter(|name| !name.starts_with('.'))?;

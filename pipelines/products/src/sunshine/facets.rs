@@ -3,7 +3,7 @@
 //! A surface model of half a metre is rough by a decimetre: taken as it is, level ground would face all ways and lie in its own shadow
 //! under a low sun. Each cell gets the plane that fits the cells around it, without those beyond an edge.
 
-use super::horizon::CellVectors;
+use crate::nadir::CellVectors;
 use heliosplat::Raster;
 use rayon::prelude::*;
 

@@ -5,40 +5,10 @@
 //! shadows reach (V. Timonen and J. Westerholm, "Scalable height field self-shadowing", Computer Graphics Forum 29(2), 2010).
 
 use super::facets::Facets;
+use crate::nadir::CellVectors;
 
 /// How far above its plane a cell looks out, metres: what is lower is roughness.
 const LIFT_M: f64 = 0.1;
-
-/// Where the next column and the next row lie, metres east and north.
-#[derive(Debug, Clone, Copy)]
-pub struct CellVectors {
-    /// Of one column.
-    pub per_col: [f64; 2],
-    /// Of one row.
-    pub per_row: [f64; 2],
-}
-
-impl CellVectors {
-    /// Metres east and north of some columns and rows.
-    pub(super) fn offset_m(&self, cols: f64, rows: f64) -> [f64; 2] {
-        [0, 1].map(|axis| cols * self.per_col[axis] + rows * self.per_row[axis])
-    }
-
-    /// Columns and rows within a distance, at least one.
-    pub(super) fn reach(&self, distance_m: f64) -> [usize; 2] {
-        [self.per_col, self.per_row].map(|[east, north]| ((distance_m / east.hypot(north)) as usize).max(1))
-    }
-
-    /// Columns and rows per metre in a direction (east, north).
-    fn toward(&self, [east, north]: [f64; 2]) -> [f64; 2] {
-        let ([a, b], [c, d]) = (self.per_col, self.per_row);
-        let determinant = a * d - b * c;
-        [
-            (east * d - north * c) / determinant,
-            (north * a - east * b) / determinant,
-        ]
-    }
-}
 
 /// A surface whose horizons are sought.
 pub(super) struct Horizons<'a> {

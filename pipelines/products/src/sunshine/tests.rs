@@ -1,6 +1,7 @@
 //! Against shadows that can be worked out by hand.
 
 use super::*;
+use crate::nadir::CellVectors;
 use heliosplat_raster::Crs;
 use heliosplat_raster::grid::GridSpec;
 use heliosplat_rpc::LocalFrame;

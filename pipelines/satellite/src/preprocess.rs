@@ -37,12 +37,12 @@ pub struct Preprocessed {
 }
 
 /// A scene's surface before any training, and what it was found with.
-pub(super) struct Swept<'a> {
+pub(super) struct Preprocess<'a> {
     pub(super) ground: Ground<'a>,
     pub(super) found: Preprocessed,
 }
 
-impl<'a> Swept<'a> {
+impl<'a> Preprocess<'a> {
     /// Finds it out.
     ///
     /// # Errors
@@ -145,7 +145,7 @@ pub(super) fn sweep(
 /// [`FitError::TooFewViews`] when too few images show the common ground.
 pub fn sweep_only(scene: &Scene, config: &SatelliteConfig, session: &Session) -> Result<Surface, FitError> {
     let decisions = Decisions::of(scene, config);
-    Swept::new(scene, config, &decisions, session).map(|swept| swept.found.surface)
+    Preprocess::new(scene, config, &decisions, session).map(|swept| swept.found.surface)
 }
 
 /// A scene and the surface that its views find together without training. A range of altitudes that tie points gave is widened where
