@@ -1,6 +1,6 @@
 //! Multi-date satellite images with RPC cameras become a shadow-aware Gaussian model of the ground.
 //!
-//! [`training::train`] is the whole way, stage by stage; [`swept::sweep_only`] stops at the surface that is found before training.
+//! [`training::train`] is the whole way, stage by stage; [`preprocess::sweep_only`] stops at the surface that is found before training.
 //! [`Decisions`] says which components a scene requires, [`estimate`] what a training will take, [`adjust`] corrects cameras, and
 //! [`measure`] compares a run with the truth of its scene.
 

@@ -1,6 +1,6 @@
 //! A satellite training from a scene to a finished run, stage by stage:
 //!
-//! read (the caller's [`Scene`]) → decide ([`Decisions`]) → start ([`swept`](crate::preprocess), `initial`) →
+//! read (the caller's [`Scene`]) → decide ([`Decisions`]) → start ([`preprocess`](crate::preprocess), `initial`) →
 //! fit ([`fit`]) → save ([`run_file`]) → products (`dsm.tif`) → evaluate ([`measure`]).
 //! The page of the run is the caller's again, who has the pictures.
 
