@@ -1,6 +1,6 @@
 //! Whether the views agree at a cell's altitude better than they would by chance.
 //!
-//! Semi-global matching gives every cell an altitude, and over a sea, a cloud or fresh snow a smooth one that looks sure of itself. Where
+//! Semi-global matching gives every cell an altitude, and over open water a smooth one that looks sure of itself. Where
 //! nothing matches, the matching cost of the chosen altitude is hardly less than that of any other. So the share by which it is less is
 //! the evidence: its mean over some twenty cells each way, on the coarse levels, where many height hypotheses are compared. Ground without
 //! texture may show nothing on one level and enough on the next: the larger share counts.
