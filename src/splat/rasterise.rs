@@ -30,7 +30,7 @@ pub enum Depths {
     /// Nothing: what training needs.
     #[default]
     Mean,
-    /// Squares, for the spread along a ray, and the median depth, where half of the ray is left: what products need.
+    /// Squares and quantiles, for the spread along a ray, and the median depth, where half of the ray is left: what products need.
     Median,
 }
 
@@ -49,8 +49,12 @@ pub struct Maps {
     pub depth: Vec<f32>,
     /// `Σ w z²`, metres²; empty unless all depths are composited.
     pub depth_square: Vec<f32>,
+    /// Depth where 0.84 of the ray is left, one deviation before the median where depths along it are normal; as the median.
+    pub near_depth: Vec<f32>,
     /// Depth where half of the ray is left, or of its last splat, metres, NaN where nothing is; empty unless all depths are composited.
     pub median_depth: Vec<f32>,
+    /// Depth where 0.16 of the ray is left; as the median.
+    pub far_depth: Vec<f32>,
     /// (splat, pixel) pairs: pixels inside the footprints of the splats, up to where a tile is opaque.
     pub pairs: u64,
 }
@@ -92,7 +96,7 @@ struct Band<'m> {
     alpha: &'m mut [f32],
     depth: &'m mut [f32],
     depth_square: Option<&'m mut [f32]>,
-    median_depth: Option<&'m mut [f32]>,
+    depth_quantiles: [Option<&'m mut [f32]>; 3],
 }
 
 /// A view binned and ready to be composited.
@@ -180,7 +184,9 @@ impl<'a> Rasteriser<'a> {
             alpha: plane(),
             depth: plane(),
             depth_square: optional_plane(),
+            near_depth: optional_plane(),
             median_depth: optional_plane(),
+            far_depth: optional_plane(),
             pairs: 0,
         };
         let Maps {
@@ -188,12 +194,15 @@ impl<'a> Rasteriser<'a> {
             alpha,
             depth,
             depth_square,
+            near_depth,
             median_depth,
+            far_depth,
             ..
         } = &mut out;
         let band = (self.width * TILE_HEIGHT).max(1);
         let mut channel_bands: Vec<_> = channels.iter_mut().map(|plane| plane.chunks_mut(band)).collect();
-        let (mut surface_bands, mut square_bands) = (median_depth.chunks_mut(band), depth_square.chunks_mut(band));
+        let mut square_bands = depth_square.chunks_mut(band);
+        let mut quantile_bands = [near_depth, median_depth, far_depth].map(|plane| plane.chunks_mut(band));
         let bands: Vec<_> = alpha
             .chunks_mut(band)
             .zip(depth.chunks_mut(band))
@@ -202,7 +211,7 @@ impl<'a> Rasteriser<'a> {
                 alpha,
                 depth,
                 depth_square: square_bands.next(),
-                median_depth: surface_bands.next(),
+                depth_quantiles: quantile_bands.each_mut().map(Iterator::next),
             })
             .collect();
         out.pairs = bands
@@ -238,10 +247,11 @@ impl<'a> Rasteriser<'a> {
                     copy_row(&mut square[to.clone()], &maps.depth_square[from.clone()]);
                 }
                 let transmittance = &maps.transmittance[from.clone()];
-                if let Some(surface) = &mut band.median_depth {
-                    let found = maps.median_depth[from].iter().zip(transmittance);
-                    for (surface, (&m, &t)) in surface[to.clone()].iter_mut().zip(found) {
-                        *surface = if t < 1.0 { m } else { f32::NAN };
+                for (quantile, tile_plane) in band.depth_quantiles.iter_mut().zip(&maps.depth_quantiles) {
+                    let Some(quantile) = quantile else { continue };
+                    let found = tile_plane[from.clone()].iter().zip(transmittance);
+                    for (depth, (&z, &t)) in quantile[to.clone()].iter_mut().zip(found) {
+                        *depth = if t < 1.0 { z } else { f32::NAN };
                     }
                 }
                 for (alpha, t) in band.alpha[to].iter_mut().zip(transmittance) {

@@ -79,7 +79,7 @@ pub fn maps(model: &LoadedModel, nadir: &NadirGrid) -> Maps {
 pub fn of_gaussians(nadir: &NadirGrid, surface: &SurfaceGaussians) -> Dsm {
     let (width, height) = (nadir.grid.width, nadir.grid.height);
     let mut raster = Raster::filled(width, height, BANDS.len(), f32::NAN);
-    let cells = surface::cells(surface, &nadir.camera);
+    let cells = surface::cells(surface, &nadir.camera, nadir.cell_m());
     for (i, cell) in cells.iter().enumerate() {
         if cell.coverage >= ALPHA_KNOWN {
             raster.plane_mut(ALTITUDE)[i] = nadir.height(i % width, i / width, cell.up_m) as f32;

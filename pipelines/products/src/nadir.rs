@@ -85,6 +85,11 @@ impl NadirGrid {
         }
     }
 
+    /// Width of a cell, metres.
+    pub(crate) fn cell_m(&self) -> f32 {
+        (self.grid.transform.pixel_size().0 * self.grid.crs.metres_per_unit()) as f32
+    }
+
     /// Ellipsoidal height of a grid cell where the model's surface is `up_m` above the frame's origin.
     pub fn height(&self, col: usize, row: usize, up_m: f32) -> f64 {
         self.enu.height(col as f64, row as f64, f64::from(up_m))

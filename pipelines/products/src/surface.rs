@@ -7,7 +7,10 @@
 //! * A cell has as many altitudes as places, and the middle one is what a cell is said to have. So every cell is looked at in
 //!   3 x 3 places.
 //!
-//! What either is worth is in docs/lab/surface.md.
+//! What the rays through a cell meet at many altitudes is in doubt, and takes the altitude of the sure cells around
+//! ([`smooth_by_deviation`]); but crowns are as rough as they look.
+//!
+//! What each is worth is in docs/lab/surface.md.
 
 use crate::model::LoadedModel;
 use heliosplat::ProjectiveCamera;
@@ -17,6 +20,7 @@ use heliosplat::render::depths;
 use heliosplat::splat::{Maps, ProjectionOptions};
 use heliosplat_rpc::statistics::upper_median;
 use heliosplat_scene::indices::NormalisedDifference;
+use heliosplat_stereo::smooth_by_deviation;
 use rayon::prelude::*;
 
 /// Alpha below which a pixel has no altitude.
@@ -26,6 +30,8 @@ pub(super) const ALPHA_KNOWN: f32 = 0.5;
 const PLACES: usize = 3;
 /// Vegetation index above which a Gaussian is leaves and nothing else: walls near trees have something of them.
 const LEAVES: f32 = 0.5;
+/// Leaves within this distance of the surface are the surface, metres.
+const ONE_CROWN_M: f32 = 1.0;
 
 /// The Gaussians of a satellite model, as far as they are a surface.
 #[derive(Clone, Copy)]
@@ -38,6 +44,15 @@ pub struct SurfaceGaussians<'a> {
     pub vegetation: Option<NormalisedDifference>,
     /// How they become splats.
     pub projection: ProjectionOptions,
+}
+
+impl SurfaceGaussians<'_> {
+    /// Whether a Gaussian is leaves, as far as an index tells.
+    fn is_leaf(&self, g: usize) -> bool {
+        let albedo = &self.gaussians.group(ALBEDO)[g * self.bands..];
+        self.vegetation
+            .is_some_and(|index| index.of(|band| albedo[band]) > LEAVES)
+    }
 }
 
 impl<'a> From<&'a LoadedModel> for SurfaceGaussians<'a> {
@@ -62,31 +77,87 @@ pub(super) struct Cell {
     pub spread_m2: f32,
 }
 
-/// The cells that are the pixels of `nadir`, a camera that looks straight down.
-pub(super) fn cells(input: &SurfaceGaussians, nadir: &ProjectiveCamera) -> Vec<Cell> {
+/// The cells that are the pixels, `cell_m` metres wide, of `nadir`, a camera that looks straight down.
+pub(super) fn cells(input: &SurfaceGaussians, nadir: &ProjectiveCamera, cell_m: f32) -> Vec<Cell> {
     let all = depths(input.gaussians, nadir, &input.projection);
     let looks = looks(input, nadir);
-    (0..all.alpha.len())
+    let count = all.alpha.len();
+    // Cliffs face nowhere but aside: there the one look at all that stands has to do.
+    let or = |depth: Option<f32>, of_all: f32| depth.unwrap_or(of_all);
+    let range: Vec<[f32; 3]> = (0..count)
         .into_par_iter()
         .with_min_len(1024)
         .map(|i| {
-            let mut known: Vec<f32> = looks.iter().map(|look| look[i]).filter(|z| z.is_finite()).collect();
-            // Cliffs face nowhere but aside: there the one look at all that stands has to do.
-            let depth = upper_median(&mut known).unwrap_or(all.median_depth[i]);
+            [
+                or(median_of(&looks, |look| look.near[i]), all.near_depth[i]),
+                or(median_of(&looks, |look| look.median[i]), all.median_depth[i]),
+                or(median_of(&looks, |look| look.far[i]), all.far_depth[i]),
+            ]
+        })
+        .collect();
+    let leaves = leaves(input, nadir);
+    let known = |i: usize| all.alpha[i] >= ALPHA_KNOWN;
+    let mut up_m: Vec<f32> = (0..count)
+        .map(|i| if known(i) { -range[i][1] } else { f32::NAN })
+        .collect();
+    let doubt_m: Vec<f32> = (0..count)
+        .map(|i| match leaves.get(i) {
+            Some(&leaf) if (leaf - range[i][1]).abs() < ONE_CROWN_M => 0.0,
+            _ => 0.5 * (range[i][2] - range[i][0]),
+        })
+        .collect();
+    smooth_by_deviation(nadir.width, cell_m, &mut up_m, &doubt_m);
+    (0..count)
+        .into_par_iter()
+        .with_min_len(1024)
+        .map(|i| {
             let coverage = all.alpha[i];
             let mean = all.depth[i] / coverage;
             let variance = (all.depth_square[i] / coverage - mean * mean).max(0.0);
             Cell {
                 coverage,
-                up_m: -depth,
-                spread_m2: variance + (depth - mean) * (depth - mean),
+                up_m: up_m[i],
+                spread_m2: variance + (up_m[i] + mean).powi(2),
             }
         })
         .collect()
 }
 
-/// Median depths of what faces up, metres, in each of the places of the cells; NaN where little is.
-fn looks(input: &SurfaceGaussians, nadir: &ProjectiveCamera) -> Vec<Vec<f32>> {
+/// Median of a depth over the looks that have one.
+fn median_of(looks: &[Look], depth: impl Fn(&Look) -> f32) -> Option<f32> {
+    let mut known: Vec<f32> = looks.iter().map(depth).filter(|z| z.is_finite()).collect();
+    upper_median(&mut known)
+}
+
+/// Median depths of leaves alone, metres, NaN where there are few; empty where no index tells leaves.
+fn leaves(input: &SurfaceGaussians, nadir: &ProjectiveCamera) -> Vec<f32> {
+    if input.vegetation.is_none() {
+        return Vec::new();
+    }
+    let mut alone = input.gaussians.clone();
+    for (g, opacity) in alone.group_mut(OPACITY).iter_mut().enumerate() {
+        if !input.is_leaf(g) {
+            *opacity = logit(f32::MIN_POSITIVE);
+        }
+    }
+    let Maps {
+        mut median_depth,
+        alpha,
+        ..
+    } = depths(&alone, nadir, &input.projection);
+    forget_thin(&mut median_depth, &alpha);
+    median_depth
+}
+
+/// Depths along the rays of one place of each cell, metres; NaN where little is.
+struct Look {
+    near: Vec<f32>,
+    median: Vec<f32>,
+    far: Vec<f32>,
+}
+
+/// Depths of what faces up in each of the places of the cells.
+fn looks(input: &SurfaceGaussians, nadir: &ProjectiveCamera) -> Vec<Look> {
     let facing = facing_up(input);
     // The filter of a pixel as wide as a place.
     let projection = ProjectionOptions {
@@ -97,32 +168,36 @@ fn looks(input: &SurfaceGaussians, nadir: &ProjectiveCamera) -> Vec<Vec<f32>> {
     let look = |place: usize| {
         let camera = nadir.shifted(aside(place % PLACES), aside(place / PLACES));
         let Maps {
+            mut near_depth,
             mut median_depth,
+            mut far_depth,
             alpha,
             ..
         } = depths(&facing, &camera, &projection);
-        for (depth, alpha) in median_depth.iter_mut().zip(alpha) {
-            if alpha < ALPHA_KNOWN {
-                *depth = f32::NAN;
-            }
+        for plane in [&mut near_depth, &mut median_depth, &mut far_depth] {
+            forget_thin(plane, &alpha);
         }
-        median_depth
+        Look {
+            near: near_depth,
+            median: median_depth,
+            far: far_depth,
+        }
     };
     (0..PLACES * PLACES).map(look).collect()
 }
 
+/// Leaves no depth where the rays meet little.
+fn forget_thin(depth: &mut [f32], alpha: &[f32]) {
+    for (depth, &alpha) in depth.iter_mut().zip(alpha) {
+        if alpha < ALPHA_KNOWN {
+            *depth = f32::NAN;
+        }
+    }
+}
+
 /// The Gaussians, less opaque the more upright they stand: whole up to a slope of 45 degrees, `2 cos²` of it beyond.
 fn facing_up(input: &SurfaceGaussians) -> Table {
-    let SurfaceGaussians {
-        gaussians,
-        bands,
-        vegetation,
-        ..
-    } = *input;
-    let leaf = |g: usize| {
-        let albedo = &gaussians.group(ALBEDO)[g * bands..];
-        vegetation.is_some_and(|index| index.of(|band| albedo[band]) > LEAVES)
-    };
+    let gaussians = input.gaussians;
     let mut out = gaussians.clone();
     let opacities = out.group_mut(OPACITY).par_iter_mut().with_min_len(1024);
     opacities.enumerate().for_each(|(g, opacity)| {
@@ -130,7 +205,7 @@ fn facing_up(input: &SurfaceGaussians) -> Table {
         let thinnest = (0..3).min_by(|&a, &b| scale[a].total_cmp(&scale[b])).unwrap_or(2);
         let up = gaussians.rotation(g).col(thinnest).z;
         let share = 2.0 * up * up;
-        if share < 1.0 && !leaf(g) {
+        if share < 1.0 && !input.is_leaf(g) {
             *opacity = logit((gaussians.opacity(g) * share).max(f32::MIN_POSITIVE));
         }
     });
@@ -177,7 +252,7 @@ mod tests {
             vegetation: Values::default().vegetation_index(&BANDS),
             projection: ProjectionOptions::default(),
         };
-        cells(&input, &above(1))
+        cells(&input, &above(1), CELL_M)
     }
 
     /// A camera above the ground that cuts each side of a cell into `places`.

@@ -20,8 +20,8 @@ const SURE_MARGIN: f32 = 0.15;
 const PLACE: (usize, usize) = (2, 18);
 /// Difference within which they are as high, metres.
 const ALIKE_M: f32 = 1.0;
-/// Least height above the floor, metres: that of walls.
-const STEP_M: f32 = 2.0;
+/// Least height above the floor, metres: less is a matter of the slope.
+const STEP_M: f32 = 1.0;
 /// Height hypotheses on both sides of the floor that are the floor too: it slopes, and sure cells err.
 const SAME_LEVELS: usize = 3;
 

@@ -13,8 +13,8 @@
 //! 7. `sgm.rs`: semi-global aggregation of the costs; `ortho.rs` makes the guide image of its penalties.
 //! 8. `wta.rs`: the cheapest height of each cell, refined below the height step, with its confidence.
 //! 9. `visibility.rs`: at full resolution, what the surface hides from a view is left out, and steps 6 to 8 are repeated.
-//! 10. `plane_sweep.rs`: [`plane_sweep()`] runs all this, then removes speckles (`postprocess.rs`) and smooths by planes where the base is
-//!     short (`plane_smoothing.rs`). The result is a [`Surface`] (`surface.rs`).
+//! 10. `plane_sweep.rs`: [`plane_sweep()`] runs all this, then removes speckles (`postprocess.rs`) and levels what is in doubt (`total_variation.rs`),
+//!     or smooths by planes where the base is short (`plane_smoothing.rs`). The result is a [`Surface`] (`surface.rs`).
 //!
 //! On the way there, on a coarse surface of the same search: [`align`] finds the pointing shifts between images, [`ties`] single points of
 //! the ground in several images, [`clouds`] the pixels that show clouds. And from it: [`suns`] finds the sun by the shadows that the surface
@@ -49,6 +49,7 @@ mod sgm;
 pub mod suns;
 mod surface;
 pub mod ties;
+mod total_variation;
 mod views;
 mod visibility;
 mod volume;
@@ -61,5 +62,6 @@ pub use plane_sweep::plane_sweep;
 pub use request::PlaneSweepRequest;
 pub use seen::{AltitudeGrid, FEWEST_VIEWS, views_seeing};
 pub use surface::Surface;
+pub use total_variation::smooth_by_deviation;
 pub use views::{SweepView, ViewGeometry};
 pub use volume::SearchVolume;

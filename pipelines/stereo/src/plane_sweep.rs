@@ -8,9 +8,12 @@ use super::pyramid::Search;
 use super::request::PlaneSweepRequest;
 use super::seen::{AltitudeGrid, views_seeing};
 use super::surface::Surface;
+use super::total_variation::smooth_by_deviation;
 use super::views::SweepView;
 use super::visibility::FirstHits;
+use super::wta::HeightChoice;
 use heliosplat::ProjectiveCamera;
+use heliosplat_rpc::statistics::upper_median;
 
 /// A point counts as hidden when it lies this many height steps below the surface that its view sees first, so that the surface's own
 /// error of matching hides nothing.
@@ -23,6 +26,8 @@ const SAME_PATCH_CELLS: f32 = 2.0;
 const SAME_PATCH_STEPS: f32 = 2.0;
 /// Patches of fewer cells are taken for mismatches: 16 are two metres across at half a metre a cell.
 const SPECKLE_CELLS: usize = 16;
+/// Probability above which an altitude is not in doubt.
+const SURE_PROBABILITY: f32 = 0.8;
 
 /// Finds the surface that the views agree on. `progress` hears the share done, 0 to 1.
 pub fn plane_sweep(views: &[SweepView], request: &PlaneSweepRequest, progress: &dyn Fn(f32)) -> Surface {
@@ -51,6 +56,9 @@ pub fn plane_sweep(views: &[SweepView], request: &PlaneSweepRequest, progress: &
     let same_patch_m = (SAME_PATCH_STEPS * found.step_m).max(SAME_PATCH_CELLS * grid.cell_m);
     let filled = postprocess::speckles(&grid, &altitude, same_patch_m, SPECKLE_CELLS);
     postprocess::fill(&grid, &mut altitude, &filled);
+    if parameters.aggregation_radius == 0 {
+        smooth_by_deviation(grid.width, grid.cell_m, &mut altitude, &doubts(&found.choices));
+    }
     let confidence: Vec<f32> = found.choices.iter().map(|choice| choice.margin).collect();
     if parameters.plane_radius > 0 {
         altitude = plane_smoothing::smooth(&grid, &altitude, parameters.plane_radius, same_patch_m);
@@ -67,13 +75,38 @@ pub fn plane_sweep(views: &[SweepView], request: &PlaneSweepRequest, progress: &
         above: above(&matched, &altitude, &filled),
         confidence,
         deviation_m: found.choices.iter().map(|choice| choice.deviation_m).collect(),
-        probability: found.choices.iter().map(|choice| choice.probability).collect(),
+        probability: shared(&grid, &altitude, same_patch_m, &found.choices),
         matched: found.evidence.matched(&grid),
         views: seen(&search, &grid, &altitude, found.step_m),
         resolution_m: found.step_m,
         filled,
         altitude,
     }
+}
+
+/// Standard deviations of the altitudes, metres, none where one altitude is far more probable than all others: the few that remain are
+/// often far off, and it is not a surface between them that is in doubt.
+fn doubts(choices: &[HeightChoice]) -> Vec<f32> {
+    let doubt = |choice: &HeightChoice| match choice.probability > SURE_PROBABILITY {
+        true => 0.0,
+        false => choice.deviation_m,
+    };
+    choices.iter().map(doubt).collect()
+}
+
+/// Probabilities of the altitudes: of each cell the median of those around it that are as high, or its own where it is greater. A single
+/// cell in doubt on a sure roof is the roof.
+fn shared(grid: &Grid, altitude: &[f32], same_patch_m: f32, choices: &[HeightChoice]) -> Vec<f32> {
+    let of_cell = |cell: usize| {
+        let as_high = |&near: &usize| (altitude[near] - altitude[cell]).abs() < same_patch_m;
+        let around = grid
+            .around(cell, 1)
+            .filter(as_high)
+            .map(|near| choices[near].probability);
+        let own = choices[cell].probability;
+        upper_median(&mut around.collect::<Vec<f32>>()).map_or(own, |shared| shared.max(own))
+    };
+    (0..grid.len()).map(of_cell).collect()
 }
 
 /// What was matched, where the floor was preferred to it; else the surface itself.
@@ -99,4 +132,27 @@ fn seen(search: &Search, grid: &Grid, altitude: &[f32], step_m: f32) -> Vec<u8> 
     views_seeing(&surface, &cameras, &|view, pixel| {
         views[view].mean.pixels[pixel].is_finite()
     })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_cell_in_doubt_on_a_sure_roof_is_as_probable_as_the_roof_and_one_at_its_foot_is_not() {
+        let grid = Grid::plain(9, 9);
+        let altitude: Vec<f32> = (0..81).map(|cell| if cell % 9 < 5 { 6.0 } else { 0.0 }).collect();
+        let choices: Vec<HeightChoice> = (0..81)
+            .map(|cell| HeightChoice {
+                altitude_m: altitude[cell],
+                candidates: (0.0, 6.0),
+                margin: 1.0,
+                deviation_m: 0.1,
+                probability: if cell == 38 || cell % 9 >= 5 { 0.3 } else { 0.9 },
+            })
+            .collect();
+        let shared = shared(&grid, &altitude, 1.0, &choices);
+        assert_eq!((shared[38], shared[37]), (0.9, 0.9));
+        assert!((45..81).filter(|cell| cell % 9 >= 5).all(|cell| shared[cell] == 0.3));
+    }
 }

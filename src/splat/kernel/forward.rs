@@ -1,14 +1,14 @@
 //! Forward over one tile, front to back: what each splat adds to the maps.
 
 use super::footprint::{BATCH, Groups, TileSplat, load_batch, prefetch_batch};
-use super::tile::{LANES, MEDIAN, TileFrame, TileMaps, is_opaque, load, store};
+use super::tile::{LANES, QUANTILES, TileFrame, TileMaps, is_opaque, load, store};
 use crate::splat::bins::Entry;
 use crate::splat::project::Splat;
 use crate::vectorised;
 
 vectorised! {
     /// Composites `list` (front to back) into `maps`, which it empties first; `features[s * K + k]` are the splats' channels.
-    /// The sum of squared depths and the median depth are computed only with `DEPTHS`.
+    /// The sum of squared depths and the depths' quantiles are computed only with `DEPTHS`.
     pub fn forward<const K: usize, const DEPTHS: bool>(
         list: &[Entry],
         splats: &[Splat],
@@ -63,13 +63,15 @@ fn composite<const K: usize, const DEPTHS: bool>(
             square[l] += (w[l] * z[l]) * z[l];
         }
         store(&mut maps.depth_square, at, square);
-        let mut median = load(&maps.median_depth, at);
-        for l in 0..LANES {
-            // Zeros and ones instead of a choice, which would be stored through a mask: slow on many processors.
-            let here = if t[l] > MEDIAN && w[l] > 0.0 { 1.0 } else { 0.0 };
-            median[l] = here * z[l] + (1.0 - here) * median[l];
+        for (plane, left) in maps.depth_quantiles.iter_mut().zip(QUANTILES) {
+            let mut quantile = load(plane, at);
+            for l in 0..LANES {
+                // Zeros and ones instead of a choice, which would be stored through a mask: slow on many processors.
+                let here = if t[l] > left && w[l] > 0.0 { 1.0 } else { 0.0 };
+                quantile[l] = here * z[l] + (1.0 - here) * quantile[l];
+            }
+            store(plane, at, quantile);
         }
-        store(&mut maps.median_depth, at, median);
     }
     for l in 0..LANES {
         t[l] -= w[l];

@@ -10,8 +10,8 @@ pub const STRIDE: usize = TILE_WIDTH + LANES;
 pub const PLANE: usize = TILE_HEIGHT * STRIDE;
 /// Transmittance below which a pixel is opaque: no further splat changes it.
 pub(super) const T_MIN: f32 = 1e-4;
-/// Transmittance at the median depth.
-pub(super) const MEDIAN: f32 = 0.5;
+/// Transmittances at the near, the median and the far depth: those of a normal distribution at one deviation to either side of its median.
+pub(super) const QUANTILES: [f32; 3] = [0.84, 0.5, 0.16];
 /// Numbers besides the channels in a splat's gradient record: Σh, Σhx, Σhy, Σhx², Σhxy, Σhy², Σm, Σmx, Σmy.
 pub const GEOMETRY: usize = 9;
 
@@ -29,8 +29,9 @@ pub struct TileMaps<const K: usize> {
     pub depth: Plane,
     /// `Σ w z²`, metres².
     pub depth_square: Plane,
-    /// Depth where the transmittance falls through a half, metres; the last seen where it never does, zero where nothing was seen.
-    pub median_depth: Plane,
+    /// Depths where the transmittance falls through 0.84, a half and 0.16, metres; the last seen where it never does, zero where nothing was
+    /// seen.
+    pub depth_quantiles: [Plane; 3],
     /// (splat, pixel) pairs inside the footprints.
     pub pairs: u64,
 }
@@ -43,7 +44,7 @@ impl<const K: usize> TileMaps<K> {
             channels: [[0.0; PLANE]; K],
             depth: [0.0; PLANE],
             depth_square: [0.0; PLANE],
-            median_depth: [0.0; PLANE],
+            depth_quantiles: [[0.0; PLANE]; 3],
             pairs: 0,
         })
     }
@@ -55,7 +56,7 @@ impl<const K: usize> TileMaps<K> {
         self.depth.fill(0.0);
         if depths {
             self.depth_square.fill(0.0);
-            self.median_depth.fill(0.0);
+            self.depth_quantiles.fill([0.0; PLANE]);
         }
     }
 }
