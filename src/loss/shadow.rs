@@ -63,8 +63,9 @@ pub struct ConsistencyPass<'a> {
     pub weight: f32,
 }
 
-/// Mean of `1 - S` with the light moved onto the view (ShadowGS eq. 16): whatever the camera sees, a light at the camera
-/// reaches. Adds `weight` times its gradient to `out`.
+/// Mean of `alpha - Σ w S` with the light moved onto the view: whatever the camera sees, a light at the camera reaches. Adds `weight` times
+/// its gradient to `out`. ShadowGS (eq. 16) has `1 - Σ w S`, which also asks what is seen to be opaque; here that loses what the other half
+/// gains (docs/lab/shadows.md).
 ///
 /// With a nadir camera this is the paper's second form, light and view both at the zenith.
 pub fn consistency(gaussians: &Table, projected: &Projected, pass: &ConsistencyPass, out: &mut Table) -> f64 {
@@ -98,6 +99,79 @@ pub fn consistency(gaussians: &Table, projected: &Projected, pass: &ConsistencyP
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::gaussians::{LOG_SCALE, OPACITY, POSITION, ROTATION, core_groups, logit};
+    use glam::Vec3;
+
+    /// Level discs of these centres, standard deviations (metres) and opacities.
+    fn discs(discs: &[(Vec3, f32, f32)]) -> Table {
+        let mut table = Table::zeros(core_groups(), discs.len());
+        for (g, &(centre, sigma_m, opacity)) in discs.iter().enumerate() {
+            table.group_mut(POSITION)[3 * g..3 * g + 3].copy_from_slice(&centre.to_array());
+            let scales = [sigma_m, sigma_m, 0.05 * sigma_m].map(f32::ln);
+            table.group_mut(LOG_SCALE)[3 * g..3 * g + 3].copy_from_slice(&scales);
+            table.group_mut(ROTATION)[4 * g..4 * g + 4].copy_from_slice(&[1.0, 0.02, -0.03, 0.0]);
+            table.group_mut(OPACITY)[g] = logit(opacity);
+        }
+        table
+    }
+
+    /// Consistency from straight above, over square pixels of half a metre around the origin, and its gradients.
+    fn from_above(gaussians: &Table, side_px: usize) -> (f64, Table) {
+        let first_m = -0.25 * (side_px as f64 - 1.0);
+        let camera = ProjectiveCamera::nadir(first_m, -first_m, 0.5, (side_px, side_px));
+        let projection = ProjectionOptions::default();
+        let projected = crate::splat::project::project(gaussians, &camera, &projection);
+        let pass = ConsistencyPass {
+            camera: &camera,
+            projection: &projection,
+            occluder_gradients: true,
+            occluders: &Occluders::new(gaussians),
+            weight: 1.0,
+        };
+        let mut gradients = gaussians.zeros_like();
+        let value = consistency(gaussians, &projected, &pass, &mut gradients);
+        (value, gradients)
+    }
+
+    #[test]
+    fn consistency_is_what_is_seen_in_the_shadow_of_something() {
+        let (upper, lower) = (Vec3::new(0.0, 0.0, 2.0), Vec3::ZERO);
+        // The upper disc is lit. Through it a fifth of the view sees the lower one, of which it sees seven tenths; a fifth of the light reaches that.
+        let (value, gradients) = from_above(&discs(&[(upper, 20.0, 0.8), (lower, 20.0, 0.7)]), 1);
+        let expected = 0.2 * 0.7 * (1.0 - 0.2);
+        assert!((value - expected).abs() < 2e-3, "{value} for {expected}");
+        // Descending hides what is shaded, or removes it.
+        let d_opacity = gradients.group(OPACITY);
+        assert!(d_opacity[0] < 0.0 && d_opacity[1] > 0.0, "{d_opacity:?}");
+        // One surface alone has no shadow, however transparent.
+        let (value, _) = from_above(&discs(&[(lower, 20.0, 0.3)]), 1);
+        assert!(value.abs() < 1e-6, "{value}");
+    }
+
+    #[test]
+    fn gradients_of_consistency_are_those_of_its_value() {
+        let start = discs(&[
+            (Vec3::new(0.1, -0.2, 3.0), 1.1, 0.75),
+            (Vec3::new(0.6, 0.3, 1.5), 1.6, 0.7),
+            (Vec3::new(-0.4, 0.2, 0.0), 3.5, 0.9),
+        ]);
+        let (_, gradients) = from_above(&start, 6);
+        for group in [POSITION, LOG_SCALE, OPACITY] {
+            let slope: f64 = gradients.group(group).iter().map(|&d| f64::from(d).powi(2)).sum();
+            let step = 0.02 / slope.sqrt().max(1e-12);
+            let moved = |by: f64| {
+                let mut table = start.clone();
+                let along = table.group_mut(group).iter_mut().zip(gradients.group(group));
+                along.for_each(|(value, d)| *value += (by * f64::from(*d)) as f32);
+                from_above(&table, 6).0
+            };
+            let found = (moved(step) - moved(-step)) / (2.0 * step);
+            assert!(
+                slope > 0.0 && (found / slope - 1.0).abs() < 0.02,
+                "group {group}: {found} against {slope}"
+            );
+        }
+    }
 
     #[test]
     fn a_prior_pulls_visibility_to_what_is_thought_and_says_nothing_elsewhere() {
