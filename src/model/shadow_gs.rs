@@ -54,6 +54,10 @@ pub struct ShadowGsOptions {
     pub prior_weight: f32,
     /// Largest degree of the spherical harmonics of albedo and near-surface light, 0 to 3; 0: the same from everywhere.
     pub degree: usize,
+    /// The day of each image, days since 1970, where Gaussians stand on some days only; else empty. Then each Gaussian has the first day on
+    /// which it stands and the first on which it does not any more, which are not trained.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    pub days: Vec<f32>,
 }
 
 /// Pixels per parallel job; fixed, so that results do not depend on the number of threads.
@@ -70,6 +74,7 @@ impl Default for ShadowGsOptions {
             opaqueness_weight: 0.3,
             prior_weight: 0.0,
             degree: 0,
+            days: Vec::new(),
         }
     }
 }
@@ -90,6 +95,18 @@ pub const SKY: usize = 0;
 pub const COLOUR: usize = 1;
 /// Index of the colour offsets in the global table.
 pub const OFFSET: usize = 2;
+
+/// Name of the group of days on which a Gaussian stands: from the first until before the second, days since 1970.
+pub const DAYS: &str = "days";
+/// The days of a Gaussian that always stands.
+pub const ALWAYS: [f32; 2] = [-1e6, 1e6];
+
+/// Which Gaussians stand on a day (days since 1970); `None` where they have no days.
+pub fn standing(gaussians: &crate::gaussians::Table, day: f32) -> Option<Vec<bool>> {
+    let days = gaussians.groups.iter().find(|group| group.spec.name == DAYS)?;
+    let stands = |window: &[f32]| (window[0]..window[1]).contains(&day);
+    Some(days.values.chunks_exact(2).map(stands).collect())
+}
 
 /// Learning rate of albedo and near-surface light.
 const ALBEDO_RATE: f32 = 5e-3;
@@ -211,7 +228,15 @@ impl SceneModel for ShadowGs {
             groups.push(ParameterGroup::new("near_light", bands, rate));
         }
         groups.extend(harmonics::groups(&self.options));
+        if !self.options.days.is_empty() {
+            groups.push(ParameterGroup::new(DAYS, 2, LearningRate::constant(0.0)));
+        }
         groups
+    }
+
+    fn present(&self, parameters: &Parameters, appearance: Option<usize>) -> Option<Vec<bool>> {
+        let day = *self.options.days.get(appearance.unwrap_or(self.options.reference))?;
+        standing(&parameters.gaussians, day)
     }
 
     fn global_parameters(&self) -> Vec<ParameterGroup> {

@@ -6,6 +6,7 @@
 pub mod animation;
 pub mod blend;
 pub mod daylight;
+pub mod change;
 pub mod dsm;
 pub mod export;
 mod fill;
