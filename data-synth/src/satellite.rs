@@ -80,7 +80,12 @@ pub fn write_satellite(
     write_truth(&staging, request, &grid, &truth)?;
     if request.change > 0.0 {
         let before = survey_city(request, &city, &frame, &grid, 0);
-        write_change(&staging, &grid, [&before, &truth], &changed_at(&city, &collection, &frame, &grid))?;
+        write_change(
+            &staging,
+            &grid,
+            [&before, &truth],
+            &changed_at(&city, &collection, &frame, &grid),
+        )?;
     }
     let altitudes_m = loose_altitudes_m(truth.altitude_range_m(), request.seed);
     let total = cameras.iter().map(|camera| camera.crop.height).sum::<usize>() + request.relight * grid.size;
@@ -332,7 +337,11 @@ fn changed_at(city: &City, collection: &Collection, frame: &LocalFrame, grid: &T
     let of_cell = |cell: usize| {
         let [lon_deg, lat_deg] = grid.lon_lat((cell % grid.size) as f64 + 0.5, (cell / grid.size) as f64 + 0.5);
         let height_m = frame.origin.height_m;
-        let at = frame.enu_from_geo(GeoPoint { lon_deg, lat_deg, height_m });
+        let at = frame.enu_from_geo(GeoPoint {
+            lon_deg,
+            lat_deg,
+            height_m,
+        });
         city.changed_at(at.x, at.y).map_or(0.0, day)
     };
     (0..grid.size * grid.size).map(of_cell).collect()

@@ -123,7 +123,9 @@ pub(crate) fn write_change(
     let known = |m: f32| if m.is_nan() { NODATA } else { m };
     let altitudes_m: Vec<f32> = before.altitude_m.iter().map(|&m| known(m)).collect();
     let said = [
-        about("highest surface at the centre of each cell at the time of the first image, without cars; dsm.tif is that of the last"),
+        about(
+            "highest surface at the centre of each cell at the time of the first image, without cars; dsm.tif is that of the last",
+        ),
         ("VERTICAL_DATUM".to_string(), "WGS84 ellipsoid, metres".to_string()),
     ];
     let dsm = on_grid(grid, Samples::F32(&altitudes_m), &["altitude"], &said, Some(NODATA));
@@ -133,7 +135,11 @@ pub(crate) fn write_change(
     let values: Vec<f64> = cells
         .flat_map(|((after, before), day)| {
             let difference_m = f64::from(after - before);
-            let known_m = if difference_m.is_nan() { f64::from(NODATA) } else { difference_m };
+            let known_m = if difference_m.is_nan() {
+                f64::from(NODATA)
+            } else {
+                difference_m
+            };
             [known_m, *day]
         })
         .collect();

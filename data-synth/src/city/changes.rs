@@ -57,6 +57,10 @@ impl Changes {
 
     /// The first date that shows a building's new state, if it changes.
     pub(super) fn date(&self, building: usize) -> Option<usize> {
-        self.of_building.get(building).copied().flatten().map(|change| change.date)
+        self.of_building
+            .get(building)
+            .copied()
+            .flatten()
+            .map(|change| change.date)
     }
 }

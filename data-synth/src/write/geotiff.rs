@@ -57,7 +57,11 @@ impl Samples<'_> {
 
     /// TIFF's SampleFormat: unsigned integer or floating point.
     fn format(&self) -> u16 {
-        if matches!(self, Samples::F32(_) | Samples::F64(_)) { 3 } else { 1 }
+        if matches!(self, Samples::F32(_) | Samples::F64(_)) {
+            3
+        } else {
+            1
+        }
     }
 }
 

@@ -42,10 +42,16 @@ pub fn evaluate_change(found: &Path, truth: &Path) -> Result<ChangeScore, Evalua
     let (columns, rows) = truth.transform.pixel_size();
     let metres = truth.crs.as_ref().map_or(1.0, |crs| crs.metres_per_unit());
     let cell_m2 = columns * rows * metres * metres;
-    let days = (found.raster.bands > 1 && truth.raster.bands > 1)
-        .then(|| (placement.nearest_band(1), truth.raster.plane(1)));
+    let days =
+        (found.raster.bands > 1 && truth.raster.bands > 1).then(|| (placement.nearest_band(1), truth.raster.plane(1)));
     let days = days.as_ref().map(|(found, truth)| (found.plane(0), *truth));
-    Ok(score(truth.raster.width, placement.moved(0.0, 0.0).plane(0), truth.raster.plane(0), days, cell_m2))
+    Ok(score(
+        truth.raster.width,
+        placement.moved(0.0, 0.0).plane(0),
+        truth.raster.plane(0),
+        days,
+        cell_m2,
+    ))
 }
 
 /// The score of differences (metres, NaN where unknown) on one grid of `width` columns; days (found, true) as numbers.
@@ -57,7 +63,11 @@ fn score(width: usize, found: &[f32], truth: &[f32], days: Option<(&[f32], &[f32
     let both: Vec<usize> = (0..found.len()).filter(|&cell| found[cell] && changed[cell]).collect();
     let share = |of: usize| (of > 0).then(|| both.len() as f64 / of as f64);
     // Days are read with 24 bits, which are one short of YYYYMMDD.
-    let right = |(found, truth): (&[f32], &[f32])| both.iter().filter(|&&cell| (found[cell] - truth[cell]).abs() <= 2.0).count();
+    let right = |(found, truth): (&[f32], &[f32])| {
+        both.iter()
+            .filter(|&&cell| (found[cell] - truth[cell]).abs() <= 2.0)
+            .count()
+    };
     ChangeScore {
         precision: share(count(&found)),
         recall: share(count(&changed)),
@@ -65,7 +75,9 @@ fn score(width: usize, found: &[f32], truth: &[f32], days: Option<(&[f32], &[f32
         found_m2: area(count(&found)),
         true_segments,
         found_segments,
-        right_day: days.filter(|_| !both.is_empty()).map(|days| right(days) as f64 / both.len() as f64),
+        right_day: days
+            .filter(|_| !both.is_empty())
+            .map(|days| right(days) as f64 / both.len() as f64),
     }
 }
 
@@ -90,7 +102,11 @@ fn segments(width: usize, difference_m: &[f32], cell_m2: f64) -> (Vec<bool>, usi
                 cell.checked_sub(width),
                 Some(cell + width).filter(|&below| below < difference_m.len()),
             ];
-            for near in sides.into_iter().flatten().filter(|&near| difference_m[near].abs() >= LEAST_M) {
+            for near in sides
+                .into_iter()
+                .flatten()
+                .filter(|&near| difference_m[near].abs() >= LEAST_M)
+            {
                 let alike = difference_m[near].signum() == difference_m[start].signum();
                 if alike && !std::mem::replace(&mut seen[near], true) {
                     group.push(near);
@@ -132,7 +148,10 @@ mod tests {
     #[test]
     fn what_rose_and_what_fell_beside_it_are_two() {
         let mut truth = house(5.0, 2..8, 2..10);
-        truth.iter_mut().zip(house(-6.0, 8..14, 2..10)).for_each(|(all, other)| *all += other);
+        truth
+            .iter_mut()
+            .zip(house(-6.0, 8..14, 2..10))
+            .for_each(|(all, other)| *all += other);
         assert_eq!(score(20, &truth, &truth, None, 1.0).true_segments, 2);
     }
 }

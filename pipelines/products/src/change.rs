@@ -4,12 +4,13 @@ use crate::dsm::of_model;
 use crate::model::LoadedModel;
 use crate::nadir::NadirGrid;
 use heliosplat::Raster;
-use heliosplat_raster::RasterError;
 use heliosplat_raster::write::{ImageSpec, write_double_cog};
+use heliosplat_raster::{GridSpec, RasterError};
 use heliosplat_stereo::change::Segment;
 use jiff::Timestamp;
 use jiff::civil::Date;
 use jiff::tz::TimeZone;
+use std::ops::Sub;
 use std::path::Path;
 
 /// Names of the bands of a map of changes.
@@ -73,9 +74,15 @@ impl ChangeMap {
         let mut raster = Raster::filled(width, height, BANDS.len(), 0.0);
         for cell in 0..width * height {
             let heights: Vec<f32> = surfaces.iter().map(|surface| surface[cell]).collect();
-            let [east, north, _] = nadir.enu.enu((cell % width) as f64, (cell / width) as f64, whole.file.origin.height_m);
+            let [east, north, _] =
+                nadir
+                    .enu
+                    .enu((cell % width) as f64, (cell / width) as f64, whole.file.origin.height_m);
             let of_day = |day: i32| {
-                let near = changes.segments.iter().filter(|segment| segment.day == day && holds(segment, east, north));
+                let near = changes
+                    .segments
+                    .iter()
+                    .filter(|segment| segment.day == day && holds(segment, east, north));
                 near.map(|segment| segment.confidence).reduce(f32::max)
             };
             let [difference_m, day, confidence] = told(&moments, &heights, &of_day);
@@ -86,11 +93,38 @@ impl ChangeMap {
         Some(Self { raster })
     }
 
+    /// The difference alone, metres.
+    pub fn difference(&self) -> Raster {
+        let Raster { width, height, .. } = self.raster;
+        Raster {
+            width,
+            height,
+            bands: 1,
+            values: self.raster.plane(0).to_vec(),
+        }
+    }
+
+    /// From a file whose days were read as 32-bit numbers, which are up to one short of YYYYMMDD: each is the nearest of `days` on which
+    /// something changed. `None` of a raster of other bands.
+    pub fn read(mut raster: Raster, days: &[i32]) -> Option<Self> {
+        if raster.bands != BANDS.len() {
+            return None;
+        }
+        for value in raster.plane_mut(1).iter_mut().filter(|value| **value > 0.0) {
+            let off = |day: &&i32| f64::from(as_date(**day)).sub(f64::from(*value)).abs();
+            *value = days
+                .iter()
+                .min_by(|a, b| off(a).total_cmp(&off(b)))
+                .map_or(0.0, |day| *day as f32);
+        }
+        Some(Self { raster })
+    }
+
     /// Writes it as a cloud-optimised GeoTIFF of doubles: a day as YYYYMMDD has more digits than 32 bits hold.
     ///
     /// # Errors
     /// When the file cannot be written; nothing is left behind then.
-    pub fn write(&self, path: &Path, nadir: &NadirGrid) -> Result<(), RasterError> {
+    pub fn write(&self, path: &Path, grid: &GridSpec) -> Result<(), RasterError> {
         let metadata = [
             ("DESCRIPTION", "difference_m: last minus first surface; changed_at: day (YYYYMMDD) of the first image that shows the new state, 0 where nothing changed"),
             ("SOFTWARE", concat!("heliosplat ", env!("CARGO_PKG_VERSION"))),
@@ -99,7 +133,7 @@ impl ChangeMap {
         let spec = ImageSpec {
             band_descriptions: &BANDS,
             band_units: &UNITS,
-            georeference: Some((&nadir.grid.transform, &nadir.grid.crs)),
+            georeference: Some((&grid.transform, &grid.crs)),
             metadata: &metadata,
             ..ImageSpec::plain(&self.raster)
         };
@@ -143,8 +177,14 @@ mod tests {
     #[test]
     fn days_are_written_as_dates() {
         assert_eq!(as_date(0), 19_700_101);
-        assert_eq!(as_date(day_of("2023-02-06T01:17:00Z".parse().expect("a time"))), 20_230_206);
-        assert_eq!(as_date(day_of("1969-12-31T23:00:00Z".parse().expect("a time"))), 19_691_231);
+        assert_eq!(
+            as_date(day_of("2023-02-06T01:17:00Z".parse().expect("a time"))),
+            20_230_206
+        );
+        assert_eq!(
+            as_date(day_of("1969-12-31T23:00:00Z".parse().expect("a time"))),
+            19_691_231
+        );
     }
 
     #[test]
@@ -154,7 +194,11 @@ mod tests {
         assert_eq!(told(&[9, 10, 20], &[5.0, 11.0, 11.1], &all), [6.1000004, 10.0, 0.9]);
         assert_eq!(told(&[9, 10, 20], &[5.0, 5.2, 5.1], &all), [0.0; 3]);
         let other = |day: i32| (day == 10).then_some(0.9);
-        assert_eq!(told(&[9, 10, 20], &[5.0, 5.0, 11.0], &other), [0.0; 3], "no segment there");
+        assert_eq!(
+            told(&[9, 10, 20], &[5.0, 5.0, 11.0], &other),
+            [0.0; 3],
+            "no segment there"
+        );
         assert!(told(&[9, 10], &[5.0, f32::NAN], &all)[0].is_nan());
     }
 }

@@ -5,8 +5,8 @@
 
 pub mod animation;
 pub mod blend;
-pub mod daylight;
 pub mod change;
+pub mod daylight;
 pub mod dsm;
 pub mod export;
 mod fill;

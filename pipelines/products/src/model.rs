@@ -1,10 +1,10 @@
 //! A trained satellite model as files: `model.ply` (the Gaussians) and `model.json` (what they share, the frame, the cameras).
 
+use crate::change::ModelChanges;
 use crate::daylight::Daylight;
 use crate::ply;
 use heliosplat::gaussians::Table;
 use heliosplat::model::Parameters;
-use crate::change::ModelChanges;
 use heliosplat::model::shadow_gs::{DAYS, ShadowGs, ShadowGsOptions, standing};
 use heliosplat::render::PassOptions;
 use heliosplat::splat::ProjectionOptions;

@@ -112,7 +112,7 @@ pub fn write(
     let mut writer = Writer::new(&nadir.grid, gsd_m, out);
     writer.surface(&surface)?;
     if let Some(changes) = ChangeMap::of(whole, &nadir) {
-        writer.changes(&changes, &nadir)?;
+        writer.changes(&changes)?;
     }
     let mut albedo = ortho::albedo(model, &seen);
     surface.blank_unknown(&mut albedo);

@@ -2,7 +2,6 @@
 
 use super::change::{self, ChangeMap, as_date};
 use super::dsm::{BANDS, Dsm, UNITS};
-use super::nadir::NadirGrid;
 use super::ortho;
 use super::stac::{self, About, Asset, Band};
 use super::style::{Layer, Style, layer_file};
@@ -131,10 +130,10 @@ impl<'a> Writer<'a> {
     ///
     /// # Errors
     /// When the file cannot be written.
-    pub fn changes(&mut self, changes: &ChangeMap, nadir: &NadirGrid) -> Result<(), RasterError> {
+    pub fn changes(&mut self, changes: &ChangeMap) -> Result<(), RasterError> {
         const FILE: &str = "change.tif";
         const TITLE: &str = "Change of heights between the first image and the last";
-        changes.write(&self.out.join(FILE), nadir)?;
+        changes.write(&self.out.join(FILE), self.grid)?;
         // What the file holds is what is described: dates.
         let mut shown = changes.raster.clone();
         for day in shown.plane_mut(1).iter_mut().filter(|day| **day > 0.0) {

@@ -97,11 +97,7 @@ pub fn write_cog(path: &Path, spec: &ImageSpec) -> Result<(), RasterError> {
 ///
 /// # Errors
 /// As [`write_cog`].
-pub fn write_double_cog(
-    path: &Path,
-    spec: &ImageSpec,
-    convert: impl Fn(usize, f32) -> f64,
-) -> Result<(), RasterError> {
+pub fn write_double_cog(path: &Path, spec: &ImageSpec, convert: impl Fn(usize, f32) -> f64) -> Result<(), RasterError> {
     let converted = |band, value: f32| match value.is_finite() {
         true => convert(band, value),
         false => f64::from(NODATA),

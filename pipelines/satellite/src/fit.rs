@@ -251,7 +251,10 @@ pub fn fit(
 /// The model of the images of `ground`.
 fn model(ground: &Ground, suns: &[ImageSun], decisions: &Decisions, changing: bool) -> ShadowGs {
     let images = ground.images.len();
-    let days = ground.images.iter().filter_map(|image| Some(day_of(image.time?) as f32));
+    let days = ground
+        .images
+        .iter()
+        .filter_map(|image| Some(day_of(image.time?) as f32));
     ShadowGs::new(ShadowGsOptions {
         bands: ground.images.first().map_or(0, |image| image.pixels.bands),
         images,

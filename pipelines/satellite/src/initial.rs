@@ -208,7 +208,11 @@ pub(super) fn changing(start: &Start, changes: &Changes, groups: &[GroupSpec]) -
     };
     let near = around_changes(surface, changes);
     let part = |surface: &Surface, day: Option<i32>, days: [f32; 2]| {
-        let covered: Vec<bool> = covered.iter().zip(&near).map(|(covered, near)| *covered && *near == day).collect();
+        let covered: Vec<bool> = covered
+            .iter()
+            .zip(&near)
+            .map(|(covered, near)| *covered && *near == day)
+            .collect();
         let of = Start {
             surface,
             covered: &covered,
@@ -216,7 +220,10 @@ pub(super) fn changing(start: &Start, changes: &Changes, groups: &[GroupSpec]) -
         };
         let mut table = of.gaussians(groups.to_vec());
         if let Some(group) = table.groups.iter_mut().find(|group| group.spec.name == DAYS) {
-            group.values.chunks_exact_mut(2).for_each(|window| window.copy_from_slice(&days));
+            group
+                .values
+                .chunks_exact_mut(2)
+                .for_each(|window| window.copy_from_slice(&days));
         }
         table
     };

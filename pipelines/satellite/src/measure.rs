@@ -4,8 +4,8 @@ use super::error::SatelliteError;
 use super::fit::Fitted;
 use super::relit;
 use heliosplat::Raster;
-use heliosplat_evaluate::shadow::ShadowCounts;
 use heliosplat_evaluate::change::evaluate_change;
+use heliosplat_evaluate::shadow::ShadowCounts;
 use heliosplat_evaluate::{DsmEvaluation, ImageScore, Protocol, error_map, evaluate_dsm};
 use heliosplat_fitting::run_folder::{RunError, create_folder, peak_rss_bytes};
 use heliosplat_products::change::day_of;
@@ -69,7 +69,10 @@ pub fn metrics(scene: &Scene, whole: &LoadedModel, run: &Path, protocol: Protoco
         };
         let truth = known.crop.cut(&image.pixels);
         let held_out = known.split == Split::Test;
-        let of_day = known.time.filter(|_| !whole.model.options.days.is_empty()).map(|time| whole.on(day_of(time)));
+        let of_day = known
+            .time
+            .filter(|_| !whole.model.options.days.is_empty())
+            .map(|time| whole.on(day_of(time)));
         let rendered = render_view(of_day.as_ref().unwrap_or(model), known, Some(&truth));
         if let Some(score) = score(&rendered, &truth, rgb) {
             if held_out {
@@ -115,7 +118,9 @@ pub fn metrics(scene: &Scene, whole: &LoadedModel, run: &Path, protocol: Protoco
 
 /// What the images say of changes, and how it compares with the truth where there is one; `None` where they cannot tell.
 fn changes(scene: &Scene, run: &Path, whole: &LoadedModel) -> Result<Option<Value>, SatelliteError> {
-    let Some(changes) = &whole.file.changes else { return Ok(None) };
+    let Some(changes) = &whole.file.changes else {
+        return Ok(None);
+    };
     let mut out = json!({
         "segments": changes.segments.len(),
         "area_m2": changes.segments.iter().map(|segment| segment.area_m2).sum::<f32>(),
@@ -293,10 +298,26 @@ pub fn summary(metrics: &Value) -> String {
         "% (before images say where shadows end)",
     );
     say("shadows right", number("/shadow/accuracy").map(|a| 100.0 * a), "%");
-    say("changed", number("/change/segments"), "segments of the ground between the images");
-    say("... precision", number("/change/truth/precision").map(|p| 100.0 * p), "% of the changed area found");
-    say("... recall", number("/change/truth/recall").map(|r| 100.0 * r), "% of the changed area");
-    say("DSM MAE", number("/change/dsm_before/mae_m"), "m (raw, at the first image)");
+    say(
+        "changed",
+        number("/change/segments"),
+        "segments of the ground between the images",
+    );
+    say(
+        "... precision",
+        number("/change/truth/precision").map(|p| 100.0 * p),
+        "% of the changed area found",
+    );
+    say(
+        "... recall",
+        number("/change/truth/recall").map(|r| 100.0 * r),
+        "% of the changed area",
+    );
+    say(
+        "DSM MAE",
+        number("/change/dsm_before/mae_m"),
+        "m (raw, at the first image)",
+    );
     say(
         "relit PSNR",
         number("/relit/mean/psnr_one_gain_db"),

@@ -6,8 +6,8 @@ use super::path_radiance::{self, Pair};
 use heliosplat::gaussians::{OPACITY, Table, logit};
 use heliosplat::light::Light;
 use heliosplat::model::Parameters;
-use heliosplat::model::{SceneModel, View};
 use heliosplat::model::shadow_gs::{ALBEDO, COLOUR, OFFSET, ShadowGs};
+use heliosplat::model::{SceneModel, View};
 use heliosplat::render::{PassOptions, render};
 use heliosplat::splat::Maps;
 use heliosplat::trace::{Occluders, transmittance};
@@ -145,7 +145,15 @@ pub(super) fn initialise(model: &ShadowGs, parameters: &mut Parameters, views: &
             view,
             &render(model, &solid, &view.camera, None, appearance, PassOptions::default()).maps,
         );
-        let maps = render(model, parameters, &view.camera, None, appearance, PassOptions::default()).maps;
+        let maps = render(
+            model,
+            parameters,
+            &view.camera,
+            None,
+            appearance,
+            PassOptions::default(),
+        )
+        .maps;
         let present = model.present(parameters, appearance);
         if let Some(present) = &present {
             occluders.renew(&parameters.gaussians);

@@ -13,7 +13,7 @@ use crate::measure;
 use crate::plan::Decisions;
 use crate::run_file::{self, RunFile};
 use heliosplat::splat::ProjectionOptions;
-use heliosplat_evaluate::Protocol;
+use heliosplat_evaluate::{Protocol, error_map};
 use heliosplat_fitting::checkpoint::{digest, identity_of_program};
 use heliosplat_fitting::request::{TrainOutcome, TrainRequest, TrainedRun};
 use heliosplat_fitting::run_folder::{Input, Opened, RunFolder, RunRequest, hash, hash_of_pixels};
@@ -96,7 +96,8 @@ pub fn train(
     // Products.
     let nadir = NadirGrid::new(&(&whole).into(), whole.file.gsd_m, None)?;
     if let Some(changes) = ChangeMap::of(&whole, &nadir) {
-        changes.write(&request.out.join("change.tif"), &nadir)?;
+        changes.write(&request.out.join("change.tif"), &nadir.grid)?;
+        preview::write_png(&request.out.join("change.png"), &error_map::draw(&changes.difference()))?;
     }
     let model = whole.on_last();
     let surface = dsm::dsm(&model, model.file.gsd_m, None)?;

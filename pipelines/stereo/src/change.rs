@@ -22,6 +22,7 @@ use super::parameters::{MatchingFacts, MatchingParameters};
 use super::plane_sweep::plane_sweep;
 use super::pyramid::Search;
 use super::request::PlaneSweepRequest;
+use super::seen::pixel_of;
 use super::surface::Surface;
 use super::views::{SweepView, ViewGeometry};
 use super::volume::SearchVolume;
@@ -43,9 +44,13 @@ const WINDOW: usize = 2;
 /// Ground around segments that is swept with them, metres: as far as what stands there hides and shades.
 const AROUND_M: f32 = 24.0;
 /// Fine cells by which a coarse segment may be too small.
-const GROWN_CELLS: usize = 4;
+const GROWN_CELLS: usize = 2;
 /// Least difference of the two surfaces in a cell of a segment, metres.
 const LEAST_M: f32 = 1.5;
+/// The same beside a coarse segment, as a share of its difference.
+const LEAST_SHARE: f32 = 0.6;
+/// Share of the images that show a place where change is told.
+const SHOWN: f32 = 0.8;
 /// A fine surface that is further than this from the coarse hypothesis is not the one that was accepted, metres.
 const SAME_M: f32 = 2.0;
 
@@ -105,7 +110,7 @@ pub fn find(views: &[SweepView], days: &[i32], request: &PlaneSweepRequest, surf
     coarse.volume.cell_m *= COARSE as f32;
     let grid = coarse.grid();
     let splits = splits(views, days, &candidates, &coarse, surface);
-    let found = segments::find(&grid, &splits);
+    let found = segments::find(&grid, &splits, &shown(views, &grid, surface));
     let mut changes = Changes {
         segments: Vec::new(),
         label: vec![0; surface.altitude.len()],
@@ -124,7 +129,11 @@ pub fn find(views: &[SweepView], days: &[i32], request: &PlaneSweepRequest, surf
             changes.refine(segment, &grid, &sides, surface);
         }
     }
-    for (before, (now, label)) in changes.before_m.iter_mut().zip(surface.altitude.iter().zip(&changes.label)) {
+    for (before, (now, label)) in changes
+        .before_m
+        .iter_mut()
+        .zip(surface.altitude.iter().zip(&changes.label))
+    {
         if *label == 0 {
             *before = *now;
         }
@@ -153,12 +162,18 @@ impl Changes {
         }
         let mut differences = Vec::new();
         let mut bounds_m = [f32::MAX, f32::MAX, f32::MIN, f32::MIN];
-        let cells: Vec<usize> = (0..near.len()).filter(|&cell| near[cell].is_finite() && self.label[cell] == 0).collect();
+        let cells: Vec<usize> = (0..near.len())
+            .filter(|&cell| near[cell].is_finite() && self.label[cell] == 0)
+            .collect();
         for cell in cells {
             let p = surface.point(cell % width, cell / width);
             let fine = |side: &Surface, coarse_m: f32| {
                 let fine_m = side.altitude_at(p.x, p.y).unwrap_or(coarse_m);
-                if (fine_m - coarse_m).abs() < SAME_M { fine_m } else { coarse_m }
+                if (fine_m - coarse_m).abs() < SAME_M {
+                    fine_m
+                } else {
+                    coarse_m
+                }
             };
             let inside = segment.cells.contains(&(grid.nearest(p.x, p.y)));
             let [before_m, after_m] = match inside {
@@ -166,7 +181,12 @@ impl Changes {
                 false => [&sides[0], &sides[1]].map(|side| side.altitude_at(p.x, p.y).unwrap_or(p.z)),
             };
             let difference_m = after_m - before_m;
-            if difference_m * segment.difference_m > 0.0 && difference_m.abs() > LEAST_M {
+            let least_m = if inside {
+                LEAST_M
+            } else {
+                LEAST_M.max(LEAST_SHARE * segment.difference_m.abs())
+            };
+            if difference_m * segment.difference_m > 0.0 && difference_m.abs() > least_m {
                 self.label[cell] = label;
                 self.before_m[cell] = before_m;
                 surface.altitude[cell] = after_m;
@@ -215,7 +235,10 @@ fn splits(
     let lifted: Vec<f32> = present.iter().map(|z| z + CHANCE_M).collect();
     let by_chance: Vec<f32> = {
         let chance = resampled(&lifted);
-        pairs.iter().map(|pair| mean_known(&chance.distance(pair)).unwrap_or(CHANCE)).collect()
+        pairs
+            .iter()
+            .map(|pair| mean_known(&chance.distance(pair)).unwrap_or(CHANCE))
+            .collect()
     };
     let mut splits: Vec<Split> = (candidates.iter())
         .map(|&day| Split {
@@ -264,11 +287,32 @@ fn agreement(
                 _ => 2,
             };
             // What one of the two does not see says nothing.
-            let known = sums[place].iter_mut().zip(&distance).filter(|(_, distance)| distance.is_finite());
+            let known = sums[place]
+                .iter_mut()
+                .zip(&distance)
+                .filter(|(_, distance)| distance.is_finite());
             known.for_each(|(sum, distance)| *sum += pair.share() * (chance - distance));
         }
     }
-    sums.into_iter().map(|sums| sums.map(|sum| box_mean(grid, &sum, WINDOW))).collect()
+    sums.into_iter()
+        .map(|sums| sums.map(|sum| box_mean(grid, &sum, WINDOW)))
+        .collect()
+}
+
+/// Where nearly all images show the ground of a grid.
+fn shown(views: &[SweepView], grid: &Grid, surface: &Surface) -> Vec<bool> {
+    let altitude = on_grid(grid, surface);
+    let shows = |view: &SweepView, cell: usize| {
+        let p = grid.point(
+            (cell % grid.width) as isize,
+            (cell / grid.width) as isize,
+            altitude[cell],
+        );
+        pixel_of(&view.camera, p).is_some_and(|pixel| view.image.plane(0)[pixel].is_finite())
+    };
+    let needed = SHOWN * views.len() as f32;
+    let enough = |cell: usize| views.iter().filter(|view| shows(view, cell)).count() as f32 >= needed;
+    (0..grid.len()).map(enough).collect()
 }
 
 /// The days on which images can be divided: each is the first of those after.
@@ -312,8 +356,14 @@ fn around(volume: &SearchVolume, grid: &Grid, segments: &[&CoarseSegment]) -> Se
     let column = |cell: &usize| cell % grid.width;
     let row = |cell: &usize| cell / grid.width;
     let margin = (AROUND_M / grid.cell_m).ceil() as usize;
-    let (west, east) = (cells().map(column).min().unwrap_or(0), cells().map(column).max().unwrap_or(0) + 1);
-    let (north, south) = (cells().map(row).min().unwrap_or(0), cells().map(row).max().unwrap_or(0) + 1);
+    let (west, east) = (
+        cells().map(column).min().unwrap_or(0),
+        cells().map(column).max().unwrap_or(0) + 1,
+    );
+    let (north, south) = (
+        cells().map(row).min().unwrap_or(0),
+        cells().map(row).max().unwrap_or(0) + 1,
+    );
     let at = |cells: usize| cells as f32 * grid.cell_m;
     SearchVolume {
         west_m: volume.west_m + at(west.saturating_sub(margin)),
@@ -344,7 +394,10 @@ mod tests {
     #[test]
     fn images_are_divided_only_where_each_side_has_two() {
         assert!(dividing_days(&[5, 5, 5]).is_empty(), "one day");
-        assert!(dividing_days(&[1, 7, 9]).is_empty(), "a side with one image has no surface");
+        assert!(
+            dividing_days(&[1, 7, 9]).is_empty(),
+            "a side with one image has no surface"
+        );
         assert_eq!(dividing_days(&[7, 1, 1, 7]), [7]);
         assert_eq!(dividing_days(&[1, 2, 3, 4, 5]), [3, 4]);
         let many: Vec<i32> = (0..40).collect();

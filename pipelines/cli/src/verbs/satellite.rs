@@ -103,7 +103,9 @@ pub(crate) fn dsm(args: &DsmArgs, session: &Session) -> Result<Outcome, CliError
             (dsm::dsm(&model, gsd_m, args.crs.as_deref())?, gsd_m, None)
         }
         DsmSource::Sweep if args.at.is_some() => {
-            return Err(CliError::Input("dsm: --at is of a trained run, not of --from sweep".into()));
+            return Err(CliError::Input(
+                "dsm: --at is of a trained run, not of --from sweep".into(),
+            ));
         }
         DsmSource::Sweep => match sweep_dsm::sweep(args, session)? {
             SweptSurface::Whole { surface, gsd_m, memory } => (*surface, gsd_m, Some(memory)),

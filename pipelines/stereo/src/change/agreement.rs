@@ -43,7 +43,11 @@ impl Resampled {
                     let (u, v) = places[(cell / grid.width + RADIUS) * columns + cell % grid.width + RADIUS];
                     let (col, row) = (u.round(), v.round());
                     let inside = col >= 0.0 && row >= 0.0 && col < view.width as f32 && row < view.height as f32;
-                    let pixel = if inside { row as usize * view.width + col as usize } else { 0 };
+                    let pixel = if inside {
+                        row as usize * view.width + col as usize
+                    } else {
+                        0
+                    };
                     limits[cell] = CONTRAST_LIMIT * plane.local_contrast[pixel];
                     hidden[cell] = !inside || hits.hides(pixel, altitude_m[cell]);
                 }
@@ -71,12 +75,19 @@ impl Resampled {
             let (mut sum, mut weights) = (vec![0; cells], vec![0; cells]);
             census::compare(a, b, 1, COMPARISONS, &mut sum, &mut weights);
             let shares = sum.iter().zip(&weights).map(|(&sum, &weight)| {
-                if weight == 0 { f32::NAN } else { sum as f32 / COMPARISONS as f32 }
+                if weight == 0 {
+                    f32::NAN
+                } else {
+                    sum as f32 / COMPARISONS as f32
+                }
             });
             if distance.is_empty() {
                 distance = shares.collect();
             } else {
-                distance.iter_mut().zip(shares).for_each(|(total, share)| *total += share);
+                distance
+                    .iter_mut()
+                    .zip(shares)
+                    .for_each(|(total, share)| *total += share);
             }
             count += 1.0;
         }
@@ -88,6 +99,8 @@ impl Resampled {
 /// Mean of the values that are known.
 pub(super) fn mean_known(values: &[f32]) -> Option<f32> {
     let known = values.iter().filter(|value| value.is_finite());
-    let (sum, count) = known.fold((0.0f64, 0usize), |(sum, count), &value| (sum + f64::from(value), count + 1));
+    let (sum, count) = known.fold((0.0f64, 0usize), |(sum, count), &value| {
+        (sum + f64::from(value), count + 1)
+    });
     (count > 0).then(|| (sum / count as f64) as f32)
 }

@@ -2,6 +2,7 @@
 
 use super::super::grid::Grid;
 use super::Split;
+use heliosplat_rpc::statistics::upper_quantile;
 use std::collections::BTreeSet;
 
 /// Least difference of the two surfaces, metres.
@@ -15,8 +16,11 @@ const CELLS_OF_ONE: f32 = 5.0;
 /// Logarithm of likelihood of a pair's census distance that is 1 less: the difference between agreement and chance over the variance of
 /// distances, 0.12 / 0.15².
 const LIKELIHOOD_PER_DISTANCE: f32 = 5.3;
-/// Parameters that a segment adds: an altitude, a day and a place.
-const PARAMETERS: f32 = 3.0;
+/// Parameters that a segment adds: an altitude and a day.
+const PARAMETERS: f32 = 2.0;
+/// Share of a segment's upper quartile of gains that a cell of it has at least: where half of the window lies beside the segment, about
+/// half of the gain is left.
+const LEAST_SHARE: f32 = 0.6;
 
 /// The best surface of one side of a day.
 pub(super) struct Side {
@@ -48,7 +52,11 @@ impl Split {
     fn gain(&self, cell: usize) -> f32 {
         let gain = self.sides[0].gain[cell] + self.sides[1].gain[cell] - self.one[cell];
         // Nothing is known at the corners of the grid.
-        if gain.is_finite() && self.one[cell] > f32::MIN { gain } else { f32::MIN }
+        if gain.is_finite() && self.one[cell] > f32::MIN {
+            gain
+        } else {
+            f32::MIN
+        }
     }
 
     fn difference_m(&self, cell: usize) -> f32 {
@@ -73,7 +81,8 @@ pub(super) struct CoarseSegment {
 }
 
 /// The segments that the Bayesian information criterion accepts.
-pub(super) fn find(grid: &Grid, splits: &[Split]) -> Vec<CoarseSegment> {
+/// Cells that few images show (`shown` is false) are in none: there surfaces differ by which images happen to be compared.
+pub(super) fn find(grid: &Grid, splits: &[Split], shown: &[bool]) -> Vec<CoarseSegment> {
     let mut found = Vec::new();
     let mut taken = vec![false; grid.len()];
     for up in [false, true] {
@@ -81,9 +90,13 @@ pub(super) fn find(grid: &Grid, splits: &[Split]) -> Vec<CoarseSegment> {
             let those = splits.iter().filter(|split| split.differs(cell, up));
             those.map(|split| split.gain(cell)).fold(f32::MIN, f32::max)
         };
-        let seeds: Vec<bool> = (0..grid.len()).map(|cell| best(cell) > SEED_GAIN).collect();
+        let seeds: Vec<bool> = (0..grid.len())
+            .map(|cell| shown[cell] && best(cell) > SEED_GAIN)
+            .collect();
         for cells in connected(grid, &seeds) {
-            let Some(segment) = accepted(grid, splits, &cells, up, &mut taken) else { continue };
+            let Some(segment) = accepted(grid, splits, &cells, up, &mut taken) else {
+                continue;
+            };
             found.push(segment);
         }
     }
@@ -99,21 +112,23 @@ fn accepted(grid: &Grid, splits: &[Split], seeds: &[usize], up: bool, taken: &mu
     let split = splits.iter().max_by(|a, b| total(a).total_cmp(&total(b)))?;
     let mut cells = BTreeSet::new();
     for &seed in seeds {
-        let near = grid.around(seed, 1).filter(|&cell| !taken[cell] && split.differs(cell, up));
+        let near = grid
+            .around(seed, 1)
+            .filter(|&cell| !taken[cell] && split.differs(cell, up));
         cells.extend(near.filter(|&cell| split.gain(cell) > 0.0));
     }
+    let mut gains: Vec<f32> = cells.iter().map(|&cell| split.gain(cell)).collect();
+    let least = LEAST_SHARE * upper_quantile(&mut gains, 0.75)?;
+    cells.retain(|&cell| split.gain(cell) >= least);
     let area_m2 = cells.len() as f32 * grid.cell_m * grid.cell_m;
     let gain: f32 = cells.iter().map(|&cell| split.gain(cell)).sum();
     let likelihood = LIKELIHOOD_PER_DISTANCE * gain / CELLS_OF_ONE;
     let observations = grid.len() as f32 / CELLS_OF_ONE;
     let criterion = likelihood - 0.5 * PARAMETERS * observations.ln();
     if area_m2 > LEAST_M2 {
-        let c = *cells.iter().next().unwrap_or(&0);
-        tracing::debug!(
-            "segment at {} {}: day {}, {area_m2:.0} m2, likelihood {likelihood:.1}, criterion {criterion:.1}, mean gain {:.3}, {:.1} m",
-            c % grid.width, c / grid.width, split.day, gain / cells.len() as f32,
-            cells.iter().map(|&cell| split.difference_m(cell)).sum::<f32>() / cells.len() as f32
-        );
+        let first = cells.first().copied().unwrap_or(0);
+        let (col, row) = (first % grid.width, first / grid.width);
+        tracing::debug!(col, row, day = split.day, area_m2, likelihood, criterion, "segment");
     }
     if area_m2 < LEAST_M2 || criterion <= 0.0 {
         return None;
@@ -170,7 +185,9 @@ mod tests {
         };
         Split {
             day,
-            one: (0..900).map(|cell| if inside(cell) { 2.0 - gain } else { 2.5 }).collect(),
+            one: (0..900)
+                .map(|cell| if inside(cell) { 2.0 - gain } else { 2.5 })
+                .collect(),
             sides: [side(0.0), side(6.0)],
         }
     }
@@ -178,7 +195,7 @@ mod tests {
     #[test]
     fn a_house_is_one_segment_with_the_day_that_explains_it_best() {
         let grid = Grid::plain(30, 30);
-        let found = find(&grid, &[split(3, 0.1), split(7, 0.4), split(9, -0.2)]);
+        let found = find(&grid, &[split(3, 0.1), split(7, 0.4), split(9, -0.2)], &[true; 900]);
         assert_eq!(found.len(), 1);
         assert_eq!((found[0].day, found[0].cells.len()), (7, 100));
         assert!((found[0].difference_m - 6.0).abs() < 1e-6 && found[0].confidence > 0.9);
@@ -187,7 +204,11 @@ mod tests {
     #[test]
     fn two_surfaces_that_explain_hardly_more_are_not_accepted() {
         let grid = Grid::plain(30, 30);
-        assert!(find(&grid, &[split(3, 0.04)]).is_empty());
-        assert!(find(&grid, &[split(3, -0.5)]).is_empty());
+        assert!(find(&grid, &[split(3, 0.04)], &[true; 900]).is_empty());
+        assert!(find(&grid, &[split(3, -0.5)], &[true; 900]).is_empty());
+        assert!(
+            find(&grid, &[split(7, 0.4)], &[false; 900]).is_empty(),
+            "few images show it"
+        );
     }
 }
