@@ -415,4 +415,50 @@ mod tests {
         }
         assert!(softplus(1e30).is_finite() && softplus(-1e30) >= 0.0);
     }
+
+    #[test]
+    fn a_house_is_seen_and_shades_on_its_days_only() {
+        use crate::camera::ProjectiveCamera;
+        use crate::gaussians::{LOG_SCALE, OPACITY, POSITION, ROTATION, Table, core_groups};
+        use crate::light::Light;
+        use crate::render::{PassOptions, render};
+        // A floor that always stands and a roof that stands from day 10 on, in images of days 5 and 15.
+        let model = ShadowGs::new(ShadowGsOptions {
+            images: 2,
+            days: vec![5.0, 15.0],
+            ..ShadowGsOptions::default()
+        });
+        let mut groups = core_groups();
+        groups.extend(model.feature_groups());
+        let mut gaussians = Table::zeros(groups, 2);
+        gaussians
+            .group_mut(POSITION)
+            .copy_from_slice(&[0.0, 0.0, 0.0, 0.0, 0.0, 6.0]);
+        gaussians
+            .group_mut(LOG_SCALE)
+            .copy_from_slice(&[1.0, 1.0, -3.0, 0.0, 0.0, -3.0]);
+        gaussians.group_mut(OPACITY).fill(8.0);
+        for rotation in gaussians.group_mut(ROTATION).chunks_mut(4) {
+            rotation[3] = 1.0;
+        }
+        let days = gaussians.groups.len() - 1;
+        gaussians
+            .group_mut(days)
+            .copy_from_slice(&[ALWAYS[0], ALWAYS[1], 10.0, ALWAYS[1]]);
+        let parameters = Parameters {
+            gaussians,
+            globals: model.initial_globals(0.3),
+        };
+        let camera = ProjectiveCamera::nadir(-2.0, 2.0, 0.5, (9, 9));
+        let sun = Some(Light::Directional(glam::Vec3::Z));
+        let seen = |image: usize| {
+            let maps = render(&model, &parameters, &camera, sun, Some(image), PassOptions::default()).maps;
+            (maps.median_depth[40], maps.channels[model.visibility_channel()][40])
+        };
+        let (before, after) = (seen(0), seen(1));
+        assert!((before.0 - after.0 - 6.0).abs() < 0.2, "{before:?} {after:?}");
+        assert!(before.1 > 0.9, "the roof throws no shadow before it stands: {before:?}");
+        assert_eq!(standing(&parameters.gaussians, 10.0), Some(vec![true, true]));
+        assert_eq!(standing(&parameters.gaussians, 9.0), Some(vec![true, false]));
+    }
 }
