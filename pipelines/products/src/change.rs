@@ -22,15 +22,6 @@ const LEAST_M: f32 = 1.5;
 /// Ground around a segment that may be part of it, metres.
 const AROUND_M: f64 = 1.0;
 
-/// What `model.json` says of changes.
-#[derive(Debug, Clone, PartialEq, serde::Serialize, serde::Deserialize)]
-pub struct ModelChanges {
-    /// Days on which the images could be divided, days since 1970.
-    pub days: Vec<i32>,
-    /// The parts of the ground that changed, metres of the local frame.
-    pub segments: Vec<Segment>,
-}
-
 /// The day (UTC) of a moment, days since 1970.
 pub fn day_of(time: Timestamp) -> i32 {
     time.as_second().div_euclid(86_400) as i32

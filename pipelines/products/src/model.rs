@@ -1,6 +1,5 @@
 //! A trained satellite model as files: `model.ply` (the Gaussians) and `model.json` (what they share, the frame, the cameras).
 
-use crate::change::ModelChanges;
 use crate::daylight::Daylight;
 use crate::ply;
 use heliosplat::gaussians::Table;
@@ -15,6 +14,7 @@ use heliosplat_rpc::{GeoPoint, LocalFrame, ProjectiveMap, sun::SunPosition};
 use heliosplat_scene::crop::Crop;
 use heliosplat_scene::indices::NormalisedDifference;
 use heliosplat_scene::{Area, BandKind, KnownTiles, Split, SunSource, Values};
+use heliosplat_stereo::change::Segment;
 use std::path::{Path, PathBuf};
 
 /// Version of `model.json`.
@@ -53,6 +53,15 @@ pub struct ModelImage {
     /// When it was taken, if known.
     #[serde(default)]
     pub time: Option<jiff::Timestamp>,
+}
+
+/// What `model.json` says of changes.
+#[derive(Debug, Clone, PartialEq, serde::Serialize, serde::Deserialize)]
+pub struct ModelChanges {
+    /// Days on which the images could be divided, days since 1970.
+    pub days: Vec<i32>,
+    /// The parts of the ground that changed, metres of the local frame.
+    pub segments: Vec<Segment>,
 }
 
 /// `model.json`: all of a model besides its Gaussians.
