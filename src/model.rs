@@ -122,6 +122,11 @@ pub trait SceneModel: Send + Sync {
     /// The groups of parameters shared by all Gaussians (a table of one element).
     fn global_parameters(&self) -> Vec<ParameterGroup>;
 
+    /// Which Gaussians there are in a view; `None`: all. Light passes through the others.
+    fn present(&self, _parameters: &Parameters, _appearance: Option<usize>) -> Option<Vec<bool>> {
+        None
+    }
+
     /// Names and widths of [`Self::feature_parameters`].
     fn feature_groups(&self) -> Vec<GroupSpec> {
         self.feature_parameters().into_iter().map(|group| group.spec).collect()

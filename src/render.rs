@@ -70,7 +70,10 @@ impl<'a> Pass<'a> {
     /// Renders the model of `context` through its camera; `light` is how the transmittance toward the context's light is found.
     pub fn new(model: &'a dyn SceneModel, context: Context<'a>, light: Lit<'a>, options: PassOptions) -> Self {
         let gaussians = &context.parameters.gaussians;
-        let projected = project(gaussians, context.camera, &options.projection);
+        let mut projected = project(gaussians, context.camera, &options.projection);
+        if let Some(present) = model.present(context.parameters, context.appearance) {
+            projected.keep(&present);
+        }
         let traced = match (light, &context.light) {
             (Lit::Traced(occluders), Some(source)) if model.needs_transmittance() => {
                 transmittance(occluders, &projected.gaussian, source)
@@ -216,7 +219,10 @@ pub fn render(
     appearance: Option<usize>,
     options: PassOptions,
 ) -> Rendering {
-    let occluders = (model.needs_transmittance() && light.is_some()).then(|| Occluders::new(&parameters.gaussians));
+    let mut occluders = (model.needs_transmittance() && light.is_some()).then(|| Occluders::new(&parameters.gaussians));
+    if let (Some(occluders), Some(present)) = (&mut occluders, model.present(parameters, appearance)) {
+        occluders.hide(&present);
+    }
     let context = Context {
         parameters,
         camera,

@@ -224,8 +224,8 @@ impl<'a> Trainer<'a> {
     }
 
     /// Occluders are always those of the current step. A hierarchy over them, where one is used, is expensive to build: it is refitted to
-    /// them, and built anew after some steps or when Gaussians come or go.
-    fn refresh_occluders(&mut self) {
+    /// them, and built anew after some steps or when Gaussians come or go. Light passes through those that are not in the view.
+    fn refresh_occluders(&mut self, view: usize) {
         if !self.model.needs_transmittance() {
             return;
         }
@@ -238,6 +238,10 @@ impl<'a> Trainer<'a> {
                 self.occluders_step = self.step;
             }
         }
+        let present = self.model.present(&self.parameters, Some(self.views[view].appearance));
+        if let (Some(occluders), Some(present)) = (&mut self.occluders, present) {
+            occluders.hide(&present);
+        }
     }
 
     /// One step.
@@ -249,7 +253,7 @@ impl<'a> Trainer<'a> {
     pub fn step(&mut self) -> Result<StepReport, TrainError> {
         let index = self.next_view();
         if self.light_is_due(index) {
-            self.refresh_occluders();
+            self.refresh_occluders(index);
         }
         self.gradients.gaussians.reset(self.parameters.gaussians.count);
         self.gradients.globals.reset(1);
@@ -387,7 +391,10 @@ impl<'a> Trainer<'a> {
         let Some(occluders) = &self.occluders else { return 0.0 };
         let gaussians = &self.parameters.gaussians;
         let projection = ProjectionOptions::default();
-        let projected = project(gaussians, camera, &projection);
+        let mut projected = project(gaussians, camera, &projection);
+        if let Some(present) = self.model.present(&self.parameters, Some(self.views[index].appearance)) {
+            projected.keep(&present);
+        }
         let pass = ConsistencyPass {
             camera,
             projection: &projection,

@@ -96,6 +96,27 @@ impl Collection {
         Ok(collection)
     }
 
+    /// The dates on which buildings may change: those with at least two images to train with before them, and two from them on.
+    ///
+    /// # Errors
+    /// [`SynthError::BadRequest`] when there is none.
+    pub(crate) fn dates_of_change(&self) -> Result<Vec<usize>, SynthError> {
+        const EACH_SIDE: usize = 2;
+        let images = |side: &dyn Fn(usize) -> bool| {
+            let training = self.views.iter().filter(|view| !view.held_out);
+            training.filter(|view| side(view.date)).count()
+        };
+        let on: Vec<usize> = (1..self.dates.len())
+            .filter(|&date| images(&|of| of < date) >= EACH_SIDE && images(&|of| of >= date) >= EACH_SIDE)
+            .collect();
+        if on.is_empty() {
+            return Err(SynthError::BadRequest(
+                "a change, but no date has two images to train with before it and two from it on; ask for more views and dates".into(),
+            ));
+        }
+        Ok(on)
+    }
+
     /// Through the cameras of real images.
     fn through(request: &SatelliteRequest, cameras: Vec<KnownCamera>) -> Result<Self, SynthError> {
         let (all, wanted) = (cameras.len(), request.views.unwrap_or(cameras.len()));

@@ -180,6 +180,13 @@ pub struct SatelliteRequest {
     /// Suns of no image under which the site is rendered from straight above as truth. Absent from the manifest if none.
     #[serde(skip_serializing_if = "is_zero")]
     pub relight: usize,
+    /// Share of the buildings that are built or torn down between two dates, 0 to 1. Absent from the manifest if none.
+    #[serde(skip_serializing_if = "is_none")]
+    pub change: f64,
+}
+
+fn is_none(share: &f64) -> bool {
+    *share == 0.0
 }
 
 fn is_zero(count: &usize) -> bool {
@@ -205,6 +212,7 @@ impl Default for SatelliteRequest {
             cover: None,
             delivery: Delivery::Whole,
             relight: 0,
+            change: 0.0,
         }
     }
 }
@@ -303,6 +311,9 @@ impl SatelliteRequest {
                 "{} suns to relight under; ask for 0 to {MOST_SUNS}",
                 self.relight
             ));
+        }
+        if !(0.0..=1.0).contains(&self.change) {
+            return bad(format!("a share of {} that changes; ask for 0 to 1", self.change));
         }
         if !(0.0..=100.0).contains(&self.noise) {
             return bad(format!("noise {}; ask for 0 to 100", self.noise));

@@ -20,13 +20,14 @@ use crate::sensor::{PushBroom, Sensor};
 use crate::solid::Solids;
 use crate::summary::{ImageSummary, Summary};
 use crate::truth::{Truth, survey};
-use crate::truth_files::{SHADOW_MEANS, write_relit, write_truth};
+use crate::truth_files::{SHADOW_MEANS, write_change, write_relit, write_truth};
 use crate::truth_grid::TruthGrid;
 use crate::write::Staging;
 use crate::write::geotiff::{Raster, Samples, write};
 use crate::write::metadata::{image_items, loose_altitudes_m, satnerf_json};
 use heliosplat_rpc::fit::RpcFit;
 use heliosplat_rpc::{GeoPoint, LocalFrame, Rpc};
+use jiff::tz::TimeZone;
 use nalgebra::Vector3;
 use std::path::Path;
 
@@ -70,9 +71,22 @@ pub fn write_satellite(
     let cameras = (collection.views.iter())
         .map(|view| camera(request, &frame, &grid, view))
         .collect::<Result<Vec<_>, _>>()?;
-    let city = City::new(request.seed, city_plan(request, &cameras));
-    let truth = survey_city(request, &city, &frame, &grid);
+    let mut city = City::new(request.seed, city_plan(request, &cameras));
+    if request.change > 0.0 {
+        city = city.changing(request.seed, request.change, &collection.dates_of_change()?);
+    }
+    let last = collection.dates.len().saturating_sub(1);
+    let truth = survey_city(request, &city, &frame, &grid, last);
     write_truth(&staging, request, &grid, &truth)?;
+    if request.change > 0.0 {
+        let before = survey_city(request, &city, &frame, &grid, 0);
+        write_change(
+            &staging,
+            &grid,
+            [&before, &truth],
+            &changed_at(&city, &collection, &frame, &grid),
+        )?;
+    }
     let altitudes_m = loose_altitudes_m(truth.altitude_range_m(), request.seed);
     let total = cameras.iter().map(|camera| camera.crop.height).sum::<usize>() + request.relight * grid.size;
     let mut done = 0;
@@ -80,7 +94,7 @@ pub fn write_satellite(
     for date in 0..collection.dates.len() {
         let plan = &collection.dates[date];
         let haze = request.has(Fault::Haze).then(|| Haze::of_date(request.seed, date));
-        let solids = fitted(request, city.solids_with_cars(date as u64, plan.car_occupancy));
+        let solids = fitted(request, city.solids_with_cars(date, plan.car_occupancy));
         let tracer = Tracer::new(&city.terrain, solids.primitives);
         let scene = LitScene {
             tracer: &tracer,
@@ -302,8 +316,9 @@ fn city_plan(request: &SatelliteRequest, cameras: &[ImageCamera]) -> CityPlan {
     }
 }
 
-fn survey_city(request: &SatelliteRequest, city: &City, frame: &LocalFrame, grid: &TruthGrid) -> Truth {
-    let solids = fitted(request, city.solids());
+/// Truth as it is on a date.
+fn survey_city(request: &SatelliteRequest, city: &City, frame: &LocalFrame, grid: &TruthGrid, date: usize) -> Truth {
+    let solids = fitted(request, city.solids(date));
     let tracer = Tracer::new(&city.terrain, solids.primitives);
     let scene = LitScene {
         tracer: &tracer,
@@ -311,6 +326,25 @@ fn survey_city(request: &SatelliteRequest, city: &City, frame: &LocalFrame, grid
         ground: &city.ground,
     };
     survey(&scene, frame, grid, request.bands)
+}
+
+/// The day, as YYYYMMDD, of the first image that shows the new state of each cell of the grid; 0 where nothing is built or torn down.
+fn changed_at(city: &City, collection: &Collection, frame: &LocalFrame, grid: &TruthGrid) -> Vec<f64> {
+    let day = |date: usize| {
+        let day = collection.dates[date].time.to_zoned(TimeZone::UTC).date();
+        f64::from(i32::from(day.year()) * 10_000 + i32::from(day.month()) * 100 + i32::from(day.day()))
+    };
+    let of_cell = |cell: usize| {
+        let [lon_deg, lat_deg] = grid.lon_lat((cell % grid.size) as f64 + 0.5, (cell / grid.size) as f64 + 0.5);
+        let height_m = frame.origin.height_m;
+        let at = frame.enu_from_geo(GeoPoint {
+            lon_deg,
+            lat_deg,
+            height_m,
+        });
+        city.changed_at(at.x, at.y).map_or(0.0, day)
+    };
+    (0..grid.size * grid.size).map(of_cell).collect()
 }
 
 /// What truth under suns of no image is rendered with: the light of the image with the highest sun.
@@ -340,7 +374,7 @@ fn relight(
     let Some(studio) = studio_of(request, collection) else {
         return Ok(());
     };
-    let solids = fitted(request, city.solids());
+    let solids = fitted(request, city.solids(collection.dates.len().saturating_sub(1)));
     let tracer = Tracer::new(&city.terrain, solids.primitives);
     let scene = LitScene {
         tracer: &tracer,
@@ -473,7 +507,7 @@ mod tests {
                 longest_block_m: 92.0,
                 cover: None,
             };
-            let truth = survey_city(&request, &City::new(seed, plan), &frame, &grid);
+            let truth = survey_city(&request, &City::new(seed, plan), &frame, &grid, 0);
             let [low_m, high_m] = truth.altitude_range_m();
             let share = class_share(&truth);
             println!("{seed}: {:.1} m {share:?}", high_m - low_m);
@@ -506,7 +540,7 @@ mod tests {
                     longest_block_m: 70.0,
                     cover: None,
                 };
-                let truth = survey_city(&request, &City::new(seed, plan), &frame, &grid);
+                let truth = survey_city(&request, &City::new(seed, plan), &frame, &grid, 0);
                 let [low_m, high_m] = truth.altitude_range_m().map(|m| m - collection.origin.height_m);
                 assert!(
                     low_m > COVERED_ALTITUDES_M[0] && high_m < COVERED_ALTITUDES_M[1],

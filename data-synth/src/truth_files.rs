@@ -112,6 +112,45 @@ pub(crate) fn write_truth(
     staging.text("truth/dsm.txt", &text)
 }
 
+/// The surface at the first image, and what changed from there to the last: metres (last minus first), and the day (YYYYMMDD) of the first
+/// image that shows the new state, 0 where nothing is built or torn down.
+pub(crate) fn write_change(
+    staging: &Staging,
+    grid: &TruthGrid,
+    [before, after]: [&Truth; 2],
+    changed_at: &[f64],
+) -> Result<(), SynthError> {
+    let known = |m: f32| if m.is_nan() { NODATA } else { m };
+    let altitudes_m: Vec<f32> = before.altitude_m.iter().map(|&m| known(m)).collect();
+    let said = [
+        about(
+            "highest surface at the centre of each cell at the time of the first image, without cars; dsm.tif is that of the last",
+        ),
+        ("VERTICAL_DATUM".to_string(), "WGS84 ellipsoid, metres".to_string()),
+    ];
+    let dsm = on_grid(grid, Samples::F32(&altitudes_m), &["altitude"], &said, Some(NODATA));
+    write(&staging.path("truth/dsm_before.tif")?, &dsm)?;
+    let cells = after.altitude_m.iter().zip(&before.altitude_m).zip(changed_at);
+    // A day as YYYYMMDD has more digits than 32 bits hold.
+    let values: Vec<f64> = cells
+        .flat_map(|((after, before), day)| {
+            let difference_m = f64::from(after - before);
+            let known_m = if difference_m.is_nan() {
+                f64::from(NODATA)
+            } else {
+                difference_m
+            };
+            [known_m, *day]
+        })
+        .collect();
+    let said = [about(
+        "what was built or torn down between the first and the last image: difference_m, last minus first; changed_at, the day of the first image that shows the new state (YYYYMMDD), 0 where nothing changed",
+    )];
+    let bands = ["difference_m", "changed_at"];
+    let change = on_grid(grid, Samples::F64(&values), &bands, &said, Some(NODATA));
+    write(&staging.path("truth/change.tif")?, &change)
+}
+
 /// The site from straight above under some suns (azimuth and elevation, degrees), their shadows, and the hours of sun of a day.
 pub(crate) fn write_relit(
     staging: &Staging,

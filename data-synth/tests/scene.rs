@@ -66,6 +66,64 @@ fn the_same_request_gives_the_same_bytes_for_any_number_of_threads() {
 }
 
 #[test]
+fn houses_that_change_do_so_in_truth_on_a_day_that_two_images_lie_on_either_side_of() {
+    let request = SatelliteRequest {
+        views: Some(4),
+        change: 1.0,
+        ..small()
+    };
+    let folder = tempfile::tempdir().expect("folder");
+    let refused = write_satellite(
+        &SatelliteRequest {
+            dates: Some(1),
+            ..request.clone()
+        },
+        folder.path(),
+        &|_, _| {},
+    );
+    assert!(
+        matches!(refused, Err(SynthError::BadRequest(_))),
+        "one date has no before"
+    );
+    let folder = tempfile::tempdir().expect("folder");
+    let summary = make(
+        &SatelliteRequest {
+            views: Some(6),
+            ..request
+        },
+        folder.path(),
+    );
+    let floats = |name: &str| match open(&folder.path().join("truth").join(name)).read_image() {
+        Ok(DecodingResult::F32(values)) => values.into_iter().map(f64::from).collect::<Vec<_>>(),
+        Ok(DecodingResult::F64(values)) => values,
+        _ => panic!("{name} holds floats"),
+    };
+    let (before, after, change) = (floats("dsm_before.tif"), floats("dsm.tif"), floats("change.tif"));
+    let cells = before.len();
+    assert_eq!(change.len(), 2 * cells);
+    let time = summary
+        .images
+        .iter()
+        .find(|image| image.date == 1)
+        .map(|image| image.time);
+    let day = time.map(|time| time.strftime("%Y%m%d").to_string().parse::<f64>().expect("a number"));
+    let mut changed = 0;
+    for cell in 0..cells {
+        let [difference_m, changed_at] = [change[2 * cell], change[2 * cell + 1]];
+        assert!((after[cell] - before[cell] - difference_m).abs() < 1e-3);
+        assert!(
+            changed_at == 0.0 || Some(changed_at) == day,
+            "{changed_at} is the day of the second date"
+        );
+        if difference_m.abs() > 2.0 {
+            assert!(changed_at > 0.0, "what changes has a day");
+            changed += 1;
+        }
+    }
+    assert!(changed > 30, "{changed} cells of a square metre");
+}
+
+#[test]
 fn suns_of_no_image_add_truth_and_change_nothing_else() {
     let (a, b) = (
         tempfile::tempdir().expect("folder"),

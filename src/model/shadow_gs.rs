@@ -54,6 +54,10 @@ pub struct ShadowGsOptions {
     pub prior_weight: f32,
     /// Largest degree of the spherical harmonics of albedo and near-surface light, 0 to 3; 0: the same from everywhere.
     pub degree: usize,
+    /// The day of each image, days since 1970, where Gaussians stand on some days only; else empty. Then each Gaussian has the first day on
+    /// which it stands and the first on which it does not any more, which are not trained.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    pub days: Vec<f32>,
 }
 
 /// Pixels per parallel job; fixed, so that results do not depend on the number of threads.
@@ -70,6 +74,7 @@ impl Default for ShadowGsOptions {
             opaqueness_weight: 0.3,
             prior_weight: 0.0,
             degree: 0,
+            days: Vec::new(),
         }
     }
 }
@@ -90,6 +95,18 @@ pub const SKY: usize = 0;
 pub const COLOUR: usize = 1;
 /// Index of the colour offsets in the global table.
 pub const OFFSET: usize = 2;
+
+/// Name of the group of days on which a Gaussian stands: from the first until before the second, days since 1970.
+pub const DAYS: &str = "days";
+/// The days of a Gaussian that always stands.
+pub const ALWAYS: [f32; 2] = [-1e6, 1e6];
+
+/// Which Gaussians stand on a day (days since 1970); `None` where they have no days.
+pub fn standing(gaussians: &crate::gaussians::Table, day: f32) -> Option<Vec<bool>> {
+    let days = gaussians.groups.iter().find(|group| group.spec.name == DAYS)?;
+    let stands = |window: &[f32]| (window[0]..window[1]).contains(&day);
+    Some(days.values.chunks_exact(2).map(stands).collect())
+}
 
 /// Learning rate of albedo and near-surface light.
 const ALBEDO_RATE: f32 = 5e-3;
@@ -211,7 +228,15 @@ impl SceneModel for ShadowGs {
             groups.push(ParameterGroup::new("near_light", bands, rate));
         }
         groups.extend(harmonics::groups(&self.options));
+        if !self.options.days.is_empty() {
+            groups.push(ParameterGroup::new(DAYS, 2, LearningRate::constant(0.0)));
+        }
         groups
+    }
+
+    fn present(&self, parameters: &Parameters, appearance: Option<usize>) -> Option<Vec<bool>> {
+        let day = *self.options.days.get(appearance.unwrap_or(self.options.reference))?;
+        standing(&parameters.gaussians, day)
     }
 
     fn global_parameters(&self) -> Vec<ParameterGroup> {
@@ -389,5 +414,51 @@ mod tests {
             assert!((softplus(softplus_inverse(y)) - y).abs() < 1e-4 * y.max(1.0));
         }
         assert!(softplus(1e30).is_finite() && softplus(-1e30) >= 0.0);
+    }
+
+    #[test]
+    fn a_house_is_seen_and_shades_on_its_days_only() {
+        use crate::camera::ProjectiveCamera;
+        use crate::gaussians::{LOG_SCALE, OPACITY, POSITION, ROTATION, Table, core_groups};
+        use crate::light::Light;
+        use crate::render::{PassOptions, render};
+        // A floor that always stands and a roof that stands from day 10 on, in images of days 5 and 15.
+        let model = ShadowGs::new(ShadowGsOptions {
+            images: 2,
+            days: vec![5.0, 15.0],
+            ..ShadowGsOptions::default()
+        });
+        let mut groups = core_groups();
+        groups.extend(model.feature_groups());
+        let mut gaussians = Table::zeros(groups, 2);
+        gaussians
+            .group_mut(POSITION)
+            .copy_from_slice(&[0.0, 0.0, 0.0, 0.0, 0.0, 6.0]);
+        gaussians
+            .group_mut(LOG_SCALE)
+            .copy_from_slice(&[1.0, 1.0, -3.0, 0.0, 0.0, -3.0]);
+        gaussians.group_mut(OPACITY).fill(8.0);
+        for rotation in gaussians.group_mut(ROTATION).chunks_mut(4) {
+            rotation[3] = 1.0;
+        }
+        let days = gaussians.groups.len() - 1;
+        gaussians
+            .group_mut(days)
+            .copy_from_slice(&[ALWAYS[0], ALWAYS[1], 10.0, ALWAYS[1]]);
+        let parameters = Parameters {
+            gaussians,
+            globals: model.initial_globals(0.3),
+        };
+        let camera = ProjectiveCamera::nadir(-2.0, 2.0, 0.5, (9, 9));
+        let sun = Some(Light::Directional(glam::Vec3::Z));
+        let seen = |image: usize| {
+            let maps = render(&model, &parameters, &camera, sun, Some(image), PassOptions::default()).maps;
+            (maps.median_depth[40], maps.channels[model.visibility_channel()][40])
+        };
+        let (before, after) = (seen(0), seen(1));
+        assert!((before.0 - after.0 - 6.0).abs() < 0.2, "{before:?} {after:?}");
+        assert!(before.1 > 0.9, "the roof throws no shadow before it stands: {before:?}");
+        assert_eq!(standing(&parameters.gaussians, 10.0), Some(vec![true, true]));
+        assert_eq!(standing(&parameters.gaussians, 9.0), Some(vec![true, false]));
     }
 }

@@ -32,6 +32,16 @@ pub struct Projected {
     pub non_finite: usize,
 }
 
+impl Projected {
+    /// Leaves out the splats of Gaussians that are not `present`.
+    pub fn keep(&mut self, present: &[bool]) {
+        let kept = |gaussian: &u32| present[*gaussian as usize];
+        let mut of_splats = self.gaussian.iter();
+        self.splats.retain(|_| of_splats.next().is_some_and(kept));
+        self.gaussian.retain(kept);
+    }
+}
+
 /// Projects every Gaussian; those outside the image, below the least alpha, or with a number that is not finite are left out.
 pub fn project(gaussians: &Table, camera: &ProjectiveCamera, options: &ProjectionOptions) -> Projected {
     let chunks: Vec<Projected> = (0..gaussians.count.div_ceil(CHUNK))

@@ -265,6 +265,15 @@ impl Occluders {
         }
     }
 
+    /// Lets light through those that are not `present`, until they are renewed.
+    pub fn hide(&mut self, present: &[bool]) {
+        for (occluder, present) in self.list.iter_mut().zip(present) {
+            if !present {
+                occluder.reach_square = 0.0;
+            }
+        }
+    }
+
     pub(super) fn hierarchy(&self) -> &Hierarchy {
         self.hierarchy.get_or_init(|| Hierarchy::new(&self.list))
     }

@@ -1,6 +1,7 @@
 //! A city quarter from a seed: streets, blocks, what is built and planted in them, and what covers the ground.
 
 mod building;
+mod changes;
 mod ground;
 mod homes;
 mod palette;
@@ -9,6 +10,7 @@ mod streets;
 mod trees;
 mod works;
 
+pub(crate) use changes::Changes;
 pub(crate) use ground::Ground;
 
 use crate::cars::CarSlot;
@@ -52,6 +54,8 @@ pub(crate) struct City {
     trees: Vec<Tree>,
     hedges: Vec<Hedge>,
     car_slots: Vec<CarSlot>,
+    /// Which of the buildings stand on some dates only.
+    changes: Changes,
 }
 
 /// What a block is used for.
@@ -113,15 +117,33 @@ impl City {
             trees: planner.trees,
             hedges: planner.hedges,
             car_slots: planner.car_slots,
+            changes: Changes::default(),
         }
     }
 
-    /// Everything that stands still: the scene of the truth rasters.
-    pub(crate) fn solids(&self) -> Solids {
+    /// The same city, `share` of whose buildings are built or torn down on one of the dates `on`.
+    pub(crate) fn changing(mut self, seed: u64, share: f64, on: &[usize]) -> Self {
+        self.changes = Changes::new(seed, &self.buildings, share, on);
+        self
+    }
+
+    /// The date on which what stands at a place (metres) changed last, if it did.
+    pub(crate) fn changed_at(&self, x: f64, y: f64) -> Option<usize> {
+        let here = |(index, building): (usize, &Building)| {
+            let date = self.changes.date(index)?;
+            (building.footprint.distance_m(x, y) <= 0.0).then_some(date)
+        };
+        self.buildings.iter().enumerate().filter_map(here).max()
+    }
+
+    /// Everything that stands still on a date: the scene of the truth rasters.
+    pub(crate) fn solids(&self, date: usize) -> Solids {
         let mut solids = Solids::default();
         let height_at = |x: f64, y: f64| self.terrain.height_m(x, y);
-        for building in &self.buildings {
-            building.build(&mut solids);
+        for (index, building) in self.buildings.iter().enumerate() {
+            if self.changes.stands(index, date) {
+                building.build(&mut solids);
+            }
         }
         for tree in &self.trees {
             tree.build(&mut solids, height_at(tree.x, tree.y));
@@ -133,10 +155,10 @@ impl City {
     }
 
     /// The scene of one date: what stands still, and the cars that are there.
-    pub(crate) fn solids_with_cars(&self, date: u64, occupancy: f64) -> Solids {
-        let mut solids = self.solids();
+    pub(crate) fn solids_with_cars(&self, date: usize, occupancy: f64) -> Solids {
+        let mut solids = self.solids(date);
         for slot in &self.car_slots {
-            slot.build(&mut solids, date, occupancy, |x, y| self.terrain.height_m(x, y));
+            slot.build(&mut solids, date as u64, occupancy, |x, y| self.terrain.height_m(x, y));
         }
         solids
     }

@@ -26,6 +26,7 @@ pub(crate) enum Samples<'a> {
     U8(&'a [u8]),
     U16(&'a [u16]),
     F32(&'a [f32]),
+    F64(&'a [f64]),
 }
 
 /// A raster and everything its file says about it.
@@ -50,12 +51,17 @@ impl Samples<'_> {
             Samples::U8(_) => 8,
             Samples::U16(_) => 16,
             Samples::F32(_) => 32,
+            Samples::F64(_) => 64,
         }
     }
 
     /// TIFF's SampleFormat: unsigned integer or floating point.
     fn format(&self) -> u16 {
-        if matches!(self, Samples::F32(_)) { 3 } else { 1 }
+        if matches!(self, Samples::F32(_) | Samples::F64(_)) {
+            3
+        } else {
+            1
+        }
     }
 }
 
@@ -86,6 +92,7 @@ fn encode<W: std::io::Write + std::io::Seek>(writer: W, raster: &Raster) -> Tiff
         Samples::U8(samples) => strips(&mut directory, raster, samples)?,
         Samples::U16(samples) => strips(&mut directory, raster, samples)?,
         Samples::F32(samples) => strips(&mut directory, raster, samples)?,
+        Samples::F64(samples) => strips(&mut directory, raster, samples)?,
     }
     baseline_tags(&mut directory, raster)?;
     if let Some(rpc) = &raster.rpc {

@@ -150,12 +150,17 @@ pub fn times(text: &str) -> Result<TimeSeries, String> {
 /// # Errors
 /// A message for the user.
 pub fn period(text: &str) -> Result<Period, String> {
-    let date = |word: &str| -> Result<jiff::civil::Date, String> {
-        let wrong = |_| format!("'{word}' is not a date such as 2026-06-21");
-        word.trim().parse().map_err(wrong)
-    };
     let (from, to) = text.split_once('/').unwrap_or((text, text));
     Period::new(date(from)?, date(to)?)
+}
+
+/// A date.
+///
+/// # Errors
+/// A message for the user.
+pub fn date(word: &str) -> Result<jiff::civil::Date, String> {
+    let wrong = |_| format!("'{word}' is not a date such as 2026-06-21");
+    word.trim().parse().map_err(wrong)
 }
 
 /// A positive number.

@@ -2,6 +2,7 @@
 //!
 //! It is made from the files in the folder alone, so that it can be made again at any time, without the scene.
 
+mod change;
 pub mod mosaic;
 pub mod object;
 mod parts;
@@ -144,6 +145,7 @@ fn page(run: &Contents) -> String {
         parts::head(run),
         parts::surface(&run.folder),
         parts::views(run),
+        change::changes(run),
         relit::relit(&run.folder),
         parts::curves(&run.folder),
         parts::accuracy(&run.folder),

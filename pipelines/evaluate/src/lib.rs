@@ -9,6 +9,7 @@
 //! Predictions are never clipped toward the truth.
 
 pub mod align;
+pub mod change;
 pub mod edges;
 pub mod error_map;
 pub mod image;

@@ -68,6 +68,21 @@ impl<'a> Placement<'a> {
     }
 }
 
+impl Placement<'_> {
+    /// A band of the source on the target's grid, the nearest cell's value, `NaN` where there is none.
+    pub fn nearest_band(&self, band: usize) -> Raster {
+        let mut out = Raster::filled(self.width, self.height, 1, f32::NAN);
+        for (value, [col, row]) in out.values.iter_mut().zip(&self.positions) {
+            let (col, row) = (col.round(), row.round());
+            let inside = col >= 0.0 && row >= 0.0 && col < self.source.width as f64 && row < self.source.height as f64;
+            if inside {
+                *value = self.source.at(band, col as usize, row as usize);
+            }
+        }
+        out
+    }
+}
+
 /// First band at a fractional pixel position. Missing neighbours make the value missing, except those whose weight is
 /// next to nothing; positions up to half a pixel outside take the edge's value.
 pub fn bilinear(raster: &Raster, col: f64, row: f64) -> f32 {

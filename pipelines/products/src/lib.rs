@@ -5,6 +5,7 @@
 
 pub mod animation;
 pub mod blend;
+pub mod change;
 pub mod daylight;
 pub mod dsm;
 pub mod export;

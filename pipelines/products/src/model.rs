@@ -4,7 +4,7 @@ use crate::daylight::Daylight;
 use crate::ply;
 use heliosplat::gaussians::Table;
 use heliosplat::model::Parameters;
-use heliosplat::model::shadow_gs::{ShadowGs, ShadowGsOptions};
+use heliosplat::model::shadow_gs::{DAYS, ShadowGs, ShadowGsOptions, standing};
 use heliosplat::render::PassOptions;
 use heliosplat::splat::ProjectionOptions;
 use heliosplat_fitting::run_folder::{RunError, read};
@@ -14,6 +14,7 @@ use heliosplat_rpc::{GeoPoint, LocalFrame, ProjectiveMap, sun::SunPosition};
 use heliosplat_scene::crop::Crop;
 use heliosplat_scene::indices::NormalisedDifference;
 use heliosplat_scene::{Area, BandKind, KnownTiles, Split, SunSource, Values};
+use heliosplat_stereo::change::Segment;
 use std::path::{Path, PathBuf};
 
 /// Version of `model.json`.
@@ -54,6 +55,15 @@ pub struct ModelImage {
     pub time: Option<jiff::Timestamp>,
 }
 
+/// What `model.json` says of changes.
+#[derive(Debug, Clone, PartialEq, serde::Serialize, serde::Deserialize)]
+pub struct ModelChanges {
+    /// Days on which the images could be divided, days since 1970.
+    pub days: Vec<i32>,
+    /// The parts of the ground that changed, metres of the local frame.
+    pub segments: Vec<Segment>,
+}
+
 /// `model.json`: all of a model besides its Gaussians.
 #[derive(Debug, Clone, PartialEq, serde::Serialize, serde::Deserialize)]
 pub struct ModelFile {
@@ -87,6 +97,9 @@ pub struct ModelFile {
     pub daylight: Option<Daylight>,
     /// The images.
     pub images: Vec<ModelImage>,
+    /// What changed between the images; absent where that cannot be told.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub changes: Option<ModelChanges>,
 }
 
 impl ModelFile {
@@ -139,11 +152,60 @@ pub fn load_file(folder: &Path) -> Result<ModelFile, RunError> {
     ModelFile::parse(&read(&path)?).map_err(|reason| RunError::Damaged { path, reason })
 }
 
-/// The model of a run.
+impl LoadedModel {
+    /// The model as it stands on a day, days since 1970.
+    pub fn on(&self, day: i32) -> Self {
+        self.copy().into_day(day as f32)
+    }
+
+    /// The model as it stands on the day of its last image.
+    pub fn on_last(&self) -> Self {
+        self.copy().last()
+    }
+
+    /// The same of a model that is not needed as a whole.
+    pub fn last(self) -> Self {
+        let last = self.model.options.days.iter().copied().fold(f32::MIN, f32::max);
+        self.into_day(last)
+    }
+
+    fn copy(&self) -> Self {
+        Self {
+            folder: self.folder.clone(),
+            file: self.file.clone(),
+            model: self.model.clone(),
+            parameters: self.parameters.clone(),
+            frame: self.frame,
+        }
+    }
+
+    /// Without what does not stand on a day, and without days.
+    fn into_day(mut self, day: f32) -> Self {
+        let gaussians = &self.parameters.gaussians;
+        if let Some(standing) = standing(gaussians, day) {
+            let kept: Vec<u32> = (0..gaussians.count as u32).filter(|&g| standing[g as usize]).collect();
+            self.parameters.gaussians = gaussians.gather(&kept);
+            self.parameters.gaussians.groups.retain(|group| group.spec.name != DAYS);
+            self.model.options.days = Vec::new();
+            self.file.options.days = Vec::new();
+        }
+        self
+    }
+}
+
+/// The model of a run as it stands on the day of the last image.
 ///
 /// # Errors
 /// When a file is missing or damaged.
 pub fn load(folder: &Path) -> Result<LoadedModel, RunError> {
+    load_whole(folder).map(LoadedModel::last)
+}
+
+/// The model of a run with all that stands on any day.
+///
+/// # Errors
+/// When a file is missing or damaged.
+pub fn load_whole(folder: &Path) -> Result<LoadedModel, RunError> {
     let damaged = |path: &Path, reason: String| RunError::Damaged {
         path: path.to_owned(),
         reason,

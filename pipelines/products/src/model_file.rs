@@ -40,6 +40,10 @@ impl ModelFile {
             return Err("its daylight is none".into());
         }
         file.check_numbers()?;
+        let days = &file.options.days;
+        if ![0, file.options.images].contains(&days.len()) || !days.iter().all(|day| day.is_finite()) {
+            return Err("its images have days that are none".into());
+        }
         file.images
             .iter()
             .try_for_each(|image| check_image(image, &file.options))?;

@@ -6,6 +6,7 @@ use super::relight::{RelightError, relight_ortho, shadows_ortho};
 use super::sunshine::{Period, sunshine};
 use super::writer::{Said, Set, Writer};
 use super::{ortho, points};
+use crate::change::ChangeMap;
 use crate::model::{LoadedModel, ModelImage};
 use heliosplat_fitting::run_folder::inputs;
 use heliosplat_raster::{Geoid, RasterError};
@@ -76,18 +77,19 @@ pub fn steps(model: &LoadedModel) -> u64 {
     4 + shaded_dates(model).len() as u64
 }
 
-/// Writes all products of `model` into the folder `out`, `item.json` last, under the name `id`, in a collection (its name and where it
+/// Writes all products of a `whole` model, which are those of the day of its last image, into the folder `out`, `item.json` last, under the name `id`, in a collection (its name and where it
 /// is) if there is one; `done` is called with the number of steps done.
 ///
 /// # Errors
 /// When the grid cannot be made, a geoid is missing, the sun asked for is down (before anything is written), or a file cannot be written.
 pub fn write(
-    model: &LoadedModel,
+    whole: &LoadedModel,
     out: &Path,
     request: &Request,
     (id, collection): (&str, Option<(&str, &str)>),
     done: &dyn Fn(u64),
 ) -> Result<Set, RelightError> {
+    let model = &whole.on_last();
     let gsd_m = request.gsd_m.unwrap_or(model.file.gsd_m);
     let nadir = NadirGrid::new(&model.into(), gsd_m, request.crs.as_deref())?;
     let seen = maps(model, &nadir);
@@ -109,6 +111,9 @@ pub fn write(
     let bands = &model.file.bands;
     let mut writer = Writer::new(&nadir.grid, gsd_m, out);
     writer.surface(&surface)?;
+    if let Some(changes) = ChangeMap::of(whole, &nadir) {
+        writer.changes(&changes)?;
+    }
     let mut albedo = ortho::albedo(model, &seen);
     surface.blank_unknown(&mut albedo);
     writer.colours(&albedo, bands, model.file.vegetation_index())?;

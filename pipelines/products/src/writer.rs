@@ -1,5 +1,6 @@
 //! Products on one grid, written one after the other, each noted for the STAC item that comes last.
 
+use super::change::{self, ChangeMap, as_date};
 use super::dsm::{BANDS, Dsm, UNITS};
 use super::ortho;
 use super::stac::{self, About, Asset, Band};
@@ -121,6 +122,27 @@ impl<'a> Writer<'a> {
             self.gsd_m,
             sun,
         );
+        self.assets.push(asset);
+        Ok(())
+    }
+
+    /// Writes what changed between the images.
+    ///
+    /// # Errors
+    /// When the file cannot be written.
+    pub fn changes(&mut self, changes: &ChangeMap) -> Result<(), RasterError> {
+        const FILE: &str = "change.tif";
+        const TITLE: &str = "Change of heights between the first image and the last";
+        changes.write(&self.out.join(FILE), self.grid)?;
+        // What the file holds is what is described: dates.
+        let mut shown = changes.raster.clone();
+        for day in shown.plane_mut(1).iter_mut().filter(|day| **day > 0.0) {
+            *day = as_date(*day as i32) as f32;
+        }
+        let bands: Vec<Band> = (change::BANDS.iter().zip(change::UNITS))
+            .map(|(name, unit)| Band { name, unit })
+            .collect();
+        let asset = Asset::raster(("change", FILE, TITLE), &shown, &bands, None, self.gsd_m, None);
         self.assets.push(asset);
         Ok(())
     }

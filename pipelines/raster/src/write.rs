@@ -92,6 +92,23 @@ pub fn write_cog(path: &Path, spec: &ImageSpec) -> Result<(), RasterError> {
     )
 }
 
+/// Writes a float64 cloud-optimised GeoTIFF of what `convert` makes of the values of each band; NaN becomes nodata. Overviews show the nearest
+/// cell: a mean of days is no day.
+///
+/// # Errors
+/// As [`write_cog`].
+pub fn write_double_cog(path: &Path, spec: &ImageSpec, convert: impl Fn(usize, f32) -> f64) -> Result<(), RasterError> {
+    let converted = |band, value: f32| match value.is_finite() {
+        true => convert(band, value),
+        false => f64::from(NODATA),
+    };
+    let dataset = build(spec, converted, Some(NODATA)).map_err(|reason| RasterError::Write {
+        path: path.to_owned(),
+        reason,
+    })?;
+    write_copy(path, &dataset, "COG", &cog_options("NEAREST"))
+}
+
 /// Writes an 8-bit cloud-optimised GeoTIFF; values are rounded and clamped, `NaN` becomes the nodata of `bytes`.
 ///
 /// # Errors
@@ -101,7 +118,7 @@ pub fn write_byte_cog(path: &Path, spec: &ImageSpec, bytes: Bytes) -> Result<(),
         Bytes::Mask => (bytes.nodata(), "MODE"),
         Bytes::Shades => (bytes.nodata(), "AVERAGE"),
     };
-    let convert = |value: f32| if value.is_nan() { nodata } else { value.round() as u8 };
+    let convert = |_, value: f32| if value.is_nan() { nodata } else { value.round() as u8 };
     let dataset = build(spec, convert, Some(f32::from(nodata))).map_err(|reason| RasterError::Write {
         path: path.to_owned(),
         reason,
@@ -248,12 +265,12 @@ fn in_memory(path: &Path, spec: &ImageSpec, sample: Sample) -> Result<Dataset, R
     let built = match sample {
         Sample::F32 => build(
             spec,
-            |value| if value.is_finite() { value } else { NODATA },
+            |_, value| if value.is_finite() { value } else { NODATA },
             Some(NODATA),
         ),
         // `as` saturates and turns NaN into 0.
-        Sample::U8 => build(spec, |value| value.round() as u8, None),
-        Sample::U16 => build(spec, |value| value.round() as u16, None),
+        Sample::U8 => build(spec, |_, value| value.round() as u8, None),
+        Sample::U16 => build(spec, |_, value| value.round() as u16, None),
     };
     built.map_err(|reason| RasterError::Write {
         path: path.to_owned(),
@@ -263,7 +280,7 @@ fn in_memory(path: &Path, spec: &ImageSpec, sample: Sample) -> Result<Dataset, R
 
 fn build<T: GdalType + Copy>(
     spec: &ImageSpec,
-    convert: impl Fn(f32) -> T,
+    convert: impl Fn(usize, f32) -> T,
     nodata: Option<f32>,
 ) -> Result<Dataset, String> {
     let raster = spec.raster;
@@ -274,7 +291,7 @@ fn build<T: GdalType + Copy>(
         describe(&mut dataset, spec, nodata)?;
         for index in 0..raster.bands {
             let mut band = dataset.rasterband(index + 1)?;
-            let values = raster.plane(index).iter().map(|&value| convert(value)).collect();
+            let values = raster.plane(index).iter().map(|&value| convert(index, value)).collect();
             band.write((0, 0), size, &mut Buffer::new(size, values))?;
         }
         Ok(dataset)

@@ -19,10 +19,12 @@ use heliosplat_fitting::checkpoint::{CheckpointWriter, LoadedCheckpoint};
 use heliosplat_fitting::curve::CurvePoint;
 use heliosplat_fitting::run_folder::peak_rss_bytes;
 use heliosplat_fitting::training::{Ending, TrainingError, train};
+use heliosplat_products::change::day_of;
 use heliosplat_products::daylight::Daylight;
 use heliosplat_scene::{Area, ImageSun, KnownTiles, Scene, crop};
 use heliosplat_session::Session;
 use heliosplat_stereo::Surface;
+use heliosplat_stereo::change::Changes;
 use std::time::Instant;
 
 /// Sky light at the start, as a share of the sun's: that of a clear day; training finds each image's own.
@@ -61,6 +63,8 @@ pub struct Fitted {
     pub daylight: Option<Daylight>,
     /// The surface that training started from.
     pub surface: Surface,
+    /// What changed between the images.
+    pub changes: Changes,
     /// How training ended.
     pub early_stop: EarlyStop,
     /// Steps rejected because of a number that is not finite.
@@ -130,6 +134,7 @@ pub fn fit(
     checkpoints.log = log.unwrap_or_default();
     let Preprocessed {
         surface,
+        changes,
         shifts_px,
         clouds,
         shadow_suns,
@@ -144,15 +149,18 @@ pub fn fit(
     if decisions.light == Light::LeftOut {
         tracing::warn!("{}", decisions.light_reason());
     }
-    let model = model(&ground, &suns, decisions);
+    let model = model(&ground, &suns, decisions, !changes.segments.is_empty());
     let covered = ground.covered(&surface);
+    let start = initial::Start {
+        surface: &surface,
+        covered: &covered,
+        step_opacity: config.start.step_opacity,
+    };
     let mut parameters = Parameters {
-        gaussians: initial::Start {
-            surface: &surface,
-            covered: &covered,
-            step_opacity: config.start.step_opacity,
-        }
-        .gaussians(model.feature_groups()),
+        gaussians: match changes.segments.is_empty() {
+            true => start.gaussians(model.feature_groups()),
+            false => initial::changing(&start, &changes, &model.feature_groups()),
+        },
         globals: model.initial_globals(SKY),
     };
     tracing::info!(
@@ -230,6 +238,7 @@ pub fn fit(
         decisions: decisions.clone(),
         clouded: clouds.iter().map(|mask| clouds::share(mask)).collect(),
         surface,
+        changes,
         seconds: [
             align_s,
             sweep_s,
@@ -240,8 +249,12 @@ pub fn fit(
 }
 
 /// The model of the images of `ground`.
-fn model(ground: &Ground, suns: &[ImageSun], decisions: &Decisions) -> ShadowGs {
+fn model(ground: &Ground, suns: &[ImageSun], decisions: &Decisions, changing: bool) -> ShadowGs {
     let images = ground.images.len();
+    let days = ground
+        .images
+        .iter()
+        .filter_map(|image| Some(day_of(image.time?) as f32));
     ShadowGs::new(ShadowGsOptions {
         bands: ground.images.first().map_or(0, |image| image.pixels.bands),
         images,
@@ -251,6 +264,7 @@ fn model(ground: &Ground, suns: &[ImageSun], decisions: &Decisions) -> ShadowGs 
         near_light: decisions.near_light,
         degree: decisions.sh_degree,
         opaqueness_weight: decisions.opaqueness_weight,
+        days: if changing { days.collect() } else { Vec::new() },
     })
 }
 

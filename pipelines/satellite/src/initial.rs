@@ -7,8 +7,11 @@
 //!   the images do not show, and the ground is there when it does.
 
 use glam::{Mat3, Quat, Vec3};
-use heliosplat::gaussians::{GroupSpec, LOG_SCALE, OPACITY, POSITION, ROTATION, Table, core_groups, logit};
+use heliosplat::gaussians::{Group, GroupSpec, LOG_SCALE, OPACITY, POSITION, ROTATION, Table, core_groups, logit};
+use heliosplat::model::shadow_gs::{ALWAYS, DAYS};
 use heliosplat_stereo::Surface;
+use heliosplat_stereo::change::Changes;
+use std::collections::BTreeSet;
 
 /// Standard deviation of a disc in the surface, cells: neighbours overlap until no light comes between them.
 const SPREAD_CELLS: f32 = 0.65;
@@ -191,6 +194,84 @@ impl Start<'_> {
                 discs.add_wall(here, &step, opacity);
             }
         }
+    }
+}
+
+/// The Gaussians of a surface that changed: where nothing did those of the surface, which is that of the last day; elsewhere those of the
+/// surface before until the day of the change, and those of the last from then on. `groups` end with the days.
+pub(super) fn changing(start: &Start, changes: &Changes, groups: &[GroupSpec]) -> Table {
+    let &Start { surface, covered, .. } = start;
+    let before = Surface {
+        above: changes.before_m.clone(),
+        altitude: changes.before_m.clone(),
+        ..surface.clone()
+    };
+    let near = around_changes(surface, changes);
+    let part = |surface: &Surface, day: Option<i32>, days: [f32; 2]| {
+        let covered: Vec<bool> = covered
+            .iter()
+            .zip(&near)
+            .map(|(covered, near)| *covered && *near == day)
+            .collect();
+        let of = Start {
+            surface,
+            covered: &covered,
+            step_opacity: start.step_opacity,
+        };
+        let mut table = of.gaussians(groups.to_vec());
+        if let Some(group) = table.groups.iter_mut().find(|group| group.spec.name == DAYS) {
+            group
+                .values
+                .chunks_exact_mut(2)
+                .for_each(|window| window.copy_from_slice(&days));
+        }
+        table
+    };
+    let mut all = part(surface, None, ALWAYS);
+    let days: BTreeSet<i32> = near.iter().copied().flatten().collect();
+    for day in days {
+        all = joined(all, part(&before, Some(day), [ALWAYS[0], day as f32]));
+        all = joined(all, part(surface, Some(day), [day as f32, ALWAYS[1]]));
+    }
+    all
+}
+
+/// Cells around a segment whose Gaussians have its days too: walls and the ground under eaves belong to it.
+const AROUND_CELLS: usize = 2;
+
+/// The day of the change of each cell in or beside a segment.
+fn around_changes(surface: &Surface, changes: &Changes) -> Vec<Option<i32>> {
+    let (width, height) = (surface.width, surface.height);
+    let mut near = vec![None; width * height];
+    for cell in 0..near.len() {
+        let Some(segment) = changes.at(cell) else { continue };
+        let (col, row) = (cell % width, cell / width);
+        let span = |at: usize, count: usize| at.saturating_sub(AROUND_CELLS)..(at + AROUND_CELLS + 1).min(count);
+        for r in span(row, height) {
+            for c in span(col, width) {
+                let of = &mut near[r * width + c];
+                *of = Some(of.map_or(segment.day, |day: i32| day.max(segment.day)));
+            }
+        }
+    }
+    // In a segment its own day counts, whatever lies beside it.
+    for (cell, of) in near.iter_mut().enumerate() {
+        if let Some(segment) = changes.at(cell) {
+            *of = Some(segment.day);
+        }
+    }
+    near
+}
+
+/// The elements of two tables of the same groups.
+fn joined(a: Table, b: Table) -> Table {
+    let groups = a.groups.into_iter().zip(b.groups).map(|(a, b)| Group {
+        spec: a.spec,
+        values: [a.values, b.values].concat(),
+    });
+    Table {
+        count: a.count + b.count,
+        groups: groups.collect(),
     }
 }
 

@@ -4,9 +4,11 @@ use super::error::SatelliteError;
 use super::fit::Fitted;
 use super::relit;
 use heliosplat::Raster;
+use heliosplat_evaluate::change::evaluate_change;
 use heliosplat_evaluate::shadow::ShadowCounts;
 use heliosplat_evaluate::{DsmEvaluation, ImageScore, Protocol, error_map, evaluate_dsm};
 use heliosplat_fitting::run_folder::{RunError, create_folder, peak_rss_bytes};
+use heliosplat_products::change::day_of;
 use heliosplat_products::dsm::of_surface;
 use heliosplat_products::model::{LoadedModel, ModelImage};
 use heliosplat_products::nadir::NadirGrid;
@@ -48,8 +50,9 @@ pub fn dsm(
     Ok(Some(evaluation))
 }
 
-/// `metrics.json` as far as it follows from model and scene; also draws pictures into the run's folder.
-pub fn metrics(scene: &Scene, model: &LoadedModel, run: &Path, protocol: Protocol) -> Result<Value, SatelliteError> {
+/// `metrics.json` as far as it follows from scene and model, with all that stands on any day; also draws pictures into the run's folder.
+pub fn metrics(scene: &Scene, whole: &LoadedModel, run: &Path, protocol: Protocol) -> Result<Value, SatelliteError> {
+    let model = &whole.on_last();
     let mut out = json!({ "gaussians": model.parameters.gaussians.count, "suns": suns(&model.file.images) });
     if let Some(evaluation) = dsm(scene, model, run, protocol)? {
         out["dsm"] = surface_metrics(&evaluation);
@@ -66,7 +69,11 @@ pub fn metrics(scene: &Scene, model: &LoadedModel, run: &Path, protocol: Protoco
         };
         let truth = known.crop.cut(&image.pixels);
         let held_out = known.split == Split::Test;
-        let rendered = render_view(model, known, Some(&truth));
+        let of_day = known
+            .time
+            .filter(|_| !whole.model.options.days.is_empty())
+            .map(|time| whole.on(day_of(time)));
+        let rendered = render_view(of_day.as_ref().unwrap_or(model), known, Some(&truth));
         if let Some(score) = score(&rendered, &truth, rgb) {
             if held_out {
                 colour = Some(rendered.colour.text());
@@ -92,6 +99,9 @@ pub fn metrics(scene: &Scene, model: &LoadedModel, run: &Path, protocol: Protoco
         out["test"] = mean(&test);
         out["test"]["colour"] = json!(colour);
     }
+    if let Some(changes) = changes(scene, run, whole)? {
+        out["change"] = changes;
+    }
     if let Some(score) = shadows.score().filter(|_| !scene.truth.shadows.is_empty()) {
         out["shadow"] = serde_json::to_value(score).unwrap_or_default();
         out["shadow"]["traced"] = serde_json::to_value(traced.score()).unwrap_or_default();
@@ -104,6 +114,31 @@ pub fn metrics(scene: &Scene, model: &LoadedModel, run: &Path, protocol: Protoco
         }
     }
     Ok(out)
+}
+
+/// What the images say of changes, and how it compares with the truth where there is one; `None` where they cannot tell.
+fn changes(scene: &Scene, run: &Path, whole: &LoadedModel) -> Result<Option<Value>, SatelliteError> {
+    let Some(changes) = &whole.file.changes else {
+        return Ok(None);
+    };
+    let mut out = json!({
+        "segments": changes.segments.len(),
+        "area_m2": changes.segments.iter().map(|segment| segment.area_m2).sum::<f32>(),
+    });
+    let found = run.join("change.tif");
+    if let Some(truth) = scene.truth.changes().filter(|_| found.is_file()) {
+        let score = evaluate_change(&found, &truth)?;
+        out["truth"] = serde_json::to_value(score).unwrap_or_default();
+    }
+    if let Some(before) = scene.truth.before() {
+        let first = whole.model.options.days.iter().copied().fold(f32::MAX, f32::min);
+        let first = whole.on(first as i32);
+        let path = run.join("dsm_before.tif");
+        heliosplat_products::dsm::dsm(&first, first.file.gsd_m, None)?.write(&path)?;
+        let evaluation = evaluate_dsm(&path, &before, None, Protocol::Raw)?;
+        out["dsm_before"] = surface_metrics(&evaluation);
+    }
+    Ok(Some(out))
 }
 
 /// The suns of the images, degrees, their standard deviations, and where they come from; null where a sun is unknown.
@@ -263,6 +298,26 @@ pub fn summary(metrics: &Value) -> String {
         "% (before images say where shadows end)",
     );
     say("shadows right", number("/shadow/accuracy").map(|a| 100.0 * a), "%");
+    say(
+        "changed",
+        number("/change/segments"),
+        "segments of the ground between the images",
+    );
+    say(
+        "... precision",
+        number("/change/truth/precision").map(|p| 100.0 * p),
+        "% of the changed area found",
+    );
+    say(
+        "... recall",
+        number("/change/truth/recall").map(|r| 100.0 * r),
+        "% of the changed area",
+    );
+    say(
+        "DSM MAE",
+        number("/change/dsm_before/mae_m"),
+        "m (raw, at the first image)",
+    );
     say(
         "relit PSNR",
         number("/relit/mean/psnr_one_gain_db"),

@@ -9,12 +9,14 @@ use super::ground::Ground;
 use super::limits::AtLimits;
 use super::plan::Decisions;
 use heliosplat::Raster;
+use heliosplat_products::change::day_of;
 use heliosplat_rpc::RpcError;
 use heliosplat_rpc::adjust::BiasModel;
 use heliosplat_scene::{AltitudeSource, IngestOptions, Scene};
 use heliosplat_session::Session;
+use heliosplat_stereo::change::{self, Changes};
 use heliosplat_stereo::suns::ShadowSun;
-use heliosplat_stereo::{MatchingParameters, PlaneSweepRequest, Surface, plane_sweep};
+use heliosplat_stereo::{MatchingParameters, PlaneSweepRequest, Surface, SweepView, plane_sweep};
 use std::path::Path;
 use std::time::Instant;
 
@@ -24,8 +26,10 @@ const CLOUDS_AGAIN_PX: f32 = 4.0;
 /// Results that are computed once before training, and kept in its checkpoint.
 #[derive(Debug, Clone, serde::Serialize, serde::Deserialize)]
 pub struct Preprocessed {
-    /// The swept surface.
+    /// The swept surface; where something changed, that of the last images.
     pub surface: Surface,
+    /// What changed between the images.
+    pub changes: Changes,
     /// Pointing corrections, pixels.
     pub shifts_px: Vec<[f32; 2]>,
     /// The pixels of each image that show clouds; empty where there are none.
@@ -68,15 +72,17 @@ impl<'a> Preprocess<'a> {
         }
         let aligned = started.elapsed();
         let progress = session.progress("sweep", 100);
-        let surface = sweep(&ground, &rasters, &shifts_px, decisions, &request, &|share| {
+        let mut surface = sweep(&ground, &rasters, &shifts_px, decisions, &request, &|share| {
             progress.set((100.0 * share) as u64);
         });
+        let changes = changes(&ground, &rasters, &shifts_px, decisions, &request, &mut surface);
         if let Some(warning) = AtLimits::of(&surface, scene).warning(scene.altitude_range_m) {
             tracing::warn!("{warning}");
         }
         let seconds = [aligned.as_secs_f64(), (started.elapsed() - aligned).as_secs_f64()];
         let found = Preprocessed {
             surface,
+            changes,
             shifts_px,
             clouds,
             shadow_suns: vec![None; scene.images.len()],
@@ -97,7 +103,9 @@ impl<'a> Preprocess<'a> {
             && found.clouds.len() == images
             && found.shadow_suns.len() == scene.images.len()
             && masks.all(|(mask, crop)| mask.is_empty() || mask.len() == crop.width * crop.height)
-            && found.surface.is_whole();
+            && found.surface.is_whole()
+            && [0, found.surface.altitude.len()].contains(&found.changes.label.len())
+            && found.changes.before_m.len() == found.changes.label.len();
         Ok(fits.then_some(Self { ground, found }))
     }
 }
@@ -128,15 +136,53 @@ pub(super) fn sweep(
     request: &PlaneSweepRequest,
     progress: &dyn Fn(f32),
 ) -> Surface {
-    let indices = match decisions.vegetation_index {
-        true => ground.vegetation_indices(rasters),
-        false => None,
-    };
+    let indices = indices(ground, rasters, decisions);
+    plane_sweep(&views(ground, rasters, &indices, shifts_px), request, progress)
+}
+
+/// A vegetation index of each crop, where it is to be compared.
+fn indices(ground: &Ground, rasters: &[Raster], decisions: &Decisions) -> Option<Vec<Raster>> {
+    let asked = decisions.vegetation_index.then(|| ground.vegetation_indices(rasters));
+    asked.flatten()
+}
+
+/// The crops as the sweep takes them.
+fn views<'r>(
+    ground: &Ground,
+    rasters: &'r [Raster],
+    indices: &'r Option<Vec<Raster>>,
+    shifts_px: &[[f32; 2]],
+) -> Vec<SweepView<'r>> {
     let mut views = ground.sweep_views(rasters, shifts_px);
     for (view, index) in views.iter_mut().zip(indices.iter().flatten()) {
         view.index = Some(index);
     }
-    plane_sweep(&views, request, progress)
+    views
+}
+
+/// What changed between the images; `surface` becomes that of the last. Without the time of every image it cannot be told.
+fn changes(
+    ground: &Ground,
+    rasters: &[Raster],
+    shifts_px: &[[f32; 2]],
+    decisions: &Decisions,
+    request: &PlaneSweepRequest,
+    surface: &mut Surface,
+) -> Changes {
+    let days: Option<Vec<i32>> = ground.images.iter().map(|image| image.time.map(day_of)).collect();
+    let Some(days) = days else { return Changes::default() };
+    let indices = indices(ground, rasters, decisions);
+    let begun = Instant::now();
+    let changes = change::find(&views(ground, rasters, &indices, shifts_px), &days, request, surface);
+    match changes.days.is_empty() {
+        true => tracing::info!("change between the images cannot be told: no day has two of them on either side"),
+        false => tracing::info!(
+            "{} segments changed between the images ({:.1} s)",
+            changes.segments.len(),
+            begun.elapsed().as_secs_f64()
+        ),
+    }
+    changes
 }
 
 /// The surface that all views of `scene` find together, without training.

@@ -6,8 +6,8 @@ use super::path_radiance::{self, Pair};
 use heliosplat::gaussians::{OPACITY, Table, logit};
 use heliosplat::light::Light;
 use heliosplat::model::Parameters;
-use heliosplat::model::View;
 use heliosplat::model::shadow_gs::{ALBEDO, COLOUR, OFFSET, ShadowGs};
+use heliosplat::model::{SceneModel, View};
 use heliosplat::render::{PassOptions, render};
 use heliosplat::splat::Maps;
 use heliosplat::trace::{Occluders, transmittance};
@@ -41,7 +41,13 @@ struct Sample {
     shaded: bool,
 }
 
-fn samples(gaussians: &Table, occluders: &Occluders, view: &View, maps: &Maps) -> Vec<Sample> {
+fn samples(
+    gaussians: &Table,
+    occluders: &Occluders,
+    view: &View,
+    maps: &Maps,
+    present: Option<&[bool]>,
+) -> Vec<Sample> {
     let all: Vec<u32> = (0..gaussians.count as u32).collect();
     let lit: Vec<f32> = match &view.light {
         Some(light @ Light::Directional(_)) => transmittance(occluders, &all, light).values,
@@ -59,7 +65,8 @@ fn samples(gaussians: &Table, occluders: &Occluders, view: &View, maps: &Maps) -
             } else {
                 None
             };
-            let visible = pixel.filter(|&p| {
+            let here = present.is_none_or(|present| present[g as usize]);
+            let visible = pixel.filter(|_| here).filter(|&p| {
                 let depth = maps.median_depth[p as usize];
                 view.weight[p as usize] > 0.0 && view.camera.depth(position) < depth + VISIBLE_M
             });
@@ -127,18 +134,33 @@ pub(super) type Shades = Vec<Vec<Option<f64>>>;
 /// are worth.
 pub(super) fn initialise(model: &ShadowGs, parameters: &mut Parameters, views: &mut [View], sky: f32) -> Shades {
     let bands = model.options.bands;
-    let occluders = Occluders::new(&parameters.gaussians);
+    let mut occluders = Occluders::new(&parameters.gaussians);
     let mut shown = Vec::new();
     // What training may make opaque counts as covered.
     let mut solid = parameters.clone();
     solid.gaussians.group_mut(OPACITY).fill(logit(SOLID));
     for view in views.iter_mut() {
+        let appearance = Some(view.appearance);
         cover(
             view,
-            &render(model, &solid, &view.camera, None, None, PassOptions::default()).maps,
+            &render(model, &solid, &view.camera, None, appearance, PassOptions::default()).maps,
         );
-        let maps = render(model, parameters, &view.camera, None, None, PassOptions::default()).maps;
-        shown.push(samples(&parameters.gaussians, &occluders, view, &maps));
+        let maps = render(
+            model,
+            parameters,
+            &view.camera,
+            None,
+            appearance,
+            PassOptions::default(),
+        )
+        .maps;
+        let present = model.present(parameters, appearance);
+        if let Some(present) = &present {
+            occluders.renew(&parameters.gaussians);
+            occluders.hide(present);
+        }
+        let of_view = samples(&parameters.gaussians, &occluders, view, &maps, present.as_deref());
+        shown.push(of_view);
     }
     let shown = Shown {
         colours: colours(model, &shown, views),

@@ -13,14 +13,16 @@ use crate::measure;
 use crate::plan::Decisions;
 use crate::run_file::{self, RunFile};
 use heliosplat::splat::ProjectionOptions;
-use heliosplat_evaluate::Protocol;
+use heliosplat_evaluate::{Protocol, error_map};
 use heliosplat_fitting::checkpoint::{digest, identity_of_program};
 use heliosplat_fitting::request::{TrainOutcome, TrainRequest, TrainedRun};
 use heliosplat_fitting::run_folder::{Input, Opened, RunFolder, RunRequest, hash, hash_of_pixels};
 use heliosplat_fitting::settings::Preset;
 use heliosplat_fitting::training::Ending;
+use heliosplat_products::change::ChangeMap;
 use heliosplat_products::dsm;
-use heliosplat_products::model::{LoadedModel, ModelFile, SCHEMA};
+use heliosplat_products::model::{LoadedModel, ModelChanges, ModelFile, SCHEMA};
+use heliosplat_products::nadir::NadirGrid;
 use heliosplat_raster::{is_virtual, preview};
 use heliosplat_scene::{AltitudeSource, IngestOptions, Scene, SceneImage, Values};
 use heliosplat_session::Session;
@@ -84,7 +86,7 @@ pub fn train(
         config,
     };
     run_file::save(&request.out, &run, &file, &fitted.parameters.gaussians)?;
-    let model = LoadedModel {
+    let whole = LoadedModel {
         folder: request.out.clone(),
         model: fitted.model.clone(),
         parameters: std::mem::take(&mut fitted.parameters),
@@ -92,6 +94,12 @@ pub fn train(
         frame: scene.frame,
     };
     // Products.
+    let nadir = NadirGrid::new(&(&whole).into(), whole.file.gsd_m, None)?;
+    if let Some(changes) = ChangeMap::of(&whole, &nadir) {
+        changes.write(&request.out.join("change.tif"), &nadir.grid)?;
+        preview::write_png(&request.out.join("change.png"), &error_map::draw(&changes.difference()))?;
+    }
+    let model = whole.on_last();
     let surface = dsm::dsm(&model, model.file.gsd_m, None)?;
     surface.write(&request.out.join("dsm.tif"))?;
     preview::write_png(
@@ -100,7 +108,7 @@ pub fn train(
     )?;
     // Evaluate.
     let start = measure::write_start(scene, &request.out, &fitted, &model)?;
-    let mut metrics = measure::metrics(scene, &model, &request.out, Protocol::Raw)?;
+    let mut metrics = measure::metrics(scene, &whole, &request.out, Protocol::Raw)?;
     if !start.is_null() {
         metrics["start"] = start;
     }
@@ -192,6 +200,10 @@ fn model_file(scene: &Scene, fitted: &Fitted) -> ModelFile {
         values: reference_values(scene, fitted),
         daylight: fitted.daylight.clone(),
         images: run_file::model_images(scene, fitted, MARGIN_M),
+        changes: (!fitted.changes.days.is_empty()).then(|| ModelChanges {
+            days: fitted.changes.days.clone(),
+            segments: fitted.changes.segments.clone(),
+        }),
     }
 }
 

@@ -22,6 +22,23 @@ pub(super) fn find_for(home: &Path, images: &[String]) -> Truth {
     }
 }
 
+impl Truth {
+    /// The map of changes beside the surface model, `change.tif`, if there is one.
+    pub fn changes(&self) -> Option<PathBuf> {
+        self.beside("change.tif")
+    }
+
+    /// The surface model at the time of the first image beside the one at the last, `dsm_before.tif`, if there is one.
+    pub fn before(&self) -> Option<PathBuf> {
+        self.beside("dsm_before.tif")
+    }
+
+    fn beside(&self, name: &str) -> Option<PathBuf> {
+        let path = self.dsm.as_ref()?.with_file_name(name);
+        path.is_file().then_some(path)
+    }
+}
+
 /// What the names of all images begin with, up to an underscore: `JAX_068` of `JAX_068_001_RGB` and `JAX_068_012_RGB`.
 fn area_of(images: &[String]) -> Option<String> {
     let first = images.first()?;

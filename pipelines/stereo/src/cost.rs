@@ -30,7 +30,7 @@ const VALUE_TRUNCATION: f32 = 4.0;
 
 /// Differences from here on lie across the edge of a shadow or of another surface, in median differences between the neighbours around
 /// (docs/lab/plane-sweep.md).
-const CONTRAST_LIMIT: f32 = 8.0;
+pub(super) const CONTRAST_LIMIT: f32 = 8.0;
 
 /// What is compared, and where.
 pub(super) struct MatchingCost<'a> {

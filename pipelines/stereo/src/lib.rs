@@ -26,6 +26,7 @@
 
 pub mod align;
 mod census;
+pub mod change;
 pub mod clouds;
 mod contrast;
 mod cost;

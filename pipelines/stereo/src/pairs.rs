@@ -23,6 +23,11 @@ impl Pair {
     pub(super) fn weight_of(&self, share: f32) -> u32 {
         ((self.weight as f32 * share) as u32).max(1)
     }
+
+    /// Its weight beside that of a perfect pair, 0 to 1.
+    pub(super) fn share(&self) -> f32 {
+        self.weight as f32 / FULL_WEIGHT
+    }
 }
 
 /// Weight of a perfect pair: weights are whole numbers, so that sums do not depend on their order.

@@ -33,6 +33,8 @@ pub enum Merge {
     Mean,
     /// Yes or no, as most of the weight says.
     Majority,
+    /// What the tile of most weight says: what has no mean, such as days.
+    Heaviest,
 }
 
 impl Layer {
@@ -142,16 +144,21 @@ impl Layer {
                     let at = (col as isize, row);
                     one_surface(&mut said, (pieces, &here), at, gsd_m);
                     let (mut sum, mut weight) = (0.0, 0.0);
+                    let (mut heaviest, mut most) = (f32::NAN, 0.0);
                     for one in &said {
                         let own = self.value(pieces, one.piece, band, at);
                         if own.is_finite() {
                             sum += one.weight * own;
                             weight += one.weight;
+                            if one.weight > most {
+                                (heaviest, most) = (own, one.weight);
+                            }
                         }
                     }
                     if weight > 0.0 {
                         *value = match merge {
                             Merge::Mean => sum / weight,
+                            Merge::Heaviest => heaviest,
                             Merge::Majority => f32::from(u8::from(sum > 0.5 * weight)),
                         };
                     }

@@ -8,6 +8,7 @@ use super::summary::COLLECTION;
 use crate::outcome::CliError;
 use crate::view;
 use heliosplat::Raster;
+use heliosplat_products::change::ChangeMap;
 use heliosplat_products::model::{self, LoadedModel, ModelFile, ModelImage};
 use heliosplat_products::points;
 use heliosplat_products::set::{self, Request, dates, only_sun, times};
@@ -73,6 +74,14 @@ impl Models {
         Ok(Self { files, runs })
     }
 
+    /// The days on which something changed, days since 1970.
+    fn days_of_change(&self) -> Vec<i32> {
+        let changes = self.files.iter().filter_map(|file| file.changes.as_ref());
+        changes
+            .flat_map(|changes| changes.segments.iter().map(|segment| segment.day))
+            .collect()
+    }
+
     /// The images of all, each once.
     fn images(&self) -> Vec<ModelImage> {
         let mut images: BTreeMap<&str, &ModelImage> = BTreeMap::new();
@@ -104,6 +113,10 @@ pub fn of_mosaic(
 
     let mut writer = Writer::new(grid, work.gsd_m, folder);
     writer.surface(&mosaic.dsm)?;
+    let changes = read("change.tif")?.merged(pieces, size, gsd_m, Merge::Heaviest);
+    if let Some(changes) = ChangeMap::read(changes, &models.days_of_change()) {
+        writer.changes(&changes)?;
+    }
     let mut albedo = read("albedo.tif")?;
     let gains = albedo.balance(pieces, gsd_m);
     let albedo = albedo.merged(pieces, size, gsd_m, Merge::Mean);

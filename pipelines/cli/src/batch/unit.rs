@@ -148,9 +148,9 @@ fn tile(
         }
     };
     drop(scene);
-    let model = model::load(&run)?;
+    let model = model::load_whole(&run)?;
     let mut outputs = if work.products.dsm_only {
-        dsm::dsm(&model, work.gsd_m, Some(&work.crs))?.write(&folder.join("dsm.tif"))?;
+        dsm::dsm(&model.on_last(), work.gsd_m, Some(&work.crs))?.write(&folder.join("dsm.tif"))?;
         vec!["dsm.tif".into()]
     } else {
         products::of_tile(&model, unit, folder, (work.gsd_m, &work.crs), work.products.sun)?

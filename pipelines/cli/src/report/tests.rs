@@ -81,6 +81,7 @@ fn contents(folder: &Path) -> Contents {
             bands: vec![BandKind::Pan],
             values: Values::default(),
             images: vec![image],
+            changes: None,
         },
         folder: Folder {
             path: folder.to_owned(),

@@ -60,6 +60,9 @@ pub struct DsmArgs {
     /// Coordinate reference system [default: the local UTM zone]
     #[arg(long, value_name = "EPSG:N")]
     pub crs: Option<String>,
+    /// The surface as it stands on this day, where something changed between the images [default: that of the last image]
+    #[arg(long, value_parser = parse::date, value_name = "DATE")]
+    pub at: Option<jiff::civil::Date>,
     /// Close holes with the lower of the altitudes around them; closed cells have a coverage and views of 0 and no standard deviation
     #[arg(long)]
     pub fill: bool,

@@ -109,7 +109,7 @@ fn one(
     names: (&str, Option<(&str, &str)>),
     session: &Session,
 ) -> Result<Set, CliError> {
-    let model = model::load(run)?;
+    let model = model::load_whole(run)?;
     let request = Request {
         gsd_m: args.gsd,
         crs: args.crs.clone(),

@@ -9,7 +9,8 @@ use crate::report;
 use heliosplat_fitting::request::{TrainOutcome, TrainRequest};
 use heliosplat_fitting::run_folder::{RunError, create_folder, read, save_metrics};
 use heliosplat_fitting::settings::Preset;
-use heliosplat_products::model::load;
+use heliosplat_products::change::{as_day, day_of};
+use heliosplat_products::model::{load, load_whole};
 use heliosplat_products::{dsm, relight, views as rendered};
 use heliosplat_raster::write::{ImageSpec, Sample, write_geotiff};
 use heliosplat_rpc::sun::{SunPosition, sun_position};
@@ -94,9 +95,17 @@ pub(crate) fn dsm(args: &DsmArgs, session: &Session) -> Result<Outcome, CliError
             if args.memory.is_some() {
                 return Err(CliError::Input("dsm: --memory is for --from sweep".into()));
             }
-            let model = load(&args.run)?;
+            let model = match args.at {
+                Some(date) => load_whole(&args.run)?.on(as_day(date)),
+                None => load(&args.run)?,
+            };
             let gsd_m = args.gsd.unwrap_or(model.file.gsd_m);
             (dsm::dsm(&model, gsd_m, args.crs.as_deref())?, gsd_m, None)
+        }
+        DsmSource::Sweep if args.at.is_some() => {
+            return Err(CliError::Input(
+                "dsm: --at is of a trained run, not of --from sweep".into(),
+            ));
         }
         DsmSource::Sweep => match sweep_dsm::sweep(args, session)? {
             SweptSurface::Whole { surface, gsd_m, memory } => (*surface, gsd_m, Some(memory)),
@@ -176,7 +185,8 @@ pub(crate) fn relight(args: &RelightArgs, session: &Session) -> Result<Outcome, 
 /// # Errors
 /// When the run is at fault, or a file cannot be written.
 pub(crate) fn render(args: &RenderArgs, session: &Session) -> Result<Outcome, CliError> {
-    let model = load(&args.run)?;
+    let whole = load_whole(&args.run)?;
+    let (model, changing) = (whole.on_last(), !whole.model.options.days.is_empty());
     let wanted = |split: Split| match args.split {
         RenderSplit::Train => split == Split::Train,
         RenderSplit::Test => split == Split::Test,
@@ -198,7 +208,8 @@ pub(crate) fn render(args: &RenderArgs, session: &Session) -> Result<Outcome, Cl
             .as_ref()
             .and_then(|s| s.images.iter().find(|i| i.name == image.name));
         let truth = truth.map(|i| image.crop.cut(&i.pixels));
-        let view = rendered::render_view(&model, image, truth.as_ref());
+        let of_day = image.time.filter(|_| changing).map(|time| whole.on(day_of(time)));
+        let view = rendered::render_view(of_day.as_ref().unwrap_or(&model), image, truth.as_ref());
         let path = args.out.join(format!("{}.tif", image.name));
         let mut counts = view.image;
         counts
@@ -230,13 +241,14 @@ pub(crate) fn render(args: &RenderArgs, session: &Session) -> Result<Outcome, Cl
 /// # Errors
 /// When the run, its scene or the truth cannot be read.
 pub(crate) fn evaluate(run: &Path, args: &EvaluateArgs) -> Result<Outcome, CliError> {
-    let model = load(run)?;
+    let whole = load_whole(run)?;
+    let model = whole.on_last();
     let mut scene = scene_of(run)?;
     if args.relit.is_some() {
         scene.truth.relit = None;
     }
     let evaluation = measure::dsm(&scene, &model, run, args.protocol.into())?;
-    let mut metrics = measure::metrics(&scene, &model, run, args.protocol.into())?;
+    let mut metrics = measure::metrics(&scene, &whole, run, args.protocol.into())?;
     if let Some(folder) = &args.relit {
         metrics["relit"] = relit::measure(&model, folder, run)?;
     }

@@ -75,6 +75,9 @@ pub struct SynthArgs {
     /// Also render a satellite scene from straight above under N suns of no image, 10 to 70 degrees high, as truth for `evaluate`
     #[arg(long, default_value_t = 0, value_name = "N")]
     relight: usize,
+    /// Share of the buildings of a satellite scene that are built or torn down between two dates, as truth for `evaluate`
+    #[arg(long, default_value_t = 0.0, value_name = "SHARE")]
+    change: f64,
 }
 
 /// Faults of real images.
@@ -189,6 +192,7 @@ impl SynthArgs {
                 DeliveryName::PanMs => Delivery::PanMs,
             },
             relight: self.relight,
+            change: self.change,
         }
     }
 }

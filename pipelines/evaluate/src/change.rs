@@ -1,0 +1,157 @@
+//! Changes found against the true ones: area by area, in segments large enough to be a house.
+
+use super::EvaluateError;
+use super::resample::Placement;
+use heliosplat_raster::GeoRaster;
+use std::path::Path;
+
+/// Differences from here on belong to a segment, metres.
+const LEAST_M: f32 = 1.0;
+/// Least ground of a segment, m².
+const SEGMENT_M2: f64 = 30.0;
+/// Least mean difference of a segment, metres.
+const SEGMENT_M: f32 = 3.0;
+
+/// How well changes were found. Segments are connected cells (by their sides) that rose, or that fell, by more than 1 m, of at least
+/// 30 m² and 3 m on average.
+#[derive(Debug, Clone, Copy, PartialEq, serde::Serialize)]
+pub struct ChangeScore {
+    /// Share of the found area that changed in truth; absent where nothing was found.
+    pub precision: Option<f64>,
+    /// Share of the truly changed area that was found; absent where nothing changed.
+    pub recall: Option<f64>,
+    /// Ground that changed, m².
+    pub true_m2: f64,
+    /// Ground found to have changed, m².
+    pub found_m2: f64,
+    /// Segments that changed.
+    pub true_segments: usize,
+    /// Segments found.
+    pub found_segments: usize,
+    /// Share of the area found rightly whose day is the true one, to within a day; absent where either has no days.
+    pub right_day: Option<f64>,
+}
+
+/// Compares a map of changes with the true one: first bands are differences (metres, last minus first), second ones days as YYYYMMDD.
+///
+/// # Errors
+/// [`EvaluateError`], naming the file at fault.
+pub fn evaluate_change(found: &Path, truth: &Path) -> Result<ChangeScore, EvaluateError> {
+    let (found, truth) = (GeoRaster::read(found)?, GeoRaster::read(truth)?);
+    let placement = Placement::new(&found, &truth)?;
+    let (columns, rows) = truth.transform.pixel_size();
+    let metres = truth.crs.as_ref().map_or(1.0, |crs| crs.metres_per_unit());
+    let cell_m2 = columns * rows * metres * metres;
+    let days =
+        (found.raster.bands > 1 && truth.raster.bands > 1).then(|| (placement.nearest_band(1), truth.raster.plane(1)));
+    let days = days.as_ref().map(|(found, truth)| (found.plane(0), *truth));
+    Ok(score(
+        truth.raster.width,
+        placement.moved(0.0, 0.0).plane(0),
+        truth.raster.plane(0),
+        days,
+        cell_m2,
+    ))
+}
+
+/// The score of differences (metres, NaN where unknown) on one grid of `width` columns; days (found, true) as numbers.
+fn score(width: usize, found: &[f32], truth: &[f32], days: Option<(&[f32], &[f32])>, cell_m2: f64) -> ChangeScore {
+    let (found, found_segments) = segments(width, found, cell_m2);
+    let (changed, true_segments) = segments(width, truth, cell_m2);
+    let area = |cells: usize| cells as f64 * cell_m2;
+    let count = |mask: &[bool]| mask.iter().filter(|&&inside| inside).count();
+    let both: Vec<usize> = (0..found.len()).filter(|&cell| found[cell] && changed[cell]).collect();
+    let share = |of: usize| (of > 0).then(|| both.len() as f64 / of as f64);
+    // Days are read with 24 bits, which are one short of YYYYMMDD.
+    let right = |(found, truth): (&[f32], &[f32])| {
+        both.iter()
+            .filter(|&&cell| (found[cell] - truth[cell]).abs() <= 2.0)
+            .count()
+    };
+    ChangeScore {
+        precision: share(count(&found)),
+        recall: share(count(&changed)),
+        true_m2: area(count(&changed)),
+        found_m2: area(count(&found)),
+        true_segments,
+        found_segments,
+        right_day: days
+            .filter(|_| !both.is_empty())
+            .map(|days| right(days) as f64 / both.len() as f64),
+    }
+}
+
+/// The cells of segments that count, and how many segments they are.
+fn segments(width: usize, difference_m: &[f32], cell_m2: f64) -> (Vec<bool>, usize) {
+    let mut seen = vec![false; difference_m.len()];
+    let mut inside = vec![false; difference_m.len()];
+    let mut count = 0;
+    for start in 0..difference_m.len() {
+        if seen[start] || difference_m[start].is_nan() || difference_m[start].abs() < LEAST_M {
+            continue;
+        }
+        seen[start] = true;
+        let mut group = vec![start];
+        let mut next = 0;
+        while let Some(&cell) = group.get(next) {
+            next += 1;
+            let col = cell % width;
+            let sides = [
+                (col > 0).then(|| cell - 1),
+                (col + 1 < width).then(|| cell + 1),
+                cell.checked_sub(width),
+                Some(cell + width).filter(|&below| below < difference_m.len()),
+            ];
+            for near in sides
+                .into_iter()
+                .flatten()
+                .filter(|&near| difference_m[near].abs() >= LEAST_M)
+            {
+                let alike = difference_m[near].signum() == difference_m[start].signum();
+                if alike && !std::mem::replace(&mut seen[near], true) {
+                    group.push(near);
+                }
+            }
+        }
+        let mean_m = group.iter().map(|&cell| difference_m[cell].abs()).sum::<f32>() / group.len() as f32;
+        if group.len() as f64 * cell_m2 >= SEGMENT_M2 && mean_m >= SEGMENT_M {
+            count += 1;
+            group.into_iter().for_each(|cell| inside[cell] = true);
+        }
+    }
+    (inside, count)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// 20 × 20 cells of a metre that rise by `up_m` in some columns and rows.
+    fn house(up_m: f32, columns: std::ops::Range<usize>, rows: std::ops::Range<usize>) -> Vec<f32> {
+        let inside = |cell: usize| columns.contains(&(cell % 20)) && rows.contains(&(cell / 20));
+        (0..400).map(|cell| if inside(cell) { up_m } else { 0.0 }).collect()
+    }
+
+    #[test]
+    fn half_a_house_found_is_half_of_the_recall_and_all_of_the_precision() {
+        let found = score(20, &house(5.0, 2..8, 2..10), &house(5.0, 2..14, 2..10), None, 1.0);
+        assert_eq!((found.precision, found.recall), (Some(1.0), Some(0.5)));
+        assert_eq!((found.true_segments, found.found_segments), (1, 1));
+    }
+
+    #[test]
+    fn sheds_and_noise_are_no_segments() {
+        let found = score(20, &house(5.0, 2..5, 2..5), &house(2.0, 2..14, 2..10), None, 1.0);
+        assert_eq!((found.precision, found.recall, found.found_m2), (None, None, 0.0));
+    }
+
+    #[test]
+    fn what_rose_and_what_fell_beside_it_are_two() {
+        let mut truth = house(5.0, 2..8, 2..10);
+        truth
+            .iter_mut()
+            .zip(house(-6.0, 8..14, 2..10))
+            .for_each(|(all, other)| *all += other);
+        assert_eq!(score(20, &truth, &truth, None, 1.0).true_segments, 2);
+    }
+}

@@ -1,0 +1,195 @@
+//! What changed between the images of a model: the difference of its surface on the last day and on the first, and when it changed.
+
+use crate::dsm::of_model;
+use crate::model::LoadedModel;
+use crate::nadir::NadirGrid;
+use heliosplat::Raster;
+use heliosplat_raster::write::{ImageSpec, write_double_cog};
+use heliosplat_raster::{GridSpec, RasterError};
+use heliosplat_stereo::change::Segment;
+use jiff::Timestamp;
+use jiff::civil::Date;
+use jiff::tz::TimeZone;
+use std::ops::Sub;
+use std::path::Path;
+
+/// Names of the bands of a map of changes.
+pub const BANDS: [&str; 3] = ["difference_m", "changed_at", "confidence"];
+/// Units of the bands.
+pub const UNITS: [&str; 3] = ["metre", "YYYYMMDD", "1"];
+/// Least difference of two surfaces that is a change, metres.
+const LEAST_M: f32 = 1.5;
+/// Ground around a segment that may be part of it, metres.
+const AROUND_M: f64 = 1.0;
+
+/// The day (UTC) of a moment, days since 1970.
+pub fn day_of(time: Timestamp) -> i32 {
+    time.as_second().div_euclid(86_400) as i32
+}
+
+/// A date as days since 1970.
+pub fn as_day(date: Date) -> i32 {
+    date.to_zoned(TimeZone::UTC).map_or(0, |at| day_of(at.timestamp()))
+}
+
+/// A day as YYYYMMDD; 0 for what is no day.
+pub fn as_date(day: i32) -> u32 {
+    let date = Timestamp::from_second(i64::from(day) * 86_400).map(|time| time.to_zoned(TimeZone::UTC).date());
+    let number = |date: Date| date.year().unsigned_abs().into();
+    date.map_or(0, |date| {
+        let year: u32 = number(date);
+        year * 10_000 + date.month().unsigned_abs() as u32 * 100 + u32::from(date.day().unsigned_abs())
+    })
+}
+
+/// A map of changes: metres (last minus first), the day of the first image that shows the new state (days since 1970, 0 where nothing changed),
+/// and the confidence that it did; NaN where the surface is unknown on one of the days.
+pub struct ChangeMap {
+    /// The three bands.
+    pub raster: Raster,
+}
+
+impl ChangeMap {
+    /// The changes of a `whole` model on a grid; `None` where its images cannot tell.
+    pub fn of(whole: &LoadedModel, nadir: &NadirGrid) -> Option<Self> {
+        let changes = whole.file.changes.as_ref()?;
+        let mut days: Vec<i32> = changes.segments.iter().map(|segment| segment.day).collect();
+        days.sort_unstable();
+        days.dedup();
+        let first = days.first().map_or(0, |day| day - 1);
+        let moments: Vec<i32> = std::iter::once(first).chain(days).collect();
+        let surfaces: Vec<Vec<f32>> = (moments.iter())
+            .map(|&day| of_model(nadir, &whole.on(day)).raster.plane(0).to_vec())
+            .collect();
+        let (width, height) = (nadir.grid.width, nadir.grid.height);
+        let mut raster = Raster::filled(width, height, BANDS.len(), 0.0);
+        for cell in 0..width * height {
+            let heights: Vec<f32> = surfaces.iter().map(|surface| surface[cell]).collect();
+            let [east, north, _] =
+                nadir
+                    .enu
+                    .enu((cell % width) as f64, (cell / width) as f64, whole.file.origin.height_m);
+            let of_day = |day: i32| {
+                let near = changes
+                    .segments
+                    .iter()
+                    .filter(|segment| segment.day == day && holds(segment, east, north));
+                near.map(|segment| segment.confidence).reduce(f32::max)
+            };
+            let [difference_m, day, confidence] = told(&moments, &heights, &of_day);
+            raster.plane_mut(0)[cell] = difference_m;
+            raster.plane_mut(1)[cell] = day;
+            raster.plane_mut(2)[cell] = confidence;
+        }
+        Some(Self { raster })
+    }
+
+    /// The difference alone, metres.
+    pub fn difference(&self) -> Raster {
+        let Raster { width, height, .. } = self.raster;
+        Raster {
+            width,
+            height,
+            bands: 1,
+            values: self.raster.plane(0).to_vec(),
+        }
+    }
+
+    /// From a file whose days were read as 32-bit numbers, which are up to one short of YYYYMMDD: each is the nearest of `days` on which
+    /// something changed. `None` of a raster of other bands.
+    pub fn read(mut raster: Raster, days: &[i32]) -> Option<Self> {
+        if raster.bands != BANDS.len() {
+            return None;
+        }
+        for value in raster.plane_mut(1).iter_mut().filter(|value| **value > 0.0) {
+            let off = |day: &&i32| f64::from(as_date(**day)).sub(f64::from(*value)).abs();
+            *value = days
+                .iter()
+                .min_by(|a, b| off(a).total_cmp(&off(b)))
+                .map_or(0.0, |day| *day as f32);
+        }
+        Some(Self { raster })
+    }
+
+    /// Writes it as a cloud-optimised GeoTIFF of doubles: a day as YYYYMMDD has more digits than 32 bits hold.
+    ///
+    /// # Errors
+    /// When the file cannot be written; nothing is left behind then.
+    pub fn write(&self, path: &Path, grid: &GridSpec) -> Result<(), RasterError> {
+        let metadata = [
+            ("DESCRIPTION", "difference_m: last minus first surface; changed_at: day (YYYYMMDD) of the first image that shows the new state, 0 where nothing changed"),
+            ("SOFTWARE", concat!("heliosplat ", env!("CARGO_PKG_VERSION"))),
+        ]
+        .map(|(key, value)| (key.to_owned(), value.to_owned()));
+        let spec = ImageSpec {
+            band_descriptions: &BANDS,
+            band_units: &UNITS,
+            georeference: Some((&grid.transform, &grid.crs)),
+            metadata: &metadata,
+            ..ImageSpec::plain(&self.raster)
+        };
+        let convert = |band: usize, value: f32| match band {
+            1 if value != 0.0 => f64::from(as_date(value as i32)),
+            _ => f64::from(value),
+        };
+        write_double_cog(path, &spec, convert)
+    }
+}
+
+/// Whether a segment holds a place or nearly does, metres of the local frame.
+fn holds(segment: &Segment, east: f64, north: f64) -> bool {
+    let [west_m, south_m, east_m, north_m] = segment.bounds_m.map(f64::from);
+    (west_m - AROUND_M..east_m + AROUND_M).contains(&east) && (south_m - AROUND_M..north_m + AROUND_M).contains(&north)
+}
+
+/// Difference, day and confidence of a cell whose altitudes on some days are `heights`; `of_day` is the confidence of a change there that day.
+fn told(moments: &[i32], heights: &[f32], of_day: &dyn Fn(i32) -> Option<f32>) -> [f32; 3] {
+    let (Some(first), Some(last)) = (heights.first(), heights.last()) else {
+        return [f32::NAN; 3];
+    };
+    if !(first.is_finite() && last.is_finite()) {
+        return [f32::NAN; 3];
+    }
+    let mut steps = moments.iter().zip(heights).skip(1).zip(heights).rev();
+    let changed = steps.find_map(|((day, now), before)| {
+        let confidence = of_day(*day)?;
+        ((now - before).abs() > LEAST_M).then_some((*day, confidence))
+    });
+    match changed {
+        Some((day, confidence)) => [last - first, day as f32, confidence],
+        None => [0.0; 3],
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn days_are_written_as_dates() {
+        assert_eq!(as_date(0), 19_700_101);
+        assert_eq!(
+            as_date(day_of("2023-02-06T01:17:00Z".parse().expect("a time"))),
+            20_230_206
+        );
+        assert_eq!(
+            as_date(day_of("1969-12-31T23:00:00Z".parse().expect("a time"))),
+            19_691_231
+        );
+    }
+
+    #[test]
+    fn a_cell_changed_on_the_day_on_which_its_surface_did() {
+        let all = |_: i32| Some(0.9);
+        assert_eq!(told(&[9, 10, 20], &[5.0, 5.2, 11.0], &all), [6.0, 20.0, 0.9]);
+        assert_eq!(told(&[9, 10, 20], &[5.0, 11.0, 11.1], &all), [6.1000004, 10.0, 0.9]);
+        assert_eq!(told(&[9, 10, 20], &[5.0, 5.2, 5.1], &all), [0.0; 3]);
+        let other = |day: i32| (day == 10).then_some(0.9);
+        assert_eq!(
+            told(&[9, 10, 20], &[5.0, 5.0, 11.0], &other),
+            [0.0; 3],
+            "no segment there"
+        );
+        assert!(told(&[9, 10], &[5.0, f32::NAN], &all)[0].is_nan());
+    }
+}

@@ -1,0 +1,407 @@
+//! Change: which parts of a surface stand before or after a date only.
+//!
+//! For each day on which the images can be divided, with at least two of them on either side, a surface is swept from each side alone, on
+//! coarse cells. All these surfaces and the one of all images are hypotheses. A pair of images whose census distance on a surface is less
+//! than by chance speaks for that surface. With one surface all pairs speak for the same; with two, those before the day for one and
+//! those from it on for another, and the pairs across the day are left unexplained. So what never changed keeps its single surface as long
+//! as images across the day agree on it, and where something changed they agree on nothing and cost nothing to give up.
+//!
+//! Cells where two explain more than one are joined to segments, each segment gets the day that explains it best, and it is accepted by the
+//! Bayesian information criterion. Shadows that changed buildings threw are matched, or not, as other texture of the ground is.
+//!
+//! Limits: what stood between two dates only is seen as one of its two changes; a side with fewer than two images has no surface of its
+//! own, so what changed before the second or after the last but one image cannot be told.
+
+mod agreement;
+mod segments;
+
+use super::grid::Grid;
+use super::ortho::box_mean;
+use super::pairs::Pair;
+use super::parameters::{MatchingFacts, MatchingParameters};
+use super::plane_sweep::plane_sweep;
+use super::pyramid::Search;
+use super::request::PlaneSweepRequest;
+use super::seen::pixel_of;
+use super::surface::Surface;
+use super::views::{SweepView, ViewGeometry};
+use super::volume::SearchVolume;
+use agreement::{Resampled, mean_known};
+use segments::{CoarseSegment, Side};
+
+/// Cells of the request per cell on which change is searched.
+const COARSE: usize = 2;
+/// Images needed on either side of a day.
+const FEWEST_IMAGES: usize = 2;
+/// Days at most on which images are divided: the cost of the search grows with them.
+const MOST_DAYS: usize = 8;
+/// Metres above the surface at which images agree by chance alone.
+const CHANCE_M: f32 = 7.0;
+/// Census distance by chance where no cell tells.
+const CHANCE: f32 = 0.4;
+/// Half of the window over which agreement is averaged, coarse cells.
+const WINDOW: usize = 2;
+/// Ground around segments that is swept with them, metres: as far as what stands there hides and shades.
+const AROUND_M: f32 = 24.0;
+/// Fine cells by which a coarse segment may be too small.
+const GROWN_CELLS: usize = 2;
+/// Least difference of the two surfaces in a cell of a segment, metres.
+const LEAST_M: f32 = 1.5;
+/// The same beside a coarse segment, as a share of its difference.
+const LEAST_SHARE: f32 = 0.6;
+/// Share of the images that show a place where change is told.
+const SHOWN: f32 = 0.8;
+/// A fine surface that is further than this from the coarse hypothesis is not the one that was accepted, metres.
+const SAME_M: f32 = 2.0;
+
+/// One connected part of the ground that changed.
+#[derive(Debug, Clone, PartialEq, serde::Serialize, serde::Deserialize)]
+pub struct Segment {
+    /// The first day that shows the new state, days since 1970.
+    pub day: i32,
+    /// Median of the new altitude less the old one, metres.
+    pub difference_m: f32,
+    /// Its ground, m².
+    pub area_m2: f32,
+    /// Western, southern, eastern and northern end, metres.
+    pub bounds_m: [f32; 4],
+    /// Probability that two surfaces explain the images better than one, 0.5 to 1.
+    pub confidence: f32,
+}
+
+/// What changed of a surface, on the surface's own cells.
+#[derive(Debug, Clone, PartialEq, Default, serde::Serialize, serde::Deserialize)]
+pub struct Changes {
+    /// The parts that changed.
+    pub segments: Vec<Segment>,
+    /// For each cell the place of its segment plus one, 0 where nothing changed.
+    pub label: Vec<u16>,
+    /// Altitude of each cell before it changed, metres; that of the last state where nothing did.
+    pub before_m: Vec<f32>,
+    /// Days on which images could be divided, days since 1970; empty where change cannot be told.
+    pub days: Vec<i32>,
+}
+
+impl Changes {
+    /// The segment of a cell.
+    pub fn at(&self, cell: usize) -> Option<&Segment> {
+        let label = usize::from(*self.label.get(cell)?);
+        self.segments.get(label.checked_sub(1)?)
+    }
+}
+
+/// What one day says of each coarse cell.
+struct Split {
+    day: i32,
+    /// Agreement of one surface for all, in agreeing pairs.
+    one: Vec<f32>,
+    /// Agreement of the best surface before and of that after, and their altitudes, metres.
+    sides: [Side; 2],
+}
+
+/// Divides `surface`, which was swept from all `views`, in what stands before and after a day where the images ask for it; `days` are those
+/// of the views, days since 1970. Where anything changed `surface` becomes that of the last day.
+pub fn find(views: &[SweepView], days: &[i32], request: &PlaneSweepRequest, surface: &mut Surface) -> Changes {
+    let candidates = dividing_days(days);
+    if candidates.is_empty() {
+        return Changes::default();
+    }
+    let mut coarse = *request;
+    coarse.volume.cell_m *= COARSE as f32;
+    let grid = coarse.grid();
+    let splits = splits(views, days, &candidates, &coarse, surface);
+    let found = segments::find(&grid, &splits, &shown(views, &grid, surface));
+    let mut changes = Changes {
+        segments: Vec::new(),
+        label: vec![0; surface.altitude.len()],
+        before_m: surface.altitude.clone(),
+        days: candidates,
+    };
+    let mut of_days: Vec<i32> = found.iter().map(|segment| segment.day).collect();
+    of_days.sort_unstable();
+    of_days.dedup();
+    for day in of_days {
+        let those: Vec<&CoarseSegment> = found.iter().filter(|segment| segment.day == day).collect();
+        let volume = around(&request.volume, &grid, &those);
+        let request = PlaneSweepRequest { volume, ..*request };
+        let sides = [false, true].map(|after| swept(&side(views, days, day, after), &request));
+        for segment in those {
+            changes.refine(segment, &grid, &sides, surface);
+        }
+    }
+    for (before, (now, label)) in changes
+        .before_m
+        .iter_mut()
+        .zip(surface.altitude.iter().zip(&changes.label))
+    {
+        if *label == 0 {
+            *before = *now;
+        }
+    }
+    changes
+}
+
+impl Changes {
+    /// Adds a segment on the cells of `surface`: those around it where the surfaces of the two `sides` differ as it does.
+    fn refine(&mut self, segment: &CoarseSegment, grid: &Grid, sides: &[Surface; 2], surface: &mut Surface) {
+        let label = self.segments.len() as u16 + 1;
+        let (width, height) = (surface.width, surface.height);
+        let mut near = vec![f32::NAN; surface.altitude.len()];
+        let mut old = near.clone();
+        for (&cell, altitudes) in segment.cells.iter().zip(&segment.altitudes_m) {
+            let (col, row) = (cell % grid.width * COARSE, cell / grid.width * COARSE);
+            let span = |at: usize, count: usize| at.saturating_sub(GROWN_CELLS)..(at + COARSE + GROWN_CELLS).min(count);
+            for r in span(row, height) {
+                for c in span(col, width) {
+                    let own = (row..row + COARSE).contains(&r) && (col..col + COARSE).contains(&c);
+                    if own || near[r * width + c].is_nan() {
+                        [old[r * width + c], near[r * width + c]] = *altitudes;
+                    }
+                }
+            }
+        }
+        let mut differences = Vec::new();
+        let mut bounds_m = [f32::MAX, f32::MAX, f32::MIN, f32::MIN];
+        let cells: Vec<usize> = (0..near.len())
+            .filter(|&cell| near[cell].is_finite() && self.label[cell] == 0)
+            .collect();
+        for cell in cells {
+            let p = surface.point(cell % width, cell / width);
+            let fine = |side: &Surface, coarse_m: f32| {
+                let fine_m = side.altitude_at(p.x, p.y).unwrap_or(coarse_m);
+                if (fine_m - coarse_m).abs() < SAME_M {
+                    fine_m
+                } else {
+                    coarse_m
+                }
+            };
+            let inside = segment.cells.contains(&(grid.nearest(p.x, p.y)));
+            let [before_m, after_m] = match inside {
+                true => [fine(&sides[0], old[cell]), fine(&sides[1], near[cell])],
+                false => [&sides[0], &sides[1]].map(|side| side.altitude_at(p.x, p.y).unwrap_or(p.z)),
+            };
+            let difference_m = after_m - before_m;
+            let least_m = if inside {
+                LEAST_M
+            } else {
+                LEAST_M.max(LEAST_SHARE * segment.difference_m.abs())
+            };
+            if difference_m * segment.difference_m > 0.0 && difference_m.abs() > least_m {
+                self.label[cell] = label;
+                self.before_m[cell] = before_m;
+                surface.altitude[cell] = after_m;
+                surface.above[cell] = after_m;
+                if let Some(at) = sides[1].cell_at(p.x, p.y) {
+                    surface.confidence[cell] = sides[1].confidence[at];
+                    surface.deviation_m[cell] = sides[1].deviation_m[at];
+                    surface.probability[cell] = sides[1].probability[at];
+                }
+                differences.push(difference_m);
+                let half_m = 0.5 * surface.cell_m;
+                for (axis, at) in [p.x, p.y].into_iter().enumerate() {
+                    bounds_m[axis] = bounds_m[axis].min(at - half_m);
+                    bounds_m[axis + 2] = bounds_m[axis + 2].max(at + half_m);
+                }
+            }
+        }
+        if differences.is_empty() {
+            return;
+        }
+        self.segments.push(Segment {
+            bounds_m,
+            day: segment.day,
+            difference_m: heliosplat_rpc::statistics::upper_median(&mut differences).unwrap_or(segment.difference_m),
+            area_m2: differences.len() as f32 * surface.cell_m * surface.cell_m,
+            confidence: segment.confidence,
+        });
+    }
+}
+
+/// How well one surface and two explain the pairs, for each of the days.
+fn splits(
+    views: &[SweepView],
+    days: &[i32],
+    candidates: &[i32],
+    request: &PlaneSweepRequest,
+    surface: &Surface,
+) -> Vec<Split> {
+    let grid = request.grid();
+    let search = Search::new(views, request).with_index();
+    let compared = search.compared(1);
+    let (views_of_level, pairs) = (&compared.views[..views.len()], &search.pairs);
+    let noise = request.parameters.noise_floor / super::cost::CONTRAST_LIMIT;
+    let resampled = |altitude: &[f32]| Resampled::new(views_of_level, &grid, altitude, noise);
+    let present = on_grid(&grid, surface);
+    let lifted: Vec<f32> = present.iter().map(|z| z + CHANCE_M).collect();
+    let by_chance: Vec<f32> = {
+        let chance = resampled(&lifted);
+        pairs
+            .iter()
+            .map(|pair| mean_known(&chance.distance(pair)).unwrap_or(CHANCE))
+            .collect()
+    };
+    let mut splits: Vec<Split> = (candidates.iter())
+        .map(|&day| Split {
+            day,
+            one: vec![f32::MIN; grid.len()],
+            sides: [(); 2].map(|()| Side::unknown(grid.len())),
+        })
+        .collect();
+    let mut consider = |altitude: &[f32]| {
+        let distances = resampled(altitude);
+        let gains = agreement(&distances, pairs, &by_chance, days, candidates, &grid);
+        for (split, [before, after, across]) in splits.iter_mut().zip(gains) {
+            for cell in 0..grid.len() {
+                split.one[cell] = split.one[cell].max(before[cell] + after[cell] + across[cell]);
+            }
+            split.sides[0].consider(&before, altitude);
+            split.sides[1].consider(&after, altitude);
+        }
+    };
+    consider(&present);
+    for &day in candidates {
+        for after in [false, true] {
+            consider(&on_grid(&grid, &swept(&side(views, days, day, after), request)));
+        }
+    }
+    splits
+}
+
+/// For each day, the agreement beyond chance of the pairs before, from it on, and across it: mean over the window, in agreeing pairs.
+fn agreement(
+    surface: &Resampled,
+    pairs: &[Pair],
+    by_chance: &[f32],
+    days: &[i32],
+    candidates: &[i32],
+    grid: &Grid,
+) -> Vec<[Vec<f32>; 3]> {
+    let zeros = || [(); 3].map(|()| vec![0.0f32; grid.len()]);
+    let mut sums: Vec<[Vec<f32>; 3]> = candidates.iter().map(|_| zeros()).collect();
+    for (pair, chance) in pairs.iter().zip(by_chance) {
+        let distance = surface.distance(pair);
+        for (sums, day) in sums.iter_mut().zip(candidates) {
+            let place = match (days[pair.a] >= *day, days[pair.b] >= *day) {
+                (false, false) => 0,
+                (true, true) => 1,
+                _ => 2,
+            };
+            // What one of the two does not see says nothing.
+            let known = sums[place]
+                .iter_mut()
+                .zip(&distance)
+                .filter(|(_, distance)| distance.is_finite());
+            known.for_each(|(sum, distance)| *sum += pair.share() * (chance - distance));
+        }
+    }
+    sums.into_iter()
+        .map(|sums| sums.map(|sum| box_mean(grid, &sum, WINDOW)))
+        .collect()
+}
+
+/// Where nearly all images show the ground of a grid.
+fn shown(views: &[SweepView], grid: &Grid, surface: &Surface) -> Vec<bool> {
+    let altitude = on_grid(grid, surface);
+    let shows = |view: &SweepView, cell: usize| {
+        let p = grid.point(
+            (cell % grid.width) as isize,
+            (cell / grid.width) as isize,
+            altitude[cell],
+        );
+        pixel_of(&view.camera, p).is_some_and(|pixel| view.image.plane(0)[pixel].is_finite())
+    };
+    let needed = SHOWN * views.len() as f32;
+    let enough = |cell: usize| views.iter().filter(|view| shows(view, cell)).count() as f32 >= needed;
+    (0..grid.len()).map(enough).collect()
+}
+
+/// The days on which images can be divided: each is the first of those after.
+fn dividing_days(days: &[i32]) -> Vec<i32> {
+    let mut all = days.to_vec();
+    all.sort_unstable();
+    all.dedup();
+    let enough = |day: &i32| {
+        let before = days.iter().filter(|of| *of < day).count();
+        before >= FEWEST_IMAGES && days.len() - before >= FEWEST_IMAGES
+    };
+    all.retain(enough);
+    let count = all.len();
+    match count <= MOST_DAYS {
+        true => all,
+        false => (0..MOST_DAYS).map(|k| all[k * (count - 1) / (MOST_DAYS - 1)]).collect(),
+    }
+}
+
+/// The views of one side of a day.
+fn side<'a>(views: &[SweepView<'a>], days: &[i32], day: i32, after: bool) -> Vec<SweepView<'a>> {
+    let sides = views.iter().zip(days).filter(|(_, of)| (**of >= day) == after);
+    sides.map(|(view, _)| *view).collect()
+}
+
+/// The surface of some of the views.
+fn swept(views: &[SweepView], request: &PlaneSweepRequest) -> Surface {
+    let geometries: Vec<ViewGeometry> = views.iter().map(SweepView::geometry).collect();
+    let has_index = views.iter().all(|view| view.index.is_some());
+    let facts = MatchingFacts::new(&geometries, &request.volume, has_index);
+    let request = PlaneSweepRequest {
+        parameters: MatchingParameters::choose(&facts),
+        ..*request
+    };
+    plane_sweep(views, &request, &|_| {})
+}
+
+/// The part of a volume that holds some segments and what is around them.
+fn around(volume: &SearchVolume, grid: &Grid, segments: &[&CoarseSegment]) -> SearchVolume {
+    let cells = || segments.iter().flat_map(|segment| &segment.cells);
+    let column = |cell: &usize| cell % grid.width;
+    let row = |cell: &usize| cell / grid.width;
+    let margin = (AROUND_M / grid.cell_m).ceil() as usize;
+    let (west, east) = (
+        cells().map(column).min().unwrap_or(0),
+        cells().map(column).max().unwrap_or(0) + 1,
+    );
+    let (north, south) = (
+        cells().map(row).min().unwrap_or(0),
+        cells().map(row).max().unwrap_or(0) + 1,
+    );
+    let at = |cells: usize| cells as f32 * grid.cell_m;
+    SearchVolume {
+        west_m: volume.west_m + at(west.saturating_sub(margin)),
+        east_m: (volume.west_m + at(east + margin)).min(volume.east_m),
+        north_m: volume.north_m - at(north.saturating_sub(margin)),
+        south_m: (volume.north_m - at(south + margin)).max(volume.south_m),
+        ..*volume
+    }
+}
+
+/// The altitudes of a surface at the centres of a grid's cells.
+fn on_grid(grid: &Grid, surface: &Surface) -> Vec<f32> {
+    let of_cell = |cell: usize| {
+        let p = grid.point((cell % grid.width) as isize, (cell / grid.width) as isize, 0.0);
+        let (x, y) = (p.x, p.y);
+        let within = |at: f32, low: f32, cells: usize| at.clamp(low, low + (cells as f32 - 0.5) * surface.cell_m);
+        let x = within(x, surface.west_m, surface.width);
+        let y = -within(-y, -surface.north_m, surface.height);
+        surface.altitude_at(x, y).unwrap_or(surface.altitude[0])
+    };
+    (0..grid.len()).map(of_cell).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn images_are_divided_only_where_each_side_has_two() {
+        assert!(dividing_days(&[5, 5, 5]).is_empty(), "one day");
+        assert!(
+            dividing_days(&[1, 7, 9]).is_empty(),
+            "a side with one image has no surface"
+        );
+        assert_eq!(dividing_days(&[7, 1, 1, 7]), [7]);
+        assert_eq!(dividing_days(&[1, 2, 3, 4, 5]), [3, 4]);
+        let many: Vec<i32> = (0..40).collect();
+        let days = dividing_days(&many);
+        assert_eq!((days.len(), days[0], days[MOST_DAYS - 1]), (MOST_DAYS, 2, 38));
+    }
+}

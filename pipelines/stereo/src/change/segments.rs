@@ -1,0 +1,215 @@
+//! Connected segments of cells that two surfaces explain better than one.
+
+use super::super::grid::Grid;
+use super::Split;
+use heliosplat_rpc::statistics::upper_quantile;
+use std::collections::BTreeSet;
+
+/// Least difference of the two surfaces, metres.
+const LEAST_M: f32 = 2.5;
+/// Least gain of a cell that a segment grows from, agreeing pairs.
+const SEED_GAIN: f32 = 0.03;
+/// Least ground of a segment, m².
+const LEAST_M2: f32 = 16.0;
+/// Cells whose census distances are as good as one independent one: windows overlap, and what is seen has a size.
+const CELLS_OF_ONE: f32 = 5.0;
+/// Logarithm of likelihood of a pair's census distance that is 1 less: the difference between agreement and chance over the variance of
+/// distances, 0.12 / 0.15².
+const LIKELIHOOD_PER_DISTANCE: f32 = 5.3;
+/// Parameters that a segment adds: an altitude, a day and a place. Without the place, weak evidence at the rim of the images comes near to
+/// being accepted (docs/lab/change.md).
+const PARAMETERS: f32 = 3.0;
+/// Share of a segment's upper quartile of gains that a cell of it has at least: where half of the window lies beside the segment, about
+/// half of the gain is left.
+const LEAST_SHARE: f32 = 0.6;
+
+/// The best surface of one side of a day.
+pub(super) struct Side {
+    gain: Vec<f32>,
+    altitude_m: Vec<f32>,
+}
+
+impl Side {
+    pub(super) fn unknown(cells: usize) -> Self {
+        Self {
+            gain: vec![f32::MIN; cells],
+            altitude_m: vec![f32::NAN; cells],
+        }
+    }
+
+    /// Takes a surface where it agrees better than those before it.
+    pub(super) fn consider(&mut self, gain: &[f32], altitude_m: &[f32]) {
+        for cell in 0..gain.len() {
+            if gain[cell] > self.gain[cell] {
+                self.gain[cell] = gain[cell];
+                self.altitude_m[cell] = altitude_m[cell];
+            }
+        }
+    }
+}
+
+impl Split {
+    /// How much better two surfaces explain a cell than one, agreeing pairs.
+    fn gain(&self, cell: usize) -> f32 {
+        let gain = self.sides[0].gain[cell] + self.sides[1].gain[cell] - self.one[cell];
+        // Nothing is known at the corners of the grid.
+        if gain.is_finite() && self.one[cell] > f32::MIN {
+            gain
+        } else {
+            f32::MIN
+        }
+    }
+
+    fn difference_m(&self, cell: usize) -> f32 {
+        self.sides[1].altitude_m[cell] - self.sides[0].altitude_m[cell]
+    }
+
+    fn differs(&self, cell: usize, up: bool) -> bool {
+        let difference_m = self.difference_m(cell);
+        difference_m.abs() > LEAST_M && (difference_m > 0.0) == up
+    }
+}
+
+/// A segment on the cells on which change is searched.
+pub(super) struct CoarseSegment {
+    pub(super) day: i32,
+    pub(super) cells: BTreeSet<usize>,
+    /// Altitude before and after of each of the cells, metres.
+    pub(super) altitudes_m: Vec<[f32; 2]>,
+    /// Mean of the new altitudes less the old ones, metres.
+    pub(super) difference_m: f32,
+    pub(super) confidence: f32,
+}
+
+/// The segments that the Bayesian information criterion accepts.
+/// Cells that few images show (`shown` is false) are in none: there surfaces differ by which images happen to be compared.
+pub(super) fn find(grid: &Grid, splits: &[Split], shown: &[bool]) -> Vec<CoarseSegment> {
+    let mut found = Vec::new();
+    let mut taken = vec![false; grid.len()];
+    for up in [false, true] {
+        let best = |cell: usize| {
+            let those = splits.iter().filter(|split| split.differs(cell, up));
+            those.map(|split| split.gain(cell)).fold(f32::MIN, f32::max)
+        };
+        let seeds: Vec<bool> = (0..grid.len())
+            .map(|cell| shown[cell] && best(cell) > SEED_GAIN)
+            .collect();
+        for cells in connected(grid, &seeds) {
+            let Some(segment) = accepted(grid, splits, &cells, up, &mut taken) else {
+                continue;
+            };
+            found.push(segment);
+        }
+    }
+    found
+}
+
+/// The segment around some connected cells, with the day that explains it best.
+fn accepted(grid: &Grid, splits: &[Split], seeds: &[usize], up: bool, taken: &mut [bool]) -> Option<CoarseSegment> {
+    let total = |split: &Split| -> f32 {
+        let cells = seeds.iter().filter(|&&cell| split.differs(cell, up));
+        cells.map(|&cell| split.gain(cell)).sum()
+    };
+    let split = splits.iter().max_by(|a, b| total(a).total_cmp(&total(b)))?;
+    let mut cells = BTreeSet::new();
+    for &seed in seeds {
+        let near = grid
+            .around(seed, 1)
+            .filter(|&cell| !taken[cell] && split.differs(cell, up));
+        cells.extend(near.filter(|&cell| split.gain(cell) > 0.0));
+    }
+    let mut gains: Vec<f32> = cells.iter().map(|&cell| split.gain(cell)).collect();
+    let least = LEAST_SHARE * upper_quantile(&mut gains, 0.75)?;
+    cells.retain(|&cell| split.gain(cell) >= least);
+    let area_m2 = cells.len() as f32 * grid.cell_m * grid.cell_m;
+    let gain: f32 = cells.iter().map(|&cell| split.gain(cell)).sum();
+    let likelihood = LIKELIHOOD_PER_DISTANCE * gain / CELLS_OF_ONE;
+    let observations = grid.len() as f32 / CELLS_OF_ONE;
+    let criterion = likelihood - 0.5 * PARAMETERS * observations.ln();
+    if area_m2 > LEAST_M2 {
+        let first = cells.first().copied().unwrap_or(0);
+        let (col, row) = (first % grid.width, first / grid.width);
+        tracing::debug!(col, row, day = split.day, area_m2, likelihood, criterion, "segment");
+    }
+    if area_m2 < LEAST_M2 || criterion <= 0.0 {
+        return None;
+    }
+    for &cell in &cells {
+        taken[cell] = true;
+    }
+    let altitudes_m: Vec<[f32; 2]> = (cells.iter())
+        .map(|&cell| [0, 1].map(|side: usize| split.sides[side].altitude_m[cell]))
+        .collect();
+    let difference_m = altitudes_m.iter().map(|[old, new]| new - old).sum::<f32>() / cells.len() as f32;
+    Some(CoarseSegment {
+        day: split.day,
+        cells,
+        altitudes_m,
+        difference_m,
+        confidence: 1.0 / (1.0 + (-criterion).exp()),
+    })
+}
+
+/// The connected groups of the cells of a mask, by their sides.
+fn connected(grid: &Grid, mask: &[bool]) -> Vec<Vec<usize>> {
+    let mut seen = vec![false; grid.len()];
+    let mut groups = Vec::new();
+    for start in (0..grid.len()).filter(|&cell| mask[cell]) {
+        if std::mem::replace(&mut seen[start], true) {
+            continue;
+        }
+        let mut group = vec![start];
+        let mut next = 0;
+        while let Some(&cell) = group.get(next) {
+            next += 1;
+            for near in grid.around(cell, 1) {
+                if mask[near] && !std::mem::replace(&mut seen[near], true) {
+                    group.push(near);
+                }
+            }
+        }
+        groups.push(group);
+    }
+    groups
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// A square of ten metres in the middle of thirty, where two surfaces explain `gain` pairs more than one.
+    fn split(day: i32, gain: f32) -> Split {
+        let inside = |cell: usize| (10..20).contains(&(cell % 30)) && (10..20).contains(&(cell / 30));
+        let side = |top_m: f32| Side {
+            gain: vec![1.0; 900],
+            altitude_m: (0..900).map(|cell| if inside(cell) { top_m } else { 0.0 }).collect(),
+        };
+        Split {
+            day,
+            one: (0..900)
+                .map(|cell| if inside(cell) { 2.0 - gain } else { 2.5 })
+                .collect(),
+            sides: [side(0.0), side(6.0)],
+        }
+    }
+
+    #[test]
+    fn a_house_is_one_segment_with_the_day_that_explains_it_best() {
+        let grid = Grid::plain(30, 30);
+        let found = find(&grid, &[split(3, 0.1), split(7, 0.4), split(9, -0.2)], &[true; 900]);
+        assert_eq!(found.len(), 1);
+        assert_eq!((found[0].day, found[0].cells.len()), (7, 100));
+        assert!((found[0].difference_m - 6.0).abs() < 1e-6 && found[0].confidence > 0.9);
+    }
+
+    #[test]
+    fn two_surfaces_that_explain_hardly_more_are_not_accepted() {
+        let grid = Grid::plain(30, 30);
+        assert!(find(&grid, &[split(3, 0.04)], &[true; 900]).is_empty());
+        assert!(find(&grid, &[split(3, -0.5)], &[true; 900]).is_empty());
+        assert!(
+            find(&grid, &[split(7, 0.4)], &[false; 900]).is_empty(),
+            "few images show it"
+        );
+    }
+}
