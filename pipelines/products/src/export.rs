@@ -6,9 +6,11 @@
 mod lit;
 mod mosaic;
 mod textured;
+mod tile;
 
 pub use lit::{Display, Lit};
-pub use mosaic::{Mosaic, MosaicTile};
+pub use mosaic::Mosaic;
+pub use tile::MosaicTile;
 
 use crate::dsm;
 use crate::model::LoadedModel;

@@ -3,7 +3,7 @@
 //! The light of each Gaussian is traced from its centre. A rendering multiplies what is composited of albedo and of light; here it is
 //! multiplied before: at the border of a shadow both differ a little. Viewers blend display values, a rendering blends light.
 
-use super::mosaic::MosaicTile;
+use super::tile::MosaicTile;
 use crate::model::{LoadedModel, ModelFile, load};
 use crate::nadir::NadirGrid;
 use crate::relight::{RelightError, composed, light_of};
