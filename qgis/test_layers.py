@@ -4,6 +4,7 @@
 Usage: test_layers.py PRODUCTS [PICTURE.png]     (with the Python that QGIS has)
 """
 
+import os
 import sys
 from pathlib import Path
 
@@ -42,4 +43,6 @@ if len(sys.argv) > 2:
     job.start()
     job.waitForFinished()
     job.renderedImage().save(sys.argv[2])
-application.exitQgis()
+# Not exitQgis(): layers that Python still holds crash QGIS when it is taken down.
+sys.stdout.flush()
+os._exit(0)

@@ -35,7 +35,9 @@ import rasterio
 from PIL import Image
 
 ABOVE_M = 20000.0
-SCREEN_MOST = 1000  # pixels along a side of the screen
+SCREEN_MOST = 768  # pixels along a side of the screen: larger ones take a software renderer minutes
+# Pixels that a tile may err by. The view from above asks for a little more than viewers do (16), so that the finest tiles are the ones compared.
+ERROR_PX = {"above": 12, "aside": 16}
 CHROMIUM = ["--headless", "--no-sandbox", "--disable-dev-shm-usage", "--use-angle=swiftshader",
             "--enable-unsafe-swiftshader", "--hide-scrollbars", "--force-device-scale-factor=1"]
 
@@ -65,18 +67,29 @@ window.onerror=m=>post({error:String(m)});
     const g=Cesium.Cartographic.fromCartesian(p);
     return [Cesium.Math.toDegrees(g.longitude),Cesium.Math.toDegrees(g.latitude),g.height];
   });
-  let last='',same=0,frames=0; const begun=performance.now();
-  const look=()=>{
-    frames++;
-    const url=scene.canvas.toDataURL('image/png');
-    const lit=tileset.tilesLoaded&&url.length>20000;
-    same=lit&&url===last?same+1:0; last=url;
-    const waited=performance.now()-begun;
-    if(same>=4||waited>500000) post({url,corners,frames,seconds:waited/1000,settled:same>=4,
-      tiles:tileset.statistics.numberOfTilesWithContentReady,version:Cesium.VERSION,size:[scene.canvas.width,scene.canvas.height]});
-    else setTimeout(look,400);
+  tileset.maximumScreenSpaceError=job.error_px;
+  // Splats of new tiles are gathered and sorted by a worker after the tiles are loaded: until then the picture is that of coarser tiles.
+  const sorted=()=>{
+    const splats=tileset.gaussianSplatPrimitive;
+    return !splats||!(splats._dirty||splats._needsSnapshotRebuild||splats._pendingSnapshot||splats._pendingSortPromise);
   };
-  setTimeout(look,1500);
+  const levels=()=>{
+    const count={};
+    for(const tile of tileset._selectedTiles){let level=0; for(let t=tile;t.parent;t=t.parent) level++; count[level]=(count[level]||0)+1;}
+    return count;
+  };
+  // Frame by frame: a renderer in software is slower than the page, and with the usual loop its queue only grows.
+  widget.useDefaultRenderLoop=false;
+  const pause=ms=>new Promise(done=>setTimeout(done,ms)), begun=performance.now(), waited=()=>(performance.now()-begun)/1000;
+  const whole=()=>tileset.tilesLoaded&&sorted()&&tileset._selectedTiles.length>0;
+  let last='',url='',looks=0;
+  do {
+    widget.resize(); widget.render(); looks++;
+    await pause(whole()?400:100);
+    last=url; url=whole()?scene.canvas.toDataURL('image/png'):'';
+  } while((url===''||url!==last)&&waited()<500);
+  post({url:url||scene.canvas.toDataURL('image/png'),corners,looks,seconds:waited(),settled:url!==''&&url===last,tiles_by_level:levels(),
+    tiles:tileset.statistics.numberOfTilesWithContentReady,version:Cesium.VERSION,size:[scene.canvas.width,scene.canvas.height]});
 })().catch(e=>post({error:String(e&&e.stack||e)}));
 </script>"""
 
@@ -191,6 +204,13 @@ def main():
     ours = np.where(linear <= 0.0031308, 12.92 * linear, 1.055 * np.maximum(linear, 1e-9) ** (1 / 2.4) - 0.055)
     known = np.isfinite(ours).all(-1)
 
+    # Pixels of the screen for each of ours, along a side; of a large site the middle is compared. With fewer than three, CesiumJS leaves splats out.
+    zoom = max(3, min(4, SCREEN_MOST // max(known.shape)))
+    keep = [min(side, SCREEN_MOST // zoom) for side in known.shape]
+    row, col = ((side - kept) // 2 for side, kept in zip(known.shape, keep))
+    ours, known = (a[row : row + keep[0], col : col + keep[1]] for a in (ours, known))
+    transform = transform * transform.translation(col, row)
+
     # The same view on the globe: where our pixels are, by PROJ.
     origin = said["anchor"]["origin"]
     place = [np.radians(origin["lon_deg"]), np.radians(origin["lat_deg"])]
@@ -213,8 +233,6 @@ def main():
     right[2] = 0
     right /= np.linalg.norm(right)
     up = np.array([-right[1], right[0], 0.0])
-    # Pixels of the screen for each of ours, along a side.
-    zoom = max(2, min(4, SCREEN_MOST // max(known.shape)))
     height, width = zoom * known.shape[0], zoom * known.shape[1]
     pixel = gsd / zoom
     eye = middle + np.array([0, 0, ABOVE_M])
@@ -223,7 +241,7 @@ def main():
     corners = [[e, n, u] for e in (area["west_m"], area["east_m"]) for n in (area["south_m"], area["north_m"]) for u in (0.0, 25.0)]
     world = lambda v: (np.asarray(v) @ turn).tolist()
     job = {"eye": (np.asarray(world(eye)) + centre).tolist(), "direction": world([0, 0, -1]), "up": world(up),
-           "fov": 2 * np.arctan(lens / 2), "near": ABOVE_M / 2, "far": 2 * ABOVE_M, "corners": corners}
+           "fov": 2 * np.arctan(lens / 2), "near": ABOVE_M / 2, "far": 2 * ABOVE_M, "corners": corners, "error_px": ERROR_PX["above"]}
     server = Server((args.cesium / "Build/Cesium").resolve())
     picture, result = server.show(args.chromium, tiles, (width, height), job)
     print("cesium", json.dumps({k: v for k, v in result.items() if k != "corners"}))
@@ -271,7 +289,7 @@ def main():
     away = np.array([0.55, -0.7, 0.6])
     away /= np.linalg.norm(away)
     side = {**job, "eye": (np.asarray(world(middle + 1.5 * extent * away)) + centre).tolist(), "direction": world(-away),
-            "up": world([0, 0, 1] - away[2] * away), "fov": np.radians(40), "near": 1.0, "far": 10 * extent}
+            "up": world([0, 0, 1] - away[2] * away), "fov": np.radians(40), "near": 1.0, "far": 10 * extent, "error_px": ERROR_PX["aside"]}
     save("oblique.png", server.show(args.chromium, tiles, (960, 720), side)[0])
     a, e = np.radians(azimuth), np.radians(elevation)
     side["light"] = world([-np.cos(e) * np.sin(a), -np.cos(e) * np.cos(a), -np.sin(e)])

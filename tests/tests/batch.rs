@@ -28,6 +28,8 @@ overlap_m = 6.0
 
 [products]
 sun = [200.0, 40.0]
+sun_hours = \"2016-06-21\"
+globe = true
 
 [[images]]
 name = \"first\"
@@ -53,12 +55,18 @@ fn products(out: &Path) -> Vec<(PathBuf, Vec<u8>)> {
     while let Some(folder) = open.pop() {
         for entry in std::fs::read_dir(&folder).expect("listable").flatten() {
             let path = entry.path();
-            let product = ["tif", "ply", "png", "laz"]
+            let product = ["tif", "ply", "png", "laz", "glb"]
                 .iter()
                 .any(|e| path.extension().is_some_and(|x| x == *e))
-                || ["model.json", "mosaic.json", "item.json", "collection.json"]
-                    .iter()
-                    .any(|name| path.ends_with(name));
+                || [
+                    "model.json",
+                    "mosaic.json",
+                    "item.json",
+                    "collection.json",
+                    "tileset.json",
+                ]
+                .iter()
+                .any(|name| path.ends_with(name));
             if path.is_dir() {
                 open.push(path);
             } else if product {
@@ -183,7 +191,7 @@ fn products_of_the_mosaic(out: &Path) {
     assert!(!masks.is_empty(), "{:?}", assets.keys());
     let open = |path: PathBuf| Dataset::open(&path).unwrap_or_else(|error| panic!("{}: {error}", path.display()));
     let dsm = open(folder.join("dsm.tif"));
-    let rasters = ["dsm", "hillshade", "albedo", "relit", "relit_shadow"].map(str::to_owned);
+    let rasters = ["dsm", "hillshade", "albedo", "relit", "relit_shadow", "sun_hours"].map(str::to_owned);
     for key in rasters.iter().chain(masks) {
         let file = open(folder.join(assets[key.as_str()]["href"].as_str().expect("a file")));
         assert_eq!(file.raster_size(), dsm.raster_size(), "{key}");
@@ -234,6 +242,8 @@ fn products_of_the_mosaic(out: &Path) {
         ratios.len()
     );
 
+    of_globes(&folder, &dsm, assets);
+
     // Every point of a core, once.
     let count = |file: PathBuf| {
         las::Reader::from_path(file)
@@ -274,6 +284,62 @@ fn products_of_the_mosaic(out: &Path) {
     let folder = folder.display().to_string();
     json(&["report", folder.as_str()]);
     assert!(page == std::fs::read_to_string(Path::new(&folder).join("report.html")).expect("a page"));
+}
+
+/// The 3D Tiles of a mosaic: levels of detail, files that are there, and the site's middle where it is; `export` of its folder writes the same.
+fn of_globes(folder: &Path, dsm: &Dataset, assets: &serde_json::Map<String, Value>) {
+    let again = tempdir().expect("a temporary folder");
+    for (name, mesh) in [("splats", false), ("surface", true)] {
+        let href = assets[name]["href"].as_str().expect("a file");
+        assert_eq!(href, format!("./{name}/tileset.json"));
+        let tileset = read_json(&folder.join(href));
+        let number = |value: &Value| value.as_f64().expect("a number");
+        let mut deepest = 0;
+        let mut open = vec![(&tileset["root"], 1)];
+        while let Some((tile, depth)) = open.pop() {
+            deepest = deepest.max(depth);
+            let file = tile["content"]["uri"].as_str().expect("a name");
+            assert!(
+                std::fs::read(folder.join(name).join(file))
+                    .expect("readable")
+                    .starts_with(b"glTF")
+            );
+            open.extend(
+                tile["children"]
+                    .as_array()
+                    .into_iter()
+                    .flatten()
+                    .map(|child| (child, depth + 1)),
+            );
+        }
+        assert!(deepest >= 3, "{name}: {deepest} levels");
+        // The frame stands below the middle of the grid, and the root's box reaches over most of the surface.
+        let (width, height) = dsm.raster_size();
+        let cell_m = dsm.geo_transform().expect("a place")[1];
+        let sides = [width as f64 * cell_m, height as f64 * cell_m];
+        let volume: Vec<f64> = tileset["root"]["boundingVolume"]["box"]
+            .as_array()
+            .expect("12")
+            .iter()
+            .map(number)
+            .collect();
+        for (k, side) in sides.into_iter().enumerate() {
+            assert!(volume[k].abs() < 0.2 * side, "{name}: {volume:?}");
+            assert!(
+                (0.6 * side..1.4 * side).contains(&(2.0 * volume[3 + 4 * k])),
+                "{name}: {volume:?} of {side} m"
+            );
+        }
+        let out = again.path().join(name).display().to_string();
+        let mosaic = folder.display().to_string();
+        let mut arguments = vec!["export", mosaic.as_str(), "--tiles", &out, "--sun", "200,40"];
+        arguments.extend(mesh.then_some("--mesh"));
+        json(&arguments);
+        for file in ["tileset.json", "tile.glb"] {
+            let read = |home: &Path| std::fs::read(home.join(file)).expect("readable");
+            assert!(read(Path::new(&out)) == read(&folder.join(name)), "{name}/{file}");
+        }
+    }
 }
 
 fn read_json(path: &Path) -> Value {

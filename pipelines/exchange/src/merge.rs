@@ -1,8 +1,9 @@
 //! Coarser splats of finer ones: those whose centres share a cell become one that has their moments.
 //!
 //! A splat weighs its opacity times its area, the product of its two larger standard deviations: surfaces are made of flat ones. The mean,
-//! the covariance and the colour of the merged splat are those of the mixture. Its opacity keeps what the parts cover, `Σ o A = o A`, and
-//! is 1 where they cover more than its own area.
+//! the covariance and the colour of the merged splat are those of the mixture. Its opacity keeps what the parts cover, `Σ o A = o A`.
+//! Parts that overlap cover more than the ellipse of their mixture at opacity 1: then its two larger axes grow until it covers as much.
+//! Without that, merged splats of a level surface stand apart as a lattice of dots.
 
 use crate::splats::Splat;
 use glam::{Mat3, Quat, Vec3};
@@ -10,6 +11,9 @@ use rayon::prelude::*;
 
 /// No axis of a merged splat is thinner than this, metres.
 const THINNEST_M: f32 = 1e-3;
+/// Standard deviation in cells up to which a merged splat grows: at this distance discs of a lattice close, and what stands in several layers
+/// grows no further.
+const WIDEST_CELLS: f32 = 2.0 / 3.0;
 
 /// One splat for each cell of `cell_m` metres that has any, in the order of the cells.
 pub fn merged(splats: &[Splat], cell_m: f32) -> Vec<Splat> {
@@ -20,7 +24,7 @@ pub fn merged(splats: &[Splat], cell_m: f32) -> Vec<Splat> {
     cells
         .par_iter()
         .with_min_len(256)
-        .map(|cell| mixture(cell.iter().map(|&(_, i)| &splats[i as usize])))
+        .map(|cell| mixture(cell.iter().map(|&(_, i)| &splats[i as usize]), WIDEST_CELLS * cell_m))
         .collect()
 }
 
@@ -29,8 +33,8 @@ fn area(scale: Vec3) -> f32 {
     scale.element_product() / scale.min_element()
 }
 
-/// The splat that has the moments of some.
-fn mixture<'a>(parts: impl ExactSizeIterator<Item = &'a Splat> + Clone) -> Splat {
+/// The splat that has the moments of some; where they overlap it grows to standard deviations of `widest_m`.
+fn mixture<'a>(parts: impl ExactSizeIterator<Item = &'a Splat> + Clone, widest_m: f32) -> Splat {
     let only = parts.clone().next().filter(|_| parts.len() == 1);
     if let Some(only) = only {
         return *only;
@@ -51,6 +55,7 @@ fn mixture<'a>(parts: impl ExactSizeIterator<Item = &'a Splat> + Clone) -> Splat
         covariance += (part.covariance() + spread) * (weight(part) / covered);
     }
     let (scale, rotation) = axes(covariance);
+    let scale = grown(scale, covered / area(scale), widest_m);
     Splat {
         position: mean,
         scale,
@@ -58,6 +63,16 @@ fn mixture<'a>(parts: impl ExactSizeIterator<Item = &'a Splat> + Clone) -> Splat
         opacity: (covered / area(scale)).min(1.0),
         colour: (colour / covered).to_array(),
     }
+}
+
+/// Axes of which the two larger ones span `times` their area, each of them at most `widest_m` unless it was wider before.
+fn grown(scale: Vec3, times: f32, widest_m: f32) -> Vec3 {
+    let thinnest = scale.min_element();
+    let grow = |axis: f32| match axis > thinnest {
+        true => (axis * times.max(1.0).sqrt()).min(axis.max(widest_m)),
+        false => axis,
+    };
+    Vec3::new(grow(scale.x), grow(scale.y), grow(scale.z))
 }
 
 /// Standard deviations along the own axes of a covariance, and the turn to these.
@@ -115,5 +130,31 @@ mod tests {
         );
         // Four times 0.5 of 0.09 m² on 0.34 m².
         assert!((one.opacity - 0.18 / 0.34).abs() < 1e-3, "{}", one.opacity);
+    }
+
+    #[test]
+    fn a_level_surface_has_no_gaps_between_merged_splats() {
+        let disc = |i: usize| Splat {
+            position: Vec3::new(0.5 * (i % 64) as f32, 0.5 * (i / 64) as f32, 0.1),
+            scale: Vec3::new(0.33, 0.33, 0.02),
+            rotation: Quat::IDENTITY,
+            opacity: 0.9,
+            colour: [0.5; 3],
+        };
+        let fine: Vec<Splat> = (0..64 * 64).map(disc).collect();
+        for cell_m in [1.0, 2.0, 4.0] {
+            let coarse = merged(&fine, cell_m);
+            // What is seen from above through the point where four cells meet.
+            let seen_through = |splat: &Splat| {
+                let aside = (splat.position - Vec3::new(16.0, 16.0, 0.1)).truncate();
+                let axes = splat.covariance();
+                let [a, b, c] = [axes.x_axis.x, axes.x_axis.y, axes.y_axis.y];
+                let square =
+                    (c * aside.x * aside.x - 2.0 * b * aside.x * aside.y + a * aside.y * aside.y) / (a * c - b * b);
+                1.0 - splat.opacity * (-0.5 * square).exp()
+            };
+            let gap: f32 = coarse.iter().map(seen_through).product();
+            assert!(gap < 0.1, "{gap} at {cell_m} m");
+        }
     }
 }

@@ -1,12 +1,16 @@
-//! A run for other programs: splats lit by a sun (PLY, glTF, 3D Tiles) and the textured surface (glTF, 3D Tiles).
+//! A run or a batch's mosaic for other programs: splats lit by a sun (PLY, glTF, 3D Tiles) and the textured surface (glTF, 3D Tiles).
 //!
 //! All of it stands in the local frame, metres east, north and up of the site's origin, never in map coordinates: a map's north and its
 //! scale are not those of the ground. [`anchor`] says where the frame stands on Earth.
 
 mod lit;
+mod mosaic;
 mod textured;
+mod tile;
 
 pub use lit::{Display, Lit};
+pub use mosaic::Mosaic;
+pub use tile::MosaicTile;
 
 use crate::dsm;
 use crate::model::LoadedModel;
@@ -26,7 +30,7 @@ use std::path::{Path, PathBuf};
 use textured::{Dressed, Ground};
 
 /// Name of the file that a folder of tiles begins with.
-const TILESET: &str = "tileset.json";
+pub const TILESET: &str = "tileset.json";
 
 /// What is asked for; at least one of the files.
 #[derive(Debug, Clone, Default)]
@@ -135,21 +139,61 @@ pub fn anchor(frame: &LocalFrame) -> Value {
     })
 }
 
-/// Writes what is asked for of a run. Each file and each folder is whole or not there.
+/// What is exported.
+#[derive(Clone, Copy)]
+pub enum Subject<'s> {
+    /// A run.
+    Run(&'s LoadedModel),
+    /// A batch's mosaic.
+    Mosaic(&'s Mosaic),
+}
+
+impl Subject<'_> {
+    /// The local frame that all files stand in.
+    pub fn frame(&self) -> &LocalFrame {
+        match self {
+            Self::Run(model) => &model.frame,
+            Self::Mosaic(mosaic) => mosaic.frame(),
+        }
+    }
+
+    fn folder(&self) -> &Path {
+        match self {
+            Self::Run(model) => &model.folder,
+            Self::Mosaic(mosaic) => mosaic.folder(),
+        }
+    }
+
+    fn lit(&self, sun: Option<&SunPosition>) -> Result<Lit, ExportError> {
+        match self {
+            Self::Run(model) => Ok(Lit::new(model, sun)?),
+            Self::Mosaic(mosaic) => mosaic.lit(sun),
+        }
+    }
+
+    fn ground(&self) -> Result<Ground, ExportError> {
+        match self {
+            Self::Run(model) => ground(model),
+            Self::Mosaic(mosaic) => mosaic.ground(),
+        }
+    }
+}
+
+/// Writes what is asked for of a run or a mosaic. Each file and each folder is whole or not there.
 ///
 /// # Errors
 /// [`ExportError`].
-pub fn write(model: &LoadedModel, request: &Request) -> Result<Export, ExportError> {
+pub fn write(subject: Subject, request: &Request) -> Result<Export, ExportError> {
     let mut said = json!({
-        "anchor": anchor(&model.frame), "software": concat!("heliosplat ", env!("CARGO_PKG_VERSION")),
+        "anchor": anchor(subject.frame()), "software": concat!("heliosplat ", env!("CARGO_PKG_VERSION")),
     });
     let mut written = Vec::new();
     let tiles_of_splats = request.tiles.as_deref().filter(|_| !request.tiles_of_mesh);
     let tiles_of_mesh = request.tiles.as_deref().filter(|_| request.tiles_of_mesh);
     if request.ply.is_some() || request.splats.is_some() || tiles_of_splats.is_some() {
-        let lit = Lit::new(model, request.sun.as_ref())?;
+        let lit = subject.lit(request.sun.as_ref())?;
         if lit.splats.is_empty() {
-            return Err(ExportError::NoSurface(model.folder.clone()));
+            return Err(ExportError::NoSurface(subject.folder().to_owned()));
         }
         let of_splats = with(&said, &lit.said());
         if let Some(path) = &request.ply {
@@ -162,7 +206,7 @@ pub fn write(model: &LoadedModel, request: &Request) -> Result<Export, ExportErr
         if let Some(folder) = tiles_of_splats {
             let count = lit.splats.len();
             let splats = lit.splats.clone();
-            let mut tiled = write_tiles(folder, &model.frame, Contents::Splats, &of_splats, |write| {
+            let mut tiled = write_tiles(folder, subject.frame(), Contents::Splats, &of_splats, |write| {
                 Ok(Some(tiles::of_splats(splats, write)?))
             })?;
             tiled.splats = Some(count);
@@ -171,17 +215,17 @@ pub fn write(model: &LoadedModel, request: &Request) -> Result<Export, ExportErr
         said = of_splats;
     }
     if request.mesh.is_some() || tiles_of_mesh.is_some() {
-        let ground = ground(model)?;
+        let ground = subject.ground()?;
         let of_mesh = with(&said, &ground.said());
         if let Some(path) = &request.mesh {
             let Dressed { glb, triangles, .. } = ground
                 .whole(of_mesh.clone())?
-                .ok_or_else(|| ExportError::NoSurface(model.folder.clone()))?;
+                .ok_or_else(|| ExportError::NoSurface(subject.folder().to_owned()))?;
             written.push(write_one(path, "mesh", &glb, None, Some(triangles))?);
         }
         if let Some(folder) = tiles_of_mesh {
             let mut triangles = 0;
-            let mut tiled = write_tiles(folder, &model.frame, Contents::Meshes, &of_mesh, |write| {
+            let mut tiled = write_tiles(folder, subject.frame(), Contents::Meshes, &of_mesh, |write| {
                 ground.tiles(write, &mut triangles)
             })?;
             tiled.triangles = Some(triangles);

@@ -4,8 +4,8 @@ use crate::model::LoadedModel;
 use glam::DVec3;
 use heliosplat::ProjectiveCamera;
 use heliosplat_raster::grid::{EnuGrid, GridSpec};
-use heliosplat_raster::{Crs, RasterError};
-use heliosplat_rpc::LocalFrame;
+use heliosplat_raster::{Crs, CrsTransform, RasterError};
+use heliosplat_rpc::{GeoPoint, LocalFrame};
 use heliosplat_scene::{Area, Scene};
 
 /// A grid over the model's area and the camera that looks straight down on it.
@@ -72,6 +72,40 @@ impl NadirGrid {
         let enu = EnuGrid::new(&place.frame, &grid, place.altitude_range_m)?;
         let camera = nadir_camera(&enu, &grid, place.frame.origin.height_m);
         Ok(Self { grid, camera, enu })
+    }
+
+    /// A grid that no model's frame belongs to, such as a mosaic's, with `altitude_m` (metres above the ellipsoid, NaN where unknown) on it: the
+    /// frame stands at its middle, at the lowest altitude.
+    ///
+    /// # Errors
+    /// When the grid lies outside its coordinate system.
+    pub fn of_surface(grid: GridSpec, altitude_m: &[f32]) -> Result<(Self, LocalFrame), RasterError> {
+        let known = || altitude_m.iter().copied().filter(|v| v.is_finite()).map(f64::from);
+        let (low, high) = (
+            known().fold(f64::INFINITY, f64::min),
+            known().fold(f64::NEG_INFINITY, f64::max),
+        );
+        let (low, high) = if low <= high { (low, high) } else { (0.0, 0.0) };
+        let sides = [0.5 * grid.width as f64, 0.5 * grid.height as f64];
+        let [x, y] = grid.transform.map_from_pixel(sides[0], sides[1]);
+        let (lon_deg, lat_deg) = CrsTransform::to_lon_lat(&grid.crs)?.apply(x, y)?;
+        let frame = LocalFrame::new(GeoPoint {
+            lon_deg,
+            lat_deg,
+            height_m: low,
+        });
+        let cell_m = grid.transform.pixel_size().0 * grid.crs.metres_per_unit();
+        let place = Place {
+            frame,
+            area: Area {
+                west_m: -sides[0] * cell_m,
+                south_m: -sides[1] * cell_m,
+                east_m: sides[0] * cell_m,
+                north_m: sides[1] * cell_m,
+            },
+            altitude_range_m: (low, high),
+        };
+        Ok((Self::on(&place, grid)?, frame))
     }
 
     /// Where the next column and the next row lie at the grid's middle, metres east and north of the local frame.

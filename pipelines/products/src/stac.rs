@@ -13,6 +13,7 @@ const PROJECTION: &str = "https://stac-extensions.github.io/projection/v2.0.0/sc
 const RASTER: &str = "https://stac-extensions.github.io/raster/v2.0.0/schema.json";
 const VIEW: &str = "https://stac-extensions.github.io/view/v1.0.0/schema.json";
 const COG: &str = "image/tiff; application=geotiff; profile=cloud-optimized";
+const TILES: &str = "application/3dtiles+json";
 const LAZ: &str = "application/vnd.laszip";
 const PNG: &str = "image/png";
 
@@ -79,6 +80,15 @@ impl Asset {
             key: "page".into(),
             file: file.into(),
             value: json!({"href": format!("./{file}"), "title": title, "type": "text/html", "roles": ["overview"]}),
+        }
+    }
+
+    /// 3D Tiles that begin with this file.
+    pub fn tiles(key: &str, file: &str, title: &str) -> Self {
+        Self {
+            key: key.into(),
+            file: file.into(),
+            value: json!({"href": format!("./{file}"), "title": title, "type": TILES, "roles": ["visual"]}),
         }
     }
 

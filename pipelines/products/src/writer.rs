@@ -307,6 +307,11 @@ impl<'a> Writer<'a> {
         self.assets.push(Asset::points(file, count));
     }
 
+    /// Notes 3D Tiles that were written beside the rasters; `file` is their `tileset.json`.
+    pub fn tiles(&mut self, key: &str, file: &str, title: &str) {
+        self.assets.push(Asset::tiles(key, file, title));
+    }
+
     /// Notes a page for people that was written beside the rasters.
     pub fn page(&mut self, file: &str, title: &str) {
         self.assets.push(Asset::page(file, title));

@@ -85,6 +85,10 @@ pub struct ProductOptions {
     pub sun: Option<[f64; 2]>,
     /// What heights of mosaics are above; absent: the ellipsoid.
     pub geoid: Option<Geoid>,
+    /// Days whose hours of sun mosaics get, `FROM/TO` or one day; absent: none.
+    pub sun_hours: Option<String>,
+    /// Whether mosaics get 3D Tiles: splats, and the textured surface.
+    pub globe: bool,
 }
 
 /// A piece of ground.
@@ -286,6 +290,12 @@ impl Manifest {
                 "products.sun is [{azimuth}, {elevation}], expected azimuth and elevation in degrees, {LOWEST_SUN_DEG} or more above the horizon"
             ));
         }
+        if let Some(days) = &self.products.sun_hours {
+            parse::period(days).map_err(|reason| format!("products.sun_hours: {reason}"))?;
+        }
+        if self.products.dsm_only && (self.products.sun_hours.is_some() || self.products.globe) {
+            return Err("products.dsm_only leaves sun_hours and globe out; say one or the other".into());
+        }
         for area in &self.areas {
             if let Some(request) = area.request() {
                 request
@@ -389,6 +399,8 @@ mod tests {
         );
         assert!(refused("colour = 3\n").contains("line"));
         assert!(refused("[products]\nsun = [200.0, -5.0]\n").contains("products.sun"));
+        assert!(refused("[products]\nsun_hours = \"2026-06-31\"\n").contains("products.sun_hours"));
+        assert!(refused("[products]\ndsm_only = true\nglobe = true\n").contains("dsm_only"));
         assert!(refused("[products]\ngeoid = \"sea\"\n").contains("line"));
         let elsewhere = Manifest::parse(&format!("deliver = \"/vsizip//etc/x.zip\"\n{IMAGES}"));
         assert!(elsewhere.expect_err("the disk").contains("deliver"));

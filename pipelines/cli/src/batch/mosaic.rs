@@ -3,8 +3,10 @@
 use super::BatchError;
 use super::plan::{MosaicTile, MosaicWork};
 use super::stamp::STAMP;
+use heliosplat::Raster;
 use heliosplat_products::blend::{BANDS, Piece, blend};
 use heliosplat_products::dsm::Dsm;
+use heliosplat_raster::geoid::GeoidGrid;
 use heliosplat_raster::{Crs, GeoRaster, GeoTransform, GridSpec, RasterError};
 use std::path::Path;
 
@@ -16,6 +18,23 @@ pub struct Mosaic {
     pub grid: GridSpec,
     /// The tiles.
     pub pieces: Vec<Piece>,
+}
+
+impl Mosaic {
+    /// The altitudes above the ellipsoid, whatever the surface model is above.
+    ///
+    /// # Errors
+    /// When the geoid's grid is missing.
+    pub fn above_ellipsoid(&self) -> Result<Raster, RasterError> {
+        let mut altitude = self.dsm.altitude();
+        if let Some(geoid) = self.dsm.geoid {
+            let table = GeoidGrid::new(geoid, &self.grid)?;
+            for (i, value) in altitude.values.iter_mut().enumerate() {
+                *value += table.at(i % self.grid.width, i / self.grid.width) as f32;
+            }
+        }
+        Ok(altitude)
+    }
 }
 
 /// Blends the surface models of tiles.

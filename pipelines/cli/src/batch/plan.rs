@@ -347,9 +347,11 @@ impl Combination<'_> {
             crs: tiling.crs.clone(),
             gsd_m: tiling.gsd_m,
             residual_px: tile.survey.residual_px,
-            // Heights are put above a geoid when tiles are one surface.
+            // What is made of the whole surface alone is nothing to a tile.
             products: ProductOptions {
                 geoid: None,
+                sun_hours: None,
+                globe: false,
                 ..self.products.clone()
             },
         };

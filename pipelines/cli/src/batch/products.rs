@@ -6,12 +6,17 @@ use super::mosaic::Mosaic;
 use super::plan::{MosaicWork, Unit};
 use super::summary::COLLECTION;
 use crate::outcome::CliError;
-use crate::view;
+use crate::{parse, view};
 use heliosplat::Raster;
 use heliosplat_products::change::ChangeMap;
+use heliosplat_products::blend::Piece;
+use heliosplat_products::dsm::Dsm;
+use heliosplat_products::export::{self, MosaicTile, Subject, TILESET};
 use heliosplat_products::model::{self, LoadedModel, ModelFile, ModelImage};
+use heliosplat_products::nadir::NadirGrid;
 use heliosplat_products::points;
 use heliosplat_products::set::{self, Request, dates, only_sun, times};
+use heliosplat_products::sunshine::sunshine;
 use heliosplat_products::writer::{Said, Writer};
 use heliosplat_raster::preview;
 use heliosplat_rpc::sun::SunPosition;
@@ -20,11 +25,14 @@ use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
 /// Folder of a tile's training, below the tile's own.
-pub(super) const RUN: &str = "run";
+pub const RUN: &str = "run";
 /// Name of the point cloud.
 const POINTS: &str = "points.laz";
 /// Folder of pictures for people.
 pub const PICTURES: &str = "pictures";
+/// Folders of the 3D Tiles of a mosaic: splats, and the textured surface.
+const SPLATS: &str = "splats";
+const SURFACE: &str = "surface";
 /// Widest picture, pixels.
 const PICTURE_PX: usize = 1600;
 /// What shadows are painted in.
@@ -123,7 +131,6 @@ pub fn of_mosaic(
     let index = models.files.first().and_then(ModelFile::vegetation_index);
     writer.colours(&albedo, bands, index)?;
     let look = Look::new(&albedo, folder);
-    drop(albedo);
     look.write("albedo", None)?;
     if let Some(sun) = work.products.sun.map(sun_of) {
         let mut image = read("relit.tif")?;
@@ -131,6 +138,12 @@ pub fn of_mosaic(
         let image = image.merged(pieces, size, gsd_m, Merge::Mean);
         writer.relit(&image, &mask("relit_shadow.tif")?, bands, &sun)?;
         Look::new(&image, folder).write("relit", None)?;
+    }
+    if let Some(days) = &work.products.sun_hours {
+        let period = parse::period(days).map_err(CliError::Input)?;
+        let above_ellipsoid = mosaic.above_ellipsoid()?;
+        let (nadir, frame) = NadirGrid::of_surface(grid.clone(), &above_ellipsoid.values)?;
+        writer.sunshine(&sunshine(&nadir, &above_ellipsoid, frame.origin, &period), &period)?;
     }
     let dates = dates(&images);
     for (date, sun) in &dates {
@@ -145,6 +158,18 @@ pub fn of_mosaic(
         .collect();
     let count = points::merge(&folder.join(POINTS), &parts, grid, work.products.geoid)?;
     writer.points(POINTS, count);
+    let globe = match work.products.globe {
+        true => globe(mosaic, albedo, &models.runs, &gains, work.products.sun, folder)?,
+        false => Vec::new(),
+    };
+    if !globe.is_empty() {
+        writer.tiles("splats", &format!("{SPLATS}/{TILESET}"), "Splats for globes, 3D Tiles");
+        writer.tiles(
+            "surface",
+            &format!("{SURFACE}/{TILESET}"),
+            "Textured surface for globes, 3D Tiles",
+        );
+    }
     let light = models.runs.first().map(PathBuf::as_path);
     if view::into_folder(folder, view::of_mosaic(folder, light))? {
         writer.page(view::FILE, "The surface in a browser, under a sun that can be moved");
@@ -158,7 +183,53 @@ pub fn of_mosaic(
     })?;
     let names: Vec<&str> = dates.iter().map(|(date, _)| date.as_str()).collect();
     let said = json!({"points": count, "dates": names, "albedo_gains": gains});
-    Ok((set.names, said))
+    let mut outputs = set.names;
+    for name in globe {
+        if !outputs.contains(&name) {
+            outputs.push(name);
+        }
+    }
+    Ok((outputs, said))
+}
+
+/// Writes the 3D Tiles of a mosaic; returns the names of all files.
+fn globe(
+    mosaic: &Mosaic,
+    albedo: Raster,
+    runs: &[PathBuf],
+    gains: &[Vec<f64>],
+    sun: Option<[f64; 2]>,
+    folder: &Path,
+) -> Result<Vec<String>, CliError> {
+    let tile = |((piece, run), gains): ((&Piece, &PathBuf), &Vec<f64>)| MosaicTile {
+        run: run.clone(),
+        core: piece.core,
+        gains: gains.clone(),
+    };
+    let tiles = mosaic.pieces.iter().zip(runs).zip(gains).map(tile).collect();
+    let dsm = Dsm {
+        raster: mosaic.above_ellipsoid()?,
+        grid: mosaic.grid.clone(),
+        geoid: None,
+    };
+    let exported = export::Mosaic::new(folder, dsm, albedo, tiles)?;
+    for (name, tiles_of_mesh) in [(SPLATS, false), (SURFACE, true)] {
+        let request = export::Request {
+            tiles: Some(folder.join(name)),
+            tiles_of_mesh,
+            sun: sun.map(sun_of),
+            ..export::Request::default()
+        };
+        export::write(Subject::Mosaic(&exported), &request)?;
+    }
+    let mut names = Vec::new();
+    for name in [SPLATS, SURFACE] {
+        for entry in std::fs::read_dir(folder.join(name)).into_iter().flatten().flatten() {
+            names.push(format!("{name}/{}", entry.file_name().to_string_lossy()));
+        }
+    }
+    names.sort_unstable();
+    Ok(names)
 }
 
 /// Pictures of an ortho image, small enough to be looked at.

@@ -1,20 +1,23 @@
-//! `export` of a run on a satellite scene.
+//! `export` of a run on a satellite scene, or of a batch's mosaic.
+
+mod mosaic;
 
 use super::export_args::ExportArgs;
 use crate::outcome::{CliError, Outcome};
+use crate::page::MOSAIC_FILE;
 use bytesize::ByteSize;
-use heliosplat_products::export::{Request, Written, write};
-use heliosplat_products::model::load;
+use heliosplat_products::export::{Mosaic, Request, Subject, Written, write};
+use heliosplat_products::model::{LoadedModel, load};
 use heliosplat_rpc::sun::{SunPosition, sun_position};
 use serde_json::json;
 use std::path::Path;
 
-/// Writes what other programs can use of a run.
+/// Writes what other programs can use of a run or a mosaic.
 ///
 /// # Errors
 /// When the run, the sun or a name is at fault, or a file cannot be written.
 pub(crate) fn of_satellite(args: &ExportArgs) -> Result<Outcome, CliError> {
-    let model = load(&args.run)?;
+    let source = Source::open(&args.run)?;
     for (given, name) in [
         (args.light.is_some(), "light"),
         (args.toward.is_some(), "toward"),
@@ -47,7 +50,7 @@ pub(crate) fn of_satellite(args: &ExportArgs) -> Result<Outcome, CliError> {
     }
     let sun = match (args.sun, args.time) {
         (Some([azimuth, elevation]), _) => Some(SunPosition::from_degrees(azimuth, elevation)),
-        (None, Some(time)) => Some(sun_position(time, model.frame.origin)),
+        (None, Some(time)) => Some(sun_position(time, source.subject().frame().origin)),
         (None, None) => None,
     };
     let request = Request {
@@ -58,12 +61,42 @@ pub(crate) fn of_satellite(args: &ExportArgs) -> Result<Outcome, CliError> {
         tiles_of_mesh,
         sun,
     };
-    let export = write(&model, &request)?;
+    let export = write(source.subject(), &request)?;
     let lines: Vec<String> = export.written.iter().map(line).collect();
     Ok(Outcome {
         text: lines.join("\n"),
-        json: json!({"written": export.written, "said": export.said, "gaussians": model.parameters.gaussians.count}),
+        json: json!({"written": export.written, "said": export.said, "gaussians": source.gaussians()}),
     })
+}
+
+/// What is exported.
+enum Source {
+    Run(Box<LoadedModel>),
+    Mosaic(Box<Mosaic>),
+}
+
+impl Source {
+    fn open(folder: &Path) -> Result<Self, CliError> {
+        Ok(match folder.join(MOSAIC_FILE).is_file() {
+            true => Self::Mosaic(Box::new(mosaic::open(folder)?)),
+            false => Self::Run(Box::new(load(folder)?)),
+        })
+    }
+
+    fn subject(&self) -> Subject<'_> {
+        match self {
+            Self::Run(model) => Subject::Run(model),
+            Self::Mosaic(mosaic) => Subject::Mosaic(mosaic),
+        }
+    }
+
+    /// Gaussians of a run; a mosaic's are counted when its tiles are read.
+    fn gaussians(&self) -> Option<usize> {
+        match self {
+            Self::Run(model) => Some(model.parameters.gaussians.count),
+            Self::Mosaic(_) => None,
+        }
+    }
 }
 
 fn ends_in(path: &Path, ending: &str) -> bool {

@@ -8,7 +8,7 @@ use std::path::PathBuf;
 #[derive(Debug, Clone, Args)]
 #[command(group = ArgGroup::new("what").args(["ply", "splats", "mesh", "tiles", "asset"]).required(true).multiple(true))]
 pub struct ExportArgs {
-    /// A finished run
+    /// A finished run, or the folder of a batch's mosaic
     #[arg(value_name = "RUN")]
     pub run: PathBuf,
     /// Splats for viewers and editors of splats, as a PLY; of satellites with the place on Earth in FILE.json beside it

@@ -15,7 +15,7 @@ const POLICY: &str = "default-src 'none'; script-src 'unsafe-inline'; style-src 
 const BYTES_MAX: usize = 3_900_000;
 const STYLE: &str = include_str!("page/style.css");
 /// The sources of the page, in the order in which they are joined. The first five need no browser.
-const SCRIPTS: [&str; 13] = [
+const SCRIPTS: [&str; 20] = [
     include_str!("page/sun.js"),
     include_str!("page/sweep.js"),
     include_str!("page/light.js"),
@@ -28,6 +28,13 @@ const SCRIPTS: [&str; 13] = [
     include_str!("page/profile.js"),
     include_str!("page/hours.js"),
     include_str!("page/report.js"),
+    include_str!("page/state.js"),
+    include_str!("page/choice.js"),
+    include_str!("page/controls.js"),
+    include_str!("page/pointers.js"),
+    include_str!("page/keys.js"),
+    include_str!("page/picture.js"),
+    include_str!("page/address.js"),
     include_str!("page/main.js"),
 ];
 

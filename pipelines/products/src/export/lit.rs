@@ -3,10 +3,11 @@
 //! The light of each Gaussian is traced from its centre. A rendering multiplies what is composited of albedo and of light; here it is
 //! multiplied before: at the border of a shadow both differ a little. Viewers blend display values, a rendering blends light.
 
-use crate::model::{LoadedModel, ModelFile};
+use super::tile::MosaicTile;
+use crate::model::{LoadedModel, ModelFile, load};
 use crate::nadir::NadirGrid;
 use crate::relight::{RelightError, composed, light_of};
-use glam::Vec3;
+use glam::{DMat3, DQuat, DVec3, Vec3};
 use heliosplat::gaussians::normalised;
 use heliosplat::light::Light;
 use heliosplat::model::{Context, SceneModel, Seen};
@@ -17,6 +18,7 @@ use heliosplat::trace::{Occluders, transmittance};
 use heliosplat::{ProjectiveCamera, Raster};
 use heliosplat_exchange::splats::Splat;
 use heliosplat_raster::preview::percentiles;
+use heliosplat_rpc::LocalFrame;
 use heliosplat_rpc::sun::SunPosition;
 use heliosplat_scene::BandKind;
 use serde_json::{Value, json};
@@ -28,6 +30,8 @@ const SCALE_MOST_M: f32 = 100.0;
 /// Quantiles of what is seen from above that are shown black and white.
 const BLACK: f64 = 0.01;
 const WHITE: f64 = 0.995;
+/// Values of each band that the display of a mosaic is found from, about.
+const DISPLAY_VALUES: usize = 4_000_000;
 
 /// How values become display values: linearly from black to white, then by the curve of sRGB.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -45,7 +49,12 @@ impl Display {
     pub(super) fn of(image: &Raster, kinds: &[BandKind], quantiles: (f64, f64)) -> Self {
         let bands = shown(kinds);
         let values: Vec<f32> = bands.iter().flat_map(|&band| image.plane(band)).copied().collect();
-        let (black, white) = percentiles(&values, quantiles.0, quantiles.1).unwrap_or((0.0, 1.0));
+        Self::of_values(bands, &values, quantiles)
+    }
+
+    /// Two quantiles of the values of these bands.
+    fn of_values(bands: [usize; 3], values: &[f32], quantiles: (f64, f64)) -> Self {
+        let (black, white) = percentiles(values, quantiles.0, quantiles.1).unwrap_or((0.0, 1.0));
         Self {
             bands,
             black,
@@ -87,9 +96,8 @@ impl Lit {
     /// # Errors
     /// [`RelightError`] where the sun is down, or the model has no light and a sun is asked for.
     pub fn new(model: &LoadedModel, sun: Option<&SunPosition>) -> Result<Self, RelightError> {
-        let own = reference_sun(&model.file).filter(|_| model.file.has_light());
         let lit_by = |sun: SunPosition| Ok::<_, RelightError>((sun, light_of(model, &sun)?));
-        let own = own.map(lit_by).transpose()?;
+        let own = own_sun(&model.file).map(lit_by).transpose()?;
         let light = sun.copied().map(lit_by).transpose()?.or(own);
         let display = Display::of(&from_above(model, own)?, &model.file.bands, (BLACK, WHITE));
         let splats = splats(model, &colours(model, light)?, &display);
@@ -99,6 +107,55 @@ impl Lit {
             display,
             sun,
             counts_per_unit: model.file.counts_per_unit,
+        })
+    }
+
+    /// The splats of all tiles of a mosaic in the frame of `nadir`, each tile's within its core and with its gains, under `sun` or that of the first
+    /// tile's reference image. Tiles are loaded one after the other.
+    ///
+    /// # Errors
+    /// Those of [`Lit::new`], and when a tile cannot be read.
+    pub(super) fn of_tiles(
+        tiles: &[MosaicTile],
+        (nadir, frame): (&NadirGrid, &LocalFrame),
+        sun: Option<&SunPosition>,
+    ) -> Result<Self, RelightError> {
+        let mut own = None;
+        let mut said = ([0; 3], 1.0);
+        let mut values = Vec::new();
+        for (place, tile) in tiles.iter().enumerate() {
+            let model = load(&tile.run)?;
+            if place == 0 {
+                own = own_sun(&model.file);
+                said = (shown(&model.file.bands), model.file.counts_per_unit);
+            }
+            let light = own.map(|sun| Ok::<_, RelightError>((sun, light_of(&model, &sun)?)));
+            let mut image = from_above(&model, light.transpose()?)?;
+            tile.balance(&mut image);
+            let step = (image.plane_len() * tiles.len() / DISPLAY_VALUES).max(1);
+            for band in said.0.into_iter().filter(|&band| band < image.bands) {
+                values.extend(image.plane(band).iter().step_by(step));
+            }
+        }
+        let display = Display::of_values(said.0, &values, (BLACK, WHITE));
+        let sun = sun.copied().or(own);
+        let mut all = Vec::new();
+        for tile in tiles {
+            let model = load(&tile.run)?;
+            let light = sun.map(|sun| Ok::<_, RelightError>((sun, light_of(&model, &sun)?)));
+            let mut colours = colours(&model, light.transpose()?)?;
+            tile.balance(&mut colours);
+            let moved = Moved::new(&model.frame, frame);
+            let splats = splats(&model, &colours, &display)
+                .into_iter()
+                .map(|splat| moved.splat(splat));
+            all.extend(splats.filter(|splat| tile.holds(nadir, splat.position)));
+        }
+        Ok(Self {
+            splats: all,
+            display,
+            sun,
+            counts_per_unit: said.1,
         })
     }
 
@@ -119,6 +176,37 @@ impl Lit {
             },
         })
     }
+}
+
+/// From one local frame to another, which are turned against each other by the angle between their plumb lines.
+struct Moved {
+    turn: DMat3,
+    offset_m: DVec3,
+}
+
+impl Moved {
+    fn new(from: &LocalFrame, to: &LocalFrame) -> Self {
+        let turn = to.enu_from_ecef_rotation() * from.enu_from_ecef_rotation().transpose();
+        let offset = to.enu_from_geo(from.origin);
+        Self {
+            turn: DMat3::from_cols_slice(turn.as_slice()),
+            offset_m: DVec3::new(offset.x, offset.y, offset.z),
+        }
+    }
+
+    fn splat(&self, splat: Splat) -> Splat {
+        let rotation = DQuat::from_mat3(&self.turn).as_quat() * splat.rotation;
+        Splat {
+            position: (self.turn * splat.position.as_dvec3() + self.offset_m).as_vec3(),
+            rotation: rotation.normalize(),
+            ..splat
+        }
+    }
+}
+
+/// The sun under which a model shows its splats where none is asked for: that of its reference image, if it has light.
+fn own_sun(file: &ModelFile) -> Option<SunPosition> {
+    reference_sun(file).filter(|_| file.has_light())
 }
 
 /// The sun of the image whose colour is the model's; of the first other one where that is unknown.
@@ -216,6 +304,33 @@ fn splats(model: &LoadedModel, colours: &Raster, display: &Display) -> Vec<Splat
 #[cfg(test)]
 mod tests {
     use super::*;
+    use heliosplat_rpc::GeoPoint;
+
+    #[test]
+    fn a_splat_moved_to_another_frame_stays_where_it_is_on_earth() {
+        let at = |lon_deg, lat_deg, height_m| {
+            LocalFrame::new(GeoPoint {
+                lon_deg,
+                lat_deg,
+                height_m,
+            })
+        };
+        let (from, to) = (at(36.91, 37.58, 700.0), at(36.93, 37.57, 655.0));
+        let splat = Splat {
+            position: Vec3::new(30.0, -40.0, 12.0),
+            scale: Vec3::ONE,
+            rotation: glam::Quat::IDENTITY,
+            opacity: 1.0,
+            colour: [0.5; 3],
+        };
+        let moved = Moved::new(&from, &to).splat(splat);
+        let there = to.enu_from_geo(from.geo_from_enu(nalgebra::Vector3::new(30.0, -40.0, 12.0)));
+        let there = Vec3::new(there.x as f32, there.y as f32, there.z as f32);
+        assert!((moved.position - there).length() < 1e-3, "{} {there}", moved.position);
+        // Over two kilometres plumb lines differ by a minute of arc.
+        let turned = 2.0 * moved.rotation.xyz().length().to_degrees() * 60.0;
+        assert!((0.5..2.0).contains(&turned), "{turned}");
+    }
 
     #[test]
     fn colours_are_found_by_what_bands_are() {

@@ -20,6 +20,8 @@ use std::io::Cursor;
 
 /// Cells along a side of a tile.
 const TILE_CELLS: usize = 256;
+/// Levels above the finest, at least: a small site is seen from far away, too.
+const LEVELS_LEAST: u32 = 2;
 /// Cosine of the slope beyond which a triangle is a wall: 60 degrees.
 const WALL: f32 = 0.5;
 /// Quantile of the albedo that is shown white.
@@ -110,7 +112,7 @@ impl Ground {
     ) -> Result<Option<Tile>, ExportError> {
         let side = self.width.max(self.height);
         let levels = (0..).find(|&level| (TILE_CELLS << level) >= side - 1).unwrap_or(0);
-        self.grow([0, 0], levels, "tile".into(), write, triangles)
+        self.grow([0, 0], levels.max(LEVELS_LEAST), "tile".into(), write, triangles)
     }
 
     fn grow(

@@ -6,7 +6,10 @@
 // with their length. A cell lies between two rays and sees of the sun what they see, interpolated.
 //
 // The sun is a disc: a cell whose horizon cuts it sees a part of it. Unknown cells throw no shadow and are not asked.
-// Cost: two passes over the grid, whatever the heights.
+//
+// Heights say where an edge stands to about half a cell, and rough roofs shade single cells of themselves. So what a cell sees is averaged with its
+// neighbours at last: borders become smoother, and nearer to true ones and to those traced through models (docs/lab/sun-page.md).
+// Cost: four passes over the grid, whatever the heights.
 
 /// Radius of the sun's disc, radians.
 const SUN_RADIUS = 0.2666 * Math.PI / 180;
@@ -18,14 +21,14 @@ for (let i = 0; i < 129; i++) {
 }
 
 /// Between cells that differ by more than this slope stands a wall: heights are not interpolated over it.
-const STEEP = 1.5;
+const STEEP = 1;
 /// A wall's upper edge is so many cells (below one) beyond the middle of the last high cell: half of that cell, and what the model's edges reach further.
 /// Measured against shadows traced through models (docs/lab/sun-page.md).
 const EDGE = 0.75;
 
 /// Cells are asked this far above their height, metres: less than heights err by, and enough that level roofs do not speckle themselves under a low
 /// sun. Against true shadows nothing is lost by it (docs/lab/sun-page.md).
-const LIFT = 0.1;
+const LIFT = 0.05;
 
 /// What rises less than this above a far shadow, and still lies in its half-shade, does not hide what throws that shadow, metres.
 const LOW = 1;
@@ -42,10 +45,37 @@ function transposed(from, into, width, height) {
   return into;
 }
 
+/// Averages what cells see with their neighbours, weights 1, 2, 1 along rows and columns. In the place of an unknown neighbour and beyond the border
+/// the cell itself counts, so that nothing comes from where nothing is known.
+function smoothed(out, { width, height }, unknown, rows) {
+  for (let r = 0; r < height; r++) {
+    const line = r * width, last = line + width - 1;
+    let left = out[line], own = left;
+    for (let i = line; i <= last; i++) {
+      const right = i < last ? out[i + 1] : own;
+      // Most cells see what their neighbours see.
+      if (left === own && right === own) rows[i] = 4 * own;
+      else rows[i] = (i > line && !unknown[i - 1] ? left : own) + 2 * own + (i < last && !unknown[i + 1] ? right : own);
+      left = own;
+      own = right;
+    }
+  }
+  for (let r = 0; r < height; r++) {
+    const line = r * width, above = r > 0 ? -width : 0, below = r + 1 < height ? width : 0;
+    for (let i = line; i < line + width; i++) {
+      const own = rows[i], a = rows[i + above], b = rows[i + below];
+      if (a === own && b === own) { if (!unknown[i]) out[i] = (own + 2) >> 2; }
+      else if (!unknown[i]) out[i] = ((unknown[i + above] ? own : a) + 2 * own + (unknown[i + below] ? own : b) + 8) >> 4;
+    }
+  }
+  return out;
+}
+
 /// What sweeps over a field of `{width, height, z}`, metres, NaN where unknown. `east` and `north` are the changes of column and row per metre.
 function sweeper(field, east, north) {
   const { width, height, z } = field;
   const lying = { heights: z, along: height, across: width };
+  const unknown = Uint8Array.from(z, (h) => (h !== h ? 1 : 0)), rows = new Uint16Array(z.length);
   let upright = null;
   let turned = null;
 
@@ -62,14 +92,14 @@ function sweeper(field, east, north) {
     if (elevation >= 89.99) return out.fill(64);
     if (Math.abs(dr) >= Math.abs(dc)) {
       pass(lying, dr, dc, elevation, out);
-      return out;
+      return smoothed(out, field, unknown, rows);
     }
     if (!upright) {
       upright = { heights: transposed(z, new Float32Array(z.length), width, height), along: width, across: height };
       turned = new Uint8Array(z.length);
     }
     pass(upright, dc, dr, elevation, turned);
-    return transposed(turned, out, height, width);
+    return smoothed(transposed(turned, out, height, width), field, unknown, rows);
   };
 
   function pass({ heights, along, across }, major, minor, elevation, out) {

@@ -1,0 +1,84 @@
+//! A batch's mosaic, read back from its folder for `export`.
+
+use crate::batch::products::RUN;
+use crate::outcome::CliError;
+use crate::page::MOSAIC_FILE;
+use heliosplat_products::dsm::Dsm;
+use heliosplat_products::export::{Mosaic, MosaicTile};
+use heliosplat_raster::{GeoRaster, GridSpec, RasterFile, bounded};
+use serde::Deserialize;
+use std::path::Path;
+
+/// What `mosaic.json` says of the tiles.
+#[derive(Deserialize)]
+struct Told {
+    pieces: Vec<Piece>,
+    #[serde(default)]
+    products: Products,
+}
+
+#[derive(Deserialize)]
+struct Piece {
+    unit: String,
+    core: [[isize; 2]; 2],
+}
+
+#[derive(Default, Deserialize)]
+struct Products {
+    #[serde(default)]
+    albedo_gains: Vec<Vec<f64>>,
+}
+
+/// Reads the mosaic in a folder; the runs of its tiles lie beside it.
+///
+/// # Errors
+/// When the mosaic has no albedo, heights above a geoid, or a damaged file.
+pub(super) fn open(folder: &Path) -> Result<Mosaic, CliError> {
+    let fault = |reason: &str| CliError::Input(format!("{}: {reason}", folder.display()));
+    let path = folder.join(MOSAIC_FILE);
+    let text = bounded::read_text(&path).map_err(|error| fault(&format!("{MOSAIC_FILE} cannot be read ({error})")))?;
+    let told: Told =
+        serde_json::from_str(&text).map_err(|error| fault(&format!("{MOSAIC_FILE} is damaged ({error})")))?;
+    let albedo = folder.join("albedo.tif");
+    if !albedo.is_file() {
+        return Err(fault(
+            "the mosaic has no albedo.tif; leave products.dsm_only out and run the batch again",
+        ));
+    }
+    let surface = folder.join("dsm.tif");
+    let datum = RasterFile::open(&surface)?.domain("").remove("VERTICAL_DATUM");
+    if datum.is_some_and(|datum| !datum.contains("ellipsoid")) {
+        return Err(fault(
+            "its heights are above a geoid; products.globe = true in the manifest writes the tiles with the mosaic",
+        ));
+    }
+    let file = GeoRaster::read(&surface)?;
+    let crs = file.crs.ok_or_else(|| fault("dsm.tif says no coordinate system"))?;
+    let dsm = Dsm {
+        grid: GridSpec {
+            width: file.raster.width,
+            height: file.raster.height,
+            transform: file.transform,
+            crs,
+        },
+        raster: file.raster,
+        geoid: None,
+    };
+    let albedo = GeoRaster::read(&albedo)?.raster;
+    if (albedo.width, albedo.height) != (dsm.grid.width, dsm.grid.height) {
+        return Err(fault("albedo.tif is not on the grid of dsm.tif"));
+    }
+    let mut gains = told.products.albedo_gains.into_iter();
+    let mut tiles = Vec::new();
+    for piece in told.pieces {
+        // Only a plain name: a file must not lead elsewhere.
+        let name = piece.unit.rsplit('/').next().filter(|name| !name.starts_with('.'));
+        let name = name.ok_or_else(|| fault("a tile has no name"))?;
+        tiles.push(MosaicTile {
+            run: folder.join("..").join(name).join(RUN),
+            core: piece.core,
+            gains: gains.next().unwrap_or_default(),
+        });
+    }
+    Ok(Mosaic::new(folder, dsm, albedo, tiles)?)
+}
