@@ -7,7 +7,7 @@ use super::plan::{Decisions, Light};
 use super::preprocess::{Preprocess, Preprocessed};
 use super::shadow_prior;
 use super::views;
-use super::{clouds, daylight, estimate, initial, probe, radiometry, suns};
+use super::{clouds, daylight, estimate, initial, linear, probe, radiometry, suns};
 use glam::Vec3;
 use heliosplat::ProjectiveCamera;
 use heliosplat::model::shadow_gs::{ShadowGs, ShadowGsOptions};
@@ -196,6 +196,7 @@ pub fn fit(
     drop(part);
     let part = stage("colours");
     let shades = radiometry::initialise(&model, &mut parameters, &mut views, SKY);
+    linear::improve(&model, &mut parameters, &views);
     drop(part);
     let initialised = swept.elapsed();
     let part = stage("train");
