@@ -140,7 +140,7 @@ def table(rows):
     """Markdown."""
     names = sorted({name for row in rows for name in row.get("errors", {}).get("by_class", {})})
     lines = [
-        "| program | wall s | processor s | memory MiB | MAE m | known % | " + "".join(f"{name} m | " for name in names),
+        "| program | wall s | processor s | memory MiB | MAE m | known % |" + "".join(f" {name} m |" for name in names),
         "|---|---|---|---|---|---|" + "---|" * len(names),
     ]
 
@@ -219,6 +219,8 @@ def main():
         rows.append(row)
     write_json(out / "peers.json", {"cores": len(cores), "missing": [peer.name for peer in missing], "programs": rows})
     text = table(rows)
+    if missing:
+        text += "\nNot installed: " + ", ".join(peer.name for peer in missing) + ".\n"
     (out / "peers.md").write_text(text)
     print(text, end="")
 
