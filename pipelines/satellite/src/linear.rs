@@ -82,7 +82,7 @@ fn without_colours(model: &ShadowGs, parameters: &Parameters) -> Parameters {
         let bands = model.options.bands;
         plain.globals.group_mut(OFFSET).fill(0.0);
         for (i, value) in plain.globals.group_mut(COLOUR).iter_mut().enumerate() {
-            *value = f32::from(u8::from(i % (bands * bands) % (bands + 1) == 0));
+            *value = f32::from(u8::from((i % (bands * bands)).is_multiple_of(bands + 1)));
         }
     }
     plain
