@@ -254,23 +254,9 @@ impl Table {
     /// # Panics
     /// When the indices are not in ascending order.
     pub(crate) fn add_to_group(&mut self, group: usize, indices: &[u32], add: impl Fn(usize, &mut [f32]) + Sync) {
-        const CHUNK: usize = 4096;
-        assert!(
-            indices.is_sorted_by(|a, b| a < b),
-            "every element once, in rising order"
-        );
         let Group { spec, values } = &mut self.groups[group];
         let width = spec.width.max(1);
-        let chunks = values.par_chunks_mut(CHUNK * width).enumerate();
-        chunks.for_each(|(number, values)| {
-            let first = number * CHUNK;
-            let from = indices.partition_point(|&i| (i as usize) < first);
-            let to = indices.partition_point(|&i| (i as usize) < first + CHUNK);
-            for place in from..to {
-                let at = (indices[place] as usize - first) * width;
-                add(place, &mut values[at..at + width]);
-            }
-        });
+        in_order(values, width, indices, |place, values| add(place, values));
     }
 
     /// Adds to one Gaussian.
@@ -289,6 +275,33 @@ impl Table {
             .enumerate()
             .for_each(|(number, mut chunk)| make(number, &mut |index, d| chunk.add(index, d)));
     }
+}
+
+/// Calls `change` with every place in `indices`, which rise, and the value of that index, in parallel.
+///
+/// # Panics
+/// When the indices are not in ascending order.
+pub(crate) fn for_each_of<T: Send>(values: &mut [T], indices: &[u32], change: impl Fn(usize, &mut T) + Sync) {
+    in_order(values, 1, indices, |place, values| change(place, &mut values[0]));
+}
+
+/// The same with `width` values of an index.
+fn in_order<T: Send>(values: &mut [T], width: usize, indices: &[u32], change: impl Fn(usize, &mut [T]) + Sync) {
+    const CHUNK: usize = 4096;
+    assert!(
+        indices.is_sorted_by(|a, b| a < b),
+        "every element once, in rising order"
+    );
+    let chunks = values.par_chunks_mut(CHUNK * width).enumerate();
+    chunks.for_each(|(number, values)| {
+        let first = number * CHUNK;
+        let from = indices.partition_point(|&i| (i as usize) < first);
+        let to = indices.partition_point(|&i| (i as usize) < first + CHUNK);
+        for place in from..to {
+            let at = (indices[place] as usize - first) * width;
+            change(place, &mut values[at..at + width]);
+        }
+    });
 }
 
 /// The unit quaternion along `q`; identity when `q` is degenerate.

@@ -19,6 +19,7 @@
 //! | [`train`] | the trainer: one view a step, losses, update, density control, early stopping, resumable state |
 //! | [`relief`] | horizons and cast shadows of a surface of heights, without Gaussians |
 //! | [`simd`], [`fast`] | instruction sets chosen at run time; exponential and logarithm that vectorise |
+//! | [`timeline`] | wall and processor seconds of the stages of a run |
 //! | [`bench_fixture`] | a standard site for benchmarks |
 //!
 //! Data goes down this list once; gradients retrace the same functions in reverse and live beside them.
@@ -57,6 +58,7 @@ pub mod render;
 pub mod shade;
 pub mod simd;
 pub mod splat;
+pub mod timeline;
 pub mod trace;
 pub mod train;
 

@@ -13,6 +13,7 @@ use crate::splat::{
     Bins, Depths, MapGradients, Maps, Projected, ProjectionOptions, Rasteriser, SplatGradient, project::project,
     project::project_backward,
 };
+use crate::timeline::stage;
 use crate::trace::{Occluders, Transmittance, transmittance};
 
 /// Options of a pass.
@@ -70,10 +71,13 @@ impl<'a> Pass<'a> {
     /// Renders the model of `context` through its camera; `light` is how the transmittance toward the context's light is found.
     pub fn new(model: &'a dyn SceneModel, context: Context<'a>, light: Lit<'a>, options: PassOptions) -> Self {
         let gaussians = &context.parameters.gaussians;
+        let part = stage("project");
         let mut projected = project(gaussians, context.camera, &options.projection);
         if let Some(present) = model.present(context.parameters, context.appearance) {
             projected.keep(&present);
         }
+        drop(part);
+        let part = stage("light");
         let traced = match (light, &context.light) {
             (Lit::Traced(occluders), Some(source)) if model.needs_transmittance() => {
                 transmittance(occluders, &projected.gaussian, source)
@@ -83,6 +87,8 @@ impl<'a> Pass<'a> {
             }
             _ => Transmittance::known(vec![1.0; projected.splats.len()]),
         };
+        drop(part);
+        let part = stage("features");
         let channels = model.channels() + if options.normals { 3 } else { 0 };
         let stride = padded_channels(channels);
         let mut features = vec![0.0; projected.splats.len() * stride];
@@ -98,6 +104,8 @@ impl<'a> Pass<'a> {
                 feature[at..at + 3].copy_from_slice(&splat.normal);
             }
         }
+        drop(part);
+        let _part = stage("rasterise");
         let rasteriser =
             Rasteriser::new(&projected, context.camera.width, context.camera.height).with_depths(options.depths);
         let maps = rasteriser.forward(&features, stride);
@@ -146,8 +154,11 @@ impl<'a> Pass<'a> {
     pub fn backward(&self, d_maps: &MapGradients, grads: &mut Parameters) -> Vec<SplatGradient> {
         let camera = self.context.camera;
         let gaussians = &self.context.parameters.gaussians;
+        let part = stage("rasterise, backward");
         let rasteriser = Rasteriser::with_bins(&self.projected, &self.bins, camera.width, camera.height);
         let mut splat_gradients = rasteriser.backward(&self.features, self.stride, &self.maps, d_maps);
+        drop(part);
+        let part = stage("features, backward");
         if self.options.normals {
             let at = self.model.channels();
             for (splat, feature) in splat_gradients
@@ -171,6 +182,8 @@ impl<'a> Pass<'a> {
             grads,
             &mut d_transmittance,
         );
+        drop(part);
+        let part = stage("project, backward");
         project_backward(
             gaussians,
             camera,
@@ -179,7 +192,9 @@ impl<'a> Pass<'a> {
             &splat_gradients.splats,
             &mut grads.gaussians,
         );
+        drop(part);
         if let Lit::Traced(occluders) = self.light {
+            let _part = stage("light, backward");
             let (origins, out) = (&self.projected.gaussian, &mut grads.gaussians);
             if self.options.occluder_gradients {
                 self.traced

@@ -13,7 +13,7 @@ pub use holdout::EarlyStop;
 pub use options::TrainOptions;
 
 use crate::camera::ProjectiveCamera;
-use crate::gaussians::{FEATURES, LOG_SCALE, OPACITY, POSITION, ROTATION};
+use crate::gaussians::{FEATURES, LOG_SCALE, OPACITY, POSITION, ROTATION, for_each_of};
 use crate::loss::geometry::depth_normal;
 use crate::loss::photometric::photometric;
 use crate::loss::shadow::{ConsistencyPass, consistency};
@@ -23,6 +23,7 @@ use crate::optim::{Adam, DensityStatistics, LearningRate, ParameterGroup, expone
 use crate::render::{Lit, Pass, PassOptions};
 use crate::splat::project::project;
 use crate::splat::{Depths, MapGradients, ProjectionOptions};
+use crate::timeline::stage;
 use crate::trace::Occluders;
 use cached_visibility::CachedVisibility;
 use glam::Vec3;
@@ -47,6 +48,9 @@ const PHOTOMETRIC_WEIGHT: f32 = 10.0;
 const LAMBDA_SSIM: f32 = 0.2;
 /// Depth range, ground sampling distances, beyond which neighbouring pixels are an edge and not a slope.
 const DEPTH_NORMAL_EDGE_GSD: f32 = 3.0;
+
+/// Numbers per parallel job; fixed, so that sums do not depend on the number of threads.
+const CHUNK: usize = 1 << 14;
 
 /// What one step did.
 #[derive(Debug, Clone, Default)]
@@ -253,22 +257,29 @@ impl<'a> Trainer<'a> {
     pub fn step(&mut self) -> Result<StepReport, TrainError> {
         let index = self.next_view();
         if self.light_is_due(index) {
+            let _part = stage("occluders");
             self.refresh_occluders(index);
         }
+        let part = stage("clear");
         self.gradients.gaussians.reset(self.parameters.gaussians.count);
         self.gradients.globals.reset(1);
+        drop(part);
         let mut report = self.descend_view(index);
         if self.consistency_is_due() {
+            let _part = stage("shadow consistency");
             report
                 .losses
                 .push(("shadow_consistency", self.descend_consistency(index)));
         }
         self.step += 1;
         report.step = self.step;
+        let part = stage("check");
         report.rejected = fault::of_step(&report.losses, &self.gradients);
+        drop(part);
         match &report.rejected {
             None => {
                 self.rejected_in_a_row = 0;
+                let _part = stage("update");
                 self.update();
                 self.control_density();
             }
@@ -280,7 +291,9 @@ impl<'a> Trainer<'a> {
                 steps: self.unseen_in_a_row,
             });
         }
+        let part = stage("hold out");
         self.holdout.epoch_done(self.step, self.views.len(), &self.parameters);
+        drop(part);
         report.gaussians = self.parameters.gaussians.count;
         if report.gaussians == 0 {
             return Err(TrainError::Empty);
@@ -307,7 +320,9 @@ impl<'a> Trainer<'a> {
     }
 
     fn descend_view(&mut self, index: usize) -> StepReport {
+        let part = stage("view");
         let PyramidLevel { view, full_size } = self.pyramid.level(&self.views, index, self.fraction());
+        drop(part);
         let options = &self.options;
         let context = Context {
             parameters: &self.parameters,
@@ -330,12 +345,12 @@ impl<'a> Trainer<'a> {
             (None, None) => Lit::Everywhere,
         };
         let pass = Pass::new(self.model, context, lit, pass_options);
+        let part = stage("losses");
         let image = pass.image();
         let truth = view.truth(&image);
         let (photo, mut d_image) = photometric(&image, &truth, &view.weight, LAMBDA_SSIM);
-        for d in &mut d_image.values {
-            *d *= PHOTOMETRIC_WEIGHT;
-        }
+        let scaled = d_image.values.par_iter_mut().with_min_len(CHUNK);
+        scaled.for_each(|d| *d *= PHOTOMETRIC_WEIGHT);
         let held_out = full_size.then(|| self.holdout.loss(index, &image, &truth)).flatten();
         let mut losses = vec![("photometric", photo)];
         let mut d_maps = pass.zero_gradients();
@@ -349,7 +364,9 @@ impl<'a> Trainer<'a> {
             );
         }
         losses.extend(surface_loss(options, &pass, &mut d_maps));
+        drop(part);
         let splat_gradients = pass.backward(&d_maps, &mut self.gradients);
+        let _part = stage("statistics");
         self.statistics.add(
             &pass.projected,
             &splat_gradients,
@@ -358,9 +375,10 @@ impl<'a> Trainer<'a> {
         let traced = cached.is_none().then(|| {
             // Gaussians that this view does not show count as lit until the next trace.
             let mut values = vec![1.0; self.parameters.gaussians.count];
-            for (&g, &t) in pass.projected.gaussian.iter().zip(pass.transmittances()) {
-                values[g as usize] = t;
-            }
+            let shown = pass.transmittances();
+            for_each_of(&mut values, &pass.projected.gaussian, |place, value| {
+                *value = shown[place]
+            });
             CachedVisibility { values, uses: 0 }
         });
         let pairs = pass.maps.pairs;
@@ -468,12 +486,17 @@ fn surface_loss(options: &TrainOptions, pass: &Pass, d_maps: &mut MapGradients) 
 }
 
 fn mean_absolute(a: &[f32], b: &[f32]) -> f64 {
-    let (mut sum, mut count) = (0.0f64, 0usize);
-    for (a, b) in a.iter().zip(b) {
-        if b.is_finite() {
-            sum += f64::from((a - b).abs());
-            count += 1;
+    let of_chunk = |(a, b): (&[f32], &[f32])| {
+        let (mut sum, mut count) = (0.0f64, 0usize);
+        for (a, b) in a.iter().zip(b) {
+            if b.is_finite() {
+                sum += f64::from((a - b).abs());
+                count += 1;
+            }
         }
-    }
+        (sum, count)
+    };
+    let chunks: Vec<(f64, usize)> = a.par_chunks(CHUNK).zip(b.par_chunks(CHUNK)).map(of_chunk).collect();
+    let (sum, count) = chunks.iter().fold((0.0, 0), |a, b| (a.0 + b.0, a.1 + b.1));
     sum / count.max(1) as f64
 }

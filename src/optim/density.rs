@@ -5,7 +5,7 @@
 //! are pruned. A cap on the number, which follows from the memory budget, takes the largest gradients first. No opacity reset
 //! (ShadowGS).
 
-use crate::gaussians::{LOG_SCALE, OPACITY, POSITION, Table};
+use crate::gaussians::{LOG_SCALE, OPACITY, POSITION, Table, for_each_of};
 use crate::splat::{Projected, SplatGradient};
 use glam::Vec3;
 use rand::{RngExt, SeedableRng};
@@ -95,15 +95,16 @@ impl DensityStatistics {
     /// Adds one view; `pixels` turns the gradient of a mean over pixels into one per pixel.
     pub fn add(&mut self, projected: &Projected, grads: &[SplatGradient], pixels: usize) {
         // A step with numbers that are not finite is rejected, so its gradients must not count here either.
-        let sound = projected
-            .gaussian
-            .iter()
-            .zip(grads)
-            .filter(|(_, d)| (d.col * d.col + d.row * d.row).is_finite());
-        for (&g, d) in sound {
-            self.gradient[g as usize] += (d.col * d.col + d.row * d.row).sqrt() * pixels as f32;
-            self.seen[g as usize] += 1;
-        }
+        let length = |place: usize| (grads[place].col * grads[place].col + grads[place].row * grads[place].row).sqrt();
+        let is_sound = |place: usize| length(place).is_finite();
+        for_each_of(&mut self.gradient, &projected.gaussian, |place, gradient| {
+            if is_sound(place) {
+                *gradient += length(place) * pixels as f32;
+            }
+        });
+        for_each_of(&mut self.seen, &projected.gaussian, |place, seen| {
+            *seen += u32::from(is_sound(place));
+        });
     }
 
     /// Prunes, splits and clones `gaussians`, and starts new statistics. `bounds` in metres; what lies outside is pruned.

@@ -74,7 +74,7 @@ impl MapGradients {
     /// All zero, for `channels` planes of `pixels`.
     pub fn zeros(channels: usize, pixels: usize) -> Self {
         Self {
-            channels: vec![vec![0.0; pixels]; channels],
+            channels: (0..channels).map(|_| vec![0.0; pixels]).collect(),
             alpha: vec![0.0; pixels],
             depth: vec![0.0; pixels],
         }

@@ -142,7 +142,11 @@ impl SunPlaneTrace {
             .with_min_len(CHUNK)
             .map(|place| (of_level(place).centre, of_level(place).half_size))
             .unzip();
-        let half_size = half_sizes.iter().fold(Vec2::ZERO, |half_size, &h| half_size.max(h));
+        let largest = half_sizes.par_chunks(CHUNK).map(|chunk| {
+            let fold = |half_size: Vec2, &h: &Vec2| half_size.max(h);
+            chunk.iter().fold(Vec2::ZERO, fold)
+        });
+        let half_size = largest.reduce(|| Vec2::ZERO, Vec2::max);
         let (cells, order) = Cells::sort(&centres, cell_size(half_size));
         self.levels.push(Level {
             cells,

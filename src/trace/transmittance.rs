@@ -142,7 +142,8 @@ impl Transmittance {
 
     /// Gradients to the logarithms of the values from those to the values.
     fn to_logarithms(&self, grads: &[f32]) -> Vec<f32> {
-        grads.iter().zip(&self.values).map(|(g, value)| g * value).collect()
+        let numbers = grads.par_iter().with_min_len(CHUNK).zip(&self.values);
+        numbers.map(|(g, value)| g * value).collect()
     }
 
     fn origins_backward(&self, gaussians: &Table, origins: &[u32], d_log: &[f32], out: &mut Table) {

@@ -12,6 +12,33 @@ fn metrics(run: &Path) -> serde_json::Value {
     serde_json::from_str(&text).expect("metrics are JSON")
 }
 
+/// Every stage of a run is in its timeline, and together they take no longer than the run.
+fn the_timeline_accounts_for_the_time(metrics: &serde_json::Value) {
+    let stages = metrics["timeline"].as_array().expect("a timeline");
+    let number = |stage: &serde_json::Value, key: &str| stage[key].as_f64().expect("seconds");
+    for name in [
+        "read", "ties", "sweep", "colours", "train", "products", "evaluate", "report",
+    ] {
+        let stage = stages.iter().find(|stage| stage["stage"] == name).expect(name);
+        assert!(number(stage, "wall_s") > 0.0, "{name}");
+        assert!(
+            number(stage, "one_core_s") <= number(stage, "processor_s") + 1e-3,
+            "{name}"
+        );
+    }
+    let training = stages.iter().find(|stage| stage["stage"] == "train").expect("training");
+    let parts = training["parts"].as_array().expect("training has parts");
+    assert!(parts.iter().any(|part| part["stage"] == "light, backward"));
+    let before_report = |stage: &&serde_json::Value| stage["stage"] != "report";
+    let all_s: f64 = stages
+        .iter()
+        .filter(before_report)
+        .map(|stage| number(stage, "wall_s"))
+        .sum();
+    let run_s = metrics["seconds"].as_f64().expect("seconds");
+    assert!(all_s <= run_s && all_s > 0.8 * run_s, "{all_s} of {run_s} s");
+}
+
 #[test]
 fn a_tiny_site_becomes_a_surface_model_near_the_truth() {
     let folder = tempfile::tempdir().expect("a temporary folder");
@@ -44,6 +71,7 @@ fn a_tiny_site_becomes_a_surface_model_near_the_truth() {
         "{asked} after images say where shadows end, {traced} before"
     );
     assert_eq!(metrics["rejected_steps"].as_u64(), Some(0));
+    the_timeline_accounts_for_the_time(&metrics);
 
     let (dsm, picture) = (folder.path().join("dsm.tif"), folder.path().join("evening.tif"));
     fault(

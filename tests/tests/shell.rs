@@ -44,7 +44,7 @@ fn bash_accepts_its_completions_and_completes_an_option_and_its_values() {
     };
     assert_eq!(completed("heliosplat tra"), "train tradeoff");
     assert_eq!(completed("heliosplat train --pres"), "--preset");
-    assert_eq!(completed("heliosplat train --preset b"), "balanced");
+    assert_eq!(completed("heliosplat train --preset b"), "balanced best");
 }
 
 #[test]

@@ -24,12 +24,16 @@ macro_rules! names {
 names! {
     /// How much time a training may take for how good a result.
     PresetName for heliosplat_fitting::settings::Preset {
+        /// Seconds: do the images fit together at all? Of satellite scenes only.
+        Preview,
         /// A first look.
         Fast,
         /// The default.
         Balanced,
-        /// As good as it gets.
+        /// Smaller errors.
         Accurate,
+        /// As good as it gets. Of satellite scenes only.
+        Best,
     }
 }
 

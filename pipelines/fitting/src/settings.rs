@@ -36,25 +36,31 @@ pub enum ConfigError {
 /// How much time a training may take for how good a result; the preset is a file of settings of that name.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub enum Preset {
+    /// Seconds: whether the images fit together at all.
+    Preview,
     /// A first look.
     Fast,
     /// The default.
     #[default]
     Balanced,
-    /// As good as it gets.
+    /// Smaller errors for two and a half times the time.
     Accurate,
+    /// As good as it gets.
+    Best,
 }
 
 impl Preset {
     /// All of them, the most accurate first.
-    pub const ALL: [Self; 3] = [Self::Accurate, Self::Balanced, Self::Fast];
+    pub const ALL: [Self; 5] = [Self::Best, Self::Accurate, Self::Balanced, Self::Fast, Self::Preview];
 
     /// Its name, as on the command line.
     pub fn name(self) -> &'static str {
         match self {
+            Self::Preview => "preview",
             Self::Fast => "fast",
             Self::Balanced => "balanced",
             Self::Accurate => "accurate",
+            Self::Best => "best",
         }
     }
 }
@@ -67,7 +73,7 @@ impl std::str::FromStr for Preset {
         found.ok_or_else(|| ConfigError::Value {
             key: "preset".into(),
             value: text.into(),
-            expected: "fast, balanced or accurate",
+            expected: "preview, fast, balanced, accurate or best",
         })
     }
 }

@@ -108,6 +108,13 @@ impl ObjectConfig {
             Preset::Fast => include_str!("../presets/fast.toml"),
             Preset::Balanced => include_str!("../presets/balanced.toml"),
             Preset::Accurate => include_str!("../presets/accurate.toml"),
+            Preset::Preview | Preset::Best => {
+                return Err(ConfigError::Value {
+                    key: "preset".into(),
+                    value: preset.name().into(),
+                    expected: "fast, balanced or accurate, for a capture of an object",
+                });
+            }
         };
         let mut config: Self = resolve(preset.name(), text, set)?;
         config.train = for_objects(config.train, seed);
@@ -144,10 +151,12 @@ mod tests {
 
     #[test]
     fn every_preset_parses_and_asks_no_ground_of_an_object() {
-        for preset in Preset::ALL {
+        for preset in [Preset::Fast, Preset::Balanced, Preset::Accurate] {
             let config = ObjectConfig::resolve(preset, &[], 3).expect("a sound preset");
             assert_eq!((config.train.seed, config.train.consistency_weight), (3, 0.0));
         }
+        let refused = ObjectConfig::resolve(Preset::Best, &[], 1).expect_err("of satellite scenes only");
+        assert!(refused.to_string().contains("fast, balanced or accurate"), "{refused}");
         let set = [("model.sh_degree".to_owned(), "1".to_owned())];
         assert_eq!(
             ObjectConfig::resolve(Preset::Fast, &set, 1)

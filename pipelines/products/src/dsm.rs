@@ -12,8 +12,11 @@ use heliosplat_raster::grid::GridSpec;
 use heliosplat_raster::write::{ImageSpec, write_cog};
 use heliosplat_raster::{GeoRaster, Geoid, RasterError, StreamedCog, dsm_bands};
 use heliosplat_stereo::{FEWEST_VIEWS, Surface};
+use rayon::prelude::*;
 use std::path::Path;
 
+/// Cells per parallel job.
+const CHUNK: usize = 1024;
 /// Names of the bands of a surface model.
 pub const BANDS: [&str; 4] = [
     dsm_bands::ALTITUDE,
@@ -80,9 +83,18 @@ pub fn of_gaussians(nadir: &NadirGrid, surface: &SurfaceGaussians) -> Dsm {
     let (width, height) = (nadir.grid.width, nadir.grid.height);
     let mut raster = Raster::filled(width, height, BANDS.len(), f32::NAN);
     let cells = surface::cells(surface, &nadir.camera, nadir.cell_m());
+    let altitudes = raster
+        .plane_mut(ALTITUDE)
+        .par_iter_mut()
+        .with_min_len(CHUNK)
+        .enumerate();
+    altitudes.for_each(|(i, altitude)| {
+        if cells[i].coverage >= ALPHA_KNOWN {
+            *altitude = nadir.height(i % width, i / width, cells[i].up_m) as f32;
+        }
+    });
     for (i, cell) in cells.iter().enumerate() {
         if cell.coverage >= ALPHA_KNOWN {
-            raster.plane_mut(ALTITUDE)[i] = nadir.height(i % width, i / width, cell.up_m) as f32;
             raster.plane_mut(DEVIATION)[i] = cell.spread_m2.sqrt();
             raster.plane_mut(COVERAGE)[i] = cell.coverage;
         }
@@ -97,9 +109,9 @@ pub fn of_gaussians(nadir: &NadirGrid, surface: &SurfaceGaussians) -> Dsm {
 
 /// Adds to each standard deviation that of the altitudes around.
 fn widen_deviations(raster: &mut Raster) {
-    for i in 0..raster.plane_len() {
-        let around = variance_around(raster, i);
-        let own = &mut raster.plane_mut(DEVIATION)[i];
+    let cells = (0..raster.plane_len()).into_par_iter().with_min_len(CHUNK);
+    let around: Vec<f32> = cells.map(|i| variance_around(raster, i)).collect();
+    for (own, around) in raster.plane_mut(DEVIATION).iter_mut().zip(around) {
         *own = (*own * *own + around).sqrt();
     }
 }
@@ -134,7 +146,7 @@ pub fn of_surface(place: &Place, surface: &Surface, gsd_m: f64, crs: Option<&str
 pub fn of_surface_on(nadir: NadirGrid, place: &Place, surface: &Surface) -> Dsm {
     let (width, height) = (nadir.grid.width, nadir.grid.height);
     let mut raster = Raster::filled(width, height, BANDS.len(), f32::NAN);
-    for i in 0..width * height {
+    let found = |i: usize| -> Option<(f64, usize)> {
         let (col, row) = (i % width, i / width);
         let at = |height_m: f64| nadir.enu.enu(col as f64, row as f64, height_m);
         let mut height_m = place.frame.origin.height_m;
@@ -148,7 +160,12 @@ pub fn of_surface_on(nadir: NadirGrid, place: &Place, surface: &Surface) -> Dsm 
         }
         let [east, north, _] = at(height_m);
         let cell = surface.cell_at(east as f32, north as f32);
-        if let Some(cell) = cell.filter(|&cell| surface.is_known(cell)) {
+        cell.filter(|&cell| surface.is_known(cell)).map(|cell| (height_m, cell))
+    };
+    let cells = (0..width * height).into_par_iter().with_min_len(CHUNK);
+    let found: Vec<Option<(f64, usize)>> = cells.map(found).collect();
+    for (i, found) in found.into_iter().enumerate() {
+        if let Some((height_m, cell)) = found {
             raster.plane_mut(ALTITUDE)[i] = height_m as f32;
             raster.plane_mut(DEVIATION)[i] = surface.deviation_m[cell];
             raster.plane_mut(COVERAGE)[i] = surface.probability[cell];

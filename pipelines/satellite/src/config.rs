@@ -113,9 +113,11 @@ pub struct SatelliteConfig {
 
 fn preset_text(preset: Preset) -> &'static str {
     match preset {
+        Preset::Preview => include_str!("../presets/preview.toml"),
         Preset::Fast => include_str!("../presets/fast.toml"),
         Preset::Balanced => include_str!("../presets/balanced.toml"),
         Preset::Accurate => include_str!("../presets/accurate.toml"),
+        Preset::Best => include_str!("../presets/best.toml"),
     }
 }
 

@@ -7,12 +7,13 @@ use super::plan::{Decisions, Light};
 use super::preprocess::{Preprocess, Preprocessed};
 use super::shadow_prior;
 use super::views;
-use super::{clouds, daylight, estimate, initial, probe, radiometry, suns};
+use super::{clouds, daylight, estimate, initial, linear, probe, radiometry, suns};
 use glam::Vec3;
 use heliosplat::ProjectiveCamera;
 use heliosplat::model::shadow_gs::{ShadowGs, ShadowGsOptions};
 use heliosplat::model::{Parameters, SceneModel, View};
 use heliosplat::splat::rasterise::MOST_CHANNELS;
+use heliosplat::timeline::stage;
 use heliosplat::train::{EarlyStop, TrainOptions, Trainer};
 use heliosplat_fitting::budget::Budget;
 use heliosplat_fitting::checkpoint::{CheckpointWriter, LoadedCheckpoint};
@@ -126,6 +127,7 @@ pub fn fit(
         Some(swept) => swept,
         None => {
             let mut swept = Preprocess::new(scene, config, decisions, session)?;
+            let _part = stage("suns");
             swept.found.shadow_suns = suns::search(scene, &swept);
             swept
         }
@@ -141,6 +143,7 @@ pub fn fit(
         seconds: [align_s, sweep_s],
     } = found;
     let swept = Instant::now();
+    let part = stage("start");
 
     let all_suns = suns::after(scene, &shadow_suns);
     let places = ground.images.iter().filter_map(|image| suns::place_in(scene, image));
@@ -198,8 +201,13 @@ pub fn fit(
         options.consistency_weight = 0.0;
     }
     let memory_estimate = fit_into_memory(limits.memory, scene, &parameters, &views, config, &mut options)?;
+    drop(part);
+    let part = stage("colours");
     let shades = radiometry::initialise(&model, &mut parameters, &mut views, SKY);
+    linear::improve(&model, &mut parameters, &views);
+    drop(part);
     let initialised = swept.elapsed();
+    let part = stage("train");
 
     let bounds = bounds(&ground);
     let nadir = nadir_camera(&scene.area, scene.gsd_m);
@@ -214,7 +222,9 @@ pub fn fit(
         let probe = probe::height_probe(scene, reference.and_then(|image| image.vegetation_index()));
         train(trainer, steps, session, limits.budget, checkpoints, probe.as_deref())?
     };
+    drop(part);
     let daylight = {
+        let _part = stage("daylight");
         let elevations: Vec<Option<f64>> = suns.iter().map(|sun| Some(sun.position?.elevation_rad)).collect();
         let evidence = daylight::evidence(&model, &trained.parameters, &elevations, &shades);
         daylight::fit(&evidence, elevations[model.options.reference], bands)

@@ -15,6 +15,7 @@ pub mod fit;
 pub mod ground;
 mod initial;
 pub mod limits;
+mod linear;
 pub mod measure;
 mod path_radiance;
 mod plan;

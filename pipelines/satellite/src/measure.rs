@@ -4,6 +4,7 @@ use super::error::SatelliteError;
 use super::fit::Fitted;
 use super::relit;
 use heliosplat::Raster;
+use heliosplat::timeline::stage;
 use heliosplat_evaluate::change::evaluate_change;
 use heliosplat_evaluate::shadow::ShadowCounts;
 use heliosplat_evaluate::{DsmEvaluation, ImageScore, Protocol, error_map, evaluate_dsm};
@@ -16,7 +17,7 @@ use heliosplat_products::seen;
 use heliosplat_products::views::{RenderedView, render_view, score};
 use heliosplat_raster::grid::GridSpec;
 use heliosplat_raster::{RasterFile, preview};
-use heliosplat_scene::{BandKind, Scene, Split};
+use heliosplat_scene::{BandKind, Scene, SceneImage, Split};
 use heliosplat_stereo::FEWEST_VIEWS;
 use serde_json::{Value, json};
 use std::path::Path;
@@ -54,43 +55,55 @@ pub fn dsm(
 pub fn metrics(scene: &Scene, whole: &LoadedModel, run: &Path, protocol: Protocol) -> Result<Value, SatelliteError> {
     let model = &whole.on_last();
     let mut out = json!({ "gaussians": model.parameters.gaussians.count, "suns": suns(&model.file.images) });
+    let part = stage("errors");
     if let Some(evaluation) = dsm(scene, model, run, protocol)? {
         out["dsm"] = surface_metrics(&evaluation);
         preview::write_png(&run.join("error.png"), &error_map::draw(&evaluation.errors))?;
         error_map::write(&run.join("error.tif"), &evaluation)?;
     }
+    drop(part);
     let (mut train, mut test) = (Vec::new(), Vec::new());
     let (mut shadows, mut traced) = (ShadowCounts::default(), ShadowCounts::default());
     let mut colour = None;
     let rgb = colours_among(&model.file.bands);
-    for known in &model.file.images {
-        let Some(image) = scene.images.iter().find(|i| i.name == known.name) else {
+    let mut shown = model.file.images.iter().filter_map(|known| View::of(scene, known));
+    // While a view is rendered on all threads but for moments, the one before it is scored and drawn.
+    let mut waiting: Option<(View, RenderedView)> = None;
+    loop {
+        let before = waiting.take();
+        let mut judged = None;
+        rayon::in_place_scope(|scope| {
+            if let Some((view, rendered)) = before {
+                let judged = &mut judged;
+                scope.spawn(move |_| *judged = Some(view.judge(scene, &rendered, rgb, run)));
+            }
+            let _part = stage("render");
+            waiting = shown.next().map(|view| {
+                let of_day = (view.known.time)
+                    .filter(|_| !whole.model.options.days.is_empty())
+                    .map(|time| whole.on(day_of(time)));
+                let rendered = render_view(of_day.as_ref().unwrap_or(model), view.known, Some(&view.truth));
+                (view, rendered)
+            });
+        });
+        let Some(judged) = judged.transpose()? else {
+            if waiting.is_none() {
+                break;
+            }
             continue;
         };
-        let truth = known.crop.cut(&image.pixels);
-        let held_out = known.split == Split::Test;
-        let of_day = known
-            .time
-            .filter(|_| !whole.model.options.days.is_empty())
-            .map(|time| whole.on(day_of(time)));
-        let rendered = render_view(of_day.as_ref().unwrap_or(model), known, Some(&truth));
-        if let Some(score) = score(&rendered, &truth, rgb) {
-            if held_out {
-                colour = Some(rendered.colour.text());
+        if let Some(score) = judged.score {
+            if judged.held_out {
+                colour = Some(judged.colour);
                 test.push(score);
             } else {
                 train.push(score);
             }
         }
-        let mask = match scene.truth.shadows.iter().find(|(name, _)| *name == known.name) {
-            Some((_, path)) => Some(known.crop.cut(&RasterFile::open(path)?.read(image.window, &[0])?)),
-            None => None,
-        };
-        if let (false, Some(mask)) = (held_out, &mask) {
-            shadows.add(ShadowCounts::of(&rendered.visibility, mask));
-            traced.add(ShadowCounts::of(&rendered.traced, mask));
+        if let Some([asked, by_trace]) = judged.shadows {
+            shadows.add(asked);
+            traced.add(by_trace);
         }
-        draw(run, &known.name, &truth, &rendered, mask.as_ref())?;
     }
     if !train.is_empty() {
         out["train"] = mean(&train);
@@ -107,6 +120,7 @@ pub fn metrics(scene: &Scene, whole: &LoadedModel, run: &Path, protocol: Protoco
         out["shadow"]["traced"] = serde_json::to_value(traced.score()).unwrap_or_default();
     }
     if let Some(folder) = scene.truth.relit.as_deref().filter(|_| model.file.has_light()) {
+        let _part = stage("relit");
         // Truth that nobody asked for spoils no run.
         match relit::measure(model, folder, run) {
             Ok(relit) => out["relit"] = relit,
@@ -139,6 +153,56 @@ fn changes(scene: &Scene, run: &Path, whole: &LoadedModel) -> Result<Option<Valu
         out["dsm_before"] = surface_metrics(&evaluation);
     }
     Ok(Some(out))
+}
+
+/// An image of a run with its pixels.
+struct View<'a> {
+    known: &'a ModelImage,
+    image: &'a SceneImage,
+    truth: Raster,
+}
+
+/// What a view is worth.
+struct Judged {
+    held_out: bool,
+    score: Option<ImageScore>,
+    /// Where its colours come from.
+    colour: &'static str,
+    /// Its shadows against the true mask: with the image asked, and as traced; `None` without a mask, and where it is held out.
+    shadows: Option<[ShadowCounts; 2]>,
+}
+
+impl<'a> View<'a> {
+    /// The image of that name; `None` where the scene has it no more.
+    fn of(scene: &'a Scene, known: &'a ModelImage) -> Option<Self> {
+        let image = scene.images.iter().find(|i| i.name == known.name)?;
+        let truth = known.crop.cut(&image.pixels);
+        Some(Self { known, image, truth })
+    }
+
+    /// Scores the view and draws it into the run's folder.
+    fn judge(
+        &self,
+        scene: &Scene,
+        rendered: &RenderedView,
+        rgb: Option<[usize; 3]>,
+        run: &Path,
+    ) -> Result<Judged, SatelliteError> {
+        let Self { known, image, truth } = self;
+        let held_out = known.split == Split::Test;
+        let mask = match scene.truth.shadows.iter().find(|(name, _)| *name == known.name) {
+            Some((_, path)) => Some(known.crop.cut(&RasterFile::open(path)?.read(image.window, &[0])?)),
+            None => None,
+        };
+        let counts = |mask: &Raster| [&rendered.visibility, &rendered.traced].map(|lit| ShadowCounts::of(lit, mask));
+        draw(run, &known.name, truth, rendered, mask.as_ref())?;
+        Ok(Judged {
+            held_out,
+            score: score(rendered, truth, rgb),
+            colour: rendered.colour.text(),
+            shadows: mask.as_ref().filter(|_| !held_out).map(counts),
+        })
+    }
 }
 
 /// The suns of the images, degrees, their standard deviations, and where they come from; null where a sun is unknown.

@@ -9,6 +9,7 @@ use super::ground::Ground;
 use super::limits::AtLimits;
 use super::plan::Decisions;
 use heliosplat::Raster;
+use heliosplat::timeline::stage;
 use heliosplat_products::change::day_of;
 use heliosplat_rpc::RpcError;
 use heliosplat_rpc::adjust::BiasModel;
@@ -63,19 +64,28 @@ impl<'a> Preprocess<'a> {
         let matching = decisions.matching.ok_or(FitError::TooFewViews { images })?;
         let request = ground.request(config.start.cell_gsd * scene.gsd_m, matching);
         tracing::debug!(parameters = ?matching, "matching");
+        let part = stage("clouds");
         let (mut rasters, mut clouds) = clear_rasters(&ground, decisions, &vec![[0.0; 2]; images], &request);
         ground.check_contrast(&rasters)?;
+        drop(part);
+        let part = stage("ties");
         let shifts_px = align(&ground, &rasters, decisions.align, matching, scene.gsd_m);
+        drop(part);
         if decisions.clouds && shifts_px.iter().flatten().any(|shift| shift.abs() > CLOUDS_AGAIN_PX) {
+            let _part = stage("clouds");
             tracing::info!("clouds are searched again with the cameras corrected");
             (rasters, clouds) = clear_rasters(&ground, decisions, &shifts_px, &request);
         }
         let aligned = started.elapsed();
         let progress = session.progress("sweep", 100);
+        let part = stage("sweep");
         let mut surface = sweep(&ground, &rasters, &shifts_px, decisions, &request, &|share| {
             progress.set((100.0 * share) as u64);
         });
+        drop(part);
+        let part = stage("changes");
         let changes = changes(&ground, &rasters, &shifts_px, decisions, &request, &mut surface);
+        drop(part);
         if let Some(warning) = AtLimits::of(&surface, scene).warning(scene.altitude_range_m) {
             tracing::warn!("{warning}");
         }

@@ -1,6 +1,7 @@
 //! Colours to start from: per-image gain and offset, the path radiance of the reference image, and the albedo of each Gaussian, from what
 //! the views show of the start surface in the sun and in the shade.
 
+use super::linear::ALBEDO_RANGE;
 use super::path_radiance::{self, Pair};
 
 use heliosplat::gaussians::{OPACITY, Table, logit};
@@ -193,7 +194,9 @@ pub(super) fn initialise(model: &ShadowGs, parameters: &mut Parameters, views: &
                         Some((shown.value(v, g, k)? - path_radiance[k]) / light)
                     })
                     .collect();
-                upper_median(&mut seen).unwrap_or(0.3).clamp(0.005, 3.0)
+                upper_median(&mut seen)
+                    .unwrap_or(0.3)
+                    .clamp(ALBEDO_RANGE.0, ALBEDO_RANGE.1)
             })
         })
         .collect();

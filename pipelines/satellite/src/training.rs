@@ -13,6 +13,7 @@ use crate::measure;
 use crate::plan::Decisions;
 use crate::run_file::{self, RunFile};
 use heliosplat::splat::ProjectionOptions;
+use heliosplat::timeline::{self, stage};
 use heliosplat_evaluate::{Protocol, error_map};
 use heliosplat_fitting::checkpoint::{digest, identity_of_program};
 use heliosplat_fitting::request::{TrainOutcome, TrainRequest, TrainedRun};
@@ -42,6 +43,7 @@ pub fn train(
     session: &Session,
 ) -> Result<TrainOutcome<LoadedModel>, SatelliteError> {
     // Decide.
+    let part = stage("decide");
     let decisions = Decisions::of(scene, config);
     let config = decisions.resolved(config);
     let inputs = hashes(scene)?;
@@ -54,6 +56,7 @@ pub fn train(
         Opened::Finished(metrics) => return Ok(TrainOutcome::FinishedBefore { metrics }),
         Opened::Open(folder) => *folder,
     };
+    drop(part);
     let RunFolder {
         begun,
         budget,
@@ -72,6 +75,7 @@ pub fn train(
         fitted.ending.check(&request.out)?;
     }
     // Save.
+    let part = stage("save");
     let file = model_file(scene, &fitted);
     let run = RunFile {
         version: env!("CARGO_PKG_VERSION").into(),
@@ -94,6 +98,8 @@ pub fn train(
         frame: scene.frame,
     };
     // Products.
+    drop(part);
+    let part = stage("products");
     let nadir = NadirGrid::new(&(&whole).into(), whole.file.gsd_m, None)?;
     if let Some(changes) = ChangeMap::of(&whole, &nadir) {
         changes.write(&request.out.join("change.tif"), &nadir.grid)?;
@@ -107,12 +113,16 @@ pub fn train(
         &preview::hillshade(&surface.altitude(), model.file.gsd_m),
     )?;
     // Evaluate.
+    drop(part);
+    let part = stage("evaluate");
     let start = measure::write_start(scene, &request.out, &fitted, &model)?;
     let mut metrics = measure::metrics(scene, &whole, &request.out, Protocol::Raw)?;
     if !start.is_null() {
         metrics["start"] = start;
     }
+    drop(part);
     measure::add_fit(&mut metrics, &fitted, &model, begun.elapsed().as_secs_f64());
+    metrics["timeline"] = serde_json::to_value(timeline::take()).unwrap_or_default();
     closing.finish(&mut metrics, &fitted.ending)?;
     Ok(TrainOutcome::Trained(Box::new(TrainedRun {
         model,
@@ -230,7 +240,7 @@ pub fn configure(
         return resolve(preset.unwrap_or_default());
     };
     let limit_s = limit.as_secs_f64();
-    let mut chosen = resolve(preset.unwrap_or(Preset::Fast))?;
+    let mut chosen = resolve(preset.unwrap_or(Preset::Preview))?;
     if preset.is_none() {
         for preset in Preset::ALL {
             let (_, config, estimate) = resolve(preset)?;

@@ -18,6 +18,7 @@ use super::views::{SweepView, ViewGeometry};
 use super::visibility::FirstHits;
 use super::wta::{self, HeightChoice};
 use glam::Vec3;
+use heliosplat::timeline::stage;
 use rayon::prelude::*;
 use std::collections::BTreeMap;
 
@@ -174,12 +175,15 @@ impl<'a> Search<'a> {
     /// cells that a view does not see are left out.
     pub(super) fn level(&self, factor: usize, before: Option<&LevelResult>, hits: Option<&[FirstHits]>) -> LevelResult {
         let grid = self.grid.coarser(factor);
+        let part = stage("views");
         let Compared { views, pairs } = self.compared(factor);
         let heights = self.heights(grid.cell_m);
         let (ranges, guide) = match before {
             None => (SearchRanges::full(grid.len(), &heights), None),
             Some(found) => self.narrowed(&grid, &heights, &views[..self.views.len()], factor, found),
         };
+        drop(part);
+        let part = stage("costs");
         let parameters = &self.request.parameters;
         let matching = MatchingCost {
             grid,
@@ -191,6 +195,8 @@ impl<'a> Search<'a> {
             index_weight: self.index_weight,
         };
         let costs = matching.costs(&ranges);
+        drop(part);
+        let part = stage("aggregate");
         let volume = Volume {
             width: grid.width,
             height: grid.height,
@@ -204,6 +210,8 @@ impl<'a> Search<'a> {
             },
         };
         let sums = volume.aggregate();
+        drop(part);
+        let _part = stage("choose");
         let tolerance = parameters.candidate_tolerance.at(factor);
         let choices = wta::winner_takes_all(&ranges, &heights, &sums, tolerance);
         let mut evidence = before.map(|found| found.evidence.clone()).unwrap_or_default();

@@ -2,6 +2,7 @@
 
 use super::BatchError;
 use crate::parse;
+use heliosplat_fitting::settings::Preset;
 use heliosplat_products::relight::LOWEST_SUN_DEG;
 use heliosplat_raster::Geoid;
 use heliosplat_satellite::config::SatelliteConfig;
@@ -125,7 +126,7 @@ pub struct ImagesEntry {
 pub struct PresetEntry {
     /// Its name, which is also its folder's.
     pub name: String,
-    /// `fast`, `balanced` or `accurate`; absent: its name.
+    /// `preview`, `fast`, `balanced`, `accurate` or `best`; absent: its name.
     #[serde(default)]
     pub preset: Option<String>,
     /// Seed of everything random.
@@ -314,10 +315,10 @@ impl Manifest {
             }
         }
         for preset in &self.presets {
-            if !matches!(preset.base(), "fast" | "balanced" | "accurate") {
+            if preset.base().parse::<Preset>().is_err() {
                 let name = &preset.name;
                 return Err(format!(
-                    "preset {name}: say preset = \"fast\", \"balanced\" or \"accurate\""
+                    "preset {name}: say preset = \"preview\", \"fast\", \"balanced\", \"accurate\" or \"best\""
                 ));
             }
             preset

@@ -4,11 +4,13 @@ use super::{Contents, Folder};
 use crate::page::chart::{Line, lines, lines_within};
 use crate::page::{MIB, inline_picture, number, plain, section};
 use crate::view;
+use heliosplat_products::model::ModelImage;
 use heliosplat_products::set::date_of;
 use heliosplat_scene::Split;
 use image::RgbImage;
 use image::imageops::crop_imm;
 use maud::{Markup, html};
+use rayon::prelude::*;
 use serde_json::Value;
 
 /// Widest pictures of the surface and of views, pixels.
@@ -80,7 +82,11 @@ pub(super) fn head(run: &Contents) -> Markup {
 
 /// A picture over its caption; nothing where there is none.
 pub(super) fn figure(picture: Option<RgbImage>, width: u32, caption: &str) -> Markup {
-    let address = picture.and_then(|picture| inline_picture(picture, width));
+    captioned(picture.and_then(|picture| inline_picture(picture, width)), caption)
+}
+
+/// The same of a picture's address.
+fn captioned(address: Option<String>, caption: &str) -> Markup {
     html! {
         @if let Some(address) = address {
             figure { img src=(address) alt=(caption); figcaption { (caption) } }
@@ -113,9 +119,15 @@ pub(super) fn surface(run: &Folder) -> Markup {
 pub(super) fn views(run: &Contents) -> Markup {
     let mut images: Vec<_> = run.model.images.iter().collect();
     images.sort_by_key(|image| (date_of(image), image.name.clone()));
-    let mut date = None;
-    let shown = images.iter().take(VIEWS_MAX).filter_map(|image| {
+    let addresses = |image: &&ModelImage| -> Option<Vec<Option<String>>> {
         let picture = run.folder.picture(&format!("views/{}.png", image.name))?;
+        let panels = panels(&picture, image.crop.width as u32);
+        Some(panels.into_iter().map(|panel| inline_picture(panel, VIEW_PX)).collect())
+    };
+    let addresses: Vec<_> = images.par_iter().take(VIEWS_MAX).map(addresses).collect();
+    let mut date = None;
+    let shown = images.iter().zip(addresses).filter_map(|(image, addresses)| {
+        let addresses = addresses?;
         let this = date_of(image);
         let new_date = date.replace(this.clone()).as_ref() != Some(&this);
         let sun = match image.sun {
@@ -125,12 +137,11 @@ pub(super) fn views(run: &Contents) -> Markup {
             }
             None => "sun unknown".to_owned(),
         };
-        let panels = panels(&picture, image.crop.width as u32);
         Some(html! {
             @if new_date { h3 { (this) " " span.faint { (sun) } } }
             div.faint { (image.name) @if image.split == Split::Test { ", held out" } }
             div.four {
-                @for (panel, caption) in panels.into_iter().zip(PANELS) { (figure(Some(panel), VIEW_PX, caption)) }
+                @for (address, caption) in addresses.into_iter().zip(PANELS) { (captioned(address, caption)) }
             }
         })
     });

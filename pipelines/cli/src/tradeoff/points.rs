@@ -1,5 +1,6 @@
 //! What is tried: named points, each a preset and some changes to it.
 
+use heliosplat_fitting::settings::Preset;
 use heliosplat_satellite::config::SatelliteConfig;
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
@@ -123,12 +124,6 @@ fn check(points: &[Point]) -> Result<(), String> {
         if !names.insert(name) {
             return Err(format!("point '{name}' is there twice"));
         }
-        if !["fast", "balanced", "accurate"].contains(&point.preset.as_str()) {
-            return Err(format!(
-                "point '{name}': preset '{}' is none of fast, balanced, accurate",
-                point.preset
-            ));
-        }
         let pairs: Vec<(String, String)> = point
             .arguments()
             .iter()
@@ -137,7 +132,7 @@ fn check(points: &[Point]) -> Result<(), String> {
             .collect();
         let preset = point.preset.parse();
         preset
-            .and_then(|preset| SatelliteConfig::resolve(preset, &pairs, 1))
+            .and_then(|preset: Preset| SatelliteConfig::resolve(preset, &pairs, 1))
             .map_err(|error| format!("point '{name}': {error}"))?;
     }
     let missing = points
@@ -179,9 +174,9 @@ mod tests {
     fn the_standard_points_can_all_be_trained() {
         let points = load(None, &[]).expect("the built-in list");
         assert!(
-            ["fast", "balanced", "accurate"]
+            Preset::ALL
                 .iter()
-                .all(|preset| points.iter().any(|p| p.name == *preset))
+                .all(|preset| points.iter().any(|p| p.name == preset.name()))
         );
     }
 

@@ -5,6 +5,7 @@ use heliosplat::bench_fixture::{Descent, Site, toward_grey};
 use heliosplat::light::Light;
 use heliosplat::splat::project::project;
 use heliosplat::splat::{ProjectionOptions, Rasteriser};
+use heliosplat::timeline::{self, stage};
 use heliosplat::trace::{Occluders, Transmittance, transmittance, transmittance_by_hierarchy};
 use heliosplat_rpc::{GeoPoint, ImagePoint, Rpc};
 use rayon::prelude::*;
@@ -98,15 +99,24 @@ fn light_rate(site: &Site, trace: fn(&Occluders, &[u32], &Light) -> Transmittanc
 /// Measures and reports.
 pub(crate) fn run() -> Result<Outcome, CliError> {
     let threads = rayon::current_num_threads();
+    timeline::take();
+    let part = stage("cameras");
     let (project, localise) = camera_rates();
+    drop(part);
+    let part = stage("rasterise");
     let site = Site::new(GAUSSIANS, SIZE_PX, SPREAD);
     let (forward, backward, pairs_per_pixel) = splat_rates(&site);
+    drop(part);
+    let part = stage("light");
     let (plane, tree) = (
         light_rate(&site, transmittance),
         light_rate(&site, transmittance_by_hierarchy),
     );
+    drop(part);
+    let part = stage("steps");
     let mut descent = Descent::new(site);
     let steps_per_s = 1.0 / seconds(|| descent.step());
+    drop(part);
     let json = serde_json::json!({
         "threads": threads,
         "rpc_project_points_per_s": project,
@@ -116,6 +126,7 @@ pub(crate) fn run() -> Result<Outcome, CliError> {
         "pairs_per_pixel": pairs_per_pixel,
         "transmittance_ns_per_ray": { "sun_plane": plane, "hierarchy": tree },
         "steps_per_s": steps_per_s,
+        "timeline": timeline::take(),
     });
     let text = format!(
         "threads                {threads}\n\

@@ -49,8 +49,9 @@ fn estimates(scene: &Scene) -> Result<Vec<(&'static str, Estimate)>, CliError> {
         return Ok(Vec::new());
     }
     let slowness = slowness();
-    [Preset::Fast, Preset::Balanced, Preset::Accurate]
+    Preset::ALL
         .into_iter()
+        .rev()
         .map(|preset| {
             let config = SatelliteConfig::resolve(preset, &[], 1)?;
             Ok((preset.name(), estimate(scene, &config, slowness)))

@@ -6,6 +6,7 @@ use super::relight_series;
 use super::sweep_dsm::{self, SweptSurface};
 use crate::outcome::{CliError, Outcome};
 use crate::report;
+use heliosplat::timeline::{self, stage};
 use heliosplat_fitting::request::{TrainOutcome, TrainRequest};
 use heliosplat_fitting::run_folder::{RunError, create_folder, read, save_metrics};
 use heliosplat_fitting::settings::Preset;
@@ -31,6 +32,8 @@ use std::time::Instant;
 /// When the scene, the configuration or a limit is at fault, training gives up, or a file cannot be written.
 pub(crate) fn train(args: &TrainArgs, session: &Session) -> Result<Outcome, CliError> {
     let begun = Instant::now();
+    timeline::take();
+    let part = stage("read");
     let mut ingest = args.ingest.options();
     if args.memory.is_some() {
         let preset = args.preset.map(Preset::from).unwrap_or_default();
@@ -42,6 +45,8 @@ pub(crate) fn train(args: &TrainArgs, session: &Session) -> Result<Outcome, CliE
     for warning in &scene.warnings {
         tracing::warn!("{warning}");
     }
+    drop(part);
+    let part = stage("estimate");
     let preset = args.preset.map(Preset::from);
     let (preset, config, estimate) = configure(&scene, preset, &args.set, args.seed, args.time_budget)?;
     tracing::info!(
@@ -50,6 +55,7 @@ pub(crate) fn train(args: &TrainArgs, session: &Session) -> Result<Outcome, CliE
         estimate.peak_bytes / f64::from(1 << 30),
         estimate.seconds
     );
+    drop(part);
     // Before its surface is known, a scene is refused only where it would not even fit if it were flat.
     estimate::must_fit(estimate.least_bytes, args.memory, &config)?;
     let request = TrainRequest {
@@ -66,8 +72,12 @@ pub(crate) fn train(args: &TrainArgs, session: &Session) -> Result<Outcome, CliE
             report::complete(&args.out)?;
             (metrics, " (finished before)")
         }
-        TrainOutcome::Trained(run) => {
-            report::write_both(&args.out)?;
+        TrainOutcome::Trained(mut run) => {
+            {
+                let _part = stage("report");
+                report::write_both(&args.out)?;
+            }
+            add_report(&args.out, &mut run.metrics)?;
             run.ending.check(&args.out)?;
             (run.metrics, "")
         }
@@ -78,6 +88,16 @@ pub(crate) fn train(args: &TrainArgs, session: &Session) -> Result<Outcome, CliE
         args.out.display()
     );
     Ok(Outcome { json: metrics, text })
+}
+
+/// Adds the time that the pages took to the timeline of a run.
+fn add_report(out: &Path, metrics: &mut Value) -> Result<(), RunError> {
+    if let (Value::Array(stages), Ok(Value::Array(pages))) =
+        (&mut metrics["timeline"], serde_json::to_value(timeline::take()))
+    {
+        stages.extend(pages);
+    }
+    save_metrics(out, metrics)
 }
 
 /// Writes the surface model of a run, or that of a scene's sweep.

@@ -7,6 +7,7 @@ use super::pack::{self, GAMMA};
 use super::place::Place;
 use crate::page::without_control_characters;
 use maud::{DOCTYPE, Markup, PreEscaped, html};
+use rayon::prelude::*;
 use serde_json::{Value, json};
 
 /// What the page may do: run its own script, show its own pictures, and nothing with any network.
@@ -95,10 +96,11 @@ fn data(exhibit: &Exhibit) -> Result<Value, ViewError> {
     let nothing = || ViewError::Nothing {
         what: exhibit.title.clone(),
     };
-    let heights = pack::heights(altitude).ok_or_else(nothing)?;
-    let place = Place::of(&exhibit.grid, f64::from(heights.low_m))?;
     let darkest = exhibit.light.shade.iter().flatten().copied().fold(1.0, f32::min);
-    let albedo = exhibit.albedo.as_ref().and_then(|raster| pack::albedo(raster, darkest));
+    let albedo = || pack::albedo(exhibit.albedo.as_ref()?, darkest);
+    let (heights, albedo) = rayon::join(|| pack::heights(altitude), albedo);
+    let heights = heights.ok_or_else(nothing)?;
+    let place = Place::of(&exhibit.grid, f64::from(heights.low_m))?;
     let crs = &exhibit.grid.crs;
     Ok(json!({
         "version": env!("CARGO_PKG_VERSION"),
@@ -116,8 +118,8 @@ fn data(exhibit: &Exhibit) -> Result<Value, ViewError> {
         "albedo": albedo,
         "gamma": GAMMA,
         "light": exhibit.light,
-        "dates": exhibit.dates.iter().map(date).collect::<Vec<_>>(),
-        "layers": exhibit.layers.iter().filter_map(layer).collect::<Vec<_>>(),
+        "dates": exhibit.dates.par_iter().map(date).collect::<Vec<_>>(),
+        "layers": exhibit.layers.par_iter().filter_map(layer).collect::<Vec<_>>(),
     }))
 }
 

@@ -5,6 +5,7 @@ use heliosplat_products::model::{LoadedModel, ModelImage};
 use heliosplat_products::views::camera_of;
 use heliosplat_raster::{EnuGrid, GridSpec, RasterError};
 use image::RgbImage;
+use rayon::prelude::*;
 
 /// A cell is hidden where something this much nearer to the camera falls on the same pixel, metres along the ray.
 const HIDDEN_M: f32 = 1.5;
@@ -26,6 +27,8 @@ pub(super) fn project(
     let cells = grid.width * grid.height;
     // Where each cell falls, and how far from the camera.
     let seen: Vec<Option<([f32; 2], f32)>> = (0..cells)
+        .into_par_iter()
+        .with_min_len(1024)
         .map(|i| {
             let (col, row) = (i % grid.width, i / grid.width);
             let z = altitude.plane(0)[i];
