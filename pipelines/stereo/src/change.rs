@@ -34,7 +34,7 @@ const COARSE: usize = 2;
 /// Images needed on either side of a day.
 const FEWEST_IMAGES: usize = 2;
 /// Days at most on which images are divided: the cost of the search grows with them.
-const MOST_DAYS: usize = 8;
+const MOST_DAYS: usize = 4;
 /// Metres above the surface at which images agree by chance alone.
 const CHANCE_M: f32 = 7.0;
 /// Census distance by chance where no cell tells.
