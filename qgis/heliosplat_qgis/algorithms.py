@@ -24,7 +24,7 @@ from qgis.PyQt.QtGui import QIcon
 
 from . import child, settings
 
-PRESETS = ["fast", "balanced", "accurate"]
+PRESETS = ["preview", "fast", "balanced", "accurate", "best"]
 GEOGRAPHIC = "EPSG:4326"
 FOLDER = QgsProcessingParameterFile.Folder
 
@@ -172,7 +172,7 @@ class Train(Verb):
     def initAlgorithm(self, configuration=None):  # noqa: N802, ARG002
         self.add_scene()
         self.add_ground()
-        self.addParameter(QgsProcessingParameterEnum("PRESET", "Preset", PRESETS, defaultValue=0))
+        self.addParameter(QgsProcessingParameterEnum("PRESET", "Preset", PRESETS, defaultValue=PRESETS.index("fast")))
         self.addParameter(QgsProcessingParameterFolderDestination("RUN", "Folder of the run"))
         self.addOutput(QgsProcessingOutputRasterLayer("DSM", "Surface model"))
         self.addOutput(QgsProcessingOutputFile("LAYERS", "Layer file"))

@@ -198,7 +198,7 @@ mod tests {
 
     const SIDE: usize = 24;
 
-    /// Level ground of discs half a metre apart, checkered in patches of four.
+    /// Level ground of discs half a metre apart, chequered in patches of four.
     fn ground(model: &ShadowGs) -> Parameters {
         let mut groups = core_groups();
         groups.extend(model.feature_groups());
