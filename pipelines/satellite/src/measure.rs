@@ -137,7 +137,7 @@ fn changes(scene: &Scene, run: &Path, whole: &LoadedModel) -> Result<Option<Valu
     };
     let mut out = json!({
         "segments": changes.segments.len(),
-        "area_m2": changes.segments.iter().map(|segment| segment.area_m2).sum::<f32>(),
+        "area_m2": changes.segments.iter().fold(0.0, |sum, segment| sum + segment.area_m2),
     });
     let found = run.join("change.tif");
     if let Some(truth) = scene.truth.changes().filter(|_| found.is_file()) {
