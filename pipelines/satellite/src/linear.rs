@@ -32,10 +32,14 @@ const CHUNK: usize = 1 << 14;
 pub(super) fn improve(model: &ShadowGs, parameters: &mut Parameters, views: &[View]) {
     let plain = without_colours(model, parameters);
     let mut globals = parameters.globals.clone();
-    let occluders = Occluders::new(&parameters.gaussians);
+    let mut occluders = Occluders::new(&parameters.gaussians);
     let zeros = || vec![0.0f32; parameters.gaussians.group(ALBEDO).len()];
     let (mut wanted, mut weights) = (zeros(), zeros());
     for view in views {
+        if let Some(present) = model.present(parameters, Some(view.appearance)) {
+            occluders.renew(&parameters.gaussians);
+            occluders.hide(&present);
+        }
         let context = Context {
             parameters,
             camera: &view.camera,
