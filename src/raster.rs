@@ -34,6 +34,16 @@ impl Raster {
         &self.values[band * self.plane_len()..(band + 1) * self.plane_len()]
     }
 
+    /// One plane as a raster of its own.
+    pub fn band(&self, band: usize) -> Self {
+        Self {
+            width: self.width,
+            height: self.height,
+            bands: 1,
+            values: self.plane(band).to_vec(),
+        }
+    }
+
     /// One plane, to write.
     pub fn plane_mut(&mut self, band: usize) -> &mut [f32] {
         let len = self.plane_len();

@@ -398,7 +398,9 @@ fn a_browser_shows_the_page_and_reports_what_node_finds() {
 fn a_run_has_its_page_and_its_report_links_it() {
     let folder = tempdir().expect("a temporary folder");
     let (scene, run) = (folder.path().join("scene"), folder.path().join("run"));
-    heliosplat_tests::program::tiny_scene(&scene);
+    // As many views as the site has by default: with four, ten steps leave the Gaussians that masks are traced through unlike the surface.
+    let site = ["synth", "satellite", "--site", "tiny", "--seed", "1", "--out"].map(std::ffi::OsStr::new);
+    json(&[site.to_vec(), vec![scene.as_ref()]].concat());
     let arguments: Vec<&std::ffi::OsStr> = vec!["train".as_ref(), scene.as_ref(), "--out".as_ref(), run.as_ref()];
     let more = ["--preset", "fast", "--set", "train.iterations=10"].map(std::ffi::OsStr::new);
     json(&[arguments, more.to_vec()].concat());
@@ -425,8 +427,7 @@ fn a_run_has_its_page_and_its_report_links_it() {
     );
     if let Some(said) = report(&again, "#report") {
         let iou = said["iou_traced"].as_f64().expect("an agreement");
-        // After ten steps on four views the surface is levelled, and the Gaussians that the masks are traced through are not yet.
-        assert!(iou > 0.3 && iou <= 1.0, "{iou}");
+        assert!(iou > 0.5 && iou <= 1.0, "{iou}");
     }
 }
 

@@ -86,13 +86,7 @@ impl ChangeMap {
 
     /// The difference alone, metres.
     pub fn difference(&self) -> Raster {
-        let Raster { width, height, .. } = self.raster;
-        Raster {
-            width,
-            height,
-            bands: 1,
-            values: self.raster.plane(0).to_vec(),
-        }
+        self.raster.band(0)
     }
 
     /// From a file whose days were read as 32-bit numbers, which are up to one short of YYYYMMDD: each is the nearest of `days` on which

@@ -268,13 +268,7 @@ impl Dsm {
 
     /// The altitude alone.
     pub fn altitude(&self) -> Raster {
-        let Raster { width, height, .. } = self.raster;
-        Raster {
-            width,
-            height,
-            bands: 1,
-            values: self.raster.plane(0).to_vec(),
-        }
+        self.raster.band(0)
     }
 }
 
