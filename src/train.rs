@@ -429,10 +429,11 @@ impl<'a> Trainer<'a> {
         let f = self.fraction();
         let mut rates = vec![0.0; FEATURES];
         rates[POSITION] = exponential_decay(o.position_rate_gsd, o.position_rate_gsd * o.final_rate, f) * o.gsd_m;
-        rates[LOG_SCALE] = LOG_SCALE_RATE;
+        let haste = o.haste();
+        rates[LOG_SCALE] = haste * LOG_SCALE_RATE;
         rates[ROTATION] = ROTATION_RATE;
-        rates[OPACITY] = o.opacity_rate;
-        let feature_decay = exponential_decay(1.0, o.final_rate.max(0.1), f);
+        rates[OPACITY] = haste * o.opacity_rate;
+        let feature_decay = haste * exponential_decay(1.0, o.final_rate.max(0.1), f);
         rates.extend(self.feature_rates.iter().map(|rate| feature_decay * rate.at(f)));
         self.gaussians_adam
             .step(&mut self.parameters.gaussians, &self.gradients.gaussians, &rates);

@@ -48,6 +48,10 @@ pub struct TrainOptions {
     /// Learning rate of opacity logits.
     #[serde(skip)]
     pub opacity_rate: f32,
+    /// Steps from which on opacities, log scales and features move at their own learning rates. Shorter trainings move them faster, by
+    /// the root of the ratio and at most [`FASTEST`] times: what they have to travel is the same. 0 never does.
+    #[serde(skip)]
+    pub own_rate_steps: usize,
     /// Smallest and largest standard deviation, ground sampling distances.
     #[serde(skip)]
     pub scale_gsd: (f32, f32),
@@ -74,13 +78,24 @@ impl Default for TrainOptions {
             gsd_m: 0.5,
             final_rate: 0.05,
             opacity_rate: 0.06,
+            own_rate_steps: 0,
             scale_gsd: (0.1, 8.0),
             holdout: 0.04,
         }
     }
 }
 
+/// How many times their own learning rate opacities, log scales and features move at, at most.
+const FASTEST: f32 = 4.0;
+
 impl TrainOptions {
+    /// Factor on the learning rates of opacities, log scales and features, 1 to [`FASTEST`].
+    pub(super) fn haste(&self) -> f32 {
+        (self.own_rate_steps as f32 / self.iterations.max(1) as f32)
+            .sqrt()
+            .clamp(1.0, FASTEST)
+    }
+
     /// These options with the steps that a scene of `views` views gets.
     pub fn for_views(mut self, views: usize) -> Self {
         self.iterations = self.iterations.min(self.epochs.saturating_mul(views));
@@ -134,6 +149,20 @@ impl TrainOptions {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn a_quarter_of_the_steps_moves_twice_as_fast_and_more_steps_no_slower_than_at_their_own_rate() {
+        let of = |iterations| {
+            TrainOptions {
+                iterations,
+                own_rate_steps: 1600,
+                ..TrainOptions::default()
+            }
+            .haste()
+        };
+        assert_eq!([5000, 1600, 400, 100, 10].map(of), [1.0, 1.0, 2.0, 4.0, 4.0]);
+        assert_eq!(TrainOptions::default().haste(), 1.0);
+    }
 
     #[test]
     fn few_views_get_few_steps_and_many_no_more_than_said() {

@@ -32,6 +32,8 @@ use std::time::Instant;
 const SKY: f32 = 0.3;
 /// Weight of the shadow prior, where it is on.
 const PRIOR_WEIGHT: f32 = 1.0;
+/// Steps from which on learning rates are their own (docs/lab/start.md).
+const OWN_RATE_STEPS: usize = 1600;
 
 /// What a fit may take.
 #[derive(Debug, Clone, Copy, Default)]
@@ -197,6 +199,7 @@ pub fn fit(
     let mut options = config.train.clone().for_views(views.len());
     let steps = options.iterations;
     options.gsd_m = scene.gsd_m as f32;
+    options.own_rate_steps = OWN_RATE_STEPS;
     if decisions.light == Light::LeftOut {
         options.consistency_weight = 0.0;
     }

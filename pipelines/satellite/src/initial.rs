@@ -31,6 +31,8 @@ const WALL_FROM_STEPS: f32 = 3.0;
 const FLOOR_CELLS: (usize, usize) = (4, 9);
 /// Confidence below which the sweep was in doubt.
 const DOUBT: f32 = 0.1;
+/// Share of the opacity at steps that a roof or crown has where the sweep was in doubt. Such a place is mostly ground (docs/lab/start.md).
+const DOUBTFUL_SHARE: f32 = 0.25;
 
 /// Where the discs stand and how they lie.
 struct Discs {
@@ -164,7 +166,11 @@ impl Start<'_> {
             let doubtful = surface.confidence[cell] < DOUBT;
             let floor_m = if doubtful { floors.1[cell] } else { floors.0[cell] };
             let above_floor = here.z - floor_m > wall_from_m;
-            let opacity = if above_floor { step_opacity } else { OPACITY_SURE };
+            let opacity = match (above_floor, doubtful) {
+                (false, _) => OPACITY_SURE,
+                (true, false) => step_opacity,
+                (true, true) => DOUBTFUL_SHARE * step_opacity,
+            };
             let top = Disc {
                 centre: here,
                 rotation: lie(surface, col, row),
