@@ -37,7 +37,7 @@ pub(super) fn speckles(grid: &Grid, altitude: &[f32], step_m: f32, fewest: usize
 }
 
 /// The up to four neighbours that share a side with a cell.
-fn sides(grid: &Grid, cell: usize) -> impl Iterator<Item = usize> {
+pub(super) fn sides(grid: &Grid, cell: usize) -> impl Iterator<Item = usize> {
     let (col, row, width) = (cell % grid.width, cell / grid.width, grid.width);
     [
         (col > 0).then(|| cell - 1),
