@@ -5,6 +5,10 @@ use glam::Vec3;
 use heliosplat::Raster;
 use std::path::PathBuf;
 
+/// Cells that the splats of a tile may lie beyond its core: those of two tiles stand on grids of their own, and between two cores a line would
+/// stay open that is up to two cells wide.
+const OVERLAP_CELLS: f32 = 0.5;
+
 /// A tile of a mosaic.
 #[derive(Debug, Clone, PartialEq)]
 pub struct MosaicTile {
@@ -25,11 +29,13 @@ impl MosaicTile {
         }
     }
 
-    /// Whether a place of the mosaic's frame lies on the core.
+    /// Whether a place of the mosaic's frame lies on the core, or beside it by less than [`OVERLAP_CELLS`].
     pub(super) fn holds(&self, nadir: &NadirGrid, position: Vec3) -> bool {
         let (col, row, _) = nadir.camera.project(position);
         // Cells have their middles at integers.
-        let inside = |at: f32, [from, to]: [isize; 2]| (from as f32..to as f32).contains(&(at + 0.5));
+        let inside = |at: f32, [from, to]: [isize; 2]| {
+            (from as f32 - OVERLAP_CELLS..to as f32 + OVERLAP_CELLS).contains(&(at + 0.5))
+        };
         inside(col, self.core[0]) && inside(row, self.core[1])
     }
 }
