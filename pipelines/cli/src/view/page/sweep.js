@@ -24,7 +24,7 @@ for (let i = 0; i < 129; i++) {
 const STEEP = 1;
 /// A wall's upper edge is so many cells (below one) beyond the middle of the last high cell: half of that cell, and what the model's edges reach further.
 /// Measured against shadows traced through models (docs/lab/sun-page.md).
-const EDGE = 0.95;
+const EDGE = 0.85;
 
 /// What rises less than this above a far shadow, and still lies in its half-shade, does not hide what throws that shadow, metres.
 const LOW = 1;
