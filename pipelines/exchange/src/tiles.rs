@@ -15,7 +15,7 @@ use serde_json::{Value, json};
 const TILE_MOST: usize = 1 << 16;
 /// Levels of merged splats above the ones of the model, at least.
 const LEVELS_LEAST: usize = 2;
-/// Splats of the coarsest tile, about: a site is seen until they are too small.
+/// Splats of the coarsest tile, about: a site is seen until they are too small to be drawn.
 const ROOT_SPLATS: usize = 256;
 /// Depth at which nothing is cut any more: more splats than a tile may have, all in one place.
 const DEPTH_MOST: usize = 16;
@@ -24,9 +24,9 @@ const REACH: f32 = 3.0;
 /// Metres of geometric error for each metre of a cell of a mesh. Viewers replace a tile whose error is 16 pixels wide on the screen, so
 /// that a cell is at most two pixels wide.
 pub const ERROR_OF_CELL: f64 = 8.0;
-/// The same of splats. CesiumJS draws none whose axes, `sqrt(2)` standard deviations, are both below two pixels. Splats half as far apart have
-/// standard deviations of a third of a cell: they must not be shown before a cell is 4.4 pixels wide, and are from 5.3 pixels on.
-const ERROR_OF_SPLATS: f64 = 3.0;
+/// The same of splats: a cell is then 1.6 to 3.2 pixels wide. Merged splats have standard deviations of a third of a cell at least, and CesiumJS draws
+/// none whose standard deviations are both below 0.35 pixels, so that none is left out.
+const ERROR_OF_SPLATS: f64 = 5.0;
 
 /// A tile and those below it.
 #[derive(Debug, Clone, PartialEq)]

@@ -149,7 +149,7 @@ impl Lit {
             let splats = splats(&model, &colours, &display)
                 .into_iter()
                 .map(|splat| moved.splat(splat));
-            all.extend(splats.filter(|splat| tile.holds(nadir, splat.position)));
+            all.extend(splats.filter(|splat| tile.holds(&nadir.camera, splat.position)));
         }
         Ok(Self {
             splats: all,

@@ -1,9 +1,12 @@
 //! A tile of a mosaic: where its run is, and what of it counts.
 
-use crate::nadir::NadirGrid;
 use glam::Vec3;
-use heliosplat::Raster;
+use heliosplat::{ProjectiveCamera, Raster};
 use std::path::PathBuf;
+
+/// Cells that the splats of a tile may lie beyond its core: those of two tiles stand on grids of their own, and between two cores a line would
+/// stay open that is up to two cells wide.
+const OVERLAP_CELLS: f32 = 0.5;
 
 /// A tile of a mosaic.
 #[derive(Debug, Clone, PartialEq)]
@@ -25,11 +28,47 @@ impl MosaicTile {
         }
     }
 
-    /// Whether a place of the mosaic's frame lies on the core.
-    pub(super) fn holds(&self, nadir: &NadirGrid, position: Vec3) -> bool {
-        let (col, row, _) = nadir.camera.project(position);
+    /// Whether a place of the mosaic's frame lies on the core, or beside it by less than [`OVERLAP_CELLS`]. `nadir` is the camera whose pixels are
+    /// the mosaic's cells.
+    pub(super) fn holds(&self, nadir: &ProjectiveCamera, position: Vec3) -> bool {
+        let (col, row, _) = nadir.project(position);
         // Cells have their middles at integers.
-        let inside = |at: f32, [from, to]: [isize; 2]| (from as f32..to as f32).contains(&(at + 0.5));
+        let inside = |at: f32, [from, to]: [isize; 2]| {
+            (from as f32 - OVERLAP_CELLS..to as f32 + OVERLAP_CELLS).contains(&(at + 0.5))
+        };
         inside(col, self.core[0]) && inside(row, self.core[1])
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn between_two_cores_nothing_is_left_out_and_half_a_cell_is_shared() {
+        let tile = |from: isize| MosaicTile {
+            run: PathBuf::new(),
+            core: [[from, from + 10], [0, 10]],
+            gains: Vec::new(),
+        };
+        let (west, east) = (tile(0), tile(10));
+        let camera = ProjectiveCamera::nadir(-9.5, 4.5, 1.0, (20, 10));
+        // Metres east of the border, in cells of a metre.
+        for (east_m, held) in [
+            (-9.9, (true, false)),
+            (-0.6, (true, false)),
+            (-0.4, (true, true)),
+            (0.0, (true, true)),
+            (0.4, (true, true)),
+            (0.6, (false, true)),
+            (9.9, (false, true)),
+        ] {
+            let place = Vec3::new(east_m, 0.0, 3.0);
+            assert_eq!(
+                (west.holds(&camera, place), east.holds(&camera, place)),
+                held,
+                "{east_m} m"
+            );
+        }
     }
 }

@@ -2,10 +2,10 @@
 
 /// The mask of a sun: 1 in shadow, 0 in the sun and where nothing is known; row 0 is the first of the grid, north.
 function shadowMask(app, azimuth, elevation) {
-  const { width, height, z, known } = app.field;
-  const visible = app.sweep(azimuth, elevation, new Uint8Array(z.length));
-  const mask = new Uint8Array(z.length);
-  for (let i = 0; i < mask.length; i++) mask[i] = known[i] && visible[i] < 32 ? 1 : 0;
+  const { width, height, z } = app.field;
+  // Unknown cells see the whole sun.
+  const mask = app.sweep(azimuth, elevation, new Uint8Array(z.length));
+  for (let i = 0; i < mask.length; i++) mask[i] = mask[i] < 32 ? 1 : 0;
   return { width, height, mask };
 }
 

@@ -9,7 +9,7 @@
 //
 // Heights say where an edge stands to about half a cell, and rough roofs shade single cells of themselves. So what a cell sees is averaged with its
 // neighbours at last: borders become smoother, and nearer to true ones and to those traced through models (docs/lab/sun-page.md).
-// Cost: four passes over the grid, whatever the heights.
+// Cost: two walks over the grid, and where rays run along its rows a third one, whatever the heights.
 
 /// Radius of the sun's disc, radians.
 const SUN_RADIUS = 0.2666 * Math.PI / 180;
@@ -24,11 +24,7 @@ for (let i = 0; i < 129; i++) {
 const STEEP = 1;
 /// A wall's upper edge is so many cells (below one) beyond the middle of the last high cell: half of that cell, and what the model's edges reach further.
 /// Measured against shadows traced through models (docs/lab/sun-page.md).
-const EDGE = 0.75;
-
-/// Cells are asked this far above their height, metres: less than heights err by, and enough that level roofs do not speckle themselves under a low
-/// sun. Against true shadows nothing is lost by it (docs/lab/sun-page.md).
-const LIFT = 0.05;
+const EDGE = 0.85;
 
 /// What rises less than this above a far shadow, and still lies in its half-shade, does not hide what throws that shadow, metres.
 const LOW = 1;
@@ -45,27 +41,20 @@ function transposed(from, into, width, height) {
   return into;
 }
 
-/// Averages what cells see with their neighbours, weights 1, 2, 1 along rows and columns. In the place of an unknown neighbour and beyond the border
-/// the cell itself counts, so that nothing comes from where nothing is known.
-function smoothed(out, { width, height }, unknown, rows) {
-  for (let r = 0; r < height; r++) {
-    const line = r * width, last = line + width - 1;
-    let left = out[line], own = left;
-    for (let i = line; i <= last; i++) {
-      const right = i < last ? out[i + 1] : own;
+/// Stands for the sum of an unknown cell.
+const UNKNOWN = 65535;
+
+/// Averages what cells see across lines, weights 1, 2, 1, from sums along lines of the same weights. In the place of an unknown neighbour and beyond the
+/// border the cell itself counts, so that nothing comes from where nothing is known.
+function smoothed(sums, along, across, out) {
+  for (let n = 0; n < along; n++) {
+    const line = n * across, above = n > 0 ? -across : 0, below = n + 1 < along ? across : 0;
+    for (let i = line; i < line + across; i++) {
+      const own = sums[i], a = sums[i + above], b = sums[i + below];
       // Most cells see what their neighbours see.
-      if (left === own && right === own) rows[i] = 4 * own;
-      else rows[i] = (i > line && !unknown[i - 1] ? left : own) + 2 * own + (i < last && !unknown[i + 1] ? right : own);
-      left = own;
-      own = right;
-    }
-  }
-  for (let r = 0; r < height; r++) {
-    const line = r * width, above = r > 0 ? -width : 0, below = r + 1 < height ? width : 0;
-    for (let i = line; i < line + width; i++) {
-      const own = rows[i], a = rows[i + above], b = rows[i + below];
-      if (a === own && b === own) { if (!unknown[i]) out[i] = (own + 2) >> 2; }
-      else if (!unknown[i]) out[i] = ((unknown[i + above] ? own : a) + 2 * own + (unknown[i + below] ? own : b) + 8) >> 4;
+      if (a === own && b === own) out[i] = own === UNKNOWN ? 64 : (own + 2) >> 2;
+      else if (own === UNKNOWN) out[i] = 64;
+      else out[i] = ((a === UNKNOWN ? own : a) + 2 * own + (b === UNKNOWN ? own : b) + 8) >> 4;
     }
   }
   return out;
@@ -75,7 +64,7 @@ function smoothed(out, { width, height }, unknown, rows) {
 function sweeper(field, east, north) {
   const { width, height, z } = field;
   const lying = { heights: z, along: height, across: width };
-  const unknown = Uint8Array.from(z, (h) => (h !== h ? 1 : 0)), rows = new Uint16Array(z.length);
+  const sums = new Uint16Array(z.length);
   let upright = null;
   let turned = null;
 
@@ -91,18 +80,19 @@ function sweeper(field, east, north) {
     const dc = sin * east[0] + cos * north[0], dr = sin * east[1] + cos * north[1];
     if (elevation >= 89.99) return out.fill(64);
     if (Math.abs(dr) >= Math.abs(dc)) {
-      pass(lying, dr, dc, elevation, out);
-      return smoothed(out, field, unknown, rows);
+      pass(lying, dr, dc, elevation);
+      return smoothed(sums, height, width, out);
     }
     if (!upright) {
       upright = { heights: transposed(z, new Float32Array(z.length), width, height), along: width, across: height };
       turned = new Uint8Array(z.length);
     }
-    pass(upright, dc, dr, elevation, turned);
-    return smoothed(transposed(turned, out, height, width), field, unknown, rows);
+    pass(upright, dc, dr, elevation);
+    return transposed(smoothed(sums, width, height, turned), out, height, width);
   };
 
-  function pass({ heights, along, across }, major, minor, elevation, out) {
+  /// Writes what each cell sees, summed along its line with its neighbours (weights 1, 2, 1), into `sums`.
+  function pass({ heights, along, across }, major, minor, elevation) {
     const tan = Math.tan(elevation * RAD);
     // Metres per line, what the shadow falls over them, and how far a ray moves aside, away from the sun.
     const step = 1 / Math.abs(major), drop = step * tan;
@@ -121,39 +111,49 @@ function sweeper(field, east, north) {
       const line = (forward ? n : along - 1 - n) * across;
       const at = base + n * aside;
       const whole = Math.floor(at), part = at - whole, rest = 1 - part;
-      // The cells of the line: cell k lies between the rays k - whole - 1 and k - whole.
-      const first = -whole - 1;
-      for (let k = 0; k < across; k++) {
-        const h = heights[line + k];
-        if (h !== h) { out[line + k] = 64; continue; }
-        // What both rays see counts, not their mean height: the border of a long shadow stays in the middle between them.
-        const r = first + k;
-        const a = h + LIFT - dark[r], b = h + LIFT - dark[r + 1];
-        const ra = blur * behind[r], rb = blur * behind[r + 1];
-        const va = a >= ra ? 64 : a <= -ra ? 0 : DISC[(64 * (a / ra + 1) + 0.5) | 0];
-        const vb = b >= rb ? 64 : b <= -rb ? 0 : DISC[(64 * (b / rb + 1) + 0.5) | 0];
-        out[line + k] = va * part + vb * rest + 0.5;
-      }
-      // The rays: ray r lies between the cells r + whole and r + whole + 1, at the share `part`.
-      const from = Math.max(0, -whole - 1), to = Math.min(rays, across - whole);
-      for (let r = from; r < to; r++) {
-        const k = r + whole;
-        const a = k >= 0 ? heights[line + k] : NaN;
+      // Ray k lies between the cells k and k + 1, at the share `part`, and cell k between the rays k - 1 and k. So one walk does both: a cell is asked by
+      // what its two rays bring from the lines before, then the second of them moves on.
+      let a = NaN, darkBefore = 0, blurBefore = 0;
+      // What the cells before see, -1 where unknown.
+      let left = -1, own = -1;
+      for (let k = -1, r = -1 - whole; k < across; k++, r++) {
         const b = k + 1 < across ? heights[line + k + 1] : NaN;
+        let darkness = dark[r], lines = behind[r];
+        const blurred = blur * lines;
+        let seen = -1;
+        if (a === a) {
+          // What both rays see counts, not their mean height: the border of a long shadow stays in the middle between them.
+          const before = a - darkBefore, after = a - darkness;
+          if (before >= blurBefore && after >= blurred) seen = 64;
+          else {
+            const one = before >= blurBefore ? 64 : before <= -blurBefore ? 0 : DISC[(64 * (before / blurBefore + 1) + 0.5) | 0];
+            const two = after >= blurred ? 64 : after <= -blurred ? 0 : DISC[(64 * (after / blurred + 1) + 0.5) | 0];
+            seen = (one * part + two * rest + 0.5) | 0;
+          }
+        }
+        if (k > 0) sums[line + k - 1] = own < 0 ? UNKNOWN : (left < 0 ? own : left) + 2 * own + (seen < 0 ? own : seen);
+        left = own;
+        own = seen;
+        darkBefore = darkness;
+        blurBefore = blurred;
         const difference = a - b;
         let h = difference > jump || difference < -jump ? (part < 0.5 ? a : b) : a - difference * part;
         // Beside an unknown cell the known one counts.
         if (h !== h) h = a === a ? a : b;
-        const clear = h - dark[r];
-        if (clear >= LOW || clear >= blur * behind[r]) { dark[r] = h; behind[r] = 0; }
-        else if (behind[r] === 1 && dark[r] + drop - h > jump) {
+        const clear = h - darkness;
+        if (clear >= LOW || clear >= blurred) {
+          darkness = Math.fround(h);
+          lines = 0;
+        } else if (lines === 1 && darkness + drop - h > jump) {
           // A wall: the edge stands beyond the middle of the cell before.
-          dark[r] += EDGE * drop;
-          behind[r] -= EDGE;
+          darkness = Math.fround(darkness + EDGE * drop);
+          lines -= EDGE;
         }
-        dark[r] -= drop;
-        behind[r] += 1;
+        dark[r] = darkness - drop;
+        behind[r] = lines + 1;
+        a = b;
       }
+      sums[line + across - 1] = own < 0 ? UNKNOWN : (left < 0 ? own : left) + 3 * own;
     }
   }
 }
