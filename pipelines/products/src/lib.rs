@@ -26,5 +26,6 @@ pub mod stored;
 pub mod style;
 pub mod sunshine;
 pub mod surface;
+mod surface_shadow;
 pub mod views;
 pub mod writer;

@@ -1,13 +1,14 @@
 //! The scene under any sun, and its shadow mask.
 
 use super::nadir::NadirGrid;
+use super::surface_shadow::SurfaceShadows;
 use super::views::camera_of;
 use crate::model::LoadedModel;
 use heliosplat::gaussians::Table;
 use heliosplat::light::Light;
 use heliosplat::model::shadow_gs::{SKY, softplus_inverse};
 use heliosplat::model::{Context, Parameters, SceneModel};
-use heliosplat::render::render;
+use heliosplat::render::{Rendering, render};
 use heliosplat::splat::Maps;
 use heliosplat::{ProjectiveCamera, Raster};
 use heliosplat_fitting::run_folder::RunError;
@@ -75,6 +76,14 @@ impl RelightError {
 /// Elevation of the sun below which a scene is not relit: shadows are longer than any site.
 pub const LOWEST_SUN_DEG: f64 = 1.0;
 
+/// Weight of the light that the surface model lets through, beside that through the Gaussians.
+const OVER_SURFACE: f32 = 0.4;
+/// Share of the sun below which a place is in shadow: as traced through the Gaussians, and in the mean of both, which misses shadow
+/// more often than it invents some.
+const SHADED_BELOW: f32 = 0.5;
+/// The same of the mean.
+const SHADED_BELOW_IN_THE_MEAN: f32 = 0.6;
+
 /// A relit view.
 pub struct Relit {
     /// Its colours in the units of the images' counts.
@@ -83,39 +92,114 @@ pub struct Relit {
     pub visibility: Raster,
     /// Of which exposure the counts are, in words; files carry it as the item `EXPOSURE`.
     pub exposure: String,
+    shaded_below: f32,
     grid: Option<GridSpec>,
 }
 
-/// Renders `model` under `sun`, from above (`nadir`) or as the image called `view` saw it, in counts of the reference image: its exposure
-/// and its path radiance, but the irradiance and the sky of that sun.
+/// Where a model is looked at from, to be put under suns.
 ///
-/// # Errors
-/// [`RelightError`] when the sun is down, the model has no light, or there is no such view.
-pub fn relight(model: &LoadedModel, sun: &SunPosition, view: &str) -> Result<Relit, RelightError> {
-    if view == "nadir" {
-        let nadir = NadirGrid::new(&model.into(), model.file.gsd_m, None)?;
-        return relight_ortho(model, sun, &nadir);
+/// From straight above a place is as dark as two ways to trace its shadows say, in the mean: through the Gaussians, from each that is seen, and over the
+/// surface model, whose altitudes are levelled. Both err at borders, and not alike (docs/lab/shadows.md). From elsewhere it is the Gaussians
+/// alone.
+pub struct Viewpoint<'a> {
+    model: &'a LoadedModel,
+    camera: ProjectiveCamera,
+    /// From straight above: the grid, and the surface if there is light to throw shadows.
+    above: Option<(GridSpec, Option<SurfaceShadows>)>,
+}
+
+impl<'a> Viewpoint<'a> {
+    /// From above (`nadir`), at the images' resolution, or as the image called `view` saw it.
+    ///
+    /// # Errors
+    /// [`RelightError`] when there is no such view.
+    pub fn new(model: &'a LoadedModel, view: &str) -> Result<Self, RelightError> {
+        if view == "nadir" {
+            return Ok(Self::above(
+                model,
+                &NadirGrid::new(&model.into(), model.file.gsd_m, None)?,
+            ));
+        }
+        Ok(Self {
+            model,
+            camera: named_camera(model, view)?,
+            above: None,
+        })
     }
-    lit(model, sun, &named_camera(model, view)?)
-}
 
-/// Renders `model` under `sun` from straight above, on a grid.
-///
-/// # Errors
-/// [`RelightError`] when the sun is down, or the model has no light.
-pub fn relight_ortho(model: &LoadedModel, sun: &SunPosition, nadir: &NadirGrid) -> Result<Relit, RelightError> {
-    let mut relit = lit(model, sun, &nadir.camera)?;
-    relit.grid = Some(nadir.grid.clone());
-    Ok(relit)
-}
+    /// From straight above, on a grid.
+    pub fn above(model: &'a LoadedModel, nadir: &NadirGrid) -> Self {
+        let surface = model.file.has_light().then(|| SurfaceShadows::new(model, nadir));
+        Self {
+            model,
+            camera: nadir.camera,
+            above: Some((nadir.grid.clone(), surface)),
+        }
+    }
 
-/// The shadow mask of `model` under `sun` seen from straight above, on a grid: 1 in shadow, 0 in the sun, `NaN` where nothing is known.
-///
-/// # Errors
-/// [`RelightError`] when the sun is down, or the model has no light.
-pub fn shadows_ortho(model: &LoadedModel, sun: &SunPosition, nadir: &NadirGrid) -> Result<Raster, RelightError> {
-    let (_, maps) = traced(model, sun, &nadir.camera)?;
-    Ok(mask_of(visibility_of(model, &maps)))
+    /// Renders it under `sun`, in counts of the reference image: its exposure and its path radiance, but the irradiance and the sky of that
+    /// sun.
+    ///
+    /// # Errors
+    /// [`RelightError`] when the sun is down, or the model has no light.
+    pub fn relit(&self, sun: &SunPosition) -> Result<Relit, RelightError> {
+        let (light, maps) = self.traced(sun)?;
+        let mut image = composed(self.model, sun, light, &self.camera, &maps)?;
+        let counts = self.model.file.counts_per_unit as f32;
+        image.values.iter_mut().for_each(|value| *value *= counts);
+        let visibility = visibility_of(self.model, &maps);
+        for (i, lit) in visibility.values.iter().enumerate() {
+            if lit.is_nan() {
+                for band in 0..image.bands {
+                    image.plane_mut(band)[i] = f32::NAN;
+                }
+            }
+        }
+        Ok(Relit {
+            image,
+            visibility,
+            exposure: exposure(self.model),
+            shaded_below: self.shaded_below(),
+            grid: self.above.as_ref().map(|(grid, _)| grid.clone()),
+        })
+    }
+
+    /// Its shadow mask under `sun`: 1 in shadow, 0 in the sun, `NaN` where nothing is known.
+    ///
+    /// # Errors
+    /// [`RelightError`] when the sun is down, or the model has no light.
+    pub fn shadows(&self, sun: &SunPosition) -> Result<Raster, RelightError> {
+        let (_, maps) = self.traced(sun)?;
+        Ok(mask_of(visibility_of(self.model, &maps), self.shaded_below()))
+    }
+
+    fn shaded_below(&self) -> f32 {
+        match self.above {
+            Some(_) => SHADED_BELOW_IN_THE_MEAN,
+            None => SHADED_BELOW,
+        }
+    }
+
+    /// What is seen, with its shadows under `sun`.
+    fn traced(&self, sun: &SunPosition) -> Result<(Light, Maps), RelightError> {
+        let model = self.model;
+        let light = light_of(model, sun)?;
+        let options = model.pass_options();
+        let Rendering { mut maps, .. } = render(
+            &model.model,
+            &model.parameters,
+            &self.camera,
+            Some(light),
+            None,
+            options,
+        );
+        if let Some((_, Some(surface))) = &self.above {
+            let lit = surface.lit(sun);
+            let Maps { channels, alpha, .. } = &mut maps;
+            mix(&mut channels[model.model.visibility_channel()], alpha, &lit);
+        }
+        Ok((light, maps))
+    }
 }
 
 /// The light of a sun on `model`.
@@ -138,14 +222,6 @@ pub(crate) fn light_of(model: &LoadedModel, sun: &SunPosition) -> Result<Light, 
     ))
 }
 
-/// The maps of `model` with its shadows traced under `sun`.
-fn traced(model: &LoadedModel, sun: &SunPosition, camera: &ProjectiveCamera) -> Result<(Light, Maps), RelightError> {
-    let light = light_of(model, sun)?;
-    let options = model.pass_options();
-    let rendering = render(&model.model, &model.parameters, camera, Some(light), None, options);
-    Ok((light, rendering.maps))
-}
-
 fn visibility_of(model: &LoadedModel, maps: &Maps) -> Raster {
     Raster {
         width: maps.width,
@@ -155,9 +231,18 @@ fn visibility_of(model: &LoadedModel, maps: &Maps) -> Raster {
     }
 }
 
-fn mask_of(mut visibility: Raster) -> Raster {
+/// The mean of `through`, the composited visibility of pixels, and of what the surface lets through (`over`, NaN where it is unknown).
+fn mix(through: &mut [f32], alpha: &[f32], over: &[f32]) {
+    for ((through, alpha), over) in through.iter_mut().zip(alpha).zip(over) {
+        if over.is_finite() {
+            *through += OVER_SURFACE * (over * alpha - *through);
+        }
+    }
+}
+
+fn mask_of(mut visibility: Raster, shaded_below: f32) -> Raster {
     for value in visibility.values.iter_mut().filter(|v| !v.is_nan()) {
-        *value = if *value < 0.5 { 1.0 } else { 0.0 };
+        *value = if *value < shaded_below { 1.0 } else { 0.0 };
     }
     visibility
 }
@@ -204,27 +289,6 @@ pub(crate) fn composed(
     Ok(image)
 }
 
-fn lit(model: &LoadedModel, sun: &SunPosition, camera: &ProjectiveCamera) -> Result<Relit, RelightError> {
-    let (light, maps) = traced(model, sun, camera)?;
-    let mut image = composed(model, sun, light, camera, &maps)?;
-    let counts = model.file.counts_per_unit as f32;
-    image.values.iter_mut().for_each(|value| *value *= counts);
-    let visibility = visibility_of(model, &maps);
-    for (i, lit) in visibility.values.iter().enumerate() {
-        if lit.is_nan() {
-            for band in 0..image.bands {
-                image.plane_mut(band)[i] = f32::NAN;
-            }
-        }
-    }
-    Ok(Relit {
-        image,
-        visibility,
-        exposure: exposure(model),
-        grid: None,
-    })
-}
-
 /// The path radiance of the reference image, per band, in units of the model's colours.
 fn path_radiance(model: &LoadedModel) -> Vec<f32> {
     model.model.colour(&model.parameters, model.file.options.reference).1
@@ -266,7 +330,7 @@ fn named_camera(model: &LoadedModel, view: &str) -> Result<ProjectiveCamera, Rel
 impl Relit {
     /// Its shadow mask: 1 in shadow, 0 in the sun, `NaN` where nothing is known.
     pub fn shadows(&self) -> Raster {
-        mask_of(self.visibility.clone())
+        mask_of(self.visibility.clone(), self.shaded_below)
     }
 
     /// Writes the image to `path` (PNG: a picture; otherwise GeoTIFF in counts) and its shadow mask beside it (`*_shadow`, 1 =
@@ -304,5 +368,31 @@ impl Relit {
             Sample::U8,
         )?;
         Ok(mask_path)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_place_is_as_lit_as_gaussians_and_surface_say_and_where_the_surface_is_unknown_as_the_gaussians_say() {
+        let mut through = vec![0.9, 0.9, 0.0, 0.45];
+        mix(&mut through, &[0.9, 0.9, 0.9, 0.9], &[0.0, 1.0, 1.0, f32::NAN]);
+        for (mixed, wanted) in through.iter().zip([0.6, 1.0, 0.4, 0.5]) {
+            assert!((mixed / 0.9 - wanted).abs() < 1e-6, "{through:?}");
+        }
+    }
+
+    #[test]
+    fn what_is_unknown_is_neither_shadow_nor_lit() {
+        let visibility = Raster {
+            width: 3,
+            height: 1,
+            bands: 1,
+            values: vec![0.55, 0.65, f32::NAN],
+        };
+        let mask = mask_of(visibility, SHADED_BELOW_IN_THE_MEAN).values;
+        assert!(mask[0] == 1.0 && mask[1] == 0.0 && mask[2].is_nan());
     }
 }

@@ -2,7 +2,7 @@
 
 use super::dsm::{maps, of_model};
 use super::nadir::NadirGrid;
-use super::relight::{RelightError, relight_ortho, shadows_ortho};
+use super::relight::{RelightError, Viewpoint};
 use super::sunshine::{Period, sunshine};
 use super::writer::{Said, Set, Writer};
 use super::{ortho, points};
@@ -103,9 +103,8 @@ pub fn write(
             reason: "nothing of the run falls on its grid".into(),
         }));
     }
-    let relit = request
-        .sun
-        .map(|sun| Ok::<_, RelightError>((sun, relight_ortho(model, &sun, &nadir)?)));
+    let above = Viewpoint::above(model, &nadir);
+    let relit = request.sun.map(|sun| Ok::<_, RelightError>((sun, above.relit(&sun)?)));
     let relit = relit.transpose()?;
     done(1);
     let bands = &model.file.bands;
@@ -131,7 +130,7 @@ pub fn write(
     done(3);
     let dates = shaded_dates(model);
     for (place, (date, sun)) in dates.iter().enumerate() {
-        let mut shadows = shadows_ortho(model, sun, &nadir)?;
+        let mut shadows = above.shadows(sun)?;
         surface.blank_unknown(&mut shadows);
         writer.shadows(date, &shadows, sun)?;
         done(4 + place as u64);

@@ -10,7 +10,7 @@ use heliosplat_evaluate::{RelitPair, RelitScore, RelitScores, score_relit};
 use heliosplat_fitting::run_folder::create_folder;
 use heliosplat_products::model::LoadedModel;
 use heliosplat_products::nadir::NadirGrid;
-use heliosplat_products::relight::relight_ortho;
+use heliosplat_products::relight::Viewpoint;
 use heliosplat_raster::{GeoRaster, preview};
 use heliosplat_rpc::sun::SunPosition;
 use heliosplat_scene::{RelitTruth, relit_truth};
@@ -37,9 +37,10 @@ struct Compared {
 pub fn measure(model: &LoadedModel, folder: &Path, run: &Path) -> Result<Value, SatelliteError> {
     let truths = relit_truth(folder)?;
     let nadir = NadirGrid::new(&model.into(), model.file.gsd_m, None)?;
+    let above = Viewpoint::above(model, &nadir);
     let compared = truths
         .iter()
-        .map(|truth| compare(model, &nadir, truth))
+        .map(|truth| compare(model, &above, &nadir, truth))
         .collect::<Result<Vec<_>, _>>()?;
     let pairs: Vec<RelitPair> = compared.iter().map(Compared::pair).collect();
     let scores = score_relit(&pairs).ok_or_else(|| SatelliteError::RelitElsewhere(folder.to_owned()))?;
@@ -58,7 +59,12 @@ impl Compared {
     }
 }
 
-fn compare(model: &LoadedModel, nadir: &NadirGrid, truth: &RelitTruth) -> Result<Compared, SatelliteError> {
+fn compare(
+    model: &LoadedModel,
+    above: &Viewpoint,
+    nadir: &NadirGrid,
+    truth: &RelitTruth,
+) -> Result<Compared, SatelliteError> {
     let image = GeoRaster::read(&truth.image)?;
     let (found, expected) = (image.raster.bands, model.file.bands.len());
     if found != expected {
@@ -69,7 +75,7 @@ fn compare(model: &LoadedModel, nadir: &NadirGrid, truth: &RelitTruth) -> Result
         });
     }
     let mask = GeoRaster::read(&truth.shadow)?;
-    let relit = relight_ortho(model, &truth.sun, nadir)?;
+    let relit = above.relit(&truth.sun)?;
     let ours = geo(relit.image.clone(), nadir);
     let shadow = geo(relit.shadows(), nadir);
     Ok(Compared {

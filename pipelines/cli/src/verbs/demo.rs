@@ -61,7 +61,9 @@ pub(crate) fn demo(args: &DemoArgs, session: &Session) -> Result<Outcome, CliErr
     run.ending.check(&run_folder)?;
     let metrics = run.metrics;
     let evening = SunPosition::from_degrees(250.0, 20.0);
-    relight::relight(&run.model, &evening, "nadir")?.write(&args.out.join("evening.png"))?;
+    relight::Viewpoint::new(&run.model, "nadir")?
+        .relit(&evening)?
+        .write(&args.out.join("evening.png"))?;
     let mae = metrics
         .pointer("/dsm/mae_m")
         .and_then(serde_json::Value::as_f64)

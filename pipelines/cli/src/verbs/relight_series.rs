@@ -5,7 +5,7 @@ use crate::outcome::{CliError, Outcome};
 use crate::parse::TimeSeries;
 use heliosplat_products::animation::Animation;
 use heliosplat_products::model::LoadedModel;
-use heliosplat_products::relight::{LOWEST_SUN_DEG, Relit, relight};
+use heliosplat_products::relight::{LOWEST_SUN_DEG, Relit, Viewpoint};
 use heliosplat_rpc::sun::{SunPosition, sun_position};
 use heliosplat_session::Session;
 use jiff::Timestamp;
@@ -43,11 +43,12 @@ pub(crate) fn run(
             night.len()
         )));
     }
+    let view = Viewpoint::new(model, &args.view)?;
     let mut text = String::new();
     let (files, animation) = if is_animation(&args.out) {
-        (animate(args, model, &day, session)?, Some(&args.out))
+        (animate(args, &view, &day, session)?, Some(&args.out))
     } else {
-        (one_by_one(args, model, &day, session)?, None)
+        (one_by_one(args, &view, &day, session)?, None)
     };
     for file in &files {
         let angle = |key: &str| file[key].as_f64().unwrap_or(f64::NAN);
@@ -84,8 +85,7 @@ fn said((time, sun): &Moment) -> Value {
 
 /// Calls `each` with the relit scene of each moment, until the user stops.
 fn for_each(
-    args: &RelightArgs,
-    model: &LoadedModel,
+    view: &Viewpoint,
     day: &[Moment],
     session: &Session,
     mut each: impl FnMut(&Moment, Relit) -> Result<(), CliError>,
@@ -98,20 +98,15 @@ fn for_each(
                 day.len()
             )));
         }
-        each(moment, relight(model, &moment.1, &args.view)?)?;
+        each(moment, view.relit(&moment.1)?)?;
         progress.set(done as u64 + 1);
     }
     Ok(())
 }
 
-fn one_by_one(
-    args: &RelightArgs,
-    model: &LoadedModel,
-    day: &[Moment],
-    session: &Session,
-) -> Result<Vec<Value>, CliError> {
+fn one_by_one(args: &RelightArgs, view: &Viewpoint, day: &[Moment], session: &Session) -> Result<Vec<Value>, CliError> {
     let mut files = Vec::new();
-    for_each(args, model, day, session, |moment, relit| {
+    for_each(view, day, session, |moment, relit| {
         let path = with_time(&args.out, moment.0);
         let mask = relit.write(&path)?;
         let mut file = said(moment);
@@ -123,17 +118,17 @@ fn one_by_one(
     Ok(files)
 }
 
-fn animate(args: &RelightArgs, model: &LoadedModel, day: &[Moment], session: &Session) -> Result<Vec<Value>, CliError> {
+fn animate(args: &RelightArgs, view: &Viewpoint, day: &[Moment], session: &Session) -> Result<Vec<Value>, CliError> {
     let height = |moment: &&Moment| moment.1.elevation_rad;
     let lowest = day.iter().min_by(|a, b| height(a).total_cmp(&height(b)));
     let highest = day.iter().max_by(|a, b| height(a).total_cmp(&height(b)));
     let (Some(lowest), Some(highest)) = (lowest, highest) else {
         return Ok(Vec::new());
     };
-    let [lowest, highest] = [lowest, highest].map(|moment| relight(model, &moment.1, &args.view));
+    let [lowest, highest] = [lowest, highest].map(|moment| view.relit(&moment.1));
     let mut animation = Animation::new(&lowest?.image, &highest?.image);
     let mut frames = Vec::new();
-    for_each(args, model, day, session, |moment, relit| {
+    for_each(view, day, session, |moment, relit| {
         animation.push(&relit.image);
         frames.push(said(moment));
         Ok(())

@@ -186,7 +186,7 @@ pub(crate) fn relight(args: &RelightArgs, session: &Session) -> Result<Outcome, 
             ));
         }
     };
-    let relit = relight::relight(&model, &sun, &args.view)?;
+    let relit = relight::Viewpoint::new(&model, &args.view)?.relit(&sun)?;
     let mask = relit.write(&args.out)?;
     let (azimuth, elevation) = (sun.azimuth_rad.to_degrees(), sun.elevation_rad.to_degrees());
     Ok(Outcome {

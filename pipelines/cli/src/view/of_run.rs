@@ -8,7 +8,7 @@ use super::ortho_image;
 use crate::page::picture_of;
 use heliosplat_products::model::{self, LoadedModel};
 use heliosplat_products::nadir::NadirGrid;
-use heliosplat_products::relight::{LOWEST_SUN_DEG, relight_ortho};
+use heliosplat_products::relight::{LOWEST_SUN_DEG, Viewpoint};
 use heliosplat_products::set::{date_of, dates};
 use heliosplat_products::{dsm, ortho};
 use heliosplat_raster::preview::percentiles;
@@ -55,17 +55,18 @@ fn title(folder: &Path) -> String {
 /// The dates of the model with the shadows of each.
 fn traced(model: &LoadedModel, nadir: &NadirGrid) -> Result<Vec<TracedDate>, ViewError> {
     let mut out = Vec::new();
+    let above = Viewpoint::above(model, nadir);
     let all = dates(&model.file.images);
     let step = all.len().div_ceil(DATES_MAX).max(1);
     for (name, sun) in all.into_iter().step_by(step) {
         let image = model.file.images.iter().find(|image| date_of(image) == name);
         let is_lit = model.file.has_light() && sun.elevation_rad.to_degrees() >= LOWEST_SUN_DEG;
-        let shadows = is_lit.then(|| relight_ortho(model, &sun, nadir)).transpose()?;
+        let shadows = is_lit.then(|| above.shadows(&sun)).transpose()?;
         out.push(TracedDate {
             time: image.and_then(|image| image.time),
             name,
             sun,
-            shadows: shadows.map(|relit| relit.shadows()),
+            shadows,
         });
     }
     Ok(out)
