@@ -49,7 +49,7 @@ pub struct TrainOptions {
     #[serde(skip)]
     pub opacity_rate: f32,
     /// Steps from which on opacities, log scales and features move at their own learning rates. Shorter trainings move them faster, by
-    /// the root of the ratio and at most [`FASTEST`] times: what they have to travel is the same. 0 never does.
+    /// the root of the ratio and at most four times: what they have to travel is the same. 0 never does.
     #[serde(skip)]
     pub own_rate_steps: usize,
     /// Smallest and largest standard deviation, ground sampling distances.
