@@ -429,12 +429,12 @@ impl<'a> Trainer<'a> {
         let f = self.fraction();
         let mut rates = vec![0.0; FEATURES];
         rates[POSITION] = exponential_decay(o.position_rate_gsd, o.position_rate_gsd * o.final_rate, f) * o.gsd_m;
-        let haste = o.haste();
-        rates[LOG_SCALE] = haste * LOG_SCALE_RATE;
+        let rate_factor = o.rate_factor();
+        rates[LOG_SCALE] = rate_factor * LOG_SCALE_RATE;
         rates[ROTATION] = ROTATION_RATE;
-        rates[OPACITY] = haste * o.opacity_rate;
-        let feature_decay = haste * exponential_decay(1.0, o.final_rate.max(0.1), f);
-        rates.extend(self.feature_rates.iter().map(|rate| feature_decay * rate.at(f)));
+        rates[OPACITY] = rate_factor * o.opacity_rate;
+        let feature_factor = rate_factor * exponential_decay(1.0, o.final_rate.max(0.1), f);
+        rates.extend(self.feature_rates.iter().map(|rate| feature_factor * rate.at(f)));
         self.gaussians_adam
             .step(&mut self.parameters.gaussians, &self.gradients.gaussians, &rates);
         let rates: Vec<f32> = self.global_rates.iter().map(|rate| rate.at(f)).collect();

@@ -86,14 +86,15 @@ impl Default for TrainOptions {
 }
 
 /// How many times their own learning rate opacities, log scales and features move at, at most.
-const FASTEST: f32 = 4.0;
+const MOST_RATE_FACTOR: f32 = 4.0;
 
 impl TrainOptions {
-    /// Factor on the learning rates of opacities, log scales and features, 1 to [`FASTEST`].
-    pub(super) fn haste(&self) -> f32 {
+    /// Factor on the learning rates of opacities, log scales and features: the root of `own_rate_steps` over the steps, 1 to
+    /// [`MOST_RATE_FACTOR`] (docs/lab/start.md, by ablation).
+    pub(super) fn rate_factor(&self) -> f32 {
         (self.own_rate_steps as f32 / self.iterations.max(1) as f32)
             .sqrt()
-            .clamp(1.0, FASTEST)
+            .clamp(1.0, MOST_RATE_FACTOR)
     }
 
     /// These options with the steps that a scene of `views` views gets.
@@ -158,10 +159,10 @@ mod tests {
                 own_rate_steps: 1600,
                 ..TrainOptions::default()
             }
-            .haste()
+            .rate_factor()
         };
         assert_eq!([5000, 1600, 400, 100, 10].map(of), [1.0, 1.0, 2.0, 4.0, 4.0]);
-        assert_eq!(TrainOptions::default().haste(), 1.0);
+        assert_eq!(TrainOptions::default().rate_factor(), 1.0);
     }
 
     #[test]

@@ -5,7 +5,8 @@
 //! lies between two rays and sees what both see, interpolated. The sun is a disc. At last what a cell sees is averaged with its
 //! neighbours, since altitudes say where an edge stands to about half a cell.
 //!
-//! The page of `view` casts its shadows by the same rules (`pipelines/cli/src/view/page/sweep.js`); docs/lab/sun-page.md says what each is worth.
+//! The page of `view` casts its shadows in the same way (`pipelines/cli/src/view/page/sweep.js`), but its walls reach 0.85 cells and its cells are not
+//! lifted; docs/lab/sun-page.md says what each is worth.
 //! Limits: one altitude for each cell, so nothing is seen under crowns and bridges; unknown cells throw no shadow.
 
 use crate::model::LoadedModel;
@@ -14,7 +15,7 @@ use crate::surface::{self, ALPHA_KNOWN};
 use heliosplat_rpc::sun::SunPosition;
 use std::f32::consts::PI;
 
-/// Radius of the sun's disc.
+/// Mean radius of the sun's disc, as seen from the Earth.
 const SUN_RADIUS_RAD: f64 = 0.2666 * std::f64::consts::PI / 180.0;
 /// Rise over run between two cells from which on a wall stands between them: altitudes are not interpolated over it.
 const STEEP: f32 = 1.0;

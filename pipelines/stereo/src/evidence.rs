@@ -14,7 +14,7 @@
 
 use super::grid::Grid;
 use super::ortho::box_mean;
-use super::postprocess::sides;
+use super::postprocess::for_each_patch;
 use super::ranges::SearchRanges;
 use rayon::prelude::*;
 
@@ -126,29 +126,17 @@ fn grow(grid: &Grid, matched: &mut [bool], bare: impl Fn(usize) -> bool) {
 
 /// The cells of the connected stretches of [`LEAST_STRETCH_CELLS`] cells or more that are not `matched`.
 fn large_stretches(grid: &Grid, matched: &[bool]) -> Vec<usize> {
-    let mut seen = matched.to_vec();
-    let (mut large, mut stretch) = (Vec::new(), Vec::new());
-    for start in 0..grid.len() {
-        if seen[start] {
-            continue;
-        }
-        seen[start] = true;
-        stretch.clear();
-        stretch.push(start);
-        let mut next = 0;
-        while next < stretch.len() {
-            for near in sides(grid, stretch[next]) {
-                if !seen[near] {
-                    seen[near] = true;
-                    stretch.push(near);
-                }
+    let mut large = Vec::new();
+    for_each_patch(
+        grid,
+        matched.to_vec(),
+        |_, _| true,
+        |stretch| {
+            if stretch.len() >= LEAST_STRETCH_CELLS {
+                large.extend_from_slice(stretch);
             }
-            next += 1;
-        }
-        if stretch.len() >= LEAST_STRETCH_CELLS {
-            large.extend_from_slice(&stretch);
-        }
-    }
+        },
+    );
     large
 }
 

@@ -6,8 +6,24 @@ use heliosplat_rpc::statistics::upper_median;
 /// Speckles: cells of connected patches of fewer than `fewest` cells. Neighbours belong to one patch when their altitudes differ by less
 /// than `step_m` metres.
 pub(super) fn speckles(grid: &Grid, altitude: &[f32], step_m: f32, fewest: usize) -> Vec<bool> {
-    let mut seen = vec![false; grid.len()];
     let mut speckle = vec![false; grid.len()];
+    let together = |a: usize, b: usize| (altitude[b] - altitude[a]).abs() < step_m;
+    for_each_patch(grid, vec![false; grid.len()], together, |patch| {
+        if patch.len() < fewest {
+            patch.iter().for_each(|&cell| speckle[cell] = true);
+        }
+    });
+    speckle
+}
+
+/// Hands each connected patch of cells to `visit`, by its cells: neighbours that share a side belong to one patch when they are `together`.
+/// Cells that `seen` marks belong to none.
+pub(super) fn for_each_patch(
+    grid: &Grid,
+    mut seen: Vec<bool>,
+    together: impl Fn(usize, usize) -> bool,
+    mut visit: impl FnMut(&[usize]),
+) {
     let mut patch = Vec::new();
     for start in 0..grid.len() {
         if seen[start] {
@@ -21,23 +37,18 @@ pub(super) fn speckles(grid: &Grid, altitude: &[f32], step_m: f32, fewest: usize
             let cell = patch[next];
             next += 1;
             for near in sides(grid, cell) {
-                if !seen[near] && (altitude[near] - altitude[cell]).abs() < step_m {
+                if !seen[near] && together(cell, near) {
                     seen[near] = true;
                     patch.push(near);
                 }
             }
         }
-        if patch.len() < fewest {
-            for &cell in &patch {
-                speckle[cell] = true;
-            }
-        }
+        visit(&patch);
     }
-    speckle
 }
 
 /// The up to four neighbours that share a side with a cell.
-pub(super) fn sides(grid: &Grid, cell: usize) -> impl Iterator<Item = usize> {
+fn sides(grid: &Grid, cell: usize) -> impl Iterator<Item = usize> {
     let (col, row, width) = (cell % grid.width, cell / grid.width, grid.width);
     [
         (col > 0).then(|| cell - 1),
