@@ -132,10 +132,13 @@ impl Holdout {
         }
     }
 
-    /// Mean over views of what was last noted of them.
+    /// Mean over views of what was last noted of them; `None` until all have been seen, since means of some and of all views cannot be
+    /// compared: training passes from half to full size within an epoch, and what is noted first may be of the easy views.
     pub(super) fn mean(&self) -> Option<f64> {
-        let known: Vec<f64> = self.losses.iter().flatten().copied().collect();
-        (!known.is_empty()).then(|| known.iter().sum::<f64>() / known.len() as f64)
+        let with_tiles = || self.losses.iter().zip(&self.held).filter(|(_, held)| !held.is_empty());
+        let losses: Option<Vec<f64>> = with_tiles().map(|(loss, _)| *loss).collect();
+        let losses = losses.filter(|losses| !losses.is_empty())?;
+        Some(losses.iter().sum::<f64>() / losses.len() as f64)
     }
 
     pub(super) fn stop(&self) -> bool {
@@ -216,6 +219,24 @@ mod tests {
         assert_eq!(holdout.losses(), [None]);
         holdout.epoch_done(1000, 1, &Parameters::default());
         assert_eq!(holdout.summary(1000).best_l1, None);
+    }
+
+    #[test]
+    fn states_are_compared_once_every_view_has_been_seen() {
+        let options = TrainOptions {
+            holdout: 0.5,
+            ..TrainOptions::default()
+        };
+        let mut pair = [views(200), views(200)].concat();
+        let mut holdout = Holdout::new(&mut pair, &options);
+        let steps = options.iterations;
+        // The easy view alone has a lower difference than both will ever have.
+        holdout.record(0, Some(0.1));
+        holdout.epoch_done(2 * steps, 2, &Parameters::default());
+        assert_eq!(holdout.summary(2 * steps).best_l1, None);
+        holdout.record(1, Some(0.5));
+        holdout.epoch_done(2 * steps + 2, 2, &Parameters::default());
+        assert_eq!(holdout.summary(2 * steps + 2).best_l1, Some(0.3));
     }
 
     #[test]
