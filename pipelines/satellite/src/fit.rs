@@ -129,8 +129,11 @@ pub fn fit(
         Some(swept) => swept,
         None => {
             let mut swept = Preprocess::new(scene, config, decisions, session)?;
-            let _part = stage("suns");
-            swept.found.shadow_suns = suns::search(scene, &swept);
+            suns::search(scene, &mut swept);
+            let suns = suns::of_ground(scene, &swept.ground, &swept.found.shadow_suns);
+            if swept.sweep_under(suns, scene, config, decisions) {
+                suns::search(scene, &mut swept);
+            }
             swept
         }
     };

@@ -5,7 +5,7 @@ use heliosplat::Raster;
 use heliosplat_rpc::LocalFrame;
 use heliosplat_rpc::statistics::upper_quantile;
 use heliosplat_scene::crop::{self, Crop};
-use heliosplat_scene::{Area, Scene, SceneImage};
+use heliosplat_scene::{Area, ImageSun, Scene, SceneImage};
 use heliosplat_stereo::{
     MatchingFacts, MatchingParameters, PlaneSweepRequest, SearchVolume, Surface, SweepView, ViewGeometry,
     widest_base_to_height,
@@ -32,6 +32,8 @@ pub struct Ground<'a> {
     pub up_m: (f64, f64),
     /// The scene's frame.
     pub frame: &'a LocalFrame,
+    /// The sun of each image.
+    suns: Vec<ImageSun>,
     groups: Vec<u32>,
 }
 
@@ -58,12 +60,23 @@ impl<'a> Ground<'a> {
         }
         Ok(Self {
             groups: crop::date_groups(&images),
+            suns: images.iter().map(|image| image.sun).collect(),
             images,
             crops,
             area,
             up_m,
             frame: &scene.frame,
         })
+    }
+
+    /// Takes suns that were found otherwise than in the images' files, one for each image; returns whether they say more of which
+    /// images are of one pass.
+    pub(super) fn take_suns(&mut self, suns: Vec<ImageSun>) -> bool {
+        let times = self.images.iter().map(|image| image.time);
+        let lights: Vec<_> = times.zip(suns.iter().map(|sun| sun.position)).collect();
+        let groups = std::mem::replace(&mut self.groups, crop::lights_in_groups(&lights));
+        self.suns = suns;
+        groups != self.groups
     }
 
     /// The pixels of the crops.
@@ -92,7 +105,7 @@ impl<'a> Ground<'a> {
             .map(|i| ViewGeometry {
                 camera: crop::camera(&self.images[i].pinhole.map, &self.crops[i], shifts[i]),
                 date_group: self.groups[i],
-                sun: crop::direction(&self.images[i].sun),
+                sun: crop::direction(&self.suns[i]),
             })
             .collect()
     }

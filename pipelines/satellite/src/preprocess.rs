@@ -13,7 +13,7 @@ use heliosplat::timeline::stage;
 use heliosplat_products::change::day_of;
 use heliosplat_rpc::RpcError;
 use heliosplat_rpc::adjust::BiasModel;
-use heliosplat_scene::{AltitudeSource, IngestOptions, Scene};
+use heliosplat_scene::{AltitudeSource, ImageSun, IngestOptions, Scene};
 use heliosplat_session::Session;
 use heliosplat_stereo::change::{self, Changes};
 use heliosplat_stereo::suns::ShadowSun;
@@ -99,6 +99,41 @@ impl<'a> Preprocess<'a> {
             seconds,
         };
         Ok(Self { ground, found })
+    }
+
+    /// Sweeps again under `suns`, one for each image of the ground, where these say which images are of one pass: their pixel values are
+    /// compared as well then. Returns whether that was so.
+    pub(super) fn sweep_under(
+        &mut self,
+        suns: Vec<ImageSun>,
+        scene: &Scene,
+        config: &SatelliteConfig,
+        decisions: &Decisions,
+    ) -> bool {
+        let Some(matching) = decisions.matching else {
+            return false;
+        };
+        if !self.ground.take_suns(suns) {
+            return false;
+        }
+        tracing::info!("the surface is swept again: suns found in shadows tell which images are of one pass");
+        let started = Instant::now();
+        let request = self.ground.request(config.start.cell_gsd * scene.gsd_m, matching);
+        let mut rasters = self.ground.rasters();
+        let clouded = rasters.iter_mut().zip(&self.found.clouds);
+        clouded.for_each(|(raster, mask)| clouds::blank(raster, mask));
+        let Preprocessed {
+            surface,
+            changes: changed,
+            shifts_px,
+            seconds,
+            ..
+        } = &mut self.found;
+        let _part = stage("sweep");
+        *surface = sweep(&self.ground, &rasters, shifts_px, decisions, &request, &|_| {});
+        *changed = changes(&self.ground, &rasters, shifts_px, decisions, &request, surface);
+        seconds[1] += started.elapsed().as_secs_f64();
+        true
     }
 
     /// The same as it was found out before; `None` where it is not of this scene.

@@ -3,13 +3,19 @@
 use super::clouds;
 use super::ground::Ground;
 use super::preprocess::Preprocess;
+use heliosplat::timeline::stage;
 use heliosplat_rpc::sun::SunPosition;
 use heliosplat_scene::{ImageSun, Scene, SceneImage};
 use heliosplat_stereo::suns::{ShadowSun, find_suns};
 
-/// What the shadows on the swept surface say of the suns that are unknown, image by image of the scene, those held out too; `None` where a
-/// sun is known, or nothing can be said.
-pub(super) fn search(scene: &Scene, swept: &Preprocess) -> Vec<Option<ShadowSun>> {
+/// Finds out what the shadows on the swept surface say of the suns that are unknown, image by image of the scene, those held out too; `None`
+/// where a sun is known, or nothing can be said.
+pub(super) fn search(scene: &Scene, swept: &mut Preprocess) {
+    let _part = stage("suns");
+    swept.found.shadow_suns = found(scene, swept);
+}
+
+fn found(scene: &Scene, swept: &Preprocess) -> Vec<Option<ShadowSun>> {
     let mut found = vec![None; scene.images.len()];
     let Ok(ground) = Ground::new(scene, scene.images.iter()) else {
         return found;
@@ -69,4 +75,11 @@ pub(super) fn after(scene: &Scene, searched: &[Option<ShadowSun>]) -> Vec<ImageS
         _ => image.sun,
     };
     scene.images.iter().zip(searched).map(one).collect()
+}
+
+/// The same of the images of `ground`.
+pub(super) fn of_ground(scene: &Scene, ground: &Ground, searched: &[Option<ShadowSun>]) -> Vec<ImageSun> {
+    let all = after(scene, searched);
+    let places = ground.images.iter().filter_map(|image| place_in(scene, image));
+    places.map(|place| all[place]).collect()
 }

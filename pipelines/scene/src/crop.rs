@@ -101,7 +101,8 @@ pub fn date_groups(images: &[&SceneImage]) -> Vec<u32> {
     lights_in_groups(&lights)
 }
 
-fn lights_in_groups(lights: &[(Option<Timestamp>, Option<SunPosition>)]) -> Vec<u32> {
+/// The same of times and suns, image by image.
+pub fn lights_in_groups(lights: &[(Option<Timestamp>, Option<SunPosition>)]) -> Vec<u32> {
     let mut in_time: Vec<(Timestamp, usize)> = lights
         .iter()
         .enumerate()
