@@ -108,7 +108,7 @@ mod tests {
 
     #[test]
     fn the_other_way_round_the_gain_is_a_loss_of_the_same_size() {
-        let pieces = [(3.0, 2.0), (1.0, 0.9), (2.0, 1.2), (4.0, 3.9), (1.0, 0.7)];
+        let pieces = [(3.0, 2.0), (1.0, 0.7), (2.0, 1.3), (4.0, 2.9), (1.0, 0.7)];
         let there = Gain::of(&pieces.map(|(a, b)| piece(a, b))).expect("five pieces");
         let back = Gain::of(&pieces.map(|(a, b)| piece(b, a))).expect("five pieces");
         assert!((there.gain_db + back.gain_db).abs() < 1e-12);

@@ -478,7 +478,7 @@ mod tests {
     fn the_degree_of_albedo_is_said() {
         let mut config = SatelliteConfig::default();
         assert!(!on(&facts(9, 3), &config, "model.sh_degree"));
-        config.model.sh_degree = 2;
+        config.model.sh_degree = Some(2);
         let items = Decisions::from_facts(&facts(9, 3), &config).items;
         let degree = items.iter().find(|item| item.component == "model.sh_degree");
         assert!(degree.is_some_and(|item| item.on && item.reason.ends_with("degree 2")));
