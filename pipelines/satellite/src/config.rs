@@ -67,15 +67,16 @@ pub struct ModelOptions {
     pub clouds: Option<bool>,
     /// Whether values that images clip count as "at least": on where some are clipped.
     pub saturation: Option<bool>,
-    /// Near-surface light in shadows, per Gaussian: on where shadows have a colour of their own, off elsewhere for its memory.
-    pub near_light: bool,
+    /// Near-surface light in shadows, per Gaussian: measured by short fits; off where these are too few or undecided, for its memory.
+    pub near_light: Option<bool>,
     /// Largest degree of the spherical harmonics by which albedo (and near-surface light) changes with the viewing direction: 0, the same
-    /// from everywhere, for matt ground, up to 3 for ground that shines.
-    pub sh_degree: usize,
+    /// from everywhere, for matt ground, up to 3 for ground that shines. Where it is not set, short fits measure whether degree 1 helps.
+    pub sh_degree: Option<usize>,
     /// Weight of the shadow opaqueness loss; 0, off, is better on every site measured (docs/lab/components.md), the paper and the ablation
     /// have it.
     pub opaqueness_weight: f32,
-    /// Whether shadows that images show as dark places guide training: on with few views, off with many.
+    /// Whether shadows that images show as dark places guide training: measured by short fits; where these are too few or
+    /// undecided, on with few views and off with many.
     pub shadow_prior: Option<bool>,
     /// Folder of masks that say what is lit (1) and what in shadow (0), `NAME.tif` for the image `NAME`, for users who have some; in place
     /// of those that are found.
@@ -88,8 +89,8 @@ impl Default for ModelOptions {
             image_colour: None,
             clouds: None,
             saturation: None,
-            near_light: false,
-            sh_degree: 0,
+            near_light: None,
+            sh_degree: None,
             opaqueness_weight: 0.0,
             shadow_prior: None,
             shadow_masks: None,
@@ -148,6 +149,7 @@ impl SatelliteConfig {
         let (s, m) = (&self.start, &self.model);
         let opacity = f64::from(s.step_opacity);
         let weight = f64::from(m.opaqueness_weight);
+        let degree = m.sh_degree.unwrap_or(0);
         for (key, value, fits, expected) in [
             (
                 "start.cell_gsd",
@@ -163,8 +165,8 @@ impl SatelliteConfig {
             ),
             (
                 "model.sh_degree",
-                m.sh_degree as f64,
-                m.sh_degree <= MAX_DEGREE,
+                degree as f64,
+                degree <= MAX_DEGREE,
                 "a whole number from 0 to 3",
             ),
             (
@@ -208,7 +210,7 @@ mod tests {
         let config = SatelliteConfig::resolve(Preset::Fast, &set("cameras.align", "off"), 1).expect("a known key");
         assert_eq!(config.cameras.align, Align::Off);
         let config = SatelliteConfig::resolve(Preset::Fast, &set("model.sh_degree", "3"), 1).expect("a known key");
-        assert_eq!(config.model.sh_degree, 3);
+        assert_eq!(config.model.sh_degree, Some(3));
     }
 
     #[test]

@@ -92,10 +92,11 @@ pub fn training_bytes(gaussians: f64, views: usize, bands: usize, pixels: f64) -
     SPARE_BYTES + gaussians * per_gaussian + pixels * planes * 4.0
 }
 
-/// Bytes per Gaussian of what `model` has besides one albedo per band: near-surface light, and harmonics of both.
+/// Bytes per Gaussian of what `model` has besides one albedo per band: near-surface light, and harmonics of both. What
+/// short fits may add counts only when they have: under a limit of memory nothing is tried that would not fit.
 pub fn light_bytes(model: &ModelOptions, bands: usize) -> f64 {
-    let parts = if model.near_light { 2 } else { 1 };
-    TABLES * 4.0 * ((parts * functions(model.sh_degree) - 1) * bands) as f64
+    let parts = if model.near_light == Some(true) { 2 } else { 1 };
+    TABLES * 4.0 * ((parts * functions(model.sh_degree.unwrap_or(0)) - 1) * bands) as f64
 }
 
 /// The most Gaussians that `limit` bytes hold, where `bytes` says how much so many take: each as much as the next.
@@ -255,7 +256,7 @@ mod tests {
     fn light_takes_memory_only_where_it_is_asked_for() {
         let mut model = ModelOptions::default();
         assert!(light_bytes(&model, 4) == 0.0);
-        model.sh_degree = 2;
+        model.sh_degree = Some(2);
         assert!(light_bytes(&model, 4) == TABLES * 4.0 * 32.0);
     }
 

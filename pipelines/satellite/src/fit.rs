@@ -6,6 +6,7 @@ use super::ground::Ground;
 use super::plan::{Decisions, Light};
 use super::preprocess::{Preprocess, Preprocessed};
 use super::shadow_prior;
+use super::trial::{self, Component, Trials};
 use super::views;
 use super::{clouds, daylight, estimate, initial, linear, probe, radiometry, suns};
 use glam::Vec3;
@@ -56,8 +57,10 @@ pub struct Fitted {
     pub shifts_px: Vec<[f32; 2]>,
     /// Where each image has data and no clouds; `None`: everywhere.
     pub known: Vec<Option<KnownTiles>>,
-    /// What was decided, after suns were searched.
+    /// What was decided, after suns were searched and components tried.
     pub decisions: Decisions,
+    /// What short fits said of components.
+    pub trials: Trials,
     /// The suns of the scene's images, in the scene's order.
     pub suns: Vec<ImageSun>,
     /// Share of each image that is left out because clouds hide the ground there, 0 to 1, in that order.
@@ -111,8 +114,7 @@ pub fn fit(
     checkpoint: Option<LoadedCheckpoint<Preprocessed>>,
 ) -> Result<Fitted, FitError> {
     let bands = scene.bands().len();
-    // Visibility and a normal are rendered beside the bands.
-    if decisions.near_light && 2 * bands + 1 + 3 > MOST_CHANNELS {
+    if decisions.near_light && !channels_fit(bands) {
         return Err(FitError::Channels {
             bands,
             most: MOST_CHANNELS,
@@ -145,6 +147,7 @@ pub fn fit(
         shifts_px,
         clouds,
         shadow_suns,
+        trials,
         seconds: [align_s, sweep_s],
     } = found;
     let swept = Instant::now();
@@ -157,7 +160,7 @@ pub fn fit(
     if decisions.light == Light::LeftOut {
         tracing::warn!("{}", decisions.light_reason());
     }
-    let model = model(&ground, &suns, decisions, !changes.segments.is_empty());
+    let mut model = model(&ground, &suns, decisions, !changes.segments.is_empty());
     let covered = ground.covered(&surface);
     let start = initial::Start {
         surface: &surface,
@@ -196,7 +199,7 @@ pub fn fit(
     if !decisions.saturation {
         views.iter_mut().for_each(|view| view.ceiling.clear());
     }
-    if model.options.prior_weight > 0.0 {
+    if decisions.shadow_prior || decisions.open.contains(&Component::ShadowPrior) {
         give_priors(&mut views, &suns, &ground, &surface, config)?;
     }
     let mut options = config.train.clone().for_views(views.len());
@@ -206,11 +209,47 @@ pub fn fit(
     if decisions.light == Light::LeftOut {
         options.consistency_weight = 0.0;
     }
-    let memory_estimate = fit_into_memory(limits.memory, scene, &parameters, &views, config, &mut options)?;
+    let memory = |config: &SatelliteConfig, parameters: &Parameters, views: &[View], options: &mut TrainOptions| {
+        fit_into_memory(limits.memory, scene, parameters, views, config, options)
+    };
+    let mut memory_estimate = memory(config, &parameters, &views, &mut options)?;
     drop(part);
     let part = stage("colours");
     let shades = radiometry::initialise(&model, &mut parameters, &mut views, SKY);
     linear::improve(&model, &mut parameters, &views);
+    drop(part);
+    let part = stage("trials");
+    let open = open(decisions, bands, |decisions| {
+        memory(&decisions.resolved(config), &parameters, &views, &mut options.clone()).is_ok()
+    });
+    let trials = trials.unwrap_or_else(|| {
+        let request = trial::Request {
+            options: &model.options,
+            parameters: &parameters,
+            views: &views,
+            train: &options,
+            area: &scene.area,
+            prior_weight: PRIOR_WEIGHT,
+            open: &open,
+        };
+        request.run()
+    });
+    if let Some(found) = &mut checkpoints.preprocessed {
+        found.trials = Some(trials.clone());
+    }
+    let decisions = &decisions.after_trials(&trials);
+    for item in decisions.items.iter().filter(|item| item.trial.is_some()) {
+        tracing::info!("{}: {}", item.component, item.reason);
+    }
+    let decided = model_options(&model.options, decisions);
+    if decided != model.options {
+        model = ShadowGs::new(decided);
+        parameters = trial::regrouped(&model, &parameters);
+        memory_estimate = memory(&decisions.resolved(config), &parameters, &views, &mut options)?;
+    }
+    if !decisions.shadow_prior {
+        views.iter_mut().for_each(|view| view.visibility_prior = None);
+    }
     drop(part);
     let initialised = swept.elapsed();
     let part = stage("train");
@@ -252,6 +291,7 @@ pub fn fit(
         known,
         suns: all_suns,
         decisions: decisions.clone(),
+        trials,
         clouded: clouds.iter().map(|mask| clouds::share(mask)).collect(),
         surface,
         changes,
@@ -271,17 +311,49 @@ fn model(ground: &Ground, suns: &[ImageSun], decisions: &Decisions, changing: bo
         .images
         .iter()
         .filter_map(|image| Some(day_of(image.time?) as f32));
-    ShadowGs::new(ShadowGsOptions {
+    let options = ShadowGsOptions {
         bands: ground.images.first().map_or(0, |image| image.pixels.bands),
         images,
         reference: reference(suns),
         image_colour: decisions.image_colour,
+        opaqueness_weight: decisions.opaqueness_weight,
+        days: if changing { days.collect() } else { Vec::new() },
+        ..ShadowGsOptions::default()
+    };
+    ShadowGs::new(model_options(&options, decisions))
+}
+
+/// The same with those components that short fits decide as `decisions` has them.
+fn model_options(options: &ShadowGsOptions, decisions: &Decisions) -> ShadowGsOptions {
+    ShadowGsOptions {
         prior_weight: if decisions.shadow_prior { PRIOR_WEIGHT } else { 0.0 },
         near_light: decisions.near_light,
         degree: decisions.sh_degree,
-        opaqueness_weight: decisions.opaqueness_weight,
-        days: if changing { days.collect() } else { Vec::new() },
-    })
+        ..options.clone()
+    }
+}
+
+/// The components that are left to short fits and that the rasteriser and, as `fits` says of decisions, the memory have room for.
+fn open(decisions: &Decisions, bands: usize, fits: impl Fn(&Decisions) -> bool) -> Vec<Component> {
+    let mut all = decisions.clone();
+    let has_room = |component: &Component| match component {
+        Component::ShadowPrior => true,
+        Component::NearLight => {
+            all.near_light = true;
+            all.near_light = channels_fit(bands) && fits(&all);
+            all.near_light
+        }
+        Component::Harmonics => {
+            all.sh_degree = 1;
+            fits(&all)
+        }
+    };
+    decisions.open.iter().copied().filter(has_room).collect()
+}
+
+/// Whether near-surface light, visibility and a normal can be rendered beside `bands` bands.
+fn channels_fit(bands: usize) -> bool {
+    2 * bands + 1 + 3 <= MOST_CHANNELS
 }
 
 /// Tells each view what it seems to be lit by: from the user's masks, else from its own darkness.

@@ -30,7 +30,9 @@ mod sweep_memory;
 pub mod sweep_tiles;
 pub mod tiled_sweep;
 pub mod training;
+mod trial;
 mod views;
 
 pub use error::SatelliteError;
-pub use plan::{Decisions, Light, PlanItem};
+pub use plan::{Decisions, Light, PlanItem, PlanTrial};
+pub use trial::{Component, Trial, Trials};

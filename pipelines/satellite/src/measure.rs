@@ -317,7 +317,13 @@ pub fn surface_metrics(evaluation: &DsmEvaluation) -> Value {
 pub(super) fn add_fit(metrics: &mut Value, fitted: &Fitted, model: &LoadedModel, seconds: f64) {
     let [align, sweep, start, train] = fitted.seconds;
     metrics["seconds"] = json!(seconds);
-    metrics["stages_s"] = json!({"align": align, "sweep": sweep, "start": start, "train": train});
+    metrics["stages_s"] = json!({
+        "align": align,
+        "sweep": sweep,
+        "start": start,
+        "trials": fitted.trials.seconds,
+        "train": train,
+    });
     metrics["iterations"] = json!(fitted.early_stop.steps);
     metrics["best_iteration"] = json!(fitted.early_stop.best_step);
     metrics["rejected_steps"] = json!(fitted.rejected);
@@ -326,6 +332,8 @@ pub(super) fn add_fit(metrics: &mut Value, fitted: &Fitted, model: &LoadedModel,
     metrics["memory_estimate_bytes"] = json!(fitted.memory_estimate);
     metrics["shifts_px"] = json!(fitted.shifts_px);
     metrics["clouded"] = json!(fitted.clouded);
+    metrics["plan"] = json!(fitted.decisions.items);
+    metrics["trials"] = json!(fitted.trials);
     metrics["curve"] = json!(fitted.curve);
 }
 

@@ -2,17 +2,21 @@
 //!
 //! [`Decisions::of`] looks at what is known then (views, dates, suns, bands, baselines, clipped values) and returns one value, which the
 //! plane sweep, the start and the trainer consume. `inspect` prints that value with its reasons, and `run.toml` keeps it. What is
-//! set by hand stays as it is.
+//! set by hand stays as it is. Components whose worth only the images can tell are [`open`](Decisions::open) until short fits on the start have
+//! measured it; until then they are as the number of images says.
 
 mod index;
 mod light;
+mod measured;
 
 use index::Index;
 pub use light::Light;
+pub use measured::PlanTrial;
 
 use super::config::{Align, SatelliteConfig, THRESHOLD_PX};
 use super::ground::Ground;
 use super::shadow_prior::ENOUGH_VIEWS;
+use super::trial::Component;
 use heliosplat_scene::{ImageSun, Scene, SceneImage, SunSource};
 use heliosplat_scene::{crop, saturation};
 use heliosplat_stereo::clouds::FEWEST_VIEWS;
@@ -42,6 +46,8 @@ pub struct Decisions {
     pub sh_degree: usize,
     /// Weight of the shadow opaqueness loss.
     pub opaqueness_weight: f32,
+    /// Components that short fits have still to decide.
+    pub open: Vec<Component>,
     /// Parameters of the plane sweep; `None` where no two images show the common ground.
     pub matching: Option<MatchingParameters>,
     /// The same in words, with reasons.
@@ -58,6 +64,9 @@ pub struct PlanItem {
     pub on: bool,
     /// Why, in one line.
     pub reason: String,
+    /// What short fits with and without it said, where there were any.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub trial: Option<PlanTrial>,
 }
 
 /// What the plan is made from.
@@ -126,9 +135,10 @@ impl Decisions {
             shadow_prior: model.shadow_prior.unwrap_or(facts.images < ENOUGH_VIEWS),
             vegetation_index: facts.index.is_there() && facts.images >= 2,
             align: config.cameras.align,
-            near_light: model.near_light,
-            sh_degree: model.sh_degree,
+            near_light: model.near_light.unwrap_or(false),
+            sh_degree: model.sh_degree.unwrap_or(0),
             opaqueness_weight: model.opaqueness_weight,
+            open: measured::open(model),
             matching: facts.matching.as_ref().map(MatchingParameters::choose),
             items: Vec::new(),
         };
@@ -144,6 +154,8 @@ impl Decisions {
         model.clouds = Some(self.clouds);
         model.saturation = Some(self.saturation);
         model.shadow_prior = Some(self.shadow_prior);
+        model.near_light = Some(self.near_light);
+        model.sh_degree = Some(self.sh_degree);
         config
     }
 
@@ -176,6 +188,8 @@ impl Decisions {
             );
             decisions.shadow_prior = false;
             decisions.opaqueness_weight = 0.0;
+            // Nothing is known to lie in shadow.
+            decisions.open.retain(|&component| component == Component::Harmonics);
         }
         decisions
     }
@@ -191,6 +205,7 @@ impl Decisions {
             component: component.into(),
             on,
             reason,
+            trial: None,
         };
         // What was set by hand wins over what the facts say, and the plan says so.
         let decided = |component: &str, on: bool, set: Option<bool>, by_facts: bool, reason: String| {
@@ -276,14 +291,13 @@ impl Decisions {
             item(
                 "model.near_light",
                 self.near_light,
-                "near-surface light per Gaussian: not decided here, set it where shadows have a colour of their own"
-                    .into(),
+                "near-surface light per Gaussian, where shadows have a colour of their own".into(),
             ),
             item(
                 "model.sh_degree",
                 self.sh_degree > 0,
                 match self.sh_degree {
-                    0 => "one albedo per Gaussian and band: not decided here, set it where surfaces shine".into(),
+                    0 => "one albedo per Gaussian and band, the same from everywhere".into(),
                     degree => format!("albedo may change with the viewing direction, to degree {degree}"),
                 },
             ),
@@ -300,6 +314,7 @@ fn matching_items(facts: Option<MatchingFacts>, parameters: Option<MatchingParam
         component: component.into(),
         on,
         reason,
+        trial: None,
     };
     let components = ["start.many_views", "start.cost_aggregation"];
     let (Some(facts), Some(parameters)) = (facts, parameters) else {
@@ -364,7 +379,7 @@ fn pointing_reason(align: Align) -> String {
 mod tests {
     use super::*;
 
-    fn facts(images: usize, dates: usize) -> Facts {
+    pub(super) fn facts(images: usize, dates: usize) -> Facts {
         Facts {
             images,
             dates,
@@ -463,7 +478,7 @@ mod tests {
     fn the_degree_of_albedo_is_said() {
         let mut config = SatelliteConfig::default();
         assert!(!on(&facts(9, 3), &config, "model.sh_degree"));
-        config.model.sh_degree = 2;
+        config.model.sh_degree = Some(2);
         let items = Decisions::from_facts(&facts(9, 3), &config).items;
         let degree = items.iter().find(|item| item.component == "model.sh_degree");
         assert!(degree.is_some_and(|item| item.on && item.reason.ends_with("degree 2")));

@@ -87,7 +87,7 @@ pub fn train(
         area: ingest.area.clone(),
         plan: fitted.decisions.items.clone(),
         inputs,
-        config,
+        config: fitted.decisions.resolved(&config),
     };
     run_file::save(&request.out, &run, &file, &fitted.parameters.gaussians)?;
     let whole = LoadedModel {
@@ -165,7 +165,7 @@ fn identity(
         text,
         "--time-budget {time_budget:?}\n--memory {memory:?}\nseed = {seed}\n{config}"
     );
-    let _ = writeln!(text, "matching {:?}", decisions.matching);
+    let _ = writeln!(text, "measured {:?}\nmatching {:?}", decisions.open, decisions.matching);
     let _ = writeln!(text, "area {:?}\naltitudes {:?}", scene.area, scene.altitude_range_m);
     for (image, input) in scene.images.iter().zip(inputs) {
         let SceneImage {

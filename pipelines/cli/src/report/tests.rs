@@ -50,6 +50,7 @@ fn contents(folder: &Path) -> Contents {
             altitude_range_m: None,
             altitude_from_ties_m: None,
             plan: vec![PlanItem {
+                trial: None,
                 component: EVIL.into(),
                 on: true,
                 reason: EVIL.into(),
