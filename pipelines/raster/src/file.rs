@@ -1,6 +1,6 @@
 //! Reading: what a raster file is, and its pixels as `f32` with `NaN` where nothing is known.
 
-use super::pansharpen::{Colours, GridRelation};
+use super::pansharpen::GridRelation;
 use super::{Crs, GeoTransform, RasterError, messages};
 use gdal::raster::{ColorInterpretation, GdalDataType, ResampleAlg};
 use gdal::{Dataset, DatasetOptions, GdalOpenFlags, Metadata};
@@ -103,6 +103,16 @@ pub struct Window {
     pub width: usize,
     /// Rows.
     pub height: usize,
+}
+
+/// The multispectral half of an image.
+struct Colours {
+    /// Its file.
+    file: Box<RasterFile>,
+    /// Where the pixels of the panchromatic image lie in it.
+    relation: GridRelation,
+    /// The value of the panchromatic image that means "nothing here".
+    nodata: Option<f64>,
 }
 
 /// An open raster file.
@@ -227,21 +237,39 @@ impl RasterFile {
         })
     }
 
-    /// This image, which is panchromatic, with the bands of another.
-    pub(super) fn coloured(self, colours: Self, relation: GridRelation) -> Self {
-        let mut others = self.others;
-        others.push(colours.path.clone());
-        others.extend_from_slice(&colours.others);
-        Self {
-            others,
-            bands: colours.bands.clone(),
-            colours: Some(Colours {
-                nodata: self.bands[0].nodata,
-                file: Box::new(colours),
-                relation,
-            }),
-            ..self
+    /// A panchromatic image together with the multispectral one of the same acquisition: bands and their order are those of
+    /// `multispectral`, size and metadata those of `panchromatic`. `relation` leads from pixels of the panchromatic image to those of the
+    /// other.
+    ///
+    /// With `M` the values of a multispectral pixel and `P` the mean of the panchromatic image over it, a pixel of value `p` has the
+    /// values `p · mean(M / P)` over the 3 × 3 multispectral pixels around, weighted by
+    /// `exp(−d² / (2 · 0.6²) − (ln p − ln P)² / (2 · 0.15²))` with the distance `d` in multispectral pixels. Where the panchromatic image
+    /// is flat this is the multispectral image. Values of integer bands are rounded. A pixel is missing where the panchromatic image or
+    /// the multispectral pixel that it lies in is.
+    ///
+    /// # Errors
+    /// [`RasterError::NotAnImage`] when the first has more than one band.
+    pub fn pansharpened(panchromatic: Self, multispectral: Self, relation: &GridRelation) -> Result<Self, RasterError> {
+        if panchromatic.bands.len() != 1 {
+            return Err(RasterError::NotAnImage {
+                path: panchromatic.path().to_owned(),
+                reason: format!("it has {} bands and is no panchromatic image", panchromatic.bands.len()),
+            });
         }
+        let bands = multispectral.bands.clone();
+        let mut others = panchromatic.others;
+        others.push(multispectral.path.clone());
+        others.extend_from_slice(&multispectral.others);
+        Ok(Self {
+            others,
+            colours: Some(Colours {
+                nodata: panchromatic.bands[0].nodata,
+                relation: *relation,
+                file: Box::new(multispectral),
+            }),
+            bands,
+            ..panchromatic
+        })
     }
 
     /// The files beside [`RasterFile::path`] that its pixels come from.
@@ -383,9 +411,24 @@ impl RasterFile {
     }
 
     /// The values of a window, band after band, `factor` pixels each way averaged into one.
-    pub(super) fn read_part(&self, window: Window, factor: usize, bands: &[usize]) -> Result<Vec<f32>, RasterError> {
+    fn read_part(&self, window: Window, factor: usize, bands: &[usize]) -> Result<Vec<f32>, RasterError> {
         if let Some(colours) = &self.colours {
-            return colours.read(self, window, factor, bands);
+            let part = |[col0, row0, width, height]: [usize; 4]| Window {
+                col0,
+                row0,
+                width,
+                height,
+            };
+            let other = &colours.file;
+            let types: Vec<&str> = bands.iter().map(|&band| other.bands[band].data_type.as_str()).collect();
+            return colours.relation.fuse(
+                [self.size(), other.size()].map(|(width, height)| [width, height]),
+                [window.col0, window.row0, window.width, window.height],
+                factor,
+                &types,
+                |pan| self.read_band(part(pan), factor, 0, colours.nodata),
+                |rectangle, merged, place| other.read_part(part(rectangle), merged, &[bands[place]]),
+            );
         }
         let mut values = Vec::with_capacity(bands.len() * (window.width / factor) * (window.height / factor));
         for &band in bands {
@@ -395,7 +438,7 @@ impl RasterFile {
     }
 
     /// The values of one band of the dataset, in which `nodata` means that nothing is known.
-    pub(super) fn read_band(
+    fn read_band(
         &self,
         window: Window,
         factor: usize,

@@ -7,7 +7,6 @@
 //! 26, 2007).
 
 use super::RasterError;
-use super::file::{RasterFile, Window};
 use rayon::prelude::*;
 use std::ops::Range;
 
@@ -29,59 +28,31 @@ pub struct GridRelation {
     pub offset: [f64; 2],
 }
 
-/// The multispectral half of an image.
-pub(super) struct Colours {
-    /// Its file.
-    pub(super) file: Box<RasterFile>,
-    /// Where the pixels of the panchromatic image lie in it.
-    pub(super) relation: GridRelation,
-    /// The value of the panchromatic image that means "nothing here".
-    pub(super) nodata: Option<f64>,
-}
+/// Columns and rows of both images that a part of the result is made of: first column and row, columns and rows.
+pub(super) type Rectangle = [usize; 4];
 
-impl RasterFile {
-    /// A panchromatic image together with the multispectral one of the same acquisition: bands and their order are those of
-    /// `multispectral`, size and metadata those of `panchromatic`. `relation` leads from pixels of the panchromatic image to those of the
-    /// other.
-    ///
-    /// With `M` the values of a multispectral pixel and `P` the mean of the panchromatic image over it, a pixel of value `p` has the
-    /// values `p · mean(M / P)` over the 3 × 3 multispectral pixels around, weighted by
-    /// `exp(−d² / (2 · 0.6²) − (ln p − ln P)² / (2 · 0.15²))` with the distance `d` in multispectral pixels. Where the panchromatic image
-    /// is flat this is the multispectral image. Values of integer bands are rounded. A pixel is missing where the panchromatic image or
-    /// the multispectral pixel that it lies in is.
-    ///
-    /// # Errors
-    /// [`RasterError::NotAnImage`] when the first has more than one band.
-    pub fn pansharpened(panchromatic: Self, multispectral: Self, relation: &GridRelation) -> Result<Self, RasterError> {
-        if panchromatic.bands.len() != 1 {
-            return Err(RasterError::NotAnImage {
-                path: panchromatic.path().to_owned(),
-                reason: format!("it has {} bands and is no panchromatic image", panchromatic.bands.len()),
-            });
-        }
-        Ok(panchromatic.coloured(multispectral, *relation))
-    }
-}
-
-impl Colours {
-    /// Values of the given bands over a window of the panchromatic image `pan`, `factor` by `factor` pixels averaged into one; band after
-    /// band. Of the multispectral image as many pixels are averaged into one as then are no larger than those of the result.
-    pub(super) fn read(
+impl GridRelation {
+    /// Values over a window of the panchromatic image, `factor` by `factor` pixels averaged into one; band after band. Of the
+    /// multispectral image as many pixels are averaged into one as then are no larger than those of the result. `sizes` are columns and
+    /// rows of both images, `types` GDAL's types of the bands that are asked for. `read_pan` reads the panchromatic image, and `read_band`
+    /// one of these bands by its place among them, averaged by the number that it is given.
+    pub(super) fn fuse(
         &self,
-        pan: &RasterFile,
-        window: Window,
+        sizes: [[usize; 2]; 2],
+        window: Rectangle,
         factor: usize,
-        bands: &[usize],
+        types: &[&str],
+        read_pan: impl Fn(Rectangle) -> Result<Vec<f32>, RasterError>,
+        read_band: impl Fn(Rectangle, usize, usize) -> Result<Vec<f32>, RasterError>,
     ) -> Result<Vec<f32>, RasterError> {
-        let sizes = [pan.size(), self.file.size()].map(|(width, height)| [width, height]);
-        let starts = [window.col0, window.row0];
-        let lengths = [window.width / factor, window.height / factor];
-        let finest = self.relation.scale[0].min(self.relation.scale[1]) * factor as f64;
+        let starts = [window[0], window[1]];
+        let lengths = [window[2] / factor, window[3] / factor];
+        let finest = self.scale[0].min(self.scale[1]) * factor as f64;
         let merged = (finest.floor() as usize).clamp(1, sizes[1][0].min(sizes[1][1]).max(1));
         let axes: [Axis; 2] = std::array::from_fn(|axis| {
             let before = starts[axis] / factor;
             let first = starts[axis] - before * factor;
-            let (scale, offset) = (self.relation.scale[axis], self.relation.offset[axis]);
+            let (scale, offset) = (self.scale[axis], self.offset[axis]);
             // Centres of what is averaged lie between the pixels.
             let [own, other] = [factor, merged].map(|count| 0.5 * (count as f64 - 1.0));
             Axis {
@@ -97,30 +68,30 @@ impl Colours {
         let [cols, rows] = [&across, &down].map(Axis::needed);
         // Nothing of the multispectral image lies near.
         if cols.is_empty() || rows.is_empty() {
-            return Ok(vec![f32::NAN; lengths[0] * lengths[1] * bands.len()]);
+            return Ok(vec![f32::NAN; lengths[0] * lengths[1] * types.len()]);
         }
         let [pan_cols, pan_rows] = [(&across, &cols), (&down, &rows)].map(|(axis, others)| axis.under(others));
-        let pan_window = Window {
-            col0: across.first + pan_cols.start * factor,
-            row0: down.first + pan_rows.start * factor,
-            width: pan_cols.len() * factor,
-            height: pan_rows.len() * factor,
-        };
-        let other_window = Window {
-            col0: cols.start * merged,
-            row0: rows.start * merged,
-            width: cols.len() * merged,
-            height: rows.len() * merged,
-        };
+        let pan_window = [
+            across.first + pan_cols.start * factor,
+            down.first + pan_rows.start * factor,
+            pan_cols.len() * factor,
+            pan_rows.len() * factor,
+        ];
+        let other_window = [
+            cols.start * merged,
+            rows.start * merged,
+            cols.len() * merged,
+            rows.len() * merged,
+        ];
         let brightness = Part {
-            values: pan.read_band(pan_window, factor, 0, self.nodata)?,
+            values: read_pan(pan_window)?,
             cols: pan_cols,
             rows: pan_rows,
         };
         let means = brightness.means(&across, &down, &cols, &rows);
-        let mut ratios = Vec::with_capacity(bands.len() * means.len());
-        for &band in bands {
-            let values = self.file.read_part(other_window, merged, &[band])?;
+        let mut ratios = Vec::with_capacity(types.len() * means.len());
+        for place in 0..types.len() {
+            let values = read_band(other_window, merged, place)?;
             // Where the panchromatic image is black, all bands are.
             let ratio = |(value, mean): (&f32, &f32)| if *mean > 0.0 { value / mean } else { 0.0 * value * mean };
             ratios.extend(values.iter().zip(&means).map(ratio));
@@ -131,10 +102,7 @@ impl Colours {
             cols,
             rows,
         };
-        let limits: Vec<Option<[f32; 2]>> = bands
-            .iter()
-            .map(|&band| integers(&self.file.bands[band].data_type))
-            .collect();
+        let limits: Vec<Option<[f32; 2]>> = types.iter().map(|name| integers(name)).collect();
         Ok(fused(&brightness, &coarse, &across, &down, &limits))
     }
 }
@@ -351,7 +319,7 @@ fn integers(data_type: &str) -> Option<[f32; 2]> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::{ImageSpec, Sample, write_geotiff};
+    use crate::{ImageSpec, RasterFile, Sample, Window, write_geotiff};
     use heliosplat::Raster;
     use std::path::Path;
 
