@@ -166,7 +166,7 @@ pub(super) fn windows(parameters: &Parameters, views: &[View], area: &Area, seed
             .collect();
         let gaussians = around(gaussians, grid.corners(square), &suns(views));
         // One view alone is not predicted by others.
-        (cuts.len() > 1 && !gaussians.0.is_empty()).then(|| Window {
+        (cuts.len() > 1 && !gaussians.0.is_empty()).then_some(Window {
             gaussians: gaussians.0,
             bounds: gaussians.1,
             cuts,
@@ -190,7 +190,7 @@ fn cut(view: &View, shown: &[u32], square: usize, seed: u64) -> Option<Cut> {
     let width = view.camera.width;
     let own = |pixel: usize| {
         let piece = shown[pixel];
-        (piece != NOWHERE && piece as usize / (PIECES * PIECES) == square).then(|| piece as usize % (PIECES * PIECES))
+        (piece != NOWHERE && piece as usize / (PIECES * PIECES) == square).then_some(piece as usize % (PIECES * PIECES))
     };
     let pixels: Vec<usize> = (0..shown.len()).filter(|&pixel| own(pixel).is_some()).collect();
     if pixels.len() < FEWEST_PIXELS {
