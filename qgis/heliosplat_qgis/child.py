@@ -66,7 +66,8 @@ def run(command, say, progress, cancelled):
     child.stdout.close()
     child.stderr.close()
     if child.returncode == 130:
-        raise ChildError(last.replace("error: ", "", 1) or "stopped")
+        # Asked twice, the program ends without a word, and the last line is one of its log.
+        raise ChildError(last.replace("error: ", "", 1) if last.startswith("error: ") else "stopped")
     if child.returncode != 0:
         raise ChildError(last.replace("error: ", "", 1) or f"heliosplat ended with code {child.returncode}")
     text = "".join(output)
