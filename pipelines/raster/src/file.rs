@@ -1,6 +1,5 @@
 //! Reading: what a raster file is, and its pixels as `f32` with `NaN` where nothing is known.
 
-use super::pansharpen::GridRelation;
 use super::{Crs, GeoTransform, RasterError, messages};
 use gdal::raster::{ColorInterpretation, GdalDataType, ResampleAlg};
 use gdal::{Dataset, DatasetOptions, GdalOpenFlags, Metadata};
@@ -45,8 +44,6 @@ const SAMPLES_PER_BYTE: u128 = 1000;
 /// Samples of all bands that are read before the next rows are: blocks of files whose pixels hold all bands together stay in GDAL's cache for
 /// the next band.
 const SAMPLES_AT_ONCE: usize = 1 << 22;
-/// Rows of a pair that are read at once at least: rows around them are read too.
-const COLOURED_ROWS: usize = 64;
 
 /// Whether a file that was not opened is one of GDAL's virtual rasters.
 fn names_other_files(path: &Path) -> bool {
@@ -105,23 +102,13 @@ pub struct Window {
     pub height: usize,
 }
 
-/// The multispectral half of an image.
-struct Colours {
-    /// Its file.
-    file: Box<RasterFile>,
-    /// Where the pixels of the panchromatic image lie in it.
-    relation: GridRelation,
-    /// The value of the panchromatic image that means "nothing here".
-    nodata: Option<f64>,
-}
-
 /// An open raster file.
 pub struct RasterFile {
     path: PathBuf,
-    /// Its pixels; those of the panchromatic image where `colours` are another.
+    /// What GDAL opens to read its pixels: the path, or the description of a virtual raster of ours.
+    source: String,
+    /// Its pixels.
     dataset: Dataset,
-    /// The multispectral image of a pair.
-    colours: Option<Colours>,
     /// What its metadata are read from, where the pixels come from several files.
     described_by: Option<Dataset>,
     /// The other files that its pixels come from.
@@ -210,8 +197,8 @@ impl RasterFile {
         let bands = messages::collect(|| band_infos(&dataset)).map_err(not_an_image)?;
         Ok(Self {
             path: path.to_owned(),
+            source: path.to_string_lossy().into_owned(),
             dataset,
-            colours: None,
             described_by: None,
             others: Vec::new(),
             bands,
@@ -219,8 +206,8 @@ impl RasterFile {
     }
 
     /// An image made of several files: pixels and bands of the virtual raster that `description` says, path and metadata of `first`.
-    pub(super) fn composed(first: Self, description: &str, others: &[Self]) -> Result<Self, String> {
-        let dataset = messages::collect(|| open_virtual(description))?;
+    pub(super) fn composed(first: Self, description: String, others: &[Self]) -> Result<Self, String> {
+        let dataset = messages::collect(|| open_virtual(&description))?;
         let bands = messages::collect(|| band_infos(&dataset))?;
         let mut paths = first.others;
         for other in others {
@@ -229,47 +216,16 @@ impl RasterFile {
         }
         Ok(Self {
             path: first.path,
+            source: description,
             dataset,
-            colours: None,
             others: paths,
             described_by: Some(first.described_by.unwrap_or(first.dataset)),
             bands,
         })
     }
 
-    /// A panchromatic image together with the multispectral one of the same acquisition: bands and their order are those of
-    /// `multispectral`, size and metadata those of `panchromatic`. `relation` leads from pixels of the panchromatic image to those of the
-    /// other.
-    ///
-    /// With `M` the values of a multispectral pixel and `P` the mean of the panchromatic image over it, a pixel of value `p` has the
-    /// values `p · mean(M / P)` over the 3 × 3 multispectral pixels around, weighted by
-    /// `exp(−d² / (2 · 0.6²) − (ln p − ln P)² / (2 · 0.15²))` with the distance `d` in multispectral pixels. Where the panchromatic image
-    /// is flat this is the multispectral image. Values of integer bands are rounded. A pixel is missing where the panchromatic image or
-    /// the multispectral pixel that it lies in is.
-    ///
-    /// # Errors
-    /// [`RasterError::NotAnImage`] when the first has more than one band.
-    pub fn pansharpened(panchromatic: Self, multispectral: Self, relation: &GridRelation) -> Result<Self, RasterError> {
-        if panchromatic.bands.len() != 1 {
-            return Err(RasterError::NotAnImage {
-                path: panchromatic.path().to_owned(),
-                reason: format!("it has {} bands and is no panchromatic image", panchromatic.bands.len()),
-            });
-        }
-        let bands = multispectral.bands.clone();
-        let mut others = panchromatic.others;
-        others.push(multispectral.path.clone());
-        others.extend_from_slice(&multispectral.others);
-        Ok(Self {
-            others,
-            colours: Some(Colours {
-                nodata: panchromatic.bands[0].nodata,
-                relation: *relation,
-                file: Box::new(multispectral),
-            }),
-            bands,
-            ..panchromatic
-        })
+    pub(super) fn source(&self) -> &str {
+        &self.source
     }
 
     /// The files beside [`RasterFile::path`] that its pixels come from.
@@ -341,19 +297,17 @@ impl RasterFile {
         self.check_size(window, bands.len())?;
         let mut raster = Raster::filled(window.width, window.height, bands.len(), f32::NAN);
         let plane = raster.plane_len();
-        let least = if self.colours.is_some() { COLOURED_ROWS } else { 1 };
-        let rows = (SAMPLES_AT_ONCE / (window.width * bands.len()).max(1)).max(least);
+        let rows = (SAMPLES_AT_ONCE / (window.width * bands.len()).max(1)).max(1);
         for first in (0..window.height).step_by(rows) {
             let part = Window {
                 row0: window.row0 + first,
                 height: rows.min(window.height - first),
                 ..window
             };
-            let values = self.read_part(part, 1, bands)?;
-            let length = part.width * part.height;
-            for (index, values) in values.chunks_exact(length.max(1)).enumerate() {
+            for (index, &band) in bands.iter().enumerate() {
+                let values = self.read_band(part, 1, band)?;
                 let start = index * plane + first * window.width;
-                raster.values[start..start + length].copy_from_slice(values);
+                raster.values[start..start + values.len()].copy_from_slice(&values);
             }
         }
         Ok(raster)
@@ -373,11 +327,15 @@ impl RasterFile {
             ..window
         };
         self.check_size(reduced, bands.len())?;
+        let mut values = Vec::with_capacity(width * height * bands.len());
+        for &band in bands {
+            values.extend(self.read_band(window, factor, band)?);
+        }
         Ok(Raster {
             width,
             height,
             bands: bands.len(),
-            values: self.read_part(window, factor, bands)?,
+            values,
         })
     }
 
@@ -410,41 +368,8 @@ impl RasterFile {
         self.read(self.whole(), &bands)
     }
 
-    /// The values of a window, band after band, `factor` pixels each way averaged into one.
-    fn read_part(&self, window: Window, factor: usize, bands: &[usize]) -> Result<Vec<f32>, RasterError> {
-        if let Some(colours) = &self.colours {
-            let part = |[col0, row0, width, height]: [usize; 4]| Window {
-                col0,
-                row0,
-                width,
-                height,
-            };
-            let other = &colours.file;
-            let types: Vec<&str> = bands.iter().map(|&band| other.bands[band].data_type.as_str()).collect();
-            return colours.relation.fuse(
-                [self.size(), other.size()].map(|(width, height)| [width, height]),
-                [window.col0, window.row0, window.width, window.height],
-                factor,
-                &types,
-                |pan| self.read_band(part(pan), factor, 0, colours.nodata),
-                |rectangle, merged, place| other.read_part(part(rectangle), merged, &[bands[place]]),
-            );
-        }
-        let mut values = Vec::with_capacity(bands.len() * (window.width / factor) * (window.height / factor));
-        for &band in bands {
-            values.extend(self.read_band(window, factor, band, self.bands[band].nodata)?);
-        }
-        Ok(values)
-    }
-
-    /// The values of one band of the dataset, in which `nodata` means that nothing is known.
-    fn read_band(
-        &self,
-        window: Window,
-        factor: usize,
-        band: usize,
-        nodata: Option<f64>,
-    ) -> Result<Vec<f32>, RasterError> {
+    /// The values of a window, `factor` pixels each way averaged into one.
+    fn read_band(&self, window: Window, factor: usize, band: usize) -> Result<Vec<f32>, RasterError> {
         let size = (window.width / factor, window.height / factor);
         let from = (size.0 * factor, size.1 * factor);
         let (_, mut values) = messages::collect(|| {
@@ -459,7 +384,7 @@ impl RasterFile {
             reason,
         })?
         .into_shape_and_vec();
-        let nodata = nodata.map(|value| value as f32);
+        let nodata = self.bands[band].nodata.map(|value| value as f32);
         for value in &mut values {
             if !value.is_finite() || nodata == Some(*value) {
                 *value = f32::NAN;

@@ -3,6 +3,7 @@
 
 use super::RasterError;
 use super::file::RasterFile;
+use super::pansharpen::escaped;
 use std::path::PathBuf;
 
 /// One tile of an image.
@@ -48,7 +49,7 @@ impl RasterFile {
         let Some(first) = files.next() else {
             return Err(no_tiles());
         };
-        Self::composed(first, &description, files.as_slice()).map_err(|reason| RasterError::NotAnImage {
+        Self::composed(first, description, files.as_slice()).map_err(|reason| RasterError::NotAnImage {
             path,
             reason: format!("its tiles cannot be read as one: {reason}"),
         })
@@ -87,12 +88,4 @@ fn mosaic_xml(tiles: &[Tile], files: &[RasterFile]) -> String {
         xml += "</VRTRasterBand>";
     }
     xml + "</VRTDataset>"
-}
-
-/// Text as it stands in XML.
-fn escaped(text: &str) -> String {
-    text.replace('&', "&amp;")
-        .replace('<', "&lt;")
-        .replace('>', "&gt;")
-        .replace('"', "&quot;")
 }
