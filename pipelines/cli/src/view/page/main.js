@@ -12,7 +12,7 @@ function begin(scene, albedo) {
   const app = {
     scene, field, sweep, albedo,
     visible: new Uint8Array(field.z.length),
-    sun: { az: 0, el: 0 }, sunward: [0, -1], time: null, day: 0, date: null,
+    sun: { az: 0, el: 0 }, sunward: [0, -1], time: null, day: Date.UTC(new Date().getUTCFullYear(), 5, 21), date: null,
     // Minutes from local mean time to UTC: the slider's noon is the place's.
     offset: -Math.round(scene.place.lon_deg * 4),
     hours: null, line: null, mode: "plan",
