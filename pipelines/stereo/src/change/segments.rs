@@ -19,8 +19,8 @@ const LIKELIHOOD_PER_DISTANCE: f32 = 5.3;
 /// Parameters that a segment adds: an altitude, a day and a place. Without the place, weak evidence at the rim of the images comes near to
 /// being accepted (docs/lab/change.md).
 const PARAMETERS: f32 = 3.0;
-/// Least difference of half the criterion. Less is "not worth more than a bare mention" (R. E. Kass, A. E. Raftery, Bayes factors, Journal
-/// of the American Statistical Association 90, 1995: a difference of 2).
+/// What `criterion`, half of the difference of two Bayesian information criteria, has to exceed. A difference of 2 and less is "not worth
+/// more than a bare mention" (R. E. Kass, A. E. Raftery, Bayes factors, Journal of the American Statistical Association 90, 1995).
 const LEAST_CRITERION: f32 = 1.0;
 /// Share of a segment's upper quartile of gains that a cell of it has at least: where half of the window lies beside the segment, about
 /// half of the gain is left.
