@@ -1,7 +1,8 @@
 //! Change: which parts of a surface stand before or after a date only.
 //!
-//! For each day on which the images can be divided, with at least two of them on either side, a surface is swept from each side alone, on
-//! coarse cells. All these surfaces and the one of all images are hypotheses. A pair of images whose census distance on a surface is less
+//! A surface is swept from the images before the first day on which the images can be divided, with at least two of them on either side, and
+//! one from those after the last such day, on coarse cells. Whatever the day of a change, the first shows the old state alone and the second
+//! the new one. Both and the surface of all images are hypotheses, for each of the days. A pair of images whose census distance on a surface is less
 //! than by chance speaks for that surface. With one surface all pairs speak for the same; with two, those before the day for one and
 //! those from it on for another, and the pairs across the day are left unexplained. So what never changed keeps its single surface as long
 //! as images across the day agree on it, and where something changed they agree on nothing and cost nothing to give up.
@@ -33,8 +34,8 @@ use segments::{CoarseSegment, Side};
 const COARSE: usize = 2;
 /// Images needed on either side of a day.
 const FEWEST_IMAGES: usize = 2;
-/// Days at most on which images are divided: the cost of the search grows with them.
-const MOST_DAYS: usize = 4;
+/// Days at most on which images are divided: the memory of the search grows with them.
+const MOST_DAYS: usize = 12;
 /// Metres above the surface at which images agree by chance alone.
 const CHANCE_M: f32 = 7.0;
 /// Census distance by chance where no cell tells.
@@ -217,7 +218,7 @@ impl Changes {
     }
 }
 
-/// How well one surface and two explain the pairs, for each of the days.
+/// How well one surface and two explain the pairs, for each of the days (`candidates`, in order, at least one).
 fn splits(
     views: &[SweepView],
     days: &[i32],
@@ -259,10 +260,8 @@ fn splits(
         }
     };
     consider(&present);
-    for &day in candidates {
-        for after in [false, true] {
-            consider(&on_grid(&grid, &swept(&side(views, days, day, after), request)));
-        }
+    for (day, after) in [(candidates[0], false), (candidates[candidates.len() - 1], true)] {
+        consider(&on_grid(&grid, &swept(&side(views, days, day, after), request)));
     }
     splits
 }
