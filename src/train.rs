@@ -440,7 +440,7 @@ impl<'a> Trainer<'a> {
             .step_with(beta1, &mut self.parameters.gaussians, &self.gradients.gaussians, &rates);
         let rates: Vec<f32> = self.global_rates.iter().map(|rate| rate.at(f)).collect();
         self.globals_adam
-            .step(&mut self.parameters.globals, &self.gradients.globals, &rates);
+            .step_with(beta1, &mut self.parameters.globals, &self.gradients.globals, &rates);
         let (least, most) = ((o.scale_gsd.0 * o.gsd_m).ln(), (o.scale_gsd.1 * o.gsd_m).ln());
         self.parameters
             .gaussians
