@@ -435,11 +435,12 @@ impl<'a> Trainer<'a> {
         rates[OPACITY] = rate_factor * o.opacity_rate;
         let feature_factor = rate_factor * exponential_decay(1.0, o.final_rate.max(0.1), f);
         rates.extend(self.feature_rates.iter().map(|rate| feature_factor * rate.at(f)));
+        let beta1 = o.beta1();
         self.gaussians_adam
-            .step(&mut self.parameters.gaussians, &self.gradients.gaussians, &rates);
+            .step_with(beta1, &mut self.parameters.gaussians, &self.gradients.gaussians, &rates);
         let rates: Vec<f32> = self.global_rates.iter().map(|rate| rate.at(f)).collect();
         self.globals_adam
-            .step(&mut self.parameters.globals, &self.gradients.globals, &rates);
+            .step_with(beta1, &mut self.parameters.globals, &self.gradients.globals, &rates);
         let (least, most) = ((o.scale_gsd.0 * o.gsd_m).ln(), (o.scale_gsd.1 * o.gsd_m).ln());
         self.parameters
             .gaussians

@@ -3,7 +3,8 @@
 use crate::gaussians::Table;
 use rayon::prelude::*;
 
-const BETA1: f32 = 0.9;
+/// Decay of the first moment per step, where nothing is said.
+pub const BETA1: f32 = 0.9;
 const BETA2: f32 = 0.999;
 const EPSILON: f32 = 1e-15;
 
@@ -30,8 +31,13 @@ impl Adam {
 
     /// One step down `gradients`; `rates[group]` is each group's learning rate (a group of rate zero stays as it is).
     pub fn step(&mut self, parameters: &mut Table, gradients: &Table, rates: &[f32]) {
+        self.step_with(BETA1, parameters, gradients, rates);
+    }
+
+    /// The same with `beta1`, 0 to 1, as the decay of the first moment per step.
+    pub fn step_with(&mut self, beta1: f32, parameters: &mut Table, gradients: &Table, rates: &[f32]) {
         self.steps += 1;
-        let correction1 = 1.0 - BETA1.powi(self.steps as i32);
+        let correction1 = 1.0 - beta1.powi(self.steps as i32);
         let correction2 = (1.0 - BETA2.powi(self.steps as i32)).sqrt();
         for (group, &rate) in rates.iter().enumerate() {
             if rate == 0.0 {
@@ -50,7 +56,7 @@ impl Adam {
                 .zip(second)
                 .for_each(|(((values, gradients), first), second)| {
                     for (((p, &g), m), v) in values.iter_mut().zip(gradients).zip(first).zip(second) {
-                        *m = BETA1 * *m + (1.0 - BETA1) * g;
+                        *m = beta1 * *m + (1.0 - beta1) * g;
                         *v = BETA2 * *v + (1.0 - BETA2) * g * g;
                         *p -= step * *m / (v.sqrt() / correction2 + EPSILON);
                     }
@@ -95,6 +101,21 @@ mod tests {
             );
         }
         assert!((parameters.group(0)[0] - 1.0).abs() < 1e-2 && (parameters.group(0)[1] + 1.0).abs() < 1e-2);
+    }
+
+    #[test]
+    fn without_memory_a_turned_gradient_turns_the_next_step() {
+        let after = |beta1: f32| {
+            let mut parameters = Table::zeros(vec![GroupSpec::new("x", 1)], 1);
+            let mut adam = Adam::new(&parameters);
+            let mut gradients = parameters.zeros_like();
+            for gradient in [1.0, 1.0, -1.0] {
+                gradients.group_mut(0)[0] = gradient;
+                adam.step_with(beta1, &mut parameters, &gradients, &[0.1]);
+            }
+            parameters.group(0)[0]
+        };
+        assert!((after(0.0) + 0.1).abs() < 1e-4 && after(BETA1) < -0.2);
     }
 
     #[test]

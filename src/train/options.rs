@@ -2,6 +2,7 @@
 
 use super::fault::TrainError;
 use crate::optim::DensityOptions;
+use crate::optim::adam::BETA1;
 use crate::optim::density::UNTIL_FRACTION;
 
 /// Options of a training run. Lengths are in ground sampling distances where they should follow the imagery.
@@ -49,7 +50,7 @@ pub struct TrainOptions {
     #[serde(skip)]
     pub opacity_rate: f32,
     /// Steps from which on opacities, log scales and features move at their own learning rates. Shorter trainings move them faster, by
-    /// the root of the ratio and at most four times: what they have to travel is the same. 0 never does.
+    /// the root of the ratio and more below a quarter of it, at most eight times: what they have to travel is the same. 0 never does.
     #[serde(skip)]
     pub own_rate_steps: usize,
     /// Smallest and largest standard deviation, ground sampling distances.
@@ -86,15 +87,37 @@ impl Default for TrainOptions {
 }
 
 /// How many times their own learning rate opacities, log scales and features move at, at most.
-const MOST_RATE_FACTOR: f32 = 4.0;
+const MOST_RATE_FACTOR: f32 = 8.0;
+/// Share of `own_rate_steps` below which a training is short: rates grow faster with fewer steps, and Adam remembers less.
+const SHORT_SHARE: f32 = 0.25;
+/// Least decay of Adam's first moment per step.
+const LEAST_BETA1: f32 = 0.7;
 
 impl TrainOptions {
-    /// Factor on the learning rates of opacities, log scales and features: the root of `own_rate_steps` over the steps, 1 to
-    /// [`MOST_RATE_FACTOR`] (docs/lab/start.md, by ablation).
+    /// Steps of a training over those from which on it is no longer short; at least one where no rates are changed.
+    fn shortness(&self) -> f32 {
+        let short = SHORT_SHARE * self.own_rate_steps as f32;
+        match short > 0.0 {
+            true => self.iterations.max(1) as f32 / short,
+            false => 1.0,
+        }
+    }
+
+    /// Factor on the learning rates of opacities, log scales and features: the root of `own_rate_steps` over the steps, and in a short
+    /// training steeper, by the power of three quarters; 1 to [`MOST_RATE_FACTOR`] (docs/lab/start.md, by ablation).
     pub(super) fn rate_factor(&self) -> f32 {
-        (self.own_rate_steps as f32 / self.iterations.max(1) as f32)
-            .sqrt()
-            .clamp(1.0, MOST_RATE_FACTOR)
+        let root = (self.own_rate_steps as f32 / self.iterations.max(1) as f32).sqrt();
+        let steeper = self.shortness().min(1.0).powf(-0.25);
+        (root * steeper).clamp(1.0, MOST_RATE_FACTOR)
+    }
+
+    /// Decay of Adam's first moment per step. Its memory of ten steps is a tenth and more of a short training, which it then spends
+    /// going where it no longer should: there memory is a fortieth of the steps, three at least.
+    pub(super) fn beta1(&self) -> f32 {
+        match self.shortness() < 1.0 {
+            true => (1.0 - (1.0 - BETA1) / self.shortness()).max(LEAST_BETA1),
+            false => BETA1,
+        }
     }
 
     /// These options with the steps that a scene of `views` views gets.
@@ -153,16 +176,34 @@ mod tests {
 
     #[test]
     fn a_quarter_of_the_steps_moves_twice_as_fast_and_more_steps_no_slower_than_at_their_own_rate() {
-        let of = |iterations| {
+        let of = |iterations| of_steps(iterations).rate_factor();
+        assert_eq!([5000, 1600, 400, 10].map(of), [1.0, 1.0, 2.0, 8.0]);
+        assert!((of(100) - 4.0 * 2f32.sqrt()).abs() < 1e-3);
+        assert_eq!(TrainOptions::default().rate_factor(), 1.0);
+    }
+
+    #[test]
+    fn a_short_training_remembers_fewer_gradients() {
+        let of = |iterations| of_steps(iterations).beta1();
+        assert_eq!([1000, 400, 100, 10].map(of), [0.9, 0.9, 0.7, 0.7]);
+        assert!((of(200) - 0.8).abs() < 1e-6);
+        assert_eq!(
             TrainOptions {
-                iterations,
-                own_rate_steps: 1600,
+                iterations: 100,
                 ..TrainOptions::default()
             }
-            .rate_factor()
-        };
-        assert_eq!([5000, 1600, 400, 100, 10].map(of), [1.0, 1.0, 2.0, 4.0, 4.0]);
-        assert_eq!(TrainOptions::default().rate_factor(), 1.0);
+            .beta1(),
+            0.9
+        );
+    }
+
+    /// Options of a training of ground in so many steps.
+    fn of_steps(iterations: usize) -> TrainOptions {
+        TrainOptions {
+            iterations,
+            own_rate_steps: 1600,
+            ..TrainOptions::default()
+        }
     }
 
     #[test]
