@@ -19,7 +19,7 @@ use heliosplat::model::shadow_gs::ALBEDO;
 use heliosplat::render::depths;
 use heliosplat::splat::{Maps, ProjectionOptions};
 use heliosplat_rpc::statistics::upper_median;
-use heliosplat_scene::indices::NormalisedDifference;
+use heliosplat_scene::indices::{LeafIndex, VEGETATION_GREEN};
 use heliosplat_stereo::smooth_by_deviation;
 use rayon::prelude::*;
 
@@ -30,6 +30,9 @@ pub(super) const ALPHA_KNOWN: f32 = 0.5;
 const PLACES: usize = 3;
 /// Vegetation index above which a Gaussian is leaves and nothing else: walls near trees have something of them.
 const LEAVES: f32 = 0.5;
+/// Share of a cell's doubt that is left where leaves are the surface by excess green alone: lawns have it too, and what is matched above
+/// them in doubt is no crown (docs/lab/surface.md, by ablation).
+const GREEN_DOUBT: f32 = 0.5;
 /// Leaves within this distance of the surface are the surface, metres.
 const ONE_CROWN_M: f32 = 1.0;
 
@@ -40,8 +43,8 @@ pub struct SurfaceGaussians<'a> {
     pub gaussians: &'a Table,
     /// Bands of their albedo.
     pub bands: usize,
-    /// The vegetation index of these, if there is one.
-    pub vegetation: Option<NormalisedDifference>,
+    /// What tells leaves by these, if they do.
+    pub leaves: Option<LeafIndex>,
     /// How they become splats.
     pub projection: ProjectionOptions,
 }
@@ -50,8 +53,21 @@ impl SurfaceGaussians<'_> {
     /// Whether a Gaussian is leaves, as far as an index tells.
     fn is_leaf(&self, g: usize) -> bool {
         let albedo = &self.gaussians.group(ALBEDO)[g * self.bands..];
-        self.vegetation
-            .is_some_and(|index| index.of(|band| albedo[band]) > LEAVES)
+        self.leaves.is_some_and(|index| {
+            let bar = match index {
+                LeafIndex::Infrared(_) => LEAVES,
+                LeafIndex::Green(_) => VEGETATION_GREEN,
+            };
+            index.of(|band| albedo[band]) > bar
+        })
+    }
+
+    /// Share of a cell's doubt that is left where leaves are the surface.
+    fn doubt_of_leaves(&self) -> f32 {
+        match self.leaves {
+            Some(LeafIndex::Green(_)) => GREEN_DOUBT,
+            _ => 0.0,
+        }
     }
 }
 
@@ -60,7 +76,7 @@ impl<'a> From<&'a LoadedModel> for SurfaceGaussians<'a> {
         Self {
             gaussians: &model.parameters.gaussians,
             bands: model.file.bands.len(),
-            vegetation: model.file.vegetation_index(),
+            leaves: model.file.leaf_index(),
             projection: model.file.projection,
         }
     }
@@ -101,9 +117,12 @@ pub(super) fn cells(input: &SurfaceGaussians, nadir: &ProjectiveCamera, cell_m: 
         .map(|i| if known(i) { -range[i][1] } else { f32::NAN })
         .collect();
     let doubt_m: Vec<f32> = (0..count)
-        .map(|i| match leaves.get(i) {
-            Some(&leaf) if (leaf - range[i][1]).abs() < ONE_CROWN_M => 0.0,
-            _ => 0.5 * (range[i][2] - range[i][0]),
+        .map(|i| {
+            let doubt_m = 0.5 * (range[i][2] - range[i][0]);
+            match leaves.get(i) {
+                Some(&leaf) if (leaf - range[i][1]).abs() < ONE_CROWN_M => input.doubt_of_leaves() * doubt_m,
+                _ => doubt_m,
+            }
         })
         .collect();
     smooth_by_deviation(nadir.width, cell_m, &mut up_m, &doubt_m);
@@ -131,7 +150,7 @@ fn median_of(looks: &[Look], depth: impl Fn(&Look) -> f32) -> Option<f32> {
 
 /// Median depths of leaves alone, metres, NaN where there are few; empty where no index tells leaves.
 fn leaves(input: &SurfaceGaussians, nadir: &ProjectiveCamera) -> Vec<f32> {
-    if input.vegetation.is_none() {
+    if input.leaves.is_none() {
         return Vec::new();
     }
     let mut alone = input.gaussians.clone();
@@ -249,7 +268,7 @@ mod tests {
         let input = SurfaceGaussians {
             gaussians: &table,
             bands: BANDS.len(),
-            vegetation: Values::default().vegetation_index(&BANDS),
+            leaves: Values::default().leaf_index(&BANDS),
             projection: ProjectionOptions::default(),
         };
         cells(&input, &above(1), CELL_M)

@@ -8,11 +8,11 @@ use heliosplat_products::dsm::of_gaussians;
 use heliosplat_products::nadir::NadirGrid;
 use heliosplat_products::surface::SurfaceGaussians;
 use heliosplat_scene::Scene;
-use heliosplat_scene::indices::NormalisedDifference;
+use heliosplat_scene::indices::LeafIndex;
 
-/// Tells how far the surface of a model in training is from the scene's true one; `None` without truth. `vegetation` is the
-/// index of its colours.
-pub(super) fn height_probe(scene: &Scene, vegetation: Option<NormalisedDifference>) -> Option<Box<Probe<'_>>> {
+/// Tells how far the surface of a model in training is from the scene's true one; `None` without truth. `leaves` is
+/// what tells leaves by its colours.
+pub(super) fn height_probe(scene: &Scene, leaves: Option<LeafIndex>) -> Option<Box<Probe<'_>>> {
     let truth = scene.truth.dsm.as_deref()?;
     let classes = scene.truth.classes.as_deref();
     let nadir = NadirGrid::new(&scene.into(), scene.gsd_m, None).ok()?;
@@ -20,7 +20,7 @@ pub(super) fn height_probe(scene: &Scene, vegetation: Option<NormalisedDifferenc
         let gaussians = SurfaceGaussians {
             gaussians: &parameters.gaussians,
             bands: scene.bands().len(),
-            vegetation,
+            leaves,
             projection: ProjectionOptions::default(),
         };
         let surface = of_gaussians(&nadir, &gaussians).geo_raster();

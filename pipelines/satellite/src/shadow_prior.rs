@@ -10,14 +10,12 @@ use glam::{Vec2, Vec3};
 use heliosplat::{ProjectiveCamera, Raster};
 use heliosplat_raster::file::RasterFile;
 use heliosplat_scene::crop::Crop;
-use heliosplat_scene::indices::{NormalisedDifference, VEGETATION_INDEX};
+use heliosplat_scene::indices::{ExcessGreen, NormalisedDifference, VEGETATION_GREEN, VEGETATION_INDEX};
 use heliosplat_scene::{BandKind, SceneImage, Values};
 use heliosplat_stereo::Surface;
 use rayon::prelude::*;
 use std::path::Path;
 
-/// Excess green (Woebbecke et al. 1995), as a share of the three colours, from which on it is one where there is no near infrared.
-const VEGETATION_GREEN: f32 = 0.08;
 /// Water index (green against near infrared, McFeeters 1996) from which on a pixel is water.
 const WATER: f32 = 0.4;
 /// Steps of the histogram of brightness.
@@ -39,20 +37,17 @@ struct Bands<'a> {
     raster: &'a Raster,
     vegetation: Option<NormalisedDifference>,
     water: Option<NormalisedDifference>,
-    /// Places of red, green and blue.
-    colours: Option<[usize; 3]>,
+    green: Option<ExcessGreen>,
 }
 
 impl<'a> Bands<'a> {
     fn new(kinds: &[BandKind], values: &Values, raster: &'a Raster) -> Self {
         let kinds = &kinds[..kinds.len().min(raster.bands)];
-        let place = |kind| kinds.iter().position(|&band| band == kind);
-        let colours = || Some([place(BandKind::Red)?, place(BandKind::Green)?, place(BandKind::Blue)?]);
         Self {
             raster,
             vegetation: values.vegetation_index(kinds),
             water: values.water_index(kinds),
-            colours: colours(),
+            green: ExcessGreen::new(kinds),
         }
     }
 
@@ -62,13 +57,10 @@ impl<'a> Bands<'a> {
 
     /// Whether a pixel shows leaves; `false` where bands do not tell.
     fn vegetation(&self, pixel: usize) -> bool {
-        match (self.vegetation, self.colours) {
-            (Some(index), _) => index.of(|band| self.value(band, pixel)) > VEGETATION_INDEX,
-            (None, Some(colours)) => {
-                let [red, green, blue] = colours.map(|band| self.value(band, pixel));
-                let sum = red + green + blue;
-                (2.0 * green - red - blue) / sum.max(f32::MIN_POSITIVE) > VEGETATION_GREEN
-            }
+        let value = |band| self.value(band, pixel);
+        match (self.vegetation, self.green) {
+            (Some(index), _) => index.of(value) > VEGETATION_INDEX,
+            (None, Some(index)) => index.of(value) > VEGETATION_GREEN,
             _ => false,
         }
     }

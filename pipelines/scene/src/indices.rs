@@ -1,7 +1,11 @@
-//! Indices of two bands, and where on them vegetation begins.
+//! Indices of bands, and where on them vegetation begins.
+
+use super::BandKind;
 
 /// Vegetation index above which a pixel is taken for vegetation.
 pub const VEGETATION_INDEX: f32 = 0.3;
+/// Excess green above which a pixel is taken for vegetation.
+pub const VEGETATION_GREEN: f32 = 0.08;
 
 /// Less light than this says nothing of colour.
 const DARKEST: f32 = 1e-3;
@@ -33,5 +37,69 @@ impl NormalisedDifference {
     pub fn of(&self, value: impl Fn(usize) -> f32) -> f32 {
         let [a, b] = [self.first, self.second].map(|term| term.scale * value(term.band) + term.offset);
         (a - b) / (a + b).max(DARKEST)
+    }
+}
+
+/// Excess green `(2g - r - b) / (r + g + b)` of red, green and blue, near zero where all are dark (Woebbecke et al., Color indices for weed
+/// identification, Transactions of the ASAE 38, 1995). Red and blue may be swapped.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct ExcessGreen {
+    /// Places of red, green and blue.
+    places: [usize; 3],
+}
+
+impl ExcessGreen {
+    /// That of bands of these kinds; `None` where a colour is missing.
+    pub fn new(bands: &[BandKind]) -> Option<Self> {
+        let place = |kind: BandKind| bands.iter().position(|&band| band == kind);
+        let places = [place(BandKind::Red)?, place(BandKind::Green)?, place(BandKind::Blue)?];
+        Some(Self { places })
+    }
+
+    /// The index of a pixel, of which `value` tells the value of each band.
+    #[inline]
+    pub fn of(&self, value: impl Fn(usize) -> f32) -> f32 {
+        let [red, green, blue] = self.places.map(value);
+        (2.0 * green - red - blue) / (red + green + blue).max(DARKEST)
+    }
+}
+
+/// What leaves are told from pavement by.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub enum LeafIndex {
+    /// The normalised difference vegetation index.
+    Infrared(NormalisedDifference),
+    /// Excess green, where there is no near infrared: lawns and painted roofs have it too, leaves in autumn do not.
+    Green(ExcessGreen),
+}
+
+impl LeafIndex {
+    /// The index of a pixel, of which `value` tells the value of each band.
+    #[inline]
+    pub fn of(&self, value: impl Fn(usize) -> f32) -> f32 {
+        match self {
+            Self::Infrared(index) => index.of(value),
+            Self::Green(index) => index.of(value),
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use BandKind::{Blue, Green, Red};
+
+    #[test]
+    fn excess_green_tells_leaves_from_pavement_in_light_and_shade_and_whichever_way_red_and_blue_lie() {
+        let (leaves, pavement) = ([0.05, 0.08, 0.04], [0.3, 0.29, 0.27]);
+        for kinds in [[Red, Green, Blue], [Blue, Green, Red]] {
+            let index = ExcessGreen::new(&kinds).expect("three colours");
+            for light in [1.0, 0.2] {
+                assert!(index.of(|band| light * leaves[band]) > VEGETATION_GREEN);
+                assert!(index.of(|band| light * pavement[band]) < VEGETATION_GREEN);
+            }
+            assert_eq!(index.of(|_| 0.0), 0.0);
+        }
+        assert_eq!(ExcessGreen::new(&[Red, Green]), None);
     }
 }

@@ -53,7 +53,7 @@ use heliosplat::Raster;
 use heliosplat_raster::{RasterFile, Window};
 use heliosplat_rpc::read::calibration::CalibratedBand;
 use heliosplat_rpc::{GeoPoint, LocalFrame, PinholeFit, Rpc, sun::SunPosition};
-use indices::NormalisedDifference;
+use indices::{LeafIndex, NormalisedDifference};
 use nalgebra::Vector3;
 use std::path::{Path, PathBuf};
 use tiles::ImageFiles;
@@ -295,6 +295,11 @@ impl SceneImage {
     /// Its vegetation index; `None` without red and near infrared, and of values for display.
     pub fn vegetation_index(&self) -> Option<NormalisedDifference> {
         self.values.vegetation_index(&self.bands)
+    }
+
+    /// What tells leaves in it; `None` without near infrared or all three colours, and of values for display.
+    pub fn leaf_index(&self) -> Option<LeafIndex> {
+        self.values.leaf_index(&self.bands)
     }
 
     /// Whether a point of the scene's frame projects onto a known pixel.

@@ -5,7 +5,7 @@
 
 use super::BandKind;
 use super::calibration::FoundRadiometry;
-use super::indices::{NormalisedDifference, Term};
+use super::indices::{ExcessGreen, LeafIndex, NormalisedDifference, Term};
 use heliosplat_rpc::read::calibration::{CalibratedBand, Calibration, Gain, Quantity, Radiometry};
 use heliosplat_rpc::sun::{SunPosition, earth_sun_distance_au};
 use jiff::Timestamp;
@@ -70,6 +70,15 @@ impl Values {
     /// The water index of bands of these kinds; `None` without green and near infrared, and of values for display.
     pub fn water_index(&self, bands: &[BandKind]) -> Option<NormalisedDifference> {
         self.difference(bands, [BandKind::Green, BandKind::NearInfrared])
+    }
+
+    /// What tells leaves in bands of these kinds: the vegetation index, else excess green; `None` of values for display.
+    pub fn leaf_index(&self, bands: &[BandKind]) -> Option<LeafIndex> {
+        if self.kind == ValueKind::Display {
+            return None;
+        }
+        let green = || ExcessGreen::new(bands).map(LeafIndex::Green);
+        self.vegetation_index(bands).map(LeafIndex::Infrared).or_else(green)
     }
 
     /// Whether nothing is known of them.
@@ -320,6 +329,16 @@ mod tests {
             (display.vegetation_index(&KINDS), display.water_index(&KINDS)),
             (None, None)
         );
+        let colours = [BandKind::Red, BandKind::Green, BandKind::Blue];
+        assert_eq!(display.leaf_index(&colours), None);
+        assert!(matches!(
+            Values::default().leaf_index(&colours),
+            Some(LeafIndex::Green(_))
+        ));
+        assert!(matches!(
+            Values::default().leaf_index(&KINDS),
+            Some(LeafIndex::Infrared(_))
+        ));
     }
 
     #[test]

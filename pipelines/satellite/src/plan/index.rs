@@ -1,11 +1,12 @@
-//! The vegetation index that the plane sweep compares, if there is one.
+//! The leaf index that the plane sweep compares, if there is one.
 
-use heliosplat_scene::{BandKind, SceneImage};
+use heliosplat_scene::indices::LeafIndex;
+use heliosplat_scene::{SceneImage, Values};
 
-/// Whether the images have a vegetation index, and of what.
+/// Whether the images have a leaf index, and of what.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum Index {
-    /// Red or near infrared are missing.
+    /// Near infrared is missing, and a colour.
     NoBands,
     /// Values are for display.
     ForDisplay,
@@ -13,17 +14,24 @@ pub(super) enum Index {
     Counts,
     /// Of reflectance.
     Reflectance,
+    /// Excess green, without near infrared.
+    Green,
 }
 
 impl Index {
     /// What all of some images have.
     pub(super) fn of(images: &[&SceneImage]) -> Self {
-        let has = |kind| images.iter().all(|image| image.bands.contains(&kind));
-        if !(has(BandKind::Red) && has(BandKind::NearInfrared)) {
-            return Self::NoBands;
-        }
-        if images.iter().any(|image| image.vegetation_index().is_none()) {
-            return Self::ForDisplay;
+        let of = |values: fn(&SceneImage) -> Option<LeafIndex>| -> Option<Vec<LeafIndex>> {
+            images.iter().map(|image| values(image)).collect()
+        };
+        let Some(indices) = of(SceneImage::leaf_index) else {
+            return match of(|image| Values::default().leaf_index(&image.bands)) {
+                Some(_) => Self::ForDisplay,
+                None => Self::NoBands,
+            };
+        };
+        if indices.iter().any(|index| matches!(index, LeafIndex::Green(_))) {
+            return Self::Green;
         }
         match images.iter().all(|image| image.values.reflectance.is_empty()) {
             true => Self::Counts,
@@ -33,13 +41,15 @@ impl Index {
 
     /// Whether there is one.
     pub(super) fn is_there(self) -> bool {
-        matches!(self, Self::Counts | Self::Reflectance)
+        matches!(self, Self::Counts | Self::Reflectance | Self::Green)
     }
 
     /// In words.
     pub(super) fn reason(self) -> &'static str {
         match self {
-            Self::NoBands => "no near infrared in all images: the sweep compares brightness alone",
+            Self::NoBands => {
+                "no near infrared and not all three colours in all images: the sweep compares brightness alone"
+            }
             Self::ForDisplay => {
                 "values are for display: their bands cannot be compared, and the sweep compares brightness alone"
             }
@@ -47,6 +57,7 @@ impl Index {
             Self::Reflectance => {
                 "reflectance of red and near infrared: leaves are told from pavement where both are as bright"
             }
+            Self::Green => "no near infrared in all images: leaves are told from pavement by excess green",
         }
     }
 }
