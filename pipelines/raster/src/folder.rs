@@ -86,6 +86,20 @@ mod tests {
     }
 
     #[test]
+    fn what_a_killed_process_was_writing_is_removed_and_nothing_else() {
+        let home = tempfile::tempdir().expect("a temporary folder");
+        let staged = temporary_folder_beside(&home.path().join("tiles"))
+            .expect("made")
+            .keep();
+        fs::create_dir(staged.join("new")).expect("made");
+        fs::write(staged.join("new").join("tile.glb"), "").expect("written");
+        fs::write(home.path().join(".heliosplat-file"), "").expect("written");
+        fs::write(home.path().join("dsm.tif"), "").expect("written");
+        crate::write::remove_leftovers(home.path());
+        assert_eq!(names(home.path()), ["dsm.tif"]);
+    }
+
+    #[test]
     fn a_folder_of_something_else_is_left_alone() {
         let home = tempfile::tempdir().expect("a temporary folder");
         fs::write(home.path().join("mine"), "").expect("written");

@@ -367,12 +367,15 @@ fn write_copy<S: AsRef<str>>(path: &Path, dataset: &Dataset, driver: &str, optio
     write_atomically(path, &bytes)
 }
 
-/// Removes files from a folder that a process was writing when it was killed; only where no other process writes.
+/// Removes files and folders from a folder that a process was writing when it was killed; only where no other process writes.
 pub fn remove_leftovers(folder: &Path) {
     let entries = std::fs::read_dir(folder).into_iter().flatten().flatten();
     for entry in entries.filter(|entry| entry.file_name().to_string_lossy().starts_with(TEMPORARY)) {
         // One that stays takes room and does no other harm.
-        let _ = std::fs::remove_file(entry.path());
+        let _ = match entry.path().is_dir() {
+            true => std::fs::remove_dir_all(entry.path()),
+            false => std::fs::remove_file(entry.path()),
+        };
     }
 }
 

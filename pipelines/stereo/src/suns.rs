@@ -48,7 +48,7 @@ const LEAST_SCORE: f64 = 0.15;
 /// The best sun must beat the best other one by so many standard deviations of the difference.
 const LEAST_MARGIN: f64 = 3.0;
 /// Largest standard deviation of a sun that is believed, degrees: twice that is still of use to a trace.
-const MOST_SIGMA_DEG: f64 = 1.5;
+const MOST_SIGMA_DEG: f64 = 1.6;
 /// What no bootstrap sees, degrees: roofs and walls that are swept too wide or too low everywhere move all shadows alike.
 const SYSTEMATIC_DEG: f64 = 0.5;
 /// Most cells that are looked at.
