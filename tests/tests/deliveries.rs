@@ -253,9 +253,9 @@ fn indices_are_of_reflectance_where_all_images_have_gains() {
     let first = &scene.images[0];
     assert_eq!(first.values.kind, ValueKind::Reflectance);
     assert_eq!(first.values.source.as_deref(), Some("view_0.IMD"));
-    let counts = Values::default().vegetation_index(&first.bands).expect("both bands");
+    let counts = Values::default().ndvi(&first.bands).expect("both bands");
     let value = |band: usize| first.pixels.at(band, 30, 30);
-    let reflectance = first.vegetation_index().expect("both bands");
+    let reflectance = first.ndvi().expect("both bands");
     // All bands have equal counts: near infrared reflects more than twice what red does, for there is less of it in sunlight.
     assert_eq!(counts.of(value), 0.0);
     assert!((0.4..0.6).contains(&reflectance.of(value)), "{}", reflectance.of(value));
@@ -268,7 +268,7 @@ fn indices_are_of_reflectance_where_all_images_have_gains() {
         "{:?}",
         scene.warnings
     );
-    assert_eq!(scene.images[0].vegetation_index(), Some(counts));
+    assert_eq!(scene.images[0].ndvi(), Some(counts));
     assert_eq!(scene.images[2].values, Values::default());
 }
 
@@ -308,7 +308,7 @@ fn eight_bits_clipped_at_their_limits_are_for_display_and_make_no_index() {
             ..Values::default()
         }
     );
-    assert_eq!(display.images[0].vegetation_index(), None);
+    assert_eq!(display.images[0].ndvi(), None);
     let told = display
         .warnings
         .iter()
@@ -317,7 +317,7 @@ fn eight_bits_clipped_at_their_limits_are_for_display_and_make_no_index() {
     // Eight bits alone are no reason.
     let linear = stretched(0.25);
     assert_eq!(linear.images[0].values, Values::default());
-    assert!(linear.images[0].vegetation_index().is_some());
+    assert!(linear.images[0].ndvi().is_some());
 }
 
 /// Averages two by two pixels of an image into one, with its camera; a JSON beside it keeps what else it says.

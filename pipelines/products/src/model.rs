@@ -12,7 +12,7 @@ use heliosplat_raster::bounded;
 use heliosplat_raster::write::write_atomically;
 use heliosplat_rpc::{GeoPoint, LocalFrame, ProjectiveMap, sun::SunPosition};
 use heliosplat_scene::crop::Crop;
-use heliosplat_scene::indices::{LeafIndex, NormalisedDifference};
+use heliosplat_scene::indices::{NormalisedDifference, VegetationIndex};
 use heliosplat_scene::{Area, BandKind, KnownTiles, Split, SunSource, Values};
 use heliosplat_stereo::change::Segment;
 use std::path::{Path, PathBuf};
@@ -104,13 +104,13 @@ pub struct ModelFile {
 
 impl ModelFile {
     /// The vegetation index of the model's colours, if they have one.
-    pub fn vegetation_index(&self) -> Option<NormalisedDifference> {
-        self.values.vegetation_index(&self.bands)
+    pub fn ndvi(&self) -> Option<NormalisedDifference> {
+        self.values.ndvi(&self.bands)
     }
 
     /// What tells leaves by the model's colours, if they do.
-    pub fn leaf_index(&self) -> Option<LeafIndex> {
-        self.values.leaf_index(&self.bands)
+    pub fn vegetation_index(&self) -> Option<VegetationIndex> {
+        self.values.vegetation_index(&self.bands)
     }
 
     /// Whether the model was trained with light: the sun of at least one of its images was known.

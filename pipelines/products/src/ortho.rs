@@ -104,7 +104,7 @@ mod tests {
         raster.values[0] = f32::NAN;
         raster.plane_mut(1).fill(0.6);
         let bands = [BandKind::Red, BandKind::NearInfrared];
-        let index = Values::default().vegetation_index(&bands).expect("both bands");
+        let index = Values::default().ndvi(&bands).expect("both bands");
         let (shade, leaves) = (hillshade(&raster, 1.0), vegetation(&raster, index));
         assert!(shade.values[0].is_nan() && leaves.values[0].is_nan());
         assert!(shade.values[1].is_finite() && leaves.values[1] == 1.0);

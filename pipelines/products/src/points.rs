@@ -135,7 +135,7 @@ fn points(model: &LoadedModel, crs: &Crs, geoid: Option<Geoid>) -> Result<Vec<Po
     let albedo = gaussians.group(ALBEDO);
     let shown = if bands < 3 { [0, 0, 0] } else { [0, 1, 2] };
     let brightest = preview::percentiles(albedo, 0.0, 0.99).map_or(1.0, |(_, high)| high.max(1e-6));
-    let index = model.file.vegetation_index();
+    let index = model.file.ndvi();
     let area = model.file.area;
     let transform = CrsTransform::from_lon_lat(crs)?;
     let undulation = geoid.map(Undulation::new).transpose()?;

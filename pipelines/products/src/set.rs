@@ -115,7 +115,7 @@ pub fn write(
     }
     let mut albedo = ortho::albedo(model, &seen);
     surface.blank_unknown(&mut albedo);
-    writer.colours(&albedo, bands, model.file.vegetation_index())?;
+    writer.colours(&albedo, bands, model.file.ndvi())?;
     done(2);
     if let Some((sun, relit)) = relit {
         let (mut shadows, mut image) = (relit.shadows(), relit.image);

@@ -19,7 +19,7 @@ use heliosplat::model::shadow_gs::ALBEDO;
 use heliosplat::render::depths;
 use heliosplat::splat::{Maps, ProjectionOptions};
 use heliosplat_rpc::statistics::upper_median;
-use heliosplat_scene::indices::{LeafIndex, VEGETATION_GREEN};
+use heliosplat_scene::indices::{VEGETATION_GREEN, VegetationIndex};
 use heliosplat_stereo::smooth_by_deviation;
 use rayon::prelude::*;
 
@@ -44,7 +44,7 @@ pub struct SurfaceGaussians<'a> {
     /// Bands of their albedo.
     pub bands: usize,
     /// What tells leaves by these, if they do.
-    pub leaves: Option<LeafIndex>,
+    pub leaves: Option<VegetationIndex>,
     /// How they become splats.
     pub projection: ProjectionOptions,
 }
@@ -55,8 +55,8 @@ impl SurfaceGaussians<'_> {
         let albedo = &self.gaussians.group(ALBEDO)[g * self.bands..];
         self.leaves.is_some_and(|index| {
             let bar = match index {
-                LeafIndex::Infrared(_) => LEAVES,
-                LeafIndex::Green(_) => VEGETATION_GREEN,
+                VegetationIndex::Infrared(_) => LEAVES,
+                VegetationIndex::Green(_) => VEGETATION_GREEN,
             };
             index.of(|band| albedo[band]) > bar
         })
@@ -65,7 +65,7 @@ impl SurfaceGaussians<'_> {
     /// Share of a cell's doubt that is left where leaves are the surface.
     fn doubt_of_leaves(&self) -> f32 {
         match self.leaves {
-            Some(LeafIndex::Green(_)) => GREEN_DOUBT,
+            Some(VegetationIndex::Green(_)) => GREEN_DOUBT,
             _ => 0.0,
         }
     }
@@ -76,7 +76,7 @@ impl<'a> From<&'a LoadedModel> for SurfaceGaussians<'a> {
         Self {
             gaussians: &model.parameters.gaussians,
             bands: model.file.bands.len(),
-            leaves: model.file.leaf_index(),
+            leaves: model.file.vegetation_index(),
             projection: model.file.projection,
         }
     }
@@ -268,7 +268,7 @@ mod tests {
         let input = SurfaceGaussians {
             gaussians: &table,
             bands: BANDS.len(),
-            leaves: Values::default().leaf_index(&BANDS),
+            leaves: Values::default().vegetation_index(&BANDS),
             projection: ProjectionOptions::default(),
         };
         cells(&input, &above(1), CELL_M)

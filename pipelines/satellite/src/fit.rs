@@ -264,7 +264,7 @@ pub fn fit(
     }
     let trained = {
         let reference = ground.images.get(model.options.reference);
-        let probe = probe::height_probe(scene, reference.and_then(|image| image.leaf_index()));
+        let probe = probe::height_probe(scene, reference.and_then(|image| image.vegetation_index()));
         train(trainer, steps, session, limits.budget, checkpoints, probe.as_deref())?
     };
     drop(part);

@@ -124,11 +124,11 @@ impl<'a> Ground<'a> {
             .collect()
     }
 
-    /// A leaf index of each crop, where the images have the bands: leaves on pavement are as bright as it is, and an index hardly knows
+    /// A vegetation index of each crop, where the images have the bands: leaves on pavement are as bright as it is, and an index hardly knows
     /// shadows.
-    pub fn leaf_indices(&self, rasters: &[Raster]) -> Option<Vec<Raster>> {
+    pub fn vegetation_indices(&self, rasters: &[Raster]) -> Option<Vec<Raster>> {
         let index = |(image, raster): (&&SceneImage, &Raster)| {
-            let index = image.leaf_index()?;
+            let index = image.vegetation_index()?;
             let plane = raster.plane_len();
             Some(Raster {
                 width: raster.width,
@@ -171,7 +171,7 @@ impl<'a> Ground<'a> {
     /// pointing corrections do not change viewing directions.
     pub fn matching_facts(&self, cell_m: f64) -> MatchingFacts {
         let shifts = vec![[0.0; 2]; self.images.len()];
-        let has_index = self.images.iter().all(|image| image.leaf_index().is_some());
+        let has_index = self.images.iter().all(|image| image.vegetation_index().is_some());
         MatchingFacts::new(&self.geometries(&shifts), &self.volume(cell_m), has_index)
     }
 

@@ -189,9 +189,9 @@ pub(super) fn sweep(
     plane_sweep(&views(ground, rasters, &indices, shifts_px), request, progress)
 }
 
-/// A leaf index of each crop, where it is to be compared.
+/// A vegetation index of each crop, where it is to be compared.
 fn indices(ground: &Ground, rasters: &[Raster], decisions: &Decisions) -> Option<Vec<Raster>> {
-    let asked = decisions.vegetation_index.then(|| ground.leaf_indices(rasters));
+    let asked = decisions.vegetation_index.then(|| ground.vegetation_indices(rasters));
     asked.flatten()
 }
 

@@ -8,11 +8,11 @@ use heliosplat_products::dsm::of_gaussians;
 use heliosplat_products::nadir::NadirGrid;
 use heliosplat_products::surface::SurfaceGaussians;
 use heliosplat_scene::Scene;
-use heliosplat_scene::indices::LeafIndex;
+use heliosplat_scene::indices::VegetationIndex;
 
 /// Tells how far the surface of a model in training is from the scene's true one; `None` without truth. `leaves` is
 /// what tells leaves by its colours.
-pub(super) fn height_probe(scene: &Scene, leaves: Option<LeafIndex>) -> Option<Box<Probe<'_>>> {
+pub(super) fn height_probe(scene: &Scene, leaves: Option<VegetationIndex>) -> Option<Box<Probe<'_>>> {
     let truth = scene.truth.dsm.as_deref()?;
     let classes = scene.truth.classes.as_deref();
     let nadir = NadirGrid::new(&scene.into(), scene.gsd_m, None).ok()?;

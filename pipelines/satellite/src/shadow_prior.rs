@@ -45,7 +45,7 @@ impl<'a> Bands<'a> {
         let kinds = &kinds[..kinds.len().min(raster.bands)];
         Self {
             raster,
-            vegetation: values.vegetation_index(kinds),
+            vegetation: values.ndvi(kinds),
             water: values.water_index(kinds),
             green: ExcessGreen::new(kinds),
         }

@@ -381,7 +381,7 @@ mod tests {
             let plan = from_infos(&bands, None);
             assert!(plan.assumption.is_some());
             assert_eq!(plan.kinds[..3], [Red, Green, Blue]);
-            assert_eq!(Values::default().vegetation_index(&plan.kinds), None, "{count}");
+            assert_eq!(Values::default().ndvi(&plan.kinds), None, "{count}");
         }
     }
 

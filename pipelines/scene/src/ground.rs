@@ -217,7 +217,7 @@ impl Ground {
         }
         let kinds = drafts.first().map_or(&[][..], |draft| &draft.plan.kinds);
         warnings.extend(pixels::stretched(&values, kinds));
-        if Values::default().vegetation_index(kinds).is_some() {
+        if Values::default().ndvi(kinds).is_some() {
             warnings.extend(values::same_for_all(&mut values));
         }
         let fits = fit_pinholes(&drafts, &frame, altitude_range_m, &mut warnings)?;

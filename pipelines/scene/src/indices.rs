@@ -64,16 +64,16 @@ impl ExcessGreen {
     }
 }
 
-/// What leaves are told from pavement by.
+/// The index by which leaves are told from pavement.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub enum LeafIndex {
+pub enum VegetationIndex {
     /// The normalised difference vegetation index.
     Infrared(NormalisedDifference),
     /// Excess green, where there is no near infrared: lawns and painted roofs have it too, leaves in autumn do not.
     Green(ExcessGreen),
 }
 
-impl LeafIndex {
+impl VegetationIndex {
     /// The index of a pixel, of which `value` tells the value of each band.
     #[inline]
     pub fn of(&self, value: impl Fn(usize) -> f32) -> f32 {

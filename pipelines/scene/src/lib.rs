@@ -53,7 +53,7 @@ use heliosplat::Raster;
 use heliosplat_raster::{RasterFile, Window};
 use heliosplat_rpc::read::calibration::CalibratedBand;
 use heliosplat_rpc::{GeoPoint, LocalFrame, PinholeFit, Rpc, sun::SunPosition};
-use indices::{LeafIndex, NormalisedDifference};
+use indices::{NormalisedDifference, VegetationIndex};
 use nalgebra::Vector3;
 use std::path::{Path, PathBuf};
 use tiles::ImageFiles;
@@ -292,14 +292,14 @@ impl SceneImage {
         self.rpc.cropped(self.window.col0 as f64, self.window.row0 as f64)
     }
 
-    /// Its vegetation index; `None` without red and near infrared, and of values for display.
-    pub fn vegetation_index(&self) -> Option<NormalisedDifference> {
-        self.values.vegetation_index(&self.bands)
+    /// Its normalised difference vegetation index; `None` without red and near infrared, and of values for display.
+    pub fn ndvi(&self) -> Option<NormalisedDifference> {
+        self.values.ndvi(&self.bands)
     }
 
     /// What tells leaves in it; `None` without near infrared or all three colours, and of values for display.
-    pub fn leaf_index(&self) -> Option<LeafIndex> {
-        self.values.leaf_index(&self.bands)
+    pub fn vegetation_index(&self) -> Option<VegetationIndex> {
+        self.values.vegetation_index(&self.bands)
     }
 
     /// Whether a point of the scene's frame projects onto a known pixel.

@@ -74,7 +74,7 @@ pub(super) fn stretched(images: &[(String, Values)], bands: &[BandKind]) -> Opti
     let first = found
         .clone()
         .next()
-        .filter(|_| Values::default().vegetation_index(bands).is_some())?;
+        .filter(|_| Values::default().ndvi(bands).is_some())?;
     Some(format!(
         "{}: 8-bit values clipped at 0 or 255 ({} images) were stretched for display: no vegetation or water index; say counts = \
          \"linear\" in a scene.toml where they were not",

@@ -5,7 +5,7 @@
 
 use super::BandKind;
 use super::calibration::FoundRadiometry;
-use super::indices::{ExcessGreen, LeafIndex, NormalisedDifference, Term};
+use super::indices::{ExcessGreen, NormalisedDifference, Term, VegetationIndex};
 use heliosplat_rpc::read::calibration::{CalibratedBand, Calibration, Gain, Quantity, Radiometry};
 use heliosplat_rpc::sun::{SunPosition, earth_sun_distance_au};
 use jiff::Timestamp;
@@ -62,8 +62,8 @@ pub struct Values {
 }
 
 impl Values {
-    /// The vegetation index of bands of these kinds; `None` without red and near infrared, and of values for display.
-    pub fn vegetation_index(&self, bands: &[BandKind]) -> Option<NormalisedDifference> {
+    /// The normalised difference vegetation index of bands of these kinds; `None` without red and near infrared, and of values for display.
+    pub fn ndvi(&self, bands: &[BandKind]) -> Option<NormalisedDifference> {
         self.difference(bands, [BandKind::NearInfrared, BandKind::Red])
     }
 
@@ -73,12 +73,12 @@ impl Values {
     }
 
     /// What tells leaves in bands of these kinds: the vegetation index, else excess green; `None` of values for display.
-    pub fn leaf_index(&self, bands: &[BandKind]) -> Option<LeafIndex> {
+    pub fn vegetation_index(&self, bands: &[BandKind]) -> Option<VegetationIndex> {
         if self.kind == ValueKind::Display {
             return None;
         }
-        let green = || ExcessGreen::new(bands).map(LeafIndex::Green);
-        self.vegetation_index(bands).map(LeafIndex::Infrared).or_else(green)
+        let green = || ExcessGreen::new(bands).map(VegetationIndex::Green);
+        self.ndvi(bands).map(VegetationIndex::Infrared).or_else(green)
     }
 
     /// Whether nothing is known of them.
@@ -253,7 +253,7 @@ mod tests {
     #[test]
     fn an_index_is_of_reflectance_where_gains_are_given_and_else_of_values() {
         let grey = |kind: usize| if kind == 0 { 0.2 } else { 0.4 };
-        let of = |values: &Values| values.vegetation_index(&KINDS).expect("both bands").of(grey);
+        let of = |values: &Values| values.ndvi(&KINDS).expect("both bands").of(grey);
         assert!((of(&Values::default()) - 1.0 / 3.0).abs() < 1e-6);
         // Near infrared has twice the gain: both bands reflect the same.
         let red = (CalibratedBand::Red, 0.2, 0.0, Some(1500.0));
@@ -283,7 +283,7 @@ mod tests {
         assert_eq!((lit.kind, unlit.kind), (ValueKind::Reflectance, ValueKind::Radiance));
         let [lit, unlit] = [lit, unlit].map(|values| {
             values
-                .vegetation_index(&KINDS)
+                .ndvi(&KINDS)
                 .expect("both bands")
                 .of(|band| 0.3 + 0.2 * band as f32)
         });
@@ -298,10 +298,7 @@ mod tests {
         ];
         let radiance = values(&found(Quantity::Radiance, &gains), NOON);
         assert_eq!((radiance.kind, radiance.reflectance.len()), (ValueKind::Radiance, 0));
-        assert_eq!(
-            radiance.vegetation_index(&KINDS),
-            Values::default().vegetation_index(&KINDS)
-        );
+        assert_eq!(radiance.ndvi(&KINDS), Values::default().ndvi(&KINDS));
     }
 
     #[test]
@@ -325,19 +322,16 @@ mod tests {
     #[test]
     fn values_for_display_have_no_index() {
         let display = Values::for_display(None);
-        assert_eq!(
-            (display.vegetation_index(&KINDS), display.water_index(&KINDS)),
-            (None, None)
-        );
+        assert_eq!((display.ndvi(&KINDS), display.water_index(&KINDS)), (None, None));
         let colours = [BandKind::Red, BandKind::Green, BandKind::Blue];
-        assert_eq!(display.leaf_index(&colours), None);
+        assert_eq!(display.vegetation_index(&colours), None);
         assert!(matches!(
-            Values::default().leaf_index(&colours),
-            Some(LeafIndex::Green(_))
+            Values::default().vegetation_index(&colours),
+            Some(VegetationIndex::Green(_))
         ));
         assert!(matches!(
-            Values::default().leaf_index(&KINDS),
-            Some(LeafIndex::Infrared(_))
+            Values::default().vegetation_index(&KINDS),
+            Some(VegetationIndex::Infrared(_))
         ));
     }
 

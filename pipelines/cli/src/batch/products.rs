@@ -128,7 +128,7 @@ pub fn of_mosaic(
     let mut albedo = read("albedo.tif")?;
     let gains = albedo.balance(pieces, gsd_m);
     let albedo = albedo.merged(pieces, size, gsd_m, Merge::Mean);
-    let index = models.files.first().and_then(ModelFile::vegetation_index);
+    let index = models.files.first().and_then(ModelFile::ndvi);
     writer.colours(&albedo, bands, index)?;
     let look = Look::new(&albedo, folder);
     look.write("albedo", None)?;

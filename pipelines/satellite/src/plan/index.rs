@@ -1,12 +1,12 @@
-//! The leaf index that the plane sweep compares, if there is one.
+//! The vegetation index that the plane sweep compares, if there is one.
 
-use heliosplat_scene::indices::LeafIndex;
+use heliosplat_scene::indices::VegetationIndex;
 use heliosplat_scene::{SceneImage, Values};
 
-/// Whether the images have a leaf index, and of what.
+/// Whether the images have a vegetation index, and of what.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum Index {
-    /// Near infrared is missing, and a colour.
+    /// Near infrared is missing, and not all of red, green and blue are there.
     NoBands,
     /// Values are for display.
     ForDisplay,
@@ -21,16 +21,16 @@ pub(super) enum Index {
 impl Index {
     /// What all of some images have.
     pub(super) fn of(images: &[&SceneImage]) -> Self {
-        let of = |values: fn(&SceneImage) -> Option<LeafIndex>| -> Option<Vec<LeafIndex>> {
+        let of = |values: fn(&SceneImage) -> Option<VegetationIndex>| -> Option<Vec<VegetationIndex>> {
             images.iter().map(|image| values(image)).collect()
         };
-        let Some(indices) = of(SceneImage::leaf_index) else {
-            return match of(|image| Values::default().leaf_index(&image.bands)) {
+        let Some(indices) = of(SceneImage::vegetation_index) else {
+            return match of(|image| Values::default().vegetation_index(&image.bands)) {
                 Some(_) => Self::ForDisplay,
                 None => Self::NoBands,
             };
         };
-        if indices.iter().any(|index| matches!(index, LeafIndex::Green(_))) {
+        if indices.iter().any(|index| matches!(index, VegetationIndex::Green(_))) {
             return Self::Green;
         }
         match images.iter().all(|image| image.values.reflectance.is_empty()) {
