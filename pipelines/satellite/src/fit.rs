@@ -206,9 +206,6 @@ pub fn fit(
     let steps = options.iterations;
     options.gsd_m = scene.gsd_m as f32;
     options.own_rate_steps = OWN_RATE_STEPS;
-    if decisions.light == Light::LeftOut {
-        options.consistency_weight = 0.0;
-    }
     let memory = |config: &SatelliteConfig, parameters: &Parameters, views: &[View], options: &mut TrainOptions| {
         fit_into_memory(limits.memory, scene, parameters, views, config, options)
     };
