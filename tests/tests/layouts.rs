@@ -405,6 +405,25 @@ fn a_time_that_contradicts_the_stated_sun_is_a_warning_and_the_time_counts() {
 }
 
 #[test]
+fn a_scene_beside_that_has_images_of_the_same_names_lends_nothing() {
+    let home = tempdir().expect("a temporary folder");
+    let [whole, bare] = ["whole", "bare"].map(|name| home.path().join(name));
+    for folder in [&whole, &bare] {
+        fs::create_dir(folder).expect("made");
+        write_scene(folder, &[0, 1, 2].map(View::new));
+    }
+    fs::write(whole.join("test.txt"), "view_2.tif\n").expect("written");
+    for number in 0..3 {
+        fs::remove_file(bare.join(format!("view_{number}.json"))).expect("removed");
+    }
+    assert_eq!(open(&whole).expect("a scene").altitude_range_m, (690.0, 720.0));
+    let scene = open(&bare).expect("a scene");
+    assert_eq!(scene.altitude_range_m, (600.0, 800.0), "all that its own cameras allow");
+    assert_eq!(names(&scene, Split::Test), [""; 0]);
+    assert!(scene.images.iter().all(|image| !image.rpc_source.ends_with(".json")));
+}
+
+#[test]
 fn without_any_altitude_the_cameras_range_is_searched_with_a_warning() {
     let (folder, _) = three_views();
     for number in 0..3 {

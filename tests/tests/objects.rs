@@ -274,13 +274,14 @@ fn a_reflective_model_is_planned_trained_relit_and_exported() {
         .pointer("/plan/trials")
         .and_then(Value::as_array)
         .expect("trials");
-    let psnr = |n: usize| trials[n]["psnr_db"].as_f64().expect("a score");
-    let kind = if psnr(1) - psnr(0).max(psnr(2)) >= 0.3 {
-        "reflective"
-    } else {
-        "radiance"
-    };
-    assert_eq!((trials.len(), &metrics["model"]), (3, &json!(kind)));
+    let gloss = &trials[0];
+    let number = |at: &str| gloss.pointer(at).and_then(Value::as_f64).expect("a number");
+    let (gain, error) = (number("/gain/gain_db"), number("/gain/standard_error_db"));
+    let ahead = number("/with_db") - number("/without_db");
+    assert!((gain - ahead).abs() < 1e-6, "{gain} {ahead}");
+    let taken = gain > 2.0 * error && gain > 0.05;
+    let kind = if taken { "reflective" } else { "radiance" };
+    assert_eq!((trials.len(), &gloss["taken"], &metrics["model"]), (1, &json!(taken), &json!(kind)));
     let text = std::fs::read_to_string(planned.join("run.toml")).expect("text");
     assert!(text.contains("[plan]") && text.contains("short fits"), "{text}");
 

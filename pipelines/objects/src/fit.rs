@@ -48,22 +48,23 @@ pub fn fit(
     config: &ObjectConfig,
     session: &Session,
     budget: Option<Budget>,
-    mut checkpoints: CheckpointWriter<()>,
-    checkpoint: Option<LoadedCheckpoint<()>>,
+    mut checkpoints: CheckpointWriter<Plan>,
+    checkpoint: Option<LoadedCheckpoint<Plan>>,
 ) -> Result<Fitted, TrainingError> {
     let begun = Instant::now();
-    let plan = plan::plan(capture, config, session)?;
+    let planned_before = checkpoint.as_ref().and_then(|checkpoint| checkpoint.preprocessed.clone());
+    let plan = planned_before.map_or_else(|| plan::plan(capture, config, session), Ok)?;
+    checkpoints.preprocessed = Some(plan.clone());
     let with_or_without = |has: bool| if has { "with" } else { "without" };
     tracing::info!(
-        "model: {:?}, {} gloss, {} scattering ({})",
+        "model: {:?}, {} gloss, {} scattering, {} refined shadows ({})",
         plan.kind,
-        with_or_without(plan.specular),
-        with_or_without(plan.scattering),
+        with_or_without(plan.parts.specular),
+        with_or_without(plan.parts.scattering),
+        with_or_without(plan.parts.refined_shadow),
         plan.reason
     );
-    let mut planned = config.clone();
-    planned.model.specular = plan.specular;
-    planned.model.scattering = plan.scattering;
+    let planned = plan.parts.of(config);
     let frames: Vec<&Frame> = capture.of(Split::Train).collect();
     let FitInput {
         kind,

@@ -21,6 +21,7 @@ pub mod start;
 pub mod surroundings;
 pub mod training;
 pub mod transforms;
+mod trial;
 pub mod views;
 
 pub use capture::{Capture, is_capture};

@@ -1,44 +1,37 @@
 //! Which model explains a capture, and which of its parts: what is needed is measured, not guessed.
 //!
 //! Lights decide between the kinds that know them and those that do not. A part whose worth only images can tell is tried: short fits
-//! at half size with and without it, scored on images of training kept aside. It is taken when it helps by 0.3 dB, and is otherwise not
-//! there at all.
+//! with and without it ([`super::trial`]) are compared on images of training kept aside. It is taken when it helps beyond two standard errors
+//! and by [`LEAST_GAIN_DB`], and is otherwise not there at all.
 
-use super::capture::{Capture, Frame};
-use super::config::{ModelKind, ObjectConfig};
-use super::prepare::{self, FitInput};
-use heliosplat::light::Light;
-use heliosplat::model::View;
-use heliosplat::render::{PassOptions, render};
-use heliosplat::train::Trainer;
-use heliosplat_evaluate::image::psnr_db;
+use super::capture::Capture;
+use super::config::{ModelKind, ModelOptions, ObjectConfig};
+use super::trial::{self, LEAST_IMAGES, Scored};
+use heliosplat_fitting::paired::{Gain, Verdict};
 use heliosplat_fitting::training::TrainingError;
 use heliosplat_scene::Split;
 use heliosplat_session::Session;
 
-/// Every so many images of training one is kept aside.
-const ASIDE: usize = 6;
-/// With fewer images nothing is tried: those left would not do.
-const LEAST_IMAGES: usize = 18;
-/// Short fits look at images this many times smaller.
-const SMALLER: usize = 2;
-/// Most Gaussians a short fit starts from.
-const MOST_GAUSSIANS: usize = 6000;
+/// Decibels on images kept aside by which a part must help besides being better beyond chance (docs/lab/objects.md).
+const LEAST_GAIN_DB: f64 = 0.05;
 
-/// Decibels on images kept aside by which a part must help to be taken: short fits find gloss worth 0.16 to 0.31 dB to
-/// matt objects, which have none.
-const LEAST_GAIN_DB: f64 = 0.3;
-/// Share of the gain asked for that is enough for scattering: light that seeps out is smooth, and takes longer to learn than gloss
-/// (wax: 0.30 dB in short fits, 1.2 dB in the end).
-const SCATTERING_SHARE: f64 = 2.0 / 3.0;
-
-/// One short fit.
+/// What short fits with and without a part said.
 #[derive(Debug, Clone, PartialEq, serde::Serialize, serde::Deserialize)]
 pub struct Trial {
-    /// What was tried, in words.
-    pub what: String,
-    /// PSNR on the images kept aside, decibels.
-    pub psnr_db: f64,
+    /// The part.
+    pub part: String,
+    /// PSNR on the images kept aside without it, decibels.
+    pub without_db: f64,
+    /// The same with it.
+    pub with_db: f64,
+    /// How much better it is, piece by piece; `None` of too few pieces.
+    pub gain: Option<Gain>,
+    /// Time of a step with it over that of one without.
+    pub step_time_ratio: f64,
+    /// Numbers that it adds to each Gaussian.
+    pub numbers_per_gaussian: i64,
+    /// Whether the model has it.
+    pub taken: bool,
 }
 
 /// What is fitted, and why.
@@ -46,14 +39,39 @@ pub struct Trial {
 pub struct Plan {
     /// The kind; never [`ModelKind::Auto`].
     pub kind: ModelKind,
-    /// Whether surfaces are glossy, where the kind can be told.
-    pub specular: bool,
-    /// Whether light scatters under surfaces.
-    pub scattering: bool,
+    /// Its parts.
+    pub parts: Parts,
     /// Why, in words.
     pub reason: String,
     /// The short fits that decided.
     pub trials: Vec<Trial>,
+}
+
+/// Parts that may be there or not.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, serde::Serialize, serde::Deserialize)]
+pub struct Parts {
+    /// Whether surfaces are glossy, where the kind can be told.
+    pub specular: bool,
+    /// Whether light scatters under surfaces.
+    pub scattering: bool,
+    /// Whether a network refines shadows.
+    pub refined_shadow: bool,
+}
+
+impl Parts {
+    /// A configuration with these parts and no others.
+    pub(super) fn of(self, config: &ObjectConfig) -> ObjectConfig {
+        let model = ModelOptions {
+            specular: self.specular,
+            scattering: self.scattering,
+            refined_shadow: Some(self.refined_shadow),
+            ..config.model.clone()
+        };
+        ObjectConfig {
+            model,
+            ..config.clone()
+        }
+    }
 }
 
 /// Whether every image of training has a light, and they are in different places.
@@ -80,11 +98,42 @@ pub fn outlook(capture: &Capture) -> (ModelKind, &'static str) {
     )
 }
 
-/// Parts that may be there or not.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-struct Parts {
-    specular: bool,
-    scattering: bool,
+/// A kind of model with its parts.
+type Candidate = (ModelKind, Parts);
+
+/// Short fits in turn, each compared with the best so far.
+struct Trials<'a> {
+    capture: &'a Capture,
+    config: &'a ObjectConfig,
+    best: (Candidate, Scored),
+    trials: Vec<Trial>,
+}
+
+impl Trials<'_> {
+    /// Whether `with` is better than the best so far, and than `also`, a fit that differs from it in nothing but the part; then it is the best.
+    fn compare(&mut self, part: &str, with: Candidate, also: Option<Candidate>) -> Result<(), TrainingError> {
+        let fit = |(kind, parts): Candidate| trial::fit(self.capture, self.config, kind, parts);
+        let fitted = fit(with)?;
+        let also = also.map(fit).transpose()?;
+        let best = &self.best.1;
+        let without = also.as_ref().filter(|also| also.psnr_db > best.psnr_db).unwrap_or(best);
+        let gain = fitted.gain_over(without);
+        let taken = gain.is_some_and(|gain| gain.verdict(LEAST_GAIN_DB) == Verdict::Better);
+        let numbers = |scored: &Scored| scored.numbers_per_gaussian as i64;
+        self.trials.push(Trial {
+            part: part.into(),
+            without_db: without.psnr_db,
+            with_db: fitted.psnr_db,
+            gain,
+            step_time_ratio: fitted.step_s / without.step_s.max(1e-9),
+            numbers_per_gaussian: numbers(&fitted) - numbers(without),
+            taken,
+        });
+        if taken {
+            self.best = (with, fitted);
+        }
+        Ok(())
+    }
 }
 
 /// Decides.
@@ -98,153 +147,107 @@ pub fn plan(capture: &Capture, config: &ObjectConfig, session: &Session) -> Resu
         ModelKind::Auto => (ModelKind::Radiance, ModelKind::Reflective),
         ModelKind::Olat => (ModelKind::Olat, ModelKind::Olat),
         told => {
-            return Ok(Plan {
-                kind: told,
+            let parts = Parts {
                 specular: config.model.specular,
-                scattering: false,
-                reason: "as told".into(),
-                trials: Vec::new(),
-            });
+                ..Parts::default()
+            };
+            return Ok(untried(told, parts, "as told"));
         }
     };
-    // With lamps, what is not tried is there: it can only be told in the light of one lamp, and costs little.
-    let untried = config.model.pilot_steps == 0 || capture.of(Split::Train).count() < LEAST_IMAGES;
+    let olat = dull == ModelKind::Olat;
+    let can_refine = olat && config.model.shadow;
+    // What is told is there from the beginning.
+    let told = Parts {
+        refined_shadow: can_refine && config.model.refined_shadow == Some(true),
+        ..Parts::default()
+    };
     let may = Parts {
         specular: config.model.specular,
-        scattering: config.model.scattering && dull == ModelKind::Olat,
+        scattering: config.model.scattering && olat,
+        refined_shadow: can_refine && config.model.refined_shadow.is_none(),
     };
-    if untried || may == NOTHING {
-        let specular = may.specular && dull == ModelKind::Olat;
-        let reason = if may == NOTHING {
-            "parts are switched off"
-        } else {
-            "too few images, or steps, to try parts"
-        };
-        return Ok(Plan {
-            kind: dull,
-            specular,
-            scattering: false,
-            reason: reason.into(),
-            trials: Vec::new(),
-        });
+    // With lamps, gloss that is not tried is there: it can only be told in the light of one lamp, and costs little.
+    let specular = may.specular && olat;
+    if may == Parts::default() {
+        return Ok(untried(dull, told, "parts are switched off, or told"));
     }
-    let progress = session.progress("plan", 3);
-    let mut trials = Vec::new();
-    let mut tried = |what: &str, kind, parts| -> Result<f64, TrainingError> {
-        let psnr_db = trial(capture, config, kind, parts)?;
-        trials.push(Trial {
-            what: what.into(),
-            psnr_db,
-        });
-        progress.set(trials.len() as u64);
-        Ok(psnr_db)
+    if config.model.pilot_steps == 0 || capture.of(Split::Train).count() < LEAST_IMAGES {
+        let reason = "too few images, or steps, to try parts";
+        return Ok(untried(dull, Parts { specular, ..told }, reason));
+    }
+    let fits = 1 + [may.specular, may.specular && !olat, may.scattering, may.refined_shadow]
+        .into_iter()
+        .filter(|fit| *fit)
+        .count();
+    let progress = session.progress("plan", fits as u64);
+    let mut trials = Trials {
+        capture,
+        config,
+        best: ((dull, told), trial::fit(capture, config, dull, told)?),
+        trials: Vec::new(),
     };
-    let least = LEAST_GAIN_DB;
-    let (mut kind, mut parts) = (dull, NOTHING);
-    let mut best = tried("neither", dull, NOTHING)?;
-    let mut basis = format!("short fits, on images kept aside ({least} dB is needed");
-    let mut verdicts = Vec::new();
+    progress.set(1);
     if may.specular {
+        let without = trials.best.0.1;
         let with = Parts {
             specular: true,
-            ..parts
+            ..without
         };
-        let psnr = tried("gloss", glossy, with)?;
         // A model of material is ahead of one of radiance by its normals already; that is not gloss.
-        let without = match glossy == dull {
-            true => best,
-            false => best.max(tried("material without gloss", glossy, parts)?),
-        };
-        let taken = psnr - without >= least;
-        verdicts.push(verdict("gloss", psnr - without, taken));
-        if taken {
-            (kind, parts, best) = (glossy, with, psnr);
-        }
+        trials.compare("gloss", (glossy, with), (glossy != dull).then_some((glossy, without)))?;
+        progress.set(if olat { 2 } else { 3 });
     }
     if may.scattering {
-        basis.push_str(", for scattering two thirds of it");
+        let (kind, without) = trials.best.0;
         let with = Parts {
             scattering: true,
-            ..parts
+            ..without
         };
-        let gain = tried("scattering", kind, with)? - best;
-        let taken = gain >= SCATTERING_SHARE * least;
-        verdicts.push(verdict("scattering", gain, taken));
-        if taken {
-            parts = with;
-        }
+        trials.compare("scattering", (kind, with), None)?;
+        progress.set((fits - usize::from(may.refined_shadow)) as u64);
     }
+    if may.refined_shadow {
+        let (kind, without) = trials.best.0;
+        let with = Parts {
+            refined_shadow: true,
+            ..without
+        };
+        trials.compare("refined shadows", (kind, with), None)?;
+        progress.set(fits as u64);
+    }
+    let Trials {
+        best: ((kind, parts), _),
+        trials,
+        ..
+    } = trials;
+    let verdicts: Vec<String> = trials.iter().map(in_words).collect();
     Ok(Plan {
         kind,
-        specular: parts.specular,
-        scattering: parts.scattering,
-        reason: format!("{basis}): {}", verdicts.join("; ")),
+        parts,
+        reason: format!(
+            "short fits, on pieces of images kept aside (taken beyond two standard errors and {LEAST_GAIN_DB} dB): {}",
+            verdicts.join("; ")
+        ),
         trials,
     })
 }
 
-/// What was found of a part, in words.
-fn verdict(part: &str, gain_db: f64, taken: bool) -> String {
-    format!("{part} {gain_db:+.2} dB: {}", if taken { "taken" } else { "left out" })
-}
-
-const NOTHING: Parts = Parts {
-    specular: false,
-    scattering: false,
-};
-
-fn smaller(view: View) -> View {
-    if view.image.width < 16 * SMALLER || view.image.height < 16 * SMALLER {
-        return view;
-    }
-    let image = view.image.downscaled(SMALLER);
-    View {
-        camera: view.camera.downscaled(SMALLER),
-        weight: vec![1.0; image.plane_len()],
-        image,
-        ..view
-    }
-}
-
-/// A short fit of a kind of model; its PSNR on the images kept aside.
-fn trial(capture: &Capture, config: &ObjectConfig, kind: ModelKind, parts: Parts) -> Result<f64, TrainingError> {
-    let mut config = config.clone();
-    config.model.specular = parts.specular;
-    config.model.scattering = parts.scattering;
-    config.start.gaussians = config.start.gaussians.min(MOST_GAUSSIANS);
-    config.train.iterations = config.model.pilot_steps;
-    config.train.density.every = 0;
-    config.train.pyramid_share = 0.0;
-    let all: Vec<&Frame> = capture.of(Split::Train).collect();
-    let kept = |n: usize| n % ASIDE == ASIDE / 2;
-    let frames: Vec<&Frame> = (0..all.len()).filter(|&n| !kept(n)).map(|n| all[n]).collect();
-    let FitInput {
+/// A plan without short fits.
+fn untried(kind: ModelKind, parts: Parts, reason: &str) -> Plan {
+    Plan {
         kind,
-        preparation,
-        parameters,
-        ..
-    } = prepare::input(capture, kind, &config, &frames);
-    let model = kind.model();
-    let view = |frame: &Frame, n: usize| Some(smaller(super::views::view(frame, capture.centre, &preparation, n)?));
-    let views: Vec<View> = frames.iter().enumerate().filter_map(|(n, f)| view(f, n)).collect();
-    let mut options = config.train.clone();
-    options.gsd_m = (SMALLER as f64 * capture.pixel_size) as f32;
-    let mut trainer = Trainer::new(&*model, views, parameters, options, prepare::bounds(capture), None)?;
-    while !trainer.finished() {
-        trainer.step()?;
+        parts,
+        reason: reason.into(),
+        trials: Vec::new(),
     }
-    let (parameters, _) = trainer.into_best();
-    let (mut sum, mut count) = (0.0f64, 0usize);
-    for (n, frame) in all.iter().enumerate().filter(|(n, _)| kept(*n)) {
-        let Some(view) = view(frame, n) else { continue };
-        let light: Option<Light> = view.light;
-        let seen = render(&*model, &parameters, &view.camera, light, None, PassOptions::default()).image;
-        for (a, b) in seen.values.iter().zip(&view.image.values) {
-            if b.is_finite() {
-                sum += f64::from(a - b).powi(2);
-                count += 1;
-            }
-        }
-    }
-    Ok(psnr_db((sum / count.max(1) as f64).max(1e-12), 1.0))
+}
+
+/// What was found of a part, in words.
+fn in_words(trial: &Trial) -> String {
+    let gain = match trial.gain {
+        Some(gain) => gain.in_words(),
+        None => "too few pieces".into(),
+    };
+    let taken = if trial.taken { "taken" } else { "left out" };
+    format!("{} {gain}: {taken}", trial.part)
 }

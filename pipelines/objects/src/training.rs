@@ -7,6 +7,7 @@ use crate::error::ObjectError;
 use crate::fit::{self, Fitted};
 use crate::measure;
 use crate::model::ObjectModel;
+use crate::plan::Plan;
 use crate::run::{self, ObjectRun};
 use heliosplat_fitting::checkpoint::{digest, identity_of_program};
 use heliosplat_fitting::request::{TrainOutcome, TrainRequest, TrainedRun};
@@ -71,7 +72,7 @@ pub fn train(
     }
     let inputs = hashes(&capture)?;
     let identity = identity(request, &config, &capture, &inputs)?;
-    let folder = match Opened::<()>::look(RunRequest {
+    let folder = match Opened::<Plan>::look(RunRequest {
         request,
         identity: &identity,
         images: capture.frames.len(),

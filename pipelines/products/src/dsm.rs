@@ -28,6 +28,10 @@ pub const BANDS: [&str; 4] = [
 /// Units of the bands of a surface model.
 pub const UNITS: [&str; 4] = ["metre", "metre", "1", "1"];
 
+/// Least standard deviation of an altitude, ground sampling distances of the images. Neither rays nor matching costs know what all cells around
+/// have in common, cameras that are a tenth of a pixel off above all (docs/lab/surface.md, by errors on lidar and synthetic truth).
+const LEAST_DEVIATION_GSD: f32 = 0.2;
+
 /// What altitudes are above where no geoid is said.
 const ELLIPSOID: &str = "WGS84 ellipsoid";
 
@@ -99,7 +103,7 @@ pub fn of_gaussians(nadir: &NadirGrid, surface: &SurfaceGaussians) -> Dsm {
             raster.plane_mut(COVERAGE)[i] = cell.coverage;
         }
     }
-    widen_deviations(&mut raster);
+    widen_deviations(&mut raster, surface.gsd_m);
     Dsm {
         raster,
         grid: nadir.grid.clone(),
@@ -107,12 +111,13 @@ pub fn of_gaussians(nadir: &NadirGrid, surface: &SurfaceGaussians) -> Dsm {
     }
 }
 
-/// Adds to each standard deviation that of the altitudes around.
-fn widen_deviations(raster: &mut Raster) {
+/// Adds to each standard deviation that of the altitudes around, and the least one, of images of `gsd_m`.
+fn widen_deviations(raster: &mut Raster, gsd_m: f32) {
+    let least_m2 = (LEAST_DEVIATION_GSD * gsd_m).powi(2);
     let cells = (0..raster.plane_len()).into_par_iter().with_min_len(CHUNK);
     let around: Vec<f32> = cells.map(|i| variance_around(raster, i)).collect();
     for (own, around) in raster.plane_mut(DEVIATION).iter_mut().zip(around) {
-        *own = (*own * *own + around).sqrt();
+        *own = (*own * *own + around + least_m2).sqrt();
     }
 }
 
@@ -172,7 +177,7 @@ pub fn of_surface_on(nadir: NadirGrid, place: &Place, surface: &Surface) -> Dsm 
             raster.plane_mut(VIEWS)[i] = surface.views[cell].into();
         }
     }
-    widen_deviations(&mut raster);
+    widen_deviations(&mut raster, surface.cell_m);
     Dsm {
         raster,
         grid: nadir.grid,

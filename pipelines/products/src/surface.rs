@@ -47,6 +47,8 @@ pub struct SurfaceGaussians<'a> {
     pub leaves: Option<VegetationIndex>,
     /// How they become splats.
     pub projection: ProjectionOptions,
+    /// Ground sampling distance of the images that they were trained on, metres.
+    pub gsd_m: f32,
 }
 
 impl SurfaceGaussians<'_> {
@@ -78,6 +80,7 @@ impl<'a> From<&'a LoadedModel> for SurfaceGaussians<'a> {
             bands: model.file.bands.len(),
             leaves: model.file.vegetation_index(),
             projection: model.file.projection,
+            gsd_m: model.file.gsd_m as f32,
         }
     }
 }
@@ -270,6 +273,7 @@ mod tests {
             bands: BANDS.len(),
             leaves: Values::default().vegetation_index(&BANDS),
             projection: ProjectionOptions::default(),
+            gsd_m: CELL_M,
         };
         cells(&input, &above(1), CELL_M)
     }

@@ -22,6 +22,7 @@ pub(super) fn height_probe(scene: &Scene, leaves: Option<VegetationIndex>) -> Op
             bands: scene.bands().len(),
             leaves,
             projection: ProjectionOptions::default(),
+            gsd_m: scene.gsd_m as f32,
         };
         let surface = of_gaussians(&nadir, &gaussians).geo_raster();
         let evaluation = evaluate_raster((&scene.source, &surface), truth, classes, Protocol::Raw).ok()?;

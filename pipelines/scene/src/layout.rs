@@ -193,10 +193,12 @@ fn from_folder(folder: &Path) -> Result<Layout, SceneError> {
 }
 
 /// The JSONs of images that lie in another folder: of the folder that describes most of them, since cameras of several kinds
-/// must not be mixed; of equals, the folder of the better kind.
+/// must not be mixed; of equals, the folder of the better kind. A folder that has such images itself is another scene, and what its JSONs say is of
+/// those.
 fn cameras_beside(home: &Path, images: &[PathBuf], warnings: &mut Vec<String>) -> Result<JsonIndex, SceneError> {
     let mut found = Vec::new();
-    for folder in neighbours(home) {
+    let is_another_scene = |folder: &Path| images.iter().any(|image| folder.join(file_name(image)).is_file());
+    for folder in neighbours(home).into_iter().filter(|folder| !is_another_scene(folder)) {
         let index = JsonIndex::read(&folder)?.restricted_to(images);
         if !index.is_empty() {
             found.push((folder, index));

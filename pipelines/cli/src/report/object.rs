@@ -118,13 +118,25 @@ fn plan(run: &ObjectRun) -> Markup {
         p { (plan.reason) }
         div.wide { table {
             tr { td { "model" } td { (kind.as_str().unwrap_or("")) } }
-            tr { td { "specular reflection" } td { (yes(plan.specular)) } }
-            tr { td { "subsurface scattering" } td { (yes(plan.scattering)) } }
+            tr { td { "specular reflection" } td { (yes(plan.parts.specular)) } }
+            tr { td { "subsurface scattering" } td { (yes(plan.parts.scattering)) } }
+            tr { td { "refined shadows" } td { (yes(plan.parts.refined_shadow)) } }
         } }
         @if !plan.trials.is_empty() {
             div.wide { table {
-                tr { th { "short trial fit" } th { "PSNR, dB" } }
-                @for trial in &plan.trials { tr { td { (trial.what) } td { (number(Some(trial.psnr_db), 2)) } } }
+                tr {
+                    th { "short fits with and without" } th { "PSNR without, dB" } th { "with" } th { "gain" }
+                    th { "time of a step" } th { "numbers per Gaussian" } th { "decision" }
+                }
+                @for trial in &plan.trials { tr {
+                    td { (trial.part) }
+                    td { (number(Some(trial.without_db), 2)) }
+                    td { (number(Some(trial.with_db), 2)) }
+                    td { (trial.gain.map(|gain| gain.in_words()).unwrap_or_default()) }
+                    td { "× " (number(Some(trial.step_time_ratio), 2)) }
+                    td { (format!("{:+}", trial.numbers_per_gaussian)) }
+                    td { (if trial.taken { "taken" } else { "left out" }) }
+                } }
             } }
         }
     }
