@@ -57,11 +57,10 @@ pub fn fit(
     checkpoints.preprocessed = Some(plan.clone());
     let with_or_without = |has: bool| if has { "with" } else { "without" };
     tracing::info!(
-        "model: {:?}, {} gloss, {} scattering, {} refined shadows ({})",
+        "model: {:?}, {} gloss, {} scattering ({})",
         plan.kind,
         with_or_without(plan.parts.specular),
         with_or_without(plan.parts.scattering),
-        with_or_without(plan.parts.refined_shadow),
         plan.reason
     );
     let planned = plan.parts.of(config);

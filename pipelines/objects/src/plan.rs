@@ -54,8 +54,6 @@ pub struct Parts {
     pub specular: bool,
     /// Whether light scatters under surfaces.
     pub scattering: bool,
-    /// Whether a network refines shadows.
-    pub refined_shadow: bool,
 }
 
 impl Parts {
@@ -64,7 +62,6 @@ impl Parts {
         let model = ModelOptions {
             specular: self.specular,
             scattering: self.scattering,
-            refined_shadow: Some(self.refined_shadow),
             ..config.model.clone()
         };
         ObjectConfig {
@@ -155,35 +152,27 @@ pub fn plan(capture: &Capture, config: &ObjectConfig, session: &Session) -> Resu
         }
     };
     let olat = dull == ModelKind::Olat;
-    let can_refine = olat && config.model.shadow;
-    // What is told is there from the beginning.
-    let told = Parts {
-        refined_shadow: can_refine && config.model.refined_shadow == Some(true),
-        ..Parts::default()
-    };
+    let nothing = Parts::default();
     let may = Parts {
         specular: config.model.specular,
         scattering: config.model.scattering && olat,
-        refined_shadow: can_refine && config.model.refined_shadow.is_none(),
     };
-    // With lamps, gloss that is not tried is there: it can only be told in the light of one lamp, and costs little.
-    let specular = may.specular && olat;
-    if may == Parts::default() {
-        return Ok(untried(dull, told, "parts are switched off, or told"));
+    if may == nothing {
+        return Ok(untried(dull, nothing, "parts are switched off"));
     }
     if config.model.pilot_steps == 0 || capture.of(Split::Train).count() < LEAST_IMAGES {
-        let reason = "too few images, or steps, to try parts";
-        return Ok(untried(dull, Parts { specular, ..told }, reason));
+        // With lamps, gloss that is not tried is there: it can only be told in the light of one lamp, and costs little.
+        let parts = Parts {
+            specular: may.specular && olat,
+            ..nothing
+        };
+        return Ok(untried(dull, parts, "too few images, or steps, to try parts"));
     }
-    let fits = 1 + [may.specular, may.specular && !olat, may.scattering, may.refined_shadow]
-        .into_iter()
-        .filter(|fit| *fit)
-        .count();
-    let progress = session.progress("plan", fits as u64);
+    let progress = session.progress("plan", 3);
     let mut trials = Trials {
         capture,
         config,
-        best: ((dull, told), trial::fit(capture, config, dull, told)?),
+        best: ((dull, nothing), trial::fit(capture, config, dull, nothing)?),
         trials: Vec::new(),
     };
     progress.set(1);
@@ -204,16 +193,7 @@ pub fn plan(capture: &Capture, config: &ObjectConfig, session: &Session) -> Resu
             ..without
         };
         trials.compare("scattering", (kind, with), None)?;
-        progress.set((fits - usize::from(may.refined_shadow)) as u64);
-    }
-    if may.refined_shadow {
-        let (kind, without) = trials.best.0;
-        let with = Parts {
-            refined_shadow: true,
-            ..without
-        };
-        trials.compare("refined shadows", (kind, with), None)?;
-        progress.set(fits as u64);
+        progress.set(3);
     }
     let Trials {
         best: ((kind, parts), _),

@@ -87,7 +87,7 @@ fn begin(
         specular: config.model.specular,
         shadow: config.model.shadow,
         scattering: config.model.scattering,
-        refined: config.model.refined_shadow == Some(true) && config.model.shadow,
+        refined: config.model.refined_shadow && config.model.shadow,
         width: NETWORK.0,
         hidden: NETWORK.1,
         half_size: capture.half_size as f32,

@@ -120,7 +120,6 @@ fn plan(run: &ObjectRun) -> Markup {
             tr { td { "model" } td { (kind.as_str().unwrap_or("")) } }
             tr { td { "specular reflection" } td { (yes(plan.parts.specular)) } }
             tr { td { "subsurface scattering" } td { (yes(plan.parts.scattering)) } }
-            tr { td { "refined shadows" } td { (yes(plan.parts.refined_shadow)) } }
         } }
         @if !plan.trials.is_empty() {
             div.wide { table {
