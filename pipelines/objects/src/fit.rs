@@ -52,7 +52,9 @@ pub fn fit(
     checkpoint: Option<LoadedCheckpoint<Plan>>,
 ) -> Result<Fitted, TrainingError> {
     let begun = Instant::now();
-    let planned_before = checkpoint.as_ref().and_then(|checkpoint| checkpoint.preprocessed.clone());
+    let planned_before = checkpoint
+        .as_ref()
+        .and_then(|checkpoint| checkpoint.preprocessed.clone());
     let plan = planned_before.map_or_else(|| plan::plan(capture, config, session), Ok)?;
     checkpoints.preprocessed = Some(plan.clone());
     let with_or_without = |has: bool| if has { "with" } else { "without" };

@@ -14,6 +14,7 @@
 
 use super::grid::Grid;
 use super::ortho::box_mean;
+use super::parameters::many_views_share;
 use super::postprocess::for_each_patch;
 use super::ranges::SearchRanges;
 use rayon::prelude::*;
@@ -26,12 +27,14 @@ const BORDER_FACTOR: usize = 2;
 const WINDOW_CELLS: usize = 8;
 /// Hypotheses that a cell needs to be judged: with fewer the chosen one and its neighbours are all there is.
 const FEWEST_HYPOTHESES: usize = 4;
-/// Least share by which the cost at the chosen altitude is below the mean of all: open sea has 0.04 to 0.05, and of the ground that is
-/// matched right less than 1 % has under 0.08 (docs/lab/known.md).
-const LEAST_SHARE: f32 = 0.08;
-/// The same in a window of 3 × 3 cells of the border level, where shares are larger: three quarters of the land have 0.13 or more, nine
-/// tenths of open water less than 0.1.
-const LEAST_BORDER_SHARE: f32 = 0.11;
+/// Least share by which the cost at the chosen altitude is below the mean of all, where many views see a cell: open sea has 0.04 to 0.05, and of
+/// the ground that is matched right less than 1 % has under 0.08 (docs/lab/known.md).
+const LEAST_SHARE_MANY: f32 = 0.08;
+/// The same where few do: of few comparisons some agree by chance at one altitude of many.
+const LEAST_SHARE_FEW: f32 = 0.12;
+/// The same over that in a window of 3 × 3 cells of the border level, where shares are larger: with many views three quarters of the land have 0.13 or
+/// more, nine tenths of open water less than 0.1.
+const BORDER_SHARE: f32 = 1.375;
 /// Cells by which a stretch without a match grows at most: half of the window on the coarsest level is 12, and the census sees some more.
 const MOST_GROWN_CELLS: usize = 16;
 /// Cells of a stretch without a match that is grown, some six windows by six. A court in the shade of towers is smaller, and its rim is mostly
@@ -83,17 +86,22 @@ impl Evidence {
         }
     }
 
-    /// Whether each cell of the request is matched better than by chance. What no level judges counts as matched: other tests are left.
-    pub(super) fn matched(&self, grid: &Grid) -> Vec<bool> {
+    /// Whether each cell of the request, which so many `views` see, is matched better than by chance. What no level judges counts as matched: other
+    /// tests are left.
+    pub(super) fn matched(&self, grid: &Grid, views: impl Fn(usize) -> f32 + Sync) -> Vec<bool> {
+        let least =
+            |cell: usize| LEAST_SHARE_FEW + (LEAST_SHARE_MANY - LEAST_SHARE_FEW) * many_views_share(views(cell));
         let of_cell = |cell: usize| {
             // `max` leaves NaN out where the other is a number.
             let shares = self.levels.iter().map(|level| level.at(grid, cell));
             let share = shares.fold(f32::NAN, f32::max);
-            share.is_nan() || share >= LEAST_SHARE
+            share.is_nan() || share >= least(cell)
         };
         let mut matched: Vec<bool> = (0..grid.len()).into_par_iter().map(of_cell).collect();
         if let Some(border) = &self.border {
-            grow(grid, &mut matched, |cell| border.at(grid, cell) < LEAST_BORDER_SHARE);
+            grow(grid, &mut matched, |cell| {
+                border.at(grid, cell) < BORDER_SHARE * least(cell)
+            });
         }
         matched
     }
@@ -177,16 +185,30 @@ mod tests {
     #[test]
     fn costs_that_scatter_alike_at_all_altitudes_are_no_match() {
         let noise = |cell: usize, level: usize| 215 + (((cell * 11 + level) * 2_654_435_761) >> 7) as u8 % 20;
-        let matched = evidence(noise).matched(&grid());
+        let matched = evidence(noise).matched(&grid(), |_| 10.0);
         // In the corners less than half of the window is there, and nothing is judged.
         let inside = (0..32 * 32).filter(|cell| (4..28).contains(&(cell / 32)) && (4..28).contains(&(cell % 32)));
         assert_eq!(inside.filter(|&cell| matched[cell]).count(), 0);
     }
 
     #[test]
+    fn an_altitude_that_costs_a_tenth_less_is_a_match_of_many_views_and_chance_of_few() {
+        let faint = |_: usize, level: usize| if level == 4 { 194 } else { 215 };
+        let all = |views: f32| evidence(faint).matched(&grid(), |_| views);
+        assert!(all(8.0).iter().all(|&matched| matched));
+        let inside = (0..32 * 32).filter(|cell| (4..28).contains(&(cell / 32)) && (4..28).contains(&(cell % 32)));
+        assert_eq!(inside.filter(|&cell| all(4.0)[cell]).count(), 0);
+    }
+
+    #[test]
     fn an_altitude_that_costs_a_quarter_less_is_a_match() {
         let clear = |_: usize, level: usize| if level == 4 { 160 } else { 215 };
-        assert!(evidence(clear).matched(&grid()).iter().all(|&matched| matched));
+        assert!(
+            evidence(clear)
+                .matched(&grid(), |_| 10.0)
+                .iter()
+                .all(|&matched| matched)
+        );
     }
 
     #[test]
@@ -208,7 +230,17 @@ mod tests {
 
     #[test]
     fn where_nothing_was_compared_nothing_is_said_against_a_cell() {
-        assert!(evidence(|_, _| 255).matched(&grid()).iter().all(|&matched| matched));
-        assert!(Evidence::default().matched(&grid()).iter().all(|&matched| matched));
+        assert!(
+            evidence(|_, _| 255)
+                .matched(&grid(), |_| 10.0)
+                .iter()
+                .all(|&matched| matched)
+        );
+        assert!(
+            Evidence::default()
+                .matched(&grid(), |_| 10.0)
+                .iter()
+                .all(|&matched| matched)
+        );
     }
 }

@@ -66,6 +66,7 @@ pub fn plane_sweep(views: &[SweepView], request: &PlaneSweepRequest, progress: &
     if let Some(least) = parameters.adaptive_plane_radius {
         altitude = plane_smoothing::smooth_adaptively(&grid, &altitude, &confidence, least, found.step_m);
     }
+    let views = seen(&search, &grid, &altitude, found.step_m);
     Surface {
         width: grid.width,
         height: grid.height,
@@ -76,8 +77,8 @@ pub fn plane_sweep(views: &[SweepView], request: &PlaneSweepRequest, progress: &
         confidence,
         deviation_m: found.choices.iter().map(|choice| choice.deviation_m).collect(),
         probability: shared(&grid, &altitude, same_patch_m, &found.choices),
-        matched: found.evidence.matched(&grid),
-        views: seen(&search, &grid, &altitude, found.step_m),
+        matched: found.evidence.matched(&grid, |cell| f32::from(views[cell])),
+        views,
         resolution_m: found.step_m,
         filled,
         altitude,
