@@ -1,7 +1,7 @@
 //! Which model explains a capture, and which of its parts: what is needed is measured, not guessed.
 //!
 //! Lights decide between the kinds that know them and those that do not. A part whose worth only images can tell is tried: short fits
-//! with and without it ([`super::trial`]) are compared on images of training kept aside. It is taken when it helps beyond two standard errors
+//! with and without it (`trial.rs`) are compared on images of training kept aside. It is taken when it helps beyond two standard errors
 //! and by a least gain, and is otherwise not there at all.
 
 use super::capture::Capture;
@@ -112,7 +112,8 @@ struct Trials<'a> {
 }
 
 impl Trials<'_> {
-    /// Whether `with` is better than the best so far, and than `also`, a fit that differs from it in nothing but the part; then it is the best.
+    /// Fits `with`, and keeps it where it is better than the best so far. Where `also` is given, it differs from `with` in nothing but the part, and
+    /// `with` must be better than it too.
     fn compare(&mut self, part: &str, with: Candidate, also: Option<Candidate>) -> Result<(), TrainingError> {
         let fit = |(kind, parts): Candidate| trial::fit(self.capture, self.config, kind, parts);
         let fitted = fit(with)?;
