@@ -122,6 +122,30 @@ impl ObjectConfig {
     }
 }
 
+/// Parts of a model that may be there or not; short fits decide.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, serde::Serialize, serde::Deserialize)]
+pub struct Parts {
+    /// Whether surfaces are glossy, where the kind can be told.
+    pub specular: bool,
+    /// Whether light scatters under surfaces.
+    pub scattering: bool,
+}
+
+impl Parts {
+    /// A configuration with these parts and no others.
+    pub(super) fn of(self, config: &ObjectConfig) -> ObjectConfig {
+        let model = ModelOptions {
+            specular: self.specular,
+            scattering: self.scattering,
+            ..config.model.clone()
+        };
+        ObjectConfig {
+            model,
+            ..config.clone()
+        }
+    }
+}
+
 /// What trainings on objects have otherwise than those on ground, whoever runs them. Lengths are in pixels at the object's centre.
 fn for_objects(train: TrainOptions, seed: u64) -> TrainOptions {
     TrainOptions {

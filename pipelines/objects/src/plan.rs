@@ -5,7 +5,7 @@
 //! and by a least gain, and is otherwise not there at all.
 
 use super::capture::Capture;
-use super::config::{ModelKind, ModelOptions, ObjectConfig};
+use super::config::{ModelKind, ObjectConfig, Parts};
 use super::trial::{self, LEAST_IMAGES, Scored};
 use heliosplat_fitting::paired::{Gain, Verdict};
 use heliosplat_fitting::training::TrainingError;
@@ -50,30 +50,6 @@ pub struct Plan {
     pub reason: String,
     /// The short fits that decided.
     pub trials: Vec<Trial>,
-}
-
-/// Parts that may be there or not.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, serde::Serialize, serde::Deserialize)]
-pub struct Parts {
-    /// Whether surfaces are glossy, where the kind can be told.
-    pub specular: bool,
-    /// Whether light scatters under surfaces.
-    pub scattering: bool,
-}
-
-impl Parts {
-    /// A configuration with these parts and no others.
-    pub(super) fn of(self, config: &ObjectConfig) -> ObjectConfig {
-        let model = ModelOptions {
-            specular: self.specular,
-            scattering: self.scattering,
-            ..config.model.clone()
-        };
-        ObjectConfig {
-            model,
-            ..config.clone()
-        }
-    }
 }
 
 /// Whether every image of training has a light, and they are in different places.

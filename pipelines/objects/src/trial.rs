@@ -3,8 +3,7 @@
 //! Every image kept aside is cut into four pieces; two fits are compared piece by piece ([`heliosplat_fitting::paired`]).
 
 use super::capture::{Capture, Frame};
-use super::config::{ModelKind, ObjectConfig};
-use super::plan::Parts;
+use super::config::{ModelKind, ObjectConfig, Parts};
 use super::prepare::{self, FitInput};
 use heliosplat::model::View;
 use heliosplat::render::{PassOptions, render};
