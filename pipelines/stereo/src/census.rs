@@ -12,8 +12,8 @@ use heliosplat::fast::{floor, number};
 use heliosplat::vectorised;
 
 /// Cells from the centre to the edge of the window.
-pub(super) const RADIUS: usize = 3;
-/// Neighbours compared: every other cell of the 7 × 7 window, as on a chessboard, without the centre.
+pub(super) const RADIUS: usize = 2;
+/// Neighbours compared: those of the 5 × 5 window. Every other cell of 7 × 7 blurs edges more (docs/lab/plane-sweep.md).
 pub(super) const COMPARISONS: u32 = 24;
 /// Set in [`Descriptors::darker`] where the window is not complete.
 pub(super) const INVALID: u32 = 1 << 31;
@@ -42,11 +42,12 @@ impl Descriptors {
 
 const fn offsets() -> [(isize, isize); COMPARISONS as usize] {
     let mut list = [(0, 0); COMPARISONS as usize];
-    let (mut n, mut row) = (0, -3);
-    while row <= 3 {
-        let mut col = -3;
-        while col <= 3 {
-            if (row + col) % 2 == 0 && (row != 0 || col != 0) {
+    let reach = RADIUS as isize;
+    let (mut n, mut row) = (0, -reach);
+    while row <= reach {
+        let mut col = -reach;
+        while col <= reach {
+            if row != 0 || col != 0 {
                 list[n] = (col, row);
                 n += 1;
             }
