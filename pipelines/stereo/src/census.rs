@@ -38,6 +38,37 @@ impl Descriptors {
             value: vec![0.0; cells],
         }
     }
+
+    /// The same with each neighbourhood turned by a right angle about its centre.
+    pub(super) fn turned(&self) -> Self {
+        let turn = |list: &[u32]| list.iter().map(|&word| turned(word)).collect();
+        Self {
+            darker: turn(&self.darker),
+            compared: turn(&self.compared),
+            value: self.value.clone(),
+        }
+    }
+}
+
+/// The bit that each neighbour's bit moves to when a neighbourhood is turned by a right angle.
+const TURNED: [u32; COMPARISONS as usize] = {
+    let mut list = [0; COMPARISONS as usize];
+    let mut from = 0;
+    while from < OFFSETS.len() {
+        let (col, row) = OFFSETS[from];
+        let mut to = 0;
+        while OFFSETS[to].0 != -row || OFFSETS[to].1 != col {
+            to += 1;
+        }
+        list[from] = to as u32;
+        from += 1;
+    }
+    list
+};
+
+fn turned(word: u32) -> u32 {
+    let bits = TURNED.iter().enumerate();
+    bits.fold(word & INVALID, |turned, (from, to)| turned | (((word >> from) & 1) << to))
 }
 
 const fn offsets() -> [(isize, isize); COMPARISONS as usize] {

@@ -13,10 +13,11 @@
 //! Limits: what stood between two dates only is seen as one of its two changes; a side with fewer than two images has no surface of its
 //! own, so what changed before the second or after the last but one image cannot be told.
 
-mod agreement;
 mod segments;
 
+use super::agreement::{OnSurface, Resampled, mean_known};
 use super::grid::Grid;
+use super::level::LevelView;
 use super::ortho::box_mean;
 use super::pairs::Pair;
 use super::parameters::{MatchingFacts, MatchingParameters};
@@ -26,8 +27,8 @@ use super::request::PlaneSweepRequest;
 use super::seen::pixel_of;
 use super::surface::Surface;
 use super::views::{SweepView, ViewGeometry};
+use super::visibility::FirstHits;
 use super::volume::SearchVolume;
-use agreement::{Resampled, mean_known};
 use segments::{CoarseSegment, Side};
 
 /// Cells of the request per cell on which change is searched.
@@ -36,6 +37,8 @@ const COARSE: usize = 2;
 const FEWEST_IMAGES: usize = 2;
 /// Days at most on which images are divided: the memory of the search grows with them.
 const MOST_DAYS: usize = 12;
+/// A point this far below what its view sees first is hidden, metres.
+const HIDDEN_M: f32 = 1.5;
 /// Metres above the surface at which images agree by chance alone.
 const CHANCE_M: f32 = 7.0;
 /// Census distance by chance where no cell tells.
@@ -231,7 +234,17 @@ fn splits(
     let compared = search.compared(1);
     let (views_of_level, pairs) = (&compared.views[..views.len()], &search.pairs);
     let noise = request.parameters.noise_floor / super::cost::CONTRAST_LIMIT;
-    let resampled = |altitude: &[f32]| Resampled::new(views_of_level, &grid, altitude, noise);
+    let resampled = |altitude_m: &[f32]| {
+        let hits = |view: &LevelView| FirstHits::new(&view.camera, &grid, altitude_m, HIDDEN_M);
+        let surface = OnSurface {
+            views: views_of_level,
+            hits: &views_of_level.iter().map(hits).collect::<Vec<_>>(),
+            grid: &grid,
+            altitude_m,
+            noise,
+        };
+        surface.resample(0..grid.height)
+    };
     let present = on_grid(&grid, surface);
     let lifted: Vec<f32> = present.iter().map(|z| z + CHANCE_M).collect();
     let by_chance: Vec<f32> = {

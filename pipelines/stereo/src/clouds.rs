@@ -9,6 +9,7 @@
 
 mod brightness;
 
+use super::evidence;
 use super::grid::Grid;
 use super::ortho::{self, box_mean};
 use super::postprocess;
@@ -50,9 +51,8 @@ pub fn find_clouds(views: &[SweepView], request: &PlaneSweepRequest) -> Vec<Vec<
     let altitude = ortho::median(&grid, &found.altitude(), MEDIAN_RADIUS);
     let mut excess = brightness::excess(views, &search, &grid, &altitude, HIDDEN_STEPS * found.step_m);
     // Glitter on water is brighter than what other views show too, and no cloud: where nothing matches there is no ground to compare with.
-    let matched = found.evidence.matched(&search.grid, |_| views.len() as f32);
-    let is_matched = |cell: usize| matched[cell / grid.width * FACTOR * search.grid.width + cell % grid.width * FACTOR];
-    for cell in (0..grid.len()).filter(|&cell| !is_matched(cell)) {
+    let matched = evidence::matched(&search, FACTOR, &grid, &altitude, HIDDEN_STEPS * found.step_m, |_| views.len() as f32);
+    for cell in (0..grid.len()).filter(|&cell| !matched[cell]) {
         excess.iter_mut().for_each(|view| view[cell] = f32::NAN);
     }
     let radius = |metres: f32| (metres / grid.cell_m).round() as usize;

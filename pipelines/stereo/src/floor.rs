@@ -126,7 +126,6 @@ mod tests {
             heights,
             ranges,
             sums,
-            evidence: Default::default(),
         };
         (grid, found, parameters)
     }

@@ -24,6 +24,7 @@
 //! courtyards) is missed. Views of other dates take part with less weight; what changed between them counts as no match. Results are the
 //! same bytes for any number of threads.
 
+mod agreement;
 pub mod align;
 mod census;
 pub mod change;

@@ -1,5 +1,6 @@
 //! The plane sweep from its request to the initial surface: coarse to fine, then with hidden views left out, then post-processed.
 
+use super::evidence;
 use super::floor;
 use super::grid::Grid;
 use super::plane_smoothing;
@@ -41,7 +42,7 @@ pub fn plane_sweep(views: &[SweepView], request: &PlaneSweepRequest, progress: &
         floor::lower_for_visibility(&grid, &mut found, parameters);
         found = found.without_sums();
         let altitude = found.altitude();
-        let tolerance_m = HIDDEN_M.max(HIDDEN_STEPS * found.step_m);
+        let tolerance_m = tolerance_m(found.step_m);
         let hits: Vec<_> = search
             .compared(1)
             .views
@@ -77,12 +78,17 @@ pub fn plane_sweep(views: &[SweepView], request: &PlaneSweepRequest, progress: &
         confidence,
         deviation_m: found.choices.iter().map(|choice| choice.deviation_m).collect(),
         probability: shared(&grid, &altitude, same_patch_m, &found.choices),
-        matched: found.evidence.matched(&grid, |cell| f32::from(views[cell])),
+        matched: evidence::matched(&search, 1, &grid, &altitude, tolerance_m(found.step_m), |cell| f32::from(views[cell])),
         views,
         resolution_m: found.step_m,
         filled,
         altitude,
     }
+}
+
+/// How far below what its view sees first a point counts as hidden, metres.
+fn tolerance_m(step_m: f32) -> f32 {
+    HIDDEN_M.max(HIDDEN_STEPS * step_m)
 }
 
 /// Standard deviations of the altitudes, metres, none where one altitude is far more probable than all others: the few that remain are

@@ -5,7 +5,6 @@
 //! decided here: how to match stands in the request's [`MatchingParameters`](super::parameters::MatchingParameters).
 
 use super::cost::MatchingCost;
-use super::evidence::Evidence;
 use super::grid::Grid;
 use super::heights::HeightHypotheses;
 use super::level::LevelView;
@@ -40,7 +39,7 @@ pub(super) struct Compared {
     /// Those of the search, then finer ones again in the resolution of what they are compared with.
     pub(super) views: Vec<LevelView>,
     /// Pairs of these.
-    pairs: Vec<Pair>,
+    pub(super) pairs: Vec<Pair>,
 }
 
 /// What is searched and with which views; the same on every level.
@@ -51,7 +50,7 @@ pub(super) struct Search<'a> {
     pub(super) centre: Vec3,
     pub(super) pairs: Vec<Pair>,
     /// Weight of a comparison of index planes beside one of brightness, where they are compared.
-    index_weight: Option<f32>,
+    pub(super) index_weight: Option<f32>,
 }
 
 /// The heights chosen at one level.
@@ -68,8 +67,6 @@ pub(super) struct LevelResult {
     pub(super) ranges: SearchRanges,
     /// Summed costs of these.
     pub(super) sums: Vec<u16>,
-    /// What this level and the coarser ones say for these heights.
-    pub(super) evidence: Evidence,
 }
 
 impl LevelResult {
@@ -214,8 +211,6 @@ impl<'a> Search<'a> {
         let _part = stage("choose");
         let tolerance = parameters.candidate_tolerance.at(factor);
         let choices = wta::winner_takes_all(&ranges, &heights, &sums, tolerance);
-        let mut evidence = before.map(|found| found.evidence.clone()).unwrap_or_default();
-        evidence.add(&grid, factor, &ranges, &costs, &sums);
         LevelResult {
             grid,
             factor,
@@ -224,7 +219,6 @@ impl<'a> Search<'a> {
             heights,
             ranges,
             sums,
-            evidence,
         }
     }
 
