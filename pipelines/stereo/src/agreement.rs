@@ -49,7 +49,9 @@ impl OnSurface<'_> {
     pub(super) fn resample(&self, rows: Range<usize>) -> Resampled {
         let views = self.views.par_iter().zip(self.hits);
         Resampled {
-            views: views.map(|(view, hits)| self.describe_view(view, hits, &rows)).collect(),
+            views: views
+                .map(|(view, hits)| self.describe_view(view, hits, &rows))
+                .collect(),
         }
     }
 

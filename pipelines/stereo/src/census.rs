@@ -68,7 +68,9 @@ const TURNED: [u32; COMPARISONS as usize] = {
 
 fn turned(word: u32) -> u32 {
     let bits = TURNED.iter().enumerate();
-    bits.fold(word & INVALID, |turned, (from, to)| turned | (((word >> from) & 1) << to))
+    bits.fold(word & INVALID, |turned, (from, to)| {
+        turned | (((word >> from) & 1) << to)
+    })
 }
 
 const fn offsets() -> [(isize, isize); COMPARISONS as usize] {

@@ -9,7 +9,7 @@
 
 mod brightness;
 
-use super::evidence;
+use super::evidence::Judged;
 use super::grid::Grid;
 use super::ortho::{self, box_mean};
 use super::postprocess;
@@ -51,7 +51,14 @@ pub fn find_clouds(views: &[SweepView], request: &PlaneSweepRequest) -> Vec<Vec<
     let altitude = ortho::median(&grid, &found.altitude(), MEDIAN_RADIUS);
     let mut excess = brightness::excess(views, &search, &grid, &altitude, HIDDEN_STEPS * found.step_m);
     // Glitter on water is brighter than what other views show too, and no cloud: where nothing matches there is no ground to compare with.
-    let matched = evidence::matched(&search, FACTOR, &grid, &altitude, HIDDEN_STEPS * found.step_m, |_| views.len() as f32);
+    let judged = Judged {
+        search: &search,
+        factor: FACTOR,
+        grid,
+        altitude_m: &altitude,
+        tolerance_m: HIDDEN_STEPS * found.step_m,
+    };
+    let matched = judged.matched(|_| views.len() as f32);
     for cell in (0..grid.len()).filter(|&cell| !matched[cell]) {
         excess.iter_mut().for_each(|view| view[cell] = f32::NAN);
     }

@@ -1,6 +1,6 @@
 //! The plane sweep from its request to the initial surface: coarse to fine, then with hidden views left out, then post-processed.
 
-use super::evidence;
+use super::evidence::Judged;
 use super::floor;
 use super::grid::Grid;
 use super::plane_smoothing;
@@ -68,6 +68,13 @@ pub fn plane_sweep(views: &[SweepView], request: &PlaneSweepRequest, progress: &
         altitude = plane_smoothing::smooth_adaptively(&grid, &altitude, &confidence, least, found.step_m);
     }
     let views = seen(&search, &grid, &altitude, found.step_m);
+    let judged = Judged {
+        search: &search,
+        factor: 1,
+        grid,
+        altitude_m: &altitude,
+        tolerance_m: tolerance_m(found.step_m),
+    };
     Surface {
         width: grid.width,
         height: grid.height,
@@ -78,7 +85,7 @@ pub fn plane_sweep(views: &[SweepView], request: &PlaneSweepRequest, progress: &
         confidence,
         deviation_m: found.choices.iter().map(|choice| choice.deviation_m).collect(),
         probability: shared(&grid, &altitude, same_patch_m, &found.choices),
-        matched: evidence::matched(&search, 1, &grid, &altitude, tolerance_m(found.step_m), |cell| f32::from(views[cell])),
+        matched: judged.matched(|cell| f32::from(views[cell])),
         views,
         resolution_m: found.step_m,
         filled,
