@@ -10,7 +10,6 @@ use rayon::prelude::*;
 use std::ops::Range;
 
 /// Views and the surface that they are resampled to.
-#[derive(Clone, Copy)]
 pub(super) struct OnSurface<'a> {
     pub(super) views: &'a [LevelView],
     /// What each of them sees first.
@@ -97,11 +96,12 @@ impl OnSurface<'_> {
 }
 
 impl Resampled {
-    /// The same with each neighbourhood turned by a right angle about its centre.
-    pub(super) fn turned(&self) -> Self {
-        let turned = |planes: &[Option<Descriptors>; 2]| planes.each_ref().map(|plane| Some(plane.as_ref()?.turned()));
+    /// The same with each neighbourhood rotated by 90 degrees about its centre.
+    pub(super) fn rotated(&self) -> Self {
+        let rotated =
+            |planes: &[Option<Descriptors>; 2]| planes.each_ref().map(|plane| Some(plane.as_ref()?.rotated()));
         Self {
-            views: self.views.iter().map(turned).collect(),
+            views: self.views.iter().map(rotated).collect(),
         }
     }
 
@@ -128,13 +128,4 @@ impl Resampled {
             })
             .collect()
     }
-}
-
-/// Mean of the values that are known.
-pub(super) fn mean_known(values: &[f32]) -> Option<f32> {
-    let known = values.iter().filter(|value| value.is_finite());
-    let (sum, count) = known.fold((0.0f64, 0usize), |(sum, count), &value| {
-        (sum + f64::from(value), count + 1)
-    });
-    (count > 0).then(|| (sum / count as f64) as f32)
 }

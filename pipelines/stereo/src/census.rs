@@ -39,19 +39,19 @@ impl Descriptors {
         }
     }
 
-    /// The same with each neighbourhood turned by a right angle about its centre.
-    pub(super) fn turned(&self) -> Self {
-        let turn = |list: &[u32]| list.iter().map(|&word| turned(word)).collect();
+    /// The same with each neighbourhood rotated by 90 degrees about its centre.
+    pub(super) fn rotated(&self) -> Self {
+        let rotate = |list: &[u32]| list.iter().map(|&word| rotated(word)).collect();
         Self {
-            darker: turn(&self.darker),
-            compared: turn(&self.compared),
+            darker: rotate(&self.darker),
+            compared: rotate(&self.compared),
             value: self.value.clone(),
         }
     }
 }
 
-/// The bit that each neighbour's bit moves to when a neighbourhood is turned by a right angle.
-const TURNED: [u32; COMPARISONS as usize] = {
+/// The bit that each neighbour's bit moves to when a neighbourhood is rotated by 90 degrees.
+const ROTATED: [u32; COMPARISONS as usize] = {
     let mut list = [0; COMPARISONS as usize];
     let mut from = 0;
     while from < OFFSETS.len() {
@@ -66,10 +66,10 @@ const TURNED: [u32; COMPARISONS as usize] = {
     list
 };
 
-fn turned(word: u32) -> u32 {
-    let bits = TURNED.iter().enumerate();
-    bits.fold(word & INVALID, |turned, (from, to)| {
-        turned | (((word >> from) & 1) << to)
+fn rotated(word: u32) -> u32 {
+    let bits = ROTATED.iter().enumerate();
+    bits.fold(word & INVALID, |rotated, (from, to)| {
+        rotated | (((word >> from) & 1) << to)
     })
 }
 
@@ -233,6 +233,21 @@ mod tests {
         describe(&ramp(stride, 3.5), width, width, &[3.5e3; 36], 0.0, &mut b);
         assert_eq!(a, b);
         assert!(a.darker.iter().any(|&darker| darker != a.darker[0]));
+    }
+
+    #[test]
+    fn a_rotated_slope_agrees_with_itself_half_of_the_time_and_four_rotations_are_none() {
+        let (width, stride) = (1, 1 + 2 * RADIUS);
+        // Brighter to the east, and a little to the south, so that no two neighbours are equal.
+        let slope: Vec<f32> = (0..stride * stride)
+            .map(|i| 10.0 * (i % stride) as f32 + (i / stride) as f32)
+            .collect();
+        let mut descriptors = Descriptors::new(1);
+        describe(&slope, width, width, &[1e3], 0.0, &mut descriptors);
+        let once = descriptors.rotated();
+        assert_ne!(once, descriptors);
+        assert_eq!(once.rotated().rotated().rotated(), descriptors);
+        assert_eq!((once.darker[0] ^ descriptors.darker[0]).count_ones(), COMPARISONS / 2);
     }
 
     #[test]

@@ -15,7 +15,7 @@
 
 mod segments;
 
-use super::agreement::{OnSurface, Resampled, mean_known};
+use super::agreement::{OnSurface, Resampled};
 use super::grid::Grid;
 use super::level::LevelView;
 use super::ortho::box_mean;
@@ -309,6 +309,15 @@ fn agreement(
     sums.into_iter()
         .map(|sums| sums.map(|sum| box_mean(grid, &sum, WINDOW)))
         .collect()
+}
+
+/// Mean of the values that are known.
+fn mean_known(values: &[f32]) -> Option<f32> {
+    let known = values.iter().filter(|value| value.is_finite());
+    let (sum, count) = known.fold((0.0f64, 0usize), |(sum, count), &value| {
+        (sum + f64::from(value), count + 1)
+    });
+    (count > 0).then(|| (sum / count as f64) as f32)
 }
 
 /// Where nearly all images show the ground of a grid.

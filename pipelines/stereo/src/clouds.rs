@@ -9,7 +9,7 @@
 
 mod brightness;
 
-use super::evidence::Judged;
+use super::evidence::LevelSurface;
 use super::grid::Grid;
 use super::ortho::{self, box_mean};
 use super::postprocess;
@@ -51,7 +51,7 @@ pub fn find_clouds(views: &[SweepView], request: &PlaneSweepRequest) -> Vec<Vec<
     let altitude = ortho::median(&grid, &found.altitude(), MEDIAN_RADIUS);
     let mut excess = brightness::excess(views, &search, &grid, &altitude, HIDDEN_STEPS * found.step_m);
     // Glitter on water is brighter than what other views show too, and no cloud: where nothing matches there is no ground to compare with.
-    let judged = Judged {
+    let judged = LevelSurface {
         search: &search,
         factor: FACTOR,
         grid,

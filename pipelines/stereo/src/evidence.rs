@@ -1,7 +1,7 @@
 //! Whether the views agree at a cell's altitude better than they would by chance.
 //!
 //! Semi-global matching gives every cell an altitude, and over open water a smooth one that looks sure of itself. How well views agree by
-//! chance is measured on the same cells: one view's census neighbourhoods are turned by a right angle, so that brightness, contrast and
+//! chance is measured on the same cells: one view's census neighbourhoods are rotated by 90 degrees, so that brightness, contrast and
 //! the number of views stay as they are and only the pattern is another. The share by which the distance of the true patterns is less
 //! is the evidence, over a window of some cells each way. It is nothing over water, whatever the number of views, and a quarter on land.
 //! Lawns without texture in cells as fine may have some in cells twice as wide: the larger evidence of the two counts.
@@ -35,7 +35,7 @@ const LEAST_EVIDENCE: f32 = 0.08;
 const LEAST_EVIDENCE_OF_PAIR: f32 = 0.08;
 
 /// A surface on the cells of one level of the search.
-pub(super) struct Judged<'a> {
+pub(super) struct LevelSurface<'a> {
     pub(super) search: &'a Search<'a>,
     /// Cells of the request, each way, in one of the surface.
     pub(super) factor: usize,
@@ -45,14 +45,14 @@ pub(super) struct Judged<'a> {
     pub(super) tolerance_m: f32,
 }
 
-impl Judged<'_> {
+impl LevelSurface<'_> {
     /// Whether each cell, which so many `views` see, is matched better than by chance. Where less than half of a window is compared nothing
     /// is said against a cell: other tests are left.
     pub(super) fn matched(&self, views: impl Fn(usize) -> f32) -> Vec<bool> {
         let _part = stage("evidence");
         let fine = self.evidence(WINDOW_CELLS);
         let (coarse_grid, altitude_m) = self.coarser();
-        let coarse = Judged {
+        let coarse = LevelSurface {
             factor: self.factor * COARSER,
             grid: coarse_grid,
             altitude_m: &altitude_m,
@@ -102,15 +102,15 @@ impl Judged<'_> {
         strips.enumerate().for_each(|(strip, (found, by_chance))| {
             let row0 = strip * STRIP_ROWS;
             let resampled = surface.resample(row0..(row0 + STRIP_ROWS).min(grid.height));
-            let turned = resampled.turned();
+            let rotated = resampled.rotated();
             let (mut sums, mut chance) = (DistanceSums::new(found.len()), DistanceSums::new(found.len()));
             for pair in &pairs {
                 let of_index = self.search.index_weight.map_or(0, |share| pair.weight_of(share));
                 let weights = [pair.weight, of_index];
                 resampled.add_distances(&resampled, pair, weights, &mut sums);
-                // Turned to either side, so that a slope of brightness agrees half of the time.
-                resampled.add_distances(&turned, pair, weights, &mut chance);
-                turned.add_distances(&resampled, pair, weights, &mut chance);
+                // Rotated to either side, so that a slope of brightness agrees half of the time.
+                resampled.add_distances(&rotated, pair, weights, &mut chance);
+                rotated.add_distances(&resampled, pair, weights, &mut chance);
             }
             for cell in (0..found.len()).filter(|&cell| sums.weight[cell] > 0) {
                 found[cell] = sums.distance[cell] as f32;
@@ -119,7 +119,15 @@ impl Judged<'_> {
         });
         let [found, by_chance] = [found, by_chance].map(|values| box_mean(grid, &values, window));
         let shares = found.iter().zip(by_chance);
-        shares.map(|(found, by_chance)| 1.0 - found / by_chance).collect()
+        shares.map(|(found, by_chance)| share_less(*found, by_chance)).collect()
+    }
+}
+
+/// Share by which a distance is less than by chance. Ground without any contrast agrees at every altitude, which is no evidence of one.
+fn share_less(found: f32, by_chance: f32) -> f32 {
+    match by_chance == 0.0 {
+        true => 0.0,
+        false => 1.0 - found / by_chance,
     }
 }
 
@@ -197,14 +205,14 @@ mod tests {
         };
         let search = Search::new(&views, &request);
         let grid = request.grid();
-        let judged = Judged {
+        let surface = LevelSurface {
             search: &search,
             factor: 1,
             grid,
             altitude_m: &vec![0.0; grid.len()],
             tolerance_m: 1.0,
         };
-        judged.matched(|_| views.len() as f32)
+        surface.matched(|_| views.len() as f32)
     }
 
     #[test]
@@ -226,6 +234,13 @@ mod tests {
             );
             assert!(share(16..SIDE / 2 - 12) < 0.05, "the western half in {views} views");
         }
+    }
+
+    #[test]
+    fn ground_without_contrast_is_no_evidence_and_what_is_not_compared_says_nothing() {
+        assert_eq!(share_less(0.0, 0.0), 0.0);
+        assert_eq!(share_less(3.0, 4.0), 0.25);
+        assert!(share_less(f32::NAN, f32::NAN).is_nan());
     }
 
     #[test]

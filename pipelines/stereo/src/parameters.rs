@@ -117,7 +117,7 @@ fn views_of_ground(views: &[ViewGeometry], volume: &SearchVolume) -> f32 {
 }
 
 /// How far the parameters are those for many views: 0 up to [`FEW_VIEWS`], 1 from [`MANY_VIEWS`] on.
-pub(super) fn many_views_share(views: f32) -> f32 {
+fn many_views_share(views: f32) -> f32 {
     ((views - FEW_VIEWS) / (MANY_VIEWS - FEW_VIEWS)).clamp(0.0, 1.0)
 }
 

@@ -1,6 +1,6 @@
 //! The plane sweep from its request to the initial surface: coarse to fine, then with hidden views left out, then post-processed.
 
-use super::evidence::Judged;
+use super::evidence::LevelSurface;
 use super::floor;
 use super::grid::Grid;
 use super::plane_smoothing;
@@ -68,7 +68,7 @@ pub fn plane_sweep(views: &[SweepView], request: &PlaneSweepRequest, progress: &
         altitude = plane_smoothing::smooth_adaptively(&grid, &altitude, &confidence, least, found.step_m);
     }
     let views = seen(&search, &grid, &altitude, found.step_m);
-    let judged = Judged {
+    let judged = LevelSurface {
         search: &search,
         factor: 1,
         grid,

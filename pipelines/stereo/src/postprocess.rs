@@ -18,7 +18,7 @@ pub(super) fn speckles(grid: &Grid, altitude: &[f32], step_m: f32, fewest: usize
 
 /// Hands each connected patch of cells to `visit`, by its cells: neighbours that share a side belong to one patch when they are `together`.
 /// Cells that `seen` marks belong to none.
-pub(super) fn for_each_patch(
+fn for_each_patch(
     grid: &Grid,
     mut seen: Vec<bool>,
     together: impl Fn(usize, usize) -> bool,
