@@ -50,6 +50,7 @@ pub fn views(nadir: &NadirGrid, altitude_m: &[f32], model: &ModelFile) -> Vec<u8
         north_m: north as f32,
         cell_m: cell_m as f32,
         altitude_m: &standing,
+        standing_m: &standing,
         resolution_m: cell_m as f32,
     };
     let seen = views_seeing(&surface, &cameras, &|view, pixel| {

@@ -161,7 +161,7 @@ pub fn fit(
         tracing::warn!("{}", decisions.light_reason());
     }
     let mut model = model(&ground, &suns, decisions, !changes.segments.is_empty());
-    let covered = ground.covered(&surface);
+    let covered = surface.supported();
     let start = initial::Start {
         surface: &surface,
         covered: &covered,

@@ -7,18 +7,11 @@ use heliosplat_rpc::statistics::upper_quantile;
 use heliosplat_scene::crop::{self, Crop};
 use heliosplat_scene::{Area, ImageSun, Scene, SceneImage};
 use heliosplat_stereo::{
-    MatchingFacts, MatchingParameters, PlaneSweepRequest, SearchVolume, Surface, SweepView, ViewGeometry,
-    widest_base_to_height,
+    MatchingFacts, MatchingParameters, PlaneSweepRequest, SearchVolume, SweepView, ViewGeometry, widest_base_to_height,
 };
-use rayon::prelude::*;
 
 /// Ground added around the area, metres: shadows fall into it, and ties near the edge have a surface.
 pub const MARGIN_M: f64 = 4.0;
-
-/// Share of the images that must show a cell for Gaussians to start there; two always must. Below, the sweep is mostly noise.
-const COVERAGE: f64 = 0.4;
-/// Cells around a cell among which the lowest is its ground.
-const GROUND_CELLS: usize = 12;
 
 /// A piece of ground and the images that show it.
 pub struct Ground<'a> {
@@ -140,26 +133,6 @@ impl<'a> Ground<'a> {
             })
         };
         self.images.iter().zip(rasters).map(index).collect()
-    }
-
-    /// Cells that are matched better than by chance and that enough of the images show, at their altitude and at that of the ground
-    /// around: [`COVERAGE`] of the images, and at least two. At the ragged edge of the common ground, where two dates meet at best, the initial surface is mostly noise; a rim
-    /// of it would throw shadows over the scene.
-    pub(super) fn covered(&self, surface: &Surface) -> Vec<bool> {
-        let needed = ((self.images.len() as f64 * COVERAGE).ceil() as usize).max(2);
-        let floor = surface.lowest(GROUND_CELLS);
-        let shows = |image: &SceneImage, cell: usize| {
-            let p = surface.point(cell % surface.width, cell / surface.width).as_dvec3();
-            [p.z, floor[cell].into()]
-                .iter()
-                .all(|&z| image.sees(nalgebra::Vector3::new(p.x, p.y, z)))
-        };
-        (0..surface.altitude.len())
-            .into_par_iter()
-            .map(|cell| {
-                surface.matched[cell] && self.images.iter().filter(|image| shows(image, cell)).count() >= needed
-            })
-            .collect()
     }
 
     /// What a plane sweep with cells of `cell_m` metres searches.

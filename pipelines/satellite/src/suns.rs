@@ -39,7 +39,7 @@ fn found(scene: &Scene, swept: &Preprocess) -> Vec<Option<ShadowSun>> {
     }
     let views = ground.sweep_views(&rasters, &shifts_px);
     let surface = &swept.found.surface;
-    let covered = swept.ground.covered(surface);
+    let covered = surface.supported();
     let suns = find_suns(&views, surface, &covered, ground.frame.origin.lat_deg);
     for (image, sun) in ground.images.iter().zip(suns) {
         if let Some(sun) = sun {

@@ -9,7 +9,7 @@
 
 mod brightness;
 
-use super::evidence::LevelSurface;
+use super::evidence::{LevelSurface, is_match};
 use super::grid::Grid;
 use super::ortho::{self, box_mean};
 use super::postprocess;
@@ -58,7 +58,10 @@ pub fn find_clouds(views: &[SweepView], request: &PlaneSweepRequest) -> Vec<Vec<
         altitude_m: &altitude,
         tolerance_m: HIDDEN_STEPS * found.step_m,
     };
-    let matched = judged.matched(|_| views.len() as f32);
+    let evidence = judged.evidence().into_iter();
+    let matched: Vec<bool> = evidence
+        .map(|evidence| is_match(evidence, views.len() as f32))
+        .collect();
     for cell in (0..grid.len()).filter(|&cell| !matched[cell]) {
         excess.iter_mut().for_each(|view| view[cell] = f32::NAN);
     }

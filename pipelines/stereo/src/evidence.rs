@@ -30,7 +30,7 @@ const COARSER_WORTH: f32 = 0.8;
 /// Rows that are resampled together: what all views show on them is in memory at a time.
 const STRIP_ROWS: usize = 64;
 /// Least evidence of a match, however many pairs of views compare it (docs/lab/known.md).
-const LEAST_EVIDENCE: f32 = 0.08;
+pub(super) const LEAST_EVIDENCE: f32 = 0.08;
 /// The same that a single pair needs beside it; of more pairs, chance leaves the search less.
 const LEAST_EVIDENCE_OF_PAIR: f32 = 0.12;
 
@@ -46,11 +46,11 @@ pub(super) struct LevelSurface<'a> {
 }
 
 impl LevelSurface<'_> {
-    /// Whether each cell, which so many `views` see, is matched better than by chance. Where less than half of a window is compared nothing
-    /// is said against a cell: other tests are left.
-    pub(super) fn matched(&self, views: impl Fn(usize) -> f32) -> Vec<bool> {
+    /// How much better the views agree at each cell than by chance: 0 where they do not, 1 for a perfect match; NaN where less than half of a
+    /// window is compared.
+    pub(super) fn evidence(&self) -> Vec<f32> {
         let _part = stage("evidence");
-        let fine = self.evidence(WINDOW_CELLS);
+        let fine = self.evidence_within(WINDOW_CELLS);
         let (coarse_grid, altitude_m) = self.coarser();
         let coarse = LevelSurface {
             factor: self.factor * COARSER,
@@ -58,16 +58,11 @@ impl LevelSurface<'_> {
             altitude_m: &altitude_m,
             ..*self
         };
-        let coarse = coarse.evidence(WINDOW_CELLS / COARSER);
+        let coarse = coarse.evidence_within(WINDOW_CELLS / COARSER);
         let coarse = ortho::repeated(&self.grid, &coarse_grid, COARSER, &coarse);
-        let cells = fine.iter().zip(coarse).enumerate();
-        cells
-            .map(|(cell, (fine, coarse))| {
-                // `max` leaves NaN out where the other is a number.
-                let evidence = fine.max(COARSER_WORTH * coarse);
-                evidence.is_nan() || evidence >= least_evidence(views(cell))
-            })
-            .collect()
+        // `max` leaves NaN out where the other is a number.
+        let cells = fine.iter().zip(coarse);
+        cells.map(|(fine, coarse)| fine.max(COARSER_WORTH * coarse)).collect()
     }
 
     /// The surface on the coarser level.
@@ -83,7 +78,7 @@ impl LevelSurface<'_> {
 
     /// Share by which the census distance of the views is less than by chance, over windows of so many cells each way; NaN where less than
     /// half of a window is compared.
-    fn evidence(&self, window: usize) -> Vec<f32> {
+    fn evidence_within(&self, window: usize) -> Vec<f32> {
         let Compared { views, pairs } = self.search.compared(self.factor);
         let grid = &self.grid;
         let hits = |view: &LevelView| FirstHits::new(&view.camera, grid, self.altitude_m, self.tolerance_m);
@@ -129,6 +124,12 @@ fn share_less(found: f32, by_chance: f32) -> f32 {
         true => 0.0,
         false => 1.0 - found / by_chance,
     }
+}
+
+/// Whether so much `evidence` is a match that so many `views` agree on. Where nothing is compared nothing is said against a cell: other
+/// tests are left.
+pub(super) fn is_match(evidence: f32, views: f32) -> bool {
+    evidence.is_nan() || evidence >= least_evidence(views)
 }
 
 /// The least evidence of a match that so many views agree on.
@@ -212,7 +213,11 @@ mod tests {
             altitude_m: &vec![0.0; grid.len()],
             tolerance_m: 1.0,
         };
-        surface.matched(|_| views.len() as f32)
+        let evidence = surface.evidence();
+        evidence
+            .into_iter()
+            .map(|evidence| is_match(evidence, views.len() as f32))
+            .collect()
     }
 
     #[test]

@@ -1,13 +1,13 @@
 //! The plane sweep from its request to the initial surface: coarse to fine, then with hidden views left out, then post-processed.
 
-use super::evidence::LevelSurface;
+use super::evidence::{LEAST_EVIDENCE, LevelSurface, is_match};
 use super::floor;
 use super::grid::Grid;
 use super::plane_smoothing;
 use super::postprocess;
 use super::pyramid::Search;
 use super::request::PlaneSweepRequest;
-use super::seen::{AltitudeGrid, views_seeing};
+use super::seen::{AltitudeGrid, FEWEST_VIEWS, views_seeing};
 use super::surface::Surface;
 use super::total_variation::smooth_by_deviation;
 use super::views::SweepView;
@@ -42,16 +42,23 @@ pub fn plane_sweep(views: &[SweepView], request: &PlaneSweepRequest, progress: &
         floor::lower_for_visibility(&grid, &mut found, parameters);
         found = found.without_sums();
         let altitude = found.altitude();
+        // Beside the common ground the search finds towers that would hide its rim.
+        let views = seen(&search, &grid, &altitude, &altitude, found.step_m);
+        let standing: Vec<f32> = altitude
+            .iter()
+            .zip(views)
+            .map(|(altitude, views)| if views >= FEWEST_VIEWS { *altitude } else { f32::MIN })
+            .collect();
         let tolerance_m = tolerance_m(found.step_m);
         let hits: Vec<_> = search
             .compared(1)
             .views
             .iter()
-            .map(|view| FirstHits::new(&view.camera, &grid, &altitude, tolerance_m))
+            .map(|view| FirstHits::new(&view.camera, &grid, &standing, tolerance_m))
             .collect();
         found = search.level(1, Some(&found), Some(&hits));
     }
-    let matched = found.altitude();
+    let as_matched = found.altitude();
     floor::prefer(&grid, &mut found, parameters);
     let mut altitude = found.altitude();
     let same_patch_m = (SAME_PATCH_STEPS * found.step_m).max(SAME_PATCH_CELLS * grid.cell_m);
@@ -67,7 +74,6 @@ pub fn plane_sweep(views: &[SweepView], request: &PlaneSweepRequest, progress: &
     if let Some(least) = parameters.adaptive_plane_radius {
         altitude = plane_smoothing::smooth_adaptively(&grid, &altitude, &confidence, least, found.step_m);
     }
-    let views = seen(&search, &grid, &altitude, found.step_m);
     let judged = LevelSurface {
         search: &search,
         factor: 1,
@@ -75,17 +81,31 @@ pub fn plane_sweep(views: &[SweepView], request: &PlaneSweepRequest, progress: &
         altitude_m: &altitude,
         tolerance_m: tolerance_m(found.step_m),
     };
+    let evidence = judged.evidence();
+    // Only what there is evidence of hides anything: beside the common ground the search finds towers and pits that are not there.
+    let cells = altitude.iter().zip(&evidence);
+    let standing: Vec<f32> = cells
+        .map(|(altitude, evidence)| match *evidence >= LEAST_EVIDENCE {
+            true => *altitude,
+            false => f32::NAN,
+        })
+        .collect();
+    let views = seen(&search, &grid, &altitude, &standing, found.step_m);
+    let cells = evidence.iter().zip(&views);
+    let matched: Vec<bool> = cells
+        .map(|(evidence, views)| is_match(*evidence, f32::from(*views)))
+        .collect();
     Surface {
         width: grid.width,
         height: grid.height,
         west_m: grid.west_m,
         north_m: grid.north_m,
         cell_m: grid.cell_m,
-        above: above(&matched, &altitude, &filled),
+        above: above(&as_matched, &altitude, &filled),
         confidence,
         deviation_m: found.choices.iter().map(|choice| choice.deviation_m).collect(),
         probability: shared(&grid, &altitude, same_patch_m, &found.choices),
-        matched: judged.matched(|cell| f32::from(views[cell])),
+        matched,
         views,
         resolution_m: found.step_m,
         filled,
@@ -131,8 +151,8 @@ fn above(matched: &[f32], altitude: &[f32], filled: &[bool]) -> Vec<f32> {
         .collect()
 }
 
-/// How many views see each cell of the surface.
-fn seen(search: &Search, grid: &Grid, altitude: &[f32], step_m: f32) -> Vec<u8> {
+/// How many views see each cell of the surface where nothing but `standing` (metres, NaN for nothing) hides it.
+fn seen(search: &Search, grid: &Grid, altitude: &[f32], standing: &[f32], step_m: f32) -> Vec<u8> {
     let views = search.level_views(1);
     let cameras: Vec<ProjectiveCamera> = views.iter().map(|view| view.camera).collect();
     let surface = AltitudeGrid {
@@ -141,6 +161,7 @@ fn seen(search: &Search, grid: &Grid, altitude: &[f32], step_m: f32) -> Vec<u8> 
         north_m: grid.north_m,
         cell_m: grid.cell_m,
         altitude_m: altitude,
+        standing_m: standing,
         resolution_m: HIDDEN_STEPS * step_m,
     };
     views_seeing(&surface, &cameras, &|view, pixel| {

@@ -2,12 +2,14 @@
 //!
 //! One image alone says nothing of an altitude, so a cell that fewer than [`FEWEST_VIEWS`] see is not known, whatever was matched there.
 //! At the rim of the common ground views meet at some altitudes only, and the sweep finds one of those, whatever the ground is. So a view
-//! counts where it would also show the place if that lay as low as the ground around.
+//! counts where it would also show the place if that lay as low as the ground around. Pits of such mismatches do not count as ground. The
+//! caller says which cells stand, so that towers of them hide nothing.
 
-use super::grid::{Grid, lowest_within};
+use super::grid::Grid;
 use super::visibility::FirstHits;
 use glam::Vec3;
 use heliosplat::ProjectiveCamera;
+use heliosplat_rpc::statistics::{quantile, upper_median};
 use rayon::prelude::*;
 
 /// Views that must see a cell for its altitude to be known.
@@ -15,10 +17,14 @@ pub const FEWEST_VIEWS: u8 = 2;
 /// A cell counts as hidden when it lies at least this far below what hides it, metres: a kerb or a hedge hides nothing.
 const HIDDEN_M: f32 = 1.0;
 
-/// Side of the squares of which the lowest altitude is taken first, cells.
-const SQUARE: usize = 8;
-/// Squares each way among which the lowest is the ground around: 256 cells.
-const REACH: usize = 32;
+/// Side of the squares of which the median altitude is taken first, cells.
+const SQUARE: usize = 32;
+/// Share of a square's cells that must stand for its median to count, where any square has as many: fewer may be a single mismatch.
+const LEAST_STANDING: f32 = 0.25;
+/// Squares each way of which the lowest is the ground around: 256 cells.
+const REACH: usize = 8;
+/// Share of these squares that may lie lower: pits beside the common ground, where the search has run to the lowest altitude.
+const PITS: f64 = 0.05;
 
 /// Altitudes on a ground grid whose row 0 is the northern one.
 #[derive(Debug, Clone, Copy)]
@@ -31,8 +37,10 @@ pub struct AltitudeGrid<'a> {
     pub north_m: f32,
     /// Width of a cell, metres.
     pub cell_m: f32,
-    /// Altitude of each cell, metres; NaN where none is known: such a cell is seen by no view, and hides nothing.
+    /// Altitude of each cell, metres; NaN where none is known: such a cell is seen by no view.
     pub altitude_m: &'a [f32],
+    /// Altitude of what hides other cells, metres; NaN where nothing does.
+    pub standing_m: &'a [f32],
     /// What the altitudes can be off by, metres: a cell that lies less than this below another is not hidden by it.
     pub resolution_m: f32,
 }
@@ -52,12 +60,12 @@ pub fn views_seeing(
         cell_m: surface.cell_m,
     };
     let standing: Vec<f32> = surface
-        .altitude_m
+        .standing_m
         .iter()
         .map(|z| if z.is_nan() { f32::MIN } else { *z })
         .collect();
     let tolerance_m = surface.resolution_m.max(HIDDEN_M);
-    let ground = LowestGround::new(&grid, surface.altitude_m);
+    let ground = LowestGround::new(&grid, surface.standing_m);
     let mut seen = vec![0u8; grid.len()];
     // View by view: the hits of one image are in memory at a time.
     for (view, camera) in cameras.iter().enumerate() {
@@ -77,23 +85,39 @@ pub fn views_seeing(
     seen
 }
 
-/// The lowest altitude around each place, coarsely.
+/// The altitude of the lowest ground around each place, coarsely.
 struct LowestGround {
     columns: usize,
     lowest_m: Vec<f32>,
 }
 
 impl LowestGround {
-    fn new(grid: &Grid, altitude_m: &[f32]) -> Self {
+    fn new(grid: &Grid, standing_m: &[f32]) -> Self {
         let squares = grid.coarser(SQUARE);
-        let mut lowest = vec![f32::MAX; squares.len()];
-        for (cell, &altitude_m) in altitude_m.iter().enumerate().filter(|(_, z)| z.is_finite()) {
-            let square = cell / grid.width / SQUARE * squares.width + cell % grid.width / SQUARE;
-            lowest[square] = lowest[square].min(altitude_m);
-        }
+        let of_square = |square: usize| {
+            let (col0, row0) = (square % squares.width * SQUARE, square / squares.width * SQUARE);
+            let cols = col0..(col0 + SQUARE).min(grid.width);
+            let rows = row0..(row0 + SQUARE).min(grid.height);
+            let all = cols.len() * rows.len();
+            let cells = rows.flat_map(|row| cols.clone().map(move |col| row * grid.width + col));
+            let mut standing: Vec<f32> = cells.map(|cell| standing_m[cell]).filter(|z| z.is_finite()).collect();
+            let share = standing.len() as f32 / all as f32;
+            Some((upper_median(&mut standing)?, share))
+        };
+        let medians: Vec<Option<(f32, f32)>> = (0..squares.len()).into_par_iter().map(of_square).collect();
+        let best = medians.iter().flatten().map(|(_, share)| *share).fold(0.0, f32::max);
+        let needed = LEAST_STANDING.min(best);
+        let around = |square: usize| {
+            let medians = squares.around(square, REACH).filter_map(|near| medians[near]);
+            let mut enough: Vec<f32> = medians
+                .filter(|(_, share)| *share >= needed)
+                .map(|(median, _)| median)
+                .collect();
+            quantile(&mut enough, PITS).unwrap_or(f32::MAX)
+        };
         Self {
             columns: squares.width,
-            lowest_m: lowest_within((squares.width, squares.height), &lowest, REACH),
+            lowest_m: (0..squares.len()).into_par_iter().map(around).collect(),
         }
     }
 
@@ -136,6 +160,7 @@ mod tests {
             north_m: side as f32 / 2.0,
             cell_m: 1.0,
             altitude_m,
+            standing_m: altitude_m,
             resolution_m: 0.1,
         }
     }
@@ -168,6 +193,32 @@ mod tests {
         };
         assert_eq!((on_the_ground(30), on_the_ground(55)), (2, 1));
         assert_eq!((seen[30 * SIDE + 30], seen[30 * SIDE + 55]), (2, 1));
+    }
+
+    #[test]
+    fn a_pit_of_mismatches_takes_no_view_from_the_ground_around() {
+        const SIDE: usize = 96;
+        let pit = |i: usize| i % SIDE < 12 && i / SIDE < 12;
+        let altitude: Vec<f32> = (0..SIDE * SIDE).map(|i| if pit(i) { -60.0 } else { 0.0 }).collect();
+        let cameras = [camera(-1.0, SIDE), camera(1.0, SIDE)];
+        let seen = views_seeing(&surface(&altitude, SIDE), &cameras, &|_, _| true);
+        assert_eq!((seen[50 * SIDE + 20], seen[50 * SIDE + 75]), (2, 2));
+    }
+
+    #[test]
+    fn what_does_not_stand_hides_nothing() {
+        const SIDE: usize = 60;
+        let tower = |i: usize| (25..35).contains(&(i % SIDE));
+        let altitude: Vec<f32> = (0..SIDE * SIDE).map(|i| if tower(i) { 10.0 } else { 0.0 }).collect();
+        let standing: Vec<f32> = (0..SIDE * SIDE)
+            .map(|i| if tower(i) { f32::NAN } else { 0.0 })
+            .collect();
+        let grid = AltitudeGrid {
+            standing_m: &standing,
+            ..surface(&altitude, SIDE)
+        };
+        let seen = views_seeing(&grid, &[camera(-1.0, SIDE), camera(1.0, SIDE)], &|_, _| true);
+        assert_eq!((seen[30 * SIDE + 21], seen[30 * SIDE + 38]), (2, 2));
     }
 
     #[test]

@@ -61,7 +61,18 @@ impl Surface {
     /// Whether the altitude of a cell is known: at least [`FEWEST_VIEWS`] views see it there and agree better than by chance, and it is more
     /// probable than all other altitudes together.
     pub fn is_known(&self, cell: usize) -> bool {
-        self.views[cell] >= FEWEST_VIEWS && self.matched[cell] && self.probability[cell] >= KNOWN_PROBABILITY
+        self.is_supported(cell) && self.probability[cell] >= KNOWN_PROBABILITY
+    }
+
+    /// Whether at least [`FEWEST_VIEWS`] views see a cell at its altitude and agree better than by chance. How probable other altitudes are is
+    /// not asked.
+    pub fn is_supported(&self, cell: usize) -> bool {
+        self.views[cell] >= FEWEST_VIEWS && self.matched[cell]
+    }
+
+    /// The cells that are supported.
+    pub fn supported(&self) -> Vec<bool> {
+        (0..self.altitude.len()).map(|cell| self.is_supported(cell)).collect()
     }
 
     /// Whether the ground position lies on the grid.
