@@ -31,7 +31,8 @@ const WALL_FROM_STEPS: f32 = 3.0;
 const FLOOR_CELLS: (usize, usize) = (4, 9);
 /// Confidence below which the sweep was in doubt.
 const DOUBT: f32 = 0.1;
-/// Share of the opacity at steps that a roof or crown has where the sweep was in doubt. Such a place is mostly ground (docs/lab/start.md).
+/// Share of the opacity at steps that a roof or crown has where the sweep was in doubt, or preferred the ground to it. Such a place is mostly
+/// ground (docs/lab/start.md).
 const DOUBTFUL_SHARE: f32 = 0.25;
 
 /// Where the discs stand and how they lie.
@@ -180,11 +181,11 @@ impl Start<'_> {
             discs.add(&top);
             let above_m = surface.above[cell];
             if above_m - here.z > wall_from_m {
-                // The ground was preferred to what was matched here: training decides.
+                // The ground was preferred to what was matched here, so that is doubtful: training decides.
                 discs.add(&Disc {
                     centre: Vec3::new(here.x, here.y, above_m),
                     rotation: Quat::IDENTITY,
-                    opacity: step_opacity,
+                    opacity: DOUBTFUL_SHARE * step_opacity,
                     ..top
                 });
             }
@@ -370,6 +371,6 @@ mod tests {
         let table = gaussians_on(&surface, &[true; 9]);
         let over: Vec<usize> = (0..table.count).filter(|&i| table.position(i).z == 6.0).collect();
         assert_eq!((table.count, over.len()), (10, 1));
-        assert!((table.opacity(over[0]) - 0.35).abs() < 1e-5);
+        assert!((table.opacity(over[0]) - DOUBTFUL_SHARE * 0.35).abs() < 1e-5);
     }
 }
