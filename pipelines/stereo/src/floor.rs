@@ -95,7 +95,7 @@ fn floor(grid: &Grid, found: &LevelResult) -> Vec<f32> {
 #[cfg(test)]
 mod tests {
     use super::super::heights::HeightHypotheses;
-    use super::super::parameters::{FLOOR_BONUS, MatchingFacts};
+    use super::super::parameters::MatchingFacts;
     use super::super::ranges::SearchRanges;
     use super::*;
 
@@ -139,7 +139,7 @@ mod tests {
             assert!(found.choices[5].altitude_m < 1.5, "the ground stays");
             found.choices[24]
         };
-        let doubtful = strip(FLOOR_BONUS - 50);
+        let doubtful = strip(100);
         assert!(doubtful.altitude_m < 1.5, "{doubtful:?}");
         assert!(doubtful.deviation_m > 1.0, "it could be a roof: {doubtful:?}");
         assert_eq!(strip(400).altitude_m, 7.0);

@@ -27,7 +27,7 @@ pub const MANY_VIEWS: f32 = 8.0;
 pub(super) const STEP_CELLS: f32 = 0.5;
 /// Summed cost by which the floor is cheaper than a surface in doubt above it, with many views (docs/lab/edges.md); with few views costs
 /// are too noisy to tell a sure floor, and where costs are averaged over windows there are no walls that single cells could place.
-pub(super) const FLOOR_BONUS: u16 = 260;
+const FLOOR_BONUS: u16 = 150;
 /// Rounds at full resolution in which views that the surface hides are left out; docs/lab/plane-sweep.md: a second one gains nothing.
 const VISIBILITY_ROUNDS: usize = 1;
 /// Cost of a change by one height step between neighbours (P1 of Hirschmüller 2008), in units of a full mismatch / 255.
