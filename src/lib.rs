@@ -14,7 +14,7 @@
 //! | [`shade`] | shading formulas with their gradients |
 //! | [`model`] | the trait of a scene model, and its implementations: what channels are rasterised, how they become pixels |
 //! | [`render`] | one pass: project, trace, features, rasterise, compose; and its backward pass |
-//! | [`loss`] | photometric, geometric and shadow losses on images and maps |
+//! | [`loss`] | photometric, geometric and shadow losses on images and maps; smoothness between neighbours |
 //! | [`optim`] | Adam, learning rates of parameter groups, density control |
 //! | [`train`] | the trainer: one view a step, losses, update, density control, early stopping, resumable state |
 //! | [`relief`] | horizons and cast shadows of a surface of heights, without Gaussians |

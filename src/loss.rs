@@ -3,3 +3,4 @@
 pub mod geometry;
 pub mod photometric;
 pub mod shadow;
+pub mod smoothness;

@@ -17,6 +17,7 @@ use crate::gaussians::{FEATURES, LOG_SCALE, OPACITY, POSITION, ROTATION, for_eac
 use crate::loss::geometry::depth_normal;
 use crate::loss::photometric::photometric;
 use crate::loss::shadow::{ConsistencyPass, consistency};
+use crate::loss::smoothness::{Neighbours, total_variation};
 use crate::model::{Context, NamedLoss, Parameters, SceneModel, View};
 use crate::optim::density::UNTIL_FRACTION;
 use crate::optim::{Adam, DensityStatistics, LearningRate, ParameterGroup, exponential_decay};
@@ -100,6 +101,8 @@ pub struct Trainer<'a> {
     occluders: Option<Occluders>,
     occluders_step: usize,
     cached_visibility: Vec<Option<CachedVisibility>>,
+    /// As Gaussians stood when their number last changed.
+    neighbours: Option<Neighbours>,
     order: Vec<usize>,
     step: usize,
     rejected: usize,
@@ -147,6 +150,7 @@ impl<'a> Trainer<'a> {
             occluders: None,
             occluders_step: 0,
             cached_visibility: vec![None; views.len()],
+            neighbours: None,
             order: Vec::new(),
             step: 0,
             rejected: 0,
@@ -270,6 +274,10 @@ impl<'a> Trainer<'a> {
             report
                 .losses
                 .push(("shadow_consistency", self.descend_consistency(index)));
+        }
+        if self.options.smoothness_weight > 0.0 {
+            let _part = stage("smoothness");
+            report.losses.push(("smoothness", self.descend_smoothness(index)));
         }
         self.step += 1;
         report.step = self.step;
@@ -424,6 +432,25 @@ impl<'a> Trainer<'a> {
         consistency(gaussians, &projected, &pass, &mut self.gradients.gaussians)
     }
 
+    /// Smoothness of the model's first feature, in the units of a mean over the pixels of the step's view.
+    fn descend_smoothness(&mut self, index: usize) -> f64 {
+        let gaussians = &self.parameters.gaussians;
+        let Some(feature) = gaussians.groups.get(FEATURES) else {
+            return 0.0;
+        };
+        let neighbours = self
+            .neighbours
+            .get_or_insert_with(|| Neighbours::new(gaussians, self.options.gsd_m));
+        let camera = &self.views[index].camera;
+        total_variation(
+            neighbours,
+            (&feature.values, feature.spec.width),
+            camera.width * camera.height,
+            PHOTOMETRIC_WEIGHT * self.options.smoothness_weight,
+            self.gradients.gaussians.group_mut(FEATURES),
+        )
+    }
+
     fn update(&mut self) {
         let o = &self.options;
         let f = self.fraction();
@@ -467,6 +494,7 @@ impl<'a> Trainer<'a> {
         self.gaussians_adam.follow(&rebuild.sources, rebuild.fresh);
         self.occluders = None;
         self.cached_visibility.fill(None);
+        self.neighbours = None;
         tracing::debug!(
             step = self.step,
             gaussians = self.parameters.gaussians.count,

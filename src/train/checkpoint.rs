@@ -7,6 +7,7 @@ use super::cached_visibility::CachedVisibility;
 use super::holdout::HoldoutState;
 use super::{Trainer, TrainerOptionsState};
 use crate::gaussians::Table;
+use crate::loss::smoothness::Neighbours;
 use crate::model::Parameters;
 use crate::optim::{Adam, DensityStatistics};
 use crate::trace::Occluders;
@@ -14,7 +15,7 @@ use crate::trace::bvh::Bounds;
 use std::borrow::Cow;
 
 /// Version of [`TrainerState`]: changes with its layout, and whenever the steps of a training come to mean something else.
-pub const STATE_VERSION: u32 = 4;
+pub const STATE_VERSION: u32 = 5;
 
 /// Why a state cannot be taken up.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
@@ -37,6 +38,8 @@ pub struct TrainerState<'a> {
     /// Step at which the occluders were made, and what a hierarchy over them was built on: where Gaussians are in it decides the
     /// order of products.
     occluders: Option<(usize, Option<Cow<'a, [Bounds]>>)>,
+    /// As Gaussians stood some steps ago.
+    neighbours: Option<Cow<'a, Neighbours>>,
     step: usize,
     rejected: usize,
     rejected_in_a_row: usize,
@@ -80,6 +83,7 @@ impl Trainer<'_> {
                 let built_on = occluders.hierarchy_built_on().map(Cow::Borrowed);
                 (self.occluders_step, built_on)
             }),
+            neighbours: self.neighbours.as_ref().map(Cow::Borrowed),
             step: self.step,
             rejected: self.rejected,
             rejected_in_a_row: self.rejected_in_a_row,
@@ -110,6 +114,7 @@ impl Trainer<'_> {
                 None => Occluders::new(&self.parameters.gaussians),
             }
         });
+        self.neighbours = state.neighbours.map(Cow::into_owned);
         self.order.clear();
         self.step = state.step;
         self.rejected = state.rejected;
@@ -156,6 +161,13 @@ impl Trainer<'_> {
             (
                 "occluders",
                 bounds.into_iter().all(|bounds| bounds.len() == gaussians.count),
+            ),
+            (
+                "neighbours",
+                state
+                    .neighbours
+                    .iter()
+                    .all(|neighbours| neighbours.count() == gaussians.count && neighbours.is_whole()),
             ),
         ];
         match checks.into_iter().find(|(_, fits)| !fits) {

@@ -53,6 +53,10 @@ pub struct TrainOptions {
     /// the root of the ratio and more below a quarter of it, at most eight times: what they have to travel is the same. 0 never does.
     #[serde(skip)]
     pub own_rate_steps: usize,
+    /// Weight of the smoothness of a model's first feature between neighbours on one surface ([`smoothness`](crate::loss::smoothness)); 0 is
+    /// off. 0.1 for the albedo of ground.
+    #[serde(skip)]
+    pub smoothness_weight: f32,
     /// Smallest and largest standard deviation, ground sampling distances.
     #[serde(skip)]
     pub scale_gsd: (f32, f32),
@@ -80,6 +84,7 @@ impl Default for TrainOptions {
             final_rate: 0.05,
             opacity_rate: 0.06,
             own_rate_steps: 0,
+            smoothness_weight: 0.0,
             scale_gsd: (0.1, 8.0),
             holdout: 0.04,
         }
@@ -144,6 +149,7 @@ impl TrainOptions {
             not_negative("position_rate_gsd", self.position_rate_gsd),
             not_negative("depth_normal_weight", self.depth_normal_weight),
             not_negative("consistency_weight", self.consistency_weight),
+            not_negative("smoothness_weight", self.smoothness_weight),
             share("pyramid_share", self.pyramid_share),
             above_zero("gsd_m", self.gsd_m),
         ] {

@@ -23,8 +23,9 @@ pub use super::sweep_memory::PROGRAM_BYTES;
 const GAUSSIANS_PER_CELL: f64 = 1.8;
 /// Tables of all parameters that training holds: values, gradients, two moments, the best state.
 const TABLES: f64 = 5.0;
-/// Bytes per Gaussian of what one step makes besides: splats, lists of tiles, gradients, ellipses on the plane of the sun.
-const STEP_BYTES_PER_GAUSSIAN: f64 = 560.0;
+/// Bytes per Gaussian of what one step makes besides: splats, lists of tiles, gradients, ellipses on the plane of the sun,
+/// neighbours.
+const STEP_BYTES_PER_GAUSSIAN: f64 = 580.0;
 /// What the allocator keeps at hand, bytes.
 const SPARE_BYTES: f64 = 64.0 * 1_048_576.0;
 /// Planes of 32-bit numbers per pixel of the largest view that one step makes, besides those per channel.

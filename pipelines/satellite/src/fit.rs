@@ -35,6 +35,8 @@ const SKY: f32 = 0.3;
 const PRIOR_WEIGHT: f32 = 1.0;
 /// Steps from which on learning rates are their own (docs/lab/start.md).
 const OWN_RATE_STEPS: usize = 1600;
+/// Weight of the smoothness of the albedo (docs/lab/start.md).
+const SMOOTHNESS_WEIGHT: f32 = 0.1;
 
 /// What a fit may take.
 #[derive(Debug, Clone, Copy, Default)]
@@ -206,6 +208,7 @@ pub fn fit(
     let steps = options.iterations;
     options.gsd_m = scene.gsd_m as f32;
     options.own_rate_steps = OWN_RATE_STEPS;
+    options.smoothness_weight = SMOOTHNESS_WEIGHT;
     let memory = |config: &SatelliteConfig, parameters: &Parameters, views: &[View], options: &mut TrainOptions| {
         fit_into_memory(limits.memory, scene, parameters, views, config, options)
     };

@@ -281,8 +281,11 @@ fn values_of(draft: &Draft, sun: &ImageSun, counts_per_unit: f64) -> Values {
 /// Ground sampling distances that differ by more than this factor are not those of one kind of image.
 const UNLIKE: f64 = 1.5;
 
-/// The median of `gsds` (metres, one at least) in two significant digits: what at least half of the images resolve. A surface is found
-/// from pairs, and a pair shows what its coarser image resolves: cells of a few finer images would be empty detail, those of the coarsest
+/// Share by which a ground sampling distance may be rounded to one significant digit.
+const ROUNDED: f64 = 0.05;
+
+/// The median of `gsds` (metres, one at least), what at least half of the images resolve, in one significant digit where that is nearly
+/// the same and else in two: cells of 0.5 m coincide with those of other data, those of 0.51 m do not. A surface is found from pairs, and a pair shows what its coarser image resolves: cells of a few finer images would be empty detail, those of the coarsest
 /// would lose what most images show. Of two middle ones of unlike images the finer counts where two images or more have it.
 pub(super) fn nominal_gsd_m(mut gsds: Vec<f64>) -> f64 {
     let upper = upper_median(&mut gsds).unwrap_or(f64::NAN);
@@ -294,8 +297,16 @@ pub(super) fn nominal_gsd_m(mut gsds: Vec<f64>) -> f64 {
         upper
     };
     // Multiples of a whole divisor are nearer to decimals than those of a fraction are.
-    let per_unit = 10f64.powi(1 - median.log10().floor() as i32);
-    (median * per_unit).round() / per_unit
+    let in_digits = |digits: i32| {
+        let per_unit = 10f64.powi(digits - 1 - median.log10().floor() as i32);
+        (median * per_unit).round() / per_unit
+    };
+    let round = in_digits(1);
+    if (round - median).abs() <= ROUNDED * median {
+        round
+    } else {
+        in_digits(2)
+    }
 }
 
 /// Corners of the training images on the ground.
@@ -394,9 +405,11 @@ mod tests {
     #[test]
     fn cells_are_as_wide_as_people_say() {
         assert_eq!(nominal_gsd_m(vec![0.62, 0.504_142, 0.49]), 0.5);
-        assert_eq!(nominal_gsd_m(vec![0.309]), 0.31);
+        assert_eq!(nominal_gsd_m(vec![0.509]), 0.5);
+        assert_eq!(nominal_gsd_m(vec![0.309]), 0.3);
+        assert_eq!(nominal_gsd_m(vec![0.332]), 0.33);
         assert_eq!(nominal_gsd_m(vec![0.0996]), 0.1);
-        assert_eq!(nominal_gsd_m(vec![1.94, 2.06]), 2.1);
+        assert_eq!(nominal_gsd_m(vec![1.94, 2.06]), 2.0);
         assert_eq!(nominal_gsd_m(vec![12.4]), 12.0);
     }
 

@@ -214,8 +214,8 @@ pub struct Scene {
     pub altitude_source: String,
     /// Ground covered by at least two training images (bounding rectangle at mid altitude).
     pub area: Area,
-    /// Nominal ground sampling distance, metres: the median of the training images, in two significant digits, so that cells of
-    /// products are 0.5 m wide and not 0.504, and lie on the grids of other data.
+    /// Nominal ground sampling distance, metres: the median of the training images, rounded so that cells of products are 0.5 m wide
+    /// and not 0.51, and lie on the grids of other data.
     pub gsd_m: f64,
     /// Counts per unit of `pixels`.
     pub counts_per_unit: f64,

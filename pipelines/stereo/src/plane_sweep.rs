@@ -1,5 +1,6 @@
 //! The plane sweep from its request to the initial surface: coarse to fine, then with hidden views left out, then post-processed.
 
+use super::edges;
 use super::evidence::{LEAST_EVIDENCE, LevelSurface, is_match};
 use super::floor;
 use super::grid::Grid;
@@ -74,6 +75,7 @@ pub fn plane_sweep(views: &[SweepView], request: &PlaneSweepRequest, progress: &
     if let Some(least) = parameters.adaptive_plane_radius {
         altitude = plane_smoothing::smooth_adaptively(&grid, &altitude, &confidence, least, found.step_m);
     }
+    edges::place(&grid, &search.level_views(1), &mut altitude, found.step_m);
     let judged = LevelSurface {
         search: &search,
         factor: 1,
