@@ -34,7 +34,7 @@ const SAME_TOP_M: f32 = 1.0;
 /// Standard deviation of true edges about matched ones, cells (docs/lab/edges.md).
 const SIGMA_CELLS: f32 = 1.4;
 /// Fewest views that tell where an edge is: of two the median is one of them.
-const FEWEST_VIEWS: usize = 3;
+const FEWEST_TELLING: usize = 3;
 /// Cells further from any edge than this stay on their side, cells.
 const REACH_CELLS: f32 = 3.0;
 
@@ -67,7 +67,7 @@ type Profile = [f32; PROFILE];
 /// Moves the edges of a surface to where the views change: cells between the matched and the true edge take the altitude of the other side.
 /// `step_m` is the step of the height hypotheses, metres.
 pub(super) fn place(grid: &Grid, views: &[LevelView], altitude: &mut [f32], step_m: f32) {
-    if views.len() < FEWEST_VIEWS {
+    if views.len() < FEWEST_TELLING {
         return;
     }
     let edges = find(grid, altitude, LEAST_STEP_M.max(LEAST_STEPS * step_m));
@@ -154,7 +154,7 @@ fn profile(grid: &Grid, views: &[LevelView], edge: &Edge) -> Profile {
         (mean.is_finite() && mean > 0.0).then(|| changes.map(|change| change / mean))
     };
     let changes: Vec<Profile> = views.iter().filter_map(of_view).collect();
-    if changes.len() < FEWEST_VIEWS {
+    if changes.len() < FEWEST_TELLING {
         return [0.0; PROFILE];
     }
     std::array::from_fn(|k| {

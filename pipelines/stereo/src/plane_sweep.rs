@@ -4,6 +4,7 @@ use super::edges;
 use super::evidence::{LEAST_EVIDENCE, LevelSurface, is_match};
 use super::floor;
 use super::grid::Grid;
+use super::level::LevelView;
 use super::plane_smoothing;
 use super::postprocess;
 use super::pyramid::Search;
@@ -44,7 +45,7 @@ pub fn plane_sweep(views: &[SweepView], request: &PlaneSweepRequest, progress: &
         found = found.without_sums();
         let altitude = found.altitude();
         // Beside the common ground the search finds towers that would hide its rim.
-        let views = seen(&search, &grid, &altitude, &altitude, found.step_m);
+        let views = seen(&search.level_views(1), &grid, &altitude, &altitude, found.step_m);
         let standing: Vec<f32> = altitude
             .iter()
             .zip(views)
@@ -75,7 +76,8 @@ pub fn plane_sweep(views: &[SweepView], request: &PlaneSweepRequest, progress: &
     if let Some(least) = parameters.adaptive_plane_radius {
         altitude = plane_smoothing::smooth_adaptively(&grid, &altitude, &confidence, least, found.step_m);
     }
-    edges::place(&grid, &search.level_views(1), &mut altitude, found.step_m);
+    let level_views = search.level_views(1);
+    edges::place(&grid, &level_views, &mut altitude, found.step_m);
     let judged = LevelSurface {
         search: &search,
         factor: 1,
@@ -92,7 +94,7 @@ pub fn plane_sweep(views: &[SweepView], request: &PlaneSweepRequest, progress: &
             false => f32::NAN,
         })
         .collect();
-    let views = seen(&search, &grid, &altitude, &standing, found.step_m);
+    let views = seen(&level_views, &grid, &altitude, &standing, found.step_m);
     let cells = evidence.iter().zip(&views);
     let matched: Vec<bool> = cells
         .map(|(evidence, views)| is_match(*evidence, f32::from(*views)))
@@ -154,8 +156,7 @@ fn above(matched: &[f32], altitude: &[f32], filled: &[bool]) -> Vec<f32> {
 }
 
 /// How many views see each cell of the surface where nothing but `standing` (metres, NaN for nothing) hides it.
-fn seen(search: &Search, grid: &Grid, altitude: &[f32], standing: &[f32], step_m: f32) -> Vec<u8> {
-    let views = search.level_views(1);
+fn seen(views: &[LevelView], grid: &Grid, altitude: &[f32], standing: &[f32], step_m: f32) -> Vec<u8> {
     let cameras: Vec<ProjectiveCamera> = views.iter().map(|view| view.camera).collect();
     let surface = AltitudeGrid {
         size: (grid.width, grid.height),
