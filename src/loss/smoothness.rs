@@ -25,7 +25,7 @@ pub struct Neighbours {
 }
 
 impl Neighbours {
-    /// The neighbours among Gaussians as they stand, with a ground sampling distance of `gsd_m` metres.
+    /// The neighbours among Gaussians as they stand; `gsd_m` is the ground sampling distance, metres.
     pub fn new(gaussians: &Table, gsd_m: f32) -> Self {
         let reach_m = REACH_GSD * gsd_m;
         // Row and column of a square as wide as neighbours are apart, rows first, so that squares side by side lie side by side.
@@ -85,7 +85,7 @@ impl Neighbours {
         self.starts.len().saturating_sub(1)
     }
 
-    /// Whether every number is in its range.
+    /// Whether every number is in its range, as after reading a checkpoint.
     pub fn is_whole(&self) -> bool {
         let count = self.count() as u32;
         self.starts.first().is_none_or(|first| *first == 0)
@@ -99,8 +99,14 @@ impl Neighbours {
     }
 }
 
-/// Total variation of `values`, `width` of them for each Gaussian: the sum of the differences of all pairs over `pixels` and `width`, so that
-/// it weighs as a mean over as many pixels does. Adds `weight` times the gradient to `gradient`.
+/// Total variation of `values`, `width` of them for each Gaussian:
+///
+/// ```text
+/// V = 1 / (pixels width) Σ_{pairs (i, j)} Σ_k (sqrt((f_ik - f_jk)² + ε²) - ε)        ε = 0.02
+/// ```
+///
+/// As a mean over as many pixels it weighs as the photometric loss does. Adds `weight` times its gradient to `gradient`, which is as long
+/// as `values`; `neighbours` are those of as many Gaussians.
 pub fn total_variation(
     neighbours: &Neighbours,
     (values, width): (&[f32], usize),

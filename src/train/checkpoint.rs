@@ -38,7 +38,7 @@ pub struct TrainerState<'a> {
     /// Step at which the occluders were made, and what a hierarchy over them was built on: where Gaussians are in it decides the
     /// order of products.
     occluders: Option<(usize, Option<Cow<'a, [Bounds]>>)>,
-    /// As Gaussians stood some steps ago.
+    /// Neighbours as Gaussians stood when their number last changed, so they do not follow from the positions of now.
     neighbours: Option<Cow<'a, Neighbours>>,
     step: usize,
     rejected: usize,

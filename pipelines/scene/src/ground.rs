@@ -285,8 +285,10 @@ const UNLIKE: f64 = 1.5;
 const ROUNDED: f64 = 0.05;
 
 /// The median of `gsds` (metres, one at least), what at least half of the images resolve, in one significant digit where that is nearly
-/// the same and else in two: cells of 0.5 m coincide with those of other data, those of 0.51 m do not. A surface is found from pairs, and a pair shows what its coarser image resolves: cells of a few finer images would be empty detail, those of the coarsest
-/// would lose what most images show. Of two middle ones of unlike images the finer counts where two images or more have it.
+/// the same and else in two: cells of 0.5 m coincide with those of other data, those of 0.51 m do not.
+///
+/// A surface is found from pairs, and a pair shows what its coarser image resolves: cells of a few finer images would be empty detail, those
+/// of the coarsest would lose what most images show. Of two middle ones of unlike images the finer counts where two images or more have it.
 pub(super) fn nominal_gsd_m(mut gsds: Vec<f64>) -> f64 {
     let upper = upper_median(&mut gsds).unwrap_or(f64::NAN);
     gsds.sort_by(f64::total_cmp);

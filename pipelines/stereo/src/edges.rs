@@ -65,7 +65,7 @@ impl Edge {
 type Profile = [f32; PROFILE];
 
 /// Moves the edges of a surface to where the views change: cells between the matched and the true edge take the altitude of the other side.
-/// `step_m` is the step of the height hypotheses, metres.
+/// `step_m` is the step of the height hypotheses, metres. Moved cells keep the deviation of their match, which says that they are in doubt.
 pub(super) fn place(grid: &Grid, views: &[LevelView], altitude: &mut [f32], step_m: f32) {
     if views.len() < FEWEST_TELLING {
         return;
@@ -150,7 +150,7 @@ fn profile(grid: &Grid, views: &[LevelView], edge: &Edge) -> Profile {
         });
         let changes: Profile = std::array::from_fn(|k| (values[k + 2] - values[k]).abs());
         let mean = changes.iter().sum::<f32>() / PROFILE as f32;
-        // Not so for a view that does not show all of the line, or nothing along it.
+        // A view that does not show all of the line, or nothing along it, tells nothing.
         (mean.is_finite() && mean > 0.0).then(|| changes.map(|change| change / mean))
     };
     let changes: Vec<Profile> = views.iter().filter_map(of_view).collect();

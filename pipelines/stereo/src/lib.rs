@@ -14,7 +14,8 @@
 //! 8. `wta.rs`: the cheapest height of each cell, refined below the height step, with its confidence.
 //! 9. `visibility.rs`: at full resolution, what the surface hides from a view is left out, and steps 6 to 8 are repeated.
 //! 10. `plane_sweep.rs`: [`plane_sweep()`] runs all this, then removes speckles (`postprocess.rs`) and levels what is in doubt (`total_variation.rs`),
-//!     or smooths by planes where the base is short (`plane_smoothing.rs`), and places edges where the views change (`edges.rs`). The result is a [`Surface`] (`surface.rs`).
+//!     or smooths by planes where the base is short (`plane_smoothing.rs`), and places edges where the views change (`edges.rs`). The result
+//!     is a [`Surface`] (`surface.rs`).
 //! 11. `agreement.rs`, `evidence.rs`: the views are resampled to the surface, and cells where they agree no better than by chance are not known.
 //!
 //! On the way there, on a coarse surface of the same search: [`align`] finds the pointing shifts between images, [`ties`] single points of
