@@ -67,10 +67,11 @@ pub fn level() -> Level {
 }
 
 /// Makes a function of plain loops one that is compiled for every level and chosen when called. What it calls takes part only
-/// when it is inlined.
+/// when it is inlined. `up to LEVEL;` before the function caps its level, where a higher one was measured to be slower.
 #[macro_export]
 macro_rules! vectorised {
     (
+        up to $cap:ident;
         $(#[$meta:meta])*
         $vis:vis fn $name:ident $(<$(const $k:ident: $kind:ty),+>)? ($($arg:ident: $of:ty),* $(,)?) $(-> $out:ty)?
         $body:block
@@ -95,7 +96,7 @@ macro_rules! vectorised {
                     clippy::undocumented_unsafe_blocks,
                     reason = "a function compiled for more than the baseline can be called no other way"
                 )]
-                match $crate::simd::level() {
+                match $crate::simd::level().min($crate::simd::Level::$cap) {
                     $crate::simd::Level::Avx512 => {
                         // SAFETY: a level is never above what the processor was found to have.
                         return unsafe { avx512 $(::<$($k),+>)? ($($arg),*) };
@@ -110,6 +111,9 @@ macro_rules! vectorised {
             #[allow(unreachable_code)]
             { plain $(::<$($k),+>)? ($($arg),*) }
         }
+    };
+    ($($function:tt)*) => {
+        $crate::vectorised! { up to Avx512; $($function)* }
     };
 }
 /// Asks the cache for `items[index]`, which may lie beyond the end: then nothing happens.
