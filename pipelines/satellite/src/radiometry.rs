@@ -114,18 +114,17 @@ fn colour(reference: &[Sample], truth: &[f32], own: &[Sample], values: &[f32]) -
 fn cover(view: &mut View, maps: &Maps) {
     let (width, height) = (maps.width, maps.height);
     let covered: Vec<bool> = maps.alpha.iter().map(|&a| a > COVERED).collect();
-    for row in 0..height {
-        for col in 0..width {
-            let rows = row.saturating_sub(EDGE_PX)..(row + EDGE_PX + 1).min(height);
-            let whole = rows.into_iter().all(|r| {
-                let columns = col.saturating_sub(EDGE_PX)..(col + EDGE_PX + 1).min(width);
-                covered[r * width..][columns].iter().all(|&c| c)
-            });
-            if !whole {
-                view.weight[row * width + col] = 0.0;
+    let rows = view.weight.par_chunks_mut(width).enumerate();
+    rows.for_each(|(row, weights)| {
+        let rows = row.saturating_sub(EDGE_PX)..(row + EDGE_PX + 1).min(height);
+        for (col, weight) in weights.iter_mut().enumerate() {
+            let columns = col.saturating_sub(EDGE_PX)..(col + EDGE_PX + 1).min(width);
+            let whole = |r: usize| covered[r * width..][columns.clone()].iter().all(|&c| c);
+            if !rows.clone().all(whole) {
+                *weight = 0.0;
             }
         }
-    }
+    });
 }
 
 /// What a shadow is worth beside the same ground in the sun, for each view and band; `None` where the view does not tell.
@@ -169,7 +168,7 @@ pub(super) fn initialise(model: &ShadowGs, parameters: &mut Parameters, views: &
         views,
     };
     let path_radiance: Vec<f32> = match model.options.image_colour {
-        true => (0..bands).map(|k| shown.path_radiance(k)).collect(),
+        true => (0..bands).into_par_iter().map(|k| shown.path_radiance(k)).collect(),
         false => vec![0.0; bands],
     };
     tracing::info!("path radiance of the reference image, per band: {path_radiance:.3?}");
@@ -202,7 +201,7 @@ pub(super) fn initialise(model: &ShadowGs, parameters: &mut Parameters, views: &
         .collect();
     parameters.gaussians.group_mut(ALBEDO).copy_from_slice(&albedo);
     let shades = |v: usize| (0..bands).map(|k| shown.shade(v, k, path_radiance[k])).collect();
-    (0..shown.views.len()).map(shades).collect()
+    (0..shown.views.len()).into_par_iter().map(shades).collect()
 }
 
 /// The middle of the narrowest range that holds [`SHADE_SHARE`] of the values; `None` of too few.
@@ -238,6 +237,7 @@ fn colours(model: &ShadowGs, shown: &[Vec<Sample>], views: &[View]) -> Vec<Vec<C
         colour(&shown[reference], truth, &shown[v], values)
     };
     (0..views.len())
+        .into_par_iter()
         .map(|v| (0..model.options.bands).map(|k| of_band(v, k)).collect())
         .collect()
 }
