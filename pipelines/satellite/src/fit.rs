@@ -135,7 +135,7 @@ pub fn fit(
             let mut swept = Preprocess::new(scene, config, decisions, session)?;
             suns::search(scene, &mut swept);
             let suns = suns::of_ground(scene, &swept.ground, &swept.found.shadow_suns);
-            if swept.sweep_under(suns, scene, config, decisions) {
+            if swept.sweep_under(suns, scene, config, decisions, session) {
                 suns::search(scene, &mut swept);
             }
             swept

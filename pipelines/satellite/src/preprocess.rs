@@ -113,6 +113,7 @@ impl<'a> Preprocess<'a> {
         scene: &Scene,
         config: &SatelliteConfig,
         decisions: &Decisions,
+        session: &Session,
     ) -> bool {
         let Some(matching) = decisions.matching else {
             return false;
@@ -134,7 +135,10 @@ impl<'a> Preprocess<'a> {
             ..
         } = &mut self.found;
         let _part = stage("sweep");
-        *surface = sweep(&self.ground, &rasters, shifts_px, decisions, &request, &|_| {});
+        let progress = session.progress("sweep again", 100);
+        *surface = sweep(&self.ground, &rasters, shifts_px, decisions, &request, &|share| {
+            progress.set((100.0 * share) as u64);
+        });
         *changed = changes(&self.ground, &rasters, shifts_px, decisions, &request, surface);
         seconds[1] += started.elapsed().as_secs_f64();
         true
