@@ -94,7 +94,7 @@ def main():
         x = place * (SIDE + MARGIN)
         draw.text((x + SIDE / 2, TITLE / 2), title, fill="black", font=font, anchor="mm")
         picture.paste(panel, (x, TITLE))
-    picture.quantize(256).save(options.out, optimize=True)
+    picture.convert("P", palette=Image.Palette.ADAPTIVE).save(options.out)
 
 
 if __name__ == "__main__":
