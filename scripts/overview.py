@@ -55,13 +55,13 @@ def display(values, low, high):
 
 
 def stretched(values):
-    """The first three bands, darkest and brightest hundredth clipped."""
+    """The first three bands, half a hundredth clipped at either end."""
     values = values[:3]
     return display(values, np.nanpercentile(values, 0.5), np.nanpercentile(values, 99.5))
 
 
 def hillshade(altitude):
-    """Light from the north-west on a surface of half a metre a cell."""
+    """Light from the north-west on altitudes of cells of half a metre, all of them known."""
     down, across = np.gradient(altitude, 0.5)
     light = (1 + across + down) / np.sqrt(3 * (1 + across**2 + down**2))
     return display(light[None], -0.2, 1.0)
