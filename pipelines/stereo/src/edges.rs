@@ -54,7 +54,7 @@ impl Edge {
     }
 
     /// Whether two are of one edge, so that they are judged together.
-    fn is_same_edge_as(&self, other: &Edge) -> bool {
+    fn same_edge_as(&self, other: &Edge) -> bool {
         self.at.distance_squared(other.at) <= TOGETHER_CELLS * TOGETHER_CELLS
             && self.outward.dot(other.outward) >= SAME_DIRECTION
             && (self.upper_m - other.upper_m).abs() <= SAME_TOP_M
@@ -198,7 +198,7 @@ impl Near {
 fn offset_cells(edges: &[Edge], profiles: &[Profile], near: &Near, number: usize) -> f32 {
     let edge = &edges[number];
     let mut sum = [0.0; PROFILE];
-    for other in near.around(edge.at).filter(|other| edge.is_same_edge_as(&edges[*other])) {
+    for other in near.around(edge.at).filter(|other| edge.same_edge_as(&edges[*other])) {
         let further = (edges[other].at - edge.at).dot(edge.outward) / PITCH_CELLS;
         for (k, sum) in sum.iter_mut().enumerate() {
             let place = k as f32 - further;
