@@ -132,11 +132,10 @@ pub fn fit(
     let Preprocess { ground, found } = match again {
         Some(swept) => swept,
         None => {
-            let of_start = &decisions.for_start();
-            let mut swept = Preprocess::new(scene, config, of_start, session)?;
+            let mut swept = Preprocess::new(scene, config, decisions, session)?;
             suns::search(scene, &mut swept);
             let suns = suns::of_ground(scene, &swept.ground, &swept.found.shadow_suns);
-            if swept.sweep_under(suns, scene, config, of_start, session) {
+            if swept.sweep_under(suns, scene, config, decisions, session) {
                 suns::search(scene, &mut swept);
             }
             swept

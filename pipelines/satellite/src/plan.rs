@@ -146,14 +146,6 @@ impl Decisions {
         decisions
     }
 
-    /// The same for the surface that a model starts from.
-    pub(super) fn for_start(&self) -> Self {
-        Self {
-            matching: self.matching.map(MatchingParameters::for_start),
-            ..self.clone()
-        }
-    }
-
     /// The configuration with what was decided where nothing was set, as `run.toml` keeps it.
     pub fn resolved(&self, config: &SatelliteConfig) -> SatelliteConfig {
         let mut config = config.clone();

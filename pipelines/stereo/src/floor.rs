@@ -25,10 +25,15 @@ const STEP_M: f32 = 1.0;
 /// Height hypotheses on both sides of the floor that are the floor too: it slopes, and sure cells err.
 const SAME_LEVELS: usize = 3;
 
+/// Bonus before views that the surface hides are left out, in units of that of the choice: a roof over ground hides the ground from all
+/// views, and what hides it must be surer than what is chosen in the end.
+const HIDING_BONUS: f32 = 1.5;
+
 /// Lowers what is in doubt, so that it does not hide the ground that it is to be compared with; what it was matched at stays a candidate.
 pub(super) fn lower_for_visibility(grid: &Grid, found: &mut LevelResult, parameters: &MatchingParameters) {
+    let bonus = (HIDING_BONUS * f32::from(parameters.floor_bonus)) as u16;
     let matched: Vec<(f32, f32)> = found.choices.iter().map(|choice| choice.candidates).collect();
-    choose_again(grid, found, parameters.hiding_floor_bonus, parameters);
+    choose_again(grid, found, bonus, parameters);
     for (choice, (lowest, highest)) in found.choices.iter_mut().zip(matched) {
         choice.candidates.0 = choice.candidates.0.min(lowest);
         choice.candidates.1 = choice.candidates.1.max(highest);

@@ -28,11 +28,6 @@ pub(super) const STEP_CELLS: f32 = 0.5;
 /// Summed cost by which the floor is cheaper than a surface in doubt above it, with many views (docs/lab/edges.md); with few views costs
 /// are too noisy to tell a sure floor, and where costs are averaged over windows there are no walls that single cells could place.
 const FLOOR_BONUS: u16 = 150;
-/// The same before views that the surface hides are left out: a roof over ground hides the ground from all views, and what hides it must be
-/// surer than what is chosen in the end.
-const HIDING_FLOOR_BONUS: u16 = 225;
-/// Both for the surface that a model starts from, which keeps what was matched above the floor too.
-const START_FLOOR_BONUS: u16 = 340;
 /// Rounds at full resolution in which views that the surface hides are left out; docs/lab/plane-sweep.md: a second one gains nothing.
 const VISIBILITY_ROUNDS: usize = 1;
 /// Cost of a change by one height step between neighbours (P1 of Hirschmüller 2008), in units of a full mismatch / 255.
@@ -178,8 +173,6 @@ pub struct MatchingParameters {
     pub candidate_tolerance: CandidateTolerance,
     /// Summed cost by which the floor beneath a surface in doubt is cheaper than what was matched; 0 for none.
     pub floor_bonus: u16,
-    /// The same before views that the surface hides are left out.
-    pub hiding_floor_bonus: u16,
     /// Rounds at full resolution in which views hidden by the surface found so far are left out.
     pub visibility_rounds: usize,
     /// Radius of the window whose plane gives each cell its height, cells; 0 leaves heights as they were matched.
@@ -211,22 +204,9 @@ impl MatchingParameters {
                 coarser: between(TOLERANCE_FEW.coarser, TOLERANCE_MANY.coarser),
             },
             floor_bonus: if radius == 0 { between(0, FLOOR_BONUS) } else { 0 },
-            hiding_floor_bonus: if radius == 0 { between(0, HIDING_FLOOR_BONUS) } else { 0 },
             visibility_rounds: VISIBILITY_ROUNDS,
             plane_radius: if radius > 0 { radius + 1 } else { 0 },
             adaptive_plane_radius: very_short_base.then_some(radius),
-        }
-    }
-
-    /// The same for the surface that a model starts from. The model also starts from what was matched above the floor, and training finds
-    /// roofs that were taken for ground more easily than ground beneath a roof: so ground in doubt may be preferred to more
-    /// (docs/lab/edges.md).
-    pub fn for_start(self) -> Self {
-        let bonus = u32::from(self.floor_bonus) * u32::from(START_FLOOR_BONUS) / u32::from(FLOOR_BONUS);
-        Self {
-            floor_bonus: bonus as u16,
-            hiding_floor_bonus: bonus as u16,
-            ..self
         }
     }
 }
@@ -274,15 +254,6 @@ mod tests {
             .map(|v| no_match_weight(v as f32) - no_match_weight(v as f32 + 1.0))
             .collect();
         assert!(steps.iter().all(|step| (step - 0.0125).abs() < 1e-6), "{steps:?}");
-    }
-
-    #[test]
-    fn a_start_prefers_ground_in_doubt_to_more_than_a_surface_does_and_to_nothing_with_few_views() {
-        let (many, few) = (chosen(12, 2.0), chosen(4, 2.0));
-        assert!(many.floor_bonus < many.hiding_floor_bonus && many.hiding_floor_bonus < many.for_start().floor_bonus);
-        assert_eq!(many.for_start().floor_bonus, START_FLOOR_BONUS);
-        let start = few.for_start();
-        assert_eq!((start.floor_bonus, start.hiding_floor_bonus), (0, 0));
     }
 
     /// Views of the western half of a ground, and views of all of it.
