@@ -63,6 +63,11 @@ pub struct ModelOptions {
     pub light_radius: f32,
     /// Largest degree of the spherical harmonics: 3, or 0 for objects that look alike from everywhere.
     pub sh_degree: usize,
+    /// Units of each hidden layer of all networks, 1 to 256: 32 learns nearly as much as the papers' 64 (`reflective`) and 256 (`olat`) in a fraction of
+    /// their time (docs/lab/objects.md).
+    pub network_units: usize,
+    /// Hidden layers of all networks, 1 to 8; 3 and 6 in the papers.
+    pub network_layers: usize,
     /// Steps of the short fits that decide which parts there are (see [`super::plan`]); 0, for those who know, leaves parts as the
     /// configuration says.
     pub pilot_steps: usize,
@@ -80,9 +85,31 @@ impl Default for ModelOptions {
             shadow: true,
             light_radius: 0.0,
             sh_degree: 3,
+            network_units: 32,
+            network_layers: 2,
             pilot_steps: 1200,
             background: Background::Auto,
         }
+    }
+}
+
+impl ModelOptions {
+    /// Refuses networks of no size, and of one that only a mistake asks for.
+    fn checked(&self) -> Result<(), ConfigError> {
+        let limits = [
+            ("model.network_units", self.network_units, 256, "1 to 256"),
+            ("model.network_layers", self.network_layers, 8, "1 to 8"),
+        ];
+        for (key, value, most, expected) in limits {
+            if !(1..=most).contains(&value) {
+                return Err(ConfigError::Value {
+                    key: key.into(),
+                    value: value.to_string(),
+                    expected,
+                });
+            }
+        }
+        Ok(())
     }
 }
 
@@ -102,7 +129,7 @@ impl ObjectConfig {
     /// The defaults, then the preset's file, then the `--set` pairs in their order.
     ///
     /// # Errors
-    /// [`ConfigError::Set`] for a key that does not exist or a value of another kind.
+    /// [`ConfigError::Set`] for a key that does not exist or a value of another kind, [`ConfigError::Value`] for one that means nothing.
     pub fn resolve(preset: Preset, set: &[(String, String)], seed: u64) -> Result<Self, ConfigError> {
         let text = match preset {
             Preset::Fast => include_str!("../presets/fast.toml"),
@@ -118,6 +145,7 @@ impl ObjectConfig {
         };
         let mut config: Self = resolve(preset.name(), text, set)?;
         config.train = for_objects(config.train, seed);
+        config.model.checked()?;
         Ok(config)
     }
 }
@@ -181,6 +209,9 @@ mod tests {
         }
         let refused = ObjectConfig::resolve(Preset::Best, &[], 1).expect_err("of satellite scenes only");
         assert!(refused.to_string().contains("fast, balanced or accurate"), "{refused}");
+        let set = [("model.network_layers".to_owned(), "0".to_owned())];
+        let refused = ObjectConfig::resolve(Preset::Fast, &set, 1).expect_err("a network needs a layer");
+        assert!(refused.to_string().contains("1 to 8"), "{refused}");
         let set = [("model.sh_degree".to_owned(), "1".to_owned())];
         assert_eq!(
             ObjectConfig::resolve(Preset::Fast, &set, 1)

@@ -20,9 +20,6 @@ use std::f32::consts::PI;
 const SLACK: f32 = 1.1;
 /// Opacity of the Gaussians at the start: half, for a hull is only about where the surface is.
 const OPACITY: f32 = 0.5;
-/// Units of the hidden layers of all networks, and how many layers: smaller than the papers' (3 of 64 units, 6 of 256), which would
-/// take most of the time.
-const NETWORK: (usize, usize) = (32, 2);
 /// How much normals agree with those of the depth: under one lamp at a time, where a firm hold keeps highlights in one piece
 /// (docs/lab/objects.md).
 const OLAT_NORMALS: f32 = 0.3;
@@ -88,8 +85,8 @@ fn begin(
         shadow: config.model.shadow,
         scattering: config.model.scattering,
         refined: config.model.refined_shadow && config.model.shadow,
-        width: NETWORK.0,
-        hidden: NETWORK.1,
+        width: config.model.network_units,
+        hidden: config.model.network_layers,
         half_size: capture.half_size as f32,
         background,
         coverage,
@@ -121,8 +118,8 @@ fn begin_reflective(
     let options = ReflectiveOptions {
         specular: config.model.specular,
         degree: config.model.sh_degree,
-        width: NETWORK.0,
-        hidden: NETWORK.1,
+        width: config.model.network_units,
+        hidden: config.model.network_layers,
         half_size: capture.half_size as f32,
         normal_weight: REFLECTIVE_NORMALS,
         normal_edge: (EDGE_PX * capture.pixel_size) as f32,

@@ -201,7 +201,7 @@ pub fn fit(
     if !decisions.saturation {
         views.iter_mut().for_each(|view| view.ceiling.clear());
     }
-    if decisions.shadow_prior || decisions.open.contains(&Component::ShadowPrior) {
+    if decisions.shadow_prior {
         give_priors(&mut views, &suns, &ground, &surface, config)?;
     }
     let mut options = config.train.clone().for_views(views.len());
@@ -229,7 +229,6 @@ pub fn fit(
             views: &views,
             train: &options,
             area: &scene.area,
-            prior_weight: PRIOR_WEIGHT,
             open: &open,
         };
         request.run()
@@ -246,9 +245,6 @@ pub fn fit(
         model = ShadowGs::new(decided);
         parameters = trial::regrouped(&model, &parameters);
         memory_estimate = memory(&decisions.resolved(config), &parameters, &views, &mut options)?;
-    }
-    if !decisions.shadow_prior {
-        views.iter_mut().for_each(|view| view.visibility_prior = None);
     }
     drop(part);
     let initialised = swept.elapsed();
@@ -337,7 +333,6 @@ fn model_options(options: &ShadowGsOptions, decisions: &Decisions) -> ShadowGsOp
 fn open(decisions: &Decisions, bands: usize, fits: impl Fn(&Decisions) -> bool) -> Vec<Component> {
     let mut all = decisions.clone();
     let has_room = |component: &Component| match component {
-        Component::ShadowPrior => true,
         Component::NearLight => {
             all.near_light = true;
             all.near_light = channels_fit(bands) && fits(&all);

@@ -30,11 +30,10 @@ const MOST_WINDOWS: usize = 4;
 /// (docs/lab/planner.md: near-surface light was taken twice at 0.06 and 0.07, and whole trainings did not gain from it).
 const LEAST_GAIN_DB: f64 = 0.1;
 
-/// A component that is tried.
+/// A component that is tried. The shadow prior is not: it leads a training, so short fits gain by it where whole trainings
+/// lose (docs/lab/planner.md).
 #[derive(Debug, Clone, Copy, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
 pub enum Component {
-    /// The prior of shadows.
-    ShadowPrior,
     /// Near-surface light per Gaussian.
     NearLight,
     /// Spherical harmonics of albedo, of degree 1.
@@ -43,12 +42,11 @@ pub enum Component {
 
 impl Component {
     /// All of them, in the order in which they are tried.
-    pub const ALL: [Self; 3] = [Self::ShadowPrior, Self::NearLight, Self::Harmonics];
+    pub const ALL: [Self; 2] = [Self::NearLight, Self::Harmonics];
 
     /// Its name in the configuration.
     pub fn key(self) -> &'static str {
         match self {
-            Self::ShadowPrior => "model.shadow_prior",
             Self::NearLight => "model.near_light",
             Self::Harmonics => "model.sh_degree",
         }
@@ -56,17 +54,15 @@ impl Component {
 
     fn is_on(self, options: &ShadowGsOptions) -> bool {
         match self {
-            Self::ShadowPrior => options.prior_weight > 0.0,
             Self::NearLight => options.near_light,
             Self::Harmonics => options.degree > 0,
         }
     }
 
-    fn switched(self, options: &ShadowGsOptions, prior_weight: f32) -> ShadowGsOptions {
+    fn switched(self, options: &ShadowGsOptions) -> ShadowGsOptions {
         let on = !self.is_on(options);
         let mut options = options.clone();
         match self {
-            Self::ShadowPrior => options.prior_weight = if on { prior_weight } else { 0.0 },
             Self::NearLight => options.near_light = on,
             Self::Harmonics => options.degree = usize::from(on),
         }
@@ -112,14 +108,12 @@ pub(super) struct Request<'a> {
     pub(super) options: &'a ShadowGsOptions,
     /// Its start.
     pub(super) parameters: &'a Parameters,
-    /// The views, with priors where these are to be tried.
+    /// The views.
     pub(super) views: &'a [View],
     /// The training to come.
     pub(super) train: &'a TrainOptions,
     /// The ground, metres.
     pub(super) area: &'a Area,
-    /// Weight of the shadow prior where it is on.
-    pub(super) prior_weight: f32,
     /// Which components may be tried.
     pub(super) open: &'a [Component],
 }
@@ -161,7 +155,7 @@ impl Request<'_> {
         let mut trials = Vec::new();
         let mut current = fit(&options);
         for &component in self.open {
-            let other_options = component.switched(&options, self.prior_weight);
+            let other_options = component.switched(&options);
             let other = fit(&other_options);
             let was_on = component.is_on(&options);
             let (without, with) = if was_on { (&other, &current) } else { (&current, &other) };

@@ -20,7 +20,6 @@ pub struct PlanTrial {
 /// The components that nothing is said about by hand.
 pub(super) fn open(model: &ModelOptions) -> Vec<Component> {
     let unset = |component: &Component| match component {
-        Component::ShadowPrior => model.shadow_prior.is_none(),
         Component::NearLight => model.near_light.is_none(),
         Component::Harmonics => model.sh_degree.is_none(),
     };
@@ -35,7 +34,6 @@ impl Decisions {
             let trial = trials.trials.iter().find(|trial| trial.component == component);
             if let Some(trial) = trial {
                 match component {
-                    Component::ShadowPrior => decisions.shadow_prior = trial.on,
                     Component::NearLight => decisions.near_light = trial.on,
                     Component::Harmonics => decisions.sh_degree = usize::from(trial.on),
                 }
@@ -115,9 +113,8 @@ mod tests {
         assert_eq!(before.open, Component::ALL);
         let trials = Trials {
             trials: vec![
-                trial(Component::ShadowPrior, 0.01, false, false),
                 trial(Component::NearLight, 0.21, true, true),
-                trial(Component::Harmonics, -0.3, false, true),
+                trial(Component::Harmonics, 0.01, false, false),
             ],
             ..Trials::default()
         };
@@ -129,8 +126,22 @@ mod tests {
             "{near:?}"
         );
         assert_eq!(near.trial.map(|trial| trial.pieces), Some(32));
-        let prior = item(&after, "model.shadow_prior");
-        assert!(prior.reason.contains("decides nothing: 12 views"), "{}", prior.reason);
+        let degree = item(&after, "model.sh_degree");
+        assert!(degree.reason.contains("decides nothing: one albedo"), "{}", degree.reason);
+        assert_eq!(
+            item(&after, "model.shadow_prior"),
+            item(&before, "model.shadow_prior"),
+            "counting decides it"
+        );
+    }
+
+    #[test]
+    fn what_harms_is_left_out_and_says_so() {
+        let before = Decisions::from_facts(&facts(12, 6), &SatelliteConfig::default());
+        let after = before.after_trials(&Trials {
+            trials: vec![trial(Component::Harmonics, -0.3, false, true)],
+            ..Trials::default()
+        });
         assert!(item(&after, "model.sh_degree").reason.contains("left out"));
     }
 
@@ -138,15 +149,14 @@ mod tests {
     fn what_is_set_by_hand_is_not_tried() {
         let mut config = SatelliteConfig::default();
         config.model.near_light = Some(false);
-        config.model.sh_degree = Some(0);
         let decisions = Decisions::from_facts(&facts(12, 6), &config);
-        assert_eq!(decisions.open, [Component::ShadowPrior]);
+        assert_eq!(decisions.open, [Component::Harmonics]);
         let after = decisions.after_trials(&Trials {
             untried: Some("too few steps".into()),
             ..Trials::default()
         });
         assert!(
-            item(&after, "model.shadow_prior")
+            item(&after, "model.sh_degree")
                 .reason
                 .ends_with("not measured: too few steps")
         );
