@@ -65,7 +65,7 @@ pub struct ModelOptions {
     pub sh_degree: usize,
     /// Units of each hidden layer of all networks, 1 to 256: 32 learns nearly as much as the papers' 64 (`reflective`) and 256 (`olat`) in a fraction of
     /// their time (docs/lab/objects.md).
-    pub network_units: usize,
+    pub network_width: usize,
     /// Hidden layers of all networks, 1 to 8; 3 and 6 in the papers.
     pub network_layers: usize,
     /// Steps of the short fits that decide which parts there are (see [`super::plan`]); 0, for those who know, leaves parts as the
@@ -85,7 +85,7 @@ impl Default for ModelOptions {
             shadow: true,
             light_radius: 0.0,
             sh_degree: 3,
-            network_units: 32,
+            network_width: 32,
             network_layers: 2,
             pilot_steps: 1200,
             background: Background::Auto,
@@ -97,7 +97,7 @@ impl ModelOptions {
     /// Refuses networks of no size, and of one that only a mistake asks for.
     fn checked(&self) -> Result<(), ConfigError> {
         let limits = [
-            ("model.network_units", self.network_units, 256, "1 to 256"),
+            ("model.network_width", self.network_width, 256, "1 to 256"),
             ("model.network_layers", self.network_layers, 8, "1 to 8"),
         ];
         for (key, value, most, expected) in limits {

@@ -85,7 +85,7 @@ fn begin(
         shadow: config.model.shadow,
         scattering: config.model.scattering,
         refined: config.model.refined_shadow && config.model.shadow,
-        width: config.model.network_units,
+        width: config.model.network_width,
         hidden: config.model.network_layers,
         half_size: capture.half_size as f32,
         background,
@@ -118,7 +118,7 @@ fn begin_reflective(
     let options = ReflectiveOptions {
         specular: config.model.specular,
         degree: config.model.sh_degree,
-        width: config.model.network_units,
+        width: config.model.network_width,
         hidden: config.model.network_layers,
         half_size: capture.half_size as f32,
         normal_weight: REFLECTIVE_NORMALS,

@@ -217,7 +217,7 @@ impl Request<'_> {
                 scored.step_s.push(begun.elapsed().as_secs_f64());
             }
             let (parameters, _) = trainer.into_best();
-            scored.errors.extend(errors(&model, &parameters, window));
+            scored.errors.push(errors(&model, &parameters, window));
         }
         Ok(scored)
     }
@@ -226,8 +226,8 @@ impl Request<'_> {
 /// How short fits went.
 #[derive(Default)]
 struct Scored {
-    /// Squared errors of each piece of ground.
-    errors: Vec<f64>,
+    /// Squared errors of each piece of ground, window by window.
+    errors: Vec<Vec<f64>>,
     /// Seconds of each step.
     step_s: Vec<f64>,
 }
@@ -246,8 +246,16 @@ fn compare(without: &Result<Scored, TrainError>, with: &Result<Scored, TrainErro
         return (None, f64::NAN);
     };
     let errors = without.errors.iter().zip(&with.errors);
-    let pieces: Vec<Piece> = errors.map(|(&without, &with)| Piece { without, with }).collect();
-    (Gain::of(&pieces), with.median_step_s() / without.median_step_s())
+    let windows: Vec<Vec<Piece>> = errors
+        .map(|(without, with)| {
+            let pieces = without.iter().zip(with);
+            pieces.map(|(&without, &with)| Piece { without, with }).collect()
+        })
+        .collect();
+    (
+        Gain::of_groups(&windows),
+        with.median_step_s() / without.median_step_s(),
+    )
 }
 
 /// Squared errors over the pixels kept aside, summed over views, of each piece of ground of a window.

@@ -127,7 +127,11 @@ mod tests {
         );
         assert_eq!(near.trial.map(|trial| trial.pieces), Some(32));
         let degree = item(&after, "model.sh_degree");
-        assert!(degree.reason.contains("decides nothing: one albedo"), "{}", degree.reason);
+        assert!(
+            degree.reason.contains("decides nothing: one albedo"),
+            "{}",
+            degree.reason
+        );
         assert_eq!(
             item(&after, "model.shadow_prior"),
             item(&before, "model.shadow_prior"),
