@@ -63,8 +63,8 @@ pub struct ModelOptions {
     pub light_radius: f32,
     /// Largest degree of the spherical harmonics: 3, or 0 for objects that look alike from everywhere.
     pub sh_degree: usize,
-    /// Units of each hidden layer of all networks, 1 to 256: 32 learns nearly as much as the papers' 64 (`reflective`) and 256 (`olat`) in a fraction of
-    /// their time (docs/lab/objects.md).
+    /// Units of each hidden layer of all networks, 1 to 256: the papers have 64 (`reflective`), worth 0.1 to 0.3 dB in up to twice the time, and
+    /// 256 (`olat`), 14 times the time (docs/lab/objects.md).
     pub network_width: usize,
     /// Hidden layers of all networks, 1 to 8; 3 and 6 in the papers.
     pub network_layers: usize,
