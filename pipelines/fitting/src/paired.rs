@@ -69,15 +69,15 @@ impl Gain {
         }
         // d ln(A / B) = dA / A - dB / B: what each piece adds to that; the sum over all is zero.
         let deviation = |piece: &&Piece| piece.without / without - piece.with / with;
-        let mut standard_error = standard_error(pieces().map(deviation));
+        let mut sum_error = standard_error(pieces().map(deviation));
         if groups.len() >= FEWEST_GROUPS {
-            let of_groups = self::standard_error(groups.iter().map(|group| group.iter().map(deviation).sum()));
-            standard_error = standard_error.max(of_groups);
+            let of_groups = standard_error(groups.iter().map(|group| group.iter().map(deviation).sum()));
+            sum_error = sum_error.max(of_groups);
         }
         let db = 10.0 / std::f64::consts::LN_10;
         Some(Self {
             gain_db: db * (without / with).ln(),
-            standard_error_db: db * standard_error,
+            standard_error_db: db * sum_error,
             pieces: count,
         })
     }

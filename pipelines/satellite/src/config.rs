@@ -75,8 +75,7 @@ pub struct ModelOptions {
     /// Weight of the shadow opaqueness loss; 0, off, is better on every site measured (docs/lab/components.md), the paper and the ablation
     /// have it.
     pub opaqueness_weight: f32,
-    /// Whether shadows that images show as dark places guide training: measured by short fits; where these are too few or
-    /// undecided, on with few views and off with many.
+    /// Whether shadows that images show as dark places guide training: on with fewer than eight images, off with more.
     pub shadow_prior: Option<bool>,
     /// Folder of masks that say what is lit (1) and what in shadow (0), `NAME.tif` for the image `NAME`, for users who have some; in place
     /// of those that are found.

@@ -319,7 +319,7 @@ fn model(ground: &Ground, suns: &[ImageSun], decisions: &Decisions, changing: bo
     ShadowGs::new(model_options(&options, decisions))
 }
 
-/// The same with those components that short fits decide as `decisions` has them.
+/// The same with prior, near-surface light and harmonics as `decisions` has them.
 fn model_options(options: &ShadowGsOptions, decisions: &Decisions) -> ShadowGsOptions {
     ShadowGsOptions {
         prior_weight: if decisions.shadow_prior { PRIOR_WEIGHT } else { 0.0 },

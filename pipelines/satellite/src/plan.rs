@@ -3,7 +3,7 @@
 //! [`Decisions::of`] looks at what is known then (views, dates, suns, bands, baselines, clipped values) and returns one value, which the
 //! plane sweep, the start and the trainer consume. `inspect` prints that value with its reasons, and `run.toml` keeps it. What is
 //! set by hand stays as it is. Components whose worth only the images can tell are [`open`](Decisions::open) until short fits on the start have
-//! measured it; until then they are as the number of images says.
+//! measured it; until then they are off.
 
 mod index;
 mod light;

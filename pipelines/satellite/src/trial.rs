@@ -2,7 +2,7 @@
 //!
 //! All fits start from the same Gaussians, see the same crops in the same order and learn nothing from the same tiles of pixels. There
 //! they are compared, piece of ground by piece of ground ([`heliosplat_fitting::paired`]). What is better beyond chance is kept for
-//! those that follow; where nothing is beyond chance, what the number of images says stands.
+//! those that follow; where nothing is beyond chance, the plan stays as it was.
 
 mod windows;
 
