@@ -7,7 +7,8 @@
 //! ```
 //!
 //! `L_sky` is a colour per image (its haze and its sun's height differ), positive through a softplus. `A` (a matrix) and `b`
-//! are per image; those of the reference image stay the identity and zero, which fixes the gauge.
+//! are per image; those of the reference image are the identity and its path radiance, which training leaves as they are: that fixes
+//! the gauge. Images without colours share that path radiance.
 //!
 //! The paper's albedo is by spherical harmonics of the viewing direction, and so is `L_n`. Here both are one value per Gaussian and
 //! band, to which `degree` adds harmonics of degree 1 and more, one after another, as differences to straight down:
@@ -20,8 +21,11 @@
 //! hardly change: as they are, they would be the constant once more. As differences they leave `F_k` what is seen from straight above.
 //! Nothing is clamped.
 
+mod air;
 mod harmonics;
 mod lighting;
+
+pub use air::Air;
 
 use super::{Context, NamedLoss, Parameters, SceneModel, Seen};
 use crate::gaussians::FEATURES;
@@ -95,6 +99,8 @@ pub const SKY: usize = 0;
 pub const COLOUR: usize = 1;
 /// Index of the colour offsets in the global table.
 pub const OFFSET: usize = 2;
+/// Index of the path radiance in the global table, where images have no colours.
+const PATH_RADIANCE: usize = 1;
 
 /// Name of the group of days on which a Gaussian stands: from the first until before the second, days since 1970.
 pub const DAYS: &str = "days";
@@ -194,7 +200,7 @@ impl ShadowGs {
             .collect()
     }
 
-    /// Colour matrix (row by row) and offset of an image.
+    /// Colour matrix (row by row) and offset of an image. Without colours that is the identity and the path radiance of all.
     pub fn colour(&self, parameters: &Parameters, image: usize) -> (Vec<f32>, Vec<f32>) {
         let bands = self.options.bands;
         if !self.options.image_colour {
@@ -202,7 +208,7 @@ impl ShadowGs {
             for k in 0..bands {
                 identity[k * bands + k] = 1.0;
             }
-            return (identity, vec![0.0; bands]);
+            return (identity, parameters.globals.group(PATH_RADIANCE).to_vec());
         }
         let matrix = parameters.globals.group(COLOUR)[image * bands * bands..(image + 1) * bands * bands].to_vec();
         (
@@ -250,6 +256,9 @@ impl SceneModel for ShadowGs {
         if self.options.image_colour {
             groups.push(ParameterGroup::new("image_colour", images * bands * bands, colour));
             groups.push(ParameterGroup::new("image_offset", images * bands, colour));
+        } else {
+            let untrained = LearningRate::constant(0.0);
+            groups.push(ParameterGroup::new("path_radiance", bands, untrained));
         }
         groups
     }

@@ -17,12 +17,12 @@ impl ModelFile {
     /// # Errors
     /// A sentence that says what is wrong with it.
     pub fn parse(text: &str) -> Result<Self, String> {
-        let file: Self = serde_json::from_str(text).map_err(|e| e.to_string())?;
+        let mut file: Self = serde_json::from_str(text).map_err(|e| e.to_string())?;
         if file.schema != SCHEMA || file.model != "shadow_gs" {
             return Err(format!("schema {} of model {} is not known", file.schema, file.model));
         }
         check_options(&file.options)?;
-        if !fits(&file.globals, &file.options) {
+        if !complete(&mut file.globals, &file.options) {
             return Err("its shared parameters do not fit its options".into());
         }
         if file.bands.len() != file.options.bands {
@@ -92,13 +92,18 @@ fn check_options(options: &ShadowGsOptions) -> Result<(), String> {
     Ok(())
 }
 
-/// Whether the shared parameters are those of the options: nothing is made of the options before that is known.
-fn fits(globals: &Table, options: &ShadowGsOptions) -> bool {
+/// Whether the shared parameters are those of the options: nothing is made of the options before that is known. Models of a version that
+/// knew no path radiance of images without colours get the one that they had: none.
+fn complete(globals: &mut Table, options: &ShadowGsOptions) -> bool {
     let per_image = options.bands * options.bands + 2 * options.bands;
     if options.images.checked_mul(per_image).is_none() || globals.count != 1 {
         return false;
     }
     let expected = ShadowGs::new(options.clone()).global_groups();
+    let kept = globals.groups.len();
+    if !options.image_colour && kept + 1 == expected.len() {
+        globals.groups.extend(Table::zeros(expected[kept..].to_vec(), 1).groups);
+    }
     let same = |(group, spec): (&heliosplat::gaussians::Group, _)| {
         group.spec == spec && group.values.len() == group.spec.width
     };
@@ -132,4 +137,28 @@ fn check_image(image: &ModelImage, options: &ShadowGsOptions) -> Result<(), Stri
         return Err(format!("image {name} has numbers that are not finite"));
     }
     Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_model_without_path_radiance_had_none_and_one_with_other_parameters_is_refused() {
+        let options = ShadowGsOptions {
+            image_colour: false,
+            ..ShadowGsOptions::default()
+        };
+        let mut globals = ShadowGs::new(options.clone()).initial_globals(0.3);
+        let whole = globals.clone();
+        globals.groups.truncate(1);
+        assert!(complete(&mut globals, &options));
+        assert_eq!(globals, whole);
+        globals.groups.clear();
+        assert!(!complete(&mut globals, &options));
+        let coloured = ShadowGsOptions::default();
+        let mut globals = ShadowGs::new(coloured.clone()).initial_globals(0.3);
+        globals.groups.truncate(2);
+        assert!(!complete(&mut globals, &coloured));
+    }
 }

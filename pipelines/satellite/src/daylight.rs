@@ -19,6 +19,11 @@ use rayon::prelude::*;
 const DEPTH_PRIOR: (f64, f64) = (0.2, std::f64::consts::LN_2);
 /// Share of scattered light that reaches the ground, and the deviation of its logarithm.
 const SKY_PRIOR: (f64, f64) = (0.5, 0.4);
+/// Clear air.
+pub(crate) const CLEAR: BandAir = BandAir {
+    optical_depth: DEPTH_PRIOR.0,
+    sky_share: SKY_PRIOR.0,
+};
 /// Deviation of the logarithm of an image's shade: what a shadow is worth is measured where walls and errors of the surface are.
 const SHADE_SIGMA: f64 = 0.25;
 /// Least deviation of the logarithm of an image's gain.
@@ -67,10 +72,6 @@ pub(crate) fn fit(evidence: &[Evidence], reference_elevation_rad: Option<f64>, b
     let up: Vec<&Evidence> = evidence.iter().filter(|e| e.elevation_rad > 0.0).collect();
     let elevations = up.iter().map(|e| e.elevation_rad);
     let suns_rad = elevations.fold([reference; 2], |[low, high], e| [low.min(e), high.max(e)]);
-    let clear = BandAir {
-        optical_depth: DEPTH_PRIOR.0,
-        sky_share: SKY_PRIOR.0,
-    };
     let residuals = |k: usize, air: &BandAir| -> Vec<f64> {
         let residual = |e: &&Evidence| gain_residual(e, k, air, reference);
         up.iter().filter_map(residual).collect()
@@ -82,7 +83,7 @@ pub(crate) fn fit(evidence: &[Evidence], reference_elevation_rad: Option<f64>, b
     let fitted: Vec<(BandAir, f64)> = (0..bands)
         .into_par_iter()
         .map(|k| {
-            let sigma = spread(k, &clear).max(EXPOSURE_SIGMA);
+            let sigma = spread(k, &CLEAR).max(EXPOSURE_SIGMA);
             let band = Band {
                 evidence: &up,
                 k,
@@ -138,10 +139,7 @@ impl Band<'_> {
     /// The least cost on a grid of logarithms, refined around its best node.
     fn best(&self) -> BandAir {
         let mut ranges = [OPTICAL_DEPTHS, SKY_SHARES].map(|range| range.map(f64::ln));
-        let mut best = BandAir {
-            optical_depth: DEPTH_PRIOR.0,
-            sky_share: SKY_PRIOR.0,
-        };
+        let mut best = CLEAR;
         for _ in 0..=REFINEMENTS {
             let node = |[low, high]: [f64; 2], i: usize| low + (high - low) * i as f64 / STEPS as f64;
             let mut least = f64::INFINITY;

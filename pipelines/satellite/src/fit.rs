@@ -3,6 +3,7 @@
 use super::config::SatelliteConfig;
 use super::error::{FitError, MaskError};
 use super::ground::Ground;
+use super::one_light::OneLight;
 use super::plan::{Decisions, Light};
 use super::preprocess::{Preprocess, Preprocessed};
 use super::shadow_prior;
@@ -216,6 +217,11 @@ pub fn fit(
     drop(part);
     let part = stage("colours");
     let shades = radiometry::initialise(&model, &mut parameters, &mut views, SKY);
+    let nadir = nadir_camera(&scene.area, scene.gsd_m);
+    let one_light = OneLight::of(&suns, model.options.reference);
+    if let Some(light) = &one_light {
+        light.settle(&model, &mut parameters, &nadir, scene.gsd_m);
+    }
     linear::improve(&model, &mut parameters, &views);
     drop(part);
     let part = stage("trials");
@@ -251,14 +257,13 @@ pub fn fit(
     let part = stage("train");
 
     let bounds = bounds(&ground);
-    let nadir = nadir_camera(&scene.area, scene.gsd_m);
     let mut trainer = Trainer::new(&model, views, parameters, options, bounds, Some(nadir))?;
     if let Some(state) = state {
         tracing::info!("training is resumed at step {} of {steps}", state.steps());
         let restored = trainer.restore(state).map_err(|error| checkpoints.does_not_fit(&error));
         restored.map_err(TrainingError::from)?;
     }
-    let trained = {
+    let mut trained = {
         let reference = ground.images.get(model.options.reference);
         let probe = probe::height_probe(scene, reference.and_then(|image| image.vegetation_index()));
         train(trainer, steps, session, limits.budget, checkpoints, probe.as_deref())?
@@ -266,6 +271,9 @@ pub fn fit(
     drop(part);
     let daylight = {
         let _part = stage("daylight");
+        if let Some(light) = &one_light {
+            light.settle(&model, &mut trained.parameters, &nadir, scene.gsd_m);
+        }
         let elevations: Vec<Option<f64>> = suns.iter().map(|sun| Some(sun.position?.elevation_rad)).collect();
         let evidence = daylight::evidence(&model, &trained.parameters, &elevations, &shades);
         daylight::fit(&evidence, elevations[model.options.reference], bands)

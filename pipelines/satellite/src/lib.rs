@@ -17,6 +17,7 @@ mod initial;
 pub mod limits;
 mod linear;
 pub mod measure;
+mod one_light;
 mod path_radiance;
 mod plan;
 pub mod preprocess;

@@ -31,6 +31,12 @@ pub(super) fn groups(options: &ShadowGsOptions) -> impl Iterator<Item = Paramete
         .flat_map(move |part| (1..=degree).map(move |l| group(part, l)))
 }
 
+/// Indices of the groups of the albedo's harmonics, whose coefficients lie function by function.
+pub(super) fn albedo_harmonics(options: &ShadowGsOptions) -> std::ops::Range<usize> {
+    let first = FEATURES + parts(options);
+    first..first + options.degree
+}
+
 /// The harmonics of a model as one camera sees them.
 pub(super) struct Harmonics<'a> {
     gaussians: &'a Table,
