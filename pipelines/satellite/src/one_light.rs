@@ -284,7 +284,7 @@ mod tests {
     fn ground(path_radiance: f32, sky: f32, wrong: usize) -> Ground {
         let side = 80;
         let shaded = |at: usize| at % side >= side / 2;
-        let albedo = |at: usize| if (at / side / 16) % 2 == 0 { 0.15 } else { 0.4 };
+        let albedo = |at: usize| if (at / side / 16).is_multiple_of(2) { 0.15 } else { 0.4 };
         let noise = |at: usize| ((at * 7919) % 1009) as f32 / 1009.0 * 0.02 - 0.01;
         let light = |at: usize| match shaded(at) && (at * 31) % 100 >= wrong {
             true => sky,
