@@ -3,7 +3,7 @@
 use super::config::SatelliteConfig;
 use super::error::{FitError, MaskError};
 use super::ground::Ground;
-use super::one_light::OneLight;
+use super::one_light::{self, OneLight};
 use super::plan::{Decisions, Light};
 use super::preprocess::{Preprocess, Preprocessed};
 use super::shadow_prior;
@@ -219,8 +219,9 @@ pub fn fit(
     let shades = radiometry::initialise(&model, &mut parameters, &mut views, SKY);
     let nadir = nadir_camera(&scene.area, scene.gsd_m);
     let one_light = OneLight::of(&suns, model.options.reference);
+    let darkest = one_light::darkest(&views[model.options.reference].image);
     if let Some(light) = &one_light {
-        light.settle(&model, &mut parameters, &nadir, scene.gsd_m);
+        light.settle(&model, &mut parameters, &nadir, scene.gsd_m, Some(&darkest));
     }
     linear::improve(&model, &mut parameters, &views);
     drop(part);
@@ -272,7 +273,7 @@ pub fn fit(
     let daylight = {
         let _part = stage("daylight");
         if let Some(light) = &one_light {
-            light.settle(&model, &mut trained.parameters, &nadir, scene.gsd_m);
+            light.settle(&model, &mut trained.parameters, &nadir, scene.gsd_m, None);
         }
         let elevations: Vec<Option<f64>> = suns.iter().map(|sun| Some(sun.position?.elevation_rad)).collect();
         let evidence = daylight::evidence(&model, &trained.parameters, &elevations, &shades);

@@ -28,6 +28,8 @@ use rayon::prelude::*;
 
 /// Suns closer than this are one light, degrees of arc: the shadow of a house of 10 m moves by less than the ground that is left out along its border.
 const ONE_LIGHT_DEG: f64 = 10.0;
+/// Fewest images whose surface has shadows in the right places. With two images of a real city the shadows of towers became black (docs/lab/shadows.md).
+const FEWEST_IMAGES: usize = 8;
 /// Share of the sun that reaches shaded ground at most, and sunlit ground at least. How much does reach it is accounted for.
 const SHADED: f32 = 0.5;
 const SUNLIT: f32 = 0.5;
@@ -45,6 +47,8 @@ const FEWEST_SUNLIT: usize = 10;
 const FEWEST_PLACES: usize = 200;
 /// Share of the places that count: those whose path radiances lie closest together. Where the surface is wrong, what counts as shaded is not.
 const COUNTED: f64 = 0.5;
+/// Share of the pixels that is darker than the darkest that counts.
+const DARKEST: f64 = 0.005;
 /// Nothing in a shadow or at its border is brighter than this share of what is in the full sun.
 const BRIGHTEST: f64 = 0.99;
 /// Share of the sun that reaches what is in the full sun at least.
@@ -59,7 +63,7 @@ pub(super) struct OneLight {
 }
 
 impl OneLight {
-    /// `None` where an image has no sun, or suns differ.
+    /// `None` where an image has no sun, suns differ, or images are few.
     pub(super) fn of(suns: &[ImageSun], reference: usize) -> Option<Self> {
         let directions: Option<Vec<_>> = suns.iter().map(crop::direction).collect();
         let directions = directions?;
@@ -70,7 +74,7 @@ impl OneLight {
                 .all(|b| f64::from(a.dot(*b)) > ONE_LIGHT_DEG.to_radians().cos())
         });
         let elevation_rad = suns.get(reference)?.position?.elevation_rad;
-        one.then(|| Self {
+        (one && suns.len() >= FEWEST_IMAGES).then(|| Self {
             lights: directions.into_iter().map(Light::Directional).collect(),
             reference,
             elevation_rad,
@@ -78,7 +82,15 @@ impl OneLight {
     }
 
     /// Gives `model` the air that level ground tells, as `nadir`, a camera of pixels of `gsd_m`, sees it; without enough of it nothing changes.
-    pub(super) fn settle(&self, model: &ShadowGs, parameters: &mut Parameters, nadir: &ProjectiveCamera, gsd_m: f64) {
+    /// `darkest` bounds the path radiance of each band: before training, when many shadows are in wrong places.
+    pub(super) fn settle(
+        &self,
+        model: &ShadowGs,
+        parameters: &mut Parameters,
+        nadir: &ProjectiveCamera,
+        gsd_m: f64,
+        darkest: Option<&[f32]>,
+    ) {
         let (light, image) = (self.lights[self.reference], self.reference);
         let rendering = render(
             model,
@@ -101,7 +113,7 @@ impl OneLight {
         }
         let sky = CLEAR.shade(self.elevation_rad) as f32;
         let path_radiance: Vec<f32> = (0..model.options.bands)
-            .map(|k| path_radiance(&places, k, sky))
+            .map(|k| path_radiance(&places, k, sky).min(darkest.map_or(f32::INFINITY, |darkest| darkest[k])))
             .collect();
         tracing::info!(
             "one light: path radiance of the reference image, per band: {path_radiance:.3?}, sky {sky:.3}, by {} places in shadows",
@@ -133,6 +145,15 @@ impl OneLight {
         }
         mean
     }
+}
+
+/// What the darkest of the reference image is worth, band by band: the air adds no more than that (the dark-object subtraction of Chavez 1988).
+pub(super) fn darkest(image: &Raster) -> Vec<f32> {
+    let of_band = |k: usize| {
+        let mut known: Vec<f32> = image.plane(k).iter().copied().filter(|v| v.is_finite()).collect();
+        upper_quantile(&mut known, DARKEST).map_or(0.0, |value| value.max(0.0))
+    };
+    (0..image.bands).into_par_iter().map(of_band).collect()
 }
 
 /// What is not in the full sun is no brighter than the brightest that is: there the shadow is wrong, and would leave a white spot.
@@ -270,13 +291,19 @@ mod tests {
 
     #[test]
     fn suns_of_one_pass_are_one_light_and_those_of_two_seasons_are_not() {
-        assert!(OneLight::of(&[sun(120.0, 40.0), sun(126.0, 43.0)], 0).is_some());
-        assert!(OneLight::of(&[sun(120.0, 40.0), sun(150.0, 43.0)], 0).is_none());
+        let pass = |last: ImageSun| {
+            let mut suns = vec![sun(120.0, 40.0); FEWEST_IMAGES - 1];
+            suns.push(last);
+            suns
+        };
+        assert!(OneLight::of(&pass(sun(126.0, 43.0)), 0).is_some());
+        assert!(OneLight::of(&pass(sun(150.0, 43.0)), 0).is_none());
         let unknown = ImageSun {
             position: None,
             ..sun(120.0, 40.0)
         };
-        assert!(OneLight::of(&[sun(120.0, 40.0), unknown], 0).is_none());
+        assert!(OneLight::of(&pass(unknown), 0).is_none());
+        assert!(OneLight::of(&pass(sun(126.0, 43.0))[1..], 0).is_none());
         assert!(OneLight::of(&[], 0).is_none());
     }
 
@@ -323,6 +350,17 @@ mod tests {
         let shaded: f32 = places.iter().map(|place| albedo(place.shaded[0], believed)).sum();
         let sunlit: f32 = places.iter().map(|place| albedo(place.sunlit[0], 1.0)).sum();
         assert!((shaded / sunlit - 1.0).abs() < 0.1, "{}", shaded / sunlit);
+    }
+
+    #[test]
+    fn no_pixel_is_darker_than_the_air_but_some_noise_may_be() {
+        let mut image = ground(0.1, 0.1, 0).image;
+        let at = image.values.len() - 1;
+        image.values[at] = f32::NAN;
+        let clean = darkest(&image)[0];
+        assert!((clean - 0.11).abs() < 0.01, "{clean}");
+        image.values[..20].fill(-1.0);
+        assert!((darkest(&image)[0] - clean).abs() < 0.005);
     }
 
     #[test]
