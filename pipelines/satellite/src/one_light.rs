@@ -108,7 +108,10 @@ impl OneLight {
         };
         let places = ground.places();
         if places.len() < FEWEST_PLACES {
-            tracing::info!("one light: {} places in shadows tell nothing of the air", places.len());
+            tracing::warn!(
+                "all images have one light, and {} places in shadows are too few to tell shadows from dark ground: relit images will show the old shadows",
+                places.len()
+            );
             return;
         }
         let sky = CLEAR.shade(self.elevation_rad) as f32;
