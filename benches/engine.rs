@@ -6,7 +6,7 @@ use heliosplat::light::Light;
 use heliosplat::optim::Adam;
 use heliosplat::splat::project::{project, project_backward};
 use heliosplat::splat::{Bins, Maps, Projected, ProjectionOptions, Rasteriser, SplatGradients};
-use heliosplat::trace::{Occluders, Transmittance, transmittance, transmittance_by_hierarchy};
+use heliosplat::trace::{OccluderGradients, Occluders, Transmittance, transmittance, transmittance_by_hierarchy};
 use std::hint::black_box;
 
 /// As in the binary.
@@ -116,7 +116,8 @@ fn rays(criterion: &mut Criterion) {
             b.iter(|| {
                 occluders.renew(gaussians);
                 let traced = trace(&occluders, &origins, &site.sun);
-                traced.backward(gaussians, &occluders, &origins, &ones, &mut out);
+                let all = (&occluders, OccluderGradients::All);
+                traced.backward(gaussians, all, &origins, &ones, &mut out);
             });
         });
     }

@@ -14,15 +14,15 @@ use crate::splat::{
     project::project_backward,
 };
 use crate::timeline::stage;
-use crate::trace::{Occluders, Transmittance, transmittance};
+use crate::trace::{OccluderGradients, Occluders, Transmittance, transmittance};
 
 /// Options of a pass.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct PassOptions {
     /// Gaussians to splats.
     pub projection: ProjectionOptions,
-    /// Whether gradients of light reach what stands in its way; without them only where rays start moves.
-    pub occluder_gradients: bool,
+    /// Which gradients of light reach what stands in its way.
+    pub occluder_gradients: OccluderGradients,
     /// Whether three channels with the splats' normals follow the model's.
     pub normals: bool,
     /// What is composited of depths along rays besides their mean.
@@ -33,7 +33,7 @@ impl Default for PassOptions {
     fn default() -> Self {
         Self {
             projection: ProjectionOptions::default(),
-            occluder_gradients: true,
+            occluder_gradients: OccluderGradients::All,
             normals: false,
             depths: Depths::default(),
         }
@@ -195,14 +195,13 @@ impl<'a> Pass<'a> {
         drop(part);
         if let Lit::Traced(occluders) = self.light {
             let _part = stage("light, backward");
-            let (origins, out) = (&self.projected.gaussian, &mut grads.gaussians);
-            if self.options.occluder_gradients {
-                self.traced
-                    .backward(gaussians, occluders, origins, &d_transmittance, out);
-            } else {
-                self.traced
-                    .backward_to_origins(gaussians, origins, &d_transmittance, out);
-            }
+            self.traced.backward(
+                gaussians,
+                (occluders, self.options.occluder_gradients),
+                &self.projected.gaussian,
+                &d_transmittance,
+                &mut grads.gaussians,
+            );
         }
         splat_gradients.splats
     }

@@ -12,4 +12,4 @@ mod sun_plane;
 pub mod transmittance;
 
 pub use bvh::{Occluder, Occluders};
-pub use transmittance::{Transmittance, transmittance, transmittance_by_hierarchy};
+pub use transmittance::{OccluderGradients, Transmittance, transmittance, transmittance_by_hierarchy};

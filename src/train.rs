@@ -25,7 +25,7 @@ use crate::render::{Lit, Pass, PassOptions};
 use crate::splat::project::project;
 use crate::splat::{Depths, MapGradients, ProjectionOptions};
 use crate::timeline::stage;
-use crate::trace::Occluders;
+use crate::trace::{OccluderGradients, Occluders};
 use cached_visibility::CachedVisibility;
 use glam::Vec3;
 use holdout::Holdout;
@@ -227,6 +227,16 @@ impl<'a> Trainer<'a> {
         (!cached && self.views[index].light.is_some()) || self.consistency_is_due()
     }
 
+    /// Which gradients of light reach occluders in this step.
+    fn occluder_gradients(&self) -> OccluderGradients {
+        match self.options.occluder_gradients {
+            true => OccluderGradients::Sampled {
+                seed: self.options.seed.wrapping_mul(1_000_003) ^ self.step as u64,
+            },
+            false => OccluderGradients::None,
+        }
+    }
+
     fn consistency_is_due(&self) -> bool {
         self.options.consistency_weight > 0.0 && self.step.is_multiple_of(self.options.consistency_every.max(1))
     }
@@ -340,7 +350,7 @@ impl<'a> Trainer<'a> {
         };
         let pass_options = PassOptions {
             projection: ProjectionOptions::default(),
-            occluder_gradients: options.occluder_gradients,
+            occluder_gradients: self.occluder_gradients(),
             normals: options.depth_normal_weight > 0.0,
             depths: Depths::Mean,
         };
@@ -424,7 +434,7 @@ impl<'a> Trainer<'a> {
         let pass = ConsistencyPass {
             camera,
             projection: &projection,
-            occluder_gradients: self.options.occluder_gradients,
+            occluder_gradients: self.occluder_gradients(),
             occluders,
             // Asked for on one step in `consistency_every` only, so it weighs that much more there.
             weight: self.options.consistency_weight * self.options.consistency_every.max(1) as f32,

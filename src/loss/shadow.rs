@@ -4,7 +4,7 @@ use crate::camera::ProjectiveCamera;
 use crate::gaussians::Table;
 use crate::light::Light;
 use crate::splat::{MapGradients, Projected, ProjectionOptions, Rasteriser, project::project_backward};
-use crate::trace::{Occluders, transmittance};
+use crate::trace::{OccluderGradients, Occluders, transmittance};
 
 /// Visibilities outside `[CLAMP, 1 - CLAMP]` are settled: no gradient.
 const CLAMP: f32 = 0.02;
@@ -55,8 +55,8 @@ pub struct ConsistencyPass<'a> {
     pub camera: &'a ProjectiveCamera,
     /// How Gaussians become splats.
     pub projection: &'a ProjectionOptions,
-    /// Whether gradients of light reach what stands in its way.
-    pub occluder_gradients: bool,
+    /// Which gradients of light reach what stands in its way.
+    pub occluder_gradients: OccluderGradients,
     /// The occluders.
     pub occluders: &'a Occluders,
     /// Weight of the loss.
@@ -88,11 +88,8 @@ pub fn consistency(gaussians: &Table, projected: &Projected, pass: &ConsistencyP
     d_maps.channels[0].fill(-unit);
     let back = rasteriser.backward(&traced.values, 1, &maps, &d_maps);
     project_backward(gaussians, pass.camera, pass.projection, projected, &back.splats, out);
-    if pass.occluder_gradients {
-        traced.backward(gaussians, pass.occluders, &projected.gaussian, &back.features, out);
-    } else {
-        traced.backward_to_origins(gaussians, &projected.gaussian, &back.features, out);
-    }
+    let occluders = (pass.occluders, pass.occluder_gradients);
+    traced.backward(gaussians, occluders, &projected.gaussian, &back.features, out);
     shadow
 }
 
@@ -124,7 +121,7 @@ mod tests {
         let pass = ConsistencyPass {
             camera: &camera,
             projection: &projection,
-            occluder_gradients: true,
+            occluder_gradients: OccluderGradients::All,
             occluders: &Occluders::new(gaussians),
             weight: 1.0,
         };

@@ -38,6 +38,23 @@ pub struct Transmittance {
     finder: Finder,
 }
 
+/// Which rays carry gradients to what stands in their way.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum OccluderGradients {
+    /// None: only where rays start moves.
+    None,
+    /// All rays.
+    All,
+    /// A sample with the gradients of all as its expectation (Russian roulette, Arvo and Kirk 1990): a ray whose gradient, to the
+    /// logarithm of its transmittance, is smaller than half of the mean one is kept with the probability of their ratio, and then
+    /// counts as that half. Many rays are such, and of those in deep shade, which meet most Gaussians, nearly all. For parallel light;
+    /// point lights take all rays.
+    Sampled {
+        /// What is drawn depends on it.
+        seed: u64,
+    },
+}
+
 /// What found the Gaussians on the rays, and finds them again in the backward pass.
 #[derive(Default)]
 enum Finder {
@@ -113,9 +130,17 @@ fn rays(occluders: &Occluders, origins: &[u32], light: &Light) -> Vec<LightRay> 
 }
 
 impl Transmittance {
-    /// Adds the gradients of the parameters of occluders and origins, from those of the transmittances (`grads`, one per origin).
-    /// `occluders` and `origins` are those the transmittance was traced with, `gaussians` those the occluders were made of.
-    pub fn backward(&self, gaussians: &Table, occluders: &Occluders, origins: &[u32], grads: &[f32], out: &mut Table) {
+    /// Adds the gradients of the parameters of origins, and of the occluders that `which` asks for, from those of the transmittances
+    /// (`grads`, one per origin). `occluders` and `origins` are those the transmittance was traced with, `gaussians` those the occluders
+    /// were made of.
+    pub fn backward(
+        &self,
+        gaussians: &Table,
+        (occluders, which): (&Occluders, OccluderGradients),
+        origins: &[u32],
+        grads: &[f32],
+        out: &mut Table,
+    ) {
         if self.hits == 0 {
             return;
         }
@@ -126,24 +151,23 @@ impl Transmittance {
             origins,
             d_log: &d_log,
         };
-        match &self.finder {
-            Finder::Nothing => {}
-            Finder::SunPlane(trace) => trace.backward(gaussians, occluders, &gradients_back, out),
-            Finder::Hierarchy(trace) => trace.backward(gaussians, occluders, &gradients_back, out),
+        match (&self.finder, which) {
+            (Finder::Nothing, _) | (_, OccluderGradients::None) => {}
+            (Finder::SunPlane(trace), OccluderGradients::All) => {
+                trace.backward(gaussians, occluders, &gradients_back, None, out);
+            }
+            (Finder::SunPlane(trace), OccluderGradients::Sampled { seed }) => {
+                trace.backward(gaussians, occluders, &gradients_back, Some(seed), out);
+            }
+            (Finder::Hierarchy(trace), _) => trace.backward(gaussians, occluders, &gradients_back, out),
         }
     }
 
-    /// As [`Self::backward`], but without the gradients of the occluders: those of the ray origins only.
-    pub fn backward_to_origins(&self, gaussians: &Table, origins: &[u32], grads: &[f32], out: &mut Table) {
-        if self.hits > 0 {
-            self.origins_backward(gaussians, origins, &self.to_logarithms(grads), out);
-        }
-    }
-
-    /// Gradients to the logarithms of the values from those to the values.
+    /// Gradients to the logarithms of the values from those to the values; none for rays that met nothing.
     fn to_logarithms(&self, grads: &[f32]) -> Vec<f32> {
         let numbers = grads.par_iter().with_min_len(CHUNK).zip(&self.values);
-        numbers.map(|(g, value)| g * value).collect()
+        let d_log = |(g, &value): (&f32, &f32)| if value < 1.0 { g * value } else { 0.0 };
+        numbers.map(d_log).collect()
     }
 
     fn origins_backward(&self, gaussians: &Table, origins: &[u32], d_log: &[f32], out: &mut Table) {
@@ -249,7 +273,7 @@ mod tests {
         let [plane, tree] = WAYS.map(|way| {
             let traced = way(&occluders, &origins, &sun(35.0));
             let mut out = table.zeros_like();
-            traced.backward(&table, &occluders, &origins, &grads, &mut out);
+            traced.backward(&table, (&occluders, OccluderGradients::All), &origins, &grads, &mut out);
             out
         });
         for (a, b) in plane.groups.iter().zip(&tree.groups) {
@@ -258,6 +282,37 @@ mod tests {
             let mean = apart.sum::<f32>() / a.values.len() as f32;
             assert!(size > 0.0 && mean < 1e-4 * size, "{}: {mean} of {size}", a.spec.name);
         }
+    }
+
+    #[test]
+    fn sampled_rays_give_the_gradients_of_all_in_the_mean() {
+        let table = slab();
+        let occluders = Occluders::new(&table);
+        let origins: Vec<u32> = (0..table.count as u32).collect();
+        let grads: Vec<f32> = origins.iter().map(|&o| ((o * 37) % 11) as f32 - 3.0).collect();
+        let traced = transmittance(&occluders, &origins, &sun(35.0));
+        let opacities = |which: OccluderGradients| {
+            let mut out = table.zeros_like();
+            traced.backward(&table, (&occluders, which), &origins, &grads, &mut out);
+            out.group(OPACITY).to_vec()
+        };
+        let all = opacities(OccluderGradients::All);
+        let samples = 400;
+        let mut mean = vec![0.0; all.len()];
+        for seed in 0..samples {
+            for (mean, d) in mean.iter_mut().zip(opacities(OccluderGradients::Sampled { seed })) {
+                *mean += d / samples as f32;
+            }
+        }
+        let apart = |other: &[f32]| all.iter().zip(other).map(|(a, b)| (a - b).abs()).sum::<f32>();
+        let one = opacities(OccluderGradients::Sampled { seed: 7 });
+        assert_ne!(one, all);
+        assert_eq!(one, opacities(OccluderGradients::Sampled { seed: 7 }));
+        // The error of a mean of n samples is that of one over the root of n.
+        assert!(apart(&mean) < 0.1 * apart(&one), "{} and {}", apart(&mean), apart(&one));
+        let size: f32 = all.iter().map(|d| d.abs()).sum();
+        assert!(apart(&mean) < 0.04 * size, "{} of {size}", apart(&mean));
+        assert!(opacities(OccluderGradients::None).iter().all(|&d| d == 0.0));
     }
 
     #[test]
@@ -295,7 +350,8 @@ mod tests {
             assert!(traced.values[0] == 0.0, "{:?}", traced.values);
             assert!((traced.values[1] - 0.05).abs() < 1e-4);
             let mut gradients = table.zeros_like();
-            traced.backward(&table, &occluders, &[0, 198], &[1.0, 0.0], &mut gradients);
+            let all = (&occluders, OccluderGradients::All);
+            traced.backward(&table, all, &[0, 198], &[1.0, 0.0], &mut gradients);
             assert!(
                 gradients
                     .groups

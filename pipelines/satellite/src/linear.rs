@@ -11,7 +11,7 @@ use heliosplat::model::shadow_gs::{ALBEDO, COLOUR, OFFSET, ShadowGs};
 use heliosplat::model::{Context, Parameters, SceneModel, View};
 use heliosplat::render::{Lit, Pass, PassOptions};
 use heliosplat::splat::Maps;
-use heliosplat::trace::Occluders;
+use heliosplat::trace::{OccluderGradients, Occluders};
 use nalgebra::DMatrix;
 use rayon::prelude::*;
 
@@ -47,7 +47,7 @@ pub(super) fn improve(model: &ShadowGs, parameters: &mut Parameters, views: &[Vi
             appearance: Some(view.appearance),
         };
         let options = PassOptions {
-            occluder_gradients: false,
+            occluder_gradients: OccluderGradients::None,
             ..PassOptions::default()
         };
         let pass = Pass::new(model, context, Lit::Traced(&occluders), options);

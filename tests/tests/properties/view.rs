@@ -8,7 +8,7 @@ use heliosplat::light::Light;
 use heliosplat::model::{Context, Parameters, SceneModel};
 use heliosplat::render::{Lit, Pass, PassOptions};
 use heliosplat::splat::{Depths, Maps, ProjectionOptions};
-use heliosplat::trace::Occluders;
+use heliosplat::trace::{OccluderGradients, Occluders};
 use heliosplat::{ProjectiveCamera, Raster};
 use heliosplat_tests::reference;
 use proptest::prelude::*;
@@ -18,7 +18,7 @@ const OPTIONS: PassOptions = PassOptions {
         filter_px2: 0.1,
         antialias: true,
     },
-    occluder_gradients: true,
+    occluder_gradients: OccluderGradients::All,
     normals: true,
     depths: Depths::Median,
 };

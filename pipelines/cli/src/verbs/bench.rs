@@ -6,7 +6,7 @@ use heliosplat::light::Light;
 use heliosplat::splat::project::project;
 use heliosplat::splat::{ProjectionOptions, Rasteriser};
 use heliosplat::timeline::{self, stage};
-use heliosplat::trace::{Occluders, Transmittance, transmittance, transmittance_by_hierarchy};
+use heliosplat::trace::{OccluderGradients, Occluders, Transmittance, transmittance, transmittance_by_hierarchy};
 use heliosplat_rpc::{GeoPoint, ImagePoint, Rpc};
 use rayon::prelude::*;
 use std::time::{Duration, Instant};
@@ -91,7 +91,8 @@ fn light_rate(site: &Site, trace: fn(&Occluders, &[u32], &Light) -> Transmittanc
     let whole = seconds(|| {
         occluders.renew(gaussians);
         let traced = trace(&occluders, &origins, &site.sun);
-        traced.backward(gaussians, &occluders, &origins, &gradients, &mut out);
+        let all = (&occluders, OccluderGradients::All);
+        traced.backward(gaussians, all, &origins, &gradients, &mut out);
     });
     whole / origins.len() as f64 * 1e9
 }
