@@ -38,6 +38,8 @@ pub struct Row {
     pub seed: u64,
     /// Seconds in all.
     pub seconds: f64,
+    /// Processor seconds of all threads.
+    pub processor_s: f64,
     /// Most memory used, bytes.
     pub peak_bytes: f64,
     /// Gaussians at the end.
@@ -191,6 +193,12 @@ fn metrics(folder: &Path) -> Option<Value> {
     .ok()
 }
 
+/// Processor seconds of all stages together.
+fn processor_seconds(metrics: &Value) -> Option<f64> {
+    let stages = metrics["timeline"].as_array()?;
+    stages.iter().map(|stage| stage["processor_s"].as_f64()).sum()
+}
+
 fn row(job: &Job, metrics: &Value) -> Row {
     let number = |pointer: &str| metrics.pointer(pointer).and_then(Value::as_f64);
     let steps = number("/iterations").unwrap_or(f64::NAN);
@@ -201,6 +209,7 @@ fn row(job: &Job, metrics: &Value) -> Row {
         point: job.point.name.clone(),
         seed: job.seed,
         seconds: number("/seconds").unwrap_or(f64::NAN),
+        processor_s: processor_seconds(metrics).unwrap_or(f64::NAN),
         peak_bytes: number("/peak_rss_bytes").unwrap_or(f64::NAN),
         gaussians: number("/gaussians").unwrap_or(f64::NAN),
         steps,
@@ -216,16 +225,17 @@ fn row(job: &Job, metrics: &Value) -> Row {
 /// The rows as a table of text.
 pub fn csv(rows: &[Row]) -> String {
     let mut out =
-        "scene,point,seed,seconds,peak_mib,gaussians,steps,mae_m,median_m,shadows_right,psnr_train,psnr_held_out\n"
+        "scene,point,seed,seconds,processor_s,peak_mib,gaussians,steps,mae_m,median_m,shadows_right,psnr_train,psnr_held_out\n"
             .to_owned();
     let may = |value: Option<f64>| value.map_or(String::new(), |v| format!("{v:.4}"));
     for row in rows {
         let scene = format!("\"{}\"", row.scene.replace('"', "\"\""));
         out += &format!(
-            "{scene},{},{},{:.2},{:.1},{:.0},{:.0},{},{},{},{},{}\n",
+            "{scene},{},{},{:.2},{:.2},{:.1},{:.0},{:.0},{},{},{},{},{}\n",
             row.point,
             row.seed,
             row.seconds,
+            row.processor_s,
             row.peak_bytes / f64::from(1 << 20),
             row.gaussians,
             row.steps,

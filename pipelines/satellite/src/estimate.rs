@@ -7,10 +7,10 @@ use super::config::{ModelOptions, SatelliteConfig};
 use super::error::FitError;
 use super::ground;
 use super::sweep_memory::search_bytes;
+use super::trial::WORTH_STEPS;
 use heliosplat::bench_fixture::{Descent, Site};
 use heliosplat::shade::sh::functions;
 use heliosplat::train::TrainOptions;
-use heliosplat_fitting::budget::after_training_steps;
 use heliosplat_scene::crop;
 use heliosplat_scene::survey::Survey;
 use heliosplat_scene::{Area, Scene};
@@ -19,8 +19,10 @@ use std::time::Instant;
 
 pub use super::sweep_memory::PROGRAM_BYTES;
 
-/// Gaussians per cell of the ground grid: walls and doubtful ground add to one each (1.3 to 2.3 were seen).
-const GAUSSIANS_PER_CELL: f64 = 1.8;
+/// Gaussians per cell of the ground grid, for times: walls and doubtful ground add to one each (1.3 to 2.3 were seen).
+const GAUSSIANS_PER_CELL: f64 = 1.55;
+/// The same for memory, which is to suffice.
+const MANY_GAUSSIANS_PER_CELL: f64 = 1.8;
 /// Tables of all parameters that training holds: values, gradients, two moments, the best state.
 const TABLES: f64 = 5.0;
 /// Bytes per Gaussian of what one step makes besides: splats, lists of tiles, gradients, ellipses on the plane of the sun,
@@ -38,9 +40,13 @@ const START_S_PER_CELL: f64 = 1.2e-5;
 /// The same for few views.
 const START_OF_FEW_S_PER_CELL: f64 = 4.8e-6;
 /// Seconds per Gaussian and step, without light.
-const STEP_S_PER_GAUSSIAN: f64 = 4.2e-7;
+const STEP_S_PER_GAUSSIAN: f64 = 2.5e-7;
 /// Seconds per Gaussian to trace light once, with gradients.
-const TRACE_S_PER_GAUSSIAN: f64 = 1.03e-6;
+const TRACE_S_PER_GAUSSIAN: f64 = 7.5e-7;
+/// Seconds per Gaussian and image, and as much for two more, after training: products, evaluation, report.
+const PRODUCT_S_PER_GAUSSIAN: f64 = 1.9e-6;
+/// What the planner's short fits take, in steps of the training (21 to 40 were seen).
+const TRIALS_AS_STEPS: f64 = 30.0;
 /// Seconds of one step of the small site on the machine that the seconds above were measured on.
 const REFERENCE_STEP_S: f64 = 0.012;
 
@@ -189,6 +195,7 @@ pub fn estimate_of(extent: &Extent, config: &SatelliteConfig, slowness: f64, hel
     let cells = (area.east_m - area.west_m) * (area.north_m - area.south_m) / (cell_m * cell_m);
     let gaussians = GAUSSIANS_PER_CELL * cells;
     let steps = config.train.clone().for_views(training).iterations;
+    let trials = if steps < WORTH_STEPS { 0.0 } else { TRIALS_AS_STEPS };
     let pixels = cells * config.start.cell_gsd * config.start.cell_gsd * 1.2;
     let fixed = held + copies_bytes(training as f64 * pixels, bands);
     let light = light_bytes(&config.model, bands);
@@ -205,13 +212,14 @@ pub fn estimate_of(extent: &Extent, config: &SatelliteConfig, slowness: f64, hel
     let growth = config.train.clone().for_views(training).growth();
     let per_gaussian = STEP_S_PER_GAUSSIAN + TRACE_S_PER_GAUSSIAN * traces_per_step(&config.train);
     let step_s = per_gaussian * gaussians * 0.5 * (1.0 + growth) * slowness;
+    let after_s = PRODUCT_S_PER_GAUSSIAN * gaussians * growth * (images + 2) as f64 * slowness;
     Estimate {
         gaussians,
-        peak_bytes: peak(gaussians * growth),
+        peak_bytes: peak(MANY_GAUSSIANS_PER_CELL * cells * growth),
         least_bytes: peak(cells),
         steps,
         start_s,
-        seconds: start_s + (steps as f64 + after_training_steps(images)) * step_s,
+        seconds: start_s + (steps as f64 + trials) * step_s + after_s,
     }
 }
 

@@ -21,7 +21,7 @@ use windows::{Window, windows};
 const EPOCHS: usize = 3;
 const STEPS: (usize, usize) = (24, 48);
 /// Fewest steps of a training before which components are tried.
-const WORTH_STEPS: usize = 200;
+pub(super) const WORTH_STEPS: usize = 200;
 /// Share of a training's work that short fits may take, in steps times Gaussians; one window is tried at any rate.
 const MOST_WORK: f64 = 0.1;
 /// Most windows.

@@ -21,7 +21,7 @@ use super::level::LevelView;
 use super::ortho::box_mean;
 use super::pairs::Pair;
 use super::parameters::{MatchingFacts, MatchingParameters};
-use super::plane_sweep::plane_sweep;
+use super::plane_sweep::{plane_sweep, swept_altitudes};
 use super::pyramid::Search;
 use super::request::PlaneSweepRequest;
 use super::seen::pixel_of;
@@ -128,7 +128,10 @@ pub fn find(views: &[SweepView], days: &[i32], request: &PlaneSweepRequest, surf
         let those: Vec<&CoarseSegment> = found.iter().filter(|segment| segment.day == day).collect();
         let volume = around(&request.volume, &grid, &those);
         let request = PlaneSweepRequest { volume, ..*request };
-        let sides = [false, true].map(|after| swept(&side(views, days, day, after), &request));
+        let sides = [false, true].map(|after| {
+            let views = side(views, days, day, after);
+            plane_sweep(&views, &matched_as(&views, &request), &|_| {})
+        });
         for segment in those {
             changes.refine(segment, &grid, &sides, surface);
         }
@@ -274,7 +277,8 @@ fn splits(
     };
     consider(&present);
     for (day, after) in [(candidates[0], false), (candidates[candidates.len() - 1], true)] {
-        consider(&on_grid(&grid, &swept(&side(views, days, day, after), request)));
+        let views = side(views, days, day, after);
+        consider(&swept_altitudes(&views, &matched_as(&views, request)));
     }
     splits
 }
@@ -359,16 +363,15 @@ fn side<'a>(views: &[SweepView<'a>], days: &[i32], day: i32, after: bool) -> Vec
     sides.map(|(view, _)| *view).collect()
 }
 
-/// The surface of some of the views.
-fn swept(views: &[SweepView], request: &PlaneSweepRequest) -> Surface {
+/// The request with the matching that some of the views ask for.
+fn matched_as(views: &[SweepView], request: &PlaneSweepRequest) -> PlaneSweepRequest {
     let geometries: Vec<ViewGeometry> = views.iter().map(SweepView::geometry).collect();
     let has_index = views.iter().all(|view| view.index.is_some());
     let facts = MatchingFacts::new(&geometries, &request.volume, has_index);
-    let request = PlaneSweepRequest {
+    PlaneSweepRequest {
         parameters: MatchingParameters::choose(&facts),
         ..*request
-    };
-    plane_sweep(views, &request, &|_| {})
+    }
 }
 
 /// The part of a volume that holds some segments and what is around them.

@@ -7,7 +7,7 @@ use super::grid::Grid;
 use super::level::LevelView;
 use super::plane_smoothing;
 use super::postprocess;
-use super::pyramid::Search;
+use super::pyramid::{LevelResult, Search};
 use super::request::PlaneSweepRequest;
 use super::seen::{AltitudeGrid, FEWEST_VIEWS, views_seeing};
 use super::surface::Surface;
@@ -34,50 +34,16 @@ const SURE_PROBABILITY: f32 = 0.8;
 
 /// Finds the surface that the views agree on. `progress` hears the share done, 0 to 1.
 pub fn plane_sweep(views: &[SweepView], request: &PlaneSweepRequest, progress: &dyn Fn(f32)) -> Surface {
-    let parameters = &request.parameters;
     let grid = request.grid();
     let search = Search::new(views, request).with_index();
-    let mut found = search
-        .descend(1, &|factor| progress(0.5 / factor as f32))
-        .expect("the finest level is always searched");
-    for _ in 0..parameters.visibility_rounds {
-        floor::lower_for_visibility(&grid, &mut found, parameters);
-        found = found.without_sums();
-        let altitude = found.altitude();
-        // Beside the common ground the search finds towers that would hide its rim.
-        let views = seen(&search.level_views(1), &grid, &altitude, &altitude, found.step_m);
-        let standing: Vec<f32> = altitude
-            .iter()
-            .zip(views)
-            .map(|(altitude, views)| if views >= FEWEST_VIEWS { *altitude } else { f32::MIN })
-            .collect();
-        let tolerance_m = tolerance_m(found.step_m);
-        let hits: Vec<_> = search
-            .compared(1)
-            .views
-            .iter()
-            .map(|view| FirstHits::new(&view.camera, &grid, &standing, tolerance_m))
-            .collect();
-        found = search.level(1, Some(&found), Some(&hits));
-    }
-    let as_matched = found.altitude();
-    floor::prefer(&grid, &mut found, parameters);
-    let mut altitude = found.altitude();
-    let same_patch_m = (SAME_PATCH_STEPS * found.step_m).max(SAME_PATCH_CELLS * grid.cell_m);
-    let filled = postprocess::speckles(&grid, &altitude, same_patch_m, SPECKLE_CELLS);
-    postprocess::fill(&grid, &mut altitude, &filled);
-    if parameters.aggregation_radius == 0 {
-        smooth_by_deviation(grid.width, grid.cell_m, &mut altitude, &doubts(&found.choices));
-    }
-    let confidence: Vec<f32> = found.choices.iter().map(|choice| choice.margin).collect();
-    if parameters.plane_radius > 0 {
-        altitude = plane_smoothing::smooth(&grid, &altitude, parameters.plane_radius, same_patch_m);
-    }
-    if let Some(least) = parameters.adaptive_plane_radius {
-        altitude = plane_smoothing::smooth_adaptively(&grid, &altitude, &confidence, least, found.step_m);
-    }
-    let level_views = search.level_views(1);
-    edges::place(&grid, &level_views, &mut altitude, found.step_m);
+    let Swept {
+        found,
+        as_matched,
+        altitude,
+        confidence,
+        filled,
+        same_patch_m,
+    } = Swept::new(&search, request, progress);
     let judged = LevelSurface {
         search: &search,
         factor: 1,
@@ -94,7 +60,7 @@ pub fn plane_sweep(views: &[SweepView], request: &PlaneSweepRequest, progress: &
             false => f32::NAN,
         })
         .collect();
-    let views = seen(&level_views, &grid, &altitude, &standing, found.step_m);
+    let views = seen(&search.level_views(1), &grid, &altitude, &standing, found.step_m);
     let cells = evidence.iter().zip(&views);
     let matched: Vec<bool> = cells
         .map(|(evidence, views)| is_match(*evidence, f32::from(*views)))
@@ -114,6 +80,83 @@ pub fn plane_sweep(views: &[SweepView], request: &PlaneSweepRequest, progress: &
         resolution_m: found.step_m,
         filled,
         altitude,
+    }
+}
+
+/// The altitudes of that surface on the cells of the request, metres, for those who ask for nothing else of it.
+pub(super) fn swept_altitudes(views: &[SweepView], request: &PlaneSweepRequest) -> Vec<f32> {
+    let search = Search::new(views, request).with_index();
+    Swept::new(&search, request, &|_| {}).altitude
+}
+
+/// A surface of which nobody has said yet what is matched.
+struct Swept {
+    /// What the last search chose.
+    found: LevelResult,
+    /// Altitudes before the floor was preferred, metres.
+    as_matched: Vec<f32>,
+    /// Altitudes, metres.
+    altitude: Vec<f32>,
+    /// Margins over the second-best.
+    confidence: Vec<f32>,
+    /// Speckles that were filled.
+    filled: Vec<bool>,
+    /// Neighbours whose altitudes differ by less belong to one patch, metres.
+    same_patch_m: f32,
+}
+
+impl Swept {
+    fn new(search: &Search, request: &PlaneSweepRequest, progress: &dyn Fn(f32)) -> Self {
+        let parameters = &request.parameters;
+        let grid = request.grid();
+        let mut found = search
+            .descend(1, &|factor| progress(0.5 / factor as f32))
+            .expect("the finest level is always searched");
+        for _ in 0..parameters.visibility_rounds {
+            floor::lower_for_visibility(&grid, &mut found, parameters);
+            found = found.without_sums();
+            let altitude = found.altitude();
+            // Beside the common ground the search finds towers that would hide its rim.
+            let views = seen(&search.level_views(1), &grid, &altitude, &altitude, found.step_m);
+            let standing: Vec<f32> = altitude
+                .iter()
+                .zip(views)
+                .map(|(altitude, views)| if views >= FEWEST_VIEWS { *altitude } else { f32::MIN })
+                .collect();
+            let tolerance_m = tolerance_m(found.step_m);
+            let hits: Vec<_> = search
+                .compared(1)
+                .views
+                .iter()
+                .map(|view| FirstHits::new(&view.camera, &grid, &standing, tolerance_m))
+                .collect();
+            found = search.level(1, Some(&found), Some(&hits));
+        }
+        let as_matched = found.altitude();
+        floor::prefer(&grid, &mut found, parameters);
+        let mut altitude = found.altitude();
+        let same_patch_m = (SAME_PATCH_STEPS * found.step_m).max(SAME_PATCH_CELLS * grid.cell_m);
+        let filled = postprocess::speckles(&grid, &altitude, same_patch_m, SPECKLE_CELLS);
+        postprocess::fill(&grid, &mut altitude, &filled);
+        if parameters.aggregation_radius == 0 {
+            smooth_by_deviation(grid.width, grid.cell_m, &mut altitude, &doubts(&found.choices));
+        }
+        let confidence: Vec<f32> = found.choices.iter().map(|choice| choice.margin).collect();
+        if parameters.plane_radius > 0 {
+            altitude = plane_smoothing::smooth(&grid, &altitude, parameters.plane_radius, same_patch_m);
+        }
+        if let Some(least) = parameters.adaptive_plane_radius {
+            altitude = plane_smoothing::smooth_adaptively(&grid, &altitude, &confidence, least, found.step_m);
+        }
+        edges::place(&grid, &search.level_views(1), &mut altitude, found.step_m);
+        Self {
+            found,
+            as_matched,
+            altitude,
+            confidence,
+            filled,
+            same_patch_m,
+        }
     }
 }
 

@@ -42,17 +42,19 @@ pub fn page(summary: &Summary, rows: &[Row], making: &Making) -> String {
     document("Speed against accuracy", &body)
 }
 
-/// Mean ± standard deviation.
-fn with_deviation(spread: &Spread, digits: usize) -> String {
-    let deviation = spread.deviation.map_or(String::new(), |d| format!(" ± {d:.digits$}"));
-    format!("{:.digits$}{deviation}", spread.mean)
+/// Mean ± half of its 95 % confidence interval.
+fn with_confidence(spread: &Spread, digits: usize) -> String {
+    let interval = spread
+        .confidence_95
+        .map_or(String::new(), |d| format!(" ± {d:.digits$}"));
+    format!("{:.digits$}{interval}", spread.mean)
 }
 
 fn points_table(summary: &Summary) -> Markup {
     html! {
         div.wide { table {
             tr {
-                th { "point" } th.words { "description" } th { "trainings" } th { "time, s" } th { "memory, MiB" } th { (summary.quality.label()) }
+                th { "point" } th.words { "description" } th { "trainings" } th { "time, s" } th { "processor time, s" } th { "memory, MiB" } th { (summary.quality.label()) }
                 th { "shadow accuracy, %" } th { "PSNR held out, dB" }
             }
             @for p in &summary.points {
@@ -60,15 +62,16 @@ fn points_table(summary: &Summary) -> Markup {
                     td { (p.point.name) }
                     td.words { (p.point.why) }
                     td { (p.trainings) }
-                    td { (with_deviation(&p.seconds, 1)) }
+                    td { (with_confidence(&p.seconds, 1)) }
+                    td { (number(Some(p.processor_s.mean), 1)) }
                     td { (number(Some(p.peak_bytes.mean / MIB), 0)) }
-                    td { (with_deviation(&p.quality, 3)) }
+                    td { (with_confidence(&p.quality, 3)) }
                     td { (number(p.shadows_right.map(|share| 100.0 * share.mean), 1)) }
                     td { (number(p.psnr_held_out.map(|psnr| psnr.mean), 2)) }
                 }
             }
         } }
-        p.faint { "Bold: on the Pareto front of time. ± is the standard deviation between trainings." }
+        p.faint { "Bold: on the Pareto front of time. ± is half of the 95 % confidence interval of the mean over scenes (over trainings, where there is one scene)." }
     }
 }
 
@@ -100,7 +103,7 @@ fn changes_table(summary: &Summary) -> Markup {
                     td { (c.pairs) }
                     td { (format_args!("{:+.1}", c.seconds.mean)) }
                     td { (format_args!("{:+.0}", c.peak_bytes.mean / MIB)) }
-                    td { (format_args!("{:+.3}", c.quality.mean)) @if let Some(d) = c.quality.deviation { (format_args!(" ± {d:.3}")) } }
+                    td { (format_args!("{:+.3}", c.quality.mean)) @if let Some(d) = c.quality.confidence_95 { (format_args!(" ± {d:.3}")) } }
                     td.words { (verdict(c, summary.quality.less_is_better())) }
                 }
             }
@@ -176,6 +179,7 @@ mod tests {
             point: point.into(),
             seed: 1,
             seconds,
+            processor_s: 2.0 * seconds,
             peak_bytes: seconds * MIB,
             gaussians: 1.0,
             steps: 1.0,

@@ -52,25 +52,56 @@ impl Quality {
     }
 }
 
-/// Mean and standard deviation.
+/// Mean, standard deviation and confidence of the mean.
 #[derive(Debug, Clone, Copy, PartialEq, serde::Serialize)]
 pub struct Spread {
-    /// Mean.
+    /// Mean over the trainings.
     pub mean: f64,
     /// Standard deviation between trainings; none of a single one.
     pub deviation: Option<f64>,
+    /// Half of the 95 % confidence interval of the mean, by Student's t: over scenes, the trainings of each averaged before, where there
+    /// are several scenes, else over trainings.
+    pub confidence_95: Option<f64>,
 }
 
 impl Spread {
-    fn of(values: &[f64]) -> Self {
-        let n = values.len() as f64;
-        let mean = values.iter().sum::<f64>() / n;
-        let square: f64 = values.iter().map(|v| (v - mean).powi(2)).sum();
+    /// Of values by the name of their scene.
+    fn of(values: &[(&str, f64)]) -> Self {
+        let all: Vec<f64> = values.iter().map(|(_, value)| *value).collect();
+        let mut scenes: BTreeMap<&str, Vec<f64>> = BTreeMap::new();
+        for (scene, value) in values {
+            scenes.entry(scene).or_default().push(*value);
+        }
+        let of_scenes: Vec<f64> = scenes.values().map(|of_scene| mean(of_scene)).collect();
+        let independent = if of_scenes.len() > 1 { &of_scenes } else { &all };
+        let n = independent.len() as f64;
         Self {
-            mean,
-            deviation: (values.len() > 1).then(|| (square / (n - 1.0)).sqrt()),
+            mean: mean(&all),
+            deviation: deviation(&all),
+            confidence_95: deviation(independent).map(|d| students_t_95(independent.len() - 1) * d / n.sqrt()),
         }
     }
+}
+
+fn mean(values: &[f64]) -> f64 {
+    values.iter().sum::<f64>() / values.len() as f64
+}
+
+/// Standard deviation; none of a single value.
+fn deviation(values: &[f64]) -> Option<f64> {
+    let mean = mean(values);
+    let square: f64 = values.iter().map(|v| (v - mean).powi(2)).sum();
+    (values.len() > 1).then(|| (square / (values.len() as f64 - 1.0)).sqrt())
+}
+
+/// The number that Student's t exceeds in size with a probability of 5 %, with these degrees of freedom (at least one). Beyond ten by
+/// its expansion about the normal distribution (Abramowitz and Stegun 26.7.5), to two thousandths.
+fn students_t_95(freedom: usize) -> f64 {
+    const FEW: [f64; 10] = [12.706, 4.303, 3.182, 2.776, 2.571, 2.447, 2.365, 2.306, 2.262, 2.228];
+    let (z, n) = (1.959_964_f64, freedom as f64);
+    let first = (z.powi(3) + z) / (4.0 * n);
+    let second = (5.0 * z.powi(5) + 16.0 * z.powi(3) + 3.0 * z) / (96.0 * n * n);
+    *FEW.get(freedom.saturating_sub(1)).unwrap_or(&(z + first + second))
 }
 
 /// A point against the one it is compared with: means of the differences between trainings of the same scene and seed.
@@ -100,6 +131,8 @@ pub struct PointSummary {
     pub trainings: usize,
     /// Seconds.
     pub seconds: Spread,
+    /// Processor seconds of all threads.
+    pub processor_s: Spread,
     /// Most memory used, bytes.
     pub peak_bytes: Spread,
     /// Accuracy.
@@ -152,14 +185,15 @@ fn summary_of(point: &Point, rows: &[Row], quality: Quality) -> Option<PointSumm
     if own.is_empty() {
         return None;
     }
-    let spread = |pick: &dyn Fn(&Row) -> f64| Spread::of(&own.iter().map(|row| pick(row)).collect::<Vec<_>>());
+    let spread = |pick: &dyn Fn(&Row) -> f64| spread_of(own.iter().map(|row| (*row, pick(row))));
     let known = |pick: &dyn Fn(&Row) -> Option<f64>| -> Option<Spread> {
-        let values: Vec<f64> = own.iter().filter_map(|row| pick(row)).collect();
-        (!values.is_empty()).then(|| Spread::of(&values))
+        let values: Vec<(&Row, f64)> = own.iter().filter_map(|row| Some((*row, pick(row)?))).collect();
+        (!values.is_empty()).then(|| spread_of(values.into_iter()))
     };
     Some(PointSummary {
         trainings: own.len(),
         seconds: spread(&|row| row.seconds),
+        processor_s: spread(&|row| row.processor_s),
         peak_bytes: spread(&|row| row.peak_bytes),
         quality: spread(&|row| quality.value(row)),
         shadows_right: known(&|row| row.shadows_right),
@@ -169,6 +203,11 @@ fn summary_of(point: &Point, rows: &[Row], quality: Quality) -> Option<PointSumm
         against_base: point.base.as_ref().and_then(|base| compare(&own, base, rows, quality)),
         point: point.clone(),
     })
+}
+
+fn spread_of<'a>(values: impl Iterator<Item = (&'a Row, f64)>) -> Spread {
+    let by_scene: Vec<(&str, f64)> = values.map(|(row, value)| (row.scene.as_str(), value)).collect();
+    Spread::of(&by_scene)
 }
 
 fn compare(own: &[&Row], base: &str, rows: &[Row], quality: Quality) -> Option<Comparison> {
@@ -184,8 +223,7 @@ fn compare(own: &[&Row], base: &str, rows: &[Row], quality: Quality) -> Option<C
     if pairs.is_empty() {
         return None;
     }
-    let spread =
-        |pick: &dyn Fn(&Row) -> f64| Spread::of(&pairs.iter().map(|(a, b)| pick(a) - pick(b)).collect::<Vec<_>>());
+    let spread = |pick: &dyn Fn(&Row) -> f64| spread_of(pairs.iter().map(|(a, b)| (*a, pick(a) - pick(b))));
     let difference = spread(&|row| quality.value(row));
     let error = difference.deviation.map(|d| d / (pairs.len() as f64).sqrt());
     Some(Comparison {
@@ -223,6 +261,7 @@ mod tests {
             point: point.into(),
             seed,
             seconds,
+            processor_s: 2.0 * seconds,
             peak_bytes: 1e6 * seconds,
             gaussians: 1.0,
             steps: 1.0,
@@ -246,6 +285,21 @@ mod tests {
         let fronts: Vec<bool> = summary.points.iter().map(|p| p.on_time_front).collect();
         assert_eq!(fronts, [true, true, false]);
         assert_eq!(summary.quality, Quality::DsmMae);
+    }
+
+    #[test]
+    fn confidence_is_over_scenes_with_the_seeds_of_each_averaged() {
+        let spread = Spread::of(&[("a", 1.0), ("a", 3.0), ("b", 4.0), ("b", 6.0)]);
+        // Means of 2 and 5: a deviation of 2.1213 over the root of two, times t of one degree of freedom.
+        assert_eq!(spread.mean, 3.5);
+        assert!((spread.confidence_95.expect("two scenes") - 12.706 * 1.5).abs() < 1e-9);
+        let one_scene = Spread::of(&[("a", 1.0), ("a", 2.0), ("a", 3.0)]);
+        assert!((one_scene.confidence_95.expect("three seeds") - 4.303 / 3f64.sqrt()).abs() < 1e-9);
+        assert_eq!(Spread::of(&[("a", 1.0)]).confidence_95, None);
+        // Tables say 2.201, 2.042 and 1.960.
+        for (freedom, t) in [(11, 2.201), (30, 2.042), (1_000_000, 1.960)] {
+            assert!((students_t_95(freedom) - t).abs() < 3e-3, "{freedom}");
+        }
     }
 
     #[test]
