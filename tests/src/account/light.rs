@@ -5,7 +5,7 @@ use crate::reference::{self, Gaussian};
 use glam::{Mat3, Vec3};
 use heliosplat::gaussians::{LOG_SCALE, OPACITY, POSITION, ROTATION, Table, core_groups, logit};
 use heliosplat::light::Light;
-use heliosplat::trace::{Occluders, transmittance, transmittance_by_hierarchy};
+use heliosplat::trace::{OccluderGradients, Occluders, transmittance, transmittance_by_hierarchy};
 use nalgebra::Vector3;
 
 pub(super) fn rows(timed: bool) -> Vec<Row> {
@@ -46,7 +46,7 @@ fn traced(table: &Table, light: Light, by: By) -> (Vec<f32>, Table) {
         By::SunPlane | By::Lamp => transmittance(&occluders, &[0], &light),
     };
     let mut out = table.zeros_like();
-    traced.backward(table, &occluders, &[0], &[1.0], &mut out);
+    traced.backward(table, (&occluders, OccluderGradients::All), &[0], &[1.0], &mut out);
     (traced.values, out)
 }
 

@@ -8,7 +8,7 @@ use crate::draw::{
 use glam::Vec3;
 use heliosplat::gaussians::Table;
 use heliosplat::light::Light;
-use heliosplat::trace::{Occluders, Transmittance, transmittance, transmittance_by_hierarchy};
+use heliosplat::trace::{OccluderGradients, Occluders, Transmittance, transmittance, transmittance_by_hierarchy};
 use heliosplat_tests::reference;
 use proptest::prelude::*;
 
@@ -42,7 +42,7 @@ fn traced(gaussians: &Table, light: &Light, route: Route) -> (Transmittance, Tab
         .iter()
         .map(|o| if o % 2 == 0 { 1.0 } else { -0.7 })
         .collect::<Vec<_>>();
-    traced.backward(gaussians, &occluders, &origins, &d, &mut out);
+    traced.backward(gaussians, (&occluders, OccluderGradients::All), &origins, &d, &mut out);
     (traced, out)
 }
 
