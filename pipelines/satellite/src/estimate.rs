@@ -44,7 +44,7 @@ const STEP_S_PER_GAUSSIAN: f64 = 2.5e-7;
 /// Seconds per Gaussian to trace light once, with gradients.
 const TRACE_S_PER_GAUSSIAN: f64 = 7.5e-7;
 /// Seconds per Gaussian and image, and as much for two more, after training: products, evaluation, report.
-const PRODUCT_S_PER_GAUSSIAN: f64 = 1.9e-6;
+const PRODUCT_S_PER_GAUSSIAN: f64 = 1.6e-6;
 /// What the planner's short fits take, in steps of the training (21 to 40 were seen).
 const TRIALS_AS_STEPS: f64 = 30.0;
 /// Seconds of one step of the small site on the machine that the seconds above were measured on.
