@@ -66,12 +66,21 @@ pub fn level() -> Level {
     })
 }
 
+/// The level in use, capped where all `conditions` hold.
+pub fn level_up_to(cap: Level, conditions: &[bool]) -> Level {
+    match conditions.iter().all(|&holds| holds) {
+        true => level().min(cap),
+        false => level(),
+    }
+}
+
 /// Makes a function of plain loops one that is compiled for every level and chosen when called. What it calls takes part only
-/// when it is inlined. `up to LEVEL;` before the function caps its level, where a higher one was measured to be slower.
+/// when it is inlined. `up to LEVEL;` before the function caps its level, where a higher one was measured to be slower; `up to LEVEL where
+/// CONDITION;` does so for some of its constants only.
 #[macro_export]
 macro_rules! vectorised {
     (
-        up to $cap:ident;
+        up to $cap:ident $(where $capped:expr)?;
         $(#[$meta:meta])*
         $vis:vis fn $name:ident $(<$(const $k:ident: $kind:ty),+>)? ($($arg:ident: $of:ty),* $(,)?) $(-> $out:ty)?
         $body:block
@@ -96,7 +105,7 @@ macro_rules! vectorised {
                     clippy::undocumented_unsafe_blocks,
                     reason = "a function compiled for more than the baseline can be called no other way"
                 )]
-                match $crate::simd::level().min($crate::simd::Level::$cap) {
+                match $crate::simd::level_up_to($crate::simd::Level::$cap, &[$($capped)?]) {
                     $crate::simd::Level::Avx512 => {
                         // SAFETY: a level is never above what the processor was found to have.
                         return unsafe { avx512 $(::<$($k),+>)? ($($arg),*) };
