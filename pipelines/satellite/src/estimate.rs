@@ -1,7 +1,7 @@
 //! What a training will take, before it begins: memory and time.
 //!
-//! The constants were fitted to runs on `block` and a town (docs/lab/presets.md; 0.17 to 0.62 million Gaussians); `metrics.json` keeps the
-//! estimate beside what was used.
+//! The constants of memory were fitted to runs on `block` and a town (0.17 to 0.62 million Gaussians), those of time to the trade-off on `block`
+//! (docs/lab/presets.md); `metrics.json` keeps the estimate beside what was used.
 
 use super::config::{ModelOptions, SatelliteConfig};
 use super::error::FitError;

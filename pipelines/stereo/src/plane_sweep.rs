@@ -43,7 +43,7 @@ pub fn plane_sweep(views: &[SweepView], request: &PlaneSweepRequest, progress: &
         confidence,
         filled,
         same_patch_m,
-    } = Swept::new(&search, request, progress);
+    } = Swept::new(&search, progress);
     let judged = LevelSurface {
         search: &search,
         factor: 1,
@@ -86,7 +86,7 @@ pub fn plane_sweep(views: &[SweepView], request: &PlaneSweepRequest, progress: &
 /// The altitudes of that surface on the cells of the request, metres, for those who ask for nothing else of it.
 pub(super) fn swept_altitudes(views: &[SweepView], request: &PlaneSweepRequest) -> Vec<f32> {
     let search = Search::new(views, request).with_index();
-    Swept::new(&search, request, &|_| {}).altitude
+    Swept::new(&search, &|_| {}).altitude
 }
 
 /// A surface of which nobody has said yet what is matched.
@@ -106,9 +106,9 @@ struct Swept {
 }
 
 impl Swept {
-    fn new(search: &Search, request: &PlaneSweepRequest, progress: &dyn Fn(f32)) -> Self {
-        let parameters = &request.parameters;
-        let grid = request.grid();
+    fn new(search: &Search, progress: &dyn Fn(f32)) -> Self {
+        let parameters = &search.request.parameters;
+        let grid = search.request.grid();
         let mut found = search
             .descend(1, &|factor| progress(0.5 / factor as f32))
             .expect("the finest level is always searched");

@@ -63,7 +63,7 @@ fn points_table(summary: &Summary) -> Markup {
                     td.words { (p.point.why) }
                     td { (p.trainings) }
                     td { (with_confidence(&p.seconds, 1)) }
-                    td { (number(Some(p.processor_s.mean), 1)) }
+                    td { (number(Some(p.processor_s.mean).filter(|seconds| seconds.is_finite()), 1)) }
                     td { (number(Some(p.peak_bytes.mean / MIB), 0)) }
                     td { (with_confidence(&p.quality, 3)) }
                     td { (number(p.shadows_right.map(|share| 100.0 * share.mean), 1)) }
