@@ -12,6 +12,7 @@ use crate::model::{Context, Parameters, SceneModel};
 use crate::optim::Adam;
 use crate::render::{Lit, Pass, PassOptions};
 use crate::splat::{MapGradients, Maps};
+use crate::trace::{OccluderGradients, Occluders, Transmittance};
 use glam::{DVec3, Quat, Vec3};
 use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg32;
@@ -173,6 +174,45 @@ impl Descent {
         self.adam
             .step(&mut self.site.parameters.gaussians, &self.gradients.gaussians, &rates);
         pairs
+    }
+}
+
+/// Light from the sun onto every Gaussian of a site, as a training step computes it.
+pub struct Lighting<'a> {
+    site: &'a Site,
+    occluders: Occluders,
+    origins: Vec<u32>,
+    visibility_gradients: Vec<f32>,
+    gradients: Table,
+}
+
+impl<'a> Lighting<'a> {
+    /// Ready for the first step.
+    pub fn new(site: &'a Site) -> Self {
+        let gaussians = &site.parameters.gaussians;
+        Self {
+            site,
+            occluders: Occluders::new(gaussians),
+            origins: (0..gaussians.count as u32).collect(),
+            visibility_gradients: vec![1.0; gaussians.count],
+            gradients: gaussians.zeros_like(),
+        }
+    }
+
+    /// Lists the occluders anew, traces a ray from each Gaussian by `trace`, and takes the gradients of all; returns its rays.
+    pub fn step(&mut self, trace: fn(&Occluders, &[u32], &Light) -> Transmittance) -> usize {
+        let gaussians = &self.site.parameters.gaussians;
+        self.occluders.renew(gaussians);
+        let traced = trace(&self.occluders, &self.origins, &self.site.sun);
+        let all = (&self.occluders, OccluderGradients::All);
+        traced.backward(
+            gaussians,
+            all,
+            &self.origins,
+            &self.visibility_gradients,
+            &mut self.gradients,
+        );
+        self.origins.len()
     }
 }
 

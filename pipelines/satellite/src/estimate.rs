@@ -1,20 +1,21 @@
 //! What a training will take, before it begins: memory and time.
 //!
-//! The constants of memory were fitted to runs on `block` and a town (0.17 to 0.62 million Gaussians), those of time to the trade-off on `block`
-//! (docs/lab/presets.md); `metrics.json` keeps the estimate beside what was used.
+//! The constants of memory were fitted to runs on `block` and a town (0.17 to 0.62 million Gaussians), those of time, on one core, to runs on
+//! `block` (docs/lab/presets.md); `metrics.json` keeps the estimate beside what was used.
 
 use super::config::{ModelOptions, SatelliteConfig};
 use super::error::FitError;
 use super::ground;
 use super::sweep_memory::search_bytes;
 use super::trial::WORTH_STEPS;
-use heliosplat::bench_fixture::{Descent, Site};
+use heliosplat::bench_fixture::{Descent, Lighting, Site};
 use heliosplat::shade::sh::functions;
+use heliosplat::trace::transmittance;
 use heliosplat::train::TrainOptions;
 use heliosplat_scene::crop;
 use heliosplat_scene::survey::Survey;
 use heliosplat_scene::{Area, Scene};
-use heliosplat_stereo::{MANY_VIEWS, height_levels};
+use heliosplat_stereo::height_levels;
 use std::time::Instant;
 
 pub use super::sweep_memory::PROGRAM_BYTES;
@@ -34,21 +35,22 @@ const SPARE_BYTES: f64 = 64.0 * 1_048_576.0;
 const PLANES: f64 = 24.0;
 /// The same per channel.
 const PLANES_PER_CHANNEL: f64 = 4.0;
-/// Seconds per cell and image before the first step: pointing, search, start. Many views are searched more widely, and most of
-/// them with an index.
-const START_S_PER_CELL: f64 = 1.2e-5;
-/// The same for few views.
-const START_OF_FEW_S_PER_CELL: f64 = 4.8e-6;
+/// Seconds per cell and image before the first step: pointing, search, start (1.4 to 2.1 were seen).
+const START_S_PER_CELL: f64 = 1.65e-5;
 /// Seconds per Gaussian and step, without light.
-const STEP_S_PER_GAUSSIAN: f64 = 2.5e-7;
+const STEP_S_PER_GAUSSIAN: f64 = 3.0e-7;
 /// Seconds per Gaussian to trace light once, with gradients.
-const TRACE_S_PER_GAUSSIAN: f64 = 7.5e-7;
+const TRACE_S_PER_GAUSSIAN: f64 = 1.17e-6;
 /// Seconds per Gaussian and image, and as much for two more, after training: products, evaluation, report.
-const PRODUCT_S_PER_GAUSSIAN: f64 = 1.6e-6;
+const PRODUCT_S_PER_GAUSSIAN: f64 = 2.3e-6;
 /// What the planner's short fits take, in steps of the training (21 to 40 were seen).
 const TRIALS_AS_STEPS: f64 = 30.0;
-/// Seconds of one step of the small site on the machine that the seconds above were measured on.
-const REFERENCE_STEP_S: f64 = 0.012;
+/// Seconds of one step of the small site, and of its light, on a core of the machine that the seconds above were measured on.
+const REFERENCE_S: f64 = 0.040;
+/// How often each is measured.
+const MEASUREMENTS: usize = 12;
+/// Share of the time on one core that more of them do not shorten (0.05 to 0.08 were seen on 4 to 16 threads).
+const ONE_CORE_SHARE: f64 = 0.08;
 
 /// What a run will take.
 #[derive(Debug, Clone, Copy, PartialEq, serde::Serialize, serde::Deserialize)]
@@ -67,16 +69,32 @@ pub struct Estimate {
     pub seconds: f64,
 }
 
-/// How much slower this machine is than the one the constants are from; takes a quarter of a second.
+/// How much slower this machine is, on the threads that it is given, than one core of the machine the constants are from; takes half a
+/// second. One core is measured: work small enough to be measured quickly is too small for many.
 pub fn slowness() -> f64 {
-    let mut descent = Descent::new(Site::new(20_000, 256, 0.6));
-    let mut best = f64::INFINITY;
-    for _ in 0..8 {
-        let begun = Instant::now();
-        descent.step();
-        best = best.min(begun.elapsed().as_secs_f64());
+    let threads = rayon::current_num_threads() as f64;
+    let share = ONE_CORE_SHARE + (1.0 - ONE_CORE_SHARE) / threads;
+    let one_core = rayon::ThreadPoolBuilder::new().num_threads(1).build();
+    share * one_core.map_or(1.0, |pool| pool.install(one_core_slowness))
+}
+
+/// The same of one core.
+fn one_core_slowness() -> f64 {
+    let site = Site::new(40_000, 320, 0.6);
+    let mut lighting = Lighting::new(&site);
+    let light_s = mean_s(|| lighting.step(transmittance));
+    let mut descent = Descent::new(site);
+    let step_s = mean_s(|| descent.step());
+    (light_s + step_s) / REFERENCE_S
+}
+
+/// Seconds of a run, in the mean of some: what else the machine does slows the training down too.
+fn mean_s<T>(mut work: impl FnMut() -> T) -> f64 {
+    let begun = Instant::now();
+    for _ in 0..MEASUREMENTS {
+        std::hint::black_box(work());
     }
-    best / REFERENCE_STEP_S
+    begun.elapsed().as_secs_f64() / MEASUREMENTS as f64
 }
 
 /// Bytes that the process holds when its scene is open: itself and the images. What the system says it holds is no measure: an
@@ -203,12 +221,7 @@ pub fn estimate_of(extent: &Extent, config: &SatelliteConfig, slowness: f64, hel
     let levels = height_levels(altitudes_m as f32, cell_m as f32, widest_base_to_height as f32);
     let search = search_bytes(cells, levels, training as f64 * pixels);
     let peak = |gaussians: f64| fixed + training_bytes(gaussians).max(search);
-    let start_s_per_cell = if (training as f32) < MANY_VIEWS {
-        START_OF_FEW_S_PER_CELL
-    } else {
-        START_S_PER_CELL
-    };
-    let start_s = start_s_per_cell * cells * training as f64 * slowness;
+    let start_s = START_S_PER_CELL * cells * training as f64 * slowness;
     let growth = config.train.clone().for_views(training).growth();
     let per_gaussian = STEP_S_PER_GAUSSIAN + TRACE_S_PER_GAUSSIAN * traces_per_step(&config.train);
     let step_s = per_gaussian * gaussians * 0.5 * (1.0 + growth) * slowness;

@@ -27,7 +27,7 @@ use super::request::PlaneSweepRequest;
 use super::seen::pixel_of;
 use super::surface::Surface;
 use super::views::{SweepView, ViewGeometry};
-use super::visibility::FirstHits;
+use super::visibility::{FirstHits, Standing};
 use super::volume::SearchVolume;
 use segments::{CoarseSegment, Side};
 
@@ -238,7 +238,8 @@ fn splits(
     let (views_of_level, pairs) = (&compared.views[..views.len()], &search.pairs);
     let noise = request.parameters.noise_floor / super::cost::CONTRAST_LIMIT;
     let resampled = |altitude_m: &[f32]| {
-        let hits = |view: &LevelView| FirstHits::new(&view.camera, &grid, altitude_m, HIDDEN_M);
+        let standing = Standing::new(&grid, altitude_m, HIDDEN_M);
+        let hits = |view: &LevelView| FirstHits::new(&view.camera, &standing);
         let surface = OnSurface {
             views: views_of_level,
             hits: &views_of_level.iter().map(hits).collect::<Vec<_>>(),

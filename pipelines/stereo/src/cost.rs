@@ -5,7 +5,7 @@
 //! no worse than no match at all; the no-match cost keeps heights that few views see from winning by chance. The weighted mean is then
 //! averaged over the aggregation window.
 //!
-//! Cells are worked on in blocks that fit the cache, strips of blocks in parallel; integer sums keep the result independent of threads.
+//! Cells are worked on in blocks that fit the cache, blocks in parallel; integer sums keep the result independent of threads.
 
 mod block;
 mod no_match;
@@ -49,25 +49,38 @@ impl MatchingCost<'_> {
     /// Costs 0 (all agree) to 255 of all levels of all cells, in the order of `ranges`.
     pub(super) fn costs(&self, ranges: &SearchRanges) -> Vec<u8> {
         let mut costs = vec![0; ranges.total()];
-        let mut strips = Vec::new();
-        let mut rest = costs.as_mut_slice();
-        for row0 in (0..self.grid.height).step_by(BLOCK.0) {
-            let row1 = (row0 + BLOCK.0).min(self.grid.height);
-            let values = ranges.start[row1 * self.grid.width] - ranges.start[row0 * self.grid.width];
-            let (strip, tail) = rest.split_at_mut(values);
-            strips.push((row0, row1, strip));
-            rest = tail;
-        }
         let no_match = self.no_match_weights();
-        strips.into_par_iter().for_each(|(row0, row1, strip)| {
-            let mut scratch = Scratch::new(self.views.len(), self.parameters.aggregation_radius);
-            for col0 in (0..self.grid.width).step_by(BLOCK.1) {
-                let col1 = (col0 + BLOCK.1).min(self.grid.width);
-                let block = Block { row0, row1, col0, col1 };
-                self.fill_block(&block, ranges, &no_match, &mut scratch, strip);
-            }
-        });
+        let room = || Scratch::new(self.views.len(), self.parameters.aggregation_radius);
+        self.blocks(ranges, &mut costs)
+            .into_par_iter()
+            .for_each_init(room, |scratch, (block, rows)| {
+                self.fill_block(&block, ranges, &no_match, scratch, rows);
+            });
         costs
+    }
+
+    /// All blocks, each with the part of `costs` that belongs to each of its rows.
+    fn blocks<'c>(&self, ranges: &SearchRanges, costs: &'c mut [u8]) -> Vec<(Block, Vec<&'c mut [u8]>)> {
+        let Grid { width, height, .. } = self.grid;
+        let mut all = Vec::new();
+        let mut rest = costs;
+        for row0 in (0..height).step_by(BLOCK.0) {
+            let row1 = (row0 + BLOCK.0).min(height);
+            let first = all.len();
+            for col0 in (0..width).step_by(BLOCK.1) {
+                let col1 = (col0 + BLOCK.1).min(width);
+                all.push((Block { row0, row1, col0, col1 }, Vec::with_capacity(BLOCK.0)));
+            }
+            for row in row0..row1 {
+                for (block, rows) in &mut all[first..] {
+                    let values = ranges.start[row * width + block.col1] - ranges.start[row * width + block.col0];
+                    let (own, tail) = rest.split_at_mut(values);
+                    rows.push(own);
+                    rest = tail;
+                }
+            }
+        }
+        all
     }
 
     fn fill_block(
@@ -76,10 +89,10 @@ impl MatchingCost<'_> {
         ranges: &SearchRanges,
         no_match: &[u32],
         scratch: &mut Scratch,
-        strip: &mut [u8],
+        mut rows: Vec<&mut [u8]>,
     ) {
         let radius = self.parameters.aggregation_radius;
-        let strip_start = ranges.start[block.row0 * self.grid.width];
+        let width = self.grid.width;
         for (level, part) in self.parts(block, ranges) {
             let altitude_m = self.heights.altitude(level as f32);
             self.block_costs(&part.wider(radius), altitude_m, no_match, scratch);
@@ -87,7 +100,9 @@ impl MatchingCost<'_> {
             part.cells(&self.grid, |k, cell| {
                 let low = usize::from(ranges.low[cell]);
                 if level >= low && level < low + ranges.count(cell) {
-                    strip[ranges.start[cell] - strip_start + level - low] = scratch.cost[k];
+                    let row = cell / width;
+                    let start = ranges.start[cell] - ranges.start[row * width + block.col0];
+                    rows[row - block.row0][start + level - low] = scratch.cost[k];
                 }
             });
         }

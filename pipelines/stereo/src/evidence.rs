@@ -17,7 +17,7 @@ use super::grid::Grid;
 use super::level::LevelView;
 use super::ortho::{self, box_mean};
 use super::pyramid::{Compared, Search};
-use super::visibility::FirstHits;
+use super::visibility::{FirstHits, Standing};
 use heliosplat::timeline::stage;
 use rayon::prelude::*;
 
@@ -81,7 +81,8 @@ impl LevelSurface<'_> {
     fn evidence_within(&self, window: usize) -> Vec<f32> {
         let Compared { views, pairs } = self.search.compared(self.factor);
         let grid = &self.grid;
-        let hits = |view: &LevelView| FirstHits::new(&view.camera, grid, self.altitude_m, self.tolerance_m);
+        let standing = Standing::new(grid, self.altitude_m, self.tolerance_m);
+        let hits = |view: &LevelView| FirstHits::new(&view.camera, &standing);
         let surface = OnSurface {
             views: &views,
             hits: &views.iter().map(hits).collect::<Vec<_>>(),

@@ -7,10 +7,11 @@
 //!
 //! The floor is the lowest sure altitude within some cells. Where the surface is not [`STEP_M`] above it, nothing changes.
 
-use super::grid::{Grid, lowest_within};
+use super::grid::{CELLS_PER_JOB, Grid, lowest_within};
 use super::parameters::MatchingParameters;
 use super::pyramid::LevelResult;
 use super::wta;
+use rayon::prelude::*;
 
 /// Cells around a cell among which the lowest sure one is its floor: the shade of a house of two storeys.
 const REACH_CELLS: usize = 16;
@@ -59,23 +60,34 @@ fn choose_again(grid: &Grid, found: &mut LevelResult, bonus: u16, parameters: &M
         heights,
         ..
     } = found;
-    for (cell, &floor_m) in floor_m.iter().enumerate() {
-        if choices[cell].altitude_m - floor_m < STEP_M {
-            continue;
-        }
-        let first = usize::from(ranges.low[cell]);
-        let sums = &mut sums[ranges.range(cell)];
-        let middle = heights.level(floor_m).round() as usize;
-        let levels = middle.saturating_sub(SAME_LEVELS)..=middle + SAME_LEVELS;
-        for (_, sum) in sums
-            .iter_mut()
-            .enumerate()
-            .filter(|(k, _)| levels.contains(&(first + k)))
-        {
-            *sum = sum.saturating_sub(bonus);
-        }
-        choices[cell] = wta::winner(sums, first, heights, tolerance);
+    let mut rest = sums.as_mut_slice();
+    let mut rows = Vec::with_capacity(grid.height);
+    for (row, choices) in choices.chunks_mut(grid.width).enumerate() {
+        let cell0 = row * grid.width;
+        let (sums, tail) = rest.split_at_mut(ranges.start[cell0 + choices.len()] - ranges.start[cell0]);
+        rows.push((cell0, choices, sums));
+        rest = tail;
     }
+    rows.into_par_iter().for_each(|(cell0, choices, sums)| {
+        for (choice, cell) in choices.iter_mut().zip(cell0..) {
+            let floor_m = floor_m[cell];
+            if choice.altitude_m - floor_m < STEP_M {
+                continue;
+            }
+            let first = usize::from(ranges.low[cell]);
+            let sums = &mut sums[ranges.start[cell] - ranges.start[cell0]..][..ranges.count(cell)];
+            let middle = heights.level(floor_m).round() as usize;
+            let levels = middle.saturating_sub(SAME_LEVELS)..=middle + SAME_LEVELS;
+            for (_, sum) in sums
+                .iter_mut()
+                .enumerate()
+                .filter(|(k, _)| levels.contains(&(first + k)))
+            {
+                *sum = sum.saturating_sub(bonus);
+            }
+            *choice = wta::winner(sums, first, heights, tolerance);
+        }
+    });
 }
 
 /// The lowest sure altitude around each cell, metres, and at most its own.
@@ -86,6 +98,8 @@ fn floor(grid: &Grid, found: &LevelResult) -> Vec<f32> {
         found.choices[cell].margin >= SURE_MARGIN && grid.around(cell, PLACE.0).filter(as_high).count() >= PLACE.1
     };
     let places: Vec<f32> = (0..grid.len())
+        .into_par_iter()
+        .with_min_len(CELLS_PER_JOB)
         .map(|cell| if sure(cell) { own[cell] } else { f32::MAX })
         .collect();
     let lowest = lowest_within((grid.width, grid.height), &places, REACH_CELLS);

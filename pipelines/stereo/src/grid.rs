@@ -1,6 +1,10 @@
 //! The ground grid: cells in rows from north to south, columns from west to east.
 
 use glam::Vec3;
+use rayon::prelude::*;
+
+/// Cells that one thread works on at a time, at least.
+pub(super) const CELLS_PER_JOB: usize = 1024;
 
 /// Cells of a ground grid; row 0 is the northern one, `west_m` and `north_m` are the grid's outer edges.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -76,9 +80,13 @@ pub(super) fn lowest_within((width, height): (usize, usize), values: &[f32], rad
     let near = |at: usize, count: usize| at.saturating_sub(radius)..(at + radius + 1).min(count);
     let least = |values: &mut dyn Iterator<Item = f32>| values.fold(f32::MAX, f32::min);
     let across: Vec<f32> = (0..width * height)
+        .into_par_iter()
+        .with_min_len(CELLS_PER_JOB)
         .map(|i| least(&mut near(i % width, width).map(|c| values[i / width * width + c])))
         .collect();
     (0..width * height)
+        .into_par_iter()
+        .with_min_len(CELLS_PER_JOB)
         .map(|i| least(&mut near(i / width, height).map(|r| across[r * width + i % width])))
         .collect()
 }

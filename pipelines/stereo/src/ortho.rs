@@ -1,46 +1,49 @@
 //! Orthorectified views: what each shows at the cells of a surface, and small filters on such grids.
 
-use super::grid::Grid;
+use super::grid::{CELLS_PER_JOB, Grid};
 use super::level::LevelView;
 use heliosplat_rpc::statistics::upper_median;
 use rayon::prelude::*;
 
 /// What a view shows at each cell of a surface; NaN where it shows nothing.
 pub(super) fn ortho(grid: &Grid, view: &LevelView, altitude: &[f32]) -> Vec<f32> {
-    let mut values = vec![f32::NAN; grid.len()];
-    values
-        .par_chunks_mut(grid.width.max(1))
-        .enumerate()
-        .for_each(|(row, line)| {
-            for (col, value) in line.iter_mut().enumerate() {
-                let p = grid.point(col as isize, row as isize, altitude[row * grid.width + col]);
-                let (image_col, image_row, _) = view.camera.project(p);
-                *value = view.sample(image_col, image_row);
-            }
-        });
-    values
+    (0..grid.len())
+        .into_par_iter()
+        .with_min_len(CELLS_PER_JOB)
+        .map(|cell| shown(grid, view, altitude, cell))
+        .collect()
+}
+
+/// What a view shows at one cell of a surface; NaN where it shows nothing.
+fn shown(grid: &Grid, view: &LevelView, altitude: &[f32], cell: usize) -> f32 {
+    let (col, row) = (cell % grid.width, cell / grid.width);
+    let at = grid.point(col as isize, row as isize, altitude[cell]);
+    let (image_col, image_row, _) = view.camera.project(at);
+    view.sample(image_col, image_row)
 }
 
 /// The guide image of the smoothness penalties: mean of the views on a surface, each in units of its own typical difference between
 /// neighbours.
 pub(super) fn guide(grid: &Grid, views: &[LevelView], altitude: &[f32]) -> Vec<f32> {
-    let mut sum = vec![0.0; grid.len()];
-    let mut count = vec![0.0; grid.len()];
-    for view in views {
-        let scale = 1.0 / view.mean.contrast.max(f32::MIN_POSITIVE);
-        for ((sum, count), value) in sum.iter_mut().zip(&mut count).zip(ortho(grid, view, altitude)) {
-            if value.is_finite() {
-                *sum += value * scale;
-                *count += 1.0;
-            }
-        }
-    }
-    sum.iter().zip(count).map(|(sum, count)| sum / count).collect()
+    let scale = |view: &LevelView| 1.0 / view.mean.contrast.max(f32::MIN_POSITIVE);
+    let of_cell = |cell: usize| {
+        let seen = views.iter().map(|view| (shown(grid, view, altitude, cell), scale(view)));
+        let known = seen.filter(|(value, _)| value.is_finite());
+        let (sum, count) = known.fold((0.0, 0.0), |(sum, count), (value, scale)| (sum + value * scale, count + 1.0));
+        sum / count
+    };
+    (0..grid.len())
+        .into_par_iter()
+        .with_min_len(CELLS_PER_JOB)
+        .map(of_cell)
+        .collect()
 }
 
 /// A coarser grid's values on a finer one.
 pub(super) fn repeated(grid: &Grid, coarse: &Grid, factor: usize, values: &[f32]) -> Vec<f32> {
     (0..grid.len())
+        .into_par_iter()
+        .with_min_len(CELLS_PER_JOB)
         .map(|i| values[i / grid.width / factor * coarse.width + i % grid.width / factor])
         .collect()
 }

@@ -3,7 +3,7 @@
 use super::edges;
 use super::evidence::{LEAST_EVIDENCE, LevelSurface, is_match};
 use super::floor;
-use super::grid::Grid;
+use super::grid::{CELLS_PER_JOB, Grid};
 use super::level::LevelView;
 use super::plane_smoothing;
 use super::postprocess;
@@ -13,10 +13,11 @@ use super::seen::{AltitudeGrid, FEWEST_VIEWS, views_seeing};
 use super::surface::Surface;
 use super::total_variation::smooth_by_deviation;
 use super::views::SweepView;
-use super::visibility::FirstHits;
+use super::visibility::{FirstHits, Standing};
 use super::wta::HeightChoice;
 use heliosplat::ProjectiveCamera;
 use heliosplat_rpc::statistics::upper_median;
+use rayon::prelude::*;
 
 /// A point counts as hidden when it lies this many height steps below the surface that its view sees first, so that the surface's own
 /// error of matching hides nothing.
@@ -123,12 +124,12 @@ impl Swept {
                 .zip(views)
                 .map(|(altitude, views)| if views >= FEWEST_VIEWS { *altitude } else { f32::MIN })
                 .collect();
-            let tolerance_m = tolerance_m(found.step_m);
+            let standing = Standing::new(&grid, &standing, tolerance_m(found.step_m));
             let hits: Vec<_> = search
                 .compared(1)
                 .views
                 .iter()
-                .map(|view| FirstHits::new(&view.camera, &grid, &standing, tolerance_m))
+                .map(|view| FirstHits::new(&view.camera, &standing))
                 .collect();
             found = search.level(1, Some(&found), Some(&hits));
         }
@@ -187,7 +188,11 @@ fn shared(grid: &Grid, altitude: &[f32], same_patch_m: f32, choices: &[HeightCho
         let own = choices[cell].probability;
         upper_median(&mut around.collect::<Vec<f32>>()).map_or(own, |shared| shared.max(own))
     };
-    (0..grid.len()).map(of_cell).collect()
+    (0..grid.len())
+        .into_par_iter()
+        .with_min_len(CELLS_PER_JOB)
+        .map(of_cell)
+        .collect()
 }
 
 /// What was matched, where the floor was preferred to it; else the surface itself.

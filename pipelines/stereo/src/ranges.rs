@@ -3,8 +3,9 @@
 //! On the coarsest level of the pyramid every cell searches all heights; on finer ones only those around what the coarser level left
 //! as candidates, which is what makes the sweep fast.
 
-use super::grid::Grid;
+use super::grid::{CELLS_PER_JOB, Grid};
 use super::heights::HeightHypotheses;
+use rayon::prelude::*;
 use std::ops::Range;
 
 /// Per cell, the first level and where its values lie in a flat volume.
@@ -39,19 +40,22 @@ impl SearchRanges {
         margin_m: f32,
     ) -> Self {
         let bounds = widened(coarse, candidates, reach);
-        let (mut low, mut start) = (Vec::with_capacity(grid.len()), Vec::with_capacity(grid.len() + 1));
         let last = heights.levels - 1;
-        let mut end = 0;
+        let levels = |&(least, most): &(f32, f32)| {
+            let first = (heights.level(least - margin_m).floor().max(0.0) as usize).min(last);
+            let final_level = (heights.level(most + margin_m).ceil().max(0.0) as usize).clamp(first, last);
+            (first as u16, final_level - first + 1)
+        };
+        let levels: Vec<(u16, usize)> = bounds.par_iter().map(levels).collect();
+        let of_cell = |cell: usize| levels[cell / grid.width / factor * coarse.width + cell % grid.width / factor];
+        let low = (0..grid.len()).into_par_iter().with_min_len(CELLS_PER_JOB);
+        let low = low.map(|cell| of_cell(cell).0).collect();
+        let mut start = Vec::with_capacity(grid.len() + 1);
         start.push(0);
-        for row in 0..grid.height {
-            for col in 0..grid.width {
-                let (least, most) = bounds[row / factor * coarse.width + col / factor];
-                let first = (heights.level(least - margin_m).floor().max(0.0) as usize).min(last);
-                let final_level = (heights.level(most + margin_m).ceil().max(0.0) as usize).clamp(first, last);
-                low.push(first as u16);
-                end += final_level - first + 1;
-                start.push(end);
-            }
+        let mut end = 0;
+        for cell in 0..grid.len() {
+            end += of_cell(cell).1;
+            start.push(end);
         }
         Self { low, start }
     }
@@ -75,22 +79,17 @@ impl SearchRanges {
 /// The widest bounds among each cell and its neighbours up to `reach` away (a separable minimum and maximum).
 fn widened(grid: &Grid, bounds: &[(f32, f32)], reach: usize) -> Vec<(f32, f32)> {
     let widen = |a: (f32, f32), b: (f32, f32)| (a.0.min(b.0), a.1.max(b.1));
-    let mut across = bounds.to_vec();
-    for row in 0..grid.height {
-        let line = &bounds[row * grid.width..(row + 1) * grid.width];
-        for col in 0..grid.width {
-            let near = &line[col.saturating_sub(reach)..(col + reach + 1).min(grid.width)];
-            across[row * grid.width + col] = near.iter().copied().fold(line[col], widen);
-        }
-    }
-    let mut both = across.clone();
-    for row in 0..grid.height {
-        for near in row.saturating_sub(reach)..(row + reach + 1).min(grid.height) {
-            for col in 0..grid.width {
-                let i = row * grid.width + col;
-                both[i] = widen(both[i], across[near * grid.width + col]);
-            }
-        }
-    }
-    both
+    let near = |at: usize, count: usize| at.saturating_sub(reach)..(at + reach + 1).min(count);
+    let cells = || (0..grid.len()).into_par_iter().with_min_len(CELLS_PER_JOB);
+    let along_row = |cell: usize| {
+        let line = &bounds[cell / grid.width * grid.width..][..grid.width];
+        let around = &line[near(cell % grid.width, grid.width)];
+        around.iter().copied().fold(bounds[cell], widen)
+    };
+    let across: Vec<(f32, f32)> = cells().map(along_row).collect();
+    let along_column = |cell: usize| {
+        let around = near(cell / grid.width, grid.height).map(|row| across[row * grid.width + cell % grid.width]);
+        around.fold(across[cell], widen)
+    };
+    cells().map(along_column).collect()
 }

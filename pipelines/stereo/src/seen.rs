@@ -6,7 +6,7 @@
 //! caller says which cells stand, so that towers of them hide nothing.
 
 use super::grid::Grid;
-use super::visibility::FirstHits;
+use super::visibility::{FirstHits, Standing};
 use glam::Vec3;
 use heliosplat::ProjectiveCamera;
 use heliosplat_rpc::statistics::{quantile, upper_median};
@@ -64,12 +64,12 @@ pub fn views_seeing(
         .iter()
         .map(|z| if z.is_nan() { f32::MIN } else { *z })
         .collect();
-    let tolerance_m = surface.resolution_m.max(HIDDEN_M);
+    let standing = Standing::new(&grid, &standing, surface.resolution_m.max(HIDDEN_M));
     let ground = LowestGround::new(&grid, surface.standing_m);
     let mut seen = vec![0u8; grid.len()];
     // View by view: the hits of one image are in memory at a time.
     for (view, camera) in cameras.iter().enumerate() {
-        let hits = FirstHits::new(camera, &grid, &standing, tolerance_m);
+        let hits = FirstHits::new(camera, &standing);
         seen.par_iter_mut()
             .enumerate()
             .with_min_len(1024)

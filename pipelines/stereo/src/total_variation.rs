@@ -17,6 +17,8 @@ use rayon::prelude::*;
 const STEP_WEIGHT_PER_M: f32 = 0.5;
 /// Least deviation of an altitude, cells: what no read-out tells from level ground.
 const LEAST_DEVIATION_CELLS: f32 = 0.8;
+/// Rows that one thread works on at a time, at least.
+const ROWS_PER_JOB: usize = 8;
 /// Iterations: twice as many change the mean error by less than a millimetre.
 const ITERATIONS: usize = 150;
 /// Step of the altitudes in the unit of a variance, metres²; that of the dual variables follows, since the norm of the differences is 8.
@@ -53,7 +55,8 @@ pub fn smooth_by_deviation(width: usize, cell_m: f32, altitude_m: &mut [f32], de
     };
     for _ in 0..ITERATIONS {
         let rows = east.par_chunks_mut(width).zip(south.par_chunks_mut(width));
-        rows.enumerate().for_each(|(row, (east, south))| {
+        let rows = rows.enumerate().with_min_len(ROWS_PER_JOB);
+        rows.for_each(|(row, (east, south))| {
             let own = &ahead[row * width..(row + 1) * width];
             for col in 0..width - 1 {
                 east[col] = pulled(east[col], own[col + 1] - own[col]);
@@ -66,7 +69,8 @@ pub fn smooth_by_deviation(width: usize, cell_m: f32, altitude_m: &mut [f32], de
             }
         });
         let rows = found.par_chunks_mut(width).zip(ahead.par_chunks_mut(width));
-        rows.enumerate().for_each(|(row, (found, ahead))| {
+        let rows = rows.enumerate().with_min_len(ROWS_PER_JOB);
+        rows.for_each(|(row, (found, ahead))| {
             for col in 0..width {
                 let i = row * width + col;
                 let west = if col > 0 { east[i - 1] } else { 0.0 };

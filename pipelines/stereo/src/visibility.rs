@@ -23,6 +23,28 @@ const BOUND_ROUNDS: usize = 2;
 /// Cells each way whose lowest altitude hides: a surface one cell too wide hides nothing.
 const EDGE_CELLS: usize = 1;
 
+/// A surface that hides what is below it.
+pub(super) struct Standing {
+    grid: Grid,
+    altitude: Vec<f32>,
+    highest: HighestTiles,
+    tolerance_m: f32,
+}
+
+impl Standing {
+    /// Of the altitudes of a grid's cells (metres; `f32::MIN` where there is no surface). A point hides when it lies more than
+    /// `tolerance_m` above another.
+    pub(super) fn new(grid: &Grid, altitude: &[f32], tolerance_m: f32) -> Self {
+        let altitude = lowest_within((grid.width, grid.height), altitude, EDGE_CELLS);
+        Self {
+            grid: *grid,
+            highest: HighestTiles::new(grid, &altitude),
+            altitude,
+            tolerance_m,
+        }
+    }
+}
+
 /// Highest altitude of tiles of a surface.
 struct HighestTiles {
     grid: Grid,
@@ -69,30 +91,34 @@ impl HighestTiles {
 }
 
 impl FirstHits {
-    /// The first hits of the pixels of `camera` on a surface (metres; `f32::MIN` where it has none).
-    pub(super) fn new(camera: &ProjectiveCamera, grid: &Grid, altitude: &[f32], tolerance_m: f32) -> Self {
-        let altitude = &lowest_within((grid.width, grid.height), altitude, EDGE_CELLS);
-        let highest = HighestTiles::new(grid, altitude);
+    /// The first hits of the pixels of `camera` on a surface.
+    pub(super) fn new(camera: &ProjectiveCamera, surface: &Standing) -> Self {
+        let Standing {
+            grid,
+            altitude,
+            highest,
+            tolerance_m,
+        } = surface;
         let mut hits = vec![f32::MIN; camera.width * camera.height];
         if highest.top_m == f32::MIN {
             // There is no surface to hit.
             return Self {
                 altitude: hits,
                 width: camera.width,
-                tolerance_m,
+                tolerance_m: *tolerance_m,
             };
         }
         hits.par_chunks_mut(camera.width.max(1))
             .enumerate()
             .for_each(|(row, line)| {
                 for (col, hit) in line.iter_mut().enumerate() {
-                    *hit = first_hit(camera, (col as f32, row as f32), grid, altitude, &highest);
+                    *hit = first_hit(camera, (col as f32, row as f32), grid, altitude, highest);
                 }
             });
         Self {
             altitude: hits,
             width: camera.width,
-            tolerance_m,
+            tolerance_m: *tolerance_m,
         }
     }
 

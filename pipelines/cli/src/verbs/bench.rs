@@ -1,12 +1,12 @@
 //! `heliosplat bench`: what this machine does in a second, on all threads it is given.
 
 use crate::outcome::{CliError, Outcome};
-use heliosplat::bench_fixture::{Descent, Site, toward_grey};
+use heliosplat::bench_fixture::{Descent, Lighting, Site, toward_grey};
 use heliosplat::light::Light;
 use heliosplat::splat::project::project;
 use heliosplat::splat::{ProjectionOptions, Rasteriser};
 use heliosplat::timeline::{self, stage};
-use heliosplat::trace::{OccluderGradients, Occluders, Transmittance, transmittance, transmittance_by_hierarchy};
+use heliosplat::trace::{Occluders, Transmittance, transmittance, transmittance_by_hierarchy};
 use heliosplat_rpc::{GeoPoint, ImagePoint, Rpc};
 use rayon::prelude::*;
 use std::time::{Duration, Instant};
@@ -83,18 +83,8 @@ fn splat_rates(site: &Site) -> (f64, f64, f64) {
 /// Nanoseconds per ray toward the sun of a step in training: listing, or fitting the hierarchy to Gaussians that have moved;
 /// tracing; and gradients of everything.
 fn light_rate(site: &Site, trace: fn(&Occluders, &[u32], &Light) -> Transmittance) -> f64 {
-    let gaussians = &site.parameters.gaussians;
-    let origins: Vec<u32> = (0..gaussians.count as u32).collect();
-    let gradients = vec![1.0; origins.len()];
-    let mut out = gaussians.zeros_like();
-    let mut occluders = Occluders::new(gaussians);
-    let whole = seconds(|| {
-        occluders.renew(gaussians);
-        let traced = trace(&occluders, &origins, &site.sun);
-        let all = (&occluders, OccluderGradients::All);
-        traced.backward(gaussians, all, &origins, &gradients, &mut out);
-    });
-    whole / origins.len() as f64 * 1e9
+    let mut lighting = Lighting::new(site);
+    seconds(|| lighting.step(trace)) / site.parameters.gaussians.count as f64 * 1e9
 }
 
 /// Measures and reports.

@@ -7,7 +7,7 @@ use super::super::level::LevelView;
 use super::super::ortho;
 use super::super::pyramid::Search;
 use super::super::views::SweepView;
-use super::super::visibility::FirstHits;
+use super::super::visibility::{FirstHits, Standing};
 use super::{FACTOR, FEWEST_VIEWS};
 use heliosplat::Raster;
 use heliosplat_rpc::statistics::upper_median;
@@ -41,10 +41,11 @@ pub(super) fn excess(
     tolerance_m: f32,
 ) -> Vec<Vec<f32>> {
     let bands = views.iter().map(|view| view.image.bands).min().unwrap_or(0);
+    let standing = Standing::new(grid, altitude, tolerance_m.max(HIDDEN_M));
     let hits: Vec<FirstHits> = search
         .level_views(FACTOR)
         .iter()
-        .map(|level| FirstHits::new(&level.camera, grid, altitude, tolerance_m.max(HIDDEN_M)))
+        .map(|level| FirstHits::new(&level.camera, &standing))
         .collect();
     let mut least = vec![vec![f32::INFINITY; grid.len()]; views.len()];
     for band in 0..bands {
