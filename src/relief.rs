@@ -35,6 +35,8 @@ pub struct Toward {
     least: f32,
     /// What stands less than this above a cell does not shade it, metres.
     least_rise_m: f32,
+    /// How much nearer things stand than the first row or column that has their height, steps.
+    nearer: f32,
 }
 
 impl Toward {
@@ -53,6 +55,7 @@ impl Toward {
             length: (1.0 / longer) as f32,
             least: lowest_deg.to_radians().tan() as f32,
             least_rise_m: 0.0,
+            nearer: 0.0,
         }
     }
 
@@ -62,6 +65,12 @@ impl Toward {
             least_rise_m: rise_m,
             ..self
         }
+    }
+
+    /// The same for a surface of walls, each of which stands somewhere before the first row or column that has its height: by `steps`
+    /// of them, less than one.
+    pub fn nearer(self, steps: f32) -> Self {
+        Self { nearer: steps, ..self }
     }
 }
 
@@ -139,7 +148,7 @@ impl Relief {
         let mut step = 1.0f32;
         let unit_m = toward.length * self.cell_m;
         loop {
-            let distance_m = step * unit_m;
+            let distance_m = (step - toward.nearer) * unit_m;
             if self.top_m - here <= highest * distance_m {
                 return highest;
             }
@@ -227,7 +236,7 @@ mod tests {
             let Some((z, _)) = relief.between(col + step * toward.step[0], row + step * toward.step[1]) else {
                 break;
             };
-            let distance_m = step * (toward.length * relief.cell_m);
+            let distance_m = (step - toward.nearer) * (toward.length * relief.cell_m);
             if z - here > toward.least_rise_m && z - here > highest * distance_m {
                 highest = (z - here) / distance_m;
             }
@@ -240,7 +249,7 @@ mod tests {
         let (width, height) = (83, 70);
         let relief = Relief::new((width, height), 0.5, rough(width, height));
         for azimuth_deg in [0.0, 17.0, 45.0, 90.0, 133.3, 180.0, 225.0, 270.0, 301.0] {
-            let toward = Toward::new(azimuth_deg, 8.0).above(0.2);
+            let toward = Toward::new(azimuth_deg, 8.0).above(0.2).nearer(0.5);
             let low = Toward::new(azimuth_deg, 8.0);
             let shadows = relief.shadows(azimuth_deg, 8.0);
             for cell in (0..width * height).filter(|&cell| relief.is_known(cell)) {

@@ -4,7 +4,7 @@ use super::surface::{self, ALPHA_KNOWN, SurfaceGaussians};
 use super::{fill, seen};
 use crate::model::LoadedModel;
 use crate::nadir::{NadirGrid, Place};
-use heliosplat::Raster;
+use heliosplat::{ProjectiveCamera, Raster};
 use heliosplat::render::{Rendering, render};
 use heliosplat::splat::Maps;
 use heliosplat_raster::geoid::GeoidGrid;
@@ -109,6 +109,13 @@ pub fn of_gaussians(nadir: &NadirGrid, surface: &SurfaceGaussians) -> Dsm {
         grid: nadir.grid.clone(),
         geoid: None,
     }
+}
+
+/// Altitudes above the frame's origin that `nadir`, a camera that looks straight down at pixels of `cell_m` metres, sees of Gaussians,
+/// metres; NaN where these do not cover a pixel.
+pub fn altitudes(nadir: &ProjectiveCamera, gaussians: &SurfaceGaussians, cell_m: f32) -> Vec<f32> {
+    let known = |cell: &surface::Cell| if cell.coverage >= ALPHA_KNOWN { cell.up_m } else { f32::NAN };
+    surface::cells(gaussians, nadir, cell_m).iter().map(known).collect()
 }
 
 /// Adds to each standard deviation that of the altitudes around, and the least one, of images of `gsd_m`.

@@ -1,19 +1,16 @@
 //! From a scene to a trained model: align, sweep, start, train.
 
+use super::beginning::{self, Beginning, SKY};
 use super::config::SatelliteConfig;
-use super::error::{FitError, MaskError};
-use super::ground::Ground;
+use super::error::FitError;
 use super::one_light::{self, OneLight};
 use super::plan::{Decisions, Light};
 use super::preprocess::{Preprocess, Preprocessed};
-use super::shadow_prior;
 use super::trial::{self, Component, Trials};
-use super::views;
-use super::{clouds, daylight, estimate, initial, linear, probe, radiometry, suns};
-use glam::Vec3;
+use super::{clouds, daylight, estimate, linear, probe, radiometry, short_fit, suns};
 use heliosplat::ProjectiveCamera;
-use heliosplat::model::shadow_gs::{ShadowGs, ShadowGsOptions};
-use heliosplat::model::{Parameters, SceneModel, View};
+use heliosplat::model::shadow_gs::ShadowGs;
+use heliosplat::model::{Parameters, View};
 use heliosplat::splat::rasterise::MOST_CHANNELS;
 use heliosplat::timeline::stage;
 use heliosplat::train::{EarlyStop, TrainOptions, Trainer};
@@ -22,22 +19,16 @@ use heliosplat_fitting::checkpoint::{CheckpointWriter, LoadedCheckpoint};
 use heliosplat_fitting::curve::CurvePoint;
 use heliosplat_fitting::run_folder::peak_rss_bytes;
 use heliosplat_fitting::training::{Ending, TrainingError, train};
-use heliosplat_products::change::day_of;
 use heliosplat_products::daylight::Daylight;
-use heliosplat_scene::{Area, ImageSun, KnownTiles, Scene, crop};
+use heliosplat_scene::{Area, ImageSun, KnownTiles, Scene};
 use heliosplat_session::Session;
 use heliosplat_stereo::Surface;
 use heliosplat_stereo::change::Changes;
 use std::time::Instant;
 
-/// Sky light at the start, as a share of the sun's: that of a clear day; training finds each image's own.
-const SKY: f32 = 0.3;
-/// Weight of the shadow prior, where it is on.
-const PRIOR_WEIGHT: f32 = 1.0;
-/// Steps from which on learning rates are their own (docs/lab/start.md).
-const OWN_RATE_STEPS: usize = 1600;
-/// Weight of the smoothness of the albedo (docs/lab/start.md).
-const SMOOTHNESS_WEIGHT: f32 = 0.1;
+
+/// Short fits that are made for the sake of suns, at most: each finds fewer than the one before.
+const MOST_SHORT_FITS: usize = 3;
 
 /// What a fit may take.
 #[derive(Debug, Clone, Copy, Default)]
@@ -88,14 +79,6 @@ pub struct Fitted {
     pub memory_estimate: f64,
 }
 
-/// The image whose colour is the model's: the one under the highest sun, where least lies in shadow; without any sun the first.
-fn reference(suns: &[ImageSun]) -> usize {
-    let elevation = |i: usize| suns[i].position.map_or(f64::NEG_INFINITY, |sun| sun.elevation_rad);
-    (0..suns.len())
-        .max_by(|&a, &b| elevation(a).total_cmp(&elevation(b)).then(b.cmp(&a)))
-        .unwrap_or(0)
-}
-
 /// A nadir camera over an area of the scene frame.
 pub fn nadir_camera(area: &Area, gsd_m: f64) -> ProjectiveCamera {
     let size = |length: f64| ((length / gsd_m).round() as usize).max(1);
@@ -139,77 +122,47 @@ pub fn fit(
             if swept.sweep_under(suns, scene, config, decisions, session) {
                 suns::search(scene, &mut swept);
             }
+            let mut fits = 0;
+            while fits < MOST_SHORT_FITS && suns::are_in_doubt(&swept.found.shadow_suns) {
+                fits += 1;
+                let altitude_m = short_fit::altitudes(scene, config, decisions, &swept, limits.memory, session)?;
+                if !suns::search_again(scene, &mut swept, &altitude_m) {
+                    break;
+                }
+                let suns = suns::of_ground(scene, &swept.ground, &swept.found.shadow_suns);
+                swept.sweep_under(suns, scene, config, decisions, session);
+            }
             swept
         }
     };
     checkpoints.preprocessed = Some(found.clone());
     checkpoints.log = log.unwrap_or_default();
-    let Preprocessed {
-        surface,
-        changes,
-        shifts_px,
-        clouds,
-        shadow_suns,
-        trials,
-        seconds: [align_s, sweep_s],
-    } = found;
     let swept = Instant::now();
     let part = stage("start");
 
-    let all_suns = suns::after(scene, &shadow_suns);
-    let places = ground.images.iter().filter_map(|image| suns::place_in(scene, image));
-    let (suns, searched): (Vec<ImageSun>, Vec<_>) = places.map(|place| (all_suns[place], shadow_suns[place])).unzip();
-    let decisions = &decisions.after_search(&suns, &searched);
+    let all_suns = suns::after(scene, &found.shadow_suns);
+    let (suns, decisions) = suns::decided(scene, &ground, &found.shadow_suns, decisions);
+    let decisions = &decisions;
     if decisions.light == Light::LeftOut {
         tracing::warn!("{}", decisions.light_reason());
     }
-    let mut model = model(&ground, &suns, decisions, !changes.segments.is_empty());
-    let covered = surface.supported();
-    let start = initial::Start {
-        surface: &surface,
-        covered: &covered,
-        step_opacity: config.start.step_opacity,
-    };
-    let mut parameters = Parameters {
-        gaussians: match changes.segments.is_empty() {
-            true => start.gaussians(model.feature_groups()),
-            false => initial::changing(&start, &changes, &model.feature_groups()),
-        },
-        globals: model.initial_globals(SKY),
-    };
+    let Beginning {
+        mut model,
+        mut parameters,
+        mut views,
+    } = Beginning::new(&ground, &found, &suns, decisions, config)?;
     tracing::info!(
         "start: {} Gaussians on {} cells",
         parameters.gaussians.count,
-        surface.altitude.len()
+        found.surface.altitude.len()
     );
-    let mut views: Vec<View> = (0..ground.images.len())
-        .map(|i| {
-            views::view(
-                ground.images[i],
-                &suns[i],
-                &ground.crops[i],
-                &clouds[i],
-                shifts_px[i],
-                i,
-            )
-        })
-        .collect();
     let known = views.iter().map(|view| {
         let known: Vec<bool> = view.weight.iter().map(|&weight| weight > 0.0).collect();
         KnownTiles::of(view.image.width, &known)
     });
     let known = known.collect();
-    if !decisions.saturation {
-        views.iter_mut().for_each(|view| view.ceiling.clear());
-    }
-    if decisions.shadow_prior {
-        give_priors(&mut views, &suns, &ground, &surface, config)?;
-    }
-    let mut options = config.train.clone().for_views(views.len());
+    let mut options = beginning::train_options(config, scene, views.len());
     let steps = options.iterations;
-    options.gsd_m = scene.gsd_m as f32;
-    options.own_rate_steps = OWN_RATE_STEPS;
-    options.smoothness_weight = SMOOTHNESS_WEIGHT;
     let memory = |config: &SatelliteConfig, parameters: &Parameters, views: &[View], options: &mut TrainOptions| {
         fit_into_memory(limits.memory, scene, parameters, views, config, options)
     };
@@ -229,7 +182,7 @@ pub fn fit(
     let open = open(decisions, bands, |decisions| {
         memory(&decisions.resolved(config), &parameters, &views, &mut options.clone()).is_ok()
     });
-    let trials = trials.unwrap_or_else(|| {
+    let trials = found.trials.unwrap_or_else(|| {
         let request = trial::Request {
             options: &model.options,
             parameters: &parameters,
@@ -240,14 +193,14 @@ pub fn fit(
         };
         request.run()
     });
-    if let Some(found) = &mut checkpoints.preprocessed {
-        found.trials = Some(trials.clone());
+    if let Some(kept) = &mut checkpoints.preprocessed {
+        kept.trials = Some(trials.clone());
     }
     let decisions = &decisions.after_trials(&trials);
     for item in decisions.items.iter().filter(|item| item.trial.is_some()) {
         tracing::info!("{}: {}", item.component, item.reason);
     }
-    let decided = model_options(&model.options, decisions);
+    let decided = beginning::model_options(&model.options, decisions);
     if decided != model.options {
         model = ShadowGs::new(decided);
         parameters = trial::regrouped(&model, &parameters);
@@ -257,7 +210,7 @@ pub fn fit(
     let initialised = swept.elapsed();
     let part = stage("train");
 
-    let bounds = bounds(&ground);
+    let bounds = beginning::bounds(&ground);
     let mut trainer = Trainer::new(&model, views, parameters, options, bounds, Some(nadir))?;
     if let Some(state) = state {
         tracing::info!("training is resumed at step {} of {steps}", state.steps());
@@ -292,50 +245,21 @@ pub fn fit(
         memory_estimate,
         model,
         images: ground.images.iter().map(|image| image.name.clone()).collect(),
-        shifts_px,
+        clouded: found.clouds.iter().map(|mask| clouds::share(mask)).collect(),
+        shifts_px: found.shifts_px,
         known,
         suns: all_suns,
         decisions: decisions.clone(),
         trials,
-        clouded: clouds.iter().map(|mask| clouds::share(mask)).collect(),
-        surface,
-        changes,
+        surface: found.surface,
+        changes: found.changes,
         seconds: [
-            align_s,
-            sweep_s,
+            found.seconds[0],
+            found.seconds[1],
             initialised.as_secs_f64(),
             (swept.elapsed() - initialised).as_secs_f64(),
         ],
     })
-}
-
-/// The model of the images of `ground`.
-fn model(ground: &Ground, suns: &[ImageSun], decisions: &Decisions, changing: bool) -> ShadowGs {
-    let images = ground.images.len();
-    let days = ground
-        .images
-        .iter()
-        .filter_map(|image| Some(day_of(image.time?) as f32));
-    let options = ShadowGsOptions {
-        bands: ground.images.first().map_or(0, |image| image.pixels.bands),
-        images,
-        reference: reference(suns),
-        image_colour: decisions.image_colour,
-        opaqueness_weight: decisions.opaqueness_weight,
-        days: if changing { days.collect() } else { Vec::new() },
-        ..ShadowGsOptions::default()
-    };
-    ShadowGs::new(model_options(&options, decisions))
-}
-
-/// The same with prior, near-surface light and harmonics as `decisions` has them.
-fn model_options(options: &ShadowGsOptions, decisions: &Decisions) -> ShadowGsOptions {
-    ShadowGsOptions {
-        prior_weight: if decisions.shadow_prior { PRIOR_WEIGHT } else { 0.0 },
-        near_light: decisions.near_light,
-        degree: decisions.sh_degree,
-        ..options.clone()
-    }
 }
 
 /// The components that are left to short fits and that the rasteriser and, as `fits` says of decisions, the memory have room for.
@@ -360,37 +284,8 @@ fn channels_fit(bands: usize) -> bool {
     2 * bands + 1 + 3 <= MOST_CHANNELS
 }
 
-/// Tells each view what it seems to be lit by: from the user's masks, else from its own darkness.
-fn give_priors(
-    views: &mut [View],
-    suns: &[ImageSun],
-    ground: &Ground,
-    surface: &Surface,
-    config: &SatelliteConfig,
-) -> Result<(), MaskError> {
-    let priors = match &config.model.shadow_masks {
-        Some(folder) => {
-            let images = ground.images.iter().zip(&ground.crops);
-            images
-                .map(|(image, crop)| shadow_prior::from_folder(folder, image, crop))
-                .collect::<Result<Vec<_>, _>>()?
-        }
-        None => {
-            let (rasters, cameras): (Vec<_>, Vec<_>) = views.iter().map(|view| (&view.image, view.camera)).unzip();
-            let suns: Vec<_> = suns.iter().map(crop::direction).collect();
-            shadow_prior::found(ground, &rasters, surface, &cameras, &suns)
-        }
-    };
-    // Without a sun nothing is in shadow, and no mask can change that.
-    let lit_views = views.iter_mut().zip(priors).filter(|(view, _)| view.light.is_some());
-    for (view, lit) in lit_views {
-        view.visibility_prior = Some(lit);
-    }
-    Ok(())
-}
-
 /// Limits the Gaussians to what `limit` bytes hold; returns what training will take at most.
-fn fit_into_memory(
+pub(super) fn fit_into_memory(
     limit: Option<u64>,
     scene: &Scene,
     parameters: &Parameters,
@@ -415,19 +310,3 @@ fn fit_into_memory(
     Ok(bytes(grown.min(options.density.cap.max(count) as f64)).max(peak_rss_bytes() as f64))
 }
 
-/// Outside of this box Gaussians are pruned, metres.
-fn bounds(ground: &Ground) -> (Vec3, Vec3) {
-    let (area, slack) = (&ground.area, 2.0);
-    (
-        Vec3::new(
-            (area.west_m - slack) as f32,
-            (area.south_m - slack) as f32,
-            (ground.up_m.0 - slack) as f32,
-        ),
-        Vec3::new(
-            (area.east_m + slack) as f32,
-            (area.north_m + slack) as f32,
-            (ground.up_m.1 + slack) as f32,
-        ),
-    )
-}

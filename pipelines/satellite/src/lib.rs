@@ -6,6 +6,7 @@
 
 pub mod adjust;
 pub mod altitude;
+mod beginning;
 mod clouds;
 pub mod config;
 mod daylight;
@@ -26,6 +27,7 @@ mod radiometry;
 pub mod relit;
 pub mod run_file;
 mod shadow_prior;
+mod short_fit;
 mod suns;
 mod sweep_memory;
 pub mod sweep_tiles;

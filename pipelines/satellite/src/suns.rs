@@ -2,20 +2,48 @@
 
 use super::clouds;
 use super::ground::Ground;
+use super::plan::Decisions;
 use super::preprocess::Preprocess;
 use heliosplat::timeline::stage;
 use heliosplat_rpc::sun::SunPosition;
 use heliosplat_scene::{ImageSun, Scene, SceneImage};
+use heliosplat_stereo::Surface;
 use heliosplat_stereo::suns::{ShadowSun, find_suns};
 
 /// Finds out what the shadows on the swept surface say of the suns that are unknown, image by image of the scene, those held out too; `None`
 /// where a sun is known, or nothing can be said.
 pub(super) fn search(scene: &Scene, swept: &mut Preprocess) {
     let _part = stage("suns");
-    swept.found.shadow_suns = found(scene, swept);
+    swept.found.shadow_suns = found(scene, swept, &swept.found.surface);
 }
 
-fn found(scene: &Scene, swept: &Preprocess) -> Vec<Option<ShadowSun>> {
+/// Searches again on better altitudes of the swept surface's cells, metres (NaN where there are none). What is decisive there counts in
+/// place of what was found before. Returns whether a sun is known now that was not.
+pub(super) fn search_again(scene: &Scene, swept: &mut Preprocess, altitude_m: &[f32]) -> bool {
+    let _part = stage("suns");
+    let mut surface = swept.found.surface.clone();
+    for (old, new) in surface.altitude.iter_mut().zip(altitude_m) {
+        *old = if new.is_nan() { *old } else { *new };
+    }
+    let again = found(scene, swept, &surface);
+    let mut more = false;
+    for (before, now) in swept.found.shadow_suns.iter_mut().zip(again) {
+        let now = now.map(|sun| ShadowSun { of_model: true, ..sun });
+        if now.is_some_and(|sun| sun.is_decisive()) {
+            more |= !before.is_some_and(|sun| sun.is_decisive());
+            *before = now;
+        }
+    }
+    more
+}
+
+/// Whether shadows say of some sun where in the sky it is, but not well enough to be believed: a better surface would tell.
+pub(super) fn are_in_doubt(searched: &[Option<ShadowSun>]) -> bool {
+    let in_doubt = |sun: &ShadowSun| !sun.is_decisive() && sun.beats_others();
+    searched.iter().flatten().any(in_doubt)
+}
+
+fn found(scene: &Scene, swept: &Preprocess, surface: &Surface) -> Vec<Option<ShadowSun>> {
     let mut found = vec![None; scene.images.len()];
     let Ok(ground) = Ground::new(scene, scene.images.iter()) else {
         return found;
@@ -38,7 +66,6 @@ fn found(scene: &Scene, swept: &Preprocess) -> Vec<Option<ShadowSun>> {
         }
     }
     let views = ground.sweep_views(&rasters, &shifts_px);
-    let surface = &swept.found.surface;
     let covered = surface.supported();
     let suns = find_suns(&views, surface, &covered, ground.frame.origin.lat_deg);
     for (image, sun) in ground.images.iter().zip(suns) {
@@ -82,4 +109,18 @@ pub(super) fn of_ground(scene: &Scene, ground: &Ground, searched: &[Option<Shado
     let all = after(scene, searched);
     let places = ground.images.iter().filter_map(|image| place_in(scene, image));
     places.map(|place| all[place]).collect()
+}
+
+/// The same, and what is decided under them.
+pub(super) fn decided(
+    scene: &Scene,
+    ground: &Ground,
+    searched: &[Option<ShadowSun>],
+    decisions: &Decisions,
+) -> (Vec<ImageSun>, Decisions) {
+    let suns = of_ground(scene, ground, searched);
+    let places = ground.images.iter().filter_map(|image| place_in(scene, image));
+    let searched: Vec<Option<ShadowSun>> = places.map(|place| searched[place]).collect();
+    let decisions = decisions.after_search(&suns, &searched);
+    (suns, decisions)
 }

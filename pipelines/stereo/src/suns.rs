@@ -43,8 +43,11 @@ const DOUBT_DEG: f64 = 3.0;
 const ROUNDS: usize = 6;
 /// Times that the blocks are drawn.
 const DRAWS: usize = 200;
-/// Least correlation of shadow and darkness: suns below it have been off by 3° to 6° with deviations of 1.1° to 1.5° (docs/lab/suns.md).
+/// Least correlation of shadow and darkness on a swept surface: suns below it have been off by 3° to 6° with deviations of 1.1° to 1.5°
+/// (docs/lab/suns.md).
 const LEAST_SCORE: f64 = 0.5;
+/// The same on a model's surface, where suns with less have been off by 5° to 8°, and with more by 2° at most.
+const LEAST_SCORE_OF_MODEL: f64 = 0.35;
 /// The best sun must beat the best other one by so many standard deviations of the difference.
 const LEAST_MARGIN: f64 = 3.0;
 /// Largest standard deviation of a sun that is believed, degrees: twice that is still of use to a trace.
@@ -67,12 +70,21 @@ pub struct ShadowSun {
     pub score: f64,
     /// By how many standard deviations the score beats that of the best sun elsewhere in the sky.
     pub margin: f64,
+    /// Whether the shadows are those of a model's surface, which is sharper than a swept one.
+    #[serde(default)]
+    pub of_model: bool,
 }
 
 impl ShadowSun {
     /// Whether it can be believed.
     pub fn is_decisive(&self) -> bool {
-        self.score >= LEAST_SCORE && self.margin >= LEAST_MARGIN && self.sigma_deg <= MOST_SIGMA_DEG
+        let least = if self.of_model { LEAST_SCORE_OF_MODEL } else { LEAST_SCORE };
+        self.score >= least && self.beats_others() && self.sigma_deg <= MOST_SIGMA_DEG
+    }
+
+    /// Whether no sun elsewhere in the sky explains the shadows as well.
+    pub fn beats_others(&self) -> bool {
+        self.margin >= LEAST_MARGIN
     }
 }
 
@@ -324,6 +336,7 @@ fn refine(relief: &Relief, cells: &[usize], samples: &[Sample], sky: &Sky) -> Op
         sigma_deg: (variance + SYSTEMATIC_DEG * SYSTEMATIC_DEG).sqrt(),
         score,
         margin: lead / spread.max(f64::MIN_POSITIVE),
+        of_model: false,
     })
 }
 

@@ -5,6 +5,9 @@ use heliosplat::relief::{Relief, Toward};
 
 /// What stands less than this above a cell does not shade it, metres: the surface is rough.
 const LEAST_RISE_M: f32 = 1.0;
+/// How much nearer a wall stands than the first cell that has its height, cells: half of one where the surface is right, and edges of
+/// surfaces are ramps. By ablation, docs/lab/suns.md.
+const WALL_CELLS: f32 = 0.75;
 
 /// The cells of a surface that are covered; the others are unknown.
 pub(super) fn relief_of(surface: &Surface, covered: &[bool]) -> Relief {
@@ -15,7 +18,7 @@ pub(super) fn relief_of(surface: &Surface, covered: &[bool]) -> Relief {
 
 /// A direction over a swept surface, see [`Toward::new`].
 pub(super) fn toward(azimuth_deg: f64, lowest_deg: f64) -> Toward {
-    Toward::new(azimuth_deg, lowest_deg).above(LEAST_RISE_M)
+    Toward::new(azimuth_deg, lowest_deg).above(LEAST_RISE_M).nearer(WALL_CELLS)
 }
 
 /// Known cells on a regular grid, at most about so many.

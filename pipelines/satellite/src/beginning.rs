@@ -1,0 +1,174 @@
+//! What a training begins with: the model of a scene's images, its Gaussians on the swept surface, and the views.
+
+use super::config::SatelliteConfig;
+use super::error::{FitError, MaskError};
+use super::ground::Ground;
+use super::initial;
+use super::plan::Decisions;
+use super::preprocess::Preprocessed;
+use super::shadow_prior;
+use super::views;
+use glam::Vec3;
+use heliosplat::model::shadow_gs::{ShadowGs, ShadowGsOptions};
+use heliosplat::model::{Parameters, SceneModel, View};
+use heliosplat::train::TrainOptions;
+use heliosplat_products::change::day_of;
+use heliosplat_scene::{ImageSun, Scene, crop};
+use heliosplat_stereo::Surface;
+
+/// Sky light at the start, as a share of the sun's: that of a clear day; training finds each image's own.
+pub(super) const SKY: f32 = 0.3;
+/// Weight of the shadow prior, where it is on.
+const PRIOR_WEIGHT: f32 = 1.0;
+/// Steps from which on learning rates are their own (docs/lab/start.md).
+const OWN_RATE_STEPS: usize = 1600;
+/// Weight of the smoothness of the albedo (docs/lab/start.md).
+const SMOOTHNESS_WEIGHT: f32 = 0.1;
+
+/// A model before its first step.
+pub(super) struct Beginning {
+    pub(super) model: ShadowGs,
+    pub(super) parameters: Parameters,
+    pub(super) views: Vec<View>,
+}
+
+impl Beginning {
+    /// Of the images of `ground` under `suns`, on the surface that was `found`.
+    ///
+    /// # Errors
+    /// [`FitError`] when a user's shadow mask cannot be read.
+    pub(super) fn new(
+        ground: &Ground,
+        found: &Preprocessed,
+        suns: &[ImageSun],
+        decisions: &Decisions,
+        config: &SatelliteConfig,
+    ) -> Result<Self, FitError> {
+        let Preprocessed { surface, changes, .. } = found;
+        let changing = !changes.segments.is_empty();
+        let model = model(ground, suns, decisions, changing);
+        let covered = surface.supported();
+        let start = initial::Start {
+            surface,
+            covered: &covered,
+            step_opacity: config.start.step_opacity,
+        };
+        let parameters = Parameters {
+            gaussians: match changing {
+                false => start.gaussians(model.feature_groups()),
+                true => initial::changing(&start, changes, &model.feature_groups()),
+            },
+            globals: model.initial_globals(SKY),
+        };
+        let mut views: Vec<View> = (0..ground.images.len())
+            .map(|i| {
+                let (clouds, shift_px) = (&found.clouds[i], found.shifts_px[i]);
+                views::view(ground.images[i], &suns[i], &ground.crops[i], clouds, shift_px, i)
+            })
+            .collect();
+        if !decisions.saturation {
+            views.iter_mut().for_each(|view| view.ceiling.clear());
+        }
+        if decisions.shadow_prior {
+            give_priors(&mut views, suns, ground, surface, config)?;
+        }
+        Ok(Self {
+            model,
+            parameters,
+            views,
+        })
+    }
+}
+
+/// How a model of so many views of `scene` is trained.
+pub(super) fn train_options(config: &SatelliteConfig, scene: &Scene, views: usize) -> TrainOptions {
+    TrainOptions {
+        gsd_m: scene.gsd_m as f32,
+        own_rate_steps: OWN_RATE_STEPS,
+        smoothness_weight: SMOOTHNESS_WEIGHT,
+        ..config.train.clone().for_views(views)
+    }
+}
+
+/// The image whose colour is the model's: the one under the highest sun, where least lies in shadow; without any sun the first.
+fn reference(suns: &[ImageSun]) -> usize {
+    let elevation = |i: usize| suns[i].position.map_or(f64::NEG_INFINITY, |sun| sun.elevation_rad);
+    (0..suns.len())
+        .max_by(|&a, &b| elevation(a).total_cmp(&elevation(b)).then(b.cmp(&a)))
+        .unwrap_or(0)
+}
+
+/// The model of the images of `ground`.
+fn model(ground: &Ground, suns: &[ImageSun], decisions: &Decisions, changing: bool) -> ShadowGs {
+    let images = ground.images.len();
+    let days = ground
+        .images
+        .iter()
+        .filter_map(|image| Some(day_of(image.time?) as f32));
+    let options = ShadowGsOptions {
+        bands: ground.images.first().map_or(0, |image| image.pixels.bands),
+        images,
+        reference: reference(suns),
+        image_colour: decisions.image_colour,
+        opaqueness_weight: decisions.opaqueness_weight,
+        days: if changing { days.collect() } else { Vec::new() },
+        ..ShadowGsOptions::default()
+    };
+    ShadowGs::new(model_options(&options, decisions))
+}
+
+/// The same with prior, near-surface light and harmonics as `decisions` has them.
+pub(super) fn model_options(options: &ShadowGsOptions, decisions: &Decisions) -> ShadowGsOptions {
+    ShadowGsOptions {
+        prior_weight: if decisions.shadow_prior { PRIOR_WEIGHT } else { 0.0 },
+        near_light: decisions.near_light,
+        degree: decisions.sh_degree,
+        ..options.clone()
+    }
+}
+
+/// Tells each view what it seems to be lit by: from the user's masks, else from its own darkness.
+fn give_priors(
+    views: &mut [View],
+    suns: &[ImageSun],
+    ground: &Ground,
+    surface: &Surface,
+    config: &SatelliteConfig,
+) -> Result<(), MaskError> {
+    let priors = match &config.model.shadow_masks {
+        Some(folder) => {
+            let images = ground.images.iter().zip(&ground.crops);
+            images
+                .map(|(image, crop)| shadow_prior::from_folder(folder, image, crop))
+                .collect::<Result<Vec<_>, _>>()?
+        }
+        None => {
+            let (rasters, cameras): (Vec<_>, Vec<_>) = views.iter().map(|view| (&view.image, view.camera)).unzip();
+            let suns: Vec<_> = suns.iter().map(crop::direction).collect();
+            shadow_prior::found(ground, &rasters, surface, &cameras, &suns)
+        }
+    };
+    // Without a sun nothing is in shadow, and no mask can change that.
+    let lit_views = views.iter_mut().zip(priors).filter(|(view, _)| view.light.is_some());
+    for (view, lit) in lit_views {
+        view.visibility_prior = Some(lit);
+    }
+    Ok(())
+}
+
+/// Outside of this box Gaussians are pruned, metres.
+pub(super) fn bounds(ground: &Ground) -> (Vec3, Vec3) {
+    let (area, slack) = (&ground.area, 2.0);
+    (
+        Vec3::new(
+            (area.west_m - slack) as f32,
+            (area.south_m - slack) as f32,
+            (ground.up_m.0 - slack) as f32,
+        ),
+        Vec3::new(
+            (area.east_m + slack) as f32,
+            (area.north_m + slack) as f32,
+            (ground.up_m.1 + slack) as f32,
+        ),
+    )
+}

@@ -1,0 +1,85 @@
+//! A short fit under the suns that are known, for a surface on which shadows tell those that are not.
+//!
+//! Roofs of a swept surface are too wide and its walls lean, and so do the shadows that it casts. A model of a few steps has its walls where
+//! the images have them: shadows and dark ground agree better on it by half (docs/lab/suns.md).
+
+use super::beginning::{self, Beginning, SKY};
+use super::config::SatelliteConfig;
+use super::error::FitError;
+use super::fit::fit_into_memory;
+use super::plan::Decisions;
+use super::preprocess::Preprocess;
+use super::{linear, radiometry, suns};
+use heliosplat::ProjectiveCamera;
+use heliosplat::splat::ProjectionOptions;
+use heliosplat::timeline::stage;
+use heliosplat::train::Trainer;
+use heliosplat_products::dsm;
+use heliosplat_products::surface::SurfaceGaussians;
+use heliosplat_scene::Scene;
+use heliosplat_session::Session;
+
+/// Steps: those of the preset `fast`.
+const STEPS: usize = 40;
+/// Views under known suns from which on the others are left out.
+const FEWEST_LIT: usize = 4;
+
+/// Altitudes of such a model on the cells of the swept surface, metres; NaN where it has none.
+///
+/// # Errors
+/// [`FitError`] when training gives up or does not fit into `memory` bytes.
+pub(super) fn altitudes(
+    scene: &Scene,
+    config: &SatelliteConfig,
+    decisions: &Decisions,
+    swept: &Preprocess,
+    memory: Option<u64>,
+    session: &Session,
+) -> Result<Vec<f32>, FitError> {
+    let _part = stage("short fit");
+    tracing::info!("a short fit: shadows say more of suns on its surface than on the swept one");
+    let Preprocess { ground, found } = swept;
+    let (suns, decisions) = suns::decided(scene, ground, &found.shadow_suns, decisions);
+    let Beginning {
+        model,
+        mut parameters,
+        mut views,
+    } = Beginning::new(ground, found, &suns, &decisions, config)?;
+    let mut options = beginning::train_options(config, scene, views.len());
+    options.iterations = options.iterations.min(STEPS);
+    options.holdout = 0.0;
+    options.patience = 0;
+    fit_into_memory(memory, scene, &parameters, &views, config, &mut options)?;
+    radiometry::initialise(&model, &mut parameters, &mut views, SKY);
+    linear::improve(&model, &mut parameters, &views);
+    // Shadows of an unknown sun would be taken for ground.
+    let lit = views.iter().filter(|view| view.light.is_some()).count();
+    if lit >= FEWEST_LIT {
+        views.retain(|view| view.light.is_some());
+    }
+    let progress = session.progress("short fit", options.iterations as u64);
+    let mut trainer = Trainer::new(&model, views, parameters, options, beginning::bounds(ground), None)?;
+    let mut steps = 0;
+    while !trainer.finished() {
+        trainer.step()?;
+        steps += 1;
+        progress.set(steps);
+    }
+    let (parameters, _) = trainer.into_best();
+    let surface = &found.surface;
+    let cell_m = f64::from(surface.cell_m);
+    let nadir = ProjectiveCamera::nadir(
+        f64::from(surface.west_m) + 0.5 * cell_m,
+        f64::from(surface.north_m) - 0.5 * cell_m,
+        cell_m,
+        (surface.width, surface.height),
+    );
+    let gaussians = SurfaceGaussians {
+        gaussians: &parameters.gaussians,
+        bands: scene.bands().len(),
+        leaves: None,
+        projection: ProjectionOptions::default(),
+        gsd_m: scene.gsd_m as f32,
+    };
+    Ok(dsm::altitudes(&nadir, &gaussians, surface.cell_m))
+}
