@@ -261,6 +261,17 @@ mod tests {
     }
 
     #[test]
+    fn a_wall_between_two_cells_stands_where_it_is_said_to() {
+        // A step of 6 m north of row 10 of cells of 1 m; the first cell on top is 5 rows from row 15, the wall itself 4.5.
+        let (width, height) = (21, 31);
+        let step = |cell: usize| if cell / width <= 10 { 6.0 } else { 0.0 };
+        let relief = Relief::new((width, height), 1.0, (0..width * height).map(step).collect());
+        let cell = 15 * width + 10;
+        let horizon = |nearer: f32| relief.horizon(cell, &Toward::new(0.0, 1.0).nearer(nearer));
+        assert!((horizon(0.0) - 6.0 / 5.0).abs() < 1e-5 && (horizon(0.5) - 6.0 / 4.5).abs() < 1e-5);
+    }
+
+    #[test]
     fn the_horizon_of_a_ridge_is_its_height_over_its_distance_from_every_side() {
         // A ridge along the north, 10 m high, 20 rows from the cell; the way to it is longer where it is looked at askew.
         let (width, height) = (101, 41);

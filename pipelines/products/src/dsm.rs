@@ -4,9 +4,9 @@ use super::surface::{self, ALPHA_KNOWN, SurfaceGaussians};
 use super::{fill, seen};
 use crate::model::LoadedModel;
 use crate::nadir::{NadirGrid, Place};
-use heliosplat::{ProjectiveCamera, Raster};
 use heliosplat::render::{Rendering, render};
 use heliosplat::splat::Maps;
+use heliosplat::{ProjectiveCamera, Raster};
 use heliosplat_raster::geoid::GeoidGrid;
 use heliosplat_raster::grid::GridSpec;
 use heliosplat_raster::write::{ImageSpec, write_cog};
@@ -114,7 +114,13 @@ pub fn of_gaussians(nadir: &NadirGrid, surface: &SurfaceGaussians) -> Dsm {
 /// Altitudes above the frame's origin that `nadir`, a camera that looks straight down at pixels of `cell_m` metres, sees of Gaussians,
 /// metres; NaN where these do not cover a pixel.
 pub fn altitudes(nadir: &ProjectiveCamera, gaussians: &SurfaceGaussians, cell_m: f32) -> Vec<f32> {
-    let known = |cell: &surface::Cell| if cell.coverage >= ALPHA_KNOWN { cell.up_m } else { f32::NAN };
+    let known = |cell: &surface::Cell| {
+        if cell.coverage >= ALPHA_KNOWN {
+            cell.up_m
+        } else {
+            f32::NAN
+        }
+    };
     surface::cells(gaussians, nadir, cell_m).iter().map(known).collect()
 }
 

@@ -80,6 +80,14 @@ impl Beginning {
     }
 }
 
+/// Leaves out the views under unknown suns, whose shadows would be taken for ground, where at least `fewest` others are left.
+pub(super) fn leave_out_unlit(views: &mut Vec<View>, fewest: usize) {
+    let lit = views.iter().filter(|view| view.light.is_some()).count();
+    if lit >= fewest.max(1) {
+        views.retain(|view| view.light.is_some());
+    }
+}
+
 /// How a model of so many views of `scene` is trained.
 pub(super) fn train_options(config: &SatelliteConfig, scene: &Scene, views: usize) -> TrainOptions {
     TrainOptions {

@@ -46,7 +46,7 @@ const PRODUCT_S_PER_GAUSSIAN: f64 = 2.3e-6;
 /// What the planner's short fits take, in steps of the training (21 to 40 were seen).
 const TRIALS_AS_STEPS: f64 = 30.0;
 /// Seconds of one step of the small site, and of its light, on a core of the machine that the seconds above were measured on.
-const REFERENCE_S: f64 = 0.040;
+const REFERENCE_S: f64 = 0.037;
 /// How often each is measured.
 const MEASUREMENTS: usize = 12;
 /// Share of the time on one core that more of them do not shorten (0.05 to 0.08 were seen on 4 to 16 threads).

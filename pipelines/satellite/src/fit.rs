@@ -26,9 +26,11 @@ use heliosplat_stereo::Surface;
 use heliosplat_stereo::change::Changes;
 use std::time::Instant;
 
-
 /// Short fits that are made for the sake of suns, at most: each finds fewer than the one before.
 const MOST_SHORT_FITS: usize = 3;
+
+/// Share of the views under known suns from which on the others take no part in training (docs/lab/suns.md).
+const LIT_SHARE: f64 = 0.75;
 
 /// What a fit may take.
 #[derive(Debug, Clone, Copy, Default)]
@@ -211,6 +213,8 @@ pub fn fit(
     let part = stage("train");
 
     let bounds = beginning::bounds(&ground);
+    let fewest = (LIT_SHARE * views.len() as f64).ceil() as usize;
+    beginning::leave_out_unlit(&mut views, fewest);
     let mut trainer = Trainer::new(&model, views, parameters, options, bounds, Some(nadir))?;
     if let Some(state) = state {
         tracing::info!("training is resumed at step {} of {steps}", state.steps());
@@ -309,4 +313,3 @@ pub(super) fn fit_into_memory(
     let grown = count as f64 * options.growth();
     Ok(bytes(grown.min(options.density.cap.max(count) as f64)).max(peak_rss_bytes() as f64))
 }
-

@@ -418,6 +418,7 @@ mod tests {
             sigma_deg: 0.7,
             score: 0.5,
             margin,
+            of_model: false,
         }
     }
 

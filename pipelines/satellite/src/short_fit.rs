@@ -52,11 +52,7 @@ pub(super) fn altitudes(
     fit_into_memory(memory, scene, &parameters, &views, config, &mut options)?;
     radiometry::initialise(&model, &mut parameters, &mut views, SKY);
     linear::improve(&model, &mut parameters, &views);
-    // Shadows of an unknown sun would be taken for ground.
-    let lit = views.iter().filter(|view| view.light.is_some()).count();
-    if lit >= FEWEST_LIT {
-        views.retain(|view| view.light.is_some());
-    }
+    beginning::leave_out_unlit(&mut views, FEWEST_LIT);
     let progress = session.progress("short fit", options.iterations as u64);
     let mut trainer = Trainer::new(&model, views, parameters, options, beginning::bounds(ground), None)?;
     let mut steps = 0;

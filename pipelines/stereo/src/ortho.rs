@@ -27,9 +27,13 @@ fn shown(grid: &Grid, view: &LevelView, altitude: &[f32], cell: usize) -> f32 {
 pub(super) fn guide(grid: &Grid, views: &[LevelView], altitude: &[f32]) -> Vec<f32> {
     let scale = |view: &LevelView| 1.0 / view.mean.contrast.max(f32::MIN_POSITIVE);
     let of_cell = |cell: usize| {
-        let seen = views.iter().map(|view| (shown(grid, view, altitude, cell), scale(view)));
+        let seen = views
+            .iter()
+            .map(|view| (shown(grid, view, altitude, cell), scale(view)));
         let known = seen.filter(|(value, _)| value.is_finite());
-        let (sum, count) = known.fold((0.0, 0.0), |(sum, count), (value, scale)| (sum + value * scale, count + 1.0));
+        let (sum, count) = known.fold((0.0, 0.0), |(sum, count), (value, scale)| {
+            (sum + value * scale, count + 1.0)
+        });
         sum / count
     };
     (0..grid.len())

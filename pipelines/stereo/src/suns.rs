@@ -78,7 +78,11 @@ pub struct ShadowSun {
 impl ShadowSun {
     /// Whether it can be believed.
     pub fn is_decisive(&self) -> bool {
-        let least = if self.of_model { LEAST_SCORE_OF_MODEL } else { LEAST_SCORE };
+        let least = if self.of_model {
+            LEAST_SCORE_OF_MODEL
+        } else {
+            LEAST_SCORE
+        };
         self.score >= least && self.beats_others() && self.sigma_deg <= MOST_SIGMA_DEG
     }
 
