@@ -33,6 +33,11 @@ impl Budget {
         done + self.steps_left(self.begun.elapsed().as_secs_f64(), step_s)
     }
 
+    /// Share of the time that has passed, 0 to 1 and beyond.
+    pub fn spent(&self) -> f64 {
+        self.begun.elapsed().as_secs_f64() / self.limit.as_secs_f64()
+    }
+
     fn steps_left(&self, elapsed_s: f64, step_s: f64) -> usize {
         let after_s = after_training_steps(self.images) * step_s;
         let left_s = self.limit.as_secs_f64() * (1.0 - SLACK) - elapsed_s - after_s;
@@ -83,6 +88,8 @@ mod tests {
             assert!(end_s <= 96.0 && end_s > 94.0, "{step_s}: {end_s}");
         }
         assert_eq!(budget.steps_left(99.0, 0.1), 0);
+        assert!(budget.spent() < 0.1);
+        assert!(Budget::new(Instant::now(), Duration::ZERO, 10).spent() > 1.0);
     }
 
     #[test]

@@ -28,6 +28,8 @@ use std::time::Instant;
 
 /// Short fits that are made for the sake of suns, at most: each finds fewer than the one before.
 const MOST_SHORT_FITS: usize = 3;
+/// Share of a limit of time after which none is begun.
+const BUDGET_FOR_SUNS: f64 = 0.3;
 
 /// Share of the views under known suns from which on the others take no part in training (docs/lab/suns.md).
 const LIT_SHARE: f64 = 0.75;
@@ -125,7 +127,8 @@ pub fn fit(
                 suns::search(scene, &mut swept);
             }
             let mut fits = 0;
-            while fits < MOST_SHORT_FITS && suns::are_in_doubt(&swept.found.shadow_suns) {
+            let has_time = || limits.budget.is_none_or(|budget| budget.spent() < BUDGET_FOR_SUNS);
+            while fits < MOST_SHORT_FITS && has_time() && suns::are_in_doubt(&swept.found.shadow_suns) {
                 fits += 1;
                 let altitude_m = short_fit::altitudes(scene, config, decisions, &swept, limits.memory, session)?;
                 if !suns::search_again(scene, &mut swept, &altitude_m) {
