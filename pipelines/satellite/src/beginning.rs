@@ -3,15 +3,16 @@
 use super::config::SatelliteConfig;
 use super::error::{FitError, MaskError};
 use super::ground::Ground;
-use super::initial;
 use super::plan::Decisions;
 use super::preprocess::Preprocessed;
 use super::shadow_prior;
 use super::views;
+use super::{estimate, initial};
 use glam::Vec3;
 use heliosplat::model::shadow_gs::{ShadowGs, ShadowGsOptions};
 use heliosplat::model::{Parameters, SceneModel, View};
 use heliosplat::train::TrainOptions;
+use heliosplat_fitting::run_folder::peak_rss_bytes;
 use heliosplat_products::change::day_of;
 use heliosplat_scene::{ImageSun, Scene, crop};
 use heliosplat_stereo::Surface;
@@ -80,12 +81,9 @@ impl Beginning {
     }
 }
 
-/// Leaves out the views under unknown suns, whose shadows would be taken for ground, where at least `fewest` others are left.
-pub(super) fn leave_out_unlit(views: &mut Vec<View>, fewest: usize) {
-    let lit = views.iter().filter(|view| view.light.is_some()).count();
-    if lit >= fewest.max(1) {
-        views.retain(|view| view.light.is_some());
-    }
+/// Leaves out the views under unknown suns, whose shadows would be taken for ground.
+pub(super) fn keep_known_suns(views: &mut Vec<View>) {
+    views.retain(|view| view.light.is_some());
 }
 
 /// How a model of so many views of `scene` is trained.
@@ -179,4 +177,30 @@ pub(super) fn bounds(ground: &Ground) -> (Vec3, Vec3) {
             (ground.up_m.1 + slack) as f32,
         ),
     )
+}
+
+/// Limits the Gaussians to what `limit` bytes hold; returns what training will take at most.
+pub(super) fn fit_into_memory(
+    limit: Option<u64>,
+    scene: &Scene,
+    parameters: &Parameters,
+    views: &[View],
+    config: &SatelliteConfig,
+    options: &mut TrainOptions,
+) -> Result<f64, FitError> {
+    let count = parameters.gaussians.count;
+    let pixels = |view: &View| view.image.plane_len() as f64;
+    let largest = views.iter().map(pixels).fold(0.0, f64::max);
+    let bands = views.first().map_or(0, |v| v.image.bands);
+    let held = estimate::held_bytes(scene) + estimate::copies_bytes(views.iter().map(pixels).sum(), bands);
+    let light = estimate::light_bytes(&config.model, bands);
+    let bytes =
+        |gaussians: f64| held + estimate::training_bytes(gaussians, views.len(), bands, largest) + gaussians * light;
+    estimate::must_fit(bytes(count as f64), limit, config)?;
+    if let Some(limit) = limit {
+        let most = estimate::gaussians_within(limit as f64, bytes);
+        options.density.cap = options.density.cap.min(most as usize);
+    }
+    let grown = count as f64 * options.growth();
+    Ok(bytes(grown.min(options.density.cap.max(count) as f64)).max(peak_rss_bytes() as f64))
 }

@@ -7,7 +7,7 @@ use super::one_light::{self, OneLight};
 use super::plan::{Decisions, Light};
 use super::preprocess::{Preprocess, Preprocessed};
 use super::trial::{self, Component, Trials};
-use super::{clouds, daylight, estimate, linear, probe, radiometry, short_fit, suns};
+use super::{clouds, daylight, linear, probe, radiometry, short_fit, suns};
 use heliosplat::ProjectiveCamera;
 use heliosplat::model::shadow_gs::ShadowGs;
 use heliosplat::model::{Parameters, View};
@@ -17,7 +17,6 @@ use heliosplat::train::{EarlyStop, TrainOptions, Trainer};
 use heliosplat_fitting::budget::Budget;
 use heliosplat_fitting::checkpoint::{CheckpointWriter, LoadedCheckpoint};
 use heliosplat_fitting::curve::CurvePoint;
-use heliosplat_fitting::run_folder::peak_rss_bytes;
 use heliosplat_fitting::training::{Ending, TrainingError, train};
 use heliosplat_products::daylight::Daylight;
 use heliosplat_scene::{Area, ImageSun, KnownTiles, Scene};
@@ -30,9 +29,6 @@ use std::time::Instant;
 const MOST_SHORT_FITS: usize = 3;
 /// Share of a limit of time after which none is begun.
 const BUDGET_FOR_SUNS: f64 = 0.3;
-
-/// Share of the views under known suns from which on the others take no part in training (docs/lab/suns.md).
-const LIT_SHARE: f64 = 0.75;
 
 /// What a fit may take.
 #[derive(Debug, Clone, Copy, Default)]
@@ -148,7 +144,7 @@ pub fn fit(
     let all_suns = suns::after(scene, &found.shadow_suns);
     let (suns, decisions) = suns::decided(scene, &ground, &found.shadow_suns, decisions);
     let decisions = &decisions;
-    if decisions.light == Light::LeftOut {
+    if decisions.light == Light::LeftOut || decisions.only_known_suns {
         tracing::warn!("{}", decisions.light_reason());
     }
     let Beginning {
@@ -169,7 +165,7 @@ pub fn fit(
     let mut options = beginning::train_options(config, scene, views.len());
     let steps = options.iterations;
     let memory = |config: &SatelliteConfig, parameters: &Parameters, views: &[View], options: &mut TrainOptions| {
-        fit_into_memory(limits.memory, scene, parameters, views, config, options)
+        beginning::fit_into_memory(limits.memory, scene, parameters, views, config, options)
     };
     let mut memory_estimate = memory(config, &parameters, &views, &mut options)?;
     drop(part);
@@ -216,8 +212,9 @@ pub fn fit(
     let part = stage("train");
 
     let bounds = beginning::bounds(&ground);
-    let fewest = (LIT_SHARE * views.len() as f64).ceil() as usize;
-    beginning::leave_out_unlit(&mut views, fewest);
+    if decisions.only_known_suns {
+        beginning::keep_known_suns(&mut views);
+    }
     let mut trainer = Trainer::new(&model, views, parameters, options, bounds, Some(nadir))?;
     if let Some(state) = state {
         tracing::info!("training is resumed at step {} of {steps}", state.steps());
@@ -289,30 +286,4 @@ fn open(decisions: &Decisions, bands: usize, fits: impl Fn(&Decisions) -> bool) 
 /// Whether near-surface light, visibility and a normal can be rendered beside `bands` bands.
 fn channels_fit(bands: usize) -> bool {
     2 * bands + 1 + 3 <= MOST_CHANNELS
-}
-
-/// Limits the Gaussians to what `limit` bytes hold; returns what training will take at most.
-pub(super) fn fit_into_memory(
-    limit: Option<u64>,
-    scene: &Scene,
-    parameters: &Parameters,
-    views: &[View],
-    config: &SatelliteConfig,
-    options: &mut TrainOptions,
-) -> Result<f64, FitError> {
-    let count = parameters.gaussians.count;
-    let pixels = |view: &View| view.image.plane_len() as f64;
-    let largest = views.iter().map(pixels).fold(0.0, f64::max);
-    let bands = views.first().map_or(0, |v| v.image.bands);
-    let held = estimate::held_bytes(scene) + estimate::copies_bytes(views.iter().map(pixels).sum(), bands);
-    let light = estimate::light_bytes(&config.model, bands);
-    let bytes =
-        |gaussians: f64| held + estimate::training_bytes(gaussians, views.len(), bands, largest) + gaussians * light;
-    estimate::must_fit(bytes(count as f64), limit, config)?;
-    if let Some(limit) = limit {
-        let most = estimate::gaussians_within(limit as f64, bytes);
-        options.density.cap = options.density.cap.min(most as usize);
-    }
-    let grown = count as f64 * options.growth();
-    Ok(bytes(grown.min(options.density.cap.max(count) as f64)).max(peak_rss_bytes() as f64))
 }

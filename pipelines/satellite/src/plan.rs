@@ -28,6 +28,8 @@ use heliosplat_stereo::{FEW_VIEWS, MatchingFacts, MatchingParameters, no_match_w
 pub struct Decisions {
     /// How the model is lit.
     pub light: Light,
+    /// Images whose sun stays unknown take no part in training.
+    pub only_known_suns: bool,
     /// Each image has an affine colour of its own.
     pub image_colour: bool,
     /// Clouds are searched and left out.
@@ -135,6 +137,7 @@ impl Decisions {
             shadow_prior: model.shadow_prior.unwrap_or(facts.images < ENOUGH_VIEWS),
             vegetation_index: facts.index.is_there() && facts.images >= 2,
             align: config.cameras.align,
+            only_known_suns: false,
             near_light: model.near_light.unwrap_or(false),
             sh_degree: model.sh_degree.unwrap_or(0),
             opaqueness_weight: model.opaqueness_weight,
@@ -180,6 +183,7 @@ impl Decisions {
             }
         };
         say(SUN, lit, light::search_in_words(suns, searched));
+        decisions.only_known_suns = light::only_known(suns);
         if !lit {
             say(
                 SHADOW_PRIOR,
@@ -462,6 +466,25 @@ mod tests {
         let said = after.light_reason();
         assert!(
             said.contains("of 1 of 3 images are known") && said.contains("of 1 shadows tell nothing"),
+            "{said}"
+        );
+        assert!(
+            !after.only_known_suns && said.contains("count as lit everywhere"),
+            "{said}"
+        );
+    }
+
+    #[test]
+    fn few_images_without_a_sun_are_left_out_of_training_and_the_plan_says_so() {
+        let some = Facts { suns: 3, ..facts(4, 4) };
+        let before = Decisions::from_facts(&some, &SatelliteConfig::default());
+        let position = heliosplat_rpc::sun::SunPosition::from_degrees(150.0, 40.0);
+        let mut suns = [ImageSun::from_time(position); 4];
+        suns[3] = ImageSun::unknown();
+        let after = before.after_search(&suns, &[None; 4]);
+        let said = after.light_reason();
+        assert!(
+            after.only_known_suns && said.contains("take no part in training"),
             "{said}"
         );
     }

@@ -6,7 +6,6 @@
 use super::beginning::{self, Beginning, SKY};
 use super::config::SatelliteConfig;
 use super::error::FitError;
-use super::fit::fit_into_memory;
 use super::plan::Decisions;
 use super::preprocess::Preprocess;
 use super::{linear, radiometry, suns};
@@ -22,7 +21,7 @@ use heliosplat_session::Session;
 /// Steps: those of the preset `fast`.
 const STEPS: usize = 40;
 /// Views under known suns from which on the others are left out.
-const FEWEST_LIT: usize = 4;
+const FEWEST_KNOWN: usize = 4;
 
 /// Altitudes of such a model on the cells of the swept surface, metres; NaN where it has none.
 ///
@@ -49,10 +48,12 @@ pub(super) fn altitudes(
     options.iterations = options.iterations.min(STEPS);
     options.holdout = 0.0;
     options.patience = 0;
-    fit_into_memory(memory, scene, &parameters, &views, config, &mut options)?;
+    beginning::fit_into_memory(memory, scene, &parameters, &views, config, &mut options)?;
     radiometry::initialise(&model, &mut parameters, &mut views, SKY);
     linear::improve(&model, &mut parameters, &views);
-    beginning::leave_out_unlit(&mut views, FEWEST_LIT);
+    if views.iter().filter(|view| view.light.is_some()).count() >= FEWEST_KNOWN {
+        beginning::keep_known_suns(&mut views);
+    }
     let progress = session.progress("short fit", options.iterations as u64);
     let mut trainer = Trainer::new(&model, views, parameters, options, beginning::bounds(ground), None)?;
     let mut steps = 0;

@@ -7,7 +7,7 @@
 //!
 //! The floor is the lowest sure altitude within some cells. Where the surface is not [`STEP_M`] above it, nothing changes.
 
-use super::grid::{CELLS_PER_JOB, Grid, lowest_within};
+use super::grid::{Grid, lowest_within};
 use super::parameters::MatchingParameters;
 use super::pyramid::LevelResult;
 use super::wta;
@@ -97,9 +97,8 @@ fn floor(grid: &Grid, found: &LevelResult) -> Vec<f32> {
         let as_high = |&near: &usize| (own[near] - own[cell]).abs() < ALIKE_M;
         found.choices[cell].margin >= SURE_MARGIN && grid.around(cell, PLACE.0).filter(as_high).count() >= PLACE.1
     };
-    let places: Vec<f32> = (0..grid.len())
-        .into_par_iter()
-        .with_min_len(CELLS_PER_JOB)
+    let places: Vec<f32> = grid
+        .cells()
         .map(|cell| if sure(cell) { own[cell] } else { f32::MAX })
         .collect();
     let lowest = lowest_within((grid.width, grid.height), &places, REACH_CELLS);

@@ -4,7 +4,12 @@ use glam::Vec3;
 use rayon::prelude::*;
 
 /// Cells that one thread works on at a time, at least.
-pub(super) const CELLS_PER_JOB: usize = 1024;
+const CELLS_PER_JOB: usize = 1024;
+
+/// The numbers of so many cells, on all threads.
+fn in_parallel(cells: usize) -> impl IndexedParallelIterator<Item = usize> {
+    (0..cells).into_par_iter().with_min_len(CELLS_PER_JOB)
+}
 
 /// Cells of a ground grid; row 0 is the northern one, `west_m` and `north_m` are the grid's outer edges.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -31,6 +36,11 @@ impl Grid {
 
     pub(super) fn len(&self) -> usize {
         self.width * self.height
+    }
+
+    /// All cells, on all threads.
+    pub(super) fn cells(&self) -> impl IndexedParallelIterator<Item = usize> {
+        in_parallel(self.len())
     }
 
     /// Cells of a square window, the centre among them.
@@ -79,14 +89,10 @@ impl Grid {
 pub(super) fn lowest_within((width, height): (usize, usize), values: &[f32], radius: usize) -> Vec<f32> {
     let near = |at: usize, count: usize| at.saturating_sub(radius)..(at + radius + 1).min(count);
     let least = |values: &mut dyn Iterator<Item = f32>| values.fold(f32::MAX, f32::min);
-    let across: Vec<f32> = (0..width * height)
-        .into_par_iter()
-        .with_min_len(CELLS_PER_JOB)
+    let across: Vec<f32> = in_parallel(width * height)
         .map(|i| least(&mut near(i % width, width).map(|c| values[i / width * width + c])))
         .collect();
-    (0..width * height)
-        .into_par_iter()
-        .with_min_len(CELLS_PER_JOB)
+    in_parallel(width * height)
         .map(|i| least(&mut near(i / width, height).map(|r| across[r * width + i % width])))
         .collect()
 }

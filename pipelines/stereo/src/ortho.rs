@@ -1,17 +1,13 @@
 //! Orthorectified views: what each shows at the cells of a surface, and small filters on such grids.
 
-use super::grid::{CELLS_PER_JOB, Grid};
+use super::grid::Grid;
 use super::level::LevelView;
 use heliosplat_rpc::statistics::upper_median;
 use rayon::prelude::*;
 
 /// What a view shows at each cell of a surface; NaN where it shows nothing.
 pub(super) fn ortho(grid: &Grid, view: &LevelView, altitude: &[f32]) -> Vec<f32> {
-    (0..grid.len())
-        .into_par_iter()
-        .with_min_len(CELLS_PER_JOB)
-        .map(|cell| shown(grid, view, altitude, cell))
-        .collect()
+    grid.cells().map(|cell| shown(grid, view, altitude, cell)).collect()
 }
 
 /// What a view shows at one cell of a surface; NaN where it shows nothing.
@@ -36,18 +32,12 @@ pub(super) fn guide(grid: &Grid, views: &[LevelView], altitude: &[f32]) -> Vec<f
         });
         sum / count
     };
-    (0..grid.len())
-        .into_par_iter()
-        .with_min_len(CELLS_PER_JOB)
-        .map(of_cell)
-        .collect()
+    grid.cells().map(of_cell).collect()
 }
 
 /// A coarser grid's values on a finer one.
 pub(super) fn repeated(grid: &Grid, coarse: &Grid, factor: usize, values: &[f32]) -> Vec<f32> {
-    (0..grid.len())
-        .into_par_iter()
-        .with_min_len(CELLS_PER_JOB)
+    grid.cells()
         .map(|i| values[i / grid.width / factor * coarse.width + i % grid.width / factor])
         .collect()
 }

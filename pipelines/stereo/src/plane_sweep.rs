@@ -3,7 +3,7 @@
 use super::edges;
 use super::evidence::{LEAST_EVIDENCE, LevelSurface, is_match};
 use super::floor;
-use super::grid::{CELLS_PER_JOB, Grid};
+use super::grid::Grid;
 use super::level::LevelView;
 use super::plane_smoothing;
 use super::postprocess;
@@ -188,11 +188,7 @@ fn shared(grid: &Grid, altitude: &[f32], same_patch_m: f32, choices: &[HeightCho
         let own = choices[cell].probability;
         upper_median(&mut around.collect::<Vec<f32>>()).map_or(own, |shared| shared.max(own))
     };
-    (0..grid.len())
-        .into_par_iter()
-        .with_min_len(CELLS_PER_JOB)
-        .map(of_cell)
-        .collect()
+    grid.cells().map(of_cell).collect()
 }
 
 /// What was matched, where the floor was preferred to it; else the surface itself.

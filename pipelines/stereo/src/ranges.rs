@@ -3,7 +3,7 @@
 //! On the coarsest level of the pyramid every cell searches all heights; on finer ones only those around what the coarser level left
 //! as candidates, which is what makes the sweep fast.
 
-use super::grid::{CELLS_PER_JOB, Grid};
+use super::grid::Grid;
 use super::heights::HeightHypotheses;
 use rayon::prelude::*;
 use std::ops::Range;
@@ -48,8 +48,7 @@ impl SearchRanges {
         };
         let levels: Vec<(u16, usize)> = bounds.par_iter().map(levels).collect();
         let of_cell = |cell: usize| levels[cell / grid.width / factor * coarse.width + cell % grid.width / factor];
-        let low = (0..grid.len()).into_par_iter().with_min_len(CELLS_PER_JOB);
-        let low = low.map(|cell| of_cell(cell).0).collect();
+        let low = grid.cells().map(|cell| of_cell(cell).0).collect();
         let mut start = Vec::with_capacity(grid.len() + 1);
         start.push(0);
         let mut end = 0;
@@ -80,16 +79,15 @@ impl SearchRanges {
 fn widened(grid: &Grid, bounds: &[(f32, f32)], reach: usize) -> Vec<(f32, f32)> {
     let widen = |a: (f32, f32), b: (f32, f32)| (a.0.min(b.0), a.1.max(b.1));
     let near = |at: usize, count: usize| at.saturating_sub(reach)..(at + reach + 1).min(count);
-    let cells = || (0..grid.len()).into_par_iter().with_min_len(CELLS_PER_JOB);
     let along_row = |cell: usize| {
         let line = &bounds[cell / grid.width * grid.width..][..grid.width];
         let around = &line[near(cell % grid.width, grid.width)];
         around.iter().copied().fold(bounds[cell], widen)
     };
-    let across: Vec<(f32, f32)> = cells().map(along_row).collect();
+    let across: Vec<(f32, f32)> = grid.cells().map(along_row).collect();
     let along_column = |cell: usize| {
         let around = near(cell / grid.width, grid.height).map(|row| across[row * grid.width + cell % grid.width]);
         around.fold(across[cell], widen)
     };
-    cells().map(along_column).collect()
+    grid.cells().map(along_column).collect()
 }

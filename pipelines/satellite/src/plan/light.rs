@@ -46,6 +46,16 @@ impl Facts {
     }
 }
 
+/// Share of images with known suns from which on the others take no part in training: their shadows would be taken for ground
+/// (docs/lab/suns.md).
+const SHARE_KNOWN: f64 = 0.75;
+
+/// Whether images whose sun stays unknown take no part in training.
+pub(super) fn only_known(suns: &[ImageSun]) -> bool {
+    let known = suns.iter().filter(|sun| sun.position.is_some()).count();
+    known < suns.len() && known as f64 >= SHARE_KNOWN * suns.len() as f64
+}
+
 /// What was said of the suns that were searched, in words.
 pub(super) fn search_in_words(suns: &[ImageSun], searched: &[Option<ShadowSun>]) -> String {
     let images = suns.len();
@@ -80,11 +90,12 @@ pub(super) fn search_in_words(suns: &[ImageSun], searched: &[Option<ShadowSun>])
         ),
         None => format!(", of {unknown} shadows tell nothing"),
     };
-    text += match unknown == images {
-        true => {
-            ": the light is left out, each image has a colour of its own, shadows count as dark ground, and nothing can be relit"
-        }
-        false => ": these count as lit everywhere, in colours of their own",
+    text += if unknown == images {
+        ": the light is left out, each image has a colour of its own, shadows count as dark ground, and nothing can be relit"
+    } else if only_known(suns) {
+        ": these were swept but take no part in training, and count as lit everywhere"
+    } else {
+        ": these count as lit everywhere, in colours of their own"
     };
     text + " (" + REMEDY + ")"
 }
