@@ -49,6 +49,80 @@ pub enum Lit<'a> {
     Traced(&'a Occluders),
     /// Cached transmittances, one per Gaussian, of an earlier trace; no gradients go back.
     Known(&'a [f32]),
+    /// Traced, except for Gaussians that keep what an earlier trace found; no gradients go back along their light.
+    TracedExcept {
+        /// What stands in the way.
+        occluders: &'a Occluders,
+        /// Transmittances of an earlier trace, one per Gaussian.
+        known: &'a [f32],
+        /// Which Gaussians keep theirs.
+        kept: &'a [bool],
+    },
+}
+
+impl<'a> Lit<'a> {
+    fn occluders(&self) -> Option<&'a Occluders> {
+        match *self {
+            Lit::Traced(occluders) | Lit::TracedExcept { occluders, .. } => Some(occluders),
+            Lit::Everywhere | Lit::Known(_) => None,
+        }
+    }
+}
+
+/// The light of a pass: the transmittance of every splat, and the trace of those that were traced.
+struct PassLight {
+    transmittances: Vec<f32>,
+    traced: Transmittance,
+    /// The Gaussians that were traced, and their places among the splats.
+    origins: Vec<u32>,
+    places: Vec<u32>,
+}
+
+impl PassLight {
+    fn known(transmittances: Vec<f32>) -> Self {
+        Self {
+            transmittances,
+            traced: Transmittance::default(),
+            origins: Vec::new(),
+            places: Vec::new(),
+        }
+    }
+
+    /// Traces the splats whose Gaussian `known` says nothing of.
+    fn trace(splats: &[u32], (occluders, light): (&Occluders, &Light), known: impl Fn(u32) -> Option<f32>) -> Self {
+        let (mut transmittances, mut origins, mut places) = (Vec::with_capacity(splats.len()), Vec::new(), Vec::new());
+        for (place, &gaussian) in splats.iter().enumerate() {
+            let known = known(gaussian);
+            if known.is_none() {
+                origins.push(gaussian);
+                places.push(place as u32);
+            }
+            transmittances.push(known.unwrap_or_default());
+        }
+        let traced = transmittance(occluders, &origins, light);
+        for (&place, &value) in places.iter().zip(&traced.values) {
+            transmittances[place as usize] = value;
+        }
+        Self {
+            transmittances,
+            traced,
+            origins,
+            places,
+        }
+    }
+
+    /// Of gradients to the transmittances of all splats those of the ones that were traced.
+    fn of_traced(&self, gradients: &[f32]) -> Vec<f32> {
+        self.places.iter().map(|&place| gradients[place as usize]).collect()
+    }
+}
+
+/// What a backward pass says of the splats, beside the gradients of parameters.
+pub struct PassGradients {
+    /// Of their places and shapes in the image, for density control.
+    pub splats: Vec<SplatGradient>,
+    /// Of their transmittances.
+    pub transmittances: Vec<f32>,
 }
 
 /// A rendered view, with what its backward pass needs.
@@ -60,7 +134,7 @@ pub struct Pass<'a> {
     /// The splats.
     pub projected: Projected,
     bins: Bins,
-    traced: Transmittance,
+    lit: PassLight,
     features: Vec<f32>,
     stride: usize,
     /// The composited maps.
@@ -78,14 +152,18 @@ impl<'a> Pass<'a> {
         }
         drop(part);
         let part = stage("light");
-        let traced = match (light, &context.light) {
+        let lit = match (light, &context.light) {
             (Lit::Traced(occluders), Some(source)) if model.needs_transmittance() => {
-                transmittance(occluders, &projected.gaussian, source)
+                PassLight::trace(&projected.gaussian, (occluders, source), |_| None)
+            }
+            (Lit::TracedExcept { occluders, known, kept }, Some(source)) if model.needs_transmittance() => {
+                let known = |g: u32| kept[g as usize].then(|| known[g as usize]);
+                PassLight::trace(&projected.gaussian, (occluders, source), known)
             }
             (Lit::Known(values), _) => {
-                Transmittance::known(projected.gaussian.iter().map(|&g| values[g as usize]).collect())
+                PassLight::known(projected.gaussian.iter().map(|&g| values[g as usize]).collect())
             }
-            _ => Transmittance::known(vec![1.0; projected.splats.len()]),
+            _ => PassLight::known(vec![1.0; projected.splats.len()]),
         };
         drop(part);
         let part = stage("features");
@@ -94,7 +172,7 @@ impl<'a> Pass<'a> {
         let mut features = vec![0.0; projected.splats.len() * stride];
         let seen = Seen {
             projected: &projected,
-            transmittance: &traced.values,
+            transmittance: &lit.transmittances,
             stride,
         };
         model.features(&context, &seen, &mut features);
@@ -116,7 +194,7 @@ impl<'a> Pass<'a> {
             context,
             light,
             options,
-            traced,
+            lit,
             features,
             stride,
             maps,
@@ -131,7 +209,7 @@ impl<'a> Pass<'a> {
 
     /// The transmittances of the splats toward the light.
     pub fn transmittances(&self) -> &[f32] {
-        &self.traced.values
+        &self.lit.transmittances
     }
 
     /// The image that the model composes of the maps.
@@ -150,8 +228,8 @@ impl<'a> Pass<'a> {
         MapGradients::zeros(channels, self.maps.alpha.len())
     }
 
-    /// Backward pass: adds to the gradients of all parameters from those of the maps; returns those of the splats, for density control.
-    pub fn backward(&self, d_maps: &MapGradients, grads: &mut Parameters) -> Vec<SplatGradient> {
+    /// Backward pass: adds to the gradients of all parameters from those of the maps.
+    pub fn backward(&self, d_maps: &MapGradients, grads: &mut Parameters) -> PassGradients {
         let camera = self.context.camera;
         let gaussians = &self.context.parameters.gaussians;
         let part = stage("rasterise, backward");
@@ -171,7 +249,7 @@ impl<'a> Pass<'a> {
         }
         let seen = Seen {
             projected: &self.projected,
-            transmittance: &self.traced.values,
+            transmittance: &self.lit.transmittances,
             stride: self.stride,
         };
         let mut d_transmittance = vec![0.0; self.projected.splats.len()];
@@ -193,17 +271,18 @@ impl<'a> Pass<'a> {
             &mut grads.gaussians,
         );
         drop(part);
-        if let Lit::Traced(occluders) = self.light {
+        if let Some(occluders) = self.light.occluders() {
             let _part = stage("light, backward");
-            self.traced.backward(
-                gaussians,
-                (occluders, self.options.occluder_gradients),
-                &self.projected.gaussian,
-                &d_transmittance,
-                &mut grads.gaussians,
-            );
+            let lit = &self.lit;
+            let d_traced = lit.of_traced(&d_transmittance);
+            let occluders = (occluders, self.options.occluder_gradients);
+            lit.traced
+                .backward(gaussians, occluders, &lit.origins, &d_traced, &mut grads.gaussians);
         }
-        splat_gradients.splats
+        PassGradients {
+            splats: splat_gradients.splats,
+            transmittances: d_transmittance,
+        }
     }
 }
 

@@ -13,7 +13,7 @@ pub use holdout::EarlyStop;
 pub use options::TrainOptions;
 
 use crate::camera::ProjectiveCamera;
-use crate::gaussians::{FEATURES, LOG_SCALE, OPACITY, POSITION, ROTATION, for_each_of};
+use crate::gaussians::{FEATURES, LOG_SCALE, OPACITY, POSITION, ROTATION};
 use crate::loss::geometry::depth_normal;
 use crate::loss::photometric::photometric;
 use crate::loss::shadow::{ConsistencyPass, consistency};
@@ -354,13 +354,20 @@ impl<'a> Trainer<'a> {
             normals: options.depth_normal_weight > 0.0,
             depths: Depths::Mean,
         };
-        let cached = self.cached_visibility[index]
-            .take()
-            .filter(|cached| cached.is_fresh(options.light_every));
-        let lit = match (&cached, &self.occluders) {
-            (Some(cached), _) => Lit::Known(&cached.values),
-            (None, Some(occluders)) => Lit::Traced(occluders),
-            (None, None) => Lit::Everywhere,
+        let before = self.cached_visibility[index].take();
+        let cached = before.as_ref().filter(|before| before.is_fresh(options.light_every));
+        let kept = before
+            .as_ref()
+            .and_then(|before| before.kept(options.negligible_light_every));
+        let lit = match (cached, &self.occluders, &before, &kept) {
+            (Some(cached), ..) => Lit::Known(&cached.values),
+            (None, Some(occluders), Some(before), Some(kept)) => Lit::TracedExcept {
+                occluders,
+                known: &before.values,
+                kept,
+            },
+            (None, Some(occluders), ..) => Lit::Traced(occluders),
+            (None, None, ..) => Lit::Everywhere,
         };
         let pass = Pass::new(self.model, context, lit, pass_options);
         let part = stage("losses");
@@ -383,27 +390,24 @@ impl<'a> Trainer<'a> {
         }
         losses.extend(surface_loss(options, &pass, &mut d_maps));
         drop(part);
-        let splat_gradients = pass.backward(&d_maps, &mut self.gradients);
+        let pass_gradients = pass.backward(&d_maps, &mut self.gradients);
         let _part = stage("statistics");
         self.statistics.add(
             &pass.projected,
-            &splat_gradients,
+            &pass_gradients.splats,
             view.camera.width * view.camera.height,
         );
         let traced = cached.is_none().then(|| {
-            // Gaussians that this view does not show count as lit until the next trace.
-            let mut values = vec![1.0; self.parameters.gaussians.count];
-            let shown = pass.transmittances();
-            for_each_of(&mut values, &pass.projected.gaussian, |place, value| {
-                *value = shown[place]
-            });
-            CachedVisibility { values, uses: 0 }
+            let splats = (pass.projected.gaussian.as_slice(), self.parameters.gaussians.count);
+            CachedVisibility::traced(
+                splats,
+                pass.transmittances(),
+                &pass_gradients.transmittances,
+                before.as_ref(),
+            )
         });
         let pairs = pass.maps.pairs;
-        self.cached_visibility[index] = cached.or(traced).map(|light| CachedVisibility {
-            uses: light.uses + 1,
-            ..light
-        });
+        self.cached_visibility[index] = traced.or_else(|| before.map(CachedVisibility::used));
         let l1 = mean_absolute(&image.values, &truth.values);
         if full_size {
             self.holdout.record(index, held_out);

@@ -175,7 +175,9 @@ mod tests {
         let (visibility, lit) = ([0.3f32, 0.7, 0.5, 0.2], [1.0, 0.0, f32::NAN, 0.2]);
         let mut d = [0.0; 4];
         let value = prior(&visibility, &lit, &[1.0; 4], 1.0, &mut d);
-        assert!(value > 0.0);
+        // Nats: 0.3 thought lit, 0.7 thought dark, 0.2 thought 0.2.
+        let expected = -(2.0 * 0.3f64.ln() + 0.2 * 0.2f64.ln() + 0.8 * 0.8f64.ln()) / 3.0;
+        assert!((value - expected).abs() < 1e-6, "{value} for {expected}");
         assert!(d[0] < 0.0 && d[1] > 0.0 && d[2] == 0.0 && d[3].abs() < 1e-6);
         let step = 1e-3;
         let moved = |by: f32| prior(&[0.3 + by, 0.7, 0.5, 0.2], &lit, &[1.0; 4], 1.0, &mut [0.0; 4]);
@@ -193,7 +195,17 @@ mod tests {
         let mask = [1.0; 4];
         let mut d = [0.0; 4];
         let value = opaqueness(&[0.001, 0.3, 0.7, 0.999], &mask, 1.0, &mut d);
-        assert!(value > 0.0 && value < 1.0);
+        // Bits: two of 0.3, and two that are settled and count as clamped.
+        let bits = |s: f64| -(s * s.log2() + (1.0 - s) * (1.0 - s).log2());
+        let expected = (bits(0.3) + bits(f64::from(CLAMP))) / 2.0;
+        assert!((value - expected).abs() < 1e-6, "{value} for {expected}");
+        let moved = |by: f32| opaqueness(&[0.001, 0.3 + by, 0.7, 0.999], &mask, 1.0, &mut [0.0; 4]);
+        let slope = (moved(1e-3) - moved(-1e-3)) / 2e-3;
+        assert!(
+            (slope - f64::from(d[1])).abs() < 1e-3 * slope.abs(),
+            "{slope} against {}",
+            d[1]
+        );
         // The gradient raises the loss toward one half: descending moves 0.3 down and 0.7 up.
         assert!(d[1] > 0.0 && d[2] < 0.0);
         assert_eq!((d[0], d[3]), (0.0, 0.0));

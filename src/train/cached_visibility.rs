@@ -1,6 +1,12 @@
 //! Visibility of the light cached between visits of a view: tracing is the dearest part of a step, and visibility changes slowly.
 //! A step with cached visibility has no gradients along the light.
 
+use crate::gaussians::for_each_of;
+
+/// Gradients below this share of the mean of those that are not zero are negligible. On `block` a quarter of the splats has such, and with 0.3
+/// almost half (docs/lab/speed.md).
+const NEGLIGIBLE: f64 = 0.1;
+
 /// A view's transmittances toward its light from an earlier step, by Gaussian.
 #[derive(Debug, Clone, serde::Serialize, serde::Deserialize)]
 pub(super) struct CachedVisibility {
@@ -8,11 +14,79 @@ pub(super) struct CachedVisibility {
     pub(super) values: Vec<f32>,
     /// Steps that have used it, the one that traced it included.
     pub(super) uses: usize,
+    /// Gaussians of the view whose light hardly changed its image at the last trace: what hides behind others, for the most part.
+    negligible: Vec<bool>,
+    /// Traces of this view before this one, since the number of Gaussians changed.
+    traces: usize,
 }
 
 impl CachedVisibility {
+    /// What a step has traced: the `transmittances` of the `splats`, by Gaussian and ascending, of `count` Gaussians, and the loss's gradients to
+    /// them. `before` is what the view had.
+    pub(super) fn traced(
+        (splats, count): (&[u32], usize),
+        transmittances: &[f32],
+        gradients: &[f32],
+        before: Option<&Self>,
+    ) -> Self {
+        let sizes = || gradients.iter().map(|d| f64::from(d.abs())).filter(|d| *d > 0.0);
+        let bound = NEGLIGIBLE * sizes().sum::<f64>() / sizes().count().max(1) as f64;
+        // Gaussians that this view does not show count as lit until the next trace.
+        let (mut values, mut negligible) = (vec![1.0; count], vec![false; count]);
+        for_each_of(&mut values, splats, |place, value| *value = transmittances[place]);
+        for_each_of(&mut negligible, splats, |place, negligible| {
+            *negligible = f64::from(gradients[place].abs()) < bound
+        });
+        Self {
+            values,
+            uses: 1,
+            negligible,
+            traces: before.map_or(0, |before| before.traces + 1),
+        }
+    }
+
+    /// The same after one more step that used it.
+    pub(super) fn used(self) -> Self {
+        Self {
+            uses: self.uses + 1,
+            ..self
+        }
+    }
+
     /// Whether one more step may use it, where one trace is for `light_every` steps of the view.
     pub(super) fn is_fresh(&self, light_every: usize) -> bool {
         self.uses < light_every
+    }
+
+    /// Which Gaussians keep their light at the next trace, where one trace in `every` is of all of them: each sits out all traces but every
+    /// `every`th while its light is negligible, in turns. `None` where none does.
+    pub(super) fn kept(&self, every: usize) -> Option<Vec<bool>> {
+        let kept =
+            |(gaussian, &negligible): (usize, &bool)| negligible && !(gaussian + self.traces).is_multiple_of(every);
+        (every > 1).then(|| self.negligible.iter().enumerate().map(kept).collect())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn light_that_hardly_matters_is_traced_in_turns_and_the_rest_always() {
+        let splats = [0, 2, 3, 5];
+        let gradients = [1.0, 0.01, -2.0, 0.0];
+        let mut cached = CachedVisibility::traced((&splats, 6), &[0.5; 4], &gradients, None);
+        assert_eq!(cached.values, [0.5, 1.0, 0.5, 0.5, 1.0, 0.5]);
+        assert!(cached.kept(1).is_none());
+        let mut traced = [0; 6];
+        for _ in 0..8 {
+            let kept = cached.kept(4).expect("some may be kept");
+            for (traced, kept) in traced.iter_mut().zip(kept) {
+                *traced += usize::from(!kept);
+            }
+            cached = CachedVisibility::traced((&splats, 6), &[0.5; 4], &gradients, Some(&cached));
+        }
+        // What the view did not show is traced when it comes into view.
+        assert_eq!(traced, [8, 8, 2, 8, 8, 2]);
     }
 }

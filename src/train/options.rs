@@ -28,6 +28,9 @@ pub struct TrainOptions {
     /// Steps of a view that share one trace of its light; gradients go back along the light on the step that traces. 2 in `fast`, 1 in
     /// `balanced`.
     pub light_every: usize,
+    /// Traces of a view's light of which a Gaussian takes part in one while its light hardly changes the view's image; 1: in all. 8 for
+    /// ground, 1 for objects.
+    pub negligible_light_every: usize,
     /// Whether gradients of light reach what stands in its way; without them only where rays start moves. Off in the ablation: of all
     /// parts this is worth most.
     pub occluder_gradients: bool,
@@ -75,6 +78,7 @@ impl Default for TrainOptions {
             consistency_weight: 0.2,
             consistency_every: 8,
             light_every: 4,
+            negligible_light_every: 8,
             occluder_gradients: true,
             pyramid_share: 0.0,
             patience: 25,

@@ -124,28 +124,51 @@ pub fn altitudes(nadir: &ProjectiveCamera, gaussians: &SurfaceGaussians, cell_m:
     surface::cells(gaussians, nadir, cell_m).iter().map(known).collect()
 }
 
-/// Adds to each standard deviation that of the altitudes around, and the least one, of images of `gsd_m`.
+/// Cells to each side over which the variance of a cell's own evidence is averaged, and the altitudes around it are compared: an edge is
+/// known to a cell or two sideways, and the cells beside a doubtful one err with it (docs/lab/surface.md).
+const OWN_REACH: usize = 1;
+const AROUND_REACH: usize = 2;
+
+/// Makes each standard deviation, of images of `gsd_m`, that of the evidence of the cells around it, of the altitudes around it, and of
+/// what all cells have in common.
 fn widen_deviations(raster: &mut Raster, gsd_m: f32) {
     let least_m2 = (LEAST_DEVIATION_GSD * gsd_m).powi(2);
     let cells = (0..raster.plane_len()).into_par_iter().with_min_len(CHUNK);
-    let around: Vec<f32> = cells.map(|i| variance_around(raster, i)).collect();
-    for (own, around) in raster.plane_mut(DEVIATION).iter_mut().zip(around) {
-        *own = (*own * *own + around + least_m2).sqrt();
-    }
+    let widened: Vec<f32> = cells
+        .map(|cell| match raster.plane(DEVIATION)[cell].is_nan() {
+            true => f32::NAN,
+            false => (own_variance(raster, cell) + variance_around(raster, cell) + least_m2).sqrt(),
+        })
+        .collect();
+    raster.plane_mut(DEVIATION).copy_from_slice(&widened);
 }
 
-/// Variance of the altitudes known in the 3 x 3 cells around `cell`, metres²: what is known of a surface is known to about a cell
-/// sideways. The spread along the ray alone is a third too small (docs/lab/surface.md).
+/// The cells within `reach` of `cell` to each side.
+fn around(raster: &Raster, cell: usize, reach: usize) -> impl Iterator<Item = usize> + use<> {
+    let (width, col, row) = (raster.width, cell % raster.width, cell / raster.width);
+    let cols = col.saturating_sub(reach)..(col + reach + 1).min(width);
+    let rows = row.saturating_sub(reach)..(row + reach + 1).min(raster.height);
+    rows.flat_map(move |row| cols.clone().map(move |col| row * width + col))
+}
+
+/// Mean of the squared deviations of the cells around `cell`, metres².
+fn own_variance(raster: &Raster, cell: usize) -> f32 {
+    let deviations = raster.plane(DEVIATION);
+    let known = around(raster, cell, OWN_REACH)
+        .map(|cell| deviations[cell])
+        .filter(|d| d.is_finite());
+    let (sum, count) = known.fold((0.0f32, 0.0f32), |(sum, count), d| (sum + d * d, count + 1.0));
+    sum / count.max(1.0)
+}
+
+/// Variance of the altitudes known around `cell`, metres².
 fn variance_around(raster: &Raster, cell: usize) -> f32 {
-    let (col, row) = (cell % raster.width, cell / raster.width);
     let (mut count, mut sum, mut squares) = (0.0f32, 0.0f32, 0.0f32);
-    for r in row.saturating_sub(1)..(row + 2).min(raster.height) {
-        for c in col.saturating_sub(1)..(col + 2).min(raster.width) {
-            // Differences to the middle keep their digits where altitudes are in thousands.
-            let above = raster.values[r * raster.width + c] - raster.values[cell];
-            if above.is_finite() {
-                (count, sum, squares) = (count + 1.0, sum + above, squares + above * above);
-            }
+    for other in around(raster, cell, AROUND_REACH) {
+        // Differences to the middle keep their digits where altitudes are in thousands.
+        let above = raster.values[other] - raster.values[cell];
+        if above.is_finite() {
+            (count, sum, squares) = (count + 1.0, sum + above, squares + above * above);
         }
     }
     let mean = sum / count;
@@ -326,13 +349,30 @@ mod tests {
 
     #[test]
     fn cells_at_a_step_are_in_more_doubt_than_level_ones() {
-        let mut raster = Raster::filled(6, 3, 1, 4000.0);
-        for row in 0..3 {
-            raster.values[row * 6 + 5] = 4006.0;
+        let mut raster = Raster::filled(8, 5, 1, 4000.0);
+        for row in 0..5 {
+            raster.values[row * 8 + 7] = 4006.0;
         }
-        raster.values[6] = f32::NAN;
-        assert_eq!(variance_around(&raster, 6 + 1), 0.0);
-        // Three of nine cells stand 6 m higher.
-        assert!((variance_around(&raster, 6 + 4) - 8.0).abs() < 1e-3);
+        raster.values[2 * 8] = f32::NAN;
+        assert_eq!(variance_around(&raster, 2 * 8 + 2), 0.0);
+        // Five of 25 cells stand 6 m higher.
+        assert!((variance_around(&raster, 2 * 8 + 5) - 36.0 * 0.16).abs() < 1e-3);
+    }
+
+    #[test]
+    fn doubt_of_a_cell_is_shared_by_those_beside_it_and_none_is_surer_than_all_have_in_common() {
+        let mut raster = Raster::filled(7, 7, BANDS.len(), 10.0);
+        raster.plane_mut(DEVIATION).fill(0.0);
+        raster.plane_mut(DEVIATION)[3 * 7 + 3] = 3.0;
+        raster.plane_mut(DEVIATION)[0] = f32::NAN;
+        widen_deviations(&mut raster, 0.5);
+        let deviation = |col: usize, row: usize| raster.plane(DEVIATION)[row * 7 + col];
+        assert!(deviation(0, 0).is_nan());
+        assert!((deviation(6, 6) - 0.1).abs() < 1e-6);
+        let shared = (1.0f32 + 0.01).sqrt();
+        for (col, row) in [(3, 3), (2, 3), (4, 4)] {
+            assert!((deviation(col, row) - shared).abs() < 1e-5);
+        }
+        assert!((deviation(1, 3) - 0.1).abs() < 1e-6);
     }
 }

@@ -1,5 +1,5 @@
 //! A Gaussian projected along parallel light: an ellipse in the plane normal to the light, its peaks on a plane in depth; and the way
-//! to_shape from moments of an ellipse to the gradient of its Gaussian.
+//! back from moments of an ellipse to the gradient of its Gaussian.
 
 use crate::trace::bvh::Occluder;
 use glam::{Mat3, Vec2, Vec3};
@@ -177,7 +177,7 @@ pub(super) struct ShapeGradient {
 }
 
 impl EllipseMoments {
-    /// Gradient of the Gaussian's shape, to_shape through the projection. With `B = (A P L)ᵀ`, whose columns are orthonormal, the nearest point of a ray in the
+    /// Gradient of the Gaussian's shape, back through the projection. With `B = (A P L)ᵀ`, whose columns are orthonormal, the nearest point of a ray in the
     /// Gaussian's whitened space is `n = B t`; `∂/∂ ln s_k = Σ h n_k²` and `∂/∂R e_k = Σ h (Pᵀ Aᵀ t) n_k s_k`.
     pub(super) fn shape_gradient(&self, ellipse: &Ellipse, axes: &Axes, occluder: &Occluder) -> ShapeGradient {
         let columns = [ellipse.in_scene(axes, Vec2::X), ellipse.in_scene(axes, Vec2::Y)];
