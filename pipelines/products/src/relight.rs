@@ -1,6 +1,7 @@
 //! The scene under any sun, and its shadow mask.
 
 use super::nadir::NadirGrid;
+use super::roof_slopes::RoofSlopes;
 use super::surface_shadow::SurfaceShadows;
 use super::views::camera_of;
 use crate::model::LoadedModel;
@@ -76,8 +77,11 @@ impl RelightError {
 /// Elevation of the sun below which a scene is not relit: shadows are longer than any site.
 pub const LOWEST_SUN_DEG: f64 = 1.0;
 
-/// Weight of the light that the surface model lets through, beside that through the Gaussians.
-const OVER_SURFACE: f32 = 0.4;
+/// Weight of the light that the surface model lets through, beside that through the Gaussians: under high suns, and under low ones, whose rays graze
+/// the Gaussians of level ground and roofs and meet some.
+const OVER_SURFACE: [f32; 2] = [0.4, 0.6];
+/// Elevations of the sun that are high and low, degrees.
+const HIGH_AND_LOW_DEG: [f64; 2] = [20.0, 12.0];
 /// Share of the sun below which a place is in shadow: as traced through the Gaussians, and in the mean of both, which misses shadow
 /// more often than it invents some.
 const SHADED_BELOW: f32 = 0.5;
@@ -99,13 +103,19 @@ pub struct Relit {
 /// Where a model is looked at from, to be put under suns.
 ///
 /// From straight above a place is as dark as two ways to trace its shadows say, in the mean: through the Gaussians, from each that is seen, and over the
-/// surface model, whose altitudes are levelled. Both err at borders, and not alike (docs/lab/shadows.md). From elsewhere it is the Gaussians
-/// alone.
+/// surface model, whose altitudes are levelled. Both err at borders, and not alike (docs/lab/shadows.md). There slopes of roofs are as bright
+/// as they face the sun, too. From elsewhere it is the Gaussians alone.
 pub struct Viewpoint<'a> {
     model: &'a LoadedModel,
     camera: ProjectiveCamera,
-    /// From straight above: the grid, and the surface if there is light to throw shadows.
-    above: Option<(GridSpec, Option<SurfaceShadows>)>,
+    above: Option<Above>,
+}
+
+/// What is known of a place that is seen from straight above.
+struct Above {
+    grid: GridSpec,
+    /// The surface, if there is light to throw shadows, and its slopes.
+    surface: Option<(SurfaceShadows, RoofSlopes)>,
 }
 
 impl<'a> Viewpoint<'a> {
@@ -129,11 +139,26 @@ impl<'a> Viewpoint<'a> {
 
     /// From straight above, on a grid.
     pub fn above(model: &'a LoadedModel, nadir: &NadirGrid) -> Self {
-        let surface = model.file.has_light().then(|| SurfaceShadows::new(model, nadir));
+        let surface = model.file.has_light().then(|| {
+            let surface = SurfaceShadows::new(model, nadir);
+            let up = |sun: &SunPosition| sun.elevation_rad.to_degrees() >= LOWEST_SUN_DEG;
+            let suns: Vec<SunPosition> = model
+                .file
+                .images
+                .iter()
+                .filter_map(|image| image.sun)
+                .filter(up)
+                .collect();
+            let slopes = surface.roof_slopes(&suns);
+            (surface, slopes)
+        });
         Self {
             model,
             camera: nadir.camera,
-            above: Some((nadir.grid.clone(), surface)),
+            above: Some(Above {
+                grid: nadir.grid.clone(),
+                surface,
+            }),
         }
     }
 
@@ -143,11 +168,14 @@ impl<'a> Viewpoint<'a> {
     /// # Errors
     /// [`RelightError`] when the sun is down, or the model has no light.
     pub fn relit(&self, sun: &SunPosition) -> Result<Relit, RelightError> {
-        let (light, maps) = self.traced(sun)?;
+        let (light, mut maps) = self.traced(sun)?;
+        let visibility = visibility_of(self.model, &maps);
+        if let Some((_, slopes)) = self.surface() {
+            slopes.shade(sun, &mut maps.channels[self.model.model.visibility_channel()]);
+        }
         let mut image = composed(self.model, sun, light, &self.camera, &maps)?;
         let counts = self.model.file.counts_per_unit as f32;
         image.values.iter_mut().for_each(|value| *value *= counts);
-        let visibility = visibility_of(self.model, &maps);
         for (i, lit) in visibility.values.iter().enumerate() {
             if lit.is_nan() {
                 for band in 0..image.bands {
@@ -160,7 +188,7 @@ impl<'a> Viewpoint<'a> {
             visibility,
             exposure: exposure(self.model),
             shaded_below: self.shaded_below(),
-            grid: self.above.as_ref().map(|(grid, _)| grid.clone()),
+            grid: self.above.as_ref().map(|above| above.grid.clone()),
         })
     }
 
@@ -180,6 +208,10 @@ impl<'a> Viewpoint<'a> {
         }
     }
 
+    fn surface(&self) -> Option<&(SurfaceShadows, RoofSlopes)> {
+        self.above.as_ref()?.surface.as_ref()
+    }
+
     /// What is seen, with its shadows under `sun`.
     fn traced(&self, sun: &SunPosition) -> Result<(Light, Maps), RelightError> {
         let model = self.model;
@@ -193,10 +225,11 @@ impl<'a> Viewpoint<'a> {
             None,
             options,
         );
-        if let Some((_, Some(surface))) = &self.above {
+        if let Some((surface, _)) = self.surface() {
             let lit = surface.lit(sun);
             let Maps { channels, alpha, .. } = &mut maps;
-            mix(&mut channels[model.model.visibility_channel()], alpha, &lit);
+            let weight = over_surface(sun.elevation_rad.to_degrees());
+            mix(&mut channels[model.model.visibility_channel()], alpha, &lit, weight);
         }
         Ok((light, maps))
     }
@@ -231,11 +264,19 @@ fn visibility_of(model: &LoadedModel, maps: &Maps) -> Raster {
     }
 }
 
-/// The mean of `through`, the composited visibility of pixels, and of what the surface lets through (`over`, NaN where it is unknown).
-fn mix(through: &mut [f32], alpha: &[f32], over: &[f32]) {
+/// Weight of the light that the surface model lets through, under a sun of this elevation.
+fn over_surface(elevation_deg: f64) -> f32 {
+    let [high, low] = HIGH_AND_LOW_DEG;
+    let sunk = ((high - elevation_deg) / (high - low)).clamp(0.0, 1.0) as f32;
+    OVER_SURFACE[0] + (OVER_SURFACE[1] - OVER_SURFACE[0]) * sunk
+}
+
+/// The mean of `through`, the composited visibility of pixels, and of what the surface lets through (`over`, NaN where it is unknown), which has
+/// this weight.
+fn mix(through: &mut [f32], alpha: &[f32], over: &[f32], weight: f32) {
     for ((through, alpha), over) in through.iter_mut().zip(alpha).zip(over) {
         if over.is_finite() {
-            *through += OVER_SURFACE * (over * alpha - *through);
+            *through += weight * (over * alpha - *through);
         }
     }
 }
@@ -378,9 +419,17 @@ mod tests {
     #[test]
     fn a_place_is_as_lit_as_gaussians_and_surface_say_and_where_the_surface_is_unknown_as_the_gaussians_say() {
         let mut through = vec![0.9, 0.9, 0.0, 0.45];
-        mix(&mut through, &[0.9, 0.9, 0.9, 0.9], &[0.0, 1.0, 1.0, f32::NAN]);
+        mix(&mut through, &[0.9; 4], &[0.0, 1.0, 1.0, f32::NAN], 0.4);
         for (mixed, wanted) in through.iter().zip([0.6, 1.0, 0.4, 0.5]) {
             assert!((mixed / 0.9 - wanted).abs() < 1e-6, "{through:?}");
+        }
+    }
+
+    #[test]
+    fn the_lower_the_sun_the_more_the_surface_says() {
+        let weights = [70.0, 20.0, 16.0, 12.0, 3.0].map(over_surface);
+        for (weight, wanted) in weights.iter().zip([0.4, 0.4, 0.5, 0.6, 0.6]) {
+            assert!((weight - wanted).abs() < 1e-6, "{weights:?}");
         }
     }
 
