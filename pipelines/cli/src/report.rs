@@ -10,6 +10,7 @@ mod relit;
 
 use crate::page::{calibration, document, picture_of};
 use crate::view::{self, ViewError};
+use heliosplat::timeline::beside;
 use heliosplat_evaluate::uncertainty::Uncertainty;
 use heliosplat_fitting::run_folder::RunError;
 use heliosplat_objects::model::is_object_run;
@@ -96,12 +97,9 @@ impl Contents {
 /// When the folder holds no run, or a file cannot be written.
 pub fn write(folder: &Path) -> Result<PathBuf, RunError> {
     let contents = Contents::read(folder)?;
-    let uncertainty = &contents.folder.metrics["dsm"]["uncertainty"];
-    if let Ok(uncertainty) = Uncertainty::deserialize(uncertainty) {
-        write_atomically(&folder.join(CALIBRATION), calibration::picture(&uncertainty).as_bytes())?;
-    }
+    let sections = sections(&contents)?;
     // Last: where it is, the pictures are complete.
-    save(folder, &page(&contents))
+    save(folder, &page(&contents, sections))
 }
 
 /// Writes the pages of a run of a satellite scene that was trained now: `sun.html`, then `report.html`, which links it.
@@ -109,8 +107,14 @@ pub fn write(folder: &Path) -> Result<PathBuf, RunError> {
 /// # Errors
 /// When the folder holds no run, or a file cannot be written.
 pub fn write_both(folder: &Path) -> Result<(), ViewError> {
-    view::into_folder(folder, view::of_run(folder))?;
-    write(folder)?;
+    let contents = Contents::read(folder)?;
+    // Only the head of the page asks whether the other one is there.
+    let (sections, shown) = beside(
+        || sections(&contents),
+        || view::into_folder(folder, view::of_run(folder)),
+    );
+    shown?;
+    save(folder, &page(&contents, sections?))?;
     Ok(())
 }
 
@@ -140,9 +144,14 @@ fn page_of(title: &str, sections: &[Markup]) -> String {
     document(title, &html! { @for section in sections { (section) } })
 }
 
-fn page(run: &Contents) -> String {
-    let sections = [
-        parts::head(run),
+/// What stands below the head of the page; also draws the calibration plot.
+fn sections(run: &Contents) -> Result<Vec<Markup>, RunError> {
+    let uncertainty = &run.folder.metrics["dsm"]["uncertainty"];
+    if let Ok(uncertainty) = Uncertainty::deserialize(uncertainty) {
+        let path = run.folder.path.join(CALIBRATION);
+        write_atomically(&path, calibration::picture(&uncertainty).as_bytes())?;
+    }
+    Ok(vec![
         parts::surface(&run.folder),
         parts::views(run),
         change::changes(run),
@@ -151,7 +160,11 @@ fn page(run: &Contents) -> String {
         parts::accuracy(&run.folder),
         parts::plan(run),
         parts::costs(run),
-    ];
+    ])
+}
+
+fn page(run: &Contents, mut sections: Vec<Markup>) -> String {
+    sections.insert(0, parts::head(run));
     page_of(&run.folder.name(), &sections)
 }
 

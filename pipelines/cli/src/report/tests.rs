@@ -102,7 +102,7 @@ fn what_comes_from_outside_stays_text_and_nothing_is_fetched() {
     picture.save(folder.path().join("views/view.png")).expect("written");
     picture.save(folder.path().join("dsm.png")).expect("written");
     std::fs::write(folder.path().join("error.png"), b"no picture").expect("written");
-    let page = page(&contents(folder.path()));
+    let page = page_of_run(&contents(folder.path()));
     assert!(!page.contains("<img src=x"), "an image from outside");
     assert!(!page.contains("http") && !page.contains("<script") && !page.contains("src=\"views"));
     // The surface and the four panels of the view; what is no picture is left out.
@@ -110,12 +110,16 @@ fn what_comes_from_outside_stays_text_and_nothing_is_fetched() {
     assert!(page.contains("held out") && page.matches("<polyline").count() == 5);
 }
 
+fn page_of_run(contents: &Contents) -> String {
+    page(contents, sections(contents).expect("written"))
+}
+
 #[test]
 fn a_run_without_metrics_still_has_a_page() {
     let folder = tempfile::tempdir().expect("a temporary folder");
     let mut contents = contents(folder.path());
     contents.folder.metrics = Value::Null;
-    let page = page(&contents);
+    let page = page_of_run(&contents);
     assert!(page.contains("Component plan") && !page.contains("<svg"));
 }
 
