@@ -26,6 +26,15 @@ fn the_timeline_accounts_for_the_time(metrics: &serde_json::Value) {
             "{name}"
         );
     }
+    // The speed of one core is measured while the leading thread waits.
+    let estimate = stages
+        .iter()
+        .find(|stage| stage["stage"] == "estimate")
+        .expect("an estimate");
+    assert!(
+        number(estimate, "one_core_s") > 0.5 * number(estimate, "processor_s"),
+        "{estimate}"
+    );
     let training = stages.iter().find(|stage| stage["stage"] == "train").expect("training");
     let parts = training["parts"].as_array().expect("training has parts");
     assert!(parts.iter().any(|part| part["stage"] == "light, backward"));

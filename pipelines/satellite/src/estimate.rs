@@ -10,6 +10,7 @@ use super::sweep_memory::search_bytes;
 use super::trial::WORTH_STEPS;
 use heliosplat::bench_fixture::{Descent, Lighting, Site};
 use heliosplat::shade::sh::functions;
+use heliosplat::timeline;
 use heliosplat::trace::transmittance;
 use heliosplat::train::TrainOptions;
 use heliosplat_scene::crop;
@@ -48,7 +49,7 @@ const TRIALS_AS_STEPS: f64 = 30.0;
 /// Seconds of one step of the small site, and of its light, on a core of the machine that the seconds above were measured on.
 const REFERENCE_S: f64 = 0.037;
 /// How often each is measured.
-const MEASUREMENTS: usize = 12;
+const MEASUREMENTS: usize = 6;
 /// Share of the time on one core that more of them do not shorten (0.05 to 0.08 were seen on 4 to 16 threads).
 const ONE_CORE_SHARE: f64 = 0.08;
 
@@ -69,13 +70,13 @@ pub struct Estimate {
     pub seconds: f64,
 }
 
-/// How much slower this machine is, on the threads that it is given, than one core of the machine the constants are from; takes half a
-/// second. One core is measured: work small enough to be measured quickly is too small for many.
+/// How much slower this machine is, on the threads that it is given, than one core of the machine the constants are from; takes a quarter
+/// of a second. One core is measured: work small enough to be measured quickly is too small for many.
 pub fn slowness() -> f64 {
     let threads = rayon::current_num_threads() as f64;
     let share = ONE_CORE_SHARE + (1.0 - ONE_CORE_SHARE) / threads;
     let one_core = rayon::ThreadPoolBuilder::new().num_threads(1).build();
-    share * one_core.map_or(1.0, |pool| pool.install(one_core_slowness))
+    share * one_core.map_or(1.0, |pool| timeline::alone(|| pool.install(one_core_slowness)))
 }
 
 /// The same of one core.
