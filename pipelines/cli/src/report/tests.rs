@@ -115,6 +115,24 @@ fn page_of_run(contents: &Contents) -> String {
 }
 
 #[test]
+fn the_time_of_a_run_counts_its_pages_and_they_say_the_time_before_them() {
+    timeline::take();
+    let folder = tempfile::tempdir().expect("a temporary folder");
+    let mut metrics = json!({"seconds": 10.0, "timeline": [{"stage": "read", "wall_s": 1.0}]});
+    let wait = || -> Result<(), RunError> {
+        std::thread::sleep(std::time::Duration::from_millis(20));
+        Ok(())
+    };
+    add_report(folder.path(), &mut metrics, wait).expect("written");
+    let seconds = metrics["seconds"].as_f64().expect("a number");
+    assert!((10.02..11.0).contains(&seconds), "{seconds}");
+    assert_eq!(metrics["timeline"][1]["stage"], "report");
+    let read = Folder::read(folder.path(), "metrics.json").expect("written");
+    assert_eq!(read.metrics, metrics);
+    assert!((read.seconds().expect("a number") - 10.0).abs() < 1e-9);
+}
+
+#[test]
 fn a_run_without_metrics_still_has_a_page() {
     let folder = tempfile::tempdir().expect("a temporary folder");
     let mut contents = contents(folder.path());

@@ -5,7 +5,7 @@ use super::model_args::{DsmArgs, DsmSource, RelightArgs, RenderArgs, RenderSplit
 use super::relight_series;
 use super::sweep_dsm::{self, SweptSurface};
 use crate::outcome::{CliError, Outcome};
-use crate::report;
+use crate::report::{self, add_report};
 use heliosplat::timeline::{self, stage};
 use heliosplat_fitting::request::{TrainOutcome, TrainRequest};
 use heliosplat_fitting::run_folder::{RunError, create_folder, read, save_metrics};
@@ -73,11 +73,7 @@ pub(crate) fn train(args: &TrainArgs, session: &Session) -> Result<Outcome, CliE
             (metrics, " (finished before)")
         }
         TrainOutcome::Trained(mut run) => {
-            {
-                let _part = stage("report");
-                report::write_both(&args.out)?;
-            }
-            add_report(&args.out, &mut run.metrics)?;
+            add_report(&args.out, &mut run.metrics, || report::write_both(&args.out))?;
             run.ending.check(&args.out)?;
             (run.metrics, "")
         }
@@ -88,16 +84,6 @@ pub(crate) fn train(args: &TrainArgs, session: &Session) -> Result<Outcome, CliE
         args.out.display()
     );
     Ok(Outcome { json: metrics, text })
-}
-
-/// Adds the time that the pages took to the timeline of a run.
-fn add_report(out: &Path, metrics: &mut Value) -> Result<(), RunError> {
-    if let (Value::Array(stages), Ok(Value::Array(pages))) =
-        (&mut metrics["timeline"], serde_json::to_value(timeline::take()))
-    {
-        stages.extend(pages);
-    }
-    save_metrics(out, metrics)
 }
 
 /// Writes the surface model of a run, or that of a scene's sweep.
