@@ -17,7 +17,7 @@ fn the_timeline_accounts_for_the_time(metrics: &serde_json::Value) {
     let stages = metrics["timeline"].as_array().expect("a timeline");
     let number = |stage: &serde_json::Value, key: &str| stage[key].as_f64().expect("seconds");
     for name in [
-        "read", "ties", "sweep", "colours", "train", "products", "evaluate", "report",
+        "read", "estimate", "ties", "sweep", "colours", "train", "products", "evaluate", "report",
     ] {
         let stage = stages.iter().find(|stage| stage["stage"] == name).expect(name);
         assert!(number(stage, "wall_s") > 0.0, "{name}");
@@ -125,7 +125,12 @@ fn a_tiny_site_becomes_a_surface_model_near_the_truth() {
     let swept = folder.path().join("swept.tif");
     fault(&["dsm", &run_arg, "--from", "sweep", "--out", &arg(&swept)], 2);
     assert!(!swept.exists());
-    json(&["dsm", &scene, "--from", "sweep", "--out", &arg(&swept)]);
+    let said = json(&["dsm", &scene, "--from", "sweep", "--out", &arg(&swept)]);
+    let stages = said["timeline"].as_array().expect("a timeline");
+    for name in ["read", "ties", "sweep", "products"] {
+        let stage = stages.iter().find(|stage| stage["stage"] == name).expect(name);
+        assert!(stage["wall_s"].as_f64().is_some_and(|s| s > 0.0), "{stage}");
+    }
     let truth = Path::new(&scene).join("truth").join("dsm.tif");
     let swept = json(&["evaluate", "--dsm", &arg(&swept), "--truth", &arg(&truth)]);
     let (alone, start) = (&swept["dsm"]["mae_m"], &metrics["start"]["mae_m"]);

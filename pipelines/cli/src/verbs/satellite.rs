@@ -113,17 +113,25 @@ pub(crate) fn dsm(args: &DsmArgs, session: &Session) -> Result<Outcome, CliError
                 "dsm: --at is of a trained run, not of --from sweep".into(),
             ));
         }
-        DsmSource::Sweep => match sweep_dsm::sweep(args, session)? {
-            SweptSurface::Whole { surface, gsd_m, memory } => (*surface, gsd_m, Some(memory)),
-            SweptSurface::InTiles(outcome) => return Ok(outcome),
-        },
+        DsmSource::Sweep => {
+            timeline::take();
+            match sweep_dsm::sweep(args, session)? {
+                SweptSurface::Whole { surface, gsd_m, memory } => (*surface, gsd_m, Some(memory)),
+                SweptSurface::InTiles(mut outcome) => {
+                    outcome.json["timeline"] = stages();
+                    return Ok(outcome);
+                }
+            }
+        }
     };
     let known = surface.raster.plane(0).iter().filter(|v| v.is_finite()).count();
     if known == 0 {
         return Err(sweep_dsm::nothing_known(args, surface.grid.crs.name()));
     }
+    let part = stage("products");
     let filled = if args.fill { surface.fill() } else { 0 };
     surface.write(&args.out)?;
+    drop(part);
     let [share, filled] = [known, filled].map(|cells| cells as f64 / surface.raster.plane_len().max(1) as f64);
     let (width, height) = (surface.grid.width, surface.grid.height);
     let crs = surface.grid.crs.name().to_owned();
@@ -133,6 +141,7 @@ pub(crate) fn dsm(args: &DsmArgs, session: &Session) -> Result<Outcome, CliError
     if let Some(memory) = memory {
         said["tiles"] = json!(1);
         said["memory"] = memory;
+        said["timeline"] = stages();
     }
     Ok(Outcome {
         text: format!(
@@ -146,6 +155,11 @@ pub(crate) fn dsm(args: &DsmArgs, session: &Session) -> Result<Outcome, CliError
         ),
         json: said,
     })
+}
+
+/// The timeline of this command.
+fn stages() -> Value {
+    serde_json::to_value(timeline::take()).unwrap_or_default()
 }
 
 /// Writes the scene of a run under another sun, or under a series of them.
