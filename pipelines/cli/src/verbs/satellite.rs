@@ -50,10 +50,10 @@ pub(crate) fn train(args: &TrainArgs, session: &Session) -> Result<Outcome, CliE
     let preset = args.preset.map(Preset::from);
     let (preset, config, estimate) = configure(&scene, preset, &args.set, args.seed, args.time_budget)?;
     tracing::info!(
-        "estimate: preset {}, {:.2} GiB, {:.0} s",
+        "estimate: preset {}, {:.2} GiB, {}",
         preset.name(),
         estimate.peak_bytes / f64::from(1 << 30),
-        estimate.seconds
+        estimate.time_in_words()
     );
     drop(part);
     // Before its surface is known, a scene is refused only where it would not even fit if it were flat.
