@@ -1,7 +1,8 @@
 //! Where the time goes: stages of a run with their parts, each with wall seconds and processor seconds.
 //!
 //! The thread that leads a run opens stages; while a parallel loop runs, that thread waits. So its own processor time is the work that
-//! kept all other threads waiting, whatever else the machine does meanwhile. Stages that other threads open are in their own record.
+//! kept all other threads waiting, whatever else the machine does meanwhile. Where it waits for what one other thread does, [`alone`] and
+//! [`beside`] add that. Stages that other threads open are in their own record.
 //!
 //! ```
 //! use heliosplat::timeline;
@@ -26,7 +27,7 @@ pub struct Stage {
     pub wall_s: f64,
     /// Processor seconds of all threads of the process; zero where the system does not tell.
     pub processor_s: f64,
-    /// Those of the leading thread: work that ran on one core.
+    /// Those of the leading thread, and of one that it waited for: work that ran on one core.
     pub one_core_s: f64,
     /// Threads used: processor seconds per wall second.
     pub threads: f64,
@@ -54,6 +55,8 @@ struct Record {
     stages: Vec<Stage>,
     /// Places of the open stages, the outermost first.
     open: Vec<usize>,
+    /// Processor seconds of single threads that this one waited for.
+    waited_s: f64,
 }
 
 impl Record {
@@ -84,8 +87,16 @@ impl Clocks {
         Self {
             wall: Instant::now(),
             processor_s,
-            thread_s,
+            thread_s: thread_s + RECORD.with_borrow(|record| record.waited_s),
         }
+    }
+
+    /// Counts the processor time since then as that of one core, though no more than one core can do.
+    fn count_wait(&self) {
+        let now = Self::now();
+        let wall_s = (now.wall - self.wall).as_secs_f64();
+        let others_s = (now.processor_s - self.processor_s).min(wall_s) - (now.thread_s - self.thread_s);
+        RECORD.with_borrow_mut(|record| record.waited_s += others_s.max(0.0));
     }
 }
 
@@ -152,6 +163,30 @@ pub fn take() -> Vec<Stage> {
     RECORD.take().stages
 }
 
+/// Does work that occupies one other thread while this one waits: it counts as work on one core.
+pub fn alone<T>(work: impl FnOnce() -> T) -> T {
+    let begun = Clocks::now();
+    let done = work();
+    begun.count_wait();
+    done
+}
+
+/// Does `lead` on this thread, with its stages in this thread's record, while another thread does `aside`. What is left of `aside` when `lead`
+/// is done counts as work on one core.
+pub fn beside<A: Send, B>(aside: impl FnOnce() -> A + Send, lead: impl FnOnce() -> B) -> (A, B) {
+    let mut done = None;
+    let (led, waits) = rayon::in_place_scope(|scope| {
+        let done = &mut done;
+        scope.spawn(move |_| *done = Some(aside()));
+        (lead(), Clocks::now())
+    });
+    waits.count_wait();
+    match done {
+        Some(done) => (done, led),
+        None => unreachable!("a scope ends when all that it spawned has"),
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -198,5 +233,50 @@ mod tests {
         let (alone, pooled) = (&stages[0], &stages[1]);
         assert!(alone.one_core_s >= 0.029 && alone.processor_s >= 0.029, "{alone:?}");
         assert!(pooled.processor_s >= 0.039 && pooled.one_core_s < 0.01, "{pooled:?}");
+    }
+
+    #[test]
+    #[cfg(unix)]
+    fn work_of_one_other_thread_counts_as_one_core_where_the_leading_one_waits_for_it() {
+        let pool = rayon::ThreadPoolBuilder::new().num_threads(1).build().expect("a pool");
+        take();
+        {
+            let _waited = stage("waited");
+            let _within = stage("within");
+            alone(|| pool.install(|| work(30.0)));
+        }
+        {
+            let _short = stage("short");
+            assert_eq!(
+                beside(
+                    || work(5.0),
+                    || {
+                        work(60.0);
+                        7
+                    }
+                ),
+                ((), 7)
+            );
+        }
+        {
+            let _long = stage("long");
+            beside(|| work(60.0), || work(5.0));
+        }
+        let stages = take();
+        assert!(
+            stages[0].one_core_s >= 0.029 && stages[0].parts[0].one_core_s >= 0.029,
+            "{stages:?}"
+        );
+        // The clocks of the process are read a moment after those of the thread.
+        let most_s = |stage: &Stage| stage.processor_s + 1e-3;
+        assert!(
+            stages.iter().all(|stage| stage.one_core_s <= most_s(stage)),
+            "{stages:?}"
+        );
+        assert!(stages[1].one_core_s >= 0.059, "{stages:?}");
+        assert!(
+            stages[2].one_core_s >= 0.03,
+            "what is left of the long work: {stages:?}"
+        );
     }
 }

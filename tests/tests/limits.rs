@@ -44,6 +44,9 @@ fn inspect_says_what_each_preset_will_take() {
         ["preview", "fast", "balanced", "accurate", "best"].map(|name| number(&format!("/estimates/{name}/seconds")));
     assert!(seconds.is_sorted_by(|a, b| a < b), "{seconds:?}");
     assert!(number("/estimates/balanced/peak_bytes") > 1e7);
+    assert_eq!(seen["estimates"]["best"]["at_most"], true);
+    assert_eq!(seen["estimates"]["fast"]["at_most"], false);
+    assert!(number("/estimates/fast/suns_s") >= 0.0);
 }
 
 #[test]

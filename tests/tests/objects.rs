@@ -52,6 +52,14 @@ fn a_capture_is_recognised_trained_measured_and_rendered() {
     ] {
         assert!(run.join(file).is_file(), "{file}");
     }
+    let stages = metrics["timeline"].as_array().expect("a timeline");
+    for name in ["read", "trials", "start", "train", "save", "evaluate", "report"] {
+        let stage = stages.iter().find(|stage| stage["stage"] == name).expect(name);
+        assert!(stage["wall_s"].as_f64().is_some_and(|s| s > 0.0), "{stage}");
+    }
+    let wall_s: f64 = stages.iter().filter_map(|stage| stage["wall_s"].as_f64()).sum();
+    let run_s = metrics["seconds"].as_f64().expect("seconds");
+    assert!(wall_s <= run_s && wall_s > 0.8 * run_s, "{wall_s} of {run_s} s");
     // What was saved is what was measured.
     let again = json(&["evaluate".as_ref(), run.as_os_str()]);
     let same = again.pointer("/test/psnr").and_then(Value::as_f64).expect("a score");

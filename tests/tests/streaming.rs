@@ -75,6 +75,9 @@ fn a_pair_swept_in_tiles_is_that_swept_at_once_and_shows_no_seam() {
     assert_eq!(whole["tiles"], 1);
     assert!(number(&tiled, "/tiles") >= 4.0, "{tiled}");
     for said in [&whole, &tiled] {
+        let stages = said["timeline"].as_array().expect("a timeline");
+        let has = |name: &str| stages.iter().any(|stage| stage["stage"] == name);
+        assert!(["read", "sweep", "products"].into_iter().all(has), "{said}");
         let [limit, planned, peak] =
             ["limit", "planned", "peak"].map(|name| number(said, &format!("/memory/{name}_bytes")));
         assert!(peak > 0.0 && peak <= planned && planned <= limit, "{said}");

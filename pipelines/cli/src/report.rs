@@ -10,8 +10,9 @@ mod relit;
 
 use crate::page::{calibration, document, picture_of};
 use crate::view::{self, ViewError};
+use heliosplat::timeline::{self, beside, stage};
 use heliosplat_evaluate::uncertainty::Uncertainty;
-use heliosplat_fitting::run_folder::RunError;
+use heliosplat_fitting::run_folder::{RunError, save_metrics};
 use heliosplat_objects::model::is_object_run;
 use heliosplat_products::model::{ModelFile, load_file};
 use heliosplat_raster::write_atomically;
@@ -26,6 +27,9 @@ use std::path::{Path, PathBuf};
 pub const FILE: &str = "report.html";
 /// Name of the calibration plot of runs with truth.
 const CALIBRATION: &str = "calibration.svg";
+
+/// The stage of a run in which its pages are written.
+const PAGES: &str = "report";
 
 /// A folder of pictures with its metrics.
 struct Folder {
@@ -57,6 +61,11 @@ impl Folder {
 
     fn number(&self, pointer: &str) -> Option<f64> {
         self.metrics.pointer(pointer).and_then(Value::as_f64)
+    }
+
+    /// Seconds of the run before its pages were written: what these can say, then and again later.
+    fn seconds(&self) -> Option<f64> {
+        Some(self.number("/seconds")? - pages_s(&self.metrics))
     }
 
     /// An array of the metrics; empty where it is absent.
@@ -96,12 +105,9 @@ impl Contents {
 /// When the folder holds no run, or a file cannot be written.
 pub fn write(folder: &Path) -> Result<PathBuf, RunError> {
     let contents = Contents::read(folder)?;
-    let uncertainty = &contents.folder.metrics["dsm"]["uncertainty"];
-    if let Ok(uncertainty) = Uncertainty::deserialize(uncertainty) {
-        write_atomically(&folder.join(CALIBRATION), calibration::picture(&uncertainty).as_bytes())?;
-    }
+    let sections = sections(&contents)?;
     // Last: where it is, the pictures are complete.
-    save(folder, &page(&contents))
+    save(folder, &page(&contents, sections))
 }
 
 /// Writes the pages of a run of a satellite scene that was trained now: `sun.html`, then `report.html`, which links it.
@@ -109,9 +115,45 @@ pub fn write(folder: &Path) -> Result<PathBuf, RunError> {
 /// # Errors
 /// When the folder holds no run, or a file cannot be written.
 pub fn write_both(folder: &Path) -> Result<(), ViewError> {
-    view::into_folder(folder, view::of_run(folder))?;
-    write(folder)?;
+    let contents = Contents::read(folder)?;
+    // Only the head of the page asks whether the other one is there.
+    let (sections, shown) = beside(
+        || sections(&contents),
+        || view::into_folder(folder, view::of_run(folder)),
+    );
+    shown?;
+    save(folder, &page(&contents, sections?))?;
     Ok(())
+}
+
+/// Seconds that the pages took, as far as `metrics` say.
+fn pages_s(metrics: &Value) -> f64 {
+    let stages = metrics["timeline"].as_array().map_or(&[][..], Vec::as_slice);
+    let pages = stages.iter().filter(|stage| stage["stage"] == PAGES);
+    pages.filter_map(|stage| stage["wall_s"].as_f64()).sum()
+}
+
+/// Writes the pages of a run that was trained now by `write`, and adds the time that they took to its `metrics`, in memory and in its folder.
+///
+/// # Errors
+/// What `write` returns, and when the metrics cannot be written.
+pub fn add_report<T, E: From<RunError>>(
+    folder: &Path,
+    metrics: &mut Value,
+    write: impl FnOnce() -> Result<T, E>,
+) -> Result<(), E> {
+    {
+        let _part = stage(PAGES);
+        write()?;
+    }
+    let pages = serde_json::to_value(timeline::take()).unwrap_or_default();
+    if let (Value::Array(stages), Value::Array(pages)) = (&mut metrics["timeline"], pages) {
+        stages.extend(pages);
+    }
+    if let Some(before_s) = metrics["seconds"].as_f64() {
+        metrics["seconds"] = (before_s + pages_s(metrics)).into();
+    }
+    Ok(save_metrics(folder, metrics)?)
 }
 
 /// Writes the pages of a finished run that has none because it was killed after its metrics were written.
@@ -140,9 +182,14 @@ fn page_of(title: &str, sections: &[Markup]) -> String {
     document(title, &html! { @for section in sections { (section) } })
 }
 
-fn page(run: &Contents) -> String {
-    let sections = [
-        parts::head(run),
+/// What stands below the head of the page; also draws the calibration plot.
+fn sections(run: &Contents) -> Result<Vec<Markup>, RunError> {
+    let uncertainty = &run.folder.metrics["dsm"]["uncertainty"];
+    if let Ok(uncertainty) = Uncertainty::deserialize(uncertainty) {
+        let path = run.folder.path.join(CALIBRATION);
+        write_atomically(&path, calibration::picture(&uncertainty).as_bytes())?;
+    }
+    Ok(vec![
         parts::surface(&run.folder),
         parts::views(run),
         change::changes(run),
@@ -151,7 +198,11 @@ fn page(run: &Contents) -> String {
         parts::accuracy(&run.folder),
         parts::plan(run),
         parts::costs(run),
-    ];
+    ])
+}
+
+fn page(run: &Contents, mut sections: Vec<Markup>) -> String {
+    sections.insert(0, parts::head(run));
     page_of(&run.folder.name(), &sections)
 }
 

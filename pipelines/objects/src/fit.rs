@@ -7,6 +7,7 @@ use super::plan::{self, Plan};
 use super::prepare::{self, FitInput};
 use super::{measure, views};
 use heliosplat::model::View;
+use heliosplat::timeline::stage;
 use heliosplat::train::Trainer;
 use heliosplat_fitting::budget::Budget;
 use heliosplat_fitting::checkpoint::{CheckpointWriter, LoadedCheckpoint};
@@ -55,7 +56,9 @@ pub fn fit(
     let planned_before = checkpoint
         .as_ref()
         .and_then(|checkpoint| checkpoint.preprocessed.clone());
+    let part = stage("trials");
     let plan = planned_before.map_or_else(|| plan::plan(capture, config, session), Ok)?;
+    drop(part);
     checkpoints.preprocessed = Some(plan.clone());
     let with_or_without = |has: bool| if has { "with" } else { "without" };
     tracing::info!(
@@ -66,6 +69,7 @@ pub fn fit(
         plan.reason
     );
     let planned = plan.parts.of(config);
+    let part = stage("start");
     let frames: Vec<&Frame> = capture.of(Split::Train).collect();
     let FitInput {
         kind,
@@ -85,6 +89,8 @@ pub fn fit(
     let steps = options.iterations;
     let started = parameters.gaussians.count;
     let begins = parameters.globals.clone();
+    drop(part);
+    let part = stage("train");
     let prepared = begun.elapsed();
     let mut trainer = Trainer::new(
         &*scene_model,
@@ -106,6 +112,7 @@ pub fn fit(
     }
     let probe = measure::psnr_probe(capture, model::file(capture, kind.clone(), preparation, begins));
     let trained = train(trainer, steps, session, budget, checkpoints, probe.as_deref())?;
+    drop(part);
     let file = model::file(capture, kind, preparation, trained.parameters.globals.clone());
     Ok(Fitted {
         model: ObjectModel {

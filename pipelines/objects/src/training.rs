@@ -9,6 +9,7 @@ use crate::measure;
 use crate::model::ObjectModel;
 use crate::plan::Plan;
 use crate::run::{self, ObjectRun};
+use heliosplat::timeline::{self, stage};
 use heliosplat_fitting::checkpoint::{digest, identity_of_program};
 use heliosplat_fitting::request::{TrainOutcome, TrainRequest, TrainedRun};
 use heliosplat_fitting::run_folder::{
@@ -55,7 +56,10 @@ pub fn train(
     session: &Session,
 ) -> Result<TrainOutcome<TrainedObject>, ObjectError> {
     let out = request.out.as_path();
+    let part = stage("read");
     let capture = open(path, request.memory)?;
+    drop(part);
+    let part = stage("decide");
     if let Some(limit) = request.memory {
         let resident = resident_bytes() as f64;
         let left = limit as f64 - resident;
@@ -80,6 +84,7 @@ pub fn train(
         Opened::Finished(metrics) => return Ok(TrainOutcome::FinishedBefore { metrics }),
         Opened::Open(folder) => *folder,
     };
+    drop(part);
     let RunFolder {
         begun,
         budget,
@@ -92,6 +97,7 @@ pub fn train(
     if fitted.ending == Ending::Interrupted {
         fitted.ending.check(out)?;
     }
+    let part = stage("save");
     let run = ObjectRun {
         version: env!("CARGO_PKG_VERSION").into(),
         preset: request.preset.name().into(),
@@ -104,10 +110,14 @@ pub fn train(
     // What was measured of an earlier run here is not true of this one.
     let _ = std::fs::remove_file(out.join("metrics.json"));
     run::save(out, &run, &fitted.model)?;
+    drop(part);
+    let part = stage("evaluate");
     let pictures = out.join("views");
     create_folder(&pictures)?;
     let mut metrics = measure::metrics(&fitted.model, &capture, Some(&pictures))?;
+    drop(part);
     add_fit(&mut metrics, &fitted, begun.elapsed().as_secs_f64());
+    metrics["timeline"] = serde_json::to_value(timeline::take()).unwrap_or_default();
     closing.finish(&mut metrics, &fitted.ending)?;
     Ok(TrainOutcome::Trained(Box::new(TrainedRun {
         model: TrainedObject {

@@ -1,6 +1,6 @@
 //! What changed between the images of a model: the difference of its surface on the last day and on the first, and when it changed.
 
-use crate::dsm::of_model;
+use crate::dsm::{Dsm, of_model};
 use crate::model::LoadedModel;
 use crate::nadir::NadirGrid;
 use heliosplat::Raster;
@@ -50,16 +50,19 @@ pub struct ChangeMap {
 }
 
 impl ChangeMap {
-    /// The changes of a `whole` model on a grid; `None` where its images cannot tell.
-    pub fn of(whole: &LoadedModel, nadir: &NadirGrid) -> Option<Self> {
+    /// The changes of a `whole` model on a grid, on which `last` is its surface above the ellipsoid after the last of them; `None` where its images
+    /// cannot tell.
+    pub fn of(whole: &LoadedModel, nadir: &NadirGrid, last: &Dsm) -> Option<Self> {
         let changes = whole.file.changes.as_ref()?;
         let mut days: Vec<i32> = changes.segments.iter().map(|segment| segment.day).collect();
         days.sort_unstable();
         days.dedup();
         let first = days.first().map_or(0, |day| day - 1);
         let moments: Vec<i32> = std::iter::once(first).chain(days).collect();
-        let surfaces: Vec<Vec<f32>> = (moments.iter())
+        let before_last = &moments[..moments.len() - 1];
+        let surfaces: Vec<Vec<f32>> = (before_last.iter())
             .map(|&day| of_model(nadir, &whole.on(day)).raster.plane(0).to_vec())
+            .chain(std::iter::once(last.raster.plane(0).to_vec()))
             .collect();
         let (width, height) = (nadir.grid.width, nadir.grid.height);
         let mut raster = Raster::filled(width, height, BANDS.len(), 0.0);

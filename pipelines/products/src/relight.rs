@@ -11,6 +11,7 @@ use heliosplat::model::shadow_gs::{SKY, softplus_inverse};
 use heliosplat::model::{Context, Parameters, SceneModel};
 use heliosplat::render::{Rendering, render};
 use heliosplat::splat::Maps;
+use heliosplat::timeline;
 use heliosplat::{ProjectiveCamera, Raster};
 use heliosplat_fitting::run_folder::RunError;
 use heliosplat_raster::write::{ImageSpec, Sample, write_cog, write_geotiff};
@@ -217,16 +218,13 @@ impl<'a> Viewpoint<'a> {
         let model = self.model;
         let light = light_of(model, sun)?;
         let options = model.pass_options();
-        let Rendering { mut maps, .. } = render(
-            &model.model,
-            &model.parameters,
-            &self.camera,
-            Some(light),
-            None,
-            options,
-        );
-        if let Some((surface, _)) = self.surface() {
-            let lit = surface.lit(sun);
+        let lit = || self.surface().map(|(surface, _)| surface.lit(sun));
+        let through = || {
+            let (parameters, camera) = (&model.parameters, &self.camera);
+            render(&model.model, parameters, camera, Some(light), None, options)
+        };
+        let (lit, Rendering { mut maps, .. }) = timeline::beside(lit, through);
+        if let Some(lit) = lit {
             let Maps { channels, alpha, .. } = &mut maps;
             let weight = over_surface(sun.elevation_rad.to_degrees());
             mix(&mut channels[model.model.visibility_channel()], alpha, &lit, weight);

@@ -94,6 +94,7 @@ pub fn write(
     let nadir = NadirGrid::new(&model.into(), gsd_m, request.crs.as_deref())?;
     let seen = maps(model, &nadir);
     let mut surface = of_model(&nadir, model);
+    let changes = ChangeMap::of(whole, &nadir, &surface);
     if let Some(geoid) = request.geoid {
         surface = surface.above(geoid)?;
     }
@@ -110,7 +111,7 @@ pub fn write(
     let bands = &model.file.bands;
     let mut writer = Writer::new(&nadir.grid, gsd_m, out);
     writer.surface(&surface)?;
-    if let Some(changes) = ChangeMap::of(whole, &nadir) {
+    if let Some(changes) = changes {
         writer.changes(&changes)?;
     }
     let mut albedo = ortho::albedo(model, &seen);

@@ -10,6 +10,7 @@ use super::sweep_memory::search_bytes;
 use super::trial::WORTH_STEPS;
 use heliosplat::bench_fixture::{Descent, Lighting, Site};
 use heliosplat::shade::sh::functions;
+use heliosplat::timeline;
 use heliosplat::trace::transmittance;
 use heliosplat::train::TrainOptions;
 use heliosplat_scene::crop;
@@ -48,7 +49,13 @@ const TRIALS_AS_STEPS: f64 = 30.0;
 /// Seconds of one step of the small site, and of its light, on a core of the machine that the seconds above were measured on.
 const REFERENCE_S: f64 = 0.037;
 /// How often each is measured.
-const MEASUREMENTS: usize = 12;
+const MEASUREMENTS: usize = 6;
+/// Share of the steps after which a state can be the best, from which on epochs without progress count (`src/train/holdout.rs`).
+const KEPT_FROM: f64 = 0.25;
+/// Most time for the search for suns, in times before the first step (1.4 to 3.4 were seen where short fits were made).
+const SUNS_AS_STARTS: f64 = 3.4;
+/// Share of a view's Gaussians whose light hardly matters to it (docs/lab/speed.md).
+const NEGLIGIBLE_SHARE: f64 = 0.25;
 /// Share of the time on one core that more of them do not shorten (0.05 to 0.08 were seen on 4 to 16 threads).
 const ONE_CORE_SHARE: f64 = 0.08;
 
@@ -65,17 +72,35 @@ pub struct Estimate {
     pub steps: usize,
     /// Seconds before the first step.
     pub start_s: f64,
-    /// Seconds in all.
+    /// Seconds in all, with all steps.
     pub seconds: f64,
+    /// Whether training may stop before its last step, where held-out tiles say so: then `seconds` is the most.
+    #[serde(default)]
+    pub at_most: bool,
+    /// Seconds more, at most, to search for suns that are unknown: searches, short fits and further sweeps; 0 where all are known.
+    #[serde(default)]
+    pub suns_s: f64,
 }
 
-/// How much slower this machine is, on the threads that it is given, than one core of the machine the constants are from; takes half a
-/// second. One core is measured: work small enough to be measured quickly is too small for many.
+impl Estimate {
+    /// How long it will take, in words.
+    pub fn time_in_words(&self) -> String {
+        let most = if self.at_most { "at most " } else { "" };
+        let suns = match self.suns_s > 0.0 {
+            true => format!(", and up to {:.0} s more to find unknown suns", self.suns_s),
+            false => String::new(),
+        };
+        format!("{most}{:.0} s{suns}", self.seconds)
+    }
+}
+
+/// How much slower this machine is, on the threads that it is given, than one core of the machine the constants are from; takes a quarter
+/// of a second. One core is measured: work small enough to be measured quickly is too small for many.
 pub fn slowness() -> f64 {
     let threads = rayon::current_num_threads() as f64;
     let share = ONE_CORE_SHARE + (1.0 - ONE_CORE_SHARE) / threads;
     let one_core = rayon::ThreadPoolBuilder::new().num_threads(1).build();
-    share * one_core.map_or(1.0, |pool| pool.install(one_core_slowness))
+    share * one_core.map_or(1.0, |pool| timeline::alone(|| pool.install(one_core_slowness)))
 }
 
 /// The same of one core.
@@ -194,10 +219,15 @@ pub fn must_fit_unread(survey: &Survey, limit: Option<u64>, config: &SatelliteCo
 
 /// What training `scene` will take on a machine of this [`slowness`]; the scene's images are in memory already.
 pub fn estimate(scene: &Scene, config: &SatelliteConfig, slowness: f64) -> Estimate {
-    estimate_of(&scene.into(), config, slowness, held_bytes(scene))
+    let known = estimate_of(&scene.into(), config, slowness, held_bytes(scene));
+    let all_known = scene.images.iter().all(|image| image.sun.position.is_some());
+    Estimate {
+        suns_s: if all_known { 0.0 } else { SUNS_AS_STARTS * known.start_s },
+        ..known
+    }
 }
 
-/// The same of any ground, in a process that holds `held` bytes when training begins, the images among them.
+/// The same of any ground whose suns are all known, in a process that holds `held` bytes when training begins, the images among them.
 pub fn estimate_of(extent: &Extent, config: &SatelliteConfig, slowness: f64, held: f64) -> Estimate {
     let &Extent {
         gsd_m,
@@ -233,7 +263,15 @@ pub fn estimate_of(extent: &Extent, config: &SatelliteConfig, slowness: f64, hel
         steps,
         start_s,
         seconds: start_s + (steps as f64 + trials) * step_s + after_s,
+        at_most: may_stop_early(&config.train, steps, training),
+        suns_s: 0.0,
     }
+}
+
+/// Whether so many steps leave room for as many epochs without progress as end a training of so many views.
+fn may_stop_early(train: &TrainOptions, steps: usize, views: usize) -> bool {
+    let waited = train.patience.saturating_mul(views) as f64;
+    train.patience > 0 && waited < (1.0 - KEPT_FROM) * steps as f64
 }
 
 /// How often a step traces light, in the mean: for its view, and twice where shadow consistency is due.
@@ -244,7 +282,8 @@ fn traces_per_step(train: &TrainOptions) -> f64 {
     } else {
         0.0
     };
-    every(train.light_every) + consistency
+    let sits_out = NEGLIGIBLE_SHARE * (1.0 - every(train.negligible_light_every));
+    every(train.light_every) * (1.0 - sits_out) + consistency
 }
 
 /// Refuses a scene that will not fit into `limit` bytes, with what would.
@@ -266,6 +305,7 @@ pub fn must_fit(needed: f64, limit: Option<u64>, config: &SatelliteConfig) -> Re
 #[cfg(test)]
 mod tests {
     use super::*;
+    use heliosplat_fitting::settings::Preset;
 
     #[test]
     fn what_fits_is_what_was_asked_for() {
@@ -290,5 +330,36 @@ mod tests {
             .expect_err("too large")
             .to_string();
         assert!(error.contains("start.cell_gsd=2.0"), "{error}");
+    }
+
+    #[test]
+    fn a_time_is_the_most_where_training_may_stop_early() {
+        let extent = Extent {
+            area: Area {
+                west_m: 0.0,
+                south_m: 0.0,
+                east_m: 100.0,
+                north_m: 100.0,
+            },
+            gsd_m: 0.5,
+            bands: 4,
+            images: 12,
+            training: 10,
+            altitudes_m: 40.0,
+            widest_base_to_height: 0.5,
+        };
+        let of = |preset: Preset| {
+            let config = SatelliteConfig::resolve(preset, &[], 1).expect("a preset");
+            estimate_of(&extent, &config, 1.0, 1e8)
+        };
+        assert!(of(Preset::Best).at_most && !of(Preset::Fast).at_most && !of(Preset::Preview).at_most);
+        let mut estimate = of(Preset::Best);
+        (estimate.seconds, estimate.suns_s) = (628.6, 0.0);
+        assert_eq!(estimate.time_in_words(), "at most 629 s");
+        (estimate.at_most, estimate.suns_s) = (false, 90.2);
+        assert_eq!(
+            estimate.time_in_words(),
+            "629 s, and up to 90 s more to find unknown suns"
+        );
     }
 }

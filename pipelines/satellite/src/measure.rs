@@ -4,7 +4,7 @@ use super::error::SatelliteError;
 use super::fit::Fitted;
 use super::relit;
 use heliosplat::Raster;
-use heliosplat::timeline::stage;
+use heliosplat::timeline::{beside, stage};
 use heliosplat_evaluate::change::evaluate_change;
 use heliosplat_evaluate::shadow::ShadowCounts;
 use heliosplat_evaluate::{DsmEvaluation, ImageScore, Protocol, error_map, evaluate_dsm};
@@ -55,69 +55,27 @@ pub fn dsm(
 pub fn metrics(scene: &Scene, whole: &LoadedModel, run: &Path, protocol: Protocol) -> Result<Value, SatelliteError> {
     let model = &whole.on_last();
     let mut out = json!({ "gaussians": model.parameters.gaussians.count, "suns": suns(&model.file.images) });
-    let part = stage("errors");
-    if let Some(evaluation) = dsm(scene, model, run, protocol)? {
-        out["dsm"] = surface_metrics(&evaluation);
-        preview::write_png(&run.join("error.png"), &error_map::draw(&evaluation.errors))?;
-        error_map::write(&run.join("error.tif"), &evaluation)?;
+    let (surface, views) = beside(
+        || surface(scene, model, run, protocol),
+        || views(scene, whole, model, run),
+    );
+    if let Some(surface) = surface? {
+        out["dsm"] = surface;
     }
-    drop(part);
-    let (mut train, mut test) = (Vec::new(), Vec::new());
-    let (mut shadows, mut traced) = (ShadowCounts::default(), ShadowCounts::default());
-    let mut colour = None;
-    let rgb = colours_among(&model.file.bands);
-    let mut shown = model.file.images.iter().filter_map(|known| View::of(scene, known));
-    // While a view is rendered on all threads but for moments, the one before it is scored and drawn.
-    let mut waiting: Option<(View, RenderedView)> = None;
-    loop {
-        let before = waiting.take();
-        let mut judged = None;
-        rayon::in_place_scope(|scope| {
-            if let Some((view, rendered)) = before {
-                let judged = &mut judged;
-                scope.spawn(move |_| *judged = Some(view.judge(scene, &rendered, rgb, run)));
-            }
-            let _part = stage("render");
-            waiting = shown.next().map(|view| {
-                let of_day = (view.known.time)
-                    .filter(|_| !whole.model.options.days.is_empty())
-                    .map(|time| whole.on(day_of(time)));
-                let rendered = render_view(of_day.as_ref().unwrap_or(model), view.known, Some(&view.truth));
-                (view, rendered)
-            });
-        });
-        let Some(judged) = judged.transpose()? else {
-            if waiting.is_none() {
-                break;
-            }
-            continue;
-        };
-        if let Some(score) = judged.score {
-            if judged.held_out {
-                colour = Some(judged.colour);
-                test.push(score);
-            } else {
-                train.push(score);
-            }
-        }
-        if let Some([asked, by_trace]) = judged.shadows {
-            shadows.add(asked);
-            traced.add(by_trace);
-        }
+    let views = views?;
+    if !views.train.is_empty() {
+        out["train"] = mean(&views.train);
     }
-    if !train.is_empty() {
-        out["train"] = mean(&train);
-    }
-    if !test.is_empty() {
-        out["test"] = mean(&test);
-        out["test"]["colour"] = json!(colour);
+    if !views.test.is_empty() {
+        out["test"] = mean(&views.test);
+        out["test"]["colour"] = json!(views.colour);
     }
     if let Some(changes) = changes(scene, run, whole)? {
         out["change"] = changes;
     }
-    if let Some(score) = shadows.score().filter(|_| !scene.truth.shadows.is_empty()) {
+    if let Some(score) = views.shadows.score().filter(|_| !scene.truth.shadows.is_empty()) {
         out["shadow"] = serde_json::to_value(score).unwrap_or_default();
-        out["shadow"]["traced"] = serde_json::to_value(traced.score()).unwrap_or_default();
+        out["shadow"]["traced"] = serde_json::to_value(views.traced.score()).unwrap_or_default();
     }
     if let Some(folder) = scene.truth.relit.as_deref().filter(|_| model.file.has_light()) {
         let _part = stage("relit");
@@ -126,6 +84,82 @@ pub fn metrics(scene: &Scene, whole: &LoadedModel, run: &Path, protocol: Protoco
             Ok(relit) => out["relit"] = relit,
             Err(error) => tracing::warn!("truth under other suns is left out: {error}"),
         }
+    }
+    Ok(out)
+}
+
+/// What the surface is worth, with its picture and its map of errors; `None` without truth.
+fn surface(
+    scene: &Scene,
+    model: &LoadedModel,
+    run: &Path,
+    protocol: Protocol,
+) -> Result<Option<Value>, SatelliteError> {
+    let Some(evaluation) = dsm(scene, model, run, protocol)? else {
+        return Ok(None);
+    };
+    preview::write_png(&run.join("error.png"), &error_map::draw(&evaluation.errors))?;
+    error_map::write(&run.join("error.tif"), &evaluation)?;
+    Ok(Some(surface_metrics(&evaluation)))
+}
+
+/// What the views of a run are worth together.
+#[derive(Default)]
+struct Views {
+    train: Vec<ImageScore>,
+    test: Vec<ImageScore>,
+    /// Where the colours of the images held out come from.
+    colour: Option<&'static str>,
+    shadows: ShadowCounts,
+    traced: ShadowCounts,
+}
+
+impl Views {
+    fn add(&mut self, judged: Judged) {
+        if let Some(score) = judged.score {
+            if judged.held_out {
+                self.colour = Some(judged.colour);
+                self.test.push(score);
+            } else {
+                self.train.push(score);
+            }
+        }
+        if let Some([asked, by_trace]) = judged.shadows {
+            self.shadows.add(asked);
+            self.traced.add(by_trace);
+        }
+    }
+}
+
+/// Renders, scores and draws the views of a `whole` model, which is `model` on its last day.
+fn views(scene: &Scene, whole: &LoadedModel, model: &LoadedModel, run: &Path) -> Result<Views, SatelliteError> {
+    let mut out = Views::default();
+    let rgb = colours_among(&model.file.bands);
+    let render = |known| -> Option<(View, RenderedView)> {
+        let view = View::of(scene, known)?;
+        let of_day = (view.known.time)
+            .filter(|_| !whole.model.options.days.is_empty())
+            .map(|time| whole.on(day_of(time)));
+        let rendered = render_view(of_day.as_ref().unwrap_or(model), view.known, Some(&view.truth));
+        Some((view, rendered))
+    };
+    let judge = |(view, rendered): (View, RenderedView)| view.judge(scene, &rendered, rgb, run);
+    let mut waiting: Option<(View, RenderedView)> = None;
+    // While a view is rendered on all threads but for moments, the one before it is scored and drawn.
+    for known in &model.file.images {
+        let before = waiting.take();
+        let (judged, rendered) = beside(
+            || before.map(judge).transpose(),
+            || {
+                let _part = stage("render");
+                render(known)
+            },
+        );
+        judged?.into_iter().for_each(|judged| out.add(judged));
+        waiting = rendered;
+    }
+    if let Some(judged) = waiting.map(judge) {
+        out.add(judged?);
     }
     Ok(out)
 }

@@ -258,7 +258,9 @@ pub fn open_and_sweep(
     config: &SatelliteConfig,
     session: &Session,
 ) -> Result<(Scene, Surface), SatelliteError> {
+    let part = stage("read");
     let mut scene = altitude::open(path, options)?;
+    drop(part);
     let mut surface = sweep_only(&scene, config, session)?;
     for _ in 0..altitude::ROUNDS {
         let wider = AtLimits::of(&surface, &scene).wider(scene.altitude_range_m);
@@ -271,7 +273,9 @@ pub fn open_and_sweep(
             ..options.clone()
         };
         drop(scene);
+        let part = stage("read");
         scene = Scene::open(path, &options)?;
+        drop(part);
         surface = sweep_only(&scene, config, session)?;
     }
     Ok((scene, surface))

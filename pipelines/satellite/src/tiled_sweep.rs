@@ -13,6 +13,7 @@ use super::limits::AtLimits;
 use super::plan::Decisions;
 use super::preprocess::{clear_rasters, shifts_of_ties, sweep, worth_correcting};
 use super::sweep_tiles::{ROWS_AT_ONCE, SweepPlan, SweepTile, SweepTiling};
+use heliosplat::timeline::stage;
 use heliosplat_products::blend::Piece;
 use heliosplat_products::dsm;
 use heliosplat_products::nadir::{NadirGrid, Place};
@@ -86,6 +87,7 @@ impl TiledSweep<'_> {
             let begun = Instant::now();
             if let Some((piece, at)) = self.tile(tile, &decided)? {
                 at_limits += at;
+                let _part = stage("products");
                 pieces.push(StoredPiece::write(piece, folder.path().join(format!("tile-{index}")))?);
             }
             tracing::info!("tile {} of {count}: {:.1} s", index + 1, begun.elapsed().as_secs_f64());
@@ -106,6 +108,7 @@ impl TiledSweep<'_> {
 
     /// Blends the tiles into the file; returns the share of the map that is known.
     fn blended(&self, pieces: &[StoredPiece], out: &Path) -> Result<f64, SatelliteError> {
+        let _part = stage("products");
         let grid = &self.tiling.grid;
         let gsd_m = grid.transform.pixel_size().0 * grid.crs.metres_per_unit();
         let mut file = dsm::streamed(out, grid)?;
@@ -135,8 +138,13 @@ impl TiledSweep<'_> {
         let request = self.request(&ground, decided.matching);
         let shift = |name: &String| decided.shifts_px.get(name).copied().unwrap_or_default();
         let shifts_px: Vec<[f32; 2]> = ground.images.iter().map(|image| shift(&image.name)).collect();
+        let part = stage("clouds");
         let (rasters, _) = clear_rasters(&ground, &decided.decisions, &shifts_px, &request);
+        drop(part);
+        let part = stage("sweep");
         let surface = sweep(&ground, &rasters, &shifts_px, &decided.decisions, &request, &|_| {});
+        drop(part);
+        let _part = stage("products");
         let at_limits = AtLimits::of(&surface, &scene);
         let [columns, rows] = tile.bounds;
         let grid = self
@@ -158,6 +166,7 @@ impl TiledSweep<'_> {
 
     /// Reads what shows a part of the ground; `None` where fewer than two images do.
     fn open(&self, part: &Area) -> Result<Option<Scene>, SatelliteError> {
+        let _part = stage("read");
         match Scene::open_part(self.scene, self.options, part) {
             Ok(scene) => Ok(Some(scene)),
             Err(SceneError::NotCovered { .. }) => Ok(None),
@@ -194,7 +203,10 @@ impl TiledSweep<'_> {
                 break;
             }
             let request = self.request(&ground, matching);
+            let part = stage("clouds");
             let (rasters, _) = clear_rasters(&ground, &decisions, &vec![[0.0; 2]; images], &request);
+            drop(part);
+            let _part = stage("ties");
             match shifts_of_ties(&ground, &rasters, matching, self.survey.gsd_m) {
                 Ok(shifts_px) => {
                     for (image, shift) in ground.images.iter().zip(shifts_px) {

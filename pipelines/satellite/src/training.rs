@@ -21,13 +21,15 @@ use heliosplat_fitting::run_folder::{Input, Opened, RunFolder, RunRequest, hash,
 use heliosplat_fitting::settings::Preset;
 use heliosplat_fitting::training::Ending;
 use heliosplat_products::change::ChangeMap;
-use heliosplat_products::dsm;
+use heliosplat_products::dsm::{self, Dsm};
 use heliosplat_products::model::{LoadedModel, ModelChanges, ModelFile, SCHEMA};
 use heliosplat_products::nadir::NadirGrid;
-use heliosplat_raster::{is_virtual, preview};
+use heliosplat_raster::{RasterError, is_virtual, preview};
 use heliosplat_scene::{AltitudeSource, IngestOptions, Scene, SceneImage, Values};
 use heliosplat_session::Session;
+use rayon::prelude::*;
 use std::fmt::Write;
+use std::path::Path;
 use std::time::Duration;
 
 /// Trains a model of `scene` and writes its run: model, configuration, DSM, and where there is truth its errors. `ingest` is how the
@@ -101,22 +103,18 @@ pub fn train(
     drop(part);
     let part = stage("products");
     let nadir = NadirGrid::new(&(&whole).into(), whole.file.gsd_m, None)?;
-    if let Some(changes) = ChangeMap::of(&whole, &nadir) {
-        changes.write(&request.out.join("change.tif"), &nadir.grid)?;
-        preview::write_png(&request.out.join("change.png"), &error_map::draw(&changes.difference()))?;
-    }
     let model = whole.on_last();
-    let surface = dsm::dsm(&model, model.file.gsd_m, None)?;
-    surface.write(&request.out.join("dsm.tif"))?;
-    preview::write_png(
-        &request.out.join("dsm.png"),
-        &preview::hillshade(&surface.altitude(), model.file.gsd_m),
-    )?;
+    let surface = dsm::of_model(&nadir, &model);
+    let changes = ChangeMap::of(&whole, &nadir, &surface);
+    write_surfaces(&request.out, &surface, changes.as_ref(), model.file.gsd_m)?;
     // Evaluate.
     drop(part);
     let part = stage("evaluate");
-    let start = measure::write_start(scene, &request.out, &fitted, &model)?;
-    let mut metrics = measure::metrics(scene, &whole, &request.out, Protocol::Raw)?;
+    let (start, metrics) = timeline::beside(
+        || measure::write_start(scene, &request.out, &fitted, &model),
+        || measure::metrics(scene, &whole, &request.out, Protocol::Raw),
+    );
+    let (start, mut metrics) = (start?, metrics?);
     if !start.is_null() {
         metrics["start"] = start;
     }
@@ -129,6 +127,18 @@ pub fn train(
         metrics,
         ending: fitted.ending,
     })))
+}
+
+/// Writes the surface model and what changed, each with its picture: one file beside the other, since each takes one core to pack.
+fn write_surfaces(out: &Path, surface: &Dsm, changes: Option<&ChangeMap>, gsd_m: f64) -> Result<(), RasterError> {
+    let changed = |write: &dyn Fn(&ChangeMap) -> Result<(), RasterError>| changes.map_or(Ok(()), write);
+    let files: [&(dyn Fn() -> Result<(), RasterError> + Sync); 4] = [
+        &|| surface.write(&out.join("dsm.tif")),
+        &|| preview::write_png(&out.join("dsm.png"), &preview::hillshade(&surface.altitude(), gsd_m)),
+        &|| changed(&|changes| changes.write(&out.join("change.tif"), &surface.grid)),
+        &|| changed(&|changes| preview::write_png(&out.join("change.png"), &error_map::draw(&changes.difference()))),
+    ];
+    files.par_iter().try_for_each(|write| write())
 }
 
 /// The images, hashed.

@@ -15,7 +15,7 @@
 
 mod segments;
 
-use super::agreement::{OnSurface, Resampled};
+use super::agreement::OnSurface;
 use super::grid::Grid;
 use super::level::LevelView;
 use super::ortho::box_mean;
@@ -29,6 +29,7 @@ use super::surface::Surface;
 use super::views::{SweepView, ViewGeometry};
 use super::visibility::{FirstHits, Standing};
 use super::volume::SearchVolume;
+use rayon::prelude::*;
 use segments::{CoarseSegment, Side};
 
 /// Cells of the request per cell on which change is searched.
@@ -43,6 +44,8 @@ const HIDDEN_M: f32 = 1.5;
 const CHANCE_M: f32 = 7.0;
 /// Census distance by chance where no cell tells.
 const CHANCE: f32 = 0.4;
+/// Rows whose agreement is summed at once.
+const BLOCK_ROWS: usize = 32;
 /// Half of the window over which agreement is averaged, coarse cells.
 const WINDOW: usize = 2;
 /// Ground around segments that is swept with them, metres: as far as what stands there hides and shades.
@@ -237,27 +240,14 @@ fn splits(
     let compared = search.compared(1);
     let (views_of_level, pairs) = (&compared.views[..views.len()], &search.pairs);
     let noise = request.parameters.noise_floor / super::cost::CONTRAST_LIMIT;
-    let resampled = |altitude_m: &[f32]| {
-        let standing = Standing::new(&grid, altitude_m, HIDDEN_M);
-        let hits = |view: &LevelView| FirstHits::new(&view.camera, &standing);
-        let surface = OnSurface {
-            views: views_of_level,
-            hits: &views_of_level.iter().map(hits).collect::<Vec<_>>(),
-            grid: &grid,
-            altitude_m,
-            noise,
-        };
-        surface.resample(0..grid.height)
-    };
     let present = on_grid(&grid, surface);
     let lifted: Vec<f32> = present.iter().map(|z| z + CHANCE_M).collect();
-    let by_chance: Vec<f32> = {
-        let chance = resampled(&lifted);
-        pairs
-            .iter()
-            .map(|pair| mean_known(&chance.distance(pair)).unwrap_or(CHANCE))
-            .collect()
-    };
+    let by_chance: Vec<f32> = on_surface(views_of_level, &grid, noise, &lifted, |surface| {
+        let chance = surface.resample(0..grid.height);
+        let mean = |pair| mean_known(&chance.distance(pair)).unwrap_or(CHANCE);
+        pairs.par_iter().map(mean).collect()
+    });
+    let spans: Vec<[usize; 2]> = pairs.iter().map(|pair| span(pair, days, candidates)).collect();
     let mut splits: Vec<Split> = (candidates.iter())
         .map(|&day| Split {
             day,
@@ -266,15 +256,17 @@ fn splits(
         })
         .collect();
     let mut consider = |altitude: &[f32]| {
-        let distances = resampled(altitude);
-        let gains = agreement(&distances, pairs, &by_chance, days, candidates, &grid);
-        for (split, [before, after, across]) in splits.iter_mut().zip(gains) {
+        let gains = on_surface(views_of_level, &grid, noise, altitude, |surface| {
+            agreement(surface, pairs, &by_chance, &spans, candidates.len())
+        });
+        let splits = splits.par_iter_mut().zip(gains);
+        splits.for_each(|(split, [before, after, across])| {
             for cell in 0..grid.len() {
                 split.one[cell] = split.one[cell].max(before[cell] + after[cell] + across[cell]);
             }
             split.sides[0].consider(&before, altitude);
             split.sides[1].consider(&after, altitude);
-        }
+        });
     };
     consider(&present);
     for (day, after) in [(candidates[0], false), (candidates[candidates.len() - 1], true)] {
@@ -284,36 +276,112 @@ fn splits(
     splits
 }
 
-/// For each day, the agreement beyond chance of the pairs before, from it on, and across it: mean over the window, in agreeing pairs.
+/// What `look` says of views on a surface of one altitude per cell, metres, which hides what lies behind it.
+fn on_surface<T>(
+    views: &[LevelView],
+    grid: &Grid,
+    noise: f32,
+    altitude_m: &[f32],
+    look: impl FnOnce(&OnSurface) -> T,
+) -> T {
+    let standing = Standing::new(grid, altitude_m, HIDDEN_M);
+    let hits = |view: &LevelView| FirstHits::new(&view.camera, &standing);
+    let hits: Vec<FirstHits> = views.par_iter().map(hits).collect();
+    look(&OnSurface {
+        views,
+        hits: &hits,
+        grid,
+        altitude_m,
+        noise,
+    })
+}
+
+/// How many of the days, in order, are not after the earlier image of a pair, and not after the later one.
+fn span(pair: &Pair, days: &[i32], candidates: &[i32]) -> [usize; 2] {
+    let [a, b] = [pair.a, pair.b].map(|view| candidates.partition_point(|day| *day <= days[view]));
+    [a.min(b), a.max(b)]
+}
+
+/// For each of `days` days, the agreement beyond chance of the pairs before, from it on, and across it: mean over the window, in agreeing
+/// pairs.
 fn agreement(
-    surface: &Resampled,
+    surface: &OnSurface,
     pairs: &[Pair],
     by_chance: &[f32],
-    days: &[i32],
-    candidates: &[i32],
-    grid: &Grid,
+    spans: &[[usize; 2]],
+    days: usize,
 ) -> Vec<[Vec<f32>; 3]> {
-    let zeros = || [(); 3].map(|()| vec![0.0f32; grid.len()]);
-    let mut sums: Vec<[Vec<f32>; 3]> = candidates.iter().map(|_| zeros()).collect();
-    for (pair, chance) in pairs.iter().zip(by_chance) {
-        let distance = surface.distance(pair);
-        for (sums, day) in sums.iter_mut().zip(candidates) {
-            let place = match (days[pair.a] >= *day, days[pair.b] >= *day) {
-                (false, false) => 0,
-                (true, true) => 1,
-                _ => 2,
-            };
-            // What one of the two does not see says nothing.
-            let known = sums[place]
-                .iter_mut()
-                .zip(&distance)
-                .filter(|(_, distance)| distance.is_finite());
-            known.for_each(|(sum, distance)| *sum += pair.share() * (chance - distance));
+    let grid = surface.grid;
+    let blocks: Vec<Vec<[Vec<f32>; 3]>> = (0..grid.height.div_ceil(BLOCK_ROWS))
+        .into_par_iter()
+        .map(|block| {
+            let rows = block * BLOCK_ROWS..((block + 1) * BLOCK_ROWS).min(grid.height);
+            let mut sums = SumsOfDays::new(days, rows.len() * grid.width);
+            let resampled = surface.resample(rows);
+            for ((pair, chance), span) in pairs.iter().zip(by_chance).zip(spans) {
+                // What one of the two does not see says nothing.
+                let gain = |distance: f32| match distance.is_finite() {
+                    true => pair.share() * (chance - distance),
+                    false => 0.0,
+                };
+                sums.add(*span, resampled.distance(pair).into_iter().map(gain));
+            }
+            sums.of_days()
+        })
+        .collect();
+    let place = |day: usize, place: usize| {
+        let sum: Vec<f32> = blocks.iter().flat_map(|block| &block[day][place]).copied().collect();
+        box_mean(grid, &sum, WINDOW)
+    };
+    (0..days).map(|day| [0, 1, 2].map(|at| place(day, at))).collect()
+}
+
+/// Sums over pairs, cell by cell, for each day: of those before it, from it on, and across it. Each pair is added twice, however many days
+/// there are. A pair is from the first `span[0]` days on, across those up to `span[1]`, and before the others.
+struct SumsOfDays {
+    cells: usize,
+    /// Sums of the pairs by the first number of their spans, and by the second.
+    by: [Vec<f64>; 2],
+}
+
+impl SumsOfDays {
+    fn new(days: usize, cells: usize) -> Self {
+        Self {
+            cells,
+            by: [(); 2].map(|()| vec![0.0; (days + 1) * cells]),
         }
     }
-    sums.into_iter()
-        .map(|sums| sums.map(|sum| box_mean(grid, &sum, WINDOW)))
-        .collect()
+
+    fn add(&mut self, span: [usize; 2], values: impl Iterator<Item = f32>) {
+        let [from, across] = &mut self.by;
+        let from = &mut from[span[0] * self.cells..(span[0] + 1) * self.cells];
+        let across = &mut across[span[1] * self.cells..(span[1] + 1) * self.cells];
+        for ((from, across), value) in from.iter_mut().zip(across).zip(values) {
+            *from += f64::from(value);
+            *across += f64::from(value);
+        }
+    }
+
+    fn of_days(mut self) -> Vec<[Vec<f32>; 3]> {
+        let cells = self.cells;
+        // From here on: sums over all spans up to each.
+        for sums in &mut self.by {
+            for i in cells..sums.len() {
+                sums[i] += sums[i - cells];
+            }
+        }
+        let [not_from, before] = &self.by;
+        let all = not_from.len() - cells;
+        let day = |first: usize| {
+            let sums = |sum: &dyn Fn(usize) -> f64| (0..cells).map(|cell| sum(cell) as f32).collect();
+            [
+                sums(&|cell| before[first + cell]),
+                sums(&|cell| not_from[all + cell] - not_from[first + cell]),
+                sums(&|cell| not_from[first + cell] - before[first + cell]),
+            ]
+        };
+        (0..all).step_by(cells.max(1)).map(day).collect()
+    }
 }
 
 /// Mean of the values that are known.
@@ -338,7 +406,7 @@ fn shown(views: &[SweepView], grid: &Grid, surface: &Surface) -> Vec<bool> {
     };
     let needed = SHOWN * views.len() as f32;
     let enough = |cell: usize| views.iter().filter(|view| shows(view, cell)).count() as f32 >= needed;
-    (0..grid.len()).map(enough).collect()
+    grid.cells().map(enough).collect()
 }
 
 /// The days on which images can be divided: each is the first of those after.
@@ -409,7 +477,7 @@ fn on_grid(grid: &Grid, surface: &Surface) -> Vec<f32> {
         let y = -within(-y, -surface.north_m, surface.height);
         surface.altitude_at(x, y).unwrap_or(surface.altitude[0])
     };
-    (0..grid.len()).map(of_cell).collect()
+    grid.cells().map(of_cell).collect()
 }
 
 #[cfg(test)]
@@ -428,5 +496,43 @@ mod tests {
         let many: Vec<i32> = (0..40).collect();
         let days = dividing_days(&many);
         assert_eq!((days.len(), days[0], days[MOST_DAYS - 1]), (MOST_DAYS, 2, 38));
+    }
+
+    #[test]
+    fn each_pair_counts_before_from_or_across_every_day() {
+        let days = [3, 9, 4, 4, 12, 7, 20, 1];
+        let candidates = [4, 7, 9, 12];
+        let views = || 0..days.len();
+        let pairs: Vec<(usize, usize)> = views().flat_map(|a| (0..a).map(move |b| (a, b))).collect();
+        let value = |k: usize, cell: usize| ((k * 31 + cell * 17) % 23) as f32 - 11.0;
+        let mut sums = SumsOfDays::new(candidates.len(), 3);
+        for (k, &(a, b)) in pairs.iter().enumerate() {
+            let pair = Pair {
+                a,
+                b,
+                weight: 1,
+                same_date: false,
+                base_to_height: 0.5,
+            };
+            sums.add(span(&pair, &days, &candidates), (0..3).map(|cell| value(k, cell)));
+        }
+        let sums = sums.of_days();
+        assert_eq!(sums.len(), candidates.len());
+        for (sums, day) in sums.iter().zip(candidates) {
+            let mut slow = [[0.0; 3]; 3];
+            for (k, &(a, b)) in pairs.iter().enumerate() {
+                let place = match (days[a] >= day, days[b] >= day) {
+                    (false, false) => 0,
+                    (true, true) => 1,
+                    _ => 2,
+                };
+                (0..3).for_each(|cell| slow[place][cell] += value(k, cell));
+            }
+            assert_eq!(
+                sums.each_ref().map(|sum| sum.as_slice()),
+                slow.each_ref().map(|sum| sum.as_slice()),
+                "{day}"
+            );
+        }
     }
 }

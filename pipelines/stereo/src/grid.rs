@@ -77,6 +77,14 @@ impl Grid {
         row.min(self.height - 1) * self.width + col.min(self.width - 1)
     }
 
+    /// Whether the box of two ground positions lies beside the grid, at least a cell away from it.
+    pub(super) fn is_beside(&self, a: Vec3, b: Vec3) -> bool {
+        let (low, high) = (a.min(b), a.max(b));
+        let east_m = self.west_m + (self.width + 1) as f32 * self.cell_m;
+        let south_m = self.north_m - (self.height + 1) as f32 * self.cell_m;
+        high.x < self.west_m - self.cell_m || low.x > east_m || low.y > self.north_m + self.cell_m || high.y < south_m
+    }
+
     /// Whether a ground position lies on the grid.
     pub(super) fn contains(&self, x_m: f32, y_m: f32) -> bool {
         let (col, row) = ((x_m - self.west_m) / self.cell_m, (self.north_m - y_m) / self.cell_m);

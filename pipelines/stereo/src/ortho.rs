@@ -66,20 +66,62 @@ pub(super) fn median(grid: &Grid, values: &[f32], radius: usize) -> Vec<f32> {
 /// Means over square windows of what is known; NaN where less than half of one is.
 pub(super) fn box_mean(grid: &Grid, values: &[f32], radius: usize) -> Vec<f32> {
     let whole = (2 * radius + 1).pow(2);
-    (0..grid.len())
-        .into_par_iter()
-        .with_min_len(grid.width)
-        .map(|cell| {
-            let known = grid
-                .around(cell, radius)
-                .map(|near| values[near])
-                .filter(|v| v.is_finite());
-            let (sum, count) = known.fold((0.0, 0), |(sum, count), v| (sum + v, count + 1));
-            if 2 * count >= whole {
-                sum / count as f32
-            } else {
-                f32::NAN
+    let width = grid.width;
+    let mut out = vec![f32::NAN; grid.len()];
+    out.par_chunks_mut(width.max(1))
+        .with_min_len(8)
+        .enumerate()
+        .for_each(|(row, means)| {
+            let (mut sums, mut counts) = (vec![0.0f32; width], vec![0u32; width]);
+            for r in row.saturating_sub(radius)..(row + radius + 1).min(grid.height) {
+                let line = &values[r * width..(r + 1) * width];
+                // All cells of the row at once, neighbour by neighbour: each cell adds its own in the same order.
+                for aside in 0..=2 * radius {
+                    let (first, skipped) = (radius.saturating_sub(aside), aside.saturating_sub(radius));
+                    let near = line.get(skipped..).unwrap_or_default();
+                    let cells = sums.iter_mut().zip(&mut counts).skip(first);
+                    for ((sum, count), value) in cells.zip(near) {
+                        *sum += if value.is_finite() { *value } else { 0.0 };
+                        *count += u32::from(value.is_finite());
+                    }
+                }
             }
-        })
-        .collect()
+            for ((mean, sum), count) in means.iter_mut().zip(sums).zip(counts) {
+                if 2 * count as usize >= whole {
+                    *mean = sum / count as f32;
+                }
+            }
+        });
+    out
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_box_mean_is_that_of_what_is_known_in_the_window() {
+        for (width, height, radius) in [(7, 5, 2), (1, 9, 2), (2, 2, 3), (6, 1, 1)] {
+            let grid = Grid::plain(width, height);
+            let value = |i: usize| match i % 5 {
+                3 => f32::NAN,
+                _ => 0.1 * (i * 37 % 11) as f32,
+            };
+            let values: Vec<f32> = (0..grid.len()).map(value).collect();
+            let slow = |cell: usize| {
+                let known = || {
+                    grid.around(cell, radius)
+                        .map(|near| values[near])
+                        .filter(|v| v.is_finite())
+                };
+                match 2 * known().count() >= (2 * radius + 1).pow(2) {
+                    true => known().fold(0.0, |sum, v| sum + v) / known().count() as f32,
+                    false => f32::NAN,
+                }
+            };
+            let bits = |values: Vec<f32>| values.into_iter().map(f32::to_bits).collect::<Vec<_>>();
+            let slow: Vec<f32> = (0..grid.len()).map(slow).collect();
+            assert_eq!(bits(box_mean(&grid, &values, radius)), bits(slow), "{width} x {height}");
+        }
+    }
 }

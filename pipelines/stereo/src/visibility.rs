@@ -146,6 +146,10 @@ fn first_hit(
     let (Some(mut start), Some(end)) = (at(highest.top_m), at(highest.bottom_m)) else {
         return f32::MIN;
     };
+    // Where little ground is looked at, most of an image shows what is beside it.
+    if grid.is_beside(start, end) {
+        return f32::MIN;
+    }
     for _ in 0..BOUND_ROUNDS {
         // The higher the surface under the ray can be, the earlier the walk must begin; and the other way round.
         // Where nothing is known under it there is nothing above the lowest of what is.
@@ -167,4 +171,64 @@ fn first_hit(
         above = p.z;
     }
     f32::MIN
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn rays_that_pass_beside_the_ground_meet_nothing_and_others_meet_what_they_met_on_wider_ground() {
+        let camera = ProjectiveCamera::new(
+            [1.0, 0.0, 0.6, 60.0],
+            [0.0, -1.0, 0.4, 60.0],
+            [0.0; 3],
+            (120, 120),
+            glam::DVec3::new(0.6, -0.4, -1.0).normalize(),
+        );
+        let grid = |cells: usize| Grid {
+            width: cells,
+            height: cells,
+            west_m: -0.5 * cells as f32,
+            north_m: 0.5 * cells as f32,
+            cell_m: 1.0,
+        };
+        // A house on small ground in the middle, and the same with nothing around it.
+        let (small, wide) = (grid(20), grid(100));
+        let is_house = |at: usize, cells: usize| (cells / 2 - 5..cells / 2 + 5).contains(&at);
+        let altitude = |grid: &Grid| -> Vec<f32> {
+            let cells = grid.width;
+            let of_cell = |cell: usize| {
+                let (col, row) = (cell % cells, cell / cells);
+                let within = |at: usize| (cells / 2 - 10..cells / 2 + 10).contains(&at);
+                match (is_house(col, cells) && is_house(row, cells), within(col) && within(row)) {
+                    (true, _) => 9.0,
+                    (false, true) => 0.0,
+                    (false, false) => f32::MIN,
+                }
+            };
+            (0..grid.len()).map(of_cell).collect()
+        };
+        let hits = |grid: &Grid| {
+            let standing = Standing {
+                grid: *grid,
+                altitude: altitude(grid),
+                highest: HighestTiles::new(grid, &altitude(grid)),
+                tolerance_m: 1.0,
+            };
+            FirstHits::new(&camera, &standing).altitude
+        };
+        let (of_small, of_wide) = (hits(&small), hits(&wide));
+        let beside = |pixel: usize| {
+            let at = |z: f32| camera.point_at_altitude((pixel % 120) as f32, (pixel / 120) as f32, z);
+            at(9.0).zip(at(0.0)).is_some_and(|(a, b)| small.is_beside(a, b))
+        };
+        let passing = (0..120 * 120).filter(|&pixel| beside(pixel)).count();
+        assert!(passing > 120 * 120 / 2, "{passing}");
+        for pixel in 0..120 * 120 {
+            assert_eq!(of_small[pixel] > f32::MIN, of_wide[pixel] > f32::MIN, "{pixel}");
+            assert!(!beside(pixel) || of_small[pixel] == f32::MIN, "{pixel}");
+        }
+        assert!(of_small.iter().filter(|hit| **hit == 9.0).count() > 80);
+    }
 }

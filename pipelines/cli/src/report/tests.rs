@@ -102,7 +102,7 @@ fn what_comes_from_outside_stays_text_and_nothing_is_fetched() {
     picture.save(folder.path().join("views/view.png")).expect("written");
     picture.save(folder.path().join("dsm.png")).expect("written");
     std::fs::write(folder.path().join("error.png"), b"no picture").expect("written");
-    let page = page(&contents(folder.path()));
+    let page = page_of_run(&contents(folder.path()));
     assert!(!page.contains("<img src=x"), "an image from outside");
     assert!(!page.contains("http") && !page.contains("<script") && !page.contains("src=\"views"));
     // The surface and the four panels of the view; what is no picture is left out.
@@ -110,12 +110,34 @@ fn what_comes_from_outside_stays_text_and_nothing_is_fetched() {
     assert!(page.contains("held out") && page.matches("<polyline").count() == 5);
 }
 
+fn page_of_run(contents: &Contents) -> String {
+    page(contents, sections(contents).expect("written"))
+}
+
+#[test]
+fn the_time_of_a_run_counts_its_pages_and_they_say_the_time_before_them() {
+    timeline::take();
+    let folder = tempfile::tempdir().expect("a temporary folder");
+    let mut metrics = json!({"seconds": 10.0, "timeline": [{"stage": "read", "wall_s": 1.0}]});
+    let wait = || -> Result<(), RunError> {
+        std::thread::sleep(std::time::Duration::from_millis(20));
+        Ok(())
+    };
+    add_report(folder.path(), &mut metrics, wait).expect("written");
+    let seconds = metrics["seconds"].as_f64().expect("a number");
+    assert!((10.02..11.0).contains(&seconds), "{seconds}");
+    assert_eq!(metrics["timeline"][1]["stage"], "report");
+    let read = Folder::read(folder.path(), "metrics.json").expect("written");
+    assert_eq!(read.metrics, metrics);
+    assert!((read.seconds().expect("a number") - 10.0).abs() < 1e-9);
+}
+
 #[test]
 fn a_run_without_metrics_still_has_a_page() {
     let folder = tempfile::tempdir().expect("a temporary folder");
     let mut contents = contents(folder.path());
     contents.folder.metrics = Value::Null;
-    let page = page(&contents);
+    let page = page_of_run(&contents);
     assert!(page.contains("Component plan") && !page.contains("<svg"));
 }
 
@@ -143,7 +165,7 @@ fn the_plan_says_what_a_component_gains_and_costs() {
         decided: true,
     };
     contents.folder.metrics["trials"] = json!({ "trials": [trial] });
-    let page = page(&contents);
+    let page = page_of_run(&contents);
     for said in ["+0.31 ± 0.05", "× 1.20", "<td>+4</td>"] {
         assert!(page.contains(said), "{said}");
     }

@@ -65,13 +65,18 @@ fn estimates_table(estimates: &[(&str, Estimate)]) -> String {
         text += "\ntraining will take about\n";
     }
     for (preset, e) in estimates {
+        let most = if e.at_most { "at most" } else { "" };
         // Writing to a String cannot fail.
         let _ = writeln!(
             text,
-            "  {preset:<9} {:>6.0} s, {:.1} GiB",
+            "  {preset:<9} {most:<7} {:>6.0} s, {:.1} GiB",
             e.seconds,
             e.peak_bytes / f64::from(1 << 30)
         );
+    }
+    let suns_s = estimates.iter().map(|(_, e)| e.suns_s).fold(0.0, f64::max);
+    if suns_s > 0.0 {
+        let _ = writeln!(text, "  and up to {suns_s:.0} s more to find unknown suns");
     }
     text
 }

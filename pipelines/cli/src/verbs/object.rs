@@ -3,9 +3,10 @@
 use super::export_args::ExportArgs;
 use super::model_args::{RelightArgs, RenderArgs, RenderSplit, TrainArgs};
 use crate::outcome::{CliError, Outcome};
-use crate::report;
+use crate::report::{self, add_report};
 use glam::DVec3;
 use heliosplat::light::Light;
+use heliosplat::timeline;
 use heliosplat_fitting::request::{TrainOutcome, TrainRequest};
 use heliosplat_fitting::run_folder::create_folder;
 use heliosplat_fitting::settings::Preset;
@@ -14,7 +15,7 @@ use heliosplat_objects::model::{self, components};
 use heliosplat_objects::pixels::Encoding;
 use heliosplat_objects::run;
 use heliosplat_objects::surroundings::{self, Lamp};
-use heliosplat_objects::training::{self, open};
+use heliosplat_objects::training::{self, TrainedObject, open};
 use heliosplat_objects::{export, measure, mesh, plan, views};
 use heliosplat_raster::preview::write_png;
 use heliosplat_raster::write::write_atomically;
@@ -30,6 +31,7 @@ use std::time::Instant;
 /// When the capture, the configuration or a limit is at fault, training gives up, or a file cannot be written.
 pub(crate) fn train(args: &TrainArgs, session: &Session) -> Result<Outcome, CliError> {
     let begun = Instant::now();
+    timeline::take();
     for (given, name) in [
         (args.ingest.altitude.is_some(), "altitude"),
         (args.ingest.area.is_some(), "area"),
@@ -55,8 +57,11 @@ pub(crate) fn train(args: &TrainArgs, session: &Session) -> Result<Outcome, CliE
             report::complete(&args.out)?;
             (metrics, " (finished before)")
         }
-        TrainOutcome::Trained(run) => {
-            report::object::of(&args.out, &run.model.model, &run.model.run)?;
+        TrainOutcome::Trained(mut run) => {
+            let TrainedObject { model, run: of_model } = &run.model;
+            add_report(&args.out, &mut run.metrics, || {
+                report::object::of(&args.out, model, of_model)
+            })?;
             run.ending.check(&args.out)?;
             (run.metrics, "")
         }

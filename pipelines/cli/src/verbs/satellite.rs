@@ -5,7 +5,7 @@ use super::model_args::{DsmArgs, DsmSource, RelightArgs, RenderArgs, RenderSplit
 use super::relight_series;
 use super::sweep_dsm::{self, SweptSurface};
 use crate::outcome::{CliError, Outcome};
-use crate::report;
+use crate::report::{self, add_report};
 use heliosplat::timeline::{self, stage};
 use heliosplat_fitting::request::{TrainOutcome, TrainRequest};
 use heliosplat_fitting::run_folder::{RunError, create_folder, read, save_metrics};
@@ -50,10 +50,10 @@ pub(crate) fn train(args: &TrainArgs, session: &Session) -> Result<Outcome, CliE
     let preset = args.preset.map(Preset::from);
     let (preset, config, estimate) = configure(&scene, preset, &args.set, args.seed, args.time_budget)?;
     tracing::info!(
-        "estimate: preset {}, {:.2} GiB, {:.0} s",
+        "estimate: preset {}, {:.2} GiB, {}",
         preset.name(),
         estimate.peak_bytes / f64::from(1 << 30),
-        estimate.seconds
+        estimate.time_in_words()
     );
     drop(part);
     // Before its surface is known, a scene is refused only where it would not even fit if it were flat.
@@ -73,11 +73,7 @@ pub(crate) fn train(args: &TrainArgs, session: &Session) -> Result<Outcome, CliE
             (metrics, " (finished before)")
         }
         TrainOutcome::Trained(mut run) => {
-            {
-                let _part = stage("report");
-                report::write_both(&args.out)?;
-            }
-            add_report(&args.out, &mut run.metrics)?;
+            add_report(&args.out, &mut run.metrics, || report::write_both(&args.out))?;
             run.ending.check(&args.out)?;
             (run.metrics, "")
         }
@@ -88,16 +84,6 @@ pub(crate) fn train(args: &TrainArgs, session: &Session) -> Result<Outcome, CliE
         args.out.display()
     );
     Ok(Outcome { json: metrics, text })
-}
-
-/// Adds the time that the pages took to the timeline of a run.
-fn add_report(out: &Path, metrics: &mut Value) -> Result<(), RunError> {
-    if let (Value::Array(stages), Ok(Value::Array(pages))) =
-        (&mut metrics["timeline"], serde_json::to_value(timeline::take()))
-    {
-        stages.extend(pages);
-    }
-    save_metrics(out, metrics)
 }
 
 /// Writes the surface model of a run, or that of a scene's sweep.
@@ -127,17 +113,25 @@ pub(crate) fn dsm(args: &DsmArgs, session: &Session) -> Result<Outcome, CliError
                 "dsm: --at is of a trained run, not of --from sweep".into(),
             ));
         }
-        DsmSource::Sweep => match sweep_dsm::sweep(args, session)? {
-            SweptSurface::Whole { surface, gsd_m, memory } => (*surface, gsd_m, Some(memory)),
-            SweptSurface::InTiles(outcome) => return Ok(outcome),
-        },
+        DsmSource::Sweep => {
+            timeline::take();
+            match sweep_dsm::sweep(args, session)? {
+                SweptSurface::Whole { surface, gsd_m, memory } => (*surface, gsd_m, Some(memory)),
+                SweptSurface::InTiles(mut outcome) => {
+                    outcome.json["timeline"] = stages();
+                    return Ok(outcome);
+                }
+            }
+        }
     };
     let known = surface.raster.plane(0).iter().filter(|v| v.is_finite()).count();
     if known == 0 {
         return Err(sweep_dsm::nothing_known(args, surface.grid.crs.name()));
     }
+    let part = stage("products");
     let filled = if args.fill { surface.fill() } else { 0 };
     surface.write(&args.out)?;
+    drop(part);
     let [share, filled] = [known, filled].map(|cells| cells as f64 / surface.raster.plane_len().max(1) as f64);
     let (width, height) = (surface.grid.width, surface.grid.height);
     let crs = surface.grid.crs.name().to_owned();
@@ -147,6 +141,7 @@ pub(crate) fn dsm(args: &DsmArgs, session: &Session) -> Result<Outcome, CliError
     if let Some(memory) = memory {
         said["tiles"] = json!(1);
         said["memory"] = memory;
+        said["timeline"] = stages();
     }
     Ok(Outcome {
         text: format!(
@@ -160,6 +155,11 @@ pub(crate) fn dsm(args: &DsmArgs, session: &Session) -> Result<Outcome, CliError
         ),
         json: said,
     })
+}
+
+/// The timeline of this command.
+fn stages() -> Value {
+    serde_json::to_value(timeline::take()).unwrap_or_default()
 }
 
 /// Writes the scene of a run under another sun, or under a series of them.

@@ -2,6 +2,7 @@
 
 use super::model_args::DsmArgs;
 use crate::outcome::{CliError, Outcome};
+use heliosplat::timeline::stage;
 use heliosplat_fitting::run_folder::peak_rss_bytes;
 use heliosplat_fitting::settings::Preset;
 use heliosplat_products::dsm::{self, Dsm};
@@ -35,8 +36,10 @@ pub(super) enum SweptSurface {
 /// Sweeps a scene; where it does not fit into memory, tile by tile into the file.
 pub(super) fn sweep(args: &DsmArgs, session: &Session) -> Result<SweptSurface, CliError> {
     let config = SatelliteConfig::resolve(Preset::Fast, &[], 1)?;
+    let part = stage("read");
     let options = altitude::resolve(&args.run, &args.ingest.options())?;
     let survey = Survey::open(&args.run, &options)?;
+    drop(part);
     let limit = args.memory.or_else(share_of_memory);
     let plan = plan(args, &survey, &config, limit)?;
     if plan.tiling.is_some() {
@@ -45,6 +48,7 @@ pub(super) fn sweep(args: &DsmArgs, session: &Session) -> Result<SweptSurface, C
     }
     drop(survey);
     let (scene, found) = preprocess::open_and_sweep(&args.run, &options, &config, session)?;
+    let _part = stage("products");
     let gsd_m = args.gsd.unwrap_or(scene.gsd_m);
     let surface = dsm::of_surface(&(&scene).into(), &found, gsd_m, args.crs.as_deref())?;
     Ok(SweptSurface::Whole {
@@ -79,7 +83,9 @@ fn in_tiles(
     session: &Session,
 ) -> Result<Outcome, CliError> {
     for round in 0.. {
+        let part = stage("read");
         let survey = Survey::open(&args.run, &options)?;
+        drop(part);
         let plan = plan(args, &survey, config, limit)?;
         // A range that is wider never makes a scene fit as a whole that did not.
         let Some(tiling) = &plan.tiling else { break };

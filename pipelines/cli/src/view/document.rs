@@ -98,7 +98,12 @@ fn data(exhibit: &Exhibit) -> Result<Value, ViewError> {
     };
     let darkest = exhibit.light.shade.iter().flatten().copied().fold(1.0, f32::min);
     let albedo = || pack::albedo(exhibit.albedo.as_ref()?, darkest);
-    let (heights, albedo) = rayon::join(|| pack::heights(altitude), albedo);
+    let dates = || exhibit.dates.par_iter().map(date).collect::<Vec<_>>();
+    let layers = || exhibit.layers.par_iter().filter_map(layer).collect::<Vec<_>>();
+    let ((heights, albedo), (dates, layers)) = rayon::join(
+        || rayon::join(|| pack::heights(altitude), albedo),
+        || rayon::join(dates, layers),
+    );
     let heights = heights.ok_or_else(nothing)?;
     let place = Place::of(&exhibit.grid, f64::from(heights.low_m))?;
     let crs = &exhibit.grid.crs;
@@ -118,8 +123,8 @@ fn data(exhibit: &Exhibit) -> Result<Value, ViewError> {
         "albedo": albedo,
         "gamma": GAMMA,
         "light": exhibit.light,
-        "dates": exhibit.dates.par_iter().map(date).collect::<Vec<_>>(),
-        "layers": exhibit.layers.par_iter().filter_map(layer).collect::<Vec<_>>(),
+        "dates": dates,
+        "layers": layers,
     }))
 }
 

@@ -6,6 +6,7 @@ use super::layer::{Layer, Ramp};
 use super::of_files::{on_grid, surface};
 use super::ortho_image;
 use crate::page::picture_of;
+use heliosplat::timeline::beside;
 use heliosplat_products::model::{self, LoadedModel};
 use heliosplat_products::nadir::NadirGrid;
 use heliosplat_products::relight::{LOWEST_SUN_DEG, Viewpoint};
@@ -30,17 +31,24 @@ const ERROR_M: f32 = heliosplat_evaluate::error_map::FULL_COLOUR_M;
 /// # Errors
 /// When the folder holds no satellite run, or a file of it cannot be read.
 pub fn of_run(folder: &Path) -> Result<Exhibit, ViewError> {
-    let model = model::load(folder)?;
-    let mut exhibit = surface(&folder.join("dsm.tif"))?;
+    let (model, exhibit) = beside(|| model::load(folder), || surface(&folder.join("dsm.tif")));
+    let (model, mut exhibit) = (model?, exhibit?);
     exhibit.title = title(folder);
-    let nadir = NadirGrid::on(&(&model).into(), exhibit.grid.clone())?;
-    let albedo = ortho::albedo(&model, &dsm::maps(&model, &nadir));
-    exhibit.albedo = Some(coloured(&albedo, shown(&model.file.bands)));
     let sky = model.model.sky(&model.parameters, model.file.options.reference);
     exhibit.light = Light::of_model(&model.file, &sky);
-    exhibit.dates = traced(&model, &nadir)?;
-    exhibit.layers = images(&model, &exhibit)?;
-    exhibit.layers.extend(maps(folder, &exhibit)?);
+    let nadir = NadirGrid::on(&(&model).into(), exhibit.grid.clone())?;
+    let layers = || -> Result<Vec<Layer>, ViewError> {
+        let mut layers = images(&model, &exhibit)?;
+        layers.extend(maps(folder, &exhibit)?);
+        Ok(layers)
+    };
+    let (layers, (albedo, dates)) = beside(layers, || {
+        let albedo = ortho::albedo(&model, &dsm::maps(&model, &nadir));
+        (coloured(&albedo, shown(&model.file.bands)), traced(&model, &nadir))
+    });
+    exhibit.albedo = Some(albedo);
+    exhibit.dates = dates?;
+    exhibit.layers = layers?;
     Ok(exhibit)
 }
 

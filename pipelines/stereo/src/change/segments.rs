@@ -3,6 +3,7 @@
 use super::super::grid::Grid;
 use super::Split;
 use heliosplat_rpc::statistics::upper_quantile;
+use rayon::prelude::*;
 use std::collections::BTreeSet;
 
 /// Least difference of the two surfaces, metres.
@@ -94,7 +95,7 @@ pub(super) fn find(grid: &Grid, splits: &[Split], shown: &[bool]) -> Vec<CoarseS
             let those = splits.iter().filter(|split| split.differs(cell, up));
             those.map(|split| split.gain(cell)).fold(f32::MIN, f32::max)
         };
-        let seeds: Vec<bool> = (0..grid.len())
+        let seeds: Vec<bool> = (grid.cells())
             .map(|cell| shown[cell] && best(cell) > SEED_GAIN)
             .collect();
         for cells in connected(grid, &seeds) {
