@@ -65,14 +65,6 @@ enum Finder {
 }
 
 impl Transmittance {
-    /// Values known from elsewhere; their backward pass adds nothing.
-    pub fn known(values: Vec<f32>) -> Self {
-        Self {
-            values,
-            ..Self::default()
-        }
-    }
-
     /// From the results of all rays.
     fn of(traced_rays: &[RayTransmittance], rays: Vec<LightRay>, finder: Finder) -> Self {
         let (values, ray_gradients) = traced_rays

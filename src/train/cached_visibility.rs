@@ -3,8 +3,8 @@
 
 use crate::gaussians::for_each_of;
 
-/// Gradients below this share of the mean of those that are not zero are negligible. On `block` a quarter of the splats has such, and with 0.3
-/// almost half (docs/lab/speed.md).
+/// Gradients below this share of the mean of those that are not zero are negligible: those of a quarter to two fifths of a view's splats, and
+/// with 0.3 of about half (docs/lab/speed.md).
 const NEGLIGIBLE: f64 = 0.1;
 
 /// A view's transmittances toward its light from an earlier step, by Gaussian.
@@ -14,7 +14,7 @@ pub(super) struct CachedVisibility {
     pub(super) values: Vec<f32>,
     /// Steps that have used it, the one that traced it included.
     pub(super) uses: usize,
-    /// Gaussians of the view whose light hardly changed its image at the last trace: what hides behind others, for the most part.
+    /// Gaussians of the view whose light hardly changed its image at the last trace.
     negligible: Vec<bool>,
     /// Traces of this view before this one, since the number of Gaussians changed.
     traces: usize,

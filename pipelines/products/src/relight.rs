@@ -18,6 +18,7 @@ use heliosplat_raster::write::{ImageSpec, Sample, write_cog, write_geotiff};
 use heliosplat_raster::{GridSpec, RasterError, preview};
 use heliosplat_rpc::sun::SunPosition;
 use std::path::{Path, PathBuf};
+use std::sync::OnceLock;
 
 /// Why a scene cannot be relit.
 #[derive(Debug, thiserror::Error)]
@@ -115,8 +116,10 @@ pub struct Viewpoint<'a> {
 /// What is known of a place that is seen from straight above.
 struct Above {
     grid: GridSpec,
-    /// The surface, if there is light to throw shadows, and its slopes.
-    surface: Option<(SurfaceShadows, RoofSlopes)>,
+    /// The surface, if there is light to throw shadows.
+    surface: Option<SurfaceShadows>,
+    /// Its slopes, which shadows alone do not ask for.
+    slopes: OnceLock<RoofSlopes>,
 }
 
 impl<'a> Viewpoint<'a> {
@@ -140,25 +143,14 @@ impl<'a> Viewpoint<'a> {
 
     /// From straight above, on a grid.
     pub fn above(model: &'a LoadedModel, nadir: &NadirGrid) -> Self {
-        let surface = model.file.has_light().then(|| {
-            let surface = SurfaceShadows::new(model, nadir);
-            let up = |sun: &SunPosition| sun.elevation_rad.to_degrees() >= LOWEST_SUN_DEG;
-            let suns: Vec<SunPosition> = model
-                .file
-                .images
-                .iter()
-                .filter_map(|image| image.sun)
-                .filter(up)
-                .collect();
-            let slopes = surface.roof_slopes(&suns);
-            (surface, slopes)
-        });
+        let surface = model.file.has_light().then(|| SurfaceShadows::new(model, nadir));
         Self {
             model,
             camera: nadir.camera,
             above: Some(Above {
                 grid: nadir.grid.clone(),
                 surface,
+                slopes: OnceLock::new(),
             }),
         }
     }
@@ -171,7 +163,7 @@ impl<'a> Viewpoint<'a> {
     pub fn relit(&self, sun: &SunPosition) -> Result<Relit, RelightError> {
         let (light, mut maps) = self.traced(sun)?;
         let visibility = visibility_of(self.model, &maps);
-        if let Some((_, slopes)) = self.surface() {
+        if let Some(slopes) = self.slopes() {
             slopes.shade(sun, &mut maps.channels[self.model.model.visibility_channel()]);
         }
         let mut image = composed(self.model, sun, light, &self.camera, &maps)?;
@@ -209,8 +201,21 @@ impl<'a> Viewpoint<'a> {
         }
     }
 
-    fn surface(&self) -> Option<&(SurfaceShadows, RoofSlopes)> {
+    fn surface(&self) -> Option<&SurfaceShadows> {
         self.above.as_ref()?.surface.as_ref()
+    }
+
+    /// The slopes of the surface, under the suns of the images that were trained on: the albedo is theirs.
+    fn slopes(&self) -> Option<&RoofSlopes> {
+        let above = self.above.as_ref()?;
+        let surface = above.surface.as_ref()?;
+        let slopes = || {
+            let trained = self.model.file.images.iter().filter(|image| image.appearance.is_some());
+            let suns = trained.filter_map(|image| image.sun);
+            let up = |sun: &SunPosition| sun.elevation_rad.to_degrees() >= LOWEST_SUN_DEG;
+            surface.roof_slopes(&suns.filter(up).collect::<Vec<_>>())
+        };
+        Some(above.slopes.get_or_init(slopes))
     }
 
     /// What is seen, with its shadows under `sun`.
@@ -218,7 +223,7 @@ impl<'a> Viewpoint<'a> {
         let model = self.model;
         let light = light_of(model, sun)?;
         let options = model.pass_options();
-        let lit = || self.surface().map(|(surface, _)| surface.lit(sun));
+        let lit = || self.surface().map(|surface| surface.lit(sun));
         let through = || {
             let (parameters, camera) = (&model.parameters, &self.camera);
             render(&model.model, parameters, camera, Some(light), None, options)

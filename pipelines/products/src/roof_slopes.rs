@@ -10,6 +10,7 @@
 use crate::nadir::CellVectors;
 use glam::{Mat3, Vec3};
 use heliosplat_rpc::sun::SunPosition;
+use heliosplat_stereo::lowest_within;
 use rayon::prelude::*;
 
 /// Half the width of the window that a plane is laid through, metres.
@@ -92,30 +93,15 @@ fn facing([east, north]: [f64; 2], sun: &SunPosition) -> f64 {
     (along / (light.z * (1.0 + east * east + north * north).sqrt())).max(0.0)
 }
 
-/// Altitudes without what is narrower than twice the reach (columns, rows): the highest of the lowest. Unknown cells are no ground.
+/// Altitudes without what is narrower than twice the reach (columns, rows): the highest of the lowest (a morphological opening). Unknown cells are
+/// no ground.
 fn ground(up_m: &[f32], size: (usize, usize), reach: [usize; 2]) -> Vec<f32> {
     let known: Vec<f32> = up_m.iter().map(|z| if z.is_nan() { f32::MAX } else { *z }).collect();
-    let lowest = within(&known, size, reach, f32::min);
-    within(&lowest, size, reach, f32::max)
-}
-
-/// The extreme of the values within a reach of each cell, along rows and then across them.
-fn within(values: &[f32], (width, height): (usize, usize), reach: [usize; 2], more: fn(f32, f32) -> f32) -> Vec<f32> {
-    let near = |at: usize, reach: usize, count: usize| at.saturating_sub(reach)..(at + reach + 1).min(count);
-    let over = |of: &[f32], place: &(dyn Fn(usize) -> usize + Sync), range: std::ops::Range<usize>| {
-        let first = of[place(range.start)];
-        range.fold(first, |extreme, k| more(extreme, of[place(k)]))
-    };
-    let rows: Vec<f32> = (0..values.len())
-        .into_par_iter()
-        .with_min_len(1024)
-        .map(|i| over(values, &|c| i / width * width + c, near(i % width, reach[0], width)))
-        .collect();
-    (0..values.len())
-        .into_par_iter()
-        .with_min_len(1024)
-        .map(|i| over(&rows, &|r| r * width + i % width, near(i / width, reach[1], height)))
-        .collect()
+    let depths = lowest_within(size, &known, reach)
+        .iter()
+        .map(|z| -z)
+        .collect::<Vec<_>>();
+    lowest_within(size, &depths, reach).iter().map(|z| -z).collect()
 }
 
 /// The cells around a cell.

@@ -101,7 +101,7 @@ fn floor(grid: &Grid, found: &LevelResult) -> Vec<f32> {
         .cells()
         .map(|cell| if sure(cell) { own[cell] } else { f32::MAX })
         .collect();
-    let lowest = lowest_within((grid.width, grid.height), &places, REACH_CELLS);
+    let lowest = lowest_within((grid.width, grid.height), &places, [REACH_CELLS; 2]);
     lowest.iter().zip(own).map(|(lowest, own)| lowest.min(own)).collect()
 }
 

@@ -92,15 +92,15 @@ impl Grid {
     }
 }
 
-/// The least of `values` within `radius` cells each way of each cell of a grid of `(width, height)`: first along rows, then
+/// The least of `values` within so many columns and rows each way of each cell of a grid of `(width, height)`: first along rows, then
 /// across them.
-pub(super) fn lowest_within((width, height): (usize, usize), values: &[f32], radius: usize) -> Vec<f32> {
-    let near = |at: usize, count: usize| at.saturating_sub(radius)..(at + radius + 1).min(count);
+pub fn lowest_within((width, height): (usize, usize), values: &[f32], [columns, rows]: [usize; 2]) -> Vec<f32> {
+    let near = |at: usize, reach: usize, count: usize| at.saturating_sub(reach)..(at + reach + 1).min(count);
     let least = |values: &mut dyn Iterator<Item = f32>| values.fold(f32::MAX, f32::min);
     let across: Vec<f32> = in_parallel(width * height)
-        .map(|i| least(&mut near(i % width, width).map(|c| values[i / width * width + c])))
+        .map(|i| least(&mut near(i % width, columns, width).map(|c| values[i / width * width + c])))
         .collect();
     in_parallel(width * height)
-        .map(|i| least(&mut near(i / width, height).map(|r| across[r * width + i % width])))
+        .map(|i| least(&mut near(i / width, rows, height).map(|r| across[r * width + i % width])))
         .collect()
 }

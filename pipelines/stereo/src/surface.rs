@@ -117,7 +117,7 @@ impl Surface {
 
     /// The lowest altitude within `radius` cells of each cell (a square window), metres.
     pub fn lowest(&self, radius: usize) -> Vec<f32> {
-        lowest_within((self.width, self.height), &self.altitude, radius)
+        lowest_within((self.width, self.height), &self.altitude, [radius; 2])
     }
 
     /// East and north slope of the surface at a cell (metres per metre), from the neighbour on the side where the

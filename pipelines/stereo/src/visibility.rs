@@ -35,7 +35,7 @@ impl Standing {
     /// Of the altitudes of a grid's cells (metres; `f32::MIN` where there is no surface). A point hides when it lies more than
     /// `tolerance_m` above another.
     pub(super) fn new(grid: &Grid, altitude: &[f32], tolerance_m: f32) -> Self {
-        let altitude = lowest_within((grid.width, grid.height), altitude, EDGE_CELLS);
+        let altitude = lowest_within((grid.width, grid.height), altitude, [EDGE_CELLS; 2]);
         Self {
             grid: *grid,
             highest: HighestTiles::new(grid, &altitude),
