@@ -196,6 +196,11 @@ impl<'a> Trainer<'a> {
         self.step >= self.options.iterations || self.holdout.stop()
     }
 
+    /// The views, of which a trainer that has done its steps has no more need.
+    pub fn take_views(&mut self) -> Vec<View> {
+        std::mem::take(&mut self.views)
+    }
+
     /// The state to keep: the best on held-out tiles when early stopping is on and saw one, else the last.
     pub fn into_best(self) -> (Parameters, EarlyStop) {
         let summary = self.holdout.summary(self.step);

@@ -3,7 +3,7 @@
 use crate::budget::{Budget, Pace};
 use crate::checkpoint::{CheckpointError, CheckpointWriter};
 use crate::curve::{Accuracy, CurvePoint};
-use heliosplat::model::Parameters;
+use heliosplat::model::{Parameters, View};
 use heliosplat::train::{EarlyStop, StepReport, TrainError, Trainer};
 use heliosplat_session::Session;
 use heliosplat_session::log::grouped;
@@ -80,6 +80,8 @@ pub struct Trained {
     pub rejected: usize,
     /// The points of the curve.
     pub curve: Vec<CurvePoint>,
+    /// The views that were trained on, their weights without what is held out.
+    pub views: Vec<View>,
     /// How training ended.
     pub ending: Ending,
 }
@@ -145,8 +147,10 @@ pub fn train<P: Clone + Serialize>(
         checkpoints.write(&trainer)?;
     }
     let rejected = trainer.rejected();
+    let views = trainer.take_views();
     let (parameters, early_stop) = trainer.into_best();
     Ok(Trained {
+        views,
         parameters,
         early_stop,
         rejected,

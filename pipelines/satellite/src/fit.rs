@@ -177,7 +177,7 @@ pub fn fit(
     if let Some(light) = &one_light {
         light.settle(&model, &mut parameters, &nadir, scene.gsd_m, Some(&darkest));
     }
-    linear::improve(&model, &mut parameters, &views);
+    linear::begin(&model, &mut parameters, &views);
     drop(part);
     let part = stage("trials");
     let open = open(decisions, bands, |decisions| {
@@ -227,6 +227,10 @@ pub fn fit(
         train(trainer, steps, session, limits.budget, checkpoints, probe.as_deref())?
     };
     drop(part);
+    {
+        let _part = stage("albedo");
+        linear::finish(&model, &mut trained.parameters, &trained.views);
+    }
     let daylight = {
         let _part = stage("daylight");
         if let Some(light) = &one_light {

@@ -1,4 +1,5 @@
-//! Albedo and colours of images by least squares before training: with the surface and the light fixed, images are linear in either.
+//! Albedo and colours of images by least squares: with the surface and the light fixed, images are linear in either. Both before training, and
+//! once more the albedo alone after it.
 //!
 //! Colours: the affine map from what the model shows, before colours, to what the image shows, by normal equations with a ridge toward the
 //! colours there were. Albedo: one round of simultaneous iterative reconstruction (Gilbert 1972): a pixel's residual, divided by what the pixel would be were every
@@ -28,8 +29,38 @@ const PRIOR_COLOUR: f64 = 1e-3;
 /// Pixels per parallel job; fixed, so that sums do not depend on the number of threads.
 const CHUNK: usize = 1 << 14;
 
-/// Improves the albedo of every Gaussian by all `views` together, and the colours of each image but the reference.
-pub(super) fn improve(model: &ShadowGs, parameters: &mut Parameters, views: &[View]) {
+/// How a pixel's residual counts.
+#[derive(Clone, Copy, PartialEq, Eq)]
+enum Round {
+    /// Before training most of it is the surface's fault: as what it would be for the albedo, and no further.
+    Before,
+    /// After training most of it is what the albedo leaves: by least squares, which weighs it with the square of the light, and as far as
+    /// simultaneous reconstruction converges.
+    After,
+}
+
+impl Round {
+    /// Share of the mean of corrections that is made; below 2 rounds converge.
+    fn relaxation(self) -> f32 {
+        match self {
+            Self::Before => 1.0,
+            Self::After => 1.8,
+        }
+    }
+}
+
+/// Improves the albedo of every Gaussian by all `views` together, and the colours of each image but the reference: before training.
+pub(super) fn begin(model: &ShadowGs, parameters: &mut Parameters, views: &[View]) {
+    improve(model, parameters, views, Round::Before);
+}
+
+/// Improves the albedo of every Gaussian by all `views` together: after training, which leaves the finest texture paler than the images show
+/// it (docs/lab/shadows.md). Colours stay.
+pub(super) fn finish(model: &ShadowGs, parameters: &mut Parameters, views: &[View]) {
+    improve(model, parameters, views, Round::After);
+}
+
+fn improve(model: &ShadowGs, parameters: &mut Parameters, views: &[View], round: Round) {
     let plain = without_colours(model, parameters);
     let mut globals = parameters.globals.clone();
     let mut occluders = Occluders::new(&parameters.gaussians);
@@ -51,7 +82,8 @@ pub(super) fn improve(model: &ShadowGs, parameters: &mut Parameters, views: &[Vi
             ..PassOptions::default()
         };
         let pass = Pass::new(model, context, Lit::Traced(&occluders), options);
-        if model.options.image_colour && view.appearance != model.options.reference {
+        let colours = round == Round::Before && model.options.image_colour;
+        if colours && view.appearance != model.options.reference {
             let shown = Context {
                 parameters: &plain,
                 ..context
@@ -60,7 +92,7 @@ pub(super) fn improve(model: &ShadowGs, parameters: &mut Parameters, views: &[Vi
             let found = colour.fitted(&model.compose(&shown, &pass.maps), &pass.image(), view);
             found.unwrap_or(colour).write(&mut globals, view.appearance);
         }
-        let (corrections, told) = corrections(model, &context, &pass, view);
+        let (corrections, told) = corrections(model, &context, &pass, view, round);
         for (image, sums) in [(corrections, &mut wanted), (told, &mut weights)] {
             let mut gradients = parameters.zeros_like();
             let mut d_maps = pass.zero_gradients();
@@ -75,7 +107,8 @@ pub(super) fn improve(model: &ShadowGs, parameters: &mut Parameters, views: &[Vi
     let sums = wanted.par_iter().zip(&weights);
     let albedo = parameters.gaussians.group_mut(ALBEDO).par_iter_mut();
     albedo.zip(sums).for_each(|(albedo, (wanted, weight))| {
-        *albedo = (*albedo + wanted / (weight + PRIOR_PIXELS)).clamp(ALBEDO_RANGE.0, ALBEDO_RANGE.1);
+        let correction = round.relaxation() * wanted / (weight + PRIOR_PIXELS);
+        *albedo = (*albedo + correction).clamp(ALBEDO_RANGE.0, ALBEDO_RANGE.1);
     });
 }
 
@@ -157,8 +190,8 @@ impl Colour {
     }
 }
 
-/// By how much the albedo that each pixel shows is off, and 1 where the pixel tells.
-fn corrections(model: &ShadowGs, context: &Context, pass: &Pass, view: &View) -> (Raster, Raster) {
+/// By how much the albedo that each pixel shows is off times what the pixel counts, and what it counts.
+fn corrections(model: &ShadowGs, context: &Context, pass: &Pass, view: &View, round: Round) -> (Raster, Raster) {
     let image = pass.image();
     let truth = view.truth(&image);
     let (dark, bright) = (
@@ -171,9 +204,11 @@ fn corrections(model: &ShadowGs, context: &Context, pass: &Pass, view: &View) ->
     pixels.for_each(|(i, (correction, told))| {
         let (residual, response) = (truth.values[i] - *correction, bright.values[i] - dark.values[i]);
         let tells = view.weight[i % plane] > 0.0 && residual.is_finite() && response > LEAST_RESPONSE;
-        (*correction, *told) = match tells {
-            true => (residual.clamp(-RESIDUAL_MAX, RESIDUAL_MAX) / response, 1.0),
-            false => (0.0, 0.0),
+        let residual = residual.clamp(-RESIDUAL_MAX, RESIDUAL_MAX);
+        (*correction, *told) = match (tells, round) {
+            (true, Round::Before) => (residual / response, 1.0),
+            (true, Round::After) => (residual, response),
+            (false, _) => (0.0, 0.0),
         };
     });
     (corrections, told)
@@ -245,7 +280,7 @@ mod tests {
     }
 
     #[test]
-    fn one_round_takes_a_third_off_the_error_of_the_albedo_and_keeps_the_right_one() {
+    fn a_round_takes_its_share_off_the_error_of_the_albedo_and_keeps_the_right_one() {
         let model = ShadowGs::new(ShadowGsOptions::default());
         let right = ground(&model);
         let half = 0.25 * SIDE as f64;
@@ -262,11 +297,14 @@ mod tests {
         let mut wrong = right.clone();
         wrong.gaussians.group_mut(ALBEDO).fill(0.35);
         let before = error(&wrong);
-        improve(&model, &mut wrong, std::slice::from_ref(&view));
-        assert!(error(&wrong) < 0.67 * before, "{} of {before}", error(&wrong));
-        let mut kept = right.clone();
-        improve(&model, &mut kept, &[view]);
-        assert!(error(&kept) < 1e-4, "{}", error(&kept));
+        for (round, left) in [(Round::Before, 0.67), (Round::After, 0.5)] {
+            let mut improved = wrong.clone();
+            improve(&model, &mut improved, std::slice::from_ref(&view), round);
+            assert!(error(&improved) < left * before, "{} of {before}", error(&improved));
+            let mut kept = right.clone();
+            improve(&model, &mut kept, std::slice::from_ref(&view), round);
+            assert!(error(&kept) < 1e-4, "{}", error(&kept));
+        }
     }
 
     #[test]
@@ -284,7 +322,7 @@ mod tests {
         let views = [0, 1].map(|image| nadir(&model, &right, camera, image));
         let mut found = right.clone();
         found.globals = model.initial_globals(0.3);
-        improve(&model, &mut found, &views);
+        begin(&model, &mut found, &views);
         let shown =
             |parameters: &Parameters| render(&model, parameters, &camera, None, Some(1), PassOptions::default()).image;
         let difference = |a: &Raster, b: &Raster| {

@@ -50,7 +50,7 @@ pub(super) fn altitudes(
     options.patience = 0;
     beginning::fit_into_memory(memory, scene, &parameters, &views, config, &mut options)?;
     radiometry::initialise(&model, &mut parameters, &mut views, SKY);
-    linear::improve(&model, &mut parameters, &views);
+    linear::begin(&model, &mut parameters, &views);
     if views.iter().filter(|view| view.light.is_some()).count() >= FEWEST_KNOWN {
         beginning::keep_known_suns(&mut views);
     }
