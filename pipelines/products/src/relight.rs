@@ -81,9 +81,9 @@ pub const LOWEST_SUN_DEG: f64 = 1.0;
 
 /// Weight of the light that the surface model lets through, beside that through the Gaussians: under high suns, and under low ones, whose rays graze
 /// the Gaussians of level ground and roofs and meet some.
-const OVER_SURFACE: [f32; 2] = [0.4, 0.6];
+const OVER_SURFACE: [f32; 2] = [0.4, 0.8];
 /// Elevations of the sun that are high and low, degrees.
-const HIGH_AND_LOW_DEG: [f64; 2] = [20.0, 12.0];
+const HIGH_AND_LOW_DEG: [f64; 2] = [20.0, 4.0];
 /// Share of the sun below which a place is in shadow: as traced through the Gaussians, and in the mean of both, which misses shadow
 /// more often than it invents some.
 const SHADED_BELOW: f32 = 0.5;
@@ -431,7 +431,7 @@ mod tests {
     #[test]
     fn the_lower_the_sun_the_more_the_surface_says() {
         let weights = [70.0, 20.0, 16.0, 12.0, 3.0].map(over_surface);
-        for (weight, wanted) in weights.iter().zip([0.4, 0.4, 0.5, 0.6, 0.6]) {
+        for (weight, wanted) in weights.iter().zip([0.4, 0.4, 0.5, 0.6, 0.8]) {
             assert!((weight - wanted).abs() < 1e-6, "{weights:?}");
         }
     }

@@ -29,18 +29,17 @@ const PRIOR_COLOUR: f64 = 1e-3;
 /// Pixels per parallel job; fixed, so that sums do not depend on the number of threads.
 const CHUNK: usize = 1 << 14;
 
-/// How a pixel's residual counts.
+/// When a round is made, which says how residuals count.
 #[derive(Clone, Copy, PartialEq, Eq)]
 enum Round {
-    /// Before training most of it is the surface's fault: as what it would be for the albedo, and no further.
+    /// Before training the surface makes most of them. A pixel counts by the light on it.
     Before,
-    /// After training most of it is what the albedo leaves: by least squares, which weighs it with the square of the light, and as far as
-    /// simultaneous reconstruction converges.
+    /// After training the albedo makes most of them. A pixel counts by the square of the light, as least squares have it.
     After,
 }
 
 impl Round {
-    /// Share of the mean of corrections that is made; below 2 rounds converge.
+    /// Factor on the mean of corrections; rounds converge below 2.
     fn relaxation(self) -> f32 {
         match self {
             Self::Before => 1.0,
