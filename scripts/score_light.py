@@ -116,9 +116,15 @@ def albedo(products, scene):
     images = json.loads((Path(scene) / "truth" / "summary.json").read_text())["images"]
     suns = np.array([[image["sun_azimuth_deg"], image["sun_elevation_deg"]] for image in images])
     masks = [cast(z, cell, *sun) for sun in suns]
-    inside, outside = np.all(masks, axis=0), ~np.any(masks, axis=0)
+    # What stands beyond the truth may shade these.
+    reach = (np.nanmax(z) - np.nanmin(z)) / np.tan(np.radians(suns[:, 1].min())) / cell
+    azimuth = np.radians(suns[:, 0].mean())
+    rows, cols = np.indices(z.shape)
+    r, c = rows - reach * np.cos(azimuth), cols + reach * np.sin(azimuth)
+    known = (r >= 0) & (c >= 0) & (r < z.shape[0]) & (c < z.shape[1])
+    inside, outside = known & np.all(masks, axis=0), known & ~np.any(masks, axis=0)
     border = round(1.5 / cell)
-    floor = np.isin(kinds, GROUND) & np.isfinite(ours).all(axis=0)
+    floor = known & np.isin(kinds, GROUND) & np.isfinite(ours).all(axis=0)
     shaded = floor & ~binary_dilation(~inside, iterations=border)
     sunlit = floor & ~binary_dilation(~outside, iterations=border)
     width = 2 * round(6 / cell) + 1
