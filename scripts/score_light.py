@@ -118,7 +118,7 @@ def albedo(products, scene):
     masks = [cast(z, cell, *sun) for sun in suns]
     # What stands beyond the truth may shade these.
     reach = (np.nanmax(z) - np.nanmin(z)) / np.tan(np.radians(suns[:, 1].min())) / cell
-    azimuth = np.radians(suns[:, 0].mean())
+    azimuth = np.angle(np.exp(1j * np.radians(suns[:, 0])).mean())
     rows, cols = np.indices(z.shape)
     r, c = rows - reach * np.cos(azimuth), cols + reach * np.sin(azimuth)
     known = (r >= 0) & (c >= 0) & (r < z.shape[0]) & (c < z.shape[1])

@@ -196,15 +196,16 @@ impl<'a> Trainer<'a> {
         self.step >= self.options.iterations || self.holdout.stop()
     }
 
-    /// The views, of which a trainer that has done its steps has no more need.
-    pub fn take_views(&mut self) -> Vec<View> {
-        std::mem::take(&mut self.views)
-    }
-
     /// The state to keep: the best on held-out tiles when early stopping is on and saw one, else the last.
     pub fn into_best(self) -> (Parameters, EarlyStop) {
+        let (parameters, early_stop, _) = self.into_best_and_views();
+        (parameters, early_stop)
+    }
+
+    /// The same, and the views that were trained on, their weights without what is held out.
+    pub fn into_best_and_views(self) -> (Parameters, EarlyStop, Vec<View>) {
         let summary = self.holdout.summary(self.step);
-        (self.holdout.into_best().unwrap_or(self.parameters), summary)
+        (self.holdout.into_best().unwrap_or(self.parameters), summary, self.views)
     }
 
     fn fraction(&self) -> f32 {

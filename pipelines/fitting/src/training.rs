@@ -147,13 +147,12 @@ pub fn train<P: Clone + Serialize>(
         checkpoints.write(&trainer)?;
     }
     let rejected = trainer.rejected();
-    let views = trainer.take_views();
-    let (parameters, early_stop) = trainer.into_best();
+    let (parameters, early_stop, views) = trainer.into_best_and_views();
     Ok(Trained {
-        views,
         parameters,
         early_stop,
         rejected,
+        views,
         curve: checkpoints.log.curve,
         ending,
     })

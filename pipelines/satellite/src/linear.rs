@@ -2,7 +2,7 @@
 //! once more the albedo alone after it.
 //!
 //! Colours: the affine map from what the model shows, before colours, to what the image shows, by normal equations with a ridge toward the
-//! colours there were. Albedo: one round of simultaneous iterative reconstruction (Gilbert 1972): a pixel's residual, divided by what the pixel would be were every
+//! colours there were. Albedo: one round of simultaneous iterative reconstruction (Gilbert 1972): a pixel's residual, over what the pixel would be were every
 //! albedo one, is spread over the Gaussians it is composed of, and each takes the weighted mean of what comes to it. Weights are those of
 //! the rasteriser under the traced light, so that each view says most of what it shows best.
 
@@ -39,7 +39,7 @@ enum Round {
 }
 
 impl Round {
-    /// Factor on the mean of corrections; rounds converge below 2.
+    /// Factor on the mean of corrections; simultaneous reconstruction converges below 2 (Gregor and Benson 2008).
     fn relaxation(self) -> f32 {
         match self {
             Self::Before => 1.0,
@@ -53,14 +53,15 @@ pub(super) fn begin(model: &ShadowGs, parameters: &mut Parameters, views: &[View
     improve(model, parameters, views, Round::Before);
 }
 
-/// Improves the albedo of every Gaussian by all `views` together: after training, which leaves the finest texture paler than the images show
-/// it (docs/lab/shadows.md). Colours stay.
+/// Improves the albedo of every Gaussian by all `views` together: after training, which leaves its level a few metres wide off
+/// (docs/lab/shadows.md). Colours stay.
 pub(super) fn finish(model: &ShadowGs, parameters: &mut Parameters, views: &[View]) {
     improve(model, parameters, views, Round::After);
 }
 
 fn improve(model: &ShadowGs, parameters: &mut Parameters, views: &[View], round: Round) {
-    let plain = without_colours(model, parameters);
+    let colours = round == Round::Before && model.options.image_colour;
+    let plain = colours.then(|| without_colours(model, parameters));
     let mut globals = parameters.globals.clone();
     let mut occluders = Occluders::new(&parameters.gaussians);
     let zeros = || vec![0.0f32; parameters.gaussians.group(ALBEDO).len()];
@@ -81,10 +82,10 @@ fn improve(model: &ShadowGs, parameters: &mut Parameters, views: &[View], round:
             ..PassOptions::default()
         };
         let pass = Pass::new(model, context, Lit::Traced(&occluders), options);
-        let colours = round == Round::Before && model.options.image_colour;
-        if colours && view.appearance != model.options.reference {
+        let plain = plain.as_ref().filter(|_| view.appearance != model.options.reference);
+        if let Some(plain) = plain {
             let shown = Context {
-                parameters: &plain,
+                parameters: plain,
                 ..context
             };
             let colour = Colour::of(model, parameters, view.appearance);
