@@ -5,7 +5,9 @@ Usage: scripts/compare_peers.py FOLDER --out RESULTS [--truth DSM.tif --classes 
 
 FOLDER holds satellite images with rational cameras (GeoTIFF), which s2p and CARS take, or a capture with transforms.json or
 transforms_train.json, which OpenSplat and brush take. What is not installed is named and left out; no peer is needed. Peers run with
-their defaults, so the table says what a user gets who sets nothing. Needs Python 3.10 or newer and nothing else.
+their defaults, so the table says what a user gets who sets nothing. Two exceptions, without which they stop: s2p gets one band of images
+that have several (the second, by gdal_translate), and CARS searches images smaller than 2000 pixels at full resolution alone. Needs Python
+3.10 or newer and nothing else.
 
 Memory is the largest sum over the processes of a program, looked at five times a second (Linux; elsewhere that of its largest process).
 RESULTS/peers.md is the table, RESULTS/peers.json the same for machines, RESULTS/NAME.log what a program said.
@@ -27,6 +29,8 @@ INSTALL = {
     "brush_app": "github.com/ArthurBrussee/brush",
 }
 STEPS = 2000
+# CARS begins at a sixteenth of the resolution; smaller images have nothing to match there (version 1.3.0).
+SMALL_IMAGE_PX = 2000
 POLL_S = 0.2
 
 
@@ -56,7 +60,19 @@ def s2p(images, out, cores, gsd_m):
     return Peer("s2p", "s2p", ["s2p", str(path)], out / "dsm.tif")
 
 
-def cars(images, out, cores, gsd_m):
+def one_band(images, folder):
+    """Copies of one band, with their rational cameras: s2p 1.0b25 stops at images of several."""
+    if not shutil.which("gdal_translate"):
+        print("s2p: gdal_translate is not on PATH, so it gets images of several bands", file=sys.stderr)
+        return images
+    folder.mkdir(parents=True, exist_ok=True)
+    copies = [folder / image.name for image in images]
+    for image, copy in zip(images, copies):
+        subprocess.run(["gdal_translate", "-q", "-b", "2", str(image), str(copy)], check=True)
+    return copies
+
+
+def cars(images, out, cores, gsd_m, small):
     """The first image against every other, as in s2p."""
     names = [image.stem for image in images]
     config = {
@@ -64,9 +80,12 @@ def cars(images, out, cores, gsd_m):
             "sensors": {name: {"image": str(image)} for name, image in zip(names, images)},
             "pairing": [[names[0], name] for name in names[1:]],
         },
-        "output": {"directory": str(out), "resolution": gsd_m},
+        # Ellipsoidal heights, as the images have them.
+        "output": {"directory": str(out), "resolution": gsd_m, "geoid": False},
         "orchestrator": {"mode": "multiprocessing", "nb_workers": cores},
     }
+    if small:
+        config["subsampling"] = {"advanced": {"resolutions": [1]}}
     path = write_json(out.with_suffix(".config.json"), config)
     return Peer("CARS", "cars", ["cars", str(path)], out / "dsm" / "dsm.tif")
 
@@ -201,8 +220,10 @@ def main():
         inspected = subprocess.run([heliosplat, "inspect", str(folder), "--json"], capture_output=True, text=True)
         if inspected.returncode:
             sys.exit(inspected.stderr.strip())
-        gsd_m = json.loads(inspected.stdout)["gsd_m"]
-        peers = [s2p(images, out / "s2p", len(cores), gsd_m), cars(images, out / "cars", len(cores), gsd_m)]
+        scene = json.loads(inspected.stdout)
+        gsd_m, small = scene["gsd_m"], min(min(image["width"], image["height"]) for image in scene["images"]) < SMALL_IMAGE_PX
+        flat = one_band(images, out / "one_band") if len(scene["bands"]) > 1 and shutil.which("s2p") else images
+        peers = [s2p(flat, out / "s2p", len(cores), gsd_m), cars(images, out / "cars", len(cores), gsd_m, small)]
     missing = [peer for peer in peers if not shutil.which(peer.program)]
     for peer in missing:
         print(f"{peer.name}: '{peer.program}' is not on PATH, left out; {INSTALL[peer.program]}", file=sys.stderr)
