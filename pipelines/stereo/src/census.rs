@@ -10,6 +10,7 @@
 
 use heliosplat::fast::{floor, number};
 use heliosplat::vectorised;
+use std::cmp::Ordering;
 
 /// Cells from the centre to the edge of the window.
 pub(super) const RADIUS: usize = 2;
@@ -108,55 +109,104 @@ vectorised! {
 
 /// Cells that are described together: their descriptors stay in registers.
 const LANES: usize = 8;
+/// Rows and columns of a window.
+const SIDE: usize = 2 * RADIUS + 1;
+/// Values of one row that the windows of as many neighbouring cells reach.
+const REACH: usize = LANES + 2 * RADIUS;
 
 /// Descriptors of a row of cells; `values` begins at the upper left corner of the first window.
 #[inline(always)]
 fn describe_row(values: &[f32], stride: usize, limits: &[f32], noise: f32, darker: &mut [u32], compared: &mut [u32]) {
     let width = darker.len();
-    for first in (0..width).step_by(LANES) {
-        // The last group begins earlier, so that it is whole; a row of less than a group goes cell by cell.
-        if width < LANES {
-            for k in 0..width {
-                let [d, c] = describe_cells::<1>(&values[k..], stride, &limits[k..], noise);
-                (darker[k], compared[k]) = (d[0], c[0]);
-            }
-            return;
+    for group in (0..width).step_by(LANES) {
+        // The last group begins earlier, so that it is whole, if the row is as long.
+        let first = group.min(width.saturating_sub(LANES));
+        let window = &values[first..];
+        let parts = (
+            limits[first..].first_chunk::<LANES>(),
+            darker[first..].first_chunk_mut::<LANES>(),
+            compared[first..].first_chunk_mut::<LANES>(),
+        );
+        if let (Some(limits), Some(darker), Some(compared)) = parts {
+            [*darker, *compared] = describe_group(window, stride, limits, noise);
+        } else {
+            let mut some = [0.0; LANES];
+            some.iter_mut().zip(limits).for_each(|(to, from)| *to = *from);
+            let [d, c] = describe_group(window, stride, &some, noise);
+            darker.iter_mut().zip(d).for_each(|(to, from)| *to = from);
+            compared.iter_mut().zip(c).for_each(|(to, from)| *to = from);
         }
-        let first = first.min(width - LANES);
-        let [d, c] = describe_cells::<LANES>(&values[first..], stride, &limits[first..], noise);
-        darker[first..first + LANES].copy_from_slice(&d);
-        compared[first..first + LANES].copy_from_slice(&c);
     }
 }
 
-/// What is darker and what is compared around `N` neighbouring cells.
+/// What is darker and what is compared around a group of cells; `values` begins at the upper left corner of the first window.
 #[inline(always)]
-fn describe_cells<const N: usize>(values: &[f32], stride: usize, limits: &[f32], noise: f32) -> [[u32; N]; 2] {
-    let limits = &limits[..N];
-    let at = |col: isize, row: isize| {
-        let start = (RADIUS as isize + row) as usize * stride + (RADIUS as isize + col) as usize;
-        let mut lane = [0.0; N];
-        lane.copy_from_slice(&values[start..start + N]);
-        lane
-    };
-    let centre = at(0, 0);
-    let (mut darker, mut compared) = ([0u32; N], [0u32; N]);
+fn describe_group(values: &[f32], stride: usize, limits: &[f32; LANES], noise: f32) -> [[u32; LANES]; 2] {
+    if values.len() >= (SIDE - 1) * stride + REACH {
+        describe_cells(values, stride, limits, noise)
+    } else {
+        describe_cells(&padded(values, stride), REACH, limits, noise)
+    }
+}
+
+/// The values that windows reach, where there are no more behind them: those of missing cells are zero.
+#[cold]
+fn padded(values: &[f32], stride: usize) -> [f32; SIDE * REACH] {
+    let mut all = [0.0; SIDE * REACH];
+    for (row, to) in all.chunks_exact_mut(REACH).enumerate() {
+        let from = values.get(row * stride..).unwrap_or_default();
+        to.iter_mut().zip(from).for_each(|(to, from)| *to = *from);
+    }
+    all
+}
+
+/// The same where every row of `values` holds all that the windows reach.
+#[inline(always)]
+fn describe_cells(values: &[f32], stride: usize, limits: &[f32; LANES], noise: f32) -> [[u32; LANES]; 2] {
+    let lanes = |line: &[f32; REACH], col: usize| -> [f32; LANES] { std::array::from_fn(|l| line[col + l]) };
+    let line = |row: usize| values[row * stride..].first_chunk::<REACH>().unwrap_or(&[0.0; REACH]);
+    let centre = lanes(line(RADIUS), RADIUS);
+    let least: [f32; LANES] = std::array::from_fn(|l| noise * limits[l]);
+    let (mut darker, mut compared) = ([0u32; LANES], [0u32; LANES]);
     // A sum is NaN where any part of it is.
     let mut sum = centre;
-    for (bit, &(col, row)) in OFFSETS.iter().enumerate() {
-        let other = at(col, row);
-        for l in 0..N {
-            let difference = other[l] - centre[l];
-            darker[l] |= u32::from(difference < 0.0) << bit;
-            let away = difference.abs();
-            compared[l] |= u32::from((away < limits[l]) & (away >= noise * limits[l])) << bit;
-            sum[l] += difference;
+    for row in 0..SIDE {
+        let line = line(row);
+        // The centre too, which is no neighbour: its bits are left out where rows are joined.
+        let (mut row_darker, mut row_compared) = ([0u32; LANES], [0u32; LANES]);
+        for col in 0..SIDE {
+            let other = lanes(line, col);
+            for l in 0..LANES {
+                let difference = other[l] - centre[l];
+                let away = difference.abs();
+                row_darker[l] |= u32::from(difference < 0.0) << col;
+                row_compared[l] |= u32::from((away < limits[l]) & (away >= least[l])) << col;
+                sum[l] += difference;
+            }
+        }
+        for l in 0..LANES {
+            darker[l] |= joined(row_darker[l], row);
+            compared[l] |= joined(row_compared[l], row);
         }
     }
-    for l in 0..N {
+    for l in 0..LANES {
         darker[l] |= if sum[l].is_nan() { INVALID } else { 0 };
     }
     [darker, compared]
+}
+
+/// The bits of a row of the window at their places among all comparisons, which leave out the centre.
+#[inline(always)]
+fn joined(bits: u32, row: usize) -> u32 {
+    let start = row * SIDE;
+    match row.cmp(&RADIUS) {
+        Ordering::Less => bits << start,
+        Ordering::Equal => {
+            let (before, after) = (bits & ((1 << RADIUS) - 1), bits >> (RADIUS + 1));
+            (before | (after << RADIUS)) << start
+        }
+        Ordering::Greater => bits << (start - 1),
+    }
 }
 
 vectorised! {

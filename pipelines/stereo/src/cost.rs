@@ -17,7 +17,7 @@ use super::level::{LevelView, PixelPlane};
 use super::pairs::Pair;
 use super::parameters::MatchingParameters;
 use super::ranges::SearchRanges;
-use super::sampling::{Line, Place};
+use super::sampling::{Line, Places};
 use super::visibility::FirstHits;
 use block::{BLOCK, Block, Scratch, WideBlock};
 use rayon::prelude::*;
@@ -150,9 +150,13 @@ impl MatchingCost<'_> {
         if let Some(share) = self.index_weight {
             self.compare(index_descriptors, share, cut, sum, weights);
         }
-        for (k, (cost, (sum, weights))) in cost.iter_mut().zip(sum.iter().zip(weights)).enumerate() {
-            let no_match = no_match[block.nearest(k, &self.grid)];
-            *cost = (255 * (*sum + no_match * cut) / ((*weights + no_match) * cut)) as u8;
+        let rows = cost[..cells].chunks_mut(block.width);
+        let compared = sum.chunks(block.width).zip(weights.chunks(block.width));
+        for (row, (costs, (sums, weights))) in rows.zip(compared).enumerate() {
+            for (col, (cost, (sum, weights))) in costs.iter_mut().zip(sums.iter().zip(weights)).enumerate() {
+                let no_match = no_match[block.nearest(col, row, &self.grid)];
+                *cost = (255 * (*sum + no_match * cut) / ((*weights + no_match) * cut)) as u8;
+            }
         }
     }
 
@@ -167,12 +171,12 @@ impl MatchingCost<'_> {
     ) {
         let WideBlock { width, height, .. } = *block;
         let (columns, rows) = (width + 2 * RADIUS, height + 2 * RADIUS);
-        self.find_block(view, block, altitude_m, &mut scratch.places[..columns * rows]);
-        let (places, values) = (&scratch.places[..columns * rows], &mut scratch.values[..columns * rows]);
+        self.find_block(view, block, altitude_m, &mut scratch.places);
+        let (places, values) = (&scratch.places, &mut scratch.values[..]);
         let descriptors = &mut scratch.descriptors[number];
-        view.sample_places(&view.mean, places, values);
+        view.sample_places(&view.mean, places, columns * rows, values);
         let limits = &mut scratch.limits[..width * height];
-        contrast_limits(&view.mean, view.width, places, block, limits);
+        contrast_limits(&view.mean, places, block, limits);
         let noise = self.parameters.noise_floor / CONTRAST_LIMIT;
         census::describe(values, width, height, limits, noise, descriptors);
         if self.parameters.same_date_weight.is_some() {
@@ -189,8 +193,8 @@ impl MatchingCost<'_> {
         }
         if let Some(index) = view.index.as_ref().filter(|_| self.index_weight.is_some()) {
             let of_index = &mut scratch.index_descriptors[number];
-            view.sample_places(index, places, values);
-            contrast_limits(index, view.width, places, block, limits);
+            view.sample_places(index, places, columns * rows, values);
+            contrast_limits(index, places, block, limits);
             census::describe(values, width, height, limits, noise, of_index);
             for (of_index, of_mean) in of_index.darker.iter_mut().zip(&descriptors.darker[..width * height]) {
                 *of_index |= of_mean & INVALID;
@@ -222,13 +226,13 @@ impl MatchingCost<'_> {
     }
 
     /// Projects a block and its margin, at one altitude, into a view.
-    fn find_block(&self, view: &LevelView, block: &WideBlock, altitude_m: f32, places: &mut [Place]) {
+    fn find_block(&self, view: &LevelView, block: &WideBlock, altitude_m: f32, places: &mut Places) {
         let columns = block.width + 2 * RADIUS;
         let camera = &view.camera;
         let step = self.grid.cell_m;
         let (du, dv, dw) = (camera.u.x * step, camera.v.x * step, camera.w.x * step);
         let (col0, row0) = (block.col0 - RADIUS as isize, block.row0 - RADIUS as isize);
-        for (row, places) in places.chunks_mut(columns).enumerate() {
+        for row in 0..block.height + 2 * RADIUS {
             let p = self.grid.point(col0, row0 + row as isize, altitude_m);
             let (u, v) = (camera.u.dot(p) + camera.u0, camera.v.dot(p) + camera.v0);
             let w = 1.0 + camera.w.dot(p);
@@ -236,30 +240,30 @@ impl MatchingCost<'_> {
                 start: [u, v, w],
                 step: [du, dv, dw],
             };
-            view.find_line(&line, places);
+            view.find_line(&line, row * columns, columns, places);
         }
     }
 }
 
 /// The largest differences that the census compares at the cells of a block: so many contrasts of what is around each.
-fn contrast_limits(plane: &PixelPlane, width: usize, places: &[Place], block: &WideBlock, limits: &mut [f32]) {
+fn contrast_limits(plane: &PixelPlane, places: &Places, block: &WideBlock, limits: &mut [f32]) {
     let columns = block.width + 2 * RADIUS;
     for (row, limits) in limits.chunks_mut(block.width).enumerate() {
         let start = (row + RADIUS) * columns + RADIUS;
-        for (place, limit) in places[start..start + block.width].iter().zip(limits) {
-            *limit = CONTRAST_LIMIT * plane.local_contrast[place.nearest(width)];
+        for (pixel, limit) in places.nearest()[start..start + block.width].iter().zip(limits) {
+            *limit = CONTRAST_LIMIT * plane.local_contrast[*pixel as usize];
         }
     }
 }
 
 /// Marks the cells of a block that a view does not see as invalid.
-fn drop_hidden(hits: &FirstHits, places: &[Place], block: &WideBlock, altitude_m: f32, darker: &mut [u32]) {
+fn drop_hidden(hits: &FirstHits, places: &Places, block: &WideBlock, altitude_m: f32, darker: &mut [u32]) {
     let columns = block.width + 2 * RADIUS;
     for (row, darker) in darker.chunks_mut(block.width).enumerate() {
         let start = (row + RADIUS) * columns + RADIUS;
-        for (place, word) in places[start..start + block.width].iter().zip(darker) {
+        for (pixel, word) in places.nearest()[start..start + block.width].iter().zip(darker) {
             // A place beyond the image is invalid already.
-            if hits.hides(place.nearest(hits.width()), altitude_m) {
+            if hits.hides(*pixel as usize, altitude_m) {
                 *word |= INVALID;
             }
         }

@@ -4,7 +4,7 @@
 //! than a cell would alias. The factor is the nearest whole number to cell size over pixel size, so a level's pixels are only about as large as its cells.
 
 use super::contrast;
-use super::sampling::{self, Line, Place, cubic_weights};
+use super::sampling::{self, Line, Places, cubic_weights};
 use super::views::SweepView;
 use glam::Vec3;
 use heliosplat::{ProjectiveCamera, Raster};
@@ -82,14 +82,15 @@ impl LevelView {
         self.image_pixel_m * self.factor as f32
     }
 
-    /// Projects the points of a line of the ground into the image.
-    pub(super) fn find_line(&self, line: &Line, places: &mut [Place]) {
-        sampling::find(line, self.width, self.height, places);
+    /// Projects `count` points of a line of the ground into the image, into `places` from `start` on; lines in the order of their places.
+    pub(super) fn find_line(&self, line: &Line, start: usize, count: usize, places: &mut Places) {
+        sampling::find(line, self.width, self.height, start, count, places);
     }
 
-    /// Bilinear values of one of the planes; NaN outside the image and beside missing pixels.
-    pub(super) fn sample_places(&self, plane: &PixelPlane, places: &[Place], out: &mut [f32]) {
-        sampling::bilinear(&plane.pixels, self.width, places, out);
+    /// Bilinear values of one of the planes at the first `count` places; NaN outside the image and beside missing pixels. `out` has room
+    /// for [`sampling::POINTS`] more.
+    pub(super) fn sample_places(&self, plane: &PixelPlane, places: &Places, count: usize, out: &mut [f32]) {
+        sampling::bilinear(&plane.pixels, self.width, places, count, out);
     }
 
     /// Bilinear value at a pixel position; NaN outside the image and beside missing pixels.
@@ -194,10 +195,10 @@ mod tests {
                 start,
                 step: [0.83, 0.21, 1e-4],
             };
-            let (mut places, mut values) = ([Place::default(); 61], [0.0; 61]);
-            view.find_line(&line, &mut places);
-            view.sample_places(&view.mean, &places, &mut values);
-            for (k, value) in values.iter().enumerate() {
+            let (mut places, mut values) = (Places::new(61), [0.0; 61 + sampling::POINTS]);
+            view.find_line(&line, 0, 61, &mut places);
+            view.sample_places(&view.mean, &places, 61, &mut values);
+            for (k, value) in values[..61].iter().enumerate() {
                 let k = k as f32;
                 let inverse = 1.0 / (start[2] + k * line.step[2]);
                 let expected = view.sample(

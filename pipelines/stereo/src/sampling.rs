@@ -15,33 +15,64 @@ pub(super) struct Line {
     pub(super) step: [f32; 3],
 }
 
-/// A position in an image between four pixels.
-#[derive(Debug, Clone, Copy, Default)]
-pub(super) struct Place {
+/// Positions in an image, each between four pixels.
+#[derive(Debug, Clone, Default)]
+pub(super) struct Places {
     /// The upper left of four pixels.
-    index: u32,
-    /// Fractions of the column and of the row; NaN outside the image.
-    fraction: [f32; 2],
+    index: Vec<u32>,
+    /// Fraction of the column; NaN outside the image.
+    across: Vec<f32>,
+    /// Fraction of the row.
+    down: Vec<f32>,
+    /// The pixel nearest to each; the first one outside the image.
+    nearest: Vec<u32>,
 }
 
-impl Place {
-    /// The pixel nearest to it, in an image of this width; the first one where it lies outside of the image.
+impl Places {
+    /// Room for `count`, and for the rest of the last [`POINTS`].
+    pub(super) fn new(count: usize) -> Self {
+        let room = count + POINTS;
+        Self {
+            index: vec![0; room],
+            across: vec![0.0; room],
+            down: vec![0.0; room],
+            nearest: vec![0; room],
+        }
+    }
+
+    /// The pixel nearest to each; the first one outside the image.
+    pub(super) fn nearest(&self) -> &[u32] {
+        &self.nearest
+    }
+
+    /// Sets the positions from `at` on.
     #[inline(always)]
-    pub(super) fn nearest(&self, width: usize) -> usize {
-        let further = |fraction: f32, step: usize| if fraction >= 0.5 { step } else { 0 };
-        self.index as usize + further(self.fraction[0], 1) + further(self.fraction[1], width)
+    fn set(&mut self, at: usize, (index, across, down, nearest): Lanes) {
+        let lists = (
+            self.index[at..].first_chunk_mut(),
+            self.across[at..].first_chunk_mut(),
+            self.down[at..].first_chunk_mut(),
+            self.nearest[at..].first_chunk_mut(),
+        );
+        if let (Some(i), Some(a), Some(d), Some(n)) = lists {
+            (*i, *a, *d, *n) = (index, across, down, nearest);
+        }
     }
 }
 
+/// Indices, fractions of columns and rows, and nearest pixels of some positions.
+type Lanes = ([u32; POINTS], [f32; POINTS], [f32; POINTS], [u32; POINTS]);
+
 vectorised! {
-    /// Projects the points of a line into an image of `width × height` pixels.
-    pub(super) fn find(line: &Line, width: usize, height: usize, places: &mut [Place]) {
+    /// Projects `count` points of a line into an image of `width × height` pixels, into `places` from `start` on. A few places behind the
+    /// last one lose what they were, so that lines are found in the order of their places.
+    pub(super) fn find(line: &Line, width: usize, height: usize, start: usize, count: usize, places: &mut Places) {
         let (columns, rows) = ((width - 1) as f32, (height - 1) as f32);
-        for (number, places) in places.chunks_mut(POINTS).enumerate() {
-            let first = (number * POINTS) as f32;
-            let (mut index, mut across, mut down) = ([0u32; POINTS], [0.0f32; POINTS], [0.0f32; POINTS]);
+        let width = width as u32;
+        for first in (0..count).step_by(POINTS) {
+            let (mut index, mut across, mut down, mut nearest): Lanes = Default::default();
             for l in 0..POINTS {
-                let k = first + l as f32;
+                let k = first as f32 + l as f32;
                 let inverse = 1.0 / (line.start[2] + k * line.step[2]);
                 let col = (line.start[0] + k * line.step[0]) * inverse;
                 let row = (line.start[1] + k * line.step[1]) * inverse;
@@ -49,36 +80,60 @@ vectorised! {
                 let inside = (col >= 0.0) & (row >= 0.0) & (col < columns) & (row < rows);
                 let (col, row) = if inside { (col, row) } else { (0.0, 0.0) };
                 let (c, r) = (floor(col), floor(row));
-                index[l] = r.1 * width as u32 + c.1;
+                index[l] = r.1 * width + c.1;
                 across[l] = if inside { col - c.0 } else { f32::NAN };
                 down[l] = row - r.0;
+                let further = if down[l] >= 0.5 { width } else { 0 };
+                nearest[l] = index[l] + further + u32::from(across[l] >= 0.5);
             }
-            for (l, place) in places.iter_mut().enumerate() {
-                *place = Place {
-                    index: index[l],
-                    fraction: [across[l], down[l]],
-                };
-            }
+            places.set(start + first, (index, across, down, nearest));
         }
     }
 }
 
-/// Points that are projected together: a register of AVX2 holds eight.
-const POINTS: usize = 8;
+/// Points that are worked on together: a register of AVX2 holds eight.
+pub(super) const POINTS: usize = 8;
 
-/// Bilinear values of a plane at positions; NaN outside the image and beside missing pixels.
-pub(super) fn bilinear(pixels: &[f32], width: usize, places: &[Place], out: &mut [f32]) {
-    for (place, value) in places.iter().zip(out) {
-        let i = place.index as usize;
-        // Two pixels of two rows; a place beyond the image has the index of the first and no weight.
-        let (Some(&[a, b]), Some(&[c, d])) = (pixels[i..].first_chunk::<2>(), pixels[i + width..].first_chunk::<2>())
-        else {
-            *value = f32::NAN;
-            continue;
-        };
-        let top = a + (b - a) * place.fraction[0];
-        let bottom = c + (d - c) * place.fraction[0];
-        *value = top + (bottom - top) * place.fraction[1];
+vectorised! {
+    /// Bilinear values of a plane at the first `count` places; NaN outside the image and beside missing pixels. `out` has room for
+    /// [`POINTS`] more.
+    pub(super) fn bilinear(pixels: &[f32], width: usize, places: &Places, count: usize, out: &mut [f32]) {
+        for at in (0..count).step_by(POINTS) {
+            let lists = (
+                places.index[at..].first_chunk::<POINTS>(),
+                places.across[at..].first_chunk::<POINTS>(),
+                places.down[at..].first_chunk::<POINTS>(),
+                out[at..].first_chunk_mut::<POINTS>(),
+            );
+            let (Some(index), Some(across), Some(down), Some(out)) = lists else {
+                return;
+            };
+            // Each corner of the places that there are, so that one check of an index does for all four.
+            let reached = index.iter().fold(0, |most, &i| if i > most { i } else { most }) as usize + 1;
+            let corner = |step: usize| pixels.get(step..step + reached);
+            let (Some(upper), Some(upper_right), Some(lower), Some(lower_right)) =
+                (corner(0), corner(1), corner(width), corner(width + 1))
+            else {
+                // Behind the last place may be some of a larger image.
+                for l in 0..POINTS.min(count - at) {
+                    let i = index[l] as usize;
+                    let top = pixels[i] + (pixels[i + 1] - pixels[i]) * across[l];
+                    let bottom = pixels[i + width] + (pixels[i + width + 1] - pixels[i + width]) * across[l];
+                    out[l] = top + (bottom - top) * down[l];
+                }
+                continue;
+            };
+            let (mut a, mut b, mut c, mut d) = ([0.0; POINTS], [0.0; POINTS], [0.0; POINTS], [0.0; POINTS]);
+            for l in 0..POINTS {
+                let i = index[l] as usize;
+                (a[l], b[l], c[l], d[l]) = (upper[i], upper_right[i], lower[i], lower_right[i]);
+            }
+            for l in 0..POINTS {
+                let top = a[l] + (b[l] - a[l]) * across[l];
+                let bottom = c[l] + (d[l] - c[l]) * across[l];
+                out[l] = top + (bottom - top) * down[l];
+            }
+        }
     }
 }
 

@@ -9,7 +9,6 @@ use rayon::prelude::*;
 /// Altitude at which the ray of each pixel meets the surface first; below it nothing is seen.
 pub(super) struct FirstHits {
     altitude: Vec<f32>,
-    width: usize,
     /// A point this far below the first hit may still be the surface itself.
     tolerance_m: f32,
 }
@@ -104,7 +103,6 @@ impl FirstHits {
             // There is no surface to hit.
             return Self {
                 altitude: hits,
-                width: camera.width,
                 tolerance_m: *tolerance_m,
             };
         }
@@ -117,14 +115,8 @@ impl FirstHits {
             });
         Self {
             altitude: hits,
-            width: camera.width,
             tolerance_m: *tolerance_m,
         }
-    }
-
-    /// Columns of the view.
-    pub(super) fn width(&self) -> usize {
-        self.width
     }
 
     /// Whether a point that projects into a pixel lies behind the surface.

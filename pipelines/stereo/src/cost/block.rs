@@ -2,7 +2,7 @@
 
 use super::super::census::{Descriptors, RADIUS};
 use super::super::grid::Grid;
-use super::super::sampling::Place;
+use super::super::sampling::{POINTS, Places};
 
 /// Rows and columns of a block: small enough for the cache, large enough that the window's margin stays cheap.
 pub(super) const BLOCK: (usize, usize) = (16, 64);
@@ -65,20 +65,19 @@ pub(super) struct WideBlock {
 }
 
 impl WideBlock {
-    /// The cell of the grid that is nearest to the block's cell `k`.
-    pub(super) fn nearest(&self, k: usize, grid: &Grid) -> usize {
+    /// The cell of the grid that is nearest to the block's cell in this column and row of it.
+    pub(super) fn nearest(&self, col: usize, row: usize, grid: &Grid) -> usize {
         let held = |at: isize, count: usize| (at.max(0) as usize).min(count - 1);
-        let row = held(self.row0 + (k / self.width) as isize, grid.height);
-        row * grid.width + held(self.col0 + (k % self.width) as isize, grid.width)
+        held(self.row0 + row as isize, grid.height) * grid.width + held(self.col0 + col as isize, grid.width)
     }
 }
 
 /// Buffers for one block, reused from block to block.
 pub(super) struct Scratch {
-    /// A view's samples.
+    /// A view's samples, and room for the rest of the last few.
     pub(super) values: Vec<f32>,
     /// Where they are taken.
-    pub(super) places: Vec<Place>,
+    pub(super) places: Places,
     /// Descriptors of brightness, per view.
     pub(super) descriptors: Vec<Descriptors>,
     /// Descriptors of the index, per view.
@@ -101,8 +100,8 @@ impl Scratch {
         let cells = (BLOCK.0 + 2 * radius) * (BLOCK.1 + 2 * radius);
         let margin = 2 * (RADIUS + radius);
         Self {
-            values: vec![0.0; (BLOCK.0 + margin) * (BLOCK.1 + margin)],
-            places: vec![Place::default(); (BLOCK.0 + margin) * (BLOCK.1 + margin)],
+            values: vec![0.0; (BLOCK.0 + margin) * (BLOCK.1 + margin) + POINTS],
+            places: Places::new((BLOCK.0 + margin) * (BLOCK.1 + margin)),
             across: vec![0; cells],
             descriptors: vec![Descriptors::new(cells); views],
             index_descriptors: vec![Descriptors::new(cells); views],
