@@ -7,10 +7,10 @@ use std::time::{Duration, Instant};
 const SLACK: f64 = 0.04;
 /// What one image costs after training (its rendering, its shadows, its scores), and the DSM likewise, in steps.
 /// 1.5 to 2.6 were seen on ground.
-const STEPS_PER_PRODUCT: f64 = 2.0;
+const STEPS_PER_PRODUCT: f64 = 2.2;
 
-/// What comes after training on a scene of `images` images, in steps.
-fn after_training_steps(images: usize) -> f64 {
+/// What the products of a scene of `images` images take after training, in steps.
+pub fn steps_of_products(images: usize) -> f64 {
     STEPS_PER_PRODUCT * (images + 2) as f64
 }
 
@@ -19,13 +19,17 @@ fn after_training_steps(images: usize) -> f64 {
 pub struct Budget {
     begun: Instant,
     limit: Duration,
-    images: usize,
+    steps_after: f64,
 }
 
 impl Budget {
-    /// `limit` from `begun` on, for a scene of `images` images.
-    pub fn new(begun: Instant, limit: Duration, images: usize) -> Self {
-        Self { begun, limit, images }
+    /// `limit` from `begun` on, where what follows training takes as long as `steps_after` of its steps.
+    pub fn new(begun: Instant, limit: Duration, steps_after: f64) -> Self {
+        Self {
+            begun,
+            limit,
+            steps_after,
+        }
     }
 
     /// Steps in all that fit, when `done` are done and one takes `step_s` seconds.
@@ -39,7 +43,7 @@ impl Budget {
     }
 
     fn steps_left(&self, elapsed_s: f64, step_s: f64) -> usize {
-        let after_s = after_training_steps(self.images) * step_s;
+        let after_s = self.steps_after * step_s;
         let left_s = self.limit.as_secs_f64() * (1.0 - SLACK) - elapsed_s - after_s;
         (left_s / step_s.max(1e-6)).max(0.0) as usize
     }
@@ -81,16 +85,16 @@ mod tests {
 
     #[test]
     fn steps_and_what_follows_them_fit_into_the_time() {
-        let budget = Budget::new(Instant::now(), Duration::from_secs(100), 10);
+        let budget = Budget::new(Instant::now(), Duration::from_secs(100), 24.0);
         for step_s in [0.01, 0.2, 1.0] {
             let steps = budget.steps_left(20.0, step_s);
-            let end_s = 20.0 + (steps as f64 + after_training_steps(10)) * step_s;
+            let end_s = 20.0 + (steps as f64 + 24.0) * step_s;
             assert!(end_s <= 96.0 && end_s > 94.0, "{step_s}: {end_s}");
         }
         assert_eq!(budget.steps_left(99.0, 0.1), 0);
         assert!(budget.spent() < 0.1);
         std::thread::sleep(Duration::from_millis(2));
-        assert!(Budget::new(budget.begun, Duration::from_millis(1), 10).spent() > 1.0);
+        assert!(Budget::new(budget.begun, Duration::from_millis(1), 24.0).spent() > 1.0);
     }
 
     #[test]

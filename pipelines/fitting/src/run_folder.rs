@@ -152,8 +152,8 @@ pub struct RunRequest<'a> {
     pub request: &'a TrainRequest,
     /// All that decides the training, line by line: two of the same lines are the same training.
     pub identity: &'a str,
-    /// How many images it has.
-    pub images: usize,
+    /// What follows training, in steps of it.
+    pub steps_after: f64,
 }
 
 /// A folder in which a training begins or goes on; `P` is what a pipeline computes once before training starts.
@@ -207,7 +207,7 @@ impl<'a, P: Clone + Serialize + DeserializeOwned + 'static> Opened<'a, P> {
         let RunRequest {
             request,
             identity,
-            images,
+            steps_after,
         } = asked;
         let out = request.out.as_path();
         if request.resume {
@@ -229,7 +229,7 @@ impl<'a, P: Clone + Serialize + DeserializeOwned + 'static> Opened<'a, P> {
         create_folder(out)?;
         Ok(Self::Open(Box::new(RunFolder {
             begun,
-            budget: request.time_budget.map(|limit| Budget::new(begun, limit, images)),
+            budget: request.time_budget.map(|limit| Budget::new(begun, limit, steps_after)),
             checkpoints: CheckpointWriter::new(out, identity, request.checkpoint_every, begun),
             checkpoint,
             closing: Closing { out, identity, new },

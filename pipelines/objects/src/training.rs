@@ -10,6 +10,7 @@ use crate::model::ObjectModel;
 use crate::plan::Plan;
 use crate::run::{self, ObjectRun};
 use heliosplat::timeline::{self, stage};
+use heliosplat_fitting::budget::steps_of_products;
 use heliosplat_fitting::checkpoint::{digest, identity_of_program};
 use heliosplat_fitting::request::{TrainOutcome, TrainRequest, TrainedRun};
 use heliosplat_fitting::run_folder::{
@@ -79,7 +80,7 @@ pub fn train(
     let folder = match Opened::<Plan>::look(RunRequest {
         request,
         identity: &identity,
-        images: capture.frames.len(),
+        steps_after: steps_of_products(capture.frames.len()),
     })? {
         Opened::Finished(metrics) => return Ok(TrainOutcome::FinishedBefore { metrics }),
         Opened::Open(folder) => *folder,

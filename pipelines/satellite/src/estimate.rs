@@ -43,7 +43,9 @@ const STEP_S_PER_GAUSSIAN: f64 = 3.0e-7;
 /// Seconds per Gaussian to trace light once, with gradients.
 const TRACE_S_PER_GAUSSIAN: f64 = 1.17e-6;
 /// Seconds per Gaussian and image, and as much for two more, after training: products, evaluation, report.
-const PRODUCT_S_PER_GAUSSIAN: f64 = 2.3e-6;
+const PRODUCT_S_PER_GAUSSIAN: f64 = 2.6e-6;
+/// Seconds per Gaussian and view to solve the albedo after training (1.1 to 1.4 were seen).
+const ALBEDO_S_PER_GAUSSIAN: f64 = 1.25e-6;
 /// What the planner's short fits take, in steps of the training (21 to 40 were seen).
 const TRIALS_AS_STEPS: f64 = 30.0;
 /// Seconds of one step of the small site, and of its light, on a core of the machine that the seconds above were measured on.
@@ -107,19 +109,21 @@ pub fn slowness() -> f64 {
 fn one_core_slowness() -> f64 {
     let site = Site::new(40_000, 320, 0.6);
     let mut lighting = Lighting::new(&site);
-    let light_s = mean_s(|| lighting.step(transmittance));
+    let light_s = median_s(|| lighting.step(transmittance));
     let mut descent = Descent::new(site);
-    let step_s = mean_s(|| descent.step());
+    let step_s = median_s(|| descent.step());
     (light_s + step_s) / REFERENCE_S
 }
 
-/// Seconds of a run, in the mean of some: what else the machine does slows the training down too.
-fn mean_s<T>(mut work: impl FnMut() -> T) -> f64 {
-    let begun = Instant::now();
-    for _ in 0..MEASUREMENTS {
+/// Seconds of a run, in the median of some: what else the machine does all the time slows the training down too, a single pause does not.
+fn median_s<T>(mut work: impl FnMut() -> T) -> f64 {
+    let mut seconds = [(); MEASUREMENTS].map(|()| {
+        let begun = Instant::now();
         std::hint::black_box(work());
-    }
-    begun.elapsed().as_secs_f64() / MEASUREMENTS as f64
+        begun.elapsed().as_secs_f64()
+    });
+    seconds.sort_by(f64::total_cmp);
+    seconds[MEASUREMENTS / 2]
 }
 
 /// Bytes that the process holds when its scene is open: itself and the images. What the system says it holds is no measure: an
@@ -255,7 +259,8 @@ pub fn estimate_of(extent: &Extent, config: &SatelliteConfig, slowness: f64, hel
     let growth = config.train.clone().for_views(training).growth();
     let per_gaussian = STEP_S_PER_GAUSSIAN + TRACE_S_PER_GAUSSIAN * traces_per_step(&config.train);
     let step_s = per_gaussian * gaussians * 0.5 * (1.0 + growth) * slowness;
-    let after_s = PRODUCT_S_PER_GAUSSIAN * gaussians * growth * (images + 2) as f64 * slowness;
+    let products = PRODUCT_S_PER_GAUSSIAN * (images + 2) as f64;
+    let after_s = (products + ALBEDO_S_PER_GAUSSIAN * training as f64) * gaussians * growth * slowness;
     Estimate {
         gaussians,
         peak_bytes: peak(MANY_GAUSSIANS_PER_CELL * cells * growth),

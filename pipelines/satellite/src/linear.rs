@@ -26,6 +26,8 @@ const LEAST_RESPONSE: f32 = 0.05;
 const PRIOR_PIXELS: f32 = 0.3;
 /// Belief in the colours that an image had, share of its pixels.
 const PRIOR_COLOUR: f64 = 1e-3;
+/// What a view of the round after training takes, in steps of the training (0.8 to 1.2 were seen).
+const FINISH_STEPS_PER_VIEW: f64 = 1.0;
 /// Pixels per parallel job; fixed, so that sums do not depend on the number of threads.
 const CHUNK: usize = 1 << 14;
 
@@ -57,6 +59,11 @@ pub(super) fn begin(model: &ShadowGs, parameters: &mut Parameters, views: &[View
 /// (docs/lab/shadows.md). Colours stay.
 pub(super) fn finish(model: &ShadowGs, parameters: &mut Parameters, views: &[View]) {
     improve(model, parameters, views, Round::After);
+}
+
+/// What [`finish`] takes with so many views, in steps of the training.
+pub(super) fn finish_steps(views: usize) -> f64 {
+    FINISH_STEPS_PER_VIEW * views as f64
 }
 
 fn improve(model: &ShadowGs, parameters: &mut Parameters, views: &[View], round: Round) {

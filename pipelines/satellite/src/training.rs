@@ -9,12 +9,14 @@ use crate::error::SatelliteError;
 use crate::estimate::{Estimate, estimate};
 use crate::fit::{self, Fitted, Limits};
 use crate::ground::MARGIN_M;
+use crate::linear;
 use crate::measure;
 use crate::plan::Decisions;
 use crate::run_file::{self, RunFile};
 use heliosplat::splat::ProjectionOptions;
 use heliosplat::timeline::{self, stage};
 use heliosplat_evaluate::{Protocol, error_map};
+use heliosplat_fitting::budget::steps_of_products;
 use heliosplat_fitting::checkpoint::{digest, identity_of_program};
 use heliosplat_fitting::request::{TrainOutcome, TrainRequest, TrainedRun};
 use heliosplat_fitting::run_folder::{Input, Opened, RunFolder, RunRequest, hash, hash_of_pixels};
@@ -53,7 +55,7 @@ pub fn train(
     let folder = match Opened::look(RunRequest {
         request,
         identity: &identity,
-        images: scene.images.len(),
+        steps_after: steps_of_products(scene.images.len()) + linear::finish_steps(scene.training().count()),
     })? {
         Opened::Finished(metrics) => return Ok(TrainOutcome::FinishedBefore { metrics }),
         Opened::Open(folder) => *folder,
@@ -254,7 +256,7 @@ pub fn configure(
     if preset.is_none() {
         for preset in Preset::ALL {
             let (_, config, estimate) = resolve(preset)?;
-            if estimate.seconds <= limit_s {
+            if estimate.seconds + estimate.suns_s <= limit_s {
                 chosen = (preset, config, estimate);
                 break;
             }
