@@ -8,13 +8,14 @@ use crate::gaussians::Table;
 use crate::light::Light;
 use crate::model::{Context, Parameters, SceneModel, Seen};
 use crate::raster::Raster;
-use crate::splat::rasterise::padded_channels;
+use crate::splat::rasterise::{MOST_CHANNELS, padded_channels};
 use crate::splat::{
     Bins, Depths, MapGradients, Maps, Projected, ProjectionOptions, Rasteriser, SplatGradient, project::project,
     project::project_backward,
 };
 use crate::timeline::stage;
 use crate::trace::{OccluderGradients, Occluders, Transmittance, transmittance};
+use rayon::prelude::*;
 
 /// Options of a pass.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -226,6 +227,37 @@ impl<'a> Pass<'a> {
     pub fn zero_gradients(&self) -> MapGradients {
         let channels = self.model.channels() + if self.options.normals { 3 } else { 0 };
         MapGradients::zeros(channels, self.maps.alpha.len())
+    }
+
+    /// What `planes` of numbers, one for each pixel, come to at each splat: sums over the pixels by the weights with which the splat is
+    /// composited there, `[splat][plane]`.
+    pub fn spread(&self, planes: &[Vec<f32>]) -> Vec<f32> {
+        let camera = self.context.camera;
+        let (splats, pixels) = (self.projected.splats.len(), self.maps.alpha.len());
+        let rasteriser = Rasteriser::with_bins(&self.projected, &self.bins, camera.width, camera.height);
+        let mut all = vec![0.0; splats * planes.len()];
+        for (number, some) in planes.chunks(MOST_CHANNELS).enumerate() {
+            // They are the gradients of features that are composited. Which features, and what comes of the splats, does not matter.
+            let stride = padded_channels(some.len());
+            let zero = MapGradients::zeros(some.len(), pixels);
+            let maps = Maps {
+                channels: zero.channels,
+                alpha: zero.alpha.clone(),
+                depth: zero.depth.clone(),
+                ..Maps::default()
+            };
+            let gradients = MapGradients {
+                channels: some.to_vec(),
+                ..zero
+            };
+            let found = rasteriser.backward(&vec![0.0; splats * stride], stride, &maps, &gradients);
+            let rows = all.par_chunks_mut(planes.len()).zip(found.features.par_chunks(stride));
+            rows.for_each(|(row, found)| {
+                let row = &mut row[number * MOST_CHANNELS..][..some.len()];
+                row.copy_from_slice(&found[..some.len()]);
+            });
+        }
+        all
     }
 
     /// Backward pass: adds to the gradients of all parameters from those of the maps.

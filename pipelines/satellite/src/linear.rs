@@ -70,6 +70,11 @@ fn improve(model: &ShadowGs, parameters: &mut Parameters, views: &[View], round:
     let colours = round == Round::Before && model.options.image_colour;
     let plain = colours.then(|| without_colours(model, parameters));
     let mut globals = parameters.globals.clone();
+    // Gradients that are not asked for.
+    let mut unused = Parameters {
+        gaussians: Table::zeros(Vec::new(), 0),
+        globals: parameters.globals.zeros_like(),
+    };
     let mut occluders = Occluders::new(&parameters.gaussians);
     let zeros = || vec![0.0f32; parameters.gaussians.group(ALBEDO).len()];
     let (mut wanted, mut weights) = (zeros(), zeros());
@@ -100,14 +105,22 @@ fn improve(model: &ShadowGs, parameters: &mut Parameters, views: &[View], round:
             found.unwrap_or(colour).write(&mut globals, view.appearance);
         }
         let (corrections, told) = corrections(model, &context, &pass, view, round);
-        for (image, sums) in [(corrections, &mut wanted), (told, &mut weights)] {
-            let mut gradients = parameters.zeros_like();
+        let bands = model.options.bands;
+        let to_albedo = |image: &Raster| {
             let mut d_maps = pass.zero_gradients();
-            model.compose_backward(&context, &pass.maps, &image, &mut d_maps, &mut gradients);
-            d_maps.channels[model.visibility_channel()].fill(0.0);
-            pass.backward(&d_maps, &mut gradients);
-            let spread = gradients.gaussians.group(ALBEDO).par_iter();
-            sums.par_iter_mut().zip(spread).for_each(|(sum, d)| *sum += d);
+            model.compose_backward(&context, &pass.maps, image, &mut d_maps, &mut unused);
+            d_maps.channels.truncate(bands);
+            d_maps.channels
+        };
+        let planes: Vec<Vec<f32>> = [corrections, told].iter().flat_map(to_albedo).collect();
+        let spread = pass.spread(&planes);
+        for (&gaussian, spread) in pass.projected.gaussian.iter().zip(spread.chunks_exact(2 * bands)) {
+            let all = gaussian as usize * bands..(gaussian as usize + 1) * bands;
+            let sums = wanted[all.clone()].iter_mut().zip(&mut weights[all]);
+            for ((wanted, weight), (correction, told)) in sums.zip(spread.iter().zip(&spread[bands..])) {
+                *wanted += correction;
+                *weight += told;
+            }
         }
     }
     parameters.globals = globals;
