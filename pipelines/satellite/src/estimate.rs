@@ -1,7 +1,7 @@
 //! What a training will take, before it begins: memory and time.
 //!
-//! The constants of memory were fitted to runs on `block` and a town (0.17 to 0.62 million Gaussians), those of time, on one core, to runs on
-//! `block` (docs/lab/presets.md); `metrics.json` keeps the estimate beside what was used.
+//! The constants of memory were fitted to runs on `block` and a town (0.17 to 0.62 million Gaussians), those of time, on one core, to runs of
+//! `preview`, `fast` and `balanced` on `block` 31 (docs/lab/speed.md); `metrics.json` keeps the estimate beside what was used.
 
 use super::config::{ModelOptions, SatelliteConfig};
 use super::error::FitError;
@@ -36,16 +36,22 @@ const SPARE_BYTES: f64 = 64.0 * 1_048_576.0;
 const PLANES: f64 = 24.0;
 /// The same per channel.
 const PLANES_PER_CHANNEL: f64 = 4.0;
-/// Seconds per cell and image before the first step: pointing, search, start (1.4 to 2.1 were seen).
-const START_S_PER_CELL: f64 = 1.65e-5;
+/// Seconds per cell and image before the first step: search, start, colours.
+const START_S_PER_CELL: f64 = 1.25e-5;
+/// Seconds per pixel of all images trained on, before the first step: reading, ties.
+const TIES_S_PER_PIXEL: f64 = 1.5e-6;
 /// Seconds per Gaussian and step, without light.
-const STEP_S_PER_GAUSSIAN: f64 = 3.0e-7;
+const STEP_S_PER_GAUSSIAN: f64 = 5.8e-7;
 /// Seconds per Gaussian to trace light once, with gradients.
-const TRACE_S_PER_GAUSSIAN: f64 = 1.17e-6;
+const TRACE_S_PER_GAUSSIAN: f64 = 9.0e-7;
+/// The same for shadow consistency.
+const CONSISTENCY_S_PER_GAUSSIAN: f64 = 5.0e-7;
 /// Seconds per Gaussian and image, and as much for two more, after training: products, evaluation, report.
-const PRODUCT_S_PER_GAUSSIAN: f64 = 2.6e-6;
-/// Seconds per Gaussian and view to solve the albedo after training (1.1 to 1.4 were seen).
-const ALBEDO_S_PER_GAUSSIAN: f64 = 1.25e-6;
+const PRODUCT_S_PER_GAUSSIAN: f64 = 1.2e-6;
+/// The same per pixel.
+const PRODUCT_S_PER_PIXEL: f64 = 1.2e-6;
+/// Seconds per Gaussian and view to solve the albedo after training.
+const ALBEDO_S_PER_GAUSSIAN: f64 = 1.0e-6;
 /// What the planner's short fits take, in steps of the training (21 to 40 were seen).
 const TRIALS_AS_STEPS: f64 = 30.0;
 /// Seconds of one step of the small site, and of its light, on a core of the machine that the seconds above were measured on.
@@ -255,12 +261,13 @@ pub fn estimate_of(extent: &Extent, config: &SatelliteConfig, slowness: f64, hel
     let levels = height_levels(altitudes_m as f32, cell_m as f32, widest_base_to_height as f32);
     let search = search_bytes(cells, levels, training as f64 * pixels);
     let peak = |gaussians: f64| fixed + training_bytes(gaussians).max(search);
-    let start_s = START_S_PER_CELL * cells * training as f64 * slowness;
+    let start_s = (START_S_PER_CELL * cells + TIES_S_PER_PIXEL * pixels) * training as f64 * slowness;
     let growth = config.train.clone().for_views(training).growth();
-    let per_gaussian = STEP_S_PER_GAUSSIAN + TRACE_S_PER_GAUSSIAN * traces_per_step(&config.train);
+    let per_gaussian = STEP_S_PER_GAUSSIAN + light_s_per_gaussian(&config.train);
     let step_s = per_gaussian * gaussians * 0.5 * (1.0 + growth) * slowness;
-    let products = PRODUCT_S_PER_GAUSSIAN * (images + 2) as f64;
-    let after_s = (products + ALBEDO_S_PER_GAUSSIAN * training as f64) * gaussians * growth * slowness;
+    let products = (PRODUCT_S_PER_GAUSSIAN * gaussians * growth + PRODUCT_S_PER_PIXEL * pixels) * (images + 2) as f64;
+    let albedo = ALBEDO_S_PER_GAUSSIAN * gaussians * growth * training as f64;
+    let after_s = (products + albedo) * slowness;
     Estimate {
         gaussians,
         peak_bytes: peak(MANY_GAUSSIANS_PER_CELL * cells * growth),
@@ -279,16 +286,16 @@ fn may_stop_early(train: &TrainOptions, steps: usize, views: usize) -> bool {
     train.patience > 0 && waited < (1.0 - KEPT_FROM) * steps as f64
 }
 
-/// How often a step traces light, in the mean: for its view, and twice where shadow consistency is due.
-fn traces_per_step(train: &TrainOptions) -> f64 {
+/// Seconds per Gaussian and step, in the mean, to trace light: for the step's view, and twice where shadow consistency is due.
+fn light_s_per_gaussian(train: &TrainOptions) -> f64 {
     let every = |steps: usize| 1.0 / steps.max(1) as f64;
     let consistency = if train.consistency_weight > 0.0 {
-        2.0 * every(train.consistency_every)
+        CONSISTENCY_S_PER_GAUSSIAN * 2.0 * every(train.consistency_every)
     } else {
         0.0
     };
     let sits_out = NEGLIGIBLE_SHARE * (1.0 - every(train.negligible_light_every));
-    every(train.light_every) * (1.0 - sits_out) + consistency
+    TRACE_S_PER_GAUSSIAN * every(train.light_every) * (1.0 - sits_out) + consistency
 }
 
 /// Refuses a scene that will not fit into `limit` bytes, with what would.
