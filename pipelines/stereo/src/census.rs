@@ -160,7 +160,7 @@ fn padded(values: &[f32], stride: usize) -> [f32; SIDE * REACH] {
     all
 }
 
-/// The same where every row of `values` holds all that the windows reach.
+/// The same of values that hold all that the windows reach.
 #[inline(always)]
 fn describe_cells(values: &[f32], stride: usize, limits: &[f32; LANES], noise: f32) -> [[u32; LANES]; 2] {
     let lanes = |line: &[f32; REACH], col: usize| -> [f32; LANES] { std::array::from_fn(|l| line[col + l]) };

@@ -213,4 +213,18 @@ mod tests {
             }
         }
     }
+
+    #[test]
+    fn an_image_of_one_row_has_no_values() {
+        let plane = vec![1.0; 5];
+        let mut places = Places::new(9);
+        let line = Line {
+            start: [0.5, 0.0, 1.0],
+            step: [0.5, 0.0, 0.0],
+        };
+        sampling::find(&line, 5, 1, 0, 9, &mut places);
+        let mut values = [0.0; 9 + sampling::POINTS];
+        sampling::bilinear(&plane, 5, &places, 9, &mut values);
+        assert!(values[..9].iter().all(|value| value.is_nan()), "{values:?}");
+    }
 }

@@ -48,6 +48,7 @@ impl Places {
     /// Sets the positions from `at` on.
     #[inline(always)]
     fn set(&mut self, at: usize, (index, across, down, nearest): Lanes) {
+        debug_assert!(at + POINTS <= self.index.len(), "no room for whole groups of places");
         let lists = (
             self.index[at..].first_chunk_mut(),
             self.across[at..].first_chunk_mut(),
@@ -106,6 +107,7 @@ vectorised! {
                 out[at..].first_chunk_mut::<POINTS>(),
             );
             let (Some(index), Some(across), Some(down), Some(out)) = lists else {
+                debug_assert!(false, "no room for whole groups of places");
                 return;
             };
             // Each corner of the places that there are, so that one check of an index does for all four.
@@ -114,11 +116,11 @@ vectorised! {
             let (Some(upper), Some(upper_right), Some(lower), Some(lower_right)) =
                 (corner(0), corner(1), corner(width), corner(width + 1))
             else {
-                // Behind the last place may be some of a larger image.
-                for l in 0..POINTS.min(count - at) {
-                    let i = index[l] as usize;
-                    let top = pixels[i] + (pixels[i + 1] - pixels[i]) * across[l];
-                    let bottom = pixels[i + width] + (pixels[i + width + 1] - pixels[i + width]) * across[l];
+                // Behind the last place may be some of a larger image, and an image may be too small for any place.
+                for l in 0..POINTS {
+                    let pixel = |step: usize| pixels.get(index[l] as usize + step).copied().unwrap_or(f32::NAN);
+                    let top = pixel(0) + (pixel(1) - pixel(0)) * across[l];
+                    let bottom = pixel(width) + (pixel(width + 1) - pixel(width)) * across[l];
                     out[l] = top + (bottom - top) * down[l];
                 }
                 continue;
