@@ -68,7 +68,10 @@ def one_band(images, folder):
     folder.mkdir(parents=True, exist_ok=True)
     copies = [folder / image.name for image in images]
     for image, copy in zip(images, copies):
-        subprocess.run(["gdal_translate", "-q", "-b", "2", str(image), str(copy)], check=True)
+        done = subprocess.run(["gdal_translate", "-q", "-b", "2", str(image), str(copy)], capture_output=True, text=True)
+        if done.returncode:
+            print(f"s2p: {image}: gdal_translate: {done.stderr.strip()}; it gets images of several bands", file=sys.stderr)
+            return images
     return copies
 
 
