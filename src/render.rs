@@ -232,6 +232,7 @@ impl<'a> Pass<'a> {
     /// What `planes` of numbers, one for each pixel, come to at each splat: sums over the pixels by the weights with which the splat is
     /// composited there, `[splat][plane]`.
     pub fn spread(&self, planes: &[Vec<f32>]) -> Vec<f32> {
+        let _part = stage("rasterise, backward");
         let camera = self.context.camera;
         let (splats, pixels) = (self.projected.splats.len(), self.maps.alpha.len());
         let rasteriser = Rasteriser::with_bins(&self.projected, &self.bins, camera.width, camera.height);

@@ -328,6 +328,37 @@ mod tests {
     }
 
     #[test]
+    fn planes_are_spread_by_the_weights_of_the_rasteriser_however_many_they_are() {
+        let model = ShadowGs::new(ShadowGsOptions::default());
+        let parameters = ground(&model);
+        let half = 0.25 * SIDE as f64;
+        let camera = ProjectiveCamera::nadir(-half, half, 0.5, (SIDE, SIDE));
+        let context = Context {
+            parameters: &parameters,
+            camera: &camera,
+            light: None,
+            appearance: Some(0),
+        };
+        let pass = Pass::new(&model, context, Lit::Everywhere, PassOptions::default());
+        // More than are composited at once; the first is one everywhere.
+        let plane = |k: usize| {
+            (0..SIDE * SIDE)
+                .map(|i| if k == 0 { 1.0 } else { ((i * k) % 7) as f32 })
+                .collect()
+        };
+        let planes: Vec<Vec<f32>> = (0..20).map(plane).collect();
+        let all = pass.spread(&planes);
+        let alpha: f32 = pass.maps.alpha.iter().sum();
+        let of_first: f32 = all.iter().step_by(planes.len()).sum();
+        assert!((of_first - alpha).abs() < 1e-3 * alpha, "{of_first} {alpha}");
+        for k in [3, 18] {
+            let alone = pass.spread(&planes[k..=k]);
+            let together: Vec<f32> = all.iter().skip(k).step_by(planes.len()).copied().collect();
+            assert_eq!(alone, together, "plane {k}");
+        }
+    }
+
+    #[test]
     fn the_colours_of_an_image_are_found() {
         let model = ShadowGs::new(ShadowGsOptions {
             images: 2,
