@@ -7,13 +7,14 @@
 //! those from it on for another, and the pairs across the day are left unexplained. So what never changed keeps its single surface as long
 //! as images across the day agree on it, and where something changed they agree on nothing and cost nothing to give up.
 //!
-//! Cells where two explain more than one are joined to segments, each segment gets the day that explains it best, and it is accepted by the
-//! Bayesian information criterion. Shadows that changed buildings threw are matched, or not, as other texture of the ground is.
+//! Cells where two explain more than one are joined to segments, each segment gets the day that explains it best, the [`shadows`] around it
+//! are asked on which dates they are those of the old state and of the new one, and it is accepted by the Bayesian information criterion.
 //!
 //! Limits: what stood between two dates only is seen as one of its two changes; a side with fewer than two images has no surface of its
 //! own, so what changed before the second or after the last but one image cannot be told.
 
 mod segments;
+mod shadows;
 
 use super::agreement::OnSurface;
 use super::grid::Grid;
@@ -31,6 +32,8 @@ use super::visibility::{FirstHits, Standing};
 use super::volume::SearchVolume;
 use rayon::prelude::*;
 use segments::{CoarseSegment, Side};
+use shadows::{Shadows, States};
+use std::cell::LazyCell;
 
 /// Cells of the request per cell on which change is searched.
 const COARSE: usize = 2;
@@ -117,7 +120,10 @@ pub fn find(views: &[SweepView], days: &[i32], request: &PlaneSweepRequest, surf
     coarse.volume.cell_m *= COARSE as f32;
     let grid = coarse.grid();
     let splits = splits(views, days, &candidates, &coarse, surface);
-    let found = segments::find(&grid, &splits, &shown(views, &grid, surface));
+    // Where nothing changed nobody asks.
+    let shadows = LazyCell::new(|| Shadows::new(views, days, &grid, &on_grid(&grid, surface)));
+    let by_shadows = |states: &States| shadows.likelihood(states);
+    let found = segments::find(&grid, &splits, &shown(views, &grid, surface), &by_shadows);
     let mut changes = Changes {
         segments: Vec::new(),
         label: vec![0; surface.altitude.len()],

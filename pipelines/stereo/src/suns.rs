@@ -18,10 +18,11 @@ mod score;
 
 use super::surface::Surface;
 use super::views::SweepView;
-use darkness::Darkness;
+pub(super) use darkness::Darkness;
 use glam::Vec3;
 use heliosplat::relief::Relief;
-use horizon::{relief_of, sample, toward};
+pub(super) use horizon::toward;
+use horizon::{relief_of, sample};
 use rayon::prelude::*;
 use score::{BLOCKS, Moments, Sample, shaded_sums};
 
@@ -209,7 +210,7 @@ impl Horizons {
 }
 
 /// Azimuth and elevation of a direction toward the sun, degrees.
-fn angles_deg(sun: Vec3) -> [f64; 2] {
+pub(super) fn angles_deg(sun: Vec3) -> [f64; 2] {
     let sun = sun.as_dvec3();
     [
         sun.x.atan2(sun.y).to_degrees().rem_euclid(360.0),

@@ -2,6 +2,7 @@
 
 use super::super::grid::Grid;
 use super::Split;
+use super::shadows::States;
 use heliosplat_rpc::statistics::upper_quantile;
 use rayon::prelude::*;
 use std::collections::BTreeSet;
@@ -17,15 +18,16 @@ const CELLS_OF_ONE: f32 = 5.0;
 /// Logarithm of likelihood of a pair's census distance that is 1 less: the difference between agreement and chance over the variance of
 /// distances, 0.12 / 0.15².
 const LIKELIHOOD_PER_DISTANCE: f32 = 5.3;
-/// Parameters that a segment adds: an altitude, a day and a place. Without the place, weak evidence at the rim of the images comes near to
-/// being accepted (docs/lab/change.md).
-const PARAMETERS: f32 = 3.0;
+/// Least logarithm of likelihood by matching: shadows say which of two states an image has, not that there are two.
+const LEAST_MATCHED: f32 = 5.0;
+/// Parameters that a segment adds: an altitude and a day.
+const PARAMETERS: f32 = 2.0;
 /// What `criterion`, half of the difference of two Bayesian information criteria, has to exceed. A difference of 2 and less is "not worth
 /// more than a bare mention" (R. E. Kass, A. E. Raftery, Bayes factors, Journal of the American Statistical Association 90, 1995).
 const LEAST_CRITERION: f32 = 1.0;
 /// Share of a segment's upper quartile of gains that a cell of it has at least: where half of the window lies beside the segment, about
 /// half of the gain is left.
-const LEAST_SHARE: f32 = 0.6;
+const LEAST_SHARE: f32 = 0.45;
 
 /// The best surface of one side of a day.
 pub(super) struct Side {
@@ -87,7 +89,13 @@ pub(super) struct CoarseSegment {
 
 /// The segments that the Bayesian information criterion accepts.
 /// Cells that few images show (`shown` is false) are in none: there surfaces differ by which images happen to be compared.
-pub(super) fn find(grid: &Grid, splits: &[Split], shown: &[bool]) -> Vec<CoarseSegment> {
+/// `by_shadows` is how much more likely two states make the shadows around a segment than one, a logarithm.
+pub(super) fn find(
+    grid: &Grid,
+    splits: &[Split],
+    shown: &[bool],
+    by_shadows: &dyn Fn(&States) -> f32,
+) -> Vec<CoarseSegment> {
     let mut found = Vec::new();
     let mut taken = vec![false; grid.len()];
     for up in [false, true] {
@@ -99,7 +107,7 @@ pub(super) fn find(grid: &Grid, splits: &[Split], shown: &[bool]) -> Vec<CoarseS
             .map(|cell| shown[cell] && best(cell) > SEED_GAIN)
             .collect();
         for cells in connected(grid, &seeds) {
-            let Some(segment) = accepted(grid, splits, &cells, up, &mut taken) else {
+            let Some(segment) = accepted(grid, splits, &cells, up, &mut taken, by_shadows) else {
                 continue;
             };
             found.push(segment);
@@ -109,7 +117,14 @@ pub(super) fn find(grid: &Grid, splits: &[Split], shown: &[bool]) -> Vec<CoarseS
 }
 
 /// The segment around some connected cells, with the day that explains it best.
-fn accepted(grid: &Grid, splits: &[Split], seeds: &[usize], up: bool, taken: &mut [bool]) -> Option<CoarseSegment> {
+fn accepted(
+    grid: &Grid,
+    splits: &[Split],
+    seeds: &[usize],
+    up: bool,
+    taken: &mut [bool],
+    by_shadows: &dyn Fn(&States) -> f32,
+) -> Option<CoarseSegment> {
     let total = |split: &Split| -> f32 {
         let cells = seeds.iter().filter(|&&cell| split.differs(cell, up));
         cells.map(|&cell| split.gain(cell)).sum()
@@ -127,23 +142,38 @@ fn accepted(grid: &Grid, splits: &[Split], seeds: &[usize], up: bool, taken: &mu
     cells.retain(|&cell| split.gain(cell) >= least);
     let area_m2 = cells.len() as f32 * grid.cell_m * grid.cell_m;
     let gain: f32 = cells.iter().map(|&cell| split.gain(cell)).sum();
-    let likelihood = LIKELIHOOD_PER_DISTANCE * gain / CELLS_OF_ONE;
-    let observations = grid.len() as f32 / CELLS_OF_ONE;
-    let criterion = likelihood - 0.5 * PARAMETERS * observations.ln();
-    if area_m2 > LEAST_M2 {
-        let first = cells.first().copied().unwrap_or(0);
-        let (col, row) = (first % grid.width, first / grid.width);
-        tracing::debug!(col, row, day = split.day, area_m2, likelihood, criterion, "segment");
+    let matched = LIKELIHOOD_PER_DISTANCE * gain / CELLS_OF_ONE;
+    if area_m2 < LEAST_M2 || matched < LEAST_MATCHED {
+        return None;
     }
-    if area_m2 < LEAST_M2 || criterion <= LEAST_CRITERION {
+    let altitudes_m: Vec<[f32; 2]> = (cells.iter())
+        .map(|&cell| [0, 1].map(|side: usize| split.sides[side].altitude_m[cell]))
+        .collect();
+    let shaded = by_shadows(&States {
+        cells: &cells,
+        altitudes_m: &altitudes_m,
+        day: split.day,
+    });
+    let observations = grid.len() as f32 / CELLS_OF_ONE;
+    let criterion = matched + shaded - 0.5 * PARAMETERS * observations.ln();
+    let first = cells.first().copied().unwrap_or(0);
+    let (col, row) = (first % grid.width, first / grid.width);
+    tracing::debug!(
+        col,
+        row,
+        day = split.day,
+        area_m2,
+        matched,
+        shaded,
+        criterion,
+        "segment"
+    );
+    if criterion <= LEAST_CRITERION {
         return None;
     }
     for &cell in &cells {
         taken[cell] = true;
     }
-    let altitudes_m: Vec<[f32; 2]> = (cells.iter())
-        .map(|&cell| [0, 1].map(|side: usize| split.sides[side].altitude_m[cell]))
-        .collect();
     let difference_m = altitudes_m.iter().map(|[old, new]| new - old).sum::<f32>() / cells.len() as f32;
     Some(CoarseSegment {
         day: split.day,
@@ -200,7 +230,8 @@ mod tests {
     #[test]
     fn a_house_is_one_segment_with_the_day_that_explains_it_best() {
         let grid = Grid::plain(30, 30);
-        let found = find(&grid, &[split(3, 0.1), split(7, 0.4), split(9, -0.2)], &[true; 900]);
+        let splits = [split(3, 0.1), split(7, 0.4), split(9, -0.2)];
+        let found = find(&grid, &splits, &[true; 900], &|_| 0.0);
         assert_eq!(found.len(), 1);
         assert_eq!((found[0].day, found[0].cells.len()), (7, 100));
         assert!((found[0].difference_m - 6.0).abs() < 1e-6 && found[0].confidence > 0.9);
@@ -209,11 +240,17 @@ mod tests {
     #[test]
     fn two_surfaces_that_explain_hardly_more_are_not_accepted() {
         let grid = Grid::plain(30, 30);
-        assert!(find(&grid, &[split(3, 0.04)], &[true; 900]).is_empty());
-        assert!(find(&grid, &[split(3, -0.5)], &[true; 900]).is_empty());
-        assert!(
-            find(&grid, &[split(7, 0.4)], &[false; 900]).is_empty(),
-            "few images show it"
-        );
+        let count = |gain: f32, shown: bool| find(&grid, &[split(3, gain)], &[shown; 900], &|_| 0.0).len();
+        assert_eq!((count(0.04, true), count(-0.5, true)), (0, 0));
+        assert_eq!((count(0.4, true), count(0.4, false)), (1, 0), "few images show it");
+    }
+
+    #[test]
+    fn shadows_confirm_and_refute_what_matching_finds_but_find_nothing_alone() {
+        let grid = Grid::plain(30, 30);
+        let count = |gain: f32, shaded: f32| find(&grid, &[split(7, gain)], &[true; 900], &|_| shaded).len();
+        assert_eq!((count(0.055, 0.0), count(0.055, 8.0)), (0, 1));
+        assert_eq!((count(0.4, 0.0), count(0.4, -40.0)), (1, 0));
+        assert_eq!(count(0.04, 100.0), 0);
     }
 }

@@ -19,7 +19,7 @@ const LIT_QUANTILE: f64 = 0.75;
 const WINDOW_M: f32 = 20.0;
 
 /// Logarithms of the brightness of the sampled cells in each view, less the view's median; NaN where it does not see them.
-pub(super) struct Darkness {
+pub(in super::super) struct Darkness {
     brightness: Vec<Vec<f32>>,
     /// Columns and rows of the sampled cells in windows, for local means.
     places: Vec<(usize, usize)>,
@@ -27,7 +27,7 @@ pub(super) struct Darkness {
 }
 
 impl Darkness {
-    pub(super) fn new(views: &[SweepView], surface: &Surface, relief: &Relief, cells: &[usize]) -> Self {
+    pub(in super::super) fn new(views: &[SweepView], surface: &Surface, relief: &Relief, cells: &[usize]) -> Self {
         let brightness = views
             .par_iter()
             .map(|view| {
@@ -50,7 +50,7 @@ impl Darkness {
 
     /// How much darker the views of a date show each cell than the others that see it `lit` (view by view, where that is known); NaN where
     /// they do not see it, or no other sees it lit. Where fewer than two views of other dates are there at all, than the ground around.
-    pub(super) fn of_date(&self, views: &[SweepView], date: u32, lit: &[Option<Vec<bool>>]) -> Vec<f32> {
+    pub(in super::super) fn of_date(&self, views: &[SweepView], date: u32, lit: &[Option<Vec<bool>>]) -> Vec<f32> {
         let is_own = |view: usize| views[view].date_group == date;
         let (own, others): (Vec<usize>, Vec<usize>) = (0..views.len()).partition(|&view| is_own(view));
         let mut darker: Vec<f32> = (0..self.places.len())

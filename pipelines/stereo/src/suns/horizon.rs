@@ -17,7 +17,7 @@ pub(super) fn relief_of(surface: &Surface, covered: &[bool]) -> Relief {
 }
 
 /// A direction over a swept surface, see [`Toward::new`].
-pub(super) fn toward(azimuth_deg: f64, lowest_deg: f64) -> Toward {
+pub(in super::super) fn toward(azimuth_deg: f64, lowest_deg: f64) -> Toward {
     Toward::new(azimuth_deg, lowest_deg)
         .above(LEAST_RISE_M)
         .nearer(WALL_CELLS)
