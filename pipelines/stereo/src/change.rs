@@ -7,8 +7,8 @@
 //! those from it on for another, and the pairs across the day are left unexplained. So what never changed keeps its single surface as long
 //! as images across the day agree on it, and where something changed they agree on nothing and cost nothing to give up.
 //!
-//! Cells where two explain more than one are joined to segments, each segment gets the day that explains it best, the [`shadows`] around it
-//! are asked on which dates they are those of the old state and of the new one, and it is accepted by the Bayesian information criterion.
+//! Cells where two explain more than one are joined to segments, each segment gets the day that explains it best, the shadows around it
+//! say on which dates the old state stands and on which the new one, and it is accepted by the Bayesian information criterion.
 //!
 //! Limits: what stood between two dates only is seen as one of its two changes; a side with fewer than two images has no surface of its
 //! own, so what changed before the second or after the last but one image cannot be told.
@@ -120,7 +120,7 @@ pub fn find(views: &[SweepView], days: &[i32], request: &PlaneSweepRequest, surf
     coarse.volume.cell_m *= COARSE as f32;
     let grid = coarse.grid();
     let splits = splits(views, days, &candidates, &coarse, surface);
-    // Where nothing changed nobody asks.
+    // Measured only if a candidate asks for it.
     let shadows = LazyCell::new(|| Shadows::new(views, days, &grid, &on_grid(&grid, surface)));
     let by_shadows = |states: &States| shadows.likelihood(states);
     let found = segments::find(&grid, &splits, &shown(views, &grid, surface), &by_shadows);

@@ -22,6 +22,9 @@ const LIKELIHOOD_PER_DISTANCE: f32 = 5.3;
 const LEAST_MATCHED: f32 = 5.0;
 /// Parameters that a segment adds: an altitude and a day.
 const PARAMETERS: f32 = 2.0;
+/// The same where no shadow tells the states apart: a place as well. Weak evidence at the rim of the images comes near to being accepted
+/// without it (docs/lab/change.md).
+const PARAMETERS_WITHOUT_SHADOWS: f32 = 3.0;
 /// What `criterion`, half of the difference of two Bayesian information criteria, has to exceed. A difference of 2 and less is "not worth
 /// more than a bare mention" (R. E. Kass, A. E. Raftery, Bayes factors, Journal of the American Statistical Association 90, 1995).
 const LEAST_CRITERION: f32 = 1.0;
@@ -89,12 +92,12 @@ pub(super) struct CoarseSegment {
 
 /// The segments that the Bayesian information criterion accepts.
 /// Cells that few images show (`shown` is false) are in none: there surfaces differ by which images happen to be compared.
-/// `by_shadows` is how much more likely two states make the shadows around a segment than one, a logarithm.
+/// `by_shadows` is how much more likely two states make the shadows around a segment than one, a logarithm; `None` where they say nothing.
 pub(super) fn find(
     grid: &Grid,
     splits: &[Split],
     shown: &[bool],
-    by_shadows: &dyn Fn(&States) -> f32,
+    by_shadows: &dyn Fn(&States) -> Option<f32>,
 ) -> Vec<CoarseSegment> {
     let mut found = Vec::new();
     let mut taken = vec![false; grid.len()];
@@ -123,7 +126,7 @@ fn accepted(
     seeds: &[usize],
     up: bool,
     taken: &mut [bool],
-    by_shadows: &dyn Fn(&States) -> f32,
+    by_shadows: &dyn Fn(&States) -> Option<f32>,
 ) -> Option<CoarseSegment> {
     let total = |split: &Split| -> f32 {
         let cells = seeds.iter().filter(|&&cell| split.differs(cell, up));
@@ -155,7 +158,11 @@ fn accepted(
         day: split.day,
     });
     let observations = grid.len() as f32 / CELLS_OF_ONE;
-    let criterion = matched + shaded - 0.5 * PARAMETERS * observations.ln();
+    let parameters = match shaded {
+        Some(_) => PARAMETERS,
+        None => PARAMETERS_WITHOUT_SHADOWS,
+    };
+    let criterion = matched + shaded.unwrap_or(0.0) - 0.5 * parameters * observations.ln();
     let first = cells.first().copied().unwrap_or(0);
     let (col, row) = (first % grid.width, first / grid.width);
     tracing::debug!(
@@ -164,7 +171,7 @@ fn accepted(
         day = split.day,
         area_m2,
         matched,
-        shaded,
+        ?shaded,
         criterion,
         "segment"
     );
@@ -231,7 +238,7 @@ mod tests {
     fn a_house_is_one_segment_with_the_day_that_explains_it_best() {
         let grid = Grid::plain(30, 30);
         let splits = [split(3, 0.1), split(7, 0.4), split(9, -0.2)];
-        let found = find(&grid, &splits, &[true; 900], &|_| 0.0);
+        let found = find(&grid, &splits, &[true; 900], &|_| None);
         assert_eq!(found.len(), 1);
         assert_eq!((found[0].day, found[0].cells.len()), (7, 100));
         assert!((found[0].difference_m - 6.0).abs() < 1e-6 && found[0].confidence > 0.9);
@@ -240,7 +247,7 @@ mod tests {
     #[test]
     fn two_surfaces_that_explain_hardly_more_are_not_accepted() {
         let grid = Grid::plain(30, 30);
-        let count = |gain: f32, shown: bool| find(&grid, &[split(3, gain)], &[shown; 900], &|_| 0.0).len();
+        let count = |gain: f32, shown: bool| find(&grid, &[split(3, gain)], &[shown; 900], &|_| None).len();
         assert_eq!((count(0.04, true), count(-0.5, true)), (0, 0));
         assert_eq!((count(0.4, true), count(0.4, false)), (1, 0), "few images show it");
     }
@@ -248,9 +255,17 @@ mod tests {
     #[test]
     fn shadows_confirm_and_refute_what_matching_finds_but_find_nothing_alone() {
         let grid = Grid::plain(30, 30);
-        let count = |gain: f32, shaded: f32| find(&grid, &[split(7, gain)], &[true; 900], &|_| shaded).len();
-        assert_eq!((count(0.055, 0.0), count(0.055, 8.0)), (0, 1));
-        assert_eq!((count(0.4, 0.0), count(0.4, -40.0)), (1, 0));
-        assert_eq!(count(0.04, 100.0), 0);
+        let count = |gain: f32, shaded: Option<f32>| {
+            let found = find(&grid, &[split(7, gain)], &[true; 900], &|_| shaded);
+            found.len()
+        };
+        assert_eq!((count(0.055, Some(0.0)), count(0.055, Some(8.0))), (0, 1));
+        assert_eq!((count(0.4, None), count(0.4, Some(-40.0))), (1, 0));
+        assert_eq!(count(0.04, Some(100.0)), 0);
+        assert_eq!(
+            (count(0.07, Some(0.0)), count(0.07, None)),
+            (1, 0),
+            "what no shadow confirms has to match better"
+        );
     }
 }

@@ -1,8 +1,8 @@
 //! What the shadows around a segment say of its two states.
 //!
 //! A house shades other ground than the lot on which it stands. Where the two states differ in that, and the ground shows in an image,
-//! its darkness tells which state the image has, whatever the other images show. So a side with a single pair of images, which
-//! matching hardly tells, has as many witnesses as it has dates.
+//! its darkness tells which state the image has, whatever the other images show. So a side with a single pair of images, on which
+//! matching says little, has as many observations as it has dates.
 //!
 //! Darkness is measured against the other dates on which the same ground is lit. How likely each darkness is in the shadows that the
 //! surface of all images casts and in its sun is counted over the whole scene, so that mistakes of the surface, and dates that
@@ -15,10 +15,12 @@ use super::super::suns::{Darkness, angles_deg, toward};
 use super::super::surface::Surface;
 use super::super::views::SweepView;
 use heliosplat::relief::Relief;
+use rayon::prelude::*;
 use std::collections::BTreeSet;
 
-/// Classes of darkness, and the natural logarithms of brightness over which they go.
+/// Classes of darkness.
 const CLASSES: usize = 12;
+/// Natural logarithm of brightness from which on darker is in the last class, and brighter in the first.
 const DARKEST: f32 = 1.5;
 /// How far a sun may be too high and a cell that it lights still count as lit, degrees: edges of surfaces are ramps.
 const DOUBT_DEG: f64 = 3.0;
@@ -78,7 +80,7 @@ impl Shadows {
             let toward = toward(azimuth_deg, elevation_deg - DOUBT_DEG);
             Some(cells.iter().map(|&cell| !relief.is_shaded(cell, &toward)).collect())
         };
-        let lit: Vec<Option<Vec<bool>>> = views.iter().map(lit).collect();
+        let lit: Vec<Option<Vec<bool>>> = views.par_iter().map(lit).collect();
         let mut groups: Vec<u32> = views.iter().map(|view| view.date_group).collect();
         groups.sort_unstable();
         groups.dedup();
@@ -92,7 +94,7 @@ impl Shadows {
                 darkness: measured.of_date(views, group, &lit),
             })
         };
-        let dates: Vec<Date> = groups.into_iter().filter_map(date).collect();
+        let dates: Vec<Date> = groups.into_par_iter().filter_map(date).collect();
         let mut counts = [[1.0f32; CLASSES]; 2];
         for date in &dates {
             let toward = toward(date.azimuth_deg, date.elevation_deg);
@@ -115,8 +117,8 @@ impl Shadows {
     }
 
     /// How much more likely the darkness around some cells is with two states, the change from one to the other on a day, than with the
-    /// better of the two on all dates: a logarithm.
-    pub(super) fn likelihood(&self, states: &States) -> f32 {
+    /// better of the two on all dates: a logarithm. `None` where no date shows ground that tells them apart.
+    pub(super) fn likelihood(&self, states: &States) -> Option<f32> {
         let States {
             cells,
             altitudes_m,
@@ -131,6 +133,7 @@ impl Shadows {
         });
         let around = self.around(cells);
         let (mut before, mut after) = (0.0, 0.0);
+        let mut tells = false;
         for date in &self.dates {
             let toward = toward(date.azimuth_deg, date.elevation_deg);
             let mut old = 0.0;
@@ -140,6 +143,7 @@ impl Shadows {
                 };
                 let [shaded, shaded_then] = states.each_ref().map(|state| state.is_shaded(cell, &toward));
                 if shaded != shaded_then {
+                    tells = true;
                     old += if shaded {
                         self.in_shadow[class]
                     } else {
@@ -153,7 +157,7 @@ impl Shadows {
                 false => after -= old,
             }
         }
-        f32::min(before, after)
+        tells.then(|| f32::min(before, after))
     }
 
     /// The cells in reach of the shadows of some others, without these.
@@ -257,11 +261,13 @@ mod tests {
                 sun: Some(sun(SUNS[k])),
             })
             .collect();
-        Shadows::new(&views, &days, &grid, &ground_m).likelihood(&States {
-            cells: &cells,
-            altitudes_m: &altitudes_m,
-            day,
-        })
+        Shadows::new(&views, &days, &grid, &ground_m)
+            .likelihood(&States {
+                cells: &cells,
+                altitudes_m: &altitudes_m,
+                day,
+            })
+            .expect("shadows of a house tell")
     }
 
     #[test]
