@@ -112,15 +112,14 @@ pub(crate) struct RowList<'l, T> {
 }
 
 /// Splits the list of all cells into rows, and lists where every cell begins in it, and last where the list ends.
-pub(crate) fn split_rows<T: Clone + Default>(
+pub(crate) fn split_rows<T: Clone + Default + Send>(
     row_starts: Vec<Vec<u32>>,
     list: &mut Vec<T>,
 ) -> (Vec<u32>, Vec<RowList<'_, T>>) {
     let ends = |starts: &Vec<u32>| starts.last().copied().unwrap_or(0);
-    list.resize(
-        row_starts.iter().map(|starts| ends(starts) as usize).sum(),
-        T::default(),
-    );
+    let length: usize = row_starts.iter().map(|starts| ends(starts) as usize).sum();
+    let empty = (0..length).into_par_iter().with_min_len(CHUNK).map(|_| T::default());
+    empty.collect_into_vec(list);
     let (mut base, mut left) = (0, list.as_mut_slice());
     let mut starts = vec![0];
     let mut rows = Vec::with_capacity(row_starts.len());

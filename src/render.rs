@@ -17,6 +17,9 @@ use crate::timeline::stage;
 use crate::trace::{OccluderGradients, Occluders, Transmittance, transmittance};
 use rayon::prelude::*;
 
+/// Least number of splats per parallel job.
+const CHUNK: usize = 4096;
+
 /// Options of a pass.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct PassOptions {
@@ -90,16 +93,18 @@ impl PassLight {
     }
 
     /// Traces the splats whose Gaussian `known` says nothing of.
-    fn trace(splats: &[u32], (occluders, light): (&Occluders, &Light), known: impl Fn(u32) -> Option<f32>) -> Self {
-        let (mut transmittances, mut origins, mut places) = (Vec::with_capacity(splats.len()), Vec::new(), Vec::new());
-        for (place, &gaussian) in splats.iter().enumerate() {
-            let known = known(gaussian);
-            if known.is_none() {
-                origins.push(gaussian);
-                places.push(place as u32);
-            }
-            transmittances.push(known.unwrap_or_default());
-        }
+    fn trace(
+        splats: &[u32],
+        (occluders, light): (&Occluders, &Light),
+        known: impl Fn(u32) -> Option<f32> + Sync,
+    ) -> Self {
+        let all = || splats.par_iter().with_min_len(CHUNK);
+        let mut transmittances: Vec<f32> = all().map(|&gaussian| known(gaussian).unwrap_or_default()).collect();
+        let (origins, places): (Vec<u32>, Vec<u32>) = all()
+            .enumerate()
+            .filter(|(_, gaussian)| known(**gaussian).is_none())
+            .map(|(place, &gaussian)| (gaussian, place as u32))
+            .unzip();
         let traced = transmittance(occluders, &origins, light);
         for (&place, &value) in places.iter().zip(&traced.values) {
             transmittances[place as usize] = value;
@@ -114,7 +119,8 @@ impl PassLight {
 
     /// Of gradients to the transmittances of all splats those of the ones that were traced.
     fn of_traced(&self, gradients: &[f32]) -> Vec<f32> {
-        self.places.iter().map(|&place| gradients[place as usize]).collect()
+        let places = self.places.par_iter().with_min_len(CHUNK);
+        places.map(|&place| gradients[place as usize]).collect()
     }
 }
 
@@ -162,7 +168,8 @@ impl<'a> Pass<'a> {
                 PassLight::trace(&projected.gaussian, (occluders, source), known)
             }
             (Lit::Known(values), _) => {
-                PassLight::known(projected.gaussian.iter().map(|&g| values[g as usize]).collect())
+                let splats = projected.gaussian.par_iter().with_min_len(CHUNK);
+                PassLight::known(splats.map(|&g| values[g as usize]).collect())
             }
             _ => PassLight::known(vec![1.0; projected.splats.len()]),
         };

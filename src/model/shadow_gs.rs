@@ -329,17 +329,16 @@ impl SceneModel for ShadowGs {
         let lighting = Lighting::new(self, context, maps);
         let pixels = maps.alpha.len();
         let mut out = Raster::filled(maps.width, maps.height, bands, 0.0);
-        let mut rows = out.values.chunks_mut(pixels.max(1)).collect::<Vec<_>>();
         let colours: Vec<Vec<f32>> = (0..pixels.div_ceil(CHUNK))
             .into_par_iter()
             .map(|chunk| lighting.chunk(chunk))
             .collect();
-        for (chunk, values) in colours.iter().enumerate() {
-            let count = values.len() / bands;
-            for (plane, part) in rows.iter_mut().zip(values.chunks(count)) {
-                plane[chunk * CHUNK..chunk * CHUNK + count].copy_from_slice(part);
+        let planes = out.values.par_chunks_mut(pixels.max(1)).enumerate();
+        planes.for_each(|(band, plane)| {
+            for (part, values) in plane.chunks_mut(CHUNK).zip(&colours) {
+                part.copy_from_slice(&values[band * part.len()..][..part.len()]);
             }
-        }
+        });
         out
     }
 
@@ -359,15 +358,16 @@ impl SceneModel for ShadowGs {
             .map(|chunk| lighting.chunk_backward(chunk, d_image))
             .collect();
         let mut shared = SharedGradients::new(bands);
-        for (chunk, part) in parts.iter().enumerate() {
-            shared.add(&part.shared);
-            let count = part.count;
-            for (slot, &channel) in part.channels.iter().enumerate() {
-                let into = &mut d_maps.channels[channel][chunk * CHUNK..chunk * CHUNK + count];
-                let from = &part.values[slot * count..(slot + 1) * count];
-                into.iter_mut().zip(from).for_each(|(d, v)| *d += v);
+        parts.iter().for_each(|part| shared.add(&part.shared));
+        let planes = d_maps.channels.par_iter_mut().enumerate();
+        planes.for_each(|(channel, plane)| {
+            for (into, part) in plane.chunks_mut(CHUNK).zip(&parts) {
+                let slots = part.channels.iter().zip(part.values.chunks_exact(part.count));
+                for (_, from) in slots.filter(|(of, _)| **of == channel) {
+                    into.iter_mut().zip(from).for_each(|(d, v)| *d += v);
+                }
             }
-        }
+        });
         let raw = &context.parameters.globals.group(SKY)[image * bands..(image + 1) * bands];
         for k in 0..bands {
             let sigmoid = crate::gaussians::sigmoid(raw[k]);

@@ -169,7 +169,8 @@ impl Bins {
             total += tiles(span);
             total
         }));
-        let slots: Vec<AtomicU32> = (0..total).map(|_| AtomicU32::new(0)).collect();
+        let empty = (0..total).into_par_iter().with_min_len(4096);
+        let slots: Vec<AtomicU32> = empty.map(|_| AtomicU32::new(0)).collect();
         let key = |s: usize| u64::from(ordered_bits(splats[s].depth)) << 32 | s as u64;
         let binning = Binning {
             spans: &spans,

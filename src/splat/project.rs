@@ -68,18 +68,30 @@ pub fn project(gaussians: &Table, camera: &ProjectiveCamera, options: &Projectio
             out
         })
         .collect();
-    let count = chunks.iter().map(|chunk| chunk.splats.len()).sum();
-    let mut all = Projected {
-        splats: Vec::with_capacity(count),
-        gaussian: Vec::with_capacity(count),
-        non_finite: 0,
-    };
+    joined(&chunks)
+}
+
+/// The splats of all chunks, one after another.
+fn joined(chunks: &[Projected]) -> Projected {
+    let mut count = 0;
+    let mut starts = Vec::with_capacity(chunks.len());
     for chunk in chunks {
-        all.splats.extend(chunk.splats);
-        all.gaussian.extend(chunk.gaussian);
-        all.non_finite += chunk.non_finite;
+        starts.push(count);
+        count += chunk.splats.len();
     }
-    all
+    // Of several chunks that start at one place all but the last are empty.
+    let places = (0..count).into_par_iter().with_min_len(CHUNK).map(|place| {
+        let chunk = starts.partition_point(|start| *start <= place) - 1;
+        (&chunks[chunk], place - starts[chunk])
+    });
+    let (splats, gaussian) = places
+        .map(|(chunk, place)| (chunk.splats[place], chunk.gaussian[place]))
+        .unzip();
+    Projected {
+        splats,
+        gaussian,
+        non_finite: chunks.iter().map(|chunk| chunk.non_finite).sum(),
+    }
 }
 
 /// Adds the gradients of the splats to those of their Gaussians.

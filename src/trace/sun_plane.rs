@@ -119,14 +119,17 @@ fn by_level(all: &[Ellipse], mean_half_size: Vec2) -> [Vec<u32>; LEVELS] {
         let doublings = (1..LEVELS).filter(|&level| size > (1u32 << (level - 1)) as f32).count();
         ellipse.exists().then_some(doublings as u8)
     };
-    let found: Vec<Option<u8>> = all.par_iter().with_min_len(CHUNK).map(level).collect();
-    let mut levels: [Vec<u32>; LEVELS] = Default::default();
-    for (number, level) in found.iter().enumerate() {
-        if let Some(level) = level {
-            levels[usize::from(*level)].push(number as u32);
+    let of_chunk = |(chunk, all): (usize, &[Ellipse])| {
+        let mut levels: [Vec<u32>; LEVELS] = Default::default();
+        for (place, ellipse) in all.iter().enumerate() {
+            if let Some(level) = level(ellipse) {
+                levels[usize::from(level)].push((chunk * 4 * CHUNK + place) as u32);
+            }
         }
-    }
-    levels
+        levels
+    };
+    let chunks: Vec<[Vec<u32>; LEVELS]> = all.par_chunks(4 * CHUNK).enumerate().map(of_chunk).collect();
+    std::array::from_fn(|level| chunks.iter().flat_map(|levels| &levels[level]).copied().collect())
 }
 
 /// Size of the cells for searches within `half_size`: every row of cells costs a lookup, columns cost nothing.

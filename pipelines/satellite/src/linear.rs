@@ -114,14 +114,22 @@ fn improve(model: &ShadowGs, parameters: &mut Parameters, views: &[View], round:
         };
         let planes: Vec<Vec<f32>> = [corrections, told].iter().flat_map(to_albedo).collect();
         let spread = pass.spread(&planes);
+        let mut splats: Vec<Option<&[f32]>> = vec![None; parameters.gaussians.count];
         for (&gaussian, spread) in pass.projected.gaussian.iter().zip(spread.chunks_exact(2 * bands)) {
-            let all = gaussian as usize * bands..(gaussian as usize + 1) * bands;
-            let sums = wanted[all.clone()].iter_mut().zip(&mut weights[all]);
-            for ((wanted, weight), (correction, told)) in sums.zip(spread.iter().zip(&spread[bands..])) {
-                *wanted += correction;
-                *weight += told;
-            }
+            splats[gaussian as usize] = Some(spread);
         }
+        let sums = wanted.par_chunks_mut(bands).zip(weights.par_chunks_mut(bands));
+        sums.zip(&splats)
+            .with_min_len(1024)
+            .for_each(|((wanted, weights), splat)| {
+                let Some(splat) = splat else { return };
+                let (corrections, told) = splat.split_at(bands);
+                wanted
+                    .iter_mut()
+                    .zip(corrections)
+                    .for_each(|(wanted, by)| *wanted += by);
+                weights.iter_mut().zip(told).for_each(|(weight, by)| *weight += by);
+            });
     }
     parameters.globals = globals;
     let sums = wanted.par_iter().zip(&weights);
@@ -214,10 +222,8 @@ impl Colour {
 fn corrections(model: &ShadowGs, context: &Context, pass: &Pass, view: &View, round: Round) -> (Raster, Raster) {
     let image = pass.image();
     let truth = view.truth(&image);
-    let (dark, bright) = (
-        with_albedo(model, context, &pass.maps, false),
-        with_albedo(model, context, &pass.maps, true),
-    );
+    let mut maps = pass.maps.clone();
+    let [bright, dark] = [true, false].map(|one| with_albedo(model, context, &mut maps, one));
     let plane = image.plane_len();
     let (mut corrections, mut told) = (image.clone(), image);
     let pixels = corrections.values.par_iter_mut().zip(&mut told.values).enumerate();
@@ -234,17 +240,15 @@ fn corrections(model: &ShadowGs, context: &Context, pass: &Pass, view: &View, ro
     (corrections, told)
 }
 
-/// The view as it would be were every albedo one, or none.
-fn with_albedo(model: &ShadowGs, context: &Context, maps: &Maps, one: bool) -> Raster {
-    let mut maps = maps.clone();
-    let Maps { channels, alpha, .. } = &mut maps;
-    for channel in &mut channels[..model.options.bands] {
-        match one {
-            true => channel.copy_from_slice(alpha),
-            false => channel.fill(0.0),
-        }
-    }
-    model.compose(context, &maps)
+/// The view as it would be were every albedo one, or none; changes `maps`, those of the view, accordingly.
+fn with_albedo(model: &ShadowGs, context: &Context, maps: &mut Maps, one: bool) -> Raster {
+    let Maps { channels, alpha, .. } = &mut *maps;
+    let albedo = channels[..model.options.bands].par_iter_mut();
+    albedo.for_each(|channel| match one {
+        true => channel.copy_from_slice(alpha),
+        false => channel.fill(0.0),
+    });
+    model.compose(context, maps)
 }
 
 #[cfg(test)]
