@@ -336,9 +336,22 @@ pub struct Rendering {
 
 /// Composites alpha and depths (mean, squares and median, metres) of a view and nothing else: no model, no light.
 pub fn depths(gaussians: &Table, camera: &ProjectiveCamera, projection: &ProjectionOptions) -> Maps {
+    depths_and(gaussians, camera, projection, |_| 0.0)
+}
+
+/// The same, with a value of each Gaussian composited as the one channel.
+pub fn depths_and(
+    gaussians: &Table,
+    camera: &ProjectiveCamera,
+    projection: &ProjectionOptions,
+    value: impl Fn(usize) -> f32,
+) -> Maps {
     let projected = project(gaussians, camera, projection);
     let stride = padded_channels(1);
-    let features = vec![0.0; projected.splats.len() * stride];
+    let mut features = vec![0.0; projected.splats.len() * stride];
+    for (feature, &gaussian) in features.chunks_exact_mut(stride).zip(&projected.gaussian) {
+        feature[0] = value(gaussian as usize);
+    }
     let rasteriser = Rasteriser::new(&projected, camera.width, camera.height).with_depths(Depths::Median);
     rasteriser.forward(&features, stride)
 }

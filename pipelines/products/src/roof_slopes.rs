@@ -10,7 +10,7 @@
 use crate::nadir::CellVectors;
 use glam::{Mat3, Vec3};
 use heliosplat_rpc::sun::SunPosition;
-use heliosplat_stereo::lowest_within;
+use heliosplat_stereo::opening;
 use rayon::prelude::*;
 
 /// Half the width of the window that a plane is laid through, metres.
@@ -56,7 +56,7 @@ impl RoofSlopes {
             return Self(Vec::new());
         }
         let size = (width, up_m.len() / width);
-        let ground = ground(up_m, size, cells.reach(STANDING_M));
+        let ground = opening(size, up_m, cells.reach(STANDING_M));
         let window = Window::new(cells);
         let slope = |cell: usize| {
             let stands = up_m[cell] - ground[cell] > HIGH_M;
@@ -91,17 +91,6 @@ fn facing([east, north]: [f64; 2], sun: &SunPosition) -> f64 {
     let light = sun.direction_enu();
     let along = light.z - east * light.x - north * light.y;
     (along / (light.z * (1.0 + east * east + north * north).sqrt())).max(0.0)
-}
-
-/// Altitudes without what is narrower than twice the reach (columns, rows): the highest of the lowest (a morphological opening). Unknown cells are
-/// no ground.
-fn ground(up_m: &[f32], size: (usize, usize), reach: [usize; 2]) -> Vec<f32> {
-    let known: Vec<f32> = up_m.iter().map(|z| if z.is_nan() { f32::MAX } else { *z }).collect();
-    let depths = lowest_within(size, &known, reach)
-        .iter()
-        .map(|z| -z)
-        .collect::<Vec<_>>();
-    lowest_within(size, &depths, reach).iter().map(|z| -z).collect()
 }
 
 /// The cells around a cell.

@@ -3,7 +3,8 @@
 //! One look through the middle of every cell errs beside walls, for two reasons:
 //! * Gaussians let light through independently of each other, but those of a wall stand one below the other. Ten of them, each of
 //!   which shows a fifth of itself in the cell beside the wall, would cover nine tenths of that cell, and its altitude would be
-//!   somewhere in the wall. So what stands upright counts as far as it faces up; but leaves, which have no sides, count whole.
+//!   somewhere in the wall. So what stands upright counts as far as it faces up; but leaves ([`LeafIndex`]), which have no
+//!   sides, count whole.
 //! * A cell has as many altitudes as places, and the middle one is what a cell is said to have. So every cell is looked at in
 //!   3 x 3 places.
 //!
@@ -12,14 +13,14 @@
 //!
 //! What each is worth is in docs/lab/surface.md.
 
+use crate::leaves::LeafIndex;
 use crate::model::LoadedModel;
 use heliosplat::ProjectiveCamera;
 use heliosplat::gaussians::{OPACITY, Table, logit};
-use heliosplat::model::shadow_gs::ALBEDO;
-use heliosplat::render::depths;
+use heliosplat::render::{depths, depths_and};
 use heliosplat::splat::{Maps, ProjectionOptions};
 use heliosplat_rpc::statistics::upper_median;
-use heliosplat_scene::indices::{VEGETATION_GREEN, VegetationIndex};
+use heliosplat_scene::indices::VegetationIndex;
 use heliosplat_stereo::smooth_by_deviation;
 use rayon::prelude::*;
 
@@ -28,8 +29,6 @@ pub(super) const ALPHA_KNOWN: f32 = 0.5;
 
 /// Places in a cell, along each side of it.
 const PLACES: usize = 3;
-/// Vegetation index above which a Gaussian is leaves and nothing else: walls near trees have something of them.
-const LEAVES: f32 = 0.5;
 /// Share of a cell's doubt that is left where leaves are the surface by excess green alone: lawns have it too, and what is matched above
 /// them in doubt is no crown (docs/lab/surface.md, by ablation).
 const GREEN_DOUBT: f32 = 0.5;
@@ -52,18 +51,6 @@ pub struct SurfaceGaussians<'a> {
 }
 
 impl SurfaceGaussians<'_> {
-    /// Whether a Gaussian is leaves, as far as an index tells.
-    fn is_leaf(&self, g: usize) -> bool {
-        let albedo = &self.gaussians.group(ALBEDO)[g * self.bands..];
-        self.leaves.is_some_and(|index| {
-            let bar = match index {
-                VegetationIndex::Infrared(_) => LEAVES,
-                VegetationIndex::Green(_) => VEGETATION_GREEN,
-            };
-            index.of(|band| albedo[band]) > bar
-        })
-    }
-
     /// Share of a cell's doubt that is left where leaves are the surface.
     fn doubt_of_leaves(&self) -> f32 {
         match self.leaves {
@@ -98,8 +85,11 @@ pub(super) struct Cell {
 
 /// The cells that are the pixels, `cell_m` metres wide, of `nadir`, a camera that looks straight down.
 pub(super) fn cells(input: &SurfaceGaussians, nadir: &ProjectiveCamera, cell_m: f32) -> Vec<Cell> {
-    let all = depths(input.gaussians, nadir, &input.projection);
-    let looks = looks(input, nadir);
+    let index = LeafIndex::new(input);
+    let of_leaf = |g: usize| index.as_ref().map_or(0.0, |index| index.of(g));
+    let all = depths_and(input.gaussians, nadir, &input.projection, of_leaf);
+    let is_leaf = index.map(|index| index.leaves(nadir, &all, cell_m));
+    let looks = looks(input, is_leaf.as_deref(), nadir);
     let count = all.alpha.len();
     // Cliffs face nowhere but aside: there the one look at all that stands has to do.
     let or = |depth: Option<f32>, of_all: f32| depth.unwrap_or(of_all);
@@ -114,7 +104,7 @@ pub(super) fn cells(input: &SurfaceGaussians, nadir: &ProjectiveCamera, cell_m: 
             ]
         })
         .collect();
-    let leaves = leaves(input, nadir);
+    let leaves = is_leaf.map_or(Vec::new(), |is_leaf| leaf_depths(input, &is_leaf, nadir));
     let known = |i: usize| all.alpha[i] >= ALPHA_KNOWN;
     let mut up_m: Vec<f32> = (0..count)
         .map(|i| if known(i) { -range[i][1] } else { f32::NAN })
@@ -151,14 +141,11 @@ fn median_of(looks: &[Look], depth: impl Fn(&Look) -> f32) -> Option<f32> {
     upper_median(&mut known)
 }
 
-/// Median depths of leaves alone, metres, NaN where there are few; empty where no index tells leaves.
-fn leaves(input: &SurfaceGaussians, nadir: &ProjectiveCamera) -> Vec<f32> {
-    if input.leaves.is_none() {
-        return Vec::new();
-    }
+/// Median depths of leaves alone, metres, NaN where there are few.
+fn leaf_depths(input: &SurfaceGaussians, is_leaf: &[bool], nadir: &ProjectiveCamera) -> Vec<f32> {
     let mut alone = input.gaussians.clone();
-    for (g, opacity) in alone.group_mut(OPACITY).iter_mut().enumerate() {
-        if !input.is_leaf(g) {
+    for (opacity, &is_leaf) in alone.group_mut(OPACITY).iter_mut().zip(is_leaf) {
+        if !is_leaf {
             *opacity = logit(f32::MIN_POSITIVE);
         }
     }
@@ -179,8 +166,8 @@ struct Look {
 }
 
 /// Depths of what faces up in each of the places of the cells.
-fn looks(input: &SurfaceGaussians, nadir: &ProjectiveCamera) -> Vec<Look> {
-    let facing = facing_up(input);
+fn looks(input: &SurfaceGaussians, is_leaf: Option<&[bool]>, nadir: &ProjectiveCamera) -> Vec<Look> {
+    let facing = facing_up(input.gaussians, is_leaf);
     // The filter of a pixel as wide as a place.
     let projection = ProjectionOptions {
         filter_px2: input.projection.filter_px2 / (PLACES * PLACES) as f32,
@@ -217,9 +204,8 @@ fn forget_thin(depth: &mut [f32], alpha: &[f32]) {
     }
 }
 
-/// The Gaussians, less opaque the more upright they stand: whole up to a slope of 45 degrees, `2 cos²` of it beyond.
-fn facing_up(input: &SurfaceGaussians) -> Table {
-    let gaussians = input.gaussians;
+/// The Gaussians, less opaque the more upright they stand: whole up to a slope of 45 degrees, `2 cos²` of it beyond. Leaves stay as they are.
+fn facing_up(gaussians: &Table, is_leaf: Option<&[bool]>) -> Table {
     let mut out = gaussians.clone();
     let opacities = out.group_mut(OPACITY).par_iter_mut().with_min_len(1024);
     opacities.enumerate().for_each(|(g, opacity)| {
@@ -227,7 +213,7 @@ fn facing_up(input: &SurfaceGaussians) -> Table {
         let thinnest = (0..3).min_by(|&a, &b| scale[a].total_cmp(&scale[b])).unwrap_or(2);
         let up = gaussians.rotation(g).col(thinnest).z;
         let share = 2.0 * up * up;
-        if share < 1.0 && !input.is_leaf(g) {
+        if share < 1.0 && !is_leaf.is_some_and(|is_leaf| is_leaf[g]) {
             *opacity = logit((gaussians.opacity(g) * share).max(f32::MIN_POSITIVE));
         }
     });
@@ -239,6 +225,7 @@ mod tests {
     use super::*;
     use glam::{Quat, Vec3};
     use heliosplat::gaussians::{GroupSpec, LOG_SCALE, POSITION, ROTATION, core_groups};
+    use heliosplat::model::shadow_gs::ALBEDO;
     use heliosplat_scene::{BandKind, Values};
 
     const CELL_M: f32 = 0.5;

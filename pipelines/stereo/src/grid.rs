@@ -94,7 +94,7 @@ impl Grid {
 
 /// The least of `values` within so many columns and rows each way of each cell of a grid of `(width, height)`: first along rows, then
 /// across them.
-pub fn lowest_within((width, height): (usize, usize), values: &[f32], [columns, rows]: [usize; 2]) -> Vec<f32> {
+pub(super) fn lowest_within((width, height): (usize, usize), values: &[f32], [columns, rows]: [usize; 2]) -> Vec<f32> {
     let near = |at: usize, reach: usize, count: usize| at.saturating_sub(reach)..(at + reach + 1).min(count);
     let least = |values: &mut dyn Iterator<Item = f32>| values.fold(f32::MAX, f32::min);
     let across: Vec<f32> = in_parallel(width * height)
@@ -103,4 +103,12 @@ pub fn lowest_within((width, height): (usize, usize), values: &[f32], [columns, 
     in_parallel(width * height)
         .map(|i| least(&mut near(i / width, rows, height).map(|r| across[r * width + i % width])))
         .collect()
+}
+
+/// Altitudes without what is narrower than twice the reach (columns, rows): the highest of the lowest (a morphological opening). Unknown cells
+/// (NaN) are no ground.
+pub fn opening(size: (usize, usize), up_m: &[f32], reach: [usize; 2]) -> Vec<f32> {
+    let known: Vec<f32> = up_m.iter().map(|z| if z.is_nan() { f32::MAX } else { *z }).collect();
+    let depths: Vec<f32> = lowest_within(size, &known, reach).iter().map(|z| -z).collect();
+    lowest_within(size, &depths, reach).iter().map(|z| -z).collect()
 }

@@ -60,7 +60,7 @@ mod visibility;
 mod volume;
 mod wta;
 
-pub use grid::lowest_within;
+pub use grid::opening;
 pub use heights::height_levels;
 pub use pairs::widest_base_to_height_of as widest_base_to_height;
 pub use parameters::{CandidateTolerance, FEW_VIEWS, MANY_VIEWS, MatchingFacts, MatchingParameters, no_match_weight};

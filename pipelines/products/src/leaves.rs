@@ -1,0 +1,197 @@
+//! Which Gaussians are leaves, by the colours of what they stand in.
+//!
+//! The albedo of one Gaussian says little: those of one crown differ, and walls beside it have something of its colour. So the index of the
+//! albedo is composited from straight above, as depths are, and averaged over neighbouring cells. A Gaussian is leaves where its cell is.
+//! Without near infrared the index is excess green, of bands that are divided by their medians, and counts only where the cell is raised
+//! above the ground, since lawns are green too. Ablations are in docs/lab/surface.md.
+
+use super::surface::{ALPHA_KNOWN, SurfaceGaussians};
+use heliosplat::ProjectiveCamera;
+use heliosplat::model::shadow_gs::ALBEDO;
+use heliosplat::splat::Maps;
+use heliosplat_rpc::statistics::upper_median;
+use heliosplat_scene::indices::{VEGETATION_INDEX, VegetationIndex};
+use heliosplat_stereo::opening;
+use rayon::prelude::*;
+
+/// Excess green above which a cell is green.
+const GREEN: f32 = 0.04;
+/// Height above the ground from which a green cell is leaves, metres.
+const RAISED_M: f32 = 3.0;
+/// What is narrower than twice this stands on the ground, metres.
+const GROUND_REACH_M: f32 = 12.0;
+
+/// What tells leaves by the albedo of Gaussians.
+pub(super) struct LeafIndex<'a> {
+    index: VegetationIndex,
+    input: &'a SurfaceGaussians<'a>,
+    /// What each band is divided by.
+    white: Vec<f32>,
+}
+
+impl<'a> LeafIndex<'a> {
+    /// `None` where nothing tells leaves.
+    pub(super) fn new(input: &'a SurfaceGaussians<'a>) -> Option<Self> {
+        let index = input.leaves?;
+        let albedo = input.gaussians.group(ALBEDO);
+        let white = |band: usize| match index {
+            VegetationIndex::Infrared(_) => 1.0,
+            VegetationIndex::Green(_) => {
+                let mut values: Vec<f32> = albedo.iter().skip(band).step_by(input.bands).copied().collect();
+                upper_median(&mut values).filter(|&median| median > 0.0).unwrap_or(1.0)
+            }
+        };
+        Some(Self {
+            index,
+            input,
+            white: (0..input.bands).map(white).collect(),
+        })
+    }
+
+    /// The index of a Gaussian.
+    pub(super) fn of(&self, gaussian: usize) -> f32 {
+        let albedo = &self.input.gaussians.group(ALBEDO)[gaussian * self.input.bands..];
+        self.index.of(|band| albedo[band] / self.white[band]).clamp(-1.0, 1.0)
+    }
+
+    /// Whether each Gaussian is leaves, from what `nadir`, a camera that looks straight down at cells of `cell_m` metres, sees of them:
+    /// `maps`, whose one channel is the index.
+    pub(super) fn leaves(&self, nadir: &ProjectiveCamera, maps: &Maps, cell_m: f32) -> Vec<bool> {
+        let cells = self.cells((nadir.width, nadir.height), maps, cell_m);
+        let leaf = |gaussian: usize| {
+            let (col, row, _) = nadir.project(self.input.gaussians.position(gaussian));
+            let inside = |at: f32, count: usize| (-0.5..count as f32 - 0.5).contains(&at);
+            inside(col, nadir.width)
+                && inside(row, nadir.height)
+                && cells[row.round() as usize * nadir.width + col.round() as usize]
+        };
+        (0..self.input.gaussians.count)
+            .into_par_iter()
+            .with_min_len(4096)
+            .map(leaf)
+            .collect()
+    }
+
+    /// Whether the surface of each cell is leaves.
+    fn cells(&self, (width, height): (usize, usize), maps: &Maps, cell_m: f32) -> Vec<bool> {
+        let known = |i: usize| maps.alpha[i] >= ALPHA_KNOWN;
+        let reach = (self.input.gsd_m / cell_m).round() as usize;
+        let near = |at: usize, count: usize| at.saturating_sub(reach)..(at + reach + 1).min(count);
+        // NaN, which is above no bar, where nothing is known.
+        let mean = |i: usize| {
+            let (mut sum, mut count) = (0.0, 0.0);
+            for row in near(i / width, height) {
+                for k in near(i % width, width)
+                    .map(|col| row * width + col)
+                    .filter(|&k| known(k))
+                {
+                    sum += maps.channels[0][k] / maps.alpha[k];
+                    count += 1.0;
+                }
+            }
+            sum / count
+        };
+        let each = (0..width * height).into_par_iter().with_min_len(1024);
+        match self.index {
+            VegetationIndex::Infrared(_) => each.map(|i| mean(i) > VEGETATION_INDEX).collect(),
+            VegetationIndex::Green(_) => {
+                let up_m = |i: usize| if known(i) { -maps.median_depth[i] } else { f32::NAN };
+                let up_m: Vec<f32> = (0..width * height).map(up_m).collect();
+                let reach = (GROUND_REACH_M / cell_m).round() as usize;
+                let ground = opening((width, height), &up_m, [reach; 2]);
+                each.map(|i| up_m[i] - ground[i] > RAISED_M && mean(i) > GREEN)
+                    .collect()
+            }
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use glam::Vec3;
+    use heliosplat::gaussians::{GroupSpec, LOG_SCALE, OPACITY, POSITION, ROTATION, Table, core_groups, logit};
+    use heliosplat::render::depths_and;
+    use heliosplat::splat::ProjectionOptions;
+    use heliosplat_scene::{BandKind, Values};
+
+    const CELLS: usize = 64;
+    const GREY: [f32; 4] = [0.3, 0.3, 0.3, 0.35];
+    const LEAF: [f32; 4] = [0.1, 0.16, 0.08, 0.5];
+
+    /// Discs a metre apart at the altitudes and with the albedo (red, green, blue, near infrared) that `of` tells for each column and row;
+    /// which of them are leaves.
+    fn leaves(bands: &[BandKind], of: impl Fn(usize, usize) -> (f32, [f32; 4])) -> Vec<bool> {
+        let mut groups = core_groups();
+        groups.push(GroupSpec::new("albedo", bands.len()));
+        let mut table = Table::zeros(groups, CELLS * CELLS);
+        table.group_mut(OPACITY).fill(logit(0.95));
+        table.group_mut(LOG_SCALE).fill(0.6f32.ln());
+        for i in 0..CELLS * CELLS {
+            let (up_m, albedo) = of(i % CELLS, i / CELLS);
+            let place = Vec3::new((i % CELLS) as f32, -((i / CELLS) as f32), up_m);
+            table.group_mut(POSITION)[3 * i..][..3].copy_from_slice(&place.to_array());
+            table.group_mut(ROTATION)[4 * i..][..4].copy_from_slice(&[0.0, 0.0, 0.0, 1.0]);
+            table.group_mut(ALBEDO)[bands.len() * i..][..bands.len()].copy_from_slice(&albedo[..bands.len()]);
+        }
+        let projection = ProjectionOptions::default();
+        let input = SurfaceGaussians {
+            gaussians: &table,
+            bands: bands.len(),
+            leaves: Values::default().vegetation_index(bands),
+            projection,
+            gsd_m: 1.0,
+        };
+        let nadir = ProjectiveCamera::nadir(0.0, 0.0, 1.0, (CELLS, CELLS));
+        let index = LeafIndex::new(&input).expect("an index");
+        let maps = depths_and(&table, &nadir, &projection, |g| index.of(g));
+        index.leaves(&nadir, &maps, 1.0)
+    }
+
+    const RGB: [BandKind; 3] = [BandKind::Red, BandKind::Green, BandKind::Blue];
+    const RGBN: [BandKind; 4] = [BandKind::Red, BandKind::Green, BandKind::Blue, BandKind::NearInfrared];
+
+    /// A square of cells around a middle.
+    fn within(col: usize, row: usize, middle: [usize; 2], reach: usize) -> bool {
+        col.abs_diff(middle[0]) <= reach && row.abs_diff(middle[1]) <= reach
+    }
+
+    #[test]
+    fn without_near_infrared_a_crown_is_leaves_and_a_lawn_or_a_roof_is_not() {
+        let (crown, lawn, roof) = ([16, 16], [48, 16], [16, 48]);
+        let leaf = leaves(&RGB, |col, row| match () {
+            () if within(col, row, crown, 4) => (5.0, LEAF),
+            () if within(col, row, lawn, 8) => (0.0, LEAF),
+            () if within(col, row, roof, 8) => (6.0, GREY),
+            () => (0.0, GREY),
+        });
+        let at = |[col, row]: [usize; 2]| leaf[row * CELLS + col];
+        assert!(at(crown) && !at(lawn) && !at(roof) && !at([48, 48]));
+        assert!(leaf.iter().filter(|leaf| **leaf).count() >= 49, "most of the crown");
+    }
+
+    #[test]
+    fn colours_of_the_whole_scene_do_not_matter_without_near_infrared() {
+        // Bands in counts: green has half of the gain that blue has.
+        let leaf = leaves(&RGB, |col, row| {
+            let (up_m, albedo) = if within(col, row, [32, 32], 4) {
+                (5.0, LEAF)
+            } else {
+                (0.0, GREY)
+            };
+            (up_m, [albedo[0], 0.5 * albedo[1], albedo[2], albedo[3]])
+        });
+        assert!(leaf[32 * CELLS + 32] && !leaf[10 * CELLS + 10]);
+    }
+
+    #[test]
+    fn with_near_infrared_neighbours_decide_and_one_odd_gaussian_does_not() {
+        let leaf = leaves(&RGBN, |col, row| match () {
+            () if within(col, row, [16, 16], 4) && (col, row) != (16, 16) => (5.0, LEAF),
+            () if (col, row) == (48, 48) => (5.0, LEAF),
+            () => (0.0, GREY),
+        });
+        assert!(leaf[16 * CELLS + 16], "grey within a crown");
+        assert!(!leaf[48 * CELLS + 48], "a leaf by itself on a pavement");
+    }
+}
