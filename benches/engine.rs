@@ -128,11 +128,11 @@ fn rays(criterion: &mut Criterion) {
 fn steps(criterion: &mut Criterion) {
     let mut group = criterion.benchmark_group("step");
     group.sample_size(10);
-    for count in [10_000, 100_000, 1_000_000] {
+    for count in [1_000, 10_000, 100_000, 1_000_000] {
         let mut descent = Descent::new(Site::new(count, 512, SPREAD));
         group.bench_function(BenchmarkId::new("gaussians", count), |b| b.iter(|| descent.step()));
     }
-    for size in [256, 512, 1024] {
+    for size in [64, 256, 512, 1024, 2048] {
         let mut descent = Descent::new(Site::new(100_000, size, SPREAD));
         group.bench_function(BenchmarkId::new("pixels", size * size), |b| b.iter(|| descent.step()));
     }

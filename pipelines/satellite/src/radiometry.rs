@@ -162,11 +162,13 @@ pub(super) fn initialise(model: &ShadowGs, parameters: &mut Parameters, views: &
         let of_view = samples(&parameters.gaussians, &occluders, view, &maps, present.as_deref());
         shown.push(of_view);
     }
-    let shown = Shown {
+    let mut shown = Shown {
         colours: colours(model, &shown, views),
         samples: shown,
         views,
+        lit: Vec::new(),
     };
+    shown.lit = (0..bands).map(|k| shown.lit(k)).collect();
     let path_radiance: Vec<f32> = match model.options.image_colour {
         true => (0..bands).into_par_iter().map(|k| shown.path_radiance(k)).collect(),
         false => vec![0.0; bands],
@@ -247,6 +249,8 @@ struct Shown<'a> {
     views: &'a [View],
     samples: Vec<Vec<Sample>>,
     colours: Vec<Vec<Colour>>,
+    /// Of each band and Gaussian the median of one half and of the other half of the views that show it in the sun.
+    lit: Vec<Vec<Option<[f32; 2]>>>,
 }
 
 impl Shown<'_> {
@@ -285,20 +289,27 @@ impl Shown<'_> {
             return None;
         }
         let shaded = self.value(v, g, k)?;
-        let mut lit = [Vec::new(), Vec::new()];
-        // Which half has more views alternates.
-        let mut half = g % 2;
-        for other in (0..self.views.len()).filter(|&other| self.samples[other][g].lit) {
-            if let Some(value) = self.value(other, g, k) {
-                lit[half].push(value);
-                half = 1 - half;
+        let lit = self.lit[k][g]?;
+        Some(Pair { lit, shaded })
+    }
+
+    /// What each Gaussian is worth in the sun, in band `k`; `None` of those that fewer than two views show there.
+    fn lit(&self, k: usize) -> Vec<Option<[f32; 2]>> {
+        let count = self.samples.first().map_or(0, Vec::len);
+        let medians = |g: usize| {
+            let mut lit = [Vec::new(), Vec::new()];
+            // Which half has more views alternates.
+            let mut half = g % 2;
+            for view in (0..self.views.len()).filter(|&view| self.samples[view][g].lit) {
+                if let Some(value) = self.value(view, g, k) {
+                    lit[half].push(value);
+                    half = 1 - half;
+                }
             }
-        }
-        let [a, b] = &mut lit;
-        Some(Pair {
-            lit: [upper_median(a)?, upper_median(b)?],
-            shaded,
-        })
+            let [a, b] = &mut lit;
+            Some([upper_median(a)?, upper_median(b)?])
+        };
+        (0..count).into_par_iter().with_min_len(1024).map(medians).collect()
     }
 }
 

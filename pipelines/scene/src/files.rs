@@ -2,6 +2,7 @@
 
 use super::SceneError;
 use std::collections::BTreeSet;
+use std::fs::DirEntry;
 use std::path::{Path, PathBuf};
 
 /// Extensions of images, in lower case.
@@ -23,11 +24,19 @@ pub(super) fn images_in(folder: &Path) -> Result<Vec<PathBuf>, SceneError> {
 
 /// Files directly in a folder, sorted by name, hidden ones left out. An absent folder has none.
 pub(super) fn files_in(folder: &Path) -> Result<Vec<PathBuf>, SceneError> {
-    Ok(entries_of(folder)?.into_iter().filter(|path| path.is_file()).collect())
+    listed(folder, |entry| match entry.file_type() {
+        // The listing knows the kind, so the file system is not asked again for each file.
+        Ok(kind) if !kind.is_symlink() => kind.is_file(),
+        _ => entry.path().is_file(),
+    })
 }
 
 /// What is directly in a folder, sorted by name, hidden entries left out. An absent folder has nothing.
 pub(super) fn entries_of(folder: &Path) -> Result<Vec<PathBuf>, SceneError> {
+    listed(folder, |_| true)
+}
+
+fn listed(folder: &Path, keep: impl Fn(&DirEntry) -> bool) -> Result<Vec<PathBuf>, SceneError> {
     if !folder.is_dir() {
         return Ok(Vec::new());
     }
@@ -38,11 +47,11 @@ pub(super) fn entries_of(folder: &Path) -> Result<Vec<PathBuf>, SceneError> {
     let mut found = Vec::new();
     for entry in std::fs::read_dir(folder).map_err(unreadable)? {
         let entry = entry.map_err(unreadable)?;
-        if !entry.file_name().to_string_lossy().starts_with('.') {
+        if !entry.file_name().to_string_lossy().starts_with('.') && keep(&entry) {
             found.push(entry.path());
         }
     }
-    found.sort();
+    found.sort_by(|a, b| a.as_os_str().cmp(b.as_os_str()));
     Ok(found)
 }
 

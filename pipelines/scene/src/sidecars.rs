@@ -4,6 +4,7 @@ use super::entry::ImageEntry;
 use super::files::{file_name, files_in, stem};
 use super::{SceneError, dimap, tiles};
 use heliosplat_raster::is_virtual;
+use std::collections::HashMap;
 use std::path::{Path, PathBuf};
 
 /// All texts that describe an image, the strongest first: what `scene.toml` names, the JSON that names the image, what lies beside it.
@@ -49,13 +50,11 @@ pub(super) fn belonging_texts(image: &Path) -> Result<Vec<PathBuf>, SceneError> 
         wanted.push(format!("{start}{product}.xml"));
     }
     let folder = folder.unwrap_or_else(|| Path::new("."));
-    let files = files_in(folder)?;
-    let named = |want: &String| {
-        files
-            .iter()
-            .find(|path| file_name(path).to_lowercase() == *want)
-            .cloned()
-    };
+    let mut by_name = HashMap::new();
+    for path in files_in(folder)? {
+        by_name.entry(file_name(&path).to_lowercase()).or_insert(path);
+    }
+    let named = |want: &String| by_name.get(want).cloned();
     let mut found: Vec<PathBuf> = wanted.iter().filter_map(named).collect();
     // A DIMAP says whose it is, whatever the names.
     if let Some(dimap) = dimap::of_image(folder, image)? {

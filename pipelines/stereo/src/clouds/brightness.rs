@@ -55,14 +55,19 @@ pub(super) fn excess(
             .map(|(view, hits)| ortho_of_band(view, band, search, grid, altitude, hits))
             .collect();
         let scaled = on_one_scale(&orthos);
-        least.par_iter_mut().enumerate().for_each(|(view, least)| {
-            let mut others = Vec::new();
-            for (cell, least) in least.iter_mut().enumerate() {
-                others.clear();
-                let besides = (0..scaled.len()).filter(|&other| other != view);
-                others.extend(besides.map(|other| scaled[other][cell]).filter(|v| v.is_finite()));
-                let above = in_the_sun(&mut others)
-                    .map_or(f32::NAN, |sun| 2.0 * (scaled[view][cell] - sun) / (1.0 + sun.max(0.0)));
+        let in_the_sun: Vec<InTheSun> = (0..grid.len())
+            .into_par_iter()
+            .with_min_len(256)
+            .map_init(Vec::new, |known, cell| {
+                known.clear();
+                known.extend(scaled.iter().map(|view| view[cell]).filter(|v| v.is_finite()));
+                InTheSun::of(known)
+            })
+            .collect();
+        least.par_iter_mut().zip(&scaled).for_each(|(least, scaled)| {
+            for (least, (&value, sun)) in least.iter_mut().zip(scaled.iter().zip(&in_the_sun)) {
+                let sun = sun.beside(value);
+                let above = 2.0 * (value - sun) / (1.0 + sun.max(0.0));
                 // What is not known in one band stays unknown.
                 *least = if least.is_nan() || *least < above {
                     *least
@@ -75,15 +80,41 @@ pub(super) fn excess(
     least
 }
 
-/// The brightness of the ground in the sun: the brightest of the other views after those that may be clouded; `None` where too few see the
-/// cell.
-fn in_the_sun(others: &mut [f32]) -> Option<f32> {
-    let rank = 1 + others.len() / VIEWS_PER_CLOUD;
-    if others.len() + 2 < FEWEST_VIEWS {
-        return None;
+/// The brightness of the ground in the sun at a cell, for each view that sees it: the brightest of the other views after those that may be
+/// clouded.
+struct InTheSun {
+    /// The value of that rank among the other views where the view itself is brighter, NaN where too few see the cell.
+    beside_brighter: f32,
+    /// The same where the view itself is one of the darker ones.
+    beside_darker: f32,
+}
+
+impl InTheSun {
+    /// From the values of all views that see the cell; their order changes.
+    fn of(known: &mut [f32]) -> Self {
+        let others = known.len().saturating_sub(1);
+        if others + 2 < FEWEST_VIEWS {
+            return Self {
+                beside_brighter: f32::NAN,
+                beside_darker: f32::NAN,
+            };
+        }
+        known.sort_unstable_by(f32::total_cmp);
+        let at = others - 2 - others / VIEWS_PER_CLOUD;
+        Self {
+            beside_brighter: known[at],
+            beside_darker: known[at + 1],
+        }
     }
-    let at = others.len() - 1 - rank;
-    Some(*others.select_nth_unstable_by(at, f32::total_cmp).1)
+
+    /// Beside a view that shows this value.
+    fn beside(&self, value: f32) -> f32 {
+        if value > self.beside_brighter {
+            self.beside_brighter
+        } else {
+            self.beside_darker
+        }
+    }
 }
 
 /// One band of a view on the surface, NaN where the cell is hidden or outside of the image.
@@ -200,5 +231,28 @@ mod tests {
             (gain - 1.3).abs() < 1e-3 && (offset - 0.2).abs() < 1e-3,
             "{gain} {offset}"
         );
+    }
+
+    #[test]
+    fn the_ground_in_the_sun_beside_a_view_is_that_of_the_other_views_alone() {
+        let values = [0.7f32, 0.2, 0.9, 0.9, 0.3, 0.5, 0.1, 0.9, 0.4, 0.8, 0.2, 0.6];
+        for count in FEWEST_VIEWS - 1..values.len() {
+            let found = InTheSun::of(&mut values[..count].to_vec());
+            for view in 0..count {
+                let mut others: Vec<f32> = (0..count)
+                    .filter(|&other| other != view)
+                    .map(|other| values[other])
+                    .collect();
+                others.sort_by(f32::total_cmp);
+                let clouded = 1 + others.len() / VIEWS_PER_CLOUD;
+                assert_eq!(
+                    found.beside(values[view]),
+                    others[others.len() - 1 - clouded],
+                    "{view} of {count}"
+                );
+            }
+        }
+        let few = InTheSun::of(&mut [0.5; FEWEST_VIEWS - 2]);
+        assert!(few.beside(0.5).is_nan());
     }
 }
