@@ -43,7 +43,7 @@ impl Crs {
             definition: authority.unwrap_or_else(|| wkt.clone()),
             name: reference.name().unwrap_or_else(|| shortened(definition)),
             geographic: reference.is_geographic(),
-            vertical: reference.is_compound() || reference.is_vertical(),
+            vertical: (reference.is_compound() || reference.is_vertical()) && !is_above_ellipsoid(&wkt),
             metres_per_unit: if reference.is_geographic() {
                 METRES_PER_DEGREE
             } else {
@@ -98,6 +98,14 @@ impl Crs {
     pub fn metres_per_unit(&self) -> f64 {
         self.metres_per_unit
     }
+}
+
+/// Whether the vertical part of a WKT is the height above the ellipsoid. No code says so: heights above an ellipsoid are no system of their own in
+/// EPSG, and programs that state them (CARS) write a name.
+fn is_above_ellipsoid(wkt: &str) -> bool {
+    let name_of = |keyword: &str| wkt.split_once(keyword)?.1.split('"').next();
+    let name = name_of("VERT_CS[\"").or_else(|| name_of("VERTCRS[\""));
+    name.is_some_and(|name| name.to_lowercase().contains("ellipsoid"))
 }
 
 fn shortened(definition: &str) -> String {
@@ -244,5 +252,21 @@ mod tests {
     fn an_unknown_code_is_an_error_that_names_it() {
         let error = Crs::from_definition("EPSG:999999").expect_err("there is no such code");
         assert!(error.to_string().contains("EPSG:999999"), "{error}");
+    }
+
+    #[test]
+    fn heights_above_the_ellipsoid_are_no_vertical_datum_whatever_program_names_them() {
+        let of = |vertical: &str| {
+            let utm = Crs::from_epsg(32617).expect("a UTM zone");
+            let wkt = format!(
+                r#"COMPD_CS["both",{},VERT_CS["{vertical}",VERT_DATUM["unknown",2005],UNIT["metre",1],AXIS["Up",UP]]]"#,
+                utm.wkt()
+            );
+            Crs::from_definition(&wkt)
+                .expect("a compound system")
+                .has_vertical_datum()
+        };
+        assert!(!of("WGS 84 ellipsoidal height"));
+        assert!(of("EGM96 height"));
     }
 }
