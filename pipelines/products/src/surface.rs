@@ -3,7 +3,7 @@
 //! One look through the middle of every cell errs beside walls, for two reasons:
 //! * Gaussians let light through independently of each other, but those of a wall stand one below the other. Ten of them, each of
 //!   which shows a fifth of itself in the cell beside the wall, would cover nine tenths of that cell, and its altitude would be
-//!   somewhere in the wall. So what stands upright counts as far as it faces up; but leaves ([`LeafIndex`]), which have no
+//!   somewhere in the wall. So what stands upright counts as far as it faces up; but leaves (`leaves.rs`), which have no
 //!   sides, count whole.
 //! * A cell has as many altitudes as places, and the middle one is what a cell is said to have. So every cell is looked at in
 //!   3 x 3 places.
