@@ -1,6 +1,6 @@
 //! What changed between the images of a model: the difference of its surface on the last day and on the first, and when it changed.
 
-use crate::dsm::{Dsm, of_model};
+use crate::dsm::{Dsm, seen_of};
 use crate::model::LoadedModel;
 use crate::nadir::NadirGrid;
 use heliosplat::Raster;
@@ -61,7 +61,7 @@ impl ChangeMap {
         let moments: Vec<i32> = std::iter::once(first).chain(days).collect();
         let before_last = &moments[..moments.len() - 1];
         let surfaces: Vec<Vec<f32>> = (before_last.iter())
-            .map(|&day| of_model(nadir, &whole.on(day)).raster.plane(0).to_vec())
+            .map(|&day| seen_of(nadir, &whole.on(day)).raster.plane(0).to_vec())
             .chain(std::iter::once(last.raster.plane(0).to_vec()))
             .collect();
         let (width, height) = (nadir.grid.width, nadir.grid.height);

@@ -1,5 +1,6 @@
 //! The surface model: altitude seen from straight above, on a map grid.
 
+use super::ground_doubt::StartProbability;
 use super::surface::{self, ALPHA_KNOWN, SurfaceGaussians};
 use super::{fill, seen};
 use crate::model::LoadedModel;
@@ -58,11 +59,25 @@ pub struct Dsm {
 /// When the coordinate system does not cover the place.
 pub fn dsm(model: &LoadedModel, gsd_m: f64, crs: Option<&str>) -> Result<Dsm, RasterError> {
     let nadir = NadirGrid::new(&model.into(), gsd_m, crs)?;
-    Ok(of_model(&nadir, model))
+    of_model(&nadir, model)
 }
 
-/// The surface model of `model`, known where at least [`FEWEST_VIEWS`] of the images that it was trained on see it.
-pub fn of_model(nadir: &NadirGrid, model: &LoadedModel) -> Dsm {
+/// The surface model of `model`, known where at least [`FEWEST_VIEWS`] of the images that it was trained on see it; its deviations know how
+/// sure the sweep was, as the run's [`START`](super::ground_doubt::START) says.
+///
+/// # Errors
+/// When that file is damaged.
+pub fn of_model(nadir: &NadirGrid, model: &LoadedModel) -> Result<Dsm, RasterError> {
+    let mut dsm = seen_of(nadir, model);
+    if let Some(start) = StartProbability::of_run(&model.folder, &model.into())? {
+        let altitude = dsm.raster.plane(ALTITUDE).to_vec();
+        start.widen(nadir, &altitude, dsm.raster.plane_mut(DEVIATION));
+    }
+    Ok(dsm)
+}
+
+/// The same without the sweep, for those who ask for altitudes alone.
+pub(crate) fn seen_of(nadir: &NadirGrid, model: &LoadedModel) -> Dsm {
     let mut dsm = of_gaussians(nadir, &model.into());
     let views = seen::views(nadir, dsm.raster.plane(ALTITUDE), &model.file);
     dsm.keep_seen(&views);

@@ -240,7 +240,7 @@ pub fn write(subject: Subject, request: &Request) -> Result<Export, ExportError>
 fn ground(model: &LoadedModel) -> Result<Ground, ExportError> {
     let nadir = NadirGrid::new(&model.into(), model.file.gsd_m, None)?;
     let mut albedo = ortho::albedo(model, &dsm::maps(model, &nadir));
-    let surface = dsm::of_model(&nadir, model);
+    let surface = dsm::of_model(&nadir, model)?;
     surface.blank_unknown(&mut albedo);
     Ok(Ground::new(&surface, &albedo, &model.file.bands, &nadir.enu))
 }

@@ -93,7 +93,7 @@ pub fn write(
     let gsd_m = request.gsd_m.unwrap_or(model.file.gsd_m);
     let nadir = NadirGrid::new(&model.into(), gsd_m, request.crs.as_deref())?;
     let seen = maps(model, &nadir);
-    let mut surface = of_model(&nadir, model);
+    let mut surface = of_model(&nadir, model)?;
     let changes = ChangeMap::of(whole, &nadir, &surface);
     if let Some(geoid) = request.geoid {
         surface = surface.above(geoid)?;

@@ -10,7 +10,8 @@ use heliosplat_evaluate::shadow::ShadowCounts;
 use heliosplat_evaluate::{DsmEvaluation, ImageScore, Protocol, error_map, evaluate_dsm};
 use heliosplat_fitting::run_folder::{RunError, create_folder, peak_rss_bytes};
 use heliosplat_products::change::day_of;
-use heliosplat_products::dsm::of_surface;
+use heliosplat_products::dsm::{Dsm, of_surface};
+use heliosplat_products::ground_doubt::START;
 use heliosplat_products::model::{LoadedModel, ModelImage};
 use heliosplat_products::nadir::NadirGrid;
 use heliosplat_products::seen;
@@ -312,24 +313,20 @@ fn draw(
     )?)
 }
 
-/// The surface that training started from, as a file and a picture, and its error where there is truth.
-pub(super) fn write_start(
-    scene: &Scene,
-    run: &Path,
-    fitted: &Fitted,
-    model: &LoadedModel,
-) -> Result<Value, SatelliteError> {
+/// Writes the surface that training started from, by which later the model's own knows how sure the sweep was.
+pub(super) fn write_start(run: &Path, fitted: &Fitted, model: &LoadedModel) -> Result<Dsm, SatelliteError> {
     let start = of_surface(&model.into(), &fitted.surface, model.file.gsd_m, None)?;
-    let path = run.join("start.tif");
-    start.write(&path)?;
-    preview::write_png(
-        &run.join("start.png"),
-        &preview::hillshade(&start.altitude(), model.file.gsd_m),
-    )?;
+    start.write(&run.join(START))?;
+    Ok(start)
+}
+
+/// A picture of that surface, and its error where there is truth.
+pub(super) fn start_metrics(scene: &Scene, run: &Path, start: &Dsm, gsd_m: f64) -> Result<Value, SatelliteError> {
+    preview::write_png(&run.join("start.png"), &preview::hillshade(&start.altitude(), gsd_m))?;
     let Some(truth) = &scene.truth.dsm else {
         return Ok(Value::Null);
     };
-    let evaluation = evaluate_dsm(&path, truth, scene.truth.classes.as_deref(), Protocol::Raw)?;
+    let evaluation = evaluate_dsm(&run.join(START), truth, scene.truth.classes.as_deref(), Protocol::Raw)?;
     Ok(surface_metrics(&evaluation))
 }
 

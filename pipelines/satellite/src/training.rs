@@ -106,14 +106,15 @@ pub fn train(
     let part = stage("products");
     let nadir = NadirGrid::new(&(&whole).into(), whole.file.gsd_m, None)?;
     let model = whole.on_last();
-    let surface = dsm::of_model(&nadir, &model);
+    let start = measure::write_start(&request.out, &fitted, &model)?;
+    let surface = dsm::of_model(&nadir, &model)?;
     let changes = ChangeMap::of(&whole, &nadir, &surface);
     write_surfaces(&request.out, &surface, changes.as_ref(), model.file.gsd_m)?;
     // Evaluate.
     drop(part);
     let part = stage("evaluate");
     let (start, metrics) = timeline::beside(
-        || measure::write_start(scene, &request.out, &fitted, &model),
+        || measure::start_metrics(scene, &request.out, &start, model.file.gsd_m),
         || measure::metrics(scene, &whole, &request.out, Protocol::Raw),
     );
     let (start, mut metrics) = (start?, metrics?);

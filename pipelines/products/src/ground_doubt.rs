@@ -1,0 +1,142 @@
+//! What the deviation of a model's surface owes to the sweep that it started from.
+//!
+//! Training settles on one surface, and where nothing is matched, as in a court that lies in shade on every date, its rays meet nothing
+//! else: the spread along them is small, however wrong the surface is. The sweep knows better how sure its choice was. If an altitude has
+//! the probability p, and the other choice is the ground, which is d lower, then (1 - p) d² is added to the variance. Ablation in
+//! docs/lab/surface.md.
+
+use crate::nadir::{NadirGrid, Place};
+use glam::Vec3;
+use heliosplat_raster::grid::GridSpec;
+use heliosplat_raster::{GeoRaster, RasterError};
+use heliosplat_stereo::opening;
+use rayon::prelude::*;
+use std::path::Path;
+
+/// File of a run that has the surface it started from.
+pub const START: &str = "start.tif";
+/// Band of its probability.
+const PROBABILITY: &str = "coverage";
+/// Probability of an altitude where the sweep found none, and from which on it is sure.
+const UNKNOWN: f32 = 0.5;
+const SURE: f32 = 0.97;
+/// What is narrower than twice this stands on the ground, metres: two rows of houses and the court between them.
+const GROUND_REACH_M: f32 = 12.0;
+/// Least height above the ground that makes another choice, metres.
+const LEAST_M: f32 = 3.0;
+/// Cells per parallel job.
+const CHUNK: usize = 1024;
+
+/// How sure the sweep was of the altitudes that a model started from.
+pub(crate) struct StartProbability {
+    nadir: NadirGrid,
+    values: Vec<f32>,
+}
+
+impl StartProbability {
+    /// That of the run in `folder`; `None` where the run has no such file.
+    ///
+    /// # Errors
+    /// When the file is damaged.
+    pub(crate) fn of_run(folder: &Path, place: &Place) -> Result<Option<Self>, RasterError> {
+        let path = folder.join(START);
+        if !path.is_file() {
+            return Ok(None);
+        }
+        let start = GeoRaster::read(&path)?;
+        let (Some(band), Some(crs)) = (start.band(PROBABILITY), start.crs.clone()) else {
+            return Ok(None);
+        };
+        let grid = GridSpec {
+            width: start.raster.width,
+            height: start.raster.height,
+            transform: start.transform,
+            crs,
+        };
+        Ok(Some(Self {
+            nadir: NadirGrid::on(place, grid)?,
+            values: start.raster.plane(band).to_vec(),
+        }))
+    }
+
+    /// Widens the standard deviations of a surface, metres, on a grid whose `altitude_m` is above the ellipsoid; NaN where it is unknown.
+    pub(crate) fn widen(&self, nadir: &NadirGrid, altitude_m: &[f32], deviation_m: &mut [f32]) {
+        let reach = (GROUND_REACH_M / nadir.cell_m()).round() as usize;
+        let ground_m = opening((nadir.grid.width, nadir.grid.height), altitude_m, [reach; 2]);
+        let cells = deviation_m.par_iter_mut().with_min_len(CHUNK).enumerate();
+        cells.for_each(|(cell, deviation)| {
+            let above_m = altitude_m[cell] - ground_m[cell];
+            if above_m > LEAST_M {
+                let probability = self.at(nadir, cell, altitude_m[cell]);
+                if probability < SURE {
+                    *deviation = (*deviation * *deviation + (1.0 - probability) * above_m * above_m).sqrt();
+                }
+            }
+        });
+    }
+
+    /// The probability at a cell of another grid.
+    fn at(&self, nadir: &NadirGrid, cell: usize, altitude_m: f32) -> f32 {
+        let (col, row) = (cell % nadir.grid.width, cell / nadir.grid.width);
+        let place = nadir.enu.enu(col as f64, row as f64, f64::from(altitude_m));
+        let (col, row, _) = self.nadir.camera.project(Vec3::from(place.map(|metres| metres as f32)));
+        let (col, row) = (col.round(), row.round());
+        let (width, height) = (self.nadir.grid.width, self.nadir.grid.height);
+        let inside = col >= 0.0 && row >= 0.0 && col < width as f32 && row < height as f32;
+        let probability = inside.then(|| self.values[row as usize * width + col as usize]);
+        probability.filter(|p| p.is_finite()).unwrap_or(UNKNOWN)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use heliosplat_raster::Crs;
+    use heliosplat_raster::grid::GeoTransform;
+
+    /// A grid of cells of a metre or two over the same 60 m.
+    fn grid(cell_m: f64) -> GridSpec {
+        let cells = (60.0 / cell_m) as usize;
+        GridSpec {
+            width: cells,
+            height: cells,
+            transform: GeoTransform::north_up(500_000.0, 3_000_000.0, cell_m),
+            crs: Crs::from_epsg(32617).expect("a UTM zone"),
+        }
+    }
+
+    /// A house of 10 m on level ground, in whose eastern half the sweep was sure and in whose western half it was not.
+    #[test]
+    fn what_the_sweep_was_not_sure_of_may_be_ground() {
+        let inside = |cell: usize, cells: usize| [cell % cells, cell / cells].iter().all(|&at| 3 * at / cells == 1);
+        let altitude: Vec<f32> = (0..3600)
+            .map(|cell| if inside(cell, 60) { 20.0 } else { 10.0 })
+            .collect();
+        let (nadir, frame) = NadirGrid::of_surface(grid(1.0), &altitude).expect("a grid");
+        let place = Place {
+            frame,
+            area: heliosplat_scene::Area {
+                west_m: -30.0,
+                south_m: -30.0,
+                east_m: 30.0,
+                north_m: 30.0,
+            },
+            altitude_range_m: (10.0, 20.0),
+        };
+        // The start has a grid of its own.
+        let start = StartProbability {
+            nadir: NadirGrid::on(&place, grid(2.0)).expect("a grid"),
+            values: (0..900).map(|cell| if cell % 30 < 15 { 0.9 } else { 0.98 }).collect(),
+        };
+        let mut deviation = vec![0.1; 3600];
+        start.widen(&nadir, &altitude, &mut deviation);
+        let at = |col: usize, row: usize| deviation[row * 60 + col];
+        assert!(
+            (at(25, 30) - (0.01f32 + 0.1 * 100.0).sqrt()).abs() < 1e-3,
+            "unsure: {}",
+            at(25, 30)
+        );
+        assert_eq!(at(35, 30), 0.1, "sure");
+        assert_eq!(at(5, 30), 0.1, "ground has nothing below it");
+    }
+}
