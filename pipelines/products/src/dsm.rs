@@ -63,7 +63,7 @@ pub fn dsm(model: &LoadedModel, gsd_m: f64, crs: Option<&str>) -> Result<Dsm, Ra
 }
 
 /// The surface model of `model`, known where at least [`FEWEST_VIEWS`] of the images that it was trained on see it; its deviations know how
-/// sure the sweep was, as the run's [`START`](super::ground_doubt::START) says.
+/// sure the sweep was, as the run's [`START`](super::model::START) says.
 ///
 /// # Errors
 /// When that file is damaged.

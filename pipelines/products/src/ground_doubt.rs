@@ -1,10 +1,11 @@
 //! What the deviation of a model's surface owes to the sweep that it started from.
 //!
-//! Training settles on one surface, and where nothing is matched, as in a court that lies in shade on every date, its rays meet nothing
+//! Training settles on one surface, and where nothing is matched, as in a court that lies in shade, its rays meet nothing
 //! else: the spread along them is small, however wrong the surface is. The sweep knows better how sure its choice was. If an altitude has
-//! the probability p, and the other choice is the ground, which is d lower, then (1 - p) d² is added to the variance. Ablation in
-//! docs/lab/surface.md.
+//! the probability p, and the other choice is the ground, which is d lower, then the mean squared error of the altitude is (1 - p) d² more.
+//! Ablation in docs/lab/surface.md.
 
+use crate::model::START;
 use crate::nadir::{NadirGrid, Place};
 use glam::Vec3;
 use heliosplat_raster::grid::GridSpec;
@@ -13,8 +14,6 @@ use heliosplat_stereo::opening;
 use rayon::prelude::*;
 use std::path::Path;
 
-/// File of a run that has the surface it started from.
-pub const START: &str = "start.tif";
 /// Band of its probability.
 const PROBABILITY: &str = "coverage";
 /// Probability of an altitude where the sweep found none, and from which on it is sure.
@@ -34,17 +33,22 @@ pub(crate) struct StartProbability {
 }
 
 impl StartProbability {
-    /// That of the run in `folder`; `None` where the run has no such file.
+    /// That of the run in `folder`; `None`, with a warning, where the run has none.
     ///
     /// # Errors
     /// When the file is damaged.
     pub(crate) fn of_run(folder: &Path, place: &Place) -> Result<Option<Self>, RasterError> {
         let path = folder.join(START);
-        if !path.is_file() {
-            return Ok(None);
-        }
-        let start = GeoRaster::read(&path)?;
-        let (Some(band), Some(crs)) = (start.band(PROBABILITY), start.crs.clone()) else {
+        let start = match path.is_file() {
+            true => Some(GeoRaster::read(&path)?),
+            false => None,
+        };
+        let found = start.and_then(|start| Some((start.band(PROBABILITY)?, start.crs.clone()?, start)));
+        let Some((band, crs, start)) = found else {
+            tracing::warn!(
+                "{}: absent or without the band {PROBABILITY}, so standard deviations do not know how sure the sweep was",
+                path.display()
+            );
             return Ok(None);
         };
         let grid = GridSpec {

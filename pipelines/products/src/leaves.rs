@@ -5,10 +5,9 @@
 //! Without near infrared the index is excess green, of bands that are divided by their medians, and counts only where the cell is raised
 //! above the ground, since lawns are green too. Ablations are in docs/lab/surface.md.
 
-use super::surface::{ALPHA_KNOWN, SurfaceGaussians};
 use heliosplat::ProjectiveCamera;
+use heliosplat::gaussians::Table;
 use heliosplat::model::shadow_gs::ALBEDO;
-use heliosplat::splat::Maps;
 use heliosplat_rpc::statistics::upper_median;
 use heliosplat_scene::indices::{VEGETATION_INDEX, VegetationIndex};
 use heliosplat_stereo::opening;
@@ -24,48 +23,48 @@ const GROUND_REACH_M: f32 = 12.0;
 /// What tells leaves by the albedo of Gaussians.
 pub(super) struct LeafIndex<'a> {
     index: VegetationIndex,
-    input: &'a SurfaceGaussians<'a>,
+    gaussians: &'a Table,
+    bands: usize,
     /// What each band is divided by.
     white: Vec<f32>,
 }
 
 impl<'a> LeafIndex<'a> {
-    /// `None` where nothing tells leaves.
-    pub(super) fn new(input: &'a SurfaceGaussians<'a>) -> Option<Self> {
-        let index = input.leaves?;
-        let albedo = input.gaussians.group(ALBEDO);
+    /// What `index` tells of these, whose albedo has so many `bands`.
+    pub(super) fn new(index: VegetationIndex, gaussians: &'a Table, bands: usize) -> Self {
+        let albedo = gaussians.group(ALBEDO);
         let white = |band: usize| match index {
             VegetationIndex::Infrared(_) => 1.0,
             VegetationIndex::Green(_) => {
-                let mut values: Vec<f32> = albedo.iter().skip(band).step_by(input.bands).copied().collect();
+                let mut values: Vec<f32> = albedo.iter().skip(band).step_by(bands).copied().collect();
                 upper_median(&mut values).filter(|&median| median > 0.0).unwrap_or(1.0)
             }
         };
-        Some(Self {
+        Self {
             index,
-            input,
-            white: (0..input.bands).map(white).collect(),
-        })
+            gaussians,
+            bands,
+            white: (0..bands).map(white).collect(),
+        }
     }
 
     /// The index of a Gaussian.
     pub(super) fn of(&self, gaussian: usize) -> f32 {
-        let albedo = &self.input.gaussians.group(ALBEDO)[gaussian * self.input.bands..];
+        let albedo = &self.gaussians.group(ALBEDO)[gaussian * self.bands..];
         self.index.of(|band| albedo[band] / self.white[band]).clamp(-1.0, 1.0)
     }
 
-    /// Whether each Gaussian is leaves, from what `nadir`, a camera that looks straight down at cells of `cell_m` metres, sees of them:
-    /// `maps`, whose one channel is the index.
-    pub(super) fn leaves(&self, nadir: &ProjectiveCamera, maps: &Maps, cell_m: f32) -> Vec<bool> {
-        let cells = self.cells((nadir.width, nadir.height), maps, cell_m);
+    /// Whether each Gaussian is leaves, from what `nadir`, a camera that looks straight down, sees of them.
+    pub(super) fn leaves(&self, nadir: &ProjectiveCamera, seen: &FromAbove) -> Vec<bool> {
+        let cells = self.cells((nadir.width, nadir.height), seen);
         let leaf = |gaussian: usize| {
-            let (col, row, _) = nadir.project(self.input.gaussians.position(gaussian));
+            let (col, row, _) = nadir.project(self.gaussians.position(gaussian));
             let inside = |at: f32, count: usize| (-0.5..count as f32 - 0.5).contains(&at);
             inside(col, nadir.width)
                 && inside(row, nadir.height)
                 && cells[row.round() as usize * nadir.width + col.round() as usize]
         };
-        (0..self.input.gaussians.count)
+        (0..self.gaussians.count)
             .into_par_iter()
             .with_min_len(4096)
             .map(leaf)
@@ -73,20 +72,18 @@ impl<'a> LeafIndex<'a> {
     }
 
     /// Whether the surface of each cell is leaves.
-    fn cells(&self, (width, height): (usize, usize), maps: &Maps, cell_m: f32) -> Vec<bool> {
-        let known = |i: usize| maps.alpha[i] >= ALPHA_KNOWN;
-        let reach = (self.input.gsd_m / cell_m).round() as usize;
+    fn cells(&self, (width, height): (usize, usize), seen: &FromAbove) -> Vec<bool> {
+        let reach = (seen.gsd_m / seen.cell_m).round() as usize;
         let near = |at: usize, count: usize| at.saturating_sub(reach)..(at + reach + 1).min(count);
         // NaN, which is above no bar, where nothing is known.
         let mean = |i: usize| {
             let (mut sum, mut count) = (0.0, 0.0);
             for row in near(i / width, height) {
-                for k in near(i % width, width)
-                    .map(|col| row * width + col)
-                    .filter(|&k| known(k))
-                {
-                    sum += maps.channels[0][k] / maps.alpha[k];
-                    count += 1.0;
+                for index in near(i % width, width).map(|col| seen.index[row * width + col]) {
+                    if index.is_finite() {
+                        sum += index;
+                        count += 1.0;
+                    }
                 }
             }
             sum / count
@@ -95,22 +92,32 @@ impl<'a> LeafIndex<'a> {
         match self.index {
             VegetationIndex::Infrared(_) => each.map(|i| mean(i) > VEGETATION_INDEX).collect(),
             VegetationIndex::Green(_) => {
-                let up_m = |i: usize| if known(i) { -maps.median_depth[i] } else { f32::NAN };
-                let up_m: Vec<f32> = (0..width * height).map(up_m).collect();
-                let reach = (GROUND_REACH_M / cell_m).round() as usize;
-                let ground = opening((width, height), &up_m, [reach; 2]);
-                each.map(|i| up_m[i] - ground[i] > RAISED_M && mean(i) > GREEN)
+                let reach = (GROUND_REACH_M / seen.cell_m).round() as usize;
+                let ground = opening((width, height), &seen.up_m, [reach; 2]);
+                each.map(|i| seen.up_m[i] - ground[i] > RAISED_M && mean(i) > GREEN)
                     .collect()
             }
         }
     }
 }
 
+/// What is seen from above of the Gaussians; NaN where they do not cover a cell.
+pub(super) struct FromAbove {
+    /// Their index, composited.
+    pub index: Vec<f32>,
+    /// Altitudes, metres above the frame's origin.
+    pub up_m: Vec<f32>,
+    /// Width of a cell, metres.
+    pub cell_m: f32,
+    /// Ground sampling distance of the images, metres: over so much to each side the index is averaged.
+    pub gsd_m: f32,
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
     use glam::Vec3;
-    use heliosplat::gaussians::{GroupSpec, LOG_SCALE, OPACITY, POSITION, ROTATION, Table, core_groups, logit};
+    use heliosplat::gaussians::{GroupSpec, LOG_SCALE, OPACITY, POSITION, ROTATION, core_groups, logit};
     use heliosplat::render::depths_and;
     use heliosplat::splat::ProjectionOptions;
     use heliosplat_scene::{BandKind, Values};
@@ -134,18 +141,21 @@ mod tests {
             table.group_mut(ROTATION)[4 * i..][..4].copy_from_slice(&[0.0, 0.0, 0.0, 1.0]);
             table.group_mut(ALBEDO)[bands.len() * i..][..bands.len()].copy_from_slice(&albedo[..bands.len()]);
         }
-        let projection = ProjectionOptions::default();
-        let input = SurfaceGaussians {
-            gaussians: &table,
-            bands: bands.len(),
-            leaves: Values::default().vegetation_index(bands),
-            projection,
+        let nadir = ProjectiveCamera::nadir(0.0, 0.0, 1.0, (CELLS, CELLS));
+        let index = Values::default().vegetation_index(bands).expect("an index");
+        let index = LeafIndex::new(index, &table, bands.len());
+        let maps = depths_and(&table, &nadir, &ProjectionOptions::default(), |g| index.of(g));
+        let seen = FromAbove {
+            index: maps.channels[0]
+                .iter()
+                .zip(&maps.alpha)
+                .map(|(index, alpha)| index / alpha)
+                .collect(),
+            up_m: maps.median_depth.iter().map(|depth| -depth).collect(),
+            cell_m: 1.0,
             gsd_m: 1.0,
         };
-        let nadir = ProjectiveCamera::nadir(0.0, 0.0, 1.0, (CELLS, CELLS));
-        let index = LeafIndex::new(&input).expect("an index");
-        let maps = depths_and(&table, &nadir, &projection, |g| index.of(g));
-        index.leaves(&nadir, &maps, 1.0)
+        index.leaves(&nadir, &seen)
     }
 
     const RGB: [BandKind; 3] = [BandKind::Red, BandKind::Green, BandKind::Blue];

@@ -10,7 +10,7 @@ pub mod daylight;
 pub mod dsm;
 pub mod export;
 mod fill;
-pub mod ground_doubt;
+mod ground_doubt;
 mod leaves;
 pub mod model;
 mod model_file;

@@ -120,6 +120,9 @@ impl ModelFile {
     }
 }
 
+/// File of a run that has the surface it started from.
+pub const START: &str = "start.tif";
+
 /// A model read back from its run.
 pub struct LoadedModel {
     /// The folder.

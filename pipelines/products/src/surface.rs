@@ -13,7 +13,7 @@
 //!
 //! What each is worth is in docs/lab/surface.md.
 
-use crate::leaves::LeafIndex;
+use crate::leaves::{FromAbove, LeafIndex};
 use crate::model::LoadedModel;
 use heliosplat::ProjectiveCamera;
 use heliosplat::gaussians::{OPACITY, Table, logit};
@@ -85,10 +85,30 @@ pub(super) struct Cell {
 
 /// The cells that are the pixels, `cell_m` metres wide, of `nadir`, a camera that looks straight down.
 pub(super) fn cells(input: &SurfaceGaussians, nadir: &ProjectiveCamera, cell_m: f32) -> Vec<Cell> {
-    let index = LeafIndex::new(input);
+    let index = input
+        .leaves
+        .map(|index| LeafIndex::new(index, input.gaussians, input.bands));
     let of_leaf = |g: usize| index.as_ref().map_or(0.0, |index| index.of(g));
     let all = depths_and(input.gaussians, nadir, &input.projection, of_leaf);
-    let is_leaf = index.map(|index| index.leaves(nadir, &all, cell_m));
+    let is_leaf = index.map(|index| {
+        let known = |value: fn(&Maps, usize) -> f32| -> Vec<f32> {
+            let of = |i: usize| {
+                if all.alpha[i] >= ALPHA_KNOWN {
+                    value(&all, i)
+                } else {
+                    f32::NAN
+                }
+            };
+            (0..all.alpha.len()).map(of).collect()
+        };
+        let seen = FromAbove {
+            index: known(|all, i| all.channels[0][i] / all.alpha[i]),
+            up_m: known(|all, i| -all.median_depth[i]),
+            cell_m,
+            gsd_m: input.gsd_m,
+        };
+        index.leaves(nadir, &seen)
+    });
     let looks = looks(input, is_leaf.as_deref(), nadir);
     let count = all.alpha.len();
     // Cliffs face nowhere but aside: there the one look at all that stands has to do.

@@ -11,8 +11,7 @@ use heliosplat_evaluate::{DsmEvaluation, ImageScore, Protocol, error_map, evalua
 use heliosplat_fitting::run_folder::{RunError, create_folder, peak_rss_bytes};
 use heliosplat_products::change::day_of;
 use heliosplat_products::dsm::{Dsm, of_surface};
-use heliosplat_products::ground_doubt::START;
-use heliosplat_products::model::{LoadedModel, ModelImage};
+use heliosplat_products::model::{LoadedModel, ModelImage, START};
 use heliosplat_products::nadir::NadirGrid;
 use heliosplat_products::seen;
 use heliosplat_products::views::{RenderedView, render_view, score};

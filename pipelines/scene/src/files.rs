@@ -51,6 +51,7 @@ fn listed(folder: &Path, keep: impl Fn(&DirEntry) -> bool) -> Result<Vec<PathBuf
             found.push(entry.path());
         }
     }
+    // In one folder the order of bytes is that of paths, without taking these apart.
     found.sort_by(|a, b| a.as_os_str().cmp(b.as_os_str()));
     Ok(found)
 }
