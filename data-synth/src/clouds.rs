@@ -218,8 +218,9 @@ fn width_m(probes: &[([f64; 2], bool)]) -> f64 {
 mod tests {
     use super::*;
     use crate::city::Ground;
+    use crate::encoding::{FULL_COUNT, MEAN_GAIN};
     use crate::materials::{Material, Season, grey};
-    use crate::radiometry::{FULL_COUNT, Light, LitScene, MEAN_GAIN, Weather};
+    use crate::radiometry::{Light, LitScene, Weather};
     use crate::raytrace::Tracer;
     use crate::sensor::{PushBroom, ViewGeometry};
     use crate::solid::Solids;

@@ -59,6 +59,7 @@ mod clouds;
 mod cover;
 mod crop;
 mod delivery;
+mod encoding;
 mod error;
 mod faults;
 mod gloss;

@@ -18,7 +18,7 @@ use crate::materials::{Class, Season, Spectrum};
 use crate::noise::{hash2, noise, unit};
 use crate::ray::Ray;
 use crate::raytrace::{GROUND, Hit, Tracer};
-use crate::request::{BandSet, Fault, Faults};
+use crate::request::{Fault, Faults};
 use crate::solid::Surface;
 use heliosplat_rpc::sun::SunPosition;
 use nalgebra::Vector3;
@@ -42,8 +42,6 @@ const HAZE_FORWARDS: f64 = 0.65;
 const BOUNCE_STRATA: u64 = 2;
 /// Albedo of an average neighbourhood, half of which lies in shadow.
 const AROUND: [f64; 4] = [0.15, 0.14, 0.12, 0.24];
-/// Weights of red, green, blue and near infrared in a panchromatic band (450 to 800 nm).
-const PAN: [f64; 4] = [0.30, 0.27, 0.22, 0.21];
 
 /// The air, the exposure and the water of one date.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -396,61 +394,11 @@ impl LitScene<'_> {
     }
 }
 
-/// The bands of an image from the four of the renderer.
-pub(crate) fn bands_of(spectrum: &Spectrum, bands: BandSet) -> ([f32; 4], usize) {
-    match bands {
-        BandSet::Pan => ([spectrum.dot(&Spectrum::from(PAN)) as f32, 0.0, 0.0, 0.0], 1),
-        BandSet::Rgb => ([spectrum.x as f32, spectrum.y as f32, spectrum.z as f32, 0.0], 3),
-        BandSet::RgbNir => (spectrum.map(|value| value as f32).into(), 4),
-    }
-}
-
-/// How radiance becomes the numbers in a file.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub(crate) struct Encoding {
-    /// Counts per unit of radiance.
-    pub(crate) gain: f64,
-    /// 1 is a good sensor's noise.
-    pub(crate) noise: f64,
-    /// 8 or 16.
-    pub(crate) bits: u8,
-}
-
-/// Largest count of an 11-bit sensor.
-pub(crate) const FULL_COUNT: f64 = 2047.0;
-/// Counts per unit of radiance at the mean exposure: a sunlit white roof stays below the largest count.
-pub(crate) const MEAN_GAIN: f64 = 9500.0;
-/// The count that is white in an 8-bit display image.
-const DISPLAY_WHITE: f64 = 1500.0;
-
-impl Encoding {
-    /// The number in the file for a radiance; `draw` is a standard normal. 0 is kept for "no data".
-    pub(crate) fn count(&self, radiance: f64, draw: f64) -> u16 {
-        let clean = self.gain * radiance;
-        // Read noise of 2 counts, and shot noise that grows with the square root of the signal.
-        let sigma = self.noise * (4.0 + 0.05 * clean.max(0.0)).sqrt();
-        let count = clean + sigma * draw;
-        if self.bits == 8 {
-            let display = srgb((count / DISPLAY_WHITE).clamp(0.0, 1.0));
-            return (255.0 * display).round().clamp(1.0, 255.0) as u16;
-        }
-        count.round().clamp(1.0, FULL_COUNT) as u16
-    }
-}
-
-/// The transfer curve of sRGB (IEC 61966-2-1).
-fn srgb(linear: f64) -> f64 {
-    if linear <= 0.003_130_8 {
-        12.92 * linear
-    } else {
-        1.055 * linear.powf(1.0 / 2.4) - 0.055
-    }
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
     use crate::city::Ground;
+    use crate::encoding::{Encoding, MEAN_GAIN};
     use crate::materials::Material;
     use crate::solid::{Finish, Footprint, Solids};
     use crate::terrain::HeightField;
@@ -607,20 +555,5 @@ mod tests {
         };
         assert!((1200..2000).contains(&count(0.6)), "{}", count(0.6));
         assert!((200..500).contains(&count(0.1)), "{}", count(0.1));
-    }
-
-    #[test]
-    fn display_images_are_srgb_of_the_linear_counts() {
-        let linear = Encoding {
-            gain: MEAN_GAIN,
-            noise: 0.0,
-            bits: 16,
-        };
-        let display = Encoding { bits: 8, ..linear };
-        let radiance = 0.5 * DISPLAY_WHITE / MEAN_GAIN;
-        assert_eq!(linear.count(radiance, 0.0), 750);
-        // sRGB of one half is 0.7354.
-        assert_eq!(display.count(radiance, 0.0), 188);
-        assert_eq!(display.count(10.0, 0.0), 255);
     }
 }

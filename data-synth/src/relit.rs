@@ -4,12 +4,13 @@
 //! moves. There are no cars, clouds or noise, and counts are linear even where the images are for display.
 
 use crate::cover::Waves;
+use crate::encoding::Encoding;
 use crate::faults::Haze;
 use crate::materials::Season;
 use crate::nadir::NadirSensor;
 use crate::noise::{hash2, stream};
 use crate::plan::Collection;
-use crate::radiometry::{Encoding, Light, LitScene, Weather};
+use crate::radiometry::{Light, LitScene, Weather};
 use crate::ray::Ray;
 use crate::render::{Exposure, Image, render};
 use crate::request::{Cover, SatelliteRequest};

@@ -2,8 +2,9 @@
 
 use crate::clouds;
 use crate::crop::Crop;
+use crate::encoding::{Encoding, bands_of};
 use crate::noise::{hash2, normal};
-use crate::radiometry::{Encoding, Light, LitScene, Sample, bands_of};
+use crate::radiometry::{Light, LitScene, Sample};
 use crate::ray::Ray;
 use crate::raytrace::Tracer;
 use crate::request::BandSet;
@@ -192,8 +193,9 @@ mod tests {
     use super::*;
 
     use crate::city::Ground;
+    use crate::encoding::MEAN_GAIN;
     use crate::materials::{Class, Material, Season, grey};
-    use crate::radiometry::{MEAN_GAIN, Weather};
+    use crate::radiometry::Weather;
     use crate::sensor::{PushBroom, ViewGeometry};
     use crate::solid::{Finish, Footprint, Solids, Surface};
     use crate::terrain::HeightField;

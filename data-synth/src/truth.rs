@@ -1,7 +1,8 @@
 //! Truth on the ground: altitude, class and albedo, straight down the ellipsoid's normal through each cell's centre.
 
+use crate::encoding::bands_of;
 use crate::materials::Season;
-use crate::radiometry::{LitScene, bands_of};
+use crate::radiometry::LitScene;
 use crate::raytrace::Hit;
 use crate::request::BandSet;
 use crate::truth_grid::{TruthGrid, plumb_line};

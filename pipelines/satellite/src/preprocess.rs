@@ -16,6 +16,7 @@ use heliosplat_rpc::RpcError;
 use heliosplat_rpc::adjust::BiasModel;
 use heliosplat_scene::{AltitudeSource, ImageSun, IngestOptions, Scene};
 use heliosplat_session::Session;
+use heliosplat_stereo::bridged;
 use heliosplat_stereo::change::{self, Changes};
 use heliosplat_stereo::suns::ShadowSun;
 use heliosplat_stereo::{MatchingParameters, PlaneSweepRequest, Surface, SweepView, plane_sweep};
@@ -87,8 +88,9 @@ impl<'a> Preprocess<'a> {
         });
         drop(part);
         let part = stage("changes");
-        let changes = changes(&ground, &rasters, &shifts_px, decisions, &request, &mut surface);
+        let mut changes = changes(&ground, &rasters, &shifts_px, decisions, &request, &mut surface);
         drop(part);
+        lower(&ground, &rasters, &shifts_px, &mut surface, &mut changes);
         if let Some(warning) = AtLimits::of(&surface, scene).warning(scene.altitude_range_m) {
             tracing::warn!("{warning}");
         }
@@ -140,6 +142,7 @@ impl<'a> Preprocess<'a> {
             progress.set((100.0 * share) as u64);
         });
         *changed = changes(&self.ground, &rasters, shifts_px, decisions, &request, surface);
+        lower(&self.ground, &rasters, shifts_px, surface, changed);
         seconds[1] += started.elapsed().as_secs_f64();
         true
     }
@@ -236,6 +239,20 @@ fn changes(
         ),
     }
     changes
+}
+
+/// Lowers what bridges ground in shade, as the light of the crops says.
+pub(super) fn lower(
+    ground: &Ground,
+    rasters: &[Raster],
+    shifts_px: &[[f32; 2]],
+    surface: &mut Surface,
+    changes: &mut Changes,
+) {
+    let parts = bridged::lower(&views(ground, rasters, &None, shifts_px), surface, changes);
+    if parts > 0 {
+        tracing::info!("parts of the surface that bridged ground in shade and were lowered: {parts}");
+    }
 }
 
 /// The surface that all views of `scene` find together, without training.

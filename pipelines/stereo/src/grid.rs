@@ -77,6 +77,29 @@ impl Grid {
         row.min(self.height - 1) * self.width + col.min(self.width - 1)
     }
 
+    /// The connected groups of the cells of a mask, by their sides and corners.
+    pub(super) fn connected(&self, mask: &[bool]) -> Vec<Vec<usize>> {
+        let mut seen = vec![false; self.len()];
+        let mut groups = Vec::new();
+        for start in (0..self.len()).filter(|&cell| mask[cell]) {
+            if std::mem::replace(&mut seen[start], true) {
+                continue;
+            }
+            let mut group = vec![start];
+            let mut next = 0;
+            while let Some(&cell) = group.get(next) {
+                next += 1;
+                for near in self.around(cell, 1) {
+                    if mask[near] && !std::mem::replace(&mut seen[near], true) {
+                        group.push(near);
+                    }
+                }
+            }
+            groups.push(group);
+        }
+        groups
+    }
+
     /// Whether the box of two ground positions lies beside the grid, at least a cell away from it.
     pub(super) fn is_beside(&self, a: Vec3, b: Vec3) -> bool {
         let (low, high) = (a.min(b), a.max(b));

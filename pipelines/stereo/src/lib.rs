@@ -17,6 +17,7 @@
 //!     or smooths by planes where the base is short (`plane_smoothing.rs`), and places edges where the views change (`edges.rs`). The result
 //!     is a [`Surface`] (`surface.rs`).
 //! 11. `agreement.rs`, `evidence.rs`: the views are resampled to the surface, and cells where they agree no better than by chance are not known.
+//! 12. [`bridged`]: courts and alleys in shade that the surface bridges are opened, where their light tells.
 //!
 //! On the way there, on a coarse surface of the same search: [`align`] finds the pointing shifts between images, [`ties`] single points of
 //! the ground in several images, [`clouds`] the pixels that show clouds. And from it: [`suns`] finds the sun by the shadows that the surface
@@ -28,6 +29,7 @@
 
 mod agreement;
 pub mod align;
+pub mod bridged;
 mod census;
 pub mod change;
 pub mod clouds;

@@ -18,7 +18,7 @@ mod score;
 
 use super::surface::Surface;
 use super::views::SweepView;
-pub(super) use darkness::Darkness;
+pub(super) use darkness::{Darkness, bilinear};
 use glam::Vec3;
 use heliosplat::relief::Relief;
 pub(super) use horizon::toward;

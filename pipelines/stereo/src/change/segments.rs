@@ -109,7 +109,7 @@ pub(super) fn find(
         let seeds: Vec<bool> = (grid.cells())
             .map(|cell| shown[cell] && best(cell) > SEED_GAIN)
             .collect();
-        for cells in connected(grid, &seeds) {
+        for cells in grid.connected(&seeds) {
             let Some(segment) = accepted(grid, splits, &cells, up, &mut taken, by_shadows) else {
                 continue;
             };
@@ -189,29 +189,6 @@ fn accepted(
         difference_m,
         confidence: 1.0 / (1.0 + (-criterion).exp()),
     })
-}
-
-/// The connected groups of the cells of a mask, by their sides.
-fn connected(grid: &Grid, mask: &[bool]) -> Vec<Vec<usize>> {
-    let mut seen = vec![false; grid.len()];
-    let mut groups = Vec::new();
-    for start in (0..grid.len()).filter(|&cell| mask[cell]) {
-        if std::mem::replace(&mut seen[start], true) {
-            continue;
-        }
-        let mut group = vec![start];
-        let mut next = 0;
-        while let Some(&cell) = group.get(next) {
-            next += 1;
-            for near in grid.around(cell, 1) {
-                if mask[near] && !std::mem::replace(&mut seen[near], true) {
-                    group.push(near);
-                }
-            }
-        }
-        groups.push(group);
-    }
-    groups
 }
 
 #[cfg(test)]

@@ -135,7 +135,7 @@ fn seen(view: &SweepView, surface: &Surface, relief: &Relief, cells: &[usize]) -
 }
 
 /// The mean of the bands, bilinear; NaN outside and beside missing pixels.
-fn bilinear(image: &Raster, col: f32, row: f32) -> f32 {
+pub(in super::super) fn bilinear(image: &Raster, col: f32, row: f32) -> f32 {
     let (c0, r0) = (col.floor(), row.floor());
     let inside = c0 >= 0.0 && r0 >= 0.0 && c0 + 1.0 < image.width as f32 && r0 + 1.0 < image.height as f32;
     if !inside {

@@ -1,0 +1,345 @@
+//! Ground between walls that the sweep has bridged: courts and alleys, in shade on most dates and of one colour, of which little is
+//! matched, so that the roofs beside them hold the surface up.
+//!
+//! Parts of the surface of which the sweep is not sure are tested by their light. Either surface, as it is and with the part lowered to the
+//! ground around it, says which images see the part, where, and on which dates the sun reaches it. If a surface is right, places that are lit on
+//! some dates and in shade on others are brighter on the former. A part that is right as it is has no such contrast when it is lowered:
+//! what is then taken for it lies elsewhere. Figures are in docs/lab/edges.md.
+//!
+//! Limits: what the sun reaches on no date, or on all, has no contrast, and stays as it is.
+
+use super::change::Changes;
+use super::grid::{Grid, opening};
+use super::suns::{angles_deg, bilinear, toward};
+use super::surface::Surface;
+use super::views::SweepView;
+use glam::Vec3;
+use heliosplat::relief::{Relief, Toward};
+use heliosplat_rpc::statistics::{upper_median, upper_quantile};
+use rayon::prelude::*;
+
+/// What is narrower than twice this stands on the ground, metres.
+const GROUND_REACH_M: f32 = 12.0;
+/// Least height above the ground of a part that is tested, metres.
+const LEAST_M: f32 = 3.0;
+/// The same of the cells beside it.
+const LEAST_BESIDE_M: f32 = 2.0;
+/// Probability of an altitude from which on the sweep is sure of it.
+const SURE: f32 = 0.97;
+/// Neighbours that differ by more belong to different parts, metres.
+const STEP_M: f32 = 3.0;
+/// Least ground of a part, m².
+const LEAST_M2: f32 = 15.0;
+/// As far as shadows are followed, metres.
+const REACH_M: f32 = 60.0;
+/// Least contrast of lit and shaded dates on the lowered part, a natural logarithm: direct light is at least as strong as that of the sky.
+const LEAST_CONTRAST: f32 = 0.65;
+/// How much more it is than on the part as it is.
+const LEAST_GAIN: f32 = 0.5;
+/// Most contrast of a part as it is: training mends by itself what explains the light in part.
+const MOST_CONTRAST_NOW: f32 = 0.4;
+/// Least share of a part's cells that are lit on one date and in shade on another.
+const LEAST_SHARE: f32 = 0.1;
+/// Share of an image's pixels that are darker than what the air adds.
+const DARKEST: f64 = 0.003;
+/// Brightness below which nothing is told apart, as a share of the image's median.
+const LEAST_BRIGHTNESS: f32 = 0.02;
+/// One pixel in so many, each way, says how bright an image is.
+const STRIDE: usize = 5;
+
+/// Lowers the parts of a surface that bridge ground, as the light of the `views` says; those without a sun say nothing. What changed between
+/// the images stays as it is, and the state of before (`changes`) follows the surface elsewhere. Returns how many parts there were.
+pub fn lower(views: &[SweepView], surface: &mut Surface, changes: &mut Changes) -> usize {
+    let lights: Vec<Light> = views.par_iter().map(|view| Light::of(view, surface)).collect();
+    if lights.iter().filter(|light| light.to_sun.is_some()).count() < 2 {
+        return 0;
+    }
+    let grid = Grid {
+        width: surface.width,
+        height: surface.height,
+        west_m: surface.west_m,
+        north_m: surface.north_m,
+        cell_m: surface.cell_m,
+    };
+    let reach = (GROUND_REACH_M / grid.cell_m).round() as usize;
+    let ground_m = opening((grid.width, grid.height), &surface.altitude, [reach; 2]);
+    let parts = parts(&grid, surface, &ground_m, changes);
+    let bridged: Vec<&Vec<usize>> = (parts.par_iter())
+        .filter(|part| is_bridged(&grid, surface, &ground_m, part, &lights))
+        .collect();
+    let count = bridged.len();
+    let cells: Vec<usize> = bridged.into_iter().flatten().copied().collect();
+    for &cell in &cells {
+        surface.altitude[cell] = ground_m[cell];
+        surface.above[cell] = ground_m[cell];
+        if let Some(before_m) = changes.before_m.get_mut(cell) {
+            *before_m = ground_m[cell];
+        }
+    }
+    if count > 0 {
+        let relief = Relief::new((grid.width, grid.height), grid.cell_m, surface.altitude.clone());
+        for cell in cells {
+            let point = surface.point(cell % grid.width, cell / grid.width);
+            let seen = lights.iter().filter(|light| light.sees(&relief, cell, point).is_some());
+            surface.views[cell] = seen.count().min(usize::from(u8::MAX)) as u8;
+        }
+    }
+    count
+}
+
+/// A view with its sun.
+struct Light<'a> {
+    view: &'a SweepView<'a>,
+    /// `None` where the sun is unknown, or the image shows nothing.
+    to_sun: Option<Toward>,
+    /// `None` from straight above, where nothing hides anything.
+    to_camera: Option<Toward>,
+    /// What the air adds, and the median above it.
+    dark: f32,
+    median: f32,
+}
+
+impl<'a> Light<'a> {
+    fn of(view: &'a SweepView<'a>, surface: &Surface) -> Self {
+        let middle = surface.point(surface.width / 2, surface.height / 2);
+        let [azimuth_deg, elevation_deg] = angles_deg(view.geometry().toward(middle));
+        let image = view.image;
+        let mut values: Vec<f32> = (0..image.height)
+            .step_by(STRIDE)
+            .flat_map(|row| (0..image.width).step_by(STRIDE).map(move |col| (col, row)))
+            .map(|(col, row)| (0..image.bands).map(|band| image.at(band, col, row)).sum::<f32>() / image.bands as f32)
+            .filter(|value| value.is_finite())
+            .collect();
+        let dark = upper_quantile(&mut values, DARKEST).unwrap_or(0.0);
+        let median = upper_median(&mut values).unwrap_or(0.0) - dark;
+        let sun = view.sun.filter(|_| median > 0.0).map(angles_deg);
+        Self {
+            view,
+            to_sun: sun.map(|[azimuth_deg, elevation_deg]| toward(azimuth_deg, elevation_deg)),
+            to_camera: (elevation_deg < 89.9).then(|| toward(azimuth_deg, elevation_deg)),
+            dark,
+            median,
+        }
+    }
+
+    /// What the view shows of a cell of a relief, which lies at `point`; `None` where it does not see it.
+    fn sees(&self, relief: &Relief, cell: usize, point: Vec3) -> Option<f32> {
+        if self.to_camera.as_ref().is_some_and(|to| relief.is_shaded(cell, to)) {
+            return None;
+        }
+        let (col, row, _) = self.view.camera.project(point);
+        Some(bilinear(self.view.image, col, row)).filter(|value| value.is_finite())
+    }
+}
+
+/// Connected cells of which the sweep is not sure and that stand above the ground around them.
+fn parts(grid: &Grid, surface: &Surface, ground_m: &[f32], changes: &Changes) -> Vec<Vec<usize>> {
+    let height_m = |cell: usize| surface.altitude[cell] - ground_m[cell];
+    let unsure = |cell: usize| height_m(cell) > LEAST_M && surface.probability[cell] < SURE;
+    let level = |cell: usize| {
+        let near = grid.around(cell, 1).map(|near| surface.altitude[near]);
+        let (low, high) = near.fold((f32::MAX, f32::MIN), |(low, high), z| (low.min(z), high.max(z)));
+        high - low <= STEP_M
+    };
+    let mask: Vec<bool> = grid.cells().map(|cell| unsure(cell) && level(cell)).collect();
+    let whole = |cells: Vec<usize>| {
+        let mut part: Vec<usize> = cells.iter().flat_map(|&cell| grid.around(cell, 1)).collect();
+        part.retain(|&cell| height_m(cell) > LEAST_BESIDE_M && changes.at(cell).is_none());
+        part.sort_unstable();
+        part.dedup();
+        part
+    };
+    let least = (LEAST_M2 / (grid.cell_m * grid.cell_m)).ceil() as usize;
+    let groups = grid.connected(&mask).into_iter().filter(|cells| cells.len() >= least);
+    groups.map(whole).collect()
+}
+
+/// Whether the light of a part tells that it lies on the ground.
+fn is_bridged(grid: &Grid, surface: &Surface, ground_m: &[f32], part: &[usize], lights: &[Light]) -> bool {
+    let window = Window::around(grid, part);
+    let now = window.contrast(grid, part, lights, &|cell| surface.altitude[cell]);
+    let mut lowered = surface.altitude.clone();
+    part.iter().for_each(|&cell| lowered[cell] = ground_m[cell]);
+    let then = window.contrast(grid, part, lights, &|cell| lowered[cell]);
+    let (now, then) = (
+        now.map_or(0.0, |now| now.mean),
+        then.filter(|then| then.share > LEAST_SHARE),
+    );
+    let tells = |then: Contrast| then.mean > LEAST_CONTRAST && then.mean - now.max(0.0) > LEAST_GAIN;
+    let bridged = now < MOST_CONTRAST_NOW && then.is_some_and(tells);
+    tracing::debug!(
+        cells = part.len(),
+        col = part[0] % grid.width,
+        row = part[0] / grid.width,
+        now,
+        lowered = ?then,
+        bridged,
+        "in doubt"
+    );
+    bridged
+}
+
+/// How much brighter cells are on the dates on which they are lit than on those on which they are in shade.
+#[derive(Debug, Clone, Copy)]
+struct Contrast {
+    /// Mean over the cells that are both, a natural logarithm.
+    mean: f32,
+    /// Their share.
+    share: f32,
+}
+
+/// The ground around a part, as far as what stands on it shades and hides the part.
+struct Window {
+    first: [usize; 2],
+    size: (usize, usize),
+}
+
+impl Window {
+    fn around(grid: &Grid, part: &[usize]) -> Self {
+        let reach = (REACH_M / grid.cell_m).ceil() as usize;
+        let span = |at: &dyn Fn(usize) -> usize, count: usize| {
+            let all = || part.iter().map(|&cell| at(cell));
+            let (first, last) = (all().min().unwrap_or(0), all().max().unwrap_or(0));
+            let first = first.saturating_sub(reach);
+            (first, (last + reach + 1).min(count) - first)
+        };
+        let (col, width) = span(&|cell| cell % grid.width, grid.width);
+        let (row, height) = span(&|cell| cell / grid.width, grid.height);
+        Self {
+            first: [col, row],
+            size: (width, height),
+        }
+    }
+
+    /// The contrast of a part on a surface; `None` where no cell is both lit and in shade.
+    fn contrast(
+        &self,
+        grid: &Grid,
+        part: &[usize],
+        lights: &[Light],
+        altitude_m: &dyn Fn(usize) -> f32,
+    ) -> Option<Contrast> {
+        let [col0, row0] = self.first;
+        let (width, height) = self.size;
+        let cells = (0..height).flat_map(|row| (0..width).map(move |col| (row0 + row) * grid.width + col0 + col));
+        let relief = Relief::new(self.size, grid.cell_m, cells.map(altitude_m).collect());
+        let (mut sum, mut both) = (0.0f64, 0usize);
+        for &cell in part {
+            let (col, row) = (cell % grid.width, cell / grid.width);
+            let place = (row - row0) * width + col - col0;
+            let point = grid.point(col as isize, row as isize, altitude_m(cell));
+            let (mut sums, mut counts) = ([0.0f64; 2], [0usize; 2]);
+            for light in lights {
+                let Some(to_sun) = &light.to_sun else { continue };
+                let Some(value) = light.sees(&relief, place, point) else {
+                    continue;
+                };
+                let brightness = ((value - light.dark) / light.median).max(LEAST_BRIGHTNESS);
+                let lit = usize::from(!relief.is_shaded(place, to_sun));
+                sums[lit] += f64::from(brightness.ln());
+                counts[lit] += 1;
+            }
+            if counts[0] > 0 && counts[1] > 0 {
+                sum += sums[1] / counts[1] as f64 - sums[0] / counts[0] as f64;
+                both += 1;
+            }
+        }
+        (both > 0).then(|| Contrast {
+            mean: (sum / both as f64) as f32,
+            share: both as f32 / part.len() as f32,
+        })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use heliosplat::{ProjectiveCamera, Raster};
+
+    const SIDE: usize = 60;
+    const HOUSES_M: f32 = 10.0;
+    /// Azimuths and elevations of the suns of the images, degrees.
+    const SUNS: [[f64; 2]; 5] = [[180.0, 50.0], [180.0, 65.0], [95.0, 40.0], [150.0, 45.0], [230.0, 60.0]];
+
+    /// Two rows of houses, and the court of ten metres between them.
+    fn is_court(cell: usize) -> bool {
+        (26..36).contains(&(cell / SIDE)) && (10..50).contains(&(cell % SIDE))
+    }
+
+    fn is_built(cell: usize) -> bool {
+        (20..42).contains(&(cell / SIDE)) && (10..50).contains(&(cell % SIDE))
+    }
+
+    /// What is left of the height of the court where the sweep bridged it unsurely, and images show it `court_m` high, of an `albedo`.
+    fn left_m(court_m: f32, albedo: f32) -> f32 {
+        let cells = SIDE * SIDE;
+        let height_m = |cell: usize| match cell {
+            cell if is_court(cell) => court_m,
+            cell if is_built(cell) => HOUSES_M,
+            _ => 0.0,
+        };
+        let relief = Relief::new((SIDE, SIDE), 1.0, (0..cells).map(height_m).collect());
+        let image = |&[azimuth_deg, elevation_deg]: &[f64; 2]| {
+            let shadows = relief.shadows(azimuth_deg, elevation_deg);
+            let brightness = |cell: usize| {
+                let albedo = if is_court(cell) { albedo } else { 0.2 };
+                (albedo + 0.01 * (cell * 7919 % 11) as f32) * if shadows[cell] { 0.35 } else { 1.0 }
+            };
+            let mut image = Raster::filled(SIDE, SIDE, 1, 0.0);
+            image.values = (0..cells).map(brightness).collect();
+            image
+        };
+        let images: Vec<Raster> = SUNS.iter().map(image).collect();
+        let views: Vec<SweepView> = (images.iter().zip(SUNS).enumerate())
+            .map(|(k, (image, [azimuth_deg, elevation_deg]))| {
+                let ((east, north), (up, across)) =
+                    (azimuth_deg.to_radians().sin_cos(), elevation_deg.to_radians().sin_cos());
+                SweepView {
+                    camera: ProjectiveCamera::nadir(0.5, -0.5, 1.0, (SIDE, SIDE)),
+                    image,
+                    index: None,
+                    date_group: k as u32,
+                    sun: Some(Vec3::new((across * east) as f32, (across * north) as f32, up as f32)),
+                }
+            })
+            .collect();
+        let altitude: Vec<f32> = (0..cells)
+            .map(|cell| if is_built(cell) { HOUSES_M } else { 0.0 })
+            .collect();
+        let mut surface = Surface {
+            width: SIDE,
+            height: SIDE,
+            cell_m: 1.0,
+            above: altitude.clone(),
+            altitude,
+            views: vec![0; cells],
+            probability: (0..cells).map(|cell| if is_court(cell) { 0.8 } else { 1.0 }).collect(),
+            ..Surface::default()
+        };
+        let lowered = lower(&views, &mut surface, &mut Changes::default());
+        let court = (0..cells).filter(|&cell| is_court(cell));
+        let highest = court.map(|cell| surface.altitude[cell]).fold(f32::MIN, f32::max);
+        assert_eq!(lowered, usize::from(highest < HOUSES_M));
+        let of_all = |cell: usize| usize::from(surface.views[cell]) == lowered * views.len();
+        assert!(
+            (0..cells).filter(|&cell| is_court(cell)).all(of_all),
+            "who sees the court is counted anew"
+        );
+        assert!(
+            (0..cells)
+                .filter(|&cell| !is_built(cell))
+                .all(|cell| surface.altitude[cell] == 0.0)
+        );
+        highest
+    }
+
+    #[test]
+    fn a_court_in_shade_that_was_bridged_is_opened() {
+        assert_eq!(left_m(0.0, 0.2), 0.0);
+    }
+
+    #[test]
+    fn a_dark_roof_of_which_the_sweep_is_not_sure_stays() {
+        assert_eq!(left_m(HOUSES_M, 0.03), HOUSES_M);
+    }
+}
