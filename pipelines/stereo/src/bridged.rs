@@ -154,13 +154,14 @@ fn parts(grid: &Grid, surface: &Surface, ground_m: &[f32], changes: &Changes) ->
     groups.map(whole).collect()
 }
 
-/// Whether the light of a part tells that it lies on the ground.
+/// Whether the light of a part, cells in ascending order, tells that it lies on the ground.
 fn is_bridged(grid: &Grid, surface: &Surface, ground_m: &[f32], part: &[usize], lights: &[Light]) -> bool {
     let window = Window::around(grid, part);
     let now = window.contrast(grid, part, lights, &|cell| surface.altitude[cell]);
-    let mut lowered = surface.altitude.clone();
-    part.iter().for_each(|&cell| lowered[cell] = ground_m[cell]);
-    let then = window.contrast(grid, part, lights, &|cell| lowered[cell]);
+    let then = window.contrast(grid, part, lights, &|cell| match part.binary_search(&cell) {
+        Ok(_) => ground_m[cell],
+        Err(_) => surface.altitude[cell],
+    });
     let (now, then) = (
         now.map_or(0.0, |now| now.mean),
         then.filter(|then| then.share > LEAST_SHARE),
