@@ -3,10 +3,11 @@
 //!
 //! Parts of the surface of which the sweep is not sure are tested by their light. Either surface, as it is and with the part lowered to the
 //! ground around it, says which images see the part, where, and on which dates the sun reaches it. If a surface is right, places that are lit on
-//! some dates and in shade on others are brighter on the former. A part that is right as it is has no such contrast when it is lowered:
+//! some dates and in shade on others are brighter on the former. A part that is right as it is seldom has such a contrast when it is lowered:
 //! what is then taken for it lies elsewhere. Figures are in docs/lab/edges.md.
 //!
-//! Limits: what the sun reaches on no date, or on all, has no contrast, and stays as it is.
+//! Limits: what the sun reaches on no date, or on all, has no contrast, and stays as it is. Probability and deviation of lowered cells stay
+//! those of the altitude that was matched.
 
 use super::change::Changes;
 use super::grid::{Grid, opening};
