@@ -22,6 +22,7 @@ use heliosplat_products::daylight::Daylight;
 use heliosplat_scene::{Area, ImageSun, KnownTiles, Scene};
 use heliosplat_session::Session;
 use heliosplat_stereo::Surface;
+use heliosplat_stereo::bridged::Lowered;
 use heliosplat_stereo::change::Changes;
 use std::time::Instant;
 
@@ -63,6 +64,8 @@ pub struct Fitted {
     pub daylight: Option<Daylight>,
     /// The surface that training started from.
     pub surface: Surface,
+    /// What of that surface was lowered because it bridged ground in shade.
+    pub lowered: Lowered,
     /// What changed between the images.
     pub changes: Changes,
     /// How training ended.
@@ -260,6 +263,7 @@ pub fn fit(
         decisions: decisions.clone(),
         trials,
         surface: found.surface,
+        lowered: found.lowered,
         changes: found.changes,
         seconds: [
             found.seconds[0],

@@ -362,6 +362,7 @@ pub(super) fn add_fit(metrics: &mut Value, fitted: &Fitted, model: &LoadedModel,
     metrics["memory_estimate_bytes"] = json!(fitted.memory_estimate);
     metrics["shifts_px"] = json!(fitted.shifts_px);
     metrics["clouded"] = json!(fitted.clouded);
+    metrics["lowered"] = json!(fitted.lowered);
     metrics["plan"] = json!(fitted.decisions.items);
     metrics["trials"] = json!(fitted.trials);
     metrics["curve"] = json!(fitted.curve);
@@ -400,6 +401,11 @@ pub fn summary(metrics: &Value) -> String {
         "% (before images say where shadows end)",
     );
     say("shadows right", number("/shadow/accuracy").map(|a| 100.0 * a), "%");
+    say(
+        "lowered",
+        number("/lowered/area_m2").filter(|&area| area > 0.0),
+        "m² of the initial surface that bridged ground in shade",
+    );
     say(
         "changed",
         number("/change/segments"),

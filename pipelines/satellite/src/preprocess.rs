@@ -16,7 +16,7 @@ use heliosplat_rpc::RpcError;
 use heliosplat_rpc::adjust::BiasModel;
 use heliosplat_scene::{AltitudeSource, ImageSun, IngestOptions, Scene};
 use heliosplat_session::Session;
-use heliosplat_stereo::bridged;
+use heliosplat_stereo::bridged::{self, Lowered};
 use heliosplat_stereo::change::{self, Changes};
 use heliosplat_stereo::suns::ShadowSun;
 use heliosplat_stereo::{MatchingParameters, PlaneSweepRequest, Surface, SweepView, plane_sweep};
@@ -33,6 +33,8 @@ pub struct Preprocessed {
     pub surface: Surface,
     /// What changed between the images.
     pub changes: Changes,
+    /// What of the surface was lowered because it bridged ground in shade.
+    pub lowered: Lowered,
     /// Pointing corrections, pixels.
     pub shifts_px: Vec<[f32; 2]>,
     /// The pixels of each image that show clouds; empty where there are none.
@@ -90,7 +92,7 @@ impl<'a> Preprocess<'a> {
         let part = stage("changes");
         let mut changes = changes(&ground, &rasters, &shifts_px, decisions, &request, &mut surface);
         drop(part);
-        lower(&ground, &rasters, &shifts_px, &mut surface, &mut changes);
+        let lowered = lower(&ground, &rasters, &shifts_px, &mut surface, &mut changes);
         if let Some(warning) = AtLimits::of(&surface, scene).warning(scene.altitude_range_m) {
             tracing::warn!("{warning}");
         }
@@ -98,6 +100,7 @@ impl<'a> Preprocess<'a> {
         let found = Preprocessed {
             surface,
             changes,
+            lowered,
             shifts_px,
             clouds,
             shadow_suns: vec![None; scene.images.len()],
@@ -132,6 +135,7 @@ impl<'a> Preprocess<'a> {
         let Preprocessed {
             surface,
             changes: changed,
+            lowered,
             shifts_px,
             seconds,
             ..
@@ -142,7 +146,7 @@ impl<'a> Preprocess<'a> {
             progress.set((100.0 * share) as u64);
         });
         *changed = changes(&self.ground, &rasters, shifts_px, decisions, &request, surface);
-        lower(&self.ground, &rasters, shifts_px, surface, changed);
+        *lowered = lower(&self.ground, &rasters, shifts_px, surface, changed);
         seconds[1] += started.elapsed().as_secs_f64();
         true
     }
@@ -248,11 +252,16 @@ pub(super) fn lower(
     shifts_px: &[[f32; 2]],
     surface: &mut Surface,
     changes: &mut Changes,
-) {
-    let parts = bridged::lower(&views(ground, rasters, &None, shifts_px), surface, changes);
-    if parts > 0 {
-        tracing::info!("parts of the surface that bridged ground in shade and were lowered: {parts}");
+) -> Lowered {
+    let lowered = bridged::lower(&views(ground, rasters, &None, shifts_px), surface, changes);
+    if lowered.parts > 0 {
+        tracing::info!(
+            "parts of the surface that bridged ground in shade and were lowered: {} ({:.0} m²)",
+            lowered.parts,
+            lowered.area_m2
+        );
     }
+    lowered
 }
 
 /// The surface that all views of `scene` find together, without training.

@@ -6,8 +6,8 @@
 //! some dates and in shade on others are brighter on the former. A part that is right as it is seldom has such a contrast when it is lowered:
 //! what is then taken for it lies elsewhere. Figures are in docs/lab/edges.md.
 //!
-//! Limits: what the sun reaches on no date, or on all, has no contrast, and stays as it is. Probability and deviation of lowered cells stay
-//! those of the altitude that was matched.
+//! Limits: what the sun reaches on no date, or on all, has no contrast, and stays as it is. A part takes the edges of roofs beside it along,
+//! which training puts back; a lowered cell says by its probability and deviation that it may be as high as it was matched.
 
 use super::change::Changes;
 use super::grid::{Grid, opening};
@@ -41,6 +41,9 @@ const LEAST_GAIN: f32 = 0.5;
 const MOST_CONTRAST_NOW: f32 = 0.4;
 /// Least share of a part's cells that are lit on one date and in shade on another.
 const LEAST_SHARE: f32 = 0.1;
+/// Probability that a lowered cell is ground: the share of the lowered cells that were right within two metres, `city` 11, 13, 14, 16 and
+/// `block` 21 (docs/lab/edges.md).
+const LOWERED_PROBABILITY: f32 = 0.65;
 /// Share of an image's pixels that are darker than what the air adds.
 const DARKEST: f64 = 0.003;
 /// Brightness below which nothing is told apart, as a share of the image's median.
@@ -48,12 +51,21 @@ const LEAST_BRIGHTNESS: f32 = 0.02;
 /// One pixel in so many, each way, says how bright an image is.
 const STRIDE: usize = 5;
 
+/// The parts of a surface that were lowered.
+#[derive(Debug, Clone, Copy, PartialEq, Default, serde::Serialize, serde::Deserialize)]
+pub struct Lowered {
+    /// How many parts.
+    pub parts: usize,
+    /// Their ground, m².
+    pub area_m2: f64,
+}
+
 /// Lowers the parts of a surface that bridge ground, as the light of the `views` says; those without a sun say nothing. What changed between
-/// the images stays as it is, and the state of before (`changes`) follows the surface elsewhere. Returns how many parts there were.
-pub fn lower(views: &[SweepView], surface: &mut Surface, changes: &mut Changes) -> usize {
+/// the images stays as it is, and the state of before (`changes`) follows the surface elsewhere.
+pub fn lower(views: &[SweepView], surface: &mut Surface, changes: &mut Changes) -> Lowered {
     let lights: Vec<Light> = views.par_iter().map(|view| Light::of(view, surface)).collect();
     if lights.iter().filter(|light| light.to_sun.is_some()).count() < 2 {
-        return 0;
+        return Lowered::default();
     }
     let grid = Grid {
         width: surface.width,
@@ -68,24 +80,34 @@ pub fn lower(views: &[SweepView], surface: &mut Surface, changes: &mut Changes) 
     let bridged: Vec<&Vec<usize>> = (parts.par_iter())
         .filter(|part| is_bridged(&grid, surface, &ground_m, part, &lights))
         .collect();
-    let count = bridged.len();
-    let cells: Vec<usize> = bridged.into_iter().flatten().copied().collect();
+    let parts = bridged.len();
+    let mut cells: Vec<usize> = bridged.into_iter().flatten().copied().collect();
+    // Parts share cells where both took them along.
+    cells.sort_unstable();
+    cells.dedup();
     for &cell in &cells {
+        let height_m = surface.altitude[cell] - ground_m[cell];
+        surface.probability[cell] = LOWERED_PROBABILITY;
+        surface.deviation_m[cell] =
+            ((1.0 - LOWERED_PROBABILITY) * height_m * height_m + surface.resolution_m * surface.resolution_m).sqrt();
         surface.altitude[cell] = ground_m[cell];
         surface.above[cell] = ground_m[cell];
         if let Some(before_m) = changes.before_m.get_mut(cell) {
             *before_m = ground_m[cell];
         }
     }
-    if count > 0 {
+    if parts > 0 {
         let relief = Relief::new((grid.width, grid.height), grid.cell_m, surface.altitude.clone());
-        for cell in cells {
+        for &cell in &cells {
             let point = surface.point(cell % grid.width, cell / grid.width);
             let seen = lights.iter().filter(|light| light.sees(&relief, cell, point).is_some());
             surface.views[cell] = seen.count().min(usize::from(u8::MAX)) as u8;
         }
     }
-    count
+    Lowered {
+        parts,
+        area_m2: cells.len() as f64 * f64::from(grid.cell_m * grid.cell_m),
+    }
 }
 
 /// A view with its sun.
@@ -313,19 +335,33 @@ mod tests {
             height: SIDE,
             cell_m: 1.0,
             above: altitude.clone(),
-            altitude,
+            altitude: altitude.clone(),
             views: vec![0; cells],
             probability: (0..cells).map(|cell| if is_court(cell) { 0.8 } else { 1.0 }).collect(),
+            deviation_m: vec![0.5; cells],
+            resolution_m: 0.5,
             ..Surface::default()
         };
         let lowered = lower(&views, &mut surface, &mut Changes::default());
         let court = (0..cells).filter(|&cell| is_court(cell));
         let highest = court.map(|cell| surface.altitude[cell]).fold(f32::MIN, f32::max);
-        assert_eq!(lowered, usize::from(highest < HOUSES_M));
-        let of_all = |cell: usize| usize::from(surface.views[cell]) == lowered * views.len();
+        assert_eq!(lowered.parts, usize::from(highest < HOUSES_M));
+        let of_all = |cell: usize| usize::from(surface.views[cell]) == lowered.parts * views.len();
         assert!(
             (0..cells).filter(|&cell| is_court(cell)).all(of_all),
             "who sees the court is counted anew"
+        );
+        let opened: Vec<usize> = (0..cells)
+            .filter(|&cell| surface.altitude[cell] < altitude[cell])
+            .collect();
+        assert_eq!(lowered.area_m2, opened.len() as f64);
+        let may_be_a_roof = |&cell: &usize| {
+            let deviation_m = surface.deviation_m[cell];
+            surface.probability[cell] < 0.8 && deviation_m > HOUSES_M / 2.0 && deviation_m < HOUSES_M
+        };
+        assert!(
+            opened.iter().all(may_be_a_roof),
+            "a lowered cell may be as high as it was"
         );
         assert!(
             (0..cells)

@@ -113,7 +113,20 @@ pub(super) fn surface(run: &Folder) -> Markup {
         (show("error.png", "Height errors: blue too low, red too high"))
         (show("start.png", "Initial surface, before training"))
     };
-    gallery("Surface", "grid", &figures)
+    html! {
+        (gallery("Surface", "grid", &figures))
+        (lowered(run))
+    }
+}
+
+/// How much of the initial surface was lowered; nothing where none was.
+fn lowered(run: &Folder) -> Markup {
+    let lowered = |key: &str| run.number(&format!("/lowered/{key}")).filter(|&count| count > 0.0);
+    html! {
+        @if let Some(parts) = lowered("parts") {
+            p { "Parts of the initial surface that bridged ground in shade and were lowered: " (number(Some(parts), 0)) ", " (number(lowered("area_m2"), 0)) " m²." }
+        }
+    }
 }
 
 /// Each view beside its rendering and its shadows, date by date.
