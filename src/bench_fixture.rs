@@ -166,9 +166,8 @@ impl Descent {
             PassOptions::default(),
         );
         let d_maps = toward_grey(&pass.maps);
-        pass.backward(&d_maps, &mut self.gradients);
         let pairs = pass.maps.pairs;
-        drop(pass);
+        pass.backward(d_maps, &mut self.gradients);
         // Slow enough that the site stays what it is however long it is measured.
         let rates = vec![1e-6; self.gradients.gaussians.groups.len()];
         self.adam

@@ -124,12 +124,16 @@ impl PassLight {
     }
 }
 
-/// What a backward pass says of the splats, beside the gradients of parameters.
+/// What is left of a pass behind its backward pass, beside the gradients of parameters.
 pub struct PassGradients {
-    /// Of their places and shapes in the image, for density control.
+    /// The splats.
+    pub projected: Projected,
+    /// Gradients of their places and shapes in the image, for density control.
     pub splats: Vec<SplatGradient>,
-    /// Of their transmittances.
+    /// Their transmittances.
     pub transmittances: Vec<f32>,
+    /// Gradients of those.
+    pub d_transmittances: Vec<f32>,
 }
 
 /// A rendered view, with what its backward pass needs.
@@ -268,13 +272,14 @@ impl<'a> Pass<'a> {
         all
     }
 
-    /// Backward pass: adds to the gradients of all parameters from those of the maps.
-    pub fn backward(&self, d_maps: &MapGradients, grads: &mut Parameters) -> PassGradients {
+    /// Backward pass: adds to the gradients of all parameters from those of the maps. What it needs no more it gives back on the way.
+    pub fn backward(self, d_maps: MapGradients, grads: &mut Parameters) -> PassGradients {
         let camera = self.context.camera;
         let gaussians = &self.context.parameters.gaussians;
         let part = stage("rasterise, backward");
         let rasteriser = Rasteriser::with_bins(&self.projected, &self.bins, camera.width, camera.height);
-        let mut splat_gradients = rasteriser.backward(&self.features, self.stride, &self.maps, d_maps);
+        let mut splat_gradients = rasteriser.backward(&self.features, self.stride, &self.maps, &d_maps);
+        drop((d_maps, self.maps, self.bins, self.features));
         drop(part);
         let part = stage("features, backward");
         if self.options.normals {
@@ -300,6 +305,7 @@ impl<'a> Pass<'a> {
             grads,
             &mut d_transmittance,
         );
+        drop(splat_gradients.features);
         drop(part);
         let part = stage("project, backward");
         project_backward(
@@ -320,8 +326,10 @@ impl<'a> Pass<'a> {
                 .backward(gaussians, occluders, &lit.origins, &d_traced, &mut grads.gaussians);
         }
         PassGradients {
+            projected: self.projected,
             splats: splat_gradients.splats,
-            transmittances: d_transmittance,
+            transmittances: self.lit.transmittances,
+            d_transmittances: d_transmittance,
         }
     }
 }

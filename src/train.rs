@@ -345,7 +345,8 @@ impl<'a> Trainer<'a> {
 
     fn descend_view(&mut self, index: usize) -> StepReport {
         let part = stage("view");
-        let PyramidLevel { view, full_size } = self.pyramid.level(&self.views, index, self.fraction());
+        self.pyramid.follow(&self.views, self.fraction());
+        let PyramidLevel { view, full_size } = self.pyramid.level(&self.views, index);
         drop(part);
         let options = &self.options;
         let context = Context {
@@ -395,26 +396,27 @@ impl<'a> Trainer<'a> {
             );
         }
         losses.extend(surface_loss(options, &pass, &mut d_maps));
+        let l1 = mean_absolute(&image.values, &truth.values);
+        let pairs = pass.maps.pairs;
+        drop((image, d_image));
         drop(part);
-        let pass_gradients = pass.backward(&d_maps, &mut self.gradients);
+        let behind = pass.backward(d_maps, &mut self.gradients);
         let _part = stage("statistics");
         self.statistics.add(
-            &pass.projected,
-            &pass_gradients.splats,
+            &behind.projected,
+            &behind.splats,
             view.camera.width * view.camera.height,
         );
         let traced = cached.is_none().then(|| {
-            let splats = (pass.projected.gaussian.as_slice(), self.parameters.gaussians.count);
+            let splats = (behind.projected.gaussian.as_slice(), self.parameters.gaussians.count);
             CachedVisibility::traced(
                 splats,
-                pass.transmittances(),
-                &pass_gradients.transmittances,
+                &behind.transmittances,
+                &behind.d_transmittances,
                 before.as_ref(),
             )
         });
-        let pairs = pass.maps.pairs;
         self.cached_visibility[index] = traced.or_else(|| before.map(CachedVisibility::used));
-        let l1 = mean_absolute(&image.values, &truth.values);
         if full_size {
             self.holdout.record(index, held_out);
         }

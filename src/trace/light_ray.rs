@@ -76,9 +76,6 @@ impl LightRay {
     /// full · (1 - axis·r)`, `full` proportional to the thinnest scale. A ray to a point light turns as its start moves,
     /// `∂r/∂position = -(I - rrᵀ) / length`: `d_turn` is what the gradient loses by that along the ray, and the lift follows `r`.
     pub(super) fn backward(&self, d_start: Vec3, d_turn: Vec3, raw_rotation: [f32; 4]) -> CoreGradient {
-        if d_start == Vec3::ZERO {
-            return CoreGradient::default();
-        }
         let lift = &self.lift;
         let d_height = d_start.dot(lift.axis);
         let mut log_scale = Vec3::ZERO;

@@ -1,6 +1,5 @@
 //! What both routes of the tracer share: attenuation by one Gaussian, the result of a ray, and the input of the backward pass.
 
-use super::light_ray::LightRay;
 use crate::fast::exp;
 use crate::splat::project::ALPHA_MAX;
 use glam::Vec3;
@@ -22,7 +21,6 @@ pub(super) struct RayTransmittance {
 /// The rays that gradients go back along.
 #[derive(Clone, Copy)]
 pub(super) struct RayGradients<'a> {
-    pub(super) rays: &'a [LightRay],
     /// The Gaussian that each starts from.
     pub(super) origins: &'a [u32],
     /// Gradient of the loss to the logarithm of each transmittance.

@@ -21,6 +21,7 @@ use super::bvh::{Occluder, Occluders};
 use super::light_ray::LightRay;
 use super::occlusion::{RayGradients, RayTransmittance};
 use crate::gaussians::{CoreGradient, Table, rotation_backward};
+use crate::light::Light;
 use cells::Cells;
 use ellipse::{Axes, Ellipse, EllipseBlock, EllipseMoments, LANES};
 use glam::{Vec2, Vec3};
@@ -68,8 +69,6 @@ pub(super) struct SunPlaneTrace {
     levels: Vec<Level>,
     /// Level after level, cell after cell.
     ellipses: Vec<Ellipse>,
-    /// The same, eight at a time.
-    blocks: Vec<EllipseBlock>,
     /// Mean half sizes.
     half_size: Vec2,
 }
@@ -153,18 +152,11 @@ impl SunPlaneTrace {
             axes,
             levels: Vec::new(),
             ellipses: Vec::with_capacity(all.len()),
-            blocks: Vec::new(),
             half_size,
         };
         for numbers in by_level(&all, half_size).iter().filter(|numbers| !numbers.is_empty()) {
             plane.add_level(&all, numbers);
         }
-        plane.blocks = plane
-            .ellipses
-            .par_chunks(LANES)
-            .with_min_len(256)
-            .map(EllipseBlock::new)
-            .collect();
         plane
     }
 
@@ -193,7 +185,9 @@ impl SunPlaneTrace {
         self.ellipses.par_extend(sorted);
     }
 
-    fn on_plane(&self, ray: &LightRay, origin: u32) -> PlaneRay {
+    /// The ray that starts from the Gaussian `origin`.
+    fn ray(&self, occluders: &Occluders, origin: u32) -> PlaneRay {
+        let ray = LightRay::new(&occluders.list[origin as usize], &Light::Directional(self.axes.light));
         PlaneRay {
             place: self.axes.place(ray.origin),
             depth: self.axes.light.dot(ray.origin) + ray.bias,
@@ -201,19 +195,16 @@ impl SunPlaneTrace {
         }
     }
 
-    /// Traces `rays`, which start from `origins`, past all ellipses.
-    pub(super) fn trace(&self, rays: &[LightRay], origins: &[u32]) -> Vec<RayTransmittance> {
-        let mut results = vec![RayTransmittance::default(); rays.len()];
-        let chunks = rays.par_chunks(CHUNK).zip(origins.par_chunks(CHUNK));
-        chunks
-            .zip(results.par_chunks_mut(CHUNK))
-            .for_each(|((rays, origins), results)| {
-                let rays = rays
-                    .iter()
-                    .zip(origins)
-                    .map(|(ray, &origin)| self.on_plane(ray, origin));
-                trace_rays(&rays.collect::<Vec<_>>(), self, results);
-            });
+    /// Traces the rays of `origins` past all ellipses.
+    pub(super) fn trace(&self, occluders: &Occluders, origins: &[u32]) -> Vec<RayTransmittance> {
+        let blocks = self.ellipses.par_chunks(LANES).with_min_len(256);
+        let blocks: Vec<EllipseBlock> = blocks.map(EllipseBlock::new).collect();
+        let mut results = vec![RayTransmittance::default(); origins.len()];
+        let chunks = origins.par_chunks(CHUNK).zip(results.par_chunks_mut(CHUNK));
+        chunks.for_each(|(origins, results)| {
+            let rays: Vec<PlaneRay> = origins.iter().map(|&origin| self.ray(occluders, origin)).collect();
+            trace_rays(&rays, self, &blocks, results);
+        });
         results
     }
 
@@ -233,15 +224,17 @@ impl SunPlaneTrace {
                 let seed = sampled.unwrap_or_default().wrapping_mul(1_000_003) ^ chunk as u64;
                 let mut random = Pcg32::seed_from_u64(seed);
                 let kept = d_log.iter().enumerate().filter_map(|(in_chunk, &d_log)| {
-                    let place = chunk * CHUNK + in_chunk;
+                    let origin = gradients.origins[chunk * CHUNK + in_chunk];
                     let d_log = russian_roulette(d_log, least, &mut random);
-                    (d_log != 0.0).then(|| (self.on_plane(&gradients.rays[place], gradients.origins[place]), d_log))
+                    (d_log != 0.0).then(|| (self.ray(occluders, origin), d_log))
                 });
                 kept.collect()
             })
             .collect();
         let plane_rays = kept.concat();
+        drop(kept);
         let grid = RayGrid::new(&plane_rays, cell_size(self.half_size));
+        drop(plane_rays);
         let mut moments = vec![EllipseMoments::default(); self.ellipses.len()];
         let chunks = self.ellipses.par_chunks(CHUNK).zip(moments.par_chunks_mut(CHUNK));
         chunks.for_each(|(ellipses, moments)| gather_gradients(ellipses, &grid, moments));

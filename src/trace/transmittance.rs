@@ -13,7 +13,7 @@ use super::hierarchy::HierarchyTrace;
 use super::light_ray::LightRay;
 use super::occlusion::{RayGradients, RayTransmittance};
 use super::sun_plane::SunPlaneTrace;
-use crate::gaussians::Table;
+use crate::gaussians::{CoreGradient, Table};
 use crate::light::Light;
 use glam::Vec3;
 use rayon::prelude::*;
@@ -29,10 +29,12 @@ const CHUNK: usize = 1024;
 pub struct Transmittance {
     /// Transmittance of each origin, 0 to 1.
     pub values: Vec<f32>,
-    rays: Vec<LightRay>,
-    /// Gradient of the logarithm of each value to the ray's origin, 1/m, and the part that a point light takes back, see
-    /// [`RayTransmittance`](super::occlusion::RayTransmittance).
-    ray_gradients: Vec<(Vec3, Vec3)>,
+    /// What the rays lead to. Rays themselves are not kept: they are made anew where gradients go back along them.
+    light: Option<Light>,
+    /// Gradient of the logarithm of each value to the ray's origin, 1/m.
+    d_origin: Vec<Vec3>,
+    /// The part of it that a point light takes back, see [`RayTransmittance`](super::occlusion::RayTransmittance); empty for parallel light.
+    d_turn: Vec<Vec3>,
     /// Gaussians hit by all rays together; without any there is nothing to go back to.
     hits: u64,
     finder: Finder,
@@ -66,27 +68,21 @@ enum Finder {
 
 impl Transmittance {
     /// From the results of all rays.
-    fn of(traced_rays: &[RayTransmittance], rays: Vec<LightRay>, finder: Finder) -> Self {
-        let (values, ray_gradients) = traced_rays
-            .par_iter()
-            .with_min_len(CHUNK)
-            .map(|s| {
-                if s.value >= TRANSMITTANCE_MIN {
-                    (s.value, (s.d_origin, s.d_turn))
-                } else {
-                    (0.0, (Vec3::ZERO, Vec3::ZERO))
-                }
-            })
-            .unzip();
+    fn of(traced_rays: &[RayTransmittance], light: Light, finder: Finder) -> Self {
+        let all = || traced_rays.par_iter().with_min_len(CHUNK);
+        let dark = RayTransmittance::default();
+        let seen = |ray: &'_ RayTransmittance| if ray.value >= TRANSMITTANCE_MIN { *ray } else { dark };
+        let (values, d_origin) = all().map(seen).map(|ray| (ray.value, ray.d_origin)).unzip();
+        let d_turn = match light {
+            Light::Directional(_) => Vec::new(),
+            Light::Point(_) => all().map(seen).map(|ray| ray.d_turn).collect(),
+        };
         Self {
             values,
-            ray_gradients,
-            hits: traced_rays
-                .par_iter()
-                .with_min_len(CHUNK)
-                .map(|s| u64::from(s.hits))
-                .sum(),
-            rays,
+            light: Some(light),
+            d_origin,
+            d_turn,
+            hits: all().map(|ray| u64::from(ray.hits)).sum(),
             finder,
         }
     }
@@ -97,10 +93,9 @@ impl Transmittance {
 pub fn transmittance(occluders: &Occluders, origins: &[u32], light: &Light) -> Transmittance {
     match light {
         Light::Directional(direction) => {
-            let rays = rays(occluders, origins, light);
             let trace = SunPlaneTrace::new(occluders, *direction);
-            let traced_rays = trace.trace(&rays, origins);
-            Transmittance::of(&traced_rays, rays, Finder::SunPlane(trace))
+            let traced_rays = trace.trace(occluders, origins);
+            Transmittance::of(&traced_rays, *light, Finder::SunPlane(trace))
         }
         Light::Point(_) => transmittance_by_hierarchy(occluders, origins, light),
     }
@@ -108,17 +103,12 @@ pub fn transmittance(occluders: &Occluders, origins: &[u32], light: &Light) -> T
 
 /// The same by the hierarchy whatever the light: the slower way for parallel light, with which the faster one is compared.
 pub fn transmittance_by_hierarchy(occluders: &Occluders, origins: &[u32], light: &Light) -> Transmittance {
-    let rays = rays(occluders, origins, light);
-    let (trace, traced_rays) = HierarchyTrace::new(occluders, light, &rays, origins);
-    Transmittance::of(&traced_rays, rays, Finder::Hierarchy(trace))
-}
-
-fn rays(occluders: &Occluders, origins: &[u32], light: &Light) -> Vec<LightRay> {
-    origins
-        .par_iter()
-        .with_min_len(CHUNK)
+    let rays = origins.par_iter().with_min_len(CHUNK);
+    let rays: Vec<LightRay> = rays
         .map(|&origin| LightRay::new(&occluders.list[origin as usize], light))
-        .collect()
+        .collect();
+    let (trace, traced_rays) = HierarchyTrace::new(occluders, light, &rays, origins);
+    Transmittance::of(&traced_rays, *light, Finder::Hierarchy(trace))
 }
 
 impl Transmittance {
@@ -133,16 +123,12 @@ impl Transmittance {
         grads: &[f32],
         out: &mut Table,
     ) {
-        if self.hits == 0 {
+        let Some(light) = self.light.filter(|_| self.hits > 0) else {
             return;
-        }
-        let d_log = self.to_logarithms(grads);
-        self.origins_backward(gaussians, origins, &d_log, out);
-        let gradients_back = RayGradients {
-            rays: &self.rays,
-            origins,
-            d_log: &d_log,
         };
+        let d_log = self.to_logarithms(grads);
+        self.origins_backward(gaussians, (occluders, &light), origins, &d_log, out);
+        let gradients_back = RayGradients { origins, d_log: &d_log };
         match (&self.finder, which) {
             (Finder::Nothing, _) | (_, OccluderGradients::None) => {}
             (Finder::SunPlane(trace), OccluderGradients::All) => {
@@ -162,11 +148,22 @@ impl Transmittance {
         numbers.map(d_log).collect()
     }
 
-    fn origins_backward(&self, gaussians: &Table, origins: &[u32], d_log: &[f32], out: &mut Table) {
+    fn origins_backward(
+        &self,
+        gaussians: &Table,
+        (occluders, light): (&Occluders, &Light),
+        origins: &[u32],
+        d_log: &[f32],
+        out: &mut Table,
+    ) {
         let origin_gradient = |place: usize| {
-            let (d_origin, d_turn) = self.ray_gradients[place];
-            let (d_start, d_turning) = (d_origin * d_log[place], d_turn * d_log[place]);
-            self.rays[place].backward(d_start, d_turning, gaussians.raw_rotation(origins[place] as usize))
+            let origin = origins[place] as usize;
+            let d_turn = self.d_turn.get(place).copied().unwrap_or_default();
+            let (d_start, d_turning) = (self.d_origin[place] * d_log[place], d_turn * d_log[place]);
+            if d_start == Vec3::ZERO {
+                return CoreGradient::default();
+            }
+            LightRay::new(&occluders.list[origin], light).backward(d_start, d_turning, gaussians.raw_rotation(origin))
         };
         if origins.is_sorted_by(|a, b| a < b) {
             out.add_core(origins, origin_gradient);

@@ -9,7 +9,7 @@ const COARSE_FACTOR: usize = 2;
 
 /// The coarser images of all views, and the share of training that uses them.
 pub(super) struct Pyramid {
-    /// By view; empty where training begins at full size.
+    /// By view; empty while training is at full size.
     coarse: Vec<View>,
     share: f32,
 }
@@ -23,23 +23,33 @@ pub(super) struct PyramidLevel<'a> {
 }
 
 impl Pyramid {
-    /// The pyramid of `views`, whose weights are those to train with.
+    /// The pyramid of `views`.
     pub(super) fn new(views: &[View], options: &TrainOptions) -> Self {
         // The coarser image must have a pixel left.
         let wide_enough = |view: &View| view.image.width.min(view.image.height) >= COARSE_FACTOR;
-        let coarse = match options.pyramid_share > 0.0 && views.iter().all(wide_enough) {
-            true => views.iter().map(|view| coarser(view, COARSE_FACTOR)).collect(),
-            false => Vec::new(),
-        };
         Self {
-            coarse,
-            share: options.pyramid_share,
+            coarse: Vec::new(),
+            share: if views.iter().all(wide_enough) {
+                options.pyramid_share
+            } else {
+                0.0
+            },
         }
     }
 
-    /// The level of view `index` of `views` when this `fraction` of training is done.
-    pub(super) fn level<'a>(&'a self, views: &'a [View], index: usize, fraction: f32) -> PyramidLevel<'a> {
-        let coarse = self.coarse.get(index).filter(|_| fraction < self.share);
+    /// Makes the coarser images of `views`, whose weights are those to train with, or drops them, as the `fraction` of training that is done
+    /// asks for.
+    pub(super) fn follow(&mut self, views: &[View], fraction: f32) {
+        if fraction >= self.share {
+            self.coarse = Vec::new();
+        } else if self.coarse.is_empty() {
+            self.coarse = views.iter().map(|view| coarser(view, COARSE_FACTOR)).collect();
+        }
+    }
+
+    /// The level of view `index` of `views`.
+    pub(super) fn level<'a>(&'a self, views: &'a [View], index: usize) -> PyramidLevel<'a> {
+        let coarse = self.coarse.get(index);
         PyramidLevel {
             view: coarse.unwrap_or(&views[index]),
             full_size: coarse.is_none(),
@@ -122,11 +132,15 @@ mod tests {
                 pyramid_share,
                 ..TrainOptions::default()
             };
-            let pyramid = Pyramid::new(&views, &options);
-            [0.0, 0.49, 0.5, 1.0].map(|f| pyramid.level(&views, 0, f).view.image.width)
+            let mut pyramid = Pyramid::new(&views, &options);
+            [0.0, 0.49, 0.5, 1.0, 0.3].map(|fraction| {
+                pyramid.follow(&views, fraction);
+                pyramid.level(&views, 0).view.image.width
+            })
         };
-        assert_eq!(widths(0.5), [100, 100, 200, 200]);
-        assert_eq!(widths(0.0), [200; 4]);
+        // More steps than were thought may make training less far than it was.
+        assert_eq!(widths(0.5), [100, 100, 200, 200, 100]);
+        assert_eq!(widths(0.0), [200; 5]);
     }
 
     #[test]

@@ -111,7 +111,7 @@ pub fn engine_values(
     }
     let (mut d_maps, mut grads) = (pass.zero_gradients(), context.parameters.zeros_like());
     model.compose_backward(&context, &pass.maps, &d_image, &mut d_maps, &mut grads);
-    pass.backward(&d_maps, &mut grads);
+    pass.backward(d_maps, &mut grads);
     (values, grads)
 }
 

@@ -254,7 +254,7 @@ fn engine_pass(case: &Case) -> (Vec<f64>, Parameters) {
     let mut grads = case.parameters.zeros_like();
     case.model
         .compose_backward(&context, maps, &d_image, &mut d_maps, &mut grads);
-    pass.backward(&d_maps, &mut grads);
+    pass.backward(d_maps, &mut grads);
     (values, grads)
 }
 

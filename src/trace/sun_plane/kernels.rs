@@ -10,8 +10,8 @@ use rayon::prelude::*;
 use std::ops::Range;
 
 vectorised! {
-    /// Traces every ray past the ellipses around it, level by level.
-    pub(super) fn trace_rays(rays: &[PlaneRay], plane: &SunPlaneTrace, out: &mut [RayTransmittance]) {
+    /// Traces every ray past the ellipses around it, level by level; `blocks` are those of the plane, eight at a time.
+    pub(super) fn trace_rays(rays: &[PlaneRay], plane: &SunPlaneTrace, blocks: &[EllipseBlock], out: &mut [RayTransmittance]) {
         for (ray, out) in rays.iter().zip(out) {
             let mut sums = RayLanes::EMPTY;
             for level in &plane.levels {
@@ -20,7 +20,7 @@ vectorised! {
                     let run = level.cells.run(&window, row);
                     let run = level.first + run.start..level.first + run.end;
                     for number in run.start / LANES..run.end.div_ceil(LANES) {
-                        sums.add(ray, &plane.blocks[number], inside(&run, number));
+                        sums.add(ray, &blocks[number], inside(&run, number));
                     }
                 }
             }

@@ -259,7 +259,7 @@ fn objects(
     for (name, value) in model.map_losses(&context, &pass.maps, &weight, &mut d_maps) {
         prop_assert!(value.is_finite(), "{name} {value}");
     }
-    pass.backward(&d_maps, &mut gradients);
+    pass.backward(d_maps, &mut gradients);
     for group in gradients.gaussians.groups.iter().chain(&gradients.globals.groups) {
         prop_assert!(
             group.values.iter().all(|g| g.is_finite()),

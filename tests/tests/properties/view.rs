@@ -52,10 +52,11 @@ fn look(drawn: &[Drawn], camera: &ProjectiveCamera, sun: Vec3) -> Seen {
     }
     let mut gradients = parameters.zeros_like();
     model.compose_backward(&context, &pass.maps, &d_image, &mut d_maps, &mut gradients);
-    pass.backward(&d_maps, &mut gradients);
+    let (non_finite, maps) = (pass.projected.non_finite, pass.maps.clone());
+    pass.backward(d_maps, &mut gradients);
     Seen {
-        non_finite: pass.projected.non_finite,
-        maps: pass.maps,
+        non_finite,
+        maps,
         image,
         gradients,
     }
@@ -227,6 +228,6 @@ fn a_million_gaussians_are_seen_and_lit() {
     let mut d_maps = pass.zero_gradients();
     d_maps.alpha.fill(1.0);
     d_maps.channels[1].fill(-1.0);
-    pass.backward(&d_maps, &mut gradients);
+    pass.backward(d_maps, &mut gradients);
     assert!(gradients.is_finite());
 }
