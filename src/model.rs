@@ -19,6 +19,7 @@ use crate::optim::ParameterGroup;
 use crate::raster::Raster;
 use crate::splat::{MapGradients, Maps, Projected};
 use std::borrow::Cow;
+use std::sync::Arc;
 
 /// Everything that is trained.
 #[derive(Debug, Clone, PartialEq, Default, serde::Serialize, serde::Deserialize)]
@@ -51,8 +52,8 @@ pub struct View {
     pub name: String,
     /// Its camera.
     pub camera: ProjectiveCamera,
-    /// Its pixels, in the model's units; NaN where missing.
-    pub image: Raster,
+    /// Its pixels, in the model's units; NaN where missing. Those who read them may go on to hold them as well.
+    pub image: Arc<Raster>,
     /// The light of its scene, if known.
     pub light: Option<Light>,
     /// Index of its per-image parameters.
@@ -69,7 +70,7 @@ impl View {
     /// The pixels to compare `image` with: where a value is clipped and `image` is brighter, that of `image`, because the true value is
     /// unknown above saturation.
     pub fn truth(&self, image: &Raster) -> Cow<'_, Raster> {
-        let mut truth = Cow::Borrowed(&self.image);
+        let mut truth = Cow::Borrowed(&*self.image);
         for (band, &ceiling) in self.ceiling.iter().enumerate().filter(|(_, c)| c.is_finite()) {
             // The mean of equal values may differ from them in the last digit.
             let clipped = ceiling * (1.0 - 1e-5);
@@ -199,7 +200,7 @@ mod tests {
         let view = View {
             name: "a".into(),
             camera: ProjectiveCamera::nadir(0.0, 0.0, 1.0, (4, 1)),
-            image: seen(&[0.2, 0.9, 0.9, f32::NAN]),
+            image: seen(&[0.2, 0.9, 0.9, f32::NAN]).into(),
             light: None,
             appearance: 0,
             weight: vec![1.0; 4],

@@ -365,17 +365,24 @@ fn add_products(to: &mut [f32], a: &[f32], b: &[f32]) {
 }
 
 /// Room for the tiles' records, kept from one backward pass to the next: clearing and handing back some ten megabytes costs
-/// as much as filling them. What stands in it at first means nothing; every record is written before it is read.
+/// as much as filling them. Much more room than a pass needs, as after one of more channels, is handed back. What stands in it at first
+/// means nothing; every record is written before it is read.
 struct Records {
     values: Vec<f32>,
     length: usize,
 }
+
+/// Most room that is kept, as a multiple of what a pass needs. Passes of one training differ by less.
+const MOST_SPARE: f64 = 1.5;
 
 static SPARE_RECORDS: Mutex<Vec<f32>> = Mutex::new(Vec::new());
 
 impl Records {
     fn take(length: usize) -> Self {
         let mut values = std::mem::take(&mut *SPARE_RECORDS.lock().unwrap_or_else(PoisonError::into_inner));
+        if values.len() as f64 > MOST_SPARE * length as f64 {
+            values = Vec::new();
+        }
         if values.len() < length {
             values.resize(length, 0.0);
         }

@@ -201,7 +201,7 @@ mod tests {
         let view = View {
             name: String::new(),
             camera: ProjectiveCamera::nadir(0.0, 0.0, 1.0, (size, size)),
-            image: Raster::filled(size, size, 1, 0.5),
+            image: Raster::filled(size, size, 1, 0.5).into(),
             light: None,
             appearance: 0,
             weight: vec![1.0; size * size],

@@ -79,7 +79,7 @@ fn coarser(view: &View, factor: usize) -> View {
             .visibility_prior
             .as_ref()
             .map(|prior| plane(prior, view.image.width).downscaled(factor).values),
-        image,
+        image: image.into(),
         weight,
     }
 }
@@ -114,7 +114,7 @@ mod tests {
             appearance: 0,
             visibility_prior: None,
             ceiling: Vec::new(),
-            image,
+            image: image.into(),
         }
     }
 

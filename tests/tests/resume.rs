@@ -30,7 +30,7 @@ fn views(site: &Site, light: Light) -> Vec<View> {
             weight: vec![1.0; width * height],
             visibility_prior: None,
             ceiling: Vec::new(),
-            image,
+            image: image.into(),
         }
     };
     vec![view(0), view(1), view(2)]

@@ -54,7 +54,7 @@ fn smaller(view: View) -> View {
     View {
         camera: view.camera.downscaled(SMALLER),
         weight: vec![1.0; image.plane_len()],
-        image,
+        image: image.into(),
         ..view
     }
 }

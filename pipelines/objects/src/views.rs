@@ -127,7 +127,7 @@ pub fn view(frame: &Frame, centre: DVec3, preparation: &Preparation, appearance:
         appearance,
         visibility_prior: None,
         ceiling: Vec::new(),
-        image,
+        image: image.into(),
     })
 }
 

@@ -149,7 +149,7 @@ fn give_priors(
                 .collect::<Result<Vec<_>, _>>()?
         }
         None => {
-            let (rasters, cameras): (Vec<_>, Vec<_>) = views.iter().map(|view| (&view.image, view.camera)).unzip();
+            let (rasters, cameras): (Vec<_>, Vec<_>) = views.iter().map(|view| (&*view.image, view.camera)).unzip();
             let suns: Vec<_> = suns.iter().map(crop::direction).collect();
             shadow_prior::found(ground, &rasters, surface, &cameras, &suns)
         }

@@ -295,7 +295,7 @@ mod tests {
             name: "nadir".into(),
             camera,
             weight: vec![1.0; image.plane_len()],
-            image,
+            image: image.into(),
             light: None,
             appearance,
             visibility_prior: None,

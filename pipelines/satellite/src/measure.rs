@@ -21,6 +21,7 @@ use heliosplat_scene::{BandKind, Scene, SceneImage, Split};
 use heliosplat_stereo::FEWEST_VIEWS;
 use serde_json::{Value, json};
 use std::path::Path;
+use std::sync::Arc;
 
 /// The run's `dsm.tif` against the scene's true one, and how much of what the run's images see of that is unknown; `None` without truth.
 ///
@@ -193,7 +194,7 @@ fn changes(scene: &Scene, run: &Path, whole: &LoadedModel) -> Result<Option<Valu
 struct View<'a> {
     known: &'a ModelImage,
     image: &'a SceneImage,
-    truth: Raster,
+    truth: Arc<Raster>,
 }
 
 /// What a view is worth.
@@ -210,7 +211,7 @@ impl<'a> View<'a> {
     /// The image of that name; `None` where the scene has it no more.
     fn of(scene: &'a Scene, known: &'a ModelImage) -> Option<Self> {
         let image = scene.images.iter().find(|i| i.name == known.name)?;
-        let truth = known.crop.cut(&image.pixels);
+        let truth = known.crop.shared(&image.pixels);
         Some(Self { known, image, truth })
     }
 

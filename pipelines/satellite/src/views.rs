@@ -5,6 +5,7 @@ use heliosplat::light::Light;
 use heliosplat::model::View;
 use heliosplat_scene::crop::{Crop, camera, direction};
 use heliosplat_scene::{ImageSun, SceneImage, saturation};
+use std::sync::Arc;
 
 /// The view of an image under `sun`, without its `clouds`; under an unknown sun everything counts as lit; `appearance` is its place among the images with a colour of their own. Every known pixel
 /// weighs one.
@@ -16,8 +17,10 @@ pub(crate) fn view(
     shift_px: [f32; 2],
     appearance: usize,
 ) -> View {
-    let mut pixels = crop.cut(&image.pixels);
-    clouds::blank(&mut pixels, clouds);
+    let mut pixels = crop.shared(&image.pixels);
+    if !clouds.is_empty() {
+        clouds::blank(Arc::make_mut(&mut pixels), clouds);
+    }
     let weight = (0..pixels.plane_len())
         .map(|i| {
             if (0..pixels.bands).all(|b| pixels.plane(b)[i].is_finite()) {

@@ -7,6 +7,7 @@ use heliosplat_rpc::ProjectiveMap;
 use heliosplat_rpc::sun::SunPosition;
 use jiff::Timestamp;
 use std::collections::BTreeMap;
+use std::sync::Arc;
 
 /// Pixels kept around the area, so that losses with a window and splats that straddle the edge see their surroundings.
 const MARGIN_PX: f64 = 8.0;
@@ -62,6 +63,23 @@ impl Crop {
             }
         }
         out
+    }
+
+    /// The same, without a copy where the rectangle is all of it.
+    pub fn shared(&self, raster: &Arc<Raster>) -> Arc<Raster> {
+        match *self == Self::whole(raster) {
+            true => raster.clone(),
+            false => self.cut(raster).into(),
+        }
+    }
+
+    fn whole(raster: &Raster) -> Self {
+        Self {
+            col0: 0,
+            row0: 0,
+            width: raster.width,
+            height: raster.height,
+        }
     }
 }
 

@@ -230,7 +230,7 @@ impl Ground {
                 path: draft.entry.path,
                 split: draft.entry.split,
                 window: draft.window,
-                pixels,
+                pixels: pixels.into(),
                 values,
                 data_type: draft.file.bands[draft.plan.file_bands[0]].data_type.clone(),
                 bands: draft.plan.kinds,

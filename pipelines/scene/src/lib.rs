@@ -56,6 +56,7 @@ use heliosplat_rpc::{GeoPoint, LocalFrame, PinholeFit, Rpc, sun::SunPosition};
 use indices::{NormalisedDifference, VegetationIndex};
 use nalgebra::Vector3;
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
 use tiles::ImageFiles;
 
 /// What a band shows, as far as the file tells.
@@ -146,7 +147,7 @@ pub struct SceneImage {
     /// Train or test.
     pub split: Split,
     /// Pixels: counts divided by a robust per-scene maximum so that most lie in 0..1, linear; NaN where nodata.
-    pub pixels: Raster,
+    pub pixels: Arc<Raster>,
     /// What each band of `pixels` is.
     pub bands: Vec<BandKind>,
     /// What of the file was read: all of it, or what shows the area that was asked for.

@@ -14,6 +14,7 @@ use proptest::strategy::ValueTree;
 use proptest::test_runner::TestRunner;
 use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg32;
+use std::sync::Arc;
 
 const STEPS: usize = 200;
 const BOUNDS: (Vec3, Vec3) = (Vec3::splat(-6000.0), Vec3::splat(6000.0));
@@ -91,7 +92,7 @@ fn combination(number: u64) -> Combination {
             };
             View {
                 name: format!("view {v}"),
-                image: image(kind, size, v, &mut random),
+                image: image(kind, size, v, &mut random).into(),
                 light: Some(Light::Directional(sun)),
                 appearance: v,
                 weight: vec![1.0; size.0 * size.1],
@@ -218,7 +219,7 @@ fn sound() -> (ShadowGs, Vec<View>, Parameters, TrainOptions) {
     let mut random = Pcg32::seed_from_u64(5);
     let view = |v: usize, random: &mut Pcg32| View {
         name: format!("view {v}"),
-        image: image("noise", (24, 24), v, random),
+        image: image("noise", (24, 24), v, random).into(),
         light: Some(Light::Directional(direction(40.0, 100.0))),
         appearance: v,
         weight: vec![1.0; 24 * 24],
@@ -262,7 +263,7 @@ fn sound() -> (ShadowGs, Vec<View>, Parameters, TrainOptions) {
 fn steps_that_are_not_finite_are_rejected_named_and_leave_the_last_good_state() {
     let (model, mut views, parameters, options) = sound();
     // Finite, and its square is not: the gradient of the loss leaves the numbers.
-    views[1].image.values.fill(f32::MAX);
+    Arc::make_mut(&mut views[1].image).values.fill(f32::MAX);
     let mut trainer = Trainer::new(&model, views, parameters, options, BOUNDS, None).expect("can begin");
     let (mut good, mut bad) = (0, 0);
     for _ in 0..20 {
@@ -284,7 +285,9 @@ fn steps_that_are_not_finite_are_rejected_named_and_leave_the_last_good_state() 
 #[test]
 fn training_stops_where_no_step_is_finite_and_says_where() {
     let (model, mut views, parameters, options) = sound();
-    views.iter_mut().for_each(|view| view.image.values.fill(f32::MAX));
+    views
+        .iter_mut()
+        .for_each(|view| Arc::make_mut(&mut view.image).values.fill(f32::MAX));
     let start = parameters.clone();
     let mut trainer = Trainer::new(&model, views, parameters, options, BOUNDS, None).expect("can begin");
     let error = loop {
@@ -315,8 +318,10 @@ fn what_cannot_be_trained_says_why() {
     assert!(said(&|views, _, _| views.clear()).contains("at least one view"));
     assert!(said(&|_, p, _| p.gaussians = p.gaussians.gather(&[])).contains("no Gaussians"));
     assert!(
-        said(&|views, _, _| views.iter_mut().for_each(|v| v.image.values.fill(f32::NAN)))
-            .contains("no pixel of any view")
+        said(&|views, _, _| views
+            .iter_mut()
+            .for_each(|v| Arc::make_mut(&mut v.image).values.fill(f32::NAN)))
+        .contains("no pixel of any view")
     );
     assert!(said(&|views, _, _| views.iter_mut().for_each(|v| v.weight.fill(0.0))).contains("no pixel of any view"));
     assert!(said(&|_, p, _| p.gaussians.group_mut(OPACITY)[3] = f32::NAN).contains("'opacity'"));

@@ -228,7 +228,7 @@ fn cut(view: &View, shown: &[u32], square: usize, seed: u64) -> Option<Cut> {
         view: View {
             name: view.name.clone(),
             camera,
-            image: crop.cut(&view.image),
+            image: crop.cut(&view.image).into(),
             light: view.light,
             appearance: view.appearance,
             visibility_prior: prior.map(|prior| (0..weight.len()).map(|pixel| prior[place(pixel)]).collect()),
