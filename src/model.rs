@@ -52,7 +52,7 @@ pub struct View {
     pub name: String,
     /// Its camera.
     pub camera: ProjectiveCamera,
-    /// Its pixels, in the model's units; NaN where missing. Those who read them may go on to hold them as well.
+    /// Its pixels, in the model's units; NaN where missing; shared with the scene that they were read from.
     pub image: Arc<Raster>,
     /// The light of its scene, if known.
     pub light: Option<Light>,

@@ -29,7 +29,7 @@ const CHUNK: usize = 1024;
 pub struct Transmittance {
     /// Transmittance of each origin, 0 to 1.
     pub values: Vec<f32>,
-    /// What the rays lead to. Rays themselves are not kept: they are made anew where gradients go back along them.
+    /// The light that was traced; `None` where none was. Rays are not kept: they are made anew where gradients go back along them.
     light: Option<Light>,
     /// Gradient of the logarithm of each value to the ray's origin, 1/m.
     d_origin: Vec<Vec3>,

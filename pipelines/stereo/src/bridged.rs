@@ -6,7 +6,7 @@
 //! some dates and in shade on others are brighter on the former. A part that is right as it is seldom has such a contrast when it is lowered:
 //! what is then taken for it lies elsewhere. Figures are in docs/lab/edges.md.
 //!
-//! Limits: what the sun reaches on no date, or on all, has no contrast, and stays as it is. A part takes the edges of roofs beside it along,
+//! Limits: a part of which less than a tenth is lit on one date and in shade on another tells nothing, and stays as it is. A part takes the edges of roofs beside it along,
 //! which training puts back; a lowered cell says by its probability and deviation that it may be as high as it was matched.
 
 use super::change::Changes;
