@@ -15,7 +15,7 @@ use crate::trace::bvh::Bounds;
 use std::borrow::Cow;
 
 /// Version of [`TrainerState`]: changes with its layout, and whenever the steps of a training come to mean something else.
-pub const STATE_VERSION: u32 = 6;
+pub const STATE_VERSION: u32 = 7;
 
 /// Why a state cannot be taken up.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]

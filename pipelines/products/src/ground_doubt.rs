@@ -10,19 +10,14 @@ use crate::nadir::{NadirGrid, Place};
 use glam::Vec3;
 use heliosplat_raster::grid::GridSpec;
 use heliosplat_raster::{GeoRaster, RasterError};
-use heliosplat_stereo::opening;
+use heliosplat_stereo::{ground_below, may_be_ground};
 use rayon::prelude::*;
 use std::path::Path;
 
 /// Band of its probability.
 const PROBABILITY: &str = "coverage";
-/// Probability of an altitude where the sweep found none, and from which on it is sure.
+/// Probability of an altitude where the sweep found none.
 const UNKNOWN: f32 = 0.5;
-const SURE: f32 = 0.97;
-/// What is narrower than twice this stands on the ground, metres: two rows of houses and the court between them.
-const GROUND_REACH_M: f32 = 12.0;
-/// Least height above the ground that makes another choice, metres.
-const LEAST_M: f32 = 3.0;
 /// Cells per parallel job.
 const CHUNK: usize = 1024;
 
@@ -65,16 +60,13 @@ impl StartProbability {
 
     /// Widens the standard deviations of a surface, metres, on a grid whose `altitude_m` is above the ellipsoid; NaN where it is unknown.
     pub(crate) fn widen(&self, nadir: &NadirGrid, altitude_m: &[f32], deviation_m: &mut [f32]) {
-        let reach = (GROUND_REACH_M / nadir.cell_m()).round() as usize;
-        let ground_m = opening((nadir.grid.width, nadir.grid.height), altitude_m, [reach; 2]);
+        let ground_m = ground_below((nadir.grid.width, nadir.grid.height), nadir.cell_m(), altitude_m);
         let cells = deviation_m.par_iter_mut().with_min_len(CHUNK).enumerate();
         cells.for_each(|(cell, deviation)| {
             let above_m = altitude_m[cell] - ground_m[cell];
-            if above_m > LEAST_M {
-                let probability = self.at(nadir, cell, altitude_m[cell]);
-                if probability < SURE {
-                    *deviation = (*deviation * *deviation + (1.0 - probability) * above_m * above_m).sqrt();
-                }
+            let probability = self.at(nadir, cell, altitude_m[cell]);
+            if may_be_ground(above_m, probability) {
+                *deviation = (*deviation * *deviation + (1.0 - probability) * above_m * above_m).sqrt();
             }
         });
     }

@@ -64,8 +64,8 @@ pub struct Fitted {
     pub daylight: Option<Daylight>,
     /// The surface that training started from.
     pub surface: Surface,
-    /// What of that surface was lowered because it bridged ground in shade.
-    pub lowered: Lowered,
+    /// What of that surface was lowered because it bridged ground in shade; `None` where fewer than two suns are known.
+    pub lowered: Option<Lowered>,
     /// What changed between the images.
     pub changes: Changes,
     /// How training ended.

@@ -363,7 +363,9 @@ pub(super) fn add_fit(metrics: &mut Value, fitted: &Fitted, model: &LoadedModel,
     metrics["memory_estimate_bytes"] = json!(fitted.memory_estimate);
     metrics["shifts_px"] = json!(fitted.shifts_px);
     metrics["clouded"] = json!(fitted.clouded);
-    metrics["lowered"] = json!(fitted.lowered);
+    if let Some(lowered) = fitted.lowered {
+        metrics["lowered"] = json!(lowered);
+    }
     metrics["plan"] = json!(fitted.decisions.items);
     metrics["trials"] = json!(fitted.trials);
     metrics["curve"] = json!(fitted.curve);

@@ -33,8 +33,8 @@ pub struct Preprocessed {
     pub surface: Surface,
     /// What changed between the images.
     pub changes: Changes,
-    /// What of the surface was lowered because it bridged ground in shade.
-    pub lowered: Lowered,
+    /// What of the surface was lowered because it bridged ground in shade; `None` where fewer than two suns are known.
+    pub lowered: Option<Lowered>,
     /// Pointing corrections, pixels.
     pub shifts_px: Vec<[f32; 2]>,
     /// The pixels of each image that show clouds; empty where there are none.
@@ -92,7 +92,7 @@ impl<'a> Preprocess<'a> {
         let part = stage("changes");
         let mut changes = changes(&ground, &rasters, &shifts_px, decisions, &request, &mut surface);
         drop(part);
-        let lowered = lower(&ground, &rasters, &shifts_px, &mut surface, &mut changes);
+        let lowered = lower(&ground, &rasters, &shifts_px, &mut surface, &mut changes).inspect(say_lowered);
         if let Some(warning) = AtLimits::of(&surface, scene).warning(scene.altitude_range_m) {
             tracing::warn!("{warning}");
         }
@@ -146,7 +146,7 @@ impl<'a> Preprocess<'a> {
             progress.set((100.0 * share) as u64);
         });
         *changed = changes(&self.ground, &rasters, shifts_px, decisions, &request, surface);
-        *lowered = lower(&self.ground, &rasters, shifts_px, surface, changed);
+        *lowered = lower(&self.ground, &rasters, shifts_px, surface, changed).inspect(say_lowered);
         seconds[1] += started.elapsed().as_secs_f64();
         true
     }
@@ -245,15 +245,19 @@ fn changes(
     changes
 }
 
-/// Lowers what bridges ground in shade, as the light of the crops says.
+/// Lowers what bridges ground in shade, as the light of the crops says; `None` where it cannot tell.
 pub(super) fn lower(
     ground: &Ground,
     rasters: &[Raster],
     shifts_px: &[[f32; 2]],
     surface: &mut Surface,
     changes: &mut Changes,
-) -> Lowered {
-    let lowered = bridged::lower(&views(ground, rasters, &None, shifts_px), surface, changes);
+) -> Option<Lowered> {
+    bridged::lower(&views(ground, rasters, &None, shifts_px), surface, changes)
+}
+
+/// Says what was lowered, if anything.
+pub(super) fn say_lowered(lowered: &Lowered) {
     if lowered.parts > 0 {
         tracing::info!(
             "parts of the surface that bridged ground in shade and were lowered: {} ({:.0} m²)",
@@ -261,7 +265,6 @@ pub(super) fn lower(
             lowered.area_m2
         );
     }
-    lowered
 }
 
 /// The surface that all views of `scene` find together, without training.

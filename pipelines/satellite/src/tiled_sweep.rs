@@ -11,7 +11,7 @@ use super::error::{FitError, SatelliteError};
 use super::ground::{Ground, volume};
 use super::limits::AtLimits;
 use super::plan::Decisions;
-use super::preprocess::{clear_rasters, lower, shifts_of_ties, sweep, worth_correcting};
+use super::preprocess::{clear_rasters, lower, say_lowered, shifts_of_ties, sweep, worth_correcting};
 use super::sweep_tiles::{ROWS_AT_ONCE, SweepPlan, SweepTile, SweepTiling};
 use heliosplat::timeline::stage;
 use heliosplat_products::blend::Piece;
@@ -23,6 +23,7 @@ use heliosplat_rpc::statistics::upper_median;
 use heliosplat_scene::survey::Survey;
 use heliosplat_scene::{Area, IngestOptions, Scene, SceneError};
 use heliosplat_session::Session;
+use heliosplat_stereo::bridged::Lowered;
 use heliosplat_stereo::change::Changes;
 use heliosplat_stereo::{MatchingParameters, PlaneSweepRequest};
 use std::collections::BTreeMap;
@@ -69,6 +70,13 @@ struct Decided {
     shifts_px: BTreeMap<String, [f32; 2]>,
 }
 
+/// A tile of the surface.
+struct Swept {
+    piece: Piece,
+    at_limits: AtLimits,
+    lowered: Lowered,
+}
+
 impl TiledSweep<'_> {
     /// Sweeps all tiles and writes the surface model, whole or not at all.
     ///
@@ -80,16 +88,22 @@ impl TiledSweep<'_> {
         let progress = session.progress("sweep", self.tiling.tiles.len() as u64);
         let mut pieces = Vec::with_capacity(self.tiling.tiles.len());
         let mut at_limits = AtLimits::default();
+        // Counted twice where tiles overlap.
+        let mut lowered = Lowered::default();
         let count = self.tiling.tiles.len();
         for (index, tile) in self.tiling.tiles.iter().enumerate() {
             if session.stopped() {
                 return Err(SatelliteError::Stopped);
             }
             let begun = Instant::now();
-            if let Some((piece, at)) = self.tile(tile, &decided)? {
-                at_limits += at;
+            if let Some(tile) = self.tile(tile, &decided)? {
+                at_limits += tile.at_limits;
+                lowered += tile.lowered;
                 let _part = stage("products");
-                pieces.push(StoredPiece::write(piece, folder.path().join(format!("tile-{index}")))?);
+                pieces.push(StoredPiece::write(
+                    tile.piece,
+                    folder.path().join(format!("tile-{index}")),
+                )?);
             }
             tracing::info!("tile {} of {count}: {:.1} s", index + 1, begun.elapsed().as_secs_f64());
             progress.set(index as u64 + 1);
@@ -97,6 +111,7 @@ impl TiledSweep<'_> {
         if pieces.is_empty() {
             return Err(FitError::TooFewViews { images: 0 }.into());
         }
+        say_lowered(&lowered);
         if let Some(warning) = at_limits.warning(self.survey.altitude_range_m) {
             tracing::warn!("{warning}");
         }
@@ -127,9 +142,8 @@ impl TiledSweep<'_> {
         Ok(known as f64 / (grid.width * grid.height).max(1) as f64)
     }
 
-    /// What the surface model says over a tile, and how many of its cells lie at the limits of the altitudes; `None` where two images do not
-    /// show it.
-    fn tile(&self, tile: &SweepTile, decided: &Decided) -> Result<Option<(Piece, AtLimits)>, SatelliteError> {
+    /// Sweeps a tile; `None` where two images do not show it.
+    fn tile(&self, tile: &SweepTile, decided: &Decided) -> Result<Option<Swept>, SatelliteError> {
         let Some(scene) = self.open(&tile.area)? else {
             return Ok(None);
         };
@@ -144,7 +158,7 @@ impl TiledSweep<'_> {
         drop(part);
         let part = stage("sweep");
         let mut surface = sweep(&ground, &rasters, &shifts_px, &decided.decisions, &request, &|_| {});
-        lower(&ground, &rasters, &shifts_px, &mut surface, &mut Changes::default());
+        let lowered = lower(&ground, &rasters, &shifts_px, &mut surface, &mut Changes::default());
         drop(part);
         let _part = stage("products");
         let at_limits = AtLimits::of(&surface, &scene);
@@ -163,7 +177,11 @@ impl TiledSweep<'_> {
             core: signed(tile.core),
             bounds: signed(tile.bounds),
         };
-        Ok(Some((piece, at_limits)))
+        Ok(Some(Swept {
+            piece,
+            at_limits,
+            lowered: lowered.unwrap_or_default(),
+        }))
     }
 
     /// Reads what shows a part of the ground; `None` where fewer than two images do.

@@ -6,11 +6,13 @@
 //! some dates and in shade on others are brighter on the former. A part that is right as it is seldom has such a contrast when it is lowered:
 //! what is then taken for it lies elsewhere. Figures are in docs/lab/edges.md.
 //!
-//! Limits: a part of which less than a tenth is lit on one date and in shade on another tells nothing, and stays as it is. A part takes the edges of roofs beside it along,
-//! which training puts back; a lowered cell says by its probability and deviation that it may be as high as it was matched.
+//! Limits: a part of which less than a tenth and less than five square metres are lit on one date and in shade on another tells nothing, and stays
+//! as it is. A part takes the edges of roofs beside it along, which training puts back; a lowered cell says by its probability and deviation
+//! that it may be as high as it was matched.
 
 use super::change::Changes;
-use super::grid::{Grid, opening};
+use super::grid::Grid;
+use super::ground::{ground_below, may_be_ground};
 use super::suns::{angles_deg, bilinear, toward};
 use super::surface::Surface;
 use super::views::SweepView;
@@ -19,14 +21,8 @@ use heliosplat::relief::{Relief, Toward};
 use heliosplat_rpc::statistics::{upper_median, upper_quantile};
 use rayon::prelude::*;
 
-/// What is narrower than twice this stands on the ground, metres.
-const GROUND_REACH_M: f32 = 12.0;
-/// Least height above the ground of a part that is tested, metres.
-const LEAST_M: f32 = 3.0;
-/// The same of the cells beside it.
+/// Least height above the ground of cells beside a part, metres.
 const LEAST_BESIDE_M: f32 = 2.0;
-/// Probability of an altitude from which on the sweep is sure of it.
-const SURE: f32 = 0.97;
 /// Neighbours that differ by more belong to different parts, metres.
 const STEP_M: f32 = 3.0;
 /// Least ground of a part, m².
@@ -39,8 +35,10 @@ const LEAST_CONTRAST: f32 = 0.65;
 const LEAST_GAIN: f32 = 0.5;
 /// Most contrast of a part as it is: training mends by itself what explains the light in part.
 const MOST_CONTRAST_NOW: f32 = 0.4;
-/// Least share of a part's cells that are lit on one date and in shade on another.
+/// Least share of a part's cells that are lit on one date and in shade on another,
 const LEAST_SHARE: f32 = 0.1;
+/// or else their least ground, m².
+const LEAST_TOLD_M2: f32 = 5.0;
 /// Probability that a lowered cell is ground: the share of the lowered cells that were right within two metres, `city` 11, 13, 14, 16 and
 /// `block` 21 (docs/lab/edges.md).
 const LOWERED_PROBABILITY: f32 = 0.65;
@@ -60,12 +58,20 @@ pub struct Lowered {
     pub area_m2: f64,
 }
 
+impl std::ops::AddAssign for Lowered {
+    fn add_assign(&mut self, other: Self) {
+        self.parts += other.parts;
+        self.area_m2 += other.area_m2;
+    }
+}
+
 /// Lowers the parts of a surface that bridge ground, as the light of the `views` says; those without a sun say nothing. What changed between
-/// the images stays as it is, and the state of before (`changes`) follows the surface elsewhere.
-pub fn lower(views: &[SweepView], surface: &mut Surface, changes: &mut Changes) -> Lowered {
+/// the images stays as it is, and the state of before (`changes`) follows the surface elsewhere. `None` where fewer than two suns are known,
+/// so that nothing can be told.
+pub fn lower(views: &[SweepView], surface: &mut Surface, changes: &mut Changes) -> Option<Lowered> {
     let lights: Vec<Light> = views.par_iter().map(|view| Light::of(view, surface)).collect();
     if lights.iter().filter(|light| light.to_sun.is_some()).count() < 2 {
-        return Lowered::default();
+        return None;
     }
     let grid = Grid {
         width: surface.width,
@@ -74,8 +80,7 @@ pub fn lower(views: &[SweepView], surface: &mut Surface, changes: &mut Changes) 
         north_m: surface.north_m,
         cell_m: surface.cell_m,
     };
-    let reach = (GROUND_REACH_M / grid.cell_m).round() as usize;
-    let ground_m = opening((grid.width, grid.height), &surface.altitude, [reach; 2]);
+    let ground_m = ground_below((grid.width, grid.height), grid.cell_m, &surface.altitude);
     let parts = parts(&grid, surface, &ground_m, changes);
     let bridged: Vec<&Vec<usize>> = (parts.par_iter())
         .filter(|part| is_bridged(&grid, surface, &ground_m, part, &lights))
@@ -104,10 +109,10 @@ pub fn lower(views: &[SweepView], surface: &mut Surface, changes: &mut Changes) 
             surface.views[cell] = seen.count().min(usize::from(u8::MAX)) as u8;
         }
     }
-    Lowered {
+    Some(Lowered {
         parts,
         area_m2: cells.len() as f64 * f64::from(grid.cell_m * grid.cell_m),
-    }
+    })
 }
 
 /// A view with its sun.
@@ -158,7 +163,7 @@ impl<'a> Light<'a> {
 /// Connected cells of which the sweep is not sure and that stand above the ground around them.
 fn parts(grid: &Grid, surface: &Surface, ground_m: &[f32], changes: &Changes) -> Vec<Vec<usize>> {
     let height_m = |cell: usize| surface.altitude[cell] - ground_m[cell];
-    let unsure = |cell: usize| height_m(cell) > LEAST_M && surface.probability[cell] < SURE;
+    let unsure = |cell: usize| may_be_ground(height_m(cell), surface.probability[cell]);
     let level = |cell: usize| {
         let near = grid.around(cell, 1).map(|near| surface.altitude[near]);
         let (low, high) = near.fold((f32::MAX, f32::MIN), |(low, high), z| (low.min(z), high.max(z)));
@@ -185,11 +190,12 @@ fn is_bridged(grid: &Grid, surface: &Surface, ground_m: &[f32], part: &[usize], 
         Ok(_) => ground_m[cell],
         Err(_) => surface.altitude[cell],
     });
-    let (now, then) = (
-        now.map_or(0.0, |now| now.mean),
-        then.filter(|then| then.share > LEAST_SHARE),
-    );
-    let tells = |then: Contrast| then.mean > LEAST_CONTRAST && then.mean - now.max(0.0) > LEAST_GAIN;
+    let now = now.map_or(0.0, |now| now.mean);
+    let part_m2 = part.len() as f32 * grid.cell_m * grid.cell_m;
+    let tells = |then: Contrast| {
+        let enough = then.share > LEAST_SHARE || then.share * part_m2 >= LEAST_TOLD_M2;
+        enough && then.mean > LEAST_CONTRAST && then.mean - now.max(0.0) > LEAST_GAIN
+    };
     let bridged = now < MOST_CONTRAST_NOW && then.is_some_and(tells);
     tracing::debug!(
         cells = part.len(),
@@ -285,6 +291,9 @@ mod tests {
     /// Azimuths and elevations of the suns of the images, degrees.
     const SUNS: [[f64; 2]; 5] = [[180.0, 50.0], [180.0, 65.0], [95.0, 40.0], [150.0, 45.0], [230.0, 60.0]];
 
+    /// Azimuths and elevations of their cameras as the ground sees them, degrees. The last looks over the northern houses, which hide 2.7 m of the court.
+    const CAMERAS: [[f64; 2]; 5] = [[90.0, 75.0], [270.0, 80.0], [90.0, 85.0], [270.0, 89.95], [0.0, 75.0]];
+
     /// Two rows of houses, and the court of ten metres between them.
     fn is_court(cell: usize) -> bool {
         (26..36).contains(&(cell / SIDE)) && (10..50).contains(&(cell % SIDE))
@@ -292,6 +301,35 @@ mod tests {
 
     fn is_built(cell: usize) -> bool {
         (20..42).contains(&(cell / SIDE)) && (10..50).contains(&(cell % SIDE))
+    }
+
+    fn direction([azimuth_deg, elevation_deg]: [f64; 2]) -> Vec3 {
+        let ((east, north), (up, across)) = (azimuth_deg.to_radians().sin_cos(), elevation_deg.to_radians().sin_cos());
+        Vec3::new((across * east) as f32, (across * north) as f32, up as f32)
+    }
+
+    /// What a camera whose pixels are the cells at altitude 0 sees of `values` on a relief.
+    fn seen(height_m: &dyn Fn(usize) -> f32, values: &[f32], to_camera: Vec3) -> Raster {
+        let mut image = Raster::filled(SIDE, SIDE, 1, 0.0);
+        image.values = (0..SIDE * SIDE)
+            .map(|pixel| {
+                let cell_below = |z: f32| {
+                    let shift = to_camera * (z / to_camera.z);
+                    let at = |index: usize, by: f32| (index as f32 + by).round().clamp(0.0, SIDE as f32 - 1.0) as usize;
+                    at(pixel / SIDE, -shift.y) * SIDE + at(pixel % SIDE, shift.x)
+                };
+                let altitudes = (0..=100).rev().map(|step| step as f32 / 100.0 * HOUSES_M);
+                let mut hits = altitudes.filter(|&z| height_m(cell_below(z)) >= z).map(cell_below);
+                values[hits.next().expect("the ground")]
+            })
+            .collect();
+        image
+    }
+
+    fn camera(to_camera: Vec3) -> ProjectiveCamera {
+        let [east, north] = [to_camera.x, to_camera.y].map(|across| f64::from(across / to_camera.z));
+        let (u, v) = ([1.0, 0.0, -east, -0.5], [0.0, -1.0, north, -0.5]);
+        ProjectiveCamera::new(u, v, [0.0; 3], (SIDE, SIDE), -to_camera.as_dvec3())
     }
 
     /// What is left of the height of the court where the sweep bridged it unsurely, and images show it `court_m` high, of an `albedo`.
@@ -303,28 +341,23 @@ mod tests {
             _ => 0.0,
         };
         let relief = Relief::new((SIDE, SIDE), 1.0, (0..cells).map(height_m).collect());
-        let image = |&[azimuth_deg, elevation_deg]: &[f64; 2]| {
+        let image = |([azimuth_deg, elevation_deg], at): ([f64; 2], [f64; 2])| {
             let shadows = relief.shadows(azimuth_deg, elevation_deg);
             let brightness = |cell: usize| {
                 let albedo = if is_court(cell) { albedo } else { 0.2 };
                 (albedo + 0.01 * (cell * 7919 % 11) as f32) * if shadows[cell] { 0.35 } else { 1.0 }
             };
-            let mut image = Raster::filled(SIDE, SIDE, 1, 0.0);
-            image.values = (0..cells).map(brightness).collect();
-            image
+            let values: Vec<f32> = (0..cells).map(brightness).collect();
+            seen(&height_m, &values, direction(at))
         };
-        let images: Vec<Raster> = SUNS.iter().map(image).collect();
-        let views: Vec<SweepView> = (images.iter().zip(SUNS).enumerate())
-            .map(|(k, (image, [azimuth_deg, elevation_deg]))| {
-                let ((east, north), (up, across)) =
-                    (azimuth_deg.to_radians().sin_cos(), elevation_deg.to_radians().sin_cos());
-                SweepView {
-                    camera: ProjectiveCamera::nadir(0.5, -0.5, 1.0, (SIDE, SIDE)),
-                    image,
-                    index: None,
-                    date_group: k as u32,
-                    sun: Some(Vec3::new((across * east) as f32, (across * north) as f32, up as f32)),
-                }
+        let images: Vec<Raster> = SUNS.into_iter().zip(CAMERAS).map(image).collect();
+        let views: Vec<SweepView> = (images.iter().zip(SUNS.into_iter().zip(CAMERAS)).enumerate())
+            .map(|(k, (image, (sun, at)))| SweepView {
+                camera: camera(direction(at)),
+                image,
+                index: None,
+                date_group: k as u32,
+                sun: Some(direction(sun)),
             })
             .collect();
         let altitude: Vec<f32> = (0..cells)
@@ -342,15 +375,14 @@ mod tests {
             resolution_m: 0.5,
             ..Surface::default()
         };
-        let lowered = lower(&views, &mut surface, &mut Changes::default());
+        let lowered = lower(&views, &mut surface, &mut Changes::default()).expect("suns are known");
         let court = (0..cells).filter(|&cell| is_court(cell));
         let highest = court.map(|cell| surface.altitude[cell]).fold(f32::MIN, f32::max);
         assert_eq!(lowered.parts, usize::from(highest < HOUSES_M));
-        let of_all = |cell: usize| usize::from(surface.views[cell]) == lowered.parts * views.len();
-        assert!(
-            (0..cells).filter(|&cell| is_court(cell)).all(of_all),
-            "who sees the court is counted anew"
-        );
+        for (row, count) in [(27, views.len() - 1), (30, views.len())] {
+            let seen_by = usize::from(surface.views[row * SIDE + SIDE / 2]);
+            assert_eq!(seen_by, lowered.parts * count, "who sees the court is counted anew");
+        }
         let opened: Vec<usize> = (0..cells)
             .filter(|&cell| surface.altitude[cell] < altitude[cell])
             .collect();

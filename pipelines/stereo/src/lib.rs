@@ -17,7 +17,7 @@
 //!     or smooths by planes where the base is short (`plane_smoothing.rs`), and places edges where the views change (`edges.rs`). The result
 //!     is a [`Surface`] (`surface.rs`).
 //! 11. `agreement.rs`, `evidence.rs`: the views are resampled to the surface, and cells where they agree no better than by chance are not known.
-//! 12. [`bridged`]: courts and alleys in shade that the surface bridges are opened, where their light tells.
+//! 12. [`bridged`]: courts and alleys in shade that the surface bridges are opened, where their light tells; `ground.rs`: what may be ground.
 //!
 //! On the way there, on a coarse surface of the same search: [`align`] finds the pointing shifts between images, [`ties`] single points of
 //! the ground in several images, [`clouds`] the pixels that show clouds. And from it: [`suns`] finds the sun by the shadows that the surface
@@ -39,6 +39,7 @@ mod edges;
 mod evidence;
 mod floor;
 mod grid;
+mod ground;
 mod heights;
 mod level;
 mod ortho;
@@ -63,6 +64,7 @@ mod volume;
 mod wta;
 
 pub use grid::opening;
+pub use ground::{ground_below, may_be_ground};
 pub use heights::height_levels;
 pub use pairs::widest_base_to_height_of as widest_base_to_height;
 pub use parameters::{CandidateTolerance, FEW_VIEWS, MANY_VIEWS, MatchingFacts, MatchingParameters, no_match_weight};
