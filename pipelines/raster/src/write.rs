@@ -126,7 +126,7 @@ pub fn write_byte_cog(path: &Path, spec: &ImageSpec, bytes: Bytes) -> Result<(),
     write_copy(path, &dataset, "COG", &cog_options(resampling))
 }
 
-pub(super) fn cog_options(resampling: &str) -> [String; 6] {
+pub(super) fn cog_options(resampling: &str) -> [String; 7] {
     [
         "COMPRESS=DEFLATE".into(),
         "PREDICTOR=YES".into(),
@@ -134,6 +134,8 @@ pub(super) fn cog_options(resampling: &str) -> [String; 6] {
         "OVERVIEWS=AUTO".into(),
         format!("RESAMPLING={resampling}"),
         "BIGTIFF=IF_SAFER".into(),
+        // Any number gives the same bytes.
+        format!("NUM_THREADS={}", rayon::current_num_threads()),
     ]
 }
 

@@ -4,10 +4,12 @@ use super::area::{AreaRequest, window_over};
 use super::draft::Draft;
 use super::footprint::{self, Footprint};
 use super::layout::Layout;
+use super::manifest::Counts;
 use super::{
     AltitudeRange, Area, ImageSun, Scene, SceneError, SceneImage, Split, Values, acquisition, pixels, values,
     weak_times,
 };
+use heliosplat::Raster;
 use heliosplat_raster::Window;
 use heliosplat_rpc::statistics::upper_median;
 use heliosplat_rpc::{ImageWindow, LocalFrame, PinholeFit, Rpc};
@@ -168,6 +170,16 @@ impl Ground {
         &self.area
     }
 
+    /// The pixels of all images, as [`pixels::read`] gives them, each with its warnings.
+    fn read(&mut self, counts: Option<Counts>) -> Vec<(Result<Raster, SceneError>, Vec<String>)> {
+        let drafts = self.drafts.par_iter_mut();
+        let read = |Draft { file, plan, window, .. }: &mut Draft| {
+            let mut warnings = Vec::new();
+            (pixels::read(file, plan, *window, counts, &mut warnings), warnings)
+        };
+        drafts.map(read).collect()
+    }
+
     pub(super) fn finish(
         mut self,
         source: &Path,
@@ -179,8 +191,9 @@ impl Ground {
             Vec::with_capacity(self.drafts.len()),
             Vec::with_capacity(self.drafts.len()),
         );
-        for Draft { file, plan, window, .. } in &self.drafts {
-            match pixels::read(file, plan, *window, layout.counts, &mut warnings) {
+        for (read, said) in self.read(layout.counts) {
+            warnings.extend(said);
+            match read {
                 Err(SceneError::NoPixels(_)) if self.is_part => known.push(false),
                 read => {
                     rasters.push(read?);

@@ -8,6 +8,7 @@ use heliosplat::Raster;
 use heliosplat::shade::display;
 use heliosplat_raster::{RasterFile, Window};
 use heliosplat_rpc::statistics::quantile;
+use rayon::prelude::*;
 
 /// The share of values below the scene's unit: the brightest glints lie above 1.
 const UNIT_QUANTILE: f64 = 0.999;
@@ -122,9 +123,7 @@ pub(super) fn scale_together(images: &mut [Raster]) -> f64 {
     } else {
         sample.iter().copied().fold(f32::MIN_POSITIVE, f32::max)
     };
-    for value in images.iter_mut().flat_map(|image| image.values.iter_mut()) {
-        *value /= unit;
-    }
+    (images.par_iter_mut().flat_map(|image| &mut image.values)).for_each(|value| *value /= unit);
     f64::from(unit)
 }
 

@@ -1,6 +1,7 @@
 //! Values at which an image was clipped: the greatest say "at least this bright", the lowest "at most".
 
 use heliosplat::Raster;
+use rayon::prelude::*;
 
 /// So many pixels share the greatest value of a band where it is clipped: the brightest glint alone is not.
 const FEWEST: usize = 16;
@@ -9,7 +10,8 @@ const TIMES: usize = 2;
 
 /// The value at which each band of an image was clipped, infinite where it was not.
 pub fn ceilings(image: &Raster) -> Vec<f32> {
-    (0..image.bands).map(|band| ceiling(image.plane(band))).collect()
+    let bands = (0..image.bands).into_par_iter();
+    bands.map(|band| ceiling(image.plane(band))).collect()
 }
 
 /// The value at which each band of an image was clipped below, minus infinity where it was not.

@@ -12,6 +12,7 @@ use crate::frame::LocalFrame;
 use crate::rpc::RpcError;
 use crate::triangulate::geo_slope;
 use nalgebra::{Matrix2x3, Matrix3, SVector, Vector2, Vector3};
+use rayon::prelude::*;
 
 /// Rounds in which every sighting counts alike: until biases are out, good ones cannot be told from bad ones.
 const PLAIN_ROUNDS: usize = 3;
@@ -21,6 +22,9 @@ const SCALE_ROUNDS: usize = 10;
 const LAST_CHANGE_PX: f64 = 5e-4;
 /// Rounds of triangulation with the cameras held.
 const POINT_ROUNDS: usize = 5;
+/// Tracks that one thread works on at a time, at least.
+const TRACKS_PER_JOB: usize = 64;
+
 /// What is adjusted.
 pub(super) struct BlockAdjustment<'a> {
     images: &'a [AdjustImage<'a>],
@@ -133,7 +137,7 @@ impl<'a> BlockAdjustment<'a> {
 
     /// Residuals and slopes of all sightings, track by track.
     fn linearised(&self, corrections: &[Correction], points: &[Vector3<f64>]) -> Result<Vec<Vec<Linear>>, RpcError> {
-        let tracks = self.tracks.iter().zip(points);
+        let tracks = self.tracks.par_iter().zip(points).with_min_len(TRACKS_PER_JOB);
         tracks
             .map(|(track, point)| self.linearised_track(track, corrections, *point))
             .collect()
@@ -176,7 +180,8 @@ impl<'a> BlockAdjustment<'a> {
         weights: &[Vec<f64>],
         points: &mut [Vector3<f64>],
     ) -> Result<(), RpcError> {
-        for ((track, weights), point) in self.tracks.iter().zip(weights).zip(points) {
+        let tracks = (self.tracks.par_iter().zip(weights).zip(points)).with_min_len(TRACKS_PER_JOB);
+        tracks.try_for_each(|((track, weights), point)| {
             for _ in 0..POINT_ROUNDS {
                 let linear = self.linearised_track(track, corrections, *point)?;
                 let (mut normal, mut right) = (Matrix3::identity() * POINT_HOLD, Vector3::zeros());
@@ -192,8 +197,8 @@ impl<'a> BlockAdjustment<'a> {
                     break;
                 }
             }
-        }
-        Ok(())
+            Ok(())
+        })
     }
 
     fn sigma_px(&self, linear: &[Vec<Linear>], parameters: usize) -> f64 {
