@@ -288,8 +288,10 @@ pub(crate) fn for_each_of<T: Send>(values: &mut [T], indices: &[u32], change: im
 /// The same with `width` values of an index.
 fn in_order<T: Send>(values: &mut [T], width: usize, indices: &[u32], change: impl Fn(usize, &mut [T]) + Sync) {
     const CHUNK: usize = 4096;
+    let parts = (0..indices.len()).into_par_iter().step_by(CHUNK);
+    let is_rising = |first: usize| indices[first..(first + CHUNK + 1).min(indices.len())].is_sorted_by(|a, b| a < b);
     assert!(
-        indices.is_sorted_by(|a, b| a < b),
+        parts.map(is_rising).all(|rising| rising),
         "every element once, in rising order"
     );
     let chunks = values.par_chunks_mut(CHUNK * width).enumerate();

@@ -20,6 +20,11 @@ use rayon::prelude::*;
 /// Least number of splats per parallel job.
 const CHUNK: usize = 4096;
 
+/// Zeros, written on all threads.
+fn zeros(count: usize) -> Vec<f32> {
+    rayon::iter::repeat_n(0.0, count).with_min_len(CHUNK).collect()
+}
+
 /// Options of a pass.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct PassOptions {
@@ -181,7 +186,7 @@ impl<'a> Pass<'a> {
         let part = stage("features");
         let channels = model.channels() + if options.normals { 3 } else { 0 };
         let stride = padded_channels(channels);
-        let mut features = vec![0.0; projected.splats.len() * stride];
+        let mut features = zeros(projected.splats.len() * stride);
         let seen = Seen {
             projected: &projected,
             transmittance: &lit.transmittances,
@@ -190,9 +195,11 @@ impl<'a> Pass<'a> {
         model.features(&context, &seen, &mut features);
         if options.normals {
             let at = model.channels();
-            for (feature, splat) in features.chunks_mut(stride).zip(&projected.splats) {
-                feature[at..at + 3].copy_from_slice(&splat.normal);
-            }
+            let splats = features
+                .par_chunks_mut(stride)
+                .zip(&projected.splats)
+                .with_min_len(CHUNK);
+            splats.for_each(|(feature, splat)| feature[at..at + 3].copy_from_slice(&splat.normal));
         }
         drop(part);
         let _part = stage("rasterise");
@@ -247,11 +254,11 @@ impl<'a> Pass<'a> {
         let camera = self.context.camera;
         let (splats, pixels) = (self.projected.splats.len(), self.maps.alpha.len());
         let rasteriser = Rasteriser::with_bins(&self.projected, &self.bins, camera.width, camera.height);
-        let mut all = vec![0.0; splats * planes.len()];
+        let mut all = zeros(splats * planes.len());
         for (number, some) in planes.chunks(MOST_CHANNELS).enumerate() {
             // They are the gradients of features that are composited. Which features, and what comes of the splats, does not matter.
             let stride = padded_channels(some.len());
-            let zero = MapGradients::zeros(some.len(), pixels);
+            let (features, zero) = (zeros(splats * stride), MapGradients::zeros(some.len(), pixels));
             let maps = Maps {
                 channels: zero.channels,
                 alpha: zero.alpha.clone(),
@@ -259,10 +266,10 @@ impl<'a> Pass<'a> {
                 ..Maps::default()
             };
             let gradients = MapGradients {
-                channels: some.to_vec(),
+                channels: some.par_iter().cloned().collect(),
                 ..zero
             };
-            let found = rasteriser.backward(&vec![0.0; splats * stride], stride, &maps, &gradients);
+            let found = rasteriser.backward(&features, stride, &maps, &gradients);
             let rows = all.par_chunks_mut(planes.len()).zip(found.features.par_chunks(stride));
             rows.for_each(|(row, found)| {
                 let row = &mut row[number * MOST_CHANNELS..][..some.len()];

@@ -1,8 +1,8 @@
 //! Where the time goes: stages of a run with their parts, each with wall seconds and processor seconds.
 //!
 //! The thread that leads a run opens stages; while a parallel loop runs, that thread waits. So its own processor time is the work that
-//! kept all other threads waiting, whatever else the machine does meanwhile. Where it waits for what one other thread does, [`alone`] and
-//! [`beside`] add that. Stages that other threads open are in their own record.
+//! kept all other threads waiting, whatever else the machine does meanwhile. Where it waits for what one other thread does, [`beside`]
+//! adds that. Stages that other threads open are in their own record.
 //!
 //! ```
 //! use heliosplat::timeline;
@@ -163,14 +163,6 @@ pub fn take() -> Vec<Stage> {
     RECORD.take().stages
 }
 
-/// Does work that occupies one other thread while this one waits: it counts as work on one core.
-pub fn alone<T>(work: impl FnOnce() -> T) -> T {
-    let begun = Clocks::now();
-    let done = work();
-    begun.count_wait();
-    done
-}
-
 /// Does `lead` on this thread, with its stages in this thread's record, while another thread does `aside`. What is left of `aside` when `lead`
 /// is done counts as work on one core.
 pub fn beside<A: Send, B>(aside: impl FnOnce() -> A + Send, lead: impl FnOnce() -> B) -> (A, B) {
@@ -243,7 +235,7 @@ mod tests {
         {
             let _waited = stage("waited");
             let _within = stage("within");
-            alone(|| pool.install(|| work(30.0)));
+            beside(|| pool.install(|| work(30.0)), || ());
         }
         {
             let _short = stage("short");

@@ -74,7 +74,7 @@ impl MapGradients {
     /// All zero, for `channels` planes of `pixels`.
     pub fn zeros(channels: usize, pixels: usize) -> Self {
         Self {
-            channels: (0..channels).map(|_| vec![0.0; pixels]).collect(),
+            channels: (0..channels).into_par_iter().map(|_| vec![0.0; pixels]).collect(),
             alpha: vec![0.0; pixels],
             depth: vec![0.0; pixels],
         }
@@ -180,7 +180,7 @@ impl<'a> Rasteriser<'a> {
         let mut out = Maps {
             width: self.width,
             height: self.height,
-            channels: (0..K).map(|_| plane()).collect(),
+            channels: (0..K).into_par_iter().map(|_| plane()).collect(),
             alpha: plane(),
             depth: plane(),
             depth_square: optional_plane(),

@@ -128,7 +128,16 @@ fn by_level(all: &[Ellipse], mean_half_size: Vec2) -> [Vec<u32>; LEVELS] {
         levels
     };
     let chunks: Vec<[Vec<u32>; LEVELS]> = all.par_chunks(4 * CHUNK).enumerate().map(of_chunk).collect();
-    std::array::from_fn(|level| chunks.iter().flat_map(|levels| &levels[level]).copied().collect())
+    std::array::from_fn(|level| {
+        let of_level: Vec<&[u32]> = chunks.iter().map(|levels| levels[level].as_slice()).collect();
+        of_level.concat()
+    })
+}
+
+/// So many default values, written on all threads.
+fn filled<T: Default + Send>(count: usize) -> Vec<T> {
+    let numbers = (0..count).into_par_iter().with_min_len(CHUNK);
+    numbers.map(|_| T::default()).collect()
 }
 
 /// Size of the cells for searches within `half_size`: every row of cells costs a lookup, columns cost nothing.
@@ -199,7 +208,7 @@ impl SunPlaneTrace {
     pub(super) fn trace(&self, occluders: &Occluders, origins: &[u32]) -> Vec<RayTransmittance> {
         let blocks = self.ellipses.par_chunks(LANES).with_min_len(256);
         let blocks: Vec<EllipseBlock> = blocks.map(EllipseBlock::new).collect();
-        let mut results = vec![RayTransmittance::default(); origins.len()];
+        let mut results: Vec<RayTransmittance> = filled(origins.len());
         let chunks = origins.par_chunks(CHUNK).zip(results.par_chunks_mut(CHUNK));
         chunks.for_each(|(origins, results)| {
             let rays: Vec<PlaneRay> = origins.iter().map(|&origin| self.ray(occluders, origin)).collect();
@@ -235,7 +244,7 @@ impl SunPlaneTrace {
         drop(kept);
         let grid = RayGrid::new(&plane_rays, cell_size(self.half_size));
         drop(plane_rays);
-        let mut moments = vec![EllipseMoments::default(); self.ellipses.len()];
+        let mut moments: Vec<EllipseMoments> = filled(self.ellipses.len());
         let chunks = self.ellipses.par_chunks(CHUNK).zip(moments.par_chunks_mut(CHUNK));
         chunks.for_each(|(ellipses, moments)| gather_gradients(ellipses, &grid, moments));
         // Every Gaussian has one place at most, so the order of threads does not matter.

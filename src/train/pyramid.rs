@@ -3,6 +3,7 @@
 use super::options::TrainOptions;
 use crate::model::View;
 use crate::raster::Raster;
+use rayon::prelude::*;
 
 /// How much wider than in the view the pixels are on which training begins.
 const COARSE_FACTOR: usize = 2;
@@ -43,7 +44,7 @@ impl Pyramid {
         if fraction >= self.share {
             self.coarse = Vec::new();
         } else if self.coarse.is_empty() {
-            self.coarse = views.iter().map(|view| coarser(view, COARSE_FACTOR)).collect();
+            self.coarse = views.par_iter().map(|view| coarser(view, COARSE_FACTOR)).collect();
         }
     }
 

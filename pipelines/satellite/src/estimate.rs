@@ -10,9 +10,9 @@ use super::sweep_memory::search_bytes;
 use super::trial::WORTH_STEPS;
 use heliosplat::bench_fixture::{Descent, Lighting, Site};
 use heliosplat::shade::sh::functions;
-use heliosplat::timeline;
 use heliosplat::trace::transmittance;
 use heliosplat::train::TrainOptions;
+use heliosplat_rpc::statistics::upper_median;
 use heliosplat_scene::crop;
 use heliosplat_scene::survey::Survey;
 use heliosplat_scene::{Area, Scene};
@@ -56,8 +56,9 @@ const ALBEDO_S_PER_GAUSSIAN: f64 = 1.0e-6;
 const TRIALS_AS_STEPS: f64 = 30.0;
 /// Seconds of one step of the small site, and of its light, on a core of the machine that the seconds above were measured on.
 const REFERENCE_S: f64 = 0.037;
-/// How often each is measured.
-const MEASUREMENTS: usize = 6;
+/// How often they are measured, and how often on each core at least.
+const MEASUREMENTS: usize = 8;
+const FEWEST_OF_A_CORE: usize = 2;
 /// Share of the steps after which a state can be the best, from which on epochs without progress count (`src/train/holdout.rs`).
 const KEPT_FROM: f64 = 0.25;
 /// Most time for the search for suns, in times before the first step (1.4 to 3.4 were seen where short fits were made).
@@ -102,34 +103,39 @@ impl Estimate {
     }
 }
 
-/// How much slower this machine is, on the threads that it is given, than one core of the machine the constants are from; takes a quarter
-/// of a second. One core is measured: work small enough to be measured quickly is too small for many.
+/// How much slower this machine is, on the threads that it is given, than one core of the machine the constants are from; takes a third
+/// of a second. Single cores are measured, since work small enough to be measured quickly is too small for many: beside each other, four at
+/// most.
 pub fn slowness() -> f64 {
-    let threads = rayon::current_num_threads() as f64;
-    let share = ONE_CORE_SHARE + (1.0 - ONE_CORE_SHARE) / threads;
-    let one_core = rayon::ThreadPoolBuilder::new().num_threads(1).build();
-    share * one_core.map_or(1.0, |pool| timeline::alone(|| pool.install(one_core_slowness)))
+    let threads = rayon::current_num_threads();
+    let share = ONE_CORE_SHARE + (1.0 - ONE_CORE_SHARE) / threads as f64;
+    let cores = threads.min(MEASUREMENTS / FEWEST_OF_A_CORE);
+    let on_a_core = || {
+        let one_thread = rayon::ThreadPoolBuilder::new().num_threads(1).build().ok()?;
+        Some(one_thread.install(|| one_core_seconds(MEASUREMENTS.div_ceil(cores))))
+    };
+    let mut seconds: Vec<f64> = std::thread::scope(|scope| {
+        let cores: Vec<_> = (0..cores).map(|_| scope.spawn(on_a_core)).collect();
+        let measured = cores.into_iter().filter_map(|core| core.join().ok().flatten());
+        measured.flatten().collect()
+    });
+    // What else the machine does all the time slows the training down too, a single pause does not.
+    share * upper_median(&mut seconds).map_or(1.0, |seconds| seconds / REFERENCE_S)
 }
 
-/// The same of one core.
-fn one_core_slowness() -> f64 {
-    let site = Site::new(40_000, 320, 0.6);
-    let mut lighting = Lighting::new(&site);
-    let light_s = median_s(|| lighting.step(transmittance));
-    let mut descent = Descent::new(site);
-    let step_s = median_s(|| descent.step());
-    (light_s + step_s) / REFERENCE_S
-}
-
-/// Seconds of a run, in the median of some: what else the machine does all the time slows the training down too, a single pause does not.
-fn median_s<T>(mut work: impl FnMut() -> T) -> f64 {
-    let mut seconds = [(); MEASUREMENTS].map(|()| {
+/// Seconds of a step of the small site and of its light, measured so many times after a first that does not count: in it memory is new.
+fn one_core_seconds(times: usize) -> Vec<f64> {
+    fn seconds<T>(mut work: impl FnMut() -> T) -> f64 {
         let begun = Instant::now();
         std::hint::black_box(work());
         begun.elapsed().as_secs_f64()
-    });
-    seconds.sort_by(f64::total_cmp);
-    seconds[MEASUREMENTS / 2]
+    }
+    let site = Site::new(40_000, 320, 0.6);
+    let mut lighting = Lighting::new(&site);
+    let light_s: Vec<f64> = (0..=times).map(|_| seconds(|| lighting.step(transmittance))).collect();
+    let mut descent = Descent::new(site);
+    let both_s = light_s.iter().map(|light_s| light_s + seconds(|| descent.step()));
+    both_s.skip(1).collect()
 }
 
 /// Bytes that the process holds when its scene is open: itself and the images. What the system says it holds is no measure: an

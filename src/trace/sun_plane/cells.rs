@@ -7,6 +7,8 @@ use std::ops::Range;
 
 /// Cells per point, at most: an outlier must not make the grid as large as its distance.
 const CELLS_PER_POINT: f32 = 8.0;
+/// Points per parallel job.
+const CHUNK: usize = 4096;
 /// Cells along either side, at most; they are numbered with 16 bits.
 const SIDE_MAX: f32 = 30_000.0;
 
@@ -23,11 +25,12 @@ pub(super) struct Cells {
 impl Cells {
     /// Sorts `points` into cells of about `cell_size` metres; returns the grid, and the indices of the points in the order of their cells.
     pub(super) fn sort(points: &[Vec2], cell_size: Vec2) -> (Self, Vec<u32>) {
-        let (mut low, mut high) = (Vec2::INFINITY, Vec2::NEG_INFINITY);
-        for point in points.iter().filter(|point| point.is_finite()) {
-            low = low.min(*point);
-            high = high.max(*point);
-        }
+        let nothing = || (Vec2::INFINITY, Vec2::NEG_INFINITY);
+        let parts = points.par_chunks(CHUNK).map(|part| {
+            let finite = part.iter().filter(|point| point.is_finite());
+            finite.fold(nothing(), |(low, high), &point| (low.min(point), high.max(point)))
+        });
+        let (mut low, mut high) = parts.reduce(nothing, |a, b| (a.0.min(b.0), a.1.max(b.1)));
         if low.x > high.x {
             (low, high) = (Vec2::ZERO, Vec2::ZERO);
         }
@@ -52,7 +55,7 @@ impl Cells {
     fn bin(&mut self, points: &[Vec2]) -> Vec<u32> {
         let spans: Vec<CellSpan> = points
             .par_iter()
-            .with_min_len(4096)
+            .with_min_len(CHUNK)
             .map(|point| {
                 let (column, row) = (self.column(point.x) as u16, self.row(point.y) as u16);
                 CellSpan {
