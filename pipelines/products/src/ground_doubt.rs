@@ -10,7 +10,7 @@ use crate::nadir::{NadirGrid, Place};
 use glam::Vec3;
 use heliosplat_raster::grid::GridSpec;
 use heliosplat_raster::{GeoRaster, RasterError};
-use heliosplat_stereo::{ground_below, may_be_ground};
+use heliosplat_stereo::{ground_below, ground_probability};
 use rayon::prelude::*;
 use std::path::Path;
 
@@ -64,9 +64,9 @@ impl StartProbability {
         let cells = deviation_m.par_iter_mut().with_min_len(CHUNK).enumerate();
         cells.for_each(|(cell, deviation)| {
             let above_m = altitude_m[cell] - ground_m[cell];
-            let probability = self.at(nadir, cell, altitude_m[cell]);
-            if may_be_ground(above_m, probability) {
-                *deviation = (*deviation * *deviation + (1.0 - probability) * above_m * above_m).sqrt();
+            let of_altitude = || self.at(nadir, cell, altitude_m[cell]);
+            if let Some(of_ground) = ground_probability(above_m, of_altitude) {
+                *deviation = (*deviation * *deviation + of_ground * above_m * above_m).sqrt();
             }
         });
     }

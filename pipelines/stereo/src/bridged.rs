@@ -12,7 +12,7 @@
 
 use super::change::Changes;
 use super::grid::Grid;
-use super::ground::{ground_below, may_be_ground};
+use super::ground::{ground_below, ground_probability};
 use super::suns::{angles_deg, bilinear, toward};
 use super::surface::Surface;
 use super::views::SweepView;
@@ -35,9 +35,9 @@ const LEAST_CONTRAST: f32 = 0.65;
 const LEAST_GAIN: f32 = 0.5;
 /// Most contrast of a part as it is: training mends by itself what explains the light in part.
 const MOST_CONTRAST_NOW: f32 = 0.4;
-/// Least share of a part's cells that are lit on one date and in shade on another,
+/// Least share of a part's cells that are lit on one date and in shade on another, for the part to tell anything.
 const LEAST_SHARE: f32 = 0.1;
-/// or else their least ground, m².
+/// Ground of such cells from which on a part tells something whatever their share, m².
 const LEAST_TOLD_M2: f32 = 5.0;
 /// Probability that a lowered cell is ground: the share of the lowered cells that were right within two metres, `city` 11, 13, 14, 16 and
 /// `block` 21 (docs/lab/edges.md).
@@ -163,7 +163,7 @@ impl<'a> Light<'a> {
 /// Connected cells of which the sweep is not sure and that stand above the ground around them.
 fn parts(grid: &Grid, surface: &Surface, ground_m: &[f32], changes: &Changes) -> Vec<Vec<usize>> {
     let height_m = |cell: usize| surface.altitude[cell] - ground_m[cell];
-    let unsure = |cell: usize| may_be_ground(height_m(cell), surface.probability[cell]);
+    let unsure = |cell: usize| ground_probability(height_m(cell), || surface.probability[cell]).is_some();
     let level = |cell: usize| {
         let near = grid.around(cell, 1).map(|near| surface.altitude[near]);
         let (low, high) = near.fold((f32::MAX, f32::MIN), |(low, high), z| (low.min(z), high.max(z)));

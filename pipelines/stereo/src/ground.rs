@@ -15,7 +15,9 @@ pub fn ground_below(size: (usize, usize), cell_m: f32, altitude_m: &[f32]) -> Ve
     opening(size, altitude_m, [reach; 2])
 }
 
-/// Whether a cell that stands `height_m` above the ground, and whose altitude has this probability, may be ground.
-pub fn may_be_ground(height_m: f32, probability: f32) -> bool {
-    height_m > LEAST_M && probability < SURE
+/// Probability that a cell that stands `height_m` above the ground is ground, from that of its altitude, which is asked for only where the cell
+/// stands high enough; `None` where it is none or as good as none.
+pub fn ground_probability(height_m: f32, of_altitude: impl FnOnce() -> f32) -> Option<f32> {
+    let probability = (height_m > LEAST_M).then(of_altitude)?;
+    (probability < SURE).then_some(1.0 - probability)
 }

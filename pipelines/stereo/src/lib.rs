@@ -64,7 +64,7 @@ mod volume;
 mod wta;
 
 pub use grid::opening;
-pub use ground::{ground_below, may_be_ground};
+pub use ground::{ground_below, ground_probability};
 pub use heights::height_levels;
 pub use pairs::widest_base_to_height_of as widest_base_to_height;
 pub use parameters::{CandidateTolerance, FEW_VIEWS, MANY_VIEWS, MatchingFacts, MatchingParameters, no_match_weight};
