@@ -26,13 +26,13 @@ fn the_timeline_accounts_for_the_time(metrics: &serde_json::Value) {
             "{name}"
         );
     }
-    // The speed of one core is measured while the leading thread waits.
+    // The speed of the machine is measured on as many cores as there are threads, two here, while the leading thread waits.
     let estimate = stages
         .iter()
         .find(|stage| stage["stage"] == "estimate")
         .expect("an estimate");
     assert!(
-        number(estimate, "one_core_s") > 0.5 * number(estimate, "processor_s"),
+        number(estimate, "one_core_s") < 0.5 * number(estimate, "processor_s"),
         "{estimate}"
     );
     let training = stages.iter().find(|stage| stage["stage"] == "train").expect("training");
@@ -59,6 +59,8 @@ fn a_tiny_site_becomes_a_surface_model_near_the_truth() {
         "fast",
         "--set",
         "train.iterations=40",
+        "--threads",
+        "2",
     ]);
 
     let metrics = metrics(&run);

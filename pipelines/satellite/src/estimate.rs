@@ -10,6 +10,7 @@ use super::sweep_memory::search_bytes;
 use super::trial::WORTH_STEPS;
 use heliosplat::bench_fixture::{Descent, Lighting, Site};
 use heliosplat::shade::sh::functions;
+use heliosplat::timeline;
 use heliosplat::trace::transmittance;
 use heliosplat::train::TrainOptions;
 use heliosplat_rpc::statistics::upper_median;
@@ -114,11 +115,18 @@ pub fn slowness() -> f64 {
         let one_thread = rayon::ThreadPoolBuilder::new().num_threads(1).build().ok()?;
         Some(one_thread.install(|| one_core_seconds(MEASUREMENTS.div_ceil(cores))))
     };
-    let mut seconds: Vec<f64> = std::thread::scope(|scope| {
-        let cores: Vec<_> = (0..cores).map(|_| scope.spawn(on_a_core)).collect();
-        let measured = cores.into_iter().filter_map(|core| core.join().ok().flatten());
-        measured.flatten().collect()
-    });
+    let on_all = || {
+        std::thread::scope(|scope| {
+            let cores: Vec<_> = (0..cores).map(|_| scope.spawn(on_a_core)).collect();
+            let measured = cores.into_iter().filter_map(|core| core.join().ok().flatten());
+            measured.flatten().collect()
+        })
+    };
+    let mut seconds: Vec<f64> = match cores {
+        // Then it is work on one core.
+        1 => timeline::beside(on_all, || ()).0,
+        _ => on_all(),
+    };
     // What else the machine does all the time slows the training down too, a single pause does not.
     share * upper_median(&mut seconds).map_or(1.0, |seconds| seconds / REFERENCE_S)
 }
