@@ -134,7 +134,7 @@ pub(super) fn cog_options(resampling: &str) -> [String; 7] {
         "OVERVIEWS=AUTO".into(),
         format!("RESAMPLING={resampling}"),
         "BIGTIFF=IF_SAFER".into(),
-        // Any number gives the same bytes.
+        // One and two give the same bytes.
         format!("NUM_THREADS={}", rayon::current_num_threads()),
     ]
 }

@@ -105,8 +105,8 @@ impl Estimate {
 }
 
 /// How much slower this machine is, on the threads that it is given, than one core of the machine the constants are from; takes a third
-/// of a second. Single cores are measured, since work small enough to be measured quickly is too small for many: beside each other, four at
-/// most.
+/// of a second. Single cores are measured, since work small enough to be measured quickly is too small for many, up to four at the same
+/// time.
 pub fn slowness() -> f64 {
     let threads = rayon::current_num_threads();
     let share = ONE_CORE_SHARE + (1.0 - ONE_CORE_SHARE) / threads as f64;
@@ -123,7 +123,7 @@ pub fn slowness() -> f64 {
         })
     };
     let mut seconds: Vec<f64> = match cores {
-        // Then it is work on one core.
+        // The leading thread waits for one other: work on one core, as the timeline counts it.
         1 => timeline::beside(on_all, || ()).0,
         _ => on_all(),
     };

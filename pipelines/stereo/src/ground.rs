@@ -15,8 +15,8 @@ pub fn ground_below(size: (usize, usize), cell_m: f32, altitude_m: &[f32]) -> Ve
     opening(size, altitude_m, [reach; 2])
 }
 
-/// Probability that a cell that stands `height_m` above the ground is ground, from that of its altitude, which is asked for only where the cell
-/// stands high enough; `None` where it is none or as good as none.
+/// Probability, 0 to 1, that a cell whose altitude is `height_m` above the ground around it is ground instead. `of_altitude` is the probability
+/// of that altitude. `None` where the cell is not high enough to be anything else, or where the sweep was sure of it.
 pub fn ground_probability(height_m: f32, of_altitude: impl FnOnce() -> f32) -> Option<f32> {
     let probability = (height_m > LEAST_M).then(of_altitude)?;
     (probability < SURE).then_some(1.0 - probability)
