@@ -4,6 +4,7 @@
 //! ([`RowBins`]). Then every row of cells reads its boxes from all chunks, in their order, and sorts them by column
 //! ([`cell_starts`], [`split_rows`]). Tiles of the rasteriser and grids of the tracer are binned with it.
 
+use crate::parallel::set_defaults;
 use rayon::prelude::*;
 
 /// Boxes per parallel job.
@@ -112,14 +113,13 @@ pub(crate) struct RowList<'l, T> {
 }
 
 /// Splits the list of all cells into rows, and lists where every cell begins in it, and last where the list ends.
-pub(crate) fn split_rows<T: Clone + Default + Send>(
+pub(crate) fn split_rows<T: Default + Send>(
     row_starts: Vec<Vec<u32>>,
     list: &mut Vec<T>,
 ) -> (Vec<u32>, Vec<RowList<'_, T>>) {
     let ends = |starts: &Vec<u32>| starts.last().copied().unwrap_or(0);
     let length: usize = row_starts.iter().map(|starts| ends(starts) as usize).sum();
-    let empty = (0..length).into_par_iter().with_min_len(CHUNK).map(|_| T::default());
-    empty.collect_into_vec(list);
+    set_defaults(list, length);
     let (mut base, mut left) = (0, list.as_mut_slice());
     let mut starts = vec![0];
     let mut rows = Vec::with_capacity(row_starts.len());

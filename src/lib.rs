@@ -52,6 +52,7 @@ pub mod light;
 pub mod loss;
 pub mod model;
 pub mod optim;
+mod parallel;
 pub mod raster;
 pub mod relief;
 pub mod render;

@@ -7,6 +7,7 @@ use crate::camera::ProjectiveCamera;
 use crate::gaussians::Table;
 use crate::light::Light;
 use crate::model::{Context, Parameters, SceneModel, Seen};
+use crate::parallel::defaults;
 use crate::raster::Raster;
 use crate::splat::rasterise::{MOST_CHANNELS, padded_channels};
 use crate::splat::{
@@ -19,11 +20,6 @@ use rayon::prelude::*;
 
 /// Least number of splats per parallel job.
 const CHUNK: usize = 4096;
-
-/// Zeros, written on all threads.
-fn zeros(count: usize) -> Vec<f32> {
-    rayon::iter::repeat_n(0.0, count).with_min_len(CHUNK).collect()
-}
 
 /// Options of a pass.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -186,7 +182,7 @@ impl<'a> Pass<'a> {
         let part = stage("features");
         let channels = model.channels() + if options.normals { 3 } else { 0 };
         let stride = padded_channels(channels);
-        let mut features = zeros(projected.splats.len() * stride);
+        let mut features = defaults(projected.splats.len() * stride);
         let seen = Seen {
             projected: &projected,
             transmittance: &lit.transmittances,
@@ -254,11 +250,11 @@ impl<'a> Pass<'a> {
         let camera = self.context.camera;
         let (splats, pixels) = (self.projected.splats.len(), self.maps.alpha.len());
         let rasteriser = Rasteriser::with_bins(&self.projected, &self.bins, camera.width, camera.height);
-        let mut all = zeros(splats * planes.len());
+        let mut all = defaults(splats * planes.len());
         for (number, some) in planes.chunks(MOST_CHANNELS).enumerate() {
             // They are the gradients of features that are composited. Which features, and what comes of the splats, does not matter.
             let stride = padded_channels(some.len());
-            let (features, zero) = (zeros(splats * stride), MapGradients::zeros(some.len(), pixels));
+            let (features, zero) = (defaults(splats * stride), MapGradients::zeros(some.len(), pixels));
             let maps = Maps {
                 channels: zero.channels,
                 alpha: zero.alpha.clone(),

@@ -93,13 +93,17 @@ fn tracks(cameras: &[Rpc], count: usize, seen: &mut dyn FnMut(ImagePoint) -> Ima
         .collect()
 }
 
-fn adjusted(delivered: &[Rpc], tracks: &[Track], model: BiasModel) -> Adjustment {
+fn images(cameras: &[Rpc]) -> Vec<AdjustImage<'_>> {
     let image = |rpc| AdjustImage {
         rpc,
         width: SIZE,
         height: SIZE,
     };
-    let images: Vec<AdjustImage> = delivered.iter().map(image).collect();
+    cameras.iter().map(image).collect()
+}
+
+fn adjusted(delivered: &[Rpc], tracks: &[Track], model: BiasModel) -> Adjustment {
+    let images = images(delivered);
     let options = AdjustOptions {
         model,
         ..Default::default()
@@ -284,12 +288,7 @@ fn an_image_with_hardly_a_tie_keeps_its_camera() {
 #[test]
 fn tracks_that_cannot_be_used_are_refused() {
     let cameras = cameras(2);
-    let image = |rpc| AdjustImage {
-        rpc,
-        width: SIZE,
-        height: SIZE,
-    };
-    let images: Vec<AdjustImage> = cameras.iter().map(image).collect();
+    let images = images(&cameras);
     let mut tracks = tracks(&cameras, 20, &mut |at| at);
     let refused = |tracks: &[Track]| {
         let error = adjust(&images, tracks, &frame(), AdjustOptions::default()).expect_err("refused");
@@ -298,4 +297,29 @@ fn tracks_that_cannot_be_used_are_refused() {
     assert!(refused(&tracks[..3]).contains("overlap"));
     tracks[4].sightings[1].image = 9;
     assert!(refused(&tracks).contains("image 9"));
+}
+
+#[test]
+fn of_several_tracks_without_a_place_the_first_is_named_on_any_number_of_threads() {
+    let cameras = cameras(2);
+    let images = images(&cameras);
+    let tracks = |bad: &[usize]| {
+        let mut tracks = tracks(&cameras, 2000, &mut |at| at);
+        for &track in bad {
+            tracks[track].sightings[1].at.col = f64::NAN;
+        }
+        tracks
+    };
+    let refused = |threads: usize, tracks: &[Track]| {
+        let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build();
+        let adjusted = || adjust(&images, tracks, &frame(), AdjustOptions::default());
+        let error = pool.expect("a pool").install(adjusted).expect_err("refused");
+        error.to_string()
+    };
+    let first = refused(1, &tracks(&[400]));
+    assert!(first.contains("no place for the track"), "{first}");
+    let several = tracks(&[400, 1000, 1800]);
+    for threads in [1, 4] {
+        assert_eq!(refused(threads, &several), first);
+    }
 }

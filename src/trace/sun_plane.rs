@@ -22,6 +22,7 @@ use super::light_ray::LightRay;
 use super::occlusion::{RayGradients, RayTransmittance};
 use crate::gaussians::{CoreGradient, Table, rotation_backward};
 use crate::light::Light;
+use crate::parallel::defaults;
 use cells::Cells;
 use ellipse::{Axes, Ellipse, EllipseBlock, EllipseMoments, LANES};
 use glam::{Vec2, Vec3};
@@ -134,12 +135,6 @@ fn by_level(all: &[Ellipse], mean_half_size: Vec2) -> [Vec<u32>; LEVELS] {
     })
 }
 
-/// So many default values, written on all threads.
-fn filled<T: Default + Send>(count: usize) -> Vec<T> {
-    let numbers = (0..count).into_par_iter().with_min_len(CHUNK);
-    numbers.map(|_| T::default()).collect()
-}
-
 /// Size of the cells for searches within `half_size`: every row of cells costs a lookup, columns cost nothing.
 fn cell_size(half_size: Vec2) -> Vec2 {
     Vec2::new(half_size.x / COLUMNS_PER_HALF_SIZE, half_size.y)
@@ -208,7 +203,7 @@ impl SunPlaneTrace {
     pub(super) fn trace(&self, occluders: &Occluders, origins: &[u32]) -> Vec<RayTransmittance> {
         let blocks = self.ellipses.par_chunks(LANES).with_min_len(256);
         let blocks: Vec<EllipseBlock> = blocks.map(EllipseBlock::new).collect();
-        let mut results: Vec<RayTransmittance> = filled(origins.len());
+        let mut results: Vec<RayTransmittance> = defaults(origins.len());
         let chunks = origins.par_chunks(CHUNK).zip(results.par_chunks_mut(CHUNK));
         chunks.for_each(|(origins, results)| {
             let rays: Vec<PlaneRay> = origins.iter().map(|&origin| self.ray(occluders, origin)).collect();
@@ -244,7 +239,7 @@ impl SunPlaneTrace {
         drop(kept);
         let grid = RayGrid::new(&plane_rays, cell_size(self.half_size));
         drop(plane_rays);
-        let mut moments: Vec<EllipseMoments> = filled(self.ellipses.len());
+        let mut moments: Vec<EllipseMoments> = defaults(self.ellipses.len());
         let chunks = self.ellipses.par_chunks(CHUNK).zip(moments.par_chunks_mut(CHUNK));
         chunks.for_each(|(ellipses, moments)| gather_gradients(ellipses, &grid, moments));
         // Every Gaussian has one place at most, so the order of threads does not matter.

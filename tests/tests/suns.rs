@@ -81,6 +81,7 @@ fn a_model_of_unknown_suns_has_no_light_and_cannot_be_relit() {
         suns.iter()
             .all(|sun| sun["source"] == "none" && sun["azimuth_deg"].is_null())
     );
+    assert!(metrics.get("lowered").is_none(), "nothing could be tested by its light");
     let line = fault(&["relight", text(&run), "--out", text(&out), "--sun", "150,40"], 2);
     assert!(line.contains("no sun was known") && !out.exists(), "{line}");
     fault(&["products", text(&run), "--out", text(&out), "--sun", "150,40"], 2);
@@ -114,6 +115,7 @@ fn images_with_a_sun_are_lit_and_the_others_are_counted() {
         .map(|sun| sun["source"].as_str().expect("a source"))
         .collect();
     assert_eq!(sources, ["time", "time", "none", "none"]);
+    assert!(metrics["lowered"]["parts"].is_u64(), "two suns are enough to test");
     assert_eq!(metrics["rejected_steps"], 0);
     json(&["relight", text(&run), "--out", text(&picture), "--sun", "150,40"]);
     assert!(picture.is_file());

@@ -12,7 +12,7 @@
 
 use super::change::Changes;
 use super::grid::Grid;
-use super::ground::{ground_below, ground_probability};
+use super::ground::{ground_below, ground_probability, is_sure};
 use super::suns::{angles_deg, bilinear, toward};
 use super::surface::Surface;
 use super::views::SweepView;
@@ -39,6 +39,12 @@ const MOST_CONTRAST_NOW: f32 = 0.4;
 const LEAST_SHARE: f32 = 0.1;
 /// Ground of such cells from which on a part tells something whatever their share, m².
 const LEAST_TOLD_M2: f32 = 5.0;
+/// How far from a lowered cell the ground is that says how high it lies, metres each way (docs/lab/edges.md).
+const LEVEL_REACH_M: f32 = 18.0;
+/// Most height above the ground of what counts as ground, metres.
+const MOST_ON_GROUND_M: f32 = 1.0;
+/// Least area of such ground, m².
+const LEAST_LEVEL_M2: f32 = 15.0;
 /// Probability that a lowered cell is ground: the share of the lowered cells that were right within two metres, `city` 11, 13, 14, 16 and
 /// `block` 21 (docs/lab/edges.md).
 const LOWERED_PROBABILITY: f32 = 0.65;
@@ -90,15 +96,16 @@ pub fn lower(views: &[SweepView], surface: &mut Surface, changes: &mut Changes) 
     // Parts share cells where both took them along.
     cells.sort_unstable();
     cells.dedup();
-    for &cell in &cells {
-        let height_m = surface.altitude[cell] - ground_m[cell];
+    let level_m = levels(&grid, surface, &ground_m, &cells);
+    for (&cell, &level_m) in cells.iter().zip(&level_m) {
+        let height_m = surface.altitude[cell] - level_m;
         surface.probability[cell] = LOWERED_PROBABILITY;
         surface.deviation_m[cell] =
             ((1.0 - LOWERED_PROBABILITY) * height_m * height_m + surface.resolution_m * surface.resolution_m).sqrt();
-        surface.altitude[cell] = ground_m[cell];
-        surface.above[cell] = ground_m[cell];
+        surface.altitude[cell] = level_m;
+        surface.above[cell] = level_m;
         if let Some(before_m) = changes.before_m.get_mut(cell) {
-            *before_m = ground_m[cell];
+            *before_m = level_m;
         }
     }
     if parts > 0 {
@@ -158,6 +165,24 @@ impl<'a> Light<'a> {
         let (col, row, _) = self.view.camera.project(point);
         Some(bilinear(self.view.image, col, row)).filter(|value| value.is_finite())
     }
+}
+
+/// Altitude of the ground at cells to lower, in ascending order: the median of what was swept around them and is ground for sure. The ground
+/// below the surface, an opening, is that of the lowest cells around, and so of those that err most.
+fn levels(grid: &Grid, surface: &Surface, ground_m: &[f32], cells: &[usize]) -> Vec<f32> {
+    let is_ground = |&cell: &usize| {
+        let height_m = surface.altitude[cell] - ground_m[cell];
+        height_m <= MOST_ON_GROUND_M && is_sure(surface.probability[cell]) && cells.binary_search(&cell).is_err()
+    };
+    let reach = (LEVEL_REACH_M / grid.cell_m).round() as usize;
+    let least = (LEAST_LEVEL_M2 / (grid.cell_m * grid.cell_m)).ceil() as usize;
+    let level_m = |&cell: &usize| {
+        let ground = grid.around(cell, reach).filter(is_ground);
+        let mut around_m: Vec<f32> = ground.map(|cell| surface.altitude[cell]).collect();
+        let median_m = upper_median(&mut around_m).filter(|_| around_m.len() >= least);
+        median_m.unwrap_or(ground_m[cell]).min(surface.altitude[cell])
+    };
+    cells.par_iter().map(level_m).collect()
 }
 
 /// Connected cells of which the sweep is not sure and that stand above the ground around them.
@@ -294,6 +319,10 @@ mod tests {
     /// Azimuths and elevations of their cameras as the ground sees them, degrees. The last looks over the northern houses, which hide 2.7 m of the court.
     const CAMERAS: [[f64; 2]; 5] = [[90.0, 75.0], [270.0, 80.0], [90.0, 85.0], [270.0, 89.95], [0.0, 75.0]];
 
+    /// Rows beside the houses where the sweep is too low, and their altitude there, metres.
+    const BESIDE: [usize; 4] = [18, 19, 42, 43];
+    const BESIDE_M: f32 = -0.9;
+
     /// Two rows of houses, and the court of ten metres between them.
     fn is_court(cell: usize) -> bool {
         (26..36).contains(&(cell / SIDE)) && (10..50).contains(&(cell % SIDE))
@@ -360,9 +389,12 @@ mod tests {
                 sun: Some(direction(sun)),
             })
             .collect();
-        let altitude: Vec<f32> = (0..cells)
-            .map(|cell| if is_built(cell) { HOUSES_M } else { 0.0 })
-            .collect();
+        let swept_m = |cell: usize| match cell {
+            cell if is_built(cell) => HOUSES_M,
+            cell if BESIDE.contains(&(cell / SIDE)) => BESIDE_M,
+            _ => 0.0,
+        };
+        let altitude: Vec<f32> = (0..cells).map(swept_m).collect();
         let mut surface = Surface {
             width: SIDE,
             height: SIDE,
@@ -398,7 +430,11 @@ mod tests {
         assert!(
             (0..cells)
                 .filter(|&cell| !is_built(cell))
-                .all(|cell| surface.altitude[cell] == 0.0)
+                .all(|cell| surface.altitude[cell] == altitude[cell])
+        );
+        assert!(
+            opened.iter().all(|&cell| surface.altitude[cell] == 0.0),
+            "opened ground is as high as most ground around, not as the lowest"
         );
         highest
     }

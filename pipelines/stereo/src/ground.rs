@@ -19,5 +19,10 @@ pub fn ground_below(size: (usize, usize), cell_m: f32, altitude_m: &[f32]) -> Ve
 /// of that altitude. `None` where the cell is not high enough to be anything else, or where the sweep was sure of it.
 pub fn ground_probability(height_m: f32, of_altitude: impl FnOnce() -> f32) -> Option<f32> {
     let probability = (height_m > LEAST_M).then(of_altitude)?;
-    (probability < SURE).then_some(1.0 - probability)
+    (!is_sure(probability)).then_some(1.0 - probability)
+}
+
+/// Whether the sweep was sure of an altitude of this probability.
+pub(super) fn is_sure(probability: f32) -> bool {
+    probability >= SURE
 }

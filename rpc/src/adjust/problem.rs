@@ -138,9 +138,7 @@ impl<'a> BlockAdjustment<'a> {
     /// Residuals and slopes of all sightings, track by track.
     fn linearised(&self, corrections: &[Correction], points: &[Vector3<f64>]) -> Result<Vec<Vec<Linear>>, RpcError> {
         let tracks = self.tracks.par_iter().zip(points).with_min_len(TRACKS_PER_JOB);
-        tracks
-            .map(|(track, point)| self.linearised_track(track, corrections, *point))
-            .collect()
+        first_error(tracks.map(|(track, point)| self.linearised_track(track, corrections, *point)))
     }
 
     fn linearised_track(
@@ -181,7 +179,7 @@ impl<'a> BlockAdjustment<'a> {
         points: &mut [Vector3<f64>],
     ) -> Result<(), RpcError> {
         let tracks = (self.tracks.par_iter().zip(weights).zip(points)).with_min_len(TRACKS_PER_JOB);
-        tracks.try_for_each(|((track, weights), point)| {
+        let place = |((track, weights), point): ((&&Track, &Vec<f64>), &mut Vector3<f64>)| {
             for _ in 0..POINT_ROUNDS {
                 let linear = self.linearised_track(track, corrections, *point)?;
                 let (mut normal, mut right) = (Matrix3::identity() * POINT_HOLD, Vector3::zeros());
@@ -198,7 +196,8 @@ impl<'a> BlockAdjustment<'a> {
                 }
             }
             Ok(())
-        })
+        };
+        first_error(tracks.map(place))
     }
 
     fn sigma_px(&self, linear: &[Vec<Linear>], parameters: usize) -> f64 {
@@ -224,6 +223,14 @@ impl<'a> BlockAdjustment<'a> {
         }
         points.iter_mut().for_each(|point| *point += translation_m);
     }
+}
+
+/// All results, or the error of the first track that has one: the same on any number of threads.
+fn first_error<T: Send, C: FromIterator<T>>(
+    of_tracks: impl IndexedParallelIterator<Item = Result<T, RpcError>>,
+) -> Result<C, RpcError> {
+    let of_tracks: Vec<Result<T, RpcError>> = of_tracks.collect();
+    of_tracks.into_iter().collect()
 }
 
 fn own_weights(track: &Track) -> Vec<f64> {
