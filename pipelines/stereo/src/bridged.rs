@@ -168,7 +168,7 @@ impl<'a> Light<'a> {
 }
 
 /// Altitude of the ground at cells to lower, in ascending order: the median of what was swept around them and is ground for sure. The ground
-/// below the surface, an opening, is that of the lowest cells around, and so of those that err most.
+/// below the surface, an opening, is that of the lowest cells around, and so of those that err most. No cell is raised.
 fn levels(grid: &Grid, surface: &Surface, ground_m: &[f32], cells: &[usize]) -> Vec<f32> {
     let is_ground = |&cell: &usize| {
         let height_m = surface.altitude[cell] - ground_m[cell];
