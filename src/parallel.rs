@@ -1,4 +1,4 @@
-//! Memory written on all threads: the first write to a page is what costs, and one thread would do it for all.
+//! New memory, set on all threads: the first write to a page is the dear one, since the system clears the page then.
 
 use rayon::prelude::*;
 

@@ -19,10 +19,23 @@ pub fn ground_below(size: (usize, usize), cell_m: f32, altitude_m: &[f32]) -> Ve
 /// of that altitude. `None` where the cell is not high enough to be anything else, or where the sweep was sure of it.
 pub fn ground_probability(height_m: f32, of_altitude: impl FnOnce() -> f32) -> Option<f32> {
     let probability = (height_m > LEAST_M).then(of_altitude)?;
-    (!is_sure(probability)).then_some(1.0 - probability)
+    (probability < SURE).then_some(1.0 - probability)
 }
 
-/// Whether the sweep was sure of an altitude of this probability.
+/// Whether the sweep was sure of an altitude of this probability; not where that is NaN.
 pub(super) fn is_sure(probability: f32) -> bool {
     probability >= SURE
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn an_unknown_probability_is_neither_sure_nor_doubt() {
+        assert!(!is_sure(f32::NAN) && ground_probability(5.0, || f32::NAN).is_none());
+        assert!(is_sure(SURE) && ground_probability(5.0, || SURE).is_none());
+        assert_eq!(ground_probability(5.0, || 0.75), Some(0.25));
+        assert_eq!(ground_probability(LEAST_M, || 0.75), None);
+    }
 }
