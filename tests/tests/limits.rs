@@ -47,6 +47,7 @@ fn inspect_says_what_each_preset_will_take() {
     assert_eq!(seen["estimates"]["best"]["at_most"], true);
     assert_eq!(seen["estimates"]["fast"]["at_most"], false);
     assert!(number("/estimates/fast/suns_s") >= 0.0);
+    assert!(number("/speed_varies_by") >= 0.0);
 }
 
 #[test]

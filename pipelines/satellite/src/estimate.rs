@@ -1,7 +1,8 @@
 //! What a training will take, before it begins: memory and time.
 //!
-//! The constants of memory were fitted to runs on `block` and a town (0.17 to 0.62 million Gaussians), those of time, on one core, to runs of
-//! `preview`, `fast` and `balanced` on `block` 31 (docs/lab/speed.md); `metrics.json` keeps the estimate beside what was used.
+//! The constants of memory were fitted to runs on `block` and a town (0.17 to 0.62 million Gaussians), those of time, on one core, to runs
+//! of all presets on `block` 31 and of short ones on `tiny`, `town` and `city` (docs/lab/speed.md); `metrics.json` keeps the estimates
+//! beside what was used.
 
 use super::config::{ModelOptions, SatelliteConfig};
 use super::error::FitError;
@@ -13,12 +14,11 @@ use heliosplat::shade::sh::functions;
 use heliosplat::timeline;
 use heliosplat::trace::transmittance;
 use heliosplat::train::TrainOptions;
-use heliosplat_rpc::statistics::upper_median;
 use heliosplat_scene::crop;
 use heliosplat_scene::survey::Survey;
-use heliosplat_scene::{Area, Scene};
+use heliosplat_scene::{Area, Scene, SceneImage};
 use heliosplat_stereo::height_levels;
-use std::time::Instant;
+use std::time::{Duration, Instant};
 
 pub use super::sweep_memory::PROGRAM_BYTES;
 
@@ -37,29 +37,35 @@ const SPARE_BYTES: f64 = 64.0 * 1_048_576.0;
 const PLANES: f64 = 24.0;
 /// The same per channel.
 const PLANES_PER_CHANNEL: f64 = 4.0;
-/// Seconds per cell and image before the first step: search, start, colours.
-const START_S_PER_CELL: f64 = 1.25e-5;
-/// Seconds per pixel of all images trained on, before the first step: reading, ties.
-const TIES_S_PER_PIXEL: f64 = 1.5e-6;
+/// Seconds before the first step per cell that an image shows and other image: search, start, colours.
+const START_S_PER_CELL: f64 = 2.05e-5;
+/// Seconds before the first step per image: reading, ties.
+const START_S_PER_VIEW: f64 = 0.26;
 /// Seconds per Gaussian and step, without light.
-const STEP_S_PER_GAUSSIAN: f64 = 5.8e-7;
-/// Seconds per Gaussian to trace light once, with gradients.
-const TRACE_S_PER_GAUSSIAN: f64 = 9.0e-7;
+const STEP_S_PER_GAUSSIAN: f64 = 5.5e-7;
+/// Seconds per Gaussian that an image shows to trace light once, with gradients.
+const TRACE_S_PER_GAUSSIAN: f64 = 1.25e-6;
 /// The same for shadow consistency.
-const CONSISTENCY_S_PER_GAUSSIAN: f64 = 5.0e-7;
-/// Seconds per Gaussian and image, and as much for two more, after training: products, evaluation, report.
-const PRODUCT_S_PER_GAUSSIAN: f64 = 1.2e-6;
+const CONSISTENCY_S_PER_GAUSSIAN: f64 = 6.3e-7;
+/// Seconds after training per Gaussian that an image shows and image, and as much again for those trained on: albedo, evaluation.
+const VIEW_S_PER_GAUSSIAN: f64 = 1.53e-6;
 /// The same per pixel.
-const PRODUCT_S_PER_PIXEL: f64 = 1.2e-6;
-/// Seconds per Gaussian and view to solve the albedo after training.
-const ALBEDO_S_PER_GAUSSIAN: f64 = 1.0e-6;
+const VIEW_S_PER_PIXEL: f64 = 2.5e-6;
+/// Seconds per Gaussian for products and report.
+const PRODUCT_S_PER_GAUSSIAN: f64 = 3.2e-6;
 /// What the planner's short fits take, in steps of the training (21 to 40 were seen).
 const TRIALS_AS_STEPS: f64 = 30.0;
 /// Seconds of one step of the small site, and of its light, on a core of the machine that the seconds above were measured on.
 const REFERENCE_S: f64 = 0.037;
-/// How often they are measured, and how often on each core at least.
-const MEASUREMENTS: usize = 8;
+/// Cores that are measured, at most.
+const MOST_CORES: usize = 4;
+/// How often each is, at least.
 const FEWEST_OF_A_CORE: usize = 2;
+/// How long the machine's speed is measured, at least and at most.
+const BRIEFLY: Duration = Duration::from_millis(350);
+const AT_LENGTH: Duration = Duration::from_secs(5);
+/// How long it is measured where that is all that will be known of it, in times of a run.
+const MEASURED_SHARE: f64 = 0.2;
 /// Share of the steps after which a state can be the best, from which on epochs without progress count (`src/train/holdout.rs`).
 const KEPT_FROM: f64 = 0.25;
 /// Most time for the search for suns, in times before the first step (1.4 to 3.4 were seen where short fits were made).
@@ -102,48 +108,89 @@ impl Estimate {
         };
         format!("{most}{:.0} s{suns}", self.seconds)
     }
+
+    /// Seconds in all, once the start is over: it took `start_s` seconds, from which the speed of the machine is known, and the search for
+    /// suns `suns_s` more.
+    pub fn seconds_after_start(&self, start_s: f64, suns_s: f64) -> f64 {
+        start_s + suns_s + (self.seconds - self.start_s) * start_s / self.start_s
+    }
 }
 
-/// How much slower this machine is, on the threads that it is given, than one core of the machine the constants are from; takes a third
-/// of a second. Single cores are measured, since work small enough to be measured quickly is too small for many, up to four at the same
-/// time.
+/// How fast this machine is, on the threads that it is given.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Speed {
+    /// How much slower it is than one core of the machine the constants are from.
+    pub slowness: f64,
+    /// By how much the time of a fixed piece of work varies, some 50 ms on one core: one standard deviation, relative to the mean.
+    pub varies_by: f64,
+}
+
+/// How much slower this machine is, measured in half a second.
 pub fn slowness() -> f64 {
+    measured_speed(BRIEFLY).slowness
+}
+
+/// The speed of this machine, measured for longer where runs are longer, up to five seconds: `run_s` are the seconds that one takes on a
+/// machine of a slowness.
+pub fn speed_for(run_s: impl Fn(f64) -> f64) -> Speed {
+    let speed = measured_speed(BRIEFLY);
+    let wanted = Duration::try_from_secs_f64(MEASURED_SHARE * run_s(speed.slowness)).unwrap_or(AT_LENGTH);
+    match wanted > BRIEFLY {
+        true => measured_speed(wanted.min(AT_LENGTH)),
+        false => speed,
+    }
+}
+
+/// Single cores are measured, since work small enough to be measured quickly is too small for many. What else the machine does, and how
+/// fast its processors run meanwhile, slow a training down in the mean: so this is one.
+fn measured_speed(measured: Duration) -> Speed {
     let threads = rayon::current_num_threads();
     let share = ONE_CORE_SHARE + (1.0 - ONE_CORE_SHARE) / threads as f64;
-    let cores = threads.min(MEASUREMENTS / FEWEST_OF_A_CORE);
     let on_a_core = || {
         let one_thread = rayon::ThreadPoolBuilder::new().num_threads(1).build().ok()?;
-        Some(one_thread.install(|| one_core_seconds(MEASUREMENTS.div_ceil(cores))))
+        Some(one_thread.install(|| one_core_seconds(measured)))
     };
     let on_all = || {
         std::thread::scope(|scope| {
-            let cores: Vec<_> = (0..cores).map(|_| scope.spawn(on_a_core)).collect();
+            let cores: Vec<_> = (0..threads.min(MOST_CORES)).map(|_| scope.spawn(on_a_core)).collect();
             let measured = cores.into_iter().filter_map(|core| core.join().ok().flatten());
-            measured.flatten().collect()
+            measured.flatten().collect::<Vec<f64>>()
         })
     };
-    let mut seconds: Vec<f64> = match cores {
+    let seconds = match threads {
         // The leading thread waits for one other: work on one core, as the timeline counts it.
         1 => timeline::beside(on_all, || ()).0,
         _ => on_all(),
     };
-    // What else the machine does all the time slows the training down too, a single pause does not.
-    share * upper_median(&mut seconds).map_or(1.0, |seconds| seconds / REFERENCE_S)
+    // None where no thread could be had: then nothing is known.
+    let count = seconds.len().max(1) as f64;
+    let mean = seconds.iter().sum::<f64>() / count;
+    let variance = seconds.iter().map(|seconds| (seconds - mean).powi(2)).sum::<f64>() / count;
+    Speed {
+        slowness: share * if mean > 0.0 { mean / REFERENCE_S } else { 1.0 },
+        varies_by: if mean > 0.0 { variance.sqrt() / mean } else { 0.0 },
+    }
 }
 
-/// Seconds of a step of the small site and of its light, measured so many times after a first that does not count: in it memory is new.
-fn one_core_seconds(times: usize) -> Vec<f64> {
-    fn seconds<T>(mut work: impl FnMut() -> T) -> f64 {
-        let begun = Instant::now();
-        std::hint::black_box(work());
-        begun.elapsed().as_secs_f64()
-    }
+/// Seconds of a step of the small site and of its light, again and again for the time that they are `measured`, after a first that does not
+/// count: in it memory is new.
+fn one_core_seconds(measured: Duration) -> Vec<f64> {
     let site = Site::new(40_000, 320, 0.6);
     let mut lighting = Lighting::new(&site);
-    let light_s: Vec<f64> = (0..=times).map(|_| seconds(|| lighting.step(transmittance))).collect();
-    let mut descent = Descent::new(site);
-    let both_s = light_s.iter().map(|light_s| light_s + seconds(|| descent.step()));
-    both_s.skip(1).collect()
+    let mut descent = Descent::new(Site::new(40_000, 320, 0.6));
+    let mut both = || {
+        let begun = Instant::now();
+        std::hint::black_box(lighting.step(transmittance));
+        std::hint::black_box(descent.step());
+        begun.elapsed().as_secs_f64()
+    };
+    both();
+    let begun = Instant::now();
+    let mut seconds = Vec::new();
+    while seconds.len() < FEWEST_OF_A_CORE || begun.elapsed() < measured {
+        seconds.push(both());
+    }
+    seconds
 }
 
 /// Bytes that the process holds when its scene is open: itself and the images. What the system says it holds is no measure: an
@@ -151,6 +198,12 @@ fn one_core_seconds(times: usize) -> Vec<f64> {
 pub fn held_bytes(scene: &Scene) -> f64 {
     let values: usize = scene.images.iter().map(|image| image.pixels.values.len()).sum();
     PROGRAM_BYTES + 4.0 * values as f64
+}
+
+/// Pixels of all images.
+fn pixels(scene: &Scene) -> f64 {
+    let of = |image: &SceneImage| (image.pixels.width * image.pixels.height) as f64;
+    scene.images.iter().map(of).sum()
 }
 
 /// Bytes of the copies of `pixels` that are swept and trained on, the latter with weights.
@@ -193,6 +246,8 @@ pub struct Extent {
     pub images: usize,
     /// Those of them that are trained on.
     pub training: usize,
+    /// Pixels of an image that show the ground, in the mean.
+    pub image_pixels: f64,
     /// Metres from the lowest to the highest altitude that is searched.
     pub altitudes_m: f64,
     /// Largest base-to-height ratio of two images.
@@ -207,6 +262,7 @@ impl From<&Scene> for Extent {
             bands: scene.bands().len(),
             images: scene.images.len(),
             training: scene.training().count(),
+            image_pixels: pixels(scene) / scene.images.len().max(1) as f64,
             altitudes_m: scene.altitude_range_m.1 - scene.altitude_range_m.0,
             widest_base_to_height: ground::Ground::new(scene, scene.training())
                 .map_or(0.0, |ground| ground.widest_base_to_height()),
@@ -224,6 +280,7 @@ impl From<&Survey> for Extent {
             bands: survey.bands,
             images,
             training,
+            image_pixels: survey.pixels() / images.max(1) as f64,
             altitudes_m: high_m - low_m,
             widest_base_to_height: survey.widest_base_to_height,
         }
@@ -258,6 +315,7 @@ pub fn estimate_of(extent: &Extent, config: &SatelliteConfig, slowness: f64, hel
         bands,
         images,
         training,
+        image_pixels,
         altitudes_m,
         widest_base_to_height,
         ..
@@ -275,13 +333,17 @@ pub fn estimate_of(extent: &Extent, config: &SatelliteConfig, slowness: f64, hel
     let levels = height_levels(altitudes_m as f32, cell_m as f32, widest_base_to_height as f32);
     let search = search_bytes(cells, levels, training as f64 * pixels);
     let peak = |gaussians: f64| fixed + training_bytes(gaussians).max(search);
-    let start_s = (START_S_PER_CELL * cells + TIES_S_PER_PIXEL * pixels) * training as f64 * slowness;
+    let cells_seen = (image_pixels / (config.start.cell_gsd * config.start.cell_gsd)).min(cells);
+    let gaussians_seen = GAUSSIANS_PER_CELL * cells_seen;
+    let views = training as f64;
+    let start_s = (START_S_PER_CELL * cells_seen * (views - 1.0).max(0.0) + START_S_PER_VIEW * views) * slowness;
     let growth = config.train.clone().for_views(training).growth();
-    let per_gaussian = STEP_S_PER_GAUSSIAN + light_s_per_gaussian(&config.train);
-    let step_s = per_gaussian * gaussians * 0.5 * (1.0 + growth) * slowness;
-    let products = (PRODUCT_S_PER_GAUSSIAN * gaussians * growth + PRODUCT_S_PER_PIXEL * pixels) * (images + 2) as f64;
-    let albedo = ALBEDO_S_PER_GAUSSIAN * gaussians * growth * training as f64;
-    let after_s = (products + albedo) * slowness;
+    let without_light = STEP_S_PER_GAUSSIAN * gaussians;
+    let step_s =
+        (without_light + light_s_per_gaussian(&config.train) * gaussians_seen) * 0.5 * (1.0 + growth) * slowness;
+    let evaluation = VIEW_S_PER_GAUSSIAN * gaussians_seen * growth * (images as f64 + views)
+        + VIEW_S_PER_PIXEL * image_pixels * images as f64;
+    let after_s = (evaluation + PRODUCT_S_PER_GAUSSIAN * gaussians * growth) * slowness;
     Estimate {
         gaussians,
         peak_bytes: peak(MANY_GAUSSIANS_PER_CELL * cells * growth),
@@ -371,6 +433,7 @@ mod tests {
             bands: 4,
             images: 12,
             training: 10,
+            image_pixels: 3e4,
             altitudes_m: 40.0,
             widest_base_to_height: 0.5,
         };
@@ -387,5 +450,7 @@ mod tests {
             estimate.time_in_words(),
             "629 s, and up to 90 s more to find unknown suns"
         );
+        (estimate.start_s, estimate.seconds) = (20.0, 120.0);
+        assert_eq!(estimate.seconds_after_start(30.0, 7.0), 187.0);
     }
 }

@@ -7,7 +7,7 @@ use super::one_light::{self, OneLight};
 use super::plan::{Decisions, Light};
 use super::preprocess::{Preprocess, Preprocessed};
 use super::trial::{self, Component, Trials};
-use super::{clouds, daylight, linear, probe, radiometry, short_fit, suns};
+use super::{clouds, daylight, estimate, linear, probe, radiometry, short_fit, suns};
 use heliosplat::ProjectiveCamera;
 use heliosplat::model::shadow_gs::ShadowGs;
 use heliosplat::model::{Parameters, View};
@@ -24,7 +24,7 @@ use heliosplat_session::Session;
 use heliosplat_stereo::Surface;
 use heliosplat_stereo::bridged::Lowered;
 use heliosplat_stereo::change::Changes;
-use std::time::Instant;
+use std::time::{Duration, Instant};
 
 /// Short fits that are made for the sake of suns, at most: each finds fewer than the one before.
 const MOST_SHORT_FITS: usize = 3;
@@ -32,8 +32,10 @@ const MOST_SHORT_FITS: usize = 3;
 const BUDGET_FOR_SUNS: f64 = 0.3;
 
 /// What a fit may take.
-#[derive(Debug, Clone, Copy, Default)]
+#[derive(Debug, Clone, Copy)]
 pub struct Limits {
+    /// When the run began.
+    pub begun: Instant,
     /// Time.
     pub budget: Option<Budget>,
     /// Memory, bytes.
@@ -80,6 +82,8 @@ pub struct Fitted {
     pub ending: Ending,
     /// The most memory that training was expected to take when it began, bytes.
     pub memory_estimate: f64,
+    /// Seconds that the run was expected to take when its start was over; not of one that was resumed or has a limit of time.
+    pub time_estimate_s: Option<f64>,
 }
 
 /// A nadir camera over an area of the scene frame.
@@ -116,10 +120,12 @@ pub fn fit(
         Some(preprocessed) => Preprocess::again(scene, preprocessed)?,
         None => None,
     };
+    let mut searched = None;
     let Preprocess { ground, found } = match again {
         Some(swept) => swept,
         None => {
             let mut swept = Preprocess::new(scene, config, decisions, session)?;
+            let begun = Instant::now();
             suns::search(scene, &mut swept);
             let suns = suns::of_ground(scene, &swept.ground, &swept.found.shadow_suns);
             if swept.sweep_under(suns, scene, config, decisions, session) {
@@ -136,6 +142,7 @@ pub fn fit(
                 let suns = suns::of_ground(scene, &swept.ground, &swept.found.shadow_suns);
                 swept.sweep_under(suns, scene, config, decisions, session);
             }
+            searched = Some(begun.elapsed());
             swept
         }
     };
@@ -182,6 +189,9 @@ pub fn fit(
     }
     linear::begin(&model, &mut parameters, &views);
     drop(part);
+    let time_estimate_s = searched
+        .filter(|_| limits.budget.is_none())
+        .map(|searched| say_estimate_after_start(scene, config, limits.begun.elapsed(), searched));
     let part = stage("trials");
     let open = open(decisions, bands, |decisions| {
         memory(&decisions.resolved(config), &parameters, &views, &mut options.clone()).is_ok()
@@ -254,6 +264,7 @@ pub fn fit(
         curve: trained.curve,
         ending: trained.ending,
         memory_estimate,
+        time_estimate_s,
         model,
         images: ground.images.iter().map(|image| image.name.clone()).collect(),
         clouded: found.clouds.iter().map(|mask| clouds::share(mask)).collect(),
@@ -272,6 +283,17 @@ pub fn fit(
             (swept.elapsed() - initialised).as_secs_f64(),
         ],
     })
+}
+
+/// Says how long the run will take, and returns the seconds: of those that passed, some were spent on the search for suns.
+fn say_estimate_after_start(scene: &Scene, config: &SatelliteConfig, passed: Duration, searched: Duration) -> f64 {
+    // How fast the machine is cancels out.
+    let estimate = estimate::estimate(scene, config, 1.0);
+    let start_s = passed.saturating_sub(searched).as_secs_f64();
+    let seconds = estimate.seconds_after_start(start_s, searched.as_secs_f64());
+    let most = if estimate.at_most { "at most " } else { "" };
+    tracing::info!("estimate after the start: {most}{seconds:.0} s in all");
+    seconds
 }
 
 /// The components that are left to short fits and that the rasteriser and, as `fits` says of decisions, the memory have room for.

@@ -69,6 +69,7 @@ pub fn train(
         closing,
     } = folder;
     let limits = Limits {
+        begun,
         budget,
         memory: request.memory,
     };

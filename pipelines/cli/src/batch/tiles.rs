@@ -208,6 +208,7 @@ fn estimate(request: &Request, tile: &TileSurvey) -> Estimate {
         bands: request.survey.bands,
         images: tile.images,
         training: tile.training,
+        image_pixels: tile.pixels / tile.images.max(1) as f64,
         altitudes_m: request.survey.altitude_range_m.1 - request.survey.altitude_range_m.0,
         widest_base_to_height: request.survey.widest_base_to_height,
     };

@@ -6,7 +6,7 @@ use crate::outcome::{CliError, Outcome};
 use clap::Args;
 use heliosplat_fitting::settings::Preset;
 use heliosplat_satellite::config::SatelliteConfig;
-use heliosplat_satellite::estimate::{Estimate, estimate, slowness};
+use heliosplat_satellite::estimate::{Estimate, Speed, estimate, speed_for};
 use heliosplat_satellite::{Decisions, PlanItem, altitude};
 use heliosplat_scene::{Scene, SceneImage, Split, ValueKind, Values, saturation};
 use serde_json::{Value, json};
@@ -31,39 +31,36 @@ pub(crate) fn run(args: &InspectArgs) -> Result<Outcome, CliError> {
     let scene = altitude::open(&args.scene, &args.ingest.options())?;
     let coverage = Coverage::of(&scene);
     let decisions = Decisions::of(&scene, &SatelliteConfig::default());
-    let estimates = estimates(&scene)?;
     let mut json = describe(&scene, &coverage, &decisions);
-    json["estimates"] = estimates
-        .iter()
-        .map(|(preset, e)| ((*preset).to_owned(), json!(e)))
-        .collect();
-    Ok(Outcome {
-        json,
-        text: table(&scene, &coverage, &decisions.items) + &estimates_table(&estimates),
-    })
+    let mut text = table(&scene, &coverage, &decisions.items);
+    if scene.training().count() >= 2 {
+        let preview = SatelliteConfig::resolve(Preset::Preview, &[], 1)?;
+        let speed = speed_for(|slowness| estimate(&scene, &preview, slowness).seconds);
+        let estimates = estimates(&scene, speed)?;
+        json["estimates"] = estimates
+            .iter()
+            .map(|(preset, e)| ((*preset).to_owned(), json!(e)))
+            .collect();
+        json["speed_varies_by"] = json!(speed.varies_by);
+        text += &estimates_table(&estimates, speed);
+    }
+    Ok(Outcome { json, text })
 }
 
-/// What each preset will take on this machine.
-fn estimates(scene: &Scene) -> Result<Vec<(&'static str, Estimate)>, CliError> {
-    if scene.training().count() < 2 {
-        return Ok(Vec::new());
-    }
-    let slowness = slowness();
-    Preset::ALL
-        .into_iter()
-        .rev()
-        .map(|preset| {
-            let config = SatelliteConfig::resolve(preset, &[], 1)?;
-            Ok((preset.name(), estimate(scene, &config, slowness)))
-        })
-        .collect()
+/// Variation of the speed of this machine above which it is said.
+const VARIES_MUCH: f64 = 0.1;
+
+/// What each preset will take on a machine of this speed.
+fn estimates(scene: &Scene, speed: Speed) -> Result<Vec<(&'static str, Estimate)>, CliError> {
+    let of = |preset: Preset| {
+        let config = SatelliteConfig::resolve(preset, &[], 1)?;
+        Ok((preset.name(), estimate(scene, &config, speed.slowness)))
+    };
+    Preset::ALL.into_iter().rev().map(of).collect()
 }
 
-fn estimates_table(estimates: &[(&str, Estimate)]) -> String {
-    let mut text = String::new();
-    if !estimates.is_empty() {
-        text += "\ntraining will take about\n";
-    }
+fn estimates_table(estimates: &[(&str, Estimate)], speed: Speed) -> String {
+    let mut text = "\ntraining will take about\n".to_owned();
     for (preset, e) in estimates {
         let most = if e.at_most { "at most" } else { "" };
         // Writing to a String cannot fail.
@@ -77,6 +74,13 @@ fn estimates_table(estimates: &[(&str, Estimate)]) -> String {
     let suns_s = estimates.iter().map(|(_, e)| e.suns_s).fold(0.0, f64::max);
     if suns_s > 0.0 {
         let _ = writeln!(text, "  and up to {suns_s:.0} s more to find unknown suns");
+    }
+    if speed.varies_by > VARIES_MUCH {
+        let percent = 100.0 * speed.varies_by;
+        let _ = writeln!(
+            text,
+            "  the speed of this machine varied by {percent:.0} % while it was measured, so times are uncertain"
+        );
     }
     text
 }
