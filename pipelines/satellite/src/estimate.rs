@@ -135,10 +135,12 @@ pub fn slowness() -> f64 {
 pub fn speed_for(run_s: impl Fn(f64) -> f64) -> Speed {
     let speed = measured_speed(BRIEFLY);
     let wanted = Duration::try_from_secs_f64(MEASURED_SHARE * run_s(speed.slowness)).unwrap_or(AT_LENGTH);
-    match wanted > BRIEFLY {
-        true => measured_speed(wanted.min(AT_LENGTH)),
-        false => speed,
+    if wanted <= BRIEFLY {
+        return speed;
     }
+    let wanted = wanted.min(AT_LENGTH);
+    tracing::info!("measuring the speed of this machine for {:.1} s", wanted.as_secs_f64());
+    measured_speed(wanted)
 }
 
 /// Single cores are measured, since work small enough to be measured quickly is too small for many. What else the machine does, and how

@@ -292,7 +292,7 @@ fn say_estimate_after_start(scene: &Scene, config: &SatelliteConfig, passed: Dur
     let start_s = passed.saturating_sub(searched).as_secs_f64();
     let seconds = estimate.seconds_after_start(start_s, searched.as_secs_f64());
     let most = if estimate.at_most { "at most " } else { "" };
-    tracing::info!("estimate after the start: {most}{seconds:.0} s in all");
+    tracing::info!("estimate before the first step: {most}{seconds:.0} s in all");
     seconds
 }
 
