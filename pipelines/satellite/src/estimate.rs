@@ -397,6 +397,22 @@ mod tests {
     use super::*;
     use heliosplat_fitting::settings::Preset;
 
+    const EXTENT: Extent = Extent {
+        area: Area {
+            west_m: 0.0,
+            south_m: 0.0,
+            east_m: 100.0,
+            north_m: 100.0,
+        },
+        gsd_m: 0.5,
+        bands: 4,
+        images: 12,
+        training: 10,
+        image_pixels: 3e4,
+        altitudes_m: 40.0,
+        widest_base_to_height: 0.5,
+    };
+
     #[test]
     fn what_fits_is_what_was_asked_for() {
         let bytes = |gaussians: f64| training_bytes(gaussians, 10, 4, 2.5e5);
@@ -423,25 +439,31 @@ mod tests {
     }
 
     #[test]
-    fn a_time_is_the_most_where_training_may_stop_early() {
-        let extent = Extent {
-            area: Area {
-                west_m: 0.0,
-                south_m: 0.0,
-                east_m: 100.0,
-                north_m: 100.0,
-            },
-            gsd_m: 0.5,
-            bands: 4,
-            images: 12,
-            training: 10,
-            image_pixels: 3e4,
-            altitudes_m: 40.0,
-            widest_base_to_height: 0.5,
+    fn more_takes_longer() {
+        let config = SatelliteConfig::default();
+        let seconds = |extent: Extent, slowness| estimate_of(&extent, &config, slowness, 1e8).seconds;
+        let usual_s = seconds(EXTENT, 1.0);
+        let larger_images = Extent {
+            image_pixels: 2.0 * EXTENT.image_pixels,
+            ..EXTENT
         };
+        let more_images = Extent {
+            images: 24,
+            training: 22,
+            ..EXTENT
+        };
+        assert!(seconds(larger_images, 1.0) > usual_s && seconds(more_images, 1.0) > usual_s);
+        assert!((seconds(EXTENT, 3.0) - 3.0 * usual_s).abs() < 1e-9 * usual_s);
+        // More than the ground there is no image shows.
+        let beyond = |image_pixels| seconds(Extent { image_pixels, ..EXTENT }, 1.0);
+        assert!(beyond(1e6) - beyond(1e5) < beyond(1e5));
+    }
+
+    #[test]
+    fn a_time_is_the_most_where_training_may_stop_early() {
         let of = |preset: Preset| {
             let config = SatelliteConfig::resolve(preset, &[], 1).expect("a preset");
-            estimate_of(&extent, &config, 1.0, 1e8)
+            estimate_of(&EXTENT, &config, 1.0, 1e8)
         };
         assert!(of(Preset::Best).at_most && !of(Preset::Fast).at_most && !of(Preset::Preview).at_most);
         let mut estimate = of(Preset::Best);
