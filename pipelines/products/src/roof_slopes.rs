@@ -9,8 +9,8 @@
 
 use crate::nadir::CellVectors;
 use glam::{Mat3, Vec3};
+use heliosplat_grid::opening;
 use heliosplat_rpc::sun::SunPosition;
-use heliosplat_stereo::opening;
 use rayon::prelude::*;
 
 /// Half the width of the window that a plane is laid through, metres.

@@ -155,7 +155,7 @@ pub enum FitError {
     },
     /// A mask of shadows that cannot be used.
     #[error(transparent)]
-    Mask(#[from] MaskError),
+    Mask(#[from] heliosplat_radiometry::shadow_prior::MaskError),
     /// Training gave up, or its checkpoint is at fault.
     #[error(transparent)]
     Training(#[from] TrainingError),
@@ -165,24 +165,4 @@ impl From<TrainError> for FitError {
     fn from(error: TrainError) -> Self {
         Self::Training(error.into())
     }
-}
-
-/// Why a mask cannot be used.
-#[derive(Debug, thiserror::Error)]
-pub enum MaskError {
-    /// A file that is missing or damaged.
-    #[error("model.shadow_masks: {0}")]
-    File(#[from] RasterError),
-    /// A mask that does not lie on its image.
-    #[error(
-        "model.shadow_masks: {path} has {mask_px:?} pixels and its image {image_px:?}; a mask covers its image: 1 where it is lit, 0 in shadow"
-    )]
-    Size {
-        /// The mask.
-        path: PathBuf,
-        /// Its columns and rows.
-        mask_px: (usize, usize),
-        /// Those of its image.
-        image_px: (usize, usize),
-    },
 }

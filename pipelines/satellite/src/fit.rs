@@ -3,11 +3,11 @@
 use super::beginning::{self, Beginning, SKY};
 use super::config::SatelliteConfig;
 use super::error::FitError;
-use super::one_light::{self, OneLight};
+
 use super::plan::{Decisions, Light};
 use super::preprocess::{Preprocess, Preprocessed};
 use super::trial::{self, Component, Trials};
-use super::{clouds, daylight, estimate, linear, probe, radiometry, short_fit, suns};
+use super::{clouds, estimate, probe, short_fit, suns};
 use heliosplat::ProjectiveCamera;
 use heliosplat::model::shadow_gs::ShadowGs;
 use heliosplat::model::{Parameters, View};
@@ -18,11 +18,13 @@ use heliosplat_fitting::budget::Budget;
 use heliosplat_fitting::checkpoint::{CheckpointWriter, LoadedCheckpoint};
 use heliosplat_fitting::curve::CurvePoint;
 use heliosplat_fitting::training::{Ending, TrainingError, train};
-use heliosplat_products::daylight::Daylight;
+use heliosplat_radiometry::bridged::Lowered;
+use heliosplat_radiometry::daylight::{self, Daylight};
+use heliosplat_radiometry::one_light::{self, OneLight};
+use heliosplat_radiometry::{colours, linear};
 use heliosplat_scene::{Area, ImageSun, KnownTiles, Scene};
 use heliosplat_session::Session;
 use heliosplat_stereo::Surface;
-use heliosplat_stereo::bridged::Lowered;
 use heliosplat_stereo::change::Changes;
 use std::time::{Duration, Instant};
 
@@ -180,7 +182,7 @@ pub fn fit(
     let mut memory_estimate = memory(config, &parameters, &views, &mut options)?;
     drop(part);
     let part = stage("colours");
-    let shades = radiometry::initialise(&model, &mut parameters, &mut views, SKY);
+    let shades = colours::initialise(&model, &mut parameters, &mut views, SKY);
     let nadir = nadir_camera(&scene.area, scene.gsd_m);
     let one_light = OneLight::of(&suns, model.options.reference);
     let darkest = one_light::darkest(&views[model.options.reference].image);

@@ -2,8 +2,8 @@
 
 use super::error::FitError;
 use heliosplat::Raster;
+use heliosplat_grid::statistics::upper_quantile;
 use heliosplat_rpc::LocalFrame;
-use heliosplat_rpc::statistics::upper_quantile;
 use heliosplat_scene::crop::{self, Crop};
 use heliosplat_scene::{Area, ImageSun, Scene, SceneImage};
 use heliosplat_stereo::{

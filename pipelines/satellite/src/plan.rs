@@ -15,12 +15,12 @@ pub use measured::PlanTrial;
 
 use super::config::{Align, SatelliteConfig, THRESHOLD_PX};
 use super::ground::Ground;
-use super::shadow_prior::ENOUGH_VIEWS;
 use super::trial::Component;
+use heliosplat_radiometry::shadow_prior::ENOUGH_VIEWS;
+use heliosplat_radiometry::suns::ShadowSun;
 use heliosplat_scene::{ImageSun, Scene, SceneImage, SunSource};
 use heliosplat_scene::{crop, saturation};
 use heliosplat_stereo::clouds::FEWEST_VIEWS;
-use heliosplat_stereo::suns::ShadowSun;
 use heliosplat_stereo::{FEW_VIEWS, MatchingFacts, MatchingParameters, no_match_weight};
 
 /// What is decided about a scene.

@@ -8,13 +8,14 @@ use super::config::SatelliteConfig;
 use super::error::FitError;
 use super::plan::Decisions;
 use super::preprocess::Preprocess;
-use super::{linear, radiometry, suns};
+use super::suns;
 use heliosplat::ProjectiveCamera;
 use heliosplat::splat::ProjectionOptions;
 use heliosplat::timeline::stage;
 use heliosplat::train::Trainer;
 use heliosplat_products::dsm;
 use heliosplat_products::surface::SurfaceGaussians;
+use heliosplat_radiometry::{colours, linear};
 use heliosplat_scene::Scene;
 use heliosplat_session::Session;
 
@@ -49,7 +50,7 @@ pub(super) fn altitudes(
     options.holdout = 0.0;
     options.patience = 0;
     beginning::fit_into_memory(memory, scene, &parameters, &views, config, &mut options)?;
-    radiometry::initialise(&model, &mut parameters, &mut views, SKY);
+    colours::initialise(&model, &mut parameters, &mut views, SKY);
     linear::begin(&model, &mut parameters, &views);
     if views.iter().filter(|view| view.light.is_some()).count() >= FEWEST_KNOWN {
         beginning::keep_known_suns(&mut views);

@@ -8,7 +8,7 @@ use super::sampling::{self, Line, Places, cubic_weights};
 use super::views::SweepView;
 use glam::Vec3;
 use heliosplat::{ProjectiveCamera, Raster};
-use heliosplat_rpc::statistics::upper_median;
+use heliosplat_grid::statistics::upper_median;
 
 /// The smaller side of a level has at least this many pixels, however large the cells: fewer hold no window of the census.
 const FEWEST_PIXELS: usize = 8;

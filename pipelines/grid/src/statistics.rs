@@ -10,7 +10,7 @@
 //! Functions that take `&mut [T]` work in place, in linear time on average, and leave the values in another order.
 //!
 //! ```
-//! use heliosplat_rpc::statistics::{median, nmad, upper_median};
+//! use heliosplat_grid::statistics::{median, nmad, upper_median};
 //!
 //! assert_eq!(median(&mut [4.0, 1.0, 3.0, 2.0]), Some(2.5));
 //! assert_eq!(upper_median(&mut [4.0, 1.0, 3.0, 2.0]), Some(3.0));

@@ -6,10 +6,10 @@
 //! so that the search is one of whole shifts along the line, and a few pixels across it for what the cameras' pointing is off. A match must
 //! correlate well, have no rival on the line, and lead back to the corner. Matches whose altitude no neighbour shares are dropped.
 
-use super::super::grid::Grid;
 use super::{HALF, corners};
 use heliosplat::Raster;
-use heliosplat_rpc::statistics::median;
+use heliosplat_grid::Grid;
+use heliosplat_grid::statistics::median;
 use heliosplat_rpc::{ImagePoint, Rpc};
 use nalgebra::{Matrix2, Vector2};
 use rayon::prelude::*;

@@ -4,14 +4,14 @@
 //! is a change of altitude. Both are estimated from coarse to fine: sweep, lay the views on the surface, correlate each
 //! pair of them, spread the pairwise offsets over the views, repeat.
 
-use super::grid::Grid;
-use super::ortho;
-use super::pairs::Pair;
-use super::pyramid::Search;
-use super::request::PlaneSweepRequest;
-use super::views::SweepView;
+use crate::ortho;
+use crate::pairs::Pair;
+use crate::pyramid::Search;
+use crate::request::PlaneSweepRequest;
+use crate::views::SweepView;
 use glam::{DMat2, DMat3, DVec2, DVec3, Vec3};
 use heliosplat::ProjectiveCamera;
+use heliosplat_grid::Grid;
 use rayon::prelude::*;
 
 /// Offsets looked at, cells of the level each way.
