@@ -3,9 +3,13 @@
 //! Results are the same bytes for any number of threads.
 
 mod cells;
+mod peak;
 pub mod relief;
+mod sampling;
 pub mod statistics;
 mod total_variation;
 
 pub use cells::{Grid, lowest_within, opening};
+pub use peak::parabola_top;
+pub use sampling::{bilinear, bilinear_to_the_edge};
 pub use total_variation::smooth_by_deviation;

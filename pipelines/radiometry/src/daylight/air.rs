@@ -37,6 +37,7 @@ const REFINEMENTS: usize = 2;
 /// What one image says.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Evidence {
+    /// Elevation of the sun.
     pub elevation_rad: f64,
     /// Shaded beside sunlit ground, per band; `None` where the image does not tell.
     pub shade: Vec<Option<f64>>,

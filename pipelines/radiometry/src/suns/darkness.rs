@@ -136,19 +136,9 @@ fn seen(view: &SweepView, surface: &Surface, relief: &Relief, cells: &[usize]) -
 
 /// The mean of the bands, bilinear; NaN outside and beside missing pixels.
 pub(crate) fn bilinear(image: &Raster, col: f32, row: f32) -> f32 {
-    let (c0, r0) = (col.floor(), row.floor());
-    let inside = c0 >= 0.0 && r0 >= 0.0 && c0 + 1.0 < image.width as f32 && r0 + 1.0 < image.height as f32;
-    if !inside {
-        return f32::NAN;
-    }
-    let (fc, fr) = (col - c0, row - r0);
-    let (c0, r0) = (c0 as usize, r0 as usize);
-    let mut sum = 0.0;
-    for band in 0..image.bands {
-        let at = |c: usize, r: usize| image.at(band, c, r);
-        let north = at(c0, r0) * (1.0 - fc) + at(c0 + 1, r0) * fc;
-        let south = at(c0, r0 + 1) * (1.0 - fc) + at(c0 + 1, r0 + 1) * fc;
-        sum += north * (1.0 - fr) + south * fr;
-    }
+    let size = (image.width, image.height);
+    let sum: f32 = (0..image.bands)
+        .map(|band| heliosplat_grid::bilinear(image.plane(band), size, col, row))
+        .sum();
     sum / image.bands as f32
 }
