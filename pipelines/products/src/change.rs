@@ -10,6 +10,8 @@ use heliosplat_stereo::change::Segment;
 use jiff::Timestamp;
 use jiff::civil::Date;
 use jiff::tz::TimeZone;
+use rayon::prelude::*;
+use std::collections::BTreeMap;
 use std::ops::Sub;
 use std::path::Path;
 
@@ -21,6 +23,8 @@ pub const UNITS: [&str; 3] = ["metre", "YYYYMMDD", "1"];
 const LEAST_M: f32 = 1.5;
 /// Ground around a segment that may be part of it, metres.
 const AROUND_M: f64 = 1.0;
+/// Side of the squares of ground by which segments are looked up, metres: about a house.
+const SQUARE_M: f64 = 32.0;
 
 /// The day (UTC) of a moment, days since 1970.
 pub fn day_of(time: Timestamp) -> i32 {
@@ -65,24 +69,20 @@ impl ChangeMap {
             .chain(std::iter::once(last.raster.plane(0).to_vec()))
             .collect();
         let (width, height) = (nadir.grid.width, nadir.grid.height);
+        let near = SegmentsNear::new(&changes.segments);
+        let height_m = whole.file.origin.height_m;
+        let of_cell = |heights: &mut Vec<f32>, cell: usize| {
+            heights.clear();
+            heights.extend(surfaces.iter().map(|surface| surface[cell]));
+            let [east, north, _] = nadir.enu.enu((cell % width) as f64, (cell / width) as f64, height_m);
+            told(&moments, heights, &|day| near.confidence(day, east, north))
+        };
+        let cells = (0..width * height).into_par_iter().with_min_len(width);
+        let told: Vec<[f32; 3]> = cells.map_init(Vec::new, of_cell).collect();
         let mut raster = Raster::filled(width, height, BANDS.len(), 0.0);
-        for cell in 0..width * height {
-            let heights: Vec<f32> = surfaces.iter().map(|surface| surface[cell]).collect();
-            let [east, north, _] =
-                nadir
-                    .enu
-                    .enu((cell % width) as f64, (cell / width) as f64, whole.file.origin.height_m);
-            let of_day = |day: i32| {
-                let near = changes
-                    .segments
-                    .iter()
-                    .filter(|segment| segment.day == day && holds(segment, east, north));
-                near.map(|segment| segment.confidence).reduce(f32::max)
-            };
-            let [difference_m, day, confidence] = told(&moments, &heights, &of_day);
-            raster.plane_mut(0)[cell] = difference_m;
-            raster.plane_mut(1)[cell] = day;
-            raster.plane_mut(2)[cell] = confidence;
+        for band in 0..BANDS.len() {
+            let cells = raster.plane_mut(band).iter_mut().zip(&told);
+            cells.for_each(|(value, told)| *value = told[band]);
         }
         Some(Self { raster })
     }
@@ -133,10 +133,50 @@ impl ChangeMap {
     }
 }
 
-/// Whether a segment holds a place or nearly does, metres of the local frame.
-fn holds(segment: &Segment, east: f64, north: f64) -> bool {
+/// The segments of a model by the squares of ground that they lie on, so that a place is compared with those around it alone.
+struct SegmentsNear<'a> {
+    squares: BTreeMap<[i64; 2], Vec<&'a Segment>>,
+}
+
+impl<'a> SegmentsNear<'a> {
+    fn new(segments: &'a [Segment]) -> Self {
+        let mut squares: BTreeMap<[i64; 2], Vec<&Segment>> = BTreeMap::new();
+        for segment in segments {
+            let [west, south, east, north] = grown(segment).map(square);
+            for row in south..=north {
+                for col in west..=east {
+                    squares.entry([col, row]).or_default().push(segment);
+                }
+            }
+        }
+        Self { squares }
+    }
+
+    /// The greatest confidence of the segments of a day that hold a place or nearly do, metres of the local frame.
+    fn confidence(&self, day: i32, east: f64, north: f64) -> Option<f32> {
+        let holds = |segment: &&&Segment| {
+            let [west_m, south_m, east_m, north_m] = grown(segment);
+            segment.day == day && (west_m..east_m).contains(&east) && (south_m..north_m).contains(&north)
+        };
+        let near = self.squares.get(&[square(east), square(north)])?.iter().filter(holds);
+        near.map(|segment| segment.confidence).reduce(f32::max)
+    }
+}
+
+/// The bounds of a segment with the ground around it that may be part of it.
+fn grown(segment: &Segment) -> [f64; 4] {
     let [west_m, south_m, east_m, north_m] = segment.bounds_m.map(f64::from);
-    (west_m - AROUND_M..east_m + AROUND_M).contains(&east) && (south_m - AROUND_M..north_m + AROUND_M).contains(&north)
+    [
+        west_m - AROUND_M,
+        south_m - AROUND_M,
+        east_m + AROUND_M,
+        north_m + AROUND_M,
+    ]
+}
+
+/// The square of ground that a coordinate lies in.
+fn square(at_m: f64) -> i64 {
+    (at_m / SQUARE_M).floor() as i64
 }
 
 /// Difference, day and confidence of a cell whose altitudes on some days are `heights`; `of_day` is the confidence of a change there that day.
@@ -173,6 +213,42 @@ mod tests {
             as_date(day_of("1969-12-31T23:00:00Z".parse().expect("a time"))),
             19_691_231
         );
+    }
+
+    #[test]
+    fn a_place_has_the_confidence_of_the_surest_segment_of_the_day_around_it() {
+        let segments: Vec<Segment> = (0..400)
+            .map(|i| {
+                let west_m = (i % 20 * 13) as f32 - 130.0;
+                let south_m = (i / 20 * 11) as f32 - 110.0;
+                Segment {
+                    day: i % 3,
+                    difference_m: 4.0,
+                    area_m2: 1.0,
+                    bounds_m: [
+                        west_m,
+                        south_m,
+                        west_m + (i % 7 * 9) as f32,
+                        south_m + (i % 5 * 8) as f32,
+                    ],
+                    confidence: 0.5 + (i * 37 % 100) as f32 / 250.0,
+                }
+            })
+            .collect();
+        let near = SegmentsNear::new(&segments);
+        for (east, north) in (-150..200)
+            .step_by(7)
+            .flat_map(|x| (-130..180).map(move |y| (f64::from(x), f64::from(y))))
+        {
+            for day in 0..3 {
+                let holds = |s: &&Segment| {
+                    let [west_m, south_m, east_m, north_m] = grown(s);
+                    s.day == day && east >= west_m && east < east_m && north >= south_m && north < north_m
+                };
+                let all = segments.iter().filter(holds).map(|s| s.confidence).reduce(f32::max);
+                assert_eq!(near.confidence(day, east, north), all, "{east} {north} {day}");
+            }
+        }
     }
 
     #[test]

@@ -204,7 +204,8 @@ fn parts(grid: &Grid, surface: &Surface, ground_m: &[f32], changes: &Changes) ->
     };
     let least = (LEAST_M2 / (grid.cell_m * grid.cell_m)).ceil() as usize;
     let groups = grid.connected(&mask).into_iter().filter(|cells| cells.len() >= least);
-    groups.map(whole).collect()
+    // Of a part that changed nothing may be left.
+    groups.map(whole).filter(|part| !part.is_empty()).collect()
 }
 
 /// Whether the light of a part, cells in ascending order, tells that it lies on the ground.
@@ -310,6 +311,7 @@ impl Window {
 mod tests {
     use super::*;
     use heliosplat::{ProjectiveCamera, Raster};
+    use heliosplat_stereo::change::Segment;
 
     const SIDE: usize = 60;
     const HOUSES_M: f32 = 10.0;
@@ -437,6 +439,38 @@ mod tests {
             "opened ground is as high as most ground around, not as the lowest"
         );
         highest
+    }
+
+    #[test]
+    fn a_part_that_changed_altogether_is_no_part() {
+        let grid = Grid::plain(SIDE, SIDE);
+        let height_m: Vec<f32> = (0..SIDE * SIDE)
+            .map(|cell| if is_built(cell) { HOUSES_M } else { 0.0 })
+            .collect();
+        let surface = Surface {
+            width: SIDE,
+            height: SIDE,
+            cell_m: 1.0,
+            probability: (0..SIDE * SIDE)
+                .map(|cell| if is_court(cell) { 0.8 } else { 1.0 })
+                .collect(),
+            altitude: height_m,
+            ..Surface::default()
+        };
+        let changed = Changes {
+            segments: vec![Segment {
+                day: 1,
+                difference_m: HOUSES_M,
+                area_m2: 1.0,
+                bounds_m: [0.0; 4],
+                confidence: 0.9,
+            }],
+            label: vec![1; SIDE * SIDE],
+            ..Changes::default()
+        };
+        let ground_m = vec![0.0; SIDE * SIDE];
+        assert_eq!(parts(&grid, &surface, &ground_m, &Changes::default()).len(), 1);
+        assert!(parts(&grid, &surface, &ground_m, &changed).is_empty());
     }
 
     #[test]
