@@ -4,6 +4,7 @@
 
 mod cells;
 mod peak;
+mod plane;
 pub mod relief;
 mod sampling;
 pub mod statistics;
@@ -11,5 +12,6 @@ mod total_variation;
 
 pub use cells::{Grid, lowest_within, opening};
 pub use peak::parabola_top;
+pub use plane::PlaneFit;
 pub use sampling::{bilinear, bilinear_to_the_edge};
 pub use total_variation::smooth_by_deviation;

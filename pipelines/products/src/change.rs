@@ -11,7 +11,6 @@ use jiff::Timestamp;
 use jiff::civil::Date;
 use jiff::tz::TimeZone;
 use rayon::prelude::*;
-use std::collections::BTreeMap;
 use std::ops::Sub;
 use std::path::Path;
 
@@ -23,8 +22,6 @@ pub const UNITS: [&str; 3] = ["metre", "YYYYMMDD", "1"];
 const LEAST_M: f32 = 1.5;
 /// Ground around a segment that may be part of it, metres.
 const AROUND_M: f64 = 1.0;
-/// Side of the squares of ground by which segments are looked up, metres: about a house.
-const SQUARE_M: f64 = 32.0;
 
 /// The day (UTC) of a moment, days since 1970.
 pub fn day_of(time: Timestamp) -> i32 {
@@ -69,16 +66,21 @@ impl ChangeMap {
             .chain(std::iter::once(last.raster.plane(0).to_vec()))
             .collect();
         let (width, height) = (nadir.grid.width, nadir.grid.height);
-        let near = SegmentsNear::new(&changes.segments);
         let height_m = whole.file.origin.height_m;
-        let of_cell = |heights: &mut Vec<f32>, cell: usize| {
-            heights.clear();
-            heights.extend(surfaces.iter().map(|surface| surface[cell]));
-            let [east, north, _] = nadir.enu.enu((cell % width) as f64, (cell / width) as f64, height_m);
-            told(&moments, heights, &|day| near.confidence(day, east, north))
+        let of_row = |row: usize| {
+            let place = |col: usize| nadir.enu.enu(col as f64, row as f64, height_m);
+            let places: Vec<[f64; 3]> = (0..width).map(place).collect();
+            let near = segments_along(&changes.segments, &places);
+            let mut heights = Vec::new();
+            (0..width)
+                .map(|col| {
+                    heights.clear();
+                    heights.extend(surfaces.iter().map(|surface| surface[row * width + col]));
+                    told(&moments, &heights, &|day| confidence(&near, day, &places[col]))
+                })
+                .collect::<Vec<[f32; 3]>>()
         };
-        let cells = (0..width * height).into_par_iter().with_min_len(width);
-        let told: Vec<[f32; 3]> = cells.map_init(Vec::new, of_cell).collect();
+        let told: Vec<[f32; 3]> = (0..height).into_par_iter().flat_map_iter(of_row).collect();
         let mut raster = Raster::filled(width, height, BANDS.len(), 0.0);
         for band in 0..BANDS.len() {
             let cells = raster.plane_mut(band).iter_mut().zip(&told);
@@ -133,34 +135,30 @@ impl ChangeMap {
     }
 }
 
-/// The segments of a model by the squares of ground that they lie on, so that a place is compared with those around it alone.
-struct SegmentsNear<'a> {
-    squares: BTreeMap<[i64; 2], Vec<&'a Segment>>,
+/// The segments that some places may lie in: those whose bounds meet the places' own. Places are metres of the local frame.
+fn segments_along<'a>(segments: &'a [Segment], places: &[[f64; 3]]) -> Vec<&'a Segment> {
+    let [low, high] = [f64::min, f64::max].map(|bound| {
+        let both = |a: [f64; 2], at: &[f64; 3]| [bound(a[0], at[0]), bound(a[1], at[1])];
+        places.iter().fold([f64::NAN; 2], both)
+    });
+    let meets = |segment: &&Segment| {
+        let [west_m, south_m, east_m, north_m] = grown(segment);
+        west_m <= high[0] && east_m >= low[0] && south_m <= high[1] && north_m >= low[1]
+    };
+    segments.iter().filter(meets).collect()
 }
 
-impl<'a> SegmentsNear<'a> {
-    fn new(segments: &'a [Segment]) -> Self {
-        let mut squares: BTreeMap<[i64; 2], Vec<&Segment>> = BTreeMap::new();
-        for segment in segments {
-            let [west, south, east, north] = grown(segment).map(square);
-            for row in south..=north {
-                for col in west..=east {
-                    squares.entry([col, row]).or_default().push(segment);
-                }
-            }
-        }
-        Self { squares }
-    }
-
-    /// The greatest confidence of the segments of a day that hold a place or nearly do, metres of the local frame.
-    fn confidence(&self, day: i32, east: f64, north: f64) -> Option<f32> {
-        let holds = |segment: &&&Segment| {
-            let [west_m, south_m, east_m, north_m] = grown(segment);
-            segment.day == day && (west_m..east_m).contains(&east) && (south_m..north_m).contains(&north)
-        };
-        let near = self.squares.get(&[square(east), square(north)])?.iter().filter(holds);
-        near.map(|segment| segment.confidence).reduce(f32::max)
-    }
+/// The greatest confidence of the segments of a day that hold a place or nearly do, metres of the local frame.
+fn confidence(segments: &[&Segment], day: i32, [east, north, _]: &[f64; 3]) -> Option<f32> {
+    let holds = |segment: &&&Segment| {
+        let [west_m, south_m, east_m, north_m] = grown(segment);
+        segment.day == day && (west_m..east_m).contains(east) && (south_m..north_m).contains(north)
+    };
+    segments
+        .iter()
+        .filter(holds)
+        .map(|segment| segment.confidence)
+        .reduce(f32::max)
 }
 
 /// The bounds of a segment with the ground around it that may be part of it.
@@ -172,11 +170,6 @@ fn grown(segment: &Segment) -> [f64; 4] {
         east_m + AROUND_M,
         north_m + AROUND_M,
     ]
-}
-
-/// The square of ground that a coordinate lies in.
-fn square(at_m: f64) -> i64 {
-    (at_m / SQUARE_M).floor() as i64
 }
 
 /// Difference, day and confidence of a cell whose altitudes on some days are `heights`; `of_day` is the confidence of a change there that day.
@@ -216,7 +209,7 @@ mod tests {
     }
 
     #[test]
-    fn a_place_has_the_confidence_of_the_surest_segment_of_the_day_around_it() {
+    fn a_row_is_compared_with_the_segments_that_it_passes_alone() {
         let segments: Vec<Segment> = (0..400)
             .map(|i| {
                 let west_m = (i % 20 * 13) as f32 - 130.0;
@@ -235,20 +228,24 @@ mod tests {
                 }
             })
             .collect();
-        let near = SegmentsNear::new(&segments);
-        for (east, north) in (-150..200)
-            .step_by(7)
-            .flat_map(|x| (-130..180).map(move |y| (f64::from(x), f64::from(y))))
-        {
-            for day in 0..3 {
-                let holds = |s: &&Segment| {
-                    let [west_m, south_m, east_m, north_m] = grown(s);
-                    s.day == day && east >= west_m && east < east_m && north >= south_m && north < north_m
-                };
-                let all = segments.iter().filter(holds).map(|s| s.confidence).reduce(f32::max);
-                assert_eq!(near.confidence(day, east, north), all, "{east} {north} {day}");
+        let all: Vec<&Segment> = segments.iter().collect();
+        let mut tested = 0;
+        for north in (-130..180).step_by(7) {
+            // A row of a grid that is not quite north up.
+            let place = |i: i32| [f64::from(i), f64::from(north) + 0.05 * f64::from(i), 0.0];
+            let places: Vec<[f64; 3]> = (-150..200).step_by(3).map(place).collect();
+            let near = segments_along(&segments, &places);
+            tested += near.len();
+            for (place, day) in places.iter().flat_map(|place| (0..3).map(move |day| (place, day))) {
+                assert_eq!(
+                    confidence(&near, day, place),
+                    confidence(&all, day, place),
+                    "{place:?} {day}"
+                );
             }
         }
+        assert!(tested < 45 * segments.len() / 2, "most segments lie beside a row");
+        assert!(segments_along(&segments, &[]).is_empty());
     }
 
     #[test]

@@ -79,13 +79,7 @@ pub fn lower(views: &[SweepView], surface: &mut Surface, changes: &mut Changes) 
     if lights.iter().filter(|light| light.to_sun.is_some()).count() < 2 {
         return None;
     }
-    let grid = Grid {
-        width: surface.width,
-        height: surface.height,
-        west_m: surface.west_m,
-        north_m: surface.north_m,
-        cell_m: surface.cell_m,
-    };
+    let grid = surface.grid();
     let ground_m = ground_below((grid.width, grid.height), grid.cell_m, &surface.altitude);
     let parts = parts(&grid, surface, &ground_m, changes);
     let bridged: Vec<&Vec<usize>> = (parts.par_iter())

@@ -12,19 +12,15 @@ use heliosplat_grid::statistics::quantile;
 use heliosplat_scene::cameras::SceneCameras;
 use heliosplat_scene::{AltitudeSource, IngestOptions, Scene, SceneError};
 use heliosplat_stereo::pointing::ties::epipolar::{EpipolarSearch, ReducedView, TiedAltitudes, tied_altitudes};
-use heliosplat_stereo::{MatchingParameters, Surface, plane_sweep};
+use heliosplat_stereo::{MatchingParameters, Surface, plane_sweep, weight_of_geometry};
 use std::path::Path;
 
 /// Most pairs of images that are matched: a range takes no more.
 const MOST_PAIRS: usize = 8;
 /// Partners that each image has.
 const PARTNERS: usize = 2;
-/// Base-to-height ratio at which a pair has half of the weight of an infinitely long base.
-const HALF_WEIGHT_BASE: f64 = 0.15;
 /// Pairs with a shorter base tell nothing of altitudes.
 const LEAST_BASE_TO_HEIGHT: f64 = 0.01;
-/// Intersection angle at which images have stopped looking alike (weight 1/e), radians.
-const ALIKE_ANGLE_RAD: f64 = 0.7;
 /// Weight of a pair of two days beside one of a single day.
 const OTHER_DAY: f64 = 0.5;
 /// Pixels each way to which images are averaged down for the first search: a few hundred patches of their own.
@@ -170,7 +166,7 @@ fn pairs(cameras: &SceneCameras, bound_m: (f64, f64)) -> Result<Vec<Pair>, Scene
             }
             let angle = p.extend(1.0).angle_between(q.extend(1.0));
             let day = if cameras.same_day(a, b) { 1.0 } else { OTHER_DAY };
-            let weight = base / (base + HALF_WEIGHT_BASE) * (-(angle / ALIKE_ANGLE_RAD).powi(2)).exp() * day;
+            let weight = f64::from(weight_of_geometry(base as f32, angle as f32)) * day;
             all.push(Pair {
                 images: [a, b],
                 weight,

@@ -56,7 +56,7 @@ mod volume;
 mod wta;
 
 pub use heights::height_levels;
-pub use pairs::widest_base_to_height_of as widest_base_to_height;
+pub use pairs::{weight_of_geometry, widest_base_to_height_of as widest_base_to_height};
 pub use parameters::{CandidateTolerance, FEW_VIEWS, MANY_VIEWS, MatchingFacts, MatchingParameters, no_match_weight};
 pub use plane_sweep::plane_sweep;
 pub use request::PlaneSweepRequest;

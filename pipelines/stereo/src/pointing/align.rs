@@ -9,9 +9,11 @@ use crate::pairs::Pair;
 use crate::pyramid::Search;
 use crate::request::PlaneSweepRequest;
 use crate::views::SweepView;
-use glam::{DMat2, DMat3, DVec2, DVec3, Vec3};
+use glam::{DMat2, DVec2, DVec3, Vec3};
 use heliosplat::ProjectiveCamera;
 use heliosplat_grid::{Grid, parabola_top};
+use heliosplat_rpc::adjust::smallest_shifts;
+use nalgebra::{Matrix2x3, Vector2};
 use rayon::prelude::*;
 
 /// Offsets looked at, cells of the level each way.
@@ -196,19 +198,13 @@ fn jacobian(camera: &ProjectiveCamera, centre: Vec3) -> (DVec3, DVec3) {
 
 /// Takes the best translation of the scene out of the shifts: the images cannot see it.
 fn remove_translation(views: &[SweepView], centre: Vec3, shifts: &mut [DVec2]) {
-    let (mut normal, mut right) = (DMat3::ZERO, DVec3::ZERO);
-    for (view, shift) in views.iter().zip(&*shifts) {
+    let slope = |view: &SweepView| {
         let (u, v) = jacobian(&view.camera, centre);
-        normal += DMat3::from_cols(u * u.x, u * u.y, u * u.z) + DMat3::from_cols(v * v.x, v * v.y, v * v.z);
-        right += u * shift.x + v * shift.y;
-    }
-    // Views from one direction leave one component open; a trace of damping sets it to zero.
-    normal += DMat3::from_diagonal(DVec3::splat(
-        1e-9 * (normal.x_axis.x + normal.y_axis.y + normal.z_axis.z),
-    ));
-    let translation = normal.inverse() * right;
-    for (view, shift) in views.iter().zip(shifts) {
-        let (u, v) = jacobian(&view.camera, centre);
-        *shift -= DVec2::new(u.dot(translation), v.dot(translation));
+        Matrix2x3::new(u.x, u.y, u.z, v.x, v.y, v.z)
+    };
+    let slopes: Vec<_> = views.iter().map(slope).collect();
+    let given: Vec<_> = shifts.iter().map(|shift| Vector2::new(shift.x, shift.y)).collect();
+    for (shift, smallest) in shifts.iter_mut().zip(smallest_shifts(&given, &slopes).0) {
+        *shift = DVec2::new(smallest.x, smallest.y);
     }
 }

@@ -6,6 +6,7 @@
 //! so that the search is one of whole shifts along the line, and a few pixels across it for what the cameras' pointing is off. A match must
 //! correlate well, have no rival on the line, and lead back to the corner. Matches whose altitude no neighbour shares are dropped.
 
+use super::patch::{LEAST_SPREAD, normalise};
 use super::{HALF, corners};
 use heliosplat::Raster;
 use heliosplat_grid::statistics::median;
@@ -22,8 +23,6 @@ const MOST_RIVAL: f32 = 0.93;
 const SAME_PEAK: usize = 3;
 /// Largest distance from the corner that the search back may lead to, pixels.
 const CLOSURE_PX: usize = 1;
-/// Standard deviation below which a patch has no texture, as a share of its mean.
-const LEAST_SPREAD: f32 = 5e-3;
 /// Longest search each way along the epipolar line, pixels.
 const LONGEST_PX: f64 = 4096.0;
 /// Half the distance over which the change of scale and orientation between the images is measured, pixels.
@@ -306,16 +305,7 @@ impl Strip {
             let start = (row + line) * self.width + col;
             out.copy_from_slice(&self.values[start..start + SIDE]);
         }
-        let count = patch.len() as f32;
-        let mean = patch.iter().sum::<f32>() / count;
-        patch.iter_mut().for_each(|value| *value -= mean);
-        let length = patch.iter().map(|value| value * value).sum::<f32>().sqrt();
-        // Written so that a NaN fails too.
-        if !(length > LEAST_SPREAD * mean.abs() * count.sqrt() && length > 0.0) {
-            return None;
-        }
-        patch.iter_mut().for_each(|value| *value /= length);
-        Some(patch)
+        normalise(&mut patch).then_some(patch)
     }
 
     /// Normalised cross-correlation with a template at every shift.

@@ -17,7 +17,7 @@ const SAME_PEAK: isize = 2;
 /// Largest offset of the search back, cells.
 const CLOSURE: isize = 1;
 /// Standard deviation below which a patch has no texture, as a share of its mean.
-const LEAST_SPREAD: f32 = 5e-3;
+pub(super) const LEAST_SPREAD: f32 = 5e-3;
 
 /// What a view shows around a point; NaN where it shows nothing.
 pub(super) struct Region {
@@ -161,10 +161,11 @@ pub(super) fn find(reference: &Region, template: &Template, region: &Region) -> 
 }
 
 /// Zero mean and unit length; `false` where values are missing or without texture.
-pub(super) fn normalise(values: &mut [f32; CELLS]) -> bool {
-    let mean = values.iter().sum::<f32>() / CELLS as f32;
+pub(super) fn normalise(values: &mut [f32]) -> bool {
+    let count = values.len() as f32;
+    let mean = values.iter().sum::<f32>() / count;
     values.iter_mut().for_each(|v| *v -= mean);
     let length = values.iter().map(|v| v * v).sum::<f32>().sqrt();
     values.iter_mut().for_each(|v| *v /= length);
-    length > LEAST_SPREAD * mean.abs() * (CELLS as f32).sqrt()
+    length > LEAST_SPREAD * mean.abs() * count.sqrt()
 }
