@@ -117,20 +117,13 @@ fn model(ground: &Ground, suns: &[ImageSun], decisions: &Decisions, changing: bo
         reference: reference(suns),
         image_colour: decisions.image_colour,
         opaqueness_weight: decisions.opaqueness_weight,
-        days: if changing { days.collect() } else { Vec::new() },
-        ..ShadowGsOptions::default()
-    };
-    ShadowGs::new(model_options(&options, decisions))
-}
-
-/// The same with prior, near-surface light and harmonics as `decisions` has them.
-pub(super) fn model_options(options: &ShadowGsOptions, decisions: &Decisions) -> ShadowGsOptions {
-    ShadowGsOptions {
         prior_weight: if decisions.shadow_prior { PRIOR_WEIGHT } else { 0.0 },
         near_light: decisions.near_light,
         degree: decisions.sh_degree,
-        ..options.clone()
-    }
+        days: if changing { days.collect() } else { Vec::new() },
+        ..ShadowGsOptions::default()
+    };
+    ShadowGs::new(options)
 }
 
 /// Tells each view what it seems to be lit by: from the user's masks, else from its own darkness.

@@ -8,7 +8,6 @@ use super::config::{ModelOptions, SatelliteConfig};
 use super::error::FitError;
 use super::ground;
 use super::sweep_memory::search_bytes;
-use super::trial::WORTH_STEPS;
 use heliosplat::bench_fixture::{Descent, Lighting, Site};
 use heliosplat::shade::sh::functions;
 use heliosplat::timeline;
@@ -53,8 +52,6 @@ const VIEW_S_PER_GAUSSIAN: f64 = 1.53e-6;
 const VIEW_S_PER_PIXEL: f64 = 2.5e-6;
 /// Seconds per Gaussian for products and report.
 const PRODUCT_S_PER_GAUSSIAN: f64 = 3.2e-6;
-/// What the planner's short fits take, in steps of the training (21 to 40 were seen).
-const TRIALS_AS_STEPS: f64 = 30.0;
 /// Seconds of one step of the small site, and of its light, on a core of the machine that the seconds above were measured on.
 const REFERENCE_S: f64 = 0.037;
 /// Cores that are measured, at most.
@@ -221,11 +218,10 @@ pub fn training_bytes(gaussians: f64, views: usize, bands: usize, pixels: f64) -
     SPARE_BYTES + gaussians * per_gaussian + pixels * planes * 4.0
 }
 
-/// Bytes per Gaussian of what `model` has besides one albedo per band: near-surface light, and harmonics of both. What
-/// short fits may add counts only when they have: under a limit of memory nothing is tried that would not fit.
+/// Bytes per Gaussian of what `model` has besides one albedo per band: near-surface light, and harmonics of both.
 pub fn light_bytes(model: &ModelOptions, bands: usize) -> f64 {
-    let parts = if model.near_light == Some(true) { 2 } else { 1 };
-    TABLES * 4.0 * ((parts * functions(model.sh_degree.unwrap_or(0)) - 1) * bands) as f64
+    let parts = if model.near_light { 2 } else { 1 };
+    TABLES * 4.0 * ((parts * functions(model.sh_degree) - 1) * bands) as f64
 }
 
 /// The most Gaussians that `limit` bytes hold, where `bytes` says how much so many take: each as much as the next.
@@ -327,7 +323,6 @@ pub fn estimate_of(extent: &Extent, config: &SatelliteConfig, slowness: f64, hel
     let cells = (area.east_m - area.west_m) * (area.north_m - area.south_m) / (cell_m * cell_m);
     let gaussians = GAUSSIANS_PER_CELL * cells;
     let steps = config.train.clone().for_views(training).iterations;
-    let trials = if steps < WORTH_STEPS { 0.0 } else { TRIALS_AS_STEPS };
     let pixels = cells * config.start.cell_gsd * config.start.cell_gsd * 1.2;
     let fixed = held + copies_bytes(training as f64 * pixels, bands);
     let light = light_bytes(&config.model, bands);
@@ -352,7 +347,7 @@ pub fn estimate_of(extent: &Extent, config: &SatelliteConfig, slowness: f64, hel
         least_bytes: peak(cells),
         steps,
         start_s,
-        seconds: start_s + (steps as f64 + trials) * step_s + after_s,
+        seconds: start_s + steps as f64 * step_s + after_s,
         at_most: may_stop_early(&config.train, steps, training),
         suns_s: 0.0,
     }
@@ -424,7 +419,7 @@ mod tests {
     fn light_takes_memory_only_where_it_is_asked_for() {
         let mut model = ModelOptions::default();
         assert!(light_bytes(&model, 4) == 0.0);
-        model.sh_degree = Some(2);
+        model.sh_degree = 2;
         assert!(light_bytes(&model, 4) == TABLES * 4.0 * 32.0);
     }
 

@@ -6,14 +6,13 @@ use super::error::FitError;
 use super::one_light::{self, OneLight};
 use super::plan::{Decisions, Light};
 use super::preprocess::{Preprocess, Preprocessed};
-use super::trial::{self, Component, Trials};
 use super::{clouds, daylight, estimate, linear, probe, radiometry, short_fit, suns};
 use heliosplat::ProjectiveCamera;
 use heliosplat::model::shadow_gs::ShadowGs;
-use heliosplat::model::{Parameters, View};
+use heliosplat::model::Parameters;
 use heliosplat::splat::rasterise::MOST_CHANNELS;
 use heliosplat::timeline::stage;
-use heliosplat::train::{EarlyStop, TrainOptions, Trainer};
+use heliosplat::train::{EarlyStop, Trainer};
 use heliosplat_fitting::budget::Budget;
 use heliosplat_fitting::checkpoint::{CheckpointWriter, LoadedCheckpoint};
 use heliosplat_fitting::curve::CurvePoint;
@@ -54,10 +53,8 @@ pub struct Fitted {
     pub shifts_px: Vec<[f32; 2]>,
     /// Where each image has data and no clouds; `None`: everywhere.
     pub known: Vec<Option<KnownTiles>>,
-    /// What was decided, after suns were searched and components tried.
+    /// What was decided, after suns were searched.
     pub decisions: Decisions,
-    /// What short fits said of components.
-    pub trials: Trials,
     /// The suns of the scene's images, in the scene's order.
     pub suns: Vec<ImageSun>,
     /// Share of each image that is left out because clouds hide the ground there, 0 to 1, in that order.
@@ -158,7 +155,7 @@ pub fn fit(
         tracing::warn!("{}", decisions.light_reason());
     }
     let Beginning {
-        mut model,
+        model,
         mut parameters,
         mut views,
     } = Beginning::new(&ground, &found, &suns, decisions, config)?;
@@ -174,10 +171,7 @@ pub fn fit(
     let known = known.collect();
     let mut options = beginning::train_options(config, scene, views.len());
     let steps = options.iterations;
-    let memory = |config: &SatelliteConfig, parameters: &Parameters, views: &[View], options: &mut TrainOptions| {
-        beginning::fit_into_memory(limits.memory, scene, parameters, views, config, options)
-    };
-    let mut memory_estimate = memory(config, &parameters, &views, &mut options)?;
+    let memory_estimate = beginning::fit_into_memory(limits.memory, scene, &parameters, &views, config, &mut options)?;
     drop(part);
     let part = stage("colours");
     let shades = radiometry::initialise(&model, &mut parameters, &mut views, SKY);
@@ -192,35 +186,6 @@ pub fn fit(
     let time_estimate_s = searched
         .filter(|_| limits.budget.is_none())
         .map(|searched| say_estimate_after_start(scene, config, limits.begun.elapsed(), searched));
-    let part = stage("trials");
-    let open = open(decisions, bands, |decisions| {
-        memory(&decisions.resolved(config), &parameters, &views, &mut options.clone()).is_ok()
-    });
-    let trials = found.trials.unwrap_or_else(|| {
-        let request = trial::Request {
-            options: &model.options,
-            parameters: &parameters,
-            views: &views,
-            train: &options,
-            area: &scene.area,
-            open: &open,
-        };
-        request.run()
-    });
-    if let Some(kept) = &mut checkpoints.preprocessed {
-        kept.trials = Some(trials.clone());
-    }
-    let decisions = &decisions.after_trials(&trials);
-    for item in decisions.items.iter().filter(|item| item.trial.is_some()) {
-        tracing::info!("{}: {}", item.component, item.reason);
-    }
-    let decided = beginning::model_options(&model.options, decisions);
-    if decided != model.options {
-        model = ShadowGs::new(decided);
-        parameters = trial::regrouped(&model, &parameters);
-        memory_estimate = memory(&decisions.resolved(config), &parameters, &views, &mut options)?;
-    }
-    drop(part);
     let initialised = swept.elapsed();
     let part = stage("train");
 
@@ -272,7 +237,6 @@ pub fn fit(
         known,
         suns: all_suns,
         decisions: decisions.clone(),
-        trials,
         surface: found.surface,
         lowered: found.lowered,
         changes: found.changes,
@@ -294,23 +258,6 @@ fn say_estimate_after_start(scene: &Scene, config: &SatelliteConfig, passed: Dur
     let most = if estimate.at_most { "at most " } else { "" };
     tracing::info!("estimate before the first step: {most}{seconds:.0} s in all");
     seconds
-}
-
-/// The components that are left to short fits and that the rasteriser and, as `fits` says of decisions, the memory have room for.
-fn open(decisions: &Decisions, bands: usize, fits: impl Fn(&Decisions) -> bool) -> Vec<Component> {
-    let mut all = decisions.clone();
-    let has_room = |component: &Component| match component {
-        Component::NearLight => {
-            all.near_light = true;
-            all.near_light = channels_fit(bands) && fits(&all);
-            all.near_light
-        }
-        Component::Harmonics => {
-            all.sh_degree = 1;
-            fits(&all)
-        }
-    };
-    decisions.open.iter().copied().filter(has_room).collect()
 }
 
 /// Whether near-surface light, visibility and a normal can be rendered beside `bands` bands.

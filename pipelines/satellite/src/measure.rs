@@ -352,7 +352,6 @@ pub(super) fn add_fit(metrics: &mut Value, fitted: &Fitted, model: &LoadedModel,
         "align": align,
         "sweep": sweep,
         "start": start,
-        "trials": fitted.trials.seconds,
         "train": train,
     });
     metrics["iterations"] = json!(fitted.early_stop.steps);
@@ -370,7 +369,6 @@ pub(super) fn add_fit(metrics: &mut Value, fitted: &Fitted, model: &LoadedModel,
         metrics["lowered"] = json!(lowered);
     }
     metrics["plan"] = json!(fitted.decisions.items);
-    metrics["trials"] = json!(fitted.trials);
     metrics["curve"] = json!(fitted.curve);
 }
 

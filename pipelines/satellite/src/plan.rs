@@ -2,21 +2,17 @@
 //!
 //! [`Decisions::of`] looks at what is known then (views, dates, suns, bands, baselines, clipped values) and returns one value, which the
 //! plane sweep, the start and the trainer consume. `inspect` prints that value with its reasons, and `run.toml` keeps it. What is
-//! set by hand stays as it is. Components whose worth only the images can tell are [`open`](Decisions::open) until short fits on the start have
-//! measured it; until then they are off.
+//! set by hand stays as it is.
 
 mod index;
 mod light;
-mod measured;
 
 use index::Index;
 pub use light::Light;
-pub use measured::PlanTrial;
 
 use super::config::{Align, SatelliteConfig, THRESHOLD_PX};
 use super::ground::Ground;
 use super::shadow_prior::ENOUGH_VIEWS;
-use super::trial::Component;
 use heliosplat_scene::{ImageSun, Scene, SceneImage, SunSource};
 use heliosplat_scene::{crop, saturation};
 use heliosplat_stereo::clouds::FEWEST_VIEWS;
@@ -48,8 +44,6 @@ pub struct Decisions {
     pub sh_degree: usize,
     /// Weight of the shadow opaqueness loss.
     pub opaqueness_weight: f32,
-    /// Components that short fits have still to decide.
-    pub open: Vec<Component>,
     /// Parameters of the plane sweep; `None` where no two images show the common ground.
     pub matching: Option<MatchingParameters>,
     /// The same in words, with reasons.
@@ -66,9 +60,6 @@ pub struct PlanItem {
     pub on: bool,
     /// Why, in one line.
     pub reason: String,
-    /// What short fits with and without it said, where there were any.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub trial: Option<PlanTrial>,
 }
 
 /// What the plan is made from.
@@ -138,10 +129,9 @@ impl Decisions {
             vegetation_index: facts.index.is_there() && facts.images >= 2,
             align: config.cameras.align,
             only_known_suns: false,
-            near_light: model.near_light.unwrap_or(false),
-            sh_degree: model.sh_degree.unwrap_or(0),
+            near_light: model.near_light,
+            sh_degree: model.sh_degree,
             opaqueness_weight: model.opaqueness_weight,
-            open: measured::open(model),
             matching: facts.matching.as_ref().map(MatchingParameters::choose),
             items: Vec::new(),
         };
@@ -157,8 +147,6 @@ impl Decisions {
         model.clouds = Some(self.clouds);
         model.saturation = Some(self.saturation);
         model.shadow_prior = Some(self.shadow_prior);
-        model.near_light = Some(self.near_light);
-        model.sh_degree = Some(self.sh_degree);
         config
     }
 
@@ -192,8 +180,6 @@ impl Decisions {
             );
             decisions.shadow_prior = false;
             decisions.opaqueness_weight = 0.0;
-            // Nothing is known to lie in shadow.
-            decisions.open.retain(|&component| component == Component::Harmonics);
         }
         decisions
     }
@@ -209,7 +195,6 @@ impl Decisions {
             component: component.into(),
             on,
             reason,
-            trial: None,
         };
         // What was set by hand wins over what the facts say, and the plan says so.
         let decided = |component: &str, on: bool, set: Option<bool>, by_facts: bool, reason: String| {
@@ -318,7 +303,6 @@ fn matching_items(facts: Option<MatchingFacts>, parameters: Option<MatchingParam
         component: component.into(),
         on,
         reason,
-        trial: None,
     };
     let components = ["start.many_views", "start.cost_aggregation"];
     let (Some(facts), Some(parameters)) = (facts, parameters) else {
@@ -383,7 +367,7 @@ fn pointing_reason(align: Align) -> String {
 mod tests {
     use super::*;
 
-    pub(super) fn facts(images: usize, dates: usize) -> Facts {
+    fn facts(images: usize, dates: usize) -> Facts {
         Facts {
             images,
             dates,
@@ -502,7 +486,7 @@ mod tests {
     fn the_degree_of_albedo_is_said() {
         let mut config = SatelliteConfig::default();
         assert!(!on(&facts(9, 3), &config, "model.sh_degree"));
-        config.model.sh_degree = Some(2);
+        config.model.sh_degree = 2;
         let items = Decisions::from_facts(&facts(9, 3), &config).items;
         let degree = items.iter().find(|item| item.component == "model.sh_degree");
         assert!(degree.is_some_and(|item| item.on && item.reason.ends_with("degree 2")));

@@ -8,7 +8,6 @@ use super::error::{FitError, SatelliteError};
 use super::ground::Ground;
 use super::limits::AtLimits;
 use super::plan::Decisions;
-use super::trial::Trials;
 use heliosplat::Raster;
 use heliosplat::timeline::stage;
 use heliosplat_products::change::day_of;
@@ -41,8 +40,6 @@ pub struct Preprocessed {
     pub clouds: Vec<Vec<bool>>,
     /// What shadows say of the suns of the scene's images, in the scene's order, where these are not known.
     pub shadow_suns: Vec<Option<ShadowSun>>,
-    /// What short fits on the start said; `None` before they were made.
-    pub trials: Option<Trials>,
     /// Seconds spent on alignment and on the sweep.
     pub seconds: [f64; 2],
 }
@@ -104,7 +101,6 @@ impl<'a> Preprocess<'a> {
             shifts_px,
             clouds,
             shadow_suns: vec![None; scene.images.len()],
-            trials: None,
             seconds,
         };
         Ok(Self { ground, found })

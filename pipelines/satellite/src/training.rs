@@ -179,7 +179,7 @@ fn identity(
         text,
         "--time-budget {time_budget:?}\n--memory {memory:?}\nseed = {seed}\n{config}"
     );
-    let _ = writeln!(text, "measured {:?}\nmatching {:?}", decisions.open, decisions.matching);
+    let _ = writeln!(text, "matching {:?}", decisions.matching);
     let _ = writeln!(text, "area {:?}\naltitudes {:?}", scene.area, scene.altitude_range_m);
     for (image, input) in scene.images.iter().zip(inputs) {
         let SceneImage {

@@ -1,14 +1,11 @@
 //! Two short fits compared: how much better the one with a component predicts pixels that neither learnt from, and whether that is more
 //! than chance.
 //!
-//! Both fits are scored on the same pieces, of ground or of images. The gain is the ratio of their squared errors in decibels, as a
-//! difference of PSNR is; its standard error is that of a ratio of sums, by linear propagation (the delta method; Cochran 1977, chapter 6).
-//! Pieces that were fitted together err together; where they come in such groups, the standard error is that over groups if it is the larger.
+//! Both fits are scored on the same pieces of images. The gain is the ratio of their squared errors in decibels, as a difference of PSNR
+//! is; its standard error is that of a ratio of sums, by linear propagation (the delta method; Cochran 1977, chapter 6).
 
 /// Fewest pieces that can tell how much they differ.
 const FEWEST_PIECES: usize = 5;
-/// Fewest groups of pieces whose scatter is looked at.
-const FEWEST_GROUPS: usize = 3;
 /// Standard errors that a gain must be away from zero.
 const STANDARD_ERRORS: f64 = 2.0;
 
@@ -46,39 +43,25 @@ pub enum Verdict {
 impl Gain {
     /// The gain over all pieces that have errors; `None` of too few.
     pub fn of(pieces: &[Piece]) -> Option<Self> {
-        Self::of_groups(&[pieces])
-    }
-
-    /// The same of pieces in groups, each of which was fitted by itself.
-    pub fn of_groups<G: AsRef<[Piece]>>(groups: &[G]) -> Option<Self> {
         let sound = |piece: &&Piece| {
             let Piece { without, with } = piece;
             without.is_finite() && with.is_finite() && without + with > 0.0
         };
-        let groups = groups.iter().map(|group| group.as_ref().iter().filter(sound));
-        let groups: Vec<Vec<&Piece>> = groups
-            .map(Iterator::collect)
-            .filter(|group: &Vec<_>| !group.is_empty())
-            .collect();
-        let pieces = || groups.iter().flatten();
-        let count = pieces().count();
-        let without: f64 = pieces().map(|piece| piece.without).sum();
-        let with: f64 = pieces().map(|piece| piece.with).sum();
-        if count < FEWEST_PIECES || without <= 0.0 || with <= 0.0 {
+        let pieces: Vec<&Piece> = pieces.iter().filter(sound).collect();
+        let without: f64 = pieces.iter().map(|piece| piece.without).sum();
+        let with: f64 = pieces.iter().map(|piece| piece.with).sum();
+        if pieces.len() < FEWEST_PIECES || without <= 0.0 || with <= 0.0 {
             return None;
         }
         // d ln(A / B) = dA / A - dB / B: what each piece adds to that; the sum over all is zero.
-        let deviation = |piece: &&Piece| piece.without / without - piece.with / with;
-        let mut sum_error = standard_error(pieces().map(deviation));
-        if groups.len() >= FEWEST_GROUPS {
-            let of_groups = standard_error(groups.iter().map(|group| group.iter().map(deviation).sum()));
-            sum_error = sum_error.max(of_groups);
-        }
+        let squares = pieces.iter().map(|piece| (piece.without / without - piece.with / with).powi(2));
+        let count = pieces.len() as f64;
+        let sum_error = (squares.sum::<f64>() * count / (count - 1.0)).sqrt();
         let db = 10.0 / std::f64::consts::LN_10;
         Some(Self {
             gain_db: db * (without / with).ln(),
             standard_error_db: db * sum_error,
-            pieces: count,
+            pieces: pieces.len(),
         })
     }
 
@@ -101,12 +84,6 @@ impl Gain {
         } = self;
         format!("{gain_db:+.2} ± {standard_error_db:.2} dB")
     }
-}
-
-/// Standard error of a sum of independent deviations that are zero together.
-fn standard_error(deviations: impl Iterator<Item = f64>) -> f64 {
-    let (squares, count) = deviations.fold((0.0, 0.0), |(squares, count), d| (squares + d * d, count + 1.0));
-    (squares * count / (count - 1.0)).sqrt()
 }
 
 #[cfg(test)]
@@ -172,31 +149,5 @@ mod tests {
         assert!((scatter / stated - 1.0).abs() < 0.05, "{scatter} {stated}");
         let taken = gains.iter().filter(|gain| gain.verdict(0.0) == Verdict::Better).count();
         assert!(taken as f64 / count < 0.045, "{taken}");
-    }
-
-    #[test]
-    fn pieces_that_err_together_do_not_count_as_many() {
-        let mut random = Pcg32::seed_from_u64(11);
-        let gains: Vec<[Gain; 2]> = (0..2000)
-            .map(|_| {
-                let groups: Vec<Vec<Piece>> = (0..4)
-                    .map(|_| {
-                        let of_group = random.random_range(0.7..1.3);
-                        let mut draw = || random.random_range(0.8..1.2);
-                        (0..16).map(|_| piece(draw(), of_group * draw())).collect()
-                    })
-                    .collect();
-                [Gain::of(&groups.concat()), Gain::of_groups(&groups)].map(|gain| gain.expect("64 pieces"))
-            })
-            .collect();
-        let count = gains.len() as f64;
-        let scatter = (gains.iter().map(|[gain, _]| gain.gain_db.powi(2)).sum::<f64>() / count).sqrt();
-        let stated = [0, 1].map(|n| gains.iter().map(|pair| pair[n].standard_error_db).sum::<f64>() / count);
-        assert!(scatter / stated[0] > 2.0, "pieces alone: {scatter} {stated:?}");
-        assert!(
-            (0.9..1.2).contains(&(scatter / stated[1])),
-            "in groups: {scatter} {stated:?}"
-        );
-        assert!(gains.iter().all(|[pieces, groups]| groups.gain_db == pieces.gain_db));
     }
 }
