@@ -1,5 +1,5 @@
-//! Fixture for benchmarks: a synthetic site of a standard kind, and training steps on it. `heliosplat bench`, the time estimate before a
-//! training and the benches measure the engine's speed with it; nothing else uses it.
+//! Fixture for benchmarks: a synthetic site of a standard kind, and training steps on it. `heliosplat bench` and the benches
+//! measure the engine's speed with it; nothing else uses it.
 //!
 //! A sheet of flat Gaussians over a town of blocks, spread over a square image seen from near the nadir. Its size
 //! in pixels and its number of Gaussians are free; the splats' sizes follow, so that about as many pairs fall on a pixel.

@@ -140,8 +140,7 @@ impl From<SatelliteError> for CliError {
             SatelliteError::Raster(error) => error.into(),
             SatelliteError::Evaluate(error) => error.into(),
             SatelliteError::Relight(error) => error.into(),
-            SatelliteError::TimeBudget { .. }
-            | SatelliteError::SceneOfRun { .. }
+            SatelliteError::SceneOfRun { .. }
             | SatelliteError::Adjust { .. }
             | SatelliteError::RelitBands { .. }
             | SatelliteError::RelitElsewhere(_) => Self::Input(error.to_string()),

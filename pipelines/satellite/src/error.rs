@@ -10,7 +10,6 @@ use heliosplat_raster::RasterError;
 use heliosplat_rpc::RpcError;
 use heliosplat_scene::SceneError;
 use std::path::PathBuf;
-use std::time::Duration;
 
 /// Why a satellite scene did not become a run, or a run could not be measured.
 #[derive(Debug, thiserror::Error)]
@@ -24,17 +23,6 @@ pub enum SatelliteError {
     /// Settings that cannot be written down.
     #[error("the configuration cannot be written: {0}")]
     Settings(String),
-    /// A limit of time within which training would not even begin.
-    #[error(
-        "--time-budget {limit:?}: before the first step this scene takes about {start_s:.0} s on this machine; give {:.0}s or more, or a coarser model with --set start.cell_gsd=2",
-        2.0 * start_s
-    )]
-    TimeBudget {
-        /// The limit.
-        limit: Duration,
-        /// Seconds before the first step.
-        start_s: f64,
-    },
     /// The user asked for it.
     #[error("stopped: nothing was written")]
     Stopped,

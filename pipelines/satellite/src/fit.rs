@@ -6,7 +6,7 @@ use super::error::FitError;
 use super::one_light::{self, OneLight};
 use super::plan::{Decisions, Light};
 use super::preprocess::{Preprocess, Preprocessed};
-use super::{clouds, daylight, estimate, linear, probe, radiometry, short_fit, suns};
+use super::{clouds, daylight, linear, probe, radiometry, short_fit, suns};
 use heliosplat::ProjectiveCamera;
 use heliosplat::model::shadow_gs::ShadowGs;
 use heliosplat::model::Parameters;
@@ -23,7 +23,7 @@ use heliosplat_session::Session;
 use heliosplat_stereo::Surface;
 use heliosplat_stereo::bridged::Lowered;
 use heliosplat_stereo::change::Changes;
-use std::time::{Duration, Instant};
+use std::time::Instant;
 
 /// Short fits that are made for the sake of suns, at most: each finds fewer than the one before.
 const MOST_SHORT_FITS: usize = 3;
@@ -33,8 +33,6 @@ const BUDGET_FOR_SUNS: f64 = 0.3;
 /// What a fit may take.
 #[derive(Debug, Clone, Copy)]
 pub struct Limits {
-    /// When the run began.
-    pub begun: Instant,
     /// Time.
     pub budget: Option<Budget>,
     /// Memory, bytes.
@@ -79,8 +77,6 @@ pub struct Fitted {
     pub ending: Ending,
     /// The most memory that training was expected to take when it began, bytes.
     pub memory_estimate: f64,
-    /// Seconds that the run was expected to take when its start was over; not of one that was resumed or has a limit of time.
-    pub time_estimate_s: Option<f64>,
 }
 
 /// A nadir camera over an area of the scene frame.
@@ -117,12 +113,10 @@ pub fn fit(
         Some(preprocessed) => Preprocess::again(scene, preprocessed)?,
         None => None,
     };
-    let mut searched = None;
     let Preprocess { ground, found } = match again {
         Some(swept) => swept,
         None => {
             let mut swept = Preprocess::new(scene, config, decisions, session)?;
-            let begun = Instant::now();
             suns::search(scene, &mut swept);
             let suns = suns::of_ground(scene, &swept.ground, &swept.found.shadow_suns);
             if swept.sweep_under(suns, scene, config, decisions, session) {
@@ -139,7 +133,6 @@ pub fn fit(
                 let suns = suns::of_ground(scene, &swept.ground, &swept.found.shadow_suns);
                 swept.sweep_under(suns, scene, config, decisions, session);
             }
-            searched = Some(begun.elapsed());
             swept
         }
     };
@@ -183,9 +176,6 @@ pub fn fit(
     }
     linear::begin(&model, &mut parameters, &views);
     drop(part);
-    let time_estimate_s = searched
-        .filter(|_| limits.budget.is_none())
-        .map(|searched| say_estimate_after_start(scene, config, limits.begun.elapsed(), searched));
     let initialised = swept.elapsed();
     let part = stage("train");
 
@@ -229,7 +219,6 @@ pub fn fit(
         curve: trained.curve,
         ending: trained.ending,
         memory_estimate,
-        time_estimate_s,
         model,
         images: ground.images.iter().map(|image| image.name.clone()).collect(),
         clouded: found.clouds.iter().map(|mask| clouds::share(mask)).collect(),
@@ -247,17 +236,6 @@ pub fn fit(
             (swept.elapsed() - initialised).as_secs_f64(),
         ],
     })
-}
-
-/// Says how long the run will take, and returns the seconds: of those that passed, some were spent on the search for suns.
-fn say_estimate_after_start(scene: &Scene, config: &SatelliteConfig, passed: Duration, searched: Duration) -> f64 {
-    // How fast the machine is cancels out.
-    let estimate = estimate::estimate(scene, config, 1.0);
-    let start_s = passed.saturating_sub(searched).as_secs_f64();
-    let seconds = estimate.seconds_after_start(start_s, searched.as_secs_f64());
-    let most = if estimate.at_most { "at most " } else { "" };
-    tracing::info!("estimate before the first step: {most}{seconds:.0} s in all");
-    seconds
 }
 
 /// Whether near-surface light, visibility and a normal can be rendered beside `bands` bands.

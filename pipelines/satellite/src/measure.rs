@@ -360,9 +360,6 @@ pub(super) fn add_fit(metrics: &mut Value, fitted: &Fitted, model: &LoadedModel,
     metrics["gaussians"] = json!(model.parameters.gaussians.count);
     metrics["peak_rss_bytes"] = json!(peak_rss_bytes());
     metrics["memory_estimate_bytes"] = json!(fitted.memory_estimate);
-    if let Some(seconds) = fitted.time_estimate_s {
-        metrics["time_estimate_s"] = json!(seconds);
-    }
     metrics["shifts_px"] = json!(fitted.shifts_px);
     metrics["clouded"] = json!(fitted.clouded);
     if let Some(lowered) = fitted.lowered {

@@ -6,7 +6,6 @@
 
 use crate::config::SatelliteConfig;
 use crate::error::SatelliteError;
-use crate::estimate::{Estimate, estimate};
 use crate::fit::{self, Fitted, Limits};
 use crate::ground::MARGIN_M;
 use crate::linear;
@@ -20,7 +19,6 @@ use heliosplat_fitting::budget::steps_of_products;
 use heliosplat_fitting::checkpoint::{digest, identity_of_program};
 use heliosplat_fitting::request::{TrainOutcome, TrainRequest, TrainedRun};
 use heliosplat_fitting::run_folder::{Input, Opened, RunFolder, RunRequest, hash, hash_of_pixels};
-use heliosplat_fitting::settings::Preset;
 use heliosplat_fitting::training::Ending;
 use heliosplat_products::change::ChangeMap;
 use heliosplat_products::dsm::{self, Dsm};
@@ -32,7 +30,6 @@ use heliosplat_session::Session;
 use rayon::prelude::*;
 use std::fmt::Write;
 use std::path::Path;
-use std::time::Duration;
 
 /// Trains a model of `scene` and writes its run: model, configuration, DSM, and where there is truth its errors. `ingest` is how the
 /// scene was read, which the run keeps.
@@ -69,7 +66,6 @@ pub fn train(
         closing,
     } = folder;
     let limits = Limits {
-        begun,
         budget,
         memory: request.memory,
     };
@@ -229,44 +225,4 @@ fn model_file(scene: &Scene, fitted: &Fitted) -> ModelFile {
             segments: fitted.changes.segments.clone(),
         }),
     }
-}
-
-/// The configuration of `preset` with what was `set`; without a preset but with a limit of time, of the most accurate preset that
-/// fits into it on this machine.
-///
-/// # Errors
-/// [`SatelliteError::Config`] for a setting that does not fit, [`SatelliteError::TimeBudget`] for a limit within which training would
-/// not even begin.
-pub fn configure(
-    scene: &Scene,
-    preset: Option<Preset>,
-    set: &[(String, String)],
-    seed: u64,
-    time_budget: Option<Duration>,
-) -> Result<(Preset, SatelliteConfig, Estimate), SatelliteError> {
-    let slowness = crate::estimate::slowness();
-    let resolve = |preset: Preset| -> Result<_, SatelliteError> {
-        let config = SatelliteConfig::resolve(preset, set, seed)?;
-        let estimate = estimate(scene, &config, slowness);
-        Ok((preset, config, estimate))
-    };
-    let Some(limit) = time_budget else {
-        return resolve(preset.unwrap_or_default());
-    };
-    let limit_s = limit.as_secs_f64();
-    let mut chosen = resolve(preset.unwrap_or(Preset::Preview))?;
-    if preset.is_none() {
-        for preset in Preset::ALL {
-            let (_, config, estimate) = resolve(preset)?;
-            if estimate.seconds + estimate.suns_s <= limit_s {
-                chosen = (preset, config, estimate);
-                break;
-            }
-        }
-    }
-    let start_s = chosen.2.start_s;
-    if start_s > limit_s {
-        return Err(SatelliteError::TimeBudget { limit, start_s });
-    }
-    Ok(chosen)
 }

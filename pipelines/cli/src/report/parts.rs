@@ -310,7 +310,6 @@ pub(super) fn costs(run: &Contents) -> Markup {
         ("initial Gaussians", number("/stages_s/start"), "s"),
         ("training", number("/stages_s/train"), "s"),
         ("total before this page, products included", run.folder.seconds(), "s"),
-        ("estimated when the start was over", number("/time_estimate_s"), "s"),
         ("steps", number("/iterations"), ""),
         ("best step", number("/best_iteration"), ""),
         ("peak memory", mebibytes("/peak_rss_bytes"), "MiB"),
