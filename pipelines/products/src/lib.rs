@@ -19,7 +19,6 @@ pub mod ortho;
 pub mod ply;
 pub mod points;
 pub mod relight;
-mod roof_slopes;
 pub mod seams;
 pub mod seen;
 pub mod set;
