@@ -65,6 +65,9 @@ pub struct ModelOptions {
     pub image_colour: Option<bool>,
     /// Whether clouds are found before anything else and left out: on from five views on; off for images that are known to be clear.
     pub clouds: Option<bool>,
+    /// Whether ground that was built on or torn down between the images is searched: on where every image has a date, and a day divides
+    /// them with two or more on either side; off for ground that is known to have stayed.
+    pub change: Option<bool>,
     /// Whether values that images clip count as "at least": on where some are clipped.
     pub saturation: Option<bool>,
     /// Near-surface light in shadows, per Gaussian: off, because no scene measured was better with it (docs/lab/planner.md).
@@ -87,6 +90,7 @@ impl Default for ModelOptions {
         Self {
             image_colour: None,
             clouds: None,
+            change: None,
             saturation: None,
             near_light: false,
             sh_degree: 0,

@@ -2,6 +2,7 @@
 
 use super::error::FitError;
 use heliosplat::Raster;
+use heliosplat_products::change::day_of;
 use heliosplat_rpc::LocalFrame;
 use heliosplat_rpc::statistics::upper_quantile;
 use heliosplat_scene::crop::{self, Crop};
@@ -70,6 +71,11 @@ impl<'a> Ground<'a> {
         let groups = std::mem::replace(&mut self.groups, crop::lights_in_groups(&lights));
         self.suns = suns;
         groups != self.groups
+    }
+
+    /// The day of each image, days since 1970; `None` where one has none.
+    pub(super) fn days(&self) -> Option<Vec<i32>> {
+        self.images.iter().map(|image| image.time.map(day_of)).collect()
     }
 
     /// The pixels of the crops.

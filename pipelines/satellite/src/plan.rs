@@ -15,6 +15,7 @@ use super::ground::Ground;
 use super::shadow_prior::ENOUGH_VIEWS;
 use heliosplat_scene::{ImageSun, Scene, SceneImage, SunSource};
 use heliosplat_scene::{crop, saturation};
+use heliosplat_stereo::change::dividing_days;
 use heliosplat_stereo::clouds::FEWEST_VIEWS;
 use heliosplat_stereo::suns::ShadowSun;
 use heliosplat_stereo::{FEW_VIEWS, MatchingFacts, MatchingParameters, no_match_weight};
@@ -30,6 +31,8 @@ pub struct Decisions {
     pub image_colour: bool,
     /// Clouds are searched and left out.
     pub clouds: bool,
+    /// Ground that changed between the images is searched.
+    pub change: bool,
     /// Clipped values count as lower bounds.
     pub saturation: bool,
     /// The sun-visibility prior guides training.
@@ -70,6 +73,8 @@ struct Facts {
     suns: usize,
     /// Lowest and highest of these, degrees.
     suns_deg: (f64, f64),
+    /// Days that divide the images with enough of them on either side for two surfaces; `None` where an image has no date.
+    dividing_days: Option<usize>,
     /// What the plane sweep's matching parameters are chosen from; `None` where no two images show the common ground.
     matching: Option<MatchingFacts>,
     /// The vegetation index, if there is one.
@@ -98,12 +103,17 @@ impl Facts {
                 elevations().fold(f64::INFINITY, f64::min),
                 elevations().fold(f64::NEG_INFINITY, f64::max),
             ),
+            dividing_days: ground.as_ref().map_or(Some(0), Ground::days).map(|days| dividing_days(&days).len()),
             matching: ground.map(|ground| ground.matching_facts(config.start.cell_gsd * scene.gsd_m)),
             index,
             clipped: images.iter().map(|image| saturation::share(&image.pixels)).sum::<f64>()
                 / images.len().max(1) as f64,
             residual_px: images.iter().map(|image| image.pinhole.max_px).fold(0.0, f64::max),
         }
+    }
+
+    fn is_divided(&self) -> bool {
+        self.dividing_days.is_some_and(|days| days > 0)
     }
 }
 
@@ -124,6 +134,7 @@ impl Decisions {
             light,
             image_colour: model.image_colour.unwrap_or(facts.dates > 1),
             clouds: model.clouds.unwrap_or(facts.images >= FEWEST_VIEWS),
+            change: model.change.unwrap_or(facts.is_divided()),
             saturation: model.saturation.unwrap_or(facts.clipped > 0.0),
             shadow_prior: model.shadow_prior.unwrap_or(facts.images < ENOUGH_VIEWS),
             vegetation_index: facts.index.is_there() && facts.images >= 2,
@@ -145,6 +156,7 @@ impl Decisions {
         let model = &mut config.model;
         model.image_colour = Some(self.image_colour);
         model.clouds = Some(self.clouds);
+        model.change = Some(self.change);
         model.saturation = Some(self.saturation);
         model.shadow_prior = Some(self.shadow_prior);
         config
@@ -232,6 +244,19 @@ impl Decisions {
                     )
                 } else {
                     format!("{images} views cannot say which of them shows a cloud")
+                },
+            ),
+            decided(
+                "model.change",
+                self.change,
+                config.model.change,
+                facts.is_divided(),
+                match facts.dividing_days {
+                    None => "an image has no date: what stood before it and after it cannot be told".into(),
+                    Some(0) => "no day has two images on either side, as many as a surface needs".into(),
+                    Some(days) => format!(
+                        "{days} day(s) with two or more images on either side: ground that was built on or torn down is searched"
+                    ),
                 },
             ),
             decided(
@@ -373,6 +398,7 @@ mod tests {
             dates,
             suns: images,
             suns_deg: (35.0, 60.0),
+            dividing_days: Some(dates.saturating_sub(1)),
             matching: Some(MatchingFacts {
                 views: images as f32,
                 combined_base_to_height: 0.4,
@@ -471,6 +497,21 @@ mod tests {
             after.only_known_suns && said.contains("take no part in training"),
             "{said}"
         );
+    }
+
+    #[test]
+    fn change_is_searched_where_dates_can_tell_it_unless_it_is_set_otherwise() {
+        let mut config = SatelliteConfig::default();
+        assert!(on(&facts(12, 6), &config, "model.change"));
+        assert!(!on(&facts(12, 1), &config, "model.change"));
+        let dateless = Facts {
+            dividing_days: None,
+            ..facts(12, 6)
+        };
+        assert!(!on(&dateless, &config, "model.change"));
+        config.model.change = Some(false);
+        assert!(!on(&facts(12, 6), &config, "model.change"));
+        assert!(reason(&facts(12, 6), &config, "model.change").starts_with("set so"));
     }
 
     #[test]

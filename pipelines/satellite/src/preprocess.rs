@@ -10,7 +10,6 @@ use super::limits::AtLimits;
 use super::plan::Decisions;
 use heliosplat::Raster;
 use heliosplat::timeline::stage;
-use heliosplat_products::change::day_of;
 use heliosplat_rpc::RpcError;
 use heliosplat_rpc::adjust::BiasModel;
 use heliosplat_scene::{AltitudeSource, ImageSun, IngestOptions, Scene};
@@ -216,7 +215,7 @@ fn views<'r>(
     views
 }
 
-/// What changed between the images; `surface` becomes that of the last. Without the time of every image it cannot be told.
+/// What changed between the images, where it is to be searched; `surface` becomes that of the last.
 fn changes(
     ground: &Ground,
     rasters: &[Raster],
@@ -225,19 +224,17 @@ fn changes(
     request: &PlaneSweepRequest,
     surface: &mut Surface,
 ) -> Changes {
-    let days: Option<Vec<i32>> = ground.images.iter().map(|image| image.time.map(day_of)).collect();
-    let Some(days) = days else { return Changes::default() };
+    let Some(days) = ground.days().filter(|_| decisions.change) else {
+        return Changes::default();
+    };
     let indices = indices(ground, rasters, decisions);
     let begun = Instant::now();
     let changes = change::find(&views(ground, rasters, &indices, shifts_px), &days, request, surface);
-    match changes.days.is_empty() {
-        true => tracing::info!("change between the images cannot be told: no day has two of them on either side"),
-        false => tracing::info!(
-            "{} segments changed between the images ({:.1} s)",
-            changes.segments.len(),
-            begun.elapsed().as_secs_f64()
-        ),
-    }
+    tracing::info!(
+        "{} segments changed between the images ({:.1} s)",
+        changes.segments.len(),
+        begun.elapsed().as_secs_f64()
+    );
     changes
 }
 
