@@ -1,12 +1,12 @@
 //! A satellite training from a scene to a finished run, stage by stage:
 //!
 //! read (the caller's [`Scene`]) → decide ([`Decisions`]) → start ([`preprocess`](crate::preprocess), `initial`) →
-//! fit ([`fit`]) → save ([`run_file`]) → products (`dsm.tif`) → evaluate ([`measure`]).
+//! fit ([`FitRequest`]) → save ([`run_file`]) → products (`dsm.tif`) → evaluate ([`measure`]).
 //! The page of the run is the caller's again, who has the pictures.
 
 use crate::config::SatelliteConfig;
 use crate::error::SatelliteError;
-use crate::fit::{self, Fitted, Limits};
+use crate::fit::{FitRequest, Fitted};
 use crate::ground::MARGIN_M;
 use crate::linear;
 use crate::measure;
@@ -65,15 +65,20 @@ pub fn train(
         checkpoint,
         closing,
     } = folder;
-    let limits = Limits {
+    // Start and fit.
+    let fit = FitRequest {
+        scene,
+        config: &config,
+        decisions: &decisions,
         budget,
         memory: request.memory,
+        session,
     };
-    // Start and fit.
-    let fitted = fit::fit(scene, &config, &decisions, session, &limits, checkpoints, checkpoint);
+    let fitted = fit.run(checkpoints, checkpoint);
     let mut fitted = fitted.inspect_err(|_| closing.discard())?;
-    if fitted.ending == Ending::Interrupted {
-        fitted.ending.check(&request.out)?;
+    let ending = fitted.trained.ending.clone();
+    if ending == Ending::Interrupted {
+        ending.check(&request.out)?;
     }
     // Save.
     let part = stage("save");
@@ -90,11 +95,11 @@ pub fn train(
         inputs,
         config: fitted.decisions.resolved(&config),
     };
-    run_file::save(&request.out, &run, &file, &fitted.parameters.gaussians)?;
+    run_file::save(&request.out, &run, &file, &fitted.trained.parameters.gaussians)?;
     let whole = LoadedModel {
         folder: request.out.clone(),
         model: fitted.model.clone(),
-        parameters: std::mem::take(&mut fitted.parameters),
+        parameters: std::mem::take(&mut fitted.trained.parameters),
         file,
         frame: scene.frame,
     };
@@ -121,11 +126,11 @@ pub fn train(
     drop(part);
     measure::add_fit(&mut metrics, &fitted, &model, begun.elapsed().as_secs_f64());
     metrics["timeline"] = serde_json::to_value(timeline::take()).unwrap_or_default();
-    closing.finish(&mut metrics, &fitted.ending)?;
+    closing.finish(&mut metrics, &ending)?;
     Ok(TrainOutcome::Trained(Box::new(TrainedRun {
         model,
         metrics,
-        ending: fitted.ending,
+        ending,
     })))
 }
 
@@ -205,11 +210,12 @@ fn reference_values(scene: &Scene, fitted: &Fitted) -> Values {
 }
 
 fn model_file(scene: &Scene, fitted: &Fitted) -> ModelFile {
+    let changes = &fitted.found.changes;
     ModelFile {
         schema: SCHEMA,
         model: "shadow_gs".into(),
         options: fitted.model.options.clone(),
-        globals: fitted.parameters.globals.clone(),
+        globals: fitted.trained.parameters.globals.clone(),
         origin: scene.origin(),
         altitude_range_m: scene.altitude_range_m,
         area: scene.area,
@@ -220,9 +226,9 @@ fn model_file(scene: &Scene, fitted: &Fitted) -> ModelFile {
         values: reference_values(scene, fitted),
         daylight: fitted.daylight.clone(),
         images: run_file::model_images(scene, fitted, MARGIN_M),
-        changes: (!fitted.changes.days.is_empty()).then(|| ModelChanges {
-            days: fitted.changes.days.clone(),
-            segments: fitted.changes.segments.clone(),
+        changes: (!changes.days.is_empty()).then(|| ModelChanges {
+            days: changes.days.clone(),
+            segments: changes.segments.clone(),
         }),
     }
 }
