@@ -1,6 +1,6 @@
 //! What can go wrong between a capture of an object and its run.
 
-use heliosplat_fitting::run_folder::{OpenError, RunError};
+use heliosplat_fitting::run_folder::RunError;
 use heliosplat_fitting::settings::ConfigError;
 use heliosplat_fitting::training::TrainingError;
 use heliosplat_raster::RasterError;
@@ -81,9 +81,6 @@ pub enum ObjectError {
     /// The course of a training.
     #[error(transparent)]
     Training(#[from] TrainingError),
-    /// The run's folder, or its checkpoint.
-    #[error(transparent)]
-    Open(#[from] OpenError),
     /// A file of the run.
     #[error(transparent)]
     Run(#[from] RunError),

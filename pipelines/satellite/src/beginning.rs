@@ -1,7 +1,7 @@
 //! What a training begins with: the model of a scene's images, its Gaussians on the swept surface, and the views.
 
 use super::config::SatelliteConfig;
-use super::error::{FitError, MaskError};
+use super::error::{MaskError, SatelliteError};
 use super::ground::Ground;
 use super::plan::Decisions;
 use super::preprocess::Preprocessed;
@@ -37,14 +37,14 @@ impl Beginning {
     /// Of the images of `ground` under `suns`, on the surface that was `found`.
     ///
     /// # Errors
-    /// [`FitError`] when a user's shadow mask cannot be read.
+    /// [`SatelliteError`] when a user's shadow mask cannot be read.
     pub(super) fn new(
         ground: &Ground,
         found: &Preprocessed,
         suns: &[ImageSun],
         decisions: &Decisions,
         config: &SatelliteConfig,
-    ) -> Result<Self, FitError> {
+    ) -> Result<Self, SatelliteError> {
         let Preprocessed { surface, changes, .. } = found;
         let changing = !changes.segments.is_empty();
         let model = model(ground, suns, decisions, changing);
@@ -180,7 +180,7 @@ pub(super) fn fit_into_memory(
     views: &[View],
     config: &SatelliteConfig,
     options: &mut TrainOptions,
-) -> Result<f64, FitError> {
+) -> Result<f64, SatelliteError> {
     let count = parameters.gaussians.count;
     let pixels = |view: &View| view.image.plane_len() as f64;
     let largest = views.iter().map(pixels).fold(0.0, f64::max);

@@ -4,7 +4,7 @@
 //! memory that was used.
 
 use super::config::{ModelOptions, SatelliteConfig};
-use super::error::FitError;
+use super::error::SatelliteError;
 use super::ground;
 use super::sweep_memory::search_bytes;
 use heliosplat::shade::sh::functions;
@@ -123,8 +123,8 @@ impl From<&Survey> for Extent {
 /// Refuses a scene whose training will not fit into `limit` bytes, before a pixel of it is read.
 ///
 /// # Errors
-/// [`FitError::Memory`].
-pub fn must_fit_unread(survey: &Survey, limit: Option<u64>, config: &SatelliteConfig) -> Result<(), FitError> {
+/// [`SatelliteError::Memory`].
+pub fn must_fit_unread(survey: &Survey, limit: Option<u64>, config: &SatelliteConfig) -> Result<(), SatelliteError> {
     let held = PROGRAM_BYTES + 4.0 * survey.bands as f64 * survey.pixels();
     must_fit(estimate_of(&survey.into(), config, held).least_bytes, limit, config)
 }
@@ -168,10 +168,10 @@ pub fn estimate_of(extent: &Extent, config: &SatelliteConfig, held: f64) -> Esti
 ///
 /// # Errors
 /// When `needed` is more.
-pub fn must_fit(needed: f64, limit: Option<u64>, config: &SatelliteConfig) -> Result<(), FitError> {
+pub fn must_fit(needed: f64, limit: Option<u64>, config: &SatelliteConfig) -> Result<(), SatelliteError> {
     let gib = |bytes: f64| bytes / f64::from(1 << 30);
     match limit.map(|bytes| bytes as f64) {
-        Some(limit) if needed > limit => Err(FitError::Memory {
+        Some(limit) if needed > limit => Err(SatelliteError::Memory {
             needed_gib: gib(needed),
             limit_gib: gib(limit),
             cell_gsd: config.start.cell_gsd * (needed / limit).sqrt() * 1.05,

@@ -2,7 +2,7 @@
 
 use super::beginning::{self, Beginning, SKY};
 use super::config::SatelliteConfig;
-use super::error::FitError;
+use super::error::SatelliteError;
 use super::one_light::{self, OneLight};
 use super::plan::{Decisions, Light};
 use super::preprocess::{Preprocess, Preprocessed};
@@ -96,12 +96,12 @@ impl FitRequest<'_> {
     /// Fits a model, or goes on from the `checkpoint` of a fit that was interrupted; `checkpoints` writes its state meanwhile.
     ///
     /// # Errors
-    /// [`FitError`] when too few images show the common ground, training gives up, or the state cannot be kept or taken up.
+    /// [`SatelliteError`] when too few images show the common ground, training gives up, or the state cannot be kept or taken up.
     pub fn run(
         &self,
         mut checkpoints: CheckpointWriter<Preprocessed>,
         checkpoint: Option<LoadedCheckpoint<Preprocessed>>,
-    ) -> Result<Fitted, FitError> {
+    ) -> Result<Fitted, SatelliteError> {
         self.check_channels()?;
         let (kept, log, state) = checkpoint.map_or((None, None, None), |checkpoint| {
             (checkpoint.preprocessed, Some(checkpoint.log), Some(checkpoint.trainer))
@@ -131,10 +131,10 @@ impl FitRequest<'_> {
     }
 
     /// Whether near-surface light, visibility and a normal can be rendered beside the bands.
-    fn check_channels(&self) -> Result<(), FitError> {
+    fn check_channels(&self) -> Result<(), SatelliteError> {
         let bands = self.scene.bands().len();
         match self.decisions.near_light && 2 * bands + 1 + 3 > MOST_CHANNELS {
-            true => Err(FitError::Channels {
+            true => Err(SatelliteError::Channels {
                 bands,
                 most: MOST_CHANNELS,
             }),
@@ -143,7 +143,7 @@ impl FitRequest<'_> {
     }
 
     /// The swept surface and the suns found in shadows on it: those that were `kept`, if they are of this scene.
-    fn prepare(&self, kept: Option<Preprocessed>) -> Result<Preprocess<'_>, FitError> {
+    fn prepare(&self, kept: Option<Preprocessed>) -> Result<Preprocess<'_>, SatelliteError> {
         let &Self {
             scene,
             config,
@@ -182,7 +182,7 @@ impl FitRequest<'_> {
     }
 
     /// Gaussians on the swept surface, under the suns that are known now.
-    fn begin(&self, swept: &Preprocess) -> Result<Start, FitError> {
+    fn begin(&self, swept: &Preprocess) -> Result<Start, SatelliteError> {
         let _part = stage("start");
         let &Self { scene, config, .. } = self;
         let Preprocess { ground, found } = swept;
@@ -237,7 +237,7 @@ impl FitRequest<'_> {
         start: &mut Start,
         checkpoints: CheckpointWriter<Preprocessed>,
         state: Option<TrainerState>,
-    ) -> Result<Trained, FitError> {
+    ) -> Result<Trained, SatelliteError> {
         let _part = stage("train");
         let Beginning {
             model,

@@ -4,7 +4,7 @@ use super::adjust::{self, AdjustInput};
 use super::altitude;
 use super::clouds;
 use super::config::{Align, SatelliteConfig, THRESHOLD_PX};
-use super::error::{FitError, SatelliteError};
+use super::error::SatelliteError;
 use super::ground::Ground;
 use super::limits::AtLimits;
 use super::plan::Decisions;
@@ -53,17 +53,17 @@ impl<'a> Preprocess<'a> {
     /// Finds it out.
     ///
     /// # Errors
-    /// [`FitError::TooFewViews`] when too few images show the common ground, [`FitError::NoContrast`] when one of them shows nothing there.
+    /// [`SatelliteError::TooFewViews`] when too few images show the common ground, [`SatelliteError::NoContrast`] when one of them shows nothing there.
     pub(super) fn new(
         scene: &'a Scene,
         config: &SatelliteConfig,
         decisions: &Decisions,
         session: &Session,
-    ) -> Result<Self, FitError> {
+    ) -> Result<Self, SatelliteError> {
         let started = Instant::now();
         let ground = Ground::new(scene, scene.training())?;
         let images = ground.images.len();
-        let matching = decisions.matching.ok_or(FitError::TooFewViews { images })?;
+        let matching = decisions.matching.ok_or(SatelliteError::TooFewViews { images })?;
         let request = ground.request(config.start.cell_gsd * scene.gsd_m, matching);
         tracing::debug!(parameters = ?matching, "matching");
         let part = stage("clouds");
@@ -150,7 +150,7 @@ impl<'a> Preprocess<'a> {
     ///
     /// # Errors
     /// As [`Self::new`].
-    pub(super) fn again(scene: &'a Scene, found: Preprocessed) -> Result<Option<Self>, FitError> {
+    pub(super) fn again(scene: &'a Scene, found: Preprocessed) -> Result<Option<Self>, SatelliteError> {
         let ground = Ground::new(scene, scene.training())?;
         let images = ground.images.len();
         let mut masks = found.clouds.iter().zip(&ground.crops);
@@ -263,8 +263,8 @@ pub(super) fn say_lowered(lowered: &Lowered) {
 /// The surface that all views of `scene` find together, without training.
 ///
 /// # Errors
-/// [`FitError::TooFewViews`] when too few images show the common ground.
-pub fn sweep_only(scene: &Scene, config: &SatelliteConfig, session: &Session) -> Result<Surface, FitError> {
+/// [`SatelliteError::TooFewViews`] when too few images show the common ground.
+pub fn sweep_only(scene: &Scene, config: &SatelliteConfig, session: &Session) -> Result<Surface, SatelliteError> {
     let decisions = Decisions::of(scene, config);
     Preprocess::new(scene, config, &decisions, session).map(|swept| swept.found.surface)
 }
@@ -273,7 +273,7 @@ pub fn sweep_only(scene: &Scene, config: &SatelliteConfig, session: &Session) ->
 /// the surface touches its limits; one that was stated is kept, which is a warning.
 ///
 /// # Errors
-/// As [`Scene::open`], and [`FitError::TooFewViews`].
+/// As [`Scene::open`], and [`SatelliteError::TooFewViews`].
 pub fn open_and_sweep(
     path: &Path,
     options: &IngestOptions,

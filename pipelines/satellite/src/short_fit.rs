@@ -4,7 +4,7 @@
 //! the images have them: shadows and dark ground agree better on it by half (docs/lab/suns.md).
 
 use super::beginning::{self, Beginning, SKY};
-use super::error::FitError;
+use super::error::SatelliteError;
 use super::fit::FitRequest;
 use super::preprocess::Preprocess;
 use super::{linear, radiometry, suns};
@@ -23,8 +23,8 @@ const FEWEST_KNOWN: usize = 4;
 /// Altitudes of such a model on the cells of the swept surface, metres; NaN where it has none.
 ///
 /// # Errors
-/// [`FitError`] when training gives up or does not fit into the memory that is given.
-pub(super) fn altitudes(request: &FitRequest, swept: &Preprocess) -> Result<Vec<f32>, FitError> {
+/// [`SatelliteError`] when training gives up or does not fit into the memory that is given.
+pub(super) fn altitudes(request: &FitRequest, swept: &Preprocess) -> Result<Vec<f32>, SatelliteError> {
     let _part = stage("short fit");
     let &FitRequest {
         scene,
