@@ -54,7 +54,9 @@ impl Gain {
             return None;
         }
         // d ln(A / B) = dA / A - dB / B: what each piece adds to that; the sum over all is zero.
-        let squares = pieces.iter().map(|piece| (piece.without / without - piece.with / with).powi(2));
+        let squares = pieces
+            .iter()
+            .map(|piece| (piece.without / without - piece.with / with).powi(2));
         let count = pieces.len() as f64;
         let sum_error = (squares.sum::<f64>() * count / (count - 1.0)).sqrt();
         let db = 10.0 / std::f64::consts::LN_10;

@@ -44,7 +44,11 @@ impl<'a> Ground<'a> {
     ///
     /// # Errors
     /// [`SatelliteError::TooFewViews`] when fewer than two do.
-    pub fn over(scene: &'a Scene, area: Area, images: impl Iterator<Item = &'a SceneImage>) -> Result<Self, SatelliteError> {
+    pub fn over(
+        scene: &'a Scene,
+        area: Area,
+        images: impl Iterator<Item = &'a SceneImage>,
+    ) -> Result<Self, SatelliteError> {
         let up_m = crop::altitude_range(scene);
         let (images, crops): (Vec<&SceneImage>, Vec<Crop>) = images
             .filter_map(|image| Some((image, Crop::of(image, &area, up_m)?)))

@@ -103,7 +103,10 @@ impl Facts {
                 elevations().fold(f64::INFINITY, f64::min),
                 elevations().fold(f64::NEG_INFINITY, f64::max),
             ),
-            dividing_days: ground.as_ref().map_or(Some(Vec::new()), Ground::days).map(|days| dividing_days(&days).len()),
+            dividing_days: ground
+                .as_ref()
+                .map_or(Some(Vec::new()), Ground::days)
+                .map(|days| dividing_days(&days).len()),
             matching: ground.map(|ground| ground.matching_facts(config.start.cell_gsd * scene.gsd_m)),
             index,
             clipped: images.iter().map(|image| saturation::share(&image.pixels)).sum::<f64>()

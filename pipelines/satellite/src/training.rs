@@ -127,11 +127,7 @@ pub fn train(
     measure::add_fit(&mut metrics, &fitted, &model, begun.elapsed().as_secs_f64());
     metrics["timeline"] = serde_json::to_value(timeline::take()).unwrap_or_default();
     closing.finish(&mut metrics, &ending)?;
-    Ok(TrainOutcome::Trained(Box::new(TrainedRun {
-        model,
-        metrics,
-        ending,
-    })))
+    Ok(TrainOutcome::Trained(Box::new(TrainedRun { model, metrics, ending })))
 }
 
 /// Writes the surface model and what changed, each with its picture: one file beside the other, since each takes one core to pack.
