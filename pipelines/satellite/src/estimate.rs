@@ -12,7 +12,7 @@ use super::trial::WORTH_STEPS;
 use heliosplat::bench_fixture::{Descent, Lighting, Site};
 use heliosplat::shade::sh::functions;
 use heliosplat::timeline;
-use heliosplat::trace::transmittance;
+use heliosplat::trace::SunVisibility;
 use heliosplat::train::TrainOptions;
 use heliosplat_scene::crop;
 use heliosplat_scene::survey::Survey;
@@ -178,11 +178,11 @@ fn measured_speed(measured: Duration) -> Speed {
 /// count: in it memory is new.
 fn one_core_seconds(measured: Duration) -> Vec<f64> {
     let site = Site::new(40_000, 320, 0.6);
-    let mut lighting = Lighting::new(&site);
+    let mut lighting = Lighting::new(&site, SunVisibility::default());
     let mut descent = Descent::new(Site::new(40_000, 320, 0.6));
     let mut both = || {
         let begun = Instant::now();
-        std::hint::black_box(lighting.step(transmittance));
+        std::hint::black_box(lighting.step());
         std::hint::black_box(descent.step());
         begun.elapsed().as_secs_f64()
     };
