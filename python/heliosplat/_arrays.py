@@ -11,6 +11,6 @@ from numpy.typing import NDArray
 def floats(values: Any, dtype: type[np.floating[Any]] = np.float64) -> NDArray[Any]:
     """Numbers as floating point; masked ones are NaN."""
     if isinstance(values, np.ma.MaskedArray):
-        filled: NDArray[Any] = values.astype(dtype).filled(np.nan)
+        filled: NDArray[Any] = np.ma.filled(values.astype(dtype), np.nan)  # type: ignore[no-untyped-call,unused-ignore]
         return filled
     return np.asarray(values, dtype=dtype)
