@@ -368,6 +368,25 @@ impl RasterFile {
         self.read(self.whole(), &bands)
     }
 
+    /// Reads a whole band (0-based) as the file has it: dates as YYYYMMDD have more digits than `f32` holds.
+    ///
+    /// # Errors
+    /// [`RasterError::Damaged`] when the pixels cannot be read.
+    pub fn read_doubles(&self, band: usize) -> Result<Vec<f64>, RasterError> {
+        let (whole, size) = (self.whole(), self.size());
+        self.check_size(whole, 1)?;
+        let read = || {
+            self.dataset
+                .rasterband(band + 1)?
+                .read_as::<f64>((0, 0), size, size, None)
+        };
+        let found = messages::collect(read).map_err(|reason| RasterError::Damaged {
+            path: self.path.clone(),
+            reason,
+        })?;
+        Ok(found.into_shape_and_vec().1)
+    }
+
     /// The values of a window, `factor` pixels each way averaged into one.
     fn read_band(&self, window: Window, factor: usize, band: usize) -> Result<Vec<f32>, RasterError> {
         let size = (window.width / factor, window.height / factor);

@@ -60,6 +60,12 @@ impl AdjustInput<'_> {
         progress(0.5);
         let full = self.round(&shifts(&half), 1, model)?;
         progress(1.0);
+        if !full.converged {
+            tracing::warn!(
+                "cameras: the adjustment had not come to rest after {} rounds; check its residuals, or set cameras.align = \"off\"",
+                full.rounds
+            );
+        }
         tracing::info!("cameras adjusted: {} ties, {:.2} px", full.points.len(), full.sigma_px);
         Ok(full)
     }

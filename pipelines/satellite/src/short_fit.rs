@@ -43,7 +43,6 @@ pub(super) fn altitudes(request: &FitRequest, swept: &Preprocess) -> Result<Vec<
     } = Beginning::new(ground, found, &suns, &decisions, config)?;
     let mut options = beginning::train_options(config, scene, views.len());
     options.iterations = options.iterations.min(STEPS);
-    options.holdout = 0.0;
     options.patience = 0;
     beginning::fit_into_memory(memory, scene, &parameters, &views, config, &mut options)?;
     radiometry::initialise(&model, &mut parameters, &mut views, SKY);

@@ -22,6 +22,7 @@ const OBJECT_STORES: [&str; 7] = [
     "/vsiswift/",
     "/vsiwebhdfs/",
 ];
+
 /// Largest manifest, bytes.
 const LARGEST: u64 = 16 << 20;
 
