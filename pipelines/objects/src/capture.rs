@@ -5,7 +5,7 @@ use super::pinhole::{Pinhole, common_centre};
 use super::pixels::{self, Encoding, Picture};
 use super::transforms::{self, FrameSpec, PointLight};
 use glam::DVec3;
-use heliosplat_rpc::statistics::upper_median;
+use heliosplat_grid::statistics::upper_median;
 use heliosplat_scene::Split;
 use rayon::prelude::*;
 use std::path::{Path, PathBuf};

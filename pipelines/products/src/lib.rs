@@ -6,7 +6,6 @@
 pub mod animation;
 pub mod blend;
 pub mod change;
-pub mod daylight;
 pub mod dsm;
 pub mod export;
 mod fill;

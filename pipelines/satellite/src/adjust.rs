@@ -18,8 +18,9 @@ use super::ground::Ground;
 use heliosplat_rpc::adjust::{AdjustImage, AdjustOptions, Adjustment, BiasModel, Sighting, Track, adjust};
 use heliosplat_rpc::{ImagePoint, Rpc, RpcError};
 use heliosplat_scene::Scene;
-use heliosplat_stereo::ties::{Tie, TieOptions, find_ties};
-use heliosplat_stereo::{MatchingParameters, SweepView, align::coarse_shifts};
+use heliosplat_stereo::pointing::align::coarse_shifts;
+use heliosplat_stereo::pointing::ties::{Tie, TieOptions, find_ties};
+use heliosplat_stereo::{MatchingParameters, SweepView};
 use nalgebra::Vector3;
 
 /// Ties sought at half resolution, and at full.

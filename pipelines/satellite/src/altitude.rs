@@ -2,16 +2,16 @@
 //!
 //! A range that is too wide costs common ground, sharp pinhole cameras and time, and lets ground that one image sees match anything; one
 //! that is too narrow cuts the surface off. Nothing of the scene but its rational cameras is known then, so pairs of images are matched along
-//! their epipolar lines ([`heliosplat_stereo::ties::epipolar`]): first over all heights that the cameras are valid for, on images averaged down to a few hundred
+//! their epipolar lines ([`heliosplat_stereo::pointing::ties::epipolar`]): first over all heights that the cameras are valid for, on images averaged down to a few hundred
 //! pixels, then around what was found, on finer ones. What the matches of all pairs span, with a margin, is the range. A sweep of all images in
 //! large cells over that range confirms it, or widens it where its surface lies at a limit.
 
 use super::ground::Ground;
 use super::limits::AtLimits;
-use heliosplat_rpc::statistics::quantile;
+use heliosplat_grid::statistics::quantile;
 use heliosplat_scene::cameras::SceneCameras;
 use heliosplat_scene::{AltitudeSource, IngestOptions, Scene, SceneError};
-use heliosplat_stereo::ties::epipolar::{EpipolarSearch, ReducedView, TiedAltitudes, tied_altitudes};
+use heliosplat_stereo::pointing::ties::epipolar::{EpipolarSearch, ReducedView, TiedAltitudes, tied_altitudes};
 use heliosplat_stereo::{MatchingParameters, Surface, plane_sweep};
 use std::path::Path;
 

@@ -1,11 +1,10 @@
 //! What a training begins with: the model of a scene's images, its Gaussians on the swept surface, and the views.
 
 use super::config::SatelliteConfig;
-use super::error::{MaskError, SatelliteError};
+use super::error::SatelliteError;
 use super::ground::Ground;
 use super::plan::Decisions;
 use super::preprocess::Preprocessed;
-use super::shadow_prior;
 use super::views;
 use super::{estimate, initial};
 use glam::Vec3;
@@ -14,6 +13,7 @@ use heliosplat::model::{Parameters, SceneModel, View};
 use heliosplat::train::TrainOptions;
 use heliosplat_fitting::run_folder::peak_rss_bytes;
 use heliosplat_products::change::day_of;
+use heliosplat_radiometry::shadow_prior::{self, MaskError};
 use heliosplat_scene::{ImageSun, Scene, crop};
 use heliosplat_stereo::Surface;
 
@@ -144,7 +144,7 @@ fn give_priors(
         None => {
             let (rasters, cameras): (Vec<_>, Vec<_>) = views.iter().map(|view| (&*view.image, view.camera)).unzip();
             let suns: Vec<_> = suns.iter().map(crop::direction).collect();
-            shadow_prior::found(ground, &rasters, surface, &cameras, &suns)
+            shadow_prior::found(&ground.images, &rasters, surface, &cameras, &suns)
         }
     };
     // Without a sun nothing is in shadow, and no mask can change that.

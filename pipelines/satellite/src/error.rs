@@ -6,6 +6,7 @@ use heliosplat_fitting::run_folder::RunError;
 use heliosplat_fitting::settings::ConfigError;
 use heliosplat_fitting::training::TrainingError;
 use heliosplat_products::relight::RelightError;
+use heliosplat_radiometry::shadow_prior::MaskError;
 use heliosplat_raster::RasterError;
 use heliosplat_rpc::RpcError;
 use heliosplat_scene::SceneError;
@@ -139,24 +140,4 @@ impl From<TrainError> for SatelliteError {
     fn from(error: TrainError) -> Self {
         Self::Training(error.into())
     }
-}
-
-/// Why a mask cannot be used.
-#[derive(Debug, thiserror::Error)]
-pub enum MaskError {
-    /// A file that is missing or damaged.
-    #[error("model.shadow_masks: {0}")]
-    File(#[from] RasterError),
-    /// A mask that does not lie on its image.
-    #[error(
-        "model.shadow_masks: {path} has {mask_px:?} pixels and its image {image_px:?}; a mask covers its image: 1 where it is lit, 0 in shadow"
-    )]
-    Size {
-        /// The mask.
-        path: PathBuf,
-        /// Its columns and rows.
-        mask_px: (usize, usize),
-        /// Those of its image.
-        image_px: (usize, usize),
-    },
 }

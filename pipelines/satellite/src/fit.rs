@@ -3,11 +3,10 @@
 use super::beginning::{self, Beginning, SKY};
 use super::config::SatelliteConfig;
 use super::error::SatelliteError;
-use super::one_light::{self, OneLight};
 use super::plan::{Decisions, Light};
 use super::preprocess::{Preprocess, Preprocessed};
-use super::radiometry::Shades;
-use super::{daylight, linear, probe, radiometry, short_fit, suns};
+
+use super::{probe, short_fit, suns};
 use heliosplat::ProjectiveCamera;
 use heliosplat::model::shadow_gs::ShadowGs;
 use heliosplat::model::{Parameters, View};
@@ -17,7 +16,10 @@ use heliosplat::train::{TrainOptions, Trainer, TrainerState};
 use heliosplat_fitting::budget::Budget;
 use heliosplat_fitting::checkpoint::{CheckpointWriter, LoadedCheckpoint};
 use heliosplat_fitting::training::{Trained, TrainingError, train};
-use heliosplat_products::daylight::Daylight;
+use heliosplat_radiometry::colours::{self, Shades};
+use heliosplat_radiometry::daylight::{self, Daylight};
+use heliosplat_radiometry::linear;
+use heliosplat_radiometry::one_light::{self, OneLight};
 use heliosplat_scene::{Area, ImageSun, KnownTiles, Scene};
 use heliosplat_session::Session;
 use std::time::Instant;
@@ -220,7 +222,7 @@ impl FitRequest<'_> {
             parameters,
             views,
         } = &mut start.beginning;
-        let shades = radiometry::initialise(model, parameters, views, SKY);
+        let shades = colours::initialise(model, parameters, views, SKY);
         let one_light = OneLight::of(&start.suns, model.options.reference);
         if let Some(light) = &one_light {
             let darkest = one_light::darkest(&views[model.options.reference].image);

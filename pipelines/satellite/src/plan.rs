@@ -12,12 +12,11 @@ pub use light::Light;
 
 use super::config::{Align, SatelliteConfig, THRESHOLD_PX};
 use super::ground::Ground;
-use super::shadow_prior::ENOUGH_VIEWS;
+use heliosplat_radiometry::shadow_prior::ENOUGH_VIEWS;
 use heliosplat_scene::{ImageSun, Scene, SceneImage, SunSource};
 use heliosplat_scene::{crop, saturation};
 use heliosplat_stereo::change::dividing_days;
 use heliosplat_stereo::clouds::FEWEST_VIEWS;
-use heliosplat_stereo::suns::ShadowSun;
 use heliosplat_stereo::{FEW_VIEWS, MatchingFacts, MatchingParameters, no_match_weight};
 
 /// What is decided about a scene.

@@ -7,13 +7,14 @@ use super::beginning::{self, Beginning, SKY};
 use super::error::SatelliteError;
 use super::fit::FitRequest;
 use super::preprocess::Preprocess;
-use super::{linear, radiometry, suns};
+use super::suns;
 use heliosplat::ProjectiveCamera;
 use heliosplat::splat::ProjectionOptions;
 use heliosplat::timeline::stage;
 use heliosplat::train::Trainer;
 use heliosplat_products::dsm;
 use heliosplat_products::surface::SurfaceGaussians;
+use heliosplat_radiometry::{colours, linear};
 
 /// Steps: those of the preset `fast`.
 const STEPS: usize = 40;
@@ -45,7 +46,7 @@ pub(super) fn altitudes(request: &FitRequest, swept: &Preprocess) -> Result<Vec<
     options.iterations = options.iterations.min(STEPS);
     options.patience = 0;
     beginning::fit_into_memory(memory, scene, &parameters, &views, config, &mut options)?;
-    radiometry::initialise(&model, &mut parameters, &mut views, SKY);
+    colours::initialise(&model, &mut parameters, &mut views, SKY);
     linear::begin(&model, &mut parameters, &views);
     if views.iter().filter(|view| view.light.is_some()).count() >= FEWEST_KNOWN {
         beginning::keep_known_suns(&mut views);

@@ -14,10 +14,8 @@
 //! own, so what changed before the second or after the last but one image cannot be told.
 
 mod segments;
-mod shadows;
 
 use super::agreement::OnSurface;
-use super::grid::Grid;
 use super::level::LevelView;
 use super::ortho::box_mean;
 use super::pairs::Pair;
@@ -30,9 +28,10 @@ use super::surface::Surface;
 use super::views::{SweepView, ViewGeometry};
 use super::visibility::{FirstHits, Standing};
 use super::volume::SearchVolume;
+use heliosplat_grid::Grid;
 use rayon::prelude::*;
+pub use segments::States;
 use segments::{CoarseSegment, Side};
-use shadows::{Shadows, States};
 use std::cell::LazyCell;
 
 /// Cells of the request per cell on which change is searched.
@@ -111,7 +110,16 @@ struct Split {
 
 /// Divides `surface`, which was swept from all `views`, in what stands before and after a day where the images ask for it; `days` are those
 /// of the views, days since 1970. Where anything changed `surface` becomes that of the last day.
-pub fn find(views: &[SweepView], days: &[i32], request: &PlaneSweepRequest, surface: &mut Surface) -> Changes {
+///
+/// `by_shadows` is given the cells on which change is searched and the altitudes of the surface there, metres; its answer is how much more
+/// likely two states make the shadows around a segment than one, a logarithm, `None` where no date shows ground that tells.
+pub fn find<L: Fn(&States) -> Option<f32>>(
+    views: &[SweepView],
+    days: &[i32],
+    request: &PlaneSweepRequest,
+    surface: &mut Surface,
+    by_shadows: impl FnOnce(&Grid, &[f32]) -> L,
+) -> Changes {
     let candidates = dividing_days(days);
     if candidates.is_empty() {
         return Changes::default();
@@ -121,9 +129,10 @@ pub fn find(views: &[SweepView], days: &[i32], request: &PlaneSweepRequest, surf
     let grid = coarse.grid();
     let splits = splits(views, days, &candidates, &coarse, surface);
     // Measured only if a candidate asks for it.
-    let shadows = LazyCell::new(|| Shadows::new(views, days, &grid, &on_grid(&grid, surface)));
-    let by_shadows = |states: &States| shadows.likelihood(states);
-    let found = segments::find(&grid, &splits, &shown(views, &grid, surface), &by_shadows);
+    let by_shadows = LazyCell::new(|| by_shadows(&grid, &on_grid(&grid, surface)));
+    let found = segments::find(&grid, &splits, &shown(views, &grid, surface), &|states: &States| {
+        by_shadows(states)
+    });
     let mut changes = Changes {
         segments: Vec::new(),
         label: vec![0; surface.altitude.len()],
@@ -226,7 +235,7 @@ impl Changes {
         self.segments.push(Segment {
             bounds_m,
             day: segment.day,
-            difference_m: heliosplat_rpc::statistics::upper_median(&mut differences).unwrap_or(segment.difference_m),
+            difference_m: heliosplat_grid::statistics::upper_median(&mut differences).unwrap_or(segment.difference_m),
             area_m2: differences.len() as f32 * surface.cell_m * surface.cell_m,
             confidence: segment.confidence,
         });

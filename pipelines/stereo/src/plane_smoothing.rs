@@ -5,8 +5,8 @@
 //! of the surface are hardly matched at all. Both leave walls standing: cells far from the window's median or plane count little or
 //! nothing. Limit: what is smaller than a window and lower than the tolerance is smoothed away.
 
-use super::grid::Grid;
-use heliosplat_rpc::statistics::upper_median;
+use heliosplat_grid::Grid;
+use heliosplat_grid::statistics::upper_median;
 use rayon::prelude::*;
 
 /// Sum of squared confidence at which an adaptive window is wide enough: that of 16 × 16 cells of full confidence.

@@ -1,8 +1,8 @@
 //! The initial surface: what the plane sweep finds, one altitude per cell.
 
-use super::grid::lowest_within;
 use super::seen::FEWEST_VIEWS;
 use glam::Vec3;
+use heliosplat_grid::lowest_within;
 
 /// Probability from which on an altitude is known: chance would not have it.
 const KNOWN_PROBABILITY: f32 = 0.5;

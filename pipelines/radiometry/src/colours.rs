@@ -12,7 +12,7 @@ use heliosplat::model::{SceneModel, View};
 use heliosplat::render::{PassOptions, render};
 use heliosplat::splat::Maps;
 use heliosplat::trace::{Occluders, transmittance};
-use heliosplat_rpc::statistics::{upper_median, upper_quantile};
+use heliosplat_grid::statistics::{upper_median, upper_quantile};
 use rayon::prelude::*;
 
 /// Depth behind the visible surface within which a Gaussian still counts as visible, metres.
@@ -128,11 +128,11 @@ fn cover(view: &mut View, maps: &Maps) {
 }
 
 /// What a shadow is worth beside the same ground in the sun, for each view and band; `None` where the view does not tell.
-pub(super) type Shades = Vec<Vec<Option<f64>>>;
+pub type Shades = Vec<Vec<Option<f64>>>;
 
 /// Sets albedo and per-image colour of `parameters` from `views`, and the views' weights to what the surface covers. Returns what shadows
 /// are worth.
-pub(super) fn initialise(model: &ShadowGs, parameters: &mut Parameters, views: &mut [View], sky: f32) -> Shades {
+pub fn initialise(model: &ShadowGs, parameters: &mut Parameters, views: &mut [View], sky: f32) -> Shades {
     let bands = model.options.bands;
     let mut occluders = Occluders::new(&parameters.gaussians);
     let mut shown = Vec::new();

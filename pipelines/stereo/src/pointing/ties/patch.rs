@@ -1,6 +1,7 @@
 //! Patches of views on a tangent plane, and the search for one in another by normalised cross-correlation.
 
 use super::{HALF, REACH};
+use heliosplat_grid::parabola_top;
 
 /// Half a region, cells: a patch shifted as far as it may be, and back.
 const EXTENT: isize = HALF + 2 * REACH;
@@ -136,20 +137,11 @@ impl Peak {
     fn top(&self) -> [f32; 2] {
         let (c, r) = (self.col, self.row);
         let here = self.score(c, r);
+        let offset = |scores| parabola_top(scores).unwrap_or(0.0);
         [
-            c as f32 + parabola(self.score(c - 1, r), here, self.score(c + 1, r)),
-            r as f32 + parabola(self.score(c, r - 1), here, self.score(c, r + 1)),
+            c as f32 + offset([self.score(c - 1, r), here, self.score(c + 1, r)]),
+            r as f32 + offset([self.score(c, r - 1), here, self.score(c, r + 1)]),
         ]
-    }
-}
-
-/// The top of the parabola through three values one apart, from the middle one.
-fn parabola(before: f32, here: f32, after: f32) -> f32 {
-    let bend = 2.0 * here - before - after;
-    if bend > 0.0 {
-        (0.5 * (after - before) / bend).clamp(-0.5, 0.5)
-    } else {
-        0.0
     }
 }
 

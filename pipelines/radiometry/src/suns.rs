@@ -16,12 +16,12 @@ mod darkness;
 mod horizon;
 mod score;
 
-use super::surface::Surface;
-use super::views::SweepView;
-pub(super) use darkness::{Darkness, bilinear};
+pub(crate) use darkness::{Darkness, bilinear};
 use glam::Vec3;
-use heliosplat::relief::Relief;
-pub(super) use horizon::toward;
+use heliosplat_grid::relief::Relief;
+use heliosplat_stereo::Surface;
+use heliosplat_stereo::SweepView;
+pub(crate) use horizon::toward;
 use horizon::{relief_of, sample};
 use rayon::prelude::*;
 use score::{BLOCKS, Moments, Sample, shaded_sums};
@@ -210,7 +210,7 @@ impl Horizons {
 }
 
 /// Azimuth and elevation of a direction toward the sun, degrees.
-pub(super) fn angles_deg(sun: Vec3) -> [f64; 2] {
+pub(crate) fn angles_deg(sun: Vec3) -> [f64; 2] {
     let sun = sun.as_dvec3();
     [
         sun.x.atan2(sun.y).to_degrees().rem_euclid(360.0),

@@ -10,15 +10,15 @@
 //! as it is. A part takes the edges of roofs beside it along, which training puts back; a lowered cell says by its probability and deviation
 //! that it may be as high as it was matched.
 
-use super::change::Changes;
-use super::grid::Grid;
 use super::ground::{ground_below, ground_probability, is_sure};
 use super::suns::{angles_deg, bilinear, toward};
-use super::surface::Surface;
-use super::views::SweepView;
 use glam::Vec3;
-use heliosplat::relief::{Relief, Toward};
-use heliosplat_rpc::statistics::{upper_median, upper_quantile};
+use heliosplat_grid::Grid;
+use heliosplat_grid::relief::{Relief, Toward};
+use heliosplat_grid::statistics::{upper_median, upper_quantile};
+use heliosplat_stereo::Surface;
+use heliosplat_stereo::SweepView;
+use heliosplat_stereo::change::Changes;
 use rayon::prelude::*;
 
 /// Least height above the ground of cells beside a part, metres.

@@ -4,17 +4,16 @@
 //! left out (they are dark and they shade themselves), and so is water; what is dark is a shadow only where the initial surface has
 //! something toward the sun to throw it, else nothing is said. ShadowGS uses the masks of a trained detector in the same place.
 
-use super::error::MaskError;
-use super::ground::Ground;
 use glam::{Vec2, Vec3};
 use heliosplat::{ProjectiveCamera, Raster};
+use heliosplat_raster::RasterError;
 use heliosplat_raster::file::RasterFile;
 use heliosplat_scene::crop::Crop;
 use heliosplat_scene::indices::{ExcessGreen, NormalisedDifference, VEGETATION_GREEN, VEGETATION_INDEX};
 use heliosplat_scene::{BandKind, SceneImage, Values};
 use heliosplat_stereo::Surface;
 use rayon::prelude::*;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 /// Water index (green against near infrared, McFeeters 1996) from which on a pixel is water.
 const WATER: f32 = 0.4;
@@ -30,7 +29,27 @@ const SLACK_M: f32 = 1.5;
 const ROUNDS: usize = 8;
 
 /// Views from which on images need no prior: shadows then follow from what they agree on.
-pub(super) const ENOUGH_VIEWS: usize = 8;
+pub const ENOUGH_VIEWS: usize = 8;
+
+/// Why a mask cannot be used.
+#[derive(Debug, thiserror::Error)]
+pub enum MaskError {
+    /// A file that is missing or damaged.
+    #[error("model.shadow_masks: {0}")]
+    File(#[from] RasterError),
+    /// A mask that does not lie on its image.
+    #[error(
+        "model.shadow_masks: {path} has {mask_px:?} pixels and its image {image_px:?}; a mask covers its image: 1 where it is lit, 0 in shadow"
+    )]
+    Size {
+        /// The mask.
+        path: PathBuf,
+        /// Its columns and rows.
+        mask_px: (usize, usize),
+        /// Those of its image.
+        image_px: (usize, usize),
+    },
+}
 
 /// What bands tell leaves and water by.
 struct Bands<'a> {
@@ -160,10 +179,10 @@ fn may_be_shaded(surface: &Surface, point: Vec3, sun: Vec3, top_m: f32) -> bool 
     false
 }
 
-/// What each image of `ground` says is lit (1) or in shadow (0), NaN where it says nothing, pixel by pixel of its crop; `surface` is the
+/// What each of `images` says is lit (1) or in shadow (0), NaN where it says nothing, pixel by pixel of its crop; `surface` is the
 /// initial one, `cameras` are those of the crops, and `suns` unit vectors toward the sun: nothing is said where there is none.
-pub(super) fn found(
-    ground: &Ground,
+pub fn found(
+    images: &[&SceneImage],
     rasters: &[&Raster],
     surface: &Surface,
     cameras: &[ProjectiveCamera],
@@ -171,7 +190,7 @@ pub(super) fn found(
 ) -> Vec<Vec<f32>> {
     let top_m = surface.altitude.iter().copied().fold(f32::MIN, f32::max);
     let one = |(i, raster): (usize, &&Raster)| {
-        let image = ground.images[i];
+        let image = images[i];
         let Some(sun) = suns[i] else {
             return vec![f32::NAN; raster.plane_len()];
         };
@@ -199,7 +218,7 @@ pub(super) fn found(
 ///
 /// # Errors
 /// [`MaskError`] when the file is missing, damaged, or of another size than its image.
-pub(super) fn from_folder(folder: &Path, image: &SceneImage, crop: &Crop) -> Result<Vec<f32>, MaskError> {
+pub fn from_folder(folder: &Path, image: &SceneImage, crop: &Crop) -> Result<Vec<f32>, MaskError> {
     let path = folder.join(format!("{}.tif", image.name));
     let file = RasterFile::open(&path)?;
     let image_px = (image.pixels.width, image.pixels.height);

@@ -16,14 +16,14 @@ pub mod epipolar;
 mod patch;
 mod refine;
 
-use super::grid::Grid;
-use super::level::LevelView;
-use super::ortho;
-use super::pyramid::Search;
-use super::request::PlaneSweepRequest;
-use super::views::SweepView;
+use crate::level::LevelView;
+use crate::ortho;
+use crate::pyramid::Search;
+use crate::request::PlaneSweepRequest;
+use crate::views::SweepView;
 use corners::Corner;
 use glam::{Vec2, Vec3};
+use heliosplat_grid::Grid;
 use patch::{Match, Region};
 use rayon::prelude::*;
 

@@ -10,11 +10,11 @@
 //!
 //! Limits: no date says more than [`MOST_OF_DATE`]; what a segment shades within itself is not asked.
 
-use super::super::grid::Grid;
-use super::super::suns::{Darkness, angles_deg, toward};
-use super::super::surface::Surface;
-use super::super::views::SweepView;
-use heliosplat::relief::Relief;
+use super::suns::{Darkness, angles_deg, toward};
+use heliosplat_grid::Grid;
+use heliosplat_grid::relief::Relief;
+use heliosplat_stereo::change::{self, Changes, States};
+use heliosplat_stereo::{PlaneSweepRequest, Surface, SweepView};
 use rayon::prelude::*;
 use std::collections::BTreeSet;
 
@@ -41,19 +41,17 @@ struct Date {
     darkness: Vec<f32>,
 }
 
-/// Two states of some cells.
-#[derive(Debug, Clone, Copy)]
-pub(super) struct States<'a> {
-    /// The cells.
-    pub(super) cells: &'a BTreeSet<usize>,
-    /// Altitude of each in the old state and in the new one, metres.
-    pub(super) altitudes_m: &'a [[f32; 2]],
-    /// First day of the new state, days since 1970.
-    pub(super) day: i32,
+/// Divides `surface` in what stands before and after a day, as [`heliosplat_stereo::change::find`]; `days` are those of the views, days
+/// since 1970, and the shadows around each segment take part.
+pub fn find(views: &[SweepView], days: &[i32], request: &PlaneSweepRequest, surface: &mut Surface) -> Changes {
+    change::find(views, days, request, surface, |grid, altitude_m| {
+        let shadows = Shadows::new(views, days, grid, altitude_m);
+        move |states: &States| shadows.likelihood(states)
+    })
 }
 
 /// The dates of a scene with the darkness of their ground.
-pub(super) struct Shadows {
+struct Shadows {
     grid: Grid,
     altitude_m: Vec<f32>,
     dates: Vec<Date>,
@@ -63,7 +61,7 @@ pub(super) struct Shadows {
 
 impl Shadows {
     /// Of views taken on `days`, on a surface of `altitude_m` in the cells of a grid.
-    pub(super) fn new(views: &[SweepView], days: &[i32], grid: &Grid, altitude_m: &[f32]) -> Self {
+    fn new(views: &[SweepView], days: &[i32], grid: &Grid, altitude_m: &[f32]) -> Self {
         let surface = Surface {
             width: grid.width,
             height: grid.height,
@@ -119,7 +117,7 @@ impl Shadows {
 
     /// How much more likely the darkness around some cells is with two states, the change from one to the other on a day, than with the
     /// better of the two on all dates: a logarithm. `None` where no date shows ground that tells them apart.
-    pub(super) fn likelihood(&self, states: &States) -> Option<f32> {
+    fn likelihood(&self, states: &States) -> Option<f32> {
         let States {
             cells,
             altitudes_m,

@@ -10,7 +10,7 @@
 //! (total variation: Rudin, Osher and Fatemi 1992, here with a deviation for each cell). Sure cells stay, roofs keep their edges, and what is
 //! in doubt takes the altitude of the sure cells that it adjoins. Solved by the primal-dual iteration of Chambolle and Pock 2011.
 
-use heliosplat_rpc::statistics::upper_median;
+use crate::statistics::upper_median;
 use rayon::prelude::*;
 
 /// Weight of a step between neighbours (λ), per metre: chosen on three scenes, docs/lab/surface.md.

@@ -8,11 +8,11 @@
 //! Each band's `τ` and `κ` are the most probable ones under this evidence (Huber's loss) and a weak prior of clear air, found on a
 //! grid. How much the images said of `τ` follows from the curvatures with and without them.
 
+use super::Daylight;
 use heliosplat::model::Parameters;
 use heliosplat::model::shadow_gs::ShadowGs;
 use heliosplat::shade::daylight::{BandAir, OPTICAL_DEPTHS, SKY_SHARES};
-use heliosplat_products::daylight::Daylight;
-use heliosplat_rpc::statistics::{SIGMA_PER_MAD, median_absolute_deviation};
+use heliosplat_grid::statistics::{SIGMA_PER_MAD, median_absolute_deviation};
 use rayon::prelude::*;
 
 /// Optical depth of clear air, and the deviation of its logarithm: 0.1 to 0.4 is one deviation each way.
@@ -37,17 +37,18 @@ const REFINEMENTS: usize = 2;
 
 /// What one image says.
 #[derive(Debug, Clone, PartialEq)]
-pub(crate) struct Evidence {
-    pub(crate) elevation_rad: f64,
+pub struct Evidence {
+    /// Elevation of the sun.
+    pub elevation_rad: f64,
     /// Shaded beside sunlit ground, per band; `None` where the image does not tell.
-    pub(crate) shade: Vec<Option<f64>>,
+    pub shade: Vec<Option<f64>>,
     /// Sunlit ground beside that of the reference image, per band; `None` for the reference image, and where images have no colour of their own.
-    pub(crate) gain: Vec<Option<f64>>,
+    pub gain: Vec<Option<f64>>,
 }
 
 /// The evidence of a trained model whose images have these elevations of the sun and these `shades`, measured before training: the
 /// skies that training begins with are too bright, and a short training does not change them much. Images without a sun say nothing.
-pub(crate) fn evidence(
+pub fn evidence(
     model: &ShadowGs,
     parameters: &Parameters,
     elevations_rad: &[Option<f64>],
@@ -68,7 +69,7 @@ pub(crate) fn evidence(
 }
 
 /// The light of day by the evidence of all images, in the gauge of a reference image whose sun stands so high. `None` without a sun.
-pub(crate) fn fit(evidence: &[Evidence], reference_elevation_rad: Option<f64>, bands: usize) -> Option<Daylight> {
+pub fn fit(evidence: &[Evidence], reference_elevation_rad: Option<f64>, bands: usize) -> Option<Daylight> {
     let reference = reference_elevation_rad.filter(|e| *e > 0.0)?;
     let up: Vec<&Evidence> = evidence.iter().filter(|e| e.elevation_rad > 0.0).collect();
     let elevations = up.iter().map(|e| e.elevation_rad);

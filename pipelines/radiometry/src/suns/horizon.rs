@@ -1,7 +1,7 @@
 //! A swept surface as one that is walked over toward the sun.
 
-use super::super::surface::Surface;
-use heliosplat::relief::{Relief, Toward};
+use heliosplat_grid::relief::{Relief, Toward};
+use heliosplat_stereo::Surface;
 
 /// What stands less than this above a cell does not shade it, metres: the surface is rough.
 const LEAST_RISE_M: f32 = 1.0;
@@ -17,7 +17,7 @@ pub(super) fn relief_of(surface: &Surface, covered: &[bool]) -> Relief {
 }
 
 /// A direction over a swept surface, see [`Toward::new`].
-pub(in super::super) fn toward(azimuth_deg: f64, lowest_deg: f64) -> Toward {
+pub(crate) fn toward(azimuth_deg: f64, lowest_deg: f64) -> Toward {
     Toward::new(azimuth_deg, lowest_deg)
         .above(LEAST_RISE_M)
         .nearer(WALL_CELLS)

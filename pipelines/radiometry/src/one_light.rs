@@ -22,7 +22,7 @@ use heliosplat::model::{Parameters, SceneModel};
 use heliosplat::render::{PassOptions, render};
 use heliosplat::trace::{Occluders, transmittance};
 use heliosplat::{ProjectiveCamera, Raster};
-use heliosplat_rpc::statistics::upper_quantile;
+use heliosplat_grid::statistics::upper_quantile;
 use heliosplat_scene::{ImageSun, crop};
 use rayon::prelude::*;
 
@@ -55,7 +55,7 @@ const BRIGHTEST: f64 = 0.99;
 const FULL_SUN: f32 = 0.9;
 
 /// The one light of all images.
-pub(super) struct OneLight {
+pub struct OneLight {
     /// Of each image, in the order of their colours.
     lights: Vec<Light>,
     reference: usize,
@@ -64,7 +64,7 @@ pub(super) struct OneLight {
 
 impl OneLight {
     /// `None` where an image has no sun, suns differ, or images are few.
-    pub(super) fn of(suns: &[ImageSun], reference: usize) -> Option<Self> {
+    pub fn of(suns: &[ImageSun], reference: usize) -> Option<Self> {
         let directions: Option<Vec<_>> = suns.iter().map(crop::direction).collect();
         let directions = directions?;
         let one = directions.iter().enumerate().all(|(i, a)| {
@@ -83,7 +83,7 @@ impl OneLight {
 
     /// Gives `model` the air that level ground tells, as `nadir`, a camera of pixels of `gsd_m`, sees it; without enough of it nothing changes.
     /// `darkest` bounds the path radiance of each band: before training, when many shadows are in wrong places.
-    pub(super) fn settle(
+    pub fn settle(
         &self,
         model: &ShadowGs,
         parameters: &mut Parameters,
@@ -151,7 +151,7 @@ impl OneLight {
 }
 
 /// What the darkest of the reference image is worth, band by band: the air adds no more than that (the dark-object subtraction of Chavez 1988).
-pub(super) fn darkest(image: &Raster) -> Vec<f32> {
+pub fn darkest(image: &Raster) -> Vec<f32> {
     let of_band = |k: usize| {
         let mut known: Vec<f32> = image.plane(k).iter().copied().filter(|v| v.is_finite()).collect();
         upper_quantile(&mut known, DARKEST).map_or(0.0, |value| value.max(0.0))

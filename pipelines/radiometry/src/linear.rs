@@ -17,7 +17,7 @@ use nalgebra::DMatrix;
 use rayon::prelude::*;
 
 /// Least and greatest albedo.
-pub(super) const ALBEDO_RANGE: (f32, f32) = (0.005, 3.0);
+pub const ALBEDO_RANGE: (f32, f32) = (0.005, 3.0);
 /// A residual counts no more than this, in the images' units: larger ones are a fault of the surface, not of its colour.
 const RESIDUAL_MAX: f32 = 0.15;
 /// A pixel that would be darker than this were every albedo one tells nothing.
@@ -51,18 +51,18 @@ impl Round {
 }
 
 /// Improves the albedo of every Gaussian by all `views` together, and the colours of each image but the reference: before training.
-pub(super) fn begin(model: &ShadowGs, parameters: &mut Parameters, views: &[View]) {
+pub fn begin(model: &ShadowGs, parameters: &mut Parameters, views: &[View]) {
     improve(model, parameters, views, Round::Before);
 }
 
 /// Improves the albedo of every Gaussian by all `views` together: after training, which leaves its level a few metres wide off
 /// (docs/lab/shadows.md). Colours stay.
-pub(super) fn finish(model: &ShadowGs, parameters: &mut Parameters, views: &[View]) {
+pub fn finish(model: &ShadowGs, parameters: &mut Parameters, views: &[View]) {
     improve(model, parameters, views, Round::After);
 }
 
 /// What [`finish`] takes with so many views, in steps of the training.
-pub(super) fn finish_steps(views: usize) -> f64 {
+pub fn finish_steps(views: usize) -> f64 {
     FINISH_STEPS_PER_VIEW * views as f64
 }
 

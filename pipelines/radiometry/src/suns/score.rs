@@ -1,6 +1,6 @@
 //! How well the shadows of a sun explain what is dark.
 
-use heliosplat::relief::Relief;
+use heliosplat_grid::relief::Relief;
 
 /// Blocks of ground on each side, the units of the bootstrap: each holds whole shadows.
 pub(super) const BLOCKS: usize = 8;

@@ -6,10 +6,10 @@
 //! so that the search is one of whole shifts along the line, and a few pixels across it for what the cameras' pointing is off. A match must
 //! correlate well, have no rival on the line, and lead back to the corner. Matches whose altitude no neighbour shares are dropped.
 
-use super::super::grid::Grid;
 use super::{HALF, corners};
 use heliosplat::Raster;
-use heliosplat_rpc::statistics::median;
+use heliosplat_grid::statistics::median;
+use heliosplat_grid::{Grid, parabola_top};
 use heliosplat_rpc::{ImagePoint, Rpc};
 use nalgebra::{Matrix2, Vector2};
 use rayon::prelude::*;
@@ -75,19 +75,7 @@ impl ReducedView<'_> {
 
     /// Bilinear value; `NaN` outside the image and beside missing pixels.
     fn sample(&self, at: Vector2<f64>) -> f32 {
-        let (width, height) = (self.image.width, self.image.height);
-        // Written so that a NaN position fails the test too.
-        let inside = at.x >= 0.0 && at.y >= 0.0 && at.x < width as f64 - 1.0 && at.y < height as f64 - 1.0;
-        if !inside {
-            return f32::NAN;
-        }
-        let (col, row) = (at.x as usize, at.y as usize);
-        let (fc, fr) = ((at.x - col as f64) as f32, (at.y - row as f64) as f32);
-        let i = row * width + col;
-        let v = &self.image.values;
-        let top = v[i] + (v[i + 1] - v[i]) * fc;
-        let bottom = v[i + width] + (v[i + width + 1] - v[i + width]) * fc;
-        top + (bottom - top) * fr
+        heliosplat_grid::bilinear(&self.image.values, (self.image.width, self.image.height), at.x, at.y)
     }
 }
 
@@ -407,9 +395,8 @@ impl Scores {
     /// Offset of the peak along the line, between pixels, by a parabola; `None` where its neighbours are not known.
     fn refined(&self, (col, row): (usize, usize)) -> Option<f64> {
         let [before, here, after] = [col - 1, col, col + 1].map(|c| self.at(c, row));
-        let bend = before - 2.0 * here + after;
-        let known = before > -1.0 && after > -1.0 && bend < 0.0;
-        known.then(|| f64::from((0.5 * (before - after) / bend).clamp(-0.5, 0.5)))
+        let known = before > -1.0 && after > -1.0;
+        parabola_top([before, here, after]).filter(|_| known).map(f64::from)
     }
 }
 

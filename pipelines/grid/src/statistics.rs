@@ -10,7 +10,7 @@
 //! Functions that take `&mut [T]` work in place, in linear time on average, and leave the values in another order.
 //!
 //! ```
-//! use heliosplat_rpc::statistics::{median, nmad, upper_median};
+//! use heliosplat_grid::statistics::{median, nmad, upper_median};
 //!
 //! assert_eq!(median(&mut [4.0, 1.0, 3.0, 2.0]), Some(2.5));
 //! assert_eq!(upper_median(&mut [4.0, 1.0, 3.0, 2.0]), Some(3.0));
@@ -20,6 +20,7 @@
 //! ```
 
 use std::cmp::Ordering;
+use std::ops::{Add, Div, Mul, Neg, Sub};
 
 /// Standard deviation of a normal distribution in units of its median absolute deviation: 1 / Φ⁻¹(3/4), as it is usually rounded
 /// (J. Höhle, M. Höhle, "Accuracy assessment of digital elevation models by means of robust statistical methods", 2009).
@@ -31,14 +32,21 @@ mod sealed {
     impl Sealed for f64 {}
 }
 
-/// Numbers that this module works on: `f32` and `f64`, no others.
-pub trait Real: sealed::Sealed + Copy {
+/// Numbers that this crate works on: `f32` and `f64`, no others.
+pub trait Real:
+    sealed::Sealed
+    + Copy
+    + PartialOrd
+    + From<f32>
+    + Add<Output = Self>
+    + Sub<Output = Self>
+    + Mul<Output = Self>
+    + Div<Output = Self>
+    + Neg<Output = Self>
+{
     /// The order of IEEE 754, in which every two values can be compared.
     #[doc(hidden)]
     fn order(&self, other: &Self) -> Ordering;
-    /// Half of the sum.
-    #[doc(hidden)]
-    fn mean_with(self, other: Self) -> Self;
     /// Distance between the two.
     #[doc(hidden)]
     fn distance(self, other: Self) -> Self;
@@ -52,9 +60,6 @@ macro_rules! real {
         impl Real for $float {
             fn order(&self, other: &Self) -> Ordering {
                 self.total_cmp(other)
-            }
-            fn mean_with(self, other: Self) -> Self {
-                (self + other) / 2.0
             }
             fn distance(self, other: Self) -> Self {
                 (self - other).abs()
@@ -81,7 +86,7 @@ pub fn median<T: Real>(values: &mut [T]) -> Option<T> {
     }
     // All that stand before the upper one are not greater; the greatest of them is the lower one.
     let lower = values[..half].iter().copied().max_by(T::order)?;
-    Some(lower.mean_with(upper))
+    Some((lower + upper) / T::from(2.0))
 }
 
 /// The middle value; of an even number of values the lesser of the two in the middle. `None` of no values.

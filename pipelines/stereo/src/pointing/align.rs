@@ -4,14 +4,14 @@
 //! is a change of altitude. Both are estimated from coarse to fine: sweep, lay the views on the surface, correlate each
 //! pair of them, spread the pairwise offsets over the views, repeat.
 
-use super::grid::Grid;
-use super::ortho;
-use super::pairs::Pair;
-use super::pyramid::Search;
-use super::request::PlaneSweepRequest;
-use super::views::SweepView;
+use crate::ortho;
+use crate::pairs::Pair;
+use crate::pyramid::Search;
+use crate::request::PlaneSweepRequest;
+use crate::views::SweepView;
 use glam::{DMat2, DMat3, DVec2, DVec3, Vec3};
 use heliosplat::ProjectiveCamera;
+use heliosplat_grid::{Grid, parabola_top};
 use rayon::prelude::*;
 
 /// Offsets looked at, cells of the level each way.
@@ -125,25 +125,12 @@ fn offset(grid: &Grid, a: &[f32], b: &[f32]) -> Option<(DVec2, f64)> {
     if peak.is_nan() || peak <= 0.0 {
         return None;
     }
-    let fraction = |before: f64, after: f64| {
-        let bend = 2.0 * peak - before - after;
-        if bend > 0.0 {
-            (0.5 * (after - before) / bend).clamp(-0.5, 0.5)
-        } else {
-            0.0
-        }
+    let fraction = |at: usize, score: &dyn Fn(usize) -> f64| match at > 0 && at + 1 < SIDE {
+        true => parabola_top([at - 1, at, at + 1].map(score)).unwrap_or(0.0),
+        false => 0.0,
     };
-    let inner = |i: usize| i > 0 && i + 1 < SIDE;
-    let dc = if inner(col) {
-        fraction(scores[row][col - 1], scores[row][col + 1])
-    } else {
-        0.0
-    };
-    let dr = if inner(row) {
-        fraction(scores[row - 1][col], scores[row + 1][col])
-    } else {
-        0.0
-    };
+    let dc = fraction(col, &|c| scores[row][c]);
+    let dr = fraction(row, &|r| scores[r][col]);
     let cells = DVec2::new(col as f64 + dc - REACH as f64, row as f64 + dr - REACH as f64);
     // Rows run south.
     Some((DVec2::new(cells.x, -cells.y), peak))

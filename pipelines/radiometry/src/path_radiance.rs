@@ -7,7 +7,7 @@
 //! the dark-object subtraction of P. S. Chavez ("An improved dark-object subtraction technique for atmospheric scattering correction of
 //! multispectral data", Remote Sensing of Environment 24, 1988), with shadows as the dark objects.
 
-use heliosplat_rpc::statistics::upper_median;
+use heliosplat_grid::statistics::upper_median;
 
 /// Least share of the light on level ground that comes from the sky: a clear one, in red and near infrared.
 const LEAST_SKY: f32 = 0.1;
@@ -21,16 +21,16 @@ const MOST_BINS: usize = 12;
 
 /// What one place is worth in a band, in the counts of the reference image.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub(super) struct Pair {
+pub(crate) struct Pair {
     /// In the sun, by two disjoint halves of the views that show it there: places are sorted by the one and measured by the other, so that
     /// noise makes none of them look darker than it is.
-    pub(super) lit: [f32; 2],
+    pub(crate) lit: [f32; 2],
     /// In the shadow.
-    pub(super) shaded: f32,
+    pub(crate) shaded: f32,
 }
 
 /// The path radiance of a band, in the counts of the reference image, from the pairs of each view; 0 where they do not tell.
-pub(super) fn of_band(pairs: Vec<Vec<Pair>>) -> f32 {
+pub(crate) fn of_band(pairs: Vec<Vec<Pair>>) -> f32 {
     let bounds = pairs.into_iter().flat_map(bounds);
     let least = bounds.fold(f32::INFINITY, f32::min);
     if least.is_finite() {

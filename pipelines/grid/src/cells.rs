@@ -13,18 +13,22 @@ fn in_parallel(cells: usize) -> impl IndexedParallelIterator<Item = usize> {
 
 /// Cells of a ground grid; row 0 is the northern one, `west_m` and `north_m` are the grid's outer edges.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub(super) struct Grid {
-    pub(super) width: usize,
-    pub(super) height: usize,
-    pub(super) west_m: f32,
-    pub(super) north_m: f32,
-    pub(super) cell_m: f32,
+pub struct Grid {
+    /// Columns.
+    pub width: usize,
+    /// Rows.
+    pub height: usize,
+    /// Western edge, metres.
+    pub west_m: f32,
+    /// Northern edge, metres.
+    pub north_m: f32,
+    /// Side of a cell, metres.
+    pub cell_m: f32,
 }
 
 impl Grid {
-    /// Cells of a metre, for tests.
-    #[cfg(test)]
-    pub(super) fn plain(width: usize, height: usize) -> Self {
+    /// Cells of a metre whose north-western corner is the origin.
+    pub fn plain(width: usize, height: usize) -> Self {
         Self {
             width,
             height,
@@ -34,17 +38,19 @@ impl Grid {
         }
     }
 
-    pub(super) fn len(&self) -> usize {
+    /// The number of cells.
+    #[allow(clippy::len_without_is_empty)]
+    pub fn len(&self) -> usize {
         self.width * self.height
     }
 
     /// All cells, on all threads.
-    pub(super) fn cells(&self) -> impl IndexedParallelIterator<Item = usize> {
+    pub fn cells(&self) -> impl IndexedParallelIterator<Item = usize> {
         in_parallel(self.len())
     }
 
     /// Cells of a square window, the centre among them.
-    pub(super) fn around(&self, cell: usize, radius: usize) -> impl Iterator<Item = usize> + use<> {
+    pub fn around(&self, cell: usize, radius: usize) -> impl Iterator<Item = usize> + use<> {
         let (col, row, width) = (cell % self.width, cell / self.width, self.width);
         let columns = col.saturating_sub(radius)..(col + radius + 1).min(width);
         let rows = row.saturating_sub(radius)..(row + radius + 1).min(self.height);
@@ -52,7 +58,7 @@ impl Grid {
     }
 
     /// The centre of a cell at an altitude, metres; cells outside the grid are allowed.
-    pub(super) fn point(&self, col: isize, row: isize, altitude_m: f32) -> Vec3 {
+    pub fn point(&self, col: isize, row: isize, altitude_m: f32) -> Vec3 {
         Vec3::new(
             self.west_m + (col as f32 + 0.5) * self.cell_m,
             self.north_m - (row as f32 + 0.5) * self.cell_m,
@@ -61,7 +67,7 @@ impl Grid {
     }
 
     /// The same ground in cells `factor` times as wide; the last column and row may reach beyond the edge.
-    pub(super) fn coarser(&self, factor: usize) -> Self {
+    pub fn coarser(&self, factor: usize) -> Self {
         Self {
             width: self.width.div_ceil(factor),
             height: self.height.div_ceil(factor),
@@ -71,14 +77,14 @@ impl Grid {
     }
 
     /// The nearest cell of a ground position, held inside the grid.
-    pub(super) fn nearest(&self, x_m: f32, y_m: f32) -> usize {
+    pub fn nearest(&self, x_m: f32, y_m: f32) -> usize {
         let col = ((x_m - self.west_m) / self.cell_m).max(0.0) as usize;
         let row = ((self.north_m - y_m) / self.cell_m).max(0.0) as usize;
         row.min(self.height - 1) * self.width + col.min(self.width - 1)
     }
 
     /// The connected groups of the cells of a mask, by their sides and corners.
-    pub(super) fn connected(&self, mask: &[bool]) -> Vec<Vec<usize>> {
+    pub fn connected(&self, mask: &[bool]) -> Vec<Vec<usize>> {
         let mut seen = vec![false; self.len()];
         let mut groups = Vec::new();
         for start in (0..self.len()).filter(|&cell| mask[cell]) {
@@ -101,7 +107,7 @@ impl Grid {
     }
 
     /// Whether the box of two ground positions lies beside the grid, at least a cell away from it.
-    pub(super) fn is_beside(&self, a: Vec3, b: Vec3) -> bool {
+    pub fn is_beside(&self, a: Vec3, b: Vec3) -> bool {
         let (low, high) = (a.min(b), a.max(b));
         let east_m = self.west_m + (self.width + 1) as f32 * self.cell_m;
         let south_m = self.north_m - (self.height + 1) as f32 * self.cell_m;
@@ -109,7 +115,7 @@ impl Grid {
     }
 
     /// Whether a ground position lies on the grid.
-    pub(super) fn contains(&self, x_m: f32, y_m: f32) -> bool {
+    pub fn contains(&self, x_m: f32, y_m: f32) -> bool {
         let (col, row) = ((x_m - self.west_m) / self.cell_m, (self.north_m - y_m) / self.cell_m);
         col >= 0.0 && row >= 0.0 && col < self.width as f32 && row < self.height as f32
     }
@@ -117,7 +123,7 @@ impl Grid {
 
 /// The least of `values` within so many columns and rows each way of each cell of a grid of `(width, height)`: first along rows, then
 /// across them.
-pub(super) fn lowest_within((width, height): (usize, usize), values: &[f32], [columns, rows]: [usize; 2]) -> Vec<f32> {
+pub fn lowest_within((width, height): (usize, usize), values: &[f32], [columns, rows]: [usize; 2]) -> Vec<f32> {
     let near = |at: usize, reach: usize, count: usize| at.saturating_sub(reach)..(at + reach + 1).min(count);
     let least = |values: &mut dyn Iterator<Item = f32>| values.fold(f32::MAX, f32::min);
     let across: Vec<f32> = in_parallel(width * height)

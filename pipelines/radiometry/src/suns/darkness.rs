@@ -1,12 +1,12 @@
 //! How much darker each view shows the cells than the views of other dates do.
 
-use super::super::surface::Surface;
-use super::super::views::SweepView;
 use super::horizon::toward;
 use glam::Vec3;
 use heliosplat::Raster;
-use heliosplat::relief::Relief;
-use heliosplat_rpc::statistics::{upper_median, upper_quantile};
+use heliosplat_grid::relief::Relief;
+use heliosplat_grid::statistics::{upper_median, upper_quantile};
+use heliosplat_stereo::Surface;
+use heliosplat_stereo::SweepView;
 use rayon::prelude::*;
 
 /// Natural logarithm of brightness beyond which darker is not more of a shadow.
@@ -19,7 +19,7 @@ const LIT_QUANTILE: f64 = 0.75;
 const WINDOW_M: f32 = 20.0;
 
 /// Logarithms of the brightness of the sampled cells in each view, less the view's median; NaN where it does not see them.
-pub(in super::super) struct Darkness {
+pub(crate) struct Darkness {
     brightness: Vec<Vec<f32>>,
     /// Columns and rows of the sampled cells in windows, for local means.
     places: Vec<(usize, usize)>,
@@ -27,7 +27,7 @@ pub(in super::super) struct Darkness {
 }
 
 impl Darkness {
-    pub(in super::super) fn new(views: &[SweepView], surface: &Surface, relief: &Relief, cells: &[usize]) -> Self {
+    pub(crate) fn new(views: &[SweepView], surface: &Surface, relief: &Relief, cells: &[usize]) -> Self {
         let brightness = views
             .par_iter()
             .map(|view| {
@@ -50,7 +50,7 @@ impl Darkness {
 
     /// How much darker the views of a date show each cell than the others that see it `lit` (view by view, where that is known); NaN where
     /// they do not see it, or no other sees it lit. Where fewer than two views of other dates are there at all, than the ground around.
-    pub(in super::super) fn of_date(&self, views: &[SweepView], date: u32, lit: &[Option<Vec<bool>>]) -> Vec<f32> {
+    pub(crate) fn of_date(&self, views: &[SweepView], date: u32, lit: &[Option<Vec<bool>>]) -> Vec<f32> {
         let is_own = |view: usize| views[view].date_group == date;
         let (own, others): (Vec<usize>, Vec<usize>) = (0..views.len()).partition(|&view| is_own(view));
         let mut darker: Vec<f32> = (0..self.places.len())
@@ -135,20 +135,10 @@ fn seen(view: &SweepView, surface: &Surface, relief: &Relief, cells: &[usize]) -
 }
 
 /// The mean of the bands, bilinear; NaN outside and beside missing pixels.
-pub(in super::super) fn bilinear(image: &Raster, col: f32, row: f32) -> f32 {
-    let (c0, r0) = (col.floor(), row.floor());
-    let inside = c0 >= 0.0 && r0 >= 0.0 && c0 + 1.0 < image.width as f32 && r0 + 1.0 < image.height as f32;
-    if !inside {
-        return f32::NAN;
-    }
-    let (fc, fr) = (col - c0, row - r0);
-    let (c0, r0) = (c0 as usize, r0 as usize);
-    let mut sum = 0.0;
-    for band in 0..image.bands {
-        let at = |c: usize, r: usize| image.at(band, c, r);
-        let north = at(c0, r0) * (1.0 - fc) + at(c0 + 1, r0) * fc;
-        let south = at(c0, r0 + 1) * (1.0 - fc) + at(c0 + 1, r0 + 1) * fc;
-        sum += north * (1.0 - fr) + south * fr;
-    }
+pub(crate) fn bilinear(image: &Raster, col: f32, row: f32) -> f32 {
+    let size = (image.width, image.height);
+    let sum: f32 = (0..image.bands)
+        .map(|band| heliosplat_grid::bilinear(image.plane(band), size, col, row))
+        .sum();
     sum / image.bands as f32
 }

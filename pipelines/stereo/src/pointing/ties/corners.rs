@@ -1,6 +1,6 @@
 //! Where tie points are searched: on corners of the views' texture (Shi and Tomasi 1994), spread over the ground.
 
-use super::super::grid::Grid;
+use heliosplat_grid::Grid;
 use rayon::prelude::*;
 
 /// Radius over which the structure tensor is summed, cells.

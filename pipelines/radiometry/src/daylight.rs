@@ -1,5 +1,9 @@
 //! How bright sunlit and shaded level ground is under any sun, in counts of the reference image, as fitted to the images of a run.
 
+mod air;
+
+pub(crate) use air::CLEAR;
+pub use air::{Evidence, evidence, fit};
 use heliosplat::shade::daylight::BandAir;
 
 /// The light of a run's scene.

@@ -1,6 +1,6 @@
 //! The ground below a surface, and what of the surface may be ground instead.
 
-use super::grid::opening;
+use heliosplat_grid::opening;
 
 /// What is narrower than twice this stands on the ground, metres: two rows of houses and the court between them.
 const REACH_M: f32 = 12.0;
@@ -23,7 +23,7 @@ pub fn ground_probability(height_m: f32, of_altitude: impl FnOnce() -> f32) -> O
 }
 
 /// Whether the sweep was sure of an altitude of this probability; not where that is NaN.
-pub(super) fn is_sure(probability: f32) -> bool {
+pub(crate) fn is_sure(probability: f32) -> bool {
     probability >= SURE
 }
 
