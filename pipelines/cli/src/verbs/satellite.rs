@@ -2,7 +2,6 @@
 
 use super::evaluate_args::{EvaluateArgs, table, write_pictures};
 use super::model_args::{DsmArgs, DsmSource, RelightArgs, RenderArgs, RenderSplit, TrainArgs};
-use super::relight_series;
 use super::sweep_dsm::{self, SweptSurface};
 use crate::outcome::{CliError, Outcome};
 use heliosplat::timeline::{self, stage};
@@ -162,27 +161,18 @@ fn stages() -> Value {
     serde_json::to_value(timeline::take()).unwrap_or_default()
 }
 
-/// Writes the scene of a run under another sun, or under a series of them.
+/// Writes the scene of a run under another sun.
 ///
 /// # Errors
 /// When the run, the sun, the view or the file to write is at fault.
-pub(crate) fn relight(args: &RelightArgs, session: &Session) -> Result<Outcome, CliError> {
-    if args.times.is_none() && relight_series::is_animation(&args.out) {
-        return Err(CliError::Input(format!(
-            "{}: an animation is of a series of suns; give --times FROM,TO,STEP, or a .tif or .png",
-            args.out.display()
-        )));
-    }
+pub(crate) fn relight(args: &RelightArgs) -> Result<Outcome, CliError> {
     let model = load(&args.run)?;
-    if let Some(times) = &args.times {
-        return relight_series::run(args, &model, times, session);
-    }
     let sun = match (args.sun, args.time) {
         (Some([azimuth, elevation]), _) => SunPosition::from_degrees(azimuth, elevation),
         (None, Some(time)) => sun_position(time, model.frame.origin),
         (None, None) => {
             return Err(CliError::Input(
-                "relight: a satellite scene takes --sun AZ,EL, --time RFC3339 or --times FROM,TO,STEP".into(),
+                "relight: a satellite scene takes --sun AZ,EL or --time RFC3339".into(),
             ));
         }
     };
