@@ -2,10 +2,15 @@
 
 use crate::args::IngestArgs;
 use crate::names::PresetName;
+use crate::outcome::Outcome;
 use crate::parse;
 use clap::{Args, ValueEnum};
+use heliosplat_fitting::request::TrainRequest;
+use heliosplat_fitting::settings::Preset;
+use heliosplat_scene::Split;
+use serde_json::Value;
 use std::path::PathBuf;
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 /// `train`.
 #[derive(Debug, Clone, Args)]
@@ -132,6 +137,29 @@ pub struct RenderArgs {
     pub components: bool,
 }
 
+impl TrainArgs {
+    /// As the trainings take them.
+    pub(crate) fn request(&self, preset: Preset, begun: Instant) -> TrainRequest {
+        TrainRequest {
+            out: self.out.clone(),
+            preset,
+            begun,
+            time_budget: self.time_budget,
+            memory: self.memory,
+            resume: self.resume,
+            checkpoint_every: self.checkpoint_every,
+        }
+    }
+
+    /// The outcome of a training: the summary of its metrics, and its folder.
+    pub(crate) fn trained(&self, summary: &str, metrics: Value, before: &str) -> Outcome {
+        Outcome {
+            text: format!("{summary}\nrun            {}{before}", self.out.display()),
+            json: metrics,
+        }
+    }
+}
+
 /// Which views are rendered.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
 pub enum RenderSplit {
@@ -141,4 +169,15 @@ pub enum RenderSplit {
     Test,
     /// All.
     All,
+}
+
+impl RenderSplit {
+    /// Whether views of a split are among them.
+    pub(crate) fn holds(self, split: Split) -> bool {
+        match self {
+            Self::Train => split == Split::Train,
+            Self::Test => split == Split::Test,
+            Self::All => true,
+        }
+    }
 }

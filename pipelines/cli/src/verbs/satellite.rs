@@ -1,11 +1,11 @@
 //! The verbs of satellite scenes and of runs on them.
 
 use super::evaluate_args::{EvaluateArgs, table, write_pictures};
-use super::model_args::{DsmArgs, DsmSource, RelightArgs, RenderArgs, RenderSplit, TrainArgs};
+use super::model_args::{DsmArgs, DsmSource, RelightArgs, RenderArgs, TrainArgs};
 use super::sweep_dsm::{self, SweptSurface};
 use crate::outcome::{CliError, Outcome};
 use heliosplat::timeline::{self, stage};
-use heliosplat_fitting::request::{TrainOutcome, TrainRequest};
+use heliosplat_fitting::request::TrainOutcome;
 use heliosplat_fitting::run_folder::{RunError, create_folder, read, save_metrics};
 use heliosplat_fitting::settings::Preset;
 use heliosplat_pages::report::{self, add_report};
@@ -18,7 +18,6 @@ use heliosplat_satellite::config::SatelliteConfig;
 use heliosplat_satellite::run_file::scene_of;
 use heliosplat_satellite::training::configure;
 use heliosplat_satellite::{altitude, estimate, measure, relit, training};
-use heliosplat_scene::Split;
 use heliosplat_scene::survey::Survey;
 use heliosplat_session::Session;
 use serde_json::{Value, json};
@@ -57,15 +56,7 @@ pub(crate) fn train(args: &TrainArgs, session: &Session) -> Result<Outcome, CliE
     drop(part);
     // Before its surface is known, a scene is refused only where it would not even fit if it were flat.
     estimate::must_fit(estimate.least_bytes, args.memory, &config)?;
-    let request = TrainRequest {
-        out: args.out.clone(),
-        preset,
-        begun,
-        time_budget: args.time_budget,
-        memory: args.memory,
-        resume: args.resume,
-        checkpoint_every: args.checkpoint_every,
-    };
+    let request = args.request(preset, begun);
     let (metrics, before) = match training::train(&scene, &ingest, &config, &request, session)? {
         TrainOutcome::FinishedBefore { metrics } => {
             report::complete(&args.out)?;
@@ -77,12 +68,7 @@ pub(crate) fn train(args: &TrainArgs, session: &Session) -> Result<Outcome, CliE
             (run.metrics, "")
         }
     };
-    let text = format!(
-        "{}\nrun            {}{before}",
-        measure::summary(&metrics),
-        args.out.display()
-    );
-    Ok(Outcome { json: metrics, text })
+    Ok(args.trained(&measure::summary(&metrics), metrics, before))
 }
 
 /// Writes the surface model of a run, or that of a scene's sweep.
@@ -197,12 +183,7 @@ pub(crate) fn relight(args: &RelightArgs) -> Result<Outcome, CliError> {
 pub(crate) fn render(args: &RenderArgs, session: &Session) -> Result<Outcome, CliError> {
     let whole = load_whole(&args.run)?;
     let (model, changing) = (whole.on_last(), !whole.model.options.days.is_empty());
-    let wanted = |split: Split| match args.split {
-        RenderSplit::Train => split == Split::Train,
-        RenderSplit::Test => split == Split::Test,
-        RenderSplit::All => true,
-    };
-    let images: Vec<_> = model.file.images.iter().filter(|image| wanted(image.split)).collect();
+    let images: Vec<_> = model.file.images.iter().filter(|image| args.split.holds(image.split)).collect();
     if images.is_empty() {
         return Err(CliError::Input(format!(
             "{}: the run has no image of that split",
