@@ -1,7 +1,6 @@
 //! Values of arguments: what they look like, and what is said when they do not.
 
 pub use heliosplat_batch::manifest::bytes;
-pub use heliosplat_batch::manifest::bytes;
 use heliosplat_scene::AreaRequest;
 use std::time::Duration;
 
