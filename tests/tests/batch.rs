@@ -443,7 +443,10 @@ set = { \"train.iterations\" = 4 }
     // The plan is kept with the refused unit: the process of a unit reads it, and does not plan again.
     let plan = home.path().join("out/plan.json");
     let modified = || plan.metadata().and_then(|data| data.modified()).expect("a plan");
-    let (before, shown) = (modified(), heliosplat(&batch(home.path(), "out", &["--dry-run"])).output());
+    let (before, shown) = (
+        modified(),
+        heliosplat(&batch(home.path(), "out", &["--dry-run"])).output(),
+    );
     let shown = String::from_utf8_lossy(&shown.expect("it runs").stdout).into_owned();
     assert!(
         shown.contains("refused   all/gone/refused: ") && shown.contains("no_such_folder"),

@@ -2,9 +2,9 @@
 //! The sun is compared with `heliosplat sun`, shadows with a walk along each ray, which shares no code with them.
 
 use heliosplat::Raster;
-use heliosplat_raster::write::{ImageSpec, write_cog};
 use heliosplat_products::nadir::NadirGrid;
 use heliosplat_products::surface_shadow::{CASTER, SurfaceShadows};
+use heliosplat_raster::write::{ImageSpec, write_cog};
 use heliosplat_raster::{Crs, CrsTransform, GeoTransform, GridSpec};
 use heliosplat_rpc::GeoPoint;
 use heliosplat_rpc::sun::{SunPosition, sun_position};
@@ -223,7 +223,8 @@ fn the_page_casts_the_shadows_that_products_have() {
     let Some(answer) = answer else { return };
     let numbers = |list: &Value| -> Vec<f32> {
         let list = list.as_array().expect("a list").iter();
-        list.map(|number| number.as_f64().map_or(f32::NAN, |number| number as f32)).collect()
+        list.map(|number| number.as_f64().map_or(f32::NAN, |number| number as f32))
+            .collect()
     };
     let heights = numbers(&answer["heights"]);
     let grid = GridSpec {
@@ -238,8 +239,14 @@ fn the_page_casts_the_shadows_that_products_have() {
         let products = surface.lit(&SunPosition::from_degrees(azimuth_deg, elevation_deg));
         let known = products.iter().zip(numbers(page)).filter(|(ours, _)| !ours.is_nan());
         // The page counts in 64 parts, which are averaged over nine cells.
-        let (same, other): (Vec<f32>, Vec<f32>) = known.map(|(ours, page)| (ours - page / 64.0).abs()).partition(|d| *d < 0.025);
-        assert!(other.len() * 1000 < same.len(), "{azimuth_deg}: {} cells differ", other.len());
+        let (same, other): (Vec<f32>, Vec<f32>) = known
+            .map(|(ours, page)| (ours - page / 64.0).abs())
+            .partition(|d| *d < 0.025);
+        assert!(
+            other.len() * 1000 < same.len(),
+            "{azimuth_deg}: {} cells differ",
+            other.len()
+        );
     }
 }
 

@@ -168,7 +168,8 @@ impl SurfaceShadows {
                 if up_m.is_finite() {
                     // It lies between the rays k - whole - 1 and k - whole.
                     let first = (k as i64 - whole - 1) as usize;
-                    let [a, b] = [rays[first], rays[first + 1]].map(|ray| sweep.seen(up_m + CASTER.lift_m - ray.dark_m, &ray));
+                    let [a, b] =
+                        [rays[first], rays[first + 1]].map(|ray| sweep.seen(up_m + CASTER.lift_m - ray.dark_m, &ray));
                     lit[place(k)] = b + (a - b) * part;
                 }
             }

@@ -116,7 +116,11 @@ fn told(args: &BatchArgs, plan: &Plan) -> Outcome {
         // Writing to a String cannot fail.
         let _ = match unit.refusal() {
             Some(reason) => writeln!(text, "refused   {}: {reason}", unit.id),
-            None => writeln!(text, "{what:<8}  {}  ({} MiB, {} s)", unit.id, unit.mem_mb, unit.runtime_s),
+            None => writeln!(
+                text,
+                "{what:<8}  {}  ({} MiB, {} s)",
+                unit.id, unit.mem_mb, unit.runtime_s
+            ),
         };
         let mut told = serde_json::to_value(unit).unwrap_or_default();
         if let Value::Object(map) = &mut told {

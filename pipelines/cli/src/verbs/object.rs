@@ -67,7 +67,12 @@ pub(crate) fn train(args: &TrainArgs, session: &Session) -> Result<Outcome, CliE
 /// When the run is at fault, or a file cannot be written.
 pub(crate) fn render(args: &RenderArgs, session: &Session) -> Result<Outcome, CliError> {
     let model = model::load(&args.run)?;
-    let images: Vec<_> = model.file.images.iter().filter(|image| args.split.holds(image.split)).collect();
+    let images: Vec<_> = model
+        .file
+        .images
+        .iter()
+        .filter(|image| args.split.holds(image.split))
+        .collect();
     if images.is_empty() {
         let run = args.run.display();
         return Err(CliError::Input(format!(

@@ -183,7 +183,12 @@ pub(crate) fn relight(args: &RelightArgs) -> Result<Outcome, CliError> {
 pub(crate) fn render(args: &RenderArgs, session: &Session) -> Result<Outcome, CliError> {
     let whole = load_whole(&args.run)?;
     let (model, changing) = (whole.on_last(), !whole.model.options.days.is_empty());
-    let images: Vec<_> = model.file.images.iter().filter(|image| args.split.holds(image.split)).collect();
+    let images: Vec<_> = model
+        .file
+        .images
+        .iter()
+        .filter(|image| args.split.holds(image.split))
+        .collect();
     if images.is_empty() {
         return Err(CliError::Input(format!(
             "{}: the run has no image of that split",
