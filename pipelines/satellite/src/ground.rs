@@ -2,8 +2,8 @@
 
 use super::error::SatelliteError;
 use heliosplat::Raster;
-use heliosplat_products::change::day_of;
 use heliosplat_grid::statistics::upper_quantile;
+use heliosplat_products::change::day_of;
 use heliosplat_rpc::LocalFrame;
 use heliosplat_scene::crop::{self, Crop};
 use heliosplat_scene::{Area, ImageSun, Scene, SceneImage};

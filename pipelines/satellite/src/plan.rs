@@ -13,6 +13,7 @@ pub use light::Light;
 use super::config::{Align, SatelliteConfig, THRESHOLD_PX};
 use super::ground::Ground;
 use heliosplat_radiometry::shadow_prior::ENOUGH_VIEWS;
+use heliosplat_radiometry::suns::ShadowSun;
 use heliosplat_scene::{ImageSun, Scene, SceneImage, SunSource};
 use heliosplat_scene::{crop, saturation};
 use heliosplat_stereo::change::dividing_days;
