@@ -31,7 +31,7 @@ fn node(input: &Value, script: &str) -> Option<Value> {
         println!("skipped: no node");
         return None;
     }
-    let sources = Path::new(env!("CARGO_MANIFEST_DIR")).join("../pipelines/cli/src/view/page");
+    let sources = Path::new(env!("CARGO_MANIFEST_DIR")).join("../pipelines/pages/src/view/page");
     let folder = tempdir().expect("a temporary folder");
     let mut text = String::new();
     for name in ["sun", "sweep", "light", "inflate", "field"] {

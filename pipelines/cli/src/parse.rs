@@ -1,7 +1,6 @@
 //! Values of arguments: what they look like, and what is said when they do not.
 
-use bytesize::ByteSize;
-use heliosplat_products::sunshine::Period;
+pub use heliosplat_batch::manifest::bytes;
 use heliosplat_scene::AreaRequest;
 use std::time::Duration;
 
@@ -69,17 +68,6 @@ pub fn duration(text: &str) -> Result<Duration, String> {
     Duration::try_from(duration).map_err(|_| negative)
 }
 
-/// A size such as `512MiB`, `4GiB`, `500MB`; a bare number is bytes. `k`, `M` and `G` alone are powers of 1000, as `kB`, `MB` and `GB` are.
-///
-/// # Errors
-/// A message for the user.
-pub fn bytes(text: &str) -> Result<u64, String> {
-    match text.trim().parse::<ByteSize>() {
-        Ok(size) if size.as_u64() > 0 => Ok(size.as_u64()),
-        _ => Err("expected a size such as 512MiB or 4GiB".to_owned()),
-    }
-}
-
 /// `key=value`.
 ///
 /// # Errors
@@ -143,15 +131,6 @@ pub fn times(text: &str) -> Result<TimeSeries, String> {
         ));
     }
     Ok(TimeSeries { from, to, step })
-}
-
-/// `FROM` or `FROM/TO`: days.
-///
-/// # Errors
-/// A message for the user.
-pub fn period(text: &str) -> Result<Period, String> {
-    let (from, to) = text.split_once('/').unwrap_or((text, text));
-    Period::new(date(from)?, date(to)?)
 }
 
 /// A date.
@@ -231,44 +210,6 @@ mod tests {
             "now,2026-06-21T07:00:00Z,1h",
         ] {
             assert!(times(bad).is_err(), "{bad}");
-        }
-    }
-
-    #[test]
-    fn periods_are_days_with_both_ends() {
-        let ends = |text: &str| period(text).map(|period| (period.ends().0.to_string(), period.ends().1.to_string()));
-        let said = |from: &str, to: &str| Ok((from.to_owned(), to.to_owned()));
-        assert_eq!(ends("2026-06-21"), said("2026-06-21", "2026-06-21"));
-        assert_eq!(ends("2026-06-01/2026-08-31"), said("2026-06-01", "2026-08-31"));
-        for bad in [
-            "",
-            "june",
-            "2026-06-31",
-            "2026-06-21/2026-06-20",
-            "2026-01-01/2028-01-01",
-            "2026-06-21/",
-        ] {
-            assert!(period(bad).is_err(), "{bad}");
-        }
-    }
-
-    #[test]
-    fn sizes_carry_their_units_and_bare_numbers_are_bytes() {
-        for (text, bytes_of) in [
-            ("4096", 4096),
-            ("4GiB", 4 << 30),
-            (" 4 gib ", 4 << 30),
-            ("0.5GiB", 1 << 29),
-            ("512MiB", 512 << 20),
-            ("500MB", 500_000_000),
-            ("1.5MB", 1_500_000),
-            ("4G", 4_000_000_000),
-            ("1TiB", 1 << 40),
-        ] {
-            assert_eq!(bytes(text), Ok(bytes_of), "{text}");
-        }
-        for bad in ["", "0", "0GiB", "-1GiB", "lots", "GiB", "4Gib/s", "nan", "inf"] {
-            assert!(bytes(bad).is_err(), "{bad}");
         }
     }
 

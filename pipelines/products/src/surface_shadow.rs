@@ -5,7 +5,7 @@
 //! lies between two rays and sees what both see, interpolated. The sun is a disc. At last what a cell sees is averaged with its
 //! neighbours, since altitudes say where an edge stands to about half a cell.
 //!
-//! The page of `view` casts its shadows in the same way (`pipelines/cli/src/view/page/sweep.js`), but its walls reach 0.85 cells and its cells are not
+//! The page of `view` casts its shadows in the same way (`pipelines/pages/src/view/page/sweep.js`), but its walls reach 0.85 cells and its cells are not
 //! lifted; docs/lab/sun-page.md says what each is worth.
 //! Limits: one altitude for each cell, so nothing is seen under crowns and bridges; unknown cells throw no shadow.
 

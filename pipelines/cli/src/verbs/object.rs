@@ -3,7 +3,6 @@
 use super::export_args::ExportArgs;
 use super::model_args::{RelightArgs, RenderArgs, RenderSplit, TrainArgs};
 use crate::outcome::{CliError, Outcome};
-use crate::report::{self, add_report};
 use glam::DVec3;
 use heliosplat::light::Light;
 use heliosplat::timeline;
@@ -17,6 +16,7 @@ use heliosplat_objects::run;
 use heliosplat_objects::surroundings::{self, Lamp};
 use heliosplat_objects::training::{self, TrainedObject, open};
 use heliosplat_objects::{export, measure, mesh, plan, views};
+use heliosplat_pages::report::{self, add_report};
 use heliosplat_raster::preview::write_png;
 use heliosplat_raster::write::write_atomically;
 use heliosplat_scene::Split;

@@ -5,11 +5,11 @@ use super::model_args::{DsmArgs, DsmSource, RelightArgs, RenderArgs, RenderSplit
 use super::relight_series;
 use super::sweep_dsm::{self, SweptSurface};
 use crate::outcome::{CliError, Outcome};
-use crate::report::{self, add_report};
 use heliosplat::timeline::{self, stage};
 use heliosplat_fitting::request::{TrainOutcome, TrainRequest};
 use heliosplat_fitting::run_folder::{RunError, create_folder, read, save_metrics};
 use heliosplat_fitting::settings::Preset;
+use heliosplat_pages::report::{self, add_report};
 use heliosplat_products::change::{as_day, day_of};
 use heliosplat_products::model::{load, load_whole};
 use heliosplat_products::{dsm, relight, views as rendered};

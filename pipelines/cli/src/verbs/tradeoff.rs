@@ -1,11 +1,12 @@
 //! `heliosplat tradeoff`: arguments and what is written.
 
 use crate::outcome::{CliError, Outcome};
-use crate::tradeoff::page::{Making, page};
-use crate::tradeoff::points::{self, PointsError};
-use crate::tradeoff::summary::{Summary, summarise};
-use crate::tradeoff::{Row, Sweep, csv};
 use clap::Args;
+use heliosplat_batch::tradeoff::Sweep;
+use heliosplat_pages::tradeoff::page::{Making, page};
+use heliosplat_pages::tradeoff::points::{self, PointsError};
+use heliosplat_pages::tradeoff::summary::{Summary, summarise};
+use heliosplat_pages::tradeoff::{Row, csv};
 use heliosplat_raster::write::write_atomically;
 use heliosplat_session::Session;
 use std::path::PathBuf;

@@ -3,11 +3,12 @@
 //! A unit's process ends with this one: its standard input is a pipe that closes when this process goes, however it goes. So nobody
 //! works on after a batch that was killed, and the next one finds what there is.
 
+use super::BatchError;
 use super::plan::{Plan, Unit};
-use super::row::{Row, State, log_of};
+use super::row::{self, log_of};
 use super::stamp::finished;
-use crate::outcome::CliError;
 use heliosplat_fitting::run_folder::create_folder;
+use heliosplat_pages::summary::{Row, State};
 use heliosplat_session::Progress;
 use heliosplat_session::Session;
 use std::collections::BTreeMap;
@@ -57,12 +58,12 @@ impl Batch<'_> {
     ///
     /// # Errors
     /// When a process cannot be started. That the user stopped it is told by units that were not begun.
-    pub fn run(&self, session: &Session) -> Result<Vec<Row>, CliError> {
+    pub fn run(&self, session: &Session) -> Result<Vec<Row>, BatchError> {
         let units = &self.plan.units;
-        let mut rows: Vec<Row> = units.iter().map(|unit| Row::pending(unit, self.out)).collect();
+        let mut rows: Vec<Row> = units.iter().map(|unit| row::pending(unit, self.out)).collect();
         for (row, unit) in rows.iter_mut().zip(units) {
             if let Some(stamp) = finished(self.out, unit) {
-                row.finish(State::Skipped, &stamp);
+                row::finish(row, State::Skipped, &stamp);
             }
         }
         let done = rows.iter().filter(|row| row.state == State::Skipped).count();
@@ -111,7 +112,7 @@ impl Batch<'_> {
         rows: &mut [Row],
         running: &mut Vec<Running<'u>>,
         session: &Session,
-    ) -> Result<(), CliError> {
+    ) -> Result<(), BatchError> {
         loop {
             let states: BTreeMap<&str, State> = self
                 .plan
@@ -152,8 +153,8 @@ impl Batch<'_> {
     }
 
     /// One unit in a process of its own, its log in its folder.
-    fn spawn(&self, unit: &Unit) -> Result<Child, CliError> {
-        let failed = |reason: String| CliError::Failed(format!("{}: {reason}", unit.id));
+    fn spawn(&self, unit: &Unit) -> Result<Child, BatchError> {
+        let failed = |reason: String| BatchError::Failed(format!("{}: {reason}", unit.id));
         create_folder(&self.out.join(&unit.id))?;
         let path = log_of(self.out, unit);
         let log = OpenOptions::new()
@@ -191,7 +192,7 @@ impl Batch<'_> {
         let seconds = running.begun.elapsed().as_secs_f64();
         match (code, finished(self.out, unit)) {
             (Some(0), Some(stamp)) => {
-                row.finish(State::Done, &stamp);
+                row::finish(row, State::Done, &stamp);
                 tracing::info!("{}: done in {seconds:.1} s", unit.id);
             }
             (Some(130), _) if session.stopped() => row.state = State::Pending,

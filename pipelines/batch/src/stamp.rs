@@ -107,8 +107,8 @@ pub fn claim(folder: &Path, stopped: &dyn Fn() -> bool) -> Result<Option<Claim>,
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::batch::manifest::ProductOptions;
-    use crate::batch::plan::{MosaicWork, Work};
+    use crate::manifest::ProductOptions;
+    use crate::plan::{MosaicWork, Work};
 
     fn unit() -> Unit {
         Unit {
