@@ -88,51 +88,6 @@ pub fn time(text: &str) -> Result<jiff::Timestamp, String> {
         .map_err(|_| "expected a time such as 2016-04-23T08:34:00Z".to_owned())
 }
 
-/// Moments one step apart.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub struct TimeSeries {
-    from: jiff::Timestamp,
-    to: jiff::Timestamp,
-    step: Duration,
-}
-
-/// Most moments of a series.
-const MOMENTS_MAX: u64 = 10_000;
-
-impl TimeSeries {
-    /// The moments, the first one included, and the last one where a step ends there.
-    pub fn moments(&self) -> impl Iterator<Item = jiff::Timestamp> + use<> {
-        let Self { from, to, step } = *self;
-        let next = move |time: &jiff::Timestamp| time.checked_add(step).ok();
-        std::iter::successors(Some(from), next).take_while(move |time| *time <= to)
-    }
-}
-
-/// `FROM,TO,STEP`: two moments, RFC 3339, and a duration.
-///
-/// # Errors
-/// A message for the user.
-pub fn times(text: &str) -> Result<TimeSeries, String> {
-    let parts: Vec<&str> = text.split(',').map(str::trim).collect();
-    let [from, to, step] = parts[..] else {
-        return Err("expected FROM,TO,STEP, as in 2026-06-21T06:00:00Z,2026-06-21T18:00:00Z,30m".to_owned());
-    };
-    let (from, to, step) = (time(from)?, time(to)?, duration(step)?);
-    if to < from {
-        return Err("the series ends before it begins".to_owned());
-    }
-    if step.as_millis() == 0 {
-        return Err("expected a step above 0".to_owned());
-    }
-    let span = to.duration_since(from).unsigned_abs();
-    if span.as_millis() / step.as_millis() >= u128::from(MOMENTS_MAX) {
-        return Err(format!(
-            "a series has {MOMENTS_MAX} moments at most; take a longer step"
-        ));
-    }
-    Ok(TimeSeries { from, to, step })
-}
-
 /// A date.
 ///
 /// # Errors
@@ -186,30 +141,6 @@ mod tests {
         }
         for bad in ["", "5x", "-3m", "-3", "inf", "nan", "m", "1h-30m", "1e300"] {
             assert!(duration(bad).is_err(), "{bad}");
-        }
-    }
-
-    #[test]
-    fn a_series_has_both_ends_where_a_step_meets_them() {
-        let moments = |text: &str| -> Vec<String> {
-            let series = times(text).expect(text);
-            series.moments().map(|time| time.to_string()).collect()
-        };
-        assert_eq!(
-            moments("2026-06-21T06:00:00Z,2026-06-21T07:00:00Z,30m"),
-            ["2026-06-21T06:00:00Z", "2026-06-21T06:30:00Z", "2026-06-21T07:00:00Z"]
-        );
-        assert_eq!(moments("2026-06-21T06:00:00+02:00, 2026-06-21T05:50:00Z, 1h").len(), 2);
-        assert_eq!(moments("2026-06-21T06:00:00Z,2026-06-21T06:00:00Z,1h").len(), 1);
-        for bad in [
-            "2026-06-21T06:00:00Z,2026-06-21T07:00:00Z",
-            "2026-06-21T06:00:00Z,2026-06-21T05:00:00Z,1h",
-            "2026-06-21T06:00:00Z,2026-06-21T07:00:00Z,0",
-            "2026-06-21T06:00:00Z,2026-06-21T07:00:00Z,0.0000001",
-            "2016-06-21T06:00:00Z,2026-06-21T07:00:00Z,1s",
-            "now,2026-06-21T07:00:00Z,1h",
-        ] {
-            assert!(times(bad).is_err(), "{bad}");
         }
     }
 
