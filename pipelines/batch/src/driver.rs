@@ -72,12 +72,21 @@ impl Batch<'_> {
             units.len(),
             self.jobs
         );
+        let places: BTreeMap<&str, usize> = units.iter().zip(0..).map(|(unit, k)| (unit.id.as_str(), k)).collect();
+        let place = |id: &String| {
+            let found = places.get(id.as_str()).copied();
+            found.ok_or_else(|| BatchError::NoUnit { unit: id.clone() })
+        };
+        let waits = units
+            .iter()
+            .map(|unit| unit.after.iter().map(place).collect())
+            .collect::<Result<Vec<Vec<usize>>, _>>()?;
         let progress = session.progress("units", units.len() as u64);
         let mut running: Vec<Running> = Vec::new();
         let mut looks = 0;
         loop {
             if !session.stopped() {
-                self.start(&mut rows, &mut running, session)?;
+                self.start(&waits, &mut rows, &mut running, session)?;
             } else {
                 // Their input ends: they save and go.
                 running.iter_mut().for_each(|r| drop(r.child.stdin.take()));
@@ -106,50 +115,36 @@ impl Batch<'_> {
         Ok(rows)
     }
 
-    /// Starts units while there is room and one is ready.
+    /// Starts units while there is room, in the order of the plan, in which each stands after those that it waits for (`waits`, their
+    /// places); those that wait for a lost one are blocked.
     fn start<'u>(
         &'u self,
+        waits: &[Vec<usize>],
         rows: &mut [Row],
         running: &mut Vec<Running<'u>>,
         session: &Session,
     ) -> Result<(), BatchError> {
-        loop {
-            let states: BTreeMap<&str, State> = self
-                .plan
-                .units
-                .iter()
-                .zip(rows.iter())
-                .map(|(unit, row)| (unit.id.as_str(), row.state))
-                .collect();
-            let of = |id: &String| states.get(id.as_str()).copied().unwrap_or(State::Failed);
-            let mut next = None;
-            for (place, unit) in self.plan.units.iter().enumerate() {
-                if rows[place].state != State::Pending {
-                    continue;
-                }
-                if let Some(after) = unit.after.iter().find(|id| of(id).is_lost()) {
-                    rows[place].state = State::Blocked;
-                    rows[place].error = Some(format!("{after} failed"));
-                } else if next.is_none() && unit.after.iter().all(|id| of(id).is_done()) {
-                    next = Some((place, unit));
-                }
+        for (place, (unit, after)) in self.plan.units.iter().zip(waits).enumerate() {
+            if rows[place].state != State::Pending {
+                continue;
             }
-            match next {
-                Some((place, unit)) if running.len() < self.jobs => {
-                    let child = self.spawn(unit)?;
-                    rows[place].state = State::Running;
-                    tracing::info!("{}: started", unit.id);
-                    running.push(Running {
-                        unit,
-                        place,
-                        child,
-                        begun: Instant::now(),
-                        line: session.watch(&unit.id),
-                    });
-                }
-                _ => return Ok(()),
+            if let Some(lost) = after.iter().find(|other| rows[**other].state.is_lost()) {
+                rows[place].state = State::Blocked;
+                rows[place].error = Some(format!("{} failed", self.plan.units[*lost].id));
+            } else if running.len() < self.jobs && after.iter().all(|other| rows[*other].state.is_done()) {
+                let child = self.spawn(unit)?;
+                rows[place].state = State::Running;
+                tracing::info!("{}: started", unit.id);
+                running.push(Running {
+                    unit,
+                    place,
+                    child,
+                    begun: Instant::now(),
+                    line: session.watch(&unit.id),
+                });
             }
         }
+        Ok(())
     }
 
     /// One unit in a process of its own, its log in its folder.

@@ -2,6 +2,7 @@
 
 use super::BatchError;
 use heliosplat_fitting::run_folder;
+use heliosplat_raster::bounded::{TEXT_MAX, read_bytes};
 use heliosplat_raster::write::write_atomically;
 use heliosplat_raster::{RasterError, is_virtual};
 use std::collections::BTreeMap;
@@ -38,7 +39,7 @@ pub struct Hashes {
 impl Hashes {
     /// Those that are kept in `out`.
     pub fn open(out: &Path) -> Self {
-        let text = std::fs::read(out.join(HASHES)).unwrap_or_default();
+        let text = read_bytes(&out.join(HASHES), TEXT_MAX).unwrap_or_default();
         Self {
             known: serde_json::from_slice(&text).unwrap_or_default(),
         }

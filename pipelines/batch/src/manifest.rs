@@ -6,6 +6,7 @@ use heliosplat_fitting::settings::Preset;
 use heliosplat_products::relight::LOWEST_SUN_DEG;
 use heliosplat_products::sunshine::Period;
 use heliosplat_raster::Geoid;
+use heliosplat_raster::bounded::read_text;
 use heliosplat_satellite::config::SatelliteConfig;
 use heliosplat_scene::{AreaRequest, RpcPreference};
 use std::collections::{BTreeMap, BTreeSet};
@@ -23,8 +24,6 @@ const OBJECT_STORES: [&str; 7] = [
     "/vsiswift/",
     "/vsiwebhdfs/",
 ];
-/// Largest manifest, bytes.
-const LARGEST: u64 = 16 << 20;
 
 /// What is to be done.
 #[derive(Debug, Clone, PartialEq, serde::Deserialize)]
@@ -235,11 +234,7 @@ impl Manifest {
             path: path.to_owned(),
             reason,
         };
-        let size = std::fs::metadata(path).map_err(|error| fault(error.to_string()))?.len();
-        if size > LARGEST {
-            return Err(fault("it is too large for a manifest".into()));
-        }
-        let text = std::fs::read_to_string(path).map_err(|error| fault(error.to_string()))?;
+        let text = read_text(path).map_err(|error| fault(error.to_string()))?;
         let mut manifest = Self::parse(&text).map_err(fault)?;
         let folder = path.parent().unwrap_or_else(|| Path::new("."));
         for images in &mut manifest.images {

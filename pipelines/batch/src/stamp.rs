@@ -3,6 +3,7 @@
 use super::BatchError;
 use super::plan::Unit;
 use heliosplat_fitting::run_folder;
+use heliosplat_raster::bounded::{TEXT_MAX, read_bytes};
 use serde_json::Value;
 use std::fs::{File, TryLockError};
 use std::path::Path;
@@ -59,7 +60,7 @@ impl Output {
 /// The stamp of a unit that is finished as it should be: of this key, its products there and as large as they were.
 pub fn finished(out: &Path, unit: &Unit) -> Option<Stamp> {
     let folder = out.join(&unit.id);
-    let stamp: Stamp = serde_json::from_slice(&std::fs::read(folder.join(STAMP)).ok()?).ok()?;
+    let stamp: Stamp = serde_json::from_slice(&read_bytes(&folder.join(STAMP), TEXT_MAX).ok()?).ok()?;
     let there = |output: &Output| {
         // A stamp is read back from the disk: it may name anything.
         let plain = Path::new(&output.path).is_relative() && !output.path.contains("..");

@@ -3,6 +3,7 @@
 use crate::BatchError;
 use heliosplat_pages::tradeoff::Row;
 use heliosplat_pages::tradeoff::points::{Point, Seeds};
+use heliosplat_raster::bounded::read_text;
 use heliosplat_raster::write::write_atomically;
 use heliosplat_session::Session;
 use serde_json::Value;
@@ -106,7 +107,7 @@ impl Sweep {
         }
         let said = format!("{} {}\n", env!("CARGO_PKG_VERSION"), arguments.join(" "));
         let stamp = job.folder.join("tradeoff.txt");
-        let done = std::fs::read_to_string(&stamp).is_ok_and(|before| before == said);
+        let done = read_text(&stamp).is_ok_and(|before| before == said);
         if let Some(metrics) = metrics(&job.folder).filter(|_| done) {
             return Ok(metrics);
         }
@@ -151,12 +152,7 @@ fn canonical(path: &Path) -> String {
 }
 
 fn metrics(folder: &Path) -> Option<Value> {
-    serde_json::from_slice(
-        heliosplat_raster::bounded::read_text(&folder.join("metrics.json"))
-            .ok()?
-            .as_bytes(),
-    )
-    .ok()
+    serde_json::from_str(&read_text(&folder.join("metrics.json")).ok()?).ok()
 }
 
 /// Processor seconds of all stages together.

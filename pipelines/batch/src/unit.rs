@@ -12,6 +12,7 @@ use heliosplat_fitting::run_folder::{create_folder, peak_rss_bytes};
 use heliosplat_pages::page::MOSAIC_FILE;
 use heliosplat_pages::{report, view};
 use heliosplat_products::{dsm, model, seams};
+use heliosplat_raster::bounded::read_text;
 use heliosplat_raster::preview;
 use heliosplat_raster::write::{deliver, remove_leftovers, write_atomically};
 use heliosplat_satellite::config::SatelliteConfig;
@@ -94,7 +95,7 @@ pub fn do_unit(
 fn begin(folder: &Path, unit: &Unit) -> Result<(), BatchError> {
     remove_leftovers(folder);
     let path = folder.join(BEGUN);
-    let same = std::fs::read_to_string(&path).is_ok_and(|before| before.trim() == unit.key);
+    let same = read_text(&path).is_ok_and(|before| before.trim() == unit.key);
     // A stamp that is of other work, or whose products are gone, must not be found again.
     let _ = std::fs::remove_file(folder.join(STAMP));
     if !same {

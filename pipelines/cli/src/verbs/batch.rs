@@ -52,7 +52,8 @@ pub(crate) fn run(args: &BatchArgs, threads: Option<usize>, session: &Session) -
     if args.attended {
         session.stop_with_input();
     }
-    let plan = Plan::of(&args.manifest, &args.out)?;
+    let looks = args.only.is_some() || args.plan || args.dry_run || args.summary;
+    let plan = Plan::of(&args.manifest, &args.out, !looks)?;
     if let Some(id) = &args.only {
         return only(args, &plan, id, session);
     }
@@ -113,11 +114,14 @@ fn told(args: &BatchArgs, plan: &Plan) -> Outcome {
         let done = finished(&args.out, unit).is_some();
         let what = if done { "finished" } else { "to do" };
         // Writing to a String cannot fail.
-        let _ = writeln!(
-            text,
-            "{:<8}  {}  ({} MiB, {} s)",
-            what, unit.id, unit.mem_mb, unit.runtime_s
-        );
+        let _ = match unit.refusal() {
+            Some(reason) => writeln!(text, "refused   {}: {reason}", unit.id),
+            None => writeln!(
+                text,
+                "{what:<8}  {}  ({} MiB, {} s)",
+                unit.id, unit.mem_mb, unit.runtime_s
+            ),
+        };
         let mut told = serde_json::to_value(unit).unwrap_or_default();
         if let Value::Object(map) = &mut told {
             map.insert("done".into(), json!(done));
