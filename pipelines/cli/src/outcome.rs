@@ -7,6 +7,7 @@ use heliosplat_fitting::run_folder::{OpenError, RunError};
 use heliosplat_fitting::settings::ConfigError;
 use heliosplat_fitting::training::TrainingError;
 use heliosplat_objects::{CaptureError, ObjectError};
+use heliosplat_pages::tradeoff::points::PointsError;
 use heliosplat_pages::view::ViewError;
 use heliosplat_products::export::ExportError;
 use heliosplat_products::relight::RelightError;
@@ -80,23 +81,18 @@ by_fault!(
     ViewError
 );
 
-impl From<SessionError> for CliError {
-    fn from(error: SessionError) -> Self {
-        Self::Failed(error.to_string())
-    }
+/// Errors of which it is known who is at fault.
+macro_rules! always {
+    ($($error:ty => $kind:ident),*) => {$(
+        impl From<$error> for CliError {
+            fn from(error: $error) -> Self {
+                Self::$kind(error.to_string())
+            }
+        }
+    )*};
 }
 
-impl From<ConfigError> for CliError {
-    fn from(error: ConfigError) -> Self {
-        Self::Input(error.to_string())
-    }
-}
-
-impl From<CaptureError> for CliError {
-    fn from(error: CaptureError) -> Self {
-        Self::Input(error.to_string())
-    }
-}
+always!(SessionError => Failed, ConfigError => Input, CaptureError => Input, PointsError => Input);
 
 impl From<TrainingError> for CliError {
     fn from(error: TrainingError) -> Self {
