@@ -13,6 +13,18 @@ pub fn pair(text: &str) -> Result<[f64; 2], String> {
     <[f64; 2]>::try_from(numbers).map_err(|_| "expected two numbers, as in 10,20".to_owned())
 }
 
+/// `AZ,EL`: azimuth and elevation of a sun, degrees.
+///
+/// # Errors
+/// A message for the user.
+pub fn sun(text: &str) -> Result<[f64; 2], String> {
+    let [azimuth, elevation] = pair(text)?;
+    match azimuth.abs() <= 360.0 && elevation.abs() <= 90.0 {
+        true => Ok([azimuth, elevation]),
+        false => Err("expected an azimuth of 0 to 360 degrees and an elevation of at most 90".to_owned()),
+    }
+}
+
 /// `WEST,SOUTH,EAST,NORTH`, degrees, or with `,EPSG:N` at the end coordinates of that system.
 ///
 /// # Errors

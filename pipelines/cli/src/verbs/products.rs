@@ -36,7 +36,7 @@ pub struct ProductsArgs {
     #[arg(long, value_enum, value_name = "NAME")]
     pub geoid: Option<GeoidName>,
     /// Also an ortho image under this sun: azimuth (clockwise from north) and elevation, degrees
-    #[arg(long, value_parser = parse::pair, allow_hyphen_values = true, value_name = "AZ,EL", conflicts_with = "at")]
+    #[arg(long, value_parser = parse::sun, allow_hyphen_values = true, value_name = "AZ,EL", conflicts_with = "at")]
     pub sun: Option<[f64; 2]>,
     /// Also an ortho image under the sun of this moment, RFC 3339
     #[arg(long, value_parser = parse::time, value_name = "TIME")]
