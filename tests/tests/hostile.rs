@@ -61,7 +61,7 @@ const CASES: [Case; 38] = [
         "in one block",
     ),
     Case("an image of complex numbers", tiff_complex, "complex numbers"),
-    Case("a raw image that is cut off", raw_cut_off, "too small"),
+    Case("a raw image that is cut off", raw_cut_off, "claims 4096 bytes"),
     Case(
         "an Erdas image that leads to another folder",
         hfa_leads_away,
@@ -261,7 +261,9 @@ fn tiff_of_more(home: &Path) -> Vec<OsString> {
 }
 
 fn tiff_of_one_strip(home: &Path) -> Vec<OsString> {
-    surface_of(home, 30_000, 30_000, DEFLATED_BYTES)
+    // Sixteen bits, LZW: GDAL reads such a strip whole.
+    tiff(&missing_image(home), 30_000, 30_000, [16, 5, 1]);
+    inspect(home)
 }
 
 fn tiff_complex(home: &Path) -> Vec<OsString> {
@@ -768,10 +770,6 @@ fn numbers_without_sense_are_refused_in_one_line() {
         (format!("{train} --set start.cell_gsd=1e-3"), "start.cell_gsd"),
         (format!("{train} --set start.cell_gsd=1e4"), "start.cell_gsd"),
         (format!("{train} --set start.cell_gsd=1e300"), "start.cell_gsd"),
-        (
-            format!("{train} --set train.iterations=9000000000000000000"),
-            "train.iterations",
-        ),
         (
             format!("dsm {scene} --from sweep --altitude 690,710 --out {out}.tif --gsd 1e-9"),
             "too large",

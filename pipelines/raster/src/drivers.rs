@@ -33,13 +33,11 @@ const DRIVERS: [&str; 22] = [
 ];
 
 /// GDAL's options that hold for the whole process.
-const OPTIONS: [(&str, &str); 3] = [
+const OPTIONS: [(&str, &str); 2] = [
     // Every image is read once, in order: blocks that were read are not needed again. GDAL would keep a twentieth of the memory.
     ("GDAL_CACHEMAX", "64"),
     // GDAL's remote file systems open one name, which nothing has.
     ("CPL_VSIL_CURL_ALLOWED_FILENAME", "/vsicurl/none"),
-    // A raw image must have the bytes that its header claims.
-    ("RAW_CHECK_FILE_SIZE", "YES"),
 ];
 
 /// Address of the driver of rasters in memory. Its `MEM:::DATAPOINTER=…` reads any address, so no file may name it: it is not registered.

@@ -2,7 +2,7 @@
 
 use super::pansharpen::Pansharpening;
 use super::tiled::Mosaic;
-use super::{Crs, GeoTransform, RasterError, messages, siblings};
+use super::{Crs, GeoTransform, RasterError, bounded, messages, siblings};
 use gdal::raster::{ColorInterpretation, GdalDataType};
 use gdal::{Dataset, DatasetOptions, GdalOpenFlags, Metadata};
 use heliosplat::Raster;
@@ -15,6 +15,10 @@ const SAMPLES_MAX: u128 = 1 << 33;
 /// Windows of fewer samples are read from however small a file: an image on an empty canvas has next to no bytes for most of its pixels, and
 /// a sparse file none. A gigabyte in memory: 16,384 × 16,384 of one band.
 const SAMPLES_FREE: u128 = 1 << 28;
+/// Types of samples that the crate gdal does not know: complex numbers.
+const UNKNOWN_TYPE: &str = "unknown";
+/// Formats whose pixels stand in the file as they are. GDAL reads zeros where such a file ends early.
+const RAW: [&str; 3] = ["ENVI", "EHdr", "GTX"];
 /// Blocks of fewer pixels are read from however small a file: 8,192 × 8,192.
 const BLOCK_FREE: u128 = 1 << 26;
 /// Deflate makes at most a thousand bytes of one.
@@ -25,7 +29,7 @@ const SAMPLES_AT_ONCE: usize = 1 << 22;
 
 /// Whether a file that was not opened is one of GDAL's virtual rasters.
 fn names_other_files(path: &Path) -> bool {
-    let start = crate::bounded::read_start(path, 256);
+    let start = bounded::read_start(path, 256);
     String::from_utf8_lossy(&start).contains("<VRTDataset")
 }
 
@@ -162,11 +166,9 @@ impl RasterFile {
                 },
             )
         })
-        .map_err(|reason| {
+        .map_err(|_| {
             if names_other_files(path) {
                 not_an_image("a virtual raster names other files; make a GeoTIFF of it with gdal_translate".to_owned())
-            } else if reason.contains("file is too small") {
-                damaged(path, reason)
             } else {
                 not_an_image("its format is not recognised".to_owned())
             }
@@ -175,8 +177,8 @@ impl RasterFile {
             return Err(not_an_image("it has no bands".to_owned()));
         }
         let bands = messages::collect(|| band_infos(&dataset)).map_err(not_an_image)?;
-        if bands.iter().any(|band| band.data_type.starts_with('C')) {
-            let reason = "its pixels are complex numbers; give their amplitude, as gdal_calc.py makes it";
+        if bands.iter().any(|band| band.data_type == UNKNOWN_TYPE) {
+            let reason = "its pixels are complex numbers, or of a type that is not read; give their amplitude";
             return Err(not_an_image(reason.to_owned()));
         }
         let size = dataset.raster_size();
@@ -187,7 +189,7 @@ impl RasterFile {
             others: Vec::new(),
             bands,
         };
-        file.check_blocks()?;
+        file.check_bytes()?;
         Ok(file)
     }
 
@@ -389,9 +391,26 @@ impl RasterFile {
             Err(_) => return Ok(()),
         };
         let held = std::fs::metadata(&self.path).map_or(u64::MAX, |known| known.len());
-        let claimed = width as u128 * height as u128;
-        if claimed > BLOCK_FREE.max(u128::from(held) * SAMPLES_PER_BYTE) {
-            let reason = format!("it claims {width} x {height} pixels in one block, and has {held} bytes");
+        let mut claimed = 0u128;
+        for number in 1..=self.bands.len() {
+            let band = dataset
+                .rasterband(number)
+                .map_err(|error| damaged(&self.path, error.to_string()))?;
+            let (width, height) = band.block_size();
+            if width as u128 * height as u128 > BLOCK_FREE.max(u128::from(held) * SAMPLES_PER_BYTE) {
+                let reason = format!("it claims {width} x {height} pixels in one block, and has {held} bytes");
+                return Err(damaged(&self.path, reason));
+            }
+            // Fewer bits than a byte, where samples are packed.
+            let packed = band
+                .metadata_item("NBITS", "IMAGE_STRUCTURE")
+                .and_then(|bits| bits.parse().ok());
+            let bits = packed.unwrap_or_else(|| band.band_type().bits());
+            claimed += u128::from(bits) * self.size.0 as u128 * self.size.1 as u128 / 8;
+        }
+        let is_packed_whole = || bounded::read_start(&self.path, 2) == [0x1f, 0x8b];
+        if RAW.contains(&dataset.driver().short_name().as_str()) && claimed > u128::from(held) && !is_packed_whole() {
+            let reason = format!("it claims {claimed} bytes and has {held}");
             return Err(damaged(&self.path, reason));
         }
         Ok(())
@@ -457,7 +476,7 @@ fn band_infos(dataset: &Dataset) -> gdal::errors::Result<Vec<BandInfo>> {
         .map(|index| {
             let band = dataset.rasterband(index)?;
             let data_type = match band.band_type() {
-                GdalDataType::Unknown => "unknown".to_owned(),
+                GdalDataType::Unknown => UNKNOWN_TYPE.to_owned(),
                 known => known.name(),
             };
             Ok(BandInfo {
