@@ -1,16 +1,18 @@
 //! What a verb ends in: an [`Outcome`], or a [`CliError`] with the exit code that it stands for.
 
+use heliosplat_batch::BatchError;
 use heliosplat_evaluate::EvaluateError;
 use heliosplat_fitting::checkpoint::CheckpointError;
-use heliosplat_fitting::run_folder::{OpenError, RunError};
+use heliosplat_fitting::run_folder::RunError;
 use heliosplat_fitting::settings::ConfigError;
 use heliosplat_fitting::training::TrainingError;
 use heliosplat_objects::{CaptureError, ObjectError};
+use heliosplat_pages::tradeoff::points::PointsError;
+use heliosplat_pages::view::ViewError;
 use heliosplat_products::export::ExportError;
 use heliosplat_products::relight::RelightError;
 use heliosplat_raster::RasterError;
 use heliosplat_satellite::SatelliteError;
-use heliosplat_satellite::error::FitError;
 use heliosplat_scene::SceneError;
 use heliosplat_session::SessionError;
 
@@ -74,26 +76,22 @@ by_fault!(
     CheckpointError,
     RunError,
     RelightError,
-    ExportError
+    ExportError,
+    ViewError
 );
 
-impl From<SessionError> for CliError {
-    fn from(error: SessionError) -> Self {
-        Self::Failed(error.to_string())
-    }
+/// Errors of which it is known who is at fault.
+macro_rules! always {
+    ($($error:ty => $kind:ident),*) => {$(
+        impl From<$error> for CliError {
+            fn from(error: $error) -> Self {
+                Self::$kind(error.to_string())
+            }
+        }
+    )*};
 }
 
-impl From<ConfigError> for CliError {
-    fn from(error: ConfigError) -> Self {
-        Self::Input(error.to_string())
-    }
-}
-
-impl From<CaptureError> for CliError {
-    fn from(error: CaptureError) -> Self {
-        Self::Input(error.to_string())
-    }
-}
+always!(SessionError => Failed, ConfigError => Input, CaptureError => Input, PointsError => Input);
 
 impl From<TrainingError> for CliError {
     fn from(error: TrainingError) -> Self {
@@ -105,42 +103,22 @@ impl From<TrainingError> for CliError {
     }
 }
 
-impl From<OpenError> for CliError {
-    fn from(error: OpenError) -> Self {
-        match error {
-            OpenError::Run(error) => error.into(),
-            OpenError::Checkpoint(error) => error.into(),
-        }
-    }
-}
-
-impl From<FitError> for CliError {
-    fn from(error: FitError) -> Self {
-        match error {
-            FitError::TooFewViews { .. }
-            | FitError::NoContrast { .. }
-            | FitError::Memory { .. }
-            | FitError::SweepMemory { .. }
-            | FitError::Channels { .. }
-            | FitError::Mask(_) => Self::Input(error.to_string()),
-            FitError::Training(error) => error.into(),
-        }
-    }
-}
-
 impl From<SatelliteError> for CliError {
     fn from(error: SatelliteError) -> Self {
         match error {
             SatelliteError::Scene(error) => error.into(),
             SatelliteError::Config(error) => error.into(),
-            SatelliteError::Fit(error) => error.into(),
             SatelliteError::Training(error) => error.into(),
-            SatelliteError::Open(error) => error.into(),
             SatelliteError::Run(error) => error.into(),
             SatelliteError::Raster(error) => error.into(),
             SatelliteError::Evaluate(error) => error.into(),
             SatelliteError::Relight(error) => error.into(),
-            SatelliteError::TimeBudget { .. }
+            SatelliteError::TooFewViews { .. }
+            | SatelliteError::NoContrast { .. }
+            | SatelliteError::Memory { .. }
+            | SatelliteError::SweepMemory { .. }
+            | SatelliteError::Channels { .. }
+            | SatelliteError::Mask(_)
             | SatelliteError::SceneOfRun { .. }
             | SatelliteError::Adjust { .. }
             | SatelliteError::RelitBands { .. }
@@ -151,13 +129,37 @@ impl From<SatelliteError> for CliError {
     }
 }
 
+impl From<BatchError> for CliError {
+    fn from(error: BatchError) -> Self {
+        match error {
+            BatchError::Satellite(error) => error.into(),
+            BatchError::Training(error) => error.into(),
+            BatchError::Config(error) => error.into(),
+            BatchError::Run(error) => error.into(),
+            BatchError::View(error) => error.into(),
+            BatchError::Relight(error) => error.into(),
+            BatchError::Export(error) => error.into(),
+            BatchError::Evaluate(error) => error.into(),
+            BatchError::Scene(error) => error.into(),
+            BatchError::Raster(error) => error.into(),
+            BatchError::Interrupted(_) => Self::Interrupted(error.to_string()),
+            BatchError::Io { .. } | BatchError::Failed(_) => Self::Failed(error.to_string()),
+            BatchError::Manifest { .. }
+            | BatchError::NoUnit { .. }
+            | BatchError::NotYet { .. }
+            | BatchError::TooLarge { .. }
+            | BatchError::NothingShown { .. }
+            | BatchError::Refused(_) => Self::Input(error.to_string()),
+        }
+    }
+}
+
 impl From<ObjectError> for CliError {
     fn from(error: ObjectError) -> Self {
         match error {
             ObjectError::Capture(error) => error.into(),
             ObjectError::Config(error) => error.into(),
             ObjectError::Training(error) => error.into(),
-            ObjectError::Open(error) => error.into(),
             ObjectError::Run(error) => error.into(),
             ObjectError::Raster(error) => error.into(),
             ObjectError::Memory { .. } => Self::Input(error.to_string()),

@@ -40,6 +40,9 @@ pub enum RunError {
     /// A file that cannot be written.
     #[error(transparent)]
     Write(#[from] RasterError),
+    /// A checkpoint.
+    #[error(transparent)]
+    Checkpoint(#[from] CheckpointError),
     /// A folder that cannot be made.
     #[error("{}: the folder cannot be made ({reason}); choose another --out", path.display())]
     Folder {
@@ -56,6 +59,7 @@ impl RunError {
         match self {
             Self::NotARun(_) | Self::Damaged { .. } => true,
             Self::Write(error) => error.is_input_fault(),
+            Self::Checkpoint(error) => error.is_input_fault(),
             Self::Io { .. } | Self::Folder { .. } => false,
         }
     }
@@ -186,24 +190,13 @@ pub enum Opened<'a, P> {
     Open(Box<RunFolder<'a, P>>),
 }
 
-/// Why a training cannot begin in a folder.
-#[derive(Debug, thiserror::Error)]
-pub enum OpenError {
-    /// The folder.
-    #[error(transparent)]
-    Run(#[from] RunError),
-    /// Its checkpoint.
-    #[error(transparent)]
-    Checkpoint(#[from] CheckpointError),
-}
-
 impl<'a, P: Clone + Serialize + DeserializeOwned + 'static> Opened<'a, P> {
     /// Looks into the folder of a run, and makes it where it is absent: better to hear now than after the training that nothing can
     /// be written there.
     ///
     /// # Errors
     /// When the checkpoint is damaged or of another training, or the folder cannot be made.
-    pub fn look(asked: RunRequest<'a>) -> Result<Self, OpenError> {
+    pub fn look(asked: RunRequest<'a>) -> Result<Self, RunError> {
         let RunRequest {
             request,
             identity,

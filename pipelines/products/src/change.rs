@@ -127,11 +127,15 @@ impl ChangeMap {
             metadata: &metadata,
             ..ImageSpec::plain(&self.raster)
         };
-        let convert = |band: usize, value: f32| match band {
-            1 if value != 0.0 => f64::from(as_date(value as i32)),
-            _ => f64::from(value),
-        };
-        write_double_cog(path, &spec, convert)
+        write_double_cog(path, &spec, stored)
+    }
+}
+
+/// The number that the file holds of a band's value: of a day its date as YYYYMMDD.
+pub fn stored(band: usize, value: f32) -> f64 {
+    match band {
+        1 if value != 0.0 => f64::from(as_date(value as i32)),
+        _ => f64::from(value),
     }
 }
 

@@ -3,7 +3,6 @@
 //! [`model`] reads a run; [`surface`] and [`dsm`] look at it from above; [`views`] renders its images; [`relight`] puts it under
 //! another sun; [`set`] writes everything for a GIS through [`writer`], and [`stac`] describes it.
 
-pub mod animation;
 pub mod blend;
 pub mod change;
 pub mod dsm;
@@ -18,7 +17,6 @@ pub mod ortho;
 pub mod ply;
 pub mod points;
 pub mod relight;
-mod roof_slopes;
 pub mod seams;
 pub mod seen;
 pub mod set;
@@ -28,6 +26,6 @@ pub mod stored;
 pub mod style;
 pub mod sunshine;
 pub mod surface;
-mod surface_shadow;
+pub mod surface_shadow;
 pub mod views;
 pub mod writer;

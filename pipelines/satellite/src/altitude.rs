@@ -53,6 +53,7 @@ const UNLIKE: f64 = 1.5;
 const COARSE_CELL_GSD: f64 = 4.0;
 /// Most times that a range is widened.
 pub(super) const ROUNDS: usize = 3;
+
 /// Opens a scene; where neither `options` nor its files state its altitudes, they are found by tie points, and widened where a coarse sweep
 /// between them shows that the surface goes on beyond.
 ///

@@ -6,6 +6,9 @@ use heliosplat::train::{TrainError, TrainOptions};
 use heliosplat_fitting::settings::{ConfigError, Preset, resolve};
 use std::path::PathBuf;
 
+/// Widths of a cell that make sense, ground sampling distances: images show nothing finer than the least, and no building at the largest.
+const CELL_GSD: std::ops::RangeInclusive<f64> = 0.25..=100.0;
+
 /// How Gaussians start on the swept surface. Lengths in cells, which are one ground sampling distance wide.
 #[derive(Debug, Clone, PartialEq, serde::Serialize, serde::Deserialize)]
 #[serde(default, deny_unknown_fields)]
@@ -65,13 +68,16 @@ pub struct ModelOptions {
     pub image_colour: Option<bool>,
     /// Whether clouds are found before anything else and left out: on from five views on; off for images that are known to be clear.
     pub clouds: Option<bool>,
+    /// Whether ground that was built on or torn down between the images is searched: on where every image has a date, and a day divides
+    /// them with two or more on either side; off for ground that is known to have stayed.
+    pub change: Option<bool>,
     /// Whether values that images clip count as "at least": on where some are clipped.
     pub saturation: Option<bool>,
-    /// Near-surface light in shadows, per Gaussian: measured by short fits; off where these are too few or undecided, for its memory.
-    pub near_light: Option<bool>,
+    /// Near-surface light in shadows, per Gaussian: off, because no scene measured was better with it (docs/lab/planner.md).
+    pub near_light: bool,
     /// Largest degree of the spherical harmonics by which albedo (and near-surface light) changes with the viewing direction: 0, the same
-    /// from everywhere, for matt ground, up to 3 for ground that shines. Where it is not set, short fits measure whether degree 1 helps.
-    pub sh_degree: Option<usize>,
+    /// from everywhere, for matt ground, up to 3 for ground that shines.
+    pub sh_degree: usize,
     /// Weight of the shadow opaqueness loss; 0, off, is better on every site measured (docs/lab/components.md), the paper and the ablation
     /// have it.
     pub opaqueness_weight: f32,
@@ -87,9 +93,10 @@ impl Default for ModelOptions {
         Self {
             image_colour: None,
             clouds: None,
+            change: None,
             saturation: None,
-            near_light: None,
-            sh_degree: None,
+            near_light: false,
+            sh_degree: 0,
             opaqueness_weight: 0.0,
             shadow_prior: None,
             shadow_masks: None,
@@ -148,13 +155,12 @@ impl SatelliteConfig {
         let (s, m) = (&self.start, &self.model);
         let opacity = f64::from(s.step_opacity);
         let weight = f64::from(m.opaqueness_weight);
-        let degree = m.sh_degree.unwrap_or(0);
         for (key, value, fits, expected) in [
             (
                 "start.cell_gsd",
                 s.cell_gsd,
-                s.cell_gsd > 0.0 && s.cell_gsd.is_finite(),
-                "a finite number above zero",
+                CELL_GSD.contains(&s.cell_gsd),
+                "a number from 0.25 to 100",
             ),
             (
                 "start.step_opacity",
@@ -164,8 +170,8 @@ impl SatelliteConfig {
             ),
             (
                 "model.sh_degree",
-                degree as f64,
-                degree <= MAX_DEGREE,
+                m.sh_degree as f64,
+                m.sh_degree <= MAX_DEGREE,
                 "a whole number from 0 to 3",
             ),
             (
@@ -209,13 +215,14 @@ mod tests {
         let config = SatelliteConfig::resolve(Preset::Fast, &set("cameras.align", "off"), 1).expect("a known key");
         assert_eq!(config.cameras.align, Align::Off);
         let config = SatelliteConfig::resolve(Preset::Fast, &set("model.sh_degree", "3"), 1).expect("a known key");
-        assert_eq!(config.model.sh_degree, Some(3));
+        assert_eq!(config.model.sh_degree, 3);
     }
 
     #[test]
     fn a_value_that_means_nothing_is_named() {
         for (key, value) in [
-            ("start.cell_gsd", "0.0"),
+            ("start.cell_gsd", "1e-3"),
+            ("start.cell_gsd", "1e300"),
             ("start.step_opacity", "1.0"),
             ("model.opaqueness_weight", "-0.1"),
             ("model.sh_degree", "4"),

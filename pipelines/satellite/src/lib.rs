@@ -27,9 +27,7 @@ mod sweep_memory;
 pub mod sweep_tiles;
 pub mod tiled_sweep;
 pub mod training;
-mod trial;
 mod views;
 
 pub use error::SatelliteError;
-pub use plan::{Decisions, Light, PlanItem, PlanTrial};
-pub use trial::{Component, Trial, Trials};
+pub use plan::{Decisions, Light, PlanItem};

@@ -7,7 +7,7 @@
 
 use super::altitude::ROUNDS;
 use super::config::{Align, SatelliteConfig};
-use super::error::{FitError, SatelliteError};
+use super::error::SatelliteError;
 use super::ground::{Ground, volume};
 use super::limits::AtLimits;
 use super::plan::Decisions;
@@ -109,7 +109,7 @@ impl TiledSweep<'_> {
             progress.set(index as u64 + 1);
         }
         if pieces.is_empty() {
-            return Err(FitError::TooFewViews { images: 0 }.into());
+            return Err(SatelliteError::TooFewViews { images: 0 });
         }
         say_lowered(&lowered);
         if let Some(warning) = at_limits.warning(self.survey.altitude_range_m) {
@@ -237,7 +237,7 @@ impl TiledSweep<'_> {
             }
         }
         let Some((_, decisions, matching)) = found else {
-            return Err(FitError::TooFewViews { images: 0 }.into());
+            return Err(SatelliteError::TooFewViews { images: 0 });
         };
         if told.is_empty() && decisions.align != Align::Off {
             tracing::warn!("cameras are believed, because ties do not tell");

@@ -459,7 +459,7 @@ fn shown(views: &[SweepView], grid: &Grid, surface: &Surface) -> Vec<bool> {
 }
 
 /// The days on which images can be divided: each is the first of those after.
-fn dividing_days(days: &[i32]) -> Vec<i32> {
+pub fn dividing_days(days: &[i32]) -> Vec<i32> {
     let mut all = days.to_vec();
     all.sort_unstable();
     all.dedup();

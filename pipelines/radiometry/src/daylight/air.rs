@@ -24,6 +24,7 @@ pub(crate) const CLEAR: BandAir = BandAir {
     optical_depth: DEPTH_PRIOR.0,
     sky_share: SKY_PRIOR.0,
 };
+
 /// Deviation of the logarithm of an image's shade: what a shadow is worth is measured where walls and errors of the surface are.
 const SHADE_SIGMA: f64 = 0.25;
 /// Least deviation of the logarithm of an image's gain.

@@ -1,0 +1,319 @@
+//! The sections of a report, from top to bottom; most of them serve runs, objects and mosaics alike.
+
+use super::{Contents, Folder};
+use crate::page::chart::{Line, lines, lines_within};
+use crate::page::{MIB, inline_picture, number, plain, section};
+use crate::view;
+use heliosplat_products::model::ModelImage;
+use heliosplat_products::set::date_of;
+use heliosplat_scene::Split;
+use image::RgbImage;
+use image::imageops::crop_imm;
+use maud::{Markup, html};
+use rayon::prelude::*;
+use serde_json::Value;
+
+/// Widest pictures of the surface and of views, pixels.
+pub(super) const SURFACE_PX: u32 = 720;
+const VIEW_PX: u32 = 420;
+/// More views than this are not shown: the page is to be sent by mail.
+const VIEWS_MAX: usize = 40;
+/// The panels of a view's picture, from left to right.
+const PANELS: [&str; 4] = [
+    "image",
+    "rendering",
+    "shadow mask",
+    "shadow errors: blue missed, red false",
+];
+
+/// A main number: its label, its value if it is known, digits after the point, its unit.
+pub(super) type Key<'a> = (&'a str, Option<f64>, usize, &'a str);
+
+/// The main numbers, side by side; those that are not known are left out.
+pub(super) fn keys(all: &[Key]) -> Markup {
+    html! {
+        div.key {
+            @for (label, value, digits, unit) in all {
+                @if value.is_some() {
+                    div { b { (number(*value, *digits)) " " (unit) } (label) }
+                }
+            }
+        }
+    }
+}
+
+/// Input, preset and version of a run.
+pub(super) fn origin(scene: &std::path::Path, preset: &str, seed: u64, version: &str) -> Markup {
+    html! { p.faint { (scene.display().to_string()) " · preset " (preset) " · seed " (seed) " · heliosplat " (version) } }
+}
+
+/// A link to the page with the sun, where there is one.
+pub(super) fn sun_page(folder: &Folder) -> Markup {
+    html! {
+        @if folder.path.join(view::FILE).is_file() {
+            p { a href={ "./" (view::FILE) } { "Move the sun over this surface" } }
+        }
+    }
+}
+
+/// What was trained, and the main numbers.
+pub(super) fn head(run: &Contents) -> Markup {
+    let measured = &run.folder;
+    let protocol = measured.metrics.pointer("/dsm/protocol").and_then(Value::as_str);
+    let mae = format!("DSM mean absolute error, {}", protocol.unwrap_or("raw"));
+    let number = |pointer: &str| measured.number(pointer);
+    let percent = |pointer: &str| number(pointer).map(|share| 100.0 * share);
+    html! {
+        (origin(&run.run.scene, &run.run.preset, run.run.seed, &run.run.version))
+        (sun_page(measured))
+        (keys(&[
+            (&mae, number("/dsm/mae_m"), 3, "m"),
+            ("DSM median error", number("/dsm/median_m"), 3, "m"),
+            ("DSM completeness", percent("/dsm/completeness"), 1, "%"),
+            ("shadow accuracy", percent("/shadow/accuracy"), 1, "%"),
+            ("PSNR of training images", number("/train/psnr"), 2, "dB"),
+            ("PSNR of held-out images", number("/test/psnr"), 2, "dB"),
+            ("time", measured.seconds(), 1, "s"),
+            ("peak memory", number("/peak_rss_bytes").map(|b| b / MIB), 0, "MiB"),
+            ("Gaussians", number("/gaussians"), 0, ""),
+        ]))
+    }
+}
+
+/// A picture over its caption; nothing where there is none.
+pub(super) fn figure(picture: Option<RgbImage>, width: u32, caption: &str) -> Markup {
+    captioned(picture.and_then(|picture| inline_picture(picture, width)), caption)
+}
+
+/// The same of a picture's address.
+fn captioned(address: Option<String>, caption: &str) -> Markup {
+    html! {
+        @if let Some(address) = address {
+            figure { img src=(address) alt=(caption); figcaption { (caption) } }
+        }
+    }
+}
+
+/// Pictures side by side under a heading; nothing where there is none.
+pub(super) fn gallery(heading: &str, class: &str, figures: &Markup) -> Markup {
+    html! {
+        @if !figures.0.is_empty() {
+            h2 { (heading) }
+            div class=(class) { (figures) }
+        }
+    }
+}
+
+/// Hillshades of the surface, and the map of its errors.
+pub(super) fn surface(run: &Folder) -> Markup {
+    let show = |name: &str, caption: &str| figure(run.picture(name), SURFACE_PX, caption);
+    let figures = html! {
+        (show("dsm.png", "DSM, hillshade with light from the north-west"))
+        (show("error.png", "Height errors: blue too low, red too high"))
+        (show("start.png", "Initial surface, before training"))
+    };
+    html! {
+        (gallery("Surface", "grid", &figures))
+        (lowered(run))
+    }
+}
+
+/// How much of the initial surface was lowered; nothing where none was.
+fn lowered(run: &Folder) -> Markup {
+    let lowered = |key: &str| run.number(&format!("/lowered/{key}")).filter(|&count| count > 0.0);
+    html! {
+        @if let Some(parts) = lowered("parts") {
+            p { "Parts of the initial surface that bridged ground in shade and were lowered: " (number(Some(parts), 0)) ", " (number(lowered("area_m2"), 0)) " m²." }
+        }
+    }
+}
+
+/// Each view beside its rendering and its shadows, date by date.
+pub(super) fn views(run: &Contents) -> Markup {
+    let mut images: Vec<_> = run.model.images.iter().collect();
+    images.sort_by_key(|image| (date_of(image), image.name.clone()));
+    let addresses = |image: &&ModelImage| -> Option<Vec<Option<String>>> {
+        let picture = run.folder.picture(&format!("views/{}.png", image.name))?;
+        let panels = panels(&picture, image.crop.width as u32);
+        Some(panels.into_iter().map(|panel| inline_picture(panel, VIEW_PX)).collect())
+    };
+    let addresses: Vec<_> = images.par_iter().take(VIEWS_MAX).map(addresses).collect();
+    let mut date = None;
+    let shown = images.iter().zip(addresses).filter_map(|(image, addresses)| {
+        let addresses = addresses?;
+        let this = date_of(image);
+        let new_date = date.replace(this.clone()).as_ref() != Some(&this);
+        let sun = match image.sun {
+            Some(sun) => {
+                let (azimuth, elevation) = (sun.azimuth_rad.to_degrees(), sun.elevation_rad.to_degrees());
+                format!("sun at azimuth {azimuth:.1}°, elevation {elevation:.1}°")
+            }
+            None => "sun unknown".to_owned(),
+        };
+        Some(html! {
+            @if new_date { h3 { (this) " " span.faint { (sun) } } }
+            div.faint { (image.name) @if image.split == Split::Test { ", held out" } }
+            div.four {
+                @for (address, caption) in addresses.into_iter().zip(PANELS) { (captioned(address, caption)) }
+            }
+        })
+    });
+    let shown: Vec<Markup> = shown.collect();
+    let body = html! {
+        @for view in &shown { (view) }
+        @if images.len() > VIEWS_MAX && !shown.is_empty() {
+            p.faint { "The first " (VIEWS_MAX) " of " (images.len()) " views; the others are in views/." }
+        }
+    };
+    section("Images and shadows by date", body)
+}
+
+/// The panels of this width that lie side by side in a picture.
+fn panels(picture: &RgbImage, width: u32) -> Vec<RgbImage> {
+    let count = picture.width().checked_div(width).unwrap_or(0);
+    let panel = |place| crop_imm(picture, place * width, 0, width, picture.height()).to_image();
+    (0..count.min(PANELS.len() as u32)).map(panel).collect()
+}
+
+/// The course of training.
+pub(super) fn curves(run: &Folder) -> Markup {
+    let curve = run.list("/curve");
+    let line = |name: &str, value: &dyn Fn(&Value) -> Option<f64>| Line {
+        name: name.to_owned(),
+        points: curve
+            .iter()
+            .filter_map(|point| Some((point["step"].as_f64()?, value(point)?)))
+            .collect(),
+    };
+    let chart = |title: &str, drawn: &[Line]| lines(title, "step", &several_points(drawn));
+    let height = line("", &|point| point["accuracy"]["height_mae_m"].as_f64());
+    let psnr = line("", &|point| point["accuracy"]["psnr_db"].as_f64());
+    let difference = [
+        line("all pixels, smoothed", &|point| point["l1"].as_f64()),
+        line("held-out pixels", &|point| point["held_out_l1"].as_f64()),
+    ];
+    let mut charts = vec![
+        chart("DSM mean absolute error, m", &[height]),
+        lines_within("PSNR of held-out images, dB", "step", &[psnr]),
+        chart("L1 difference to the images", &difference),
+    ];
+    let losses = curve.iter().filter_map(|point| point["losses"].as_object());
+    let mut names: Vec<&String> = losses.flat_map(|losses| losses.keys()).collect();
+    names.sort_unstable();
+    names.dedup();
+    charts.extend(names.into_iter().map(|name| {
+        let loss = line("", &|point| point["losses"].get(name)?.as_f64());
+        chart(&format!("Loss: {}", name.replace('_', " ")), &[loss])
+    }));
+    let charts = html! { @for chart in charts.iter().flatten() { (chart) } };
+    gallery("Training", "charts", &charts)
+}
+
+/// Lines that have something to join.
+fn several_points(lines: &[Line]) -> Vec<Line> {
+    lines.iter().filter(|line| line.points.len() > 1).cloned().collect()
+}
+
+/// Height errors against truth: their distribution, and by class.
+pub(super) fn accuracy(run: &Folder) -> Markup {
+    // Beyond this the line would only show how rare the worst errors are.
+    const WORST_M: f64 = 5.0;
+    let line = |name: &str, pointer: &str| {
+        let quantiles: Vec<f64> = run.list(pointer).iter().filter_map(Value::as_f64).collect();
+        let last = quantiles.len().saturating_sub(1).max(1) as f64;
+        let shares = quantiles
+            .into_iter()
+            .enumerate()
+            .map(|(i, m)| (m, 100.0 * i as f64 / last));
+        Line {
+            name: name.into(),
+            points: shares.take_while(|(m, _)| *m <= WORST_M).collect(),
+        }
+    };
+    let distributions = [
+        line("DSM", "/dsm/error_quantiles_m"),
+        line("initial surface", "/start/error_quantiles_m"),
+    ];
+    let chart = lines(
+        "Cells with a smaller height error, %",
+        "height error, m",
+        &several_points(&distributions),
+    );
+    let dsm = &run.metrics["dsm"];
+    let static_classes = dsm.get("ground_and_buildings").filter(|errors| errors.is_object());
+    let static_classes = static_classes.map(|errors| ("static classes (ground, road, building)", errors));
+    let classes = dsm["by_class"].as_object().into_iter().flatten();
+    let classes: Vec<_> = static_classes
+        .into_iter()
+        .chain(classes.map(|(name, errors)| (name.as_str(), errors)))
+        .collect();
+    let body = html! {
+        @if let Some(chart) = chart { div.charts { (chart) } }
+        @if !classes.is_empty() {
+            div.wide { table {
+                tr { th { "class" } th { "MAE, m" } th { "median, m" } th { "RMSE, m" } th { "within 1 m, %" } th { "beyond 5 m, %" } }
+                @for (name, errors) in classes {
+                    tr {
+                        td { (name) }
+                        @for key in ["mae_m", "median_m", "rmse_m"] { td { (number(errors[key].as_f64(), 3)) } }
+                        @for key in ["within_1m", "beyond_5m"] { td { (number(errors[key].as_f64().map(|share| 100.0 * share), 1)) } }
+                    }
+                }
+            } }
+        }
+    };
+    section("Accuracy against truth", body)
+}
+
+/// Which components the scene required, and why.
+pub(super) fn plan(run: &Contents) -> Markup {
+    html! {
+        h2 { "Component plan" }
+        div.wide { table {
+            tr { th { "component" } th.words { "used" } th.words { "reason" } }
+            @for item in &run.run.plan {
+                tr.off[!item.on] {
+                    td { (item.component) }
+                    td.words { (if item.on { "yes" } else { "no" }) }
+                    td.words { (item.reason) }
+                }
+            }
+        } }
+    }
+}
+
+/// A row of [`costs_of`]: its label, its value if it is known, its unit.
+pub(super) type Cost<'a> = (&'a str, Option<f64>, &'a str);
+
+/// Time and memory, and the configuration.
+pub(super) fn costs_of(rows: &[Cost], configuration: &impl serde::Serialize) -> Markup {
+    html! {
+        h2 { "Time and memory" }
+        div.wide { table {
+            @for (label, value, unit) in rows {
+                @if let Some(value) = value { tr { td { (label) } td { (plain(*value)) " " (unit) } } }
+            }
+        } }
+        @if let Ok(text) = toml::to_string_pretty(configuration) {
+            details { summary { "Configuration and inputs" } pre { (text) } }
+        }
+    }
+}
+
+/// Time and memory of a run of a satellite scene.
+pub(super) fn costs(run: &Contents) -> Markup {
+    let number = |pointer: &str| run.folder.number(pointer);
+    let mebibytes = |pointer: &str| number(pointer).map(|bytes| bytes / MIB);
+    let rows = [
+        ("camera bias correction", number("/stages_s/align"), "s"),
+        ("plane sweep", number("/stages_s/sweep"), "s"),
+        ("initial Gaussians", number("/stages_s/start"), "s"),
+        ("training", number("/stages_s/train"), "s"),
+        ("total before this page, products included", run.folder.seconds(), "s"),
+        ("steps", number("/iterations"), ""),
+        ("best step", number("/best_iteration"), ""),
+        ("peak memory", mebibytes("/peak_rss_bytes"), "MiB"),
+        ("estimated peak memory", mebibytes("/memory_estimate_bytes"), "MiB"),
+    ];
+    costs_of(&rows, &run.run)
+}

@@ -1,0 +1,172 @@
+//! Pages of hostile contents: every text from outside stays text, and nothing is fetched.
+
+use super::*;
+use heliosplat::model::shadow_gs::{ShadowGs, ShadowGsOptions};
+use heliosplat::splat::ProjectionOptions;
+use heliosplat_rpc::sun::SunPosition;
+use heliosplat_rpc::{GeoPoint, ProjectiveMap};
+use heliosplat_satellite::PlanItem;
+use heliosplat_satellite::config::SatelliteConfig;
+use heliosplat_scene::crop::Crop;
+use heliosplat_scene::{Area, BandKind, Split, SunSource, Values};
+use serde_json::json;
+
+const EVIL: &str = "<script>alert(1)</script><img src=x onerror=alert(1)>\"'&";
+
+fn contents(folder: &Path) -> Contents {
+    let options = ShadowGsOptions::default();
+    let model = ShadowGs::new(options.clone());
+    let config = SatelliteConfig::resolve(heliosplat_fitting::settings::Preset::Fast, &[], 1).expect("a preset");
+    let image = heliosplat_products::model::ModelImage {
+        name: "view".into(),
+        split: Split::Test,
+        appearance: None,
+        same_day: None,
+        map: ProjectiveMap {
+            u: [1.0, 0.0, 0.0, 0.0],
+            v: [0.0, 1.0, 0.0, 0.0],
+            w: [0.0; 3],
+        },
+        crop: Crop {
+            col0: 0,
+            row0: 0,
+            width: 20,
+            height: 10,
+        },
+        shift_px: [0.0; 2],
+        known: None,
+        sun: Some(SunPosition::from_degrees(100.0, 40.0)),
+        sun_sigma_deg: Some(0.1),
+        sun_source: SunSource::Time,
+        time: None,
+    };
+    Contents {
+        run: RunFile {
+            area: None,
+            version: EVIL.into(),
+            preset: EVIL.into(),
+            seed: 1,
+            scene: EVIL.into(),
+            altitude_range_m: None,
+            altitude_from_ties_m: None,
+            plan: vec![PlanItem {
+                component: EVIL.into(),
+                on: true,
+                reason: EVIL.into(),
+            }],
+            inputs: Vec::new(),
+            config: config.clone(),
+        },
+        model: ModelFile {
+            schema: heliosplat_products::model::SCHEMA,
+            model: "shadow_gs".into(),
+            globals: model.initial_globals(0.3),
+            daylight: None,
+            options,
+            origin: GeoPoint {
+                lon_deg: 0.0,
+                lat_deg: 0.0,
+                height_m: 0.0,
+            },
+            altitude_range_m: (0.0, 1.0),
+            area: Area {
+                west_m: 0.0,
+                south_m: 0.0,
+                east_m: 1.0,
+                north_m: 1.0,
+            },
+            gsd_m: 1.0,
+            counts_per_unit: 1.0,
+            projection: ProjectionOptions::default(),
+            bands: vec![BandKind::Pan],
+            values: Values::default(),
+            images: vec![image],
+            changes: None,
+        },
+        folder: Folder {
+            path: folder.to_owned(),
+            metrics: json!({
+            "dsm": {"mae_m": 0.5, "protocol": EVIL, "by_class": {EVIL: {"mae_m": 0.1}}, "error_quantiles_m": [0.0, 0.1, 0.4, 9.0]},
+            "curve": [{"step": 25, "l1": 0.1, "held_out_l1": 0.2, "accuracy": {"height_mae_m": 2.0}, "losses": {EVIL: 1.0}}, {"step": 50, "l1": 0.05, "held_out_l1": 0.1, "accuracy": {"height_mae_m": 1.0}, "losses": {EVIL: 0.5}}],
+            }),
+        },
+    }
+}
+
+#[test]
+fn what_comes_from_outside_stays_text_and_nothing_is_fetched() {
+    let folder = tempfile::tempdir().expect("a temporary folder");
+    std::fs::create_dir(folder.path().join("views")).expect("made");
+    let picture = RgbImage::new(80, 10);
+    picture.save(folder.path().join("views/view.png")).expect("written");
+    picture.save(folder.path().join("dsm.png")).expect("written");
+    std::fs::write(folder.path().join("error.png"), b"no picture").expect("written");
+    let page = page_of_run(&contents(folder.path()));
+    assert!(!page.contains("<img src=x"), "an image from outside");
+    assert!(!page.contains("http") && !page.contains("<script") && !page.contains("src=\"views"));
+    // The surface and the four panels of the view; what is no picture is left out.
+    assert_eq!(page.matches("<img src=\"data:image/jpeg;base64,").count(), 5);
+    assert!(page.contains("held out") && page.matches("<polyline").count() == 5);
+}
+
+fn page_of_run(contents: &Contents) -> String {
+    page(contents, sections(contents).expect("written"))
+}
+
+#[test]
+fn the_time_of_a_run_counts_its_pages_and_they_say_the_time_before_them() {
+    timeline::take();
+    let folder = tempfile::tempdir().expect("a temporary folder");
+    let mut metrics = json!({"seconds": 10.0, "timeline": [{"stage": "read", "wall_s": 1.0}]});
+    let wait = || -> Result<(), RunError> {
+        std::thread::sleep(std::time::Duration::from_millis(20));
+        Ok(())
+    };
+    add_report(folder.path(), &mut metrics, wait).expect("written");
+    let seconds = metrics["seconds"].as_f64().expect("a number");
+    assert!((10.02..11.0).contains(&seconds), "{seconds}");
+    assert_eq!(metrics["timeline"][1]["stage"], "report");
+    let read = Folder::read(folder.path(), "metrics.json").expect("written");
+    assert_eq!(read.metrics, metrics);
+    assert!((read.seconds().expect("a number") - 10.0).abs() < 1e-9);
+}
+
+#[test]
+fn a_run_without_metrics_still_has_a_page() {
+    let folder = tempfile::tempdir().expect("a temporary folder");
+    let mut contents = contents(folder.path());
+    contents.folder.metrics = Value::Null;
+    let page = page_of_run(&contents);
+    assert!(page.contains("Component plan") && !page.contains("<svg"));
+}
+
+#[test]
+fn the_page_of_a_mosaic_keeps_what_comes_from_outside_as_text_and_looks_nowhere_else() {
+    let home = tempfile::tempdir().expect("a temporary folder");
+    let folder = home.path().join("mosaic");
+    std::fs::create_dir_all(folder.join("pictures")).expect("made");
+    let picture = RgbImage::new(60, 40);
+    for name in ["dsm.png", "pictures/shadow_2020-01-01.png"] {
+        picture.save(folder.join(name)).expect("written");
+    }
+    picture.save(home.path().join("outside.png")).expect("written");
+    let huge = [[0u32, u32::MAX], [7, u32::MAX]];
+    let said = json!({
+        "tiles": 2, "gsd_m": 0.5, "width": 60, "height": 40,
+        "pieces": [
+            {"unit": format!("a/{EVIL}"), "core": huge},
+            {"unit": "a/..", "core": [[0, 10], [0, 10]]},
+            {"unit": "a/tile-r0c1", "core": [[20, 60], [0, 40]]},
+        ],
+        "seams": {"border": {"mean_m": 0.5}, "overlaps": [{"tiles": [EVIL, EVIL], "cells": 5, "median_m": 0.1}]},
+        "products": {"dates": ["2020-01-01", EVIL, "/../../../outside"]},
+    });
+    std::fs::write(folder.join("mosaic.json"), said.to_string()).expect("written");
+    let path = mosaic::write(&folder).expect("a page");
+    let page = std::fs::read_to_string(path).expect("readable");
+    assert!(!page.contains("<img src=x") && !page.contains("<script") && !page.contains("http"));
+    // The surface, the same with its lines, and one date.
+    assert_eq!(page.matches("<img src=\"data:image/jpeg;base64,").count(), 3);
+    assert_eq!(page.matches("run/report.html").count(), 2);
+    assert!(mosaic::write(home.path()).is_err(), "no mosaic");
+}
