@@ -370,26 +370,17 @@ impl RasterFile {
     /// # Errors
     /// [`RasterError::Damaged`] when the pixels cannot be read.
     pub fn read_doubles(&self, band: usize) -> Result<Vec<f64>, RasterError> {
-        let (whole, size) = (self.whole(), self.size());
-        self.check_size(whole, 1)?;
-        let read = || {
-            self.dataset()
-                .rasterband(band + 1)?
-                .read_as::<f64>((0, 0), size, size, None)
-        };
-        let found = messages::collect(read).map_err(|reason| RasterError::Damaged {
-            path: self.path.clone(),
-            reason,
-        })?;
+        self.check_size(self.whole(), 1)?;
+        let size = self.size();
+        let read = || (self.dataset().rasterband(band + 1)?).read_as::<f64>((0, 0), size, size, None);
+        let found = messages::collect(read).map_err(|reason| damaged(&self.path, reason))?;
         Ok(found.into_shape_and_vec().1)
     }
 
-    /// Refuses a file of which one block would fill the memory, unless the file is long enough to hold it: pixels are read by whole blocks.
-    fn check_blocks(&self) -> Result<(), RasterError> {
-        let (width, height) = match self.dataset().rasterband(1) {
-            Ok(band) => band.block_size(),
-            Err(_) => return Ok(()),
-        };
+    /// Refuses a file of which one block would fill the memory, unless the file is long enough to hold it, because pixels are read by whole
+    /// blocks; and a raw one that is cut off.
+    fn check_bytes(&self) -> Result<(), RasterError> {
+        let dataset = self.dataset();
         let held = std::fs::metadata(&self.path).map_or(u64::MAX, |known| known.len());
         let mut claimed = 0u128;
         for number in 1..=self.bands.len() {
