@@ -8,6 +8,7 @@ pub mod batch;
 pub mod command_line;
 pub mod names;
 pub mod outcome;
+pub mod outputs;
 pub mod page;
 pub mod parse;
 pub mod report;

@@ -2,6 +2,7 @@
 
 use bytesize::ByteSize;
 use heliosplat_products::sunshine::Period;
+use heliosplat_rpc::sun::SunPosition;
 use heliosplat_scene::AreaRequest;
 use std::time::Duration;
 
@@ -12,6 +13,15 @@ use std::time::Duration;
 pub fn pair(text: &str) -> Result<[f64; 2], String> {
     let numbers = numbers(text)?;
     <[f64; 2]>::try_from(numbers).map_err(|_| "expected two numbers, as in 10,20".to_owned())
+}
+
+/// `AZ,EL`: azimuth and elevation of a sun, degrees.
+///
+/// # Errors
+/// A message for the user.
+pub fn sun(text: &str) -> Result<SunPosition, String> {
+    let [azimuth, elevation] = pair(text)?;
+    SunPosition::stated(azimuth, elevation)
 }
 
 /// `WEST,SOUTH,EAST,NORTH`, degrees, or with `,EPSG:N` at the end coordinates of that system.
@@ -273,10 +283,14 @@ mod tests {
     }
 
     #[test]
-    fn pairs_and_keys_are_checked() {
+    fn pairs_suns_and_keys_are_checked() {
         assert_eq!(pair("640, 780"), Ok([640.0, 780.0]));
         assert_eq!(pair("-5,3e1"), Ok([-5.0, 30.0]));
         assert!(pair("1").is_err() && pair("1,2,3").is_err() && pair("a,b").is_err() && pair("nan,1").is_err());
+        assert!(sun("250,35").is_ok() && sun("-90, 0").is_ok());
+        for bad in ["250,95", "0,180", "1e9,40", "0,1e300", "-361,10", "721,10", "0,-91", "10"] {
+            assert!(sun(bad).is_err(), "{bad}");
+        }
         assert_eq!(key_value("a.b = 3"), Ok(("a.b".to_owned(), "3".to_owned())));
         assert!(key_value("=3").is_err() && key_value("a").is_err());
     }

@@ -5,6 +5,8 @@ pub mod points;
 pub mod summary;
 
 use crate::outcome::CliError;
+use heliosplat_fitting::program::identity_of_program;
+use heliosplat_raster::bounded;
 use heliosplat_raster::write::write_atomically;
 use heliosplat_session::Session;
 use points::{Point, Seeds};
@@ -103,6 +105,7 @@ impl Sweep {
     /// # Errors
     /// When a training fails, or the user stops.
     pub fn run(&self, session: &Session) -> Result<Vec<Row>, CliError> {
+        session.stop_gently();
         let jobs = self.jobs();
         let progress = session.progress("trainings", jobs.len() as u64);
         let mut rows = Vec::new();
@@ -138,9 +141,9 @@ impl Sweep {
         if let Some(threads) = self.threads {
             arguments.extend(["--threads".to_owned(), threads.to_string()]);
         }
-        let said = format!("{} {}\n", env!("CARGO_PKG_VERSION"), arguments.join(" "));
+        let said = format!("{}{}\n", identity_of_program(), arguments.join(" "));
         let stamp = job.folder.join("tradeoff.txt");
-        let done = std::fs::read_to_string(&stamp).is_ok_and(|before| before == said);
+        let done = bounded::read_text(&stamp).is_ok_and(|before| before == said);
         if let Some(metrics) = metrics(&job.folder).filter(|_| done) {
             return Ok(metrics);
         }
@@ -151,6 +154,7 @@ impl Sweep {
             .args(&arguments)
             .arg("--out")
             .arg(&job.folder)
+            .arg("--overwrite")
             .stdin(Stdio::null())
             .stdout(Stdio::null())
             .stderr(Stdio::piped())
@@ -185,12 +189,7 @@ fn canonical(path: &Path) -> String {
 }
 
 fn metrics(folder: &Path) -> Option<Value> {
-    serde_json::from_slice(
-        heliosplat_raster::bounded::read_text(&folder.join("metrics.json"))
-            .ok()?
-            .as_bytes(),
-    )
-    .ok()
+    serde_json::from_str(&bounded::read_text(&folder.join("metrics.json")).ok()?).ok()
 }
 
 /// Processor seconds of all stages together.

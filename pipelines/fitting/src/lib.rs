@@ -8,7 +8,9 @@
 pub mod budget;
 pub mod checkpoint;
 pub mod curve;
+pub mod lock;
 pub mod paired;
+pub mod program;
 pub mod request;
 pub mod run_folder;
 pub mod settings;

@@ -17,7 +17,8 @@ use heliosplat::splat::ProjectionOptions;
 use heliosplat::timeline::{self, stage};
 use heliosplat_evaluate::{Protocol, error_map};
 use heliosplat_fitting::budget::steps_of_products;
-use heliosplat_fitting::checkpoint::{digest, identity_of_program};
+use heliosplat_fitting::checkpoint::digest;
+use heliosplat_fitting::program::{build, identity_of_program};
 use heliosplat_fitting::request::{TrainOutcome, TrainRequest, TrainedRun};
 use heliosplat_fitting::run_folder::{Input, Opened, RunFolder, RunRequest, hash, hash_of_pixels};
 use heliosplat_fitting::settings::Preset;
@@ -75,7 +76,13 @@ pub fn train(
     };
     // Start and fit.
     let fitted = fit::fit(scene, &config, &decisions, session, &limits, checkpoints, checkpoint);
-    let mut fitted = fitted.inspect_err(|_| closing.discard())?;
+    let mut fitted = match fitted {
+        Ok(fitted) => fitted,
+        Err(error) => {
+            closing.discard();
+            return Err(error.into());
+        }
+    };
     if fitted.ending == Ending::Interrupted {
         fitted.ending.check(&request.out)?;
     }
@@ -84,6 +91,7 @@ pub fn train(
     let file = model_file(scene, &fitted);
     let run = RunFile {
         version: env!("CARGO_PKG_VERSION").into(),
+        build: build().into(),
         preset: request.preset.name().into(),
         seed: config.train.seed,
         scene: std::fs::canonicalize(&scene.source).unwrap_or_else(|_| scene.source.clone()),
@@ -125,11 +133,12 @@ pub fn train(
     drop(part);
     measure::add_fit(&mut metrics, &fitted, &model, begun.elapsed().as_secs_f64());
     metrics["timeline"] = serde_json::to_value(timeline::take()).unwrap_or_default();
-    closing.finish(&mut metrics, &fitted.ending)?;
+    let lock = closing.finish(&mut metrics, &fitted.ending)?;
     Ok(TrainOutcome::Trained(Box::new(TrainedRun {
         model,
         metrics,
         ending: fitted.ending,
+        lock,
     })))
 }
 
@@ -212,6 +221,7 @@ fn model_file(scene: &Scene, fitted: &Fitted) -> ModelFile {
     ModelFile {
         schema: SCHEMA,
         model: "shadow_gs".into(),
+        gaussians_sha256: None,
         options: fitted.model.options.clone(),
         globals: fitted.parameters.globals.clone(),
         origin: scene.origin(),

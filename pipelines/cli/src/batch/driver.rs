@@ -5,8 +5,9 @@
 
 use super::plan::{Plan, Unit};
 use super::row::{Row, State, log_of};
-use super::stamp::finished;
+use super::stamp::{finished, other_build};
 use crate::outcome::CliError;
+use heliosplat_fitting::program::build;
 use heliosplat_fitting::run_folder::create_folder;
 use heliosplat_session::Progress;
 use heliosplat_session::Session;
@@ -58,6 +59,7 @@ impl Batch<'_> {
     /// # Errors
     /// When a process cannot be started. That the user stopped it is told by units that were not begun.
     pub fn run(&self, session: &Session) -> Result<Vec<Row>, CliError> {
+        session.stop_gently();
         let units = &self.plan.units;
         let mut rows: Vec<Row> = units.iter().map(|unit| Row::pending(unit, self.out)).collect();
         for (row, unit) in rows.iter_mut().zip(units) {
@@ -71,6 +73,14 @@ impl Batch<'_> {
             units.len(),
             self.jobs
         );
+        let others: Vec<String> = units.iter().filter_map(|unit| other_build(self.out, unit)).collect();
+        if let Some(other) = others.first() {
+            tracing::warn!(
+                "{} units were done by another build of the program ({other}, this is {}) and are done again",
+                others.len(),
+                build()
+            );
+        }
         let progress = session.progress("units", units.len() as u64);
         let mut running: Vec<Running> = Vec::new();
         let mut looks = 0;

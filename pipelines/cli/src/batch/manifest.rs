@@ -5,6 +5,7 @@ use crate::parse;
 use heliosplat_fitting::settings::Preset;
 use heliosplat_products::relight::LOWEST_SUN_DEG;
 use heliosplat_raster::Geoid;
+use heliosplat_rpc::sun::SunPosition;
 use heliosplat_satellite::config::SatelliteConfig;
 use heliosplat_scene::{AreaRequest, RpcPreference};
 use std::collections::{BTreeMap, BTreeSet};
@@ -285,7 +286,7 @@ impl Manifest {
             }
         }
         if let Some([azimuth, elevation]) = self.products.sun
-            && !(azimuth.is_finite() && (LOWEST_SUN_DEG..=90.0).contains(&elevation))
+            && (SunPosition::stated(azimuth, elevation).is_err() || elevation < LOWEST_SUN_DEG)
         {
             return Err(format!(
                 "products.sun is [{azimuth}, {elevation}], expected azimuth and elevation in degrees, {LOWEST_SUN_DEG} or more above the horizon"

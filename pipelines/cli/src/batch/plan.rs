@@ -4,7 +4,9 @@ use super::BatchError;
 use super::hashes::{Hashes, Seen, seen};
 use super::manifest::{AreaEntry, ImagesEntry, Manifest, PresetEntry, ProductOptions};
 use super::tiles::{self, Tiling};
-use heliosplat_fitting::checkpoint::{digest, identity_of_program};
+use heliosplat_fitting::checkpoint::digest;
+use heliosplat_fitting::program::identity_of_program;
+use heliosplat_raster::bounded;
 use heliosplat_raster::write::write_atomically;
 use heliosplat_satellite::altitude;
 use heliosplat_satellite::estimate::slowness;
@@ -183,7 +185,7 @@ impl Plan {
 
 /// The plan in a file, if it is of this program and this manifest, and the files are as they were.
 fn kept(path: &Path, manifest: &str) -> Option<Plan> {
-    let file: File = serde_json::from_slice(&std::fs::read(path).ok()?).ok()?;
+    let file: File = serde_json::from_str(&bounded::read_text(path).ok()?).ok()?;
     let made = &file.made;
     let same = made.program == identity_of_program() && made.manifest == digest(manifest);
     let unchanged = || made.files.iter().all(|(path, before)| seen(path) == *before);

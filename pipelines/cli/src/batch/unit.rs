@@ -10,11 +10,12 @@ use crate::page::MOSAIC_FILE;
 use crate::{report, view};
 use heliosplat_evaluate::{Protocol, error_map, evaluate_raster};
 use heliosplat_fitting::checkpoint;
-use heliosplat_fitting::request::{TrainOutcome, TrainRequest};
+use heliosplat_fitting::program::build;
+use heliosplat_fitting::request::{Earlier, TrainOutcome, TrainRequest};
 use heliosplat_fitting::run_folder::{create_folder, peak_rss_bytes};
 use heliosplat_products::{dsm, model, seams};
-use heliosplat_raster::preview;
-use heliosplat_raster::write::{deliver, remove_leftovers, write_atomically};
+use heliosplat_raster::{bounded, preview};
+use heliosplat_raster::write::{deliver, write_atomically};
 use heliosplat_satellite::config::SatelliteConfig;
 use heliosplat_satellite::measure;
 use heliosplat_satellite::training::train;
@@ -79,6 +80,7 @@ pub fn do_unit(
     let mut stamp = Stamp {
         unit: unit.id.clone(),
         key: unit.key.clone(),
+        build: build().into(),
         outputs: Vec::new(),
         seconds,
         peak_rss_bytes: peak_rss_bytes(),
@@ -94,9 +96,8 @@ pub fn do_unit(
 
 /// Puts away what an earlier use of the folder for other work left unfinished.
 fn begin(folder: &Path, unit: &Unit) -> Result<(), CliError> {
-    remove_leftovers(folder);
     let path = folder.join(BEGUN);
-    let same = std::fs::read_to_string(&path).is_ok_and(|before| before.trim() == unit.key);
+    let same = bounded::read_text(&path).is_ok_and(|before| before.trim() == unit.key);
     // A stamp that is of other work, or whose products are gone, must not be found again.
     let _ = std::fs::remove_file(folder.join(STAMP));
     if !same {
@@ -132,7 +133,7 @@ fn tile(
     let config = SatelliteConfig::resolve(preset, &work.preset.changes(), work.preset.seed)?;
     let request = TrainRequest {
         begun,
-        resume: true,
+        earlier: Earlier::Update,
         checkpoint_every,
         ..TrainRequest::new(run.clone(), preset)
     };

@@ -3,7 +3,7 @@
 use crate::batch::driver::Batch;
 use crate::batch::plan::Plan;
 use crate::batch::row::{Row, State};
-use crate::batch::stamp::finished;
+use crate::batch::stamp::{finished, other_build};
 use crate::batch::summary;
 use crate::batch::unit::do_unit;
 use crate::outcome::{CliError, Outcome};
@@ -111,7 +111,12 @@ fn told(args: &BatchArgs, plan: &Plan) -> Outcome {
     let mut units = Vec::new();
     for unit in &plan.units {
         let done = finished(&args.out, unit).is_some();
-        let what = if done { "finished" } else { "to do" };
+        let other = other_build(&args.out, unit);
+        let what = match (done, &other) {
+            (true, _) => "finished",
+            (false, Some(_)) => "to do, done by another build",
+            (false, None) => "to do",
+        };
         // Writing to a String cannot fail.
         let _ = writeln!(
             text,
@@ -121,6 +126,7 @@ fn told(args: &BatchArgs, plan: &Plan) -> Outcome {
         let mut told = serde_json::to_value(unit).unwrap_or_default();
         if let Value::Object(map) = &mut told {
             map.insert("done".into(), json!(done));
+            map.insert("other_build".into(), json!(other));
             map.insert(
                 "stamp".into(),
                 json!(format!("{}/{}", unit.id, crate::batch::stamp::STAMP)),

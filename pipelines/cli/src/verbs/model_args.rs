@@ -4,6 +4,8 @@ use crate::args::IngestArgs;
 use crate::names::PresetName;
 use crate::parse;
 use clap::{Args, ValueEnum};
+use heliosplat_fitting::request::Earlier;
+use heliosplat_rpc::sun::SunPosition;
 use std::path::PathBuf;
 use std::time::Duration;
 
@@ -31,8 +33,11 @@ pub struct TrainArgs {
     /// Change one value of the configuration, as in --set train.iterations=2000
     #[arg(long = "set", value_parser = parse::key_value, value_name = "KEY=VALUE")]
     pub set: Vec<(String, String)>,
-    /// Go on from the run's last checkpoint; a run that is finished is left as it is
+    /// Replace what an earlier training left in RUN, finished or interrupted
     #[arg(long)]
+    pub overwrite: bool,
+    /// Leave this training as it is where RUN holds it finished; interrupted, it continues without being asked
+    #[arg(long, conflicts_with = "overwrite")]
     pub resume: bool,
     /// Time between two checkpoints; 0 keeps one after every step
     #[arg(long, value_parser = parse::duration, value_name = "TIME", default_value = "60s")]
@@ -40,6 +45,17 @@ pub struct TrainArgs {
     /// What is said about the scene
     #[command(flatten)]
     pub ingest: IngestArgs,
+}
+
+impl TrainArgs {
+    /// What happens to an earlier training in the folder.
+    pub(super) fn earlier(&self) -> Earlier {
+        match (self.overwrite, self.resume) {
+            (true, _) => Earlier::Overwrite,
+            (_, true) => Earlier::Resume,
+            _ => Earlier::Keep,
+        }
+    }
 }
 
 /// `dsm`.
@@ -93,8 +109,8 @@ pub struct RelightArgs {
     #[arg(long, value_name = "FILE")]
     pub out: PathBuf,
     /// Azimuth (clockwise from north) and elevation of the sun, degrees
-    #[arg(long, value_parser = parse::pair, allow_hyphen_values = true, value_name = "AZ,EL", required_unless_present_any = ["time", "times", "light", "toward", "surroundings"], conflicts_with = "time")]
-    pub sun: Option<[f64; 2]>,
+    #[arg(long, value_parser = parse::sun, allow_hyphen_values = true, value_name = "AZ,EL", required_unless_present_any = ["time", "times", "light", "toward", "surroundings"], conflicts_with = "time")]
+    pub sun: Option<SunPosition>,
     /// The sun of this moment, RFC 3339
     #[arg(long, value_parser = parse::time, value_name = "RFC3339")]
     pub time: Option<jiff::Timestamp>,

@@ -90,6 +90,7 @@ fn for_each(
     session: &Session,
     mut each: impl FnMut(&Moment, Relit) -> Result<(), CliError>,
 ) -> Result<(), CliError> {
+    session.stop_gently();
     let progress = session.progress("relight", day.len() as u64);
     for (done, moment) in day.iter().enumerate() {
         if session.stopped() {
