@@ -15,7 +15,12 @@ fn main() {
         return;
     }
     let git = |words: &[&str], paths: &[&str]| {
-        let output = Command::new("git").args(words).args(paths).current_dir(&root).output().ok()?;
+        let output = Command::new("git")
+            .args(words)
+            .args(paths)
+            .current_dir(&root)
+            .output()
+            .ok()?;
         let text = String::from_utf8(output.stdout).ok()?;
         output.status.success().then(|| text.trim().to_owned())
     };
@@ -23,7 +28,10 @@ fn main() {
         return;
     };
     let changed = git(&["status", "--porcelain", "--"], &SOURCES).is_none_or(|files| !files.is_empty());
-    println!("cargo:rustc-env=HELIOSPLAT_SOURCE={commit}{}", if changed { "+" } else { "" });
+    println!(
+        "cargo:rustc-env=HELIOSPLAT_SOURCE={commit}{}",
+        if changed { "+" } else { "" }
+    );
     for source in SOURCES {
         println!("cargo:rerun-if-changed={}", root.join(source).display());
     }

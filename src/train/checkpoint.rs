@@ -154,10 +154,7 @@ impl Trainer<'_> {
                 "views",
                 state.cached_visibility.len() == self.views.len() && state.holdout.views() == self.views.len(),
             ),
-            (
-                "light",
-                light.into_iter().all(|light| light.is_of(gaussians.count)),
-            ),
+            ("light", light.into_iter().all(|light| light.is_of(gaussians.count))),
             (
                 "occluders",
                 bounds.into_iter().all(|bounds| bounds.len() == gaussians.count),

@@ -197,7 +197,9 @@ pub fn transforms_json(bytes: &[u8]) -> bool {
 
 /// `model.json` of an object; with the shared parameters it names, the model can be made.
 pub fn object_json(bytes: &[u8]) -> bool {
-    let file = std::str::from_utf8(bytes).ok().and_then(|text| ObjectFile::parse(text).ok());
+    let file = std::str::from_utf8(bytes)
+        .ok()
+        .and_then(|text| ObjectFile::parse(text).ok());
     file.is_some_and(|file| file.kind.model().feature_groups().len() > 1)
 }
 

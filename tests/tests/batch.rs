@@ -372,9 +372,13 @@ set = { \"train.iterations\" = 4 }
     program.push(b'\n');
     std::fs::write(&other, program).expect("written");
     std::fs::set_permissions(&other, std::fs::Permissions::from_mode(0o755)).expect("made a program");
-    let output = Command::new(&other).args(batch(home.path(), "out", &["--dry-run"])).output();
+    let output = Command::new(&other)
+        .args(batch(home.path(), "out", &["--dry-run"]))
+        .output();
     let said = String::from_utf8_lossy(&output.expect("starts").stdout).into_owned();
-    let again = said.lines().filter(|line| line.starts_with("to do, done by another build"));
+    let again = said
+        .lines()
+        .filter(|line| line.starts_with("to do, done by another build"));
     assert_eq!(again.count(), 2, "{said}");
     // Asked for later, the other products are made without another training.
     let manifest = home.path().join("batch.toml");

@@ -110,7 +110,14 @@ fn nothing_of_a_run_that_is_replaced_is_taken_for_the_new_one() {
     fault(&training(home.path(), "R", &[]), 2);
     assert!(run.join("error.tif").is_file(), "refused before anything is touched");
     json(&training(home.path(), "R", &["--overwrite"]));
-    for name in ["error.tif", "error.png", "calibration.svg", "change.tif", "views/old.png", ".lock"] {
+    for name in [
+        "error.tif",
+        "error.png",
+        "calibration.svg",
+        "change.tif",
+        "views/old.png",
+        ".lock",
+    ] {
         assert!(!run.join(name).exists(), "{name}");
     }
     let page = |name: &str| std::fs::read_to_string(run.join(name)).expect("a page");
@@ -183,7 +190,11 @@ fn a_result_that_cannot_be_written_to_stdout_is_exit_code_1() {
     let Ok(full) = std::fs::OpenOptions::new().write(true).open("/dev/full") else {
         return;
     };
-    for line in ["sun --time 2016-04-23T08:34:00Z --at 37.58,36.91", "--version", "completions bash"] {
+    for line in [
+        "sun --time 2016-04-23T08:34:00Z --at 37.58,36.91",
+        "--version",
+        "completions bash",
+    ] {
         let stdout = full.try_clone().expect("a second handle");
         let output = Command::new(binary()).args(line.split(' ')).stdout(stdout).output();
         let output = output.expect("starts");
@@ -207,7 +218,10 @@ fn the_first_ctrl_c_ends_what_has_nothing_to_save() {
         .expect("starts");
     let said = BufReader::new(child.stderr.take().expect("piped"));
     // The sweep has begun.
-    let begun = said.lines().map_while(Result::ok).find(|line| line.starts_with("progress "));
+    let begun = said
+        .lines()
+        .map_while(Result::ok)
+        .find(|line| line.starts_with("progress "));
     assert!(begun.is_some());
     let sent = Command::new("kill").args(["-INT", &child.id().to_string()]).status();
     assert!(sent.is_ok_and(|status| status.success()));

@@ -254,7 +254,10 @@ fn trainings_that_are_stopped_or_killed_end_with_the_same_bytes() {
     let mut file = std::fs::OpenOptions::new().append(true).open(&other).expect("writable");
     file.write_all(b"\n").expect("written");
     drop(file);
-    let output = Command::new(&other).args(home.arguments(&run, &[])).output().expect("starts");
+    let output = Command::new(&other)
+        .args(home.arguments(&run, &[]))
+        .output()
+        .expect("starts");
     let line = String::from_utf8_lossy(&output.stderr).into_owned();
     assert_eq!(output.status.code(), Some(2), "{line}");
     assert!(line.contains("build ") && line.contains("--overwrite"), "{line}");

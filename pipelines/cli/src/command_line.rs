@@ -152,7 +152,10 @@ pub fn main() -> ExitCode {
         Ok(cli) => cli,
         Err(said) => {
             let printed = checked(said.print());
-            return ExitCode::from(printed.err().map_or(said.exit_code() as u8, |error| error.exit_code()));
+            return ExitCode::from(printed.map_or_else(
+                |error| error.exit_code(),
+                |()| u8::try_from(said.exit_code()).unwrap_or(2),
+            ));
         }
     };
     log::start(cli.verbose);
@@ -225,9 +228,9 @@ fn print_line(text: &str) -> Result<(), CliError> {
 /// Whether stdout was written; a reader that went away (`| head`) is no failure.
 fn checked(written: std::io::Result<()>) -> Result<(), CliError> {
     match written {
-        Err(error) if error.kind() != ErrorKind::BrokenPipe => {
-            Err(CliError::Failed(format!("the result cannot be written to stdout ({error})")))
-        }
+        Err(error) if error.kind() != ErrorKind::BrokenPipe => Err(CliError::Failed(format!(
+            "the result cannot be written to stdout ({error})"
+        ))),
         _ => Ok(()),
     }
 }

@@ -49,7 +49,9 @@ impl Inputs {
     /// # Errors
     /// [`CliError::Input`].
     pub fn keep(&self, out: &Path) -> Result<(), CliError> {
-        let Some(same) = identity(out).and_then(|id| self.files.iter().find(|file| identity(file).as_ref() == Some(&id))) else {
+        let Some(same) =
+            identity(out).and_then(|id| self.files.iter().find(|file| identity(file).as_ref() == Some(&id)))
+        else {
             return Ok(());
         };
         Err(CliError::Input(format!(
@@ -125,7 +127,9 @@ mod tests {
         let folder = home.path().join("new/..");
         std::fs::create_dir(home.path().join("new")).expect("made");
         assert!(inputs.keep(&image).is_err() && inputs.keep(&folder.join("a.tif")).is_err());
-        assert!(inputs.keep(&home.path().join("b.tif")).is_ok() && inputs.keep(&home.path().join("absent.tif")).is_ok());
+        assert!(
+            inputs.keep(&home.path().join("b.tif")).is_ok() && inputs.keep(&home.path().join("absent.tif")).is_ok()
+        );
         assert!(inputs.keep_folder(&folder).is_err() && inputs.keep_folder(&home.path().join("new")).is_ok());
         #[cfg(unix)]
         {

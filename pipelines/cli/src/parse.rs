@@ -288,7 +288,9 @@ mod tests {
         assert_eq!(pair("-5,3e1"), Ok([-5.0, 30.0]));
         assert!(pair("1").is_err() && pair("1,2,3").is_err() && pair("a,b").is_err() && pair("nan,1").is_err());
         assert!(sun("250,35").is_ok() && sun("-90, 0").is_ok());
-        for bad in ["250,95", "0,180", "1e9,40", "0,1e300", "-361,10", "721,10", "0,-91", "10"] {
+        for bad in [
+            "250,95", "0,180", "1e9,40", "0,1e300", "-361,10", "721,10", "0,-91", "10",
+        ] {
             assert!(sun(bad).is_err(), "{bad}");
         }
         assert_eq!(key_value("a.b = 3"), Ok(("a.b".to_owned(), "3".to_owned())));

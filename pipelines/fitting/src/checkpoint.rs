@@ -5,8 +5,8 @@
 
 use crate::curve::CurvePoint;
 use heliosplat::train::{StateError, Trainer, TrainerState};
-use heliosplat_raster::{RasterError, bounded};
 use heliosplat_raster::write::write_atomically_with;
+use heliosplat_raster::{RasterError, bounded};
 use serde::Serialize;
 use serde::de::DeserializeOwned;
 use sha2::{Digest, Sha256};

@@ -155,10 +155,10 @@ pub fn save_model(
         path: path.clone(),
         reason: error.to_string(),
     })?;
-    remove(&folder.join(MODEL))?;
     if run.is_some() {
         remove_earlier(folder)?;
     }
+    remove(&path)?;
     // The large file first: where it finds no room, nothing is written.
     write_atomically(&folder.join(GAUSSIANS), gaussians)?;
     if let Some(run) = run {
@@ -423,7 +423,15 @@ mod tests {
         let home = tempfile::tempdir().expect("a temporary folder");
         let path = |name: &str| home.path().join(name);
         std::fs::create_dir_all(path("views")).expect("made");
-        for name in ["views/a.png", "views/notes.txt", "error.tif", "report.html", "metrics.json", "model.json", "mine.txt"] {
+        for name in [
+            "views/a.png",
+            "views/notes.txt",
+            "error.tif",
+            "report.html",
+            "metrics.json",
+            "model.json",
+            "mine.txt",
+        ] {
             std::fs::write(path(name), "earlier").expect("written");
         }
         // A folder cannot be replaced by a file.

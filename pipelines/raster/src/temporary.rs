@@ -120,9 +120,13 @@ fn remove_leftovers(folder: &Path) {
         let path = entry.path();
         let unlocked = || File::open(&path).ok().filter(|file| file.try_lock().is_ok());
         // One that stays takes room and does no other harm.
-        if kind.is_dir() && let Some(_lock) = unlocked() {
+        if kind.is_dir()
+            && let Some(_lock) = unlocked()
+        {
             let _ = std::fs::remove_dir_all(&path);
-        } else if kind.is_file() && let Some(_lock) = unlocked() {
+        } else if kind.is_file()
+            && let Some(_lock) = unlocked()
+        {
             let _ = std::fs::remove_file(&path);
         }
     }

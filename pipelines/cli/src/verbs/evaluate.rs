@@ -8,7 +8,10 @@ use heliosplat_evaluate::evaluate_dsm;
 
 /// Compares and reports.
 pub(crate) fn run(args: &EvaluateArgs) -> Result<Outcome, CliError> {
-    for (path, option, format) in [(&args.error_map, "--error-map", "png"), (&args.calibration, "--calibration", "svg")] {
+    for (path, option, format) in [
+        (&args.error_map, "--error-map", "png"),
+        (&args.calibration, "--calibration", "svg"),
+    ] {
         if let Some(path) = path {
             must_end_in(option, path, &[format])?;
             args.run.iter().try_for_each(|run| Inputs::of_run(run).keep(path))?;
