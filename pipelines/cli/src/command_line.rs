@@ -162,7 +162,7 @@ pub fn main() -> ExitCode {
     heliosplat_raster::messages::install();
     let outcome = run(&cli).and_then(|outcome| match cli.json {
         true => print_line(&outcome.json.to_string()),
-        false => print_line(outcome.text.trim_end()),
+        false => print_line(&log::printable(outcome.text.trim_end())),
     });
     if let Err(error) = &outcome {
         report(error, cli.json);
@@ -172,8 +172,11 @@ pub fn main() -> ExitCode {
 
 fn run(cli: &Cli) -> Result<Outcome, CliError> {
     if let Some(threads) = cli.threads {
-        if threads == 0 {
-            return Err(CliError::Input("--threads 0: give at least 1".to_owned()));
+        let most = threads_max();
+        if threads == 0 || threads > most {
+            return Err(CliError::Input(format!(
+                "--threads {threads}: give 1 to {most}; more than there are cores make it slower"
+            )));
         }
         rayon::ThreadPoolBuilder::new()
             .num_threads(threads)
@@ -205,6 +208,12 @@ fn run(cli: &Cli) -> Result<Outcome, CliError> {
         Command::Completions(args) => completions::run(args, Cli::command()),
         Command::Man(args) => man::run(args, Cli::command()),
     }
+}
+
+/// Most threads that are started: four for each core, and 256 in any case.
+fn threads_max() -> usize {
+    let cores = std::thread::available_parallelism().map_or(1, std::num::NonZero::get);
+    (4 * cores).max(256)
 }
 
 fn report(error: &CliError, json: bool) {

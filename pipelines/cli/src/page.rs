@@ -60,14 +60,19 @@ pub fn number(value: Option<f64>, digits: usize) -> String {
     value.map_or_else(String::new, |value| format!("{value:.digits$}"))
 }
 
+/// A text as a cell of CSV. Programs for tables take one that begins with `=` and the like for a formula: it gets an apostrophe before it.
+pub fn csv_text(text: &str) -> String {
+    let mark = if text.starts_with(['=', '+', '-', '@', '\t']) {
+        "'"
+    } else {
+        ""
+    };
+    format!("\"{mark}{}\"", text.replace('"', "\"\""))
+}
+
 /// HTML and XML allow no control characters besides line breaks and tabs. One that came with a file name is replaced.
 pub(crate) fn without_control_characters(text: String) -> String {
-    let stray = |c: char| c.is_control() && c != '\n' && c != '\t';
-    if text.contains(stray) {
-        text.replace(stray, "\u{fffd}")
-    } else {
-        text
-    }
+    heliosplat_session::log::printable(&text)
 }
 
 /// A picture, if it is there and of a size that can be shown.

@@ -228,7 +228,7 @@ pub fn csv(rows: &[Row]) -> String {
             .to_owned();
     let may = |value: Option<f64>| value.map_or(String::new(), |v| format!("{v:.4}"));
     for row in rows {
-        let scene = format!("\"{}\"", row.scene.replace('"', "\"\""));
+        let scene = crate::page::csv_text(&row.scene);
         out += &format!(
             "{scene},{},{},{:.2},{:.2},{:.1},{:.0},{:.0},{},{},{},{},{}\n",
             row.point,

@@ -1,6 +1,7 @@
 //! The manifest: which areas, which images of them, which ways to train.
 
 use super::BatchError;
+use super::tiles::LEAST_SIDE_M;
 use crate::parse;
 use heliosplat_fitting::settings::Preset;
 use heliosplat_products::relight::LOWEST_SUN_DEG;
@@ -277,13 +278,15 @@ impl Manifest {
                 tiles.overlap_m,
                 tiles.overlap_m >= 0.0 && tiles.overlap_m.is_finite(),
             ),
-            ("side_m", tiles.side_m.unwrap_or(1.0), tiles.side_m.is_none_or(positive)),
             ("residual_px", tiles.residual_px, positive(tiles.residual_px)),
             ("gsd_m", tiles.gsd_m.unwrap_or(1.0), tiles.gsd_m.is_none_or(positive)),
         ] {
             if !fits {
                 return Err(format!("tiles.{key} is {value}, expected a finite number above zero"));
             }
+        }
+        if let Some(side_m) = tiles.side_m.filter(|side_m| !(LEAST_SIDE_M..=1e6).contains(side_m)) {
+            return Err(format!("tiles.side_m is {side_m}, expected {LEAST_SIDE_M} m or more"));
         }
         if let Some([azimuth, elevation]) = self.products.sun
             && (SunPosition::stated(azimuth, elevation).is_err() || elevation < LOWEST_SUN_DEG)

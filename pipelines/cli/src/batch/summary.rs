@@ -75,7 +75,6 @@ fn items(rows: &[Row], out: &Path) -> Vec<(String, Value)> {
 
 fn csv(rows: &[Row]) -> String {
     let mut text = "unit,kind,state,seconds,peak_mib,estimated_mib,mae_m,completeness,log,error\n".to_owned();
-    let quoted = |text: &str| format!("\"{}\"", text.replace('"', "\"\""));
     for row in rows {
         let [seconds, peak, mae, known] = numbers(row);
         // Writing to a String cannot fail.
@@ -86,8 +85,8 @@ fn csv(rows: &[Row]) -> String {
             row.kind,
             row.state.name(),
             row.mem_mb,
-            quoted(&row.log),
-            quoted(row.error.as_deref().unwrap_or(""))
+            page::csv_text(&row.log),
+            page::csv_text(row.error.as_deref().unwrap_or(""))
         );
     }
     text
@@ -200,11 +199,11 @@ mod tests {
             mae_m: None,
             completeness: None,
             log: "log \"x\".txt".into(),
-            error: Some("<b>no, \"camera\"</b>".into()),
+            error: Some("=<b>no, \"camera\"</b>".into()),
             metrics: Value::Null,
         };
         let rows = [row];
-        assert!(csv(&rows).contains("failed,,,7,,,\"log \"\"x\"\".txt\",\"<b>no, \"\"camera\"\"</b>\""));
+        assert!(csv(&rows).contains("failed,,,7,,,\"log \"\"x\"\".txt\",\"'=<b>no, \"\"camera\"\"</b>\""));
         assert!(page(&rows).contains("&lt;b&gt;no") && !page(&rows).contains("<b>no"));
         assert_eq!(json(&rows)["failed"], 1);
         assert!(table(&rows).contains("failed"));

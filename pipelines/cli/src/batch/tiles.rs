@@ -15,7 +15,7 @@ use heliosplat_scene::survey::{Survey, TileSurvey};
 /// Bytes per pixel and band of the images that a tile reads: the values, and what reading takes besides.
 const BYTES_PER_PIXEL: f64 = 4.0 * 1.5;
 /// Cores are not cut smaller than this many metres: then the overlap would be most of a tile.
-const LEAST_SIDE_M: f64 = 24.0;
+pub(super) const LEAST_SIDE_M: f64 = 24.0;
 /// Most tiles of an area.
 const MOST_TILES: usize = 100_000;
 

@@ -127,8 +127,8 @@ pub struct RelightArgs {
     #[arg(long, value_name = "FILE", conflicts_with_all = ["sun", "time"])]
     pub surroundings: Option<PathBuf>,
     /// Lamps that stand for the light from all around
-    #[arg(long, value_name = "N", default_value_t = 128, requires = "surroundings")]
-    pub samples: usize,
+    #[arg(long, value_name = "N", default_value_t = 128, value_parser = clap::value_parser!(u32).range(1..=65536), requires = "surroundings")]
+    pub samples: u32,
     /// From above (nadir), or as the image of this name saw it; of an object the first image if nothing is said
     #[arg(long, value_name = "nadir|NAME", default_value = "nadir")]
     pub view: String,

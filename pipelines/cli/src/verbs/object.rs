@@ -158,7 +158,7 @@ pub(crate) fn relight(args: &RelightArgs) -> Result<Outcome, CliError> {
     }
     if let Some(path) = &args.surroundings {
         let image = surroundings::read(path)?;
-        lights.extend(surroundings::lamps(&image, args.samples));
+        lights.extend(surroundings::lamps(&image, args.samples as usize));
     }
     if lights.is_empty() {
         return Err(CliError::Input(
