@@ -17,7 +17,7 @@ static HOME: LazyLock<TempDir> = LazyLock::new(|| {
 });
 
 fn training(home: &Path, run: &str, more: &[&str]) -> Vec<String> {
-    let words = "train S --preset preview --altitude 685,715 --set train.iterations=1 --out";
+    let words = "train S --preset preview --set train.iterations=1 --out";
     let words = words.split(' ').chain([run]).chain(more.iter().copied());
     words.map(|word| in_folder(home, word)).collect()
 }
@@ -73,10 +73,10 @@ fn no_output_takes_the_place_of_an_input() {
     std::os::unix::fs::symlink(home.path().join("R/model.ply"), home.path().join("R/link.ply")).expect("linked");
     let before = files(home.path());
     for line in [
-        format!("adjust S --altitude 685,715 --images --out {folder}"),
-        format!("adjust S --altitude 685,715 --out {folder}"),
-        format!("train S --preset preview --altitude 685,715 --out {folder}"),
-        format!("dsm S --from sweep --altitude 685,715 --out {image}"),
+        format!("adjust S --images --out {folder}"),
+        format!("adjust S --out {folder}"),
+        format!("train S --preset preview --out {folder}"),
+        format!("dsm S --from sweep --out {image}"),
         format!("dsm R --out {image}"),
         format!("render R --split all --out {folder}"),
         format!("relight R --sun 250,35 --out {image}"),
@@ -205,7 +205,7 @@ fn a_result_that_cannot_be_written_to_stdout_is_exit_code_1() {
 #[test]
 fn the_first_ctrl_c_ends_what_has_nothing_to_save() {
     let home = tempdir().expect("a temporary folder");
-    let line = "dsm S --from sweep --altitude 600,800 --threads 1 --out";
+    let line = "dsm S --from sweep --threads 1 --out";
     let words = line.split(' ').map(|word| in_folder(HOME.path(), word));
     let out = home.path().join("x.tif");
     let mut child = Command::new(binary())
