@@ -9,7 +9,7 @@ pub mod images;
 use heliosplat::gaussians::{Table, core_groups};
 use heliosplat::model::SceneModel;
 use heliosplat::model::shadow_gs::{ShadowGs, ShadowGsOptions};
-use heliosplat_cli::batch::manifest::Manifest;
+use heliosplat_batch::manifest::Manifest;
 use heliosplat_objects::model::ObjectFile;
 use heliosplat_objects::run::ObjectRun;
 use heliosplat_objects::transforms;

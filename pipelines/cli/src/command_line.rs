@@ -90,7 +90,7 @@ pub enum Command {
     /// Write the scene under another sun, and its shadow mask
     #[command(
         after_help = "Examples: heliosplat relight run --out evening.tif --sun 270,20\n          \
-                            heliosplat relight run --out day.gif --times 2026-06-21T06:00:00Z,2026-06-21T18:00:00Z,30m\n          \
+                            heliosplat relight run --out noon.tif --time 2026-06-21T09:00:00Z\n          \
                             heliosplat relight object_run --out lit.png --light 2,1,3 --view test/near_000"
     )]
     Relight(model_args::RelightArgs),
@@ -195,7 +195,7 @@ fn run(cli: &Cli) -> Result<Outcome, CliError> {
         Command::Dsm(args) => satellite::dsm(args, &session),
         Command::Products(args) => products::run(args, &session),
         Command::Report(args) => report::run(args),
-        Command::Relight(args) => model::relight(args, &session),
+        Command::Relight(args) => model::relight(args),
         Command::View(args) => view::run(args, cli.json),
         Command::Render(args) => model::render(args, &session),
         Command::Export(args) => model::export(args, &session),

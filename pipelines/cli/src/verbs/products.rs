@@ -16,6 +16,7 @@ use heliosplat_rpc::sun::{SunPosition, sun_position};
 use heliosplat_session::Session;
 use serde_json::json;
 use std::path::{Path, PathBuf};
+use std::str::FromStr;
 
 /// `products`.
 #[derive(Debug, Clone, Args)]
@@ -42,7 +43,7 @@ pub struct ProductsArgs {
     #[arg(long, value_parser = parse::time, value_name = "TIME")]
     pub at: Option<jiff::Timestamp>,
     /// Also the sunshine of a day or of a period of at most a year: hours of direct sun, sky view factor, irradiation under a clear sky
-    #[arg(long, value_parser = parse::period, value_name = "FROM[/TO]")]
+    #[arg(long, value_parser = Period::from_str, value_name = "FROM[/TO]")]
     pub sun_hours: Option<Period>,
 }
 

@@ -2,8 +2,9 @@
 
 use super::BatchError;
 use heliosplat_fitting::run_folder;
+use heliosplat_raster::bounded::{TEXT_MAX, read_bytes};
 use heliosplat_raster::write::write_atomically;
-use heliosplat_raster::{RasterError, bounded, is_virtual};
+use heliosplat_raster::{RasterError, is_virtual};
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 use std::time::SystemTime;
@@ -38,9 +39,9 @@ pub struct Hashes {
 impl Hashes {
     /// Those that are kept in `out`.
     pub fn open(out: &Path) -> Self {
-        let text = bounded::read_text(&out.join(HASHES)).unwrap_or_default();
+        let text = read_bytes(&out.join(HASHES), TEXT_MAX).unwrap_or_default();
         Self {
-            known: serde_json::from_str(&text).unwrap_or_default(),
+            known: serde_json::from_slice(&text).unwrap_or_default(),
         }
     }
 

@@ -6,7 +6,7 @@ use super::manifest::{AreaEntry, ImagesEntry, Manifest, PresetEntry, ProductOpti
 use super::tiles::{self, Tiling};
 use heliosplat_fitting::checkpoint::digest;
 use heliosplat_fitting::program::identity_of_program;
-use heliosplat_raster::bounded;
+use heliosplat_raster::bounded::read_bytes;
 use heliosplat_raster::write::write_atomically;
 use heliosplat_satellite::altitude;
 use heliosplat_satellite::estimate::slowness;
@@ -25,8 +25,11 @@ const LEAST_BYTES: f64 = 200.0 * 1_048_576.0;
 const LEAST_S: f64 = 5.0;
 /// Seconds per cell of a mosaic, and of each raster besides its surface model.
 const MOSAIC_S_PER_CELL: f64 = 2e-6;
-/// Name of the file that keeps a plan.
+/// Name of the file that keeps a plan, and its largest size, bytes: a million units.
 const FILE: &str = "plan.json";
+const FILE_MAX: u64 = 2 << 30;
+/// Most files and folders of a refused scene that are watched for changes.
+const LISTED_MAX: usize = 10_000;
 
 /// All that is to be done.
 #[derive(Debug, Clone, PartialEq, serde::Serialize, serde::Deserialize)]
@@ -140,14 +143,17 @@ struct File {
 }
 
 impl Plan {
-    /// The plan of a manifest; one that was made before for the same files is read from `out`.
+    /// The plan of a manifest; one that was made before for the same files is read from `out`. A kept plan with refused areas is made
+    /// again where `retry` is set, or a file of such an area has changed.
     ///
     /// # Errors
-    /// When the manifest or a scene is at fault.
-    pub fn of(manifest_path: &Path, out: &Path) -> Result<Self, BatchError> {
+    /// When the manifest is at fault.
+    pub fn of(manifest_path: &Path, out: &Path, retry: bool) -> Result<Self, BatchError> {
         let manifest = Manifest::read(manifest_path)?;
         let text = format!("{manifest:?}");
-        if let Some(plan) = kept(&out.join(FILE), &text) {
+        if let Some(plan) = kept(&out.join(FILE), &text)
+            && !(retry && plan.units.iter().any(|unit| unit.refusal().is_some()))
+        {
             return Ok(plan);
         }
         let mut hashes = Hashes::open(out);
@@ -158,14 +164,6 @@ impl Plan {
             files: files.into_iter().map(|path| (path.clone(), seen(&path))).collect(),
         };
         let file = File { made, plan };
-        if file
-            .plan
-            .units
-            .iter()
-            .any(|unit| matches!(unit.work, Work::Refused { .. }))
-        {
-            return Ok(file.plan);
-        }
         // Both only save time: a folder that cannot be written is told of by the units.
         let _ = hashes.save(out);
         let text = serde_json::to_string_pretty(&file).unwrap_or_default();
@@ -183,9 +181,19 @@ impl Plan {
     }
 }
 
+impl Unit {
+    /// The reason why its scene cannot be used, if it cannot.
+    pub fn refusal(&self) -> Option<&str> {
+        match &self.work {
+            Work::Refused { reason } => Some(reason),
+            _ => None,
+        }
+    }
+}
+
 /// The plan in a file, if it is of this program and this manifest, and the files are as they were.
 fn kept(path: &Path, manifest: &str) -> Option<Plan> {
-    let file: File = serde_json::from_str(&bounded::read_text(path).ok()?).ok()?;
+    let file: File = serde_json::from_slice(&read_bytes(path, FILE_MAX).ok()?).ok()?;
     let made = &file.made;
     let same = made.program == identity_of_program() && made.manifest == digest(manifest);
     let unchanged = || made.files.iter().all(|(path, before)| seen(path) == *before);
@@ -207,11 +215,28 @@ fn make(manifest: &Manifest, hashes: &mut Hashes) -> (Plan, Vec<PathBuf>) {
                     units.extend(more);
                     files.extend(of);
                 }
-                Err(error) => units.push(refused(area, images, &error)),
+                Err(error) => {
+                    units.push(refused(area, images, &error));
+                    files.extend(around(&images.scene));
+                }
             }
         }
     }
     (Plan { units }, files)
+}
+
+/// The files and folders of a scene that cannot be used, [`LISTED_MAX`] at most: when one changes, the scene is tried again.
+fn around(scene: &Path) -> Vec<PathBuf> {
+    let mut found = vec![scene.to_owned()];
+    let mut next = 0;
+    while next < found.len() && found.len() < LISTED_MAX {
+        let entries = std::fs::read_dir(&found[next]).into_iter().flatten().flatten();
+        // A link may lead back to where it is.
+        let entries = entries.filter(|entry| entry.file_type().is_ok_and(|kind| !kind.is_symlink()));
+        found.extend(entries.map(|entry| entry.path()));
+        next += 1;
+    }
+    found
 }
 
 /// The units of an area and a set of images, for all presets.

@@ -5,9 +5,8 @@ use super::layers::{Layer, Merge};
 use super::mosaic::Mosaic;
 use super::plan::{MosaicWork, Unit};
 use super::summary::COLLECTION;
-use crate::outcome::CliError;
-use crate::{parse, view};
 use heliosplat::Raster;
+use heliosplat_pages::view;
 use heliosplat_products::blend::Piece;
 use heliosplat_products::change::ChangeMap;
 use heliosplat_products::dsm::Dsm;
@@ -57,7 +56,7 @@ pub fn of_tile(
     folder: &Path,
     (gsd_m, crs): (f64, &str),
     sun: Option<[f64; 2]>,
-) -> Result<Vec<String>, CliError> {
+) -> Result<Vec<String>, BatchError> {
     let request = Request {
         gsd_m: Some(gsd_m),
         crs: Some(crs.to_owned()),
@@ -76,7 +75,7 @@ struct Models {
 }
 
 impl Models {
-    fn read(out: &Path, work: &MosaicWork) -> Result<Self, CliError> {
+    fn read(out: &Path, work: &MosaicWork) -> Result<Self, BatchError> {
         let runs: Vec<PathBuf> = work.tiles.iter().map(|tile| out.join(&tile.unit).join(RUN)).collect();
         let files = runs.iter().map(|run| model::load_file(run)).collect::<Result<_, _>>()?;
         Ok(Self { files, runs })
@@ -110,7 +109,7 @@ pub fn of_mosaic(
     mosaic: &Mosaic,
     unit: &Unit,
     folder: &Path,
-) -> Result<(Vec<String>, Value), CliError> {
+) -> Result<(Vec<String>, Value), BatchError> {
     let models = Models::read(out, work)?;
     let images = models.images();
     let bands = models.files.first().map_or(&[][..], |file| &file.bands);
@@ -140,7 +139,7 @@ pub fn of_mosaic(
         Look::new(&image, folder).write("relit", None)?;
     }
     if let Some(days) = &work.products.sun_hours {
-        let period = parse::period(days).map_err(CliError::Input)?;
+        let period = days.parse().map_err(BatchError::Refused)?;
         let above_ellipsoid = mosaic.above_ellipsoid()?;
         let (nadir, frame) = NadirGrid::of_surface(grid.clone(), &above_ellipsoid.values)?;
         writer.sunshine(&sunshine(&nadir, &above_ellipsoid, frame.origin, &period), &period)?;
@@ -200,7 +199,7 @@ fn globe(
     gains: &[Vec<f64>],
     sun: Option<[f64; 2]>,
     folder: &Path,
-) -> Result<Vec<String>, CliError> {
+) -> Result<Vec<String>, BatchError> {
     let tile = |((piece, run), gains): ((&Piece, &PathBuf), &Vec<f64>)| MosaicTile {
         run: run.clone(),
         core: piece.core,
@@ -250,7 +249,7 @@ impl Look {
     }
 
     /// Writes it, with shadows over it where there are some.
-    fn write(&self, name: &str, shadows: Option<&Raster>) -> Result<(), CliError> {
+    fn write(&self, name: &str, shadows: Option<&Raster>) -> Result<(), BatchError> {
         let mut picture = preview::stretched(&self.image);
         if let Some(shadows) = shadows {
             preview::overlay(&mut picture, &every(shadows, self.step), SHADOW);

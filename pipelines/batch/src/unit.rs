@@ -5,17 +5,17 @@ use super::mosaic::mosaic;
 use super::plan::{MosaicWork, Plan, TileWork, Unit, Work};
 use super::products::{self, RUN};
 use super::stamp::{Output, STAMP, Stamp, claim, finished};
-use crate::outcome::CliError;
-use crate::page::MOSAIC_FILE;
-use crate::{report, view};
 use heliosplat_evaluate::{Protocol, error_map, evaluate_raster};
 use heliosplat_fitting::checkpoint;
 use heliosplat_fitting::program::build;
 use heliosplat_fitting::request::{Earlier, TrainOutcome, TrainRequest};
 use heliosplat_fitting::run_folder::{create_folder, peak_rss_bytes};
+use heliosplat_pages::page::MOSAIC_FILE;
+use heliosplat_pages::{report, view};
 use heliosplat_products::{dsm, model, seams};
+use heliosplat_raster::bounded::read_text;
+use heliosplat_raster::preview;
 use heliosplat_raster::write::{deliver, write_atomically};
-use heliosplat_raster::{bounded, preview};
 use heliosplat_satellite::config::SatelliteConfig;
 use heliosplat_satellite::measure;
 use heliosplat_satellite::training::train;
@@ -28,9 +28,9 @@ use std::time::{Duration, Instant};
 /// Name of the file that says which work a folder was last used for.
 const BEGUN: &str = "begun.txt";
 /// Name of a page.
-const REPORT: &str = crate::report::FILE;
+const REPORT: &str = report::FILE;
 /// Name of the page with the sun.
-const SUN: &str = crate::view::FILE;
+const SUN: &str = view::FILE;
 
 /// Does a unit, unless it is finished; returns its stamp and whether it was finished before.
 ///
@@ -42,20 +42,19 @@ pub fn do_unit(
     out: &Path,
     checkpoint_every: Duration,
     session: &Session,
-) -> Result<(Stamp, bool), CliError> {
+) -> Result<(Stamp, bool), BatchError> {
     for after in &unit.after {
         if finished(out, plan.unit(after)?).is_none() {
             return Err(BatchError::NotYet {
                 unit: unit.id.clone(),
                 after: after.clone(),
-            }
-            .into());
+            });
         }
     }
     let folder = out.join(&unit.id);
     create_folder(&folder)?;
     let Some(_claim) = claim(&folder, &|| session.stopped())? else {
-        return Err(CliError::Interrupted(format!("{}: stopped before it began", unit.id)));
+        return Err(BatchError::Interrupted(format!("{}: stopped before it began", unit.id)));
     };
     if let Some(stamp) = finished(out, unit) {
         return Ok((stamp, true));
@@ -65,7 +64,7 @@ pub fn do_unit(
     let (outputs, metrics) = match &unit.work {
         Work::Tile(work) => tile(work, unit, &folder, checkpoint_every, session)?,
         Work::Mosaic(work) => mosaic_unit(work, unit, out, &folder)?,
-        Work::Refused { reason } => return Err(CliError::Input(reason.clone())),
+        Work::Refused { reason } => return Err(BatchError::Refused(reason.clone())),
     };
     if let Some(to) = &unit.deliver {
         // Of a run its pages alone, which a mosaic's page links to.
@@ -95,9 +94,9 @@ pub fn do_unit(
 }
 
 /// Puts away what an earlier use of the folder for other work left unfinished.
-fn begin(folder: &Path, unit: &Unit) -> Result<(), CliError> {
+fn begin(folder: &Path, unit: &Unit) -> Result<(), BatchError> {
     let path = folder.join(BEGUN);
-    let same = bounded::read_text(&path).is_ok_and(|before| before.trim() == unit.key);
+    let same = read_text(&path).is_ok_and(|before| before.trim() == unit.key);
     // A stamp that is of other work, or whose products are gone, must not be found again.
     let _ = std::fs::remove_file(folder.join(STAMP));
     if !same {
@@ -116,7 +115,7 @@ fn tile(
     folder: &Path,
     checkpoint_every: Duration,
     session: &Session,
-) -> Result<Done, CliError> {
+) -> Result<Done, BatchError> {
     let run = folder.join(RUN);
     let ingest = IngestOptions {
         altitude_range_m: work.altitude_m.map(|[low, high]| (low, high)),
@@ -178,7 +177,7 @@ fn tile(
     Ok((outputs, metrics))
 }
 
-fn mosaic_unit(work: &MosaicWork, unit: &Unit, out: &Path, folder: &Path) -> Result<Done, CliError> {
+fn mosaic_unit(work: &MosaicWork, unit: &Unit, out: &Path, folder: &Path) -> Result<Done, BatchError> {
     let mut mosaic = mosaic(out, work)?;
     let path = folder.join("dsm.tif");
     let altitude = mosaic.dsm.altitude();

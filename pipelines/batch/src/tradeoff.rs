@@ -1,15 +1,12 @@
-//! Speed against accuracy on the user's own scenes: many trainings, each a process of its own, and what follows from them.
+//! The trainings that measure speed against accuracy on the user's own scenes, each a process of its own.
 
-pub mod page;
-pub mod points;
-pub mod summary;
-
-use crate::outcome::CliError;
+use crate::BatchError;
 use heliosplat_fitting::program::identity_of_program;
-use heliosplat_raster::bounded;
+use heliosplat_pages::tradeoff::Row;
+use heliosplat_pages::tradeoff::points::{Point, Seeds};
+use heliosplat_raster::bounded::read_text;
 use heliosplat_raster::write::write_atomically;
 use heliosplat_session::Session;
-use points::{Point, Seeds};
 use serde_json::Value;
 use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
@@ -27,37 +24,6 @@ pub struct Sweep {
     pub threads: Option<usize>,
     /// Where runs and results go.
     pub out: PathBuf,
-}
-
-/// One training.
-#[derive(Debug, Clone, PartialEq, serde::Serialize)]
-pub struct Row {
-    /// Name of the scene's folder.
-    pub scene: String,
-    /// Name of the point.
-    pub point: String,
-    /// Seed of the training.
-    pub seed: u64,
-    /// Seconds in all.
-    pub seconds: f64,
-    /// Processor seconds of all threads.
-    pub processor_s: f64,
-    /// Most memory used, bytes.
-    pub peak_bytes: f64,
-    /// Gaussians at the end.
-    pub gaussians: f64,
-    /// Steps.
-    pub steps: f64,
-    /// Mean absolute error of the DSM, metres, protocol `raw`.
-    pub mae_m: Option<f64>,
-    /// Its median, metres.
-    pub median_m: Option<f64>,
-    /// Share of pixels whose shadow is right.
-    pub shadows_right: Option<f64>,
-    /// Peak signal-to-noise ratio of images trained on, dB.
-    pub psnr_train: Option<f64>,
-    /// Of images held out, dB.
-    pub psnr_held_out: Option<f64>,
 }
 
 /// A training to be made.
@@ -104,7 +70,7 @@ impl Sweep {
     ///
     /// # Errors
     /// When a training fails, or the user stops.
-    pub fn run(&self, session: &Session) -> Result<Vec<Row>, CliError> {
+    pub fn run(&self, session: &Session) -> Result<Vec<Row>, BatchError> {
         session.stop_gently();
         let jobs = self.jobs();
         let progress = session.progress("trainings", jobs.len() as u64);
@@ -112,7 +78,7 @@ impl Sweep {
         for (done, job) in jobs.iter().enumerate() {
             progress.say(&format!("{} {} seed {}", job.scene_name, job.point.name, job.seed));
             if session.stopped() {
-                return Err(CliError::Interrupted(format!(
+                return Err(BatchError::Interrupted(format!(
                     "stopped; the {done} trainings that are done are kept, run the same command to go on"
                 )));
             }
@@ -130,7 +96,7 @@ impl Sweep {
     }
 
     /// The metrics of a job: of an earlier training with the same arguments, or of one made now.
-    fn train(&self, job: &Job, session: &Session) -> Result<Value, CliError> {
+    fn train(&self, job: &Job, session: &Session) -> Result<Value, BatchError> {
         let mut arguments = vec![
             "train".to_owned(),
             canonical(job.scene),
@@ -143,11 +109,11 @@ impl Sweep {
         }
         let said = format!("{}{}\n", identity_of_program(), arguments.join(" "));
         let stamp = job.folder.join("tradeoff.txt");
-        let done = bounded::read_text(&stamp).is_ok_and(|before| before == said);
+        let done = read_text(&stamp).is_ok_and(|before| before == said);
         if let Some(metrics) = metrics(&job.folder).filter(|_| done) {
             return Ok(metrics);
         }
-        let failed = |reason: String| CliError::Failed(format!("{}: {reason}", job.folder.display()));
+        let failed = |reason: String| BatchError::Failed(format!("{}: {reason}", job.folder.display()));
         let program =
             std::env::current_exe().map_err(|error| failed(format!("this program is not found ({error})")))?;
         let output = Command::new(program)
@@ -161,7 +127,7 @@ impl Sweep {
             .output()
             .map_err(|error| failed(format!("the training cannot be started ({error})")))?;
         if session.stopped() || output.status.code() == Some(130) {
-            return Err(CliError::Interrupted(
+            return Err(BatchError::Interrupted(
                 "stopped; finished trainings are kept, run the same command to go on".into(),
             ));
         }
@@ -170,7 +136,7 @@ impl Sweep {
             let line = text.lines().rev().find_map(|line| line.strip_prefix("error: "));
             let line = line.unwrap_or("the training stopped without saying why").to_owned();
             return Err(match output.status.code() {
-                Some(2) => CliError::Input(line),
+                Some(2) => BatchError::Refused(line),
                 _ => failed(line),
             });
         }
@@ -189,7 +155,7 @@ fn canonical(path: &Path) -> String {
 }
 
 fn metrics(folder: &Path) -> Option<Value> {
-    serde_json::from_str(&bounded::read_text(&folder.join("metrics.json")).ok()?).ok()
+    serde_json::from_str(&read_text(&folder.join("metrics.json")).ok()?).ok()
 }
 
 /// Processor seconds of all stages together.
@@ -219,31 +185,4 @@ fn row(job: &Job, metrics: &Value) -> Row {
         psnr_train: number("/train/psnr"),
         psnr_held_out: number("/test/psnr"),
     }
-}
-
-/// The rows as a table of text.
-pub fn csv(rows: &[Row]) -> String {
-    let mut out =
-        "scene,point,seed,seconds,processor_s,peak_mib,gaussians,steps,mae_m,median_m,shadows_right,psnr_train,psnr_held_out\n"
-            .to_owned();
-    let may = |value: Option<f64>| value.map_or(String::new(), |v| format!("{v:.4}"));
-    for row in rows {
-        let scene = crate::page::csv_text(&row.scene);
-        out += &format!(
-            "{scene},{},{},{:.2},{:.2},{:.1},{:.0},{:.0},{},{},{},{},{}\n",
-            row.point,
-            row.seed,
-            row.seconds,
-            row.processor_s,
-            row.peak_bytes / f64::from(1 << 20),
-            row.gaussians,
-            row.steps,
-            may(row.mae_m),
-            may(row.median_m),
-            may(row.shadows_right),
-            may(row.psnr_train),
-            may(row.psnr_held_out),
-        );
-    }
-    out
 }

@@ -2,10 +2,12 @@
 
 use super::BatchError;
 use super::tiles::LEAST_SIDE_M;
-use crate::parse;
+use bytesize::ByteSize;
 use heliosplat_fitting::settings::Preset;
 use heliosplat_products::relight::LOWEST_SUN_DEG;
+use heliosplat_products::sunshine::Period;
 use heliosplat_raster::Geoid;
+use heliosplat_raster::bounded::read_text;
 use heliosplat_rpc::sun::SunPosition;
 use heliosplat_satellite::config::SatelliteConfig;
 use heliosplat_scene::{AreaRequest, RpcPreference};
@@ -24,8 +26,6 @@ const OBJECT_STORES: [&str; 7] = [
     "/vsiswift/",
     "/vsiwebhdfs/",
 ];
-/// Largest manifest, bytes.
-const LARGEST: u64 = 16 << 20;
 
 /// What is to be done.
 #[derive(Debug, Clone, PartialEq, serde::Deserialize)]
@@ -187,7 +187,7 @@ impl ImagesEntry {
 impl TileOptions {
     /// Memory of one tile, bytes.
     pub fn memory_bytes(&self) -> Option<u64> {
-        parse::bytes(&self.memory).ok()
+        bytes(&self.memory).ok()
     }
 }
 
@@ -236,11 +236,7 @@ impl Manifest {
             path: path.to_owned(),
             reason,
         };
-        let size = std::fs::metadata(path).map_err(|error| fault(error.to_string()))?.len();
-        if size > LARGEST {
-            return Err(fault("it is too large for a manifest".into()));
-        }
-        let text = std::fs::read_to_string(path).map_err(|error| fault(error.to_string()))?;
+        let text = read_text(path).map_err(|error| fault(error.to_string()))?;
         let mut manifest = Self::parse(&text).map_err(fault)?;
         let folder = path.parent().unwrap_or_else(|| Path::new("."));
         for images in &mut manifest.images {
@@ -296,7 +292,8 @@ impl Manifest {
             ));
         }
         if let Some(days) = &self.products.sun_hours {
-            parse::period(days).map_err(|reason| format!("products.sun_hours: {reason}"))?;
+            days.parse::<Period>()
+                .map_err(|reason| format!("products.sun_hours: {reason}"))?;
         }
         if self.products.dsm_only && (self.products.sun_hours.is_some() || self.products.globe) {
             return Err("products.dsm_only leaves sun_hours and globe out; say one or the other".into());
@@ -330,6 +327,17 @@ impl Manifest {
                 .map_err(|error| format!("preset {}: {error}", preset.name))?;
         }
         Ok(())
+    }
+}
+
+/// A size such as `512MiB`, `4GiB`, `500MB`; a bare number is bytes. `k`, `M` and `G` alone are powers of 1000, as `kB`, `MB` and `GB` are.
+///
+/// # Errors
+/// A message for the user.
+pub fn bytes(text: &str) -> Result<u64, String> {
+    match text.trim().parse::<ByteSize>() {
+        Ok(size) if size.as_u64() > 0 => Ok(size.as_u64()),
+        _ => Err("expected a size such as 512MiB or 4GiB".to_owned()),
     }
 }
 
@@ -409,5 +417,25 @@ mod tests {
         assert!(refused("[products]\ngeoid = \"sea\"\n").contains("line"));
         let elsewhere = Manifest::parse(&format!("deliver = \"/vsizip//etc/x.zip\"\n{IMAGES}"));
         assert!(elsewhere.expect_err("the disk").contains("deliver"));
+    }
+
+    #[test]
+    fn sizes_carry_their_units_and_bare_numbers_are_bytes() {
+        for (text, bytes_of) in [
+            ("4096", 4096),
+            ("4GiB", 4 << 30),
+            (" 4 gib ", 4 << 30),
+            ("0.5GiB", 1 << 29),
+            ("512MiB", 512 << 20),
+            ("500MB", 500_000_000),
+            ("1.5MB", 1_500_000),
+            ("4G", 4_000_000_000),
+            ("1TiB", 1 << 40),
+        ] {
+            assert_eq!(bytes(text), Ok(bytes_of), "{text}");
+        }
+        for bad in ["", "0", "0GiB", "-1GiB", "lots", "GiB", "4Gib/s", "nan", "inf"] {
+            assert!(bytes(bad).is_err(), "{bad}");
+        }
     }
 }

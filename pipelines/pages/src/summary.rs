@@ -1,30 +1,90 @@
 //! The results of a batch: tables for people (terminal, HTML) and for machines (CSV, JSON).
 
-use super::plan::{Plan, Unit};
-use super::row::{Row, State};
-use super::stamp::finished;
 use crate::page::{self, MIB, document};
-use heliosplat_products::stac;
-use heliosplat_raster::RasterError;
-use heliosplat_raster::write::{deliver, write_atomically};
 use maud::{Markup, html};
 use serde_json::{Value, json};
 use std::fmt::Write;
-use std::path::Path;
 
-/// Name of the collection of all mosaics.
-pub(super) const COLLECTION: &str = "batch";
+/// Where a unit stands.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, serde::Serialize)]
+#[serde(rename_all = "snake_case")]
+pub enum State {
+    /// Not begun, or interrupted.
+    Pending,
+    /// Running now.
+    Running,
+    /// Finished now.
+    Done,
+    /// Finished before.
+    Skipped,
+    /// Failed; its log says why.
+    Failed,
+    /// What it waits for failed.
+    Blocked,
+}
 
-/// The table of what is finished in `out`, whoever did it.
-pub fn of_stamps(plan: &Plan, out: &Path) -> Vec<Row> {
-    let row = |unit: &Unit| {
-        let mut row = Row::pending(unit, out);
-        if let Some(stamp) = finished(out, unit) {
-            row.finish(State::Done, &stamp);
+impl State {
+    /// Its name.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Pending => "pending",
+            Self::Running => "running",
+            Self::Done => "done",
+            Self::Skipped => "finished before",
+            Self::Failed => "failed",
+            Self::Blocked => "blocked",
         }
-        row
-    };
-    plan.units.iter().map(row).collect()
+    }
+
+    /// Whether its products are there.
+    pub fn is_done(self) -> bool {
+        matches!(self, Self::Done | Self::Skipped)
+    }
+
+    /// Whether they will not be.
+    pub fn is_lost(self) -> bool {
+        matches!(self, Self::Failed | Self::Blocked)
+    }
+
+    /// Whether nothing more will come of it now.
+    pub fn is_final(self) -> bool {
+        self.is_done() || self.is_lost()
+    }
+}
+
+/// A unit in the table.
+#[derive(Debug, Clone, serde::Serialize)]
+pub struct Row {
+    /// The unit.
+    pub unit: String,
+    /// `tile`, `mosaic`, or `refused` where the scene cannot be used.
+    pub kind: &'static str,
+    /// Where it stands.
+    pub state: State,
+    /// Seconds it took, pauses not counted.
+    pub seconds: Option<f64>,
+    /// Most memory it used, bytes.
+    pub peak_rss_bytes: Option<u64>,
+    /// Memory it was expected to use, MiB.
+    pub mem_mb: u64,
+    /// Mean absolute error of its surface model where there is truth, metres, protocol `raw`.
+    pub mae_m: Option<f64>,
+    /// Share of it that is known.
+    pub completeness: Option<f64>,
+    /// Its log.
+    pub log: String,
+    /// Why it failed.
+    pub error: Option<String>,
+    /// What was measured.
+    pub metrics: Value,
+}
+
+impl Row {
+    /// Notes that it failed.
+    pub fn fail(&mut self, error: String) {
+        self.state = State::Failed;
+        self.error = Some(error);
+    }
 }
 
 /// All rows, and how many stand where.
@@ -40,40 +100,8 @@ pub fn json(rows: &[Row]) -> Value {
     })
 }
 
-/// Writes `summary.csv`, `summary.json`, `summary.html` and, where mosaics have products, `collection.json`, which is delivered with
-/// them.
-///
-/// # Errors
-/// When one cannot be written or delivered.
-pub fn write(rows: &[Row], plan: &Plan, out: &Path) -> Result<(), RasterError> {
-    let write = |name: &str, text: String| write_atomically(&out.join(name), text.as_bytes());
-    let items = items(rows, out);
-    if !items.is_empty() {
-        let collection = stac::collection(COLLECTION, &items);
-        write("collection.json", format!("{collection:#}\n"))?;
-        if let Some(to) = plan.units.iter().find_map(|unit| unit.deliver.as_ref()) {
-            let target = format!("{to}/collection.json");
-            deliver(&out.join("collection.json"), Path::new(&target))?;
-        }
-    }
-    write("summary.csv", csv(rows))?;
-    write("summary.json", format!("{:#}\n", json(rows)))?;
-    write("summary.html", page(rows))
-}
-
-/// The STAC items of the mosaics that are done, with their folders.
-fn items(rows: &[Row], out: &Path) -> Vec<(String, Value)> {
-    let done = rows
-        .iter()
-        .filter(|row| row.state.is_done() && row.metrics.get("products").is_some());
-    done.filter_map(|row| {
-        let text = heliosplat_raster::bounded::read_text(&out.join(&row.unit).join("item.json")).ok()?;
-        Some((row.unit.clone(), serde_json::from_str(&text).ok()?))
-    })
-    .collect()
-}
-
-fn csv(rows: &[Row]) -> String {
+/// The rows as a table of text.
+pub fn csv(rows: &[Row]) -> String {
     let mut text = "unit,kind,state,seconds,peak_mib,estimated_mib,mae_m,completeness,log,error\n".to_owned();
     for row in rows {
         let [seconds, peak, mae, known] = numbers(row);
@@ -124,7 +152,8 @@ pub fn table(rows: &[Row]) -> String {
     text
 }
 
-fn page(rows: &[Row]) -> String {
+/// `summary.html`.
+pub fn page(rows: &[Row]) -> String {
     let count = |pick: &dyn Fn(State) -> bool| rows.iter().filter(|row| pick(row.state)).count();
     let body = html! {
         p {

@@ -3,12 +3,13 @@
 //! A unit's process ends with this one: its standard input is a pipe that closes when this process goes, however it goes. So nobody
 //! works on after a batch that was killed, and the next one finds what there is.
 
+use super::BatchError;
 use super::plan::{Plan, Unit};
-use super::row::{Row, State, log_of};
+use super::row::{self, log_of};
 use super::stamp::{finished, other_build};
-use crate::outcome::CliError;
 use heliosplat_fitting::program::build;
 use heliosplat_fitting::run_folder::create_folder;
+use heliosplat_pages::summary::{Row, State};
 use heliosplat_session::Progress;
 use heliosplat_session::Session;
 use std::collections::BTreeMap;
@@ -58,13 +59,13 @@ impl Batch<'_> {
     ///
     /// # Errors
     /// When a process cannot be started. That the user stopped it is told by units that were not begun.
-    pub fn run(&self, session: &Session) -> Result<Vec<Row>, CliError> {
+    pub fn run(&self, session: &Session) -> Result<Vec<Row>, BatchError> {
         session.stop_gently();
         let units = &self.plan.units;
-        let mut rows: Vec<Row> = units.iter().map(|unit| Row::pending(unit, self.out)).collect();
+        let mut rows: Vec<Row> = units.iter().map(|unit| row::pending(unit, self.out)).collect();
         for (row, unit) in rows.iter_mut().zip(units) {
             if let Some(stamp) = finished(self.out, unit) {
-                row.finish(State::Skipped, &stamp);
+                row::finish(row, State::Skipped, &stamp);
             }
         }
         let done = rows.iter().filter(|row| row.state == State::Skipped).count();
@@ -81,12 +82,21 @@ impl Batch<'_> {
                 build()
             );
         }
+        let places: BTreeMap<&str, usize> = units.iter().zip(0..).map(|(unit, k)| (unit.id.as_str(), k)).collect();
+        let place = |id: &String| {
+            let found = places.get(id.as_str()).copied();
+            found.ok_or_else(|| BatchError::NoUnit { unit: id.clone() })
+        };
+        let waits = units
+            .iter()
+            .map(|unit| unit.after.iter().map(place).collect())
+            .collect::<Result<Vec<Vec<usize>>, _>>()?;
         let progress = session.progress("units", units.len() as u64);
         let mut running: Vec<Running> = Vec::new();
         let mut looks = 0;
         loop {
             if !session.stopped() {
-                self.start(&mut rows, &mut running, session)?;
+                self.start(&waits, &mut rows, &mut running, session)?;
             } else {
                 // Their input ends: they save and go.
                 running.iter_mut().for_each(|r| drop(r.child.stdin.take()));
@@ -115,55 +125,41 @@ impl Batch<'_> {
         Ok(rows)
     }
 
-    /// Starts units while there is room and one is ready.
+    /// Starts units while there is room, in the order of the plan, in which each stands after those that it waits for (`waits`, their
+    /// places); those that wait for a lost one are blocked.
     fn start<'u>(
         &'u self,
+        waits: &[Vec<usize>],
         rows: &mut [Row],
         running: &mut Vec<Running<'u>>,
         session: &Session,
-    ) -> Result<(), CliError> {
-        loop {
-            let states: BTreeMap<&str, State> = self
-                .plan
-                .units
-                .iter()
-                .zip(rows.iter())
-                .map(|(unit, row)| (unit.id.as_str(), row.state))
-                .collect();
-            let of = |id: &String| states.get(id.as_str()).copied().unwrap_or(State::Failed);
-            let mut next = None;
-            for (place, unit) in self.plan.units.iter().enumerate() {
-                if rows[place].state != State::Pending {
-                    continue;
-                }
-                if let Some(after) = unit.after.iter().find(|id| of(id).is_lost()) {
-                    rows[place].state = State::Blocked;
-                    rows[place].error = Some(format!("{after} failed"));
-                } else if next.is_none() && unit.after.iter().all(|id| of(id).is_done()) {
-                    next = Some((place, unit));
-                }
+    ) -> Result<(), BatchError> {
+        for (place, (unit, after)) in self.plan.units.iter().zip(waits).enumerate() {
+            if rows[place].state != State::Pending {
+                continue;
             }
-            match next {
-                Some((place, unit)) if running.len() < self.jobs => {
-                    let child = self.spawn(unit)?;
-                    rows[place].state = State::Running;
-                    tracing::info!("{}: started", unit.id);
-                    running.push(Running {
-                        unit,
-                        place,
-                        child,
-                        begun: Instant::now(),
-                        line: session.watch(&unit.id),
-                    });
-                }
-                _ => return Ok(()),
+            if let Some(lost) = after.iter().find(|other| rows[**other].state.is_lost()) {
+                rows[place].state = State::Blocked;
+                rows[place].error = Some(format!("{} failed", self.plan.units[*lost].id));
+            } else if running.len() < self.jobs && after.iter().all(|other| rows[*other].state.is_done()) {
+                let child = self.spawn(unit)?;
+                rows[place].state = State::Running;
+                tracing::info!("{}: started", unit.id);
+                running.push(Running {
+                    unit,
+                    place,
+                    child,
+                    begun: Instant::now(),
+                    line: session.watch(&unit.id),
+                });
             }
         }
+        Ok(())
     }
 
     /// One unit in a process of its own, its log in its folder.
-    fn spawn(&self, unit: &Unit) -> Result<Child, CliError> {
-        let failed = |reason: String| CliError::Failed(format!("{}: {reason}", unit.id));
+    fn spawn(&self, unit: &Unit) -> Result<Child, BatchError> {
+        let failed = |reason: String| BatchError::Failed(format!("{}: {reason}", unit.id));
         create_folder(&self.out.join(&unit.id))?;
         let path = log_of(self.out, unit);
         let log = OpenOptions::new()
@@ -201,7 +197,7 @@ impl Batch<'_> {
         let seconds = running.begun.elapsed().as_secs_f64();
         match (code, finished(self.out, unit)) {
             (Some(0), Some(stamp)) => {
-                row.finish(State::Done, &stamp);
+                row::finish(row, State::Done, &stamp);
                 tracing::info!("{}: done in {seconds:.1} s", unit.id);
             }
             (Some(130), _) if session.stopped() => row.state = State::Pending,

@@ -6,6 +6,7 @@ use super::layer::{Layer, Ramp};
 use super::pack::{self, GAMMA};
 use super::place::Place;
 use crate::page::without_control_characters;
+use heliosplat_products::surface_shadow::CASTER;
 use maud::{DOCTYPE, Markup, PreEscaped, html};
 use rayon::prelude::*;
 use serde_json::{Value, json};
@@ -15,12 +16,11 @@ const POLICY: &str = "default-src 'none'; script-src 'unsafe-inline'; style-src 
 /// Most bytes of what a page carries; its own sources are some seventy thousand more.
 const BYTES_MAX: usize = 3_900_000;
 const STYLE: &str = include_str!("page/style.css");
-/// The sources of the page, in the order in which they are joined. The first five need no browser.
-const SCRIPTS: [&str; 20] = [
+/// The sources of the page, in the order in which they are joined. The first four need no browser.
+const SCRIPTS: [&str; 19] = [
     include_str!("page/sun.js"),
     include_str!("page/sweep.js"),
     include_str!("page/light.js"),
-    include_str!("page/inflate.js"),
     include_str!("page/field.js"),
     include_str!("page/layers.js"),
     include_str!("page/plan.js"),
@@ -123,6 +123,7 @@ fn data(exhibit: &Exhibit) -> Result<Value, ViewError> {
         "albedo": albedo,
         "gamma": GAMMA,
         "light": exhibit.light,
+        "caster": CASTER,
         "dates": dates,
         "layers": layers,
     }))

@@ -169,7 +169,7 @@ function makeLayers(app) {
       layers.push(one);
       continue;
     }
-    const bytes = unpacked(layer.data, cells);
+    const bytes = layer.data;
     const [from, to] = layer.range;
     const table = rampTable(layer.ramp);
     layers.push({

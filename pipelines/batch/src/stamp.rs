@@ -4,7 +4,7 @@ use super::plan::Unit;
 use heliosplat_fitting::lock::Lock;
 use heliosplat_fitting::program::build;
 use heliosplat_fitting::run_folder;
-use heliosplat_raster::bounded;
+use heliosplat_raster::bounded::{TEXT_MAX, read_bytes};
 use serde_json::Value;
 use std::path::Path;
 use std::time::Duration;
@@ -67,7 +67,7 @@ pub fn other_build(out: &Path, unit: &Unit) -> Option<String> {
 }
 
 fn read(folder: &Path) -> Option<Stamp> {
-    serde_json::from_str(&bounded::read_text(&folder.join(STAMP)).ok()?).ok()
+    serde_json::from_slice(&read_bytes(&folder.join(STAMP), TEXT_MAX).ok()?).ok()
 }
 
 /// The stamp of a unit that is finished as it should be: of this key, its products there and as large as they were.
@@ -106,8 +106,8 @@ pub fn claim(folder: &Path, stopped: &dyn Fn() -> bool) -> Result<Option<Lock>, 
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::batch::manifest::ProductOptions;
-    use crate::batch::plan::{MosaicWork, Work};
+    use crate::manifest::ProductOptions;
+    use crate::plan::{MosaicWork, Work};
 
     fn unit() -> Unit {
         Unit {

@@ -11,23 +11,12 @@
 // neighbours at last: borders become smoother, and nearer to true ones and to those traced through models (docs/lab/sun-page.md).
 // Cost: two walks over the grid, and where rays run along its rows a third one, whatever the heights.
 
-/// Radius of the sun's disc, radians.
-const SUN_RADIUS = 0.2666 * Math.PI / 180;
 /// Share of the disc in 64 steps, by the height of its middle above the horizon, from one radius below to one above.
 const DISC = new Uint8Array(129);
 for (let i = 0; i < 129; i++) {
   const u = i / 64 - 1;
   DISC[i] = Math.round(64 * (0.5 + (u * Math.sqrt(1 - u * u) + Math.asin(u)) / Math.PI));
 }
-
-/// Between cells that differ by more than this slope stands a wall: heights are not interpolated over it.
-const STEEP = 1;
-/// A wall's upper edge is so many cells (below one) beyond the middle of the last high cell: half of that cell, and what the model's edges reach further.
-/// Measured against shadows traced through models (docs/lab/sun-page.md).
-const EDGE = 0.85;
-
-/// What rises less than this above a far shadow, and still lies in its half-shade, does not hide what throws that shadow, metres.
-const LOW = 1;
 
 /// Rows become columns.
 function transposed(from, into, width, height) {
@@ -60,8 +49,10 @@ function smoothed(sums, along, across, out) {
   return out;
 }
 
-/// What sweeps over a field of `{width, height, z}`, metres, NaN where unknown. `east` and `north` are the changes of column and row per metre.
-function sweeper(field, east, north) {
+/// What sweeps over a field of `{width, height, z}`, metres, NaN where unknown. `east` and `north` are the changes of column and row per
+/// metre; `caster` holds the numbers of pipelines/products/src/surface_shadow.rs.
+function sweeper(field, east, north, caster) {
+  const { sun_radius_rad: radius, steep, edge_cells: edge, lift_m: lift, low_m: low } = caster;
   const { width, height, z } = field;
   const lying = { heights: z, along: height, across: width };
   const sums = new Uint16Array(z.length);
@@ -99,14 +90,14 @@ function sweeper(field, east, north) {
     const aside = -minor / Math.abs(major);
     // Height that the sun's radius spans per line between a cell and what shades it.
     const cosine = Math.cos(elevation * RAD);
-    const blur = step * SUN_RADIUS / (cosine * cosine);
+    const blur = step * radius / (cosine * cosine);
     const shift = Math.abs(aside) * along;
     const rays = Math.ceil(across + shift) + 3;
     // Ray r is at r + base + line * aside.
     const base = aside >= 0 ? -Math.ceil(shift) - 1 : -1;
     const dark = new Float32Array(rays).fill(-1e9), behind = new Float32Array(rays).fill(1);
     const forward = major < 0;
-    const jump = STEEP * step;
+    const jump = steep * step;
     for (let n = 0; n < along; n++) {
       const line = (forward ? n : along - 1 - n) * across;
       const at = base + n * aside;
@@ -123,7 +114,7 @@ function sweeper(field, east, north) {
         let seen = -1;
         if (a === a) {
           // What both rays see counts, not their mean height: the border of a long shadow stays in the middle between them.
-          const before = a - darkBefore, after = a - darkness;
+          const before = a + lift - darkBefore, after = a + lift - darkness;
           if (before >= blurBefore && after >= blurred) seen = 64;
           else {
             const one = before >= blurBefore ? 64 : before <= -blurBefore ? 0 : DISC[(64 * (before / blurBefore + 1) + 0.5) | 0];
@@ -141,13 +132,13 @@ function sweeper(field, east, north) {
         // Beside an unknown cell the known one counts.
         if (h !== h) h = a === a ? a : b;
         const clear = h - darkness;
-        if (clear >= LOW || clear >= blurred) {
+        if (clear >= low || clear >= blurred) {
           darkness = Math.fround(h);
           lines = 0;
         } else if (lines === 1 && darkness + drop - h > jump) {
           // A wall: the edge stands beyond the middle of the cell before.
-          darkness = Math.fround(darkness + EDGE * drop);
-          lines -= EDGE;
+          darkness = Math.fround(darkness + edge * drop);
+          lines -= edge;
         }
         dark[r] = darkness - drop;
         behind[r] = lines + 1;

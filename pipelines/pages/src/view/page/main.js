@@ -8,7 +8,7 @@ function begin(scene, albedo) {
   const started = performance.now();
   const field = readField(scene);
   const { width, height, known } = field;
-  const sweep = sweeper(field, scene.place.east, scene.place.north);
+  const sweep = sweeper(field, scene.place.east, scene.place.north, scene.caster);
   const app = {
     scene, field, sweep, albedo,
     visible: new Uint8Array(field.z.length),
@@ -143,14 +143,13 @@ function begin(scene, albedo) {
   document.documentElement.dataset.ready = "1";
 }
 
-// Everything is done within the `load` event: what looks at the page afterwards, a person or a program, sees it complete.
+// Unpacking begins at once and takes turns that are over before `load`, so that a program that looks at the page then sees it complete.
 const sceneOfPage = JSON.parse(byId("scene").textContent);
 const albedoOfPage = sceneOfPage.albedo ? pictureOf(sceneOfPage.albedo.picture) : null;
-addEventListener("load", () => {
-  try {
-    begin(sceneOfPage, albedoOfPage);
-  } catch (error) {
+const loaded = new Promise((done) => addEventListener("load", done));
+Promise.all([unpack(sceneOfPage), loaded])
+  .then(([scene]) => begin(scene, albedoOfPage))
+  .catch((error) => {
     byId("said").textContent = `This browser cannot show the page: ${error.message}`;
     byId("report").textContent = JSON.stringify({ error: String(error) });
-  }
-});
+  });

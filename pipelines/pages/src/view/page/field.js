@@ -1,16 +1,27 @@
 // What the page carries, read back: see pack.rs.
 
-/// The bytes of a packed text.
-function unpacked(text, size) {
-  const raw = atob(text);
-  const bytes = new Uint8Array(raw.length);
-  for (let i = 0; i < raw.length; i++) bytes[i] = raw.charCodeAt(i);
-  return inflate(bytes, size);
+/// The bytes of a packed text: base64 of a zlib stream.
+async function unpacked(text) {
+  const packed = Uint8Array.from(atob(text), (letter) => letter.charCodeAt(0));
+  const stream = new ReadableStream({ start(to) { to.enqueue(packed); to.close(); } });
+  const reader = stream.pipeThrough(new DecompressionStream("deflate")).getReader();
+  const parts = [];
+  for (let part = await reader.read(); !part.done; part = await reader.read()) parts.push(part.value);
+  const out = new Uint8Array(parts.reduce((sum, part) => sum + part.length, 0));
+  for (let at = 0, i = 0; i < parts.length; at += parts[i++].length) out.set(parts[i], at);
+  return out;
+}
+
+/// Replaces every packed text of a scene by its bytes; returns the scene.
+async function unpack(scene) {
+  const places = [[scene.heights, ["data", "known"]], ...scene.dates.map((date) => [date, ["mask"]]), ...scene.layers.map((layer) => [layer, ["data", "known"]])];
+  const texts = places.flatMap(([of, keys]) => keys.filter((key) => of[key]).map((key) => [of, key]));
+  await Promise.all(texts.map(async ([of, key]) => (of[key] = await unpacked(of[key]))));
+  return scene;
 }
 
 /// 1 where a bit is set.
-function readMask(text, cells) {
-  const bytes = unpacked(text, (cells + 7) >> 3);
+function readMask(bytes, cells) {
   const out = new Uint8Array(cells);
   for (let i = 0; i < cells; i++) out[i] = (bytes[i >> 3] >> (7 - (i & 7))) & 1;
   return out;
@@ -20,7 +31,7 @@ function readMask(text, cells) {
 function readField(scene) {
   const { width, height, heights } = scene;
   const cells = width * height;
-  const bytes = unpacked(heights.data, 2 * cells), known = readMask(heights.known, cells);
+  const bytes = heights.data, known = readMask(heights.known, cells);
   const steps = new Uint16Array(cells);
   for (let i = 0, row = 0; row < height; row++) {
     for (let col = 0; col < width; col++, i++) {

@@ -15,10 +15,18 @@ pub mod row;
 pub mod stamp;
 pub mod summary;
 pub mod tiles;
+pub mod tradeoff;
 pub mod unit;
 
-use crate::outcome::CliError;
+use heliosplat_evaluate::EvaluateError;
+use heliosplat_fitting::run_folder::RunError;
+use heliosplat_fitting::settings::ConfigError;
+use heliosplat_fitting::training::TrainingError;
+use heliosplat_pages::view::ViewError;
+use heliosplat_products::export::ExportError;
+use heliosplat_products::relight::RelightError;
 use heliosplat_raster::RasterError;
+use heliosplat_satellite::SatelliteError;
 use heliosplat_scene::SceneError;
 use std::path::PathBuf;
 
@@ -67,6 +75,39 @@ pub enum BatchError {
         /// The images.
         images: String,
     },
+    /// A unit whose scene cannot be used.
+    #[error("{0}")]
+    Refused(String),
+    /// Stopped by the user.
+    #[error("{0}")]
+    Interrupted(String),
+    /// A process that cannot be started, or failed.
+    #[error("{0}")]
+    Failed(String),
+    /// A training at fault.
+    #[error(transparent)]
+    Satellite(#[from] SatelliteError),
+    /// A training that was not finished.
+    #[error(transparent)]
+    Training(#[from] TrainingError),
+    /// Settings at fault.
+    #[error(transparent)]
+    Config(#[from] ConfigError),
+    /// A run at fault.
+    #[error(transparent)]
+    Run(#[from] RunError),
+    /// A page that cannot be written.
+    #[error(transparent)]
+    View(#[from] ViewError),
+    /// A model that cannot be lit.
+    #[error(transparent)]
+    Relight(#[from] RelightError),
+    /// A model that cannot be exported.
+    #[error(transparent)]
+    Export(#[from] ExportError),
+    /// A surface that cannot be compared with truth.
+    #[error(transparent)]
+    Evaluate(#[from] EvaluateError),
     /// A scene at fault.
     #[error(transparent)]
     Scene(#[from] SceneError),
@@ -81,15 +122,4 @@ pub enum BatchError {
         /// What the operating system says.
         reason: std::io::Error,
     },
-}
-
-impl From<BatchError> for CliError {
-    fn from(error: BatchError) -> Self {
-        match error {
-            BatchError::Scene(error) => error.into(),
-            BatchError::Raster(error) => error.into(),
-            BatchError::Io { .. } => Self::Failed(error.to_string()),
-            _ => Self::Input(error.to_string()),
-        }
-    }
 }

@@ -37,8 +37,6 @@ pub struct Exhibit {
     pub dates: Vec<TracedDate>,
     /// Other maps.
     pub layers: Vec<Layer>,
-    /// How many cells of the surface one cell of the page is wide.
-    pub reduced_by: usize,
 }
 
 /// A date of a run, its sun, and the shadows that the model has for it.
@@ -155,7 +153,6 @@ impl Exhibit {
         grid.transform.per_row = grid.transform.per_row.map(|step| step * factor as f64);
         self.grid = grid;
         self.gsd_m *= factor as f64;
-        self.reduced_by *= factor;
         self
     }
 }

@@ -58,7 +58,6 @@ pub(super) fn surface(path: &Path) -> Result<Exhibit, ViewError> {
         light: Light::usual(),
         dates: Vec::new(),
         layers: Vec::new(),
-        reduced_by: 1,
     })
 }
 
