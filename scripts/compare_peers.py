@@ -215,7 +215,7 @@ def main():
     ours = []
     for preset in args.presets.split(","):
         run = out / f"heliosplat_{preset}"
-        command = [heliosplat, "train", str(folder), "--out", str(run), "--preset", preset, "--threads", str(len(cores))]
+        command = [heliosplat, "train", str(folder), "--out", str(run), "--overwrite", "--preset", preset, "--threads", str(len(cores))]
         ours.append(Peer(f"heliosplat {preset}", heliosplat, command, None if capture else run / "dsm.tif"))
     if capture:
         peers = [opensplat(folder, out, args.steps), brush(folder, out, args.steps)]

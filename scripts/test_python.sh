@@ -33,7 +33,7 @@ if [ -x target/release/heliosplat ]; then
   if [ ! -d "$HELIOSPLAT_TEST_RUN/products" ]; then
     rm -rf "$HELIOSPLAT_TEST_RUN" target/python/scene
     "$HELIOSPLAT" synth satellite --site tiny --views 4 --seed 1 --out target/python/scene >/dev/null
-    "$HELIOSPLAT" train target/python/scene --preset fast --set train.iterations=60 --out "$HELIOSPLAT_TEST_RUN" >/dev/null
+    "$HELIOSPLAT" train target/python/scene --preset fast --set train.iterations=60 --overwrite --out "$HELIOSPLAT_TEST_RUN" >/dev/null
     "$HELIOSPLAT" products "$HELIOSPLAT_TEST_RUN" >/dev/null
   fi
 fi

@@ -173,6 +173,7 @@ class Train(Verb):
         self.add_scene()
         self.add_ground()
         self.addParameter(QgsProcessingParameterEnum("PRESET", "Preset", PRESETS, defaultValue=PRESETS.index("fast")))
+        self.addParameter(QgsProcessingParameterBoolean("OVERWRITE", "Replace what is in the folder", False))
         self.addParameter(QgsProcessingParameterFolderDestination("RUN", "Folder of the run"))
         self.addOutput(QgsProcessingOutputRasterLayer("DSM", "Surface model"))
         self.addOutput(QgsProcessingOutputFile("LAYERS", "Layer file"))
@@ -182,8 +183,7 @@ class Train(Verb):
         scene = self.parameterAsString(parameters, "SCENE", context)
         preset = PRESETS[self.parameterAsEnum(parameters, "PRESET", context)]
         arguments = ["train", scene, "--out", run, "--preset", preset, *self.ground(parameters, context)]
-        if (run / "run.toml").is_file() or (run / "checkpoint").is_dir():
-            arguments.append("--resume")
+        arguments.append("--overwrite" if self.parameterAsBool(parameters, "OVERWRITE", context) else "--resume")
         self.run_program(arguments, feedback)
         products = run / "products"
         self.run_program(["products", run, "--out", products], feedback)

@@ -40,6 +40,19 @@ impl SunPosition {
         }
     }
 
+    /// From degrees that somebody states: an azimuth from -360 to 720, an elevation from -90 to 90.
+    ///
+    /// # Errors
+    /// A sentence, where they are outside of these ranges or not finite.
+    pub fn stated(azimuth_deg: f64, elevation_deg: f64) -> Result<Self, String> {
+        match (-360.0..=720.0).contains(&azimuth_deg) && (-90.0..=90.0).contains(&elevation_deg) {
+            true => Ok(Self::from_degrees(azimuth_deg, elevation_deg)),
+            false => Err(format!(
+                "a sun at azimuth {azimuth_deg}, elevation {elevation_deg} is not possible; expected -360 to 720 and -90 to 90 degrees"
+            )),
+        }
+    }
+
     /// From a direction toward the sun, east-north-up, of any length but zero; azimuth in [0, 2 pi).
     pub fn from_direction_enu(direction: Vector3<f64>) -> Self {
         Self {

@@ -29,6 +29,11 @@ impl Adam {
         }
     }
 
+    /// Whether every moment is a finite number.
+    pub fn is_finite(&self) -> bool {
+        self.first.is_finite() && self.second.is_finite()
+    }
+
     /// One step down `gradients`; `rates[group]` is each group's learning rate (a group of rate zero stays as it is).
     pub fn step(&mut self, parameters: &mut Table, gradients: &Table, rates: &[f32]) {
         self.step_with(BETA1, parameters, gradients, rates);

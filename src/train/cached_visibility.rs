@@ -21,6 +21,11 @@ pub(super) struct CachedVisibility {
 }
 
 impl CachedVisibility {
+    /// Whether every list has an entry for each of `count` Gaussians.
+    pub(super) fn is_of(&self, count: usize) -> bool {
+        self.values.len() == count && self.negligible.len() == count
+    }
+
     /// What a step has traced: the `transmittances` of the `splats`, by Gaussian and ascending, of `count` Gaussians, and the loss's gradients to
     /// them. `before` is what the view had.
     pub(super) fn traced(

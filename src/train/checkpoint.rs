@@ -14,7 +14,7 @@ use crate::trace::Occluders;
 use crate::trace::bvh::Bounds;
 use std::borrow::Cow;
 
-/// Version of [`TrainerState`]: changes with its layout, and whenever the steps of a training come to mean something else.
+/// Version of the layout of [`TrainerState`].
 pub const STATE_VERSION: u32 = 7;
 
 /// Why a state cannot be taken up.
@@ -140,11 +140,11 @@ impl Trainer<'_> {
             ("numbers", state.parameters.is_finite()),
             (
                 "moments",
-                same_shape(&of_each.first, gaussians) && same_shape(&of_each.second, gaussians),
+                same_shape(&of_each.first, gaussians) && same_shape(&of_each.second, gaussians) && of_each.is_finite(),
             ),
             (
                 "moments",
-                same_shape(&of_all.first, globals) && same_shape(&of_all.second, globals),
+                same_shape(&of_all.first, globals) && same_shape(&of_all.second, globals) && of_all.is_finite(),
             ),
             ("statistics", state.statistics.fits(gaussians.count)),
             (
@@ -155,10 +155,7 @@ impl Trainer<'_> {
                 "views",
                 state.cached_visibility.len() == self.views.len() && state.holdout.views() == self.views.len(),
             ),
-            (
-                "light",
-                light.into_iter().all(|light| light.values.len() == gaussians.count),
-            ),
+            ("light", light.into_iter().all(|light| light.is_of(gaussians.count))),
             (
                 "occluders",
                 bounds.into_iter().all(|bounds| bounds.len() == gaussians.count),

@@ -213,7 +213,10 @@ pub fn transforms_json(bytes: &[u8]) -> bool {
 
 /// `model.json` of an object; with the shared parameters it names, the model can be made.
 pub fn object_json(bytes: &[u8]) -> bool {
-    ObjectFile::parse(bytes).is_ok_and(|file| file.kind.model().feature_groups().len() > 1)
+    let file = std::str::from_utf8(bytes)
+        .ok()
+        .and_then(|text| ObjectFile::parse(text).ok());
+    file.is_some_and(|file| file.kind.model().feature_groups().len() > 1)
 }
 
 /// `model.ply` of an object, of a model of one light at a time.
@@ -388,6 +391,7 @@ fn runs() -> Vec<Vec<u8>> {
     let run = RunFile {
         area: None,
         version: "0.1.0".into(),
+        build: "0123456789abcdef".into(),
         preset: "fast".into(),
         seed: 1,
         scene: "scene".into(),

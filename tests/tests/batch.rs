@@ -7,6 +7,7 @@ use heliosplat_tests::program::{binary, fault, heliosplat, json, tiny_scene};
 use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg32;
 use serde_json::Value;
+use std::os::unix::fs::PermissionsExt;
 use std::os::unix::process::CommandExt;
 use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
@@ -365,6 +366,20 @@ set = { \"train.iterations\" = 4 }
     assert!(mosaic.join("dsm.tif").is_file() && mosaic.join("report.html").is_file());
     assert!(!mosaic.join("albedo.tif").exists() && !mosaic.join("item.json").exists());
     assert!(!home.path().join("out/collection.json").exists());
+    // Another build of the program, of which this is one by a byte more at its end, does not take them for its own.
+    let other = home.path().join("heliosplat");
+    let mut program = std::fs::read(binary()).expect("readable");
+    program.push(b'\n');
+    std::fs::write(&other, program).expect("written");
+    std::fs::set_permissions(&other, std::fs::Permissions::from_mode(0o755)).expect("made a program");
+    let output = Command::new(&other)
+        .args(batch(home.path(), "out", &["--dry-run"]))
+        .output();
+    let said = String::from_utf8_lossy(&output.expect("starts").stdout).into_owned();
+    let again = said
+        .lines()
+        .filter(|line| line.starts_with("to do, done by another build"));
+    assert_eq!(again.count(), 2, "{said}");
     // Asked for later, the other products are made without another training.
     let manifest = home.path().join("batch.toml");
     let text = std::fs::read_to_string(&manifest).expect("readable");

@@ -221,7 +221,8 @@ fn the_same_run_is_exported_to_the_same_bytes_whatever_the_threads() {
     let [one, two] = ["one", "two"].map(|name| out.path().join(name));
     json(&arguments(&["--tiles", text(&one), "--threads", "1"]));
     json(&arguments(&["--tiles", text(&two), "--threads", "3"]));
-    // And again over what is there.
+    // And again over what is there, but for what is not ours.
+    std::fs::write(two.join("index.html"), "my viewer").expect("written");
     json(&arguments(&["--tiles", text(&two)]));
     let mut names: Vec<_> = std::fs::read_dir(&one)
         .expect("a folder")
@@ -233,6 +234,7 @@ fn the_same_run_is_exported_to_the_same_bytes_whatever_the_threads() {
         let read = |folder: &Path| std::fs::read(folder.join(&name)).expect("readable");
         assert!(read(&one) == read(&two), "{name:?}");
     }
+    assert_eq!(std::fs::read(two.join("index.html")).expect("there"), b"my viewer");
 }
 
 #[test]

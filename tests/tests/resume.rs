@@ -7,7 +7,8 @@ use heliosplat::model::View;
 use heliosplat::optim::DensityOptions;
 use heliosplat::trace::SunVisibility;
 use heliosplat::train::{TrainOptions, Trainer, TrainerState};
-use heliosplat_tests::program::{binary, fault, json, tiny_scene};
+use heliosplat_tests::program::{binary, fault, heliosplat, json, tiny_scene};
+use std::io::Write;
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Stdio};
 use std::time::{Duration, Instant};
@@ -261,6 +262,29 @@ fn trainings_that_are_stopped_or_killed_end_with_the_same_bytes() {
         assert!(!run.join("model.json").exists(), "nothing half-done is taken for a run");
     }
 
+    // One at a time.
+    let mut child = home.start(&run);
+    wait_for_checkpoints(&mut child, &run, 2);
+    signal(&child, "STOP");
+    let line = fault(&home.arguments(&run, &[]), 2);
+    assert!(line.contains("another training"), "{line}");
+    signal(&child, "KILL");
+    child.wait().expect("ends");
+
+    // The same program must go on: a byte more at its end, which changes nothing else, is another build.
+    let other = home.run("heliosplat");
+    std::fs::copy(binary(), &other).expect("copied");
+    let mut file = std::fs::OpenOptions::new().append(true).open(&other).expect("writable");
+    file.write_all(b"\n").expect("written");
+    drop(file);
+    let output = Command::new(&other)
+        .args(home.arguments(&run, &[]))
+        .output()
+        .expect("starts");
+    let line = String::from_utf8_lossy(&output.stderr).into_owned();
+    assert_eq!(output.status.code(), Some(2), "{line}");
+    assert!(line.contains("build ") && line.contains("--overwrite"), "{line}");
+
     // What was given then must be given now.
     let other = ["--resume", "--set", "train.position_rate_gsd=0.05"];
     let line = fault(&home.arguments(&run, &other), 2);
@@ -277,9 +301,12 @@ fn trainings_that_are_stopped_or_killed_end_with_the_same_bytes() {
     let bytes = std::fs::read(checkpoint(&run)).expect("readable");
     std::fs::write(checkpoint(&damaged), &bytes[..bytes.len() - 9]).expect("written");
     let line = fault(&home.arguments(&damaged, &["--resume"]), 2);
-    assert!(line.contains("check sum") && line.contains("delete it"), "{line}");
+    assert!(line.contains("check sum") && line.contains("--overwrite"), "{line}");
 
-    json(&home.arguments(&run, &["--resume"]));
+    // It continues without being asked.
+    let continued = heliosplat(&home.arguments(&run, &[])).assert().success();
+    let said = String::from_utf8_lossy(&continued.get_output().stderr).into_owned();
+    assert!(said.contains("continues at step "), "{said}");
     same_products(&whole, &run);
     assert!(!run.join("checkpoint").exists());
 
@@ -295,4 +322,12 @@ fn trainings_that_are_stopped_or_killed_end_with_the_same_bytes() {
         .and_then(|data| data.modified())
         .expect("there");
     assert_eq!(before, after);
+    // Without a word it is not replaced, by whatever.
+    for more in [&[][..], &["--seed", "2"], &["--resume", "--seed", "2"]] {
+        let line = fault(&home.arguments(&run, more), 2);
+        assert!(line.contains("finished run") && line.contains("--overwrite"), "{line}");
+    }
+    json(&home.arguments(&run, &["--overwrite", "--seed", "2", "--set", "train.iterations=1"]));
+    let model = |run: &Path| std::fs::read(run.join("model.ply")).expect("a model");
+    assert!(model(&run) != model(&whole));
 }

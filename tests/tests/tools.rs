@@ -216,8 +216,11 @@ fn a_synthetic_site_is_a_scene_with_truth() {
 }
 
 #[test]
-fn the_version_names_gdal_and_proj() {
+fn the_version_names_the_build_gdal_and_proj() {
     let assert = heliosplat(&["--version"]).assert().success();
     let said = String::from_utf8_lossy(&assert.get_output().stdout).into_owned();
-    assert!(said.contains("GDAL 3.") && said.contains("PROJ "), "{said}");
+    assert!(
+        said.contains("(build ") && said.contains("GDAL 3.") && said.contains("PROJ "),
+        "{said}"
+    );
 }

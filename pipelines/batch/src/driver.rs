@@ -6,7 +6,8 @@
 use super::BatchError;
 use super::plan::{Plan, Unit};
 use super::row::{self, log_of};
-use super::stamp::finished;
+use super::stamp::{finished, other_build};
+use heliosplat_fitting::program::build;
 use heliosplat_fitting::run_folder::create_folder;
 use heliosplat_pages::summary::{Row, State};
 use heliosplat_session::Progress;
@@ -59,6 +60,7 @@ impl Batch<'_> {
     /// # Errors
     /// When a process cannot be started. That the user stopped it is told by units that were not begun.
     pub fn run(&self, session: &Session) -> Result<Vec<Row>, BatchError> {
+        session.stop_gently();
         let units = &self.plan.units;
         let mut rows: Vec<Row> = units.iter().map(|unit| row::pending(unit, self.out)).collect();
         for (row, unit) in rows.iter_mut().zip(units) {
@@ -72,6 +74,14 @@ impl Batch<'_> {
             units.len(),
             self.jobs
         );
+        let others: Vec<String> = units.iter().filter_map(|unit| other_build(self.out, unit)).collect();
+        if let Some(other) = others.first() {
+            tracing::warn!(
+                "{} units were done by another build of the program ({other}, this is {}) and are done again",
+                others.len(),
+                build()
+            );
+        }
         let places: BTreeMap<&str, usize> = units.iter().zip(0..).map(|(unit, k)| (unit.id.as_str(), k)).collect();
         let place = |id: &String| {
             let found = places.get(id.as_str()).copied();

@@ -8,6 +8,7 @@ use heliosplat_products::relight::LOWEST_SUN_DEG;
 use heliosplat_products::sunshine::Period;
 use heliosplat_raster::Geoid;
 use heliosplat_raster::bounded::read_text;
+use heliosplat_rpc::sun::SunPosition;
 use heliosplat_satellite::config::SatelliteConfig;
 use heliosplat_scene::{AreaRequest, RpcPreference};
 use std::collections::{BTreeMap, BTreeSet};
@@ -284,7 +285,7 @@ impl Manifest {
             return Err(format!("tiles.side_m is {side_m}, expected {LEAST_SIDE_M} m or more"));
         }
         if let Some([azimuth, elevation]) = self.products.sun
-            && !(azimuth.is_finite() && (LOWEST_SUN_DEG..=90.0).contains(&elevation))
+            && (SunPosition::stated(azimuth, elevation).is_err() || elevation < LOWEST_SUN_DEG)
         {
             return Err(format!(
                 "products.sun is [{azimuth}, {elevation}], expected azimuth and elevation in degrees, {LOWEST_SUN_DEG} or more above the horizon"

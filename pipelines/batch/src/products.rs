@@ -118,7 +118,7 @@ pub fn of_mosaic(
     let read = |name: &str| Layer::read(out, pieces, name);
     let mask = |name: &str| Ok::<_, BatchError>(read(name)?.merged(pieces, size, gsd_m, Merge::Majority));
 
-    let mut writer = Writer::new(grid, work.gsd_m, folder);
+    let mut writer = Writer::new(grid, work.gsd_m, folder)?;
     writer.surface(&mosaic.dsm)?;
     let changes = read("change.tif")?.merged(pieces, size, gsd_m, Merge::Heaviest);
     if let Some(changes) = ChangeMap::read(changes, &models.days_of_change()) {

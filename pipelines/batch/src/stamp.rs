@@ -1,11 +1,11 @@
 //! What says that a unit is finished, and that its inputs are what they were.
 
-use super::BatchError;
 use super::plan::Unit;
+use heliosplat_fitting::lock::Lock;
+use heliosplat_fitting::program::build;
 use heliosplat_fitting::run_folder;
 use heliosplat_raster::bounded::{TEXT_MAX, read_bytes};
 use serde_json::Value;
-use std::fs::{File, TryLockError};
 use std::path::Path;
 use std::time::Duration;
 
@@ -19,6 +19,9 @@ pub struct Stamp {
     pub unit: String,
     /// Its key when it was done.
     pub key: String,
+    /// The build of the program that did it; absent in stamps of versions that did not state it.
+    #[serde(default)]
+    pub build: String,
     /// Its products.
     pub outputs: Vec<Output>,
     /// Seconds it took, pauses not counted.
@@ -57,10 +60,20 @@ impl Output {
     }
 }
 
+/// The other build of the program that did a unit, if another did: its products are not mixed with those of this one.
+pub fn other_build(out: &Path, unit: &Unit) -> Option<String> {
+    let stamp = read(&out.join(&unit.id))?;
+    (stamp.key != unit.key && stamp.build != build()).then_some(stamp.build)
+}
+
+fn read(folder: &Path) -> Option<Stamp> {
+    serde_json::from_slice(&read_bytes(&folder.join(STAMP), TEXT_MAX).ok()?).ok()
+}
+
 /// The stamp of a unit that is finished as it should be: of this key, its products there and as large as they were.
 pub fn finished(out: &Path, unit: &Unit) -> Option<Stamp> {
     let folder = out.join(&unit.id);
-    let stamp: Stamp = serde_json::from_slice(&read_bytes(&folder.join(STAMP), TEXT_MAX).ok()?).ok()?;
+    let stamp = read(&folder)?;
     let there = |output: &Output| {
         // A stamp is read back from the disk: it may name anything.
         let plain = Path::new(&output.path).is_relative() && !output.path.contains("..");
@@ -69,30 +82,15 @@ pub fn finished(out: &Path, unit: &Unit) -> Option<Stamp> {
     (stamp.key == unit.key && stamp.unit == unit.id && stamp.outputs.iter().all(there)).then_some(stamp)
 }
 
-/// The right to work in a unit's folder; given back when dropped, or when the process ends, however it does.
-#[derive(Debug)]
-pub struct Claim {
-    _file: Option<File>,
-}
-
 /// Waits until no other process works in `folder`; `None` when `stopped` says so first.
 ///
 /// # Errors
 /// When the lock cannot be made.
-pub fn claim(folder: &Path, stopped: &dyn Fn() -> bool) -> Result<Option<Claim>, BatchError> {
-    let path = folder.join(".lock");
-    let io = |reason| BatchError::Io {
-        path: path.clone(),
-        reason,
-    };
-    let file = File::options().create(true).append(true).open(&path).map_err(io)?;
+pub fn claim(folder: &Path, stopped: &dyn Fn() -> bool) -> Result<Option<Lock>, run_folder::RunError> {
     let mut told = false;
     loop {
-        match file.try_lock() {
-            Ok(()) => return Ok(Some(Claim { _file: Some(file) })),
-            Err(TryLockError::WouldBlock) => {}
-            // A file system without locks: whoever uses it sees to it that a unit is done once at a time.
-            Err(TryLockError::Error(_)) => return Ok(Some(Claim { _file: None })),
+        if let Some(lock) = Lock::take(folder)? {
+            return Ok(Some(lock));
         }
         if stopped() {
             return Ok(None);
@@ -142,6 +140,7 @@ mod tests {
         let mut stamp = Stamp {
             unit: unit.id.clone(),
             key: "k".into(),
+            build: "b".into(),
             outputs: vec![Output::of(&folder, "dsm.tif").expect("readable")],
             seconds: 1.0,
             peak_rss_bytes: 1,

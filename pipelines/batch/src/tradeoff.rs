@@ -1,6 +1,7 @@
 //! The trainings that measure speed against accuracy on the user's own scenes, each a process of its own.
 
 use crate::BatchError;
+use heliosplat_fitting::program::identity_of_program;
 use heliosplat_pages::tradeoff::Row;
 use heliosplat_pages::tradeoff::points::{Point, Seeds};
 use heliosplat_raster::bounded::read_text;
@@ -70,6 +71,7 @@ impl Sweep {
     /// # Errors
     /// When a training fails, or the user stops.
     pub fn run(&self, session: &Session) -> Result<Vec<Row>, BatchError> {
+        session.stop_gently();
         let jobs = self.jobs();
         let progress = session.progress("trainings", jobs.len() as u64);
         let mut rows = Vec::new();
@@ -105,7 +107,7 @@ impl Sweep {
         if let Some(threads) = self.threads {
             arguments.extend(["--threads".to_owned(), threads.to_string()]);
         }
-        let said = format!("{} {}\n", env!("CARGO_PKG_VERSION"), arguments.join(" "));
+        let said = format!("{}{}\n", identity_of_program(), arguments.join(" "));
         let stamp = job.folder.join("tradeoff.txt");
         let done = read_text(&stamp).is_ok_and(|before| before == said);
         if let Some(metrics) = metrics(&job.folder).filter(|_| done) {
@@ -118,6 +120,7 @@ impl Sweep {
             .args(&arguments)
             .arg("--out")
             .arg(&job.folder)
+            .arg("--overwrite")
             .stdin(Stdio::null())
             .stdout(Stdio::null())
             .stderr(Stdio::piped())

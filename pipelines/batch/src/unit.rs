@@ -7,14 +7,15 @@ use super::products::{self, RUN};
 use super::stamp::{Output, STAMP, Stamp, claim, finished};
 use heliosplat_evaluate::{Protocol, error_map, evaluate_raster};
 use heliosplat_fitting::checkpoint;
-use heliosplat_fitting::request::{TrainOutcome, TrainRequest};
+use heliosplat_fitting::program::build;
+use heliosplat_fitting::request::{Earlier, TrainOutcome, TrainRequest};
 use heliosplat_fitting::run_folder::{create_folder, peak_rss_bytes};
 use heliosplat_pages::page::MOSAIC_FILE;
 use heliosplat_pages::{report, view};
 use heliosplat_products::{dsm, model, seams};
 use heliosplat_raster::bounded::read_text;
 use heliosplat_raster::preview;
-use heliosplat_raster::write::{deliver, remove_leftovers, write_atomically};
+use heliosplat_raster::write::{deliver, write_atomically};
 use heliosplat_satellite::config::SatelliteConfig;
 use heliosplat_satellite::measure;
 use heliosplat_satellite::training::train;
@@ -78,6 +79,7 @@ pub fn do_unit(
     let mut stamp = Stamp {
         unit: unit.id.clone(),
         key: unit.key.clone(),
+        build: build().into(),
         outputs: Vec::new(),
         seconds,
         peak_rss_bytes: peak_rss_bytes(),
@@ -93,7 +95,6 @@ pub fn do_unit(
 
 /// Puts away what an earlier use of the folder for other work left unfinished.
 fn begin(folder: &Path, unit: &Unit) -> Result<(), BatchError> {
-    remove_leftovers(folder);
     let path = folder.join(BEGUN);
     let same = read_text(&path).is_ok_and(|before| before.trim() == unit.key);
     // A stamp that is of other work, or whose products are gone, must not be found again.
@@ -131,7 +132,7 @@ fn tile(
     let config = SatelliteConfig::resolve(preset, &work.preset.changes(), work.preset.seed)?;
     let request = TrainRequest {
         begun,
-        resume: true,
+        earlier: Earlier::Update,
         checkpoint_every,
         ..TrainRequest::new(run.clone(), preset)
     };

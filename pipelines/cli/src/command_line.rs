@@ -7,14 +7,23 @@
 use crate::outcome::{CliError, Outcome};
 use crate::verbs::*;
 use clap::{CommandFactory, Parser, Subcommand};
+use heliosplat_fitting::program::build;
 use heliosplat_raster::library_versions;
 use heliosplat_session::{Session, log};
+use std::io::{ErrorKind, Write};
 use std::process::ExitCode;
 use std::sync::LazyLock;
 
+/// What `--version` says. The build only where it is asked for: finding it reads the whole executable.
 static VERSION: LazyLock<String> = LazyLock::new(|| {
     let (gdal, proj) = library_versions();
-    format!("{} (GDAL {gdal}, PROJ {proj})", env!("CARGO_PKG_VERSION"))
+    let is_asked = std::env::args_os().any(|argument| argument == "--version" || argument == "-V");
+    let build = match (is_asked, option_env!("HELIOSPLAT_SOURCE")) {
+        (true, Some(commit)) => format!("build {}, commit {commit}, ", build()),
+        (true, None) => format!("build {}, ", build()),
+        (false, _) => String::new(),
+    };
+    format!("{} ({build}GDAL {gdal}, PROJ {proj})", env!("CARGO_PKG_VERSION"))
 });
 
 /// Real satellite images in, a surface model for GIS out.
@@ -139,7 +148,16 @@ pub enum Command {
 
 /// Parses the arguments of the process and runs the verb.
 pub fn main() -> ExitCode {
-    let cli = Cli::parse();
+    let cli = match Cli::try_parse() {
+        Ok(cli) => cli,
+        Err(said) => {
+            let printed = checked(said.print());
+            return ExitCode::from(printed.map_or_else(
+                |error| error.exit_code(),
+                |()| u8::try_from(said.exit_code()).unwrap_or(2),
+            ));
+        }
+    };
     log::start(cli.verbose);
     heliosplat_raster::messages::install();
     let outcome = run(&cli).and_then(|outcome| match cli.json {
@@ -202,23 +220,26 @@ fn report(error: &CliError, json: bool) {
     let line = error.to_string().split_whitespace().collect::<Vec<_>>().join(" ");
     log::line_on_stderr(&format!("error: {line}"));
     if json {
-        // Where nothing can be written, stderr and the exit code have to do.
+        // Where stdout cannot be written, the line on stderr has said it.
         let _ = print_line(&serde_json::json!({ "error": line, "exit_code": error.exit_code() }).to_string());
     }
 }
 
-/// Prints to stdout; a reader that went away (`| head`) is no failure.
+/// Prints to stdout.
 fn print_line(text: &str) -> Result<(), CliError> {
-    use std::io::{ErrorKind, Write};
-    let mut stdout = std::io::stdout().lock();
-    match if text.is_empty() {
-        Ok(())
-    } else {
-        writeln!(stdout, "{text}")
-    } {
-        Err(error) if error.kind() != ErrorKind::BrokenPipe => {
-            Err(CliError::Failed(format!("stdout cannot be written: {error}")))
-        }
+    if text.is_empty() {
+        return Ok(());
+    }
+    let mut out = std::io::stdout().lock();
+    checked(writeln!(out, "{text}").and_then(|()| out.flush()))
+}
+
+/// Whether stdout was written; a reader that went away (`| head`) is no failure.
+fn checked(written: std::io::Result<()>) -> Result<(), CliError> {
+    match written {
+        Err(error) if error.kind() != ErrorKind::BrokenPipe => Err(CliError::Failed(format!(
+            "the result cannot be written to stdout ({error})"
+        ))),
         _ => Ok(()),
     }
 }

@@ -6,5 +6,6 @@ pub mod args;
 pub mod command_line;
 pub mod names;
 pub mod outcome;
+pub mod outputs;
 pub mod parse;
 pub mod verbs;

@@ -1,6 +1,7 @@
 //! Values of arguments: what they look like, and what is said when they do not.
 
 pub use heliosplat_batch::manifest::bytes;
+use heliosplat_rpc::sun::SunPosition;
 use heliosplat_scene::AreaRequest;
 use std::time::Duration;
 
@@ -17,12 +18,9 @@ pub fn pair(text: &str) -> Result<[f64; 2], String> {
 ///
 /// # Errors
 /// A message for the user.
-pub fn sun(text: &str) -> Result<[f64; 2], String> {
+pub fn sun(text: &str) -> Result<SunPosition, String> {
     let [azimuth, elevation] = pair(text)?;
-    match azimuth.abs() <= 360.0 && elevation.abs() <= 90.0 {
-        true => Ok([azimuth, elevation]),
-        false => Err("expected an azimuth of 0 to 360 degrees and an elevation of at most 90".to_owned()),
-    }
+    SunPosition::stated(azimuth, elevation)
 }
 
 /// `WEST,SOUTH,EAST,NORTH`, degrees, or with `,EPSG:N` at the end coordinates of that system.
@@ -157,10 +155,16 @@ mod tests {
     }
 
     #[test]
-    fn pairs_and_keys_are_checked() {
+    fn pairs_suns_and_keys_are_checked() {
         assert_eq!(pair("640, 780"), Ok([640.0, 780.0]));
         assert_eq!(pair("-5,3e1"), Ok([-5.0, 30.0]));
         assert!(pair("1").is_err() && pair("1,2,3").is_err() && pair("a,b").is_err() && pair("nan,1").is_err());
+        assert!(sun("250,35").is_ok() && sun("-90, 0").is_ok());
+        for bad in [
+            "250,95", "0,180", "1e9,40", "0,1e300", "-361,10", "721,10", "0,-91", "10",
+        ] {
+            assert!(sun(bad).is_err(), "{bad}");
+        }
         assert_eq!(key_value("a.b = 3"), Ok(("a.b".to_owned(), "3".to_owned())));
         assert!(key_value("=3").is_err() && key_value("a").is_err());
     }

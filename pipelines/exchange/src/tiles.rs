@@ -74,6 +74,9 @@ impl Tile {
     }
 }
 
+/// Who made a tileset, as its `asset.generator` states it.
+pub const GENERATOR: &str = concat!("heliosplat ", env!("CARGO_PKG_VERSION"));
+
 /// What the tiles hold.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Contents {
@@ -91,7 +94,7 @@ pub fn tileset(root: &Tile, transform: [f64; 16], contents: Contents, said: Valu
     top["refine"] = "REPLACE".into();
     let sides = (0..3).map(|k| (root.high[k] - root.low[k]).powi(2)).sum::<f64>();
     let mut tileset = json!({
-        "asset": {"version": "1.1", "extras": said}, "geometricError": sides.sqrt().max(root.error_m), "root": top,
+        "asset": {"version": "1.1", "generator": GENERATOR, "extras": said}, "geometricError": sides.sqrt().max(root.error_m), "root": top,
     });
     if contents == Contents::Splats {
         let names = json!([GAUSSIAN_SPLATTING, spz::COMPRESSION]);

@@ -1,12 +1,12 @@
-//! The state of a training in its run's folder, from which `--resume` goes on: `checkpoint/training.bin`.
+//! The state of a training in its run's folder, from which the same training continues: `checkpoint/training.bin`.
 //!
 //! A line that names the format, the contents, their SHA-256. Written to a temporary name and renamed, so that there is always a whole
-//! one; it is of the same version, configuration and inputs as the training that takes it up, or it is refused.
+//! one; it is of the same build, configuration and inputs as the training that takes it up, or it is refused.
 
 use crate::curve::CurvePoint;
-use heliosplat::train::{STATE_VERSION, StateError, Trainer, TrainerState};
-use heliosplat_raster::RasterError;
-use heliosplat_raster::write::{remove_leftovers, write_atomically_with};
+use heliosplat::train::{StateError, Trainer, TrainerState};
+use heliosplat_raster::write::write_atomically_with;
+use heliosplat_raster::{RasterError, bounded};
 use serde::Serialize;
 use serde::de::DeserializeOwned;
 use sha2::{Digest, Sha256};
@@ -19,6 +19,8 @@ use std::time::{Duration, Instant};
 const MAGIC: &[u8] = b"heliosplat checkpoint 3\n";
 /// Bytes of the check sum at the end.
 const SUM: usize = 32;
+/// Bytes that a checkpoint has at most: parameters, two moments of each, and the best parameters.
+const LARGEST: u64 = 4 * bounded::MODEL_MAX;
 /// A checkpoint is written no more often than this many times the time that the last one took.
 const SPARING: u32 = 20;
 /// Name of the folder in a run, and of the file in it.
@@ -28,7 +30,7 @@ const PLACE: [&str; 2] = ["checkpoint", "training.bin"];
 #[derive(Debug, thiserror::Error)]
 pub enum CheckpointError {
     /// A file that is none, or not whole.
-    #[error("{}: {reason}; delete it to begin anew", path.display())]
+    #[error("{}: {reason}; give --overwrite to begin anew", path.display())]
     Damaged {
         /// The file.
         path: PathBuf,
@@ -36,7 +38,7 @@ pub enum CheckpointError {
         reason: String,
     },
     /// Of another training.
-    #[error("{}: it is of another training ({difference}); give what was given then, or leave --resume out to begin anew", path.display())]
+    #[error("{}: it is of another training ({difference}); give the same settings, or --overwrite to begin anew", path.display())]
     Other {
         /// The file.
         path: PathBuf,
@@ -101,11 +103,6 @@ pub fn digest(identity: &str) -> String {
     hex::encode(Sha256::digest(identity.as_bytes()))
 }
 
-/// What comes first in every identity: versions.
-pub fn identity_of_program() -> String {
-    format!("heliosplat {}, state {STATE_VERSION}\n", env!("CARGO_PKG_VERSION"))
-}
-
 /// The checkpoint of a run, if there is one; `identity` says which training may go on from it, line by line.
 ///
 /// # Errors
@@ -115,10 +112,7 @@ pub fn read<P: Clone + DeserializeOwned + 'static>(
     identity: &str,
 ) -> Result<Option<LoadedCheckpoint<P>>, CheckpointError> {
     let path = path_in(run);
-    for folder in [run, &run.join(PLACE[0])] {
-        remove_leftovers(folder);
-    }
-    let bytes = match std::fs::read(&path) {
+    let bytes = match bounded::read_bytes(&path, LARGEST) {
         Ok(bytes) => bytes,
         Err(error) if error.kind() == std::io::ErrorKind::NotFound => return Ok(None),
         Err(error) => {

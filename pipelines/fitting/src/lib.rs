@@ -7,6 +7,8 @@
 pub mod budget;
 pub mod checkpoint;
 pub mod curve;
+pub mod lock;
+pub mod program;
 pub mod request;
 pub mod run_folder;
 pub mod settings;

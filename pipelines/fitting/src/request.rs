@@ -1,5 +1,6 @@
 //! What a training is asked for, and its outcome, whatever the model.
 
+use crate::lock::Lock;
 use crate::settings::Preset;
 use crate::training::Ending;
 use serde_json::Value;
@@ -8,6 +9,19 @@ use std::time::{Duration, Instant};
 
 /// Time between two checkpoints, unless said otherwise.
 pub const CHECKPOINT_EVERY: Duration = Duration::from_secs(60);
+
+/// What happens to an earlier training in the folder of a run. `Keep`, `Resume` and `Update` continue the same training where it was interrupted.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Earlier {
+    /// A finished run and another training are refused.
+    Keep,
+    /// The same training, finished, is left as it is; another one is refused.
+    Resume,
+    /// The same training, finished, is left as it is; another finished one is replaced.
+    Update,
+    /// All are replaced.
+    Overwrite,
+}
 
 /// What a training is asked for, besides its images and its configuration.
 #[derive(Debug, Clone)]
@@ -22,8 +36,8 @@ pub struct TrainRequest {
     pub time_budget: Option<Duration>,
     /// The memory that the process may take, bytes.
     pub memory: Option<u64>,
-    /// Whether a checkpoint in the folder is taken up, and a finished run left as it is.
-    pub resume: bool,
+    /// What happens to the training that the folder holds, if it holds one.
+    pub earlier: Earlier,
     /// Time between two checkpoints.
     pub checkpoint_every: Duration,
 }
@@ -37,7 +51,7 @@ impl TrainRequest {
             begun: Instant::now(),
             time_budget: None,
             memory: None,
-            resume: false,
+            earlier: Earlier::Keep,
             checkpoint_every: CHECKPOINT_EVERY,
         }
     }
@@ -62,4 +76,6 @@ pub struct TrainedRun<M> {
     pub metrics: Value,
     /// How training ended: a run whose training gave up is written all the same.
     pub ending: Ending,
+    /// The right to write into its folder, until its pages are written.
+    pub lock: Lock,
 }

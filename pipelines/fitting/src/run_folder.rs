@@ -3,17 +3,47 @@
 
 use crate::budget::Budget;
 use crate::checkpoint::{self, CheckpointError, CheckpointWriter, LoadedCheckpoint};
-use crate::request::TrainRequest;
+use crate::lock::Lock;
+use crate::request::{Earlier, TrainRequest};
 use crate::training::Ending;
 use heliosplat::Raster;
-use heliosplat_raster::write::write_atomically;
+use heliosplat_raster::write::{remove, write_atomically};
 use heliosplat_raster::{RasterError, bounded};
 use serde::Serialize;
 use serde::de::DeserializeOwned;
 use serde_json::Value;
 use sha2::{Digest, Sha256};
+use std::io::ErrorKind;
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
+
+/// The Gaussians of a run.
+const GAUSSIANS: &str = "model.ply";
+/// What they share, the frame and the cameras. A folder that has it is a run.
+pub const MODEL: &str = "model.json";
+/// What was trained, from what, with what.
+const RUN: &str = "run.toml";
+/// What was measured. A run that has it is finished.
+const METRICS: &str = "metrics.json";
+/// Files of a run besides its model and `run.toml`, not all of which every run has.
+const OF_A_RUN: [&str; 14] = [
+    METRICS,
+    "calibration.svg",
+    "change.png",
+    "change.tif",
+    "dsm.png",
+    "dsm.tif",
+    "dsm_before.tif",
+    "error.png",
+    "error.tif",
+    "report.html",
+    "start.png",
+    "start.tif",
+    "sun.html",
+    "tradeoff.txt",
+];
+/// Folders of its pictures.
+const PICTURES: [&str; 2] = ["relit", "views"];
 
 /// Why a run cannot be read or written.
 #[derive(Debug, thiserror::Error)]
@@ -43,6 +73,12 @@ pub enum RunError {
     /// A checkpoint.
     #[error(transparent)]
     Checkpoint(#[from] CheckpointError),
+    /// A folder that holds a finished run.
+    #[error("{}: holds a finished run; give --overwrite to replace it, or another --out", .0.display())]
+    Exists(PathBuf),
+    /// A folder in which another process trains.
+    #[error("{}: another training writes into this folder; wait for it, or give another --out", .0.display())]
+    Busy(PathBuf),
     /// A folder that cannot be made.
     #[error("{}: the folder cannot be made ({reason}); choose another --out", path.display())]
     Folder {
@@ -57,7 +93,7 @@ impl RunError {
     /// Whether what the user gave is at fault, rather than the machine.
     pub fn is_input_fault(&self) -> bool {
         match self {
-            Self::NotARun(_) | Self::Damaged { .. } => true,
+            Self::NotARun(_) | Self::Damaged { .. } | Self::Exists(_) | Self::Busy(_) => true,
             Self::Write(error) => error.is_input_fault(),
             Self::Checkpoint(error) => error.is_input_fault(),
             Self::Io { .. } | Self::Folder { .. } => false,
@@ -77,12 +113,84 @@ pub struct Input {
 /// The text of a file of a run.
 ///
 /// # Errors
-/// [`RunError::Io`].
+/// [`RunError::Io`], and [`RunError::Damaged`] where it is no file of a run: not UTF-8, too large, no regular file.
 pub fn read(path: &Path) -> Result<String, RunError> {
-    bounded::read_text(path).map_err(|reason| RunError::Io {
-        path: path.to_owned(),
-        reason,
-    })
+    bounded::read_text(path).map_err(|reason| unreadable(path, reason))
+}
+
+fn unreadable(path: &Path, reason: std::io::Error) -> RunError {
+    let path = path.to_owned();
+    match reason.kind() {
+        ErrorKind::InvalidData => RunError::Damaged {
+            path,
+            reason: reason.to_string(),
+        },
+        _ => RunError::Io { path, reason },
+    }
+}
+
+/// The bytes of the `model.ply` of a run, whose SHA-256 `model.json` states (models of earlier versions state none), and its path.
+///
+/// # Errors
+/// As [`read`], and [`RunError::Damaged`] where the sum is another.
+pub fn read_gaussians(folder: &Path, sha256: Option<&str>) -> Result<(PathBuf, Vec<u8>), RunError> {
+    let path = folder.join(GAUSSIANS);
+    let bytes = bounded::read_bytes(&path, bounded::MODEL_MAX).map_err(|reason| unreadable(&path, reason))?;
+    if sha256.is_some_and(|sum| sum != hash_of_bytes(&bytes)) {
+        let reason = format!("its SHA-256 is not the one in {MODEL}: it is damaged, or of another run");
+        return Err(RunError::Damaged { path, reason });
+    }
+    Ok((path, bytes))
+}
+
+/// Writes a model into `folder`, which must exist: `model.ply`, the text of `run.toml` where there is one, and last `model.json`, which makes
+/// the folder a run. `describe` makes its text, given the SHA-256 of `model.ply`. Until then the folder holds no run.
+///
+/// # Errors
+/// When a file cannot be removed or written.
+pub fn save_model(
+    folder: &Path,
+    gaussians: &[u8],
+    run: Option<&str>,
+    describe: impl FnOnce(String) -> serde_json::Result<String>,
+) -> Result<(), RunError> {
+    let path = folder.join(MODEL);
+    let text = describe(hash_of_bytes(gaussians)).map_err(|error| RunError::Damaged {
+        path: path.clone(),
+        reason: error.to_string(),
+    })?;
+    if run.is_some() {
+        remove_earlier(folder)?;
+    }
+    remove(&path)?;
+    // The large file first: where it finds no room, nothing is written.
+    write_atomically(&folder.join(GAUSSIANS), gaussians)?;
+    if let Some(run) = run {
+        write_atomically(&folder.join(RUN), run.as_bytes())?;
+    }
+    Ok(write_atomically(&path, text.as_bytes())?)
+}
+
+/// Removes all that an earlier run here has besides its model: it is not true of another one, which may not write all of it.
+fn remove_earlier(folder: &Path) -> Result<(), RunError> {
+    for name in OF_A_RUN {
+        remove(&folder.join(name))?;
+    }
+    for name in PICTURES {
+        let pictures = folder.join(name);
+        for picture in std::fs::read_dir(&pictures).into_iter().flatten().flatten() {
+            if picture.path().extension().is_some_and(|extension| extension == "png") {
+                remove(&picture.path())?;
+            }
+        }
+        // It stays where the user keeps something in it.
+        let _ = std::fs::remove_dir(&pictures);
+    }
+    Ok(())
+}
+
+fn hash_of_bytes(bytes: &[u8]) -> String {
+    hex::encode(Sha256::digest(bytes))
 }
 
 /// SHA-256 of a file, hexadecimal.
@@ -115,7 +223,7 @@ pub fn hash_of_pixels(raster: &Raster) -> String {
 /// When it cannot be written.
 pub fn save_metrics(folder: &Path, metrics: &serde_json::Value) -> Result<(), RunError> {
     let text = format!("{metrics:#}\n");
-    Ok(write_atomically(&folder.join("metrics.json"), text.as_bytes())?)
+    Ok(write_atomically(&folder.join(METRICS), text.as_bytes())?)
 }
 
 /// Memory that this process holds now, bytes; zero where the system does not tell.
@@ -175,11 +283,12 @@ pub struct RunFolder<'a, P> {
 }
 
 /// What a folder needs to know when its training ends.
-#[derive(Debug, Clone, Copy)]
+#[derive(Debug)]
 pub struct Closing<'a> {
     out: &'a Path,
     identity: &'a str,
     new: bool,
+    lock: Lock,
 }
 
 /// What stands in a folder when a training is asked for.
@@ -195,66 +304,90 @@ impl<'a, P: Clone + Serialize + DeserializeOwned + 'static> Opened<'a, P> {
     /// be written there.
     ///
     /// # Errors
-    /// When the checkpoint is damaged or of another training, or the folder cannot be made.
+    /// When another process trains there, the folder holds a training that `earlier` keeps, the checkpoint is damaged or of another training, or
+    /// the folder cannot be made.
     pub fn look(asked: RunRequest<'a>) -> Result<Self, RunError> {
         let RunRequest {
             request,
             identity,
             steps_after,
         } = asked;
-        let out = request.out.as_path();
-        if request.resume {
+        let (out, earlier) = (request.out.as_path(), request.earlier);
+        let new = !out.exists();
+        create_folder(out)?;
+        let lock = Lock::take(out)?.ok_or_else(|| RunError::Busy(out.to_owned()))?;
+        if matches!(earlier, Earlier::Resume | Earlier::Update) {
             let metrics = metrics_of(out).filter(|metrics| metrics["training"] == checkpoint::digest(identity));
             if let Some(metrics) = metrics {
                 checkpoint::remove(out);
                 return Ok(Self::Finished(metrics));
             }
         }
-        let checkpoint: Option<LoadedCheckpoint<P>> = match request.resume {
-            true => checkpoint::read(out, identity)?,
-            false => None,
-        };
+        if earlier == Earlier::Overwrite {
+            checkpoint::remove(out);
+        }
+        let checkpoint: Option<LoadedCheckpoint<P>> = checkpoint::read(out, identity)?;
+        match &checkpoint {
+            Some(checkpoint) => tracing::info!("{}: continues at step {}", out.display(), checkpoint.trainer.steps()),
+            None if matches!(earlier, Earlier::Keep | Earlier::Resume) => must_be_free(out)?,
+            None => {}
+        }
         // A training that was interrupted began earlier by the time that it had taken.
         let before = checkpoint.as_ref().map_or(0.0, |checkpoint| checkpoint.log.elapsed_s);
         let before = Duration::try_from_secs_f64(before).unwrap_or_default();
         let begun = request.begun.checked_sub(before).unwrap_or(request.begun);
-        let new = !out.exists();
-        create_folder(out)?;
         Ok(Self::Open(Box::new(RunFolder {
             begun,
             budget: request.time_budget.map(|limit| Budget::new(begun, limit, steps_after)),
             checkpoints: CheckpointWriter::new(out, identity, request.checkpoint_every, begun),
             checkpoint,
-            closing: Closing { out, identity, new },
+            closing: Closing {
+                out,
+                identity,
+                new,
+                lock,
+            },
         })))
     }
 }
 
 impl Closing<'_> {
     /// Removes the folder of a training that came to nothing, if it was made for it and is empty still.
-    pub fn discard(&self) {
+    pub fn discard(self) {
         if self.new {
+            drop(self.lock);
             // Only removes it while it is empty; that it stays is no further fault.
             let _ = std::fs::remove_dir(self.out);
         }
     }
 
-    /// Writes `metrics.json`, which makes the run finished, and removes its checkpoint.
+    /// Writes `metrics.json`, which makes the run finished, and removes its checkpoint. The folder stays locked while the result is kept.
     ///
     /// # Errors
     /// When the file cannot be written.
-    pub fn finish(&self, metrics: &mut Value, ending: &Ending) -> Result<(), RunError> {
+    pub fn finish(self, metrics: &mut Value, ending: &Ending) -> Result<Lock, RunError> {
         if *ending == Ending::Done {
             metrics["training"] = checkpoint::digest(self.identity).into();
         }
         save_metrics(self.out, metrics)?;
         checkpoint::remove(self.out);
-        Ok(())
+        Ok(self.lock)
+    }
+}
+
+/// Refuses a folder that holds a finished run.
+///
+/// # Errors
+/// [`RunError::Exists`].
+pub fn must_be_free(out: &Path) -> Result<(), RunError> {
+    match out.join(MODEL).exists() {
+        true => Err(RunError::Exists(out.to_owned())),
+        false => Ok(()),
     }
 }
 
 fn metrics_of(run: &Path) -> Option<Value> {
-    serde_json::from_str(&bounded::read_text(&run.join("metrics.json")).ok()?).ok()
+    serde_json::from_str(&bounded::read_text(&run.join(METRICS)).ok()?).ok()
 }
 
 /// The inputs that the `run.toml` of a run names, whatever its pipeline.
@@ -266,7 +399,7 @@ pub fn inputs(run: &Path) -> Result<Vec<Input>, RunError> {
     struct Inputs {
         inputs: Vec<Input>,
     }
-    let path = run.join("run.toml");
+    let path = run.join(RUN);
     let parsed = toml::from_str::<Inputs>(&read(&path)?);
     parsed.map(|run| run.inputs).map_err(|error| RunError::Damaged {
         path,
@@ -277,6 +410,45 @@ pub fn inputs(run: &Path) -> Result<Vec<Input>, RunError> {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn a_model_that_cannot_be_replaced_is_no_run_any_more_and_nothing_of_the_run_before_stays() {
+        let home = tempfile::tempdir().expect("a temporary folder");
+        let path = |name: &str| home.path().join(name);
+        std::fs::create_dir_all(path("views")).expect("made");
+        for name in [
+            "views/a.png",
+            "views/notes.txt",
+            "error.tif",
+            "report.html",
+            "metrics.json",
+            "model.json",
+            "mine.txt",
+        ] {
+            std::fs::write(path(name), "earlier").expect("written");
+        }
+        // A folder cannot be replaced by a file.
+        std::fs::create_dir(path("model.ply")).expect("made");
+        let save = || save_model(home.path(), b"gaussians", Some("run"), Ok);
+        assert!(save().is_err());
+        assert!(!path(MODEL).exists(), "what is not whole is no run");
+        std::fs::remove_dir(path("model.ply")).expect("removed");
+        save().expect("written");
+        let mut left: Vec<_> = std::fs::read_dir(home.path())
+            .expect("a folder")
+            .map(|entry| entry.expect("an entry").file_name().into_string().expect("a name"))
+            .collect();
+        left.sort();
+        assert_eq!(left, ["mine.txt", "model.json", "model.ply", "run.toml", "views"]);
+        assert!(path("views/notes.txt").is_file() && !path("views/a.png").exists());
+        let sum = std::fs::read_to_string(path(MODEL)).expect("there");
+        assert!(read_gaussians(home.path(), Some(&sum)).is_ok());
+        std::fs::write(path("model.ply"), b"gaussianr").expect("written");
+        let damaged = read_gaussians(home.path(), Some(&sum)).expect_err("another sum");
+        assert!(damaged.is_input_fault() && damaged.to_string().contains("SHA-256"));
+        std::fs::write(path(MODEL), [0xff, 0xfe]).expect("written");
+        assert!(read(&path(MODEL)).is_err_and(|error| error.is_input_fault()));
+    }
 
     #[test]
     #[cfg(target_os = "linux")]

@@ -21,7 +21,7 @@ pub enum TrainingError {
     #[error(transparent)]
     Checkpoint(#[from] CheckpointError),
     /// The user stopped it; a checkpoint keeps its state.
-    #[error("stopped; the training is kept in {}/checkpoint, the same command with --resume goes on", .0.display())]
+    #[error("stopped; the training is kept in {}/checkpoint, the same command continues", .0.display())]
     Interrupted(PathBuf),
     /// It could not go on; the run holds the last good state.
     #[error("training stopped: {error}, in {}", out.display())]
@@ -102,6 +102,7 @@ pub fn train<P: Clone + Serialize>(
     mut checkpoints: CheckpointWriter<P>,
     probe: Option<&Probe>,
 ) -> Result<Trained, TrainingError> {
+    session.stop_gently();
     let probe_every = CURVE_EVERY * (steps / CURVE_EVERY / PROBES).max(1);
     let progress = session.progress("train", steps as u64);
     progress.set(trainer.steps() as u64);

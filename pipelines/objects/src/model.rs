@@ -17,9 +17,8 @@ use heliosplat::render::{PassOptions, render};
 use heliosplat::splat::{Maps, ProjectionOptions};
 use heliosplat::{ProjectiveCamera, Raster};
 use heliosplat_exchange::splat_ply;
-use heliosplat_fitting::run_folder::RunError;
+use heliosplat_fitting::run_folder::{self, RunError, read, read_gaussians};
 use heliosplat_raster::bounded;
-use heliosplat_raster::write::write_atomically;
 use heliosplat_scene::Split;
 use std::path::Path;
 
@@ -123,6 +122,9 @@ impl From<&Frame> for ObjectImage {
 pub struct ObjectFile {
     /// Version of this layout.
     pub schema: u32,
+    /// SHA-256 of `model.ply`, hexadecimal; absent in models of versions that did not state it.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub gaussians_sha256: Option<String>,
     /// Kind of model.
     #[serde(flatten)]
     pub kind: Kind,
@@ -283,6 +285,7 @@ pub fn is_object_run(folder: &Path) -> bool {
 pub fn file(capture: &Capture, kind: Kind, preparation: Preparation, globals: Table) -> ObjectFile {
     ObjectFile {
         schema: SCHEMA,
+        gaussians_sha256: None,
         kind,
         globals,
         centre: capture.centre,
@@ -300,20 +303,17 @@ pub fn file(capture: &Capture, kind: Kind, preparation: Preparation, globals: Ta
 /// # Errors
 /// When a file cannot be written.
 pub fn save_model(folder: &Path, model: &ObjectModel) -> Result<(), RunError> {
-    write_atomically(
-        &folder.join("model.ply"),
-        &splat_ply::encode(&model.parameters.gaussians, &[]),
-    )?;
-    let path = folder.join("model.json");
-    let text = serde_json::to_string_pretty(&model.file).map_err(|e| damaged(&path, e))?;
-    write_atomically(&path, text.as_bytes())?;
-    Ok(())
+    save(folder, None, model)
 }
 
-pub(super) fn read(path: &Path) -> Result<Vec<u8>, RunError> {
-    bounded::read_bytes(path, bounded::MODEL_MAX).map_err(|reason| RunError::Io {
-        path: path.to_owned(),
-        reason,
+/// Writes a model and, between its files, the text of `run.toml`.
+pub(super) fn save(folder: &Path, run: Option<&str>, model: &ObjectModel) -> Result<(), RunError> {
+    let gaussians = splat_ply::encode(&model.parameters.gaussians, &[]);
+    run_folder::save_model(folder, &gaussians, run, |sum| {
+        serde_json::to_string_pretty(&ObjectFile {
+            gaussians_sha256: Some(sum),
+            ..model.file.clone()
+        })
     })
 }
 
@@ -328,8 +328,8 @@ pub fn load(folder: &Path) -> Result<ObjectModel, RunError> {
     }
     let file = ObjectFile::parse(&read(&path)?).map_err(|e| damaged(&path, e))?;
     let model = file.kind.model();
-    let ply_path = folder.join("model.ply");
-    let gaussians = splat_ply::decode(&read(&ply_path)?, model.feature_groups()).map_err(|e| damaged(&ply_path, e))?;
+    let (ply_path, bytes) = read_gaussians(folder, file.gaussians_sha256.as_deref())?;
+    let gaussians = splat_ply::decode(&bytes, model.feature_groups()).map_err(|e| damaged(&ply_path, e))?;
     Ok(ObjectModel {
         parameters: Parameters {
             gaussians,

@@ -14,8 +14,8 @@ impl ObjectFile {
     ///
     /// # Errors
     /// A sentence that says what is wrong with it.
-    pub fn parse(text: &[u8]) -> Result<Self, String> {
-        let file: Self = serde_json::from_slice(text).map_err(|e| e.to_string())?;
+    pub fn parse(text: &str) -> Result<Self, String> {
+        let file: Self = serde_json::from_str(text).map_err(|e| e.to_string())?;
         if file.schema != SCHEMA {
             return Err(format!("schema {} is not known", file.schema));
         }

@@ -1,10 +1,9 @@
 //! The folder of a run on a capture: `run.toml`, `model.ply`, `model.json`, `metrics.json`, `views/`.
 
 use crate::config::ObjectConfig;
-use crate::model::{ObjectModel, damaged, read, save_model};
+use crate::model::{self, ObjectModel, damaged};
 use crate::plan::Plan;
-use heliosplat_fitting::run_folder::{Input, RunError};
-use heliosplat_raster::write::write_atomically;
+use heliosplat_fitting::run_folder::{Input, RunError, read};
 use std::path::{Path, PathBuf};
 
 /// `run.toml`.
@@ -12,6 +11,9 @@ use std::path::{Path, PathBuf};
 pub struct ObjectRun {
     /// Version of the program.
     pub version: String,
+    /// Build of the program; absent in runs of versions that did not state it.
+    #[serde(default)]
+    pub build: String,
     /// Preset the configuration started from.
     pub preset: String,
     /// Seed of everything random.
@@ -34,8 +36,7 @@ pub struct ObjectRun {
 pub fn save(folder: &Path, run: &ObjectRun, model: &ObjectModel) -> Result<(), RunError> {
     let path = folder.join("run.toml");
     let text = toml::to_string_pretty(run).map_err(|e| damaged(&path, e))?;
-    write_atomically(&path, text.as_bytes())?;
-    save_model(folder, model)
+    model::save(folder, Some(&text), model)
 }
 
 /// The `run.toml` of a run.
@@ -44,8 +45,7 @@ pub fn save(folder: &Path, run: &ObjectRun, model: &ObjectModel) -> Result<(), R
 /// When it is missing or damaged.
 pub fn load_run(folder: &Path) -> Result<ObjectRun, RunError> {
     let path = folder.join("run.toml");
-    let text = String::from_utf8(read(&path)?).map_err(|e| damaged(&path, e))?;
-    ObjectRun::parse(&text).map_err(|e| damaged(&path, e))
+    ObjectRun::parse(&read(&path)?).map_err(|e| damaged(&path, e))
 }
 
 impl ObjectRun {

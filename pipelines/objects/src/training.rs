@@ -11,7 +11,8 @@ use crate::plan::Plan;
 use crate::run::{self, ObjectRun};
 use heliosplat::timeline::{self, stage};
 use heliosplat_fitting::budget::steps_of_products;
-use heliosplat_fitting::checkpoint::{digest, identity_of_program};
+use heliosplat_fitting::checkpoint::digest;
+use heliosplat_fitting::program::{build, identity_of_program};
 use heliosplat_fitting::request::{TrainOutcome, TrainRequest, TrainedRun};
 use heliosplat_fitting::run_folder::{
     Input, Opened, RunError, RunFolder, RunRequest, create_folder, hash, peak_rss_bytes, resident_bytes,
@@ -94,13 +95,20 @@ pub fn train(
         closing,
     } = folder;
     let fitted = fit::fit(&capture, &config, session, budget, checkpoints, checkpoint);
-    let fitted = fitted.inspect_err(|_| closing.discard())?;
+    let fitted = match fitted {
+        Ok(fitted) => fitted,
+        Err(error) => {
+            closing.discard();
+            return Err(error.into());
+        }
+    };
     if fitted.ending == Ending::Interrupted {
         fitted.ending.check(out)?;
     }
     let part = stage("save");
     let run = ObjectRun {
         version: env!("CARGO_PKG_VERSION").into(),
+        build: build().into(),
         preset: request.preset.name().into(),
         seed: config.train.seed,
         capture: std::fs::canonicalize(path).unwrap_or_else(|_| path.to_owned()),
@@ -108,8 +116,6 @@ pub fn train(
         config,
         plan: Some(fitted.plan.clone()),
     };
-    // What was measured of an earlier run here is not true of this one.
-    let _ = std::fs::remove_file(out.join("metrics.json"));
     run::save(out, &run, &fitted.model)?;
     drop(part);
     let part = stage("evaluate");
@@ -119,7 +125,7 @@ pub fn train(
     drop(part);
     add_fit(&mut metrics, &fitted, begun.elapsed().as_secs_f64());
     metrics["timeline"] = serde_json::to_value(timeline::take()).unwrap_or_default();
-    closing.finish(&mut metrics, &fitted.ending)?;
+    let lock = closing.finish(&mut metrics, &fitted.ending)?;
     Ok(TrainOutcome::Trained(Box::new(TrainedRun {
         model: TrainedObject {
             model: fitted.model,
@@ -127,6 +133,7 @@ pub fn train(
         },
         metrics,
         ending: fitted.ending,
+        lock,
     })))
 }
 

@@ -3,6 +3,7 @@
 //! All of it stands in the local frame, metres east, north and up of the site's origin, never in map coordinates: a map's north and its
 //! scale are not those of the ground. [`anchor`] says where the frame stands on Earth.
 
+mod folder;
 mod lit;
 mod mosaic;
 mod textured;
@@ -21,7 +22,7 @@ use heliosplat_exchange::glb::TooLarge;
 use heliosplat_exchange::tiles::{self, Contents, Tile};
 use heliosplat_exchange::{splat_ply, splats};
 use heliosplat_fitting::run_folder::RunError;
-use heliosplat_raster::{RasterError, write_atomically, write_folder};
+use heliosplat_raster::{RasterError, write_atomically};
 use heliosplat_rpc::LocalFrame;
 use heliosplat_rpc::frame::ecef_from_geo;
 use heliosplat_rpc::sun::SunPosition;
@@ -299,7 +300,7 @@ fn write_tiles(
     said: &Value,
     grow: impl FnOnce(&mut dyn FnMut(&str, Vec<u8>) -> Result<(), ExportError>) -> Result<Option<Tile>, ExportError>,
 ) -> Result<Written, ExportError> {
-    write_folder(folder, TILESET, |new| {
+    folder::replace(folder, |new| {
         let (mut bytes, mut files) = (0, 0);
         let mut write = |name: &str, content: Vec<u8>| {
             write_atomically(&new.join(name), &content)?;

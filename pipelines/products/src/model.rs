@@ -6,10 +6,8 @@ use heliosplat::model::Parameters;
 use heliosplat::model::shadow_gs::{DAYS, ShadowGs, ShadowGsOptions, standing};
 use heliosplat::render::PassOptions;
 use heliosplat::splat::ProjectionOptions;
-use heliosplat_fitting::run_folder::{RunError, read};
+use heliosplat_fitting::run_folder::{RunError, read, read_gaussians, save_model};
 use heliosplat_radiometry::daylight::Daylight;
-use heliosplat_raster::bounded;
-use heliosplat_raster::write::write_atomically;
 use heliosplat_rpc::{GeoPoint, LocalFrame, ProjectiveMap, sun::SunPosition};
 use heliosplat_scene::crop::Crop;
 use heliosplat_scene::indices::{NormalisedDifference, VegetationIndex};
@@ -17,7 +15,7 @@ use heliosplat_scene::{Area, BandKind, KnownTiles, Split, SunSource, Values};
 use heliosplat_stereo::change::Segment;
 use std::path::{Path, PathBuf};
 
-/// Version of `model.json`.
+/// Version of the layout of `model.json`.
 pub const SCHEMA: u32 = 1;
 
 /// One image as the model knows it.
@@ -71,6 +69,9 @@ pub struct ModelFile {
     pub schema: u32,
     /// Kind of scene.
     pub model: String,
+    /// SHA-256 of `model.ply`, hexadecimal; absent in models of versions that did not state it.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub gaussians_sha256: Option<String>,
     /// What the model is made of.
     pub options: ShadowGsOptions,
     /// What all Gaussians share.
@@ -214,18 +215,10 @@ pub fn load(folder: &Path) -> Result<LoadedModel, RunError> {
 /// # Errors
 /// When a file is missing or damaged.
 pub fn load_whole(folder: &Path) -> Result<LoadedModel, RunError> {
-    let damaged = |path: &Path, reason: String| RunError::Damaged {
-        path: path.to_owned(),
-        reason,
-    };
     let file = load_file(folder)?;
     let model = ShadowGs::new(file.options.clone());
-    let ply_path = folder.join("model.ply");
-    let bytes = bounded::read_bytes(&ply_path, bounded::MODEL_MAX).map_err(|reason| RunError::Io {
-        path: ply_path.clone(),
-        reason,
-    })?;
-    let gaussians = ply::decode(&bytes, &model).map_err(|reason| damaged(&ply_path, reason))?;
+    let (path, bytes) = read_gaussians(folder, file.gaussians_sha256.as_deref())?;
+    let gaussians = ply::decode(&bytes, &model).map_err(|reason| RunError::Damaged { path, reason })?;
     let frame = LocalFrame::new(file.origin);
     let parameters = Parameters {
         gaussians,
@@ -240,26 +233,15 @@ pub fn load_whole(folder: &Path) -> Result<LoadedModel, RunError> {
     })
 }
 
-/// Writes `model.ply` into `folder`, which must exist.
+/// Writes a model into `folder`, which must exist: `model.ply`, the text of `run.toml`, and last `model.json`.
 ///
 /// # Errors
-/// When it cannot be written.
-pub fn save_gaussians(folder: &Path, options: &ShadowGsOptions, gaussians: &Table) -> Result<(), RunError> {
-    Ok(write_atomically(
-        &folder.join("model.ply"),
-        &ply::encode(gaussians, options.bands),
-    )?)
-}
-
-/// Writes `model.json` into `folder`, which must exist.
-///
-/// # Errors
-/// When it cannot be written.
-pub fn save_file(folder: &Path, model: &ModelFile) -> Result<(), RunError> {
-    let path = folder.join("model.json");
-    let text = serde_json::to_string_pretty(model).map_err(|e| RunError::Damaged {
-        path: path.clone(),
-        reason: e.to_string(),
-    })?;
-    Ok(write_atomically(&path, text.as_bytes())?)
+/// When a file cannot be written.
+pub fn save(folder: &Path, run: &str, file: &ModelFile, gaussians: &Table) -> Result<(), RunError> {
+    save_model(folder, &ply::encode(gaussians, file.options.bands), Some(run), |sum| {
+        serde_json::to_string_pretty(&ModelFile {
+            gaussians_sha256: Some(sum),
+            ..file.clone()
+        })
+    })
 }

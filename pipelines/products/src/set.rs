@@ -109,7 +109,7 @@ pub fn write(
     let relit = relit.transpose()?;
     done(1);
     let bands = &model.file.bands;
-    let mut writer = Writer::new(&nadir.grid, gsd_m, out);
+    let mut writer = Writer::new(&nadir.grid, gsd_m, out)?;
     writer.surface(&surface)?;
     if let Some(changes) = changes {
         writer.changes(&changes)?;

@@ -8,7 +8,7 @@ use super::style::{Layer, Style, layer_file};
 use super::sunshine::{LINKE_TURBIDITY, Period, Sunshine};
 use heliosplat::Raster;
 use heliosplat_raster::preview::{stretched, write_png};
-use heliosplat_raster::write::{Bytes, ImageSpec, write_byte_cog, write_cog};
+use heliosplat_raster::write::{Bytes, ImageSpec, remove, write_byte_cog, write_cog};
 use heliosplat_raster::{GridSpec, RasterError, write_atomically};
 use heliosplat_rpc::sun::SunPosition;
 use heliosplat_scene::BandKind;
@@ -62,9 +62,14 @@ pub struct Writer<'a> {
 }
 
 impl<'a> Writer<'a> {
-    /// Nothing yet; rasters will lie on `grid` with cells of `gsd_m` metres.
-    pub fn new(grid: &'a GridSpec, gsd_m: f64, out: &'a Path) -> Self {
-        Self {
+    /// Nothing yet; rasters will lie on `grid` with cells of `gsd_m` metres. An item that describes earlier products in `out` is removed: a
+    /// folder that has one is complete.
+    ///
+    /// # Errors
+    /// When it cannot be removed.
+    pub fn new(grid: &'a GridSpec, gsd_m: f64, out: &'a Path) -> Result<Self, RasterError> {
+        remove(&out.join(ITEM))?;
+        Ok(Self {
             grid,
             gsd_m,
             out,
@@ -72,7 +77,7 @@ impl<'a> Writer<'a> {
             completeness: 0.0,
             assets: Vec::new(),
             layers: Vec::new(),
-        }
+        })
     }
 
     fn spec<'s>(&'s self, raster: &'s Raster, names: &'s [&'s str], metadata: &'s [(String, String)]) -> ImageSpec<'s> {
@@ -326,13 +331,13 @@ impl<'a> Writer<'a> {
             collection: said.collection,
         };
         let item = stac::item(&about, &self.assets)?;
-        write_atomically(&self.out.join(ITEM), format!("{item:#}\n").as_bytes())?;
         // What was written last lies on top.
         self.layers.reverse();
         write_atomically(
             &self.out.join(LAYERS),
             layer_file(said.id, &self.grid.crs, &self.layers).as_bytes(),
         )?;
+        write_atomically(&self.out.join(ITEM), format!("{item:#}\n").as_bytes())?;
         let styles = self.layers.iter().map(|layer| layer.file.replace(".tif", ".qml"));
         let mut names: Vec<String> = self.assets.into_iter().map(|asset| asset.file).chain(styles).collect();
         names.push(LAYERS.into());

@@ -9,7 +9,6 @@ pub mod crs;
 mod drivers;
 pub mod dsm_bands;
 pub mod file;
-pub mod folder;
 pub mod geoid;
 pub mod grid;
 pub mod messages;
@@ -17,12 +16,12 @@ pub mod pansharpen;
 pub mod preview;
 mod siblings;
 pub mod streamed;
+pub mod temporary;
 pub mod tiled;
 pub mod write;
 
 pub use crs::{Crs, CrsTransform};
 pub use file::{BandInfo, Colour, GeoRaster, RasterFile, Window, is_virtual, list_virtual};
-pub use folder::write_folder;
 pub use geoid::Geoid;
 pub use grid::{EnuGrid, GeoTransform, GridSpec};
 pub use pansharpen::GridRelation;
@@ -98,13 +97,13 @@ pub enum RasterError {
         /// The one to fetch.
         first: &'static str,
     },
-    /// A folder of something else stands where one is to be written.
-    #[error("{}: there is something else here already (no {mark}); choose another folder", path.display())]
+    /// A folder holds something else than what is to be written there.
+    #[error("{}: there is something else here already ({name} is absent or not ours); choose another folder", path.display())]
     Occupied {
         /// The folder.
         path: PathBuf,
-        /// The file that one of ours has.
-        mark: String,
+        /// The file that says so.
+        name: String,
     },
     /// The disk is full.
     #[error("{}: the disk is full, nothing was written; free some space or choose another folder", .0.display())]

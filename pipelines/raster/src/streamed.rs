@@ -3,18 +3,18 @@
 //! Rows go to a plain GeoTIFF in a temporary folder beside the target, which is gone when this ends in whatever way. The finished file is
 //! renamed, so that nothing half-written is ever seen under the target's name.
 
-use super::write::{NODATA, TEMPORARY, cog_options, describe};
+use super::temporary::{TemporaryFolder, target};
+use super::write::{NODATA, cog_options, describe};
 use super::{ImageSpec, RasterError, messages};
 use gdal::raster::{Buffer, RasterCreationOptions};
 use gdal::{Dataset, DriverManager};
 use heliosplat::Raster;
 use std::path::{Path, PathBuf};
-use tempfile::TempDir;
 
 /// A float32 cloud-optimised GeoTIFF as [`super::write_cog`] writes it, of which rows are written in turn.
 pub struct StreamedCog {
     path: PathBuf,
-    folder: TempDir,
+    folder: TemporaryFolder,
     dataset: Dataset,
 }
 
@@ -24,7 +24,7 @@ impl StreamedCog {
     /// # Errors
     /// As [`super::write_cog`].
     pub fn create(path: &Path, spec: &ImageSpec) -> Result<Self, RasterError> {
-        let folder = temporary_folder_beside(path)?;
+        let folder = TemporaryFolder::beside(path)?;
         let rows = folder.path().join("rows.tif");
         let Raster {
             width, height, bands, ..
@@ -84,23 +84,9 @@ impl StreamedCog {
         .map_err(|reason| failed(&self.path, reason))?;
         let done = std::fs::File::open(&finished)
             .and_then(|file| file.sync_all())
-            .and_then(|()| std::fs::rename(&finished, &self.path));
+            .and_then(|()| std::fs::rename(&finished, target(&self.path)));
         done.map_err(|error| RasterError::from_io(&self.path, &error))
     }
-}
-
-/// A temporary folder in that of `path`, which is made where it is not there.
-///
-/// # Errors
-/// As [`super::write_cog`].
-pub fn temporary_folder_beside(path: &Path) -> Result<TempDir, RasterError> {
-    let folder = match path.parent() {
-        Some(parent) if !parent.as_os_str().is_empty() => parent,
-        _ => Path::new("."),
-    };
-    std::fs::create_dir_all(folder)
-        .and_then(|()| tempfile::Builder::new().prefix(TEMPORARY).tempdir_in(folder))
-        .map_err(|error| RasterError::from_io(path, &error))
 }
 
 fn failed(path: &Path, reason: String) -> RasterError {

@@ -4,7 +4,7 @@
 //! complete. So a full disk or a refused permission is an error of the operating system with its own name, and nothing
 //! half-written is ever seen under the target's name.
 
-use super::{Crs, GeoTransform, RasterError, drivers, messages};
+use super::{Crs, GeoTransform, RasterError, drivers, messages, temporary};
 use gdal::raster::{Buffer, GdalType, RasterBand, RasterCreationOptions};
 use gdal::{Dataset, DriverManager, Metadata};
 use heliosplat::Raster;
@@ -14,9 +14,6 @@ use std::sync::atomic::{AtomicU64, Ordering};
 
 /// What stands for "nothing known" in the float rasters we write.
 pub const NODATA: f32 = -9999.0;
-
-/// How the names of files begin that are being written.
-pub(super) const TEMPORARY: &str = ".heliosplat-";
 
 /// A raster to write and what is to be said about it.
 #[derive(Debug, Clone, Copy)]
@@ -369,19 +366,7 @@ fn write_copy<S: AsRef<str>>(path: &Path, dataset: &Dataset, driver: &str, optio
     write_atomically(path, &bytes)
 }
 
-/// Removes files and folders from a folder that a process was writing when it was killed; only where no other process writes.
-pub fn remove_leftovers(folder: &Path) {
-    let entries = std::fs::read_dir(folder).into_iter().flatten().flatten();
-    for entry in entries.filter(|entry| entry.file_name().to_string_lossy().starts_with(TEMPORARY)) {
-        // One that stays takes room and does no other harm.
-        let _ = match entry.path().is_dir() {
-            true => std::fs::remove_dir_all(entry.path()),
-            false => std::fs::remove_file(entry.path()),
-        };
-    }
-}
-
-/// Writes `bytes` to a temporary file beside `path` and renames it; parent folders are made.
+/// Writes `bytes` to a temporary file beside `path` and renames it; parent folders are made, and a symbolic link is written through.
 ///
 /// # Errors
 /// As [`write_cog`].
@@ -398,24 +383,23 @@ pub fn write_atomically_with(
     fill: impl FnOnce(&mut dyn Write) -> std::io::Result<()>,
 ) -> Result<(), RasterError> {
     let failed = |error: &std::io::Error| RasterError::from_io(path, error);
-    let folder = match path.parent() {
-        Some(parent) if !parent.as_os_str().is_empty() => parent,
-        _ => Path::new("."),
-    };
-    std::fs::create_dir_all(folder).map_err(|error| failed(&error))?;
-    let mut builder = tempfile::Builder::new();
-    builder.prefix(TEMPORARY);
-    #[cfg(unix)]
-    {
-        // A temporary file is private by default; the finished one follows the user's umask like any other.
-        use std::os::unix::fs::PermissionsExt;
-        builder.permissions(std::fs::Permissions::from_mode(0o666));
-    }
-    let mut file = builder.tempfile_in(folder).map_err(|error| failed(&error))?;
+    let target = temporary::target(path);
+    let mut file = temporary::file_beside(&target).map_err(|error| failed(&error))?;
     fill(file.as_file_mut()).map_err(|error| failed(&error))?;
     file.as_file().sync_all().map_err(|error| failed(&error))?;
-    file.persist(path).map_err(|error| failed(&error.error))?;
+    file.persist(&target).map_err(|error| failed(&error.error))?;
     Ok(())
+}
+
+/// Removes a file, if it is there.
+///
+/// # Errors
+/// As [`write_cog`].
+pub fn remove(path: &Path) -> Result<(), RasterError> {
+    match std::fs::remove_file(path) {
+        Err(error) if error.kind() != std::io::ErrorKind::NotFound => Err(RasterError::from_io(path, &error)),
+        _ => Ok(()),
+    }
 }
 
 #[cfg(test)]

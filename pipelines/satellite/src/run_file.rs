@@ -10,7 +10,6 @@ use crate::plan::PlanItem;
 use heliosplat::gaussians::Table;
 use heliosplat_fitting::run_folder::{Input, RunError, read};
 use heliosplat_products::model::{self, ModelFile, ModelImage};
-use heliosplat_raster::write_atomically;
 use heliosplat_scene::crop::{self, Crop};
 use heliosplat_scene::{AreaRequest, IngestOptions, Scene, Split};
 use std::path::{Path, PathBuf};
@@ -20,6 +19,9 @@ use std::path::{Path, PathBuf};
 pub struct RunFile {
     /// Version of the program.
     pub version: String,
+    /// Build of the program; absent in runs of versions that did not state it.
+    #[serde(default)]
+    pub build: String,
     /// Preset the configuration started from.
     pub preset: String,
     /// Seed of everything random.
@@ -94,17 +96,11 @@ pub fn model_images(scene: &Scene, fitted: &Fitted, margin_m: f64) -> Vec<ModelI
 /// # Errors
 /// When a file cannot be written.
 pub fn save(folder: &Path, run: &RunFile, file: &ModelFile, gaussians: &Table) -> Result<(), RunError> {
-    let path = folder.join("run.toml");
     let text = toml::to_string_pretty(run).map_err(|error| RunError::Damaged {
-        path: path.clone(),
+        path: folder.join("run.toml"),
         reason: error.to_string(),
     })?;
-    // What was measured of an earlier run here is not true of this one; and metrics are what makes a run finished.
-    let _ = std::fs::remove_file(folder.join("metrics.json"));
-    // The large file first: where it finds no room, nothing is written.
-    model::save_gaussians(folder, &file.options, gaussians)?;
-    write_atomically(&path, text.as_bytes())?;
-    model::save_file(folder, file)
+    model::save(folder, &text, file, gaussians)
 }
 
 /// The `run.toml` of a run.

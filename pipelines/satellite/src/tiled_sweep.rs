@@ -20,7 +20,7 @@ use heliosplat_products::dsm;
 use heliosplat_products::nadir::{NadirGrid, Place};
 use heliosplat_products::stored::{StoredPiece, blend_rows};
 use heliosplat_radiometry::bridged::Lowered;
-use heliosplat_raster::streamed::temporary_folder_beside;
+use heliosplat_raster::temporary::TemporaryFolder;
 use heliosplat_scene::survey::Survey;
 use heliosplat_scene::{Area, IngestOptions, Scene, SceneError};
 use heliosplat_session::Session;
@@ -84,7 +84,8 @@ impl TiledSweep<'_> {
     /// When the scene is at fault, too few images show any of it, the file cannot be written, or the user stops it.
     pub fn write(&self, out: &Path, session: &Session) -> Result<Written, SatelliteError> {
         let decided = self.decide()?;
-        let folder = temporary_folder_beside(out)?;
+        session.stop_gently();
+        let folder = TemporaryFolder::beside(out)?;
         let progress = session.progress("sweep", self.tiling.tiles.len() as u64);
         let mut pieces = Vec::with_capacity(self.tiling.tiles.len());
         let mut at_limits = AtLimits::default();

@@ -15,7 +15,8 @@ use heliosplat::splat::ProjectionOptions;
 use heliosplat::timeline::{self, stage};
 use heliosplat_evaluate::{Protocol, error_map};
 use heliosplat_fitting::budget::steps_of_products;
-use heliosplat_fitting::checkpoint::{digest, identity_of_program};
+use heliosplat_fitting::checkpoint::digest;
+use heliosplat_fitting::program::{build, identity_of_program};
 use heliosplat_fitting::request::{TrainOutcome, TrainRequest, TrainedRun};
 use heliosplat_fitting::run_folder::{Input, Opened, RunFolder, RunRequest, hash, hash_of_pixels};
 use heliosplat_fitting::training::Ending;
@@ -76,8 +77,13 @@ pub fn train(
         memory: request.memory,
         session,
     };
-    let fitted = fit.run(checkpoints, checkpoint);
-    let mut fitted = fitted.inspect_err(|_| closing.discard())?;
+    let mut fitted = match fit.run(checkpoints, checkpoint) {
+        Ok(fitted) => fitted,
+        Err(error) => {
+            closing.discard();
+            return Err(error);
+        }
+    };
     let ending = fitted.trained.ending.clone();
     if ending == Ending::Interrupted {
         ending.check(&request.out)?;
@@ -87,6 +93,7 @@ pub fn train(
     let file = model_file(scene, &fitted);
     let run = RunFile {
         version: env!("CARGO_PKG_VERSION").into(),
+        build: build().into(),
         preset: request.preset.name().into(),
         seed: config.train.seed,
         scene: std::fs::canonicalize(&scene.source).unwrap_or_else(|_| scene.source.clone()),
@@ -128,8 +135,13 @@ pub fn train(
     drop(part);
     measure::add_fit(&mut metrics, &fitted, &model, begun.elapsed().as_secs_f64());
     metrics["timeline"] = serde_json::to_value(timeline::take()).unwrap_or_default();
-    closing.finish(&mut metrics, &ending)?;
-    Ok(TrainOutcome::Trained(Box::new(TrainedRun { model, metrics, ending })))
+    let lock = closing.finish(&mut metrics, &ending)?;
+    Ok(TrainOutcome::Trained(Box::new(TrainedRun {
+        model,
+        metrics,
+        ending,
+        lock,
+    })))
 }
 
 /// Writes the surface model and what changed, each with its picture: one file beside the other, since each takes one core to pack.
@@ -212,6 +224,7 @@ fn model_file(scene: &Scene, fitted: &Fitted) -> ModelFile {
     ModelFile {
         schema: SCHEMA,
         model: "shadow_gs".into(),
+        gaussians_sha256: None,
         options: fitted.model.options.clone(),
         globals: fitted.trained.parameters.globals.clone(),
         origin: scene.origin(),

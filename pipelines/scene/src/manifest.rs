@@ -1,6 +1,7 @@
 //! `scene.toml`: a scene that lists its images.
 
 use super::{BandKind, SceneError, Split};
+use heliosplat_rpc::sun::SunPosition;
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
@@ -77,6 +78,9 @@ impl Manifest {
         let mut manifest = Self::parse(&text).map_err(fault)?;
         let folder = path.parent().unwrap_or_else(|| Path::new("."));
         for image in &mut manifest.images {
+            let angles = [image.sun_azimuth_deg, image.sun_elevation_deg].map(Option::unwrap_or_default);
+            SunPosition::stated(angles[0], angles[1])
+                .map_err(|reason| fault(format!("{}: {reason}", image.path.display())))?;
             resolve(folder, &mut image.path)?;
             for path in [&mut image.rpc, &mut image.metadata].into_iter().flatten() {
                 resolve(folder, path)?;

@@ -60,7 +60,7 @@ pub fn relit_truth(folder: &Path) -> Result<Vec<RelitTruth>, SceneError> {
             }),
         };
         Ok(RelitTruth {
-            sun: SunPosition::from_degrees(entry.sun_azimuth_deg, entry.sun_elevation_deg),
+            sun: SunPosition::stated(entry.sun_azimuth_deg, entry.sun_elevation_deg).map_err(fault)?,
             image: here(format!("relit_{number}.tif"))?,
             shadow: here(format!("relit_{number}_shadow.tif"))?,
         })

@@ -19,23 +19,28 @@ const PROGRESS_VARIABLE: &str = "HELIOSPLAT_PROGRESS";
 #[error("the signal handler cannot be installed: {0}")]
 pub struct SessionError(ctrlc::Error);
 
+/// Exit code of a process that the user stopped.
+const INTERRUPTED: i32 = 130;
+
 /// The run of one verb.
 #[derive(Debug, Clone, Default)]
 pub struct Session {
     stop: Arc<AtomicBool>,
+    gentle: Arc<AtomicBool>,
 }
 
 impl Session {
-    /// A session that SIGINT and SIGTERM ask to stop; a second signal ends the process at once.
+    /// A session that SIGINT and SIGTERM stop: at once, or after [`Self::stop_gently`] when it asks for it; then a second signal ends the
+    /// process at once.
     ///
     /// # Errors
     /// When the signal handler cannot be installed.
     pub fn start() -> Result<Self, SessionError> {
         let session = Self::default();
-        let stop = Arc::clone(&session.stop);
+        let signalled = session.clone();
         ctrlc::set_handler(move || {
-            if stop.swap(true, Ordering::SeqCst) {
-                std::process::exit(130);
+            if signalled.stop.swap(true, Ordering::SeqCst) || !signalled.saves() {
+                std::process::exit(INTERRUPTED);
             }
             log::line_on_stderr("stopping: saving what there is (once more to stop at once)");
         })
@@ -48,6 +53,15 @@ impl Session {
         Self::default()
     }
 
+    /// From now on the caller asks [`Self::stopped`] again and again, and saves what there is.
+    pub fn stop_gently(&self) {
+        self.gentle.store(true, Ordering::SeqCst);
+    }
+
+    fn saves(&self) -> bool {
+        self.gentle.load(Ordering::SeqCst)
+    }
+
     /// Whether the user asked to stop.
     pub fn stopped(&self) -> bool {
         self.stop.load(Ordering::SeqCst)
@@ -55,11 +69,14 @@ impl Session {
 
     /// Also stops when standard input ends: whoever started this process and holds the other end is gone, or asks for it.
     pub fn stop_with_input(&self) {
-        let stop = Arc::clone(&self.stop);
+        let session = self.clone();
         std::thread::spawn(move || {
             // What comes is not for us; that it ends is.
             let _ = std::io::copy(&mut std::io::stdin().lock(), &mut std::io::sink());
-            stop.store(true, Ordering::SeqCst);
+            session.stop.store(true, Ordering::SeqCst);
+            if !session.saves() {
+                std::process::exit(INTERRUPTED);
+            }
         });
     }
 

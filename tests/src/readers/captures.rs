@@ -102,6 +102,7 @@ pub(super) fn models() -> Vec<Vec<u8>> {
     };
     let file = |(kind, globals): (Kind, Table)| ObjectFile {
         schema: SCHEMA,
+        gaussians_sha256: None,
         kind,
         globals,
         centre: DVec3::ZERO,
@@ -143,6 +144,7 @@ pub(super) fn plys() -> Vec<Vec<u8>> {
 pub(super) fn runs() -> Vec<Vec<u8>> {
     let run = ObjectRun {
         version: "0.1.0".into(),
+        build: "0123456789abcdef".into(),
         preset: "fast".into(),
         seed: 1,
         capture: "capture".into(),

@@ -3,6 +3,7 @@
 use crate::args::IngestArgs;
 use crate::names::BiasName;
 use crate::outcome::{CliError, Outcome};
+use crate::outputs::Inputs;
 use clap::Args;
 use heliosplat_pages::page::residuals;
 use heliosplat_raster::write_atomically;
@@ -34,6 +35,7 @@ pub struct AdjustArgs {
 /// Adjusts the cameras of a scene and writes what comes of it.
 pub(crate) fn run(args: &AdjustArgs, session: &Session) -> Result<Outcome, CliError> {
     let scene = altitude::open(&args.scene, &args.ingest.options())?;
+    Inputs::of_scene(&scene).keep_folder(&args.out)?;
     let request = AdjustRequest {
         out: &args.out,
         model: args.model.into(),

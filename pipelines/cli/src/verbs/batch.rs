@@ -5,7 +5,7 @@ use crate::parse;
 use clap::Args;
 use heliosplat_batch::driver::Batch;
 use heliosplat_batch::plan::Plan;
-use heliosplat_batch::stamp::{STAMP, finished};
+use heliosplat_batch::stamp::{STAMP, finished, other_build};
 use heliosplat_batch::summary;
 use heliosplat_batch::unit::do_unit;
 use heliosplat_pages::summary::{Row, State, json as json_of, table};
@@ -112,7 +112,12 @@ fn told(args: &BatchArgs, plan: &Plan) -> Outcome {
     let mut units = Vec::new();
     for unit in &plan.units {
         let done = finished(&args.out, unit).is_some();
-        let what = if done { "finished" } else { "to do" };
+        let other = other_build(&args.out, unit);
+        let what = match (done, &other) {
+            (true, _) => "finished",
+            (false, Some(_)) => "to do, done by another build",
+            (false, None) => "to do",
+        };
         // Writing to a String cannot fail.
         let _ = match unit.refusal() {
             Some(reason) => writeln!(text, "refused   {}: {reason}", unit.id),
@@ -125,6 +130,7 @@ fn told(args: &BatchArgs, plan: &Plan) -> Outcome {
         let mut told = serde_json::to_value(unit).unwrap_or_default();
         if let Value::Object(map) = &mut told {
             map.insert("done".into(), json!(done));
+            map.insert("other_build".into(), json!(other));
             map.insert("stamp".into(), json!(format!("{}/{}", unit.id, STAMP)));
         }
         units.push(told);

@@ -2,7 +2,7 @@
 
 use crate::outcome::{CliError, Outcome};
 use clap::Args;
-use heliosplat_fitting::request::{TrainOutcome, TrainRequest};
+use heliosplat_fitting::request::{Earlier, TrainOutcome, TrainRequest};
 use heliosplat_fitting::run_folder::create_folder;
 use heliosplat_fitting::settings::Preset;
 use heliosplat_pages::report;
@@ -52,6 +52,7 @@ pub(crate) fn demo(args: &DemoArgs, session: &Session) -> Result<Outcome, CliErr
     let run_folder = args.out.join("run");
     let request = TrainRequest {
         begun,
+        earlier: Earlier::Overwrite,
         ..TrainRequest::new(run_folder.clone(), Preset::Fast)
     };
     let TrainOutcome::Trained(run) = train(&scene, &ingest, &config, &request, session)? else {

@@ -3,10 +3,21 @@
 use super::evaluate_args::{EvaluateArgs, table, write_pictures};
 use super::model;
 use crate::outcome::{CliError, Outcome};
+use crate::outputs::{Inputs, must_end_in};
 use heliosplat_evaluate::evaluate_dsm;
 
 /// Compares and reports.
 pub(crate) fn run(args: &EvaluateArgs) -> Result<Outcome, CliError> {
+    for (path, option, format) in [
+        (&args.error_map, "--error-map", "png"),
+        (&args.calibration, "--calibration", "svg"),
+    ] {
+        if let Some(path) = path {
+            must_end_in(option, path, &[format])?;
+            args.run.iter().try_for_each(|run| Inputs::of_run(run).keep(path))?;
+            Inputs::of_files([&args.dsm, &args.truth, &args.classes].into_iter().flatten()).keep(path)?;
+        }
+    }
     let dsm = match (&args.dsm, &args.run) {
         (Some(dsm), _) => dsm.clone(),
         (None, Some(run)) if args.truth.is_some() => run.join("dsm.tif"),

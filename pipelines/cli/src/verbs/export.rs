@@ -4,11 +4,12 @@ mod mosaic;
 
 use super::export_args::ExportArgs;
 use crate::outcome::{CliError, Outcome};
+use crate::outputs::{Inputs, must_end_in};
 use bytesize::ByteSize;
 use heliosplat_pages::page::MOSAIC_FILE;
 use heliosplat_products::export::{Mosaic, Request, Subject, Written, write};
 use heliosplat_products::model::{LoadedModel, load};
-use heliosplat_rpc::sun::{SunPosition, sun_position};
+use heliosplat_rpc::sun::sun_position;
 use serde_json::json;
 use std::path::Path;
 
@@ -38,18 +39,22 @@ pub(crate) fn of_satellite(args: &ExportArgs) -> Result<Outcome, CliError> {
         Some(None) => (None, true),
         None => (None, false),
     };
-    for (path, name, ending) in [
-        (&args.ply, "ply", "ply"),
-        (&args.splats, "splats", "glb"),
-        (&mesh, "mesh", "glb"),
+    let inputs = Inputs::of_run(&args.run);
+    for (path, option, format) in [
+        (&args.ply, "--ply", "ply"),
+        (&args.splats, "--splats", "glb"),
+        (&mesh, "--mesh", "glb"),
     ] {
-        if let Some(path) = path.as_ref().filter(|path| !ends_in(path, ending)) {
-            let text = format!("--{name} {}: give it a name that ends in .{ending}", path.display());
-            return Err(CliError::Input(text));
+        if let Some(path) = path {
+            must_end_in(option, path, &[format])?;
+            inputs.keep(path)?;
         }
     }
+    if let Some(folder) = &args.tiles {
+        inputs.keep_folder(folder)?;
+    }
     let sun = match (args.sun, args.time) {
-        (Some([azimuth, elevation]), _) => Some(SunPosition::from_degrees(azimuth, elevation)),
+        (Some(sun), _) => Some(sun),
         (None, Some(time)) => Some(sun_position(time, source.subject().frame().origin)),
         (None, None) => None,
     };
@@ -97,10 +102,6 @@ impl Source {
             Self::Mosaic(_) => None,
         }
     }
-}
-
-fn ends_in(path: &Path, ending: &str) -> bool {
-    path.extension().is_some_and(|e| e.eq_ignore_ascii_case(ending))
 }
 
 fn line(written: &Written) -> String {

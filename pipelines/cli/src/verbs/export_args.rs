@@ -2,6 +2,7 @@
 
 use crate::parse;
 use clap::{ArgGroup, Args};
+use heliosplat_rpc::sun::SunPosition;
 use std::path::PathBuf;
 
 /// `export`.
@@ -26,7 +27,7 @@ pub struct ExportArgs {
     pub tiles: Option<PathBuf>,
     /// Azimuth (clockwise from north) and elevation of the sun that splats of satellites are lit by, degrees [default: that of the reference image]
     #[arg(long, value_parser = parse::sun, allow_hyphen_values = true, value_name = "AZ,EL", conflicts_with_all = ["time", "light", "toward"])]
-    pub sun: Option<[f64; 2]>,
+    pub sun: Option<SunPosition>,
     /// The sun of this moment, RFC 3339
     #[arg(long, value_parser = parse::time, value_name = "RFC3339", conflicts_with_all = ["light", "toward"])]
     pub time: Option<jiff::Timestamp>,

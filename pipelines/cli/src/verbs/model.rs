@@ -5,12 +5,18 @@ use super::export_args::ExportArgs;
 use super::model_args::{RelightArgs, RenderArgs, TrainArgs};
 use super::{export, object, satellite};
 use crate::outcome::{CliError, Outcome};
+use heliosplat_fitting::request::Earlier;
+use heliosplat_fitting::{checkpoint, run_folder};
 use heliosplat_objects::is_capture;
 use heliosplat_objects::model::is_object_run;
 use heliosplat_session::Session;
 use std::path::Path;
 
 pub(crate) fn train(args: &TrainArgs, session: &Session) -> Result<Outcome, CliError> {
+    // Before the images are read; what the checkpoint is of needs them.
+    if args.earlier() == Earlier::Keep && !checkpoint::path_in(&args.out).exists() {
+        run_folder::must_be_free(&args.out)?;
+    }
     match is_capture(&args.scene) {
         true => object::train(args, session),
         false => satellite::train(args, session),

@@ -5,8 +5,9 @@ use crate::names::PresetName;
 use crate::outcome::Outcome;
 use crate::parse;
 use clap::{Args, ValueEnum};
-use heliosplat_fitting::request::TrainRequest;
+use heliosplat_fitting::request::{Earlier, TrainRequest};
 use heliosplat_fitting::settings::Preset;
+use heliosplat_rpc::sun::SunPosition;
 use heliosplat_scene::Split;
 use serde_json::Value;
 use std::path::PathBuf;
@@ -36,8 +37,11 @@ pub struct TrainArgs {
     /// Change one value of the configuration, as in --set train.iterations=2000
     #[arg(long = "set", value_parser = parse::key_value, value_name = "KEY=VALUE")]
     pub set: Vec<(String, String)>,
-    /// Go on from the run's last checkpoint; a run that is finished is left as it is
+    /// Replace what an earlier training left in RUN, finished or interrupted
     #[arg(long)]
+    pub overwrite: bool,
+    /// Leave this training as it is where RUN holds it finished; interrupted, it continues without being asked
+    #[arg(long, conflicts_with = "overwrite")]
     pub resume: bool,
     /// Time between two checkpoints; 0 keeps one after every step
     #[arg(long, value_parser = parse::duration, value_name = "TIME", default_value = "60s")]
@@ -45,6 +49,17 @@ pub struct TrainArgs {
     /// What is said about the scene
     #[command(flatten)]
     pub ingest: IngestArgs,
+}
+
+impl TrainArgs {
+    /// What happens to an earlier training in the folder.
+    pub(super) fn earlier(&self) -> Earlier {
+        match (self.overwrite, self.resume) {
+            (true, _) => Earlier::Overwrite,
+            (_, true) => Earlier::Resume,
+            _ => Earlier::Keep,
+        }
+    }
 }
 
 /// `dsm`.
@@ -99,7 +114,7 @@ pub struct RelightArgs {
     pub out: PathBuf,
     /// Azimuth (clockwise from north) and elevation of the sun, degrees
     #[arg(long, value_parser = parse::sun, allow_hyphen_values = true, value_name = "AZ,EL", required_unless_present_any = ["time", "light", "toward", "surroundings"], conflicts_with = "time")]
-    pub sun: Option<[f64; 2]>,
+    pub sun: Option<SunPosition>,
     /// The sun of this moment, RFC 3339
     #[arg(long, value_parser = parse::time, value_name = "RFC3339")]
     pub time: Option<jiff::Timestamp>,
@@ -146,7 +161,7 @@ impl TrainArgs {
             begun,
             time_budget: self.time_budget,
             memory: self.memory,
-            resume: self.resume,
+            earlier: self.earlier(),
             checkpoint_every: self.checkpoint_every,
         }
     }

@@ -3,6 +3,7 @@
 use super::export_args::ExportArgs;
 use super::model_args::{RelightArgs, RenderArgs, TrainArgs};
 use crate::outcome::{CliError, Outcome};
+use crate::outputs::{Inputs, must_end_in};
 use glam::DVec3;
 use heliosplat::light::Light;
 use heliosplat::timeline;
@@ -41,6 +42,8 @@ pub(crate) fn train(args: &TrainArgs, session: &Session) -> Result<Outcome, CliE
             return Err(CliError::Input(text));
         }
     }
+    let lists = ["transforms.json", "transforms_train.json"].map(|name| args.scene.join(name));
+    Inputs::of_files(lists.iter().chain([&args.scene])).keep_folder(&args.out)?;
     let preset = args.preset.map(Preset::from).unwrap_or_default();
     let config = ObjectConfig::resolve(preset, &args.set, args.seed)?;
     let request = args.request(preset, begun);
@@ -86,6 +89,7 @@ pub(crate) fn render(args: &RenderArgs, session: &Session) -> Result<Outcome, Cl
             "--components: a model of kind {name} knows no parts of the light"
         )));
     }
+    Inputs::of_run(&args.run).keep_folder(&args.out)?;
     create_folder(&args.out)?;
     let progress = session.progress("render", images.len() as u64);
     let mut written = Vec::new();
@@ -118,6 +122,9 @@ pub(crate) fn render(args: &RenderArgs, session: &Session) -> Result<Outcome, Cl
 /// # Errors
 /// When the run, the lights, the view or the file to write is at fault.
 pub(crate) fn relight(args: &RelightArgs) -> Result<Outcome, CliError> {
+    must_end_in("--out", &args.out, &["png"])?;
+    Inputs::of_run(&args.run).keep(&args.out)?;
+    Inputs::of_files(&args.surroundings).keep(&args.out)?;
     let model = model::load(&args.run)?;
     let folder = args.run.display();
     if model.file.kind.lit().is_none() {
@@ -198,6 +205,16 @@ pub(crate) fn export(args: &ExportArgs, session: &Session) -> Result<Outcome, Cl
         }
         None => None,
     };
+    if let Some(path) = &args.ply {
+        must_end_in("--ply", path, &["ply"])?;
+    }
+    let inputs = Inputs::of_run(&args.run);
+    for path in args.ply.iter().chain(format.map(|(path, _)| path)) {
+        inputs.keep(path)?;
+    }
+    if let Some(folder) = &args.asset {
+        inputs.keep_folder(folder)?;
+    }
     let model = model::load(&args.run)?;
     let mut written = Vec::new();
     if let Some(path) = &args.ply {

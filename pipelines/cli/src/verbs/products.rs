@@ -2,6 +2,7 @@
 
 use crate::names::GeoidName;
 use crate::outcome::{CliError, Outcome};
+use crate::outputs::Inputs;
 use crate::parse;
 use clap::Args;
 use heliosplat_products::model;
@@ -37,7 +38,7 @@ pub struct ProductsArgs {
     pub geoid: Option<GeoidName>,
     /// Also an ortho image under this sun: azimuth (clockwise from north) and elevation, degrees
     #[arg(long, value_parser = parse::sun, allow_hyphen_values = true, value_name = "AZ,EL", conflicts_with = "at")]
-    pub sun: Option<[f64; 2]>,
+    pub sun: Option<SunPosition>,
     /// Also an ortho image under the sun of this moment, RFC 3339
     #[arg(long, value_parser = parse::time, value_name = "TIME")]
     pub at: Option<jiff::Timestamp>,
@@ -48,10 +49,7 @@ pub struct ProductsArgs {
 
 impl ProductsArgs {
     fn sun(&self, origin: GeoPoint) -> Option<SunPosition> {
-        let given = self
-            .sun
-            .map(|[azimuth, elevation]| SunPosition::from_degrees(azimuth, elevation));
-        given.or(self.at.map(|time| sun_position(time, origin)))
+        self.sun.or(self.at.map(|time| sun_position(time, origin)))
     }
 }
 
@@ -62,18 +60,15 @@ pub(crate) fn run(args: &ProductsArgs, session: &Session) -> Result<Outcome, Cli
         (None, false) => args.runs[0].join("products"),
         (None, true) => return Err(CliError::Input("products: several runs need --out FOLDER".into())),
     };
+    for run in &args.runs {
+        Inputs::of_run(run).keep_folder(&out)?;
+    }
     let collection = name(&out);
     let ids = ids(&args.runs);
     let mut items = Vec::new();
     let mut files = Vec::new();
     let mut text = String::new();
     for (run, id) in args.runs.iter().zip(&ids) {
-        if session.stopped() {
-            return Err(CliError::Interrupted(format!(
-                "stopped; what is written is in {}",
-                out.display()
-            )));
-        }
         let folder = if several { out.join(id) } else { out.clone() };
         let set = one(
             args,

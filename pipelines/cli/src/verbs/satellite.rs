@@ -4,6 +4,7 @@ use super::evaluate_args::{EvaluateArgs, table, write_pictures};
 use super::model_args::{DsmArgs, DsmSource, RelightArgs, RenderArgs, TrainArgs};
 use super::sweep_dsm::{self, SweptSurface};
 use crate::outcome::{CliError, Outcome};
+use crate::outputs::{Inputs, must_end_in};
 use heliosplat::timeline::{self, stage};
 use heliosplat_fitting::request::TrainOutcome;
 use heliosplat_fitting::run_folder::{RunError, create_folder, read, save_metrics};
@@ -13,7 +14,7 @@ use heliosplat_products::change::{as_day, day_of};
 use heliosplat_products::model::{load, load_whole};
 use heliosplat_products::{dsm, relight, views as rendered};
 use heliosplat_raster::write::{ImageSpec, Sample, write_geotiff};
-use heliosplat_rpc::sun::{SunPosition, sun_position};
+use heliosplat_rpc::sun::sun_position;
 use heliosplat_satellite::config::SatelliteConfig;
 use heliosplat_satellite::run_file::scene_of;
 use heliosplat_satellite::{altitude, estimate, measure, relit, training};
@@ -39,6 +40,7 @@ pub(crate) fn train(args: &TrainArgs, session: &Session) -> Result<Outcome, CliE
         estimate::must_fit_unread(&Survey::open(&args.scene, &ingest)?, args.memory, &config)?;
     }
     let scene = altitude::open(&args.scene, &ingest)?;
+    Inputs::of_scene(&scene).keep_folder(&args.out)?;
     for warning in &scene.warnings {
         tracing::warn!("{warning}");
     }
@@ -72,6 +74,7 @@ pub(crate) fn train(args: &TrainArgs, session: &Session) -> Result<Outcome, CliE
 /// # Errors
 /// When the run, the scene, the coordinate system or the file to write is at fault.
 pub(crate) fn dsm(args: &DsmArgs, session: &Session) -> Result<Outcome, CliError> {
+    must_end_in("--out", &args.out, &["tif", "tiff"])?;
     let (mut surface, gsd_m, memory) = match args.from {
         DsmSource::Model => {
             if args.ingest.altitude.is_some() {
@@ -82,6 +85,7 @@ pub(crate) fn dsm(args: &DsmArgs, session: &Session) -> Result<Outcome, CliError
             if args.memory.is_some() {
                 return Err(CliError::Input("dsm: --memory is for --from sweep".into()));
             }
+            Inputs::of_run(&args.run).keep(&args.out)?;
             let model = match args.at {
                 Some(date) => load_whole(&args.run)?.on(as_day(date)),
                 None => load(&args.run)?,
@@ -148,9 +152,11 @@ fn stages() -> Value {
 /// # Errors
 /// When the run, the sun, the view or the file to write is at fault.
 pub(crate) fn relight(args: &RelightArgs) -> Result<Outcome, CliError> {
+    must_end_in("--out", &args.out, &["tif", "tiff", "png"])?;
     let model = load(&args.run)?;
+    Inputs::of_run(&args.run).keep(&args.out)?;
     let sun = match (args.sun, args.time) {
-        (Some([azimuth, elevation]), _) => SunPosition::from_degrees(azimuth, elevation),
+        (Some(sun), _) => sun,
         (None, Some(time)) => sun_position(time, model.frame.origin),
         (None, None) => {
             return Err(CliError::Input(
@@ -191,6 +197,7 @@ pub(crate) fn render(args: &RenderArgs, session: &Session) -> Result<Outcome, Cl
             args.run.display()
         )));
     }
+    Inputs::of_run(&args.run).keep_folder(&args.out)?;
     create_folder(&args.out)?;
     let scene = scene_of(&args.run).ok();
     let progress = session.progress("render", images.len() as u64);

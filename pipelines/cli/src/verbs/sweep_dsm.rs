@@ -2,6 +2,7 @@
 
 use super::model_args::DsmArgs;
 use crate::outcome::{CliError, Outcome};
+use crate::outputs::Inputs;
 use heliosplat::timeline::stage;
 use heliosplat_fitting::run_folder::peak_rss_bytes;
 use heliosplat_fitting::settings::Preset;
@@ -40,6 +41,7 @@ pub(super) fn sweep(args: &DsmArgs, session: &Session) -> Result<SweptSurface, C
     let options = altitude::resolve(&args.run, &args.ingest.options())?;
     let survey = Survey::open(&args.run, &options)?;
     drop(part);
+    Inputs::of_survey(&survey).keep(&args.out)?;
     let limit = args.memory.or_else(share_of_memory);
     let plan = plan(args, &survey, &config, limit)?;
     if plan.tiling.is_some() {

@@ -1,6 +1,7 @@
 //! `heliosplat view`: a surface and its sun in one file for the browser.
 
 use crate::outcome::{CliError, Outcome};
+use crate::outputs::{Inputs, must_end_in};
 use clap::Args;
 use heliosplat_pages::view;
 use serde_json::json;
@@ -25,6 +26,11 @@ pub struct ViewArgs {
 }
 
 pub(crate) fn run(args: &ViewArgs, json: bool) -> Result<Outcome, CliError> {
+    if let Some(out) = &args.out {
+        must_end_in("--out", out, &["html", "htm"])?;
+        args.run.iter().try_for_each(|run| Inputs::of_run(run).keep(out))?;
+        Inputs::of_files(args.dsm.iter().chain(&args.albedo)).keep(out)?;
+    }
     let (exhibit, beside) = match (&args.run, &args.dsm) {
         (Some(run), _) => (view::of_folder(run)?, run.join(view::FILE)),
         (None, Some(dsm)) => (

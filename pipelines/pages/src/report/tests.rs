@@ -44,6 +44,7 @@ fn contents(folder: &Path) -> Contents {
         run: RunFile {
             area: None,
             version: EVIL.into(),
+            build: EVIL.into(),
             preset: EVIL.into(),
             seed: 1,
             scene: EVIL.into(),
@@ -60,6 +61,7 @@ fn contents(folder: &Path) -> Contents {
         model: ModelFile {
             schema: heliosplat_products::model::SCHEMA,
             model: "shadow_gs".into(),
+            gaussians_sha256: None,
             globals: model.initial_globals(0.3),
             daylight: None,
             options,

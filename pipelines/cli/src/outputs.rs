@@ -1,0 +1,152 @@
+//! Rules for what a command writes: it takes the place of nothing that the command reads, and its extension is its format.
+
+use crate::outcome::CliError;
+use heliosplat_fitting::run_folder::inputs;
+use heliosplat_scene::Scene;
+use heliosplat_scene::survey::Survey;
+use std::path::{Path, PathBuf};
+
+/// Files of a run that others are made from.
+const OF_A_RUN: [&str; 4] = ["model.ply", "model.json", "run.toml", "metrics.json"];
+
+/// The files that a command reads.
+#[derive(Debug, Clone, Default)]
+pub struct Inputs {
+    files: Vec<PathBuf>,
+}
+
+impl Inputs {
+    /// Some files; what is absent is no input.
+    pub fn of_files<P: Into<PathBuf>>(files: impl IntoIterator<Item = P>) -> Self {
+        Self {
+            files: files.into_iter().map(Into::into).collect(),
+        }
+    }
+
+    /// A run, of a scene or of an object, and the images that it was trained on.
+    pub fn of_run(folder: &Path) -> Self {
+        let own = OF_A_RUN.map(|name| folder.join(name)).into_iter();
+        // A damaged or missing `run.toml` is the affair of the command.
+        let images = inputs(folder).unwrap_or_default().into_iter().map(|input| input.path);
+        Self::of_files(own.chain(images))
+    }
+
+    /// A scene that was opened: its images, its truth, and what describes it.
+    pub fn of_scene(scene: &Scene) -> Self {
+        let truth = [&scene.truth.dsm, &scene.truth.classes].into_iter().flatten().cloned();
+        let images = scene.images.iter().map(|image| image.path.clone());
+        let own = [scene.source.clone(), scene.source.join("scene.toml")];
+        Self::of_files(images.chain(truth).chain(own))
+    }
+
+    /// A scene of which no pixel was read.
+    pub fn of_survey(survey: &Survey) -> Self {
+        Self::of_files(survey.files.iter().cloned())
+    }
+
+    /// Refuses an output that is one of the inputs, by whatever path.
+    ///
+    /// # Errors
+    /// [`CliError::Input`].
+    pub fn keep(&self, out: &Path) -> Result<(), CliError> {
+        let Some(same) =
+            identity(out).and_then(|id| self.files.iter().find(|file| identity(file).as_ref() == Some(&id)))
+        else {
+            return Ok(());
+        };
+        Err(CliError::Input(format!(
+            "{}: this would replace {}, which the command reads; give another --out",
+            out.display(),
+            same.display()
+        )))
+    }
+
+    /// Refuses a folder to write into that holds one of the inputs.
+    ///
+    /// # Errors
+    /// [`CliError::Input`].
+    pub fn keep_folder(&self, out: &Path) -> Result<(), CliError> {
+        let holds = |file: &&PathBuf| file.is_file() && identity(folder_of(file)) == identity(out);
+        let Some(held) = self.files.iter().find(holds).filter(|_| out.exists()) else {
+            return Ok(());
+        };
+        Err(CliError::Input(format!(
+            "{}: this folder holds {}, which the command reads, and may have files of the same names; give another --out",
+            out.display(),
+            held.file_name().unwrap_or_default().to_string_lossy()
+        )))
+    }
+}
+
+fn folder_of(path: &Path) -> &Path {
+    match path.parent() {
+        Some(parent) if !parent.as_os_str().is_empty() => parent,
+        _ => Path::new("."),
+    }
+}
+
+/// What two paths to one file or folder share; `None` where there is none.
+#[cfg(unix)]
+fn identity(path: &Path) -> Option<(u64, u64)> {
+    use std::os::unix::fs::MetadataExt;
+    std::fs::metadata(path).ok().map(|data| (data.dev(), data.ino()))
+}
+
+/// What two paths to one file or folder share; `None` where there is none.
+#[cfg(not(unix))]
+fn identity(path: &Path) -> Option<PathBuf> {
+    std::fs::canonicalize(path).ok()
+}
+
+/// Refuses a file name whose extension is none of `formats`, whatever its case.
+///
+/// # Errors
+/// [`CliError::Input`], which names `option` and the formats.
+pub fn must_end_in(option: &str, path: &Path, formats: &[&str]) -> Result<(), CliError> {
+    let extension = path.extension().unwrap_or_default();
+    if formats.iter().any(|format| extension.eq_ignore_ascii_case(format)) {
+        return Ok(());
+    }
+    Err(CliError::Input(format!(
+        "{option} {}: give it a name that ends in .{}",
+        path.display(),
+        formats.join(" or .")
+    )))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn an_input_is_known_by_any_of_its_paths() {
+        let home = tempfile::tempdir().expect("a temporary folder");
+        let image = home.path().join("a.tif");
+        std::fs::write(&image, "pixels").expect("written");
+        let inputs = Inputs::of_files([&image, &home.path().join("absent.tif")]);
+        let folder = home.path().join("new/..");
+        std::fs::create_dir(home.path().join("new")).expect("made");
+        assert!(inputs.keep(&image).is_err() && inputs.keep(&folder.join("a.tif")).is_err());
+        assert!(
+            inputs.keep(&home.path().join("b.tif")).is_ok() && inputs.keep(&home.path().join("absent.tif")).is_ok()
+        );
+        assert!(inputs.keep_folder(&folder).is_err() && inputs.keep_folder(&home.path().join("new")).is_ok());
+        #[cfg(unix)]
+        {
+            let [link, hard] = ["link.tif", "hard.tif"].map(|name| home.path().join(name));
+            std::os::unix::fs::symlink(&image, &link).expect("linked");
+            std::fs::hard_link(&image, &hard).expect("linked");
+            assert!(inputs.keep(&link).is_err() && inputs.keep(&hard).is_err());
+        }
+    }
+
+    #[test]
+    fn an_extension_is_a_format_that_exists() {
+        let check = |path: &str| must_end_in("--out", Path::new(path), &["tif", "tiff"]);
+        assert!(check("a.tif").is_ok() && check("a/b.TIFF").is_ok());
+        for bad in ["a.jpg", "tif", "a.tif.bak", ".tif"] {
+            let said = check(bad).expect_err(bad).to_string();
+            assert!(said.contains(".tif or .tiff"), "{said}");
+        }
+    }
+}

@@ -1,0 +1,78 @@
+//! The right to write into a folder: one process has it at a time.
+
+use crate::run_folder::RunError;
+use heliosplat_raster::RasterError;
+use std::fs::{File, TryLockError};
+use std::io::Result;
+use std::path::{Path, PathBuf};
+
+/// Name of the file that is locked.
+const FILE: &str = ".lock";
+
+/// The right to write into a folder; given back when dropped, or when the process ends, however it does.
+#[derive(Debug)]
+pub struct Lock {
+    /// None on a file system without locks: there the user keeps processes apart.
+    held: Option<(PathBuf, File)>,
+}
+
+impl Lock {
+    /// The right to write into `folder`, which must exist; `None` where another process has it.
+    ///
+    /// # Errors
+    /// When nothing can be written there.
+    pub fn take(folder: &Path) -> std::result::Result<Option<Self>, RunError> {
+        let path = folder.join(FILE);
+        loop {
+            let file = File::options().create(true).append(true).open(&path);
+            let file = file.map_err(|error| RasterError::from_io(&path, &error))?;
+            match file.try_lock() {
+                // Its holder may have removed it after it was opened here: then another process may lock a new one.
+                Ok(()) if is_at(&file, &path).unwrap_or(false) => {
+                    let held = Some((path, file));
+                    return Ok(Some(Self { held }));
+                }
+                Ok(()) => {}
+                Err(TryLockError::WouldBlock) => return Ok(None),
+                Err(TryLockError::Error(_)) => return Ok(Some(Self { held: None })),
+            }
+        }
+    }
+}
+
+impl Drop for Lock {
+    fn drop(&mut self) {
+        if let Some((path, _locked)) = &self.held {
+            // One that stays is locked by the next.
+            let _ = std::fs::remove_file(path);
+        }
+    }
+}
+
+/// Whether an open file is the one of this path.
+fn is_at(file: &File, path: &Path) -> Result<bool> {
+    #[cfg(unix)]
+    {
+        use std::os::unix::fs::MetadataExt;
+        let (open, there) = (file.metadata()?, std::fs::metadata(path)?);
+        Ok((open.dev(), open.ino()) == (there.dev(), there.ino()))
+    }
+    #[cfg(not(unix))]
+    Ok(file.metadata().is_ok() && path.exists())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn one_at_a_time_writes_into_a_folder_and_leaves_nothing() {
+        let folder = tempfile::tempdir().expect("a temporary folder");
+        let take = || Lock::take(folder.path()).expect("lockable");
+        let first = take();
+        assert!(first.is_some() && take().is_none());
+        drop(first);
+        assert_eq!(std::fs::read_dir(folder.path()).expect("a folder").count(), 0);
+        assert!(take().is_some());
+    }
+}
