@@ -142,6 +142,7 @@ impl From<SatelliteError> for CliError {
             SatelliteError::Relight(error) => error.into(),
             SatelliteError::TimeBudget { .. }
             | SatelliteError::SceneOfRun { .. }
+            | SatelliteError::OtherScene { .. }
             | SatelliteError::Adjust { .. }
             | SatelliteError::RelitBands { .. }
             | SatelliteError::RelitElsewhere(_) => Self::Input(error.to_string()),

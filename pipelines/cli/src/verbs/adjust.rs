@@ -8,6 +8,7 @@ use clap::Args;
 use heliosplat_raster::write_atomically;
 use heliosplat_satellite::adjust::{AdjustRequest, adjust_scene};
 use heliosplat_satellite::altitude;
+use heliosplat_scene::Index;
 use heliosplat_session::Session;
 use std::path::PathBuf;
 
@@ -33,7 +34,8 @@ pub struct AdjustArgs {
 
 /// Adjusts the cameras of a scene and writes what comes of it.
 pub(crate) fn run(args: &AdjustArgs, session: &Session) -> Result<Outcome, CliError> {
-    let scene = altitude::open(&args.scene, &args.ingest.options())?;
+    let options = args.ingest.options();
+    let scene = altitude::open(&Index::open(&args.scene, options.rpc)?, &options)?;
     let request = AdjustRequest {
         out: &args.out,
         model: args.model.into(),

@@ -16,11 +16,12 @@ use heliosplat_products::{dsm, relight, views as rendered};
 use heliosplat_raster::write::{ImageSpec, Sample, write_geotiff};
 use heliosplat_rpc::sun::{SunPosition, sun_position};
 use heliosplat_satellite::config::SatelliteConfig;
+use heliosplat_satellite::error::SatelliteError;
 use heliosplat_satellite::run_file::scene_of;
 use heliosplat_satellite::training::configure;
 use heliosplat_satellite::{altitude, estimate, measure, relit, training};
-use heliosplat_scene::Split;
 use heliosplat_scene::survey::Survey;
+use heliosplat_scene::{Index, Split};
 use heliosplat_session::Session;
 use serde_json::{Value, json};
 use std::path::Path;
@@ -35,13 +36,15 @@ pub(crate) fn train(args: &TrainArgs, session: &Session) -> Result<Outcome, CliE
     timeline::take();
     let part = stage("read");
     let mut ingest = args.ingest.options();
+    let index = Index::open(&args.scene, ingest.rpc)?;
     if args.memory.is_some() {
         let preset = args.preset.map(Preset::from).unwrap_or_default();
         let config = SatelliteConfig::resolve(preset, &args.set, args.seed)?;
-        ingest = altitude::resolve(&args.scene, &ingest)?;
-        estimate::must_fit_unread(&Survey::open(&args.scene, &ingest)?, args.memory, &config)?;
+        ingest = altitude::resolve(&index, &ingest)?;
+        estimate::must_fit_unread(&Survey::of(&index, &ingest)?, args.memory, &config)?;
     }
-    let scene = altitude::open(&args.scene, &ingest)?;
+    let scene = altitude::open(&index, &ingest)?;
+    drop(index);
     for warning in &scene.warnings {
         tracing::warn!("{warning}");
     }
@@ -220,7 +223,14 @@ pub(crate) fn render(args: &RenderArgs, session: &Session) -> Result<Outcome, Cl
         )));
     }
     create_folder(&args.out)?;
-    let scene = scene_of(&args.run).ok();
+    let scene = match scene_of(&args.run) {
+        Ok(scene) => Some(scene),
+        Err(SatelliteError::SceneOfRun { error, .. }) => {
+            tracing::warn!("shadows are not compared with the images: {error}");
+            None
+        }
+        Err(error) => return Err(error.into()),
+    };
     let progress = session.progress("render", images.len() as u64);
     let mut written = Vec::new();
     for (done, image) in images.iter().enumerate() {
