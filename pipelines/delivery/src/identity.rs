@@ -1,6 +1,7 @@
 //! The identity of files: size, time of change, and a hash of the content that is computed once and kept.
 
 use super::SceneError;
+use heliosplat_raster::bounded::{TEXT_MAX, read_bytes};
 use heliosplat_raster::write::write_atomically;
 use heliosplat_raster::{RasterError, is_virtual};
 use sha2::{Digest, Sha256};
@@ -72,7 +73,7 @@ pub struct Hashes {
 impl Hashes {
     /// Those that are kept in `out`.
     pub fn open(out: &Path) -> Self {
-        let text = std::fs::read(out.join(HASHES)).unwrap_or_default();
+        let text = read_bytes(&out.join(HASHES), TEXT_MAX).unwrap_or_default();
         Self {
             known: serde_json::from_slice(&text).unwrap_or_default(),
         }

@@ -38,6 +38,7 @@ pub use index::{Index, IndexImage};
 pub use manifest::Counts;
 pub use relit_truth::{RelitTruth, relit_truth};
 pub use sun::{ImageSun, SunSource};
+pub use tiles::places_in_til;
 
 use entry::ImageEntry;
 use files::Folders;
