@@ -11,7 +11,7 @@ use heliosplat_products::nadir::Place;
 use heliosplat_satellite::altitude;
 use heliosplat_satellite::config::SatelliteConfig;
 use heliosplat_satellite::preprocess::sweep_only;
-use heliosplat_scene::IngestOptions;
+use heliosplat_scene::{Index, IngestOptions};
 use heliosplat_session::Session;
 use std::error::Error;
 use std::path::Path;
@@ -38,7 +38,7 @@ fn run() -> Result<(), Box<dyn Error>> {
         altitude_range_m,
         ..Default::default()
     };
-    let scene = altitude::open(Path::new(folder), &options)?;
+    let scene = altitude::open(&Index::open(Path::new(folder), options.rpc)?, &options)?;
     for warning in &scene.warnings {
         eprintln!("warning: {warning}");
     }

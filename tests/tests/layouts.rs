@@ -405,6 +405,31 @@ fn a_time_that_contradicts_the_stated_sun_is_a_warning_and_the_time_counts() {
 }
 
 #[test]
+fn cameras_of_a_neighbouring_folder_are_not_taken() {
+    let home = tempdir().expect("a temporary folder");
+    let [own, other, bare] = ["site", "site_adjusted", "bare"].map(|name| home.path().join(name));
+    for folder in [&own, &other, &bare] {
+        fs::create_dir(folder).expect("made");
+        write_scene(folder, &[0, 1].map(View::new));
+    }
+    for number in 0..2 {
+        fs::remove_file(own.join(format!("view_{number}.json"))).expect("removed");
+        fs::remove_file(other.join(format!("view_{number}.tif"))).expect("removed");
+        // JSON files of images of another format, in a folder of a published name.
+        let json = bare.join(format!("view_{number}.json"));
+        fs::remove_file(bare.join(format!("view_{number}.tif"))).expect("removed");
+        let text = fs::read_to_string(&json).expect("a JSON").replace(".tif", ".jp2");
+        fs::write(json, text).expect("written");
+    }
+    let before = open(&own).expect("a scene");
+    assert!(before.images.iter().all(|image| !image.rpc_source.ends_with(".json")));
+    fs::rename(&bare, home.path().join("rpcs")).expect("renamed");
+    let scene = open(&own).expect("a scene");
+    assert!(scene.images.iter().all(|image| !image.rpc_source.ends_with(".json")));
+    assert_eq!(scene.warnings, before.warnings);
+}
+
+#[test]
 fn a_scene_beside_that_has_images_of_the_same_names_lends_nothing() {
     let home = tempdir().expect("a temporary folder");
     let [whole, bare] = ["whole", "bare"].map(|name| home.path().join(name));

@@ -5,7 +5,6 @@
 //! checkpoint, and a batch that was killed is taken up by the same command.
 
 pub mod driver;
-pub mod hashes;
 pub mod layers;
 pub mod manifest;
 pub mod mosaic;

@@ -1,7 +1,6 @@
 //! The units of a batch, in an order in which they can be done.
 
 use super::BatchError;
-use super::hashes::{Hashes, Seen, seen};
 use super::manifest::{AreaEntry, ImagesEntry, Manifest, PresetEntry, ProductOptions};
 use super::tiles::{self, Tiling};
 use heliosplat_fitting::checkpoint::digest;
@@ -10,7 +9,7 @@ use heliosplat_raster::bounded::read_bytes;
 use heliosplat_raster::write::write_atomically;
 use heliosplat_satellite::altitude;
 use heliosplat_scene::survey::Survey;
-use heliosplat_scene::{AreaRequest, IngestOptions, RpcPreference};
+use heliosplat_scene::{AreaRequest, Hashes, Index, IngestOptions, RpcPreference, Seen, seen};
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
@@ -255,9 +254,10 @@ fn units_of(
         area: area.request(),
     };
     // Once for all tiles, so that they are parts of one surface.
-    let options = altitude::resolve(&images.scene, &options)?;
-    let survey = Survey::open(&images.scene, &options)?;
-    let inputs = hashes.of(&survey.files)?;
+    let index = Index::open(&images.scene, options.rpc)?;
+    let options = altitude::resolve(&index, &options)?;
+    let survey = Survey::of(&index, &options)?;
+    let inputs = hashes.of(&index.files)?;
     let mut units = Vec::new();
     for preset in &manifest.presets {
         let config = preset.config().map_err(|error| BatchError::Manifest {
@@ -283,7 +283,7 @@ fn units_of(
         };
         units.extend(combination.units(&tiling, &survey));
     }
-    Ok((units, survey.files))
+    Ok((units, index.files))
 }
 
 fn refused(area: &AreaEntry, images: &ImagesEntry, error: &BatchError) -> Unit {

@@ -65,7 +65,7 @@ pub struct Request<'a> {
     /// Name of the images, for errors.
     pub images: &'a str,
     /// The scene.
-    pub survey: &'a Survey,
+    pub survey: &'a Survey<'a>,
     /// The limits.
     pub options: &'a TileOptions,
     /// How tiles are trained.

@@ -18,8 +18,9 @@ use heliosplat_raster::preview;
 use heliosplat_raster::write::{deliver, write_atomically};
 use heliosplat_satellite::config::SatelliteConfig;
 use heliosplat_satellite::measure;
+use heliosplat_satellite::run_file::CUT;
 use heliosplat_satellite::training::train;
-use heliosplat_scene::{IngestOptions, Scene};
+use heliosplat_scene::{Hashes, IngestOptions, Scene};
 use heliosplat_session::Session;
 use serde_json::{Value, json};
 use std::path::Path;
@@ -62,7 +63,7 @@ pub fn do_unit(
     begin(&folder, unit)?;
     let begun = Instant::now();
     let (outputs, metrics) = match &unit.work {
-        Work::Tile(work) => tile(work, unit, &folder, checkpoint_every, session)?,
+        Work::Tile(work) => tile(work, unit, (out, &folder), checkpoint_every, session)?,
         Work::Mosaic(work) => mosaic_unit(work, unit, out, &folder)?,
         Work::Refused { reason } => return Err(BatchError::Refused(reason.clone())),
     };
@@ -112,7 +113,7 @@ type Done = (Vec<String>, Value);
 fn tile(
     work: &TileWork,
     unit: &Unit,
-    folder: &Path,
+    (out, folder): (&Path, &Path),
     checkpoint_every: Duration,
     session: &Session,
 ) -> Result<Done, BatchError> {
@@ -124,7 +125,8 @@ fn tile(
         area: Some(work.area.clone()),
     };
     let begun = Instant::now();
-    let scene = Scene::open(&work.scene, &ingest)?;
+    let mut scene = Scene::open(&work.scene, &ingest)?;
+    scene.cut.identify(&mut Hashes::open(out))?;
     for warning in &scene.warnings {
         tracing::warn!("{warning}");
     }
@@ -170,7 +172,7 @@ fn tile(
             metrics[key] = value.clone();
         }
     }
-    let of_run = ["model.ply", "model.json", "run.toml", "metrics.json", SUN, REPORT];
+    let of_run = ["model.ply", "model.json", "run.toml", CUT, "metrics.json", SUN, REPORT];
     // A surface without any known height has no page.
     let there = of_run.iter().filter(|name| run.join(name).is_file());
     outputs.extend(there.map(|name| format!("{RUN}/{name}")));

@@ -120,6 +120,7 @@ impl From<SatelliteError> for CliError {
             | SatelliteError::Channels { .. }
             | SatelliteError::Mask(_)
             | SatelliteError::SceneOfRun { .. }
+            | SatelliteError::OtherScene { .. }
             | SatelliteError::Adjust { .. }
             | SatelliteError::RelitBands { .. }
             | SatelliteError::RelitElsewhere(_) => Self::Input(error.to_string()),

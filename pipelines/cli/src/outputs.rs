@@ -2,8 +2,7 @@
 
 use crate::outcome::CliError;
 use heliosplat_fitting::run_folder::inputs;
-use heliosplat_scene::Scene;
-use heliosplat_scene::survey::Survey;
+use heliosplat_scene::Index;
 use std::path::{Path, PathBuf};
 
 /// Files of a run that others are made from.
@@ -31,17 +30,9 @@ impl Inputs {
         Self::of_files(own.chain(images))
     }
 
-    /// A scene that was opened: its images, its truth, and what describes it.
-    pub fn of_scene(scene: &Scene) -> Self {
-        let truth = [&scene.truth.dsm, &scene.truth.classes].into_iter().flatten().cloned();
-        let images = scene.images.iter().map(|image| image.path.clone());
-        let own = [scene.source.clone(), scene.source.join("scene.toml")];
-        Self::of_files(images.chain(truth).chain(own))
-    }
-
-    /// A scene of which no pixel was read.
-    pub fn of_survey(survey: &Survey) -> Self {
-        Self::of_files(survey.files.iter().cloned())
+    /// A delivery: its images, its truth, and all that describes them.
+    pub fn of_index(index: &Index) -> Self {
+        Self::of_files(index.files.iter().cloned())
     }
 
     /// Refuses an output that is one of the inputs, by whatever path.

@@ -22,7 +22,7 @@ const GAUSSIANS: &str = "model.ply";
 /// What they share, the frame and the cameras. A folder that has it is a run.
 pub const MODEL: &str = "model.json";
 /// What was trained, from what, with what.
-const RUN: &str = "run.toml";
+pub const RUN: &str = "run.toml";
 /// What was measured. A run that has it is finished.
 const METRICS: &str = "metrics.json";
 /// Files of a run besides its model and `run.toml`, not all of which every run has.
@@ -143,15 +143,15 @@ pub fn read_gaussians(folder: &Path, sha256: Option<&str>) -> Result<(PathBuf, V
     Ok((path, bytes))
 }
 
-/// Writes a model into `folder`, which must exist: `model.ply`, the text of `run.toml` where there is one, and last `model.json`, which makes
-/// the folder a run. `describe` makes its text, given the SHA-256 of `model.ply`. Until then the folder holds no run.
+/// Writes a model into `folder`, which must exist: `model.ply`, the `texts` of a run by their names, and last `model.json`, which makes
+/// the folder a run. Without texts only the model of the run is replaced. `describe` makes its text, given the SHA-256 of `model.ply`. Until then the folder holds no run.
 ///
 /// # Errors
 /// When a file cannot be removed or written.
 pub fn save_model(
     folder: &Path,
     gaussians: &[u8],
-    run: Option<&str>,
+    texts: &[(&str, &str)],
     describe: impl FnOnce(String) -> serde_json::Result<String>,
 ) -> Result<(), RunError> {
     let path = folder.join(MODEL);
@@ -159,14 +159,14 @@ pub fn save_model(
         path: path.clone(),
         reason: error.to_string(),
     })?;
-    if run.is_some() {
+    if !texts.is_empty() {
         remove_earlier(folder)?;
     }
     remove(&path)?;
     // The large file first: where it finds no room, nothing is written.
     write_atomically(&folder.join(GAUSSIANS), gaussians)?;
-    if let Some(run) = run {
-        write_atomically(&folder.join(RUN), run.as_bytes())?;
+    for (name, text) in texts {
+        write_atomically(&folder.join(name), text.as_bytes())?;
     }
     Ok(write_atomically(&path, text.as_bytes())?)
 }
@@ -429,7 +429,7 @@ mod tests {
         }
         // A folder cannot be replaced by a file.
         std::fs::create_dir(path("model.ply")).expect("made");
-        let save = || save_model(home.path(), b"gaussians", Some("run"), Ok);
+        let save = || save_model(home.path(), b"gaussians", &[(RUN, "run")], Ok);
         assert!(save().is_err());
         assert!(!path(MODEL).exists(), "what is not whole is no run");
         std::fs::remove_dir(path("model.ply")).expect("removed");

@@ -303,13 +303,13 @@ pub fn file(capture: &Capture, kind: Kind, preparation: Preparation, globals: Ta
 /// # Errors
 /// When a file cannot be written.
 pub fn save_model(folder: &Path, model: &ObjectModel) -> Result<(), RunError> {
-    save(folder, None, model)
+    save(folder, &[], model)
 }
 
-/// Writes a model and, between its files, the text of `run.toml`.
-pub(super) fn save(folder: &Path, run: Option<&str>, model: &ObjectModel) -> Result<(), RunError> {
+/// Writes a model and the `texts` of its run by their names.
+pub(super) fn save(folder: &Path, texts: &[(&str, &str)], model: &ObjectModel) -> Result<(), RunError> {
     let gaussians = splat_ply::encode(&model.parameters.gaussians, &[]);
-    run_folder::save_model(folder, &gaussians, run, |sum| {
+    run_folder::save_model(folder, &gaussians, texts, |sum| {
         serde_json::to_string_pretty(&ObjectFile {
             gaussians_sha256: Some(sum),
             ..model.file.clone()

@@ -3,7 +3,7 @@
 use crate::config::ObjectConfig;
 use crate::model::{self, ObjectModel, damaged};
 use crate::plan::Plan;
-use heliosplat_fitting::run_folder::{Input, RunError, read};
+use heliosplat_fitting::run_folder::{Input, RUN, RunError, read};
 use std::path::{Path, PathBuf};
 
 /// `run.toml`.
@@ -34,9 +34,9 @@ pub struct ObjectRun {
 /// # Errors
 /// When a file cannot be written.
 pub fn save(folder: &Path, run: &ObjectRun, model: &ObjectModel) -> Result<(), RunError> {
-    let path = folder.join("run.toml");
+    let path = folder.join(RUN);
     let text = toml::to_string_pretty(run).map_err(|e| damaged(&path, e))?;
-    model::save(folder, Some(&text), model)
+    model::save(folder, &[(RUN, &text)], model)
 }
 
 /// The `run.toml` of a run.

@@ -233,12 +233,12 @@ pub fn load_whole(folder: &Path) -> Result<LoadedModel, RunError> {
     })
 }
 
-/// Writes a model into `folder`, which must exist: `model.ply`, the text of `run.toml`, and last `model.json`.
+/// Writes a model into `folder`, which must exist: `model.ply`, the `texts` of the run by their names, and last `model.json`.
 ///
 /// # Errors
 /// When a file cannot be written.
-pub fn save(folder: &Path, run: &str, file: &ModelFile, gaussians: &Table) -> Result<(), RunError> {
-    save_model(folder, &ply::encode(gaussians, file.options.bands), Some(run), |sum| {
+pub fn save(folder: &Path, texts: &[(&str, &str)], file: &ModelFile, gaussians: &Table) -> Result<(), RunError> {
+    save_model(folder, &ply::encode(gaussians, file.options.bands), texts, |sum| {
         serde_json::to_string_pretty(&ModelFile {
             gaussians_sha256: Some(sum),
             ..file.clone()

@@ -10,10 +10,9 @@ use super::ground::Ground;
 use super::limits::AtLimits;
 use heliosplat_grid::statistics::quantile;
 use heliosplat_scene::cameras::SceneCameras;
-use heliosplat_scene::{AltitudeSource, IngestOptions, Scene, SceneError};
+use heliosplat_scene::{AltitudeSource, Index, IngestOptions, Scene, SceneError};
 use heliosplat_stereo::pointing::ties::epipolar::{EpipolarSearch, ReducedView, TiedAltitudes, tied_altitudes};
 use heliosplat_stereo::{MatchingParameters, Surface, plane_sweep, weight_of_geometry};
-use std::path::Path;
 
 /// Most pairs of images that are matched: a range takes no more.
 const MOST_PAIRS: usize = 8;
@@ -54,14 +53,14 @@ const COARSE_CELL_GSD: f64 = 4.0;
 /// Most times that a range is widened.
 pub(super) const ROUNDS: usize = 3;
 
-/// Opens a scene; where neither `options` nor its files state its altitudes, they are found by tie points, and widened where a coarse sweep
+/// Reads a scene; where neither `options` nor its files state its altitudes, they are found by tie points, and widened where a coarse sweep
 /// between them shows that the surface goes on beyond.
 ///
 /// # Errors
 /// As [`Scene::open`].
-pub fn open(path: &Path, options: &IngestOptions) -> Result<Scene, SceneError> {
-    let mut options = resolve(path, options)?;
-    let mut scene = Scene::open(path, &options)?;
+pub fn open(index: &Index, options: &IngestOptions) -> Result<Scene, SceneError> {
+    let mut options = resolve(index, options)?;
+    let mut scene = Scene::of(index, &options)?;
     for _ in 0..ROUNDS {
         if scene.altitude_known_from != AltitudeSource::Ties {
             break;
@@ -74,7 +73,7 @@ pub fn open(path: &Path, options: &IngestOptions) -> Result<Scene, SceneError> {
         tracing::debug!(searched_m = ?scene.altitude_range_m, ?range_m, "the coarse sweep goes on beyond the tie points");
         options.altitude_from_ties_m = Some(range_m);
         drop(scene);
-        scene = Scene::open(path, &options)?;
+        scene = Scene::of(index, &options)?;
     }
     Ok(scene)
 }
@@ -93,12 +92,12 @@ fn coarse_sweep(scene: &Scene) -> Option<Surface> {
 ///
 /// # Errors
 /// As [`Scene::open`].
-pub fn resolve(path: &Path, options: &IngestOptions) -> Result<IngestOptions, SceneError> {
+pub fn resolve(index: &Index, options: &IngestOptions) -> Result<IngestOptions, SceneError> {
     let mut options = options.clone();
     if options.altitude_range_m.is_some() || options.altitude_from_ties_m.is_some() {
         return Ok(options);
     }
-    let cameras = SceneCameras::open(path, &options)?;
+    let cameras = SceneCameras::new(index, &options)?;
     if cameras.range.source == AltitudeSource::Cameras {
         options.altitude_from_ties_m = find(&cameras)?;
     }

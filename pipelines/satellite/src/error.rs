@@ -115,6 +115,14 @@ pub enum SatelliteError {
         /// What is wrong with its scene.
         error: SceneError,
     },
+    /// A scene that is no longer the one that a run was trained on.
+    #[error("{}: its scene is not the one that it was trained on: {difference}; restore the scene, or train again", run.display())]
+    OtherScene {
+        /// The run.
+        run: PathBuf,
+        /// The first difference.
+        difference: String,
+    },
     /// Cameras that cannot be adjusted.
     #[error(
         "{}: the cameras cannot be adjusted: {error}; check the overlap and --altitude with `heliosplat inspect`",

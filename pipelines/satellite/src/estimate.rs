@@ -106,8 +106,8 @@ impl From<&Scene> for Extent {
     }
 }
 
-impl From<&Survey> for Extent {
-    fn from(survey: &Survey) -> Self {
+impl From<&Survey<'_>> for Extent {
+    fn from(survey: &Survey<'_>) -> Self {
         let (low_m, high_m) = survey.altitude_range_m;
         Self {
             area: *survey.area(),

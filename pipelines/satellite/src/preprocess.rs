@@ -15,11 +15,10 @@ use heliosplat_radiometry::change;
 use heliosplat_radiometry::suns::ShadowSun;
 use heliosplat_rpc::RpcError;
 use heliosplat_rpc::adjust::BiasModel;
-use heliosplat_scene::{AltitudeSource, ImageSun, IngestOptions, Scene};
+use heliosplat_scene::{AltitudeSource, ImageSun, Index, IngestOptions, Scene};
 use heliosplat_session::Session;
 use heliosplat_stereo::change::Changes;
 use heliosplat_stereo::{MatchingParameters, PlaneSweepRequest, Surface, SweepView, plane_sweep};
-use std::path::Path;
 use std::time::Instant;
 
 /// Corrections of the pointing beyond which clouds are searched again, pixels: what bright roofs are off by when they pass for clouds.
@@ -276,13 +275,13 @@ pub fn sweep_only(scene: &Scene, config: &SatelliteConfig, session: &Session) ->
 /// # Errors
 /// As [`Scene::open`], and [`SatelliteError::TooFewViews`].
 pub fn open_and_sweep(
-    path: &Path,
+    index: &Index,
     options: &IngestOptions,
     config: &SatelliteConfig,
     session: &Session,
 ) -> Result<(Scene, Surface), SatelliteError> {
     let part = stage("read");
-    let mut scene = altitude::open(path, options)?;
+    let mut scene = altitude::open(index, options)?;
     drop(part);
     let mut surface = sweep_only(&scene, config, session)?;
     for _ in 0..altitude::ROUNDS {
@@ -297,7 +296,7 @@ pub fn open_and_sweep(
         };
         drop(scene);
         let part = stage("read");
-        scene = Scene::open(path, &options)?;
+        scene = Scene::of(index, &options)?;
         drop(part);
         surface = sweep_only(&scene, config, session)?;
     }

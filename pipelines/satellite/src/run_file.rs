@@ -1,6 +1,6 @@
 //! `run.toml` of a satellite run: what was trained, from what, with what; and writing a run's folder.
 //!
-//! A run is `run.toml` (resolved configuration, version, seed, inputs with hashes), `model.ply` (the Gaussians), `model.json` (what they
+//! A run is `run.toml` (resolved configuration, version, seed, inputs with hashes), `cut.json` (which pixels were used), `model.ply` (the Gaussians), `model.json` (what they
 //! share, the frame and the cameras), `metrics.json`, `dsm.tif`, pictures. Everything is written to a temporary name and renamed.
 
 use crate::config::SatelliteConfig;
@@ -8,10 +8,10 @@ use crate::error::SatelliteError;
 use crate::fit::Fitted;
 use crate::plan::PlanItem;
 use heliosplat::gaussians::Table;
-use heliosplat_fitting::run_folder::{Input, RunError, read};
+use heliosplat_fitting::run_folder::{Input, RUN, RunError, read};
 use heliosplat_products::model::{self, ModelFile, ModelImage};
 use heliosplat_scene::crop::{self, Crop};
-use heliosplat_scene::{AreaRequest, IngestOptions, Scene, Split};
+use heliosplat_scene::{AreaRequest, Index, KeptCut, Scene, Split};
 use std::path::{Path, PathBuf};
 
 /// `run.toml`.
@@ -95,12 +95,13 @@ pub fn model_images(scene: &Scene, fitted: &Fitted, margin_m: f64) -> Vec<ModelI
 ///
 /// # Errors
 /// When a file cannot be written.
-pub fn save(folder: &Path, run: &RunFile, file: &ModelFile, gaussians: &Table) -> Result<(), RunError> {
+pub fn save(folder: &Path, run: &RunFile, cut: &KeptCut, file: &ModelFile, gaussians: &Table) -> Result<(), RunError> {
     let text = toml::to_string_pretty(run).map_err(|error| RunError::Damaged {
-        path: folder.join("run.toml"),
+        path: folder.join(RUN),
         reason: error.to_string(),
     })?;
-    model::save(folder, &text, file, gaussians)
+    let cut = serde_json::to_string(cut).unwrap_or_default();
+    model::save(folder, &[(RUN, &text), (CUT, &cut)], file, gaussians)
 }
 
 /// The `run.toml` of a run.
@@ -115,20 +116,42 @@ pub fn load_run(folder: &Path) -> Result<RunFile, RunError> {
     RunFile::parse(&read(&path)?).map_err(|reason| RunError::Damaged { path, reason })
 }
 
-/// The scene that a run was trained on, read as it was then.
+/// Name of the file that keeps the cut of a run.
+pub const CUT: &str = "cut.json";
+
+/// The cut that a run was trained on.
 ///
 /// # Errors
-/// When the run or its scene cannot be read.
+/// When the run has none or it is damaged.
+pub fn cut_of(run: &Path) -> Result<KeptCut, RunError> {
+    let path = run.join(CUT);
+    let damaged = |reason: String| RunError::Damaged {
+        path: path.clone(),
+        reason,
+    };
+    if !path.is_file() {
+        return Err(damaged(
+            "not there, so the pixels that the run was trained on are not known".into(),
+        ));
+    }
+    serde_json::from_str(&read(&path)?).map_err(|error| damaged(error.to_string()))
+}
+
+/// The scene that a run was trained on: the same windows, cameras and scale.
+///
+/// # Errors
+/// When the run or its scene cannot be read, and [`SatelliteError::OtherScene`] where the scene is not the one that was trained on.
 pub fn scene_of(run: &Path) -> Result<Scene, SatelliteError> {
     let file = load_run(run)?;
-    let options = IngestOptions {
-        altitude_range_m: file.altitude_range_m,
-        altitude_from_ties_m: file.altitude_from_ties_m,
-        area: file.area,
-        ..Default::default()
-    };
-    Scene::open(&file.scene, &options).map_err(|error| SatelliteError::SceneOfRun {
+    let kept = cut_of(run)?;
+    let unreadable = |error| SatelliteError::SceneOfRun {
         run: run.to_owned(),
         error,
-    })
+    };
+    let index = Index::open(&file.scene, kept.rpc).map_err(unreadable)?;
+    let cut = kept.again(&index).map_err(|difference| SatelliteError::OtherScene {
+        run: run.to_owned(),
+        difference,
+    })?;
+    Scene::read(&index, &cut, Vec::new()).map_err(unreadable)
 }

@@ -128,7 +128,7 @@ impl SweepPlan {
 }
 
 struct Cutter<'a> {
-    survey: &'a Survey,
+    survey: &'a Survey<'a>,
     model: SweepModel,
     cell_m: f64,
     grid: GridSpec,
@@ -137,7 +137,7 @@ struct Cutter<'a> {
 }
 
 impl<'a> Cutter<'a> {
-    fn new(survey: &'a Survey, cell_m: f64, map: &MapRequest) -> Result<Self, SatelliteError> {
+    fn new(survey: &'a Survey<'a>, cell_m: f64, map: &MapRequest) -> Result<Self, SatelliteError> {
         let crs = match map.crs {
             Some(definition) => Crs::from_definition(definition)?,
             None => Crs::utm(survey.frame().origin)?,

@@ -22,7 +22,7 @@ use heliosplat_products::stored::{StoredPiece, blend_rows};
 use heliosplat_radiometry::bridged::Lowered;
 use heliosplat_raster::temporary::TemporaryFolder;
 use heliosplat_scene::survey::Survey;
-use heliosplat_scene::{Area, IngestOptions, Scene, SceneError};
+use heliosplat_scene::{Area, Scene, SceneError};
 use heliosplat_session::Session;
 use heliosplat_stereo::change::Changes;
 use heliosplat_stereo::{MatchingParameters, PlaneSweepRequest};
@@ -37,14 +37,10 @@ const PATCH_CELLS: f64 = 1000.0;
 
 /// What is swept, and into which file.
 pub struct TiledSweep<'a> {
-    /// The scene.
-    pub scene: &'a Path,
-    /// What is said about it; its altitudes are resolved.
-    pub options: &'a IngestOptions,
     /// How it is swept.
     pub config: &'a SatelliteConfig,
     /// The same scene with its pixels unread.
-    pub survey: &'a Survey,
+    pub survey: &'a Survey<'a>,
     /// Its plan.
     pub plan: &'a SweepPlan,
     /// The tiles of that plan.
@@ -188,7 +184,9 @@ impl TiledSweep<'_> {
     /// Reads what shows a part of the ground; `None` where fewer than two images do.
     fn open(&self, part: &Area) -> Result<Option<Scene>, SatelliteError> {
         let _part = stage("read");
-        match Scene::open_part(self.scene, self.options, part) {
+        let Survey { index, cut, .. } = self.survey;
+        let read = cut.part(index, part);
+        match read.and_then(|part| Scene::read(index, &part, Vec::new())) {
             Ok(scene) => Ok(Some(scene)),
             Err(SceneError::NotCovered { .. }) => Ok(None),
             Err(error) => Err(error.into()),

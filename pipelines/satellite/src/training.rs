@@ -18,7 +18,7 @@ use heliosplat_fitting::budget::steps_of_products;
 use heliosplat_fitting::checkpoint::digest;
 use heliosplat_fitting::program::{build, identity_of_program};
 use heliosplat_fitting::request::{TrainOutcome, TrainRequest, TrainedRun};
-use heliosplat_fitting::run_folder::{Input, Opened, RunFolder, RunRequest, hash, hash_of_pixels};
+use heliosplat_fitting::run_folder::{Input, Opened, RunFolder, RunRequest, hash_of_pixels};
 use heliosplat_fitting::training::Ending;
 use heliosplat_products::change::ChangeMap;
 use heliosplat_products::dsm::{self, Dsm};
@@ -26,7 +26,7 @@ use heliosplat_products::model::{LoadedModel, ModelChanges, ModelFile, SCHEMA};
 use heliosplat_products::nadir::NadirGrid;
 use heliosplat_radiometry::linear;
 use heliosplat_raster::{Crs, RasterError, is_virtual, preview};
-use heliosplat_scene::{AltitudeSource, IngestOptions, Scene, SceneImage, Values};
+use heliosplat_scene::{AltitudeSource, Hashes, IngestOptions, KeptCut, Scene, SceneError, SceneImage, Values};
 use heliosplat_session::Session;
 use rayon::prelude::*;
 use std::fmt::Write;
@@ -50,7 +50,8 @@ pub fn train(
     let part = stage("decide");
     let decisions = Decisions::of(scene, config);
     let config = decisions.resolved(config);
-    let inputs = hashes(scene)?;
+    let cut = identified(scene, &request.out)?;
+    let inputs = inputs_of(scene, &cut);
     let identity = identity(scene, &config, &decisions, request, &inputs)?;
     let folder = match Opened::look(RunRequest {
         request,
@@ -104,7 +105,7 @@ pub fn train(
         inputs,
         config: fitted.decisions.resolved(&config),
     };
-    run_file::save(&request.out, &run, &file, &fitted.trained.parameters.gaussians)?;
+    run_file::save(&request.out, &run, &cut, &file, &fitted.trained.parameters.gaussians)?;
     let whole = LoadedModel {
         folder: request.out.clone(),
         model: fitted.model.clone(),
@@ -156,19 +157,35 @@ fn write_surfaces(out: &Path, surface: &Dsm, changes: Option<&ChangeMap>, gsd_m:
     files.par_iter().try_for_each(|write| write())
 }
 
-/// The images, hashed.
-fn hashes(scene: &Scene) -> Result<Vec<Input>, SatelliteError> {
-    let input = |image: &SceneImage| {
-        Ok(Input {
-            path: image.path.clone(),
-            sha256: match is_virtual(&image.path) {
-                // Not to be fetched once more: what was read of it stands for it.
-                true => hash_of_pixels(&image.pixels),
-                false => hash(&image.path)?,
-            },
-        })
-    };
-    scene.images.iter().map(input).collect()
+/// The images, hashed; `cut` is theirs, with the identities of their files.
+fn inputs_of(scene: &Scene, cut: &KeptCut) -> Vec<Input> {
+    let mut inputs = Vec::new();
+    for image in &scene.images {
+        if is_virtual(&image.path) {
+            // Not to be fetched once more: the pixels that were read stand for it.
+            inputs.push(Input {
+                path: image.path.clone(),
+                sha256: hash_of_pixels(&image.pixels),
+            });
+        }
+        let kept = cut.images.iter().filter(|kept| kept.name == image.name);
+        inputs.extend(kept.flat_map(|kept| &kept.files).map(|file| Input {
+            path: file.path.clone(),
+            sha256: file.sha256.clone(),
+        }));
+    }
+    inputs
+}
+
+/// The cut of a scene with the identities of its files; those of an earlier run in `out` are not computed again.
+fn identified(scene: &Scene, out: &Path) -> Result<KeptCut, SceneError> {
+    let mut hashes = Hashes::default();
+    if let Ok(before) = run_file::cut_of(out) {
+        hashes.learn(before.images.into_iter().flat_map(|image| image.files));
+    }
+    let mut cut = scene.cut.clone();
+    cut.identify(&mut hashes)?;
+    Ok(cut)
 }
 
 /// All that decides a training, line by line: two of the same lines are the same training, wherever their files lie.
@@ -192,7 +209,11 @@ fn identity(
     );
     let _ = writeln!(text, "matching {:?}", decisions.matching);
     let _ = writeln!(text, "area {:?}\naltitudes {:?}", scene.area, scene.altitude_range_m);
-    for (image, input) in scene.images.iter().zip(inputs) {
+    for input in inputs {
+        let name = input.path.file_name().unwrap_or_default().to_string_lossy();
+        let _ = writeln!(text, "image {name} {}", input.sha256);
+    }
+    for image in &scene.images {
         let SceneImage {
             name,
             split,
@@ -202,7 +223,6 @@ fn identity(
             values,
             ..
         } = image;
-        let _ = writeln!(text, "image {name} {}", input.sha256);
         let camera = format!("{split:?} {:?} {sun:?} {bands:?}", pinhole.map);
         let _ = writeln!(text, "camera, sun and bands of {name} {}", digest(&camera));
         if !values.is_unknown() {

@@ -1,7 +1,7 @@
 //! A piece of a scene's ground, and what of each image shows it.
 
-use super::draft::Draft;
 use super::{Area, SceneError};
+use heliosplat_delivery::IndexImage;
 use heliosplat_raster::{Crs, CrsTransform, Window};
 use heliosplat_rpc::{GeoPoint, LocalFrame};
 use nalgebra::Vector3;
@@ -161,7 +161,7 @@ impl Area {
 
 /// The window of an image that shows an area between two ellipsoidal altitudes (metres), with a margin; `None` when it shows none of it.
 pub(super) fn window_over(
-    draft: &Draft,
+    image: &IndexImage,
     frame: &LocalFrame,
     area: &Area,
     altitude_range_m: (f64, f64),
@@ -172,7 +172,7 @@ pub(super) fn window_over(
         for y in [area.south_m - MARGIN_M, area.north_m + MARGIN_M] {
             for height_m in [altitude_range_m.0, altitude_range_m.1] {
                 let place = frame.geo_from_enu(Vector3::new(x, y, height_m - origin_m));
-                let at = draft.rpc.project(place);
+                let at = image.rpc.project(place);
                 for (axis, v) in [at.col, at.row].into_iter().enumerate() {
                     low[axis] = low[axis].min(v);
                     high[axis] = high[axis].max(v);
@@ -180,7 +180,7 @@ pub(super) fn window_over(
             }
         }
     }
-    let (width, height) = draft.file.size();
+    let (width, height) = image.size;
     let along = |axis: usize, size: usize| {
         // `as` saturates: what lies before the image begins at its first pixel.
         let first = (low[axis] - MARGIN_PX).floor().max(0.0) as usize;

@@ -1,15 +1,14 @@
 //! The training images of a scene before it is known how high its ground lies: their cameras, the ground that two of them may share, and
 //! pixels averaged down. Enough to find the altitudes that the surface has.
 
-use super::draft::Draft;
-use super::drafts;
+use super::cut::{footprint_of, gsd_m, localise, whole};
 use super::footprint::Footprint;
-use super::{AltitudeRange, IngestOptions, SceneError, Split, altitude, layout};
+use super::{AltitudeRange, IngestOptions, SceneError};
 use heliosplat::Raster;
+use heliosplat_delivery::{Index, IndexImage};
 use heliosplat_raster::Window;
 use heliosplat_rpc::{LocalFrame, Rpc};
 use nalgebra::{Vector2, Vector3};
-use std::path::Path;
 
 /// Altitudes at which the ground that two images share is computed.
 const ALTITUDES: usize = 33;
@@ -18,9 +17,9 @@ const MARGIN_PX: f64 = 16.0;
 /// Fewer columns or rows tell nothing.
 const LEAST_PX: usize = 32;
 
-/// The training images of a scene: files open, pixels not read.
-pub struct SceneCameras {
-    drafts: Vec<Draft>,
+/// The training images of an index.
+pub struct SceneCameras<'a> {
+    images: Vec<&'a IndexImage>,
     /// A frame near the scene.
     frame: LocalFrame,
     /// The piece of ground wanted, corners in that frame, metres.
@@ -29,28 +28,17 @@ pub struct SceneCameras {
     pub range: AltitudeRange,
 }
 
-impl SceneCameras {
-    /// Opens the files of a scene.
+impl<'a> SceneCameras<'a> {
+    /// Those of an index.
     ///
     /// # Errors
-    /// As [`super::Scene::open`].
-    pub fn open(path: &Path, options: &IngestOptions) -> Result<Self, SceneError> {
-        let layout = layout::find(path)?;
-        let mut warnings = Vec::new();
-        let drafts = drafts::read_all(&layout, options, &mut warnings)?;
-        let said = altitude::Said {
-            ties_m: None,
-            ..altitude::Said::of(options, layout.altitude_range_m)
-        };
-        let stated: Vec<altitude::Stated> = drafts.iter().map(Draft::stated_altitude).collect();
-        let range = altitude::choose(said, &stated, &mut warnings)?;
-        let drafts: Vec<Draft> = drafts
-            .into_iter()
-            .filter(|draft| draft.entry.split == Split::Train)
-            .collect();
-        let Some(first) = drafts.first() else {
+    /// As [`super::Cut::of`].
+    pub fn new(index: &'a Index, options: &IngestOptions) -> Result<Self, SceneError> {
+        let range = index.altitudes(options.altitude_range_m, None, &mut Vec::new())?;
+        let images: Vec<&IndexImage> = index.training().collect();
+        let Some(first) = images.first() else {
             return Err(SceneError::TooFewViews {
-                path: path.to_owned(),
+                path: index.source.clone(),
                 count: 0,
             });
         };
@@ -58,8 +46,8 @@ impl SceneCameras {
         let origin = match &options.area {
             Some(wanted) => wanted.place(middle_m)?,
             None => {
-                let (width, height) = first.file.size();
-                first.localise(width as f64 / 2.0, height as f64 / 2.0, middle_m)?
+                let (width, height) = first.size;
+                localise(first, width as f64 / 2.0, height as f64 / 2.0, middle_m)?
             }
         };
         let frame = LocalFrame::new(origin);
@@ -73,7 +61,7 @@ impl SceneCameras {
             ])
         });
         Ok(Self {
-            drafts,
+            images,
             frame,
             wanted,
             range,
@@ -82,18 +70,18 @@ impl SceneCameras {
 
     /// Number of images.
     pub fn count(&self) -> usize {
-        self.drafts.len()
+        self.images.len()
     }
 
     /// The rational camera of an image, in the pixel coordinates of its file.
     pub fn rpc(&self, image: usize) -> &Rpc {
-        &self.drafts[image].rpc
+        &self.images[image].rpc
     }
 
     /// Whether two images are of one UTC day, as far as their times are known.
     pub fn same_day(&self, first: usize, second: usize) -> bool {
         let day = |image: usize| {
-            let time = self.drafts[image].acquisition.time;
+            let time = self.images[image].acquisition.time;
             time.map(|time| time.as_second().div_euclid(86_400))
         };
         day(first).is_some() && day(first) == day(second)
@@ -104,7 +92,8 @@ impl SceneCameras {
     /// # Errors
     /// When its camera does not see that altitude.
     pub fn gsd_m(&self, image: usize, altitude_m: f64) -> Result<f64, SceneError> {
-        self.drafts[image].gsd_m(&self.frame, altitude_m)
+        let image = self.images[image];
+        gsd_m(image, &whole(image), &self.frame, altitude_m)
     }
 
     /// How far the ground that the middle of an image sees moves east and north per metre of altitude, between two altitudes, metres.
@@ -112,10 +101,10 @@ impl SceneCameras {
     /// # Errors
     /// When its camera does not see one of them.
     pub fn parallax(&self, image: usize, (low_m, high_m): (f64, f64)) -> Result<[f64; 2], SceneError> {
-        let draft = &self.drafts[image];
-        let (width, height) = draft.file.size();
+        let image = self.images[image];
+        let (width, height) = image.size;
         let at = |height_m| {
-            let place = draft.localise(width as f64 / 2.0, height as f64 / 2.0, height_m)?;
+            let place = localise(image, width as f64 / 2.0, height as f64 / 2.0, height_m)?;
             Ok::<_, SceneError>(self.frame.enu_from_geo(place))
         };
         let moved: Vector2<f64> = (at(high_m)? - at(low_m)?).xy() / (high_m - low_m);
@@ -132,11 +121,11 @@ impl SceneCameras {
         second: usize,
         (low_m, high_m): (f64, f64),
     ) -> Result<Option<[Window; 2]>, SceneError> {
-        let pair = [&self.drafts[first], &self.drafts[second]];
+        let pair = [self.images[first], self.images[second]];
         let mut limits = [([f64::INFINITY; 2], [f64::NEG_INFINITY; 2]); 2];
         for step in 0..ALTITUDES {
             let altitude_m = low_m + (high_m - low_m) * step as f64 / (ALTITUDES - 1) as f64;
-            let footprint = |draft: &Draft| draft.footprint(&self.frame, altitude_m);
+            let footprint = |image: &IndexImage| footprint_of(image, &self.frame, altitude_m);
             let mut shared = footprint(pair[0])?.intersection(&footprint(pair[1])?);
             if let Some(wanted) = &self.wanted {
                 shared = shared.intersection(wanted);
@@ -144,8 +133,8 @@ impl SceneCameras {
             for &[east_m, north_m] in shared.corners() {
                 let up_m = altitude_m - self.frame.origin.height_m;
                 let place = self.frame.geo_from_enu(Vector3::new(east_m, north_m, up_m));
-                for (draft, (low, high)) in pair.iter().zip(&mut limits) {
-                    let at = draft.rpc.project(place);
+                for (image, (low, high)) in pair.iter().zip(&mut limits) {
+                    let at = image.rpc.project(place);
                     for (axis, value) in [at.col, at.row].into_iter().enumerate() {
                         low[axis] = low[axis].min(value);
                         high[axis] = high[axis].max(value);
@@ -155,7 +144,7 @@ impl SceneCameras {
         }
         let window = |index: usize| {
             let (low, high): ([f64; 2], [f64; 2]) = limits[index];
-            let (width, height) = pair[index].file.size();
+            let (width, height) = pair[index].size;
             let along = |axis: usize, size: usize| {
                 // `as` saturates: what lies before the image begins at its first pixel.
                 let first = (low[axis] - MARGIN_PX).floor().max(0.0) as usize;
@@ -179,8 +168,8 @@ impl SceneCameras {
     /// # Errors
     /// When the pixels cannot be read.
     pub fn read_reduced(&self, image: usize, window: Window, factor: usize) -> Result<Raster, SceneError> {
-        let draft = &self.drafts[image];
-        let raster = draft.file.read_reduced(window, factor, &draft.plan.file_bands)?;
+        let image = self.images[image];
+        let raster = image.file().read_reduced(window, factor, &image.bands.file_bands)?;
         let plane = raster.plane_len();
         let mut mean = Raster::filled(raster.width, raster.height, 1, 0.0);
         for values in raster.values.chunks_exact(plane.max(1)) {

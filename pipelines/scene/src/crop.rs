@@ -52,14 +52,15 @@ impl Crop {
         })
     }
 
-    /// The pixels of the rectangle.
+    /// The pixels of the rectangle; `NaN` where it reaches beyond the raster.
     pub fn cut(&self, raster: &Raster) -> Raster {
         let mut out = Raster::filled(self.width, self.height, raster.bands, f32::NAN);
         for band in 0..raster.bands {
-            for row in 0..self.height {
+            let width = self.width.min(raster.width.saturating_sub(self.col0));
+            for row in 0..self.height.min(raster.height.saturating_sub(self.row0)) {
                 let from = (band * raster.height + self.row0 + row) * raster.width + self.col0;
                 let to = (band * self.height + row) * self.width;
-                out.values[to..to + self.width].copy_from_slice(&raster.values[from..from + self.width]);
+                out.values[to..to + width].copy_from_slice(&raster.values[from..from + width]);
             }
         }
         out
@@ -204,6 +205,20 @@ mod tests {
     fn a_group_does_not_grow_from_image_to_image() {
         let minutes = ["2016-04-23T10:08:00Z", "2016-04-23T10:00:00Z", "2016-04-23T10:04:00Z"];
         assert_eq!(groups(&minutes), [0, 1, 1]);
+    }
+
+    #[test]
+    fn a_crop_beyond_its_raster_is_unknown_there() {
+        let raster = Raster::filled(4, 3, 2, 1.0);
+        let crop = Crop {
+            col0: 3,
+            row0: 2,
+            width: 2,
+            height: 2,
+        };
+        let cut = crop.cut(&raster);
+        let known: Vec<bool> = cut.values.iter().map(|value| value.is_finite()).collect();
+        assert_eq!(known, [true, false, false, false, true, false, false, false]);
     }
 
     #[test]

@@ -1,129 +1,41 @@
-//! Ingest: a folder of satellite images becomes a [`Scene`].
+//! Index → [`Cut`] → pixels: the images of a delivery become a [`Scene`].
 //!
-//! A scene is recognised, not declared: a `scene.toml`, a folder of images, or the folders of Sat-NeRF and EOGS. Every
-//! image needs a rational camera; its sun may be unknown. What is missing or contradictory is an error of one line that
-//! names the file, what is merely odd is a warning in [`Scene::warnings`].
+//! [`Index::open`] finds and parses a delivery once; [`Cut::of`] chooses frame, ground, altitudes and windows without reading pixels;
+//! [`Scene::read`] reads the pixels of a cut. A run keeps its [`KeptCut`], from which the same pixels are read again.
 
-mod acquisition;
-mod altitude;
 mod area;
-mod bands;
-mod calibration;
-mod camera;
 pub mod cameras;
 pub mod crop;
-mod dimap;
-mod draft;
-mod drafts;
-mod entry;
-mod error;
-mod files;
+mod cut;
 mod footprint;
-mod ground;
 pub mod indices;
+mod kept;
 mod known_tiles;
-mod layout;
-mod manifest;
-mod pair_names;
-mod pairs;
 mod pixels;
-mod relit_truth;
-mod satnerf;
+mod read;
 pub mod saturation;
-mod sidecars;
-mod sun;
 pub mod survey;
-mod tiles;
 mod truth;
 mod values;
-mod weak_times;
 
-pub use altitude::{AltitudeRange, AltitudeSource};
 pub use area::AreaRequest;
-pub use error::SceneError;
+pub use cut::{Cut, CutImage};
+pub use heliosplat_delivery::{
+    AltitudeRange, AltitudeSource, BandKind, FileIdentity, Hashes, ImageSun, Index, RelitTruth, RpcPreference,
+    SceneError, Seen, Split, SunSource, Truth, camera_of, image_described, images_listed, places_in_til, relit_truth,
+    seen,
+};
+pub use kept::{KeptCut, KeptImage};
 pub use known_tiles::KnownTiles;
-pub use relit_truth::{RelitTruth, relit_truth};
-pub use sun::{ImageSun, SunSource};
-pub use tiles::places_in_til;
 pub use values::{BandReflectance, ValueKind, Values};
 
-use draft::Draft;
-use entry::ImageEntry;
-use ground::Ground;
 use heliosplat::Raster;
-use heliosplat_raster::{RasterFile, Window};
-use heliosplat_rpc::read::calibration::CalibratedBand;
+use heliosplat_raster::Window;
 use heliosplat_rpc::{GeoPoint, LocalFrame, PinholeFit, Rpc, sun::SunPosition};
 use indices::{NormalisedDifference, VegetationIndex};
 use nalgebra::Vector3;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
-use tiles::ImageFiles;
-
-/// What a band shows, as far as the file tells.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
-#[serde(rename_all = "snake_case")]
-pub enum BandKind {
-    /// Panchromatic.
-    Pan,
-    /// Red.
-    Red,
-    /// Green.
-    Green,
-    /// Blue.
-    Blue,
-    /// Near infrared.
-    NearInfrared,
-    /// Unknown.
-    Other,
-}
-
-impl BandKind {
-    /// Its name in reports and band descriptions.
-    pub fn name(self) -> &'static str {
-        match self {
-            Self::Pan => "pan",
-            Self::Red => "red",
-            Self::Green => "green",
-            Self::Blue => "blue",
-            Self::NearInfrared => "near_infrared",
-            Self::Other => "other",
-        }
-    }
-
-    /// What a band shows that metadata call so.
-    fn of_metadata(band: CalibratedBand) -> Self {
-        match band {
-            CalibratedBand::Pan => Self::Pan,
-            CalibratedBand::Blue => Self::Blue,
-            CalibratedBand::Green => Self::Green,
-            CalibratedBand::Red => Self::Red,
-            CalibratedBand::NearInfrared => Self::NearInfrared,
-            CalibratedBand::Place(_) => Self::Other,
-        }
-    }
-}
-
-/// Whether an image is trained on or held out.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
-#[serde(rename_all = "snake_case")]
-pub enum Split {
-    /// Used in training.
-    Train,
-    /// Held out.
-    Test,
-}
-
-/// Which camera is used where an image's own RPC and a Sat-NeRF JSON differ.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, serde::Serialize, serde::Deserialize)]
-#[serde(rename_all = "snake_case")]
-pub enum RpcPreference {
-    /// The JSON: somebody made it on purpose, by bundle adjustment or for a crop.
-    #[default]
-    Json,
-    /// What GDAL finds in the image or beside it.
-    Image,
-}
 
 /// What a user may say about a scene that its files do not.
 #[derive(Debug, Clone, Default)]
@@ -186,19 +98,6 @@ pub struct Area {
     pub north_m: f64,
 }
 
-/// Truth that came with a scene.
-#[derive(Debug, Clone, Default)]
-pub struct Truth {
-    /// Altitude raster.
-    pub dsm: Option<PathBuf>,
-    /// Classes, LAS codes.
-    pub classes: Option<PathBuf>,
-    /// Shadow mask of each image (1 = in cast shadow), by image name.
-    pub shadows: Vec<(String, PathBuf)>,
-    /// Folder of images from above under other suns, for [`relit_truth()`].
-    pub relit: Option<PathBuf>,
-}
-
 /// Images with cameras and what is known of their suns, in one local frame.
 #[derive(Debug, Clone)]
 pub struct Scene {
@@ -223,46 +122,29 @@ pub struct Scene {
     pub counts_per_unit: f64,
     /// Truth, where the scene brings it.
     pub truth: Truth,
+    /// The cut that was read, without the identities of its files.
+    pub cut: KeptCut,
     /// Things a user should know (sun mismatch, unknown bands, images skipped), one line each.
     pub warnings: Vec<String>,
 }
 
 impl Scene {
-    /// Opens a folder of images, a `scene.toml`, or a folder of Sat-NeRF or EOGS.
+    /// Opens a folder of images, a `scene.toml`, or a folder of Sat-NeRF or EOGS, cuts it as `options` ask and reads its pixels.
     ///
     /// # Errors
     /// The first [`SceneError`] found; nothing is written anywhere.
     pub fn open(path: &Path, options: &IngestOptions) -> Result<Self, SceneError> {
-        Self::read(path, options, None)
+        Self::of(&Index::open(path, options.rpc)?, options)
     }
 
-    /// Opens what of a scene's training images shows a part of its ground, a rectangle in metres of the frame that the whole scene has
-    /// ([`survey::Survey::frame`]): the tiles of a scene lie in one frame. Images that show nothing of the part are left out.
+    /// Cuts an index as `options` ask and reads its pixels.
     ///
     /// # Errors
-    /// As [`Self::open`]; [`SceneError::NotCovered`] where fewer than two images show the part.
-    pub fn open_part(path: &Path, options: &IngestOptions, part: &Area) -> Result<Self, SceneError> {
-        Self::read(path, options, Some(part))
-    }
-
-    fn read(path: &Path, options: &IngestOptions, part: Option<&Area>) -> Result<Self, SceneError> {
-        let mut layout = layout::find(path)?;
-        let mut warnings = std::mem::take(&mut layout.warnings);
-        let drafts = drafts::read_all(&layout, options, &mut warnings)?;
-        warnings.extend(pixels::eight_bits(&drafts, layout.counts));
-        drafts::check_bands(&drafts)?;
-        let ranges: Vec<altitude::Stated> = drafts.iter().map(Draft::stated_altitude).collect();
-        let range = altitude::choose(
-            altitude::Said::of(options, layout.altitude_range_m),
-            &ranges,
-            &mut warnings,
-        )?;
-        let mut ground = Ground::find(path, drafts, range.limits_m(), options.area.as_ref(), &mut warnings)?;
-        if let Some(part) = part {
-            ground.cut(part, path, range.limits_m())?;
-        }
-        truth::keep_if_here(&mut layout.truth, ground.frame(), ground.area(), &mut warnings);
-        ground.finish(path, layout, range, warnings)
+    /// As [`Self::open`].
+    pub fn of(index: &Index, options: &IngestOptions) -> Result<Self, SceneError> {
+        let mut warnings = Vec::new();
+        let cut = Cut::of(index, options, &mut warnings)?;
+        Self::read(index, &cut, warnings)
     }
 
     /// Geodetic position of the frame's origin.
@@ -310,48 +192,4 @@ impl SceneImage {
         let inside = col >= 0.0 && row >= 0.0 && col < self.pixels.width as f64 && row < self.pixels.height as f64;
         inside && self.pixels.at(0, col as usize, row as usize).is_finite()
     }
-}
-
-/// The images that the text of a `scene.toml` lists, as it names them.
-///
-/// # Errors
-/// A sentence that says what is wrong, and in which line.
-pub fn images_listed(manifest: &str) -> Result<Vec<PathBuf>, String> {
-    let manifest = manifest::Manifest::parse(manifest)?;
-    Ok(manifest.images.into_iter().map(|image| image.path).collect())
-}
-
-/// The image that the text of a Sat-NeRF JSON describes, and the altitudes it states, metres; `None` where it is none.
-pub fn image_described(json: &str) -> Option<(String, [Option<f64>; 2])> {
-    satnerf::image_and_altitudes(json)
-}
-
-/// The rational camera of one file by itself: of an image, as a scene would find it, or of an RPC text file.
-///
-/// # Errors
-/// [`SceneError::NoRpc`] and others that name the file.
-pub fn camera_of(path: &Path, preference: RpcPreference) -> Result<Rpc, SceneError> {
-    manifest::reject_address(path)?;
-    if !path.is_file() {
-        return Err(SceneError::Missing(path.to_owned()));
-    }
-    if files::has_extension(path, &["rpb", "txt", "xml", "json", "rpc"]) {
-        return camera::from_text_file(path).map(|found| found.rpc);
-    }
-    let file = RasterFile::open(path)?;
-    let entry = ImageEntry {
-        name: files::stem(path),
-        path: path.to_owned(),
-        split: Split::Train,
-        json: satnerf::beside(path),
-        said: None,
-        tiles: ImageFiles::one(path.to_owned()),
-        multispectral: None,
-    };
-    let mut warnings = Vec::new();
-    let found = camera::find(&file, &entry, preference, &mut warnings)?;
-    for warning in warnings {
-        tracing::warn!("{warning}");
-    }
-    Ok(found.rpc)
 }

@@ -1,72 +1,61 @@
 //! Pixel values: missing ones marked, display values made linear, all images of a scene on one scale.
 
-use super::bands::BandPlan;
-use super::draft::Draft;
-use super::manifest::Counts;
 use super::{BandKind, SceneError, Values, saturation};
 use heliosplat::Raster;
 use heliosplat::shade::display;
+use heliosplat_delivery::{Counts, IndexImage};
 use heliosplat_grid::statistics::quantile;
-use heliosplat_raster::{RasterFile, Window};
+use heliosplat_raster::Window;
 use rayon::prelude::*;
+use std::path::Path;
 
 /// The share of values below the scene's unit: the brightest glints lie above 1.
 const UNIT_QUANTILE: f64 = 0.999;
 
-/// Reads the planned bands of a window of a file; transparent pixels and black borders become `NaN`, display values linear.
+/// Reads the planned bands of a window of an image; transparent pixels and black borders become `NaN`, display values linear.
 ///
-/// Satellite counts are proportional to radiance, with 8 bits too, unless `declared` or the file (item `RADIOMETRY`)
-/// says that they are encoded for display.
-pub(super) fn read(
-    file: &RasterFile,
-    plan: &BandPlan,
-    window: Window,
-    declared: Option<Counts>,
-    warnings: &mut Vec<String>,
-) -> Result<Raster, SceneError> {
-    let mut raster = file.read(window, &plan.file_bands)?;
-    if let Some(alpha) = plan.alpha {
+/// Satellite counts are proportional to radiance, with 8 bits too, unless `scene.toml` or the file (item `RADIOMETRY`) states that they
+/// are encoded for display.
+pub(super) fn read(image: &IndexImage, window: Window, warnings: &mut Vec<String>) -> Result<Raster, SceneError> {
+    let file = image.file();
+    let mut raster = file.read(window, &image.bands.file_bands)?;
+    if let Some(alpha) = image.bands.alpha {
         let opacity = file.read(window, &[alpha])?;
         blank(&mut raster, |index| opacity.values[index] == 0.0);
     }
-    blank_black_border(&mut raster, file, warnings);
+    drop(file);
+    blank_black_border(&mut raster, &image.path, warnings);
     let known_and_lit = raster.values.iter().any(|&value| value.is_finite() && value > 0.0);
     if !known_and_lit {
-        return Err(SceneError::NoPixels(file.path().to_owned()));
+        return Err(SceneError::NoPixels(image.path.clone()));
     }
-    if declared.unwrap_or_else(|| stated_counts(file)) == Counts::Display {
+    if image.counts == Counts::Display {
+        let white = white_of(&image.data_type, &raster);
         for value in &mut raster.values {
-            *value = display::decode(*value / 255.0);
+            *value = display::decode(*value / white);
         }
     }
     Ok(raster)
 }
 
-fn stated_counts(file: &RasterFile) -> Counts {
-    match file.domain("").get("RADIOMETRY") {
-        Some(radiometry) if radiometry.to_lowercase().contains("srgb") => Counts::Display,
-        _ => Counts::Linear,
+/// The value of white in an image encoded for display: the largest integer of its type; of floating point numbers 1, or 255 where they
+/// go beyond 1.
+fn white_of(data_type: &str, raster: &Raster) -> f32 {
+    match data_type {
+        "UInt16" => f32::from(u16::MAX),
+        "Int16" => f32::from(i16::MAX),
+        "Float32" | "Float64" if raster.values.iter().all(|&value| value.is_nan() || value <= 1.0) => 1.0,
+        _ => 255.0,
     }
 }
 
-/// Whether nobody says what the eight bits of an image mean.
-fn is_unsaid(draft: &Draft) -> bool {
-    let eight = draft.file.bands.first().is_some_and(|band| band.data_type == "Byte");
-    eight && draft.radiometry.is_none() && !draft.file.domain("").contains_key("RADIOMETRY")
-}
-
-/// Who says that the values of an image are for display: `scene.toml`, the file, or, with eight bits of which nobody says anything, the
-/// values themselves, clipped at what eight bits hold. `raster` is what was read of it.
-pub(super) fn for_display(draft: &Draft, raster: &Raster, declared: Option<Counts>) -> Option<Values> {
-    match declared {
-        Some(Counts::Display) => return Some(Values::for_display(Some("scene.toml"))),
-        Some(Counts::Linear) => return None,
-        None => {}
+/// The values of an image for display: as `scene.toml` or the file states, or, with eight bits and no metadata, where the values are
+/// clipped at the limits of eight bits. `raster` are its pixels.
+pub(super) fn for_display(image: &IndexImage, raster: &Raster) -> Option<Values> {
+    if image.counts == Counts::Display {
+        return Some(Values::for_display(image.counts_source.as_deref()));
     }
-    if stated_counts(&draft.file) == Counts::Display {
-        return Some(Values::for_display(Some("image")));
-    }
-    (is_unsaid(draft) && saturation::at_limits_of_eight_bits(raster)).then(|| Values::for_display(None))
+    (image.has_unstated_bytes() && saturation::at_limits_of_eight_bits(raster)).then(|| Values::for_display(None))
 }
 
 /// The line that says that images stretched for display have no index, where their bands would make one.
@@ -84,23 +73,14 @@ pub(super) fn stretched(images: &[(String, Values)], bands: &[BandKind]) -> Opti
     ))
 }
 
-/// The line that says how eight-bit values are taken, of which nobody says what they mean.
-pub(super) fn eight_bits(drafts: &[Draft], declared: Option<Counts>) -> Option<String> {
-    let unsaid = |draft: &&Draft| is_unsaid(draft);
-    if declared.is_some() {
-        return None;
-    }
-    let count = drafts.iter().filter(unsaid).count();
-    let first = drafts.iter().find(unsaid)?;
-    Some(format!(
-        "{}: 8-bit values ({count} images) are taken as linear, and their greatest as clipped where many pixels have it; say \
-         counts = \"display\" in a scene.toml where a display curve was applied",
-        first.file.path().display()
-    ))
+/// Divides all images by `known`, or by the 99.9 % quantile of all their values; returns the divisor.
+pub(super) fn scale_together(images: &mut [&mut Raster], known: Option<f64>) -> f64 {
+    let unit = known.map_or_else(|| unit_of(images), |known| known as f32);
+    (images.par_iter_mut().flat_map(|image| &mut image.values)).for_each(|value| *value /= unit);
+    f64::from(unit)
 }
 
-/// Divides all images by the 99.9 % quantile of all their values; returns that quantile.
-pub(super) fn scale_together(images: &mut [Raster]) -> f64 {
+fn unit_of(images: &[&mut Raster]) -> f32 {
     const SAMPLES: usize = 4_000_000;
     let total: usize = images.iter().map(|image| image.values.len()).sum();
     let step = (total / SAMPLES).max(1);
@@ -118,13 +98,11 @@ pub(super) fn scale_together(images: &mut [Raster]) -> f64 {
         return 1.0;
     };
     // An image that is dark almost everywhere still needs a unit.
-    let unit = if unit > 0.0 {
+    if unit > 0.0 {
         unit
     } else {
         sample.iter().copied().fold(f32::MIN_POSITIVE, f32::max)
-    };
-    (images.par_iter_mut().flat_map(|image| &mut image.values)).for_each(|value| *value /= unit);
-    f64::from(unit)
+    }
 }
 
 fn blank(raster: &mut Raster, is_missing: impl Fn(usize) -> bool) {
@@ -138,7 +116,7 @@ fn blank(raster: &mut Raster, is_missing: impl Fn(usize) -> bool) {
 
 /// Crops of rotated or orthorectified images have borders of zeros that no nodata value declares: zeros in all bands
 /// that hang together with the image's edge and are too many to be shadow.
-fn blank_black_border(raster: &mut Raster, file: &RasterFile, warnings: &mut Vec<String>) {
+fn blank_black_border(raster: &mut Raster, path: &Path, warnings: &mut Vec<String>) {
     const LEAST_SHARE: f64 = 0.005;
     let border = black_border(raster);
     let count = border.iter().filter(|&&black| black).count();
@@ -147,7 +125,7 @@ fn blank_black_border(raster: &mut Raster, file: &RasterFile, warnings: &mut Vec
     }
     warnings.push(format!(
         "{}: a black border of {:.1} % of its pixels is taken as missing",
-        file.path().display(),
+        path.display(),
         100.0 * count as f64 / raster.plane_len() as f64
     ));
     blank(raster, |index| border[index]);
@@ -195,16 +173,24 @@ mod tests {
     use super::*;
 
     #[test]
+    fn white_is_the_largest_value_of_a_display_image() {
+        let raster = |value| Raster::filled(2, 2, 1, value);
+        assert_eq!(white_of("Byte", &raster(9.0)), 255.0);
+        assert_eq!(white_of("UInt16", &raster(9.0)), 65_535.0);
+        assert_eq!(white_of("Float32", &raster(0.5)), 1.0);
+        assert_eq!(white_of("Float32", &raster(200.0)), 255.0);
+    }
+
+    #[test]
     fn the_unit_is_one_quantile_over_all_images_and_ignores_missing_values() {
         let mut bright = Raster::filled(100, 10, 1, 1000.0);
         bright.values[0] = 60_000.0;
         bright.values[1] = f32::NAN;
-        let dark = Raster::filled(100, 10, 1, 500.0);
-        let mut images = [bright, dark];
-        let unit = scale_together(&mut images);
+        let mut dark = Raster::filled(100, 10, 1, 500.0);
+        let unit = scale_together(&mut [&mut bright, &mut dark], None);
         assert_eq!(unit, 1000.0);
-        assert_eq!(images[1].values[7], 0.5);
-        assert!(images[0].values[1].is_nan());
+        assert_eq!(dark.values[7], 0.5);
+        assert!(bright.values[1].is_nan());
     }
 
     #[test]

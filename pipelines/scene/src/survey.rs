@@ -1,21 +1,21 @@
-//! What is known of a scene without reading a pixel of it: enough to cut it into tiles.
+//! The size of a cut without its pixels: enough to divide it into tiles and to estimate memory.
 
 use super::area::window_over;
-use super::draft::{Draft, image_window};
-use super::drafts;
+use super::cut::{footprint_of, gsd_m, localise, nominal_gsd_m, pixels_of};
 use super::footprint::Footprint;
-use super::ground::{self, Ground};
-
-use super::{Area, AreaRequest, IngestOptions, SceneError, Split, Truth, altitude, files, layout, sidecars, truth};
-use heliosplat_raster::{Window, is_virtual};
-use heliosplat_rpc::{ImageWindow, LocalFrame, PinholeFit, Rpc};
+use super::read::fit;
+use super::{Area, AreaRequest, Cut, CutImage, IngestOptions, SceneError, Split, Truth, truth};
+use heliosplat_delivery::{Index, IndexImage};
+use heliosplat_raster::Window;
+use heliosplat_rpc::LocalFrame;
 use rayon::prelude::*;
-use std::collections::BTreeSet;
-use std::path::{Path, PathBuf};
 
-/// A scene whose files are open and whose pixels are not read.
-pub struct Survey {
-    ground: Ground,
+/// A cut and its size.
+pub struct Survey<'a> {
+    /// The delivery.
+    pub index: &'a Index,
+    /// The part of it that is used.
+    pub cut: Cut,
     /// Corners of the training images on the ground.
     footprints: Vec<Footprint>,
     /// Lowest and highest ellipsoidal altitude the surface may have, metres.
@@ -26,13 +26,11 @@ pub struct Survey {
     pub gsd_m: f64,
     /// Number of bands of every image.
     pub bands: usize,
-    /// All files that say something about the scene.
-    pub files: Vec<PathBuf>,
     /// Truth, where the scene brings it.
     pub truth: Truth,
 }
 
-/// What opening a part of a scene reads ([`super::Scene::open_part`]).
+/// Pixels that a part of a cut reads ([`Cut::part`]).
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct PartSurvey {
     /// Training images that show some of it.
@@ -60,59 +58,51 @@ pub struct TileSurvey {
     pub pixels: f64,
 }
 
-impl Survey {
-    /// Opens the files of a scene; its area is what `options` say, or all of it.
+impl<'a> Survey<'a> {
+    /// The survey of an index, cut as `options` ask.
     ///
     /// # Errors
-    /// As [`super::Scene::open`].
-    pub fn open(path: &Path, options: &IngestOptions) -> Result<Self, SceneError> {
-        let mut layout = layout::find(path)?;
-        let mut warnings = Vec::new();
-        let drafts = drafts::read_all(&layout, options, &mut warnings)?;
-        drafts::check_bands(&drafts)?;
-        let stated: Vec<altitude::Stated> = drafts.iter().map(Draft::stated_altitude).collect();
-        let said = altitude::Said::of(options, layout.altitude_range_m);
-        let altitude_range_m = altitude::choose(said, &stated, &mut warnings)?.limits_m();
-        let files = files_of(path, &layout, &drafts);
-        let bands = drafts.first().map_or(0, |draft| draft.plan.kinds.len());
-        let ground = Ground::find(path, drafts, altitude_range_m, options.area.as_ref(), &mut warnings)?;
-        truth::keep_if_here(&mut layout.truth, ground.frame(), ground.area(), &mut warnings);
-        let height_m = ground.frame().origin.height_m;
-        let widest_base_to_height = widest_base_to_height(&ground, altitude_range_m)?;
-        let mut gsds = Vec::new();
-        for draft in ground.drafts().iter().filter(|draft| is_training(draft)) {
-            gsds.push(draft.gsd_m(ground.frame(), height_m)?);
+    /// As [`Cut::of`].
+    pub fn of(index: &'a Index, options: &IngestOptions) -> Result<Self, SceneError> {
+        let cut = Cut::of(index, options, &mut Vec::new())?;
+        let mut truth = index.truth.clone();
+        truth::keep_if_here(&mut truth, &cut.frame, &cut.area, &mut Vec::new());
+        let height_m = cut.frame.origin.height_m;
+        let altitude_range_m = cut.altitude.limits_m();
+        let (mut footprints, mut gsds, mut parallaxes) = (Vec::new(), Vec::new(), Vec::new());
+        for (image, part) in placed(index, &cut).filter(|(_, part)| part.split == Split::Train) {
+            footprints.push(footprint_of(image, &cut.frame, height_m)?);
+            gsds.push(gsd_m(image, &part.window, &cut.frame, height_m)?);
+            parallaxes.push(parallax(image, &cut.frame, altitude_range_m)?);
         }
         Ok(Self {
-            footprints: ground::training_footprints(ground.drafts(), ground.frame(), height_m)?,
+            footprints,
             altitude_range_m,
-            widest_base_to_height,
-            gsd_m: ground::nominal_gsd_m(gsds),
-            bands,
-            files,
-            truth: layout.truth,
-            ground,
+            widest_base_to_height: widest_base_to_height(&parallaxes),
+            gsd_m: nominal_gsd_m(gsds),
+            bands: index.images.first().map_or(0, |image| image.bands.kinds.len()),
+            truth,
+            index,
+            cut,
         })
     }
 
-    /// Pixels that [`super::Scene::open`] will read, of all images together.
+    /// Pixels of the cut, of all images together.
     pub fn pixels(&self) -> f64 {
-        let windows = self.ground.drafts().iter().map(|draft| &draft.window);
-        windows.map(|window| window.width as f64 * window.height as f64).sum()
+        self.cut.images.iter().map(|part| pixels_of(&part.window)).sum()
     }
 
     /// Images, and those of them that are trained on.
     pub fn images(&self) -> (usize, usize) {
-        let drafts = self.ground.drafts();
-        (drafts.len(), drafts.iter().filter(|draft| is_training(draft)).count())
+        (self.cut.images.len(), self.cut.training().count())
     }
 
-    /// What opening a part of the ground, a rectangle in metres of the survey's frame, reads.
+    /// Pixels of a part of the ground, a rectangle in metres of the survey's frame.
     pub fn part(&self, part: &Area) -> PartSurvey {
         let mut found = PartSurvey::default();
-        for draft in self.ground.drafts().iter().filter(|draft| is_training(draft)) {
-            if let Some(window) = window_over(draft, self.frame(), part, self.altitude_range_m) {
-                let pixels = window.width as f64 * window.height as f64;
+        for (image, _) in placed(self.index, &self.cut).filter(|(_, cut)| cut.split == Split::Train) {
+            if let Some(window) = window_over(image, self.frame(), part, self.altitude_range_m) {
+                let pixels = pixels_of(&window);
                 found.images += 1;
                 found.pixels += pixels;
                 found.largest = found.largest.max(pixels);
@@ -121,21 +111,20 @@ impl Survey {
         found
     }
 
-    /// Pixels of the largest window that [`super::Scene::open`] will read.
+    /// Pixels of the largest window.
     pub fn largest_image(&self) -> f64 {
-        let windows = self.ground.drafts().iter().map(|draft| &draft.window);
-        let pixels = windows.map(|window| window.width as f64 * window.height as f64);
+        let pixels = self.cut.images.iter().map(|part| pixels_of(&part.window));
         pixels.fold(0.0, f64::max)
     }
 
     /// The frame at its middle.
     pub fn frame(&self) -> &LocalFrame {
-        self.ground.frame()
+        &self.cut.frame
     }
 
     /// Its ground, metres of that frame.
     pub fn area(&self) -> &Area {
-        self.ground.area()
+        &self.cut.area
     }
 
     /// What a tile takes; `None` where two training images do not show it.
@@ -147,31 +136,24 @@ impl Survey {
         let frame = LocalFrame::new(wanted.place(height_m)?);
         let area = wanted.area(&frame)?;
         let covered = self.covered(&wanted.area(self.frame())?);
-        let seen: Vec<(&Draft, Window)> = self
-            .ground
-            .drafts()
-            .iter()
-            .filter_map(|draft| Some((draft, window_over(draft, &frame, &area, self.altitude_range_m)?)))
+        let seen: Vec<(&IndexImage, Split, Window)> = placed(self.index, &self.cut)
+            .filter_map(|(image, part)| {
+                let window = window_over(image, &frame, &area, self.altitude_range_m)?;
+                Some((image, part.split, window))
+            })
             .collect();
-        let training = seen.iter().filter(|(draft, _)| is_training(draft)).count();
+        let training = seen.iter().filter(|(_, split, _)| *split == Split::Train).count();
         if training < 2 || covered <= 0.0 {
             return Ok(None);
         }
-        let pixels = seen
-            .iter()
-            .map(|(_, window)| window.width as f64 * window.height as f64)
-            .sum();
-        let cameras: Vec<(&Rpc, ImageWindow)> = seen.iter().map(|(d, w)| (&d.rpc, image_window(w))).collect();
-        // Open GDAL files cannot be shared between threads.
-        let altitude_range_m = self.altitude_range_m;
-        let fits: Vec<_> = cameras
+        let pixels = seen.iter().map(|(_, _, window)| pixels_of(window)).sum();
+        let fits: Vec<_> = seen
             .par_iter()
-            .map(|(rpc, window)| PinholeFit::fit(rpc, &frame, *window, altitude_range_m))
+            .map(|(image, _, window)| fit(image, window, &frame, self.altitude_range_m))
             .collect();
         let mut residual_px = 0.0f64;
-        for (fit, (draft, _)) in fits.into_iter().zip(&seen) {
-            let fit = fit.map_err(|source| draft.camera_fault(height_m, source))?;
-            residual_px = residual_px.max(fit.max_px);
+        for fit in fits {
+            residual_px = residual_px.max(fit?.max_px);
         }
         Ok(Some(TileSurvey {
             area,
@@ -198,72 +180,29 @@ impl Survey {
     }
 }
 
-fn widest_base_to_height(ground: &Ground, (low_m, high_m): (f64, f64)) -> Result<f64, SceneError> {
-    let mut parallaxes = Vec::new();
-    for draft in ground.drafts().iter().filter(|draft| is_training(draft)) {
-        let (width, height) = draft.file.size();
-        let at = |height_m| {
-            let place = draft.localise(width as f64 / 2.0, height as f64 / 2.0, height_m)?;
-            Ok::<_, SceneError>(ground.frame().enu_from_geo(place))
-        };
-        let apart = at(high_m)? - at(low_m)?;
-        parallaxes.push([apart.x / apart.z, apart.y / apart.z]);
-    }
+/// The images of a cut with their parts.
+fn placed<'a>(index: &'a Index, cut: &Cut) -> impl Iterator<Item = (&'a IndexImage, CutImage)> {
+    let parts = cut.images.iter().copied();
+    parts.filter_map(|part| Some((index.images.get(part.image)?, part)))
+}
+
+/// Metres that the ground in the middle of an image moves east and north per metre of altitude.
+fn parallax(image: &IndexImage, frame: &LocalFrame, (low_m, high_m): (f64, f64)) -> Result<[f64; 2], SceneError> {
+    let (width, height) = image.size;
+    let at = |height_m| {
+        let place = localise(image, width as f64 / 2.0, height as f64 / 2.0, height_m)?;
+        Ok::<_, SceneError>(frame.enu_from_geo(place))
+    };
+    let apart = at(high_m)? - at(low_m)?;
+    Ok([apart.x / apart.z, apart.y / apart.z])
+}
+
+fn widest_base_to_height(parallaxes: &[[f64; 2]]) -> f64 {
     let mut widest = 0.0f64;
     for (index, [x, y]) in parallaxes.iter().enumerate() {
         for [other_x, other_y] in &parallaxes[index + 1..] {
             widest = widest.max((x - other_x).hypot(y - other_y));
         }
     }
-    Ok(widest)
-}
-
-fn is_training(draft: &Draft) -> bool {
-    draft.entry.split == Split::Train
-}
-
-/// The images, what was said about them, and what lies beside them under their names.
-fn files_of(path: &Path, layout: &layout::Layout, drafts: &[Draft]) -> Vec<PathBuf> {
-    let mut files = BTreeSet::new();
-    for name in ["scene.toml", "train.txt", "test.txt"] {
-        files.insert(path.join(name));
-    }
-    files.insert(path.to_owned());
-    for draft in drafts {
-        let image = &draft.entry.path;
-        files.insert(image.clone());
-        if let Some(json) = &draft.entry.json {
-            files.insert(json.clone());
-            // The lists of a split lie beside the cameras where images have a folder of their own.
-            files.extend(["train.txt", "test.txt"].map(|name| json.with_file_name(name)));
-        }
-        if let Some(said) = &draft.entry.said {
-            files.extend([&said.rpc, &said.metadata].into_iter().flatten().cloned());
-        }
-        files.extend(beside(image));
-        files.extend(sidecars::belonging_texts(image).unwrap_or_default());
-        for other in draft.file.others() {
-            files.insert(other.clone());
-            files.extend(beside(other));
-        }
-    }
-    let truth = &layout.truth;
-    files.extend([&truth.dsm, &truth.classes].into_iter().flatten().cloned());
-    files.extend(truth.dsm.iter().map(|dsm| dsm.with_extension("txt")));
-    files.extend(truth.shadows.iter().map(|(_, path)| path.clone()));
-    files.into_iter().filter(|file| !file.is_dir()).collect()
-}
-
-/// Files in an image's folder whose names begin as its own.
-fn beside(image: &Path) -> Vec<PathBuf> {
-    if is_virtual(image) {
-        return Vec::new();
-    }
-    let folder = image.parent().unwrap_or_else(|| Path::new("."));
-    let stem = files::stem(image);
-    let entries = std::fs::read_dir(folder).into_iter().flatten().flatten();
-    entries
-        .filter(|entry| entry.file_name().to_string_lossy().contains(&stem))
-        .map(|entry| entry.path())
-        .collect()
+    widest
 }

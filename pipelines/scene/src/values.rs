@@ -4,8 +4,8 @@
 //! models of before stay what they were. Only indices of two bands compare bands with each other, and only they take reflectance.
 
 use super::BandKind;
-use super::calibration::FoundRadiometry;
 use super::indices::{ExcessGreen, NormalisedDifference, Term, VegetationIndex};
+use heliosplat_delivery::FoundRadiometry;
 use heliosplat_rpc::read::calibration::{CalibratedBand, Calibration, Gain, Quantity, Radiometry};
 use heliosplat_rpc::sun::{SunPosition, earth_sun_distance_au};
 use jiff::Timestamp;

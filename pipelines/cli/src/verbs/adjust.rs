@@ -9,6 +9,7 @@ use heliosplat_pages::page::residuals;
 use heliosplat_raster::write_atomically;
 use heliosplat_satellite::adjust::{AdjustRequest, adjust_scene};
 use heliosplat_satellite::altitude;
+use heliosplat_scene::Index;
 use heliosplat_session::Session;
 use std::path::PathBuf;
 
@@ -34,8 +35,10 @@ pub struct AdjustArgs {
 
 /// Adjusts the cameras of a scene and writes what comes of it.
 pub(crate) fn run(args: &AdjustArgs, session: &Session) -> Result<Outcome, CliError> {
-    let scene = altitude::open(&args.scene, &args.ingest.options())?;
-    Inputs::of_scene(&scene).keep_folder(&args.out)?;
+    let options = args.ingest.options();
+    let index = Index::open(&args.scene, options.rpc)?;
+    Inputs::of_index(&index).keep_folder(&args.out)?;
+    let scene = altitude::open(&index, &options)?;
     let request = AdjustRequest {
         out: &args.out,
         model: args.model.into(),

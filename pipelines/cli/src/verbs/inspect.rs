@@ -8,7 +8,7 @@ use heliosplat_fitting::settings::Preset;
 use heliosplat_satellite::config::SatelliteConfig;
 use heliosplat_satellite::estimate::{Estimate, estimate};
 use heliosplat_satellite::{Decisions, PlanItem, altitude};
-use heliosplat_scene::{Scene, SceneImage, Split, ValueKind, Values, saturation};
+use heliosplat_scene::{Index, Scene, SceneImage, Split, ValueKind, Values, saturation};
 use serde_json::{Value, json};
 use std::fmt::Write;
 use std::path::PathBuf;
@@ -28,7 +28,8 @@ pub(crate) fn run(args: &InspectArgs) -> Result<Outcome, CliError> {
     if heliosplat_objects::is_capture(&args.scene) {
         return object::inspect(&args.scene);
     }
-    let scene = altitude::open(&args.scene, &args.ingest.options())?;
+    let options = args.ingest.options();
+    let scene = altitude::open(&Index::open(&args.scene, options.rpc)?, &options)?;
     let coverage = Coverage::of(&scene);
     let decisions = Decisions::of(&scene, &SatelliteConfig::default());
     let mut json = describe(&scene, &coverage, &decisions);

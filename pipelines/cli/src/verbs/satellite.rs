@@ -16,8 +16,10 @@ use heliosplat_products::{dsm, relight, views as rendered};
 use heliosplat_raster::write::{ImageSpec, Sample, write_geotiff};
 use heliosplat_rpc::sun::sun_position;
 use heliosplat_satellite::config::SatelliteConfig;
+use heliosplat_satellite::error::SatelliteError;
 use heliosplat_satellite::run_file::scene_of;
 use heliosplat_satellite::{altitude, estimate, measure, relit, training};
+use heliosplat_scene::Index;
 use heliosplat_scene::survey::Survey;
 use heliosplat_session::Session;
 use serde_json::{Value, json};
@@ -35,12 +37,14 @@ pub(crate) fn train(args: &TrainArgs, session: &Session) -> Result<Outcome, CliE
     let preset = args.preset.map(Preset::from).unwrap_or_default();
     let config = SatelliteConfig::resolve(preset, &args.set, args.seed)?;
     let mut ingest = args.ingest.options();
+    let index = Index::open(&args.scene, ingest.rpc)?;
+    Inputs::of_index(&index).keep_folder(&args.out)?;
     if args.memory.is_some() {
-        ingest = altitude::resolve(&args.scene, &ingest)?;
-        estimate::must_fit_unread(&Survey::open(&args.scene, &ingest)?, args.memory, &config)?;
+        ingest = altitude::resolve(&index, &ingest)?;
+        estimate::must_fit_unread(&Survey::of(&index, &ingest)?, args.memory, &config)?;
     }
-    let scene = altitude::open(&args.scene, &ingest)?;
-    Inputs::of_scene(&scene).keep_folder(&args.out)?;
+    let scene = altitude::open(&index, &ingest)?;
+    drop(index);
     for warning in &scene.warnings {
         tracing::warn!("{warning}");
     }
@@ -199,7 +203,14 @@ pub(crate) fn render(args: &RenderArgs, session: &Session) -> Result<Outcome, Cl
     }
     Inputs::of_run(&args.run).keep_folder(&args.out)?;
     create_folder(&args.out)?;
-    let scene = scene_of(&args.run).ok();
+    let scene = match scene_of(&args.run) {
+        Ok(scene) => Some(scene),
+        Err(SatelliteError::SceneOfRun { error, .. }) => {
+            tracing::warn!("shadows are not compared with the images: {error}");
+            None
+        }
+        Err(error) => return Err(error.into()),
+    };
     let progress = session.progress("render", images.len() as u64);
     let mut written = Vec::new();
     for (done, image) in images.iter().enumerate() {

@@ -12,7 +12,7 @@ use heliosplat_satellite::sweep_tiles::{MapRequest, SweepPlan, SweepTiling};
 use heliosplat_satellite::tiled_sweep::{MOST_ROUNDS, TiledSweep};
 use heliosplat_satellite::{altitude, preprocess};
 use heliosplat_scene::survey::Survey;
-use heliosplat_scene::{IngestOptions, SceneError};
+use heliosplat_scene::{Index, IngestOptions, SceneError};
 use heliosplat_session::{Session, memory};
 use serde_json::{Value, json};
 
@@ -38,18 +38,19 @@ pub(super) enum SweptSurface {
 pub(super) fn sweep(args: &DsmArgs, session: &Session) -> Result<SweptSurface, CliError> {
     let config = SatelliteConfig::resolve(Preset::Fast, &[], 1)?;
     let part = stage("read");
-    let options = altitude::resolve(&args.run, &args.ingest.options())?;
-    let survey = Survey::open(&args.run, &options)?;
+    let options = args.ingest.options();
+    let index = Index::open(&args.run, options.rpc)?;
+    let options = altitude::resolve(&index, &options)?;
+    let survey = Survey::of(&index, &options)?;
     drop(part);
-    Inputs::of_survey(&survey).keep(&args.out)?;
+    Inputs::of_index(&index).keep(&args.out)?;
     let limit = args.memory.or_else(share_of_memory);
     let plan = plan(args, &survey, &config, limit)?;
     if plan.tiling.is_some() {
-        drop(survey);
-        return in_tiles(args, options, &config, limit, session).map(SweptSurface::InTiles);
+        return in_tiles(args, &index, options, &config, limit, session).map(SweptSurface::InTiles);
     }
     drop(survey);
-    let (scene, found) = preprocess::open_and_sweep(&args.run, &options, &config, session)?;
+    let (scene, found) = preprocess::open_and_sweep(&index, &options, &config, session)?;
     let _part = stage("products");
     let gsd_m = args.gsd.unwrap_or(scene.gsd_m);
     let surface = dsm::of_surface(&(&scene).into(), &found, gsd_m, args.crs.as_deref())?;
@@ -79,6 +80,7 @@ fn told(limit: Option<u64>, plan: &SweepPlan) -> Value {
 /// Tile by tile; a range of altitudes that tie points gave is widened where the surface touches its limits.
 fn in_tiles(
     args: &DsmArgs,
+    index: &Index,
     mut options: IngestOptions,
     config: &SatelliteConfig,
     limit: Option<u64>,
@@ -86,7 +88,7 @@ fn in_tiles(
 ) -> Result<Outcome, CliError> {
     for round in 0.. {
         let part = stage("read");
-        let survey = Survey::open(&args.run, &options)?;
+        let survey = Survey::of(index, &options)?;
         drop(part);
         let plan = plan(args, &survey, config, limit)?;
         // A range that is wider never makes a scene fit as a whole that did not.
@@ -105,8 +107,6 @@ fn in_tiles(
             plan.peak_bytes / f64::from(1 << 30)
         );
         let tiled = TiledSweep {
-            scene: &args.run,
-            options: &options,
             config,
             survey: &survey,
             plan: &plan,

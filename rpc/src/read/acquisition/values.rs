@@ -5,7 +5,7 @@ use crate::sun::{SunPosition, sun_position};
 use jiff::Timestamp;
 
 /// Time and sun of an acquisition, as far as they are known.
-#[derive(Debug, Clone, Copy, Default, PartialEq)]
+#[derive(Debug, Clone, Copy, Default, PartialEq, serde::Serialize)]
 pub struct Acquisition {
     /// When, UTC.
     pub time: Option<Timestamp>,

@@ -1,7 +1,7 @@
 //! DIMAP files (`DIM_*.XML`) beside images: which files they list as tiles of one image, whatever these are called.
 
 use super::SceneError;
-use super::files::{file_name, files_in, has_extension, read_text};
+use super::files::{Folders, file_name, has_extension};
 use heliosplat_rpc::read::{DataFile, DataFiles, data_files};
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Component, Path, PathBuf};
@@ -18,15 +18,32 @@ pub(super) struct ListedTiles {
 }
 
 /// The DIMAPs of a folder that list files.
-fn in_folder(folder: &Path) -> Result<Vec<(PathBuf, DataFiles)>, SceneError> {
-    let is_dimap = |path: &PathBuf| has_extension(path, &["xml"]) && file_name(path).to_lowercase().starts_with(PREFIX);
-    let mut found = Vec::new();
-    for path in files_in(folder)?.into_iter().filter(is_dimap) {
-        if let Some(files) = data_files(&read_text(&path)?) {
-            found.push((path, files));
+#[derive(Debug, Default)]
+pub(super) struct Dimaps {
+    all: Vec<(PathBuf, DataFiles)>,
+    /// The first of them that lists a file of this name in the folder itself.
+    of_file: BTreeMap<String, PathBuf>,
+}
+
+impl Dimaps {
+    /// Reads those of a folder.
+    pub(super) fn read(folder: &Path, folders: &Folders) -> Result<Self, SceneError> {
+        let is_dimap =
+            |path: &PathBuf| has_extension(path, &["xml"]) && file_name(path).to_lowercase().starts_with(PREFIX);
+        let mut found = Self::default();
+        for path in folders.files(folder)?.into_iter().filter(is_dimap) {
+            let Some(files) = data_files(&folders.text(&path)?) else {
+                continue;
+            };
+            for listed in files.images.iter().flatten().filter_map(|file| place(folder, file)) {
+                if listed.parent() == Some(folder) {
+                    found.of_file.entry(file_name(&listed)).or_insert_with(|| path.clone());
+                }
+            }
+            found.all.push((path, files));
         }
+        Ok(found)
     }
-    Ok(found)
 }
 
 /// Where a listed file lies: at or below the folder of its DIMAP, never elsewhere.
@@ -42,7 +59,8 @@ fn place(folder: &Path, file: &DataFile) -> Option<PathBuf> {
     below.then(|| folder.join(names))
 }
 
-fn folder_of(image: &Path) -> &Path {
+/// The folder of an image.
+pub(super) fn folder_of(image: &Path) -> &Path {
     image
         .parent()
         .filter(|folder| !folder.as_os_str().is_empty())
@@ -53,11 +71,12 @@ fn folder_of(image: &Path) -> &Path {
 ///
 /// # Errors
 /// [`SceneError::MissingTile`] when not all are there.
-pub(super) fn tiled(files: &[PathBuf]) -> Result<Vec<ListedTiles>, SceneError> {
-    let folders: BTreeSet<&Path> = files.iter().map(|path| folder_of(path)).collect();
+pub(super) fn tiled(files: &[PathBuf], folders: &Folders) -> Result<Vec<ListedTiles>, SceneError> {
+    let parents: BTreeSet<&Path> = files.iter().map(|path| folder_of(path)).collect();
+    let files: BTreeSet<&PathBuf> = files.iter().collect();
     let mut found = Vec::new();
-    for folder in folders {
-        for (dimap, DataFiles { images, step_px }) in in_folder(folder)? {
+    for folder in parents {
+        for (dimap, DataFiles { images, step_px }) in &folders.dimaps(folder)?.all {
             for listed in images.iter().filter(|listed| listed.len() > 1) {
                 let tiles = listed.iter().filter_map(|file| Some((file.tile, place(folder, file)?)));
                 let tiles: BTreeMap<[u32; 2], PathBuf> = tiles.collect();
@@ -67,10 +86,13 @@ pub(super) fn tiled(files: &[PathBuf]) -> Result<Vec<ListedTiles>, SceneError> {
                 if let Some(tile) = tiles.values().find(|tile| !tile.is_file()) {
                     return Err(SceneError::MissingTile {
                         tile: tile.clone(),
-                        dimap,
+                        dimap: dimap.clone(),
                     });
                 }
-                found.push(ListedTiles { tiles, step_px });
+                found.push(ListedTiles {
+                    tiles,
+                    step_px: *step_px,
+                });
             }
         }
     }
@@ -78,16 +100,9 @@ pub(super) fn tiled(files: &[PathBuf]) -> Result<Vec<ListedTiles>, SceneError> {
 }
 
 /// The DIMAP that lists an image, if one in its folder does.
-pub(super) fn of_image(folder: &Path, image: &Path) -> Result<Option<PathBuf>, SceneError> {
-    let name = file_name(image);
-    let lists = |files: &DataFiles| {
-        let mut listed = files.images.iter().flatten();
-        listed.any(|file| {
-            place(folder, file).is_some_and(|path| path.parent() == Some(folder) && file_name(&path) == name)
-        })
-    };
-    let found = in_folder(folder)?.into_iter().find(|(_, files)| lists(files));
-    Ok(found.map(|(path, _)| path))
+pub(super) fn of_image(image: &Path, folders: &Folders) -> Result<Option<PathBuf>, SceneError> {
+    let dimaps = folders.dimaps(folder_of(image))?;
+    Ok(dimaps.of_file.get(&file_name(image)).cloned())
 }
 
 #[cfg(test)]

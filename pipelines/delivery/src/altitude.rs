@@ -1,6 +1,6 @@
 //! The altitudes a scene's surface may have: said by the user or by its files, found from tie points, or all that the cameras are valid for.
 
-use super::{IngestOptions, SceneError};
+use super::SceneError;
 
 /// Where the range of altitudes comes from.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
@@ -15,7 +15,7 @@ pub enum AltitudeSource {
 }
 
 /// The altitudes the surface may have, metres above the ellipsoid.
-#[derive(Debug, Clone, PartialEq, serde::Serialize)]
+#[derive(Debug, Clone, PartialEq, serde::Serialize, serde::Deserialize)]
 pub struct AltitudeRange {
     /// Lowest.
     pub low_m: f64,
@@ -35,12 +35,12 @@ impl AltitudeRange {
 }
 
 /// What one image's files say about altitude, metres above the ellipsoid.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub(super) struct Stated {
+#[derive(Debug, Clone, Copy, PartialEq, serde::Serialize)]
+pub struct Stated {
     /// `min_alt` and `max_alt` of a Sat-NeRF JSON.
-    pub(super) json_m: Option<(f64, f64)>,
+    pub json_m: Option<(f64, f64)>,
     /// The range of heights its RPC is made for.
-    pub(super) rpc_m: (f64, f64),
+    pub rpc_m: (f64, f64),
 }
 
 /// What is said about the altitudes of a whole scene, metres above the ellipsoid.
@@ -52,17 +52,6 @@ pub(super) struct Said {
     pub(super) manifest_m: Option<(f64, f64)>,
     /// What tie points gave.
     pub(super) ties_m: Option<(f64, f64)>,
-}
-
-impl Said {
-    /// What the user and `scene.toml` say.
-    pub(super) fn of(options: &IngestOptions, manifest_m: Option<(f64, f64)>) -> Self {
-        Self {
-            option_m: options.altitude_range_m,
-            manifest_m,
-            ties_m: options.altitude_from_ties_m,
-        }
-    }
 }
 
 /// Surfaces on Earth lie between the Dead Sea and Everest, metres.

@@ -1,13 +1,13 @@
 //! The rational camera of an image: which of its sources is used, and what it must be turned into for a crop.
 
 use super::entry::ImageEntry;
-use super::files::{file_name, read_text};
+use super::files::{Folders, file_name};
 use super::sidecars::belonging_texts;
 use super::{RpcPreference, SceneError};
 use heliosplat_raster::{GeoTransform, RasterFile};
 use heliosplat_rpc::{ImagePoint, Rpc, read};
 use std::collections::BTreeMap;
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
 /// A camera and where it comes from.
 #[derive(Debug, Clone)]
@@ -25,21 +25,23 @@ pub(super) fn find(
     file: &RasterFile,
     entry: &ImageEntry,
     preference: RpcPreference,
+    folders: &Folders,
     warnings: &mut Vec<String>,
 ) -> Result<FoundCamera, SceneError> {
     if let Some(path) = entry.said.as_ref().and_then(|said| said.rpc.as_ref()) {
-        return from_text_file(path);
+        return from_text_file(path, folders);
     }
     let image = from_gdal(file, warnings)?;
-    let json = entry.json.as_deref().map(from_text_file).transpose()?;
+    let json = entry
+        .json
+        .as_deref()
+        .map(|json| from_text_file(json, folders))
+        .transpose()?;
     match (image, json) {
         (Some(image), Some(json)) => Ok(chosen(file, image, json, preference, warnings)),
         (Some(camera), None) | (None, Some(camera)) => Ok(camera),
-        (None, None) => match sidecars(file.path())?.first() {
-            Some((path, rpc)) => Ok(FoundCamera {
-                rpc: rpc.clone(),
-                source: file_name(path),
-            }),
+        (None, None) => match sidecar(file.path(), folders)? {
+            Some(camera) => Ok(camera),
             None => Err(SceneError::NoRpc(file.path().to_owned())),
         },
     }
@@ -49,8 +51,8 @@ pub(super) fn find(
 ///
 /// # Errors
 /// [`SceneError::BadRpc`] when it holds none.
-pub(super) fn from_text_file(path: &Path) -> Result<FoundCamera, SceneError> {
-    let text = read_text(path)?;
+pub(super) fn from_text_file(path: &Path, folders: &Folders) -> Result<FoundCamera, SceneError> {
+    let text = folders.text(path)?;
     let rpc = read::rpc_from_text(&file_name(path), &text).map_err(|error| SceneError::BadRpc {
         path: path.to_owned(),
         reason: error.to_string(),
@@ -202,16 +204,15 @@ fn disagreement_px(a: &Rpc, b: &Rpc, (width, height): (usize, usize)) -> Option<
     largest.is_finite().then_some(largest)
 }
 
-/// Camera files beside an image that belong to it by their name and that can be read.
-fn sidecars(image: &Path) -> Result<Vec<(PathBuf, Rpc)>, SceneError> {
-    let mut found = Vec::new();
-    for path in belonging_texts(image)? {
-        let text = read_text(&path)?;
-        if let Ok(rpc) = read::rpc_from_text(&file_name(&path), &text) {
-            found.push((path, rpc));
+/// The camera of the first file beside an image that belongs to it by its name and that can be read.
+fn sidecar(image: &Path, folders: &Folders) -> Result<Option<FoundCamera>, SceneError> {
+    for path in belonging_texts(image, folders)? {
+        if let Ok(rpc) = read::rpc_from_text(&file_name(&path), &folders.text(&path)?) {
+            let source = file_name(&path);
+            return Ok(Some(FoundCamera { rpc, source }));
         }
     }
-    Ok(found)
+    Ok(None)
 }
 
 #[cfg(test)]

@@ -1,26 +1,32 @@
 //! What the bands of a file show: read from descriptions and colour interpretation, guessed from their number last.
 
-use super::files::{has_extension, read_text, stem};
+use super::files::{Folders, has_extension, stem};
 use super::sidecars::belonging_texts;
 use super::{BandKind, SceneError};
 use heliosplat_raster::{BandInfo, Colour, RasterFile};
 use heliosplat_rpc::read::calibration::CalibratedBand;
+use serde::Serialize;
 
 /// Which bands of a file become which bands of the scene.
-#[derive(Debug, Clone, PartialEq)]
-pub(super) struct BandPlan {
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct BandPlan {
     /// 0-based bands of the file, in the order red, green, blue, near infrared where those are known.
-    pub(super) file_bands: Vec<usize>,
+    pub file_bands: Vec<usize>,
     /// What they are.
-    pub(super) kinds: Vec<BandKind>,
+    pub kinds: Vec<BandKind>,
     /// A band of opacity.
-    pub(super) alpha: Option<usize>,
+    pub alpha: Option<usize>,
     /// What had to be assumed.
+    #[serde(skip)]
     pub(super) assumption: Option<String>,
 }
 
 /// Finds out what a file's bands are; `declared` (one per file band) wins over what the file says.
-pub(super) fn plan(file: &RasterFile, declared: Option<&[BandKind]>) -> Result<BandPlan, SceneError> {
+pub(super) fn plan(
+    file: &RasterFile,
+    declared: Option<&[BandKind]>,
+    folders: &Folders,
+) -> Result<BandPlan, SceneError> {
     if file.bands.iter().any(|band| band.colour == Colour::Palette) {
         return Err(SceneError::Palette(file.path().to_owned()));
     }
@@ -37,7 +43,7 @@ pub(super) fn plan(file: &RasterFile, declared: Option<&[BandKind]>) -> Result<B
         }
         return Ok(ordered(declared, &(0..declared.len()).collect::<Vec<_>>(), None, None));
     }
-    let order = match dimap_order(file)? {
+    let order = match dimap_order(file, folders)? {
         Some(order) => Some(order),
         None => sensor_of(file).and_then(|sensor| sensor.order(file.bands.len())),
     };
@@ -116,10 +122,10 @@ fn sensor_by_name(name: &str) -> Option<Sensor> {
 }
 
 /// The bands of a file as the DIMAP beside it lists them (`Raster_Index_List`): of Pleiades and SPOT, and of Pleiades Neo.
-fn dimap_order(file: &RasterFile) -> Result<Option<Vec<BandKind>>, SceneError> {
-    for path in belonging_texts(file.path())? {
+fn dimap_order(file: &RasterFile, folders: &Folders) -> Result<Option<Vec<BandKind>>, SceneError> {
+    for path in belonging_texts(file.path(), folders)? {
         if has_extension(&path, &["xml"])
-            && let Some(order) = order_in_dimap(&read_text(&path)?)
+            && let Some(order) = order_in_dimap(&folders.text(&path)?)
             && order.len() == file.bands.len()
         {
             return Ok(Some(order));
@@ -261,7 +267,7 @@ fn from_colour(colour: Colour) -> BandKind {
 }
 
 /// The bands in words, such as `3 bands (red, green, blue)`.
-pub(super) fn in_words(kinds: &[BandKind]) -> String {
+pub fn in_words(kinds: &[BandKind]) -> String {
     let names: Vec<&str> = kinds.iter().map(|kind| kind.name()).collect();
     let plural = if kinds.len() == 1 { "" } else { "s" };
     format!("{} band{plural} ({})", kinds.len(), names.join(", "))
@@ -270,7 +276,6 @@ pub(super) fn in_words(kinds: &[BandKind]) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::Values;
     use BandKind::{Blue, Green, NearInfrared, Pan, Red};
 
     fn band(description: &str, colour: Colour) -> BandInfo {
@@ -381,7 +386,7 @@ mod tests {
             let plan = from_infos(&bands, None);
             assert!(plan.assumption.is_some());
             assert_eq!(plan.kinds[..3], [Red, Green, Blue]);
-            assert_eq!(Values::default().ndvi(&plan.kinds), None, "{count}");
+            assert!(!plan.kinds.contains(&NearInfrared), "{count}");
         }
     }
 

@@ -2,23 +2,29 @@
 
 use super::SceneError;
 use super::entry::ImageEntry;
-use super::files::{file_name, read_text};
+use super::files::{Folders, file_name};
 use super::sidecars::describing_texts;
 use heliosplat_raster::RasterFile;
 use heliosplat_rpc::read::calibration::{self, Calibration, Radiometry};
 
 /// What is said, and where.
-#[derive(Debug, Clone, PartialEq)]
-pub(super) struct FoundRadiometry {
-    pub(super) radiometry: Radiometry,
+#[derive(Debug, Clone, PartialEq, serde::Serialize)]
+pub struct FoundRadiometry {
+    /// Gains, or a display curve.
+    #[serde(skip)]
+    pub radiometry: Radiometry,
     /// A file name, or `image` for the image file itself and what GDAL found beside it.
-    pub(super) source: String,
+    pub source: String,
 }
 
 /// The first that says something: texts that describe the image, then the image file itself.
-pub(super) fn find(file: &RasterFile, entry: &ImageEntry) -> Result<Option<FoundRadiometry>, SceneError> {
-    for path in describing_texts(entry, file.path())? {
-        if let Some(radiometry) = calibration::from_text(&read_text(&path)?) {
+pub(super) fn find(
+    file: &RasterFile,
+    entry: &ImageEntry,
+    folders: &Folders,
+) -> Result<Option<FoundRadiometry>, SceneError> {
+    for path in describing_texts(entry, file.path(), folders)? {
+        if let Some(radiometry) = calibration::from_text(&folders.text(&path)?) {
             let source = file_name(&path);
             return Ok(Some(FoundRadiometry { radiometry, source }));
         }

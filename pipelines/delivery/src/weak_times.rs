@@ -18,9 +18,9 @@ const PASS_HOURS: [f64; 2] = [9.0, 15.0];
 /// A tag closer to the time of the file itself says when the file was made.
 const FROM_FILE_TIME: SignedDuration = SignedDuration::from_hours(24);
 
-/// Fills in times where neither time nor sun is known at `at`; what is taken, and what is not believed, is a line of `warnings`. Returns
-/// the drafts whose time is that of a tag: nobody says in which time zone tags are, so suns computed from them may be hours off.
-pub(super) fn fill(drafts: &mut [Draft], at: GeoPoint, warnings: &mut Vec<String>) -> Vec<usize> {
+/// Fills in times where neither time nor sun is known at `at`; what is taken, and what is not believed, is a line of `warnings`. Marks
+/// the drafts whose time is that of a tag: the time zone of tags is unknown, so suns computed from them may be hours off.
+pub(super) fn fill(drafts: &mut [Draft], at: GeoPoint, warnings: &mut Vec<String>) {
     let unknown = |draft: &&mut Draft| draft.acquisition.time.is_none() && draft.acquisition.stated_sun().is_none();
     let mut named = 0;
     for draft in drafts.iter_mut().filter(unknown) {
@@ -52,7 +52,7 @@ pub(super) fn fill(drafts: &mut [Draft], at: GeoPoint, warnings: &mut Vec<String
         })
         .collect();
     if tagged.is_empty() {
-        return Vec::new();
+        return;
     }
     let tags: Vec<Tag> = tagged
         .iter()
@@ -67,17 +67,16 @@ pub(super) fn fill(drafts: &mut [Draft], at: GeoPoint, warnings: &mut Vec<String
                 "the TIFF date tags of {} images are not used as acquisition times: {reason}",
                 tags.len()
             ));
-            Vec::new()
         }
         None => {
             for &(place, time) in &tagged {
                 drafts[place].acquisition.time = Some(time);
+                drafts[place].time_of_tag = true;
             }
             warnings.push(format!(
                 "acquisition times of {} images are read from their TIFF date tags and taken as UTC; say otherwise with time = \"...\" in a scene.toml",
                 tags.len()
             ));
-            tagged.into_iter().map(|(place, _)| place).collect()
         }
     }
 }

@@ -23,12 +23,12 @@ pub(super) struct Manifest {
 }
 
 /// What pixel values mean.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, serde::Deserialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
 #[serde(rename_all = "snake_case")]
-pub(super) enum Counts {
+pub enum Counts {
     /// Radiance up to a gain.
     Linear,
-    /// sRGB-encoded 8-bit display values.
+    /// sRGB-encoded display values.
     Display,
 }
 

@@ -1,13 +1,14 @@
 //! When an image was taken and where the sun stood.
 
 use super::entry::ImageEntry;
-use super::files::{file_name, read_text};
+use super::files::{Folders, file_name};
 use super::sidecars::describing_texts;
 use super::{ImageSun, SceneError};
 use heliosplat_raster::RasterFile;
 use heliosplat_rpc::GeoPoint;
 use heliosplat_rpc::read::acquisition::{self, Acquisition};
 use heliosplat_rpc::sun::{SunPosition, sun_position};
+use std::path::Path;
 
 /// Vendors use the geocentric vertical, up to 0.4° off; more than this is a mistake somewhere, degrees.
 const WORTH_A_WARNING_DEG: f64 = 0.5;
@@ -15,7 +16,7 @@ const WORTH_A_WARNING_DEG: f64 = 0.5;
 const LOW_SUN_DEG: f64 = 5.0;
 
 /// Collects what is known: `scene.toml` first, then a Sat-NeRF JSON, then texts beside the image, then GDAL's domains.
-pub(super) fn find(file: &RasterFile, entry: &ImageEntry) -> Result<Acquisition, SceneError> {
+pub(super) fn find(file: &RasterFile, entry: &ImageEntry, folders: &Folders) -> Result<Acquisition, SceneError> {
     let mut known = Acquisition::default();
     if let Some(said) = &entry.said {
         known = Acquisition {
@@ -24,8 +25,8 @@ pub(super) fn find(file: &RasterFile, entry: &ImageEntry) -> Result<Acquisition,
             sun_elevation_deg: said.sun_elevation_deg,
         };
     }
-    for path in describing_texts(entry, file.path())? {
-        if let Some(more) = acquisition::from_text(&file_name(&path), &read_text(&path)?) {
+    for path in describing_texts(entry, file.path(), folders)? {
+        if let Some(more) = acquisition::from_text(&file_name(&path), &folders.text(&path)?) {
             known = known.merge(more);
         }
     }
@@ -38,7 +39,7 @@ pub(super) fn find(file: &RasterFile, entry: &ImageEntry) -> Result<Acquisition,
 
 /// The sun over the scene: computed from the time where there is one, else as the metadata say, else unknown.
 pub(super) fn sun(
-    file: &RasterFile,
+    image: &Path,
     known: &Acquisition,
     at: GeoPoint,
     warnings: &mut Vec<String>,
@@ -52,7 +53,7 @@ pub(super) fn sun(
     let Some(position) = found.position else {
         return Ok(found);
     };
-    check_height(file, known, position, warnings)?;
+    check_height(image, known, position, warnings)?;
     if let (Some(apart_deg), Some(stated)) = (known.sun_disagreement_deg(at), metadata)
         && apart_deg > WORTH_A_WARNING_DEG
     {
@@ -62,7 +63,7 @@ pub(super) fn sun(
         };
         warnings.push(format!(
             "{}: the sun of its acquisition time ({}) is {apart_deg:.1} degrees off the one its metadata state ({}); the time is used",
-            file.path().display(),
+            image.display(),
             angles(position),
             angles(stated),
         ));
@@ -71,7 +72,7 @@ pub(super) fn sun(
 }
 
 fn check_height(
-    file: &RasterFile,
+    image: &Path,
     known: &Acquisition,
     found: SunPosition,
     warnings: &mut Vec<String>,
@@ -96,7 +97,7 @@ fn check_height(
             ),
         };
         return Err(SceneError::SunBelowHorizon {
-            path: file.path().to_owned(),
+            path: image.to_owned(),
             elevation_deg,
             origin,
             remedy,
@@ -105,7 +106,7 @@ fn check_height(
     if elevation_deg < LOW_SUN_DEG {
         warnings.push(format!(
             "{}: the sun is only {elevation_deg:.1} degrees above the horizon; its shadows leave the scene",
-            file.path().display()
+            image.display()
         ));
     }
     Ok(())

@@ -1,6 +1,6 @@
 //! Images that their vendor cut into tiles: `…_R1C1.TIF`, `…_R1C2.TIF` … of Airbus, `…_R1C1-…` with a `.TIL` of Maxar.
 
-use super::files::{files_in, has_extension, stem};
+use super::files::{Folders, has_extension, stem};
 use super::{SceneError, dimap};
 use heliosplat_raster::{RasterFile, Tile};
 use std::collections::{BTreeMap, BTreeSet};
@@ -28,21 +28,25 @@ impl ImageFiles {
     }
 
     /// Opens the file, or the tiles as one image.
-    pub(super) fn open(&self) -> Result<RasterFile, SceneError> {
+    pub(super) fn open(&self, folders: &Folders) -> Result<RasterFile, SceneError> {
         if self.tiles.is_empty() {
             return Ok(RasterFile::open(&self.path)?);
         }
-        Ok(RasterFile::tiled(&self.placed()?)?)
+        Ok(RasterFile::tiled(&self.placed(folders)?)?)
     }
 
     /// The tiles where their DIMAP or a `.TIL` beside them says, else side by side as they are counted.
-    fn placed(&self) -> Result<Vec<Tile>, SceneError> {
+    fn placed(&self, folders: &Folders) -> Result<Vec<Tile>, SceneError> {
         if let Some(step_px) = self.step_px {
             return Ok(self.at_steps(step_px));
         }
         let folder = self.path.parent().unwrap_or_else(|| Path::new("."));
-        for til in files_in(folder)?.iter().filter(|path| has_extension(path, &["til"])) {
-            let text = super::files::read_text(til)?;
+        for til in folders
+            .files(folder)?
+            .iter()
+            .filter(|path| has_extension(path, &["til"]))
+        {
+            let text = folders.text(til)?;
             let places = places_in_til(&text);
             let place = |path: &PathBuf| {
                 let name = path.file_name()?.to_string_lossy().to_lowercase();
@@ -139,10 +143,10 @@ pub(super) fn product_name(name: &str) -> Option<String> {
 ///
 /// # Errors
 /// [`SceneError::MissingTile`] when a DIMAP lists a tile that is not there.
-pub(super) fn joined(files: Vec<PathBuf>) -> Result<Vec<ImageFiles>, SceneError> {
+pub(super) fn joined(files: Vec<PathBuf>, folders: &Folders) -> Result<Vec<ImageFiles>, SceneError> {
     let mut images = Vec::new();
     let mut taken: BTreeSet<PathBuf> = BTreeSet::new();
-    for listed in dimap::tiled(&files)? {
+    for listed in dimap::tiled(&files, folders)? {
         let Some(first) = listed.tiles.values().next() else {
             continue;
         };
@@ -171,14 +175,17 @@ fn by_names(files: Vec<PathBuf>) -> Vec<ImageFiles> {
         }
     }
     products.retain(|_, tiles| tiles.len() > 1);
+    let product_of: BTreeMap<&PathBuf, &BTreeMap<[u32; 2], PathBuf>> = products
+        .values()
+        .flat_map(|tiles| tiles.values().map(move |tile| (tile, tiles)))
+        .collect();
     let mut images = Vec::with_capacity(files.len());
     for path in files {
-        let tiles = products.values().find(|tiles| tiles.values().any(|tile| *tile == path));
-        match tiles {
+        match product_of.get(&path) {
             None => images.push(ImageFiles::one(path)),
             Some(tiles) if tiles.values().next() == Some(&path) => images.push(ImageFiles {
+                tiles: (*tiles).clone(),
                 path,
-                tiles: tiles.clone(),
                 step_px: None,
             }),
             Some(_) => {}

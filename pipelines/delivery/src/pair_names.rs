@@ -80,7 +80,11 @@ mod tests {
     use std::path::Path;
 
     fn paired(names: &[&str]) -> (Vec<String>, Vec<(String, String)>) {
-        let files = super::super::tiles::joined(names.iter().map(PathBuf::from).collect()).expect("no DIMAP");
+        let files = super::super::tiles::joined(
+            names.iter().map(PathBuf::from).collect(),
+            &super::super::files::Folders::default(),
+        )
+        .expect("no DIMAP");
         let (left, partners) = by_name(files);
         let text = |path: &Path| path.display().to_string();
         let pairs = partners.iter().map(|(pan, colours)| (text(pan), text(&colours.path)));

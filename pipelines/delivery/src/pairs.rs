@@ -6,6 +6,7 @@
 use super::bands;
 use super::draft::Draft;
 use super::entry::ImageEntry;
+use super::files::Folders;
 use super::files::stem;
 use super::tiles::ImageFiles;
 use super::{BandKind, RpcPreference, SceneError, Split, acquisition, calibration, camera, satnerf};
@@ -28,6 +29,7 @@ pub(super) fn with_colours(
     draft: Draft,
     multispectral: &ImageFiles,
     declared: Option<&[BandKind]>,
+    folders: &Folders,
 ) -> Result<Draft, SceneError> {
     let pan = &draft.file;
     let pan_path = pan.path().to_owned();
@@ -36,7 +38,7 @@ pub(super) fn with_colours(
         multispectral: multispectral.path.clone(),
         reason,
     };
-    let colours = multispectral.open()?;
+    let colours = multispectral.open(folders)?;
     if pan.bands.len() != 1 || colours.bands.len() < 3 {
         let (one, other) = (pan.bands.len(), colours.bands.len());
         return Err(not_a_pair(format!("they have {one} and {other} bands")));
@@ -45,13 +47,13 @@ pub(super) fn with_colours(
         name: stem(&multispectral.path),
         path: multispectral.path.clone(),
         split: Split::Train,
-        json: satnerf::beside(&multispectral.path),
+        json: satnerf::beside(&multispectral.path, folders),
         said: None,
         tiles: multispectral.clone(),
         multispectral: None,
     };
     let mut ignored = Vec::new();
-    let camera = camera::find(&colours, &entry, RpcPreference::Image, &mut ignored)?;
+    let camera = camera::find(&colours, &entry, RpcPreference::Image, folders, &mut ignored)?;
     // A camera that somebody adjusted is none of the vendor's, whose two cameras belong together.
     let own = camera::from_gdal(pan, &mut ignored)?;
     let own = own.map_or_else(|| draft.rpc.clone(), |found| found.rpc);
@@ -61,10 +63,10 @@ pub(super) fn with_colours(
         return Err(not_a_pair(reason));
     }
     Ok(Draft {
-        plan: bands::plan(&colours, declared)?,
-        acquisition: draft.acquisition.merge(acquisition::find(&colours, &entry)?),
+        plan: bands::plan(&colours, declared, folders)?,
+        acquisition: draft.acquisition.merge(acquisition::find(&colours, &entry, folders)?),
         // Pansharpening keeps the ratios between bands: they are those of the multispectral file.
-        radiometry: calibration::find(&colours, &entry)?,
+        radiometry: calibration::find(&colours, &entry, folders)?,
         file: RasterFile::pansharpened(draft.file, colours, &found.relation),
         multispectral: Some(multispectral.path.clone()),
         ..draft
@@ -151,7 +153,11 @@ fn relation(
 }
 
 /// Joins drafts that were taken at one time, where some images are panchromatic and others have colours.
-pub(super) fn by_time(drafts: Vec<Draft>, declared: Option<&[BandKind]>) -> Result<Vec<Draft>, SceneError> {
+pub(super) fn by_time(
+    drafts: Vec<Draft>,
+    declared: Option<&[BandKind]>,
+    folders: &Folders,
+) -> Result<Vec<Draft>, SceneError> {
     let is_pan = |draft: &Draft| draft.file.bands.len() == 1;
     if drafts.iter().all(is_pan) || !drafts.iter().any(is_pan) {
         return Ok(drafts);
@@ -189,7 +195,7 @@ pub(super) fn by_time(drafts: Vec<Draft>, declared: Option<&[BandKind]>) -> Resu
             continue;
         }
         joined.push(match colours.get(&index) {
-            Some(files) => with_colours(draft, files, declared)?,
+            Some(files) => with_colours(draft, files, declared, folders)?,
             None => draft,
         });
     }

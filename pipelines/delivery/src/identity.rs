@@ -1,16 +1,50 @@
-//! Hashes of the input files of a batch, kept so that a file is read again only where it has changed.
+//! The identity of files: size, time of change, and a hash of the content that is computed once and kept.
 
-use super::BatchError;
-use heliosplat_fitting::run_folder;
+use super::SceneError;
 use heliosplat_raster::bounded::{TEXT_MAX, read_bytes};
 use heliosplat_raster::write::write_atomically;
 use heliosplat_raster::{RasterError, is_virtual};
+use sha2::{Digest, Sha256};
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 use std::time::SystemTime;
 
 /// Name of the file that hashes are kept in.
 const HASHES: &str = "inputs.json";
+
+/// A file as it was when it was read.
+#[derive(Debug, Clone, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
+pub struct FileIdentity {
+    /// The file.
+    pub path: PathBuf,
+    /// Size and time of change.
+    pub seen: Seen,
+    /// SHA-256 of its content, hexadecimal.
+    pub sha256: String,
+}
+
+impl FileIdentity {
+    /// Whether the file is as it was: of the same size and time of change, or of the same content. A file that is gone is not.
+    pub fn is_unchanged(&self) -> bool {
+        let now = seen(&self.path);
+        now == self.seen || (now.bytes == self.seen.bytes && hash(&self.path).is_ok_and(|sha256| sha256 == self.sha256))
+    }
+}
+
+/// SHA-256 of a file, hexadecimal.
+///
+/// # Errors
+/// [`SceneError::Unreadable`].
+pub fn hash(path: &Path) -> Result<String, SceneError> {
+    let unreadable = |error: std::io::Error| SceneError::Unreadable {
+        path: path.to_owned(),
+        reason: error.to_string(),
+    };
+    let mut file = std::fs::File::open(path).map_err(unreadable)?;
+    let mut hasher = Sha256::new();
+    std::io::copy(&mut file, &mut hasher).map_err(unreadable)?;
+    Ok(hex::encode(hasher.finalize()))
+}
 
 /// Size and time of change of a file, as far as they can be told.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
@@ -54,32 +88,44 @@ impl Hashes {
         write_atomically(&out.join(HASHES), text.as_bytes())
     }
 
+    /// The identity of a file; its content is read only where size or time of change are not those known.
+    ///
+    /// # Errors
+    /// When it cannot be read.
+    pub fn identify(&mut self, path: &Path) -> Result<FileIdentity, SceneError> {
+        let now = seen(path);
+        let sha256 = match self.known.get(path).filter(|(then, _)| *then == now) {
+            Some((_, sha256)) => sha256.clone(),
+            None => hash(path)?,
+        };
+        self.known.insert(path.to_owned(), (now, sha256.clone()));
+        Ok(FileIdentity {
+            path: path.to_owned(),
+            seen: now,
+            sha256,
+        })
+    }
+
+    /// Takes over identities that are known from elsewhere.
+    pub fn learn(&mut self, identities: impl IntoIterator<Item = FileIdentity>) {
+        let known = identities.into_iter();
+        self.known
+            .extend(known.map(|file| (file.path, (file.seen, file.sha256))));
+    }
+
     /// Names and hashes of files, a line each. A file on a virtual file system stands for itself by its name.
     ///
     /// # Errors
     /// When one cannot be read.
-    pub fn of(&mut self, files: &[PathBuf]) -> Result<String, BatchError> {
+    pub fn of(&mut self, files: &[PathBuf]) -> Result<String, SceneError> {
         let mut text = String::new();
         for file in files {
-            let name = file.file_name().unwrap_or_default().to_string_lossy().into_owned();
             if is_virtual(file) {
                 text += &format!("{}\n", file.display());
-                continue;
+            } else if file.is_file() {
+                let name = file.file_name().unwrap_or_default().to_string_lossy();
+                text += &format!("{name} {}\n", self.identify(file)?.sha256);
             }
-            if !file.is_file() {
-                continue;
-            }
-            let now = seen(file);
-            let before = self.known.get(file).filter(|(then, _)| *then == now);
-            let sum = match before {
-                Some((_, sum)) => sum.clone(),
-                None => run_folder::hash(file).map_err(|error| BatchError::Io {
-                    path: file.clone(),
-                    reason: std::io::Error::other(error.to_string()),
-                })?,
-            };
-            text += &format!("{name} {sum}\n");
-            self.known.insert(file.clone(), (now, sum));
         }
         Ok(text)
     }

@@ -1,9 +1,9 @@
 //! The JSON files of Sat-NeRF and EOGS: which image each describes, and the altitudes it states.
 
 use super::SceneError;
-use super::files::{file_name, files_in, has_extension, images_in, neighbours, stem};
+use super::files::{Folders, file_name, has_extension, neighbours, stem};
 use heliosplat_raster::RasterFile;
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
 
 /// The parts of a Sat-NeRF JSON that tie it to an image; its camera and sun are read by `heliosplat_rpc`.
@@ -30,8 +30,8 @@ fn lenient_number<'de, D: serde::Deserializer<'de>>(deserializer: D) -> Result<O
     })
 }
 
-fn describe(path: &Path) -> Option<Description> {
-    description(&heliosplat_raster::bounded::read_text(path).ok()?)
+fn describe(path: &Path, folders: &Folders) -> Option<Description> {
+    description(&folders.text(path).ok()?)
 }
 
 fn description(text: &str) -> Option<Description> {
@@ -47,14 +47,14 @@ pub(super) fn image_and_altitudes(text: &str) -> Option<(String, [Option<f64>; 2
 }
 
 /// The Sat-NeRF JSON of an image in the same folder, by its name.
-pub(super) fn beside(image: &Path) -> Option<PathBuf> {
+pub(super) fn beside(image: &Path, folders: &Folders) -> Option<PathBuf> {
     let json = image.with_extension("json");
-    (json.is_file() && describe(&json).is_some()).then_some(json)
+    (json.is_file() && describe(&json, folders).is_some()).then_some(json)
 }
 
 /// Lowest and highest altitude a Sat-NeRF JSON states, metres.
-pub(super) fn altitude_range(json: &Path) -> Option<(f64, f64)> {
-    let description = describe(json)?;
+pub(super) fn altitude_range(json: &Path, folders: &Folders) -> Option<(f64, f64)> {
+    let description = describe(json, folders)?;
     Some((description.min_alt?, description.max_alt?))
 }
 
@@ -66,11 +66,11 @@ pub(super) struct JsonIndex {
 
 impl JsonIndex {
     /// Reads all JSONs directly in a folder; those that describe no image are no matter.
-    pub(super) fn read(folder: &Path) -> Result<Self, SceneError> {
+    pub(super) fn read(folder: &Path, folders: &Folders) -> Result<Self, SceneError> {
         let mut index = Self::default();
-        for path in files_in(folder)? {
+        for path in folders.files(folder)? {
             if has_extension(&path, &["json"])
-                && let Some(description) = describe(&path)
+                && let Some(description) = describe(&path, folders)
             {
                 let image = stem(Path::new(&description.img));
                 index.by_image.insert(image, (path, description.img));
@@ -84,10 +84,11 @@ impl JsonIndex {
         self.by_image.is_empty()
     }
 
-    /// Only those that describe one of the images.
+    /// Only those that describe one of the images by its whole file name.
     pub(super) fn restricted_to(mut self, images: &[PathBuf]) -> Self {
-        let names: Vec<String> = images.iter().map(|image| stem(image)).collect();
-        self.by_image.retain(|image, _| names.contains(image));
+        let names: BTreeSet<String> = images.iter().map(|image| file_name(image)).collect();
+        self.by_image
+            .retain(|_, (_, image)| names.contains(&file_name(Path::new(image))));
         self
     }
 
@@ -115,17 +116,17 @@ impl JsonIndex {
     }
 
     /// The images described here, which lie in another folder near `home`.
-    pub(super) fn find_images(&self, home: &Path) -> Result<Vec<PathBuf>, SceneError> {
+    pub(super) fn find_images(&self, home: &Path, folders: &Folders) -> Result<Vec<PathBuf>, SceneError> {
         let mut available: BTreeMap<String, Vec<PathBuf>> = BTreeMap::new();
-        for folder in neighbours(home) {
-            for image in images_in(&folder)? {
+        for folder in neighbours(home, folders) {
+            for image in folders.images(&folder)? {
                 available.entry(file_name(&image)).or_default().push(image);
             }
         }
         let mut found = Vec::new();
         for (json, image) in self.by_image.values() {
             match available.get(&file_name(Path::new(image))) {
-                Some(paths) => found.push(of_stated_size(paths, json).clone()),
+                Some(paths) => found.push(of_stated_size(paths, json, folders).clone()),
                 None => {
                     return Err(SceneError::MissingImage {
                         image: image.clone(),
@@ -139,9 +140,9 @@ impl JsonIndex {
 }
 
 /// The first of several images of one name that has as many pixels as the JSON says: crops bear the names of the whole images.
-fn of_stated_size<'a>(paths: &'a [PathBuf], json: &Path) -> &'a PathBuf {
+fn of_stated_size<'a>(paths: &'a [PathBuf], json: &Path, folders: &Folders) -> &'a PathBuf {
     let stated = || {
-        let description = describe(json)?;
+        let description = describe(json, folders)?;
         Some((description.width? as usize, description.height? as usize))
     };
     if paths.len() > 1

@@ -1,27 +1,30 @@
 //! The text files beside an image that say something of it, found by their names.
 
+use super::dimap::folder_of;
 use super::entry::ImageEntry;
-use super::files::{file_name, files_in, stem};
+use super::files::{Folders, file_name, stem};
 use super::{SceneError, dimap, tiles};
 use heliosplat_raster::is_virtual;
-use std::collections::HashMap;
 use std::path::{Path, PathBuf};
 
 /// All texts that describe an image, the strongest first: what `scene.toml` names, the JSON that names the image, what lies beside it.
-pub(super) fn describing_texts(entry: &ImageEntry, image: &Path) -> Result<Vec<PathBuf>, SceneError> {
+pub(super) fn describing_texts(
+    entry: &ImageEntry,
+    image: &Path,
+    folders: &Folders,
+) -> Result<Vec<PathBuf>, SceneError> {
     let said = entry.said.as_ref().and_then(|said| said.metadata.clone());
     let mut texts: Vec<PathBuf> = said.into_iter().chain(entry.json.clone()).collect();
-    texts.extend(belonging_texts(image)?);
+    texts.extend(belonging_texts(image, folders)?);
     Ok(texts)
 }
 
 /// Text files beside an image that belong to it by their name: `X.RPB`, `X_RPC.TXT`, `X.XML`, `RPC_X.XML`, `DIM_X.XML` …
 /// for an image `X.TIF` or `IMG_X_R1C1.TIF`.
-pub(super) fn belonging_texts(image: &Path) -> Result<Vec<PathBuf>, SceneError> {
+pub(super) fn belonging_texts(image: &Path, folders: &Folders) -> Result<Vec<PathBuf>, SceneError> {
     if is_virtual(image) {
         return Ok(Vec::new());
     }
-    let folder = image.parent().filter(|parent| !parent.as_os_str().is_empty());
     let name = stem(image).to_lowercase();
     // What is said of a product is said of its tiles.
     let whole = tiles::product_name(&name);
@@ -49,15 +52,11 @@ pub(super) fn belonging_texts(image: &Path) -> Result<Vec<PathBuf>, SceneError> 
     for start in ["rpc_", "dim_"] {
         wanted.push(format!("{start}{product}.xml"));
     }
-    let folder = folder.unwrap_or_else(|| Path::new("."));
-    let mut by_name = HashMap::new();
-    for path in files_in(folder)? {
-        by_name.entry(file_name(&path).to_lowercase()).or_insert(path);
-    }
+    let by_name = folders.by_name(folder_of(image))?;
     let named = |want: &String| by_name.get(want).cloned();
     let mut found: Vec<PathBuf> = wanted.iter().filter_map(named).collect();
     // A DIMAP says whose it is, whatever the names.
-    if let Some(dimap) = dimap::of_image(folder, image)? {
+    if let Some(dimap) = dimap::of_image(image, folders)? {
         let rest = file_name(&dimap).to_lowercase();
         let camera = rest.strip_prefix(dimap::PREFIX).map(|rest| format!("rpc_{rest}"));
         for path in camera.as_ref().and_then(named).into_iter().chain([dimap]) {

@@ -2,13 +2,13 @@
 //! cameras (JSON) and truth may lie in folders of their own.
 
 use super::entry::ImageEntry;
-use super::files::{IMAGE_EXTENSIONS, entries_of, file_name, has_extension, images_in, neighbours, stem};
+use super::files::{Folders, IMAGE_EXTENSIONS, file_name, has_extension, neighbours, stem};
 use super::manifest::{Counts, Manifest, reject_address};
 use super::satnerf::{self, JsonIndex};
 use super::tiles::{self, ImageFiles};
-use super::{BandKind, SceneError, Split, Truth, pair_names};
+use super::{BandKind, SceneError, Split, Truth, pair_names, relit_truth, truth};
 use heliosplat_raster::{is_virtual, list_virtual};
-use std::collections::BTreeMap;
+use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
 
 /// The files of a scene.
@@ -26,14 +26,14 @@ pub(super) struct Layout {
 const IMAGE_FOLDERS: [&str; 3] = ["images", "img", "imgs"];
 
 /// Finds the files of the scene at `path`.
-pub(super) fn find(path: &Path) -> Result<Layout, SceneError> {
+pub(super) fn find(path: &Path, folders: &Folders) -> Result<Layout, SceneError> {
     if is_virtual(path) {
         return from_virtual_folder(path);
     }
     reject_address(path)?;
     if path.is_file() {
         return if has_extension(path, &["toml"]) {
-            from_manifest(path)
+            from_manifest(path, folders)
         } else {
             Err(SceneError::Manifest {
                 path: path.to_owned(),
@@ -53,9 +53,9 @@ pub(super) fn find(path: &Path) -> Result<Layout, SceneError> {
     }
     let manifest = path.join("scene.toml");
     if manifest.exists() {
-        from_manifest(&manifest)
+        from_manifest(&manifest, folders)
     } else {
-        from_folder(path)
+        from_folder(path, folders)
     }
 }
 
@@ -89,7 +89,7 @@ fn from_virtual_folder(folder: &Path) -> Result<Layout, SceneError> {
     })
 }
 
-fn from_manifest(path: &Path) -> Result<Layout, SceneError> {
+fn from_manifest(path: &Path, folders: &Folders) -> Result<Layout, SceneError> {
     let manifest = Manifest::read(path)?;
     let images = manifest
         .images
@@ -98,7 +98,7 @@ fn from_manifest(path: &Path) -> Result<Layout, SceneError> {
             name: stem(&image.path),
             path: image.path.clone(),
             split: image.split.unwrap_or(Split::Train),
-            json: satnerf::beside(&image.path),
+            json: satnerf::beside(&image.path, folders),
             said: Some(image.clone()),
             tiles: ImageFiles::one(image.path.clone()),
             multispectral: None,
@@ -107,12 +107,12 @@ fn from_manifest(path: &Path) -> Result<Layout, SceneError> {
     let home = path.parent().unwrap_or_else(|| Path::new("."));
     let truth = match manifest.truth {
         Some(truth) => Truth {
-            relit: super::relit_truth::folder_of(truth.dsm.as_deref(), home),
+            relit: relit_truth::folder_of(truth.dsm.as_deref(), home),
             dsm: truth.dsm,
             classes: truth.classes,
             shadows: truth.shadows.into_iter().collect(),
         },
-        None => super::truth::find_for(home, &[]),
+        None => truth::find_for(home, &[], folders),
     };
     Ok(Layout {
         images: with_distinct_names(images),
@@ -124,33 +124,33 @@ fn from_manifest(path: &Path) -> Result<Layout, SceneError> {
     })
 }
 
-fn from_folder(folder: &Path) -> Result<Layout, SceneError> {
+fn from_folder(folder: &Path, folders: &Folders) -> Result<Layout, SceneError> {
     let mut warnings = Vec::new();
     let Home {
         folder: home,
         delivered,
-    } = scene_folder(folder, &mut warnings)?;
+    } = scene_folder(folder, folders, &mut warnings)?;
     let mut images = match delivered {
         Some(images) => images,
-        None => images_in(&home)?,
+        None => folders.images(&home)?,
     };
-    let mut index = JsonIndex::read(&home)?;
+    let mut index = JsonIndex::read(&home, folders)?;
     for name in IMAGE_FOLDERS {
         if images.is_empty() {
-            images = images_in(&home.join(name))?;
+            images = folders.images(&home.join(name))?;
         }
     }
     let lists = SplitLists::read(&home)?;
     if images.is_empty() && !index.is_empty() {
-        images = index.find_images(&home)?;
+        images = index.find_images(&home, folders)?;
     } else if index.is_empty() {
         // Images of Sat-NeRF or EOGS given without the folder of their JSONs: look beside.
-        index = cameras_beside(&home, &images, &mut warnings)?;
+        index = cameras_beside(&home, &images, folders, &mut warnings)?;
     }
     if images.is_empty() {
         return Err(SceneError::Empty(folder.to_owned()));
     }
-    let (images, mut partners) = pair_names::by_name(tiles::joined(images)?);
+    let (images, mut partners) = pair_names::by_name(tiles::joined(images, folders)?);
     let lists = match (lists, index.folder()) {
         (None, Some(json_folder)) => SplitLists::read(json_folder)?,
         (lists, _) => lists,
@@ -183,7 +183,7 @@ fn from_folder(folder: &Path) -> Result<Layout, SceneError> {
         .collect();
     let names: Vec<String> = entries.iter().map(|entry| stem(&entry.path)).collect();
     Ok(Layout {
-        truth: super::truth::find_for(&home, &names),
+        truth: truth::find_for(&home, &names, folders),
         images: with_distinct_names(entries),
         altitude_range_m: None,
         bands: None,
@@ -195,11 +195,19 @@ fn from_folder(folder: &Path) -> Result<Layout, SceneError> {
 /// The JSONs of images that lie in another folder: of the folder that describes most of them, since cameras of several kinds
 /// must not be mixed; of equals, the folder of the better kind. A folder that has such images itself is another scene, and what its JSONs say is of
 /// those.
-fn cameras_beside(home: &Path, images: &[PathBuf], warnings: &mut Vec<String>) -> Result<JsonIndex, SceneError> {
+fn cameras_beside(
+    home: &Path,
+    images: &[PathBuf],
+    folders: &Folders,
+    warnings: &mut Vec<String>,
+) -> Result<JsonIndex, SceneError> {
     let mut found = Vec::new();
     let is_another_scene = |folder: &Path| images.iter().any(|image| folder.join(file_name(image)).is_file());
-    for folder in neighbours(home).into_iter().filter(|folder| !is_another_scene(folder)) {
-        let index = JsonIndex::read(&folder)?.restricted_to(images);
+    for folder in neighbours(home, folders)
+        .into_iter()
+        .filter(|folder| !is_another_scene(folder))
+    {
+        let index = JsonIndex::read(&folder, folders)?.restricted_to(images);
         if !index.is_empty() {
             found.push((folder, index));
         }
@@ -285,13 +293,13 @@ impl CameraFolder {
 }
 
 /// Of folders with cameras of the same images the best, and the others with a warning; one per scene remains.
-fn best_cameras(top: &Path, mut folders: Vec<CameraFolder>) -> Vec<(PathBuf, Option<String>)> {
-    folders.sort_by_key(|folder| {
+fn best_cameras(top: &Path, mut candidates: Vec<CameraFolder>) -> Vec<(PathBuf, Option<String>)> {
+    candidates.sort_by_key(|folder| {
         let kind = camera_kind(&folder.path);
         (kind.0, std::cmp::Reverse(kind.1))
     });
     let mut scenes: Vec<(CameraFolder, Option<String>)> = Vec::new();
-    for folder in folders {
+    for folder in candidates {
         match scenes.iter_mut().find(|(known, _)| known.is_same_scene(&folder)) {
             Some((known, warning)) => {
                 warning.get_or_insert_with(|| chosen_cameras(top, &known.path, &folder.path));
@@ -308,36 +316,36 @@ fn best_cameras(top: &Path, mut folders: Vec<CameraFolder>) -> Vec<(PathBuf, Opt
 }
 
 /// The folder that holds the scene: `folder` itself, or the only scene below it; of several kinds of cameras of one scene the best.
-fn scene_folder(folder: &Path, warnings: &mut Vec<String>) -> Result<Home, SceneError> {
+fn scene_folder(folder: &Path, folders: &Folders, warnings: &mut Vec<String>) -> Result<Home, SceneError> {
     let by_itself = |folder: PathBuf| Home {
         folder,
         delivered: None,
     };
     let looks_like_scene = |folder: &Path| -> Result<bool, SceneError> {
-        Ok(!images_in(folder)?.is_empty() || !JsonIndex::read(folder)?.is_empty())
+        Ok(!folders.images(folder)?.is_empty() || !JsonIndex::read(folder, folders)?.is_empty())
     };
     if looks_like_scene(folder)? {
         return Ok(by_itself(folder.to_owned()));
     }
     for name in IMAGE_FOLDERS {
-        if !images_in(&folder.join(name))?.is_empty() {
+        if !folders.images(&folder.join(name))?.is_empty() {
             return Ok(by_itself(folder.to_owned()));
         }
     }
     const DEEPEST: usize = 4;
-    let below = folders_below(folder, DEEPEST)?;
+    let below = folders_below(folder, DEEPEST, folders)?;
     let mut with_cameras = Vec::new();
     let mut with_images = Vec::new();
     for candidate in below {
-        let index = JsonIndex::read(&candidate)?;
+        let index = JsonIndex::read(&candidate, folders)?;
         if !index.is_empty() {
             with_cameras.push(CameraFolder::new(folder, candidate, index));
-        } else if !images_in(&candidate)?.is_empty() {
+        } else if !folders.images(&candidate)?.is_empty() {
             with_images.push((candidate, None));
         }
     }
     let mut candidates = if with_cameras.is_empty() {
-        if let Some(images) = delivered(&with_images)? {
+        if let Some(images) = delivered(&with_images, folders)? {
             return Ok(Home {
                 folder: folder.to_owned(),
                 delivered: Some(images),
@@ -370,16 +378,16 @@ struct Home {
 
 /// The images of folders that hold one image each, as vendors deliver them: a panchromatic or a multispectral file, both of one
 /// acquisition, or the tiles of one. Folders with several images are scenes of their own.
-fn delivered(folders: &[(PathBuf, Option<String>)]) -> Result<Option<Vec<PathBuf>>, SceneError> {
+fn delivered(candidates: &[(PathBuf, Option<String>)], folders: &Folders) -> Result<Option<Vec<PathBuf>>, SceneError> {
     let mut all = Vec::new();
-    for (folder, _) in folders {
-        let images = images_in(folder)?;
-        if pair_names::by_name(tiles::joined(images.clone())?).0.len() > 1 {
+    for (folder, _) in candidates {
+        let images = folders.images(folder)?;
+        if pair_names::by_name(tiles::joined(images.clone(), folders)?).0.len() > 1 {
             return Ok(None);
         }
         all.extend(images);
     }
-    Ok((folders.len() > 1).then_some(all))
+    Ok((candidates.len() > 1).then_some(all))
 }
 
 /// The folders of several scenes in one line, the first of them where there are many.
@@ -440,29 +448,59 @@ impl SplitLists {
     }
 }
 
-fn folders_below(folder: &Path, depth: usize) -> Result<Vec<PathBuf>, SceneError> {
+fn folders_below(folder: &Path, depth: usize, folders: &Folders) -> Result<Vec<PathBuf>, SceneError> {
     let mut found = Vec::new();
-    for path in entries_of(folder)?.into_iter().filter(|path| path.is_dir()) {
+    for path in folders.folders(folder)? {
         let name = file_name(&path).to_lowercase();
         if name.contains("truth") {
             continue;
         }
         found.push(path.clone());
         if depth > 1 {
-            found.extend(folders_below(&path, depth - 1)?);
+            found.extend(folders_below(&path, depth - 1, folders)?);
         }
     }
     Ok(found)
 }
 
+/// Numbers images of one name, passing over names that other images have.
 fn with_distinct_names(mut images: Vec<ImageEntry>) -> Vec<ImageEntry> {
-    let mut seen: BTreeMap<String, usize> = BTreeMap::new();
+    let given: BTreeSet<String> = images.iter().map(|image| image.name.clone()).collect();
+    let mut taken = BTreeSet::new();
     for image in &mut images {
-        let count = seen.entry(image.name.clone()).or_insert(0);
-        *count += 1;
-        if *count > 1 {
-            image.name = format!("{}_{count}", image.name);
+        let mut name = image.name.clone();
+        let mut number = 1;
+        while taken.contains(&name) || (number > 1 && given.contains(&name)) {
+            number += 1;
+            name = format!("{}_{number}", image.name);
         }
+        taken.insert(name.clone());
+        image.name = name;
     }
     images
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn images_of_one_name_get_names_that_no_other_image_has() {
+        let named = |paths: &[&str]| {
+            let entry = |path: &&str| ImageEntry {
+                name: stem(Path::new(path)),
+                path: PathBuf::from(path),
+                split: Split::Train,
+                json: None,
+                said: None,
+                tiles: ImageFiles::one(PathBuf::from(path)),
+                multispectral: None,
+            };
+            let images = with_distinct_names(paths.iter().map(entry).collect());
+            images.into_iter().map(|image| image.name).collect::<Vec<_>>()
+        };
+        assert_eq!(named(&["x/a.tif", "y/a.tif", "z/a_2.tif"]), ["a", "a_3", "a_2"]);
+        assert_eq!(named(&["z/a_2.tif", "x/a.tif", "y/a.tif"]), ["a_2", "a", "a_3"]);
+        assert_eq!(named(&["x/a.tif", "y/a.tif", "z/a.tif"]), ["a", "a_2", "a_3"]);
+    }
 }

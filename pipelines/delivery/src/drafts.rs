@@ -1,0 +1,53 @@
+//! The images of a scene as drafts: opened, and joined where two files are one image.
+
+use super::draft::Draft;
+use super::files::Folders;
+use super::layout::Layout;
+use super::{RpcPreference, SceneError, acquisition, bands, calibration, camera, pairs};
+
+/// Opens every image and reads what its files say about it.
+pub(super) fn read_all(
+    layout: &Layout,
+    preference: RpcPreference,
+    folders: &Folders,
+    warnings: &mut Vec<String>,
+) -> Result<Vec<Draft>, SceneError> {
+    let mut drafts = Vec::with_capacity(layout.images.len());
+    let declared = layout.bands.as_deref();
+    for entry in &layout.images {
+        let file = entry.tiles.open(folders)?;
+        let found = camera::find(&file, entry, preference, folders, warnings)?;
+        let plan = match &entry.multispectral {
+            // Its bands will be those of its other half.
+            Some(_) => bands::plan(&file, None, folders)?,
+            None => bands::plan(&file, declared, folders)?,
+        };
+        let acquisition = acquisition::find(&file, entry, folders)?;
+        let radiometry = calibration::find(&file, entry, folders)?;
+        let draft = Draft {
+            entry: entry.clone(),
+            file,
+            plan,
+            rpc: found.rpc,
+            rpc_source: found.source,
+            acquisition,
+            time_of_tag: false,
+            radiometry,
+            multispectral: None,
+        };
+        drafts.push(match &entry.multispectral {
+            Some(multispectral) => pairs::with_colours(draft, multispectral, declared, folders)?,
+            None => draft,
+        });
+    }
+    let drafts = pairs::by_time(drafts, declared, folders)?;
+    warnings.extend(pairs::told(&drafts));
+    // The same assumption about every image is one warning.
+    if let Some(assumption) = drafts.iter().find_map(|draft| draft.plan.assumption.as_ref()) {
+        warnings.push(format!(
+            "{}: {assumption}; say otherwise with bands = [...] in a scene.toml",
+            layout.images[0].path.display()
+        ));
+    }
+    Ok(drafts)
+}

@@ -1,0 +1,211 @@
+//! Files and folders of a scene by their names: what is an image, what is truth, and where the other half of a scene may lie.
+
+use super::SceneError;
+use super::dimap::Dimaps;
+use heliosplat_raster::bounded;
+use std::cell::RefCell;
+use std::collections::{BTreeMap, BTreeSet};
+use std::path::{Path, PathBuf};
+use std::rc::Rc;
+
+/// Extensions of images, in lower case.
+pub(super) const IMAGE_EXTENSIONS: [&str; 6] = ["tif", "tiff", "jp2", "ntf", "nitf", "img"];
+
+/// What one opening has seen of the file system: each folder is listed once, each text read once, each DIMAP parsed once.
+#[derive(Debug, Default)]
+pub(super) struct Folders {
+    listed: RefCell<BTreeMap<PathBuf, Rc<Vec<Entry>>>>,
+    texts: RefCell<BTreeMap<PathBuf, Rc<str>>>,
+    by_name: RefCell<BTreeMap<PathBuf, Rc<BTreeMap<String, PathBuf>>>>,
+    dimaps: RefCell<BTreeMap<PathBuf, Rc<Dimaps>>>,
+}
+
+/// One entry of a folder.
+#[derive(Debug, Clone)]
+struct Entry {
+    path: PathBuf,
+    is_file: bool,
+}
+
+impl Folders {
+    /// Reads a text of at most a few megabytes; bytes that are no UTF-8 are replaced.
+    pub(super) fn text(&self, path: &Path) -> Result<Rc<str>, SceneError> {
+        if let Some(text) = self.texts.borrow().get(path) {
+            return Ok(Rc::clone(text));
+        }
+        let text = bounded::read_text_lossy(path).map_err(|error| unreadable(path, &error))?;
+        let text: Rc<str> = text.into();
+        self.texts.borrow_mut().insert(path.to_owned(), Rc::clone(&text));
+        Ok(text)
+    }
+
+    /// The texts that were read, by path.
+    pub(super) fn texts_read(&self) -> Vec<PathBuf> {
+        self.texts.borrow().keys().cloned().collect()
+    }
+
+    /// Images directly in a folder, sorted by name; truth rasters are no images. An absent folder has none.
+    pub(super) fn images(&self, folder: &Path) -> Result<Vec<PathBuf>, SceneError> {
+        let is_image = |path: &PathBuf| has_extension(path, &IMAGE_EXTENSIONS) && !is_truth(path);
+        Ok(self.files(folder)?.into_iter().filter(is_image).collect())
+    }
+
+    /// Files directly in a folder, sorted by name, hidden ones left out. An absent folder has none.
+    pub(super) fn files(&self, folder: &Path) -> Result<Vec<PathBuf>, SceneError> {
+        let entries = self.entries(folder)?;
+        let files = entries.iter().filter(|entry| entry.is_file);
+        Ok(files.map(|entry| entry.path.clone()).collect())
+    }
+
+    /// Folders directly in a folder, sorted by name, hidden ones left out. An absent folder has none.
+    pub(super) fn folders(&self, folder: &Path) -> Result<Vec<PathBuf>, SceneError> {
+        let entries = self.entries(folder)?;
+        let others = entries.iter().filter(|entry| !entry.is_file && entry.path.is_dir());
+        Ok(others.map(|entry| entry.path.clone()).collect())
+    }
+
+    /// The first file of each name in a folder, names in lower case.
+    pub(super) fn by_name(&self, folder: &Path) -> Result<Rc<BTreeMap<String, PathBuf>>, SceneError> {
+        if let Some(known) = self.by_name.borrow().get(folder) {
+            return Ok(Rc::clone(known));
+        }
+        let mut named = BTreeMap::new();
+        for path in self.files(folder)? {
+            named.entry(file_name(&path).to_lowercase()).or_insert(path);
+        }
+        let named = Rc::new(named);
+        self.by_name.borrow_mut().insert(folder.to_owned(), Rc::clone(&named));
+        Ok(named)
+    }
+
+    /// The DIMAPs of a folder.
+    pub(super) fn dimaps(&self, folder: &Path) -> Result<Rc<Dimaps>, SceneError> {
+        if let Some(known) = self.dimaps.borrow().get(folder) {
+            return Ok(Rc::clone(known));
+        }
+        let dimaps = Rc::new(Dimaps::read(folder, self)?);
+        self.dimaps.borrow_mut().insert(folder.to_owned(), Rc::clone(&dimaps));
+        Ok(dimaps)
+    }
+
+    fn entries(&self, folder: &Path) -> Result<Rc<Vec<Entry>>, SceneError> {
+        if let Some(known) = self.listed.borrow().get(folder) {
+            return Ok(Rc::clone(known));
+        }
+        let entries = Rc::new(listed(folder)?);
+        self.listed.borrow_mut().insert(folder.to_owned(), Rc::clone(&entries));
+        Ok(entries)
+    }
+}
+
+fn unreadable(path: &Path, error: &std::io::Error) -> SceneError {
+    SceneError::Unreadable {
+        path: path.to_owned(),
+        reason: error.to_string(),
+    }
+}
+
+fn listed(folder: &Path) -> Result<Vec<Entry>, SceneError> {
+    if !folder.is_dir() {
+        return Ok(Vec::new());
+    }
+    let mut found = Vec::new();
+    for entry in std::fs::read_dir(folder).map_err(|error| unreadable(folder, &error))? {
+        let entry = entry.map_err(|error| unreadable(folder, &error))?;
+        if entry.file_name().to_string_lossy().starts_with('.') {
+            continue;
+        }
+        let path = entry.path();
+        let is_file = match entry.file_type() {
+            // The listing knows the kind, so the file system is not asked again for each file.
+            Ok(kind) if !kind.is_symlink() => kind.is_file(),
+            _ => path.is_file(),
+        };
+        found.push(Entry { path, is_file });
+    }
+    // In one folder the order of bytes is that of paths, without taking these apart.
+    found.sort_by(|a, b| a.path.as_os_str().cmp(b.path.as_os_str()));
+    Ok(found)
+}
+
+/// Whether a raster is truth by its name, not an image: `*_DSM.tif`, `*_CLS.tif`, `*_DTM.tif` and our own names.
+pub(super) fn is_truth(path: &Path) -> bool {
+    let name = stem(path).to_lowercase();
+    let ends = ["_dsm", "_dtm", "_cls", "_cls_v2", "_agl", "_water"];
+    ["dsm", "classes", "albedo", "water"].contains(&name.as_str())
+        || name.starts_with("shadow_")
+        || name.starts_with("cloud_")
+        || ends.iter().any(|end| name.ends_with(end))
+}
+
+/// Names of folders, in lower case, under which DFC2019, Sat-NeRF and EOGS publish one part of a scene each.
+const PUBLISHED_NAMES: [&str; 7] = ["dfc2019", "root_dir", "images", "img", "imgs", "truth", "cameras"];
+/// How such names begin where they are numbered or say what is inside: `Track3-RGB-crops`, `crops_rpcs_ba_v2`, `rpcs_raw`.
+const PUBLISHED_BEGINNINGS: [&str; 3] = ["track3", "crops_rpcs", "rpcs"];
+/// How far above a folder its other half is looked for under such names: `root_dir/crops_rpcs_raw/JAX_068` and
+/// `DFC2019/Track3-RGB-crops/JAX_068` meet three levels up.
+const LEVELS_UP: usize = 4;
+
+/// Folders of published names in which the other half of a Sat-NeRF or EOGS scene may lie, given one half, nearest first, up to
+/// [`LEVELS_UP`] levels above it; a folder of the same name inside one counts before the one itself. No other folder is looked at.
+pub(super) fn neighbours(folder: &Path, folders: &Folders) -> Vec<PathBuf> {
+    let absolute = folder.canonicalize().unwrap_or_else(|_| folder.to_owned());
+    let name = file_name(&absolute);
+    let mut found = Vec::new();
+    for ancestor in absolute.ancestors().skip(1).take(LEVELS_UP) {
+        for outer in published_in(ancestor, folders) {
+            let inner = published_in(&outer, folders);
+            for place in std::iter::once(outer).chain(inner) {
+                found.push(place.join(&name));
+                found.push(place);
+            }
+        }
+    }
+    let mut seen = BTreeSet::new();
+    found.retain(|path| path.is_dir() && *path != absolute && seen.insert(path.clone()));
+    found
+}
+
+/// Folders of published names directly in a folder.
+fn published_in(folder: &Path, folders: &Folders) -> Vec<PathBuf> {
+    let is_published = |path: &PathBuf| {
+        let name = file_name(path).to_lowercase();
+        PUBLISHED_NAMES.contains(&name.as_str()) || PUBLISHED_BEGINNINGS.iter().any(|start| name.starts_with(start))
+    };
+    let inside = folders.folders(folder).unwrap_or_default().into_iter();
+    inside.filter(is_published).collect()
+}
+
+/// File name without its extension.
+pub(super) fn stem(path: &Path) -> String {
+    path.file_stem().unwrap_or_default().to_string_lossy().into_owned()
+}
+
+/// File name as text.
+pub(super) fn file_name(path: &Path) -> String {
+    path.file_name().unwrap_or_default().to_string_lossy().into_owned()
+}
+
+/// Whether a path has one of the extensions, in upper or lower case.
+pub(super) fn has_extension(path: &Path, extensions: &[&str]) -> bool {
+    let extension = path.extension().unwrap_or_default().to_string_lossy().to_lowercase();
+    extensions.contains(&extension.as_str())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_folder_is_listed_and_a_text_is_read_once() {
+        let home = tempfile::tempdir().expect("a temporary folder");
+        let text = home.path().join("dim_a.xml");
+        std::fs::write(&text, "once").expect("written");
+        let folders = Folders::default();
+        assert_eq!(&*folders.text(&text).expect("readable"), "once");
+        assert_eq!(folders.files(home.path()).expect("listed"), [text.clone()]);
+        std::fs::remove_file(&text).expect("removed");
+        assert_eq!(&*folders.text(&text).expect("known"), "once");
+        assert_eq!(folders.by_name(home.path()).expect("known").len(), 1);
+    }
+}

@@ -1,0 +1,257 @@
+//! The index of a delivery: its files, cameras, times, suns, bands, values and truth, as one value. No pixels.
+
+use super::altitude::{self, AltitudeRange, Said, Stated};
+use super::bands::BandPlan;
+use super::calibration::FoundRadiometry;
+use super::draft::Draft;
+use super::files::{self, Folders};
+use super::manifest::Counts;
+use super::{ImageSun, RpcPreference, SceneError, Split, Truth, acquisition, drafts, layout, sidecars, weak_times};
+use heliosplat_raster::{RasterFile, is_virtual};
+use heliosplat_rpc::read::acquisition::Acquisition;
+use heliosplat_rpc::{GeoPoint, ImagePoint, Rpc};
+use serde::Serialize;
+use std::collections::BTreeSet;
+use std::path::{Path, PathBuf};
+use std::sync::{Mutex, MutexGuard, PoisonError};
+
+/// A delivery: what was found, before anything of it is cut or read.
+#[derive(Serialize)]
+pub struct Index {
+    /// The folder or `scene.toml`.
+    pub source: PathBuf,
+    /// Which camera counts where two differ.
+    pub rpc: RpcPreference,
+    /// Its images, in the order of the folder or the manifest.
+    pub images: Vec<IndexImage>,
+    /// The altitudes that `scene.toml` states, metres above the ellipsoid.
+    pub altitude_range_m: Option<(f64, f64)>,
+    /// Truth, where the delivery brings it.
+    pub truth: Truth,
+    /// All files that describe the delivery: images, sidecars, lists, truth.
+    pub files: Vec<PathBuf>,
+    /// Contradictions and assumptions, a line each.
+    pub warnings: Vec<String>,
+}
+
+/// One image of a delivery.
+#[derive(Serialize)]
+pub struct IndexImage {
+    /// File stem, distinct among the images.
+    pub name: String,
+    /// The file, or the first of its tiles.
+    pub path: PathBuf,
+    /// The other files that its pixels come from.
+    pub others: Vec<PathBuf>,
+    /// Train or test.
+    pub split: Split,
+    /// Columns and rows.
+    pub size: (usize, usize),
+    /// Bands that are read.
+    pub bands: BandPlan,
+    /// Data type of the first of them, as GDAL names it.
+    pub data_type: String,
+    /// Rational camera, in the file's pixel coordinates.
+    pub rpc: Rpc,
+    /// `image` (tag, or a sidecar that GDAL knows) or a file name.
+    pub rpc_source: String,
+    /// Time and stated sun.
+    pub acquisition: Acquisition,
+    /// Whether the time is that of a TIFF date tag, whose time zone is unknown.
+    pub time_of_tag: bool,
+    /// Calibration of the bands.
+    pub radiometry: Option<FoundRadiometry>,
+    /// Linear counts, or values encoded for display.
+    pub counts: Counts,
+    /// Source of `counts`: `scene.toml` or `image`; `None` where linear counts are assumed.
+    pub counts_source: Option<String>,
+    /// Altitudes that its files state.
+    pub altitude: Stated,
+    #[serde(skip)]
+    file: Mutex<RasterFile>,
+}
+
+impl Index {
+    /// Opens a folder of images, a `scene.toml`, or a folder of Sat-NeRF or EOGS. Each folder is listed once, each image and each text
+    /// beside it is opened once.
+    ///
+    /// # Errors
+    /// The first [`SceneError`] found.
+    pub fn open(path: &Path, rpc: RpcPreference) -> Result<Self, SceneError> {
+        let folders = Folders::default();
+        let mut layout = layout::find(path, &folders)?;
+        let mut warnings = std::mem::take(&mut layout.warnings);
+        let mut drafts = drafts::read_all(&layout, rpc, &folders, &mut warnings)?;
+        if let Some(at) = drafts.first().and_then(middle) {
+            weak_times::fill(&mut drafts, at, &mut warnings);
+        }
+        let files = files_of(path, &layout, &drafts, &folders);
+        let images: Vec<IndexImage> = drafts
+            .into_iter()
+            .map(|draft| IndexImage::new(draft, layout.counts, &folders))
+            .collect();
+        warnings.extend(eight_bits(&images));
+        Ok(Self {
+            source: path.to_owned(),
+            rpc,
+            images,
+            altitude_range_m: layout.altitude_range_m,
+            truth: layout.truth,
+            files,
+            warnings,
+        })
+    }
+
+    /// The altitudes to search: `wanted`, those of `scene.toml`, those of the images' JSON files, `from_ties`, or all that the cameras are
+    /// valid for, with a warning; metres above the ellipsoid.
+    ///
+    /// # Errors
+    /// [`SceneError::AltitudeRange`] where they are none.
+    pub fn altitudes(
+        &self,
+        wanted: Option<(f64, f64)>,
+        from_ties: Option<(f64, f64)>,
+        warnings: &mut Vec<String>,
+    ) -> Result<AltitudeRange, SceneError> {
+        let stated: Vec<Stated> = self.images.iter().map(|image| image.altitude).collect();
+        let said = Said {
+            option_m: wanted,
+            manifest_m: self.altitude_range_m,
+            ties_m: from_ties,
+        };
+        altitude::choose(said, &stated, warnings)
+    }
+
+    /// The images to train on.
+    pub fn training(&self) -> impl Iterator<Item = &IndexImage> {
+        self.images.iter().filter(|image| image.split == Split::Train)
+    }
+}
+
+impl IndexImage {
+    fn new(draft: Draft, declared: Option<Counts>, folders: &Folders) -> Self {
+        let stated = draft.file.domain("").remove("RADIOMETRY");
+        let (counts, counts_source) = match (declared, &stated) {
+            (Some(declared), _) => (declared, Some("scene.toml")),
+            (None, Some(stated)) if stated.to_lowercase().contains("srgb") => (Counts::Display, Some("image")),
+            (None, Some(_)) => (Counts::Linear, Some("image")),
+            (None, None) => (Counts::Linear, None),
+        };
+        let first_band = draft
+            .plan
+            .file_bands
+            .first()
+            .and_then(|&band| draft.file.bands.get(band));
+        let altitude = Stated {
+            json_m: (draft.entry.json.as_deref()).and_then(|json| super::satnerf::altitude_range(json, folders)),
+            rpc_m: (
+                draft.rpc.height_offset_m - draft.rpc.height_scale_m.abs(),
+                draft.rpc.height_offset_m + draft.rpc.height_scale_m.abs(),
+            ),
+        };
+        Self {
+            name: draft.entry.name,
+            path: draft.entry.path,
+            others: draft.file.others().to_vec(),
+            split: draft.entry.split,
+            size: draft.file.size(),
+            data_type: first_band.map_or_else(String::new, |band| band.data_type.clone()),
+            bands: draft.plan,
+            rpc: draft.rpc,
+            rpc_source: draft.rpc_source,
+            acquisition: draft.acquisition,
+            time_of_tag: draft.time_of_tag,
+            radiometry: draft.radiometry,
+            counts,
+            counts_source: counts_source.map(str::to_owned),
+            altitude,
+            file: Mutex::new(draft.file),
+        }
+    }
+
+    /// Its open file; one reader at a time.
+    pub fn file(&self) -> MutexGuard<'_, RasterFile> {
+        self.file.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// Whether it has eight bits and no metadata state what they mean.
+    pub fn has_unstated_bytes(&self) -> bool {
+        self.data_type == "Byte" && self.radiometry.is_none() && self.counts_source.is_none()
+    }
+
+    /// The sun at a place: computed from the time where there is one, else as the metadata state, else unknown.
+    ///
+    /// # Errors
+    /// [`SceneError::SunBelowHorizon`].
+    pub fn sun(&self, at: GeoPoint, warnings: &mut Vec<String>) -> Result<ImageSun, SceneError> {
+        let sun = acquisition::sun(&self.path, &self.acquisition, at, warnings)?;
+        let sigma_deg = sun.sigma_deg.filter(|_| !self.time_of_tag);
+        Ok(ImageSun { sigma_deg, ..sun })
+    }
+}
+
+/// The ground that the middle of an image shows, near enough to tell day from night.
+fn middle(draft: &Draft) -> Option<GeoPoint> {
+    let (width, height) = draft.file.size();
+    let (col, row) = (width as f64 / 2.0, height as f64 / 2.0);
+    draft
+        .rpc
+        .localise(ImagePoint { col, row }, draft.rpc.height_offset_m)
+        .ok()
+}
+
+/// The line that states how eight-bit values without metadata are taken.
+fn eight_bits(images: &[IndexImage]) -> Option<String> {
+    let unstated = |image: &&IndexImage| image.has_unstated_bytes();
+    let count = images.iter().filter(unstated).count();
+    let first = images.iter().find(unstated)?;
+    Some(format!(
+        "{}: 8-bit values ({count} images) are taken as linear, and their greatest as clipped where many pixels have it; say \
+         counts = \"display\" in a scene.toml where a display curve was applied",
+        first.path.display()
+    ))
+}
+
+/// The images, the files that describe them, and the files beside them whose names contain theirs.
+fn files_of(path: &Path, layout: &layout::Layout, drafts: &[Draft], folders: &Folders) -> Vec<PathBuf> {
+    let mut files: BTreeSet<PathBuf> = folders.texts_read().into_iter().collect();
+    for name in ["scene.toml", "train.txt", "test.txt"] {
+        files.insert(path.join(name));
+    }
+    files.insert(path.to_owned());
+    for draft in drafts {
+        let image = &draft.entry.path;
+        files.insert(image.clone());
+        if let Some(json) = &draft.entry.json {
+            files.insert(json.clone());
+            // The lists of a split lie beside the cameras where images have a folder of their own.
+            files.extend(["train.txt", "test.txt"].map(|name| json.with_file_name(name)));
+        }
+        if let Some(said) = &draft.entry.said {
+            files.extend([&said.rpc, &said.metadata].into_iter().flatten().cloned());
+        }
+        files.extend(sidecars::belonging_texts(image, folders).unwrap_or_default());
+        for image in std::iter::once(image).chain(draft.file.others()) {
+            files.insert(image.clone());
+            files.extend(beside(image, folders));
+        }
+    }
+    let truth = &layout.truth;
+    files.extend([&truth.dsm, &truth.classes].into_iter().flatten().cloned());
+    files.extend(truth.dsm.iter().map(|dsm| dsm.with_extension("txt")));
+    files.extend(truth.shadows.iter().map(|(_, path)| path.clone()));
+    files.into_iter().filter(|file| !file.is_dir()).collect()
+}
+
+/// Files in an image's folder whose names contain its own.
+fn beside(image: &Path, folders: &Folders) -> Vec<PathBuf> {
+    if is_virtual(image) {
+        return Vec::new();
+    }
+    let stem = files::stem(image);
+    let beside = folders.files(super::dimap::folder_of(image)).unwrap_or_default();
+    beside
+        .into_iter()
+        .filter(|path| files::file_name(path).contains(&stem))
+        .collect()
+}

@@ -1,0 +1,172 @@
+//! A folder of satellite images becomes a description of what was delivered: files, cameras, times, suns, bands, values and truth.
+//!
+//! A delivery is recognised, not declared: a `scene.toml`, a folder of images, or the folders of Sat-NeRF and EOGS. Every image needs a
+//! rational camera; its sun may be unknown. No pixels are read. Missing or contradictory metadata are an error of one line that names the
+//! file; odd ones are warnings.
+
+mod acquisition;
+mod altitude;
+mod bands;
+mod calibration;
+mod camera;
+mod dimap;
+mod draft;
+mod drafts;
+mod entry;
+mod error;
+mod files;
+mod identity;
+mod index;
+mod layout;
+mod manifest;
+mod pair_names;
+mod pairs;
+mod relit_truth;
+mod satnerf;
+mod sidecars;
+mod sun;
+mod tiles;
+mod truth;
+mod weak_times;
+
+pub use altitude::{AltitudeRange, AltitudeSource, Stated};
+pub use bands::{BandPlan, in_words as bands_in_words};
+pub use calibration::FoundRadiometry;
+pub use error::SceneError;
+pub use identity::{FileIdentity, Hashes, Seen, hash, seen};
+pub use index::{Index, IndexImage};
+pub use manifest::Counts;
+pub use relit_truth::{RelitTruth, relit_truth};
+pub use sun::{ImageSun, SunSource};
+pub use tiles::places_in_til;
+
+use entry::ImageEntry;
+use files::Folders;
+use heliosplat_raster::RasterFile;
+use heliosplat_rpc::Rpc;
+use heliosplat_rpc::read::calibration::CalibratedBand;
+use std::path::{Path, PathBuf};
+use tiles::ImageFiles;
+
+/// What a band shows, as far as the file tells.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum BandKind {
+    /// Panchromatic.
+    Pan,
+    /// Red.
+    Red,
+    /// Green.
+    Green,
+    /// Blue.
+    Blue,
+    /// Near infrared.
+    NearInfrared,
+    /// Unknown.
+    Other,
+}
+
+impl BandKind {
+    /// Its name in reports and band descriptions.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Pan => "pan",
+            Self::Red => "red",
+            Self::Green => "green",
+            Self::Blue => "blue",
+            Self::NearInfrared => "near_infrared",
+            Self::Other => "other",
+        }
+    }
+
+    /// The kind of a band that metadata name.
+    pub fn of_metadata(band: CalibratedBand) -> Self {
+        match band {
+            CalibratedBand::Pan => Self::Pan,
+            CalibratedBand::Blue => Self::Blue,
+            CalibratedBand::Green => Self::Green,
+            CalibratedBand::Red => Self::Red,
+            CalibratedBand::NearInfrared => Self::NearInfrared,
+            CalibratedBand::Place(_) => Self::Other,
+        }
+    }
+}
+
+/// Whether an image is trained on or held out.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Split {
+    /// Used in training.
+    Train,
+    /// Held out.
+    Test,
+}
+
+/// Which camera is used where an image's own RPC and a Sat-NeRF JSON differ.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, serde::Serialize, serde::Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum RpcPreference {
+    /// The JSON: somebody made it on purpose, by bundle adjustment or for a crop.
+    #[default]
+    Json,
+    /// What GDAL finds in the image or beside it.
+    Image,
+}
+
+/// Truth that came with a scene.
+#[derive(Debug, Clone, Default, serde::Serialize)]
+pub struct Truth {
+    /// Altitude raster.
+    pub dsm: Option<PathBuf>,
+    /// Classes, LAS codes.
+    pub classes: Option<PathBuf>,
+    /// Shadow mask of each image (1 = in cast shadow), by image name.
+    pub shadows: Vec<(String, PathBuf)>,
+    /// Folder of images from above under other suns, for [`relit_truth()`].
+    pub relit: Option<PathBuf>,
+}
+
+/// The images that the text of a `scene.toml` lists, as it names them.
+///
+/// # Errors
+/// A sentence that says what is wrong, and in which line.
+pub fn images_listed(manifest: &str) -> Result<Vec<PathBuf>, String> {
+    let manifest = manifest::Manifest::parse(manifest)?;
+    Ok(manifest.images.into_iter().map(|image| image.path).collect())
+}
+
+/// The image that the text of a Sat-NeRF JSON describes, and the altitudes it states, metres; `None` where it is none.
+pub fn image_described(json: &str) -> Option<(String, [Option<f64>; 2])> {
+    satnerf::image_and_altitudes(json)
+}
+
+/// The rational camera of one file by itself: of an image, as a scene would find it, or of an RPC text file.
+///
+/// # Errors
+/// [`SceneError::NoRpc`] and others that name the file.
+pub fn camera_of(path: &Path, preference: RpcPreference) -> Result<Rpc, SceneError> {
+    manifest::reject_address(path)?;
+    if !path.is_file() {
+        return Err(SceneError::Missing(path.to_owned()));
+    }
+    let folders = Folders::default();
+    if files::has_extension(path, &["rpb", "txt", "xml", "json", "rpc"]) {
+        return camera::from_text_file(path, &folders).map(|found| found.rpc);
+    }
+    let file = RasterFile::open(path)?;
+    let entry = ImageEntry {
+        name: files::stem(path),
+        path: path.to_owned(),
+        split: Split::Train,
+        json: satnerf::beside(path, &folders),
+        said: None,
+        tiles: ImageFiles::one(path.to_owned()),
+        multispectral: None,
+    };
+    let mut warnings = Vec::new();
+    let found = camera::find(&file, &entry, preference, &folders, &mut warnings)?;
+    for warning in warnings {
+        tracing::warn!("{warning}");
+    }
+    Ok(found.rpc)
+}

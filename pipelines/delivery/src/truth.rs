@@ -1,0 +1,127 @@
+//! Truth that comes with a scene: our own `truth/` folder, or the rasters of Sat-NeRF, EOGS and DFC2019.
+
+use super::files::{Folders, file_name, has_extension, is_truth, neighbours, stem};
+use super::{Truth, relit_truth};
+use std::path::{Path, PathBuf};
+
+/// Looks for truth in the scene's `truth` folder and its own, then in truth folders of published layouts, where only rasters
+/// that bear the scene's name are taken: that of its folder, or what the names of its images begin with.
+pub(super) fn find_for(home: &Path, images: &[String], folders: &Folders) -> Truth {
+    let folder = file_name(&home.canonicalize().unwrap_or_else(|_| home.to_owned()));
+    let named_by_folder = find(home, &folder, folders);
+    let truth = match area_of(images) {
+        Some(area) if named_by_folder.dsm.is_none() && area != folder => find(home, &area, folders),
+        _ => named_by_folder,
+    };
+    Truth {
+        relit: relit_truth::folder_of(truth.dsm.as_deref(), home),
+        ..truth
+    }
+}
+
+impl Truth {
+    /// The map of changes beside the surface model, `change.tif`, if there is one.
+    pub fn changes(&self) -> Option<PathBuf> {
+        self.beside("change.tif")
+    }
+
+    /// The surface model at the time of the first image beside the one at the last, `dsm_before.tif`, if there is one.
+    pub fn before(&self) -> Option<PathBuf> {
+        self.beside("dsm_before.tif")
+    }
+
+    fn beside(&self, name: &str) -> Option<PathBuf> {
+        let path = self.dsm.as_ref()?.with_file_name(name);
+        path.is_file().then_some(path)
+    }
+}
+
+/// What the names of all images begin with, up to an underscore: `JAX_068` of `JAX_068_001_RGB` and `JAX_068_012_RGB`.
+fn area_of(images: &[String]) -> Option<String> {
+    let first = images.first()?;
+    let shared = images.iter().fold(first.as_str(), |shared, name| {
+        let same = shared.chars().zip(name.chars()).take_while(|(a, b)| a == b);
+        &shared[..same.map(|(a, _)| a.len_utf8()).sum()]
+    });
+    let area = &shared[..shared.rfind('_')?];
+    (images.len() > 1 && !area.is_empty()).then(|| area.to_owned())
+}
+
+fn find(home: &Path, scene: &str, folders: &Folders) -> Truth {
+    for folder in [home.join("truth"), home.to_owned()] {
+        let truth = in_folder(&folder, scene, true, folders);
+        if truth.dsm.is_some() || !truth.shadows.is_empty() {
+            return truth;
+        }
+    }
+    for folder in neighbours(home, folders) {
+        let tail: Vec<_> = folder.components().rev().take(2).collect();
+        let is_truth_folder =
+            |part: &std::path::Component| part.as_os_str().to_string_lossy().to_lowercase().contains("truth");
+        if tail.iter().any(is_truth_folder) {
+            let truth = in_folder(&folder, scene, false, folders);
+            if truth.dsm.is_some() {
+                return truth;
+            }
+        }
+    }
+    Truth::default()
+}
+
+fn in_folder(folder: &Path, scene: &str, own_folder: bool, folders: &Folders) -> Truth {
+    let rasters: Vec<PathBuf> = folders
+        .files(folder)
+        .unwrap_or_default()
+        .into_iter()
+        .filter(|path| has_extension(path, &["tif", "tiff"]) && is_truth(path))
+        .collect();
+    // A folder of many scenes' truth has one raster per scene: the one of this scene counts.
+    let pick = |own: &str, ends: &[&str]| -> Option<PathBuf> {
+        let named = |name: String| {
+            rasters
+                .iter()
+                .find(|path| stem(path).eq_ignore_ascii_case(&name))
+                .cloned()
+        };
+        let by_scene = ends.iter().find_map(|end| named(format!("{scene}{end}")));
+        if !own_folder {
+            return by_scene;
+        }
+        named(own.to_owned()).or(by_scene).or_else(|| {
+            let mut fitting = rasters.iter().filter(|path| {
+                let name = stem(path).to_lowercase();
+                ends.iter().any(|end| name.ends_with(&end.to_lowercase()))
+            });
+            match (fitting.next(), fitting.next()) {
+                (Some(only), None) => Some(only.clone()),
+                _ => None,
+            }
+        })
+    };
+    let shadows = rasters.iter().filter_map(|path| {
+        let name = stem(path);
+        Some((name.strip_prefix("shadow_")?.to_owned(), path.clone()))
+    });
+    Truth {
+        dsm: pick("dsm", &["_DSM"]),
+        classes: pick("classes", &["_CLS_v2", "_CLS"]),
+        shadows: shadows.collect(),
+        relit: None,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_area_is_what_all_names_begin_with() {
+        let of = |names: &[&str]| area_of(&names.iter().map(|&name| name.to_owned()).collect::<Vec<_>>());
+        assert_eq!(of(&["JAX_068_001_RGB", "JAX_068_012_RGB"]).as_deref(), Some("JAX_068"));
+        assert_eq!(of(&["JAX_068_001_RGB", "JAX_214_001_RGB"]).as_deref(), Some("JAX"));
+        assert_eq!(of(&["a_1"]), None);
+        assert_eq!(of(&["_1", "_2"]), None);
+        assert_eq!(of(&["left", "right"]), None);
+        assert_eq!(of(&["é_1", "è_1"]), None);
+    }
+}

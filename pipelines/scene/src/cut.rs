@@ -1,0 +1,408 @@
+//! The part of a delivery that is used: its ground, its altitudes, and the window of each image. No pixels.
+
+use super::area::{AreaRequest, window_over};
+use super::footprint::{self, Footprint};
+use super::{AltitudeRange, Area, IngestOptions, SceneError, Split};
+use heliosplat::splat::rasterise::MOST_CHANNELS;
+use heliosplat_delivery::{Index, IndexImage, bands_in_words};
+use heliosplat_grid::statistics::upper_median;
+use heliosplat_raster::Window;
+use heliosplat_rpc::{GeoPoint, LocalFrame};
+use nalgebra::Vector3;
+use std::path::Path;
+
+/// Share of an image's pixels below which a window of it is read instead of all of it.
+const WORTH_READING_LESS: f64 = 0.75;
+/// An overlap smaller than this many pixels on a side is none.
+const LEAST_OVERLAP_PX: f64 = 16.0;
+/// Most bands of an image: the rasteriser renders them beside the sun visibility and a normal.
+const MOST_BANDS: usize = MOST_CHANNELS - 1 - 3;
+
+/// The part of an [`Index`] that is used.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Cut {
+    /// ENU frame: the centre of the common footprint at the middle of the altitude range.
+    pub frame: LocalFrame,
+    /// Altitudes that the surface may have.
+    pub altitude: AltitudeRange,
+    /// Ground, metres of the frame.
+    pub area: Area,
+    /// Its images, in the order of the index.
+    pub images: Vec<CutImage>,
+    /// Whether it is a part of another cut: an image may have no pixels there.
+    pub is_part: bool,
+    /// Counts per unit of the pixels; `None` where the pixels decide.
+    pub counts_per_unit: Option<f64>,
+}
+
+/// The part of one image that is used.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct CutImage {
+    /// Its place in the index.
+    pub image: usize,
+    /// Pixels that are read.
+    pub window: Window,
+    /// Train or test.
+    pub split: Split,
+}
+
+/// An image of the index on its way into a cut.
+#[derive(Clone, Copy)]
+struct Placed<'a> {
+    at: usize,
+    image: &'a IndexImage,
+    window: Window,
+}
+
+impl Cut {
+    /// Cuts an index: the altitudes and the area that `options` ask for, or those of the index.
+    ///
+    /// # Errors
+    /// [`SceneError`] where bands differ, fewer than two images overlap or show the area, or altitudes are none.
+    pub fn of(index: &Index, options: &IngestOptions, warnings: &mut Vec<String>) -> Result<Self, SceneError> {
+        check_bands(&index.images)?;
+        let altitude = index.altitudes(options.altitude_range_m, options.altitude_from_ties_m, warnings)?;
+        let limits_m = altitude.limits_m();
+        let count = index.training().count();
+        let all: Vec<Placed> = (index.images.iter().enumerate())
+            .map(|(at, image)| Placed {
+                at,
+                image,
+                window: whole(image),
+            })
+            .collect();
+        let Some(first) = all.first().filter(|_| count >= 2) else {
+            let path = index.source.clone();
+            return Err(SceneError::TooFewViews { path, count });
+        };
+        let altitude_m = (limits_m.0 + limits_m.1) / 2.0;
+        // Any frame near the scene will do to find out where its centre is.
+        let (width, height) = first.image.size;
+        let near = localise(first.image, width as f64 / 2.0, height as f64 / 2.0, altitude_m)?;
+        let near = LocalFrame::new(near);
+        let mut images = overlapping(all, &near, altitude_m, warnings)?;
+        let footprints = training_footprints(&images, &near, altitude_m)?;
+        let centre = footprint::common(&footprints).centre();
+        let wanted = options.area.as_ref();
+        let wanted_near = wanted.map(|wanted| wanted.place(near.origin.height_m)).transpose()?;
+        let centre = match (centre, footprint::covered_twice(&footprints, 0.0)) {
+            (Some(centre), _) => centre,
+            (None, Some(area)) => [(area.west_m + area.east_m) / 2.0, (area.south_m + area.north_m) / 2.0],
+            (None, None) => [0.0; 2],
+        };
+        let mut origin = match wanted_near {
+            Some(middle) => middle,
+            None => near.geo_from_enu(Vector3::new(centre[0], centre[1], 0.0)),
+        };
+        origin.height_m = altitude_m;
+        let frame = LocalFrame::new(origin);
+        let footprints = training_footprints(&images, &frame, altitude_m)?;
+        let least_m2 = least_overlap_m2(&images, &frame, altitude_m)?;
+        let Some(mut area) = footprint::covered_twice(&footprints, least_m2) else {
+            return Err(no_overlap(&images, altitude_m));
+        };
+        match wanted {
+            Some(wanted) => {
+                let Some(shared) = wanted.area(&frame)?.intersection(&area) else {
+                    return Err(not_covered(&index.source, &wanted.to_string()));
+                };
+                area = shared;
+                images.retain_mut(|placed| match window_over(placed.image, &frame, &area, limits_m) {
+                    Some(window) => {
+                        placed.window = window;
+                        true
+                    }
+                    None => {
+                        let path = placed.image.path.display();
+                        warnings.push(format!("{path}: does not show the area, left out"));
+                        false
+                    }
+                });
+            }
+            // What lies beyond the ground is left out where it is a good part of an image.
+            None => {
+                for placed in &mut images {
+                    if let Some(window) = window_over(placed.image, &frame, &area, limits_m)
+                        && pixels_of(&window) < WORTH_READING_LESS * pixels_of(&placed.window)
+                    {
+                        placed.window = window;
+                    }
+                }
+            }
+        }
+        let images = images.iter().map(|placed| CutImage {
+            image: placed.at,
+            window: placed.window,
+            split: placed.image.split,
+        });
+        let cut = Self {
+            frame,
+            altitude,
+            area,
+            images: images.collect(),
+            is_part: false,
+            counts_per_unit: None,
+        };
+        cut.must_be_shown_twice(&index.source, || {
+            wanted.map_or_else(|| cut.area.to_string(), AreaRequest::to_string)
+        })?;
+        Ok(cut)
+    }
+
+    /// The part of the training images that shows a rectangle of the ground, metres of the frame.
+    ///
+    /// # Errors
+    /// [`SceneError::NotCovered`] where fewer than two images show it.
+    pub fn part(&self, index: &Index, part: &Area) -> Result<Self, SceneError> {
+        let shown = self.training().filter_map(|placed| {
+            let window = window_over(
+                index.images.get(placed.image)?,
+                &self.frame,
+                part,
+                self.altitude.limits_m(),
+            )?;
+            Some(CutImage { window, ..*placed })
+        });
+        let cut = Self {
+            area: *part,
+            images: shown.collect(),
+            is_part: true,
+            ..self.clone()
+        };
+        cut.must_be_shown_twice(&index.source, || part.to_string())?;
+        Ok(cut)
+    }
+
+    /// Its images to train on.
+    pub fn training(&self) -> impl Iterator<Item = &CutImage> {
+        self.images.iter().filter(|image| image.split == Split::Train)
+    }
+
+    /// Fails where fewer than two training images remain.
+    pub(super) fn must_be_shown_twice(&self, source: &Path, area: impl Fn() -> String) -> Result<(), SceneError> {
+        match self.training().count() {
+            0 | 1 => Err(not_covered(source, &area())),
+            _ => Ok(()),
+        }
+    }
+}
+
+/// All of an image.
+pub(super) fn whole(image: &IndexImage) -> Window {
+    let (width, height) = image.size;
+    Window {
+        col0: 0,
+        row0: 0,
+        width,
+        height,
+    }
+}
+
+/// Pixels of a window.
+pub(super) fn pixels_of(window: &Window) -> f64 {
+    window.width as f64 * window.height as f64
+}
+
+/// The ground that a pixel shows at a height above the ellipsoid, metres.
+pub(super) fn localise(image: &IndexImage, col: f64, row: f64, height_m: f64) -> Result<GeoPoint, SceneError> {
+    image
+        .rpc
+        .localise(heliosplat_rpc::ImagePoint { col, row }, height_m)
+        .map_err(|source| camera_fault(image, height_m, source))
+}
+
+/// The error of a camera that does not work over its image.
+pub(super) fn camera_fault(image: &IndexImage, height_m: f64, source: heliosplat_rpc::RpcError) -> SceneError {
+    SceneError::Camera {
+        path: image.path.clone(),
+        height_m,
+        source,
+    }
+}
+
+/// Outer corners of an image on the ground, in a local frame.
+pub(super) fn footprint_of(image: &IndexImage, frame: &LocalFrame, height_m: f64) -> Result<Footprint, SceneError> {
+    let (width, height) = image.size;
+    let (right, bottom) = (width as f64 - 0.5, height as f64 - 0.5);
+    let corners = [(-0.5, -0.5), (right, -0.5), (right, bottom), (-0.5, bottom)];
+    let on_ground = |&(col, row): &(f64, f64)| {
+        let enu = frame.enu_from_geo(localise(image, col, row, height_m)?);
+        Ok([enu.x, enu.y])
+    };
+    Ok(Footprint::new(
+        corners.iter().map(on_ground).collect::<Result<_, SceneError>>()?,
+    ))
+}
+
+/// Square root of the ground area of the pixel in the middle of a window, metres.
+pub(super) fn gsd_m(image: &IndexImage, window: &Window, frame: &LocalFrame, height_m: f64) -> Result<f64, SceneError> {
+    let (col, row) = (
+        window.col0 as f64 + (window.width as f64 - 1.0) / 2.0,
+        window.row0 as f64 + (window.height as f64 - 1.0) / 2.0,
+    );
+    let ground =
+        |col, row| -> Result<Vector3<f64>, SceneError> { Ok(frame.enu_from_geo(localise(image, col, row, height_m)?)) };
+    let centre = ground(col, row)?;
+    let (along, down) = (ground(col + 1.0, row)? - centre, ground(col, row + 1.0)? - centre);
+    Ok((along.x * down.y - along.y * down.x).abs().sqrt())
+}
+
+/// Refuses images of different bands, and more bands than a model renders.
+fn check_bands(images: &[IndexImage]) -> Result<(), SceneError> {
+    let Some(first) = images.first() else {
+        return Ok(());
+    };
+    let bands = first.bands.kinds.len();
+    if bands > MOST_BANDS {
+        return Err(SceneError::TooManyBands {
+            path: first.path.clone(),
+            bands,
+            most: MOST_BANDS,
+        });
+    }
+    match images.iter().find(|image| image.bands.kinds != first.bands.kinds) {
+        None => Ok(()),
+        Some(differing) => Err(SceneError::MixedBands {
+            path: differing.path.clone(),
+            found: bands_in_words(&differing.bands.kinds),
+            other: first.path.clone(),
+            expected: bands_in_words(&first.bands.kinds),
+        }),
+    }
+}
+
+fn not_covered(source: &Path, area: &str) -> SceneError {
+    SceneError::NotCovered {
+        path: source.to_owned(),
+        area: area.to_owned(),
+    }
+}
+
+/// The error of images that share no ground, naming the first and the last of those trained on.
+fn no_overlap(images: &[Placed], altitude_m: f64) -> SceneError {
+    let mut training = images.iter().filter(|placed| placed.image.split == Split::Train);
+    let first = training
+        .next()
+        .map(|placed| placed.image.path.clone())
+        .unwrap_or_default();
+    SceneError::NoOverlap {
+        second: training
+            .next()
+            .map_or_else(|| first.clone(), |placed| placed.image.path.clone()),
+        first,
+        altitude_m,
+    }
+}
+
+/// The smallest overlap that counts, square metres.
+fn least_overlap_m2(images: &[Placed], frame: &LocalFrame, altitude_m: f64) -> Result<f64, SceneError> {
+    let first = images
+        .first()
+        .map(|first| gsd_m(first.image, &whole(first.image), frame, altitude_m));
+    Ok(LEAST_OVERLAP_PX.powi(2) * first.transpose()?.unwrap_or(0.0).powi(2))
+}
+
+/// Ground sampling distances that differ by more than this factor are not those of one kind of image.
+const UNLIKE: f64 = 1.5;
+
+/// Share by which a ground sampling distance may be rounded to one significant digit.
+const ROUNDED: f64 = 0.05;
+
+/// The median of `gsds` (metres, one at least), what at least half of the images resolve, in one significant digit where that is nearly
+/// the same and else in two: cells of 0.5 m coincide with those of other data, those of 0.51 m do not.
+///
+/// A surface is found from pairs, and a pair shows what its coarser image resolves: cells of a few finer images would be empty detail, those
+/// of the coarsest would lose what most images show. Of two middle ones of unlike images the finer counts where two images or more have it.
+pub(super) fn nominal_gsd_m(mut gsds: Vec<f64>) -> f64 {
+    let upper = upper_median(&mut gsds).unwrap_or(f64::NAN);
+    gsds.sort_by(f64::total_cmp);
+    let lower = gsds.get(gsds.len().saturating_sub(1) / 2).copied().unwrap_or(upper);
+    let median = if gsds.len() > 3 && upper > UNLIKE * lower {
+        lower
+    } else {
+        upper
+    };
+    // Multiples of a whole divisor are nearer to decimals than those of a fraction are.
+    let in_digits = |digits: i32| {
+        let per_unit = 10f64.powi(digits - 1 - median.log10().floor() as i32);
+        (median * per_unit).round() / per_unit
+    };
+    let round = in_digits(1);
+    if (round - median).abs() <= ROUNDED * median {
+        round
+    } else {
+        in_digits(2)
+    }
+}
+
+/// Corners of the training images on the ground.
+fn training_footprints(images: &[Placed], frame: &LocalFrame, altitude_m: f64) -> Result<Vec<Footprint>, SceneError> {
+    let training = images.iter().filter(|placed| placed.image.split == Split::Train);
+    training
+        .map(|placed| footprint_of(placed.image, frame, altitude_m))
+        .collect()
+}
+
+/// Leaves out images that see no ground a training image sees; at least two training images must remain.
+fn overlapping<'a>(
+    images: Vec<Placed<'a>>,
+    frame: &LocalFrame,
+    altitude_m: f64,
+    warnings: &mut Vec<String>,
+) -> Result<Vec<Placed<'a>>, SceneError> {
+    let mut footprints = Vec::with_capacity(images.len());
+    for placed in &images {
+        footprints.push(footprint_of(placed.image, frame, altitude_m)?);
+    }
+    let least_m2 = least_overlap_m2(&images, frame, altitude_m)?;
+    let is_training = |index: usize| images[index].image.split == Split::Train;
+    let overlaps: Vec<bool> = (0..images.len())
+        .map(|index| {
+            (0..images.len()).any(|other| {
+                let shared = || footprints[index].intersection(&footprints[other]).area_m2();
+                other != index && is_training(other) && shared() >= least_m2
+            })
+        })
+        .collect();
+    let remaining = (0..images.len()).filter(|&index| is_training(index) && overlaps[index]);
+    if remaining.count() < 2 {
+        return Err(no_overlap(&images, altitude_m));
+    }
+    let mut kept = Vec::with_capacity(images.len());
+    for (placed, overlaps) in images.into_iter().zip(overlaps) {
+        if overlaps {
+            kept.push(placed);
+        } else {
+            let path = placed.image.path.display();
+            warnings.push(format!("{path}: overlaps no other training image, left out"));
+        }
+    }
+    Ok(kept)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn cells_are_as_wide_as_people_say() {
+        assert_eq!(nominal_gsd_m(vec![0.62, 0.504_142, 0.49]), 0.5);
+        assert_eq!(nominal_gsd_m(vec![0.509]), 0.5);
+        assert_eq!(nominal_gsd_m(vec![0.309]), 0.3);
+        assert_eq!(nominal_gsd_m(vec![0.332]), 0.33);
+        assert_eq!(nominal_gsd_m(vec![0.0996]), 0.1);
+        assert_eq!(nominal_gsd_m(vec![1.94, 2.06]), 2.0);
+        assert_eq!(nominal_gsd_m(vec![12.4]), 12.0);
+    }
+
+    #[test]
+    fn cells_are_what_half_of_the_images_resolve() {
+        assert_eq!(nominal_gsd_m(vec![0.5, 1.0, 0.5, 1.0]), 0.5);
+        assert_eq!(nominal_gsd_m(vec![0.3, 2.0, 2.0]), 2.0);
+        assert_eq!(nominal_gsd_m(vec![0.3, 2.0, 0.3]), 0.3);
+        // One fine image alone shows no surface.
+        assert_eq!(nominal_gsd_m(vec![0.3, 2.0]), 2.0);
+        // One camera that looks aslant is no other kind of image.
+        assert_eq!(nominal_gsd_m(vec![0.5, 0.5, 0.6, 0.6]), 0.6);
+    }
+}
