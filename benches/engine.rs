@@ -2,11 +2,10 @@
 
 use criterion::{BenchmarkId, Criterion, Throughput, criterion_group, criterion_main};
 use heliosplat::bench_fixture::{Descent, Site, toward_grey};
-use heliosplat::light::Light;
 use heliosplat::optim::Adam;
 use heliosplat::splat::project::{project, project_backward};
 use heliosplat::splat::{Bins, Maps, Projected, ProjectionOptions, Rasteriser, SplatGradients};
-use heliosplat::trace::{OccluderGradients, Occluders, Transmittance, transmittance, transmittance_by_hierarchy};
+use heliosplat::trace::{OccluderGradients, Occluders, SunVisibility, transmittance};
 use std::hint::black_box;
 
 /// As in the binary.
@@ -102,20 +101,18 @@ fn rays(criterion: &mut Criterion) {
     let mut group = criterion.benchmark_group("ray");
     group.throughput(Throughput::Elements(origins.len() as u64));
     group.sample_size(20);
-    type Trace = fn(&Occluders, &[u32], &Light) -> Transmittance;
-    let ways: [(&str, Trace); 2] = [("sun_plane", transmittance), ("hierarchy", transmittance_by_hierarchy)];
-    for (name, trace) in ways {
-        let mut occluders = Occluders::new(gaussians);
+    for (name, by) in [("sun_plane", SunVisibility::Plane), ("hierarchy", SunVisibility::Bvh)] {
+        let mut occluders = Occluders::tracing_by(by, gaussians);
         group.bench_function(BenchmarkId::new("forward", name), |b| {
             b.iter(|| {
                 occluders.renew(gaussians);
-                trace(&occluders, &origins, &site.sun)
+                transmittance(&occluders, &origins, &site.sun)
             });
         });
         group.bench_function(BenchmarkId::new("with_gradients", name), |b| {
             b.iter(|| {
                 occluders.renew(gaussians);
-                let traced = trace(&occluders, &origins, &site.sun);
+                let traced = transmittance(&occluders, &origins, &site.sun);
                 let all = (&occluders, OccluderGradients::All);
                 traced.backward(gaussians, all, &origins, &ones, &mut out);
             });

@@ -6,7 +6,7 @@
 //! the height is unknown. A cell is in shadow when a height on the way toward the sun reaches above the ray to the sun.
 
 use heliosplat::Raster;
-use heliosplat::relief::Relief;
+use heliosplat_grid::relief::Relief;
 use heliosplat_raster::{Bytes, GeoRaster, ImageSpec, dsm_bands, write_byte_cog};
 use std::path::Path;
 use std::process::ExitCode;

@@ -1,5 +1,5 @@
-//! Fixture for benchmarks: a synthetic site of a standard kind, and training steps on it. `heliosplat bench`, the time estimate before a
-//! training and the benches measure the engine's speed with it; nothing else uses it.
+//! Fixture for benchmarks: a synthetic site of a standard kind, and training steps on it. `heliosplat bench` and the benches
+//! measure the engine's speed with it; nothing else uses it.
 //!
 //! A sheet of flat Gaussians over a town of blocks, spread over a square image seen from near the nadir. Its size
 //! in pixels and its number of Gaussians are free; the splats' sizes follow, so that about as many pairs fall on a pixel.
@@ -12,7 +12,7 @@ use crate::model::{Context, Parameters, SceneModel};
 use crate::optim::Adam;
 use crate::render::{Lit, Pass, PassOptions};
 use crate::splat::{MapGradients, Maps};
-use crate::trace::{OccluderGradients, Occluders, Transmittance};
+use crate::trace::{OccluderGradients, Occluders, SunVisibility, transmittance};
 use glam::{DVec3, Quat, Vec3};
 use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg32;
@@ -186,23 +186,23 @@ pub struct Lighting<'a> {
 }
 
 impl<'a> Lighting<'a> {
-    /// Ready for the first step.
-    pub fn new(site: &'a Site) -> Self {
+    /// Ready for the first step, with the sun traced by `sun_visibility`.
+    pub fn new(site: &'a Site, sun_visibility: SunVisibility) -> Self {
         let gaussians = &site.parameters.gaussians;
         Self {
             site,
-            occluders: Occluders::new(gaussians),
+            occluders: Occluders::tracing_by(sun_visibility, gaussians),
             origins: (0..gaussians.count as u32).collect(),
             visibility_gradients: vec![1.0; gaussians.count],
             gradients: gaussians.zeros_like(),
         }
     }
 
-    /// Lists the occluders anew, traces a ray from each Gaussian by `trace`, and takes the gradients of all; returns its rays.
-    pub fn step(&mut self, trace: fn(&Occluders, &[u32], &Light) -> Transmittance) -> usize {
+    /// Lists the occluders anew, traces a ray from each Gaussian, and takes the gradients of all; returns its rays.
+    pub fn step(&mut self) -> usize {
         let gaussians = &self.site.parameters.gaussians;
         self.occluders.renew(gaussians);
-        let traced = trace(&self.occluders, &self.origins, &self.site.sun);
+        let traced = transmittance(&self.occluders, &self.origins, &self.site.sun);
         let all = (&self.occluders, OccluderGradients::All);
         traced.backward(
             gaussians,

@@ -17,7 +17,6 @@
 //! | [`loss`] | photometric, geometric and shadow losses on images and maps; smoothness between neighbours |
 //! | [`optim`] | Adam, learning rates of parameter groups, density control |
 //! | [`train`] | the trainer: one view a step, losses, update, density control, early stopping, resumable state |
-//! | [`relief`] | horizons and cast shadows of a surface of heights, without Gaussians |
 //! | [`simd`], [`fast`] | instruction sets chosen at run time; exponential and logarithm that vectorise |
 //! | [`timeline`] | wall and processor seconds of the stages of a run |
 //! | [`bench_fixture`] | a standard site for benchmarks |
@@ -54,7 +53,6 @@ pub mod model;
 pub mod optim;
 mod parallel;
 pub mod raster;
-pub mod relief;
 pub mod render;
 pub mod shade;
 pub mod simd;

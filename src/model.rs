@@ -12,12 +12,15 @@ pub mod reflective;
 pub mod shadow_gs;
 mod view_direction;
 
+pub use background::Background;
+
 use crate::camera::ProjectiveCamera;
 use crate::gaussians::{GroupSpec, Table};
 use crate::light::Light;
 use crate::optim::ParameterGroup;
 use crate::raster::Raster;
 use crate::splat::{MapGradients, Maps, Projected};
+use background::{over_background, over_background_backward};
 use std::borrow::Cow;
 use std::sync::Arc;
 
@@ -157,21 +160,38 @@ pub trait SceneModel: Send + Sync {
         d_transmittance: &mut [f32],
     );
 
-    /// The image that the composited channels make.
-    fn compose(&self, context: &Context, maps: &Maps) -> Raster;
+    /// What lies behind the Gaussians, for [`Self::compose`].
+    fn background(&self) -> Background {
+        ([0.0; 3], false)
+    }
+
+    /// The image that the composited channels make: the first three over the background, unless a model does otherwise.
+    fn compose(&self, _context: &Context, maps: &Maps) -> Raster {
+        over_background(maps, self.background())
+    }
 
     /// From the gradient of the image, adds those of the maps and of the shared parameters.
     fn compose_backward(
         &self,
-        context: &Context,
-        maps: &Maps,
+        _context: &Context,
+        _maps: &Maps,
         d_image: &Raster,
         d_maps: &mut MapGradients,
-        grads: &mut Parameters,
-    );
+        _grads: &mut Parameters,
+    ) {
+        over_background_backward(d_image, self.background(), d_maps);
+    }
 
     /// Losses of the model's own on the maps; adds their gradients. `mask` is per pixel.
-    fn map_losses(&self, context: &Context, maps: &Maps, mask: &[f32], d_maps: &mut MapGradients) -> Vec<NamedLoss>;
+    fn map_losses(
+        &self,
+        _context: &Context,
+        _maps: &Maps,
+        _mask: &[f32],
+        _d_maps: &mut MapGradients,
+    ) -> Vec<NamedLoss> {
+        Vec::new()
+    }
 
     /// The loss between the rendered visibility of the sun and its prior (see [`View::visibility_prior`]); adds its gradients.
     fn light_prior_loss(

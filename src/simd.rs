@@ -125,6 +125,7 @@ macro_rules! vectorised {
         $crate::vectorised! { up to Avx512; $($function)* }
     };
 }
+
 /// Asks the cache for `items[index]`, which may lie beyond the end: then nothing happens.
 #[inline(always)]
 pub(crate) fn prefetch<T>(items: &[T], index: usize) {

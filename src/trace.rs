@@ -1,6 +1,6 @@
 //! Light that reaches Gaussians: transmittance from Gaussians to a light, and its gradients.
 //!
-//! `light_ray` starts a ray at every Gaussian; `sun_plane` (parallel light) or `hierarchy` (any light) finds the Gaussians on the rays and
+//! `light_ray` starts a ray at every Gaussian; `sun_plane` (parallel light, unless [`SunVisibility`] is `Bvh`) or `hierarchy` finds the Gaussians on the rays and
 //! multiplies their attenuations; [`transmittance`](mod@transmittance) puts it together, forward and backward. [`bvh`] holds the
 //! occluders.
 
@@ -11,5 +11,5 @@ mod occlusion;
 mod sun_plane;
 pub mod transmittance;
 
-pub use bvh::{Occluder, Occluders};
-pub use transmittance::{OccluderGradients, Transmittance, transmittance, transmittance_by_hierarchy};
+pub use bvh::{Occluder, Occluders, SunVisibility};
+pub use transmittance::{OccluderGradients, Transmittance, transmittance};

@@ -258,7 +258,7 @@ impl<'a> Trainer<'a> {
         match &mut self.occluders {
             Some(occluders) if fresh && occluders.list.len() == gaussians.count => occluders.renew(gaussians),
             occluders => {
-                *occluders = Some(Occluders::new(gaussians));
+                *occluders = Some(Occluders::tracing_by(self.options.sun_visibility, gaussians));
                 self.occluders_step = self.step;
             }
         }

@@ -1,7 +1,7 @@
 //! Cameras of real images, so that a made-up site is seen through real geometry, on real dates, under real suns.
 
 use crate::error::SynthError;
-use heliosplat_rpc::statistics::upper_median;
+use heliosplat_grid::statistics::upper_median;
 use heliosplat_rpc::{GeoPoint, ImagePoint, Rpc};
 use jiff::Timestamp;
 use serde_json::Value;

@@ -11,6 +11,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from . import _heliosplat
+from ._arrays import floats
+from .grid import opened
 
 #: First bytes of TIFF and BigTIFF, little and big endian.
 _TIFF = (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+")
@@ -26,16 +28,18 @@ class Rpc:
 
     @classmethod
     def open(cls, path: str | os.PathLike[str]) -> Rpc:
-        """The camera of a file: the RPC tag of a GeoTIFF (or a camera file beside it), or a text file: RPB, _RPC.TXT, DIMAP RPC_*.XML,
-        Maxar XML, JSON of Sat-NeRF, rpcm or VisSat. The format is told by content.
+        """The camera of a file: of a GeoTIFF (its RPC tag, or a camera file beside it; needs rasterio), or of a text file: RPB, _RPC.TXT,
+        DIMAP RPC_*.XML, Maxar XML, JSON of Sat-NeRF, rpcm or VisSat. The content decides the format.
         """
         path = Path(path)
         with _opened(path) as file:
             start = file.read(4)
         if start in _TIFF:
-            camera = _heliosplat.geotiff_rpc(str(path))
-            if camera is not None:
-                return cls(camera)
+            with opened(path) as image:
+                found = image.rpcs.to_dict() if image.rpcs else None
+            if found:
+                values = {key.upper(): value for key, value in found.items() if value is not None}
+                return cls(_heliosplat.Camera.from_text(str(path), json.dumps(values)))
             beside = _beside(path)
             if beside is None:
                 raise _heliosplat.Error(f"{path}: no RPC tag, and no RPB, _RPC.TXT or RPC_*.XML beside it")
@@ -78,7 +82,7 @@ class Rpc:
 
 
 def _elementwise(function: Any, *arrays: ArrayLike) -> tuple[Any, Any]:
-    whole = np.broadcast_arrays(*(np.asarray(array, dtype=np.float64) for array in arrays))
+    whole = np.broadcast_arrays(*(floats(array) for array in arrays))
     shape = whole[0].shape
     flat = [np.ascontiguousarray(array).reshape(-1) for array in whole]
     first, second = function(*flat)

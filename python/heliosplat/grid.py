@@ -1,9 +1,11 @@
-"""Rasters on a grid: GeoTIFFs read without GDAL."""
+"""Rasters on a grid. Files are read by rasterio, the extra ``raster`` of the package."""
 
 from __future__ import annotations
 
+import importlib
 import os
-import xml.etree.ElementTree as ElementTree
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -84,35 +86,31 @@ class Grid:
         return xarray.DataArray(self.values, dims=("band", "y", "x"), coords=coordinates, attrs=attributes)
 
 
+@contextmanager
+def opened(path: str | os.PathLike[str]) -> Iterator[Any]:
+    """A file as rasterio opens it; faults are of the package."""
+    try:
+        rasterio = importlib.import_module("rasterio")
+    except ImportError as error:
+        raise ImportError("reading GeoTIFFs needs rasterio: pip install 'heliosplat[raster]'") from error
+    try:
+        with rasterio.open(path) as file:
+            yield file
+    except rasterio.errors.RasterioError as error:
+        reason = " ".join(str(error).split())
+        raise _heliosplat.Error(reason if str(path) in reason else f"{path}: {reason}") from error
+
+
 def read_geotiff(path: str | os.PathLike[str]) -> Grid:
-    """A GeoTIFF as arrays, without GDAL: any size that fits memory, bands interleaved by pixel, deflate, LZW, ZSTD or JPEG."""
-    path = Path(path)
-    found = _heliosplat.read_geotiff(str(path))
-    values = np.moveaxis(found["values"].reshape(found["shape"]), -1, 0)
-    values = np.ascontiguousarray(values)
-    nodata = None if found["nodata"] is None else float(found["nodata"])
+    """A GeoTIFF, or another raster that rasterio reads, as arrays. Needs rasterio."""
+    with opened(Path(path)) as file:
+        values = file.read()
+        nodata = file.nodata
+        located = file.crs is not None or not file.transform.is_identity
+        transform = file.transform.to_gdal() if located else None
+        epsg = file.crs.to_epsg() if file.crs else None
+        bands = tuple(name or str(number) for number, name in zip(file.indexes, file.descriptions))
     if nodata is not None and np.issubdtype(values.dtype, np.floating):
         values[values == np.asarray(nodata, dtype=values.dtype)] = np.nan
         nodata = None
-    return Grid(
-        values=values,
-        bands=_names(found["metadata"], len(values)),
-        transform=None if found["transform"] is None else tuple(found["transform"]),
-        epsg=found["epsg"],
-        nodata=nodata,
-    )
-
-
-def _names(metadata: str | None, count: int) -> tuple[str, ...]:
-    """Descriptions of the bands in GDAL's metadata."""
-    names = [str(number + 1) for number in range(count)]
-    if metadata:
-        try:
-            items = ElementTree.fromstring(metadata).iter("Item")
-        except ElementTree.ParseError:
-            return tuple(names)
-        for item in items:
-            sample = item.get("sample", "")
-            if item.get("role") == "description" and item.text and sample.isdecimal() and int(sample) < count:
-                names[int(sample)] = item.text
-    return tuple(names)
+    return Grid(values, bands, transform, epsg, nodata)

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from . import _heliosplat
+from ._arrays import floats
 from .grid import Grid
 
 if TYPE_CHECKING:
@@ -30,9 +31,7 @@ def sun_position(time: Any, lat: ArrayLike, lon: ArrayLike, height: ArrayLike = 
     ``time`` is a datetime with a time zone, a text such as ``2026-06-21T09:00Z``, or an array of ``datetime64`` (UTC). Times and places
     are broadcast.
     """
-    arrays = np.broadcast_arrays(
-        _microseconds(time), *(np.asarray(value, dtype=np.float64) for value in (lat, lon, height))
-    )
+    arrays = np.broadcast_arrays(_microseconds(time), *(floats(value) for value in (lat, lon, height)))
     shape = arrays[0].shape
     times, *place = (np.ascontiguousarray(array).reshape(-1) for array in arrays)
     azimuth, elevation = _heliosplat.sun_positions(times, *place)
@@ -101,7 +100,7 @@ def _microseconds(time: Any) -> NDArray[np.int64]:
         time = np.datetime64(time.astimezone(datetime.timezone.utc).replace(tzinfo=None))
     elif isinstance(time, datetime.date):
         time = np.datetime64(time)
-    times = np.asarray(time)
+    times = np.ma.filled(time, np.datetime64("NaT")) if isinstance(time, np.ma.MaskedArray) else np.asarray(time)
     if not np.issubdtype(times.dtype, np.datetime64):
         raise _heliosplat.Error("a time is a datetime, a text or an array of datetime64")
     if np.isnat(times).any():
@@ -149,7 +148,7 @@ def _taken_from_xarray(surface: Any, cell_m: float | None) -> tuple[NDArray[np.f
 
 
 def _heights(values: Any) -> NDArray[np.float32]:
-    heights = np.ascontiguousarray(values, dtype=np.float32)
+    heights = np.ascontiguousarray(floats(values, np.float32))
     if heights.ndim != 2:
         raise _heliosplat.Error(f"a surface has rows and columns; this array has {heights.ndim} dimensions")
     return heights

@@ -98,7 +98,7 @@ class Run:
             raise _heliosplat.Error("relight needs the program heliosplat: put it on the PATH, or say where it is by program=")
         with tempfile.TemporaryDirectory() as folder:
             out = Path(folder) / "relit.tif"
-            sun = f"{azimuth!r},{elevation!r}"
+            sun = f"{float(azimuth)!r},{float(elevation)!r}"
             done = subprocess.run(
                 [found, "relight", self.folder, "--sun", sun, "--out", out, "--json"], capture_output=True, text=True
             )

@@ -17,7 +17,7 @@ type Pair<'py> = (Bound<'py, PyArray1<f64>>, Bound<'py, PyArray1<f64>>);
 /// A camera.
 #[pyclass(module = "heliosplat", frozen)]
 pub(crate) struct Camera {
-    pub(crate) rpc: Rpc,
+    rpc: Rpc,
 }
 
 #[pymethods]

@@ -14,8 +14,3 @@ pyo3::create_exception!(
 pub(crate) fn raised(message: impl std::fmt::Display) -> PyErr {
     Error::new_err(message.to_string())
 }
-
-/// The exception of a file.
-pub(crate) fn of_file(path: &str, reason: impl std::fmt::Display) -> PyErr {
-    raised(format!("{path}: {reason}"))
-}

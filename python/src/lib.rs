@@ -5,7 +5,6 @@
 
 mod camera;
 mod error;
-mod geotiff;
 mod light;
 
 use pyo3::prelude::*;
@@ -16,8 +15,6 @@ mod _heliosplat {
     use super::camera::Camera;
     #[pymodule_export]
     use super::error::Error;
-    #[pymodule_export]
-    use super::geotiff::{geotiff_rpc, read_geotiff};
     #[pymodule_export]
     use super::light::{horizons, shadows, sun_hours, sun_positions};
 }

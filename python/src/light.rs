@@ -1,7 +1,7 @@
 //! The sun, and what it does to a surface of heights.
 
 use crate::error::raised;
-use heliosplat::relief::{Relief, Toward};
+use heliosplat_grid::relief::{Relief, Toward};
 use heliosplat_rpc::{GeoPoint, sun_position};
 use jiff::Timestamp;
 use numpy::ndarray::Array2;

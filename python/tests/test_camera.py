@@ -22,6 +22,9 @@ EXAMPLE = {
     "col_num": numerator(1.0, 0.02, -0.04), "col_den": DENOMINATOR,
 }  # fmt: skip
 
+#: Our names of the axes and GDAL's.
+AXES = (("row", "line"), ("col", "samp"), ("lat", "lat"), ("lon", "long"), ("alt", "height"))
+
 
 def points(rpc, count):
     """Points all over the ground and the heights of a camera, always the same."""
@@ -116,6 +119,23 @@ def test_a_camera_survives_its_texts():
     assert np.abs(np.subtract(rpc.project(lon, lat, height), same.project(lon, lat, height))).max() < 1e-6
     assert heliosplat.Rpc.from_dict(rpc.to_dict()).to_dict() == rpc.to_dict()
     assert "36.91" in repr(rpc)
+
+
+def test_the_camera_of_a_geotiff_is_that_of_its_tag(tmp_path):
+    rasterio = pytest.importorskip("rasterio")
+    rpc = heliosplat.Rpc.from_dict(EXAMPLE)
+    text = tmp_path / "camera_RPC.TXT"
+    text.write_text(rpc.to_rpc_txt())
+    image = tmp_path / "image.tif"
+    rpcs = rasterio.rpc.RPC(
+        **{name: EXAMPLE[f"{ours}_{kind}"] for ours, theirs in AXES for kind, name in (("offset", f"{theirs}_off"), ("scale", f"{theirs}_scale"))},
+        line_num_coeff=EXAMPLE["row_num"], line_den_coeff=DENOMINATOR, samp_num_coeff=EXAMPLE["col_num"], samp_den_coeff=DENOMINATOR,
+    )  # fmt: skip
+    with rasterio.open(image, "w", driver="GTiff", width=2, height=2, count=1, dtype="uint8") as file:
+        file.rpcs = rpcs
+    lon, lat, height = points(rpc, 50)
+    for found in (heliosplat.Rpc.open(image), heliosplat.Rpc.open(text)):
+        assert np.abs(np.subtract(found.project(lon, lat, height), rpc.project(lon, lat, height))).max() < 1e-6
 
 
 def test_the_tag_of_a_geotiff_and_the_text_beside_it_are_read(shared):

@@ -65,6 +65,16 @@ def test_unknown_heights_are_unknown_and_throw_nothing():
     assert np.isnan(hours[30, 22]) and np.isfinite(hours).sum() == 3550
 
 
+def test_masked_heights_are_unknown_and_not_pits():
+    heights = np.ma.masked_equal(np.where(box() > 705.0, -9999.0, box()), -9999.0)
+    mask = heliosplat.shadows(heights, 90, 50, cell_m=0.5)
+    assert (mask[20:40, 30:36] == 255).all() and (mask != 255).sum() == 3600 - 120
+    assert (mask[mask != 255] == 0).all()
+    assert np.isnan(heliosplat.horizon(heights, 90, cell_m=0.5)[30, 33])
+    azimuth, _ = heliosplat.sun_position("2026-06-21T09:00Z", np.ma.masked_array([37.0, 38.0], [False, True]), 36.9)
+    assert np.isfinite(azimuth[0]) and np.isnan(azimuth[1])
+
+
 def test_hours_of_sun_are_the_day_s_length_on_level_ground_and_fewer_beside_a_wall():
     place = {"lat": 48.0, "lon": 11.0, "cell_m": 0.5}
     hours = heliosplat.sun_hours(box(), "2026-06-21T00:00Z", step_minutes=10, **place)

@@ -2,6 +2,7 @@
 
 import os
 import shutil
+import sys
 
 import numpy as np
 import pytest
@@ -18,10 +19,38 @@ def run():
     return heliosplat.open_run(folder)
 
 
-def test_a_geotiff_is_read_as_it_is(shared):
-    grid = heliosplat.read_geotiff(shared / "data/kahramanmaras/kahramanmaras_01.tif")
-    assert grid.values.ndim == 3 and grid.values.dtype.kind in "uf" and grid.values.size > 1000
-    assert grid.shape == grid.values.shape[1:]
+def test_a_geotiff_is_read_as_it_is(tmp_path):
+    rasterio = pytest.importorskip("rasterio")
+    path = tmp_path / "dsm.tif"
+    values = np.array([[[700.0, -9999.0, 702.0], [703.0, 704.0, 705.0]], [[1, 2, 3], [4, 5, 6]]], dtype=np.float32)
+    transform = rasterio.transform.from_origin(5e5, 4e6, 0.5, 0.5)
+    profile = {"height": 2, "width": 3, "count": 2, "dtype": "float32", "crs": "EPSG:32637", "nodata": -9999.0}
+    # Bands in planes of their own are read like any.
+    with rasterio.open(path, "w", driver="GTiff", transform=transform, interleave="band", **profile) as file:
+        file.write(values)
+        file.set_band_description(1, "altitude")
+    grid = heliosplat.read_geotiff(path)
+    assert grid.bands == ("altitude", "2") and grid.epsg == 32637 and grid.nodata is None
+    assert grid.transform == (5e5, 0.5, 0.0, 4e6, 0.0, -0.5) and grid.cell_m == 0.5
+    assert np.isnan(grid.values[0, 0, 1]) and np.array_equal(grid.values[1], values[1])
+
+
+def test_without_rasterio_the_message_says_what_to_install(monkeypatch, tmp_path):
+    monkeypatch.setitem(sys.modules, "rasterio", None)
+    with pytest.raises(ImportError, match=r"pip install 'heliosplat\[raster\]'"):
+        heliosplat.read_geotiff(tmp_path / "dsm.tif")
+    (tmp_path / "image.tif").write_bytes(b"II*\0rest")
+    with pytest.raises(ImportError, match="rasterio"):
+        heliosplat.Rpc.open(tmp_path / "image.tif")
+
+
+def test_a_sun_of_numpy_numbers_reaches_the_program(monkeypatch, tmp_path):
+    (tmp_path / "model.json").write_text('{"model": "shadow_gs"}')
+    program = tmp_path / "program"
+    program.write_text('#!/bin/sh\necho "error: $4" >&2\nexit 2\n')
+    program.chmod(0o755)
+    with pytest.raises(heliosplat.Error, match=r"^250\.0,35\.5$"):
+        heliosplat.open_run(tmp_path).relight(np.float64(250), np.float32(35.5), program=program)
 
 
 def test_a_run_opens_as_arrays_on_one_grid(run):

@@ -15,7 +15,6 @@
 //! | [`adjust`] | RPC bias correction: small corrections of all images from tie points (block adjustment) |
 //! | [`fit`] | an RPC from pairs of ground and image points |
 //! | [`sun`] | azimuth and elevation of the sun from time and place |
-//! | [`statistics`] | medians, quantiles and robust spreads |
 //!
 //! # Conventions
 //! - All numbers are `f64`.
@@ -75,7 +74,6 @@ pub mod frame;
 pub mod pinhole;
 pub mod read;
 pub mod rpc;
-pub mod statistics;
 pub mod sun;
 pub mod triangulate;
 pub mod write;

@@ -11,8 +11,11 @@ use crate::splat::{MapGradients, Maps};
 /// Colour channels of a pixel.
 pub(super) const COLOURS: usize = 3;
 
-/// `Σ w c + (1 - Σ w) background` per pixel, and with `coverage` a fourth band `Σ w`.
-pub(super) fn over_background(maps: &Maps, background: [f32; 3], coverage: bool) -> Raster {
+/// The colour behind everything, and whether images have coverage as a fourth band.
+pub type Background = ([f32; 3], bool);
+
+/// `Σ w c + (1 - Σ w) background` per pixel, and with coverage a fourth band `Σ w`.
+pub(super) fn over_background(maps: &Maps, (background, coverage): Background) -> Raster {
     let bands = COLOURS + usize::from(coverage);
     let mut out = Raster::filled(maps.width, maps.height, bands, 0.0);
     for (k, background) in background.into_iter().enumerate() {
@@ -30,8 +33,7 @@ pub(super) fn over_background(maps: &Maps, background: [f32; 3], coverage: bool)
 /// Backward of [`over_background`]: adds the gradients of the maps from that of the image.
 pub(super) fn over_background_backward(
     d_image: &Raster,
-    background: [f32; 3],
-    coverage: bool,
+    (background, coverage): Background,
     d_maps: &mut MapGradients,
 ) {
     for (k, background) in background.into_iter().enumerate() {

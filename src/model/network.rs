@@ -132,7 +132,7 @@ impl Network {
         let mut layers = Vec::new();
         let mut from = 0;
         for n in 0..=self.hidden {
-            // In front of the second hidden layer (ARS-GS), or of the last one.
+            // In front of the second hidden layer (ARS-GS).
             let joined = n == 1 && self.hidden > 1;
             let before = if n == 0 { self.inputs } else { self.width };
             let inputs = before + if joined { self.inputs } else { 0 };

@@ -27,12 +27,11 @@ mod surface;
 pub use options::{Component, OlatOptions};
 pub use surface::LOBES;
 
-use super::background::{COLOURS, depth_normal_loss, over_background, over_background_backward};
+use super::background::{COLOURS, depth_normal_loss};
 use super::shadow_gs::{softplus, softplus_inverse};
-use super::{Context, NamedLoss, Parameters, SceneModel, Seen};
+use super::{Background, Context, NamedLoss, Parameters, SceneModel, Seen};
 use crate::gaussians::{FEATURES, POSITION, Table, logit, normalised, sigmoid};
 use crate::optim::ParameterGroup;
-use crate::raster::Raster;
 use crate::splat::{MapGradients, Maps};
 use glam::Vec3;
 use groups::{Feature, LOBE_FRAME, LOBE_GROUPS, LOBE_SCALE, Shared};
@@ -292,19 +291,8 @@ impl SceneModel for Olat {
         }
     }
 
-    fn compose(&self, _context: &Context, maps: &Maps) -> Raster {
-        over_background(maps, self.options.background, self.options.coverage)
-    }
-
-    fn compose_backward(
-        &self,
-        _context: &Context,
-        _maps: &Maps,
-        d_image: &Raster,
-        d_maps: &mut MapGradients,
-        _grads: &mut Parameters,
-    ) {
-        over_background_backward(d_image, self.options.background, self.options.coverage, d_maps);
+    fn background(&self) -> Background {
+        (self.options.background, self.options.coverage)
     }
 
     fn map_losses(&self, context: &Context, maps: &Maps, _: &[f32], d_maps: &mut MapGradients) -> Vec<NamedLoss> {

@@ -9,14 +9,12 @@
 //! and, where the images come with their coverage, `Σ w_i` as a fourth band, so that it is learnt like a colour. The degrees of the
 //! harmonics join one after another: until its turn, a degree is frozen.
 
-use super::background::{COLOURS, over_background, over_background_backward};
+use super::background::COLOURS;
 use super::view_direction::{ViewDirection, rate_of_degree};
-use super::{Context, NamedLoss, Parameters, SceneModel, Seen};
+use super::{Background, Context, Parameters, SceneModel, Seen};
 use crate::gaussians::{FEATURES, POSITION, Table};
 use crate::optim::ParameterGroup;
-use crate::raster::Raster;
 use crate::shade::sh::{self, MAX_FUNCTIONS};
-use crate::splat::{MapGradients, Maps};
 use glam::Vec3;
 use rayon::prelude::*;
 
@@ -184,23 +182,8 @@ impl SceneModel for Radiance {
         }
     }
 
-    fn compose(&self, _context: &Context, maps: &Maps) -> Raster {
-        over_background(maps, self.options.background, self.options.coverage)
-    }
-
-    fn compose_backward(
-        &self,
-        _context: &Context,
-        _maps: &Maps,
-        d_image: &Raster,
-        d_maps: &mut MapGradients,
-        _grads: &mut Parameters,
-    ) {
-        over_background_backward(d_image, self.options.background, self.options.coverage, d_maps);
-    }
-
-    fn map_losses(&self, _: &Context, _: &Maps, _: &[f32], _: &mut MapGradients) -> Vec<NamedLoss> {
-        Vec::new()
+    fn background(&self) -> Background {
+        (self.options.background, self.options.coverage)
     }
 }
 

@@ -21,13 +21,12 @@
 mod parameters;
 mod surface;
 
-use super::background::{COLOURS, depth_normal_loss, over_background, over_background_backward};
+use super::background::{COLOURS, depth_normal_loss};
 use super::network::Network;
 use super::olat::Component;
-use super::{Context, NamedLoss, Parameters, SceneModel, Seen};
+use super::{Background, Context, NamedLoss, Parameters, SceneModel, Seen};
 use crate::gaussians::{FEATURES, Table, logit};
 use crate::optim::{LearningRate, ParameterGroup};
-use crate::raster::Raster;
 use crate::shade::display;
 use crate::shade::sh::{self, MAX_DEGREE};
 use crate::splat::{MapGradients, Maps};
@@ -400,19 +399,8 @@ impl SceneModel for Reflective {
         self.add_gradients(context, &prepared.surfaces, &parts, &seen.projected.gaussian, grads);
     }
 
-    fn compose(&self, _context: &Context, maps: &Maps) -> Raster {
-        over_background(maps, self.options.background, self.options.coverage)
-    }
-
-    fn compose_backward(
-        &self,
-        _context: &Context,
-        _maps: &Maps,
-        d_image: &Raster,
-        d_maps: &mut MapGradients,
-        _grads: &mut Parameters,
-    ) {
-        over_background_backward(d_image, self.options.background, self.options.coverage, d_maps);
+    fn background(&self) -> Background {
+        (self.options.background, self.options.coverage)
     }
 
     fn map_losses(&self, context: &Context, maps: &Maps, _: &[f32], d_maps: &mut MapGradients) -> Vec<NamedLoss> {

@@ -10,7 +10,7 @@ use std::sync::atomic::{AtomicU32, Ordering};
 
 /// Columns of a tile, pixels. Wide tiles: fewer splats lie in two, and a row stays in few lines of the cache.
 pub const TILE_WIDTH: usize = 32;
-/// RowBins of a tile, pixels.
+/// Rows of a tile, pixels.
 pub const TILE_HEIGHT: usize = 16;
 
 /// Per-tile lists of splats, front to back; equal depths in the order of their splats.
@@ -18,7 +18,7 @@ pub const TILE_HEIGHT: usize = 16;
 pub struct Bins {
     /// Tiles per row of tiles.
     pub columns: usize,
-    /// RowBins of tiles.
+    /// Rows of tiles.
     pub rows: usize,
     /// `starts[t]..starts[t + 1]` is the part of `list` of tile `t`.
     pub starts: Vec<u32>,

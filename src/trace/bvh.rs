@@ -207,10 +207,23 @@ impl Slab {
     }
 }
 
+/// What finds the Gaussians between a Gaussian and the sun. Point lights always take the hierarchy.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum SunVisibility {
+    /// Grids on the plane normal to the sun.
+    #[default]
+    Plane,
+    /// The bounding volume hierarchy.
+    Bvh,
+}
+
 /// All Gaussians of a table as occluders, as they were when this was made. The hierarchy over them is built on first use.
 pub struct Occluders {
     /// The occluders, by Gaussian.
     pub list: Vec<Occluder>,
+    /// How parallel light is traced past them.
+    pub sun_visibility: SunVisibility,
     hierarchy: OnceLock<Hierarchy>,
 }
 
@@ -223,10 +236,16 @@ fn list(gaussians: &Table) -> Vec<Occluder> {
 }
 
 impl Occluders {
-    /// The occluders of a table.
+    /// The occluders of a table; parallel light takes the plane of the sun.
     pub fn new(gaussians: &Table) -> Self {
+        Self::tracing_by(SunVisibility::default(), gaussians)
+    }
+
+    /// The occluders of a table, past which parallel light is traced by `sun_visibility`.
+    pub fn tracing_by(sun_visibility: SunVisibility, gaussians: &Table) -> Self {
         Self {
             list: list(gaussians),
+            sun_visibility,
             hierarchy: OnceLock::new(),
         }
     }
@@ -235,7 +254,7 @@ impl Occluders {
     ///
     /// # Panics
     /// When there are not as many bounds.
-    pub(crate) fn with_hierarchy_on(gaussians: &Table, built_on: Vec<Bounds>) -> Self {
+    pub(crate) fn with_hierarchy_on(sun_visibility: SunVisibility, gaussians: &Table, built_on: Vec<Bounds>) -> Self {
         assert_eq!(gaussians.count, built_on.len(), "the same Gaussians");
         let bounds = |[min, max]: &Bounds| Aabb::new(Vec3A::from_array(*min), Vec3A::from_array(*max));
         let bounds: Vec<Aabb> = built_on.iter().map(bounds).collect();
@@ -244,6 +263,7 @@ impl Occluders {
         hierarchy.refit(&list);
         Self {
             list,
+            sun_visibility,
             hierarchy: hierarchy.into(),
         }
     }

@@ -2,7 +2,7 @@
 //!
 //! Forward, a bundle of eight rays lists the Gaussians whose bounds its shaft intersects, tests all its rays against each of them
 //! (`bundle`), and keeps those that some ray hit. Backward, every bundle visits the Gaussians it hit again and sums the contributions
-//! of its rays to one record per Gaussian; the records are by_neighbourhood by ranges of Gaussians and added in the order of the bundles. No sum
+//! of its rays to one record per Gaussian; the records are sorted by ranges of Gaussians and added in the order of the bundles. No sum
 //! is shared between threads, so results do not depend on their number.
 
 mod bundle;
@@ -75,8 +75,8 @@ impl HierarchyTrace {
             .map(|places| trace_chunk(occluders, light, (rays, origins, places)))
             .unzip();
         let mut in_place = vec![RayTransmittance::default(); rays.len()];
-        for (&place, trace_bundle) in order.iter().zip(results.iter().flatten()) {
-            in_place[place as usize] = *trace_bundle;
+        for (&place, result) in order.iter().zip(results.iter().flatten()) {
+            in_place[place as usize] = *result;
         }
         (Self { order, chunks }, in_place)
     }
@@ -162,7 +162,7 @@ fn contributions(chunk: &Chunk, d_log: &[f32], occluders: &Occluders) -> Vec<(u3
     records
 }
 
-/// Contributions by_neighbourhood by ranges of occluders, within each in the order in which they were made.
+/// Contributions sorted by ranges of occluders, within each in the order in which they were made.
 struct ContributionsByRange {
     starts: Vec<u32>,
     records: Vec<(u32, Moments)>,

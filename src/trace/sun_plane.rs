@@ -27,8 +27,6 @@ use cells::Cells;
 use ellipse::{Axes, Ellipse, EllipseBlock, EllipseMoments, LANES};
 use glam::{Vec2, Vec3};
 use kernels::{RayGrid, gather_gradients, trace_rays};
-use rand::{RngExt, SeedableRng};
-use rand_pcg::Pcg32;
 use rayon::prelude::*;
 use std::sync::atomic::{AtomicU32, Ordering};
 
@@ -40,9 +38,6 @@ const SMALLEST: f32 = 2.0;
 const COLUMNS_PER_HALF_SIZE: f32 = 4.0;
 /// Ellipses and rays per parallel job; fixed, so that results do not depend on the number of threads.
 const CHUNK: usize = 1024;
-/// Gradients from this share of the mean one on are always in a sample. With the whole mean the backward pass takes a sixth less time, and
-/// cityB errs by half a per cent more (docs/lab/speed.md).
-const SURE_FROM: f32 = 0.5;
 const _: () = assert!(CHUNK.is_multiple_of(LANES));
 
 /// A ray in the plane normal to the light.
@@ -85,31 +80,6 @@ fn mean_half_size(all: &[Ellipse]) -> Vec2 {
     let add = |a: [f64; 3], b: &[f64; 3]| [a[0] + b[0], a[1] + b[1], a[2] + b[2]];
     let [x, y, count] = sums.iter().fold([0.0; 3], add);
     Vec2::new((x / count.max(1.0)) as f32, (y / count.max(1.0)) as f32).max(Vec2::splat(1e-9))
-}
-
-/// Mean size of the gradients that are not zero; chunks are summed side by side, then in their order.
-fn mean_size(gradients: &[f32]) -> f32 {
-    let chunk_sum = |chunk: &[f32]| {
-        chunk
-            .iter()
-            .filter(|d| **d != 0.0)
-            .fold((0.0f64, 0u32), |(sum, n), d| (sum + f64::from(d.abs()), n + 1))
-    };
-    let sums: Vec<(f64, u32)> = gradients.par_chunks(CHUNK).map(chunk_sum).collect();
-    let (sum, count) = sums.iter().fold((0.0, 0), |a, b| (a.0 + b.0, a.1 + b.1));
-    (sum / f64::from(count.max(1))) as f32
-}
-
-/// `gradient` where it is at least as large as `least`; else that size or zero, with `gradient` as the expectation.
-fn russian_roulette(gradient: f32, least: f32, random: &mut Pcg32) -> f32 {
-    let size = gradient.abs();
-    if size >= least || size == 0.0 {
-        gradient
-    } else if random.random::<f32>() * least < size {
-        least.copysign(gradient)
-    } else {
-        0.0
-    }
 }
 
 /// Indices of the ellipses of every level.
@@ -212,31 +182,13 @@ impl SunPlaneTrace {
         results
     }
 
-    /// Adds the gradients of the occluders to `out`: of all rays, or of those that `sampled` draws.
-    pub(super) fn backward(
-        &self,
-        gaussians: &Table,
-        occluders: &Occluders,
-        gradients: &RayGradients,
-        sampled: Option<u64>,
-        out: &mut Table,
-    ) {
-        let least = sampled.map_or(0.0, |_| SURE_FROM * mean_size(gradients.d_log));
-        let chunks = gradients.d_log.par_chunks(CHUNK).enumerate();
-        let kept: Vec<Vec<(PlaneRay, f32)>> = chunks
-            .map(|(chunk, d_log)| {
-                let seed = sampled.unwrap_or_default().wrapping_mul(1_000_003) ^ chunk as u64;
-                let mut random = Pcg32::seed_from_u64(seed);
-                let kept = d_log.iter().enumerate().filter_map(|(in_chunk, &d_log)| {
-                    let origin = gradients.origins[chunk * CHUNK + in_chunk];
-                    let d_log = russian_roulette(d_log, least, &mut random);
-                    (d_log != 0.0).then(|| (self.ray(occluders, origin), d_log))
-                });
-                kept.collect()
-            })
+    /// Adds the gradients of the occluders to `out`.
+    pub(super) fn backward(&self, gaussians: &Table, occluders: &Occluders, gradients: &RayGradients, out: &mut Table) {
+        let all = gradients.origins.par_iter().zip(gradients.d_log).with_min_len(CHUNK);
+        let plane_rays: Vec<(PlaneRay, f32)> = all
+            .filter(|(_, d_log)| **d_log != 0.0)
+            .map(|(&origin, &d_log)| (self.ray(occluders, origin), d_log))
             .collect();
-        let plane_rays = kept.concat();
-        drop(kept);
         let grid = RayGrid::new(&plane_rays, cell_size(self.half_size));
         drop(plane_rays);
         let mut moments: Vec<EllipseMoments> = defaults(self.ellipses.len());

@@ -109,9 +109,10 @@ impl Trainer<'_> {
         self.occluders_step = 0;
         self.occluders = state.occluders.map(|(step, built_on)| {
             self.occluders_step = step;
+            let (by, gaussians) = (self.options.sun_visibility, &self.parameters.gaussians);
             match built_on {
-                Some(bounds) => Occluders::with_hierarchy_on(&self.parameters.gaussians, bounds.into_owned()),
-                None => Occluders::new(&self.parameters.gaussians),
+                Some(bounds) => Occluders::with_hierarchy_on(by, gaussians, bounds.into_owned()),
+                None => Occluders::tracing_by(by, gaussians),
             }
         });
         self.neighbours = state.neighbours.map(Cow::into_owned);

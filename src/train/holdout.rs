@@ -60,14 +60,15 @@ fn tile_draw(seed: u64, view: usize, column: usize, row: usize) -> f32 {
 }
 
 impl Holdout {
-    /// Holds tiles of `views` out: takes the weight from their pixels.
+    /// Holds tiles of `views` out: takes the weight from their pixels. Where nothing stops early, all are learnt from.
     pub(super) fn new(views: &mut [View], options: &TrainOptions) -> Self {
+        let share = if options.patience > 0 { options.holdout } else { 0.0 };
         let mut held = Vec::new();
         for (v, view) in views.iter_mut().enumerate() {
             let width = view.image.width;
             let held_out = |i: usize| {
                 let (column, row) = (i % width / TILE, i / width / TILE);
-                tile_draw(options.seed, v, column, row) < options.holdout
+                tile_draw(options.seed, v, column, row) < share
             };
             let counts = |i: &usize| view.weight[*i] > 0.0;
             let mut out: Vec<u32> = Vec::new();
@@ -237,6 +238,20 @@ mod tests {
         holdout.record(1, Some(0.5));
         holdout.epoch_done(2 * steps + 2, 2, &Parameters::default());
         assert_eq!(holdout.summary(2 * steps + 2).best_l1, Some(0.3));
+    }
+
+    #[test]
+    fn a_training_that_never_stops_early_learns_from_every_pixel() {
+        let options = |patience| TrainOptions {
+            holdout: 0.5,
+            patience,
+            ..TrainOptions::default()
+        };
+        let mut views = views(200);
+        Holdout::new(&mut views, &options(0));
+        assert!(views[0].weight.iter().all(|&weight| weight == 1.0));
+        Holdout::new(&mut views, &options(1));
+        assert!(views[0].weight.contains(&0.0));
     }
 
     #[test]

@@ -4,6 +4,7 @@ use super::fault::TrainError;
 use crate::optim::DensityOptions;
 use crate::optim::adam::BETA1;
 use crate::optim::density::UNTIL_FRACTION;
+use crate::trace::SunVisibility;
 
 /// Options of a training run. Lengths are in ground sampling distances where they should follow the imagery.
 ///
@@ -31,12 +32,16 @@ pub struct TrainOptions {
     /// Traces of a view's light of which a Gaussian takes part in one while its light hardly changes the view's image; 1: in all. 8 for
     /// ground, 1 for objects.
     pub negligible_light_every: usize,
+    /// What finds the Gaussians between a Gaussian and the sun: `plane`, grids on the plane normal to the sun, or `bvh`, the bounding volume
+    /// hierarchy, which takes half as long again and gives the same light to 0.002.
+    pub sun_visibility: SunVisibility,
     /// Whether gradients of light reach what stands in its way; without them only where rays start moves. Off in the ablation: of all
     /// parts this is worth most.
     pub occluder_gradients: bool,
     /// Share of the steps spent on images of half size, at the beginning; 0 is off. 0.4 for ground, 0.15 for objects.
     pub pyramid_share: f32,
-    /// Epochs without progress on held-out tiles after which training stops; 0 is never. 0 in `fast`, 2 in the ablation.
+    /// Epochs without progress on held-out tiles after which training stops; 0 is never, and then all pixels are
+    /// learnt from. 0 in `fast`, 2 in the ablation.
     pub patience: usize,
     /// How the number of Gaussians changes.
     pub density: DensityOptions,
@@ -79,6 +84,7 @@ impl Default for TrainOptions {
             consistency_every: 8,
             light_every: 4,
             negligible_light_every: 8,
+            sun_visibility: SunVisibility::default(),
             occluder_gradients: true,
             pyramid_share: 0.0,
             patience: 25,

@@ -783,8 +783,14 @@ fn numbers_without_sense_are_refused_in_one_line() {
         (format!("relight {scene} --out {out}.tif --sun=250,95"), "--sun"),
         (format!("products {scene} --out {out} --sun=1e9,40"), "--sun"),
         (format!("export {scene} --ply {out}.ply --sun=250,91"), "--sun"),
-        (format!("synth satellite --out {out} --views 1000000000000"), "--views"),
-        (format!("synth satellite --out {out} --size 1000000000000"), "--size"),
+        (
+            format!("synth satellite --out {out} --views 1000000000000"),
+            "views; ask for",
+        ),
+        (
+            format!("synth satellite --out {out} --size 1000000000000"),
+            "px; ask for",
+        ),
     ] {
         let arguments: Vec<&str> = words.split(' ').collect();
         let seen = measured::run(&arguments, LONGEST);

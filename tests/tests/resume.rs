@@ -5,6 +5,7 @@ use heliosplat::bench_fixture::Site;
 use heliosplat::light::Light;
 use heliosplat::model::View;
 use heliosplat::optim::DensityOptions;
+use heliosplat::trace::SunVisibility;
 use heliosplat::train::{TrainOptions, Trainer, TrainerState};
 use heliosplat_tests::program::{binary, fault, heliosplat, json, tiny_scene};
 use std::io::Write;
@@ -56,14 +57,17 @@ fn options() -> TrainOptions {
     }
 }
 
-fn trainer(site: &Site, light: Light) -> Trainer<'_> {
+fn trainer(site: &Site, light: Light, sun_visibility: SunVisibility) -> Trainer<'_> {
     let reach = glam::Vec3::splat(200.0);
     let parameters = site.parameters.clone();
     Trainer::new(
         &site.model,
         views(site, light),
         parameters,
-        options(),
+        TrainOptions {
+            sun_visibility,
+            ..options()
+        },
         (-reach, reach),
         None,
     )
@@ -73,9 +77,13 @@ fn trainer(site: &Site, light: Light) -> Trainer<'_> {
 #[test]
 fn a_trainer_that_takes_up_a_state_goes_on_as_the_one_that_left_it() {
     let site = Site::new(900, 64, 0.6);
-    // One is traced on the plane normal to it, the other through a hierarchy.
-    for light in [site.sun, Light::Point(glam::Vec3::new(20.0, -10.0, 60.0))] {
-        let mut whole = trainer(&site, light);
+    let lamp = Light::Point(glam::Vec3::new(20.0, -10.0, 60.0));
+    for (light, by) in [
+        (site.sun, SunVisibility::Plane),
+        (site.sun, SunVisibility::Bvh),
+        (lamp, SunVisibility::Plane),
+    ] {
+        let mut whole = trainer(&site, light, by);
         let mut kept = Vec::new();
         while !whole.finished() {
             if [1, 4, 10, 11, 12, 19, 25, 27].contains(&whole.steps()) {
@@ -89,21 +97,36 @@ fn a_trainer_that_takes_up_a_state_goes_on_as_the_one_that_left_it() {
         for bytes in &kept {
             let state: TrainerState = postcard::from_bytes(bytes).expect("what was written");
             let from = state.steps();
-            let mut later = trainer(&site, light);
+            let mut later = trainer(&site, light, by);
             later.restore(state).expect("of the same training");
             assert_eq!(later.steps(), from);
             while !later.finished() {
                 later.step().expect("a sound step");
             }
-            assert!(later.into_best() == whole, "{light:?} from step {from}");
+            assert!(later.into_best() == whole, "{light:?} by {by:?} from step {from}");
         }
+    }
+}
+
+#[test]
+fn trainings_that_trace_the_sun_by_plane_and_by_hierarchy_stay_together() {
+    let site = Site::new(900, 64, 0.6);
+    let trained = |by: SunVisibility| {
+        let mut trainer = trainer(&site, site.sun, by);
+        let losses: Vec<f64> = (0..10).map(|_| trainer.step().expect("a sound step").l1).collect();
+        (losses, trainer.parameters)
+    };
+    let [(plane_losses, plane), (bvh_losses, bvh)] = [SunVisibility::Plane, SunVisibility::Bvh].map(trained);
+    assert!(plane != bvh, "the setting reaches the trace");
+    for (a, b) in plane_losses.iter().zip(&bvh_losses) {
+        assert!((a - b).abs() < 0.02 * a, "{plane_losses:?} {bvh_losses:?}");
     }
 }
 
 #[test]
 fn a_state_of_another_training_is_refused_and_changes_nothing() {
     let (site, other) = (Site::new(400, 64, 0.6), Site::new(400, 64, 0.6));
-    let mut first = trainer(&site, site.sun);
+    let mut first = trainer(&site, site.sun, SunVisibility::Plane);
     first.step().expect("a sound step");
     let state = postcard::to_allocvec(&first.state()).expect("plain data");
     let state: TrainerState = postcard::from_bytes(&state).expect("what was written");

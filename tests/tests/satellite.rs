@@ -16,12 +16,8 @@ fn metrics(run: &Path) -> serde_json::Value {
 fn the_timeline_accounts_for_the_time(metrics: &serde_json::Value) {
     let stages = metrics["timeline"].as_array().expect("a timeline");
     let number = |stage: &serde_json::Value, key: &str| stage[key].as_f64().expect("seconds");
-    let stage_s = |name| {
-        let stage = stages.iter().find(|stage| stage["stage"] == name);
-        number(stage.expect(name), "wall_s")
-    };
     for name in [
-        "read", "estimate", "ties", "sweep", "colours", "train", "products", "evaluate", "report",
+        "read", "ties", "sweep", "colours", "train", "products", "evaluate", "report",
     ] {
         let stage = stages.iter().find(|stage| stage["stage"] == name).expect(name);
         assert!(number(stage, "wall_s") > 0.0, "{name}");
@@ -30,25 +26,12 @@ fn the_timeline_accounts_for_the_time(metrics: &serde_json::Value) {
             "{name}"
         );
     }
-    // The speed of the machine is measured on as many cores as there are threads, two here, while the leading thread waits.
-    let estimate = stages
-        .iter()
-        .find(|stage| stage["stage"] == "estimate")
-        .expect("an estimate");
-    assert!(
-        number(estimate, "one_core_s") < 0.5 * number(estimate, "processor_s"),
-        "{estimate}"
-    );
     let training = stages.iter().find(|stage| stage["stage"] == "train").expect("training");
     let parts = training["parts"].as_array().expect("training has parts");
     assert!(parts.iter().any(|part| part["stage"] == "light, backward"));
     let all_s: f64 = stages.iter().map(|stage| number(stage, "wall_s")).sum();
     let run_s = metrics["seconds"].as_f64().expect("seconds");
     assert!(all_s <= run_s && all_s > 0.8 * run_s, "{all_s} of {run_s} s");
-    // What was foretold when the start was over counts what had passed.
-    let start_s: f64 = ["read", "ties", "sweep", "colours"].map(stage_s).iter().sum();
-    let foretold_s = metrics["time_estimate_s"].as_f64().expect("seconds");
-    assert!(foretold_s > start_s, "{foretold_s} s, of the start {start_s}");
 }
 
 #[test]

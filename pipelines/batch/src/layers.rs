@@ -6,9 +6,9 @@
 
 use super::BatchError;
 use heliosplat::Raster;
+use heliosplat_grid::statistics::upper_median;
 use heliosplat_products::blend::{Piece, in_row, one_surface};
 use heliosplat_raster::{RasterError, RasterFile};
-use heliosplat_rpc::statistics::upper_median;
 use rayon::prelude::*;
 use std::path::Path;
 

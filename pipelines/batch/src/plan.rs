@@ -9,7 +9,6 @@ use heliosplat_fitting::program::identity_of_program;
 use heliosplat_raster::bounded::read_bytes;
 use heliosplat_raster::write::write_atomically;
 use heliosplat_satellite::altitude;
-use heliosplat_satellite::estimate::slowness;
 use heliosplat_scene::survey::Survey;
 use heliosplat_scene::{AreaRequest, IngestOptions, RpcPreference};
 use std::collections::BTreeMap;
@@ -23,6 +22,10 @@ const MOSAIC_BYTES_PER_CELL_AND_BAND: f64 = 24.0;
 const LEAST_BYTES: f64 = 200.0 * 1_048_576.0;
 /// Seconds of any unit: starting, reading, writing.
 const LEAST_S: f64 = 5.0;
+/// Seconds per Gaussian and step of a training on one core, roughly: how fast the machine is does not count.
+const STEP_S_PER_GAUSSIAN: f64 = 1.8e-6;
+/// Steps that take as long as the rest of a training does for each of its images: start, albedo, evaluation.
+const STEPS_PER_VIEW: f64 = 10.0;
 /// Seconds per cell of a mosaic, and of each raster besides its surface model.
 const MOSAIC_S_PER_CELL: f64 = 2e-6;
 /// Name of the file that keeps a plan, and its largest size, bytes: a million units.
@@ -49,7 +52,7 @@ pub struct Unit {
     pub after: Vec<String>,
     /// Memory it will take, MiB.
     pub mem_mb: u64,
-    /// Time it will take on the machine that planned it, seconds.
+    /// Time it will take, seconds: a rough figure for one core, for workflow engines that ask for one.
     pub runtime_s: u64,
     /// Names its inputs and its settings: another key is other work.
     pub key: String,
@@ -202,7 +205,6 @@ fn kept(path: &Path, manifest: &str) -> Option<Plan> {
 
 /// All units, and the files that decided them. A scene that is at fault becomes a unit that fails, and stops no other.
 fn make(manifest: &Manifest, hashes: &mut Hashes) -> (Plan, Vec<PathBuf>) {
-    let slowness = slowness();
     let (mut units, mut files) = (Vec::new(), Vec::new());
     for area in &manifest.areas {
         let wanted = |images: &&ImagesEntry| {
@@ -210,7 +212,7 @@ fn make(manifest: &Manifest, hashes: &mut Hashes) -> (Plan, Vec<PathBuf>) {
             named.is_none_or(|names| names.contains(&images.name))
         };
         for images in manifest.images.iter().filter(wanted) {
-            match units_of(manifest, area, images, hashes, slowness) {
+            match units_of(manifest, area, images, hashes) {
                 Ok((more, of)) => {
                     units.extend(more);
                     files.extend(of);
@@ -245,7 +247,6 @@ fn units_of(
     area: &AreaEntry,
     images: &ImagesEntry,
     hashes: &mut Hashes,
-    slowness: f64,
 ) -> Result<(Vec<Unit>, Vec<PathBuf>), BatchError> {
     let options = IngestOptions {
         altitude_range_m: area.altitude_m.map(|[low, high]| (low, high)),
@@ -269,7 +270,6 @@ fn units_of(
             survey: &survey,
             options: &manifest.tiles,
             config: &config,
-            slowness,
         })?;
         let combination = Combination {
             area,
@@ -400,12 +400,18 @@ impl Combination<'_> {
             id: format!("{home}/{}", tile.name()),
             after: Vec::new(),
             mem_mb: mebibytes(tile.estimate.peak_bytes.max(LEAST_BYTES)),
-            runtime_s: (LEAST_S + tile.estimate.seconds).ceil() as u64,
+            runtime_s: (LEAST_S + training_s(tile)).ceil() as u64,
             key: digest(&said),
             deliver: self.deliver.cloned(),
             work: Work::Tile(work),
         }
     }
+}
+
+/// Seconds of a tile's training, roughly.
+fn training_s(tile: &tiles::Tile) -> f64 {
+    let steps = tile.estimate.steps as f64 + STEPS_PER_VIEW * tile.survey.training as f64;
+    STEP_S_PER_GAUSSIAN * tile.estimate.gaussians * steps
 }
 
 fn mebibytes(bytes: f64) -> u64 {

@@ -70,8 +70,6 @@ pub struct Request<'a> {
     pub options: &'a TileOptions,
     /// How tiles are trained.
     pub config: &'a SatelliteConfig,
-    /// How much slower this machine is than the one that estimates are from.
-    pub slowness: f64,
 }
 
 /// The tiles of an area.
@@ -206,14 +204,12 @@ fn estimate(request: &Request, tile: &TileSurvey) -> Estimate {
         area: tile.area,
         gsd_m: request.survey.gsd_m,
         bands: request.survey.bands,
-        images: tile.images,
         training: tile.training,
-        image_pixels: tile.pixels / tile.images.max(1) as f64,
         altitudes_m: request.survey.altitude_range_m.1 - request.survey.altitude_range_m.0,
         widest_base_to_height: request.survey.widest_base_to_height,
     };
     let read = PROGRAM_BYTES + BYTES_PER_PIXEL * tile.pixels * request.survey.bands as f64;
-    estimate_of(&extent, request.config, request.slowness, read)
+    estimate_of(&extent, request.config, read)
 }
 
 fn too_much(options: &TileOptions, tile: &TileSurvey, estimate: &Estimate) -> Option<TooMuch> {

@@ -3,7 +3,7 @@
 use heliosplat_batch::BatchError;
 use heliosplat_evaluate::EvaluateError;
 use heliosplat_fitting::checkpoint::CheckpointError;
-use heliosplat_fitting::run_folder::{OpenError, RunError};
+use heliosplat_fitting::run_folder::RunError;
 use heliosplat_fitting::settings::ConfigError;
 use heliosplat_fitting::training::TrainingError;
 use heliosplat_objects::{CaptureError, ObjectError};
@@ -13,7 +13,6 @@ use heliosplat_products::export::ExportError;
 use heliosplat_products::relight::RelightError;
 use heliosplat_raster::RasterError;
 use heliosplat_satellite::SatelliteError;
-use heliosplat_satellite::error::FitError;
 use heliosplat_scene::SceneError;
 use heliosplat_session::SessionError;
 
@@ -104,42 +103,22 @@ impl From<TrainingError> for CliError {
     }
 }
 
-impl From<OpenError> for CliError {
-    fn from(error: OpenError) -> Self {
-        match error {
-            OpenError::Run(error) => error.into(),
-            OpenError::Checkpoint(error) => error.into(),
-        }
-    }
-}
-
-impl From<FitError> for CliError {
-    fn from(error: FitError) -> Self {
-        match error {
-            FitError::TooFewViews { .. }
-            | FitError::NoContrast { .. }
-            | FitError::Memory { .. }
-            | FitError::SweepMemory { .. }
-            | FitError::Channels { .. }
-            | FitError::Mask(_) => Self::Input(error.to_string()),
-            FitError::Training(error) => error.into(),
-        }
-    }
-}
-
 impl From<SatelliteError> for CliError {
     fn from(error: SatelliteError) -> Self {
         match error {
             SatelliteError::Scene(error) => error.into(),
             SatelliteError::Config(error) => error.into(),
-            SatelliteError::Fit(error) => error.into(),
             SatelliteError::Training(error) => error.into(),
-            SatelliteError::Open(error) => error.into(),
             SatelliteError::Run(error) => error.into(),
             SatelliteError::Raster(error) => error.into(),
             SatelliteError::Evaluate(error) => error.into(),
             SatelliteError::Relight(error) => error.into(),
-            SatelliteError::TimeBudget { .. }
+            SatelliteError::TooFewViews { .. }
+            | SatelliteError::NoContrast { .. }
+            | SatelliteError::Memory { .. }
+            | SatelliteError::SweepMemory { .. }
+            | SatelliteError::Channels { .. }
+            | SatelliteError::Mask(_)
             | SatelliteError::SceneOfRun { .. }
             | SatelliteError::Adjust { .. }
             | SatelliteError::RelitBands { .. }
@@ -181,7 +160,6 @@ impl From<ObjectError> for CliError {
             ObjectError::Capture(error) => error.into(),
             ObjectError::Config(error) => error.into(),
             ObjectError::Training(error) => error.into(),
-            ObjectError::Open(error) => error.into(),
             ObjectError::Run(error) => error.into(),
             ObjectError::Raster(error) => error.into(),
             ObjectError::Memory { .. } => Self::Input(error.to_string()),

@@ -5,7 +5,7 @@
 //! height difference over the overlap is removed. This is the rule by which Sat-NeRF and EOGS are measured.
 
 use heliosplat::Raster;
-use heliosplat_raster::GeoTransform;
+use heliosplat_raster::{Crs, GeoTransform};
 use rayon::prelude::*;
 
 /// What is done to a prediction: its value at a cell is taken from `(col - columns, row - rows)` and `height_m` is added.
@@ -27,11 +27,12 @@ const SMALLEST_SIDE: usize = 100;
 const LEAST_OVERLAP: f64 = 0.25;
 
 impl Shift {
-    /// East, north and up, metres, on a grid with `metres` per map unit.
-    pub fn metres(&self, transform: &GeoTransform, metres: f64) -> [f64; 3] {
-        let along =
-            |axis: usize| (self.columns * transform.per_col[axis] + self.rows * transform.per_row[axis]) * metres;
-        [along(0), along(1), self.height_m]
+    /// East, north and up, metres, on a grid of `size` columns and rows.
+    pub fn metres(&self, transform: &GeoTransform, size: (usize, usize), crs: Option<&Crs>) -> [f64; 3] {
+        let metres = transform.metres_per_unit(size, crs);
+        let [east, north] = [0, 1]
+            .map(|axis| (self.columns * transform.per_col[axis] + self.rows * transform.per_row[axis]) * metres[axis]);
+        [east, north, self.height_m]
     }
 }
 

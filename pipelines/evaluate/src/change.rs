@@ -2,7 +2,8 @@
 
 use super::EvaluateError;
 use super::resample::Placement;
-use heliosplat_raster::GeoRaster;
+use heliosplat_raster::{GeoRaster, RasterFile};
+use jiff::civil::Date;
 use std::path::Path;
 
 /// Differences from here on belong to a segment, metres.
@@ -37,11 +38,10 @@ pub struct ChangeScore {
 /// # Errors
 /// [`EvaluateError`], naming the file at fault.
 pub fn evaluate_change(found: &Path, truth: &Path) -> Result<ChangeScore, EvaluateError> {
-    let (found, truth) = (GeoRaster::read(found)?, GeoRaster::read(truth)?);
+    let (found, truth) = (read(found)?, read(truth)?);
     let placement = Placement::new(&found, &truth)?;
-    let (columns, rows) = truth.transform.pixel_size();
-    let metres = truth.crs.as_ref().map_or(1.0, |crs| crs.metres_per_unit());
-    let cell_m2 = columns * rows * metres * metres;
+    let size = (truth.raster.width, truth.raster.height);
+    let [width_m, height_m] = truth.transform.cell_m(size, truth.crs.as_ref());
     let days =
         (found.raster.bands > 1 && truth.raster.bands > 1).then(|| (placement.nearest_band(1), truth.raster.plane(1)));
     let days = days.as_ref().map(|(found, truth)| (found.plane(0), *truth));
@@ -50,11 +50,32 @@ pub fn evaluate_change(found: &Path, truth: &Path) -> Result<ChangeScore, Evalua
         placement.moved(0.0, 0.0).plane(0),
         truth.raster.plane(0),
         days,
-        cell_m2,
+        width_m * height_m,
     ))
 }
 
-/// The score of differences (metres, NaN where unknown) on one grid of `width` columns; days (found, true) as numbers.
+/// A map of changes whose second band, where it has one, counts days since 1970.
+fn read(path: &Path) -> Result<GeoRaster, EvaluateError> {
+    let mut map = GeoRaster::read(path)?;
+    if map.raster.bands > 1 {
+        let dates = RasterFile::open(path)?.read_doubles(1)?;
+        for (day, date) in map.raster.plane_mut(1).iter_mut().zip(dates) {
+            *day = day_of(date);
+        }
+    }
+    Ok(map)
+}
+
+/// Days from 1970 to a date written as YYYYMMDD; NaN where it is none.
+fn day_of(date: f64) -> f32 {
+    let number = date as i64;
+    let [year, month, day] = [number / 10_000, number / 100 % 100, number % 100];
+    let date = Date::new(year as i16, month as i8, day as i8);
+    let days = date.and_then(|date| date.since(Date::constant(1970, 1, 1)));
+    days.map_or(f32::NAN, |days| days.get_days() as f32)
+}
+
+/// The score of differences (metres, NaN where unknown) on one grid of `width` columns; days (found, true) since 1970.
 fn score(width: usize, found: &[f32], truth: &[f32], days: Option<(&[f32], &[f32])>, cell_m2: f64) -> ChangeScore {
     let (found, found_segments) = segments(width, found, cell_m2);
     let (changed, true_segments) = segments(width, truth, cell_m2);
@@ -62,11 +83,9 @@ fn score(width: usize, found: &[f32], truth: &[f32], days: Option<(&[f32], &[f32
     let count = |mask: &[bool]| mask.iter().filter(|&&inside| inside).count();
     let both: Vec<usize> = (0..found.len()).filter(|&cell| found[cell] && changed[cell]).collect();
     let share = |of: usize| (of > 0).then(|| both.len() as f64 / of as f64);
-    // Days are read with 24 bits, which are one short of YYYYMMDD.
     let right = |(found, truth): (&[f32], &[f32])| {
-        both.iter()
-            .filter(|&&cell| (found[cell] - truth[cell]).abs() <= 2.0)
-            .count()
+        let within_a_day = |cell: &&usize| (found[**cell] - truth[**cell]).abs() <= 1.0;
+        both.iter().filter(within_a_day).count()
     };
     ChangeScore {
         precision: share(count(&found)),
@@ -125,6 +144,9 @@ fn segments(width: usize, difference_m: &[f32], cell_m2: f64) -> (Vec<bool>, usi
 #[cfg(test)]
 mod tests {
     use super::*;
+    use heliosplat::Raster;
+    use heliosplat_raster::write::{ImageSpec, write_double_cog};
+    use heliosplat_raster::{Crs, GeoTransform};
 
     /// 20 × 20 cells of a metre that rise by `up_m` in some columns and rows.
     fn house(up_m: f32, columns: std::ops::Range<usize>, rows: std::ops::Range<usize>) -> Vec<f32> {
@@ -137,6 +159,43 @@ mod tests {
         let found = score(20, &house(5.0, 2..8, 2..10), &house(5.0, 2..14, 2..10), None, 1.0);
         assert_eq!((found.precision, found.recall), (Some(1.0), Some(0.5)));
         assert_eq!((found.true_segments, found.found_segments), (1, 1));
+    }
+
+    #[test]
+    fn the_right_day_is_counted_by_the_calendar() {
+        let house = house(5.0, 2..14, 2..10);
+        let right = |found: f64, truth: f64| {
+            let [found, truth] = [found, truth].map(|date| vec![day_of(date); 400]);
+            score(20, &house, &house, Some((&found, &truth)), 1.0).right_day
+        };
+        assert_eq!(right(20_230_131.0, 20_230_201.0), Some(1.0), "over a month's end");
+        assert_eq!(right(20_230_207.0, 20_230_208.0), Some(1.0));
+        assert_eq!(right(20_230_205.0, 20_230_207.0), Some(0.0), "two days off");
+        assert_eq!(right(0.0, 20_230_207.0), Some(0.0), "no day found");
+    }
+
+    #[test]
+    fn dates_of_files_are_read_to_the_day() {
+        let folder = tempfile::tempdir().expect("a temporary folder");
+        let write = |name: &str, date: f64| {
+            let mut raster = Raster::filled(20, 20, 2, 0.0);
+            raster.plane_mut(0).copy_from_slice(&house(5.0, 2..14, 2..10));
+            let (transform, crs) = (GeoTransform::north_up(5e5, 4e6, 1.0), Crs::from_epsg(32_637));
+            let crs = crs.expect("UTM");
+            let spec = ImageSpec {
+                georeference: Some((&transform, &crs)),
+                ..ImageSpec::plain(&raster)
+            };
+            let path = folder.path().join(name);
+            let stored = |band: usize, value: f32| if band == 1 { date } else { f64::from(value) };
+            write_double_cog(&path, &spec, stored).expect("a file");
+            path
+        };
+        let truth = write("truth.tif", 20_230_207.0);
+        for (date, right) in [(20_230_206.0, 1.0), (20_230_209.0, 0.0)] {
+            let score = evaluate_change(&write("found.tif", date), &truth).expect("a score");
+            assert_eq!(score.right_day, Some(right), "{date}");
+        }
     }
 
     #[test]

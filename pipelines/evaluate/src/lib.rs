@@ -174,9 +174,9 @@ pub fn evaluate_raster(
         Some(path) => Some(truth::read_classes(path, &truth.raster)?),
         None => None,
     };
-    let (pixel_width, pixel_height) = truth.transform.pixel_size();
-    let metres = truth.crs.as_ref().map_or(1.0, |crs| crs.metres_per_unit());
-    let gsd_m = (pixel_width * pixel_height).sqrt() * metres;
+    let size = (truth.raster.width, truth.raster.height);
+    let [width_m, height_m] = truth.transform.cell_m(size, truth.crs.as_ref());
+    let gsd_m = (width_m * height_m).sqrt();
     let placement = resample::Placement::new(prediction, &truth)?;
     let moved = |columns: f64, rows: f64| placement.moved(columns, rows);
     let Some((errors, shift)) = register(&moved, &truth.raster, classes.as_ref(), protocol) else {
@@ -191,7 +191,7 @@ pub fn evaluate_raster(
         &wanted,
         classes.as_ref(),
         protocol,
-        shift.metres(&truth.transform, metres),
+        shift.metres(&truth.transform, size, truth.crs.as_ref()),
     );
     metrics.uncertainty = prediction
         .band(dsm_bands::STANDARD_DEVIATION)

@@ -2,7 +2,7 @@
 
 use super::{EdgeErrors, Protocol, Uncertainty, class_name};
 use heliosplat::Raster;
-use heliosplat_rpc::statistics::{median, nmad};
+use heliosplat_grid::statistics::{median, nmad};
 use std::collections::BTreeMap;
 
 /// Statistics of height errors, metres.

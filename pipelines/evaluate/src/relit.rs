@@ -11,7 +11,7 @@
 use crate::image::psnr_db;
 use crate::shadow::ShadowCounts;
 use heliosplat::Raster;
-use heliosplat_rpc::statistics::quantile;
+use heliosplat_grid::statistics::quantile;
 
 /// The quantile of the brightest truth that is the peak.
 const PEAK_QUANTILE: f64 = 0.995;

@@ -1,6 +1,7 @@
 //! Bringing a raster onto another's grid.
 
 use heliosplat::Raster;
+use heliosplat_grid::bilinear_to_the_edge;
 use heliosplat_raster::{CrsTransform, GeoRaster, RasterError};
 use rayon::prelude::*;
 
@@ -90,27 +91,5 @@ pub fn bilinear(raster: &Raster, col: f64, row: f64) -> f32 {
 }
 
 fn bilinear_band(raster: &Raster, band: usize, col: f64, row: f64) -> f32 {
-    /// Grids that agree up to rounding must not lose the cells beside missing ones.
-    const NEGLIGIBLE: f64 = 1e-6;
-    let (width, height) = (raster.width as f64, raster.height as f64);
-    let inside = col >= -0.5 && row >= -0.5 && col <= width - 0.5 && row <= height - 0.5;
-    if !inside {
-        return f32::NAN;
-    }
-    let (col, row) = (col.clamp(0.0, width - 1.0), row.clamp(0.0, height - 1.0));
-    let (c0, r0) = (col.floor(), row.floor());
-    let (fc, fr) = (col - c0, row - r0);
-    let mut sum = 0.0;
-    for (dc, dr, weight) in [
-        (0.0, 0.0, (1.0 - fc) * (1.0 - fr)),
-        (1.0, 0.0, fc * (1.0 - fr)),
-        (0.0, 1.0, (1.0 - fc) * fr),
-        (1.0, 1.0, fc * fr),
-    ] {
-        if weight > NEGLIGIBLE {
-            let (c, r) = ((c0 + dc).min(width - 1.0), (r0 + dr).min(height - 1.0));
-            sum += weight * f64::from(raster.at(band, c as usize, r as usize));
-        }
-    }
-    sum as f32
+    bilinear_to_the_edge(raster.plane(band), (raster.width, raster.height), col, row)
 }

@@ -1,7 +1,7 @@
 //! Calibration of a surface model's standard deviations: how they compare with its true errors.
 
 use heliosplat::Raster;
-use heliosplat_rpc::statistics::median;
+use heliosplat_grid::statistics::median;
 use std::fmt::Write;
 
 /// Groups of cells of about equal size, from the smallest standard deviations to the largest.

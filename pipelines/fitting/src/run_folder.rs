@@ -70,6 +70,9 @@ pub enum RunError {
     /// A file that cannot be written.
     #[error(transparent)]
     Write(#[from] RasterError),
+    /// A checkpoint.
+    #[error(transparent)]
+    Checkpoint(#[from] CheckpointError),
     /// A folder that holds a finished run.
     #[error("{}: holds a finished run; give --overwrite to replace it, or another --out", .0.display())]
     Exists(PathBuf),
@@ -92,6 +95,7 @@ impl RunError {
         match self {
             Self::NotARun(_) | Self::Damaged { .. } | Self::Exists(_) | Self::Busy(_) => true,
             Self::Write(error) => error.is_input_fault(),
+            Self::Checkpoint(error) => error.is_input_fault(),
             Self::Io { .. } | Self::Folder { .. } => false,
         }
     }
@@ -295,17 +299,6 @@ pub enum Opened<'a, P> {
     Open(Box<RunFolder<'a, P>>),
 }
 
-/// Why a training cannot begin in a folder.
-#[derive(Debug, thiserror::Error)]
-pub enum OpenError {
-    /// The folder.
-    #[error(transparent)]
-    Run(#[from] RunError),
-    /// Its checkpoint.
-    #[error(transparent)]
-    Checkpoint(#[from] CheckpointError),
-}
-
 impl<'a, P: Clone + Serialize + DeserializeOwned + 'static> Opened<'a, P> {
     /// Looks into the folder of a run, and makes it where it is absent: better to hear now than after the training that nothing can
     /// be written there.
@@ -313,7 +306,7 @@ impl<'a, P: Clone + Serialize + DeserializeOwned + 'static> Opened<'a, P> {
     /// # Errors
     /// When another process trains there, the folder holds a training that `earlier` keeps, the checkpoint is damaged or of another training, or
     /// the folder cannot be made.
-    pub fn look(asked: RunRequest<'a>) -> Result<Self, OpenError> {
+    pub fn look(asked: RunRequest<'a>) -> Result<Self, RunError> {
         let RunRequest {
             request,
             identity,

@@ -36,6 +36,9 @@ pub enum TrainingError {
 /// Measures a model in training without changing it.
 pub type Probe<'a> = dyn Fn(&Parameters) -> Option<Accuracy> + 'a;
 
+/// The step after which the time left is first said, and the steps between two times.
+const FIRST_SAID: usize = 20;
+const SAID_EVERY: usize = 100;
 /// Steps between two points of the curve.
 const CURVE_EVERY: usize = 25;
 /// About as many points of it have an accuracy.
@@ -105,6 +108,9 @@ pub fn train<P: Clone + Serialize>(
     progress.set(trainer.steps() as u64);
     let mut pace = Pace::new(trainer.views());
     let (mut ending, mut steps) = (Ending::Done, steps);
+    if budget.is_some_and(|budget| budget.spent() >= 1.0) {
+        tracing::warn!("--time-budget was over before the first step: training takes one step; give more time");
+    }
     while !trainer.finished() && !session.stopped() {
         let begun = Instant::now();
         let report = match trainer.step() {
@@ -134,10 +140,11 @@ pub fn train<P: Clone + Serialize>(
                 ..point(&report, l1)
             });
         }
-        if report.step % 100 == 0 {
+        if report.step == FIRST_SAID || report.step % SAID_EVERY == 0 {
             let gaussians = grouped(report.gaussians);
+            let left_s = pace.step_s() * steps.saturating_sub(report.step) as f64;
             tracing::info!(
-                "training: step {} of {steps}, L1 {l1:.4}, {gaussians} Gaussians",
+                "training: step {} of {steps}, about {left_s:.0} s left, L1 {l1:.4}, {gaussians} Gaussians",
                 report.step
             );
         }

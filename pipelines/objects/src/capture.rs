@@ -5,7 +5,7 @@ use super::pinhole::{Pinhole, common_centre};
 use super::pixels::{self, Encoding, Picture};
 use super::transforms::{self, FrameSpec, PointLight};
 use glam::DVec3;
-use heliosplat_rpc::statistics::upper_median;
+use heliosplat_grid::statistics::upper_median;
 use heliosplat_scene::Split;
 use rayon::prelude::*;
 use std::path::{Path, PathBuf};
@@ -84,14 +84,9 @@ impl Capture {
     /// [`CaptureError`], naming the file at fault.
     pub fn open(path: &Path, image_bytes: u64) -> Result<Self, CaptureError> {
         let specs = list(path)?;
-        let headers: Vec<pixels::Header> = specs
-            .par_iter()
-            .map(|(spec, _)| pixels::header(&spec.path))
-            .collect::<Result<_, _>>()?;
-        let needed: u64 = headers
-            .iter()
-            .map(|h| 4 * 4 * (h.size_px[0] * h.size_px[1]) as u64)
-            .sum();
+        let sizes = specs.par_iter().map(|(spec, _)| pixels::size_px(&spec.path));
+        let sizes: Vec<[usize; 2]> = sizes.collect::<Result<_, _>>()?;
+        let needed: u64 = sizes.iter().map(|[cols, rows]| 4 * 4 * (cols * rows) as u64).sum();
         if needed > image_bytes {
             let gib = |bytes: u64| bytes as f64 / f64::from(1 << 30);
             return Err(CaptureError::TooLarge {
@@ -102,8 +97,8 @@ impl Capture {
         }
         let frames: Vec<Frame> = specs
             .into_par_iter()
-            .zip(headers)
-            .map(|((spec, split), header)| frame(spec, split, header))
+            .zip(sizes)
+            .map(|((spec, split), size_px)| frame(spec, split, size_px))
             .collect::<Result<_, _>>()?;
         Self::of_frames(path, frames)
     }
@@ -121,11 +116,8 @@ impl Capture {
             ));
         }
         if !frames.iter().any(|f| f.split == Split::Train) {
-            return Err(CaptureError::Transforms {
-                path: source.to_owned(),
-                what: "no camera looks at a common point".into(),
-                remedy: "check that transform_matrix goes from camera to world, in OpenGL's axes",
-            });
+            let remedy = "check that transform_matrix goes from camera to world, in OpenGL's axes";
+            return Err(CaptureError::file(source, "no camera looks at a common point", remedy));
         }
         let encodings: Vec<Encoding> = frames.iter().map(|f| f.picture.encoding).collect();
         if encodings.iter().any(|&e| e != encodings[0]) {
@@ -164,12 +156,9 @@ impl Capture {
     }
 }
 
-fn frame(spec: FrameSpec, split: Split, header: pixels::Header) -> Result<Frame, CaptureError> {
-    let camera = spec.camera(header.size_px).map_err(|what| CaptureError::Image {
-        path: spec.path.clone(),
-        what,
-        remedy: "correct w and h in the transforms file, or remove them",
-    })?;
+fn frame(spec: FrameSpec, split: Split, size_px: [usize; 2]) -> Result<Frame, CaptureError> {
+    let remedy = "correct w and h in the transforms file, or remove them";
+    let camera = (spec.camera(size_px)).map_err(|what| CaptureError::file(&spec.path, what, remedy))?;
     Ok(Frame {
         picture: pixels::read(&spec.path)?,
         name: spec.name,

@@ -1,10 +1,10 @@
 //! What can go wrong between a capture of an object and its run.
 
-use heliosplat_fitting::run_folder::{OpenError, RunError};
+use heliosplat_fitting::run_folder::RunError;
 use heliosplat_fitting::settings::ConfigError;
 use heliosplat_fitting::training::TrainingError;
 use heliosplat_raster::RasterError;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 /// Why a capture cannot be used; one line that names the file and what to do.
 #[derive(Debug, thiserror::Error)]
@@ -20,19 +20,9 @@ pub enum CaptureError {
         /// What the system says.
         reason: std::io::Error,
     },
-    /// A `transforms` file that does not say what it should.
+    /// A `transforms` file or an image that is not usable.
     #[error("{path}: {what}; {remedy}")]
-    Transforms {
-        /// The file.
-        path: PathBuf,
-        /// What is wrong.
-        what: String,
-        /// What to do.
-        remedy: &'static str,
-    },
-    /// An image that is not usable.
-    #[error("{path}: {what}; {remedy}")]
-    Image {
+    File {
         /// The file.
         path: PathBuf,
         /// What is wrong.
@@ -52,6 +42,25 @@ pub enum CaptureError {
         /// What they may take, GiB.
         limit_gib: f64,
     },
+}
+
+impl CaptureError {
+    /// A fault of a file, and what to do about it.
+    pub(crate) fn file(path: &Path, what: impl Into<String>, remedy: &'static str) -> Self {
+        Self::File {
+            path: path.to_owned(),
+            what: what.into(),
+            remedy,
+        }
+    }
+
+    /// What the system says of a file.
+    pub(crate) fn io(path: &Path) -> impl Fn(std::io::Error) -> Self {
+        move |reason| Self::Io {
+            path: path.to_owned(),
+            reason,
+        }
+    }
 }
 
 /// Why a capture did not become a run, or a run could not be measured.
@@ -81,9 +90,6 @@ pub enum ObjectError {
     /// The course of a training.
     #[error(transparent)]
     Training(#[from] TrainingError),
-    /// The run's folder, or its checkpoint.
-    #[error(transparent)]
-    Open(#[from] OpenError),
     /// A file of the run.
     #[error(transparent)]
     Run(#[from] RunError),

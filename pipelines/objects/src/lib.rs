@@ -12,6 +12,7 @@ pub mod measure;
 pub mod mesh;
 pub mod model;
 mod model_file;
+mod paired;
 pub mod pinhole;
 pub mod pixels;
 pub mod plan;

@@ -29,32 +29,17 @@ pub struct Picture {
     pub encoding: Encoding,
 }
 
-/// What a file says of its image before it is read.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Header {
-    /// Columns and rows.
-    pub size_px: [usize; 2],
-}
-
-fn fault(path: &Path, what: String, remedy: &'static str) -> CaptureError {
-    CaptureError::Image {
-        path: path.to_owned(),
-        what,
-        remedy,
-    }
-}
-
 fn reader(path: &Path) -> Result<ImageReader<std::io::BufReader<std::fs::File>>, CaptureError> {
-    let io = |reason| CaptureError::Io {
-        path: path.to_owned(),
-        reason,
-    };
-    let reader = ImageReader::open(path).map_err(io)?.with_guessed_format().map_err(io)?;
+    let io = CaptureError::io(path);
+    let reader = ImageReader::open(path)
+        .map_err(&io)?
+        .with_guessed_format()
+        .map_err(&io)?;
     match reader.format() {
         Some(ImageFormat::Png | ImageFormat::Jpeg | ImageFormat::OpenExr) => Ok(reader),
-        _ => Err(fault(
+        _ => Err(CaptureError::file(
             path,
-            "it is no PNG, JPEG or EXR".into(),
+            "it is no PNG, JPEG or EXR",
             "convert it, or leave its frame out",
         )),
     }
@@ -70,24 +55,27 @@ fn is_bomb(path: &Path, pixels: u64) -> bool {
 
 const DAMAGED: &str = "write the file anew, or leave its frame out";
 
-/// Reads the size of an image.
+/// Columns and rows of an image, from its header.
 ///
 /// # Errors
 /// [`CaptureError`] when the file is not there, no image, or larger than is read.
-pub fn header(path: &Path) -> Result<Header, CaptureError> {
+pub fn size_px(path: &Path) -> Result<[usize; 2], CaptureError> {
     let size = reader(path)?.into_dimensions();
-    let (width, height) = size.map_err(|error| fault(path, format!("it cannot be read ({error})"), DAMAGED))?;
+    let (width, height) =
+        size.map_err(|error| CaptureError::file(path, format!("it cannot be read ({error})"), DAMAGED))?;
     if width == 0 || height == 0 || width > LONGEST_SIDE || height > LONGEST_SIDE {
         let what = format!("it has {width} x {height} pixels");
-        return Err(fault(path, what, "give images of 1 to 16384 pixels a side"));
+        return Err(CaptureError::file(
+            path,
+            what,
+            "give images of 1 to 16384 pixels a side",
+        ));
     }
     if is_bomb(path, u64::from(width) * u64::from(height)) {
         let what = format!("it claims {width} x {height} pixels, more than its bytes can hold");
-        return Err(fault(path, what, DAMAGED));
+        return Err(CaptureError::file(path, what, DAMAGED));
     }
-    Ok(Header {
-        size_px: [width as usize, height as usize],
-    })
+    Ok([width as usize, height as usize])
 }
 
 /// Reads an image whose header has been read.
@@ -104,7 +92,7 @@ pub fn read(path: &Path) -> Result<Picture, CaptureError> {
     limits.max_image_height = Some(LONGEST_SIDE);
     reader.limits(limits);
     let decoded = reader.decode();
-    let decoded = decoded.map_err(|error| fault(path, format!("it cannot be read ({error})"), DAMAGED))?;
+    let decoded = decoded.map_err(|error| CaptureError::file(path, format!("it cannot be read ({error})"), DAMAGED))?;
     Ok(picture(&decoded, linear))
 }
 
@@ -160,7 +148,7 @@ mod tests {
             .save(&png)
             .expect("written");
         let read_png = read(&png).expect("a sound file");
-        assert_eq!(header(&png).expect("a sound file").size_px, [4, 3]);
+        assert_eq!(size_px(&png).expect("a sound file"), [4, 3]);
         assert!((read_png.colour.at(0, 1, 1) - 0.2).abs() < 1e-6 && (read_png.colour.at(1, 1, 1) - 0.08).abs() < 1e-6);
         assert_eq!(read_png.coverage.expect("coverage")[0], 0.2);
         assert_eq!(read_png.encoding, Encoding::Display);
@@ -194,10 +182,10 @@ mod tests {
         // Width in the header, whose checksum no longer holds either.
         bytes[16..20].copy_from_slice(&200_000u32.to_be_bytes());
         std::fs::write(&path, &bytes).expect("written");
-        assert!(header(&path).is_err());
+        assert!(size_px(&path).is_err());
         let notes = folder.path().join("notes");
         std::fs::write(&notes, "text").expect("written");
-        let error = header(&notes).expect_err("no image").to_string();
+        let error = size_px(&notes).expect_err("no image").to_string();
         assert!(error.contains("no PNG, JPEG or EXR"), "{error}");
     }
 }

@@ -6,8 +6,8 @@
 
 use super::capture::Capture;
 use super::config::{ModelKind, ObjectConfig, Parts};
+use super::paired::{Gain, Verdict};
 use super::trial::{self, LEAST_IMAGES, Scored};
-use heliosplat_fitting::paired::{Gain, Verdict};
 use heliosplat_fitting::training::TrainingError;
 use heliosplat_scene::Split;
 use heliosplat_session::Session;

@@ -12,7 +12,7 @@ use heliosplat::model::olat::{Component, Olat, OlatOptions};
 use heliosplat::model::radiance::{Radiance, RadianceOptions};
 use heliosplat::model::reflective::{Reflective, ReflectiveOptions};
 use heliosplat::model::{Parameters, SceneModel};
-use heliosplat_rpc::statistics::upper_median;
+use heliosplat_grid::statistics::upper_median;
 use heliosplat_scene::Split;
 use std::f32::consts::PI;
 

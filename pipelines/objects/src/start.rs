@@ -8,7 +8,7 @@ use super::config::StartOptions;
 use glam::{DVec3, Vec3};
 use heliosplat::gaussians::{GroupSpec, LOG_SCALE, OPACITY, POSITION, ROTATION, Table, core_groups, logit};
 use heliosplat::{ProjectiveCamera, Raster};
-use heliosplat_rpc::statistics::upper_median;
+use heliosplat_grid::statistics::upper_median;
 use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg32;
 use rayon::prelude::*;

@@ -27,7 +27,7 @@ pub struct Lamp {
 /// # Errors
 /// [`CaptureError`] when the file is no image.
 pub fn read(path: &Path) -> Result<Raster, CaptureError> {
-    pixels::header(path)?;
+    pixels::size_px(path)?;
     let picture = pixels::read(path)?;
     let mut light = picture.colour;
     for value in &mut light.values {

@@ -7,12 +7,11 @@
 use super::error::CaptureError;
 use super::pinhole::Pinhole;
 use glam::{DMat3, DVec3};
+use heliosplat_raster::bounded;
 use serde_json::{Map, Value};
 use std::collections::BTreeSet;
 use std::path::{Component, Path, PathBuf};
 
-/// A file larger than this lists more frames than anyone has.
-const LARGEST_FILE: u64 = 64 << 20;
 /// Most images of a capture.
 const MOST_FRAMES: usize = 100_000;
 
@@ -86,19 +85,7 @@ impl FrameSpec {
 /// # Errors
 /// [`CaptureError`] naming the file, and the frame where one is at fault.
 pub fn read(path: &Path) -> Result<Vec<FrameSpec>, CaptureError> {
-    let io = |reason| CaptureError::Io {
-        path: path.to_owned(),
-        reason,
-    };
-    let size = std::fs::metadata(path).map_err(io)?.len();
-    if size > LARGEST_FILE {
-        return Err(fault(
-            path,
-            format!("it has {size} bytes"),
-            "64 MiB are the most a list of cameras takes",
-        ));
-    }
-    let text = heliosplat_raster::bounded::read_bytes(path, heliosplat_raster::bounded::TEXT_MAX).map_err(io)?;
+    let text = bounded::read_bytes(path, bounded::TEXT_MAX).map_err(CaptureError::io(path))?;
     parse(path, &text)
 }
 
@@ -109,19 +96,11 @@ pub fn read(path: &Path) -> Result<Vec<FrameSpec>, CaptureError> {
 pub fn parse(path: &Path, text: &[u8]) -> Result<Vec<FrameSpec>, CaptureError> {
     let value: Value = serde_json::from_slice(text).map_err(|error| {
         let remedy = "write the file anew; JSON knows no NaN and no infinity";
-        fault(path, format!("it is not JSON ({error})"), remedy)
+        CaptureError::file(path, format!("it is not JSON ({error})"), remedy)
     })?;
     let folder = path.parent().unwrap_or(Path::new("."));
     let reader = Reader::new(path, folder, &value)?;
     reader.frames()
-}
-
-fn fault(path: &Path, what: String, remedy: &'static str) -> CaptureError {
-    CaptureError::Transforms {
-        path: path.to_owned(),
-        what,
-        remedy,
-    }
 }
 
 type Object = Map<String, Value>;
@@ -136,14 +115,10 @@ struct Reader<'a> {
 impl<'a> Reader<'a> {
     fn new(path: &'a Path, folder: &'a Path, value: &'a Value) -> Result<Self, CaptureError> {
         let top = value.as_object().ok_or_else(|| {
-            fault(
-                path,
-                "it is not a JSON object".into(),
-                "a transforms file has a list `frames`",
-            )
+            CaptureError::file(path, "it is not a JSON object", "a transforms file has a list `frames`")
         })?;
         // SSS-GS lists images that are not to be used; where there is no such file, none are.
-        let list = heliosplat_raster::bounded::read_text(&folder.join("exclude_list.txt")).unwrap_or_default();
+        let list = bounded::read_text(&folder.join("exclude_list.txt")).unwrap_or_default();
         let excluded = list
             .lines()
             .map(|line| plain_name(line.trim()))
@@ -159,20 +134,20 @@ impl<'a> Reader<'a> {
     fn frames(&self) -> Result<Vec<FrameSpec>, CaptureError> {
         let remedy = "a transforms file has a list `frames` with a `file_path` and a `transform_matrix` each";
         let frames = self.top.get("frames").and_then(Value::as_array);
-        let frames = frames.ok_or_else(|| fault(self.path, "it has no list `frames`".into(), remedy))?;
+        let frames = frames.ok_or_else(|| CaptureError::file(self.path, "it has no list `frames`", remedy))?;
         let mut all = Vec::new();
         for (number, frame) in frames.iter().enumerate() {
             let specs = frame.as_object().ok_or_else(|| "it is not an object".to_owned());
             let specs = specs.and_then(|frame| self.frame(frame));
             all.extend(specs.map_err(|what| {
-                fault(
+                CaptureError::file(
                     self.path,
                     format!("frame {number}: {what}"),
                     "correct or remove the frame",
                 )
             })?);
             if all.len() > MOST_FRAMES {
-                return Err(fault(
+                return Err(CaptureError::file(
                     self.path,
                     format!("it lists over {MOST_FRAMES} images"),
                     "give fewer",
@@ -181,7 +156,7 @@ impl<'a> Reader<'a> {
         }
         all.retain(|spec| !self.excluded.contains(&spec.name));
         if all.is_empty() {
-            return Err(fault(self.path, "it lists no image".into(), remedy));
+            return Err(CaptureError::file(self.path, "it lists no image", remedy));
         }
         Ok(all)
     }

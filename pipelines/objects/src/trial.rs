@@ -1,15 +1,15 @@
 //! Short fits of a capture, at half size and with few Gaussians, scored on images of training that they do not see.
 //!
-//! Every image kept aside is cut into four pieces; two fits are compared piece by piece ([`heliosplat_fitting::paired`]).
+//! Every image kept aside is cut into four pieces; two fits are compared piece by piece ([`super::paired`]).
 
 use super::capture::{Capture, Frame};
 use super::config::{ModelKind, ObjectConfig, Parts};
+use super::paired::{Gain, Piece};
 use super::prepare::{self, FitInput};
 use heliosplat::model::View;
 use heliosplat::render::{PassOptions, render};
 use heliosplat::train::Trainer;
 use heliosplat_evaluate::image::psnr_db;
-use heliosplat_fitting::paired::{Gain, Piece};
 use heliosplat_fitting::training::TrainingError;
 use heliosplat_scene::Split;
 use std::time::Instant;

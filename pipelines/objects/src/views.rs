@@ -9,7 +9,7 @@ use heliosplat::Raster;
 use heliosplat::light::Light;
 use heliosplat::model::View;
 use heliosplat::shade::display;
-use heliosplat_rpc::statistics::upper_quantile;
+use heliosplat_grid::statistics::upper_quantile;
 
 /// A border is one colour when half of its pixels are this close to it.
 const SAME_COLOUR: f32 = 0.02;

@@ -1,7 +1,7 @@
 //! One surface model of those of tiles, blended where they overlap.
 //!
 //! In the overlap every tile counts by how sure it is, `1 / (σ² + σ₀²)`, times a taper that falls from its core to its edge, so that none
-//! begins or ends with a step. Altitudes further apart than two cells are not one surface seen twice but two surfaces (a roof and the
+//! begins or ends with a step. A cell of unknown σ counts as if it were off by two cells. Altitudes further apart than two cells are not one surface seen twice but two surfaces (a roof and the
 //! ground beside it): there the strongest counts alone, for their mean would be a surface that nobody saw.
 
 use heliosplat::Raster;
@@ -105,9 +105,14 @@ pub struct Said {
 
 fn say(index: usize, piece: &Piece, col: isize, row: isize, gsd_m: f32) -> Option<Said> {
     let [altitude, sigma, coverage, views] = [0, 1, 2, 3].map(|band| piece.value(band, col, row));
-    let sigma = if sigma.is_finite() { sigma } else { 0.0 };
+    // Of one surface it is, but no surer than that.
+    let taken = if sigma.is_finite() {
+        sigma
+    } else {
+        ONE_SURFACE_CELLS * gsd_m
+    };
     let least = LEAST_SIGMA_CELLS * gsd_m;
-    let weight = piece.taper(col, row) / (sigma * sigma + least * least);
+    let weight = piece.taper(col, row) / (taken * taken + least * least);
     let known = altitude.is_finite() && weight > 0.0;
     known.then_some(Said {
         piece: index,
@@ -145,9 +150,13 @@ fn together(said: &[Said]) -> [f32; BANDS] {
     let Some(strongest) = said.first() else {
         return [f32::NAN; BANDS];
     };
-    let weight: f32 = said.iter().map(|one| one.weight).sum();
+    // Over the tiles that know the value; NaN where none does.
     let mean = |value: &dyn Fn(&[f32; BANDS]) -> f32| {
-        let sum: f32 = said.iter().map(|one| one.weight * value(&one.values)).sum();
+        let known = said.iter().map(|one| (one.weight, value(&one.values)));
+        let known = known.filter(|(_, value)| value.is_finite());
+        let (weight, sum) = known.fold((0.0, 0.0), |(all, sum), (weight, value)| {
+            (all + weight, sum + weight * value)
+        });
         sum / weight
     };
     // Relative to the strongest, so that nothing is lost on a mountain.
@@ -155,7 +164,7 @@ fn together(said: &[Said]) -> [f32; BANDS] {
     let variance = mean(&|v| v[1] * v[1] + (v[0] - altitude) * (v[0] - altitude));
     // The tile that shows most of the images knows best how many see the cell.
     let views = said.iter().map(|one| one.values[3]).fold(0.0, f32::max);
-    [altitude, variance.max(0.0).sqrt(), mean(&|v| v[2]), views]
+    [altitude, variance.sqrt(), mean(&|v| v[2]), views]
 }
 
 #[cfg(test)]
@@ -203,6 +212,15 @@ mod tests {
         assert!(raster.at(0, 19, 5) > 100.5, "{}", raster.at(0, 19, 5));
         // Its deviation says how far the two are apart.
         assert!(raster.at(1, 15, 5) > 0.1);
+    }
+
+    #[test]
+    fn a_tile_of_unknown_deviation_is_not_the_surest() {
+        let raster = blend(&pair(100.0, 100.6, [f32::NAN, 0.2]), (40, 10), 0.5);
+        assert!(raster.at(0, 19, 5) > 100.5, "{}", raster.at(0, 19, 5));
+        assert!(raster.at(1, 3, 5).is_nan() && (raster.at(1, 19, 5) - 0.2).abs() < 0.1);
+        let raster = blend(&pair(100.0, 100.6, [f32::NAN; 2]), (40, 10), 0.5);
+        assert!((raster.at(0, 19, 5) - 100.3).abs() < 0.03, "{}", raster.at(0, 19, 5));
     }
 
     #[test]

@@ -10,6 +10,7 @@ use heliosplat_stereo::change::Segment;
 use jiff::Timestamp;
 use jiff::civil::Date;
 use jiff::tz::TimeZone;
+use rayon::prelude::*;
 use std::ops::Sub;
 use std::path::Path;
 
@@ -65,24 +66,25 @@ impl ChangeMap {
             .chain(std::iter::once(last.raster.plane(0).to_vec()))
             .collect();
         let (width, height) = (nadir.grid.width, nadir.grid.height);
+        let height_m = whole.file.origin.height_m;
+        let of_row = |row: usize| {
+            let place = |col: usize| nadir.enu.enu(col as f64, row as f64, height_m);
+            let places: Vec<[f64; 3]> = (0..width).map(place).collect();
+            let near = segments_along(&changes.segments, &places);
+            let mut heights = Vec::new();
+            (0..width)
+                .map(|col| {
+                    heights.clear();
+                    heights.extend(surfaces.iter().map(|surface| surface[row * width + col]));
+                    told(&moments, &heights, &|day| confidence(&near, day, &places[col]))
+                })
+                .collect::<Vec<[f32; 3]>>()
+        };
+        let told: Vec<[f32; 3]> = (0..height).into_par_iter().flat_map_iter(of_row).collect();
         let mut raster = Raster::filled(width, height, BANDS.len(), 0.0);
-        for cell in 0..width * height {
-            let heights: Vec<f32> = surfaces.iter().map(|surface| surface[cell]).collect();
-            let [east, north, _] =
-                nadir
-                    .enu
-                    .enu((cell % width) as f64, (cell / width) as f64, whole.file.origin.height_m);
-            let of_day = |day: i32| {
-                let near = changes
-                    .segments
-                    .iter()
-                    .filter(|segment| segment.day == day && holds(segment, east, north));
-                near.map(|segment| segment.confidence).reduce(f32::max)
-            };
-            let [difference_m, day, confidence] = told(&moments, &heights, &of_day);
-            raster.plane_mut(0)[cell] = difference_m;
-            raster.plane_mut(1)[cell] = day;
-            raster.plane_mut(2)[cell] = confidence;
+        for band in 0..BANDS.len() {
+            let cells = raster.plane_mut(band).iter_mut().zip(&told);
+            cells.for_each(|(value, told)| *value = told[band]);
         }
         Some(Self { raster })
     }
@@ -125,18 +127,53 @@ impl ChangeMap {
             metadata: &metadata,
             ..ImageSpec::plain(&self.raster)
         };
-        let convert = |band: usize, value: f32| match band {
-            1 if value != 0.0 => f64::from(as_date(value as i32)),
-            _ => f64::from(value),
-        };
-        write_double_cog(path, &spec, convert)
+        write_double_cog(path, &spec, stored)
     }
 }
 
-/// Whether a segment holds a place or nearly does, metres of the local frame.
-fn holds(segment: &Segment, east: f64, north: f64) -> bool {
+/// The number that the file holds of a band's value: of a day its date as YYYYMMDD.
+pub fn stored(band: usize, value: f32) -> f64 {
+    match band {
+        1 if value != 0.0 => f64::from(as_date(value as i32)),
+        _ => f64::from(value),
+    }
+}
+
+/// The segments that some places may lie in: those whose bounds meet the places' own. Places are metres of the local frame.
+fn segments_along<'a>(segments: &'a [Segment], places: &[[f64; 3]]) -> Vec<&'a Segment> {
+    let [low, high] = [f64::min, f64::max].map(|bound| {
+        let both = |a: [f64; 2], at: &[f64; 3]| [bound(a[0], at[0]), bound(a[1], at[1])];
+        places.iter().fold([f64::NAN; 2], both)
+    });
+    let meets = |segment: &&Segment| {
+        let [west_m, south_m, east_m, north_m] = grown(segment);
+        west_m <= high[0] && east_m >= low[0] && south_m <= high[1] && north_m >= low[1]
+    };
+    segments.iter().filter(meets).collect()
+}
+
+/// The greatest confidence of the segments of a day that hold a place or nearly do, metres of the local frame.
+fn confidence(segments: &[&Segment], day: i32, [east, north, _]: &[f64; 3]) -> Option<f32> {
+    let holds = |segment: &&&Segment| {
+        let [west_m, south_m, east_m, north_m] = grown(segment);
+        segment.day == day && (west_m..east_m).contains(east) && (south_m..north_m).contains(north)
+    };
+    segments
+        .iter()
+        .filter(holds)
+        .map(|segment| segment.confidence)
+        .reduce(f32::max)
+}
+
+/// The bounds of a segment with the ground around it that may be part of it.
+fn grown(segment: &Segment) -> [f64; 4] {
     let [west_m, south_m, east_m, north_m] = segment.bounds_m.map(f64::from);
-    (west_m - AROUND_M..east_m + AROUND_M).contains(&east) && (south_m - AROUND_M..north_m + AROUND_M).contains(&north)
+    [
+        west_m - AROUND_M,
+        south_m - AROUND_M,
+        east_m + AROUND_M,
+        north_m + AROUND_M,
+    ]
 }
 
 /// Difference, day and confidence of a cell whose altitudes on some days are `heights`; `of_day` is the confidence of a change there that day.
@@ -173,6 +210,46 @@ mod tests {
             as_date(day_of("1969-12-31T23:00:00Z".parse().expect("a time"))),
             19_691_231
         );
+    }
+
+    #[test]
+    fn a_row_is_compared_with_the_segments_that_it_passes_alone() {
+        let segments: Vec<Segment> = (0..400)
+            .map(|i| {
+                let west_m = (i % 20 * 13) as f32 - 130.0;
+                let south_m = (i / 20 * 11) as f32 - 110.0;
+                Segment {
+                    day: i % 3,
+                    difference_m: 4.0,
+                    area_m2: 1.0,
+                    bounds_m: [
+                        west_m,
+                        south_m,
+                        west_m + (i % 7 * 9) as f32,
+                        south_m + (i % 5 * 8) as f32,
+                    ],
+                    confidence: 0.5 + (i * 37 % 100) as f32 / 250.0,
+                }
+            })
+            .collect();
+        let all: Vec<&Segment> = segments.iter().collect();
+        let mut tested = 0;
+        for north in (-130..180).step_by(7) {
+            // A row of a grid that is not quite north up.
+            let place = |i: i32| [f64::from(i), f64::from(north) + 0.05 * f64::from(i), 0.0];
+            let places: Vec<[f64; 3]> = (-150..200).step_by(3).map(place).collect();
+            let near = segments_along(&segments, &places);
+            tested += near.len();
+            for (place, day) in places.iter().flat_map(|place| (0..3).map(move |day| (place, day))) {
+                assert_eq!(
+                    confidence(&near, day, place),
+                    confidence(&all, day, place),
+                    "{place:?} {day}"
+                );
+            }
+        }
+        assert!(tested < 45 * segments.len() / 2, "most segments lie beside a row");
+        assert!(segments_along(&segments, &[]).is_empty());
     }
 
     #[test]

@@ -4,7 +4,7 @@
 //! cell has the lower quartile of the altitudes beside it, and the lowest cells come first, so that the ground spreads up to the foot of a
 //! tower before the tower's roof is asked. Unknown cells that reach the border of the raster are no hole: the scene ends there.
 
-use heliosplat_rpc::statistics::upper_quantile;
+use heliosplat_grid::statistics::upper_quantile;
 use std::cmp::{Ordering, Reverse};
 use std::collections::BinaryHeap;
 

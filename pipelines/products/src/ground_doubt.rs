@@ -8,9 +8,9 @@
 use crate::model::START;
 use crate::nadir::{NadirGrid, Place};
 use glam::Vec3;
+use heliosplat_radiometry::ground::{ground_below, ground_probability};
 use heliosplat_raster::grid::GridSpec;
 use heliosplat_raster::{GeoRaster, RasterError};
-use heliosplat_stereo::{ground_below, ground_probability};
 use rayon::prelude::*;
 use std::path::Path;
 

@@ -8,9 +8,9 @@
 use heliosplat::ProjectiveCamera;
 use heliosplat::gaussians::Table;
 use heliosplat::model::shadow_gs::ALBEDO;
-use heliosplat_rpc::statistics::upper_median;
+use heliosplat_grid::opening;
+use heliosplat_grid::statistics::upper_median;
 use heliosplat_scene::indices::{VEGETATION_INDEX, VegetationIndex};
-use heliosplat_stereo::opening;
 use rayon::prelude::*;
 
 /// Excess green above which a cell is green.

@@ -5,7 +5,6 @@
 
 pub mod blend;
 pub mod change;
-pub mod daylight;
 pub mod dsm;
 pub mod export;
 mod fill;
@@ -18,7 +17,6 @@ pub mod ortho;
 pub mod ply;
 pub mod points;
 pub mod relight;
-mod roof_slopes;
 pub mod seams;
 pub mod seen;
 pub mod set;

@@ -1,6 +1,5 @@
 //! A trained satellite model as files: `model.ply` (the Gaussians) and `model.json` (what they share, the frame, the cameras).
 
-use crate::daylight::Daylight;
 use crate::ply;
 use heliosplat::gaussians::Table;
 use heliosplat::model::Parameters;
@@ -8,6 +7,7 @@ use heliosplat::model::shadow_gs::{DAYS, ShadowGs, ShadowGsOptions, standing};
 use heliosplat::render::PassOptions;
 use heliosplat::splat::ProjectionOptions;
 use heliosplat_fitting::run_folder::{RunError, read, read_gaussians, save_model};
+use heliosplat_radiometry::daylight::Daylight;
 use heliosplat_rpc::{GeoPoint, LocalFrame, ProjectiveMap, sun::SunPosition};
 use heliosplat_scene::crop::Crop;
 use heliosplat_scene::indices::{NormalisedDifference, VegetationIndex};

@@ -42,8 +42,8 @@ pub fn vegetation(albedo: &Raster, index: NormalisedDifference) -> Raster {
 }
 
 /// Slopes by Horn's 3 × 3 differences (Horn 1981, as `gdaldem hillshade`), lit from the north-west at 45°: shades 1 to 255, `NaN`
-/// where the altitude is not known. Cells beside unknown ones count these as level with themselves.
-pub fn hillshade(altitude: &Raster, gsd_m: f64) -> Raster {
+/// where the altitude is not known. Cells are `[width_m, height_m]` metres; unknown neighbours count as level with the cell.
+pub fn hillshade(altitude: &Raster, [width_m, height_m]: [f64; 2]) -> Raster {
     let (width, height) = (altitude.width, altitude.height);
     let plane = altitude.plane(0);
     let light = [-0.5f64, 0.5, std::f64::consts::FRAC_1_SQRT_2];
@@ -61,9 +61,9 @@ pub fn hillshade(altitude: &Raster, gsd_m: f64) -> Raster {
                 f64::from(if value.is_finite() { value } else { centre })
             };
             let to_east =
-                (at(1, -1) + 2.0 * at(1, 0) + at(1, 1) - at(-1, -1) - 2.0 * at(-1, 0) - at(-1, 1)) / (8.0 * gsd_m);
+                (at(1, -1) + 2.0 * at(1, 0) + at(1, 1) - at(-1, -1) - 2.0 * at(-1, 0) - at(-1, 1)) / (8.0 * width_m);
             let to_north =
-                (at(-1, -1) + 2.0 * at(0, -1) + at(1, -1) - at(-1, 1) - 2.0 * at(0, 1) - at(1, 1)) / (8.0 * gsd_m);
+                (at(-1, -1) + 2.0 * at(0, -1) + at(1, -1) - at(-1, 1) - 2.0 * at(0, 1) - at(1, 1)) / (8.0 * height_m);
             let length = (1.0 + to_east * to_east + to_north * to_north).sqrt();
             let shade = ((light[2] - to_east * light[0] - to_north * light[1]) / length).max(0.0);
             out.values[row * width + col] = (1.0 + 254.0 * shade) as f32;
@@ -90,12 +90,26 @@ mod tests {
             values: facing.values.iter().map(|v| -v).collect(),
             ..facing.clone()
         };
-        let at = |raster: &Raster| hillshade(raster, 0.5).at(0, 4, 4);
+        let at = |raster: &Raster| hillshade(raster, [0.5; 2]).at(0, 4, 4);
         assert!((at(&facing) - 255.0).abs() < 0.01, "{}", at(&facing));
         assert!((at(&away) - 1.0).abs() < 0.01, "{}", at(&away));
-        let level = hillshade(&Raster::filled(4, 4, 1, 7.0), 0.5);
+        let level = hillshade(&Raster::filled(4, 4, 1, 7.0), [0.5; 2]);
         let expected = 1.0 + 254.0 * std::f32::consts::FRAC_1_SQRT_2;
         assert!(level.values.iter().all(|v| (v - expected).abs() < 0.01));
+    }
+
+    #[test]
+    fn narrow_cells_are_as_steep_as_they_are_narrow() {
+        // One in one toward the east, in cells half as wide as high.
+        let values = (0..64).map(|cell| (cell % 8) as f32 * 0.5).collect();
+        let slope = Raster {
+            width: 8,
+            height: 8,
+            bands: 1,
+            values,
+        };
+        let expected = 1.0 + 254.0 * (0.5 + std::f32::consts::FRAC_1_SQRT_2) * std::f32::consts::FRAC_1_SQRT_2;
+        assert!((hillshade(&slope, [0.5, 1.0]).at(0, 4, 4) - expected).abs() < 0.01);
     }
 
     #[test]
@@ -105,7 +119,7 @@ mod tests {
         raster.plane_mut(1).fill(0.6);
         let bands = [BandKind::Red, BandKind::NearInfrared];
         let index = Values::default().ndvi(&bands).expect("both bands");
-        let (shade, leaves) = (hillshade(&raster, 1.0), vegetation(&raster, index));
+        let (shade, leaves) = (hillshade(&raster, [1.0; 2]), vegetation(&raster, index));
         assert!(shade.values[0].is_nan() && leaves.values[0].is_nan());
         assert!(shade.values[1].is_finite() && leaves.values[1] == 1.0);
     }

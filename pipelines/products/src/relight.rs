@@ -1,7 +1,6 @@
 //! The scene under any sun, and its shadow mask.
 
 use super::nadir::NadirGrid;
-use super::roof_slopes::RoofSlopes;
 use super::surface_shadow::SurfaceShadows;
 use super::views::camera_of;
 use crate::model::LoadedModel;
@@ -18,7 +17,6 @@ use heliosplat_raster::write::{ImageSpec, Sample, write_cog, write_geotiff};
 use heliosplat_raster::{GridSpec, RasterError, preview};
 use heliosplat_rpc::sun::SunPosition;
 use std::path::{Path, PathBuf};
-use std::sync::OnceLock;
 
 /// Why a scene cannot be relit.
 #[derive(Debug, thiserror::Error)]
@@ -105,8 +103,8 @@ pub struct Relit {
 /// Where a model is looked at from, to be put under suns.
 ///
 /// From straight above a place is as dark as two ways to trace its shadows say, in the mean: through the Gaussians, from each that is seen, and over the
-/// surface model, whose altitudes are levelled. Both err at borders, and not alike (docs/lab/shadows.md). There slopes of roofs are as bright
-/// as they face the sun, too. From elsewhere it is the Gaussians alone.
+/// surface model, whose altitudes are levelled. Both err at borders, and not alike (docs/lab/shadows.md). From elsewhere it is the
+/// Gaussians alone.
 pub struct Viewpoint<'a> {
     model: &'a LoadedModel,
     camera: ProjectiveCamera,
@@ -118,8 +116,6 @@ struct Above {
     grid: GridSpec,
     /// The surface, if there is light to throw shadows.
     surface: Option<SurfaceShadows>,
-    /// Its slopes, which shadows alone do not ask for.
-    slopes: OnceLock<RoofSlopes>,
 }
 
 impl<'a> Viewpoint<'a> {
@@ -150,7 +146,6 @@ impl<'a> Viewpoint<'a> {
             above: Some(Above {
                 grid: nadir.grid.clone(),
                 surface,
-                slopes: OnceLock::new(),
             }),
         }
     }
@@ -161,11 +156,8 @@ impl<'a> Viewpoint<'a> {
     /// # Errors
     /// [`RelightError`] when the sun is down, or the model has no light.
     pub fn relit(&self, sun: &SunPosition) -> Result<Relit, RelightError> {
-        let (light, mut maps) = self.traced(sun)?;
+        let (light, maps) = self.traced(sun)?;
         let visibility = visibility_of(self.model, &maps);
-        if let Some(slopes) = self.slopes() {
-            slopes.shade(sun, &mut maps.channels[self.model.model.visibility_channel()]);
-        }
         let mut image = composed(self.model, sun, light, &self.camera, &maps)?;
         let counts = self.model.file.counts_per_unit as f32;
         image.values.iter_mut().for_each(|value| *value *= counts);
@@ -203,19 +195,6 @@ impl<'a> Viewpoint<'a> {
 
     fn surface(&self) -> Option<&SurfaceShadows> {
         self.above.as_ref()?.surface.as_ref()
-    }
-
-    /// The slopes of the surface, under the suns of the images that were trained on: the albedo is theirs.
-    fn slopes(&self) -> Option<&RoofSlopes> {
-        let above = self.above.as_ref()?;
-        let surface = above.surface.as_ref()?;
-        let slopes = || {
-            let trained = self.model.file.images.iter().filter(|image| image.appearance.is_some());
-            let suns = trained.filter_map(|image| image.sun);
-            let up = |sun: &SunPosition| sun.elevation_rad.to_degrees() >= LOWEST_SUN_DEG;
-            surface.roof_slopes(&suns.filter(up).collect::<Vec<_>>())
-        };
-        Some(above.slopes.get_or_init(slopes))
     }
 
     /// What is seen, with its shadows under `sun`.

@@ -2,7 +2,7 @@
 
 use super::blend::Piece;
 use heliosplat::Raster;
-use heliosplat_rpc::statistics::{SIGMA_PER_MAD, quantile, upper_median};
+use heliosplat_grid::statistics::{SIGMA_PER_MAD, quantile, upper_median};
 use serde::Serialize;
 use std::collections::BTreeSet;
 

@@ -6,7 +6,7 @@
 //! the expectation beforehand, with a deviation of 0.2; where a surface is too dark to tell, it stays.
 
 use heliosplat::Raster;
-use heliosplat_rpc::statistics::{SIGMA_PER_MAD, upper_median};
+use heliosplat_grid::statistics::{SIGMA_PER_MAD, upper_median};
 use rayon::prelude::*;
 
 /// Standard deviation of the traced visibility near the border of a shadow.

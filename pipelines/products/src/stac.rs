@@ -26,6 +26,17 @@ pub struct Band<'a> {
     pub unit: &'a str,
 }
 
+/// How a file holds the values of a raster.
+#[derive(Debug, Clone, Copy)]
+pub enum Numbers {
+    /// As they are; nodata -9999.
+    Float,
+    /// Rounded to whole numbers, with this nodata.
+    Byte(u8),
+    /// Converted to doubles by band and value; nodata -9999.
+    Double(fn(usize, f32) -> f64),
+}
+
 /// One file.
 #[derive(Debug, Clone)]
 pub struct Asset {
@@ -37,19 +48,19 @@ pub struct Asset {
 }
 
 impl Asset {
-    /// A raster: its bands, `float32` with nodata -9999 or `uint8` with the nodata given, and the sun it stands for, if any.
+    /// A raster: its bands, how the file holds their values, and the sun it stands for, if any.
     pub fn raster(
         (key, file, title): (&str, &str, &str),
         raster: &Raster,
         bands: &[Band],
-        byte_nodata: Option<u8>,
+        numbers: Numbers,
         gsd_m: f64,
         sun: Option<&SunPosition>,
     ) -> Self {
         let described: Vec<Value> = bands
             .iter()
             .enumerate()
-            .map(|(index, band)| describe(raster.plane(index), band, byte_nodata, gsd_m))
+            .map(|(index, band)| describe((index, raster.plane(index)), band, numbers, gsd_m))
             .collect();
         let mut value = json!({
             "href": format!("./{file}"), "title": title, "type": COG, "roles": ["data"],
@@ -110,39 +121,42 @@ fn insert_sun(into: &mut Value, sun: &SunPosition) {
     into["view:sun_elevation"] = json!(sun.elevation_rad.to_degrees());
 }
 
-fn describe(plane: &[f32], band: &Band, byte_nodata: Option<u8>, gsd_m: f64) -> Value {
+fn describe((index, plane): (usize, &[f32]), band: &Band, numbers: Numbers, gsd_m: f64) -> Value {
+    let float_nodata = f64::from(heliosplat_raster::write::NODATA);
+    let (data_type, nodata) = match numbers {
+        Numbers::Float => ("float32", float_nodata),
+        Numbers::Byte(nodata) => ("uint8", nodata.into()),
+        Numbers::Double(_) => ("float64", float_nodata),
+    };
+    let stored = |&value: &f32| match numbers {
+        Numbers::Float => value.into(),
+        Numbers::Byte(_) => value.round().into(),
+        Numbers::Double(convert) => convert(index, value),
+    };
+    let known: Vec<f64> = plane.iter().filter(|value| value.is_finite()).map(stored).collect();
     let mut out = json!({
         "name": band.name,
-        "data_type": if byte_nodata.is_some() { "uint8" } else { "float32" },
-        "nodata": byte_nodata.map_or(f64::from(heliosplat_raster::write::NODATA), f64::from),
+        "data_type": data_type,
+        "nodata": nodata,
         "raster:sampling": "area",
         "raster:spatial_resolution": gsd_m,
     });
     if !band.unit.is_empty() {
         out["unit"] = json!(band.unit);
     }
-    if let Some(statistics) = statistics(plane) {
-        out["statistics"] = statistics;
+    if !known.is_empty() {
+        let count = known.len() as f64;
+        let mean = known.iter().sum::<f64>() / count;
+        let variance = known.iter().map(|v| (v - mean).powi(2)).sum::<f64>() / count;
+        out["statistics"] = json!({
+            "minimum": known.iter().copied().fold(f64::INFINITY, f64::min),
+            "maximum": known.iter().copied().fold(f64::NEG_INFINITY, f64::max),
+            "mean": mean,
+            "stddev": variance.sqrt(),
+            "valid_percent": 100.0 * count / plane.len() as f64,
+        });
     }
     out
-}
-
-/// Minimum, maximum, mean and deviation of what is known; `None` where nothing is.
-fn statistics(plane: &[f32]) -> Option<Value> {
-    let known = || plane.iter().filter(|v| v.is_finite()).map(|&v| f64::from(v));
-    let count = known().count();
-    if count == 0 {
-        return None;
-    }
-    let mean = known().sum::<f64>() / count as f64;
-    let variance = known().map(|v| (v - mean).powi(2)).sum::<f64>() / count as f64;
-    Some(json!({
-        "minimum": known().fold(f64::INFINITY, f64::min),
-        "maximum": known().fold(f64::NEG_INFINITY, f64::max),
-        "mean": mean,
-        "stddev": variance.sqrt(),
-        "valid_percent": 100.0 * count as f64 / plane.len() as f64,
-    }))
 }
 
 /// What an item is about.
@@ -404,6 +418,21 @@ mod tests {
 
     fn bbox(of: &Value) -> [f64; 4] {
         serde_json::from_value(of.clone()).expect("four numbers")
+    }
+
+    #[test]
+    fn a_file_of_doubles_is_described_by_the_dates_it_holds() {
+        let mut raster = Raster::filled(2, 2, 3, 0.0);
+        let day = crate::change::as_day(jiff::civil::date(2023, 2, 7)) as f32;
+        raster.plane_mut(1).fill(day);
+        let bands = crate::change::BANDS.map(|name| Band { name, unit: "" });
+        let numbers = Numbers::Double(crate::change::stored);
+        let asset = Asset::raster(("change", "change.tif", ""), &raster, &bands, numbers, 0.5, None);
+        let band = &asset.value["bands"][1];
+        assert_eq!(band["data_type"], "float64");
+        for key in ["minimum", "maximum"] {
+            assert_eq!(band["statistics"][key], 20_230_207.0, "{band}");
+        }
     }
 
     #[test]

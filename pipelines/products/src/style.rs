@@ -4,8 +4,8 @@
 //! The renderers are templates in `style/`, in the words of QGIS 3.22, which later versions read; ranges are filled in from the values.
 
 use heliosplat::Raster;
+use heliosplat_grid::statistics::quantile;
 use heliosplat_raster::Crs;
-use heliosplat_rpc::statistics::quantile;
 use std::fmt::Write;
 
 /// Values that are looked at for a range, at most.

@@ -19,9 +19,9 @@ use heliosplat::ProjectiveCamera;
 use heliosplat::gaussians::{OPACITY, Table, logit};
 use heliosplat::render::{depths, depths_and};
 use heliosplat::splat::{Maps, ProjectionOptions};
-use heliosplat_rpc::statistics::upper_median;
+use heliosplat_grid::smooth_by_deviation;
+use heliosplat_grid::statistics::upper_median;
 use heliosplat_scene::indices::VegetationIndex;
-use heliosplat_stereo::smooth_by_deviation;
 use rayon::prelude::*;
 
 /// Alpha below which a pixel has no altitude.

@@ -10,7 +10,6 @@
 
 use crate::model::LoadedModel;
 use crate::nadir::{CellVectors, NadirGrid};
-use crate::roof_slopes::RoofSlopes;
 use crate::surface::{self, ALPHA_KNOWN};
 use heliosplat_rpc::sun::SunPosition;
 use std::f32::consts::PI;
@@ -97,11 +96,6 @@ impl SurfaceShadows {
             up_m: cells.iter().map(up_m).collect(),
             cells: nadir.cell_vectors_m(model.frame.origin.height_m),
         }
-    }
-
-    /// The slopes of what stands on it, for a scene whose images had these suns.
-    pub(crate) fn roof_slopes(&self, suns: &[SunPosition]) -> RoofSlopes {
-        RoofSlopes::new(&self.up_m, self.width, &self.cells, suns)
     }
 
     /// Share of the sun that each cell sees, 0 to 1; NaN where the altitude is unknown.

@@ -1,9 +1,9 @@
 //! Products on one grid, written one after the other, each noted for the STAC item that comes last.
 
-use super::change::{self, ChangeMap, as_date};
+use super::change::{self, ChangeMap};
 use super::dsm::{BANDS, Dsm, UNITS};
 use super::ortho;
-use super::stac::{self, About, Asset, Band};
+use super::stac::{self, About, Asset, Band, Numbers};
 use super::style::{Layer, Style, layer_file};
 use super::sunshine::{LINKE_TURBIDITY, Period, Sunshine};
 use heliosplat::Raster;
@@ -108,25 +108,8 @@ impl<'a> Writer<'a> {
         };
         self.styled(&file, title, style)?;
         let bands = [Band { name, unit: "" }];
-        let shown;
-        // What the file holds is what is described: whole shades.
-        let raster = if bytes == Bytes::Shades {
-            shown = Raster {
-                values: raster.values.iter().map(|v| v.round()).collect(),
-                ..raster.clone()
-            };
-            &shown
-        } else {
-            raster
-        };
-        let asset = Asset::raster(
-            (key, &file, title),
-            raster,
-            &bands,
-            Some(bytes.nodata()),
-            self.gsd_m,
-            sun,
-        );
+        let numbers = Numbers::Byte(bytes.nodata());
+        let asset = Asset::raster((key, &file, title), raster, &bands, numbers, self.gsd_m, sun);
         self.assets.push(asset);
         Ok(())
     }
@@ -139,15 +122,17 @@ impl<'a> Writer<'a> {
         const FILE: &str = "change.tif";
         const TITLE: &str = "Change of heights between the first image and the last";
         changes.write(&self.out.join(FILE), self.grid)?;
-        // What the file holds is what is described: dates.
-        let mut shown = changes.raster.clone();
-        for day in shown.plane_mut(1).iter_mut().filter(|day| **day > 0.0) {
-            *day = as_date(*day as i32) as f32;
-        }
         let bands: Vec<Band> = (change::BANDS.iter().zip(change::UNITS))
             .map(|(name, unit)| Band { name, unit })
             .collect();
-        let asset = Asset::raster(("change", FILE, TITLE), &shown, &bands, None, self.gsd_m, None);
+        let asset = Asset::raster(
+            ("change", FILE, TITLE),
+            &changes.raster,
+            &bands,
+            Numbers::Double(change::stored),
+            self.gsd_m,
+            None,
+        );
         self.assets.push(asset);
         Ok(())
     }
@@ -164,7 +149,7 @@ impl<'a> Writer<'a> {
         write_cog(&self.out.join(&file), &self.spec(raster, &names, &metadata(sun)))?;
         self.styled(&file, title, Style::colours(raster, &names))?;
         let bands: Vec<Band> = names.iter().map(|name| Band { name, unit: "" }).collect();
-        let asset = Asset::raster((key, &file, title), raster, &bands, None, self.gsd_m, sun);
+        let asset = Asset::raster((key, &file, title), raster, &bands, Numbers::Float, self.gsd_m, sun);
         self.assets.push(asset);
         Ok(())
     }
@@ -193,11 +178,20 @@ impl<'a> Writer<'a> {
             .collect();
         self.vertical_datum = dsm.vertical_datum();
         let title = format!("Surface model, metres above {}", self.vertical_datum);
-        let asset = Asset::raster(("dsm", "dsm.tif", &title), &dsm.raster, &bands, None, self.gsd_m, None);
+        let asset = Asset::raster(
+            ("dsm", "dsm.tif", &title),
+            &dsm.raster,
+            &bands,
+            Numbers::Float,
+            self.gsd_m,
+            None,
+        );
         self.assets.push(asset);
         self.styled("dsm.tif", &title, Style::heights(&dsm.raster))?;
         self.completeness = dsm.completeness();
-        let shade = ortho::hillshade(&dsm.altitude(), self.gsd_m);
+        let size = (self.grid.width, self.grid.height);
+        let cell_m = self.grid.transform.cell_m(size, Some(&self.grid.crs));
+        let shade = ortho::hillshade(&dsm.altitude(), cell_m);
         let title = "Hillshade of the surface, light from the north-west";
         self.bytes(("hillshade", title, "shade"), &shade, Bytes::Shades, None)
     }
@@ -293,7 +287,7 @@ impl<'a> Writer<'a> {
         write_cog(&self.out.join(&file), &spec)?;
         self.styled(&file, title, Style::hours(raster))?;
         let bands = [Band { name, unit }];
-        let asset = Asset::raster((key, &file, title), raster, &bands, None, self.gsd_m, None);
+        let asset = Asset::raster((key, &file, title), raster, &bands, Numbers::Float, self.gsd_m, None);
         self.assets.push(asset);
         Ok(())
     }

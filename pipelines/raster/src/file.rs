@@ -365,6 +365,18 @@ impl RasterFile {
         self.read(self.whole(), &bands)
     }
 
+    /// Reads a whole band (0-based) as the file has it: dates as YYYYMMDD have more digits than `f32` holds.
+    ///
+    /// # Errors
+    /// [`RasterError::Damaged`] when the pixels cannot be read.
+    pub fn read_doubles(&self, band: usize) -> Result<Vec<f64>, RasterError> {
+        self.check_size(self.whole(), 1)?;
+        let size = self.size();
+        let read = || (self.dataset().rasterband(band + 1)?).read_as::<f64>((0, 0), size, size, None);
+        let found = messages::collect(read).map_err(|reason| damaged(&self.path, reason))?;
+        Ok(found.into_shape_and_vec().1)
+    }
+
     /// Refuses a file of which one block would fill the memory, unless the file is long enough to hold it, because pixels are read by whole
     /// blocks; and a raw one that is cut off.
     fn check_bytes(&self) -> Result<(), RasterError> {

@@ -82,6 +82,21 @@ impl GeoTransform {
             self.per_row[0].hypot(self.per_row[1]),
         )
     }
+
+    /// Metres per map unit, eastward and northward, at the centre of a raster of `size` columns and rows: a degree of longitude shrinks
+    /// with the cosine of the latitude. Without a coordinate system, map units are metres.
+    pub fn metres_per_unit(&self, size: (usize, usize), crs: Option<&Crs>) -> [f64; 2] {
+        let Some(crs) = crs else { return [1.0; 2] };
+        let [_, y] = self.map_from_pixel(0.5 * size.0 as f64, 0.5 * size.1 as f64);
+        let shrink = if crs.is_geographic() { y.to_radians().cos() } else { 1.0 };
+        [crs.metres_per_unit() * shrink, crs.metres_per_unit()]
+    }
+
+    /// Width and height, metres, of the cell at the centre of a raster of `size` columns and rows.
+    pub fn cell_m(&self, size: (usize, usize), crs: Option<&Crs>) -> [f64; 2] {
+        let [east, north] = self.metres_per_unit(size, crs);
+        [self.per_col, self.per_row].map(|[dx, dy]| (dx * east).hypot(dy * north))
+    }
 }
 
 /// A map grid: how many pixels, and where.
@@ -264,6 +279,16 @@ mod tests {
         assert_eq!(transform.to_gdal(), six);
         let [col, row] = transform.pixel_from_map(500_010.25, 4_159_989.75);
         assert!((col - 20.0).abs() < 1e-9 && (row - 20.0).abs() < 1e-9);
+    }
+
+    #[test]
+    fn a_cell_in_degrees_is_narrower_away_from_the_equator() {
+        let degrees = Crs::from_epsg(4326).expect("WGS 84");
+        let cells = GeoTransform::north_up(25.0, 60.0, 1e-5);
+        let [width_m, height_m] = cells.cell_m((20, 20), Some(&degrees));
+        assert!((height_m - 1.113).abs() < 1e-3, "{height_m}");
+        assert!((width_m / height_m - 0.5).abs() < 1e-4, "{width_m} {height_m}");
+        assert_eq!(cells.metres_per_unit((20, 20), None), [1.0; 2]);
     }
 
     #[test]

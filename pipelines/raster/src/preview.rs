@@ -3,7 +3,7 @@
 use super::RasterError;
 use super::write::write_atomically;
 use heliosplat::Raster;
-use heliosplat_rpc::statistics::quantile;
+use heliosplat_grid::statistics::quantile;
 use image::{ImageFormat, Rgb, RgbImage};
 use std::io::Cursor;
 use std::path::Path;

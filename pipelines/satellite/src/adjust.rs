@@ -13,13 +13,14 @@ mod write;
 pub use report::{AdjustRequest, AdjustedScene, adjust_scene};
 pub use vectors::ImageVectors;
 
-use super::error::FitError;
+use super::error::SatelliteError;
 use super::ground::Ground;
 use heliosplat_rpc::adjust::{AdjustImage, AdjustOptions, Adjustment, BiasModel, Sighting, Track, adjust};
 use heliosplat_rpc::{ImagePoint, Rpc, RpcError};
 use heliosplat_scene::Scene;
-use heliosplat_stereo::ties::{Tie, TieOptions, find_ties};
-use heliosplat_stereo::{MatchingParameters, SweepView, align::coarse_shifts};
+use heliosplat_stereo::pointing::align::coarse_shifts;
+use heliosplat_stereo::pointing::ties::{Tie, TieOptions, find_ties};
+use heliosplat_stereo::{MatchingParameters, SweepView};
 use nalgebra::Vector3;
 
 /// Ties sought at half resolution, and at full.
@@ -30,8 +31,8 @@ const WORTHLESS_SCORE: f32 = 0.7;
 /// The ground of `scene` in all of its images, held-out ones too: their cameras are as wrong as the others.
 ///
 /// # Errors
-/// [`FitError::TooFewViews`] when fewer than two images show the common ground.
-pub fn ground(scene: &Scene) -> Result<Ground<'_>, FitError> {
+/// [`SatelliteError::TooFewViews`] when fewer than two images show the common ground.
+pub fn ground(scene: &Scene) -> Result<Ground<'_>, SatelliteError> {
     Ground::new(scene, scene.images.iter())
 }
 
@@ -60,6 +61,12 @@ impl AdjustInput<'_> {
         progress(0.5);
         let full = self.round(&shifts(&half), 1, model)?;
         progress(1.0);
+        if !full.converged {
+            tracing::warn!(
+                "cameras: the adjustment had not come to rest after {} rounds; check its residuals, or set cameras.align = \"off\"",
+                full.rounds
+            );
+        }
         tracing::info!("cameras adjusted: {} ties, {:.2} px", full.points.len(), full.sigma_px);
         Ok(full)
     }

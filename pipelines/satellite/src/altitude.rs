@@ -2,29 +2,25 @@
 //!
 //! A range that is too wide costs common ground, sharp pinhole cameras and time, and lets ground that one image sees match anything; one
 //! that is too narrow cuts the surface off. Nothing of the scene but its rational cameras is known then, so pairs of images are matched along
-//! their epipolar lines ([`heliosplat_stereo::ties::epipolar`]): first over all heights that the cameras are valid for, on images averaged down to a few hundred
+//! their epipolar lines ([`heliosplat_stereo::pointing::ties::epipolar`]): first over all heights that the cameras are valid for, on images averaged down to a few hundred
 //! pixels, then around what was found, on finer ones. What the matches of all pairs span, with a margin, is the range. A sweep of all images in
 //! large cells over that range confirms it, or widens it where its surface lies at a limit.
 
 use super::ground::Ground;
 use super::limits::AtLimits;
-use heliosplat_rpc::statistics::quantile;
+use heliosplat_grid::statistics::quantile;
 use heliosplat_scene::cameras::SceneCameras;
 use heliosplat_scene::{AltitudeSource, IngestOptions, Scene, SceneError};
-use heliosplat_stereo::ties::epipolar::{EpipolarSearch, ReducedView, TiedAltitudes, tied_altitudes};
-use heliosplat_stereo::{MatchingParameters, Surface, plane_sweep};
+use heliosplat_stereo::pointing::ties::epipolar::{EpipolarSearch, ReducedView, TiedAltitudes, tied_altitudes};
+use heliosplat_stereo::{MatchingParameters, Surface, plane_sweep, weight_of_geometry};
 use std::path::Path;
 
 /// Most pairs of images that are matched: a range takes no more.
 const MOST_PAIRS: usize = 8;
 /// Partners that each image has.
 const PARTNERS: usize = 2;
-/// Base-to-height ratio at which a pair has half of the weight of an infinitely long base.
-const HALF_WEIGHT_BASE: f64 = 0.15;
 /// Pairs with a shorter base tell nothing of altitudes.
 const LEAST_BASE_TO_HEIGHT: f64 = 0.01;
-/// Intersection angle at which images have stopped looking alike (weight 1/e), radians.
-const ALIKE_ANGLE_RAD: f64 = 0.7;
 /// Weight of a pair of two days beside one of a single day.
 const OTHER_DAY: f64 = 0.5;
 /// Pixels each way to which images are averaged down for the first search: a few hundred patches of their own.
@@ -57,6 +53,7 @@ const UNLIKE: f64 = 1.5;
 const COARSE_CELL_GSD: f64 = 4.0;
 /// Most times that a range is widened.
 pub(super) const ROUNDS: usize = 3;
+
 /// Opens a scene; where neither `options` nor its files state its altitudes, they are found by tie points, and widened where a coarse sweep
 /// between them shows that the surface goes on beyond.
 ///
@@ -170,7 +167,7 @@ fn pairs(cameras: &SceneCameras, bound_m: (f64, f64)) -> Result<Vec<Pair>, Scene
             }
             let angle = p.extend(1.0).angle_between(q.extend(1.0));
             let day = if cameras.same_day(a, b) { 1.0 } else { OTHER_DAY };
-            let weight = base / (base + HALF_WEIGHT_BASE) * (-(angle / ALIKE_ANGLE_RAD).powi(2)).exp() * day;
+            let weight = f64::from(weight_of_geometry(base as f32, angle as f32)) * day;
             all.push(Pair {
                 images: [a, b],
                 weight,

@@ -1,11 +1,10 @@
 //! What a training begins with: the model of a scene's images, its Gaussians on the swept surface, and the views.
 
 use super::config::SatelliteConfig;
-use super::error::{FitError, MaskError};
+use super::error::SatelliteError;
 use super::ground::Ground;
 use super::plan::Decisions;
 use super::preprocess::Preprocessed;
-use super::shadow_prior;
 use super::views;
 use super::{estimate, initial};
 use glam::Vec3;
@@ -14,6 +13,7 @@ use heliosplat::model::{Parameters, SceneModel, View};
 use heliosplat::train::TrainOptions;
 use heliosplat_fitting::run_folder::peak_rss_bytes;
 use heliosplat_products::change::day_of;
+use heliosplat_radiometry::shadow_prior::{self, MaskError};
 use heliosplat_scene::{ImageSun, Scene, crop};
 use heliosplat_stereo::Surface;
 
@@ -37,14 +37,14 @@ impl Beginning {
     /// Of the images of `ground` under `suns`, on the surface that was `found`.
     ///
     /// # Errors
-    /// [`FitError`] when a user's shadow mask cannot be read.
+    /// [`SatelliteError`] when a user's shadow mask cannot be read.
     pub(super) fn new(
         ground: &Ground,
         found: &Preprocessed,
         suns: &[ImageSun],
         decisions: &Decisions,
         config: &SatelliteConfig,
-    ) -> Result<Self, FitError> {
+    ) -> Result<Self, SatelliteError> {
         let Preprocessed { surface, changes, .. } = found;
         let changing = !changes.segments.is_empty();
         let model = model(ground, suns, decisions, changing);
@@ -117,20 +117,13 @@ fn model(ground: &Ground, suns: &[ImageSun], decisions: &Decisions, changing: bo
         reference: reference(suns),
         image_colour: decisions.image_colour,
         opaqueness_weight: decisions.opaqueness_weight,
-        days: if changing { days.collect() } else { Vec::new() },
-        ..ShadowGsOptions::default()
-    };
-    ShadowGs::new(model_options(&options, decisions))
-}
-
-/// The same with prior, near-surface light and harmonics as `decisions` has them.
-pub(super) fn model_options(options: &ShadowGsOptions, decisions: &Decisions) -> ShadowGsOptions {
-    ShadowGsOptions {
         prior_weight: if decisions.shadow_prior { PRIOR_WEIGHT } else { 0.0 },
         near_light: decisions.near_light,
         degree: decisions.sh_degree,
-        ..options.clone()
-    }
+        days: if changing { days.collect() } else { Vec::new() },
+        ..ShadowGsOptions::default()
+    };
+    ShadowGs::new(options)
 }
 
 /// Tells each view what it seems to be lit by: from the user's masks, else from its own darkness.
@@ -151,7 +144,7 @@ fn give_priors(
         None => {
             let (rasters, cameras): (Vec<_>, Vec<_>) = views.iter().map(|view| (&*view.image, view.camera)).unzip();
             let suns: Vec<_> = suns.iter().map(crop::direction).collect();
-            shadow_prior::found(ground, &rasters, surface, &cameras, &suns)
+            shadow_prior::found(&ground.images, &rasters, surface, &cameras, &suns)
         }
     };
     // Without a sun nothing is in shadow, and no mask can change that.
@@ -187,7 +180,7 @@ pub(super) fn fit_into_memory(
     views: &[View],
     config: &SatelliteConfig,
     options: &mut TrainOptions,
-) -> Result<f64, FitError> {
+) -> Result<f64, SatelliteError> {
     let count = parameters.gaussians.count;
     let pixels = |view: &View| view.image.plane_len() as f64;
     let largest = views.iter().map(pixels).fold(0.0, f64::max);

@@ -68,13 +68,16 @@ pub struct ModelOptions {
     pub image_colour: Option<bool>,
     /// Whether clouds are found before anything else and left out: on from five views on; off for images that are known to be clear.
     pub clouds: Option<bool>,
+    /// Whether ground that was built on or torn down between the images is searched: on where every image has a date, and a day divides
+    /// them with two or more on either side; off for ground that is known to have stayed.
+    pub change: Option<bool>,
     /// Whether values that images clip count as "at least": on where some are clipped.
     pub saturation: Option<bool>,
-    /// Near-surface light in shadows, per Gaussian: measured by short fits; off where these are too few or undecided, for its memory.
-    pub near_light: Option<bool>,
+    /// Near-surface light in shadows, per Gaussian: off, because no scene measured was better with it (docs/lab/planner.md).
+    pub near_light: bool,
     /// Largest degree of the spherical harmonics by which albedo (and near-surface light) changes with the viewing direction: 0, the same
-    /// from everywhere, for matt ground, up to 3 for ground that shines. Where it is not set, short fits measure whether degree 1 helps.
-    pub sh_degree: Option<usize>,
+    /// from everywhere, for matt ground, up to 3 for ground that shines.
+    pub sh_degree: usize,
     /// Weight of the shadow opaqueness loss; 0, off, is better on every site measured (docs/lab/components.md), the paper and the ablation
     /// have it.
     pub opaqueness_weight: f32,
@@ -90,9 +93,10 @@ impl Default for ModelOptions {
         Self {
             image_colour: None,
             clouds: None,
+            change: None,
             saturation: None,
-            near_light: None,
-            sh_degree: None,
+            near_light: false,
+            sh_degree: 0,
             opaqueness_weight: 0.0,
             shadow_prior: None,
             shadow_masks: None,
@@ -151,7 +155,6 @@ impl SatelliteConfig {
         let (s, m) = (&self.start, &self.model);
         let opacity = f64::from(s.step_opacity);
         let weight = f64::from(m.opaqueness_weight);
-        let degree = m.sh_degree.unwrap_or(0);
         for (key, value, fits, expected) in [
             (
                 "start.cell_gsd",
@@ -167,8 +170,8 @@ impl SatelliteConfig {
             ),
             (
                 "model.sh_degree",
-                degree as f64,
-                degree <= MAX_DEGREE,
+                m.sh_degree as f64,
+                m.sh_degree <= MAX_DEGREE,
                 "a whole number from 0 to 3",
             ),
             (
@@ -212,7 +215,7 @@ mod tests {
         let config = SatelliteConfig::resolve(Preset::Fast, &set("cameras.align", "off"), 1).expect("a known key");
         assert_eq!(config.cameras.align, Align::Off);
         let config = SatelliteConfig::resolve(Preset::Fast, &set("model.sh_degree", "3"), 1).expect("a known key");
-        assert_eq!(config.model.sh_degree, Some(3));
+        assert_eq!(config.model.sh_degree, 3);
     }
 
     #[test]

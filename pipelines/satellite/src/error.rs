@@ -2,15 +2,15 @@
 
 use heliosplat::train::TrainError;
 use heliosplat_evaluate::EvaluateError;
-use heliosplat_fitting::run_folder::{OpenError, RunError};
+use heliosplat_fitting::run_folder::RunError;
 use heliosplat_fitting::settings::ConfigError;
 use heliosplat_fitting::training::TrainingError;
 use heliosplat_products::relight::RelightError;
+use heliosplat_radiometry::shadow_prior::MaskError;
 use heliosplat_raster::RasterError;
 use heliosplat_rpc::RpcError;
 use heliosplat_scene::SceneError;
 use std::path::PathBuf;
-use std::time::Duration;
 
 /// Why a satellite scene did not become a run, or a run could not be measured.
 #[derive(Debug, thiserror::Error)]
@@ -24,30 +24,65 @@ pub enum SatelliteError {
     /// Settings that cannot be written down.
     #[error("the configuration cannot be written: {0}")]
     Settings(String),
-    /// A limit of time within which training would not even begin.
-    #[error(
-        "--time-budget {limit:?}: before the first step this scene takes about {start_s:.0} s on this machine; give {:.0}s or more, or a coarser model with --set start.cell_gsd=2",
-        2.0 * start_s
-    )]
-    TimeBudget {
-        /// The limit.
-        limit: Duration,
-        /// Seconds before the first step.
-        start_s: f64,
-    },
     /// The user asked for it.
     #[error("stopped: nothing was written")]
     Stopped,
-    /// The fit.
+    /// Fewer than two images show the common ground.
+    #[error("{images} of the scene's images show the ground that at least two have in common; two are needed")]
+    TooFewViews {
+        /// How many do.
+        images: usize,
+    },
+    /// An image whose common ground is of one value.
+    #[error(
+        "{}: the ground that the images have in common has no contrast in it: nearly all of its pixels have one value; take the image out of the scene",
+        image.display()
+    )]
+    NoContrast {
+        /// The image.
+        image: PathBuf,
+    },
+    /// Training would take more memory than it may.
+    #[error(
+        "--memory: training needs about {needed_gib:.2} GiB and {limit_gib:.2} GiB are allowed; give more, fewer images, or a coarser model with --set start.cell_gsd={cell_gsd:.2}"
+    )]
+    Memory {
+        /// What it needs, GiB.
+        needed_gib: f64,
+        /// What it may take, GiB.
+        limit_gib: f64,
+        /// What would fit: width of a cell, ground sampling distances.
+        cell_gsd: f64,
+    },
+    /// The smallest tiles of a plane sweep would take more memory than it may.
+    #[error(
+        "--memory: the smallest tiles of this sweep, of {levels} altitudes per cell, need about {needed_gib:.2} GiB and {limit_gib:.2} GiB are allowed; give more, or a narrower --altitude"
+    )]
+    SweepMemory {
+        /// What the smallest tiles need, GiB.
+        needed_gib: f64,
+        /// What the sweep may take, GiB.
+        limit_gib: f64,
+        /// Height hypotheses of a cell.
+        levels: usize,
+    },
+    /// More bands than near-surface light of its own for each leaves room for.
+    #[error(
+        "model.near_light: {bands} bands of albedo and as many of near-surface light are more than the {most} channels of the rasteriser; leave it off, or give images of fewer bands"
+    )]
+    Channels {
+        /// Bands of the images.
+        bands: usize,
+        /// Channels of the rasteriser.
+        most: usize,
+    },
+    /// A mask of shadows that cannot be used.
     #[error(transparent)]
-    Fit(#[from] FitError),
+    Mask(#[from] MaskError),
     /// The course of a training.
     #[error(transparent)]
     Training(#[from] TrainingError),
-    /// The run's folder, or its checkpoint.
-    #[error(transparent)]
-    Open(#[from] OpenError),
-    /// A file of the run.
+    /// The run's folder, its checkpoint, or a file in it.
     #[error(transparent)]
     Run(#[from] RunError),
     /// A raster.
@@ -101,88 +136,8 @@ pub enum SatelliteError {
     },
 }
 
-/// Why a model could not be fitted.
-#[derive(Debug, thiserror::Error)]
-pub enum FitError {
-    /// Fewer than two images show the common ground.
-    #[error("{images} of the scene's images show the ground that at least two have in common; two are needed")]
-    TooFewViews {
-        /// How many do.
-        images: usize,
-    },
-    /// An image whose common ground is of one value.
-    #[error(
-        "{}: the ground that the images have in common has no contrast in it: nearly all of its pixels have one value; take the image out of the scene",
-        image.display()
-    )]
-    NoContrast {
-        /// The image.
-        image: PathBuf,
-    },
-    /// Training would take more memory than it may.
-    #[error(
-        "--memory: training needs about {needed_gib:.2} GiB and {limit_gib:.2} GiB are allowed; give more, fewer images, or a coarser model with --set start.cell_gsd={cell_gsd:.2}"
-    )]
-    Memory {
-        /// What it needs, GiB.
-        needed_gib: f64,
-        /// What it may take, GiB.
-        limit_gib: f64,
-        /// What would fit: width of a cell, ground sampling distances.
-        cell_gsd: f64,
-    },
-    /// The smallest tiles of a plane sweep would take more memory than it may.
-    #[error(
-        "--memory: the smallest tiles of this sweep, of {levels} altitudes per cell, need about {needed_gib:.2} GiB and {limit_gib:.2} GiB are allowed; give more, or a narrower --altitude"
-    )]
-    SweepMemory {
-        /// What the smallest tiles need, GiB.
-        needed_gib: f64,
-        /// What the sweep may take, GiB.
-        limit_gib: f64,
-        /// Height hypotheses of a cell.
-        levels: usize,
-    },
-    /// More bands than near-surface light of its own for each leaves room for.
-    #[error(
-        "model.near_light: {bands} bands of albedo and as many of near-surface light are more than the {most} channels of the rasteriser; leave it off, or give images of fewer bands"
-    )]
-    Channels {
-        /// Bands of the images.
-        bands: usize,
-        /// Channels of the rasteriser.
-        most: usize,
-    },
-    /// A mask of shadows that cannot be used.
-    #[error(transparent)]
-    Mask(#[from] MaskError),
-    /// Training gave up, or its checkpoint is at fault.
-    #[error(transparent)]
-    Training(#[from] TrainingError),
-}
-
-impl From<TrainError> for FitError {
+impl From<TrainError> for SatelliteError {
     fn from(error: TrainError) -> Self {
         Self::Training(error.into())
     }
-}
-
-/// Why a mask cannot be used.
-#[derive(Debug, thiserror::Error)]
-pub enum MaskError {
-    /// A file that is missing or damaged.
-    #[error("model.shadow_masks: {0}")]
-    File(#[from] RasterError),
-    /// A mask that does not lie on its image.
-    #[error(
-        "model.shadow_masks: {path} has {mask_px:?} pixels and its image {image_px:?}; a mask covers its image: 1 where it is lit, 0 in shadow"
-    )]
-    Size {
-        /// The mask.
-        path: PathBuf,
-        /// Its columns and rows.
-        mask_px: (usize, usize),
-        /// Those of its image.
-        image_px: (usize, usize),
-    },
 }

@@ -1,89 +1,90 @@
-//! From a scene to a trained model: align, sweep, start, train.
+//! From a scene to a trained model: prepare, begin, colour, train, finish.
 
 use super::beginning::{self, Beginning, SKY};
 use super::config::SatelliteConfig;
-use super::error::FitError;
-use super::one_light::{self, OneLight};
+use super::error::SatelliteError;
 use super::plan::{Decisions, Light};
 use super::preprocess::{Preprocess, Preprocessed};
-use super::trial::{self, Component, Trials};
-use super::{clouds, daylight, estimate, linear, probe, radiometry, short_fit, suns};
+
+use super::{probe, short_fit, suns};
 use heliosplat::ProjectiveCamera;
 use heliosplat::model::shadow_gs::ShadowGs;
 use heliosplat::model::{Parameters, View};
 use heliosplat::splat::rasterise::MOST_CHANNELS;
 use heliosplat::timeline::stage;
-use heliosplat::train::{EarlyStop, TrainOptions, Trainer};
+use heliosplat::train::{TrainOptions, Trainer, TrainerState};
 use heliosplat_fitting::budget::Budget;
 use heliosplat_fitting::checkpoint::{CheckpointWriter, LoadedCheckpoint};
-use heliosplat_fitting::curve::CurvePoint;
-use heliosplat_fitting::training::{Ending, TrainingError, train};
-use heliosplat_products::daylight::Daylight;
+use heliosplat_fitting::training::{Trained, TrainingError, train};
+use heliosplat_radiometry::colours::{self, Shades};
+use heliosplat_radiometry::daylight::{self, Daylight};
+use heliosplat_radiometry::linear;
+use heliosplat_radiometry::one_light::{self, OneLight};
 use heliosplat_scene::{Area, ImageSun, KnownTiles, Scene};
 use heliosplat_session::Session;
-use heliosplat_stereo::Surface;
-use heliosplat_stereo::bridged::Lowered;
-use heliosplat_stereo::change::Changes;
-use std::time::{Duration, Instant};
+use std::time::Instant;
 
 /// Short fits that are made for the sake of suns, at most: each finds fewer than the one before.
 const MOST_SHORT_FITS: usize = 3;
 /// Share of a limit of time after which none is begun.
 const BUDGET_FOR_SUNS: f64 = 0.3;
 
-/// What a fit may take.
-#[derive(Debug, Clone, Copy)]
-pub struct Limits {
-    /// When the run began.
-    pub begun: Instant,
-    /// Time.
+/// A fit to be made.
+#[derive(Clone, Copy)]
+pub struct FitRequest<'a> {
+    /// The scene.
+    pub scene: &'a Scene,
+    /// The configuration.
+    pub config: &'a SatelliteConfig,
+    /// The plan.
+    pub decisions: &'a Decisions,
+    /// Time that the run may take.
     pub budget: Option<Budget>,
-    /// Memory, bytes.
+    /// Memory that the process may take, bytes.
     pub memory: Option<u64>,
+    /// The terminal.
+    pub session: &'a Session,
 }
 
 /// A trained model and how it came about.
 pub struct Fitted {
     /// The model.
     pub model: ShadowGs,
-    /// Its parameters.
-    pub parameters: Parameters,
-    /// Names of the images trained on, in the order of their colours.
-    pub images: Vec<String>,
-    /// Pointing corrections, pixels, in that order.
-    pub shifts_px: Vec<[f32; 2]>,
-    /// Where each image has data and no clouds; `None`: everywhere.
-    pub known: Vec<Option<KnownTiles>>,
-    /// What was decided, after suns were searched and components tried.
+    /// Its parameters and the course of training; its views are dropped.
+    pub trained: Trained,
+    /// The surface that training started from, and everything found before training.
+    pub found: Preprocessed,
+    /// The plan, after suns were searched.
     pub decisions: Decisions,
-    /// What short fits said of components.
-    pub trials: Trials,
     /// The suns of the scene's images, in the scene's order.
     pub suns: Vec<ImageSun>,
-    /// Share of each image that is left out because clouds hide the ground there, 0 to 1, in that order.
-    pub clouded: Vec<f64>,
-    /// How bright the ground is under any sun; `None` without light.
+    /// Names of the images trained on, in the order of their colours.
+    pub images: Vec<String>,
+    /// Where each of these has data and no clouds; `None`: everywhere.
+    pub known: Vec<Option<KnownTiles>>,
+    /// Brightness of the ground under any sun; `None` without light.
     pub daylight: Option<Daylight>,
-    /// The surface that training started from.
-    pub surface: Surface,
-    /// What of that surface was lowered because it bridged ground in shade; `None` where fewer than two suns are known.
-    pub lowered: Option<Lowered>,
-    /// What changed between the images.
-    pub changes: Changes,
-    /// How training ended.
-    pub early_stop: EarlyStop,
-    /// Steps rejected because of a number that is not finite.
-    pub rejected: usize,
-    /// Seconds spent on alignment, sweep, start and training.
-    pub seconds: [f64; 4],
-    /// The course of training.
-    pub curve: Vec<CurvePoint>,
-    /// How training ended.
-    pub ending: Ending,
     /// The most memory that training was expected to take when it began, bytes.
     pub memory_estimate: f64,
-    /// Seconds that the run was expected to take when its start was over; not of one that was resumed or has a limit of time.
-    pub time_estimate_s: Option<f64>,
+    /// Seconds of the start and of training.
+    pub seconds: [f64; 2],
+}
+
+/// A model before its first step.
+struct Start {
+    beginning: Beginning,
+    /// The suns of the images trained on.
+    suns: Vec<ImageSun>,
+    decisions: Decisions,
+    options: TrainOptions,
+    known: Vec<Option<KnownTiles>>,
+    memory_estimate: f64,
+}
+
+/// The colours that training starts from, as far as the end of a fit needs them.
+struct Colours {
+    shades: Shades,
+    one_light: Option<OneLight>,
 }
 
 /// A nadir camera over an area of the scene frame.
@@ -93,227 +94,199 @@ pub fn nadir_camera(area: &Area, gsd_m: f64) -> ProjectiveCamera {
     ProjectiveCamera::nadir(area.west_m + 0.5 * gsd_m, area.north_m - 0.5 * gsd_m, gsd_m, size)
 }
 
-/// Fits a model to `scene`, or goes on from the `checkpoint` of a fit that was interrupted; `checkpoints` writes its state meanwhile.
-///
-/// # Errors
-/// [`FitError`] when too few images show the common ground, training gives up, or the state cannot be kept or taken up.
-pub fn fit(
-    scene: &Scene,
-    config: &SatelliteConfig,
-    decisions: &Decisions,
-    session: &Session,
-    limits: &Limits,
-    mut checkpoints: CheckpointWriter<Preprocessed>,
-    checkpoint: Option<LoadedCheckpoint<Preprocessed>>,
-) -> Result<Fitted, FitError> {
-    let bands = scene.bands().len();
-    if decisions.near_light && !channels_fit(bands) {
-        return Err(FitError::Channels {
-            bands,
-            most: MOST_CHANNELS,
+impl FitRequest<'_> {
+    /// Fits a model, or goes on from the `checkpoint` of a fit that was interrupted; `checkpoints` writes its state meanwhile.
+    ///
+    /// # Errors
+    /// [`SatelliteError`] when too few images show the common ground, training gives up, or the state cannot be kept or taken up.
+    pub fn run(
+        &self,
+        mut checkpoints: CheckpointWriter<Preprocessed>,
+        checkpoint: Option<LoadedCheckpoint<Preprocessed>>,
+    ) -> Result<Fitted, SatelliteError> {
+        self.check_channels()?;
+        let (kept, log, state) = checkpoint.map_or((None, None, None), |checkpoint| {
+            (checkpoint.preprocessed, Some(checkpoint.log), Some(checkpoint.trainer))
         });
+        let swept = self.prepare(kept)?;
+        checkpoints.preprocessed = Some(swept.found.clone());
+        checkpoints.log = log.unwrap_or_default();
+        let clock = Instant::now();
+        let mut start = self.begin(&swept)?;
+        let colours = self.colour(&mut start);
+        let start_s = clock.elapsed().as_secs_f64();
+        let mut trained = self.train(&swept, &mut start, checkpoints, state)?;
+        let daylight = self.finish(&start, &colours, &mut trained);
+        let Preprocess { ground, found } = swept;
+        Ok(Fitted {
+            model: start.beginning.model,
+            trained,
+            suns: suns::after(self.scene, &found.shadow_suns),
+            found,
+            decisions: start.decisions,
+            images: ground.images.iter().map(|image| image.name.clone()).collect(),
+            known: start.known,
+            daylight,
+            memory_estimate: start.memory_estimate,
+            seconds: [start_s, clock.elapsed().as_secs_f64() - start_s],
+        })
     }
-    let (preprocessed, log, state) = checkpoint.map_or((None, None, None), |checkpoint| {
-        (checkpoint.preprocessed, Some(checkpoint.log), Some(checkpoint.trainer))
-    });
-    let again = match preprocessed {
-        Some(preprocessed) => Preprocess::again(scene, preprocessed)?,
-        None => None,
-    };
-    let mut searched = None;
-    let Preprocess { ground, found } = match again {
-        Some(swept) => swept,
-        None => {
-            let mut swept = Preprocess::new(scene, config, decisions, session)?;
-            let begun = Instant::now();
+
+    /// Whether near-surface light, visibility and a normal can be rendered beside the bands.
+    fn check_channels(&self) -> Result<(), SatelliteError> {
+        let bands = self.scene.bands().len();
+        match self.decisions.near_light && 2 * bands + 1 + 3 > MOST_CHANNELS {
+            true => Err(SatelliteError::Channels {
+                bands,
+                most: MOST_CHANNELS,
+            }),
+            false => Ok(()),
+        }
+    }
+
+    /// The swept surface and the suns found in shadows on it: those that were `kept`, if they are of this scene.
+    fn prepare(&self, kept: Option<Preprocessed>) -> Result<Preprocess<'_>, SatelliteError> {
+        let &Self {
+            scene,
+            config,
+            decisions,
+            session,
+            ..
+        } = self;
+        if let Some(kept) = kept
+            && let Some(swept) = Preprocess::again(scene, kept)?
+        {
+            return Ok(swept);
+        }
+        let mut swept = Preprocess::new(scene, config, decisions, session)?;
+        suns::search(scene, &mut swept);
+        if self.sweep_under_found_suns(&mut swept) {
             suns::search(scene, &mut swept);
-            let suns = suns::of_ground(scene, &swept.ground, &swept.found.shadow_suns);
-            if swept.sweep_under(suns, scene, config, decisions, session) {
-                suns::search(scene, &mut swept);
-            }
-            let mut fits = 0;
-            let has_time = || limits.budget.is_none_or(|budget| budget.spent() < BUDGET_FOR_SUNS);
-            while fits < MOST_SHORT_FITS && has_time() && suns::are_in_doubt(&swept.found.shadow_suns) {
-                fits += 1;
-                let altitude_m = short_fit::altitudes(scene, config, decisions, &swept, limits.memory, session)?;
-                if !suns::search_again(scene, &mut swept, &altitude_m) {
-                    break;
-                }
-                let suns = suns::of_ground(scene, &swept.ground, &swept.found.shadow_suns);
-                swept.sweep_under(suns, scene, config, decisions, session);
-            }
-            searched = Some(begun.elapsed());
-            swept
         }
-    };
-    checkpoints.preprocessed = Some(found.clone());
-    checkpoints.log = log.unwrap_or_default();
-    let swept = Instant::now();
-    let part = stage("start");
+        let has_time = || self.budget.is_none_or(|budget| budget.spent() < BUDGET_FOR_SUNS);
+        for _ in 0..MOST_SHORT_FITS {
+            if !has_time() || !suns::are_in_doubt(&swept.found.shadow_suns) {
+                break;
+            }
+            let altitude_m = short_fit::altitudes(self, &swept)?;
+            if !suns::search_again(scene, &mut swept, &altitude_m) {
+                break;
+            }
+            self.sweep_under_found_suns(&mut swept);
+        }
+        Ok(swept)
+    }
 
-    let all_suns = suns::after(scene, &found.shadow_suns);
-    let (suns, decisions) = suns::decided(scene, &ground, &found.shadow_suns, decisions);
-    let decisions = &decisions;
-    if decisions.light == Light::LeftOut || decisions.only_known_suns {
-        tracing::warn!("{}", decisions.light_reason());
+    /// Sweeps again where suns found in shadows state which images are of one pass. Returns whether they do.
+    fn sweep_under_found_suns(&self, swept: &mut Preprocess) -> bool {
+        let suns = suns::of_ground(self.scene, &swept.ground, &swept.found.shadow_suns);
+        swept.sweep_under(suns, self.scene, self.config, self.decisions, self.session)
     }
-    let Beginning {
-        mut model,
-        mut parameters,
-        mut views,
-    } = Beginning::new(&ground, &found, &suns, decisions, config)?;
-    tracing::info!(
-        "start: {} Gaussians on {} cells",
-        parameters.gaussians.count,
-        found.surface.altitude.len()
-    );
-    let known = views.iter().map(|view| {
-        let known: Vec<bool> = view.weight.iter().map(|&weight| weight > 0.0).collect();
-        KnownTiles::of(view.image.width, &known)
-    });
-    let known = known.collect();
-    let mut options = beginning::train_options(config, scene, views.len());
-    let steps = options.iterations;
-    let memory = |config: &SatelliteConfig, parameters: &Parameters, views: &[View], options: &mut TrainOptions| {
-        beginning::fit_into_memory(limits.memory, scene, parameters, views, config, options)
-    };
-    let mut memory_estimate = memory(config, &parameters, &views, &mut options)?;
-    drop(part);
-    let part = stage("colours");
-    let shades = radiometry::initialise(&model, &mut parameters, &mut views, SKY);
-    let nadir = nadir_camera(&scene.area, scene.gsd_m);
-    let one_light = OneLight::of(&suns, model.options.reference);
-    let darkest = one_light::darkest(&views[model.options.reference].image);
-    if let Some(light) = &one_light {
-        light.settle(&model, &mut parameters, &nadir, scene.gsd_m, Some(&darkest));
-    }
-    linear::begin(&model, &mut parameters, &views);
-    drop(part);
-    let time_estimate_s = searched
-        .filter(|_| limits.budget.is_none())
-        .map(|searched| say_estimate_after_start(scene, config, limits.begun.elapsed(), searched));
-    let part = stage("trials");
-    let open = open(decisions, bands, |decisions| {
-        memory(&decisions.resolved(config), &parameters, &views, &mut options.clone()).is_ok()
-    });
-    let trials = found.trials.unwrap_or_else(|| {
-        let request = trial::Request {
-            options: &model.options,
-            parameters: &parameters,
-            views: &views,
-            train: &options,
-            area: &scene.area,
-            open: &open,
+
+    /// Gaussians on the swept surface, under the suns that are known now.
+    fn begin(&self, swept: &Preprocess) -> Result<Start, SatelliteError> {
+        let _part = stage("start");
+        let &Self { scene, config, .. } = self;
+        let Preprocess { ground, found } = swept;
+        let (suns, decisions) = suns::decided(scene, ground, &found.shadow_suns, self.decisions);
+        if decisions.light == Light::LeftOut || decisions.only_known_suns {
+            tracing::warn!("{}", decisions.light_reason());
+        }
+        let beginning = Beginning::new(ground, found, &suns, &decisions, config)?;
+        let Beginning { parameters, views, .. } = &beginning;
+        tracing::info!(
+            "start: {} Gaussians on {} cells",
+            parameters.gaussians.count,
+            found.surface.altitude.len()
+        );
+        let known = |view: &View| {
+            let known: Vec<bool> = view.weight.iter().map(|&weight| weight > 0.0).collect();
+            KnownTiles::of(view.image.width, &known)
         };
-        request.run()
-    });
-    if let Some(kept) = &mut checkpoints.preprocessed {
-        kept.trials = Some(trials.clone());
+        let mut options = beginning::train_options(config, scene, views.len());
+        Ok(Start {
+            known: views.iter().map(known).collect(),
+            memory_estimate: beginning::fit_into_memory(self.memory, scene, parameters, views, config, &mut options)?,
+            beginning,
+            suns,
+            decisions,
+            options,
+        })
     }
-    let decisions = &decisions.after_trials(&trials);
-    for item in decisions.items.iter().filter(|item| item.trial.is_some()) {
-        tracing::info!("{}: {}", item.component, item.reason);
-    }
-    let decided = beginning::model_options(&model.options, decisions);
-    if decided != model.options {
-        model = ShadowGs::new(decided);
-        parameters = trial::regrouped(&model, &parameters);
-        memory_estimate = memory(&decisions.resolved(config), &parameters, &views, &mut options)?;
-    }
-    drop(part);
-    let initialised = swept.elapsed();
-    let part = stage("train");
 
-    let bounds = beginning::bounds(&ground);
-    if decisions.only_known_suns {
-        beginning::keep_known_suns(&mut views);
-    }
-    let mut trainer = Trainer::new(&model, views, parameters, options, bounds, Some(nadir))?;
-    if let Some(state) = state {
-        tracing::info!("training is resumed at step {} of {steps}", state.steps());
-        let restored = trainer.restore(state).map_err(|error| checkpoints.does_not_fit(&error));
-        restored.map_err(TrainingError::from)?;
-    }
-    let mut trained = {
-        let reference = ground.images.get(model.options.reference);
-        let probe = probe::height_probe(scene, reference.and_then(|image| image.vegetation_index()));
-        train(trainer, steps, session, limits.budget, checkpoints, probe.as_deref())?
-    };
-    drop(part);
-    {
-        let _part = stage("albedo");
-        linear::finish(&model, &mut trained.parameters, &trained.views);
-    }
-    let daylight = {
-        let _part = stage("daylight");
+    /// Gives Gaussians their albedo, and images their colours.
+    fn colour(&self, start: &mut Start) -> Colours {
+        let _part = stage("colours");
+        let Beginning {
+            model,
+            parameters,
+            views,
+        } = &mut start.beginning;
+        let shades = colours::initialise(model, parameters, views, SKY);
+        let one_light = OneLight::of(&start.suns, model.options.reference);
         if let Some(light) = &one_light {
-            light.settle(&model, &mut trained.parameters, &nadir, scene.gsd_m, None);
+            let darkest = one_light::darkest(&views[model.options.reference].image);
+            light.settle(model, parameters, &self.nadir(), self.scene.gsd_m, Some(&darkest));
         }
-        let elevations: Vec<Option<f64>> = suns.iter().map(|sun| Some(sun.position?.elevation_rad)).collect();
-        let evidence = daylight::evidence(&model, &trained.parameters, &elevations, &shades);
-        daylight::fit(&evidence, elevations[model.options.reference], bands)
-    };
-    if let Some(light) = &daylight {
-        tracing::info!("{}", light.in_words());
+        linear::begin(model, parameters, views);
+        Colours { shades, one_light }
     }
-    Ok(Fitted {
-        daylight,
-        parameters: trained.parameters,
-        early_stop: trained.early_stop,
-        rejected: trained.rejected,
-        curve: trained.curve,
-        ending: trained.ending,
-        memory_estimate,
-        time_estimate_s,
-        model,
-        images: ground.images.iter().map(|image| image.name.clone()).collect(),
-        clouded: found.clouds.iter().map(|mask| clouds::share(mask)).collect(),
-        shifts_px: found.shifts_px,
-        known,
-        suns: all_suns,
-        decisions: decisions.clone(),
-        trials,
-        surface: found.surface,
-        lowered: found.lowered,
-        changes: found.changes,
-        seconds: [
-            found.seconds[0],
-            found.seconds[1],
-            initialised.as_secs_f64(),
-            (swept.elapsed() - initialised).as_secs_f64(),
-        ],
-    })
-}
 
-/// Says how long the run will take, and returns the seconds: of those that passed, some were spent on the search for suns.
-fn say_estimate_after_start(scene: &Scene, config: &SatelliteConfig, passed: Duration, searched: Duration) -> f64 {
-    // How fast the machine is cancels out.
-    let estimate = estimate::estimate(scene, config, 1.0);
-    let start_s = passed.saturating_sub(searched).as_secs_f64();
-    let seconds = estimate.seconds_after_start(start_s, searched.as_secs_f64());
-    let most = if estimate.at_most { "at most " } else { "" };
-    tracing::info!("estimate before the first step: {most}{seconds:.0} s in all");
-    seconds
-}
-
-/// The components that are left to short fits and that the rasteriser and, as `fits` says of decisions, the memory have room for.
-fn open(decisions: &Decisions, bands: usize, fits: impl Fn(&Decisions) -> bool) -> Vec<Component> {
-    let mut all = decisions.clone();
-    let has_room = |component: &Component| match component {
-        Component::NearLight => {
-            all.near_light = true;
-            all.near_light = channels_fit(bands) && fits(&all);
-            all.near_light
+    /// Trains to the end, or until the user or the time stops it.
+    fn train(
+        &self,
+        swept: &Preprocess,
+        start: &mut Start,
+        checkpoints: CheckpointWriter<Preprocessed>,
+        state: Option<TrainerState>,
+    ) -> Result<Trained, SatelliteError> {
+        let _part = stage("train");
+        let Beginning {
+            model,
+            parameters,
+            views,
+        } = &mut start.beginning;
+        let (parameters, mut views) = (std::mem::take(parameters), std::mem::take(views));
+        if start.decisions.only_known_suns {
+            beginning::keep_known_suns(&mut views);
         }
-        Component::Harmonics => {
-            all.sh_degree = 1;
-            fits(&all)
+        let steps = start.options.iterations;
+        let bounds = beginning::bounds(&swept.ground);
+        let options = start.options.clone();
+        let mut trainer = Trainer::new(model, views, parameters, options, bounds, Some(self.nadir()))?;
+        if let Some(state) = state {
+            tracing::info!("training is resumed at step {} of {steps}", state.steps());
+            let restored = trainer.restore(state).map_err(|error| checkpoints.does_not_fit(&error));
+            restored.map_err(TrainingError::from)?;
         }
-    };
-    decisions.open.iter().copied().filter(has_room).collect()
-}
+        let reference = swept.ground.images.get(model.options.reference);
+        let probe = probe::height_probe(self.scene, reference.and_then(|image| image.vegetation_index()));
+        let (session, budget) = (self.session, self.budget);
+        Ok(train(trainer, steps, session, budget, checkpoints, probe.as_deref())?)
+    }
 
-/// Whether near-surface light, visibility and a normal can be rendered beside `bands` bands.
-fn channels_fit(bands: usize) -> bool {
-    2 * bands + 1 + 3 <= MOST_CHANNELS
+    /// Solves the albedo once more, and finds the brightness of the ground under any sun.
+    fn finish(&self, start: &Start, colours: &Colours, trained: &mut Trained) -> Option<Daylight> {
+        let model = &start.beginning.model;
+        let views = std::mem::take(&mut trained.views);
+        let parameters: &mut Parameters = &mut trained.parameters;
+        let part = stage("albedo");
+        linear::finish(model, parameters, &views);
+        drop(part);
+        let _part = stage("daylight");
+        if let Some(light) = &colours.one_light {
+            light.settle(model, parameters, &self.nadir(), self.scene.gsd_m, None);
+        }
+        let elevation = |sun: &ImageSun| Some(sun.position?.elevation_rad);
+        let elevations: Vec<Option<f64>> = start.suns.iter().map(elevation).collect();
+        let evidence = daylight::evidence(model, parameters, &elevations, &colours.shades);
+        let bands = self.scene.bands().len();
+        let daylight = daylight::fit(&evidence, elevations[model.options.reference], bands)?;
+        tracing::info!("{}", daylight.in_words());
+        Some(daylight)
+    }
+
+    fn nadir(&self) -> ProjectiveCamera {
+        nadir_camera(&self.scene.area, self.scene.gsd_m)
+    }
 }

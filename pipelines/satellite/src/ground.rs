@@ -1,9 +1,10 @@
 //! The ground that a scene's images have in common: what the plane sweep covers, and what tie points are searched on.
 
-use super::error::FitError;
+use super::error::SatelliteError;
 use heliosplat::Raster;
+use heliosplat_grid::statistics::upper_quantile;
+use heliosplat_products::change::day_of;
 use heliosplat_rpc::LocalFrame;
-use heliosplat_rpc::statistics::upper_quantile;
 use heliosplat_scene::crop::{self, Crop};
 use heliosplat_scene::{Area, ImageSun, Scene, SceneImage};
 use heliosplat_stereo::{
@@ -34,22 +35,26 @@ impl<'a> Ground<'a> {
     /// The ground of `scene`, grown by [`MARGIN_M`], in those of `images` that show it.
     ///
     /// # Errors
-    /// [`FitError::TooFewViews`] when fewer than two do.
-    pub fn new(scene: &'a Scene, images: impl Iterator<Item = &'a SceneImage>) -> Result<Self, FitError> {
+    /// [`SatelliteError::TooFewViews`] when fewer than two do.
+    pub fn new(scene: &'a Scene, images: impl Iterator<Item = &'a SceneImage>) -> Result<Self, SatelliteError> {
         Self::over(scene, crop::grown(&scene.area, MARGIN_M), images)
     }
 
     /// `area`, metres of the scene's frame, in those of `images` that show it.
     ///
     /// # Errors
-    /// [`FitError::TooFewViews`] when fewer than two do.
-    pub fn over(scene: &'a Scene, area: Area, images: impl Iterator<Item = &'a SceneImage>) -> Result<Self, FitError> {
+    /// [`SatelliteError::TooFewViews`] when fewer than two do.
+    pub fn over(
+        scene: &'a Scene,
+        area: Area,
+        images: impl Iterator<Item = &'a SceneImage>,
+    ) -> Result<Self, SatelliteError> {
         let up_m = crop::altitude_range(scene);
         let (images, crops): (Vec<&SceneImage>, Vec<Crop>) = images
             .filter_map(|image| Some((image, Crop::of(image, &area, up_m)?)))
             .unzip();
         if images.len() < 2 {
-            return Err(FitError::TooFewViews { images: images.len() });
+            return Err(SatelliteError::TooFewViews { images: images.len() });
         }
         Ok(Self {
             groups: crop::date_groups(&images),
@@ -72,6 +77,11 @@ impl<'a> Ground<'a> {
         groups != self.groups
     }
 
+    /// The day of each image, days since 1970; `None` where one has none.
+    pub(super) fn days(&self) -> Option<Vec<i32>> {
+        self.images.iter().map(|image| image.time.map(day_of)).collect()
+    }
+
     /// The pixels of the crops.
     pub fn rasters(&self) -> Vec<Raster> {
         let crops = self.images.iter().zip(&self.crops);
@@ -82,11 +92,11 @@ impl<'a> Ground<'a> {
     /// pixel pass; they are known to show nothing.
     ///
     /// # Errors
-    /// [`FitError::NoContrast`] for the first such image.
-    pub(super) fn check_contrast(&self, rasters: &[Raster]) -> Result<(), FitError> {
+    /// [`SatelliteError::NoContrast`] for the first such image.
+    pub(super) fn check_contrast(&self, rasters: &[Raster]) -> Result<(), SatelliteError> {
         let flat = self.images.iter().zip(rasters).find(|(_, raster)| is_flat(raster));
         flat.map_or(Ok(()), |(image, _)| {
-            Err(FitError::NoContrast {
+            Err(SatelliteError::NoContrast {
                 image: image.path.clone(),
             })
         })

@@ -1,5 +1,6 @@
 //! What a run is worth: images, shadows and surface against what the scene knows of the truth.
 
+use super::clouds;
 use super::error::SatelliteError;
 use super::fit::Fitted;
 use super::relit;
@@ -315,7 +316,7 @@ fn draw(
 
 /// Writes the surface that training started from, by which later the model's own knows how sure the sweep was.
 pub(super) fn write_start(run: &Path, fitted: &Fitted, model: &LoadedModel) -> Result<Dsm, SatelliteError> {
-    let start = of_surface(&model.into(), &fitted.surface, model.file.gsd_m, None)?;
+    let start = of_surface(&model.into(), &fitted.found.surface, model.file.gsd_m, None)?;
     start.write(&run.join(START))?;
     Ok(start)
 }
@@ -346,32 +347,29 @@ pub fn surface_metrics(evaluation: &DsmEvaluation) -> Value {
 
 /// Adds what only the fit knows.
 pub(super) fn add_fit(metrics: &mut Value, fitted: &Fitted, model: &LoadedModel, seconds: f64) {
-    let [align, sweep, start, train] = fitted.seconds;
+    let Fitted { trained, found, .. } = fitted;
+    let ([align, sweep], [start, train]) = (found.seconds, fitted.seconds);
+    let clouded: Vec<f64> = found.clouds.iter().map(|mask| clouds::share(mask)).collect();
     metrics["seconds"] = json!(seconds);
     metrics["stages_s"] = json!({
         "align": align,
         "sweep": sweep,
         "start": start,
-        "trials": fitted.trials.seconds,
         "train": train,
     });
-    metrics["iterations"] = json!(fitted.early_stop.steps);
-    metrics["best_iteration"] = json!(fitted.early_stop.best_step);
-    metrics["rejected_steps"] = json!(fitted.rejected);
+    metrics["iterations"] = json!(trained.early_stop.steps);
+    metrics["best_iteration"] = json!(trained.early_stop.best_step);
+    metrics["rejected_steps"] = json!(trained.rejected);
     metrics["gaussians"] = json!(model.parameters.gaussians.count);
     metrics["peak_rss_bytes"] = json!(peak_rss_bytes());
     metrics["memory_estimate_bytes"] = json!(fitted.memory_estimate);
-    if let Some(seconds) = fitted.time_estimate_s {
-        metrics["time_estimate_s"] = json!(seconds);
-    }
-    metrics["shifts_px"] = json!(fitted.shifts_px);
-    metrics["clouded"] = json!(fitted.clouded);
-    if let Some(lowered) = fitted.lowered {
+    metrics["shifts_px"] = json!(found.shifts_px);
+    metrics["clouded"] = json!(clouded);
+    if let Some(lowered) = found.lowered {
         metrics["lowered"] = json!(lowered);
     }
     metrics["plan"] = json!(fitted.decisions.items);
-    metrics["trials"] = json!(fitted.trials);
-    metrics["curve"] = json!(fitted.curve);
+    metrics["curve"] = json!(trained.curve);
 }
 
 /// The main numbers for people.

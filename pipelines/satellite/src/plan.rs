@@ -2,25 +2,22 @@
 //!
 //! [`Decisions::of`] looks at what is known then (views, dates, suns, bands, baselines, clipped values) and returns one value, which the
 //! plane sweep, the start and the trainer consume. `inspect` prints that value with its reasons, and `run.toml` keeps it. What is
-//! set by hand stays as it is. Components whose worth only the images can tell are [`open`](Decisions::open) until short fits on the start have
-//! measured it; until then they are off.
+//! set by hand stays as it is.
 
 mod index;
 mod light;
-mod measured;
 
 use index::Index;
 pub use light::Light;
-pub use measured::PlanTrial;
 
 use super::config::{Align, SatelliteConfig, THRESHOLD_PX};
 use super::ground::Ground;
-use super::shadow_prior::ENOUGH_VIEWS;
-use super::trial::Component;
+use heliosplat_radiometry::shadow_prior::ENOUGH_VIEWS;
+use heliosplat_radiometry::suns::ShadowSun;
 use heliosplat_scene::{ImageSun, Scene, SceneImage, SunSource};
 use heliosplat_scene::{crop, saturation};
+use heliosplat_stereo::change::dividing_days;
 use heliosplat_stereo::clouds::FEWEST_VIEWS;
-use heliosplat_stereo::suns::ShadowSun;
 use heliosplat_stereo::{FEW_VIEWS, MatchingFacts, MatchingParameters, no_match_weight};
 
 /// What is decided about a scene.
@@ -34,6 +31,8 @@ pub struct Decisions {
     pub image_colour: bool,
     /// Clouds are searched and left out.
     pub clouds: bool,
+    /// Ground that changed between the images is searched.
+    pub change: bool,
     /// Clipped values count as lower bounds.
     pub saturation: bool,
     /// The sun-visibility prior guides training.
@@ -48,8 +47,6 @@ pub struct Decisions {
     pub sh_degree: usize,
     /// Weight of the shadow opaqueness loss.
     pub opaqueness_weight: f32,
-    /// Components that short fits have still to decide.
-    pub open: Vec<Component>,
     /// Parameters of the plane sweep; `None` where no two images show the common ground.
     pub matching: Option<MatchingParameters>,
     /// The same in words, with reasons.
@@ -66,9 +63,6 @@ pub struct PlanItem {
     pub on: bool,
     /// Why, in one line.
     pub reason: String,
-    /// What short fits with and without it said, where there were any.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub trial: Option<PlanTrial>,
 }
 
 /// What the plan is made from.
@@ -79,6 +73,8 @@ struct Facts {
     suns: usize,
     /// Lowest and highest of these, degrees.
     suns_deg: (f64, f64),
+    /// Days that divide the images with enough of them on either side for two surfaces; `None` where an image has no date.
+    dividing_days: Option<usize>,
     /// What the plane sweep's matching parameters are chosen from; `None` where no two images show the common ground.
     matching: Option<MatchingFacts>,
     /// The vegetation index, if there is one.
@@ -107,12 +103,20 @@ impl Facts {
                 elevations().fold(f64::INFINITY, f64::min),
                 elevations().fold(f64::NEG_INFINITY, f64::max),
             ),
+            dividing_days: ground
+                .as_ref()
+                .map_or(Some(Vec::new()), Ground::days)
+                .map(|days| dividing_days(&days).len()),
             matching: ground.map(|ground| ground.matching_facts(config.start.cell_gsd * scene.gsd_m)),
             index,
             clipped: images.iter().map(|image| saturation::share(&image.pixels)).sum::<f64>()
                 / images.len().max(1) as f64,
             residual_px: images.iter().map(|image| image.pinhole.max_px).fold(0.0, f64::max),
         }
+    }
+
+    fn is_divided(&self) -> bool {
+        self.dividing_days.is_some_and(|days| days > 0)
     }
 }
 
@@ -133,15 +137,15 @@ impl Decisions {
             light,
             image_colour: model.image_colour.unwrap_or(facts.dates > 1),
             clouds: model.clouds.unwrap_or(facts.images >= FEWEST_VIEWS),
+            change: model.change.unwrap_or(facts.is_divided()),
             saturation: model.saturation.unwrap_or(facts.clipped > 0.0),
             shadow_prior: model.shadow_prior.unwrap_or(facts.images < ENOUGH_VIEWS),
             vegetation_index: facts.index.is_there() && facts.images >= 2,
             align: config.cameras.align,
             only_known_suns: false,
-            near_light: model.near_light.unwrap_or(false),
-            sh_degree: model.sh_degree.unwrap_or(0),
+            near_light: model.near_light,
+            sh_degree: model.sh_degree,
             opaqueness_weight: model.opaqueness_weight,
-            open: measured::open(model),
             matching: facts.matching.as_ref().map(MatchingParameters::choose),
             items: Vec::new(),
         };
@@ -155,10 +159,9 @@ impl Decisions {
         let model = &mut config.model;
         model.image_colour = Some(self.image_colour);
         model.clouds = Some(self.clouds);
+        model.change = Some(self.change);
         model.saturation = Some(self.saturation);
         model.shadow_prior = Some(self.shadow_prior);
-        model.near_light = Some(self.near_light);
-        model.sh_degree = Some(self.sh_degree);
         config
     }
 
@@ -192,8 +195,6 @@ impl Decisions {
             );
             decisions.shadow_prior = false;
             decisions.opaqueness_weight = 0.0;
-            // Nothing is known to lie in shadow.
-            decisions.open.retain(|&component| component == Component::Harmonics);
         }
         decisions
     }
@@ -209,7 +210,6 @@ impl Decisions {
             component: component.into(),
             on,
             reason,
-            trial: None,
         };
         // What was set by hand wins over what the facts say, and the plan says so.
         let decided = |component: &str, on: bool, set: Option<bool>, by_facts: bool, reason: String| {
@@ -247,6 +247,19 @@ impl Decisions {
                     )
                 } else {
                     format!("{images} views cannot say which of them shows a cloud")
+                },
+            ),
+            decided(
+                "model.change",
+                self.change,
+                config.model.change,
+                facts.is_divided(),
+                match facts.dividing_days {
+                    None => "an image has no date: what stood before it and after it cannot be told".into(),
+                    Some(0) => "no day has two images on either side, as many as a surface needs".into(),
+                    Some(days) => format!(
+                        "{days} day(s) with two or more images on either side: ground that was built on or torn down is searched"
+                    ),
                 },
             ),
             decided(
@@ -318,7 +331,6 @@ fn matching_items(facts: Option<MatchingFacts>, parameters: Option<MatchingParam
         component: component.into(),
         on,
         reason,
-        trial: None,
     };
     let components = ["start.many_views", "start.cost_aggregation"];
     let (Some(facts), Some(parameters)) = (facts, parameters) else {
@@ -383,12 +395,13 @@ fn pointing_reason(align: Align) -> String {
 mod tests {
     use super::*;
 
-    pub(super) fn facts(images: usize, dates: usize) -> Facts {
+    fn facts(images: usize, dates: usize) -> Facts {
         Facts {
             images,
             dates,
             suns: images,
             suns_deg: (35.0, 60.0),
+            dividing_days: Some(dates.saturating_sub(1)),
             matching: Some(MatchingFacts {
                 views: images as f32,
                 combined_base_to_height: 0.4,
@@ -490,6 +503,21 @@ mod tests {
     }
 
     #[test]
+    fn change_is_searched_where_dates_can_tell_it_unless_it_is_set_otherwise() {
+        let mut config = SatelliteConfig::default();
+        assert!(on(&facts(12, 6), &config, "model.change"));
+        assert!(!on(&facts(12, 1), &config, "model.change"));
+        let dateless = Facts {
+            dividing_days: None,
+            ..facts(12, 6)
+        };
+        assert!(!on(&dateless, &config, "model.change"));
+        config.model.change = Some(false);
+        assert!(!on(&facts(12, 6), &config, "model.change"));
+        assert!(reason(&facts(12, 6), &config, "model.change").starts_with("set so"));
+    }
+
+    #[test]
     fn what_was_set_stays_and_says_so() {
         let mut config = SatelliteConfig::default();
         config.model.shadow_prior = Some(true);
@@ -502,7 +530,7 @@ mod tests {
     fn the_degree_of_albedo_is_said() {
         let mut config = SatelliteConfig::default();
         assert!(!on(&facts(9, 3), &config, "model.sh_degree"));
-        config.model.sh_degree = Some(2);
+        config.model.sh_degree = 2;
         let items = Decisions::from_facts(&facts(9, 3), &config).items;
         let degree = items.iter().find(|item| item.component == "model.sh_degree");
         assert!(degree.is_some_and(|item| item.on && item.reason.ends_with("degree 2")));

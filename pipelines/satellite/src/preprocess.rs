@@ -4,21 +4,20 @@ use super::adjust::{self, AdjustInput};
 use super::altitude;
 use super::clouds;
 use super::config::{Align, SatelliteConfig, THRESHOLD_PX};
-use super::error::{FitError, SatelliteError};
+use super::error::SatelliteError;
 use super::ground::Ground;
 use super::limits::AtLimits;
 use super::plan::Decisions;
-use super::trial::Trials;
 use heliosplat::Raster;
 use heliosplat::timeline::stage;
-use heliosplat_products::change::day_of;
+use heliosplat_radiometry::bridged::{self, Lowered};
+use heliosplat_radiometry::change;
+use heliosplat_radiometry::suns::ShadowSun;
 use heliosplat_rpc::RpcError;
 use heliosplat_rpc::adjust::BiasModel;
 use heliosplat_scene::{AltitudeSource, ImageSun, IngestOptions, Scene};
 use heliosplat_session::Session;
-use heliosplat_stereo::bridged::{self, Lowered};
-use heliosplat_stereo::change::{self, Changes};
-use heliosplat_stereo::suns::ShadowSun;
+use heliosplat_stereo::change::Changes;
 use heliosplat_stereo::{MatchingParameters, PlaneSweepRequest, Surface, SweepView, plane_sweep};
 use std::path::Path;
 use std::time::Instant;
@@ -41,8 +40,6 @@ pub struct Preprocessed {
     pub clouds: Vec<Vec<bool>>,
     /// What shadows say of the suns of the scene's images, in the scene's order, where these are not known.
     pub shadow_suns: Vec<Option<ShadowSun>>,
-    /// What short fits on the start said; `None` before they were made.
-    pub trials: Option<Trials>,
     /// Seconds spent on alignment and on the sweep.
     pub seconds: [f64; 2],
 }
@@ -57,17 +54,17 @@ impl<'a> Preprocess<'a> {
     /// Finds it out.
     ///
     /// # Errors
-    /// [`FitError::TooFewViews`] when too few images show the common ground, [`FitError::NoContrast`] when one of them shows nothing there.
+    /// [`SatelliteError::TooFewViews`] when too few images show the common ground, [`SatelliteError::NoContrast`] when one of them shows nothing there.
     pub(super) fn new(
         scene: &'a Scene,
         config: &SatelliteConfig,
         decisions: &Decisions,
         session: &Session,
-    ) -> Result<Self, FitError> {
+    ) -> Result<Self, SatelliteError> {
         let started = Instant::now();
         let ground = Ground::new(scene, scene.training())?;
         let images = ground.images.len();
-        let matching = decisions.matching.ok_or(FitError::TooFewViews { images })?;
+        let matching = decisions.matching.ok_or(SatelliteError::TooFewViews { images })?;
         let request = ground.request(config.start.cell_gsd * scene.gsd_m, matching);
         tracing::debug!(parameters = ?matching, "matching");
         let part = stage("clouds");
@@ -104,7 +101,6 @@ impl<'a> Preprocess<'a> {
             shifts_px,
             clouds,
             shadow_suns: vec![None; scene.images.len()],
-            trials: None,
             seconds,
         };
         Ok(Self { ground, found })
@@ -155,7 +151,7 @@ impl<'a> Preprocess<'a> {
     ///
     /// # Errors
     /// As [`Self::new`].
-    pub(super) fn again(scene: &'a Scene, found: Preprocessed) -> Result<Option<Self>, FitError> {
+    pub(super) fn again(scene: &'a Scene, found: Preprocessed) -> Result<Option<Self>, SatelliteError> {
         let ground = Ground::new(scene, scene.training())?;
         let images = ground.images.len();
         let mut masks = found.clouds.iter().zip(&ground.crops);
@@ -220,7 +216,7 @@ fn views<'r>(
     views
 }
 
-/// What changed between the images; `surface` becomes that of the last. Without the time of every image it cannot be told.
+/// What changed between the images, where it is to be searched; `surface` becomes that of the last.
 fn changes(
     ground: &Ground,
     rasters: &[Raster],
@@ -229,19 +225,17 @@ fn changes(
     request: &PlaneSweepRequest,
     surface: &mut Surface,
 ) -> Changes {
-    let days: Option<Vec<i32>> = ground.images.iter().map(|image| image.time.map(day_of)).collect();
-    let Some(days) = days else { return Changes::default() };
+    let Some(days) = ground.days().filter(|_| decisions.change) else {
+        return Changes::default();
+    };
     let indices = indices(ground, rasters, decisions);
     let begun = Instant::now();
     let changes = change::find(&views(ground, rasters, &indices, shifts_px), &days, request, surface);
-    match changes.days.is_empty() {
-        true => tracing::info!("change between the images cannot be told: no day has two of them on either side"),
-        false => tracing::info!(
-            "{} segments changed between the images ({:.1} s)",
-            changes.segments.len(),
-            begun.elapsed().as_secs_f64()
-        ),
-    }
+    tracing::info!(
+        "{} segments changed between the images ({:.1} s)",
+        changes.segments.len(),
+        begun.elapsed().as_secs_f64()
+    );
     changes
 }
 
@@ -270,8 +264,8 @@ pub(super) fn say_lowered(lowered: &Lowered) {
 /// The surface that all views of `scene` find together, without training.
 ///
 /// # Errors
-/// [`FitError::TooFewViews`] when too few images show the common ground.
-pub fn sweep_only(scene: &Scene, config: &SatelliteConfig, session: &Session) -> Result<Surface, FitError> {
+/// [`SatelliteError::TooFewViews`] when too few images show the common ground.
+pub fn sweep_only(scene: &Scene, config: &SatelliteConfig, session: &Session) -> Result<Surface, SatelliteError> {
     let decisions = Decisions::of(scene, config);
     Preprocess::new(scene, config, &decisions, session).map(|swept| swept.found.surface)
 }
@@ -280,7 +274,7 @@ pub fn sweep_only(scene: &Scene, config: &SatelliteConfig, session: &Session) ->
 /// the surface touches its limits; one that was stated is kept, which is a warning.
 ///
 /// # Errors
-/// As [`Scene::open`], and [`FitError::TooFewViews`].
+/// As [`Scene::open`], and [`SatelliteError::TooFewViews`].
 pub fn open_and_sweep(
     path: &Path,
     options: &IngestOptions,

@@ -80,7 +80,7 @@ pub fn model_images(scene: &Scene, fitted: &Fitted, margin_m: f64) -> Vec<ModelI
                     .position(|name| appearance.is_none() && date_of(name) == date_of(&image.name)),
                 map: image.pinhole.map,
                 crop: Crop::of(image, &area, up_m)?,
-                shift_px: appearance.map_or([0.0; 2], |a| fitted.shifts_px[a]),
+                shift_px: appearance.map_or([0.0; 2], |a| fitted.found.shifts_px[a]),
                 known: appearance.and_then(|a| fitted.known[a].clone()),
                 sun: sun.position,
                 sun_sigma_deg: sun.sigma_deg,

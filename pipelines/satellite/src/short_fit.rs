@@ -4,19 +4,17 @@
 //! the images have them: shadows and dark ground agree better on it by half (docs/lab/suns.md).
 
 use super::beginning::{self, Beginning, SKY};
-use super::config::SatelliteConfig;
-use super::error::FitError;
-use super::plan::Decisions;
+use super::error::SatelliteError;
+use super::fit::FitRequest;
 use super::preprocess::Preprocess;
-use super::{linear, radiometry, suns};
+use super::suns;
 use heliosplat::ProjectiveCamera;
 use heliosplat::splat::ProjectionOptions;
 use heliosplat::timeline::stage;
 use heliosplat::train::Trainer;
 use heliosplat_products::dsm;
 use heliosplat_products::surface::SurfaceGaussians;
-use heliosplat_scene::Scene;
-use heliosplat_session::Session;
+use heliosplat_radiometry::{colours, linear};
 
 /// Steps: those of the preset `fast`.
 const STEPS: usize = 40;
@@ -26,19 +24,19 @@ const FEWEST_KNOWN: usize = 4;
 /// Altitudes of such a model on the cells of the swept surface, metres; NaN where it has none.
 ///
 /// # Errors
-/// [`FitError`] when training gives up or does not fit into `memory` bytes.
-pub(super) fn altitudes(
-    scene: &Scene,
-    config: &SatelliteConfig,
-    decisions: &Decisions,
-    swept: &Preprocess,
-    memory: Option<u64>,
-    session: &Session,
-) -> Result<Vec<f32>, FitError> {
+/// [`SatelliteError`] when training gives up or does not fit into the memory that is given.
+pub(super) fn altitudes(request: &FitRequest, swept: &Preprocess) -> Result<Vec<f32>, SatelliteError> {
     let _part = stage("short fit");
+    let &FitRequest {
+        scene,
+        config,
+        memory,
+        session,
+        ..
+    } = request;
     tracing::info!("a short fit: shadows say more of suns on its surface than on the swept one");
     let Preprocess { ground, found } = swept;
-    let (suns, decisions) = suns::decided(scene, ground, &found.shadow_suns, decisions);
+    let (suns, decisions) = suns::decided(scene, ground, &found.shadow_suns, request.decisions);
     let Beginning {
         model,
         mut parameters,
@@ -46,10 +44,9 @@ pub(super) fn altitudes(
     } = Beginning::new(ground, found, &suns, &decisions, config)?;
     let mut options = beginning::train_options(config, scene, views.len());
     options.iterations = options.iterations.min(STEPS);
-    options.holdout = 0.0;
     options.patience = 0;
     beginning::fit_into_memory(memory, scene, &parameters, &views, config, &mut options)?;
-    radiometry::initialise(&model, &mut parameters, &mut views, SKY);
+    colours::initialise(&model, &mut parameters, &mut views, SKY);
     linear::begin(&model, &mut parameters, &views);
     if views.iter().filter(|view| view.light.is_some()).count() >= FEWEST_KNOWN {
         beginning::keep_known_suns(&mut views);

@@ -5,10 +5,10 @@ use super::ground::Ground;
 use super::plan::Decisions;
 use super::preprocess::Preprocess;
 use heliosplat::timeline::stage;
+use heliosplat_radiometry::suns::{ShadowSun, find_suns};
 use heliosplat_rpc::sun::SunPosition;
 use heliosplat_scene::{ImageSun, Scene, SceneImage};
 use heliosplat_stereo::Surface;
-use heliosplat_stereo::suns::{ShadowSun, find_suns};
 
 /// Finds out what the shadows on the swept surface say of the suns that are unknown, image by image of the scene, those held out too; `None`
 /// where a sun is known, or nothing can be said.

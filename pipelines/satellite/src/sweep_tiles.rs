@@ -5,7 +5,7 @@
 //! ground cells, on each level of the search.
 
 use super::config::SatelliteConfig;
-use super::error::{FitError, SatelliteError};
+use super::error::SatelliteError;
 use super::ground::{MARGIN_M, volume};
 use super::sweep_memory::{SweepExtent, SweepModel};
 use heliosplat_raster::{Crs, CrsTransform, GridSpec};
@@ -77,7 +77,7 @@ impl SweepPlan {
     /// The plan of a scene within `limit` bytes, if there is a limit.
     ///
     /// # Errors
-    /// [`FitError::SweepMemory`] where no tiles fit.
+    /// [`SatelliteError::SweepMemory`] where no tiles fit.
     pub fn of(
         survey: &Survey,
         config: &SatelliteConfig,
@@ -112,12 +112,11 @@ impl SweepPlan {
             }
             let (high, wide) = (cutter.grid.height / rows, cutter.grid.width / cols);
             if high.max(wide) / 2 < LEAST_CORE {
-                return Err(FitError::SweepMemory {
+                return Err(SatelliteError::SweepMemory {
                     needed_gib: peak_bytes / f64::from(1 << 30),
                     limit_gib: limit / f64::from(1 << 30),
                     levels: cutter.model.levels,
-                }
-                .into());
+                });
             }
             if high >= wide {
                 rows += 1;

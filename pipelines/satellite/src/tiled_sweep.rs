@@ -7,23 +7,23 @@
 
 use super::altitude::ROUNDS;
 use super::config::{Align, SatelliteConfig};
-use super::error::{FitError, SatelliteError};
+use super::error::SatelliteError;
 use super::ground::{Ground, volume};
 use super::limits::AtLimits;
 use super::plan::Decisions;
 use super::preprocess::{clear_rasters, lower, say_lowered, shifts_of_ties, sweep, worth_correcting};
 use super::sweep_tiles::{ROWS_AT_ONCE, SweepPlan, SweepTile, SweepTiling};
 use heliosplat::timeline::stage;
+use heliosplat_grid::statistics::upper_median;
 use heliosplat_products::blend::Piece;
 use heliosplat_products::dsm;
 use heliosplat_products::nadir::{NadirGrid, Place};
 use heliosplat_products::stored::{StoredPiece, blend_rows};
+use heliosplat_radiometry::bridged::Lowered;
 use heliosplat_raster::temporary::TemporaryFolder;
-use heliosplat_rpc::statistics::upper_median;
 use heliosplat_scene::survey::Survey;
 use heliosplat_scene::{Area, IngestOptions, Scene, SceneError};
 use heliosplat_session::Session;
-use heliosplat_stereo::bridged::Lowered;
 use heliosplat_stereo::change::Changes;
 use heliosplat_stereo::{MatchingParameters, PlaneSweepRequest};
 use std::collections::BTreeMap;
@@ -110,7 +110,7 @@ impl TiledSweep<'_> {
             progress.set(index as u64 + 1);
         }
         if pieces.is_empty() {
-            return Err(FitError::TooFewViews { images: 0 }.into());
+            return Err(SatelliteError::TooFewViews { images: 0 });
         }
         say_lowered(&lowered);
         if let Some(warning) = at_limits.warning(self.survey.altitude_range_m) {
@@ -238,7 +238,7 @@ impl TiledSweep<'_> {
             }
         }
         let Some((_, decisions, matching)) = found else {
-            return Err(FitError::TooFewViews { images: 0 }.into());
+            return Err(SatelliteError::TooFewViews { images: 0 });
         };
         if told.is_empty() && decisions.align != Align::Off {
             tracing::warn!("cameras are believed, because ties do not tell");

@@ -1,15 +1,13 @@
 //! A satellite training from a scene to a finished run, stage by stage:
 //!
 //! read (the caller's [`Scene`]) → decide ([`Decisions`]) → start ([`preprocess`](crate::preprocess), `initial`) →
-//! fit ([`fit`]) → save ([`run_file`]) → products (`dsm.tif`) → evaluate ([`measure`]).
+//! fit ([`FitRequest`]) → save ([`run_file`]) → products (`dsm.tif`) → evaluate ([`measure`]).
 //! The page of the run is the caller's again, who has the pictures.
 
 use crate::config::SatelliteConfig;
 use crate::error::SatelliteError;
-use crate::estimate::{Estimate, estimate};
-use crate::fit::{self, Fitted, Limits};
+use crate::fit::{FitRequest, Fitted};
 use crate::ground::MARGIN_M;
-use crate::linear;
 use crate::measure;
 use crate::plan::Decisions;
 use crate::run_file::{self, RunFile};
@@ -21,19 +19,18 @@ use heliosplat_fitting::checkpoint::digest;
 use heliosplat_fitting::program::{build, identity_of_program};
 use heliosplat_fitting::request::{TrainOutcome, TrainRequest, TrainedRun};
 use heliosplat_fitting::run_folder::{Input, Opened, RunFolder, RunRequest, hash, hash_of_pixels};
-use heliosplat_fitting::settings::Preset;
 use heliosplat_fitting::training::Ending;
 use heliosplat_products::change::ChangeMap;
 use heliosplat_products::dsm::{self, Dsm};
 use heliosplat_products::model::{LoadedModel, ModelChanges, ModelFile, SCHEMA};
 use heliosplat_products::nadir::NadirGrid;
+use heliosplat_radiometry::linear;
 use heliosplat_raster::{Crs, RasterError, is_virtual, preview};
 use heliosplat_scene::{AltitudeSource, IngestOptions, Scene, SceneImage, Values};
 use heliosplat_session::Session;
 use rayon::prelude::*;
 use std::fmt::Write;
 use std::path::Path;
-use std::time::Duration;
 
 /// Trains a model of `scene` and writes its run: model, configuration, DSM, and where there is truth its errors. `ingest` is how the
 /// scene was read, which the run keeps.
@@ -71,22 +68,25 @@ pub fn train(
         checkpoint,
         closing,
     } = folder;
-    let limits = Limits {
-        begun,
+    // Start and fit.
+    let fit = FitRequest {
+        scene,
+        config: &config,
+        decisions: &decisions,
         budget,
         memory: request.memory,
+        session,
     };
-    // Start and fit.
-    let fitted = fit::fit(scene, &config, &decisions, session, &limits, checkpoints, checkpoint);
-    let mut fitted = match fitted {
+    let mut fitted = match fit.run(checkpoints, checkpoint) {
         Ok(fitted) => fitted,
         Err(error) => {
             closing.discard();
-            return Err(error.into());
+            return Err(error);
         }
     };
-    if fitted.ending == Ending::Interrupted {
-        fitted.ending.check(&request.out)?;
+    let ending = fitted.trained.ending.clone();
+    if ending == Ending::Interrupted {
+        ending.check(&request.out)?;
     }
     // Save.
     let part = stage("save");
@@ -104,11 +104,11 @@ pub fn train(
         inputs,
         config: fitted.decisions.resolved(&config),
     };
-    run_file::save(&request.out, &run, &file, &fitted.parameters.gaussians)?;
+    run_file::save(&request.out, &run, &file, &fitted.trained.parameters.gaussians)?;
     let whole = LoadedModel {
         folder: request.out.clone(),
         model: fitted.model.clone(),
-        parameters: std::mem::take(&mut fitted.parameters),
+        parameters: std::mem::take(&mut fitted.trained.parameters),
         file,
         frame: scene.frame,
     };
@@ -135,11 +135,11 @@ pub fn train(
     drop(part);
     measure::add_fit(&mut metrics, &fitted, &model, begun.elapsed().as_secs_f64());
     metrics["timeline"] = serde_json::to_value(timeline::take()).unwrap_or_default();
-    let lock = closing.finish(&mut metrics, &fitted.ending)?;
+    let lock = closing.finish(&mut metrics, &ending)?;
     Ok(TrainOutcome::Trained(Box::new(TrainedRun {
         model,
         metrics,
-        ending: fitted.ending,
+        ending,
         lock,
     })))
 }
@@ -190,7 +190,7 @@ fn identity(
         text,
         "--time-budget {time_budget:?}\n--memory {memory:?}\nseed = {seed}\n{config}"
     );
-    let _ = writeln!(text, "measured {:?}\nmatching {:?}", decisions.open, decisions.matching);
+    let _ = writeln!(text, "matching {:?}", decisions.matching);
     let _ = writeln!(text, "area {:?}\naltitudes {:?}", scene.area, scene.altitude_range_m);
     for (image, input) in scene.images.iter().zip(inputs) {
         let SceneImage {
@@ -220,12 +220,13 @@ fn reference_values(scene: &Scene, fitted: &Fitted) -> Values {
 }
 
 fn model_file(scene: &Scene, fitted: &Fitted) -> ModelFile {
+    let changes = &fitted.found.changes;
     ModelFile {
         schema: SCHEMA,
         model: "shadow_gs".into(),
         gaussians_sha256: None,
         options: fitted.model.options.clone(),
-        globals: fitted.parameters.globals.clone(),
+        globals: fitted.trained.parameters.globals.clone(),
         origin: scene.origin(),
         altitude_range_m: scene.altitude_range_m,
         area: scene.area,
@@ -236,49 +237,9 @@ fn model_file(scene: &Scene, fitted: &Fitted) -> ModelFile {
         values: reference_values(scene, fitted),
         daylight: fitted.daylight.clone(),
         images: run_file::model_images(scene, fitted, MARGIN_M),
-        changes: (!fitted.changes.days.is_empty()).then(|| ModelChanges {
-            days: fitted.changes.days.clone(),
-            segments: fitted.changes.segments.clone(),
+        changes: (!changes.days.is_empty()).then(|| ModelChanges {
+            days: changes.days.clone(),
+            segments: changes.segments.clone(),
         }),
     }
-}
-
-/// The configuration of `preset` with what was `set`; without a preset but with a limit of time, of the most accurate preset that
-/// fits into it on this machine.
-///
-/// # Errors
-/// [`SatelliteError::Config`] for a setting that does not fit, [`SatelliteError::TimeBudget`] for a limit within which training would
-/// not even begin.
-pub fn configure(
-    scene: &Scene,
-    preset: Option<Preset>,
-    set: &[(String, String)],
-    seed: u64,
-    time_budget: Option<Duration>,
-) -> Result<(Preset, SatelliteConfig, Estimate), SatelliteError> {
-    let slowness = crate::estimate::slowness();
-    let resolve = |preset: Preset| -> Result<_, SatelliteError> {
-        let config = SatelliteConfig::resolve(preset, set, seed)?;
-        let estimate = estimate(scene, &config, slowness);
-        Ok((preset, config, estimate))
-    };
-    let Some(limit) = time_budget else {
-        return resolve(preset.unwrap_or_default());
-    };
-    let limit_s = limit.as_secs_f64();
-    let mut chosen = resolve(preset.unwrap_or(Preset::Preview))?;
-    if preset.is_none() {
-        for preset in Preset::ALL {
-            let (_, config, estimate) = resolve(preset)?;
-            if estimate.seconds + estimate.suns_s <= limit_s {
-                chosen = (preset, config, estimate);
-                break;
-            }
-        }
-    }
-    let start_s = chosen.2.start_s;
-    if start_s > limit_s {
-        return Err(SatelliteError::TimeBudget { limit, start_s });
-    }
-    Ok(chosen)
 }

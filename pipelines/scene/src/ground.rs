@@ -10,8 +10,8 @@ use super::{
     weak_times,
 };
 use heliosplat::Raster;
+use heliosplat_grid::statistics::upper_median;
 use heliosplat_raster::Window;
-use heliosplat_rpc::statistics::upper_median;
 use heliosplat_rpc::{ImageWindow, LocalFrame, PinholeFit, Rpc};
 use nalgebra::Vector3;
 use rayon::prelude::*;

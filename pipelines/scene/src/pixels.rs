@@ -6,8 +6,8 @@ use super::manifest::Counts;
 use super::{BandKind, SceneError, Values, saturation};
 use heliosplat::Raster;
 use heliosplat::shade::display;
+use heliosplat_grid::statistics::quantile;
 use heliosplat_raster::{RasterFile, Window};
-use heliosplat_rpc::statistics::quantile;
 use rayon::prelude::*;
 
 /// The share of values below the scene's unit: the brightest glints lie above 1.

@@ -2,10 +2,10 @@
 
 use super::census::{self, COMPARISONS, Descriptors, RADIUS};
 use super::cost::CONTRAST_LIMIT;
-use super::grid::Grid;
 use super::level::{LevelView, PixelPlane};
 use super::pairs::Pair;
 use super::visibility::FirstHits;
+use heliosplat_grid::Grid;
 use rayon::prelude::*;
 use std::ops::Range;
 

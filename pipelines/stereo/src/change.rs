@@ -14,10 +14,8 @@
 //! own, so what changed before the second or after the last but one image cannot be told.
 
 mod segments;
-mod shadows;
 
 use super::agreement::OnSurface;
-use super::grid::Grid;
 use super::level::LevelView;
 use super::ortho::box_mean;
 use super::pairs::Pair;
@@ -30,10 +28,12 @@ use super::surface::Surface;
 use super::views::{SweepView, ViewGeometry};
 use super::visibility::{FirstHits, Standing};
 use super::volume::SearchVolume;
+use heliosplat_grid::Grid;
 use rayon::prelude::*;
+pub use segments::States;
 use segments::{CoarseSegment, Side};
-use shadows::{Shadows, States};
 use std::cell::LazyCell;
+use std::collections::BTreeMap;
 
 /// Cells of the request per cell on which change is searched.
 const COARSE: usize = 2;
@@ -85,7 +85,7 @@ pub struct Changes {
     /// The parts that changed.
     pub segments: Vec<Segment>,
     /// For each cell the place of its segment plus one, 0 where nothing changed.
-    pub label: Vec<u16>,
+    pub label: Vec<u32>,
     /// Altitude of each cell before it changed, metres; that of the last state where nothing did.
     pub before_m: Vec<f32>,
     /// Days on which images could be divided, days since 1970; empty where change cannot be told.
@@ -95,7 +95,7 @@ pub struct Changes {
 impl Changes {
     /// The segment of a cell.
     pub fn at(&self, cell: usize) -> Option<&Segment> {
-        let label = usize::from(*self.label.get(cell)?);
+        let label = *self.label.get(cell)? as usize;
         self.segments.get(label.checked_sub(1)?)
     }
 }
@@ -111,7 +111,16 @@ struct Split {
 
 /// Divides `surface`, which was swept from all `views`, in what stands before and after a day where the images ask for it; `days` are those
 /// of the views, days since 1970. Where anything changed `surface` becomes that of the last day.
-pub fn find(views: &[SweepView], days: &[i32], request: &PlaneSweepRequest, surface: &mut Surface) -> Changes {
+///
+/// `by_shadows` is given the cells on which change is searched and the altitudes of the surface there, metres; its answer is how much more
+/// likely two states make the shadows around a segment than one, a logarithm, `None` where no date shows ground that tells.
+pub fn find<L: Fn(&States) -> Option<f32>>(
+    views: &[SweepView],
+    days: &[i32],
+    request: &PlaneSweepRequest,
+    surface: &mut Surface,
+    by_shadows: impl FnOnce(&Grid, &[f32]) -> L,
+) -> Changes {
     let candidates = dividing_days(days);
     if candidates.is_empty() {
         return Changes::default();
@@ -121,9 +130,10 @@ pub fn find(views: &[SweepView], days: &[i32], request: &PlaneSweepRequest, surf
     let grid = coarse.grid();
     let splits = splits(views, days, &candidates, &coarse, surface);
     // Measured only if a candidate asks for it.
-    let shadows = LazyCell::new(|| Shadows::new(views, days, &grid, &on_grid(&grid, surface)));
-    let by_shadows = |states: &States| shadows.likelihood(states);
-    let found = segments::find(&grid, &splits, &shown(views, &grid, surface), &by_shadows);
+    let by_shadows = LazyCell::new(|| by_shadows(&grid, &on_grid(&grid, surface)));
+    let found = segments::find(&grid, &splits, &shown(views, &grid, surface), &|states: &States| {
+        by_shadows(states)
+    });
     let mut changes = Changes {
         segments: Vec::new(),
         label: vec![0; surface.altitude.len()],
@@ -160,64 +170,37 @@ pub fn find(views: &[SweepView], days: &[i32], request: &PlaneSweepRequest, surf
 impl Changes {
     /// Adds a segment on the cells of `surface`: those around it where the surfaces of the two `sides` differ as it does.
     fn refine(&mut self, segment: &CoarseSegment, grid: &Grid, sides: &[Surface; 2], surface: &mut Surface) {
-        let label = self.segments.len() as u16 + 1;
-        let (width, height) = (surface.width, surface.height);
-        let mut near = vec![f32::NAN; surface.altitude.len()];
-        let mut old = near.clone();
-        for (&cell, altitudes) in segment.cells.iter().zip(&segment.altitudes_m) {
-            let (col, row) = (cell % grid.width * COARSE, cell / grid.width * COARSE);
-            let span = |at: usize, count: usize| at.saturating_sub(GROWN_CELLS)..(at + COARSE + GROWN_CELLS).min(count);
-            for r in span(row, height) {
-                for c in span(col, width) {
-                    let own = (row..row + COARSE).contains(&r) && (col..col + COARSE).contains(&c);
-                    if own || near[r * width + c].is_nan() {
-                        [old[r * width + c], near[r * width + c]] = *altitudes;
-                    }
-                }
-            }
-        }
-        let mut differences = Vec::new();
-        let mut bounds_m = [f32::MAX, f32::MAX, f32::MIN, f32::MIN];
-        let cells: Vec<usize> = (0..near.len())
-            .filter(|&cell| near[cell].is_finite() && self.label[cell] == 0)
+        let label = self.segments.len() as u32 + 1;
+        let width = surface.width;
+        let updates: Vec<Update> = (fine_cells(segment, grid, surface).into_iter())
+            .filter(|(cell, _)| self.label[*cell] == 0)
+            .collect::<Vec<_>>()
+            .into_par_iter()
+            .filter_map(|(cell, hypothesis_m)| Update::of(cell, hypothesis_m, segment, grid, sides, surface))
             .collect();
-        for cell in cells {
+        let mut differences = Vec::with_capacity(updates.len());
+        let mut bounds_m = [f32::MAX, f32::MAX, f32::MIN, f32::MIN];
+        for Update {
+            cell,
+            before_m,
+            after_m,
+        } in updates
+        {
             let p = surface.point(cell % width, cell / width);
-            let fine = |side: &Surface, coarse_m: f32| {
-                let fine_m = side.altitude_at(p.x, p.y).unwrap_or(coarse_m);
-                if (fine_m - coarse_m).abs() < SAME_M {
-                    fine_m
-                } else {
-                    coarse_m
-                }
-            };
-            let inside = segment.cells.contains(&(grid.nearest(p.x, p.y)));
-            let [before_m, after_m] = match inside {
-                true => [fine(&sides[0], old[cell]), fine(&sides[1], near[cell])],
-                false => [&sides[0], &sides[1]].map(|side| side.altitude_at(p.x, p.y).unwrap_or(p.z)),
-            };
-            let difference_m = after_m - before_m;
-            let least_m = if inside {
-                LEAST_M
-            } else {
-                LEAST_M.max(LEAST_SHARE * segment.difference_m.abs())
-            };
-            if difference_m * segment.difference_m > 0.0 && difference_m.abs() > least_m {
-                self.label[cell] = label;
-                self.before_m[cell] = before_m;
-                surface.altitude[cell] = after_m;
-                surface.above[cell] = after_m;
-                if let Some(at) = sides[1].cell_at(p.x, p.y) {
-                    surface.confidence[cell] = sides[1].confidence[at];
-                    surface.deviation_m[cell] = sides[1].deviation_m[at];
-                    surface.probability[cell] = sides[1].probability[at];
-                }
-                differences.push(difference_m);
-                let half_m = 0.5 * surface.cell_m;
-                for (axis, at) in [p.x, p.y].into_iter().enumerate() {
-                    bounds_m[axis] = bounds_m[axis].min(at - half_m);
-                    bounds_m[axis + 2] = bounds_m[axis + 2].max(at + half_m);
-                }
+            self.label[cell] = label;
+            self.before_m[cell] = before_m;
+            surface.altitude[cell] = after_m;
+            surface.above[cell] = after_m;
+            if let Some(at) = sides[1].cell_at(p.x, p.y) {
+                surface.confidence[cell] = sides[1].confidence[at];
+                surface.deviation_m[cell] = sides[1].deviation_m[at];
+                surface.probability[cell] = sides[1].probability[at];
+            }
+            differences.push(after_m - before_m);
+            let half_m = 0.5 * surface.cell_m;
+            for (axis, at) in [p.x, p.y].into_iter().enumerate() {
+                bounds_m[axis] = bounds_m[axis].min(at - half_m);
+                bounds_m[axis + 2] = bounds_m[axis + 2].max(at + half_m);
             }
         }
         if differences.is_empty() {
@@ -226,10 +209,70 @@ impl Changes {
         self.segments.push(Segment {
             bounds_m,
             day: segment.day,
-            difference_m: heliosplat_rpc::statistics::upper_median(&mut differences).unwrap_or(segment.difference_m),
+            difference_m: heliosplat_grid::statistics::upper_median(&mut differences).unwrap_or(segment.difference_m),
             area_m2: differences.len() as f32 * surface.cell_m * surface.cell_m,
             confidence: segment.confidence,
         });
+    }
+}
+
+/// The fine cells of a coarse segment and beside it, with the altitudes before and after of the coarse cell that each lies in or next to.
+fn fine_cells(segment: &CoarseSegment, grid: &Grid, surface: &Surface) -> BTreeMap<usize, [f32; 2]> {
+    let mut found = BTreeMap::new();
+    for (&cell, &altitudes_m) in segment.cells.iter().zip(&segment.altitudes_m) {
+        let (col, row) = (cell % grid.width * COARSE, cell / grid.width * COARSE);
+        let span = |at: usize, count: usize| at.saturating_sub(GROWN_CELLS)..(at + COARSE + GROWN_CELLS).min(count);
+        for r in span(row, surface.height) {
+            for c in span(col, surface.width) {
+                let own = (row..row + COARSE).contains(&r) && (col..col + COARSE).contains(&c);
+                let hypothesis_m = found.entry(r * surface.width + c).or_insert(altitudes_m);
+                if own {
+                    *hypothesis_m = altitudes_m;
+                }
+            }
+        }
+    }
+    found
+}
+
+/// The two altitudes of a cell of a segment, metres.
+struct Update {
+    cell: usize,
+    before_m: f32,
+    after_m: f32,
+}
+
+impl Update {
+    /// Of the surfaces of the two `sides` at a cell whose coarse altitudes are `hypothesis_m`; `None` where they do not differ as the segment does.
+    fn of(
+        cell: usize,
+        hypothesis_m: [f32; 2],
+        segment: &CoarseSegment,
+        grid: &Grid,
+        sides: &[Surface; 2],
+        surface: &Surface,
+    ) -> Option<Self> {
+        let p = surface.point(cell % surface.width, cell / surface.width);
+        let inside = segment.cells.contains(&grid.nearest(p.x, p.y));
+        let [before_m, after_m] = [0, 1].map(|side: usize| {
+            let coarse_m = if inside { hypothesis_m[side] } else { p.z };
+            let fine_m = sides[side].altitude_at(p.x, p.y).unwrap_or(coarse_m);
+            match !inside || (fine_m - coarse_m).abs() < SAME_M {
+                true => fine_m,
+                false => coarse_m,
+            }
+        });
+        let difference_m = after_m - before_m;
+        let least_m = match inside {
+            true => LEAST_M,
+            false => LEAST_M.max(LEAST_SHARE * segment.difference_m.abs()),
+        };
+        let alike = difference_m * segment.difference_m > 0.0 && difference_m.abs() > least_m;
+        alike.then_some(Self {
+            cell,
+            before_m,
+            after_m,
+        })
     }
 }
 
@@ -416,7 +459,7 @@ fn shown(views: &[SweepView], grid: &Grid, surface: &Surface) -> Vec<bool> {
 }
 
 /// The days on which images can be divided: each is the first of those after.
-fn dividing_days(days: &[i32]) -> Vec<i32> {
+pub fn dividing_days(days: &[i32]) -> Vec<i32> {
     let mut all = days.to_vec();
     all.sort_unstable();
     all.dedup();
@@ -489,6 +532,91 @@ fn on_grid(grid: &Grid, surface: &Surface) -> Vec<f32> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use std::collections::BTreeSet;
+
+    fn level(side: usize, altitude_m: f32) -> Surface {
+        let cells = side * side;
+        Surface {
+            width: side,
+            height: side,
+            north_m: side as f32,
+            cell_m: 1.0,
+            altitude: vec![altitude_m; cells],
+            above: vec![altitude_m; cells],
+            confidence: vec![1.0; cells],
+            deviation_m: vec![0.1; cells],
+            probability: vec![1.0; cells],
+            matched: vec![true; cells],
+            views: vec![2; cells],
+            filled: vec![false; cells],
+            resolution_m: 0.5,
+            ..Surface::default()
+        }
+    }
+
+    fn house(cells: impl IntoIterator<Item = usize>) -> CoarseSegment {
+        let cells: BTreeSet<usize> = cells.into_iter().collect();
+        CoarseSegment {
+            day: 5,
+            altitudes_m: vec![[0.0, 6.0]; cells.len()],
+            cells,
+            difference_m: 6.0,
+            confidence: 0.9,
+        }
+    }
+
+    /// Changes of a surface of `side` cells each way before any segment, its sides six metres apart, and the coarse grid.
+    fn unchanged(side: usize) -> (Changes, Surface, [Surface; 2], Grid) {
+        let surface = level(side, 0.0);
+        let grid = Grid {
+            north_m: side as f32,
+            cell_m: COARSE as f32,
+            ..Grid::plain(side / COARSE, side / COARSE)
+        };
+        let changes = Changes {
+            label: vec![0; surface.altitude.len()],
+            before_m: surface.altitude.clone(),
+            ..Changes::default()
+        };
+        (changes, surface, [level(side, 0.0), level(side, 6.0)], grid)
+    }
+
+    #[test]
+    fn more_segments_than_sixteen_bits_hold_keep_their_own_ground() {
+        let (mut changes, mut surface, sides, grid) = unchanged(16);
+        let other = Segment {
+            day: 1,
+            difference_m: 3.0,
+            area_m2: 1.0,
+            bounds_m: [0.0; 4],
+            confidence: 0.5,
+        };
+        changes.segments = vec![other; usize::from(u16::MAX)];
+        changes.refine(&house([9]), &grid, &sides, &mut surface);
+        assert_eq!(changes.at(2 * 16 + 2).map(|segment| segment.day), Some(5));
+    }
+
+    #[test]
+    fn segments_of_a_large_surface_take_the_cells_beside_them_once() {
+        const SIDE: usize = 1024;
+        let (mut changes, mut surface, sides, grid) = unchanged(SIDE);
+        // Houses of two coarse cells, four coarse cells from one to the next, so that each may grow by its two fine cells.
+        let places: Vec<usize> = (0..100 * 100)
+            .map(|i| (i / 100 * 5 + 2) * grid.width + i % 100 * 5 + 2)
+            .collect();
+        for &place in &places {
+            changes.refine(&house([place, place + 1]), &grid, &sides, &mut surface);
+        }
+        assert_eq!(changes.segments.len(), places.len());
+        let grown = (2 * COARSE + 2 * GROWN_CELLS) * (COARSE + 2 * GROWN_CELLS);
+        assert!(changes.segments.iter().all(|segment| segment.area_m2 == grown as f32));
+        assert_eq!(
+            changes.label.iter().filter(|label| **label > 0).count(),
+            grown * places.len()
+        );
+        changes.refine(&house([places[0]]), &grid, &sides, &mut surface);
+        assert_eq!(changes.segments.len(), places.len(), "the ground is taken");
+    }
 
     #[test]
     fn images_are_divided_only_where_each_side_has_two() {

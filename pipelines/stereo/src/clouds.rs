@@ -10,12 +10,12 @@
 mod brightness;
 
 use super::evidence::{LevelSurface, is_match};
-use super::grid::Grid;
 use super::ortho::{self, box_mean};
 use super::postprocess;
 use super::pyramid::Search;
 use super::request::PlaneSweepRequest;
 use super::views::SweepView;
+use heliosplat_grid::Grid;
 use rayon::prelude::*;
 
 /// Least number of views: fewer cannot say which of them is right.

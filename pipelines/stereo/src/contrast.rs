@@ -5,7 +5,7 @@
 //! few grey levels (8-bit, compressed, enlarged) are full of them and would have no contrast at all.
 
 use heliosplat::Raster;
-use heliosplat_rpc::statistics::{upper_median, upper_quantile};
+use heliosplat_grid::statistics::{upper_median, upper_quantile};
 use rayon::prelude::*;
 
 /// Distance between the middles of two tiles, pixels.

@@ -11,7 +11,6 @@ mod block;
 mod no_match;
 
 use super::census::{self, COMPARISONS, Descriptors, INVALID, RADIUS};
-use super::grid::Grid;
 use super::heights::HeightHypotheses;
 use super::level::{LevelView, PixelPlane};
 use super::pairs::Pair;
@@ -20,6 +19,7 @@ use super::ranges::SearchRanges;
 use super::sampling::{Line, Places};
 use super::visibility::FirstHits;
 use block::{BLOCK, Block, Scratch, WideBlock};
+use heliosplat_grid::Grid;
 use rayon::prelude::*;
 use std::collections::BTreeMap;
 

@@ -5,10 +5,10 @@
 //! same place. Shadows and façades change the views at other places, which differ from view to view. So the edge lies where the median of
 //! the views changes most, judged together along the edge (docs/lab/edges.md).
 
-use super::grid::Grid;
 use super::level::LevelView;
 use glam::{Vec2, Vec3};
-use heliosplat_rpc::statistics::upper_median;
+use heliosplat_grid::Grid;
+use heliosplat_grid::statistics::upper_median;
 use rayon::prelude::*;
 
 /// Steps lower than this are no edges, metres: cars and hedges, or noise.

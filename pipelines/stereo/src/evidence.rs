@@ -13,12 +13,12 @@
 
 use super::agreement::{DistanceSums, OnSurface};
 use super::cost::CONTRAST_LIMIT;
-use super::grid::Grid;
 use super::level::LevelView;
 use super::ortho::{self, box_mean};
 use super::pyramid::{Compared, Search};
 use super::visibility::{FirstHits, Standing};
 use heliosplat::timeline::stage;
+use heliosplat_grid::Grid;
 use rayon::prelude::*;
 
 /// Half of the window, cells of the surface.

@@ -7,10 +7,10 @@
 //!
 //! The floor is the lowest sure altitude within some cells. Where the surface is not [`STEP_M`] above it, nothing changes.
 
-use super::grid::{Grid, lowest_within};
 use super::parameters::MatchingParameters;
 use super::pyramid::LevelResult;
 use super::wta;
+use heliosplat_grid::{Grid, lowest_within};
 use rayon::prelude::*;
 
 /// Cells around a cell among which the lowest sure one is its floor: the shade of a house of two storeys.

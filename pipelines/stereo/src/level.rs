@@ -8,7 +8,7 @@ use super::sampling::{self, Line, Places, cubic_weights};
 use super::views::SweepView;
 use glam::Vec3;
 use heliosplat::{ProjectiveCamera, Raster};
-use heliosplat_rpc::statistics::upper_median;
+use heliosplat_grid::statistics::upper_median;
 
 /// The smaller side of a level has at least this many pixels, however large the cells: fewer hold no window of the census.
 const FEWEST_PIXELS: usize = 8;
@@ -102,19 +102,7 @@ impl LevelView {
     /// The same of one of the planes.
     #[inline]
     pub(super) fn sample_of(&self, plane: &PixelPlane, col: f32, row: f32) -> f32 {
-        // Written so that a NaN position fails the test too.
-        let inside = col >= 0.0 && row >= 0.0 && col < (self.width - 1) as f32 && row < (self.height - 1) as f32;
-        if !inside {
-            return f32::NAN;
-        }
-        let (c, r) = (col as usize, row as usize);
-        let (fc, fr) = (col - c as f32, row - r as f32);
-        let i = r * self.width + c;
-        let upper = &plane.pixels[i..i + 2];
-        let lower = &plane.pixels[i + self.width..i + self.width + 2];
-        let top = upper[0] + (upper[1] - upper[0]) * fc;
-        let bottom = lower[0] + (lower[1] - lower[0]) * fc;
-        top + (bottom - top) * fr
+        heliosplat_grid::bilinear(&plane.pixels, (self.width, self.height), col, row)
     }
 
     /// Bicubic value at a pixel position; NaN outside the image, in its outermost pixels and beside missing ones.

@@ -6,30 +6,26 @@
 //! 1. `views.rs`: the input, images with cameras, dates and suns; `pairs.rs`: which of them are compared, and with which weight.
 //! 2. `parameters.rs`: everything about matching that depends on the scene is decided from the views' geometry, before any pixel is read,
 //!    and kept in [`MatchingParameters`].
-//! 3. `request.rs`: the part of space to search and those parameters; `grid.rs` and `heights.rs`: its cells and height hypotheses.
+//! 3. `request.rs`: the part of space to search and those parameters; [`Grid`](heliosplat_grid::Grid) and `heights.rs`: its cells and height hypotheses.
 //! 4. `pyramid.rs`: the search from coarse to fine cells; `ranges.rs`: each cell searches around the candidates of the coarser level.
 //! 5. `level.rs`, `sampling.rs`: views averaged down to the cells of a level, and sampled on the plane of a height hypothesis.
 //! 6. `cost.rs`, `census.rs`: how badly pairs of views agree on each cell at each height.
 //! 7. `sgm.rs`: semi-global aggregation of the costs; `ortho.rs` makes the guide image of its penalties.
 //! 8. `wta.rs`: the cheapest height of each cell, refined below the height step, with its confidence.
 //! 9. `visibility.rs`: at full resolution, what the surface hides from a view is left out, and steps 6 to 8 are repeated.
-//! 10. `plane_sweep.rs`: [`plane_sweep()`] runs all this, then removes speckles (`postprocess.rs`) and levels what is in doubt (`total_variation.rs`),
+//! 10. `plane_sweep.rs`: [`plane_sweep()`] runs all this, then removes speckles (`postprocess.rs`) and levels what is in doubt ([`heliosplat_grid::smooth_by_deviation`]),
 //!     or smooths by planes where the base is short (`plane_smoothing.rs`), and places edges where the views change (`edges.rs`). The result
 //!     is a [`Surface`] (`surface.rs`).
 //! 11. `agreement.rs`, `evidence.rs`: the views are resampled to the surface, and cells where they agree no better than by chance are not known.
-//! 12. [`bridged`]: courts and alleys in shade that the surface bridges are opened, where their light tells; `ground.rs`: what may be ground.
 //!
-//! On the way there, on a coarse surface of the same search: [`align`] finds the pointing shifts between images, [`ties`] single points of
-//! the ground in several images, [`clouds`] the pixels that show clouds. And from it: [`suns`] finds the sun by the shadows that the surface
-//! casts.
+//! On the way there, on a coarse surface of the same search: [`pointing`] corrects cameras by shifts and tie points, and [`clouds`] finds
+//! the pixels that show clouds. [`change`] sweeps the images before and after a day. Evidence of light is `heliosplat-radiometry`.
 //!
 //! Limits: one altitude per cell (no overhangs, façades are steps), and what is narrower than a few cells (trees without leaves, wires,
 //! courtyards) is missed. Views of other dates take part with less weight; what changed between them counts as no match. Results are the
 //! same bytes for any number of threads.
 
 mod agreement;
-pub mod align;
-pub mod bridged;
 mod census;
 pub mod change;
 pub mod clouds;
@@ -38,8 +34,6 @@ mod cost;
 mod edges;
 mod evidence;
 mod floor;
-mod grid;
-mod ground;
 mod heights;
 mod level;
 mod ortho;
@@ -47,6 +41,7 @@ mod pairs;
 mod parameters;
 mod plane_smoothing;
 mod plane_sweep;
+pub mod pointing;
 mod postprocess;
 mod pyramid;
 mod ranges;
@@ -54,24 +49,18 @@ mod request;
 mod sampling;
 mod seen;
 mod sgm;
-pub mod suns;
 mod surface;
-pub mod ties;
-mod total_variation;
 mod views;
 mod visibility;
 mod volume;
 mod wta;
 
-pub use grid::opening;
-pub use ground::{ground_below, ground_probability};
 pub use heights::height_levels;
-pub use pairs::widest_base_to_height_of as widest_base_to_height;
+pub use pairs::{weight_of_geometry, widest_base_to_height_of as widest_base_to_height};
 pub use parameters::{CandidateTolerance, FEW_VIEWS, MANY_VIEWS, MatchingFacts, MatchingParameters, no_match_weight};
 pub use plane_sweep::plane_sweep;
 pub use request::PlaneSweepRequest;
 pub use seen::{AltitudeGrid, FEWEST_VIEWS, views_seeing};
 pub use surface::Surface;
-pub use total_variation::smooth_by_deviation;
 pub use views::{SweepView, ViewGeometry};
 pub use volume::SearchVolume;

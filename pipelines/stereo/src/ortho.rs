@@ -1,8 +1,8 @@
 //! Orthorectified views: what each shows at the cells of a surface, and small filters on such grids.
 
-use super::grid::Grid;
 use super::level::LevelView;
-use heliosplat_rpc::statistics::upper_median;
+use heliosplat_grid::Grid;
+use heliosplat_grid::statistics::upper_median;
 use rayon::prelude::*;
 
 /// What a view shows at each cell of a surface; NaN where it shows nothing.

@@ -96,13 +96,16 @@ pub(super) fn widest_base_to_height(pairs: &[Pair]) -> f32 {
 fn weight(a: &ViewGeometry, b: &ViewGeometry, centre: Vec3) -> (f32, f32) {
     let base_to_height = (a.parallax(centre) - b.parallax(centre)).length();
     let angle = a.toward(centre).angle_between(b.toward(centre));
-    let base = base_to_height / (base_to_height + HALF_WEIGHT_BASE);
-    let alike = (-(angle / ALIKE_ANGLE_RAD).powi(2)).exp();
     let light = if a.date_group == b.date_group {
         1.0
     } else {
         let cosine = a.sun.zip(b.sun).map(|(a, b)| a.dot(b));
         OTHER_DATE * cosine.map_or(UNKNOWN_SUN_COSINE, |cosine| cosine.clamp(LEAST_SUN_COSINE, 1.0))
     };
-    (base * alike * light, base_to_height)
+    (weight_of_geometry(base_to_height, angle) * light, base_to_height)
+}
+
+/// Weight, 0 to 1, of two views by their base-to-height ratio and the angle between their rays, radians.
+pub fn weight_of_geometry(base_to_height: f32, angle_rad: f32) -> f32 {
+    base_to_height / (base_to_height + HALF_WEIGHT_BASE) * (-(angle_rad / ALIKE_ANGLE_RAD).powi(2)).exp()
 }

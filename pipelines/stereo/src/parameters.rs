@@ -53,12 +53,14 @@ const TOLERANCE_FEW: CandidateTolerance = CandidateTolerance {
     half_resolution: 80,
     coarser: 80,
 };
+
 /// The same with many views. Finer levels have less left to decide: wider tolerances take time there and find nothing more.
 const TOLERANCE_MANY: CandidateTolerance = CandidateTolerance {
     full_resolution: 80,
     half_resolution: 120,
     coarser: 200,
 };
+
 /// Combined base-to-height ratio above which costs of single cells tell heights apart; below it the radius of the window is the quotient.
 const SINGLE_CELL_BASE_TO_HEIGHT: f32 = 0.8;
 /// Largest radius of the aggregation window, cells; reached at a combined base-to-height ratio of 0.133.

@@ -5,8 +5,8 @@
 //! of the surface are hardly matched at all. Both leave walls standing: cells far from the window's median or plane count little or
 //! nothing. Limit: what is smaller than a window and lower than the tolerance is smoothed away.
 
-use super::grid::Grid;
-use heliosplat_rpc::statistics::upper_median;
+use heliosplat_grid::statistics::upper_median;
+use heliosplat_grid::{Grid, PlaneFit};
 use rayon::prelude::*;
 
 /// Sum of squared confidence at which an adaptive window is wide enough: that of 16 × 16 cells of full confidence.
@@ -47,38 +47,7 @@ fn plane_at(grid: &Grid, altitude: &[f32], cell: usize, radius: usize, tolerance
             fit.add([a, b], f64::from(altitude[near] - middle), 1.0);
         }
     }
-    middle + fit.plane()[0] as f32
-}
-
-/// Weighted sums of a plane `z = p + q a + r b` by least squares.
-#[derive(Default)]
-struct PlaneFit {
-    weight: f64,
-    first: [f64; 3],
-    second: [f64; 5],
-}
-
-impl PlaneFit {
-    fn add(&mut self, [a, b]: [f64; 2], z: f64, weight: f64) {
-        self.weight += weight;
-        for (sum, value) in self.first.iter_mut().zip([a, b, z]) {
-            *sum += weight * value;
-        }
-        for (sum, value) in self.second.iter_mut().zip([a * a, a * b, b * b, a * z, b * z]) {
-            *sum += weight * value;
-        }
-    }
-
-    /// `[p, q, r]`.
-    fn plane(&self) -> [f64; 3] {
-        let [a, b, z] = self.first.map(|sum| sum / self.weight);
-        let [aa, ab, bb, az, bz] = self.second.map(|sum| sum / self.weight);
-        let (aa, ab, bb) = (aa - a * a + STIFFNESS, ab - a * b, bb - b * b + STIFFNESS);
-        let (az, bz) = (az - a * z, bz - b * z);
-        let det = aa * bb - ab * ab;
-        let (q, r) = ((az * bb - bz * ab) / det, (bz * aa - az * ab) / det);
-        [z - q * a - r * b, q, r]
-    }
+    middle + fit.plane(STIFFNESS)[0] as f32
 }
 
 /// Each altitude replaced by that of a plane through a window that grows from `least_radius` cells until it holds
@@ -127,7 +96,7 @@ fn robust_plane_at(grid: &Grid, altitude: &[f32], cell: usize, radius: usize, to
             let off = plane.map_or(0.0, |[p, q, r]| (z - p - q * a - r * b) / f64::from(tolerance_m));
             fit.add([a, b], z, 1.0 / (1.0 + off * off));
         }
-        plane = Some(fit.plane());
+        plane = Some(fit.plane(STIFFNESS));
     }
     plane.map_or(altitude[cell], |[p, ..]| (here + p) as f32)
 }

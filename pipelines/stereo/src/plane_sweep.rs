@@ -3,7 +3,6 @@
 use super::edges;
 use super::evidence::{LEAST_EVIDENCE, LevelSurface, is_match};
 use super::floor;
-use super::grid::Grid;
 use super::level::LevelView;
 use super::plane_smoothing;
 use super::postprocess;
@@ -11,12 +10,13 @@ use super::pyramid::{LevelResult, Search};
 use super::request::PlaneSweepRequest;
 use super::seen::{AltitudeGrid, FEWEST_VIEWS, views_seeing};
 use super::surface::Surface;
-use super::total_variation::smooth_by_deviation;
 use super::views::SweepView;
 use super::visibility::{FirstHits, Standing};
 use super::wta::HeightChoice;
 use heliosplat::ProjectiveCamera;
-use heliosplat_rpc::statistics::upper_median;
+use heliosplat_grid::Grid;
+use heliosplat_grid::smooth_by_deviation;
+use heliosplat_grid::statistics::upper_median;
 use rayon::prelude::*;
 
 /// A point counts as hidden when it lies this many height steps below the surface that its view sees first, so that the surface's own

@@ -1,7 +1,7 @@
 //! Post-processing of a matched surface: a speckle filter removes patches too small to be real, and gaps are filled from their edges.
 
-use super::grid::Grid;
-use heliosplat_rpc::statistics::upper_median;
+use heliosplat_grid::Grid;
+use heliosplat_grid::statistics::upper_median;
 
 /// Speckles: cells of connected patches of fewer than `fewest` cells. Neighbours belong to one patch when their altitudes differ by less
 /// than `step_m` metres.

@@ -5,7 +5,6 @@
 //! decided here: how to match stands in the request's [`MatchingParameters`](super::parameters::MatchingParameters).
 
 use super::cost::MatchingCost;
-use super::grid::Grid;
 use super::heights::HeightHypotheses;
 use super::level::LevelView;
 use super::ortho;
@@ -18,6 +17,7 @@ use super::visibility::FirstHits;
 use super::wta::{self, HeightChoice};
 use glam::Vec3;
 use heliosplat::timeline::stage;
+use heliosplat_grid::Grid;
 use rayon::prelude::*;
 use std::collections::BTreeMap;
 

@@ -3,8 +3,8 @@
 //! On the coarsest level of the pyramid every cell searches all heights; on finer ones only those around what the coarser level left
 //! as candidates, which is what makes the sweep fast.
 
-use super::grid::Grid;
 use super::heights::HeightHypotheses;
+use heliosplat_grid::Grid;
 use rayon::prelude::*;
 use std::ops::Range;
 

@@ -1,9 +1,9 @@
 //! What a plane sweep is asked: which part of space to search, and with which parameters.
 
-use super::grid::Grid;
 use super::parameters::MatchingParameters;
 use super::volume::SearchVolume;
 use glam::Vec3;
+use heliosplat_grid::Grid;
 
 /// Where and how to look for the surface.
 #[derive(Debug, Clone, Copy, PartialEq)]

@@ -5,11 +5,11 @@
 //! counts where it would also show the place if that lay as low as the ground around. Pits of such mismatches do not count as ground. The
 //! caller says which cells stand, so that towers of them hide nothing.
 
-use super::grid::Grid;
 use super::visibility::{FirstHits, Standing};
 use glam::Vec3;
 use heliosplat::ProjectiveCamera;
-use heliosplat_rpc::statistics::{quantile, upper_median};
+use heliosplat_grid::Grid;
+use heliosplat_grid::statistics::{quantile, upper_median};
 use rayon::prelude::*;
 
 /// Views that must see a cell for its altitude to be known.

@@ -1,8 +1,8 @@
 //! The initial surface: what the plane sweep finds, one altitude per cell.
 
-use super::grid::lowest_within;
 use super::seen::FEWEST_VIEWS;
 use glam::Vec3;
+use heliosplat_grid::{Grid, lowest_within};
 
 /// Probability from which on an altitude is known: chance would not have it.
 const KNOWN_PROBABILITY: f32 = 0.5;
@@ -73,6 +73,17 @@ impl Surface {
     /// The cells that are supported.
     pub fn supported(&self) -> Vec<bool> {
         (0..self.altitude.len()).map(|cell| self.is_supported(cell)).collect()
+    }
+
+    /// Its cells.
+    pub fn grid(&self) -> Grid {
+        Grid {
+            width: self.width,
+            height: self.height,
+            west_m: self.west_m,
+            north_m: self.north_m,
+            cell_m: self.cell_m,
+        }
     }
 
     /// Whether the ground position lies on the grid.

@@ -39,7 +39,7 @@ impl ViewGeometry {
     }
 
     /// Unit vector from the scene toward the camera.
-    pub(super) fn toward(&self, centre: Vec3) -> Vec3 {
+    pub fn toward(&self, centre: Vec3) -> Vec3 {
         let (col, row, _) = self.camera.project(centre);
         -self.camera.ray_direction(col, row)
     }

@@ -2,8 +2,8 @@
 //!
 //! Rays are walked down over the grid in steps of less than a cell, from an altitude that the highest cells under them bound.
 
-use super::grid::{Grid, lowest_within};
 use heliosplat::ProjectiveCamera;
+use heliosplat_grid::{Grid, lowest_within};
 use rayon::prelude::*;
 
 /// Altitude at which the ray of each pixel meets the surface first; below it nothing is seen.

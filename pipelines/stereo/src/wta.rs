@@ -5,6 +5,7 @@
 
 use super::heights::HeightHypotheses;
 use super::ranges::SearchRanges;
+use heliosplat_grid::parabola_top;
 use rayon::prelude::*;
 
 /// The winner of one cell.
@@ -69,7 +70,7 @@ pub(super) fn winner(sums: &[u16], low: usize, heights: &HeightHypotheses, toler
         }
     }
     let fraction = if best > 0 && best + 1 < sums.len() {
-        vertex([sums[best - 1], sums[best], sums[best + 1]].map(f32::from))
+        parabola_top([best - 1, best, best + 1].map(|level| -f32::from(sums[level]))).unwrap_or(0.0)
     } else {
         0.0
     };
@@ -120,16 +121,6 @@ impl Posterior {
             deviation_levels: (squares / all).sqrt(),
             probability: near / all,
         }
-    }
-}
-
-/// Minimum of the parabola through three equidistant values, in steps from the middle one, clamped to ±½.
-fn vertex([before, here, after]: [f32; 3]) -> f32 {
-    let bend = before - 2.0 * here + after;
-    if bend > 0.0 {
-        (0.5 * (before - after) / bend).clamp(-0.5, 0.5)
-    } else {
-        0.0
     }
 }
 

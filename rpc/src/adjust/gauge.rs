@@ -3,8 +3,8 @@
 
 use crate::frame::LocalFrame;
 use crate::rpc::Rpc;
-use crate::statistics::upper_median;
 use crate::triangulate::geo_slope;
+use heliosplat_grid::statistics::upper_median;
 use nalgebra::{Matrix2x3, Matrix3, Vector2, Vector3};
 
 /// Pixels per metre east, north and up of each image at one ground point: what a translation of the scene does to it.

@@ -26,7 +26,8 @@ struct Eliminated<const K: usize> {
 pub(super) struct NormalEquations<const K: usize> {
     curvature: DMatrix<f64>,
     gradient: DVector<f64>,
-    tracks: Vec<Eliminated<K>>,
+    /// By track; `None` where its point is not determined: such a track moves nothing.
+    tracks: Vec<Option<Eliminated<K>>>,
 }
 
 impl<const K: usize> NormalEquations<K> {
@@ -39,7 +40,8 @@ impl<const K: usize> NormalEquations<K> {
             tracks: Vec::with_capacity(linear.len()),
         };
         for (lines, weights) in linear.iter().zip(weights) {
-            system.add_track(lines, weights);
+            let eliminated = system.add_track(lines, weights);
+            system.tracks.push(eliminated);
         }
         for (image, correction) in now.iter().enumerate() {
             system.add_prior(image, correction, seen[image]);
@@ -47,26 +49,24 @@ impl<const K: usize> NormalEquations<K> {
         system
     }
 
-    fn add_track(&mut self, lines: &[Linear], weights: &[f64]) {
+    fn add_track(&mut self, lines: &[Linear], weights: &[f64]) -> Option<Eliminated<K>> {
         let mut point = Matrix3::identity() * POINT_HOLD;
         let mut gradient = Vector3::zeros();
+        for (line, &weight) in lines.iter().zip(weights) {
+            point += line.slope.transpose() * line.slope * weight;
+            gradient += line.slope.transpose() * line.residual * weight;
+        }
+        let inverse = point.try_inverse()?;
         let mut mixed = Vec::with_capacity(lines.len());
         for (line, &weight) in lines.iter().zip(weights) {
             let by_image = basis::<K>(line.from_centre);
-            point += line.slope.transpose() * line.slope * weight;
-            gradient += line.slope.transpose() * line.residual * weight;
-            let own = by_image.transpose() * by_image * weight;
-            let right = by_image.transpose() * line.residual * weight;
             let first = line.image * K;
             let mut block = self.curvature.fixed_view_mut::<K, K>(first, first);
-            block += own;
+            block += by_image.transpose() * by_image * weight;
             let mut part = self.gradient.fixed_rows_mut::<K>(first);
-            part += right;
+            part += by_image.transpose() * line.residual * weight;
             mixed.push((line.image, by_image.transpose() * line.slope * weight));
         }
-        let Some(inverse) = point.try_inverse() else {
-            return;
-        };
         for (a, mixed_a) in &mixed {
             let through = mixed_a * inverse;
             let mut part = self.gradient.fixed_rows_mut::<K>(a * K);
@@ -76,11 +76,11 @@ impl<const K: usize> NormalEquations<K> {
                 block -= through * mixed_b.transpose();
             }
         }
-        self.tracks.push(Eliminated {
+        Some(Eliminated {
             inverse,
             gradient,
             mixed,
-        });
+        })
     }
 
     /// Holds corrections small where ties say nothing, and those of images with too few sightings altogether.
@@ -113,6 +113,7 @@ impl<const K: usize> NormalEquations<K> {
             .map(|image| solution.fixed_rows::<K>(image * K).into_owned())
             .collect();
         for (track, point) in self.tracks.iter().zip(points) {
+            let Some(track) = track else { continue };
             let mut right = track.gradient;
             for (image, mixed) in &track.mixed {
                 right -= mixed.transpose() * steps[*image];
@@ -120,5 +121,36 @@ impl<const K: usize> NormalEquations<K> {
             *point += track.inverse * right;
         }
         Ok(steps)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use nalgebra::{Matrix2x3, Vector2};
+
+    #[test]
+    fn a_track_whose_point_is_not_determined_moves_no_other_track() {
+        let line = |slope: Matrix2x3<f64>| Linear {
+            image: 0,
+            weight: 1.0,
+            residual: Vector2::new(1.0, 0.0),
+            slope,
+            from_centre: [0.0; 2],
+        };
+        // Curvatures of 1e12 in one direction swallow the hold of 1e-8: the matrix is exactly singular.
+        let singular = vec![line(Matrix2x3::new(1e6, 1e6, 1e6, 0.0, 0.0, 0.0))];
+        let sound = vec![
+            line(Matrix2x3::new(1.0, 0.0, 0.0, 0.0, 1.0, 0.0)),
+            line(Matrix2x3::new(1.0, 0.0, 1.0, 0.0, 1.0, 0.0)),
+        ];
+        let weights = [vec![1.0], vec![1.0; 2]];
+        let mut points = [Vector3::zeros(); 2];
+        // The image is held, so that points alone move.
+        let now = [Correction::none(100, 100)];
+        let system = NormalEquations::<2>::of(&[singular, sound], &weights, &now, &[false]);
+        system.solve(&mut points).expect("a solution");
+        assert_eq!(points[0], Vector3::zeros());
+        assert!((points[1] - Vector3::x()).norm() < 1e-3, "{}", points[1]);
     }
 }

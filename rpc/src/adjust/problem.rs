@@ -89,7 +89,7 @@ impl<'a> BlockAdjustment<'a> {
             .map(|track| self.frame.enu_from_geo(track.near))
             .collect();
         let mut weights: Vec<Vec<f64>> = self.tracks.iter().map(|track| own_weights(track)).collect();
-        let (mut sigma_px, mut rounds) = (f64::NAN, 0);
+        let (mut sigma_px, mut rounds, mut converged) = (f64::NAN, 0, false);
         self.triangulate(&corrections, &weights, &mut points)?;
         for round in 0..options.most_rounds {
             rounds = round + 1;
@@ -106,7 +106,8 @@ impl<'a> BlockAdjustment<'a> {
                 add(correction, step);
                 largest = largest.max(step.amax());
             }
-            if round > SCALE_ROUNDS && largest < LAST_CHANGE_PX {
+            converged = round > SCALE_ROUNDS && largest < LAST_CHANGE_PX;
+            if converged {
                 break;
             }
         }
@@ -128,6 +129,7 @@ impl<'a> BlockAdjustment<'a> {
             points: points.iter().map(|point| self.frame.geo_from_enu(*point)).collect(),
             sigma_px,
             rounds,
+            converged,
             images: residuals::of_images(&sides, self.images.len()),
             pairs: residuals::of_pairs(&sides),
             residuals: residuals::vectors(&sides, &self.tracks),

@@ -4,7 +4,7 @@ use super::linear::Linear;
 use super::robust;
 use super::tracks::Track;
 use crate::rpc::ImagePoint;
-use crate::statistics::upper_median;
+use heliosplat_grid::statistics::upper_median;
 use nalgebra::{Matrix3, Vector4};
 use std::collections::BTreeMap;
 

@@ -1,7 +1,7 @@
 //! Robust weights of sightings, and the scale of the residuals of good ones.
 
 use super::linear::Linear;
-use crate::statistics::upper_median;
+use heliosplat_grid::statistics::upper_median;
 
 /// Residuals, in standard deviations, at which a sighting counts a quarter. So near because errors of matching are not symmetric:
 /// shadows that moved by little pull all one way, and only the peak of the residuals' distribution is where the ground is.

@@ -35,6 +35,8 @@ pub struct Adjustment {
     pub sigma_px: f64,
     /// Rounds it took.
     pub rounds: usize,
+    /// Whether the corrections came to rest before the last round allowed.
+    pub converged: bool,
     /// What each image's sightings leave.
     pub images: Vec<ImageResiduals>,
     /// What is left across the epipolar lines of pairs of images.

@@ -35,6 +35,7 @@ const AXES: [Vec3; 6] = [
     Vec3::new(0.850_650_8, 0.0, 0.525_731_1),
     Vec3::new(-0.850_650_8, 0.0, 0.525_731_1),
 ];
+
 /// Frequencies of the encoding per axis, radians: each twice the one before.
 const WAVES: [f32; 4] = [1.5, 3.0, 6.0, 12.0];
 /// Numbers of the encoded direction.

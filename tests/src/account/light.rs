@@ -5,7 +5,7 @@ use crate::reference::{self, Gaussian};
 use glam::{Mat3, Vec3};
 use heliosplat::gaussians::{LOG_SCALE, OPACITY, POSITION, ROTATION, Table, core_groups, logit};
 use heliosplat::light::Light;
-use heliosplat::trace::{OccluderGradients, Occluders, transmittance, transmittance_by_hierarchy};
+use heliosplat::trace::{OccluderGradients, Occluders, SunVisibility, transmittance};
 use nalgebra::Vector3;
 
 pub(super) fn rows(timed: bool) -> Vec<Row> {
@@ -40,11 +40,12 @@ fn wide(table: &Table) -> Vec<Gaussian> {
 }
 
 fn traced(table: &Table, light: Light, by: By) -> (Vec<f32>, Table) {
-    let occluders = Occluders::new(table);
-    let traced = match by {
-        By::Hierarchy => transmittance_by_hierarchy(&occluders, &[0], &light),
-        By::SunPlane | By::Lamp => transmittance(&occluders, &[0], &light),
+    let by = match by {
+        By::Hierarchy => SunVisibility::Bvh,
+        By::SunPlane | By::Lamp => SunVisibility::Plane,
     };
+    let occluders = Occluders::tracing_by(by, table);
+    let traced = transmittance(&occluders, &[0], &light);
     let mut out = table.zeros_like();
     traced.backward(table, (&occluders, OccluderGradients::All), &[0], &[1.0], &mut out);
     (traced.values, out)

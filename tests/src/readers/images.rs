@@ -36,8 +36,8 @@ pub fn raster_file(bytes: &[u8]) -> bool {
 
 /// A picture of a capture: PNG, JPEG or EXR.
 pub fn picture_file(bytes: &[u8]) -> bool {
-    in_a_file("a.png", bytes, |path| match pixels::header(path) {
-        Ok(header) if header.size_px[0] * header.size_px[1] <= PICTURE_PX => pixels::read(path).is_ok(),
+    in_a_file("a.png", bytes, |path| match pixels::size_px(path) {
+        Ok([width, height]) if width * height <= PICTURE_PX => pixels::read(path).is_ok(),
         known => known.is_ok(),
     })
 }

@@ -103,6 +103,7 @@ impl Arena {
         }
     }
 }
+
 /// One column of a table.
 pub(super) struct Column {
     pub(super) head: &'static str,
@@ -163,6 +164,7 @@ const REFLECTIVE: [Column; 5] = [HELD_OUT, SSIM, NORMALS, TIME, MEMORY];
 pub(super) const SECONDS: &str = "seconds";
 /// Most memory that the command held, bytes.
 pub(super) const PEAK_BYTES: &str = "peak_bytes";
+
 /// What was measured in one run.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Record {

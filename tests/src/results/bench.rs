@@ -14,6 +14,7 @@ use std::time::Duration;
 const OBJECT_PRESET: &str = "fast";
 /// No run takes this long.
 const LIMIT: Duration = Duration::from_secs(6 * 3600);
+
 /// A program and where its runs are kept.
 pub(super) struct Bench<'a> {
     request: &'a Request,

@@ -7,6 +7,7 @@ use std::path::{Path, PathBuf};
 const SEEDS: [u64; 3] = [11, 12, 13];
 /// The surface without training, then the presets of `train`.
 pub(super) const PRESETS: [&str; 4] = ["sweep", "fast", "balanced", "accurate"];
+
 /// What is asked for.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Request {

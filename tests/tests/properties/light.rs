@@ -8,18 +8,11 @@ use crate::draw::{
 use glam::Vec3;
 use heliosplat::gaussians::Table;
 use heliosplat::light::Light;
-use heliosplat::trace::{OccluderGradients, Occluders, Transmittance, transmittance, transmittance_by_hierarchy};
+use heliosplat::trace::{OccluderGradients, Occluders, SunVisibility, Transmittance, transmittance};
 use heliosplat_tests::reference;
 use proptest::prelude::*;
 
-/// How the Gaussians on a ray are found: as they are in training, or by the hierarchy whatever the light.
-#[derive(Debug, Clone, Copy)]
-enum Route {
-    SunPlane,
-    Hierarchy,
-}
-
-const ROUTES: [Route; 2] = [Route::SunPlane, Route::Hierarchy];
+const ROUTES: [SunVisibility; 2] = [SunVisibility::Plane, SunVisibility::Bvh];
 
 /// A light of any kind: a sun, or a point in, above or beside the Gaussians, also in the centre of one.
 fn light() -> impl Strategy<Value = Light> {
@@ -30,13 +23,10 @@ fn light() -> impl Strategy<Value = Light> {
     ]
 }
 
-fn traced(gaussians: &Table, light: &Light, route: Route) -> (Transmittance, Table) {
-    let occluders = Occluders::new(gaussians);
+fn traced(gaussians: &Table, light: &Light, route: SunVisibility) -> (Transmittance, Table) {
+    let occluders = Occluders::tracing_by(route, gaussians);
     let origins: Vec<u32> = (0..gaussians.count as u32).collect();
-    let traced = match route {
-        Route::SunPlane => transmittance(&occluders, &origins, light),
-        Route::Hierarchy => transmittance_by_hierarchy(&occluders, &origins, light),
-    };
+    let traced = transmittance(&occluders, &origins, light);
     let mut out = gaussians.zeros_like();
     let d = origins
         .iter()
@@ -159,7 +149,7 @@ fn a_slope_under_a_grazing_sun_is_lit_too() {
             // As high above the slope as that, along its line of fall.
             let down = (normal * normal.z - Vec3::Z).normalize();
             let light = Light::Directional(normal * above.to_radians().sin() + down * above.to_radians().cos());
-            let (traced, _) = traced(&table, &light, Route::SunPlane);
+            let (traced, _) = traced(&table, &light, SunVisibility::Plane);
             let least = traced.values.iter().copied().fold(1.0, f32::min);
             assert!(least >= 0.99, "tilt {tilt}, {above} degrees above it: {least}");
         }
@@ -197,7 +187,7 @@ fn shadow_length_m(height: f32, elevation_deg: f32) -> f64 {
         put(across * up + k, at, [0.3 * size, 0.3 * size, 0.01 * size]);
     }
     let light = Light::Directional(direction(elevation_deg, 270.0));
-    let (traced, _) = traced(&table, &light, Route::SunPlane);
+    let (traced, _) = traced(&table, &light, SunVisibility::Plane);
     let lit = traced.values[across * up..]
         .iter()
         .position(|&s| s > 0.5)

@@ -2,11 +2,10 @@
 
 use crate::outcome::{CliError, Outcome};
 use heliosplat::bench_fixture::{Descent, Lighting, Site, toward_grey};
-use heliosplat::light::Light;
 use heliosplat::splat::project::project;
 use heliosplat::splat::{ProjectionOptions, Rasteriser};
 use heliosplat::timeline::{self, stage};
-use heliosplat::trace::{Occluders, Transmittance, transmittance, transmittance_by_hierarchy};
+use heliosplat::trace::SunVisibility;
 use heliosplat_rpc::{GeoPoint, ImagePoint, Rpc};
 use rayon::prelude::*;
 use std::time::{Duration, Instant};
@@ -82,9 +81,9 @@ fn splat_rates(site: &Site) -> (f64, f64, f64) {
 
 /// Nanoseconds per ray toward the sun of a step in training: listing, or fitting the hierarchy to Gaussians that have moved;
 /// tracing; and gradients of everything.
-fn light_rate(site: &Site, trace: fn(&Occluders, &[u32], &Light) -> Transmittance) -> f64 {
-    let mut lighting = Lighting::new(site);
-    seconds(|| lighting.step(trace)) / site.parameters.gaussians.count as f64 * 1e9
+fn light_rate(site: &Site, sun_visibility: SunVisibility) -> f64 {
+    let mut lighting = Lighting::new(site, sun_visibility);
+    seconds(|| lighting.step()) / site.parameters.gaussians.count as f64 * 1e9
 }
 
 /// Measures and reports.
@@ -99,10 +98,7 @@ pub(crate) fn run() -> Result<Outcome, CliError> {
     let (forward, backward, pairs_per_pixel) = splat_rates(&site);
     drop(part);
     let part = stage("light");
-    let (plane, tree) = (
-        light_rate(&site, transmittance),
-        light_rate(&site, transmittance_by_hierarchy),
-    );
+    let [plane, bvh] = [SunVisibility::Plane, SunVisibility::Bvh].map(|by| light_rate(&site, by));
     drop(part);
     let part = stage("steps");
     let mut descent = Descent::new(site);
@@ -115,7 +111,7 @@ pub(crate) fn run() -> Result<Outcome, CliError> {
         "forward_ns_per_pair": forward,
         "backward_ns_per_pair": backward,
         "pairs_per_pixel": pairs_per_pixel,
-        "transmittance_ns_per_ray": { "sun_plane": plane, "hierarchy": tree },
+        "transmittance_ns_per_ray": { "plane": plane, "bvh": bvh },
         "steps_per_s": steps_per_s,
         "timeline": timeline::take(),
     });
@@ -126,8 +122,8 @@ pub(crate) fn run() -> Result<Outcome, CliError> {
          forward                {forward:.2} ns per pair\n\
          backward               {backward:.2} ns per pair\n\
          pairs                  {pairs_per_pixel:.1} per pixel\n\
-         light, sun plane       {plane:.0} ns per ray, with gradients\n\
-         light, hierarchy       {tree:.0} ns per ray, with gradients\n\
+         sunlight, plane        {plane:.0} ns per ray, with gradients\n\
+         sunlight, bvh          {bvh:.0} ns per ray, with gradients\n\
          training               {steps_per_s:.1} steps/s ({GAUSSIANS} Gaussians, {SIZE_PX} x {SIZE_PX})",
         project / 1e6,
         localise / 1e6,

@@ -6,7 +6,7 @@ use crate::outcome::{CliError, Outcome};
 use clap::Args;
 use heliosplat_fitting::settings::Preset;
 use heliosplat_satellite::config::SatelliteConfig;
-use heliosplat_satellite::estimate::{Estimate, Speed, estimate, speed_for};
+use heliosplat_satellite::estimate::{Estimate, estimate};
 use heliosplat_satellite::{Decisions, PlanItem, altitude};
 use heliosplat_scene::{Scene, SceneImage, Split, ValueKind, Values, saturation};
 use serde_json::{Value, json};
@@ -34,53 +34,31 @@ pub(crate) fn run(args: &InspectArgs) -> Result<Outcome, CliError> {
     let mut json = describe(&scene, &coverage, &decisions);
     let mut text = table(&scene, &coverage, &decisions.items);
     if scene.training().count() >= 2 {
-        let preview = SatelliteConfig::resolve(Preset::Preview, &[], 1)?;
-        let speed = speed_for(|slowness| estimate(&scene, &preview, slowness).seconds);
-        let estimates = estimates(&scene, speed)?;
+        let estimates = estimates(&scene)?;
         json["estimates"] = estimates
             .iter()
             .map(|(preset, e)| ((*preset).to_owned(), json!(e)))
             .collect();
-        json["speed_varies_by"] = json!(speed.varies_by);
-        text += &estimates_table(&estimates, speed);
+        text += &estimates_table(&estimates);
     }
     Ok(Outcome { json, text })
 }
 
-/// Variation of the speed of this machine above which it is said.
-const VARIES_MUCH: f64 = 0.1;
-
-/// What each preset will take on a machine of this speed.
-fn estimates(scene: &Scene, speed: Speed) -> Result<Vec<(&'static str, Estimate)>, CliError> {
+/// What each preset will take.
+fn estimates(scene: &Scene) -> Result<Vec<(&'static str, Estimate)>, CliError> {
     let of = |preset: Preset| {
         let config = SatelliteConfig::resolve(preset, &[], 1)?;
-        Ok((preset.name(), estimate(scene, &config, speed.slowness)))
+        Ok((preset.name(), estimate(scene, &config)))
     };
     Preset::ALL.into_iter().rev().map(of).collect()
 }
 
-fn estimates_table(estimates: &[(&str, Estimate)], speed: Speed) -> String {
+fn estimates_table(estimates: &[(&str, Estimate)]) -> String {
     let mut text = "\ntraining will take about\n".to_owned();
     for (preset, e) in estimates {
-        let most = if e.at_most { "at most" } else { "" };
+        let gib = e.peak_bytes / f64::from(1 << 30);
         // Writing to a String cannot fail.
-        let _ = writeln!(
-            text,
-            "  {preset:<9} {most:<7} {:>6.0} s, {:.1} GiB",
-            e.seconds,
-            e.peak_bytes / f64::from(1 << 30)
-        );
-    }
-    let suns_s = estimates.iter().map(|(_, e)| e.suns_s).fold(0.0, f64::max);
-    if suns_s > 0.0 {
-        let _ = writeln!(text, "  and up to {suns_s:.0} s more to find unknown suns");
-    }
-    if speed.varies_by > VARIES_MUCH {
-        let percent = 100.0 * speed.varies_by;
-        let _ = writeln!(
-            text,
-            "  the speed of this machine varied by {percent:.0} % while it was measured, so times are uncertain"
-        );
+        let _ = writeln!(text, "  {preset:<9} {:>5} steps, {gib:.1} GiB", e.steps);
     }
     text
 }

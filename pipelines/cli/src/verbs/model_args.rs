@@ -22,10 +22,10 @@ pub struct TrainArgs {
     /// Folder of the run, made if absent
     #[arg(long, value_name = "RUN")]
     pub out: PathBuf,
-    /// How much time for how good a result [default: balanced, or what fits into --time-budget]
+    /// How much time for how good a result [default: balanced]
     #[arg(long, value_enum)]
     pub preset: Option<PresetName>,
-    /// Use this time and no more, products included, such as 90s, 5m, 1h30m
+    /// Take as many steps as fit into this time, products included, such as 90s, 5m, 1h30m
     #[arg(long, value_parser = parse::duration, value_name = "TIME")]
     pub time_budget: Option<Duration>,
     /// Stay below this much memory, such as 4GiB or 500MB

@@ -17,7 +17,6 @@ use heliosplat_raster::write::{ImageSpec, Sample, write_geotiff};
 use heliosplat_rpc::sun::sun_position;
 use heliosplat_satellite::config::SatelliteConfig;
 use heliosplat_satellite::run_file::scene_of;
-use heliosplat_satellite::training::configure;
 use heliosplat_satellite::{altitude, estimate, measure, relit, training};
 use heliosplat_scene::survey::Survey;
 use heliosplat_session::Session;
@@ -33,10 +32,10 @@ pub(crate) fn train(args: &TrainArgs, session: &Session) -> Result<Outcome, CliE
     let begun = Instant::now();
     timeline::take();
     let part = stage("read");
+    let preset = args.preset.map(Preset::from).unwrap_or_default();
+    let config = SatelliteConfig::resolve(preset, &args.set, args.seed)?;
     let mut ingest = args.ingest.options();
     if args.memory.is_some() {
-        let preset = args.preset.map(Preset::from).unwrap_or_default();
-        let config = SatelliteConfig::resolve(preset, &args.set, args.seed)?;
         ingest = altitude::resolve(&args.scene, &ingest)?;
         estimate::must_fit_unread(&Survey::open(&args.scene, &ingest)?, args.memory, &config)?;
     }
@@ -46,16 +45,13 @@ pub(crate) fn train(args: &TrainArgs, session: &Session) -> Result<Outcome, CliE
         tracing::warn!("{warning}");
     }
     drop(part);
-    let part = stage("estimate");
-    let preset = args.preset.map(Preset::from);
-    let (preset, config, estimate) = configure(&scene, preset, &args.set, args.seed, args.time_budget)?;
+    let estimate = estimate::estimate(&scene, &config);
     tracing::info!(
-        "estimate: preset {}, {:.2} GiB, {}",
+        "preset {}: {} steps, about {:.2} GiB of memory",
         preset.name(),
-        estimate.peak_bytes / f64::from(1 << 30),
-        estimate.time_in_words()
+        estimate.steps,
+        estimate.peak_bytes / f64::from(1 << 30)
     );
-    drop(part);
     // Before its surface is known, a scene is refused only where it would not even fit if it were flat.
     estimate::must_fit(estimate.least_bytes, args.memory, &config)?;
     let request = args.request(preset, begun);

@@ -6,7 +6,6 @@ use crate::page::{MIB, inline_picture, number, plain, section};
 use crate::view;
 use heliosplat_products::model::ModelImage;
 use heliosplat_products::set::date_of;
-use heliosplat_satellite::Trial;
 use heliosplat_scene::Split;
 use image::RgbImage;
 use image::imageops::crop_imm;
@@ -266,34 +265,16 @@ pub(super) fn accuracy(run: &Folder) -> Markup {
     section("Accuracy against truth", body)
 }
 
-/// Which components the scene required, why, and what short fits said of their gain and cost.
+/// Which components the scene required, and why.
 pub(super) fn plan(run: &Contents) -> Markup {
-    let tried = run.run.plan.iter().any(|item| item.trial.is_some());
-    // Times are not repeatable, so they stand with what was measured and not with the model.
-    let timed: Vec<Trial> = serde_json::from_value(run.folder.metrics["trials"]["trials"].clone()).unwrap_or_default();
-    let step_time_ratio = |component: &str| {
-        let trial = timed.iter().find(|trial| trial.component.key() == component);
-        trial.map(|trial| trial.step_time_ratio)
-    };
     html! {
         h2 { "Component plan" }
         div.wide { table {
-            tr {
-                th { "component" } th.words { "used" }
-                @if tried { th { "gain, dB" } th { "time of a step" } th { "numbers per Gaussian" } }
-                th.words { "reason" }
-            }
+            tr { th { "component" } th.words { "used" } th.words { "reason" } }
             @for item in &run.run.plan {
                 tr.off[!item.on] {
                     td { (item.component) }
                     td.words { (if item.on { "yes" } else { "no" }) }
-                    @if tried {
-                        @if let Some(trial) = item.trial {
-                            td { (format!("{:+.2} ± {:.2}", trial.gain_db, trial.standard_error_db)) }
-                            td { "× " (number(step_time_ratio(&item.component), 2)) }
-                            td { (format!("{:+}", trial.numbers_per_gaussian)) }
-                        } @else { td {} td {} td {} }
-                    }
                     td.words { (item.reason) }
                 }
             }
@@ -329,7 +310,6 @@ pub(super) fn costs(run: &Contents) -> Markup {
         ("initial Gaussians", number("/stages_s/start"), "s"),
         ("training", number("/stages_s/train"), "s"),
         ("total before this page, products included", run.folder.seconds(), "s"),
-        ("estimated when the start was over", number("/time_estimate_s"), "s"),
         ("steps", number("/iterations"), ""),
         ("best step", number("/best_iteration"), ""),
         ("peak memory", mebibytes("/peak_rss_bytes"), "MiB"),

@@ -5,8 +5,8 @@ use heliosplat::model::shadow_gs::{ShadowGs, ShadowGsOptions};
 use heliosplat::splat::ProjectionOptions;
 use heliosplat_rpc::sun::SunPosition;
 use heliosplat_rpc::{GeoPoint, ProjectiveMap};
+use heliosplat_satellite::PlanItem;
 use heliosplat_satellite::config::SatelliteConfig;
-use heliosplat_satellite::{Component, PlanItem, PlanTrial, Trial};
 use heliosplat_scene::crop::Crop;
 use heliosplat_scene::{Area, BandKind, Split, SunSource, Values};
 use serde_json::json;
@@ -51,7 +51,6 @@ fn contents(folder: &Path) -> Contents {
             altitude_range_m: None,
             altitude_from_ties_m: None,
             plan: vec![PlanItem {
-                trial: None,
                 component: EVIL.into(),
                 on: true,
                 reason: EVIL.into(),
@@ -141,36 +140,6 @@ fn a_run_without_metrics_still_has_a_page() {
     contents.folder.metrics = Value::Null;
     let page = page_of_run(&contents);
     assert!(page.contains("Component plan") && !page.contains("<svg"));
-}
-
-#[test]
-fn the_plan_says_what_a_component_gains_and_costs() {
-    let folder = tempfile::tempdir().expect("a temporary folder");
-    let mut contents = contents(folder.path());
-    contents.run.plan = vec![PlanItem {
-        component: Component::NearLight.key().into(),
-        on: true,
-        reason: "short fits say so".into(),
-        trial: Some(PlanTrial {
-            gain_db: 0.31,
-            standard_error_db: 0.05,
-            pieces: 40,
-            numbers_per_gaussian: 4,
-        }),
-    }];
-    let trial = Trial {
-        component: Component::NearLight,
-        gain: None,
-        step_time_ratio: 1.2,
-        numbers_per_gaussian: 4,
-        on: true,
-        decided: true,
-    };
-    contents.folder.metrics["trials"] = json!({ "trials": [trial] });
-    let page = page_of_run(&contents);
-    for said in ["+0.31 ± 0.05", "× 1.20", "<td>+4</td>"] {
-        assert!(page.contains(said), "{said}");
-    }
 }
 
 #[test]

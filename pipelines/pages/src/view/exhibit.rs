@@ -2,8 +2,8 @@
 
 use super::layer::Layer;
 use heliosplat::Raster;
-use heliosplat_products::daylight::Daylight;
 use heliosplat_products::model::ModelFile;
+use heliosplat_radiometry::daylight::Daylight;
 use heliosplat_raster::GridSpec;
 use heliosplat_rpc::sun::SunPosition;
 use heliosplat_scene::BandKind;

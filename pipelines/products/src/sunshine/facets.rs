@@ -5,6 +5,7 @@
 
 use crate::nadir::CellVectors;
 use heliosplat::Raster;
+use heliosplat_grid::PlaneFit;
 use rayon::prelude::*;
 
 /// How far around a cell its plane is fitted, metres.
@@ -62,24 +63,22 @@ fn plane(altitude_m: &Raster, cells: &CellVectors, cell: usize) -> [f32; 3] {
     }
     let (col, row) = (cell % width, cell / width);
     let [cols, rows] = cells.reach(REACH_M);
-    let mut normal = nalgebra::Matrix3::<f64>::zeros();
-    let mut right = nalgebra::Vector3::<f64>::zeros();
+    let mut fit = PlaneFit::default();
     for r in row.saturating_sub(rows)..(row + rows + 1).min(height) {
         for c in col.saturating_sub(cols)..(col + cols + 1).min(width) {
             let above_m = f64::from(plane[r * width + c] - own);
             let [east, north] = cells.offset_m(c as f64 - col as f64, r as f64 - row as f64);
             let one_surface = above_m.abs() <= ROUGHNESS_M + STEEPEST * east.hypot(north);
             if above_m.is_finite() && one_surface {
-                let at = nalgebra::Vector3::new(1.0, east, north);
-                normal += at * at.transpose();
-                right += at * above_m;
+                fit.add([east, north], above_m, 1.0);
             }
         }
     }
-    let fitted = normal.cholesky().map(|decomposed| decomposed.solve(&right));
-    match fitted.filter(|plane| plane.iter().all(|v| v.is_finite())) {
-        Some(plane) => [own + plane[0] as f32, plane[1] as f32, plane[2] as f32],
+    match fit.plane(0.0).map(|value| value as f32) {
+        [above_m, east, north] if above_m.is_finite() && east.is_finite() && north.is_finite() => {
+            [own + above_m, east, north]
+        }
         // Fewer than three cells of one surface: level.
-        None => [own, 0.0, 0.0],
+        _ => [own, 0.0, 0.0],
     }
 }

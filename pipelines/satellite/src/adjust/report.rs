@@ -142,6 +142,7 @@ impl AdjustedScene<'_> {
             "ties": self.adjustment.points.len(),
             "sigma_px": self.adjustment.sigma_px,
             "rounds": self.adjustment.rounds,
+            "converged": self.adjustment.converged,
             "seconds": self.seconds,
             "images": images,
             "pairs": self.adjustment.pairs.iter().map(pair).collect::<Vec<_>>(),

@@ -1,8 +1,8 @@
 //! How a model is lit, as far as the suns of its images are known or their shadows tell, and why.
 
 use super::Facts;
+use heliosplat_radiometry::suns::ShadowSun;
 use heliosplat_scene::{ImageSun, SunSource};
-use heliosplat_stereo::suns::ShadowSun;
 
 /// What makes suns known.
 const REMEDY: &str = "add .IMD, DIM_*.XML or .json files, or time = \"...\" in scene.toml";

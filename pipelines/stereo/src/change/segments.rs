@@ -1,9 +1,8 @@
 //! Connected segments of cells that two surfaces explain better than one.
 
-use super::super::grid::Grid;
 use super::Split;
-use super::shadows::States;
-use heliosplat_rpc::statistics::upper_quantile;
+use heliosplat_grid::Grid;
+use heliosplat_grid::statistics::upper_quantile;
 use rayon::prelude::*;
 use std::collections::BTreeSet;
 
@@ -31,6 +30,17 @@ const LEAST_CRITERION: f32 = 1.0;
 /// Share of a segment's upper quartile of gains that a cell of it has at least: where half of the window lies beside the segment, about
 /// half of the gain is left.
 const LEAST_SHARE: f32 = 0.45;
+
+/// Two states of some cells.
+#[derive(Debug, Clone, Copy)]
+pub struct States<'a> {
+    /// The cells.
+    pub cells: &'a BTreeSet<usize>,
+    /// Altitude of each in the old state and in the new one, metres.
+    pub altitudes_m: &'a [[f32; 2]],
+    /// First day of the new state, days since 1970.
+    pub day: i32,
+}
 
 /// The best surface of one side of a day.
 pub(super) struct Side {

@@ -2,7 +2,6 @@
 //!
 //! Haze and exposure differ between images, so each is first brought to the scale of the median of all by a robust line.
 
-use super::super::grid::Grid;
 use super::super::level::LevelView;
 use super::super::ortho;
 use super::super::pyramid::Search;
@@ -10,7 +9,8 @@ use super::super::views::SweepView;
 use super::super::visibility::{FirstHits, Standing};
 use super::{FACTOR, FEWEST_VIEWS};
 use heliosplat::Raster;
-use heliosplat_rpc::statistics::upper_median;
+use heliosplat_grid::Grid;
+use heliosplat_grid::statistics::upper_median;
 use rayon::prelude::*;
 
 /// One in so many of the other views may be clouded too where the ground in the sun is asked for.

@@ -1,8 +1,8 @@
 //! Blocks of cells and the memory that their costs are computed in.
 
 use super::super::census::{Descriptors, RADIUS};
-use super::super::grid::Grid;
 use super::super::sampling::{POINTS, Places};
+use heliosplat_grid::Grid;
 
 /// Rows and columns of a block: small enough for the cache, large enough that the window's margin stays cheap.
 pub(super) const BLOCK: (usize, usize) = (16, 64);

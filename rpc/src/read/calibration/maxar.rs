@@ -25,8 +25,7 @@ const fn band(band: CalibratedBand, gain: f64, offset: f64, irradiance_w_m2_um: 
 
 use CalibratedBand::{Blue, Green, NearInfrared, Pan, Red};
 
-/// M. Kuester, "Absolute Radiometric Calibration: 2016v0", DigitalGlobe 2017 (release of 6 June 2017), by `satId`. Of QuickBird the
-/// irradiances alone: no copy of its corrections was found, and its factors are taken as delivered.
+/// M. Kuester, "Absolute Radiometric Calibration: 2016v0", DigitalGlobe 2017 (release of 6 June 2017), by `satId`.
 /// Satellites that the note does not have (WorldView-4, Legion) give radiance.
 const SATELLITES: [(&str, &[Band]); 5] = [
     ("WV01", &[band(Pan, 1.016, -1.824, 1478.62)]),
@@ -63,11 +62,11 @@ const SATELLITES: [(&str, &[Band]); 5] = [
     (
         "QB02",
         &[
-            band(Pan, 1.0, 0.0, 1370.92),
-            band(Blue, 1.0, 0.0, 1949.59),
-            band(Green, 1.0, 0.0, 1823.64),
-            band(Red, 1.0, 0.0, 1553.78),
-            band(NearInfrared, 1.0, 0.0, 1102.85),
+            band(Pan, 0.870, -1.491, 1370.92),
+            band(Blue, 1.105, -2.820, 1949.59),
+            band(Green, 1.071, -3.338, 1823.64),
+            band(Red, 1.060, -2.954, 1553.78),
+            band(NearInfrared, 1.020, -4.722, 1102.85),
         ],
     ),
 ];

@@ -33,13 +33,15 @@ fn imd_text(satellite: &str, level: &str) -> String {
 
 #[test]
 fn an_imd_gives_radiance_with_the_corrections_of_its_satellite() {
-    let calibration = calibrated(from_text(&imd_text("WV03", "Corrected")));
-    assert_eq!(calibration.quantity, Quantity::Radiance);
-    let red = calibration.gains[&CalibratedBand::Red];
-    near(red.scale, 0.964 * 0.2);
-    near(red.offset, -3.021);
-    assert_eq!(red.irradiance_w_m2_um, Some(1535.33));
-    assert_eq!(calibration.gains.len(), 2);
+    for (satellite, gain, offset, irradiance) in [("WV03", 0.964, -3.021, 1535.33), ("QB02", 1.060, -2.954, 1553.78)] {
+        let calibration = calibrated(from_text(&imd_text(satellite, "Corrected")));
+        assert_eq!(calibration.quantity, Quantity::Radiance);
+        let red = calibration.gains[&CalibratedBand::Red];
+        near(red.scale, gain * 0.2);
+        near(red.offset, offset);
+        assert_eq!(red.irradiance_w_m2_um, Some(irradiance));
+        assert_eq!(calibration.gains.len(), 2);
+    }
 }
 
 #[test]

@@ -1,0 +1,291 @@
+//! What the shadows around a segment say of its two states.
+//!
+//! A house shades other ground than the lot on which it stands. Where the two states differ in that, and the ground shows in an image,
+//! its darkness tells which state the image has, whatever the other images show. So a side with a single pair of images, on which
+//! matching says little, has as many observations as it has dates.
+//!
+//! Darkness is measured against the other dates on which the same ground is lit. How likely each darkness is in the shadows that the
+//! surface of all images casts and in its sun is counted over the whole scene, so that mistakes of the surface, and dates that
+//! hardly differ, make the evidence as weak as it is.
+//!
+//! Limits: no date says more than [`MOST_OF_DATE`]; what a segment shades within itself is not asked.
+
+use super::suns::{Darkness, angles_deg, toward};
+use heliosplat_grid::Grid;
+use heliosplat_grid::relief::Relief;
+use heliosplat_stereo::change::{self, Changes, States};
+use heliosplat_stereo::{PlaneSweepRequest, Surface, SweepView};
+use rayon::prelude::*;
+use std::collections::BTreeSet;
+
+/// Classes of darkness.
+const CLASSES: usize = 12;
+/// Natural logarithm of brightness from which on darker is in the last class, and brighter in the first.
+const DARKEST: f32 = 1.5;
+/// How far a sun may be too high and a cell that it lights still count as lit, degrees: edges of surfaces are ramps.
+const DOUBT_DEG: f64 = 3.0;
+/// Cells whose darkness is as good as one independent one: a patch of dark ground has a size. Twice as many accepted patterns that repeat, such
+/// as rows of trees, for buildings (docs/lab/change.md).
+const CELLS_OF_ONE: f32 = 2.5;
+/// Most that one date says, as a logarithm of likelihood.
+const MOST_OF_DATE: f32 = 16.0;
+/// Longest shadow that is followed, metres.
+const REACH_M: f32 = 60.0;
+
+/// A date on which the sun is known.
+struct Date {
+    day: i32,
+    azimuth_deg: f64,
+    elevation_deg: f64,
+    /// How much darker each cell is than on other dates; NaN where that is unknown.
+    darkness: Vec<f32>,
+}
+
+/// Divides `surface` in what stands before and after a day, as [`heliosplat_stereo::change::find`]; `days` are those of the views, days
+/// since 1970, and the shadows around each segment take part.
+pub fn find(views: &[SweepView], days: &[i32], request: &PlaneSweepRequest, surface: &mut Surface) -> Changes {
+    change::find(views, days, request, surface, |grid, altitude_m| {
+        let shadows = Shadows::new(views, days, grid, altitude_m);
+        move |states: &States| shadows.likelihood(states)
+    })
+}
+
+/// The dates of a scene with the darkness of their ground.
+struct Shadows {
+    grid: Grid,
+    altitude_m: Vec<f32>,
+    dates: Vec<Date>,
+    /// Logarithm of how much more likely each class of darkness is in shadow than in the sun.
+    in_shadow: [f32; CLASSES],
+}
+
+impl Shadows {
+    /// Of views taken on `days`, on a surface of `altitude_m` in the cells of a grid.
+    fn new(views: &[SweepView], days: &[i32], grid: &Grid, altitude_m: &[f32]) -> Self {
+        let surface = Surface {
+            width: grid.width,
+            height: grid.height,
+            west_m: grid.west_m,
+            north_m: grid.north_m,
+            cell_m: grid.cell_m,
+            altitude: altitude_m.to_vec(),
+            ..Surface::default()
+        };
+        let relief = relief(grid, altitude_m.to_vec());
+        let cells: Vec<usize> = (0..grid.len()).collect();
+        let measured = Darkness::new(views, &surface, &relief, &cells);
+        let lit = |view: &SweepView| {
+            let [azimuth_deg, elevation_deg] = angles_deg(view.sun?);
+            let toward = toward(azimuth_deg, elevation_deg - DOUBT_DEG);
+            Some(cells.iter().map(|&cell| !relief.is_shaded(cell, &toward)).collect())
+        };
+        let lit: Vec<Option<Vec<bool>>> = views.par_iter().map(lit).collect();
+        let mut groups: Vec<u32> = views.iter().map(|view| view.date_group).collect();
+        groups.sort_unstable();
+        groups.dedup();
+        let date = |group: u32| {
+            let first = views.iter().position(|view| view.date_group == group)?;
+            let [azimuth_deg, elevation_deg] = angles_deg(views[first].sun?);
+            Some(Date {
+                day: days[first],
+                azimuth_deg,
+                elevation_deg,
+                darkness: measured.of_date(views, group, &lit),
+            })
+        };
+        let dates: Vec<Date> = groups.into_par_iter().filter_map(date).collect();
+        let mut counts = [[1.0f32; CLASSES]; 2];
+        for date in &dates {
+            let toward = toward(date.azimuth_deg, date.elevation_deg);
+            for &cell in &cells {
+                if let Some(class) = class(date.darkness[cell]) {
+                    counts[usize::from(relief.is_shaded(cell, &toward))][class] += 1.0;
+                }
+            }
+        }
+        let [in_sun, in_shadow] = counts.map(|counts| {
+            let all: f32 = counts.iter().sum();
+            counts.map(|count| (count / all).ln())
+        });
+        Self {
+            grid: *grid,
+            altitude_m: altitude_m.to_vec(),
+            dates,
+            in_shadow: std::array::from_fn(|class| in_shadow[class] - in_sun[class]),
+        }
+    }
+
+    /// How much more likely the darkness around some cells is with two states, the change from one to the other on a day, than with the
+    /// better of the two on all dates: a logarithm. `None` where no date shows ground that tells them apart.
+    fn likelihood(&self, states: &States) -> Option<f32> {
+        let States {
+            cells,
+            altitudes_m,
+            day,
+        } = *states;
+        let states = [0, 1].map(|state: usize| {
+            let mut altitude_m = self.altitude_m.clone();
+            for (&cell, altitudes) in cells.iter().zip(altitudes_m) {
+                altitude_m[cell] = altitudes[state];
+            }
+            relief(&self.grid, altitude_m)
+        });
+        let around = self.around(cells);
+        let (mut before, mut after) = (0.0, 0.0);
+        let mut tells = false;
+        for date in &self.dates {
+            let toward = toward(date.azimuth_deg, date.elevation_deg);
+            let mut old = 0.0;
+            for &cell in &around {
+                let Some(class) = class(date.darkness[cell]) else {
+                    continue;
+                };
+                let [shaded, shaded_then] = states.each_ref().map(|state| state.is_shaded(cell, &toward));
+                if shaded != shaded_then {
+                    tells = true;
+                    old += if shaded {
+                        self.in_shadow[class]
+                    } else {
+                        -self.in_shadow[class]
+                    };
+                }
+            }
+            let old = (old / CELLS_OF_ONE).clamp(-MOST_OF_DATE, MOST_OF_DATE);
+            match date.day < day {
+                true => before += old,
+                false => after -= old,
+            }
+        }
+        tells.then(|| f32::min(before, after))
+    }
+
+    /// The cells in reach of the shadows of some others, without these.
+    fn around(&self, cells: &BTreeSet<usize>) -> Vec<usize> {
+        let width = self.grid.width;
+        let reach = (REACH_M / self.grid.cell_m).ceil() as usize;
+        let span = |at: &dyn Fn(usize) -> usize, most: usize| {
+            let all = || cells.iter().map(|&cell| at(cell));
+            let (first, last) = (all().min().unwrap_or(0), all().max().unwrap_or(0));
+            first.saturating_sub(reach)..(last + reach + 1).min(most)
+        };
+        let columns = span(&|cell| cell % width, width);
+        span(&|cell| cell / width, self.grid.height)
+            .flat_map(|row| columns.clone().map(move |col| row * width + col))
+            .filter(|cell| !cells.contains(cell))
+            .collect()
+    }
+}
+
+fn relief(grid: &Grid, altitude_m: Vec<f32>) -> Relief {
+    Relief::new((grid.width, grid.height), grid.cell_m, altitude_m)
+}
+
+/// The class of a darkness; `None` where it is unknown.
+fn class(darkness: f32) -> Option<usize> {
+    let share = (darkness + DARKEST) / (2.0 * DARKEST);
+    darkness
+        .is_finite()
+        .then(|| ((share * CLASSES as f32) as usize).min(CLASSES - 1))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use glam::Vec3;
+    use heliosplat::{ProjectiveCamera, Raster};
+
+    const SIDE: usize = 60;
+    const HOUSE_M: f32 = 8.0;
+    /// First day, and days from one image to the next.
+    const DAYS: (i32, i32) = (100, 10);
+    /// Azimuths and elevations of the suns of the images, degrees.
+    const SUNS: [[f64; 2]; 6] = [
+        [100.0, 40.0],
+        [150.0, 50.0],
+        [200.0, 45.0],
+        [170.0, 38.0],
+        [230.0, 42.0],
+        [130.0, 47.0],
+    ];
+
+    /// The lot, 10 m wide, and its cells' altitudes without a house and with one.
+    fn lot() -> (BTreeSet<usize>, Vec<[f32; 2]>) {
+        let cells: BTreeSet<usize> = (0..100).map(|i| (35 + i / 10) * SIDE + 30 + i % 10).collect();
+        let altitudes_m = vec![[0.0, HOUSE_M]; cells.len()];
+        (cells, altitudes_m)
+    }
+
+    /// The likelihood that the house is new on `day`, told by images in which it stands from `built` on; another house stands always.
+    fn likelihood(day: i32, built: i32) -> f32 {
+        let grid = Grid::plain(SIDE, SIDE);
+        let (cells, altitudes_m) = lot();
+        let mut ground_m = vec![0.0; SIDE * SIDE];
+        for i in 0..100 {
+            ground_m[(10 + i / 10) * SIDE + 10 + i % 10] = HOUSE_M;
+        }
+        let days: Vec<i32> = (0..SUNS.len() as i32).map(|k| DAYS.0 + k * DAYS.1).collect();
+        let image = |k: usize| {
+            let mut altitude_m = ground_m.clone();
+            if days[k] >= built {
+                cells.iter().for_each(|&cell| altitude_m[cell] = HOUSE_M);
+            }
+            let shadows = relief(&grid, altitude_m).shadows(SUNS[k][0], SUNS[k][1]);
+            let brightness = |cell: usize| {
+                let albedo = 0.2 + 0.02 * (cell * 7919 % 11) as f32;
+                albedo * if shadows[cell] { 0.4 } else { 1.0 }
+            };
+            let mut image = Raster::filled(SIDE, SIDE, 1, 0.0);
+            image.values = (0..SIDE * SIDE).map(brightness).collect();
+            image
+        };
+        let images: Vec<Raster> = (0..SUNS.len()).map(image).collect();
+        let first = grid.point(0, 0, 0.0);
+        let camera = ProjectiveCamera::nadir(
+            f64::from(first.x),
+            f64::from(first.y),
+            f64::from(grid.cell_m),
+            (SIDE, SIDE),
+        );
+        let sun = |[azimuth_deg, elevation_deg]: [f64; 2]| {
+            let ((east, north), (up, across)) =
+                (azimuth_deg.to_radians().sin_cos(), elevation_deg.to_radians().sin_cos());
+            Vec3::new((across * east) as f32, (across * north) as f32, up as f32)
+        };
+        let views: Vec<SweepView> = (images.iter().enumerate())
+            .map(|(k, image)| SweepView {
+                camera,
+                image,
+                index: None,
+                date_group: k as u32,
+                sun: Some(sun(SUNS[k])),
+            })
+            .collect();
+        Shadows::new(&views, &days, &grid, &ground_m)
+            .likelihood(&States {
+                cells: &cells,
+                altitudes_m: &altitudes_m,
+                day,
+            })
+            .expect("shadows of a house tell")
+    }
+
+    #[test]
+    fn shadows_tell_the_day_on_which_a_house_was_built() {
+        let built = DAYS.0 + 3 * DAYS.1;
+        let right = likelihood(built, built);
+        assert!(right > 2.0 * MOST_OF_DATE, "{right}");
+        for other in [built - 2 * DAYS.1, built - DAYS.1, built + DAYS.1, built + 2 * DAYS.1] {
+            let likelihood = likelihood(other, built);
+            assert!(likelihood < right, "day {other}: {likelihood} and {right}");
+        }
+    }
+
+    #[test]
+    fn shadows_refute_a_house_that_no_image_shows() {
+        let refuted = likelihood(DAYS.0 + 3 * DAYS.1, i32::MAX);
+        assert!(
+            refuted < -2.0 * MOST_OF_DATE,
+            "{refuted}: rows of trees match as well as a house"
+        );
+    }
+}

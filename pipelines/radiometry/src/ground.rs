@@ -1,0 +1,41 @@
+//! The ground below a surface, and what of the surface may be ground instead.
+
+use heliosplat_grid::opening;
+
+/// What is narrower than twice this stands on the ground, metres: two rows of houses and the court between them.
+const REACH_M: f32 = 12.0;
+/// Least height above the ground that makes another choice, metres.
+const LEAST_M: f32 = 3.0;
+/// Probability of an altitude from which on the sweep is sure of it.
+const SURE: f32 = 0.97;
+
+/// The ground below the surface `altitude_m`, NaN where it is unknown, on a grid of `(width, height)` cells: its opening.
+pub fn ground_below(size: (usize, usize), cell_m: f32, altitude_m: &[f32]) -> Vec<f32> {
+    let reach = (REACH_M / cell_m).round() as usize;
+    opening(size, altitude_m, [reach; 2])
+}
+
+/// Probability, 0 to 1, that a cell whose altitude is `height_m` above the ground around it is ground instead. `of_altitude` is the probability
+/// of that altitude. `None` where the cell is not high enough to be anything else, or where the sweep was sure of it.
+pub fn ground_probability(height_m: f32, of_altitude: impl FnOnce() -> f32) -> Option<f32> {
+    let probability = (height_m > LEAST_M).then(of_altitude)?;
+    (probability < SURE).then_some(1.0 - probability)
+}
+
+/// Whether the sweep was sure of an altitude of this probability; not where that is NaN.
+pub(crate) fn is_sure(probability: f32) -> bool {
+    probability >= SURE
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn an_unknown_probability_is_neither_sure_nor_doubt() {
+        assert!(!is_sure(f32::NAN) && ground_probability(5.0, || f32::NAN).is_none());
+        assert!(is_sure(SURE) && ground_probability(5.0, || SURE).is_none());
+        assert_eq!(ground_probability(5.0, || 0.75), Some(0.25));
+        assert_eq!(ground_probability(LEAST_M, || 0.75), None);
+    }
+}
