@@ -17,10 +17,10 @@ demo: build
 	target/release/heliosplat demo --out $(OUT)
 
 test: setup
-	cargo test --workspace --exclude heliosplat-python
+	cargo test --locked --workspace --exclude heliosplat-python
 
 build: setup
-	cargo build --release --package heliosplat-cli
+	cargo build --release --locked --package heliosplat-cli
 
 setup:
 	@scripts/setup.sh

@@ -2,10 +2,12 @@
 # Makes a Debian 12 or Ubuntu machine ready to build heliosplat, and says what it installs. Running it again does nothing.
 #
 #   system packages   build-essential pkg-config libgdal-dev curl ca-certificates   (apt-get, with sudo unless root)
-#   Rust toolchain    by rustup into ~/.cargo, only where no cargo of the needed version is found
+#   Rust toolchain    by rustup-init, whose hash is checked, into ~/.cargo, only where no cargo of the needed version is found;
+#                     rustup checks the hashes of the toolchain itself
 set -euo pipefail
 
 readonly PACKAGES=(build-essential pkg-config libgdal-dev curl ca-certificates)
+readonly RUSTUP=1.28.2
 readonly RUST_MINOR=89 # rust-version of Cargo.toml: 1.89
 
 say() { printf 'setup: %s\n' "$*"; }
@@ -52,8 +54,24 @@ has_rust() {
 install_rust() {
   export PATH="$HOME/.cargo/bin:$PATH"
   has_rust && return 0
-  say "installing the stable Rust toolchain with rustup into $HOME/.cargo"
-  curl --proto '=https' --tlsv1.2 -sSf https://sh.rustup.rs | sh -s -- -y --profile minimal --component rustfmt --component clippy
+  say "installing the stable Rust toolchain with rustup $RUSTUP into $HOME/.cargo"
+  local machine hash folder
+  machine=$(uname -m)
+  case "$machine" in
+    x86_64) hash=20a06e644b0d9bd2fbdbfd52d42540bdde820ea7df86e92e533c073da0cdd43c ;;
+    aarch64) hash=e3853c5a252fca15252d07cb23a1bdd9377a8c6f3efa01531109281ae47f841c ;;
+    *)
+      say "no installer of Rust is known for $machine: install Rust 1.$RUST_MINOR or newer, then run this again"
+      exit 1
+      ;;
+  esac
+  folder=$(mktemp -d)
+  curl --proto '=https' --tlsv1.2 -sSf -o "$folder/rustup-init" \
+    "https://static.rust-lang.org/rustup/archive/$RUSTUP/$machine-unknown-linux-gnu/rustup-init"
+  printf '%s  %s\n' "$hash" "$folder/rustup-init" | sha256sum --check --quiet
+  chmod +x "$folder/rustup-init"
+  "$folder/rustup-init" -y --profile minimal --component rustfmt --component clippy
+  rm -r "$folder"
   if ! has_rust; then
     say "cargo is still older than 1.$RUST_MINOR: run 'rustup update stable'"
     exit 1

@@ -9,6 +9,7 @@ use std::path::PathBuf;
 const MOST_SUNS: usize = 100;
 
 /// How images are packed.
+#[cfg_attr(feature = "clap", derive(clap::ValueEnum))]
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Delivery {
@@ -34,6 +35,7 @@ impl Delivery {
 }
 
 /// The size and make-up of a site.
+#[cfg_attr(feature = "clap", derive(clap::ValueEnum))]
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Site {
@@ -84,6 +86,7 @@ impl Site {
 }
 
 /// Which bands the images have.
+#[cfg_attr(feature = "clap", derive(clap::ValueEnum))]
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum BandSet {
@@ -107,6 +110,7 @@ impl BandSet {
 }
 
 /// A fault of real images that a satellite scene can be given.
+#[cfg_attr(feature = "clap", derive(clap::ValueEnum))]
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Fault {
@@ -128,6 +132,7 @@ pub enum Fault {
 pub type Faults = BTreeSet<Fault>;
 
 /// What covers one half of a site.
+#[cfg_attr(feature = "clap", derive(clap::ValueEnum))]
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Cover {
@@ -135,7 +140,7 @@ pub enum Cover {
     Sea,
     /// Snow on the ground and on roofs: bright, hardly any texture, clipped where the sun is on it.
     Snow,
-    /// The land of [`Cover::Sea`] alone: the same scene, with pixels that see the sea missing (0).
+    /// The land of `sea` alone: the same scene, with pixels that see the sea missing (0).
     Nodata,
 }
 

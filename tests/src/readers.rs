@@ -4,11 +4,12 @@
 //! justifies.
 
 mod captures;
+pub mod images;
 
 use heliosplat::gaussians::{Table, core_groups};
 use heliosplat::model::SceneModel;
 use heliosplat::model::shadow_gs::{ShadowGs, ShadowGsOptions};
-use heliosplat_cli::batch::manifest::Manifest;
+use heliosplat_batch::manifest::Manifest;
 use heliosplat_objects::model::ObjectFile;
 use heliosplat_objects::run::ObjectRun;
 use heliosplat_objects::transforms;
@@ -32,7 +33,7 @@ pub struct Reader {
 }
 
 /// All of them.
-pub const READERS: [Reader; 13] = [
+pub const READERS: [Reader; 16] = [
     Reader {
         name: "camera_text",
         read: camera_text,
@@ -97,6 +98,21 @@ pub const READERS: [Reader; 13] = [
         name: "batch_toml",
         read: batch_toml,
         corpus: manifests,
+    },
+    Reader {
+        name: "tile_list",
+        read: tile_list,
+        corpus: tile_lists,
+    },
+    Reader {
+        name: "raster_file",
+        read: images::raster_file,
+        corpus: images::raster_files,
+    },
+    Reader {
+        name: "picture_file",
+        read: images::picture_file,
+        corpus: images::picture_files,
     },
 ];
 
@@ -213,6 +229,28 @@ pub fn object_toml(bytes: &[u8]) -> bool {
 /// The manifest of a batch.
 pub fn batch_toml(bytes: &[u8]) -> bool {
     Manifest::parse(&text(bytes)).is_ok()
+}
+
+/// Maxar's `.TIL`, and the files that a DIMAP lists.
+pub fn tile_list(bytes: &[u8]) -> bool {
+    let text = text(bytes);
+    let listed = read::data_files(&text).is_some();
+    listed || !scene::places_in_til(&text).is_empty()
+}
+
+fn tile_lists() -> Vec<Vec<u8>> {
+    let til = "numTiles = 2;\nBEGIN_GROUP = TILE_1\n\tfilename = \"A_R1C1.TIF\";\n\tULColOffset = 0;\n\tULRowOffset = 0;\n\
+               END_GROUP = TILE_1\nBEGIN_GROUP = TILE_2\n\tfilename = \"A_R1C2.TIF\";\n\tULColOffset = 16384;\n\tULRowOffset = 7;\n\
+               END_GROUP = TILE_2\nEND;\n";
+    let file = |col: u32| {
+        format!("<Data_File tile_R=\"1\" tile_C=\"{col}\"><DATA_FILE_PATH href=\"A_R1C{col}.TIF\"/></Data_File>")
+    };
+    let dimap = format!(
+        "<Dimap_Document><Raster_Data><Data_Access><Data_Files>{}{}</Data_Files></Data_Access></Raster_Data></Dimap_Document>",
+        file(1),
+        file(2)
+    );
+    vec![til.as_bytes().to_vec(), dimap.into_bytes()]
 }
 
 fn manifests() -> Vec<Vec<u8>> {

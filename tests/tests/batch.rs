@@ -440,6 +440,20 @@ set = { \"train.iterations\" = 4 }
     assert_eq!(state("all/sound/fast/mosaic").0, "done");
     let (gone, why) = state("all/gone/refused");
     assert!(gone == "failed" && why.contains("no_such_folder"), "{why}");
+    // The plan is kept with the refused unit: the process of a unit reads it, and does not plan again.
+    let plan = home.path().join("out/plan.json");
+    let modified = || plan.metadata().and_then(|data| data.modified()).expect("a plan");
+    let (before, shown) = (
+        modified(),
+        heliosplat(&batch(home.path(), "out", &["--dry-run"])).output(),
+    );
+    let shown = String::from_utf8_lossy(&shown.expect("it runs").stdout).into_owned();
+    assert!(
+        shown.contains("refused   all/gone/refused: ") && shown.contains("no_such_folder"),
+        "{shown}"
+    );
+    assert_eq!(modified(), before);
+    assert!(home.path().join("out/inputs.json").is_file());
     let units = summary["units"].as_array().expect("units");
     let row = units
         .iter()

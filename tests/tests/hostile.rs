@@ -1,9 +1,12 @@
 //! Inputs that somebody made to do harm: each gets one line that says what is wrong with it, exit code 2, in seconds and in little
 //! memory. Nothing outside of `--out` is written, and no address is called.
 
+use gdal::raster::{Buffer, RasterCreationOptions};
+use gdal::{Dataset, DatasetOptions, DriverManager, GdalOpenFlags, Metadata};
+use heliosplat_raster::{ImageSpec, Sample, write_geotiff};
 use heliosplat_tests::measured::{self, Measured};
 use heliosplat_tests::program::{binary, json};
-use heliosplat_tests::scenes::{View, write_scene};
+use heliosplat_tests::scenes::{View, parallel_camera, write_scene};
 use serde_json::{Value, json};
 use std::ffi::OsString;
 use std::io::Write;
@@ -23,7 +26,7 @@ const LONGEST: Duration = Duration::from_secs(30);
 /// A hostile input: its name, how it is made in an empty folder (which gives the arguments), and what the refusal says.
 struct Case(&'static str, fn(&Path) -> Vec<OsString>, &'static str);
 
-const CASES: [Case; 32] = [
+const CASES: [Case; 38] = [
     Case(
         "a manifest that leads to another file",
         manifest_traversal,
@@ -52,6 +55,20 @@ const CASES: [Case; 32] = [
         tiff_of_more,
         "claims 30000 x 30000",
     ),
+    Case(
+        "an image of one strip that its bytes do not hold",
+        tiff_of_one_strip,
+        "in one block",
+    ),
+    Case("an image of complex numbers", tiff_complex, "complex numbers"),
+    Case("a raw image that is cut off", raw_cut_off, "claims 4096 bytes"),
+    Case(
+        "an Erdas image that leads to another folder",
+        hfa_leads_away,
+        "in another folder",
+    ),
+    Case("a system that is an address", crs_address, "no EPSG:N"),
+    Case("a system that is a file", crs_file, "no EPSG:N"),
     Case("an XML bomb for a camera", xml_bomb, "view_1"),
     Case("a camera of no numbers", rpc_nan, "view_1"),
     Case("a camera of huge numbers", rpc_huge, "view_1"),
@@ -204,25 +221,26 @@ fn pipe_image(home: &Path) -> Vec<OsString> {
     manifest(home, "pipe.tif")
 }
 
-/// A TIFF of one strip that claims to be larger than it is.
-fn tiff(path: &Path, side: u32) {
+/// A TIFF of eight bytes of pixels: its side, rows of each strip, and what its samples are (bits, compression, format).
+fn tiff(path: &Path, side: u32, rows: u32, [bits, compression, format]: [u32; 3]) {
     let entry = |tag: u16, kind: u16, value: u32| {
         let mut bytes = [tag.to_le_bytes(), kind.to_le_bytes()].concat();
         bytes.extend_from_slice(&1u32.to_le_bytes());
         bytes.extend_from_slice(&value.to_le_bytes());
         bytes
     };
-    // Width, height, bits, deflate, grey, where the strip is, one band, rows per strip, length of the strip.
+    // Width, height, bits, compression, grey, where the strip is, one band, rows of a strip, length of the strip, format of samples.
     let entries = [
         entry(256, 4, side),
         entry(257, 4, side),
-        entry(258, 3, 8),
-        entry(259, 3, 8),
+        entry(258, 3, bits),
+        entry(259, 3, compression),
         entry(262, 3, 1),
         entry(273, 4, 8),
         entry(277, 3, 1),
-        entry(278, 4, 1),
+        entry(278, 4, rows),
         entry(279, 4, 8),
+        entry(339, 3, format),
     ];
     let mut bytes = b"II*\0\x10\0\0\0\x78\x9c\x03\0\0\0\0\x01".to_vec();
     bytes.extend_from_slice(&(entries.len() as u16).to_le_bytes());
@@ -231,31 +249,96 @@ fn tiff(path: &Path, side: u32) {
     std::fs::write(path, bytes).expect("written");
 }
 
+/// Bytes, deflated.
+const DEFLATED_BYTES: [u32; 3] = [8, 8, 1];
+
 fn tiff_of_a_trillion(home: &Path) -> Vec<OsString> {
-    surface_of(home, 1_000_000)
+    surface_of(home, 1_000_000, 1, DEFLATED_BYTES)
 }
 
 fn tiff_of_more(home: &Path) -> Vec<OsString> {
-    surface_of(home, 30_000)
+    surface_of(home, 30_000, 1, DEFLATED_BYTES)
 }
 
-/// A surface model that claims to be larger than it is, measured against itself.
-fn surface_of(home: &Path, side: u32) -> Vec<OsString> {
-    let path = home.join("dsm.tif");
-    tiff(&path, side);
+fn tiff_of_one_strip(home: &Path) -> Vec<OsString> {
+    // Sixteen bits, LZW: GDAL reads such a strip whole.
+    tiff(&missing_image(home), 30_000, 30_000, [16, 5, 1]);
+    inspect(home)
+}
+
+fn tiff_complex(home: &Path) -> Vec<OsString> {
+    surface_of(home, 1, 1, [32, 1, 5])
+}
+
+/// A surface model that is not what it claims to be, measured against itself.
+fn surface_of(home: &Path, side: u32, rows: u32, samples: [u32; 3]) -> Vec<OsString> {
+    tiff(&home.join("dsm.tif"), side, rows, samples);
     std::fs::write(home.join("dsm.tfw"), "0.5\n0\n0\n-0.5\n312000\n4160000\n").expect("written");
+    measure(&home.join("dsm.tif"))
+}
+
+/// Measures a surface model against itself.
+fn measure(path: &Path) -> Vec<OsString> {
     [
         "evaluate".into(),
         "--dsm".into(),
-        path.clone().into(),
+        path.into(),
         "--truth".into(),
         path.into(),
     ]
     .into()
 }
 
+/// An image of 64 by 64 bytes in a format that GDAL writes.
+fn written_by(driver: &str, path: &Path, options: &[&str]) {
+    let driver = DriverManager::get_driver_by_name(driver).expect("a format of GDAL");
+    let options = RasterCreationOptions::from_iter(options.iter().copied());
+    let dataset = driver.create_with_band_type_with_options::<u8, _>(path, 64, 64, 1, &options);
+    let values = Buffer::new((64, 64), vec![7u8; 64 * 64]);
+    let dataset = dataset.expect("created");
+    let mut band = dataset.rasterband(1).expect("a band");
+    band.write((0, 0), (64, 64), &mut { values }).expect("pixels");
+}
+
+fn raw_cut_off(home: &Path) -> Vec<OsString> {
+    let path = home.join("dsm.img");
+    written_by("ENVI", &path, &[]);
+    let file = std::fs::File::options().write(true).open(&path).expect("an image");
+    file.set_len(64 * 64 * 6 / 10).expect("shorter");
+    measure(&path)
+}
+
+fn hfa_leads_away(home: &Path) -> Vec<OsString> {
+    let path = home.join("pixels.img");
+    written_by("HFA", &path, &["USE_SPILL=YES"]);
+    let mut bytes = std::fs::read(&path).expect("readable");
+    let at = bytes
+        .windows(10)
+        .position(|name| name == b"pixels.ige")
+        .expect("the name of its pixels");
+    bytes[at..at + 10].copy_from_slice(b"../els.ige");
+    std::fs::write(&path, bytes).expect("written");
+    measure(&path)
+}
+
+fn crs_address(home: &Path) -> Vec<OsString> {
+    in_system(home, "http://127.0.0.1:9/a.wkt")
+}
+
+fn crs_file(home: &Path) -> Vec<OsString> {
+    std::fs::write(home.join("a.prj"), "EPSG:32637").expect("written");
+    in_system(home, &home.join("a.prj").to_string_lossy())
+}
+
+fn in_system(home: &Path, system: &str) -> Vec<OsString> {
+    two_views(home);
+    let mut arguments: Vec<OsString> = ["dsm".into(), home.into(), "--out".into(), home.join("dsm.tif").into()].into();
+    arguments.extend(["--from", "sweep", "--crs", system].map(OsString::from));
+    arguments
+}
+
 fn tiff_in_a_scene(home: &Path) -> Vec<OsString> {
-    tiff(&missing_image(home), 1_000_000);
+    tiff(&missing_image(home), 1_000_000, 1, DEFLATED_BYTES);
     inspect(home)
 }
 
@@ -491,6 +574,298 @@ fn hostile_inputs_are_refused_in_one_line_in_seconds_and_in_little_memory() {
         assert!(escaped.iter().all(|path| !path.exists()), "{name}: written outside");
     }
     assert!(wrong.is_empty(), "{}", wrong.join("\n"));
+}
+
+/// Three images large enough to be averaged, of which nobody states the altitude.
+fn averaged_views(home: &Path) {
+    const SIDE: usize = 400;
+    let mut raster = heliosplat::Raster::filled(SIDE, SIDE, 1, 0.0);
+    for (index, value) in raster.values.iter_mut().enumerate() {
+        *value = 200.0 + (index.wrapping_mul(2_654_435_761) >> 7 & 0xff) as f32;
+    }
+    for (number, tilt) in [[0.0, 0.0], [0.2, 0.05], [-0.1, 0.15]].into_iter().enumerate() {
+        let camera = parallel_camera(SIDE, 0.5, [36.91, 37.58], tilt);
+        let rpc: Vec<(String, String)> = heliosplat_rpc::write::gdal_domain(&camera).into_iter().collect();
+        let spec = ImageSpec {
+            rpc: &rpc,
+            ..ImageSpec::plain(&raster)
+        };
+        write_geotiff(&home.join(format!("view_{number}.tif")), &spec, Sample::U16).expect("written");
+    }
+}
+
+/// Gives an image an item of the domain in which GDAL looks for overviews.
+fn name_overviews(image: &Path, source: &str) {
+    let options = DatasetOptions {
+        open_flags: GdalOpenFlags::GDAL_OF_UPDATE | GdalOpenFlags::GDAL_OF_RASTER,
+        ..DatasetOptions::default()
+    };
+    let mut dataset = Dataset::open_ex(image, options).expect("an image");
+    dataset
+        .set_metadata_item("OVERVIEW_FILE", source, "OVERVIEWS")
+        .expect("an item");
+    dataset.close().expect("written");
+}
+
+/// What a file may name as its overviews, for a server that listens at `address`.
+fn foreign_overviews(address: &str, cache: &Path) -> Vec<String> {
+    let (host, port) = address.split_once(':').expect("a port");
+    let http = format!("http://{address}/a.tif");
+    let cache = cache.display();
+    vec![
+        "MEM:::DATAPOINTER=4096,PIXELS=200,LINES=200,BANDS=1,DATATYPE=Byte".to_owned(),
+        http.clone(),
+        format!("{http}?DODS"),
+        format!("/vsicurl/{http}"),
+        format!("/vsicurl_streaming/{http}"),
+        "/vsis3/bucket/a.tif".to_owned(),
+        format!("WMTS:{http}"),
+        format!("WMS:{http}"),
+        format!("STACIT:\"{http}\""),
+        format!("ZARR:\"/vsicurl/{http}\""),
+        format!("PG:host={host} port={port} dbname=a user=a"),
+        format!(
+            "<GDAL_WMS><Service name=\"TMS\"><ServerUrl>http://{address}/${{z}}/${{x}}/${{y}}.png</ServerUrl></Service><DataWindow>\
+             <UpperLeftX>0</UpperLeftX><UpperLeftY>0</UpperLeftY><LowerRightX>200</LowerRightX><LowerRightY>-200</LowerRightY>\
+             <SizeX>200</SizeX><SizeY>200</SizeY><TileLevel>0</TileLevel></DataWindow><Projection>EPSG:3857</Projection>\
+             <BlockSizeX>256</BlockSizeX><BlockSizeY>256</BlockSizeY><BandsCount>1</BandsCount>\
+             <Cache><Path>{cache}</Path><Extension>.php</Extension></Cache></GDAL_WMS>"
+        ),
+        virtual_text(&format!("/vsicurl_streaming/{http}")),
+    ]
+}
+
+/// Images of more than 320 pixels a side are averaged where no altitude is given, and GDAL would look for overviews.
+#[test]
+fn overviews_that_a_file_names_are_never_opened() {
+    let listener = TcpListener::bind("127.0.0.1:0").expect("a free port");
+    listener.set_nonblocking(true).expect("asked, not waited for");
+    let address = listener.local_addr().expect("bound").to_string();
+    let home = tempdir().expect("a temporary folder");
+    let (scene, cache) = (home.path().join("scene"), home.path().join("cache"));
+    std::fs::create_dir(&scene).expect("made");
+    averaged_views(&scene);
+    let escaped = |text: &str| text.replace('&', "&amp;").replace('<', "&lt;").replace('"', "&quot;");
+    let inspected = |source: &str, place: &str| {
+        let seen = measured::run(&inspect(&scene), LONGEST);
+        assert!(
+            matches!(seen.code, Some(0 | 2)),
+            "{source} in {place}: {:?} {}",
+            seen.code,
+            seen.stderr
+        );
+        let called = listener.accept().map(|(_, from)| from);
+        assert!(called.is_err(), "{source} in {place}: called from {called:?}");
+        assert!(!cache.exists(), "{source} in {place}: written outside");
+    };
+    for source in foreign_overviews(&address, &cache) {
+        name_overviews(&scene.join("view_0.tif"), &source);
+        let sidecar = format!(
+            "<PAMDataset><Metadata domain=\"OVERVIEWS\"><MDI key=\"OVERVIEW_FILE\">{}</MDI></Metadata></PAMDataset>",
+            escaped(&source)
+        );
+        std::fs::write(scene.join("view_1.tif.aux.xml"), sidecar).expect("written");
+        let stands_in_a_virtual_raster = virtual_text(&escaped(&source));
+        for end in ["ovr", "msk"] {
+            std::fs::write(scene.join(format!("view_2.tif.{end}")), &stands_in_a_virtual_raster).expect("written");
+        }
+        inspected(&source, "a tag, a sidecar and a virtual raster");
+    }
+}
+
+/// A kind of file that never ends, and how it is made.
+type Kind = (&'static str, fn(&Path));
+
+/// GDAL opens what lies beside an image by itself: it waits for pipes, and reads texts whole.
+#[test]
+fn files_beside_an_image_that_never_end_are_refused_in_seconds_and_in_little_memory() {
+    let kinds: [Kind; 3] = [
+        ("pipe", pipe),
+        ("device", |path| symlink("/dev/zero", path).expect("linked")),
+        ("sparse", |path| {
+            let file = std::fs::File::create(path).expect("created");
+            file.set_len(4 << 30).expect("a sparse file");
+        }),
+    ];
+    for name in [
+        "view_0.tif.aux.xml",
+        "view_0.aux",
+        "view_1.IMD",
+        "view_1.RPB",
+        "view_0_RPC.TXT",
+        "view_1.xml",
+        "view_0.tfw",
+        "view_0.tab",
+        "view_0_metadata.txt",
+        "METADATA.DIM",
+        "view_0.tif.msk",
+        "view_0.tif.ovr",
+    ] {
+        for (kind, make) in kinds {
+            let home = tempdir().expect("a temporary folder");
+            two_views(home.path());
+            make(&home.path().join(name));
+            let seen = measured::run(&inspect(home.path()), LONGEST);
+            let refused = seen.code == Some(2) && seen.stderr.contains(name);
+            let harmless = kind == "sparse" && seen.code == Some(0);
+            assert!(refused || harmless, "{kind} {name}: {:?} {}", seen.code, seen.stderr);
+            let mib = seen.peak_bytes >> 20;
+            assert!(
+                seen.peak_bytes < PEAK_MAX && seen.took < LONGEST,
+                "{kind} {name}: {mib} MiB, {:?}",
+                seen.took
+            );
+        }
+    }
+}
+
+/// A log that cannot be written is no reason to stop.
+#[test]
+fn a_training_whose_log_cannot_be_written_ends_well() {
+    let home = tempdir().expect("a temporary folder");
+    two_views(home.path());
+    let run = home.path().join("run");
+    let full = std::fs::File::options()
+        .write(true)
+        .open("/dev/full")
+        .expect("a device");
+    let (closed, open) = std::io::pipe().expect("a pipe");
+    drop(closed);
+    for stderr in [std::process::Stdio::from(full), open.into()] {
+        let status = Command::new(binary())
+            .arg("train")
+            .arg(home.path())
+            .arg("--out")
+            .arg(&run)
+            .args([
+                "--preset",
+                "preview",
+                "--altitude",
+                "690,710",
+                "--set",
+                "train.iterations=1",
+            ])
+            .stdout(std::process::Stdio::null())
+            .stderr(stderr)
+            .status()
+            .expect("the program runs");
+        assert_eq!(status.code(), Some(0));
+        assert!(run.join("model.json").is_file());
+        std::fs::remove_dir_all(&run).expect("removed");
+    }
+}
+
+/// Numbers that mean nothing, or more than any machine has.
+#[test]
+fn numbers_without_sense_are_refused_in_one_line() {
+    let home = tempdir().expect("a temporary folder");
+    two_views(home.path());
+    let scene = home.path().display();
+    let out = home.path().join("out");
+    let out = out.display();
+    let train = format!("train {scene} --out {out} --preset preview --altitude 690,710");
+    for (words, said) in [
+        (format!("inspect {scene} --threads 1000000"), "--threads"),
+        (format!("{train} --set start.cell_gsd=1e-9"), "start.cell_gsd"),
+        (format!("{train} --set start.cell_gsd=1e-3"), "start.cell_gsd"),
+        (format!("{train} --set start.cell_gsd=1e4"), "start.cell_gsd"),
+        (format!("{train} --set start.cell_gsd=1e300"), "start.cell_gsd"),
+        (
+            format!("dsm {scene} --from sweep --altitude 690,710 --out {out}.tif --gsd 1e-9"),
+            "too large",
+        ),
+        (format!("relight {scene} --out {out}.tif --sun=250,95"), "--sun"),
+        (format!("products {scene} --out {out} --sun=1e9,40"), "--sun"),
+        (format!("export {scene} --ply {out}.ply --sun=250,91"), "--sun"),
+        (format!("synth satellite --out {out} --views 1000000000000"), "--views"),
+        (format!("synth satellite --out {out} --size 1000000000000"), "--size"),
+    ] {
+        let arguments: Vec<&str> = words.split(' ').collect();
+        let seen = measured::run(&arguments, LONGEST);
+        assert_eq!(seen.code, Some(2), "{words}: {}", seen.stderr);
+        let line = seen
+            .stderr
+            .lines()
+            .find(|line| line.starts_with("error: "))
+            .unwrap_or_default();
+        assert!(line.contains(said), "{words}: {}", seen.stderr);
+        assert!(
+            seen.peak_bytes < PEAK_MAX && !seen.stderr.contains("panicked"),
+            "{words}"
+        );
+    }
+}
+
+/// What cannot be written is lost, and the exit code says so.
+#[test]
+fn a_result_that_cannot_be_written_to_stdout_is_a_failure() {
+    let full = std::fs::File::options()
+        .write(true)
+        .open("/dev/full")
+        .expect("a device");
+    let words = ["sun", "--time", "2016-04-23T08:34:00Z", "--at", "37.58,36.91"];
+    let status = Command::new(binary())
+        .args(words)
+        .stdout(full)
+        .status()
+        .expect("the program runs");
+    assert_eq!(status.code(), Some(1));
+}
+
+/// A line of standard input has an end.
+#[test]
+fn a_line_without_an_end_is_refused_in_little_memory() {
+    let home = tempdir().expect("a temporary folder");
+    two_views(home.path());
+    let zeros = std::fs::File::open("/dev/zero").expect("a device");
+    let image = home.path().join("view_0.tif");
+    let output = Command::new(binary())
+        .args(["rpc", "project"])
+        .arg(image)
+        .stdin(zeros)
+        .output()
+        .expect("the program runs");
+    assert_eq!(output.status.code(), Some(2));
+    assert!(String::from_utf8_lossy(&output.stderr).contains("stdin line 1"));
+}
+
+/// A training without a map would fail when it is over.
+#[test]
+fn a_missing_database_of_coordinate_systems_is_found_before_training() {
+    let home = tempdir().expect("a temporary folder");
+    two_views(home.path());
+    let run = home.path().join("run");
+    let mut command = Command::new(binary());
+    command
+        .arg("train")
+        .arg(home.path())
+        .arg("--out")
+        .arg(&run)
+        .env("PROJ_LIB", home.path());
+    let output = command
+        .args(["--preset", "preview", "--altitude", "690,710"])
+        .output()
+        .expect("the program runs");
+    let stderr = String::from_utf8_lossy(&output.stderr);
+    assert!(
+        stderr.contains("PROJ's database") && stderr.contains("PROJ_LIB"),
+        "{stderr}"
+    );
+    assert!(!run.exists(), "no run is begun");
+}
+
+/// Terminals obey control characters; an error names files as they can be shown.
+#[test]
+fn control_characters_of_names_do_not_reach_the_terminal() {
+    let home = tempdir().expect("a temporary folder");
+    two_views(home.path());
+    std::fs::write(home.path().join("a\x1b]0;owned\x07.tif"), "no image").expect("written");
+    let seen = measured::run(&inspect(home.path()), LONGEST);
+    assert_eq!(seen.code, Some(2), "{}", seen.stderr);
+    assert!(seen.stderr.contains("owned"), "{}", seen.stderr);
+    for text in [&seen.stderr, &seen.stdout] {
+        assert!(!text.contains(['\x1b', '\x07']), "{text:?}");
+    }
 }
 
 /// Every way that was thought of to make GDAL call an address.

@@ -1,9 +1,7 @@
-//! Suns that no image had, from truth to page: `synth --relight`, `evaluate`, `relight --times`, `products --sun-hours`, on the tiny site.
+//! Suns that no image had, from truth to page: `synth --relight`, `evaluate`, `products --sun-hours`, on the tiny site.
 
 use gdal::{Dataset, Metadata};
 use heliosplat_tests::program::{fault, heliosplat, json};
-use image::AnimationDecoder;
-use image::codecs::gif::GifDecoder;
 use serde_json::Value;
 use std::path::{Path, PathBuf};
 use std::sync::LazyLock;
@@ -86,55 +84,6 @@ fn truth_elsewhere_is_measured_when_asked_for_and_refused_in_one_line_when_it_is
     assert_eq!(read_json(&home.path().join("metrics.json"))["relit"], scene["relit"]);
     let said = fault(&["evaluate", &run, "--relit", &shown(&path("scene"))], 2);
     assert!(said.contains("relit.json"), "{said}");
-}
-
-#[test]
-fn a_series_is_a_file_for_each_time_by_day() {
-    let home = tempdir().expect("a temporary folder");
-    let out = shown(&home.path().join("day.tif"));
-    let run = shown(&path("run"));
-    // The site lies at 78 degrees east: the first of these is at night.
-    let times = "2016-03-20T00:00:00Z,2016-03-20T08:00:00Z,4h";
-    let series = json(&["relight", &run, "--out", &out, "--times", times]);
-    let files = series["files"].as_array().expect("files");
-    assert_eq!((files.len(), series["night"].as_array().map(Vec::len)), (2, Some(1)));
-    assert!(home.path().join("day_20160320T040000Z.tif").is_file());
-    assert!(home.path().join("day_20160320T080000Z_shadow.tif").is_file());
-    let alone = shown(&home.path().join("alone.tif"));
-    let single = json(&["relight", &run, "--out", &alone, "--time", "2016-03-20T08:00:00Z"]);
-    assert_eq!(single["sun_elevation_deg"], files[1]["sun_elevation_deg"]);
-    let bytes = |name: &str| std::fs::read(home.path().join(name)).expect("a file");
-    assert!(
-        bytes("alone.tif") == bytes("day_20160320T080000Z.tif"),
-        "a series is what single suns are"
-    );
-    let night = "2016-03-20T18:00:00Z,2016-03-20T20:00:00Z,1h";
-    let said = fault(&["relight", &run, "--out", &out, "--times", night], 2);
-    assert!(said.contains("none of the 3 times"), "{said}");
-}
-
-#[test]
-fn a_series_is_an_animation_where_a_gif_is_asked_for() {
-    let home = tempdir().expect("a temporary folder");
-    let out = home.path().join("day.gif");
-    let run = shown(&path("run"));
-    let times = "2016-03-20T02:00:00Z,2016-03-20T10:00:00Z,2h";
-    let said = json(&["relight", &run, "--out", &shown(&out), "--times", times]);
-    assert_eq!(said["files"].as_array().map(Vec::len), Some(5));
-    let file = std::io::BufReader::new(std::fs::File::open(&out).expect("a file"));
-    let frames = GifDecoder::new(file)
-        .expect("a GIF")
-        .into_frames()
-        .collect_frames()
-        .expect("frames");
-    assert_eq!(frames.len(), 5);
-    assert_eq!(
-        std::fs::read_dir(home.path()).expect("a folder").count(),
-        1,
-        "and nothing else"
-    );
-    let said = fault(&["relight", &run, "--out", &shown(&out), "--sun", "180,40"], 2);
-    assert!(said.contains("--times"), "{said}");
 }
 
 #[test]

@@ -2,10 +2,12 @@
 //! The sun is compared with `heliosplat sun`, shadows with a walk along each ray, which shares no code with them.
 
 use heliosplat::Raster;
+use heliosplat_products::nadir::NadirGrid;
+use heliosplat_products::surface_shadow::{CASTER, SurfaceShadows};
 use heliosplat_raster::write::{ImageSpec, write_cog};
-use heliosplat_raster::{Crs, CrsTransform, GeoTransform};
+use heliosplat_raster::{Crs, CrsTransform, GeoTransform, GridSpec};
 use heliosplat_rpc::GeoPoint;
-use heliosplat_rpc::sun::sun_position;
+use heliosplat_rpc::sun::{SunPosition, sun_position};
 use heliosplat_tests::program::{fault, json};
 use serde_json::{Value, json as value};
 use std::path::{Path, PathBuf};
@@ -31,17 +33,18 @@ fn node(input: &Value, script: &str) -> Option<Value> {
         println!("skipped: no node");
         return None;
     }
-    let sources = Path::new(env!("CARGO_MANIFEST_DIR")).join("../pipelines/cli/src/view/page");
+    let sources = Path::new(env!("CARGO_MANIFEST_DIR")).join("../pipelines/pages/src/view/page");
     let folder = tempdir().expect("a temporary folder");
     let mut text = String::new();
-    for name in ["sun", "sweep", "light", "inflate", "field"] {
+    for name in ["sun", "sweep", "light", "field"] {
         text += &std::fs::read_to_string(sources.join(format!("{name}.js"))).expect("a source");
     }
     let path = folder.path().join("run.js");
     std::fs::write(folder.path().join("input.json"), input.to_string()).expect("written");
     text += "\nconst input = JSON.parse(require('fs').readFileSync(__dirname + '/input.json', 'utf8'));\n";
     text += "const answer = (object) => console.log(JSON.stringify(object));\n";
-    std::fs::write(&path, text + script).expect("written");
+    text += &format!("(async () => {{ {script} }})();\n");
+    std::fs::write(&path, text).expect("written");
     let output = Command::new("node").arg(&path).output().expect("node runs");
     assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
     Some(serde_json::from_slice(&output.stdout).expect("an answer"))
@@ -169,8 +172,8 @@ fn masks(scene: &Value) -> Option<Vec<Vec<bool>>> {
     let input = value!({"scene": scene, "suns": SUNS});
     let answer = node(
         &input,
-        "const field = readField(input.scene), { east, north } = input.scene.place;
-         const sweep = sweeper(field, east, north), out = new Uint8Array(field.z.length);
+        "const field = readField(await unpack(input.scene)), { east, north } = input.scene.place;
+         const sweep = sweeper(field, east, north, input.scene.caster), out = new Uint8Array(field.z.length);
          answer(input.suns.map(([az, el]) => {
            sweep(az, el, out);
            return Array.from(out, (v, i) => (field.known[i] && v < 32 ? '1' : '0')).join('');
@@ -206,6 +209,48 @@ fn shadows_of_the_page_are_those_of_rays_to_the_sun() {
 }
 
 #[test]
+fn the_page_casts_the_shadows_that_products_have() {
+    let folder = tempdir().expect("a temporary folder");
+    let (transform, crs) = write_surface(&folder.path().join("surface.tif"));
+    let (_, scene) = page_of_surface(folder.path());
+    let answer = node(
+        &value!({"scene": scene, "suns": SUNS}),
+        "const field = readField(await unpack(input.scene)), { east, north } = input.scene.place;
+         const sweep = sweeper(field, east, north, input.scene.caster), out = new Uint8Array(field.z.length);
+         const seen = input.suns.map(([az, el]) => Array.from(sweep(az, el, out)));
+         answer({ heights: Array.from(field.z, (z) => (z === z ? z : null)), seen });",
+    );
+    let Some(answer) = answer else { return };
+    let numbers = |list: &Value| -> Vec<f32> {
+        let list = list.as_array().expect("a list").iter();
+        list.map(|number| number.as_f64().map_or(f32::NAN, |number| number as f32))
+            .collect()
+    };
+    let heights = numbers(&answer["heights"]);
+    let grid = GridSpec {
+        width: WIDTH,
+        height: HEIGHT,
+        transform,
+        crs,
+    };
+    let (nadir, _) = NadirGrid::of_surface(grid, &heights).expect("a grid");
+    let surface = SurfaceShadows::of_heights(WIDTH, heights, nadir.cell_vectors_m(650.0));
+    for ([azimuth_deg, elevation_deg], page) in SUNS.into_iter().zip(answer["seen"].as_array().expect("suns")) {
+        let products = surface.lit(&SunPosition::from_degrees(azimuth_deg, elevation_deg));
+        let known = products.iter().zip(numbers(page)).filter(|(ours, _)| !ours.is_nan());
+        // The page counts in 64 parts, which are averaged over nine cells.
+        let (same, other): (Vec<f32>, Vec<f32>) = known
+            .map(|(ours, page)| (ours - page / 64.0).abs())
+            .partition(|d| *d < 0.025);
+        assert!(
+            other.len() * 1000 < same.len(),
+            "{azimuth_deg}: {} cells differ",
+            other.len()
+        );
+    }
+}
+
+#[test]
 fn unknown_cells_throw_no_shadow_and_have_none() {
     let folder = tempdir().expect("a temporary folder");
     let (_, scene) = page_of_surface(folder.path());
@@ -225,7 +270,7 @@ fn unknown_cells_throw_no_shadow_and_have_none() {
 fn heights_of_the_page_are_those_of_the_file_to_half_a_centimetre() {
     let folder = tempdir().expect("a temporary folder");
     let (_, scene) = page_of_surface(folder.path());
-    let script = "const field = readField(input);
+    let script = "const field = readField(await unpack(input));
         answer(Array.from(field.z, (z) => (z === z ? z : null)));";
     let Some(answer) = node(&scene, script) else { return };
     let heights = answer.as_array().expect("heights");
@@ -283,11 +328,11 @@ fn the_sun_of_the_page_is_the_sun() {
 #[test]
 fn the_sun_is_a_disc_with_half_shade_at_the_border_of_a_shadow() {
     // A wall 100 m high, 100 m away: half-shade is 2 x 100 m x 0.2666 degrees / cos² = some metres wide.
-    let input = value!({"width": 600, "height": 8});
+    let input = value!({"width": 600, "height": 8, "caster": CASTER});
     let script = "const { width, height } = input, z = new Float32Array(width * height);
         for (let i = 0; i < z.length; i++) z[i] = i % width >= 100 && i % width < 110 ? 100 : 0;
         const out = new Uint8Array(z.length);
-        sweeper({ width, height, z }, [2, 0], [0, -2])(270, 45, out);
+        sweeper({ width, height, z }, [2, 0], [0, -2], input.caster)(270, 45, out);
         answer(Array.from(out.subarray(4 * width, 5 * width)));";
     let Some(answer) = node(&input, script) else { return };
     let seen: Vec<u64> = answer

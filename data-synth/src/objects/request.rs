@@ -14,6 +14,7 @@ pub enum Capture {
 }
 
 /// What the object's middle is made of.
+#[cfg_attr(feature = "clap", derive(clap::ValueEnum))]
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Look {
     /// Nothing glossy.

@@ -81,7 +81,7 @@ pub enum Command {
     /// Write the scene under another sun, and its shadow mask
     #[command(
         after_help = "Examples: heliosplat relight run --out evening.tif --sun 270,20\n          \
-                            heliosplat relight run --out day.gif --times 2026-06-21T06:00:00Z,2026-06-21T18:00:00Z,30m\n          \
+                            heliosplat relight run --out noon.tif --time 2026-06-21T09:00:00Z\n          \
                             heliosplat relight object_run --out lit.png --light 2,1,3 --view test/near_000"
     )]
     Relight(model_args::RelightArgs),
@@ -142,19 +142,23 @@ pub fn main() -> ExitCode {
     let cli = Cli::parse();
     log::start(cli.verbose);
     heliosplat_raster::messages::install();
-    let outcome = run(&cli);
-    match &outcome {
-        Ok(outcome) if cli.json => print_line(&outcome.json.to_string()),
-        Ok(outcome) => print_line(outcome.text.trim_end()),
-        Err(error) => report(error, cli.json),
+    let outcome = run(&cli).and_then(|outcome| match cli.json {
+        true => print_line(&outcome.json.to_string()),
+        false => print_line(&log::printable(outcome.text.trim_end())),
+    });
+    if let Err(error) = &outcome {
+        report(error, cli.json);
     }
     ExitCode::from(outcome.err().map_or(0, |error| error.exit_code()))
 }
 
 fn run(cli: &Cli) -> Result<Outcome, CliError> {
     if let Some(threads) = cli.threads {
-        if threads == 0 {
-            return Err(CliError::Input("--threads 0: give at least 1".to_owned()));
+        let most = threads_max();
+        if threads == 0 || threads > most {
+            return Err(CliError::Input(format!(
+                "--threads {threads}: give 1 to {most}; more than there are cores make it slower"
+            )));
         }
         rayon::ThreadPoolBuilder::new()
             .num_threads(threads)
@@ -173,7 +177,7 @@ fn run(cli: &Cli) -> Result<Outcome, CliError> {
         Command::Dsm(args) => satellite::dsm(args, &session),
         Command::Products(args) => products::run(args, &session),
         Command::Report(args) => report::run(args),
-        Command::Relight(args) => model::relight(args, &session),
+        Command::Relight(args) => model::relight(args),
         Command::View(args) => view::run(args, cli.json),
         Command::Render(args) => model::render(args, &session),
         Command::Export(args) => model::export(args, &session),
@@ -188,19 +192,34 @@ fn run(cli: &Cli) -> Result<Outcome, CliError> {
     }
 }
 
+/// Most threads that are started: four for each core, and 256 in any case.
+fn threads_max() -> usize {
+    let cores = std::thread::available_parallelism().map_or(1, std::num::NonZero::get);
+    (4 * cores).max(256)
+}
+
 fn report(error: &CliError, json: bool) {
     let line = error.to_string().split_whitespace().collect::<Vec<_>>().join(" ");
     log::line_on_stderr(&format!("error: {line}"));
     if json {
-        print_line(&serde_json::json!({ "error": line, "exit_code": error.exit_code() }).to_string());
+        // Where nothing can be written, stderr and the exit code have to do.
+        let _ = print_line(&serde_json::json!({ "error": line, "exit_code": error.exit_code() }).to_string());
     }
 }
 
 /// Prints to stdout; a reader that went away (`| head`) is no failure.
-fn print_line(text: &str) {
-    use std::io::Write;
-    if !text.is_empty() {
-        let _ = writeln!(std::io::stdout().lock(), "{text}");
+fn print_line(text: &str) -> Result<(), CliError> {
+    use std::io::{ErrorKind, Write};
+    let mut stdout = std::io::stdout().lock();
+    match if text.is_empty() {
+        Ok(())
+    } else {
+        writeln!(stdout, "{text}")
+    } {
+        Err(error) if error.kind() != ErrorKind::BrokenPipe => {
+            Err(CliError::Failed(format!("stdout cannot be written: {error}")))
+        }
+        _ => Ok(()),
     }
 }
 

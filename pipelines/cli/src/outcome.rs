@@ -1,11 +1,14 @@
 //! What a verb ends in: an [`Outcome`], or a [`CliError`] with the exit code that it stands for.
 
+use heliosplat_batch::BatchError;
 use heliosplat_evaluate::EvaluateError;
 use heliosplat_fitting::checkpoint::CheckpointError;
 use heliosplat_fitting::run_folder::RunError;
 use heliosplat_fitting::settings::ConfigError;
 use heliosplat_fitting::training::TrainingError;
 use heliosplat_objects::{CaptureError, ObjectError};
+use heliosplat_pages::tradeoff::points::PointsError;
+use heliosplat_pages::view::ViewError;
 use heliosplat_products::export::ExportError;
 use heliosplat_products::relight::RelightError;
 use heliosplat_raster::RasterError;
@@ -73,26 +76,22 @@ by_fault!(
     CheckpointError,
     RunError,
     RelightError,
-    ExportError
+    ExportError,
+    ViewError
 );
 
-impl From<SessionError> for CliError {
-    fn from(error: SessionError) -> Self {
-        Self::Failed(error.to_string())
-    }
+/// Errors of which it is known who is at fault.
+macro_rules! always {
+    ($($error:ty => $kind:ident),*) => {$(
+        impl From<$error> for CliError {
+            fn from(error: $error) -> Self {
+                Self::$kind(error.to_string())
+            }
+        }
+    )*};
 }
 
-impl From<ConfigError> for CliError {
-    fn from(error: ConfigError) -> Self {
-        Self::Input(error.to_string())
-    }
-}
-
-impl From<CaptureError> for CliError {
-    fn from(error: CaptureError) -> Self {
-        Self::Input(error.to_string())
-    }
-}
+always!(SessionError => Failed, ConfigError => Input, CaptureError => Input, PointsError => Input);
 
 impl From<TrainingError> for CliError {
     fn from(error: TrainingError) -> Self {
@@ -126,6 +125,31 @@ impl From<SatelliteError> for CliError {
             | SatelliteError::RelitElsewhere(_) => Self::Input(error.to_string()),
             SatelliteError::Stopped => Self::Interrupted(error.to_string()),
             SatelliteError::Settings(_) | SatelliteError::CorrectedCamera { .. } => Self::Failed(error.to_string()),
+        }
+    }
+}
+
+impl From<BatchError> for CliError {
+    fn from(error: BatchError) -> Self {
+        match error {
+            BatchError::Satellite(error) => error.into(),
+            BatchError::Training(error) => error.into(),
+            BatchError::Config(error) => error.into(),
+            BatchError::Run(error) => error.into(),
+            BatchError::View(error) => error.into(),
+            BatchError::Relight(error) => error.into(),
+            BatchError::Export(error) => error.into(),
+            BatchError::Evaluate(error) => error.into(),
+            BatchError::Scene(error) => error.into(),
+            BatchError::Raster(error) => error.into(),
+            BatchError::Interrupted(_) => Self::Interrupted(error.to_string()),
+            BatchError::Io { .. } | BatchError::Failed(_) => Self::Failed(error.to_string()),
+            BatchError::Manifest { .. }
+            | BatchError::NoUnit { .. }
+            | BatchError::NotYet { .. }
+            | BatchError::TooLarge { .. }
+            | BatchError::NothingShown { .. }
+            | BatchError::Refused(_) => Self::Input(error.to_string()),
         }
     }
 }

@@ -1,7 +1,6 @@
 //! Values of arguments: what they look like, and what is said when they do not.
 
-use bytesize::ByteSize;
-use heliosplat_products::sunshine::Period;
+pub use heliosplat_batch::manifest::bytes;
 use heliosplat_scene::AreaRequest;
 use std::time::Duration;
 
@@ -12,6 +11,18 @@ use std::time::Duration;
 pub fn pair(text: &str) -> Result<[f64; 2], String> {
     let numbers = numbers(text)?;
     <[f64; 2]>::try_from(numbers).map_err(|_| "expected two numbers, as in 10,20".to_owned())
+}
+
+/// `AZ,EL`: azimuth and elevation of a sun, degrees.
+///
+/// # Errors
+/// A message for the user.
+pub fn sun(text: &str) -> Result<[f64; 2], String> {
+    let [azimuth, elevation] = pair(text)?;
+    match azimuth.abs() <= 360.0 && elevation.abs() <= 90.0 {
+        true => Ok([azimuth, elevation]),
+        false => Err("expected an azimuth of 0 to 360 degrees and an elevation of at most 90".to_owned()),
+    }
 }
 
 /// `WEST,SOUTH,EAST,NORTH`, degrees, or with `,EPSG:N` at the end coordinates of that system.
@@ -69,17 +80,6 @@ pub fn duration(text: &str) -> Result<Duration, String> {
     Duration::try_from(duration).map_err(|_| negative)
 }
 
-/// A size such as `512MiB`, `4GiB`, `500MB`; a bare number is bytes. `k`, `M` and `G` alone are powers of 1000, as `kB`, `MB` and `GB` are.
-///
-/// # Errors
-/// A message for the user.
-pub fn bytes(text: &str) -> Result<u64, String> {
-    match text.trim().parse::<ByteSize>() {
-        Ok(size) if size.as_u64() > 0 => Ok(size.as_u64()),
-        _ => Err("expected a size such as 512MiB or 4GiB".to_owned()),
-    }
-}
-
 /// `key=value`.
 ///
 /// # Errors
@@ -98,60 +98,6 @@ pub fn key_value(text: &str) -> Result<(String, String), String> {
 pub fn time(text: &str) -> Result<jiff::Timestamp, String> {
     text.parse()
         .map_err(|_| "expected a time such as 2016-04-23T08:34:00Z".to_owned())
-}
-
-/// Moments one step apart.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub struct TimeSeries {
-    from: jiff::Timestamp,
-    to: jiff::Timestamp,
-    step: Duration,
-}
-
-/// Most moments of a series.
-const MOMENTS_MAX: u64 = 10_000;
-
-impl TimeSeries {
-    /// The moments, the first one included, and the last one where a step ends there.
-    pub fn moments(&self) -> impl Iterator<Item = jiff::Timestamp> + use<> {
-        let Self { from, to, step } = *self;
-        let next = move |time: &jiff::Timestamp| time.checked_add(step).ok();
-        std::iter::successors(Some(from), next).take_while(move |time| *time <= to)
-    }
-}
-
-/// `FROM,TO,STEP`: two moments, RFC 3339, and a duration.
-///
-/// # Errors
-/// A message for the user.
-pub fn times(text: &str) -> Result<TimeSeries, String> {
-    let parts: Vec<&str> = text.split(',').map(str::trim).collect();
-    let [from, to, step] = parts[..] else {
-        return Err("expected FROM,TO,STEP, as in 2026-06-21T06:00:00Z,2026-06-21T18:00:00Z,30m".to_owned());
-    };
-    let (from, to, step) = (time(from)?, time(to)?, duration(step)?);
-    if to < from {
-        return Err("the series ends before it begins".to_owned());
-    }
-    if step.as_millis() == 0 {
-        return Err("expected a step above 0".to_owned());
-    }
-    let span = to.duration_since(from).unsigned_abs();
-    if span.as_millis() / step.as_millis() >= u128::from(MOMENTS_MAX) {
-        return Err(format!(
-            "a series has {MOMENTS_MAX} moments at most; take a longer step"
-        ));
-    }
-    Ok(TimeSeries { from, to, step })
-}
-
-/// `FROM` or `FROM/TO`: days.
-///
-/// # Errors
-/// A message for the user.
-pub fn period(text: &str) -> Result<Period, String> {
-    let (from, to) = text.split_once('/').unwrap_or((text, text));
-    Period::new(date(from)?, date(to)?)
 }
 
 /// A date.
@@ -207,68 +153,6 @@ mod tests {
         }
         for bad in ["", "5x", "-3m", "-3", "inf", "nan", "m", "1h-30m", "1e300"] {
             assert!(duration(bad).is_err(), "{bad}");
-        }
-    }
-
-    #[test]
-    fn a_series_has_both_ends_where_a_step_meets_them() {
-        let moments = |text: &str| -> Vec<String> {
-            let series = times(text).expect(text);
-            series.moments().map(|time| time.to_string()).collect()
-        };
-        assert_eq!(
-            moments("2026-06-21T06:00:00Z,2026-06-21T07:00:00Z,30m"),
-            ["2026-06-21T06:00:00Z", "2026-06-21T06:30:00Z", "2026-06-21T07:00:00Z"]
-        );
-        assert_eq!(moments("2026-06-21T06:00:00+02:00, 2026-06-21T05:50:00Z, 1h").len(), 2);
-        assert_eq!(moments("2026-06-21T06:00:00Z,2026-06-21T06:00:00Z,1h").len(), 1);
-        for bad in [
-            "2026-06-21T06:00:00Z,2026-06-21T07:00:00Z",
-            "2026-06-21T06:00:00Z,2026-06-21T05:00:00Z,1h",
-            "2026-06-21T06:00:00Z,2026-06-21T07:00:00Z,0",
-            "2026-06-21T06:00:00Z,2026-06-21T07:00:00Z,0.0000001",
-            "2016-06-21T06:00:00Z,2026-06-21T07:00:00Z,1s",
-            "now,2026-06-21T07:00:00Z,1h",
-        ] {
-            assert!(times(bad).is_err(), "{bad}");
-        }
-    }
-
-    #[test]
-    fn periods_are_days_with_both_ends() {
-        let ends = |text: &str| period(text).map(|period| (period.ends().0.to_string(), period.ends().1.to_string()));
-        let said = |from: &str, to: &str| Ok((from.to_owned(), to.to_owned()));
-        assert_eq!(ends("2026-06-21"), said("2026-06-21", "2026-06-21"));
-        assert_eq!(ends("2026-06-01/2026-08-31"), said("2026-06-01", "2026-08-31"));
-        for bad in [
-            "",
-            "june",
-            "2026-06-31",
-            "2026-06-21/2026-06-20",
-            "2026-01-01/2028-01-01",
-            "2026-06-21/",
-        ] {
-            assert!(period(bad).is_err(), "{bad}");
-        }
-    }
-
-    #[test]
-    fn sizes_carry_their_units_and_bare_numbers_are_bytes() {
-        for (text, bytes_of) in [
-            ("4096", 4096),
-            ("4GiB", 4 << 30),
-            (" 4 gib ", 4 << 30),
-            ("0.5GiB", 1 << 29),
-            ("512MiB", 512 << 20),
-            ("500MB", 500_000_000),
-            ("1.5MB", 1_500_000),
-            ("4G", 4_000_000_000),
-            ("1TiB", 1 << 40),
-        ] {
-            assert_eq!(bytes(text), Ok(bytes_of), "{text}");
-        }
-        for bad in ["", "0", "0GiB", "-1GiB", "lots", "GiB", "4Gib/s", "nan", "inf"] {
-            assert!(bytes(bad).is_err(), "{bad}");
         }
     }
 

@@ -16,7 +16,6 @@ pub mod model;
 pub mod model_args;
 pub mod object;
 pub mod products;
-mod relight_series;
 pub mod report;
 pub mod rpc;
 pub mod satellite;

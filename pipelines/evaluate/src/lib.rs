@@ -24,13 +24,12 @@ pub use self::image::{ImageScore, score_image};
 pub use edges::EdgeErrors;
 pub use metrics::{DsmMetrics, HeightErrors};
 pub use relit::{RelitPair, RelitScore, RelitScores, score_relit};
-pub use shadow::{ShadowScore, score_shadow};
+pub use shadow::ShadowScore;
 pub use uncertainty::Uncertainty;
 
 use align::Shift;
 use heliosplat::Raster;
 use heliosplat_raster::{GeoRaster, RasterError, dsm_bands};
-use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
 /// Water in LAS classes.
@@ -208,20 +207,9 @@ pub fn evaluate_raster(
     })
 }
 
-/// Registers and subtracts: prediction minus truth on the truth's grid, and the shift that was applied. `None` when no
-/// cell is known in both.
-pub fn compare(
-    prediction: &Raster,
-    truth: &Raster,
-    classes: Option<&Raster>,
-    protocol: Protocol,
-) -> Option<(Raster, Shift)> {
-    let moved = |columns: f64, rows: f64| align::moved(prediction, columns, rows);
-    register(&moved, truth, classes, protocol)
-}
-
-/// As [`compare`]; `prediction` gives the prediction on the truth's grid after a move of columns and rows, so that a move
-/// below a cell is interpolated once, from the prediction as it came.
+/// Registers and subtracts: prediction minus truth on the truth's grid, and the shift that was applied. `None` when no cell is known in
+/// both. `prediction` gives the prediction on the truth's grid after a move of columns and rows, so that a move below a cell is
+/// interpolated once.
 fn register(
     prediction: &(impl Fn(f64, f64) -> Raster + Sync),
     truth: &Raster,
@@ -300,17 +288,17 @@ fn check_vertical(
 
 /// LAS class codes and the names they have in reports.
 pub fn class_name(code: f32) -> Option<&'static str> {
-    let names: BTreeMap<u32, &'static str> = BTreeMap::from([
-        (2, "ground"),
-        (5, "vegetation"),
-        (6, "building"),
-        (9, "water"),
-        (11, "road"),
-        (17, "bridge"),
-        (64, "car"),
-        (65, "unlabelled"),
-    ]);
-    names.get(&(code as u32)).copied()
+    Some(match code as u32 {
+        2 => "ground",
+        5 => "vegetation",
+        6 => "building",
+        9 => "water",
+        11 => "road",
+        17 => "bridge",
+        64 => "car",
+        65 => "unlabelled",
+        _ => return None,
+    })
 }
 
 #[cfg(test)]

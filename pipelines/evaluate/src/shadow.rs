@@ -73,11 +73,6 @@ impl ShadowCounts {
     }
 }
 
-/// Scores one image.
-pub fn score_shadow(visibility: &Raster, truth: &Raster) -> Option<ShadowScore> {
-    ShadowCounts::of(visibility, truth).score()
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -95,14 +90,16 @@ mod tests {
     fn rates_are_balanced_over_rare_shadow() {
         let truth = row(&[1.0, 1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, f32::NAN]);
         let visibility = row(&[0.1, 0.9, 0.9, 0.9, 0.9, 0.9, 0.9, 0.2, 0.0]);
-        let score = score_shadow(&visibility, &truth).expect("pixels");
+        let score = ShadowCounts::of(&visibility, &truth).score().expect("pixels");
         assert!((score.ber - (0.5 + 1.0 / 6.0) / 2.0).abs() < 1e-12);
         assert!((score.accuracy - 6.0 / 8.0).abs() < 1e-12);
     }
 
     #[test]
     fn a_scene_without_shadow_is_not_punished_for_it() {
-        let score = score_shadow(&row(&[1.0, 1.0]), &row(&[0.0, 0.0])).expect("pixels");
+        let score = ShadowCounts::of(&row(&[1.0, 1.0]), &row(&[0.0, 0.0]))
+            .score()
+            .expect("pixels");
         assert_eq!((score.ber, score.accuracy), (0.0, 1.0));
     }
 }

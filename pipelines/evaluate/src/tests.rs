@@ -3,6 +3,17 @@
 use super::*;
 use heliosplat_raster::{Crs, GeoTransform, ImageSpec, write_cog};
 
+/// Registers a prediction on the truth's grid and subtracts.
+fn compare(
+    prediction: &Raster,
+    truth: &Raster,
+    classes: Option<&Raster>,
+    protocol: Protocol,
+) -> Option<(Raster, Shift)> {
+    let moved = |columns: f64, rows: f64| align::moved(prediction, columns, rows);
+    register(&moved, truth, classes, protocol)
+}
+
 /// A town: blocks of different heights on a slope, which has one best alignment.
 fn town(width: usize, height: usize, col0: f64, row0: f64) -> Raster {
     let mut raster = Raster::filled(width, height, 1, 0.0);

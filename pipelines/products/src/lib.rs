@@ -3,7 +3,6 @@
 //! [`model`] reads a run; [`surface`] and [`dsm`] look at it from above; [`views`] renders its images; [`relight`] puts it under
 //! another sun; [`set`] writes everything for a GIS through [`writer`], and [`stac`] describes it.
 
-pub mod animation;
 pub mod blend;
 pub mod change;
 pub mod daylight;
@@ -28,6 +27,6 @@ pub mod stored;
 pub mod style;
 pub mod sunshine;
 pub mod surface;
-mod surface_shadow;
+pub mod surface_shadow;
 pub mod views;
 pub mod writer;

@@ -5,8 +5,7 @@
 //! lies between two rays and sees what both see, interpolated. The sun is a disc. At last what a cell sees is averaged with its
 //! neighbours, since altitudes say where an edge stands to about half a cell.
 //!
-//! The page of `view` casts its shadows in the same way (`pipelines/cli/src/view/page/sweep.js`), but its walls reach 0.85 cells and its cells are not
-//! lifted; docs/lab/sun-page.md says what each is worth.
+//! The page of `view` casts its shadows by the same sweep (`pipelines/pages/src/view/page/sweep.js`) with the same numbers ([`CASTER`]).
 //! Limits: one altitude for each cell, so nothing is seen under crowns and bridges; unknown cells throw no shadow.
 
 use crate::model::LoadedModel;
@@ -15,20 +14,33 @@ use crate::surface::{self, ALPHA_KNOWN};
 use heliosplat_rpc::sun::SunPosition;
 use std::f32::consts::PI;
 
-/// Mean radius of the sun's disc, as seen from the Earth.
-const SUN_RADIUS_RAD: f64 = 0.2666 * std::f64::consts::PI / 180.0;
-/// Rise over run between two cells from which on a wall stands between them: altitudes are not interpolated over it.
-const STEEP: f32 = 1.0;
-/// How far beyond the middle of the last high cell a wall's upper edge is, cells.
-const EDGE_CELLS: f32 = 0.75;
-/// Height above the surface from which cells look at the sun, metres: less than altitudes err by, and enough that level roofs do not
-/// speckle themselves.
-const LIFT_M: f32 = 0.05;
-/// What rises less than this above a far shadow, and still lies in its half-shade, does not hide what throws that shadow, metres.
-const LOW_M: f32 = 1.0;
+/// Numbers of the sweep, shared with the page of `view`.
+#[derive(Debug, Clone, Copy, PartialEq, serde::Serialize)]
+pub struct Caster {
+    /// Mean radius of the sun's disc as seen from the Earth, radians.
+    pub sun_radius_rad: f64,
+    /// Rise over run between two cells from which on a wall stands between them: altitudes are not interpolated over it.
+    pub steep: f32,
+    /// Distance of a wall's upper edge beyond the middle of the last high cell, cells.
+    pub edge_cells: f32,
+    /// Height above the surface from which cells look at the sun, metres: less than altitudes err by, and enough that level roofs do
+    /// not speckle themselves.
+    pub lift_m: f32,
+    /// A cell that rises less than this above a far shadow, and lies in its half-shade, does not hide the caster of that shadow, metres.
+    pub low_m: f32,
+}
+
+/// The numbers that masks and the page use.
+pub const CASTER: Caster = Caster {
+    sun_radius_rad: 0.2666 * std::f64::consts::PI / 180.0,
+    steep: 1.0,
+    edge_cells: 0.75,
+    lift_m: 0.05,
+    low_m: 1.0,
+};
 
 /// A surface that throws shadows.
-pub(crate) struct SurfaceShadows {
+pub struct SurfaceShadows {
     width: usize,
     /// Altitudes above the local frame's origin, metres; NaN where unknown.
     up_m: Vec<f32>,
@@ -64,6 +76,11 @@ struct Ray {
 }
 
 impl SurfaceShadows {
+    /// A surface of these altitudes, metres, NaN where unknown, in rows of `width` cells.
+    pub fn of_heights(width: usize, up_m: Vec<f32>, cells: CellVectors) -> Self {
+        Self { width, up_m, cells }
+    }
+
     /// The surface of `model` on the grid of `nadir`, as a surface model has it.
     pub(crate) fn new(model: &LoadedModel, nadir: &NadirGrid) -> Self {
         let cells = surface::cells(&model.into(), &nadir.camera, nadir.cell_m());
@@ -82,7 +99,7 @@ impl SurfaceShadows {
     }
 
     /// Share of the sun that each cell sees, 0 to 1; NaN where the altitude is unknown.
-    pub(crate) fn lit(&self, sun: &SunPosition) -> Vec<f32> {
+    pub fn lit(&self, sun: &SunPosition) -> Vec<f32> {
         let mut lit: Vec<f32> = self.up_m.iter().map(|up_m| up_m * 0.0 + 1.0).collect();
         if let Some(sweep) = self.sweep(sun) {
             self.cast(&sweep, &mut lit);
@@ -114,7 +131,7 @@ impl SurfaceShadows {
             aside: -aside / along.abs(),
             step_m: step_m as f32,
             drop_m: (step_m * sin / cos) as f32,
-            blur_m: (step_m * SUN_RADIUS_RAD / (cos * cos)) as f32,
+            blur_m: (step_m * CASTER.sun_radius_rad / (cos * cos)) as f32,
         })
     }
 
@@ -145,7 +162,8 @@ impl SurfaceShadows {
                 if up_m.is_finite() {
                     // It lies between the rays k - whole - 1 and k - whole.
                     let first = (k as i64 - whole - 1) as usize;
-                    let [a, b] = [rays[first], rays[first + 1]].map(|ray| sweep.seen(up_m + LIFT_M - ray.dark_m, &ray));
+                    let [a, b] =
+                        [rays[first], rays[first + 1]].map(|ray| sweep.seen(up_m + CASTER.lift_m - ray.dark_m, &ray));
                     lit[place(k)] = b + (a - b) * part;
                 }
             }
@@ -203,7 +221,7 @@ impl Sweep {
         match (a.is_nan(), b.is_nan()) {
             (true, _) => b,
             (_, true) => a,
-            _ if (a - b).abs() > STEEP * self.step_m => {
+            _ if (a - b).abs() > CASTER.steep * self.step_m => {
                 if part < 0.5 {
                     a
                 } else {
@@ -217,15 +235,15 @@ impl Sweep {
     /// Takes a ray over a line whose altitude there is `up_m` (NaN: unknown), to the next one.
     fn pass(&self, ray: &mut Ray, up_m: f32) {
         let clear_m = up_m - ray.dark_m;
-        if clear_m >= LOW_M || clear_m >= self.blur_m * ray.behind {
+        if clear_m >= CASTER.low_m || clear_m >= self.blur_m * ray.behind {
             *ray = Ray {
                 dark_m: up_m,
                 behind: 0.0,
             };
-        } else if ray.behind == 1.0 && ray.dark_m + self.drop_m - up_m > STEEP * self.step_m {
+        } else if ray.behind == 1.0 && ray.dark_m + self.drop_m - up_m > CASTER.steep * self.step_m {
             // A wall: its edge stands beyond the middle of the cell before.
-            ray.dark_m += EDGE_CELLS * self.drop_m;
-            ray.behind -= EDGE_CELLS;
+            ray.dark_m += CASTER.edge_cells * self.drop_m;
+            ray.behind -= CASTER.edge_cells;
         }
         ray.dark_m -= self.drop_m;
         ray.behind += 1.0;
@@ -239,14 +257,11 @@ mod tests {
     const CELL_M: f64 = 0.5;
 
     fn surface(width: usize, up_m: Vec<f32>) -> SurfaceShadows {
-        SurfaceShadows {
-            width,
-            up_m,
-            cells: CellVectors {
-                per_col: [CELL_M, 0.0],
-                per_row: [0.0, -CELL_M],
-            },
-        }
+        let cells = CellVectors {
+            per_col: [CELL_M, 0.0],
+            per_row: [0.0, -CELL_M],
+        };
+        SurfaceShadows::of_heights(width, up_m, cells)
     }
 
     /// A tower of 5 x 5 cells, 10 m high, in the middle of level ground.

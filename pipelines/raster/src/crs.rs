@@ -4,6 +4,9 @@ use super::{RasterError, messages};
 use gdal::spatial_ref::SpatialRef;
 use heliosplat_rpc::GeoPoint;
 use proj::Proj;
+use std::cell::RefCell;
+use std::collections::HashMap;
+use std::rc::Rc;
 
 /// A coordinate reference system PROJ and GDAL both understand.
 #[derive(Debug, Clone, PartialEq)]
@@ -20,17 +23,25 @@ pub struct Crs {
 const METRES_PER_DEGREE: f64 = 111_319.490_793;
 
 impl Crs {
-    /// From `EPSG:N`, WKT or anything else PROJ accepts.
+    /// From `EPSG:N` (`EPSG:N+M` with a vertical one), WKT or a PROJ string. Nothing else is taken: GDAL would fetch addresses and open files.
     ///
     /// # Errors
     /// [`RasterError::UnknownCrs`].
     pub fn from_definition(definition: &str) -> Result<Self, RasterError> {
-        let unknown = |reason: String| RasterError::UnknownCrs {
-            definition: shortened(definition),
-            reason,
+        let unknown = |reason: String| match reason.contains("proj_create_from_database: Cannot find")
+            || reason.contains("SQLite")
+        {
+            true => RasterError::ProjDatabase(reason),
+            false => RasterError::UnknownCrs {
+                definition: shortened(definition),
+                reason,
+            },
+        };
+        let Some(parse) = parser(definition) else {
+            return Err(unknown("it is no EPSG:N, no WKT and no PROJ string".to_owned()));
         };
         let read = || {
-            let reference = SpatialRef::from_definition(definition)?;
+            let reference = parse(definition)?;
             Ok((reference.to_wkt()?, reference))
         };
         let (wkt, reference) = messages::collect(read).map_err(unknown)?;
@@ -100,6 +111,33 @@ impl Crs {
     }
 }
 
+/// What parses a definition; `None` where it is of no known kind or names files.
+fn parser(definition: &str) -> Option<fn(&str) -> gdal::errors::Result<SpatialRef>> {
+    let is_word =
+        |text: &str| !text.is_empty() && text.bytes().all(|byte| byte.is_ascii_alphanumeric() || byte == b'_');
+    let names_a_file = |grids: &str| {
+        grids
+            .split([' ', '"'])
+            .next()
+            .is_some_and(|name| name.contains(['/', '\\']))
+    };
+    if definition.contains("init=") || definition.split("grids=").skip(1).any(names_a_file) {
+        return None;
+    }
+    if definition.starts_with('+') {
+        return Some(SpatialRef::from_proj4);
+    }
+    if definition
+        .split_once(['[', '('])
+        .is_some_and(|(keyword, _)| is_word(keyword.trim()))
+    {
+        return Some(SpatialRef::from_wkt);
+    }
+    let (authority, code) = definition.split_once(':')?;
+    let known = ["EPSG", "ESRI", "IGNF", "OGC", "IAU_2015"].contains(&authority.to_uppercase().as_str());
+    (known && code.split('+').all(is_word)).then_some(SpatialRef::from_definition)
+}
+
 /// Whether the vertical part of a WKT is the height above the ellipsoid. No code says so: heights above an ellipsoid are no system of their own in
 /// EPSG, and programs that state them (CARS) write a name.
 fn is_above_ellipsoid(wkt: &str) -> bool {
@@ -142,11 +180,16 @@ pub fn utm_epsg(lon_deg: f64, lat_deg: f64) -> u32 {
     if lat_deg >= 0.0 { 32600 + zone } else { 32700 + zone }
 }
 
+thread_local! {
+    /// The transformations that this thread made, by their two systems; a process meets few of these.
+    static MADE: RefCell<HashMap<[String; 2], Rc<Proj>>> = RefCell::default();
+}
+
 /// A transformation between two coordinate systems; x is east (or longitude), y north (or latitude), always.
 ///
-/// PROJ objects are neither `Send` nor `Sync` and cost milliseconds to make: one per worker, never in a loop.
+/// PROJ objects are neither `Send` nor `Sync` and cost milliseconds to make: each thread keeps those it made.
 pub struct CrsTransform {
-    proj: Proj,
+    proj: Rc<Proj>,
     target: String,
 }
 
@@ -176,10 +219,20 @@ impl CrsTransform {
     }
 
     fn between(source: &str, target: &str, name: &str) -> Result<Self, RasterError> {
-        let proj = Proj::new_known_crs(source, target, None).map_err(|error| RasterError::UnknownCrs {
-            definition: name.to_owned(),
-            reason: error.to_string(),
-        })?;
+        let key = [source, target].map(str::to_owned);
+        let known = MADE.with_borrow(|made| made.get(&key).cloned());
+        let proj = match known {
+            Some(proj) => proj,
+            None => {
+                let proj = Proj::new_known_crs(source, target, None).map_err(|error| RasterError::UnknownCrs {
+                    definition: name.to_owned(),
+                    reason: error.to_string(),
+                })?;
+                let proj = Rc::new(proj);
+                MADE.with_borrow_mut(|made| made.insert(key, Rc::clone(&proj)));
+                proj
+            }
+        };
         Ok(Self {
             proj,
             target: name.to_owned(),
@@ -252,6 +305,36 @@ mod tests {
     fn an_unknown_code_is_an_error_that_names_it() {
         let error = Crs::from_definition("EPSG:999999").expect_err("there is no such code");
         assert!(error.to_string().contains("EPSG:999999"), "{error}");
+    }
+
+    #[test]
+    fn definitions_name_no_files_and_no_addresses() {
+        for definition in [
+            "EPSG:32637",
+            "epsg:32637+5773",
+            "+proj=utm +zone=37 +datum=WGS84",
+            "ESRI:54009",
+        ] {
+            let crs = Crs::from_definition(definition).expect("of a known kind");
+            Crs::from_definition(crs.definition()).expect("its own definition");
+            Crs::from_definition(crs.wkt()).expect("its own WKT");
+        }
+        for definition in [
+            "http://127.0.0.1:9/a.wkt",
+            "/vsicurl_streaming/http://127.0.0.1:9/a.wkt",
+            "/etc/passwd",
+            "scene.prj",
+            "urn:ogc:def:crs:EPSG::32637",
+            "{\"type\": \"ProjectedCRS\"}",
+            "+init=/etc/passwd:a",
+            "+proj=longlat +nadgrids=/dev/zero",
+            "EPSG:",
+            "EPSG:32637/../a",
+            "WGS84",
+            "",
+        ] {
+            assert!(Crs::from_definition(definition).is_err(), "{definition}");
+        }
     }
 
     #[test]

@@ -1,44 +1,26 @@
 //! Reading: what a raster file is, and its pixels as `f32` with `NaN` where nothing is known.
 
-use super::{Crs, GeoTransform, RasterError, messages};
-use gdal::raster::{ColorInterpretation, GdalDataType, ResampleAlg};
+use super::pansharpen::Pansharpening;
+use super::tiled::Mosaic;
+use super::{Crs, GeoTransform, RasterError, bounded, messages, siblings};
+use gdal::raster::{ColorInterpretation, GdalDataType};
 use gdal::{Dataset, DatasetOptions, GdalOpenFlags, Metadata};
 use heliosplat::Raster;
+use rayon::prelude::*;
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
-
-/// The formats that are read: each is complete in its own file and a header beside it. Formats that name other files or addresses
-/// (VRT, WMS, DIMAP, PDF …) are not among them, so that what somebody else wrote opens nothing but itself.
-const DRIVERS: [&str; 22] = [
-    "GTiff",
-    "LIBERTIFF",
-    "JP2OpenJPEG",
-    "JP2KAK",
-    "JP2ECW",
-    "JP2MrSID",
-    "JP2Lura",
-    "NITF",
-    "HFA",
-    "ENVI",
-    "EHdr",
-    "PNG",
-    "JPEG",
-    "WEBP",
-    "BMP",
-    "PNM",
-    "AAIGrid",
-    "DTED",
-    "SRTMHGT",
-    "USGSDEM",
-    "PCIDSK",
-    "GTX",
-];
 
 /// Most samples that are ever read at once.
 const SAMPLES_MAX: u128 = 1 << 33;
 /// Windows of fewer samples are read from however small a file: an image on an empty canvas has next to no bytes for most of its pixels, and
 /// a sparse file none. A gigabyte in memory: 16,384 × 16,384 of one band.
 const SAMPLES_FREE: u128 = 1 << 28;
+/// Types of samples that the crate gdal does not know: complex numbers.
+const UNKNOWN_TYPE: &str = "unknown";
+/// Formats whose pixels stand in the file as they are. GDAL reads zeros where such a file ends early.
+const RAW: [&str; 3] = ["ENVI", "EHdr", "GTX"];
+/// Blocks of fewer pixels are read from however small a file: 8,192 × 8,192.
+const BLOCK_FREE: u128 = 1 << 26;
 /// Deflate makes at most a thousand bytes of one.
 const SAMPLES_PER_BYTE: u128 = 1000;
 /// Samples of all bands that are read before the next rows are: blocks of files whose pixels hold all bands together stay in GDAL's cache for
@@ -47,7 +29,7 @@ const SAMPLES_AT_ONCE: usize = 1 << 22;
 
 /// Whether a file that was not opened is one of GDAL's virtual rasters.
 fn names_other_files(path: &Path) -> bool {
-    let start = crate::bounded::read_start(path, 256);
+    let start = bounded::read_start(path, 256);
     String::from_utf8_lossy(&start).contains("<VRTDataset")
 }
 
@@ -102,19 +84,25 @@ pub struct Window {
     pub height: usize,
 }
 
-/// An open raster file.
+/// An open raster file, or several that are one image.
 pub struct RasterFile {
     path: PathBuf,
-    /// What GDAL opens to read its pixels: the path, or the description of a virtual raster of ours.
-    source: String,
-    /// Its pixels.
-    dataset: Dataset,
-    /// What its metadata are read from, where the pixels come from several files.
-    described_by: Option<Dataset>,
+    size: (usize, usize),
+    pixels: Pixels,
     /// The other files that its pixels come from.
     others: Vec<PathBuf>,
     /// Its bands, in file order.
     pub bands: Vec<BandInfo>,
+}
+
+/// Where the pixels of an image come from.
+pub(super) enum Pixels {
+    /// One file.
+    File(Dataset),
+    /// The tiles of one image.
+    Tiles(Box<Mosaic>),
+    /// A panchromatic image and its colours.
+    Pansharpened(Box<Pansharpening>),
 }
 
 /// Whether a path is on one of GDAL's virtual file systems, such as `/vsizip/` and `/vsis3/`.
@@ -157,75 +145,69 @@ pub fn list_virtual(folder: &Path) -> Result<Vec<PathBuf>, RasterError> {
 }
 
 impl RasterFile {
-    /// Opens a file for reading.
+    /// Opens a file for reading. Files beside it that GDAL may read are looked at first.
     ///
     /// # Errors
-    /// [`RasterError::Missing`] or [`RasterError::NotAnImage`].
+    /// [`RasterError::Missing`], [`RasterError::Unreadable`], [`RasterError::NotAnImage`] or [`RasterError::Damaged`].
     pub fn open(path: &Path) -> Result<Self, RasterError> {
-        if !is_virtual(path) && !path.exists() {
-            return Err(RasterError::Missing(path.to_owned()));
-        }
         let not_an_image = |reason| RasterError::NotAnImage {
             path: path.to_owned(),
             reason,
         };
-        // Opening a pipe would wait for ever.
-        if !is_virtual(path) && !path.is_file() {
-            return Err(not_an_image("it is a folder, a device or a pipe".to_owned()));
+        if !is_virtual(path) {
+            siblings::check(path)?;
         }
         let dataset = messages::collect(|| {
             Dataset::open_ex(
                 path,
                 DatasetOptions {
                     open_flags: GdalOpenFlags::GDAL_OF_READONLY | GdalOpenFlags::GDAL_OF_RASTER,
-                    allowed_drivers: Some(&DRIVERS),
                     ..DatasetOptions::default()
                 },
             )
         })
         .map_err(|_| {
-            let reason = if names_other_files(path) {
-                "a virtual raster names other files; make a GeoTIFF of it with gdal_translate"
+            if names_other_files(path) {
+                not_an_image("a virtual raster names other files; make a GeoTIFF of it with gdal_translate".to_owned())
             } else {
-                "its format is not recognised"
-            };
-            not_an_image(reason.to_owned())
+                not_an_image("its format is not recognised".to_owned())
+            }
         })?;
         if dataset.raster_count() == 0 {
             return Err(not_an_image("it has no bands".to_owned()));
         }
         let bands = messages::collect(|| band_infos(&dataset)).map_err(not_an_image)?;
-        Ok(Self {
+        if bands.iter().any(|band| band.data_type == UNKNOWN_TYPE) {
+            let reason = "its pixels are complex numbers, or of a type that is not read; give their amplitude";
+            return Err(not_an_image(reason.to_owned()));
+        }
+        let size = dataset.raster_size();
+        let file = Self {
             path: path.to_owned(),
-            source: path.to_string_lossy().into_owned(),
-            dataset,
-            described_by: None,
+            size,
+            pixels: Pixels::File(dataset),
             others: Vec::new(),
             bands,
-        })
+        };
+        file.check_bytes()?;
+        Ok(file)
     }
 
-    /// An image made of several files: pixels and bands of the virtual raster that `description` says, path and metadata of `first`.
-    pub(super) fn composed(first: Self, description: String, others: &[Self]) -> Result<Self, String> {
-        let dataset = messages::collect(|| open_virtual(&description))?;
-        let bands = messages::collect(|| band_infos(&dataset))?;
-        let mut paths = first.others;
-        for other in others {
-            paths.push(other.path.clone());
-            paths.extend_from_slice(&other.others);
-        }
-        Ok(Self {
-            path: first.path,
-            source: description,
-            dataset,
-            others: paths,
-            described_by: Some(first.described_by.unwrap_or(first.dataset)),
+    /// One image whose pixels come from several files, of which `path` is the first.
+    pub(super) fn composed(
+        path: PathBuf,
+        others: Vec<PathBuf>,
+        size: (usize, usize),
+        bands: Vec<BandInfo>,
+        pixels: Pixels,
+    ) -> Self {
+        Self {
+            path,
+            size,
+            pixels,
+            others,
             bands,
-        })
-    }
-
-    pub(super) fn source(&self) -> &str {
-        &self.source
+        }
     }
 
     /// The files beside [`RasterFile::path`] that its pixels come from.
@@ -233,8 +215,18 @@ impl RasterFile {
         &self.others
     }
 
-    fn metadata(&self) -> &Dataset {
-        self.described_by.as_ref().unwrap_or(&self.dataset)
+    /// All files that its pixels come from.
+    pub(super) fn files(&self) -> impl Iterator<Item = &PathBuf> {
+        std::iter::once(&self.path).chain(&self.others)
+    }
+
+    /// The file that its metadata are read from; the first one of several.
+    pub(super) fn dataset(&self) -> &Dataset {
+        match &self.pixels {
+            Pixels::File(dataset) => dataset,
+            Pixels::Tiles(mosaic) => mosaic.first().dataset(),
+            Pixels::Pansharpened(pair) => pair.panchromatic.dataset(),
+        }
     }
 
     /// The file.
@@ -242,13 +234,9 @@ impl RasterFile {
         &self.path
     }
 
-    pub(super) fn dataset(&self) -> &Dataset {
-        &self.dataset
-    }
-
     /// Columns and rows.
     pub fn size(&self) -> (usize, usize) {
-        self.dataset.raster_size()
+        self.size
     }
 
     /// The whole image.
@@ -264,7 +252,7 @@ impl RasterFile {
 
     /// Items of one metadata domain; the default domain is `""`, an absent domain is empty.
     pub fn domain(&self, name: &str) -> BTreeMap<String, String> {
-        let items = self.metadata().metadata_domain(name).unwrap_or_default();
+        let items = self.dataset().metadata_domain(name).unwrap_or_default();
         items
             .iter()
             .filter_map(|item| item.split_once('='))
@@ -275,14 +263,14 @@ impl RasterFile {
     /// Where the pixels lie in map coordinates; `None` without georeferencing. Some writers store the identity where they know nothing:
     /// without a coordinate system it is no georeferencing either.
     pub fn geo_transform(&self) -> Option<GeoTransform> {
-        let six = messages::collect(|| self.metadata().geo_transform()).ok()?;
+        let six = messages::collect(|| self.dataset().geo_transform()).ok()?;
         let is_identity = six[..5] == [0.0, 1.0, 0.0, 0.0, 0.0] && six[5].abs() == 1.0;
         (!is_identity || self.crs().is_some()).then(|| GeoTransform::from_gdal(six))
     }
 
     /// The coordinate reference system; `None` without one.
     pub fn crs(&self) -> Option<Crs> {
-        let wkt = self.metadata().projection();
+        let wkt = self.dataset().projection();
         if wkt.is_empty() {
             return None;
         }
@@ -296,7 +284,6 @@ impl RasterFile {
     pub fn read(&self, window: Window, bands: &[usize]) -> Result<Raster, RasterError> {
         self.check_size(window, bands.len())?;
         let mut raster = Raster::filled(window.width, window.height, bands.len(), f32::NAN);
-        let plane = raster.plane_len();
         let rows = (SAMPLES_AT_ONCE / (window.width * bands.len()).max(1)).max(1);
         for first in (0..window.height).step_by(rows) {
             let part = Window {
@@ -304,17 +291,19 @@ impl RasterFile {
                 height: rows.min(window.height - first),
                 ..window
             };
-            for (index, &band) in bands.iter().enumerate() {
-                let values = self.read_band(part, 1, band)?;
-                let start = index * plane + first * window.width;
-                raster.values[start..start + values.len()].copy_from_slice(&values);
+            let values = self.read_part(part, bands)?;
+            let length = part.height * part.width;
+            for band in 0..bands.len() {
+                raster.plane_mut(band)[first * window.width..][..length]
+                    .copy_from_slice(&values[band * length..][..length]);
             }
         }
         Ok(raster)
     }
 
-    /// Reads a window of the given bands (0-based) averaged down: each pixel of the result is the mean of `factor` by `factor` pixels of the
-    /// file, from an overview where the file has one. Columns and rows of the window beyond a multiple of `factor` are left out.
+    /// Reads a window of the given bands (0-based) averaged down: each pixel of the result is the mean of the known ones among `factor` by
+    /// `factor` pixels of the file, `NaN` where none is. Columns and rows of the window beyond a multiple of `factor` are left out. Overviews
+    /// of the file are not used: they may be of other pixels, or stand in any file that this one names.
     ///
     /// # Errors
     /// [`RasterError::Damaged`] when the pixels cannot be read.
@@ -327,34 +316,42 @@ impl RasterFile {
             ..window
         };
         self.check_size(reduced, bands.len())?;
-        let mut values = Vec::with_capacity(width * height * bands.len());
-        for &band in bands {
-            values.extend(self.read_band(window, factor, band)?);
+        let mut raster = Raster::filled(width, height, bands.len(), f32::NAN);
+        if width == 0 {
+            return Ok(raster);
         }
-        Ok(Raster {
-            width,
-            height,
-            bands: bands.len(),
-            values,
-        })
+        let columns = width * factor;
+        let rows = (SAMPLES_AT_ONCE / (columns * factor * bands.len()).max(1)).max(1);
+        for first in (0..height).step_by(rows) {
+            let count = rows.min(height - first);
+            let part = Window {
+                col0: window.col0,
+                row0: window.row0 + first * factor,
+                width: columns,
+                height: count * factor,
+            };
+            let values = self.read_part(part, bands)?;
+            for (band, plane) in values.chunks_exact(columns * part.height).enumerate() {
+                let out = &mut raster.plane_mut(band)[first * width..][..count * width];
+                out.par_chunks_mut(width)
+                    .zip(plane.par_chunks(columns * factor))
+                    .for_each(|(out, rows)| average_rows(out, rows, factor));
+            }
+        }
+        Ok(raster)
     }
 
     /// Refuses to decode so many samples of a window that they would only fill the memory, unless the file is long enough to hold them.
     fn check_size(&self, window: Window, bands: usize) -> Result<(), RasterError> {
         let claimed = window.width as u128 * window.height as u128 * bands as u128;
-        let mut siblings = ["ige", "dat"]
-            .map(|extension| self.path.with_extension(extension))
-            .to_vec();
-        siblings.extend_from_slice(&self.others);
-        let bytes = |path: &Path| std::fs::metadata(path).map_or(0, |known| u128::from(known.len()));
-        let held = bytes(&self.path) + siblings.iter().map(|path| bytes(path)).sum::<u128>();
+        let beside = ["ige", "dat"].map(|extension| self.path.with_extension(extension));
+        let bytes = |path: &PathBuf| std::fs::metadata(path).map_or(0, |known| u128::from(known.len()));
+        let held: u128 = self.files().chain(&beside).map(bytes).sum();
         // How many bytes an archive or an object store holds of it is not known.
         let known = !is_virtual(&self.path);
         if claimed > SAMPLES_MAX || (known && claimed > SAMPLES_FREE.max(held * SAMPLES_PER_BYTE)) {
-            return Err(RasterError::Damaged {
-                path: self.path.clone(),
-                reason: format!("it claims {} x {} pixels in {held} bytes", window.width, window.height),
-            });
+            let reason = format!("it claims {} x {} pixels in {held} bytes", window.width, window.height);
+            return Err(damaged(&self.path, reason));
         }
         Ok(())
     }
@@ -368,21 +365,58 @@ impl RasterFile {
         self.read(self.whole(), &bands)
     }
 
-    /// The values of a window, `factor` pixels each way averaged into one.
-    fn read_band(&self, window: Window, factor: usize, band: usize) -> Result<Vec<f32>, RasterError> {
-        let size = (window.width / factor, window.height / factor);
-        let from = (size.0 * factor, size.1 * factor);
+    /// Refuses a file of which one block would fill the memory, unless the file is long enough to hold it, because pixels are read by whole
+    /// blocks; and a raw one that is cut off.
+    fn check_bytes(&self) -> Result<(), RasterError> {
+        let dataset = self.dataset();
+        let held = std::fs::metadata(&self.path).map_or(u64::MAX, |known| known.len());
+        let mut claimed = 0u128;
+        for number in 1..=self.bands.len() {
+            let band = dataset
+                .rasterband(number)
+                .map_err(|error| damaged(&self.path, error.to_string()))?;
+            let (width, height) = band.block_size();
+            if width as u128 * height as u128 > BLOCK_FREE.max(u128::from(held) * SAMPLES_PER_BYTE) {
+                let reason = format!("it claims {width} x {height} pixels in one block, and has {held} bytes");
+                return Err(damaged(&self.path, reason));
+            }
+            // Fewer bits than a byte, where samples are packed.
+            let packed = band
+                .metadata_item("NBITS", "IMAGE_STRUCTURE")
+                .and_then(|bits| bits.parse().ok());
+            let bits = packed.unwrap_or_else(|| band.band_type().bits());
+            claimed += u128::from(bits) * self.size.0 as u128 * self.size.1 as u128 / 8;
+        }
+        let is_packed_whole = || bounded::read_start(&self.path, 2) == [0x1f, 0x8b];
+        if RAW.contains(&dataset.driver().short_name().as_str()) && claimed > u128::from(held) && !is_packed_whole() {
+            let reason = format!("it claims {claimed} bytes and has {held}");
+            return Err(damaged(&self.path, reason));
+        }
+        Ok(())
+    }
+
+    /// The values of the given bands of a window, one band after the other; `NaN` where nothing is known.
+    fn read_part(&self, window: Window, bands: &[usize]) -> Result<Vec<f32>, RasterError> {
+        match &self.pixels {
+            Pixels::File(dataset) => {
+                let mut values = Vec::with_capacity(window.width * window.height * bands.len());
+                for &band in bands {
+                    values.extend(self.read_band(dataset, window, band)?);
+                }
+                Ok(values)
+            }
+            Pixels::Tiles(mosaic) => mosaic.read(window, bands),
+            Pixels::Pansharpened(pair) => pair.read(window, bands),
+        }
+    }
+
+    fn read_band(&self, dataset: &Dataset, window: Window, band: usize) -> Result<Vec<f32>, RasterError> {
         let (_, mut values) = messages::collect(|| {
             let origin = (window.col0 as isize, window.row0 as isize);
-            let average = (factor > 1).then_some(ResampleAlg::Average);
-            self.dataset
-                .rasterband(band + 1)?
-                .read_as::<f32>(origin, from, size, average)
+            let size = (window.width, window.height);
+            dataset.rasterband(band + 1)?.read_as::<f32>(origin, size, size, None)
         })
-        .map_err(|reason| RasterError::Damaged {
-            path: self.path.clone(),
-            reason,
-        })?
+        .map_err(|reason| damaged(&self.path, reason))?
         .into_shape_and_vec();
         let nodata = self.bands[band].nodata.map(|value| value as f32);
         for value in &mut values {
@@ -394,16 +428,26 @@ impl RasterFile {
     }
 }
 
-/// Opens a virtual raster that this crate described, in XML; it must name only files that were opened before.
-fn open_virtual(description: &str) -> gdal::errors::Result<Dataset> {
-    Dataset::open_ex(
-        description,
-        DatasetOptions {
-            open_flags: GdalOpenFlags::GDAL_OF_READONLY | GdalOpenFlags::GDAL_OF_RASTER,
-            allowed_drivers: Some(&["VRT"]),
-            ..DatasetOptions::default()
-        },
-    )
+/// The means of the known pixels of `factor` columns each of some rows.
+fn average_rows(out: &mut [f32], rows: &[f32], factor: usize) {
+    let columns = out.len() * factor;
+    for (col, mean) in out.iter_mut().enumerate() {
+        let (mut sum, mut count) = (0.0, 0u32);
+        for row in rows.chunks_exact(columns) {
+            for value in row[col * factor..][..factor].iter().filter(|value| !value.is_nan()) {
+                sum += f64::from(*value);
+                count += 1;
+            }
+        }
+        *mean = (sum / f64::from(count)) as f32;
+    }
+}
+
+fn damaged(path: &Path, reason: String) -> RasterError {
+    RasterError::Damaged {
+        path: path.to_owned(),
+        reason,
+    }
 }
 
 fn band_infos(dataset: &Dataset) -> gdal::errors::Result<Vec<BandInfo>> {
@@ -411,7 +455,7 @@ fn band_infos(dataset: &Dataset) -> gdal::errors::Result<Vec<BandInfo>> {
         .map(|index| {
             let band = dataset.rasterband(index)?;
             let data_type = match band.band_type() {
-                GdalDataType::Unknown => "unknown".to_owned(),
+                GdalDataType::Unknown => UNKNOWN_TYPE.to_owned(),
                 known => known.name(),
             };
             Ok(BandInfo {
@@ -479,6 +523,43 @@ impl GeoRaster {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn averages_are_of_full_resolution_and_of_known_pixels_only() {
+        let folder = tempfile::tempdir().expect("a temporary folder");
+        let path = folder.path().join("a.tif");
+        let mut raster = Raster::filled(11, 7, 2, 0.0);
+        for (index, value) in raster.values.iter_mut().enumerate() {
+            *value = if index % 7 == 3 { f32::NAN } else { (index % 23) as f32 };
+        }
+        // The first block of three by three of the window has no known pixel.
+        for row in 1..4 {
+            raster.values[row * 11 + 1..row * 11 + 4].fill(f32::NAN);
+        }
+        crate::write_cog(&path, &crate::ImageSpec::plain(&raster)).expect("written");
+        let window = Window {
+            col0: 1,
+            row0: 1,
+            width: 8,
+            height: 6,
+        };
+        let reduced = RasterFile::open(&path).and_then(|file| file.read_reduced(window, 3, &[1, 0]));
+        let reduced = reduced.expect("pixels");
+        assert_eq!((reduced.width, reduced.height, reduced.bands), (2, 2, 2));
+        for (plane, band) in [1, 0].into_iter().enumerate() {
+            for (col, row) in [(0, 0), (1, 0), (0, 1), (1, 1)] {
+                let block = (0..9).map(|i| raster.at(band, 1 + 3 * col + i % 3, 1 + 3 * row + i / 3));
+                let known: Vec<f32> = block.filter(|value| value.is_finite()).collect();
+                let mean = known.iter().sum::<f32>() / known.len() as f32;
+                let found = reduced.at(plane, col, row);
+                assert!(
+                    (found - mean).abs() < 1e-5 || (found.is_nan() && mean.is_nan()),
+                    "{found} {mean}"
+                );
+            }
+        }
+        assert!(reduced.at(1, 0, 0).is_nan());
+    }
 
     #[test]
     fn only_paths_that_lead_to_the_network_open_it() {

@@ -6,6 +6,7 @@
 
 pub mod bounded;
 pub mod crs;
+mod drivers;
 pub mod dsm_bands;
 pub mod file;
 pub mod folder;
@@ -14,6 +15,7 @@ pub mod grid;
 pub mod messages;
 pub mod pansharpen;
 pub mod preview;
+mod siblings;
 pub mod streamed;
 pub mod tiled;
 pub mod write;
@@ -36,6 +38,14 @@ pub enum RasterError {
     /// No such file.
     #[error("{}: no such file", .0.display())]
     Missing(PathBuf),
+    /// A file, or one beside it that GDAL would read with it, that cannot be read.
+    #[error("{}: cannot be read ({reason})", path.display())]
+    Unreadable {
+        /// The file.
+        path: PathBuf,
+        /// Why.
+        reason: String,
+    },
     /// Something GDAL does not recognise as an image.
     #[error("{}: not an image GDAL can read ({reason}); give a GeoTIFF, JPEG 2000, NITF or another raster format", path.display())]
     NotAnImage {
@@ -63,6 +73,11 @@ pub enum RasterError {
         /// What PROJ said.
         reason: String,
     },
+    /// PROJ's database of coordinate systems is missing or not one.
+    #[error(
+        "PROJ's database cannot be used ({0}); install proj-data, and unset PROJ_LIB and PROJ_DATA where another program set them"
+    )]
+    ProjDatabase(String),
     /// A coordinate that cannot be transformed.
     #[error("a coordinate cannot be transformed to {crs} ({reason}); choose a coordinate system that covers the scene")]
     Transform {

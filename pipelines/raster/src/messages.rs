@@ -11,19 +11,9 @@ thread_local! {
 
 static INSTALL: Once = Once::new();
 
-/// Routes GDAL's messages to the log and to [`collect`]; safe to call often.
+/// Routes GDAL's messages to the log and to [`collect`], and leaves it only the formats this program reads; safe to call often.
 pub fn install() {
     INSTALL.call_once(|| {
-        // Every image is read once, in order: blocks that were read are not needed again. GDAL would keep a twentieth of the memory.
-        if std::env::var_os("GDAL_CACHEMAX").is_none()
-            && gdal::config::set_config_option("GDAL_CACHEMAX", "64").is_err()
-        {
-            tracing::debug!("GDAL takes no options");
-        }
-        // No file that is opened may lead to the network: GDAL's remote file systems open one name, which nothing has.
-        if gdal::config::set_config_option("CPL_VSIL_CURL_ALLOWED_FILENAME", "/vsicurl/none").is_err() {
-            tracing::debug!("GDAL takes no options");
-        }
         set_error_handler(|class, _, message| match class {
             CplErrType::Failure | CplErrType::Fatal => {
                 tracing::debug!("GDAL: {message}");
@@ -32,6 +22,7 @@ pub fn install() {
             CplErrType::Warning => tracing::debug!("GDAL warns: {message}"),
             _ => tracing::trace!("GDAL: {message}"),
         });
+        crate::drivers::restrict();
     });
 }
 

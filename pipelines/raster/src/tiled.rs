@@ -1,10 +1,11 @@
-//! An image that its vendor cut into tiles, read as one through a virtual raster of our own making, which names these tiles and
-//! nothing else.
+//! An image that its vendor cut into tiles, read as one.
 
 use super::RasterError;
-use super::file::RasterFile;
-use super::pansharpen::escaped;
+use super::file::{Pixels, RasterFile, Window};
 use std::path::PathBuf;
+
+/// The last column and row that a tile may begin at: images have no more.
+const FARTHEST: usize = i32::MAX as usize;
 
 /// One tile of an image.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -26,7 +27,7 @@ impl RasterFile {
             .map(|tile| Self::open(&tile.path))
             .collect::<Result<Vec<_>, _>>()?;
         let Some(first) = files.first() else {
-            return Err(no_tiles());
+            return Err(RasterError::Gdal("an image of no tiles".to_owned()));
         };
         let kinds = |file: &Self| -> Vec<(String, Option<u64>)> {
             let bands = file.bands.iter();
@@ -43,49 +44,66 @@ impl RasterFile {
                 ),
             });
         }
-        let description = mosaic_xml(tiles, &files);
-        let path = first.path().to_owned();
-        let mut files = files.into_iter();
-        let Some(first) = files.next() else {
-            return Err(no_tiles());
+        if let Some(far) = tiles.iter().find(|tile| tile.first.iter().any(|&at| at > FARTHEST)) {
+            return Err(RasterError::NotAnImage {
+                path: far.path.clone(),
+                reason: format!("as a tile it begins at column and row {:?}", far.first),
+            });
+        }
+        let end = |axis: usize| {
+            let ends = tiles.iter().zip(&files).map(|(tile, file)| {
+                let (width, height) = file.size();
+                tile.first[axis] + [width, height][axis]
+            });
+            ends.max().unwrap_or(0)
         };
-        Self::composed(first, description, files.as_slice()).map_err(|reason| RasterError::NotAnImage {
-            path,
-            reason: format!("its tiles cannot be read as one: {reason}"),
-        })
+        let (path, bands, size) = (first.path().to_owned(), first.bands.clone(), (end(0), end(1)));
+        let others = files[1..].iter().flat_map(Self::files).cloned().collect();
+        let placed = tiles.iter().map(|tile| tile.first).zip(files).collect();
+        let pixels = Pixels::Tiles(Box::new(Mosaic(placed)));
+        Ok(Self::composed(path, others, size, bands, pixels))
     }
 }
 
-fn no_tiles() -> RasterError {
-    RasterError::Gdal("an image of no tiles".to_owned())
-}
+/// Tiles of one image, at least one, with the column and row of the image that the first pixel of each is.
+pub(super) struct Mosaic(Vec<([usize; 2], RasterFile)>);
 
-fn mosaic_xml(tiles: &[Tile], files: &[RasterFile]) -> String {
-    let end = |axis: usize| {
-        let ends = tiles.iter().zip(files).map(|(tile, file)| {
-            let (width, height) = file.size();
-            tile.first[axis] + [width, height][axis]
-        });
-        ends.max().unwrap_or(0)
-    };
-    let mut xml = format!("<VRTDataset rasterXSize=\"{}\" rasterYSize=\"{}\">", end(0), end(1));
-    for (index, band) in files[0].bands.iter().enumerate() {
-        xml += &format!("<VRTRasterBand dataType=\"{}\" band=\"{}\">", band.data_type, index + 1);
-        if let Some(value) = band.nodata {
-            xml += &format!("<NoDataValue>{value}</NoDataValue>");
-        }
-        for (tile, file) in tiles.iter().zip(files) {
-            let (width, height) = file.size();
-            let [col0, row0] = tile.first;
-            xml += &format!(
-                "<SimpleSource><SourceFilename relativeToVRT=\"0\">{}</SourceFilename><SourceBand>{}</SourceBand>\
-                 <SrcRect xOff=\"0\" yOff=\"0\" xSize=\"{width}\" ySize=\"{height}\"/>\
-                 <DstRect xOff=\"{col0}\" yOff=\"{row0}\" xSize=\"{width}\" ySize=\"{height}\"/></SimpleSource>",
-                escaped(&tile.path.to_string_lossy()),
-                index + 1,
-            );
-        }
-        xml += "</VRTRasterBand>";
+impl Mosaic {
+    /// The tile whose metadata are those of the image.
+    pub(super) fn first(&self) -> &RasterFile {
+        &self.0[0].1
     }
-    xml + "</VRTDataset>"
+
+    /// The values of the given bands of a window, one band after the other; `NaN` where no tile has any. Of tiles that overlap the later
+    /// one counts.
+    pub(super) fn read(&self, window: Window, bands: &[usize]) -> Result<Vec<f32>, RasterError> {
+        let plane = window.width * window.height;
+        let mut values = vec![f32::NAN; plane * bands.len()];
+        for ([col0, row0], file) in &self.0 {
+            let (width, height) = file.size();
+            let (left, top) = (window.col0.max(*col0), window.row0.max(*row0));
+            let right = (window.col0 + window.width).min(col0 + width);
+            let bottom = (window.row0 + window.height).min(row0 + height);
+            if left >= right || top >= bottom {
+                continue;
+            }
+            let part = file.read(
+                Window {
+                    col0: left - col0,
+                    row0: top - row0,
+                    width: right - left,
+                    height: bottom - top,
+                },
+                bands,
+            )?;
+            let first = (top - window.row0) * window.width + left - window.col0;
+            for (band, out) in values.chunks_exact_mut(plane).enumerate() {
+                let rows = part.plane(band).chunks_exact(part.width);
+                for (out, row) in out[first..].chunks_mut(window.width).zip(rows) {
+                    out[..part.width].copy_from_slice(row);
+                }
+            }
+        }
+        Ok(values)
+    }
 }

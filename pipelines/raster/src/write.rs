@@ -4,7 +4,7 @@
 //! complete. So a full disk or a refused permission is an error of the operating system with its own name, and nothing
 //! half-written is ever seen under the target's name.
 
-use super::{Crs, GeoTransform, RasterError, messages};
+use super::{Crs, GeoTransform, RasterError, drivers, messages};
 use gdal::raster::{Buffer, GdalType, RasterBand, RasterCreationOptions};
 use gdal::{Dataset, DriverManager, Metadata};
 use heliosplat::Raster;
@@ -162,7 +162,7 @@ pub fn write_geotiff(path: &Path, spec: &ImageSpec, sample: Sample) -> Result<()
 pub fn copy_with_rpc(image: &Path, target: &Path, rpc: &[(String, String)]) -> Result<(), RasterError> {
     let source = super::RasterFile::open(image)?;
     let copy = messages::collect_strictly(|| {
-        let driver = DriverManager::get_driver_by_name("MEM")?;
+        let driver = drivers::memory()?;
         let mut copy = source
             .dataset()
             .create_copy(&driver, "", &RasterCreationOptions::new())?;
@@ -288,7 +288,7 @@ fn build<T: GdalType + Copy>(
     let raster = spec.raster;
     let size = (raster.width, raster.height);
     messages::collect_strictly(|| {
-        let driver = DriverManager::get_driver_by_name("MEM")?;
+        let driver = drivers::memory()?;
         let mut dataset = driver.create_with_band_type::<T, _>("", size.0, size.1, raster.bands)?;
         describe(&mut dataset, spec, nodata)?;
         for index in 0..raster.bands {

@@ -6,6 +6,9 @@ use heliosplat::train::{TrainError, TrainOptions};
 use heliosplat_fitting::settings::{ConfigError, Preset, resolve};
 use std::path::PathBuf;
 
+/// Widths of a cell that make sense, ground sampling distances: images show nothing finer than the least, and no building at the largest.
+const CELL_GSD: std::ops::RangeInclusive<f64> = 0.25..=100.0;
+
 /// How Gaussians start on the swept surface. Lengths in cells, which are one ground sampling distance wide.
 #[derive(Debug, Clone, PartialEq, serde::Serialize, serde::Deserialize)]
 #[serde(default, deny_unknown_fields)]
@@ -156,8 +159,8 @@ impl SatelliteConfig {
             (
                 "start.cell_gsd",
                 s.cell_gsd,
-                s.cell_gsd > 0.0 && s.cell_gsd.is_finite(),
-                "a finite number above zero",
+                CELL_GSD.contains(&s.cell_gsd),
+                "a number from 0.25 to 100",
             ),
             (
                 "start.step_opacity",
@@ -218,7 +221,8 @@ mod tests {
     #[test]
     fn a_value_that_means_nothing_is_named() {
         for (key, value) in [
-            ("start.cell_gsd", "0.0"),
+            ("start.cell_gsd", "1e-3"),
+            ("start.cell_gsd", "1e300"),
             ("start.step_opacity", "1.0"),
             ("model.opaqueness_weight", "-0.1"),
             ("model.sh_degree", "4"),

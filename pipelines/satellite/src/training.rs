@@ -24,7 +24,7 @@ use heliosplat_products::change::ChangeMap;
 use heliosplat_products::dsm::{self, Dsm};
 use heliosplat_products::model::{LoadedModel, ModelChanges, ModelFile, SCHEMA};
 use heliosplat_products::nadir::NadirGrid;
-use heliosplat_raster::{RasterError, is_virtual, preview};
+use heliosplat_raster::{Crs, RasterError, is_virtual, preview};
 use heliosplat_scene::{AltitudeSource, IngestOptions, Scene, SceneImage, Values};
 use heliosplat_session::Session;
 use rayon::prelude::*;
@@ -43,6 +43,8 @@ pub fn train(
     request: &TrainRequest,
     session: &Session,
 ) -> Result<TrainOutcome<LoadedModel>, SatelliteError> {
+    // The surface model needs a map: better to learn before training that PROJ has none.
+    Crs::utm(scene.frame.origin)?;
     // Decide.
     let part = stage("decide");
     let decisions = Decisions::of(scene, config);

@@ -77,7 +77,9 @@ fn check_height(
     warnings: &mut Vec<String>,
 ) -> Result<(), SceneError> {
     let elevation_deg = found.elevation_rad.to_degrees();
-    if elevation_deg.is_nan() || elevation_deg <= 0.0 {
+    // Degrees become radians and degrees again.
+    let is_day = elevation_deg > 0.0 && elevation_deg <= 90.0 + 1e-9;
+    if !is_day {
         let stated = known.stated_sun().map(|sun| sun.elevation_rad.to_degrees());
         let (origin, remedy) = match (known.time, stated) {
             (Some(time), Some(stated)) if stated > 0.0 => (

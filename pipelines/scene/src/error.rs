@@ -127,8 +127,8 @@ pub enum SceneError {
     /// An image without any pixel.
     #[error("{}: every pixel is missing or zero; take the image out of the scene", .0.display())]
     NoPixels(PathBuf),
-    /// Night.
-    #[error("{}: the sun is below the horizon (elevation {elevation_deg:.1} degrees, {origin}); {remedy}", path.display())]
+    /// Night, or an elevation that no sun has.
+    #[error("{}: the sun is below the horizon or beyond the zenith (elevation {elevation_deg:.1} degrees, {origin}); {remedy}", path.display())]
     SunBelowHorizon {
         /// The image.
         path: PathBuf,

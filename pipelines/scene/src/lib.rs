@@ -44,6 +44,7 @@ pub use error::SceneError;
 pub use known_tiles::KnownTiles;
 pub use relit_truth::{RelitTruth, relit_truth};
 pub use sun::{ImageSun, SunSource};
+pub use tiles::places_in_til;
 pub use values::{BandReflectance, ValueKind, Values};
 
 use draft::Draft;

@@ -65,7 +65,7 @@ pub(super) fn with_colours(
         acquisition: draft.acquisition.merge(acquisition::find(&colours, &entry)?),
         // Pansharpening keeps the ratios between bands: they are those of the multispectral file.
         radiometry: calibration::find(&colours, &entry)?,
-        file: RasterFile::pansharpened(draft.file, colours, &found.relation)?,
+        file: RasterFile::pansharpened(draft.file, colours, &found.relation),
         multispectral: Some(multispectral.path.clone()),
         ..draft
     })

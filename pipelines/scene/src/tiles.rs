@@ -62,7 +62,7 @@ impl ImageFiles {
     fn at_steps(&self, [columns, rows]: [usize; 2]) -> Vec<Tile> {
         let tile = |([row, col], path): (&[u32; 2], &PathBuf)| Tile {
             path: path.clone(),
-            first: [before(*col) * columns, before(*row) * rows],
+            first: [before(*col).saturating_mul(columns), before(*row).saturating_mul(rows)],
         };
         self.tiles.iter().map(tile).collect()
     }
@@ -188,7 +188,7 @@ fn by_names(files: Vec<PathBuf>) -> Vec<ImageFiles> {
 }
 
 /// Column and row of the first pixel of each tile in the text of a Maxar `.TIL`, by file name in lower case.
-fn places_in_til(text: &str) -> BTreeMap<String, [usize; 2]> {
+pub fn places_in_til(text: &str) -> BTreeMap<String, [usize; 2]> {
     let mut places = BTreeMap::new();
     let (mut name, mut col) = (None, None);
     for statement in text.split(';') {

@@ -12,13 +12,14 @@ pub(crate) static BARS: LazyLock<MultiProgress> = LazyLock::new(MultiProgress::n
 struct Stderr;
 
 impl Write for Stderr {
+    /// A line that cannot be written, because its reader is gone or the disk is full, is lost; the work goes on.
     fn write(&mut self, bytes: &[u8]) -> std::io::Result<usize> {
-        BARS.suspend(|| std::io::stderr().write_all(bytes))?;
+        let _ = BARS.suspend(|| std::io::stderr().write_all(bytes));
         Ok(bytes.len())
     }
 
     fn flush(&mut self) -> std::io::Result<()> {
-        std::io::stderr().flush()
+        Ok(())
     }
 }
 
@@ -45,6 +46,7 @@ pub fn start(verbose: u8) {
         .with_env_filter(filter)
         .with_writer(StderrMaker)
         .with_ansi(std::io::stderr().is_terminal())
+        .log_internal_errors(false)
         .without_time()
         .with_target(false)
         .try_init();
@@ -65,7 +67,13 @@ pub fn grouped(count: usize) -> String {
 
 /// One line on stderr, whatever the log level.
 pub fn line_on_stderr(line: &str) {
-    let _ = writeln!(Stderr, "{line}");
+    let _ = writeln!(Stderr, "{}", printable(line));
+}
+
+/// A text without control characters other than line ends and tabs: names of files may have them, terminals obey them, and no HTML allows them.
+pub fn printable(text: &str) -> String {
+    let is_control = |c: char| c.is_control() && c != '\n' && c != '\t';
+    text.replace(is_control, "\u{fffd}")
 }
 
 #[cfg(test)]

@@ -3,8 +3,8 @@
 use crate::args::IngestArgs;
 use crate::names::BiasName;
 use crate::outcome::{CliError, Outcome};
-use crate::page::residuals;
 use clap::Args;
+use heliosplat_pages::page::residuals;
 use heliosplat_raster::write_atomically;
 use heliosplat_satellite::adjust::{AdjustRequest, adjust_scene};
 use heliosplat_satellite::altitude;

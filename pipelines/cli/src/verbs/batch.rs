@@ -1,14 +1,14 @@
 //! `heliosplat batch`: arguments, and which of its ways is gone.
 
-use crate::batch::driver::Batch;
-use crate::batch::plan::Plan;
-use crate::batch::row::{Row, State};
-use crate::batch::stamp::finished;
-use crate::batch::summary;
-use crate::batch::unit::do_unit;
 use crate::outcome::{CliError, Outcome};
 use crate::parse;
 use clap::Args;
+use heliosplat_batch::driver::Batch;
+use heliosplat_batch::plan::Plan;
+use heliosplat_batch::stamp::{STAMP, finished};
+use heliosplat_batch::summary;
+use heliosplat_batch::unit::do_unit;
+use heliosplat_pages::summary::{Row, State, json as json_of, table};
 use heliosplat_session::Session;
 use serde_json::{Value, json};
 use std::fmt::Write;
@@ -52,7 +52,8 @@ pub(crate) fn run(args: &BatchArgs, threads: Option<usize>, session: &Session) -
     if args.attended {
         session.stop_with_input();
     }
-    let plan = Plan::of(&args.manifest, &args.out)?;
+    let looks = args.only.is_some() || args.plan || args.dry_run || args.summary;
+    let plan = Plan::of(&args.manifest, &args.out, !looks)?;
     if let Some(id) = &args.only {
         return only(args, &plan, id, session);
     }
@@ -113,18 +114,18 @@ fn told(args: &BatchArgs, plan: &Plan) -> Outcome {
         let done = finished(&args.out, unit).is_some();
         let what = if done { "finished" } else { "to do" };
         // Writing to a String cannot fail.
-        let _ = writeln!(
-            text,
-            "{:<8}  {}  ({} MiB, {} s)",
-            what, unit.id, unit.mem_mb, unit.runtime_s
-        );
+        let _ = match unit.refusal() {
+            Some(reason) => writeln!(text, "refused   {}: {reason}", unit.id),
+            None => writeln!(
+                text,
+                "{what:<8}  {}  ({} MiB, {} s)",
+                unit.id, unit.mem_mb, unit.runtime_s
+            ),
+        };
         let mut told = serde_json::to_value(unit).unwrap_or_default();
         if let Value::Object(map) = &mut told {
             map.insert("done".into(), json!(done));
-            map.insert(
-                "stamp".into(),
-                json!(format!("{}/{}", unit.id, crate::batch::stamp::STAMP)),
-            );
+            map.insert("stamp".into(), json!(format!("{}/{}", unit.id, STAMP)));
         }
         units.push(told);
     }
@@ -139,9 +140,9 @@ fn finish(args: &BatchArgs, plan: &Plan, rows: &[Row]) -> Result<Outcome, CliErr
     Ok(Outcome {
         text: format!(
             "{}summary        {}",
-            summary::table(rows),
+            table(rows),
             args.out.join("summary.html").display()
         ),
-        json: summary::json(rows),
+        json: json_of(rows),
     })
 }

@@ -1,11 +1,11 @@
 //! `heliosplat demo`: a site is made, trained on, and its products are written.
 
 use crate::outcome::{CliError, Outcome};
-use crate::report;
 use clap::Args;
 use heliosplat_fitting::request::{TrainOutcome, TrainRequest};
 use heliosplat_fitting::run_folder::create_folder;
 use heliosplat_fitting::settings::Preset;
+use heliosplat_pages::report;
 use heliosplat_products::relight;
 use heliosplat_rpc::sun::SunPosition;
 use heliosplat_satellite::config::SatelliteConfig;

@@ -2,9 +2,9 @@
 
 use crate::names::ProtocolName;
 use crate::outcome::CliError;
-use crate::page::calibration;
 use clap::Args;
 use heliosplat_evaluate::{DsmEvaluation, DsmMetrics, HeightErrors, error_map};
+use heliosplat_pages::page::calibration;
 use heliosplat_raster::preview::write_png;
 use heliosplat_raster::write_atomically;
 use std::fmt::Write;

@@ -4,8 +4,8 @@ mod mosaic;
 
 use super::export_args::ExportArgs;
 use crate::outcome::{CliError, Outcome};
-use crate::page::MOSAIC_FILE;
 use bytesize::ByteSize;
+use heliosplat_pages::page::MOSAIC_FILE;
 use heliosplat_products::export::{Mosaic, Request, Subject, Written, write};
 use heliosplat_products::model::{LoadedModel, load};
 use heliosplat_rpc::sun::{SunPosition, sun_position};

@@ -25,7 +25,7 @@ pub struct ExportArgs {
     #[arg(long, value_name = "DIR")]
     pub tiles: Option<PathBuf>,
     /// Azimuth (clockwise from north) and elevation of the sun that splats of satellites are lit by, degrees [default: that of the reference image]
-    #[arg(long, value_parser = parse::pair, allow_hyphen_values = true, value_name = "AZ,EL", conflicts_with_all = ["time", "light", "toward"])]
+    #[arg(long, value_parser = parse::sun, allow_hyphen_values = true, value_name = "AZ,EL", conflicts_with_all = ["time", "light", "toward"])]
     pub sun: Option<[f64; 2]>,
     /// The sun of this moment, RFC 3339
     #[arg(long, value_parser = parse::time, value_name = "RFC3339", conflicts_with_all = ["light", "toward"])]

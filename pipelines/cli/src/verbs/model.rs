@@ -17,14 +17,10 @@ pub(crate) fn train(args: &TrainArgs, session: &Session) -> Result<Outcome, CliE
     }
 }
 
-pub(crate) fn relight(args: &RelightArgs, session: &Session) -> Result<Outcome, CliError> {
+pub(crate) fn relight(args: &RelightArgs) -> Result<Outcome, CliError> {
     match is_object_run(&args.run) {
-        true if args.times.is_some() => Err(CliError::Input(format!(
-            "{}: a run of an object; --times is for runs of satellite scenes",
-            args.run.display()
-        ))),
         true => object::relight(args),
-        false => satellite::relight(args, session),
+        false => satellite::relight(args),
     }
 }
 

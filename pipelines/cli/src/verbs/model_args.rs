@@ -2,10 +2,15 @@
 
 use crate::args::IngestArgs;
 use crate::names::PresetName;
+use crate::outcome::Outcome;
 use crate::parse;
 use clap::{Args, ValueEnum};
+use heliosplat_fitting::request::TrainRequest;
+use heliosplat_fitting::settings::Preset;
+use heliosplat_scene::Split;
+use serde_json::Value;
 use std::path::PathBuf;
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 /// `train`.
 #[derive(Debug, Clone, Args)]
@@ -89,18 +94,15 @@ pub struct RelightArgs {
     /// A finished run
     #[arg(value_name = "RUN")]
     pub run: PathBuf,
-    /// The GeoTIFF or PNG to write; its shadow mask is written beside it. With --times also a GIF, an animation
+    /// The GeoTIFF or PNG to write; its shadow mask is written beside it
     #[arg(long, value_name = "FILE")]
     pub out: PathBuf,
     /// Azimuth (clockwise from north) and elevation of the sun, degrees
-    #[arg(long, value_parser = parse::pair, allow_hyphen_values = true, value_name = "AZ,EL", required_unless_present_any = ["time", "times", "light", "toward", "surroundings"], conflicts_with = "time")]
+    #[arg(long, value_parser = parse::sun, allow_hyphen_values = true, value_name = "AZ,EL", required_unless_present_any = ["time", "light", "toward", "surroundings"], conflicts_with = "time")]
     pub sun: Option<[f64; 2]>,
     /// The sun of this moment, RFC 3339
     #[arg(long, value_parser = parse::time, value_name = "RFC3339")]
     pub time: Option<jiff::Timestamp>,
-    /// The suns of a series of moments, RFC 3339, such as 2026-06-21T06:00:00Z,2026-06-21T18:00:00Z,30m; files bear their time, night is left out
-    #[arg(long, value_parser = parse::times, value_name = "FROM,TO,STEP", conflicts_with_all = ["sun", "time", "light", "toward", "surroundings"])]
-    pub times: Option<parse::TimeSeries>,
     /// A point light for an object, in the frame of its cameras; several add up
     #[arg(long, value_parser = parse::triple, allow_hyphen_values = true, value_name = "X,Y,Z", conflicts_with_all = ["sun", "time"])]
     pub light: Vec<[f64; 3]>,
@@ -111,8 +113,8 @@ pub struct RelightArgs {
     #[arg(long, value_name = "FILE", conflicts_with_all = ["sun", "time"])]
     pub surroundings: Option<PathBuf>,
     /// Lamps that stand for the light from all around
-    #[arg(long, value_name = "N", default_value_t = 128, requires = "surroundings")]
-    pub samples: usize,
+    #[arg(long, value_name = "N", default_value_t = 128, value_parser = clap::value_parser!(u32).range(1..=65536), requires = "surroundings")]
+    pub samples: u32,
     /// From above (nadir), or as the image of this name saw it; of an object the first image if nothing is said
     #[arg(long, value_name = "nadir|NAME", default_value = "nadir")]
     pub view: String,
@@ -135,6 +137,29 @@ pub struct RenderArgs {
     pub components: bool,
 }
 
+impl TrainArgs {
+    /// As the trainings take them.
+    pub(crate) fn request(&self, preset: Preset, begun: Instant) -> TrainRequest {
+        TrainRequest {
+            out: self.out.clone(),
+            preset,
+            begun,
+            time_budget: self.time_budget,
+            memory: self.memory,
+            resume: self.resume,
+            checkpoint_every: self.checkpoint_every,
+        }
+    }
+
+    /// The outcome of a training: the summary of its metrics, and its folder.
+    pub(crate) fn trained(&self, summary: &str, metrics: Value, before: &str) -> Outcome {
+        Outcome {
+            text: format!("{summary}\nrun            {}{before}", self.out.display()),
+            json: metrics,
+        }
+    }
+}
+
 /// Which views are rendered.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
 pub enum RenderSplit {
@@ -144,4 +169,15 @@ pub enum RenderSplit {
     Test,
     /// All.
     All,
+}
+
+impl RenderSplit {
+    /// Whether views of a split are among them.
+    pub(crate) fn holds(self, split: Split) -> bool {
+        match self {
+            Self::Train => split == Split::Train,
+            Self::Test => split == Split::Test,
+            Self::All => true,
+        }
+    }
 }

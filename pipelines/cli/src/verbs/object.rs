@@ -1,13 +1,12 @@
 //! The verbs of captures of objects and of runs on them.
 
 use super::export_args::ExportArgs;
-use super::model_args::{RelightArgs, RenderArgs, RenderSplit, TrainArgs};
+use super::model_args::{RelightArgs, RenderArgs, TrainArgs};
 use crate::outcome::{CliError, Outcome};
-use crate::report::{self, add_report};
 use glam::DVec3;
 use heliosplat::light::Light;
 use heliosplat::timeline;
-use heliosplat_fitting::request::{TrainOutcome, TrainRequest};
+use heliosplat_fitting::request::TrainOutcome;
 use heliosplat_fitting::run_folder::create_folder;
 use heliosplat_fitting::settings::Preset;
 use heliosplat_objects::config::{Background, ObjectConfig};
@@ -17,6 +16,7 @@ use heliosplat_objects::run;
 use heliosplat_objects::surroundings::{self, Lamp};
 use heliosplat_objects::training::{self, TrainedObject, open};
 use heliosplat_objects::{export, measure, mesh, plan, views};
+use heliosplat_pages::report::{self, add_report};
 use heliosplat_raster::preview::write_png;
 use heliosplat_raster::write::write_atomically;
 use heliosplat_scene::Split;
@@ -43,15 +43,7 @@ pub(crate) fn train(args: &TrainArgs, session: &Session) -> Result<Outcome, CliE
     }
     let preset = args.preset.map(Preset::from).unwrap_or_default();
     let config = ObjectConfig::resolve(preset, &args.set, args.seed)?;
-    let request = TrainRequest {
-        out: args.out.clone(),
-        preset,
-        begun,
-        time_budget: args.time_budget,
-        memory: args.memory,
-        resume: args.resume,
-        checkpoint_every: args.checkpoint_every,
-    };
+    let request = args.request(preset, begun);
     let (metrics, before) = match training::train(&args.scene, config, &request, session)? {
         TrainOutcome::FinishedBefore { metrics } => {
             report::complete(&args.out)?;
@@ -66,12 +58,7 @@ pub(crate) fn train(args: &TrainArgs, session: &Session) -> Result<Outcome, CliE
             (run.metrics, "")
         }
     };
-    let text = format!(
-        "{}\nrun            {}{before}",
-        measure::summary(&metrics),
-        args.out.display()
-    );
-    Ok(Outcome { json: metrics, text })
+    Ok(args.trained(&measure::summary(&metrics), metrics, before))
 }
 
 /// Renders the views of a run.
@@ -80,12 +67,12 @@ pub(crate) fn train(args: &TrainArgs, session: &Session) -> Result<Outcome, CliE
 /// When the run is at fault, or a file cannot be written.
 pub(crate) fn render(args: &RenderArgs, session: &Session) -> Result<Outcome, CliError> {
     let model = model::load(&args.run)?;
-    let wanted = |split: Split| match args.split {
-        RenderSplit::Train => split == Split::Train,
-        RenderSplit::Test => split == Split::Test,
-        RenderSplit::All => true,
-    };
-    let images: Vec<_> = model.file.images.iter().filter(|image| wanted(image.split)).collect();
+    let images: Vec<_> = model
+        .file
+        .images
+        .iter()
+        .filter(|image| args.split.holds(image.split))
+        .collect();
     if images.is_empty() {
         let run = args.run.display();
         return Err(CliError::Input(format!(
@@ -151,7 +138,7 @@ pub(crate) fn relight(args: &RelightArgs) -> Result<Outcome, CliError> {
     }
     if let Some(path) = &args.surroundings {
         let image = surroundings::read(path)?;
-        lights.extend(surroundings::lamps(&image, args.samples));
+        lights.extend(surroundings::lamps(&image, args.samples as usize));
     }
     if lights.is_empty() {
         return Err(CliError::Input(

@@ -15,6 +15,7 @@ use heliosplat_rpc::sun::{SunPosition, sun_position};
 use heliosplat_session::Session;
 use serde_json::json;
 use std::path::{Path, PathBuf};
+use std::str::FromStr;
 
 /// `products`.
 #[derive(Debug, Clone, Args)]
@@ -35,13 +36,13 @@ pub struct ProductsArgs {
     #[arg(long, value_enum, value_name = "NAME")]
     pub geoid: Option<GeoidName>,
     /// Also an ortho image under this sun: azimuth (clockwise from north) and elevation, degrees
-    #[arg(long, value_parser = parse::pair, allow_hyphen_values = true, value_name = "AZ,EL", conflicts_with = "at")]
+    #[arg(long, value_parser = parse::sun, allow_hyphen_values = true, value_name = "AZ,EL", conflicts_with = "at")]
     pub sun: Option<[f64; 2]>,
     /// Also an ortho image under the sun of this moment, RFC 3339
     #[arg(long, value_parser = parse::time, value_name = "TIME")]
     pub at: Option<jiff::Timestamp>,
     /// Also the sunshine of a day or of a period of at most a year: hours of direct sun, sky view factor, irradiation under a clear sky
-    #[arg(long, value_parser = parse::period, value_name = "FROM[/TO]")]
+    #[arg(long, value_parser = Period::from_str, value_name = "FROM[/TO]")]
     pub sun_hours: Option<Period>,
 }
 

@@ -1,8 +1,8 @@
 //! `heliosplat report`: a run, or a mosaic, on one page.
 
 use crate::outcome::{CliError, Outcome};
-use crate::report;
 use clap::Args;
+use heliosplat_pages::report;
 use serde_json::json;
 use std::path::PathBuf;
 
@@ -15,7 +15,7 @@ pub struct ReportArgs {
 }
 
 pub(crate) fn run(args: &ReportArgs) -> Result<Outcome, CliError> {
-    let path = if args.run.join(crate::page::MOSAIC_FILE).is_file() {
+    let path = if args.run.join(heliosplat_pages::page::MOSAIC_FILE).is_file() {
         report::mosaic::write(&args.run)?
     } else if heliosplat_objects::model::is_object_run(&args.run) {
         report::object::write(&args.run)?

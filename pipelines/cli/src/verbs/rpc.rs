@@ -5,6 +5,7 @@ use crate::outcome::{CliError, Outcome};
 use clap::{Args, Subcommand};
 use heliosplat_rpc::{GeoPoint, ImagePoint, Rpc};
 use heliosplat_scene::camera_of;
+use std::io::{BufRead, Read};
 use std::path::PathBuf;
 
 /// Which direction.
@@ -36,6 +37,9 @@ struct CameraArgs {
     rpc: RpcName,
 }
 
+/// The longest line, bytes.
+const LINE_MAX: u64 = 4096;
+
 /// Transforms all of stdin.
 pub(crate) fn run(args: &RpcArgs) -> Result<Outcome, CliError> {
     let (Direction::Project(camera) | Direction::Localise(camera)) = &args.direction;
@@ -45,12 +49,23 @@ pub(crate) fn run(args: &RpcArgs) -> Result<Outcome, CliError> {
         Direction::Localise(_) => localise,
     };
     let (mut points, mut lines) = (Vec::new(), Vec::new());
-    for (number, line) in std::io::stdin().lines().enumerate() {
-        let line = line.map_err(|error| CliError::Failed(format!("stdin cannot be read: {error}")))?;
+    let mut stdin = std::io::stdin().lock();
+    for number in 1.. {
+        let mut line = String::new();
+        let read = stdin.by_ref().take(LINE_MAX).read_line(&mut line);
+        let length = read.map_err(|error| CliError::Input(format!("stdin line {number} cannot be read: {error}")))?;
+        let fault = |reason: String| CliError::Input(format!("stdin line {number}: {reason}"));
+        if length == 0 {
+            break;
+        }
+        if length as u64 == LINE_MAX {
+            return Err(fault(format!(
+                "it has {LINE_MAX} bytes or more; give three numbers a line"
+            )));
+        }
         if line.trim().is_empty() {
             continue;
         }
-        let fault = |reason: String| CliError::Input(format!("stdin line {}: {reason}", number + 1));
         let point = transform(&rpc, three_numbers(&line).map_err(fault)?).map_err(fault)?;
         lines.push(format!("{} {}", digits17(point[0]), digits17(point[1])));
         points.push(point);

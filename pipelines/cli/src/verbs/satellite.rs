@@ -1,15 +1,14 @@
 //! The verbs of satellite scenes and of runs on them.
 
 use super::evaluate_args::{EvaluateArgs, table, write_pictures};
-use super::model_args::{DsmArgs, DsmSource, RelightArgs, RenderArgs, RenderSplit, TrainArgs};
-use super::relight_series;
+use super::model_args::{DsmArgs, DsmSource, RelightArgs, RenderArgs, TrainArgs};
 use super::sweep_dsm::{self, SweptSurface};
 use crate::outcome::{CliError, Outcome};
-use crate::report::{self, add_report};
 use heliosplat::timeline::{self, stage};
-use heliosplat_fitting::request::{TrainOutcome, TrainRequest};
+use heliosplat_fitting::request::TrainOutcome;
 use heliosplat_fitting::run_folder::{RunError, create_folder, read, save_metrics};
 use heliosplat_fitting::settings::Preset;
+use heliosplat_pages::report::{self, add_report};
 use heliosplat_products::change::{as_day, day_of};
 use heliosplat_products::model::{load, load_whole};
 use heliosplat_products::{dsm, relight, views as rendered};
@@ -18,7 +17,6 @@ use heliosplat_rpc::sun::{SunPosition, sun_position};
 use heliosplat_satellite::config::SatelliteConfig;
 use heliosplat_satellite::run_file::scene_of;
 use heliosplat_satellite::{altitude, estimate, measure, relit, training};
-use heliosplat_scene::Split;
 use heliosplat_scene::survey::Survey;
 use heliosplat_session::Session;
 use serde_json::{Value, json};
@@ -54,15 +52,7 @@ pub(crate) fn train(args: &TrainArgs, session: &Session) -> Result<Outcome, CliE
     );
     // Before its surface is known, a scene is refused only where it would not even fit if it were flat.
     estimate::must_fit(estimate.least_bytes, args.memory, &config)?;
-    let request = TrainRequest {
-        out: args.out.clone(),
-        preset,
-        begun,
-        time_budget: args.time_budget,
-        memory: args.memory,
-        resume: args.resume,
-        checkpoint_every: args.checkpoint_every,
-    };
+    let request = args.request(preset, begun);
     let (metrics, before) = match training::train(&scene, &ingest, &config, &request, session)? {
         TrainOutcome::FinishedBefore { metrics } => {
             report::complete(&args.out)?;
@@ -74,12 +64,7 @@ pub(crate) fn train(args: &TrainArgs, session: &Session) -> Result<Outcome, CliE
             (run.metrics, "")
         }
     };
-    let text = format!(
-        "{}\nrun            {}{before}",
-        measure::summary(&metrics),
-        args.out.display()
-    );
-    Ok(Outcome { json: metrics, text })
+    Ok(args.trained(&measure::summary(&metrics), metrics, before))
 }
 
 /// Writes the surface model of a run, or that of a scene's sweep.
@@ -158,27 +143,18 @@ fn stages() -> Value {
     serde_json::to_value(timeline::take()).unwrap_or_default()
 }
 
-/// Writes the scene of a run under another sun, or under a series of them.
+/// Writes the scene of a run under another sun.
 ///
 /// # Errors
 /// When the run, the sun, the view or the file to write is at fault.
-pub(crate) fn relight(args: &RelightArgs, session: &Session) -> Result<Outcome, CliError> {
-    if args.times.is_none() && relight_series::is_animation(&args.out) {
-        return Err(CliError::Input(format!(
-            "{}: an animation is of a series of suns; give --times FROM,TO,STEP, or a .tif or .png",
-            args.out.display()
-        )));
-    }
+pub(crate) fn relight(args: &RelightArgs) -> Result<Outcome, CliError> {
     let model = load(&args.run)?;
-    if let Some(times) = &args.times {
-        return relight_series::run(args, &model, times, session);
-    }
     let sun = match (args.sun, args.time) {
         (Some([azimuth, elevation]), _) => SunPosition::from_degrees(azimuth, elevation),
         (None, Some(time)) => sun_position(time, model.frame.origin),
         (None, None) => {
             return Err(CliError::Input(
-                "relight: a satellite scene takes --sun AZ,EL, --time RFC3339 or --times FROM,TO,STEP".into(),
+                "relight: a satellite scene takes --sun AZ,EL or --time RFC3339".into(),
             ));
         }
     };
@@ -203,12 +179,12 @@ pub(crate) fn relight(args: &RelightArgs, session: &Session) -> Result<Outcome, 
 pub(crate) fn render(args: &RenderArgs, session: &Session) -> Result<Outcome, CliError> {
     let whole = load_whole(&args.run)?;
     let (model, changing) = (whole.on_last(), !whole.model.options.days.is_empty());
-    let wanted = |split: Split| match args.split {
-        RenderSplit::Train => split == Split::Train,
-        RenderSplit::Test => split == Split::Test,
-        RenderSplit::All => true,
-    };
-    let images: Vec<_> = model.file.images.iter().filter(|image| wanted(image.split)).collect();
+    let images: Vec<_> = model
+        .file
+        .images
+        .iter()
+        .filter(|image| args.split.holds(image.split))
+        .collect();
     if images.is_empty() {
         return Err(CliError::Input(format!(
             "{}: the run has no image of that split",

@@ -23,7 +23,7 @@ pub struct SynthArgs {
     out: PathBuf,
     /// Size and make-up of the site
     #[arg(long, value_enum, default_value = "block")]
-    site: SiteName,
+    site: Site,
     /// Everything random follows from it
     #[arg(long, default_value_t = 1, value_name = "N")]
     seed: u64,
@@ -44,13 +44,13 @@ pub struct SynthArgs {
     size: Option<usize>,
     /// What an object's middle is made of
     #[arg(long, value_enum, default_value = "matte")]
-    look: LookName,
+    look: Look,
     /// Paths per pixel of an object's images; a power of two is best
     #[arg(long, default_value_t = 64, value_name = "N")]
     paths: usize,
     /// Bands
     #[arg(long, value_enum, default_value = "rgb-nir")]
-    bands: BandName,
+    bands: BandSet,
     /// 16: linear counts; 8: display images
     #[arg(long, default_value_t = 16, value_name = "8|16")]
     bits: u8,
@@ -65,47 +65,19 @@ pub struct SynthArgs {
     clouds: usize,
     /// Faults of real images, separated by commas
     #[arg(long, value_enum, value_delimiter = ',', value_name = "LIST")]
-    faults: Vec<FaultName>,
+    faults: Vec<Fault>,
     /// What covers one half of a satellite scene
     #[arg(long, value_enum)]
-    cover: Option<CoverName>,
+    cover: Option<Cover>,
     /// How the images of a satellite scene are packed
     #[arg(long, value_enum, default_value = "whole")]
-    delivery: DeliveryName,
+    delivery: Delivery,
     /// Also render a satellite scene from straight above under N suns of no image, 10 to 70 degrees high, as truth for `evaluate`
     #[arg(long, default_value_t = 0, value_name = "N")]
     relight: usize,
     /// Share of the buildings of a satellite scene that are built or torn down between two dates, as truth for `evaluate`
     #[arg(long, default_value_t = 0.0, value_name = "SHARE")]
     change: f64,
-}
-
-/// Faults of real images.
-#[derive(Debug, Clone, Copy, ValueEnum)]
-enum FaultName {
-    /// A gain of its own for each band, within some per cent the same in all images: counts that are not calibrated
-    BandGains,
-    /// A layer of haze, another on each date: bluish airlight, less contrast
-    Haze,
-    /// Light that surfaces reflect reaches other surfaces, for one bounce
-    Interreflection,
-    /// Metal roofs, membranes, cars and solar panels that are not Lambertian
-    Glossy,
-    /// Clouds over a third of an image, and a veil over the rest; in --clouds images, or a quarter of those to train with
-    LargeClouds,
-    /// 8-bit display images, each band stretched between percentiles of the image, with a gamma that no file tells
-    Stretch,
-}
-
-/// What covers one half of a scene.
-#[derive(Debug, Clone, Copy, ValueEnum)]
-enum CoverName {
-    /// Sea at one altitude, with other waves in every image
-    Sea,
-    /// Snow: bright, hardly any texture, clipped in the sun
-    Snow,
-    /// Nothing: the land of `sea` alone, pixels that see the sea are missing
-    Nodata,
 }
 
 /// Kinds of scenes.
@@ -121,115 +93,33 @@ enum Kind {
     Reflective,
 }
 
-/// What an object is made of.
-#[derive(Debug, Clone, Copy, ValueEnum)]
-enum LookName {
-    /// Nothing glossy
-    Matte,
-    /// Metal with a grain
-    Brushed,
-    /// A colour under a clear coat
-    Glossy,
-    /// Wax: light enters and comes out elsewhere
-    Translucent,
-}
-
-#[derive(Debug, Clone, Copy, ValueEnum)]
-enum SiteName {
-    /// 48 m x 48 m, for tests
-    Tiny,
-    /// 128 m x 128 m: a few city blocks
-    Block,
-    /// 256 m x 256 m: a neighbourhood
-    City,
-}
-
-#[derive(Debug, Clone, Copy, ValueEnum)]
-enum BandName {
-    /// Panchromatic
-    Pan,
-    /// Red, green, blue
-    Rgb,
-    /// Red, green, blue, near infrared
-    RgbNir,
-}
-
-#[derive(Debug, Clone, Copy, ValueEnum)]
-enum DeliveryName {
-    /// One file for each image
-    Whole,
-    /// A panchromatic file and a multispectral one of a quarter of its resolution
-    PanMs,
-}
-
 impl SynthArgs {
-    fn request(&self) -> SatelliteRequest {
+    fn satellite(&self) -> SatelliteRequest {
         SatelliteRequest {
-            site: match self.site {
-                SiteName::Tiny => Site::Tiny,
-                SiteName::Block => Site::Block,
-                SiteName::City => Site::City,
-            },
+            site: self.site,
             seed: self.seed,
             cameras: self.cameras.clone(),
             views: self.views,
             dates: self.dates,
             gsd_m: self.gsd,
             size_px: self.size,
-            bands: match self.bands {
-                BandName::Pan => BandSet::Pan,
-                BandName::Rgb => BandSet::Rgb,
-                BandName::RgbNir => BandSet::RgbNir,
-            },
+            bands: self.bands,
             bits: self.bits,
             pointing_bias_px: self.pointing_bias,
             noise: self.noise,
             clouds: self.clouds,
-            faults: self.faults.iter().map(|fault| Fault::from(*fault)).collect(),
-            cover: self.cover.map(Cover::from),
-            delivery: match self.delivery {
-                DeliveryName::Whole => Delivery::Whole,
-                DeliveryName::PanMs => Delivery::PanMs,
-            },
+            faults: self.faults.iter().copied().collect(),
+            cover: self.cover,
+            delivery: self.delivery,
             relight: self.relight,
             change: self.change,
         }
     }
-}
 
-impl From<FaultName> for Fault {
-    fn from(name: FaultName) -> Self {
-        match name {
-            FaultName::BandGains => Self::BandGains,
-            FaultName::Haze => Self::Haze,
-            FaultName::Interreflection => Self::Interreflection,
-            FaultName::Glossy => Self::Glossy,
-            FaultName::LargeClouds => Self::LargeClouds,
-            FaultName::Stretch => Self::Stretch,
-        }
-    }
-}
-
-impl From<CoverName> for Cover {
-    fn from(name: CoverName) -> Self {
-        match name {
-            CoverName::Sea => Self::Sea,
-            CoverName::Snow => Self::Snow,
-            CoverName::Nodata => Self::Nodata,
-        }
-    }
-}
-
-impl SynthArgs {
     fn object(&self, capture: Capture) -> ObjectRequest {
         ObjectRequest {
             capture,
-            look: match self.look {
-                LookName::Matte => Look::Matte,
-                LookName::Brushed => Look::Brushed,
-                LookName::Glossy => Look::Glossy,
-                LookName::Translucent => Look::Translucent,
-            },
+            look: self.look,
             seed: self.seed,
             views: self.views,
             held_out: None,
@@ -251,7 +141,7 @@ impl From<SynthError> for CliError {
 /// Makes the scene.
 pub(crate) fn run(args: &SynthArgs, session: &Session) -> Result<Outcome, CliError> {
     let summary = match args.kind {
-        Kind::Satellite => synthesise(&args.request(), &args.out, session)?,
+        Kind::Satellite => synthesise(&args.satellite(), &args.out, session)?,
         Kind::Object => return object(&args.object(Capture::Object), &args.out, session),
         Kind::Olat => return object(&args.object(Capture::Olat), &args.out, session),
         Kind::Reflective => return object(&args.object(Capture::Reflective), &args.out, session),
@@ -329,22 +219,4 @@ fn table(summary: &Summary, out: &Path) -> String {
         text.push('\n');
     }
     text
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn faults_and_covers_have_the_same_names_on_the_command_line_and_in_the_manifest() {
-        let said = |name: Option<clap::builder::PossibleValue>| name.map(|name| name.get_name().to_owned());
-        for name in FaultName::value_variants() {
-            let written = serde_json::to_value(Fault::from(*name)).expect("a name");
-            assert_eq!(written.as_str(), said(name.to_possible_value()).as_deref());
-        }
-        for name in CoverName::value_variants() {
-            let written = serde_json::to_value(Cover::from(*name)).expect("a name");
-            assert_eq!(written.as_str(), said(name.to_possible_value()).as_deref());
-        }
-    }
 }

@@ -1,11 +1,12 @@
 //! `heliosplat tradeoff`: arguments and what is written.
 
 use crate::outcome::{CliError, Outcome};
-use crate::tradeoff::page::{Making, page};
-use crate::tradeoff::points::{self, PointsError};
-use crate::tradeoff::summary::{Summary, summarise};
-use crate::tradeoff::{Row, Sweep, csv};
 use clap::Args;
+use heliosplat_batch::tradeoff::Sweep;
+use heliosplat_pages::tradeoff::page::{Making, page};
+use heliosplat_pages::tradeoff::points;
+use heliosplat_pages::tradeoff::summary::{Summary, summarise};
+use heliosplat_pages::tradeoff::{Row, csv};
 use heliosplat_raster::write::write_atomically;
 use heliosplat_session::Session;
 use std::path::PathBuf;
@@ -31,12 +32,6 @@ pub struct TradeoffArgs {
     /// Print the points and stop
     #[arg(long)]
     pub list: bool,
-}
-
-impl From<PointsError> for CliError {
-    fn from(error: PointsError) -> Self {
-        Self::Input(error.to_string())
-    }
 }
 
 /// Runs the sweep and writes its results.

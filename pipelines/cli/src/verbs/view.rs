@@ -1,8 +1,8 @@
 //! `heliosplat view`: a surface and its sun in one file for the browser.
 
 use crate::outcome::{CliError, Outcome};
-use crate::view::{self, ViewError};
 use clap::Args;
+use heliosplat_pages::view;
 use serde_json::json;
 use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
@@ -59,13 +59,4 @@ fn open(path: &Path) -> bool {
     let mut command = Command::new("xdg-open");
     command.arg(path).stdin(silent()).stdout(silent()).stderr(silent());
     command.status().is_ok_and(|status| status.success())
-}
-
-impl From<ViewError> for CliError {
-    fn from(error: ViewError) -> Self {
-        match error.is_input_fault() {
-            true => Self::Input(error.to_string()),
-            false => Self::Failed(error.to_string()),
-        }
-    }
 }

@@ -7,6 +7,7 @@ use jiff::Timestamp;
 use jiff::civil::Date;
 use jiff::tz::TimeZone;
 use std::f64::consts::TAU;
+use std::str::FromStr;
 
 /// Time between two suns, seconds.
 const STEP_S: i64 = 300;
@@ -39,6 +40,20 @@ impl Period {
     pub fn ends(&self) -> (Date, Date) {
         let last = self.from.checked_add(jiff::Span::new().days(self.days - 1));
         (self.from, last.unwrap_or(self.from))
+    }
+}
+
+impl FromStr for Period {
+    type Err = String;
+
+    /// `FROM` or `FROM/TO`: days.
+    fn from_str(text: &str) -> Result<Self, String> {
+        let date = |word: &str| {
+            let wrong = |_| format!("'{word}' is not a date such as 2026-06-21");
+            word.trim().parse().map_err(wrong)
+        };
+        let (from, to) = text.split_once('/').unwrap_or((text, text));
+        Self::new(date(from)?, date(to)?)
     }
 }
 
@@ -136,6 +151,27 @@ mod tests {
 
     fn date(text: &str) -> Date {
         text.parse().expect("a date")
+    }
+
+    #[test]
+    fn periods_are_days_with_both_ends() {
+        let ends = |text: &str| {
+            text.parse()
+                .map(|period: Period| (period.ends().0.to_string(), period.ends().1.to_string()))
+        };
+        let said = |from: &str, to: &str| Ok((from.to_owned(), to.to_owned()));
+        assert_eq!(ends("2026-06-21"), said("2026-06-21", "2026-06-21"));
+        assert_eq!(ends("2026-06-01/2026-08-31"), said("2026-06-01", "2026-08-31"));
+        for bad in [
+            "",
+            "june",
+            "2026-06-31",
+            "2026-06-21/2026-06-20",
+            "2026-01-01/2028-01-01",
+            "2026-06-21/",
+        ] {
+            assert!(bad.parse::<Period>().is_err(), "{bad}");
+        }
     }
 
     #[test]

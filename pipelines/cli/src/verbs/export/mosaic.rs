@@ -1,8 +1,8 @@
 //! A batch's mosaic, read back from its folder for `export`.
 
-use crate::batch::products::RUN;
 use crate::outcome::CliError;
-use crate::page::MOSAIC_FILE;
+use heliosplat_batch::products::RUN;
+use heliosplat_pages::page::MOSAIC_FILE;
 use heliosplat_products::dsm::Dsm;
 use heliosplat_products::export::{Mosaic, MosaicTile};
 use heliosplat_raster::{GeoRaster, GridSpec, RasterFile, bounded};

@@ -1,0 +1,231 @@
+//! Doing all units of a batch on this machine, some at a time, each a process of its own.
+//!
+//! A unit's process ends with this one: its standard input is a pipe that closes when this process goes, however it goes. So nobody
+//! works on after a batch that was killed, and the next one finds what there is.
+
+use super::BatchError;
+use super::plan::{Plan, Unit};
+use super::row::{self, log_of};
+use super::stamp::finished;
+use heliosplat_fitting::run_folder::create_folder;
+use heliosplat_pages::summary::{Row, State};
+use heliosplat_session::Progress;
+use heliosplat_session::Session;
+use std::collections::BTreeMap;
+use std::fs::{File, OpenOptions};
+use std::io::{Read, Seek, SeekFrom};
+use std::path::Path;
+use std::process::{Child, Command, Stdio};
+use std::time::{Duration, Instant};
+
+/// Time between two looks at the units that run.
+const LOOK_EVERY: Duration = Duration::from_millis(50);
+/// Looks between two readings of their logs.
+const LOOKS_PER_READING: usize = 10;
+/// Bytes at the end of a log that are read for its last lines.
+const TAIL: u64 = 4096;
+/// Longest line of a log that is shown.
+const SHOWN: usize = 70;
+
+/// What is done, and how.
+pub struct Batch<'a> {
+    /// The units.
+    pub plan: &'a Plan,
+    /// The manifest.
+    pub manifest: &'a Path,
+    /// The folder.
+    pub out: &'a Path,
+    /// Units at a time.
+    pub jobs: usize,
+    /// Threads of all of them together.
+    pub threads: usize,
+    /// Time between two checkpoints of a training.
+    pub checkpoint_every: Duration,
+}
+
+/// A unit that runs.
+struct Running<'a> {
+    unit: &'a Unit,
+    place: usize,
+    child: Child,
+    begun: Instant,
+    line: Progress,
+}
+
+impl Batch<'_> {
+    /// Does every unit that is not finished; what comes of each, in the order of the plan. A unit that fails stops those that wait for
+    /// it and no others.
+    ///
+    /// # Errors
+    /// When a process cannot be started. That the user stopped it is told by units that were not begun.
+    pub fn run(&self, session: &Session) -> Result<Vec<Row>, BatchError> {
+        let units = &self.plan.units;
+        let mut rows: Vec<Row> = units.iter().map(|unit| row::pending(unit, self.out)).collect();
+        for (row, unit) in rows.iter_mut().zip(units) {
+            if let Some(stamp) = finished(self.out, unit) {
+                row::finish(row, State::Skipped, &stamp);
+            }
+        }
+        let done = rows.iter().filter(|row| row.state == State::Skipped).count();
+        tracing::info!(
+            "batch: {} units, {done} of them finished before; up to {} at a time",
+            units.len(),
+            self.jobs
+        );
+        let places: BTreeMap<&str, usize> = units.iter().zip(0..).map(|(unit, k)| (unit.id.as_str(), k)).collect();
+        let place = |id: &String| {
+            let found = places.get(id.as_str()).copied();
+            found.ok_or_else(|| BatchError::NoUnit { unit: id.clone() })
+        };
+        let waits = units
+            .iter()
+            .map(|unit| unit.after.iter().map(place).collect())
+            .collect::<Result<Vec<Vec<usize>>, _>>()?;
+        let progress = session.progress("units", units.len() as u64);
+        let mut running: Vec<Running> = Vec::new();
+        let mut looks = 0;
+        loop {
+            if !session.stopped() {
+                self.start(&waits, &mut rows, &mut running, session)?;
+            } else {
+                // Their input ends: they save and go.
+                running.iter_mut().for_each(|r| drop(r.child.stdin.take()));
+            }
+            progress.set(rows.iter().filter(|row| row.state.is_final()).count() as u64);
+            if running.is_empty() {
+                break;
+            }
+            std::thread::sleep(LOOK_EVERY);
+            looks += 1;
+            if looks % LOOKS_PER_READING == 0 {
+                for r in &running {
+                    r.line.say(&last_line(&log_of(self.out, r.unit)));
+                }
+            }
+            let mut left = Vec::with_capacity(running.len());
+            for mut r in running {
+                match r.child.try_wait() {
+                    Ok(None) => left.push(r),
+                    Ok(Some(status)) => self.ended(&mut rows[r.place], &r, status.code(), session),
+                    Err(error) => rows[r.place].fail(error.to_string()),
+                }
+            }
+            running = left;
+        }
+        Ok(rows)
+    }
+
+    /// Starts units while there is room, in the order of the plan, in which each stands after those that it waits for (`waits`, their
+    /// places); those that wait for a lost one are blocked.
+    fn start<'u>(
+        &'u self,
+        waits: &[Vec<usize>],
+        rows: &mut [Row],
+        running: &mut Vec<Running<'u>>,
+        session: &Session,
+    ) -> Result<(), BatchError> {
+        for (place, (unit, after)) in self.plan.units.iter().zip(waits).enumerate() {
+            if rows[place].state != State::Pending {
+                continue;
+            }
+            if let Some(lost) = after.iter().find(|other| rows[**other].state.is_lost()) {
+                rows[place].state = State::Blocked;
+                rows[place].error = Some(format!("{} failed", self.plan.units[*lost].id));
+            } else if running.len() < self.jobs && after.iter().all(|other| rows[*other].state.is_done()) {
+                let child = self.spawn(unit)?;
+                rows[place].state = State::Running;
+                tracing::info!("{}: started", unit.id);
+                running.push(Running {
+                    unit,
+                    place,
+                    child,
+                    begun: Instant::now(),
+                    line: session.watch(&unit.id),
+                });
+            }
+        }
+        Ok(())
+    }
+
+    /// One unit in a process of its own, its log in its folder.
+    fn spawn(&self, unit: &Unit) -> Result<Child, BatchError> {
+        let failed = |reason: String| BatchError::Failed(format!("{}: {reason}", unit.id));
+        create_folder(&self.out.join(&unit.id))?;
+        let path = log_of(self.out, unit);
+        let log = OpenOptions::new()
+            .create(true)
+            .append(true)
+            .open(&path)
+            .map_err(|error| failed(format!("its log cannot be written ({error})")))?;
+        let program =
+            std::env::current_exe().map_err(|error| failed(format!("this program is not found ({error})")))?;
+        let threads = (self.threads / self.jobs).max(1).to_string();
+        let every = format!("{}s", self.checkpoint_every.as_secs_f64());
+        Command::new(program)
+            .arg("batch")
+            .arg(self.manifest)
+            .arg("--out")
+            .arg(self.out)
+            .args([
+                "--only",
+                &unit.id,
+                "--attended",
+                "--threads",
+                &threads,
+                "--checkpoint-every",
+                &every,
+            ])
+            .stdin(Stdio::piped())
+            .stdout(Stdio::null())
+            .stderr(log)
+            .spawn()
+            .map_err(|error| failed(format!("it cannot be started ({error})")))
+    }
+
+    fn ended(&self, row: &mut Row, running: &Running, code: Option<i32>, session: &Session) {
+        let unit = running.unit;
+        let seconds = running.begun.elapsed().as_secs_f64();
+        match (code, finished(self.out, unit)) {
+            (Some(0), Some(stamp)) => {
+                row::finish(row, State::Done, &stamp);
+                tracing::info!("{}: done in {seconds:.1} s", unit.id);
+            }
+            (Some(130), _) if session.stopped() => row.state = State::Pending,
+            (code, _) => {
+                let line = last_error(&log_of(self.out, unit));
+                let line = line.unwrap_or_else(|| match code {
+                    Some(code) => format!("it ended with exit code {code}"),
+                    None => "it was killed".into(),
+                });
+                tracing::error!("{}: failed: {line}", unit.id);
+                row.fail(line);
+            }
+        }
+    }
+}
+
+/// The end of a log, as text.
+fn tail(path: &Path) -> String {
+    let read = || -> std::io::Result<Vec<u8>> {
+        let mut file = File::open(path)?;
+        let length = file.metadata()?.len();
+        file.seek(SeekFrom::Start(length.saturating_sub(TAIL)))?;
+        let mut bytes = Vec::new();
+        file.take(TAIL).read_to_end(&mut bytes)?;
+        Ok(bytes)
+    };
+    String::from_utf8_lossy(&read().unwrap_or_default()).into_owned()
+}
+
+fn last_line(path: &Path) -> String {
+    let text = tail(path);
+    let line = text.lines().last().unwrap_or("").trim();
+    line.chars().filter(|c| !c.is_control()).take(SHOWN).collect()
+}
+
+/// The last error that a log tells of.
+fn last_error(path: &Path) -> Option<String> {
+    let text = tail(path);
+    let line = text.lines().rev().find_map(|line| line.strip_prefix("error: "));
+    line.map(str::to_owned)
+}

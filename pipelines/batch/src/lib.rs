@@ -1,0 +1,125 @@
+//! Many trainings at once: areas × images × presets, cut into tiles, each tile a unit of work that can be done anywhere and again.
+//!
+//! A unit is one command (`heliosplat batch MANIFEST --out FOLDER --only UNIT`) with its inputs hashed: it writes into a folder of its
+//! own, its stamp (`unit.json`) last. So a unit that is finished is known by its stamp, one that was interrupted goes on from its
+//! checkpoint, and a batch that was killed is taken up by the same command.
+
+pub mod driver;
+pub mod hashes;
+pub mod layers;
+pub mod manifest;
+pub mod mosaic;
+pub mod plan;
+pub mod products;
+pub mod row;
+pub mod stamp;
+pub mod summary;
+pub mod tiles;
+pub mod tradeoff;
+pub mod unit;
+
+use heliosplat_evaluate::EvaluateError;
+use heliosplat_fitting::run_folder::RunError;
+use heliosplat_fitting::settings::ConfigError;
+use heliosplat_fitting::training::TrainingError;
+use heliosplat_pages::view::ViewError;
+use heliosplat_products::export::ExportError;
+use heliosplat_products::relight::RelightError;
+use heliosplat_raster::RasterError;
+use heliosplat_satellite::SatelliteError;
+use heliosplat_scene::SceneError;
+use std::path::PathBuf;
+
+/// Why a batch cannot be planned, or a unit of it not be done.
+#[derive(Debug, thiserror::Error)]
+pub enum BatchError {
+    /// A manifest that cannot be understood.
+    #[error("{}: {reason}", path.display())]
+    Manifest {
+        /// The file.
+        path: PathBuf,
+        /// What is wrong with it and what to do.
+        reason: String,
+    },
+    /// No such unit.
+    #[error("--only {unit}: the plan has no such unit; see them with --plan")]
+    NoUnit {
+        /// What was asked for.
+        unit: String,
+    },
+    /// A unit that waits for another.
+    #[error("{unit}: {after} must be finished before; run it, or the whole batch")]
+    NotYet {
+        /// The unit.
+        unit: String,
+        /// What it waits for.
+        after: String,
+    },
+    /// An area that cannot be cut so that its tiles fit.
+    #[error("{area}: tiles of {side_m:.0} m would still take {what}; {remedy}")]
+    TooLarge {
+        /// The area.
+        area: String,
+        /// Side of the smallest tiles tried, metres.
+        side_m: f64,
+        /// What they take too much of.
+        what: String,
+        /// What to do.
+        remedy: &'static str,
+    },
+    /// An area that no two images show.
+    #[error("{area}: no tile of it is shown by two training images of {images}; give other bounds")]
+    NothingShown {
+        /// The area.
+        area: String,
+        /// The images.
+        images: String,
+    },
+    /// A unit whose scene cannot be used.
+    #[error("{0}")]
+    Refused(String),
+    /// Stopped by the user.
+    #[error("{0}")]
+    Interrupted(String),
+    /// A process that cannot be started, or failed.
+    #[error("{0}")]
+    Failed(String),
+    /// A training at fault.
+    #[error(transparent)]
+    Satellite(#[from] SatelliteError),
+    /// A training that was not finished.
+    #[error(transparent)]
+    Training(#[from] TrainingError),
+    /// Settings at fault.
+    #[error(transparent)]
+    Config(#[from] ConfigError),
+    /// A run at fault.
+    #[error(transparent)]
+    Run(#[from] RunError),
+    /// A page that cannot be written.
+    #[error(transparent)]
+    View(#[from] ViewError),
+    /// A model that cannot be lit.
+    #[error(transparent)]
+    Relight(#[from] RelightError),
+    /// A model that cannot be exported.
+    #[error(transparent)]
+    Export(#[from] ExportError),
+    /// A surface that cannot be compared with truth.
+    #[error(transparent)]
+    Evaluate(#[from] EvaluateError),
+    /// A scene at fault.
+    #[error(transparent)]
+    Scene(#[from] SceneError),
+    /// A raster at fault.
+    #[error(transparent)]
+    Raster(#[from] RasterError),
+    /// A file of the batch that cannot be read.
+    #[error("{}: {reason}", path.display())]
+    Io {
+        /// The file.
+        path: PathBuf,
+        /// What the operating system says.
+        reason: std::io::Error,
+    },
+}

@@ -1,0 +1,440 @@
+//! The manifest: which areas, which images of them, which ways to train.
+
+use super::BatchError;
+use super::tiles::LEAST_SIDE_M;
+use bytesize::ByteSize;
+use heliosplat_fitting::settings::Preset;
+use heliosplat_products::relight::LOWEST_SUN_DEG;
+use heliosplat_products::sunshine::Period;
+use heliosplat_raster::Geoid;
+use heliosplat_raster::bounded::read_text;
+use heliosplat_satellite::config::SatelliteConfig;
+use heliosplat_scene::{AreaRequest, RpcPreference};
+use std::collections::{BTreeMap, BTreeSet};
+use std::path::{Path, PathBuf};
+
+/// Longest name of an area, a set of images or a preset.
+const LONGEST_NAME: usize = 64;
+/// Where products may be copied to: not to the disk, where nothing but the folder of the batch is written.
+const OBJECT_STORES: [&str; 7] = [
+    "/vsis3/",
+    "/vsigs/",
+    "/vsiaz/",
+    "/vsiadls/",
+    "/vsioss/",
+    "/vsiswift/",
+    "/vsiwebhdfs/",
+];
+
+/// What is to be done.
+#[derive(Debug, Clone, PartialEq, serde::Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Manifest {
+    /// Folder on an object store, as GDAL names it, that products are copied to.
+    #[serde(default)]
+    pub deliver: Option<String>,
+    /// How areas are cut.
+    #[serde(default)]
+    pub tiles: TileOptions,
+    /// What is made of models.
+    #[serde(default)]
+    pub products: ProductOptions,
+    /// Pieces of ground; without any, all that the images show.
+    #[serde(default)]
+    pub areas: Vec<AreaEntry>,
+    /// Sets of images.
+    pub images: Vec<ImagesEntry>,
+    /// Ways to train; without any, the default preset.
+    #[serde(default)]
+    pub presets: Vec<PresetEntry>,
+}
+
+/// How areas are cut into tiles.
+#[derive(Debug, Clone, PartialEq, serde::Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct TileOptions {
+    /// Memory that the training of one tile may take, such as `4GiB`.
+    pub memory: String,
+    /// Ground that a tile shares with each of its neighbours beyond the line between them, metres.
+    pub overlap_m: f64,
+    /// Largest side of a tile without what it shares, metres.
+    pub side_m: Option<f64>,
+    /// Largest distance between a tile's pinhole cameras and its rational ones, pixels.
+    pub residual_px: f64,
+    /// Ground sampling distance of the mosaic, metres; absent: that of the images, in whole centimetres.
+    pub gsd_m: Option<f64>,
+}
+
+impl Default for TileOptions {
+    fn default() -> Self {
+        Self {
+            memory: "4GiB".into(),
+            overlap_m: 16.0,
+            side_m: None,
+            residual_px: 0.05,
+            gsd_m: None,
+        }
+    }
+}
+
+/// What is made of models, of tiles as of mosaics.
+#[derive(Debug, Clone, Default, PartialEq, serde::Serialize, serde::Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct ProductOptions {
+    /// Surface models and nothing else.
+    pub dsm_only: bool,
+    /// Azimuth and elevation of the sun of a relit ortho image, degrees; absent: there is none.
+    pub sun: Option<[f64; 2]>,
+    /// What heights of mosaics are above; absent: the ellipsoid.
+    pub geoid: Option<Geoid>,
+    /// Days whose hours of sun mosaics get, `FROM/TO` or one day; absent: none.
+    pub sun_hours: Option<String>,
+    /// Whether mosaics get 3D Tiles: splats, and the textured surface.
+    pub globe: bool,
+}
+
+/// A piece of ground.
+#[derive(Debug, Clone, PartialEq, serde::Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct AreaEntry {
+    /// Its name, which is also its folder's.
+    pub name: String,
+    /// West, south, east, north; absent: all that the images show.
+    pub bounds: Option<[f64; 4]>,
+    /// Their coordinate reference system; absent: degrees.
+    pub crs: Option<String>,
+    /// Lowest and highest ellipsoidal altitude, metres.
+    pub altitude_m: Option<[f64; 2]>,
+    /// The sets of images that show it; absent: all.
+    pub images: Option<Vec<String>>,
+}
+
+/// A set of images.
+#[derive(Debug, Clone, PartialEq, serde::Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct ImagesEntry {
+    /// Its name, which is also its folder's.
+    pub name: String,
+    /// A scene as `train` takes it; relative to the manifest.
+    pub scene: PathBuf,
+    /// Which camera counts where two differ: `json` or `image`.
+    pub rpc: Option<String>,
+}
+
+/// A way to train.
+#[derive(Debug, Clone, PartialEq, serde::Serialize, serde::Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct PresetEntry {
+    /// Its name, which is also its folder's.
+    pub name: String,
+    /// `preview`, `fast`, `balanced`, `accurate` or `best`; absent: its name.
+    #[serde(default)]
+    pub preset: Option<String>,
+    /// Seed of everything random.
+    #[serde(default = "first_seed")]
+    pub seed: u64,
+    /// What it changes, as `--set` does.
+    #[serde(default)]
+    pub set: BTreeMap<String, toml::Value>,
+}
+
+fn first_seed() -> u64 {
+    1
+}
+
+impl PresetEntry {
+    /// The preset it begins with.
+    pub fn base(&self) -> &str {
+        self.preset.as_deref().unwrap_or(&self.name)
+    }
+
+    /// Its changes, as `--set` takes them.
+    pub fn changes(&self) -> Vec<(String, String)> {
+        let text = |value: &toml::Value| value.to_string();
+        self.set.iter().map(|(key, value)| (key.clone(), text(value))).collect()
+    }
+
+    /// The whole configuration.
+    ///
+    /// # Errors
+    /// When a key or a value means nothing.
+    pub fn config(&self) -> Result<SatelliteConfig, heliosplat_fitting::settings::ConfigError> {
+        SatelliteConfig::resolve(self.base().parse()?, &self.changes(), self.seed)
+    }
+}
+
+impl AreaEntry {
+    /// Its bounds, if it has some.
+    pub fn request(&self) -> Option<AreaRequest> {
+        Some(AreaRequest {
+            bounds: self.bounds?,
+            crs: self.crs.clone(),
+        })
+    }
+}
+
+impl ImagesEntry {
+    /// Which camera counts where two differ.
+    pub fn preference(&self) -> RpcPreference {
+        match self.rpc.as_deref() {
+            Some("image") => RpcPreference::Image,
+            _ => RpcPreference::Json,
+        }
+    }
+}
+
+impl TileOptions {
+    /// Memory of one tile, bytes.
+    pub fn memory_bytes(&self) -> Option<u64> {
+        bytes(&self.memory).ok()
+    }
+}
+
+impl Manifest {
+    /// What the text of a manifest says, checked; its paths as it has them.
+    ///
+    /// # Errors
+    /// A sentence that says what is wrong, and where.
+    pub fn parse(text: &str) -> Result<Self, String> {
+        let mut manifest: Self = toml::from_str(text).map_err(|error| {
+            let line = error
+                .span()
+                .map_or(1, |span| text[..span.start].matches('\n').count() + 1);
+            format!(
+                "line {line}: {}",
+                error.message().split_whitespace().collect::<Vec<_>>().join(" ")
+            )
+        })?;
+        if manifest.areas.is_empty() {
+            manifest.areas.push(AreaEntry {
+                name: "all".into(),
+                bounds: None,
+                crs: None,
+                altitude_m: None,
+                images: None,
+            });
+        }
+        if manifest.presets.is_empty() {
+            manifest.presets.push(PresetEntry {
+                name: "balanced".into(),
+                preset: None,
+                seed: first_seed(),
+                set: BTreeMap::new(),
+            });
+        }
+        manifest.check()?;
+        Ok(manifest)
+    }
+
+    /// Reads a manifest; its paths come back resolved against its folder.
+    ///
+    /// # Errors
+    /// [`BatchError::Manifest`].
+    pub fn read(path: &Path) -> Result<Self, BatchError> {
+        let fault = |reason: String| BatchError::Manifest {
+            path: path.to_owned(),
+            reason,
+        };
+        let text = read_text(path).map_err(|error| fault(error.to_string()))?;
+        let mut manifest = Self::parse(&text).map_err(fault)?;
+        let folder = path.parent().unwrap_or_else(|| Path::new("."));
+        for images in &mut manifest.images {
+            images.scene = folder.join(&images.scene);
+        }
+        Ok(manifest)
+    }
+
+    fn check(&self) -> Result<(), String> {
+        if self.images.is_empty() {
+            return Err("it lists no images; add [[images]] with a name and a scene".into());
+        }
+        names("areas", self.areas.iter().map(|area| &area.name))?;
+        names("images", self.images.iter().map(|images| &images.name))?;
+        names("presets", self.presets.iter().map(|preset| &preset.name))?;
+        if let Some(to) = &self.deliver
+            && (!OBJECT_STORES.iter().any(|store| to.starts_with(store)) || to.contains(".."))
+        {
+            return Err(format!(
+                "deliver is '{to}', expected a folder on one of {}",
+                OBJECT_STORES.join(", ")
+            ));
+        }
+        let tiles = &self.tiles;
+        if tiles.memory_bytes().is_none() {
+            return Err(format!(
+                "tiles.memory is '{}', expected a size such as 4GiB",
+                tiles.memory
+            ));
+        }
+        let positive = |v: f64| v > 0.0 && v.is_finite();
+        for (key, value, fits) in [
+            (
+                "overlap_m",
+                tiles.overlap_m,
+                tiles.overlap_m >= 0.0 && tiles.overlap_m.is_finite(),
+            ),
+            ("residual_px", tiles.residual_px, positive(tiles.residual_px)),
+            ("gsd_m", tiles.gsd_m.unwrap_or(1.0), tiles.gsd_m.is_none_or(positive)),
+        ] {
+            if !fits {
+                return Err(format!("tiles.{key} is {value}, expected a finite number above zero"));
+            }
+        }
+        if let Some(side_m) = tiles.side_m.filter(|side_m| !(LEAST_SIDE_M..=1e6).contains(side_m)) {
+            return Err(format!("tiles.side_m is {side_m}, expected {LEAST_SIDE_M} m or more"));
+        }
+        if let Some([azimuth, elevation]) = self.products.sun
+            && !(azimuth.is_finite() && (LOWEST_SUN_DEG..=90.0).contains(&elevation))
+        {
+            return Err(format!(
+                "products.sun is [{azimuth}, {elevation}], expected azimuth and elevation in degrees, {LOWEST_SUN_DEG} or more above the horizon"
+            ));
+        }
+        if let Some(days) = &self.products.sun_hours {
+            days.parse::<Period>()
+                .map_err(|reason| format!("products.sun_hours: {reason}"))?;
+        }
+        if self.products.dsm_only && (self.products.sun_hours.is_some() || self.products.globe) {
+            return Err("products.dsm_only leaves sun_hours and globe out; say one or the other".into());
+        }
+        for area in &self.areas {
+            if let Some(request) = area.request() {
+                request
+                    .check()
+                    .map_err(|reason| format!("area {}: {reason}", area.name))?;
+            }
+            for name in area.images.iter().flatten() {
+                if !self.images.iter().any(|images| images.name == *name) {
+                    return Err(format!("area {}: there are no images named '{name}'", area.name));
+                }
+            }
+        }
+        for images in &self.images {
+            if !matches!(images.rpc.as_deref(), None | Some("json" | "image")) {
+                return Err(format!("images {}: rpc is json or image", images.name));
+            }
+        }
+        for preset in &self.presets {
+            if preset.base().parse::<Preset>().is_err() {
+                let name = &preset.name;
+                return Err(format!(
+                    "preset {name}: say preset = \"preview\", \"fast\", \"balanced\", \"accurate\" or \"best\""
+                ));
+            }
+            preset
+                .config()
+                .map_err(|error| format!("preset {}: {error}", preset.name))?;
+        }
+        Ok(())
+    }
+}
+
+/// A size such as `512MiB`, `4GiB`, `500MB`; a bare number is bytes. `k`, `M` and `G` alone are powers of 1000, as `kB`, `MB` and `GB` are.
+///
+/// # Errors
+/// A message for the user.
+pub fn bytes(text: &str) -> Result<u64, String> {
+    match text.trim().parse::<ByteSize>() {
+        Ok(size) if size.as_u64() > 0 => Ok(size.as_u64()),
+        _ => Err("expected a size such as 512MiB or 4GiB".to_owned()),
+    }
+}
+
+/// Names become folders below the one to write to: they must be plain, and no two the same.
+fn names<'n>(what: &str, names: impl Iterator<Item = &'n String>) -> Result<(), String> {
+    let mut known = BTreeSet::new();
+    for name in names {
+        let plain = name
+            .chars()
+            .all(|c| c.is_ascii_alphanumeric() || matches!(c, '-' | '_' | '.'));
+        let begins = name.starts_with(|c: char| c.is_ascii_alphanumeric());
+        if !(plain && begins && name.len() <= LONGEST_NAME) {
+            let shown: String = name.chars().take(LONGEST_NAME).collect();
+            return Err(format!(
+                "{what}: '{shown}' is no name; use letters, digits, '-', '_' and '.', a letter or digit first, {LONGEST_NAME} at most"
+            ));
+        }
+        if !known.insert(name.to_lowercase()) {
+            return Err(format!("{what}: the name '{name}' comes twice"));
+        }
+    }
+    Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const IMAGES: &str = "[[images]]\nname = \"a\"\nscene = \"a\"\n";
+
+    #[test]
+    fn a_short_manifest_is_one_area_and_one_preset() {
+        let manifest = Manifest::parse(IMAGES).expect("sound");
+        assert_eq!(
+            (manifest.areas[0].name.as_str(), manifest.presets[0].base()),
+            ("all", "balanced")
+        );
+        assert_eq!(manifest.tiles.memory_bytes(), Some(4 << 30));
+    }
+
+    #[test]
+    fn names_that_would_leave_the_folder_are_refused() {
+        for name in [
+            "..",
+            "../x",
+            "/etc",
+            "a/b",
+            "",
+            ".hidden",
+            "a\\b",
+            "a b",
+            "tile\u{202e}",
+        ] {
+            let text = format!("{IMAGES}[[areas]]\nname = {name:?}\n");
+            let error = Manifest::parse(&text).expect_err(name);
+            assert!(error.contains("no name") || error.contains("line"), "{name}: {error}");
+        }
+        let twice = format!("{IMAGES}{IMAGES}");
+        assert!(Manifest::parse(&twice).expect_err("twice").contains("comes twice"));
+    }
+
+    #[test]
+    fn what_means_nothing_is_named_with_its_place() {
+        let refused = |more: &str| Manifest::parse(&format!("{IMAGES}{more}")).expect_err(more);
+        assert!(refused("[tiles]\nmemory = \"much\"\n").contains("tiles.memory"));
+        assert!(refused("[tiles]\noverlap_m = -1.0\n").contains("tiles.overlap_m"));
+        assert!(refused("[[areas]]\nname = \"x\"\nimages = [\"b\"]\n").contains("'b'"));
+        assert!(refused("[[areas]]\nname = \"x\"\nbounds = [3.0, 0.0, 1.0, 1.0]\n").contains("west below east"));
+        assert!(refused("[[presets]]\nname = \"x\"\n").contains("preset ="));
+        assert!(
+            refused("[[presets]]\nname = \"fast\"\nset = { \"train.iteration\" = 4 }\n").contains("train.iteration")
+        );
+        assert!(refused("colour = 3\n").contains("line"));
+        assert!(refused("[products]\nsun = [200.0, -5.0]\n").contains("products.sun"));
+        assert!(refused("[products]\nsun_hours = \"2026-06-31\"\n").contains("products.sun_hours"));
+        assert!(refused("[products]\ndsm_only = true\nglobe = true\n").contains("dsm_only"));
+        assert!(refused("[products]\ngeoid = \"sea\"\n").contains("line"));
+        let elsewhere = Manifest::parse(&format!("deliver = \"/vsizip//etc/x.zip\"\n{IMAGES}"));
+        assert!(elsewhere.expect_err("the disk").contains("deliver"));
+    }
+
+    #[test]
+    fn sizes_carry_their_units_and_bare_numbers_are_bytes() {
+        for (text, bytes_of) in [
+            ("4096", 4096),
+            ("4GiB", 4 << 30),
+            (" 4 gib ", 4 << 30),
+            ("0.5GiB", 1 << 29),
+            ("512MiB", 512 << 20),
+            ("500MB", 500_000_000),
+            ("1.5MB", 1_500_000),
+            ("4G", 4_000_000_000),
+            ("1TiB", 1 << 40),
+        ] {
+            assert_eq!(bytes(text), Ok(bytes_of), "{text}");
+        }
+        for bad in ["", "0", "0GiB", "-1GiB", "lots", "GiB", "4Gib/s", "nan", "inf"] {
+            assert!(bytes(bad).is_err(), "{bad}");
+        }
+    }
+}

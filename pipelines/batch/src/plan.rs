@@ -1,0 +1,418 @@
+//! The units of a batch, in an order in which they can be done.
+
+use super::BatchError;
+use super::hashes::{Hashes, Seen, seen};
+use super::manifest::{AreaEntry, ImagesEntry, Manifest, PresetEntry, ProductOptions};
+use super::tiles::{self, Tiling};
+use heliosplat_fitting::checkpoint::{digest, identity_of_program};
+use heliosplat_raster::bounded::read_bytes;
+use heliosplat_raster::write::write_atomically;
+use heliosplat_satellite::altitude;
+use heliosplat_scene::survey::Survey;
+use heliosplat_scene::{AreaRequest, IngestOptions, RpcPreference};
+use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
+
+/// Bytes per cell of a mosaic while its surface model is made: three bands of tiles and of the mosaic, weights, the file in memory.
+const MOSAIC_BYTES_PER_CELL: f64 = 120.0;
+/// The same for each band of its albedo.
+const MOSAIC_BYTES_PER_CELL_AND_BAND: f64 = 24.0;
+/// Memory of any unit, bytes.
+const LEAST_BYTES: f64 = 200.0 * 1_048_576.0;
+/// Seconds of any unit: starting, reading, writing.
+const LEAST_S: f64 = 5.0;
+/// Seconds per Gaussian and step of a training on one core, roughly: how fast the machine is does not count.
+const STEP_S_PER_GAUSSIAN: f64 = 1.8e-6;
+/// Steps that take as long as the rest of a training does for each of its images: start, albedo, evaluation.
+const STEPS_PER_VIEW: f64 = 10.0;
+/// Seconds per cell of a mosaic, and of each raster besides its surface model.
+const MOSAIC_S_PER_CELL: f64 = 2e-6;
+/// Name of the file that keeps a plan, and its largest size, bytes: a million units.
+const FILE: &str = "plan.json";
+const FILE_MAX: u64 = 2 << 30;
+/// Most files and folders of a refused scene that are watched for changes.
+const LISTED_MAX: usize = 10_000;
+
+/// All that is to be done.
+#[derive(Debug, Clone, PartialEq, serde::Serialize, serde::Deserialize)]
+pub struct Plan {
+    /// The units, each after those that it waits for.
+    pub units: Vec<Unit>,
+}
+
+/// One thing to be done.
+#[derive(Debug, Clone, PartialEq, serde::Serialize, serde::Deserialize)]
+pub struct Unit {
+    /// Its name, and its folder below the batch's: area, images, preset, part.
+    pub id: String,
+    /// What it is.
+    pub work: Work,
+    /// The units that must be finished before.
+    pub after: Vec<String>,
+    /// Memory it will take, MiB.
+    pub mem_mb: u64,
+    /// Time it will take, seconds: a rough figure for one core, for workflow engines that ask for one.
+    pub runtime_s: u64,
+    /// Names its inputs and its settings: another key is other work.
+    pub key: String,
+    /// Folder on an object store that its products are copied to.
+    pub deliver: Option<String>,
+}
+
+/// What a unit does.
+#[derive(Debug, Clone, PartialEq, serde::Serialize, serde::Deserialize)]
+#[serde(tag = "kind", rename_all = "snake_case")]
+pub enum Work {
+    /// Trains a tile and writes its surface model.
+    Tile(TileWork),
+    /// Makes one surface model of those of the tiles.
+    Mosaic(MosaicWork),
+    /// Nothing: its scene cannot be used.
+    Refused {
+        /// Why.
+        reason: String,
+    },
+}
+
+/// The work of a tile.
+#[derive(Debug, Clone, PartialEq, serde::Serialize, serde::Deserialize)]
+pub struct TileWork {
+    /// The scene.
+    pub scene: PathBuf,
+    /// Its ground.
+    pub area: AreaRequest,
+    /// Lowest and highest ellipsoidal altitude, metres.
+    pub altitude_m: Option<[f64; 2]>,
+    /// The same as tie points between the images of the whole area gave it, where none is stated.
+    #[serde(default)]
+    pub altitude_from_ties_m: Option<(f64, f64)>,
+    /// Which camera counts.
+    pub rpc: RpcPreference,
+    /// How it is trained.
+    pub preset: PresetEntry,
+    /// Coordinate reference system of its surface model.
+    pub crs: String,
+    /// Width of a cell of it, metres.
+    pub gsd_m: f64,
+    /// Largest distance between its pinhole cameras and its rational ones, pixels.
+    pub residual_px: f64,
+    /// What is made of its model.
+    pub products: ProductOptions,
+}
+
+/// The work of a mosaic.
+#[derive(Debug, Clone, PartialEq, serde::Serialize, serde::Deserialize)]
+pub struct MosaicWork {
+    /// The tiles.
+    pub tiles: Vec<MosaicTile>,
+    /// Coordinate reference system.
+    pub crs: String,
+    /// Width of a cell, metres.
+    pub gsd_m: f64,
+    /// West, south, east, north.
+    pub bounds: [f64; 4],
+    /// True altitudes, where the scene has them.
+    pub truth: Option<PathBuf>,
+    /// Classes, where the scene has them.
+    pub classes: Option<PathBuf>,
+    /// What is made of it.
+    pub products: ProductOptions,
+}
+
+/// A tile as its mosaic knows it.
+#[derive(Debug, Clone, PartialEq, serde::Serialize, serde::Deserialize)]
+pub struct MosaicTile {
+    /// Its unit.
+    pub unit: String,
+    /// West, south, east, north of what is its alone.
+    pub core: [f64; 4],
+    /// Of all of it.
+    pub bounds: [f64; 4],
+}
+
+/// What a plan was made of; when it has not changed, neither has the plan.
+#[derive(Debug, Clone, PartialEq, serde::Serialize, serde::Deserialize)]
+struct Made {
+    program: String,
+    manifest: String,
+    files: BTreeMap<PathBuf, Seen>,
+}
+
+#[derive(serde::Serialize, serde::Deserialize)]
+struct File {
+    made: Made,
+    plan: Plan,
+}
+
+impl Plan {
+    /// The plan of a manifest; one that was made before for the same files is read from `out`. A kept plan with refused areas is made
+    /// again where `retry` is set, or a file of such an area has changed.
+    ///
+    /// # Errors
+    /// When the manifest is at fault.
+    pub fn of(manifest_path: &Path, out: &Path, retry: bool) -> Result<Self, BatchError> {
+        let manifest = Manifest::read(manifest_path)?;
+        let text = format!("{manifest:?}");
+        if let Some(plan) = kept(&out.join(FILE), &text)
+            && !(retry && plan.units.iter().any(|unit| unit.refusal().is_some()))
+        {
+            return Ok(plan);
+        }
+        let mut hashes = Hashes::open(out);
+        let (plan, files) = make(&manifest, &mut hashes);
+        let made = Made {
+            program: identity_of_program(),
+            manifest: digest(&text),
+            files: files.into_iter().map(|path| (path.clone(), seen(&path))).collect(),
+        };
+        let file = File { made, plan };
+        // Both only save time: a folder that cannot be written is told of by the units.
+        let _ = hashes.save(out);
+        let text = serde_json::to_string_pretty(&file).unwrap_or_default();
+        let _ = write_atomically(&out.join(FILE), text.as_bytes());
+        Ok(file.plan)
+    }
+
+    /// A unit by its name.
+    ///
+    /// # Errors
+    /// [`BatchError::NoUnit`].
+    pub fn unit(&self, id: &str) -> Result<&Unit, BatchError> {
+        let found = self.units.iter().find(|unit| unit.id == id);
+        found.ok_or_else(|| BatchError::NoUnit { unit: id.into() })
+    }
+}
+
+impl Unit {
+    /// The reason why its scene cannot be used, if it cannot.
+    pub fn refusal(&self) -> Option<&str> {
+        match &self.work {
+            Work::Refused { reason } => Some(reason),
+            _ => None,
+        }
+    }
+}
+
+/// The plan in a file, if it is of this program and this manifest, and the files are as they were.
+fn kept(path: &Path, manifest: &str) -> Option<Plan> {
+    let file: File = serde_json::from_slice(&read_bytes(path, FILE_MAX).ok()?).ok()?;
+    let made = &file.made;
+    let same = made.program == identity_of_program() && made.manifest == digest(manifest);
+    let unchanged = || made.files.iter().all(|(path, before)| seen(path) == *before);
+    (same && unchanged()).then_some(file.plan)
+}
+
+/// All units, and the files that decided them. A scene that is at fault becomes a unit that fails, and stops no other.
+fn make(manifest: &Manifest, hashes: &mut Hashes) -> (Plan, Vec<PathBuf>) {
+    let (mut units, mut files) = (Vec::new(), Vec::new());
+    for area in &manifest.areas {
+        let wanted = |images: &&ImagesEntry| {
+            let named = area.images.as_ref();
+            named.is_none_or(|names| names.contains(&images.name))
+        };
+        for images in manifest.images.iter().filter(wanted) {
+            match units_of(manifest, area, images, hashes) {
+                Ok((more, of)) => {
+                    units.extend(more);
+                    files.extend(of);
+                }
+                Err(error) => {
+                    units.push(refused(area, images, &error));
+                    files.extend(around(&images.scene));
+                }
+            }
+        }
+    }
+    (Plan { units }, files)
+}
+
+/// The files and folders of a scene that cannot be used, [`LISTED_MAX`] at most: when one changes, the scene is tried again.
+fn around(scene: &Path) -> Vec<PathBuf> {
+    let mut found = vec![scene.to_owned()];
+    let mut next = 0;
+    while next < found.len() && found.len() < LISTED_MAX {
+        let entries = std::fs::read_dir(&found[next]).into_iter().flatten().flatten();
+        // A link may lead back to where it is.
+        let entries = entries.filter(|entry| entry.file_type().is_ok_and(|kind| !kind.is_symlink()));
+        found.extend(entries.map(|entry| entry.path()));
+        next += 1;
+    }
+    found
+}
+
+/// The units of an area and a set of images, for all presets.
+fn units_of(
+    manifest: &Manifest,
+    area: &AreaEntry,
+    images: &ImagesEntry,
+    hashes: &mut Hashes,
+) -> Result<(Vec<Unit>, Vec<PathBuf>), BatchError> {
+    let options = IngestOptions {
+        altitude_range_m: area.altitude_m.map(|[low, high]| (low, high)),
+        altitude_from_ties_m: None,
+        rpc: images.preference(),
+        area: area.request(),
+    };
+    // Once for all tiles, so that they are parts of one surface.
+    let options = altitude::resolve(&images.scene, &options)?;
+    let survey = Survey::open(&images.scene, &options)?;
+    let inputs = hashes.of(&survey.files)?;
+    let mut units = Vec::new();
+    for preset in &manifest.presets {
+        let config = preset.config().map_err(|error| BatchError::Manifest {
+            path: images.scene.clone(),
+            reason: error.to_string(),
+        })?;
+        let tiling = tiles::cut(&tiles::Request {
+            name: &area.name,
+            images: &images.name,
+            survey: &survey,
+            options: &manifest.tiles,
+            config: &config,
+        })?;
+        let combination = Combination {
+            area,
+            images,
+            altitude_from_ties_m: options.altitude_from_ties_m,
+            preset,
+            inputs: &inputs,
+            config: toml::to_string(&config).unwrap_or_default(),
+            products: &manifest.products,
+            deliver: manifest.deliver.as_ref(),
+        };
+        units.extend(combination.units(&tiling, &survey));
+    }
+    Ok((units, survey.files))
+}
+
+fn refused(area: &AreaEntry, images: &ImagesEntry, error: &BatchError) -> Unit {
+    let reason = error.to_string();
+    Unit {
+        id: format!("{}/{}/refused", area.name, images.name),
+        after: Vec::new(),
+        mem_mb: mebibytes(LEAST_BYTES),
+        runtime_s: LEAST_S as u64,
+        key: digest(&reason),
+        deliver: None,
+        work: Work::Refused { reason },
+    }
+}
+
+struct Combination<'a> {
+    area: &'a AreaEntry,
+    images: &'a ImagesEntry,
+    /// The altitudes of the whole area, where tie points gave them, metres.
+    altitude_from_ties_m: Option<(f64, f64)>,
+    preset: &'a PresetEntry,
+    /// The files that say something about the scene, and their hashes.
+    inputs: &'a str,
+    config: String,
+    products: &'a ProductOptions,
+    deliver: Option<&'a String>,
+}
+
+impl Combination<'_> {
+    fn units(&self, tiling: &Tiling, survey: &Survey) -> Vec<Unit> {
+        let home = format!("{}/{}/{}", self.area.name, self.images.name, self.preset.name);
+        let mut units: Vec<Unit> = tiling.tiles.iter().map(|tile| self.tile(&home, tiling, tile)).collect();
+        let tiles: Vec<MosaicTile> = tiling
+            .tiles
+            .iter()
+            .map(|tile| MosaicTile {
+                unit: format!("{home}/{}", tile.name()),
+                core: tile.core,
+                bounds: tile.area.bounds,
+            })
+            .collect();
+        let work = MosaicWork {
+            tiles,
+            crs: tiling.crs.clone(),
+            gsd_m: tiling.gsd_m,
+            bounds: tiling.bounds,
+            truth: survey.truth.dsm.clone(),
+            classes: survey.truth.classes.clone(),
+            products: self.products.clone(),
+        };
+        let [west, south, east, north] = tiling.bounds;
+        let cells = (east - west) * (north - south) / (tiling.gsd_m * tiling.gsd_m);
+        let images = tiling.tiles.iter().map(|tile| tile.survey.images).max().unwrap_or(0);
+        let (bands, rasters) = match self.products.dsm_only {
+            true => (0.0, 1.0),
+            // Each image may be of a date of its own, which has shadows of its own.
+            false => (survey.bands as f64, (4 + survey.bands + images) as f64),
+        };
+        let bytes_per_cell = MOSAIC_BYTES_PER_CELL + MOSAIC_BYTES_PER_CELL_AND_BAND * bands;
+        let keys: Vec<&str> = units.iter().map(|unit| unit.key.as_str()).collect();
+        let said = format!(
+            "{}mosaic\n{}\n{:?} {:?}",
+            identity_of_program(),
+            keys.join("\n"),
+            work,
+            self.deliver
+        );
+        units.push(Unit {
+            id: format!("{home}/mosaic"),
+            after: units.iter().map(|unit| unit.id.clone()).collect(),
+            mem_mb: mebibytes(LEAST_BYTES + bytes_per_cell * cells),
+            runtime_s: (LEAST_S + MOSAIC_S_PER_CELL * rasters * cells).ceil() as u64,
+            key: digest(&said),
+            deliver: self.deliver.cloned(),
+            work: Work::Mosaic(work),
+        });
+        units
+    }
+
+    fn tile(&self, home: &str, tiling: &Tiling, tile: &tiles::Tile) -> Unit {
+        let work = TileWork {
+            scene: self.images.scene.clone(),
+            area: tile.area.clone(),
+            altitude_m: self.area.altitude_m,
+            altitude_from_ties_m: self.altitude_from_ties_m,
+            rpc: self.images.preference(),
+            preset: self.preset.clone(),
+            crs: tiling.crs.clone(),
+            gsd_m: tiling.gsd_m,
+            residual_px: tile.survey.residual_px,
+            // What is made of the whole surface alone is nothing to a tile.
+            products: ProductOptions {
+                geoid: None,
+                sun_hours: None,
+                globe: false,
+                ..self.products.clone()
+            },
+        };
+        let said = format!(
+            "{}tile\n{} {:?} {:?} {:?} {} {} {:?} {:?}\n{}\n{}",
+            identity_of_program(),
+            work.area,
+            work.altitude_m,
+            work.altitude_from_ties_m,
+            work.rpc,
+            work.crs,
+            work.gsd_m,
+            work.products,
+            self.deliver,
+            self.config,
+            self.inputs
+        );
+        Unit {
+            id: format!("{home}/{}", tile.name()),
+            after: Vec::new(),
+            mem_mb: mebibytes(tile.estimate.peak_bytes.max(LEAST_BYTES)),
+            runtime_s: (LEAST_S + training_s(tile)).ceil() as u64,
+            key: digest(&said),
+            deliver: self.deliver.cloned(),
+            work: Work::Tile(work),
+        }
+    }
+}
+
+/// Seconds of a tile's training, roughly.
+fn training_s(tile: &tiles::Tile) -> f64 {
+    let steps = tile.estimate.steps as f64 + STEPS_PER_VIEW * tile.survey.training as f64;
+    STEP_S_PER_GAUSSIAN * tile.estimate.gaussians * steps
+}
+
+fn mebibytes(bytes: f64) -> u64 {
+    (bytes / f64::from(1 << 20)).ceil() as u64
+}

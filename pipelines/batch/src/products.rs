@@ -1,0 +1,273 @@
+//! What units give to a GIS: the products of a tile's model, and the same of the whole mosaic, merged from them.
+
+use super::BatchError;
+use super::layers::{Layer, Merge};
+use super::mosaic::Mosaic;
+use super::plan::{MosaicWork, Unit};
+use super::summary::COLLECTION;
+use heliosplat::Raster;
+use heliosplat_pages::view;
+use heliosplat_products::blend::Piece;
+use heliosplat_products::change::ChangeMap;
+use heliosplat_products::dsm::Dsm;
+use heliosplat_products::export::{self, MosaicTile, Subject, TILESET};
+use heliosplat_products::model::{self, LoadedModel, ModelFile, ModelImage};
+use heliosplat_products::nadir::NadirGrid;
+use heliosplat_products::points;
+use heliosplat_products::set::{self, Request, dates, only_sun, times};
+use heliosplat_products::sunshine::sunshine;
+use heliosplat_products::writer::{Said, Writer};
+use heliosplat_raster::preview;
+use heliosplat_rpc::sun::SunPosition;
+use serde_json::{Value, json};
+use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
+
+/// Folder of a tile's training, below the tile's own.
+pub const RUN: &str = "run";
+/// Name of the point cloud.
+const POINTS: &str = "points.laz";
+/// Folder of pictures for people.
+pub const PICTURES: &str = "pictures";
+/// Folders of the 3D Tiles of a mosaic: splats, and the textured surface.
+const SPLATS: &str = "splats";
+const SURFACE: &str = "surface";
+/// Widest picture, pixels.
+const PICTURE_PX: usize = 1600;
+/// What shadows are painted in.
+const SHADOW: [u8; 3] = [40, 80, 255];
+
+/// Name of a unit's STAC item.
+fn item_id(unit: &str) -> String {
+    unit.replace('/', "_")
+}
+
+fn sun_of([azimuth_deg, elevation_deg]: [f64; 2]) -> SunPosition {
+    SunPosition::from_degrees(azimuth_deg, elevation_deg)
+}
+
+/// Writes the products of a tile's model; returns their names.
+///
+/// # Errors
+/// When one cannot be made or written.
+pub fn of_tile(
+    model: &LoadedModel,
+    unit: &Unit,
+    folder: &Path,
+    (gsd_m, crs): (f64, &str),
+    sun: Option<[f64; 2]>,
+) -> Result<Vec<String>, BatchError> {
+    let request = Request {
+        gsd_m: Some(gsd_m),
+        crs: Some(crs.to_owned()),
+        geoid: None,
+        sun: sun.map(sun_of),
+        sun_hours: None,
+    };
+    let set = set::write(model, folder, &request, (&item_id(&unit.id), None), &|_| {})?;
+    Ok(set.names)
+}
+
+/// What the models of some tiles say of bands and images.
+struct Models {
+    files: Vec<ModelFile>,
+    runs: Vec<PathBuf>,
+}
+
+impl Models {
+    fn read(out: &Path, work: &MosaicWork) -> Result<Self, BatchError> {
+        let runs: Vec<PathBuf> = work.tiles.iter().map(|tile| out.join(&tile.unit).join(RUN)).collect();
+        let files = runs.iter().map(|run| model::load_file(run)).collect::<Result<_, _>>()?;
+        Ok(Self { files, runs })
+    }
+
+    /// The days on which something changed, days since 1970.
+    fn days_of_change(&self) -> Vec<i32> {
+        let changes = self.files.iter().filter_map(|file| file.changes.as_ref());
+        changes
+            .flat_map(|changes| changes.segments.iter().map(|segment| segment.day))
+            .collect()
+    }
+
+    /// The images of all, each once.
+    fn images(&self) -> Vec<ModelImage> {
+        let mut images: BTreeMap<&str, &ModelImage> = BTreeMap::new();
+        for image in self.files.iter().flat_map(|file| &file.images) {
+            images.entry(&image.name).or_insert(image);
+        }
+        images.into_values().cloned().collect()
+    }
+}
+
+/// Writes the products of a mosaic; returns their names and what is worth knowing of them.
+///
+/// # Errors
+/// When a tile's product cannot be read, or one be written.
+pub fn of_mosaic(
+    out: &Path,
+    work: &MosaicWork,
+    mosaic: &Mosaic,
+    unit: &Unit,
+    folder: &Path,
+) -> Result<(Vec<String>, Value), BatchError> {
+    let models = Models::read(out, work)?;
+    let images = models.images();
+    let bands = models.files.first().map_or(&[][..], |file| &file.bands);
+    let (pieces, grid) = (&mosaic.pieces, &mosaic.grid);
+    let (size, gsd_m) = ((grid.width, grid.height), work.gsd_m as f32);
+    let read = |name: &str| Layer::read(out, pieces, name);
+    let mask = |name: &str| Ok::<_, BatchError>(read(name)?.merged(pieces, size, gsd_m, Merge::Majority));
+
+    let mut writer = Writer::new(grid, work.gsd_m, folder);
+    writer.surface(&mosaic.dsm)?;
+    let changes = read("change.tif")?.merged(pieces, size, gsd_m, Merge::Heaviest);
+    if let Some(changes) = ChangeMap::read(changes, &models.days_of_change()) {
+        writer.changes(&changes)?;
+    }
+    let mut albedo = read("albedo.tif")?;
+    let gains = albedo.balance(pieces, gsd_m);
+    let albedo = albedo.merged(pieces, size, gsd_m, Merge::Mean);
+    let index = models.files.first().and_then(ModelFile::ndvi);
+    writer.colours(&albedo, bands, index)?;
+    let look = Look::new(&albedo, folder);
+    look.write("albedo", None)?;
+    if let Some(sun) = work.products.sun.map(sun_of) {
+        let mut image = read("relit.tif")?;
+        image.balance(pieces, gsd_m);
+        let image = image.merged(pieces, size, gsd_m, Merge::Mean);
+        writer.relit(&image, &mask("relit_shadow.tif")?, bands, &sun)?;
+        Look::new(&image, folder).write("relit", None)?;
+    }
+    if let Some(days) = &work.products.sun_hours {
+        let period = days.parse().map_err(BatchError::Refused)?;
+        let above_ellipsoid = mosaic.above_ellipsoid()?;
+        let (nadir, frame) = NadirGrid::of_surface(grid.clone(), &above_ellipsoid.values)?;
+        writer.sunshine(&sunshine(&nadir, &above_ellipsoid, frame.origin, &period), &period)?;
+    }
+    let dates = dates(&images);
+    for (date, sun) in &dates {
+        let shadows = mask(&format!("shadow_{date}.tif"))?;
+        writer.shadows(date, &shadows, sun)?;
+        look.write(&format!("shadow_{date}"), Some(&shadows))?;
+    }
+    let parts: Vec<points::Part> = work
+        .tiles
+        .iter()
+        .map(|tile| (out.join(&tile.unit).join(POINTS), tile.core))
+        .collect();
+    let count = points::merge(&folder.join(POINTS), &parts, grid, work.products.geoid)?;
+    writer.points(POINTS, count);
+    let globe = match work.products.globe {
+        true => globe(mosaic, albedo, &models.runs, &gains, work.products.sun, folder)?,
+        false => Vec::new(),
+    };
+    if !globe.is_empty() {
+        writer.tiles("splats", &format!("{SPLATS}/{TILESET}"), "Splats for globes, 3D Tiles");
+        writer.tiles(
+            "surface",
+            &format!("{SURFACE}/{TILESET}"),
+            "Textured surface for globes, 3D Tiles",
+        );
+    }
+    let light = models.runs.first().map(PathBuf::as_path);
+    if view::into_folder(folder, view::of_mosaic(folder, light))? {
+        writer.page(view::FILE, "The surface in a browser, under a sun that can be moved");
+    }
+    let runs: Vec<&Path> = models.runs.iter().map(PathBuf::as_path).collect();
+    let set = writer.finish(&Said {
+        id: &item_id(&unit.id),
+        times: &times(&images, &runs),
+        sun: only_sun(&images, &dates),
+        collection: Some((COLLECTION, "../../../../collection.json")),
+    })?;
+    let names: Vec<&str> = dates.iter().map(|(date, _)| date.as_str()).collect();
+    let said = json!({"points": count, "dates": names, "albedo_gains": gains});
+    let mut outputs = set.names;
+    for name in globe {
+        if !outputs.contains(&name) {
+            outputs.push(name);
+        }
+    }
+    Ok((outputs, said))
+}
+
+/// Writes the 3D Tiles of a mosaic; returns the names of all files.
+fn globe(
+    mosaic: &Mosaic,
+    albedo: Raster,
+    runs: &[PathBuf],
+    gains: &[Vec<f64>],
+    sun: Option<[f64; 2]>,
+    folder: &Path,
+) -> Result<Vec<String>, BatchError> {
+    let tile = |((piece, run), gains): ((&Piece, &PathBuf), &Vec<f64>)| MosaicTile {
+        run: run.clone(),
+        core: piece.core,
+        gains: gains.clone(),
+    };
+    let tiles = mosaic.pieces.iter().zip(runs).zip(gains).map(tile).collect();
+    let dsm = Dsm {
+        raster: mosaic.above_ellipsoid()?,
+        grid: mosaic.grid.clone(),
+        geoid: None,
+    };
+    let exported = export::Mosaic::new(folder, dsm, albedo, tiles)?;
+    for (name, tiles_of_mesh) in [(SPLATS, false), (SURFACE, true)] {
+        let request = export::Request {
+            tiles: Some(folder.join(name)),
+            tiles_of_mesh,
+            sun: sun.map(sun_of),
+            ..export::Request::default()
+        };
+        export::write(Subject::Mosaic(&exported), &request)?;
+    }
+    let mut names = Vec::new();
+    for name in [SPLATS, SURFACE] {
+        for entry in std::fs::read_dir(folder.join(name)).into_iter().flatten().flatten() {
+            names.push(format!("{name}/{}", entry.file_name().to_string_lossy()));
+        }
+    }
+    names.sort_unstable();
+    Ok(names)
+}
+
+/// Pictures of an ortho image, small enough to be looked at.
+struct Look {
+    image: Raster,
+    step: usize,
+    folder: PathBuf,
+}
+
+impl Look {
+    fn new(image: &Raster, folder: &Path) -> Self {
+        let step = image.width.max(image.height).div_ceil(PICTURE_PX).max(1);
+        Self {
+            image: every(image, step),
+            step,
+            folder: folder.join(PICTURES),
+        }
+    }
+
+    /// Writes it, with shadows over it where there are some.
+    fn write(&self, name: &str, shadows: Option<&Raster>) -> Result<(), BatchError> {
+        let mut picture = preview::stretched(&self.image);
+        if let Some(shadows) = shadows {
+            preview::overlay(&mut picture, &every(shadows, self.step), SHADOW);
+        }
+        Ok(preview::write_png(&self.folder.join(format!("{name}.png")), &picture)?)
+    }
+}
+
+/// Every so many cells of a raster.
+fn every(raster: &Raster, step: usize) -> Raster {
+    let (width, height) = (raster.width.div_ceil(step), raster.height.div_ceil(step));
+    let mut out = Raster::filled(width, height, raster.bands, f32::NAN);
+    for band in 0..raster.bands {
+        for row in 0..height {
+            for col in 0..width {
+                out.values[(band * height + row) * width + col] = raster.at(band, col * step, row * step);
+            }
+        }
+    }
+    out
+}

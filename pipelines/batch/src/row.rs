@@ -1,0 +1,44 @@
+//! The row of a unit in the table of a batch.
+
+use super::plan::{Unit, Work};
+use super::stamp::Stamp;
+use heliosplat_pages::summary::{Row, State};
+use serde_json::Value;
+use std::path::{Path, PathBuf};
+
+/// Where the log of a unit is.
+pub fn log_of(out: &Path, unit: &Unit) -> PathBuf {
+    out.join(&unit.id).join("log.txt")
+}
+
+/// A unit of which nothing is known yet.
+pub fn pending(unit: &Unit, out: &Path) -> Row {
+    Row {
+        unit: unit.id.clone(),
+        kind: match unit.work {
+            Work::Tile(_) => "tile",
+            Work::Mosaic(_) => "mosaic",
+            Work::Refused { .. } => "refused",
+        },
+        state: State::Pending,
+        seconds: None,
+        peak_rss_bytes: None,
+        mem_mb: unit.mem_mb,
+        mae_m: None,
+        completeness: None,
+        log: log_of(out, unit).display().to_string(),
+        error: None,
+        metrics: Value::Null,
+    }
+}
+
+/// Notes the content of a unit's stamp.
+pub fn finish(row: &mut Row, state: State, stamp: &Stamp) {
+    let number = |pointer: &str| stamp.metrics.pointer(pointer).and_then(Value::as_f64);
+    row.state = state;
+    row.seconds = Some(stamp.seconds);
+    row.peak_rss_bytes = Some(stamp.peak_rss_bytes);
+    row.mae_m = number("/dsm/mae_m");
+    row.completeness = number("/completeness");
+    row.metrics = stamp.metrics.clone();
+}

@@ -1,0 +1,176 @@
+//! What says that a unit is finished, and that its inputs are what they were.
+
+use super::BatchError;
+use super::plan::Unit;
+use heliosplat_fitting::run_folder;
+use heliosplat_raster::bounded::{TEXT_MAX, read_bytes};
+use serde_json::Value;
+use std::fs::{File, TryLockError};
+use std::path::Path;
+use std::time::Duration;
+
+/// Name of the stamp in a unit's folder.
+pub const STAMP: &str = "unit.json";
+
+/// What a unit leaves when it is finished; written last.
+#[derive(Debug, Clone, PartialEq, serde::Serialize, serde::Deserialize)]
+pub struct Stamp {
+    /// The unit.
+    pub unit: String,
+    /// Its key when it was done.
+    pub key: String,
+    /// Its products.
+    pub outputs: Vec<Output>,
+    /// Seconds it took, pauses not counted.
+    pub seconds: f64,
+    /// Most memory it used, bytes.
+    pub peak_rss_bytes: u64,
+    /// What was measured.
+    pub metrics: Value,
+}
+
+/// A product of a unit.
+#[derive(Debug, Clone, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
+pub struct Output {
+    /// The file, below the unit's folder.
+    pub path: String,
+    /// Its size, bytes.
+    pub bytes: u64,
+    /// Its SHA-256, hexadecimal.
+    pub sha256: String,
+}
+
+impl Output {
+    /// A file below a unit's folder.
+    ///
+    /// # Errors
+    /// When it cannot be read.
+    pub fn of(folder: &Path, path: &str) -> Result<Self, run_folder::RunError> {
+        let file = folder.join(path);
+        let sha256 = run_folder::hash(&file)?;
+        let bytes = std::fs::metadata(&file).map_or(0, |data| data.len());
+        Ok(Self {
+            path: path.into(),
+            bytes,
+            sha256,
+        })
+    }
+}
+
+/// The stamp of a unit that is finished as it should be: of this key, its products there and as large as they were.
+pub fn finished(out: &Path, unit: &Unit) -> Option<Stamp> {
+    let folder = out.join(&unit.id);
+    let stamp: Stamp = serde_json::from_slice(&read_bytes(&folder.join(STAMP), TEXT_MAX).ok()?).ok()?;
+    let there = |output: &Output| {
+        // A stamp is read back from the disk: it may name anything.
+        let plain = Path::new(&output.path).is_relative() && !output.path.contains("..");
+        plain && std::fs::metadata(folder.join(&output.path)).is_ok_and(|data| data.len() == output.bytes)
+    };
+    (stamp.key == unit.key && stamp.unit == unit.id && stamp.outputs.iter().all(there)).then_some(stamp)
+}
+
+/// The right to work in a unit's folder; given back when dropped, or when the process ends, however it does.
+#[derive(Debug)]
+pub struct Claim {
+    _file: Option<File>,
+}
+
+/// Waits until no other process works in `folder`; `None` when `stopped` says so first.
+///
+/// # Errors
+/// When the lock cannot be made.
+pub fn claim(folder: &Path, stopped: &dyn Fn() -> bool) -> Result<Option<Claim>, BatchError> {
+    let path = folder.join(".lock");
+    let io = |reason| BatchError::Io {
+        path: path.clone(),
+        reason,
+    };
+    let file = File::options().create(true).append(true).open(&path).map_err(io)?;
+    let mut told = false;
+    loop {
+        match file.try_lock() {
+            Ok(()) => return Ok(Some(Claim { _file: Some(file) })),
+            Err(TryLockError::WouldBlock) => {}
+            // A file system without locks: whoever uses it sees to it that a unit is done once at a time.
+            Err(TryLockError::Error(_)) => return Ok(Some(Claim { _file: None })),
+        }
+        if stopped() {
+            return Ok(None);
+        }
+        if !told {
+            tracing::info!("{}: another process works here; waiting for it", folder.display());
+            told = true;
+        }
+        std::thread::sleep(Duration::from_millis(100));
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::manifest::ProductOptions;
+    use crate::plan::{MosaicWork, Work};
+
+    fn unit() -> Unit {
+        Unit {
+            id: "a/b/c/mosaic".into(),
+            work: Work::Mosaic(MosaicWork {
+                tiles: Vec::new(),
+                crs: "EPSG:32637".into(),
+                gsd_m: 0.5,
+                bounds: [0.0; 4],
+                truth: None,
+                classes: None,
+                products: ProductOptions::default(),
+            }),
+            after: Vec::new(),
+            mem_mb: 1,
+            runtime_s: 1,
+            key: "k".into(),
+            deliver: None,
+        }
+    }
+
+    #[test]
+    fn a_unit_is_finished_when_its_stamp_its_key_and_its_products_agree() {
+        let out = tempfile::tempdir().expect("a temporary folder");
+        let mut unit = unit();
+        let folder = out.path().join(&unit.id);
+        std::fs::create_dir_all(&folder).expect("made");
+        assert!(finished(out.path(), &unit).is_none());
+        std::fs::write(folder.join("dsm.tif"), b"product").expect("written");
+        let mut stamp = Stamp {
+            unit: unit.id.clone(),
+            key: "k".into(),
+            outputs: vec![Output::of(&folder, "dsm.tif").expect("readable")],
+            seconds: 1.0,
+            peak_rss_bytes: 1,
+            metrics: Value::Null,
+        };
+        let write = |stamp: &Stamp| {
+            std::fs::write(folder.join(STAMP), serde_json::to_string(stamp).expect("JSON")).expect("written");
+        };
+        write(&stamp);
+        assert!(finished(out.path(), &unit).is_some());
+        unit.key = "other".into();
+        assert!(finished(out.path(), &unit).is_none(), "other inputs");
+        unit.key = "k".into();
+        std::fs::write(folder.join("dsm.tif"), b"prod").expect("written");
+        assert!(finished(out.path(), &unit).is_none(), "a truncated product");
+        stamp.outputs[0].path = "../../../../../etc/passwd".into();
+        write(&stamp);
+        assert!(finished(out.path(), &unit).is_none(), "a stamp that names other files");
+        std::fs::write(folder.join(STAMP), "{").expect("written");
+        assert!(finished(out.path(), &unit).is_none(), "half a stamp");
+    }
+
+    #[test]
+    fn a_folder_is_claimed_once_at_a_time() {
+        let folder = tempfile::tempdir().expect("a temporary folder");
+        let claimed = claim(folder.path(), &|| false).expect("lockable");
+        assert!(claimed.is_some());
+        assert!(claim(folder.path(), &|| true).expect("lockable").is_none());
+        drop(claimed);
+        assert!(claim(folder.path(), &|| true).expect("lockable").is_some());
+    }
+}

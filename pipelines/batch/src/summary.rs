@@ -1,0 +1,59 @@
+//! The results of a batch in its folder: tables, the page, and the collection of its mosaics.
+
+use super::plan::{Plan, Unit};
+use super::row;
+use super::stamp::finished;
+use heliosplat_pages::summary::{Row, State, csv, json, page};
+use heliosplat_products::stac;
+use heliosplat_raster::RasterError;
+use heliosplat_raster::write::{deliver, write_atomically};
+use serde_json::Value;
+use std::path::Path;
+
+/// Name of the collection of all mosaics.
+pub(super) const COLLECTION: &str = "batch";
+
+/// The table of what is finished in `out`, whoever did it.
+pub fn of_stamps(plan: &Plan, out: &Path) -> Vec<Row> {
+    let row = |unit: &Unit| {
+        let mut row = row::pending(unit, out);
+        if let Some(stamp) = finished(out, unit) {
+            row::finish(&mut row, State::Done, &stamp);
+        }
+        row
+    };
+    plan.units.iter().map(row).collect()
+}
+
+/// Writes `summary.csv`, `summary.json`, `summary.html` and, where mosaics have products, `collection.json`, which is delivered with
+/// them.
+///
+/// # Errors
+/// When one cannot be written or delivered.
+pub fn write(rows: &[Row], plan: &Plan, out: &Path) -> Result<(), RasterError> {
+    let write = |name: &str, text: String| write_atomically(&out.join(name), text.as_bytes());
+    let items = items(rows, out);
+    if !items.is_empty() {
+        let collection = stac::collection(COLLECTION, &items);
+        write("collection.json", format!("{collection:#}\n"))?;
+        if let Some(to) = plan.units.iter().find_map(|unit| unit.deliver.as_ref()) {
+            let target = format!("{to}/collection.json");
+            deliver(&out.join("collection.json"), Path::new(&target))?;
+        }
+    }
+    write("summary.csv", csv(rows))?;
+    write("summary.json", format!("{:#}\n", json(rows)))?;
+    write("summary.html", page(rows))
+}
+
+/// The STAC items of the mosaics that are done, with their folders.
+fn items(rows: &[Row], out: &Path) -> Vec<(String, Value)> {
+    let done = rows
+        .iter()
+        .filter(|row| row.state.is_done() && row.metrics.get("products").is_some());
+    done.filter_map(|row| {
+        let text = heliosplat_raster::bounded::read_text(&out.join(&row.unit).join("item.json")).ok()?;
+        Some((row.unit.clone(), serde_json::from_str(&text).ok()?))
+    })
+    .collect()
+}

@@ -1,0 +1,226 @@
+//! Cutting an area into tiles: as few as fit into memory, small enough that a pinhole camera stands for each image.
+//!
+//! Cores lie on the cells of the mosaic's grid and share nothing; a tile is its core and what it shares with its neighbours. A tile
+//! also knows its neighbours' ground because shadows fall from there, and because the mosaic needs two opinions where it changes from
+//! one to the other.
+
+use super::BatchError;
+use super::manifest::TileOptions;
+use heliosplat_raster::{Crs, GridSpec};
+use heliosplat_satellite::config::SatelliteConfig;
+use heliosplat_satellite::estimate::{Estimate, Extent, PROGRAM_BYTES, estimate_of};
+use heliosplat_scene::AreaRequest;
+use heliosplat_scene::survey::{Survey, TileSurvey};
+
+/// Bytes per pixel and band of the images that a tile reads: the values, and what reading takes besides.
+const BYTES_PER_PIXEL: f64 = 4.0 * 1.5;
+/// Cores are not cut smaller than this many metres: then the overlap would be most of a tile.
+pub(super) const LEAST_SIDE_M: f64 = 24.0;
+/// Most tiles of an area.
+const MOST_TILES: usize = 100_000;
+
+/// The grid of an area's mosaic, and its tiles.
+#[derive(Debug, Clone, PartialEq, serde::Serialize, serde::Deserialize)]
+pub struct Tiling {
+    /// Coordinate reference system.
+    pub crs: String,
+    /// Width of a cell, metres.
+    pub gsd_m: f64,
+    /// West, south, east, north of the mosaic.
+    pub bounds: [f64; 4],
+    /// Rows and columns of tiles.
+    pub size: (usize, usize),
+    /// The tiles that images show.
+    pub tiles: Vec<Tile>,
+}
+
+/// One tile.
+#[derive(Debug, Clone, PartialEq, serde::Serialize, serde::Deserialize)]
+pub struct Tile {
+    /// Its row, from the north.
+    pub row: usize,
+    /// Its column, from the west.
+    pub col: usize,
+    /// West, south, east, north of its core.
+    pub core: [f64; 4],
+    /// Its core and what it shares.
+    pub area: AreaRequest,
+    /// What it takes.
+    pub survey: TileSurvey,
+    /// What training it will take.
+    pub estimate: Estimate,
+}
+
+impl Tile {
+    /// Its name among its area's.
+    pub fn name(&self) -> String {
+        format!("tile-r{}c{}", self.row, self.col)
+    }
+}
+
+/// What is tiled, and under which limits.
+pub struct Request<'a> {
+    /// Name of the area, for errors.
+    pub name: &'a str,
+    /// Name of the images, for errors.
+    pub images: &'a str,
+    /// The scene.
+    pub survey: &'a Survey,
+    /// The limits.
+    pub options: &'a TileOptions,
+    /// How tiles are trained.
+    pub config: &'a SatelliteConfig,
+}
+
+/// The tiles of an area.
+///
+/// # Errors
+/// When no two images show it, or no tiles fit.
+pub fn cut(request: &Request) -> Result<Tiling, BatchError> {
+    let Request { survey, options, .. } = request;
+    let crs = Crs::utm(survey.frame().origin)?;
+    let gsd_m = options
+        .gsd_m
+        .unwrap_or_else(|| ((survey.gsd_m * 100.0).round() / 100.0).max(0.01));
+    let area = survey.area();
+    let rectangle = [area.west_m, area.south_m, area.east_m, area.north_m];
+    let grid = GridSpec::covering(survey.frame(), rectangle, &crs, gsd_m)?;
+    let (mut rows, mut cols) = at_first(request, &grid, gsd_m);
+    loop {
+        let side_m = |cells: usize, parts: usize| cells as f64 * gsd_m / parts as f64;
+        let (high_m, wide_m) = (side_m(grid.height, rows), side_m(grid.width, cols));
+        match try_cut(request, &grid, gsd_m, (rows, cols))? {
+            Ok(tiling) if tiling.tiles.is_empty() => {
+                return Err(BatchError::NothingShown {
+                    area: request.name.into(),
+                    images: request.images.into(),
+                });
+            }
+            Ok(tiling) => return Ok(tiling),
+            Err((what, remedy)) => {
+                let smallest = high_m.max(wide_m) / 1.2 < LEAST_SIDE_M;
+                if smallest || rows * cols >= MOST_TILES {
+                    return Err(BatchError::TooLarge {
+                        area: request.name.into(),
+                        side_m: high_m.max(wide_m),
+                        what,
+                        remedy,
+                    });
+                }
+            }
+        }
+        if high_m >= wide_m {
+            rows = grown(rows);
+        } else {
+            cols = grown(cols);
+        }
+    }
+}
+
+fn grown(parts: usize) -> usize {
+    (parts + 1).max(parts + parts / 5)
+}
+
+/// Rows and columns of tiles as the largest side asks for them.
+fn at_first(request: &Request, grid: &GridSpec, gsd_m: f64) -> (usize, usize) {
+    let parts = |cells: usize| {
+        let side_m = request.options.side_m.unwrap_or(f64::INFINITY);
+        ((cells as f64 * gsd_m / side_m - 1e-6).ceil() as usize).clamp(1, cells.max(1))
+    };
+    (parts(grid.height), parts(grid.width))
+}
+
+type TooMuch = (String, &'static str);
+
+/// The tiles of so many rows and columns, or what the first that does not fit takes too much of.
+fn try_cut(
+    request: &Request,
+    grid: &GridSpec,
+    gsd_m: f64,
+    (rows, cols): (usize, usize),
+) -> Result<Result<Tiling, TooMuch>, BatchError> {
+    let [west, north] = corner(grid);
+    let (cell, overlap) = (grid.transform.pixel_size().0, request.options.overlap_m / gsd_m);
+    let overlap = overlap.round() * grid.transform.pixel_size().0;
+    let bounds = [
+        west,
+        north - cell * grid.height as f64,
+        west + cell * grid.width as f64,
+        north,
+    ];
+    let edge = |cells: usize, parts: usize, index: usize| cell * (cells * index / parts) as f64;
+    let mut tiles = Vec::new();
+    for row in 0..rows {
+        for col in 0..cols {
+            let core = [
+                west + edge(grid.width, cols, col),
+                north - edge(grid.height, rows, row + 1),
+                west + edge(grid.width, cols, col + 1),
+                north - edge(grid.height, rows, row),
+            ];
+            let area = AreaRequest {
+                bounds: [
+                    (core[0] - overlap).max(bounds[0]),
+                    (core[1] - overlap).max(bounds[1]),
+                    (core[2] + overlap).min(bounds[2]),
+                    (core[3] + overlap).min(bounds[3]),
+                ],
+                crs: Some(grid.crs.definition().to_owned()),
+            };
+            let Some(survey) = request.survey.tile(&area)? else {
+                continue;
+            };
+            let estimate = estimate(request, &survey);
+            if let Some(too_much) = too_much(request.options, &survey, &estimate) {
+                return Ok(Err(too_much));
+            }
+            tiles.push(Tile {
+                row,
+                col,
+                core,
+                area,
+                survey,
+                estimate,
+            });
+        }
+    }
+    Ok(Ok(Tiling {
+        crs: grid.crs.definition().to_owned(),
+        gsd_m,
+        bounds,
+        size: (rows, cols),
+        tiles,
+    }))
+}
+
+/// The outer north-western corner of a grid.
+fn corner(grid: &GridSpec) -> [f64; 2] {
+    let six = grid.transform.to_gdal();
+    [six[0], six[3]]
+}
+
+fn estimate(request: &Request, tile: &TileSurvey) -> Estimate {
+    let extent = Extent {
+        area: tile.area,
+        gsd_m: request.survey.gsd_m,
+        bands: request.survey.bands,
+        training: tile.training,
+        altitudes_m: request.survey.altitude_range_m.1 - request.survey.altitude_range_m.0,
+        widest_base_to_height: request.survey.widest_base_to_height,
+    };
+    let read = PROGRAM_BYTES + BYTES_PER_PIXEL * tile.pixels * request.survey.bands as f64;
+    estimate_of(&extent, request.config, read)
+}
+
+fn too_much(options: &TileOptions, tile: &TileSurvey, estimate: &Estimate) -> Option<TooMuch> {
+    let gib = |bytes: f64| bytes / f64::from(1 << 30);
+    if tile.residual_px > options.residual_px {
+        let what = format!("{:.3} px off their rational cameras", tile.residual_px);
+        return Some((what, "give a narrower altitude_m, or a larger tiles.residual_px"));
+    }
+    let memory = options.memory_bytes().map_or(f64::INFINITY, |bytes| bytes as f64);
+    (estimate.peak_bytes > memory).then(|| {
+        let what = format!("{:.2} GiB of {:.2}", gib(estimate.peak_bytes), gib(memory));
+        (what, "give more tiles.memory or less tiles.overlap_m")
+    })
+}

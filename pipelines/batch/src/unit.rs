@@ -1,0 +1,222 @@
+//! Doing one unit.
+
+use super::BatchError;
+use super::mosaic::mosaic;
+use super::plan::{MosaicWork, Plan, TileWork, Unit, Work};
+use super::products::{self, RUN};
+use super::stamp::{Output, STAMP, Stamp, claim, finished};
+use heliosplat_evaluate::{Protocol, error_map, evaluate_raster};
+use heliosplat_fitting::checkpoint;
+use heliosplat_fitting::request::{TrainOutcome, TrainRequest};
+use heliosplat_fitting::run_folder::{create_folder, peak_rss_bytes};
+use heliosplat_pages::page::MOSAIC_FILE;
+use heliosplat_pages::{report, view};
+use heliosplat_products::{dsm, model, seams};
+use heliosplat_raster::bounded::read_text;
+use heliosplat_raster::preview;
+use heliosplat_raster::write::{deliver, remove_leftovers, write_atomically};
+use heliosplat_satellite::config::SatelliteConfig;
+use heliosplat_satellite::measure;
+use heliosplat_satellite::training::train;
+use heliosplat_scene::{IngestOptions, Scene};
+use heliosplat_session::Session;
+use serde_json::{Value, json};
+use std::path::Path;
+use std::time::{Duration, Instant};
+
+/// Name of the file that says which work a folder was last used for.
+const BEGUN: &str = "begun.txt";
+/// Name of a page.
+const REPORT: &str = report::FILE;
+/// Name of the page with the sun.
+const SUN: &str = view::FILE;
+
+/// Does a unit, unless it is finished; returns its stamp and whether it was finished before.
+///
+/// # Errors
+/// When what it waits for is not finished, its inputs are at fault, or the user stops it.
+pub fn do_unit(
+    plan: &Plan,
+    unit: &Unit,
+    out: &Path,
+    checkpoint_every: Duration,
+    session: &Session,
+) -> Result<(Stamp, bool), BatchError> {
+    for after in &unit.after {
+        if finished(out, plan.unit(after)?).is_none() {
+            return Err(BatchError::NotYet {
+                unit: unit.id.clone(),
+                after: after.clone(),
+            });
+        }
+    }
+    let folder = out.join(&unit.id);
+    create_folder(&folder)?;
+    let Some(_claim) = claim(&folder, &|| session.stopped())? else {
+        return Err(BatchError::Interrupted(format!("{}: stopped before it began", unit.id)));
+    };
+    if let Some(stamp) = finished(out, unit) {
+        return Ok((stamp, true));
+    }
+    begin(&folder, unit)?;
+    let begun = Instant::now();
+    let (outputs, metrics) = match &unit.work {
+        Work::Tile(work) => tile(work, unit, &folder, checkpoint_every, session)?,
+        Work::Mosaic(work) => mosaic_unit(work, unit, out, &folder)?,
+        Work::Refused { reason } => return Err(BatchError::Refused(reason.clone())),
+    };
+    if let Some(to) = &unit.deliver {
+        // Of a run its pages alone, which a mosaic's page links to.
+        let told = |name: &&String| !name.starts_with(RUN) || name.ends_with(REPORT) || name.ends_with(SUN);
+        for name in outputs.iter().filter(told) {
+            deliver(&folder.join(name), Path::new(&format!("{to}/{}/{name}", unit.id)))?;
+        }
+    }
+    let seconds = metrics["seconds"]
+        .as_f64()
+        .unwrap_or_else(|| begun.elapsed().as_secs_f64());
+    let mut stamp = Stamp {
+        unit: unit.id.clone(),
+        key: unit.key.clone(),
+        outputs: Vec::new(),
+        seconds,
+        peak_rss_bytes: peak_rss_bytes(),
+        metrics,
+    };
+    for output in outputs {
+        stamp.outputs.push(Output::of(&folder, &output)?);
+    }
+    let text = serde_json::to_string_pretty(&stamp).unwrap_or_default();
+    write_atomically(&folder.join(STAMP), text.as_bytes())?;
+    Ok((stamp, false))
+}
+
+/// Puts away what an earlier use of the folder for other work left unfinished.
+fn begin(folder: &Path, unit: &Unit) -> Result<(), BatchError> {
+    remove_leftovers(folder);
+    let path = folder.join(BEGUN);
+    let same = read_text(&path).is_ok_and(|before| before.trim() == unit.key);
+    // A stamp that is of other work, or whose products are gone, must not be found again.
+    let _ = std::fs::remove_file(folder.join(STAMP));
+    if !same {
+        checkpoint::remove(&folder.join(RUN));
+        write_atomically(&path, unit.key.as_bytes())?;
+    }
+    Ok(())
+}
+
+/// The names of products, and what was measured.
+type Done = (Vec<String>, Value);
+
+fn tile(
+    work: &TileWork,
+    unit: &Unit,
+    folder: &Path,
+    checkpoint_every: Duration,
+    session: &Session,
+) -> Result<Done, BatchError> {
+    let run = folder.join(RUN);
+    let ingest = IngestOptions {
+        altitude_range_m: work.altitude_m.map(|[low, high]| (low, high)),
+        altitude_from_ties_m: work.altitude_from_ties_m,
+        rpc: work.rpc,
+        area: Some(work.area.clone()),
+    };
+    let begun = Instant::now();
+    let scene = Scene::open(&work.scene, &ingest)?;
+    for warning in &scene.warnings {
+        tracing::warn!("{warning}");
+    }
+    let preset = work.preset.base().parse()?;
+    let config = SatelliteConfig::resolve(preset, &work.preset.changes(), work.preset.seed)?;
+    let request = TrainRequest {
+        begun,
+        resume: true,
+        checkpoint_every,
+        ..TrainRequest::new(run.clone(), preset)
+    };
+    let trained = match train(&scene, &ingest, &config, &request, session)? {
+        TrainOutcome::FinishedBefore { metrics } => {
+            report::complete(&run)?;
+            metrics
+        }
+        TrainOutcome::Trained(trained) => {
+            report::write_both(&run)?;
+            trained.ending.check(&run)?;
+            trained.metrics
+        }
+    };
+    drop(scene);
+    let model = model::load_whole(&run)?;
+    let mut outputs = if work.products.dsm_only {
+        dsm::dsm(&model.on_last(), work.gsd_m, Some(&work.crs))?.write(&folder.join("dsm.tif"))?;
+        vec!["dsm.tif".into()]
+    } else {
+        products::of_tile(&model, unit, folder, (work.gsd_m, &work.crs), work.products.sun)?
+    };
+    let mut metrics = json!({"residual_px": work.residual_px});
+    for key in [
+        "seconds",
+        "iterations",
+        "gaussians",
+        "peak_rss_bytes",
+        "dsm",
+        "train",
+        "test",
+        "shadow",
+    ] {
+        if let Some(value) = trained.get(key) {
+            metrics[key] = value.clone();
+        }
+    }
+    let of_run = ["model.ply", "model.json", "run.toml", "metrics.json", SUN, REPORT];
+    // A surface without any known height has no page.
+    let there = of_run.iter().filter(|name| run.join(name).is_file());
+    outputs.extend(there.map(|name| format!("{RUN}/{name}")));
+    Ok((outputs, metrics))
+}
+
+fn mosaic_unit(work: &MosaicWork, unit: &Unit, out: &Path, folder: &Path) -> Result<Done, BatchError> {
+    let mut mosaic = mosaic(out, work)?;
+    let path = folder.join("dsm.tif");
+    let altitude = mosaic.dsm.altitude();
+    preview::write_png(&folder.join("dsm.png"), &preview::hillshade(&altitude, work.gsd_m))?;
+    let mut metrics = json!({
+        "tiles": mosaic.pieces.len(),
+        "width": altitude.width,
+        "height": altitude.height,
+        "gsd_m": work.gsd_m,
+        "completeness": mosaic.dsm.completeness(),
+        "seams": seams::measure(&altitude, &mosaic.pieces),
+        "pieces": mosaic.pieces.iter().map(|p| json!({"unit": p.unit, "core": p.core, "bounds": p.bounds})).collect::<Vec<_>>(),
+    });
+    let mut outputs: Vec<String> = vec!["dsm.png".into()];
+    if let Some(truth) = &work.truth {
+        // Truth is above the ellipsoid, whatever the products are above.
+        let made = mosaic.dsm.geo_raster();
+        let evaluation = evaluate_raster((&path, &made), truth, work.classes.as_deref(), Protocol::Raw)?;
+        metrics["dsm"] = measure::surface_metrics(&evaluation);
+        preview::write_png(&folder.join("error.png"), &error_map::draw(&evaluation.errors))?;
+        error_map::write(&folder.join("error.tif"), &evaluation)?;
+        outputs.extend(["error.png".into(), "error.tif".into()]);
+    }
+    if let Some(geoid) = work.products.geoid {
+        mosaic.dsm = mosaic.dsm.above(geoid)?;
+    }
+    if work.products.dsm_only {
+        mosaic.dsm.write(&path)?;
+        outputs.push("dsm.tif".into());
+        if view::into_folder(folder, view::of_mosaic(folder, None))? {
+            outputs.push(SUN.into());
+        }
+    } else {
+        let (names, said) = products::of_mosaic(out, work, &mosaic, unit, folder)?;
+        outputs.extend(names);
+        metrics["products"] = said;
+    }
+    let text = format!("{metrics:#}\n");
+    write_atomically(&folder.join(MOSAIC_FILE), text.as_bytes())?;
+    report::mosaic::write(folder)?;
+    outputs.extend([MOSAIC_FILE.into(), REPORT.into()]);
+    Ok((outputs, metrics))
+}

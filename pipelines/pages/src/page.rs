@@ -1,0 +1,152 @@
+//! What all HTML pages and SVG pictures share: the document, one stylesheet, inline pictures, charts.
+//!
+//! A page is one file that fetches nothing, readable on a phone, in light and dark mode. Text goes through [`maud`], which
+//! escapes it by type; only the stylesheet is inserted as it is.
+
+pub mod calibration;
+pub mod chart;
+pub mod residuals;
+
+use base64::Engine;
+use base64::engine::general_purpose::STANDARD;
+use image::codecs::jpeg::JpegEncoder;
+use image::imageops::FilterType;
+use image::{DynamicImage, ImageReader, Limits, RgbImage};
+use maud::{DOCTYPE, Markup, PreEscaped, html};
+use std::path::Path;
+
+/// Bytes of a mebibyte.
+pub const MIB: f64 = 1_048_576.0;
+
+/// Name of the file with the metrics of a mosaic, which tells the folder of one.
+pub const MOSAIC_FILE: &str = "mosaic.json";
+
+/// Longest side of a picture that is read, pixels, and the most memory it may take.
+const SIDE_MAX: u32 = 60_000;
+const BYTES_MAX: u64 = 400 << 20;
+
+const STYLE: &str = include_str!("page/style.css");
+
+/// An HTML document with this title, which is also its heading.
+pub fn document(title: &str, body: &Markup) -> String {
+    let page = html! {
+        (DOCTYPE)
+        html lang="en" {
+            head {
+                meta charset="utf-8";
+                meta name="viewport" content="width=device-width,initial-scale=1";
+                title { (title) }
+                style { (PreEscaped(STYLE)) }
+            }
+            body {
+                h1 { (title) }
+                (body)
+            }
+        }
+    };
+    without_control_characters(page.into_string() + "\n")
+}
+
+/// A section with its heading; nothing where its body is empty.
+pub fn section(heading: &str, body: Markup) -> Markup {
+    if body.0.is_empty() {
+        return body;
+    }
+    html! { h2 { (heading) } (body) }
+}
+
+/// A number with so many digits after the point; empty where it is not known.
+pub fn number(value: Option<f64>, digits: usize) -> String {
+    value.map_or_else(String::new, |value| format!("{value:.digits$}"))
+}
+
+/// A text as a cell of CSV. Programs for tables take one that begins with `=` and the like for a formula: it gets an apostrophe before it.
+pub fn csv_text(text: &str) -> String {
+    let mark = if text.starts_with(['=', '+', '-', '@', '\t']) {
+        "'"
+    } else {
+        ""
+    };
+    format!("\"{mark}{}\"", text.replace('"', "\"\""))
+}
+
+/// HTML and XML allow no control characters besides line breaks and tabs. One that came with a file name is replaced.
+pub(crate) fn without_control_characters(text: String) -> String {
+    heliosplat_session::log::printable(&text)
+}
+
+/// A picture, if it is there and of a size that can be shown.
+pub fn picture_of(path: &Path) -> Option<RgbImage> {
+    if !path.is_file() {
+        return None;
+    }
+    let mut reader = ImageReader::open(path).ok()?;
+    let mut limits = Limits::default();
+    limits.max_image_width = Some(SIDE_MAX);
+    limits.max_image_height = Some(SIDE_MAX);
+    limits.max_alloc = Some(BYTES_MAX);
+    reader.limits(limits);
+    reader.decode().ok().map(|picture| picture.to_rgb8())
+}
+
+/// A picture as a `data:` address, JPEG, at most `width` pixels wide; `None` where it cannot be encoded.
+pub fn inline_picture(picture: RgbImage, width: u32) -> Option<String> {
+    const QUALITY: u8 = 82;
+    let picture = DynamicImage::ImageRgb8(picture);
+    let small = if picture.width() > width {
+        picture.resize(width, u32::MAX, FilterType::Triangle)
+    } else {
+        picture
+    };
+    let mut bytes = Vec::new();
+    small
+        .write_with_encoder(JpegEncoder::new_with_quality(&mut bytes, QUALITY))
+        .ok()?;
+    Some(format!("data:image/jpeg;base64,{}", STANDARD.encode(bytes)))
+}
+
+/// A number without trailing zeros, three significant digits or all before the point.
+pub fn plain(value: f64) -> String {
+    if value == 0.0 {
+        return "0".to_owned();
+    }
+    let digits = (2.0 - value.abs().log10().floor()).clamp(0.0, 6.0) as usize;
+    let text = format!("{value:.digits$}");
+    if text.contains('.') {
+        text.trim_end_matches('0').trim_end_matches('.').to_owned()
+    } else {
+        text
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_title_from_outside_stays_text() {
+        let page = document(
+            "<script>alert(1)</script>\u{0}&\"",
+            &html! { p title="\"'<" { "a\u{7}<b>" } },
+        );
+        assert!(page.contains("&lt;script&gt;") && page.contains("a\u{fffd}&lt;b&gt;"));
+        assert!(!page.contains("<script") && !page.contains("\"\"") && !page.contains('\u{0}'));
+    }
+
+    #[test]
+    fn numbers_have_no_needless_digits() {
+        assert_eq!(plain(0.25), "0.25");
+        assert_eq!(plain(1200.0), "1200");
+        assert_eq!((number(Some(0.25), 1), number(None, 1)), ("0.2".into(), String::new()));
+    }
+
+    #[test]
+    fn pictures_are_made_no_wider_than_asked() {
+        let address = inline_picture(RgbImage::new(400, 100), 100).expect("encodable");
+        let bytes = STANDARD
+            .decode(address.strip_prefix("data:image/jpeg;base64,").expect("an address"))
+            .expect("base64");
+        let picture = image::load_from_memory(&bytes).expect("a JPEG");
+        assert_eq!((picture.width(), picture.height()), (100, 25));
+    }
+}

@@ -1,0 +1,240 @@
+//! The results of a batch: tables for people (terminal, HTML) and for machines (CSV, JSON).
+
+use crate::page::{self, MIB, document};
+use maud::{Markup, html};
+use serde_json::{Value, json};
+use std::fmt::Write;
+
+/// Where a unit stands.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, serde::Serialize)]
+#[serde(rename_all = "snake_case")]
+pub enum State {
+    /// Not begun, or interrupted.
+    Pending,
+    /// Running now.
+    Running,
+    /// Finished now.
+    Done,
+    /// Finished before.
+    Skipped,
+    /// Failed; its log says why.
+    Failed,
+    /// What it waits for failed.
+    Blocked,
+}
+
+impl State {
+    /// Its name.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Pending => "pending",
+            Self::Running => "running",
+            Self::Done => "done",
+            Self::Skipped => "finished before",
+            Self::Failed => "failed",
+            Self::Blocked => "blocked",
+        }
+    }
+
+    /// Whether its products are there.
+    pub fn is_done(self) -> bool {
+        matches!(self, Self::Done | Self::Skipped)
+    }
+
+    /// Whether they will not be.
+    pub fn is_lost(self) -> bool {
+        matches!(self, Self::Failed | Self::Blocked)
+    }
+
+    /// Whether nothing more will come of it now.
+    pub fn is_final(self) -> bool {
+        self.is_done() || self.is_lost()
+    }
+}
+
+/// A unit in the table.
+#[derive(Debug, Clone, serde::Serialize)]
+pub struct Row {
+    /// The unit.
+    pub unit: String,
+    /// `tile`, `mosaic`, or `refused` where the scene cannot be used.
+    pub kind: &'static str,
+    /// Where it stands.
+    pub state: State,
+    /// Seconds it took, pauses not counted.
+    pub seconds: Option<f64>,
+    /// Most memory it used, bytes.
+    pub peak_rss_bytes: Option<u64>,
+    /// Memory it was expected to use, MiB.
+    pub mem_mb: u64,
+    /// Mean absolute error of its surface model where there is truth, metres, protocol `raw`.
+    pub mae_m: Option<f64>,
+    /// Share of it that is known.
+    pub completeness: Option<f64>,
+    /// Its log.
+    pub log: String,
+    /// Why it failed.
+    pub error: Option<String>,
+    /// What was measured.
+    pub metrics: Value,
+}
+
+impl Row {
+    /// Notes that it failed.
+    pub fn fail(&mut self, error: String) {
+        self.state = State::Failed;
+        self.error = Some(error);
+    }
+}
+
+/// All rows, and how many stand where.
+pub fn json(rows: &[Row]) -> Value {
+    let count = |state: State| rows.iter().filter(|row| row.state == state).count();
+    json!({
+        "units": rows,
+        "done": count(State::Done) + count(State::Skipped),
+        "skipped": count(State::Skipped),
+        "failed": count(State::Failed),
+        "blocked": count(State::Blocked),
+        "pending": count(State::Pending),
+    })
+}
+
+/// The rows as a table of text.
+pub fn csv(rows: &[Row]) -> String {
+    let mut text = "unit,kind,state,seconds,peak_mib,estimated_mib,mae_m,completeness,log,error\n".to_owned();
+    for row in rows {
+        let [seconds, peak, mae, known] = numbers(row);
+        // Writing to a String cannot fail.
+        let _ = writeln!(
+            text,
+            "{},{},{},{seconds},{peak},{},{mae},{known},{},{}",
+            row.unit,
+            row.kind,
+            row.state.name(),
+            row.mem_mb,
+            page::csv_text(&row.log),
+            page::csv_text(row.error.as_deref().unwrap_or(""))
+        );
+    }
+    text
+}
+
+/// Seconds, most memory in MiB, mean absolute error, completeness; empty where not known.
+fn numbers(row: &Row) -> [String; 4] {
+    [
+        page::number(row.seconds, 1),
+        page::number(row.peak_rss_bytes.map(|bytes| bytes as f64 / MIB), 0),
+        page::number(row.mae_m, 4),
+        page::number(row.completeness, 4),
+    ]
+}
+
+/// The table for people on a terminal.
+pub fn table(rows: &[Row]) -> String {
+    let width = rows.iter().map(|row| row.unit.len()).max().unwrap_or(4);
+    let mut text = format!(
+        "{:<width$}  {:<15} {:>9} {:>7} {:>8}\n",
+        "unit", "state", "seconds", "MiB", "MAE m"
+    );
+    for row in rows {
+        let [seconds, peak, mae, _] = numbers(row);
+        let _ = writeln!(
+            text,
+            "{:<width$}  {:<15} {seconds:>9} {peak:>7} {mae:>8}",
+            row.unit,
+            row.state.name()
+        );
+        if let Some(error) = &row.error {
+            let _ = writeln!(text, "{:<width$}  {error} ({})", "", row.log);
+        }
+    }
+    text
+}
+
+/// `summary.html`.
+pub fn page(rows: &[Row]) -> String {
+    let count = |pick: &dyn Fn(State) -> bool| rows.iter().filter(|row| pick(row.state)).count();
+    let body = html! {
+        p {
+            (rows.len()) " units: " (count(&State::is_done)) " finished, " (count(&State::is_lost)) " failed, "
+            (count(&|state| !state.is_final())) " not done."
+        }
+        div.wide { table {
+            tr {
+                th { "unit" } th.words { "kind" } th.words { "state" } th { "time, s" } th { "peak memory, MiB" } th { "estimated, MiB" }
+                th { "DSM MAE, m" } th { "completeness" }
+            }
+            @for row in rows {
+                @let [seconds, peak, mae, completeness] = numbers(row);
+                tr.failed[row.state == State::Failed].blocked[row.state == State::Blocked] {
+                    td { (row.unit) }
+                    td.words { (row.kind) }
+                    td.words { (row.state.name()) @if let Some(error) = &row.error { ": " (error) } }
+                    td { (seconds) }
+                    td { (peak) }
+                    td { (row.mem_mb) }
+                    td { (mae) }
+                    td { (completeness) }
+                }
+            }
+        } }
+        (borders(rows))
+        p.faint { "heliosplat " (env!("CARGO_PKG_VERSION")) ". MAE: mean absolute error against truth, protocol raw." }
+    };
+    document("Batch", &body)
+}
+
+/// Height steps at the tile boundaries of the mosaics.
+fn borders(rows: &[Row]) -> Markup {
+    let metric = |row: &Row, key: &str| {
+        let value = row.metrics.pointer(&format!("/seams/{key}/mean_m"));
+        value.and_then(Value::as_f64)
+    };
+    let mosaics: Vec<&Row> = rows.iter().filter(|row| metric(row, "border").is_some()).collect();
+    html! {
+        @if !mosaics.is_empty() {
+            h2 { "Tile-edge consistency" }
+            p {
+                "Mean height step between neighbouring cells, metres: across tile boundaries, at the same places within single tiles, "
+                "where a tile's overlap ends, and elsewhere."
+            }
+            div.wide { table {
+                tr { th { "mosaic" } th { "between tiles" } th { "within tiles" } th { "at overlap ends" } th { "elsewhere" } }
+                @for row in mosaics {
+                    tr {
+                        td { (row.unit) }
+                        @for key in ["border", "border_within_tiles", "edge", "interior"] { td { (page::number(metric(row, key), 3)) } }
+                    }
+                }
+            } }
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn what_failed_stands_in_every_table_and_cannot_break_them() {
+        let row = Row {
+            unit: "a/b/c/tile-r0c0".into(),
+            kind: "tile",
+            state: State::Failed,
+            seconds: None,
+            peak_rss_bytes: None,
+            mem_mb: 7,
+            mae_m: None,
+            completeness: None,
+            log: "log \"x\".txt".into(),
+            error: Some("=<b>no, \"camera\"</b>".into()),
+            metrics: Value::Null,
+        };
+        let rows = [row];
+        assert!(csv(&rows).contains("failed,,,7,,,\"log \"\"x\"\".txt\",\"'=<b>no, \"\"camera\"\"</b>\""));
+        assert!(page(&rows).contains("&lt;b&gt;no") && !page(&rows).contains("<b>no"));
+        assert_eq!(json(&rows)["failed"], 1);
+        assert!(table(&rows).contains("failed"));
+    }
+}

@@ -1,0 +1,109 @@
+//! What the page of a surface model in a file shows, from wherever it comes.
+
+use super::ViewError;
+use super::exhibit::{Exhibit, Light, coloured, shown};
+use heliosplat::Raster;
+use heliosplat_evaluate::resample::Placement;
+use heliosplat_raster::{GeoRaster, GridSpec, RasterFile, dsm_bands};
+use heliosplat_scene::BandKind;
+use std::path::Path;
+
+/// Gathers what the page of a surface model and, if there is one, an albedo or another ortho image shows.
+///
+/// # Errors
+/// When a file cannot be read, or says no coordinate system.
+pub fn of_files(dsm: &Path, albedo: Option<&Path>) -> Result<Exhibit, ViewError> {
+    let mut exhibit = surface(dsm)?;
+    if let Some(path) = albedo {
+        exhibit.albedo = Some(albedo_on(path, &exhibit.grid)?);
+    }
+    Ok(exhibit)
+}
+
+/// The surface of a file, without albedo and dates.
+///
+/// # Errors
+/// When the file cannot be read, or says no coordinate system.
+pub(super) fn surface(path: &Path) -> Result<Exhibit, ViewError> {
+    let file = GeoRaster::read(path)?;
+    let crs = file.crs.clone().ok_or_else(|| ViewError::NoCrs(path.to_owned()))?;
+    let band = file.band(dsm_bands::ALTITUDE).unwrap_or(0);
+    let (width, height) = (file.raster.width, file.raster.height);
+    let altitude = Raster {
+        width,
+        height,
+        bands: 1,
+        values: file.raster.plane(band).to_vec(),
+    };
+    if !altitude.values.iter().any(|z| z.is_finite()) {
+        return Err(ViewError::Nothing {
+            what: path.display().to_string(),
+        });
+    }
+    let metadata = RasterFile::open(path)?.domain("");
+    let datum = metadata.get("VERTICAL_DATUM").cloned();
+    let gsd_m = file.transform.pixel_size().1 * crs.metres_per_unit();
+    Ok(Exhibit {
+        title: path.file_stem().unwrap_or_default().to_string_lossy().into_owned(),
+        grid: GridSpec {
+            width,
+            height,
+            transform: file.transform,
+            crs,
+        },
+        gsd_m,
+        altitude,
+        vertical_datum: datum.unwrap_or_default(),
+        albedo: None,
+        light: Light::usual(),
+        dates: Vec::new(),
+        layers: Vec::new(),
+    })
+}
+
+/// Red, green and blue of an albedo on a grid.
+///
+/// # Errors
+/// When the file cannot be read or brought onto the grid.
+pub(super) fn albedo_on(path: &Path, grid: &GridSpec) -> Result<Raster, ViewError> {
+    let file = GeoRaster::read(path)?;
+    let kinds: Vec<BandKind> = file.band_names.iter().map(|name| kind(name)).collect();
+    let bands = shown(&kinds);
+    let mut values = Vec::new();
+    for band in bands {
+        values.extend(on_grid(&file, band, grid)?.values);
+    }
+    let three = Raster {
+        width: grid.width,
+        height: grid.height,
+        bands: 3,
+        values,
+    };
+    Ok(coloured(&three, [0, 1, 2]))
+}
+
+/// The band that bears this name.
+fn kind(name: &str) -> BandKind {
+    let all = [BandKind::Red, BandKind::Green, BandKind::Blue, BandKind::NearInfrared];
+    let found = all.into_iter().find(|kind| kind.name() == name);
+    found.unwrap_or(BandKind::Other)
+}
+
+/// A band of a raster on a grid, bilinear.
+///
+/// # Errors
+/// When a coordinate system cannot be used.
+pub(super) fn on_grid(source: &GeoRaster, band: usize, grid: &GridSpec) -> Result<Raster, ViewError> {
+    let target = GeoRaster {
+        raster: Raster {
+            width: grid.width,
+            height: grid.height,
+            bands: 0,
+            values: Vec::new(),
+        },
+        transform: grid.transform,
+        crs: Some(grid.crs.clone()),
+        band_names: Vec::new(),
+    };
+    Ok(Placement::new(source, &target)?.moved_band(band, 0.0, 0.0))
+}

@@ -1,0 +1,95 @@
+//! GDAL as this program uses it: a fixed list of formats, each complete in its own file and a header beside it, and no network.
+//!
+//! A file can name other files: as overviews, as masks, as the place of its pixels. GDAL opens such names with every registered driver,
+//! also where the file itself was opened with few. So all others are deregistered before the first file is opened.
+
+use gdal::{Driver, DriverManager, config};
+use std::sync::OnceLock;
+
+/// The registered formats. Those that name other files or addresses (VRT, WMS, HTTP, DIMAP, PCIDSK, PDF …) are not among them. `COG` only writes.
+const DRIVERS: [&str; 22] = [
+    "GTiff",
+    "LIBERTIFF",
+    "COG",
+    "JP2OpenJPEG",
+    "JP2KAK",
+    "JP2ECW",
+    "JP2MrSID",
+    "JP2Lura",
+    "NITF",
+    "HFA",
+    "ENVI",
+    "EHdr",
+    "PNG",
+    "JPEG",
+    "WEBP",
+    "BMP",
+    "PNM",
+    "AAIGrid",
+    "DTED",
+    "SRTMHGT",
+    "USGSDEM",
+    "GTX",
+];
+
+/// GDAL's options that hold for the whole process.
+const OPTIONS: [(&str, &str); 2] = [
+    // Every image is read once, in order: blocks that were read are not needed again. GDAL would keep a twentieth of the memory.
+    ("GDAL_CACHEMAX", "64"),
+    // GDAL's remote file systems open one name, which nothing has.
+    ("CPL_VSIL_CURL_ALLOWED_FILENAME", "/vsicurl/none"),
+];
+
+/// Address of the driver of rasters in memory. Its `MEM:::DATAPOINTER=…` reads any address, so no file may name it: it is not registered.
+static MEMORY: OnceLock<usize> = OnceLock::new();
+
+/// Sets GDAL's options and deregisters all drivers but [`DRIVERS`]; once, before the first use of GDAL.
+#[allow(unsafe_code, reason = "the crate gdal keeps no driver that is not registered")]
+pub(super) fn restrict() {
+    for (key, value) in OPTIONS {
+        let is_users = key == "GDAL_CACHEMAX" && std::env::var_os(key).is_some();
+        if !is_users && config::set_config_option(key, value).is_err() {
+            tracing::debug!("GDAL takes no options");
+        }
+    }
+    if let Ok(driver) = DriverManager::get_driver_by_name("MEM") {
+        // SAFETY: the pointer is not used for anything but `memory` below.
+        MEMORY.get_or_init(|| unsafe { driver.c_driver() } as usize);
+    }
+    for index in (0..DriverManager::count()).rev() {
+        if let Ok(driver) = DriverManager::get_driver(index)
+            && !DRIVERS.contains(&driver.short_name().as_str())
+        {
+            DriverManager::deregister_driver(&driver);
+        }
+    }
+}
+
+/// The driver of rasters in memory.
+///
+/// # Errors
+/// Where this GDAL has none.
+#[allow(unsafe_code, reason = "the crate gdal keeps no driver that is not registered")]
+pub(super) fn memory() -> gdal::errors::Result<Driver> {
+    match MEMORY.get() {
+        // SAFETY: GDAL never frees a driver that was deregistered, and drivers are safe to share between threads.
+        Some(&address) => Ok(unsafe { Driver::from_c_driver(address as gdal_sys::GDALDriverH) }),
+        None => DriverManager::get_driver_by_name("MEM"),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::messages;
+
+    #[test]
+    fn no_driver_is_registered_that_opens_other_files() {
+        messages::install();
+        for index in 0..DriverManager::count() {
+            let name = DriverManager::get_driver(index).expect("a driver").short_name();
+            assert!(DRIVERS.contains(&name.as_str()), "{name}");
+        }
+        assert_eq!(memory().expect("in memory").short_name(), "MEM");
+    }
+}

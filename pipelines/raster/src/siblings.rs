@@ -1,0 +1,113 @@
+//! An image and the files beside it that GDAL may open with it, looked at before GDAL does: it waits for pipes without end, and reads
+//! texts whole, however long.
+
+use crate::{RasterError, bounded};
+use std::fs::{self, File};
+use std::io::{Read, Seek, SeekFrom};
+use std::path::Path;
+
+/// The longest text beside an image that GDAL may read, bytes. Its XML parser takes some twelve times as much memory.
+const TEXT_MAX: u64 = 16 << 20;
+/// How the names of texts end that GDAL reads whole.
+const TEXTS: [&str; 17] = [
+    ".xml", ".imd", ".rpb", ".rpc", ".dim", ".til", ".pvl", ".att", ".eph", ".geo", ".pass", ".hdr", ".prj", ".clr",
+    ".stx", ".tab", ".man",
+];
+/// What the names of other texts contain.
+const TEXT_NAMES: [&str; 5] = ["rpc", "metadata", "mtl", "summary", "hdr"];
+/// Nodes of an HFA file that are looked at.
+const NODES_MAX: usize = 100_000;
+
+/// Refuses what is no regular file, cannot be read, or has a file beside it that must not be opened.
+pub(super) fn check(path: &Path) -> Result<(), RasterError> {
+    let unreadable = |path: &Path, reason: String| RasterError::Unreadable {
+        path: path.to_owned(),
+        reason,
+    };
+    let Ok(known) = fs::metadata(path) else {
+        return Err(RasterError::Missing(path.to_owned()));
+    };
+    // Opening a pipe would wait for ever.
+    if !known.is_file() {
+        return Err(RasterError::NotAnImage {
+            path: path.to_owned(),
+            reason: "it is a folder, a device or a pipe".to_owned(),
+        });
+    }
+    File::open(path).map_err(|error| unreadable(path, format!("{error}; check its permissions")))?;
+    if hfa_leads_away(path).unwrap_or(false) {
+        let reason = "its pixels are in another folder; make a GeoTIFF of it with gdal_translate";
+        return Err(unreadable(path, reason.to_owned()));
+    }
+    let folder = path.parent().filter(|folder| !folder.as_os_str().is_empty());
+    let Ok(entries) = fs::read_dir(folder.unwrap_or_else(|| Path::new("."))) else {
+        return Ok(());
+    };
+    let stem = path.file_stem().unwrap_or_default().to_string_lossy().to_lowercase();
+    for entry in entries.flatten() {
+        let name = entry.file_name().to_string_lossy().to_lowercase();
+        let is_text = TEXTS.iter().any(|end| name.ends_with(end))
+            || name.ends_with(".txt") && (name.starts_with(&stem) || TEXT_NAMES.iter().any(|part| name.contains(part)));
+        if !is_text && !name.starts_with(&stem) {
+            continue;
+        }
+        // Links are followed, as GDAL follows them; one that leads nowhere is not read.
+        let Ok(known) = fs::metadata(entry.path()) else {
+            continue;
+        };
+        if !known.is_dir() && !known.is_file() {
+            return Err(unreadable(
+                &entry.path(),
+                "it is a device or a pipe; move it away from the images".to_owned(),
+            ));
+        }
+        if is_text && known.is_file() && known.len() > TEXT_MAX {
+            let reason = format!(
+                "it has {} bytes, more than the {TEXT_MAX} of a text beside an image",
+                known.len()
+            );
+            return Err(unreadable(&entry.path(), reason));
+        }
+    }
+    Ok(())
+}
+
+/// Whether an HFA file (Erdas Imagine) says that its pixels are in a file of another folder: the node `ExternalRasterDMS` names it. `None`
+/// where the file is of another format or ends early.
+fn hfa_leads_away(path: &Path) -> Option<bool> {
+    if bounded::read_start(path, 15) != b"EHFA_HEADER_TAG" {
+        return None;
+    }
+    let mut file = File::open(path).ok()?;
+    let mut at = |place: u32, length: usize| -> Option<Vec<u8>> {
+        let mut bytes = vec![0; length];
+        file.seek(SeekFrom::Start(place.into())).ok()?;
+        file.read_exact(&mut bytes).ok()?;
+        Some(bytes)
+    };
+    let number = |bytes: &[u8], index: usize| -> Option<u32> {
+        Some(u32::from_le_bytes(
+            bytes.get(4 * index..4 * index + 4)?.try_into().ok()?,
+        ))
+    };
+    // Behind the tag the place of the header: version, free list, root. Of a node: next, previous, parent, first child, data, their length, name.
+    let header = number(&at(16, 4)?, 0)?;
+    let mut places = vec![number(&at(header, 12)?, 2)?];
+    for _ in 0..NODES_MAX {
+        let Some(place) = places.pop() else {
+            return Some(false);
+        };
+        let Some(node) = (place != 0).then(|| at(place, 88)).flatten() else {
+            continue;
+        };
+        let name = node[24..].split(|&byte| byte == 0).next()?;
+        if name.eq_ignore_ascii_case(b"ExternalRasterDMS") {
+            let data = at(number(&node, 4)?, number(&node, 5)?.min(1 << 16) as usize)?;
+            if data.iter().any(|byte| b"/\\:".contains(byte)) {
+                return Some(true);
+            }
+        }
+        places.extend([number(&node, 0)?, number(&node, 3)?]);
+    }
+    Some(true)
+}
