@@ -118,6 +118,7 @@ impl From<FitError> for CliError {
     fn from(error: FitError) -> Self {
         match error {
             FitError::TooFewViews { .. }
+            | FitError::NoParallax { .. }
             | FitError::NoContrast { .. }
             | FitError::Memory { .. }
             | FitError::SweepMemory { .. }

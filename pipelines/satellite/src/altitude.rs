@@ -8,6 +8,7 @@
 
 use super::ground::Ground;
 use super::limits::AtLimits;
+use heliosplat_rpc::parallax::LEAST_BASE_TO_HEIGHT;
 use heliosplat_rpc::statistics::quantile;
 use heliosplat_scene::cameras::SceneCameras;
 use heliosplat_scene::{AltitudeSource, IngestOptions, Scene, SceneError};
@@ -21,8 +22,6 @@ const MOST_PAIRS: usize = 8;
 const PARTNERS: usize = 2;
 /// Base-to-height ratio at which a pair has half of the weight of an infinitely long base.
 const HALF_WEIGHT_BASE: f64 = 0.15;
-/// Pairs with a shorter base tell nothing of altitudes.
-const LEAST_BASE_TO_HEIGHT: f64 = 0.01;
 /// Intersection angle at which images have stopped looking alike (weight 1/e), radians.
 const ALIKE_ANGLE_RAD: f64 = 0.7;
 /// Weight of a pair of two days beside one of a single day.

@@ -79,8 +79,8 @@ struct Facts {
     suns: usize,
     /// Lowest and highest of these, degrees.
     suns_deg: (f64, f64),
-    /// What the plane sweep's matching parameters are chosen from; `None` where no two images show the common ground.
-    matching: Option<MatchingFacts>,
+    /// What the plane sweep's matching parameters are chosen from, or why nothing can be matched.
+    matching: Result<MatchingFacts, String>,
     /// The vegetation index, if there is one.
     index: Index,
     /// Share of the values that are clipped.
@@ -94,7 +94,7 @@ impl Facts {
         let images: Vec<&SceneImage> = scene.training().collect();
         let known = || images.iter().filter_map(|image| image.sun.position);
         let elevations = || known().map(|sun| sun.elevation_rad.to_degrees());
-        let ground = Ground::new(scene, scene.training()).ok();
+        let ground = Ground::new(scene, scene.training()).map_err(|error| error.to_string());
         let index = Index::of(&images);
         Self {
             images: images.len(),
@@ -142,7 +142,7 @@ impl Decisions {
             sh_degree: model.sh_degree.unwrap_or(0),
             opaqueness_weight: model.opaqueness_weight,
             open: measured::open(model),
-            matching: facts.matching.as_ref().map(MatchingParameters::choose),
+            matching: facts.matching.as_ref().ok().map(MatchingParameters::choose),
             items: Vec::new(),
         };
         decisions.items = decisions.in_words(facts, config);
@@ -222,7 +222,7 @@ impl Decisions {
             item(component, on, reason)
         };
         let &Facts { images, dates, .. } = facts;
-        let [many_view_matching, cost_aggregation] = matching_items(facts.matching, self.matching);
+        let [many_view_matching, cost_aggregation] = matching_items(&facts.matching, self.matching);
         vec![
             item(SUN, self.light != Light::LeftOut, facts.light_reason()),
             decided(
@@ -309,11 +309,8 @@ impl Decisions {
     }
 }
 
-/// Said of matching where there is nothing to match.
-const NO_COMMON_GROUND: &str = "no two images show the common ground";
-
 /// What the plane sweep's matching parameters are: those of many views or of few, and its windows.
-fn matching_items(facts: Option<MatchingFacts>, parameters: Option<MatchingParameters>) -> [PlanItem; 2] {
+fn matching_items(facts: &Result<MatchingFacts, String>, parameters: Option<MatchingParameters>) -> [PlanItem; 2] {
     let item = |component: &str, on: bool, reason: String| PlanItem {
         component: component.into(),
         on,
@@ -321,8 +318,12 @@ fn matching_items(facts: Option<MatchingFacts>, parameters: Option<MatchingParam
         trial: None,
     };
     let components = ["start.many_views", "start.cost_aggregation"];
-    let (Some(facts), Some(parameters)) = (facts, parameters) else {
-        return components.map(|component| item(component, false, NO_COMMON_GROUND.into()));
+    let (facts, parameters) = match (facts, parameters) {
+        (Ok(facts), Some(parameters)) => (facts, parameters),
+        (facts, _) => {
+            let reason = facts.as_ref().err().cloned().unwrap_or_default();
+            return components.map(|component| item(component, false, reason.clone()));
+        }
     };
     let [many_views, aggregation] = components;
     [
@@ -389,7 +390,7 @@ mod tests {
             dates,
             suns: images,
             suns_deg: (35.0, 60.0),
-            matching: Some(MatchingFacts {
+            matching: Ok(MatchingFacts {
                 views: images as f32,
                 combined_base_to_height: 0.4,
                 has_index: true,
@@ -531,7 +532,7 @@ mod tests {
                 combined_base_to_height: ratio,
                 has_index: false,
             };
-            scene.matching = Some(matching);
+            scene.matching = Ok(matching);
             let parameters = MatchingParameters::choose(&matching);
             let (radius, said) = (
                 parameters.aggregation_radius,
@@ -555,9 +556,12 @@ mod tests {
     #[test]
     fn scenes_without_common_ground_are_planned_all_the_same() {
         let mut scene = facts(1, 1);
-        scene.matching = None;
+        scene.matching = Err("two images are needed".into());
         let config = SatelliteConfig::default();
-        assert_eq!(reason(&scene, &config, "start.cost_aggregation"), NO_COMMON_GROUND);
+        assert_eq!(
+            reason(&scene, &config, "start.cost_aggregation"),
+            "two images are needed"
+        );
         assert!(!on(&scene, &config, "start.many_views"));
     }
 

@@ -259,7 +259,7 @@ impl Ground {
         images.sort_by_key(|image| image.split == Split::Test);
         let training = images.iter().filter(|image| image.split == Split::Train);
         let gsd_m = nominal_gsd_m(training.map(|image| image.gsd_m).collect());
-        Ok(Scene {
+        let mut scene = Scene {
             source: source.to_owned(),
             gsd_m,
             images,
@@ -271,7 +271,9 @@ impl Ground {
             counts_per_unit,
             truth: layout.truth,
             warnings,
-        })
+        };
+        scene.warn_of_copies();
+        Ok(scene)
     }
 }
 

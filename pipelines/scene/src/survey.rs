@@ -30,6 +30,8 @@ pub struct Survey {
     pub files: Vec<PathBuf>,
     /// Truth, where the scene brings it.
     pub truth: Truth,
+    /// Things a user should know that its files say, one line each.
+    pub warnings: Vec<String>,
 }
 
 /// What opening a part of a scene reads ([`super::Scene::open_part`]).
@@ -67,7 +69,7 @@ impl Survey {
     /// As [`super::Scene::open`].
     pub fn open(path: &Path, options: &IngestOptions) -> Result<Self, SceneError> {
         let mut layout = layout::find(path)?;
-        let mut warnings = Vec::new();
+        let mut warnings = std::mem::take(&mut layout.warnings);
         let drafts = drafts::read_all(&layout, options, &mut warnings)?;
         drafts::check_bands(&drafts)?;
         let stated: Vec<altitude::Stated> = drafts.iter().map(Draft::stated_altitude).collect();
@@ -91,6 +93,7 @@ impl Survey {
             bands,
             files,
             truth: layout.truth,
+            warnings,
             ground,
         })
     }
