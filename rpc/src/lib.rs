@@ -11,6 +11,7 @@
 //! | [`rpc`] | where in the image is a ground point ([`Rpc::project`]), and which ground point at a height does a pixel see ([`Rpc::localise`]) |
 //! | [`frame`] | WGS 84 longitude, latitude, height to local east, north, up, and back |
 //! | [`pinhole`] | the projective camera that is nearest to an RPC over a window, with its largest error in pixels |
+//! | [`parallax`] | how precisely images from different directions find altitudes |
 //! | [`triangulate`] | the ground point of corresponding pixels |
 //! | [`adjust`] | RPC bias correction: small corrections of all images from tie points (block adjustment) |
 //! | [`fit`] | an RPC from pairs of ground and image points |
@@ -71,6 +72,7 @@ pub mod adjust;
 mod example;
 pub mod fit;
 pub mod frame;
+pub mod parallax;
 pub mod pinhole;
 pub mod read;
 pub mod rpc;

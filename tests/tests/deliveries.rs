@@ -6,7 +6,7 @@ use heliosplat_raster::{ImageSpec, RasterFile, Sample, Window, write_geotiff};
 use heliosplat_rpc::read::gdal_domain;
 use heliosplat_rpc::{Rpc, write};
 use heliosplat_scene::{IngestOptions, Scene, SceneError, ValueKind, Values};
-use heliosplat_tests::program::json;
+use heliosplat_tests::program::{fault, json};
 use heliosplat_tests::scenes::{SIZE_PX, View};
 use serde_json::Value;
 use std::fs;
@@ -387,4 +387,40 @@ fn images_of_two_resolutions_make_a_surface_in_cells_of_the_finer() {
         gsd_m(&fine)
     );
     assert!(mixed_m < MIXED_TIMES * fine_m, "{mixed_m} m for {fine_m} m");
+}
+
+#[test]
+fn copies_of_one_image_are_refused_and_one_among_others_is_named() {
+    let home = tempdir().expect("a temporary folder");
+    let folder = home.path().join("scene");
+    fs::create_dir(&folder).expect("made");
+    let [first, copy] = ["first", "copy"].map(|name| View {
+        name: name.into(),
+        ..View::new(0)
+    });
+    [&first, &copy].map(|view| view.write(&folder));
+    let out = home.path().join("dsm.tif");
+    let arguments = [folder.as_path(), Path::new("--out"), out.as_path()].map(|path| path.display().to_string());
+    let arguments: Vec<&str> = ["dsm", "--from", "sweep"]
+        .into_iter()
+        .chain(arguments.iter().map(String::as_str))
+        .collect();
+    let said = fault(&arguments, 2);
+    assert!(
+        said.contains("no parallax") && said.contains("copy.tif") && said.contains("first.tif"),
+        "{said}"
+    );
+    assert!(!out.exists());
+    View::new(1).write(&folder);
+    let scene = open(&folder).expect("a scene");
+    let told = scene
+        .warnings
+        .iter()
+        .filter(|line| line.contains("have the same camera"));
+    assert_eq!(told.count(), 1, "{:?}", scene.warnings);
+    let bases: Vec<f64> = scene.pairs().iter().map(|pair| pair.base_to_height).collect();
+    assert!(
+        bases[0] < 1e-6 && bases[1..].iter().all(|base| (base - 0.206).abs() < 0.01),
+        "{bases:?}"
+    );
 }

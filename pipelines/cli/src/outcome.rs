@@ -114,6 +114,7 @@ impl From<SatelliteError> for CliError {
             SatelliteError::Evaluate(error) => error.into(),
             SatelliteError::Relight(error) => error.into(),
             SatelliteError::TooFewViews { .. }
+            | SatelliteError::NoParallax { .. }
             | SatelliteError::NoContrast { .. }
             | SatelliteError::Memory { .. }
             | SatelliteError::SweepMemory { .. }

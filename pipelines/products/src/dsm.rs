@@ -12,7 +12,8 @@ use heliosplat_raster::geoid::GeoidGrid;
 use heliosplat_raster::grid::GridSpec;
 use heliosplat_raster::write::{ImageSpec, write_cog};
 use heliosplat_raster::{GeoRaster, Geoid, RasterError, StreamedCog, dsm_bands};
-use heliosplat_stereo::{FEWEST_VIEWS, Surface};
+use heliosplat_rpc::parallax::{LEAST_BASE_TO_HEIGHT, MATCHING_PX};
+use heliosplat_stereo::{FEWEST_VIEWS, Surface, Witnesses};
 use rayon::prelude::*;
 use std::path::Path;
 
@@ -29,9 +30,10 @@ pub const BANDS: [&str; 4] = [
 /// Units of the bands of a surface model.
 pub const UNITS: [&str; 4] = ["metre", "metre", "1", "1"];
 
-/// Least standard deviation of an altitude, ground sampling distances of the images. Neither rays nor matching costs know what all cells around
-/// have in common, cameras that are a tenth of a pixel off above all (docs/lab/surface.md, by errors on lidar and synthetic truth).
-const LEAST_DEVIATION_GSD: f32 = 0.2;
+/// Largest base-to-height ratio that makes an altitude more precise. Neither rays nor matching costs know what all cells around have in
+/// common, cameras that are a tenth of a pixel off above all (docs/lab/surface.md, by errors on lidar and synthetic truth); more images do
+/// not average it out.
+const LONGEST_BASE_TO_HEIGHT: f32 = 1.0;
 
 /// What altitudes are above where no geoid is said.
 const ELLIPSOID: &str = "WGS84 ellipsoid";
@@ -79,8 +81,8 @@ pub fn of_model(nadir: &NadirGrid, model: &LoadedModel) -> Result<Dsm, RasterErr
 /// The same without the sweep, for those who ask for altitudes alone.
 pub(crate) fn seen_of(nadir: &NadirGrid, model: &LoadedModel) -> Dsm {
     let mut dsm = of_gaussians(nadir, &model.into());
-    let views = seen::views(nadir, dsm.raster.plane(ALTITUDE), &model.file);
-    dsm.keep_seen(&views);
+    let seen_by = seen::views(nadir, dsm.raster.plane(ALTITUDE), &model.file);
+    dsm.keep_seen(&seen_by, model.file.gsd_m as f32);
     dsm
 }
 
@@ -147,7 +149,7 @@ const AROUND_REACH: usize = 2;
 /// Makes each standard deviation, of images of `gsd_m`, that of the evidence of the cells around it, of the altitudes around it, and of
 /// what all cells have in common.
 fn widen_deviations(raster: &mut Raster, gsd_m: f32) {
-    let least_m2 = (LEAST_DEVIATION_GSD * gsd_m).powi(2);
+    let least_m2 = (MATCHING_PX as f32 * gsd_m / LONGEST_BASE_TO_HEIGHT).powi(2);
     let cells = (0..raster.plane_len()).into_par_iter().with_min_len(CHUNK);
     let widened: Vec<f32> = cells
         .map(|cell| match raster.plane(DEVIATION)[cell].is_nan() {
@@ -156,6 +158,16 @@ fn widen_deviations(raster: &mut Raster, gsd_m: f32) {
         })
         .collect();
     raster.plane_mut(DEVIATION).copy_from_slice(&widened);
+}
+
+/// Adds to standard deviations, metres, the error of matching in images of `gsd_m` as far as it is larger than that of the longest base.
+fn add_error_of_base(deviation_m: &mut [f32], base_to_height: &[f32], gsd_m: f32) {
+    let variance = |ratio: f32| (MATCHING_PX as f32 * gsd_m / ratio).powi(2);
+    for (deviation, &ratio) in deviation_m.iter_mut().zip(base_to_height) {
+        let more = variance(ratio.clamp(LEAST_BASE_TO_HEIGHT as f32, LONGEST_BASE_TO_HEIGHT))
+            - variance(LONGEST_BASE_TO_HEIGHT);
+        *deviation = (*deviation * *deviation + more).sqrt();
+    }
 }
 
 /// The cells within `reach` of `cell` to each side.
@@ -220,15 +232,18 @@ pub fn of_surface_on(nadir: NadirGrid, place: &Place, surface: &Surface) -> Dsm 
     };
     let cells = (0..width * height).into_par_iter().with_min_len(CHUNK);
     let found: Vec<Option<(f64, usize)>> = cells.map(found).collect();
+    let mut base_to_height = vec![LONGEST_BASE_TO_HEIGHT; width * height];
     for (i, found) in found.into_iter().enumerate() {
         if let Some((height_m, cell)) = found {
             raster.plane_mut(ALTITUDE)[i] = height_m as f32;
             raster.plane_mut(DEVIATION)[i] = surface.deviation_m[cell];
             raster.plane_mut(COVERAGE)[i] = surface.probability[cell];
             raster.plane_mut(VIEWS)[i] = surface.views[cell].into();
+            base_to_height[i] = surface.base_to_height[cell];
         }
     }
     widen_deviations(&mut raster, surface.cell_m);
+    add_error_of_base(raster.plane_mut(DEVIATION), &base_to_height, surface.cell_m);
     Dsm {
         raster,
         grid: nadir.grid,
@@ -252,9 +267,10 @@ impl Dsm {
         Ok(self)
     }
 
-    /// Takes what too few images see as not known; `views` says how many see each cell.
-    fn keep_seen(&mut self, views: &[u8]) {
-        for (i, &views) in views.iter().enumerate() {
+    /// Takes what too few images see as not known, and adds the error that the base of the others leaves; `gsd_m` is that of the images.
+    fn keep_seen(&mut self, seen_by: &Witnesses, gsd_m: f32) {
+        add_error_of_base(self.raster.plane_mut(DEVIATION), &seen_by.base_to_height, gsd_m);
+        for (i, &views) in seen_by.views.iter().enumerate() {
             let known = views >= FEWEST_VIEWS && self.raster.plane(ALTITUDE)[i].is_finite();
             self.raster.plane_mut(VIEWS)[i] = views.into();
             for band in (0..BANDS.len()).filter(|_| !known) {

@@ -5,11 +5,11 @@ use crate::nadir::NadirGrid;
 use glam::Vec3;
 use heliosplat::ProjectiveCamera;
 use heliosplat_scene::crop;
-use heliosplat_stereo::{AltitudeGrid, views_seeing};
+use heliosplat_stereo::{AltitudeGrid, Witnesses, views_seeing};
 
-/// The number of training images that see each cell of `nadir`'s grid at its ellipsoidal `altitude_m` (NaN where there is none, which no
+/// The training images that see each cell of `nadir`'s grid at its ellipsoidal `altitude_m` (NaN where there is none, which no
 /// image sees). Pixels without data, and those that show clouds, see nothing.
-pub fn views(nadir: &NadirGrid, altitude_m: &[f32], model: &ModelFile) -> Vec<u8> {
+pub fn views(nadir: &NadirGrid, altitude_m: &[f32], model: &ModelFile) -> Witnesses {
     let (width, height) = (nadir.grid.width, nadir.grid.height);
     let cell_m = nadir.grid.transform.pixel_size().0 * nadir.grid.crs.metres_per_unit();
     let enu = |cell: usize| {
@@ -58,14 +58,15 @@ pub fn views(nadir: &NadirGrid, altitude_m: &[f32], model: &ModelFile) -> Vec<u8
         let at = (pixel % image.crop.width, pixel / image.crop.width);
         image.known.as_ref().is_none_or(|known| known.at(at))
     });
-    (0..width * height)
-        .map(|cell| {
-            if !altitude_m[cell].is_finite() {
-                return 0;
-            }
-            let [x, y, _] = enu(cell);
-            let (col, row) = (((x - west) / cell_m) as usize, ((north - y) / cell_m) as usize);
-            seen[row.min(size[1] - 1) * size[0] + col.min(size[0] - 1)]
-        })
-        .collect()
+    let of_cell = |cell: usize| {
+        if !altitude_m[cell].is_finite() {
+            return (0, 0.0);
+        }
+        let [x, y, _] = enu(cell);
+        let (col, row) = (((x - west) / cell_m) as usize, ((north - y) / cell_m) as usize);
+        let at = row.min(size[1] - 1) * size[0] + col.min(size[0] - 1);
+        (seen.views[at], seen.base_to_height[at])
+    };
+    let (views, base_to_height) = (0..width * height).map(of_cell).unzip();
+    Witnesses { views, base_to_height }
 }

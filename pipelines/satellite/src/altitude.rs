@@ -9,6 +9,7 @@
 use super::ground::Ground;
 use super::limits::AtLimits;
 use heliosplat_grid::statistics::quantile;
+use heliosplat_rpc::parallax::LEAST_BASE_TO_HEIGHT;
 use heliosplat_scene::cameras::SceneCameras;
 use heliosplat_scene::{AltitudeSource, Index, IngestOptions, Scene, SceneError};
 use heliosplat_stereo::pointing::ties::epipolar::{EpipolarSearch, ReducedView, TiedAltitudes, tied_altitudes};
@@ -18,8 +19,6 @@ use heliosplat_stereo::{MatchingParameters, Surface, plane_sweep, weight_of_geom
 const MOST_PAIRS: usize = 8;
 /// Partners that each image has.
 const PARTNERS: usize = 2;
-/// Pairs with a shorter base tell nothing of altitudes.
-const LEAST_BASE_TO_HEIGHT: f64 = 0.01;
 /// Weight of a pair of two days beside one of a single day.
 const OTHER_DAY: f64 = 0.5;
 /// Pixels each way to which images are averaged down for the first search: a few hundred patches of their own.

@@ -9,6 +9,7 @@ use heliosplat_products::relight::RelightError;
 use heliosplat_radiometry::shadow_prior::MaskError;
 use heliosplat_raster::RasterError;
 use heliosplat_rpc::RpcError;
+use heliosplat_rpc::parallax::LEAST_BASE_TO_HEIGHT;
 use heliosplat_scene::SceneError;
 use std::path::PathBuf;
 
@@ -32,6 +33,20 @@ pub enum SatelliteError {
     TooFewViews {
         /// How many do.
         images: usize,
+    },
+    /// No two images look from far enough apart.
+    #[error(
+        "no parallax: {} and {} look from one place (base-to-height ratio {base_to_height:.4}) and no two images of the ground from {LEAST_BASE_TO_HEIGHT} apart; give images from other directions",
+        first.display(),
+        second.display()
+    )]
+    NoParallax {
+        /// One of the two images that are farthest apart.
+        first: PathBuf,
+        /// The other.
+        second: PathBuf,
+        /// Their base-to-height ratio.
+        base_to_height: f64,
     },
     /// An image whose common ground is of one value.
     #[error(

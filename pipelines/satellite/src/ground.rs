@@ -5,10 +5,11 @@ use heliosplat::Raster;
 use heliosplat_grid::statistics::upper_quantile;
 use heliosplat_products::change::day_of;
 use heliosplat_rpc::LocalFrame;
+use heliosplat_rpc::parallax::LEAST_BASE_TO_HEIGHT;
 use heliosplat_scene::crop::{self, Crop};
 use heliosplat_scene::{Area, ImageSun, Scene, SceneImage};
 use heliosplat_stereo::{
-    MatchingFacts, MatchingParameters, PlaneSweepRequest, SearchVolume, SweepView, ViewGeometry, widest_base_to_height,
+    MatchingFacts, MatchingParameters, PlaneSweepRequest, SearchVolume, SweepView, ViewGeometry, Widest, widest_base,
 };
 
 /// Ground added around the area, metres: shadows fall into it, and ties near the edge have a surface.
@@ -35,7 +36,7 @@ impl<'a> Ground<'a> {
     /// The ground of `scene`, grown by [`MARGIN_M`], in those of `images` that show it.
     ///
     /// # Errors
-    /// [`SatelliteError::TooFewViews`] when fewer than two do.
+    /// [`SatelliteError::TooFewViews`] when fewer than two do, [`SatelliteError::NoParallax`] when these look from one place.
     pub fn new(scene: &'a Scene, images: impl Iterator<Item = &'a SceneImage>) -> Result<Self, SatelliteError> {
         Self::over(scene, crop::grown(&scene.area, MARGIN_M), images)
     }
@@ -43,7 +44,7 @@ impl<'a> Ground<'a> {
     /// `area`, metres of the scene's frame, in those of `images` that show it.
     ///
     /// # Errors
-    /// [`SatelliteError::TooFewViews`] when fewer than two do.
+    /// As [`Self::new`].
     pub fn over(
         scene: &'a Scene,
         area: Area,
@@ -56,7 +57,7 @@ impl<'a> Ground<'a> {
         if images.len() < 2 {
             return Err(SatelliteError::TooFewViews { images: images.len() });
         }
-        Ok(Self {
+        let ground = Self {
             groups: crop::date_groups(&images),
             suns: images.iter().map(|image| image.sun).collect(),
             images,
@@ -64,6 +65,24 @@ impl<'a> Ground<'a> {
             area,
             up_m,
             frame: &scene.frame,
+        };
+        ground.check_parallax()?;
+        Ok(ground)
+    }
+
+    /// Refuses images that all look from one place.
+    fn check_parallax(&self) -> Result<(), SatelliteError> {
+        let shifts = vec![[0.0; 2]; self.images.len()];
+        let centre = volume(&self.area, self.up_m, 1.0).centre();
+        let Widest { views, base_to_height } = widest_base(&self.geometries(&shifts), centre);
+        if f64::from(base_to_height) >= LEAST_BASE_TO_HEIGHT {
+            return Ok(());
+        }
+        let [first, second] = views.map(|view| self.images[view].path.clone());
+        Err(SatelliteError::NoParallax {
+            first,
+            second,
+            base_to_height: base_to_height.into(),
         })
     }
 
@@ -162,7 +181,7 @@ impl<'a> Ground<'a> {
     pub fn widest_base_to_height(&self) -> f64 {
         let shifts = vec![[0.0; 2]; self.images.len()];
         let centre = volume(&self.area, self.up_m, 1.0).centre();
-        widest_base_to_height(&self.geometries(&shifts), centre).into()
+        widest_base(&self.geometries(&shifts), centre).base_to_height.into()
     }
 
     /// A plane sweep with cells of `cell_m` metres.

@@ -46,7 +46,7 @@ pub fn dsm(
             crs,
         };
         let nadir = NadirGrid::on(&model.into(), grid)?;
-        let views = seen::views(&nadir, raster.plane(0), &model.file);
+        let views = seen::views(&nadir, raster.plane(0), &model.file).views;
         let seen: Vec<bool> = views.iter().map(|&views| views >= FEWEST_VIEWS).collect();
         evaluation.count_seen_unknown(&seen);
     }

@@ -75,8 +75,8 @@ struct Facts {
     suns_deg: (f64, f64),
     /// Days that divide the images with enough of them on either side for two surfaces; `None` where an image has no date.
     dividing_days: Option<usize>,
-    /// What the plane sweep's matching parameters are chosen from; `None` where no two images show the common ground.
-    matching: Option<MatchingFacts>,
+    /// What the plane sweep's matching parameters are chosen from, or why nothing can be matched.
+    matching: Result<MatchingFacts, String>,
     /// The vegetation index, if there is one.
     index: Index,
     /// Share of the values that are clipped.
@@ -90,7 +90,7 @@ impl Facts {
         let images: Vec<&SceneImage> = scene.training().collect();
         let known = || images.iter().filter_map(|image| image.sun.position);
         let elevations = || known().map(|sun| sun.elevation_rad.to_degrees());
-        let ground = Ground::new(scene, scene.training()).ok();
+        let ground = Ground::new(scene, scene.training()).map_err(|error| error.to_string());
         let index = Index::of(&images);
         Self {
             images: images.len(),
@@ -146,7 +146,7 @@ impl Decisions {
             near_light: model.near_light,
             sh_degree: model.sh_degree,
             opaqueness_weight: model.opaqueness_weight,
-            matching: facts.matching.as_ref().map(MatchingParameters::choose),
+            matching: facts.matching.as_ref().ok().map(MatchingParameters::choose),
             items: Vec::new(),
         };
         decisions.items = decisions.in_words(facts, config);
@@ -222,7 +222,7 @@ impl Decisions {
             item(component, on, reason)
         };
         let &Facts { images, dates, .. } = facts;
-        let [many_view_matching, cost_aggregation] = matching_items(facts.matching, self.matching);
+        let [many_view_matching, cost_aggregation] = matching_items(&facts.matching, self.matching);
         vec![
             item(SUN, self.light != Light::LeftOut, facts.light_reason()),
             decided(
@@ -322,19 +322,20 @@ impl Decisions {
     }
 }
 
-/// Said of matching where there is nothing to match.
-const NO_COMMON_GROUND: &str = "no two images show the common ground";
-
 /// What the plane sweep's matching parameters are: those of many views or of few, and its windows.
-fn matching_items(facts: Option<MatchingFacts>, parameters: Option<MatchingParameters>) -> [PlanItem; 2] {
+fn matching_items(facts: &Result<MatchingFacts, String>, parameters: Option<MatchingParameters>) -> [PlanItem; 2] {
     let item = |component: &str, on: bool, reason: String| PlanItem {
         component: component.into(),
         on,
         reason,
     };
     let components = ["start.many_views", "start.cost_aggregation"];
-    let (Some(facts), Some(parameters)) = (facts, parameters) else {
-        return components.map(|component| item(component, false, NO_COMMON_GROUND.into()));
+    let (facts, parameters) = match (facts, parameters) {
+        (Ok(facts), Some(parameters)) => (facts, parameters),
+        (facts, _) => {
+            let reason = facts.as_ref().err().cloned().unwrap_or_default();
+            return components.map(|component| item(component, false, reason.clone()));
+        }
     };
     let [many_views, aggregation] = components;
     [
@@ -402,7 +403,7 @@ mod tests {
             suns: images,
             suns_deg: (35.0, 60.0),
             dividing_days: Some(dates.saturating_sub(1)),
-            matching: Some(MatchingFacts {
+            matching: Ok(MatchingFacts {
                 views: images as f32,
                 combined_base_to_height: 0.4,
                 has_index: true,
@@ -559,7 +560,7 @@ mod tests {
                 combined_base_to_height: ratio,
                 has_index: false,
             };
-            scene.matching = Some(matching);
+            scene.matching = Ok(matching);
             let parameters = MatchingParameters::choose(&matching);
             let (radius, said) = (
                 parameters.aggregation_radius,
@@ -583,9 +584,12 @@ mod tests {
     #[test]
     fn scenes_without_common_ground_are_planned_all_the_same() {
         let mut scene = facts(1, 1);
-        scene.matching = None;
+        scene.matching = Err("two images are needed".into());
         let config = SatelliteConfig::default();
-        assert_eq!(reason(&scene, &config, "start.cost_aggregation"), NO_COMMON_GROUND);
+        assert_eq!(
+            reason(&scene, &config, "start.cost_aggregation"),
+            "two images are needed"
+        );
         assert!(!on(&scene, &config, "start.many_views"));
     }
 

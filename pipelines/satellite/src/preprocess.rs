@@ -282,6 +282,9 @@ pub fn open_and_sweep(
 ) -> Result<(Scene, Surface), SatelliteError> {
     let part = stage("read");
     let mut scene = altitude::open(index, options)?;
+    for warning in &scene.warnings {
+        tracing::warn!("{warning}");
+    }
     drop(part);
     let mut surface = sweep_only(&scene, config, session)?;
     for _ in 0..altitude::ROUNDS {

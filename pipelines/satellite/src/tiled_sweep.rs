@@ -206,13 +206,18 @@ impl TiledSweep<'_> {
     fn decide(&self) -> Result<Decided, SatelliteError> {
         let mut found: Option<(usize, Decisions, MatchingParameters)> = None;
         let mut told: BTreeMap<String, Vec<[f32; 2]>> = BTreeMap::new();
+        let mut refused = SatelliteError::TooFewViews { images: 0 };
         for area in self.patches() {
             let Some(scene) = self.open(&area)? else { continue };
             let decisions = Decisions::of(&scene, self.config);
-            let (Some(matching), Ok(ground)) = (decisions.matching, Ground::over(&scene, area, scene.training()))
-            else {
-                continue;
+            let ground = match Ground::over(&scene, area, scene.training()) {
+                Ok(ground) => ground,
+                Err(error) => {
+                    refused = error;
+                    continue;
+                }
             };
+            let Some(matching) = decisions.matching else { continue };
             // Where most images are seen, most is known of how they go together.
             let images = ground.images.len();
             if found.as_ref().is_none_or(|(most, ..)| images > *most) {
@@ -236,7 +241,7 @@ impl TiledSweep<'_> {
             }
         }
         let Some((_, decisions, matching)) = found else {
-            return Err(SatelliteError::TooFewViews { images: 0 });
+            return Err(refused);
         };
         if told.is_empty() && decisions.align != Align::Off {
             tracing::warn!("cameras are believed, because ties do not tell");

@@ -11,6 +11,7 @@ mod footprint;
 pub mod indices;
 mod kept;
 mod known_tiles;
+mod parallax;
 mod pixels;
 mod read;
 pub mod saturation;
@@ -27,6 +28,7 @@ pub use heliosplat_delivery::{
 };
 pub use kept::{KeptCut, KeptImage};
 pub use known_tiles::KnownTiles;
+pub use parallax::ImagePair;
 pub use values::{BandReflectance, ValueKind, Values};
 
 use heliosplat::Raster;

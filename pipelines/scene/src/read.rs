@@ -80,7 +80,7 @@ impl Scene {
         }
         out.sort_by_key(|image| image.split == Split::Test);
         let training = out.iter().filter(|image| image.split == Split::Train);
-        Ok(Self {
+        let mut scene = Self {
             source: index.source.clone(),
             gsd_m: nominal_gsd_m(training.map(|image| image.gsd_m).collect()),
             images: out,
@@ -93,7 +93,9 @@ impl Scene {
             truth: found_truth,
             cut: kept,
             warnings,
-        })
+        };
+        scene.warn_of_copies();
+        Ok(scene)
     }
 }
 

@@ -28,6 +28,8 @@ pub struct Survey<'a> {
     pub bands: usize,
     /// Truth, where the scene brings it.
     pub truth: Truth,
+    /// Things a user should know that its files say, one line each.
+    pub warnings: Vec<String>,
 }
 
 /// Pixels that a part of a cut reads ([`Cut::part`]).
@@ -64,7 +66,8 @@ impl<'a> Survey<'a> {
     /// # Errors
     /// As [`Cut::of`].
     pub fn of(index: &'a Index, options: &IngestOptions) -> Result<Self, SceneError> {
-        let cut = Cut::of(index, options, &mut Vec::new())?;
+        let mut warnings = index.warnings.clone();
+        let cut = Cut::of(index, options, &mut warnings)?;
         let mut truth = index.truth.clone();
         truth::keep_if_here(&mut truth, &cut.frame, &cut.area, &mut Vec::new());
         let height_m = cut.frame.origin.height_m;
@@ -82,6 +85,7 @@ impl<'a> Survey<'a> {
             gsd_m: nominal_gsd_m(gsds),
             bands: index.images.first().map_or(0, |image| image.bands.kinds.len()),
             truth,
+            warnings,
             index,
             cut,
         })

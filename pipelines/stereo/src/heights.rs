@@ -1,7 +1,7 @@
 //! The height hypotheses: the altitudes that every cell is tried at, in equal steps.
 
-use super::pairs::LEAST_BASE_TO_HEIGHT;
 use super::parameters::STEP_CELLS;
+use heliosplat_rpc::parallax::LEAST_BASE_TO_HEIGHT;
 
 /// Regular altitudes `base_m + level · step_m`.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -19,7 +19,7 @@ const LEAST_STEP_M: f32 = 1e-4;
 /// Most height hypotheses of a cell of `cell_m` metres over a range of altitudes, metres, where the widest base of two views has this ratio
 /// to their height.
 pub fn height_levels(range_m: f32, cell_m: f32, widest_base_to_height: f32) -> usize {
-    let step_m = STEP_CELLS * cell_m / widest_base_to_height.max(LEAST_BASE_TO_HEIGHT);
+    let step_m = STEP_CELLS * cell_m / widest_base_to_height.max(LEAST_BASE_TO_HEIGHT as f32);
     HeightHypotheses::new(0.0, range_m, step_m).levels
 }
 

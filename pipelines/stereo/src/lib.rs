@@ -56,11 +56,11 @@ mod volume;
 mod wta;
 
 pub use heights::height_levels;
-pub use pairs::{weight_of_geometry, widest_base_to_height_of as widest_base_to_height};
+pub use pairs::{Widest, weight_of_geometry, widest_base};
 pub use parameters::{CandidateTolerance, FEW_VIEWS, MANY_VIEWS, MatchingFacts, MatchingParameters, no_match_weight};
 pub use plane_sweep::plane_sweep;
 pub use request::PlaneSweepRequest;
-pub use seen::{AltitudeGrid, FEWEST_VIEWS, views_seeing};
+pub use seen::{AltitudeGrid, FEWEST_VIEWS, Witnesses, views_seeing};
 pub use surface::Surface;
 pub use views::{SweepView, ViewGeometry};
 pub use volume::SearchVolume;

@@ -3,8 +3,9 @@
 //! A pair weighs more the longer its base, the more alike both views see a façade, and the more alike the light: `B/H / (B/H + 0.15)`,
 //! times a bell curve of the intersection angle, times a factor for dates.
 
-use super::views::ViewGeometry;
-use glam::Vec3;
+use super::views::{ViewGeometry, parallax};
+use glam::{Vec2, Vec3};
+use heliosplat_rpc::parallax::LEAST_BASE_TO_HEIGHT;
 
 /// Two views to compare and the weight of the comparison.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -45,7 +46,7 @@ const UNKNOWN_SUN_COSINE: f32 = 0.8;
 /// Partners that each view brings in, those of most weight; more only cost time.
 const PARTNERS: usize = 8;
 
-/// The comparisons worth making, in a fixed order.
+/// The comparisons worth making, in a fixed order; views without parallax between them agree at every altitude and are not compared.
 pub(super) fn choose(views: &[ViewGeometry], centre: Vec3) -> Vec<Pair> {
     let mut chosen: Vec<(usize, usize)> = Vec::new();
     for a in 0..views.len() {
@@ -58,23 +59,20 @@ pub(super) fn choose(views: &[ViewGeometry], centre: Vec3) -> Vec<Pair> {
     }
     chosen.sort_unstable();
     chosen.dedup();
-    chosen
-        .into_iter()
-        .map(|(a, b)| {
-            let (weight, base_to_height) = weight(&views[a], &views[b], centre);
-            Pair {
-                a,
-                b,
-                weight: ((weight * FULL_WEIGHT).round() as u32).max(1),
-                base_to_height,
-                same_date: views[a].date_group == views[b].date_group,
-            }
-        })
+    let pairs = chosen.into_iter().map(|(a, b)| {
+        let (weight, base_to_height) = weight(&views[a], &views[b], centre);
+        Pair {
+            a,
+            b,
+            weight: ((weight * FULL_WEIGHT).round() as u32).max(1),
+            base_to_height,
+            same_date: views[a].date_group == views[b].date_group,
+        }
+    });
+    pairs
+        .filter(|pair| f64::from(pair.base_to_height) >= LEAST_BASE_TO_HEIGHT)
         .collect()
 }
-
-/// Base-to-height ratios below this one count as this one, so that what is divided by them stays finite.
-pub(super) const LEAST_BASE_TO_HEIGHT: f32 = 1e-3;
 
 /// Combined base-to-height ratio of all comparisons: the root of the sum of squares. The precision of a height from independent pairs
 /// is proportional to it.
@@ -82,9 +80,34 @@ pub(super) fn combined_base_to_height(pairs: &[Pair]) -> f32 {
     pairs.iter().map(|pair| pair.base_to_height.powi(2)).sum::<f32>().sqrt()
 }
 
-/// Largest base-to-height ratio of two views that are compared, at `centre` (metres in the frame of the cameras).
-pub fn widest_base_to_height_of(views: &[ViewGeometry], centre: Vec3) -> f32 {
-    widest_base_to_height(&choose(views, centre))
+/// The two views that look from farthest apart.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Widest {
+    /// Their places among the views.
+    pub views: [usize; 2],
+    /// Their base-to-height ratio.
+    pub base_to_height: f32,
+}
+
+/// The two of `views`, two at least, that look from farthest apart at `centre` (metres in the frame of the cameras).
+pub fn widest_base(views: &[ViewGeometry], centre: Vec3) -> Widest {
+    let parallaxes: Vec<Vec2> = views.iter().map(|view| parallax(&view.camera, centre)).collect();
+    let mut widest = Widest {
+        views: [0, 1],
+        base_to_height: 0.0,
+    };
+    for (b, second) in parallaxes.iter().enumerate() {
+        for (a, first) in parallaxes[..b].iter().enumerate() {
+            let base_to_height = (first - second).length();
+            if base_to_height > widest.base_to_height {
+                widest = Widest {
+                    views: [a, b],
+                    base_to_height,
+                };
+            }
+        }
+    }
+    widest
 }
 
 /// Largest base-to-height ratio of the comparisons.
@@ -94,7 +117,7 @@ pub(super) fn widest_base_to_height(pairs: &[Pair]) -> f32 {
 
 /// Weight in 0..1 and base-to-height ratio of a pair.
 fn weight(a: &ViewGeometry, b: &ViewGeometry, centre: Vec3) -> (f32, f32) {
-    let base_to_height = (a.parallax(centre) - b.parallax(centre)).length();
+    let base_to_height = (parallax(&a.camera, centre) - parallax(&b.camera, centre)).length();
     let angle = a.toward(centre).angle_between(b.toward(centre));
     let light = if a.date_group == b.date_group {
         1.0

@@ -11,11 +11,12 @@
 //!
 //! Constants without a source were chosen by experiment; docs/lab/plane-sweep.md has the tables.
 
-use super::pairs::{self, LEAST_BASE_TO_HEIGHT};
+use super::pairs;
 
 use super::seen::pixel_of;
 use super::views::ViewGeometry;
 use super::volume::SearchVolume;
+use heliosplat_rpc::parallax::LEAST_BASE_TO_HEIGHT;
 
 /// Views of a piece of ground up to which the parameters for few views are used.
 pub const FEW_VIEWS: f32 = 4.0;
@@ -215,7 +216,7 @@ impl MatchingParameters {
 
 /// Radius of the aggregation window, cells: noise in height grows with the inverse of the base-to-height ratio.
 fn aggregation_radius(combined_base_to_height: f32) -> usize {
-    (SINGLE_CELL_BASE_TO_HEIGHT / combined_base_to_height.max(LEAST_BASE_TO_HEIGHT)).min(LARGEST_RADIUS) as usize
+    (SINGLE_CELL_BASE_TO_HEIGHT / combined_base_to_height.max(LEAST_BASE_TO_HEIGHT as f32)).min(LARGEST_RADIUS) as usize
 }
 
 /// Factor on the jump penalty for windows of this radius.

@@ -8,7 +8,7 @@ use super::plane_smoothing;
 use super::postprocess;
 use super::pyramid::{LevelResult, Search};
 use super::request::PlaneSweepRequest;
-use super::seen::{AltitudeGrid, FEWEST_VIEWS, views_seeing};
+use super::seen::{AltitudeGrid, FEWEST_VIEWS, Witnesses, views_seeing};
 use super::surface::Surface;
 use super::views::SweepView;
 use super::visibility::{FirstHits, Standing};
@@ -61,10 +61,11 @@ pub fn plane_sweep(views: &[SweepView], request: &PlaneSweepRequest, progress: &
             false => f32::NAN,
         })
         .collect();
-    let views = seen(&search.level_views(1), &grid, &altitude, &standing, found.step_m);
-    let cells = evidence.iter().zip(&views);
+    let Witnesses { views, base_to_height } = seen(&search.level_views(1), &grid, &altitude, &standing, found.step_m);
+    let searched_m = request.volume.altitude_min_m - found.step_m..request.volume.altitude_max_m + found.step_m;
+    let cells = evidence.iter().zip(&views).zip(&altitude);
     let matched: Vec<bool> = cells
-        .map(|(evidence, views)| is_match(*evidence, f32::from(*views)))
+        .map(|((evidence, views), altitude)| is_match(*evidence, f32::from(*views)) && searched_m.contains(altitude))
         .collect();
     Surface {
         width: grid.width,
@@ -78,6 +79,7 @@ pub fn plane_sweep(views: &[SweepView], request: &PlaneSweepRequest, progress: &
         probability: shared(&grid, &altitude, same_patch_m, &found.choices),
         matched,
         views,
+        base_to_height,
         resolution_m: found.step_m,
         filled,
         altitude,
@@ -121,7 +123,7 @@ impl Swept {
             let views = seen(&search.level_views(1), &grid, &altitude, &altitude, found.step_m);
             let standing: Vec<f32> = altitude
                 .iter()
-                .zip(views)
+                .zip(views.views)
                 .map(|(altitude, views)| if views >= FEWEST_VIEWS { *altitude } else { f32::MIN })
                 .collect();
             let standing = Standing::new(&grid, &standing, tolerance_m(found.step_m));
@@ -199,8 +201,8 @@ fn above(matched: &[f32], altitude: &[f32], filled: &[bool]) -> Vec<f32> {
         .collect()
 }
 
-/// How many views see each cell of the surface where nothing but `standing` (metres, NaN for nothing) hides it.
-fn seen(views: &[LevelView], grid: &Grid, altitude: &[f32], standing: &[f32], step_m: f32) -> Vec<u8> {
+/// Which views see each cell of the surface where nothing but `standing` (metres, NaN for nothing) hides it.
+fn seen(views: &[LevelView], grid: &Grid, altitude: &[f32], standing: &[f32], step_m: f32) -> Witnesses {
     let cameras: Vec<ProjectiveCamera> = views.iter().map(|view| view.camera).collect();
     let surface = AltitudeGrid {
         size: (grid.width, grid.height),

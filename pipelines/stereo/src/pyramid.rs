@@ -8,7 +8,7 @@ use super::cost::MatchingCost;
 use super::heights::HeightHypotheses;
 use super::level::LevelView;
 use super::ortho;
-use super::pairs::{self, LEAST_BASE_TO_HEIGHT, Pair};
+use super::pairs::{self, Pair};
 use super::ranges::SearchRanges;
 use super::request::PlaneSweepRequest;
 use super::sgm::{Penalties, Volume};
@@ -18,6 +18,7 @@ use super::wta::{self, HeightChoice};
 use glam::Vec3;
 use heliosplat::timeline::stage;
 use heliosplat_grid::Grid;
+use heliosplat_rpc::parallax::LEAST_BASE_TO_HEIGHT;
 use rayon::prelude::*;
 use std::collections::BTreeMap;
 
@@ -226,7 +227,7 @@ impl<'a> Search<'a> {
     /// next.
     fn heights(&self, cell_m: f32) -> HeightHypotheses {
         let PlaneSweepRequest { volume, parameters, .. } = self.request;
-        let widest = pairs::widest_base_to_height(&self.pairs).max(LEAST_BASE_TO_HEIGHT);
+        let widest = pairs::widest_base_to_height(&self.pairs).max(LEAST_BASE_TO_HEIGHT as f32);
         let step_m = parameters.step_cells * cell_m / widest;
         HeightHypotheses::new(volume.altitude_min_m, volume.altitude_max_m, step_m)
     }

@@ -1,15 +1,18 @@
-//! Which views see a surface: how many of them show each cell at its altitude.
+//! Which views see a surface: how many of them show each cell at its altitude, and how far apart they stand.
 //!
 //! One image alone says nothing of an altitude, so a cell that fewer than [`FEWEST_VIEWS`] see is not known, whatever was matched there.
-//! At the rim of the common ground views meet at some altitudes only, and the sweep finds one of those, whatever the ground is. So a view
+//! Views without parallax between them, such as an image and its copy, count as one.
+//! Where the data of images end, views meet at some altitudes only, and the sweep finds one of those, whatever the ground is. So a view
 //! counts where it would also show the place if that lay as low as the ground around. Pits of such mismatches do not count as ground. The
 //! caller says which cells stand, so that towers of them hide nothing.
 
+use super::views::parallax;
 use super::visibility::{FirstHits, Standing};
-use glam::Vec3;
+use glam::{Vec2, Vec3};
 use heliosplat::ProjectiveCamera;
 use heliosplat_grid::Grid;
 use heliosplat_grid::statistics::{quantile, upper_median};
+use heliosplat_rpc::parallax::LEAST_BASE_TO_HEIGHT;
 use rayon::prelude::*;
 
 /// Views that must see a cell for its altitude to be known.
@@ -45,13 +48,23 @@ pub struct AltitudeGrid<'a> {
     pub resolution_m: f32,
 }
 
-/// How many views see each cell: its centre projects into the image, onto a pixel of which `is_known` (view, pixel in row order) says
-/// that it has data, nothing higher stands before it, and the place is in the image at the altitude of the lowest ground around, too.
+/// The views that see each cell of a surface.
+#[derive(Debug, Clone, Default, PartialEq)]
+pub struct Witnesses {
+    /// How many there are; those without parallax between them count as one.
+    pub views: Vec<u8>,
+    /// Their base-to-height ratio: that of the pair of views which finds an altitude as precisely as all of them together; 0 for fewer
+    /// than two.
+    pub base_to_height: Vec<f32>,
+}
+
+/// Which views see each cell: its centre projects into the image, onto a pixel of which `is_known` (view, pixel in row order) says
+/// that it has data, nothing higher stands before it, and the image has data of the place at the altitude of the lowest ground around, too.
 pub fn views_seeing(
     surface: &AltitudeGrid,
     cameras: &[ProjectiveCamera],
     is_known: &(dyn Fn(usize, usize) -> bool + Sync),
-) -> Vec<u8> {
+) -> Witnesses {
     let grid = Grid {
         width: surface.size.0,
         height: surface.size.1,
@@ -66,23 +79,96 @@ pub fn views_seeing(
         .collect();
     let standing = Standing::new(&grid, &standing, surface.resolution_m.max(HIDDEN_M));
     let ground = LowestGround::new(&grid, surface.standing_m);
-    let mut seen = vec![0u8; grid.len()];
-    // View by view: the hits of one image are in memory at a time.
-    for (view, camera) in cameras.iter().enumerate() {
-        let hits = FirstHits::new(camera, &standing);
-        seen.par_iter_mut()
-            .enumerate()
-            .with_min_len(1024)
-            .for_each(|(cell, seen)| {
+    let mut parallaxes = ParallaxSums::new(grid.len());
+    for station in stations(cameras, &grid, surface.altitude_m) {
+        let mut seen = vec![false; grid.len()];
+        // View by view: the hits of one image are in memory at a time.
+        for view in station.views {
+            let camera = &cameras[view];
+            let hits = FirstHits::new(camera, &standing);
+            let cells = seen.par_iter_mut().enumerate().with_min_len(1024);
+            cells.filter(|(_, seen)| !**seen).for_each(|(cell, seen)| {
                 let altitude_m = surface.altitude_m[cell];
                 let (col, row) = (cell % grid.width, cell / grid.width);
-                let at = |altitude_m: f32| pixel_of(camera, grid.point(col as isize, row as isize, altitude_m));
-                let shown = at(altitude_m).is_some_and(|pixel| is_known(view, pixel) && !hits.hides(pixel, altitude_m))
+                let at = |altitude_m: f32| {
+                    let pixel = pixel_of(camera, grid.point(col as isize, row as isize, altitude_m));
+                    pixel.filter(|&pixel| is_known(view, pixel))
+                };
+                *seen = at(altitude_m).is_some_and(|pixel| !hits.hides(pixel, altitude_m))
                     && at(ground.at(col, row)).is_some();
-                *seen = seen.saturating_add(u8::from(shown));
             });
+        }
+        parallaxes.add(station.parallax, &seen);
     }
-    seen
+    parallaxes.witnesses()
+}
+
+/// Views without parallax between them.
+struct Station {
+    views: Vec<usize>,
+    /// Ground metres per metre of altitude: east, north.
+    parallax: Vec2,
+}
+
+/// The stations that a surface is seen from, by its middle.
+fn stations(cameras: &[ProjectiveCamera], grid: &Grid, altitude_m: &[f32]) -> Vec<Station> {
+    let (mut sum, mut count) = (0.0f64, 0usize);
+    for z in altitude_m.iter().filter(|z| z.is_finite()) {
+        (sum, count) = (sum + f64::from(*z), count + 1);
+    }
+    let middle_m = (sum / count.max(1) as f64) as f32;
+    let middle = grid.point((grid.width / 2) as isize, (grid.height / 2) as isize, middle_m);
+    let mut stations: Vec<Station> = Vec::new();
+    for (view, camera) in cameras.iter().enumerate() {
+        let parallax = parallax(camera, middle);
+        let same = |station: &&mut Station| (station.parallax - parallax).length() < LEAST_BASE_TO_HEIGHT as f32;
+        match stations.iter_mut().find(same) {
+            Some(station) => station.views.push(view),
+            None => stations.push(Station {
+                views: vec![view],
+                parallax,
+            }),
+        }
+    }
+    stations
+}
+
+/// Sums over the stations that see each cell. An altitude from n views whose parallaxes are p has the information Σ |p - mean|² (least
+/// squares, equal errors of position in each image), and that of a pair is half its squared base.
+struct ParallaxSums {
+    views: Vec<u8>,
+    sum: Vec<Vec2>,
+    squares: Vec<f32>,
+}
+
+impl ParallaxSums {
+    fn new(cells: usize) -> Self {
+        Self {
+            views: vec![0; cells],
+            sum: vec![Vec2::ZERO; cells],
+            squares: vec![0.0; cells],
+        }
+    }
+
+    fn add(&mut self, parallax: Vec2, seen: &[bool]) {
+        for cell in (0..seen.len()).filter(|&cell| seen[cell]) {
+            self.views[cell] = self.views[cell].saturating_add(1);
+            self.sum[cell] += parallax;
+            self.squares[cell] += parallax.length_squared();
+        }
+    }
+
+    fn witnesses(self) -> Witnesses {
+        let sums = self.views.iter().zip(&self.sum).zip(&self.squares);
+        let base = |((&views, sum), squares): ((&u8, &Vec2), &f32)| match views {
+            0 | 1 => 0.0,
+            views => (2.0 * (squares - sum.length_squared() / f32::from(views)).max(0.0)).sqrt(),
+        };
+        Witnesses {
+            base_to_height: sums.map(base).collect(),
+            views: self.views,
+        }
+    }
 }
 
 /// The altitude of the lowest ground around each place, coarsely.
@@ -171,7 +257,7 @@ mod tests {
         let tower = |i: usize| (25..35).contains(&(i % SIDE)) && (25..35).contains(&(i / SIDE));
         let altitude: Vec<f32> = (0..SIDE * SIDE).map(|i| if tower(i) { 10.0 } else { 0.0 }).collect();
         let cameras = [camera(0.0, SIDE), camera(-1.0, SIDE), camera(1.0, SIDE)];
-        let seen = views_seeing(&surface(&altitude, SIDE), &cameras, &|_, _| true);
+        let seen = views_seeing(&surface(&altitude, SIDE), &cameras, &|_, _| true).views;
         let at = |col: usize| seen[30 * SIDE + col];
         assert_eq!((at(30), at(5)), (3, 3), "the roof and open ground");
         // Beside the tower each oblique view misses one side, well within the length of its lean.
@@ -186,7 +272,7 @@ mod tests {
         let altitude: Vec<f32> = (0..SIDE * SIDE)
             .map(|i| if i % SIDE >= 50 { 0.0 } else { -20.0 })
             .collect();
-        let seen = views_seeing(&surface(&altitude, SIDE), &cameras, &|_, _| true);
+        let seen = views_seeing(&surface(&altitude, SIDE), &cameras, &|_, _| true).views;
         let on_the_ground = |col: usize| {
             let p = Vec3::new(col as f32 + 0.5 - SIDE as f32 / 2.0, 0.0, -20.0);
             cameras.iter().filter(|camera| pixel_of(camera, p).is_some()).count()
@@ -201,7 +287,7 @@ mod tests {
         let pit = |i: usize| i % SIDE < 12 && i / SIDE < 12;
         let altitude: Vec<f32> = (0..SIDE * SIDE).map(|i| if pit(i) { -60.0 } else { 0.0 }).collect();
         let cameras = [camera(-1.0, SIDE), camera(1.0, SIDE)];
-        let seen = views_seeing(&surface(&altitude, SIDE), &cameras, &|_, _| true);
+        let seen = views_seeing(&surface(&altitude, SIDE), &cameras, &|_, _| true).views;
         assert_eq!((seen[50 * SIDE + 20], seen[50 * SIDE + 75]), (2, 2));
     }
 
@@ -217,7 +303,7 @@ mod tests {
             standing_m: &standing,
             ..surface(&altitude, SIDE)
         };
-        let seen = views_seeing(&grid, &[camera(-1.0, SIDE), camera(1.0, SIDE)], &|_, _| true);
+        let seen = views_seeing(&grid, &[camera(-1.0, SIDE), camera(1.0, SIDE)], &|_, _| true).views;
         assert_eq!((seen[30 * SIDE + 21], seen[30 * SIDE + 38]), (2, 2));
     }
 
@@ -230,10 +316,46 @@ mod tests {
         let cameras = [camera(0.0, SIDE), camera(0.3, SIDE)];
         let seen = views_seeing(&surface(&altitude, SIDE), &cameras, &|view, pixel| {
             view == 0 || pixel != 20
-        });
+        })
+        .views;
         assert_eq!((seen[9], seen[20], seen[0]), (0, 1, 2));
         altitude.fill(f32::NAN);
-        let nothing = views_seeing(&surface(&altitude, SIDE), &cameras, &|_, _| true);
+        let nothing = views_seeing(&surface(&altitude, SIDE), &cameras, &|_, _| true).views;
         assert!(nothing.iter().all(|&seen| seen == 0));
+    }
+
+    #[test]
+    fn where_data_meet_above_the_ground_alone_nothing_is_known() {
+        const SIDE: usize = 60;
+        // The same as at the borders of images: the east of both is missing.
+        let cameras = [camera(-1.0, SIDE), camera(1.0, SIDE)];
+        let altitude: Vec<f32> = (0..SIDE * SIDE)
+            .map(|i| if i % SIDE >= 30 { 0.0 } else { -10.0 })
+            .collect();
+        let is_known = |_: usize, pixel: usize| pixel % SIDE < 40;
+        let seen = views_seeing(&surface(&altitude, SIDE), &cameras, &is_known).views;
+        assert_eq!((seen[30 * SIDE + 25], seen[30 * SIDE + 35]), (2, 1));
+    }
+
+    #[test]
+    fn a_copy_is_no_second_view_and_three_views_are_as_good_as_their_least_squares() {
+        const SIDE: usize = 24;
+        let flat = vec![0.0; SIDE * SIDE];
+        let witnesses = |leans: &[f64]| {
+            let cameras: Vec<ProjectiveCamera> = leans.iter().map(|&lean| camera(lean, SIDE)).collect();
+            let found = views_seeing(&surface(&flat, SIDE), &cameras, &|_, _| true);
+            let middle = SIDE / 2 * SIDE + SIDE / 2;
+            (found.views[middle], found.base_to_height[middle])
+        };
+        assert_eq!(witnesses(&[0.1, 0.1]), (1, 0.0));
+        assert_eq!(witnesses(&[0.1, 0.11]), (1, 0.0));
+        let near = |(views, base): (u8, f32), expected: (u8, f32)| {
+            assert!(
+                views == expected.0 && (base - expected.1).abs() < 1e-4,
+                "{views} {base}"
+            );
+        };
+        near(witnesses(&[0.1, 0.1, 0.5]), (2, 0.4));
+        near(witnesses(&[-0.3, 0.0, 0.3]), (3, 0.6));
     }
 }

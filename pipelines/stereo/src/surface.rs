@@ -34,6 +34,8 @@ pub struct Surface {
     pub matched: Vec<bool>,
     /// Number of views that see each cell at its altitude.
     pub views: Vec<u8>,
+    /// Base-to-height ratio of these views, as [`Witnesses`](super::Witnesses) have it.
+    pub base_to_height: Vec<f32>,
     /// Step of the height hypotheses, metres: what the views can tell apart.
     pub resolution_m: f32,
     /// Cells whose altitude was not matched but taken from their neighbours.
@@ -52,6 +54,7 @@ impl Surface {
             self.probability.len(),
             self.matched.len(),
             self.views.len(),
+            self.base_to_height.len(),
             self.filled.len(),
         ]
         .into_iter()

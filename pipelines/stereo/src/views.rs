@@ -6,6 +6,18 @@ use heliosplat::{ProjectiveCamera, Raster};
 /// Rays flatter than this (the vertical part of their unit direction) count as this steep, so that parallax stays finite.
 const FLATTEST_RAY: f32 = 1e-3;
 
+/// How far the pixel of `camera` that sees `centre` moves over the ground per metre of altitude: east, north.
+pub(super) fn parallax(camera: &ProjectiveCamera, centre: Vec3) -> Vec2 {
+    let (col, row, _) = camera.project(centre);
+    let ray = camera.ray_direction(col, row);
+    ray.truncate()
+        / if ray.z.abs() > FLATTEST_RAY {
+            ray.z
+        } else {
+            -FLATTEST_RAY
+        }
+}
+
 /// Where a view looks from and under which light: all that is known of it without its pixels.
 #[derive(Debug, Clone, Copy)]
 pub struct ViewGeometry {
@@ -24,18 +36,6 @@ impl ViewGeometry {
         let (u, v) = self.camera.jacobian(col, row, denominator);
         let det = (u.x * v.y - u.y * v.x).abs();
         if det > 0.0 { det.sqrt().recip() } else { f32::INFINITY }
-    }
-
-    /// How far the pixel that sees `centre` moves over the ground per metre of altitude: east, north.
-    pub(super) fn parallax(&self, centre: Vec3) -> Vec2 {
-        let (col, row, _) = self.camera.project(centre);
-        let ray = self.camera.ray_direction(col, row);
-        ray.truncate()
-            / if ray.z.abs() > FLATTEST_RAY {
-                ray.z
-            } else {
-                -FLATTEST_RAY
-            }
     }
 
     /// Unit vector from the scene toward the camera.

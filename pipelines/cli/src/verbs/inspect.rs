@@ -8,7 +8,7 @@ use heliosplat_fitting::settings::Preset;
 use heliosplat_satellite::config::SatelliteConfig;
 use heliosplat_satellite::estimate::{Estimate, estimate};
 use heliosplat_satellite::{Decisions, PlanItem, altitude};
-use heliosplat_scene::{Index, Scene, SceneImage, Split, ValueKind, Values, saturation};
+use heliosplat_scene::{ImagePair, Index, Scene, SceneImage, Split, ValueKind, Values, saturation};
 use serde_json::{Value, json};
 use std::fmt::Write;
 use std::path::PathBuf;
@@ -101,6 +101,7 @@ fn describe(scene: &Scene, coverage: &Coverage, decisions: &Decisions) -> Value 
         "why": "images with RPC cameras",
         "source": scene.source,
         "images": scene.images.iter().map(describe_image).collect::<Vec<_>>(),
+        "pairs": scene.pairs(),
         "bands": scene.bands(),
         "origin": { "lon_deg": origin.lon_deg, "lat_deg": origin.lat_deg, "height_m": origin.height_m },
         "altitude_range_m": [scene.altitude_range_m.0, scene.altitude_range_m.1],
@@ -159,18 +160,40 @@ fn describe_image(image: &SceneImage) -> Value {
 
 /// Angle between the vertical and the direction to the satellite at the scene's centre, degrees.
 fn off_nadir_deg(image: &SceneImage) -> f64 {
-    let map = &image.pinhole.map;
-    let [col, row] = map.project(nalgebra::Vector3::zeros());
-    let along = |numerator: &[f64; 4], at: f64| {
-        nalgebra::Vector3::new(
-            numerator[0] - at * map.w[0],
-            numerator[1] - at * map.w[1],
-            numerator[2] - at * map.w[2],
-        )
-    };
-    // A view ray keeps column and row: it is normal to both of their gradients.
-    let ray = along(&map.u, col).cross(&along(&map.v, row)).normalize();
-    ray.z.abs().clamp(0.0, 1.0).acos().to_degrees()
+    image.ray().z.abs().clamp(0.0, 1.0).acos().to_degrees()
+}
+
+/// Most pairs of images that the table lists: all of six images.
+const MOST_PAIRS: usize = 15;
+
+fn pairs_table(mut pairs: Vec<ImagePair>) -> String {
+    let width = pairs
+        .iter()
+        .flat_map(|pair| [pair.a.len(), pair.b.len()])
+        .max()
+        .unwrap_or(0);
+    let mut text = format!("\n{:<1$}  convergence  base/height  overlap\n", "pair", 2 * width + 3);
+    let left_out = pairs.len().saturating_sub(MOST_PAIRS);
+    if left_out > 0 {
+        pairs.sort_by(|x, y| y.base_to_height.total_cmp(&x.base_to_height));
+        pairs.truncate(MOST_PAIRS);
+    }
+    for pair in pairs {
+        // Writing to a String cannot fail.
+        let _ = writeln!(
+            text,
+            "{:<width$} - {:<width$}  {:>9.1}°  {:>11.3}  {:>5.0} %",
+            pair.a,
+            pair.b,
+            pair.convergence_deg,
+            pair.base_to_height,
+            100.0 * pair.overlap
+        );
+    }
+    if left_out > 0 {
+        let _ = writeln!(text, "and {left_out} of shorter base (--json lists them)");
+    }
+    text
 }
 
 /// What the values of the images are, and who says so, such as `reflectance (12 images, a.IMD and others)`.
@@ -272,6 +295,7 @@ fn table(scene: &Scene, coverage: &Coverage, plan: &[PlanItem]) -> String {
             image.time.map_or("unknown".to_owned(), |time| time.to_string())
         ));
     }
+    line(format_args!("{}", pairs_table(scene.pairs()).trim_end()));
     if !plan.is_empty() {
         line(format_args!("\ncomponents"));
         for item in plan {

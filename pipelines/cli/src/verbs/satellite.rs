@@ -79,7 +79,7 @@ pub(crate) fn train(args: &TrainArgs, session: &Session) -> Result<Outcome, CliE
 /// When the run, the scene, the coordinate system or the file to write is at fault.
 pub(crate) fn dsm(args: &DsmArgs, session: &Session) -> Result<Outcome, CliError> {
     must_end_in("--out", &args.out, &["tif", "tiff"])?;
-    let (mut surface, gsd_m, memory) = match args.from {
+    let (mut surface, gsd_m, swept) = match args.from {
         DsmSource::Model => {
             if args.ingest.altitude.is_some() {
                 return Err(CliError::Input(
@@ -105,7 +105,12 @@ pub(crate) fn dsm(args: &DsmArgs, session: &Session) -> Result<Outcome, CliError
         DsmSource::Sweep => {
             timeline::take();
             match sweep_dsm::sweep(args, session)? {
-                SweptSurface::Whole { surface, gsd_m, memory } => (*surface, gsd_m, Some(memory)),
+                SweptSurface::Whole {
+                    surface,
+                    gsd_m,
+                    memory,
+                    warnings,
+                } => (*surface, gsd_m, Some((memory, warnings))),
                 SweptSurface::InTiles(mut outcome) => {
                     outcome.json["timeline"] = stages();
                     return Ok(outcome);
@@ -127,9 +132,10 @@ pub(crate) fn dsm(args: &DsmArgs, session: &Session) -> Result<Outcome, CliError
     let mut said = json!({
         "dsm": args.out, "width": width, "height": height, "gsd_m": gsd_m, "crs": crs, "completeness": share, "filled": filled
     });
-    if let Some(memory) = memory {
+    if let Some((memory, warnings)) = swept {
         said["tiles"] = json!(1);
         said["memory"] = memory;
+        said["warnings"] = json!(warnings);
         said["timeline"] = stages();
     }
     Ok(Outcome {

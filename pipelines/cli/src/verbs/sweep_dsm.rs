@@ -9,7 +9,7 @@ use heliosplat_fitting::settings::Preset;
 use heliosplat_products::dsm::{self, Dsm};
 use heliosplat_satellite::config::SatelliteConfig;
 use heliosplat_satellite::sweep_tiles::{MapRequest, SweepPlan, SweepTiling};
-use heliosplat_satellite::tiled_sweep::{MOST_ROUNDS, TiledSweep};
+use heliosplat_satellite::tiled_sweep::{MOST_ROUNDS, TiledSweep, Written};
 use heliosplat_satellite::{altitude, preprocess};
 use heliosplat_scene::survey::Survey;
 use heliosplat_scene::{Index, IngestOptions, SceneError};
@@ -29,6 +29,8 @@ pub(super) enum SweptSurface {
         gsd_m: f64,
         /// What `--json` says of the memory it took.
         memory: Value,
+        /// Things a user should know of the scene, one line each.
+        warnings: Vec<String>,
     },
     /// Written already.
     InTiles(Outcome),
@@ -58,6 +60,7 @@ pub(super) fn sweep(args: &DsmArgs, session: &Session) -> Result<SweptSurface, C
         surface: Box::new(surface),
         gsd_m,
         memory: told(limit, &plan),
+        warnings: scene.warnings,
     })
 }
 
@@ -89,6 +92,9 @@ fn in_tiles(
     for round in 0.. {
         let part = stage("read");
         let survey = Survey::of(index, &options)?;
+        if round == 0 {
+            survey.warnings.iter().for_each(|warning| tracing::warn!("{warning}"));
+        }
         drop(part);
         let plan = plan(args, &survey, config, limit)?;
         // A range that is wider never makes a scene fit as a whole that did not.
@@ -121,7 +127,7 @@ fn in_tiles(
                 tracing::info!("searched again from {:.0} to {:.0} m", range_m.0, range_m.1);
                 options.altitude_from_ties_m = Some(range_m);
             }
-            None => return said(args, tiling, written.completeness, written.tiles, &told(limit, &plan)),
+            None => return said(args, &survey, tiling, &written, &told(limit, &plan)),
         }
     }
     Err(SceneError::NoPixels(args.run.clone()).into())
@@ -129,11 +135,14 @@ fn in_tiles(
 
 fn said(
     args: &DsmArgs,
+    survey: &Survey,
     tiling: &SweepTiling,
-    completeness: f64,
-    tiles: usize,
+    written: &Written,
     memory: &Value,
 ) -> Result<Outcome, CliError> {
+    let &Written {
+        tiles, completeness, ..
+    } = written;
     let grid = &tiling.grid;
     let crs = grid.crs.name();
     if completeness == 0.0 {
@@ -149,7 +158,7 @@ fn said(
         ),
         json: json!({
             "dsm": args.out, "width": width, "height": height, "gsd_m": gsd_m, "crs": crs, "completeness": completeness,
-            "filled": 0.0, "tiles": tiles, "memory": memory
+            "filled": 0.0, "tiles": tiles, "memory": memory, "warnings": survey.warnings
         }),
     })
 }

@@ -1,0 +1,105 @@
+//! The geometry of pairs of images: how far apart they look from, and how much ground they share.
+
+use super::{Scene, SceneImage};
+use heliosplat_rpc::parallax::MATCHING_PX;
+use nalgebra::{Vector2, Vector3};
+
+/// Two training images of a scene.
+#[derive(Debug, Clone, PartialEq, serde::Serialize)]
+pub struct ImagePair {
+    /// Name of the first.
+    pub a: String,
+    /// Name of the second.
+    pub b: String,
+    /// Angle between their rays at the scene's centre, degrees.
+    pub convergence_deg: f64,
+    /// Metres that their rays part per metre of altitude.
+    pub base_to_height: f64,
+    /// Share of the ground that either shows, within the scene's area at mid altitude, that both show.
+    pub overlap: f64,
+}
+
+/// Places along each side of the area at which overlap is measured.
+const STEPS: usize = 32;
+
+impl SceneImage {
+    /// Direction of the ray that sees the scene's centre.
+    pub fn ray(&self) -> Vector3<f64> {
+        let map = &self.pinhole.map;
+        let [col, row] = map.project(Vector3::zeros());
+        let along = |numerator: &[f64; 4], at: f64| {
+            Vector3::new(
+                numerator[0] - at * map.w[0],
+                numerator[1] - at * map.w[1],
+                numerator[2] - at * map.w[2],
+            )
+        };
+        // A ray keeps column and row: it is normal to both of their gradients.
+        let ray = along(&map.u, col).cross(&along(&map.v, row)).normalize();
+        if ray.z > 0.0 { -ray } else { ray }
+    }
+
+    /// Metres that the ray through the scene's centre moves east and north per metre of altitude.
+    fn parallax(&self) -> Vector2<f64> {
+        let ray = self.ray();
+        ray.xy() / ray.z
+    }
+}
+
+impl Scene {
+    /// All pairs of training images, in the order of the images.
+    pub fn pairs(&self) -> Vec<ImagePair> {
+        let images: Vec<&SceneImage> = self.training().collect();
+        let shown: Vec<Vec<bool>> = images.iter().map(|image| self.shown_by(image)).collect();
+        let mut pairs = Vec::with_capacity(images.len() * images.len().saturating_sub(1) / 2);
+        for (b, second) in images.iter().enumerate() {
+            for (a, first) in images[..b].iter().enumerate() {
+                let places = || shown[a].iter().zip(&shown[b]);
+                let both = places().filter(|(a, b)| **a && **b).count();
+                let either = places().filter(|(a, b)| **a || **b).count();
+                pairs.push(ImagePair {
+                    a: first.name.clone(),
+                    b: second.name.clone(),
+                    convergence_deg: first.ray().angle(&second.ray()).to_degrees(),
+                    base_to_height: base_to_height(first, second),
+                    overlap: both as f64 / either.max(1) as f64,
+                });
+            }
+        }
+        pairs
+    }
+
+    /// Whether an image shows each of some places of the area, at mid altitude.
+    fn shown_by(&self, image: &SceneImage) -> Vec<bool> {
+        let along = |low: f64, high: f64, step: usize| low + (high - low) * (step as f64 + 0.5) / STEPS as f64;
+        let place = |i: usize| {
+            Vector3::new(
+                along(self.area.west_m, self.area.east_m, i % STEPS),
+                along(self.area.south_m, self.area.north_m, i / STEPS),
+                0.0,
+            )
+        };
+        (0..STEPS * STEPS).map(|i| image.sees(place(i))).collect()
+    }
+
+    /// A warning for each training image with the camera of another: over the whole range of altitudes, their rays part by less than
+    /// matching can measure.
+    pub(super) fn warn_of_copies(&mut self) {
+        let (low_m, high_m) = self.altitude_range_m;
+        let measurable = MATCHING_PX * self.gsd_m / (high_m - low_m);
+        let mut warned: Vec<String> = Vec::new();
+        for pair in self.pairs() {
+            if pair.base_to_height < measurable && pair.overlap > 0.0 && !warned.contains(&pair.b) {
+                self.warnings.push(format!(
+                    "{} and {} have the same camera: no parallax between them, and they count as one view",
+                    pair.a, pair.b
+                ));
+                warned.push(pair.b);
+            }
+        }
+    }
+}
+
+fn base_to_height(a: &SceneImage, b: &SceneImage) -> f64 {
+    (a.parallax() - b.parallax()).norm()
+}
