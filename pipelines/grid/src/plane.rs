@@ -1,5 +1,8 @@
 //! The plane through points of a grid.
 
+/// Share of the product of the two variances below which a determinant is the rounding of points on one line.
+const LEAST_DETERMINANT: f64 = 1e-12;
+
 /// Weighted sums of a plane `z = p + q a + r b` by least squares.
 #[derive(Debug, Clone, Default)]
 pub struct PlaneFit {
@@ -28,8 +31,7 @@ impl PlaneFit {
         let (aa, ab, bb) = (aa - a * a + stiffness, ab - a * b, bb - b * b + stiffness);
         let (az, bz) = (az - a * z, bz - b * z);
         let det = aa * bb - ab * ab;
-        // What is left of a line is rounding.
-        let det = if det > f64::EPSILON * aa * bb { det } else { 0.0 };
+        let det = if det > LEAST_DETERMINANT * aa * bb { det } else { 0.0 };
         let (q, r) = ((az * bb - bz * ab) / det, (bz * aa - az * ab) / det);
         [z - q * a - r * b, q, r]
     }
