@@ -398,7 +398,9 @@ fn copies_of_one_image_are_refused_and_one_among_others_is_named() {
         name: name.into(),
         ..View::new(0)
     });
-    [&first, &copy].map(|view| view.write(&folder));
+    for view in [&first, &copy] {
+        view.write(&folder);
+    }
     let out = home.path().join("dsm.tif");
     let arguments = [folder.as_path(), Path::new("--out"), out.as_path()].map(|path| path.display().to_string());
     let arguments: Vec<&str> = ["dsm", "--from", "sweep"]

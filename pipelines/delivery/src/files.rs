@@ -203,7 +203,7 @@ mod tests {
         std::fs::write(&text, "once").expect("written");
         let folders = Folders::default();
         assert_eq!(&*folders.text(&text).expect("readable"), "once");
-        assert_eq!(folders.files(home.path()).expect("listed"), [text.clone()]);
+        assert_eq!(folders.files(home.path()).expect("listed"), std::slice::from_ref(&text));
         std::fs::remove_file(&text).expect("removed");
         assert_eq!(&*folders.text(&text).expect("known"), "once");
         assert_eq!(folders.by_name(home.path()).expect("known").len(), 1);

@@ -121,7 +121,6 @@ fn model(ground: &Ground, suns: &[ImageSun], decisions: &Decisions, changing: bo
         near_light: decisions.near_light,
         degree: decisions.sh_degree,
         days: if changing { days.collect() } else { Vec::new() },
-        ..ShadowGsOptions::default()
     };
     ShadowGs::new(options)
 }
