@@ -334,7 +334,7 @@ mod tests {
             .collect();
         let is_known = |_: usize, pixel: usize| pixel % SIDE < 40;
         let seen = views_seeing(&surface(&altitude, SIDE), &cameras, &is_known).views;
-        assert_eq!((seen[30 * SIDE + 25], seen[30 * SIDE + 35]), (2, 1));
+        assert_eq!((seen[30 * SIDE + 15], seen[30 * SIDE + 35]), (2, 1));
     }
 
     #[test]
