@@ -53,7 +53,10 @@ impl Trained {
     /// `evaluate` and `render` refuse the scene and name the difference.
     fn is_refused(&self, image: &str, difference: &str) {
         let (run, out) = (text(&self.run), text(&self.run.join("again")));
-        for words in [&["evaluate", &run][..], &["render", &run, "--out", &out]] {
+        for words in [
+            &["evaluate", &run][..],
+            &["render", &run, "--split", "all", "--out", &out],
+        ] {
             let line = fault(words, 2);
             assert!(
                 line.contains(difference) && line.contains(image),
@@ -161,7 +164,7 @@ fn a_run_whose_scene_is_gone_is_rendered_without_it() {
     let trained = Trained::new(&[]);
     fs::remove_dir_all(&trained.scene).expect("removed");
     let out = text(&trained.run.join("again"));
-    let views = json(&["render", &text(&trained.run), "--out", &out]);
+    let views = json(&["render", &text(&trained.run), "--split", "all", "--out", &out]);
     assert_eq!(views["views"].as_array().map(Vec::len), Some(3));
     let line = fault(&["evaluate", &text(&trained.run)], 2);
     assert!(line.contains(&text(&trained.scene)), "{line}");

@@ -30,7 +30,7 @@ fn in_folder(home: &Path, word: &str) -> String {
     }
 }
 
-/// A copy of the scene and the run.
+/// A copy of the scene and the run, as if the run had been trained on the copy.
 fn copy() -> TempDir {
     let copy = tempdir().expect("a temporary folder");
     let done = Command::new("cp")
@@ -39,6 +39,12 @@ fn copy() -> TempDir {
         .arg(copy.path())
         .status();
     assert!(done.is_ok_and(|status| status.success()));
+    let [from, to] = [HOME.path(), copy.path()].map(|path| path.display().to_string());
+    for name in ["R/run.toml", "R/cut.json"] {
+        let path = copy.path().join(name);
+        let text = std::fs::read_to_string(&path).expect("readable");
+        std::fs::write(&path, text.replace(&from, &to)).expect("written");
+    }
     copy
 }
 
