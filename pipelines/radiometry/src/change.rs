@@ -8,7 +8,7 @@
 //! surface of all images casts and in its sun is counted over the whole scene, so that mistakes of the surface, and dates that
 //! hardly differ, make the evidence as weak as it is.
 //!
-//! Limits: no date says more than [`MOST_OF_DATE`]; what a segment shades within itself is not asked.
+//! Limits: no date says more than `MOST_OF_DATE`; what a segment shades within itself is not asked.
 
 use super::suns::{Darkness, angles_deg, toward};
 use heliosplat_grid::Grid;
