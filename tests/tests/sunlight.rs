@@ -74,7 +74,14 @@ fn a_run_is_measured_under_suns_of_no_image_and_its_page_shows_it() {
 #[test]
 fn truth_elsewhere_is_measured_when_asked_for_and_refused_in_one_line_when_it_is_none() {
     let home = tempdir().expect("a temporary folder");
-    for name in ["run.toml", "model.json", "model.ply", "dsm.tif", "metrics.json"] {
+    for name in [
+        "run.toml",
+        "cut.json",
+        "model.json",
+        "model.ply",
+        "dsm.tif",
+        "metrics.json",
+    ] {
         std::fs::copy(path("run").join(name), home.path().join(name)).expect("copied");
     }
     let run = shown(home.path());
