@@ -63,7 +63,7 @@ impl AdjustInput<'_> {
         progress(1.0);
         if !full.converged {
             tracing::warn!(
-                "cameras: the adjustment had not come to rest after {} rounds; check its residuals, or set cameras.align = \"off\"",
+                "camera adjustment did not converge in {} rounds; check its residuals, or set cameras.align = \"off\"",
                 full.rounds
             );
         }
