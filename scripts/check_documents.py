@@ -1,0 +1,262 @@
+#!/usr/bin/env python3
+"""Check the documents: lengths, links and anchors, the shape of lab pages, and the openings of doc comments.
+
+Prints one line `file:line: message` for each finding and exits with 1 if there is any. Standard library only.
+"""
+
+import os
+import re
+import subprocess
+import sys
+from pathlib import Path
+from urllib.parse import unquote
+
+ROOT = Path(__file__).resolve().parent.parent
+
+GUIDE_LINE = 100
+GUIDE_TABLE_LINE = 200
+GUIDE_LINES = 150
+README_LINES = 100
+CHANGELOG_LINE = 160
+
+# Doc comments that open with a relative pronoun. The ceiling may only fall.
+PRONOUN_CEILING = 558
+PRONOUN = re.compile(r"^\s*//[/!]\s+(What|That which)\b")
+
+# Phrases that a reader of the field has to read twice, in README and guides.
+PHRASES = {
+    r"\bthat which\b": "use a noun",
+    r"\bwhat of (it|them)\b": "use a noun",
+    r"\b(is|are) believed\b": "write 'trusted' or 'used as delivered'",
+    r"\bdo(es)? not tell\b": "write 'does not show' or 'is not measurable from'",
+    r"\bknow(s)? nothing of\b": "write 'does not depend on' or 'does not contain'",
+    r"\bin the mean\b": "write 'on average'",
+}
+
+# Pages that do not keep a rule yet, with the number of findings allowed. Numbers may only fall.
+NOT_YET = {
+    ("lab", "docs/lab/altitude.md"): 3,
+    ("lab", "docs/lab/cameras.md"): 3,
+    ("lab", "docs/lab/change.md"): 3,
+    ("lab", "docs/lab/clouds.md"): 3,
+    ("lab", "docs/lab/components.md"): 3,
+    ("lab", "docs/lab/deliveries.md"): 3,
+    ("lab", "docs/lab/edges.md"): 3,
+    ("lab", "docs/lab/faults.md"): 3,
+    ("lab", "docs/lab/globe.md"): 3,
+    ("lab", "docs/lab/known.md"): 3,
+    ("lab", "docs/lab/objects.md"): 3,
+    ("lab", "docs/lab/plane-sweep.md"): 3,
+    ("lab", "docs/lab/planner.md"): 3,
+    ("lab", "docs/lab/presets.md"): 3,
+    ("lab", "docs/lab/real-scenes.md"): 3,
+    ("lab", "docs/lab/release-profile.md"): 3,
+    ("lab", "docs/lab/shadows.md"): 3,
+    ("lab", "docs/lab/speed.md"): 3,
+    ("lab", "docs/lab/start.md"): 3,
+    ("lab", "docs/lab/streaming.md"): 3,
+    ("lab", "docs/lab/sun-page.md"): 3,
+    ("lab", "docs/lab/suns.md"): 3,
+    ("lab", "docs/lab/surface.md"): 3,
+    ("length", "README.md"): 1,
+    ("length", "docs/guide/your-images.md"): 1,
+    ("long line", "CHANGELOG.md"): 68,
+    ("long line", "docs/guide/batch.md"): 41,
+    ("long line", "docs/guide/change.md"): 16,
+    ("long line", "docs/guide/dsm.md"): 35,
+    ("long line", "docs/guide/evaluate.md"): 25,
+    ("long line", "docs/guide/first-run.md"): 8,
+    ("long line", "docs/guide/globe.md"): 22,
+    ("long line", "docs/guide/install.md"): 8,
+    ("long line", "docs/guide/objects.md"): 31,
+    ("long line", "docs/guide/products.md"): 24,
+    ("long line", "docs/guide/python.md"): 20,
+    ("long line", "docs/guide/qgis.md"): 7,
+    ("long line", "docs/guide/settings.md"): 3,
+    ("long line", "docs/guide/shadows-and-relighting.md"): 20,
+    ("long line", "docs/guide/speed.md"): 15,
+    ("long line", "docs/guide/sun-page.md"): 17,
+    ("long line", "docs/guide/your-images.md"): 67,
+    ("phrase", "README.md"): 1,
+    ("phrase", "docs/guide/dsm.md"): 1,
+    ("phrase", "docs/guide/evaluate.md"): 1,
+    ("phrase", "docs/guide/shadows-and-relighting.md"): 1,
+    ("phrase", "docs/guide/sun-page.md"): 2,
+    ("phrase", "docs/guide/your-images.md"): 3,
+}
+
+
+def documents():
+    """All Markdown files of the working tree that git does not ignore, relative to the root."""
+    command = ["git", "ls-files", "--cached", "--others", "--exclude-standard", "-z", "--", "*.md"]
+    listing = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False)
+    if listing.returncode == 0 and listing.stdout:
+        names = {name for name in listing.stdout.split("\0") if name}
+    else:
+        skipped = {"target", "node_modules"}
+        names = set()
+        for folder, folders, files in os.walk(ROOT):
+            folders[:] = [name for name in folders if name not in skipped and not name.startswith(".")]
+            names |= {os.path.relpath(os.path.join(folder, name), ROOT) for name in files if name.endswith(".md")}
+    return sorted(name for name in names if (ROOT / name).is_file())
+
+
+def sources():
+    """All Rust files of the workspace, relative to the root."""
+    found = []
+    for folder, folders, files in os.walk(ROOT):
+        folders[:] = [name for name in folders if name not in {"target", "corpus"} and not name.startswith(".")]
+        found += [os.path.relpath(os.path.join(folder, name), ROOT) for name in files if name.endswith(".rs")]
+    return sorted(found)
+
+
+def prose(text):
+    """The numbered lines of a text, with whether each is prose (outside of fenced code)."""
+    fenced = False
+    for number, line in enumerate(text.splitlines(), 1):
+        fence = line.lstrip().startswith("```")
+        fenced ^= fence
+        yield number, line, not (fenced or fence)
+
+
+def anchors(text):
+    """The anchors of a page's headings, as GitHub and mdBook make them."""
+    found = set()
+    for _, line, outside in prose(text):
+        if outside and line.startswith("#"):
+            heading = re.sub(r"\]\([^)]*\)", "]", line.lstrip("#").strip()).lower()
+            slug = "".join("-" if c == " " else c for c in heading if c.isalnum() or c in " -_")
+            copies = 1
+            name = slug
+            while name in found:
+                name = f"{slug}-{copies}"
+                copies += 1
+            found.add(name)
+        found |= set(re.findall(r'<a (?:id|name)="([^"]+)"', line))
+    return found
+
+
+def targets(line):
+    """Targets of the links and pictures of one line."""
+    line = re.sub(r"`[^`]*`", "", line)
+    yield from re.findall(r"\]\(<?([^)\s>]+)", line)
+    yield from re.findall(r"^\s*\[[^\]]+\]:\s*(\S+)", line)
+    yield from re.findall(r'<(?:img|a|source)\b[^>]*\b(?:src|href|srcset)="([^"]+)"', line)
+
+
+class Findings:
+    """Findings by rule and page; a page listed in `NOT_YET` may have as many as it says."""
+
+    def __init__(self):
+        self.by_rule = {}
+
+    def add(self, rule, page, line, message):
+        self.by_rule.setdefault((rule, page), []).append(f"{page}:{line}: {message}")
+
+    def report(self):
+        bad = 0
+        for (rule, page), lines in sorted(self.by_rule.items()):
+            if len(lines) > NOT_YET.get((rule, page), 0):
+                bad += len(lines)
+                print("\n".join(lines))
+        for (rule, page), allowed in sorted(NOT_YET.items()):
+            found = len(self.by_rule.get((rule, page), []))
+            if found < allowed:
+                print(f"note: NOT_YET may fall to {found} for {rule} of {page}")
+        return bad
+
+
+def check_links(page, text, findings, cache):
+    for number, line, outside in prose(text):
+        if not outside:
+            continue
+        for target in targets(line):
+            if re.match(r"[a-z][a-z0-9+.-]*:", target):
+                continue
+            file, _, fragment = target.partition("#")
+            path = (ROOT / page).parent / unquote(file) if file else ROOT / page
+            if not path.exists():
+                findings.add("link", page, number, f"no such file: {target}")
+            elif fragment and path.suffix == ".md":
+                if path not in cache:
+                    cache[path] = anchors(path.read_text(encoding="utf-8"))
+                if unquote(fragment) not in cache[path]:
+                    findings.add("link", page, number, f"no such heading: {target}")
+
+
+def check_guide(page, text, findings):
+    lines = text.splitlines()
+    if len(lines) > GUIDE_LINES:
+        findings.add("length", page, len(lines), f"{len(lines)} lines, at most {GUIDE_LINES}")
+    for number, line, outside in prose(text):
+        # The target of a link cannot be wrapped.
+        shown = re.sub(r"\]\([^)]*\)", "]", line)
+        limit = GUIDE_TABLE_LINE if outside and line.startswith("|") else GUIDE_LINE
+        if len(shown) > limit:
+            findings.add("long line", page, number, f"{len(shown)} characters, at most {limit}")
+
+
+def check_phrases(page, text, findings):
+    for number, line, outside in prose(text):
+        for pattern, advice in PHRASES.items():
+            match = re.search(pattern, line, re.IGNORECASE)
+            if outside and match:
+                findings.add("phrase", page, number, f"'{match.group(0)}': {advice}")
+
+
+def check_changelog(page, text, findings):
+    """Lines of the newest section: from the first `## ` to the second."""
+    section = 0
+    for number, line in enumerate(text.splitlines(), 1):
+        section += line.startswith("## ")
+        if section == 1 and len(line) > CHANGELOG_LINE:
+            findings.add("long line", page, number, f"{len(line)} characters, at most {CHANGELOG_LINE}")
+
+
+def check_lab(page, text, findings):
+    """A page of the lab opens with a heading and three lines: question, setting, result."""
+    head = text.splitlines()[:5]
+    for word in ("Question", "Setting", "Result"):
+        if not any(line.startswith(f"- **{word}:**") for line in head):
+            findings.add("lab", page, 1, f"the first five lines have no '- **{word}:**'")
+
+
+def check_doc_comments():
+    opened = []
+    for name in sources():
+        for number, line in enumerate((ROOT / name).read_text(encoding="utf-8").splitlines(), 1):
+            if PRONOUN.match(line):
+                opened.append(f"{name}:{number}: a doc comment opens with a relative pronoun")
+    if len(opened) > PRONOUN_CEILING:
+        print("\n".join(opened))
+        print(f"{len(opened)} doc comments open with 'What' or 'That which', at most {PRONOUN_CEILING}")
+        return 1
+    if len(opened) < PRONOUN_CEILING:
+        print(f"note: PRONOUN_CEILING may fall from {PRONOUN_CEILING} to {len(opened)}")
+    return 0
+
+
+def main():
+    findings = Findings()
+    cache = {}
+    pages = documents()
+    for page in pages:
+        text = (ROOT / page).read_text(encoding="utf-8")
+        check_links(page, text, findings, cache)
+        if page.startswith("docs/guide/"):
+            check_guide(page, text, findings)
+        if page.startswith("docs/guide/") or page == "README.md":
+            check_phrases(page, text, findings)
+        if page.startswith("docs/lab/") and page != "docs/lab/README.md":
+            check_lab(page, text, findings)
+        if page == "README.md" and len(text.splitlines()) > README_LINES:
+            findings.add("length", page, README_LINES + 1, f"{len(text.splitlines())} lines, at most {README_LINES}")
+        if page == "CHANGELOG.md":
+            check_changelog(page, text, findings)
+    bad = findings.report() + check_doc_comments()
+    print(f"{len(pages)} documents, {bad} findings")
+    return 1 if bad else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
