@@ -1,5 +1,5 @@
 #!/usr/bin/env python3
-"""Check the documents: lengths, links and anchors, the shape of lab pages, and the openings of doc comments.
+"""Check the documents: lengths, links, anchors and paths, the shape of lab pages, and the openings of doc comments.
 
 Prints one line `file:line: message` for each finding and exits with 1 if there is any. Standard library only.
 """
@@ -18,6 +18,9 @@ GUIDE_TABLE_LINE = 200
 GUIDE_LINES = 150
 README_LINES = 100
 CHANGELOG_LINE = 160
+
+# Folders whose paths in code spans have to exist.
+SOURCE_FOLDERS = "src|rpc|pipelines|data-synth|tests|examples|docs|scripts|qgis|benches|fuzz|\\.ci"
 
 # Doc comments that open with a relative pronoun. The ceiling may only fall.
 PRONOUN_CEILING = 558
@@ -119,6 +122,14 @@ def prose(text):
         yield number, line, not (fenced or fence)
 
 
+def expanded(path):
+    """A path with one level of braces, as a shell expands it."""
+    match = re.match(r"(.*?)\{([^{}]*)\}(.*)$", path)
+    if not match:
+        return [path]
+    return [one for part in match.group(2).split(",") for one in expanded(match.group(1) + part + match.group(3))]
+
+
 def anchors(text):
     """The anchors of a page's headings, as GitHub and mdBook make them."""
     found = set()
@@ -184,6 +195,21 @@ def check_links(page, text, findings, cache):
                     findings.add("link", page, number, f"no such heading: {target}")
 
 
+def check_paths(page, text, findings, names):
+    """Paths in code spans exist: from the root, or as the end of the path of a source file."""
+    for number, line, outside in prose(text):
+        for span in re.findall(r"`([^`\s]+)`", line) if outside else []:
+            path = span.rstrip("/")
+            if re.match(rf"({SOURCE_FOLDERS})/[\w.{{}},/-]+$", path):
+                for one in expanded(path):
+                    if not (ROOT / one).exists():
+                        findings.add("path", page, number, f"no such file: {one}")
+            elif re.match(r"[\w.{},/-]+\.rs$", path):
+                for one in expanded(path):
+                    if not any(f"/{name}".endswith(f"/{one}") for name in names):
+                        findings.add("path", page, number, f"no such source file: {one}")
+
+
 def check_guide(page, text, findings):
     lines = text.splitlines()
     if len(lines) > GUIDE_LINES:
@@ -240,9 +266,12 @@ def main():
     findings = Findings()
     cache = {}
     pages = documents()
+    names = sources()
     for page in pages:
         text = (ROOT / page).read_text(encoding="utf-8")
         check_links(page, text, findings, cache)
+        if page != "CHANGELOG.md":
+            check_paths(page, text, findings, names)
         if page.startswith("docs/guide/"):
             check_guide(page, text, findings)
         if page.startswith("docs/guide/") or page == "README.md":
