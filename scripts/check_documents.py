@@ -18,6 +18,7 @@ GUIDE_TABLE_LINE = 200
 GUIDE_LINES = 150
 README_LINES = 100
 CHANGELOG_LINE = 160
+SUMMARY = "docs/SUMMARY.md"
 
 # Folders whose paths in code spans have to exist.
 SOURCE_FOLDERS = "src|rpc|pipelines|data-synth|tests|examples|docs|scripts|qgis|benches|fuzz|\\.ci"
@@ -247,6 +248,19 @@ def check_lab(page, text, findings):
             findings.add("lab", page, 1, f"the first five lines have no '- **{word}:**'")
 
 
+def check_summary(pages, findings):
+    """The summary of the book lists every page of `docs`."""
+    listed = set(targets_of(SUMMARY))
+    for page in pages:
+        if page.startswith("docs/") and page != SUMMARY and page.removeprefix("docs/") not in listed:
+            findings.add("summary", SUMMARY, 1, f"{page} is not listed")
+
+
+def targets_of(page):
+    """All targets of the links of a page."""
+    return [target for line in (ROOT / page).read_text(encoding="utf-8").splitlines() for target in targets(line)]
+
+
 def check_doc_comments():
     opened = []
     for name in sources():
@@ -282,6 +296,7 @@ def main():
             findings.add("length", page, README_LINES + 1, f"{len(text.splitlines())} lines, at most {README_LINES}")
         if page == "CHANGELOG.md":
             check_changelog(page, text, findings)
+    check_summary(pages, findings)
     bad = findings.report() + check_doc_comments()
     print(f"{len(pages)} documents, {bad} findings")
     return 1 if bad else 0
