@@ -1,11 +1,13 @@
 #!/usr/bin/env python3
 """Check the documents: lengths, links, anchors and paths, the shape of lab pages, and the openings of doc comments.
 
-Prints one line `file:line: message` for each finding and exits with 1 if there is any. Standard library only.
+Prints one line `file:line: message` for each finding and exits with 1 if there is any. With `--program FILE` it also
+checks the commands of README and guides against the help of that program: verbs and options exist. Standard library only.
 """
 
 import os
 import re
+import shlex
 import subprocess
 import sys
 from pathlib import Path
@@ -248,6 +250,52 @@ def check_lab(page, text, findings):
             findings.add("lab", page, 1, f"the first five lines have no '- **{word}:**'")
 
 
+class Program:
+    """The help of a program, asked once for each verb."""
+
+    def __init__(self, path):
+        self.path = path
+        self.known = {}
+
+    def options(self, verb):
+        """Long options of a verb, or none where there is no such verb."""
+        if verb not in self.known:
+            asked = subprocess.run([self.path, *verb, "--help"], capture_output=True, text=True, check=False)
+            self.known[verb] = set(re.findall(r"--[a-z][a-z-]*", asked.stdout)) if asked.returncode == 0 else None
+        return self.known[verb]
+
+
+def check_commands(page, text, findings, program):
+    """Commands `heliosplat VERB …` in blocks and spans of code have verbs and options that the program has."""
+    commands = []
+    pending = ""
+    for number, line, outside in prose(text):
+        if outside:
+            commands += [(number, span) for span in re.findall(r"`(heliosplat [^`]+)`", line)]
+        elif line.endswith("\\"):
+            pending += line[:-1]
+        else:
+            commands.append((number, (pending + line).strip()))
+            pending = ""
+    for number, command in commands:
+        match = re.search(r"(?:^|[\s/])heliosplat ([a-z].*)", command)
+        if not match:
+            continue
+        try:
+            words = shlex.split(match.group(1).replace("\\|", "|"), comments=True)
+        except ValueError:
+            continue
+        verb = tuple(words[:2]) if words[0] == "rpc" else (words[0],)
+        options = program.options(verb)
+        if options is None:
+            findings.add("command", page, number, f"no such verb: {' '.join(verb)}")
+            continue
+        for word in words:
+            option = word.split("=")[0]
+            if re.match(r"--[a-z]", option) and option not in options:
+                findings.add("command", page, number, f"{' '.join(verb)} has no option {option}")
+
+
 def check_summary(pages, findings):
     """The summary of the book lists every page of `docs`."""
     listed = set(targets_of(SUMMARY))
@@ -279,6 +327,9 @@ def check_doc_comments():
 def main():
     findings = Findings()
     cache = {}
+    program = Program(sys.argv[2]) if sys.argv[1:2] == ["--program"] and len(sys.argv) == 3 else None
+    if len(sys.argv) > 1 and program is None:
+        sys.exit("usage: check_documents.py [--program FILE]")
     pages = documents()
     names = sources()
     for page in pages:
@@ -290,6 +341,8 @@ def main():
             check_guide(page, text, findings)
         if page.startswith("docs/guide/") or page == "README.md":
             check_phrases(page, text, findings)
+            if program:
+                check_commands(page, text, findings, program)
         if page.startswith("docs/lab/") and page != "docs/lab/README.md":
             check_lab(page, text, findings)
         if page == "README.md" and len(text.splitlines()) > README_LINES:
