@@ -154,14 +154,16 @@ impl RasterFile {
             path: path.to_owned(),
             reason,
         };
-        if !is_virtual(path) {
-            siblings::check(path)?;
-        }
+        let siblings = if is_virtual(path) { None } else { siblings::check(path)? };
+        let siblings = siblings
+            .as_ref()
+            .map(|names| names.iter().map(String::as_str).collect::<Vec<_>>());
         let dataset = messages::collect(|| {
             Dataset::open_ex(
                 path,
                 DatasetOptions {
                     open_flags: GdalOpenFlags::GDAL_OF_READONLY | GdalOpenFlags::GDAL_OF_RASTER,
+                    sibling_files: siblings.as_deref(),
                     ..DatasetOptions::default()
                 },
             )

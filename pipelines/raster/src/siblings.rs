@@ -1,7 +1,7 @@
 //! An image and the files beside it that GDAL may open with it, looked at before GDAL does: it waits for pipes without end, and reads
 //! texts whole, however long.
 
-use crate::{RasterError, bounded};
+use crate::RasterError;
 use std::fs::{self, File};
 use std::io::{Read, Seek, SeekFrom};
 use std::path::Path;
@@ -18,8 +18,9 @@ const TEXT_NAMES: [&str; 5] = ["rpc", "metadata", "mtl", "summary", "hdr"];
 /// Nodes of an HFA file that are looked at.
 const NODES_MAX: usize = 100_000;
 
-/// Refuses what is no regular file, cannot be read, or has a file beside it that must not be opened.
-pub(super) fn check(path: &Path) -> Result<(), RasterError> {
+/// The names in an image's folder, for GDAL, which lists it itself otherwise; none where it cannot be listed. Refuses an image that is no
+/// regular file, cannot be read, or has a file beside it that must not be opened.
+pub(super) fn check(path: &Path) -> Result<Option<Vec<String>>, RasterError> {
     let unreadable = |path: &Path, reason: String| RasterError::Unreadable {
         path: path.to_owned(),
         reason,
@@ -34,17 +35,19 @@ pub(super) fn check(path: &Path) -> Result<(), RasterError> {
             reason: "it is a folder, a device or a pipe".to_owned(),
         });
     }
-    File::open(path).map_err(|error| unreadable(path, format!("{error}; check its permissions")))?;
-    if hfa_leads_away(path).unwrap_or(false) {
+    let file = File::open(path).map_err(|error| unreadable(path, format!("{error}; check its permissions")))?;
+    if hfa_leads_away(file).unwrap_or(false) {
         let reason = "its pixels are in another folder; make a GeoTIFF of it with gdal_translate";
         return Err(unreadable(path, reason.to_owned()));
     }
     let folder = path.parent().filter(|folder| !folder.as_os_str().is_empty());
     let Ok(entries) = fs::read_dir(folder.unwrap_or_else(|| Path::new("."))) else {
-        return Ok(());
+        return Ok(None);
     };
+    let mut names = Vec::new();
     let stem = path.file_stem().unwrap_or_default().to_string_lossy().to_lowercase();
     for entry in entries.flatten() {
+        names.extend(entry.file_name().into_string());
         let name = entry.file_name().to_string_lossy().to_lowercase();
         let is_text = TEXTS.iter().any(|end| name.ends_with(end))
             || name.ends_with(".txt") && (name.starts_with(&stem) || TEXT_NAMES.iter().any(|part| name.contains(part)));
@@ -69,22 +72,21 @@ pub(super) fn check(path: &Path) -> Result<(), RasterError> {
             return Err(unreadable(&entry.path(), reason));
         }
     }
-    Ok(())
+    Ok(Some(names))
 }
 
 /// Whether an HFA file (Erdas Imagine) says that its pixels are in a file of another folder: the node `ExternalRasterDMS` names it. `None`
 /// where the file is of another format or ends early.
-fn hfa_leads_away(path: &Path) -> Option<bool> {
-    if bounded::read_start(path, 15) != b"EHFA_HEADER_TAG" {
-        return None;
-    }
-    let mut file = File::open(path).ok()?;
+fn hfa_leads_away(mut file: File) -> Option<bool> {
     let mut at = |place: u32, length: usize| -> Option<Vec<u8>> {
         let mut bytes = vec![0; length];
         file.seek(SeekFrom::Start(place.into())).ok()?;
         file.read_exact(&mut bytes).ok()?;
         Some(bytes)
     };
+    if at(0, 15)? != b"EHFA_HEADER_TAG" {
+        return None;
+    }
     let number = |bytes: &[u8], index: usize| -> Option<u32> {
         Some(u32::from_le_bytes(
             bytes.get(4 * index..4 * index + 4)?.try_into().ok()?,
