@@ -5,10 +5,15 @@ use std::path::{Path, PathBuf};
 use std::sync::LazyLock;
 
 /// The binary belongs to another package, so cargo does not build it for us: it is built here, once per test process,
-/// which costs nothing when it is up to date. `HELIOSPLAT_BIN` names another one.
+/// which costs nothing when it is up to date. `HELIOSPLAT_BIN` names another one. With an example beside it cargo takes the features that
+/// dependencies have in tests, as it does for them; otherwise it compiles the whole workspace a second time.
 static BINARY: LazyLock<PathBuf> = LazyLock::new(|| match std::env::var_os("HELIOSPLAT_BIN") {
     Some(path) => path.into(),
-    None => build(&["--bin", "heliosplat"]).remove(0),
+    None => {
+        let built = build(&["--bin", "heliosplat", "--example", "project_points"]);
+        let program = built.into_iter().find(|path| path.file_stem().is_some_and(|stem| stem == "heliosplat"));
+        program.expect("cargo names the program")
+    }
 });
 
 /// The programs in the folder `examples`, built as the binary is: `cargo test --test examples` alone would not build them.
