@@ -53,7 +53,7 @@ say 'train, with products'
 run="$work/run"
 "$process" run heliosplat:train -- SCENE="$small" PRESET=0 RUN="$run" >"$work/log" 2>&1 || { tail "$work/log"; exit 1; }
 grep '^DSM:\|^RUN:' "$work/log"
-test -s "$run/model.ply" -a -s "$run/products/dsm.tif"
+test -s "$run/model.ply" -a -s "$run/dsm.tif"
 
 say 'hours of sun'
 "$process" run heliosplat:sun_hours -- RUN="$run" FROM=2016-06-21 FOLDER="$work/hours" >"$work/log" 2>&1 || { tail "$work/log"; exit 1; }

@@ -8,8 +8,11 @@ import os
 import shutil
 import subprocess
 import tempfile
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
+
+import numpy as np
 
 from . import _heliosplat
 from .grid import Grid, read_geotiff
@@ -57,14 +60,17 @@ class Run:
 
     @property
     def surface(self) -> Grid:
-        """The surface model with all its bands."""
-        return self.raster("dsm")
+        """The surface model with all its bands: ``altitude``, and of the files beside it those that there are."""
+        dsm = self.raster("dsm")
+        others = [self.raster(name) for name in ("dsm_stddev", "dsm_coverage", "dsm_views") if name in self.products]
+        bands = [band for grid in (dsm, *others) for band in grid.bands]
+        values = np.concatenate([grid.values for grid in (dsm, *others)])
+        return replace(dsm, values=values, bands=tuple(bands))
 
     @property
     def dsm(self) -> Grid:
         """The altitudes of the surface model."""
-        surface = self.surface
-        return surface.band("altitude" if "altitude" in surface.bands else 0)
+        return self.raster("dsm").band(0)
 
     @property
     def albedo(self) -> Grid:

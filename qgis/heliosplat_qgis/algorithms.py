@@ -139,7 +139,7 @@ class DsmFromSweep(Verb):
     NAME, TITLE, GROUP = "dsm_from_sweep", "Surface model from a sweep", "Surface models"
     HELP = (
         "Makes a surface model of satellite images with RPC cameras by a plane sweep, without training: minutes instead of hours. "
-        "Bands: altitude above the ellipsoid, its standard deviation, coverage, and how many images see it."
+        "The file is the altitude above the ellipsoid; files beside it are its standard deviation, coverage, and how many images see it."
     )
 
     def initAlgorithm(self, configuration=None):  # noqa: N802, ARG002
@@ -187,7 +187,7 @@ class Train(Verb):
         self.run_program(arguments, feedback)
         products = run / "products"
         self.run_program(["products", run, "--out", products], feedback)
-        return {"RUN": str(run), "DSM": str(products / "dsm.tif"), "LAYERS": str(products / "layers.qlr")}
+        return {"RUN": str(run), "DSM": str(run / "dsm.tif"), "LAYERS": str(products / "layers.qlr")}
 
 
 class Relight(Verb):

@@ -1,6 +1,7 @@
 //! What a run gives to a GIS, read back with GDAL and a LAS reader: georeference, bands, nodata, overviews, layout, and whether the
 //! STAC item says the same of them as the files do.
 
+use gdal::raster::ColorInterpretation;
 use gdal::{Dataset, Metadata};
 use heliosplat_raster::Geoid;
 use heliosplat_raster::geoid::Undulation;
@@ -72,8 +73,11 @@ fn band(dataset: &Dataset, index: usize) -> Vec<f32> {
 }
 
 /// Name of the file, descriptions of its bands, nodata.
-const EXPECTED: [(&str, &[&str], f64); 8] = [
-    ("dsm", &["altitude", "standard_deviation", "coverage", "views"], -9999.0),
+const EXPECTED: [(&str, &[&str], f64); 11] = [
+    ("dsm", &["altitude"], -9999.0),
+    ("dsm_stddev", &["standard_deviation"], -9999.0),
+    ("dsm_coverage", &["coverage"], -9999.0),
+    ("dsm_views", &["views"], -9999.0),
     ("hillshade", &["shade"], 0.0),
     ("albedo", &["red", "green", "blue", "near_infrared"], -9999.0),
     ("vegetation", &["vegetation"], 255.0),
@@ -99,6 +103,8 @@ fn products_are_cloud_optimised_lie_on_one_grid_and_are_what_their_item_says() {
         let dataset = Dataset::open(out.join(format!("{key}.tif"))).expect("GDAL reads it");
         let layout = dataset.metadata_item("LAYOUT", "IMAGE_STRUCTURE");
         assert_eq!(layout.as_deref(), Some("COG"), "{key}");
+        let predictor = dataset.metadata_item("PREDICTOR", "IMAGE_STRUCTURE");
+        assert_eq!(predictor, None, "{key}: Whitebox reads none");
         assert_eq!(dataset.raster_count(), names.len(), "{key}");
         let (width, height) = dataset.raster_size();
         let transform = dataset.geo_transform().expect("a geotransform");
@@ -111,6 +117,24 @@ fn products_are_cloud_optimised_lie_on_one_grid_and_are_what_their_item_says() {
             assert_eq!(band_of.no_data_value(), Some(nodata), "{key}");
             assert!(band_of.overview_count().expect("overviews") > 0, "{key}");
             assert_eq!(band_of.block_size(), (256, 256), "{key}");
+            let colour = match *name {
+                "red" => ColorInterpretation::RedBand,
+                "green" => ColorInterpretation::GreenBand,
+                "blue" => ColorInterpretation::BlueBand,
+                "near_infrared" => ColorInterpretation::Undefined,
+                _ => ColorInterpretation::GrayIndex,
+            };
+            assert_eq!(band_of.color_interpretation(), colour, "{key} {name}");
+            let mean: f64 = band_of
+                .metadata_item("STATISTICS_MEAN", "")
+                .expect(key)
+                .parse()
+                .expect("a number");
+            let said = asset["bands"][index]["statistics"]["mean"].as_f64().expect("a number");
+            assert!(
+                (mean - said).abs() <= 1e-4 * said.abs().max(1.0),
+                "{key} {name}: {mean} {said}"
+            );
             assert_eq!(asset["bands"][index]["name"], *name);
             assert_eq!(asset["bands"][index]["nodata"].as_f64(), Some(nodata));
             assert_eq!(asset["bands"][index]["raster:sampling"], "area");
@@ -361,4 +385,61 @@ fn a_run_has_a_page_that_needs_nothing_else() {
         "the same page again"
     );
     fault(&["report", "no/such/run"], 2);
+}
+
+#[test]
+fn products_of_two_calls_are_all_listed_and_those_of_another_grid_are_not() {
+    let home = tempdir().expect("a temporary folder");
+    let out = home.path().join("products");
+    let keys = |more: &[&str]| -> Vec<String> {
+        json(&products(&[&run()], &out, more));
+        let item = read_json(&out.join("item.json"));
+        item["assets"].as_object().expect("assets").keys().cloned().collect()
+    };
+    let layers = || std::fs::read_to_string(out.join("layers.qlr")).expect("readable");
+    let first = keys(&["--sun", "200,40"]);
+    let has = |keys: &[String], key: &str| keys.iter().any(|known| known == key);
+    assert!(has(&first, "relit") && has(&first, "relit_shadow"));
+    let second = keys(&["--sun-hours", "2016-06-21"]);
+    assert_eq!(second.len(), first.len() + 3, "{second:?}");
+    assert!(has(&second, "relit") && has(&second, "sun_hours"));
+    for file in ["relit.tif", "relit_shadow.tif", "sun_hours.tif", "dsm.tif"] {
+        assert_eq!(layers().matches(&format!("<datasource>./{file}<")).count(), 1, "{file}");
+    }
+    std::fs::remove_file(out.join("relit_shadow.tif")).expect("removed");
+    let third = keys(&[]);
+    assert!(
+        has(&third, "relit") && has(&third, "sky_view") && !has(&third, "relit_shadow"),
+        "{third:?}"
+    );
+    let other_grid = keys(&["--gsd", "0.25"]);
+    assert!(!has(&other_grid, "relit") && !has(&other_grid, "sun_hours") && has(&other_grid, "dsm"));
+    assert!(!layers().contains("relit.tif"));
+}
+
+#[test]
+fn a_run_has_one_surface_model_to_which_its_products_refer() {
+    let home = tempdir().expect("a temporary folder");
+    let copy = home.path().join("run");
+    std::fs::create_dir(&copy).expect("made");
+    for entry in std::fs::read_dir(run())
+        .expect("listable")
+        .map(|entry| entry.expect("an entry"))
+    {
+        if entry.path().is_file() {
+            std::fs::copy(entry.path(), copy.join(entry.file_name())).expect("copied");
+        }
+    }
+    let out = copy.join("products");
+    json(&products(&[&copy], &out, &[]));
+    assert!(!out.join("dsm.tif").exists() && !out.join("dsm_views.tif").exists());
+    let item = read_json(&out.join("item.json"));
+    assert_eq!(item["assets"]["dsm"]["href"], "../dsm.tif");
+    assert_eq!(item["assets"]["dsm_stddev"]["href"], "../dsm_stddev.tif");
+    let layers = std::fs::read_to_string(out.join("layers.qlr")).expect("readable");
+    assert_eq!(layers.matches("<datasource>../dsm.tif<").count(), 1);
+    // On another grid it is another surface model.
+    json(&products(&[&copy], &out, &["--gsd", "0.25"]));
+    assert_eq!(read_json(&out.join("item.json"))["assets"]["dsm"]["href"], "./dsm.tif");
+    assert!(out.join("dsm_views.tif").is_file() && out.join("dsm_views.qml").is_file());
 }

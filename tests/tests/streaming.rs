@@ -29,7 +29,7 @@ fn swept(scene: &str, out: &Path, more: &[&str]) -> Value {
 }
 
 fn read(path: &Path) -> Raster {
-    GeoRaster::read(path).expect("a surface model").raster
+    GeoRaster::read_surface(path).expect("a surface model").raster
 }
 
 fn number(of: &Value, pointer: &str) -> f64 {
@@ -108,7 +108,11 @@ fn a_pair_swept_in_tiles_is_that_swept_at_once_and_shows_no_seam() {
     }
     let folder = out("tiled");
     let left = fs::read_dir(folder.parent().expect("a folder")).expect("listable");
-    assert_eq!(left.count(), 1);
+    assert_eq!(
+        left.count(),
+        8,
+        "altitude, deviation, coverage and views, each with its style"
+    );
     // The number of threads changes nothing.
     swept(&scene, &out("alone"), &["--memory", LITTLE, "--threads", "1"]);
     let [a, b] = ["tiled", "alone"].map(|name| fs::read(out(name)).expect("readable"));

@@ -75,7 +75,7 @@ pub fn mosaic(out: &Path, work: &MosaicWork) -> Result<Mosaic, BatchError> {
 /// Reads the surface model of a tile.
 fn read(out: &Path, tile: &MosaicTile, work: &MosaicWork) -> Result<Piece, BatchError> {
     let path = out.join(&tile.unit).join("dsm.tif");
-    let file = GeoRaster::read(&path)?;
+    let file = GeoRaster::read_surface(&path)?;
     if file.raster.bands < BANDS {
         return Err(RasterError::Damaged {
             path,

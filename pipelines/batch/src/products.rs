@@ -120,8 +120,9 @@ pub fn of_mosaic(
 
     let mut writer = Writer::new(grid, work.gsd_m, folder)?;
     writer.surface(&mosaic.dsm)?;
-    let changes = read("change.tif")?.merged(pieces, size, gsd_m, Merge::Heaviest);
-    if let Some(changes) = ChangeMap::read(changes, &models.days_of_change()) {
+    let heaviest = |name: &str| Ok::<_, BatchError>(read(name)?.merged(pieces, size, gsd_m, Merge::Heaviest));
+    let moments = [heaviest("change_date.tif")?, heaviest("change_confidence.tif")?];
+    if let Some(changes) = ChangeMap::read(heaviest("change.tif")?, moments, &models.days_of_change()) {
         writer.changes(&changes)?;
     }
     let mut albedo = read("albedo.tif")?;

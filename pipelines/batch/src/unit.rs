@@ -153,7 +153,7 @@ fn tile(
     let model = model::load_whole(&run)?;
     let mut outputs = if work.products.dsm_only {
         dsm::dsm(&model.on_last(), work.gsd_m, Some(&work.crs))?.write(&folder.join("dsm.tif"))?;
-        vec!["dsm.tif".into()]
+        dsm::files("dsm.tif")
     } else {
         products::of_tile(&model, unit, folder, (work.gsd_m, &work.crs), work.products.sun)?
     };
@@ -208,7 +208,7 @@ fn mosaic_unit(work: &MosaicWork, unit: &Unit, out: &Path, folder: &Path) -> Res
     }
     if work.products.dsm_only {
         mosaic.dsm.write(&path)?;
-        outputs.push("dsm.tif".into());
+        outputs.extend(dsm::files("dsm.tif"));
         if view::into_folder(folder, view::of_mosaic(folder, None))? {
             outputs.push(SUN.into());
         }

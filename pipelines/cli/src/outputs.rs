@@ -2,6 +2,7 @@
 
 use crate::outcome::CliError;
 use heliosplat_fitting::run_folder::inputs;
+use heliosplat_products::dsm::{BANDS, file_of};
 use heliosplat_scene::Index;
 use std::path::{Path, PathBuf};
 
@@ -50,6 +51,14 @@ impl Inputs {
             out.display(),
             same.display()
         )))
+    }
+
+    /// Refuses a surface model of whose files one is an input.
+    ///
+    /// # Errors
+    /// [`CliError::Input`].
+    pub fn keep_surface(&self, out: &Path) -> Result<(), CliError> {
+        (0..BANDS.len()).try_for_each(|band| self.keep(&file_of(out, band)))
     }
 
     /// Refuses a folder to write into that holds one of the inputs.

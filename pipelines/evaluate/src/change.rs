@@ -2,7 +2,7 @@
 
 use super::EvaluateError;
 use super::resample::Placement;
-use heliosplat_raster::{GeoRaster, RasterFile};
+use heliosplat_raster::{GeoRaster, RasterFile, dsm_bands};
 use jiff::civil::Date;
 use std::path::Path;
 
@@ -54,14 +54,19 @@ pub fn evaluate_change(found: &Path, truth: &Path) -> Result<ChangeScore, Evalua
     ))
 }
 
-/// A map of changes whose second band, where it has one, counts days since 1970.
+/// A map of changes with a second band of days since 1970, where it or the file of dates beside it has them.
 fn read(path: &Path) -> Result<GeoRaster, EvaluateError> {
     let mut map = GeoRaster::read(path)?;
-    if map.raster.bands > 1 {
-        let dates = RasterFile::open(path)?.read_doubles(1)?;
-        for (day, date) in map.raster.plane_mut(1).iter_mut().zip(dates) {
-            *day = day_of(date);
-        }
+    let beside = dsm_bands::beside(path, "date");
+    let dates = match map.raster.bands > 1 {
+        true => RasterFile::open(path)?.read_doubles(1)?,
+        false if beside.is_file() => RasterFile::open(&beside)?.read_doubles(0)?,
+        false => return Ok(map),
+    };
+    map.raster = map.raster.band(0);
+    if dates.len() == map.raster.values.len() {
+        map.raster.values.extend(dates.into_iter().map(day_of));
+        map.raster.bands = 2;
     }
     Ok(map)
 }
@@ -145,7 +150,7 @@ fn segments(width: usize, difference_m: &[f32], cell_m2: f64) -> (Vec<bool>, usi
 mod tests {
     use super::*;
     use heliosplat::Raster;
-    use heliosplat_raster::write::{ImageSpec, write_double_cog};
+    use heliosplat_raster::write::{ImageSpec, write_cog, write_integer_cog};
     use heliosplat_raster::{Crs, GeoTransform};
 
     /// 20 × 20 cells of a metre that rise by `up_m` in some columns and rows.
@@ -177,22 +182,27 @@ mod tests {
     #[test]
     fn dates_of_files_are_read_to_the_day() {
         let folder = tempfile::tempdir().expect("a temporary folder");
-        let write = |name: &str, date: f64| {
-            let mut raster = Raster::filled(20, 20, 2, 0.0);
-            raster.plane_mut(0).copy_from_slice(&house(5.0, 2..14, 2..10));
+        let write = |name: &str, date: i32| {
+            let mut raster = Raster::filled(20, 20, 1, 1.0);
             let (transform, crs) = (GeoTransform::north_up(5e5, 4e6, 1.0), Crs::from_epsg(32_637));
             let crs = crs.expect("UTM");
-            let spec = ImageSpec {
-                georeference: Some((&transform, &crs)),
+            let path = folder.path().join(name);
+            let georeference = Some((&transform, &crs));
+            let dates = ImageSpec {
+                georeference,
                 ..ImageSpec::plain(&raster)
             };
-            let path = folder.path().join(name);
-            let stored = |band: usize, value: f32| if band == 1 { date } else { f64::from(value) };
-            write_double_cog(&path, &spec, stored).expect("a file");
+            write_integer_cog(&dsm_bands::beside(&path, "date"), &dates, |_| date).expect("a file");
+            raster.values = house(5.0, 2..14, 2..10);
+            let difference = ImageSpec {
+                georeference,
+                ..ImageSpec::plain(&raster)
+            };
+            write_cog(&path, &difference).expect("a file");
             path
         };
-        let truth = write("truth.tif", 20_230_207.0);
-        for (date, right) in [(20_230_206.0, 1.0), (20_230_209.0, 0.0)] {
+        let truth = write("truth.tif", 20_230_207);
+        for (date, right) in [(20_230_206, 1.0), (20_230_209, 0.0)] {
             let score = evaluate_change(&write("found.tif", date), &truth).expect("a score");
             assert_eq!(score.right_day, Some(right), "{date}");
         }

@@ -153,7 +153,7 @@ pub fn evaluate_dsm(
     classes_path: Option<&Path>,
     protocol: Protocol,
 ) -> Result<DsmEvaluation, EvaluateError> {
-    let prediction = GeoRaster::read(prediction_path)?;
+    let prediction = GeoRaster::read_surface(prediction_path)?;
     evaluate_raster((prediction_path, &prediction), truth_path, classes_path, protocol)
 }
 

@@ -3,21 +3,30 @@
 use crate::dsm::{Dsm, seen_of};
 use crate::model::LoadedModel;
 use crate::nadir::NadirGrid;
+use crate::style::Style;
 use heliosplat::Raster;
-use heliosplat_raster::write::{ImageSpec, write_double_cog};
-use heliosplat_raster::{GridSpec, RasterError};
+use heliosplat_raster::write::{ImageSpec, write_cog, write_integer_cog};
+use heliosplat_raster::{GridSpec, RasterError, dsm_bands};
 use heliosplat_stereo::change::Segment;
 use jiff::Timestamp;
 use jiff::civil::Date;
 use jiff::tz::TimeZone;
 use rayon::prelude::*;
 use std::ops::Sub;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 /// Names of the bands of a map of changes.
 pub const BANDS: [&str; 3] = ["difference_m", "changed_at", "confidence"];
 /// Units of the bands.
 pub const UNITS: [&str; 3] = ["metre", "YYYYMMDD", "1"];
+/// Ends of the names of the files of the bands after the first.
+pub const SUFFIXES: [&str; 2] = ["date", "confidence"];
+/// Descriptions of the bands.
+const DESCRIPTIONS: [&str; 3] = [
+    "last minus first surface",
+    "day of the first image that shows the new state; nodata where nothing changed",
+    "confidence that it changed",
+];
 /// Least difference of two surfaces that is a change, metres.
 const LEAST_M: f32 = 1.5;
 /// Ground around a segment that may be part of it, metres.
@@ -94,48 +103,85 @@ impl ChangeMap {
         self.raster.band(0)
     }
 
-    /// From a file whose days were read as 32-bit numbers, which are up to one short of YYYYMMDD: each is the nearest of `days` on which
-    /// something changed. `None` of a raster of other bands.
-    pub fn read(mut raster: Raster, days: &[i32]) -> Option<Self> {
-        if raster.bands != BANDS.len() {
+    /// From files whose days were read as 32-bit numbers, which are up to one short of YYYYMMDD: each is the nearest of `days` on which
+    /// something changed. `None` unless each has one band.
+    pub fn read(difference: Raster, [mut dates, confidence]: [Raster; 2], days: &[i32]) -> Option<Self> {
+        if [&difference, &dates, &confidence]
+            .iter()
+            .any(|raster| raster.bands != 1)
+        {
             return None;
         }
-        for value in raster.plane_mut(1).iter_mut().filter(|value| **value > 0.0) {
+        for (value, difference) in dates.values.iter_mut().zip(&difference.values) {
             let off = |day: &&i32| f64::from(as_date(**day)).sub(f64::from(*value)).abs();
-            *value = days
-                .iter()
-                .min_by(|a, b| off(a).total_cmp(&off(b)))
+            let nearest = days.iter().min_by(|a, b| off(a).total_cmp(&off(b)));
+            *value = nearest
+                .filter(|_| *value > 0.0 && difference.abs() > 0.0)
                 .map_or(0.0, |day| *day as f32);
         }
+        let mut raster = difference;
+        raster.values.extend(dates.values);
+        raster.values.extend(confidence.values);
+        raster.bands = BANDS.len();
         Some(Self { raster })
     }
 
-    /// Writes it as a cloud-optimised GeoTIFF of doubles: a day as YYYYMMDD has more digits than 32 bits hold.
+    /// The file of a band of the map whose differences are at `path`.
+    pub fn file_of(path: &Path, band: usize) -> PathBuf {
+        match band {
+            0 => path.to_owned(),
+            _ => dsm_bands::beside(path, SUFFIXES[band - 1]),
+        }
+    }
+
+    /// How a band is shown.
+    pub fn style(&self, band: usize) -> Style {
+        let values = self.raster.plane(band);
+        match band {
+            0 => Style::Differences(
+                values
+                    .iter()
+                    .filter(|v| v.is_finite())
+                    .fold(1.0, |most, v| v.abs().max(most)),
+            ),
+            1 => {
+                let days = values
+                    .iter()
+                    .filter(|day| **day > 0.0)
+                    .map(|day| as_date(*day as i32) as f32);
+                let [first, last] = days.fold([f32::MAX, 0.0], |[low, high], date| [date.min(low), date.max(high)]);
+                Style::Amounts([first.min(last), last.max(1.0)])
+            }
+            _ => Style::Amounts([0.0, 1.0]),
+        }
+    }
+
+    /// Writes it as cloud-optimised GeoTIFFs of one band with their styles; dates are whole numbers YYYYMMDD.
     ///
     /// # Errors
-    /// When the file cannot be written; nothing is left behind then.
+    /// When a file cannot be written.
     pub fn write(&self, path: &Path, grid: &GridSpec) -> Result<(), RasterError> {
-        let metadata = [
-            ("DESCRIPTION", "difference_m: last minus first surface; changed_at: day (YYYYMMDD) of the first image that shows the new state, 0 where nothing changed"),
-            ("SOFTWARE", concat!("heliosplat ", env!("CARGO_PKG_VERSION"))),
-        ]
-        .map(|(key, value)| (key.to_owned(), value.to_owned()));
-        let spec = ImageSpec {
-            band_descriptions: &BANDS,
-            band_units: &UNITS,
-            georeference: Some((&grid.transform, &grid.crs)),
-            metadata: &metadata,
-            ..ImageSpec::plain(&self.raster)
-        };
-        write_double_cog(path, &spec, stored)
-    }
-}
-
-/// The number that the file holds of a band's value: of a day its date as YYYYMMDD.
-pub fn stored(band: usize, value: f32) -> f64 {
-    match band {
-        1 if value != 0.0 => f64::from(as_date(value as i32)),
-        _ => f64::from(value),
+        (0..BANDS.len()).into_par_iter().try_for_each(|band| {
+            let metadata = [
+                ("DESCRIPTION", DESCRIPTIONS[band]),
+                ("SOFTWARE", concat!("heliosplat ", env!("CARGO_PKG_VERSION"))),
+            ]
+            .map(|(key, value)| (key.to_owned(), value.to_owned()));
+            let raster = self.raster.band(band);
+            let spec = ImageSpec {
+                band_descriptions: &BANDS[band..=band],
+                band_units: &UNITS[band..=band],
+                georeference: Some((&grid.transform, &grid.crs)),
+                metadata: &metadata,
+                ..ImageSpec::plain(&raster)
+            };
+            let path = Self::file_of(path, band);
+            self.style(band).write(&path)?;
+            match band {
+                1 => write_integer_cog(&path, &spec, |day| as_date(day as i32) as i32),
+                _ => write_cog(&path, &spec),
+            }
+        })
     }
 }
 

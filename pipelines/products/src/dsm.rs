@@ -1,6 +1,7 @@
 //! The surface model: altitude seen from straight above, on a map grid.
 
 use super::ground_doubt::StartProbability;
+use super::style::Style;
 use super::surface::{self, ALPHA_KNOWN, SurfaceGaussians};
 use super::{fill, seen};
 use crate::model::LoadedModel;
@@ -15,7 +16,7 @@ use heliosplat_raster::{GeoRaster, Geoid, RasterError, StreamedCog, dsm_bands};
 use heliosplat_rpc::parallax::{LEAST_BASE_TO_HEIGHT, MATCHING_PX};
 use heliosplat_stereo::{FEWEST_VIEWS, Surface, Witnesses};
 use rayon::prelude::*;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 /// Cells per parallel job.
 const CHUNK: usize = 1024;
@@ -301,6 +302,18 @@ impl Dsm {
         }
     }
 
+    /// Whether the file at `path` holds the same altitudes on the same grid above the same datum.
+    pub fn is_in(&self, path: &Path) -> bool {
+        let same = |file: &GeoRaster| {
+            let altitudes = self.raster.plane(ALTITUDE).iter().zip(file.raster.plane(0));
+            file.transform == self.grid.transform
+                && file.crs.as_ref().is_some_and(|crs| crs.name() == self.grid.crs.name())
+                && (file.raster.width, file.raster.height) == (self.grid.width, self.grid.height)
+                && altitudes.into_iter().all(|(a, b)| a == b || (a.is_nan() && b.is_nan()))
+        };
+        GeoRaster::read(path).is_ok_and(|file| same(&file))
+    }
+
     /// Share of its grid whose altitude is known.
     pub fn completeness(&self) -> f64 {
         let known = self.raster.plane(0).iter().filter(|v| v.is_finite()).count();
@@ -312,20 +325,32 @@ impl Dsm {
         self.geoid.map_or(ELLIPSOID, Geoid::name)
     }
 
-    /// Writes the surface model as a cloud-optimised GeoTIFF.
+    /// Writes the surface model: the altitude as a cloud-optimised GeoTIFF of one band, and the other bands as files [`dsm_bands::beside`] it,
+    /// each with its style.
     ///
     /// # Errors
-    /// When the file cannot be written; nothing is left behind then.
+    /// When a file cannot be written.
     pub fn write(&self, path: &Path) -> Result<(), RasterError> {
         let metadata = metadata(self.vertical_datum());
+        // The altitude comes last: where it is, all are.
+        (1..BANDS.len())
+            .into_par_iter()
+            .try_for_each(|band| self.write_band(path, band, &metadata))?;
+        self.write_band(path, ALTITUDE, &metadata)
+    }
+
+    fn write_band(&self, path: &Path, band: usize, metadata: &[(String, String)]) -> Result<(), RasterError> {
+        let raster = self.raster.band(band);
+        let path = file_of(path, band);
         let spec = ImageSpec {
-            band_descriptions: &BANDS,
-            band_units: &UNITS,
+            band_descriptions: &BANDS[band..=band],
+            band_units: &UNITS[band..=band],
             georeference: Some((&self.grid.transform, &self.grid.crs)),
-            metadata: &metadata,
-            ..ImageSpec::plain(&self.raster)
+            metadata,
+            ..ImageSpec::plain(&raster)
         };
-        write_cog(path, &spec)
+        style(band, raster.plane(0)).write(&path)?;
+        write_cog(&path, &spec)
     }
 
     /// The same as a raster on the map, as if it had been read from its file.
@@ -353,25 +378,99 @@ fn metadata(vertical_datum: &str) -> Vec<(String, String)> {
     items.map(|(k, v)| (k.into(), v.into())).to_vec()
 }
 
-/// The file of a surface model that is larger than memory, above the ellipsoid.
-///
-/// # Errors
-/// When the file cannot be written; nothing is left behind then.
-pub fn streamed(path: &Path, grid: &GridSpec) -> Result<StreamedCog, RasterError> {
-    let without_values = Raster {
-        width: grid.width,
-        height: grid.height,
-        bands: BANDS.len(),
-        values: Vec::new(),
-    };
-    let spec = ImageSpec {
-        band_descriptions: &BANDS,
-        band_units: &UNITS,
-        georeference: Some((&grid.transform, &grid.crs)),
-        metadata: &metadata(ELLIPSOID),
-        ..ImageSpec::plain(&without_values)
-    };
-    StreamedCog::create(path, &spec)
+/// The file of a band of the surface model whose altitude is at `path`.
+pub fn file_of(path: &Path, band: usize) -> PathBuf {
+    match band {
+        ALTITUDE => path.to_owned(),
+        _ => dsm_bands::beside(path, dsm_bands::COMPANIONS[band - 1].1),
+    }
+}
+
+/// Names of the files of the surface model whose altitude is called `name`, with their styles.
+pub fn files(name: &str) -> Vec<String> {
+    let both = |band| ["tif", "qml"].map(|extension| file_of(Path::new(name), band).with_extension(extension));
+    (0..BANDS.len())
+        .flat_map(both)
+        .map(|path| path.to_string_lossy().into_owned())
+        .collect()
+}
+
+/// How a band is shown that has these values.
+pub(crate) fn style(band: usize, values: &[f32]) -> Style {
+    match band {
+        ALTITUDE => Style::heights(values),
+        _ => Style::amounts(values),
+    }
+}
+
+/// The files of a surface model that is larger than memory, above the ellipsoid.
+pub struct StreamedDsm {
+    path: PathBuf,
+    files: Vec<StreamedCog>,
+    rows: usize,
+    /// Every so many rows, the values of each band, by which styles are made.
+    sampled: [Vec<f32>; BANDS.len()],
+}
+
+/// Rows of a streamed surface model whose values count for its styles, at most.
+const SAMPLED_ROWS: usize = 200;
+
+impl StreamedDsm {
+    /// Begins the files.
+    ///
+    /// # Errors
+    /// When one cannot be written.
+    pub fn create(path: &Path, grid: &GridSpec) -> Result<Self, RasterError> {
+        let without_values = Raster {
+            width: grid.width,
+            height: grid.height,
+            bands: 1,
+            values: Vec::new(),
+        };
+        let file = |band: usize| {
+            let spec = ImageSpec {
+                band_descriptions: &BANDS[band..=band],
+                band_units: &UNITS[band..=band],
+                georeference: Some((&grid.transform, &grid.crs)),
+                metadata: &metadata(ELLIPSOID),
+                ..ImageSpec::plain(&without_values)
+            };
+            StreamedCog::create(&file_of(path, band), &spec)
+        };
+        Ok(Self {
+            path: path.to_owned(),
+            files: (0..BANDS.len()).map(file).collect::<Result<_, _>>()?,
+            rows: grid.height,
+            sampled: Default::default(),
+        })
+    }
+
+    /// Writes the rows from `row0` on.
+    ///
+    /// # Errors
+    /// When they cannot be written.
+    pub fn write_rows(&mut self, row0: usize, rows: &Raster) -> Result<(), RasterError> {
+        let step = self.rows.div_ceil(SAMPLED_ROWS).max(1);
+        for (band, (file, sampled)) in self.files.iter_mut().zip(&mut self.sampled).enumerate() {
+            file.write_rows(row0, &rows.band(band))?;
+            let rows = rows.plane(band).chunks(rows.width).enumerate();
+            let kept = rows.filter(|(row, _)| (row0 + row).is_multiple_of(step));
+            sampled.extend(kept.flat_map(|(_, values)| values));
+        }
+        Ok(())
+    }
+
+    /// Makes the files of their rows, the altitude last.
+    ///
+    /// # Errors
+    /// When one cannot be written; it is not there then.
+    pub fn finish(self) -> Result<(), RasterError> {
+        for (band, file) in self.files.into_iter().enumerate().rev() {
+            style(band, &self.sampled[band]).write(&file_of(&self.path, band))?;
+            file.finish()?;
+        }
+        Ok(())
+    }
 }
 
 #[cfg(test)]

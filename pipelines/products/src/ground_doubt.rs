@@ -35,7 +35,7 @@ impl StartProbability {
     pub(crate) fn of_run(folder: &Path, place: &Place) -> Result<Option<Self>, RasterError> {
         let path = folder.join(START);
         let start = match path.is_file() {
-            true => Some(GeoRaster::read(&path)?),
+            true => Some(GeoRaster::read_surface(&path)?),
             false => None,
         };
         let found = start.and_then(|start| Some((start.band(PROBABILITY)?, start.crs.clone()?, start)));

@@ -1,11 +1,13 @@
 //! What products are, for catalogues: a STAC 1.1 Item for the products of a run, a Collection for several, with the extensions
 //! projection, raster and view (stacspec.org, stac-extensions.github.io).
 
+use super::style::located;
 use heliosplat::Raster;
 use heliosplat_raster::{CrsTransform, GridSpec, RasterError};
 use heliosplat_rpc::sun::SunPosition;
 use jiff::Timestamp;
 use serde_json::{Map, Value, json};
+use std::path::Path;
 
 /// Version of the core specification.
 const VERSION: &str = "1.1.0";
@@ -33,8 +35,8 @@ pub enum Numbers {
     Float,
     /// Rounded to whole numbers, with this nodata.
     Byte(u8),
-    /// Converted to doubles by band and value; nodata -9999.
-    Double(fn(usize, f32) -> f64),
+    /// Days since 1970 as dates, YYYYMMDD; nodata 0.
+    Dates,
 }
 
 /// One file.
@@ -60,10 +62,10 @@ impl Asset {
         let described: Vec<Value> = bands
             .iter()
             .enumerate()
-            .map(|(index, band)| describe((index, raster.plane(index)), band, numbers, gsd_m))
+            .map(|(index, band)| describe(raster.plane(index), band, numbers, gsd_m))
             .collect();
         let mut value = json!({
-            "href": format!("./{file}"), "title": title, "type": COG, "roles": ["data"],
+            "href": located(file), "title": title, "type": COG, "roles": ["data"],
             "bands": described,
         });
         if let Some(sun) = sun {
@@ -121,19 +123,20 @@ fn insert_sun(into: &mut Value, sun: &SunPosition) {
     into["view:sun_elevation"] = json!(sun.elevation_rad.to_degrees());
 }
 
-fn describe((index, plane): (usize, &[f32]), band: &Band, numbers: Numbers, gsd_m: f64) -> Value {
+fn describe(plane: &[f32], band: &Band, numbers: Numbers, gsd_m: f64) -> Value {
     let float_nodata = f64::from(heliosplat_raster::write::NODATA);
     let (data_type, nodata) = match numbers {
         Numbers::Float => ("float32", float_nodata),
         Numbers::Byte(nodata) => ("uint8", nodata.into()),
-        Numbers::Double(_) => ("float64", float_nodata),
+        Numbers::Dates => ("int32", 0.0),
     };
     let stored = |&value: &f32| match numbers {
         Numbers::Float => value.into(),
         Numbers::Byte(_) => value.round().into(),
-        Numbers::Double(convert) => convert(index, value),
+        Numbers::Dates => crate::change::as_date(value as i32).into(),
     };
-    let known: Vec<f64> = plane.iter().filter(|value| value.is_finite()).map(stored).collect();
+    let is_known = |value: &&f32| value.is_finite() && !(matches!(numbers, Numbers::Dates) && **value == 0.0);
+    let known: Vec<f64> = plane.iter().filter(is_known).map(stored).collect();
     let mut out = json!({
         "name": band.name,
         "data_type": data_type,
@@ -157,6 +160,20 @@ fn describe((index, plane): (usize, &[f32]), band: &Band, numbers: Numbers, gsd_
         });
     }
     out
+}
+
+/// The assets of an earlier item on the same grid whose files are still there and are not written anew.
+pub(crate) fn kept(earlier: &Value, item: &Value, folder: &Path) -> Map<String, Value> {
+    let same = ["proj:code", "proj:shape", "proj:transform", "heliosplat:vertical_datum"]
+        .iter()
+        .all(|key| earlier["properties"][*key] == item["properties"][*key]);
+    let assets = earlier["assets"].as_object().filter(|_| same);
+    let is_kept = |(key, asset): &(&String, &Value)| {
+        let file = asset["href"].as_str().map(|href| folder.join(href));
+        item["assets"].get(key.as_str()).is_none() && file.is_some_and(|file| file.is_file())
+    };
+    let kept = assets.into_iter().flatten().filter(is_kept);
+    kept.map(|(key, asset)| (key.clone(), asset.clone())).collect()
 }
 
 /// What an item is about.
@@ -421,15 +438,18 @@ mod tests {
     }
 
     #[test]
-    fn a_file_of_doubles_is_described_by_the_dates_it_holds() {
-        let mut raster = Raster::filled(2, 2, 3, 0.0);
+    fn a_file_of_dates_is_described_by_the_dates_it_holds() {
         let day = crate::change::as_day(jiff::civil::date(2023, 2, 7)) as f32;
-        raster.plane_mut(1).fill(day);
-        let bands = crate::change::BANDS.map(|name| Band { name, unit: "" });
-        let numbers = Numbers::Double(crate::change::stored);
-        let asset = Asset::raster(("change", "change.tif", ""), &raster, &bands, numbers, 0.5, None);
-        let band = &asset.value["bands"][1];
-        assert_eq!(band["data_type"], "float64");
+        let mut raster = Raster::filled(2, 2, 1, day);
+        raster.values[0] = 0.0;
+        let bands = [Band {
+            name: "changed_at",
+            unit: "",
+        }];
+        let asset = Asset::raster(("a", "a.tif", ""), &raster, &bands, Numbers::Dates, 0.5, None);
+        let band = &asset.value["bands"][0];
+        assert_eq!((&band["data_type"], &band["nodata"]), (&json!("int32"), &json!(0.0)));
+        assert_eq!(band["statistics"]["valid_percent"], 75.0);
         for key in ["minimum", "maximum"] {
             assert_eq!(band["statistics"][key], 20_230_207.0, "{band}");
         }

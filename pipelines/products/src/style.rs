@@ -5,8 +5,9 @@
 
 use heliosplat::Raster;
 use heliosplat_grid::statistics::quantile;
-use heliosplat_raster::Crs;
+use heliosplat_raster::{Crs, RasterError, write_atomically};
 use std::fmt::Write;
+use std::path::Path;
 
 /// Values that are looked at for a range, at most.
 const SAMPLES: usize = 200_000;
@@ -20,13 +21,18 @@ const GROUND: [&str; 5] = ["#2c5e4a", "#8fae6b", "#e8dca5", "#b8855a", "#f7f4ef"
 /// From no sun to the most of it.
 const SUN: [&str; 5] = ["#1b1b4d", "#5e3c8b", "#c0527f", "#f28e55", "#fdf3b0"];
 
+/// From what fell to what rose.
+const FELL_AND_ROSE: [&str; 5] = ["#2166ac", "#92c5de", "#f7f7f7", "#f4a582", "#b2182b"];
+
 /// What is shown.
 #[derive(Debug, Clone, PartialEq)]
 pub enum Style {
     /// Altitudes by colour.
     Heights([f32; 2]),
-    /// Hours of sun by colour.
-    Hours([f32; 2]),
+    /// Amounts of something by colour, hours of sun for one.
+    Amounts([f32; 2]),
+    /// What rose and what fell by colour, up to this much.
+    Differences(f32),
     /// Grey between two values.
     Shades([f32; 2]),
     /// Red, green and blue from these bands, from 1, between two values.
@@ -36,15 +42,23 @@ pub enum Style {
 }
 
 impl Style {
-    /// The style of a surface model.
-    pub fn heights(raster: &Raster) -> Self {
-        Self::Heights(range(raster.plane(0)))
+    /// The style of altitudes.
+    pub fn heights(values: &[f32]) -> Self {
+        Self::Heights(range(values))
     }
 
-    /// The style of hours of sun, in the first band.
-    pub fn hours(raster: &Raster) -> Self {
-        let [_, most] = range(raster.plane(0));
-        Self::Hours([0.0, most])
+    /// The style of amounts from zero.
+    pub fn amounts(values: &[f32]) -> Self {
+        let [_, most] = range(values);
+        Self::Amounts([0.0, most])
+    }
+
+    /// Writes the style file of a raster beside it.
+    ///
+    /// # Errors
+    /// When it cannot be written.
+    pub fn write(&self, raster: &Path) -> Result<(), RasterError> {
+        write_atomically(&raster.with_extension("qml"), self.qml().as_bytes())
     }
 
     /// The style of an image whose bands have these names: red, green and blue where they are there, else the first band in grey.
@@ -72,7 +86,8 @@ impl Style {
     /// The renderer and what follows it.
     fn pipe(&self) -> String {
         let (template, [low, high]) = match self {
-            Self::Heights(range) | Self::Hours(range) => (include_str!("style/heights.xml"), *range),
+            Self::Heights(range) | Self::Amounts(range) => (include_str!("style/heights.xml"), *range),
+            Self::Differences(most) => (include_str!("style/heights.xml"), [-most, *most]),
             Self::Shades(range) => (include_str!("style/shades.xml"), *range),
             Self::Colours(_, range) => (include_str!("style/colours.xml"), *range),
             Self::Mask(..) => (include_str!("style/mask.xml"), [0.0, 1.0]),
@@ -82,7 +97,8 @@ impl Style {
             .replace("{high}", &high.to_string());
         match self {
             Self::Heights(_) => text = text.replace("{items}", &items(&GROUND, [low, high])),
-            Self::Hours(_) => text = text.replace("{items}", &items(&SUN, [low, high])),
+            Self::Amounts(_) => text = text.replace("{items}", &items(&SUN, [low, high])),
+            Self::Differences(_) => text = text.replace("{items}", &items(&FELL_AND_ROSE, [low, high])),
             Self::Colours(bands, _) => {
                 for (name, band) in ["{red}", "{green}", "{blue}"].into_iter().zip(bands) {
                     text = text.replace(name, &band.to_string());
@@ -115,50 +131,75 @@ impl Style {
     }
 }
 
-/// A raster that a layer file opens.
+/// A raster that a layer file opens, in the words of that file.
 #[derive(Debug, Clone)]
 pub struct Layer {
-    /// Its file in the folder of the layer file.
+    /// Its file, seen from the folder of the layer file.
     pub file: String,
-    /// What it is called.
-    pub title: String,
-    /// How it is shown.
-    pub style: Style,
+    tree: String,
+    map: String,
 }
 
-/// The layer file of a group in a coordinate system, the topmost layer first.
-pub fn layer_file(group: &str, crs: &Crs, layers: &[Layer]) -> String {
-    let (mut tree, mut maps) = (String::new(), String::new());
-    let code = Some(crs.definition()).filter(|definition| definition.starts_with("EPSG:") && !definition.contains('+'));
-    let srs = format!(
-        "<wkt>{}</wkt><authid>{}</authid>",
-        escaped(crs.wkt()),
-        escaped(code.unwrap_or_default())
-    );
-    for (number, layer) in layers.iter().enumerate() {
-        let (file, title) = (escaped(&layer.file), escaped(&layer.title));
-        let id = format!(
-            "heliosplat_{number}_{}",
-            file.replace(|c: char| !c.is_ascii_alphanumeric(), "_")
+impl Layer {
+    /// A raster in a coordinate system under a title.
+    pub fn new(file: &str, title: &str, style: &Style, crs: &Crs) -> Self {
+        let code =
+            Some(crs.definition()).filter(|definition| definition.starts_with("EPSG:") && !definition.contains('+'));
+        let srs = format!(
+            "<wkt>{}</wkt><authid>{}</authid>",
+            escaped(crs.wkt()),
+            escaped(code.unwrap_or_default())
         );
-        let checked = if layer.style.is_shown() {
+        let (name, title) = (escaped(&located(file)), escaped(title));
+        let id = format!("heliosplat_{}", file.replace(|c: char| !c.is_ascii_alphanumeric(), "_"));
+        let checked = if style.is_shown() {
             "Qt::Checked"
         } else {
             "Qt::Unchecked"
         };
-        // Writing to a String cannot fail.
-        let _ = writeln!(
-            tree,
-            "  <layer-tree-layer id=\"{id}\" name=\"{title}\" source=\"./{file}\" providerKey=\"gdal\" checked=\"{checked}\" expanded=\"0\"/>"
-        );
-        let _ = write!(
-            maps,
-            "  <maplayer type=\"raster\">\n <id>{id}</id>\n <datasource>./{file}</datasource>\n <layername>{title}</layername>\n \
-             <provider>gdal</provider>\n <srs><spatialrefsys>{srs}</spatialrefsys></srs>\n{} <blendMode>{}</blendMode>\n  </maplayer>\n",
-            layer.style.pipe(),
-            layer.style.blend_mode()
-        );
+        Self {
+            file: file.to_owned(),
+            tree: format!(
+                "  <layer-tree-layer id=\"{id}\" name=\"{title}\" source=\"{name}\" providerKey=\"gdal\" checked=\"{checked}\" expanded=\"0\"/>\n"
+            ),
+            map: format!(
+                "  <maplayer type=\"raster\">\n <id>{id}</id>\n <datasource>{name}</datasource>\n <layername>{title}</layername>\n \
+                 <provider>gdal</provider>\n <srs><spatialrefsys>{srs}</spatialrefsys></srs>\n{} <blendMode>{}</blendMode>\n  </maplayer>\n",
+                style.pipe(),
+                style.blend_mode()
+            ),
+        }
     }
+
+    /// The raster `file` as an earlier layer file opens it; `None` where it does not.
+    pub fn earlier(layers: &str, file: &str) -> Option<Self> {
+        let name = escaped(&located(file));
+        let tree = layers
+            .split_inclusive('\n')
+            .find(|line| line.contains(&format!("source=\"{name}\"")))?;
+        let mut maps = layers.split("  <maplayer ").skip(1);
+        let map = maps.find(|map| map.contains(&format!("<datasource>{name}</datasource>")))?;
+        let (map, _) = map.split_once("</maplayer>")?;
+        Some(Self {
+            file: file.to_owned(),
+            tree: tree.to_owned(),
+            map: format!("  <maplayer {map}</maplayer>\n"),
+        })
+    }
+}
+
+/// A file of the folder, or of another one, as layer files and items name it.
+pub(crate) fn located(file: &str) -> String {
+    match file.starts_with("../") {
+        true => file.to_owned(),
+        false => format!("./{file}"),
+    }
+}
+
+/// The layer file of a group, the topmost layer first.
+pub fn layer_file(group: &str, layers: &[Layer]) -> String {
+    let tree: String = layers.iter().map(|layer| layer.tree.as_str()).collect();
+    let maps: String = layers.iter().map(|layer| layer.map.as_str()).collect();
     // The outer group is none: QGIS takes what is in it.
     format!(
         "<!DOCTYPE qgis-layer-definition>\n<qlr>\n <layer-tree-group name=\"\" checked=\"Qt::Checked\" expanded=\"1\">\n \
@@ -214,7 +255,8 @@ mod tests {
     fn no_place_in_a_template_stays_open_and_names_of_users_stay_text() {
         let styles = [
             Style::Heights([1.0, 2.0]),
-            Style::Hours([0.0, 9.5]),
+            Style::Amounts([0.0, 9.5]),
+            Style::Differences(3.0),
             Style::Shades([1.0, 255.0]),
             Style::Colours([3, 2, 1], [0.0, 0.4]),
             Style::mask("shadow"),
@@ -223,16 +265,23 @@ mod tests {
             let qml = style.qml();
             assert!(!qml.contains(['{', '}']), "{qml}");
         }
-        let layers = styles.map(|style| Layer {
-            file: "a&b.tif".into(),
-            title: "a <b>".into(),
-            style,
-        });
         let crs = Crs::from_epsg(32_637).expect("UTM");
-        let text = layer_file("\"run\"", &crs, &layers);
+        let layers = styles.map(|style| Layer::new("a&b.tif", "a <b>", &style, &crs));
+        let text = layer_file("\"run\"", &layers);
         assert!(!text.contains(['{', '}']) && text.contains("a&amp;b.tif") && text.contains("a &lt;b&gt;"));
-        assert_eq!(text.matches("<maplayer ").count(), 5);
-        assert_eq!(text.matches("<authid>EPSG:32637</authid>").count(), 5);
+        assert_eq!(text.matches("<maplayer ").count(), 6);
+        assert_eq!(text.matches("<authid>EPSG:32637</authid>").count(), 6);
+    }
+
+    #[test]
+    fn a_layer_of_an_earlier_file_is_kept_as_it_was() {
+        let crs = Crs::from_epsg(32_637).expect("UTM");
+        let [heights, relit] =
+            ["../dsm.tif", "relit.tif"].map(|file| Layer::new(file, file, &Style::mask("shadow"), &crs));
+        let text = layer_file("run", &[heights, relit]);
+        let kept = ["../dsm.tif", "relit.tif"].map(|file| Layer::earlier(&text, file).expect("a layer"));
+        assert_eq!(layer_file("run", &kept), text);
+        assert!(Layer::earlier(&text, "dsm.tif").is_none() && Layer::earlier("", "relit.tif").is_none());
     }
 
     #[test]

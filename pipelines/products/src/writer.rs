@@ -1,7 +1,7 @@
 //! Products on one grid, written one after the other, each noted for the STAC item that comes last.
 
 use super::change::{self, ChangeMap};
-use super::dsm::{BANDS, Dsm, UNITS};
+use super::dsm::{self, BANDS, Dsm, UNITS};
 use super::ortho;
 use super::stac::{self, About, Asset, Band, Numbers};
 use super::style::{Layer, Style, layer_file};
@@ -9,17 +9,20 @@ use super::sunshine::{LINKE_TURBIDITY, Period, Sunshine};
 use heliosplat::Raster;
 use heliosplat_raster::preview::{stretched, write_png};
 use heliosplat_raster::write::{Bytes, ImageSpec, remove, write_byte_cog, write_cog};
-use heliosplat_raster::{GridSpec, RasterError, write_atomically};
+use heliosplat_raster::{GridSpec, RasterError, bounded, write_atomically};
 use heliosplat_rpc::sun::SunPosition;
 use heliosplat_scene::BandKind;
 use heliosplat_scene::indices::NormalisedDifference;
 use jiff::Timestamp;
+use serde_json::Value;
 use std::path::{Path, PathBuf};
 
 /// Name of the STAC item.
 const ITEM: &str = "item.json";
 /// Name of the layer file.
 const LAYERS: &str = "layers.qlr";
+/// The surface model of the run whose products a folder holds.
+const OF_RUN: &str = "../dsm.tif";
 /// Name of the small picture, and its longest side, pixels.
 const THUMBNAIL: &str = "thumbnail.png";
 const THUMBNAIL_PX: usize = 512;
@@ -41,7 +44,7 @@ pub struct Said<'a> {
 #[derive(Debug)]
 pub struct Set {
     /// The STAC item.
-    pub item: serde_json::Value,
+    pub item: Value,
     /// The files, `item.json` last.
     pub files: Vec<PathBuf>,
     /// Their names in the folder.
@@ -59,15 +62,18 @@ pub struct Writer<'a> {
     completeness: f64,
     assets: Vec<Asset>,
     layers: Vec<Layer>,
+    /// The item and the layer file of earlier products in the folder.
+    earlier: (Value, String),
 }
 
 impl<'a> Writer<'a> {
-    /// Nothing yet; rasters will lie on `grid` with cells of `gsd_m` metres. An item that describes earlier products in `out` is removed: a
-    /// folder that has one is complete.
+    /// Nothing yet; rasters will lie on `grid` with cells of `gsd_m` metres. An item that describes earlier products in `out` is removed until
+    /// the end, since a folder that has one is complete; what of them stays is in the new one again.
     ///
     /// # Errors
     /// When it cannot be removed.
     pub fn new(grid: &'a GridSpec, gsd_m: f64, out: &'a Path) -> Result<Self, RasterError> {
+        let [item, layers] = [ITEM, LAYERS].map(|name| bounded::read_text(&out.join(name)).unwrap_or_default());
         remove(&out.join(ITEM))?;
         Ok(Self {
             grid,
@@ -77,6 +83,7 @@ impl<'a> Writer<'a> {
             completeness: 0.0,
             assets: Vec::new(),
             layers: Vec::new(),
+            earlier: (serde_json::from_str(&item).unwrap_or_default(), layers),
         })
     }
 
@@ -119,22 +126,32 @@ impl<'a> Writer<'a> {
     /// # Errors
     /// When the file cannot be written.
     pub fn changes(&mut self, changes: &ChangeMap) -> Result<(), RasterError> {
-        const FILE: &str = "change.tif";
-        const TITLE: &str = "Change of heights between the first image and the last";
-        changes.write(&self.out.join(FILE), self.grid)?;
-        let bands: Vec<Band> = (change::BANDS.iter().zip(change::UNITS))
-            .map(|(name, unit)| Band { name, unit })
-            .collect();
-        let asset = Asset::raster(
-            ("change", FILE, TITLE),
-            &changes.raster,
-            &bands,
-            Numbers::Double(change::stored),
-            self.gsd_m,
-            None,
-        );
-        self.assets.push(asset);
+        const TITLES: [&str; 3] = [
+            "Change of heights between the first image and the last",
+            "Date of change",
+            "Confidence of change",
+        ];
+        let first = Path::new("change.tif");
+        changes.write(&self.out.join(first), self.grid)?;
+        for (index, title) in TITLES.into_iter().enumerate().rev() {
+            let band = Band {
+                name: change::BANDS[index],
+                unit: change::UNITS[index],
+            };
+            let numbers = if index == 1 { Numbers::Dates } else { Numbers::Float };
+            let file = ChangeMap::file_of(first, index);
+            self.described(&file, title, &changes.raster.band(index), band, numbers);
+            self.layered(&file.to_string_lossy(), title, &changes.style(index));
+        }
         Ok(())
+    }
+
+    /// Notes a raster of one band, which is written already.
+    fn described(&mut self, file: &Path, title: &str, raster: &Raster, band: Band, numbers: Numbers) {
+        let key = file.file_stem().unwrap_or_default().to_string_lossy();
+        let names = (&*key, &*file.to_string_lossy(), title);
+        let asset = Asset::raster(names, raster, &[band], numbers, self.gsd_m, None);
+        self.assets.push(asset);
     }
 
     fn floats(
@@ -156,38 +173,46 @@ impl<'a> Writer<'a> {
 
     /// Writes how a raster is shown beside it, and notes it for the layer file.
     fn styled(&mut self, file: &str, title: &str, style: Style) -> Result<(), RasterError> {
-        write_atomically(&self.out.join(file).with_extension("qml"), style.qml().as_bytes())?;
-        self.layers.push(Layer {
-            file: file.to_owned(),
-            title: title.to_owned(),
-            style,
-        });
+        style.write(&self.out.join(file))?;
+        self.layered(file, title, &style);
         Ok(())
     }
 
-    /// The surface model and its hillshade.
+    fn layered(&mut self, file: &str, title: &str, style: &Style) {
+        self.layers.push(Layer::new(file, title, style, &self.grid.crs));
+    }
+
+    /// The surface model and its hillshade. Where the folder is that of a run which has the same surface model, that one is referred to.
     ///
     /// # Errors
     /// When a file cannot be written.
     pub fn surface(&mut self, dsm: &Dsm) -> Result<(), RasterError> {
-        dsm.write(&self.out.join("dsm.tif"))?;
-        let bands: Vec<Band> = BANDS
-            .iter()
-            .zip(UNITS)
-            .map(|(name, unit)| Band { name, unit })
-            .collect();
         self.vertical_datum = dsm.vertical_datum();
-        let title = format!("Surface model, metres above {}", self.vertical_datum);
-        let asset = Asset::raster(
-            ("dsm", "dsm.tif", &title),
-            &dsm.raster,
-            &bands,
-            Numbers::Float,
-            self.gsd_m,
-            None,
-        );
-        self.assets.push(asset);
-        self.styled("dsm.tif", &title, Style::heights(&dsm.raster))?;
+        // The folder itself may not be there yet.
+        let of_run = self.out.parent().map(|run| run.join("dsm.tif"));
+        let first = match of_run.is_some_and(|path| path.is_file() && dsm.is_in(&path)) {
+            true => Path::new(OF_RUN),
+            false => {
+                dsm.write(&self.out.join("dsm.tif"))?;
+                Path::new("dsm.tif")
+            }
+        };
+        let heights = format!("Surface model, metres above {}", self.vertical_datum);
+        let titles = [
+            &*heights,
+            "Standard deviation of heights",
+            "Opacity of the surface",
+            "Images that see the surface",
+        ];
+        for (index, title) in titles.into_iter().enumerate().rev() {
+            let band = Band {
+                name: BANDS[index],
+                unit: UNITS[index],
+            };
+            let (file, raster) = (dsm::file_of(first, index), dsm.raster.band(index));
+            self.described(&file, title, &raster, band, Numbers::Float);
+            self.layered(&file.to_string_lossy(), title, &dsm::style(index, &raster.values));
+        }
         self.completeness = dsm.completeness();
         let size = (self.grid.width, self.grid.height);
         let cell_m = self.grid.transform.cell_m(size, Some(&self.grid.crs));
@@ -285,7 +310,7 @@ impl<'a> Writer<'a> {
             ..self.spec(raster, &names, &all)
         };
         write_cog(&self.out.join(&file), &spec)?;
-        self.styled(&file, title, Style::hours(raster))?;
+        self.styled(&file, title, Style::amounts(raster.plane(0)))?;
         let bands = [Band { name, unit }];
         let asset = Asset::raster((key, &file, title), raster, &bands, Numbers::Float, self.gsd_m, None);
         self.assets.push(asset);
@@ -320,7 +345,7 @@ impl<'a> Writer<'a> {
     ///
     /// # Errors
     /// When the grid cannot be placed, or the file not be written.
-    pub fn finish(mut self, said: &Said) -> Result<Set, RasterError> {
+    pub fn finish(self, said: &Said) -> Result<Set, RasterError> {
         let about = About {
             id: said.id,
             grid: self.grid,
@@ -330,13 +355,20 @@ impl<'a> Writer<'a> {
             sun: said.sun,
             collection: said.collection,
         };
-        let item = stac::item(&about, &self.assets)?;
+        let mut item = stac::item(&about, &self.assets)?;
+        let kept = stac::kept(&self.earlier.0, &item, self.out);
+        let files = kept.values().filter_map(|asset| asset["href"].as_str());
+        let files = files.map(|href| href.trim_start_matches("./"));
+        let kept_layers: Vec<Layer> = files.filter_map(|file| Layer::earlier(&self.earlier.1, file)).collect();
+        if let Some(assets) = item["assets"].as_object_mut() {
+            assets.extend(kept);
+        }
         // What was written last lies on top.
-        self.layers.reverse();
-        write_atomically(
-            &self.out.join(LAYERS),
-            layer_file(said.id, &self.grid.crs, &self.layers).as_bytes(),
-        )?;
+        let layers: Vec<Layer> = kept_layers
+            .into_iter()
+            .chain(self.layers.iter().rev().cloned())
+            .collect();
+        write_atomically(&self.out.join(LAYERS), layer_file(said.id, &layers).as_bytes())?;
         write_atomically(&self.out.join(ITEM), format!("{item:#}\n").as_bytes())?;
         let styles = self.layers.iter().map(|layer| layer.file.replace(".tif", ".qml"));
         let mut names: Vec<String> = self.assets.into_iter().map(|asset| asset.file).chain(styles).collect();

@@ -1,4 +1,8 @@
-//! Bands of a surface model's GeoTIFF: a file format that products write and the evaluator reads.
+//! The files of a surface model: one GeoTIFF of one band for the altitude, and one for each companion beside it, such as `dsm.tif`,
+//! `dsm_stddev.tif`, `dsm_coverage.tif` and `dsm_views.tif`. Products write them, and everything else reads them here.
+
+use crate::{GeoRaster, RasterError, is_virtual};
+use std::path::{Path, PathBuf};
 
 /// Altitude, metres above the ellipsoid or a geoid.
 pub const ALTITUDE: &str = "altitude";
@@ -8,3 +12,48 @@ pub const STANDARD_DEVIATION: &str = "standard_deviation";
 pub const COVERAGE: &str = "coverage";
 /// Number of images that see the cell at its altitude.
 pub const VIEWS: &str = "views";
+
+/// Bands of a surface model besides the altitude, and the ends of the names of their files.
+pub const COMPANIONS: [(&str, &str); 3] = [(STANDARD_DEVIATION, "stddev"), (COVERAGE, "coverage"), (VIEWS, "views")];
+
+/// The file beside `path` whose name ends in `suffix`: `dsm_views.tif` beside `dsm.tif`.
+pub fn beside(path: &Path, suffix: &str) -> PathBuf {
+    let mut name = path.file_stem().unwrap_or_default().to_owned();
+    name.push("_");
+    name.push(suffix);
+    path.with_file_name(name)
+        .with_extension(path.extension().unwrap_or_default())
+}
+
+impl GeoRaster {
+    /// Reads a surface model: its altitude, and the companions beside it as further bands. A file that has all bands itself is read as well.
+    ///
+    /// # Errors
+    /// As [`GeoRaster::read`].
+    pub fn read_surface(path: &Path) -> Result<Self, RasterError> {
+        let mut surface = Self::read(path)?;
+        if surface.raster.bands > 1 || is_virtual(path) {
+            return Ok(surface);
+        }
+        surface.band_names = vec![ALTITUDE.to_owned()];
+        for (band, suffix) in COMPANIONS {
+            let path = beside(path, suffix);
+            if !path.is_file() {
+                continue;
+            }
+            let other = Self::read(&path)?;
+            let size = (surface.raster.width, surface.raster.height);
+            if (other.raster.width, other.raster.height) != size || other.transform != surface.transform {
+                tracing::warn!(
+                    "{}: left out, it is not on the grid of its surface model",
+                    path.display()
+                );
+                continue;
+            }
+            surface.raster.values.extend_from_slice(other.raster.plane(0));
+            surface.raster.bands += 1;
+            surface.band_names.push(band.to_owned());
+        }
+        Ok(surface)
+    }
+}

@@ -4,7 +4,7 @@
 //! renamed, so that nothing half-written is ever seen under the target's name.
 
 use super::temporary::{TemporaryFolder, target};
-use super::write::{NODATA, cog_options, describe};
+use super::write::{NODATA, add_statistics, cog_options, describe};
 use super::{ImageSpec, RasterError, messages};
 use gdal::raster::{Buffer, RasterCreationOptions};
 use gdal::{Dataset, DriverManager};
@@ -75,8 +75,9 @@ impl StreamedCog {
     /// As [`super::write_cog`]; nothing is left behind.
     pub fn finish(mut self) -> Result<(), RasterError> {
         let finished = self.folder.path().join("finished.tif");
+        messages::collect_strictly(|| self.dataset.flush_cache()).map_err(|reason| failed(&self.path, reason))?;
+        add_statistics(&self.dataset);
         messages::collect_strictly(|| {
-            self.dataset.flush_cache()?;
             let driver = DriverManager::get_driver_by_name("COG")?;
             let options = RasterCreationOptions::from_iter(cog_options("AVERAGE").iter().map(AsRef::<str>::as_ref));
             self.dataset.create_copy(&driver, &finished, &options)?.close()

@@ -5,7 +5,7 @@
 //! half-written is ever seen under the target's name.
 
 use super::{Crs, GeoTransform, RasterError, drivers, messages, temporary};
-use gdal::raster::{Buffer, GdalType, RasterBand, RasterCreationOptions};
+use gdal::raster::{Buffer, ColorInterpretation, GdalType, RasterBand, RasterCreationOptions};
 use gdal::{Dataset, DriverManager, Metadata};
 use heliosplat::Raster;
 use std::io::Write;
@@ -76,7 +76,8 @@ impl Bytes {
     }
 }
 
-/// Writes a float32 cloud-optimised GeoTIFF: tiled, deflated with the floating-point predictor, overviews, nodata -9999.
+/// Writes a float32 cloud-optimised GeoTIFF: tiled, deflated, overviews, nodata -9999, statistics. It has no predictor, which Whitebox and
+/// others read wrongly.
 ///
 /// # Errors
 /// [`RasterError::DiskFull`], [`RasterError::Permission`] or [`RasterError::Write`]; nothing is left behind.
@@ -89,17 +90,20 @@ pub fn write_cog(path: &Path, spec: &ImageSpec) -> Result<(), RasterError> {
     )
 }
 
-/// Writes a float64 cloud-optimised GeoTIFF of what `convert` makes of the values of each band; NaN becomes nodata. Overviews show the nearest
-/// cell: a mean of days is no day.
+/// Writes an int32 cloud-optimised GeoTIFF of what `convert` makes of the values; what is 0 or NaN becomes 0, its nodata. Overviews show the
+/// nearest cell: a mean of days is no day.
 ///
 /// # Errors
 /// As [`write_cog`].
-pub fn write_double_cog(path: &Path, spec: &ImageSpec, convert: impl Fn(usize, f32) -> f64) -> Result<(), RasterError> {
-    let converted = |band, value: f32| match value.is_finite() {
-        true => convert(band, value),
-        false => f64::from(NODATA),
+pub fn write_integer_cog(path: &Path, spec: &ImageSpec, convert: impl Fn(f32) -> i32) -> Result<(), RasterError> {
+    let converted = |_, value: f32| {
+        if value.is_finite() && value != 0.0 {
+            convert(value)
+        } else {
+            0
+        }
     };
-    let dataset = build(spec, converted, Some(NODATA)).map_err(|reason| RasterError::Write {
+    let dataset = build(spec, converted, Some(0.0)).map_err(|reason| RasterError::Write {
         path: path.to_owned(),
         reason,
     })?;
@@ -123,10 +127,9 @@ pub fn write_byte_cog(path: &Path, spec: &ImageSpec, bytes: Bytes) -> Result<(),
     write_copy(path, &dataset, "COG", &cog_options(resampling))
 }
 
-pub(super) fn cog_options(resampling: &str) -> [String; 7] {
+pub(super) fn cog_options(resampling: &str) -> [String; 6] {
     [
         "COMPRESS=DEFLATE".into(),
-        "PREDICTOR=YES".into(),
         "BLOCKSIZE=256".into(),
         "OVERVIEWS=AUTO".into(),
         format!("RESAMPLING={resampling}"),
@@ -314,6 +317,9 @@ pub(super) fn describe(dataset: &mut Dataset, spec: &ImageSpec, nodata: Option<f
         if let Some(nodata) = nodata {
             band.set_no_data_value(Some(f64::from(nodata)))?;
         }
+        if let Some(colour) = interpretation(spec.band_descriptions.get(index), spec.raster.bands) {
+            band.set_color_interpretation(colour)?;
+        }
         if let Some(text) = spec.band_descriptions.get(index) {
             band.set_description(text)?;
         }
@@ -322,6 +328,27 @@ pub(super) fn describe(dataset: &mut Dataset, spec: &ImageSpec, nodata: Option<f
         }
     }
     Ok(())
+}
+
+/// Puts minimum, maximum, mean and standard deviation of each band into its metadata, as far as any of its values are known.
+pub(super) fn add_statistics(dataset: &Dataset) {
+    for index in 1..=dataset.raster_count() {
+        let found = messages::collect(|| dataset.rasterband(index)?.get_statistics(true, false));
+        if let Err(reason) = found {
+            tracing::debug!("no statistics: {reason}");
+        }
+    }
+}
+
+/// The colour interpretation of a band by its description: programs show red, green and blue as such, and one band alone in grey.
+fn interpretation(description: Option<&&str>, bands: usize) -> Option<ColorInterpretation> {
+    match description.copied() {
+        Some("red") => Some(ColorInterpretation::RedBand),
+        Some("green") => Some(ColorInterpretation::GreenBand),
+        Some("blue") => Some(ColorInterpretation::BlueBand),
+        _ if bands == 1 => Some(ColorInterpretation::GrayIndex),
+        _ => None,
+    }
 }
 
 /// Sets the unit of a band, which the crate can only read.
@@ -353,6 +380,9 @@ impl Drop for MemoryFile {
 
 fn write_copy<S: AsRef<str>>(path: &Path, dataset: &Dataset, driver: &str, options: &[S]) -> Result<(), RasterError> {
     let memory = MemoryFile::new();
+    if driver == "COG" {
+        add_statistics(dataset);
+    }
     let bytes = messages::collect_strictly(|| {
         let driver = DriverManager::get_driver_by_name(driver)?;
         let options = RasterCreationOptions::from_iter(options.iter().map(AsRef::as_ref));

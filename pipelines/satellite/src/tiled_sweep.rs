@@ -16,7 +16,7 @@ use super::sweep_tiles::{ROWS_AT_ONCE, SweepPlan, SweepTile, SweepTiling};
 use heliosplat::timeline::stage;
 use heliosplat_grid::statistics::upper_median;
 use heliosplat_products::blend::Piece;
-use heliosplat_products::dsm;
+use heliosplat_products::dsm::{self, StreamedDsm};
 use heliosplat_products::nadir::{NadirGrid, Place};
 use heliosplat_products::stored::{StoredPiece, blend_rows};
 use heliosplat_radiometry::bridged::Lowered;
@@ -124,7 +124,7 @@ impl TiledSweep<'_> {
         let _part = stage("products");
         let grid = &self.tiling.grid;
         let gsd_m = grid.transform.pixel_size().0 * grid.crs.metres_per_unit();
-        let mut file = dsm::streamed(out, grid)?;
+        let mut file = StreamedDsm::create(out, grid)?;
         let mut known = 0;
         for first in (0..grid.height).step_by(ROWS_AT_ONCE) {
             let rows = first..(first + ROWS_AT_ONCE).min(grid.height);

@@ -89,7 +89,7 @@ pub(crate) fn dsm(args: &DsmArgs, session: &Session) -> Result<Outcome, CliError
             if args.memory.is_some() {
                 return Err(CliError::Input("dsm: --memory is for --from sweep".into()));
             }
-            Inputs::of_run(&args.run).keep(&args.out)?;
+            Inputs::of_run(&args.run).keep_surface(&args.out)?;
             let model = match args.at {
                 Some(date) => load_whole(&args.run)?.on(as_day(date)),
                 None => load(&args.run)?,

@@ -45,7 +45,7 @@ pub(super) fn sweep(args: &DsmArgs, session: &Session) -> Result<SweptSurface, C
     let options = altitude::resolve(&index, &options)?;
     let survey = Survey::of(&index, &options)?;
     drop(part);
-    Inputs::of_index(&index).keep(&args.out)?;
+    Inputs::of_index(&index).keep_surface(&args.out)?;
     let limit = args.memory.or_else(share_of_memory);
     let plan = plan(args, &survey, &config, limit)?;
     if plan.tiling.is_some() {

@@ -109,7 +109,7 @@ fn images(model: &LoadedModel, exhibit: &Exhibit) -> Result<Vec<Layer>, ViewErro
 /// When one of the files is damaged.
 pub(super) fn maps(folder: &Path, exhibit: &Exhibit) -> Result<Vec<Layer>, ViewError> {
     let mut out = Vec::new();
-    let surface = GeoRaster::read(&folder.join("dsm.tif"))?;
+    let surface = GeoRaster::read_surface(&folder.join("dsm.tif"))?;
     if let Some(band) = surface.band(dsm_bands::STANDARD_DEVIATION) {
         let values = on_grid(&surface, band, &exhibit.grid)?;
         if let Some((_, high)) = percentiles(&values.values, 0.02, 0.98) {

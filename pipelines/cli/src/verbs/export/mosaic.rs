@@ -52,7 +52,7 @@ pub(super) fn open(folder: &Path) -> Result<Mosaic, CliError> {
             "its heights are above a geoid; products.globe = true in the manifest writes the tiles with the mosaic",
         ));
     }
-    let file = GeoRaster::read(&surface)?;
+    let file = GeoRaster::read_surface(&surface)?;
     let crs = file.crs.ok_or_else(|| fault("dsm.tif says no coordinate system"))?;
     let dsm = Dsm {
         grid: GridSpec {
