@@ -11,7 +11,9 @@ static BINARY: LazyLock<PathBuf> = LazyLock::new(|| match std::env::var_os("HELI
     Some(path) => path.into(),
     None => {
         let built = build(&["--bin", "heliosplat", "--example", "project_points"]);
-        let program = built.into_iter().find(|path| path.file_stem().is_some_and(|stem| stem == "heliosplat"));
+        let program = built
+            .into_iter()
+            .find(|path| path.file_stem().is_some_and(|stem| stem == "heliosplat"));
         program.expect("cargo names the program")
     }
 });
