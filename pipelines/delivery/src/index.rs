@@ -129,7 +129,8 @@ impl Index {
 }
 
 impl IndexImage {
-    fn new(draft: Draft, declared: Option<Counts>, folders: &Folders) -> Self {
+    fn new(mut draft: Draft, declared: Option<Counts>, folders: &Folders) -> Self {
+        draft.file.set_opacity(draft.plan.alpha);
         let stated = draft.file.domain("").remove("RADIOMETRY");
         let (counts, counts_source) = match (declared, &stated) {
             (Some(declared), _) => (declared, Some("scene.toml")),

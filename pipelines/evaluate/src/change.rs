@@ -56,7 +56,7 @@ pub fn evaluate_change(found: &Path, truth: &Path) -> Result<ChangeScore, Evalua
 
 /// A map of changes with a second band of days since 1970, where it or the file of dates beside it has them.
 fn read(path: &Path) -> Result<GeoRaster, EvaluateError> {
-    let mut map = GeoRaster::read(path)?;
+    let mut map = GeoRaster::read_heights(path)?;
     let beside = dsm_bands::beside(path, "date");
     let dates = match map.raster.bands > 1 {
         true => RasterFile::open(path)?.read_doubles(1)?,

@@ -14,7 +14,7 @@ pub(super) fn read(
     warnings: &mut Vec<String>,
 ) -> Result<GeoRaster, EvaluateError> {
     let file = RasterFile::open(path)?;
-    let mut raster = file.read(file.whole(), &[0])?;
+    let mut raster = file.read_heights(0)?;
     blank_absurd_heights(&mut raster);
     let (transform, crs) = match file.geo_transform() {
         Some(transform) => (transform, file.crs()),

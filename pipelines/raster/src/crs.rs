@@ -17,6 +17,7 @@ pub struct Crs {
     vertical: bool,
     geographic: bool,
     metres_per_unit: f64,
+    metres_per_height: Option<f64>,
 }
 
 /// Length of a degree of longitude on the WGS 84 equator, metres.
@@ -60,8 +61,24 @@ impl Crs {
             } else {
                 reference.linear_units()
             },
+            metres_per_height: metres_per_height(&reference),
             wkt,
         })
+    }
+
+    /// From a definition without a vertical part: whoever asks for one has to convert heights.
+    ///
+    /// # Errors
+    /// [`RasterError::UnknownCrs`].
+    pub fn horizontal(definition: &str) -> Result<Self, RasterError> {
+        let crs = Self::from_definition(definition)?;
+        match crs.vertical {
+            true => Err(RasterError::UnknownCrs {
+                definition: crs.name,
+                reason: "heights are above the ellipsoid here".to_owned(),
+            }),
+            false => Ok(crs),
+        }
     }
 
     /// By EPSG code.
@@ -105,6 +122,11 @@ impl Crs {
         self.geographic
     }
 
+    /// Metres per unit of its heights; `None` where it has no vertical part.
+    pub fn metres_per_height(&self) -> Option<f64> {
+        self.metres_per_height
+    }
+
     /// Metres per unit of its coordinates; for degrees, along the equator.
     pub fn metres_per_unit(&self) -> f64 {
         self.metres_per_unit
@@ -136,6 +158,14 @@ fn parser(definition: &str) -> Option<fn(&str) -> gdal::errors::Result<SpatialRe
     let (authority, code) = definition.split_once(':')?;
     let known = ["EPSG", "ESRI", "IGNF", "OGC", "IAU_2015"].contains(&authority.to_uppercase().as_str());
     (known && code.split('+').all(is_word)).then_some(SpatialRef::from_definition)
+}
+
+/// Metres per unit of the vertical part.
+fn metres_per_height(reference: &SpatialRef) -> Option<f64> {
+    let unit = reference.get_attr_value("VERT_CS|UNIT", 1).ok().flatten()?;
+    unit.parse()
+        .ok()
+        .filter(|metres: &f64| metres.is_finite() && *metres > 0.0)
 }
 
 /// Whether the vertical part of a WKT is the height above the ellipsoid. No code says so: heights above an ellipsoid are no system of their own in

@@ -29,9 +29,9 @@ impl GeoRaster {
     /// Reads a surface model: its altitude, and the companions beside it as further bands. A file that has all bands itself is read as well.
     ///
     /// # Errors
-    /// As [`GeoRaster::read`].
+    /// As [`GeoRaster::read_heights`].
     pub fn read_surface(path: &Path) -> Result<Self, RasterError> {
-        let mut surface = Self::read(path)?;
+        let mut surface = Self::read_heights(path)?;
         if surface.raster.bands > 1 || is_virtual(path) {
             return Ok(surface);
         }
@@ -41,7 +41,10 @@ impl GeoRaster {
             if !path.is_file() {
                 continue;
             }
-            let other = Self::read(&path)?;
+            let other = match band == STANDARD_DEVIATION {
+                true => Self::read_heights(&path)?,
+                false => Self::read(&path)?,
+            };
             let size = (surface.raster.width, surface.raster.height);
             if (other.raster.width, other.raster.height) != size || other.transform != surface.transform {
                 tracing::warn!(

@@ -2,7 +2,7 @@
 
 use super::pansharpen::Pansharpening;
 use super::tiled::Mosaic;
-use super::{Crs, GeoTransform, RasterError, bounded, messages, siblings};
+use super::{Crs, GeoTransform, RasterError, bounded, masks, messages, siblings};
 use gdal::raster::{ColorInterpretation, GdalDataType};
 use gdal::{Dataset, DatasetOptions, GdalOpenFlags, Metadata};
 use heliosplat::Raster;
@@ -91,6 +91,8 @@ pub struct RasterFile {
     pixels: Pixels,
     /// The other files that its pixels come from.
     others: Vec<PathBuf>,
+    /// The band of opacity, 0-based: pixels of other bands are missing where it is zero.
+    opacity: Option<usize>,
     /// Its bands, in file order.
     pub bands: Vec<BandInfo>,
 }
@@ -189,9 +191,11 @@ impl RasterFile {
             size,
             pixels: Pixels::File(dataset),
             others: Vec::new(),
+            opacity: opacity_of(&bands),
             bands,
         };
         file.check_bytes()?;
+        masks::check(path, file.dataset())?;
         Ok(file)
     }
 
@@ -208,7 +212,18 @@ impl RasterFile {
             size,
             pixels,
             others,
+            opacity: opacity_of(&bands),
             bands,
+        }
+    }
+
+    /// States which band, 0-based, is one of opacity, if any: files state it wrongly of a fourth band.
+    pub fn set_opacity(&mut self, band: Option<usize>) {
+        self.opacity = band;
+        match &mut self.pixels {
+            Pixels::File(_) => {}
+            Pixels::Tiles(mosaic) => mosaic.files_mut().for_each(|file| file.set_opacity(band)),
+            Pixels::Pansharpened(pair) => pair.multispectral.set_opacity(band),
         }
     }
 
@@ -279,7 +294,8 @@ impl RasterFile {
         Crs::from_definition(&wkt).ok()
     }
 
-    /// Reads a window of the given bands (0-based) as `f32`: nodata values and infinities become `NaN`.
+    /// Reads a window of the given bands (0-based) as `f32`: nodata values, infinities, and pixels that a mask or a band of opacity declares
+    /// missing become `NaN`.
     ///
     /// # Errors
     /// [`RasterError::Damaged`] when the pixels cannot be read.
@@ -389,10 +405,13 @@ impl RasterFile {
             let band = dataset
                 .rasterband(number)
                 .map_err(|error| damaged(&self.path, error.to_string()))?;
-            let (width, height) = band.block_size();
-            if width as u128 * height as u128 > BLOCK_FREE.max(u128::from(held) * SAMPLES_PER_BYTE) {
-                let reason = format!("it claims {width} x {height} pixels in one block, and has {held} bytes");
-                return Err(damaged(&self.path, reason));
+            let mask = messages::collect(|| masks::of_band(dataset, number - 1, |mask| Ok(mask.block_size())));
+            let mask = mask.map_err(|reason| damaged(&self.path, reason))?;
+            for (width, height) in std::iter::once(band.block_size()).chain(mask) {
+                if width as u128 * height as u128 > BLOCK_FREE.max(u128::from(held) * SAMPLES_PER_BYTE) {
+                    let reason = format!("it claims {width} x {height} pixels in one block, and has {held} bytes");
+                    return Err(damaged(&self.path, reason));
+                }
             }
             // Fewer bits than a byte, where samples are packed.
             let packed = band
@@ -438,8 +457,15 @@ impl RasterFile {
                 *value = f32::NAN;
             }
         }
+        messages::collect(|| masks::blank(dataset, band, self.opacity, window, &mut values))
+            .map_err(|reason| damaged(&self.path, format!("its mask: {reason}")))?;
         Ok(values)
     }
+}
+
+/// The band that a file states is one of opacity.
+fn opacity_of(bands: &[BandInfo]) -> Option<usize> {
+    bands.iter().position(|band| band.colour == Colour::Alpha)
 }
 
 /// The means of the known pixels of `factor` columns each of some rows.

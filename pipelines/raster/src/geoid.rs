@@ -39,6 +39,36 @@ impl Geoid {
         }
     }
 
+    /// The horizontal system of a definition, and the geoid that heights are to be above where its vertical part names one.
+    ///
+    /// # Errors
+    /// [`RasterError::UnknownCrs`], also for a vertical part that heights are not converted to.
+    pub fn of_definition(definition: &str) -> Result<(Crs, Option<Self>), RasterError> {
+        let whole = Crs::from_definition(definition)?;
+        if !whole.has_vertical_datum() {
+            return Ok((whole, None));
+        }
+        let parts = definition
+            .split_once('+')
+            .filter(|(horizontal, _)| horizontal.contains(':'));
+        let geoid = parts.and_then(|(_, vertical)| {
+            let code = vertical.parse::<u32>().ok()?;
+            [Self::Egm96, Self::Egm2008]
+                .into_iter()
+                .find(|geoid| geoid.epsg() == code)
+        });
+        match parts.zip(geoid) {
+            Some(((horizontal, _), geoid)) => Ok((Crs::from_definition(horizontal)?, Some(geoid))),
+            None => Err(RasterError::UnknownCrs {
+                definition: whole.name().to_owned(),
+                reason:
+                    "heights are written above the ellipsoid, or in metres above EGM96 as EPSG:N+5773 or EGM2008 as \
+                         EPSG:N+3855"
+                        .to_owned(),
+            }),
+        }
+    }
+
     /// `crs` with heights above this geoid.
     ///
     /// # Errors
@@ -151,6 +181,13 @@ impl GeoidGrid {
         Ok(Self { columns, nodes })
     }
 
+    /// Makes heights above the ellipsoid, of whole rows from `first_row` on, heights above the geoid.
+    pub fn subtract(&self, first_row: usize, width: usize, heights_m: &mut [f32]) {
+        for (i, height) in heights_m.iter_mut().enumerate() {
+            *height = (f64::from(*height) - self.at(i % width, first_row + i / width)) as f32;
+        }
+    }
+
     /// The geoid's height at a pixel, metres.
     pub fn at(&self, col: usize, row: usize) -> f64 {
         let (c, r) = (col / SPACING_PX, row / SPACING_PX);
@@ -217,6 +254,24 @@ mod tests {
             "{text}"
         );
         assert!(error.is_input_fault());
+    }
+
+    #[test]
+    fn a_vertical_part_is_a_geoid_or_refused() {
+        for (definition, horizontal, geoid) in [
+            ("EPSG:32756", "EPSG:32756", None),
+            ("EPSG:32756+5773", "EPSG:32756", Some(Geoid::Egm96)),
+            ("epsg:4326+3855", "EPSG:4326", Some(Geoid::Egm2008)),
+        ] {
+            let (crs, found) = Geoid::of_definition(definition).expect("known");
+            assert_eq!((crs.definition(), found), (horizontal, geoid), "{definition}");
+        }
+        // Feet above NAVD 88, the same in WKT, and a system without a horizontal part.
+        let compound = Crs::from_definition("EPSG:32756+6360").expect("known");
+        for definition in ["EPSG:32756+6360", compound.wkt(), "EPSG:5773"] {
+            let error = Geoid::of_definition(definition).expect_err("refused").to_string();
+            assert!(error.contains("+5773"), "{error}");
+        }
     }
 
     #[test]

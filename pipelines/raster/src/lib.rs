@@ -11,6 +11,8 @@ pub mod dsm_bands;
 pub mod file;
 pub mod geoid;
 pub mod grid;
+mod heights;
+mod masks;
 pub mod messages;
 pub mod pansharpen;
 pub mod preview;
@@ -60,6 +62,14 @@ pub enum RasterError {
         path: PathBuf,
         /// What GDAL said.
         reason: String,
+    },
+    /// Heights in a unit that is no known length.
+    #[error("{}: its heights are in '{unit}', which is no known length; convert it to metres, or set the unit of its band", path.display())]
+    HeightUnit {
+        /// The file.
+        path: PathBuf,
+        /// The unit.
+        unit: String,
     },
     /// A raster that has to lie on the map, and does not.
     #[error("{}: it has no georeferencing; it needs a geotransform and a coordinate system", .0.display())]

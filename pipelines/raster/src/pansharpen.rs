@@ -40,7 +40,7 @@ impl RasterFile {
 /// A panchromatic image and the multispectral one that gives it colours.
 pub(super) struct Pansharpening {
     pub(super) panchromatic: RasterFile,
-    multispectral: RasterFile,
+    pub(super) multispectral: RasterFile,
     relation: GridRelation,
 }
 

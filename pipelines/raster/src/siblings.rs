@@ -64,6 +64,11 @@ pub(super) fn check(path: &Path) -> Result<Option<Vec<String>>, RasterError> {
                 "it is a device or a pipe; move it away from the images".to_owned(),
             ));
         }
+        let opened = || File::open(entry.path()).ok();
+        if name.ends_with(".msk") && known.is_file() && opened().and_then(hfa_leads_away).unwrap_or(false) {
+            let reason = "the pixels of this mask are in another folder; make a GeoTIFF of it with gdal_translate";
+            return Err(unreadable(&entry.path(), reason.to_owned()));
+        }
         if is_text && known.is_file() && known.len() > TEXT_MAX {
             let reason = format!(
                 "it has {} bytes, more than the {TEXT_MAX} of a text beside an image",

@@ -74,6 +74,11 @@ impl Mosaic {
         &self.0[0].1
     }
 
+    /// Its tiles.
+    pub(super) fn files_mut(&mut self) -> impl Iterator<Item = &mut RasterFile> {
+        self.0.iter_mut().map(|(_, file)| file)
+    }
+
     /// The values of the given bands of a window, one band after the other; `NaN` where no tile has any. Of tiles that overlap the later
     /// one counts.
     pub(super) fn read(&self, window: Window, bands: &[usize]) -> Result<Vec<f32>, RasterError> {

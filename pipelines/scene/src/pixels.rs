@@ -19,10 +19,6 @@ const UNIT_QUANTILE: f64 = 0.999;
 pub(super) fn read(image: &IndexImage, window: Window, warnings: &mut Vec<String>) -> Result<Raster, SceneError> {
     let file = image.file();
     let mut raster = file.read(window, &image.bands.file_bands)?;
-    if let Some(alpha) = image.bands.alpha {
-        let opacity = file.read(window, &[alpha])?;
-        blank(&mut raster, |index| opacity.values[index] == 0.0);
-    }
     drop(file);
     blank_black_border(&mut raster, &image.path, warnings);
     let known_and_lit = raster.values.iter().any(|&value| value.is_finite() && value > 0.0);

@@ -25,7 +25,7 @@ pub fn of_files(dsm: &Path, albedo: Option<&Path>) -> Result<Exhibit, ViewError>
 /// # Errors
 /// When the file cannot be read, or says no coordinate system.
 pub(super) fn surface(path: &Path) -> Result<Exhibit, ViewError> {
-    let file = GeoRaster::read(path)?;
+    let file = GeoRaster::read_heights(path)?;
     let crs = file.crs.clone().ok_or_else(|| ViewError::NoCrs(path.to_owned()))?;
     let band = file.band(dsm_bands::ALTITUDE).unwrap_or(0);
     let (width, height) = (file.raster.width, file.raster.height);
