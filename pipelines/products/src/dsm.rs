@@ -83,7 +83,7 @@ pub fn of_model(nadir: &NadirGrid, model: &LoadedModel) -> Result<Dsm, RasterErr
 pub(crate) fn seen_of(nadir: &NadirGrid, model: &LoadedModel) -> Dsm {
     let mut dsm = of_gaussians(nadir, &model.into());
     let seen_by = seen::views(nadir, dsm.raster.plane(ALTITUDE), &model.file);
-    dsm.keep_seen(&seen_by, model.file.gsd_m as f32);
+    dsm.keep_seen(&seen_by, model.file.gsd_m as f32, model.file.altitude_range_m);
     dsm
 }
 
@@ -260,19 +260,19 @@ impl Dsm {
     pub fn above(mut self, geoid: Geoid) -> Result<Self, RasterError> {
         let table = GeoidGrid::new(geoid, &self.grid)?;
         let width = self.raster.width;
-        for (i, altitude) in self.raster.plane_mut(0).iter_mut().enumerate() {
-            *altitude = (f64::from(*altitude) - table.at(i % width, i / width)) as f32;
-        }
+        table.subtract(0, width, self.raster.plane_mut(ALTITUDE));
         self.grid.crs = geoid.compound(&self.grid.crs)?;
         self.geoid = Some(geoid);
         Ok(self)
     }
 
-    /// Takes what too few images see as not known, and adds the error that the base of the others leaves; `gsd_m` is that of the images.
-    fn keep_seen(&mut self, seen_by: &Witnesses, gsd_m: f32) {
+    /// Takes what too few images see, or lies beyond the altitudes that were searched, as not known, and adds the error that the base of
+    /// the others leaves; `gsd_m` is that of the images.
+    fn keep_seen(&mut self, seen_by: &Witnesses, gsd_m: f32, (low_m, high_m): (f64, f64)) {
+        let searched_m = low_m as f32 - gsd_m..=high_m as f32 + gsd_m;
         add_error_of_base(self.raster.plane_mut(DEVIATION), &seen_by.base_to_height, gsd_m);
         for (i, &views) in seen_by.views.iter().enumerate() {
-            let known = views >= FEWEST_VIEWS && self.raster.plane(ALTITUDE)[i].is_finite();
+            let known = views >= FEWEST_VIEWS && searched_m.contains(&self.raster.plane(ALTITUDE)[i]);
             self.raster.plane_mut(VIEWS)[i] = views.into();
             for band in (0..BANDS.len()).filter(|_| !known) {
                 self.raster.plane_mut(band)[i] = f32::NAN;
@@ -403,7 +403,7 @@ pub(crate) fn style(band: usize, values: &[f32]) -> Style {
     }
 }
 
-/// The files of a surface model that is larger than memory, above the ellipsoid.
+/// The files of a surface model that is larger than memory.
 pub struct StreamedDsm {
     path: PathBuf,
     files: Vec<StreamedCog>,
@@ -416,11 +416,15 @@ pub struct StreamedDsm {
 const SAMPLED_ROWS: usize = 200;
 
 impl StreamedDsm {
-    /// Begins the files.
+    /// Begins the files, of altitudes above `geoid` or the ellipsoid.
     ///
     /// # Errors
-    /// When one cannot be written.
-    pub fn create(path: &Path, grid: &GridSpec) -> Result<Self, RasterError> {
+    /// When the coordinate system takes no heights, or a file cannot be written.
+    pub fn create(path: &Path, grid: &GridSpec, geoid: Option<Geoid>) -> Result<Self, RasterError> {
+        let crs = match geoid {
+            Some(geoid) => &geoid.compound(&grid.crs)?,
+            None => &grid.crs,
+        };
         let without_values = Raster {
             width: grid.width,
             height: grid.height,
@@ -431,8 +435,8 @@ impl StreamedDsm {
             let spec = ImageSpec {
                 band_descriptions: &BANDS[band..=band],
                 band_units: &UNITS[band..=band],
-                georeference: Some((&grid.transform, &grid.crs)),
-                metadata: &metadata(ELLIPSOID),
+                georeference: Some((&grid.transform, crs)),
+                metadata: &metadata(geoid.map_or(ELLIPSOID, Geoid::name)),
                 ..ImageSpec::plain(&without_values)
             };
             StreamedCog::create(&file_of(path, band), &spec)
@@ -487,6 +491,29 @@ mod tests {
         assert_eq!(variance_around(&raster, 2 * 8 + 2), 0.0);
         // Five of 25 cells stand 6 m higher.
         assert!((variance_around(&raster, 2 * 8 + 5) - 36.0 * 0.16).abs() < 1e-3);
+    }
+
+    #[test]
+    fn altitudes_beyond_those_that_were_searched_are_unknown() {
+        let mut raster = Raster::filled(4, 1, BANDS.len(), 1.0);
+        raster.plane_mut(ALTITUDE).copy_from_slice(&[88.0, 99.0, 110.4, 111.0]);
+        let mut dsm = Dsm {
+            raster,
+            grid: GridSpec {
+                width: 4,
+                height: 1,
+                transform: heliosplat_raster::GeoTransform::north_up(0.0, 0.0, 0.5),
+                crs: heliosplat_raster::Crs::from_epsg(32637).expect("UTM"),
+            },
+            geoid: None,
+        };
+        let seen_by = Witnesses {
+            views: vec![2; 4],
+            base_to_height: vec![0.5; 4],
+        };
+        dsm.keep_seen(&seen_by, 0.5, (90.0, 110.0));
+        let known: Vec<bool> = dsm.raster.plane(ALTITUDE).iter().map(|z| z.is_finite()).collect();
+        assert_eq!(known, [false, true, true, false]);
     }
 
     #[test]

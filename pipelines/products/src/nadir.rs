@@ -56,7 +56,7 @@ impl NadirGrid {
     pub fn new(place: &Place, gsd_m: f64, crs: Option<&str>) -> Result<Self, RasterError> {
         let Place { frame, area, .. } = place;
         let crs = match crs {
-            Some(definition) => Crs::from_definition(definition)?,
+            Some(definition) => Crs::horizontal(definition)?,
             None => Crs::utm(frame.origin)?,
         };
         let rectangle = [area.west_m, area.south_m, area.east_m, area.north_m];

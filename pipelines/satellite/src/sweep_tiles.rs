@@ -139,7 +139,7 @@ struct Cutter<'a> {
 impl<'a> Cutter<'a> {
     fn new(survey: &'a Survey<'a>, cell_m: f64, map: &MapRequest) -> Result<Self, SatelliteError> {
         let crs = match map.crs {
-            Some(definition) => Crs::from_definition(definition)?,
+            Some(definition) => Crs::horizontal(definition)?,
             None => Crs::utm(survey.frame().origin)?,
         };
         let area = survey.area();

@@ -20,6 +20,8 @@ use heliosplat_products::dsm::{self, StreamedDsm};
 use heliosplat_products::nadir::{NadirGrid, Place};
 use heliosplat_products::stored::{StoredPiece, blend_rows};
 use heliosplat_radiometry::bridged::Lowered;
+use heliosplat_raster::Geoid;
+use heliosplat_raster::geoid::GeoidGrid;
 use heliosplat_raster::temporary::TemporaryFolder;
 use heliosplat_scene::survey::Survey;
 use heliosplat_scene::{Area, Scene, SceneError};
@@ -45,6 +47,8 @@ pub struct TiledSweep<'a> {
     pub plan: &'a SweepPlan,
     /// The tiles of that plan.
     pub tiling: &'a SweepTiling,
+    /// The geoid that heights are written above, instead of the ellipsoid.
+    pub geoid: Option<Geoid>,
 }
 
 /// What came of it.
@@ -124,11 +128,15 @@ impl TiledSweep<'_> {
         let _part = stage("products");
         let grid = &self.tiling.grid;
         let gsd_m = grid.transform.pixel_size().0 * grid.crs.metres_per_unit();
-        let mut file = StreamedDsm::create(out, grid)?;
+        let mut file = StreamedDsm::create(out, grid, self.geoid)?;
+        let table = self.geoid.map(|geoid| GeoidGrid::new(geoid, grid)).transpose()?;
         let mut known = 0;
         for first in (0..grid.height).step_by(ROWS_AT_ONCE) {
             let rows = first..(first + ROWS_AT_ONCE).min(grid.height);
-            let raster = blend_rows(pieces, grid.width, rows, gsd_m as f32)?;
+            let mut raster = blend_rows(pieces, grid.width, rows, gsd_m as f32)?;
+            if let Some(table) = &table {
+                table.subtract(first, grid.width, raster.plane_mut(0));
+            }
             known += raster.plane(0).iter().filter(|z| z.is_finite()).count();
             file.write_rows(first, &raster)?;
         }

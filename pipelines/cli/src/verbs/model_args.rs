@@ -77,8 +77,8 @@ pub struct DsmArgs {
     /// Ground sampling distance, metres [default: that of the images]
     #[arg(long, value_parser = parse::positive, value_name = "M")]
     pub gsd: Option<f64>,
-    /// Coordinate reference system [default: the local UTM zone]
-    #[arg(long, value_name = "EPSG:N")]
+    /// Coordinate reference system [default: the local UTM zone]; +5773 or +3855 for heights above EGM96 or EGM2008
+    #[arg(long, value_name = "EPSG:N[+M]")]
     pub crs: Option<String>,
     /// The surface as it stands on this day, where something changed between the images [default: that of the last image]
     #[arg(long, value_parser = parse::date, value_name = "DATE")]

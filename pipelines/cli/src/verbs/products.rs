@@ -30,8 +30,8 @@ pub struct ProductsArgs {
     /// Ground sampling distance, metres [default: that of the images]
     #[arg(long, value_parser = parse::positive, value_name = "M")]
     pub gsd: Option<f64>,
-    /// Coordinate reference system [default: the local UTM zone]
-    #[arg(long, value_name = "EPSG:N")]
+    /// Coordinate reference system [default: the local UTM zone]; +5773 or +3855 as --geoid egm96 or egm2008
+    #[arg(long, value_name = "EPSG:N[+M]")]
     pub crs: Option<String>,
     /// Heights above this geoid instead of the ellipsoid; its grid must be among PROJ's
     #[arg(long, value_enum, value_name = "NAME")]
@@ -106,10 +106,22 @@ fn one(
     session: &Session,
 ) -> Result<Set, CliError> {
     let model = model::load_whole(run)?;
+    let target = args.crs.as_deref().map(Geoid::of_definition).transpose()?;
+    let (crs, stated) = target.map_or((None, None), |(crs, geoid)| (Some(crs.definition().to_owned()), geoid));
+    let asked = args.geoid.map(Geoid::from);
+    if let (Some(stated), Some(asked)) = (stated, asked)
+        && stated != asked
+    {
+        return Err(CliError::Input(format!(
+            "products: --crs asks for heights above {}, --geoid for heights above {}; leave one out",
+            stated.name(),
+            asked.name()
+        )));
+    }
     let request = Request {
         gsd_m: args.gsd,
-        crs: args.crs.clone(),
-        geoid: args.geoid.map(Geoid::from),
+        crs,
+        geoid: asked.or(stated),
         sun: args.sun(model.frame.origin),
         sun_hours: args.sun_hours,
     };

@@ -14,6 +14,7 @@ use heliosplat_products::change::{as_day, day_of};
 use heliosplat_products::model::{load, load_whole};
 use heliosplat_products::{dsm, relight, views as rendered};
 use heliosplat_raster::write::{ImageSpec, Sample, write_geotiff};
+use heliosplat_raster::{Crs, Geoid};
 use heliosplat_rpc::sun::sun_position;
 use heliosplat_satellite::config::SatelliteConfig;
 use heliosplat_satellite::error::SatelliteError;
@@ -79,6 +80,9 @@ pub(crate) fn train(args: &TrainArgs, session: &Session) -> Result<Outcome, CliE
 /// When the run, the scene, the coordinate system or the file to write is at fault.
 pub(crate) fn dsm(args: &DsmArgs, session: &Session) -> Result<Outcome, CliError> {
     must_end_in("--out", &args.out, &["tif", "tiff"])?;
+    let target = args.crs.as_deref().map(Geoid::of_definition).transpose()?;
+    let (crs, geoid) = target.map_or((None, None), |(crs, geoid)| (Some(crs), geoid));
+    let crs = crs.as_ref().map(Crs::definition);
     let (mut surface, gsd_m, swept) = match args.from {
         DsmSource::Model => {
             if args.ingest.altitude.is_some() {
@@ -95,7 +99,7 @@ pub(crate) fn dsm(args: &DsmArgs, session: &Session) -> Result<Outcome, CliError
                 None => load(&args.run)?,
             };
             let gsd_m = args.gsd.unwrap_or(model.file.gsd_m);
-            (dsm::dsm(&model, gsd_m, args.crs.as_deref())?, gsd_m, None)
+            (dsm::dsm(&model, gsd_m, crs)?, gsd_m, None)
         }
         DsmSource::Sweep if args.at.is_some() => {
             return Err(CliError::Input(
@@ -104,7 +108,7 @@ pub(crate) fn dsm(args: &DsmArgs, session: &Session) -> Result<Outcome, CliError
         }
         DsmSource::Sweep => {
             timeline::take();
-            match sweep_dsm::sweep(args, session)? {
+            match sweep_dsm::sweep(args, (crs, geoid), session)? {
                 SweptSurface::Whole {
                     surface,
                     gsd_m,
@@ -124,6 +128,9 @@ pub(crate) fn dsm(args: &DsmArgs, session: &Session) -> Result<Outcome, CliError
     }
     let part = stage("products");
     let filled = if args.fill { surface.fill() } else { 0 };
+    if let Some(geoid) = geoid {
+        surface = surface.above(geoid)?;
+    }
     surface.write(&args.out)?;
     drop(part);
     let [share, filled] = [known, filled].map(|cells| cells as f64 / surface.raster.plane_len().max(1) as f64);

@@ -7,6 +7,7 @@ use heliosplat::timeline::stage;
 use heliosplat_fitting::run_folder::peak_rss_bytes;
 use heliosplat_fitting::settings::Preset;
 use heliosplat_products::dsm::{self, Dsm};
+use heliosplat_raster::Geoid;
 use heliosplat_satellite::config::SatelliteConfig;
 use heliosplat_satellite::sweep_tiles::{MapRequest, SweepPlan, SweepTiling};
 use heliosplat_satellite::tiled_sweep::{MOST_ROUNDS, TiledSweep, Written};
@@ -37,7 +38,11 @@ pub(super) enum SweptSurface {
 }
 
 /// Sweeps a scene; where it does not fit into memory, tile by tile into the file.
-pub(super) fn sweep(args: &DsmArgs, session: &Session) -> Result<SweptSurface, CliError> {
+pub(super) fn sweep(
+    args: &DsmArgs,
+    (crs, geoid): (Option<&str>, Option<Geoid>),
+    session: &Session,
+) -> Result<SweptSurface, CliError> {
     let config = SatelliteConfig::resolve(Preset::Fast, &[], 1)?;
     let part = stage("read");
     let options = args.ingest.options();
@@ -47,15 +52,16 @@ pub(super) fn sweep(args: &DsmArgs, session: &Session) -> Result<SweptSurface, C
     drop(part);
     Inputs::of_index(&index).keep_surface(&args.out)?;
     let limit = args.memory.or_else(share_of_memory);
-    let plan = plan(args, &survey, &config, limit)?;
+    let map = MapRequest { gsd_m: args.gsd, crs };
+    let plan = SweepPlan::of(&survey, &config, &map, limit)?;
     if plan.tiling.is_some() {
-        return in_tiles(args, &index, options, &config, limit, session).map(SweptSurface::InTiles);
+        return in_tiles(args, &index, options, &config, (&map, geoid, limit), session).map(SweptSurface::InTiles);
     }
     drop(survey);
     let (scene, found) = preprocess::open_and_sweep(&index, &options, &config, session)?;
     let _part = stage("products");
     let gsd_m = args.gsd.unwrap_or(scene.gsd_m);
-    let surface = dsm::of_surface(&(&scene).into(), &found, gsd_m, args.crs.as_deref())?;
+    let surface = dsm::of_surface(&(&scene).into(), &found, gsd_m, crs)?;
     Ok(SweptSurface::Whole {
         surface: Box::new(surface),
         gsd_m,
@@ -68,14 +74,6 @@ fn share_of_memory() -> Option<u64> {
     memory::machine_bytes().map(|bytes| (bytes as f64 * SHARE_OF_MEMORY) as u64)
 }
 
-fn plan(args: &DsmArgs, survey: &Survey, config: &SatelliteConfig, limit: Option<u64>) -> Result<SweepPlan, CliError> {
-    let map = MapRequest {
-        gsd_m: args.gsd,
-        crs: args.crs.as_deref(),
-    };
-    Ok(SweepPlan::of(survey, config, &map, limit)?)
-}
-
 fn told(limit: Option<u64>, plan: &SweepPlan) -> Value {
     json!({"limit_bytes": limit, "planned_bytes": plan.peak_bytes.ceil(), "peak_bytes": peak_rss_bytes()})
 }
@@ -86,7 +84,7 @@ fn in_tiles(
     index: &Index,
     mut options: IngestOptions,
     config: &SatelliteConfig,
-    limit: Option<u64>,
+    (map, geoid, limit): (&MapRequest, Option<Geoid>, Option<u64>),
     session: &Session,
 ) -> Result<Outcome, CliError> {
     for round in 0.. {
@@ -96,7 +94,7 @@ fn in_tiles(
             survey.warnings.iter().for_each(|warning| tracing::warn!("{warning}"));
         }
         drop(part);
-        let plan = plan(args, &survey, config, limit)?;
+        let plan = SweepPlan::of(&survey, config, map, limit)?;
         // A range that is wider never makes a scene fit as a whole that did not.
         let Some(tiling) = &plan.tiling else { break };
         if args.fill {
@@ -117,6 +115,7 @@ fn in_tiles(
             survey: &survey,
             plan: &plan,
             tiling,
+            geoid,
         };
         let written = tiled.write(&args.out, session)?;
         match written
