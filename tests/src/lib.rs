@@ -1,6 +1,7 @@
 //! What the end-to-end tests share: a slow, obvious f64 reference of the engine's forward pass, and where things are.
 
 pub mod account;
+pub mod canvas;
 pub mod capture;
 pub mod harmonics;
 pub mod measured;

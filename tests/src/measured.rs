@@ -17,6 +17,8 @@ pub struct Measured {
     pub stderr: String,
     /// The most memory it held, bytes.
     pub peak_bytes: u64,
+    /// Bytes that it read from files, its own executable among them.
+    pub read_bytes: u64,
     /// How long it took.
     pub took: Duration,
 }
@@ -40,7 +42,7 @@ pub fn run_program<S: AsRef<OsStr>>(program: &Path, arguments: &[S], limit: Dura
         .spawn()
         .expect("the program runs");
     let mut killed = false;
-    let (status, peak_bytes) = loop {
+    let (status, peak_bytes, read_bytes) = loop {
         if let Some(ended) = ended(child.id()) {
             break ended;
         }
@@ -59,22 +61,26 @@ pub fn run_program<S: AsRef<OsStr>>(program: &Path, arguments: &[S], limit: Dura
         stdout: text(&out),
         stderr: text(&err),
         peak_bytes,
+        read_bytes,
         took: begun.elapsed(),
     }
 }
 
-/// Status and peak memory of a child that has ended; `None` while it runs.
+/// Status, peak memory and bytes read of a child that has ended; `None` while it runs.
 #[allow(
     unsafe_code,
     reason = "the standard library waits without telling what the child used"
 )]
-fn ended(id: u32) -> Option<(i32, u64)> {
+fn ended(id: u32) -> Option<(i32, u64, u64)> {
     let mut status = 0;
+    // Before the child is waited for: then its counters are gone.
+    let io = std::fs::read_to_string(format!("/proc/{id}/io")).unwrap_or_default();
+    let read = io.lines().find_map(|line| line.strip_prefix("rchar: ")?.parse().ok());
     // SAFETY: `rusage` is a plain structure of numbers, for which zeros are valid.
     let mut usage: libc::rusage = unsafe { std::mem::zeroed() };
     // SAFETY: both pointers are to locals that outlive the call; the child is ours and nobody else waits for it.
     let found = unsafe { libc::wait4(id as libc::pid_t, &raw mut status, libc::WNOHANG, &raw mut usage) };
     assert!(found >= 0, "wait4 fails");
     // Linux counts kibibytes.
-    (found > 0).then_some((status, usage.ru_maxrss as u64 * 1024))
+    (found > 0).then_some((status, usage.ru_maxrss as u64 * 1024, read.unwrap_or(0)))
 }

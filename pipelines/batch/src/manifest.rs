@@ -128,7 +128,7 @@ pub struct ImagesEntry {
 pub struct PresetEntry {
     /// Its name, which is also its folder's.
     pub name: String,
-    /// `preview`, `fast`, `balanced`, `accurate` or `best`; absent: its name.
+    /// `preview`, `fast`, `balanced`, `accurate`, `best`, or `sweep` for surface models without training; absent: its name.
     #[serde(default)]
     pub preset: Option<String>,
     /// Seed of everything random.
@@ -139,6 +139,9 @@ pub struct PresetEntry {
     pub set: BTreeMap<String, toml::Value>,
 }
 
+/// Name of the preset without training.
+const SWEEP: &str = "sweep";
+
 fn first_seed() -> u64 {
     1
 }
@@ -147,6 +150,19 @@ impl PresetEntry {
     /// The preset it begins with.
     pub fn base(&self) -> &str {
         self.preset.as_deref().unwrap_or(&self.name)
+    }
+
+    /// Whether it makes surface models without training.
+    pub fn is_sweep(&self) -> bool {
+        self.base() == SWEEP
+    }
+
+    /// The preset whose settings it takes; a sweep has those of the fastest complete training, as `dsm --from sweep` has.
+    ///
+    /// # Errors
+    /// When there is no preset of that name.
+    pub fn parsed(&self) -> Result<Preset, heliosplat_fitting::settings::ConfigError> {
+        if self.is_sweep() { Ok(Preset::Fast) } else { self.base().parse() }
     }
 
     /// Its changes, as `--set` takes them.
@@ -160,7 +176,7 @@ impl PresetEntry {
     /// # Errors
     /// When a key or a value means nothing.
     pub fn config(&self) -> Result<SatelliteConfig, heliosplat_fitting::settings::ConfigError> {
-        SatelliteConfig::resolve(self.base().parse()?, &self.changes(), self.seed)
+        SatelliteConfig::resolve(self.parsed()?, &self.changes(), self.seed)
     }
 }
 
@@ -316,10 +332,10 @@ impl Manifest {
             }
         }
         for preset in &self.presets {
-            if preset.base().parse::<Preset>().is_err() {
+            if preset.parsed().is_err() {
                 let name = &preset.name;
                 return Err(format!(
-                    "preset {name}: say preset = \"preview\", \"fast\", \"balanced\", \"accurate\" or \"best\""
+                    "preset {name}: say preset = \"sweep\", \"preview\", \"fast\", \"balanced\", \"accurate\" or \"best\""
                 ));
             }
             preset
@@ -376,6 +392,17 @@ mod tests {
             ("all", "balanced")
         );
         assert_eq!(manifest.tiles.memory_bytes(), Some(4 << 30));
+    }
+
+    #[test]
+    fn a_sweep_has_the_settings_of_a_fast_training_and_may_change_them() {
+        let manifest = |more: &str| Manifest::parse(&format!("{IMAGES}[[presets]]\nname = \"sweep\"\n{more}"));
+        let sweep = &manifest("").expect("sound").presets[0];
+        assert!(sweep.is_sweep());
+        let fast = SatelliteConfig::resolve(Preset::Fast, &[], 1).expect("settings");
+        assert_eq!(format!("{:?}", sweep.config().expect("settings")), format!("{fast:?}"));
+        let off = &manifest("set = { \"cameras.align\" = \"off\" }").expect("sound").presets[0];
+        assert_ne!(format!("{:?}", off.config().expect("settings")), format!("{fast:?}"));
     }
 
     #[test]

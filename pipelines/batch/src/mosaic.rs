@@ -2,7 +2,6 @@
 
 use super::BatchError;
 use super::plan::{MosaicTile, MosaicWork};
-use super::stamp::STAMP;
 use heliosplat::Raster;
 use heliosplat_products::blend::{BANDS, Piece, blend};
 use heliosplat_products::dsm::Dsm;
@@ -40,16 +39,10 @@ impl Mosaic {
 /// Blends the surface models of tiles.
 ///
 /// # Errors
-/// When a tile is not finished, or cannot be read.
+/// When a tile cannot be read.
 pub fn mosaic(out: &Path, work: &MosaicWork) -> Result<Mosaic, BatchError> {
     let mut pieces = Vec::with_capacity(work.tiles.len());
     for tile in &work.tiles {
-        if !out.join(&tile.unit).join(STAMP).is_file() {
-            return Err(BatchError::NotYet {
-                unit: "mosaic".into(),
-                after: tile.unit.clone(),
-            });
-        }
         pieces.push(read(out, tile, work)?);
     }
     let [west, south, east, north] = work.bounds;

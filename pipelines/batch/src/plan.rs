@@ -4,12 +4,13 @@ use super::BatchError;
 use super::manifest::{AreaEntry, ImagesEntry, Manifest, PresetEntry, ProductOptions};
 use super::tiles::{self, Tiling};
 use heliosplat_fitting::checkpoint::digest;
-use heliosplat_fitting::program::identity_of_program;
+use heliosplat_fitting::program::{build, executable, identity_of_program, recall_build};
 use heliosplat_raster::bounded::read_bytes;
 use heliosplat_raster::write::write_atomically;
 use heliosplat_satellite::altitude;
 use heliosplat_scene::survey::Survey;
 use heliosplat_scene::{AreaRequest, Hashes, Index, IngestOptions, RpcPreference, Seen, seen};
+use serde::de::DeserializeOwned;
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
@@ -23,6 +24,8 @@ const LEAST_BYTES: f64 = 200.0 * 1_048_576.0;
 const LEAST_S: f64 = 5.0;
 /// Seconds per Gaussian and step of a training on one core, roughly: how fast the machine is does not count.
 const STEP_S_PER_GAUSSIAN: f64 = 1.8e-6;
+/// Seconds per pixel of the windows of a sweep on one core.
+const SWEEP_S_PER_PIXEL: f64 = 1e-5;
 /// Steps that take as long as the rest of a training does for each of its images: start, albedo, evaluation.
 const STEPS_PER_VIEW: f64 = 10.0;
 /// Seconds per cell of a mosaic, and of each raster besides its surface model.
@@ -30,6 +33,10 @@ const MOSAIC_S_PER_CELL: f64 = 2e-6;
 /// Name of the file that keeps a plan, and its largest size, bytes: a million units.
 const FILE: &str = "plan.json";
 const FILE_MAX: u64 = 2 << 30;
+/// Folder of what the process of one unit reads of a plan: what it was made of, and a file for each unit. No area has such a name.
+const PARTS: &str = ".plan";
+/// Name there of what it was made of.
+const MADE: &str = "made.json";
 /// Most files and folders of a refused scene that are watched for changes.
 const LISTED_MAX: usize = 10_000;
 
@@ -94,8 +101,6 @@ pub struct TileWork {
     pub crs: String,
     /// Width of a cell of it, metres.
     pub gsd_m: f64,
-    /// Largest distance between its pinhole cameras and its rational ones, pixels.
-    pub residual_px: f64,
     /// What is made of its model.
     pub products: ProductOptions,
 }
@@ -133,15 +138,78 @@ pub struct MosaicTile {
 /// What a plan was made of; when it has not changed, neither has the plan.
 #[derive(Debug, Clone, PartialEq, serde::Serialize, serde::Deserialize)]
 struct Made {
-    program: String,
+    build: String,
+    executable: Seen,
     manifest: String,
     files: BTreeMap<PathBuf, Seen>,
 }
 
+/// A plan or a unit in a file, with the digest of what the plan was made of.
 #[derive(serde::Serialize, serde::Deserialize)]
-struct File {
-    made: Made,
-    plan: Plan,
+struct Part<T> {
+    made: String,
+    content: T,
+}
+
+/// The units of a plan by their names, each read from a file of its own: a unit costs the same in a plan of any size.
+pub struct Units<'a> {
+    manifest: &'a Path,
+    out: &'a Path,
+    made: Option<String>,
+}
+
+impl<'a> Units<'a> {
+    /// Those of the plan that is kept in `out`, as long as it is that of the manifest.
+    ///
+    /// # Errors
+    /// When the manifest is at fault.
+    pub fn open(manifest: &'a Path, out: &'a Path) -> Result<Self, BatchError> {
+        let text = format!("{:?}", Manifest::read(manifest)?);
+        let made = Made::kept(out, &text).map(|made| made.digest());
+        Ok(Self { manifest, out, made })
+    }
+
+    /// A unit by its name; the whole is planned where no plan is kept.
+    ///
+    /// # Errors
+    /// [`BatchError::NoUnit`].
+    pub fn unit(&self, id: &str) -> Result<Unit, BatchError> {
+        let plain = !Path::new(id).is_absolute() && !id.contains("..");
+        let kept = self.made.as_ref().filter(|_| plain);
+        if let Some(unit) = kept.and_then(|made| read_part(&part_of(self.out, id), made)) {
+            return Ok(unit);
+        }
+        let plan = Plan::of(self.manifest, self.out, false)?;
+        let found = plan.units.into_iter().find(|unit| unit.id == id);
+        found.ok_or_else(|| BatchError::NoUnit { unit: id.into() })
+    }
+}
+
+/// The file of a unit of a plan.
+fn part_of(out: &Path, id: &str) -> PathBuf {
+    out.join(PARTS).join(format!("{id}.json"))
+}
+
+fn read_part<T: DeserializeOwned>(path: &Path, made: &str) -> Option<T> {
+    let part: Part<T> = serde_json::from_slice(&read_bytes(path, FILE_MAX).ok()?).ok()?;
+    (part.made == made).then_some(part.content)
+}
+
+impl Made {
+    /// What the kept plan was made of, if it is of this program and this manifest, and the files are as they were.
+    fn kept(out: &Path, manifest: &str) -> Option<Self> {
+        let made: Self = serde_json::from_slice(&read_bytes(&out.join(PARTS).join(MADE), FILE_MAX).ok()?).ok()?;
+        if made.executable == seen(&executable()) {
+            recall_build(made.build.clone());
+        }
+        let same = made.build == build() && made.manifest == digest(manifest);
+        let unchanged = || made.files.iter().all(|(path, before)| seen(path) == *before);
+        (same && unchanged()).then_some(made)
+    }
+
+    fn digest(&self) -> String {
+        digest(&serde_json::to_string(self).unwrap_or_default())
+    }
 }
 
 impl Plan {
@@ -153,7 +221,8 @@ impl Plan {
     pub fn of(manifest_path: &Path, out: &Path, retry: bool) -> Result<Self, BatchError> {
         let manifest = Manifest::read(manifest_path)?;
         let text = format!("{manifest:?}");
-        if let Some(plan) = kept(&out.join(FILE), &text)
+        let kept = Made::kept(out, &text).and_then(|made| read_part::<Self>(&out.join(FILE), &made.digest()));
+        if let Some(plan) = kept
             && !(retry && plan.units.iter().any(|unit| unit.refusal().is_some()))
         {
             return Ok(plan);
@@ -161,26 +230,36 @@ impl Plan {
         let mut hashes = Hashes::open(out);
         let (plan, files) = make(&manifest, &mut hashes);
         let made = Made {
-            program: identity_of_program(),
+            build: build().to_owned(),
+            executable: seen(&executable()),
             manifest: digest(&text),
             files: files.into_iter().map(|path| (path.clone(), seen(&path))).collect(),
         };
-        let file = File { made, plan };
-        // Both only save time: a folder that cannot be written is told of by the units.
+        // They only save time: a folder that cannot be written is told of by the units.
         let _ = hashes.save(out);
-        let text = serde_json::to_string_pretty(&file).unwrap_or_default();
-        let _ = write_atomically(&out.join(FILE), text.as_bytes());
-        Ok(file.plan)
+        let _ = plan.keep(out, &made);
+        Ok(plan)
     }
 
-    /// A unit by its name.
-    ///
-    /// # Errors
-    /// [`BatchError::NoUnit`].
-    pub fn unit(&self, id: &str) -> Result<&Unit, BatchError> {
-        let found = self.units.iter().find(|unit| unit.id == id);
-        found.ok_or_else(|| BatchError::NoUnit { unit: id.into() })
+    /// Keeps the plan in `out`, as a whole and unit by unit; what it was made of last.
+    fn keep(&self, out: &Path, made: &Made) -> std::io::Result<()> {
+        let digest = made.digest();
+        let folder = out.join(PARTS);
+        let _ = std::fs::remove_file(folder.join(MADE));
+        for unit in &self.units {
+            let path = part_of(out, &unit.id);
+            std::fs::create_dir_all(path.parent().unwrap_or(&folder))?;
+            std::fs::write(path, part(&digest, unit)?)?;
+        }
+        let write = |path: &Path, text: &[u8]| write_atomically(path, text).map_err(std::io::Error::other);
+        write(&out.join(FILE), &part(&digest, self)?)?;
+        write(&folder.join(MADE), &serde_json::to_vec(made)?)
     }
+}
+
+fn part<T: serde::Serialize>(made: &str, content: &T) -> serde_json::Result<Vec<u8>> {
+    let made = made.to_owned();
+    serde_json::to_vec(&Part { made, content })
 }
 
 impl Unit {
@@ -191,15 +270,6 @@ impl Unit {
             _ => None,
         }
     }
-}
-
-/// The plan in a file, if it is of this program and this manifest, and the files are as they were.
-fn kept(path: &Path, manifest: &str) -> Option<Plan> {
-    let file: File = serde_json::from_slice(&read_bytes(path, FILE_MAX).ok()?).ok()?;
-    let made = &file.made;
-    let same = made.program == identity_of_program() && made.manifest == digest(manifest);
-    let unchanged = || made.files.iter().all(|(path, before)| seen(path) == *before);
-    (same && unchanged()).then_some(file.plan)
 }
 
 /// All units, and the files that decided them. A scene that is at fault becomes a unit that fails, and stops no other.
@@ -257,7 +327,7 @@ fn units_of(
     let index = Index::open(&images.scene, options.rpc)?;
     let options = altitude::resolve(&index, &options)?;
     let survey = Survey::of(&index, &options)?;
-    let inputs = hashes.of(&index.files)?;
+    let inputs = digest(&index.identity(hashes)?);
     let mut units = Vec::new();
     for preset in &manifest.presets {
         let config = preset.config().map_err(|error| BatchError::Manifest {
@@ -270,6 +340,7 @@ fn units_of(
             survey: &survey,
             options: &manifest.tiles,
             config: &config,
+            trains: !preset.is_sweep(),
         })?;
         let combination = Combination {
             area,
@@ -278,7 +349,7 @@ fn units_of(
             preset,
             inputs: &inputs,
             config: toml::to_string(&config).unwrap_or_default(),
-            products: &manifest.products,
+            products: products_of(preset, &manifest.products),
             deliver: manifest.deliver.as_ref(),
         };
         units.extend(combination.units(&tiling, &survey));
@@ -299,6 +370,18 @@ fn refused(area: &AreaEntry, images: &ImagesEntry, error: &BatchError) -> Unit {
     }
 }
 
+/// The products of a preset: a sweep has surface models alone.
+fn products_of(preset: &PresetEntry, asked: &ProductOptions) -> ProductOptions {
+    match preset.is_sweep() {
+        true => ProductOptions {
+            dsm_only: true,
+            geoid: asked.geoid,
+            ..ProductOptions::default()
+        },
+        false => asked.clone(),
+    }
+}
+
 struct Combination<'a> {
     area: &'a AreaEntry,
     images: &'a ImagesEntry,
@@ -308,7 +391,7 @@ struct Combination<'a> {
     /// The files that say something about the scene, and their hashes.
     inputs: &'a str,
     config: String,
-    products: &'a ProductOptions,
+    products: ProductOptions,
     deliver: Option<&'a String>,
 }
 
@@ -373,7 +456,6 @@ impl Combination<'_> {
             preset: self.preset.clone(),
             crs: tiling.crs.clone(),
             gsd_m: tiling.gsd_m,
-            residual_px: tile.survey.residual_px,
             // What is made of the whole surface alone is nothing to a tile.
             products: ProductOptions {
                 geoid: None,
@@ -400,7 +482,7 @@ impl Combination<'_> {
             id: format!("{home}/{}", tile.name()),
             after: Vec::new(),
             mem_mb: mebibytes(tile.estimate.peak_bytes.max(LEAST_BYTES)),
-            runtime_s: (LEAST_S + training_s(tile)).ceil() as u64,
+            runtime_s: (LEAST_S + tile_s(tile)).ceil() as u64,
             key: digest(&said),
             deliver: self.deliver.cloned(),
             work: Work::Tile(work),
@@ -408,8 +490,11 @@ impl Combination<'_> {
     }
 }
 
-/// Seconds of a tile's training, roughly.
-fn training_s(tile: &tiles::Tile) -> f64 {
+/// Seconds of a tile's sweep or training, roughly.
+fn tile_s(tile: &tiles::Tile) -> f64 {
+    if tile.estimate.steps == 0 {
+        return SWEEP_S_PER_PIXEL * tile.survey.pixels;
+    }
     let steps = tile.estimate.steps as f64 + STEPS_PER_VIEW * tile.survey.training as f64;
     STEP_S_PER_GAUSSIAN * tile.estimate.gaussians * steps
 }

@@ -8,9 +8,10 @@ use super::BatchError;
 use super::manifest::TileOptions;
 use heliosplat_raster::{Crs, GridSpec};
 use heliosplat_satellite::config::SatelliteConfig;
-use heliosplat_satellite::estimate::{Estimate, Extent, PROGRAM_BYTES, estimate_of};
+use heliosplat_satellite::estimate::{Estimate, Extent, PROGRAM_BYTES, estimate_of, sweep_estimate};
 use heliosplat_scene::AreaRequest;
 use heliosplat_scene::survey::{Survey, TileSurvey};
+use std::collections::BTreeSet;
 
 /// Bytes per pixel and band of the images that a tile reads: the values, and what reading takes besides.
 const BYTES_PER_PIXEL: f64 = 4.0 * 1.5;
@@ -68,8 +69,10 @@ pub struct Request<'a> {
     pub survey: &'a Survey<'a>,
     /// The limits.
     pub options: &'a TileOptions,
-    /// How tiles are trained.
+    /// How tiles are swept and trained.
     pub config: &'a SatelliteConfig,
+    /// Whether they are trained.
+    pub trains: bool,
 }
 
 /// The tiles of an area.
@@ -97,7 +100,7 @@ pub fn cut(request: &Request) -> Result<Tiling, BatchError> {
                 });
             }
             Ok(tiling) => return Ok(tiling),
-            Err((what, remedy)) => {
+            Err(TooMuch { what, remedy }) => {
                 let smallest = high_m.max(wide_m) / 1.2 < LEAST_SIDE_M;
                 if smallest || rows * cols >= MOST_TILES {
                     return Err(BatchError::TooLarge {
@@ -130,7 +133,11 @@ fn at_first(request: &Request, grid: &GridSpec, gsd_m: f64) -> (usize, usize) {
     (parts(grid.height), parts(grid.width))
 }
 
-type TooMuch = (String, &'static str);
+/// What tiles take too much of, and what to do.
+struct TooMuch {
+    what: String,
+    remedy: &'static str,
+}
 
 /// The tiles of so many rows and columns, or what the first that does not fit takes too much of.
 fn try_cut(
@@ -171,7 +178,7 @@ fn try_cut(
                 continue;
             };
             let estimate = estimate(request, &survey);
-            if let Some(too_much) = too_much(request.options, &survey, &estimate) {
+            if let Some(too_much) = too_much(request.options, &estimate) {
                 return Ok(Err(too_much));
             }
             tiles.push(Tile {
@@ -184,6 +191,9 @@ fn try_cut(
             });
         }
     }
+    if let Some(too_far) = too_far(request, &tiles, (rows, cols))? {
+        return Ok(Err(too_far));
+    }
     Ok(Ok(Tiling {
         crs: grid.crs.definition().to_owned(),
         gsd_m,
@@ -193,6 +203,33 @@ fn try_cut(
     }))
 }
 
+/// Whether pinhole cameras are too far off in the tiles in the middle, at the corners and at the edges of the area. All tiles are of one
+/// size, and a rational camera bends alike from one to the next; a tile states its own residual when it is done.
+fn too_far(
+    request: &Request,
+    tiles: &[Tile],
+    (rows, cols): (usize, usize),
+) -> Result<Option<TooMuch>, BatchError> {
+    let along = |count: usize| [count / 2, 0, count - 1];
+    let places = along(rows).into_iter().flat_map(|row| along(cols).map(|col| (row, col)));
+    let places: BTreeSet<usize> = places
+        .filter_map(|(row, col)| {
+            let apart = |place: &usize| tiles[*place].row.abs_diff(row) + tiles[*place].col.abs_diff(col);
+            (0..tiles.len()).min_by_key(apart)
+        })
+        .collect();
+    for tile in places.into_iter().filter_map(|place| tiles.get(place)) {
+        let residual_px = request.survey.residual_px(&tile.area)?;
+        if residual_px > request.options.residual_px {
+            return Ok(Some(TooMuch {
+                what: format!("{residual_px:.3} px off their rational cameras"),
+                remedy: "give a narrower altitude_m, or a larger tiles.residual_px",
+            }));
+        }
+    }
+    Ok(None)
+}
+
 /// The outer north-western corner of a grid.
 fn corner(grid: &GridSpec) -> [f64; 2] {
     let six = grid.transform.to_gdal();
@@ -200,6 +237,9 @@ fn corner(grid: &GridSpec) -> [f64; 2] {
 }
 
 fn estimate(request: &Request, tile: &TileSurvey) -> Estimate {
+    if !request.trains {
+        return sweep_estimate(request.survey, tile, request.config);
+    }
     let extent = Extent {
         area: tile.area,
         gsd_m: request.survey.gsd_m,
@@ -212,15 +252,11 @@ fn estimate(request: &Request, tile: &TileSurvey) -> Estimate {
     estimate_of(&extent, request.config, read)
 }
 
-fn too_much(options: &TileOptions, tile: &TileSurvey, estimate: &Estimate) -> Option<TooMuch> {
+fn too_much(options: &TileOptions, estimate: &Estimate) -> Option<TooMuch> {
     let gib = |bytes: f64| bytes / f64::from(1 << 30);
-    if tile.residual_px > options.residual_px {
-        let what = format!("{:.3} px off their rational cameras", tile.residual_px);
-        return Some((what, "give a narrower altitude_m, or a larger tiles.residual_px"));
-    }
     let memory = options.memory_bytes().map_or(f64::INFINITY, |bytes| bytes as f64);
-    (estimate.peak_bytes > memory).then(|| {
-        let what = format!("{:.2} GiB of {:.2}", gib(estimate.peak_bytes), gib(memory));
-        (what, "give more tiles.memory or less tiles.overlap_m")
+    (estimate.peak_bytes > memory).then(|| TooMuch {
+        what: format!("{:.2} GiB of {:.2}", gib(estimate.peak_bytes), gib(memory)),
+        remedy: "give more tiles.memory or less tiles.overlap_m",
     })
 }

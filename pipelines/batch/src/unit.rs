@@ -2,10 +2,10 @@
 
 use super::BatchError;
 use super::mosaic::mosaic;
-use super::plan::{MosaicWork, Plan, TileWork, Unit, Work};
+use super::plan::{MosaicWork, TileWork, Unit, Units, Work};
 use super::products::{self, RUN};
 use super::stamp::{Output, STAMP, Stamp, claim, finished};
-use heliosplat_evaluate::{Protocol, error_map, evaluate_raster};
+use heliosplat_evaluate::{Protocol, error_map, evaluate_dsm, evaluate_raster};
 use heliosplat_fitting::checkpoint;
 use heliosplat_fitting::program::build;
 use heliosplat_fitting::request::{Earlier, TrainOutcome, TrainRequest};
@@ -17,10 +17,10 @@ use heliosplat_raster::bounded::read_text;
 use heliosplat_raster::preview;
 use heliosplat_raster::write::{deliver, write_atomically};
 use heliosplat_satellite::config::SatelliteConfig;
-use heliosplat_satellite::measure;
 use heliosplat_satellite::run_file::CUT;
 use heliosplat_satellite::training::train;
-use heliosplat_scene::{Hashes, IngestOptions, Scene};
+use heliosplat_satellite::{measure, preprocess};
+use heliosplat_scene::{Cut, Index, IngestOptions, Scene, SceneError};
 use heliosplat_session::Session;
 use serde_json::{Value, json};
 use std::path::Path;
@@ -38,14 +38,14 @@ const SUN: &str = view::FILE;
 /// # Errors
 /// When what it waits for is not finished, its inputs are at fault, or the user stops it.
 pub fn do_unit(
-    plan: &Plan,
+    units: &Units,
     unit: &Unit,
     out: &Path,
     checkpoint_every: Duration,
     session: &Session,
 ) -> Result<(Stamp, bool), BatchError> {
     for after in &unit.after {
-        if finished(out, plan.unit(after)?).is_none() {
+        if finished(out, &units.unit(after)?).is_none() {
             return Err(BatchError::NotYet {
                 unit: unit.id.clone(),
                 after: after.clone(),
@@ -63,7 +63,7 @@ pub fn do_unit(
     begin(&folder, unit)?;
     let begun = Instant::now();
     let (outputs, metrics) = match &unit.work {
-        Work::Tile(work) => tile(work, unit, (out, &folder), checkpoint_every, session)?,
+        Work::Tile(work) => tile(work, unit, &folder, checkpoint_every, session)?,
         Work::Mosaic(work) => mosaic_unit(work, unit, out, &folder)?,
         Work::Refused { reason } => return Err(BatchError::Refused(reason.clone())),
     };
@@ -113,7 +113,7 @@ type Done = (Vec<String>, Value);
 fn tile(
     work: &TileWork,
     unit: &Unit,
-    (out, folder): (&Path, &Path),
+    folder: &Path,
     checkpoint_every: Duration,
     session: &Session,
 ) -> Result<Done, BatchError> {
@@ -125,13 +125,20 @@ fn tile(
         area: Some(work.area.clone()),
     };
     let begun = Instant::now();
-    let mut scene = Scene::open(&work.scene, &ingest)?;
-    scene.cut.identify(&mut Hashes::open(out))?;
+    let scene = match scene_of(work, &ingest) {
+        Err(SceneError::NotCovered { .. }) => {
+            tracing::warn!("{}: fewer than two images have pixels here, so that it has no surface", unit.id);
+            return Ok((Vec::new(), json!({"empty": true})));
+        }
+        scene => scene?,
+    };
     for warning in &scene.warnings {
         tracing::warn!("{warning}");
     }
-    let preset = work.preset.base().parse()?;
-    let config = SatelliteConfig::resolve(preset, &work.preset.changes(), work.preset.seed)?;
+    let (preset, config) = (work.preset.parsed()?, work.preset.config()?);
+    if work.preset.is_sweep() {
+        return swept(&scene, work, &config, folder, session);
+    }
     let request = TrainRequest {
         begun,
         earlier: Earlier::Update,
@@ -149,6 +156,7 @@ fn tile(
             trained.metrics
         }
     };
+    let mut metrics = json!({"residual_px": residual_px(&scene)});
     drop(scene);
     let model = model::load_whole(&run)?;
     let mut outputs = if work.products.dsm_only {
@@ -157,7 +165,6 @@ fn tile(
     } else {
         products::of_tile(&model, unit, folder, (work.gsd_m, &work.crs), work.products.sun)?
     };
-    let mut metrics = json!({"residual_px": work.residual_px});
     for key in [
         "seconds",
         "iterations",
@@ -179,7 +186,46 @@ fn tile(
     Ok((outputs, metrics))
 }
 
+/// The pixels of a tile; images that have none there are left out.
+fn scene_of(work: &TileWork, ingest: &IngestOptions) -> Result<Scene, SceneError> {
+    let index = Index::open(&work.scene, work.rpc)?;
+    let mut warnings = Vec::new();
+    let mut cut = Cut::of(&index, ingest, &mut warnings)?;
+    cut.is_part = true;
+    Scene::read(&index, &cut, warnings)
+}
+
+/// The surface model of a tile without training.
+fn swept(
+    scene: &Scene,
+    work: &TileWork,
+    config: &SatelliteConfig,
+    folder: &Path,
+    session: &Session,
+) -> Result<Done, BatchError> {
+    let surface = preprocess::sweep_only(scene, config, session)?;
+    let dsm = dsm::of_surface(&scene.into(), &surface, work.gsd_m, Some(&work.crs))?;
+    let path = folder.join("dsm.tif");
+    dsm.write(&path)?;
+    preview::write_png(&folder.join("dsm.png"), &preview::hillshade(&dsm.altitude(), work.gsd_m))?;
+    let mut metrics = json!({"residual_px": residual_px(scene)});
+    if let Some(truth) = &scene.truth.dsm {
+        let evaluation = evaluate_dsm(&path, truth, scene.truth.classes.as_deref(), Protocol::Raw)?;
+        metrics["dsm"] = measure::surface_metrics(&evaluation);
+    }
+    Ok((vec!["dsm.tif".into(), "dsm.png".into()], metrics))
+}
+
+/// Largest distance between the pinhole cameras of a scene and its rational ones, pixels.
+fn residual_px(scene: &Scene) -> f64 {
+    let residuals = scene.images.iter().map(|image| image.pinhole.max_px);
+    residuals.fold(0.0, f64::max)
+}
+
 fn mosaic_unit(work: &MosaicWork, unit: &Unit, out: &Path, folder: &Path) -> Result<Done, BatchError> {
+    let mut work = work.clone();
+    work.tiles.retain(|tile| out.join(&tile.unit).join("dsm.tif").is_file());
+    let work = &work;
     let mut mosaic = mosaic(out, work)?;
     let path = folder.join("dsm.tif");
     let altitude = mosaic.dsm.altitude();

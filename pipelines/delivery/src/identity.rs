@@ -5,10 +5,13 @@ use heliosplat_raster::bounded::{TEXT_MAX, read_bytes};
 use heliosplat_raster::write::write_atomically;
 use heliosplat_raster::{RasterError, is_virtual};
 use sha2::{Digest, Sha256};
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
+use std::io::Read;
 use std::path::{Path, PathBuf};
 use std::time::SystemTime;
 
+/// Bytes at the beginning of a raster that count for its identity: its header.
+const HEADER_BYTES: u64 = 1 << 16;
 /// Name of the file that hashes are kept in.
 const HASHES: &str = "inputs.json";
 
@@ -36,14 +39,26 @@ impl FileIdentity {
 /// # Errors
 /// [`SceneError::Unreadable`].
 pub fn hash(path: &Path) -> Result<String, SceneError> {
+    hash_of_start(path, u64::MAX)
+}
+
+/// SHA-256 of the first `bytes` of a file, hexadecimal.
+fn hash_of_start(path: &Path, bytes: u64) -> Result<String, SceneError> {
     let unreadable = |error: std::io::Error| SceneError::Unreadable {
         path: path.to_owned(),
         reason: error.to_string(),
     };
-    let mut file = std::fs::File::open(path).map_err(unreadable)?;
+    let file = std::fs::File::open(path).map_err(unreadable)?;
     let mut hasher = Sha256::new();
-    std::io::copy(&mut file, &mut hasher).map_err(unreadable)?;
+    std::io::copy(&mut file.take(bytes), &mut hasher).map_err(unreadable)?;
     Ok(hex::encode(hasher.finalize()))
+}
+
+/// SHA-256 of some numbers, hexadecimal.
+pub fn hash_of_values(values: &[f32]) -> String {
+    let mut hasher = Sha256::new();
+    values.iter().for_each(|value| hasher.update(value.to_le_bytes()));
+    hex::encode(hasher.finalize())
 }
 
 /// Size and time of change of a file, as far as they can be told.
@@ -113,17 +128,23 @@ impl Hashes {
             .extend(known.map(|file| (file.path, (file.seen, file.sha256))));
     }
 
-    /// Names and hashes of files, a line each. A file on a virtual file system stands for itself by its name.
+    /// Names and hashes of files, a line each. Of `rasters`, which may be too large to be read, size, time of change and header count. A file
+    /// on a virtual file system counts by its name.
     ///
     /// # Errors
     /// When one cannot be read.
-    pub fn of(&mut self, files: &[PathBuf]) -> Result<String, SceneError> {
+    pub fn of(&mut self, files: &[PathBuf], rasters: &BTreeSet<&Path>) -> Result<String, SceneError> {
         let mut text = String::new();
         for file in files {
+            let name = file.file_name().unwrap_or_default().to_string_lossy();
             if is_virtual(file) {
                 text += &format!("{}\n", file.display());
-            } else if file.is_file() {
-                let name = file.file_name().unwrap_or_default().to_string_lossy();
+            } else if !file.is_file() {
+                continue;
+            } else if rasters.contains(file.as_path()) {
+                let Seen { bytes, changed_ns } = seen(file);
+                text += &format!("{name} {bytes} {changed_ns} {}\n", hash_of_start(file, HEADER_BYTES)?);
+            } else {
                 text += &format!("{name} {}\n", self.identify(file)?.sha256);
             }
         }
@@ -141,11 +162,26 @@ mod tests {
         let file = folder.path().join("a.tif");
         std::fs::write(&file, b"one").expect("written");
         let mut hashes = Hashes::default();
-        let before = hashes.of(std::slice::from_ref(&file)).expect("readable");
+        let none = BTreeSet::new();
+        let before = hashes.of(std::slice::from_ref(&file), &none).expect("readable");
         hashes.save(folder.path()).expect("written");
         let mut hashes = Hashes::open(folder.path());
-        assert_eq!(hashes.of(std::slice::from_ref(&file)).expect("readable"), before);
+        assert_eq!(hashes.of(std::slice::from_ref(&file), &none).expect("readable"), before);
         std::fs::write(&file, b"three").expect("written");
-        assert_ne!(hashes.of(std::slice::from_ref(&file)).expect("readable"), before);
+        assert_ne!(hashes.of(std::slice::from_ref(&file), &none).expect("readable"), before);
+    }
+
+    #[test]
+    fn a_raster_of_many_gigabytes_is_identified_by_its_header() {
+        let folder = tempfile::tempdir().expect("a temporary folder");
+        let path = folder.path().join("a.tif");
+        let file = std::fs::File::create(&path).expect("created");
+        file.set_len(1 << 38).expect("a sparse file");
+        let rasters = BTreeSet::from([path.as_path()]);
+        let of = || Hashes::default().of(std::slice::from_ref(&path), &rasters).expect("readable");
+        let before = of();
+        assert_eq!(of(), before);
+        file.set_len(1 << 37).expect("a sparse file");
+        assert_ne!(of(), before);
     }
 }

@@ -6,7 +6,7 @@ use super::calibration::FoundRadiometry;
 use super::draft::Draft;
 use super::files::{self, Folders};
 use super::manifest::Counts;
-use super::{ImageSun, RpcPreference, SceneError, Split, Truth, acquisition, drafts, layout, sidecars, weak_times};
+use super::{Hashes, ImageSun, RpcPreference, SceneError, Split, Truth, acquisition, drafts, layout, sidecars, weak_times};
 use heliosplat_raster::{RasterFile, is_virtual};
 use heliosplat_rpc::read::acquisition::Acquisition;
 use heliosplat_rpc::{GeoPoint, ImagePoint, Rpc};
@@ -120,6 +120,21 @@ impl Index {
             ties_m: from_ties,
         };
         altitude::choose(said, &stated, warnings)
+    }
+
+    /// The content of the delivery, a line per file ([`Hashes::of`]).
+    ///
+    /// # Errors
+    /// When a file cannot be read.
+    pub fn identity(&self, hashes: &mut Hashes) -> Result<String, SceneError> {
+        let images = self.images.iter();
+        let mut rasters: BTreeSet<&Path> = images
+            .flat_map(|image| std::iter::once(&image.path).chain(&image.others))
+            .map(PathBuf::as_path)
+            .collect();
+        let truth = [&self.truth.dsm, &self.truth.classes].into_iter().flatten();
+        rasters.extend(truth.chain(self.truth.shadows.iter().map(|(_, path)| path)).map(PathBuf::as_path));
+        hashes.of(&self.files, &rasters)
     }
 
     /// The images to train on.

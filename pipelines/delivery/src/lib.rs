@@ -33,7 +33,7 @@ pub use altitude::{AltitudeRange, AltitudeSource, Stated};
 pub use bands::{BandPlan, in_words as bands_in_words};
 pub use calibration::FoundRadiometry;
 pub use error::SceneError;
-pub use identity::{FileIdentity, Hashes, Seen, hash, seen};
+pub use identity::{FileIdentity, Hashes, Seen, hash, hash_of_values, seen};
 pub use index::{Index, IndexImage};
 pub use manifest::Counts;
 pub use relit_truth::{RelitTruth, relit_truth};

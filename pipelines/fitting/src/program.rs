@@ -3,28 +3,38 @@
 use heliosplat::train::STATE_VERSION;
 use sha2::{Digest, Sha256};
 use std::fs::File;
-use std::path::Path;
-use std::sync::LazyLock;
+use std::path::{Path, PathBuf};
+use std::sync::OnceLock;
 
 /// Digits of a build's name.
 const DIGITS: usize = 16;
 
+static BUILD: OnceLock<String> = OnceLock::new();
+
 /// First digits of the SHA-256 of the running executable, hexadecimal; computed once. `unknown` where the executable cannot be read.
 pub fn build() -> &'static str {
-    static BUILD: LazyLock<String> = LazyLock::new(|| {
-        let sum = executable().and_then(|mut file| {
+    BUILD.get_or_init(|| {
+        let sum = File::open(executable()).and_then(|mut file| {
             let mut hasher = Sha256::new();
             std::io::copy(&mut file, &mut hasher)?;
             Ok(hex::encode(hasher.finalize()))
         });
         sum.map_or_else(|_| "unknown".to_owned(), |sum| sum.chars().take(DIGITS).collect())
-    });
-    &BUILD
+    })
+}
+
+/// Takes the build that another process computed of the same executable: an executable has more bytes than most units of a batch read.
+pub fn recall_build(build: String) {
+    BUILD.get_or_init(|| build);
 }
 
 /// The executable; on Linux the one that runs, also after another took its place on the disk.
-fn executable() -> std::io::Result<File> {
-    File::open(Path::new("/proc/self/exe")).or_else(|_| File::open(std::env::current_exe()?))
+pub fn executable() -> PathBuf {
+    let running = Path::new("/proc/self/exe");
+    match running.exists() {
+        true => running.to_owned(),
+        false => std::env::current_exe().unwrap_or_default(),
+    }
 }
 
 /// The first line of every identity: version, build, and the format of a training's state.

@@ -6,7 +6,6 @@ use crate::checkpoint::{self, CheckpointError, CheckpointWriter, LoadedCheckpoin
 use crate::lock::Lock;
 use crate::request::{Earlier, TrainRequest};
 use crate::training::Ending;
-use heliosplat::Raster;
 use heliosplat_raster::write::{remove, write_atomically};
 use heliosplat_raster::{RasterError, bounded};
 use serde::Serialize;
@@ -232,15 +231,6 @@ pub fn hash(path: &Path) -> Result<String, RunError> {
     let mut hasher = Sha256::new();
     std::io::copy(&mut file, &mut hasher).map_err(io)?;
     Ok(hex::encode(hasher.finalize()))
-}
-
-/// SHA-256 of the values of a raster, hexadecimal.
-pub fn hash_of_pixels(raster: &Raster) -> String {
-    let mut hasher = Sha256::new();
-    for value in &raster.values {
-        hasher.update(value.to_le_bytes());
-    }
-    hex::encode(hasher.finalize())
 }
 
 /// Writes `metrics.json`.

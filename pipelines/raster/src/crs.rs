@@ -29,6 +29,15 @@ impl Crs {
     /// # Errors
     /// [`RasterError::UnknownCrs`].
     pub fn from_definition(definition: &str) -> Result<Self, RasterError> {
+        if let Some(known) = READ.with_borrow(|read| read.get(definition).cloned()) {
+            return Ok(known);
+        }
+        let crs = Self::parse(definition)?;
+        READ.with_borrow_mut(|read| read.insert(definition.to_owned(), crs.clone()));
+        Ok(crs)
+    }
+
+    fn parse(definition: &str) -> Result<Self, RasterError> {
         let unknown = |reason: String| match reason.contains("proj_create_from_database: Cannot find")
             || reason.contains("SQLite")
         {
@@ -211,6 +220,8 @@ pub fn utm_epsg(lon_deg: f64, lat_deg: f64) -> u32 {
 }
 
 thread_local! {
+    /// The systems that this thread read, by their definitions.
+    static READ: RefCell<HashMap<String, Crs>> = RefCell::default();
     /// The transformations that this thread made, by their two systems; a process meets few of these.
     static MADE: RefCell<HashMap<[String; 2], Rc<Proj>>> = RefCell::default();
 }

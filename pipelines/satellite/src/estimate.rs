@@ -6,10 +6,10 @@
 use super::config::{ModelOptions, SatelliteConfig};
 use super::error::SatelliteError;
 use super::ground;
-use super::sweep_memory::search_bytes;
+use super::sweep_memory::{SweepExtent, SweepModel, search_bytes};
 use heliosplat::shade::sh::functions;
 use heliosplat_scene::crop;
-use heliosplat_scene::survey::Survey;
+use heliosplat_scene::survey::{Survey, TileSurvey};
 use heliosplat_scene::{Area, Scene};
 use heliosplat_stereo::height_levels;
 
@@ -161,6 +161,25 @@ pub fn estimate_of(extent: &Extent, config: &SatelliteConfig, held: f64) -> Esti
         peak_bytes: peak(gaussians * options.growth()),
         least_bytes: peak(cells),
         steps: options.iterations,
+    }
+}
+
+/// What the sweep of a tile will take, without training.
+pub fn sweep_estimate(survey: &Survey, tile: &TileSurvey, config: &SatelliteConfig) -> Estimate {
+    let area = crop::grown(&tile.area, ground::MARGIN_M);
+    let cell_m = config.start.cell_gsd * survey.gsd_m;
+    let cells = (area.east_m - area.west_m) * (area.north_m - area.south_m) / (cell_m * cell_m);
+    let peak_bytes = SweepModel::of(survey, cell_m).bytes(&SweepExtent {
+        cells,
+        map_cells: cells,
+        pixels: tile.pixels,
+        largest: tile.largest,
+    });
+    Estimate {
+        gaussians: 0.0,
+        peak_bytes,
+        least_bytes: peak_bytes,
+        steps: 0,
     }
 }
 

@@ -149,9 +149,12 @@ pub fn scene_of(run: &Path) -> Result<Scene, SatelliteError> {
         error,
     };
     let index = Index::open(&file.scene, kept.rpc).map_err(unreadable)?;
-    let cut = kept.again(&index).map_err(|difference| SatelliteError::OtherScene {
+    let other = |difference| SatelliteError::OtherScene {
         run: run.to_owned(),
         difference,
-    })?;
-    Scene::read(&index, &cut, Vec::new()).map_err(unreadable)
+    };
+    let cut = kept.again(&index).map_err(other)?;
+    let scene = Scene::read(&index, &cut, Vec::new()).map_err(unreadable)?;
+    kept.check_pixels(&scene.images).map_err(other)?;
+    Ok(scene)
 }

@@ -18,14 +18,14 @@ use heliosplat_fitting::budget::steps_of_products;
 use heliosplat_fitting::checkpoint::digest;
 use heliosplat_fitting::program::{build, identity_of_program};
 use heliosplat_fitting::request::{TrainOutcome, TrainRequest, TrainedRun};
-use heliosplat_fitting::run_folder::{Input, Opened, RunFolder, RunRequest, hash_of_pixels};
+use heliosplat_fitting::run_folder::{Input, Opened, RunFolder, RunRequest};
 use heliosplat_fitting::training::Ending;
 use heliosplat_products::change::ChangeMap;
 use heliosplat_products::dsm::{self, Dsm};
 use heliosplat_products::model::{LoadedModel, ModelChanges, ModelFile, SCHEMA};
 use heliosplat_products::nadir::NadirGrid;
 use heliosplat_radiometry::linear;
-use heliosplat_raster::{Crs, RasterError, is_virtual, preview};
+use heliosplat_raster::{Crs, RasterError, preview};
 use heliosplat_scene::{AltitudeSource, Hashes, IngestOptions, KeptCut, Scene, SceneError, SceneImage, Values};
 use heliosplat_session::Session;
 use rayon::prelude::*;
@@ -157,22 +157,20 @@ fn write_surfaces(out: &Path, surface: &Dsm, changes: Option<&ChangeMap>, gsd_m:
     files.par_iter().try_for_each(|write| write())
 }
 
-/// The images, hashed; `cut` is theirs, with the identities of their files.
+/// The images, hashed, or what was read of them; `cut` is theirs, with the identities of their files.
 fn inputs_of(scene: &Scene, cut: &KeptCut) -> Vec<Input> {
     let mut inputs = Vec::new();
     for image in &scene.images {
-        if is_virtual(&image.path) {
-            // Not to be fetched once more: the pixels that were read stand for it.
-            inputs.push(Input {
+        for kept in cut.images.iter().filter(|kept| kept.name == image.name) {
+            inputs.extend(kept.pixels_sha256.iter().map(|sha256| Input {
                 path: image.path.clone(),
-                sha256: hash_of_pixels(&image.pixels),
-            });
+                sha256: sha256.clone(),
+            }));
+            inputs.extend(kept.files.iter().map(|file| Input {
+                path: file.path.clone(),
+                sha256: file.sha256.clone(),
+            }));
         }
-        let kept = cut.images.iter().filter(|kept| kept.name == image.name);
-        inputs.extend(kept.flat_map(|kept| &kept.files).map(|file| Input {
-            path: file.path.clone(),
-            sha256: file.sha256.clone(),
-        }));
     }
     inputs
 }
@@ -184,7 +182,7 @@ fn identified(scene: &Scene, out: &Path) -> Result<KeptCut, SceneError> {
         hashes.learn(before.images.into_iter().flat_map(|image| image.files));
     }
     let mut cut = scene.cut.clone();
-    cut.identify(&mut hashes)?;
+    cut.identify(&scene.images, &mut hashes)?;
     Ok(cut)
 }
 

@@ -1,8 +1,8 @@
 //! The cut of a run as the run keeps it (`cut.json`): everything that decides which pixels and cameras were used.
 
 use super::crop::Crop;
-use super::{AltitudeRange, Area, BandKind, Cut, CutImage, RpcPreference, SceneError, Split};
-use heliosplat_delivery::{Counts, FileIdentity, Hashes, Index, IndexImage};
+use super::{AltitudeRange, Area, BandKind, Cut, CutImage, RpcPreference, SceneError, SceneImage, Split};
+use heliosplat_delivery::{Counts, FileIdentity, Hashes, Index, IndexImage, hash_of_values};
 use heliosplat_raster::{Window, is_virtual};
 use heliosplat_rpc::{GeoPoint, LocalFrame, Rpc};
 use std::collections::BTreeMap;
@@ -32,9 +32,12 @@ pub struct KeptImage {
     pub name: String,
     /// Its file, and the other files that its pixels come from.
     pub paths: Vec<PathBuf>,
-    /// The same files as they were, but for those on virtual file systems.
+    /// The same files as they were; none where `pixels_sha256` stands for them.
     #[serde(default)]
     pub files: Vec<FileIdentity>,
+    /// SHA-256 of the values that were read, where these are a part of the image or its file is on a virtual file system.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub pixels_sha256: Option<String>,
     /// Train or test.
     pub split: Split,
     /// Columns and rows.
@@ -63,6 +66,7 @@ impl KeptCut {
                 name: image.name.clone(),
                 paths: std::iter::once(&image.path).chain(&image.others).cloned().collect(),
                 files: Vec::new(),
+                pixels_sha256: None,
                 split: part.split,
                 size: image.size,
                 window: Crop {
@@ -88,14 +92,34 @@ impl KeptCut {
         }
     }
 
-    /// Notes size, time of change and hash of each file that pixels come from; known hashes are not computed again.
+    /// Notes size, time of change and hash of each file that pixels come from; known hashes are not computed again. The `images` that were
+    /// read in part, or from a virtual file system, count by their pixels: no more of a file is read for its identity than for itself.
     ///
     /// # Errors
     /// When a file cannot be read.
-    pub fn identify(&mut self, hashes: &mut Hashes) -> Result<(), SceneError> {
-        for image in self.images.iter_mut().filter(|image| image.files.is_empty()) {
-            for path in image.paths.iter().filter(|path| !is_virtual(path)) {
-                image.files.push(hashes.identify(path)?);
+    pub fn identify(&mut self, images: &[SceneImage], hashes: &mut Hashes) -> Result<(), SceneError> {
+        for kept in &mut self.images {
+            if !kept.is_whole() {
+                let read = images.iter().find(|image| image.name == kept.name);
+                kept.pixels_sha256 = read.map(|image| hash_of_values(&image.pixels.values));
+                continue;
+            }
+            for path in &kept.paths {
+                kept.files.push(hashes.identify(path)?);
+            }
+        }
+        Ok(())
+    }
+
+    /// The first of the `images` that were read again whose pixels are not those that were read before, in words.
+    ///
+    /// # Errors
+    /// The same.
+    pub fn check_pixels(&self, images: &[SceneImage]) -> Result<(), String> {
+        for kept in self.images.iter().filter(|kept| kept.pixels_sha256.is_some()) {
+            let read = images.iter().find(|image| image.name == kept.name);
+            if let Some(read) = read.filter(|read| kept.pixels_sha256 != Some(hash_of_values(&read.pixels.values))) {
+                return Err(format!("{} has changed", read.path.display()));
             }
         }
         Ok(())
@@ -149,6 +173,11 @@ impl KeptCut {
 }
 
 impl KeptImage {
+    /// Whether all of it was read, from files on the disk.
+    fn is_whole(&self) -> bool {
+        (self.window.width, self.window.height) == self.size && !self.paths.iter().any(|path| is_virtual(path))
+    }
+
     /// The first difference to an image of now, in words.
     fn difference(&self, now: &IndexImage) -> Option<String> {
         let path = now.path.display();

@@ -54,10 +54,10 @@ pub struct TileSurvey {
     pub training: usize,
     /// Share of it that at least two training images show.
     pub covered: f64,
-    /// Largest residual of the pinhole cameras, pixels.
-    pub residual_px: f64,
     /// Pixels of all windows together.
     pub pixels: f64,
+    /// Pixels of the largest window.
+    pub largest: f64,
 }
 
 impl<'a> Survey<'a> {
@@ -131,42 +131,51 @@ impl<'a> Survey<'a> {
         &self.cut.area
     }
 
+    /// A local frame at the middle of a tile, its ground there, and the images that show it.
+    fn shown(&self, wanted: &AreaRequest) -> Result<(LocalFrame, Area, Vec<Shown<'_>>), SceneError> {
+        let frame = LocalFrame::new(wanted.place(self.frame().origin.height_m)?);
+        let area = wanted.area(&frame)?;
+        let shown = placed(self.index, &self.cut).filter_map(|(image, part)| {
+            let window = window_over(image, &frame, &area, self.altitude_range_m)?;
+            Some((image, part.split, window))
+        });
+        let shown = shown.collect();
+        Ok((frame, area, shown))
+    }
+
     /// What a tile takes; `None` where two training images do not show it.
     ///
     /// # Errors
-    /// When its coordinates cannot be transformed, or a camera does not see it.
+    /// When its coordinates cannot be transformed.
     pub fn tile(&self, wanted: &AreaRequest) -> Result<Option<TileSurvey>, SceneError> {
-        let height_m = self.frame().origin.height_m;
-        let frame = LocalFrame::new(wanted.place(height_m)?);
-        let area = wanted.area(&frame)?;
+        let (_, area, seen) = self.shown(wanted)?;
         let covered = self.covered(&wanted.area(self.frame())?);
-        let seen: Vec<(&IndexImage, Split, Window)> = placed(self.index, &self.cut)
-            .filter_map(|(image, part)| {
-                let window = window_over(image, &frame, &area, self.altitude_range_m)?;
-                Some((image, part.split, window))
-            })
-            .collect();
         let training = seen.iter().filter(|(_, split, _)| *split == Split::Train).count();
         if training < 2 || covered <= 0.0 {
             return Ok(None);
         }
-        let pixels = seen.iter().map(|(_, _, window)| pixels_of(window)).sum();
-        let fits: Vec<_> = seen
-            .par_iter()
-            .map(|(image, _, window)| fit(image, window, &frame, self.altitude_range_m))
-            .collect();
-        let mut residual_px = 0.0f64;
-        for fit in fits {
-            residual_px = residual_px.max(fit?.max_px);
-        }
+        let pixels = || seen.iter().map(|(_, _, window)| pixels_of(window));
         Ok(Some(TileSurvey {
             area,
             images: seen.len(),
             training,
             covered,
-            residual_px,
-            pixels,
+            pixels: pixels().sum(),
+            largest: pixels().fold(0.0, f64::max),
         }))
+    }
+
+    /// Largest residual of the pinhole cameras of a tile, pixels.
+    ///
+    /// # Errors
+    /// When its coordinates cannot be transformed, or a camera does not see it.
+    pub fn residual_px(&self, wanted: &AreaRequest) -> Result<f64, SceneError> {
+        let (frame, _, shown) = self.shown(wanted)?;
+        let fits: Vec<_> = shown
+            .par_iter()
+            .map(|(image, _, window)| fit(image, window, &frame, self.altitude_range_m))
+            .collect();
+        fits.into_iter().try_fold(0.0, |most, fit| Ok(f64::max(most, fit?.max_px)))
     }
 
     /// Share of an area that at least two training images show, counted on a grid.
@@ -183,6 +192,9 @@ impl<'a> Survey<'a> {
         count as f64 / (STEPS * STEPS) as f64
     }
 }
+
+/// An image that shows a tile, its split, and its window there.
+type Shown<'a> = (&'a IndexImage, Split, Window);
 
 /// The images of a cut with their parts.
 fn placed<'a>(index: &'a Index, cut: &Cut) -> impl Iterator<Item = (&'a IndexImage, CutImage)> {

@@ -4,7 +4,7 @@ use crate::outcome::{CliError, Outcome};
 use crate::parse;
 use clap::Args;
 use heliosplat_batch::driver::Batch;
-use heliosplat_batch::plan::Plan;
+use heliosplat_batch::plan::{Plan, Units};
 use heliosplat_batch::stamp::{STAMP, finished, other_build};
 use heliosplat_batch::summary;
 use heliosplat_batch::unit::do_unit;
@@ -52,11 +52,11 @@ pub(crate) fn run(args: &BatchArgs, threads: Option<usize>, session: &Session) -
     if args.attended {
         session.stop_with_input();
     }
-    let looks = args.only.is_some() || args.plan || args.dry_run || args.summary;
-    let plan = Plan::of(&args.manifest, &args.out, !looks)?;
     if let Some(id) = &args.only {
-        return only(args, &plan, id, session);
+        return only(args, id, session);
     }
+    let looks = args.plan || args.dry_run || args.summary;
+    let plan = Plan::of(&args.manifest, &args.out, !looks)?;
     if args.plan || args.dry_run {
         return Ok(told(args, &plan));
     }
@@ -96,9 +96,10 @@ pub(crate) fn run(args: &BatchArgs, threads: Option<usize>, session: &Session) -
     )))
 }
 
-fn only(args: &BatchArgs, plan: &Plan, id: &str, session: &Session) -> Result<Outcome, CliError> {
-    let unit = plan.unit(id)?;
-    let (stamp, before) = do_unit(plan, unit, &args.out, args.checkpoint_every, session)?;
+fn only(args: &BatchArgs, id: &str, session: &Session) -> Result<Outcome, CliError> {
+    let units = Units::open(&args.manifest, &args.out)?;
+    let unit = units.unit(id)?;
+    let (stamp, before) = do_unit(&units, &unit, &args.out, args.checkpoint_every, session)?;
     let how = if before { "finished before" } else { "done" };
     Ok(Outcome {
         text: format!("{id}: {how}, {:.1} s", stamp.seconds),

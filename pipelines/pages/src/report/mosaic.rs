@@ -226,7 +226,11 @@ fn table(tiles: &[Tile]) -> Markup {
             @for tile in tiles.iter().take(ROWS) {
                 @let metric = |pointer: &str, digits: usize| number(tile.stamp.number(pointer), digits);
                 tr {
-                    td { a href={ "../" (tile.name) "/run/report.html" } { (tile.name) } }
+                    td {
+                        @if tile.stamp.path.join("run/report.html").is_file() {
+                            a href={ "../" (tile.name) "/run/report.html" } { (tile.name) }
+                        } @else { (tile.name) }
+                    }
                     td { (metric("/metrics/dsm/mae_m", 3)) }
                     td { (metric("/metrics/test/psnr", 2)) }
                     td { (metric("/metrics/residual_px", 4)) }
@@ -237,9 +241,14 @@ fn table(tiles: &[Tile]) -> Markup {
             }
         } }
         div.four {
-            @for tile in tiles.iter().take(SHOWN) { (figure(tile.stamp.picture("run/dsm.png"), TILE_PX, &tile.name)) }
+            @for tile in tiles.iter().take(SHOWN) { (figure(picture(tile), TILE_PX, &tile.name)) }
         }
     }
+}
+
+/// The surface of a tile that was trained, or swept alone.
+fn picture(tile: &Tile) -> Option<RgbImage> {
+    tile.stamp.picture("run/dsm.png").or_else(|| tile.stamp.picture("dsm.png"))
 }
 
 /// Links to the products beside the page.

@@ -1,0 +1,134 @@
+//! Batches over images as large as those of a satellite: how much of them is read.
+
+use heliosplat_scene::{RpcPreference, camera_of};
+use heliosplat_tests::canvas;
+use heliosplat_tests::measured::{Measured, run};
+use heliosplat_tests::program::{binary, json, tiny_scene};
+use heliosplat_tests::scenes::parallel_camera;
+use std::path::Path;
+use std::time::Duration;
+use tempfile::tempdir;
+
+/// Pixels of an image each way.
+const CANVAS_PX: usize = 40_000;
+/// Bytes that a process may read besides the pixels of its windows.
+const BESIDES: u64 = 50_000_000;
+
+fn batch(home: &Path, more: &[&str]) -> Measured {
+    let [manifest, out] = ["batch.toml", "out"].map(|name| home.join(name).display().to_string());
+    let mut arguments = vec!["batch", &manifest, "--out", &out];
+    arguments.extend(more);
+    let measured = run(&arguments, Duration::from_secs(300));
+    assert_eq!(measured.code, Some(0), "{}", measured.stderr);
+    measured
+}
+
+fn executable_bytes() -> u64 {
+    std::fs::metadata(binary()).expect("there").len()
+}
+
+#[test]
+fn a_city_is_planned_without_reading_a_pixel_and_once() {
+    let home = tempdir().expect("a temporary folder");
+    let scene = home.path().join("scene");
+    std::fs::create_dir(&scene).expect("made");
+    for (number, tilt) in [[0.1, 0.2], [-0.2, 0.1], [0.0, -0.3], [0.25, -0.1]].into_iter().enumerate() {
+        let camera = parallel_camera(CANVAS_PX, 0.4, [36.91, 37.58], tilt);
+        let path = scene.join(format!("2015090{}T083000_{number}.tif", number + 1));
+        drop(canvas::empty(&path, CANVAS_PX, 1, &camera));
+    }
+    // Two kilometres by two in tiles of a hundred metres.
+    let manifest = "
+[tiles]
+side_m = 100.0
+[products]
+dsm_only = true
+[[areas]]
+name = \"city\"
+bounds = [340000.0, 4160000.0, 342000.0, 4162000.0]
+crs = \"EPSG:32637\"
+altitude_m = [650, 750]
+[[images]]
+name = \"first\"
+scene = \"scene\"
+[[presets]]
+name = \"sweep\"
+";
+    let place = heliosplat_raster::Crs::from_epsg(32637).expect("UTM");
+    let to_map = heliosplat_raster::CrsTransform::from_lon_lat(&place).expect("a transformation");
+    let (east, north) = to_map.apply(36.91, 37.58).expect("a place");
+    let bounds = [east - 1000.0, north - 1000.0, east + 1000.0, north + 1000.0];
+    let manifest = manifest.replace("[340000.0, 4160000.0, 342000.0, 4162000.0]", &format!("{bounds:?}"));
+    std::fs::write(home.path().join("batch.toml"), manifest).expect("written");
+    let first = batch(home.path(), &["--plan", "--json"]);
+    assert!(first.read_bytes < executable_bytes() + BESIDES, "{} bytes", first.read_bytes);
+    assert!(first.peak_bytes < 1 << 30, "{} bytes", first.peak_bytes);
+    let plan: serde_json::Value = serde_json::from_str(&first.stdout).expect("JSON");
+    let units = plan["units"].as_array().expect("units");
+    assert_eq!(units.len(), 401, "20 by 20 tiles and a mosaic");
+    // Kept: neither the delivery nor the executable is read once more.
+    let again = batch(home.path(), &["--plan", "--json"]);
+    assert_eq!(again.stdout, first.stdout);
+    assert!(again.read_bytes < 10_000_000, "{} bytes", again.read_bytes);
+    // An image that is not what it was is noticed.
+    let changed = scene.join("20150901T083000_0.tif");
+    let file = std::fs::OpenOptions::new().append(true).open(&changed).expect("writable");
+    file.set_len(file.metadata().expect("a size").len() + 1).expect("longer");
+    drop(file);
+    let other = batch(home.path(), &["--plan", "--json"]);
+    let other: serde_json::Value = serde_json::from_str(&other.stdout).expect("JSON");
+    assert_ne!(other["units"][0]["key"], units[0]["key"]);
+}
+
+#[test]
+fn a_tile_reads_its_windows_and_a_finished_one_next_to_nothing() {
+    let home = tempdir().expect("a temporary folder");
+    let small = home.path().join("small");
+    tiny_scene(&small);
+    let camera = |path: &Path| camera_of(path, RpcPreference::Image).expect("a camera");
+    canvas::scene(&small, &home.path().join("scene"), CANVAS_PX, &camera);
+    let manifest = "
+[tiles]
+side_m = 40.0
+overlap_m = 6.0
+[[areas]]
+name = \"site\"
+altitude_m = [470, 530]
+[[images]]
+name = \"first\"
+scene = \"scene\"
+[[presets]]
+name = \"sweep\"
+[[presets]]
+name = \"fast\"
+set = { \"train.iterations\" = 4 }
+";
+    let bounds = json(&["inspect", &small.display().to_string()]);
+    let at = |key: &str| bounds["origin"][key].as_f64().expect("a place");
+    let (lon, lat) = (at("lon_deg"), at("lat_deg"));
+    let area = format!("bounds = [{}, {}, {}, {}]", lon - 3e-4, lat - 2.5e-4, lon + 3e-4, lat + 2.5e-4);
+    let manifest = manifest.replace("altitude_m", &format!("{area}\naltitude_m"));
+    std::fs::write(home.path().join("batch.toml"), manifest).expect("written");
+    let plan = batch(home.path(), &["--plan", "--json"]);
+    let plan: serde_json::Value = serde_json::from_str(&plan.stdout).expect("JSON");
+    let ids: Vec<&str> = plan["units"].as_array().expect("units").iter().filter_map(|unit| unit["id"].as_str()).collect();
+    for preset in ["sweep", "fast"] {
+        let tile = ids.iter().find(|id| id.contains(preset) && id.contains("tile")).expect("a tile");
+        let first = batch(home.path(), &["--only", tile]);
+        // The windows are a few hundred pixels wide; an image has 12.8 GB.
+        assert!(first.read_bytes < BESIDES, "{preset}: {} bytes", first.read_bytes);
+        let again = batch(home.path(), &["--only", tile]);
+        assert!(again.stdout.contains("finished before"), "{}", again.stdout);
+        assert!(again.read_bytes < 10_000_000, "{preset}: {} bytes", again.read_bytes);
+    }
+    // Surfaces of tiles without training become one.
+    let out = home.path().join("out/site/first/sweep");
+    for id in ids.iter().filter(|id| id.contains("/sweep/")) {
+        batch(home.path(), &["--only", id]);
+    }
+    assert!(out.join("mosaic/dsm.tif").is_file() && out.join("mosaic/report.html").is_file());
+    assert!(!out.join("tile-r0c0/run").exists(), "nothing is trained");
+    let mosaic: serde_json::Value =
+        serde_json::from_slice(&std::fs::read(out.join("mosaic/mosaic.json")).expect("readable")).expect("JSON");
+    assert!(mosaic["completeness"].as_f64().is_some_and(|share| share > 0.7), "{mosaic}");
+}
