@@ -213,7 +213,9 @@ fn swept(
         let evaluation = evaluate_dsm(&path, truth, scene.truth.classes.as_deref(), Protocol::Raw)?;
         metrics["dsm"] = measure::surface_metrics(&evaluation);
     }
-    Ok((vec!["dsm.tif".into(), "dsm.png".into()], metrics))
+    let mut outputs = dsm::files("dsm.tif");
+    outputs.push("dsm.png".into());
+    Ok((outputs, metrics))
 }
 
 /// Largest distance between the pinhole cameras of a scene and its rational ones, pixels.
