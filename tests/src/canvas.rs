@@ -38,7 +38,12 @@ fn image(from: &Path, to: &Path, size_px: usize, rpc: &Rpc) {
     let source = Dataset::open(from).expect("an image");
     let (width, height) = source.raster_size();
     let (col0, row0) = ((size_px - width) / 2, (size_px - height) / 2);
-    let mut target = empty(to, size_px, source.raster_count(), &rpc.cropped(-(col0 as f64), -(row0 as f64)));
+    let mut target = empty(
+        to,
+        size_px,
+        source.raster_count(),
+        &rpc.cropped(-(col0 as f64), -(row0 as f64)),
+    );
     for item in source.metadata_domain("").into_iter().flatten() {
         if let Some((key, value)) = item.split_once('=') {
             target.set_metadata_item(key, value, "").expect("an item");
@@ -47,9 +52,15 @@ fn image(from: &Path, to: &Path, size_px: usize, rpc: &Rpc) {
     for band in 1..=source.raster_count() {
         let (read, mut written) = (source.rasterband(band), target.rasterband(band).expect("a band"));
         let read = read.expect("a band");
-        written.set_description(&read.description().expect("a name")).expect("a name");
-        let pixels: Buffer<u16> = read.read_as((0, 0), (width, height), (width, height), None).expect("pixels");
+        written
+            .set_description(&read.description().expect("a name"))
+            .expect("a name");
+        let pixels: Buffer<u16> = read
+            .read_as((0, 0), (width, height), (width, height), None)
+            .expect("pixels");
         let mut pixels = Buffer::new((width, height), pixels.data().to_vec());
-        written.write((col0 as isize, row0 as isize), (width, height), &mut pixels).expect("written");
+        written
+            .write((col0 as isize, row0 as isize), (width, height), &mut pixels)
+            .expect("written");
     }
 }

@@ -34,7 +34,10 @@ fn a_city_is_planned_without_reading_a_pixel_and_once() {
     let home = tempdir().expect("a temporary folder");
     let scene = home.path().join("scene");
     std::fs::create_dir(&scene).expect("made");
-    for (number, tilt) in [[0.1, 0.2], [-0.2, 0.1], [0.0, -0.3], [0.25, -0.1]].into_iter().enumerate() {
+    for (number, tilt) in [[0.1, 0.2], [-0.2, 0.1], [0.0, -0.3], [0.25, -0.1]]
+        .into_iter()
+        .enumerate()
+    {
         let camera = parallel_camera(CANVAS_PX, 0.4, [36.91, 37.58], tilt);
         let path = scene.join(format!("2015090{}T083000_{number}.tif", number + 1));
         drop(canvas::empty(&path, CANVAS_PX, 1, &camera));
@@ -63,7 +66,11 @@ name = \"sweep\"
     let manifest = manifest.replace("[340000.0, 4160000.0, 342000.0, 4162000.0]", &format!("{bounds:?}"));
     std::fs::write(home.path().join("batch.toml"), manifest).expect("written");
     let first = batch(home.path(), &["--plan", "--json"]);
-    assert!(first.read_bytes < executable_bytes() + BESIDES, "{} bytes", first.read_bytes);
+    assert!(
+        first.read_bytes < executable_bytes() + BESIDES,
+        "{} bytes",
+        first.read_bytes
+    );
     assert!(first.peak_bytes < 1 << 30, "{} bytes", first.peak_bytes);
     let plan: serde_json::Value = serde_json::from_str(&first.stdout).expect("JSON");
     let units = plan["units"].as_array().expect("units");
@@ -75,8 +82,12 @@ name = \"sweep\"
     assert!(again.read_bytes < 10_000_000, "{} bytes", again.read_bytes);
     // An image that is not what it was is noticed.
     let changed = scene.join("20150901T083000_0.tif");
-    let file = std::fs::OpenOptions::new().append(true).open(&changed).expect("writable");
-    file.set_len(file.metadata().expect("a size").len() + 1).expect("longer");
+    let file = std::fs::OpenOptions::new()
+        .append(true)
+        .open(&changed)
+        .expect("writable");
+    file.set_len(file.metadata().expect("a size").len() + 1)
+        .expect("longer");
     drop(file);
     let other = batch(home.path(), &["--plan", "--json"]);
     let other: serde_json::Value = serde_json::from_str(&other.stdout).expect("JSON");
@@ -110,14 +121,28 @@ set = { \"train.iterations\" = 4 }
     let bounds = json(&["inspect", &small.display().to_string()]);
     let at = |key: &str| bounds["origin"][key].as_f64().expect("a place");
     let (lon, lat) = (at("lon_deg"), at("lat_deg"));
-    let area = format!("bounds = [{}, {}, {}, {}]", lon - 3e-4, lat - 2.5e-4, lon + 3e-4, lat + 2.5e-4);
+    let area = format!(
+        "bounds = [{}, {}, {}, {}]",
+        lon - 3e-4,
+        lat - 2.5e-4,
+        lon + 3e-4,
+        lat + 2.5e-4
+    );
     let manifest = manifest.replace("altitude_m", &format!("{area}\naltitude_m"));
     std::fs::write(home.path().join("batch.toml"), manifest).expect("written");
     let plan = batch(home.path(), &["--plan", "--json"]);
     let plan: serde_json::Value = serde_json::from_str(&plan.stdout).expect("JSON");
-    let ids: Vec<&str> = plan["units"].as_array().expect("units").iter().filter_map(|unit| unit["id"].as_str()).collect();
+    let ids: Vec<&str> = plan["units"]
+        .as_array()
+        .expect("units")
+        .iter()
+        .filter_map(|unit| unit["id"].as_str())
+        .collect();
     for preset in ["sweep", "fast"] {
-        let tile = ids.iter().find(|id| id.contains(preset) && id.contains("tile")).expect("a tile");
+        let tile = ids
+            .iter()
+            .find(|id| id.contains(preset) && id.contains("tile"))
+            .expect("a tile");
         let first = batch(home.path(), &["--only", tile]);
         // The windows are a few hundred pixels wide; the images have 288 MB.
         assert!(first.read_bytes < BESIDES, "{preset}: {} bytes", first.read_bytes);
@@ -134,5 +159,8 @@ set = { \"train.iterations\" = 4 }
     assert!(!out.join("tile-r0c0/run").exists(), "nothing is trained");
     let mosaic: serde_json::Value =
         serde_json::from_slice(&std::fs::read(out.join("mosaic/mosaic.json")).expect("readable")).expect("JSON");
-    assert!(mosaic["completeness"].as_f64().is_some_and(|share| share > 0.7), "{mosaic}");
+    assert!(
+        mosaic["completeness"].as_f64().is_some_and(|share| share > 0.7),
+        "{mosaic}"
+    );
 }

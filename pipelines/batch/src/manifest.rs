@@ -162,7 +162,11 @@ impl PresetEntry {
     /// # Errors
     /// When there is no preset of that name.
     pub fn parsed(&self) -> Result<Preset, heliosplat_fitting::settings::ConfigError> {
-        if self.is_sweep() { Ok(Preset::Fast) } else { self.base().parse() }
+        if self.is_sweep() {
+            Ok(Preset::Fast)
+        } else {
+            self.base().parse()
+        }
     }
 
     /// Its changes, as `--set` takes them.
@@ -401,7 +405,9 @@ mod tests {
         assert!(sweep.is_sweep());
         let fast = SatelliteConfig::resolve(Preset::Fast, &[], 1).expect("settings");
         assert_eq!(format!("{:?}", sweep.config().expect("settings")), format!("{fast:?}"));
-        let off = &manifest("set = { \"cameras.align\" = \"off\" }").expect("sound").presets[0];
+        let off = &manifest("set = { \"cameras.align\" = \"off\" }")
+            .expect("sound")
+            .presets[0];
         assert_ne!(format!("{:?}", off.config().expect("settings")), format!("{fast:?}"));
     }
 

@@ -205,13 +205,11 @@ fn try_cut(
 
 /// Whether pinhole cameras are too far off in the tiles in the middle, at the corners and at the edges of the area. All tiles are of one
 /// size, and a rational camera bends alike from one to the next; a tile states its own residual when it is done.
-fn too_far(
-    request: &Request,
-    tiles: &[Tile],
-    (rows, cols): (usize, usize),
-) -> Result<Option<TooMuch>, BatchError> {
+fn too_far(request: &Request, tiles: &[Tile], (rows, cols): (usize, usize)) -> Result<Option<TooMuch>, BatchError> {
     let along = |count: usize| [count / 2, 0, count - 1];
-    let places = along(rows).into_iter().flat_map(|row| along(cols).map(|col| (row, col)));
+    let places = along(rows)
+        .into_iter()
+        .flat_map(|row| along(cols).map(|col| (row, col)));
     let places: BTreeSet<usize> = places
         .filter_map(|(row, col)| {
             let apart = |place: &usize| tiles[*place].row.abs_diff(row) + tiles[*place].col.abs_diff(col);

@@ -127,7 +127,10 @@ fn tile(
     let begun = Instant::now();
     let scene = match scene_of(work, &ingest) {
         Err(SceneError::NotCovered { .. }) => {
-            tracing::warn!("{}: fewer than two images have pixels here, so that it has no surface", unit.id);
+            tracing::warn!(
+                "{}: fewer than two images have pixels here, so that it has no surface",
+                unit.id
+            );
             return Ok((Vec::new(), json!({"empty": true})));
         }
         scene => scene?,
@@ -207,7 +210,10 @@ fn swept(
     let dsm = dsm::of_surface(&scene.into(), &surface, work.gsd_m, Some(&work.crs))?;
     let path = folder.join("dsm.tif");
     dsm.write(&path)?;
-    preview::write_png(&folder.join("dsm.png"), &preview::hillshade(&dsm.altitude(), work.gsd_m))?;
+    preview::write_png(
+        &folder.join("dsm.png"),
+        &preview::hillshade(&dsm.altitude(), work.gsd_m),
+    )?;
     let mut metrics = json!({"residual_px": residual_px(scene)});
     if let Some(truth) = &scene.truth.dsm {
         let evaluation = evaluate_dsm(&path, truth, scene.truth.classes.as_deref(), Protocol::Raw)?;

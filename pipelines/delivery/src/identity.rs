@@ -178,7 +178,11 @@ mod tests {
         let file = std::fs::File::create(&path).expect("created");
         file.set_len(1 << 38).expect("a sparse file");
         let rasters = BTreeSet::from([path.as_path()]);
-        let of = || Hashes::default().of(std::slice::from_ref(&path), &rasters).expect("readable");
+        let of = || {
+            Hashes::default()
+                .of(std::slice::from_ref(&path), &rasters)
+                .expect("readable")
+        };
         let before = of();
         assert_eq!(of(), before);
         file.set_len(1 << 37).expect("a sparse file");

@@ -6,7 +6,9 @@ use super::calibration::FoundRadiometry;
 use super::draft::Draft;
 use super::files::{self, Folders};
 use super::manifest::Counts;
-use super::{Hashes, ImageSun, RpcPreference, SceneError, Split, Truth, acquisition, drafts, layout, sidecars, weak_times};
+use super::{
+    Hashes, ImageSun, RpcPreference, SceneError, Split, Truth, acquisition, drafts, layout, sidecars, weak_times,
+};
 use heliosplat_raster::{RasterFile, is_virtual};
 use heliosplat_rpc::read::acquisition::Acquisition;
 use heliosplat_rpc::{GeoPoint, ImagePoint, Rpc};
@@ -133,7 +135,11 @@ impl Index {
             .map(PathBuf::as_path)
             .collect();
         let truth = [&self.truth.dsm, &self.truth.classes].into_iter().flatten();
-        rasters.extend(truth.chain(self.truth.shadows.iter().map(|(_, path)| path)).map(PathBuf::as_path));
+        rasters.extend(
+            truth
+                .chain(self.truth.shadows.iter().map(|(_, path)| path))
+                .map(PathBuf::as_path),
+        );
         hashes.of(&self.files, &rasters)
     }
 

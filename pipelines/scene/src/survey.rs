@@ -175,7 +175,8 @@ impl<'a> Survey<'a> {
             .par_iter()
             .map(|(image, _, window)| fit(image, window, &frame, self.altitude_range_m))
             .collect();
-        fits.into_iter().try_fold(0.0, |most, fit| Ok(f64::max(most, fit?.max_px)))
+        fits.into_iter()
+            .try_fold(0.0, |most, fit| Ok(f64::max(most, fit?.max_px)))
     }
 
     /// Share of an area that at least two training images show, counted on a grid.

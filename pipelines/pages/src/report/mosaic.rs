@@ -248,7 +248,9 @@ fn table(tiles: &[Tile]) -> Markup {
 
 /// The surface of a tile that was trained, or swept alone.
 fn picture(tile: &Tile) -> Option<RgbImage> {
-    tile.stamp.picture("run/dsm.png").or_else(|| tile.stamp.picture("dsm.png"))
+    tile.stamp
+        .picture("run/dsm.png")
+        .or_else(|| tile.stamp.picture("dsm.png"))
 }
 
 /// Links to the products beside the page.
