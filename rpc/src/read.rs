@@ -28,11 +28,36 @@ pub use vendor_xml::{dimap, maxar_xml};
 use crate::rpc::Rpc;
 use kind::{TextKind, kind};
 
-/// The camera in `text`, its format recognised by content; `file_name` is for the error only.
+/// The camera in `text`, its format recognised by content; `file_name` is for the error only. A text without any decimal point is read
+/// with decimal commas.
 ///
 /// # Errors
 /// [`ReadError::Unrecognised`] when it is no known format, else the error of the format's own reader.
 pub fn rpc_from_text(file_name: &str, text: &str) -> Result<Rpc, ReadError> {
+    let found = with_points(file_name, text);
+    match decimal_points(text).filter(|_| found.is_err()) {
+        Some(text) => with_points(file_name, &text).or(found),
+        None => found,
+    }
+}
+
+/// `text` with points for its decimal commas; `None` where it has decimal points too, or no comma between digits.
+fn decimal_points(text: &str) -> Option<String> {
+    let is_between_digits = |at: usize| {
+        let digit = |at: Option<usize>| at.and_then(|at| text.as_bytes().get(at)).is_some_and(u8::is_ascii_digit);
+        digit(at.checked_sub(1)) && digit(at.checked_add(1))
+    };
+    if text.match_indices('.').any(|(at, _)| is_between_digits(at)) {
+        return None;
+    }
+    let mut changed = text.to_owned();
+    for (at, comma) in text.match_indices(',').filter(|(at, _)| is_between_digits(*at)) {
+        changed.replace_range(at..at + comma.len(), ".");
+    }
+    (changed != text).then_some(changed)
+}
+
+fn with_points(file_name: &str, text: &str) -> Result<Rpc, ReadError> {
     let unrecognised = |found: &str| ReadError::Unrecognised {
         file: file_name.to_owned(),
         found: found.to_owned(),

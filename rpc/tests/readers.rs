@@ -179,21 +179,21 @@ fn numbers_that_cannot_be_a_camera_are_refused() {
             .to_string()
             .contains("LINE_DEN_COEFF")
     );
-    let other = rpb_text(&CAMERA).replace("RPC00B", "RPC00A");
+    let other = rpb_text(&CAMERA).replace("RPC00B", "RPC00X");
     assert!(
         read::rpb(&other)
             .expect_err("other order")
             .to_string()
-            .contains("RPC00A")
+            .contains("RPC00X")
     );
-    let other = geom_text(&CAMERA).replace("polynomial_format:  B", "polynomial_format:  A");
+    let other = geom_text(&CAMERA).replace("polynomial_format:  B", "polynomial_format:  X");
     assert!(
         read::rpc_from_text("x.geom", &other)
             .expect_err("other order")
             .to_string()
             .contains("polynomial_format")
     );
-    let other = maxar_text(&CAMERA).replace("RPC00B", "RPC00A");
+    let other = maxar_text(&CAMERA).replace("RPC00B", "RPC00X");
     assert!(
         read::maxar_xml(&other)
             .expect_err("other order")
@@ -208,6 +208,43 @@ fn numbers_that_cannot_be_a_camera_are_refused() {
             .to_string()
             .contains("Inverse_Model")
     );
+}
+
+/// The order of RPC00A as STDI-0002 prints it, by name.
+#[test]
+fn rpc00a_is_put_into_the_order_of_rpc00b() {
+    let b = "1 L P H LP LH PH LL PP HH LPH LLL LPP LHH LLP PPP PHH LLH PPH HHH";
+    let a = "1 L P H LP LH PH LPH LL PP HH LLL LLP LLH LPP PPP PPH LHH PHH HHH";
+    let b: Vec<&str> = b.split(' ').collect();
+    let in_a = |of_b: [f64; 20]| {
+        let place = |name: &str| b.iter().position(|other| *other == name).expect("a term of both");
+        let mut ordered = a.split(' ').map(|name| of_b[place(name)]);
+        std::array::from_fn(|_| ordered.next().expect("twenty terms"))
+    };
+    let mut moved = CAMERA.clone();
+    for polynomial in [
+        &mut moved.line_numerator,
+        &mut moved.line_denominator,
+        &mut moved.sample_numerator,
+        &mut moved.sample_denominator,
+    ] {
+        *polynomial = in_a(*polynomial);
+    }
+    assert_ne!(moved, *CAMERA);
+    let text = rpb_text(&moved).replace("RPC00B", "RPC00A");
+    assert_eq!(read::rpb(&text).expect("RPC00A"), read::rpb(&rpb_text(&CAMERA)).expect("RPC00B"));
+}
+
+#[test]
+fn decimal_commas_are_points_where_a_text_has_no_point() {
+    let whole = rpb_text(&CAMERA);
+    let commas = whole.replace('.', ",");
+    assert_eq!(
+        read::rpc_from_text("x.rpb", &commas).expect("decimal commas"),
+        read::rpb(&whole).expect("decimal points")
+    );
+    let both = whole.replacen('.', ",", 1);
+    assert!(read::rpc_from_text("x.rpb", &both).is_err(), "a comma among points may mean thousands");
 }
 
 /// Texts of all formats, whole.

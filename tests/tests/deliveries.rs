@@ -2,12 +2,12 @@
 //! bits, and images of several resolutions.
 
 use heliosplat::Raster;
-use heliosplat_raster::{ImageSpec, RasterFile, Sample, Window, write_geotiff};
+use heliosplat_raster::{Crs, CrsTransform, GeoTransform, ImageSpec, RasterFile, Sample, Window, write_geotiff};
 use heliosplat_rpc::read::gdal_domain;
 use heliosplat_rpc::{Rpc, write};
 use heliosplat_scene::{IngestOptions, Scene, SceneError, ValueKind, Values};
 use heliosplat_tests::program::{fault, json};
-use heliosplat_tests::scenes::{SIZE_PX, View};
+use heliosplat_tests::scenes::{GSD_M, SIZE_PX, View};
 use serde_json::Value;
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -425,4 +425,272 @@ fn copies_of_one_image_are_refused_and_one_among_others_is_named() {
         bases[0] < 1e-6 && bases[1..].iter().all(|base| (base - 0.206).abs() < 0.01),
         "{bases:?}"
     );
+}
+
+/// What `inspect` says of a scene: the codes of its findings, and all of it.
+fn inspected(folder: &Path, more: &[&str]) -> (Vec<String>, Value) {
+    let word = folder.display().to_string();
+    let arguments: Vec<&str> = ["inspect", &word].into_iter().chain(more.iter().copied()).collect();
+    let seen = json(&arguments);
+    let findings = seen["findings"].as_array().expect("findings").iter();
+    let codes = findings.map(|finding| finding["code"].as_str().expect("a code").to_owned());
+    (codes.collect(), seen)
+}
+
+/// Three views with their cameras in the tag and their times in a JSON without a camera.
+fn tagged(folder: &Path) -> Vec<View> {
+    let views = views();
+    for view in &views {
+        let path = view.write(folder);
+        let date = view.date.expect("a date");
+        fs::remove_file(path.with_extension("json")).expect("removed");
+        fs::write(
+            folder.join(format!("{}_metadata.txt", view.name)),
+            format!("Acquisition Date/Time: {date}\n"),
+        )
+        .expect("written");
+    }
+    views
+}
+
+/// Rewrites the image of a view with another tag, or with none, and where it lies on the map.
+fn retag(path: &Path, rpc: Option<&Rpc>, georeference: Option<(&GeoTransform, &Crs)>, metadata: &[(String, String)]) {
+    let raster = RasterFile::open(path).and_then(|file| file.read_all()).expect("pixels");
+    let rpc: Vec<(String, String)> = rpc.map(write::gdal_domain).unwrap_or_default().into_iter().collect();
+    let spec = ImageSpec {
+        rpc: &rpc,
+        georeference,
+        metadata,
+        ..ImageSpec::plain(&raster)
+    };
+    write_geotiff(path, &spec, Sample::U16).expect("written");
+}
+
+/// A camera as an RPB of this specification.
+fn rpb(rpc: &Rpc, specification: &str) -> String {
+    let list = |values: &[f64; 20]| {
+        let values: Vec<String> = values.iter().map(|value| format!("{value:.15E}")).collect();
+        format!("(\n{})", values.join(",\n"))
+    };
+    let mut text = format!("satId = \"WV02\";\nSpecId = \"{specification}\";\nBEGIN_GROUP = IMAGE\n");
+    for (name, value) in [
+        ("lineOffset", rpc.line_offset),
+        ("sampOffset", rpc.sample_offset),
+        ("latOffset", rpc.latitude_offset_deg),
+        ("longOffset", rpc.longitude_offset_deg),
+        ("heightOffset", rpc.height_offset_m),
+        ("lineScale", rpc.line_scale),
+        ("sampScale", rpc.sample_scale),
+        ("latScale", rpc.latitude_scale_deg),
+        ("longScale", rpc.longitude_scale_deg),
+        ("heightScale", rpc.height_scale_m),
+    ] {
+        text += &format!("\t{name} = {value:?};\n");
+    }
+    for (name, values) in [
+        ("lineNumCoef", &rpc.line_numerator),
+        ("lineDenCoef", &rpc.line_denominator),
+        ("sampNumCoef", &rpc.sample_numerator),
+        ("sampDenCoef", &rpc.sample_denominator),
+    ] {
+        text += &format!("\t{name} = {};\n", list(values));
+    }
+    text + "END_GROUP = IMAGE\nEND;\n"
+}
+
+/// The map frame of a view whose pixels lie `moved_px` east of where its camera says.
+fn frame(view: &View, moved_px: f64) -> (GeoTransform, Crs) {
+    let crs = Crs::from_epsg(32637).expect("UTM 37N");
+    let rpc = view.rpc();
+    let to_map = CrsTransform::from_lon_lat(&crs).expect("known");
+    let (east, north) = to_map
+        .apply(rpc.longitude_offset_deg, rpc.latitude_offset_deg)
+        .expect("inside");
+    let half_m = SIZE_PX as f64 / 2.0 * GSD_M;
+    (
+        GeoTransform::north_up(east - half_m + moved_px * GSD_M, north + half_m, GSD_M),
+        crs,
+    )
+}
+
+#[test]
+fn images_on_a_map_are_refused_where_their_rpc_is_that_of_the_raw_image() {
+    let home = tempdir().expect("a temporary folder");
+    let word = home.path().display().to_string();
+    let views = tagged(home.path());
+    let path = |view: &View| home.path().join(format!("{}.tif", view.name));
+    let map = |moved_px: f64| {
+        for view in &views {
+            let (transform, crs) = frame(view, moved_px);
+            retag(&path(view), Some(&view.rpc()), Some((&transform, &crs)), &[]);
+        }
+    };
+    // Of a map that turns by a degree against the north, the corners of 64 pixels are a pixel off.
+    map(0.0);
+    let (codes, _) = inspected(home.path(), &[]);
+    assert_eq!(codes, [""; 0]);
+    map(20.0);
+    let out = home.path().join("out").display().to_string();
+    for arguments in [
+        vec!["inspect", &word],
+        vec!["dsm", &word, "--from", "sweep", "--out", &out],
+        vec!["adjust", &word, "--out", &out],
+        vec!["train", &word, "--out", &out],
+    ] {
+        let said = fault(&arguments, 2);
+        for words in ["view_", "map-projected", "and 2 more images", "give the original image"] {
+            assert!(said.contains(words), "{words} in {said}");
+        }
+    }
+    let (transform, crs) = frame(&views[0], 0.0);
+    retag(&path(&views[0]), None, Some((&transform, &crs)), &[]);
+    let said = fault(&["inspect", &word], 2);
+    assert!(
+        said.contains("view_0.tif") && said.contains("map-projected") && !said.contains("beside"),
+        "{said}"
+    );
+}
+
+#[test]
+fn the_tag_of_a_crop_counts_before_the_file_of_the_whole_image_and_a_choice_before_both() {
+    let home = tempdir().expect("a temporary folder");
+    let views = tagged(home.path());
+    let camera = |view: &View, moved: [f64; 2]| Rpc {
+        sample_offset: view.rpc().sample_offset + moved[0],
+        line_offset: view.rpc().line_offset + moved[1],
+        ..view.rpc()
+    };
+    for view in &views {
+        let text = rpb(&camera(view, [20.0, 25.0]), "RPC00B");
+        fs::write(home.path().join(format!("{}.RPB", view.name)), text).expect("written");
+    }
+    let source = |seen: &Value| seen["images"][0]["rpc_source"].as_str().expect("a source").to_owned();
+    let (codes, seen) = inspected(home.path(), &[]);
+    assert_eq!((codes, source(&seen)), (vec!["two-cameras".to_owned()], "image".to_owned()));
+    let finding = &seen["findings"][0];
+    assert_eq!(finding["images"].as_array().map(Vec::len), Some(3), "{finding}");
+    let apart_px = finding["value"].as_f64().expect("pixels");
+    assert!((apart_px - 32.016).abs() < 0.01, "{apart_px}");
+    let (_, chosen) = inspected(home.path(), &["--rpc", "sidecar"]);
+    assert_eq!(source(&chosen), "view_0.RPB");
+    // An adjusted text is moved by parts of a pixel: it counts before the raw tag.
+    for view in &views {
+        fs::remove_file(home.path().join(format!("{}.RPB", view.name))).expect("removed");
+    }
+    let text = write::rpc_txt(&camera(&views[0], [5.3, 4.1]));
+    fs::write(home.path().join("view_0_RPC.TXT"), text).expect("written");
+    let (codes, seen) = inspected(home.path(), &[]);
+    assert_eq!((codes, source(&seen)), (vec!["two-cameras".to_owned()], "view_0_RPC.TXT".to_owned()));
+    let apart_px = seen["findings"][0]["value"].as_f64().expect("pixels");
+    assert!((apart_px - 6.70).abs() < 0.01, "{apart_px}");
+    let (_, chosen) = inspected(home.path(), &["--rpc", "tag"]);
+    assert_eq!(source(&chosen), "image");
+}
+
+#[test]
+fn cameras_of_other_ground_are_refused() {
+    let home = tempdir().expect("a temporary folder");
+    let views = tagged(home.path());
+    let elsewhere = Rpc {
+        longitude_offset_deg: -47.0,
+        latitude_offset_deg: -22.9,
+        ..views[1].rpc()
+    };
+    fs::write(home.path().join("view_1_RPC.TXT"), write::rpc_txt(&elsewhere)).expect("written");
+    let word = home.path().display().to_string();
+    let said = fault(&["inspect", &word], 2);
+    assert!(
+        said.contains("view_1.tif") && said.contains("see other ground") && said.contains("view_1_RPC.TXT"),
+        "{said}"
+    );
+    let (codes, _) = inspected(home.path(), &["--rpc", "tag"]);
+    assert_eq!(codes, ["two-cameras"]);
+}
+
+#[test]
+fn files_beside_images_are_read_by_our_own_readers() {
+    let home = tempdir().expect("a temporary folder");
+    let views = tagged(home.path());
+    for view in &views {
+        retag(&home.path().join(format!("{}.tif", view.name)), None, None, &[]);
+    }
+    let file = |number: usize, end: &str| home.path().join(format!("{}{end}", views[number].name));
+    let order = [0, 1, 2, 3, 4, 5, 6, 10, 7, 8, 9, 11, 14, 17, 12, 15, 18, 13, 16, 19];
+    let in_a = |of_b: [f64; 20]| order.map(|place| of_b[place]);
+    // With a term that has another place in RPC00A.
+    let mut curved = views[0].rpc();
+    curved.line_numerator[7] = 0.01;
+    let of_a = Rpc {
+        line_numerator: in_a(curved.line_numerator),
+        ..curved.clone()
+    };
+    fs::write(file(0, ".RPB"), rpb(&of_a, "RPC00A")).expect("written");
+    let utf16: Vec<u8> = std::iter::once(0xfeff)
+        .chain(write::rpc_txt(&views[1].rpc()).encode_utf16())
+        .flat_map(u16::to_le_bytes)
+        .collect();
+    fs::write(file(1, "_RPC.TXT"), utf16).expect("written");
+    fs::write(file(2, ".RPB"), rpb(&views[2].rpc(), "RPC00B").replace('.', ",")).expect("written");
+    let scene = open(home.path()).expect("a scene");
+    for (image, rpc) in scene.images.iter().zip([curved, views[1].rpc(), views[2].rpc()]) {
+        assert!((image.rpc.line_offset - rpc.line_offset).abs() < 1e-6, "{}", image.name);
+        assert_eq!(image.rpc.line_numerator, rpc.line_numerator, "{}", image.name);
+    }
+    // A camera file that lacks something is named, not its absence.
+    let whole = write::rpc_txt(&views[1].rpc());
+    let lacking: String = whole.split_inclusive('\n').filter(|line| !line.starts_with("HEIGHT")).collect();
+    fs::write(file(1, "_RPC.TXT"), lacking).expect("written");
+    let said = fault(&["inspect", &home.path().display().to_string()], 2);
+    assert!(
+        said.contains("view_1_RPC.TXT") && said.contains("HEIGHT_OFF is missing"),
+        "{said}"
+    );
+}
+
+#[test]
+fn the_date_that_gdal_writes_into_every_nitf_is_no_time_and_no_sun_is_needed_for_a_sweep() {
+    let home = tempdir().expect("a temporary folder");
+    let views = tagged(home.path());
+    for view in &views {
+        fs::remove_file(home.path().join(format!("{}_metadata.txt", view.name))).expect("removed");
+    }
+    let dated = |of: &dyn Fn(usize) -> &'static str| {
+        for (number, view) in views.iter().enumerate() {
+            let items = [("NITF_IDATIM".to_owned(), of(number).to_owned())];
+            retag(&home.path().join(format!("{}.tif", view.name)), Some(&view.rpc()), None, &items);
+        }
+        let (codes, seen) = inspected(home.path(), &[]);
+        let images = seen["images"].as_array().expect("images").clone();
+        let times: Vec<Option<String>> = images.iter().map(|image| image["time"].as_str().map(str::to_owned)).collect();
+        (codes, times)
+    };
+    assert_eq!(dated(&|_| "20021216151629"), (vec![], vec![None, None, None]));
+    // Images that look from different places are not of one second.
+    assert_eq!(dated(&|_| "20160423083400"), (vec![], vec![None, None, None]));
+    let passes = ["20160423083400", "20160501083500", "20160601083600"];
+    let (codes, times) = dated(&|number| passes[number]);
+    assert!(codes.is_empty() && times.iter().all(Option::is_some), "{times:?}");
+    let nights = ["20160423203400", "20160501203500", "20160601203600"];
+    let (codes, _) = dated(&|number| nights[number]);
+    assert_eq!(codes, ["sun-below-horizon"]);
+}
+
+#[test]
+fn an_image_that_was_halved_without_its_rpc_is_named() {
+    let home = tempdir().expect("a temporary folder");
+    let views = tagged(home.path());
+    let path = home.path().join("view_1.tif");
+    let raster = RasterFile::open(&path).and_then(|file| file.read_all()).expect("pixels");
+    let rpc: Vec<(String, String)> = write::gdal_domain(&views[1].rpc()).into_iter().collect();
+    let halved = raster.downscaled(2);
+    let spec = ImageSpec {
+        rpc: &rpc,
+        ..ImageSpec::plain(&halved)
+    };
+    write_geotiff(&path, &spec, Sample::U16).expect("written");
+    let (codes, seen) = inspected(home.path(), &[]);
+    assert_eq!(codes, ["rpc-of-another-size"]);
+    let finding = &seen["findings"][0];
+    assert_eq!(finding["images"], serde_json::json!(["view_1"]));
+    assert!(finding["message"].as_str().is_some_and(|line| line.contains("32 x 32 pixels") && line.contains("64 x 64")));
 }

@@ -12,6 +12,7 @@ use heliosplat_scene::{IngestOptions, Scene};
 use heliosplat_session::Session;
 use heliosplat_tests::program::{fault, heliosplat, json};
 use heliosplat_tests::scenes::{Shows, View, write_altitudes, write_scene};
+use serde_json::Value;
 use std::ffi::OsString;
 use std::path::Path;
 use tempfile::{TempDir, tempdir};
@@ -147,33 +148,42 @@ fn one_stranger_among_many_is_left_out_with_a_warning() {
     );
 }
 
+/// The only finding on a scene, which is one of this code, and whether each image has a sun.
+fn finding_and_suns(folder: &Path, code: &str) -> (Value, Vec<bool>) {
+    let seen = json(&["inspect".as_ref(), folder.as_os_str()]);
+    let findings = seen["findings"].as_array().expect("findings");
+    assert!(findings.len() == 1 && findings[0]["code"] == code, "{findings:?}");
+    let images = seen["images"].as_array().expect("images").iter();
+    let has_sun = images.map(|image| image["sun"]["elevation_deg"].is_number());
+    (findings[0].clone(), has_sun.collect())
+}
+
 #[test]
-fn a_sun_below_the_horizon_names_the_image_and_its_time() {
+fn a_sun_below_the_horizon_is_unknown_and_its_time_is_named() {
     let night = View {
         date: Some("20160423203400"),
         ..View::new(1)
     };
     let folder = scene(&[View::new(0), night]);
-    refused(
-        folder.path(),
-        &[
-            "view_1.tif",
-            "below the horizon",
-            "2016-04-23T20:34:00Z",
-            "acquisition time",
-        ],
-    );
+    let (finding, has_sun) = finding_and_suns(folder.path(), "sun-below-horizon");
+    let message = finding["message"].as_str().expect("a line");
+    for word in ["view_1.tif", "below the horizon", "2016-04-23T20:34:00Z", "correct the time"] {
+        assert!(message.contains(word), "{word} in {message}");
+    }
+    assert_eq!(has_sun, [true, false]);
 }
 
 #[test]
-fn metadata_that_put_the_sun_below_the_horizon_are_refused_too() {
+fn metadata_that_put_the_sun_below_the_horizon_are_not_used() {
     let night = View {
         date: None,
         sun_deg: Some([150.0, -3.0]),
         ..View::new(1)
     };
     let folder = scene(&[View::new(0), night]);
-    refused(folder.path(), &["view_1.tif", "below the horizon", "-3.0"]);
+    let (finding, has_sun) = finding_and_suns(folder.path(), "sun-below-horizon");
+    assert!((finding["value"].as_f64().expect("an elevation") + 3.0).abs() < 1e-9, "{finding}");
+    assert_eq!(has_sun, [true, false]);
 }
 
 #[test]

@@ -199,6 +199,8 @@ impl ImagesEntry {
     pub fn preference(&self) -> RpcPreference {
         match self.rpc.as_deref() {
             Some("image") => RpcPreference::Image,
+            Some("sidecar") => RpcPreference::Sidecar,
+            Some("tag") => RpcPreference::Tag,
             _ => RpcPreference::Json,
         }
     }
@@ -331,8 +333,8 @@ impl Manifest {
             }
         }
         for images in &self.images {
-            if !matches!(images.rpc.as_deref(), None | Some("json" | "image")) {
-                return Err(format!("images {}: rpc is json or image", images.name));
+            if !matches!(images.rpc.as_deref(), None | Some("json" | "image" | "sidecar" | "tag")) {
+                return Err(format!("images {}: rpc is json, image, sidecar or tag", images.name));
             }
         }
         for preset in &self.presets {

@@ -14,7 +14,7 @@ pub struct IngestArgs {
     /// Only this piece of ground: longitudes and latitudes, or with EPSG:N at the end coordinates of that system
     #[arg(long, value_name = "WEST,SOUTH,EAST,NORTH[,EPSG:N]", value_parser = parse::area, allow_hyphen_values = true)]
     pub area: Option<AreaRequest>,
-    /// Which camera counts where an image's own RPC and a Sat-NeRF JSON differ
+    /// Which camera of an image comes first
     #[arg(long, value_name = "SOURCE", default_value = "json")]
     pub rpc: RpcName,
 }

@@ -48,12 +48,16 @@ names! {
 }
 
 names! {
-    /// Which camera is used where an image's own RPC and a Sat-NeRF JSON differ.
+    /// Which camera of an image comes first; where it has none of this kind, the next one counts.
     RpcName for heliosplat_scene::RpcPreference {
-        /// The JSON: somebody made it on purpose, by bundle adjustment or for a crop.
+        /// A Sat-NeRF JSON, then the file beside the image, then its tag
         Json,
-        /// What GDAL finds in the image or beside it.
+        /// The file beside the image, then its tag; the tag of a crop comes before the file of the whole image
         Image,
+        /// The file beside the image: RPB, _RPC.TXT, XML, .aux.xml
+        Sidecar,
+        /// The tag in the image
+        Tag,
     }
 }
 

@@ -37,24 +37,27 @@ pub(super) fn find(file: &RasterFile, entry: &ImageEntry, folders: &Folders) -> 
     Ok(known.merge(acquisition::gdal_domain(&items)))
 }
 
-/// The sun over the scene: computed from the time where there is one, else as the metadata say, else unknown.
-pub(super) fn sun(
-    image: &Path,
-    known: &Acquisition,
-    at: GeoPoint,
-    warnings: &mut Vec<String>,
-) -> Result<ImageSun, SceneError> {
-    let metadata = known.stated_sun();
-    let found = match (known.time, metadata) {
-        (Some(time), _) => ImageSun::from_time(sun_position(time, at)),
+/// The sun over the scene: computed from the time where there is one, else as the metadata say, else unknown. What [`night`] names is
+/// left out.
+pub(super) fn sun(image: &Path, known: &Acquisition, at: GeoPoint, warnings: &mut Vec<String>) -> ImageSun {
+    let metadata = known.stated_sun().filter(is_day);
+    let computed = known.time.map(|time| sun_position(time, at)).filter(is_day);
+    let found = match (computed, metadata) {
+        (Some(sun), _) => ImageSun::from_time(sun),
         (None, Some(sun)) => ImageSun::from_metadata(sun),
-        (None, None) => ImageSun::unknown(),
+        (None, None) => return ImageSun::unknown(),
     };
     let Some(position) = found.position else {
-        return Ok(found);
+        return found;
     };
-    check_height(image, known, position, warnings)?;
-    if let (Some(apart_deg), Some(stated)) = (known.sun_disagreement_deg(at), metadata)
+    let elevation_deg = position.elevation_rad.to_degrees();
+    if elevation_deg < LOW_SUN_DEG {
+        warnings.push(format!(
+            "{}: the sun is only {elevation_deg:.1} degrees above the horizon; its shadows leave the scene",
+            image.display()
+        ));
+    }
+    if let (Some(apart_deg), Some(stated), Some(_)) = (known.sun_disagreement_deg(at), metadata, computed)
         && apart_deg > WORTH_A_WARNING_DEG
     {
         let angles = |sun: SunPosition| {
@@ -68,46 +71,19 @@ pub(super) fn sun(
             angles(stated),
         ));
     }
-    Ok(found)
+    found
 }
 
-fn check_height(
-    image: &Path,
-    known: &Acquisition,
-    found: SunPosition,
-    warnings: &mut Vec<String>,
-) -> Result<(), SceneError> {
-    let elevation_deg = found.elevation_rad.to_degrees();
-    // Degrees become radians and degrees again.
-    let is_day = elevation_deg > 0.0 && elevation_deg <= 90.0 + 1e-9;
-    if !is_day {
-        let stated = known.stated_sun().map(|sun| sun.elevation_rad.to_degrees());
-        let (origin, remedy) = match (known.time, stated) {
-            (Some(time), Some(stated)) if stated > 0.0 => (
-                format!("at {time}"),
-                format!("its metadata say {stated:.1}: correct the acquisition time, or remove it"),
-            ),
-            (Some(time), _) => (
-                format!("at {time}"),
-                "correct the acquisition time (UTC), or take the image out of the scene".to_owned(),
-            ),
-            (None, _) => (
-                "as its metadata say".to_owned(),
-                "correct the metadata, or take the image out of the scene".to_owned(),
-            ),
-        };
-        return Err(SceneError::SunBelowHorizon {
-            path: image.to_owned(),
-            elevation_deg,
-            origin,
-            remedy,
-        });
-    }
-    if elevation_deg < LOW_SUN_DEG {
-        warnings.push(format!(
-            "{}: the sun is only {elevation_deg:.1} degrees above the horizon; its shadows leave the scene",
-            image.display()
-        ));
-    }
-    Ok(())
+/// Whether a sun stands between horizon and zenith. Degrees become radians and degrees again.
+fn is_day(sun: &SunPosition) -> bool {
+    let elevation_deg = sun.elevation_rad.to_degrees();
+    elevation_deg > 0.0 && elevation_deg <= 90.0 + 1e-9
+}
+
+/// A time at night or an elevation that no sun has: who says so, and the elevation, degrees.
+pub(super) fn night(known: &Acquisition, at: GeoPoint) -> Option<(String, f64)> {
+    let computed = known.time.map(|time| (format!("at {time}"), sun_position(time, at)));
+    let stated = known.stated_sun().map(|sun| ("as its metadata say".to_owned(), sun));
+    let (origin, sun) = computed.into_iter().chain(stated).find(|(_, sun)| !is_day(sun))?;
+    Some((origin, sun.elevation_rad.to_degrees()))
 }

@@ -1,5 +1,6 @@
 //! The rational camera of an image: which of its sources is used, and what it must be turned into for a crop.
 
+use super::dimap::folder_of;
 use super::entry::ImageEntry;
 use super::files::{Folders, file_name};
 use super::sidecars::belonging_texts;
@@ -7,44 +8,102 @@ use super::{RpcPreference, SceneError};
 use heliosplat_raster::{GeoTransform, RasterFile};
 use heliosplat_rpc::{ImagePoint, Rpc, read};
 use std::collections::BTreeMap;
-use std::path::Path;
+use std::path::{Path, PathBuf};
+
+/// How far a crop may be from whole pixels, pixels: offsets are written with two decimals.
+const WHOLE_PX: f64 = 0.02;
 
 /// A camera and where it comes from.
 #[derive(Debug, Clone)]
 pub(super) struct FoundCamera {
     pub(super) rpc: Rpc,
     pub(super) source: String,
+    kind: Kind,
 }
 
-/// Two cameras of one image that differ by more than this are worth a warning, pixels.
-const WORTH_A_WARNING_PX: f64 = 0.5;
+/// The places where a camera is found.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum Kind {
+    /// A JSON as Sat-NeRF has it.
+    Json,
+    /// A vendor's file beside the image, or GDAL's `.aux.xml`.
+    Sidecar,
+    /// The image file itself.
+    Tag,
+}
 
-/// Finds the camera of an image. A file named in `scene.toml` wins; then a Sat-NeRF JSON and what GDAL found (tag or
-/// sidecar) are compared, and `preference` decides where they differ; then come sidecars GDAL does not know.
+/// The cameras of an image.
+#[derive(Debug, Clone)]
+pub(super) struct Cameras {
+    /// The one that is used.
+    pub(super) used: FoundCamera,
+    /// All others.
+    pub(super) others: Vec<FoundCamera>,
+    /// Camera files that cannot be read, and why.
+    pub(super) unread: Vec<(PathBuf, String)>,
+}
+
+/// Finds the cameras of an image. One named in `scene.toml` is the only one. Of the others `preference` chooses; by default a JSON comes
+/// first, then a sidecar, then the tag, but the tag of a crop comes before the sidecar of the whole image. Sidecars are read by our own
+/// readers; GDAL's reading counts only where they know none.
 pub(super) fn find(
     file: &RasterFile,
     entry: &ImageEntry,
     preference: RpcPreference,
     folders: &Folders,
     warnings: &mut Vec<String>,
-) -> Result<FoundCamera, SceneError> {
+) -> Result<Cameras, SceneError> {
     if let Some(path) = entry.said.as_ref().and_then(|said| said.rpc.as_ref()) {
-        return from_text_file(path, folders);
+        return Ok(Cameras {
+            used: from_text_file(path, folders)?,
+            others: Vec::new(),
+            unread: Vec::new(),
+        });
     }
-    let image = from_gdal(file, warnings)?;
-    let json = entry
-        .json
-        .as_deref()
-        .map(|json| from_text_file(json, folders))
-        .transpose()?;
-    match (image, json) {
-        (Some(image), Some(json)) => Ok(chosen(file, image, json, preference, warnings)),
-        (Some(camera), None) | (None, Some(camera)) => Ok(camera),
-        (None, None) => match sidecar(file.path(), folders)? {
-            Some(camera) => Ok(camera),
-            None => Err(SceneError::NoRpc(file.path().to_owned())),
-        },
+    let json = entry.json.as_deref();
+    let (mut all, mut unread) = of_files(file, json, folders)?;
+    if let Some(json) = json {
+        all.push(FoundCamera {
+            kind: Kind::Json,
+            ..from_text_file(json, folders)?
+        });
     }
+    let of = |kind: Kind| all.iter().find(|camera| camera.kind == kind);
+    let tag_first = (of(Kind::Tag).zip(of(Kind::Sidecar)))
+        .is_some_and(|(tag, sidecar)| is_of_crop(&tag.rpc, &sidecar.rpc, file.size()));
+    use Kind::{Json, Sidecar, Tag};
+    let order = match preference {
+        RpcPreference::Json if tag_first => [Json, Tag, Sidecar],
+        RpcPreference::Json => [Json, Sidecar, Tag],
+        RpcPreference::Image if tag_first => [Tag, Sidecar, Json],
+        RpcPreference::Image | RpcPreference::Sidecar => [Sidecar, Tag, Json],
+        RpcPreference::Tag => [Tag, Sidecar, Json],
+    };
+    all.sort_by_key(|camera| order.iter().position(|kind| *kind == camera.kind));
+    let mut others = all.into_iter();
+    let path = || file.path().to_owned();
+    let Some(used) = others.next() else {
+        return Err(match unread.is_empty() {
+            false => {
+                let (path, reason) = unread.remove(0);
+                SceneError::BadRpc { path, reason }
+            }
+            true if file.geo_transform().is_some() && file.crs().is_some() => SceneError::MapProjected(path()),
+            true => SceneError::NoRpc(path()),
+        });
+    };
+    if let Some(shift) = used.source.split_once(", shifted by ") {
+        let shift = shift.1;
+        warnings.push(format!(
+            "{}: its RPC is that of the full image; shifted by {shift}",
+            file.path().display()
+        ));
+    }
+    Ok(Cameras {
+        used,
+        others: others.collect(),
+        unread,
+    })
 }
 
 /// The camera in a text file of any known format.
@@ -60,33 +119,102 @@ pub(super) fn from_text_file(path: &Path, folders: &Folders) -> Result<FoundCame
     Ok(FoundCamera {
         rpc,
         source: file_name(path),
+        kind: Kind::Sidecar,
     })
 }
 
-/// The camera GDAL found in the file or beside it, in the pixel coordinates of this file.
-pub(super) fn from_gdal(file: &RasterFile, warnings: &mut Vec<String>) -> Result<Option<FoundCamera>, SceneError> {
-    let items = file.domain("RPC");
-    if items.is_empty() {
-        return Ok(None);
-    }
-    let rpc = read::gdal_domain(&items).map_err(|error| SceneError::BadRpc {
-        path: file.path().to_owned(),
-        reason: error.to_string(),
-    })?;
-    let mut camera = FoundCamera {
-        rpc,
-        source: "image".to_owned(),
+/// Cameras, and camera files that cannot be read, with the reasons.
+type Readable = (Vec<FoundCamera>, Vec<(PathBuf, String)>);
+
+/// The cameras of the files beside an image and of its own tag, in the pixel coordinates of this file.
+fn of_files(file: &RasterFile, json: Option<&Path>, folders: &Folders) -> Result<Readable, SceneError> {
+    let (mut found, mut unread) = (Vec::new(), Vec::new());
+    let mut take = |rpc: Result<Rpc, read::ReadError>, path: &Path, source: String, kind: Kind| match rpc {
+        Ok(rpc) => found.push(in_own_pixels(file, FoundCamera { rpc, source, kind })),
+        Err(error) => unread.push((path.to_owned(), error.to_string())),
     };
+    let mut has_sidecar = false;
+    for path in belonging_texts(file.path(), folders)? {
+        if Some(path.as_path()) == json {
+            continue;
+        }
+        let name = file_name(&path);
+        let rpc = read::rpc_from_text(&name, &folders.text(&path)?);
+        if rpc.is_ok() || is_camera_file(&name.to_lowercase()) {
+            has_sidecar = true;
+            take(rpc, &path, name, Kind::Sidecar);
+        }
+    }
+    let by_gdal = file.domain("RPC");
+    if let Some(path) = beside_with_rpc(file.path(), folders)? {
+        has_sidecar = true;
+        take(read::gdal_domain(&by_gdal), &path, file_name(&path), Kind::Sidecar);
+    }
+    let tag = file.own_domain("RPC");
+    if !tag.is_empty() {
+        take(read::gdal_domain(&tag), file.path(), "image".to_owned(), Kind::Tag);
+    } else if !has_sidecar && !by_gdal.is_empty() {
+        take(read::gdal_domain(&by_gdal), file.path(), "image".to_owned(), Kind::Sidecar);
+    }
+    Ok((found, unread))
+}
+
+/// Whether a file holds a camera and nothing else, by its name in lower case.
+fn is_camera_file(name: &str) -> bool {
+    let is_xml = name.starts_with("rpc_") && name.ends_with(".xml");
+    is_xml || [".rpb", ".rpc", "_rpc.txt", "_rpc.xml"].iter().any(|end| name.ends_with(end))
+}
+
+/// GDAL's own file beside an image, where it has an RPC.
+fn beside_with_rpc(image: &Path, folders: &Folders) -> Result<Option<PathBuf>, SceneError> {
+    let name = format!("{}.aux.xml", file_name(image)).to_lowercase();
+    let Some(path) = folders.by_name(folder_of(image))?.get(&name).cloned() else {
+        return Ok(None);
+    };
+    let has_rpc = folders.text(&path)?.contains("domain=\"RPC\"");
+    Ok(has_rpc.then_some(path))
+}
+
+/// A camera of a full image as one of the crop that the file is.
+fn in_own_pixels(file: &RasterFile, mut camera: FoundCamera) -> FoundCamera {
     if let Some((crop, origin)) = crop_in_full_image(file, &camera.rpc) {
         camera.rpc = crop.camera(&camera.rpc);
         let [col0, row0] = crop.first;
-        camera.source = format!("image, shifted by the crop origin ({col0}, {row0}) of its {origin}");
-        warnings.push(format!(
-            "{}: its RPC is that of the full image; shifted by the crop origin column {col0}, row {row0} of its {origin}",
-            file.path().display()
-        ));
+        camera.source += &format!(", shifted by the crop origin column {col0}, row {row0} of its {origin}");
     }
-    Ok(Some(camera))
+    camera
+}
+
+/// The camera that the image file itself has, else that of its first sidecar, in the pixel coordinates of this file.
+pub(super) fn of_vendor(file: &RasterFile, folders: &Folders) -> Result<Option<Rpc>, SceneError> {
+    let (all, _) = of_files(file, None, folders)?;
+    Ok(all.into_iter().next().map(|camera| camera.rpc))
+}
+
+/// Whether an image with these two cameras is a crop whose tag was moved with it while the sidecar of the whole image was copied along:
+/// the tag is the sidecar moved by whole pixels, to a place where the image lies inside of what the sidecar is made for.
+fn is_of_crop(tag: &Rpc, sidecar: &Rpc, (width, height): (usize, usize)) -> bool {
+    let (right, bottom) = (width as f64 - 1.0, height as f64 - 1.0);
+    let moved = |(col, row): (f64, f64)| {
+        let seen = sidecar.project(tag.localise(ImagePoint { col, row }, tag.height_offset_m).ok()?);
+        Some([seen.col - col, seen.row - row])
+    };
+    let corners = [(0.0, 0.0), (right, 0.0), (0.0, bottom), (right, bottom)].map(moved);
+    let Some(first) = corners[0] else {
+        return false;
+    };
+    let is_whole = |corner: &Option<[f64; 2]>| {
+        corner.is_some_and(|corner| (0..2).all(|axis| (corner[axis] - first[axis].round()).abs() < WHOLE_PX))
+    };
+    let made_for = [
+        (sidecar.sample_offset, sidecar.sample_scale, right),
+        (sidecar.line_offset, sidecar.line_scale, bottom),
+    ];
+    let is_inside = made_for.iter().zip(first).all(|((offset, scale, last), first)| {
+        let (begin, end) = (offset - scale.abs() - 1.0, offset + scale.abs() + 1.0);
+        first >= begin && first + last <= end
+    });
+    corners.iter().all(is_whole) && is_inside
 }
 
 /// Where a file's pixels lie in the image its RPC is for.
@@ -165,32 +293,8 @@ fn nitf_chip(items: &BTreeMap<String, String>) -> Option<CropInFull> {
     (!is_whole).then_some(crop)
 }
 
-fn chosen(
-    file: &RasterFile,
-    image: FoundCamera,
-    json: FoundCamera,
-    preference: RpcPreference,
-    warnings: &mut Vec<String>,
-) -> FoundCamera {
-    let apart_px = disagreement_px(&image.rpc, &json.rpc, file.size());
-    let (used, other) = match preference {
-        RpcPreference::Json => (json, image),
-        RpcPreference::Image => (image, json),
-    };
-    if apart_px.is_none_or(|apart| apart > WORTH_A_WARNING_PX) {
-        let apart = apart_px.map_or("by an unknown amount".to_owned(), |apart| format!("by {apart:.1} px"));
-        warnings.push(format!(
-            "{}: two RPC cameras differ {apart}; used: {}, ignored: {} (--rpc image|json chooses)",
-            file.path().display(),
-            used.source,
-            other.source
-        ));
-    }
-    used
-}
-
 /// Largest distance between two cameras over an image, pixels; `None` where the first cannot be localised.
-fn disagreement_px(a: &Rpc, b: &Rpc, (width, height): (usize, usize)) -> Option<f64> {
+pub(super) fn apart_px(a: &Rpc, b: &Rpc, (width, height): (usize, usize)) -> Option<f64> {
     let (right, bottom) = (width as f64 - 1.0, height as f64 - 1.0);
     let mut largest: f64 = 0.0;
     for (col, row) in [(0.0, 0.0), (right, 0.0), (0.0, bottom), (right, bottom)] {
@@ -202,17 +306,6 @@ fn disagreement_px(a: &Rpc, b: &Rpc, (width, height): (usize, usize)) -> Option<
         }
     }
     largest.is_finite().then_some(largest)
-}
-
-/// The camera of the first file beside an image that belongs to it by its name and that can be read.
-fn sidecar(image: &Path, folders: &Folders) -> Result<Option<FoundCamera>, SceneError> {
-    for path in belonging_texts(image, folders)? {
-        if let Ok(rpc) = read::rpc_from_text(&file_name(&path), &folders.text(&path)?) {
-            let source = file_name(&path);
-            return Ok(Some(FoundCamera { rpc, source }));
-        }
-    }
-    Ok(None)
 }
 
 #[cfg(test)]

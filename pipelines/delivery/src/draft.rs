@@ -2,6 +2,7 @@
 
 use super::bands::BandPlan;
 use super::calibration::FoundRadiometry;
+use super::camera::Cameras;
 use super::entry::ImageEntry;
 use heliosplat_raster::RasterFile;
 use heliosplat_rpc::Rpc;
@@ -14,7 +15,10 @@ pub(super) struct Draft {
     pub(super) file: RasterFile,
     pub(super) plan: BandPlan,
     pub(super) rpc: Rpc,
-    pub(super) rpc_source: String,
+    /// All cameras that were found; `rpc` is the one in use.
+    pub(super) cameras: Cameras,
+    /// Columns and rows that the cameras are for.
+    pub(super) camera_size: (usize, usize),
     pub(super) acquisition: Acquisition,
     /// Whether its time is that of a TIFF date tag, whose time zone is unknown.
     pub(super) time_of_tag: bool,

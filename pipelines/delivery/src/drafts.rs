@@ -24,12 +24,14 @@ pub(super) fn read_all(
         };
         let acquisition = acquisition::find(&file, entry, folders)?;
         let radiometry = calibration::find(&file, entry, folders)?;
+        let size = file.size();
         let draft = Draft {
             entry: entry.clone(),
             file,
             plan,
-            rpc: found.rpc,
-            rpc_source: found.source,
+            rpc: found.used.rpc.clone(),
+            cameras: found,
+            camera_size: size,
             acquisition,
             time_of_tag: false,
             radiometry,

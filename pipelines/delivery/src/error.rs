@@ -81,6 +81,12 @@ pub enum SceneError {
     /// No camera.
     #[error("{}: no RPC camera found; put its .RPB, _RPC.TXT, RPC_*.XML or .json beside it, or take the image out of the scene", .0.display())]
     NoRpc(PathBuf),
+    /// An image without a camera that lies on a map.
+    #[error("{}: is map-projected (it has a geotransform and a coordinate system) and has no RPC; give the original image with its RPC", .0.display())]
+    MapProjected(PathBuf),
+    /// A row of the table of checks that forbids the delivery.
+    #[error("{0}")]
+    Refused(String),
     /// A camera file that cannot be understood.
     #[error("{}: its RPC camera cannot be read ({reason}); replace it or delete it", path.display())]
     BadRpc {
@@ -127,18 +133,6 @@ pub enum SceneError {
     /// An image without any pixel.
     #[error("{}: every pixel is missing or zero; take the image out of the scene", .0.display())]
     NoPixels(PathBuf),
-    /// Night, or an elevation that no sun has.
-    #[error("{}: the sun is below the horizon or beyond the zenith (elevation {elevation_deg:.1} degrees, {origin}); {remedy}", path.display())]
-    SunBelowHorizon {
-        /// The image.
-        path: PathBuf,
-        /// Elevation, degrees.
-        elevation_deg: f64,
-        /// Where the elevation comes from.
-        origin: String,
-        /// What to do.
-        remedy: String,
-    },
     /// Fewer than two views to train on.
     #[error("{}: {count} training image{}; at least two overlapping views are needed", path.display(), if *count == 1 { "" } else { "s" })]
     TooFewViews {

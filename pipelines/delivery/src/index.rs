@@ -6,6 +6,7 @@ use super::calibration::FoundRadiometry;
 use super::draft::Draft;
 use super::files::{self, Folders};
 use super::manifest::Counts;
+use super::checks::{self, Finding, Severity};
 use super::{
     Hashes, ImageSun, RpcPreference, SceneError, Split, Truth, acquisition, drafts, layout, sidecars, weak_times,
 };
@@ -32,7 +33,9 @@ pub struct Index {
     pub truth: Truth,
     /// All files that describe the delivery: images, sidecars, lists, truth.
     pub files: Vec<PathBuf>,
-    /// Contradictions and assumptions, a line each.
+    /// Rows of the table of checks that hold.
+    pub findings: Vec<Finding>,
+    /// Contradictions and assumptions, a line each; the messages of the findings are among them.
     pub warnings: Vec<String>,
 }
 
@@ -87,6 +90,11 @@ impl Index {
         if let Some(at) = drafts.first().and_then(middle) {
             weak_times::fill(&mut drafts, at, &mut warnings);
         }
+        let findings = checks::all(&drafts, rpc);
+        if let Some(error) = findings.iter().find(|found| found.severity == Severity::Error) {
+            return Err(SceneError::Refused(error.message.clone()));
+        }
+        warnings.extend(findings.iter().map(|found| found.message.clone()));
         let files = files_of(path, &layout, &drafts, &folders);
         let images: Vec<IndexImage> = drafts
             .into_iter()
@@ -100,6 +108,7 @@ impl Index {
             altitude_range_m: layout.altitude_range_m,
             truth: layout.truth,
             files,
+            findings,
             warnings,
         })
     }
@@ -180,7 +189,7 @@ impl IndexImage {
             data_type: first_band.map_or_else(String::new, |band| band.data_type.clone()),
             bands: draft.plan,
             rpc: draft.rpc,
-            rpc_source: draft.rpc_source,
+            rpc_source: draft.cameras.used.source,
             acquisition: draft.acquisition,
             time_of_tag: draft.time_of_tag,
             radiometry: draft.radiometry,
@@ -201,19 +210,17 @@ impl IndexImage {
         self.data_type == "Byte" && self.radiometry.is_none() && self.counts_source.is_none()
     }
 
-    /// The sun at a place: computed from the time where there is one, else as the metadata state, else unknown.
-    ///
-    /// # Errors
-    /// [`SceneError::SunBelowHorizon`].
-    pub fn sun(&self, at: GeoPoint, warnings: &mut Vec<String>) -> Result<ImageSun, SceneError> {
-        let sun = acquisition::sun(&self.path, &self.acquisition, at, warnings)?;
+    /// The sun at a place: computed from the time where there is one, else as the metadata state, else unknown. A sun below the horizon is
+    /// nobody's.
+    pub fn sun(&self, at: GeoPoint, warnings: &mut Vec<String>) -> ImageSun {
+        let sun = acquisition::sun(&self.path, &self.acquisition, at, warnings);
         let sigma_deg = sun.sigma_deg.filter(|_| !self.time_of_tag);
-        Ok(ImageSun { sigma_deg, ..sun })
+        ImageSun { sigma_deg, ..sun }
     }
 }
 
 /// The ground that the middle of an image shows, near enough to tell day from night.
-fn middle(draft: &Draft) -> Option<GeoPoint> {
+pub(super) fn middle(draft: &Draft) -> Option<GeoPoint> {
     let (width, height) = draft.file.size();
     let (col, row) = (width as f64 / 2.0, height as f64 / 2.0);
     draft

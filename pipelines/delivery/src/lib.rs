@@ -9,6 +9,7 @@ mod altitude;
 mod bands;
 mod calibration;
 mod camera;
+mod checks;
 mod dimap;
 mod draft;
 mod drafts;
@@ -32,6 +33,7 @@ mod weak_times;
 pub use altitude::{AltitudeRange, AltitudeSource, Stated};
 pub use bands::{BandPlan, in_words as bands_in_words};
 pub use calibration::FoundRadiometry;
+pub use checks::{Finding, Severity};
 pub use error::SceneError;
 pub use identity::{FileIdentity, Hashes, Seen, hash, hash_of_values, seen};
 pub use index::{Index, IndexImage};
@@ -102,15 +104,19 @@ pub enum Split {
     Test,
 }
 
-/// Which camera is used where an image's own RPC and a Sat-NeRF JSON differ.
+/// Which camera of an image comes first; where it has none of this kind, the next one counts.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, serde::Serialize, serde::Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum RpcPreference {
-    /// The JSON: somebody made it on purpose, by bundle adjustment or for a crop.
+    /// A Sat-NeRF JSON: somebody made it on purpose, by bundle adjustment or for a crop. Then the file beside the image, then its tag.
     #[default]
     Json,
-    /// What GDAL finds in the image or beside it.
+    /// The file beside the image, then its tag; a tag that was moved for a crop comes before the file of the whole image.
     Image,
+    /// The file beside the image: RPB, `_RPC.TXT`, XML, `.aux.xml`.
+    Sidecar,
+    /// The tag in the image.
+    Tag,
 }
 
 /// Truth that came with a scene.
@@ -165,8 +171,9 @@ pub fn camera_of(path: &Path, preference: RpcPreference) -> Result<Rpc, SceneErr
     };
     let mut warnings = Vec::new();
     let found = camera::find(&file, &entry, preference, &folders, &mut warnings)?;
+    warnings.extend(checks::of_cameras(&found, &entry.path, file.size()));
     for warning in warnings {
         tracing::warn!("{warning}");
     }
-    Ok(found.rpc)
+    Ok(found.used.rpc)
 }

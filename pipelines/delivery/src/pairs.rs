@@ -55,9 +55,8 @@ pub(super) fn with_colours(
     let mut ignored = Vec::new();
     let camera = camera::find(&colours, &entry, RpcPreference::Image, folders, &mut ignored)?;
     // A camera that somebody adjusted is none of the vendor's, whose two cameras belong together.
-    let own = camera::from_gdal(pan, &mut ignored)?;
-    let own = own.map_or_else(|| draft.rpc.clone(), |found| found.rpc);
-    let found = relation(&own, pan.size(), &camera.rpc, colours.size())
+    let own = camera::of_vendor(pan, folders)?.unwrap_or_else(|| draft.rpc.clone());
+    let found = relation(&own, pan.size(), &camera.used.rpc, colours.size())
         .map_err(|source| not_a_pair(format!("their cameras cannot be compared ({source})")))?;
     if let Some(reason) = found.fault() {
         return Err(not_a_pair(reason));

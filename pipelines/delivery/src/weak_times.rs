@@ -5,9 +5,10 @@
 
 use super::draft::Draft;
 use super::files::stem;
-use heliosplat_rpc::GeoPoint;
+use heliosplat_rpc::parallax::LEAST_BASE_TO_HEIGHT;
 use heliosplat_rpc::read::acquisition;
 use heliosplat_rpc::sun::sun_position;
+use heliosplat_rpc::{GeoPoint, ImagePoint, LocalFrame, Rpc};
 use jiff::{SignedDuration, Timestamp, tz::TimeZone};
 use std::path::Path;
 
@@ -21,6 +22,7 @@ const FROM_FILE_TIME: SignedDuration = SignedDuration::from_hours(24);
 /// Fills in times where neither time nor sun is known at `at`; what is taken, and what is not believed, is a line of `warnings`. Marks
 /// the drafts whose time is that of a tag: the time zone of tags is unknown, so suns computed from them may be hours off.
 pub(super) fn fill(drafts: &mut [Draft], at: GeoPoint, warnings: &mut Vec<String>) {
+    forget_shared(drafts, warnings);
     let unknown = |draft: &&mut Draft| draft.acquisition.time.is_none() && draft.acquisition.stated_sun().is_none();
     let mut named = 0;
     for draft in drafts.iter_mut().filter(unknown) {
@@ -79,6 +81,41 @@ pub(super) fn fill(drafts: &mut [Draft], at: GeoPoint, warnings: &mut Vec<String
             ));
         }
     }
+}
+
+/// Takes the time of NITF headers away where all images of a scene have the same second and look from different places: a program wrote it.
+fn forget_shared(drafts: &mut [Draft], warnings: &mut Vec<String>) {
+    let of_header = |draft: &Draft| {
+        let said = acquisition::gdal_domain(&draft.file.domain("")).time;
+        said.filter(|time| draft.acquisition.time == Some(*time))
+    };
+    let [first, others @ ..] = drafts else { return };
+    let Some(time) = of_header(first) else { return };
+    let is_shared = !others.is_empty() && others.iter().all(|other| of_header(other) == Some(time));
+    let apart = |other: &Draft| {
+        let (one, two) = (tilt(&first.rpc)?, tilt(&other.rpc)?);
+        Some((one[0] - two[0]).hypot(one[1] - two[1]))
+    };
+    if is_shared && others.iter().filter_map(apart).any(|base| base > LEAST_BASE_TO_HEIGHT) {
+        warnings.push(format!(
+            "the images look from different places and all state {time}: that is no time of acquisition, and is not used"
+        ));
+        drafts.iter_mut().for_each(|draft| draft.acquisition.time = None);
+    }
+}
+
+/// Metres east and north that the middle of a camera's ground moves per metre of altitude.
+fn tilt(rpc: &Rpc) -> Option<[f64; 2]> {
+    let at = |height_m: f64| {
+        let middle = ImagePoint {
+            col: rpc.sample_offset,
+            row: rpc.line_offset,
+        };
+        rpc.localise(middle, height_m).ok()
+    };
+    let (low, high) = (at(rpc.height_offset_m)?, at(rpc.height_offset_m + rpc.height_scale_m)?);
+    let moved = LocalFrame::new(low).enu_from_geo(high);
+    Some([moved.x, moved.y].map(|metres| metres / rpc.height_scale_m))
 }
 
 /// The date tag of a file, and when the file was written.

@@ -48,12 +48,20 @@ pub fn read_text(path: &Path) -> Result<String> {
         .map_err(|_| Error::new(ErrorKind::InvalidData, "it is not UTF-8 text"))
 }
 
-/// The text of a file of at most [`TEXT_MAX`] bytes, with what is no UTF-8 replaced.
+/// The text of a file of at most [`TEXT_MAX`] bytes, with what is no UTF-8 replaced. A byte order mark of UTF-16, as some editors write
+/// it, is believed.
 ///
 /// # Errors
 /// As [`read_bytes`].
 pub fn read_text_lossy(path: &Path) -> Result<String> {
-    Ok(String::from_utf8_lossy(&read_bytes(path, TEXT_MAX)?).into_owned())
+    let bytes = read_bytes(path, TEXT_MAX)?;
+    let unit = match bytes.get(..2) {
+        Some([0xff, 0xfe]) => u16::from_le_bytes,
+        Some([0xfe, 0xff]) => u16::from_be_bytes,
+        _ => return Ok(String::from_utf8_lossy(&bytes).into_owned()),
+    };
+    let units: Vec<u16> = bytes[2..].as_chunks().0.iter().map(|pair| unit(*pair)).collect();
+    Ok(String::from_utf16_lossy(&units))
 }
 
 /// At most the first `count` bytes of a regular file; none where it cannot be read.
@@ -79,6 +87,10 @@ mod tests {
         std::fs::write(&file, b"12345").expect("written");
         assert_eq!(read_bytes(&file, 5).expect("small enough"), b"12345");
         assert!(read_bytes(&file, 4).is_err());
+        for bytes in [&b"\xff\xfea\0=\0"[..], b"\xfe\xff\0a\0="] {
+            std::fs::write(&file, bytes).expect("written");
+            assert_eq!(read_text_lossy(&file).expect("text"), "a=");
+        }
         assert!(read_bytes(folder.path(), 5).is_err());
         if Path::new("/dev/zero").exists() {
             let error = read_bytes(Path::new("/dev/zero"), 5).expect_err("endless");

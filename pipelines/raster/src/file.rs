@@ -269,12 +269,22 @@ impl RasterFile {
 
     /// Items of one metadata domain; the default domain is `""`, an absent domain is empty.
     pub fn domain(&self, name: &str) -> BTreeMap<String, String> {
-        let items = self.dataset().metadata_domain(name).unwrap_or_default();
-        items
-            .iter()
-            .filter_map(|item| item.split_once('='))
-            .map(|(key, value)| (key.to_owned(), value.to_owned()))
-            .collect()
+        items(self.dataset(), name)
+    }
+
+    /// The same of the file by itself, as if nothing lay beside it.
+    pub fn own_domain(&self, name: &str) -> BTreeMap<String, String> {
+        let file_name = self.path.file_name().and_then(|name| name.to_str());
+        let (false, Some(file_name)) = (is_virtual(&self.path), file_name) else {
+            return self.domain(name);
+        };
+        let options = DatasetOptions {
+            open_flags: GdalOpenFlags::GDAL_OF_READONLY | GdalOpenFlags::GDAL_OF_RASTER,
+            sibling_files: Some(&[file_name]),
+            ..DatasetOptions::default()
+        };
+        let alone = messages::collect(|| Dataset::open_ex(&self.path, options));
+        alone.map_or_else(|_| BTreeMap::new(), |alone| items(&alone, name))
     }
 
     /// Where the pixels lie in map coordinates; `None` without georeferencing. Some writers store the identity where they know nothing:
@@ -466,6 +476,12 @@ impl RasterFile {
 /// The band that a file states is one of opacity.
 fn opacity_of(bands: &[BandInfo]) -> Option<usize> {
     bands.iter().position(|band| band.colour == Colour::Alpha)
+}
+
+fn items(dataset: &Dataset, domain: &str) -> BTreeMap<String, String> {
+    let items = dataset.metadata_domain(domain).unwrap_or_default();
+    let pairs = items.iter().filter_map(|item| item.split_once('='));
+    pairs.map(|(key, value)| (key.to_owned(), value.to_owned())).collect()
 }
 
 /// The means of the known pixels of `factor` columns each of some rows.

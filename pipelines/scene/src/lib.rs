@@ -22,8 +22,8 @@ mod values;
 pub use area::AreaRequest;
 pub use cut::{Cut, CutImage};
 pub use heliosplat_delivery::{
-    AltitudeRange, AltitudeSource, BandKind, FileIdentity, Hashes, ImageSun, Index, RelitTruth, RpcPreference,
-    SceneError, Seen, Split, SunSource, Truth, camera_of, image_described, images_listed, places_in_til, relit_truth,
+    AltitudeRange, AltitudeSource, BandKind, FileIdentity, Finding, Hashes, ImageSun, Index, RelitTruth, RpcPreference,
+    SceneError, Seen, Severity, Split, SunSource, Truth, camera_of, image_described, images_listed, places_in_til, relit_truth,
     seen,
 };
 pub use kept::{KeptCut, KeptImage};
@@ -126,6 +126,8 @@ pub struct Scene {
     pub truth: Truth,
     /// The cut that was read, without the identities of its files.
     pub cut: KeptCut,
+    /// Rows of the table of checks that hold; their messages are among the warnings.
+    pub findings: Vec<Finding>,
     /// Things a user should know (sun mismatch, unknown bands, images skipped), one line each.
     pub warnings: Vec<String>,
 }

@@ -1,6 +1,6 @@
 //! The geometry of pairs of images: how far apart they look from, and how much ground they share.
 
-use super::{Scene, SceneImage};
+use super::{Finding, Scene, SceneImage, Severity};
 use heliosplat_rpc::parallax::MATCHING_PX;
 use nalgebra::{Vector2, Vector3};
 
@@ -90,11 +90,22 @@ impl Scene {
         let mut warned: Vec<String> = Vec::new();
         for pair in self.pairs() {
             if pair.base_to_height < measurable && pair.overlap > 0.0 && !warned.contains(&pair.b) {
-                self.warnings.push(format!(
+                let message = format!(
                     "{} and {} have the same camera: no parallax between them, and they count as one view",
                     pair.a, pair.b
-                ));
-                warned.push(pair.b);
+                );
+                self.warnings.push(message.clone());
+                warned.push(pair.b.clone());
+                let files = [&pair.a, &pair.b].map(|name| self.images.iter().find(|image| image.name == *name));
+                self.findings.push(Finding {
+                    code: "same-camera",
+                    severity: Severity::Warning,
+                    files: files.into_iter().flatten().map(|image| image.path.clone()).collect(),
+                    images: vec![pair.a, pair.b],
+                    value: Some(pair.base_to_height),
+                    bound: Some(measurable),
+                    message,
+                });
             }
         }
     }

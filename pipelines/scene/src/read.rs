@@ -32,7 +32,7 @@ impl Scene {
         let frame = cut.frame;
         let mut suns = Vec::with_capacity(images.len());
         for read in &images {
-            suns.push(read.image.sun(frame.origin, &mut warnings)?);
+            suns.push(read.image.sun(frame.origin, &mut warnings));
         }
         let shown: Vec<_> = images
             .iter()
@@ -91,6 +91,7 @@ impl Scene {
             area: cut.area,
             counts_per_unit,
             truth: found_truth,
+            findings: index.findings.clone(),
             cut: kept,
             warnings,
         };

@@ -1,7 +1,7 @@
 //! Cameras in vendors' text files: RPB, `_RPC.TXT` in its dialects, OSSIM `.geom`, and fixed-width RPC00B.
 
 use super::error::ReadError;
-use super::fields::{Dialect, OrderedSource, TextSource, camera, customary, number, numbered_from_one};
+use super::fields::{Dialect, OrderedSource, Source, TextSource, camera, customary, number, numbered_from_one};
 use super::statements::{assignments, colon_lines, without_mark};
 use crate::rpc::Rpc;
 use std::collections::HashMap;
@@ -23,14 +23,12 @@ pub fn rpb(text: &str) -> Result<Rpc, ReadError> {
             .or_insert(statement.value);
     }
     let dialect = if values.contains_key("pixeloffset") { &PVL } else { &RPB };
-    if let Some(specification) = values.get("specid") {
-        check_specification(dialect.format, "SpecId", specification)?;
-    }
+    let specification = values.get("specid").copied().unwrap_or("RPC00B");
     let source = TextSource {
         lookup: |name: &str| values.get(&name.to_ascii_lowercase()).copied(),
         numbered: None,
     };
-    camera(dialect, &source)
+    of_specification(dialect, "SpecId", specification, &source)
 }
 
 const RPB: Dialect = Dialect {
@@ -74,18 +72,34 @@ const PVL: Dialect = Dialect {
     errors: ["errorBias", "errorRand"],
 };
 
-/// RPC00A orders its coefficients otherwise: read as RPC00B it would be a wrong camera without any sign of it.
-pub(super) fn check_specification(format: &'static str, field: &str, value: &str) -> Result<(), ReadError> {
-    let value = value.trim().trim_matches('"');
-    if value.eq_ignore_ascii_case("RPC00B") || value.eq_ignore_ascii_case("B") {
-        return Ok(());
+/// Where RPC00A (STDI-0002) has the coefficients that RPC00B has at these places: `1 L P H LP LH PH LPH LL PP HH LLL LLP LLH LPP PPP PPH LHH
+/// PHH HHH`.
+const OF_RPC00A: [usize; 20] = [0, 1, 2, 3, 4, 5, 6, 8, 9, 10, 7, 11, 14, 17, 12, 15, 18, 13, 16, 19];
+
+/// The camera of a file that states its specification, RPC00A or RPC00B: the order of the coefficients.
+///
+/// # Errors
+/// When it is neither, and those of [`camera`].
+pub(super) fn of_specification(
+    dialect: &Dialect,
+    field: &str,
+    specification: &str,
+    source: &impl Source,
+) -> Result<Rpc, ReadError> {
+    let name = specification.trim().trim_matches('"').to_ascii_uppercase();
+    let rpc = camera(dialect, source)?;
+    let ordered = |of_a: [f64; 20]| OF_RPC00A.map(|place| of_a[place]);
+    match name.as_str() {
+        "RPC00B" | "B" => Ok(rpc),
+        "RPC00A" | "A" => Ok(Rpc {
+            line_numerator: ordered(rpc.line_numerator),
+            line_denominator: ordered(rpc.line_denominator),
+            sample_numerator: ordered(rpc.sample_numerator),
+            sample_denominator: ordered(rpc.sample_denominator),
+            ..rpc
+        }),
+        _ => Err(dialect.bad(field, &name, "RPC00A or RPC00B (others order the coefficients otherwise)")),
     }
-    Err(ReadError::BadValue {
-        format,
-        field: field.to_owned(),
-        value: super::fields::shortened(value),
-        expected: "RPC00B (other specifications order the coefficients otherwise)",
-    })
 }
 
 /// The camera of an `_RPC.TXT` / `.rpc` file: `LINE_OFF: +013741.00 pixels`, ..., `LINE_NUM_COEFF_1: ...`, in the
@@ -122,15 +136,13 @@ pub fn ossim_geom(text: &str) -> Result<Rpc, ReadError> {
         let key = line.key.rsplit('.').next().unwrap_or(line.key);
         values.entry(key).or_insert(line.value);
     }
-    if let Some(specification) = values.get("polynomial_format") {
-        check_specification(FORMAT, "polynomial_format", specification)?;
-    }
+    let specification = values.get("polynomial_format").copied().unwrap_or("B");
     let lower = |name: &str| name.to_ascii_lowercase();
     let source = TextSource {
         lookup: |name: &str| values.get(lower(name).as_str()).copied(),
         numbered: Some(|name, index| format!("{name}_{index:02}")),
     };
-    camera(&customary(FORMAT), &source)
+    of_specification(&customary(FORMAT), "polynomial_format", specification, &source)
 }
 
 /// The camera of RPC00B's fixed-width text: ALOS `RPC-*.txt`, or the value of a NITF RPC00B record.

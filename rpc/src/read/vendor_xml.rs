@@ -2,7 +2,7 @@
 
 use super::error::ReadError;
 use super::fields::{Dialect, TextSource, camera, customary, numbered_from_one};
-use super::text::check_specification;
+use super::text::of_specification;
 use super::xml::{child_text, find, parse, text as text_of};
 use crate::rpc::Rpc;
 use roxmltree::Node;
@@ -45,15 +45,13 @@ pub fn dimap(text: &str) -> Result<Rpc, ReadError> {
 pub fn maxar_xml(text: &str) -> Result<Rpc, ReadError> {
     let document = parse(MAXAR.format, text)?;
     let rpb = find(document.root_element(), "RPB").ok_or_else(|| MAXAR.missing("RPB"))?;
-    if let Some(specification) = child_text(rpb, "SPECID") {
-        check_specification(MAXAR.format, "SPECID", specification)?;
-    }
+    let specification = child_text(rpb, "SPECID").unwrap_or("RPC00B");
     let image = find(rpb, "IMAGE").ok_or_else(|| MAXAR.missing("RPB/IMAGE"))?;
     let source = TextSource {
         lookup: |name: &str| value_or_list(image, name),
         numbered: None,
     };
-    camera(&MAXAR, &source)
+    of_specification(&MAXAR, "SPECID", specification, &source)
 }
 
 /// `<NAME>value</NAME>`, or `<NAMEList><NAME>values</NAME></NAMEList>`.

@@ -122,6 +122,7 @@ fn describe(scene: &Scene, coverage: &Coverage, decisions: &Decisions) -> Value 
         },
         "plan": decisions.items,
         "decisions": decisions,
+        "findings": scene.findings,
         "warnings": scene.warnings,
     })
 }

@@ -27,6 +27,9 @@ pub fn gdal_domain(items: &BTreeMap<String, String>) -> Acquisition {
     Acquisition::new(items.time(), None, None).merge(complete.unwrap_or_default())
 }
 
+/// The constant that GDAL writes into every NITF without a date, so that files are reproducible.
+const OF_GDAL: &str = "20021216151629";
+
 /// Items by the last part of their names, lower case (`IMAGE_1.meanSunAz` is `meansunaz`).
 struct Items<'a>(BTreeMap<String, &'a str>);
 
@@ -73,7 +76,7 @@ impl<'a> Items<'a> {
                 .filter(|text| !text.trim_end().ends_with(" 00:00:00"))?;
             utc(text)
         };
-        let exact = EXACT.iter().find_map(|name| utc(self.get(name)?));
+        let exact = EXACT.iter().find_map(|name| utc(self.get(name).filter(|text| !text.starts_with(OF_GDAL))?));
         exact.or_else(imaging).or_else(kompsat).or_else(imagery)
     }
 }

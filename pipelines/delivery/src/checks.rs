@@ -1,0 +1,298 @@
+//! The table of checks on a delivery: a row compares two things that an image, its sidecars and its siblings state, and says by how much
+//! they may differ and what to do where they differ more.
+
+use super::camera::{self, Cameras, FoundCamera};
+use super::draft::Draft;
+use super::index::middle;
+use super::{RpcPreference, acquisition};
+use heliosplat_raster::CrsTransform;
+use heliosplat_rpc::{GeoPoint, ImagePoint};
+use serde::Serialize;
+use std::path::{Path, PathBuf};
+
+/// Whether a delivery can be used in spite of a finding.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Severity {
+    /// The result may be worse.
+    Warning,
+    /// The result would be wrong.
+    Error,
+}
+
+/// A row of the table that holds for some images.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct Finding {
+    /// The row, such as `map-projected`.
+    pub code: &'static str,
+    /// Warning or error.
+    pub severity: Severity,
+    /// Names of the images.
+    pub images: Vec<String>,
+    /// Their files.
+    pub files: Vec<PathBuf>,
+    /// The largest value found, in the unit of the message.
+    pub value: Option<f64>,
+    /// The value from which on the row holds.
+    pub bound: Option<f64>,
+    /// One line: file, difference, remedy.
+    pub message: String,
+}
+
+/// What a check finds in one image.
+pub(super) struct Found {
+    value: Option<f64>,
+    bound: Option<f64>,
+    /// The rest of a sentence that begins with the file.
+    what: String,
+}
+
+impl Found {
+    fn plain(what: String) -> Self {
+        Self {
+            value: None,
+            bound: None,
+            what,
+        }
+    }
+
+    fn above(value: f64, bound: f64, what: String) -> Option<Self> {
+        // What is no number fits nothing.
+        let holds = value > bound || value.is_nan();
+        holds.then_some(Self {
+            value: value.is_finite().then_some(value),
+            bound: Some(bound),
+            what,
+        })
+    }
+}
+
+/// A row.
+struct Check {
+    code: &'static str,
+    severity: Severity,
+    find: fn(&Draft, RpcPreference) -> Option<Found>,
+    remedy: &'static str,
+}
+
+const CHECKS: [Check; 6] = [
+    Check {
+        code: "map-projected",
+        severity: Severity::Error,
+        find: map_projected,
+        remedy: "give the original image with its RPC; remove the geotransform where the RPC is the right one",
+    },
+    Check {
+        code: "cameras-of-other-ground",
+        severity: Severity::Error,
+        find: other_ground,
+        remedy: "remove the wrong one, or choose with --rpc json|sidecar|tag",
+    },
+    Check {
+        code: "two-cameras",
+        severity: Severity::Warning,
+        find: two_cameras,
+        remedy: "--rpc json|sidecar|tag chooses",
+    },
+    Check {
+        code: "camera-file-unread",
+        severity: Severity::Warning,
+        find: unread,
+        remedy: "replace that file or delete it",
+    },
+    Check {
+        code: "rpc-of-another-size",
+        severity: Severity::Warning,
+        find: another_size,
+        remedy: "where the image was reduced or turned, give the original, or an RPC that was changed alike",
+    },
+    Check {
+        code: "sun-below-horizon",
+        severity: Severity::Warning,
+        find: sun_below_horizon,
+        remedy: "correct the time (UTC) or remove it",
+    },
+];
+
+/// All rows that hold, in the order of the table; equal findings of several images are one.
+pub(super) fn all(drafts: &[Draft], preference: RpcPreference) -> Vec<Finding> {
+    let of_row = |check: &Check| {
+        let found = drafts.iter().filter_map(|draft| Some((draft, (check.find)(draft, preference)?)));
+        let mut found: Vec<(&Draft, Found)> = found.collect();
+        // The worst comes first; a stable sort keeps the order of the images.
+        found.sort_by(|(_, a), (_, b)| b.value.unwrap_or(0.0).total_cmp(&a.value.unwrap_or(0.0)));
+        let (first, worst) = found.first()?;
+        let path = first.entry.path.display();
+        let more = match found.len() {
+            1 => String::new(),
+            count => format!(" (and {} more images alike)", count - 1),
+        };
+        Some(Finding {
+            code: check.code,
+            severity: check.severity,
+            images: found.iter().map(|(draft, _)| draft.entry.name.clone()).collect(),
+            files: found.iter().map(|(draft, _)| draft.entry.path.clone()).collect(),
+            value: worst.value,
+            bound: worst.bound,
+            message: format!("{path}: {}{more}; {}", worst.what, check.remedy),
+        })
+    };
+    CHECKS.iter().filter_map(of_row).collect()
+}
+
+/// A frame that was fitted to the corners of a raw image is off by the bend of its lines over the ground, below this share of its
+/// diagonal; a map-projected image is turned and stretched against the raw one.
+const ROUGH_FRAME: f64 = 0.01;
+/// In a small image, a frame that is rounded to the pixel is off by this much, pixels.
+const ROUGH_FRAME_PX: f64 = 2.0;
+/// Places along each side of an image that are compared.
+const PLACES: usize = 5;
+
+/// The geotransform against the RPC, at the altitude where they agree best: images that were projected to one height keep an RPC that
+/// describes their pixels there.
+fn map_projected(draft: &Draft, _: RpcPreference) -> Option<Found> {
+    let (transform, crs) = (draft.file.geo_transform()?, draft.file.crs()?);
+    let to_lon_lat = CrsTransform::to_lon_lat(&crs).ok()?;
+    let (width, height) = draft.file.size();
+    let along = |index: usize, size: usize| index as f64 / (PLACES - 1) as f64 * (size as f64 - 1.0);
+    let place = |index: usize| {
+        let [col, row] = [along(index % PLACES, width), along(index / PLACES, height)];
+        let [x, y] = transform.map_from_pixel(col, row);
+        Some(([col, row], to_lon_lat.apply(x, y).ok()?))
+    };
+    let places: Vec<_> = (0..PLACES * PLACES).map(place).collect::<Option<_>>()?;
+    let apart_px = |height_m: f64| {
+        let off = places.iter().map(|&([col, row], (lon_deg, lat_deg))| {
+            let seen = draft.rpc.project(GeoPoint {
+                lon_deg,
+                lat_deg,
+                height_m,
+            });
+            (seen.col - col).hypot(seen.row - row)
+        });
+        off.fold(0.0, |most: f64, off| if off.is_nan() { f64::INFINITY } else { most.max(off) })
+    };
+    let (middle_m, half_m) = (draft.rpc.height_offset_m, draft.rpc.height_scale_m.abs());
+    let least = least_of(&apart_px, middle_m - half_m, middle_m + half_m);
+    let bound = (ROUGH_FRAME * (width as f64).hypot(height as f64)).max(ROUGH_FRAME_PX);
+    let what = format!(
+        "is map-projected ({}), and its RPC does not describe its pixels: at every altitude the two place some of them {least:.0} px \
+         apart or more",
+        crs.name()
+    );
+    Found::above(least, bound, what)
+}
+
+/// The least value of a function that has one minimum between two ends.
+fn least_of(of: &dyn Fn(f64) -> f64, mut low: f64, mut high: f64) -> f64 {
+    for _ in 0..60 {
+        let third = (high - low) / 3.0;
+        if of(low + third) < of(high - third) {
+            high -= third;
+        } else {
+            low += third;
+        }
+    }
+    of((low + high) / 2.0)
+}
+
+/// Two cameras of one image that differ by more than this are worth a warning, pixels: less is below what matching resolves.
+const WORTH_A_WARNING_PX: f64 = 0.5;
+
+/// The camera that differs most from the one that is used, with the distance in pixels over the image.
+fn farthest(cameras: &Cameras, size: (usize, usize)) -> Option<(f64, &FoundCamera)> {
+    let apart = |other: &FoundCamera| camera::apart_px(&cameras.used.rpc, &other.rpc, size).unwrap_or(f64::INFINITY);
+    let all = cameras.others.iter().map(|other| (apart(other), other));
+    all.max_by(|(a, _), (b, _)| a.total_cmp(b))
+}
+
+/// The line on the cameras of a file by itself, where they differ.
+pub(super) fn of_cameras(cameras: &Cameras, path: &Path, size: (usize, usize)) -> Option<String> {
+    let what = differing(cameras, size)?.what;
+    Some(format!("{}: {what}; --rpc json|sidecar|tag chooses", path.display()))
+}
+
+/// Cameras that see other ground than each other; without a choice by the user there is no right one.
+fn other_ground(draft: &Draft, preference: RpcPreference) -> Option<Found> {
+    let (apart_px, other) = farthest(&draft.cameras, draft.camera_size)?;
+    let (width, height) = draft.camera_size;
+    let bound = (width as f64).hypot(height as f64);
+    if preference != RpcPreference::Json || other.sees_ground_of(&draft.cameras.used, draft.camera_size) {
+        return None;
+    }
+    let (used, other) = (&draft.cameras.used.source, &other.source);
+    let what = format!("its RPC cameras see other ground, {apart_px:.0} px apart: {used} and {other}");
+    Found::above(apart_px, bound, what)
+}
+
+fn two_cameras(draft: &Draft, _: RpcPreference) -> Option<Found> {
+    differing(&draft.cameras, draft.camera_size)
+}
+
+fn differing(cameras: &Cameras, size: (usize, usize)) -> Option<Found> {
+    let (apart_px, other) = farthest(cameras, size)?;
+    let (used, other) = (&cameras.used.source, &other.source);
+    let what = format!("two RPC cameras differ by {apart_px:.1} px; used: {used}, ignored: {other}");
+    Found::above(apart_px, WORTH_A_WARNING_PX, what)
+}
+
+fn unread(draft: &Draft, _: RpcPreference) -> Option<Found> {
+    let (path, reason) = draft.cameras.unread.first()?;
+    let used = &draft.cameras.used.source;
+    Some(Found::plain(format!(
+        "the RPC in {} cannot be read ({reason}); used: {used}",
+        path.display()
+    )))
+}
+
+/// How far vendors' scales are from half the size of an image.
+const LIKE: f64 = 0.02;
+
+/// The size of the image against the rows and columns that its RPC is made for. A crop lies anywhere in these; an image that was reduced
+/// begins where they begin, and has the same fraction of both.
+fn another_size(draft: &Draft, _: RpcPreference) -> Option<Found> {
+    let rpc = &draft.rpc;
+    let (width, height) = draft.camera_size;
+    let made_for = [2.0 * rpc.sample_scale.abs(), 2.0 * rpc.line_scale.abs()];
+    let first = [rpc.sample_offset, rpc.line_offset];
+    let begins = (0..2).all(|axis| (first[axis] + 0.5 - made_for[axis] / 2.0).abs() < LIKE * made_for[axis]);
+    let [wide, high] = [made_for[0] / width as f64, made_for[1] / height as f64];
+    let is_like = |a: f64, b: f64| (a / b - 1.0).abs() < LIKE;
+    let factor = wide.round();
+    let reduced = factor >= 2.0 && is_like(wide, factor) && is_like(high, factor);
+    let turned = is_like(made_for[0], height as f64) && is_like(made_for[1], width as f64) && !is_like(wide, 1.0);
+    (begins && (reduced || turned)).then(|| Found {
+        value: Some(wide),
+        bound: Some(1.0),
+        what: format!(
+            "has {width} x {height} pixels, and its RPC is made for {:.0} x {:.0}",
+            made_for[0], made_for[1]
+        ),
+    })
+}
+
+/// The time of acquisition, and the angles that metadata state, against day and night.
+fn sun_below_horizon(draft: &Draft, _: RpcPreference) -> Option<Found> {
+    let (origin, elevation_deg) = acquisition::night(&draft.acquisition, middle(draft)?)?;
+    Some(Found {
+        value: Some(elevation_deg),
+        bound: Some(0.0),
+        what: format!(
+            "the sun is below the horizon or beyond the zenith (elevation {elevation_deg:.1} degrees, {origin}) and is taken as unknown"
+        ),
+    })
+}
+
+impl FoundCamera {
+    /// Whether the image of another camera shows ground that this one is made for, with a margin as wide as that.
+    fn sees_ground_of(&self, other: &Self, (width, height): (usize, usize)) -> bool {
+        let (col, row) = (width as f64 / 2.0, height as f64 / 2.0);
+        let Ok(ground) = other.rpc.localise(ImagePoint { col, row }, other.rpc.height_offset_m) else {
+            return false;
+        };
+        let seen = self.rpc.project(ground);
+        let within = |at: f64, offset: f64, scale: f64, size: usize| (at - offset).abs() < 2.0 * scale.abs().max(size as f64);
+        within(seen.col, self.rpc.sample_offset, self.rpc.sample_scale, width)
+            && within(seen.row, self.rpc.line_offset, self.rpc.line_scale, height)
+    }
+}
