@@ -44,7 +44,10 @@ pub fn rpc_from_text(file_name: &str, text: &str) -> Result<Rpc, ReadError> {
 /// `text` with points for its decimal commas; `None` where it has decimal points too, or no comma between digits.
 fn decimal_points(text: &str) -> Option<String> {
     let is_between_digits = |at: usize| {
-        let digit = |at: Option<usize>| at.and_then(|at| text.as_bytes().get(at)).is_some_and(u8::is_ascii_digit);
+        let digit = |at: Option<usize>| {
+            at.and_then(|at| text.as_bytes().get(at))
+                .is_some_and(u8::is_ascii_digit)
+        };
         digit(at.checked_sub(1)) && digit(at.checked_add(1))
     };
     if text.match_indices('.').any(|(at, _)| is_between_digits(at)) {

@@ -232,7 +232,10 @@ fn rpc00a_is_put_into_the_order_of_rpc00b() {
     }
     assert_ne!(moved, *CAMERA);
     let text = rpb_text(&moved).replace("RPC00B", "RPC00A");
-    assert_eq!(read::rpb(&text).expect("RPC00A"), read::rpb(&rpb_text(&CAMERA)).expect("RPC00B"));
+    assert_eq!(
+        read::rpb(&text).expect("RPC00A"),
+        read::rpb(&rpb_text(&CAMERA)).expect("RPC00B")
+    );
 }
 
 #[test]
@@ -244,7 +247,10 @@ fn decimal_commas_are_points_where_a_text_has_no_point() {
         read::rpb(&whole).expect("decimal points")
     );
     let both = whole.replacen('.', ",", 1);
-    assert!(read::rpc_from_text("x.rpb", &both).is_err(), "a comma among points may mean thousands");
+    assert!(
+        read::rpc_from_text("x.rpb", &both).is_err(),
+        "a comma among points may mean thousands"
+    );
 }
 
 /// Texts of all formats, whole.

@@ -5,8 +5,8 @@ use heliosplat::Raster;
 use heliosplat_raster::{Crs, CrsTransform, GeoTransform, ImageSpec, RasterFile, Sample, Window, write_geotiff};
 use heliosplat_rpc::read::gdal_domain;
 use heliosplat_rpc::{Rpc, write};
-use heliosplat_scene::{IngestOptions, Scene, SceneError, ValueKind, Values};
-use heliosplat_tests::program::{fault, json};
+use heliosplat_scene::{Index, IngestOptions, RpcPreference, Scene, SceneError, ValueKind, Values};
+use heliosplat_tests::program::{fault, heliosplat, json, tiny_scene};
 use heliosplat_tests::scenes::{GSD_M, SIZE_PX, View};
 use serde_json::Value;
 use std::fs;
@@ -566,13 +566,24 @@ fn the_tag_of_a_crop_counts_before_the_file_of_the_whole_image_and_a_choice_befo
     }
     let source = |seen: &Value| seen["images"][0]["rpc_source"].as_str().expect("a source").to_owned();
     let (codes, seen) = inspected(home.path(), &[]);
-    assert_eq!((codes, source(&seen)), (vec!["two-cameras".to_owned()], "image".to_owned()));
+    assert_eq!(
+        (codes, source(&seen)),
+        (vec!["two-cameras".to_owned()], "image".to_owned())
+    );
     let finding = &seen["findings"][0];
     assert_eq!(finding["images"].as_array().map(Vec::len), Some(3), "{finding}");
     let apart_px = finding["value"].as_f64().expect("pixels");
     assert!((apart_px - 32.016).abs() < 0.01, "{apart_px}");
     let (_, chosen) = inspected(home.path(), &["--rpc", "sidecar"]);
     assert_eq!(source(&chosen), "view_0.RPB");
+    // A crop never begins left of or above the whole image.
+    fs::write(
+        home.path().join("view_0.RPB"),
+        rpb(&camera(&views[0], [5.0, -4.0]), "RPC00B"),
+    )
+    .expect("written");
+    let (_, seen) = inspected(home.path(), &[]);
+    assert_eq!(source(&seen), "view_0.RPB");
     // An adjusted text is moved by parts of a pixel: it counts before the raw tag.
     for view in &views {
         fs::remove_file(home.path().join(format!("{}.RPB", view.name))).expect("removed");
@@ -580,7 +591,10 @@ fn the_tag_of_a_crop_counts_before_the_file_of_the_whole_image_and_a_choice_befo
     let text = write::rpc_txt(&camera(&views[0], [5.3, 4.1]));
     fs::write(home.path().join("view_0_RPC.TXT"), text).expect("written");
     let (codes, seen) = inspected(home.path(), &[]);
-    assert_eq!((codes, source(&seen)), (vec!["two-cameras".to_owned()], "view_0_RPC.TXT".to_owned()));
+    assert_eq!(
+        (codes, source(&seen)),
+        (vec!["two-cameras".to_owned()], "view_0_RPC.TXT".to_owned())
+    );
     let apart_px = seen["findings"][0]["value"].as_f64().expect("pixels");
     assert!((apart_px - 6.70).abs() < 0.01, "{apart_px}");
     let (_, chosen) = inspected(home.path(), &["--rpc", "tag"]);
@@ -638,7 +652,10 @@ fn files_beside_images_are_read_by_our_own_readers() {
     }
     // A camera file that lacks something is named, not its absence.
     let whole = write::rpc_txt(&views[1].rpc());
-    let lacking: String = whole.split_inclusive('\n').filter(|line| !line.starts_with("HEIGHT")).collect();
+    let lacking: String = whole
+        .split_inclusive('\n')
+        .filter(|line| !line.starts_with("HEIGHT"))
+        .collect();
     fs::write(file(1, "_RPC.TXT"), lacking).expect("written");
     let said = fault(&["inspect", &home.path().display().to_string()], 2);
     assert!(
@@ -657,11 +674,19 @@ fn the_date_that_gdal_writes_into_every_nitf_is_no_time_and_no_sun_is_needed_for
     let dated = |of: &dyn Fn(usize) -> &'static str| {
         for (number, view) in views.iter().enumerate() {
             let items = [("NITF_IDATIM".to_owned(), of(number).to_owned())];
-            retag(&home.path().join(format!("{}.tif", view.name)), Some(&view.rpc()), None, &items);
+            retag(
+                &home.path().join(format!("{}.tif", view.name)),
+                Some(&view.rpc()),
+                None,
+                &items,
+            );
         }
         let (codes, seen) = inspected(home.path(), &[]);
         let images = seen["images"].as_array().expect("images").clone();
-        let times: Vec<Option<String>> = images.iter().map(|image| image["time"].as_str().map(str::to_owned)).collect();
+        let times: Vec<Option<String>> = images
+            .iter()
+            .map(|image| image["time"].as_str().map(str::to_owned))
+            .collect();
         (codes, times)
     };
     assert_eq!(dated(&|_| "20021216151629"), (vec![], vec![None, None, None]));
@@ -680,7 +705,9 @@ fn an_image_that_was_halved_without_its_rpc_is_named() {
     let home = tempdir().expect("a temporary folder");
     let views = tagged(home.path());
     let path = home.path().join("view_1.tif");
-    let raster = RasterFile::open(&path).and_then(|file| file.read_all()).expect("pixels");
+    let raster = RasterFile::open(&path)
+        .and_then(|file| file.read_all())
+        .expect("pixels");
     let rpc: Vec<(String, String)> = write::gdal_domain(&views[1].rpc()).into_iter().collect();
     let halved = raster.downscaled(2);
     let spec = ImageSpec {
@@ -692,5 +719,196 @@ fn an_image_that_was_halved_without_its_rpc_is_named() {
     assert_eq!(codes, ["rpc-of-another-size"]);
     let finding = &seen["findings"][0];
     assert_eq!(finding["images"], serde_json::json!(["view_1"]));
-    assert!(finding["message"].as_str().is_some_and(|line| line.contains("32 x 32 pixels") && line.contains("64 x 64")));
+    assert!(
+        finding["message"]
+            .as_str()
+            .is_some_and(|line| line.contains("32 x 32 pixels") && line.contains("64 x 64"))
+    );
+}
+
+#[test]
+fn own_outputs_among_the_images_are_neither_truth_nor_images() {
+    let home = tempdir().expect("a temporary folder");
+    let views = tagged(home.path());
+    let raster = Raster::filled(SIZE_PX, SIZE_PX, 1, 700.0);
+    let (transform, crs) = frame(&views[0], 0.0);
+    let write = |name: &str, software: Option<&str>| {
+        let items: Vec<_> = software
+            .map(|name| ("SOFTWARE".to_owned(), name.to_owned()))
+            .into_iter()
+            .collect();
+        let spec = ImageSpec {
+            georeference: Some((&transform, &crs)),
+            metadata: &items,
+            ..ImageSpec::plain(&raster)
+        };
+        write_geotiff(&home.path().join(name), &spec, Sample::F32).expect("written");
+    };
+    for name in ["dsm.tif", "surface.tif"] {
+        write(name, Some("heliosplat 0.1.0"));
+    }
+    let (_, seen) = inspected(home.path(), &[]);
+    assert_eq!(seen["images"].as_array().map(Vec::len), Some(3));
+    assert_eq!(seen["truth"]["dsm"], Value::Null);
+    let told = seen["warnings"].as_array().expect("warnings").iter();
+    let told = told.filter(|line| line.as_str().is_some_and(|line| line.contains("written by heliosplat")));
+    assert_eq!(told.count(), 2, "{}", seen["warnings"]);
+    fs::remove_file(home.path().join("surface.tif")).expect("removed");
+    write("dsm.tif", None);
+    let (_, seen) = inspected(home.path(), &[]);
+    assert!(
+        seen["truth"]["dsm"]
+            .as_str()
+            .is_some_and(|path| path.ends_with("dsm.tif"))
+    );
+}
+
+#[test]
+fn a_run_inside_of_a_delivery_is_no_scene() {
+    let home = tempdir().expect("a temporary folder");
+    for view in views() {
+        let folder = home.path().join(&view.name);
+        fs::create_dir(&folder).expect("made");
+        view.write(&folder);
+    }
+    let run = home.path().join("run");
+    fs::create_dir(&run).expect("made");
+    fs::write(run.join("run.toml"), "").expect("written");
+    for view in views() {
+        view.write(&run);
+    }
+    assert_eq!(open(home.path()).expect("a scene").images.len(), 3);
+}
+
+#[test]
+fn masks_of_planet_are_masks_of_their_images() {
+    let home = tempdir().expect("a temporary folder");
+    for view in views() {
+        let image = View {
+            name: format!("{}_basic_panchromatic_dn", view.name),
+            ..view.clone()
+        };
+        image.write(home.path());
+        let mask = Raster::filled(SIZE_PX, SIZE_PX, 8, 1.0);
+        let path = home.path().join(format!("{}_basic_panchromatic_udm2.tif", view.name));
+        write_geotiff(&path, &ImageSpec::plain(&mask), Sample::U8).expect("written");
+    }
+    let index = Index::open(home.path(), RpcPreference::Json).expect("a delivery");
+    assert_eq!(index.images.len(), 3);
+    for (image, view) in index.images.iter().zip(views()) {
+        let mask = image.usable_mask.as_ref().expect("a mask");
+        assert!(
+            mask.ends_with(format!("{}_basic_panchromatic_udm2.tif", view.name)),
+            "{mask:?}"
+        );
+        assert!(index.files.contains(mask));
+    }
+}
+
+/// Writes bands of a view, each with one value, as a file of its own.
+fn write_bands(path: &Path, view: &View, values: &[f32]) {
+    let mut raster = Raster::filled(SIZE_PX, SIZE_PX, values.len(), 0.0);
+    for (band, value) in values.iter().enumerate() {
+        raster.plane_mut(band).fill(*value);
+    }
+    // Two values, so that the scale of values is that of all bands.
+    raster.values[0] = 700.0;
+    let rpc: Vec<(String, String)> = write::gdal_domain(&view.rpc()).into_iter().collect();
+    let spec = ImageSpec {
+        rpc: &rpc,
+        ..ImageSpec::plain(&raster)
+    };
+    write_geotiff(path, &spec, Sample::U16).expect("written");
+}
+
+#[test]
+fn files_of_the_bands_of_one_acquisition_are_one_image() {
+    type Files = [(&'static str, &'static [f32])];
+    let of_neo: &Files = &[
+        ("RGB_R1C1", &[300.0, 200.0, 100.0]),
+        ("NED_R1C1", &[400.0, 500.0, 600.0]),
+    ];
+    let of_geoeye: &Files = &[
+        ("blu_0000000", &[100.0]),
+        ("grn_0000000", &[200.0]),
+        ("nir_0000000", &[400.0]),
+        ("red_0000000", &[300.0]),
+    ];
+    for (files, nested) in [(of_neo, false), (of_neo, true), (of_geoeye, false)] {
+        let home = tempdir().expect("a temporary folder");
+        for view in views() {
+            let folder = if nested {
+                home.path().join(&view.name)
+            } else {
+                home.path().to_owned()
+            };
+            fs::create_dir_all(&folder).expect("made");
+            for (end, values) in files {
+                write_bands(&folder.join(format!("IMG_{}_{end}.tif", view.name)), &view, values);
+            }
+        }
+        let scene = open(home.path()).expect("a scene");
+        assert_eq!(scene.images.len(), 3);
+        let bands: Vec<&str> = scene.bands().iter().map(|band| band.name()).collect();
+        assert_eq!(bands, ["red", "green", "blue", "near_infrared"]);
+        for image in &scene.images {
+            let value = |band: usize| image.pixels.at(band, 30, 30);
+            for (band, times) in [3.0, 2.0, 1.0, 4.0].into_iter().enumerate() {
+                assert!((value(band) / value(2) - times).abs() < 1e-3, "{band}");
+            }
+        }
+        let told = scene
+            .warnings
+            .iter()
+            .filter(|line| line.contains("of the same acquisition"));
+        assert_eq!(told.count(), 1, "{:?}", scene.warnings);
+    }
+}
+
+#[cfg(unix)]
+#[test]
+fn a_name_that_is_not_utf8_is_said() {
+    use std::os::unix::ffi::OsStrExt;
+    let home = tempdir().expect("a temporary folder");
+    for view in views() {
+        view.write(home.path());
+    }
+    let latin1 = std::ffi::OsStr::from_bytes(b"for\xeat.tif");
+    fs::rename(home.path().join("view_1.tif"), home.path().join(latin1)).expect("renamed");
+    let said = fault(&["inspect", &home.path().display().to_string()], 2);
+    assert!(
+        said.contains("for") && said.contains("not UTF-8") && said.contains("rename"),
+        "{said}"
+    );
+}
+
+#[test]
+fn an_image_that_fits_no_other_is_named_and_not_called_cloudy() {
+    let home = tempdir().expect("a temporary folder");
+    let scene = home.path().join("scene");
+    tiny_scene(&scene);
+    let word = scene.display().to_string();
+    let seen = json(&["inspect", &word]);
+    let image = &seen["images"][1];
+    let path = PathBuf::from(image["path"].as_str().expect("a path"));
+    let file = RasterFile::open(&path).expect("an image");
+    let raster = file.read_all().expect("pixels").downscaled(2);
+    let rpc: Vec<(String, String)> = file.domain("RPC").into_iter().collect();
+    let spec = ImageSpec {
+        rpc: &rpc,
+        ..ImageSpec::plain(&raster)
+    };
+    write_geotiff(&path, &spec, Sample::U16).expect("written");
+    let name = image["name"].as_str().expect("a name");
+    let out = home.path().join("dsm.tif").display().to_string();
+    let output = heliosplat(&["dsm", &word, "--from", "sweep", "--out", &out])
+        .assert()
+        .success();
+    let said = String::from_utf8_lossy(&output.get_output().stderr).into_owned();
+    let told: Vec<&str> = said
+        .lines()
+        .filter(|line| line.contains("its camera contradicts the others"))
+        .collect();
+    assert!(told.len() == 1 && told[0].contains(name), "{said}");
+    assert!(!said.contains(&format!("{name}: clouds over")), "{said}");
 }

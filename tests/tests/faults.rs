@@ -167,7 +167,12 @@ fn a_sun_below_the_horizon_is_unknown_and_its_time_is_named() {
     let folder = scene(&[View::new(0), night]);
     let (finding, has_sun) = finding_and_suns(folder.path(), "sun-below-horizon");
     let message = finding["message"].as_str().expect("a line");
-    for word in ["view_1.tif", "below the horizon", "2016-04-23T20:34:00Z", "correct the time"] {
+    for word in [
+        "view_1.tif",
+        "below the horizon",
+        "2016-04-23T20:34:00Z",
+        "correct the time",
+    ] {
         assert!(message.contains(word), "{word} in {message}");
     }
     assert_eq!(has_sun, [true, false]);
@@ -182,7 +187,10 @@ fn metadata_that_put_the_sun_below_the_horizon_are_not_used() {
     };
     let folder = scene(&[View::new(0), night]);
     let (finding, has_sun) = finding_and_suns(folder.path(), "sun-below-horizon");
-    assert!((finding["value"].as_f64().expect("an elevation") + 3.0).abs() < 1e-9, "{finding}");
+    assert!(
+        (finding["value"].as_f64().expect("an elevation") + 3.0).abs() < 1e-9,
+        "{finding}"
+    );
     assert_eq!(has_sun, [true, false]);
 }
 

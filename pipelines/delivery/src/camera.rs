@@ -154,7 +154,12 @@ fn of_files(file: &RasterFile, json: Option<&Path>, folders: &Folders) -> Result
     if !tag.is_empty() {
         take(read::gdal_domain(&tag), file.path(), "image".to_owned(), Kind::Tag);
     } else if !has_sidecar && !by_gdal.is_empty() {
-        take(read::gdal_domain(&by_gdal), file.path(), "image".to_owned(), Kind::Sidecar);
+        take(
+            read::gdal_domain(&by_gdal),
+            file.path(),
+            "image".to_owned(),
+            Kind::Sidecar,
+        );
     }
     Ok((found, unread))
 }
@@ -162,7 +167,10 @@ fn of_files(file: &RasterFile, json: Option<&Path>, folders: &Folders) -> Result
 /// Whether a file holds a camera and nothing else, by its name in lower case.
 fn is_camera_file(name: &str) -> bool {
     let is_xml = name.starts_with("rpc_") && name.ends_with(".xml");
-    is_xml || [".rpb", ".rpc", "_rpc.txt", "_rpc.xml"].iter().any(|end| name.ends_with(end))
+    is_xml
+        || [".rpb", ".rpc", "_rpc.txt", "_rpc.xml"]
+            .iter()
+            .any(|end| name.ends_with(end))
 }
 
 /// GDAL's own file beside an image, where it has an RPC.
@@ -192,7 +200,7 @@ pub(super) fn of_vendor(file: &RasterFile, folders: &Folders) -> Result<Option<R
 }
 
 /// Whether an image with these two cameras is a crop whose tag was moved with it while the sidecar of the whole image was copied along:
-/// the tag is the sidecar moved by whole pixels, to a place where the image lies inside of what the sidecar is made for.
+/// the tag is the sidecar moved by whole pixels, right and down, to a place where the image ends inside of what the sidecar is made for.
 fn is_of_crop(tag: &Rpc, sidecar: &Rpc, (width, height): (usize, usize)) -> bool {
     let (right, bottom) = (width as f64 - 1.0, height as f64 - 1.0);
     let moved = |(col, row): (f64, f64)| {
@@ -206,14 +214,11 @@ fn is_of_crop(tag: &Rpc, sidecar: &Rpc, (width, height): (usize, usize)) -> bool
     let is_whole = |corner: &Option<[f64; 2]>| {
         corner.is_some_and(|corner| (0..2).all(|axis| (corner[axis] - first[axis].round()).abs() < WHOLE_PX))
     };
-    let made_for = [
-        (sidecar.sample_offset, sidecar.sample_scale, right),
-        (sidecar.line_offset, sidecar.line_scale, bottom),
+    let ends = [
+        sidecar.sample_offset + sidecar.sample_scale.abs() - right,
+        sidecar.line_offset + sidecar.line_scale.abs() - bottom,
     ];
-    let is_inside = made_for.iter().zip(first).all(|((offset, scale, last), first)| {
-        let (begin, end) = (offset - scale.abs() - 1.0, offset + scale.abs() + 1.0);
-        first >= begin && first + last <= end
-    });
+    let is_inside = (0..2).all(|axis| first[axis] > -WHOLE_PX && first[axis] < ends[axis] + 1.0);
     corners.iter().all(is_whole) && is_inside
 }
 

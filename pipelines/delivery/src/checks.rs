@@ -117,7 +117,9 @@ const CHECKS: [Check; 6] = [
 /// All rows that hold, in the order of the table; equal findings of several images are one.
 pub(super) fn all(drafts: &[Draft], preference: RpcPreference) -> Vec<Finding> {
     let of_row = |check: &Check| {
-        let found = drafts.iter().filter_map(|draft| Some((draft, (check.find)(draft, preference)?)));
+        let found = drafts
+            .iter()
+            .filter_map(|draft| Some((draft, (check.find)(draft, preference)?)));
         let mut found: Vec<(&Draft, Found)> = found.collect();
         // The worst comes first; a stable sort keeps the order of the images.
         found.sort_by(|(_, a), (_, b)| b.value.unwrap_or(0.0).total_cmp(&a.value.unwrap_or(0.0)));
@@ -170,7 +172,10 @@ fn map_projected(draft: &Draft, _: RpcPreference) -> Option<Found> {
             });
             (seen.col - col).hypot(seen.row - row)
         });
-        off.fold(0.0, |most: f64, off| if off.is_nan() { f64::INFINITY } else { most.max(off) })
+        off.fold(
+            0.0,
+            |most: f64, off| if off.is_nan() { f64::INFINITY } else { most.max(off) },
+        )
     };
     let (middle_m, half_m) = (draft.rpc.height_offset_m, draft.rpc.height_scale_m.abs());
     let least = least_of(&apart_px, middle_m - half_m, middle_m + half_m);
@@ -291,7 +296,8 @@ impl FoundCamera {
             return false;
         };
         let seen = self.rpc.project(ground);
-        let within = |at: f64, offset: f64, scale: f64, size: usize| (at - offset).abs() < 2.0 * scale.abs().max(size as f64);
+        let within =
+            |at: f64, offset: f64, scale: f64, size: usize| (at - offset).abs() < 2.0 * scale.abs().max(size as f64);
         within(seen.col, self.rpc.sample_offset, self.rpc.sample_scale, width)
             && within(seen.row, self.rpc.line_offset, self.rpc.line_scale, height)
     }

@@ -3,7 +3,8 @@
 use super::draft::Draft;
 use super::files::Folders;
 use super::layout::Layout;
-use super::{RpcPreference, SceneError, acquisition, bands, calibration, camera, pairs};
+use super::{RpcPreference, SceneError, acquisition, bands, calibration, camera, files, pairs};
+use std::path::Path;
 
 /// Opens every image and reads what its files say about it.
 pub(super) fn read_all(
@@ -16,6 +17,10 @@ pub(super) fn read_all(
     let declared = layout.bands.as_deref();
     for entry in &layout.images {
         let file = entry.tiles.open(folders)?;
+        if let Some(own) = files::own_output(&file).filter(|_| entry.said.is_none()) {
+            warnings.push(own);
+            continue;
+        }
         let found = camera::find(&file, entry, preference, folders, warnings)?;
         let plan = match &entry.multispectral {
             // Its bands will be those of its other half.
@@ -44,11 +49,26 @@ pub(super) fn read_all(
     }
     let drafts = pairs::by_time(drafts, declared, folders)?;
     warnings.extend(pairs::told(&drafts));
+    let stacked: Vec<&Draft> = drafts
+        .iter()
+        .filter(|draft| !draft.entry.tiles.more.is_empty())
+        .collect();
+    if let Some(first) = stacked.first() {
+        warnings.push(format!(
+            "{}: one image with the bands of {} more files of the same acquisition ({} such images)",
+            first.entry.path.display(),
+            first.entry.tiles.more.len(),
+            stacked.len()
+        ));
+    }
     // The same assumption about every image is one warning.
     if let Some(assumption) = drafts.iter().find_map(|draft| draft.plan.assumption.as_ref()) {
         warnings.push(format!(
             "{}: {assumption}; say otherwise with bands = [...] in a scene.toml",
-            layout.images[0].path.display()
+            drafts
+                .first()
+                .map_or(Path::new(""), |draft| &draft.entry.path)
+                .display()
         ));
     }
     Ok(drafts)

@@ -44,9 +44,10 @@ impl Folders {
         self.texts.borrow().keys().cloned().collect()
     }
 
-    /// Images directly in a folder, sorted by name; truth rasters are no images. An absent folder has none.
+    /// Images directly in a folder, sorted by name; truth rasters and masks are no images. An absent folder has none.
     pub(super) fn images(&self, folder: &Path) -> Result<Vec<PathBuf>, SceneError> {
-        let is_image = |path: &PathBuf| has_extension(path, &IMAGE_EXTENSIONS) && !is_truth(path);
+        let is_image =
+            |path: &PathBuf| has_extension(path, &IMAGE_EXTENSIONS) && !is_truth(path) && mask_of(path).is_none();
         Ok(self.files(folder)?.into_iter().filter(is_image).collect())
     }
 
@@ -138,6 +139,55 @@ pub(super) fn is_truth(path: &Path) -> bool {
         || ends.iter().any(|end| name.ends_with(end))
 }
 
+/// The beginning of the names of the images that a mask is for, in lower case: `…_udm`, `…_udm2` and `…_udm2_clip` of Planet, and others'
+/// `…_mask`, `…_cloud` and `…_clouds`; `None` for any other file.
+fn mask_of(path: &Path) -> Option<String> {
+    let name = stem(path).to_lowercase();
+    let whole = name.strip_suffix("_clip").unwrap_or(&name);
+    let ends = ["_udm2", "_udm", "_mask", "_clouds", "_cloud"];
+    ends.iter().find_map(|end| whole.strip_suffix(end)).map(str::to_owned)
+}
+
+/// Planet's mask of unusable pixels of an image: `x_3B_udm2` or `x_3B_AnalyticMS_DN_udm` for `x_3B_AnalyticMS`. The second version comes first.
+pub(super) fn usable_mask(image: &Path, folders: &Folders) -> Option<PathBuf> {
+    let name = stem(image).to_lowercase();
+    let masks = folders.files(super::dimap::folder_of(image)).unwrap_or_default();
+    let fits = |path: &PathBuf| {
+        // Whole parts: `x_1` is no beginning of `x_10`.
+        let begins = |of: String| {
+            format!("{name}_").starts_with(&format!("{of}_")) || format!("{of}_").starts_with(&format!("{name}_"))
+        };
+        has_extension(path, &IMAGE_EXTENSIONS)
+            && stem(path).to_lowercase().contains("_udm")
+            && mask_of(path).is_some_and(begins)
+    };
+    let version = |path: &PathBuf| stem(path).to_lowercase().contains("_udm2");
+    let mut masks: Vec<PathBuf> = masks.into_iter().filter(fits).collect();
+    masks.sort_by_key(|path| std::cmp::Reverse(version(path)));
+    masks.into_iter().next()
+}
+
+/// The line on a raster that this program wrote, which is neither image nor truth; `None` for any other.
+pub(super) fn own_output(file: &heliosplat_raster::RasterFile) -> Option<String> {
+    let software = file.domain("").remove("SOFTWARE")?;
+    software.starts_with("heliosplat").then(|| {
+        let path = file.path().display();
+        format!("{path}: written by {software}, neither an image nor truth; left out")
+    })
+}
+
+/// Whether this program wrote a folder: a run, products, or a batch.
+pub(super) fn is_own_folder(folder: &Path) -> bool {
+    let ours = |name: &str| {
+        let start = bounded::read_start(&folder.join(name), 1 << 16);
+        String::from_utf8_lossy(&start).contains("heliosplat")
+    };
+    ["run.toml", "model.json"]
+        .iter()
+        .any(|name| folder.join(name).is_file())
+        || ["item.json", "collection.json"].into_iter().any(ours)
+}
+
 /// Names of folders, in lower case, under which DFC2019, Sat-NeRF and EOGS publish one part of a scene each.
 const PUBLISHED_NAMES: [&str; 7] = ["dfc2019", "root_dir", "images", "img", "imgs", "truth", "cameras"];
 /// How such names begin where they are numbered or say what is inside: `Track3-RGB-crops`, `crops_rpcs_ba_v2`, `rpcs_raw`.
@@ -195,6 +245,35 @@ pub(super) fn has_extension(path: &Path, extensions: &[&str]) -> bool {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn masks_of_planet_belong_to_their_images() {
+        let home = tempfile::tempdir().expect("a temporary folder");
+        for name in [
+            "20200814_ssc4_basic_panchromatic_dn.tif",
+            "20200814_ssc4_basic_panchromatic_udm.tif",
+            "20200814_ssc4_basic_panchromatic_udm2.tif",
+            "20160831_0e26_3B_AnalyticMS.tif",
+            "20160831_0e26_3B_AnalyticMS_DN_udm.tif",
+            "alone.tif",
+        ] {
+            std::fs::write(home.path().join(name), "").expect("written");
+        }
+        let folders = Folders::default();
+        let images = folders.images(home.path()).expect("listed");
+        let masks: Vec<Option<String>> = images
+            .iter()
+            .map(|image| usable_mask(image, &folders).map(|mask| file_name(&mask)))
+            .collect();
+        assert_eq!(
+            masks,
+            [
+                Some("20160831_0e26_3B_AnalyticMS_DN_udm.tif".to_owned()),
+                Some("20200814_ssc4_basic_panchromatic_udm2.tif".to_owned()),
+                None
+            ]
+        );
+    }
 
     #[test]
     fn a_folder_is_listed_and_a_text_is_read_once() {

@@ -3,10 +3,10 @@
 use super::altitude::{self, AltitudeRange, Said, Stated};
 use super::bands::BandPlan;
 use super::calibration::FoundRadiometry;
+use super::checks::{self, Finding, Severity};
 use super::draft::Draft;
 use super::files::{self, Folders};
 use super::manifest::Counts;
-use super::checks::{self, Finding, Severity};
 use super::{
     Hashes, ImageSun, RpcPreference, SceneError, Split, Truth, acquisition, drafts, layout, sidecars, weak_times,
 };
@@ -72,6 +72,8 @@ pub struct IndexImage {
     pub counts_source: Option<String>,
     /// Altitudes that its files state.
     pub altitude: Stated,
+    /// Planet's mask of its unusable pixels, `udm2` or `udm`.
+    pub usable_mask: Option<PathBuf>,
     #[serde(skip)]
     file: Mutex<RasterFile>,
 }
@@ -182,6 +184,7 @@ impl IndexImage {
         };
         Self {
             name: draft.entry.name,
+            usable_mask: files::usable_mask(&draft.entry.path, folders),
             path: draft.entry.path,
             others: draft.file.others().to_vec(),
             split: draft.entry.split,
@@ -263,6 +266,7 @@ fn files_of(path: &Path, layout: &layout::Layout, drafts: &[Draft], folders: &Fo
         for image in std::iter::once(image).chain(draft.file.others()) {
             files.insert(image.clone());
             files.extend(beside(image, folders));
+            files.extend(super::files::usable_mask(image, folders));
         }
     }
     let truth = &layout.truth;

@@ -2,7 +2,7 @@
 //! cameras (JSON) and truth may lie in folders of their own.
 
 use super::entry::ImageEntry;
-use super::files::{Folders, IMAGE_EXTENSIONS, file_name, has_extension, neighbours, stem};
+use super::files::{Folders, IMAGE_EXTENSIONS, file_name, has_extension, is_own_folder, neighbours, stem};
 use super::manifest::{Counts, Manifest, reject_address};
 use super::satnerf::{self, JsonIndex};
 use super::tiles::{self, ImageFiles};
@@ -105,6 +105,7 @@ fn from_manifest(path: &Path, folders: &Folders) -> Result<Layout, SceneError> {
         })
         .collect();
     let home = path.parent().unwrap_or_else(|| Path::new("."));
+    let mut warnings = Vec::new();
     let truth = match manifest.truth {
         Some(truth) => Truth {
             relit: relit_truth::folder_of(truth.dsm.as_deref(), home),
@@ -112,7 +113,7 @@ fn from_manifest(path: &Path, folders: &Folders) -> Result<Layout, SceneError> {
             classes: truth.classes,
             shadows: truth.shadows.into_iter().collect(),
         },
-        None => truth::find_for(home, &[], folders),
+        None => truth::find_for(home, &[], folders, &mut warnings),
     };
     Ok(Layout {
         images: with_distinct_names(images),
@@ -120,7 +121,7 @@ fn from_manifest(path: &Path, folders: &Folders) -> Result<Layout, SceneError> {
         bands: manifest.bands,
         counts: manifest.counts,
         truth,
-        warnings: Vec::new(),
+        warnings,
     })
 }
 
@@ -183,7 +184,7 @@ fn from_folder(folder: &Path, folders: &Folders) -> Result<Layout, SceneError> {
         .collect();
     let names: Vec<String> = entries.iter().map(|entry| stem(&entry.path)).collect();
     Ok(Layout {
-        truth: truth::find_for(&home, &names, folders),
+        truth: truth::find_for(&home, &names, folders, &mut warnings),
         images: with_distinct_names(entries),
         altitude_range_m: None,
         bands: None,
@@ -452,7 +453,7 @@ fn folders_below(folder: &Path, depth: usize, folders: &Folders) -> Result<Vec<P
     let mut found = Vec::new();
     for path in folders.folders(folder)? {
         let name = file_name(&path).to_lowercase();
-        if name.contains("truth") {
+        if name.contains("truth") || is_own_folder(&path) {
             continue;
         }
         found.push(path.clone());

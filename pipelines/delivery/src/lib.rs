@@ -25,6 +25,7 @@ mod pairs;
 mod relit_truth;
 mod satnerf;
 mod sidecars;
+mod stacks;
 mod sun;
 mod tiles;
 mod truth;

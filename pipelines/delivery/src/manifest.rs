@@ -40,9 +40,26 @@ pub(super) struct ManifestImage {
     pub(super) split: Option<Split>,
     pub(super) rpc: Option<PathBuf>,
     pub(super) metadata: Option<PathBuf>,
+    #[serde(default, deserialize_with = "time")]
     pub(super) time: Option<jiff::Timestamp>,
     pub(super) sun_azimuth_deg: Option<f64>,
     pub(super) sun_elevation_deg: Option<f64>,
+}
+
+/// A time as text, or as TOML writes it; both with a zone.
+fn time<'de, D: serde::Deserializer<'de>>(deserializer: D) -> Result<Option<jiff::Timestamp>, D::Error> {
+    let value: toml::Value = serde::Deserialize::deserialize(deserializer)?;
+    let text = match value {
+        toml::Value::Datetime(time) => time.to_string(),
+        toml::Value::String(text) => text,
+        other => other.to_string(),
+    };
+    let wrong = |_| {
+        serde::de::Error::custom(format!(
+            "{text:?} is no time with a zone; write time = \"2016-04-23T08:34:00Z\" (UTC)"
+        ))
+    };
+    text.trim().parse().map(Some).map_err(wrong)
 }
 
 /// Truth files.
@@ -121,5 +138,28 @@ fn one_line(error: &toml::de::Error, text: &str) -> String {
     match line {
         Some(line) => format!("line {line}: {message}"),
         None => message,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn times_may_be_text_or_dates_of_toml() {
+        let read = |time: &str| Manifest::parse(&format!("[[images]]\npath = \"a.tif\"\ntime = {time}\n"));
+        for time in [
+            "2016-04-23T08:34:00Z",
+            "2016-04-23 08:34:00Z",
+            "\"2016-04-23T08:34:00Z\"",
+            "2016-04-23T18:34:00+10:00",
+        ] {
+            let found = read(time).expect(time).images[0].time.expect("a time");
+            assert_eq!(found.to_string(), "2016-04-23T08:34:00Z", "{time}");
+        }
+        for time in ["2016-04-23T08:34:00", "\"2016-04-23T08:34:00\"", "2016-04-23", "7"] {
+            let said = read(time).expect_err("no zone");
+            assert!(said.contains("line 3") && said.contains("write time = "), "{said}");
+        }
     }
 }

@@ -16,9 +16,12 @@ enum Half {
 /// What a file's name says of a bundle: its half, and the rest of the name, which both halves have in common.
 fn half_of(name: &str) -> Option<(Half, String)> {
     let mut half = None;
+    let name = name.to_uppercase();
+    // Pleiades Neo: `MS-FS` and `RGB` in one half, `PAN` and `P` in the other.
+    let is_neo = name.contains("PNEO");
     let rest: Vec<String> = name
-        .to_uppercase()
         .split(['-', '_', '.'])
+        .filter(|part| !(is_neo && ["FS", "RGB", "P"].contains(part)))
         .map(|part| match (half, half_of_part(part)) {
             (None, Some(found)) => {
                 half = Some(found.0);
@@ -101,6 +104,10 @@ mod tests {
             [
                 "IMG_PHR1A_P_201604230834_SEN_R1C1.TIF",
                 "IMG_PHR1A_MS_201604230834_SEN_R1C1.TIF",
+            ],
+            [
+                "IMG_PNEO3_202207110043428_PAN_SEN_PWOI_000028290_1_1_F_1_P_R1C1.TIF",
+                "IMG_PNEO3_202207110043428_MS-FS_SEN_PWOI_000028290_1_1_F_1_RGB_R1C1.TIF",
             ],
             ["GF2_PMS1_E113_L1A-PAN1.tiff", "GF2_PMS1_E113_L1A-MSS1.tiff"],
             ["SV1-01_2019_L1B-PAN.tiff", "SV1-01_2019_L1B-MUX.tiff"],

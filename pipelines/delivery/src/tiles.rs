@@ -1,7 +1,7 @@
 //! Images that their vendor cut into tiles: `…_R1C1.TIF`, `…_R1C2.TIF` … of Airbus, `…_R1C1-…` with a `.TIL` of Maxar.
 
 use super::files::{Folders, has_extension, stem};
-use super::{SceneError, dimap};
+use super::{SceneError, dimap, stacks};
 use heliosplat_raster::{RasterFile, Tile};
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
@@ -12,9 +12,11 @@ pub(super) struct ImageFiles {
     /// The file, or the first tile.
     pub(super) path: PathBuf,
     /// Its tiles by row and column as their names, or the DIMAP that lists them, count them; empty for a file by itself.
-    tiles: BTreeMap<[u32; 2], PathBuf>,
+    pub(super) tiles: BTreeMap<[u32; 2], PathBuf>,
     /// Columns and rows from one tile to the next, where a DIMAP says so.
-    step_px: Option<[usize; 2]>,
+    pub(super) step_px: Option<[usize; 2]>,
+    /// Files of the same pixels with further bands.
+    pub(super) more: Vec<Self>,
 }
 
 impl ImageFiles {
@@ -24,11 +26,29 @@ impl ImageFiles {
             path,
             tiles: BTreeMap::new(),
             step_px: None,
+            more: Vec::new(),
         }
     }
 
-    /// Opens the file, or the tiles as one image.
+    /// Opens the file, or the tiles, or the files of all bands as one image.
     pub(super) fn open(&self, folders: &Folders) -> Result<RasterFile, SceneError> {
+        if self.more.is_empty() {
+            return self.open_bands(folders);
+        }
+        let mut files = Vec::with_capacity(1 + self.more.len());
+        for image in std::iter::once(self).chain(&self.more) {
+            let mut file = image.open_bands(folders)?;
+            let names = stacks::band_names(&image.path);
+            if names.len() == file.bands.len() {
+                let named = file.bands.iter_mut().zip(names);
+                named.for_each(|(band, name)| band.description = (*name).to_owned());
+            }
+            files.push(file);
+        }
+        Ok(RasterFile::stacked(files)?)
+    }
+
+    fn open_bands(&self, folders: &Folders) -> Result<RasterFile, SceneError> {
         if self.tiles.is_empty() {
             return Ok(RasterFile::open(&self.path)?);
         }
@@ -139,7 +159,7 @@ pub(super) fn product_name(name: &str) -> Option<String> {
     tile_of(name).map(|(_, rest)| rest)
 }
 
-/// Files as images: the tiles of one image are one, as a DIMAP beside them lists them, else as their names tell.
+/// Files as images: the tiles of one image are one, as a DIMAP beside them lists them, else as their names tell; so are files of its bands.
 ///
 /// # Errors
 /// [`SceneError::MissingTile`] when a DIMAP lists a tile that is not there.
@@ -155,6 +175,7 @@ pub(super) fn joined(files: Vec<PathBuf>, folders: &Folders) -> Result<Vec<Image
             path: first.clone(),
             tiles: listed.tiles,
             step_px: listed.step_px,
+            more: Vec::new(),
         });
     }
     let places: BTreeMap<PathBuf, usize> = files.iter().cloned().zip(0..).collect();
@@ -162,7 +183,7 @@ pub(super) fn joined(files: Vec<PathBuf>, folders: &Folders) -> Result<Vec<Image
         files.into_iter().filter(|path| !taken.contains(path)).collect(),
     ));
     images.sort_by_key(|image| places.get(&image.path).copied());
-    Ok(images)
+    Ok(stacks::joined(images))
 }
 
 /// The tiles of one image as their names tell.
@@ -187,6 +208,7 @@ fn by_names(files: Vec<PathBuf>) -> Vec<ImageFiles> {
                 tiles: (*tiles).clone(),
                 path,
                 step_px: None,
+                more: Vec::new(),
             }),
             Some(_) => {}
         }

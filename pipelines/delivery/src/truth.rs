@@ -1,16 +1,17 @@
 //! Truth that comes with a scene: our own `truth/` folder, or the rasters of Sat-NeRF, EOGS and DFC2019.
 
-use super::files::{Folders, file_name, has_extension, is_truth, neighbours, stem};
+use super::files::{Folders, file_name, has_extension, is_truth, neighbours, own_output, stem};
 use super::{Truth, relit_truth};
+use heliosplat_raster::RasterFile;
 use std::path::{Path, PathBuf};
 
 /// Looks for truth in the scene's `truth` folder and its own, then in truth folders of published layouts, where only rasters
 /// that bear the scene's name are taken: that of its folder, or what the names of its images begin with.
-pub(super) fn find_for(home: &Path, images: &[String], folders: &Folders) -> Truth {
+pub(super) fn find_for(home: &Path, images: &[String], folders: &Folders, warnings: &mut Vec<String>) -> Truth {
     let folder = file_name(&home.canonicalize().unwrap_or_else(|_| home.to_owned()));
-    let named_by_folder = find(home, &folder, folders);
+    let named_by_folder = find(home, &folder, folders, warnings);
     let truth = match area_of(images) {
-        Some(area) if named_by_folder.dsm.is_none() && area != folder => find(home, &area, folders),
+        Some(area) if named_by_folder.dsm.is_none() && area != folder => find(home, &area, folders, &mut Vec::new()),
         _ => named_by_folder,
     };
     Truth {
@@ -47,9 +48,9 @@ fn area_of(images: &[String]) -> Option<String> {
     (images.len() > 1 && !area.is_empty()).then(|| area.to_owned())
 }
 
-fn find(home: &Path, scene: &str, folders: &Folders) -> Truth {
+fn find(home: &Path, scene: &str, folders: &Folders, warnings: &mut Vec<String>) -> Truth {
     for folder in [home.join("truth"), home.to_owned()] {
-        let truth = in_folder(&folder, scene, true, folders);
+        let truth = in_folder(&folder, scene, true, folders, warnings);
         if truth.dsm.is_some() || !truth.shadows.is_empty() {
             return truth;
         }
@@ -59,7 +60,7 @@ fn find(home: &Path, scene: &str, folders: &Folders) -> Truth {
         let is_truth_folder =
             |part: &std::path::Component| part.as_os_str().to_string_lossy().to_lowercase().contains("truth");
         if tail.iter().any(is_truth_folder) {
-            let truth = in_folder(&folder, scene, false, folders);
+            let truth = in_folder(&folder, scene, false, folders, &mut Vec::new());
             if truth.dsm.is_some() {
                 return truth;
             }
@@ -68,13 +69,20 @@ fn find(home: &Path, scene: &str, folders: &Folders) -> Truth {
     Truth::default()
 }
 
-fn in_folder(folder: &Path, scene: &str, own_folder: bool, folders: &Folders) -> Truth {
-    let rasters: Vec<PathBuf> = folders
-        .files(folder)
-        .unwrap_or_default()
-        .into_iter()
+fn in_folder(folder: &Path, scene: &str, own_folder: bool, folders: &Folders, warnings: &mut Vec<String>) -> Truth {
+    let files = folders.files(folder).unwrap_or_default().into_iter();
+    let mut rasters: Vec<PathBuf> = files
         .filter(|path| has_extension(path, &["tif", "tiff"]) && is_truth(path))
         .collect();
+    // A folder of many scenes' truth is none that this program writes into.
+    if own_folder {
+        rasters.retain(|path| {
+            let own = RasterFile::open(path).ok().as_ref().and_then(own_output);
+            let is_other = own.is_none();
+            warnings.extend(own);
+            is_other
+        });
+    }
     // A folder of many scenes' truth has one raster per scene: the one of this scene counts.
     let pick = |own: &str, ends: &[&str]| -> Option<PathBuf> {
         let named = |name: String| {

@@ -1,6 +1,7 @@
 //! Reading: what a raster file is, and its pixels as `f32` with `NaN` where nothing is known.
 
 use super::pansharpen::Pansharpening;
+use super::stacked::Stack;
 use super::tiled::Mosaic;
 use super::{Crs, GeoTransform, RasterError, bounded, masks, messages, siblings};
 use gdal::raster::{ColorInterpretation, GdalDataType};
@@ -103,6 +104,8 @@ pub(super) enum Pixels {
     File(Dataset),
     /// The tiles of one image.
     Tiles(Box<Mosaic>),
+    /// The bands of one image in several files.
+    Stacked(Stack),
     /// A panchromatic image and its colours.
     Pansharpened(Box<Pansharpening>),
 }
@@ -156,6 +159,12 @@ impl RasterFile {
             path: path.to_owned(),
             reason,
         };
+        if path.to_str().is_none() {
+            return Err(RasterError::Unreadable {
+                path: path.to_owned(),
+                reason: "its name is not UTF-8; rename the file".to_owned(),
+            });
+        }
         let siblings = if is_virtual(path) { None } else { siblings::check(path)? };
         let siblings = siblings
             .as_ref()
@@ -242,6 +251,7 @@ impl RasterFile {
         match &self.pixels {
             Pixels::File(dataset) => dataset,
             Pixels::Tiles(mosaic) => mosaic.first().dataset(),
+            Pixels::Stacked(stack) => stack.first().dataset(),
             Pixels::Pansharpened(pair) => pair.panchromatic.dataset(),
         }
     }
@@ -439,7 +449,7 @@ impl RasterFile {
     }
 
     /// The values of the given bands of a window, one band after the other; `NaN` where nothing is known.
-    fn read_part(&self, window: Window, bands: &[usize]) -> Result<Vec<f32>, RasterError> {
+    pub(super) fn read_part(&self, window: Window, bands: &[usize]) -> Result<Vec<f32>, RasterError> {
         match &self.pixels {
             Pixels::File(dataset) => {
                 let mut values = Vec::with_capacity(window.width * window.height * bands.len());
@@ -449,6 +459,7 @@ impl RasterFile {
                 Ok(values)
             }
             Pixels::Tiles(mosaic) => mosaic.read(window, bands),
+            Pixels::Stacked(stack) => stack.read(window, bands),
             Pixels::Pansharpened(pair) => pair.read(window, bands),
         }
     }

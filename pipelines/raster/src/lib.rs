@@ -17,6 +17,7 @@ pub mod messages;
 pub mod pansharpen;
 pub mod preview;
 mod siblings;
+mod stacked;
 pub mod streamed;
 pub mod temporary;
 pub mod tiled;

@@ -6,10 +6,12 @@
 //! on wins.
 
 pub mod camera_error;
+mod contradiction;
 mod report;
 mod vectors;
 mod write;
 
+pub(crate) use contradiction::contradicting;
 pub use report::{AdjustRequest, AdjustedScene, adjust_scene};
 pub use vectors::ImageVectors;
 

@@ -13,13 +13,21 @@ pub(super) fn find(
     request: &PlaneSweepRequest,
 ) -> Vec<Vec<bool>> {
     let mut masks = find_clouds(&ground.sweep_views(rasters, shifts_px), request);
-    for (mask, image) in masks.iter_mut().zip(&ground.images) {
-        match share(mask) {
-            0.0 => mask.clear(),
-            share => tracing::info!("{}: clouds over {:.1} % are left out", image.name, 100.0 * share),
+    let clear = masks.iter_mut().filter(|mask| share(mask) == 0.0);
+    clear.for_each(Vec::clear);
+    masks
+}
+
+/// Says what is left out of each crop of `ground`. An image whose camera contradicts the others looks cloudy wherever it is laid.
+pub(super) fn say(ground: &Ground, masks: &[Vec<bool>], contradicting: &[bool]) {
+    for (place, (mask, image)) in masks.iter().zip(&ground.images).enumerate() {
+        let share = 100.0 * share(mask);
+        match contradicting.get(place) {
+            _ if mask.is_empty() => {}
+            Some(true) => tracing::info!("{}: {share:.1} % that fit no other image are left out", image.name),
+            _ => tracing::info!("{}: clouds over {share:.1} % are left out", image.name),
         }
     }
-    masks
 }
 
 /// Share of a mask that shows clouds.

@@ -14,7 +14,7 @@ use heliosplat_radiometry::bridged::{self, Lowered};
 use heliosplat_radiometry::change;
 use heliosplat_radiometry::suns::ShadowSun;
 use heliosplat_rpc::RpcError;
-use heliosplat_rpc::adjust::BiasModel;
+use heliosplat_rpc::adjust::{Adjustment, BiasModel};
 use heliosplat_scene::{AltitudeSource, ImageSun, Index, IngestOptions, Scene};
 use heliosplat_session::Session;
 use heliosplat_stereo::change::Changes;
@@ -71,13 +71,14 @@ impl<'a> Preprocess<'a> {
         ground.check_contrast(&rasters)?;
         drop(part);
         let part = stage("ties");
-        let shifts_px = align(&ground, &rasters, decisions.align, matching, scene.gsd_m);
+        let (shifts_px, contradicting) = align(&ground, &rasters, decisions.align, matching, scene.gsd_m);
         drop(part);
         if decisions.clouds && shifts_px.iter().flatten().any(|shift| shift.abs() > CLOUDS_AGAIN_PX) {
             let _part = stage("clouds");
             tracing::info!("clouds are searched again with the cameras corrected");
             (rasters, clouds) = clear_rasters(&ground, decisions, &shifts_px, &request);
         }
+        clouds::say(&ground, &clouds, &contradicting);
         let aligned = started.elapsed();
         let progress = session.progress("sweep", 100);
         let part = stage("sweep");
@@ -306,14 +307,24 @@ pub fn open_and_sweep(
     Ok((scene, surface))
 }
 
-/// Corrections of the images' pointing, pixels; zero where the configuration or the estimate says so.
-fn align(ground: &Ground, rasters: &[Raster], align: Align, matching: MatchingParameters, gsd_m: f64) -> Vec<[f32; 2]> {
-    let none = vec![[0.0; 2]; ground.images.len()];
+/// Corrections of the images' pointing, pixels, zero where the configuration or the estimate says so; and whether each image's ties
+/// contradict its camera.
+fn align(
+    ground: &Ground,
+    rasters: &[Raster],
+    align: Align,
+    matching: MatchingParameters,
+    gsd_m: f64,
+) -> (Vec<[f32; 2]>, Vec<bool>) {
+    let none = (vec![[0.0; 2]; ground.images.len()], Vec::new());
     if align == Align::Off {
         return none;
     }
-    match shifts_of_ties(ground, rasters, matching, gsd_m) {
-        Ok(shifts_px) => worth_correcting(shifts_px, align),
+    match adjustment_of_ties(ground, rasters, matching, gsd_m) {
+        Ok(adjustment) => {
+            let contradicting = adjust::contradicting(&ground.images, &adjustment);
+            (worth_correcting(adjust::shifts(&adjustment), align), contradicting)
+        }
         Err(error) => {
             tracing::warn!("cameras are believed, because ties do not tell: {error}");
             none
@@ -321,16 +332,16 @@ fn align(ground: &Ground, rasters: &[Raster], align: Align, matching: MatchingPa
     }
 }
 
-/// Corrections of the images' pointing as tie points between them tell, pixels.
+/// The images' pointing as tie points between them tell it.
 ///
 /// # Errors
 /// When there are too few ties.
-pub(super) fn shifts_of_ties(
+pub(super) fn adjustment_of_ties(
     ground: &Ground,
     rasters: &[Raster],
     matching: MatchingParameters,
     gsd_m: f64,
-) -> Result<Vec<[f32; 2]>, RpcError> {
+) -> Result<Adjustment, RpcError> {
     let none = vec![[0.0; 2]; ground.images.len()];
     let views = ground.sweep_views(rasters, &none);
     let input = AdjustInput {
@@ -340,7 +351,7 @@ pub(super) fn shifts_of_ties(
         cell_m: gsd_m,
         matching,
     };
-    Ok(adjust::shifts(&input.adjust(BiasModel::Translation, &|_| {})?))
+    input.adjust(BiasModel::Translation, &|_| {})
 }
 
 /// The same where `align` has them, or where they are large enough to be worth it; else none.

@@ -5,13 +5,15 @@
 //! whole, and is swept on the cells of the whole. The surface models of tiles lie on disk until all are there, and are then blended
 //! row by row.
 
+use super::adjust;
 use super::altitude::ROUNDS;
+use super::clouds;
 use super::config::{Align, SatelliteConfig};
 use super::error::SatelliteError;
 use super::ground::{Ground, volume};
 use super::limits::AtLimits;
 use super::plan::Decisions;
-use super::preprocess::{clear_rasters, lower, say_lowered, shifts_of_ties, sweep, worth_correcting};
+use super::preprocess::{adjustment_of_ties, clear_rasters, lower, say_lowered, sweep, worth_correcting};
 use super::sweep_tiles::{ROWS_AT_ONCE, SweepPlan, SweepTile, SweepTiling};
 use heliosplat::timeline::stage;
 use heliosplat_grid::statistics::upper_median;
@@ -159,7 +161,8 @@ impl TiledSweep<'_> {
         let shift = |name: &String| decided.shifts_px.get(name).copied().unwrap_or_default();
         let shifts_px: Vec<[f32; 2]> = ground.images.iter().map(|image| shift(&image.name)).collect();
         let part = stage("clouds");
-        let (rasters, _) = clear_rasters(&ground, &decided.decisions, &shifts_px, &request);
+        let (rasters, clouds) = clear_rasters(&ground, &decided.decisions, &shifts_px, &request);
+        clouds::say(&ground, &clouds, &[]);
         drop(part);
         let part = stage("sweep");
         let mut surface = sweep(&ground, &rasters, &shifts_px, &decided.decisions, &request, &|_| {});
@@ -239,8 +242,9 @@ impl TiledSweep<'_> {
             let (rasters, _) = clear_rasters(&ground, &decisions, &vec![[0.0; 2]; images], &request);
             drop(part);
             let _part = stage("ties");
-            match shifts_of_ties(&ground, &rasters, matching, self.survey.gsd_m) {
-                Ok(shifts_px) => {
+            match adjustment_of_ties(&ground, &rasters, matching, self.survey.gsd_m) {
+                Ok(adjustment) => {
+                    let shifts_px = adjust::shifts(&adjustment);
                     for (image, shift) in ground.images.iter().zip(shifts_px) {
                         told.entry(image.name.clone()).or_default().push(shift);
                     }

@@ -23,8 +23,8 @@ pub use area::AreaRequest;
 pub use cut::{Cut, CutImage};
 pub use heliosplat_delivery::{
     AltitudeRange, AltitudeSource, BandKind, FileIdentity, Finding, Hashes, ImageSun, Index, RelitTruth, RpcPreference,
-    SceneError, Seen, Severity, Split, SunSource, Truth, camera_of, image_described, images_listed, places_in_til, relit_truth,
-    seen,
+    SceneError, Seen, Severity, Split, SunSource, Truth, camera_of, image_described, images_listed, places_in_til,
+    relit_truth, seen,
 };
 pub use kept::{KeptCut, KeptImage};
 pub use known_tiles::KnownTiles;

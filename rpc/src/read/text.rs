@@ -98,7 +98,11 @@ pub(super) fn of_specification(
             sample_denominator: ordered(rpc.sample_denominator),
             ..rpc
         }),
-        _ => Err(dialect.bad(field, &name, "RPC00A or RPC00B (others order the coefficients otherwise)")),
+        _ => Err(dialect.bad(
+            field,
+            &name,
+            "RPC00A or RPC00B (others order the coefficients otherwise)",
+        )),
     }
 }
 

@@ -7,7 +7,7 @@ use crate::error::SatelliteError;
 use crate::ground::Ground;
 use heliosplat_fitting::run_folder::create_folder;
 use heliosplat_raster::write_atomically;
-use heliosplat_rpc::adjust::{Adjustment, BiasModel, Correction, FEWEST_SIGHTINGS, ImageResiduals, PairResiduals};
+use heliosplat_rpc::adjust::{Adjustment, BiasModel, Correction, ImageResiduals, PairResiduals};
 use heliosplat_scene::Scene;
 use heliosplat_session::Session;
 use heliosplat_stereo::MatchingParameters;
@@ -70,15 +70,7 @@ pub fn adjust_scene<'a>(
         })?;
     drop(progress);
     let seconds = begun.elapsed().as_secs_f64();
-    for (image, residuals) in ground.images.iter().zip(&adjustment.images) {
-        if residuals.good < FEWEST_SIGHTINGS {
-            tracing::warn!(
-                "{}: too few good ties ({}), do not trust its camera",
-                image.name,
-                residuals.good
-            );
-        }
-    }
+    super::contradicting(&ground.images, &adjustment);
     let refit_px = write::cameras(scene, &ground, &adjustment, request)?;
     let shifts: Vec<[f64; 2]> = adjustment.corrections.iter().map(|c| c.shift_px).collect();
     let error = camera_error(scene, &ground.images, &shifts);

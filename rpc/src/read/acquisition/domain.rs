@@ -76,7 +76,9 @@ impl<'a> Items<'a> {
                 .filter(|text| !text.trim_end().ends_with(" 00:00:00"))?;
             utc(text)
         };
-        let exact = EXACT.iter().find_map(|name| utc(self.get(name).filter(|text| !text.starts_with(OF_GDAL))?));
+        let exact = EXACT
+            .iter()
+            .find_map(|name| utc(self.get(name).filter(|text| !text.starts_with(OF_GDAL))?));
         exact.or_else(imaging).or_else(kompsat).or_else(imagery)
     }
 }

@@ -1,0 +1,58 @@
+//! The bands of one image that its vendor wrote into several files, read as one.
+
+use super::RasterError;
+use super::file::{Pixels, RasterFile, Window};
+
+impl RasterFile {
+    /// Files of equal size as one image that has the bands of all; path and metadata are those of the first.
+    ///
+    /// # Errors
+    /// [`RasterError::NotAnImage`] when their sizes differ.
+    pub fn stacked(files: Vec<Self>) -> Result<Self, RasterError> {
+        let Some(first) = files.first() else {
+            return Err(RasterError::Gdal("an image of no files".to_owned()));
+        };
+        if let Some(other) = files.iter().find(|file| file.size() != first.size()) {
+            return Err(RasterError::NotAnImage {
+                path: other.path().to_owned(),
+                reason: format!(
+                    "its size is not that of {}, whose other bands it has",
+                    first.path().display()
+                ),
+            });
+        }
+        let (path, size) = (first.path().to_owned(), first.size());
+        let others = files[1..].iter().flat_map(Self::files).cloned().collect();
+        let bands = files.iter().flat_map(|file| file.bands.clone()).collect();
+        let pixels = Pixels::Stacked(Stack(files));
+        Ok(Self::composed(path, others, size, bands, pixels))
+    }
+}
+
+/// Files of equal size, at least one, in the order of their bands.
+pub(super) struct Stack(Vec<RasterFile>);
+
+impl Stack {
+    /// The file whose metadata are those of the image.
+    pub(super) fn first(&self) -> &RasterFile {
+        &self.0[0]
+    }
+
+    /// The values of the given bands of a window, one band after the other.
+    pub(super) fn read(&self, window: Window, bands: &[usize]) -> Result<Vec<f32>, RasterError> {
+        let mut values = Vec::with_capacity(window.width * window.height * bands.len());
+        for &band in bands {
+            let mut place = band;
+            for file in &self.0 {
+                match place.checked_sub(file.bands.len()) {
+                    Some(further) => place = further,
+                    None => {
+                        values.extend(file.read_part(window, &[place])?);
+                        break;
+                    }
+                }
+            }
+        }
+        Ok(values)
+    }
+}
