@@ -542,6 +542,16 @@ fn images_on_a_map_are_refused_where_their_rpc_is_that_of_the_raw_image() {
             assert!(said.contains(words), "{words} in {said}");
         }
     }
+    // Frames of NITF headers are fitted to the corners of raw images: turned against the map, and far off.
+    for view in &views {
+        let (north_up, crs) = frame(view, 20.0);
+        let mut six = north_up.to_gdal();
+        (six[2], six[4]) = (0.01 * GSD_M, 0.01 * GSD_M);
+        let turned = GeoTransform::from_gdal(six);
+        retag(&path(view), Some(&view.rpc()), Some((&turned, &crs)), &[]);
+    }
+    let (codes, _) = inspected(home.path(), &[]);
+    assert_eq!(codes, [""; 0]);
     let (transform, crs) = frame(&views[0], 0.0);
     retag(&path(&views[0]), None, Some((&transform, &crs)), &[]);
     let said = fault(&["inspect", &word], 2);

@@ -5,7 +5,7 @@ use super::entry::ImageEntry;
 use super::files::{Folders, file_name};
 use super::sidecars::belonging_texts;
 use super::{RpcPreference, SceneError};
-use heliosplat_raster::{GeoTransform, RasterFile};
+use heliosplat_raster::{Crs, GeoTransform, RasterFile};
 use heliosplat_rpc::{ImagePoint, Rpc, read};
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
@@ -88,7 +88,7 @@ pub(super) fn find(
                 let (path, reason) = unread.remove(0);
                 SceneError::BadRpc { path, reason }
             }
-            true if file.geo_transform().is_some() && file.crs().is_some() => SceneError::MapProjected(path()),
+            true if map_frame(file).is_some() => SceneError::MapProjected(path()),
             true => SceneError::NoRpc(path()),
         });
     };
@@ -104,6 +104,14 @@ pub(super) fn find(
         others: others.collect(),
         unread,
     })
+}
+
+/// Where a map-projected file lies. Frames that were fitted to the corners of a raw image, as those of NITF headers, are turned against the
+/// axes of the map and may be off by hundreds of pixels.
+pub(super) fn map_frame(file: &RasterFile) -> Option<(GeoTransform, Crs)> {
+    let transform = file.geo_transform()?;
+    let [_, _, turned, _, too, _] = transform.to_gdal();
+    (turned == 0.0 && too == 0.0).then_some((transform, file.crs()?))
 }
 
 /// The camera in a text file of any known format.

@@ -39,7 +39,7 @@ pub struct Finding {
     pub message: String,
 }
 
-/// What a check finds in one image.
+/// The result of a check for one image.
 pub(super) struct Found {
     value: Option<f64>,
     bound: Option<f64>,
@@ -142,10 +142,10 @@ pub(super) fn all(drafts: &[Draft], preference: RpcPreference) -> Vec<Finding> {
     CHECKS.iter().filter_map(of_row).collect()
 }
 
-/// A frame that was fitted to the corners of a raw image is off by the bend of its lines over the ground, below this share of its
-/// diagonal; a map-projected image is turned and stretched against the raw one.
+/// An RPC that was fitted to a projected image describes its pixels at the height it was projected to, but for this share of the diagonal; a
+/// raw image is turned and stretched against the map by more.
 const ROUGH_FRAME: f64 = 0.01;
-/// In a small image, a frame that is rounded to the pixel is off by this much, pixels.
+/// A frame whose corner was rounded to whole pixels is off by this much, pixels.
 const ROUGH_FRAME_PX: f64 = 2.0;
 /// Places along each side of an image that are compared.
 const PLACES: usize = 5;
@@ -153,7 +153,7 @@ const PLACES: usize = 5;
 /// The geotransform against the RPC, at the altitude where they agree best: images that were projected to one height keep an RPC that
 /// describes their pixels there.
 fn map_projected(draft: &Draft, _: RpcPreference) -> Option<Found> {
-    let (transform, crs) = (draft.file.geo_transform()?, draft.file.crs()?);
+    let (transform, crs) = camera::map_frame(&draft.file)?;
     let to_lon_lat = CrsTransform::to_lon_lat(&crs).ok()?;
     let (width, height) = draft.file.size();
     let along = |index: usize, size: usize| index as f64 / (PLACES - 1) as f64 * (size as f64 - 1.0);
@@ -237,7 +237,11 @@ fn two_cameras(draft: &Draft, _: RpcPreference) -> Option<Found> {
 fn differing(cameras: &Cameras, size: (usize, usize)) -> Option<Found> {
     let (apart_px, other) = farthest(cameras, size)?;
     let (used, other) = (&cameras.used.source, &other.source);
-    let what = format!("two RPC cameras differ by {apart_px:.1} px; used: {used}, ignored: {other}");
+    let by = match apart_px.is_finite() {
+        true => format!("by {apart_px:.1} px"),
+        false => "by more than can be measured".to_owned(),
+    };
+    let what = format!("two RPC cameras differ {by}; used: {used}, ignored: {other}");
     Found::above(apart_px, WORTH_A_WARNING_PX, what)
 }
 

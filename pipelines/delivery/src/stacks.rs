@@ -19,7 +19,7 @@ const PARTS: [(&str, &[&str]); 8] = [
     ("NED", &["near_infrared", "red_edge", "deep_blue"]),
 ];
 
-/// What a name says of its bands, and the rest of it, which all files of one acquisition have in common.
+/// The bands that a name states, and the rest of the name, which all files of one acquisition have in common.
 fn part_of(name: &str) -> Option<(usize, String)> {
     let name = name.to_uppercase();
     let mut parts: Vec<&str> = name.split('_').collect();
