@@ -531,9 +531,10 @@ fn images_on_a_map_are_refused_where_their_rpc_is_that_of_the_raw_image() {
     assert_eq!(codes, [""; 0]);
     map(20.0);
     let out = home.path().join("out").display().to_string();
+    let dsm = format!("{out}.tif");
     for arguments in [
         vec!["inspect", &word],
-        vec!["dsm", &word, "--from", "sweep", "--out", &out],
+        vec!["dsm", &word, "--from", "sweep", "--out", &dsm],
         vec!["adjust", &word, "--out", &out],
         vec!["train", &word, "--out", &out],
     ] {
@@ -776,7 +777,9 @@ fn own_outputs_among_the_images_are_neither_truth_nor_images() {
 #[test]
 fn a_run_inside_of_a_delivery_is_no_scene() {
     let home = tempdir().expect("a temporary folder");
-    for view in views() {
+    // Without JSONs, whose folders are scenes of their own.
+    let bare: Vec<View> = views().into_iter().map(|view| View { date: None, ..view }).collect();
+    for view in &bare {
         let folder = home.path().join(&view.name);
         fs::create_dir(&folder).expect("made");
         view.write(&folder);
@@ -784,7 +787,7 @@ fn a_run_inside_of_a_delivery_is_no_scene() {
     let run = home.path().join("run");
     fs::create_dir(&run).expect("made");
     fs::write(run.join("run.toml"), "").expect("written");
-    for view in views() {
+    for view in &bare {
         view.write(&run);
     }
     assert_eq!(open(home.path()).expect("a scene").images.len(), 3);
@@ -904,8 +907,10 @@ fn an_image_that_fits_no_other_is_named_and_not_called_cloudy() {
     let file = RasterFile::open(&path).expect("an image");
     let raster = file.read_all().expect("pixels").downscaled(2);
     let rpc: Vec<(String, String)> = file.domain("RPC").into_iter().collect();
+    let bands: Vec<&str> = file.bands.iter().map(|band| band.description.as_str()).collect();
     let spec = ImageSpec {
         rpc: &rpc,
+        band_descriptions: &bands,
         ..ImageSpec::plain(&raster)
     };
     write_geotiff(&path, &spec, Sample::U16).expect("written");
@@ -921,4 +926,18 @@ fn an_image_that_fits_no_other_is_named_and_not_called_cloudy() {
         .collect();
     assert!(told.len() == 1 && told[0].contains(name), "{said}");
     assert!(!said.contains(&format!("{name}: clouds over")), "{said}");
+}
+
+#[test]
+fn a_database_of_proj_that_is_not_there_is_said_by_inspect() {
+    let home = tempdir().expect("a temporary folder");
+    tagged(home.path());
+    let elsewhere = home.path().join("elsewhere");
+    let output = heliosplat(&["inspect".as_ref(), home.path().as_os_str()])
+        .env("PROJ_LIB", &elsewhere)
+        .env("PROJ_DATA", &elsewhere)
+        .assert()
+        .code(2);
+    let said = String::from_utf8_lossy(&output.get_output().stderr).into_owned();
+    assert!(said.contains("unset PROJ_LIB and PROJ_DATA"), "{said}");
 }

@@ -55,9 +55,10 @@ pub(super) fn read_all(
         .collect();
     if let Some(first) = stacked.first() {
         warnings.push(format!(
-            "{}: one image with the bands of {} more files of the same acquisition ({} such images)",
+            "{}: one image with the bands of {} more file{} of the same acquisition ({} such images)",
             first.entry.path.display(),
             first.entry.tiles.more.len(),
+            if first.entry.tiles.more.len() == 1 { "" } else { "s" },
             stacked.len()
         ));
     }

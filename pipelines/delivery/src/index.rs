@@ -10,7 +10,7 @@ use super::manifest::Counts;
 use super::{
     Hashes, ImageSun, RpcPreference, SceneError, Split, Truth, acquisition, drafts, layout, sidecars, weak_times,
 };
-use heliosplat_raster::{RasterFile, is_virtual};
+use heliosplat_raster::{Crs, RasterError, RasterFile, is_virtual};
 use heliosplat_rpc::read::acquisition::Acquisition;
 use heliosplat_rpc::{GeoPoint, ImagePoint, Rpc};
 use serde::Serialize;
@@ -91,6 +91,10 @@ impl Index {
         let mut drafts = drafts::read_all(&layout, rpc, &folders, &mut warnings)?;
         if let Some(at) = drafts.first().and_then(middle) {
             weak_times::fill(&mut drafts, at, &mut warnings);
+            // Every product needs it, at the end of hours of training.
+            if let Err(error @ RasterError::ProjDatabase(_)) = Crs::utm(at) {
+                return Err(error.into());
+            }
         }
         let findings = checks::all(&drafts, rpc);
         if let Some(error) = findings.iter().find(|found| found.severity == Severity::Error) {

@@ -18,7 +18,7 @@ pub(crate) fn contradicting(images: &[&SceneImage], adjustment: &Adjustment) -> 
         let moved_px = correction.shift_px[0].hypot(correction.shift_px[1]);
         if few {
             tracing::warn!(
-                "{}: its camera contradicts the others ({} of its {} tie points agree with them); give the camera of these pixels, or take \
+                "{}: its camera contradicts the others ({} good tie points of {}); give the camera of these pixels, or take \
                  the image out of the scene",
                 image.name,
                 ties.good,
