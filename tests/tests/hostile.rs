@@ -73,7 +73,7 @@ const CASES: [Case; 38] = [
     Case("a camera of no numbers", rpc_nan, "view_1"),
     Case("a camera of huge numbers", rpc_huge, "view_1"),
     Case("metadata of a gigabyte", metadata_long, "more than"),
-    Case("a name that is not UTF-8", name_not_utf8, "not an image"),
+    Case("a name that is not UTF-8", name_not_utf8, "not UTF-8"),
     Case(
         "a capture that names /etc/passwd",
         capture_absolute,
