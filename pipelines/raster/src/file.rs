@@ -230,7 +230,7 @@ impl RasterFile {
     pub fn set_opacity(&mut self, band: Option<usize>) {
         self.opacity = band;
         match &mut self.pixels {
-            Pixels::File(_) => {}
+            Pixels::File(_) | Pixels::Stacked(_) => {}
             Pixels::Tiles(mosaic) => mosaic.files_mut().for_each(|file| file.set_opacity(band)),
             Pixels::Pansharpened(pair) => pair.multispectral.set_opacity(band),
         }
