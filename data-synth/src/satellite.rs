@@ -20,7 +20,7 @@ use crate::request::{Cover, Delivery, Fault, SatelliteRequest, Site};
 use crate::sensor::{PushBroom, Sensor};
 use crate::solid::Solids;
 use crate::summary::{ImageSummary, Summary};
-use crate::truth::{Truth, survey};
+use crate::truth::{Truth, altitudes, survey};
 use crate::truth_files::{SHADOW_MEANS, write_change, write_relit, write_truth};
 use crate::truth_grid::TruthGrid;
 use crate::write::Staging;
@@ -326,7 +326,12 @@ fn survey_city(request: &SatelliteRequest, city: &City, frame: &LocalFrame, grid
         surfaces: &solids.surfaces,
         ground: &city.ground,
     };
-    survey(&scene, frame, grid, request.bands)
+    let bare = Tracer::new(&city.terrain, Default::default());
+    let ground = LitScene { tracer: &bare, ..scene };
+    Truth {
+        ground_m: altitudes(&ground, frame, grid),
+        ..survey(&scene, frame, grid, request.bands)
+    }
 }
 
 /// The day, as YYYYMMDD, of the first image that shows the new state of each cell of the grid; 0 where nothing is built or torn down.

@@ -18,6 +18,8 @@ const FINE: usize = 3;
 pub(crate) struct Truth {
     /// Ellipsoidal altitude of the highest surface at each cell's centre, metres.
     pub(crate) altitude_m: Vec<f32>,
+    /// Ellipsoidal altitude of the bare ground at each cell's centre, metres; empty unless it is asked for.
+    pub(crate) ground_m: Vec<f32>,
     /// LAS code of that surface.
     pub(crate) class: Vec<u8>,
     /// Mean albedo of each cell, bands interleaved.
@@ -38,6 +40,15 @@ impl Truth {
     }
 }
 
+/// Ellipsoidal altitudes of the surface at the centre of each cell of the grid, metres.
+pub(crate) fn altitudes(scene: &LitScene, frame: &LocalFrame, grid: &TruthGrid) -> Vec<f32> {
+    let at = |cell: usize| {
+        let centre = [(cell % grid.size) as f64 + 0.5, (cell / grid.size) as f64 + 0.5];
+        look_down(scene, frame, grid, centre).map_or(f32::NAN, |hit| frame.geo_from_enu(hit.point).height_m as f32)
+    };
+    (0..grid.size * grid.size).into_par_iter().map(at).collect()
+}
+
 /// Looks straight down on every cell of the grid.
 pub(crate) fn survey(scene: &LitScene, frame: &LocalFrame, grid: &TruthGrid, bands: BandSet) -> Truth {
     let rows: Vec<Truth> = (0..grid.size)
@@ -46,6 +57,7 @@ pub(crate) fn survey(scene: &LitScene, frame: &LocalFrame, grid: &TruthGrid, ban
         .collect();
     let mut truth = Truth {
         altitude_m: Vec::new(),
+        ground_m: Vec::new(),
         class: Vec::new(),
         albedo: Vec::new(),
         cover: Vec::new(),
@@ -67,6 +79,7 @@ fn survey_row(scene: &LitScene, frame: &LocalFrame, grid: &TruthGrid, bands: Ban
     let band_count = bands.names().len();
     let mut truth = Truth {
         altitude_m: Vec::with_capacity(grid.size),
+        ground_m: Vec::new(),
         class: Vec::with_capacity(grid.size),
         albedo: Vec::with_capacity(grid.size * band_count),
         cover: Vec::with_capacity(grid.size),

@@ -68,6 +68,17 @@ pub(crate) fn write_truth(
         &dsm,
         Some(NODATA),
     )?;
+    let ground = [
+        about("ground at the centre of each cell, without all that stands on it"),
+        datum.clone(),
+    ];
+    write_grid(
+        "truth/dtm.tif",
+        Samples::F32(&truth.ground_m),
+        &["altitude"],
+        &ground,
+        Some(NODATA),
+    )?;
     let classes: Vec<_> = (Class::NAMES.iter())
         .map(|(class, name)| ((*class as u8).to_string(), name.to_string()))
         .collect();

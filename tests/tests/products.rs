@@ -73,11 +73,13 @@ fn band(dataset: &Dataset, index: usize) -> Vec<f32> {
 }
 
 /// Name of the file, descriptions of its bands, nodata.
-const EXPECTED: [(&str, &[&str], f64); 11] = [
+const EXPECTED: [(&str, &[&str], f64); 13] = [
     ("dsm", &["altitude"], -9999.0),
     ("dsm_stddev", &["standard_deviation"], -9999.0),
     ("dsm_coverage", &["coverage"], -9999.0),
     ("dsm_views", &["views"], -9999.0),
+    ("dtm", &["ground"], -9999.0),
+    ("ndsm", &["height_above_ground"], -9999.0),
     ("hillshade", &["shade"], 0.0),
     ("albedo", &["red", "green", "blue", "near_infrared"], -9999.0),
     ("vegetation", &["vegetation"], 255.0),
@@ -212,6 +214,18 @@ fn values_make_sense(out: &Path) {
     let altitude = band(&dsm, 1);
     let known = altitude.iter().filter(|v| **v != -9999.0);
     assert!(known.clone().all(|v| (685.0..715.0).contains(v)));
+    for ((z, ground), above) in altitude
+        .iter()
+        .zip(band(&open("dtm.tif"), 1))
+        .zip(band(&open("ndsm.tif"), 1))
+    {
+        let is_known = *z != -9999.0;
+        assert!(if is_known {
+            (z - ground - above).abs() < 1e-3 && above >= 0.0
+        } else {
+            ground == *z && above == *z
+        });
+    }
     let (known, shade) = (known.count(), band(&open("hillshade.tif"), 1));
     assert_eq!(
         known,

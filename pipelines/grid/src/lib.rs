@@ -3,6 +3,7 @@
 //! Results are the same bytes for any number of threads.
 
 mod cells;
+pub mod drape;
 mod peak;
 mod plane;
 pub mod relief;

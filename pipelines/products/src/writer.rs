@@ -7,6 +7,7 @@ use super::stac::{self, About, Asset, Band, Numbers};
 use super::style::{Layer, Style, layer_file};
 use super::sunshine::{LINKE_TURBIDITY, Period, Sunshine};
 use heliosplat::Raster;
+use heliosplat_grid::drape;
 use heliosplat_raster::preview::{stretched, write_png};
 use heliosplat_raster::write::{Bytes, ImageSpec, remove, write_byte_cog, write_cog};
 use heliosplat_raster::{GridSpec, RasterError, bounded, write_atomically};
@@ -216,9 +217,26 @@ impl<'a> Writer<'a> {
         self.completeness = dsm.completeness();
         let size = (self.grid.width, self.grid.height);
         let cell_m = self.grid.transform.cell_m(size, Some(&self.grid.crs));
+        self.ground(dsm, cell_m[0] as f32)?;
         let shade = ortho::hillshade(&dsm.altitude(), cell_m);
         let title = "Hillshade of the surface, light from the north-west";
         self.bytes(("hillshade", title, "shade"), &shade, Bytes::Shades, None)
+    }
+
+    /// The ground below the surface, and what stands on it.
+    fn ground(&mut self, dsm: &Dsm, cell_m: f32) -> Result<(), RasterError> {
+        let (mut ground, mut above) = (dsm.altitude(), dsm.altitude());
+        ground.values = drape::ground((ground.width, ground.height), cell_m, &ground.values);
+        for (height, ground) in above.values.iter_mut().zip(&ground.values) {
+            *height -= ground;
+        }
+        let datum = ("VERTICAL_DATUM".to_owned(), self.vertical_datum.to_owned());
+        let title = format!("Ground, metres above {}", self.vertical_datum);
+        let style = Style::heights(&ground.values);
+        self.quantity(("dtm", &title), &ground, ("ground", "metre"), &[datum], style)?;
+        let title = "Heights of buildings and trees above the ground";
+        let style = Style::amounts(&above.values);
+        self.quantity(("ndsm", title), &above, ("height_above_ground", "metre"), &[], style)
     }
 
     /// The albedo and, where it has a vegetation index, what of it is vegetation.
@@ -278,10 +296,23 @@ impl<'a> Writer<'a> {
         };
         let title = format!("Hours of direct sun per day, mean of {when}");
         let hours = during("hours of direct sun per day, mean over the days of the period");
-        self.quantity(("sun_hours", &title), &shone.sun_hours, ("sun_hours", "h"), &hours)?;
+        let style = |raster: &Raster| Style::amounts(raster.plane(0));
+        self.quantity(
+            ("sun_hours", &title),
+            &shone.sun_hours,
+            ("sun_hours", "h"),
+            &hours,
+            style(&shone.sun_hours),
+        )?;
         let title = "Sky view factor: share of the light of an even sky";
         let sky = about("share of the light of an even sky that reaches the inclined surface");
-        self.quantity(("sky_view", title), &shone.sky_view, ("sky_view_factor", "1"), &sky)?;
+        self.quantity(
+            ("sky_view", title),
+            &shone.sky_view,
+            ("sky_view_factor", "1"),
+            &sky,
+            style(&shone.sky_view),
+        )?;
         let title = format!("Irradiation under a clear sky, total of {when}");
         let mut energy = during(
             "irradiation of the inclined surface under a clear sky, total of the period: beam and sky by the ESRA model, without reflected light",
@@ -292,6 +323,7 @@ impl<'a> Writer<'a> {
             &shone.irradiation,
             ("irradiation", "kWh/m²"),
             &energy,
+            style(&shone.irradiation),
         )
     }
 
@@ -301,6 +333,7 @@ impl<'a> Writer<'a> {
         raster: &Raster,
         (name, unit): (&str, &str),
         items: &[(String, String)],
+        style: Style,
     ) -> Result<(), RasterError> {
         let file = format!("{key}.tif");
         let all: Vec<_> = metadata(None).into_iter().chain(items.iter().cloned()).collect();
@@ -310,7 +343,7 @@ impl<'a> Writer<'a> {
             ..self.spec(raster, &names, &all)
         };
         write_cog(&self.out.join(&file), &spec)?;
-        self.styled(&file, title, Style::amounts(raster.plane(0)))?;
+        self.styled(&file, title, style)?;
         let bands = [Band { name, unit }];
         let asset = Asset::raster((key, &file, title), raster, &bands, Numbers::Float, self.gsd_m, None);
         self.assets.push(asset);

@@ -1,0 +1,263 @@
+//! The ground below a surface model: a cloth that is draped over it from below.
+//!
+//! The cloth is lifted step by step, stops at the surface, and is stiff: where ground holds it down, it stays on the ground, and below a
+//! building it spans from one side to the other. It is laid on a coarse grid first, on which the widest building is about a cell, and then on
+//! ever finer ones. The idea is that of the cloth simulation filter (Zhang et al., "An easy-to-use airborne LiDAR data filtering method based on
+//! cloth simulation", Remote Sensing 8, 2016) on a pyramid of grids, as in Lallement et al., "Bulldozer, a free open source scalable software
+//! for DTM extraction", ISPRS Archives XLIII-B4, 2022. The implementation is our own.
+//!
+//! Limits: what is wider than [`WIDEST_M`] is ground; cliffs and the rim of steep ground (from 0.3 on) are too low; below buildings on a slope the ground is a smooth span.
+
+use rayon::prelude::*;
+
+/// Buildings that are wider are taken for ground, metres.
+const WIDEST_M: f32 = 64.0;
+/// Steepest ground that the cloth follows from one grid to the next.
+const SLOPE: f32 = 0.5;
+/// Lifts on each grid, and rounds of smoothing after each.
+const LIFTS: usize = 10;
+const ROUNDS: usize = 5;
+/// Cells within this of the cloth are ground, metres: the noise of surface models, and less than what stands on the ground.
+const GROUND_M: f32 = 0.5;
+/// Cells that are smoothed at once.
+const CHUNK: usize = 1024;
+
+/// The ground below the surface `altitude_m`, NaN where it is unknown, on a grid of `(width, height)` cells of `cell_m` metres; NaN where the
+/// surface is unknown.
+pub fn ground((width, height): (usize, usize), cell_m: f32, altitude_m: &[f32]) -> Vec<f32> {
+    if altitude_m.is_empty() {
+        return Vec::new();
+    }
+    let mut levels = vec![Level {
+        width,
+        height,
+        cell_m,
+        surface: altitude_m.to_vec(),
+    }];
+    while let Some(coarser) = levels.last().and_then(Level::coarser) {
+        levels.push(coarser);
+    }
+    let mut cloth: Option<(Level, Vec<f32>)> = None;
+    for level in levels.into_iter().rev() {
+        let begun = match &cloth {
+            None => level.lowest_around(),
+            Some((coarse, cloth)) => level.finer_of(coarse, cloth),
+        };
+        let draped = level.draped(begun);
+        cloth = Some((level, draped));
+    }
+    let Some((level, cloth)) = cloth else {
+        return Vec::new();
+    };
+    level.settled(&cloth)
+}
+
+/// A grid of the pyramid.
+struct Level {
+    width: usize,
+    height: usize,
+    cell_m: f32,
+    surface: Vec<f32>,
+}
+
+impl Level {
+    /// The grid of cells twice as wide, up to the widest building; each has the second lowest of its four, which one low outlier does not move.
+    fn coarser(&self) -> Option<Self> {
+        let is_wide = 2.0 * self.cell_m > WIDEST_M || self.width.max(self.height) < 4;
+        let second_lowest = |known: &mut [f32]| {
+            known.sort_by(f32::total_cmp);
+            known[1.min(known.len() - 1)]
+        };
+        (!is_wide).then(|| self.halved(second_lowest))
+    }
+
+    /// The grid of cells twice as wide; each has what `of` makes of the known ones of its four.
+    fn halved(&self, of: impl Fn(&mut [f32]) -> f32 + Sync) -> Self {
+        let (width, height) = (self.width.div_ceil(2), self.height.div_ceil(2));
+        let cells = (0..width * height).into_par_iter().with_min_len(CHUNK);
+        let surface = cells.map(|cell| {
+            let (col, row) = (2 * (cell % width), 2 * (cell / width));
+            let mut known = [0.0; 4];
+            let mut count = 0;
+            for (c, r) in [(col, row), (col + 1, row), (col, row + 1), (col + 1, row + 1)] {
+                if c < self.width && r < self.height && self.surface[r * self.width + c].is_finite() {
+                    known[count] = self.surface[r * self.width + c];
+                    count += 1;
+                }
+            }
+            match count {
+                0 => f32::NAN,
+                _ => of(&mut known[..count]),
+            }
+        });
+        Self {
+            width,
+            height,
+            cell_m: 2.0 * self.cell_m,
+            surface: surface.collect(),
+        }
+    }
+
+    /// Where the cloth begins on the coarsest grid: the lowest of the cells around.
+    fn lowest_around(&self) -> Vec<f32> {
+        let known: Vec<f32> = self
+            .surface
+            .iter()
+            .map(|z| if z.is_nan() { f32::MAX } else { *z })
+            .collect();
+        let lowest = known.iter().copied().fold(f32::MAX, f32::min);
+        let around = super::lowest_within((self.width, self.height), &known, [1, 1]);
+        around
+            .into_iter()
+            .map(|z| if z == f32::MAX { lowest } else { z })
+            .collect()
+    }
+
+    /// The cloth of the next coarser grid on this one.
+    fn finer_of(&self, coarse: &Level, cloth: &[f32]) -> Vec<f32> {
+        let at = |cell: usize| {
+            let [col, row] = [cell % self.width, cell / self.width].map(|place| (place as f64 - 0.5) / 2.0);
+            super::bilinear_to_the_edge(cloth, (coarse.width, coarse.height), col, row)
+        };
+        let cells = (0..self.width * self.height).into_par_iter().with_min_len(CHUNK);
+        cells.map(at).collect()
+    }
+
+    /// The cloth after its lifts on this grid.
+    fn draped(&self, mut cloth: Vec<f32>) -> Vec<f32> {
+        // By as much as the ground may rise over a cell of the coarser grid.
+        let lift_m = 2.0 * SLOPE * self.cell_m / LIFTS as f32;
+        for _ in 0..LIFTS {
+            cloth.par_iter_mut().with_min_len(CHUNK).for_each(|z| *z += lift_m);
+            for _ in 0..ROUNDS {
+                self.hold(&mut cloth);
+                cloth = self.smoothed(&cloth);
+            }
+        }
+        self.hold(&mut cloth);
+        cloth
+    }
+
+    /// Keeps the cloth below the surface.
+    fn hold(&self, cloth: &mut [f32]) {
+        let cells = cloth.par_iter_mut().with_min_len(CHUNK).zip(&self.surface);
+        // What is unknown holds nothing.
+        cells.for_each(|(z, surface)| *z = z.min(*surface));
+    }
+
+    /// The mean of each cell and its eight neighbours.
+    fn smoothed(&self, values: &[f32]) -> Vec<f32> {
+        let mean = |a: f32, b: f32, c: f32| (a + b + c) / 3.0;
+        let (width, last) = (self.width, self.height - 1);
+        let mut across = vec![0.0; values.len()];
+        let rows = across.par_chunks_mut(width).zip(values.par_chunks(width));
+        rows.for_each(|(out, row)| {
+            for (col, out) in out.iter_mut().enumerate() {
+                *out = mean(row[col.saturating_sub(1)], row[col], row[(col + 1).min(width - 1)]);
+            }
+        });
+        let mut both = vec![0.0; values.len()];
+        both.par_chunks_mut(width).enumerate().for_each(|(row, out)| {
+            let line = |row: usize| &across[row * width..(row + 1) * width];
+            let lines = [line(row.saturating_sub(1)), line(row), line((row + 1).min(last))];
+            for (col, out) in out.iter_mut().enumerate() {
+                *out = mean(lines[0][col], lines[1][col], lines[2][col]);
+            }
+        });
+        both
+    }
+
+    /// The ground by the cloth: the surface itself where it lies on the cloth, and elsewhere a smooth span between such places.
+    fn settled(&self, cloth: &[f32]) -> Vec<f32> {
+        let is_ground = |(surface, cloth): (&f32, &f32)| (surface - cloth <= GROUND_M).then_some(*surface);
+        let ground = self.surface.iter().zip(cloth);
+        let ground: Vec<f32> = ground.map(|both| is_ground(both).unwrap_or(f32::NAN)).collect();
+        let mut spanned = Self {
+            surface: ground,
+            ..*self
+        }
+        .spanned();
+        for ((z, surface), cloth) in spanned.iter_mut().zip(&self.surface).zip(cloth) {
+            *z = match surface.is_nan() {
+                true => f32::NAN,
+                // Where no ground is near the cloth is all there is.
+                false if z.is_nan() => *cloth,
+                false => z.min(*surface),
+            };
+        }
+        spanned
+    }
+
+    /// Its values, and where they are unknown those of the grid of cells twice as wide, smoothed.
+    fn spanned(&self) -> Vec<f32> {
+        let is_known: Vec<bool> = self.surface.iter().map(|z| z.is_finite()).collect();
+        if self.width.max(self.height) < 2 || !is_known.contains(&false) || !is_known.contains(&true) {
+            return self.surface.clone();
+        }
+        let coarse = self.halved(|known| known.iter().sum::<f32>() / known.len() as f32);
+        let mut values = self.finer_of(&coarse, &coarse.spanned());
+        let keep = |values: &mut Vec<f32>| {
+            let cells = values.par_iter_mut().with_min_len(CHUNK).zip(&self.surface);
+            cells.filter(|(_, z)| z.is_finite()).for_each(|(value, z)| *value = *z);
+        };
+        keep(&mut values);
+        for _ in 0..LIFTS {
+            values = self.smoothed(&values);
+            keep(&mut values);
+        }
+        values
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// 200 × 160 cells of half a metre on a slope of one in ten, with a house of 20 m × 15 m, 9 m high, and unknown cells.
+    fn site(slope: f32) -> (Vec<f32>, Vec<f32>) {
+        let (mut surface, mut ground) = (Vec::new(), Vec::new());
+        for row in 0..160usize {
+            for col in 0..200usize {
+                let z = 100.0 + slope * 0.5 * col as f32 + 0.05 * ((col * 7 + row * 13) % 5) as f32;
+                let is_house = (60..100).contains(&col) && (50..80).contains(&row);
+                ground.push(z);
+                surface.push(match (col, row) {
+                    _ if is_house => z + 9.0,
+                    (150..160, 20..30) => f32::NAN,
+                    _ => z,
+                });
+            }
+        }
+        (surface, ground)
+    }
+
+    #[test]
+    fn the_ground_of_a_slope_is_found_and_spans_below_a_house() {
+        for slope in [0.0, 0.1, 0.2] {
+            let (surface, truth) = site(slope);
+            let found = ground((200, 160), 0.5, &surface);
+            for (cell, (found, truth)) in found.iter().zip(&truth).enumerate() {
+                let at = (cell % 200, cell / 200);
+                if surface[cell].is_nan() {
+                    assert!(found.is_nan(), "{at:?}");
+                } else if surface[cell] > truth + 1.0 {
+                    assert!(
+                        (found - truth).abs() < 1.0,
+                        "slope {slope}, below the house {at:?}: {found} {truth}"
+                    );
+                } else {
+                    assert!(
+                        (found - truth).abs() < 0.3,
+                        "slope {slope}, ground {at:?}: {found} {truth}"
+                    );
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn what_is_empty_or_unknown_has_no_ground() {
+        assert!(ground((0, 0), 0.5, &[]).is_empty());
+        assert!(ground((3, 2), 0.5, &[f32::NAN; 6]).iter().all(|z| z.is_nan()));
+    }
+}
