@@ -1,6 +1,7 @@
 //! What the command line says of itself to shells and to `man`.
 
 use heliosplat_tests::program::{heliosplat, json};
+use heliosplat_tests::scenes::{View, write_scene};
 use std::path::Path;
 use tempfile::tempdir;
 
@@ -88,4 +89,100 @@ fn every_verb_has_a_manual_page_with_its_options_and_its_example() {
         !read("heliosplat.1").contains("GDAL "),
         "versions of this machine's libraries"
     );
+}
+
+/// Two images of level ground, 700 m above the ellipsoid, in a folder.
+fn pair() -> (tempfile::TempDir, Vec<String>) {
+    let home = tempdir().expect("a folder");
+    write_scene(home.path(), &[View::new(0), View::new(1), View::new(2)]);
+    let images = (0..3).map(|number| home.path().join(format!("view_{number}.tif")).display().to_string());
+    let images = images.collect();
+    (home, images)
+}
+
+#[test]
+fn image_files_are_a_scene_and_their_surface_may_be_above_a_geoid() {
+    let (home, images) = pair();
+    let out = home.path().join("out");
+    let words = |verb: &str, out: &[&str]| -> Vec<String> {
+        let all = std::iter::once(verb).chain(images.iter().map(String::as_str));
+        all.chain(out.iter().copied()).map(str::to_owned).collect()
+    };
+    let seen = json(&words("inspect", &[]));
+    assert_eq!(seen["images"].as_array().expect("images").len(), 3);
+    let [ellipsoid, geoid] = ["a.tif", "b.tif"].map(|name| out.join(name).display().to_string());
+    let altitude = ["--altitude", "690,710"];
+    let level = json(&words("dsm", &[&["--out", &ellipsoid][..], &altitude].concat()));
+    assert_eq!(level["surface"]["above"], "WGS84 ellipsoid");
+    assert!(
+        level["surface"]["crs"].as_str().is_some_and(|crs| crs == "EPSG:32637"),
+        "{level}"
+    );
+    let height = |said: &serde_json::Value| said["surface"]["heights_m"][0].as_f64().expect("a height");
+    assert!((height(&level) - 700.0).abs() < 10.0, "{level}");
+    if heliosplat_raster::geoid::Undulation::new(heliosplat_raster::Geoid::Egm96).is_ok() {
+        let above = json(&words(
+            "dsm",
+            &[&["--out", &geoid, "--geoid", "egm96"][..], &altitude].concat(),
+        ));
+        assert_eq!(above["surface"]["above"], "EGM96");
+        assert!(height(&level) - height(&above) > 10.0, "{above}");
+    }
+    let run = home.path().join("run");
+    let run = run.display().to_string();
+    let few = ["--preset", "preview", "--set", "train.iterations=2"];
+    json(&words("train", &[&["--out", &run][..], &altitude, &few].concat()));
+    // The run knows its images, wherever the command was given.
+    json(&["evaluate", run.as_str()]);
+    let log = std::fs::read_to_string(Path::new(&run).join("log.txt")).expect("a log");
+    assert!(
+        log.lines()
+            .next()
+            .is_some_and(|line| line.starts_with("20") && line.contains('Z')),
+        "{log}"
+    );
+    let output = heliosplat(&words("inspect", &[home.path().to_str().expect("a path")]))
+        .assert()
+        .code(2);
+    let said = String::from_utf8_lossy(&output.get_output().stderr).into_owned();
+    assert!(said.contains("a folder among several images"), "{said}");
+}
+
+#[test]
+fn a_training_ends_with_its_surface_and_the_next_command() {
+    let (home, images) = pair();
+    let run = home.path().join("run").display().to_string();
+    let [a, b, c] = [0, 1, 2].map(|number: usize| images[number].as_str());
+    let line = ["train", a, b, c, "--out", run.as_str(), "--altitude", "690,710"];
+    let few = ["--preset", "preview", "--set", "train.iterations=2"];
+    let output = heliosplat(&[&line[..], &few, &["--quiet"]].concat()).assert().success();
+    let text = String::from_utf8_lossy(&output.get_output().stdout).into_owned();
+    for said in [
+        "run/dsm.tif",
+        "EPSG:32637",
+        "% of the ground known",
+        "above the WGS84 ellipsoid",
+        "report.html",
+        "heliosplat products",
+    ] {
+        assert!(text.contains(said), "{said}: {text}");
+    }
+    assert!(!text.contains("Gaussians") && !text.contains("PSNR"), "{text}");
+    let log = String::from_utf8_lossy(&output.get_output().stderr).into_owned();
+    assert!(!log.contains("INFO"), "{log}");
+}
+
+#[test]
+fn faults_of_arguments_are_json_too() {
+    let output = heliosplat(&["sun", "--json", "--time", "bad", "--place", "1,2"])
+        .assert()
+        .code(2);
+    let said: serde_json::Value = serde_json::from_slice(&output.get_output().stdout).expect("JSON");
+    assert_eq!(said["exit_code"], 2);
+    assert!(
+        said["error"].as_str().is_some_and(|error| error.contains("bad")),
+        "{said}"
+    );
+    let help = heliosplat(&["--help", "--json"]).assert().success();
+    assert!(String::from_utf8_lossy(&help.get_output().stdout).contains("Commands:"));
 }

@@ -1,21 +1,29 @@
 //! Arguments that several verbs share.
 
-use crate::names::RpcName;
+use crate::names::{GeoidName, RpcName};
+use crate::outcome::CliError;
 use crate::parse;
 use clap::Args;
+use heliosplat_raster::temporary::TemporaryFolder;
+use heliosplat_raster::{Crs, Geoid, RasterError, is_virtual, write_atomically};
 use heliosplat_scene::{AreaRequest, IngestOptions};
+use std::fmt::Write;
+use std::path::{Path, PathBuf};
+
+/// Heading of the options about a scene.
+const SCENE: &str = "Scene options";
 
 /// What a user may say about a scene that its files do not.
 #[derive(Debug, Clone, Args)]
 pub struct IngestArgs {
     /// Lowest and highest altitude of the surface, metres above the ellipsoid
-    #[arg(long, value_name = "MIN,MAX", value_parser = parse::pair, allow_hyphen_values = true)]
+    #[arg(long, help_heading = SCENE, value_name = "MIN,MAX", value_parser = parse::pair, allow_hyphen_values = true)]
     pub altitude: Option<[f64; 2]>,
     /// Only this piece of ground: longitudes and latitudes, or with EPSG:N at the end coordinates of that system
-    #[arg(long, value_name = "WEST,SOUTH,EAST,NORTH[,EPSG:N]", value_parser = parse::area, allow_hyphen_values = true)]
+    #[arg(long, help_heading = SCENE, value_name = "WEST,SOUTH,EAST,NORTH[,EPSG:N]", value_parser = parse::area, allow_hyphen_values = true)]
     pub area: Option<AreaRequest>,
     /// Which camera of an image comes first
-    #[arg(long, value_name = "SOURCE", default_value = "json")]
+    #[arg(long, help_heading = SCENE, value_name = "SOURCE", default_value = "json")]
     pub rpc: RpcName,
 }
 
@@ -28,6 +36,82 @@ impl IngestArgs {
             rpc: self.rpc.into(),
             area: self.area.clone(),
         }
+    }
+}
+
+/// The scene that arguments name: one folder or file as it is; several image files as a `scene.toml` in `folder`, which lists them.
+///
+/// # Errors
+/// When one of several is no file, or the list cannot be written.
+pub fn scene_of(named: &[PathBuf], folder: &Path) -> Result<PathBuf, CliError> {
+    if let [scene] = named {
+        return Ok(scene.clone());
+    }
+    let mut text = "# The images that were given on the command line.\n".to_owned();
+    for path in named {
+        if path.is_dir() {
+            return Err(CliError::Input(format!(
+                "{}: a folder among several images; give one folder, or image files alone",
+                path.display()
+            )));
+        }
+        let whole = match is_virtual(path) {
+            true => path.clone(),
+            false => std::fs::canonicalize(path).map_err(|_| RasterError::Missing(path.clone()))?,
+        };
+        // A string of JSON is one of TOML. Writing to a String cannot fail.
+        let _ = writeln!(
+            text,
+            "[[images]]\npath = {}",
+            serde_json::json!(whole.to_string_lossy())
+        );
+    }
+    let scene = folder.join("scene.toml");
+    write_atomically(&scene, text.as_bytes())?;
+    Ok(scene)
+}
+
+/// The coordinate system that `--crs` of a verb asks for, without its vertical part, and the geoid that it or `--geoid` asks for.
+///
+/// # Errors
+/// When the system cannot be used, or the two ask for different geoids.
+pub fn map_of(
+    verb: &str,
+    crs: Option<&str>,
+    geoid: Option<GeoidName>,
+) -> Result<(Option<Crs>, Option<Geoid>), CliError> {
+    let target = crs.map(Geoid::of_definition).transpose()?;
+    let (crs, stated) = target.map_or((None, None), |(crs, geoid)| (Some(crs), geoid));
+    let asked = geoid.map(Geoid::from);
+    if let (Some(stated), Some(asked)) = (stated, asked)
+        && stated != asked
+    {
+        return Err(CliError::Input(format!(
+            "{verb}: --crs asks for heights above {}, --geoid for heights above {}; leave one out",
+            stated.name(),
+            asked.name()
+        )));
+    }
+    Ok((crs, asked.or(stated)))
+}
+
+/// A scene that arguments name, for as long as it is read; the list of several images is in a temporary folder.
+pub struct NamedScene {
+    /// The scene.
+    pub path: PathBuf,
+    _listed: Option<TemporaryFolder>,
+}
+
+impl NamedScene {
+    /// Of what is named.
+    ///
+    /// # Errors
+    /// As [`scene_of`].
+    pub fn new(named: &[PathBuf]) -> Result<Self, CliError> {
+        let listed = (named.len() > 1).then(|| TemporaryFolder::inside(&std::env::temp_dir()));
+        let listed = listed.transpose()?;
+        let path = scene_of(named, listed.as_ref().map_or(Path::new("."), TemporaryFolder::path))?;
+        Ok(Self { path, _listed: listed })
     }
 }
 

@@ -26,19 +26,25 @@ static VERSION: LazyLock<String> = LazyLock::new(|| {
     format!("{} ({build}GDAL {gdal}, PROJ {proj})", env!("CARGO_PKG_VERSION"))
 });
 
+/// Heading of the options of every verb.
+const GENERAL: &str = "General options";
+
 /// Real satellite images in, a surface model for GIS out.
 #[derive(Debug, Parser)]
 #[command(name = "heliosplat", version = VERSION.as_str(), max_term_width = 110, subcommand_required = true)]
 #[command(after_help = "Example: heliosplat demo --out demo")]
 pub struct Cli {
     /// Print one JSON object on stdout instead of text
-    #[arg(long, global = true)]
+    #[arg(long, global = true, help_heading = GENERAL)]
     pub json: bool,
-    /// Say more on stderr (twice: everything)
-    #[arg(short, long, global = true, action = clap::ArgAction::Count)]
+    /// Print warnings and errors only, no progress
+    #[arg(short, long, global = true, conflicts_with = "verbose", help_heading = GENERAL)]
+    pub quiet: bool,
+    /// Print more on stderr (twice: everything)
+    #[arg(short, long, global = true, action = clap::ArgAction::Count, help_heading = GENERAL)]
     pub verbose: u8,
     /// Threads to use [default: all cores]
-    #[arg(long, global = true, value_name = "N")]
+    #[arg(long, global = true, value_name = "N", help_heading = GENERAL)]
     pub threads: Option<usize>,
     /// What to do
     #[command(subcommand)]
@@ -70,13 +76,15 @@ pub enum Command {
     /// Train a model of a scene
     #[command(
         after_help = "Examples: heliosplat train my_images --out run --preset balanced --time-budget 10m\n          \
+                            heliosplat train a.tif b.tif c.tif --out run\n          \
                             heliosplat train nerf_synthetic/lego --out run"
     )]
     Train(model_args::TrainArgs),
     /// Write the surface model of a run, or that of a scene's sweep, as a cloud-optimised GeoTIFF
     #[command(
         after_help = "Examples: heliosplat dsm run --out dsm.tif --gsd 0.5 --crs EPSG:32637\n          \
-                            heliosplat dsm my_images --from sweep --out quick.tif"
+                            heliosplat dsm my_images --from sweep --out quick.tif\n          \
+                            heliosplat dsm a.tif b.tif --out quick.tif --geoid egm96"
     )]
     Dsm(model_args::DsmArgs),
     /// Write all that a run gives to a GIS: cloud-optimised GeoTIFFs, a point cloud, and a STAC item that describes them
@@ -119,7 +127,7 @@ pub enum Command {
     #[command(after_help = "Example: echo '36.91 37.58 700' | heliosplat rpc project image.tif")]
     Rpc(rpc::RpcArgs),
     /// Where the sun stands: azimuth and geometric elevation, degrees
-    #[command(after_help = "Example: heliosplat sun --time 2016-04-23T08:34:00Z --at 37.58,36.91,700")]
+    #[command(after_help = "Example: heliosplat sun --time 2016-04-23T08:34:00Z --place 37.58,36.91,700")]
     Sun(sun::SunArgs),
     /// Train scenes in many ways: what time, memory and each component buy
     #[command(
@@ -152,13 +160,18 @@ pub fn main() -> ExitCode {
         Ok(cli) => cli,
         Err(said) => {
             let printed = checked(said.print());
+            if said.use_stderr() && std::env::args_os().any(|argument| argument == "--json") {
+                let text = said.to_string();
+                let line = text.lines().next().unwrap_or_default().trim_start_matches("error: ");
+                report_json(line, 2);
+            }
             return ExitCode::from(printed.map_or_else(
                 |error| error.exit_code(),
                 |()| u8::try_from(said.exit_code()).unwrap_or(2),
             ));
         }
     };
-    log::start(cli.verbose);
+    log::start(cli.verbose, cli.quiet);
     heliosplat_raster::messages::install();
     let outcome = run(&cli).and_then(|outcome| match cli.json {
         true => print_line(&outcome.json.to_string()),
@@ -183,7 +196,7 @@ fn run(cli: &Cli) -> Result<Outcome, CliError> {
             .build_global()
             .map_err(|error| CliError::Failed(format!("threads cannot be started: {error}")))?;
     }
-    let session = Session::start()?;
+    let session = Session::start()?.quietly(cli.quiet);
     match &cli.command {
         #[cfg(feature = "synth")]
         Command::Demo(args) => demo::demo(args, &session),
@@ -220,9 +233,13 @@ fn report(error: &CliError, json: bool) {
     let line = error.to_string().split_whitespace().collect::<Vec<_>>().join(" ");
     log::line_on_stderr(&format!("error: {line}"));
     if json {
-        // Where stdout cannot be written, the line on stderr has said it.
-        let _ = print_line(&serde_json::json!({ "error": line, "exit_code": error.exit_code() }).to_string());
+        report_json(&line, error.exit_code());
     }
+}
+
+fn report_json(line: &str, exit_code: u8) {
+    // Where stdout cannot be written, the line on stderr has said it.
+    let _ = print_line(&serde_json::json!({ "error": line, "exit_code": exit_code }).to_string());
 }
 
 /// Prints to stdout.

@@ -348,6 +348,7 @@ impl<'a, P: Clone + Serialize + DeserializeOwned + 'static> Opened<'a, P> {
             None if matches!(earlier, Earlier::Keep | Earlier::Resume) => must_be_free(out)?,
             None => {}
         }
+        heliosplat_session::log::keep_in(out);
         // A training that was interrupted began earlier by the time that it had taken.
         let before = checkpoint.as_ref().map_or(0.0, |checkpoint| checkpoint.log.elapsed_s);
         let before = Duration::try_from_secs_f64(before).unwrap_or_default();
@@ -372,6 +373,7 @@ impl Closing<'_> {
     pub fn discard(self) {
         if self.new {
             drop(self.lock);
+            let _ = std::fs::remove_file(self.out.join(heliosplat_session::log::FILE));
             // Only removes it while it is empty; that it stays is no further fault.
             let _ = std::fs::remove_dir(self.out);
         }

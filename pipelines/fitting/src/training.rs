@@ -143,10 +143,8 @@ pub fn train<P: Clone + Serialize>(
         if report.step == FIRST_SAID || report.step % SAID_EVERY == 0 {
             let gaussians = grouped(report.gaussians);
             let left_s = pace.step_s() * steps.saturating_sub(report.step) as f64;
-            tracing::info!(
-                "training: step {} of {steps}, about {left_s:.0} s left, L1 {l1:.4}, {gaussians} Gaussians",
-                report.step
-            );
+            tracing::info!("training: step {} of {steps}, about {left_s:.0} s left", report.step);
+            tracing::debug!("L1 {l1:.4}, {gaussians} Gaussians");
         }
         checkpoints.step_done(&trainer);
     }

@@ -9,6 +9,7 @@ use crate::nadir::{NadirGrid, Place};
 use heliosplat::render::{Rendering, render};
 use heliosplat::splat::Maps;
 use heliosplat::{ProjectiveCamera, Raster};
+use heliosplat_grid::statistics::quantile;
 use heliosplat_raster::geoid::GeoidGrid;
 use heliosplat_raster::grid::GridSpec;
 use heliosplat_raster::write::{ImageSpec, write_cog};
@@ -16,6 +17,7 @@ use heliosplat_raster::{GeoRaster, Geoid, RasterError, StreamedCog, dsm_bands};
 use heliosplat_rpc::parallax::{LEAST_BASE_TO_HEIGHT, MATCHING_PX};
 use heliosplat_stereo::{FEWEST_VIEWS, Surface, Witnesses};
 use rayon::prelude::*;
+use serde::{Deserialize, Serialize};
 use std::path::{Path, PathBuf};
 
 /// Cells per parallel job.
@@ -54,6 +56,41 @@ pub struct Dsm {
     pub grid: GridSpec,
     /// What altitudes are above: a geoid, or the ellipsoid.
     pub geoid: Option<Geoid>,
+}
+
+/// The main facts of a surface model.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct SurfaceFacts {
+    /// Coordinate system: its code, or its name where it has none.
+    pub crs: String,
+    /// Width of a cell, metres.
+    pub gsd_m: f64,
+    /// Share of the grid whose altitude is known.
+    pub known: f64,
+    /// Heights that one in a hundred cells is below and above, metres.
+    pub heights_m: [f32; 2],
+    /// Median standard deviation, metres; absent where none is known.
+    pub deviation_m: Option<f32>,
+    /// What heights are above.
+    pub above: String,
+}
+
+impl SurfaceFacts {
+    /// Three lines for people about the surface model in a file.
+    pub fn in_words(&self, file: &Path) -> String {
+        let [low, high] = self.heights_m;
+        let deviation = self
+            .deviation_m
+            .map_or_else(String::new, |metres| format!(", standard deviation {metres:.2} m"));
+        format!(
+            "surface model  {}\n               {}, cells of {} m, {:.1} % of the ground known\n               heights {low:.0} to {high:.0} m above the {}{deviation}",
+            file.display(),
+            self.crs,
+            self.gsd_m,
+            100.0 * self.known,
+            self.above
+        )
+    }
 }
 
 /// The surface model of `model`.
@@ -323,6 +360,27 @@ impl Dsm {
     /// What its altitudes are above.
     pub fn vertical_datum(&self) -> &'static str {
         self.geoid.map_or(ELLIPSOID, Geoid::name)
+    }
+
+    /// The main facts of it, whose cells are `gsd_m` wide.
+    pub fn facts(&self, gsd_m: f64) -> SurfaceFacts {
+        let crs = &self.grid.crs;
+        let mut heights = self.raster.plane(ALTITUDE).to_vec();
+        let mut deviations = self.raster.plane(DEVIATION).to_vec();
+        for values in [&mut heights, &mut deviations] {
+            values.retain(|value| value.is_finite());
+        }
+        SurfaceFacts {
+            crs: match crs.definition().starts_with("EPSG:") {
+                true => crs.definition().to_owned(),
+                false => crs.name().to_owned(),
+            },
+            gsd_m,
+            known: self.completeness(),
+            heights_m: [0.01, 0.99].map(|share| quantile(&mut heights, share).unwrap_or(f32::NAN)),
+            deviation_m: quantile(&mut deviations, 0.5),
+            above: self.vertical_datum().to_owned(),
+        }
     }
 
     /// Writes the surface model: the altitude as a cloud-optimised GeoTIFF of one band, and the other bands as files [`dsm_bands::beside`] it,

@@ -31,7 +31,7 @@ pub enum RelightError {
     },
     /// A model without light.
     #[error(
-        "{}: no sun was known in training, so the model has no light and cannot be relit; train again with acquisition times or sun angles of the images",
+        "{}: no sun was known in training, so this run cannot be relit; train again with acquisition times: .IMD, DIM_*.XML or .json files beside the images, or time = \"2016-04-23T08:34:00Z\" in scene.toml",
         folder.display()
     )]
     NoLight {

@@ -105,7 +105,14 @@ pub fn write(
         }));
     }
     let above = Viewpoint::above(model, &nadir);
-    let relit = request.sun.map(|sun| Ok::<_, RelightError>((sun, above.relit(&sun)?)));
+    let sun = request.sun.filter(|_| model.file.has_light());
+    if request.sun.is_some() && sun.is_none() {
+        tracing::warn!(
+            "No image of this run had a known sun, so the relit image and the shadow masks are left out. To get them, train again with \
+             acquisition times: .IMD, DIM_*.XML or .json files beside the images, or time = \"2016-04-23T08:34:00Z\" in scene.toml"
+        );
+    }
+    let relit = sun.map(|sun| Ok::<_, RelightError>((sun, above.relit(&sun)?)));
     let relit = relit.transpose()?;
     done(1);
     let bands = &model.file.bands;

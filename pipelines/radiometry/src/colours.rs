@@ -173,7 +173,7 @@ pub fn initialise(model: &ShadowGs, parameters: &mut Parameters, views: &mut [Vi
         true => (0..bands).into_par_iter().map(|k| shown.path_radiance(k)).collect(),
         false => vec![0.0; bands],
     };
-    tracing::info!("path radiance of the reference image, per band: {path_radiance:.3?}");
+    tracing::debug!("path radiance of the reference image, per band: {path_radiance:.3?}");
     if model.options.image_colour {
         for (view, colours) in shown.views.iter().zip(&shown.colours) {
             for (k, colour) in colours.iter().enumerate() {

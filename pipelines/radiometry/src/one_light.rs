@@ -118,7 +118,7 @@ impl OneLight {
         let path_radiance: Vec<f32> = (0..model.options.bands)
             .map(|k| path_radiance(&places, k, sky).min(darkest.map_or(f32::INFINITY, |darkest| darkest[k])))
             .collect();
-        tracing::info!(
+        tracing::debug!(
             "one light: path radiance of the reference image, per band: {path_radiance:.3?}, sky {sky:.3}, by {} places in shadows",
             places.len()
         );

@@ -194,7 +194,7 @@ impl FitRequest<'_> {
         }
         let beginning = Beginning::new(ground, found, &suns, &decisions, config)?;
         let Beginning { parameters, views, .. } = &beginning;
-        tracing::info!(
+        tracing::debug!(
             "start: {} Gaussians on {} cells",
             parameters.gaussians.count,
             found.surface.altitude.len()
@@ -282,7 +282,7 @@ impl FitRequest<'_> {
         let evidence = daylight::evidence(model, parameters, &elevations, &colours.shades);
         let bands = self.scene.bands().len();
         let daylight = daylight::fit(&evidence, elevations[model.options.reference], bands)?;
-        tracing::info!("{}", daylight.in_words());
+        tracing::debug!("{}", daylight.in_words());
         Some(daylight)
     }
 

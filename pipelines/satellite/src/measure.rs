@@ -374,6 +374,11 @@ pub(super) fn add_fit(metrics: &mut Value, fitted: &Fitted, model: &LoadedModel,
 
 /// The main numbers for people.
 pub fn summary(metrics: &Value) -> String {
+    [accuracy(metrics), engine(metrics)].concat().join("\n")
+}
+
+/// How far a run is from the truth of its scene, a line each.
+pub fn accuracy(metrics: &Value) -> Vec<String> {
     let number = |pointer: &str| metrics.pointer(pointer).and_then(Value::as_f64);
     let mut lines = Vec::new();
     let protocol = metrics
@@ -402,18 +407,18 @@ pub fn summary(metrics: &Value) -> String {
     say(
         "... traced",
         number("/shadow/traced/ber").map(|b| 100.0 * b),
-        "% (before images say where shadows end)",
+        "% (from geometry alone)",
     );
     say("shadows right", number("/shadow/accuracy").map(|a| 100.0 * a), "%");
     say(
-        "lowered",
+        "reopened",
         number("/lowered/area_m2").filter(|&area| area > 0.0),
-        "m² of the initial surface that bridged ground in shade",
+        "m² of shaded courtyards and alleys, after matching",
     );
     say(
         "changed",
-        number("/change/segments"),
-        "segments of the ground between the images",
+        number("/change/segments").filter(|&count| count > 0.0),
+        "buildings between the images",
     );
     say(
         "... precision",
@@ -441,6 +446,16 @@ pub fn summary(metrics: &Value) -> String {
         "dB (a gain for each sun)",
     );
     say("relit BER", number("/relit/mean/ber").map(|b| 100.0 * b), "% (traced)");
+    lines
+}
+
+/// How well a run shows its images, and the time and memory it took, a line each.
+pub fn engine(metrics: &Value) -> Vec<String> {
+    let number = |pointer: &str| metrics.pointer(pointer).and_then(Value::as_f64);
+    let mut lines = Vec::new();
+    let mut say = |label: &str, value: Option<f64>, unit: &str| {
+        lines.extend(value.map(|value| format!("{label:<14} {value:.3} {unit}")));
+    };
     say("PSNR train", number("/train/psnr"), "dB");
     let colour = metrics.pointer("/test/colour").and_then(Value::as_str).unwrap_or("");
     say("PSNR held out", number("/test/psnr"), &format!("dB (colour {colour})"));
@@ -455,5 +470,5 @@ pub fn summary(metrics: &Value) -> String {
     if let Some(count) = metrics["gaussians"].as_u64() {
         lines.push(format!("{:<14} {count}", "Gaussians"));
     }
-    lines.join("\n")
+    lines
 }

@@ -122,7 +122,7 @@ impl<'a> Preprocess<'a> {
         if !self.ground.take_suns(suns) {
             return false;
         }
-        tracing::info!("the surface is swept again: suns found in shadows tell which images are of one pass");
+        tracing::info!("Matching the surface again with the suns estimated from shadows");
         let started = Instant::now();
         let request = self.ground.request(config.start.cell_gsd * scene.gsd_m, matching);
         let mut rasters = self.ground.rasters();
@@ -231,11 +231,11 @@ fn changes(
     let indices = indices(ground, rasters, decisions);
     let begun = Instant::now();
     let changes = change::find(&views(ground, rasters, &indices, shifts_px), &days, request, surface);
-    tracing::info!(
-        "{} segments changed between the images ({:.1} s)",
-        changes.segments.len(),
-        begun.elapsed().as_secs_f64()
-    );
+    match changes.segments.len() {
+        0 => tracing::info!("No changed buildings found"),
+        count => tracing::info!("{count} buildings changed between the images"),
+    }
+    tracing::debug!("changes took {:.1} s", begun.elapsed().as_secs_f64());
     changes
 }
 
@@ -254,7 +254,7 @@ pub(super) fn lower(
 pub(super) fn say_lowered(lowered: &Lowered) {
     if lowered.parts > 0 {
         tracing::info!(
-            "parts of the surface that bridged ground in shade and were lowered: {} ({:.0} m²)",
+            "{} shaded courtyards or alleys ({:.0} m²) reopened after matching",
             lowered.parts,
             lowered.area_m2
         );
@@ -326,7 +326,7 @@ fn align(
             (worth_correcting(adjust::shifts(&adjustment), align), contradicting)
         }
         Err(error) => {
-            tracing::warn!("cameras are believed, because ties do not tell: {error}");
+            tracing::warn!("Too few tie points to refine the cameras; using them as delivered ({error})");
             none
         }
     }
@@ -357,7 +357,7 @@ pub(super) fn adjustment_of_ties(
 /// The same where `align` has them, or where they are large enough to be worth it; else none.
 pub(super) fn worth_correcting(shifts_px: Vec<[f32; 2]>, align: Align) -> Vec<[f32; 2]> {
     let largest = shifts_px.iter().flatten().fold(0.0f32, |a, &b| a.max(b.abs()));
-    tracing::info!("largest pointing correction: {largest:.2} px");
+    tracing::info!("Largest correction of a camera: {largest:.2} px");
     if align == Align::On || largest > THRESHOLD_PX {
         shifts_px
     } else {

@@ -34,7 +34,7 @@ pub(super) fn altitudes(request: &FitRequest, swept: &Preprocess) -> Result<Vec<
         session,
         ..
     } = request;
-    tracing::info!("a short fit: shadows say more of suns on its surface than on the swept one");
+    tracing::info!("Short training to estimate the suns from shadows on a better surface");
     let Preprocess { ground, found } = swept;
     let (suns, decisions) = suns::decided(scene, ground, &found.shadow_suns, request.decisions);
     let Beginning {

@@ -70,7 +70,16 @@ fn found(scene: &Scene, swept: &Preprocess, surface: &Surface) -> Vec<Option<Sha
     let suns = find_suns(&views, surface, &covered, ground.frame.origin.lat_deg);
     for (image, sun) in ground.images.iter().zip(suns) {
         if let Some(sun) = sun {
-            tracing::info!(
+            let name = &image.name;
+            match sun.is_decisive() {
+                true => tracing::info!(
+                    "{name}: sun estimated from shadows, azimuth {:.1}°, elevation {:.1}°",
+                    sun.azimuth_deg,
+                    sun.elevation_deg
+                ),
+                false => tracing::info!("{name}: sun from shadows not reliable (correlation {:.2})", sun.score),
+            }
+            tracing::debug!(
                 "{}: shadows say azimuth {:.1}, elevation {:.1} degrees, deviation {:.2}, correlation {:.2}, ahead by {:.1}",
                 image.name,
                 sun.azimuth_deg,

@@ -256,7 +256,7 @@ impl TiledSweep<'_> {
             return Err(refused);
         };
         if told.is_empty() && decisions.align != Align::Off {
-            tracing::warn!("cameras are believed, because ties do not tell");
+            tracing::warn!("Too few tie points to refine the cameras; using them as delivered");
         }
         let (names, shifts): (Vec<String>, Vec<[f32; 2]>) =
             told.into_iter().map(|(name, shifts)| (name, middle(&shifts))).unzip();

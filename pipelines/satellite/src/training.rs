@@ -134,6 +134,7 @@ pub fn train(
         metrics["start"] = start;
     }
     drop(part);
+    metrics["surface"] = serde_json::to_value(surface.facts(model.file.gsd_m)).unwrap_or_default();
     measure::add_fit(&mut metrics, &fitted, &model, begun.elapsed().as_secs_f64());
     metrics["timeline"] = serde_json::to_value(timeline::take()).unwrap_or_default();
     let lock = closing.finish(&mut metrics, &ending)?;

@@ -27,6 +27,7 @@ const INTERRUPTED: i32 = 130;
 pub struct Session {
     stop: Arc<AtomicBool>,
     gentle: Arc<AtomicBool>,
+    is_quiet: bool,
 }
 
 impl Session {
@@ -51,6 +52,11 @@ impl Session {
     /// A session nobody will stop, for tests and for use as a library.
     pub fn quiet() -> Self {
         Self::default()
+    }
+
+    /// The same without progress bars, where `is_quiet`.
+    pub fn quietly(self, is_quiet: bool) -> Self {
+        Self { is_quiet, ..self }
     }
 
     /// From now on the caller asks [`Self::stopped`] again and again, and saves what there is.
@@ -93,7 +99,7 @@ impl Session {
     }
 
     fn bar(&self, label: &str, bar: ProgressBar, style: &str) -> Progress {
-        if std::io::stderr().is_terminal() {
+        if std::io::stderr().is_terminal() && !self.is_quiet {
             let bar = log::BARS.add(bar);
             if let Ok(style) = ProgressStyle::with_template(style) {
                 bar.set_style(style.progress_chars("=> "));

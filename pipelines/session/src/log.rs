@@ -1,10 +1,14 @@
-//! Logs on stderr, written around a progress bar if there is one.
+//! Logs on stderr, written around a progress bar if there is one, and a copy with times in the folder of a run.
 
 use indicatif::MultiProgress;
+use std::fs::File;
 use std::io::{IsTerminal, Write};
-use std::sync::LazyLock;
+use std::path::Path;
+use std::sync::{LazyLock, Mutex, MutexGuard, PoisonError};
 use tracing_subscriber::EnvFilter;
-use tracing_subscriber::fmt::MakeWriter;
+use tracing_subscriber::fmt::{self, MakeWriter};
+use tracing_subscriber::layer::SubscriberExt;
+use tracing_subscriber::util::SubscriberInitExt;
 
 /// All bars of the process, so that log lines can step around them.
 pub(crate) static BARS: LazyLock<MultiProgress> = LazyLock::new(MultiProgress::new);
@@ -33,22 +37,82 @@ impl<'a> MakeWriter<'a> for StderrMaker {
     }
 }
 
-/// Starts logging; `HELIOSPLAT_LOG` (as `RUST_LOG` elsewhere) wins over `verbose`.
-pub fn start(verbose: u8) {
-    let level = match verbose {
-        0 => "info",
-        1 => "debug",
-        _ => "trace",
+/// Name of the copy of the log in the folder of a run.
+pub const FILE: &str = "log.txt";
+/// Bytes of log lines that wait for a folder, at most.
+const WAITING_BYTES: usize = 1 << 20;
+
+/// The copy of the log: what was said before there was a folder for it, and its file from then on.
+struct KeptLog {
+    waiting: Vec<u8>,
+    file: Option<File>,
+}
+
+static KEPT: Mutex<KeptLog> = Mutex::new(KeptLog {
+    waiting: Vec::new(),
+    file: None,
+});
+
+fn kept() -> MutexGuard<'static, KeptLog> {
+    KEPT.lock().unwrap_or_else(PoisonError::into_inner)
+}
+
+struct CopyWriter;
+
+impl Write for CopyWriter {
+    fn write(&mut self, bytes: &[u8]) -> std::io::Result<usize> {
+        let mut kept = kept();
+        if let Some(file) = &mut kept.file {
+            // As on stderr, a line that cannot be written is lost.
+            let _ = file.write_all(bytes);
+        } else if kept.waiting.len() + bytes.len() <= WAITING_BYTES {
+            kept.waiting.extend_from_slice(bytes);
+        }
+        Ok(bytes.len())
+    }
+
+    fn flush(&mut self) -> std::io::Result<()> {
+        Ok(())
+    }
+}
+
+/// Adds the log to the file [`FILE`] of a folder, with times: all lines so far, and those that follow.
+pub fn keep_in(folder: &Path) {
+    let mut kept = kept();
+    let file = File::options().create(true).append(true).open(folder.join(FILE));
+    let Ok(mut file) = file else { return };
+    let waiting = std::mem::take(&mut kept.waiting);
+    let _ = file.write_all(&waiting);
+    kept.file = Some(file);
+}
+
+/// Starts logging, of warnings only where it is `quiet`; `HELIOSPLAT_LOG` (as `RUST_LOG` elsewhere) wins over `verbose`. No colours are used
+/// where `NO_COLOR` is set (no-color.org).
+pub fn start(verbose: u8, quiet: bool) {
+    let level = match (quiet, verbose) {
+        (true, _) => "warn",
+        (false, 0) => "info",
+        (false, 1) => "debug",
+        (false, _) => "trace",
     };
     let filter = EnvFilter::try_from_env("HELIOSPLAT_LOG").unwrap_or_else(|_| EnvFilter::new(level));
-    // A second start, as in tests, keeps the first logger.
-    let _ = tracing_subscriber::fmt()
-        .with_env_filter(filter)
+    let is_plain = std::env::var_os("NO_COLOR").is_some_and(|value| !value.is_empty());
+    let on_stderr = fmt::layer()
         .with_writer(StderrMaker)
-        .with_ansi(std::io::stderr().is_terminal())
+        .with_ansi(!is_plain && std::io::stderr().is_terminal())
         .log_internal_errors(false)
         .without_time()
-        .with_target(false)
+        .with_target(false);
+    let in_file = fmt::layer()
+        .with_writer(|| CopyWriter)
+        .with_ansi(false)
+        .log_internal_errors(false)
+        .with_target(false);
+    // A second start, as in tests, keeps the first logger.
+    let _ = tracing_subscriber::registry()
+        .with(filter)
+        .with(on_stderr)
+        .with(in_file)
         .try_init();
 }
 

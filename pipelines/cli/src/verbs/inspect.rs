@@ -1,7 +1,7 @@
 //! `heliosplat inspect`: what a scene is, before anything is done with it.
 
 use super::object;
-use crate::args::IngestArgs;
+use crate::args::{IngestArgs, NamedScene};
 use crate::outcome::{CliError, Outcome};
 use clap::Args;
 use heliosplat_fitting::settings::Preset;
@@ -16,20 +16,22 @@ use std::path::PathBuf;
 /// Which scene.
 #[derive(Debug, Args)]
 pub struct InspectArgs {
-    /// A folder of images, a scene.toml, a folder of Sat-NeRF or EOGS, or one with transforms_train.json
-    #[arg(value_name = "SCENE")]
-    scene: PathBuf,
+    /// A folder of images, several image files, a scene.toml, a folder of Sat-NeRF or EOGS, or one with transforms_train.json
+    #[arg(value_name = "SCENE", required = true)]
+    scene: Vec<PathBuf>,
     #[command(flatten)]
     ingest: IngestArgs,
 }
 
 /// Reads the scene and describes it.
 pub(crate) fn run(args: &InspectArgs) -> Result<Outcome, CliError> {
-    if heliosplat_objects::is_capture(&args.scene) {
-        return object::inspect(&args.scene);
+    let scene = NamedScene::new(&args.scene)?;
+    let scene = &scene.path;
+    if heliosplat_objects::is_capture(scene) {
+        return object::inspect(scene);
     }
     let options = args.ingest.options();
-    let scene = altitude::open(&Index::open(&args.scene, options.rpc)?, &options)?;
+    let scene = altitude::open(&Index::open(scene, options.rpc)?, &options)?;
     let coverage = Coverage::of(&scene);
     let decisions = Decisions::of(&scene, &SatelliteConfig::default());
     let mut json = describe(&scene, &coverage, &decisions);

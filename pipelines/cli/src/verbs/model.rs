@@ -4,6 +4,7 @@ use super::evaluate_args::EvaluateArgs;
 use super::export_args::ExportArgs;
 use super::model_args::{RelightArgs, RenderArgs, TrainArgs};
 use super::{export, object, satellite};
+use crate::args::scene_of;
 use crate::outcome::{CliError, Outcome};
 use heliosplat_fitting::request::Earlier;
 use heliosplat_fitting::{checkpoint, run_folder};
@@ -17,6 +18,10 @@ pub(crate) fn train(args: &TrainArgs, session: &Session) -> Result<Outcome, CliE
     if args.earlier() == Earlier::Keep && !checkpoint::path_in(&args.out).exists() {
         run_folder::must_be_free(&args.out)?;
     }
+    let args = &TrainArgs {
+        scene: scene_of(&args.scenes, &args.out.join("scene"))?,
+        ..args.clone()
+    };
     match is_capture(&args.scene) {
         true => object::train(args, session),
         false => satellite::train(args, session),

@@ -1,7 +1,7 @@
 //! Arguments of the verbs that satellite scenes and objects share: `train`, `dsm`, `relight`, `render`.
 
 use crate::args::IngestArgs;
-use crate::names::PresetName;
+use crate::names::{GeoidName, PresetName};
 use crate::outcome::Outcome;
 use crate::parse;
 use clap::{Args, ValueEnum};
@@ -16,8 +16,11 @@ use std::time::{Duration, Instant};
 /// `train`.
 #[derive(Debug, Clone, Args)]
 pub struct TrainArgs {
-    /// A folder of images, a scene.toml, a folder of Sat-NeRF or EOGS, or one with transforms_train.json
-    #[arg(value_name = "SCENE")]
+    /// A folder of images, several image files, a scene.toml, a folder of Sat-NeRF or EOGS, or one with transforms_train.json
+    #[arg(value_name = "SCENE", required = true)]
+    pub scenes: Vec<PathBuf>,
+    /// The scene that these are.
+    #[arg(skip)]
     pub scene: PathBuf,
     /// Folder of the run, made if absent
     #[arg(long, value_name = "RUN")]
@@ -65,15 +68,18 @@ impl TrainArgs {
 /// `dsm`.
 #[derive(Debug, Clone, Args)]
 pub struct DsmArgs {
-    /// A finished run; with --from sweep a scene, as `train` takes it
-    #[arg(value_name = "RUN")]
+    /// A finished run; with --from sweep a scene, as `train` takes it. Several image files are swept
+    #[arg(value_name = "RUN", required = true)]
+    pub runs: Vec<PathBuf>,
+    /// The run or scene that these are.
+    #[arg(skip)]
     pub run: PathBuf,
     /// The GeoTIFF to write
     #[arg(long, value_name = "FILE.tif")]
     pub out: PathBuf,
-    /// What the surface is taken from
-    #[arg(long, value_enum, default_value = "model")]
-    pub from: DsmSource,
+    /// What the surface is taken from [default: model; of image files their sweep]
+    #[arg(long, value_enum)]
+    pub from: Option<DsmSource>,
     /// Ground sampling distance, metres [default: that of the images]
     #[arg(long, value_parser = parse::positive, value_name = "M")]
     pub gsd: Option<f64>,
@@ -81,8 +87,11 @@ pub struct DsmArgs {
     #[arg(long, value_name = "EPSG:N[+M]")]
     pub crs: Option<String>,
     /// The surface as it stands on this day, where something changed between the images [default: that of the last image]
-    #[arg(long, value_parser = parse::date, value_name = "DATE")]
-    pub at: Option<jiff::civil::Date>,
+    #[arg(long, alias = "at", value_parser = parse::date, value_name = "DATE")]
+    pub date: Option<jiff::civil::Date>,
+    /// Heights above this geoid instead of the ellipsoid; its grid must be among PROJ's
+    #[arg(long, value_enum, value_name = "NAME")]
+    pub geoid: Option<GeoidName>,
     /// Close holes with the lower of the altitudes around them; closed cells have a coverage and views of 0 and no standard deviation
     #[arg(long)]
     pub fill: bool,

@@ -1,5 +1,6 @@
 //! `heliosplat products`: what a run gives to a GIS.
 
+use crate::args::map_of;
 use crate::names::GeoidName;
 use crate::outcome::{CliError, Outcome};
 use crate::outputs::Inputs;
@@ -10,7 +11,7 @@ use heliosplat_products::set::{self, Request};
 use heliosplat_products::stac;
 use heliosplat_products::sunshine::Period;
 use heliosplat_products::writer::Set;
-use heliosplat_raster::{Geoid, write_atomically};
+use heliosplat_raster::write_atomically;
 use heliosplat_rpc::GeoPoint;
 use heliosplat_rpc::sun::{SunPosition, sun_position};
 use heliosplat_session::Session;
@@ -37,11 +38,11 @@ pub struct ProductsArgs {
     #[arg(long, value_enum, value_name = "NAME")]
     pub geoid: Option<GeoidName>,
     /// Also an ortho image under this sun: azimuth (clockwise from north) and elevation, degrees
-    #[arg(long, value_parser = parse::sun, allow_hyphen_values = true, value_name = "AZ,EL", conflicts_with = "at")]
+    #[arg(long, value_parser = parse::sun, allow_hyphen_values = true, value_name = "AZ,EL", conflicts_with = "time")]
     pub sun: Option<SunPosition>,
     /// Also an ortho image under the sun of this moment, RFC 3339
-    #[arg(long, value_parser = parse::time, value_name = "TIME")]
-    pub at: Option<jiff::Timestamp>,
+    #[arg(long, alias = "at", value_parser = parse::time, value_name = "RFC3339")]
+    pub time: Option<jiff::Timestamp>,
     /// Also the sunshine of a day or of a period of at most a year: hours of direct sun, sky view factor, irradiation under a clear sky
     #[arg(long, value_parser = Period::from_str, value_name = "FROM[/TO]")]
     pub sun_hours: Option<Period>,
@@ -49,7 +50,7 @@ pub struct ProductsArgs {
 
 impl ProductsArgs {
     fn sun(&self, origin: GeoPoint) -> Option<SunPosition> {
-        self.sun.or(self.at.map(|time| sun_position(time, origin)))
+        self.sun.or(self.time.map(|time| sun_position(time, origin)))
     }
 }
 
@@ -106,22 +107,11 @@ fn one(
     session: &Session,
 ) -> Result<Set, CliError> {
     let model = model::load_whole(run)?;
-    let target = args.crs.as_deref().map(Geoid::of_definition).transpose()?;
-    let (crs, stated) = target.map_or((None, None), |(crs, geoid)| (Some(crs.definition().to_owned()), geoid));
-    let asked = args.geoid.map(Geoid::from);
-    if let (Some(stated), Some(asked)) = (stated, asked)
-        && stated != asked
-    {
-        return Err(CliError::Input(format!(
-            "products: --crs asks for heights above {}, --geoid for heights above {}; leave one out",
-            stated.name(),
-            asked.name()
-        )));
-    }
+    let (crs, geoid) = map_of("products", args.crs.as_deref(), args.geoid)?;
     let request = Request {
         gsd_m: args.gsd,
-        crs,
-        geoid: asked.or(stated),
+        crs: crs.map(|crs| crs.definition().to_owned()),
+        geoid,
         sun: args.sun(model.frame.origin),
         sun_hours: args.sun_hours,
     };

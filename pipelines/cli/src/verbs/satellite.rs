@@ -3,6 +3,7 @@
 use super::evaluate_args::{EvaluateArgs, table, write_pictures};
 use super::model_args::{DsmArgs, DsmSource, RelightArgs, RenderArgs, TrainArgs};
 use super::sweep_dsm::{self, SweptSurface};
+use crate::args::{NamedScene, map_of};
 use crate::outcome::{CliError, Outcome};
 use crate::outputs::{Inputs, must_end_in};
 use heliosplat::timeline::{self, stage};
@@ -11,10 +12,11 @@ use heliosplat_fitting::run_folder::{RunError, create_folder, read, save_metrics
 use heliosplat_fitting::settings::Preset;
 use heliosplat_pages::report::{self, add_report};
 use heliosplat_products::change::{as_day, day_of};
+use heliosplat_products::dsm::SurfaceFacts;
 use heliosplat_products::model::{load, load_whole};
 use heliosplat_products::{dsm, relight, views as rendered};
 use heliosplat_raster::write::{ImageSpec, Sample, write_geotiff};
-use heliosplat_raster::{Crs, Geoid};
+use heliosplat_raster::Crs;
 use heliosplat_rpc::sun::sun_position;
 use heliosplat_satellite::config::SatelliteConfig;
 use heliosplat_satellite::error::SatelliteError;
@@ -23,6 +25,7 @@ use heliosplat_satellite::{altitude, estimate, measure, relit, training};
 use heliosplat_scene::Index;
 use heliosplat_scene::survey::Survey;
 use heliosplat_session::Session;
+use serde::Deserialize;
 use serde_json::{Value, json};
 use std::path::Path;
 use std::time::Instant;
@@ -71,7 +74,21 @@ pub(crate) fn train(args: &TrainArgs, session: &Session) -> Result<Outcome, CliE
             (run.metrics, "")
         }
     };
-    Ok(args.trained(&measure::summary(&metrics), metrics, before))
+    tracing::debug!("{}", measure::engine(&metrics).join("; "));
+    let out = args.out.display();
+    let mut text = match SurfaceFacts::deserialize(&metrics["surface"]) {
+        Ok(facts) => facts.in_words(&args.out.join("dsm.tif")),
+        Err(_) => String::new(),
+    };
+    for line in measure::accuracy(&metrics) {
+        text += &format!("\n{line}");
+    }
+    text += &format!("\nrun            {out}{before}");
+    if args.out.join(report::FILE).is_file() {
+        text += &format!("\nreport         {out}/{}   (open it in a browser)", report::FILE);
+    }
+    text += &format!("\nnext           heliosplat products {out}");
+    Ok(Outcome { text, json: metrics })
 }
 
 /// Writes the surface model of a run, or that of a scene's sweep.
@@ -80,10 +97,18 @@ pub(crate) fn train(args: &TrainArgs, session: &Session) -> Result<Outcome, CliE
 /// When the run, the scene, the coordinate system or the file to write is at fault.
 pub(crate) fn dsm(args: &DsmArgs, session: &Session) -> Result<Outcome, CliError> {
     must_end_in("--out", &args.out, &["tif", "tiff"])?;
-    let target = args.crs.as_deref().map(Geoid::of_definition).transpose()?;
-    let (crs, geoid) = target.map_or((None, None), |(crs, geoid)| (Some(crs), geoid));
+    let named = NamedScene::new(&args.runs)?;
+    let args = &DsmArgs {
+        run: named.path.clone(),
+        ..args.clone()
+    };
+    let (crs, geoid) = map_of("dsm", args.crs.as_deref(), args.geoid)?;
     let crs = crs.as_ref().map(Crs::definition);
-    let (mut surface, gsd_m, swept) = match args.from {
+    let usual = match args.runs[..] {
+        [_] => DsmSource::Model,
+        _ => DsmSource::Sweep,
+    };
+    let (mut surface, gsd_m, swept) = match args.from.unwrap_or(usual) {
         DsmSource::Model => {
             if args.ingest.altitude.is_some() {
                 return Err(CliError::Input(
@@ -94,16 +119,16 @@ pub(crate) fn dsm(args: &DsmArgs, session: &Session) -> Result<Outcome, CliError
                 return Err(CliError::Input("dsm: --memory is for --from sweep".into()));
             }
             Inputs::of_run(&args.run).keep_surface(&args.out)?;
-            let model = match args.at {
+            let model = match args.date {
                 Some(date) => load_whole(&args.run)?.on(as_day(date)),
                 None => load(&args.run)?,
             };
             let gsd_m = args.gsd.unwrap_or(model.file.gsd_m);
             (dsm::dsm(&model, gsd_m, crs)?, gsd_m, None)
         }
-        DsmSource::Sweep if args.at.is_some() => {
+        DsmSource::Sweep if args.date.is_some() => {
             return Err(CliError::Input(
-                "dsm: --at is of a trained run, not of --from sweep".into(),
+                "dsm: --date is of a trained run, not of --from sweep".into(),
             ));
         }
         DsmSource::Sweep => {
@@ -136,8 +161,9 @@ pub(crate) fn dsm(args: &DsmArgs, session: &Session) -> Result<Outcome, CliError
     let [share, filled] = [known, filled].map(|cells| cells as f64 / surface.raster.plane_len().max(1) as f64);
     let (width, height) = (surface.grid.width, surface.grid.height);
     let crs = surface.grid.crs.name().to_owned();
+    let facts = surface.facts(gsd_m);
     let mut said = json!({
-        "dsm": args.out, "width": width, "height": height, "gsd_m": gsd_m, "crs": crs, "completeness": share, "filled": filled
+        "dsm": args.out, "width": width, "height": height, "gsd_m": gsd_m, "crs": crs, "completeness": share, "filled": filled, "surface": facts
     });
     if let Some((memory, warnings)) = swept {
         said["tiles"] = json!(1);
@@ -147,11 +173,10 @@ pub(crate) fn dsm(args: &DsmArgs, session: &Session) -> Result<Outcome, CliError
     }
     Ok(Outcome {
         text: format!(
-            "{}: {width} x {height} cells of {gsd_m} m, {crs}, {:.1} % known{}",
-            args.out.display(),
-            100.0 * share,
+            "{}{}",
+            facts.in_words(&args.out),
             match args.fill {
-                true => format!(", {:.1} % filled", 100.0 * filled),
+                true => format!("\n                {:.1} % of the grid filled", 100.0 * filled),
                 false => String::new(),
             }
         ),

@@ -12,9 +12,9 @@ pub struct SunArgs {
     /// Moment, RFC 3339
     #[arg(long, value_parser = parse::time, value_name = "RFC3339")]
     time: jiff::Timestamp,
-    /// Place: degrees north, degrees east, metres above the ellipsoid
-    #[arg(long, value_parser = place, allow_hyphen_values = true, value_name = "LAT,LON[,ALT]")]
-    at: GeoPoint,
+    /// Degrees north, degrees east, metres above the ellipsoid
+    #[arg(long, alias = "at", value_parser = place, allow_hyphen_values = true, value_name = "LAT,LON[,ALT]")]
+    place: GeoPoint,
 }
 
 fn place(text: &str) -> Result<GeoPoint, String> {
@@ -36,7 +36,7 @@ fn place(text: &str) -> Result<GeoPoint, String> {
 
 /// Prints azimuth and elevation.
 pub(crate) fn run(args: &SunArgs) -> Result<Outcome, CliError> {
-    let sun = sun_position(args.time, args.at);
+    let sun = sun_position(args.time, args.place);
     let (azimuth_deg, elevation_deg) = (sun.azimuth_rad.to_degrees(), sun.elevation_rad.to_degrees());
     Ok(Outcome {
         json: serde_json::json!({ "azimuth_deg": azimuth_deg, "elevation_deg": elevation_deg }),

@@ -5,7 +5,7 @@ use heliosplat_radiometry::suns::ShadowSun;
 use heliosplat_scene::{ImageSun, SunSource};
 
 /// What makes suns known.
-const REMEDY: &str = "add .IMD, DIM_*.XML or .json files, or time = \"...\" in scene.toml";
+const REMEDY: &str = "add acquisition times: .IMD, DIM_*.XML or .json files beside the images, or time = \"2016-04-23T08:34:00Z\" in scene.toml";
 
 /// How a model is lit.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, serde::Serialize)]
@@ -75,27 +75,35 @@ pub(super) fn search_in_words(suns: &[ImageSun], searched: &[Option<ShadowSun>])
             sigmas.len()
         );
     }
+    if unknown == images {
+        tracing::debug!("suns from shadows: {}", closest_in_words(suns, searched));
+        return format!(
+            "Sun position unknown for all {images} images, and the shadows were too weak to estimate it. The surface model is not affected; shadow masks and relighting are not available for this run. To get them, {REMEDY}"
+        );
+    }
     if unknown == 0 {
         return text + ": cast shadows are traced through the geometry";
     }
-    // The one that came closest says why the others were not believed either.
-    let undecided = suns.iter().zip(searched).filter(|(sun, _)| sun.position.is_none());
-    let closest = undecided
-        .filter_map(|(_, found)| *found)
-        .max_by(|a, b| a.margin.total_cmp(&b.margin));
-    text += &match closest {
-        Some(sun) => format!(
-            ", of {unknown} shadows do not tell (at best correlation {:.2}, standard deviation {:.1} degrees, ahead of other suns by {:.1} deviations)",
-            sun.score, sun.sigma_deg, sun.margin
-        ),
-        None => format!(", of {unknown} shadows tell nothing"),
-    };
-    text += if unknown == images {
-        ": the light is left out, each image has a colour of its own, shadows count as dark ground, and nothing can be relit"
-    } else if only_known(suns) {
+    text += &format!(", of {unknown} {}", closest_in_words(suns, searched));
+    text += if only_known(suns) {
         ": these were swept but take no part in training, and count as lit everywhere"
     } else {
         ": these count as lit everywhere, in colours of their own"
     };
     text + " (" + REMEDY + ")"
+}
+
+/// The sun that came closest to being believed: it says why the others were not either.
+fn closest_in_words(suns: &[ImageSun], searched: &[Option<ShadowSun>]) -> String {
+    let undecided = suns.iter().zip(searched).filter(|(sun, _)| sun.position.is_none());
+    let closest = undecided
+        .filter_map(|(_, found)| *found)
+        .max_by(|a, b| a.margin.total_cmp(&b.margin));
+    match closest {
+        Some(sun) => format!(
+            "shadows do not tell (at best correlation {:.2}, standard deviation {:.1} degrees, ahead of other suns by {:.1} deviations)",
+            sun.score, sun.sigma_deg, sun.margin
+        ),
+        None => "shadows tell nothing".to_owned(),
+    }
 }
