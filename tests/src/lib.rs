@@ -12,4 +12,5 @@ pub mod reference;
 pub mod results;
 pub mod scenes;
 pub mod shared;
+pub mod terrain;
 pub mod town;

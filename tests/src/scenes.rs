@@ -10,7 +10,8 @@ use std::path::{Path, PathBuf};
 pub const SIZE_PX: usize = 64;
 /// Ground sampling distance, metres.
 pub const GSD_M: f64 = 0.5;
-const METRES_PER_DEGREE: f64 = 111_320.0;
+/// Metres of a degree of latitude in these scenes.
+pub const METRES_PER_DEGREE: f64 = 111_320.0;
 
 /// One image to write.
 #[derive(Debug, Clone)]
