@@ -357,8 +357,9 @@ fn matching_items(facts: &Result<MatchingFacts, String>, parameters: Option<Matc
             aggregation,
             parameters.aggregation_radius > 0,
             format!(
-                "combined base-to-height ratio {:.2}: {}",
+                "combined base-to-height ratio {:.2} of {:.1} views: {}",
                 facts.combined_base_to_height,
+                facts.views,
                 windows(&parameters)
             ),
         ),
@@ -556,7 +557,7 @@ mod tests {
         let mut scene = facts(2, 1);
         for ratio in [0.085, 0.31, 0.5, 1.2] {
             let matching = MatchingFacts {
-                views: 2.0,
+                views: 6.0,
                 combined_base_to_height: ratio,
                 has_index: false,
             };

@@ -7,6 +7,7 @@
 //! - the number of views of a piece of ground: what [`MANY_VIEWS`] views agree on is seldom chance, so false matches need less protection;
 //!   between [`FEW_VIEWS`] and as many the parameters change in proportion;
 //! - the combined base-to-height ratio: noise in height grows with its inverse, and so does the window that averages it out;
+//!   few views get a window whatever their ratio: one to six comparisons of single cells find too many heights by chance;
 //! - whether every view has an index plane (a vegetation index): then it is compared beside brightness.
 //!
 //! Constants without a source were chosen by experiment; docs/lab/plane-sweep.md has the tables.
@@ -64,6 +65,8 @@ const TOLERANCE_MANY: CandidateTolerance = CandidateTolerance {
 
 /// Combined base-to-height ratio above which costs of single cells tell heights apart; below it the radius of the window is the quotient.
 const SINGLE_CELL_BASE_TO_HEIGHT: f32 = 0.8;
+/// Least radius of the aggregation window, cells, up to [`FEW_VIEWS`]; one view more and single cells are as good (docs/lab/plane-sweep.md).
+const FEW_VIEWS_RADIUS: f32 = 2.0;
 /// Largest radius of the aggregation window, cells; reached at a combined base-to-height ratio of 0.133.
 const LARGEST_RADIUS: f32 = 6.0;
 /// Radius of the aggregation window, cells, per unit of the smoothness scale: with a very short base, single mismatches are as tall as
@@ -189,7 +192,7 @@ impl MatchingParameters {
     pub fn choose(facts: &MatchingFacts) -> Self {
         let many = many_views_share(facts.views);
         let between = |few: u16, all: u16| (f32::from(few) + (f32::from(all) - f32::from(few)) * many).round() as u16;
-        let radius = aggregation_radius(facts.combined_base_to_height);
+        let radius = aggregation_radius(facts);
         let very_short_base = radius >= LARGEST_RADIUS as usize;
         let jump_penalty = between(JUMP_PENALTY_FEW, JUMP_PENALTY_MANY);
         Self {
@@ -214,9 +217,12 @@ impl MatchingParameters {
     }
 }
 
-/// Radius of the aggregation window, cells: noise in height grows with the inverse of the base-to-height ratio.
-fn aggregation_radius(combined_base_to_height: f32) -> usize {
-    (SINGLE_CELL_BASE_TO_HEIGHT / combined_base_to_height.max(LEAST_BASE_TO_HEIGHT as f32)).min(LARGEST_RADIUS) as usize
+/// Radius of the aggregation window, cells: noise in height grows with the inverse of the base-to-height ratio, false matches with
+/// the inverse of the number of comparisons.
+fn aggregation_radius(facts: &MatchingFacts) -> usize {
+    let of_base = SINGLE_CELL_BASE_TO_HEIGHT / facts.combined_base_to_height.max(LEAST_BASE_TO_HEIGHT as f32);
+    let of_views = FEW_VIEWS_RADIUS * (FEW_VIEWS + 1.0 - facts.views).clamp(0.0, 1.0);
+    of_base.max(of_views).min(LARGEST_RADIUS) as usize
 }
 
 /// Factor on the jump penalty for windows of this radius.
@@ -292,7 +298,7 @@ mod tests {
 
     #[test]
     fn windows_widen_and_jumps_cost_more_as_the_base_shrinks() {
-        let radius = |ratio| chosen(3, ratio).aggregation_radius;
+        let radius = |ratio| chosen(9, ratio).aggregation_radius;
         assert_eq!([0.08, 0.2, 0.3, 0.5, 2.0].map(radius), [6, 4, 2, 1, 0]);
         assert!(radius(0.0) <= LARGEST_RADIUS as usize);
         assert_eq!(
@@ -306,8 +312,15 @@ mod tests {
     }
 
     #[test]
+    fn few_views_are_compared_by_windows_whatever_their_base() {
+        let radius = |views| chosen(views, 2.0).aggregation_radius;
+        assert_eq!([2, 3, 4, 5, 9].map(radius), [2, 2, 2, 0, 0]);
+        assert_eq!(chosen(2, 0.2).aggregation_radius, 4);
+    }
+
+    #[test]
     fn surfaces_are_smoothed_only_where_costs_are_averaged_and_adaptively_at_the_shortest_base() {
-        let smoothing = |ratio| (chosen(3, ratio).plane_radius, chosen(3, ratio).adaptive_plane_radius);
+        let smoothing = |ratio| (chosen(9, ratio).plane_radius, chosen(9, ratio).adaptive_plane_radius);
         assert_eq!([0.08, 0.2, 2.0].map(smoothing), [(7, Some(6)), (5, None), (0, None)]);
     }
 
