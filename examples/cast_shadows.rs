@@ -1,9 +1,11 @@
 //! The shadows that a surface model casts on itself.
 //!
-//! Usage: `cast_shadows DSM.tif AZIMUTH ELEVATION OUT.tif` (of the sun, degrees; azimuth clockwise from the north of the grid)
+//! Usage: `cast_shadows DSM.tif AZIMUTH ELEVATION OUT.tif` (of the sun, degrees; azimuth clockwise from the north of
+//! the grid)
 //!
-//! Writes an 8-bit GeoTIFF on the grid of the surface model, whose cells are taken to be square: 1 in shadow, 0 in the sun, 255 where
-//! the height is unknown. A cell is in shadow when a height on the way toward the sun reaches above the ray to the sun.
+//! Writes an 8-bit GeoTIFF on the grid of the surface model, whose cells are taken to be square: 1 in shadow, 0 in the
+//! sun, 255 where the height is unknown. A cell is in shadow when a height on the way toward the sun reaches above the
+//! ray to the sun.
 
 use heliosplat::Raster;
 use heliosplat_grid::relief::Relief;

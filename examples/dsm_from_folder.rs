@@ -1,9 +1,10 @@
 //! A surface model from a folder of satellite images by the plane sweep, without training.
 //!
-//! Usage: `dsm_from_folder SCENE OUT.tif [LOW,HIGH]` (lowest and highest altitude of the surface, metres above the WGS 84 ellipsoid;
-//! without them the files of the scene say, or tie points between its images)
+//! Usage: `dsm_from_folder SCENE OUT.tif [LOW,HIGH]` (lowest and highest altitude of the surface, metres above the WGS
+//! 84 ellipsoid; without them the files of the scene say, or tie points between its images)
 //!
-//! Writes a cloud-optimised GeoTIFF in the local UTM zone, with the cell size of the images, and prints a line about it.
+//! Writes a cloud-optimised GeoTIFF in the local UTM zone, with the cell size of the images, and prints a line about
+//! it.
 
 use heliosplat_fitting::settings::Preset;
 use heliosplat_products::dsm::of_surface;

@@ -2,8 +2,8 @@
 //!
 //! Usage: `project_points IMAGE|RPCFILE LON,LAT,ALT...` (degrees, and metres above the WGS 84 ellipsoid)
 //!
-//! Prints a line for each point: lon lat alt, col row, and the lon lat that the camera localises from col, row and alt. Pixel centres
-//! are at whole numbers.
+//! Prints a line for each point: lon lat alt, col row, and the lon lat that the camera localises from col, row and alt.
+//! Pixel centres are at whole numbers.
 
 use heliosplat_rpc::{GeoPoint, Rpc};
 use heliosplat_scene::{RpcPreference, camera_of};

@@ -1,8 +1,8 @@
-//! Fixture for benchmarks: a synthetic site of a standard kind, and training steps on it. `heliosplat bench` and the benches
-//! measure the engine's speed with it; nothing else uses it.
+//! Fixture for benchmarks: a synthetic site of a standard kind, and training steps on it. `heliosplat bench` and the
+//! benches measure the engine's speed with it; nothing else uses it.
 //!
-//! A sheet of flat Gaussians over a town of blocks, spread over a square image seen from near the nadir. Its size
-//! in pixels and its number of Gaussians are free; the splats' sizes follow, so that about as many pairs fall on a pixel.
+//! A sheet of flat Gaussians over a town of blocks, spread over a square image seen from near the nadir. Its size in
+//! pixels and its number of Gaussians are free; the splats' sizes follow, so that about as many pairs fall on a pixel.
 
 use crate::camera::ProjectiveCamera;
 use crate::gaussians::{LOG_SCALE, OPACITY, POSITION, ROTATION, Table, core_groups};
@@ -137,7 +137,7 @@ fn camera(size_px: usize) -> ProjectiveCamera {
     )
 }
 
-/// A training of the site reduced to what every training does: render, backward pass, Adam step.
+/// One training step on the site: render, backward pass, Adam step.
 pub struct Descent {
     site: Site,
     gradients: Parameters,
@@ -168,7 +168,7 @@ impl Descent {
         let d_maps = toward_grey(&pass.maps);
         let pairs = pass.maps.pairs;
         pass.backward(d_maps, &mut self.gradients);
-        // Slow enough that the site stays what it is however long it is measured.
+        // Small enough that the site hardly changes over any number of steps.
         let rates = vec![1e-6; self.gradients.gaussians.groups.len()];
         self.adam
             .step(&mut self.site.parameters.gaussians, &self.gradients.gaussians, &rates);

@@ -1,7 +1,7 @@
 //! Binning: boxes sorted into the cells of a grid that they touch, in parallel and always in the same order.
 //!
-//! Two passes of a bucket sort. First, chunks of boxes are sorted by the rows of cells they touch, every chunk on its own
-//! ([`RowBins`]). Then every row of cells reads its boxes from all chunks, in their order, and sorts them by column
+//! Two passes of a bucket sort. First, chunks of boxes are sorted by the rows of cells they touch, every chunk on its
+//! own ([`RowBins`]). Then every row of cells reads its boxes from all chunks, in their order, and sorts them by column
 //! ([`cell_starts`], [`split_rows`]). Tiles of the rasteriser and grids of the tracer are binned with it.
 
 use crate::parallel::set_defaults;

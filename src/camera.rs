@@ -1,8 +1,8 @@
 //! The normalised projective camera: satellites 600 km away and object cameras 2 m away are the same type.
 //!
-//! `col = (u·p + u0)/(1 + w·p)`, `row = (v·p + v0)/(1 + w·p)` with `p` in metres from the scene centre. Coefficients are
-//! derived in f64 and evaluated in f32. Depth is metres along the camera's central ray, counted from the scene centre
-//! and growing away from the camera, never from the camera itself: at 600 km an f32 has steps of 6 cm.
+//! `col = (u·p + u0)/(1 + w·p)`, `row = (v·p + v0)/(1 + w·p)` with `p` in metres from the scene centre. Coefficients
+//! are derived in f64 and evaluated in f32. Depth is metres along the camera's central ray, counted from the scene
+//! centre and growing away from the camera. It is not counted from the camera: at 600 km an f32 has steps of 6 cm.
 
 use glam::{DVec3, Vec3};
 
@@ -28,7 +28,8 @@ pub struct ProjectiveCamera {
 }
 
 impl ProjectiveCamera {
-    /// A camera from f64 coefficients: three per-metre terms and a constant for column and row, three for the denominator.
+    /// A camera from f64 coefficients: three per-metre terms and a constant for column and row, three for the
+    /// denominator.
     ///
     /// The depth axis is the ray through the image centre, oriented so that `away` (a rough viewing direction from the
     /// camera to the scene; straight down for satellites) has a positive component along it.
@@ -81,7 +82,8 @@ impl ProjectiveCamera {
         self.depth_axis.dot(p)
     }
 
-    /// Rows of the Jacobian: `d col / d p` and `d row / d p`, pixels per metre, at `p` which projects to (`col`, `row`).
+    /// Rows of the Jacobian: `d col / d p` and `d row / d p`, pixels per metre, at `p` which projects to (`col`,
+    /// `row`).
     #[inline]
     pub fn jacobian(&self, col: f32, row: f32, denominator: f32) -> (Vec3, Vec3) {
         let inverse = 1.0 / denominator;
@@ -131,7 +133,8 @@ impl ProjectiveCamera {
     /// The same camera at an image scaled by `1 / factor` (a pyramid level whose pixels average `factor × factor`).
     pub fn downscaled(&self, factor: usize) -> Self {
         let f = factor as f32;
-        // Pixel centres at integers: col' = (col + 0.5)/f - 0.5, an affine map of (u, u0) with the denominator mixed in.
+        // Pixel centres at integers: col' = (col + 0.5)/f - 0.5, an affine map of (u, u0) with the denominator mixed
+        // in.
         let shift = (0.5 / f) - 0.5;
         Self {
             u: self.u / f + self.w * shift,
@@ -144,7 +147,7 @@ impl ProjectiveCamera {
         }
     }
 
-    /// The same camera with its image moved by (`col`, `row`) pixels, which is what a pointing bias does.
+    /// The same camera with its image moved by (`col`, `row`) pixels, the effect of a pointing bias.
     pub fn shifted(&self, col: f32, row: f32) -> Self {
         Self {
             u: self.u + self.w * col,

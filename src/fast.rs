@@ -1,5 +1,5 @@
-//! Exponential and logarithm for loops over lanes: no branch, no call, the same bits on every machine. The coefficients of both
-//! polynomials are those of Cephes (Moshier, `expf` and `logf`).
+//! Exponential and logarithm for loops over lanes: no branch, no call, the same bits on every machine. The coefficients
+//! of both polynomials are those of Cephes (Moshier, `expf` and `logf`).
 
 /// Adding it to a number below 2²² leaves the nearest whole number in the low bits: 1.5 · 2²³.
 pub(crate) const MAGIC: f32 = 12_582_912.0;

@@ -1,9 +1,8 @@
 //! The parameter table: every trained number, as a structure of arrays in named groups.
 //!
-//! One [`Table`] holds the Gaussians, another the numbers a scene model shares between them (sky, per-image colour).
-//! Gradients and Adam's moments are tables of the same shape, so optimiser, density control and checkpoint all loop over the
-//! same groups without knowing what a group means. How fast a group is trained is no part of the table: see
-//! [`ParameterGroup`](crate::optim::ParameterGroup).
+//! One [`Table`] holds the Gaussians, another the parameters shared by all Gaussians (sky, per-image colour). Gradients
+//! and Adam's moments are tables of the same shape, so optimiser, density control and checkpoint loop over groups
+//! without regard to their meaning. Learning rates are in [`ParameterGroup`](crate::optim::ParameterGroup).
 
 use glam::{Mat3, Quat, Vec3};
 use rayon::prelude::*;
@@ -20,7 +19,7 @@ pub const OPACITY: usize = 3;
 /// Index of the first group a scene model adds.
 pub const FEATURES: usize = 4;
 
-/// What a group is called and how many numbers an element has in it.
+/// Name of a group and numbers per element.
 #[derive(Debug, Clone, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
 pub struct GroupSpec {
     /// Name, as written in checkpoints, model files and messages.
@@ -222,8 +221,8 @@ impl Table {
         self.add_core_in_blocks::<1>(indices, |places, add| add(0, &gradient(places.start)));
     }
 
-    /// The same with up to `N` places at once: `gradients` is given consecutive places among the indices, and a way to add to
-    /// the first, second and so on of them.
+    /// The same in blocks of up to `N` consecutive indices. `gradients` receives the places of a block and a function
+    /// that adds to the first, second and so on of them.
     ///
     /// # Panics
     /// When the indices are not in ascending order.
@@ -249,7 +248,8 @@ impl Table {
         });
     }
 
-    /// Calls `add` with the place of each of the elements `indices`, which are in ascending order, and its values in a group.
+    /// Calls `add` with the place of each of the elements `indices`, which are in ascending order, and its values in a
+    /// group.
     ///
     /// # Panics
     /// When the indices are not in ascending order.

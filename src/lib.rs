@@ -1,7 +1,8 @@
-//! The engine: Gaussians that are rasterised, lit, shaded and optimised, on the CPU, differentiable from pixels to parameters.
+//! The engine: Gaussians that are rasterised, lit, shaded and optimised, on the CPU, differentiable from pixels to
+//! parameters.
 //!
-//! It knows no files, no coordinate systems and no command line. Lengths are metres (or scene units, for objects) from the scene's
-//! centre, angles are radians, pixel centres are at integers.
+//! It depends on no files, coordinate systems or command line. Lengths are metres (or scene units, for objects) from
+//! the scene's centre, angles are radians, pixel centres are at integers.
 //!
 //! # Map, in the order data flows
 //!
@@ -12,7 +13,7 @@
 //! | [`splat`] | Gaussians to splats, splats to tiles, tiles to composited maps; backward of each |
 //! | [`trace`] | transmittance from every Gaussian toward the light; backward to occluders and origins |
 //! | [`shade`] | shading formulas with their gradients |
-//! | [`model`] | the trait of a scene model, and its implementations: what channels are rasterised, how they become pixels |
+//! | [`model`] | the trait of a scene model, and its implementations: rasterised channels, and how they become pixels |
 //! | [`render`] | one pass: project, trace, features, rasterise, compose; and its backward pass |
 //! | [`loss`] | photometric, geometric and shadow losses on images and maps; smoothness between neighbours |
 //! | [`optim`] | Adam, learning rates of parameter groups, density control |
@@ -25,22 +26,24 @@
 //!
 //! # Invariants
 //!
-//! *Same bytes.* The same inputs, options and seed give the same bytes for any number of threads and any instruction set. Parallel
-//! loops write to disjoint places; reductions have a fixed order, by chunks whose size is a constant; kernels evaluate `a * b + c`
-//! without contraction; nothing calls a transcendental function of the platform inside a vectorised loop.
+//! *Same bytes.* The same inputs, options and seed give the same bytes for any number of threads and any instruction
+//! set. Parallel loops write to disjoint places; reductions have a fixed order, by chunks whose size is a constant;
+//! kernels evaluate `a * b + c` without contraction; nothing calls a transcendental function of the platform inside a
+//! vectorised loop.
 //!
-//! *No number is lost.* A training step with a loss or gradient that is not finite changes nothing; Gaussians with such numbers are
-//! left out of a view and counted.
+//! *No number is lost.* A training step with a loss or gradient that is not finite changes nothing; Gaussians with such
+//! numbers are left out of a view and counted.
 //!
-//! *What is off costs nothing.* Channel counts are compiled constants, and a part of a model that the options leave out has no
-//! parameters.
+//! *Unused parts cost nothing.* Channel counts are compiled constants, and a part of a model that the options leave out
+//! has no parameters.
 //!
 //! # Why so much is written by hand
 //!
-//! Adam, the multilayer perceptron, spherical harmonics, the exponential and the SSIM window are here and not from crates because of
-//! the first invariant: crates for linear algebra and neural networks choose block sizes, contraction and the order of sums by thread
-//! count and processor, and promise no equal bits across instruction sets. Parts whose result does not depend on such choices do
-//! come from crates: the bounding volume hierarchy (`obvhs`), random numbers (`rand_pcg`), vectors (`glam`), threads (`rayon`).
+//! Adam, the multilayer perceptron, spherical harmonics, the exponential and the SSIM window are here and not from
+//! crates because of the first invariant: crates for linear algebra and neural networks choose block sizes, contraction
+//! and the order of sums by thread count and processor, and promise no equal bits across instruction sets. Parts whose
+//! result does not depend on such choices do come from crates: the bounding volume hierarchy (`obvhs`), random numbers
+//! (`rand_pcg`), vectors (`glam`), threads (`rayon`).
 
 pub mod bench_fixture;
 mod binning;

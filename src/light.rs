@@ -1,5 +1,5 @@
-//! Light sources: a direction (the sun) or a position (a lamp). What reaches a Gaussian from either is its transmittance, see
-//! [`crate::trace`].
+//! Light sources: a direction (the sun) or a position (a lamp). The share of their light that reaches a Gaussian is its
+//! transmittance, see [`crate::trace`].
 
 use glam::Vec3;
 

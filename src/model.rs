@@ -1,8 +1,9 @@
 //! Scene models: the trait through which a kind of scene plugs into the shared engine, and its implementations.
 //!
-//! A [`SceneModel`] defines which parameters it adds to each Gaussian and which it shares between all, with their learning rates; how
-//! those become rasterised channels for a view and a light; how composited channels become a pixel; and the gradients of both. The
-//! rasteriser, the tracer, the losses, the optimiser and the trainer depend on no particular model.
+//! A [`SceneModel`] defines which parameters it adds to each Gaussian and which it shares between all, with their
+//! learning rates; how those become rasterised channels for a view and a light; how composited channels become a pixel;
+//! and the gradients of both. The rasteriser, the tracer, the losses, the optimiser and the trainer depend on no
+//! particular model.
 
 mod background;
 pub mod network;
@@ -63,15 +64,16 @@ pub struct View {
     pub appearance: usize,
     /// Weight of each pixel in the losses, 0 to 1, `[row][column]`.
     pub weight: Vec<f32>,
-    /// Prior of the sun's visibility: 1 where a pixel is thought to be lit, 0 in shadow, NaN where unknown; `[row][column]`.
+    /// Prior of the sun's visibility: 1 where a pixel is thought to be lit, 0 in shadow, NaN where unknown;
+    /// `[row][column]`.
     pub visibility_prior: Option<Vec<f32>>,
     /// Saturation value of each band: a pixel with it was that bright or brighter. Empty where no value is clipped.
     pub ceiling: Vec<f32>,
 }
 
 impl View {
-    /// The pixels to compare `image` with: where a value is clipped and `image` is brighter, that of `image`, because the true value is
-    /// unknown above saturation.
+    /// The pixels to compare `image` with: where a value is clipped and `image` is brighter, that of `image`, because
+    /// the true value is unknown above saturation.
     pub fn truth(&self, image: &Raster) -> Cow<'_, Raster> {
         let mut truth = Cow::Borrowed(&*self.image);
         for (band, &ceiling) in self.ceiling.iter().enumerate().filter(|(_, c)| c.is_finite()) {
@@ -120,7 +122,8 @@ pub trait SceneModel: Send + Sync {
     /// Name, as in configurations and files.
     fn name(&self) -> &'static str;
 
-    /// The groups of parameters added to every Gaussian, in the order of the table from [`FEATURES`](crate::gaussians::FEATURES) on.
+    /// The groups of parameters added to every Gaussian, in the order of the table from
+    /// [`FEATURES`](crate::gaussians::FEATURES) on.
     fn feature_parameters(&self) -> Vec<ParameterGroup>;
 
     /// The groups of parameters shared by all Gaussians (a table of one element).
@@ -160,7 +163,7 @@ pub trait SceneModel: Send + Sync {
         d_transmittance: &mut [f32],
     );
 
-    /// What lies behind the Gaussians, for [`Self::compose`].
+    /// Background behind the Gaussians, for [`Self::compose`].
     fn background(&self) -> Background {
         ([0.0; 3], false)
     }
@@ -193,7 +196,8 @@ pub trait SceneModel: Send + Sync {
         Vec::new()
     }
 
-    /// The loss between the rendered visibility of the sun and its prior (see [`View::visibility_prior`]); adds its gradients.
+    /// The loss between the rendered visibility of the sun and its prior (see [`View::visibility_prior`]); adds its
+    /// gradients.
     fn light_prior_loss(
         &self,
         _maps: &Maps,

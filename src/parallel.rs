@@ -12,7 +12,7 @@ pub(crate) fn defaults<T: Default + Send>(count: usize) -> Vec<T> {
     values
 }
 
-/// So many default values in place of what `values` holds; its memory is used again.
+/// Replaces the contents of `values` by `count` default values and reuses its memory.
 pub(crate) fn set_defaults<T: Default + Send>(values: &mut Vec<T>, count: usize) {
     let numbers = (0..count).into_par_iter().with_min_len(CHUNK);
     numbers.map(|_| T::default()).collect_into_vec(values);

@@ -1,4 +1,4 @@
-//! A small planar image: what the engine sees of pixels.
+//! A small planar image, the engine's only image type.
 
 /// `bands` planes of `height × width` values, band after band, row after row. `NaN` marks a missing value.
 #[derive(Debug, Clone, PartialEq, Default)]
@@ -56,7 +56,7 @@ impl Raster {
         self.values[(band * self.height + row) * self.width + col]
     }
 
-    /// The mean over `factor × factor` blocks; a block is NaN when all of it is, else the mean of what is there.
+    /// The mean over `factor × factor` blocks, of the values that are not NaN; NaN where all are.
     pub fn downscaled(&self, factor: usize) -> Self {
         let (width, height) = (self.width / factor, self.height / factor);
         let mut out = Self::filled(width, height, self.bands, f32::NAN);

@@ -1,7 +1,7 @@
 //! A rendering pass: project, trace, compute features, rasterise, compose, and its backward pass.
 //!
-//! Training and products render through the same [`Pass`]; training keeps it for the backward pass. Nothing is stored per pixel and
-//! splat: backward repeats the forward arithmetic.
+//! Training and products render through the same [`Pass`]; training keeps it for the backward pass. Nothing is stored
+//! per pixel and splat: backward repeats the forward arithmetic.
 
 use crate::camera::ProjectiveCamera;
 use crate::gaussians::Table;
@@ -26,11 +26,11 @@ const CHUNK: usize = 4096;
 pub struct PassOptions {
     /// Gaussians to splats.
     pub projection: ProjectionOptions,
-    /// Which gradients of light reach what stands in its way.
+    /// Gradients of light that reach the occluders.
     pub occluder_gradients: OccluderGradients,
     /// Whether three channels with the splats' normals follow the model's.
     pub normals: bool,
-    /// What is composited of depths along rays besides their mean.
+    /// Composited depths along rays besides their mean.
     pub depths: Depths,
 }
 
@@ -54,9 +54,10 @@ pub enum Lit<'a> {
     Traced(&'a Occluders),
     /// Cached transmittances, one per Gaussian, of an earlier trace; no gradients go back.
     Known(&'a [f32]),
-    /// Traced, except for Gaussians that keep what an earlier trace found; no gradients go back along their light.
+    /// Traced, except for Gaussians that keep the transmittance of an earlier trace; these get no gradients along their
+    /// light.
     TracedExcept {
-        /// What stands in the way.
+        /// The occluders.
         occluders: &'a Occluders,
         /// Transmittances of an earlier trace, one per Gaussian.
         known: &'a [f32],
@@ -93,7 +94,7 @@ impl PassLight {
         }
     }
 
-    /// Traces the splats whose Gaussian `known` says nothing of.
+    /// Traces the splats whose Gaussian has no transmittance in `known`.
     fn trace(
         splats: &[u32],
         (occluders, light): (&Occluders, &Light),
@@ -125,7 +126,7 @@ impl PassLight {
     }
 }
 
-/// What is left of a pass behind its backward pass, beside the gradients of parameters.
+/// Results of a backward pass besides the gradients of parameters.
 pub struct PassGradients {
     /// The splats.
     pub projected: Projected,
@@ -137,7 +138,7 @@ pub struct PassGradients {
     pub d_transmittances: Vec<f32>,
 }
 
-/// A rendered view, with what its backward pass needs.
+/// A rendered view, with the inputs of its backward pass.
 pub struct Pass<'a> {
     model: &'a dyn SceneModel,
     context: Context<'a>,
@@ -154,7 +155,8 @@ pub struct Pass<'a> {
 }
 
 impl<'a> Pass<'a> {
-    /// Renders the model of `context` through its camera; `light` is how the transmittance toward the context's light is found.
+    /// Renders the model of `context` through its camera; `light` is how the transmittance toward the context's light
+    /// is found.
     pub fn new(model: &'a dyn SceneModel, context: Context<'a>, light: Lit<'a>, options: PassOptions) -> Self {
         let gaussians = &context.parameters.gaussians;
         let part = stage("project");
@@ -243,8 +245,7 @@ impl<'a> Pass<'a> {
         MapGradients::zeros(channels, self.maps.alpha.len())
     }
 
-    /// What `planes` of numbers, one for each pixel, come to at each splat: sums over the pixels by the weights with which the splat is
-    /// composited there, `[splat][plane]`.
+    /// Sums of per-pixel `planes` at each splat, weighted as the splat is composited: `[splat][plane]`.
     pub fn spread(&self, planes: &[Vec<f32>]) -> Vec<f32> {
         let _part = stage("rasterise, backward");
         let camera = self.context.camera;
@@ -252,7 +253,8 @@ impl<'a> Pass<'a> {
         let rasteriser = Rasteriser::with_bins(&self.projected, &self.bins, camera.width, camera.height);
         let mut all = defaults(splats * planes.len());
         for (number, some) in planes.chunks(MOST_CHANNELS).enumerate() {
-            // They are the gradients of features that are composited. Which features, and what comes of the splats, does not matter.
+            // These sums are the gradients of composited features. The features' values and the gradients of the splats
+            // are not used.
             let stride = padded_channels(some.len());
             let (features, zero) = (defaults(splats * stride), MapGradients::zeros(some.len(), pixels));
             let maps = Maps {
@@ -275,7 +277,8 @@ impl<'a> Pass<'a> {
         all
     }
 
-    /// Backward pass: adds to the gradients of all parameters from those of the maps. What it needs no more it gives back on the way.
+    /// Backward pass: adds the gradients of all parameters to `grads`, from the gradients of the maps. Frees memory as
+    /// it goes.
     pub fn backward(self, d_maps: MapGradients, grads: &mut Parameters) -> PassGradients {
         let camera = self.context.camera;
         let gaussians = &self.context.parameters.gaussians;
@@ -367,7 +370,8 @@ pub fn depths_and(
     rasteriser.forward(&features, stride)
 }
 
-/// Renders a model once, with normals and all depths whatever `options` say, and keeps nothing for a backward pass.
+/// Renders a model once, with normals and all depths whatever `options` contain, and without the state for a backward
+/// pass.
 pub fn render(
     model: &dyn SceneModel,
     parameters: &Parameters,

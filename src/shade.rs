@@ -1,5 +1,5 @@
-//! Shading formulas, each with its gradient: spherical harmonics, microfacets, shared lobes, subsurface scattering, falloff, display
-//! curve. And the light of day, which is not trained.
+//! Shading formulas, each with its gradient: spherical harmonics, microfacets, shared lobes, subsurface scattering,
+//! falloff, display curve. And the light of day, which is not trained.
 
 pub mod asg;
 pub mod daylight;

@@ -1,15 +1,15 @@
 //! Instruction sets of the inner loops: detected once at run time, and capped by an environment variable.
 //!
-//! A loop in plain Rust is compiled once for every level, and the best level that the processor has is taken when it is called.
-//! Loops use `a*b + c` without contraction and add in a fixed order, so every level gives the same bits. The environment
-//! variable `HELIOSPLAT_SIMD` (`sse2`, `avx2` or `avx512`) caps the level, to prove just that.
+//! A loop in plain Rust is compiled once for every level, and the best level that the processor has is taken when it is
+//! called. Loops use `a*b + c` without contraction and add in a fixed order, so every level gives the same bits. The
+//! environment variable `HELIOSPLAT_SIMD` (`sse2`, `avx2` or `avx512`) caps the level, for tests of this.
 
 use std::sync::OnceLock;
 
 /// A set of instructions; each holds those before it.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
 pub enum Level {
-    /// What the binary is compiled for: SSE2 on x86-64.
+    /// The level the binary is compiled for: SSE2 on x86-64.
     Sse2,
     /// AVX2, of 2013 and later.
     Avx2,
@@ -74,9 +74,9 @@ pub fn level_up_to(cap: Level, conditions: &[bool]) -> Level {
     }
 }
 
-/// Makes a function of plain loops one that is compiled for every level and chosen when called. What it calls takes part only
-/// when it is inlined. `up to LEVEL;` before the function caps its level, where a higher one was measured to be slower; `up to LEVEL where
-/// CONDITION;` does so for some of its constants only.
+/// Compiles a function of plain loops for every level and selects one at each call. Called functions are included only
+/// where they are inlined. `up to LEVEL;` before the function caps its level, where a higher one was measured to be
+/// slower; `up to LEVEL where CONDITION;` does so for some of its constants only.
 #[macro_export]
 macro_rules! vectorised {
     (
@@ -107,7 +107,7 @@ macro_rules! vectorised {
                 )]
                 match $crate::simd::level_up_to($crate::simd::Level::$cap, &[$($capped)?]) {
                     $crate::simd::Level::Avx512 => {
-                        // SAFETY: a level is never above what the processor was found to have.
+                        // SAFETY: a level is never above the one detected on the processor.
                         return unsafe { avx512 $(::<$($k),+>)? ($($arg),*) };
                     }
                     $crate::simd::Level::Avx2 => {

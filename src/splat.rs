@@ -1,4 +1,4 @@
-//! Rasterisation of Gaussians: project, bin to tiles, composite front to back; each with its backward pass beside it.
+//! Rasterisation of Gaussians: project, bin to tiles, composite front to back; each with its backward pass.
 
 pub mod bins;
 pub mod kernel;

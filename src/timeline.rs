@@ -1,8 +1,8 @@
-//! Where the time goes: stages of a run with their parts, each with wall seconds and processor seconds.
+//! Times of a run: stages with their parts, each with wall seconds and processor seconds.
 //!
-//! The thread that leads a run opens stages; while a parallel loop runs, that thread waits. So its own processor time is the work that
-//! kept all other threads waiting, whatever else the machine does meanwhile. Where it waits for what one other thread does, [`beside`]
-//! adds that. Stages that other threads open are in their own record.
+//! The thread that leads a run opens stages; while a parallel loop runs, that thread waits. So its own processor time
+//! is the work that kept all other threads waiting, whatever else the machine does meanwhile. [`beside`] adds the time
+//! during which it waits for one other thread. Stages that other threads open are in their own record.
 //!
 //! ```
 //! use heliosplat::timeline;
@@ -18,14 +18,14 @@ use serde::Serialize;
 use std::cell::RefCell;
 use std::time::Instant;
 
-/// What a stage took, all its runs together.
+/// Times of a stage, all its runs together.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Stage {
     /// Its name.
     pub stage: &'static str,
     /// Wall seconds.
     pub wall_s: f64,
-    /// Processor seconds of all threads of the process; zero where the system does not tell.
+    /// Processor seconds of all threads of the process; zero where the system does not measure them.
     pub processor_s: f64,
     /// Those of the leading thread, and of one that it waited for: work that ran on one core.
     pub one_core_s: f64,
@@ -60,7 +60,7 @@ struct Record {
 }
 
 impl Record {
-    /// The stages beside which the innermost `depth`-th open one stands.
+    /// The siblings of the `depth`-th open stage.
     fn level(&mut self, depth: usize) -> &mut Vec<Stage> {
         let mut level = &mut self.stages;
         for &place in &self.open[..depth] {
@@ -163,8 +163,8 @@ pub fn take() -> Vec<Stage> {
     RECORD.take().stages
 }
 
-/// Does `lead` on this thread, with its stages in this thread's record, while another thread does `aside`. What is left of `aside` when `lead`
-/// is done counts as work on one core.
+/// Runs `lead` on this thread, with its stages in this thread's record, and `aside` on another. Time waited for `aside`
+/// after `lead` counts as work on one core.
 pub fn beside<A: Send, B>(aside: impl FnOnce() -> A + Send, lead: impl FnOnce() -> B) -> (A, B) {
     let mut done = None;
     let (led, waits) = rayon::in_place_scope(|scope| {

@@ -36,8 +36,8 @@ use rayon::prelude::*;
 
 /// Rejected steps in a row, or steps that saw no Gaussian, after which training stops.
 const REJECTED_LIMIT: usize = 20;
-/// Steps between two builds of the occluders' hierarchy, where that is how light is traced. In between it is fitted to Gaussians that
-/// have moved by hundredths of their size.
+/// Steps between two builds of the occluders' hierarchy, where that is how light is traced. In between it is fitted to
+/// Gaussians that have moved by hundredths of their size.
 const HIERARCHY_EVERY: usize = 25;
 /// Learning rate of log scales.
 const LOG_SCALE_RATE: f32 = 5e-3;
@@ -53,7 +53,7 @@ const DEPTH_NORMAL_EDGE_GSD: f32 = 3.0;
 /// Numbers per parallel job; fixed, so that sums do not depend on the number of threads.
 const CHUNK: usize = 1 << 14;
 
-/// What one step did.
+/// Report of one step.
 #[derive(Debug, Clone, Default)]
 pub struct StepReport {
     /// The step, counted from one.
@@ -72,7 +72,7 @@ pub struct StepReport {
     pub rejected: Option<Fault>,
 }
 
-/// What of the options may change while a training runs.
+/// Options that may change while a training runs.
 #[derive(Debug, Clone, Copy, serde::Serialize, serde::Deserialize)]
 struct TrainerOptionsState {
     iterations: usize,
@@ -82,12 +82,12 @@ struct TrainerOptionsState {
 /// A model in training.
 pub struct Trainer<'a> {
     model: &'a dyn SceneModel,
-    /// The images, their weights without what is held out.
+    /// The images; held-out pixels have weight zero.
     views: Vec<View>,
     options: TrainOptions,
     nadir: Option<ProjectiveCamera>,
     bounds: (Vec3, Vec3),
-    /// What is trained.
+    /// The trained parameters.
     pub parameters: Parameters,
     /// Learning rates of the model's groups, in the order of the tables; those of the core groups are options.
     feature_rates: Vec<LearningRate>,
@@ -111,12 +111,12 @@ pub struct Trainer<'a> {
 }
 
 impl<'a> Trainer<'a> {
-    /// A trainer of `model` on `views`, from `parameters`; Gaussians that leave `bounds` (metres) are pruned. With a `nadir`
-    /// camera, the shadow consistency loss also applies with view and light at the zenith.
+    /// A trainer of `model` on `views`, from `parameters`; Gaussians that leave `bounds` (metres) are pruned. With a
+    /// `nadir` camera, the shadow consistency loss also applies with view and light at the zenith.
     ///
     /// # Errors
-    /// Without views, pixels that count or Gaussians, when an option has no meaning, or when `parameters` have other groups than the
-    /// model or numbers that are not finite.
+    /// Without views, pixels that count or Gaussians, when an option has no meaning, or when `parameters` have other
+    /// groups than the model or numbers that are not finite.
     pub fn new(
         model: &'a dyn SceneModel,
         mut views: Vec<View>,
@@ -165,8 +165,8 @@ impl<'a> Trainer<'a> {
         })
     }
 
-    /// Changes the number of steps, for those who know by now how long one takes; what follows the course of training, such as
-    /// learning rates, follows.
+    /// Changes the number of steps, for callers that have measured the time per step. Learning rates and other
+    /// schedules follow.
     pub fn set_iterations(&mut self, iterations: usize) {
         self.options.iterations = iterations;
     }
@@ -202,7 +202,7 @@ impl<'a> Trainer<'a> {
         (parameters, early_stop)
     }
 
-    /// The same, and the views that were trained on, their weights without what is held out.
+    /// The same, with the training views; their held-out pixels have weight zero.
     pub fn into_best_and_views(self) -> (Parameters, EarlyStop, Vec<View>) {
         let summary = self.holdout.summary(self.step);
         (self.holdout.into_best().unwrap_or(self.parameters), summary, self.views)
@@ -247,8 +247,9 @@ impl<'a> Trainer<'a> {
         self.options.consistency_weight > 0.0 && self.step.is_multiple_of(self.options.consistency_every.max(1))
     }
 
-    /// Occluders are always those of the current step. A hierarchy over them, where one is used, is expensive to build: it is refitted to
-    /// them, and built anew after some steps or when Gaussians come or go. Light passes through those that are not in the view.
+    /// Occluders are always those of the current step. A hierarchy over them, where one is used, is expensive to build:
+    /// it is refitted to them, and built anew after some steps or when Gaussians come or go. Light passes through those
+    /// that are not in the view.
     fn refresh_occluders(&mut self, view: usize) {
         if !self.model.needs_transmittance() {
             return;
@@ -273,7 +274,8 @@ impl<'a> Trainer<'a> {
     /// A step whose losses or gradients are not finite changes nothing but the counts of steps and of rejected ones.
     ///
     /// # Errors
-    /// When too many steps in a row are rejected or see no Gaussian, or none is left. What is trained then is the last good state.
+    /// When too many steps in a row are rejected or see no Gaussian, or none is left. The parameters are then those of
+    /// the last good state.
     pub fn step(&mut self) -> Result<StepReport, TrainError> {
         let index = self.next_view();
         if self.light_is_due(index) {
@@ -329,7 +331,7 @@ impl<'a> Trainer<'a> {
     fn reject(&mut self, fault: &Fault, view: usize) -> Result<(), TrainError> {
         self.rejected += 1;
         self.rejected_in_a_row += 1;
-        // What this step knew of the light is not known to be sound.
+        // The cached visibility of a rejected step may be unsound.
         self.cached_visibility[view] = None;
         let name = &self.views[view].name;
         tracing::warn!(step = self.step, view = %name, "step rejected: {fault}");
@@ -527,7 +529,7 @@ impl<'a> Trainer<'a> {
     }
 }
 
-/// The loss that asks the maps for a surface, where that is on.
+/// The depth–normal loss, where it is on.
 fn surface_loss(options: &TrainOptions, pass: &Pass, d_maps: &mut MapGradients) -> Option<NamedLoss> {
     let weight = options.depth_normal_weight;
     (weight > 0.0).then(|| {

@@ -102,7 +102,7 @@ struct Means {
     xy: Vec<f32>,
 }
 
-/// What [`ssim_pixels`] gives: SSIM times its weight, and its gradients to the means of x, xx and xy.
+/// Result of [`ssim_pixels`]: SSIM times its weight, and its gradients to the means of x, xx and xy.
 struct Slopes {
     value: Vec<f32>,
     x: Vec<f32>,
@@ -120,8 +120,8 @@ vectorised! {
         let (value, d_mx, d_xx, d_xy) = (&mut value[..n], &mut x[..n], &mut d_xx[..n], &mut d_xy[..n]);
         for i in 0..n {
             let (a, b) = (mx[i], my[i]);
-            // Of a bright even area only rounding is left: a variance below zero, where SSIM has a pole, and a covariance
-            // beyond what the variances allow (Cauchy and Schwarz).
+            // In a bright uniform area only rounding errors remain: a variance below zero, where SSIM has a pole, and a
+            // covariance beyond the Cauchy–Schwarz bound of the variances.
             let (vx, vy) = (most(xx[i] - a * a, 0.0), most(yy[i] - b * b, 0.0));
             let bound = (vx * vy).sqrt();
             let cov = -most(-most(xy[i] - a * b, -bound), -bound);
@@ -168,8 +168,8 @@ fn ssim_plane(x: &[f32], y: &[f32], width: usize, weight: &[f32]) -> (f64, Vec<f
 
 /// The loss between a rendered and a true image, and its gradient to the rendered one.
 ///
-/// `weight` is per pixel; a pixel of weight zero, or whose truth is missing in a band, counts for nothing there. The
-/// value is a mean over the weighted pixels and bands.
+/// `weight` is per pixel; a pixel of weight zero, or one whose truth is missing in a band, is ignored there. The value
+/// is a mean over the weighted pixels and bands.
 pub fn photometric(image: &Raster, truth: &Raster, weight: &[f32], lambda_ssim: f32) -> (f64, Raster) {
     let mut gradient = Raster::filled(image.width, image.height, image.bands, 0.0);
     let plane = image.plane_len().max(1);
@@ -195,7 +195,7 @@ fn band_loss(image: &Raster, truth: &Raster, band: usize, weight: &[f32], lambda
         return 0.0;
     }
     let plane = x.len();
-    // Where nothing counts, the truth is taken to be what was rendered: the window must not see a made-up edge.
+    // Ignored pixels take the rendered value as truth, so that the SSIM window sees no artificial edge.
     let y: Vec<f32> = (0..plane).map(|i| if weight[i] > 0.0 { t[i] } else { x[i] }).collect();
     let inverse = (1.0 / norm) as f32;
     let (ssim, d_ssim) = if lambda_ssim > 0.0 {

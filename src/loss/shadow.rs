@@ -1,4 +1,4 @@
-//! Losses on what light reaches: shadows are hard, and what is seen from the light is lit.
+//! Losses on light: visibilities are near 0 or 1, and surfaces visible from the light are lit.
 
 use crate::camera::ProjectiveCamera;
 use crate::gaussians::Table;
@@ -6,7 +6,7 @@ use crate::light::Light;
 use crate::splat::{MapGradients, Projected, ProjectionOptions, Rasteriser, project::project_backward};
 use crate::trace::{OccluderGradients, Occluders, transmittance};
 
-/// Visibilities outside `[CLAMP, 1 - CLAMP]` are settled: no gradient.
+/// Visibilities outside `[CLAMP, 1 - CLAMP]` have no gradient.
 const CLAMP: f32 = 0.02;
 
 /// Mean binary entropy (bits) of a visibility map; adds `weight` times its gradient to `d_visibility`.
@@ -28,11 +28,11 @@ pub fn opaqueness(visibility: &[f32], mask: &[f32], weight: f32, d_visibility: &
     total / f64::from(count)
 }
 
-/// Mean binary cross entropy (nats) between a visibility map and what is thought to be lit, `lit` from 0 to 1, NaN where nothing is
-/// thought; adds `weight` times its gradient to `d_visibility`.
+/// Mean binary cross entropy (nats) between a visibility map and a prior `lit` from 0 to 1, NaN where there is none.
+/// Adds `weight` times its gradient to `d_visibility`.
 ///
-/// The shadow prior of ShadowGS (Luo et al. 2026, eq. 17, whose arguments are printed the other way round): only with few views do
-/// images say less of shadows than their darkness does.
+/// The shadow prior of ShadowGS (Luo et al. 2026, eq. 17, whose arguments are printed the other way round). It helps
+/// only with few views: with many, the images determine shadows better than their darkness does.
 pub fn prior(visibility: &[f32], lit: &[f32], mask: &[f32], weight: f32, d_visibility: &mut [f32]) -> f64 {
     let counts = |lit: f32, mask: f32| mask > 0.0 && !lit.is_nan();
     let count = lit.iter().zip(mask).filter(|&(&l, &m)| counts(l, m)).count().max(1) as f32;
@@ -43,19 +43,19 @@ pub fn prior(visibility: &[f32], lit: &[f32], mask: &[f32], weight: f32, d_visib
         }
         let c = s.clamp(CLAMP, 1.0 - CLAMP);
         total -= f64::from(l * c.ln() + (1.0 - l) * (1.0 - c).ln());
-        // What is clamped still hears that it is on the wrong side.
+        // A clamped visibility keeps its gradient, so that a wrong one can recover.
         *d += weight / count * (c - l) / (c * (1.0 - c));
     }
     total / f64::from(count)
 }
 
-/// What a pass of [`consistency`] needs besides the Gaussians.
+/// Settings of a pass of [`consistency`].
 pub struct ConsistencyPass<'a> {
     /// The view.
     pub camera: &'a ProjectiveCamera,
     /// How Gaussians become splats.
     pub projection: &'a ProjectionOptions,
-    /// Which gradients of light reach what stands in its way.
+    /// Gradients of light that reach the occluders.
     pub occluder_gradients: OccluderGradients,
     /// The occluders.
     pub occluders: &'a Occluders,
@@ -63,9 +63,9 @@ pub struct ConsistencyPass<'a> {
     pub weight: f32,
 }
 
-/// Mean of `alpha - Σ w S` with the light moved onto the view: whatever the camera sees, a light at the camera reaches. Adds `weight` times
-/// its gradient to `out`. ShadowGS (eq. 16) has `1 - Σ w S`, which also asks what is seen to be opaque; here that loses what the other half
-/// gains (docs/lab/shadows.md).
+/// Mean of `alpha - Σ w S` with the light moved onto the view: a light at the camera reaches everything that the camera
+/// sees. Adds `weight` times its gradient to `out`. ShadowGS (eq. 16) has `1 - Σ w S`, which also rewards opacity; that
+/// part costs as much as the other gains (docs/lab/shadows.md).
 ///
 /// With a nadir camera this is the paper's second form, light and view both at the zenith.
 pub fn consistency(gaussians: &Table, projected: &Projected, pass: &ConsistencyPass, out: &mut Table) -> f64 {
@@ -133,11 +133,13 @@ mod tests {
     #[test]
     fn consistency_is_what_is_seen_in_the_shadow_of_something() {
         let (upper, lower) = (Vec3::new(0.0, 0.0, 2.0), Vec3::ZERO);
-        // The upper disc is lit. Through it a fifth of the view sees the lower one, of which it sees seven tenths; a fifth of the light reaches that.
+        // The upper disc is lit. A fifth of the view passes through it; the lower disc covers seven tenths of that
+        // fifth, and a fifth of the light reaches the lower disc.
         let (value, gradients) = from_above(&discs(&[(upper, 20.0, 0.8), (lower, 20.0, 0.7)]), 1);
         let expected = 0.2 * 0.7 * (1.0 - 0.2);
         assert!((value - expected).abs() < 2e-3, "{value} for {expected}");
-        // Descending hides what is shaded, or removes it.
+        // Gradient descent makes the upper disc more opaque, which hides the shaded one, and the lower disc more
+        // transparent.
         let d_opacity = gradients.group(OPACITY);
         assert!(d_opacity[0] < 0.0 && d_opacity[1] > 0.0, "{d_opacity:?}");
         // One surface alone has no shadow, however transparent.
@@ -195,7 +197,7 @@ mod tests {
         let mask = [1.0; 4];
         let mut d = [0.0; 4];
         let value = opaqueness(&[0.001, 0.3, 0.7, 0.999], &mask, 1.0, &mut d);
-        // Bits: two of 0.3, and two that are settled and count as clamped.
+        // Bits: two visibilities of 0.3 and two that are clamped.
         let bits = |s: f64| -(s * s.log2() + (1.0 - s) * (1.0 - s).log2());
         let expected = (bits(0.3) + bits(f64::from(CLAMP))) / 2.0;
         assert!((value - expected).abs() < 1e-6, "{value} for {expected}");

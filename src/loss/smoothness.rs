@@ -1,17 +1,20 @@
-//! Smoothness of a feature between neighbours on one surface: total variation (Rudin, Osher and Fatemi 1992) over a graph of Gaussians.
+//! Smoothness of a feature between neighbours on one surface: total variation (Rudin, Osher and Fatemi 1992) over a
+//! graph of Gaussians.
 //!
-//! Albedo mostly changes where the surface does. Images alone hardly tell a roof that ends here from a narrower one beside ground of the
-//! roof's colour: both fit them equally well (docs/lab/start.md). Neighbours at one altitude are asked to be alike, so that a change of
-//! colour costs something on a surface and nothing between a roof and the ground.
+//! Albedo mostly changes where the surface does. Images alone hardly separate a roof from a narrower one next to ground
+//! of the same colour: both fit equally well (docs/lab/start.md). Only neighbours at one altitude are compared, so that
+//! a change of colour costs something within a surface and nothing between a roof and the ground.
 
 use crate::gaussians::Table;
 use rayon::prelude::*;
 
-/// Horizontal distance within which Gaussians are neighbours, ground sampling distances: the four around each on a grid.
+/// Horizontal distance within which Gaussians are neighbours, ground sampling distances: the four around each on a
+/// grid.
 const REACH_GSD: f32 = 1.25;
 /// Difference of altitude up to which they are, ground sampling distances: surfaces as steep as that are walls.
 const SAME_SURFACE_GSD: f32 = 1.5;
-/// Differences much smaller than this count by their square, in units of the feature, so that the gradient has no jump at zero.
+/// Differences much smaller than this count by their square, in units of the feature, so that the gradient has no jump
+/// at zero.
 const ROUNDED: f32 = 0.02;
 /// Values per parallel job; fixed, so that sums do not depend on the number of threads.
 const CHUNK: usize = 4096;
@@ -28,7 +31,8 @@ impl Neighbours {
     /// The neighbours among Gaussians as they stand; `gsd_m` is the ground sampling distance, metres.
     pub fn new(gaussians: &Table, gsd_m: f32) -> Self {
         let reach_m = REACH_GSD * gsd_m;
-        // Row and column of a square as wide as neighbours are apart, rows first, so that squares side by side lie side by side.
+        // Row and column of a square as wide as neighbours are apart, rows first, so that squares side by side lie side
+        // by side.
         let square = |index: usize| {
             let p = gaussians.position(index);
             ((p.y / reach_m).floor() as i32, (p.x / reach_m).floor() as i32)
@@ -105,8 +109,8 @@ impl Neighbours {
 /// V = 1 / (pixels width) Σ_{pairs (i, j)} Σ_k (sqrt((f_ik - f_jk)² + ε²) - ε)        ε = 0.02
 /// ```
 ///
-/// As a mean over as many pixels it weighs as the photometric loss does. Adds `weight` times its gradient to `gradient`, which is as long
-/// as `values`; `neighbours` are those of as many Gaussians.
+/// As a mean over `pixels` it is on the scale of the photometric loss. Adds `weight` times its gradient to `gradient`,
+/// which has the length of `values`; `neighbours` has an entry for every Gaussian.
 pub fn total_variation(
     neighbours: &Neighbours,
     (values, width): (&[f32], usize),
@@ -147,7 +151,7 @@ mod tests {
     use super::*;
     use crate::gaussians::{POSITION, core_groups};
 
-    /// Gaussians a metre apart in a row, of which those from the fourth on stand on a roof.
+    /// Gaussians a metre apart in a row; the fourth and later ones are on a roof.
     fn row() -> Table {
         let mut table = Table::zeros(core_groups(), 6);
         for (i, p) in table.group_mut(POSITION).chunks_exact_mut(3).enumerate() {

@@ -1,6 +1,8 @@
-//! Background compositing, shared by the models of objects: colours over a constant background, and coverage as a fourth band.
+//! Background compositing, shared by the models of objects: colours over a constant background, and coverage as a
+//! fourth band.
 //!
-//! Channels of these models are the three colours, then, where a model rasterises them, the three components of the normal.
+//! Channels of these models are the three colours, then, where a model rasterises them, the three components of the
+//! normal.
 
 use super::NamedLoss;
 use crate::camera::ProjectiveCamera;
@@ -50,8 +52,8 @@ pub(super) fn over_background_backward(
     }
 }
 
-/// The depth–normal loss of a model whose normals follow its colours, see [`depth_normal`]; empty when `weight` is zero. Depths
-/// that differ by more than `edge` (scene units) are an edge.
+/// The depth–normal loss of a model whose normals follow its colours, see [`depth_normal`]; empty when `weight` is
+/// zero. Depths that differ by more than `edge` (scene units) are an edge.
 pub(super) fn depth_normal_loss(
     camera: &ProjectiveCamera,
     maps: &Maps,

@@ -1,7 +1,9 @@
 //! A small multilayer perceptron: rows of inputs to rows of outputs, and its gradients.
 //!
-//! Hidden layers are leaky rectified linear units; the inputs are concatenated again in front of one of them (a skip connection, ARS-GS). Products of matrices follow the engine's contract (a fixed order of sums, no contraction), so results are the same
-//! bits for any number of threads and any set of instructions; crates for such products promise neither.
+//! Hidden layers are leaky rectified linear units; the inputs are concatenated again in front of one of them (a skip
+//! connection, ARS-GS). Products of matrices follow the engine's contract (a fixed order of sums, no contraction), so
+//! results are the same bits for any number of threads and any set of instructions; crates for such products promise
+//! neither.
 
 use crate::vectorised;
 use rand::{RngExt, SeedableRng};
@@ -38,7 +40,7 @@ struct Layer {
     outputs: usize,
     /// Where its weights begin among all.
     from: usize,
-    /// Whether the network's inputs follow the outputs of the layer before.
+    /// Whether the network's inputs are concatenated to the previous layer's outputs.
     joined: bool,
 }
 
@@ -153,7 +155,8 @@ impl Network {
         self.layers().iter().map(|l| (l.inputs + 1) * l.outputs).sum()
     }
 
-    /// Initial weights: hidden layers keep the variance of their inputs (He et al. 2015), the last layer is scaled by `output_scale`.
+    /// Initial weights: hidden layers keep the variance of their inputs (He et al. 2015), the last layer is scaled by
+    /// `output_scale`.
     pub fn initial(&self, seed: u64, output_scale: f32) -> Vec<f32> {
         let mut random = Pcg32::seed_from_u64(seed);
         let mut weights = vec![0.0; self.weights()];

@@ -1,4 +1,5 @@
-//! One light at a time (OLAT): surfaces under a known point light, with traced shadow, shared specular lobes and subsurface scattering.
+//! One light at a time (OLAT): surfaces under a known point light, with traced shadow, shared specular lobes and
+//! subsurface scattering.
 //!
 //! After SSD-GS (2026) and GS³ (Bi et al. 2024), per Gaussian and evaluated at its centre, for a light of unit strength
 //!
@@ -9,14 +10,15 @@
 //! f_v = R(r; σ_s', σ_a)        subsurface scattering: a dipole whose three numbers a network predicts
 //! ```
 //!
-//! Scattered light enters elsewhere on the object, so the shadow does not dim it. `S` is the transmittance toward the light, whose
-//! logit the shadow network may move (it reads position, direction and the Gaussian's material embedding), `d` the distance to the
-//! light, `r` its radius (at least a thousandth of `D`), `D` the distance at which a light counts as one.
-//! The normal `n` and the lobes' frames turn with a frame per Gaussian of its own. Lights add up, so strength and colour of a light
-//! multiply its image: the model itself knows lights of strength one. Parallel light has no distance and no falloff.
+//! Scattered light enters elsewhere on the object, so the shadow does not dim it. `S` is the transmittance toward the
+//! light, whose logit the shadow network may move (it reads position, direction and the Gaussian's material embedding),
+//! `d` the distance to the light, `r` its radius (at least a thousandth of `D`), `D` the distance at which a light
+//! counts as one. The normal `n` and the lobes' frames turn with a frame per Gaussian of its own. Lights add up, so
+//! strength and colour of a light multiply its image: the model itself has lights of strength one. Parallel light has
+//! no distance and no falloff.
 //!
-//! Not in the papers: F0 per Gaussian, and Fresnel over the squared cosine. Limits: the shadow is traced from the centre only, and
-//! scattering sees no neighbours, only the predicted distance.
+//! Not in the papers: F0 per Gaussian, and Fresnel over the squared cosine. Limits: the shadow is traced from the
+//! centre only, and scattering sees no neighbours, only the predicted distance.
 
 mod groups;
 mod network_pass;
@@ -39,8 +41,9 @@ use rayon::prelude::*;
 use std::f32::consts::PI;
 use surface::{LightGeometry, Lobes, Surface, SurfaceGradient};
 
-/// Orientations of the lobes' long axes at the start, evenly over half a circle. A Gaussian whose frame lies across the grain would have
-/// to turn through worse fits and gets stuck; with several orientations it finds one nearby by weight alone (docs/lab/objects.md).
+/// Orientations of the lobes' long axes at the start, evenly over half a circle. A Gaussian whose frame lies across the
+/// grain would have to turn through worse fits and gets stuck; with several orientations it finds one nearby by weight
+/// alone (docs/lab/objects.md).
 const ORIENTATIONS: usize = 4;
 /// Index of the group of diffuse colours, before the softplus.
 pub const DIFFUSE: usize = FEATURES;
@@ -84,7 +87,8 @@ impl Olat {
         self.options.feature_index(Feature::Scattered)
     }
 
-    /// Shared parameters at the start: lobes around the normal, from narrow to wide and turned in turns; networks with little effect.
+    /// Shared parameters at the start: lobes around the normal, from narrow to wide and turned in turns; networks with
+    /// little effect.
     pub fn initial_globals(&self) -> Table {
         let mut table = Table::zeros(self.global_groups(), 1);
         if let Some(group) = self.options.shared_index(Shared::ScatteringNetwork) {
@@ -107,7 +111,7 @@ impl Olat {
         table
     }
 
-    /// Sets what Gaussian `g` is at the start: its diffuse colour and its frame.
+    /// Sets the initial diffuse colour and frame of Gaussian `g`.
     pub fn paint(&self, gaussians: &mut Table, g: usize, colour: [f32; 3], frame: [f32; 4]) {
         for (k, value) in colour.into_iter().enumerate() {
             gaussians.group_mut(DIFFUSE)[g * COLOURS + k] = softplus_inverse(value.max(1e-3));

@@ -1,4 +1,5 @@
-//! Plain radiance: view-dependent colour per Gaussian under the light of the photographs (Kerbl et al. 2023). Nothing is relit.
+//! Plain radiance: view-dependent colour per Gaussian under the light of the photographs (Kerbl et al. 2023). Nothing
+//! is relit.
 //!
 //! Channels: red, green, blue, `max(0, ½ + Σ c_lm Y_lm(v))` with `v` from the camera to the centre. Per pixel
 //!
@@ -6,8 +7,8 @@
 //! C = Σ w_i c_i + (1 - Σ w_i) background
 //! ```
 //!
-//! and, where the images come with their coverage, `Σ w_i` as a fourth band, so that it is learnt like a colour. The degrees of the
-//! harmonics join one after another: until its turn, a degree is frozen.
+//! and, where the images come with their coverage, `Σ w_i` as a fourth band, so that it is learnt like a colour. The
+//! degrees of the harmonics join one after another: until its turn, a degree is frozen.
 
 use super::background::COLOURS;
 use super::view_direction::{ViewDirection, rate_of_degree};

@@ -1,4 +1,4 @@
-//! Glossy surfaces shade_under_light a fixed, unknown environment light: material separated from light.
+//! Glossy surfaces under a fixed, unknown environment light: material separated from light.
 //!
 //! After ARS-GS (2025), with its printed errors corrected, per Gaussian and evaluated at its centre
 //!
@@ -8,15 +8,16 @@
 //! F0 = 0.04 (1-m) + m a        t = 2 (n·ω) n - ω        Â = 1, 2/3, 1/4, 0
 //! ```
 //!
-//! `a` is the albedo, `m` the metallic share, `α` the lobe's two widths (GGX's, in the anisotropic spherical Gaussian of
-//! [`crate::shade::ggx`]), `g` the weight of the specular term, `c_lm` the environment light, shared by all Gaussians, plus the
-//! Gaussian's own deviation from it, and `F1`, `F2` the split sum. ψ, the decoder, is a small shared network: it adds the detail of the
-//! environment that harmonics of degree three cannot hold. It reads `t` encoded in waves, each times the factor by which the lobe blurs
-//! it, and the position, which so gets a gradient (the skip of ARS-GS). Where `g` is next to nothing, ψ is not evaluated. Light is
-//! linear; where images hold display values, each Gaussian's light goes through the display's curve.
+//! `a` is the albedo, `m` the metallic share, `α` the lobe's two widths (GGX's, in the anisotropic spherical Gaussian
+//! of [`crate::shade::ggx`]), `g` the weight of the specular term, `c_lm` the environment light, shared by all
+//! Gaussians, plus the Gaussian's own deviation from it, and `F1`, `F2` the split sum. ψ, the decoder, is a small
+//! shared network: it adds the detail of the environment that harmonics of degree three cannot hold. It reads `t`
+//! encoded in waves, each times the factor by which the lobe blurs it, and the position, which so gets a gradient (the
+//! skip of ARS-GS). Where `g` is next to nothing, ψ is not evaluated. Light is linear; where images hold display
+//! values, each Gaussian's light goes through the display's curve.
 //!
-//! Limits: no light is known, so albedo and light share a factor that the images do not determine; no shadows and no interreflection
-//! within the object.
+//! Limits: the light is unknown, so the images determine albedo and light only up to a common factor; no shadows and no
+//! interreflection within the object.
 
 mod parameters;
 mod surface;
@@ -38,7 +39,8 @@ use surface::{EMBEDDING_WIDTH, INPUTS, PartialGradient, Surface, SurfaceGradient
 pub const ALBEDO: usize = FEATURES;
 /// Index of the group of frames: quaternion `x, y, z, w` that turns the surface's own axes, z its normal.
 pub const FRAME: usize = FEATURES + 1;
-/// Index of the group of materials before the sigmoid: metallic share, the lobe's two widths, weight of the specular term.
+/// Index of the group of materials before the sigmoid: metallic share, the lobe's two widths, weight of the specular
+/// term.
 pub const MATERIAL: usize = FEATURES + 2;
 /// Index of the group of material embeddings, which the decoder reads.
 pub const EMBEDDING: usize = FEATURES + 3;
@@ -85,7 +87,8 @@ pub struct ReflectiveOptions {
     pub coverage: bool,
     /// Which component is rendered.
     pub shows: Component,
-    /// Whether the view's light, of strength one, replaces the environment; for relighting only, there are no gradients.
+    /// Whether the view's light, of strength one, replaces the environment; for relighting only, there are no
+    /// gradients.
     pub lit: bool,
 }
 
@@ -159,7 +162,7 @@ impl Reflective {
         table
     }
 
-    /// Sets what Gaussian `g` is at the start: what it shows, as in the images, and its frame.
+    /// Sets the initial colour (as in the images) and frame of Gaussian `g`.
     pub fn paint(&self, gaussians: &mut Table, g: usize, colour: [f32; 3], frame: [f32; 4]) {
         for (k, value) in colour.into_iter().enumerate() {
             let light = if self.options.display {

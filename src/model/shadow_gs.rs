@@ -1,25 +1,27 @@
 //! The satellite model (ShadowGS, Luo et al. 2026, eq. 13–15) with per-image colour.
 //!
-//! Channels: albedo `F` (one per band), visibility of the sun `S`, and, when switched on, near-surface light `L_n`. Per pixel
+//! Channels: albedo `F` (one per band), visibility of the sun `S`, and, when switched on, near-surface light `L_n`. Per
+//! pixel
 //!
 //! ```text
 //! L = S + (1 - S)(L_sky + L_n)        C = F ⊙ L        C' = A C + b
 //! ```
 //!
-//! `L_sky` is a colour per image (its haze and its sun's height differ), positive through a softplus. `A` (a matrix) and `b`
-//! are per image; those of the reference image are the identity and its path radiance, which training leaves as they are: that fixes
-//! the gauge. Images without colours share that path radiance.
+//! `L_sky` is a colour per image (its haze and its sun's height differ), positive through a softplus. `A` (a matrix)
+//! and `b` are per image; those of the reference image are the identity and its path radiance, which are not trained:
+//! this fixes the gauge. Images without colours share that path radiance.
 //!
-//! The paper's albedo is by spherical harmonics of the viewing direction, and so is `L_n`. Here both are one value per Gaussian and
-//! band, to which `degree` adds harmonics of degree 1 and more, one after another, as differences to straight down:
+//! The paper's albedo is by spherical harmonics of the viewing direction, and so is `L_n`. Here both are one value per
+//! Gaussian and band, to which `degree` adds harmonics of degree 1 and more, one after another, as differences to
+//! straight down:
 //!
 //! ```text
 //! F_k(v) = F_k + Σ_{l≥1,m} c_lmk (Y_lm(v) - Y_lm(down))
 //! ```
 //!
-//! with `v` from the camera to the centre. Satellites look from within some 30 degrees of the nadir, where functions of low degree
-//! hardly change: as they are, they would be the constant once more. As differences they leave `F_k` what is seen from straight above.
-//! Nothing is clamped.
+//! with `v` from the camera to the centre. Satellites look from within some 30 degrees of the nadir, where functions of
+//! low degree are nearly constant and would duplicate `F_k`. With the differences, `F_k` is the albedo seen from
+//! straight above. Nothing is clamped.
 
 mod air;
 mod harmonics;
@@ -38,7 +40,7 @@ use harmonics::Harmonics;
 use lighting::{ChunkGradients, Lighting, SharedGradients};
 use rayon::prelude::*;
 
-/// What the satellite model is made of.
+/// Components and settings of the satellite model.
 #[derive(Debug, Clone, PartialEq, serde::Serialize, serde::Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct ShadowGsOptions {
@@ -58,8 +60,8 @@ pub struct ShadowGsOptions {
     pub prior_weight: f32,
     /// Largest degree of the spherical harmonics of albedo and near-surface light, 0 to 3; 0: the same from everywhere.
     pub degree: usize,
-    /// The day of each image, days since 1970, where Gaussians stand on some days only; else empty. Then each Gaussian has the first day on
-    /// which it stands and the first on which it does not any more, which are not trained.
+    /// The day of each image, days since 1970, where Gaussians stand on some days only; else empty. Then each Gaussian
+    /// has the first day on which it stands and the first on which it does not any more, which are not trained.
     #[serde(skip_serializing_if = "Vec::is_empty")]
     pub days: Vec<f32>,
 }
@@ -86,7 +88,7 @@ impl Default for ShadowGsOptions {
 /// The satellite model.
 #[derive(Debug, Clone)]
 pub struct ShadowGs {
-    /// What it is made of.
+    /// Components and settings.
     pub options: ShadowGsOptions,
 }
 
@@ -200,7 +202,8 @@ impl ShadowGs {
             .collect()
     }
 
-    /// Colour matrix (row by row) and offset of an image. Without colours that is the identity and the path radiance of all.
+    /// Colour matrix (row by row) and offset of an image. Without colours that is the identity and the path radiance of
+    /// all.
     pub fn colour(&self, parameters: &Parameters, image: usize) -> (Vec<f32>, Vec<f32>) {
         let bands = self.options.bands;
         if !self.options.image_colour {
@@ -388,7 +391,7 @@ impl SceneModel for ShadowGs {
     }
 
     fn map_losses(&self, context: &Context, maps: &Maps, mask: &[f32], d_maps: &mut MapGradients) -> Vec<NamedLoss> {
-        // A view without a light says nothing of shadows.
+        // A view without a light has no shadows.
         if self.options.opaqueness_weight == 0.0 || context.light.is_none() {
             return Vec::new();
         }

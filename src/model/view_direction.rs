@@ -1,5 +1,5 @@
-//! Viewing direction of a Gaussian, and the schedule of spherical harmonics of it: shared by the models whose colours depend on
-//! the direction from which a Gaussian is seen.
+//! Viewing direction of a Gaussian, and the training schedule of its spherical harmonics, for all models with
+//! view-dependent colour.
 
 use crate::camera::ProjectiveCamera;
 use crate::optim::LearningRate;
@@ -10,8 +10,8 @@ const HIGHER: f32 = 0.05;
 /// Share of training after which the next degree joins.
 const DEGREE_SHARE: f32 = 0.1;
 
-/// Learning rate of the coefficients of a degree where the constant function has `rate`: slower above degree 0, and frozen until
-/// the degrees below have had their share of training.
+/// Learning rate of the coefficients of a degree where the constant function has `rate`: slower above degree 0, and
+/// frozen until the degrees below have had their share of training.
 pub(super) fn rate_of_degree(rate: f32, degree: usize) -> LearningRate {
     match degree {
         0 => LearningRate::constant(rate),

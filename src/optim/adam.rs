@@ -3,7 +3,7 @@
 use crate::gaussians::Table;
 use rayon::prelude::*;
 
-/// Decay of the first moment per step, where nothing is said.
+/// Default decay of the first moment per step.
 pub const BETA1: f32 = 0.9;
 const BETA2: f32 = 0.999;
 const EPSILON: f32 = 1e-15;
@@ -69,8 +69,8 @@ impl Adam {
         }
     }
 
-    /// Follows a rebuild of the table: element `i` of the new one was `sources[i]` of the old one; from `fresh` on, elements
-    /// are new and start without memory.
+    /// Follows a rebuild of the table: element `i` of the new one was `sources[i]` of the old one; from `fresh` on,
+    /// elements are new and start without memory.
     pub fn follow(&mut self, sources: &[u32], fresh: usize) {
         for table in [&mut self.first, &mut self.second] {
             *table = table.gather(sources);

@@ -1,9 +1,10 @@
-//! Adaptive density control (Kerbl et al. 2023): more Gaussians where the image needs detail, none where nothing is seen.
+//! Adaptive density control (Kerbl et al. 2023): more Gaussians where the image needs detail, none where nothing is
+//! seen.
 //!
-//! The criterion is the mean 2-D positional gradient of a Gaussian: the mean length of its splats' gradients to column and row. Above a
-//! threshold a Gaussian larger than the split size is split in two smaller ones, a small one is cloned; transparent and oversized ones
-//! are pruned. A cap on the number, which follows from the memory budget, takes the largest gradients first. No opacity reset
-//! (ShadowGS).
+//! The criterion is the mean 2-D positional gradient of a Gaussian: the mean length of its splats' gradients to column
+//! and row. Above a threshold a Gaussian larger than the split size is split in two smaller ones, a small one is
+//! cloned; transparent and oversized ones are pruned. A cap on the number, which follows from the memory budget, takes
+//! the largest gradients first. No opacity reset (ShadowGS).
 
 use crate::gaussians::{LOG_SCALE, OPACITY, POSITION, Table, for_each_of};
 use crate::splat::{Projected, SplatGradient};
@@ -11,19 +12,21 @@ use glam::Vec3;
 use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg32;
 
-/// Last step at which the number changes, as a fraction of all: what is new has the rest to settle.
+/// Last step at which the number changes, as a fraction of all steps: new Gaussians need the remaining steps to
+/// converge.
 pub(crate) const UNTIL_FRACTION: f32 = 0.6;
 /// Below this opacity a Gaussian goes: it takes a fiftieth of the light at most, and costs as much as any.
 const PRUNE_OPACITY: f32 = 0.02;
 
 /// When and how the number of Gaussians changes.
 ///
-/// Fields that serde skips are no settings of users: they belong to the kind of scene, and the program sets them. Their defaults are
-/// those of ground seen from satellites.
+/// Fields that serde skips are not user settings: the program sets them for each kind of scene. Their defaults are for
+/// ground seen from satellites.
 #[derive(Debug, Clone, PartialEq, serde::Serialize, serde::Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct DensityOptions {
-    /// Steps between two rounds of density control; 0 is never. `fast` has none, `balanced` and objects one every 100 steps.
+    /// Steps between two rounds of density control; 0 is never. `fast` has none, `balanced` and objects one every 100
+    /// steps.
     pub every: usize,
     /// At most this many Gaussians: 20,000 in `fast` of objects, 150,000 in `accurate`; `--memory` may lower it.
     pub cap: usize,
@@ -33,7 +36,8 @@ pub struct DensityOptions {
     /// Fraction of the Gaussians that may be added at a time, largest gradients first.
     #[serde(skip)]
     pub growth: f32,
-    /// Mean 2-D positional gradient below which nothing grows; per pixel, of a loss that is a mean over pixels times the pixels.
+    /// Mean 2-D positional gradient below which nothing grows; per pixel, of a loss that is a mean over pixels times
+    /// the pixels.
     #[serde(skip)]
     pub gradient_threshold: f32,
     /// Larger than this many ground sampling distances: split instead of cloned.
@@ -87,7 +91,7 @@ impl DensityStatistics {
         }
     }
 
-    /// Whether this is about `count` Gaussians.
+    /// Whether the statistics are of `count` Gaussians.
     pub(crate) fn fits(&self, count: usize) -> bool {
         self.gradient.len() == count && self.seen.len() == count
     }
@@ -107,7 +111,8 @@ impl DensityStatistics {
         });
     }
 
-    /// Prunes, splits and clones `gaussians`, and starts new statistics. `bounds` in metres; what lies outside is pruned.
+    /// Prunes, splits and clones `gaussians`, and resets the statistics. `bounds` in metres; Gaussians outside are
+    /// pruned.
     pub fn apply(
         &mut self,
         gaussians: &mut Table,
@@ -166,8 +171,8 @@ fn is_kept(gaussians: &Table, index: usize, options: &DensityOptions, gsd_m: f32
         && gaussians.scale(index).max_element() < options.prune_gsd * gsd_m
 }
 
-/// Makes two Gaussians of one, larger than `split_m` metres or not: a large one is split along its longest axis, a small one cloned in
-/// place, each of the two with the opacity with which both together absorb what the one did.
+/// Makes two Gaussians of one. Larger than `split_m` metres, it is split along its longest axis; else it is cloned in
+/// place. Both copies get the opacity that keeps their joint absorption equal to the original's.
 fn split_or_clone(table: &mut Table, old: usize, new: usize, split_m: f32, random: &mut Pcg32) {
     let scale = table.scale(old);
     let longest = if scale.x >= scale.y && scale.x >= scale.z {

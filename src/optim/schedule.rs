@@ -1,7 +1,7 @@
 //! Learning rates: how fast each group of parameters is trained, and when.
 //!
-//! A model describes every group once, as a [`ParameterGroup`]: name, width, learning rate and schedule together. The trainer
-//! keeps these descriptions in the order of the table's groups, so no rate is ever looked up by name.
+//! A model describes every group once, as a [`ParameterGroup`]: name, width, learning rate and schedule together. The
+//! trainer keeps these descriptions in the order of the table's groups, so no rate is ever looked up by name.
 
 use crate::gaussians::GroupSpec;
 
@@ -29,7 +29,8 @@ impl LearningRate {
         }
     }
 
-    /// The same, frozen until the share `from` (0 to 1) of training is done. The decay still counts from the first step.
+    /// The same, frozen until the share `from` (0 to 1) of training is done. The decay still counts from the first
+    /// step.
     pub const fn starting_at(self, from: f32) -> Self {
         Self { from, ..self }
     }
@@ -51,7 +52,7 @@ impl LearningRate {
     }
 }
 
-/// A group of parameters as a model describes it: what the table stores, and how it is trained.
+/// A group of parameters of a model: its storage in the table and its learning rate.
 #[derive(Debug, Clone, PartialEq)]
 pub struct ParameterGroup {
     /// Name and width.
@@ -70,8 +71,8 @@ impl ParameterGroup {
     }
 }
 
-/// `from · (to / from)^fraction`: a learning rate that falls by a constant factor per step; `fraction` 0 to 1. A rate of zero stays
-/// zero.
+/// `from · (to / from)^fraction`: a learning rate that falls by a constant factor per step; `fraction` 0 to 1. A rate
+/// of zero stays zero.
 pub fn exponential_decay(from: f32, to: f32, fraction: f32) -> f32 {
     if from == 0.0 {
         return 0.0;

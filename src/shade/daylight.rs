@@ -4,17 +4,17 @@
 //! E_sun(e) = exp(-τ m(e)) sin e        E_sky(e) = κ (1 - exp(-τ m(e))) sin e
 //! ```
 //!
-//! in units of the sun's irradiance above the air. `τ` is the optical depth of the air, `m(e)` the optical air mass (F. Kasten and
-//! A. T. Young, "Revised optical air mass tables and approximation formula", Applied Optics 28, 1989), finite at the horizon. What the
-//! air takes from the beam it scatters, and the share `κ` of that reaches the ground as skylight. So the sky's share of the light grows
-//! as the sun sinks, is below one everywhere, and both terms vanish with the sun. Light that walls and ground throw into shadows counts
-//! as skylight here.
+//! in units of the sun's irradiance above the air. `τ` is the optical depth of the air, `m(e)` the optical air mass (F.
+//! Kasten and A. T. Young, "Revised optical air mass tables and approximation formula", Applied Optics 28, 1989),
+//! finite at the horizon. The air scatters the light that it removes from the beam, and the share `κ` of that reaches
+//! the ground as skylight. So the sky's share of the light grows as the sun sinks, is below one everywhere, and both
+//! terms vanish with the sun. Light that walls and ground throw into shadows counts as skylight here.
 //!
 //! Limits: no twilight and no clouds; the spectrum within a band is one depth.
 
-/// Optical depths that are believed.
+/// Plausible optical depths.
 pub const OPTICAL_DEPTHS: [f64; 2] = [0.02, 1.0];
-/// Shares of the scattered light that are believed to reach the ground.
+/// Plausible shares of the scattered light that reach the ground.
 pub const SKY_SHARES: [f64; 2] = [0.1, 1.0];
 
 /// Optical air mass towards a sun of this elevation, relative to the zenith; below the horizon that of the horizon.
@@ -35,7 +35,7 @@ pub struct BandAir {
 }
 
 impl BandAir {
-    /// Whether both numbers are possible ones.
+    /// Whether both numbers are in their plausible ranges.
     pub fn is_possible(&self) -> bool {
         let within = |value: f64, [least, most]: [f64; 2]| (least..=most).contains(&value);
         within(self.optical_depth, OPTICAL_DEPTHS) && within(self.sky_share, SKY_SHARES)
@@ -58,7 +58,7 @@ impl BandAir {
         self.sun(elevation_rad) + self.sky(elevation_rad)
     }
 
-    /// What a shadow on level ground is worth beside the sunlit ground, 0 to 1.
+    /// Brightness of a shadow on level ground relative to sunlit ground, 0 to 1.
     pub fn shade(&self, elevation_rad: f64) -> f64 {
         // The sine cancels, so that the horizon has a limit.
         let passed = (-self.optical_depth * air_mass(elevation_rad)).exp();

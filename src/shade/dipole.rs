@@ -4,17 +4,18 @@
 //! R(r) = α'/(4π) [ z_r (1 + σ_tr d_r) e^(-σ_tr d_r) / d_r³  +  z_v (1 + σ_tr d_v) e^(-σ_tr d_v) / d_v³ ]
 //! ```
 //!
-//! with `σ_t' = σ_s' + σ_a`, `α' = σ_s'/σ_t'`, `σ_tr = √(3 σ_a σ_t')`, `z_r = 1/σ_t'`, `z_v = z_r (1 + 4A/3)` and `d² = r² + z²`.
-//! The code published with SSD-GS multiplies the second term by `z_r` once more, which is no reflectance (its unit is wrong); this is
-//! the form that integrates to the closed one.
+//! with `σ_t' = σ_s' + σ_a`, `α' = σ_s'/σ_t'`, `σ_tr = √(3 σ_a σ_t')`, `z_r = 1/σ_t'`, `z_v = z_r (1 + 4A/3)` and `d² =
+//! r² + z²`. The code published with SSD-GS multiplies the second term by `z_r` once more, which is no reflectance (its
+//! unit is wrong); this is the form that integrates to the closed one.
 
 use std::f32::consts::PI;
 
-/// Index of refraction of what scatters (SSD-GS).
+/// Index of refraction of the scattering medium (SSD-GS).
 pub const ETA: f32 = 1.3;
 /// `(1 + F)/(1 - F)` of the internally reflected share `F(η) = -1.440/η² + 0.710/η + 0.668 + 0.0636 η` at [`ETA`].
 const A: f32 = 2.602_064;
-/// Coefficients beyond this count as this, per length: such a surface lets nothing in. Less extinction than its inverse counts as that.
+/// Coefficients beyond this count as this, per length: such a surface lets nothing in. Less extinction than its inverse
+/// counts as that.
 const MOST: f32 = 1e9;
 /// Depths of transport beyond which nothing arrives: `e^-80` is 2e-35.
 const FAR: f32 = 80.0;
@@ -43,7 +44,8 @@ pub struct Scattered {
 
 /// One pole: `z (1 + s d) e^(-s d) / d³` with `d² = r² + z²`, and its gradients to r, z and s².
 ///
-/// To s² and not to s, which follows from what absorbs by a root: `d[(1 + x) e^-x] = -½ e^-x d(x²)` has a limit where nothing absorbs.
+/// The gradient is to s² because s is a root of the absorption: `d[(1 + x) e^-x] = -½ e^-x d(x²)` has a limit at zero
+/// absorption.
 #[inline]
 fn pole(r: f32, z: f32, s: f32) -> (f32, f32, f32, f32) {
     let square = r * r + z * z;

@@ -1,4 +1,5 @@
-//! The transfer curve of sRGB (IEC 61966-2-1): linear light to display values and back. Values above one follow the same curve.
+//! The transfer curve of sRGB (IEC 61966-2-1): linear light to display values and back. Values above one follow the
+//! same curve.
 
 /// Linear light up to which the curve is a line.
 const LINEAR_END: f32 = 0.003_130_8;

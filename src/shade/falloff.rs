@@ -1,10 +1,11 @@
 //! Distance falloff of a light that has a size.
 
-/// Least radius of a point light, as a share of the distance at which it counts as one: the light may be at the very position of a
-/// Gaussian, and nothing is lit without bounds.
+/// Least radius of a point light, as a share of the distance at which it counts as one: the light may be at the very
+/// position of a Gaussian, and nothing is lit without bounds.
 pub const LEAST_RADIUS: f32 = 1e-3;
 
-/// `D² / (d² + r²)` at distance `d` from a light of radius `r` that counts as one at distance `D`, and its slope to `d`.
+/// `D² / (d² + r²)` at distance `d` from a light of radius `r` that counts as one at distance `D`, and its slope to
+/// `d`.
 #[inline]
 pub fn falloff(to_light: f32, distance: f32, radius: f32) -> (f32, f32) {
     // In units of D: its square may not be a number.

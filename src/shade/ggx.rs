@@ -7,8 +7,8 @@
 //! G1(ω) = 2 n·ω / (n·ω + √(α_x² (x·ω)² + α_y² (y·ω)² + (n·ω)²))
 //! ```
 //!
-//! Printed without `1 +`, `D` has no bound at `h = n`; printed with `λ`, `μ` and `h`, `G1` masks nothing. With them, `D` of a unit
-//! vector is anisotropic GGX (Walter et al. 2007; Heitz 2014).
+//! Printed without `1 +`, `D` has no bound at `h = n`; printed with `λ`, `μ` and `h`, `G1` masks nothing. With them,
+//! `D` of a unit vector is anisotropic GGX (Walter et al. 2007; Heitz 2014).
 
 use glam::Vec3;
 use std::f32::consts::FRAC_1_PI;
@@ -30,14 +30,15 @@ pub fn masking(w: Vec3, alpha: [f32; 2]) -> f32 {
     2.0 * cosine / (cosine + stretched).max(1e-12)
 }
 
-/// Schlick's Fresnel reflectance (1994) with reflectance `f0` at normal incidence, at the cosine between light and half vector.
+/// Schlick's Fresnel reflectance (1994) with reflectance `f0` at normal incidence, at the cosine between light and half
+/// vector.
 #[inline]
 pub fn schlick(f0: f32, cosine: f32) -> f32 {
     f0 + (1.0 - f0) * (1.0 - cosine).clamp(0.0, 1.0).powi(5)
 }
 
-/// `D G / (4 (n·l) (n·v))` times `n·l`, for unit vectors to light and eye in the frame of the surface: what reflects, but for
-/// Fresnel's term. Bounded by 1/(4 α_x α_y) times masking, at any angle.
+/// `D G / (4 (n·l) (n·v))` times `n·l`, for unit vectors to light and eye in the frame of the surface: the reflected
+/// share without Fresnel's term. Bounded by 1/(4 α_x α_y) times masking, at any angle.
 #[inline]
 pub fn reflected(to_light: Vec3, to_eye: Vec3, alpha: [f32; 2]) -> f32 {
     if to_light.z <= 0.0 || to_eye.z <= 0.0 {

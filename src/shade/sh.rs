@@ -1,7 +1,7 @@
 //! Real spherical harmonics to degree 3, as polynomials of a unit direction.
 //!
-//! Order and signs are those of Gaussian splatting files (`f_dc`, `f_rest`): by degree, then by order from `-l` to `l`, with the
-//! Condon–Shortley phase (Sloan, "Stupid Spherical Harmonics Tricks", 2008, appendix A2).
+//! Order and signs are those of Gaussian splatting files (`f_dc`, `f_rest`): by degree, then by order from `-l` to `l`,
+//! with the Condon–Shortley phase (Sloan, "Stupid Spherical Harmonics Tricks", 2008, appendix A2).
 
 use glam::Vec3;
 

@@ -1,7 +1,7 @@
-//! The split sum: what a glossy surface reflects of even light, as `F0 F1 + F2` (Karis 2013).
+//! The split sum: the reflectance of a glossy surface under uniform light, `F0 F1 + F2` (Karis 2013).
 //!
-//! `F1 = 1/N Σ (1 - F_c) G_v`, `F2 = 1/N Σ F_c G_v` over facets drawn from GGX, with `F_c = (1 - v·h)⁵`,
-//! `G_v = G v·h / (n·h n·v)`, `α = roughness²` and Schlick's masking with `k = α/2`. Karis' analytic fit is off by up to 0.17, so the
+//! `F1 = 1/N Σ (1 - F_c) G_v`, `F2 = 1/N Σ F_c G_v` over facets drawn from GGX, with `F_c = (1 - v·h)⁵`, `G_v = G v·h /
+//! (n·h n·v)`, `α = roughness²` and Schlick's masking with `k = α/2`. Karis' analytic fit is off by up to 0.17, so the
 //! sums are baked at first use.
 
 use rayon::prelude::*;
@@ -24,7 +24,8 @@ pub struct SplitSum {
     pub cosine: [f32; 2],
 }
 
-/// Both sums in f64 with `side²` facets, by the midpoint rule on the square that facets are drawn from, finer where they are steep.
+/// Both sums in f64 with `side²` facets, by the midpoint rule on the square that facets are drawn from, finer where
+/// they are steep.
 pub fn integrate(roughness: f64, cosine: f64, side: usize) -> [f64; 2] {
     let (alpha, cosine) = (roughness * roughness, cosine.max(1e-4));
     let k = 0.5 * alpha;
@@ -62,8 +63,8 @@ fn table() -> &'static [[f32; 2]] {
     })
 }
 
-/// Both sums at a roughness and a cosine from 0 to 1, bilinear in the roughness and the root of the cosine (what happens, happens at
-/// grazing angles).
+/// Both sums at a roughness and a cosine from 0 to 1, bilinear in the roughness and the root of the cosine, which
+/// resolves grazing angles.
 pub fn look_up(roughness: f32, cosine: f32) -> SplitSum {
     let table = table();
     let last = (NODES - 1) as f32;

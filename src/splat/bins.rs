@@ -1,7 +1,8 @@
 //! Binning of splats to tiles: per tile a list of its splats, front to back.
 //!
-//! Chunks of splats are binned to rows of tiles; each row of tiles sorts its splats by depth and bins them to its tiles in
-//! that order. Every stage runs in parallel, on memory that fits a cache, and gives the same lists for any number of threads.
+//! Chunks of splats are binned to rows of tiles; each row of tiles sorts its splats by depth and bins them to its tiles
+//! in that order. Every stage runs in parallel, on memory that fits a cache, and gives the same lists for any number of
+//! threads.
 
 use super::project::Splat;
 use crate::binning::{CellSpan, RowBins, RowList, cell_starts, split_rows};
@@ -35,8 +36,8 @@ pub struct Bins {
 pub struct Entry {
     /// Which splat.
     pub splat: u32,
-    /// Index of the gradient record that the tile writes for it: like the list tile after tile, but by index within a tile, so
-    /// that neighbours in the table of splats are neighbours in memory.
+    /// Index of the gradient record that the tile writes for it: like the list tile after tile, but by index within a
+    /// tile, so that neighbours in the table of splats are neighbours in memory.
     pub record: u32,
 }
 
@@ -103,7 +104,7 @@ fn tile_span(centre: f32, half: f32, size: usize, tiles: usize) -> (u16, u16) {
 /// Inputs of binning, and the record indices of each splat that it writes.
 struct Binning<'a> {
     spans: &'a [CellSpan],
-    /// Depth above, splat below: what is sorted.
+    /// Sort keys: depth in the upper half, splat in the lower.
     keys: RowBins<u64>,
     slot_starts: &'a [u32],
     /// Every slot is written once, so the order of threads does not matter.

@@ -1,10 +1,10 @@
 //! Projection of Gaussians to splats, and its backward pass.
 //!
 //! With `L = R S` (rotation times scales) and the camera's Jacobian rows `j_u`, `j_v` and depth axis `d`, the three
-//! whitened vectors `a = Lᵀj_u`, `b = Lᵀj_v`, `c = Lᵀd` carry everything: the image covariance is their Gram matrix, and
-//! the covariance of depth with the image gives the plane on which the peaks of the 1-D Gaussians cut out by the
-//! pixels' rays lie (RaDe-GS, Zhang et al. 2024; here for any projective camera): `depth(u, v) = z + g·(u - u_i, v - v_i)`,
-//! `g = (Σ₂ + δI)⁻¹ [c·a, c·b]`. That plane's normal in the scene is along `j_u g_u + j_v g_v - d`.
+//! whitened vectors `a = Lᵀj_u`, `b = Lᵀj_v`, `c = Lᵀd` carry everything: the image covariance is their Gram matrix,
+//! and the covariance of depth with the image gives the plane on which the peaks of the 1-D Gaussians cut out by the
+//! pixels' rays lie (RaDe-GS, Zhang et al. 2024; here for any projective camera): `depth(u, v) = z + g·(u - u_i, v -
+//! v_i)`, `g = (Σ₂ + δI)⁻¹ [c·a, c·b]`. That plane's normal in the scene is along `j_u g_u + j_v g_v - d`.
 
 mod backward;
 mod forward;
@@ -42,7 +42,8 @@ impl Projected {
     }
 }
 
-/// Projects every Gaussian; those outside the image, below the least alpha, or with a number that is not finite are left out.
+/// Projects every Gaussian; those outside the image, below the least alpha, or with a number that is not finite are
+/// left out.
 pub fn project(gaussians: &Table, camera: &ProjectiveCamera, options: &ProjectionOptions) -> Projected {
     let chunks: Vec<Projected> = (0..gaussians.count.div_ceil(CHUNK))
         .into_par_iter()

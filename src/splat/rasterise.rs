@@ -24,13 +24,14 @@ pub fn padded_channels(channels: usize) -> usize {
         .expect("a scene model has at most 16 channels")
 }
 
-/// What is composited of depths along rays besides their mean.
+/// Composited depths along rays besides their mean.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub enum Depths {
-    /// Nothing: what training needs.
+    /// None, as in training.
     #[default]
     Mean,
-    /// Squares and quantiles, for the spread along a ray, and the median depth, where half of the ray is left: what products need.
+    /// Squares and quantiles, for the spread along a ray, and the median depth, where half of the ray is left; for
+    /// products.
     Median,
 }
 
@@ -49,9 +50,11 @@ pub struct Maps {
     pub depth: Vec<f32>,
     /// `Σ w z²`, metres²; empty unless all depths are composited.
     pub depth_square: Vec<f32>,
-    /// Depth where 0.84 of the ray is left, one deviation before the median where depths along it are normal; as the median.
+    /// Depth where 0.84 of the ray is left, one deviation before the median where depths along it are normal; as the
+    /// median.
     pub near_depth: Vec<f32>,
-    /// Depth where half of the ray is left, or of its last splat, metres, NaN where nothing is; empty unless all depths are composited.
+    /// Depth where half of the ray is left, or of its last splat, metres, NaN where nothing is; empty unless all depths
+    /// are composited.
     pub median_depth: Vec<f32>,
     /// Depth where 0.16 of the ray is left; as the median.
     pub far_depth: Vec<f32>,
@@ -171,7 +174,7 @@ impl<'a> Rasteriser<'a> {
         }
     }
 
-    /// Bands of tiles in parallel: a band's part of every plane is contiguous, so tiles are written where they belong.
+    /// Bands of tiles in parallel: a band's part of every plane is contiguous, so tiles are written in place.
     fn forward_k<const K: usize>(&self, features: &[f32]) -> Maps {
         let pixels = self.width * self.height;
         let plane = || vec![0.0f32; pixels];
@@ -364,15 +367,15 @@ fn add_products(to: &mut [f32], a: &[f32], b: &[f32]) {
     }
 }
 
-/// Room for the tiles' records, kept from one backward pass to the next: clearing and handing back some ten megabytes costs
-/// as much as filling them. Much more room than a pass needs, as after one of more channels, is handed back. What stands in it at first
-/// means nothing; every record is written before it is read.
+/// Memory for the tiles' records, kept from one backward pass to the next: clearing and freeing some ten megabytes
+/// costs as much as filling them. Memory far beyond the need of a pass, as after one of more channels, is freed. Its
+/// old contents are never read; every record is written first.
 struct Records {
     values: Vec<f32>,
     length: usize,
 }
 
-/// Most room that is kept, as a multiple of what a pass needs. Passes of one training differ by less.
+/// Most memory that is kept, as a multiple of a pass's need. Passes of one training differ by less.
 const MOST_SPARE: f64 = 1.5;
 
 static SPARE_RECORDS: Mutex<Vec<f32>> = Mutex::new(Vec::new());

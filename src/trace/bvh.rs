@@ -1,8 +1,8 @@
 //! Occluders and the bounding volume hierarchy over them; the only file that uses `obvhs`.
 //!
-//! A Gaussian occludes inside the ellipsoid of `sqrt(2 ln(o / o_min))` standard deviations (the stretched icosahedron of
-//! 3D Gaussian ray tracing, Moenne-Loccoz et al. 2024, encloses the same ellipsoid); its axis-aligned bounds go into a
-//! binary hierarchy, which is traversed by bundles of neighbouring rays, not by single ones.
+//! A Gaussian occludes inside the ellipsoid of `sqrt(2 ln(o / o_min))` standard deviations (the stretched icosahedron
+//! of 3D Gaussian ray tracing, Moenne-Loccoz et al. 2024, encloses the same ellipsoid); its axis-aligned bounds go into
+//! a binary hierarchy, which is traversed by bundles of neighbouring rays, not by single ones.
 
 use crate::gaussians::Table;
 use glam::{Mat3, Vec3, Vec3A};
@@ -88,7 +88,7 @@ pub(crate) type Bounds = [[f32; 3]; 2];
 /// The hierarchy over the bounds of all occluders.
 pub(super) struct Hierarchy {
     tree: Bvh2,
-    /// What the tree was built on; it has been fitted to other bounds since.
+    /// Bounds that the tree was built on; it has since been refitted to others.
     built_on: Vec<Bounds>,
     /// Place of each Gaussian in an order in which neighbours in the scene are neighbours.
     pub(super) rank: Vec<u32>,
@@ -149,7 +149,8 @@ impl Hierarchy {
         self.tree.refit_all();
     }
 
-    /// Lists in `candidates` every Gaussian whose leaf's bounds intersect the shaft, in the order of the tree; `stack` is scratch space.
+    /// Lists in `candidates` every Gaussian whose leaf's bounds intersect the shaft, in the order of the tree; `stack`
+    /// is scratch space.
     pub(super) fn intersecting(&self, shaft: &Shaft, stack: &mut Vec<u32>, candidates: &mut Vec<u32>) {
         candidates.clear();
         stack.clear();
@@ -177,8 +178,8 @@ fn leaf_range(first: u32, count: u32) -> Range<usize> {
     first as usize..(first + count) as usize
 }
 
-/// A shaft as boxes are tested against it: its axis against boxes grown by its half sizes. Rays toward one point stay inside,
-/// because the box they cross the shaft in shrinks.
+/// A shaft as boxes are tested against it: its axis against boxes grown by its half sizes. Rays toward one point stay
+/// inside, because the box they cross the shaft in shrinks.
 struct Slab {
     centre: Vec3A,
     half: Vec3A,
@@ -207,7 +208,7 @@ impl Slab {
     }
 }
 
-/// What finds the Gaussians between a Gaussian and the sun. Point lights always take the hierarchy.
+/// Search for the Gaussians between a Gaussian and the sun. Point lights always take the hierarchy.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum SunVisibility {
@@ -218,7 +219,8 @@ pub enum SunVisibility {
     Bvh,
 }
 
-/// All Gaussians of a table as occluders, as they were when this was made. The hierarchy over them is built on first use.
+/// All Gaussians of a table as occluders, as they were when this was made. The hierarchy over them is built on first
+/// use.
 pub struct Occluders {
     /// The occluders, by Gaussian.
     pub list: Vec<Occluder>,
@@ -250,10 +252,10 @@ impl Occluders {
         }
     }
 
-    /// The same with a hierarchy that was built on other bounds of them, and is fitted to them as they stand.
+    /// The same with a hierarchy that was built on earlier bounds of the Gaussians and is refitted to the current ones.
     ///
     /// # Panics
-    /// When there are not as many bounds.
+    /// When the number of bounds differs.
     pub(crate) fn with_hierarchy_on(sun_visibility: SunVisibility, gaussians: &Table, built_on: Vec<Bounds>) -> Self {
         assert_eq!(gaussians.count, built_on.len(), "the same Gaussians");
         let bounds = |[min, max]: &Bounds| Aabb::new(Vec3A::from_array(*min), Vec3A::from_array(*max));
@@ -268,15 +270,15 @@ impl Occluders {
         }
     }
 
-    /// What the hierarchy was built on, if there is one.
+    /// Bounds that the hierarchy was built on, if there is one.
     pub(crate) fn hierarchy_built_on(&self) -> Option<&[Bounds]> {
         self.hierarchy.get().map(|hierarchy| hierarchy.built_on.as_slice())
     }
 
-    /// The occluders of the same Gaussians after they have moved: a hierarchy that was built is kept and fitted to them.
+    /// The occluders of the same Gaussians after they have moved: an existing hierarchy is kept and refitted.
     ///
     /// # Panics
-    /// When there are more of them, or fewer.
+    /// When the number of Gaussians differs.
     pub fn renew(&mut self, gaussians: &Table) {
         assert_eq!(gaussians.count, self.list.len(), "the same Gaussians");
         self.list = list(gaussians);
@@ -333,7 +335,7 @@ mod tests {
                 direction,
                 length: f32::INFINITY,
             };
-            // Leaves differ; what truly lies in the shaft must be in both.
+            // Leaves differ, but Gaussians inside the shaft must be in both.
             let slab = Slab::new(&shaft);
             let truly: Vec<u32> = (0..500)
                 .filter(|&i| slab.intersects(&anew.list[i as usize].bounds()))

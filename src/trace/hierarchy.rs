@@ -1,9 +1,9 @@
 //! Transmittance toward any light, by the bounding volume hierarchy: bundles of neighbouring rays traverse it together.
 //!
-//! Forward, a bundle of eight rays lists the Gaussians whose bounds its shaft intersects, tests all its rays against each of them
-//! (`bundle`), and keeps those that some ray hit. Backward, every bundle visits the Gaussians it hit again and sums the contributions
-//! of its rays to one record per Gaussian; the records are sorted by ranges of Gaussians and added in the order of the bundles. No sum
-//! is shared between threads, so results do not depend on their number.
+//! Forward, a bundle of eight rays lists the Gaussians whose bounds its shaft intersects, tests all its rays against
+//! each of them (`bundle`), and keeps those that some ray hit. Backward, every bundle visits the Gaussians it hit again
+//! and sums the contributions of its rays to one record per Gaussian; the records are sorted by ranges of Gaussians and
+//! added in the order of the bundles. No sum is shared between threads, so results do not depend on their number.
 
 mod bundle;
 
@@ -196,8 +196,8 @@ impl ContributionsByRange {
     }
 }
 
-/// Gradient of a Gaussian from its moments: with `W = S⁻¹Rᵀ` and `n` the nearest point of a ray in the whitened space: `∂/∂p = Wᵀ Σhn`, `∂/∂ ln s_k = Σ h n_k²`, and
-/// `∂/∂R = Wᵀ (Σ h n nᵀ) S` up to what a rotation cannot follow.
+/// Gradient of a Gaussian from its moments: with `W = S⁻¹Rᵀ` and `n` the nearest point of a ray in the whitened space:
+/// `∂/∂p = Wᵀ Σhn`, `∂/∂ ln s_k = Σ h n_k²`, and `∂/∂R = Wᵀ (Σ h n nᵀ) S` up to components normal to the rotations.
 fn core_gradient(gaussians: &Table, occluder: &Occluder, id: usize, moments: &Moments) -> CoreGradient {
     let [nx, ny, nz, xx, xy, xz, yy, yz, zz] = moments.sums;
     let gradients = occluder.whiten().transpose();

@@ -1,8 +1,8 @@
 //! The ray from a Gaussian to a light: its origin above the surface, forward and backward.
 //!
-//! Self-shadowing: a surface is a sheet of overlapping flat Gaussians, and a ray that starts inside the sheet hits its own
-//! neighbours. Two rules keep a lit plane lit at every elevation without moving the base of shadows under an ordinary sun:
-//! the ray starts above the sheet, lifted along the origin's own thinnest axis (turned to the light) by
+//! Self-shadowing: a surface is a sheet of overlapping flat Gaussians, and a ray that starts inside the sheet hits its
+//! own neighbours. Two rules keep a lit plane lit at every elevation without moving the base of shadows under an
+//! ordinary sun: the ray starts above the sheet, lifted along the origin's own thinnest axis (turned to the light) by
 //! `LIFT · σ_min · (1 - cos θ)`, `θ` the angle between that axis and the light, so that a grazing ray clears the
 //! neighbours' whole reach and a steep one hardly moves; and only peaks further along the ray than the origin's own
 //! extent `sqrt(rᵀΣr)` count.
@@ -12,7 +12,8 @@ use crate::gaussians::{CoreGradient, rotation_backward};
 use crate::light::Light;
 use glam::{Mat3, Vec3};
 
-/// Standard deviations that a grazing ray is lifted off its own surface: the reach of an opaque Gaussian, `sqrt(2 ln 1000)`.
+/// Standard deviations that a grazing ray is lifted off its own surface: the reach of an opaque Gaussian, `sqrt(2 ln
+/// 1000)`.
 const LIFT: f32 = 3.717;
 
 /// A ray from a Gaussian toward the light.
@@ -72,9 +73,10 @@ impl LightRay {
         }
     }
 
-    /// Gradient to the parameters of the Gaussian that the ray starts from, from that to the ray's start: `start = position + axis ·
-    /// full · (1 - axis·r)`, `full` proportional to the thinnest scale. A ray to a point light turns as its start moves,
-    /// `∂r/∂position = -(I - rrᵀ) / length`: `d_turn` is what the gradient loses by that along the ray, and the lift follows `r`.
+    /// Gradient to the parameters of the Gaussian that the ray starts from, from the gradient to the ray's start:
+    /// `start = position + axis · full · (1 - axis·r)`, `full` proportional to the thinnest scale. A ray to a point
+    /// light turns as its start moves, `∂r/∂position = -(I - rrᵀ) / length`; `d_turn` is the part of the gradient along
+    /// the ray that this removes. The lift follows `r`.
     pub(super) fn backward(&self, d_start: Vec3, d_turn: Vec3, raw_rotation: [f32; 4]) -> CoreGradient {
         let lift = &self.lift;
         let d_height = d_start.dot(lift.axis);

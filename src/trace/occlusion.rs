@@ -1,4 +1,4 @@
-//! What both routes of the tracer share: attenuation by one Gaussian, the result of a ray, and the input of the backward pass.
+//! Types of both tracers: attenuation by one Gaussian, the result of a ray, and the input of the backward pass.
 
 use crate::fast::exp;
 use crate::splat::project::ALPHA_MAX;
@@ -11,7 +11,7 @@ pub(super) struct RayTransmittance {
     pub(super) value: f32,
     /// Gradient of `ln Π (1 - α̃)` to the origin of the ray, 1/m, direction fixed.
     pub(super) d_origin: Vec3,
-    /// The part of it that a point light takes back, because the ray turns as its origin moves: each Gaussian's gradient times its
+    /// Gradient of the origin through the change in ray direction, to be subtracted: each Gaussian's gradient times its
     /// distance along the ray over the distance to the light. Zero for parallel light.
     pub(super) d_turn: Vec3,
     /// Gaussians hit.
@@ -27,8 +27,8 @@ pub(super) struct RayGradients<'a> {
     pub(super) d_log: &'a [f32],
 }
 
-/// `α̃` at a squared distance in standard deviations, and `α̃ / (1 - α̃)`, which is `-∂ ln(1 - α̃) / ∂ ln α̃`; the latter is zero where
-/// `α̃` is saturated, both are zero where the Gaussian is not `hit`.
+/// `α̃` at a squared distance in standard deviations, and `α̃ / (1 - α̃)`, which is `-∂ ln(1 - α̃) / ∂ ln α̃`; the
+/// latter is zero where `α̃` is saturated, both are zero where the Gaussian is not `hit`.
 #[inline(always)]
 pub(super) fn attenuation(opacity: f32, square: f32, hit: u32) -> (f32, f32) {
     let alpha = opacity * exp(-0.5 * square);

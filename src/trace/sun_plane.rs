@@ -1,15 +1,17 @@
 //! Transmittance toward parallel light, in the plane normal to the light, where every ray is a point.
 //!
-//! Seen along the light, a Gaussian is an ellipse whose squared Mahalanobis distance is exactly the `‖e×d‖²/‖d‖²` of a ray
-//! (the projected covariance is the marginal one), and the peaks along the rays lie on a plane in depth (`ellipse`).
+//! Seen along the light, a Gaussian is an ellipse whose squared Mahalanobis distance is exactly the `‖e×d‖²/‖d‖²` of a
+//! ray (the projected covariance is the marginal one), and the peaks along the rays lie on a plane in depth
+//! (`ellipse`).
 //!
-//! *Forward*, [`SunPlaneTrace::new`] projects all Gaussians and sorts the ellipses by their centres into the cells of a few grids
-//! (`cells`), one grid, or level, for every doubling of their size. [`SunPlaneTrace::trace`] then has every ray test the ellipses of
-//! the cells around it, eight at a time, contiguous in memory (`kernels`).
+//! *Forward*, [`SunPlaneTrace::new`] projects all Gaussians and sorts the ellipses by their centres into the cells of a
+//! few grids (`cells`), one grid, or level, for every doubling of their size. [`SunPlaneTrace::trace`] then has every
+//! ray test the ellipses of the cells around it, eight at a time, contiguous in memory (`kernels`).
 //!
-//! *Backward* ([`SunPlaneTrace::backward`]), the rays whose gradient is not zero are sorted into cells the same way, and every ellipse
-//! sums the contributions of the rays in its box to its moments, from which the gradient of its Gaussian follows. No hit is ever
-//! stored, and every sum has one owner and one order, so results do not depend on the number of threads.
+//! *Backward* ([`SunPlaneTrace::backward`]), the rays whose gradient is not zero are sorted into cells the same way,
+//! and every ellipse sums the contributions of the rays in its box to its moments, from which the gradient of its
+//! Gaussian follows. No hit is ever stored, and every sum has one owner and one order, so results do not depend on the
+//! number of threads.
 //!
 //! Limit: parallel light only; point lights take `hierarchy`.
 
@@ -34,7 +36,8 @@ use std::sync::atomic::{AtomicU32, Ordering};
 const LEVELS: usize = 8;
 /// Largest half size of the ellipses of the first level, in mean half sizes.
 const SMALLEST: f32 = 2.0;
-/// Columns of cells per half size. Cells of a row are contiguous, so more columns only cut away ellipses that a ray need not test.
+/// Columns of cells per half size. Cells of a row are contiguous, so more columns only cut away ellipses that a ray
+/// need not test.
 const COLUMNS_PER_HALF_SIZE: f32 = 4.0;
 /// Ellipses and rays per parallel job; fixed, so that results do not depend on the number of threads.
 const CHUNK: usize = 1024;

@@ -1,12 +1,12 @@
 //! Transmittance from Gaussians to a light, and its gradients.
 //!
 //! From the centre of Gaussian 0 toward the light `r`, every Gaussian `i` whose 1-D density along the ray peaks beyond
-//! the self-shadow bias absorbs `α̃_i = o_i exp(-½ ‖e×d‖²/‖d‖²)` (whitened offset `e` and direction `d`), and
-//! `S = Π (1 - α̃_i)`. The product has no order, so nothing is sorted (ShadowGS, Luo et al. 2026, eq. 10–12). A ray with less than
-//! a millionth left counts as dark, with value zero and no gradients.
+//! the self-shadow bias absorbs `α̃_i = o_i exp(-½ ‖e×d‖²/‖d‖²)` (whitened offset `e` and direction `d`), and `S = Π (1
+//! - α̃_i)`. The product has no order, so nothing is sorted (ShadowGS, Luo et al. 2026, eq. 10–12). A ray with less
+//! than a millionth left counts as dark, with value zero and no gradients.
 //!
-//! Where rays start, and which peaks are too near to count: `light_ray`. How the Gaussians on a ray are found: `hierarchy` for any light,
-//! `sun_plane` for parallel light in two thirds of the time. Both agree to 0.002 in transmittance.
+//! `light_ray` defines the start of a ray and the self-shadow bias. `hierarchy` finds the Gaussians on a ray for any
+//! light, `sun_plane` for parallel light in two thirds of the time. Both agree to 0.002 in transmittance.
 
 use super::bvh::{Occluders, SunVisibility};
 use super::hierarchy::HierarchyTrace;
@@ -25,44 +25,46 @@ use rayon::prelude::*;
 const TRANSMITTANCE_MIN: f32 = 1e-6;
 /// Rays per parallel job; fixed, because each job draws its own sample.
 const CHUNK: usize = 1024;
-/// Gradients from this share of the mean one on are always in a sample. With the whole mean the backward pass takes a sixth less time, and
-/// cityB errs by half a per cent more (docs/lab/speed.md).
+/// Gradients from this share of the mean one on are always in a sample. With the whole mean the backward pass takes a
+/// sixth less time, and cityB errs by half a per cent more (docs/lab/speed.md).
 const SURE_FROM: f32 = 0.5;
 
-/// Transmittances of some Gaussians toward one light, and what the backward pass needs.
+/// Transmittances of some Gaussians toward one light, and the inputs of the backward pass.
 #[derive(Default)]
 pub struct Transmittance {
     /// Transmittance of each origin, 0 to 1.
     pub values: Vec<f32>,
-    /// The light that was traced; `None` where none was. Rays are not kept: they are made anew where gradients go back along them.
+    /// The light that was traced; `None` where none was. Rays are not kept: they are made anew where gradients go back
+    /// along them.
     light: Option<Light>,
     /// Gradient of the logarithm of each value to the ray's origin, 1/m.
     d_origin: Vec<Vec3>,
-    /// The part of it that a point light takes back, see [`RayTransmittance`](super::occlusion::RayTransmittance); empty for parallel light.
+    /// Gradient of the origin through the change in ray direction, see
+    /// [`RayTransmittance`](super::occlusion::RayTransmittance); empty for parallel light.
     d_turn: Vec<Vec3>,
     /// Gaussians hit by all rays together; without any there is nothing to go back to.
     hits: u64,
     finder: Finder,
 }
 
-/// Which rays carry gradients to what stands in their way.
+/// Rays that carry gradients to the occluders.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum OccluderGradients {
     /// None: only where rays start moves.
     None,
     /// All rays.
     All,
-    /// A sample with the gradients of all as its expectation (Russian roulette, Arvo and Kirk 1990): a ray whose gradient, to the
-    /// logarithm of its transmittance, is smaller than half of the mean one is kept with the probability of their ratio, and then
-    /// counts as that half. Many rays are such, and of those in deep shade, which meet most Gaussians, nearly all. For parallel light;
-    /// point lights take all rays.
+    /// A sample with the gradients of all as its expectation (Russian roulette, Arvo and Kirk 1990): a ray whose
+    /// gradient, to the logarithm of its transmittance, is smaller than half of the mean one is kept with the
+    /// probability of their ratio, and then counts as that half. Many rays are such, and of those in deep shade, which
+    /// meet most Gaussians, nearly all. For parallel light; point lights take all rays.
     Sampled {
-        /// What is drawn depends on it.
+        /// Seed of the sample.
         seed: u64,
     },
 }
 
-/// What found the Gaussians on the rays, and finds them again in the backward pass.
+/// The tracer that found the Gaussians on the rays, for the backward pass.
 #[derive(Default)]
 enum Finder {
     #[default]
@@ -110,9 +112,9 @@ pub fn transmittance(occluders: &Occluders, origins: &[u32], light: &Light) -> T
 }
 
 impl Transmittance {
-    /// Adds the gradients of the parameters of origins, and of the occluders that `which` asks for, from those of the transmittances
-    /// (`grads`, one per origin). `occluders` and `origins` are those the transmittance was traced with, `gaussians` those the occluders
-    /// were made of.
+    /// Adds the gradients of the parameters of origins, and of the occluders selected by `which`, from those of the
+    /// transmittances (`grads`, one per origin). `occluders` and `origins` are those of the forward pass, `gaussians`
+    /// the Gaussians that the occluders were made of.
     pub fn backward(
         &self,
         gaussians: &Table,
@@ -199,7 +201,7 @@ fn russian_roulette(gradient: f32, least: f32, random: &mut Pcg32) -> f32 {
     }
 }
 
-/// A sample of gradients: each as it is where it is large, else by Russian roulette.
+/// A sample of gradients: large ones are kept, small ones drawn by Russian roulette.
 fn sampled(gradients: &[f32], seed: u64) -> Vec<f32> {
     let least = SURE_FROM * mean_size(gradients);
     let mut sample = gradients.to_vec();

@@ -1,10 +1,10 @@
-//! Visibility of the light cached between visits of a view: tracing is the dearest part of a step, and visibility changes slowly.
-//! A step with cached visibility has no gradients along the light.
+//! Visibility of the light cached between visits of a view: tracing is the dearest part of a step, and visibility
+//! changes slowly. A step with cached visibility has no gradients along the light.
 
 use crate::gaussians::for_each_of;
 
-/// Gradients below this share of the mean of those that are not zero are negligible: those of a quarter to two fifths of a view's splats, and
-/// with 0.3 of about half (docs/lab/speed.md).
+/// Gradients below this share of the mean of those that are not zero are negligible: those of a quarter to two fifths
+/// of a view's splats, and with 0.3 of about half (docs/lab/speed.md).
 const NEGLIGIBLE: f64 = 0.1;
 
 /// A view's transmittances toward its light from an earlier step, by Gaussian.
@@ -26,8 +26,8 @@ impl CachedVisibility {
         self.values.len() == count && self.negligible.len() == count
     }
 
-    /// What a step has traced: the `transmittances` of the `splats`, by Gaussian and ascending, of `count` Gaussians, and the loss's gradients to
-    /// them. `before` is what the view had.
+    /// Cache of a traced step: the `transmittances` of the `splats` (Gaussians, ascending) of `count` Gaussians, and
+    /// the loss's gradients to them. `before` is the view's earlier cache.
     pub(super) fn traced(
         (splats, count): (&[u32], usize),
         transmittances: &[f32],
@@ -58,13 +58,13 @@ impl CachedVisibility {
         }
     }
 
-    /// Whether one more step may use it, where one trace is for `light_every` steps of the view.
+    /// Whether one more step may use it, where a view is traced once in `light_every` steps.
     pub(super) fn is_fresh(&self, light_every: usize) -> bool {
         self.uses < light_every
     }
 
-    /// Which Gaussians keep their light at the next trace, where one trace in `every` is of all of them: each sits out all traces but every
-    /// `every`th while its light is negligible, in turns. `None` where none does.
+    /// Gaussians that keep their light at the next trace: while its light is negligible, a Gaussian takes part in one
+    /// trace of `every`, in turns. `None` where all take part.
     pub(super) fn kept(&self, every: usize) -> Option<Vec<bool>> {
         let kept =
             |(gaussian, &negligible): (usize, &bool)| negligible && !(gaussian + self.traces).is_multiple_of(every);
@@ -91,7 +91,7 @@ mod tests {
             }
             cached = CachedVisibility::traced((&splats, 6), &[0.5; 4], &gradients, Some(&cached));
         }
-        // What the view did not show is traced when it comes into view.
+        // A Gaussian is traced when it comes into view.
         assert_eq!(traced, [8, 8, 2, 8, 8, 2]);
     }
 }

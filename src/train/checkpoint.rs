@@ -1,7 +1,7 @@
-//! The state of a training, to be stored and resumed: the steps that follow are the same, byte for byte.
+//! The state of a training, stored and resumed: the steps that follow are the same, byte for byte.
 //!
-//! Views, options and the random order follow from the same inputs, so they are not part of it; a trainer made anew from those
-//! takes a state up. How it is written and where is not the engine's affair: a state is plain data for serde.
+//! Views, options and the random order follow from the inputs and are not part of it. A state is plain data for serde;
+//! its file format is defined elsewhere.
 
 use super::cached_visibility::CachedVisibility;
 use super::holdout::HoldoutState;
@@ -21,7 +21,7 @@ pub const STATE_VERSION: u32 = 7;
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 #[error("the state is of another training: its {what} do not fit")]
 pub struct StateError {
-    /// What does not fit.
+    /// The part of the state that does not match.
     pub what: &'static str,
 }
 
@@ -35,8 +35,8 @@ pub struct TrainerState<'a> {
     statistics: Cow<'a, DensityStatistics>,
     holdout: HoldoutState<'a>,
     cached_visibility: Cow<'a, [Option<CachedVisibility>]>,
-    /// Step at which the occluders were made, and what a hierarchy over them was built on: where Gaussians are in it decides the
-    /// order of products.
+    /// Step at which the occluders were made, and the bounds that a hierarchy over them was built on: the places of
+    /// Gaussians in it fix the order of products.
     occluders: Option<(usize, Option<Cow<'a, [Bounds]>>)>,
     /// Neighbours as Gaussians stood when their number last changed, so they do not follow from the positions of now.
     neighbours: Option<Cow<'a, Neighbours>>,
@@ -53,7 +53,7 @@ impl TrainerState<'_> {
     }
 }
 
-/// Whether two tables have the same groups, and `table` as many values as it says.
+/// Whether two tables have the same groups, and every group of `table` its full length.
 fn same_groups(table: &Table, like: &Table) -> bool {
     let whole = |(group, like): (&crate::gaussians::Group, &crate::gaussians::Group)| {
         group.spec == like.spec && Some(group.values.len()) == group.spec.width.checked_mul(table.count)

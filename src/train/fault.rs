@@ -1,4 +1,4 @@
-//! What makes a step or a whole training impossible, and how it is said.
+//! Faults of a training step or a whole training, and their messages.
 
 use crate::gaussians::{GroupSpec, Table, core_groups};
 use crate::model::{NamedLoss, Parameters, View};
@@ -8,7 +8,7 @@ use rayon::prelude::*;
 /// Gradients from here on are as good as infinite: Adam squares them, and the sum of squares must stay finite.
 const GRADIENT_MAX: f32 = 1e18;
 
-/// What of a step was not finite.
+/// The part of a step that is not finite.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 pub enum Fault {
     /// A loss.
@@ -29,9 +29,9 @@ pub enum TrainError {
     NotFinite {
         /// Steps rejected in a row.
         rejected: usize,
-        /// What was not finite in the last of them.
+        /// The non-finite part of the last rejected step.
         fault: Fault,
-        /// The view of the last of them.
+        /// The view of the last rejected step.
         view: String,
     },
     /// Nothing is left to train.
@@ -72,7 +72,7 @@ pub enum TrainError {
         option: &'static str,
         /// Its value.
         value: String,
-        /// What it may be.
+        /// The values allowed.
         expected: &'static str,
     },
 }
@@ -88,7 +88,7 @@ fn unsound(table: &Table, sound: impl Fn(f32) -> bool + Sync) -> Option<&str> {
     Some(&group.spec.name)
 }
 
-/// What of a step forbids to take it.
+/// The first fault of a step's losses and gradients.
 pub(super) fn of_step(losses: &[NamedLoss], gradients: &Parameters) -> Option<Fault> {
     if let Some((name, _)) = losses.iter().find(|(_, value)| !value.is_finite()) {
         return Some(Fault::Loss(name));
@@ -109,7 +109,8 @@ pub(super) fn check_start(parameters: &Parameters) -> Result<(), TrainError> {
     }
 }
 
-/// Whether the groups of `parameters` are those that the model describes, in its order: learning rates go by that order.
+/// Whether the groups of `parameters` are those that the model describes, in its order: learning rates go by that
+/// order.
 pub(super) fn check_groups(
     model: &'static str,
     parameters: &Parameters,

@@ -1,11 +1,13 @@
-//! Early stopping: some tiles of every image are not learnt from; when they stop improving, training has begun to overfit.
+//! Early stopping: some tiles of every image are not learnt from; when they stop improving, training has begun to
+//! overfit.
 
 use super::options::TrainOptions;
 use crate::model::{Parameters, View};
 use crate::raster::Raster;
 use std::borrow::Cow;
 
-/// Side of a held-out tile, pixels: several times the SSIM window, so that its inside sees little of what is trained on.
+/// Side of a held-out tile, pixels: several times the SSIM window, so that its inside is hardly affected by trained
+/// pixels.
 const TILE: usize = 24;
 /// Relative progress that counts.
 const PROGRESS: f64 = 1e-3;
@@ -133,8 +135,9 @@ impl Holdout {
         }
     }
 
-    /// Mean over views of what was last noted of them; `None` until all have been seen, since means of some and of all views cannot be
-    /// compared: training passes from half to full size within an epoch, and what is noted first may be of the easy views.
+    /// Mean of the latest held-out losses of all views; `None` until every view has one. Means of some and of all views
+    /// cannot be compared: training passes from half to full size within an epoch, and the first views may be easy
+    /// ones.
     pub(super) fn mean(&self) -> Option<f64> {
         let with_tiles = || self.losses.iter().zip(&self.held).filter(|(_, held)| !held.is_empty());
         let losses: Option<Vec<f64>> = with_tiles().map(|(loss, _)| *loss).collect();

@@ -1,4 +1,4 @@
-//! What a training run is made of; each entry has a default and a reason.
+//! Options of a training run, each with its default and reason.
 
 use super::fault::TrainError;
 use crate::optim::DensityOptions;
@@ -8,8 +8,8 @@ use crate::trace::SunVisibility;
 
 /// Options of a training run. Lengths are in ground sampling distances where they should follow the imagery.
 ///
-/// Fields that serde skips are no settings of users: they follow from the scene and its kind, and the program sets them. Their defaults
-/// are those of ground seen from satellites.
+/// Fields that serde skips are no settings of users: they follow from the scene and its kind, and the program sets
+/// them. Their defaults are those of ground seen from satellites.
 #[derive(Debug, Clone, PartialEq, serde::Serialize, serde::Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct TrainOptions {
@@ -17,26 +17,27 @@ pub struct TrainOptions {
     pub iterations: usize,
     /// Epochs, passes over all views, at most: a scene of few views needs fewer steps. 10 in `fast`, 100 in `accurate`.
     pub epochs: usize,
-    /// First learning rate of positions, ground sampling distances per step: 0.002 in `accurate`, because level ground gets rougher with
-    /// every step that moves it, 0.04 for objects, which start from a hull.
+    /// First learning rate of positions, ground sampling distances per step: 0.002 in `accurate`, because level ground
+    /// gets rougher with every step that moves it, 0.04 for objects, which start from a hull.
     pub position_rate_gsd: f32,
-    /// Weight of depth–normal consistency; 0 is off. 0 in `fast`, whose steps are too few to settle it, 0.1 in `balanced`.
+    /// Weight of depth–normal consistency; 0 is off. 0 in `fast`, whose steps are too few for it to converge, 0.1 in
+    /// `balanced`.
     pub depth_normal_weight: f32,
     /// Weight of shadow consistency; 0 is off. 0.2 for ground, 0 for objects, which have no zenith.
     pub consistency_weight: f32,
     /// Steps between two passes of shadow consistency, which weigh that much more: 16 in `fast`, 4 in `accurate`.
     pub consistency_every: usize,
-    /// Steps of a view that share one trace of its light; gradients go back along the light on the step that traces. 2 in `fast`, 1 in
-    /// `balanced`.
+    /// Steps of a view that share one trace of its light; gradients go back along the light on the step that traces. 2
+    /// in `fast`, 1 in `balanced`.
     pub light_every: usize,
-    /// Traces of a view's light of which a Gaussian takes part in one while its light hardly changes the view's image; 1: in all. 8 for
-    /// ground, 1 for objects.
+    /// While a Gaussian's light hardly changes the view's image, it takes part in one trace of so many; 1: in all. 8
+    /// for ground, 1 for objects.
     pub negligible_light_every: usize,
-    /// What finds the Gaussians between a Gaussian and the sun: `plane`, grids on the plane normal to the sun, or `bvh`, the bounding volume
-    /// hierarchy, which takes half as long again and gives the same light to 0.002.
+    /// Search for the Gaussians between a Gaussian and the sun: `plane`, grids on the plane normal to the sun, or
+    /// `bvh`, the bounding volume hierarchy, which takes half as long again and gives the same light to 0.002.
     pub sun_visibility: SunVisibility,
-    /// Whether gradients of light reach what stands in its way; without them only where rays start moves. Off in the ablation: of all
-    /// parts this is worth most.
+    /// Whether gradients of light reach the occluders; without them only the start of rays moves. Off in the ablation;
+    /// this part has the largest effect.
     pub occluder_gradients: bool,
     /// Share of the steps spent on images of half size, at the beginning; 0 is off. 0.4 for ground, 0.15 for objects.
     pub pyramid_share: f32,
@@ -51,18 +52,19 @@ pub struct TrainOptions {
     /// Ground sampling distance, metres.
     #[serde(skip)]
     pub gsd_m: f32,
-    /// What remains of the learning rates of positions and features at the last step.
+    /// Factor on the learning rates of positions and features at the last step.
     #[serde(skip)]
     pub final_rate: f32,
     /// Learning rate of opacity logits.
     #[serde(skip)]
     pub opacity_rate: f32,
-    /// Steps from which on opacities, log scales and features move at their own learning rates. Shorter trainings move them faster, by
-    /// the root of the ratio and more below a quarter of it, at most eight times: what they have to travel is the same. 0 never does.
+    /// Steps from which on opacities, log scales and features have their full learning rates. Shorter trainings raise
+    /// them by the root of the ratio, and more below a quarter of it, at most eightfold, since the distance to cover is
+    /// the same. 0 never does.
     #[serde(skip)]
     pub own_rate_steps: usize,
-    /// Weight of the smoothness of a model's first feature between neighbours on one surface ([`smoothness`](crate::loss::smoothness)); 0 is
-    /// off. 0.1 for the albedo of ground.
+    /// Weight of the smoothness of a model's first feature between neighbours on one surface
+    /// ([`smoothness`](crate::loss::smoothness)); 0 is off. 0.1 for the albedo of ground.
     #[serde(skip)]
     pub smoothness_weight: f32,
     /// Smallest and largest standard deviation, ground sampling distances.
@@ -103,7 +105,8 @@ impl Default for TrainOptions {
 
 /// How many times their own learning rate opacities, log scales and features move at, at most.
 const MOST_RATE_FACTOR: f32 = 8.0;
-/// Share of `own_rate_steps` below which a training is short: rates grow faster with fewer steps, and Adam remembers less.
+/// Share of `own_rate_steps` below which a training is short: rates grow faster with fewer steps, and Adam remembers
+/// less.
 const SHORT_SHARE: f32 = 0.25;
 /// Least decay of Adam's first moment per step.
 const LEAST_BETA1: f32 = 0.7;
@@ -118,16 +121,17 @@ impl TrainOptions {
         }
     }
 
-    /// Factor on the learning rates of opacities, log scales and features: the root of `own_rate_steps` over the steps, and in a short
-    /// training steeper, by the power of three quarters; 1 to [`MOST_RATE_FACTOR`] (docs/lab/start.md, by ablation).
+    /// Factor on the learning rates of opacities, log scales and features: the root of `own_rate_steps` over the steps,
+    /// and in a short training steeper, by the power of three quarters; 1 to [`MOST_RATE_FACTOR`] (docs/lab/start.md,
+    /// by ablation).
     pub(super) fn rate_factor(&self) -> f32 {
         let root = (self.own_rate_steps as f32 / self.iterations.max(1) as f32).sqrt();
         let steeper = self.shortness().min(1.0).powf(-0.25);
         (root * steeper).clamp(1.0, MOST_RATE_FACTOR)
     }
 
-    /// Decay of Adam's first moment per step. Its memory of ten steps is a tenth and more of a short training, which it then spends
-    /// going where it no longer should: there memory is a fortieth of the steps, three at least.
+    /// Decay of Adam's first moment per step. Its memory of ten steps is a tenth and more of a short training, which it
+    /// then spends going where it no longer should: there memory is a fortieth of the steps, three at least.
     pub(super) fn beta1(&self) -> f32 {
         match self.shortness() < 1.0 {
             true => (1.0 - (1.0 - BETA1) / self.shortness()).max(LEAST_BETA1),
@@ -141,10 +145,10 @@ impl TrainOptions {
         self
     }
 
-    /// Whether every option means something.
+    /// Checks the range of every option.
     ///
     /// # Errors
-    /// [`TrainError::Option`] names the first that does not.
+    /// [`TrainError::Option`] names the first option out of range.
     pub fn check(&self) -> Result<(), TrainError> {
         let not_negative = |option, value: f32| {
             let fits = value >= 0.0 && value.is_finite();

@@ -5,7 +5,7 @@ use crate::model::View;
 use crate::raster::Raster;
 use rayon::prelude::*;
 
-/// How much wider than in the view the pixels are on which training begins.
+/// Pixel size at the beginning of training, as a multiple of the view's.
 const COARSE_FACTOR: usize = 2;
 
 /// The coarser images of all views, and the share of training that uses them.
@@ -19,7 +19,7 @@ pub(super) struct Pyramid {
 pub(super) struct PyramidLevel<'a> {
     /// A view or its coarser image; its weights are those to train with.
     pub(super) view: &'a View,
-    /// Whether it is the view itself.
+    /// Whether it is the view at full size.
     pub(super) full_size: bool,
 }
 
@@ -38,8 +38,8 @@ impl Pyramid {
         }
     }
 
-    /// Makes the coarser images of `views`, whose weights are those to train with, or drops them, as the `fraction` of training that is done
-    /// asks for.
+    /// Makes the coarser images of `views`, which have their training weights, or drops them, according to the
+    /// `fraction` of training that is done.
     pub(super) fn follow(&mut self, views: &[View], fraction: f32) {
         if fraction >= self.share {
             self.coarse = Vec::new();
@@ -119,7 +119,7 @@ mod tests {
         }
     }
 
-    /// What an image shows where a camera says a point is.
+    /// Value of an image at the projection of a point.
     fn seen(view: &View, point: Vec3) -> f32 {
         let (col, row, _) = view.camera.project(point);
         view.image.at(0, col.round() as usize, row.round() as usize)

@@ -1,7 +1,6 @@
-//! The groups of parameters of the model: which of them the options include, their places in the tables, widths and learning rates.
+//! The parameter groups of the model: selection by the options, places in the tables, widths and learning rates.
 //!
-//! A group that the options leave out has no place, so the indices behind it shift; they are looked up by group, never
-//! computed elsewhere.
+//! A group that the options leave out has no place, so the indices behind it shift: look them up by group.
 
 use super::networks::{EMBEDDING, SCATTER_INPUTS, SHADOW_INPUTS, network};
 use super::options::OlatOptions;
@@ -15,14 +14,15 @@ use crate::optim::{LearningRate, ParameterGroup};
 pub(super) const LOBE_FRAME: usize = 0;
 pub(super) const LOBE_SCALE: usize = 1;
 pub(super) const LOBE_SIGMA: usize = 2;
-/// All of them, in this order.
+/// All groups of the lobes, in this order.
 pub(super) const LOBE_GROUPS: [usize; 3] = [LOBE_FRAME, LOBE_SCALE, LOBE_SIGMA];
-/// Share of training from which on the specular term is trained. SSD-GS has 16 of 100: by then normals have turned to imitate highlights
-/// with the diffuse term, and do not recover (docs/lab/objects.md).
+/// Share of training from which on the specular term is trained. SSD-GS has 16 of 100: by then normals have turned to
+/// imitate highlights with the diffuse term, and do not recover (docs/lab/objects.md).
 const SPECULAR_FROM: f32 = 0.05;
 /// Share of training from which on the lobes change their shape (SSD-GS: 22 of 100).
 const LOBES_FROM: f32 = 0.08;
-/// Share of the surfaces' learning rates that is left at the end of training: without decay the shared lobes keep oscillating.
+/// Share of the surfaces' learning rates that is left at the end of training: without decay the shared lobes keep
+/// oscillating.
 const RATE_AT_END: f32 = 0.1;
 /// Share of training from which on light scatters (SSD-GS: 9 of 100).
 const SCATTERING_FROM: f32 = 0.09;
@@ -91,7 +91,7 @@ impl Shared {
     ];
 }
 
-/// Learning rate of what surfaces are made of: `rate` from the share `from` of training on, decaying.
+/// Learning rate of material parameters: `rate` from the share `from` of training on, decaying.
 fn surface_rate(from: f32, rate: f32) -> LearningRate {
     LearningRate::constant(rate).starting_at(from).decaying_to(RATE_AT_END)
 }
@@ -105,7 +105,7 @@ impl OlatOptions {
         network(SHADOW_INPUTS, 1, self.width.max(1), self.hidden.max(1))
     }
 
-    /// Whether a network is on that reads the material embedding.
+    /// Whether a network that reads the material embedding is on.
     fn has_embedding(&self) -> bool {
         self.scattering || self.refined
     }

@@ -1,9 +1,9 @@
-//! The networks of the model evaluated for all splats of a view, and the backward pass of that.
+//! The networks of the model evaluated for all splats of a view, and their backward pass.
 //!
-//! Forward ([`Olat::evaluate_networks`]): encode the inputs of every splat, one row each; run the network over all rows; keep inputs
-//! and outputs. Backward ([`Olat::networks_backward`]): gradients of the outputs, back through the network to weights and input rows,
-//! back through the encoding to position, directions, normal and embedding, and from there to the parameters. A network that the
-//! options switch off has no rows.
+//! Forward ([`Olat::evaluate_networks`]): encode the inputs of every splat, one row each; run the network over all
+//! rows; keep inputs and outputs. Backward ([`Olat::networks_backward`]): gradients of the outputs, back through the
+//! network to weights and input rows, back through the encoding to position, directions, normal and embedding, and from
+//! there to the parameters. A network that the options switch off has no rows.
 
 use super::groups::{Feature, Shared};
 use super::networks::{
@@ -29,7 +29,7 @@ struct NetworkRows {
     outputs: Vec<f32>,
 }
 
-/// What the networks add to the splats of a view.
+/// Outputs of the networks for the splats of a view.
 pub(super) struct NetworkOutput {
     /// Share of the light that reaches each splat: the traced transmittance, refined where the shadow network is on.
     pub(super) transmittance: Vec<f32>,
@@ -113,8 +113,9 @@ impl Olat {
         out
     }
 
-    /// Backward of [`Self::evaluate_networks`], whose result was `output`: adds to the positions, frames and transmittances of
-    /// `parts`, and to the gradients of embeddings, colours of scattered light and weights in `grads`.
+    /// Backward of [`Self::evaluate_networks`], whose result was `output`: adds to the positions, frames and
+    /// transmittances of `parts`, and to the gradients of embeddings, colours of scattered light and weights in
+    /// `grads`.
     pub(super) fn networks_backward(
         &self,
         context: &Context,

@@ -1,8 +1,9 @@
-//! The two small networks of the model: what they read, and what their outputs mean.
+//! The two small networks of the model: their inputs and the meaning of their outputs.
 //!
-//! The *scattering network* predicts distance, scattering and absorption of the dipole of [`crate::shade::dipole`]; the *shadow
-//! network* moves the logit of the traced transmittance (SSD-GS). Both read encoded vectors, `x, sin x, cos x, sin 2x, cos 2x` per
-//! component, and the material embedding of the Gaussian, six trained numbers that only the networks interpret.
+//! The *scattering network* predicts distance, scattering and absorption of the dipole of [`crate::shade::dipole`]; the
+//! *shadow network* moves the logit of the traced transmittance (SSD-GS). Both read encoded vectors, `x, sin x, cos x,
+//! sin 2x, cos 2x` per component, and the material embedding of the Gaussian, six trained numbers that only the
+//! networks interpret.
 
 use super::surface::LightGeometry;
 use crate::gaussians::sigmoid;
@@ -13,7 +14,7 @@ use glam::Vec3;
 
 /// Numbers of the material embedding of a Gaussian.
 pub(super) const EMBEDDING: usize = 6;
-/// Numbers of an encoded vector: each component, and sine and cosine of it and of twice it.
+/// Numbers of an encoded vector: for each component `x`, the five values `x, sin x, cos x, sin 2x, cos 2x`.
 const ENCODED: usize = 15;
 /// Inputs of the scattering network: position, directions to light and eye, normal, embedding.
 pub(super) const SCATTER_INPUTS: usize = 3 * ENCODED + 3 + EMBEDDING;
@@ -48,7 +49,7 @@ fn encode_backward(encoded: &[f32], d: &[f32]) -> Vec3 {
     }))
 }
 
-/// What the networks read of a Gaussian besides the directions to light and eye.
+/// Inputs of the networks from a Gaussian, besides the directions to light and eye.
 pub(super) struct NetworkInput<'a> {
     /// Its position over half the side of the cube that positions lie in.
     pub(super) position: Vec3,
@@ -56,7 +57,7 @@ pub(super) struct NetworkInput<'a> {
     pub(super) embedding: &'a [f32],
 }
 
-/// Gradients of what the networks read, before it is encoded.
+/// Gradients of the networks' inputs before encoding.
 #[derive(Debug, Clone, Copy, Default)]
 pub(super) struct InputGradient {
     pub(super) position: Vec3,

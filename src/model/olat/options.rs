@@ -26,7 +26,7 @@ pub struct OlatOptions {
     pub distance: f32,
     /// Radius of the lights.
     pub radius: f32,
-    /// How much normals agree with those of the depth.
+    /// Weight of the agreement of normals with those of the depth.
     pub normal_weight: f32,
     /// Depths that differ by more than this are an edge, not a slope.
     pub normal_edge: f32,
@@ -38,7 +38,7 @@ pub struct OlatOptions {
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, serde::Serialize, serde::Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Component {
-    /// All of it.
+    /// All components.
     #[default]
     All,
     /// The diffuse part, in shadow too.

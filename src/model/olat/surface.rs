@@ -1,7 +1,8 @@
-//! Surface shading of one Gaussian under one light, forward and backward: softened Lambert plus shared lobes times Fresnel.
+//! Surface shading of one Gaussian under one light, forward and backward: softened Lambert plus shared lobes times
+//! Fresnel.
 //!
-//! [`LightGeometry`] holds the directions and the falloff, [`Surface`] the material, [`Lobes`] the shared specular basis. The formulas
-//! stand in the head of [`super`].
+//! [`LightGeometry`] holds the directions and the falloff, [`Surface`] the material, [`Lobes`] the shared specular
+//! basis. The formulas stand in the head of [`super`].
 
 use crate::camera::ProjectiveCamera;
 use crate::gaussians::{normalised, rotation_backward, sigmoid};
@@ -17,7 +18,7 @@ use std::f32::consts::FRAC_1_PI;
 pub const LOBES: usize = 8;
 /// How far the softened cosine reaches below zero.
 const SOFT: f32 = 0.01;
-/// `SOFT · (1 - 1/e)`: what makes it zero at -1.
+/// `SOFT · (1 - 1/e)`: makes the function zero at -1.
 const SOFT_OFFSET: f32 = 0.006_321_206;
 /// Least length of the sum of the directions to light and eye, below which they count as opposite.
 const LEAST_SUM: f32 = 1e-3;
@@ -169,7 +170,7 @@ pub(super) struct Shaded {
     pub(super) specular: [f32; COLOURS],
 }
 
-/// What the gradients of the shared lobes need of one Gaussian.
+/// Inputs of the gradients of the shared lobes, for one Gaussian.
 #[derive(Debug, Clone, Copy, Default)]
 pub(super) struct LobeGradient {
     direction: Vec3,
@@ -209,8 +210,8 @@ struct HalfVector {
     cosine: f32,
 }
 
-/// Least cosine between half vector and light in the masking term: below it, surfaces of medium roughness mask more than the
-/// inverse square says.
+/// Least cosine between half vector and light in the masking term: below it, surfaces of medium roughness mask more
+/// than the inverse square predicts.
 const LEAST_COSINE: f32 = 0.25;
 
 impl HalfVector {
@@ -224,8 +225,8 @@ impl HalfVector {
         }
     }
 
-    /// Schlick's Fresnel term over the squared cosine, which approximates masking and shadowing over `(n·l)(n·v)` (Kelemen and
-    /// Szirmay-Kalos 2001): value, and slopes to F0 and to the cosine.
+    /// Schlick's Fresnel term over the squared cosine, which approximates masking and shadowing over `(n·l)(n·v)`
+    /// (Kelemen and Szirmay-Kalos 2001): value, and slopes to F0 and to the cosine.
     fn fresnel(&self, f0: f32) -> (f32, f32, f32) {
         let rest = 1.0 - self.cosine;
         let grazing = rest.powi(5);

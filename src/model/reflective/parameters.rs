@@ -43,7 +43,8 @@ impl Reflective {
         }
     }
 
-    /// Backward of [`Self::surface`] for the Gaussians `indices`: adds to the gradients of their parameters and of the environment.
+    /// Backward of [`Self::surface`] for the Gaussians `indices`: adds to the gradients of their parameters and of the
+    /// environment.
     pub(super) fn add_gradients(
         &self,
         context: &Context,

@@ -1,18 +1,20 @@
 //! Shading of one Gaussian's surface by environment light, forward and backward.
 //!
-//! Forward, per splat: [`ViewGeometry::new`] (frame, direction to the eye, reflected direction, size of the reflected lobe), then
-//! [`Surface::encode`] (the decoder's inputs), then, after the decoder ran over all splats, [`Surface::shade`].
+//! Forward, per splat: [`ViewGeometry::new`] (frame, direction to the eye, reflected direction, size of the reflected
+//! lobe), then [`Surface::encode`] (the decoder's inputs), then, after the decoder ran over all splats,
+//! [`Surface::shade`].
 //!
-//! Backward runs in phases, because the decoder stands between shading and its own inputs and is evaluated for all splats at
-//! once:
+//! Backward runs in phases, because the decoder stands between shading and its own inputs and is evaluated for all
+//! splats at once:
 //!
-//! 1. [`Surface::shade_backward`]: from the light toward the eye to material, normal and cosine, and to the decoder's *output*.
+//! 1. [`Surface::shade_backward`]: from the light toward the eye to material, normal and cosine, and to the decoder's
+//!    *output*.
 //! 2. the decoder's own backward pass (in [`super`]): from its output to its weights and *inputs*.
-//! 3. [`Surface::encode_backward`]: from the decoder's inputs, and from the light of the harmonics which the decoder's output is
-//!    added to, to material, reflected direction and lobe.
-//! 4. [`PartialGradient::finish`]: everything that was collected on the view geometry goes to frame and position.
+//! 3. [`Surface::encode_backward`]: from the decoder's inputs, and from the light of the harmonics which the decoder's
+//!    output is added to, to material, reflected direction and lobe.
+//! 4. [`PartialGradient::finish`]: from the view geometry to frame and position.
 //!
-//! [`PartialGradient`] carries what phases 1 and 3 have collected.
+//! [`PartialGradient`] carries the gradients of phases 1 and 3.
 
 use crate::gaussians::{normalised, rotation_backward};
 use crate::model::background::COLOURS;
@@ -24,7 +26,8 @@ use std::f32::consts::{FRAC_1_PI, SQRT_2};
 
 /// Reflectance of dielectrics at normal incidence.
 pub(super) const DIELECTRIC_F0: f32 = 0.04;
-/// The clamped cosine in spherical harmonics, by degree, over π (Ramamoorthi and Hanrahan 2001): radiance to irradiance over π.
+/// The clamped cosine in spherical harmonics, by degree, over π (Ramamoorthi and Hanrahan 2001): radiance to irradiance
+/// over π.
 const COSINE_KERNEL: [f32; 4] = [1.0, 2.0 / 3.0, 0.25, 0.0];
 /// Axes along which the reflected direction is encoded: those of an icosahedron.
 const AXES: [Vec3; 6] = [
@@ -108,8 +111,8 @@ impl ViewGeometry {
         let inverse = 1.0 / offset.length().max(1e-12);
         let (to_eye, n) = (offset * inverse, frame.z_axis);
         let n_dot_eye = n.dot(to_eye);
-        // A facet turned by δ around y turns the reflected ray by 2 (ω·x) n + 2 (ω·n) x times δ, and GGX of width α has a variance
-        // of α²/2 near its peak.
+        // A facet turned by δ around y turns the reflected ray by 2 (ω·x) n + 2 (ω·n) x times δ, and GGX of width α has
+        // a variance of α²/2 near its peak.
         let lobe_deviation = |k: usize| {
             let axis = frame.col(k);
             (n * to_eye.dot(axis) + axis * n_dot_eye) * (SQRT_2 * surface.alpha[k])
@@ -131,7 +134,8 @@ impl ViewGeometry {
     }
 }
 
-/// Factor by which the lobe blurs a degree: `e^(-ρ l (l+1) / 2)` with the lobe's variance ρ, and its slope to ρ over itself.
+/// Factor by which the lobe blurs a degree: `e^(-ρ l (l+1) / 2)` with the lobe's variance ρ, and its slope to ρ over
+/// itself.
 fn blur_factor(alpha: [f32; 2], degree: usize) -> (f32, f32) {
     let rate = -0.5 * (degree * (degree + 1)) as f32;
     ((rate * (alpha[0] * alpha[0] + alpha[1] * alpha[1])).exp(), rate)
@@ -153,10 +157,10 @@ impl Surface {
         (irradiance, reflected)
     }
 
-    /// Writes the decoder's inputs. A plane wave over the directions, blurred by the anisotropic lobe, is the wave times a factor of the
-    /// lobe; with these factors, whatever the decoder makes of the waves is light seen through the lobe (as in the integrated directional
-    /// encoding, Verbin et al. 2022, here for an anisotropic lobe). `functions` harmonics are used; `scale` is one over half the side
-    /// of the cube that positions lie in.
+    /// Writes the decoder's inputs. A plane wave over the directions, blurred by the anisotropic lobe, is the wave
+    /// times a factor of the lobe; with these factors, whatever the decoder makes of the waves is light seen through
+    /// the lobe (as in the integrated directional encoding, Verbin et al. 2022, here for an anisotropic lobe).
+    /// `functions` harmonics are used; `scale` is one over half the side of the cube that positions lie in.
     pub(super) fn encode(&self, view: &ViewGeometry, functions: usize, scale: f32, out: &mut [f32]) {
         let (_, reflected) = self.harmonic_light(view, functions);
         let mut at = 0;
@@ -185,8 +189,8 @@ impl Surface {
         (self.alpha[0] * self.alpha[1]).sqrt().sqrt()
     }
 
-    /// Light toward the eye, diffuse and specular; `decoded` is the decoder's output for [`Self::encode`], `None` where the surface is
-    /// not glossy and the decoder was not evaluated.
+    /// Light toward the eye, diffuse and specular; `decoded` is the decoder's output for [`Self::encode`], `None` where
+    /// the surface is not glossy and the decoder was not evaluated.
     pub(super) fn shade(
         &self,
         view: &ViewGeometry,
@@ -206,8 +210,8 @@ impl Surface {
         (diffuse, specular)
     }
 
-    /// First phase of the backward pass: from the gradient of the light toward the eye to everything but what goes through the
-    /// decoder's inputs. Returns the gradient of the decoder's output.
+    /// First phase of the backward pass: from the gradient of the light toward the eye to all parameters, except
+    /// through the decoder's inputs. Returns the gradient of the decoder's output.
     pub(super) fn shade_backward(
         &self,
         view: &ViewGeometry,
@@ -268,8 +272,8 @@ impl Surface {
         d_decoded
     }
 
-    /// Second phase of the backward pass: from the decoder's inputs and their gradients (`inputs`, `d_inputs`), and from the gradient
-    /// of its output, which is also that of the blurred reflection of the harmonics.
+    /// Second phase of the backward pass: from the decoder's inputs and their gradients (`inputs`, `d_inputs`), and
+    /// from the gradient of its output, which is also that of the blurred reflection of the harmonics.
     pub(super) fn encode_backward(
         &self,
         view: &ViewGeometry,
@@ -317,7 +321,8 @@ impl Surface {
         out.embedding.copy_from_slice(&d_inputs[AT_EMBEDDING..INPUTS]);
     }
 
-    /// Light toward the eye from a light of strength one in direction `to_light`, without the environment: diffuse and specular.
+    /// Light toward the eye from a light of strength one in direction `to_light`, without the environment: diffuse and
+    /// specular.
     pub(super) fn shade_under_light(&self, view: &ViewGeometry, to_light: Vec3) -> ([f32; COLOURS], [f32; COLOURS]) {
         let mut frame = view.frame;
         frame.z_axis *= view.side;

@@ -1,4 +1,4 @@
-//! What images of one light leave open: how much of a pixel the air adds, and how much of the light in a shadow comes from the sky.
+//! Path radiance and skylight of a model trained on images of one light, which the images do not determine.
 
 use super::harmonics::albedo_harmonics;
 use super::{ALBEDO, COLOUR, NEAR, OFFSET, PATH_RADIANCE, SKY, ShadowGs, softplus_inverse};
@@ -11,7 +11,7 @@ const LEAST_SKY: f32 = 1e-3;
 /// Path radiance and sky of the reference image, in its units.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Air {
-    /// Path radiance of each band: what the air adds to every pixel.
+    /// Path radiance of each band: the light that the air adds to every pixel.
     pub path_radiance: Vec<f32>,
     /// The sky's share of the light on level ground, each band.
     pub sky: Vec<f32>,
@@ -27,16 +27,16 @@ impl ShadowGs {
         }
     }
 
-    /// Gives the reference image this `air`, and every Gaussian, of whose light `visibility` (0 to 1) is what reaches it of the sun, the
-    /// albedo with which it looks as before:
+    /// Sets this `air` for the reference image, and changes every Gaussian's albedo so that its look stays.
+    /// `visibility` (0 to 1) is the share of the sun's light that reaches each Gaussian:
     ///
     /// ```text
     /// p + F (L_sky + (1 - L_sky) S) = p' + F' (L_sky' + (1 - L_sky') S)
     /// ```
     ///
-    /// The other images follow: their skies keep their ratio to that of the reference image, and their colours take up the difference of
-    /// the path radiance. Near-surface light stays. Where all images have the same `S`, and each pixel shows one Gaussian, images stay
-    /// what they are.
+    /// The other images follow: their skies keep their ratio to that of the reference image, and their colours absorb
+    /// the difference of the path radiance. Near-surface light stays. Images do not change where all of them have the
+    /// same `S` and each pixel shows one Gaussian.
     pub fn settle_air(&self, parameters: &mut Parameters, visibility: &[f32], air: &Air) {
         let bands = self.options.bands;
         let before = self.air(parameters);
@@ -108,7 +108,7 @@ mod tests {
     use crate::raster::Raster;
     use crate::render::{PassOptions, render};
 
-    /// A floor with a roof above a part of it, in two images with colours of their own.
+    /// A floor partly under a roof, in two images with colours of their own.
     fn scene(options: ShadowGsOptions) -> (ShadowGs, Parameters) {
         let model = ShadowGs::new(options);
         let mut groups = core_groups();

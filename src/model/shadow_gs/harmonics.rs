@@ -1,5 +1,5 @@
-//! Albedo and near-surface light that change with the viewing direction: what spherical harmonics of degree 1 and more add to them,
-//! relative to what is seen from straight above.
+//! Albedo and near-surface light that depend on the viewing direction: spherical harmonics of degree 1 and more, added
+//! to the value seen from straight above.
 
 use super::{ALBEDO_RATE, ShadowGsOptions};
 use crate::camera::ProjectiveCamera;
@@ -10,7 +10,7 @@ use crate::optim::ParameterGroup;
 use crate::shade::sh::{self, MAX_FUNCTIONS};
 use glam::Vec3;
 
-/// What has harmonics: the beginning of its groups' names. Near-surface light only where it is on.
+/// Beginnings of the names of the groups with harmonics. Near-surface light has them only where it is on.
 const PARTS: [&str; 2] = ["albedo_sh_", "near_light_sh_"];
 
 /// How many of [`PARTS`] a model has.
@@ -83,7 +83,7 @@ impl<'a> Harmonics<'a> {
             .flat_map(move |part| (1..=degree).map(move |l| (first + part * degree + l - 1, channels[part], l)))
     }
 
-    /// Adds to the channels of Gaussian `g`, which hold what is seen from straight above.
+    /// Adds the harmonics to the channels of Gaussian `g`, which hold the values seen from straight above.
     pub(super) fn add(&self, g: usize, feature: &mut [f32]) {
         let (functions, bands) = (self.functions(g), self.bands);
         for (group, channel, degree) in self.groups() {
@@ -101,8 +101,8 @@ impl<'a> Harmonics<'a> {
 
     /// From gradients of the features, adds those of the coefficients.
     ///
-    /// Positions get none: a metre turns the view of a satellite 600 km away by 2·10⁻⁶ rad, so the gradient through the viewing
-    /// direction is as much smaller than that through the place in the image.
+    /// Positions get none: a metre turns the view of a satellite 600 km away by 2·10⁻⁶ rad, so the gradient through the
+    /// viewing direction is as much smaller than that through the place in the image.
     pub(super) fn backward(&self, seen: &Seen, d_features: &[f32], grads: &mut Parameters) {
         let (bands, stride) = (self.bands, seen.stride);
         let indices = &seen.projected.gaussian;

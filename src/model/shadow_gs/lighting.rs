@@ -1,11 +1,12 @@
-//! From composited channels to pixels: the light that reaches a surface, its colour in the image, and the gradients of both.
+//! From composited channels to pixels: the light that reaches a surface, its colour in the image, and the gradients of
+//! both.
 
 use super::{CHUNK, ShadowGs};
 use crate::model::Context;
 use crate::raster::Raster;
 use crate::splat::Maps;
 
-/// The light of one view, and what turns it into a pixel.
+/// The light of one view, with the colour transform that turns it into pixels.
 pub(super) struct Lighting<'a> {
     maps: &'a Maps,
     bands: usize,
@@ -61,7 +62,7 @@ impl<'a> Lighting<'a> {
         }
     }
 
-    /// The light in shadow: sky, and what the neighbourhood reflects.
+    /// The light in shadow: skylight and light reflected by the neighbourhood.
     #[inline]
     fn shade(&self, band: usize, pixel: usize) -> f32 {
         self.sky[band] + self.near.map_or(0.0, |at| self.maps.channels[at + band][pixel])

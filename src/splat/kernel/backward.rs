@@ -1,7 +1,7 @@
 //! Backward over one tile, front to back again: the gradients of each splat.
 //!
-//! The groups of a splat are looped over twice, so that the sums of each loop stay in registers: first what needs the pixels, then the
-//! moments of two numbers per pixel, `h = ∂L/∂ ln α` and `m = ∂L/∂z`, over the splat.
+//! The groups of a splat are looped over twice, so that the sums of each loop stay in registers: first the sums over
+//! pixel values, then the moments of two numbers per pixel, `h = ∂L/∂ ln α` and `m = ∂L/∂z`, over the splat.
 
 use super::footprint::{BATCH, GROUPS, Groups, LOG2_ALPHA_MAX, TileSplat, exp2, load_batch, prefetch_batch};
 use super::tile::{GEOMETRY, LANES, Lane, PLANE, Plane, TileFrame, TileGradients, is_opaque, load, store};
@@ -27,8 +27,8 @@ struct TileState {
 vectorised! {
     // With AVX-512 the compiler gathers the sums over lanes, which takes a quarter more time (docs/lab/speed.md).
     up to Avx2;
-    /// Gradients of every splat of `list`: record `r` of the tile, whose first is `base`, fills `out[(r - base) * (K + 9)..]`,
-    /// channels first, then the nine geometric sums.
+    /// Gradients of every splat of `list`: record `r` of the tile, whose first is `base`, fills `out[(r - base) * (K +
+    /// 9)..]`, channels first, then the nine geometric sums.
     pub fn backward<const K: usize>(
         list: &[Entry],
         splats: &[Splat],

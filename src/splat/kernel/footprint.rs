@@ -1,4 +1,5 @@
-//! Which pixels of a tile a splat covers, and its alpha there: groups of eight pixels of a row, listed before they are worked on.
+//! Which pixels of a tile a splat covers, and its alpha there: groups of eight pixels of a row, listed before they are
+//! worked on.
 
 use super::tile::{LANES, Lane, PLANE, STRIDE, TileFrame, least, most};
 use crate::fast::MAGIC;
@@ -33,7 +34,7 @@ pub(super) struct TileSplat<const K: usize> {
     pub(super) values: [f32; K],
 }
 
-/// Groups of eight pixels of a row that a splat reaches, and what is the same all along the row.
+/// Groups of eight pixels of a row that a splat reaches, and the terms that are constant along the row.
 pub(super) struct Groups {
     /// Place of the first pixel in a plane.
     pub(super) at: [u32; GROUPS],
@@ -234,8 +235,8 @@ impl<const K: usize> TileSplat<K> {
         }
     }
 
-    /// Computes the alphas of the groups, and with `INVERSE` the `1 / (1 - alpha)` of the backward pass. A loop of its own over all groups,
-    /// because a single group would wait for the latency of its exponential.
+    /// Computes the alphas of the groups, and with `INVERSE` the `1 / (1 - alpha)` of the backward pass. A loop of its
+    /// own over all groups, because a single group would wait for the latency of its exponential.
     #[inline(always)]
     pub(super) fn alphas<const INVERSE: bool>(&self, groups: &mut Groups) {
         for g in groups.numbers() {

@@ -1,4 +1,4 @@
-//! Forward over one tile, front to back: what each splat adds to the maps.
+//! Forward over one tile, front to back: the contribution of each splat to the maps.
 
 use super::footprint::{BATCH, Groups, TileSplat, load_batch, prefetch_batch};
 use super::tile::{LANES, QUANTILES, TileFrame, TileMaps, is_opaque, load, store};
@@ -6,13 +6,14 @@ use crate::splat::bins::Entry;
 use crate::splat::project::Splat;
 use crate::vectorised;
 
-/// Channels beyond which AVX-512 is slower: the compiler then makes gathers of the loop over channels (docs/lab/speed.md).
+/// Channels beyond which AVX-512 is slower: the compiler then makes gathers of the loop over channels
+/// (docs/lab/speed.md).
 const MOST_AVX512: usize = 8;
 
 vectorised! {
     up to Avx2 where K > MOST_AVX512;
-    /// Composites `list` (front to back) into `maps`, which it empties first; `features[s * K + k]` are the splats' channels.
-    /// The sum of squared depths and the depths' quantiles are computed only with `DEPTHS`.
+    /// Composites `list` (front to back) into `maps`, which it empties first; `features[s * K + k]` are the splats'
+    /// channels. The sum of squared depths and the depths' quantiles are computed only with `DEPTHS`.
     pub fn forward<const K: usize, const DEPTHS: bool>(
         list: &[Entry],
         splats: &[Splat],

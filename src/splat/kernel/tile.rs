@@ -1,4 +1,4 @@
-//! One tile of the image: its planes of accumulated values and of gradients, and how eight pixels of them are read and written.
+//! One tile of the image: planes of accumulated values and of gradients, read and written eight pixels at a time.
 
 use crate::splat::bins::{TILE_HEIGHT, TILE_WIDTH};
 
@@ -10,7 +10,8 @@ pub const STRIDE: usize = TILE_WIDTH + LANES;
 pub const PLANE: usize = TILE_HEIGHT * STRIDE;
 /// Transmittance below which a pixel is opaque: no further splat changes it.
 pub(super) const T_MIN: f32 = 1e-4;
-/// Transmittances at the near, the median and the far depth: those of a normal distribution at one deviation to either side of its median.
+/// Transmittances at the near, the median and the far depth: those of a normal distribution at one deviation to either
+/// side of its median.
 pub(super) const QUANTILES: [f32; 3] = [0.84, 0.5, 0.16];
 /// Numbers besides the channels in a splat's gradient record: Σh, Σhx, Σhy, Σhx², Σhxy, Σhy², Σm, Σmx, Σmy.
 pub const GEOMETRY: usize = 9;
@@ -21,7 +22,7 @@ pub(super) type Plane = [f32; PLANE];
 /// Accumulated values of one tile.
 #[derive(Clone)]
 pub struct TileMaps<const K: usize> {
-    /// Transmittance behind what was seen so far; zero outside the image.
+    /// Transmittance behind the splats composited so far; zero outside the image.
     pub transmittance: Plane,
     /// Composited channels.
     pub channels: [Plane; K],
@@ -29,8 +30,8 @@ pub struct TileMaps<const K: usize> {
     pub depth: Plane,
     /// `Σ w z²`, metres².
     pub depth_square: Plane,
-    /// Depths where the transmittance falls through 0.84, a half and 0.16, metres; the last seen where it never does, zero where nothing was
-    /// seen.
+    /// Depths where the transmittance falls through 0.84, a half and 0.16, metres; the last seen where it never does,
+    /// zero where nothing was seen.
     pub depth_quantiles: [Plane; 3],
     /// (splat, pixel) pairs inside the footprints.
     pub pairs: u64,
@@ -86,7 +87,7 @@ impl<const K: usize> TileGradients<K> {
     }
 }
 
-/// What a tile covers.
+/// Pixels that a tile covers.
 #[derive(Clone, Copy)]
 pub struct TileFrame {
     /// First column, pixels.

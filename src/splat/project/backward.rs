@@ -1,7 +1,9 @@
-//! The backward arithmetic of projection, eight Gaussians at once: from gradients of splats to those of the core parameters.
+//! The backward arithmetic of projection, eight Gaussians at once: from gradients of splats to those of the core
+//! parameters.
 //!
-//! Every step of the forward pass in reverse: normal, slopes, conic and antialiasing to the image covariance, covariances to the
-//! whitened vectors, those to Jacobian rows, scales and rotation, and the Jacobian rows to the position.
+//! Every step of the forward pass in reverse: normal, slopes, conic and antialiasing to the image covariance,
+//! covariances to the whitened vectors, those to Jacobian rows, scales and rotation, and the Jacobian rows to the
+//! position.
 
 use super::forward::{LANES, Lane, Raw, RawOne, Whitened, inverse_filtered, three};
 use super::splat::{DEPTH_FILTER_PX2, ProjectionOptions, Splat, SplatGradient};
@@ -10,7 +12,8 @@ use crate::gaussians::CoreGradient;
 use crate::vectorised;
 use glam::{Mat3, Vec3};
 
-/// Gradient to a symmetric matrix (its three numbers as stored: the off-diagonal counts twice) from that to its inverse.
+/// Gradient to a symmetric matrix (its three numbers as stored: the off-diagonal counts twice) from that to its
+/// inverse.
 #[inline(always)]
 fn inverse_backward(inverse: [f32; 3], d_inverse: [f32; 3]) -> [f32; 3] {
     // dM = -M⁻¹ dI M⁻¹ with the off-diagonal gradient split over both entries.
@@ -22,7 +25,7 @@ fn inverse_backward(inverse: [f32; 3], d_inverse: [f32; 3]) -> [f32; 3] {
     [-xx, -2.0 * xy, -yy]
 }
 
-/// What the backward pass needs of eight splats, and their gradients.
+/// Inputs of the backward pass for eight splats, and their gradients.
 #[derive(Clone, Copy)]
 pub(super) struct SplatsAndGradients {
     conic: [Lane; 3],
@@ -174,8 +177,8 @@ fn backward_one(
     // dim = sqrt(det_raw / det): d ln dim = ½ (d det_raw / det_raw - d det / det).
     let safe = if det_raw > 1e-30 { det_raw } else { 1e-30 };
     let (k_raw, k) = (0.5 * d_dim * dim / safe, 0.5 * d_dim * dim / det);
-    // det = det_raw + f (xx + yy) + f², and det_raw = ‖a × b‖²: through the area, because through the covariance a needle's
-    // gradient is what is left of numbers that are larger by the square of its aspect.
+    // det = det_raw + f (xx + yy) + f², and det_raw = ‖a × b‖². The area is accurate for needles: through the
+    // covariance, their gradient is a difference of numbers larger by the square of the aspect ratio.
     let area = a.cross(b) * (2.0 * (k_raw - k));
     let d_cov = [
         from_slope[0] + from_conic[0] - k * options.filter_px2,
@@ -215,7 +218,8 @@ fn backward_one(
     }
 }
 
-/// Gradient to a raw quaternion, as [`rotation_backward`](crate::gaussians::rotation_backward); zero where it is degenerate.
+/// Gradient to a raw quaternion, as [`rotation_backward`](crate::gaussians::rotation_backward); zero where it is
+/// degenerate.
 #[inline(always)]
 fn quaternion_backward(q: [f32; 4], norm: f32, d: Mat3) -> [f32; 4] {
     let [x, y, z, w] = q;

@@ -1,5 +1,5 @@
-//! The forward arithmetic of projection, eight Gaussians at once: loops over lanes without branch or call, so that they vectorise.
-//! [`Whitened`] holds what the backward pass (`backward`) computes again.
+//! The forward arithmetic of projection, eight Gaussians at once: loops over lanes without branch or call, so that they
+//! vectorise. [`Whitened`] holds the values that `backward` computes again.
 
 use super::splat::{ALPHA_MIN, DEPTH_FILTER_PX2, ProjectionOptions, Splat};
 use crate::camera::ProjectiveCamera;
@@ -29,7 +29,7 @@ pub(super) struct Raw {
 }
 
 impl Raw {
-    /// The Gaussians `index(0)`, `index(1)` and so on; those from `count` on are what they were.
+    /// Loads the Gaussians `index(0)`, `index(1)` and so on; lanes from `count` on keep their contents.
     #[inline(always)]
     pub(super) fn load(&mut self, gaussians: &Table, count: usize, index: impl Fn(usize) -> usize) {
         let (position, log_scale) = (gaussians.group(POSITION), gaussians.group(LOG_SCALE));
@@ -68,13 +68,13 @@ impl Raw {
     }
 }
 
-/// Lane `l` of three, without touching the others: what is moved as a whole is not vectorised.
+/// Lane `l` of three, read alone: moving whole arrays prevents vectorisation.
 #[inline(always)]
 pub(super) fn three(lanes: &[Lane; 3], l: usize) -> Vec3 {
     Vec3::new(lanes[0][l], lanes[1][l], lanes[2][l])
 }
 
-/// One of them.
+/// Raw parameters of one Gaussian.
 pub(super) struct RawOne {
     pub(super) position: Vec3,
     pub(super) log_scale: Vec3,
@@ -108,7 +108,7 @@ fn matrix(q: [f32; 4]) -> Mat3 {
     )
 }
 
-/// The whitened vectors of one Gaussian in one view, and the numbers that both passes need of them.
+/// The whitened vectors of one Gaussian in one view, and the numbers that both passes use.
 pub(super) struct Whitened {
     pub(super) col: f32,
     pub(super) row: f32,
@@ -125,7 +125,8 @@ pub(super) struct Whitened {
     pub(super) c: Vec3,
     /// Image covariance `[xx, xy, yy]` without any filter, pixels².
     pub(super) covariance: [f32; 3],
-    /// Its determinant, as the squared area of the two whitened rows: never negative, no cancellation for needles and discs.
+    /// Its determinant, as the squared area of the two whitened rows: never negative, no cancellation for needles and
+    /// discs.
     pub(super) area_square: f32,
     /// Covariance of depth with column and row, metres·pixels.
     pub(super) depth_covariance: [f32; 2],
@@ -176,7 +177,7 @@ impl Whitened {
 }
 
 /// Inverse of a symmetric 2 × 2 matrix `[xx, xy, yy]` of determinant `det` with `filter` added to its diagonal, and the
-/// determinant then: a sum of what is not negative, so that a needle of thousands of pixels keeps its width.
+/// new determinant. That is a sum of non-negative terms, so that a needle of thousands of pixels keeps its width.
 #[inline(always)]
 pub(super) fn inverse_filtered(m: [f32; 3], det: f32, filter: f32) -> ([f32; 3], f32) {
     let (xx, yy) = (m[0] + filter, m[2] + filter);

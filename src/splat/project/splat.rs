@@ -4,7 +4,8 @@
 pub const ALPHA_MIN: f32 = 1.0 / 255.0;
 /// Alpha above which it saturates (its gradient is then zero).
 pub const ALPHA_MAX: f32 = 0.99;
-/// Keeps the depth plane of an edge-on disc bounded; pixels². At a standard deviation of one pixel it changes slopes by 5 %.
+/// Keeps the depth plane of an edge-on disc bounded; pixels². At a standard deviation of one pixel it changes slopes by
+/// 5 %.
 pub const DEPTH_FILTER_PX2: f32 = 0.05;
 
 /// How Gaussians become splats.

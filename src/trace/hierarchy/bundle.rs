@@ -9,7 +9,7 @@ use glam::{Mat3, Vec3};
 
 /// Rays of a bundle: they traverse the hierarchy together, and are worked on together.
 pub(super) const BUNDLE: usize = 8;
-/// Gaussians ahead of which the next are prefetched.
+/// Distance of prefetching, in Gaussians.
 const AHEAD: usize = 8;
 
 pub(super) type Lane = [f32; BUNDLE];
@@ -29,7 +29,7 @@ pub(super) struct Bundle {
 }
 
 impl Bundle {
-    /// Up to [`BUNDLE`] rays and the Gaussians they start from; what is missing hits nothing.
+    /// Up to [`BUNDLE`] rays and the Gaussians they start from; missing rays hit nothing.
     pub(super) fn new<'r>(ray: impl Fn(usize) -> Option<(&'r LightRay, u32)>) -> Self {
         let rays: [_; BUNDLE] = std::array::from_fn(ray);
         let of = |value: fn(&LightRay) -> f32, missing: f32| rays.map(|r| r.map_or(missing, |(ray, _)| value(ray)));
@@ -52,7 +52,8 @@ impl Bundle {
     }
 }
 
-/// The points of the rays of a bundle that are closest to a Gaussian, in its whitened space, and which of the rays hit it.
+/// The points of the rays of a bundle that are closest to a Gaussian, in its whitened space, and which of the rays hit
+/// it.
 struct ClosestPoints {
     nearest: [Lane; 3],
     square: Lane,
@@ -85,8 +86,9 @@ impl ClosestPoints {
                     w.x_axis.z * v[0] + w.y_axis.z * v[1] + w.z_axis.z * v[2],
                 ]
             };
-            // First to where the ray passes the centre in the scene, then on from there in whitened space: a thin Gaussian far away
-            // would make small differences of large numbers of the way there. Errors along the ray do no harm, they move the foot.
+            // First to where the ray passes the centre in the scene, then on from there in whitened space: a thin
+            // Gaussian far away would make small differences of large numbers of the way there. Errors along the ray do
+            // no harm, they move the foot.
             let foot = -(along[0] * offset[0] + along[1] * offset[1] + along[2] * offset[2]);
             let beside = [
                 offset[0] + along[0] * foot,
@@ -152,7 +154,8 @@ impl RayLanes {
 }
 
 vectorised! {
-    /// Traces a bundle past the Gaussians `candidates` of `list`: fills `out`, and appends the Gaussians that some ray hit to `hit`.
+    /// Traces a bundle past the Gaussians `candidates` of `list`: fills `out`, and appends the Gaussians that some ray
+    /// hit to `hit`.
     pub(super) fn trace_bundle(bundle: &Bundle, candidates: &[u32], list: &[Occluder], hit: &mut Vec<u32>, out: &mut [RayTransmittance]) {
         let mut sums = RayLanes::EMPTY;
         for (number, &id) in candidates.iter().enumerate() {
@@ -178,7 +181,8 @@ vectorised! {
     }
 }
 
-/// Contributions of rays to the gradient of a Gaussian they hit: sums with `h = ∂L/∂(-½‖n‖²)`, `n` their nearest points in its whitened space.
+/// Contributions of rays to the gradient of a Gaussian they hit: sums with `h = ∂L/∂(-½‖n‖²)`, `n` their nearest points
+/// in its whitened space.
 #[derive(Debug, Clone, Copy, Default)]
 pub(super) struct Moments {
     /// `Σh`.
@@ -197,8 +201,8 @@ impl Moments {
 }
 
 vectorised! {
-    /// Backward of [`trace_bundle`]: appends the contributions to each of the Gaussians `hit`, given the gradient `d_log` to the
-    /// logarithm of each ray's transmittance.
+    /// Backward of [`trace_bundle`]: appends the contributions to each of the Gaussians `hit`, given the gradient
+    /// `d_log` to the logarithm of each ray's transmittance.
     pub(super) fn gather_gradients(
         bundle: &Bundle,
         d_log: &Lane,

@@ -23,7 +23,8 @@ pub(super) struct Cells {
 }
 
 impl Cells {
-    /// Sorts `points` into cells of about `cell_size` metres; returns the grid, and the indices of the points in the order of their cells.
+    /// Sorts `points` into cells of about `cell_size` metres; returns the grid, and the indices of the points in the
+    /// order of their cells.
     pub(super) fn sort(points: &[Vec2], cell_size: Vec2) -> (Self, Vec<u32>) {
         let nothing = || (Vec2::INFINITY, Vec2::NEG_INFINITY);
         let parts = points.par_chunks(CHUNK).map(|part| {

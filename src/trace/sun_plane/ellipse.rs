@@ -1,5 +1,5 @@
-//! A Gaussian projected along parallel light: an ellipse in the plane normal to the light, its peaks on a plane in depth; and the way
-//! back from moments of an ellipse to the gradient of its Gaussian.
+//! A Gaussian projected along parallel light: an ellipse in the plane normal to the light, its peaks on a plane in
+//! depth; and the way back from moments of an ellipse to the gradient of its Gaussian.
 
 use crate::trace::bvh::Occluder;
 use glam::{Mat3, Vec2, Vec3};
@@ -42,8 +42,8 @@ impl Axes {
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Ellipse {
     pub(super) centre: Vec2,
-    /// Whitening of the plane: `t = (w₀ x, w₁ x + w₂ y)` of an offset from the centre, in standard deviations. `‖t‖²` is never
-    /// negative and does not cancel for long ellipses, as their inverse covariance would.
+    /// Whitening of the plane: `t = (w₀ x, w₁ x + w₂ y)` of an offset from the centre, in standard deviations. `‖t‖²`
+    /// is never negative and does not cancel for long ellipses, as their inverse covariance would.
     pub(super) whiten: [f32; 3],
     /// Squared distance beyond which it ends, standard deviations.
     pub(super) reach_square: f32,
@@ -77,7 +77,8 @@ impl Ellipse {
         let whitened = |axis: Vec3| occluder.scaled_axes.transpose() * axis;
         let (a, b, c) = (whitened(axes.right), whitened(axes.up), whitened(axes.light));
         let (xx, xy, yy) = (a.dot(a), a.dot(b), b.dot(b));
-        // The determinant as the squared area of the two whitened axes: never negative, no cancellation for a thin disc.
+        // The determinant as the squared area of the two whitened axes: never negative, no cancellation for a thin
+        // disc.
         let det = a.cross(b).length_squared();
         // Roots before products: `det · xx` leaves the range of numbers twelve decades of sizes apart.
         let (along, area) = (xx.sqrt(), det.sqrt());
@@ -108,7 +109,8 @@ impl Ellipse {
         self.reach_square > 0.0
     }
 
-    /// `Pᵀ Aᵀ t`: gradient of half a squared distance to the place of the ray, in the scene, where `t = A (place - centre)`.
+    /// `Pᵀ Aᵀ t`: gradient of half a squared distance to the place of the ray, in the scene, where `t = A (place -
+    /// centre)`.
     #[inline(always)]
     pub(super) fn in_scene(&self, axes: &Axes, t: Vec2) -> Vec3 {
         axes.in_scene(transposed_whitening(self.whiten, t.x, t.y).into())
@@ -177,8 +179,9 @@ pub(super) struct ShapeGradient {
 }
 
 impl EllipseMoments {
-    /// Gradient of the Gaussian's shape, back through the projection. With `B = (A P L)ᵀ`, whose columns are orthonormal, the nearest point of a ray in the
-    /// Gaussian's whitened space is `n = B t`; `∂/∂ ln s_k = Σ h n_k²` and `∂/∂R e_k = Σ h (Pᵀ Aᵀ t) n_k s_k`.
+    /// Gradient of the Gaussian's shape, back through the projection. With `B = (A P L)ᵀ`, whose columns are
+    /// orthonormal, the nearest point of a ray in the Gaussian's whitened space is `n = B t`; `∂/∂ ln s_k = Σ h n_k²`
+    /// and `∂/∂R e_k = Σ h (Pᵀ Aᵀ t) n_k s_k`.
     pub(super) fn shape_gradient(&self, ellipse: &Ellipse, axes: &Axes, occluder: &Occluder) -> ShapeGradient {
         let columns = [ellipse.in_scene(axes, Vec2::X), ellipse.in_scene(axes, Vec2::Y)];
         let n = columns.map(|v| occluder.scaled_axes.transpose() * v);

@@ -1,4 +1,5 @@
-//! The inner loops of the sun plane: forward, a ray against eight ellipses at a time; backward, an ellipse against eight rays at a time.
+//! The inner loops of the sun plane: forward, a ray against eight ellipses at a time; backward, an ellipse against
+//! eight rays at a time.
 
 use super::cells::Cells;
 use super::ellipse::{Ellipse, EllipseBlock, EllipseMoments, LANES, Lane, transposed_whitening, whitened};
