@@ -1,20 +1,22 @@
-//! RPC bias correction by block adjustment: one small correction per image, so that all images agree on where the ground is.
+//! RPC bias correction by block adjustment: one small correction per image, so that all images agree on the ground.
 //!
-//! RPCs as delivered are biased: they are off by up to some ten pixels, by nearly the same all over a crop. The correction of an image
-//! is therefore a function of the image position alone, added to what its RPC projects ([`BiasModel`]; J. Grodecki, G. Dial, *Block
-//! adjustment of high-resolution satellite images described by rational polynomials*, PE&RS 69(1), 2003). Corrections and the ground
-//! points of all tracks are found together by Gauss-Newton on pixel residuals; points are eliminated (Schur complement), so that
-//! the system has a few unknowns per image. Sightings count the less the farther off they are (Geman-McClure, reweighted each
-//! round, its scale taken from the residuals' median): what moved with the sun or was matched wrong has no say in the end.
+//! RPCs as delivered are biased: they are off by up to some ten pixels, nearly constant over a crop. The correction of
+//! an image is therefore a function of the image position alone, added to the projection of its RPC ([`BiasModel`]; J.
+//! Grodecki, G. Dial, *Block adjustment of high-resolution satellite images described by rational polynomials*, PE&RS
+//! 69(1), 2003). Corrections and the ground points of all tracks are estimated together by Gauss-Newton on pixel
+//! residuals; points are eliminated (Schur complement), so that the system has a few unknowns per image. Weights of
+//! sightings fall with the size of their residual (Geman-McClure, reweighted each round, its scale from the median
+//! residual), so that moving shadows and mismatches have no weight in the end.
 //!
-//! **Gauge.** Images cannot tell a common translation of the scene (three unknowns) from its cameras' errors. Of all corrections
-//! that fit alike, the smallest are given: [`smallest_shifts`]. With two views that leaves the shift across their epipolar
-//! lines. Rotation and drift are held small by a prior of [`SLOPE_SIGMA_PX`]: they may say what the ties show and no more.
+//! **Gauge.** Images do not determine a common translation of the scene (three unknowns). Of all corrections that fit
+//! equally well, [`smallest_shifts`] selects the smallest. With two views that leaves the shift across their epipolar
+//! lines. Rotation and drift have a prior of [`SLOPE_SIGMA_PX`], so that weak ties cannot inflate them.
 //!
-//! **Words.** A track is one tie point: a ground point that several images show. A sighting is the place where one of them shows it.
+//! **Terms.** A track is one tie point: a ground point visible in several images. A sighting is its position in one of
+//! them.
 //!
-//! **Limits.** No pixels and no files: tracks come from whoever matches images. Ground control is not taken: the result is relative, up
-//! to the translation of the gauge.
+//! **Limits.** No pixels and no files: the caller matches the images. No ground control: the result is relative, up to
+//! the translation of the gauge.
 
 mod correction;
 mod export;
@@ -44,8 +46,8 @@ use problem::BlockAdjustment;
 /// `frame` is any local frame within some tens of kilometres.
 ///
 /// # Errors
-/// [`RpcError::Invalid`] when a track names an image that is not there, when there are fewer than [`FEWEST_SIGHTINGS`] tracks of
-/// two sightings, or when the cameras give no numbers there.
+/// [`RpcError::Invalid`] when a track names an image that is not there, when there are fewer than [`FEWEST_SIGHTINGS`]
+/// tracks of two sightings, or when the cameras give no numbers there.
 pub fn adjust(
     images: &[AdjustImage],
     tracks: &[Track],

@@ -1,7 +1,8 @@
 //! Many points through one camera: the same arithmetic as point by point, eight points side by side.
 //!
-//! Projection gives the very bits of [`Rpc::project`]. Localisation takes Newton's way from the model's centre, which nearly
-//! every point of a sound model needs no more than; whatever does not arrive there goes the careful way of [`Rpc::localise`].
+//! Projection gives the very bits of [`Rpc::project`]. Localisation takes Newton's way from the model's centre, which
+//! nearly every point of a sound model needs no more than; whatever does not arrive there goes the careful way of
+//! [`Rpc::localise`].
 
 use crate::polynomial::{gradient_horizontal, monomials, value};
 use crate::rpc::wrapped_longitude_deg;
@@ -13,7 +14,7 @@ const LANES: usize = 8;
 const FROZEN_STEPS: usize = 6;
 /// A residual below this needs no further step, pixels.
 const TARGET_RESIDUAL_PX: f64 = 5e-10;
-/// What the first way may leave; beyond, the careful way decides.
+/// Largest residual of the fast method; beyond it, the careful method is used.
 const ACCEPTED_RESIDUAL_PX: f64 = 2e-9;
 /// How far from its centre the first way is trusted, in the model's half ranges.
 const TRUSTED_RANGE: f64 = 1.5;
@@ -49,7 +50,7 @@ struct Inverse {
 /// Half ranges of height over which the start takes its slope.
 const START_STEP: f64 = 1e-3;
 
-/// A model as a plane, normalised: what the first step to every point follows.
+/// A model linearised at its centre, normalised: start of Newton's method for every point.
 struct Start {
     image: Image,
     inverse: Inverse,
@@ -60,7 +61,7 @@ struct Start {
 }
 
 impl Rpc {
-    /// Image positions of `points`: bit by bit what [`Self::project`] gives.
+    /// Image positions of `points`, bit by bit the results of [`Self::project`].
     // Into the caller, who may have been compiled for more instructions.
     #[inline]
     pub fn project_all(&self, points: &[GeoPoint]) -> Vec<ImagePoint> {
@@ -77,8 +78,8 @@ impl Rpc {
         out
     }
 
-    /// The ground points at `heights_m` (ellipsoidal, one per point) that project to `points`; `None` where [`Self::localise`]
-    /// gives an error.
+    /// The ground points at `heights_m` (ellipsoidal, one per point) that project to `points`; `None` where
+    /// [`Self::localise`] gives an error.
     ///
     /// # Panics
     /// When there is not one height per point.
@@ -126,7 +127,7 @@ impl Rpc {
         }
     }
 
-    /// Newton's way to up to eight points, and which of them it reached.
+    /// Newton's method for up to eight points, and which of them converged.
     fn approach(&self, start: &Start, points: &[ImagePoint], heights_m: &[f64]) -> (Ground, [bool; LANES]) {
         let (mut ground, mut target, mut image) = (Ground::default(), Image::default(), start.image);
         for (lane, (point, height_m)) in points.iter().zip(heights_m).enumerate() {

@@ -3,8 +3,8 @@
 use crate::rpc::Rpc;
 
 impl Rpc {
-    /// A cubic camera like those of real satellites, over 36.91 E 37.58 N at 700 m: 16,000 pixels square of half a metre, mildly
-    /// curved.
+    /// A cubic camera like those of real satellites, over 36.91 E 37.58 N at 700 m: 16,000 pixels square of half a
+    /// metre, mildly curved.
     pub fn example() -> Self {
         let numerator = |l: f64, p: f64, h: f64| {
             let mut c = [1.3e-6; 20];

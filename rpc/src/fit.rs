@@ -1,10 +1,10 @@
 //! An RPC fitted to ground-image pairs: regularised least squares, reweighted as it goes.
 //!
-//! Each rational `r = N/D` has 39 unknowns (`D` starts with 1); starting from `D = 1`, where the problem is linear, each
-//! round solves the equations linearised at the last one, which weighs every sample by `1/D` (C. V. Tao, Y. Hu, *A
+//! Each rational `r = N/D` has 39 unknowns (`D` starts with 1); starting from `D = 1`, where the problem is linear,
+//! each round solves the equations linearised at the last one, which weighs every sample by `1/D` (C. V. Tao, Y. Hu, *A
 //! comprehensive study of the rational function model*, PE&RS 67(12), 2001, with the predicted image in place of the
-//! observed one, so that noise does not bias the denominator). The unknowns are strongly correlated: a prior as strong as
-//! the residuals' noise warrants keeps the denominator near 1, so that it gains no poles.
+//! observed one, so that noise does not bias the denominator). The unknowns are strongly correlated: a prior as strong
+//! as the residuals' noise warrants keeps the denominator near 1, so that it gains no poles.
 
 use crate::polynomial::{Monomials, monomials, value};
 use crate::rpc::{GeoPoint, ImagePoint, Rpc, RpcError};
@@ -19,10 +19,12 @@ const MAX_ROUNDS: usize = 20;
 const LAST_IMPROVEMENT: f64 = 1e-6;
 /// Standard deviation of the denominator's coefficients; those of real cameras are 0.001 to 0.1 as a rule.
 const DENOMINATOR_SIGMA: f64 = 0.1;
-/// Per sample, on the diagonal of the normal equations, for terms of the highest order: decides what the samples leave
-/// open (three heights cannot tell `H` from `HHH`). It slows the rounds and does not bias their end.
+/// Damping per sample, on the diagonal of the normal equations, for terms of the highest order: fixes terms that the
+/// samples leave open (three heights cannot separate `H` from `HHH`). It slows the rounds and does not bias their
+/// limit.
 const LEAST_DAMPING: f64 = 1e-10;
-/// Of that, for terms of orders 0 to 3: what could be said by two terms is said by the one of lower order.
+/// Factors on the damping for terms of orders 0 to 3: between two terms that explain the same, the one of lower order
+/// wins.
 const DAMPING_BY_ORDER: [f64; 4] = [1e-8, 1e-8, 1e-4, 1.0];
 
 type Unknowns = SVector<f64, UNKNOWNS>;

@@ -1,17 +1,18 @@
-//! Rational polynomial cameras (RPC) of satellite images: projection, localisation, fitting, bias correction, and the sun.
+//! Rational polynomial cameras (RPC) of satellite images: projection, localisation, fitting, bias correction, and the
+//! sun.
 //!
-//! Vendors deliver a satellite image with an RPC: two ratios of cubic polynomials that map longitude, latitude and height to column
-//! and row. This crate reads such cameras, evaluates and inverts them, corrects their biases, and brings them into a local frame in
-//! which computer vision can work. It takes text and numbers and returns numbers: it reads no pixels, opens no files, and needs
-//! neither GDAL nor PROJ.
+//! Vendors deliver a satellite image with an RPC: two ratios of cubic polynomials that map longitude, latitude and
+//! height to column and row. This crate reads such cameras, evaluates and inverts them, corrects their biases, and
+//! brings them into a local frame in which computer vision can work. It takes text and numbers and returns numbers: it
+//! reads no pixels, opens no files, and needs neither GDAL nor PROJ.
 //!
-//! | module | what it answers |
+//! || module | content | |
 //! |---|---|
 //! | [`mod@read`], [`mod@write`] | RPCs and acquisition metadata from RPB, `_RPC.TXT`, DIMAP, Maxar XML, Sat-NeRF JSON, GeoTIFF tags, GDAL's domains; and back |
-//! | [`rpc`] | where in the image is a ground point ([`Rpc::project`]), and which ground point at a height does a pixel see ([`Rpc::localise`]) |
+//! || [`rpc`] | image position of a ground point ([`Rpc::project`]), and ground point of a pixel at a height ([`Rpc::localise`]) | |
 //! | [`frame`] | WGS 84 longitude, latitude, height to local east, north, up, and back |
 //! | [`pinhole`] | the projective camera that is nearest to an RPC over a window, with its largest error in pixels |
-//! | [`parallax`] | how precisely images from different directions find altitudes |
+//! || [`parallax`] | precision of altitudes from images of different directions | |
 //! | [`triangulate`] | the ground point of corresponding pixels |
 //! | [`adjust`] | RPC bias correction: small corrections of all images from tie points (block adjustment) |
 //! | [`fit`] | an RPC from pairs of ground and image points |
@@ -19,8 +20,8 @@
 //!
 //! # Conventions
 //! - All numbers are `f64`.
-//! - Image coordinates have pixel centres at integers, as RPC00B has: the upper left pixel's centre is (0, 0). GDAL's pixel corners are
-//!   half a pixel off; turning them is left to whoever reads the image.
+//! - Image coordinates have pixel centres at integers, as RPC00B has: the upper left pixel's centre is (0, 0). GDAL's
+//!   pixel corners are half a pixel off; the reader of the image converts them.
 //! - Heights are metres above the WGS 84 ellipsoid, not above the geoid.
 //! - Angles are degrees where a name ends in `_deg`, else radians. Azimuths count clockwise from north.
 //!

@@ -11,7 +11,7 @@ use nalgebra::{Matrix2, Vector2};
 
 /// A residual below this is as good as f64 allows; iteration stops.
 const TARGET_RESIDUAL_PX: f64 = 2e-10;
-/// What rounding may leave on a model with large coordinates and still be a solution.
+/// Largest residual of a solution, from rounding on a model with large coordinates.
 const ACCEPTED_RESIDUAL_PX: f64 = 1e-6;
 /// The same with longitude and latitude rounded to f64, 2 nm.
 const ACCEPTED_REPROJECTION_PX: f64 = 1e-5;
@@ -83,7 +83,7 @@ impl Rpc {
             lat_deg: solution.y * self.latitude_scale_deg + self.latitude_offset_deg,
             height_m,
         };
-        // What counts is the point handed out: scales that are zero or not numbers show here and nowhere before.
+        // The final point is checked: scales that are zero or not finite show only here.
         let seen = self.project(ground);
         let off_px = (seen.col - point.col).hypot(seen.row - point.row);
         if off_px < ACCEPTED_REPROJECTION_PX {

@@ -1,11 +1,11 @@
 //! How precisely images from different directions find altitudes.
 //!
-//! A pair of images whose rays part by `b` metres per metre of altitude (the base-to-height ratio) turns an error of matching of `e` metres
-//! on the ground into one of `e / b` in altitude.
+//! A pair of images whose rays part by `b` metres per metre of altitude (the base-to-height ratio) turns an error of
+//! matching of `e` metres on the ground into one of `e / b` in altitude.
 
-/// Error of matching between two images, pixels: what remains of their pointing, and of the sub-pixel position (docs/lab/known.md).
+/// Error of matching between two images, pixels: residual pointing error and sub-pixel error (docs/lab/known.md).
 pub const MATCHING_PX: f64 = 0.2;
 
-/// Least base-to-height ratio of two images that show parallax. Below it, [`MATCHING_PX`] is an error of more than ten pixels in altitude:
-/// more than the houses and trees that a surface is to show.
+/// Least base-to-height ratio of two images that show parallax. Below it, [`MATCHING_PX`] is an error of more than ten
+/// pixels in altitude: more than the houses and trees that a surface is to show.
 pub const LEAST_BASE_TO_HEIGHT: f64 = 0.02;

@@ -2,7 +2,7 @@
 //!
 //! From orbit the field of view of a window is so narrow that its perspective moves a pixel by tenths of a pixel only:
 //! the denominator's three coefficients are barely seen by the data. The fit therefore runs in normalised coordinates
-//! and holds the denominator near 1 by a prior that is far weaker than any perspective the pixels do show.
+//! and holds the denominator near 1 by a prior, which is far weaker than any perspective visible in the pixels.
 
 use crate::frame::LocalFrame;
 use crate::rpc::{GeoPoint, ImagePoint, Rpc, RpcError};
@@ -18,7 +18,7 @@ const LEVEL: f64 = 2.4;
 /// Residuals below this need no levelling.
 const LEVELLED_PX: f64 = 1e-3;
 const MAX_LEVELLINGS: usize = 60;
-/// Standard deviation given to the residuals, pixels: what a map can be expected to leave.
+/// Standard deviation of the residuals, pixels: the expected error of the projective map.
 const RESIDUAL_SIGMA_PX: f64 = 1e-3;
 /// Standard deviation of the denominator's coefficients, per metre: a camera in orbit has 1e-6, at 10 km 1e-4.
 const DENOMINATOR_SIGMA_PER_M: f64 = 1e-4;
@@ -238,8 +238,8 @@ impl Normalisation {
     }
 }
 
-/// Least squares from the linear equations, refined on pixel residuals, then levelled: samples with large residuals gain
-/// weight until the largest is at most [`LEVEL`] times the root mean square, which grows by a few percent.
+/// Least squares from the linear equations, refined on pixel residuals, then levelled: samples with large residuals
+/// gain weight until the largest is at most [`LEVEL`] times the root mean square, which grows by a few percent.
 fn fit_normalised(samples: &[Sample], normalisation: &Normalisation) -> Result<Parameters, RpcError> {
     let mut weights = vec![1.0; samples.len()];
     // From zero parameters (image 0 everywhere, denominator 1) the step is the linear equations' solution.
@@ -254,7 +254,7 @@ fn fit_normalised(samples: &[Sample], normalisation: &Normalisation) -> Result<P
             .collect();
         let largest = residuals.iter().copied().fold(0.0, f64::max);
         let rms = (residuals.iter().map(|r| r * r).sum::<f64>() / residuals.len() as f64).sqrt();
-        // What is not a number is left to the check of the finished map.
+        // Non-finite values are left to the check of the finished map.
         if largest * normalisation.image_scale_px < LEVELLED_PX || largest <= LEVEL * rms || !rms.is_finite() {
             break;
         }
@@ -279,8 +279,8 @@ fn predict(parameters: &Parameters, p: &Vector3<f64>) -> Vector2<f64> {
     numerators / (1.0 + dot(parameters, 8, p))
 }
 
-/// One Gauss-Newton step from `parameters` on the weighted pixel residuals with the denominator's prior. Zero parameters
-/// do not see the perspective; there the linear equations `u p + u0 - col (w p) = col` are solved instead.
+/// One Gauss-Newton step from `parameters` on the weighted pixel residuals with the denominator's prior. Zero
+/// parameters do not see the perspective; there the linear equations `u p + u0 - col (w p) = col` are solved instead.
 fn normal_step(
     samples: &[Sample],
     weights: &[f64],

@@ -1,8 +1,8 @@
-//! Cameras from what vendors deliver: text and tags in, [`Rpc`] out. No files, no GDAL.
+//! Cameras from vendors' files: text and tags in, [`Rpc`] out. No files, no GDAL.
 //!
-//! Coordinates come out in one convention whatever the file's own: pixel centres at integers, the upper-left one (0, 0).
-//! Input is taken to be hostile: nothing here panics, recurses without bound or allocates more than a few times the
-//! text it was given, and errors name what is missing.
+//! Coordinates come out in one convention whatever the file's own: pixel centres at integers, the upper-left one (0,
+//! 0). Input is untrusted: nothing here panics, recurses without bound or allocates more than a few times the size of
+//! the text. Errors name the missing values.
 
 pub mod acquisition;
 pub mod calibration;

@@ -23,17 +23,17 @@ pub struct ImagePoint {
     pub row: f64,
 }
 
-/// What can go wrong with a rational camera.
+/// Errors of a rational camera.
 #[derive(Debug, thiserror::Error)]
 pub enum RpcError {
     /// The inversion of the projection did not converge.
     #[error("localisation of column {col}, row {row} at height {height_m} m did not converge")]
     NoConvergence {
-        /// Column asked for, pixels.
+        /// Requested column, pixels.
         col: f64,
-        /// Row asked for, pixels.
+        /// Requested row, pixels.
         row: f64,
-        /// Height asked for, metres.
+        /// Requested height, metres.
         height_m: f64,
     },
     /// A model whose own scales contradict its polynomials.

@@ -1,9 +1,9 @@
-//! Where the sun stands, from time and place.
+//! Direction of the sun from time and place.
 //!
-//! Earth's heliocentric longitude, latitude and distance come from the leading terms of the VSOP87 theory,
-//! corrected for nutation and aberration, turned by apparent sidereal time, and seen from the place itself (parallax).
-//! Formulas: J. Meeus, *Astronomical Algorithms*, 2nd ed., chapters 12, 22, 25 and 32. Against the NREL algorithm over
-//! 1972-2100 the direction is good to 0.001 degree; the largest part left is that UT1 is taken to be UTC (within 0.9 s).
+//! Earth's heliocentric longitude, latitude and distance come from the leading terms of the VSOP87 theory, corrected
+//! for nutation and aberration, turned by apparent sidereal time, and seen from the place itself (parallax). Formulas:
+//! J. Meeus, *Astronomical Algorithms*, 2nd ed., chapters 12, 22, 25 and 32. Against the NREL algorithm over 1972-2100
+//! the direction is good to 0.001 degree; the largest part left is that UT1 is taken to be UTC (within 0.9 s).
 
 mod vsop;
 
@@ -69,8 +69,8 @@ impl SunPosition {
     }
 }
 
-/// The sun at `time`, seen from `at`; meant for 1900 to 2150, where the difference of Earth rotation and uniform time is
-/// known or foreseeable.
+/// The sun at `time`, seen from `at`; meant for 1900 to 2150, where the difference of Earth rotation and uniform time
+/// is known or foreseeable.
 pub fn sun_position(time: jiff::Timestamp, at: GeoPoint) -> SunPosition {
     let (days_ut, days_tt) = days_since_j2000(time);
     let toward_sun_ecef_m = sun_ecef_m(days_ut, days_tt) - ecef_from_geo(at);

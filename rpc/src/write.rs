@@ -1,11 +1,12 @@
-//! Cameras to what other tools read. Every number is written so that it reads back bit for bit (17 significant digits).
+//! Cameras in the formats of other tools. Every number is written so that it reads back bit for bit (17 significant
+//! digits).
 
 use crate::rpc::Rpc;
 use serde_json::{Value, json};
 use std::collections::BTreeMap;
 use std::fmt::Write;
 
-/// GeoTIFF tag 50844 (RPCCoefficientTag); unknown errors are written as -1, as the tag's definition says.
+/// GeoTIFF tag 50844 (RPCCoefficientTag); unknown errors are written as -1, as the tag defines.
 pub fn geotiff_tag(rpc: &Rpc) -> [f64; 92] {
     let mut tag = [0.0; 92];
     tag[0] = rpc.error_bias_m.unwrap_or(-1.0);

@@ -96,7 +96,7 @@ fn gdal_domains_bring_acquisitions_under_many_names() {
         (found.sun_azimuth_deg, found.sun_elevation_deg),
         (Some(39.5), Some(39.0))
     );
-    // 999.9 is unknown; the other record then speaks, and never one angle of each.
+    // 999.9 means unknown; both angles then come from the other record, never one angle of each.
     let found = read(&[
         ("NITF_USE00A_SUN_EL", "+39.0"),
         ("NITF_USE00A_SUN_AZ", "999.9"),

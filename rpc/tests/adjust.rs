@@ -231,7 +231,7 @@ fn rotation_and_drift_are_found_where_they_are_allowed() {
         slope_px: [[0.6, -0.5], [0.5, 0.4]],
         ..Correction::none(SIZE, SIZE)
     };
-    // The third image is turned and stretched; its camera knows nothing of it.
+    // The third image is rotated and stretched, which its camera does not model.
     let mut tracks = tracks(&cameras, 300, &mut |at| at);
     for track in &mut tracks {
         track.sightings[2].at = bend.apply(track.sightings[2].at);

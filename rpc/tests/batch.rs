@@ -1,4 +1,4 @@
-//! Many points at once are what they are one by one.
+//! Projection and localisation of many points at once equal those of single points.
 
 mod common;
 

@@ -86,7 +86,7 @@ fn a_push_broom_is_fitted_to_a_thousandth_of_a_pixel_anywhere_on_earth() {
             fit.rms_px, fit.max_px
         );
         assert!(fit.rms_px <= fit.max_px && fit.max_px < 1e-3 && check_px < 1e-3);
-        // The model is sound: it localises what it projects.
+        // The model is consistent: it localises its own projections.
         for (ground, image) in between {
             let found = fit.rpc.localise(image, ground.height_m).expect("localises");
             assert!(distance_px(fit.rpc.project(found), image) < 1e-8);

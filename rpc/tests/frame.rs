@@ -1,4 +1,4 @@
-//! The ENU frame: round trips below a micrometre anywhere, and directions that mean what they say.
+//! The ENU frame: round trips below a micrometre anywhere, and correct directions.
 
 use heliosplat_rpc::frame::{WGS84_SEMI_MAJOR_M, ecef_from_geo, geo_from_ecef};
 use heliosplat_rpc::{GeoPoint, LocalFrame};

@@ -7,7 +7,7 @@ use heliosplat_rpc::RpcError;
 
 const PROJECTION_BAR_PX: f64 = 1e-9;
 const LOCALISATION_BAR_PX: f64 = 1e-8;
-/// The model no tool localises (its golden file says so).
+/// The model that no tool localises (stated in its golden file).
 const NOT_LOCALISABLE: &str = "erosb";
 
 #[test]

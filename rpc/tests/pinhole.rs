@@ -82,7 +82,7 @@ fn every_golden_camera_has_a_pinhole_for_a_small_window() {
         let fit = PinholeFit::fit(&rpc, &frame, window, (ground.height_m - 30.0, ground.height_m + 30.0))
             .unwrap_or_else(|e| panic!("{name}: {e}"));
         println!("{name:<28} rms {:.2e} px, max {:.2e} px", fit.rms_px, fit.max_px);
-        // IKONOS San Diego is a chip of a map-projected product: 0.13 px of it is no perspective.
+        // IKONOS San Diego is a chip of a map-projected product, which deviates from perspective by 0.13 px.
         assert!(
             fit.max_px < if name == "ikonos_sandiego_noichipb" { 0.2 } else { 0.1 },
             "{name}: {fit:?}"

@@ -1,4 +1,4 @@
-//! Every reader on text of its format, made here from one camera; what is missing is named; nothing panics.
+//! Every reader on text of its format, written here from one camera: errors name missing values, and no input panics.
 
 mod common;
 

@@ -1,4 +1,4 @@
-//! The sun against published values and against what must hold anywhere.
+//! The sun against published values and against general properties.
 
 use heliosplat_rpc::{GeoPoint, SunPosition, sun_position};
 use nalgebra::Vector3;

@@ -10,11 +10,12 @@ use heliosplat_scene::Split;
 use rayon::prelude::*;
 use std::path::{Path, PathBuf};
 
-/// What images may take in memory where nothing is said, bytes.
+/// Default limit of the memory for images, bytes.
 pub const IMAGE_BYTES: u64 = 8 << 30;
-/// Without files that say which images are held out, every eighth is, as NeRF and its successors do.
+/// Where no file lists held-out images, every eighth image is held out, as in NeRF and its successors.
 const HOLD_EVERY: usize = 8;
-/// Files of a capture, and what their images are for. Where there are images to test with, those to validate with are left alone.
+/// Files of a capture and the use of their images. Images for validation are ignored where there are images for
+/// testing.
 const FILES: [(&str, Split); 4] = [
     ("transforms_train.json", Split::Train),
     ("transforms_test.json", Split::Test),
@@ -35,7 +36,7 @@ pub struct Frame {
     pub camera: Pinhole,
     /// Its light, if known.
     pub light: Option<PointLight>,
-    /// What it shows.
+    /// Its pixels.
     pub picture: Picture,
 }
 
@@ -52,7 +53,7 @@ pub struct Capture {
     pub half_size: f64,
     /// Width of a pixel at the centre.
     pub pixel_size: f64,
-    /// What looks wrong but stops nothing.
+    /// Suspicious findings that do not stop the run.
     pub warnings: Vec<String>,
 }
 
@@ -66,8 +67,8 @@ pub fn is_capture(path: &Path) -> bool {
 }
 
 impl Capture {
-    /// True normals, `(n + 1) / 2`, and the number of the part of the object that each pixel of a frame shows; `None` where the
-    /// capture does not know.
+    /// True normals, `(n + 1) / 2`, and the number of the part of the object at each pixel of a frame; `None` where the
+    /// capture has no truth.
     pub fn true_parts(&self, frame: &Frame) -> Option<(image::RgbImage, image::GrayImage)> {
         let folder = match self.source.is_dir() {
             true => self.source.as_path(),
@@ -169,7 +170,7 @@ fn frame(spec: FrameSpec, split: Split, size_px: [usize; 2]) -> Result<Frame, Ca
     })
 }
 
-/// The images that a capture lists, and what each is for.
+/// The images that a capture lists, and the use of each.
 fn list(path: &Path) -> Result<Vec<(FrameSpec, Split)>, CaptureError> {
     if path.is_file() {
         return Ok(held_out(transforms::read(path)?));
@@ -241,7 +242,7 @@ mod tests {
         std::fs::write(folder.join(name), value.to_string()).expect("written");
     }
 
-    /// What the images of a folder look like to the engine.
+    /// The images of a folder as the engine gets them.
     fn views(folder: &Path) -> Vec<(String, Split, Pinhole, Picture, Option<PointLight>)> {
         let capture = Capture::open(folder, IMAGE_BYTES).expect("a sound capture");
         let frames = capture.frames.into_iter();
@@ -260,7 +261,7 @@ mod tests {
                 picture(i)
                     .save(folder.path().join(format!("train/r_{i}.png")))
                     .expect("written");
-                // What must not be taken for images.
+                // A file that must not be read as an image of the capture.
                 picture(99)
                     .save(folder.path().join(format!("train/r_{i}_normal.png")))
                     .expect("written");

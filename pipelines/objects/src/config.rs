@@ -18,7 +18,7 @@ impl Default for StartOptions {
     }
 }
 
-/// What is behind the object.
+/// Background of the object.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Background {
@@ -34,12 +34,12 @@ pub enum Background {
 #[derive(Debug, Clone, Copy, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum ModelKind {
-    /// `olat` where every image has a light and they are in different places; else `reflective` where short fits show that gloss is
-    /// needed, and `radiance` where not.
+    /// `olat` where every image has a light and they are in different places; else `reflective` where short fits show
+    /// that gloss is needed, and `radiance` where not.
     Auto,
     /// Colours as seen from anywhere, under the light of the photographs.
     Radiance,
-    /// What surfaces reflect of one light at a time.
+    /// Surfaces lit by one light at a time.
     Olat,
     /// Glossy surfaces in surroundings that stay.
     Reflective,
@@ -49,29 +49,32 @@ pub enum ModelKind {
 #[derive(Debug, Clone, PartialEq, serde::Serialize, serde::Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct ModelOptions {
-    /// Which one; said where the images decide otherwise than the user wants.
+    /// The kind, where the user overrides the choice by the images.
     pub kind: ModelKind,
-    /// Whether surfaces may be glossy: they are where that is needed, see [`super::plan`], or where `kind` says the model.
+    /// Whether surfaces may be glossy. They are glossy where that is needed, see [`super::plan`], or where `kind` names
+    /// the model.
     pub specular: bool,
     /// Whether light may scatter under surfaces, in `olat`; as for gloss.
     pub scattering: bool,
-    /// Whether a network refines shadows, in `olat`: on for matt objects (1.9 dB), off for metal, where it is worth nothing. Short fits do not tell.
+    /// Whether a network refines shadows, in `olat`: on for matt objects (1.9 dB), off for metal, where it gains
+    /// nothing. Short fits do not measure it.
     pub refined_shadow: bool,
-    /// Whether the light that reaches surfaces is traced, in `olat`; off in the comparison of docs/lab/objects.md, for a sixth of the time.
+    /// Whether the light that reaches surfaces is traced, in `olat`; off in the comparison of docs/lab/objects.md, for
+    /// a sixth of the time.
     pub shadow: bool,
     /// Radius of the lights, in `olat`, in the capture's units: 0 for points, larger for lamps that are near.
     pub light_radius: f32,
     /// Largest degree of the spherical harmonics: 3, or 0 for objects that look alike from everywhere.
     pub sh_degree: usize,
-    /// Units of each hidden layer of all networks, 1 to 256: the papers have 64 (`reflective`), worth 0.1 to 0.3 dB in up to twice the time, and
-    /// 256 (`olat`), 14 times the time (docs/lab/objects.md).
+    /// Units of each hidden layer of all networks, 1 to 256: the papers have 64 (`reflective`), worth 0.1 to 0.3 dB in
+    /// up to twice the time, and 256 (`olat`), 14 times the time (docs/lab/objects.md).
     pub network_width: usize,
     /// Hidden layers of all networks, 1 to 8; 3 and 6 in the papers.
     pub network_layers: usize,
-    /// Steps of the short fits that decide which parts there are (see [`super::plan`]); 0, for those who know, leaves parts as the
-    /// configuration says.
+    /// Steps of the short fits that select the parts (see [`super::plan`]); with 0 the parts are those of the
+    /// configuration.
     pub pilot_steps: usize,
-    /// What is behind the object; said where the images' coverage does not tell.
+    /// Background of the object, needed where the images have no coverage.
     pub background: Background,
 }
 
@@ -94,7 +97,7 @@ impl Default for ModelOptions {
 }
 
 impl ModelOptions {
-    /// Refuses networks of no size, and of one that only a mistake asks for.
+    /// Refuses networks of size zero and of absurd sizes.
     fn checked(&self) -> Result<(), ConfigError> {
         let limits = [
             ("model.network_width", self.network_width, 256, "1 to 256"),
@@ -129,7 +132,8 @@ impl ObjectConfig {
     /// The defaults, then the preset's file, then the `--set` pairs in their order.
     ///
     /// # Errors
-    /// [`ConfigError::Set`] for a key that does not exist or a value of another kind, [`ConfigError::Value`] for one that means nothing.
+    /// [`ConfigError::Set`] for a key that does not exist or a value of another kind, [`ConfigError::Value`] for one
+    /// that means nothing.
     pub fn resolve(preset: Preset, set: &[(String, String)], seed: u64) -> Result<Self, ConfigError> {
         let text = match preset {
             Preset::Fast => include_str!("../presets/fast.toml"),
@@ -153,7 +157,7 @@ impl ObjectConfig {
 /// Parts of a model that may be there or not; short fits decide.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, serde::Serialize, serde::Deserialize)]
 pub struct Parts {
-    /// Whether surfaces are glossy, where the kind can be told.
+    /// Whether surfaces are glossy, in kinds with that choice.
     pub specular: bool,
     /// Whether light scatters under surfaces.
     pub scattering: bool,
@@ -174,7 +178,7 @@ impl Parts {
     }
 }
 
-/// What trainings on objects have otherwise than those on ground, whoever runs them. Lengths are in pixels at the object's centre.
+/// Settings of trainings on objects that differ from those on ground. Lengths are in pixels at the object's centre.
 fn for_objects(train: TrainOptions, seed: u64) -> TrainOptions {
     TrainOptions {
         seed,

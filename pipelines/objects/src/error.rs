@@ -1,4 +1,4 @@
-//! What can go wrong between a capture of an object and its run.
+//! Errors of captures of objects and their runs.
 
 use heliosplat_fitting::run_folder::RunError;
 use heliosplat_fitting::settings::ConfigError;
@@ -6,7 +6,7 @@ use heliosplat_fitting::training::TrainingError;
 use heliosplat_raster::RasterError;
 use std::path::{Path, PathBuf};
 
-/// Why a capture cannot be used; one line that names the file and what to do.
+/// Reason why a capture cannot be used; one line with the file and the remedy.
 #[derive(Debug, thiserror::Error)]
 pub enum CaptureError {
     /// There is no `transforms_*.json`.
@@ -17,7 +17,7 @@ pub enum CaptureError {
     Io {
         /// The file.
         path: PathBuf,
-        /// What the system says.
+        /// Error of the system.
         reason: std::io::Error,
     },
     /// A `transforms` file or an image that is not usable.
@@ -25,9 +25,9 @@ pub enum CaptureError {
     File {
         /// The file.
         path: PathBuf,
-        /// What is wrong.
+        /// The fault.
         what: String,
-        /// What to do.
+        /// The remedy.
         remedy: &'static str,
     },
     /// More pixels than fit.
@@ -37,15 +37,15 @@ pub enum CaptureError {
     TooLarge {
         /// The capture.
         folder: PathBuf,
-        /// What they take, GiB.
+        /// Memory needed, GiB.
         needed_gib: f64,
-        /// What they may take, GiB.
+        /// Memory allowed, GiB.
         limit_gib: f64,
     },
 }
 
 impl CaptureError {
-    /// A fault of a file, and what to do about it.
+    /// A fault of a file, with its remedy.
     pub(crate) fn file(path: &Path, what: impl Into<String>, remedy: &'static str) -> Self {
         Self::File {
             path: path.to_owned(),
@@ -54,7 +54,7 @@ impl CaptureError {
         }
     }
 
-    /// What the system says of a file.
+    /// An error of the system on a file.
     pub(crate) fn io(path: &Path) -> impl Fn(std::io::Error) -> Self {
         move |reason| Self::Io {
             path: path.to_owned(),
@@ -82,7 +82,7 @@ pub enum ObjectError {
     Memory {
         /// How many there should be.
         gaussians: usize,
-        /// What would be enough, GiB.
+        /// Sufficient memory, GiB.
         needed_gib: f64,
         /// How many there is room for.
         most: usize,

@@ -1,4 +1,4 @@
-//! What other programs can use of a model: splats with colours baked for a light, and the model itself as two files.
+//! Exports of a model for other programs: splats with colours baked for a light, and the model itself as two files.
 
 use super::measure;
 use super::model::{Kind, ObjectModel};
@@ -18,16 +18,17 @@ use rayon::prelude::*;
 use std::f32::consts::PI;
 use std::path::Path;
 
-/// Directions from which colours are asked before harmonics of degree three are fitted to them.
+/// Directions at which colours are sampled before harmonics of degree three are fitted to them.
 const DIRECTIONS: usize = 128;
 /// Channels of a splat while it is baked: a width that every model fits in.
 const STRIDE: usize = 16;
 
-/// The Gaussians of a model as viewers of splats take them: display values, harmonics of degree three, positions in the frame of the
-/// cameras. With a `light`, under that light alone, a model that knows lights; without, as it was photographed.
+/// The Gaussians of a model as viewers of splats read them: display values, harmonics of degree three, positions in the
+/// frame of the cameras. With a `light`, a relightable model is baked under that light alone; without, under the light
+/// of the photographs.
 ///
 /// # Errors
-/// A sentence that says what is wrong.
+/// A sentence with the fault.
 pub fn baked(model: &ObjectModel, light: Option<Light>) -> Result<Table, String> {
     let kind = match light {
         None if matches!(model.file.kind, Kind::Olat(_)) => {
@@ -39,7 +40,7 @@ pub fn baked(model: &ObjectModel, light: Option<Light>) -> Result<Table, String>
             lit.ok_or("this model knows only the light it was photographed in; leave --light and --toward out")?
         }
     };
-    // Under a lamp light is linear; else it is what the images are.
+    // Colours are linear under a lamp, else in the encoding of the images.
     let linear = light.is_some() || measure::is_linear(model);
     let shading = kind.model();
     let gaussians = &model.parameters.gaussians;
@@ -140,7 +141,7 @@ mod tests {
 
     #[test]
     fn harmonics_are_found_again_from_the_directions() {
-        // What is baked of a sum of functions is that sum.
+        // Baking a sum of functions gives that sum.
         let wanted: Vec<f32> = (0..sh::MAX_FUNCTIONS).map(|f| 0.1 - 0.013 * f as f32).collect();
         let mut found = [0.0f32; sh::MAX_FUNCTIONS];
         for direction in directions() {

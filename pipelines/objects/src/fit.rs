@@ -22,7 +22,7 @@ use std::time::Instant;
 pub struct Fitted {
     /// The model.
     pub model: ObjectModel,
-    /// What was fitted, and why.
+    /// The fitted model and the reasons for it.
     pub plan: Plan,
     /// How Gaussians started, in words.
     pub start: &'static str,
@@ -40,7 +40,8 @@ pub struct Fitted {
     pub ending: Ending,
 }
 
-/// Fits a model to `capture`, or goes on from the `checkpoint` of a fit that was interrupted; `checkpoints` writes its state meanwhile.
+/// Fits a model to `capture`, or goes on from the `checkpoint` of a fit that was interrupted; `checkpoints` writes its
+/// state meanwhile.
 ///
 /// # Errors
 /// [`TrainingError`] when training gives up.

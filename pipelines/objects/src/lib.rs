@@ -1,7 +1,9 @@
-//! Captures of objects: images from around an object with cameras and lights in `transforms_*.json`, as NeRF made them common.
+//! Captures of objects: images from around an object with cameras and lights in `transforms_*.json`, the format of
+//! NeRF.
 //!
-//! `transforms` reads cameras and lights, `pixels` images, `capture` puts them together; `plan` decides by the short fits of `trial`, `start`, `views` and `fit` make a
-//! model of them, `run` keeps it, `measure` says how good it is, and `training` is the whole way.
+//! `transforms` reads cameras and lights, `pixels` images, and `capture` combines them. `plan` selects a model by the
+//! short fits of `trial`; `start`, `views` and `fit` train it, `run` stores it, `measure` scores it, and `training` is
+//! the whole pipeline.
 
 pub mod capture;
 pub mod config;

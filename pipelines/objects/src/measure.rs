@@ -1,4 +1,4 @@
-//! How well a model shows what it was not shown.
+//! Scores of a model on held-out images.
 
 use super::capture::{Capture, Frame};
 use super::model::{Kind, ObjectFile, ObjectImage, ObjectModel};
@@ -22,20 +22,20 @@ use std::path::Path;
 /// Lights further than this from every light of training are far from them, radians: 8.6 degrees.
 const FAR_RAD: f64 = 0.15;
 
-/// Held-out images that are looked at while a model is trained.
+/// Held-out images that are scored during training.
 const PROBED: usize = 3;
 
-/// A frame and what the model shows in its place.
+/// A frame and its rendering.
 pub struct Compared {
     /// The image, in front of the model's background.
     pub truth: Raster,
-    /// What the model shows.
+    /// The rendering.
     pub rendered: Raster,
     /// Their likeness; `None` where nothing is known in both.
     pub score: Option<ImageScore>,
 }
 
-/// Compares a frame with what the model shows. Display images are compared in what a display can show, 0 to 1.
+/// Compares a frame with its rendering. Display images are clamped to the displayable range, 0 to 1.
 pub fn compare(model: &ObjectModel, frame: &Frame) -> Option<Compared> {
     let preparation = Preparation {
         coverage: false,
@@ -58,7 +58,8 @@ pub fn is_linear(model: &ObjectModel) -> bool {
     model.file.encoding == Encoding::Linear || model.file.preparation.linear
 }
 
-/// Tells how well a model in training shows some of the images held out, which `file` describes; `None` without such images.
+/// Tells how well a model in training shows some of the images held out, which `file` describes; `None` without such
+/// images.
 pub(super) fn psnr_probe(capture: &Capture, file: ObjectFile) -> Option<Box<Probe<'_>>> {
     let held_out: Vec<&Frame> = capture.of(Split::Test).collect();
     let step = held_out.len().div_ceil(PROBED).max(1);
@@ -81,7 +82,7 @@ pub(super) fn psnr_probe(capture: &Capture, file: ObjectFile) -> Option<Box<Prob
     }))
 }
 
-/// Mean scores of images; with `folder`, each image beside what the model shows is written there.
+/// Mean scores of images; with `folder`, each image and its rendering are written there.
 fn scores(model: &ObjectModel, frames: &[&Frame], folder: Option<&Path>) -> Result<Option<ImageScore>, RasterError> {
     let mut all = Vec::new();
     for frame in frames {
@@ -107,7 +108,7 @@ pub fn file_name(name: &str) -> String {
     name.replace(['/', '\\'], "_")
 }
 
-/// A picture of what a model shows, or should.
+/// A picture of a rendering or of its reference.
 pub fn picture(raster: &Raster, model: &ObjectModel) -> RgbImage {
     picture_of(raster, is_linear(model))
 }
@@ -138,7 +139,7 @@ pub fn normal_picture(normals: &Raster) -> RgbImage {
     })
 }
 
-/// What a part of an object looks like in a model: sums over its pixels.
+/// Sums over the pixels of one part of an object.
 #[derive(Default)]
 struct PartSums {
     pixels: usize,
@@ -147,8 +148,8 @@ struct PartSums {
     angles: usize,
 }
 
-/// Where the parts of an object are known, as beside captures that were made: by part and over all, the angles between a model's
-/// normals and the true ones, degrees, and the PSNR of its pixels. `None` where there is no truth.
+/// By part and over all: the angles between a model's normals and the true ones, degrees, and the PSNR of its pixels.
+/// `None` without true parts, which only synthetic captures have.
 fn by_part(model: &ObjectModel, capture: &Capture, frames: &[&Frame]) -> Option<Value> {
     let mut sums: BTreeMap<u8, PartSums> = BTreeMap::new();
     for frame in frames {
@@ -202,7 +203,7 @@ fn beside(left: &RgbImage, right: &RgbImage) -> RgbImage {
     })
 }
 
-/// `metrics.json` of a model, as far as images tell.
+/// `metrics.json` of a model, from the images alone.
 ///
 /// # Errors
 /// When a picture cannot be written.

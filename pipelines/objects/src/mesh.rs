@@ -1,7 +1,8 @@
-//! A triangle mesh of a model: the depths that its cameras see, fused into a grid of truncated signed distances (Curless and Levoy
-//! 1996), whose zero surface nets find.
+//! A triangle mesh of a model: the depths of its cameras, fused into a grid of truncated signed distances (Curless and
+//! Levoy 1996); surface nets extract its zero surface.
 //!
-//! What no camera sees counts as inside, so that the mesh is closed: a thing seen from above gets a flat bottom.
+//! Space that no camera sees counts as inside, so that the mesh is closed: an object seen from above gets a flat
+//! bottom.
 
 mod file;
 
@@ -19,7 +20,7 @@ use rayon::prelude::*;
 
 /// Distances are cut at this many cells.
 const TRUNCATION_CELLS: f32 = 3.0;
-/// Cells around what is meshed that stay free, so that the mesh is closed.
+/// Free cells around the meshed volume, so that the mesh is closed.
 const MARGIN_CELLS: usize = 3;
 /// Gaussians fainter than this are no surface.
 const OPACITY_KNOWN: f32 = 0.5;
@@ -41,10 +42,11 @@ pub struct Mesh {
     pub triangles: Vec<[u32; 3]>,
 }
 
-/// Meshes a model in a grid whose longest side has `cells` cells. Colours are those that the images' cameras see, in their lights, on average.
+/// Meshes a model in a grid whose longest side has `cells` cells. Colours are means over the images, each in its own
+/// light.
 ///
 /// # Errors
-/// A sentence that says what is wrong: a model without a surface.
+/// A sentence with the fault: a model without a surface.
 pub fn mesh(model: &ObjectModel, cells: usize, progress: &dyn Fn(u64)) -> Result<Mesh, String> {
     let mut grid = Grid::around(&model.parameters.gaussians, cells).ok_or("it has no Gaussian that is opaque")?;
     for (done, image) in model.file.images.iter().enumerate() {
@@ -66,7 +68,7 @@ pub fn mesh(model: &ObjectModel, cells: usize, progress: &dyn Fn(u64)) -> Result
 }
 
 impl Mesh {
-    /// The same without pieces that are much smaller than the largest: what noise leaves between surfaces.
+    /// The same without pieces that are much smaller than the largest, the remains of noise between surfaces.
     fn without_crumbs(self) -> Self {
         let piece = self.pieces();
         let mut sizes = vec![0usize; self.positions.len()];
@@ -167,7 +169,7 @@ struct Grid {
     /// Width of a cell, in units of the capture.
     cell: f32,
     size: [usize; 3],
-    /// Sums over views of what they say, -1 to 1, and how many said something.
+    /// Sums over views of their signed distances, -1 to 1, and the number of views that contributed.
     sums: Vec<[f32; 2]>,
 }
 
@@ -206,7 +208,7 @@ impl Grid {
         }
     }
 
-    /// Adds what a camera sees: depths along its axis, infinite where nothing is.
+    /// Adds a depth map: depths along the camera's axis, infinite where there is no surface.
     fn add(&mut self, camera: &ProjectiveCamera, depths: &[f32]) {
         let truncation = TRUNCATION_CELLS * self.cell;
         let (origin, cell, [width, height, _]) = (self.origin, self.cell, self.size);

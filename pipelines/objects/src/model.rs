@@ -25,13 +25,13 @@ use std::path::Path;
 /// Version of `model.json`.
 pub const SCHEMA: u32 = 1;
 
-/// A kind of model, and what it is made of.
+/// A kind of model with its options.
 #[derive(Debug, Clone, PartialEq, serde::Serialize, serde::Deserialize)]
 #[serde(tag = "model", content = "options", rename_all = "snake_case")]
 pub enum Kind {
     /// Colours as seen from anywhere.
     Radiance(RadianceOptions),
-    /// What surfaces reflect of one light at a time.
+    /// Surfaces lit by one light at a time.
     Olat(OlatOptions),
     /// Glossy surfaces in surroundings that stay.
     Reflective(ReflectiveOptions),
@@ -47,7 +47,7 @@ impl Kind {
         }
     }
 
-    /// The same, of which only a part of the light is shown; `None` where a model knows no parts.
+    /// The same, rendering only one component of the light; `None` where a model has no components.
     pub fn showing(&self, shows: Component) -> Option<Self> {
         match self {
             Self::Radiance(_) => None,
@@ -64,7 +64,7 @@ impl Kind {
         }
     }
 
-    /// The same under lamps; `None` where a model knows only the light it was photographed in.
+    /// The same under lamps; `None` where a model cannot be relit.
     pub fn lit(&self) -> Option<Self> {
         match self {
             Self::Radiance(_) => None,
@@ -76,7 +76,7 @@ impl Kind {
         }
     }
 
-    /// What gives `model` its parts, in words.
+    /// Names of the parts of a model.
     pub fn parts(&self) -> Vec<&'static str> {
         let named = |parts: &[(&'static str, bool)]| parts.iter().filter(|p| p.1).map(|p| p.0).collect();
         match self {
@@ -93,7 +93,7 @@ impl Kind {
     }
 }
 
-/// One image as the model knows it.
+/// One image of the model.
 #[derive(Debug, Clone, PartialEq, serde::Serialize, serde::Deserialize)]
 pub struct ObjectImage {
     /// Its name.
@@ -128,7 +128,7 @@ pub struct ObjectFile {
     /// Kind of model.
     #[serde(flatten)]
     pub kind: Kind,
-    /// What all Gaussians share.
+    /// Parameters shared by all Gaussians.
     pub globals: Table,
     /// Origin of the model in the frame of the cameras; `model.ply` counts from here.
     pub centre: DVec3,
@@ -136,9 +136,9 @@ pub struct ObjectFile {
     pub half_size: f64,
     /// Width of a pixel at the centre.
     pub pixel_size: f64,
-    /// What pixel values are.
+    /// Encoding of pixel values.
     pub encoding: Encoding,
-    /// How images became what the model was trained on.
+    /// Conversion of images to training data.
     pub preparation: Preparation,
     /// How Gaussians become splats.
     pub projection: ProjectionOptions,
@@ -146,9 +146,9 @@ pub struct ObjectFile {
     pub images: Vec<ObjectImage>,
 }
 
-/// A model and all that is known of it.
+/// A model with its metadata.
 pub struct ObjectModel {
-    /// What `model.json` says.
+    /// Content of `model.json`.
     pub file: ObjectFile,
     /// The model.
     pub model: Box<dyn SceneModel>,
@@ -157,14 +157,14 @@ pub struct ObjectModel {
 }
 
 impl ObjectModel {
-    /// What a camera sees: red, green and blue, in front of the model's background, under the image's light. `None` when the model
-    /// lies behind it.
+    /// Rendering for an image's camera: red, green and blue, in front of the model's background, under the image's
+    /// light. `None` when the model lies behind the camera.
     pub fn render(&self, image: &ObjectImage) -> Option<Raster> {
         self.render_as(&*self.model, image)
     }
 
-    /// The same under other lamps, which add up, in linear values; a lamp of strength one is as strong as those of the capture. `None`
-    /// when the model lies behind the camera, knows only the light it was photographed in, or there is no lamp.
+    /// The same under other lamps, which add up, in linear values; a lamp of strength one is as strong as those of the
+    /// capture. `None` when the model lies behind the camera or cannot be relit, or when there is no lamp.
     pub fn relit(&self, image: &ObjectImage, lamps: &[Lamp]) -> Option<Raster> {
         let model = self.file.kind.lit()?.model();
         let behind = self.file.preparation.background;
@@ -186,8 +186,8 @@ impl ObjectModel {
         sum
     }
 
-    /// Unit normals that a camera sees, in the frame of the cameras: of the surfaces where the model knows them, else of the
-    /// Gaussians; zero where nothing is seen.
+    /// Unit normals at a camera's pixels, in the frame of the cameras: the model's own normals where it has them, else
+    /// those of the Gaussians; zero on the background.
     pub fn normals(&self, image: &ObjectImage) -> Option<Raster> {
         let camera = image.camera.projective(self.file.centre)?;
         let own = self.file.kind.showing(Component::Normal).map(|kind| kind.model());
@@ -230,8 +230,8 @@ impl ObjectModel {
         Some(seen)
     }
 
-    /// What the camera of an image sees under its light at strength one: the camera, all maps, and red, green and blue. `None` when
-    /// the model lies behind it.
+    /// Rendering for an image's camera under its light at strength one: the camera, all maps, and red, green and blue.
+    /// `None` when the model lies behind the camera.
     pub fn seen(&self, image: &ObjectImage) -> Option<(ProjectiveCamera, Maps, Raster)> {
         self.look(&*self.model, &image.camera, self.light(image))
     }
@@ -268,7 +268,7 @@ pub(super) fn damaged(path: &Path, reason: impl ToString) -> RunError {
     }
 }
 
-/// Whether a folder holds a run on a capture, finished or not, or a model of one without its run.
+/// Whether a folder contains a run on a capture, finished or not, or a model of one without its run.
 pub fn is_object_run(folder: &Path) -> bool {
     let (run, model) = (folder.join("run.toml"), folder.join("model.json"));
     if !run.is_file() {
@@ -298,7 +298,8 @@ pub fn file(capture: &Capture, kind: Kind, preparation: Preparation, globals: Ta
     }
 }
 
-/// Writes a model alone into `folder`, which must exist: `model.ply`, then `model.json`. That is all that is needed to show it.
+/// Writes a model alone into `folder`, which must exist: `model.ply`, then `model.json`. That is all that is needed to
+/// show it.
 ///
 /// # Errors
 /// When a file cannot be written.
@@ -340,7 +341,7 @@ pub fn load(folder: &Path) -> Result<ObjectModel, RunError> {
     })
 }
 
-/// Models that show the parts of the light that a model knows, with their names.
+/// Models that render one component of the light each, with their names.
 pub fn components(model: &ObjectModel) -> Vec<(&'static str, Box<dyn SceneModel>)> {
     let parts = [
         ("diffuse", Component::Diffuse),

@@ -1,26 +1,26 @@
-//! Reading the `model.json` of an object: nothing in it is believed that asks for more memory than it fills, or is no number.
+//! Reading the `model.json` of an object as untrusted input: no size beyond its content, no value that is not a number.
 
 use super::model::{Kind, ObjectFile, ObjectImage, SCHEMA};
 use heliosplat::gaussians::{Group, GroupSpec};
 
-/// Most units of a hidden layer, and most hidden layers: thousands of times what objects take.
+/// Most units of a hidden layer, and most hidden layers: thousands of times the usual ones.
 const WIDTH_MAX: usize = 4096;
 const HIDDEN_MAX: usize = 64;
 /// Most pixels of an image.
 const PIXELS_MAX: f64 = (1u64 << 30) as f64;
 
 impl ObjectFile {
-    /// What the text of a `model.json` says, checked.
+    /// Content of a `model.json`, checked.
     ///
     /// # Errors
-    /// A sentence that says what is wrong with it.
+    /// A sentence with the fault.
     pub fn parse(text: &str) -> Result<Self, String> {
         let file: Self = serde_json::from_str(text).map_err(|e| e.to_string())?;
         if file.schema != SCHEMA {
             return Err(format!("schema {} is not known", file.schema));
         }
         check_kind(&file.kind)?;
-        // Nothing is made of the options before it is known that the file holds as many numbers as they ask for.
+        // The options are used only after a check that the file holds as many numbers as they require.
         let expected = file.kind.model().global_groups();
         let same = |(group, spec): (&Group, &GroupSpec)| group.spec == *spec && group.values.len() == group.spec.width;
         let globals = &file.globals;

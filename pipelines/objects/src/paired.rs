@@ -1,10 +1,11 @@
-//! Two short fits compared: how much better the one with a component predicts pixels that neither learnt from, and whether that is more
-//! than chance.
+//! Comparison of two short fits: the gain of a component on pixels that neither fit was trained on, and its
+//! significance.
 //!
-//! Both fits are scored on the same pieces of images. The gain is the ratio of their squared errors in decibels, as a difference of PSNR
-//! is; its standard error is that of a ratio of sums, by linear propagation (the delta method; Cochran 1977, chapter 6).
+//! Both fits are scored on the same pieces of images. The gain is the ratio of their squared errors in decibels, like a
+//! difference of PSNR; its standard error is that of a ratio of sums, by linear propagation (the delta method; Cochran
+//! 1977, chapter 6).
 
-/// Fewest pieces that can tell how much they differ.
+/// Fewest pieces for a standard error.
 const FEWEST_PIECES: usize = 5;
 /// Standard errors that a gain must be away from zero.
 const STANDARD_ERRORS: f64 = 2.0;
@@ -18,7 +19,7 @@ pub struct Piece {
     pub with: f64,
 }
 
-/// What a component is worth on pixels kept aside.
+/// Gain of a component on held-out pixels.
 #[derive(Debug, Clone, Copy, PartialEq, serde::Serialize, serde::Deserialize)]
 pub struct Gain {
     /// Squared error without the component over that with it, decibels: above zero it helps.
@@ -29,7 +30,7 @@ pub struct Gain {
     pub pieces: usize,
 }
 
-/// What a gain says.
+/// Conclusion from a gain.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Verdict {
     /// The component helps.
@@ -53,7 +54,7 @@ impl Gain {
         if pieces.len() < FEWEST_PIECES || without <= 0.0 || with <= 0.0 {
             return None;
         }
-        // d ln(A / B) = dA / A - dB / B: what each piece adds to that; the sum over all is zero.
+        // d ln(A / B) = dA / A - dB / B: contribution of each piece; the sum over all is zero.
         let squares = pieces
             .iter()
             .map(|piece| (piece.without / without - piece.with / with).powi(2));

@@ -26,11 +26,11 @@ pub struct Pinhole {
 }
 
 impl Pinhole {
-    /// A camera whose axes are the columns of `world_from_camera` in OpenGL's way: right, up, backward. They need not be of unit
-    /// length, nor quite at right angles; `None` when they span no space or a number is not finite.
+    /// A camera whose axes are the columns of `world_from_camera` in OpenGL's way: right, up, backward. They need not
+    /// be of unit length, nor quite at right angles; `None` when they span no space or a number is not finite.
     pub fn from_opengl(world_from_camera: DMat3, eye: DVec3) -> Option<Self> {
         let (right, backward) = (world_from_camera.x_axis, world_from_camera.z_axis);
-        // Beyond the limit an f32 no longer tells the object's parts apart.
+        // Beyond the limit an f32 no longer resolves the object's parts.
         let sound = world_from_camera.is_finite() && eye.abs().max_element() < FARTHEST;
         let volume = world_from_camera.determinant();
         let size = right.length() * world_from_camera.y_axis.length() * backward.length();
@@ -87,7 +87,7 @@ pub fn common_centre(cameras: &[Pinhole]) -> DVec3 {
         vector += across * camera.eye;
         ahead += (camera.eye + f) / count;
     }
-    // Just enough of the fallback to decide what the axes leave open.
+    // A minimal weight of the fallback, which acts only in directions that the axes leave open.
     let weight = 1e-6 * count;
     (matrix + DMat3::IDENTITY * weight).inverse() * (vector + ahead * weight)
 }

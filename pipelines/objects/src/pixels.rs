@@ -25,7 +25,7 @@ pub struct Picture {
     pub colour: Raster,
     /// Coverage of each pixel, 0 to 1.
     pub coverage: Option<Vec<f32>>,
-    /// What the values are.
+    /// Encoding of the values.
     pub encoding: Encoding,
 }
 
@@ -45,7 +45,8 @@ fn reader(path: &Path) -> Result<ImageReader<std::io::BufReader<std::fs::File>>,
     }
 }
 
-/// Whether a file holds far fewer bytes than its pixels need: photographs and renderings have a tenth of a byte a pixel or more.
+/// Whether a file has far fewer bytes than its pixels need (a decompression bomb): photographs and renderings have a
+/// tenth of a byte a pixel or more.
 fn is_bomb(path: &Path, pixels: u64) -> bool {
     const FREE: u64 = 1 << 22;
     const PER_BYTE: u64 = 50;
@@ -113,7 +114,7 @@ fn picture(decoded: &DynamicImage, linear: bool) -> Picture {
             *slot = if a.is_finite() { a.clamp(0.0, 1.0) } else { 0.0 };
         }
     };
-    // Sixteen bits and floats keep what they have; eight bits need no more.
+    // Sixteen bits and floats keep their precision; eight bits need no more.
     let eight = matches!(
         decoded.color(),
         ColorType::L8 | ColorType::La8 | ColorType::Rgb8 | ColorType::Rgba8

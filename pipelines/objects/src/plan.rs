@@ -1,8 +1,8 @@
-//! Which model explains a capture, and which of its parts: what is needed is measured, not guessed.
+//! Selection of a model for a capture and of its parts, by measurement.
 //!
-//! Lights decide between the kinds that know them and those that do not. A part whose worth only images can tell is tried: short fits
-//! with and without it (`trial.rs`) are compared on images of training kept aside. It is taken when it helps beyond two standard errors
-//! and by a least gain, and is otherwise not there at all.
+//! The lights decide between the kinds with lamps and those without. Parts that depend on the images are tried: short
+//! fits with and without a part (`trial.rs`) are compared on held-out training images. A part is included when it gains
+//! more than two standard errors and more than a least gain.
 
 use super::capture::Capture;
 use super::config::{ModelKind, ObjectConfig, Parts};
@@ -14,11 +14,11 @@ use heliosplat_session::Session;
 
 /// Decibels on images kept aside by which a part must help besides being better beyond chance (docs/lab/objects.md).
 const LEAST_GAIN_DB: f64 = 0.05;
-/// The same where it needs a model of another kind, which takes four times as long: one of material gains a little on objects without any gloss
-/// too.
+/// The same where it needs a model of another kind, which takes four times as long: one of material gains a little on
+/// objects without any gloss too.
 const LEAST_GAIN_OF_KIND_DB: f64 = 0.5;
 
-/// What short fits with and without a part said.
+/// Result of short fits with and without a part.
 #[derive(Debug, Clone, PartialEq, serde::Serialize, serde::Deserialize)]
 pub struct Trial {
     /// The part.
@@ -27,9 +27,9 @@ pub struct Trial {
     pub without_db: f64,
     /// The same with it.
     pub with_db: f64,
-    /// How much better it is, piece by piece; `None` of too few pieces.
+    /// Gain by pieces; `None` of too few pieces.
     pub gain: Option<Gain>,
-    /// What it must gain at least, decibels.
+    /// Least gain, decibels.
     pub least_db: f64,
     /// Time of a step with it over that of one without.
     pub step_time_ratio: f64,
@@ -39,7 +39,7 @@ pub struct Trial {
     pub taken: bool,
 }
 
-/// What is fitted, and why.
+/// The model to fit and the reasons.
 #[derive(Debug, Clone, PartialEq, serde::Serialize, serde::Deserialize)]
 pub struct Plan {
     /// The kind; never [`ModelKind::Auto`].
@@ -62,7 +62,7 @@ fn lights_move(capture: &Capture) -> bool {
     lights.iter().all(Option::is_some) && lights.iter().any(|light| *light != first)
 }
 
-/// What a capture will be taken for, as far as its files tell.
+/// Expected kind of a capture, from its files alone.
 pub fn outlook(capture: &Capture) -> (ModelKind, &'static str) {
     if lights_move(capture) {
         return (
@@ -88,8 +88,8 @@ struct Trials<'a> {
 }
 
 impl Trials<'_> {
-    /// Fits `with`, and keeps it where it is better than the best so far. Where `also` is given, it differs from `with` in nothing but the part, and
-    /// `with` must be better than it too.
+    /// Fits `with`, and keeps it where it is better than the best so far. Where `also` is given, it differs from `with`
+    /// in nothing but the part, and `with` must be better than it too.
     fn compare(&mut self, part: &str, with: Candidate, also: Option<Candidate>) -> Result<(), TrainingError> {
         let fit = |(kind, parts): Candidate| trial::fit(self.capture, self.config, kind, parts);
         let fitted = fit(with)?;
@@ -148,7 +148,8 @@ pub fn plan(capture: &Capture, config: &ObjectConfig, session: &Session) -> Resu
         return Ok(untried(dull, nothing, "parts are switched off"));
     }
     if config.model.pilot_steps == 0 || capture.of(Split::Train).count() < LEAST_IMAGES {
-        // With lamps, gloss that is not tried is there: it can only be told in the light of one lamp, and costs little.
+        // With lamps, gloss that is not tried is included: it costs little, and only images under a single lamp measure
+        // it.
         let parts = Parts {
             specular: may.specular && olat,
             ..nothing
@@ -209,7 +210,7 @@ fn untried(kind: ModelKind, parts: Parts, reason: &str) -> Plan {
     }
 }
 
-/// What was found of a part, in words.
+/// Result of a trial in words.
 fn in_words(trial: &Trial) -> String {
     let gain = match trial.gain {
         Some(gain) => gain.in_words(),

@@ -1,4 +1,4 @@
-//! What a fit begins with: images made for a kind of model, Gaussians at their start, shared parameters.
+//! Inputs of a fit: images converted for a kind of model, initial Gaussians, shared parameters.
 
 use super::capture::{Capture, Frame};
 use super::config::{ModelKind, ObjectConfig};
@@ -20,15 +20,15 @@ use std::f32::consts::PI;
 const SLACK: f32 = 1.1;
 /// Opacity of the Gaussians at the start: half, for a hull is only about where the surface is.
 const OPACITY: f32 = 0.5;
-/// How much normals agree with those of the depth: under one lamp at a time, where a firm hold keeps highlights in one piece
-/// (docs/lab/objects.md).
+/// Weight of the agreement of normals with those of the depth under one lamp at a time; a high one keeps highlights in
+/// one piece (docs/lab/objects.md).
 const OLAT_NORMALS: f32 = 0.3;
 /// And in surroundings that stay.
 const REFLECTIVE_NORMALS: f32 = 0.05;
 /// Normals of depths are compared over steps of this many pixels at most.
 const EDGE_PX: f64 = 6.0;
 
-/// What the images of `capture` are made for a model of `kind`.
+/// Conversion of the images of `capture` for a model of `kind`.
 fn preparation(capture: &Capture, kind: ModelKind, config: &ObjectConfig) -> Preparation {
     let (background, why) = views::background(capture, config.model.background);
     let [red, green, blue] = background;
@@ -147,11 +147,11 @@ fn frame_of(seed: &Seed) -> [f32; 4] {
     Quat::from_rotation_arc(Vec3::Z, normal).to_array()
 }
 
-/// What training begins with.
+/// Inputs of a training.
 pub(super) struct FitInput {
     /// The model.
     pub(super) kind: Kind,
-    /// What images are made.
+    /// Conversion of the images.
     pub(super) preparation: Preparation,
     /// Where parameters start.
     pub(super) parameters: Parameters,
@@ -159,7 +159,7 @@ pub(super) struct FitInput {
     pub(super) how: &'static str,
 }
 
-/// What a fit of a model of `kind` to some frames of `capture` begins with.
+/// Inputs of a fit of a model of `kind` to some frames of `capture`.
 pub(super) fn input(capture: &Capture, kind: ModelKind, config: &ObjectConfig, frames: &[&Frame]) -> FitInput {
     let preparation = preparation(capture, kind, config);
     let (centre, half_size) = (capture.centre, capture.half_size);

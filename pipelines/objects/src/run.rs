@@ -24,7 +24,7 @@ pub struct ObjectRun {
     pub inputs: Vec<Input>,
     /// The resolved configuration.
     pub config: ObjectConfig,
-    /// What was fitted, and why.
+    /// The fitted model and the reasons for it.
     #[serde(default)]
     pub plan: Option<Plan>,
 }
@@ -49,10 +49,10 @@ pub fn load_run(folder: &Path) -> Result<ObjectRun, RunError> {
 }
 
 impl ObjectRun {
-    /// What the text of a `run.toml` says.
+    /// Content of a `run.toml`.
     ///
     /// # Errors
-    /// A sentence that says what is wrong with it.
+    /// A sentence with the fault.
     pub fn parse(text: &str) -> Result<Self, String> {
         toml::from_str(text).map_err(|e| e.message().to_owned())
     }

@@ -1,7 +1,7 @@
-//! Where Gaussians start: on the visual hull where coverage is known, else anywhere in sight.
+//! Initial positions of Gaussians: on the visual hull where coverage is known, else anywhere in view.
 //!
-//! The visual hull (Laurentini 1994) is what all silhouettes leave: cells of a grid that every image that shows them covers.
-//! Its outermost cells get a Gaussian each.
+//! The visual hull (Laurentini 1994) is the intersection of all silhouettes: cells of a grid covered in every image
+//! that shows them. Its outermost cells get a Gaussian each.
 
 use super::capture::Frame;
 use super::config::StartOptions;
@@ -19,7 +19,7 @@ const COVERED: f32 = 0.3;
 const FIRST_GRID: usize = 64;
 /// Most and fewest cells along a side.
 const GRID: (usize, usize) = (16, 192);
-/// Cells around one that say which way is out.
+/// Radius in cells over which the outward direction is estimated.
 const REACH: i64 = 2;
 /// Standard deviation of a Gaussian, cells.
 const SPREAD: f64 = 0.6;

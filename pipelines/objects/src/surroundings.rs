@@ -1,8 +1,9 @@
-//! Surroundings as light: an image of all directions, drawn from by how much light comes from where.
+//! Surroundings as light: a panoramic image of radiance, importance-sampled as lamps.
 //!
-//! Columns run once around (the middle looks along +x, to the left of it is +y), rows from straight up (+z) to straight down, as is
-//! usual for such images. Every lamp drawn stands for the same share of the light (Pharr et al., "Physically Based Rendering",
-//! infinite area lights), at places that fill the image evenly (Hammersley's points), so the same file gives the same lamps.
+//! Columns run once around (the middle looks along +x, to the left of it is +y), rows from straight up (+z) to straight
+//! down, the usual layout of such images. Every lamp drawn stands for the same share of the light (Pharr et al.,
+//! "Physically Based Rendering", infinite area lights), at places that fill the image evenly (Hammersley's points), so
+//! the same file gives the same lamps.
 
 use super::error::CaptureError;
 use super::pixels::{self, Encoding};
@@ -51,7 +52,7 @@ fn mirrored(b: u32) -> f64 {
     f64::from(b.reverse_bits()) / 2f64.powi(32)
 }
 
-/// Place in a running sum of weights that `share` of them is in front of, and how far into it.
+/// Index in a running sum of weights at which `share` of the total is reached, and the fraction within that entry.
 fn find(sums: &[f64], share: f64) -> (usize, f64) {
     let wanted = share * sums.last().copied().unwrap_or(0.0);
     let at = sums.partition_point(|&sum| sum <= wanted).min(sums.len() - 1);
@@ -90,7 +91,8 @@ pub fn lamps(image: &Raster, count: usize) -> Vec<Lamp> {
         let (row, down) = find(&rows, (n as f64 + 0.5) / count as f64);
         let (col, along) = find(&within[row], mirrored(n as u32));
         let light = colour(col, row);
-        // Light times area over the chance to be drawn, which is its weight over all: the colour at the strength of the mean.
+        // Light times area over the chance to be drawn, which is its weight over all: the colour at the strength of the
+        // mean.
         let mean = light.iter().sum::<f64>() / 3.0;
         let toward = direction(col as f64 + along, row as f64 + down, width, height);
         Lamp {

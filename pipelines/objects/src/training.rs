@@ -1,5 +1,5 @@
-//! An object training from a capture to a finished run, stage by stage: read ([`open`]) → plan, start and fit ([`fit`]) →
-//! save ([`run`]) → evaluate ([`measure`]).
+//! An object training from a capture to a finished run, stage by stage: read ([`open`]) → plan, start and fit ([`fit`])
+//! → save ([`run`]) → evaluate ([`measure`]).
 
 use crate::capture::{Capture, IMAGE_BYTES};
 use crate::config::ObjectConfig;
@@ -35,10 +35,10 @@ pub struct TrainedObject {
     pub run: ObjectRun,
 }
 
-/// Opens a capture; says what looks wrong.
+/// Opens a capture and logs its warnings.
 ///
 /// # Errors
-/// When the capture is at fault, or its images take more than half of `memory` bytes.
+/// When the capture is invalid, or its images take more than half of `memory` bytes.
 pub fn open(path: &Path, memory: Option<u64>) -> Result<Capture, ObjectError> {
     let capture = Capture::open(path, memory.map_or(IMAGE_BYTES, |bytes| bytes / 2))?;
     for warning in &capture.warnings {
@@ -50,7 +50,8 @@ pub fn open(path: &Path, memory: Option<u64>) -> Result<Capture, ObjectError> {
 /// Trains a model of the capture in the folder `path` and writes its run.
 ///
 /// # Errors
-/// When the capture, the configuration or a limit is at fault, the user stops the training, or a file cannot be written.
+/// When the capture, the configuration or a limit is at fault, the user stops the training, or a file cannot be
+/// written.
 pub fn train(
     path: &Path,
     mut config: ObjectConfig,

@@ -1,8 +1,8 @@
 //! `transforms*.json`: cameras and lights of a capture, in every dialect in use.
 //!
-//! One reader serves NeRF-synthetic, Shiny Blender, NRHints, GS³, RNG and nerfstudio, which differ in which keys they have, and
-//! SSS-GS, whose frames hold a list of lights with an image for each. A key that is absent in one frame is absent there: nothing
-//! is carried over from the frame before. `docs/guide/objects.md` lists the keys.
+//! One reader serves NeRF-synthetic, Shiny Blender, NRHints, GS³, RNG and nerfstudio, which differ in which keys they
+//! have, and SSS-GS, whose frames hold a list of lights with an image for each. Keys are read per frame: nothing is
+//! carried over from the frame before. `docs/guide/objects.md` lists the keys.
 
 use super::error::CaptureError;
 use super::pinhole::Pinhole;
@@ -32,7 +32,7 @@ enum Intrinsics {
 pub struct PointLight {
     /// Where it is, in the frame of the cameras.
     pub position: DVec3,
-    /// Its intensity per colour, in the capture's own units; `None` where the files do not say.
+    /// Its intensity per colour, in the capture's own units; `None` where the files do not state it.
     pub intensity: Option<[f64; 3]>,
 }
 
@@ -43,7 +43,7 @@ pub struct FrameSpec {
     pub name: String,
     /// Its file.
     pub path: PathBuf,
-    /// Its light, if it says.
+    /// Its light, if stated.
     pub light: Option<PointLight>,
     pinhole: Pinhole,
     intrinsics: Intrinsics,
@@ -51,8 +51,8 @@ pub struct FrameSpec {
 }
 
 impl FrameSpec {
-    /// The camera of the frame, whose image turned out to be `size` pixels; intrinsics of an image declared larger or smaller in
-    /// both ways alike are scaled. A sentence when they do not fit.
+    /// The camera of the frame, whose image turned out to be `size` pixels; intrinsics of an image declared larger or
+    /// smaller in both ways alike are scaled. A sentence when they do not fit.
     pub fn camera(&self, size: [usize; 2]) -> Result<Pinhole, String> {
         let [width, height] = size.map(|n| n as f64);
         let (mut focal, principal) = match self.intrinsics {
@@ -89,7 +89,7 @@ pub fn read(path: &Path) -> Result<Vec<FrameSpec>, CaptureError> {
     parse(path, &text)
 }
 
-/// The frames that the contents of the file at `path` list; images are looked for beside it.
+/// The frames listed in the file at `path` with the content `text`; images are searched relative to it.
 ///
 /// # Errors
 /// As [`read`].
@@ -209,8 +209,8 @@ impl<'a> Reader<'a> {
         Ok(specs)
     }
 
-    /// The image of a frame as written, and its file. `img_path`, an absolute path on the machine that wrote the file, counts
-    /// only where it lies in this folder.
+    /// The image of a frame as written, and its file. `img_path`, an absolute path on the machine that wrote the file,
+    /// counts only where it lies in this folder.
     fn image_of<'f>(&self, frame: &'f Object) -> Result<(&'f str, PathBuf), String> {
         let text = |key: &str| frame.get(key).and_then(Value::as_str);
         if let Some(path) = text("img_path").map(Path::new)
@@ -298,7 +298,8 @@ fn given(focal: [f64; 2], principal: Option<[f64; 2]>) -> Result<Intrinsics, Str
     ))
 }
 
-/// `transform_matrix`, or the refined pose of GS³ (`R_opt`, `T_opt`: world to camera in OpenCV's axes, the rotation transposed).
+/// `transform_matrix`, or the refined pose of GS³ (`R_opt`, `T_opt`: world to camera in OpenCV's axes, the rotation
+/// transposed).
 fn pose(frame: &Object) -> Result<Pinhole, String> {
     let present = |key: &str| frame.get(key).filter(|v| !v.is_null());
     let bad = "spans no space, is mirrored, or holds numbers beyond reason";

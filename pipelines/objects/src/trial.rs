@@ -18,18 +18,19 @@ use std::time::Instant;
 const ASIDE: usize = 6;
 /// With fewer images nothing is tried: those left would not do.
 pub(super) const LEAST_IMAGES: usize = 18;
-/// Short fits look at images this many times smaller.
+/// Factor by which short fits downscale images.
 const SMALLER: usize = 2;
-/// Most Gaussians that a short fit starts from: those of half-size images, of which steps are many and cheap (docs/lab/objects.md).
+/// Most Gaussians that a short fit starts from: enough for half-size images, whose steps are many and cheap
+/// (docs/lab/objects.md).
 const MOST_GAUSSIANS: usize = 1500;
 /// Pieces of an image kept aside, along each side.
 const PIECES: usize = 2;
 
-/// What a short fit came to.
+/// Result of a short fit.
 pub(super) struct Scored {
     /// Squared error of each piece kept aside, summed over its values.
     pieces: Vec<f64>,
-    /// PSNR on all of them, decibels.
+    /// PSNR on all pieces, decibels.
     pub(super) psnr_db: f64,
     /// Seconds of a step.
     pub(super) step_s: f64,
@@ -38,7 +39,7 @@ pub(super) struct Scored {
 }
 
 impl Scored {
-    /// What this fit gains over one `without` a part; `None` of too few pieces.
+    /// Gain of this fit over one `without` a part; `None` of too few pieces.
     pub(super) fn gain_over(&self, without: &Self) -> Option<Gain> {
         let pairs = without.pieces.iter().zip(&self.pieces);
         let pieces: Vec<Piece> = pairs.map(|(&without, &with)| Piece { without, with }).collect();

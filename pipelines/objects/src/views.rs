@@ -14,7 +14,7 @@ use heliosplat_grid::statistics::upper_quantile;
 /// A border is one colour when half of its pixels are this close to it.
 const SAME_COLOUR: f32 = 0.02;
 
-/// What is behind the object in the images of `capture`, and why.
+/// Background of the images of `capture`, and the reason.
 pub fn background(capture: &Capture, wanted: Background) -> ([f32; 3], &'static str) {
     match wanted {
         Background::White => ([1.0; 3], "as told"),
@@ -56,10 +56,10 @@ fn border(capture: &Capture) -> Option<[f32; 3]> {
     Some(colour)
 }
 
-/// How images become what a model is trained on.
+/// Conversion of images to training data.
 #[derive(Debug, Clone, Copy, PartialEq, serde::Serialize, serde::Deserialize)]
 pub struct Preparation {
-    /// What is behind the object.
+    /// Background of the object.
     pub background: [f32; 3],
     /// Whether coverage becomes a fourth band.
     pub coverage: bool,
@@ -93,7 +93,7 @@ impl Preparation {
         out
     }
 
-    /// How much stronger than one the light of a frame is, per colour; one where that is not known.
+    /// Strength of a frame's light per colour, relative to one; one where it is unknown.
     pub fn strength(&self, light: Option<&PointLight>) -> [f32; 3] {
         let known = self.unit_light.zip(light.and_then(|light| light.intensity));
         known.map_or([1.0; 3], |(unit, own)| {
@@ -102,8 +102,8 @@ impl Preparation {
     }
 }
 
-/// A frame as training sees it: under a light of strength one, where lights count. `None` when its camera does not look at the
-/// capture's centre.
+/// A frame as a view for training: under a light of strength one, where lights are modelled. `None` when its camera
+/// looks away from the capture's centre.
 pub fn view(frame: &Frame, centre: DVec3, preparation: &Preparation, appearance: usize) -> Option<View> {
     let mut image = preparation.image(&frame.picture);
     let behind = preparation.background;
@@ -111,7 +111,7 @@ pub fn view(frame: &Frame, centre: DVec3, preparation: &Preparation, appearance:
         if strength != 1.0 && strength > 0.0 {
             let open = frame.picture.coverage.as_deref();
             for (i, value) in image.plane_mut(k).iter_mut().enumerate() {
-                // What is behind the object is no light of the lamp.
+                // The background is not lit by the lamp.
                 let seen = open.map_or(0.0, |covered| (1.0 - covered[i]) * behind[k]);
                 *value = (*value - seen) / strength + seen;
             }
@@ -137,7 +137,7 @@ mod tests {
 
     fn picture(encoding: Encoding) -> Picture {
         Picture {
-            // A pixel half covered, of which the colour is 0.6, and one wholly covered.
+            // One pixel half covered, with colour 0.6, and one wholly covered.
             colour: Raster {
                 width: 2,
                 height: 1,

@@ -1,8 +1,8 @@
-//! What an adjustment finds for an image: a correction of its camera that depends on the image position alone.
+//! Correction of an image's camera as a function of the image position alone, the result of an adjustment.
 
 use crate::rpc::ImagePoint;
 
-/// What the error of an image's camera may be.
+/// Error model of an image's camera.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, serde::Serialize, serde::Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum BiasModel {
@@ -13,15 +13,16 @@ pub enum BiasModel {
     Affine,
 }
 
-/// What is added to a camera's projections.
+/// Offset of a camera's projections.
 ///
-/// With `u` and `v` the column and row from the image's centre in units of half its longer side:
-/// `col += shift_px[0] + slope_px[0][0] u + slope_px[0][1] v`, `row` likewise with the second entries.
+/// With `u` and `v` the column and row from the image's centre in units of half its longer side: `col += shift_px[0] +
+/// slope_px[0][0] u + slope_px[0][1] v`, `row` likewise with the second entries.
 #[derive(Debug, Clone, Copy, PartialEq, serde::Serialize, serde::Deserialize)]
 pub struct Correction {
     /// Columns and rows at the image's centre, pixels.
     pub shift_px: [f64; 2],
-    /// How the correction of columns (first) and rows (second) changes from the centre to the edge along columns and rows, pixels.
+    /// How the correction of columns (first) and rows (second) changes from the centre to the edge along columns and
+    /// rows, pixels.
     pub slope_px: [[f64; 2]; 2],
     /// The image's centre, pixels.
     pub centre: ImagePoint,
@@ -43,7 +44,7 @@ impl Correction {
         }
     }
 
-    /// What is added at a projected position: columns and rows, pixels.
+    /// Offset at a projected position: columns and rows, pixels.
     pub fn at(&self, projected: ImagePoint) -> [f64; 2] {
         let [u, v] = self.half_sides_from_centre(projected);
         [0, 1].map(|axis| self.shift_px[axis] + self.slope_px[axis][0] * u + self.slope_px[axis][1] * v)

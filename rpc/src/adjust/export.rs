@@ -1,4 +1,4 @@
-//! A correction as part of the camera itself, for programs that know nothing of corrections.
+//! A correction merged into the camera itself, for programs without support for corrections.
 
 use super::correction::Correction;
 use crate::fit::fit_rpc;
@@ -20,8 +20,9 @@ pub struct CorrectedRpc {
 
 /// The camera that projects as `rpc` with `correction` added.
 ///
-/// A shift goes into `LINE_OFF` and `SAMP_OFF` and is exact everywhere. Rotation and drift are no part of a rational camera of
-/// two denominators: a new one is fitted over the image with a tenth around it and over `heights_m`, and holds there only.
+/// A shift goes into `LINE_OFF` and `SAMP_OFF` and is exact everywhere. Rotation and drift are no part of a rational
+/// camera of two denominators: a new one is fitted over the image with a tenth around it and over `heights_m`, and
+/// holds there only.
 ///
 /// # Errors
 /// When the camera to be refitted cannot be localised over its image.

@@ -1,5 +1,5 @@
-//! The translation of the whole scene, which images cannot tell from errors of their cameras, and the choice among all corrections
-//! that differ by one.
+//! Gauge of the adjustment: the translation of the whole scene, which images do not determine, and the choice among
+//! corrections that differ by one.
 
 use crate::frame::LocalFrame;
 use crate::rpc::Rpc;
@@ -7,21 +7,24 @@ use crate::triangulate::geo_slope;
 use heliosplat_grid::statistics::upper_median;
 use nalgebra::{Matrix2x3, Matrix3, Vector2, Vector3};
 
-/// Pixels per metre east, north and up of each image at one ground point: what a translation of the scene does to it.
+/// Pixels per metre east, north and up of each image at one ground point: the effect of a translation of the scene.
 pub fn pixels_per_metre(rpc: &Rpc, frame: &LocalFrame, enu_m: Vector3<f64>) -> Matrix2x3<f64> {
     let (_, by_geo) = rpc.project_with_jacobian(frame.geo_from_enu(enu_m));
     by_geo * geo_slope(frame, enu_m)
 }
 
-/// Shifts this many times as long as their median, or more, do not decide the translation of the scene: such a camera is wrong by itself.
+/// Shifts this many times as long as their median, or more, do not decide the translation of the scene: such a camera
+/// is wrong by itself.
 const FAR_OFF_MEDIANS: f64 = 4.0;
-/// Median below which no shift counts as far off, pixels: what cameras of one vendor differ by anyway.
+/// Median below which no shift counts as an outlier, pixels: the usual spread of one vendor's cameras.
 const LEAST_MEDIAN_PX: f64 = 0.5;
 
-/// Of all sets of shifts (columns, rows) that differ by a translation of the scene, the smallest; and that translation, metres.
+/// Of all sets of shifts (columns, rows) that differ by a translation of the scene, the smallest; and that translation,
+/// metres.
 ///
-/// `slopes` are the images' [`pixels_per_metre`]: shifts `s_i` and `s_i - slopes_i t` fit all ties alike for any `t`. The smallest are those
-/// of least squares over all images but those far off (`FAR_OFF_MEDIANS`), so that one wrong camera does not move the scene.
+/// `slopes` are the images' [`pixels_per_metre`]: shifts `s_i` and `s_i - slopes_i t` fit all ties alike for any `t`.
+/// The smallest are those of least squares over all images but those far off (`FAR_OFF_MEDIANS`), so that one wrong
+/// camera does not move the scene.
 pub fn smallest_shifts(shifts: &[Vector2<f64>], slopes: &[Matrix2x3<f64>]) -> (Vec<Vector2<f64>>, Vector3<f64>) {
     let moved =
         |t: Vector3<f64>| -> Vec<Vector2<f64>> { shifts.iter().zip(slopes).map(|(s, slope)| s - slope * t).collect() };

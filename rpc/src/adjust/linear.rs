@@ -5,11 +5,11 @@ use nalgebra::{Matrix2x3, SMatrix, Vector2};
 /// Weight that holds points where nothing else does, square pixels per square metre.
 pub(super) const POINT_HOLD: f64 = 1e-8;
 
-/// One sighting's residual at the current estimate, and what it depends on.
+/// One sighting's residual at the current estimate, and its derivatives.
 #[derive(Debug, Clone)]
 pub(super) struct Linear {
     pub(super) image: usize,
-    /// How much the sighting counts if it fits.
+    /// Weight of the sighting before robust reweighting.
     pub(super) weight: f64,
     /// Seen minus corrected projection, pixels.
     pub(super) residual: Vector2<f64>,

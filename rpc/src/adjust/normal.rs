@@ -1,19 +1,19 @@
-//! The normal equations of one iteration, with the ground points eliminated (Schur complement): a dense system of a few unknowns per
-//! image.
+//! The normal equations of one iteration, with the ground points eliminated (Schur complement): a dense system of a few
+//! unknowns per image.
 
 use super::correction::Correction;
 use super::linear::{Linear, POINT_HOLD, basis};
 use crate::rpc::RpcError;
 use nalgebra::{DMatrix, DVector, Matrix3, SMatrix, SVector, Vector3};
 
-/// Standard deviation given to shifts beforehand, pixels: weak, it only decides what ties leave open.
+/// Prior standard deviation of shifts, pixels: weak, so that it fixes only unknowns that the ties leave open.
 pub const SHIFT_SIGMA_PX: f64 = 10.0;
 /// Standard deviation given to rotation and drift beforehand, pixels half an image from its centre.
 pub const SLOPE_SIGMA_PX: f64 = 0.5;
 /// Standard deviation of a sighting that priors are weighed against, pixels.
 const SIGHTING_SIGMA_PX: f64 = 0.15;
 
-/// One track's part: what ties its point to each of its images.
+/// One track's contribution: the coupling of its point to each of its images.
 struct Eliminated<const K: usize> {
     /// Inverse curvature of the point.
     inverse: Matrix3<f64>,
@@ -83,7 +83,7 @@ impl<const K: usize> NormalEquations<K> {
         })
     }
 
-    /// Holds corrections small where ties say nothing, and those of images with too few sightings altogether.
+    /// Keeps corrections small where ties are weak, and those of images with too few sightings at zero.
     fn add_prior(&mut self, image: usize, now: &Correction, seen: bool) {
         let [s, l] = now.slope_px;
         let values = [now.shift_px[0], now.shift_px[1], s[0], s[1], l[0], l[1]];

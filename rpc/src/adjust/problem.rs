@@ -1,4 +1,5 @@
-//! The iterations of one adjustment: robust Gauss-Newton over the corrections of all images and the ground points of all tracks.
+//! The iterations of one adjustment: robust Gauss-Newton over the corrections of all images and the ground points of
+//! all tracks.
 
 use super::correction::{BiasModel, Correction};
 use super::gauge::{pixels_per_metre, smallest_shifts};
@@ -14,7 +15,7 @@ use crate::triangulate::geo_slope;
 use nalgebra::{Matrix2x3, Matrix3, SVector, Vector2, Vector3};
 use rayon::prelude::*;
 
-/// Rounds in which every sighting counts alike: until biases are out, good ones cannot be told from bad ones.
+/// Rounds without robust weights: until biases are removed, residuals do not separate good sightings from bad ones.
 const PLAIN_ROUNDS: usize = 3;
 /// Rounds after which the scale of good residuals stays as it is.
 const SCALE_ROUNDS: usize = 10;
@@ -25,7 +26,7 @@ const POINT_ROUNDS: usize = 5;
 /// Tracks that one thread works on at a time, at least.
 const TRACKS_PER_JOB: usize = 64;
 
-/// What is adjusted.
+/// Data of the adjustment.
 pub(super) struct BlockAdjustment<'a> {
     images: &'a [AdjustImage<'a>],
     tracks: Vec<&'a Track>,
@@ -34,7 +35,7 @@ pub(super) struct BlockAdjustment<'a> {
     seen: Vec<bool>,
 }
 
-/// A correction's parameters become part of it.
+/// Adds a step of the solver to a correction.
 fn add<const K: usize>(correction: &mut Correction, step: &SVector<f64, K>) {
     correction.shift_px[0] += step[0];
     correction.shift_px[1] += step[1];

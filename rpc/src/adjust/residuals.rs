@@ -1,4 +1,5 @@
-//! Residuals before and after the adjustment: per image, per pair of images (across the epipolar lines), and one by one.
+//! Residuals before and after the adjustment: per image, per pair of images (across the epipolar lines), and one by
+//! one.
 
 use super::linear::Linear;
 use super::robust;
@@ -20,8 +21,8 @@ pub struct ResidualSize {
     pub median_px: f64,
 }
 
-/// What an image's sightings leave: distance from the corrected projection of the ground point that all views of the track
-/// agree on. Of good sightings only.
+/// Residuals of an image's good sightings: distance from the corrected projection of the ground point that fits all
+/// views of the track.
 #[derive(Debug, Clone, Copy, PartialEq, serde::Serialize, serde::Deserialize)]
 pub struct ImageResiduals {
     /// All sightings.
@@ -34,8 +35,8 @@ pub struct ImageResiduals {
     pub after: ResidualSize,
 }
 
-/// What is left across the epipolar lines of two images: how far one's ray passes the other's, pixels. What lies along the
-/// lines is altitude and tells nothing of two cameras. Of good sightings only.
+/// Residuals across the epipolar lines of two images: the distance between corresponding rays, pixels. The component
+/// along the lines is altitude and independent of the cameras. Of good sightings only.
 #[derive(Debug, Clone, Copy, PartialEq, serde::Serialize, serde::Deserialize)]
 pub struct PairResiduals {
     /// The two images.
@@ -48,7 +49,7 @@ pub struct PairResiduals {
     pub after: ResidualSize,
 }
 
-/// What one sighting leaves.
+/// Residual of one sighting.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct ResidualVector {
     /// Which track.
@@ -166,8 +167,8 @@ pub(super) fn of_pairs(sides: &Sides) -> Vec<PairResiduals> {
         .collect()
 }
 
-/// How far the rays of two sightings pass each other, pixels: their four residuals along the one direction that no ground
-/// point can change.
+/// How far the rays of two sightings pass each other, pixels: their four residuals along the one direction that no
+/// ground point can change.
 fn passing_px(a: &Linear, b: &Linear) -> Option<f64> {
     let rows = [0, 1, 2, 3].map(|row| {
         if row < 2 {

@@ -3,18 +3,19 @@
 use super::linear::Linear;
 use heliosplat_grid::statistics::upper_median;
 
-/// Residuals, in standard deviations, at which a sighting counts a quarter. So near because errors of matching are not symmetric:
-/// shadows that moved by little pull all one way, and only the peak of the residuals' distribution is where the ground is.
+/// Residuals, in standard deviations, at which a sighting counts a quarter. So near because errors of matching are not
+/// symmetric: shadows that moved by little pull all one way, and only the peak of the residuals' distribution is where
+/// the ground is.
 const QUARTER_AT: f64 = 1.0;
 /// Residuals, in standard deviations, up to which a sighting is a good one.
 const GOOD_TO: f64 = 3.0;
-/// Least standard deviation believed, pixels: what matching can do at best.
+/// Least standard deviation, pixels: the best precision of matching.
 const LEAST_SIGMA_PX: f64 = 0.03;
 /// Median over standard deviation of the length of a normal residual in two directions.
 const MEDIAN_OF_LENGTH: f64 = 1.1774;
 
-/// Lengths of a track's residuals by which its sightings are judged, pixels. Of two sightings nobody can say which is wrong: they
-/// are judged together, or the point would move onto one of them and the other would be thrown out.
+/// Lengths of a track's residuals for the robust weights, pixels. With two sightings it is unknown which one is wrong.
+/// Both get their common length; else the point would move onto one and the other would be rejected.
 pub(super) fn lengths_px(track: &[Linear]) -> Vec<f64> {
     match track {
         [a, b] => {
@@ -25,8 +26,8 @@ pub(super) fn lengths_px(track: &[Linear]) -> Vec<f64> {
     }
 }
 
-/// The standard deviation of one direction of the residuals whose lengths are given, by their median, so that up to half of them may
-/// be wrong. `freedom` is the share of equations that the unknowns leave.
+/// Standard deviation of one component of the residuals, from the median of their lengths, so that up to half of them
+/// may be wrong. `freedom` is the redundancy as a share of the equations.
 pub(super) fn sigma_px(mut lengths_px: Vec<f64>, freedom: f64) -> f64 {
     let Some(median_px) = upper_median(&mut lengths_px) else {
         return LEAST_SIGMA_PX;

@@ -7,7 +7,7 @@ use crate::rpc::GeoPoint;
 /// How to adjust; the default serves.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct AdjustOptions {
-    /// What may be wrong with a camera.
+    /// Error model of the cameras.
     pub model: BiasModel,
     /// Most rounds of Gauss-Newton.
     pub most_rounds: usize,
@@ -25,7 +25,7 @@ impl Default for AdjustOptions {
 /// The corrections and how well the images agree with them.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Adjustment {
-    /// What was allowed to be wrong.
+    /// Error model of the cameras.
     pub model: BiasModel,
     /// One per image; none where an image has fewer than [`super::FEWEST_SIGHTINGS`] sightings.
     pub corrections: Vec<Correction>,
@@ -37,10 +37,10 @@ pub struct Adjustment {
     pub rounds: usize,
     /// Whether the corrections came to rest before the last round allowed.
     pub converged: bool,
-    /// What each image's sightings leave.
+    /// Residuals of each image.
     pub images: Vec<ImageResiduals>,
-    /// What is left across the epipolar lines of pairs of images.
+    /// Residuals across the epipolar lines of pairs of images.
     pub pairs: Vec<PairResiduals>,
-    /// What each sighting leaves, in the order of the tracks.
+    /// Residual of each sighting, in the order of the tracks.
     pub residuals: Vec<ResidualVector>,
 }

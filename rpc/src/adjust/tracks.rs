@@ -1,4 +1,4 @@
-//! What an adjustment is given: images with their cameras, and tracks, the places where several images show one ground point.
+//! Input of an adjustment: images with their cameras, and tracks, the positions of one ground point in several images.
 
 use crate::rpc::{GeoPoint, ImagePoint, Rpc};
 
@@ -23,7 +23,7 @@ pub struct Sighting {
     pub image: usize,
     /// Where in it, pixels.
     pub at: ImagePoint,
-    /// How much it counts beside the others, 0 to 1: matches that look less alike are worse than their number says.
+    /// Relative weight, 0 to 1: matches with a lower similarity are less precise.
     pub weight: f64,
 }
 

@@ -1,8 +1,7 @@
-//! When an image was taken and where the sun stood: from the same text and metadata domains that bring the camera.
+//! Time of acquisition and direction of the sun, from the same text and metadata domains as the camera.
 //!
-//! Readers take what is there: a value that is absent, a placeholder or out of its range is left out, and what is left
-//! out of all of them is for the caller to ask for. Vendors' angles are up to 0.4 degree off (they use the geocentric
-//! vertical), so the time comes first.
+//! Readers leave out values that are absent, placeholders or out of range. Vendors' angles are up to 0.4 degree off
+//! (they use the geocentric vertical), so the time takes precedence.
 
 mod domain;
 mod names;
@@ -22,7 +21,8 @@ use roxmltree::Node;
 use serde_json::Value;
 use time::{utc, utc_of_date_and_time};
 
-/// From text of any kind this module reads, told by content; `None` when there is nothing in it. The name matters not.
+/// From text of any kind this module reads, recognised by content; `None` when it contains no value. The file name is
+/// not used.
 pub fn from_text(_file_name: &str, text: &str) -> Option<Acquisition> {
     let acquisition = match kind(text) {
         TextKind::Dimap => dimap(text),
@@ -53,7 +53,7 @@ pub fn maxar_xml(text: &str) -> Acquisition {
     maxar_values(|names| names.iter().find_map(|name| text_of(imd, &name.to_ascii_uppercase())))
 }
 
-/// The same names serve IMD and, in capitals, XML; in both the first image of several speaks for all.
+/// The same names serve IMD and, in capitals, XML; in both the first of several images is used.
 fn maxar_values<'a>(value: impl Fn(&[&str]) -> Option<&'a str>) -> Acquisition {
     Acquisition::new(
         value(&["firstLineTime"])

@@ -1,7 +1,7 @@
-//! What the counts of an image mean: gains to radiance or reflectance, from the texts that vendors deliver beside it.
+//! Radiometric calibration: gains from counts to radiance or reflectance, from the texts that vendors deliver with an
+//! image.
 //!
-//! Everything here is at the top of the atmosphere. Like the readers of acquisitions, these take what is there: gains that are
-//! absent, placeholders or zero are left out.
+//! Values are at the top of the atmosphere. Gains that are absent, placeholders or zero are left out.
 
 mod maxar;
 
@@ -19,16 +19,16 @@ use std::f64::consts::PI;
 /// Airbus delivers reflectance in ten thousandths.
 const DIMAP_REFLECTANCE_PER_COUNT: f64 = 1e-4;
 
-/// What a text says of the values of an image.
+/// Radiometry of an image as stated in a text.
 #[derive(Debug, Clone, PartialEq)]
 pub enum Radiometry {
     /// Gains.
     Calibrated(Calibration),
-    /// A display curve was applied: values are good to look at, and no measure of light.
+    /// A display curve was applied: values are for viewing and are no measure of light.
     Display,
 }
 
-/// What calibrated values are.
+/// Quantity of calibrated values.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Quantity {
     /// Spectral radiance at the sensor, W m⁻² sr⁻¹ µm⁻¹; of Planet without the µm⁻¹.
@@ -55,7 +55,8 @@ pub enum CalibratedBand {
 }
 
 impl CalibratedBand {
-    /// The band of a DIMAP's `BAND_ID`; `None` for those that are neither panchromatic, red, green, blue nor near infrared.
+    /// The band of a DIMAP's `BAND_ID`; `None` for those that are neither panchromatic, red, green, blue nor near
+    /// infrared.
     pub fn from_dimap_id(id: &str) -> Option<Self> {
         Some(match id.trim().to_ascii_uppercase().as_str() {
             "P" | "PAN" => Self::Pan,
@@ -95,8 +96,8 @@ impl Gain {
         }
     }
 
-    /// A gain to radiance as one to reflectance, `π d² L / (E sin h)` with the sun at `elevation_rad` and `distance_au` away; `None`
-    /// where the irradiance is not known or the sun is down.
+    /// A gain to radiance as one to reflectance, `π d² L / (E sin h)` with the sun at `elevation_rad` and `distance_au`
+    /// away; `None` where the irradiance is not known or the sun is down.
     pub fn to_reflectance(self, elevation_rad: f64, distance_au: f64) -> Option<Self> {
         let arriving = self.irradiance_w_m2_um? * elevation_rad.sin() / (distance_au * distance_au);
         let per_radiance = PI / arriving;
@@ -111,20 +112,20 @@ impl Gain {
 /// The gains of an image's bands.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Calibration {
-    /// What they lead to.
+    /// Quantity of the calibrated values.
     pub quantity: Quantity,
     /// The bands that have one.
     pub gains: BTreeMap<CalibratedBand, Gain>,
 }
 
 impl Calibration {
-    /// What gains say; `None` without any.
+    /// Radiometry from gains; `None` without any.
     fn radiometry(quantity: Quantity, gains: impl IntoIterator<Item = (CalibratedBand, Gain)>) -> Option<Radiometry> {
         let gains: BTreeMap<_, _> = gains.into_iter().collect();
         (!gains.is_empty()).then_some(Radiometry::Calibrated(Self { quantity, gains }))
     }
 
-    /// From scale and offset of each band of a file, where all bands have them and their unit says what they lead to.
+    /// From scale and offset of each band of a file, where all bands have them and their unit determines the quantity.
     pub fn of_bands(bands: &[(Option<f64>, Option<f64>, &str)]) -> Option<Radiometry> {
         let quantity = |unit: &str| {
             let unit = unit.to_lowercase();
@@ -144,7 +145,7 @@ impl Calibration {
     }
 }
 
-/// From text of any kind this module reads, told by content; `None` where it says nothing of values.
+/// From text of any kind this module reads, recognised by content; `None` where it has no calibration.
 pub fn from_text(text: &str) -> Option<Radiometry> {
     match kind(text) {
         TextKind::Dimap => dimap(text),
@@ -172,7 +173,7 @@ pub fn maxar_xml(text: &str) -> Option<Radiometry> {
     for node in imd.descendants().filter(Node::is_element) {
         let group = node.parent().map_or("", |parent| parent.tag_name().name());
         if let Some(value) = node.text() {
-            // The first image of several speaks for all.
+            // The first of several images is used.
             items
                 .entry(format!("{group}.{}", node.tag_name().name()))
                 .or_insert_with(|| value.to_owned());
@@ -181,8 +182,8 @@ pub fn maxar_xml(text: &str) -> Option<Radiometry> {
     gdal_domain(&items)
 }
 
-/// From a DIMAP v2 `DIM_*.XML` (`Band_Radiance`, `Band_Solar_Irradiance`, `RADIOMETRIC_PROCESSING`) or v1 `METADATA.DIM`
-/// (`PHYSICAL_GAIN`, `PHYSICAL_BIAS`, `SOLAR_IRRADIANCE_VALUE`).
+/// From a DIMAP v2 `DIM_*.XML` (`Band_Radiance`, `Band_Solar_Irradiance`, `RADIOMETRIC_PROCESSING`) or v1
+/// `METADATA.DIM` (`PHYSICAL_GAIN`, `PHYSICAL_BIAS`, `SOLAR_IRRADIANCE_VALUE`).
 pub fn dimap(text: &str) -> Option<Radiometry> {
     let document = parse("DIMAP", text).ok()?;
     let root = document.root_element();

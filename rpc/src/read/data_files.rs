@@ -23,7 +23,7 @@ pub struct DataFiles {
     pub step_px: Option<[usize; 2]>,
 }
 
-/// What the text of a `DIM_*.XML` lists; `None` where it is none or lists nothing.
+/// Files listed in a `DIM_*.XML`; `None` for other texts, or where none is listed.
 pub fn data_files(text: &str) -> Option<DataFiles> {
     if kind(text) != TextKind::Dimap {
         return None;

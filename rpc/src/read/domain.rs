@@ -18,8 +18,8 @@ pub fn geotiff_tag(values: &[f64]) -> Result<Rpc, ReadError> {
     camera(&dialect, &OrderedSource { values })
 }
 
-/// The camera of GDAL's `RPC` metadata domain (`LINE_OFF`, ..., `LINE_NUM_COEFF` with 20 numbers, ...); values may carry
-/// units.
+/// The camera of GDAL's `RPC` metadata domain (`LINE_OFF`, ..., `LINE_NUM_COEFF` with 20 numbers, ...); values may
+/// carry units.
 ///
 /// # Errors
 /// When an item is missing or is not a number.

@@ -1,6 +1,6 @@
-//! What can go wrong in a reader.
+//! Errors of the readers.
 
-/// What can be wrong with a file that should hold a camera.
+/// Fault of a file that should contain a camera.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 pub enum ReadError {
     /// A value that must be there is not.
@@ -18,9 +18,9 @@ pub enum ReadError {
         format: &'static str,
         /// Its name for the value.
         field: String,
-        /// What stands there, shortened.
+        /// The value in the file, shortened.
         value: String,
-        /// What should.
+        /// The expected value.
         expected: &'static str,
     },
     /// Text that is not of the format at all.
@@ -28,7 +28,7 @@ pub enum ReadError {
     Malformed {
         /// The format read.
         format: &'static str,
-        /// What is wrong.
+        /// The fault.
         reason: String,
     },
     /// Text that is no known format.
@@ -39,7 +39,7 @@ pub enum ReadError {
     Unrecognised {
         /// The name given to the text.
         file: String,
-        /// What it is, as far as can be told.
+        /// The kind of file, as far as it is recognised.
         found: String,
     },
 }

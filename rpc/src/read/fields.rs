@@ -3,7 +3,7 @@
 use super::error::ReadError;
 use crate::rpc::Rpc;
 
-/// What a format calls the values of a camera; scalars and polynomials in the order of the GeoTIFF tag.
+/// Names of a camera's values in a format; scalars and polynomials in the order of the GeoTIFF tag.
 pub(super) struct Dialect {
     pub(super) format: &'static str,
     /// Offsets of line, sample, latitude, longitude and height, then their scales.
@@ -73,7 +73,7 @@ pub(super) fn camera(dialect: &Dialect, source: &impl Source) -> Result<Rpc, Rea
         }
         Ok(values)
     };
-    // Absent, or negative as the tag's way to say "unknown".
+    // Absent, or negative, the tag's code for "unknown".
     let error = |index: usize| {
         source
             .number(dialect, dialect.errors[index])

@@ -1,10 +1,10 @@
-//! Formats told by content: vendors, archives and users rename files.
+//! Formats recognised by content, since vendors, archives and users rename files.
 
 use super::fields::shortened;
 use super::statements::without_mark;
 use super::text::looks_fixed_width;
 
-/// The kinds of text that hold cameras or acquisitions, told by content.
+/// The kinds of text that contain cameras or acquisitions.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub(super) enum TextKind {
     Dimap,
@@ -18,7 +18,7 @@ pub(super) enum TextKind {
     Other,
 }
 
-/// What kind of text this is, by how it begins and which names stand in it.
+/// Kind of a text, from its beginning and the names it contains.
 pub(super) fn kind(text: &str) -> TextKind {
     let start = without_mark(text).trim_start();
     if start.starts_with('<') {

@@ -12,8 +12,8 @@ pub(super) struct Statement<'a> {
     pub(super) value: &'a str,
 }
 
-/// The statements of an IMD, RPB or PVL text, in order; groups are entered and left without a trace, for keys that mean the
-/// same in every group.
+/// The statements of an IMD, RPB or PVL text, in order; groups are entered and left without a trace, for keys that mean
+/// the same in every group.
 pub(super) fn assignments(text: &str) -> Vec<Statement<'_>> {
     grouped(text).into_iter().map(|(_, statement)| statement).collect()
 }
@@ -24,7 +24,7 @@ pub(super) fn grouped(text: &str) -> Vec<(&str, Statement<'_>)> {
     let mut groups = Vec::new();
     let mut rest = without_mark(text);
     while let Some(equals) = rest.find('=') {
-        // The key is what stands before "=" on its own line.
+        // The key is the text before "=" on its own line.
         let before = &rest[..equals];
         let key = before.rsplit(['\n', '\r', ';']).next().unwrap_or(before).trim();
         let after = rest[equals + 1..].trim_start();

@@ -14,7 +14,7 @@ const NITF_WIDTH: usize = 15 + FIXED_WIDTH;
 /// The camera of a Maxar `.RPB` file; OrbView's `.pvl` names are read as well.
 ///
 /// # Errors
-/// When a value is missing or is not a number, or the file says it is not RPC00B.
+/// When a value is missing or is not a number, or the file states another specification than RPC00B.
 pub fn rpb(text: &str) -> Result<Rpc, ReadError> {
     let mut values: HashMap<String, &str> = HashMap::new();
     for statement in assignments(text) {

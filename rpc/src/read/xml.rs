@@ -16,7 +16,7 @@ const MOST_EQUALS_PER_TAG: usize = 1 << 14;
 /// Namespaces are copied from parent to child.
 const MOST_NAMESPACES: usize = 1 << 10;
 
-/// Parses `text`, or says why not.
+/// Parses `text`, or returns the reason why not.
 pub(super) fn parse<'a>(format: &'static str, text: &'a str) -> Result<Document<'a>, ReadError> {
     let malformed = |reason: String| ReadError::Malformed { format, reason };
     check_limits(text).map_err(malformed)?;

@@ -8,7 +8,7 @@ use heliosplat_rpc::{GeoPoint, ImagePoint, Rpc};
 use serde_json::Value;
 use std::path::{Path, PathBuf};
 
-/// The shared folder, or `None` (said aloud) where it is absent and not required.
+/// The shared folder, or `None` (with a message) where it is absent and not required.
 pub fn shared() -> Option<PathBuf> {
     let root = std::env::var_os("HELIOSPLAT_SHARED").map_or_else(
         || Path::new(env!("CARGO_MANIFEST_DIR")).join("../../shared"),

@@ -155,7 +155,7 @@ pub fn geom_text(rpc: &Rpc) -> String {
     text + "support_data.tlc_date:  2015-09-30T10:56:56Z\ntype:  ossimRpcModel\n"
 }
 
-/// Sign, one digit, point, six digits, `E`, sign and one digit: what twelve characters hold.
+/// Format of a number in twelve characters: sign, one digit, point, six digits, `E`, sign and one digit.
 pub fn fixed_width_text(rpc: &Rpc) -> (String, Rpc) {
     let short = |v: f64| {
         let text = format!("{v:+.6E}");

@@ -6,8 +6,8 @@ use crate::read::fields::number;
 use jiff::Timestamp;
 use std::collections::BTreeMap;
 
-/// From the items of GDAL's default, `IMD` and `IMAGERY` domains (together or apart): Maxar's IMD names with any prefix,
-/// DIMAP's, GeoEye's, NITF's (`NITF_USE00A_SUN_AZ`, `NITF_CSEXRA_SUN_AZIMUTH`, `NITF_STDIDC_ACQUISITION_DATE`,
+/// From the items of GDAL's default, `IMD` and `IMAGERY` domains (together or apart): Maxar's IMD names with any
+/// prefix, DIMAP's, GeoEye's, NITF's (`NITF_USE00A_SUN_AZ`, `NITF_CSEXRA_SUN_AZIMUTH`, `NITF_STDIDC_ACQUISITION_DATE`,
 /// `NITF_IDATIM`), and `ACQUISITIONDATETIME`. `TIFFTAG_DATETIME` is when the file was written and is not read.
 pub fn gdal_domain(items: &BTreeMap<String, String>) -> Acquisition {
     let items = Items::of(items);

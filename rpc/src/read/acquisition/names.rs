@@ -1,18 +1,19 @@
-//! Times in file names, and the date tag of a TIFF: weaker than metadata, because nobody promises what they mean.
+//! Times in file names, and the date tag of a TIFF: weaker than metadata, because their meaning is not specified.
 
 use super::time::utc;
 use jiff::Timestamp;
 use jiff::civil::DateTime;
 use jiff::tz::TimeZone;
 
-/// The first year whose images are sold in high resolution: what is earlier is a number, not a date.
+/// The first year of commercial high-resolution images: an earlier year is a number, not a date.
 const FIRST_YEAR: i16 = 1999;
-/// The last year that is believed.
+/// The last plausible year.
 const LAST_YEAR: i16 = 2099;
 /// Most digits of a compact time: milliseconds behind the seconds.
 const MOST_DIGITS: usize = 17;
 
-/// The acquisition time in the name of a vendor's file, UTC: the earliest where there are several. `None` where there is none; a date alone is none.
+/// The acquisition time in the name of a vendor's file, UTC: the earliest where there are several. `None` where there
+/// is none; a date alone is none.
 ///
 /// | vendor | in the name |
 /// |---|---|
@@ -71,7 +72,8 @@ fn plausible(time: Timestamp) -> Option<Timestamp> {
     (FIRST_YEAR..=LAST_YEAR).contains(&year).then_some(time)
 }
 
-/// The date tag of a TIFF (tag 306, `YYYY:MM:DD hh:mm:ss`), taken as UTC. Many programs write there when the file was made.
+/// The date tag of a TIFF (tag 306, `YYYY:MM:DD hh:mm:ss`), taken as UTC. Many programs write there when the file was
+/// made.
 pub fn tiff_date(text: &str) -> Option<Timestamp> {
     let (date, time) = text.trim().trim_end_matches('\0').split_once(' ')?;
     let civil: DateTime = format!("{}T{}", date.replace(':', "-"), time.trim()).parse().ok()?;

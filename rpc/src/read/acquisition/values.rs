@@ -1,4 +1,4 @@
-//! Time and sun of one acquisition: what all readers of this module fill in.
+//! Time and sun of one acquisition, the result of all readers of this module.
 
 use crate::rpc::GeoPoint;
 use crate::sun::{SunPosition, sun_position};
@@ -9,15 +9,15 @@ use jiff::Timestamp;
 pub struct Acquisition {
     /// When, UTC.
     pub time: Option<Timestamp>,
-    /// Azimuth of the sun as the vendor says, degrees clockwise from north, in [0, 360).
+    /// Azimuth of the sun as stated by the vendor, degrees clockwise from north, in [0, 360).
     pub sun_azimuth_deg: Option<f64>,
-    /// Elevation of the sun as the vendor says, degrees above the horizon.
+    /// Elevation of the sun as stated by the vendor, degrees above the horizon.
     pub sun_elevation_deg: Option<f64>,
 }
 
 impl Acquisition {
-    /// These values, and those of `other` where there are none. The two angles go together: one is never filled in
-    /// beside the other's.
+    /// These values, completed by those of `other`. The two angles come from one source: a missing angle is not filled
+    /// in.
     pub fn merge(self, other: Self) -> Self {
         let own_angles = self.sun_azimuth_deg.is_some() || self.sun_elevation_deg.is_some();
         let (sun_azimuth_deg, sun_elevation_deg) = if own_angles && self.stated_sun().is_some() {
@@ -37,12 +37,12 @@ impl Acquisition {
         }
     }
 
-    /// Whether nothing is known.
+    /// Whether it has no value.
     pub fn is_empty(&self) -> bool {
         *self == Self::default()
     }
 
-    /// The sun as the vendor says, when both angles are there.
+    /// The sun as stated by the vendor, when both angles are there.
     pub fn stated_sun(&self) -> Option<SunPosition> {
         Some(SunPosition::from_degrees(
             self.sun_azimuth_deg?,
@@ -50,7 +50,7 @@ impl Acquisition {
         ))
     }
 
-    /// The sun at `at`: computed where the time is known, else as the vendor says.
+    /// The sun at `at`: computed where the time is known, else as stated by the vendor.
     pub fn sun_at(&self, at: GeoPoint) -> Option<SunPosition> {
         self.time
             .map(|time| sun_position(time, at))

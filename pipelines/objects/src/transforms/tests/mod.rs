@@ -12,7 +12,7 @@ fn matrix_json() -> Value {
     ])
 }
 
-/// The frames of a file with this content, beside an image `a.png` (of no pixels: this reader does not look).
+/// The frames of a file with this content, next to an empty file `a.png` (this reader opens no images).
 fn frames(value: &Value) -> Result<Vec<FrameSpec>, CaptureError> {
     let folder = tempfile::tempdir().expect("a temporary folder");
     std::fs::create_dir(folder.path().join("train")).expect("a folder");
