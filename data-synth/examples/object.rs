@@ -1,4 +1,5 @@
-//! Makes a capture of an object: `cargo run --release -p heliosplat-synth --example object -- OUT [object|olat|reflective] [SEED]`.
+//! Makes a capture of an object: `cargo run --release -p heliosplat-synth --example object -- OUT
+//! [object|olat|reflective] [SEED]`.
 
 use heliosplat_synth::{Capture, Look, ObjectRequest, write_object};
 use std::path::PathBuf;

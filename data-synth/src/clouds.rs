@@ -9,7 +9,7 @@ use crate::ray::Ray;
 use crate::sensor::Sensor;
 use rand::RngExt;
 
-/// A pixel of which clouds hide this share counts as cloud.
+/// Share of a pixel hidden by clouds from which it counts as cloud.
 pub(crate) const HIDING: f64 = 0.1;
 
 /// Altitude above the site's centre, metres: that of fair-weather cumulus.
@@ -20,14 +20,14 @@ const ALBEDO: [f64; 2] = [0.72, 0.90];
 /// Longest wave of the billows, metres.
 const BILLOW_M: f64 = 14.0;
 
-/// Lines of sight along each side of an image by which the shares are judged.
+/// Lines of sight along each side of an image that sample the shares.
 const PROBES: usize = 48;
 /// Pieces of the layer that are tried. One of several fits; if none does, the nearest is taken.
 const ATTEMPTS: usize = 400;
 /// How far from each other the pieces may lie, metres.
 const REACH_M: f64 = 20e3;
 
-/// How large clouds are, and how much of an image they hide.
+/// Size of clouds, and the share of an image that they hide.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) struct CloudSize {
     /// The longest wave of the noise, metres, or, if more, as a share of the image's width.
@@ -43,8 +43,8 @@ pub(crate) struct CloudSize {
 }
 
 impl CloudSize {
-    /// Fair-weather cumulus 15 to 60 m across, so that a site of 128 m has whole ones: something is hidden, most can be seen. About a ninth
-    /// of the layer lies above the edge.
+    /// Fair-weather cumulus 15 to 60 m across, so that a site of 128 m has whole ones: something is hidden, most can be
+    /// seen. About a ninth of the layer lies above the edge.
     pub(crate) const SMALL: CloudSize = CloudSize {
         wavelength_m: 75.0,
         width_share: 0.0,
@@ -82,15 +82,15 @@ pub(crate) struct CloudField {
 /// A cloud in a line of sight.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) struct Cloud {
-    /// Share of what lies behind that cloud and veil hide.
+    /// Opacity of cloud and veil together.
     pub(crate) opacity: f64,
-    /// The same of the cloud alone: what masks show.
+    /// Opacity of the cloud alone, for masks.
     pub(crate) hides: f64,
     pub(crate) albedo: f64,
 }
 
 impl CloudField {
-    /// Clouds of which an image shows some, but not too many.
+    /// Clouds that hide a share of an image within the limits of `size`.
     pub(crate) fn over(sensor: &Sensor, crop: &Crop, size: CloudSize, seed: u64) -> Self {
         let mut random = stream(seed, 0xC10D);
         let turn_rad: f64 = random.random_range(0.0..std::f64::consts::TAU);
@@ -179,7 +179,7 @@ impl CloudField {
             .collect()
     }
 
-    /// By how much the shares that are hidden lie outside of what they may be.
+    /// Distance of the hidden shares from their allowed ranges.
     fn excess(&self, probes: &[([f64; 2], bool)]) -> f64 {
         let hidden = |[x, y]: [f64; 2]| self.opacity([x + self.offset_m[0], y + self.offset_m[1]]) >= HIDING;
         // Hidden and all; in the image and in its middle.
@@ -199,13 +199,14 @@ impl CloudField {
     }
 }
 
-/// What two layers take together.
+/// Opacity of two layers together.
 fn through_both(one: f64, other: f64) -> f64 {
-    // The first stays as it is, to the last digit, where there is no other.
+    // Without a second layer the first is returned exactly.
     one + other * (1.0 - one)
 }
 
-/// Width of an image where its lines of sight cross the layer, metres: of the square with the same area as the box around them.
+/// Width of an image where its lines of sight cross the layer, metres: of the square with the same area as the box
+/// around them.
 fn width_m(probes: &[([f64; 2], bool)]) -> f64 {
     let span = |axis: usize| {
         let values = || probes.iter().map(|(place, _)| place[axis]);
@@ -256,7 +257,7 @@ mod tests {
         }
     }
 
-    /// Share of an image's pixels that clouds hide, every second one looked at.
+    /// Share of an image's pixels hidden by clouds, from every second pixel.
     fn share(field: &CloudField, sensor: &Sensor, crop: &Crop) -> f64 {
         let side = crop.width / 2;
         let hidden = (0..side * side).filter(|index| {

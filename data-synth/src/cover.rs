@@ -7,10 +7,10 @@ use crate::terrain::Relief;
 use nalgebra::Vector3;
 use rand::RngExt;
 
-/// How far the shore swings from a straight line, metres, and the longest wave of it.
+/// Amplitude of the shore's deviation from a straight line, metres, and the longest wave of it.
 const WAVER_M: f64 = 3.0;
 const WAVER_LENGTH_M: f64 = 40.0;
-/// By how much the covered half reaches beyond the middle, so that it is a little more than half, metres.
+/// Distance of the shore beyond the middle, metres: the covered half is a little more than half.
 const BEYOND_MIDDLE_M: f64 = 1.0;
 /// The sea lies this far below the lowest land near the site's middle, metres.
 const BELOW_LAND_M: f64 = 1.0;
@@ -78,7 +78,7 @@ impl Coast {
     }
 }
 
-/// What lies on one half of a city.
+/// The cover of one half of a city.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) enum Covered {
     Sea(Coast),
@@ -99,7 +99,7 @@ impl Covered {
         }
     }
 
-    /// The albedo of snow, where snow lies on what was hit.
+    /// The albedo of snow, where it covers the hit surface.
     pub(crate) fn snow_on(&self, hit: &Hit, class: Class) -> Option<Spectrum> {
         let holds = matches!(class, Class::Ground | Class::Road | Class::Building);
         let Self::Snow(shore) = self else { return None };
@@ -124,7 +124,7 @@ pub(crate) struct Waves {
     calm: f64,
 }
 
-/// What the sea shows at a place.
+/// Optical surface of the sea at a place.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) struct SeaSurface {
     /// Light that comes out of the water, and foam, as an albedo.
@@ -155,7 +155,8 @@ impl Waves {
         let (along, across) = (x * cos + y * sin, y * cos - x * sin);
         let field = |salt: u32, length_m: f64| noise(self.seed ^ salt, along / length_m, 0.4 * across / length_m);
         let slope = |salt: u32| field(salt, 11.0) + 0.9 * field(salt ^ 0x11, 4.0) + 0.7 * field(salt ^ 0x22, 1.6);
-        // Half of the variance is in waves that pixels see, most of it along the wind; a wave of the noise has a mean square of about 1/5.
+        // Half of the variance is in waves that pixels resolve, most of it along the wind; a wave of the noise has a
+        // mean square of about 1/5.
         let scale = (0.5 * self.slope_variance / (0.2 * (1.0 + 0.81 + 0.49))).sqrt();
         let (down, side) = (0.8f64.sqrt() * scale * slope(1), 0.2f64.sqrt() * scale * slope(2));
         let muddy = 1.0 + 0.3 * fractal(self.seed ^ 3, x, y, 50.0, 3);

@@ -1,5 +1,5 @@
-//! How images are packed: each in one file, or as vendors deliver bundles, a panchromatic file in full resolution beside a multispectral
-//! one of pixels four times as wide, each with its own camera.
+//! Packing of images: each in one file, or as vendors deliver bundles, a panchromatic file in full resolution and a
+//! multispectral one with pixels four times as wide, each with its own camera.
 
 use crate::error::SynthError;
 use crate::noise::hash2;
@@ -64,8 +64,8 @@ pub(crate) fn write_multispectral(
     write(&staging.path(&format!("{}-M1BS.tif", view.name))?, &raster)
 }
 
-/// Counts of interleaved bands as pixels [`RATIO`] times as wide would have them: means, rounded. What such a pixel shows beyond the
-/// last column and row is what they show.
+/// Counts of interleaved bands averaged to pixels [`RATIO`] times as wide, rounded. Pixels at the last column and row
+/// average the part inside the image.
 fn coarse_counts(fine: &[u16], (width, height): (usize, usize), bands: usize) -> Vec<u16> {
     let mut counts = Vec::with_capacity(width.div_ceil(RATIO) * height.div_ceil(RATIO) * bands);
     for row in (0..height).step_by(RATIO) {

@@ -1,4 +1,4 @@
-//! What can go wrong while a scene is made.
+//! Errors of making a scene.
 
 use std::path::PathBuf;
 
@@ -13,7 +13,7 @@ pub enum SynthError {
     Write {
         /// The file or folder.
         path: PathBuf,
-        /// What the system said.
+        /// Error of the system.
         source: std::io::Error,
     },
     /// A TIFF that cannot be encoded.
@@ -21,7 +21,7 @@ pub enum SynthError {
     Tiff {
         /// The file.
         path: PathBuf,
-        /// What the encoder said.
+        /// Error of the encoder.
         source: tiff::TiffError,
     },
     /// A file of cameras that cannot be used.
@@ -29,7 +29,7 @@ pub enum SynthError {
     Cameras {
         /// The file.
         path: PathBuf,
-        /// What is wrong.
+        /// The fault.
         reason: String,
     },
     /// A picture that cannot be encoded or written.
@@ -37,7 +37,7 @@ pub enum SynthError {
     Image {
         /// The file.
         path: PathBuf,
-        /// What the encoder said.
+        /// Error of the encoder.
         source: image::ImageError,
     },
     /// The synthetic sensor's rational camera cannot be fitted.
@@ -45,7 +45,7 @@ pub enum SynthError {
     Camera {
         /// Name of the image.
         image: String,
-        /// What the fit said.
+        /// Error of the fit.
         source: heliosplat_rpc::RpcError,
     },
 }

@@ -1,7 +1,8 @@
-//! What real images have and the plain generator leaves out, each asked for by name: gains of bands, haze, and the stretch of display
-//! images. Light between surfaces, glossy surfaces and large clouds are made where light and clouds are; sea and snow in `cover`.
+//! Faults of real images that the plain generator leaves out, each requested by name: gains of bands, haze, and the
+//! stretch of display images. `radiometry`, `gloss` and `clouds` make interreflection, glossy surfaces and large
+//! clouds, and `cover` sea and snow.
 //!
-//! Everything random comes from streams of its own, so that a fault changes nothing but what it is about.
+//! Every fault has its own random streams, so that it changes nothing else.
 
 use crate::materials::Spectrum;
 use crate::noise::{hash2, normal, stream};
@@ -18,7 +19,7 @@ const IMAGE_GAIN_LOG: f64 = 0.06;
 pub(crate) fn band_gains(seed: u64, image: usize) -> [f64; 4] {
     let mut random = stream(seed, 0x6A1);
     let sensor: [f64; 4] = std::array::from_fn(|_| random.random_range(-SENSOR_GAIN_LOG..SENSOR_GAIN_LOG));
-    // Of what all images have, the mean over red, green and blue stays 1: the exposure is another matter.
+    // The gains common to all images have mean 1 over red, green and blue: exposure is separate.
     let mean = sensor[..3].iter().sum::<f64>() / 3.0;
     std::array::from_fn(|band| {
         let draw = normal(hash2(hash2(seed, 0x6A2), (4 * image + band) as u64)).clamp(-2.5, 2.5);
@@ -28,10 +29,10 @@ pub(crate) fn band_gains(seed: u64, image: usize) -> [f64; 4] {
 
 /// A level layer of haze between the ground and the satellite.
 ///
-/// What is seen through it is `J t + A (1 - t)`, with the radiance `J` without haze, the transmittance `t = exp(-δ / (2 cos θ))` of each
-/// band (half of what is scattered goes on forwards) and the airlight `A` of a layer without end (H. Koschmieder, "Theorie der
-/// horizontalen Sichtweite", 1924; E. J. McCartney, "Optics of the Atmosphere", 1976). The sun's beam loses all of `δ` on its way down;
-/// most of that arrives as light of the sky, so shadows get paler.
+/// The radiance above it is `J t + A (1 - t)`, with the radiance `J` without haze, the transmittance `t = exp(-δ / (2
+/// cos θ))` of each band (half of the scattered light goes forward) and the airlight `A` of an infinite layer (H.
+/// Koschmieder, "Theorie der horizontalen Sichtweite", 1924; E. J. McCartney, "Optics of the Atmosphere", 1976). The
+/// sun's beam loses all of `δ` on its way down; most of that arrives as skylight, so shadows get paler.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct Haze {
     /// Optical depth `δ` in red, straight down.
@@ -72,7 +73,7 @@ pub struct Stretch {
     pub gamma: f64,
 }
 
-/// Shares of an image's pixels that are clipped at either end, and the gammas, of which each image has one.
+/// Range of the shares of an image's pixels clipped at either end, and range of the gammas, one per image.
 const CLIPPED_SHARE: [f64; 2] = [0.005, 0.02];
 const GAMMA: [f64; 2] = [1.4, 2.2];
 

@@ -1,7 +1,7 @@
 //! Surfaces that are not Lambertian: one microfacet lobe above the diffuse reflection.
 //!
-//! GGX distribution, Smith's masking and shadowing (B. Walter et al., "Microfacet models for refraction through rough surfaces", EGSR
-//! 2007), Schlick's Fresnel term. Truth albedo stays the surface's colour.
+//! GGX distribution, Smith's masking and shadowing (B. Walter et al., "Microfacet models for refraction through rough
+//! surfaces", EGSR 2007), Schlick's Fresnel term. Truth albedo stays the surface's colour.
 
 use crate::materials::{Class, Material, Spectrum};
 use crate::noise::{hash2, unit};
@@ -28,7 +28,7 @@ pub(crate) struct Lobe {
     pub(crate) normal: Vector3<f64>,
 }
 
-/// The lobe of what was hit, if it has one.
+/// The lobe of the hit surface, if it has one.
 pub(crate) fn lobe_of(surface: &Surface, hit: &Hit) -> Option<Lobe> {
     let coated = |alpha: f64| Lobe {
         f0: Spectrum::repeat(DIELECTRIC),
@@ -142,7 +142,8 @@ mod tests {
             // of_light is f times the cosine at the light.
             let (forth, back) = (lobe.of_light(&a, &b).x / b.z, lobe.of_light(&b, &a).x / a.z);
             assert!((forth - back).abs() < 1e-12 * forth.abs().max(1.0));
-            // With a reflectance of 1 all light is reflected but for what is masked: by drawing, and by a sum over the hemisphere.
+            // With a reflectance of 1 all light but the masked share is reflected: checked by sampling and by a sum
+            // over the hemisphere.
             let eye = direction(0.4, 0.0);
             let draws = 40_000;
             let drawn: f64 = (0..draws)

@@ -15,12 +15,12 @@ const MOST_BYTES: u64 = 64 << 20;
 pub(crate) struct KnownCamera {
     pub(crate) rpc: Rpc,
     pub(crate) time: Timestamp,
-    /// What its middle pixel sees at the height its RPC is centred on.
+    /// The ground point of its middle pixel at its RPC's height offset.
     pub(crate) centre: GeoPoint,
 }
 
-/// Reads a JSON object of images, each with `rpc` (names of VisSat, Sat-NeRF or GDAL), `width`, `height` and `capTime`, as
-/// VisSat writes it; in order of time.
+/// Reads a JSON object of images, each with `rpc` (names of VisSat, Sat-NeRF or GDAL), `width`, `height` and `capTime`,
+/// as VisSat writes it; in order of time.
 ///
 /// # Errors
 /// [`SynthError::Cameras`], naming the file and the image at fault.
@@ -88,7 +88,7 @@ pub(crate) fn thinned(cameras: Vec<KnownCamera>, count: usize) -> Vec<KnownCamer
         .collect()
 }
 
-/// Where all of them look: the median of their centres, one coordinate at a time.
+/// Common target of the cameras: the median of their centres, one coordinate at a time.
 pub(crate) fn common_centre(cameras: &[KnownCamera]) -> GeoPoint {
     let median = |pick: fn(&GeoPoint) -> f64| {
         let mut values: Vec<f64> = cameras.iter().map(|camera| pick(&camera.centre)).collect();

@@ -1,15 +1,16 @@
-//! Test scenes with exact truth for multi-view reconstruction: satellite images of a synthetic city, and captures of objects.
+//! Test scenes with exact truth for multi-view reconstruction: satellite images of a synthetic city, and captures of
+//! objects.
 //!
-//! Real scenes have no exact truth: a lidar DSM is from another year, and nobody knows where a shadow really ends. Here everything is
-//! known, because everything is made: the altitude, class and albedo of each cell, which pixels lie in shadow or behind clouds, and
-//! the camera without its error. A reconstruction can be judged to the centimetre, and a bug cannot hide behind the data.
+//! Real scenes have no exact truth: a lidar DSM is from another year, and the outlines of shadows are unknown. Here the
+//! truth is exact: the altitude, class and albedo of each cell, the pixels in shadow or behind clouds, and the camera
+//! without its error. A reconstruction can be measured to the centimetre, and no error can be blamed on the data.
 //!
-//! The renderer is a plain `f64` ray tracer with no approximations. It shares no code with the engine it is used to test, so that an
-//! error in one is not an error in both.
+//! The renderer is a plain `f64` ray tracer with no approximations. It shares no code with the engine that it tests, so
+//! that an error in one is not an error in both.
 //!
 //! # Satellite scenes
-//! [`write_satellite`] makes a place (terrain, streets, buildings, trees, water), photographs it on several dates with a push-broom
-//! satellite whose RPC is fitted as a vendor would, and writes images, metadata and truth:
+//! [`write_satellite`] makes a place (terrain, streets, buildings, trees, water), photographs it on several dates with
+//! a push-broom satellite whose RPC is fitted as a vendor would, and writes images, metadata and truth:
 //!
 //! ```no_run
 //! use heliosplat_synth::{SatelliteRequest, Site, write_satellite};
@@ -19,34 +20,35 @@
 //! # Ok::<(), heliosplat_synth::SynthError>(())
 //! ```
 //!
-//! What is modelled: sun by date and place, sky light, haze, clouds and their shadows, seasons of vegetation, cars that come and go,
-//! glint on water, point spread, sensor noise, 8 or 16 bits, RPC bias, and cameras of real images (VisSat JSON) instead of made-up
-//! ones. What is not: light through foliage, moving cars, and sensor artefacts such as striping.
+//! Modelled: sun by date and place, sky light, haze, clouds and their shadows, seasons of vegetation, cars that come
+//! and go, glint on water, point spread, sensor noise, 8 or 16 bits, RPC bias, and cameras of real images (VisSat JSON)
+//! instead of made-up ones. Not modelled: light through foliage, moving cars, and sensor artefacts such as striping.
 //!
-//! Real images are worse. [`Fault`] has what is off unless it is asked for: gains of bands, a layer of haze for each date, light from one
-//! surface to another (that of an average neighbourhood stands for it otherwise), glossy surfaces, large clouds, and display images
-//! that were stretched. [`Cover`] puts one half of a site under the sea or under snow.
+//! Real images have more faults. [`Fault`] lists those that are off by default: gains of bands, a layer of haze for
+//! each date, interreflection (without it, light of an average neighbourhood), glossy surfaces, large clouds, and
+//! display images that were stretched. [`Cover`] puts one half of a site under the sea or under snow.
 //!
 //! # Captures of objects
-//! [`write_object`] photographs a small still life from all around, under a fixed sky, under one light at a time (OLAT), or under an
-//! environment map to be seen in reflections. It uses a path tracer of its own and writes the `transforms_*.json` that NeRF tools read.
+//! [`write_object`] photographs a small still life from all around, under a fixed sky, under one light at a time
+//! (OLAT), or under an environment map with visible reflections. It uses a path tracer of its own and writes the
+//! `transforms_*.json` that NeRF tools read.
 //!
 //! # Determinism
-//! A request with a seed gives the same bytes on every run, for any number of threads. A folder is written beside its target and moved
-//! into place at the end; what fails leaves nothing behind.
+//! A request with a seed gives the same bytes on every run, for any number of threads. A folder is written beside its
+//! target and moved into place at the end; a failure leaves nothing behind.
 //!
 //! # Modules
 //! From the bottom up; arrows go one way.
 //!
-//! | modules | what they make |
+//! | modules | content |
 //! |---|---|
 //! | `noise`, `materials`, `panels` | random streams, hashes and value noise; albedos and textures of surfaces, solar panels |
-//! | `ray`, `terrain`, `raytrace`, `solid` | rays, the height field, what a ray meets, and primitives with their surfaces |
+//! | `ray`, `terrain`, `raytrace`, `solid` | rays, the height field, intersections, and primitives with their surfaces |
 //! | `cover` | half of a site under sea or snow, and the sea's waves |
 //! | `vegetation`, `cars`, `city` | trees and hedges, cars, and the city of streets and blocks that holds them |
-//! | `crop`, `rational`, `sensor`, `known` | windows of images, cameras that are known as an RPC, the push-broom camera, cameras of real images |
+//! | `crop`, `rational`, `sensor`, `known` | windows of images, cameras given as RPCs, the push-broom camera, cameras of real images |
 //! | `clouds`, `faults`, `gloss` | clouds, gains, haze and stretch, the lobe of glossy surfaces |
-//! | `radiometry` | sun, sky, light between surfaces, and the encoding of light in counts |
+//! | `radiometry` | sun, sky, interreflection, and the encoding of light in counts |
 //! | `plan`, `render`, `truth` | place, dates and views; images; truth rasters |
 //! | `nadir`, `relit` | the view from straight above; truth under suns of no image, hours of sun |
 //! | `write`, `truth_files`, `delivery`, `satellite` | files; truth rasters; images in two files as vendors pack them; the steps in order |

@@ -1,4 +1,5 @@
-//! What surfaces reflect: albedo in red, green, blue and near infrared, textured at every scale that a pixel can see.
+//! Reflectance of surfaces: albedo in red, green, blue and near infrared, textured at every scale that a pixel
+//! resolves.
 
 use crate::noise::{cell_noise, fractal, noise, smoothstep};
 use nalgebra::Vector4;
@@ -29,7 +30,7 @@ impl Class {
     ];
 }
 
-/// How far the year has got, for what grows.
+/// Season of the year, for vegetation.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) struct Season {
     /// 1 at the height of summer, 0 in the depth of winter.
@@ -49,7 +50,7 @@ impl Season {
     };
 }
 
-/// What a surface is made of. Colours are mean albedos.
+/// Material of a surface. Colours are mean albedos.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) enum Material {
     Asphalt(Spectrum),

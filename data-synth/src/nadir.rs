@@ -5,7 +5,8 @@ use crate::ray::Ray;
 use crate::truth_grid::{TruthGrid, plumb_line};
 use heliosplat_rpc::LocalFrame;
 
-/// Altitudes between which a ray is given, metres above the frame's origin: any two far enough apart to fix its direction.
+/// Altitudes between which a ray is given, metres above the frame's origin: any two far enough apart to fix its
+/// direction.
 const SPAN_M: [f64; 2] = [-100.0, 1000.0];
 
 /// The camera over a grid. Lines and samples are rows and columns of its cells, whole numbers at their centres.

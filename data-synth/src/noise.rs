@@ -1,4 +1,4 @@
-//! Hashes, value noise and random streams: the same numbers everywhere, whatever the thread that asks.
+//! Hashes, value noise and random streams: the same numbers on every thread and machine.
 
 use rand::SeedableRng;
 use rand_pcg::Pcg64Mcg;

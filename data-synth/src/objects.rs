@@ -1,7 +1,8 @@
 //! Captures of an object with known shape, materials and light, made by a path tracer.
 //!
-//! Files are those that are common: `transforms_train.json` and `transforms_test.json` with images beside them. Normals of the
-//! held-out views, `(n + 1) / 2` in the frame of the cameras, and the number of the part that each pixel shows lie in `truth/`.
+//! Files are in the common format: `transforms_train.json` and `transforms_test.json` with images beside them. Normals
+//! of the held-out views, `(n + 1) / 2` in the frame of the cameras, and the number of the part at each pixel are in
+//! `truth/`.
 
 mod material;
 mod request;
@@ -27,25 +28,26 @@ use trace::{LightSource, Stage};
 /// Horizontal field of view of every camera, radians; that of NeRF-synthetic.
 const FIELD_OF_VIEW: f64 = 0.691_111_2;
 
-/// What was made.
+/// Summary of a written capture.
 #[derive(Debug, Clone, PartialEq, serde::Serialize)]
 pub struct ObjectSummary {
     /// Images to train with.
     pub train: usize,
     /// Images held out.
     pub test: usize,
-    /// Those of them whose light is far from all lights of training.
+    /// Held-out images whose light is far from all lights of training.
     pub far: usize,
     /// Width and height of every image, pixels.
     pub size_px: usize,
     /// Share of the pixels that show the object.
     pub coverage: f64,
-    /// PSNR that the held-out images themselves have at least against images without the noise of the path tracer, decibels. What two
-    /// halves of the paths see differs by noise, and a little by edges and patterns, so the noise itself is somewhat less.
+    /// Least PSNR of the held-out images against images without path-tracing noise, decibels. It is estimated from the
+    /// difference of two halves of the paths, which contains some effect of edges and patterns, so the noise is
+    /// somewhat smaller.
     pub noise_floor_db: f64,
 }
 
-/// A camera that looks at the middle.
+/// A camera that looks at the centre.
 struct LookAtCamera {
     eye: Vector3<f64>,
     right: Vector3<f64>,
@@ -91,7 +93,7 @@ struct Pixel {
     colour: Vector3<f64>,
     coverage: f64,
     normal: Vector3<f64>,
-    /// Half of the difference between what two halves of the paths saw: its square is the variance of the colour.
+    /// Half of the difference between two halves of the paths: its square is the variance of the colour.
     doubt: Vector3<f64>,
     /// Number of the part that most paths met first; none where most met nothing.
     part: Option<usize>,
@@ -115,12 +117,12 @@ impl Pixel {
     }
 }
 
-/// Writes a capture into `out_dir`. `progress` is told how many images of how many are done. The same request gives the same
-/// bytes, for any number of threads.
+/// Writes a capture into `out_dir`. `progress` receives the number of images done and of all images. The same request
+/// gives the same bytes, for any number of threads.
 ///
 /// # Errors
-/// [`SynthError::BadRequest`] for a request that cannot be met, [`SynthError::Write`] or [`SynthError::Image`] when a file cannot
-/// be written; `out_dir` then holds nothing new.
+/// [`SynthError::BadRequest`] for a request that cannot be met, [`SynthError::Write`] or [`SynthError::Image`] when a
+/// file cannot be written; `out_dir` then holds nothing new.
 pub fn write_object(
     request: &ObjectRequest,
     out_dir: &Path,
@@ -175,8 +177,8 @@ pub fn write_object(
     })
 }
 
-/// 1 for the first half of a pixel's paths, -1 for the second: either half of an even sequence is one. The last of an odd number belongs
-/// to neither, unless there is no other.
+/// 1 for the first half of a pixel's paths, -1 for the second: either half of an even sequence is one. The last of an
+/// odd number belongs to neither, unless there is no other.
 fn half_of(path: u32, paths: u32) -> f64 {
     if path < paths / 2 {
         1.0

@@ -10,7 +10,7 @@ const MARGIN_M: [f64; 2] = [0.8, 0.6];
 /// A module's width and length, and the frame around its cells, metres.
 const MODULE_M: [f64; 2] = [1.0, 1.65];
 const FRAME_M: f64 = 0.04;
-/// Period of the arrays along and up the roof, and how much of it modules fill, metres: the rest is left to walk on.
+/// Period of the arrays along and up the roof, and the part of it that modules fill, metres: the rest is walkways.
 const ARRAY_M: [f64; 2] = [9.6, 6.0];
 const FILLED_M: [f64; 2] = [8.0, 4.95];
 const CELLS: [f64; 4] = [0.030, 0.034, 0.055, 0.045];
@@ -31,7 +31,7 @@ pub(crate) fn on_module(at: Spot) -> bool {
     (0..2).all(|axis| place[axis] > 0.0 && place[axis].rem_euclid(ARRAY_M[axis]) < FILLED_M[axis])
 }
 
-/// Albedo of the module at a spot; `None` beside them.
+/// Albedo of the module at a spot; `None` outside of them.
 pub(crate) fn albedo(at: Spot) -> Option<Spectrum> {
     if !on_module(at) {
         return None;

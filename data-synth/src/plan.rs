@@ -1,4 +1,4 @@
-//! Where a site lies, when it was seen, from where, and in what weather.
+//! Acquisition plan: place of the site, dates, viewing directions and weather.
 
 use crate::error::SynthError;
 use crate::known::{self, KnownCamera};
@@ -40,7 +40,7 @@ const OFF_NADIR_DEG: [f64; 2] = [5.0, 30.0];
 const FULL_SCENE_FACTOR: f64 = 8.0;
 const FULL_SCENE_LEAST_PX: f64 = 2400.0;
 
-/// What all images of one date share.
+/// Common data of all images of one date.
 #[derive(Debug, Clone)]
 pub(crate) struct DatePlan {
     /// When the first image of the date is taken.
@@ -62,7 +62,7 @@ pub(crate) struct ViewPlan {
     pub(crate) geometry: ViewGeometry,
     /// Pixel (sample, line) of the full scene that sees the site's centre.
     pub(crate) aim_px: [f64; 2],
-    /// Constant error (column, row) put into the RPC, pixels: what bias correction has to find.
+    /// Constant error (column, row) added to the RPC, pixels: the truth for bias correction.
     pub(crate) rpc_bias_px: [f64; 2],
     /// Whether the image is held out for testing.
     pub(crate) held_out: bool,
@@ -96,7 +96,8 @@ impl Collection {
         Ok(collection)
     }
 
-    /// The dates on which buildings may change: those with at least two images to train with before them, and two from them on.
+    /// The dates on which buildings may change: those with at least two images to train with before them, and two from
+    /// them on.
     ///
     /// # Errors
     /// [`SynthError::BadRequest`] when there is none.
@@ -327,7 +328,7 @@ fn geometry_of(rpc: &Rpc, frame: &LocalFrame) -> Result<ViewGeometry, heliosplat
 fn weather_of(random: &mut Pcg64Mcg, time: Timestamp, lat_deg: f64) -> DatePlan {
     const DAY_S: f64 = 86_400.0;
     const YEAR_DAYS: f64 = 365.25;
-    // 1970 began with a first of January; the season asks for no more than the day of the year.
+    // 1970 began with a first of January; the season depends only on the day of the year.
     let day = (time.as_second() as f64 / DAY_S).rem_euclid(YEAR_DAYS);
     date_of(random, time, day, lat_deg)
 }
@@ -362,7 +363,7 @@ fn hold_out(views: &mut [ViewPlan], count: usize) {
     }
 }
 
-/// Clouds in as many training images as were asked for. Held-out images stay clear: they are what others are compared with.
+/// Puts clouds into the requested number of training images. Held-out images stay clear, since they serve as reference.
 fn cloud_over(views: &mut [ViewPlan], request: &SatelliteRequest) -> Result<(), SynthError> {
     let mut training: Vec<&mut ViewPlan> = views.iter_mut().filter(|view| !view.held_out).collect();
     let cloudy = request.cloudy_images(training.len());
@@ -380,7 +381,7 @@ fn cloud_over(views: &mut [ViewPlan], request: &SatelliteRequest) -> Result<(), 
     Ok(())
 }
 
-/// Shifts in random directions, of random lengths whose root mean square is what was asked for.
+/// Shifts in random directions, with random lengths of the requested root mean square.
 fn bias(views: &mut [ViewPlan], request: &SatelliteRequest) {
     let mut random = stream(request.seed, 0xB1A5);
     let shifts: Vec<[f64; 2]> = (0..views.len())

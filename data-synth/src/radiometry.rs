@@ -1,14 +1,14 @@
-//! Light: sun, sky, what surfaces send on, and what the air does on the way to the satellite.
+//! Light: sun, sky, interreflection, and the effect of the air on the way to the satellite.
 //!
 //! Radiance of a Lambertian surface is `albedo / π · (E_sun cos(i) V + E_sky A + E_around (1 - A))`: `V` is the exact
 //! visibility of the sun (a point; no penumbra), `A` the share of the cosine-weighted hemisphere that is open sky, and
 //! `E_around` the light of an average neighbourhood that fills the rest. Irradiances are relative to the sun's above
 //! the air in each band. Water adds the mirror image of the sky and the glitter of the sun (C. Cox and W. Munk,
-//! "Measurement of the roughness of the sea surface from photographs of the sun's glitter", JOSA 44, 1954). Clouds take their share of the sun's beam on its way down and of the light on its way up; the
-//! light of the sky stays as it is without them.
+//! "Measurement of the roughness of the sea surface from photographs of the sun's glitter", JOSA 44, 1954). Clouds dim
+//! the sun's beam on its way down and the light on its way up; skylight is not changed by them.
 //!
-//! On request (`Fault`): haze over the scene, a lobe of glossy surfaces, and instead of `E_around` the light that surfaces in view really
-//! send, for one bounce: their own `albedo (E_sun cos(i) V + E_sky or E_around)`.
+//! On request (`Fault`): haze over the scene, a lobe of glossy surfaces, and instead of `E_around` the light reflected
+//! by visible surfaces, for one bounce: their own `albedo (E_sun cos(i) V + E_sky or E_around)`.
 
 use crate::clouds::CloudField;
 use crate::cover::{SeaSurface, Waves};
@@ -36,7 +36,8 @@ const AEROSOL: [f64; 4] = [1.0, 1.15, 1.35, 0.75];
 const SKY_SHARE: f64 = 0.4;
 /// Path radiance per optical depth, relative to the sun above the air.
 const HAZE_PER_DEPTH: f64 = 0.042;
-/// Share of the light that a layer of haze takes from the sun's beam and that reaches the ground: droplets scatter forwards.
+/// Share of the light that a layer of haze takes from the sun's beam and that reaches the ground: droplets scatter
+/// forwards.
 const HAZE_FORWARDS: f64 = 0.65;
 /// Directions in which a surface looks for the light of others, along each of the two axes of the hemisphere.
 const BOUNCE_STRATA: u64 = 2;
@@ -52,7 +53,7 @@ pub(crate) struct Weather {
     pub(crate) exposure: f64,
     /// Mean square slope of ripples.
     pub(crate) water_slope_variance: f64,
-    /// Brightness of what floats in the water, relative to the mean.
+    /// Brightness of particles in the water, relative to the mean.
     pub(crate) water_turbidity: f64,
     pub(crate) seed: u64,
 }
@@ -88,12 +89,12 @@ pub(crate) struct LitScene<'a> {
     pub(crate) ground: &'a crate::city::Ground,
 }
 
-/// What one ray of the sensor brings back.
+/// Result of one ray of the sensor.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Sample {
     /// Radiance at the satellite.
     pub(crate) radiance: Spectrum,
-    /// Whether more than half of the sun's beam reaches the surface that is seen, or would be but for a cloud before it.
+    /// Whether more than half of the sun's beam reaches the visible surface, or would without the cloud before it.
     pub(crate) lit: bool,
     /// Share of the surface's light that a cloud takes on the way to the satellite.
     pub(crate) clouded: f64,
@@ -126,7 +127,7 @@ impl Light {
         }
     }
 
-    /// The same light between surfaces that do what the faults say.
+    /// The same light with the interreflection and gloss of the faults.
     pub(crate) fn among(self, faults: &Faults) -> Self {
         Self {
             bounce: faults.contains(&Fault::Interreflection),
@@ -167,7 +168,7 @@ impl Light {
         Self { clouds, ..self }
     }
 
-    /// What a ray of the sensor sees. `draw` is a random word of its own for each ray.
+    /// Radiance and labels of a ray of the sensor. `draw` is a random word of its own for each ray.
     pub(crate) fn sample(&self, scene: &LitScene, ray: &Ray, draw: u64) -> Sample {
         let below = self.sample_below(scene, ray, draw);
         let Some(clouds) = &self.clouds else {
@@ -181,12 +182,13 @@ impl Light {
         }
     }
 
-    /// Radiance of a cloud at the satellite. Some of its billows face the sun at any hour, and those are what is bright.
+    /// Radiance of a cloud at the satellite. Some of its billows face the sun at any hour, and these dominate its
+    /// brightness.
     fn cloud_radiance(&self, albedo: f64) -> Spectrum {
         ((self.sun + self.sky) * (albedo / PI)).component_mul(&self.transmittance) + self.haze
     }
 
-    /// What a ray sees where no cloud is in its own way. `draw` is a random word of its own for each ray.
+    /// The same below the clouds. `draw` is a random word of its own for each ray.
     fn sample_below(&self, scene: &LitScene, ray: &Ray, draw: u64) -> Sample {
         let Some(hit) = scene.tracer.trace(ray) else {
             return Sample {
@@ -249,7 +251,8 @@ impl Light {
         }
     }
 
-    /// Irradiance of everything but the sun: one draw of the hemisphere, or, where surfaces light each other, one in each stratum.
+    /// Irradiance of everything but the sun: one draw of the hemisphere, or, where surfaces light each other, one in
+    /// each stratum.
     fn ambient(&self, scene: &LitScene, start: Vector3<f64>, normal: Vector3<f64>, draw: u64) -> Spectrum {
         if !self.bounce {
             let (u, turn) = (unit(draw), 2.0 * PI * unit(hash2(draw, 0x5C)));
@@ -271,7 +274,8 @@ impl Light {
         sum / (BOUNCE_STRATA * BOUNCE_STRATA) as f64
     }
 
-    /// The sky if a direction is open, else the average neighbourhood: irradiance if the whole hemisphere looked like this direction.
+    /// The sky if a direction is open, else the average neighbourhood: irradiance if the whole hemisphere looked like
+    /// this direction.
     fn sky_or_around(&self, scene: &LitScene, start: Vector3<f64>, direction: Vector3<f64>) -> Spectrum {
         let ray = Ray {
             origin: start,
@@ -281,7 +285,8 @@ impl Light {
         if open { self.sky } else { self.around }
     }
 
-    /// What arrives from a direction, as [`Light::sky_or_around`], with what the surface there really sends where surfaces light each other.
+    /// Light from a direction, as [`Light::sky_or_around`], with the actual light of the surface there where
+    /// interreflection is on.
     fn arriving(&self, scene: &LitScene, start: Vector3<f64>, direction: Vector3<f64>, draw: u64) -> Spectrum {
         if !self.bounce {
             return self.sky_or_around(scene, start, direction);
@@ -352,8 +357,8 @@ impl Light {
     }
 }
 
-/// A direction above a surface, as many as Lambert's cosine law asks for: a point on the unit sphere around the tip of the normal.
-/// `None` for the one draw that has no direction.
+/// A direction above a surface, distributed by Lambert's cosine law: a point on the unit sphere around the tip of the
+/// normal. `None` for the one draw that has no direction.
 fn cosine_weighted(normal: &Vector3<f64>, u: f64, turn: f64) -> Option<Vector3<f64>> {
     let z = 1.0 - 2.0 * u;
     let level = (1.0 - z * z).max(0.0).sqrt();
@@ -363,7 +368,7 @@ fn cosine_weighted(normal: &Vector3<f64>, u: f64, turn: f64) -> Option<Vector3<f
 }
 
 impl LitScene<'_> {
-    /// Class and albedo of what was hit; the class is that of what lies under snow.
+    /// Class and albedo of the hit surface; the class is that of the surface under snow.
     pub(crate) fn albedo(&self, hit: &Hit, season: &Season) -> (Class, Spectrum) {
         let (class, albedo) = if hit.surface == GROUND {
             self.ground.albedo(hit.point.x, hit.point.y, season)
@@ -374,7 +379,7 @@ impl LitScene<'_> {
         (class, self.ground.snow_on(hit, class).unwrap_or(albedo))
     }
 
-    /// The glossy part of what was hit, if it has one and no snow lies on it.
+    /// The glossy lobe of the hit surface, if it has one and no snow covers it.
     pub(crate) fn lobe(&self, hit: &Hit) -> Option<Lobe> {
         if hit.surface == GROUND {
             return None;
@@ -384,7 +389,7 @@ impl LitScene<'_> {
         if bare { gloss::lobe_of(surface, hit) } else { None }
     }
 
-    /// Class of what was hit.
+    /// Class of the hit surface.
     pub(crate) fn class(&self, hit: &Hit) -> Class {
         if hit.surface == GROUND {
             self.ground.class_at(hit.point.x, hit.point.y)

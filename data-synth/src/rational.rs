@@ -5,8 +5,8 @@ use crate::ray::Ray;
 use heliosplat_rpc::{ImagePoint, LocalFrame, Rpc, RpcError};
 use nalgebra::Vector3;
 
-/// Distance between the nodes where rays are found from the camera, pixels. Between them rays are interpolated: over so few of
-/// the tens of thousands of pixels of its full scene a camera bends by far less than a thousandth of a pixel.
+/// Distance between the nodes where rays are found from the camera, pixels. Between them rays are interpolated: over so
+/// few of the tens of thousands of pixels of its full scene a camera bends by far less than a thousandth of a pixel.
 const NODE_PX: f64 = 32.0;
 /// Heights above and below the frame's origin between which a ray is taken to be straight, metres.
 const SPAN_M: f64 = 150.0;
@@ -30,7 +30,7 @@ impl RationalSensor {
     /// The camera `rpc` over `crop` and a little around it.
     ///
     /// # Errors
-    /// When the camera does not say what a pixel of the crop sees.
+    /// When the camera cannot be localised at a pixel of the crop.
     pub(crate) fn new(rpc: &Rpc, frame: &LocalFrame, crop: &Crop) -> Result<Self, RpcError> {
         let corner = [crop.col0 - NODE_PX, crop.row0 - NODE_PX];
         let nodes_along = |pixels: usize| (pixels as f64 / NODE_PX).ceil() as usize + 4;

@@ -1,9 +1,9 @@
 //! A plain ray tracer in f64: a height field, triangles and ellipsoids in a grid of square columns.
 //!
-//! The scene is 2.5-D (a city seen from above), so one grid cell is a column with a list of primitives and the
-//! altitude of its highest point; a ray walks the columns it crosses (Amanatides and Woo, "A fast voxel traversal
-//! algorithm for ray tracing", Eurographics 1987) and looks into a column only when it dips below that altitude.
-//! Nothing here is shared with the engine, and nothing is approximated: the truth rasters are made by the same rays.
+//! The scene is 2.5-D (a city seen from above), so one grid cell is a column with a list of primitives and the altitude
+//! of its highest point; a ray walks the columns it crosses (Amanatides and Woo, "A fast voxel traversal algorithm for
+//! ray tracing", Eurographics 1987) and looks into a column only when it dips below that altitude. It shares no code
+//! with the engine and approximates nothing: the truth rasters are made by the same rays.
 
 use crate::ray::Ray;
 use crate::terrain::HeightField;
@@ -110,7 +110,7 @@ impl Ellipsoid {
     }
 }
 
-/// What the scene is made of, before it is sorted into columns.
+/// Primitives of the scene before they are sorted into columns.
 #[derive(Debug, Clone, Default)]
 pub(crate) struct Primitives {
     pub(crate) triangles: Vec<Triangle>,
@@ -139,7 +139,7 @@ enum Found {
 }
 
 impl<'a> Tracer<'a> {
-    /// Sorts `primitives` into the columns of the terrain's own cells. What lies beyond the terrain is cut off.
+    /// Sorts `primitives` into the columns of the terrain's own cells. Parts beyond the terrain are cut off.
     pub(crate) fn new(terrain: &'a HeightField, primitives: Primitives) -> Self {
         let cells = terrain.cells() * terrain.cells();
         let mut tops_m: Vec<f64> = (0..cells).map(|cell| terrain.cell_top_m(cell)).collect();
@@ -204,7 +204,7 @@ impl<'a> Tracer<'a> {
                     best = Some((t, Found::Primitive(member)));
                 }
             }
-            // What is found beyond this column may be hidden by something in the next.
+            // A hit beyond this column may be hidden by something in the next.
             best.is_some_and(|(t, _)| t <= t_out)
         });
         best.map(|(t, found)| self.hit(ray, t, found))
@@ -263,7 +263,7 @@ impl<'a> Tracer<'a> {
         }
     }
 
-    /// Visits the columns the ray dips into, in order, until `visit(cell, t_in, t_out)` says that it is done.
+    /// Visits the columns the ray dips into, in order, until `visit(cell, t_in, t_out)` returns true.
     fn walk(&self, ray: &Ray, reach_m: f64, mut visit: impl FnMut(usize, f64, f64) -> bool) {
         let Some((mut t, t_end)) = self.clip(ray, reach_m) else {
             return;

@@ -1,6 +1,6 @@
 //! Truth for relighting: the site from straight above under suns that no image has, and the hours of sun of one day.
 //!
-//! Light, air, season and gain are those of the image with the highest sun, which is what a sun elsewhere is compared with; only the sun
+//! Air, season and gain are those of the image with the highest sun, the reference for relit images; only the sun
 //! moves. There are no cars, clouds or noise, and counts are linear even where the images are for display.
 
 use crate::cover::Waves;
@@ -31,7 +31,7 @@ const ELEVATIONS_DEG: [f64; 2] = [10.0, 70.0];
 const ASIDE_DEG: f64 = 90.0;
 /// A sun nearer than this to that of an image is drawn again, degrees.
 const APART_DEG: f64 = 8.0;
-/// How often it is drawn again before it is taken as it is.
+/// Most draws of a sun; the last one is taken.
 const DRAWS: usize = 40;
 /// The day whose hours of sun are truth: an equinox.
 pub(crate) const DAY: &str = "2016-03-20";
@@ -40,7 +40,7 @@ const STEP_S: i64 = 360;
 /// How far shadow rays start from their surface, metres.
 const SURFACE_BIAS_M: f64 = 1e-4;
 
-/// What all relit images of a scene share.
+/// Common data of all relit images of a scene.
 pub(crate) struct Studio {
     pub(crate) weather: Weather,
     pub(crate) season: Season,
@@ -51,8 +51,8 @@ pub(crate) struct Studio {
     pub(crate) band_gains: [f64; 4],
 }
 
-/// Azimuth and elevation of the suns, degrees: elevations evenly from lowest to highest, azimuths from all of the sky's sunny half, in
-/// random order, away from the suns of the images.
+/// Azimuth and elevation of the suns, degrees: elevations evenly from lowest to highest, azimuths from all of the sky's
+/// sunny half, in random order, away from the suns of the images.
 pub(crate) fn suns_deg(request: &SatelliteRequest, collection: &Collection) -> Vec<[f64; 2]> {
     let count = request.relight;
     let mut random = stream(request.seed, 0x5E11);
@@ -129,7 +129,8 @@ pub(crate) fn relit(
     render(scene, &exposure, rows_done)
 }
 
-/// Hours of direct sun on the highest surface at each cell's centre on [`DAY`], from one midnight of mean solar time to the next.
+/// Hours of direct sun on the highest surface at each cell's centre on [`DAY`], from one midnight of mean solar time to
+/// the next.
 pub(crate) fn sun_hours(scene: &LitScene, frame: &LocalFrame, grid: &TruthGrid) -> Vec<f32> {
     let suns = suns_of_day(frame.origin);
     let step_hours = STEP_S as f64 / 3600.0;

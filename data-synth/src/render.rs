@@ -13,7 +13,7 @@ use rayon::prelude::*;
 
 /// Sub-pixel samples along each axis.
 const FINE: usize = 3;
-/// Optical blur beside the pixel's own size, pixels (standard deviation).
+/// Optical blur besides the pixel's own size, pixels (standard deviation).
 const BLUR_PX: f64 = 0.45;
 /// Samples by which the point spread reaches beyond a pixel.
 const REACH: usize = 5;
@@ -51,13 +51,13 @@ struct FineRow {
     radiance: Vec<[f32; 4]>,
     /// Lit samples of each pixel.
     lit: Vec<u8>,
-    /// Sum of what clouds hide of each pixel's samples.
+    /// Sum of the cloud opacities of each pixel's samples.
     clouded: Vec<f64>,
     /// Whether any sample in a pixel's point spread sees the sea.
     sea: Vec<bool>,
 }
 
-/// Renders an image; `rows_done` is told of each batch of rows.
+/// Renders an image; `rows_done` receives the size of each finished batch of rows.
 pub(crate) fn render(scene: &LitScene, exposure: &Exposure, rows_done: &mut dyn FnMut(usize)) -> Image {
     let Crop { width, height, .. } = exposure.crop;
     let mut image = Image {
@@ -203,7 +203,7 @@ mod tests {
     use heliosplat_rpc::{GeoPoint, LocalFrame};
     use nalgebra::Vector3;
 
-    /// Flat dark ground with what a test puts on it, seen from one side.
+    /// Flat dark ground with a test's objects, viewed from one side.
     struct Studio {
         frame: LocalFrame,
         sensor: PushBroom,
@@ -288,7 +288,7 @@ mod tests {
         }
     }
 
-    /// Column and row of the middle of what is brighter than the background.
+    /// Column and row of the centroid of the pixels brighter than the background.
     fn centroid(image: &Image) -> [f64; 2] {
         let background = f64::from(image.counts[0]);
         let mut sums = [0.0; 3];

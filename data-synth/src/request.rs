@@ -1,4 +1,4 @@
-//! Which satellite scene to make: settings, their limits and defaults. Also written into the manifest beside the scene.
+//! The satellite scene to make: settings, their limits and defaults. Also written into the scene's manifest.
 
 use crate::error::SynthError;
 use serde::{Deserialize, Serialize};
@@ -57,7 +57,7 @@ impl Site {
         }
     }
 
-    /// Views made unless the request says otherwise.
+    /// Default number of views.
     pub fn default_views(self) -> usize {
         match self {
             Site::Tiny => 8,
@@ -66,7 +66,7 @@ impl Site {
         }
     }
 
-    /// Acquisition dates unless the request says otherwise.
+    /// Default number of acquisition dates.
     pub fn default_dates(self) -> usize {
         match self {
             Site::Tiny => 5,
@@ -124,14 +124,15 @@ pub enum Fault {
     Glossy,
     /// Clouds hide a third of the images that have clouds, and a thin veil lies over the rest of them.
     LargeClouds,
-    /// 8-bit display images: each band of each image is stretched between two percentiles, with a gamma, both ends clipped.
+    /// 8-bit display images: each band of each image is stretched between two percentiles, with a gamma, both ends
+    /// clipped.
     Stretch,
 }
 
 /// The faults of a scene.
 pub type Faults = BTreeSet<Fault>;
 
-/// What covers one half of a site.
+/// The cover of one half of a site.
 #[cfg_attr(feature = "clap", derive(clap::ValueEnum))]
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
@@ -160,7 +161,7 @@ pub struct SatelliteRequest {
     pub dates: Option<usize>,
     /// Ground sampling distance, metres; 0.5 if absent. Also the resolution of the truth rasters.
     pub gsd_m: Option<f64>,
-    /// Width and height of every image, pixels; if absent, what covers the site at all its altitudes.
+    /// Width and height of every image, pixels; if absent, the size that covers the site at all its altitudes.
     pub size_px: Option<usize>,
     /// Bands of the images.
     pub bands: BandSet,
@@ -176,13 +177,14 @@ pub struct SatelliteRequest {
     /// Faults of real images. Absent from the manifest if none.
     #[serde(skip_serializing_if = "Faults::is_empty")]
     pub faults: Faults,
-    /// What covers one half of the site, or a little more. Absent from the manifest if nothing.
+    /// Cover of one half of the site, or a little more. Absent from the manifest if there is none.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub cover: Option<Cover>,
     /// How images are packed. Absent from the manifest if each is one file.
     #[serde(skip_serializing_if = "Delivery::is_whole")]
     pub delivery: Delivery,
-    /// Suns of no image under which the site is rendered from straight above as truth. Absent from the manifest if none.
+    /// Suns of no image under which the site is rendered from straight above as truth. Absent from the manifest if
+    /// none.
     #[serde(skip_serializing_if = "is_zero")]
     pub relight: usize,
     /// Share of the buildings that are built or torn down between two dates, 0 to 1. Absent from the manifest if none.
@@ -238,7 +240,7 @@ impl SatelliteRequest {
         self.dates.unwrap_or(self.site.default_dates()).min(self.view_count())
     }
 
-    /// Whether the scene is asked to have a fault.
+    /// Whether the scene has a fault.
     pub fn has(&self, fault: Fault) -> bool {
         self.faults.contains(&fault)
     }
@@ -248,12 +250,13 @@ impl SatelliteRequest {
         matches!(self.cover, Some(Cover::Sea | Cover::Nodata))
     }
 
-    /// Bits per sample of the files: stretched images have 8 whatever `bits` says.
+    /// Bits per sample of the files: stretched images have 8 whatever the value of `bits`.
     pub fn file_bits(&self) -> u8 {
         if self.has(Fault::Stretch) { 8 } else { self.bits }
     }
 
-    /// Images with clouds, of so many to train with: with [`Fault::LargeClouds`] a quarter of them unless `clouds` says otherwise.
+    /// Number of training images with clouds, of `training`: `clouds`, and with [`Fault::LargeClouds`] a quarter by
+    /// default.
     pub fn cloudy_images(&self, training: usize) -> usize {
         if self.clouds == 0 && self.has(Fault::LargeClouds) {
             training.div_ceil(4)
@@ -271,7 +274,7 @@ impl SatelliteRequest {
         }
     }
 
-    /// Says what is wrong with the request, if anything is.
+    /// Checks the request.
     ///
     /// # Errors
     /// [`SynthError::BadRequest`] naming the first field that cannot be met and the values it may have.

@@ -34,26 +34,27 @@ use std::path::Path;
 
 /// Pixels that every image shows beyond the site on all sides, at all its altitudes.
 const MARGIN_PX: f64 = 12.0;
-/// How far the city goes on beyond what any image shows, so that shadows fall into the images, metres.
+/// Margin of the city beyond the images, metres, so that shadows fall into the images.
 const SURROUNDINGS_M: f64 = 50.0;
 /// Altitudes above and below the site's centre that images are made to cover, metres.
 const COVERED_ALTITUDES_M: [f64; 2] = [-10.0, 44.0];
 /// Exposure of scenes with snow relative to that for a sun in the zenith, apart from the sun's height.
 const SNOWY_EXPOSURE: f64 = 1.25;
 
-/// One image's camera: the sensor, the part of it that is the image, and the RPC to be delivered.
+/// One image's camera: the sensor, the window of the image, and the delivered RPC.
 struct ImageCamera {
     sensor: Sensor,
     crop: Crop,
     fit: RpcFit,
-    /// Of the crop, with the bias that the request asks for.
+    /// Of the crop, with the requested bias.
     rpc: Rpc,
 }
 
-/// Makes a satellite scene in `out_dir`: images with RPC, sun and date as a vendor would deliver them, Sat-NeRF style
-/// metadata beside them, `train.txt` and `test.txt`, and `truth/` (DSM, classes, albedo, masks of shadows and clouds, on request images under other suns).
+/// Makes a satellite scene in `out_dir`: images with RPC, sun and date as a vendor would deliver them, their metadata
+/// in the style of Sat-NeRF, `train.txt` and `test.txt`, and `truth/` (DSM, classes, albedo, masks of shadows and
+/// clouds, on request images under other suns).
 ///
-/// `progress` is told how much of how much is done, from the calling thread. The same request gives the same bytes,
+/// `progress` receives the work done and the whole work, on the calling thread. The same request gives the same bytes,
 /// for any number of threads.
 ///
 /// # Errors
@@ -171,7 +172,7 @@ pub fn write_satellite(
     Ok(summary)
 }
 
-/// What stands in the scene, with what glossy roofs carry.
+/// The solids of the scene, with coatings on glossy roofs.
 fn fitted(request: &SatelliteRequest, mut solids: Solids) -> Solids {
     if request.has(Fault::Glossy) {
         solids.lay_panels();
@@ -179,7 +180,7 @@ fn fitted(request: &SatelliteRequest, mut solids: Solids) -> Solids {
     solids
 }
 
-/// The light of an image, with the weather and the faults that the request asks for.
+/// The light of an image, with the requested weather and faults.
 fn light_of(
     request: &SatelliteRequest,
     date: &DatePlan,
@@ -317,7 +318,7 @@ fn city_plan(request: &SatelliteRequest, cameras: &[ImageCamera]) -> CityPlan {
     }
 }
 
-/// Truth as it is on a date.
+/// Truth at a date.
 fn survey_city(request: &SatelliteRequest, city: &City, frame: &LocalFrame, grid: &TruthGrid, date: usize) -> Truth {
     let solids = fitted(request, city.solids(date));
     let tracer = Tracer::new(&city.terrain, solids.primitives);
@@ -334,7 +335,8 @@ fn survey_city(request: &SatelliteRequest, city: &City, frame: &LocalFrame, grid
     }
 }
 
-/// The day, as YYYYMMDD, of the first image that shows the new state of each cell of the grid; 0 where nothing is built or torn down.
+/// The day, as YYYYMMDD, of the first image that shows the new state of each cell of the grid; 0 where nothing is built
+/// or torn down.
 fn changed_at(city: &City, collection: &Collection, frame: &LocalFrame, grid: &TruthGrid) -> Vec<f64> {
     let day = |date: usize| {
         let day = collection.dates[date].time.to_zoned(TimeZone::UTC).date();
@@ -353,7 +355,7 @@ fn changed_at(city: &City, collection: &Collection, frame: &LocalFrame, grid: &T
     (0..grid.size * grid.size).map(of_cell).collect()
 }
 
-/// What truth under suns of no image is rendered with: the light of the image with the highest sun.
+/// Setting of the truth under other suns: the light of the image with the highest sun.
 fn studio_of(request: &SatelliteRequest, collection: &Collection) -> Option<Studio> {
     let height = |view: &ViewPlan| view.sun.elevation_rad;
     let views = collection.views.iter().enumerate();

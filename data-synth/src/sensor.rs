@@ -1,9 +1,9 @@
 //! A push-broom camera on a circular orbit: every line has its own moment, place and attitude.
 //!
 //! The satellite moves on a circle around the Earth's centre while the Earth turns under it; its attitude swings so
-//! that the line of sight runs along the ground at the wanted rate, with small smooth errors in roll, pitch and yaw,
-//! a trace of vibration, and a detector that is not perfectly straight. The rational camera that a vendor would
-//! deliver is fitted to this model over a scene several times larger than the image, so it is imperfect in the real way.
+//! that the line of sight runs along the ground at the wanted rate, with small smooth errors in roll, pitch and yaw, a
+//! trace of vibration, and a detector that is not perfectly straight. The rational camera that a vendor would deliver
+//! is fitted to this model over a scene several times larger than the image, so it is imperfect in the real way.
 
 use crate::nadir::NadirSensor;
 use crate::noise::stream;
@@ -21,7 +21,7 @@ const INCLINATION_DEG: f64 = 97.8;
 /// Heights above and below the site over which vendors fit their cameras, metres.
 const RPC_HEIGHT_RANGE_M: f64 = 500.0;
 
-/// What a view asks of the sensor.
+/// Viewing geometry that the sensor must realise.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct ViewGeometry {
     /// Direction in which the satellite stands, clockwise from north, radians.

@@ -5,7 +5,7 @@ use crate::panels;
 use crate::raytrace::{Ellipsoid, Primitives, SurfaceId, Triangle};
 use nalgebra::Vector3;
 
-/// A surface: what it is, what it is made of, and the coordinates its texture lives in.
+/// A surface: its class, its material, and the coordinates of its texture.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Surface {
     pub(crate) class: Class,

@@ -1,4 +1,4 @@
-//! What was made: the request as it was met, and the numbers of each image. Written as the manifest beside the scene.
+//! Summary of a scene: the request as it was met, and the numbers of each image. Written as the scene's manifest.
 
 use crate::faults::{Haze, Stretch};
 use crate::request::SatelliteRequest;
@@ -7,7 +7,7 @@ use heliosplat_rpc::GeoPoint;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 
-/// What was made.
+/// Summary of a scene.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Summary {
     /// The request, as it was met.
@@ -23,14 +23,14 @@ pub struct Summary {
     /// Share of the truth's cells under sea or snow; absent from the manifest if none.
     #[serde(default, skip_serializing_if = "is_zero")]
     pub cover_share: f64,
-    /// Share of the truth's cells that are glossy; absent from the manifest if glossy surfaces were not asked for.
+    /// Share of the truth's cells that are glossy; absent from the manifest without glossy surfaces.
     #[serde(default, skip_serializing_if = "is_zero")]
     pub glossy_share: f64,
     /// The images in order of time.
     pub images: Vec<ImageSummary>,
 }
 
-/// What was made of one image.
+/// Summary of one image.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct ImageSummary {
     /// File name without extension.
@@ -64,7 +64,8 @@ pub struct ImageSummary {
     /// Share of the image behind clouds; absent from the manifest if none.
     #[serde(default, skip_serializing_if = "is_zero")]
     pub cloud_share: f64,
-    /// Gain of each band of the file relative to the collection's mean; absent from the manifest if bands have no gains of their own.
+    /// Gain of each band of the file relative to the collection's mean; absent from the manifest if bands have no gains
+    /// of their own.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub band_gains: Vec<f64>,
     /// The haze of its date; absent from the manifest if there is none.

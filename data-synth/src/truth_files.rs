@@ -13,11 +13,11 @@ use crate::write::geotiff::{Raster, Samples, write};
 
 /// NaN would do, but not every tool reads it.
 const NODATA: f32 = -9999.0;
-/// What masks of shadows say of themselves.
+/// Description of the masks of shadows.
 pub(crate) const SHADOW_MEANS: &str =
     "1 where the sun reaches less than half of the pixel: cast shadow, and surfaces that face away from it";
 
-/// A metadata item that says what a raster is.
+/// The metadata item that describes a raster.
 fn about(text: &str) -> (String, String) {
     ("DESCRIPTION".to_string(), text.to_string())
 }
@@ -41,7 +41,7 @@ fn on_grid<'a>(
     }
 }
 
-/// Altitude, classes and albedo from straight above, and where the request asks for them cover and gloss.
+/// Altitude, classes and albedo from straight above, and on request cover and gloss.
 pub(crate) fn write_truth(
     staging: &Staging,
     request: &SatelliteRequest,
@@ -123,8 +123,8 @@ pub(crate) fn write_truth(
     staging.text("truth/dsm.txt", &text)
 }
 
-/// The surface at the first image, and what changed from there to the last: metres (last minus first), and the day (YYYYMMDD) of the first
-/// image that shows the new state, 0 where nothing is built or torn down.
+/// The surface at the first image, and what changed from there to the last: metres (last minus first), and the day
+/// (YYYYMMDD) of the first image that shows the new state, 0 where nothing is built or torn down.
 pub(crate) fn write_change(
     staging: &Staging,
     grid: &TruthGrid,
@@ -162,7 +162,8 @@ pub(crate) fn write_change(
     write(&staging.path("truth/change.tif")?, &change)
 }
 
-/// The site from straight above under some suns (azimuth and elevation, degrees), their shadows, and the hours of sun of a day.
+/// The site from straight above under some suns (azimuth and elevation, degrees), their shadows, and the hours of sun
+/// of a day.
 pub(crate) fn write_relit(
     staging: &Staging,
     request: &SatelliteRequest,

@@ -44,8 +44,8 @@ impl TruthGrid {
     }
 }
 
-/// The ray down the ellipsoid's normal through a place of the grid (columns and rows of cells), from the higher of two altitudes (metres
-/// above the frame's origin) toward the lower.
+/// The ray down the ellipsoid's normal through a place of the grid (columns and rows of cells), from the higher of two
+/// altitudes (metres above the frame's origin) toward the lower.
 pub(crate) fn plumb_line(frame: &LocalFrame, grid: &TruthGrid, [col, row]: [f64; 2], [low_m, high_m]: [f64; 2]) -> Ray {
     let [lon_deg, lat_deg] = grid.lon_lat(col, row);
     let at = |height_m: f64| {

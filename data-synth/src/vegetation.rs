@@ -13,9 +13,9 @@ use rand_pcg::Pcg64Mcg;
 pub(crate) enum TreeKind {
     /// A round crown whose colour follows the seasons.
     Broadleaf,
-    /// A round crown that stays as it is.
+    /// A round crown that keeps its leaves.
     Evergreen,
-    /// A cone that stays as it is.
+    /// A cone that keeps its needles.
     Conifer,
 }
 

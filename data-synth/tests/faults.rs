@@ -1,4 +1,4 @@
-//! Faults of real images do what they say, change nothing else, and stand in the manifest.
+//! Faults of real images have their effect, change nothing else, and are in the manifest.
 
 use heliosplat_synth::{BandSet, Cover, Fault, SatelliteRequest, Site, Summary, write_satellite};
 use std::fs;

@@ -1,5 +1,5 @@
-//! What a whole scene promises: the same bytes for the same request, files that agree with each other, truth that is
-//! not given away, requests that are refused in one line.
+//! Properties of a whole scene: the same bytes for the same request, consistent files, hidden truth, and refusals in
+//! one line.
 
 use heliosplat_rpc::{GeoPoint, ImagePoint};
 use heliosplat_synth::{BandSet, SatelliteRequest, Site, Summary, SynthError, write_satellite};

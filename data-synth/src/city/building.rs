@@ -1,4 +1,4 @@
-//! Buildings: walls and a roof of one of four kinds, with what stands on it.
+//! Buildings: walls, a roof of one of four kinds, and structures on the roof.
 
 use crate::materials::{Class, Material, Spectrum, grey};
 use crate::noise::stream;
@@ -122,7 +122,7 @@ impl Building {
         }
     }
 
-    /// A place on the roof away from its edge and, if one is found, from what stands there already.
+    /// A place on the roof away from its edge and, if one is found, from structures already there.
     fn free_spot(
         &self,
         random: &mut Pcg64Mcg,

@@ -1,11 +1,11 @@
-//! What is built and torn down between the images.
+//! Buildings built and torn down between the images.
 
 use super::building::Building;
 use crate::noise::stream;
 use rand::RngExt;
 use rand::seq::IndexedRandom;
 
-/// Buildings with less ground than this stay, m²: what is smaller is no house.
+/// Buildings with less ground than this do not change, m²: smaller ones are no houses.
 const LEAST_M2: f64 = 30.0;
 
 /// One building's change.
@@ -24,8 +24,8 @@ pub(crate) struct Changes {
 }
 
 impl Changes {
-    /// `share` of the larger buildings change, each on one of the dates `on`. Those that do are spread evenly outward from the centre, so that
-    /// every site has its share.
+    /// `share` of the larger buildings change, each on one of the dates `on`. Those that do are spread evenly outward
+    /// from the centre, so that every site has its share.
     pub(super) fn new(seed: u64, buildings: &[Building], share: f64, on: &[usize]) -> Self {
         let mut random = stream(seed, 0xC4A6);
         let area_m2 = |building: &Building| 4.0 * building.footprint.half[0] * building.footprint.half[1];

@@ -1,4 +1,4 @@
-//! What covers the ground: zones in city coordinates, the later over the earlier, and the shape they give the terrain.
+//! Ground cover: zones in city coordinates, later ones over earlier ones, and their effect on the terrain.
 
 use super::streets::Bend;
 use crate::cover::{Coast, Covered};
@@ -80,9 +80,9 @@ pub(crate) struct Ground {
     bend: Bend,
     zones: Vec<Zone>,
     by_square: HashMap<(i64, i64), Vec<u32>>,
-    /// What lies between all zones: a junction's asphalt.
+    /// The cover between all zones: a junction's asphalt.
     between: Zone,
-    /// What lies on one half of it.
+    /// The cover of one half of the ground.
     covered: Option<Covered>,
 }
 
@@ -96,7 +96,7 @@ impl Ground {
             for j in square(zone.centre[1] - reach_m)..=square(zone.centre[1] + reach_m) {
                 for i in square(zone.centre[0] - reach_m)..=square(zone.centre[0] + reach_m) {
                     let middle = [(i as f64 + 0.5) * LOOKUP_M, (j as f64 + 0.5) * LOOKUP_M];
-                    // A blob's distance is stretched: be generous with what may touch the square.
+                    // A blob's distance is distorted, so the test of whether it touches the square is generous.
                     if matches!(zone.outline, Outline::Blob) || zone.distance_m(middle) < 0.75 * LOOKUP_M {
                         by_square.entry((i, j)).or_default().push(index as u32);
                     }
@@ -125,7 +125,8 @@ impl Ground {
         Self { covered, ..self }
     }
 
-    /// Distance of a place from the edge of sea or snow, positive where it is covered, metres; far outside where nothing is.
+    /// Distance of a place from the edge of sea or snow, positive where it is covered, metres; far outside where
+    /// nothing is.
     pub(crate) fn inside_cover_m(&self, x: f64, y: f64) -> f64 {
         (self.covered).map_or(f64::NEG_INFINITY, |covered| covered.inside_m(x, y))
     }
@@ -140,7 +141,7 @@ impl Ground {
         matches!(self.covered, Some(Covered::Sea(_))) && self.is_covered(x, y)
     }
 
-    /// The albedo of snow, where it lies on what was hit.
+    /// The albedo of snow, where it covers the hit surface.
     pub(crate) fn snow_on(&self, hit: &Hit, class: Class) -> Option<Spectrum> {
         self.covered?.snow_on(hit, class)
     }

@@ -1,4 +1,4 @@
-//! A city quarter from a seed: streets, blocks, what is built and planted in them, and what covers the ground.
+//! A city quarter from a seed: streets, blocks with their buildings and plants, and ground cover.
 
 mod building;
 mod changes;
@@ -42,7 +42,7 @@ pub(crate) struct CityPlan {
     pub(crate) half_extent_m: f64,
     /// Longest side of a block, metres.
     pub(crate) longest_block_m: f64,
-    /// What covers one half.
+    /// The cover of one half.
     pub(crate) cover: Option<Cover>,
 }
 
@@ -58,7 +58,7 @@ pub(crate) struct City {
     changes: Changes,
 }
 
-/// What a block is used for.
+/// The use of a block.
 #[derive(Debug, Clone, Copy)]
 enum Use {
     Houses,
@@ -127,7 +127,7 @@ impl City {
         self
     }
 
-    /// The date on which what stands at a place (metres) changed last, if it did.
+    /// The date of the last change of the buildings at a place (metres), if there was one.
     pub(crate) fn changed_at(&self, x: f64, y: f64) -> Option<usize> {
         let here = |(index, building): (usize, &Building)| {
             let date = self.changes.date(index)?;
@@ -154,7 +154,7 @@ impl City {
         solids
     }
 
-    /// The scene of one date: what stands still, and the cars that are there.
+    /// The scene of one date: everything static, and the cars of that date.
     pub(crate) fn solids_with_cars(&self, date: usize, occupancy: f64) -> Solids {
         let mut solids = self.solids(date);
         for slot in &self.car_slots {
@@ -183,7 +183,7 @@ fn near_blocks(bend: &Bend, blocks: &[Block], half_extent_m: f64) -> Vec<Block> 
 /// One use for each block, dealt from shuffled hands so that every neighbourhood has some of each.
 fn purposes(seed: u64, count: usize) -> Vec<Use> {
     let mut random = stream(seed, 0xDEA1);
-    // What lies nearest the centre is in every site: one of each kind.
+    // The blocks nearest the centre are in every site: one of each kind.
     let mut dealt = vec![
         Use::Houses,
         Use::Apartments,

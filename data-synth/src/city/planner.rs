@@ -1,4 +1,5 @@
-//! The city under construction: zones, buildings, trees and cars placed so far, one block at a time, in the axes of the block.
+//! The city under construction: zones, buildings, trees and cars placed so far, one block at a time, in the axes of the
+//! block.
 
 use super::building::{Building, Roof};
 use super::ground::{Outline, Pond, Zone};
@@ -189,7 +190,7 @@ impl Planner {
         self.hedges.push(Hedge { ends, height_m, seed });
     }
 
-    /// Takes away what stands where `taken(place, reach in metres)` says so: buildings, plants, cars and ponds.
+    /// Removes buildings, plants, cars and ponds where `taken(place, reach in metres)` is true.
     pub(crate) fn clear(&mut self, taken: impl Fn([f64; 2], f64) -> bool) {
         /// Ponds need their level shores.
         const SHORE_M: f64 = 10.0;

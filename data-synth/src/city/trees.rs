@@ -1,4 +1,4 @@
-//! Trees of a city: wanted where a plot asks for them, grown at the end where no wall, tree or water is in the way.
+//! Trees of a city: requested by plots, and placed at the end, away from walls, other trees and water.
 
 use super::palette;
 use super::planner::{Planner, Plot};

@@ -101,7 +101,7 @@ fn car_park(planner: &mut Planner, plot: &Plot, side: f64, [length, width, reach
     }
 }
 
-/// A tower that steps back, a slab beside it, and a paved square with trees.
+/// A stepped tower, a slab next to it, and a paved square with trees.
 pub(crate) fn tower(planner: &mut Planner, plot: &Plot) {
     let square = palette::paving(planner);
     planner.cover(plot, [0.0, 0.0], plot.half, Class::Ground, square);

@@ -1,7 +1,7 @@
-//! Surfaces: what a part of an object does with light.
+//! Surfaces: reflection and transmission of light by a part of an object.
 //!
-//! A diffuse base and, where there is one, an anisotropic GGX lobe (Walter et al. 2007; Heitz 2014) with Schlick's Fresnel
-//! term. Light that the lobe reflects does not reach the base.
+//! A diffuse base and, where there is one, an anisotropic GGX lobe (Walter et al. 2007; Heitz 2014) with Schlick's
+//! Fresnel term. Light that the lobe reflects does not reach the base.
 
 use nalgebra::{Vector2, Vector3};
 use std::f64::consts::PI;
@@ -30,16 +30,16 @@ pub(crate) struct Gloss {
     pub(crate) normal_reflectance: Colour,
 }
 
-/// What scatters under a surface, the same in all directions.
+/// An isotropic scattering medium under a surface.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Medium {
     /// Times that light is scattered or absorbed per length.
     pub(crate) extinction: f64,
-    /// Share of them at which it is scattered.
+    /// Share of these events that are scattering.
     pub(crate) albedo: Colour,
 }
 
-/// What a part is made of.
+/// Material of a part.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct PartMaterial {
     pub(crate) colours: [Colour; 2],
@@ -273,7 +273,8 @@ mod tests {
 
     #[test]
     fn light_goes_both_ways_alike() {
-        // Except for the base under a lobe, whose light enters by the one Fresnel term of the half vector: that is symmetric too.
+        // Except for the base under a lobe, whose light enters by the one Fresnel term of the half vector: that is
+        // symmetric too.
         for surface in surfaces() {
             let a = (surface.normal + surface.tangent * 0.4).normalize();
             let b = (surface.normal * 0.7 + across(&surface.tangent)).normalize();

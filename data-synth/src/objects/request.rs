@@ -13,7 +13,7 @@ pub enum Capture {
     Reflective,
 }
 
-/// What the object's middle is made of.
+/// Material of the object's middle.
 #[cfg_attr(feature = "clap", derive(clap::ValueEnum))]
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Look {
@@ -32,7 +32,7 @@ pub enum Look {
 pub struct ObjectRequest {
     /// Under which light.
     pub capture: Capture,
-    /// Of what.
+    /// Its material.
     pub look: Look,
     /// Everything random follows from it.
     pub seed: u64,

@@ -1,5 +1,5 @@
-//! Random numbers of a pixel's paths: stratified over all paths of the pixel (Sobol) where few dimensions are drawn, independent in
-//! random walks, whose number of dimensions has no bound.
+//! Random numbers of a pixel's paths: stratified over all paths of the pixel (Sobol) where few dimensions are drawn,
+//! independent in random walks, whose number of dimensions has no bound.
 
 use nalgebra::Vector2;
 use rand::{RngExt, SeedableRng};
@@ -10,8 +10,8 @@ const PER_TURN: u32 = 6;
 /// Dimensions of the place within the pixel, which come first.
 const OF_PIXEL: u32 = 2;
 
-/// The numbers of one path of a pixel. What all paths of the pixel draw for the same purpose is a Sobol sequence, scrambled after Owen
-/// (Burley 2020) with the pixel's seed: best where the number of paths is a power of two.
+/// The random numbers of one path of a pixel. For each purpose the paths of a pixel draw from a Sobol sequence,
+/// scrambled after Owen (Burley 2020) with the pixel's seed: best where the number of paths is a power of two.
 pub(crate) struct PathSampler {
     seed: u32,
     path: u32,

@@ -27,8 +27,8 @@ pub(crate) struct Shot {
     pub(crate) light: Option<Vector3<f64>>,
 }
 
-/// Images of a capture: to train with, held out with lights near those, held out with lights far from them. Where lights do not
-/// move, the last is empty.
+/// Images of a capture: to train with, held out with lights near those, held out with lights far from them. Where
+/// lights do not move, the last is empty.
 #[derive(Debug, Clone)]
 pub(crate) struct Shots {
     pub(crate) train: Vec<Shot>,
@@ -207,7 +207,8 @@ fn environment(capture: Capture, dice: &mut Dice) -> (Environment, Vec<LightSour
                 let toward = direction(f64::from(i) * 2.4 + dice.between(-0.3, 0.3), dice.between(-0.2, 1.2));
                 (
                     toward,
-                    // Lamps and windows: far brighter than what is around them, or nobody would see a clear coat.
+                    // Lamps and windows: far brighter than their surroundings, so that their reflection in a clear coat
+                    // is visible.
                     dice.between(40.0, 200.0),
                     (dice.colour() + grey(0.3)) * dice.between(4.0, 12.0),
                 )
@@ -219,7 +220,7 @@ fn environment(capture: Capture, dice: &mut Dice) -> (Environment, Vec<LightSour
     }
 }
 
-/// What stands on the stage, under light that does not move.
+/// Objects on the stage, under static light.
 pub(crate) fn stage(request: &ObjectRequest) -> Stage {
     let mut dice = Dice(Pcg32::seed_from_u64(request.seed));
     let parts = parts(request.look, &mut dice);
@@ -231,7 +232,7 @@ pub(crate) fn stage(request: &ObjectRequest) -> Stage {
     }
 }
 
-/// From where it is looked at and lit.
+/// Positions of cameras and lights.
 pub(crate) fn shots(request: &ObjectRequest) -> Shots {
     let mut dice = Dice(Pcg32::seed_from_u64(request.seed ^ 0x5eed));
     let phase = dice.between(0.0, 2.0 * PI);

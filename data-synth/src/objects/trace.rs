@@ -1,5 +1,5 @@
-//! A path tracer with next-event estimation: radiance along random paths of at most three bounces, and the lights sampled directly at
-//! each of them.
+//! A path tracer with next-event estimation: radiance along random paths of at most three bounces, and the lights
+//! sampled directly at each of them.
 
 use super::material::{Colour, PartMaterial, SurfacePoint, across};
 use super::sampler::PathSampler;
@@ -10,14 +10,14 @@ use std::f64::consts::PI;
 
 /// Turns of a path.
 const BOUNCES: usize = 3;
-/// Least width of lobes behind the first turn of a path: light that gloss throws on other surfaces is blurred, for a path finds a
-/// sharp reflection of a light once in a thousand and then as a speck (Kaplanyan and Dachsbacher 2013).
+/// Least width of lobes behind the first turn of a path: light that gloss throws on other surfaces is blurred, for a
+/// path finds a sharp reflection of a light once in a thousand and then as a speck (Kaplanyan and Dachsbacher 2013).
 const LEAST_ALPHA: f64 = 0.5;
 
 /// Most turns of a walk through a medium.
 const LONGEST_WALK: usize = 400;
 
-/// Where a walk through a medium left it, and what is left of it.
+/// Exit of a walk through a medium, with its remaining weight.
 struct WalkExit {
     point: Vector3<f64>,
     normal: Vector3<f64>,
@@ -58,14 +58,15 @@ impl Environment {
         self.patches.iter().map(glow).sum()
     }
 
-    /// How often each patch is asked: by the light it sends.
+    /// Sampling probability of each patch, by its power.
     fn shares(&self) -> impl Iterator<Item = f64> {
         let power = |(_, sharpness, peak): &(Vector3<f64>, f64, Colour)| peak.sum() / sharpness;
         let all: f64 = self.patches.iter().map(power).sum();
         self.patches.iter().map(move |patch| power(patch) / all)
     }
 
-    /// Probability per solid angle with which [`Self::toward_patch`] gives a unit direction (von Mises and Fisher's density).
+    /// Probability per solid angle with which [`Self::toward_patch`] gives a unit direction (von Mises and Fisher's
+    /// density).
     fn density(&self, from: &Vector3<f64>) -> f64 {
         let density = |((toward, sharpness, _), share): (&(Vector3<f64>, f64, Colour), f64)| {
             let peak = sharpness / (2.0 * PI * -(-2.0 * sharpness).exp_m1());
@@ -108,7 +109,7 @@ pub(crate) struct Stage {
     pub(crate) environment: Environment,
 }
 
-/// What a path from the camera saw first.
+/// First hit of a path from the camera.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) struct PathSample {
     /// Light toward the camera.
@@ -161,8 +162,8 @@ impl Stage {
         sum
     }
 
-    /// Light of one direction from which a patch shines, weighed against the chance that the path goes there by itself (balance
-    /// heuristic, Veach and Guibas 1995).
+    /// Light of one direction from which a patch shines, weighed against the chance that the path goes there by itself
+    /// (balance heuristic, Veach and Guibas 1995).
     fn patch_at(
         &self,
         point: &Vector3<f64>,
@@ -189,9 +190,9 @@ impl Stage {
             * (cosine / density.max(1e-12))
     }
 
-    /// A random walk through the medium of a part, from the surface inward until it leaves: light that comes out here went in there,
-    /// for the way back is as likely. Both ways through the surface are matte, and nothing is turned back inside. `None` when next to
-    /// nothing is left.
+    /// A random walk through the medium of a part, from the surface inward until it leaves: light that comes out here
+    /// went in there, for the way back is as likely. Both ways through the surface are matte, and nothing is turned
+    /// back inside. `None` when next to nothing is left.
     fn random_walk(
         &self,
         part: usize,
@@ -343,7 +344,8 @@ mod tests {
 
     #[test]
     fn a_matte_ball_under_patches_shows_their_irradiance() {
-        // A patch straight above: ∫ s-lobe (n·l) dl in closed form for n along it, times albedo over pi; another below is not seen.
+        // A patch straight above: ∫ s-lobe (n·l) dl in closed form for n along it, times albedo over pi; another below
+        // is not seen.
         let sharpness: f64 = 20.0;
         let floor = Shape::Box {
             half: Vector3::new(5.0, 5.0, 0.5),

@@ -29,7 +29,7 @@ pub(crate) enum Samples<'a> {
     F64(&'a [f64]),
 }
 
-/// A raster and everything its file says about it.
+/// A raster and the metadata of its file.
 #[derive(Clone)]
 pub(crate) struct Raster<'a> {
     pub(crate) width: usize,

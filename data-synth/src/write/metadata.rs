@@ -1,4 +1,4 @@
-//! What vendors say about an image: acquisition time, sun, footprint, camera.
+//! Metadata of an image as vendors deliver it: acquisition time, sun, footprint, camera.
 
 use crate::crop::Crop;
 use crate::plan::ViewPlan;
@@ -31,7 +31,7 @@ pub(crate) fn image_items(view: &ViewPlan, request: &SatelliteRequest, cloud_sha
     .map(|(name, value)| (name.to_string(), value))
     .to_vec();
     if request.has(Fault::Stretch) {
-        // Nobody says how display images were made.
+        // Vendors do not document the stretch of display images.
         items.retain(|(name, _)| name != "RADIOMETRY");
     }
     items
@@ -46,7 +46,7 @@ pub(crate) fn loose_altitudes_m([low_m, high_m]: [f64; 2], seed: u64) -> [f64; 2
     ]
 }
 
-/// The JSON that Sat-NeRF's data sets have beside each image.
+/// The JSON metadata of an image in Sat-NeRF's data sets.
 pub(crate) fn satnerf_json(view: &ViewPlan, crop: &Crop, rpc: &Rpc, altitudes_m: [f64; 2]) -> Result<Value, RpcError> {
     let middle_m = 0.5 * (altitudes_m[0] + altitudes_m[1]);
     let place = |col: f64, row: f64| {

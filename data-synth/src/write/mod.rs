@@ -1,5 +1,5 @@
-//! Files as a vendor would deliver them, and the truth beside them. Everything is written into a folder of its own
-//! inside the target and moved into place at the end: what fails leaves nothing behind.
+//! Files as a vendor would deliver them, and the truth. Everything is written into a folder of its own inside the
+//! target and moved into place at the end: a failure leaves nothing behind.
 
 pub(crate) mod geotiff;
 pub(crate) mod metadata;
