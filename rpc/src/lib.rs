@@ -6,13 +6,13 @@
 //! brings them into a local frame in which computer vision can work. It takes text and numbers and returns numbers: it
 //! reads no pixels, opens no files, and needs neither GDAL nor PROJ.
 //!
-//! || module | content | |
+//! | module | content |
 //! |---|---|
 //! | [`mod@read`], [`mod@write`] | RPCs and acquisition metadata from RPB, `_RPC.TXT`, DIMAP, Maxar XML, Sat-NeRF JSON, GeoTIFF tags, GDAL's domains; and back |
-//! || [`rpc`] | image position of a ground point ([`Rpc::project`]), and ground point of a pixel at a height ([`Rpc::localise`]) | |
+//! | [`rpc`] | image position of a ground point ([`Rpc::project`]), and ground point of a pixel at a height ([`Rpc::localise`]) |
 //! | [`frame`] | WGS 84 longitude, latitude, height to local east, north, up, and back |
 //! | [`pinhole`] | the projective camera that is nearest to an RPC over a window, with its largest error in pixels |
-//! || [`parallax`] | precision of altitudes from images of different directions | |
+//! | [`parallax`] | precision of altitudes from images of different directions |
 //! | [`triangulate`] | the ground point of corresponding pixels |
 //! | [`adjust`] | RPC bias correction: small corrections of all images from tie points (block adjustment) |
 //! | [`fit`] | an RPC from pairs of ground and image points |

@@ -1,6 +1,7 @@
 //! glTF 2.0 in one binary file (GLB): one buffer, its views and accessors, and the document that names them.
 //!
-//! Source: Khronos, glTF 2.0 specification, §3.6 (accessors) and §4 (GLB). Lengths are 32-bit numbers: a file holds 4 GiB at most.
+//! Source: Khronos, glTF 2.0 specification, §3.6 (accessors) and §4 (GLB). Lengths are 32-bit numbers: a file holds 4
+//! GiB at most.
 
 use serde_json::{Value, json};
 
@@ -10,7 +11,7 @@ const UNSIGNED_INT: u32 = 5125;
 const ARRAY_BUFFER: u32 = 34962;
 const ELEMENT_ARRAY_BUFFER: u32 = 34963;
 
-/// What was to be one file is larger than the format can say.
+/// The contents exceed the size limit of the format.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
 #[error("{bytes} bytes do not fit into one GLB file, which holds 4 GiB; write tiles instead (--tiles DIR)")]
 pub struct TooLarge {
@@ -40,7 +41,7 @@ impl Builder {
         self.accessor(json!({"bufferView": view, "componentType": FLOAT, "count": count, "type": kind}))
     }
 
-    /// Adds an accessor of places, with the bounds that glTF asks of them; returns its number.
+    /// Adds an accessor of positions, with the bounds that glTF requires; returns its number.
     pub fn places(&mut self, places: &[[f32; 3]]) -> usize {
         let accessor = self.floats(places.iter().copied());
         let (low, high) = bounds(places);
@@ -82,8 +83,8 @@ impl Builder {
         self.accessor(json!({"componentType": UNSIGNED_BYTE, "normalized": true, "count": count, "type": "VEC4"}))
     }
 
-    /// The file of `document`, an object that holds what is not about the buffer: meshes, nodes, materials and so
-    /// on. What of it is null is left out.
+    /// The file of `document`, an object of everything outside the buffer: meshes, nodes, materials and so on. Null
+    /// entries are left out.
     ///
     /// # Errors
     /// [`TooLarge`].
@@ -159,7 +160,7 @@ fn kind(width: usize) -> &'static str {
 /// The two chunks of a file, for tests: its document and its buffer.
 ///
 /// # Panics
-/// When the file is not framed as the specification says.
+/// When the file is not framed as specified.
 #[cfg(test)]
 pub(crate) fn chunks(bytes: &[u8]) -> (Value, &[u8]) {
     let number = |at: usize| u32::from_le_bytes([bytes[at], bytes[at + 1], bytes[at + 2], bytes[at + 3]]) as usize;

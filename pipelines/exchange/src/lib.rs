@@ -1,7 +1,8 @@
 //! The bytes of files that other programs read: splats and meshes as PLY, glTF, SPZ and 3D Tiles.
 //!
-//! [`splats`] is what all writers of splats take. [`glb`] frames glTF, [`ply`] frames tables of floats, [`spz`] packs splats,
-//! [`merge`] makes coarser ones of fine ones, and [`tiles`] makes a tree of tiles. Nothing here opens a file or knows a model.
+//! [`splats`] has the common type of all writers of splats. [`glb`] frames glTF, [`ply`] frames tables of floats,
+//! [`spz`] packs splats, [`merge`] makes coarser ones of fine ones, and [`tiles`] makes a tree of tiles. Nothing here
+//! opens a file or depends on a model.
 
 pub mod glb;
 pub mod merge;

@@ -1,9 +1,10 @@
-//! Coarser splats of finer ones: those whose centres share a cell become one that has their moments.
+//! Coarser splats from finer ones: those whose centres share a cell become one with their moments.
 //!
-//! A splat weighs its opacity times its area, the product of its two larger standard deviations: surfaces are made of flat ones. The mean,
-//! the covariance and the colour of the merged splat are those of the mixture. Its opacity keeps what the parts cover, `Σ o A = o A`.
-//! Parts that overlap cover more than the ellipse of their mixture at opacity 1: then its two larger axes grow until it covers as much.
-//! Without that, merged splats of a level surface stand apart as a lattice of dots.
+//! A splat's weight is its opacity times its area, the product of its two larger standard deviations, since surfaces
+//! consist of flat splats. The mean, the covariance and the colour of the merged splat are those of the mixture. Its
+//! opacity keeps the covered area, `Σ o A = o A`. Where overlapping parts cover more than the ellipse of their mixture
+//! at opacity 1, its two larger axes grow to the same area. Otherwise merged splats of a level surface would be a
+//! lattice of separate dots.
 
 use crate::splats::Splat;
 use glam::{Mat3, Quat, Vec3};
@@ -11,8 +12,8 @@ use rayon::prelude::*;
 
 /// No axis of a merged splat is thinner than this, metres.
 const THINNEST_M: f32 = 1e-3;
-/// Standard deviation in cells up to which a merged splat grows: at this distance discs of a lattice close, and what stands in several layers
-/// grows no further.
+/// Limit of the growth of a merged splat's standard deviation, cells: at this size the discs of a lattice overlap, and
+/// several layers in one cell grow no further.
 const WIDEST_CELLS: f32 = 2.0 / 3.0;
 
 /// One splat for each cell of `cell_m` metres that has any, in the order of the cells.
@@ -65,7 +66,8 @@ fn mixture<'a>(parts: impl ExactSizeIterator<Item = &'a Splat> + Clone, widest_m
     }
 }
 
-/// Axes of which the two larger ones span `times` their area, each of them at most `widest_m` unless it was wider before.
+/// Axes with the area of the two larger ones multiplied by `times`, each of them at most `widest_m` unless it was wider
+/// before.
 fn grown(scale: Vec3, times: f32, widest_m: f32) -> Vec3 {
     let thinnest = scale.min_element();
     let grow = |axis: f32| match axis > thinnest {
@@ -144,7 +146,7 @@ mod tests {
         let fine: Vec<Splat> = (0..64 * 64).map(disc).collect();
         for cell_m in [1.0, 2.0, 4.0] {
             let coarse = merged(&fine, cell_m);
-            // What is seen from above through the point where four cells meet.
+            // Transmittance from above at the point where four cells meet.
             let seen_through = |splat: &Splat| {
                 let aside = (splat.position - Vec3::new(16.0, 16.0, 0.1)).truncate();
                 let axes = splat.covariance();

@@ -1,9 +1,10 @@
-//! Triangle meshes as glTF: with colours of the corners, or with a picture spread over them. Materials are rough and take light.
+//! Triangle meshes as glTF: with colours of the corners, or with a picture spread over them. Materials are rough and
+//! take light.
 
 use crate::glb::{Builder, TooLarge};
 use serde_json::{Value, json};
 
-/// What a mesh looks like before light falls on it.
+/// Surface colour of a mesh before lighting.
 #[derive(Debug, Clone, Copy)]
 pub enum Look<'a> {
     /// Linear light of each corner, red, green and blue.
@@ -28,21 +29,21 @@ pub struct Mesh<'a> {
     pub normals: &'a [[f32; 3]],
     /// Corners of the triangles, anticlockwise as seen from outside.
     pub triangles: &'a [[u32; 3]],
-    /// What it looks like.
+    /// Its colours.
     pub look: Look<'a>,
 }
 
-/// The file of a mesh, and what else is said of it (an object, or nothing).
+/// The file of a mesh with `extras` (an object, or null).
 ///
 /// # Errors
 /// [`TooLarge`].
-pub fn glb(mesh: &Mesh, said: Value) -> Result<Vec<u8>, TooLarge> {
+pub fn glb(mesh: &Mesh, extras: Value) -> Result<Vec<u8>, TooLarge> {
     let mut file = Builder::default();
     let mut attributes = json!({
         "POSITION": file.places(mesh.positions), "NORMAL": file.floats(mesh.normals.iter().copied()),
     });
     let mut surface = json!({"metallicFactor": 0.0, "roughnessFactor": 1.0});
-    let mut document = json!({"extras": said, "scene": 0, "scenes": [{"nodes": [0]}], "nodes": [{"mesh": 0}]});
+    let mut document = json!({"extras": extras, "scene": 0, "scenes": [{"nodes": [0]}], "nodes": [{"mesh": 0}]});
     match mesh.look {
         Look::Colours(colours) => attributes["COLOR_0"] = file.floats(colours.iter().copied()).into(),
         Look::Picture {

@@ -1,5 +1,6 @@
-//! Gaussians as viewers of splats read them: binary PLY of named float columns, `f_dc_*` and `f_rest_*` (all of red, then green,
-//! then blue), opacity logit, log scales, quaternion with the scalar first. Columns of a model's own stand behind them.
+//! Gaussians as viewers of splats read them: binary PLY of named float columns, `f_dc_*` and `f_rest_*` (all of red,
+//! then green, then blue), opacity logit, log scales, quaternion with the scalar first. Columns of a model's own stand
+//! behind them.
 
 use crate::ply::{Rows, header};
 use heliosplat::gaussians::{FEATURES, GroupSpec, LOG_SCALE, OPACITY, POSITION, ROTATION, Table, core_groups};
@@ -73,10 +74,10 @@ pub fn encode(gaussians: &Table, comments: &[String]) -> Vec<u8> {
     out
 }
 
-/// The table of a file with these groups of features. Columns are found by name, in any order; others are passed over.
+/// The table of a file with these groups of features. Columns are found by name, in any order; others are ignored.
 ///
 /// # Errors
-/// A sentence that says what is wrong with the file.
+/// A sentence with the fault of the file.
 pub fn decode(bytes: &[u8], features: Vec<GroupSpec>) -> Result<Table, String> {
     let rows = Rows::open(bytes)?;
     let places: BTreeMap<&str, usize> = rows.columns.iter().copied().zip(0..).collect();
@@ -87,7 +88,7 @@ pub fn decode(bytes: &[u8], features: Vec<GroupSpec>) -> Result<Table, String> {
         let place = places.get(column.name.as_str()).copied();
         place.ok_or(format!("it has no property {}", column.name))
     };
-    // All of them, before anything is made of the number of rows: without columns that may be any.
+    // All columns are checked before memory is allocated for the number of rows, which is unbounded without columns.
     let found: Vec<usize> = columns.iter().map(place).collect::<Result<_, _>>()?;
     let mut table = Table::zeros(groups, rows.count);
     for (column, place) in columns.iter().zip(found) {

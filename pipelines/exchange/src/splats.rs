@@ -1,6 +1,7 @@
-//! Splats as viewers of splats know them, and as plain glTF (`KHR_gaussian_splatting`, Khronos, ratified).
+//! Splats as viewers of splats read them, and as plain glTF (`KHR_gaussian_splatting`, Khronos, ratified).
 //!
-//! Colours are display values (sRGB): viewers blend these and light nothing. What a splat looks like is the same from everywhere.
+//! Colours are display values (sRGB): viewers blend them without lighting. A splat has the same colour from all
+//! directions.
 //!
 //! The frame of splats is local, in metres: east, north, up. glTF's is `(east, up, -north)`; see [`Splat::in_gltf`].
 
@@ -76,12 +77,12 @@ pub fn table(splats: &[Splat]) -> Table {
     table
 }
 
-/// The file of splats without compression, in the frame of glTF, and what else is said of them (an object, or nothing). Viewers without
+/// The file of splats without compression, in the frame of glTF, with `extras` (an object, or null). Viewers without
 /// the extension show points.
 ///
 /// # Errors
 /// [`TooLarge`].
-pub fn glb(splats: &[Splat], said: Value) -> Result<Vec<u8>, TooLarge> {
+pub fn glb(splats: &[Splat], extras: Value) -> Result<Vec<u8>, TooLarge> {
     let splats: Vec<Splat> = splats.iter().map(|splat| splat.in_gltf()).collect();
     let places: Vec<[f32; 3]> = splats.iter().map(|splat| splat.position.to_array()).collect();
     let mut file = Builder::default();
@@ -94,7 +95,7 @@ pub fn glb(splats: &[Splat], said: Value) -> Result<Vec<u8>, TooLarge> {
         format!("{GAUSSIAN_SPLATTING}:SH_DEGREE_0_COEF_0"): file.floats(splats.iter().map(Splat::coefficients)),
     });
     file.finish(json!({
-        "extras": said, "extensionsUsed": [GAUSSIAN_SPLATTING],
+        "extras": extras, "extensionsUsed": [GAUSSIAN_SPLATTING],
         "scene": 0, "scenes": [{"nodes": [0]}], "nodes": [{"mesh": 0}],
         "meshes": [{"primitives": [{
             "mode": 0, "attributes": attributes, "extensions": {GAUSSIAN_SPLATTING: extension()},
@@ -102,7 +103,7 @@ pub fn glb(splats: &[Splat], said: Value) -> Result<Vec<u8>, TooLarge> {
     }))
 }
 
-/// What the extension says of all our splats.
+/// The extension's attributes, the same for all splats.
 pub(crate) fn extension() -> Value {
     json!({
         "kernel": "ellipse", "colorSpace": "srgb_rec709_display", "projection": "perspective",

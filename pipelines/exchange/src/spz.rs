@@ -1,11 +1,12 @@
 //! SPZ, version 3: splats packed into some 20 bytes each, less after gzip; and the glTF that holds them
 //! (`KHR_gaussian_splatting_compression_spz_2`, a draft that CesiumJS and others read).
 //!
-//! Layout: Niantic's spz 2.0.0, `load-spz.cc`. Version 3 and not 4, because CesiumJS 1.145 unpacks gzip only. Coordinates are stored as
-//! they stand in glTF, without the draft's change of axes: CesiumJS makes none either, and turned models by 180 degrees otherwise.
+//! Layout: Niantic's spz 2.0.0, `load-spz.cc`. Version 3 and not 4, because CesiumJS 1.145 unpacks gzip only.
+//! Coordinates are stored as in glTF, without the draft's change of axes: CesiumJS does not apply it, and would
+//! otherwise rotate models by 180 degrees.
 //!
-//! Steps: 1/4096 m within 2 km of the origin and twice as much for each doubling of that, 6.4 % of a scale, 1/255 of opacity, 1/136 of
-//! colour, 0.2 degrees of a turn. Places beyond 2000 km are brought to the edge.
+//! Steps: 1/4096 m within 2 km of the origin and twice as much for each doubling of that, 6.4 % of a scale, 1/255 of
+//! opacity, 1/136 of colour, 0.2 degrees of a turn. Positions beyond 2000 km are clamped.
 
 use crate::glb::{Builder, TooLarge, bounds};
 use crate::splats::{GAUSSIAN_SPLATTING, Splat, extension};
@@ -66,8 +67,8 @@ fn byte(value: f32) -> u8 {
     value.round().clamp(0.0, 255.0) as u8
 }
 
-/// The three smallest components of a unit quaternion (x, y, z, w), each a sign and nine bits of its share of `sqrt(1/2)`, behind the
-/// number of the largest one, which is made positive.
+/// The three smallest components of a unit quaternion (x, y, z, w), each a sign and nine bits of its share of
+/// `sqrt(1/2)`, behind the number of the largest one, which is made positive.
 fn turn(rotation: [f32; 4]) -> u32 {
     let largest = (1..4).fold(0, |best, i| {
         if rotation[i].abs() > rotation[best].abs() {
@@ -96,7 +97,7 @@ fn gzip(raw: &[u8]) -> Vec<u8> {
     encoder.finish().unwrap_or_default()
 }
 
-/// The file of splats of the local frame, packed: what a tile of a globe holds.
+/// The file of splats of the local frame, packed, as a tile of a globe.
 ///
 /// # Errors
 /// [`TooLarge`].

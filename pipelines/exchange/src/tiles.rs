@@ -1,8 +1,9 @@
 //! 3D Tiles 1.1 (OGC 22-025r4): the tree of tiles, `tileset.json`, and how splats are cut into it.
 //!
-//! Volumes are boxes in the frame of the tiles: metres east, north and up of the site. The root's transform brings them to
-//! Earth-centred, Earth-fixed metres. A tile is replaced by its children. Each holds the same ground with finer splats, so the tree is at
-//! least three levels deep, and as deep as it takes for a coarsest tile of a few hundred splats: viewers leave splats out that are small.
+//! Volumes are boxes in the frame of the tiles: metres east, north and up of the site. The root's transform brings them
+//! to Earth-centred, Earth-fixed metres. A tile is replaced by its children, which show the same ground with finer
+//! splats. The tree has at least three levels, and enough levels that the coarsest tile has a few hundred splats:
+//! viewers omit small splats.
 
 use crate::glb::TooLarge;
 use crate::merge::merged;
@@ -11,7 +12,7 @@ use crate::spz;
 use glam::Vec3;
 use serde_json::{Value, json};
 
-/// Most splats of a tile; what has more is cut into quarters.
+/// Most splats of a tile; larger ones are cut into quarters.
 const TILE_MOST: usize = 1 << 16;
 /// Levels of merged splats above the ones of the model, at least.
 const LEVELS_LEAST: usize = 2;
@@ -21,11 +22,12 @@ const ROOT_SPLATS: usize = 256;
 const DEPTH_MOST: usize = 16;
 /// Standard deviations that a splat reaches.
 const REACH: f32 = 3.0;
-/// Metres of geometric error for each metre of a cell of a mesh. Viewers replace a tile whose error is 16 pixels wide on the screen, so
-/// that a cell is at most two pixels wide.
+/// Metres of geometric error for each metre of a cell of a mesh. Viewers replace a tile whose error is 16 pixels wide
+/// on the screen, so that a cell is at most two pixels wide.
 pub const ERROR_OF_CELL: f64 = 8.0;
-/// The same of splats: a cell is then 1.6 to 3.2 pixels wide. Merged splats have standard deviations of a third of a cell at least, and CesiumJS draws
-/// none whose standard deviations are both below 0.35 pixels, so that none is left out.
+/// The same of splats: a cell is then 1.6 to 3.2 pixels wide. Merged splats have standard deviations of a third of a
+/// cell at least, and CesiumJS draws none whose standard deviations are both below 0.35 pixels, so that none is left
+/// out.
 const ERROR_OF_SPLATS: f64 = 5.0;
 
 /// A tile and those below it.
@@ -33,7 +35,7 @@ const ERROR_OF_SPLATS: f64 = 5.0;
 pub struct Tile {
     /// Name of its file, relative to `tileset.json`.
     pub file: String,
-    /// Lowest corner of what it and its children show, metres.
+    /// Lowest corner of its contents and of its children's, metres.
     pub low: [f64; 3],
     /// Highest corner.
     pub high: [f64; 3],
@@ -77,24 +79,24 @@ impl Tile {
 /// Who made a tileset, as its `asset.generator` states it.
 pub const GENERATOR: &str = concat!("heliosplat ", env!("CARGO_PKG_VERSION"));
 
-/// What the tiles hold.
+/// Contents of the tiles.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Contents {
-    /// Packed splats: CesiumJS takes glTF for splats only where `tileset.json` says so.
+    /// Packed splats: CesiumJS reads glTF as splats only where `tileset.json` declares it.
     Splats,
     /// Meshes.
     Meshes,
 }
 
-/// `tileset.json`: the tree, the transform of its frame to Earth-centred, Earth-fixed metres (column after column), and what else is
-/// said of it.
-pub fn tileset(root: &Tile, transform: [f64; 16], contents: Contents, said: Value) -> Value {
+/// `tileset.json`: the tree, the transform of its frame to Earth-centred, Earth-fixed metres (column after column), and
+/// `extras`.
+pub fn tileset(root: &Tile, transform: [f64; 16], contents: Contents, extras: Value) -> Value {
     let mut top = root.value();
     top["transform"] = json!(transform);
     top["refine"] = "REPLACE".into();
     let sides = (0..3).map(|k| (root.high[k] - root.low[k]).powi(2)).sum::<f64>();
     let mut tileset = json!({
-        "asset": {"version": "1.1", "generator": GENERATOR, "extras": said}, "geometricError": sides.sqrt().max(root.error_m), "root": top,
+        "asset": {"version": "1.1", "generator": GENERATOR, "extras": extras}, "geometricError": sides.sqrt().max(root.error_m), "root": top,
     });
     if contents == Contents::Splats {
         let names = json!([GAUSSIAN_SPLATTING, spz::COMPRESSION]);
@@ -104,7 +106,7 @@ pub fn tileset(root: &Tile, transform: [f64; 16], contents: Contents, said: Valu
     tileset
 }
 
-/// What takes each file of a tileset with its name.
+/// Receiver of each file of a tileset with its name.
 pub type WriteFile<'w, E> = dyn FnMut(&str, Vec<u8>) -> Result<(), E> + 'w;
 
 /// Cuts splats into tiles, coarse ones above fine ones, and hands over each file with its name.
@@ -205,7 +207,7 @@ fn parts(splats: Vec<Splat>) -> Vec<Vec<Splat>> {
     quarters
 }
 
-/// Lowest and highest corner of what splats reach.
+/// Lowest and highest corner of the extent of splats.
 fn extent(splats: &[Splat]) -> (Vec3, Vec3) {
     let start = (Vec3::INFINITY, Vec3::NEG_INFINITY);
     splats.iter().fold(start, |(low, high), splat| {

@@ -3,13 +3,13 @@
 use std::collections::VecDeque;
 use std::time::{Duration, Instant};
 
-/// Share of the time that is kept back for what cannot be foreseen.
+/// Share of the time kept in reserve.
 const SLACK: f64 = 0.04;
-/// What one image costs after training (its rendering, its shadows, its scores), and the DSM likewise, in steps.
-/// 1.5 to 2.6 were seen on ground.
+/// Cost of one image after training (its rendering, its shadows, its scores), and of the DSM, in steps. 1.5 to 2.6 were
+/// measured on ground.
 const STEPS_PER_PRODUCT: f64 = 2.2;
 
-/// What the products of a scene of `images` images take after training, in steps.
+/// Cost of the products of a scene of `images` images after training, in steps.
 pub fn steps_of_products(images: usize) -> f64 {
     STEPS_PER_PRODUCT * (images + 2) as f64
 }
@@ -23,7 +23,7 @@ pub struct Budget {
 }
 
 impl Budget {
-    /// `limit` from `begun` on, where what follows training takes as long as `steps_after` of its steps.
+    /// `limit` from `begun` on; the work after training costs as much as `steps_after` of its steps.
     pub fn new(begun: Instant, limit: Duration, steps_after: f64) -> Self {
         Self {
             begun,

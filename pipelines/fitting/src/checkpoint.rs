@@ -1,7 +1,8 @@
 //! The state of a training in its run's folder, from which the same training continues: `checkpoint/training.bin`.
 //!
-//! A line that names the format, the contents, their SHA-256. Written to a temporary name and renamed, so that there is always a whole
-//! one; it is of the same build, configuration and inputs as the training that takes it up, or it is refused.
+//! The file has a line with the name of the format, the contents, and their SHA-256. It is written to a temporary name
+//! and renamed, so that a complete file always exists. A checkpoint of another build, configuration or other inputs is
+//! refused.
 
 use crate::curve::CurvePoint;
 use heliosplat::train::{StateError, Trainer, TrainerState};
@@ -34,7 +35,7 @@ pub enum CheckpointError {
     Damaged {
         /// The file.
         path: PathBuf,
-        /// What is wrong with it.
+        /// The fault.
         reason: String,
     },
     /// Of another training.
@@ -51,7 +52,7 @@ pub enum CheckpointError {
 }
 
 impl CheckpointError {
-    /// Whether what the user gave is at fault, rather than the machine.
+    /// Whether the user's input is at fault, rather than the machine.
     pub fn is_input_fault(&self) -> bool {
         !matches!(self, Self::Write(_))
     }
@@ -93,7 +94,7 @@ pub fn path_in(run: &Path) -> PathBuf {
 
 /// Removes the checkpoint of a run, if there is one.
 pub fn remove(run: &Path) {
-    // What stays is of no harm: it is refused by any other training, and gone on from by the same.
+    // Remaining files are harmless: any other training refuses them, and the same one continues from them.
     let _ = std::fs::remove_file(path_in(run));
     let _ = std::fs::remove_dir(run.join(PLACE[0]));
 }
@@ -103,7 +104,7 @@ pub fn digest(identity: &str) -> String {
     hex::encode(Sha256::digest(identity.as_bytes()))
 }
 
-/// The checkpoint of a run, if there is one; `identity` says which training may go on from it, line by line.
+/// The checkpoint of a run, if there is one; `identity` describes the training that may continue from it, line by line.
 ///
 /// # Errors
 /// When it is damaged, or of another training.
@@ -144,7 +145,7 @@ fn decode<P: Clone + DeserializeOwned + 'static>(bytes: &[u8], identity: &str) -
     if Sha256::digest(contents)[..] != sum[..] {
         return Err(damaged("its check sum is wrong: it is truncated or damaged"));
     }
-    // The identity first: what follows may have another layout in another version.
+    // The identity first: the rest may have another layout in another version.
     let (before, _) = postcard::take_from_bytes::<Cow<str>>(contents).map_err(|e| Fault::Damaged(e.to_string()))?;
     if let Some(difference) = difference(&before, identity) {
         return Err(Fault::Other(difference));
@@ -189,8 +190,8 @@ pub struct CheckpointWriter<'a, P> {
 }
 
 impl<'a, P: Clone + Serialize> CheckpointWriter<'a, P> {
-    /// Checkpoints into `run` after `every`, of the training that `identity` describes; `begun` is when the run began, pauses not
-    /// counted.
+    /// Checkpoints into `run` after `every`, of the training that `identity` describes; `begun` is when the run began,
+    /// pauses not counted.
     pub fn new(run: &'a Path, identity: &'a str, every: Duration, begun: Instant) -> Self {
         Self {
             run,
@@ -248,7 +249,7 @@ impl<'a, P: Clone + Serialize> CheckpointWriter<'a, P> {
     }
 }
 
-/// A file and the sum of what was written to it.
+/// A file and the checksum of the bytes written to it.
 struct Summed<'f> {
     file: &'f mut dyn Write,
     sum: Sha256,
@@ -275,7 +276,8 @@ impl<'f> Summed<'f> {
 
 impl Write for Summed<'_> {
     fn write(&mut self, bytes: &[u8]) -> std::io::Result<usize> {
-        // The encoder forgets why it failed (a full disk): the fault is kept here and told at the end.
+        // The encoder drops the cause of its failure (such as a full disk), so the error is kept here and returned at
+        // the end.
         if self.fault.is_none() {
             self.sum.update(bytes);
             self.fault = self.file.write_all(bytes).err();

@@ -13,7 +13,7 @@ pub struct CurvePoint {
     pub losses: BTreeMap<String, f64>,
     /// Mean absolute difference on tiles that are not learnt from.
     pub held_out_l1: Option<f64>,
-    /// How good the model was by then, where that was asked.
+    /// Accuracy of the model at that step, where it was measured.
     pub accuracy: Option<Accuracy>,
 }
 

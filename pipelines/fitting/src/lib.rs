@@ -1,8 +1,8 @@
-//! The loop around a trainer, whatever the model: settings in layers, a budget of time, checkpoints, and the folder of a run.
+//! The training loop, whatever the model: settings in layers, a budget of time, checkpoints, and the folder of a run.
 //!
-//! A pipeline resolves its [`settings`], is given a [`request`], opens a [`run_folder`], and hands its trainer to [`training::train`], which takes steps until
-//! the model, the user or the budget says that it is enough, and keeps a [`checkpoint`] on the way. Nothing here knows satellites or
-//! objects.
+//! A pipeline resolves its [`settings`], gets a [`request`], opens a [`run_folder`], and passes its trainer to
+//! [`training::train`]. That steps until the model has converged, the user stops or the budget is spent, and writes a
+//! [`checkpoint`] on the way. Nothing here depends on satellites or objects.
 
 pub mod budget;
 pub mod checkpoint;

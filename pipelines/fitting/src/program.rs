@@ -11,7 +11,8 @@ const DIGITS: usize = 16;
 
 static BUILD: OnceLock<String> = OnceLock::new();
 
-/// First digits of the SHA-256 of the running executable, hexadecimal; computed once. `unknown` where the executable cannot be read.
+/// First digits of the SHA-256 of the running executable, hexadecimal; computed once. `unknown` where the executable
+/// cannot be read.
 pub fn build() -> &'static str {
     BUILD.get_or_init(|| {
         let sum = File::open(executable()).and_then(|mut file| {

@@ -1,4 +1,4 @@
-//! What a training is asked for, and its outcome, whatever the model.
+//! Request of a training, and its outcome, whatever the model.
 
 use crate::lock::Lock;
 use crate::settings::Preset;
@@ -7,23 +7,24 @@ use serde_json::Value;
 use std::path::PathBuf;
 use std::time::{Duration, Instant};
 
-/// Time between two checkpoints, unless said otherwise.
+/// Default time between two checkpoints.
 pub const CHECKPOINT_EVERY: Duration = Duration::from_secs(60);
 
-/// What happens to an earlier training in the folder of a run. `Keep`, `Resume` and `Update` continue the same training where it was interrupted.
+/// Treatment of an earlier training in the folder of a run. `Keep`, `Resume` and `Update` continue the same training
+/// where it was interrupted.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Earlier {
     /// A finished run and another training are refused.
     Keep,
-    /// The same training, finished, is left as it is; another one is refused.
+    /// The same training, finished, is kept; another one is refused.
     Resume,
-    /// The same training, finished, is left as it is; another finished one is replaced.
+    /// The same training, finished, is kept; another finished one is replaced.
     Update,
     /// All are replaced.
     Overwrite,
 }
 
-/// What a training is asked for, besides its images and its configuration.
+/// Request of a training, besides its images and its configuration.
 #[derive(Debug, Clone)]
 pub struct TrainRequest {
     /// Folder of the run, made where it is absent.
@@ -36,7 +37,7 @@ pub struct TrainRequest {
     pub time_budget: Option<Duration>,
     /// The memory that the process may take, bytes.
     pub memory: Option<u64>,
-    /// What happens to the training that the folder holds, if it holds one.
+    /// Treatment of a training that the folder already contains.
     pub earlier: Earlier,
     /// Time between two checkpoints.
     pub checkpoint_every: Duration,

@@ -1,5 +1,5 @@
-//! The folder of a run: its inputs with hashes, its metrics, and one way for every training to begin in it, to be resumed, and
-//! to finish.
+//! The folder of a run: its inputs with hashes, its metrics, and one way for every training to begin in it, to be
+//! resumed, and to finish.
 
 use crate::budget::Budget;
 use crate::checkpoint::{self, CheckpointError, CheckpointWriter, LoadedCheckpoint};
@@ -18,13 +18,13 @@ use std::time::{Duration, Instant};
 
 /// The Gaussians of a run.
 const GAUSSIANS: &str = "model.ply";
-/// What they share, the frame and the cameras. A folder that has it is a run.
+/// Shared parameters, the frame and the cameras. A folder with this file is a run.
 pub const MODEL: &str = "model.json";
-/// What was trained, from what, with what.
+/// Description of the training: model, inputs and settings.
 pub const RUN: &str = "run.toml";
-/// What was measured. A run that has it is finished.
+/// Metrics. A run with this file is finished.
 const METRICS: &str = "metrics.json";
-/// Files of a run besides its model and `run.toml`, not all of which every run has.
+/// Files of a run besides its model and `run.toml`; a run need not have all of them.
 const OF_A_RUN: [&str; 40] = [
     METRICS,
     "calibration.svg",
@@ -76,12 +76,12 @@ pub enum RunError {
     /// There is no such run.
     #[error("{0}: not a finished run (it has no model.json); train one with `heliosplat train SCENE --out {0}`")]
     NotARun(PathBuf),
-    /// A file of the run that is not what it should be.
+    /// An invalid file of the run.
     #[error("{path}: {reason}; train the run again")]
     Damaged {
         /// The file.
         path: PathBuf,
-        /// What is wrong with it.
+        /// The fault.
         reason: String,
     },
     /// A file that cannot be read.
@@ -89,7 +89,7 @@ pub enum RunError {
     Io {
         /// The file.
         path: PathBuf,
-        /// What the operating system says.
+        /// Error of the operating system.
         reason: std::io::Error,
     },
     /// A file that cannot be written.
@@ -109,13 +109,13 @@ pub enum RunError {
     Folder {
         /// The folder.
         path: PathBuf,
-        /// What the operating system says.
+        /// Error of the operating system.
         reason: std::io::Error,
     },
 }
 
 impl RunError {
-    /// Whether what the user gave is at fault, rather than the machine.
+    /// Whether the user's input is at fault, rather than the machine.
     pub fn is_input_fault(&self) -> bool {
         match self {
             Self::NotARun(_) | Self::Damaged { .. } | Self::Exists(_) | Self::Busy(_) => true,
@@ -154,7 +154,8 @@ fn unreadable(path: &Path, reason: std::io::Error) -> RunError {
     }
 }
 
-/// The bytes of the `model.ply` of a run, whose SHA-256 `model.json` states (models of earlier versions state none), and its path.
+/// The bytes of the `model.ply` of a run, whose SHA-256 `model.json` states (models of earlier versions state none),
+/// and its path.
 ///
 /// # Errors
 /// As [`read`], and [`RunError::Damaged`] where the sum is another.
@@ -168,8 +169,9 @@ pub fn read_gaussians(folder: &Path, sha256: Option<&str>) -> Result<(PathBuf, V
     Ok((path, bytes))
 }
 
-/// Writes a model into `folder`, which must exist: `model.ply`, the `texts` of a run by their names, and last `model.json`, which makes
-/// the folder a run. Without texts only the model of the run is replaced. `describe` makes its text, given the SHA-256 of `model.ply`. Until then the folder holds no run.
+/// Writes a model into `folder`, which must exist: `model.ply`, the `texts` of a run by their names, and last
+/// `model.json`, which makes the folder a run. Without texts only the model of the run is replaced. `describe` makes
+/// its text, given the SHA-256 of `model.ply`. Until then the folder holds no run.
 ///
 /// # Errors
 /// When a file cannot be removed or written.
@@ -196,7 +198,8 @@ pub fn save_model(
     Ok(write_atomically(&path, text.as_bytes())?)
 }
 
-/// Removes all that an earlier run here has besides its model: it is not true of another one, which may not write all of it.
+/// Removes all files of an earlier run but its model: they do not describe the new run, which may not write all of
+/// them.
 fn remove_earlier(folder: &Path) -> Result<(), RunError> {
     for name in OF_A_RUN {
         remove(&folder.join(name))?;
@@ -242,17 +245,17 @@ pub fn save_metrics(folder: &Path, metrics: &serde_json::Value) -> Result<(), Ru
     Ok(write_atomically(&folder.join(METRICS), text.as_bytes())?)
 }
 
-/// Memory that this process holds now, bytes; zero where the system does not tell.
+/// Current memory of this process, bytes; zero where the system does not report it.
 pub fn resident_bytes() -> u64 {
     status_bytes("VmRSS:")
 }
 
-/// The most memory this process has used, bytes; zero where the system does not tell.
+/// Peak memory of this process, bytes; zero where the system does not report it.
 pub fn peak_rss_bytes() -> u64 {
     status_bytes("VmHWM:")
 }
 
-/// One size of `/proc/self/status`, bytes. The kernel says them in KiB there, whatever the size of its pages.
+/// One size of `/proc/self/status`, bytes. The kernel reports KiB there, whatever the size of its pages.
 fn status_bytes(field: &str) -> u64 {
     let status = std::fs::read_to_string("/proc/self/status").unwrap_or_default();
     let kib = status
@@ -276,11 +279,11 @@ pub fn create_folder(path: &Path) -> Result<(), RunError> {
 /// Which training is to begin.
 #[derive(Debug, Clone, Copy)]
 pub struct RunRequest<'a> {
-    /// What was asked for.
+    /// The user's request.
     pub request: &'a TrainRequest,
-    /// All that decides the training, line by line: two of the same lines are the same training.
+    /// Everything that determines the training, line by line: equal lines mean the same training.
     pub identity: &'a str,
-    /// What follows training, in steps of it.
+    /// Cost of the work after training, in steps.
     pub steps_after: f64,
 }
 
@@ -294,11 +297,11 @@ pub struct RunFolder<'a, P> {
     pub checkpoints: CheckpointWriter<'a, P>,
     /// Where it goes on from.
     pub checkpoint: Option<LoadedCheckpoint<P>>,
-    /// What is known when it ends.
+    /// Data for the end of the training.
     pub closing: Closing<'a>,
 }
 
-/// What a folder needs to know when its training ends.
+/// Data that a folder needs at the end of its training.
 #[derive(Debug)]
 pub struct Closing<'a> {
     out: &'a Path,
@@ -307,7 +310,7 @@ pub struct Closing<'a> {
     lock: Lock,
 }
 
-/// What stands in a folder when a training is asked for.
+/// State of a folder at the request of a training.
 pub enum Opened<'a, P> {
     /// This very training, finished: its metrics.
     Finished(Value),
@@ -316,12 +319,12 @@ pub enum Opened<'a, P> {
 }
 
 impl<'a, P: Clone + Serialize + DeserializeOwned + 'static> Opened<'a, P> {
-    /// Looks into the folder of a run, and makes it where it is absent: better to hear now than after the training that nothing can
-    /// be written there.
+    /// Looks into the folder of a run, and makes it where it is absent: better to hear now than after the training that
+    /// nothing can be written there.
     ///
     /// # Errors
-    /// When another process trains there, the folder holds a training that `earlier` keeps, the checkpoint is damaged or of another training, or
-    /// the folder cannot be made.
+    /// When another process trains there, the folder holds a training that `earlier` keeps, the checkpoint is damaged
+    /// or of another training, or the folder cannot be made.
     pub fn look(asked: RunRequest<'a>) -> Result<Self, RunError> {
         let RunRequest {
             request,
@@ -379,7 +382,8 @@ impl Closing<'_> {
         }
     }
 
-    /// Writes `metrics.json`, which makes the run finished, and removes its checkpoint. The folder stays locked while the result is kept.
+    /// Writes `metrics.json`, which makes the run finished, and removes its checkpoint. The folder stays locked while
+    /// the result is kept.
     ///
     /// # Errors
     /// When the file cannot be written.

@@ -1,4 +1,4 @@
-//! Settings in layers: the defaults of a configuration, then the text of a preset, then what was set by hand.
+//! Settings in layers: the defaults of a configuration, then the text of a preset, then the user's settings.
 
 /// Why a configuration cannot be used.
 #[derive(Debug, thiserror::Error)]
@@ -8,7 +8,7 @@ pub enum ConfigError {
     Preset {
         /// The preset.
         name: String,
-        /// What the parser says.
+        /// Error of the parser.
         reason: String,
     },
     /// A value that means nothing.
@@ -18,7 +18,7 @@ pub enum ConfigError {
         key: String,
         /// The value.
         value: String,
-        /// What it may be.
+        /// The values allowed.
         expected: &'static str,
     },
     /// A `--set` that does not fit.
@@ -28,12 +28,12 @@ pub enum ConfigError {
         key: String,
         /// The value.
         value: String,
-        /// What is wrong.
+        /// The fault.
         reason: String,
     },
 }
 
-/// How much time a training may take for how good a result; the preset is a file of settings of that name.
+/// Trade-off between time and quality of a training; the preset is a file of settings of that name.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub enum Preset {
     /// Seconds: whether the images fit together at all.
@@ -50,7 +50,7 @@ pub enum Preset {
 }
 
 impl Preset {
-    /// All of them, the most accurate first.
+    /// All presets, the most accurate first.
     pub const ALL: [Self; 5] = [Self::Best, Self::Accurate, Self::Balanced, Self::Fast, Self::Preview];
 
     /// Its name, as on the command line.

@@ -26,7 +26,7 @@ pub enum TrainingError {
     /// It could not go on; the run holds the last good state.
     #[error("training stopped: {error}, in {}", out.display())]
     GaveUp {
-        /// What happened.
+        /// The cause.
         error: TrainError,
         /// The folder of the run.
         out: PathBuf,
@@ -36,12 +36,12 @@ pub enum TrainingError {
 /// Measures a model in training without changing it.
 pub type Probe<'a> = dyn Fn(&Parameters) -> Option<Accuracy> + 'a;
 
-/// The step after which the time left is first said, and the steps between two times.
-const FIRST_SAID: usize = 20;
-const SAID_EVERY: usize = 100;
+/// The step after which the time left is first reported, and the steps between two reports.
+const FIRST_REPORT: usize = 20;
+const REPORT_EVERY: usize = 100;
 /// Steps between two points of the curve.
 const CURVE_EVERY: usize = 25;
-/// About as many points of it have an accuracy.
+/// Approximate number of its points with an accuracy.
 const PROBES: usize = 12;
 
 /// How a fit that has a model to show ended.
@@ -83,7 +83,7 @@ pub struct Trained {
     pub rejected: usize,
     /// The points of the curve.
     pub curve: Vec<CurvePoint>,
-    /// The views that were trained on, their weights without what is held out.
+    /// The training views; held-out pixels have weight zero.
     pub views: Vec<View>,
     /// How training ended.
     pub ending: Ending,
@@ -92,8 +92,8 @@ pub struct Trained {
 /// Trains to the end, or until the user or the time stops it.
 ///
 /// # Errors
-/// [`TrainingError::Train`] when the trainer gives up in its first steps, [`TrainingError::Checkpoint`] when an interrupted
-/// training cannot be kept.
+/// [`TrainingError::Train`] when the trainer gives up in its first steps, [`TrainingError::Checkpoint`] when an
+/// interrupted training cannot be kept.
 pub fn train<P: Clone + Serialize>(
     mut trainer: Trainer,
     steps: usize,
@@ -140,7 +140,7 @@ pub fn train<P: Clone + Serialize>(
                 ..point(&report, l1)
             });
         }
-        if report.step == FIRST_SAID || report.step % SAID_EVERY == 0 {
+        if report.step == FIRST_REPORT || report.step % REPORT_EVERY == 0 {
             let gaussians = grouped(report.gaussians);
             let left_s = pace.step_s() * steps.saturating_sub(report.step) as f64;
             tracing::info!("training: step {} of {steps}, about {left_s:.0} s left", report.step);

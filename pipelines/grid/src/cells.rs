@@ -106,7 +106,7 @@ impl Grid {
         groups
     }
 
-    /// Whether the box of two ground positions lies beside the grid, at least a cell away from it.
+    /// Whether the box of two ground positions lies outside the grid, at least a cell away from it.
     pub fn is_beside(&self, a: Vec3, b: Vec3) -> bool {
         let (low, high) = (a.min(b), a.max(b));
         let east_m = self.west_m + (self.width + 1) as f32 * self.cell_m;
@@ -121,8 +121,8 @@ impl Grid {
     }
 }
 
-/// The least of `values` within so many columns and rows each way of each cell of a grid of `(width, height)`: first along rows, then
-/// across them.
+/// The least of `values` within so many columns and rows each way of each cell of a grid of `(width, height)`: first
+/// along rows, then across them.
 pub fn lowest_within((width, height): (usize, usize), values: &[f32], [columns, rows]: [usize; 2]) -> Vec<f32> {
     let near = |at: usize, reach: usize, count: usize| at.saturating_sub(reach)..(at + reach + 1).min(count);
     let least = |values: &mut dyn Iterator<Item = f32>| values.fold(f32::MAX, f32::min);
@@ -134,8 +134,8 @@ pub fn lowest_within((width, height): (usize, usize), values: &[f32], [columns, 
         .collect()
 }
 
-/// Altitudes without what is narrower than twice the reach (columns, rows): the highest of the lowest (a morphological opening). Unknown cells
-/// (NaN) are no ground.
+/// Altitudes without structures narrower than twice the reach (columns, rows): a morphological opening, the maximum of
+/// the minima. Unknown cells (NaN) do not count as ground.
 pub fn opening(size: (usize, usize), up_m: &[f32], reach: [usize; 2]) -> Vec<f32> {
     let known: Vec<f32> = up_m.iter().map(|z| if z.is_nan() { f32::MAX } else { *z }).collect();
     let depths: Vec<f32> = lowest_within(size, &known, reach).iter().map(|z| -z).collect();

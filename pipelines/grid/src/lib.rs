@@ -1,6 +1,6 @@
-//! Values on a regular grid: statistics, windows, filters, horizons and cast shadows.
-//! The functions take and return slices, row by row from north to south; they know no files, cameras or coordinate systems.
-//! Results are the same bytes for any number of threads.
+//! Values on a regular grid: statistics, windows, filters, horizons and cast shadows. The functions take and return
+//! slices, row by row from north to south, without files, cameras or coordinate systems. Results are the same bytes for
+//! any number of threads.
 
 mod cells;
 pub mod drape;

@@ -2,8 +2,8 @@
 
 use crate::statistics::Real;
 
-/// Offset, in steps within ±½, of the top of the parabola through three values one step apart from the middle one; `None` where it has
-/// no top. The bottom is the top of the negated values.
+/// Offset, in steps within ±½, of the top of the parabola through three values one step apart from the middle one;
+/// `None` where it has no top. The bottom is the top of the negated values.
 pub fn parabola_top<T: Real>([before, here, after]: [T; 3]) -> Option<T> {
     let (half, two) = (T::from(0.5), T::from(2.0));
     let bend = two * here - before - after;

@@ -23,8 +23,8 @@ impl PlaneFit {
         }
     }
 
-    /// `[p, q, r]`. `stiffness` is added to the variances of `a` and `b`, so that slopes stay finite where all points lie on one line;
-    /// without it the plane of such points is not finite.
+    /// `[p, q, r]`. `stiffness` is added to the variances of `a` and `b`, so that slopes stay finite where all points
+    /// lie on one line; without it the plane of such points is not finite.
     pub fn plane(&self, stiffness: f64) -> [f64; 3] {
         let [a, b, z] = self.first.map(|sum| sum / self.weight);
         let [aa, ab, bb, az, bz] = self.second.map(|sum| sum / self.weight);

@@ -1,11 +1,11 @@
-//! A surface of heights and the sun: what stands between a cell and the sky in a direction, and the shadows that follow.
+//! A surface of heights under the sun: the horizon of a cell in a direction, and cast shadows.
 //!
-//! From a cell a ray is walked over the grid, one row or column at a time; between the two cells that it passes there the height is
-//! linear. The horizon is the largest rise over distance on the way. Squares of cells that are too low to matter are stepped over, which
-//! changes no result. A cell is in shadow when its horizon is above the sun.
+//! A ray from a cell crosses the grid one row or column at a time; the height is linear between the two cells that it
+//! passes there. The horizon is the largest rise over distance on the way. Blocks of cells too low to matter are
+//! skipped, which changes no result. A cell is in shadow when its horizon is above the sun.
 //!
-//! Limits: a surface has one height for each cell, so nothing is seen under trees and bridges; the Earth is flat (over 5 km it falls by
-//! 2 m); the sun is a point. A cell whose height is unknown hides nothing and has no horizon.
+//! Limits: a surface has one height for each cell, so space under trees and bridges is missing; the Earth is flat (over
+//! 5 km it falls by 2 m); the sun is a point. A cell of unknown height casts no shadow and has no horizon.
 
 use rayon::prelude::*;
 
@@ -33,15 +33,15 @@ pub struct Toward {
     length: f32,
     /// Tangent of the lowest elevation that matters.
     least: f32,
-    /// What stands less than this above a cell does not shade it, metres.
+    /// Heights less than this above a cell do not shade it, metres.
     least_rise_m: f32,
-    /// How much nearer things stand than the first row or column that has their height, steps.
+    /// Offset of walls toward the cell from the first row or column at their height, steps.
     nearer: f32,
 }
 
 impl Toward {
-    /// Toward an azimuth, degrees clockwise from the grid's north (its rows' upward direction); elevations below `lowest_deg` do not
-    /// matter.
+    /// Toward an azimuth, degrees clockwise from the grid's north (its rows' upward direction); elevations below
+    /// `lowest_deg` do not matter.
     pub fn new(azimuth_deg: f64, lowest_deg: f64) -> Self {
         let (east, north) = azimuth_deg.to_radians().sin_cos();
         let longer = east.abs().max(north.abs());
@@ -59,7 +59,7 @@ impl Toward {
         }
     }
 
-    /// The same for a rough surface: what stands less than `rise_m` above a cell does not shade it.
+    /// The same for a rough surface: heights less than `rise_m` above a cell do not shade it.
     pub fn above(self, rise_m: f32) -> Self {
         Self {
             least_rise_m: rise_m,
@@ -67,15 +67,16 @@ impl Toward {
         }
     }
 
-    /// The same for a surface of walls, each of which stands somewhere before the first row or column that has its height: by `steps`
-    /// of them, less than one.
+    /// The same for a surface with walls, each of which is `steps` (less than one) nearer than the first row or column
+    /// at its height.
     pub fn nearer(self, steps: f32) -> Self {
         Self { nearer: steps, ..self }
     }
 }
 
 impl Relief {
-    /// A surface of `height_m` (`[row][column]`, metres; what is not finite is unknown) with square cells of `cell_m` metres.
+    /// A surface of `height_m` (`[row][column]`, metres; not finite where unknown) with square cells of `cell_m`
+    /// metres.
     ///
     /// # Panics
     /// When there is not one height for each cell.
@@ -120,14 +121,14 @@ impl Relief {
         cells.iter().map(|&cell| self.horizon(cell, toward)).collect()
     }
 
-    /// Tangent of the highest elevation at which the surface stands against the sky in a direction; at least that of the lowest
-    /// elevation that matters.
+    /// Tangent of the highest elevation at which the surface stands against the sky in a direction; at least that of
+    /// the lowest elevation that matters.
     pub fn horizon(&self, cell: usize, toward: &Toward) -> f32 {
         self.walk(cell, toward, false)
     }
 
-    /// Whether a cell is in the shadow of a sun that stands in a direction at the lowest elevation that matters; `false` where its
-    /// height is unknown.
+    /// Whether a cell is in the shadow of a sun that stands in a direction at the lowest elevation that matters;
+    /// `false` where its height is unknown.
     pub fn is_shaded(&self, cell: usize, toward: &Toward) -> bool {
         self.is_known(cell) && self.walk(cell, toward, true) > toward.least
     }
@@ -139,7 +140,7 @@ impl Relief {
         cells.map(|cell| self.is_shaded(cell, &toward)).collect()
     }
 
-    /// The horizon, or what of it was found when the first cell stood above the lowest elevation.
+    /// The horizon, or with `first` the first value above the lowest elevation.
     fn walk(&self, cell: usize, toward: &Toward, first: bool) -> f32 {
         let (col, row) = ((cell % self.width) as f32, (cell / self.width) as f32);
         let here = self.altitude[cell];
@@ -171,7 +172,7 @@ impl Relief {
         }
     }
 
-    /// Altitude at a position of which one coordinate is whole, linear in the other one, and the square it is in; `None` off the grid.
+    /// Altitude at a position with one integer coordinate, linear in the other one, and its block; `None` off the grid.
     fn between(&self, col: f32, row: f32) -> Option<(f32, usize)> {
         let (c0, r0) = (col.floor(), row.floor());
         if !(c0 >= 0.0 && r0 >= 0.0 && c0 < self.width as f32 && r0 < self.height as f32) {
@@ -262,7 +263,8 @@ mod tests {
 
     #[test]
     fn a_wall_between_two_cells_stands_where_it_is_said_to() {
-        // A step of 6 m north of row 10 of cells of 1 m; the first cell on top is 5 rows from row 15, the wall itself 4.5.
+        // A step of 6 m north of row 10 of cells of 1 m; the first cell on top is 5 rows from row 15, the wall itself
+        // 4.5.
         let (width, height) = (21, 31);
         let step = |cell: usize| if cell / width <= 10 { 6.0 } else { 0.0 };
         let relief = Relief::new((width, height), 1.0, (0..width * height).map(step).collect());
@@ -273,7 +275,7 @@ mod tests {
 
     #[test]
     fn the_horizon_of_a_ridge_is_its_height_over_its_distance_from_every_side() {
-        // A ridge along the north, 10 m high, 20 rows from the cell; the way to it is longer where it is looked at askew.
+        // A ridge along the north, 10 m high, 20 rows from the cell; oblique directions are longer.
         let (width, height) = (101, 41);
         let mut z = vec![0.0; width * height];
         z[..width].fill(10.0);

@@ -3,8 +3,8 @@
 /// Weights below this share are rounding, not a neighbour.
 const NEGLIGIBLE: f64 = 1e-6;
 
-/// Bilinear value of a grid of `(width, height)` cells at a fractional column and row; NaN outside the outermost centres and beside
-/// missing cells (NaN).
+/// Bilinear value of a grid of `(width, height)` cells at a fractional column and row; NaN outside the outermost
+/// centres and next to missing cells (NaN).
 #[inline]
 pub fn bilinear(values: &[f32], (width, height): (usize, usize), col: impl Into<f64>, row: impl Into<f64>) -> f32 {
     let (col, row): (f64, f64) = (col.into(), row.into());
@@ -22,8 +22,8 @@ pub fn bilinear(values: &[f32], (width, height): (usize, usize), col: impl Into<
     top + (bottom - top) * fr
 }
 
-/// The same up to the grid's outer edge, half a cell beyond the outermost centres, where the value of the edge holds. A missing
-/// neighbour counts only if its weight is more than rounding: grids that agree up to rounding lose no cells beside missing ones.
+/// The same up to the grid's outer edge, half a cell beyond the outermost centres, with the value of the edge there.
+/// Missing neighbours with a weight within rounding are ignored, so that grids that agree up to rounding lose no cells.
 pub fn bilinear_to_the_edge(values: &[f32], (width, height): (usize, usize), col: f64, row: f64) -> f32 {
     let (last_col, last_row) = (width as f64 - 1.0, height as f64 - 1.0);
     let inside = !values.is_empty() && col >= -0.5 && row >= -0.5 && col <= last_col + 0.5 && row <= last_row + 0.5;

@@ -1,11 +1,12 @@
-//! Medians, quantiles and robust spreads: the one place of the workspace that says what a "median" is.
+//! Medians, quantiles and robust spreads, and the workspace's only definition of a median.
 //!
-//! Of an even number of values three numbers are called the median. [`lower_median`] and [`upper_median`] are values that were
-//! measured; [`median`], the mean of the two, is the one that statistics of errors report. Code that picks one picks it by name.
+//! Of an even number of values three numbers are called the median. [`lower_median`] and [`upper_median`] are values
+//! that were measured; [`median`], the mean of the two, is the one that statistics of errors report. Code that picks
+//! one picks it by name.
 //!
-//! All functions order values by [`f64::total_cmp`], so a result depends on the values alone and never on their order. A `NaN` is a
-//! value like any other: it counts as greater than infinity, or as less than negative infinity where its sign is set. Leave out
-//! what is not finite before asking. Of no values the answer is `None`.
+//! All functions order values by [`f64::total_cmp`], so a result depends on the values alone and never on their order.
+//! A `NaN` is a value like any other: it counts as greater than infinity, or as less than negative infinity where its
+//! sign is set. Remove values that are not finite first. The result for no values is `None`.
 //!
 //! Functions that take `&mut [T]` work in place, in linear time on average, and leave the values in another order.
 //!
@@ -22,8 +23,9 @@
 use std::cmp::Ordering;
 use std::ops::{Add, Div, Mul, Neg, Sub};
 
-/// Standard deviation of a normal distribution in units of its median absolute deviation: 1 / Φ⁻¹(3/4), as it is usually rounded
-/// (J. Höhle, M. Höhle, "Accuracy assessment of digital elevation models by means of robust statistical methods", 2009).
+/// Standard deviation of a normal distribution in units of its median absolute deviation: 1 / Φ⁻¹(3/4), as it is
+/// usually rounded (J. Höhle, M. Höhle, "Accuracy assessment of digital elevation models by means of robust statistical
+/// methods", 2009).
 pub const SIGMA_PER_MAD: f64 = 1.4826;
 
 mod sealed {
@@ -84,7 +86,7 @@ pub fn median<T: Real>(values: &mut [T]) -> Option<T> {
     if odd {
         return Some(upper);
     }
-    // All that stand before the upper one are not greater; the greatest of them is the lower one.
+    // All values before the upper one are not greater; the greatest of them is the lower one.
     let lower = values[..half].iter().copied().max_by(T::order)?;
     Some((lower + upper) / T::from(2.0))
 }
@@ -99,16 +101,17 @@ pub fn upper_median<T: Real>(values: &mut [T]) -> Option<T> {
     ranked(values, values.len() / 2)
 }
 
-/// The value at the share `p` of the way from the least (`p` = 0) to the greatest (`p` = 1): of `n` values the one whose rank from
-/// 0 is nearest to `p · (n − 1)`, halves rounded up. Nothing is interpolated. A `p` outside of 0 to 1 counts as the nearer end.
-/// `None` of no values.
+/// The value at the share `p` of the way from the least (`p` = 0) to the greatest (`p` = 1): of `n` values the one
+/// whose rank from 0 is nearest to `p · (n − 1)`, halves rounded up. Nothing is interpolated. A `p` outside of 0 to 1
+/// counts as the nearer end. `None` of no values.
 pub fn quantile<T: Real>(values: &mut [T], p: f64) -> Option<T> {
     let last = values.len().checked_sub(1)?;
     ranked(values, ((last as f64 * p).round() as usize).min(last))
 }
 
-/// The value that the share `p` of all values comes before in order: of `n` values the one whose rank from 0 is `p · n`, rounded
-/// down. At `p` = 1/2 it is [`upper_median`]. A `p` outside of 0 to 1 counts as the nearer end. `None` of no values.
+/// The value that the share `p` of all values comes before in order: of `n` values the one whose rank from 0 is `p ·
+/// n`, rounded down. At `p` = 1/2 it is [`upper_median`]. A `p` outside of 0 to 1 counts as the nearer end. `None` of
+/// no values.
 pub fn upper_quantile<T: Real>(values: &mut [T], p: f64) -> Option<T> {
     let last = values.len().checked_sub(1)?;
     ranked(values, ((values.len() as f64 * p) as usize).min(last))
@@ -122,8 +125,8 @@ pub fn median_absolute_deviation<T: Real>(values: &[T]) -> Option<T> {
     median(&mut values)
 }
 
-/// Normalised median absolute deviation: [`SIGMA_PER_MAD`] · median |x − median(x)|, the standard deviation of normally distributed
-/// values that up to half of them being wrong does not spoil. `None` of no values.
+/// Normalised median absolute deviation: [`SIGMA_PER_MAD`] · median |x − median(x)|, a standard deviation for normal
+/// values that tolerates up to half of them being wrong. `None` of no values.
 pub fn nmad<T: Real>(values: &[T]) -> Option<T> {
     median_absolute_deviation(values).map(T::sigma_of_mad)
 }

@@ -1,32 +1,34 @@
-//! A surface that is as level as its deviations allow.
+//! Total-variation smoothing of heights weighted by their standard deviations.
 //!
-//! Where nothing can be matched, on a lawn or between crowns, altitudes are a cell's own guess, and its deviation says so. The surface that
-//! is most probable under independent errors and a prior of few and small steps minimises
+//! Where matching fails, on a lawn or between crowns, altitudes are noise and their deviations large. The most probable
+//! surface under independent errors and a prior of few and small steps minimises
 //!
 //! ```text
 //! Σ (x - z)² / (2 σ²)  +  λ Σ |x - x'|      (x' to the east and to the south of x)
 //! ```
 //!
-//! (total variation: Rudin, Osher and Fatemi 1992, here with a deviation for each cell). Sure cells stay, roofs keep their edges, and what is
-//! in doubt takes the altitude of the sure cells that it adjoins. Solved by the primal-dual iteration of Chambolle and Pock 2011.
+//! (total variation: Rudin, Osher and Fatemi 1992, here with a deviation for each cell). Cells with small deviations
+//! stay, roofs keep their edges, and uncertain cells take the altitude of adjacent certain ones. Solved by the
+//! primal-dual iteration of Chambolle and Pock 2011.
 
 use crate::statistics::upper_median;
 use rayon::prelude::*;
 
 /// Weight of a step between neighbours (λ), per metre: chosen on three scenes, docs/lab/surface.md.
 const STEP_WEIGHT_PER_M: f32 = 0.5;
-/// Least deviation of an altitude, cells: what no read-out tells from level ground.
+/// Least deviation of an altitude, cells: smaller ones are within the noise of level ground.
 const LEAST_DEVIATION_CELLS: f32 = 0.8;
 /// Rows that one thread works on at a time, at least.
 const ROWS_PER_JOB: usize = 8;
 /// Iterations: twice as many change the mean error by less than a millimetre.
 const ITERATIONS: usize = 150;
-/// Step of the altitudes in the unit of a variance, metres²; that of the dual variables follows, since the norm of the differences is 8.
+/// Step of the altitudes in the unit of a variance, metres²; that of the dual variables follows, since the norm of the
+/// differences is 8.
 const PRIMAL_STEP: f32 = 1.0;
 const DUAL_STEP: f32 = 1.0 / (8.0 * PRIMAL_STEP);
 
-/// Replaces the altitudes of a grid of rows of `width` cells of `cell_m` metres by the most probable surface; `deviation_m` are their
-/// standard deviations, metres. Cells whose altitude is NaN stay unknown and pull at nothing.
+/// Replaces the altitudes of a grid of rows of `width` cells of `cell_m` metres by the most probable surface;
+/// `deviation_m` are their standard deviations, metres. Cells whose altitude is NaN stay unknown and pull at nothing.
 pub fn smooth_by_deviation(width: usize, cell_m: f32, altitude_m: &mut [f32], deviation_m: &[f32]) {
     let mut known: Vec<f32> = altitude_m.iter().copied().filter(|z| z.is_finite()).collect();
     // Differences to a middle keep their digits where altitudes are in thousands.
