@@ -29,10 +29,11 @@ pub(crate) fn band_gains(seed: u64, image: usize) -> [f64; 4] {
 
 /// A level layer of haze between the ground and the satellite.
 ///
-/// The radiance above it is `J t + A (1 - t)`, with the radiance `J` without haze, the transmittance `t = exp(-δ / (2
-/// cos θ))` of each band (half of the scattered light goes forward) and the airlight `A` of an infinite layer (H.
-/// Koschmieder, "Theorie der horizontalen Sichtweite", 1924; E. J. McCartney, "Optics of the Atmosphere", 1976). The
-/// sun's beam loses all of `δ` on its way down; most of that arrives as skylight, so shadows get paler.
+/// The radiance above it is `J t + A (1 - t)`, with the radiance `J` without haze, the transmittance
+/// `t = exp(-δ / (2 cos θ))` of each band (half of the scattered light goes forward) and the airlight `A` of an
+/// infinite layer (H. Koschmieder, "Theorie der horizontalen Sichtweite", 1924; E. J. McCartney, "Optics of the
+/// Atmosphere", 1976). The sun's beam loses all of `δ` on its way down; most of that arrives as skylight, so shadows
+/// get paler.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct Haze {
     /// Optical depth `δ` in red, straight down.

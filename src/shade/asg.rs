@@ -1,8 +1,8 @@
 //! Anisotropic spherical Gaussian lobes over the half vector, as one-light-at-a-time models share them (Bi et al.,
 //! "GS³", 2024).
 //!
-//! `G(v) = N exp(-½ θ² (c²/λ² + s²/μ²) / σ²)` with `v` in the lobe's frame, `θ` its angle to the lobe's axis and `(c,
-//! s)` the direction it leans to. Written with `q = (θ / sin θ)²` there is neither an arc cosine nor a normalised
+//! `G(v) = N exp(-½ θ² (c²/λ² + s²/μ²) / σ²)` with `v` in the lobe's frame, `θ` its angle to the lobe's axis and
+//! `(c, s)` the direction it leans to. Written with `q = (θ / sin θ)²` there is neither an arc cosine nor a normalised
 //! tangent, so that value and gradient are smooth on the axis: `N exp(-½ q ((v_x/λ)² + (v_y/μ)²) / σ²)`.
 
 use glam::Vec3;

@@ -4,9 +4,9 @@
 //! R(r) = α'/(4π) [ z_r (1 + σ_tr d_r) e^(-σ_tr d_r) / d_r³  +  z_v (1 + σ_tr d_v) e^(-σ_tr d_v) / d_v³ ]
 //! ```
 //!
-//! with `σ_t' = σ_s' + σ_a`, `α' = σ_s'/σ_t'`, `σ_tr = √(3 σ_a σ_t')`, `z_r = 1/σ_t'`, `z_v = z_r (1 + 4A/3)` and `d² =
-//! r² + z²`. The code published with SSD-GS multiplies the second term by `z_r` once more, which is no reflectance (its
-//! unit is wrong); this is the form that integrates to the closed one.
+//! with `σ_t' = σ_s' + σ_a`, `α' = σ_s'/σ_t'`, `σ_tr = √(3 σ_a σ_t')`, `z_r = 1/σ_t'`, `z_v = z_r (1 + 4A/3)` and
+//! `d² = r² + z²`. The code published with SSD-GS multiplies the second term by `z_r` once more, which is no
+//! reflectance (its unit is wrong); this is the form that integrates to the closed one.
 
 use std::f32::consts::PI;
 

@@ -1,8 +1,8 @@
 //! The split sum: the reflectance of a glossy surface under uniform light, `F0 F1 + F2` (Karis 2013).
 //!
-//! `F1 = 1/N Σ (1 - F_c) G_v`, `F2 = 1/N Σ F_c G_v` over facets drawn from GGX, with `F_c = (1 - v·h)⁵`, `G_v = G v·h /
-//! (n·h n·v)`, `α = roughness²` and Schlick's masking with `k = α/2`. Karis' analytic fit is off by up to 0.17, so the
-//! sums are baked at first use.
+//! `F1 = 1/N Σ (1 - F_c) G_v`, `F2 = 1/N Σ F_c G_v` over facets drawn from GGX, with `F_c = (1 - v·h)⁵`,
+//! `G_v = G v·h / (n·h n·v)`, `α = roughness²` and Schlick's masking with `k = α/2`. Karis' analytic fit is off by up
+//! to 0.17, so the sums are baked at first use.
 
 use rayon::prelude::*;
 use std::f64::consts::PI;

@@ -3,8 +3,9 @@
 //! With `L = R S` (rotation times scales) and the camera's Jacobian rows `j_u`, `j_v` and depth axis `d`, the three
 //! whitened vectors `a = Lᵀj_u`, `b = Lᵀj_v`, `c = Lᵀd` carry everything: the image covariance is their Gram matrix,
 //! and the covariance of depth with the image gives the plane on which the peaks of the 1-D Gaussians cut out by the
-//! pixels' rays lie (RaDe-GS, Zhang et al. 2024; here for any projective camera): `depth(u, v) = z + g·(u - u_i, v -
-//! v_i)`, `g = (Σ₂ + δI)⁻¹ [c·a, c·b]`. That plane's normal in the scene is along `j_u g_u + j_v g_v - d`.
+//! pixels' rays lie (RaDe-GS, Zhang et al. 2024; here for any projective camera):
+//! `depth(u, v) = z + g·(u - u_i, v - v_i)`, `g = (Σ₂ + δI)⁻¹ [c·a, c·b]`. That plane's normal in the scene is along
+//! `j_u g_u + j_v g_v - d`.
 
 mod backward;
 mod forward;

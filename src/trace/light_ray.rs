@@ -12,8 +12,8 @@ use crate::gaussians::{CoreGradient, rotation_backward};
 use crate::light::Light;
 use glam::{Mat3, Vec3};
 
-/// Standard deviations that a grazing ray is lifted off its own surface: the reach of an opaque Gaussian, `sqrt(2 ln
-/// 1000)`.
+/// Standard deviations that a grazing ray is lifted off its own surface: the reach of an opaque Gaussian,
+/// `sqrt(2 ln 1000)`.
 const LIFT: f32 = 3.717;
 
 /// A ray from a Gaussian toward the light.

@@ -1,9 +1,9 @@
 //! Transmittance from Gaussians to a light, and its gradients.
 //!
 //! From the centre of Gaussian 0 toward the light `r`, every Gaussian `i` whose 1-D density along the ray peaks beyond
-//! the self-shadow bias absorbs `α̃_i = o_i exp(-½ ‖e×d‖²/‖d‖²)` (whitened offset `e` and direction `d`), and `S = Π (1
-//! - α̃_i)`. The product has no order, so nothing is sorted (ShadowGS, Luo et al. 2026, eq. 10–12). A ray with less
-//! than a millionth left counts as dark, with value zero and no gradients.
+//! the self-shadow bias absorbs `α̃_i = o_i exp(-½ ‖e×d‖²/‖d‖²)` (whitened offset `e` and direction `d`), and
+//! `S = Π (1 - α̃_i)`. The product has no order, so nothing is sorted (ShadowGS, Luo et al. 2026, eq. 10–12). A ray
+//! with less than a millionth left counts as dark, with value zero and no gradients.
 //!
 //! `light_ray` defines the start of a ray and the self-shadow bias. `hierarchy` finds the Gaussians on a ray for any
 //! light, `sun_plane` for parallel light in two thirds of the time. Both agree to 0.002 in transmittance.

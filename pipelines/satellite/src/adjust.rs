@@ -1,9 +1,9 @@
 //! Camera adjustment of a scene: ties between its images, corrections of their pointing, corrected cameras as files.
 //!
-//! Ties need cameras that agree to a few pixels, and the surface they lie on needs the same; so pointing is estimated from coarse
-//! to fine: shifts from a coarse sweep, ties and an adjustment at half resolution, and again at full resolution. The coarse
-//! shifts can be wrong (few textures, few views); ties from the cameras as they are compete with them, and what more ties agree
-//! on wins.
+//! Ties need cameras that agree to a few pixels and a surface of that accuracy, so pointing is estimated from coarse to
+//! fine: shifts from a coarse sweep, ties and an adjustment at half resolution, and again at full resolution. The
+//! coarse shifts can be wrong (little texture, few views), so the adjustment at half resolution also runs without them;
+//! the result with more agreeing ties is used.
 
 pub mod camera_error;
 mod contradiction;
@@ -38,7 +38,7 @@ pub fn ground(scene: &Scene) -> Result<Ground<'_>, SatelliteError> {
     Ground::new(scene, scene.images.iter())
 }
 
-/// What ties are sought in.
+/// Input of the search for ties.
 #[derive(Clone, Copy)]
 pub struct AdjustInput<'a> {
     /// The ground.
@@ -73,7 +73,7 @@ impl AdjustInput<'_> {
         Ok(full)
     }
 
-    /// The better of what comes of the coarse shifts and of none.
+    /// The better of two adjustments: from the coarse shifts and from none.
     fn at_half_resolution(&self, coarse: &[[f32; 2]]) -> Result<Adjustment, RpcError> {
         let none = vec![[0.0; 2]; self.views.len()];
         let from_coarse = self.round(coarse, 0, BiasModel::Translation);
@@ -85,7 +85,8 @@ impl AdjustInput<'_> {
         }
     }
 
-    /// Ties between the cameras moved by `shifts`, at half (0) or full (1) resolution, and the adjustment of the delivered ones.
+    /// Ties between the cameras moved by `shifts`, at half (0) or full (1) resolution, and the adjustment of the
+    /// delivered ones.
     fn round(&self, shifts: &[[f32; 2]], level: usize, model: BiasModel) -> Result<Adjustment, RpcError> {
         let moved: Vec<SweepView> = self
             .views
@@ -102,7 +103,7 @@ impl AdjustInput<'_> {
         };
         let ties = find_ties(&moved, &self.ground.request(self.cell_m, self.matching), options);
         let tracks: Vec<Track> = ties.iter().map(|tie| self.track(tie)).collect();
-        // Sightings count the pixels of what was read of each image.
+        // Sightings are in pixels of the windows that were read.
         let cameras: Vec<Rpc> = self.ground.images.iter().map(|image| image.window_rpc()).collect();
         let images: Vec<AdjustImage> = self
             .ground
@@ -147,8 +148,8 @@ impl AdjustInput<'_> {
     }
 }
 
-/// How much a sighting of this correlation counts. What lowers correlation between dates are shadows above all, and those move
-/// matches too.
+/// Weight of a sighting by its correlation. Correlation between dates falls mostly because of shadows, which also shift
+/// matches.
 fn weight(score: f32) -> f64 {
     f64::from((score - WORTHLESS_SCORE) / (1.0 - WORTHLESS_SCORE))
         .clamp(0.0, 1.0)

@@ -1,9 +1,10 @@
-//! The altitudes of a scene that states none: found from tie points between its images, coarse to fine.
+//! Altitude range of a scene that states none, from tie points between its images, coarse to fine.
 //!
-//! A range that is too wide costs common ground, sharp pinhole cameras and time, and lets ground that one image sees match anything; one
-//! that is too narrow cuts the surface off. Nothing of the scene but its rational cameras is known then, so pairs of images are matched along
-//! their epipolar lines ([`heliosplat_stereo::pointing::ties::epipolar`]): first over all heights that the cameras are valid for, on images averaged down to a few hundred
-//! pixels, then around what was found, on finer ones. What the matches of all pairs span, with a margin, is the range. A sweep of all images in
+//! Too wide a range costs common ground, precision of the pinhole cameras and time, and lets ground in a single image
+//! match anything; too narrow a one cuts the surface off. Only the rational cameras are known at this stage, so pairs
+//! of images are matched along their epipolar lines ([`heliosplat_stereo::pointing::ties::epipolar`]): first over all
+//! heights that the cameras are valid for, on images averaged down to a few hundred pixels, then around the first
+//! result, on finer ones. The range is the span of the matches of all pairs, with a margin. A sweep of all images in
 //! large cells over that range confirms it, or widens it where its surface lies at a limit.
 
 use super::ground::Ground;
@@ -19,19 +20,19 @@ use heliosplat_stereo::{MatchingParameters, Surface, plane_sweep, weight_of_geom
 const MOST_PAIRS: usize = 8;
 /// Partners that each image has.
 const PARTNERS: usize = 2;
-/// Weight of a pair of two days beside one of a single day.
+/// Weight of a pair of two days relative to one of a single day.
 const OTHER_DAY: f64 = 0.5;
 /// Pixels each way to which images are averaged down for the first search: a few hundred patches of their own.
 const COARSE_PX: f64 = 320.0;
 /// The same at most for the second search.
 const FINE_PX: f64 = 2048.0;
-/// How much finer the second search is.
+/// Factor by which the second search is finer.
 const FINER: usize = 4;
 /// Corners that are tried in each pair: first, then.
 const CORNERS: [usize; 2] = [300, 900];
-/// What cameras as delivered may point beside each other, metres on the ground.
+/// Largest relative pointing error of cameras as delivered, metres on the ground.
 const POINTING_M: f64 = 10.0;
-/// Fewer agreeing tie points of all pairs together say nothing.
+/// Fewest agreeing tie points of all pairs together for a result.
 const FEWEST_TIES: usize = 8;
 /// Share of the matches that has to agree with its neighbours: by chance it is far less.
 const LEAST_AGREEING: f64 = 0.3;
@@ -39,7 +40,8 @@ const LEAST_AGREEING: f64 = 0.3;
 const TAIL: f64 = 0.02;
 /// Margin around the first search's range: metres, share of its span, pixels of parallax.
 const COARSE_MARGIN: (f64, f64, f64) = (40.0, 0.25, 4.0);
-/// Margin below and above the second search's range, metres: corners lie on roofs and streets, but seldom in a pit or on a spire.
+/// Margin below and above the second search's range, metres: corners lie on roofs and streets, but seldom in a pit or
+/// on a spire.
 const MARGIN_M: (f64, f64) = (15.0, 40.0);
 /// The same as a share of the span.
 const MARGIN_SHARE: f64 = 0.15;
@@ -52,8 +54,8 @@ const COARSE_CELL_GSD: f64 = 4.0;
 /// Most times that a range is widened.
 pub(super) const ROUNDS: usize = 3;
 
-/// Reads a scene; where neither `options` nor its files state its altitudes, they are found by tie points, and widened where a coarse sweep
-/// between them shows that the surface goes on beyond.
+/// Reads a scene; where neither `options` nor its files state its altitudes, they are found by tie points, and widened
+/// where a coarse sweep between them shows that the surface goes on beyond.
 ///
 /// # Errors
 /// As [`Scene::open`].
@@ -69,7 +71,7 @@ pub fn open(index: &Index, options: &IngestOptions) -> Result<Scene, SceneError>
         let Some(range_m) = wider else {
             break;
         };
-        tracing::debug!(searched_m = ?scene.altitude_range_m, ?range_m, "the coarse sweep goes on beyond the tie points");
+        tracing::debug!(searched_m = ?scene.altitude_range_m, ?range_m, "the coarse sweep extends the range of the tie points");
         options.altitude_from_ties_m = Some(range_m);
         drop(scene);
         scene = Scene::of(index, &options)?;
@@ -77,7 +79,8 @@ pub fn open(index: &Index, options: &IngestOptions) -> Result<Scene, SceneError>
     Ok(scene)
 }
 
-/// The surface of a scene in large cells, with its cameras as given; `None` where too few images show the common ground.
+/// The surface of a scene in large cells, with its cameras as given; `None` where too few images show the common
+/// ground.
 fn coarse_sweep(scene: &Scene) -> Option<Surface> {
     let ground = Ground::new(scene, scene.training()).ok()?;
     let cell_m = COARSE_CELL_GSD * scene.gsd_m;
@@ -87,7 +90,8 @@ fn coarse_sweep(scene: &Scene) -> Option<Surface> {
     Some(plane_sweep(&views, &ground.request(cell_m, matching), &|_| {}))
 }
 
-/// `options` with the altitudes that were found, where neither they nor the scene's files state any and the images tell.
+/// `options` with the estimated altitudes, where neither they nor the scene's files state any and the estimate
+/// succeeds.
 ///
 /// # Errors
 /// As [`Scene::open`].
@@ -103,7 +107,8 @@ pub fn resolve(index: &Index, options: &IngestOptions) -> Result<IngestOptions, 
     Ok(options)
 }
 
-/// The altitudes of the surface by tie points, with a margin, metres above the ellipsoid; `None` where the images do not tell.
+/// The altitudes of the surface by tie points, with a margin, metres above the ellipsoid; `None` where there are too
+/// few.
 fn find(cameras: &SceneCameras) -> Result<Option<(f64, f64)>, SceneError> {
     let bound_m = cameras.range.limits_m();
     let mut pairs = pairs(cameras, bound_m)?;
@@ -194,16 +199,16 @@ fn pairs(cameras: &SceneCameras, bound_m: (f64, f64)) -> Result<Vec<Pair>, Scene
     Ok(chosen)
 }
 
-/// What tie points span, metres above the ellipsoid.
+/// Span of tie points, metres above the ellipsoid.
 struct Span {
     low_m: f64,
     high_m: f64,
-    /// Altitude per pixel of parallax, of the pair that tells least.
+    /// Altitude per pixel of parallax, of the pair with the least parallax.
     step_m: f64,
 }
 
-/// Matches all pairs over a range of altitudes, for the first or the second time, `finer` times finer than usual; remembers how far the
-/// cameras of each pair point beside each other.
+/// Matches all pairs over a range of altitudes, for the first or the second time, `finer` times finer than usual, and
+/// records the relative pointing of the cameras of each pair.
 fn search(
     cameras: &SceneCameras,
     pairs: &mut [Pair],
@@ -241,8 +246,8 @@ fn search(
     Ok(low_m.zip(high_m).map(|(low_m, high_m)| Span { low_m, high_m, step_m }))
 }
 
-/// How many pixels of two images are averaged into one, each way, so that both have about the resolution that `factor` gives the coarser
-/// one; images of like resolution have one factor.
+/// How many pixels of two images are averaged into one, each way, so that both have about the resolution that `factor`
+/// gives the coarser one; images of like resolution have one factor.
 fn factors_alike(factor: usize, gsds_m: [f64; 2]) -> [usize; 2] {
     let coarser_m = gsds_m[0].max(gsds_m[1]);
     let ratio = |gsd_m: f64| coarser_m / gsd_m;

@@ -1,4 +1,4 @@
-//! What a training begins with: the model of a scene's images, its Gaussians on the swept surface, and the views.
+//! Initial state of a training: the model of a scene's images, its Gaussians on the swept surface, and the views.
 
 use super::config::SatelliteConfig;
 use super::error::SatelliteError;
@@ -96,7 +96,8 @@ pub(super) fn train_options(config: &SatelliteConfig, scene: &Scene, views: usiz
     }
 }
 
-/// The image whose colour is the model's: the one under the highest sun, where least lies in shadow; without any sun the first.
+/// The image whose colour is the model's: the one under the highest sun, where least lies in shadow; without any sun
+/// the first.
 fn reference(suns: &[ImageSun]) -> usize {
     let elevation = |i: usize| suns[i].position.map_or(f64::NEG_INFINITY, |sun| sun.elevation_rad);
     (0..suns.len())
@@ -125,7 +126,7 @@ fn model(ground: &Ground, suns: &[ImageSun], decisions: &Decisions, changing: bo
     ShadowGs::new(options)
 }
 
-/// Tells each view what it seems to be lit by: from the user's masks, else from its own darkness.
+/// Gives each view its shadow prior: from the user's masks, else from its own dark areas.
 fn give_priors(
     views: &mut [View],
     suns: &[ImageSun],
@@ -171,7 +172,7 @@ pub(super) fn bounds(ground: &Ground) -> (Vec3, Vec3) {
     )
 }
 
-/// Limits the Gaussians to what `limit` bytes hold; returns what training will take at most.
+/// Limits the number of Gaussians to `limit` bytes; returns the memory that training will use at most.
 pub(super) fn fit_into_memory(
     limit: Option<u64>,
     scene: &Scene,

@@ -1,4 +1,4 @@
-//! What of a scene's images shows clouds, and what becomes of it.
+//! Cloud masks of a scene's images.
 
 use super::ground::Ground;
 use heliosplat::Raster;

@@ -1,22 +1,24 @@
 //! The configuration of a satellite run: data, not code. Presets are files, `--set a.b=c` changes one value, and the
-//! resolved configuration is written beside every result.
+//! resolved configuration is written with every result.
 
 use heliosplat::shade::sh::MAX_DEGREE;
 use heliosplat::train::{TrainError, TrainOptions};
 use heliosplat_fitting::settings::{ConfigError, Preset, resolve};
 use std::path::PathBuf;
 
-/// Widths of a cell that make sense, ground sampling distances: images show nothing finer than the least, and no building at the largest.
+/// Widths of a cell that make sense, ground sampling distances: images show nothing finer than the least, and no
+/// building at the largest.
 const CELL_GSD: std::ops::RangeInclusive<f64> = 0.25..=100.0;
 
 /// How Gaussians start on the swept surface. Lengths in cells, which are one ground sampling distance wide.
 #[derive(Debug, Clone, PartialEq, serde::Serialize, serde::Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct StartOptions {
-    /// Width of a cell, ground sampling distances: one Gaussian per cell. 2 where memory or time is short, 1.5 in the ablation.
+    /// Width of a cell, ground sampling distances: one Gaussian per cell. 2 where memory or time is short, 1.5 in the
+    /// ablation.
     pub cell_gsd: f64,
-    /// Opacity of what stands near a step, above ground that is laid beneath it: training decides which of them is there. 0.98 in the
-    /// ablation, which leaves nothing to decide.
+    /// Opacity of Gaussians near a step, above ground that is laid under them: training decides which of the two is
+    /// real. 0.98 in the ablation, which leaves no choice.
     pub step_opacity: f32,
 }
 
@@ -41,16 +43,16 @@ pub enum Align {
     Off,
 }
 
-/// Shift, pixels, above which [`Align::Auto`] corrects. Ties find shifts to 0.03 px; below a tenth what they find may be noise, and
-/// sound cameras are better left as they are.
+/// Shift, pixels, above which [`Align::Auto`] corrects. The precision of shifts from ties is 0.03 px; below a tenth
+/// they may be noise, and accurate cameras are better left unchanged.
 pub(super) const THRESHOLD_PX: f32 = 0.1;
 
-/// What is done about the cameras.
+/// Correction of the cameras.
 #[derive(Debug, Clone, PartialEq, serde::Serialize, serde::Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct CameraOptions {
-    /// Relative pointing, from tie points and a robust adjustment. `off` where cameras were adjusted already, `on` to correct even less
-    /// than a tenth of a pixel.
+    /// Relative pointing, from tie points and a robust adjustment. `off` where cameras were adjusted already, `on` to
+    /// correct even less than a tenth of a pixel.
     pub align: Align,
 }
 
@@ -60,31 +62,33 @@ impl Default for CameraOptions {
     }
 }
 
-/// The satellite model's components. What is left open the plan decides.
+/// The satellite model's components. The plan decides those that are not set.
 #[derive(Debug, Clone, PartialEq, serde::Serialize, serde::Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct ModelOptions {
     /// Per-image affine colour: on for images of more than one date, off for those of one.
     pub image_colour: Option<bool>,
-    /// Whether clouds are found before anything else and left out: on from five views on; off for images that are known to be clear.
+    /// Whether clouds are found before anything else and left out: on from five views on; off for images that are known
+    /// to be clear.
     pub clouds: Option<bool>,
-    /// Whether ground that was built on or torn down between the images is searched: on where every image has a date, and a day divides
-    /// them with two or more on either side; off for ground that is known to have stayed.
+    /// Whether ground that was built on or torn down between the images is searched: on where every image has a date,
+    /// and a day divides them with two or more on either side; off for ground that is known to have stayed.
     pub change: Option<bool>,
     /// Whether values that images clip count as "at least": on where some are clipped.
     pub saturation: Option<bool>,
-    /// Near-surface light in shadows, per Gaussian: off, because no scene measured was better with it (docs/lab/planner.md).
+    /// Near-surface light in shadows, per Gaussian: off, because no scene measured was better with it
+    /// (docs/lab/planner.md).
     pub near_light: bool,
-    /// Largest degree of the spherical harmonics by which albedo (and near-surface light) changes with the viewing direction: 0, the same
-    /// from everywhere, for matt ground, up to 3 for ground that shines.
+    /// Largest degree of the spherical harmonics by which albedo (and near-surface light) changes with the viewing
+    /// direction: 0, the same from everywhere, for matt ground, up to 3 for ground that shines.
     pub sh_degree: usize,
-    /// Weight of the shadow opaqueness loss; 0, off, is better on every site measured (docs/lab/components.md), the paper and the ablation
-    /// have it.
+    /// Weight of the shadow opaqueness loss; 0, off, is better on every site measured (docs/lab/components.md), the
+    /// paper and the ablation have it.
     pub opaqueness_weight: f32,
     /// Whether shadows that images show as dark places guide training: on with fewer than eight images, off with more.
     pub shadow_prior: Option<bool>,
-    /// Folder of masks that say what is lit (1) and what in shadow (0), `NAME.tif` for the image `NAME`, for users who have some; in place
-    /// of those that are found.
+    /// Folder of masks that say what is lit (1) and what in shadow (0), `NAME.tif` for the image `NAME`, for users who
+    /// have some; in place of those that are found.
     pub shadow_masks: Option<PathBuf>,
 }
 
@@ -132,8 +136,8 @@ impl SatelliteConfig {
     /// The defaults, then the preset's file, then the `--set` pairs in their order.
     ///
     /// # Errors
-    /// [`ConfigError::Set`] for a key that does not exist or a value of another kind, [`ConfigError::Value`] for one that means
-    /// nothing.
+    /// [`ConfigError::Set`] for a key that does not exist or a value of another kind, [`ConfigError::Value`] for one
+    /// that means nothing.
     pub fn resolve(preset: Preset, set: &[(String, String)], seed: u64) -> Result<Self, ConfigError> {
         let mut config: Self = resolve(preset.name(), preset_text(preset), set)?;
         config.train.seed = seed;

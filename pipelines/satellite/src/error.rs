@@ -1,4 +1,4 @@
-//! What can go wrong between a scene and its run.
+//! Errors of scenes and their runs.
 
 use heliosplat::train::TrainError;
 use heliosplat_evaluate::EvaluateError;
@@ -25,7 +25,7 @@ pub enum SatelliteError {
     /// Settings that cannot be written down.
     #[error("the configuration cannot be written: {0}")]
     Settings(String),
-    /// The user asked for it.
+    /// The user stopped it.
     #[error("stopped: nothing was written")]
     Stopped,
     /// Fewer than two images show the common ground.
@@ -62,11 +62,11 @@ pub enum SatelliteError {
         "--memory: training needs about {needed_gib:.2} GiB and {limit_gib:.2} GiB are allowed; give more, fewer images, or a coarser model with --set start.cell_gsd={cell_gsd:.2}"
     )]
     Memory {
-        /// What it needs, GiB.
+        /// Memory needed, GiB.
         needed_gib: f64,
-        /// What it may take, GiB.
+        /// Memory allowed, GiB.
         limit_gib: f64,
-        /// What would fit: width of a cell, ground sampling distances.
+        /// Width of a cell that would fit, ground sampling distances.
         cell_gsd: f64,
     },
     /// The smallest tiles of a plane sweep would take more memory than it may.
@@ -74,9 +74,9 @@ pub enum SatelliteError {
         "--memory: the smallest tiles of this sweep, of {levels} altitudes per cell, need about {needed_gib:.2} GiB and {limit_gib:.2} GiB are allowed; give more, or a narrower --altitude"
     )]
     SweepMemory {
-        /// What the smallest tiles need, GiB.
+        /// Memory needed by the smallest tiles, GiB.
         needed_gib: f64,
-        /// What the sweep may take, GiB.
+        /// Memory allowed for the sweep, GiB.
         limit_gib: f64,
         /// Height hypotheses of a cell.
         levels: usize,
@@ -127,7 +127,7 @@ pub enum SatelliteError {
     SceneOfRun {
         /// The run.
         run: PathBuf,
-        /// What is wrong with its scene.
+        /// The fault of its scene.
         error: SceneError,
     },
     /// A scene that is no longer the one that a run was trained on.

@@ -1,7 +1,7 @@
-//! The memory that a training will take, before it begins.
+//! Memory of a training, estimated before it begins.
 //!
-//! The constants were fitted to runs on `block` and a town (0.17 to 0.62 million Gaussians); `metrics.json` keeps the estimate beside the
-//! memory that was used.
+//! The constants were fitted to runs on `block` and a town (0.17 to 0.62 million Gaussians); `metrics.json` has the
+//! estimate and the memory used.
 
 use super::config::{ModelOptions, SatelliteConfig};
 use super::error::SatelliteError;
@@ -19,17 +19,17 @@ pub use super::sweep_memory::PROGRAM_BYTES;
 const GAUSSIANS_PER_CELL: f64 = 1.8;
 /// Tables of all parameters that training holds: values, gradients, two moments, the best state.
 const TABLES: f64 = 5.0;
-/// Bytes per Gaussian of what one step makes besides: splats, lists of tiles, gradients, ellipses on the plane of the sun,
+/// Additional bytes per Gaussian in one step: splats, lists of tiles, gradients, ellipses on the plane of the sun,
 /// neighbours.
 const STEP_BYTES_PER_GAUSSIAN: f64 = 580.0;
-/// What the allocator keeps at hand, bytes.
+/// Free memory that the allocator keeps, bytes.
 const SPARE_BYTES: f64 = 64.0 * 1_048_576.0;
 /// Planes of 32-bit numbers per pixel of the largest view that one step makes, besides those per channel.
 const PLANES: f64 = 24.0;
 /// The same per channel.
 const PLANES_PER_CHANNEL: f64 = 4.0;
 
-/// What a training will take.
+/// Estimated size and memory of a training.
 #[derive(Debug, Clone, Copy, PartialEq, serde::Serialize, serde::Deserialize)]
 pub struct Estimate {
     /// Gaussians at the start.
@@ -42,8 +42,8 @@ pub struct Estimate {
     pub steps: usize,
 }
 
-/// Bytes that the process holds when its scene is open: itself and the images. What the system says it holds is no measure: an
-/// allocator keeps what was freed.
+/// Bytes that the process uses when its scene is open: itself and the images. The memory reported by the system is no
+/// measure, since allocators keep freed memory.
 pub fn held_bytes(scene: &Scene) -> f64 {
     let values: usize = scene.images.iter().map(|image| image.pixels.values.len()).sum();
     PROGRAM_BYTES + 4.0 * values as f64
@@ -54,7 +54,7 @@ pub fn copies_bytes(pixels: f64, bands: usize) -> f64 {
     4.0 * pixels * (2.0 * bands as f64 + 1.0)
 }
 
-/// Bytes that training adds to what the process holds when it begins: `gaussians` at most, `pixels` of the largest view.
+/// Bytes that training adds to those in use when it begins: `gaussians` at most, `pixels` of the largest view.
 pub fn training_bytes(gaussians: f64, views: usize, bands: usize, pixels: f64) -> f64 {
     let width = 11.0 + bands as f64;
     let per_gaussian = TABLES * 4.0 * width + 4.0 * views as f64 + STEP_BYTES_PER_GAUSSIAN;
@@ -62,20 +62,20 @@ pub fn training_bytes(gaussians: f64, views: usize, bands: usize, pixels: f64) -
     SPARE_BYTES + gaussians * per_gaussian + pixels * planes * 4.0
 }
 
-/// Bytes per Gaussian of what `model` has besides one albedo per band: near-surface light, and harmonics of both.
+/// Bytes per Gaussian of the options of `model` besides one albedo per band: near-surface light, and harmonics of both.
 pub fn light_bytes(model: &ModelOptions, bands: usize) -> f64 {
     let parts = if model.near_light { 2 } else { 1 };
     TABLES * 4.0 * ((parts * functions(model.sh_degree) - 1) * bands) as f64
 }
 
-/// The most Gaussians that `limit` bytes hold, where `bytes` says how much so many take: each as much as the next.
+/// The most Gaussians within `limit` bytes, where `bytes` gives the memory of a number of them, linear in it.
 pub fn gaussians_within(limit: f64, bytes: impl Fn(f64) -> f64) -> f64 {
     let fixed = bytes(0.0);
     let each = bytes(1.0) - fixed;
     ((limit - fixed) / each).max(0.0)
 }
 
-/// What decides how much memory a training takes, besides its configuration.
+/// Quantities that determine the memory of a training, besides its configuration.
 #[derive(Debug, Clone, Copy)]
 pub struct Extent {
     /// The ground, metres.
@@ -120,7 +120,7 @@ impl From<&Survey<'_>> for Extent {
     }
 }
 
-/// Refuses a scene whose training will not fit into `limit` bytes, before a pixel of it is read.
+/// Refuses a scene whose training will not fit into `limit` bytes, before its pixels are read.
 ///
 /// # Errors
 /// [`SatelliteError::Memory`].
@@ -129,7 +129,7 @@ pub fn must_fit_unread(survey: &Survey, limit: Option<u64>, config: &SatelliteCo
     must_fit(estimate_of(&survey.into(), config, held).least_bytes, limit, config)
 }
 
-/// What training `scene` will take; the scene's images are in memory already.
+/// Memory of training `scene`, whose images are in memory already.
 pub fn estimate(scene: &Scene, config: &SatelliteConfig) -> Estimate {
     estimate_of(&scene.into(), config, held_bytes(scene))
 }
@@ -164,7 +164,7 @@ pub fn estimate_of(extent: &Extent, config: &SatelliteConfig, held: f64) -> Esti
     }
 }
 
-/// What the sweep of a tile will take, without training.
+/// Memory of the sweep of a tile, without training.
 pub fn sweep_estimate(survey: &Survey, tile: &TileSurvey, config: &SatelliteConfig) -> Estimate {
     let area = crop::grown(&tile.area, ground::MARGIN_M);
     let cell_m = config.start.cell_gsd * survey.gsd_m;
@@ -183,7 +183,7 @@ pub fn sweep_estimate(survey: &Survey, tile: &TileSurvey, config: &SatelliteConf
     }
 }
 
-/// Refuses a scene that will not fit into `limit` bytes, with what would.
+/// Refuses a scene that will not fit into `limit` bytes, with a remedy.
 ///
 /// # Errors
 /// When `needed` is more.

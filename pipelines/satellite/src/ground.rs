@@ -1,4 +1,4 @@
-//! The ground that a scene's images have in common: what the plane sweep covers, and what tie points are searched on.
+//! The ground that a scene's images have in common, for the plane sweep and for tie points.
 
 use super::error::SatelliteError;
 use heliosplat::Raster;
@@ -19,7 +19,7 @@ pub const MARGIN_M: f64 = 4.0;
 pub struct Ground<'a> {
     /// The images.
     pub images: Vec<&'a SceneImage>,
-    /// What of each shows the ground.
+    /// Part of each image that shows the ground.
     pub crops: Vec<Crop>,
     /// The ground, metres of the scene's frame.
     pub area: Area,
@@ -36,7 +36,8 @@ impl<'a> Ground<'a> {
     /// The ground of `scene`, grown by [`MARGIN_M`], in those of `images` that show it.
     ///
     /// # Errors
-    /// [`SatelliteError::TooFewViews`] when fewer than two do, [`SatelliteError::NoParallax`] when these look from one place.
+    /// [`SatelliteError::TooFewViews`] when fewer than two do, [`SatelliteError::NoParallax`] when these look from one
+    /// place.
     pub fn new(scene: &'a Scene, images: impl Iterator<Item = &'a SceneImage>) -> Result<Self, SatelliteError> {
         Self::over(scene, crop::grown(&scene.area, MARGIN_M), images)
     }
@@ -86,8 +87,7 @@ impl<'a> Ground<'a> {
         })
     }
 
-    /// Takes suns that were found otherwise than in the images' files, one for each image; returns whether they say more of which
-    /// images are of one pass.
+    /// Replaces the suns by others, one for each image; returns whether they group more images into passes.
     pub(super) fn take_suns(&mut self, suns: Vec<ImageSun>) -> bool {
         let times = self.images.iter().map(|image| image.time);
         let lights: Vec<_> = times.zip(suns.iter().map(|sun| sun.position)).collect();
@@ -107,8 +107,8 @@ impl<'a> Ground<'a> {
         crops.map(|(image, crop)| crop.cut(&image.pixels)).collect()
     }
 
-    /// Refuses an image whose crop shows nothing to match: nearly all of its pixels have one value in every band. Crops without any known
-    /// pixel pass; they are known to show nothing.
+    /// Refuses an image whose crop shows nothing to match: nearly all of its pixels have one value in every band. Crops
+    /// without any known pixel pass; they are known to show nothing.
     ///
     /// # Errors
     /// [`SatelliteError::NoContrast`] for the first such image.
@@ -146,8 +146,8 @@ impl<'a> Ground<'a> {
             .collect()
     }
 
-    /// A vegetation index of each crop, where the images have the bands: leaves on pavement are as bright as it is, and an index hardly knows
-    /// shadows.
+    /// A vegetation index of each crop, where the images have the bands: it separates leaves from pavement of the same
+    /// brightness, and hardly depends on shadows.
     pub fn vegetation_indices(&self, rasters: &[Raster]) -> Option<Vec<Raster>> {
         let index = |(image, raster): (&&SceneImage, &Raster)| {
             let index = image.vegetation_index()?;
@@ -164,13 +164,13 @@ impl<'a> Ground<'a> {
         self.images.iter().zip(rasters).map(index).collect()
     }
 
-    /// What a plane sweep with cells of `cell_m` metres searches.
+    /// Search volume of a plane sweep with cells of `cell_m` metres.
     pub fn volume(&self, cell_m: f64) -> SearchVolume {
         volume(&self.area, self.up_m, cell_m)
     }
 
-    /// What the choice of the matching parameters depends on, with cells of `cell_m` metres. It takes no pixels, and the cameras as given:
-    /// pointing corrections do not change viewing directions.
+    /// Input of the choice of the matching parameters, with cells of `cell_m` metres. It takes no pixels, and the
+    /// cameras as given: pointing corrections do not change viewing directions.
     pub fn matching_facts(&self, cell_m: f64) -> MatchingFacts {
         let shifts = vec![[0.0; 2]; self.images.len()];
         let has_index = self.images.iter().all(|image| image.vegetation_index().is_some());
@@ -211,7 +211,7 @@ pub(super) fn volume(area: &Area, up_m: (f64, f64), cell_m: f64) -> SearchVolume
 
 /// Share of an image's pixels at each end of their values that do not count as contrast.
 const TAIL: f64 = 0.01;
-/// Pixels by which the contrast of an image is judged, about.
+/// Approximate number of pixels that sample the contrast of an image.
 const JUDGED_PIXELS: usize = 1 << 16;
 
 /// Whether nearly all known pixels have one value, in every band.

@@ -1,10 +1,11 @@
-//! Gaussians on an initial surface: one flat disc per cell, walls under its steps, and a floor under what stands at a step.
+//! Gaussians on an initial surface: one flat disc per cell, walls under its steps, and ground under structures at a
+//! step.
 //!
-//! * Without walls a roof is a table: oblique views look under it and the sun shines through below. The discs of a wall stand
-//!   half a cell inside the roof's edge, where the roof hides them from above, and begin below the roof.
-//! * A sweep makes roofs a cell or two too wide and roofs over narrow alleys. Near a step, and further where the sweep was in
-//!   doubt, the ground is laid under the roof as well, and the roof starts less opaque: training takes away what
-//!   the images do not show, and the ground is there when it does.
+//! * Without walls a roof is a table: oblique views look under it and the sun shines through below. The discs of a wall
+//!   are half a cell inside the roof's edge, where the roof hides them from above, and begin below the roof.
+//! * A sweep makes roofs a cell or two too wide and covers narrow alleys. Near a step, and further where the sweep was
+//!   uncertain, the ground is laid under the roof as well, and the roof starts less opaque: training removes the parts
+//!   of the roof that the images do not show, and the ground below remains.
 
 use glam::{Mat3, Quat, Vec3};
 use heliosplat::gaussians::{Group, GroupSpec, LOG_SCALE, OPACITY, POSITION, ROTATION, Table, core_groups, logit};
@@ -17,7 +18,7 @@ use std::collections::BTreeSet;
 const SPREAD_CELLS: f32 = 0.65;
 /// Standard deviation across the surface, cells: flat, but thick enough to be seen from the side.
 const THICKNESS_CELLS: f32 = 0.2;
-/// Opacity of what is sure; above it opacity is saturated and has no gradients.
+/// Opacity of certain surfaces; above it opacity is saturated and has no gradients.
 const OPACITY_SURE: f32 = 0.99;
 /// Steps lower than this get no wall, metres: cars and hedges, or noise.
 const WALL_FROM_M: f32 = 2.0;
@@ -31,8 +32,8 @@ const WALL_FROM_STEPS: f32 = 3.0;
 const FLOOR_CELLS: (usize, usize) = (4, 9);
 /// Confidence below which the sweep was in doubt.
 const DOUBT: f32 = 0.1;
-/// Share of the opacity at steps that a roof or crown has where the sweep was in doubt, or preferred the ground to it. Such a place is mostly
-/// ground (docs/lab/start.md).
+/// Share of the opacity at steps that a roof or crown has where the sweep was in doubt, or preferred the ground to it.
+/// Such a place is mostly ground (docs/lab/start.md).
 const DOUBTFUL_SHARE: f32 = 0.25;
 
 /// Where the discs stand and how they lie.
@@ -84,7 +85,7 @@ fn upright(outward: Vec3) -> Quat {
     Quat::from_mat3(&Mat3::from_cols(Vec3::Z.cross(outward), Vec3::Z, outward))
 }
 
-/// Where the ground falls away beside a cell.
+/// Step down from a cell to a neighbour.
 struct Step {
     /// How far the cell stands above its lowest side neighbour, metres.
     drop_m: f32,
@@ -121,13 +122,13 @@ fn lie(surface: &Surface, col: usize, row: usize) -> Quat {
     Quat::from_rotation_arc(Vec3::Z, Vec3::new(-east, -north, 1.0).normalize())
 }
 
-/// What Gaussians start from.
+/// Input of the initial Gaussians.
 pub(super) struct Start<'a> {
     /// The initial surface.
     pub(super) surface: &'a Surface,
     /// The cells that get discs.
     pub(super) covered: &'a [bool],
-    /// Opacity of what stands near a step.
+    /// Opacity of Gaussians near a step.
     pub(super) step_opacity: f32,
 }
 
@@ -181,7 +182,7 @@ impl Start<'_> {
             discs.add(&top);
             let above_m = surface.above[cell];
             if above_m - here.z > wall_from_m {
-                // The ground was preferred to what was matched here, so that is doubtful: training decides.
+                // Ground preferred to a match is uncertain, so training decides between the two.
                 discs.add(&Disc {
                     centre: Vec3::new(here.x, here.y, above_m),
                     rotation: Quat::IDENTITY,
@@ -204,8 +205,9 @@ impl Start<'_> {
     }
 }
 
-/// The Gaussians of a surface that changed: where nothing did those of the surface, which is that of the last day; elsewhere those of the
-/// surface before until the day of the change, and those of the last from then on. `groups` end with the days.
+/// The Gaussians of a surface that changed: where nothing did those of the surface, which is that of the last day;
+/// elsewhere those of the surface before until the day of the change, and those of the last from then on. `groups` end
+/// with the days.
 pub(super) fn changing(start: &Start, changes: &Changes, groups: &[GroupSpec]) -> Table {
     let &Start { surface, covered, .. } = start;
     let before = Surface {
@@ -243,10 +245,10 @@ pub(super) fn changing(start: &Start, changes: &Changes, groups: &[GroupSpec]) -
     all
 }
 
-/// Cells around a segment whose Gaussians have its days too: walls and the ground under eaves belong to it.
+/// Cells around a segment whose Gaussians get its days too, for its walls and the ground under its eaves.
 const AROUND_CELLS: usize = 2;
 
-/// The day of the change of each cell in or beside a segment.
+/// The day of the change of each cell in or near a segment.
 fn around_changes(surface: &Surface, changes: &Changes) -> Vec<Option<i32>> {
     let (width, height) = (surface.width, surface.height);
     let mut near = vec![None; width * height];
@@ -261,7 +263,7 @@ fn around_changes(surface: &Surface, changes: &Changes) -> Vec<Option<i32>> {
             }
         }
     }
-    // In a segment its own day counts, whatever lies beside it.
+    // In a segment its own day counts, whatever other segments are near.
     for (cell, of) in near.iter_mut().enumerate() {
         if let Some(segment) = changes.at(cell) {
             *of = Some(segment.day);

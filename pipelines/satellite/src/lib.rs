@@ -1,7 +1,7 @@
 //! Multi-date satellite images with RPC cameras become a shadow-aware Gaussian model of the ground.
 //!
-//! [`training::train`] is the whole way, stage by stage; [`preprocess::sweep_only`] stops at the surface that is found before training.
-//! [`Decisions`] says which components a scene requires, [`estimate`] what a training will take, [`adjust`] corrects cameras, and
+//! [`training::train`] runs all stages; [`preprocess::sweep_only`] stops at the surface before training. [`Decisions`]
+//! has the components that a scene requires, [`estimate`] the memory of a training; [`adjust`] corrects cameras, and
 //! [`measure`] compares a run with the truth of its scene.
 
 pub mod adjust;

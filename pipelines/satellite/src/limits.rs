@@ -1,10 +1,10 @@
-//! Whether a swept surface touches the limits of the altitudes that were searched: then it goes on beyond, and was cut off.
+//! Test whether a swept surface touches the limits of the searched altitudes, which means that it was cut off.
 
 use heliosplat_scene::{Scene, crop};
 use heliosplat_stereo::{FEWEST_VIEWS, Surface};
 
-/// Confidence from which on a cell of a surface counts as matched: at lower ones, cells that matched by chance lie at the limits too
-/// (docs/lab/altitude.md).
+/// Confidence from which on a cell of a surface counts as matched: at lower ones, cells that matched by chance lie at
+/// the limits too (docs/lab/altitude.md).
 const CONFIDENT: f32 = 0.5;
 /// Share of the matched cells at a limit of the altitudes from which on the surface is taken to go on beyond.
 const TOUCHING: f64 = 0.01;
@@ -33,7 +33,8 @@ impl std::ops::AddAssign for AtLimits {
 }
 
 impl AtLimits {
-    /// Those of a surface that was searched over the altitudes of `scene`; cells that fewer than two images see do not count.
+    /// Those of a surface that was searched over the altitudes of `scene`; cells that fewer than two images see do not
+    /// count.
     pub fn of(surface: &Surface, scene: &Scene) -> Self {
         let at = counted(surface, crop::altitude_range(scene));
         tracing::debug!(
@@ -44,18 +45,18 @@ impl AtLimits {
         at
     }
 
-    /// The share of the matched cells that `count` of them are.
+    /// `count` as a share of the matched cells.
     fn share(&self, count: usize) -> f64 {
         count as f64 / self.matched.max(1) as f64
     }
 
-    /// A range that is wider where the surface touches a limit of the one searched, metres above the ellipsoid; `None` where it touches
-    /// none.
+    /// A range that is wider where the surface touches a limit of the one searched, metres above the ellipsoid; `None`
+    /// where it touches none.
     pub fn wider(&self, range_m: (f64, f64)) -> Option<(f64, f64)> {
         widened(self, range_m)
     }
 
-    /// What to tell a user whose range of altitudes is too narrow; `None` where it is not.
+    /// Warning about too narrow a range of altitudes; `None` where it is wide enough.
     pub fn warning(&self, (low_m, high_m): (f64, f64)) -> Option<String> {
         let wider = self.wider((low_m, high_m))?;
         let mut ends = Vec::new();

@@ -1,4 +1,4 @@
-//! What a run is worth: images, shadows and surface against what the scene knows of the truth.
+//! Accuracy of a run: images, shadows and surface against the scene's truth.
 
 use super::clouds;
 use super::error::SatelliteError;
@@ -24,7 +24,8 @@ use serde_json::{Value, json};
 use std::path::Path;
 use std::sync::Arc;
 
-/// The run's `dsm.tif` against the scene's true one, and how much of what the run's images see of that is unknown; `None` without truth.
+/// The run's `dsm.tif` against the scene's true one, with the share of cells visible in the run's images that are
+/// unknown; `None` without truth.
 ///
 /// # Errors
 /// When the surface or its truth cannot be read.
@@ -53,7 +54,8 @@ pub fn dsm(
     Ok(Some(evaluation))
 }
 
-/// `metrics.json` as far as it follows from scene and model, with all that stands on any day; also draws pictures into the run's folder.
+/// `metrics.json` as far as it follows from scene and model, with all that stands on any day; also draws pictures into
+/// the run's folder.
 pub fn metrics(scene: &Scene, whole: &LoadedModel, run: &Path, protocol: Protocol) -> Result<Value, SatelliteError> {
     let model = &whole.on_last();
     let mut out = json!({ "gaussians": model.parameters.gaussians.count, "suns": suns(&model.file.images) });
@@ -81,7 +83,7 @@ pub fn metrics(scene: &Scene, whole: &LoadedModel, run: &Path, protocol: Protoco
     }
     if let Some(folder) = scene.truth.relit.as_deref().filter(|_| model.file.has_light()) {
         let _part = stage("relit");
-        // Truth that nobody asked for spoils no run.
+        // Faults of optional truth do not fail a run.
         match relit::measure(model, folder, run) {
             Ok(relit) => out["relit"] = relit,
             Err(error) => tracing::warn!("truth under other suns is left out: {error}"),
@@ -90,7 +92,7 @@ pub fn metrics(scene: &Scene, whole: &LoadedModel, run: &Path, protocol: Protoco
     Ok(out)
 }
 
-/// What the surface is worth, with its picture and its map of errors; `None` without truth.
+/// Accuracy of the surface, with its picture and its map of errors; `None` without truth.
 fn surface(
     scene: &Scene,
     model: &LoadedModel,
@@ -105,7 +107,7 @@ fn surface(
     Ok(Some(surface_metrics(&evaluation)))
 }
 
-/// What the views of a run are worth together.
+/// Scores of all views of a run.
 #[derive(Default)]
 struct Views {
     train: Vec<ImageScore>,
@@ -166,7 +168,7 @@ fn views(scene: &Scene, whole: &LoadedModel, model: &LoadedModel, run: &Path) ->
     Ok(out)
 }
 
-/// What the images say of changes, and how it compares with the truth where there is one; `None` where they cannot tell.
+/// Changes found by the run, compared with the truth where there is one; `None` where none were searched.
 fn changes(scene: &Scene, run: &Path, whole: &LoadedModel) -> Result<Option<Value>, SatelliteError> {
     let Some(changes) = &whole.file.changes else {
         return Ok(None);
@@ -198,13 +200,14 @@ struct View<'a> {
     truth: Arc<Raster>,
 }
 
-/// What a view is worth.
+/// Scores of a view.
 struct Judged {
     held_out: bool,
     score: Option<ImageScore>,
     /// Where its colours come from.
     colour: &'static str,
-    /// Its shadows against the true mask: with the image asked, and as traced; `None` without a mask, and where it is held out.
+    /// Its shadows against the true mask: with the colours of the image, and as traced; `None` without a mask, and
+    /// where it is held out.
     shadows: Option<[ShadowCounts; 2]>,
 }
 
@@ -279,8 +282,8 @@ fn mean(scores: &[ImageScore]) -> Value {
     out
 }
 
-/// The image, its rendering, and the shadows over the image, side by side; with a true mask also where they are wrong: blue
-/// where a shadow is missing, red where one is too many.
+/// The image, its rendering, and the shadows over the image, side by side; with a true mask also where they are wrong:
+/// blue where a shadow is missing, red where one is too many.
 fn draw(
     run: &Path,
     name: &str,
@@ -314,7 +317,8 @@ fn draw(
     )?)
 }
 
-/// Writes the surface that training started from, by which later the model's own knows how sure the sweep was.
+/// Writes the surface that training started from, which later provides the sweep's deviations for the model's own
+/// surface.
 pub(super) fn write_start(run: &Path, fitted: &Fitted, model: &LoadedModel) -> Result<Dsm, SatelliteError> {
     let start = of_surface(&model.into(), &fitted.found.surface, model.file.gsd_m, None)?;
     start.write(&run.join(START))?;
@@ -345,7 +349,7 @@ pub fn surface_metrics(evaluation: &DsmEvaluation) -> Value {
     out
 }
 
-/// Adds what only the fit knows.
+/// Adds the metrics that only the fit has.
 pub(super) fn add_fit(metrics: &mut Value, fitted: &Fitted, model: &LoadedModel, seconds: f64) {
     let Fitted { trained, found, .. } = fitted;
     let ([align, sweep], [start, train]) = (found.seconds, fitted.seconds);

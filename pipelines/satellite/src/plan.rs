@@ -1,8 +1,8 @@
-//! The planner: what a scene requires, decided once, before anything is matched or trained.
+//! The planner: the components that a scene requires, decided once, before matching and training.
 //!
-//! [`Decisions::of`] looks at what is known then (views, dates, suns, bands, baselines, clipped values) and returns one value, which the
-//! plane sweep, the start and the trainer consume. `inspect` prints that value with its reasons, and `run.toml` keeps it. What is
-//! set by hand stays as it is.
+//! [`Decisions::of`] uses views, dates, suns, bands, baselines and clipped values, and returns one value, which the
+//! plane sweep, the initial state and the trainer use. `inspect` prints that value with its reasons, and `run.toml`
+//! stores it. Settings of the user take precedence.
 
 mod index;
 mod light;
@@ -20,7 +20,7 @@ use heliosplat_stereo::change::dividing_days;
 use heliosplat_stereo::clouds::FEWEST_VIEWS;
 use heliosplat_stereo::{FEW_VIEWS, MatchingFacts, MatchingParameters, no_match_weight};
 
-/// What is decided about a scene.
+/// Decisions for a scene.
 #[derive(Debug, Clone, PartialEq, serde::Serialize)]
 pub struct Decisions {
     /// How the model is lit.
@@ -65,7 +65,7 @@ pub struct PlanItem {
     pub reason: String,
 }
 
-/// What the plan is made from.
+/// Input of the plan.
 struct Facts {
     images: usize,
     dates: usize,
@@ -73,9 +73,10 @@ struct Facts {
     suns: usize,
     /// Lowest and highest of these, degrees.
     suns_deg: (f64, f64),
-    /// Days that divide the images with enough of them on either side for two surfaces; `None` where an image has no date.
+    /// Days that divide the images with enough of them on either side for two surfaces; `None` where an image has no
+    /// date.
     dividing_days: Option<usize>,
-    /// What the plane sweep's matching parameters are chosen from, or why nothing can be matched.
+    /// Input of the choice of the plane sweep's matching parameters, or the reason why nothing can be matched.
     matching: Result<MatchingFacts, String>,
     /// The vegetation index, if there is one.
     index: Index,
@@ -125,7 +126,7 @@ const SUN: &str = "sun";
 /// Component of the plan: the prior of shadows.
 const SHADOW_PRIOR: &str = "model.shadow_prior";
 impl Decisions {
-    /// What `scene` requires; what `config` sets stays as it is.
+    /// Components that `scene` requires; settings in `config` take precedence.
     pub fn of(scene: &Scene, config: &SatelliteConfig) -> Self {
         Self::from_facts(&Facts::of(scene, config), config)
     }
@@ -153,7 +154,7 @@ impl Decisions {
         decisions
     }
 
-    /// The configuration with what was decided where nothing was set, as `run.toml` keeps it.
+    /// The configuration completed by the decisions, as `run.toml` stores it.
     pub fn resolved(&self, config: &SatelliteConfig) -> SatelliteConfig {
         let mut config = config.clone();
         let model = &mut config.model;
@@ -165,8 +166,8 @@ impl Decisions {
         config
     }
 
-    /// The same after suns were searched by their shadows: `suns` are those of the images that are trained on, `searched` what the
-    /// shadows said of each.
+    /// The same after suns were searched by their shadows: `suns` are those of the training images, `searched` the
+    /// results for each image.
     pub(super) fn after_search(&self, suns: &[ImageSun], searched: &[Option<ShadowSun>]) -> Self {
         let mut decisions = self.clone();
         if self.light != Light::FromShadows {
@@ -191,7 +192,7 @@ impl Decisions {
             say(
                 SHADOW_PRIOR,
                 false,
-                "no sun is known: what throws a shadow cannot be asked".into(),
+                "no sun is known: shadows cannot be traced to their casters".into(),
             );
             decisions.shadow_prior = false;
             decisions.opaqueness_weight = 0.0;
@@ -211,7 +212,7 @@ impl Decisions {
             on,
             reason,
         };
-        // What was set by hand wins over what the facts say, and the plan says so.
+        // Settings of the user take precedence over the facts, and the plan states that.
         let decided = |component: &str, on: bool, set: Option<bool>, by_facts: bool, reason: String| {
             let reason = match set {
                 Some(set) if set != by_facts => {
@@ -233,7 +234,7 @@ impl Decisions {
                 if dates > 1 {
                     format!("{dates} dates differ in haze, exposure and season: each image gets an affine colour")
                 } else {
-                    "all images are of one date: one colour serves".into()
+                    "all images are of one date: one colour is enough".into()
                 },
             ),
             decided(
@@ -243,10 +244,10 @@ impl Decisions {
                 images >= FEWEST_VIEWS,
                 if images >= FEWEST_VIEWS {
                     format!(
-                        "{images} views: what one shows brighter than the others show the ground in the sun is a cloud, and left out"
+                        "{images} views: areas much brighter in one view than the sunlit ground in the others are clouds, and left out"
                     )
                 } else {
-                    format!("{images} views cannot say which of them shows a cloud")
+                    format!("{images} views are too few to tell clouds from ground")
                 },
             ),
             decided(
@@ -255,8 +256,8 @@ impl Decisions {
                 config.model.change,
                 facts.is_divided(),
                 match facts.dividing_days {
-                    None => "an image has no date: what stood before it and after it cannot be told".into(),
-                    Some(0) => "no day has two images on either side, as many as a surface needs".into(),
+                    None => "an image has no date: changes cannot be ordered in time".into(),
+                    Some(0) => "no day has two images before and two after it, as a surface needs".into(),
                     Some(days) => format!(
                         "{days} day(s) with two or more images on either side: ground that was built on or torn down is searched"
                     ),
@@ -269,7 +270,7 @@ impl Decisions {
                 facts.clipped > 0.0,
                 if facts.clipped > 0.0 {
                     format!(
-                        "{:.2} % of the values are as great as their images can say: the model may be brighter",
+                        "{:.2} % of the values are saturated: the model may be brighter",
                         100.0 * facts.clipped
                     )
                 } else {
@@ -283,10 +284,10 @@ impl Decisions {
                 images < ENOUGH_VIEWS,
                 if images < ENOUGH_VIEWS {
                     format!(
-                        "{images} views say little of what throws a shadow: dark places with something toward the sun guide it"
+                        "{images} views are few for shadows: dark places with a structure toward the sun guide training"
                     )
                 } else {
-                    format!("{images} views: shadows follow from what they agree on")
+                    format!("{images} views: enough to determine shadows from the geometry")
                 },
             ),
             item(
@@ -322,7 +323,7 @@ impl Decisions {
     }
 }
 
-/// What the plane sweep's matching parameters are: those of many views or of few, and its windows.
+/// Plan items of the plane sweep's matching parameters: those for many views or for few, and its windows.
 fn matching_items(facts: &Result<MatchingFacts, String>, parameters: Option<MatchingParameters>) -> [PlanItem; 2] {
     let item = |component: &str, on: bool, reason: String| PlanItem {
         component: component.into(),
@@ -480,7 +481,7 @@ mod tests {
         assert_eq!(after.light, Light::FromShadows);
         let said = after.light_reason();
         assert!(
-            said.contains("of 1 of 3 images are known") && said.contains("of 1 shadows tell nothing"),
+            said.contains("of 1 of 3 images are known") && said.contains("of 1 shadows give no direction"),
             "{said}"
         );
         assert!(

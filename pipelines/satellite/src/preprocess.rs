@@ -1,4 +1,4 @@
-//! What is found out of a scene before any training: clouds, pointing, tie points and the initial surface.
+//! Stages before training: clouds, pointing, tie points and the initial surface.
 
 use super::adjust::{self, AdjustInput};
 use super::altitude;
@@ -21,7 +21,8 @@ use heliosplat_stereo::change::Changes;
 use heliosplat_stereo::{MatchingParameters, PlaneSweepRequest, Surface, SweepView, plane_sweep};
 use std::time::Instant;
 
-/// Corrections of the pointing beyond which clouds are searched again, pixels: what bright roofs are off by when they pass for clouds.
+/// Corrections of the pointing beyond which clouds are searched again, pixels: the displacement at which bright roofs
+/// are mistaken for clouds.
 const CLOUDS_AGAIN_PX: f32 = 4.0;
 
 /// Results that are computed once before training, and kept in its checkpoint.
@@ -29,31 +30,33 @@ const CLOUDS_AGAIN_PX: f32 = 4.0;
 pub struct Preprocessed {
     /// The swept surface; where something changed, that of the last images.
     pub surface: Surface,
-    /// What changed between the images.
+    /// Changes between the images.
     pub changes: Changes,
-    /// What of the surface was lowered because it bridged ground in shade; `None` where fewer than two suns are known.
+    /// Parts of the surface that were lowered because they bridged shaded ground; `None` where fewer than two suns are
+    /// known.
     pub lowered: Option<Lowered>,
     /// Pointing corrections, pixels.
     pub shifts_px: Vec<[f32; 2]>,
     /// The pixels of each image that show clouds; empty where there are none.
     pub clouds: Vec<Vec<bool>>,
-    /// What shadows say of the suns of the scene's images, in the scene's order, where these are not known.
+    /// Suns estimated from shadows, in the order of the scene's images, where the suns are not known.
     pub shadow_suns: Vec<Option<ShadowSun>>,
     /// Seconds spent on alignment and on the sweep.
     pub seconds: [f64; 2],
 }
 
-/// A scene's surface before any training, and what it was found with.
+/// A scene's surface before any training, with its inputs.
 pub(super) struct Preprocess<'a> {
     pub(super) ground: Ground<'a>,
     pub(super) found: Preprocessed,
 }
 
 impl<'a> Preprocess<'a> {
-    /// Finds it out.
+    /// Runs the stages.
     ///
     /// # Errors
-    /// [`SatelliteError::TooFewViews`] when too few images show the common ground, [`SatelliteError::NoContrast`] when one of them shows nothing there.
+    /// [`SatelliteError::TooFewViews`] when too few images show the common ground, [`SatelliteError::NoContrast`] when
+    /// one of them has no contrast there.
     pub(super) fn new(
         scene: &'a Scene,
         config: &SatelliteConfig,
@@ -106,8 +109,8 @@ impl<'a> Preprocess<'a> {
         Ok(Self { ground, found })
     }
 
-    /// Sweeps again under `suns`, one for each image of the ground, where these say which images are of one pass: their pixel values are
-    /// compared as well then. Returns whether that was so.
+    /// Sweeps again under `suns`, one for each image of the ground, where these group more images into passes, whose
+    /// pixel values can then be compared. Returns whether that was so.
     pub(super) fn sweep_under(
         &mut self,
         suns: Vec<ImageSun>,
@@ -147,7 +150,7 @@ impl<'a> Preprocess<'a> {
         true
     }
 
-    /// The same as it was found out before; `None` where it is not of this scene.
+    /// The same from stored results; `None` where they are not of this scene.
     ///
     /// # Errors
     /// As [`Self::new`].
@@ -166,7 +169,8 @@ impl<'a> Preprocess<'a> {
     }
 }
 
-/// The pixels of the crops of `ground` without clouds, and where clouds were, if they are to be searched; cameras are moved by `shifts_px`.
+/// The pixels of the crops of `ground` without clouds, and where clouds were, if they are to be searched; cameras are
+/// moved by `shifts_px`.
 pub(super) fn clear_rasters(
     ground: &Ground,
     decisions: &Decisions,
@@ -216,7 +220,7 @@ fn views<'r>(
     views
 }
 
-/// What changed between the images, where it is to be searched; `surface` becomes that of the last.
+/// Changes between the images, where they are to be searched; `surface` becomes that of the last.
 fn changes(
     ground: &Ground,
     rasters: &[Raster],
@@ -239,7 +243,8 @@ fn changes(
     changes
 }
 
-/// Lowers what bridges ground in shade, as the light of the crops says; `None` where it cannot tell.
+/// Lowers parts of the surface that bridge shaded ground, by the brightness of the crops; `None` where that is not
+/// possible.
 pub(super) fn lower(
     ground: &Ground,
     rasters: &[Raster],
@@ -250,7 +255,7 @@ pub(super) fn lower(
     bridged::lower(&views(ground, rasters, &None, shifts_px), surface, changes)
 }
 
-/// Says what was lowered, if anything.
+/// Logs the lowered parts, if any.
 pub(super) fn say_lowered(lowered: &Lowered) {
     if lowered.parts > 0 {
         tracing::info!(
@@ -270,8 +275,8 @@ pub fn sweep_only(scene: &Scene, config: &SatelliteConfig, session: &Session) ->
     Preprocess::new(scene, config, &decisions, session).map(|swept| swept.found.surface)
 }
 
-/// A scene and the surface that its views find together without training. A range of altitudes that tie points gave is widened where
-/// the surface touches its limits; one that was stated is kept, which is a warning.
+/// A scene and the surface that its views find together without training. A range of altitudes that tie points gave is
+/// widened where the surface touches its limits; one that was stated is kept, which is a warning.
 ///
 /// # Errors
 /// As [`Scene::open`], and [`SatelliteError::TooFewViews`].

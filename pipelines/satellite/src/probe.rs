@@ -10,8 +10,8 @@ use heliosplat_products::surface::SurfaceGaussians;
 use heliosplat_scene::Scene;
 use heliosplat_scene::indices::VegetationIndex;
 
-/// Tells how far the surface of a model in training is from the scene's true one; `None` without truth. `leaves` is
-/// what tells leaves by its colours.
+/// Measures the error of the surface of a model in training against the scene's true one; `None` without truth.
+/// `leaves` is the index that separates leaves by their colours.
 pub(super) fn height_probe(scene: &Scene, leaves: Option<VegetationIndex>) -> Option<Box<Probe<'_>>> {
     let truth = scene.truth.dsm.as_deref()?;
     let classes = scene.truth.classes.as_deref();

@@ -1,7 +1,7 @@
 //! A run's relit images against truth under suns that no image had.
 //!
-//! Ours is what `relight` writes: the run's own grid from straight above, brought onto the truth's grid as a surface model is, bilinear.
-//! No image is asked: shadows are those that are traced.
+//! The prediction is the image that `relight` writes: the run's own grid from straight above, resampled to the truth's
+//! grid like a surface model, bilinear. No image is used: shadows are traced.
 
 use crate::error::SatelliteError;
 use heliosplat::Raster;
@@ -30,7 +30,8 @@ struct Compared {
     true_shadow: Raster,
 }
 
-/// `relit` of `metrics.json`: a run's relit images against the truth in `folder`. Also draws a picture of each sun into the run's folder.
+/// `relit` of `metrics.json`: a run's relit images against the truth in `folder`. Also draws a picture of each sun into
+/// the run's folder.
 ///
 /// # Errors
 /// When the truth cannot be read or is not of this scene, the model has no light, or a picture cannot be written.
@@ -110,8 +111,8 @@ fn onto(source: &GeoRaster, target: &GeoRaster) -> Result<Raster, SatelliteError
     })
 }
 
-/// Truth, ours after the one gain, and the truth with shadows that are missing (blue) or false (red); all suns in one stretch, so that
-/// pictures are as dark as their suns are low.
+/// Truth, ours after the one gain, and the truth with shadows that are missing (blue) or false (red); all suns in one
+/// stretch, so that pictures are as dark as their suns are low.
 fn draw(compared: &[Compared], scores: &RelitScores, run: &Path) -> Result<(), SatelliteError> {
     let folder = run.join(PICTURES);
     create_folder(&folder)?;

@@ -1,7 +1,8 @@
-//! `run.toml` of a satellite run: what was trained, from what, with what; and writing a run's folder.
+//! `run.toml` of a satellite run (configuration, version, seed, inputs), and writing of a run's folder.
 //!
-//! A run is `run.toml` (resolved configuration, version, seed, inputs with hashes), `cut.json` (which pixels were used), `model.ply` (the Gaussians), `model.json` (what they
-//! share, the frame and the cameras), `metrics.json`, `dsm.tif`, pictures. Everything is written to a temporary name and renamed.
+//! A run is `run.toml` (resolved configuration, version, seed, inputs with hashes), `cut.json` (the pixels used),
+//! `model.ply` (the Gaussians), `model.json` (shared parameters, the frame and the cameras), `metrics.json`, `dsm.tif`,
+//! pictures. Everything is written to a temporary name and renamed.
 
 use crate::config::SatelliteConfig;
 use crate::error::SatelliteError;
@@ -28,12 +29,12 @@ pub struct RunFile {
     pub seed: u64,
     /// The scene.
     pub scene: PathBuf,
-    /// The altitude range asked for, if any, metres.
+    /// The requested altitude range, if any, metres.
     pub altitude_range_m: Option<(f64, f64)>,
     /// The altitude range that tie points gave, where none was stated, metres.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub altitude_from_ties_m: Option<(f64, f64)>,
-    /// The piece of ground asked for, if any.
+    /// The requested piece of ground, if any.
     #[serde(default)]
     pub area: Option<AreaRequest>,
     /// Which components the scene required, and why.
@@ -45,16 +46,16 @@ pub struct RunFile {
 }
 
 impl RunFile {
-    /// What the text of a `run.toml` says.
+    /// Content of a `run.toml`.
     ///
     /// # Errors
-    /// A sentence that says what is wrong with it.
+    /// A sentence with the fault.
     pub fn parse(text: &str) -> Result<Self, String> {
         toml::from_str(text).map_err(|e| e.message().to_owned())
     }
 }
 
-/// What `model.json` says of a scene's images: all that show the area, those trained on with their colours.
+/// Entries of a scene's images in `model.json`: all images of the area, training images with their colours.
 pub fn model_images(scene: &Scene, fitted: &Fitted, margin_m: f64) -> Vec<ModelImage> {
     let area = crop::grown(&scene.area, margin_m);
     let up_m = crop::altitude_range(scene);
@@ -140,7 +141,8 @@ pub fn cut_of(run: &Path) -> Result<KeptCut, RunError> {
 /// The scene that a run was trained on: the same windows, cameras and scale.
 ///
 /// # Errors
-/// When the run or its scene cannot be read, and [`SatelliteError::OtherScene`] where the scene is not the one that was trained on.
+/// When the run or its scene cannot be read, and [`SatelliteError::OtherScene`] where the scene is not the one that was
+/// trained on.
 pub fn scene_of(run: &Path) -> Result<Scene, SatelliteError> {
     let file = load_run(run)?;
     let kept = cut_of(run)?;

@@ -1,7 +1,7 @@
-//! A short fit under the suns that are known, for a surface on which shadows tell those that are not.
+//! A short fit under the known suns, for a surface on which shadows determine the unknown ones.
 //!
-//! Roofs of a swept surface are too wide and its walls lean, and so do the shadows that it casts. A model of a few steps has its walls where
-//! the images have them: shadows and dark ground agree better on it by half (docs/lab/suns.md).
+//! Roofs of a swept surface are too wide and its walls lean, and its shadows have the same errors. A model of a few
+//! steps has its walls in the right place: shadows and dark ground agree better on it by half (docs/lab/suns.md).
 
 use super::beginning::{self, Beginning, SKY};
 use super::error::SatelliteError;

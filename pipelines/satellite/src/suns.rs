@@ -1,4 +1,4 @@
-//! The suns that a model is lit by: those that are known, and of the other images those that their shadows tell.
+//! The suns that light a model: known ones, and suns estimated from shadows for the other images.
 
 use super::clouds;
 use super::ground::Ground;
@@ -10,15 +10,15 @@ use heliosplat_rpc::sun::SunPosition;
 use heliosplat_scene::{ImageSun, Scene, SceneImage};
 use heliosplat_stereo::Surface;
 
-/// Finds out what the shadows on the swept surface say of the suns that are unknown, image by image of the scene, those held out too; `None`
-/// where a sun is known, or nothing can be said.
+/// Estimates the unknown suns from the shadows on the swept surface, image by image of the scene, held-out images too;
+/// `None` where a sun is known, or there is no estimate.
 pub(super) fn search(scene: &Scene, swept: &mut Preprocess) {
     let _part = stage("suns");
     swept.found.shadow_suns = found(scene, swept, &swept.found.surface);
 }
 
-/// Searches again on better altitudes of the swept surface's cells, metres (NaN where there are none). What is decisive there counts in
-/// place of what was found before. Returns whether a sun is known now that was not.
+/// Searches again on better altitudes of the swept surface's cells, metres (NaN where there are none). Decisive results
+/// replace those found before. Returns whether a sun is known now that was not.
 pub(super) fn search_again(scene: &Scene, swept: &mut Preprocess, altitude_m: &[f32]) -> bool {
     let _part = stage("suns");
     let mut surface = swept.found.surface.clone();
@@ -37,7 +37,7 @@ pub(super) fn search_again(scene: &Scene, swept: &mut Preprocess, altitude_m: &[
     more
 }
 
-/// Whether shadows say of some sun where in the sky it is, but not well enough to be believed: a better surface would tell.
+/// Whether shadows give some sun a direction that is not decisive: a better surface may decide it.
 pub(super) fn are_in_doubt(searched: &[Option<ShadowSun>]) -> bool {
     let in_doubt = |sun: &ShadowSun| !sun.is_decisive() && sun.beats_others();
     searched.iter().flatten().any(in_doubt)
@@ -54,7 +54,7 @@ fn found(scene: &Scene, swept: &Preprocess, surface: &Surface) -> Vec<Option<Sha
     let mut rasters = ground.rasters();
     let mut shifts_px = vec![[0.0; 2]; rasters.len()];
     for (place, image) in ground.images.iter().enumerate() {
-        // Images held out have neither: their cameras are believed.
+        // Held-out images have neither: their cameras are used as delivered.
         if let Some(trained) = swept
             .ground
             .images
@@ -120,7 +120,7 @@ pub(super) fn of_ground(scene: &Scene, ground: &Ground, searched: &[Option<Shado
     places.map(|place| all[place]).collect()
 }
 
-/// The same, and what is decided under them.
+/// The same with the decisions under them.
 pub(super) fn decided(
     scene: &Scene,
     ground: &Ground,

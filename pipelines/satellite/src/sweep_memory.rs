@@ -1,8 +1,9 @@
-//! The memory that a plane sweep takes, bounded before a pixel is read.
+//! Memory of a plane sweep, bounded before its pixels are read.
 //!
-//! Most of it is the cost volume: one byte of matching cost and two of summed costs for each height hypothesis of each cell. A cell of
-//! the finest level searches around what coarser levels found, all hypotheses at most; how many these are follows from the range of
-//! altitudes and the widest base of two images. So a range that is twice as wide may take twice the memory.
+//! Most of it is the cost volume: one byte of matching cost and two of summed costs for each height hypothesis of each
+//! cell. A cell of the finest level searches around the result of coarser levels, all hypotheses at most; their number
+//! follows from the range of altitudes and the widest base of two images. So a range that is twice as wide may need
+//! twice the memory.
 
 use heliosplat_scene::survey::Survey;
 use heliosplat_stereo::height_levels;
@@ -11,22 +12,24 @@ use heliosplat_stereo::height_levels;
 pub const PROGRAM_BYTES: f64 = 100.0 * 1_048_576.0;
 /// Bytes per height hypothesis of a cell: a cost, and the sum over all paths.
 const BYTES_PER_LEVEL: f64 = 3.0;
-/// Bytes per cell besides: heights chosen at two levels of the search with their candidates, ranges, the guide image, the surface.
+/// Bytes per cell besides: heights chosen at two levels of the search with their candidates, ranges, the guide image,
+/// the surface.
 const BYTES_PER_CELL: f64 = 100.0;
 /// Bytes per pixel and band of the images: as they were read, and as they are swept.
 const BYTES_PER_PIXEL_AND_BAND: f64 = 8.0;
-/// Bytes per pixel besides: mean of the bands and its contrast, a copy while it is made, what is seen first, the index.
+/// Further bytes per pixel: mean of the bands and its contrast, a copy during its computation, the first surface
+/// visible, the index.
 const BYTES_PER_PIXEL: f64 = 36.0;
 /// Bytes per pixel of the largest image while it is read.
 const BYTES_PER_PIXEL_READ: f64 = 12.0;
 /// Bytes per cell of the map while a surface model is made and written at once: its bands twice, and the finished file.
 const BYTES_PER_MAP_CELL: f64 = 40.0;
-/// What reading takes besides: GDAL's cache of blocks, and a sample of all values.
+/// Further bytes of reading: GDAL's cache of blocks, and a sample of all values.
 const READING_BYTES: f64 = 96.0 * 1_048_576.0;
 /// Share that allocators add.
 const SPARE: f64 = 1.1;
 
-/// What decides how much memory a sweep takes, the same for all parts of a scene.
+/// Quantities that determine the memory of a sweep, the same for all parts of a scene.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) struct SweepModel {
     /// Height hypotheses of a cell.
@@ -75,7 +78,7 @@ impl SweepModel {
     }
 }
 
-/// Most bytes that the search of `cells` cells with so many height hypotheses adds to what images of so many pixels take.
+/// Most bytes that the search of `cells` cells with `levels` height hypotheses adds to images of `pixels` pixels.
 pub(super) fn search_bytes(cells: f64, levels: usize, pixels: f64) -> f64 {
     cells * (BYTES_PER_CELL + BYTES_PER_LEVEL * levels as f64) + BYTES_PER_PIXEL * pixels
 }

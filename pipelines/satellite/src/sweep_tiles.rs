@@ -1,8 +1,8 @@
 //! Cutting a sweep into tiles that fit into memory.
 //!
-//! Cores lie on the cells of one map grid and share nothing. A tile is swept beyond its core: over what it is blended with its neighbours
-//! in, and over a rim around that, where heights have less to agree with. All tiles lie in the frame of the whole scene, on one lattice of
-//! ground cells, on each level of the search.
+//! Cores are on the cells of one map grid and do not overlap. A tile is swept beyond its core: over the margin in which
+//! it is blended with its neighbours, and over a rim around that, where heights have fewer neighbours. All tiles are in
+//! the frame of the whole scene, on one lattice of ground cells, on each level of the search.
 
 use super::config::SatelliteConfig;
 use super::error::SatelliteError;
@@ -15,16 +15,17 @@ use heliosplat_scene::{Area, crop};
 
 /// Cells of the ground on each side of the border of a core over which two tiles are blended.
 const BLEND_CELLS: f64 = 32.0;
-/// Cells around that which are swept too: the paths of semi-global matching forget where they began within some tens of cells
-/// (docs/lab/streaming.md).
+/// Cells of the rim around the blended margin: the paths of semi-global matching forget their start within some tens of
+/// cells (docs/lab/streaming.md).
 const RIM_CELLS: f64 = 32.0;
-/// Cells of the coarsest level of the search are so many cells wide: tiles begin at multiples, so that all levels share one lattice.
+/// Cells of the coarsest level of the search are so many cells wide: tiles begin at multiples, so that all levels share
+/// one lattice.
 const LATTICE: f64 = 8.0;
 /// Cores of fewer map cells each way are not worth their rims.
 const LEAST_CORE: usize = 96;
 /// Points per edge of a tile that is taken from the map to the ground: its edges may be curved there.
 const POINTS_PER_EDGE: usize = 8;
-/// Bytes per map cell of the rows that are blended at a time: what tiles say of them, and the rows twice.
+/// Bytes per map cell of the rows that are blended at a time: the values of tiles, and the rows twice.
 const BYTES_PER_BLENDED_CELL: f64 = 64.0;
 /// Rows of the map that are blended at a time.
 pub(super) const ROWS_AT_ONCE: usize = 256;
@@ -58,13 +59,13 @@ pub struct SweepTiling {
 pub struct SweepTile {
     /// First and one past last column and row of the map of its core.
     pub core: [[usize; 2]; 2],
-    /// The same of what its neighbours and it are blended over.
+    /// The same with the margins in which it is blended with its neighbours.
     pub bounds: [[usize; 2]; 2],
     /// Ground that is swept for it, metres of the scene's frame.
     pub area: Area,
 }
 
-/// What is asked of a surface model's file.
+/// Grid of a surface model's file.
 #[derive(Debug, Clone, Copy)]
 pub struct MapRequest<'a> {
     /// Width of a cell, metres; `None` for that of the images.

@@ -1,9 +1,9 @@
 //! A plane sweep of a scene that does not fit into memory: tile by tile, into one surface model.
 //!
-//! What concerns all tiles is decided once: the range of altitudes, how views are matched, and how the cameras point, by tie points of
-//! patches all over the ground. Every tile reads its own windows of the images, fits its own pinhole cameras to them in the frame of the
-//! whole, and is swept on the cells of the whole. The surface models of tiles lie on disk until all are there, and are then blended
-//! row by row.
+//! Decisions for all tiles are made once: the range of altitudes, the matching of views, and the pointing of the
+//! cameras, by tie points of patches all over the ground. Every tile reads its own windows of the images, fits its own
+//! pinhole cameras to them in the frame of the whole, and is swept on the cells of the whole. The surface models of
+//! tiles are stored on disk until all are complete, and are then blended row by row.
 
 use super::adjust;
 use super::altitude::ROUNDS;
@@ -34,12 +34,12 @@ use std::collections::BTreeMap;
 use std::path::Path;
 use std::time::Instant;
 
-/// Patches on which the pointing of the images is looked at: one in the middle and one in each quarter.
+/// Patches on which the pointing of the images is estimated: one in the middle and one in each quarter.
 const PATCHES: [[f64; 2]; 5] = [[0.5, 0.5], [0.25, 0.25], [0.75, 0.75], [0.75, 0.25], [0.25, 0.75]];
 /// Cells each way of a patch at most.
 const PATCH_CELLS: f64 = 1000.0;
 
-/// What is swept, and into which file.
+/// A tiled sweep into a file.
 pub struct TiledSweep<'a> {
     /// How it is swept.
     pub config: &'a SatelliteConfig,
@@ -53,7 +53,7 @@ pub struct TiledSweep<'a> {
     pub geoid: Option<Geoid>,
 }
 
-/// What came of it.
+/// Summary of a tiled sweep.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Written {
     /// Tiles that were swept.
@@ -64,7 +64,7 @@ pub struct Written {
     pub wider_m: Option<(f64, f64)>,
 }
 
-/// What is decided once for all tiles.
+/// Decisions for all tiles.
 struct Decided {
     decisions: Decisions,
     matching: MatchingParameters,
@@ -83,7 +83,7 @@ impl TiledSweep<'_> {
     /// Sweeps all tiles and writes the surface model, whole or not at all.
     ///
     /// # Errors
-    /// When the scene is at fault, too few images show any of it, the file cannot be written, or the user stops it.
+    /// When the scene is invalid, too few images show any of it, the file cannot be written, or the user stops it.
     pub fn write(&self, out: &Path, session: &Session) -> Result<Written, SatelliteError> {
         let decided = self.decide()?;
         session.stop_gently();
@@ -142,7 +142,7 @@ impl TiledSweep<'_> {
             known += raster.plane(0).iter().filter(|z| z.is_finite()).count();
             file.write_rows(first, &raster)?;
         }
-        // What nobody knows is no file.
+        // Without any known cell no file is written.
         if known > 0 {
             file.finish()?;
         }
@@ -192,7 +192,7 @@ impl TiledSweep<'_> {
         }))
     }
 
-    /// Reads what shows a part of the ground; `None` where fewer than two images do.
+    /// Reads the images of a part of the ground; `None` where fewer than two show it.
     fn open(&self, part: &Area) -> Result<Option<Scene>, SatelliteError> {
         let _part = stage("read");
         let Survey { index, cut, .. } = self.survey;
@@ -204,7 +204,8 @@ impl TiledSweep<'_> {
         }
     }
 
-    /// The sweep of a tile: viewing directions are those in the middle of the whole, so that all tiles have the same height hypotheses.
+    /// The sweep of a tile: viewing directions are those in the middle of the whole, so that all tiles have the same
+    /// height hypotheses.
     fn request(&self, ground: &Ground, matching: MatchingParameters) -> PlaneSweepRequest {
         let whole = volume(&self.tiling.whole, ground.up_m, self.plan.cell_m);
         PlaneSweepRequest {
@@ -213,7 +214,7 @@ impl TiledSweep<'_> {
         }
     }
 
-    /// Decides what concerns all tiles, on patches all over the ground.
+    /// Makes the decisions for all tiles, on patches all over the ground.
     fn decide(&self) -> Result<Decided, SatelliteError> {
         let mut found: Option<(usize, Decisions, MatchingParameters)> = None;
         let mut told: BTreeMap<String, Vec<[f32; 2]>> = BTreeMap::new();
@@ -249,7 +250,7 @@ impl TiledSweep<'_> {
                         told.entry(image.name.clone()).or_default().push(shift);
                     }
                 }
-                Err(error) => tracing::debug!("ties of a patch do not tell: {error}"),
+                Err(error) => tracing::debug!("no pointing from the ties of a patch: {error}"),
             }
         }
         let Some((_, decisions, matching)) = found else {
@@ -268,7 +269,7 @@ impl TiledSweep<'_> {
         })
     }
 
-    /// The patches on which cameras are looked at, none larger than a tile.
+    /// The patches on which the pointing is estimated, none larger than a tile.
     fn patches(&self) -> impl Iterator<Item = Area> {
         let SweepTiling { whole, size, .. } = self.tiling;
         let (wide_m, high_m) = (whole.east_m - whole.west_m, whole.north_m - whole.south_m);

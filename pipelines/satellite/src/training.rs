@@ -32,8 +32,8 @@ use rayon::prelude::*;
 use std::fmt::Write;
 use std::path::Path;
 
-/// Trains a model of `scene` and writes its run: model, configuration, DSM, and where there is truth its errors. `ingest` is how the
-/// scene was read, which the run keeps.
+/// Trains a model of `scene` and writes its run: model, configuration, DSM, and where there is truth its errors.
+/// `ingest` is how the scene was read, which the run keeps.
 ///
 /// # Errors
 /// When a limit or a file of the scene is at fault, the user stops the training, or a file cannot be written.
@@ -146,7 +146,7 @@ pub fn train(
     })))
 }
 
-/// Writes the surface model and what changed, each with its picture: one file beside the other, since each takes one core to pack.
+/// Writes the surface model and the changes, each with its picture, in parallel, since packing a file uses one core.
 fn write_surfaces(out: &Path, surface: &Dsm, changes: Option<&ChangeMap>, gsd_m: f64) -> Result<(), RasterError> {
     let changed = |write: &dyn Fn(&ChangeMap) -> Result<(), RasterError>| changes.map_or(Ok(()), write);
     let files: [&(dyn Fn() -> Result<(), RasterError> + Sync); 4] = [
@@ -231,7 +231,7 @@ fn identity(
     Ok(text)
 }
 
-/// What the values of the image are whose colour is the model's.
+/// Values of the image whose colour is the model's.
 fn reference_values(scene: &Scene, fitted: &Fitted) -> Values {
     let name = fitted.images.get(fitted.model.options.reference);
     let image = scene.images.iter().find(|image| Some(&image.name) == name);

@@ -15,8 +15,8 @@ pub enum BiasModel {
 
 /// Offset of a camera's projections.
 ///
-/// With `u` and `v` the column and row from the image's centre in units of half its longer side: `col += shift_px[0] +
-/// slope_px[0][0] u + slope_px[0][1] v`, `row` likewise with the second entries.
+/// With `u` and `v` the column and row from the image's centre in units of half its longer side:
+/// `col += shift_px[0] + slope_px[0][0] u + slope_px[0][1] v`, `row` likewise with the second entries.
 #[derive(Debug, Clone, Copy, PartialEq, serde::Serialize, serde::Deserialize)]
 pub struct Correction {
     /// Columns and rows at the image's centre, pixels.

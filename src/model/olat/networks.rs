@@ -1,9 +1,9 @@
 //! The two small networks of the model: their inputs and the meaning of their outputs.
 //!
 //! The *scattering network* predicts distance, scattering and absorption of the dipole of [`crate::shade::dipole`]; the
-//! *shadow network* moves the logit of the traced transmittance (SSD-GS). Both read encoded vectors, `x, sin x, cos x,
-//! sin 2x, cos 2x` per component, and the material embedding of the Gaussian, six trained numbers that only the
-//! networks interpret.
+//! *shadow network* moves the logit of the traced transmittance (SSD-GS). Both read encoded vectors,
+//! `x, sin x, cos x, sin 2x, cos 2x` per component, and the material embedding of the Gaussian, six trained numbers
+//! that only the networks interpret.
 
 use super::surface::LightGeometry;
 use crate::gaussians::sigmoid;

@@ -27,8 +27,8 @@ struct TileState {
 vectorised! {
     // With AVX-512 the compiler gathers the sums over lanes, which takes a quarter more time (docs/lab/speed.md).
     up to Avx2;
-    /// Gradients of every splat of `list`: record `r` of the tile, whose first is `base`, fills `out[(r - base) * (K +
-    /// 9)..]`, channels first, then the nine geometric sums.
+    /// Gradients of every splat of `list`: record `r` of the tile, whose first is `base`, fills
+    /// `out[(r - base) * (K + 9)..]`, channels first, then the nine geometric sums.
     pub fn backward<const K: usize>(
         list: &[Entry],
         splats: &[Splat],

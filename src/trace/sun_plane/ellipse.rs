@@ -109,8 +109,8 @@ impl Ellipse {
         self.reach_square > 0.0
     }
 
-    /// `Pᵀ Aᵀ t`: gradient of half a squared distance to the place of the ray, in the scene, where `t = A (place -
-    /// centre)`.
+    /// `Pᵀ Aᵀ t`: gradient of half a squared distance to the place of the ray, in the scene, where
+    /// `t = A (place - centre)`.
     #[inline(always)]
     pub(super) fn in_scene(&self, axes: &Axes, t: Vec2) -> Vec3 {
         axes.in_scene(transposed_whitening(self.whiten, t.x, t.y).into())

@@ -1,4 +1,4 @@
-//! Adjusting the cameras of a whole scene: what comes of it, as text, as JSON, and as files.
+//! Camera adjustment of a whole scene, with its results as text, as JSON, and as files.
 
 use super::camera_error::{CameraError, camera_error};
 use super::vectors::{ImageVectors, image_vectors};
@@ -16,12 +16,12 @@ use std::fmt::Write;
 use std::path::Path;
 use std::time::Instant;
 
-/// What an adjustment is asked for, besides its scene.
+/// Options of an adjustment, besides its scene.
 #[derive(Debug, Clone, Copy)]
 pub struct AdjustRequest<'a> {
     /// Folder for the corrected cameras and `adjustment.json`, made where it is absent.
     pub out: &'a Path,
-    /// What may be wrong with a camera.
+    /// Error model of the cameras.
     pub model: BiasModel,
     /// Whether copies of the images with the corrected cameras are written too.
     pub images: bool,
@@ -35,7 +35,7 @@ pub struct AdjustedScene<'a> {
     pub adjustment: Adjustment,
     /// How far each image's corrected camera, fitted anew, is off at most, pixels.
     pub refit_px: Vec<f64>,
-    /// The error against truth, where the scene knows it.
+    /// The error against truth, where the scene has it.
     pub error: Option<CameraError>,
     /// Seconds that ties and adjustment took.
     pub seconds: f64,
@@ -87,7 +87,7 @@ pub fn adjust_scene<'a>(
 }
 
 impl AdjustedScene<'_> {
-    /// The residuals of every image, for a picture of them.
+    /// The residuals of every image, for a plot.
     pub fn vectors(&self) -> Vec<ImageVectors> {
         image_vectors(&self.ground, &self.adjustment)
     }

@@ -1,4 +1,4 @@
-//! The residuals of an adjustment, image by image, as far as a picture of them needs.
+//! The residuals of an adjustment, image by image, for a plot.
 
 use crate::ground::Ground;
 use heliosplat_rpc::adjust::{Adjustment, ImageResiduals, ResidualVector};

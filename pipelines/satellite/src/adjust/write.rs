@@ -1,4 +1,5 @@
-//! Corrected cameras as files: `_RPC.TXT` for most programs, a Sat-NeRF JSON, and copies of the images with the camera in them.
+//! Corrected cameras as files: `_RPC.TXT` for most programs, a Sat-NeRF JSON, and copies of the images with the camera
+//! in them.
 
 use super::AdjustRequest;
 use crate::error::SatelliteError;
@@ -47,11 +48,11 @@ pub(super) fn cameras(
     Ok(refit_px)
 }
 
-/// The image in Sat-NeRF's words: its own JSON with the corrected camera, or what the scene knows.
+/// The image's metadata in the form of Sat-NeRF: its own JSON with the corrected camera, or values from the scene.
 fn description(scene: &Scene, image: &SceneImage, rpc: &Rpc) -> Value {
     let own = heliosplat_raster::bounded::read_text(&image.path.with_extension("json")).ok();
     let own = own.and_then(|text| serde_json::from_str::<Value>(&text).ok());
-    // What was read of it may be a window.
+    // The pixels read may be a window of the file.
     let file = RasterFile::open(&image.path).map(|file| file.size());
     let (width, height) = file.unwrap_or((image.pixels.width, image.pixels.height));
     let mut json = own.filter(|own| own.get("rpc").is_some()).unwrap_or_else(|| {

@@ -3,7 +3,7 @@
 use heliosplat_scene::indices::VegetationIndex;
 use heliosplat_scene::{SceneImage, Values};
 
-/// Whether the images have a vegetation index, and of what.
+/// Availability and kind of the images' vegetation index.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum Index {
     /// Near infrared is missing, and not all of red, green and blue are there.
@@ -19,7 +19,7 @@ pub(super) enum Index {
 }
 
 impl Index {
-    /// What all of some images have.
+    /// The index that all images support.
     pub(super) fn of(images: &[&SceneImage]) -> Self {
         let of = |values: fn(&SceneImage) -> Option<VegetationIndex>| -> Option<Vec<VegetationIndex>> {
             images.iter().map(|image| values(image)).collect()
@@ -53,11 +53,11 @@ impl Index {
             Self::ForDisplay => {
                 "values are for display: their bands cannot be compared, and the sweep compares brightness alone"
             }
-            Self::Counts => "red and near infrared: leaves are told from pavement where both are as bright",
+            Self::Counts => "red and near infrared: separate leaves from pavement of equal brightness",
             Self::Reflectance => {
-                "reflectance of red and near infrared: leaves are told from pavement where both are as bright"
+                "reflectance of red and near infrared: separates leaves from pavement of equal brightness"
             }
-            Self::Green => "no near infrared in all images: leaves are told from pavement by excess green",
+            Self::Green => "no near infrared in all images: excess green separates leaves from pavement",
         }
     }
 }

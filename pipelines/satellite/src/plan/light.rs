@@ -1,4 +1,4 @@
-//! How a model is lit, as far as the suns of its images are known or their shadows tell, and why.
+//! Lighting of a model, from the suns of its images or their shadows, with reasons.
 
 use super::Facts;
 use heliosplat_radiometry::suns::ShadowSun;
@@ -13,8 +13,8 @@ const REMEDY: &str = "add acquisition times: .IMD, DIM_*.XML or .json files besi
 pub enum Light {
     /// By the suns that are known; images without one are rendered as lit everywhere, in a colour of their own.
     Known,
-    /// By the suns that are known, and of the other images by those that shadows on the swept surface tell; without any sun then, not at
-    /// all.
+    /// By the known suns, and for the other images by suns estimated from shadows on the swept surface; without any sun
+    /// then, not at all.
     FromShadows,
     /// Not at all: no sun is known, and each image has a colour of its own.
     LeftOut,
@@ -40,14 +40,14 @@ impl Facts {
             );
         }
         format!(
-            "no acquisition time and no sun angles are known of {} of {images} images: estimated from shadows when trained, and left out where these do not tell ({REMEDY})",
+            "{} of {images} images have no acquisition time and no sun angles: their suns are estimated from shadows in training, or left out where that fails ({REMEDY})",
             images - suns
         )
     }
 }
 
-/// Share of images with known suns from which on the others take no part in training: their shadows would be taken for ground
-/// (docs/lab/suns.md).
+/// Share of images with known suns from which on the others take no part in training: their shadows would be taken for
+/// ground (docs/lab/suns.md).
 const SHARE_KNOWN: f64 = 0.75;
 
 /// Whether images whose sun stays unknown take no part in training.
@@ -56,7 +56,7 @@ pub(super) fn only_known(suns: &[ImageSun]) -> bool {
     known < suns.len() && known as f64 >= SHARE_KNOWN * suns.len() as f64
 }
 
-/// What was said of the suns that were searched, in words.
+/// Result of the search for suns, in words.
 pub(super) fn search_in_words(suns: &[ImageSun], searched: &[Option<ShadowSun>]) -> String {
     let images = suns.len();
     let from_shadows = suns.iter().filter(|sun| sun.source == SunSource::Shadows);
