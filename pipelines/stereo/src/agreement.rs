@@ -12,7 +12,7 @@ use std::ops::Range;
 /// Views and the surface that they are resampled to.
 pub(super) struct OnSurface<'a> {
     pub(super) views: &'a [LevelView],
-    /// What each of them sees first.
+    /// First surface point that each of them sees.
     pub(super) hits: &'a [FirstHits],
     pub(super) grid: &'a Grid,
     /// One altitude per cell, metres.
@@ -44,7 +44,7 @@ impl DistanceSums {
 }
 
 impl OnSurface<'_> {
-    /// Resamples the views to some rows of the surface, which hides what lies behind it.
+    /// Resamples the views to some rows of the surface, with occlusion.
     pub(super) fn resample(&self, rows: Range<usize>) -> Resampled {
         let views = self.views.par_iter().zip(self.hits);
         Resampled {
@@ -115,7 +115,8 @@ impl Resampled {
         }
     }
 
-    /// Census distance of a pair at each cell, shares of the comparisons that differ; NaN where one of the two does not see it.
+    /// Census distance of a pair at each cell, shares of the comparisons that differ; NaN where one of the two does not
+    /// see it.
     pub(super) fn distance(&self, pair: &Pair) -> Vec<f32> {
         let cells = self.views[pair.a][0].as_ref().map_or(0, |plane| plane.darker.len());
         let mut sums = DistanceSums::new(cells);

@@ -1,12 +1,13 @@
-//! The census transform: which neighbours are darker than the centre (Zabih and Woodfill 1994).
+//! The census transform: bits that mark neighbours darker than the centre (Zabih and Woodfill 1994).
 //!
-//! It does not change under any monotone change of brightness, so exposure, haze and season move it little. Differences beyond a contrast
-//! limit are not compared, because they lie across the edge of a shadow or of another surface: the share of differing bits among those
-//! that both cells compare is the distance. The limit is that of the cell's own surroundings, so what else an image shows (sea, snow, deep
-//! shade) does not matter.
-//! Views of one date are compared by brightness itself too ([`compare_values`]).
+//! It is invariant to monotone changes of brightness, so exposure, haze and season hardly change it. Differences beyond
+//! a contrast limit are not compared, because they lie across the edge of a shadow or of another surface; the distance
+//! is the share of differing bits among those compared by both cells. The limit follows the contrast around the cell,
+//! so other parts of an image (sea, snow, deep shade) do not matter. Views of one date are also compared by brightness
+//! itself ([`compare_values`]).
 //!
-//! Thirty-two bits a cell and whole-number sums, so that eight cells are worked on together and the result does not depend on order.
+//! Thirty-two bits a cell and integer sums, so that eight cells are processed together and the result does not depend
+//! on order.
 
 use heliosplat::fast::{floor, number};
 use heliosplat::vectorised;
@@ -14,7 +15,8 @@ use std::cmp::Ordering;
 
 /// Cells from the centre to the edge of the window.
 pub(super) const RADIUS: usize = 2;
-/// Neighbours compared: those of the 5 × 5 window. Every other cell of 7 × 7 blurs edges more (docs/lab/plane-sweep.md).
+/// Neighbours compared: those of the 5 × 5 window. Every other cell of 7 × 7 blurs edges more
+/// (docs/lab/plane-sweep.md).
 pub(super) const COMPARISONS: u32 = 24;
 /// Set in [`Descriptors::darker`] where the window is not complete.
 pub(super) const INVALID: u32 = 1 << 31;
@@ -94,8 +96,9 @@ const fn offsets() -> [(isize, isize); COMPARISONS as usize] {
 const OFFSETS: [(isize, isize); COMPARISONS as usize] = offsets();
 
 vectorised! {
-    /// Descriptors of a block of `width × height` cells from their values, which reach [`RADIUS`] further on every side. Neighbours
-    /// are compared whose value is less than the cell's `limits` away from the cell's, and at least that times `noise`.
+    /// Descriptors of a block of `width × height` cells from their values, which reach [`RADIUS`] further on every
+    /// side. Neighbours are compared whose value is less than the cell's `limits` away from the cell's, and at least
+    /// that times `noise`.
     pub(super) fn describe(values: &[f32], width: usize, height: usize, limits: &[f32], noise: f32, out: &mut Descriptors) {
         let stride = width + 2 * RADIUS;
         for row in 0..height {
@@ -139,7 +142,8 @@ fn describe_row(values: &[f32], stride: usize, limits: &[f32], noise: f32, darke
     }
 }
 
-/// What is darker and what is compared around a group of cells; `values` begins at the upper left corner of the first window.
+/// Bits of darker and of compared neighbours for a group of cells; `values` begins at the upper left corner of the
+/// first window.
 #[inline(always)]
 fn describe_group(values: &[f32], stride: usize, limits: &[f32; LANES], noise: f32) -> [[u32; LANES]; 2] {
     if values.len() >= (SIDE - 1) * stride + REACH {
@@ -210,8 +214,8 @@ fn joined(bits: u32, row: usize) -> u32 {
 }
 
 vectorised! {
-    /// Adds to `sum` the weighted distance between two blocks of descriptors, cut off at `cut`, and to `weights` the weight,
-    /// where both are valid.
+    /// Adds to `sum` the weighted distance between two blocks of descriptors, cut off at `cut`, and to `weights` the
+    /// weight, where both are valid.
     pub(super) fn compare(a: &Descriptors, b: &Descriptors, weight: u32, cut: u32, sum: &mut [u32], weights: &mut [u32]) {
         let cells = sum.len();
         let (a_darker, a_compared) = (&a.darker[..cells], &a.compared[..cells]);
@@ -232,7 +236,8 @@ vectorised! {
 }
 
 vectorised! {
-    /// Values of a block of `width × height` cells, which reach [`RADIUS`] further on every side, less `middle`, in units of `unit`.
+    /// Values of a block of `width × height` cells, which reach [`RADIUS`] further on every side, less `middle`, in
+    /// units of `unit`.
     pub(super) fn store_values(values: &[f32], width: usize, height: usize, middle: f32, unit: f32, out: &mut Descriptors) {
         let stride = width + 2 * RADIUS;
         let inverse = 1.0 / unit;
@@ -247,8 +252,8 @@ vectorised! {
 }
 
 vectorised! {
-    /// Adds to `sum` the weighted difference between two blocks of values, `reach` and more being `cut`, and to `weights` the weight,
-    /// where the descriptors of both are valid.
+    /// Adds to `sum` the weighted difference between two blocks of values, `reach` and more being `cut`, and to
+    /// `weights` the weight, where the descriptors of both are valid.
     pub(super) fn compare_values(a: &Descriptors, b: &Descriptors, weight: u32, reach: f32, cut: u32, sum: &mut [u32], weights: &mut [u32]) {
         let cells = sum.len();
         let (a_darker, a_value) = (&a.darker[..cells], &a.value[..cells]);

@@ -1,17 +1,19 @@
-//! Change: which parts of a surface stand before or after a date only.
+//! Change detection: parts of a surface that exist only before or after a date.
 //!
-//! A surface is swept from the images before the first day on which the images can be divided, with at least two of them on either side, and
-//! one from those after the last such day, on coarse cells. Whatever the day of a change, the first shows the old state alone and the second
-//! the new one. Both and the surface of all images are hypotheses, for each of the days. A pair of images whose census distance on a surface is less
-//! than by chance speaks for that surface. With one surface all pairs speak for the same; with two, those before the day for one and
-//! those from it on for another, and the pairs across the day are left unexplained. So what never changed keeps its single surface as long
-//! as images across the day agree on it, and where something changed they agree on nothing and cost nothing to give up.
+//! One surface is swept from the images before the first day that divides them with at least two images on either side,
+//! and one from those after the last such day, on coarse cells. Whatever the day of a change, the first has only the
+//! old state and the second only the new one. Both and the surface of all images are hypotheses, for each of the days.
+//! A pair of images supports a surface when its census distance there is below that by chance. With one surface all
+//! pairs support the same; with two, the pairs before the day support one and the pairs from it on the other, and pairs
+//! across the day are unused. Unchanged ground therefore keeps its single surface as long as images across the day
+//! agree on it; where something changed they do not agree, and leaving them out costs nothing.
 //!
-//! Cells where two explain more than one are joined to segments, each segment gets the day that explains it best, the shadows around it
-//! say on which dates the old state stands and on which the new one, and it is accepted by the Bayesian information criterion.
+//! Cells better explained by two surfaces are joined to segments, and each segment gets the day that explains it best.
+//! The shadows around it measure the dates of the old and of the new state, and the Bayesian information criterion
+//! accepts or rejects it.
 //!
-//! Limits: what stood between two dates only is seen as one of its two changes; a side with fewer than two images has no surface of its
-//! own, so what changed before the second or after the last but one image cannot be told.
+//! Limits: a structure that exists only between two dates is found as one of its two changes. A side with fewer than
+//! two images has no surface of its own, so changes before the second or after the last but one image are not found.
 
 mod segments;
 
@@ -41,25 +43,25 @@ const COARSE: usize = 2;
 const FEWEST_IMAGES: usize = 2;
 /// Days at most on which images are divided: the memory of the search grows with them.
 const MOST_DAYS: usize = 12;
-/// A point this far below what its view sees first is hidden, metres.
+/// A point this far below the first surface point on its ray is hidden, metres.
 const HIDDEN_M: f32 = 1.5;
 /// Metres above the surface at which images agree by chance alone.
 const CHANCE_M: f32 = 7.0;
-/// Census distance by chance where no cell tells.
+/// Default census distance by chance, where no cell measures it.
 const CHANCE: f32 = 0.4;
 /// Rows whose agreement is summed at once.
 const BLOCK_ROWS: usize = 32;
 /// Half of the window over which agreement is averaged, coarse cells.
 const WINDOW: usize = 2;
-/// Ground around segments that is swept with them, metres: as far as what stands there hides and shades.
+/// Ground around segments that is swept with them, metres: the reach of their occlusion and shadows.
 const AROUND_M: f32 = 24.0;
 /// Fine cells by which a coarse segment may be too small.
 const GROWN_CELLS: usize = 2;
 /// Least difference of the two surfaces in a cell of a segment, metres.
 const LEAST_M: f32 = 1.5;
-/// The same beside a coarse segment, as a share of its difference.
+/// The same next to a coarse segment, as a share of its difference.
 const LEAST_SHARE: f32 = 0.6;
-/// Share of the images that show a place where change is told.
+/// Share of the images that must show a place for change detection.
 const SHOWN: f32 = 0.8;
 /// A fine surface that is further than this from the coarse hypothesis is not the one that was accepted, metres.
 const SAME_M: f32 = 2.0;
@@ -79,7 +81,7 @@ pub struct Segment {
     pub confidence: f32,
 }
 
-/// What changed of a surface, on the surface's own cells.
+/// Changes of a surface, on the surface's own cells.
 #[derive(Debug, Clone, PartialEq, Default, serde::Serialize, serde::Deserialize)]
 pub struct Changes {
     /// The parts that changed.
@@ -88,7 +90,7 @@ pub struct Changes {
     pub label: Vec<u32>,
     /// Altitude of each cell before it changed, metres; that of the last state where nothing did.
     pub before_m: Vec<f32>,
-    /// Days on which images could be divided, days since 1970; empty where change cannot be told.
+    /// Days that divide the images, days since 1970; empty where changes cannot be detected.
     pub days: Vec<i32>,
 }
 
@@ -100,7 +102,7 @@ impl Changes {
     }
 }
 
-/// What one day says of each coarse cell.
+/// Support of the hypotheses for one day, on each coarse cell.
 struct Split {
     day: i32,
     /// Agreement of one surface for all, in agreeing pairs.
@@ -109,11 +111,12 @@ struct Split {
     sides: [Side; 2],
 }
 
-/// Divides `surface`, which was swept from all `views`, in what stands before and after a day where the images ask for it; `days` are those
-/// of the views, days since 1970. Where anything changed `surface` becomes that of the last day.
+/// Divides `surface`, which was swept from all `views`, into the states before and after a day where the images support
+/// that; `days` are those of the views, days since 1970. With changes, `surface` becomes that of the last day.
 ///
-/// `by_shadows` is given the cells on which change is searched and the altitudes of the surface there, metres; its answer is how much more
-/// likely two states make the shadows around a segment than one, a logarithm, `None` where no date shows ground that tells.
+/// `by_shadows` receives the searched cells and the altitudes of the surface there, metres; it returns the
+/// log-likelihood ratio of two states to one from the shadows around a segment, `None` where no date shows decisive
+/// ground.
 pub fn find<L: Fn(&States) -> Option<f32>>(
     views: &[SweepView],
     days: &[i32],
@@ -129,7 +132,7 @@ pub fn find<L: Fn(&States) -> Option<f32>>(
     coarse.volume.cell_m *= COARSE as f32;
     let grid = coarse.grid();
     let splits = splits(views, days, &candidates, &coarse, surface);
-    // Measured only if a candidate asks for it.
+    // Measured only if a candidate needs it.
     let by_shadows = LazyCell::new(|| by_shadows(&grid, &on_grid(&grid, surface)));
     let found = segments::find(&grid, &splits, &shown(views, &grid, surface), &|states: &States| {
         by_shadows(states)
@@ -168,7 +171,8 @@ pub fn find<L: Fn(&States) -> Option<f32>>(
 }
 
 impl Changes {
-    /// Adds a segment on the cells of `surface`: those around it where the surfaces of the two `sides` differ as it does.
+    /// Adds a segment on the cells of `surface`: those around it where the surfaces of the two `sides` differ as it
+    /// does.
     fn refine(&mut self, segment: &CoarseSegment, grid: &Grid, sides: &[Surface; 2], surface: &mut Surface) {
         let label = self.segments.len() as u32 + 1;
         let width = surface.width;
@@ -216,7 +220,8 @@ impl Changes {
     }
 }
 
-/// The fine cells of a coarse segment and beside it, with the altitudes before and after of the coarse cell that each lies in or next to.
+/// The fine cells in and next to a coarse segment, with the altitudes before and after of the coarse cell that each is
+/// in or next to.
 fn fine_cells(segment: &CoarseSegment, grid: &Grid, surface: &Surface) -> BTreeMap<usize, [f32; 2]> {
     let mut found = BTreeMap::new();
     for (&cell, &altitudes_m) in segment.cells.iter().zip(&segment.altitudes_m) {
@@ -243,7 +248,8 @@ struct Update {
 }
 
 impl Update {
-    /// Of the surfaces of the two `sides` at a cell whose coarse altitudes are `hypothesis_m`; `None` where they do not differ as the segment does.
+    /// Of the surfaces of the two `sides` at a cell whose coarse altitudes are `hypothesis_m`; `None` where they do not
+    /// differ as the segment does.
     fn of(
         cell: usize,
         hypothesis_m: [f32; 2],
@@ -325,7 +331,7 @@ fn splits(
     splits
 }
 
-/// What `look` says of views on a surface of one altitude per cell, metres, which hides what lies behind it.
+/// Result of `look` for views on a surface of one altitude per cell, metres, with occlusion.
 fn on_surface<T>(
     views: &[LevelView],
     grid: &Grid,
@@ -351,8 +357,8 @@ fn span(pair: &Pair, days: &[i32], candidates: &[i32]) -> [usize; 2] {
     [a.min(b), a.max(b)]
 }
 
-/// For each of `days` days, the agreement beyond chance of the pairs before, from it on, and across it: mean over the window, in agreeing
-/// pairs.
+/// For each of `days` days, the agreement beyond chance of the pairs before, from it on, and across it: mean over the
+/// window, in agreeing pairs.
 fn agreement(
     surface: &OnSurface,
     pairs: &[Pair],
@@ -368,7 +374,7 @@ fn agreement(
             let mut sums = SumsOfDays::new(days, rows.len() * grid.width);
             let resampled = surface.resample(rows);
             for ((pair, chance), span) in pairs.iter().zip(by_chance).zip(spans) {
-                // What one of the two does not see says nothing.
+                // Cells hidden from one of the two have no evidence.
                 let gain = |distance: f32| match distance.is_finite() {
                     true => pair.share() * (chance - distance),
                     false => 0.0,
@@ -385,8 +391,9 @@ fn agreement(
     (0..days).map(|day| [0, 1, 2].map(|at| place(day, at))).collect()
 }
 
-/// Sums over pairs, cell by cell, for each day: of those before it, from it on, and across it. Each pair is added twice, however many days
-/// there are. A pair is from the first `span[0]` days on, across those up to `span[1]`, and before the others.
+/// Sums over pairs, cell by cell, for each day: of those before it, from it on, and across it. Each pair is added
+/// twice, however many days there are. A pair is from the first `span[0]` days on, across those up to `span[1]`, and
+/// before the others.
 struct SumsOfDays {
     cells: usize,
     /// Sums of the pairs by the first number of their spans, and by the second.
@@ -481,7 +488,7 @@ fn side<'a>(views: &[SweepView<'a>], days: &[i32], day: i32, after: bool) -> Vec
     sides.map(|(view, _)| *view).collect()
 }
 
-/// The request with the matching that some of the views ask for.
+/// The request with the matching parameters for a subset of the views.
 fn matched_as(views: &[SweepView], request: &PlaneSweepRequest) -> PlaneSweepRequest {
     let geometries: Vec<ViewGeometry> = views.iter().map(SweepView::geometry).collect();
     let has_index = views.iter().all(|view| view.index.is_some());
@@ -492,7 +499,7 @@ fn matched_as(views: &[SweepView], request: &PlaneSweepRequest) -> PlaneSweepReq
     }
 }
 
-/// The part of a volume that holds some segments and what is around them.
+/// The part of a volume that contains some segments and their surroundings.
 fn around(volume: &SearchVolume, grid: &Grid, segments: &[&CoarseSegment]) -> SearchVolume {
     let cells = || segments.iter().flat_map(|segment| &segment.cells);
     let column = |cell: &usize| cell % grid.width;
@@ -565,7 +572,8 @@ mod tests {
         }
     }
 
-    /// Changes of a surface of `side` cells each way before any segment, its sides six metres apart, and the coarse grid.
+    /// Changes of a surface of `side` cells each way before any segment, its sides six metres apart, and the coarse
+    /// grid.
     fn unchanged(side: usize) -> (Changes, Surface, [Surface; 2], Grid) {
         let surface = level(side, 0.0);
         let grid = Grid {
@@ -600,7 +608,8 @@ mod tests {
     fn segments_of_a_large_surface_take_the_cells_beside_them_once() {
         const SIDE: usize = 1024;
         let (mut changes, mut surface, sides, grid) = unchanged(SIDE);
-        // Houses of two coarse cells, four coarse cells from one to the next, so that each may grow by its two fine cells.
+        // Houses of two coarse cells, four coarse cells from one to the next, so that each may grow by its two fine
+        // cells.
         let places: Vec<usize> = (0..100 * 100)
             .map(|i| (i / 100 * 5 + 2) * grid.width + i % 100 * 5 + 2)
             .collect();

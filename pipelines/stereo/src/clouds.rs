@@ -1,11 +1,12 @@
 //! Clouds: pixels of one view that are brighter than the ground in the sun, in every band and over metres.
 //!
-//! The views are laid on the surface of a coarse search, band by band, and brought to one scale (`brightness`). What the brightest of the
-//! other views agree on is the ground in the sun: shadows, fallen leaves and haze are darker, a cloud is brighter. The plane sweep needs
-//! no such masks, since it compares views in pairs; but a model trained on clouded pixels has wrong colours and heights there.
+//! The views are orthorectified on the surface of a coarse search, band by band, and brought to one scale
+//! (`brightness`). The brightest of the other views give the sunlit ground: shadows, fallen leaves and haze are darker,
+//! a cloud is brighter. The plane sweep needs no such masks, since it compares views in pairs; but a model trained on
+//! clouded pixels has wrong colours and heights there.
 //!
-//! Limits: the shadow of a cloud looks like any other shadow, and snow on one date like a cloud. The thresholds were chosen on synthetic
-//! clouds of 15 to 60 m over cells of half a metre.
+//! Limits: the shadow of a cloud looks like any other shadow, and snow on one date like a cloud. The thresholds were
+//! chosen on synthetic clouds of 15 to 60 m over cells of half a metre.
 
 mod brightness;
 
@@ -18,7 +19,7 @@ use super::views::SweepView;
 use heliosplat_grid::Grid;
 use rayon::prelude::*;
 
-/// Least number of views: fewer cannot say which of them is right.
+/// Least number of views: with fewer the outlier cannot be identified.
 pub const FEWEST_VIEWS: usize = 5;
 /// Cells of the request per cell of the surface that the views are laid on: clouds need no more detail.
 const FACTOR: usize = 2;
@@ -26,18 +27,19 @@ const FACTOR: usize = 2;
 const MEDIAN_RADIUS: usize = 2;
 /// Half of the window over which a cloud must be brighter, metres: wider than a car.
 const WINDOW_M: f32 = 2.25;
-/// How much brighter than the ground in the sun a cloud is at least, relative to the mean of that ground and the view's median; bright
-/// roofs differ by less.
+/// Least excess brightness of a cloud over the sunlit ground, relative to the mean of that ground and the view's
+/// median; bright roofs differ by less.
 const BRIGHTER: f32 = 0.4;
-/// Least area of a cloud, square metres: smaller patches are cars, or roofs that the coarse surface has in the wrong place.
+/// Least area of a cloud, square metres: smaller patches are cars, or roofs that the coarse surface has in the wrong
+/// place.
 const LEAST_M2: f32 = 64.0;
 /// Margin around a cloud, metres: its soft edge is masked too.
 const EDGE_M: f32 = 4.0;
 /// A point counts as hidden when it lies this many height steps below the surface that its view sees first.
 const HIDDEN_STEPS: f32 = 2.0;
 
-/// The pixels of each view that show a cloud, `[row][column]`; none with fewer than [`FEWEST_VIEWS`] views. Cameras may be off by some
-/// pixels.
+/// The pixels of each view that show a cloud, `[row][column]`; none with fewer than [`FEWEST_VIEWS`] views. Cameras may
+/// be off by some pixels.
 pub fn find_clouds(views: &[SweepView], request: &PlaneSweepRequest) -> Vec<Vec<bool>> {
     let mut masks: Vec<Vec<bool>> = views.iter().map(|view| vec![false; view.image.plane_len()]).collect();
     let search = Search::new(views, request);
@@ -50,7 +52,8 @@ pub fn find_clouds(views: &[SweepView], request: &PlaneSweepRequest) -> Vec<Vec<
     let grid = found.grid;
     let altitude = ortho::median(&grid, &found.altitude(), MEDIAN_RADIUS);
     let mut excess = brightness::excess(views, &search, &grid, &altitude, HIDDEN_STEPS * found.step_m);
-    // Glitter on water is brighter than what other views show too, and no cloud: where nothing matches there is no ground to compare with.
+    // Glitter on water is brighter than in other views too, and no cloud: unmatched cells have no ground to compare
+    // with.
     let judged = LevelSurface {
         search: &search,
         factor: FACTOR,
@@ -92,7 +95,7 @@ fn paint(view: &SweepView, grid: &Grid, cell: usize, altitude_m: f32, mask: &mut
     let (col, row, _) = view.camera.project(p);
     let reach = EDGE_M / view.geometry().ground_sampling_m(p);
     let (width, height) = (view.image.width, view.image.height);
-    // `as` saturates: what lies before the image begins at its first pixel.
+    // `as` saturates: a range that begins before the image is cut at its first pixel.
     let span = |at: f32, size: usize| ((at - reach).round() as usize)..((at + reach).round() as usize + 1).min(size);
     for row in span(row, height) {
         for col in span(col, width) {
@@ -110,8 +113,8 @@ mod tests {
 
     const SIDE_PX: usize = 128;
 
-    /// Level ground in patches of grey, half a metre to a pixel, under a haze of its own; `seen` changes what is seen at a column and
-    /// row.
+    /// Level ground in patches of grey, half a metre to a pixel, with its own haze; `seen` changes the value at a
+    /// column and row.
     fn ground(number: usize, seen: impl Fn(usize, usize, f32) -> f32) -> Raster {
         let mut image = Raster::filled(SIDE_PX, SIDE_PX, 2, 0.0);
         for (i, value) in image.values.iter_mut().enumerate() {
@@ -124,7 +127,7 @@ mod tests {
         image
     }
 
-    /// An image seen along its own slant, so that altitudes can be told.
+    /// An image with its own viewing angle, so that altitudes can be matched.
     fn view(number: usize, image: &Raster) -> SweepView<'_> {
         let (middle, lean) = (SIDE_PX as f64 / 2.0 - 0.5, 0.3 * (number as f64 - 2.0));
         let camera = ProjectiveCamera::new(

@@ -1,8 +1,10 @@
-//! The contrast of an image: the median absolute difference between neighbouring pixels, of all of it and around each pixel.
+//! The contrast of an image: the median absolute difference between neighbouring pixels, of all of it and around each
+//! pixel.
 //!
-//! Contrast differs within an image by far more than between images: shade has a fraction of that of sunlit ground, sea and snow have
-//! next to none. So differences are measured in the contrast of what is around them. Pairs of equal pixels do not count, because images of
-//! few grey levels (8-bit, compressed, enlarged) are full of them and would have no contrast at all.
+//! Contrast differs within an image by far more than between images: shade has a fraction of that of sunlit ground, sea
+//! and snow have next to none. So differences are measured in units of the contrast around them. Pairs of equal pixels
+//! do not count, because images of few grey levels (8-bit, compressed, enlarged) are full of them and would have no
+//! contrast at all.
 
 use heliosplat::Raster;
 use heliosplat_grid::statistics::{upper_median, upper_quantile};
@@ -12,10 +14,11 @@ use rayon::prelude::*;
 const STEP: usize = 16;
 /// Half the side of a tile, pixels: neighbouring tiles overlap by half.
 const HALF: usize = 16;
-/// Tiles on each side among which a tile's contrast is that of the brighter lit ones: 9 × 9 tiles are some 140 pixels across.
+/// Tiles on each side among which a tile's contrast is that of the brighter lit ones: 9 × 9 tiles are some 140 pixels
+/// across.
 const REACH: usize = 4;
-/// Share of the tiles around that have no more contrast. Shade has a fraction of the contrast of the ground beside it, and an edge in it
-/// is no shadow's edge for being stronger than what is around.
+/// Share of the surrounding tiles with no more contrast. Shade has a fraction of the contrast of the ground next to it,
+/// and an edge in shade must not pass for the edge of a shadow because it exceeds its surroundings.
 const BRIGHTER: f64 = 0.75;
 /// Fewest differences that make a tile's contrast.
 const FEWEST: usize = 64;
@@ -27,8 +30,8 @@ pub(super) fn whole(image: &Raster) -> f32 {
     upper_median(&mut differences).unwrap_or(0.0)
 }
 
-/// The same around each pixel: that of tiles, or of their better lit neighbours, interpolated between their middles. Tiles with few
-/// differences have that of the whole image.
+/// The same around each pixel: that of tiles, or of their better lit neighbours, interpolated between their middles.
+/// Tiles with few differences have that of the whole image.
 pub(super) fn local(image: &Raster) -> Vec<f32> {
     let tiles = Tiles::new(image);
     (0..image.values.len())
@@ -121,7 +124,7 @@ mod tests {
         }
         let at = |col: usize| coast[SIDE / 2 * SIDE + col];
         assert!(at(SIDE - 20) < 0.01 * at(40));
-        // Shade beside sunlit ground has the contrast of that ground.
+        // Shade next to sunlit ground gets the contrast of that ground.
         assert!(at(SIDE / 2 + 4) > 0.9 * at(40));
     }
 

@@ -1,11 +1,12 @@
-//! The matching cost of each cell at each height: how badly the views agree there.
+//! The matching cost of each cell at each height: the disagreement of the views.
 //!
-//! All views are sampled on a plane at the altitude of a hypothesis; pairs of them are compared by the census transform of brightness
-//! (and of the index), views of one date by brightness itself. Each comparison is truncated, so a view that is hidden or has changed is
-//! no worse than no match at all; the no-match cost keeps heights that few views see from winning by chance. The weighted mean is then
-//! averaged over the aggregation window.
+//! All views are sampled on a plane at the altitude of a hypothesis; pairs of them are compared by the census transform
+//! of brightness (and of the index), views of one date by brightness itself. Each comparison is truncated, so that a
+//! hidden or changed view costs no more than no match; the no-match cost keeps heights visible in few views from
+//! winning by chance. The weighted mean is then averaged over the aggregation window.
 //!
-//! Cells are worked on in blocks that fit the cache, blocks in parallel; integer sums keep the result independent of threads.
+//! Cells are processed in blocks that fit the cache, blocks in parallel; integer sums keep the result independent of
+//! threads.
 
 mod block;
 mod no_match;
@@ -23,16 +24,17 @@ use heliosplat_grid::Grid;
 use rayon::prelude::*;
 use std::collections::BTreeMap;
 
-/// Census distances beyond this share of the comparisons are truncated: they say "no match" and no more.
+/// Census distances are truncated at this share of the comparisons: beyond it there is no match.
 const TRUNCATION: f32 = 0.36;
-/// Differences of brightness within a date at which they are truncated too, in median differences between neighbours (docs/lab/plane-sweep.md).
+/// Differences of brightness within a date at which they are truncated too, in median differences between neighbours
+/// (docs/lab/plane-sweep.md).
 const VALUE_TRUNCATION: f32 = 4.0;
 
-/// Differences from here on lie across the edge of a shadow or of another surface, in median differences between the neighbours around
-/// (docs/lab/plane-sweep.md).
+/// Differences from here on lie across the edge of a shadow or of another surface, in median differences between the
+/// neighbours around (docs/lab/plane-sweep.md).
 pub(super) const CONTRAST_LIMIT: f32 = 8.0;
 
-/// What is compared, and where.
+/// Input of the matching cost on one level.
 pub(super) struct MatchingCost<'a> {
     pub(super) grid: Grid,
     pub(super) heights: HeightHypotheses,
@@ -41,7 +43,7 @@ pub(super) struct MatchingCost<'a> {
     pub(super) parameters: &'a MatchingParameters,
     /// Weight of a comparison of index planes; `None` where they are not compared.
     pub(super) index_weight: Option<f32>,
-    /// What each view sees first, where a surface is known already.
+    /// First surface points of each view, where a surface is known already.
     pub(super) hits: Option<&'a [FirstHits]>,
 }
 
@@ -108,8 +110,8 @@ impl MatchingCost<'_> {
         }
     }
 
-    /// The levels that some cell of a block searches, each with the smallest part of the block that holds those cells: between the ground
-    /// and the roofs there is often none, and then nothing need be compared.
+    /// The levels that some cell of a block searches, each with the smallest part of the block that holds those cells:
+    /// between the ground and the roofs there is often none, and then nothing need be compared.
     fn parts(&self, block: &Block, ranges: &SearchRanges) -> impl Iterator<Item = (usize, Block)> {
         let mut parts: BTreeMap<usize, Block> = BTreeMap::new();
         for row in block.row0..block.row1 {
@@ -245,7 +247,8 @@ impl MatchingCost<'_> {
     }
 }
 
-/// The largest differences that the census compares at the cells of a block: so many contrasts of what is around each.
+/// The largest differences that the census compares at the cells of a block: multiples of the contrast around each
+/// cell.
 fn contrast_limits(plane: &PixelPlane, places: &Places, block: &WideBlock, limits: &mut [f32]) {
     let columns = block.width + 2 * RADIUS;
     for (row, limits) in limits.chunks_mut(block.width).enumerate() {

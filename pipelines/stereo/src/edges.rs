@@ -1,9 +1,9 @@
-//! Edges of what stands are placed where the views change.
+//! Edges of structures are placed where the views change.
 //!
-//! Windows of matching reach over the edge of a roof, so that matched edges lie up to a cell beside the true ones. Views tell more: along a
-//! line across the edge, at the altitude of the roof, each of them changes from the roof to what it shows behind it, and all of them at the
-//! same place. Shadows and façades change the views at other places, which differ from view to view. So the edge lies where the median of
-//! the views changes most, judged together along the edge (docs/lab/edges.md).
+//! Windows of matching reach over the edge of a roof, so that matched edges are up to a cell off. Along a line across
+//! the edge, at the altitude of the roof, every view changes from the roof to its own background at the same place.
+//! Shadows and façades change the views at other places, which differ from view to view. So the edge is where the
+//! median change of the views is largest, summed along the edge (docs/lab/edges.md).
 
 use super::level::LevelView;
 use glam::{Vec2, Vec3};
@@ -25,7 +25,7 @@ const PITCH_CELLS: f32 = 0.25;
 const WINDOW_CELLS: usize = 5;
 /// Standard deviation of the weights in that window, cells.
 const WINDOW_SIGMA_CELLS: f32 = 2.0;
-/// Edges no further apart than this are judged together, cells.
+/// Edges no further apart than this are combined, cells.
 const TOGETHER_CELLS: f32 = 4.0;
 /// And of directions that differ by less than the angle of this cosine.
 const SAME_DIRECTION: f32 = 0.9;
@@ -33,7 +33,7 @@ const SAME_DIRECTION: f32 = 0.9;
 const SAME_TOP_M: f32 = 1.0;
 /// Standard deviation of true edges about matched ones, cells (docs/lab/edges.md).
 const SIGMA_CELLS: f32 = 1.4;
-/// Fewest views that tell where an edge is: of two the median is one of them.
+/// Fewest views for an edge: the median of two would be one of them.
 const FEWEST_TELLING: usize = 3;
 /// Cells further from any edge than this stay on their side, cells.
 const REACH_CELLS: f32 = 3.0;
@@ -53,7 +53,7 @@ impl Edge {
         (self.upper_m + self.lower_m) / 2.0
     }
 
-    /// Whether two are of one edge, so that they are judged together.
+    /// Whether two belong to one edge, so that their profiles are combined.
     fn same_edge_as(&self, other: &Edge) -> bool {
         self.at.distance_squared(other.at) <= TOGETHER_CELLS * TOGETHER_CELLS
             && self.outward.dot(other.outward) >= SAME_DIRECTION
@@ -61,11 +61,12 @@ impl Edge {
     }
 }
 
-/// How much views change at each place of a profile, in units of the mean along it.
+/// Change of the views at each place of a profile, in units of the mean along it.
 type Profile = [f32; PROFILE];
 
-/// Moves the edges of a surface to where the views change: cells between the matched and the true edge take the altitude of the other side.
-/// `step_m` is the step of the height hypotheses, metres. Moved cells keep the deviation of their match, which says that they are in doubt.
+/// Moves the edges of a surface to where the views change: cells between the matched and the true edge take the
+/// altitude of the other side. `step_m` is the step of the height hypotheses, metres. Moved cells keep the large
+/// deviation of their match.
 pub(super) fn place(grid: &Grid, views: &[LevelView], altitude: &mut [f32], step_m: f32) {
     if views.len() < FEWEST_TELLING {
         return;
@@ -121,7 +122,7 @@ fn centre(grid: &Grid, cell: usize) -> Vec2 {
     Vec2::new((cell % grid.width) as f32 + 0.5, (cell / grid.width) as f32 + 0.5)
 }
 
-/// The direction away from what is above `middle_m` metres around a cell; `None` where that lies on all sides alike.
+/// The direction away from the cells above `middle_m` metres around a cell; `None` where they surround it evenly.
 fn outward(grid: &Grid, altitude: &[f32], cell: usize, at: Vec2, middle_m: f32) -> Option<Vec2> {
     let above = grid
         .around(cell, WINDOW_CELLS)
@@ -133,7 +134,7 @@ fn outward(grid: &Grid, altitude: &[f32], cell: usize, at: Vec2, middle_m: f32) 
     weighted.sum::<Vec2>().try_normalize()
 }
 
-/// How much the views change along the line across an edge, at the altitude of its upper side: the median over them.
+/// Change of the views along the line across an edge, at the altitude of its upper side: the median over them.
 fn profile(grid: &Grid, views: &[LevelView], edge: &Edge) -> Profile {
     let along = |k: usize| {
         let at = edge.at + (k as f32 - (PLACES + 1) as f32) * PITCH_CELLS * edge.outward;
@@ -150,7 +151,7 @@ fn profile(grid: &Grid, views: &[LevelView], edge: &Edge) -> Profile {
         });
         let changes: Profile = std::array::from_fn(|k| (values[k + 2] - values[k]).abs());
         let mean = changes.iter().sum::<f32>() / PROFILE as f32;
-        // A view that does not show all of the line, or nothing along it, tells nothing.
+        // A view that shows only a part of the line, or no change along it, is ignored.
         (mean.is_finite() && mean > 0.0).then(|| changes.map(|change| change / mean))
     };
     let changes: Vec<Profile> = views.iter().filter_map(of_view).collect();
@@ -217,7 +218,8 @@ fn offset_cells(edges: &[Edge], profiles: &[Profile], near: &Near, number: usize
     away(best.unwrap_or(PLACES))
 }
 
-/// The altitude of the other side of the nearest edge, for a cell that lies there; `None` for one that lies where it should.
+/// The altitude of the other side of the nearest edge, for a cell that lies there; `None` for one that lies where it
+/// should.
 fn other_side(
     grid: &Grid,
     altitude: &[f32],
@@ -252,7 +254,8 @@ mod tests {
     /// Column at which the true roof ends.
     const TRUE_EDGE: f32 = 24.0;
 
-    /// Views whose rays move east by so much per metre of altitude, of a bright roof in the west over ground of stripes.
+    /// Views whose rays move east by so much per metre of altitude, of a bright roof in the west over ground of
+    /// stripes.
     fn rasters(contrast: f32) -> Vec<(ProjectiveCamera, Raster)> {
         let half = SIDE as f64 / 2.0;
         let of_lean = |lean: f32| {

@@ -1,15 +1,17 @@
-//! Whether the views agree at a cell's altitude better than they would by chance.
+//! Evidence that the views agree at a cell's altitude better than by chance.
 //!
-//! Semi-global matching gives every cell an altitude, and over open water a smooth one that looks sure of itself. How well views agree by
-//! chance is measured on the same cells: one view's census neighbourhoods are rotated by 90 degrees, so that brightness, contrast and
-//! the number of views stay as they are and only the pattern is another. The share by which the distance of the true patterns is less
-//! is the evidence, over a window of some cells each way. It is nothing over water, whatever the number of views, and a quarter on land.
-//! Lawns without texture in cells as fine may have some in cells twice as wide: the larger evidence of the two counts.
+//! Semi-global matching gives every cell an altitude, and over open water a smooth one with a small deviation. The
+//! agreement by chance is measured on the same cells: one view's census neighbourhoods are rotated by 90 degrees, so
+//! that brightness, contrast and the number of views stay and only the pattern differs. The share by which the distance
+//! of the true patterns is less is the evidence, over a window of some cells each way. It is zero over water, whatever
+//! the number of views, and a quarter on land. Lawns without texture at one cell size may have some at twice that size:
+//! the larger evidence of the two counts.
 //!
-//! Of two or three views a few comparisons decide, and the search has found the altitude at which these happen to agree: more is asked of them.
+//! Of two or three views a few comparisons decide, and the search has selected the altitude at which these happen to
+//! agree, so the threshold is higher.
 //!
-//! Limits: matches that are wrong in the same way in all views pass, and patches smaller than the window are judged with their
-//! surroundings.
+//! Limits: matches that are wrong in the same way in all views pass, and patches smaller than the window share the
+//! evidence of their surroundings.
 
 use super::agreement::{DistanceSums, OnSurface};
 use super::cost::CONTRAST_LIMIT;
@@ -23,15 +25,15 @@ use rayon::prelude::*;
 
 /// Half of the window, cells of the surface.
 const WINDOW_CELLS: usize = 8;
-/// Cells of the surface, each way, in one of the coarser level that is judged too.
+/// Cells of the surface, each way, in one of the coarser level that is tested too.
 const COARSER: usize = 2;
-/// What evidence on the coarser level is worth, where the same window holds a quarter of the comparisons.
+/// Factor on evidence of the coarser level, where the same window has a quarter of the comparisons.
 const COARSER_WORTH: f32 = 0.8;
-/// Rows that are resampled together: what all views show on them is in memory at a time.
+/// Rows that are resampled together: the samples of all views on them are in memory at a time.
 const STRIP_ROWS: usize = 64;
 /// Least evidence of a match, however many pairs of views compare it (docs/lab/known.md).
 pub(super) const LEAST_EVIDENCE: f32 = 0.08;
-/// The same that a single pair needs beside it; of more pairs, chance leaves the search less.
+/// Additional evidence required of a single pair; with more pairs the search exploits chance less.
 const LEAST_EVIDENCE_OF_PAIR: f32 = 0.12;
 
 /// A surface on the cells of one level of the search.
@@ -41,13 +43,13 @@ pub(super) struct LevelSurface<'a> {
     pub(super) factor: usize,
     pub(super) grid: Grid,
     pub(super) altitude_m: &'a [f32],
-    /// A view does not see what lies this far below what it sees first, metres.
+    /// A point this far below the first surface point of a view is hidden from it, metres.
     pub(super) tolerance_m: f32,
 }
 
 impl LevelSurface<'_> {
-    /// How much better the views agree at each cell than by chance: 0 where they do not, 1 for a perfect match; NaN where less than half of a
-    /// window is compared.
+    /// Excess of the agreement of the views at each cell over chance: 0 for none, 1 for a perfect match; NaN where less
+    /// than half of a window is compared.
     pub(super) fn evidence(&self) -> Vec<f32> {
         let _part = stage("evidence");
         let fine = self.evidence_within(WINDOW_CELLS);
@@ -76,8 +78,8 @@ impl LevelSurface<'_> {
         (grid, (0..grid.len()).map(of_cell).collect())
     }
 
-    /// Share by which the census distance of the views is less than by chance, over windows of so many cells each way; NaN where less than
-    /// half of a window is compared.
+    /// Share by which the census distance of the views is less than by chance, over windows of so many cells each way;
+    /// NaN where less than half of a window is compared.
     fn evidence_within(&self, window: usize) -> Vec<f32> {
         let Compared { views, pairs } = self.search.compared(self.factor);
         let grid = &self.grid;
@@ -119,7 +121,8 @@ impl LevelSurface<'_> {
     }
 }
 
-/// Share by which a distance is less than by chance. Ground without any contrast agrees at every altitude, which is no evidence of one.
+/// Share by which a distance is less than by chance. Ground without any contrast agrees at every altitude, which is no
+/// evidence of one.
 fn share_less(found: f32, by_chance: f32) -> f32 {
     match by_chance == 0.0 {
         true => 0.0,
@@ -127,8 +130,7 @@ fn share_less(found: f32, by_chance: f32) -> f32 {
     }
 }
 
-/// Whether so much `evidence` is a match that so many `views` agree on. Where nothing is compared nothing is said against a cell: other
-/// tests are left.
+/// Whether `evidence` suffices for a match of `views` views. Cells without comparisons pass; other tests remain.
 pub(super) fn is_match(evidence: f32, views: f32) -> bool {
     evidence.is_nan() || evidence >= least_evidence(views)
 }
@@ -151,7 +153,8 @@ mod tests {
 
     const SIDE: usize = 96;
 
-    /// An image of level ground from straight above, a metre to a pixel. Its east is the same in every image, its west another in each.
+    /// An image of level ground from straight above, a metre to a pixel. Its east is the same in every image, its west
+    /// another in each.
     fn image(number: usize) -> Raster {
         let mut image = Raster::filled(SIDE, SIDE, 1, 0.0);
         for (pixel, value) in image.values.iter_mut().enumerate() {
@@ -163,7 +166,7 @@ mod tests {
         image
     }
 
-    /// What is matched of level ground of which the eastern half is the same in all of so many images.
+    /// Matched cells of level ground whose eastern half is the same in all of `views` images.
     fn matched(views: usize) -> Vec<bool> {
         let images: Vec<Raster> = (0..views).map(image).collect();
         let middle = SIDE as f64 / 2.0 - 0.5;

@@ -1,11 +1,12 @@
-//! Ground in doubt: where the images hardly tell a surface from the ground around it, it is the ground.
+//! Prior for the ground: where the images hardly separate a surface from the ground around it, the ground is chosen.
 //!
-//! A sweep errs to one side. Ground beside a wall is in shade on many dates, hidden from many views, and within the windows that also see
-//! the edge of the roof; its costs are those of noise, and the smoothness takes the roof's altitude across it. The errors beside walls are
-//! therefore ground that is too high, four times as often as roofs that are too low (docs/lab/edges.md). So before heights are chosen, the
-//! altitude of the floor is made cheaper by a constant, the logarithm of how much more often it is right: a prior, not a smoothing.
+//! A sweep has a bias. Ground next to a wall is in shade on many dates, hidden from many views, and in windows that
+//! include the edge of the roof; its costs are noise, and the smoothness extends the roof's altitude across it. Errors
+//! next to walls are therefore mostly ground that is too high, four times as often as roofs that are too low
+//! (docs/lab/edges.md). So before heights are chosen, the cost at the altitude of the floor is reduced by a constant,
+//! the log-odds of the ground.
 //!
-//! The floor is the lowest sure altitude within some cells. Where the surface is not [`STEP_M`] above it, nothing changes.
+//! The floor is the lowest certain altitude within some cells. Surfaces less than [`STEP_M`] above it do not change.
 
 use super::parameters::MatchingParameters;
 use super::pyramid::LevelResult;
@@ -17,7 +18,7 @@ use rayon::prelude::*;
 const REACH_CELLS: usize = 16;
 /// Margin from which on a cell's altitude is sure.
 const SURE_MARGIN: f32 = 0.15;
-/// Cells each way around a sure cell, and how many of them have to be as high as it: a floor is a place, no pit.
+/// Cells each way around a certain cell, and the number of them that have to be as high: a floor is an area, no pit.
 const PLACE: (usize, usize) = (2, 18);
 /// Difference within which they are as high, metres.
 const ALIKE_M: f32 = 1.0;
@@ -26,11 +27,12 @@ const STEP_M: f32 = 1.0;
 /// Height hypotheses on both sides of the floor that are the floor too: it slopes, and sure cells err.
 const SAME_LEVELS: usize = 3;
 
-/// Bonus before views that the surface hides are left out, in units of that of the choice: a roof over ground hides the ground from all
-/// views, and what hides it must be surer than what is chosen in the end.
+/// Bonus before hidden views are left out, as a multiple of the final one: a roof over ground hides the ground from all
+/// views, so an occluder must be more certain than the final choice.
 const HIDING_BONUS: f32 = 1.5;
 
-/// Lowers what is in doubt, so that it does not hide the ground that it is to be compared with; what it was matched at stays a candidate.
+/// Lowers uncertain surfaces, so that they do not hide the ground with which they are compared; the matched altitude
+/// stays a candidate.
 pub(super) fn lower_for_visibility(grid: &Grid, found: &mut LevelResult, parameters: &MatchingParameters) {
     let bonus = (HIDING_BONUS * f32::from(parameters.floor_bonus)) as u16;
     let matched: Vec<(f32, f32)> = found.choices.iter().map(|choice| choice.candidates).collect();
@@ -41,7 +43,7 @@ pub(super) fn lower_for_visibility(grid: &Grid, found: &mut LevelResult, paramet
     }
 }
 
-/// Chooses the floor where the images hardly tell what is above it.
+/// Chooses the floor where the images hardly separate it from the surface above.
 pub(super) fn prefer(grid: &Grid, found: &mut LevelResult, parameters: &MatchingParameters) {
     choose_again(grid, found, parameters.floor_bonus, parameters);
 }
@@ -112,7 +114,8 @@ mod tests {
     use super::super::ranges::SearchRanges;
     use super::*;
 
-    /// Level ground with a strip two cells wide that matches best 6 m above it, by `gap` in summed cost better than at the ground.
+    /// Level ground with a strip two cells wide that matches best 6 m above it, by `gap` in summed cost better than at
+    /// the ground.
     fn beside_a_wall(gap: u16) -> (Grid, LevelResult, MatchingParameters) {
         let grid = Grid::plain(24, 24);
         let heights = HeightHypotheses::new(0.0, 10.0, 0.5);

@@ -1,7 +1,8 @@
 //! A view at one level of the pyramid: the mean of its bands and its index, averaged down to about one pixel per cell.
 //!
-//! Matching works on one plane of brightness (and one of an index where there is one), so bands are averaged first; pixels much smaller
-//! than a cell would alias. The factor is the nearest whole number to cell size over pixel size, so a level's pixels are only about as large as its cells.
+//! Matching works on one plane of brightness (and one of an index where there is one), so bands are averaged first;
+//! pixels much smaller than a cell would alias. The factor is the nearest whole number to cell size over pixel size, so
+//! a level's pixels are only about as large as its cells.
 
 use super::contrast;
 use super::sampling::{self, Line, Places, cubic_weights};
@@ -10,7 +11,8 @@ use glam::Vec3;
 use heliosplat::{ProjectiveCamera, Raster};
 use heliosplat_grid::statistics::upper_median;
 
-/// The smaller side of a level has at least this many pixels, however large the cells: fewer hold no window of the census.
+/// The smaller side of a level has at least this many pixels, however large the cells: fewer hold no window of the
+/// census.
 const FEWEST_PIXELS: usize = 8;
 
 /// One view, averaged down to about one pixel per cell.
@@ -82,18 +84,19 @@ impl LevelView {
         self.image_pixel_m * self.factor as f32
     }
 
-    /// Projects `count` points of a line of the ground into the image, into `places` from `start` on; lines in the order of their places.
+    /// Projects `count` points of a line of the ground into the image, into `places` from `start` on; lines in the
+    /// order of their places.
     pub(super) fn find_line(&self, line: &Line, start: usize, count: usize, places: &mut Places) {
         sampling::find(line, self.width, self.height, start, count, places);
     }
 
-    /// Bilinear values of one of the planes at the first `count` places; NaN outside the image and beside missing pixels. `out` has room
-    /// for [`sampling::POINTS`] more.
+    /// Bilinear values of one of the planes at the first `count` places; NaN outside the image and next to missing
+    /// pixels. `out` has room for [`sampling::POINTS`] more.
     pub(super) fn sample_places(&self, plane: &PixelPlane, places: &Places, count: usize, out: &mut [f32]) {
         sampling::bilinear(&plane.pixels, self.width, places, count, out);
     }
 
-    /// Bilinear value at a pixel position; NaN outside the image and beside missing pixels.
+    /// Bilinear value at a pixel position; NaN outside the image and next to missing pixels.
     #[inline]
     pub(super) fn sample(&self, col: f32, row: f32) -> f32 {
         self.sample_of(&self.mean, col, row)
@@ -105,7 +108,7 @@ impl LevelView {
         heliosplat_grid::bilinear(&plane.pixels, (self.width, self.height), col, row)
     }
 
-    /// Bicubic value at a pixel position; NaN outside the image, in its outermost pixels and beside missing ones.
+    /// Bicubic value at a pixel position; NaN outside the image, in its outermost pixels and next to missing ones.
     #[inline]
     pub(super) fn sample_cubic(&self, col: f32, row: f32) -> f32 {
         // Written so that a NaN position fails the test too.
@@ -136,7 +139,7 @@ fn mean_of_bands(image: &Raster) -> Raster {
     mean
 }
 
-/// Median of what is finite; zero where nothing is.
+/// Median of the finite values; zero where there are none.
 fn finite_median(values: impl Iterator<Item = f32>) -> f32 {
     let mut values: Vec<f32> = values.filter(|v| v.is_finite()).collect();
     upper_median(&mut values).unwrap_or(0.0)

@@ -1,16 +1,16 @@
-//! Orthorectified views: what each shows at the cells of a surface, and small filters on such grids.
+//! Orthorectified views on the cells of a surface, and small filters on such grids.
 
 use super::level::LevelView;
 use heliosplat_grid::Grid;
 use heliosplat_grid::statistics::upper_median;
 use rayon::prelude::*;
 
-/// What a view shows at each cell of a surface; NaN where it shows nothing.
+/// Value of a view at each cell of a surface; NaN where there is none.
 pub(super) fn ortho(grid: &Grid, view: &LevelView, altitude: &[f32]) -> Vec<f32> {
     grid.cells().map(|cell| shown(grid, view, altitude, cell)).collect()
 }
 
-/// What a view shows at one cell of a surface; NaN where it shows nothing.
+/// Value of a view at one cell of a surface; NaN where there is none.
 fn shown(grid: &Grid, view: &LevelView, altitude: &[f32], cell: usize) -> f32 {
     let (col, row) = (cell % grid.width, cell / grid.width);
     let at = grid.point(col as isize, row as isize, altitude[cell]);
@@ -18,8 +18,8 @@ fn shown(grid: &Grid, view: &LevelView, altitude: &[f32], cell: usize) -> f32 {
     view.sample(image_col, image_row)
 }
 
-/// The guide image of the smoothness penalties: mean of the views on a surface, each in units of its own typical difference between
-/// neighbours.
+/// The guide image of the smoothness penalties: mean of the views on a surface, each in units of its own typical
+/// difference between neighbours.
 pub(super) fn guide(grid: &Grid, views: &[LevelView], altitude: &[f32]) -> Vec<f32> {
     let scale = |view: &LevelView| 1.0 / view.mean.contrast.max(f32::MIN_POSITIVE);
     let of_cell = |cell: usize| {
@@ -63,7 +63,7 @@ pub(super) fn median(grid: &Grid, values: &[f32], radius: usize) -> Vec<f32> {
     out
 }
 
-/// Means over square windows of what is known; NaN where less than half of one is.
+/// Means over square windows of the known values; NaN where less than half of a window is known.
 pub(super) fn box_mean(grid: &Grid, values: &[f32], radius: usize) -> Vec<f32> {
     let whole = (2 * radius + 1).pow(2);
     let width = grid.width;

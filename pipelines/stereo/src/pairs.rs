@@ -1,7 +1,7 @@
 //! Which views are compared with which, and the weight of each comparison.
 //!
-//! A pair weighs more the longer its base, the more alike both views see a façade, and the more alike the light: `B/H / (B/H + 0.15)`,
-//! times a bell curve of the intersection angle, times a factor for dates.
+//! A pair weighs more the longer its base, the more alike both views see a façade, and the more alike the light:
+//! `B/H / (B/H + 0.15)`, times a bell curve of the intersection angle, times a factor for dates.
 
 use super::views::{ViewGeometry, parallax};
 use glam::{Vec2, Vec3};
@@ -20,12 +20,12 @@ pub(super) struct Pair {
 }
 
 impl Pair {
-    /// The weight of a comparison that counts for `share` of one of brightness.
+    /// The weight of a comparison worth `share` of one of brightness.
     pub(super) fn weight_of(&self, share: f32) -> u32 {
         ((self.weight as f32 * share) as u32).max(1)
     }
 
-    /// Its weight beside that of a perfect pair, 0 to 1.
+    /// Its weight relative to a perfect pair, 0 to 1.
     pub(super) fn share(&self) -> f32 {
         self.weight as f32 / FULL_WEIGHT
     }
@@ -37,7 +37,7 @@ const FULL_WEIGHT: f32 = 64.0;
 const HALF_WEIGHT_BASE: f32 = 0.15;
 /// Intersection angle at which surfaces have stopped looking alike (weight 1/e), radians: about 40 degrees.
 const ALIKE_ANGLE_RAD: f32 = 0.7;
-/// Weight of a comparison across dates with the sun in one place, beside one within a date.
+/// Weight of a comparison across dates with the sun in one place, relative to one within a date.
 const OTHER_DATE: f32 = 0.5;
 /// Least of the cosine between two suns that counts: opposite shadows still leave roofs to compare.
 const LEAST_SUN_COSINE: f32 = 0.3;
@@ -46,7 +46,8 @@ const UNKNOWN_SUN_COSINE: f32 = 0.8;
 /// Partners that each view brings in, those of most weight; more only cost time.
 const PARTNERS: usize = 8;
 
-/// The comparisons worth making, in a fixed order; views without parallax between them agree at every altitude and are not compared.
+/// The comparisons worth making, in a fixed order; views without parallax between them agree at every altitude and are
+/// not compared.
 pub(super) fn choose(views: &[ViewGeometry], centre: Vec3) -> Vec<Pair> {
     let mut chosen: Vec<(usize, usize)> = Vec::new();
     for a in 0..views.len() {
@@ -74,8 +75,8 @@ pub(super) fn choose(views: &[ViewGeometry], centre: Vec3) -> Vec<Pair> {
         .collect()
 }
 
-/// Combined base-to-height ratio of all comparisons: the root of the sum of squares. The precision of a height from independent pairs
-/// is proportional to it.
+/// Combined base-to-height ratio of all comparisons: the root of the sum of squares. The precision of a height from
+/// independent pairs is proportional to it.
 pub(super) fn combined_base_to_height(pairs: &[Pair]) -> f32 {
     pairs.iter().map(|pair| pair.base_to_height.powi(2)).sum::<f32>().sqrt()
 }

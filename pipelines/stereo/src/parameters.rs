@@ -1,7 +1,7 @@
-//! The matching parameters of a plane sweep: every decision that depends on the scene, made in one place.
+//! The matching parameters of a plane sweep, with every choice that depends on the scene.
 //!
-//! [`MatchingFacts`] is what the decisions need; it follows from the cameras, dates and suns alone, so a planner has it before any pixel
-//! is read. [`MatchingParameters::choose`] decides, and the search consumes the values without deciding anything itself.
+//! [`MatchingFacts`] is the input: it follows from the cameras, dates and suns alone, so it is available before any
+//! pixel is read. [`MatchingParameters::choose`] makes the choice, and the search only uses the values.
 //!
 //! Three facts decide:
 //! - the number of views of a piece of ground: what [`MANY_VIEWS`] views agree on is seldom chance, so false matches need less protection;
@@ -24,13 +24,14 @@ pub const FEW_VIEWS: f32 = 4.0;
 /// The same from which on those for many views are used.
 pub const MANY_VIEWS: f32 = 8.0;
 
-/// Height step of the hypotheses, as the relative shift in cells of the pair of views with the widest base: half a cell is what matching
-/// resolves before the sub-step refinement.
+/// Height step of the hypotheses, as the relative shift in cells of the pair of views with the widest base: half a
+/// cell, the resolution of matching before the sub-step refinement.
 pub(super) const STEP_CELLS: f32 = 0.5;
-/// Summed cost by which the floor is cheaper than a surface in doubt above it, with many views (docs/lab/edges.md); with few views costs
-/// are too noisy to tell a sure floor, and where costs are averaged over windows there are no walls that single cells could place.
+/// Reduction of the summed cost of the floor below an uncertain surface, with many views (docs/lab/edges.md); with few
+/// views costs are too noisy for a certain floor, and with costs averaged over windows no single cell can place a wall.
 const FLOOR_BONUS: u16 = 150;
-/// Rounds at full resolution in which views that the surface hides are left out; docs/lab/plane-sweep.md: a second one gains nothing.
+/// Rounds at full resolution in which views that the surface hides are left out; docs/lab/plane-sweep.md: a second one
+/// gains nothing.
 const VISIBILITY_ROUNDS: usize = 1;
 /// Cost of a change by one height step between neighbours (P1 of Hirschmüller 2008), in units of a full mismatch / 255.
 const ONE_STEP_PENALTY: u16 = 30;
@@ -40,14 +41,15 @@ const JUMP_PENALTY_FEW: u16 = 90;
 const JUMP_PENALTY_MANY: u16 = 60;
 /// Difference of the guide image between neighbours, in its typical differences, that halves the cost of a jump there.
 const GUIDE_EDGE: f32 = 30.0;
-/// Smallest difference that the census compares at the shortest base, where noise is most of what two views differ by, in median
+/// Smallest difference that the census compares at the shortest base, where views differ mostly by noise, in median
 /// differences between the neighbours around.
 const NOISE_FLOOR: f32 = 0.16;
-/// No-match weight with few views, as a share of the weights of all comparisons between the views of a cell: heights that few of these see must not win by chance.
+/// No-match weight with few views, as a share of the weights of all comparisons between the views of a cell: heights
+/// that few of these see must not win by chance.
 const NO_MATCH_FEW: f32 = 0.08;
 /// The same with many views.
 const NO_MATCH_MANY: f32 = 0.03;
-/// Weight of a comparison of index planes beside one of brightness.
+/// Weight of a comparison of index planes relative to one of brightness.
 const INDEX_WEIGHT: f32 = 0.5;
 /// Candidate tolerances with few views, in summed cost.
 const TOLERANCE_FEW: CandidateTolerance = CandidateTolerance {
@@ -56,40 +58,43 @@ const TOLERANCE_FEW: CandidateTolerance = CandidateTolerance {
     coarser: 80,
 };
 
-/// The same with many views. Finer levels have less left to decide: wider tolerances take time there and find nothing more.
+/// The same with many views. Finer levels have less left to decide: wider tolerances take time there and find nothing
+/// more.
 const TOLERANCE_MANY: CandidateTolerance = CandidateTolerance {
     full_resolution: 80,
     half_resolution: 120,
     coarser: 200,
 };
 
-/// Combined base-to-height ratio above which costs of single cells tell heights apart; below it the radius of the window is the quotient.
+/// Combined base-to-height ratio above which costs of single cells resolve heights; below it the radius of the window
+/// is the quotient.
 const SINGLE_CELL_BASE_TO_HEIGHT: f32 = 0.8;
 /// Least radius of the aggregation window, cells, up to [`FEW_VIEWS`]; one view more and single cells are as good (docs/lab/plane-sweep.md).
 const FEW_VIEWS_RADIUS: f32 = 2.0;
 /// Largest radius of the aggregation window, cells; reached at a combined base-to-height ratio of 0.133.
 const LARGEST_RADIUS: f32 = 6.0;
-/// Radius of the aggregation window, cells, per unit of the smoothness scale: with a very short base, single mismatches are as tall as
-/// houses, and jumps cost twice as much at the largest window.
+/// Radius of the aggregation window, cells, per unit of the smoothness scale: with a very short base, single mismatches
+/// are as tall as houses, and jumps cost twice as much at the largest window.
 const RADIUS_PER_SMOOTHNESS: usize = 3;
 
-/// What the choice of the matching parameters depends on.
+/// Input of the choice of the matching parameters.
 #[derive(Debug, Clone, Copy, PartialEq, serde::Serialize)]
 pub struct MatchingFacts {
     /// Mean number of views of a piece of ground.
     pub views: f32,
-    /// Combined base-to-height ratio, metres per metre: the root of the sum of its squares over the pairs of views that are compared.
+    /// Combined base-to-height ratio, metres per metre: the root of the sum of its squares over the pairs of views that
+    /// are compared.
     pub combined_base_to_height: f32,
     /// Whether every view has an index plane.
     pub has_index: bool,
 }
 
 impl MatchingFacts {
-    /// The facts of views of the ground in `volume` (in the frame of the cameras); `has_index` says whether each of them has an index
-    /// plane.
+    /// The facts of views of the ground in `volume` (in the frame of the cameras); `has_index` is true if each of them
+    /// has an index plane.
     ///
-    /// Neither a crop to the volume nor a shift of the image (a pointing correction) changes a viewing direction, so both leave the facts
-    /// as they are but for rounding in f32; the pyramid's resolution does not enter.
+    /// Neither a crop to the volume nor a shift of the image (a pointing correction) changes a viewing direction, so
+    /// the facts are independent of both, up to rounding in f32, and of the pyramid's resolution.
     pub fn new(views: &[ViewGeometry], volume: &SearchVolume, has_index: bool) -> Self {
         Self {
             views: views_of_ground(views, volume),
@@ -102,8 +107,8 @@ impl MatchingFacts {
 /// Places along each side of the ground at which views are counted.
 const PLACES: usize = 32;
 
-/// Mean number of views of the places that at least two of them show, at the volume's middle altitude; all of them where there is no such
-/// place.
+/// Mean number of views of the places visible in at least two of them, at the volume's middle altitude; the number of
+/// all views where there is no such place.
 fn views_of_ground(views: &[ViewGeometry], volume: &SearchVolume) -> f32 {
     let along = |low: f32, high: f32, i: usize| low + (high - low) * (i as f32 + 0.5) / PLACES as f32;
     let at_place = |i: usize| {
@@ -127,13 +132,14 @@ fn many_views_share(views: f32) -> f32 {
     ((views - FEW_VIEWS) / (MANY_VIEWS - FEW_VIEWS)).clamp(0.0, 1.0)
 }
 
-/// Weight of the no-match (occlusion) cost of a cell that so many views show, as a share of the weights of all comparisons between them.
+/// Weight of the no-match (occlusion) cost of a cell that so many views show, as a share of the weights of all
+/// comparisons between them.
 pub fn no_match_weight(views: f32) -> f32 {
     NO_MATCH_FEW + (NO_MATCH_MANY - NO_MATCH_FEW) * many_views_share(views)
 }
 
-/// Summed cost above the least within which another height remains a candidate at the next, finer search; in units of a full mismatch /
-/// 255, summed over the eight paths.
+/// Summed cost above the least within which another height remains a candidate at the next, finer search; in units of a
+/// full mismatch / 255, summed over the eight paths.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, serde::Serialize)]
 pub struct CandidateTolerance {
     /// In cells of the requested size.
@@ -155,29 +161,32 @@ impl CandidateTolerance {
     }
 }
 
-/// Everything the plane sweep is told about how to match. Costs are in units of a full mismatch / 255.
+/// All parameters of matching in the plane sweep. Costs are in units of a full mismatch / 255.
 #[derive(Debug, Clone, Copy, PartialEq, serde::Serialize)]
 pub struct MatchingParameters {
     /// Height step of the hypotheses: the relative shift, cells, of the pair of views with the widest base.
     pub step_cells: f32,
     /// Radius of the square window over which matching costs are averaged, cells; 0 for costs of single cells.
     pub aggregation_radius: usize,
-    /// Smallest difference from the centre that the census compares, in median differences between the pixels around; 0 compares all.
+    /// Smallest difference from the centre that the census compares, in median differences between the pixels around; 0
+    /// compares all.
     pub noise_floor: f32,
-    /// Weight of a comparison of the brightness itself of views of one date beside one by the census: the same sun makes them alike, and a
-    /// single pixel does not reach over edges as a window does. `None` compares them by the census alone.
+    /// Weight of a comparison of the brightness of views of one date relative to one by the census: under the same sun
+    /// values agree, and a single pixel does not reach over edges as a window does. `None` compares them by the census
+    /// alone.
     pub same_date_weight: Option<f32>,
-    /// Weight of a comparison of index planes beside one of brightness; `None` compares brightness alone.
+    /// Weight of a comparison of index planes relative to one of brightness; `None` compares brightness alone.
     pub index_weight: Option<f32>,
     /// Cost of a change by one height step between neighbours (P1).
     pub one_step_penalty: u16,
     /// Cost of a larger change between neighbours (P2).
     pub jump_penalty: u16,
-    /// Difference of the guide image between neighbours, in its typical differences, that halves the cost of a jump there.
+    /// Difference of the guide image between neighbours, in its typical differences, that halves the cost of a jump
+    /// there.
     pub guide_edge: f32,
     /// Which heights remain candidates from one search to the next.
     pub candidate_tolerance: CandidateTolerance,
-    /// Summed cost by which the floor beneath a surface in doubt is cheaper than what was matched; 0 for none.
+    /// Reduction of the summed cost of the floor beneath an uncertain surface; 0 for none.
     pub floor_bonus: u16,
     /// Rounds at full resolution in which views hidden by the surface found so far are left out.
     pub visibility_rounds: usize,

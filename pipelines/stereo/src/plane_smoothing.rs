@@ -1,9 +1,10 @@
 //! Smoothing by local planes: each altitude becomes that of the plane fitted to the window around it.
 //!
-//! The shorter the base, the more metres of altitude a pixel of mismatch is; planes average that noise out and keep slopes. Windows have
-//! one radius in [`smooth`]; in [`smooth_adaptively`] they grow until they hold enough confidence, for bases so short that large parts
-//! of the surface are hardly matched at all. Both leave walls standing: cells far from the window's median or plane count little or
-//! nothing. Limit: what is smaller than a window and lower than the tolerance is smoothed away.
+//! The shorter the base, the more metres of altitude a pixel of mismatch is; planes average that noise out and keep
+//! slopes. Windows have one radius in [`smooth`]; in [`smooth_adaptively`] they grow until they have enough confidence,
+//! for bases so short that large parts of the surface are hardly matched at all. Both keep walls: cells far from the
+//! window's median or plane have little or no weight. Limit: structures smaller than a window and lower than the
+//! tolerance are smoothed away.
 
 use heliosplat_grid::statistics::upper_median;
 use heliosplat_grid::{Grid, PlaneFit};
@@ -19,13 +20,14 @@ const GROWTH_STEPS: usize = 12;
 const SAMPLES: usize = 7;
 /// Rounds of iteratively reweighted least squares.
 const ROUNDS: usize = 3;
-/// Added to the variances of the columns and rows of a window, cells²: keeps slopes finite where all cells lie on one line.
+/// Added to the variances of the columns and rows of a window, cells²: keeps slopes finite where all cells lie on one
+/// line.
 const STIFFNESS: f64 = 1e-3;
 /// Cells that one task smooths at least: smaller tasks cost more to share out than to compute.
 const CELLS_PER_TASK: usize = 1024;
 
-/// Each altitude replaced by that of the plane through the window of `radius` cells around it, fitted to the cells within `tolerance_m`
-/// of the window's median, so that a wall in the window does not tilt it.
+/// Each altitude replaced by that of the plane through the window of `radius` cells around it, fitted to the cells
+/// within `tolerance_m` of the window's median, so that a wall in the window does not tilt it.
 pub(super) fn smooth(grid: &Grid, altitude: &[f32], radius: usize, tolerance_m: f32) -> Vec<f32> {
     (0..grid.len())
         .into_par_iter()
@@ -51,8 +53,8 @@ fn plane_at(grid: &Grid, altitude: &[f32], cell: usize, radius: usize, tolerance
 }
 
 /// Each altitude replaced by that of a plane through a window that grows from `least_radius` cells until it holds
-/// [`ENOUGH_CONFIDENCE`] (`confidence` is 0 to 1 per cell). Samples further than about `tolerance_m` from the plane count less (Cauchy's
-/// weights, Holland and Welsch 1977), so that the plane stays that of one face.
+/// [`ENOUGH_CONFIDENCE`] (`confidence` is 0 to 1 per cell). Samples further than about `tolerance_m` from the plane
+/// count less (Cauchy's weights, Holland and Welsch 1977), so that the plane stays that of one face.
 pub(super) fn smooth_adaptively(
     grid: &Grid,
     altitude: &[f32],
@@ -73,7 +75,8 @@ pub(super) fn smooth_adaptively(
         .collect()
 }
 
-/// The altitude at a cell of the plane through evenly spread samples of its window, by iteratively reweighted least squares.
+/// The altitude at a cell of the plane through evenly spread samples of its window, by iteratively reweighted least
+/// squares.
 fn robust_plane_at(grid: &Grid, altitude: &[f32], cell: usize, radius: usize, tolerance_m: f32) -> f32 {
     let (col, row) = ((cell % grid.width) as isize, (cell / grid.width) as isize);
     let here = f64::from(altitude[cell]);

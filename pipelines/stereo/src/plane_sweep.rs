@@ -1,4 +1,5 @@
-//! The plane sweep from its request to the initial surface: coarse to fine, then with hidden views left out, then post-processed.
+//! The plane sweep from its request to the initial surface: coarse to fine, then with hidden views left out, then
+//! post-processed.
 
 use super::edges;
 use super::evidence::{LEAST_EVIDENCE, LevelSurface, is_match};
@@ -19,8 +20,8 @@ use heliosplat_grid::smooth_by_deviation;
 use heliosplat_grid::statistics::upper_median;
 use rayon::prelude::*;
 
-/// A point counts as hidden when it lies this many height steps below the surface that its view sees first, so that the surface's own
-/// error of matching hides nothing.
+/// A point counts as hidden when it lies this many height steps below the surface that its view sees first, so that the
+/// surface's own error of matching hides nothing.
 const HIDDEN_STEPS: f32 = 2.0;
 /// The same at least, metres.
 const HIDDEN_M: f32 = 1.0;
@@ -53,7 +54,7 @@ pub fn plane_sweep(views: &[SweepView], request: &PlaneSweepRequest, progress: &
         tolerance_m: tolerance_m(found.step_m),
     };
     let evidence = judged.evidence();
-    // Only what there is evidence of hides anything: beside the common ground the search finds towers and pits that are not there.
+    // Only cells with evidence hide others: outside the common ground the search finds false towers and pits.
     let cells = altitude.iter().zip(&evidence);
     let standing: Vec<f32> = cells
         .map(|(altitude, evidence)| match *evidence >= LEAST_EVIDENCE {
@@ -86,15 +87,15 @@ pub fn plane_sweep(views: &[SweepView], request: &PlaneSweepRequest, progress: &
     }
 }
 
-/// The altitudes of that surface on the cells of the request, metres, for those who ask for nothing else of it.
+/// The altitudes of that surface on the cells of the request, metres, for callers that need nothing else.
 pub(super) fn swept_altitudes(views: &[SweepView], request: &PlaneSweepRequest) -> Vec<f32> {
     let search = Search::new(views, request).with_index();
     Swept::new(&search, &|_| {}).altitude
 }
 
-/// A surface of which nobody has said yet what is matched.
+/// A surface before the test of matches.
 struct Swept {
-    /// What the last search chose.
+    /// Result of the last search.
     found: LevelResult,
     /// Altitudes before the floor was preferred, metres.
     as_matched: Vec<f32>,
@@ -163,13 +164,13 @@ impl Swept {
     }
 }
 
-/// How far below what its view sees first a point counts as hidden, metres.
+/// Distance below the first surface point of a view at which a point counts as hidden, metres.
 fn tolerance_m(step_m: f32) -> f32 {
     HIDDEN_M.max(HIDDEN_STEPS * step_m)
 }
 
-/// Standard deviations of the altitudes, metres, none where one altitude is far more probable than all others: the few that remain are
-/// often far off, and it is not a surface between them that is in doubt.
+/// Standard deviations of the altitudes, metres, none where one altitude is far more probable than all others: the few
+/// that remain are often far off, and it is not a surface between them that is in doubt.
 fn doubts(choices: &[HeightChoice]) -> Vec<f32> {
     let doubt = |choice: &HeightChoice| match choice.probability > SURE_PROBABILITY {
         true => 0.0,
@@ -178,8 +179,8 @@ fn doubts(choices: &[HeightChoice]) -> Vec<f32> {
     choices.iter().map(doubt).collect()
 }
 
-/// Probabilities of the altitudes: of each cell the median of those around it that are as high, or its own where it is greater. A single
-/// cell in doubt on a sure roof is the roof.
+/// Probabilities of the altitudes: of each cell the median of those around it that are as high, or its own where it is
+/// greater. A single cell in doubt on a sure roof is the roof.
 fn shared(grid: &Grid, altitude: &[f32], same_patch_m: f32, choices: &[HeightChoice]) -> Vec<f32> {
     let of_cell = |cell: usize| {
         let as_high = |&near: &usize| (altitude[near] - altitude[cell]).abs() < same_patch_m;
@@ -193,7 +194,7 @@ fn shared(grid: &Grid, altitude: &[f32], same_patch_m: f32, choices: &[HeightCho
     grid.cells().map(of_cell).collect()
 }
 
-/// What was matched, where the floor was preferred to it; else the surface itself.
+/// The matched altitude where the floor was preferred to it; else the surface itself.
 fn above(matched: &[f32], altitude: &[f32], filled: &[bool]) -> Vec<f32> {
     let cells = matched.iter().zip(altitude).zip(filled);
     cells

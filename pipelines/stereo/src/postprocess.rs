@@ -1,10 +1,11 @@
-//! Post-processing of a matched surface: a speckle filter removes patches too small to be real, and gaps are filled from their edges.
+//! Post-processing of a matched surface: a speckle filter removes patches too small to be real, and gaps are filled
+//! from their edges.
 
 use heliosplat_grid::Grid;
 use heliosplat_grid::statistics::upper_median;
 
-/// Speckles: cells of connected patches of fewer than `fewest` cells. Neighbours belong to one patch when their altitudes differ by less
-/// than `step_m` metres.
+/// Speckles: cells of connected patches of fewer than `fewest` cells. Neighbours belong to one patch when their
+/// altitudes differ by less than `step_m` metres.
 pub(super) fn speckles(grid: &Grid, altitude: &[f32], step_m: f32, fewest: usize) -> Vec<bool> {
     let mut speckle = vec![false; grid.len()];
     let together = |a: usize, b: usize| (altitude[b] - altitude[a]).abs() < step_m;
@@ -16,8 +17,8 @@ pub(super) fn speckles(grid: &Grid, altitude: &[f32], step_m: f32, fewest: usize
     speckle
 }
 
-/// Hands each connected patch of cells to `visit`, by its cells: neighbours that share a side belong to one patch when they are `together`.
-/// Cells that `seen` marks belong to none.
+/// Hands each connected patch of cells to `visit`, by its cells: neighbours that share a side belong to one patch when
+/// they are `together`. Cells marked in `seen` belong to none.
 fn for_each_patch(
     grid: &Grid,
     mut seen: Vec<bool>,
@@ -60,8 +61,8 @@ fn sides(grid: &Grid, cell: usize) -> impl Iterator<Item = usize> {
     .flatten()
 }
 
-/// Replaces the `missing` cells, from their edges inward, by the median of the neighbours that are known by then. Without
-/// any known cell everything stays as it is.
+/// Replaces the `missing` cells, from their edges inward, by the median of the neighbours known so far. Without any
+/// known cell nothing changes.
 pub(super) fn fill(grid: &Grid, altitude: &mut [f32], missing: &[bool]) {
     let mut known: Vec<bool> = missing.iter().map(|m| !m).collect();
     let mut left: Vec<usize> = (0..grid.len()).filter(|&cell| missing[cell]).collect();

@@ -1,8 +1,8 @@
-//! The coarse-to-fine search of the plane sweep: each level of the pyramid matches, aggregates and chooses heights around those that the
-//! coarser level left as candidates.
+//! The coarse-to-fine search of the plane sweep: each level of the pyramid matches, aggregates and chooses heights
+//! around the candidates of the coarser level.
 //!
-//! Tie points, clouds and pointing shifts use the same search down to a coarser level, as an approximate surface to work on. Nothing is
-//! decided here: how to match stands in the request's [`MatchingParameters`](super::parameters::MatchingParameters).
+//! Tie points, clouds and pointing shifts use the same search down to a coarser level, as an approximate surface. All
+//! choices of matching are in the request's [`MatchingParameters`](super::parameters::MatchingParameters).
 
 use super::cost::MatchingCost;
 use super::heights::HeightHypotheses;
@@ -31,26 +31,26 @@ const COARSEST: usize = 8;
 /// A level needs this many cells each way to be worth its own search.
 const FEWEST_CELLS: usize = 16;
 
-/// Pixels of two views that differ by more than this factor are of unlike resolution: looking aslant makes those of one camera differ by
-/// up to some 1.4.
+/// Pixels of two views that differ by more than this factor are of unlike resolution: looking aslant makes those of one
+/// camera differ by up to some 1.4.
 const UNLIKE: f32 = 1.5;
 
 /// The views that a level compares.
 pub(super) struct Compared {
-    /// Those of the search, then finer ones again in the resolution of what they are compared with.
+    /// The views of the search, followed by finer ones reduced to the resolution of their partners.
     pub(super) views: Vec<LevelView>,
     /// Pairs of these.
     pub(super) pairs: Vec<Pair>,
 }
 
-/// What is searched and with which views; the same on every level.
+/// Search volume and views, the same on every level.
 pub(super) struct Search<'a> {
     pub(super) views: &'a [SweepView<'a>],
     pub(super) request: &'a PlaneSweepRequest,
     pub(super) grid: Grid,
     pub(super) centre: Vec3,
     pub(super) pairs: Vec<Pair>,
-    /// Weight of a comparison of index planes beside one of brightness, where they are compared.
+    /// Weight of a comparison of index planes relative to one of brightness, where they are compared.
     pub(super) index_weight: Option<f32>,
 }
 
@@ -71,7 +71,7 @@ pub(super) struct LevelResult {
 }
 
 impl LevelResult {
-    /// The same without what only a new choice of heights needs, which is large.
+    /// The same without the large arrays that only a new choice of heights needs.
     pub(super) fn without_sums(self) -> Self {
         Self {
             sums: Vec::new(),
@@ -100,7 +100,7 @@ impl<'a> Search<'a> {
         }
     }
 
-    /// The same, which compares index planes too where the request says so and every view has one.
+    /// The same, also comparing index planes where the request includes them and every view has one.
     pub(super) fn with_index(self) -> Self {
         let all_have_one = self.views.iter().all(|view| view.index.is_some());
         Self {
@@ -123,7 +123,8 @@ impl<'a> Search<'a> {
         factors
     }
 
-    /// Searches all levels down to `finest`; `progress` hears the factor of each when it is done. `None` when there is nothing to search.
+    /// Searches all levels down to `finest`; `progress` hears the factor of each when it is done. `None` when there is
+    /// nothing to search.
     pub(super) fn descend(&self, finest: usize, progress: &dyn Fn(usize)) -> Option<LevelResult> {
         let mut found = None;
         for factor in self.factors(finest) {
@@ -142,8 +143,8 @@ impl<'a> Search<'a> {
         self.views.par_iter().map(one).collect()
     }
 
-    /// The views of a level as they are compared. An image has no detail finer than its pixels, and the census of a finer one is full of
-    /// it: so beside a coarser view a finer one takes part in the coarser one's resolution.
+    /// The views of a level for comparison. In a pair of unequal resolution the finer view is reduced to that of the
+    /// coarser one, whose census has no finer detail.
     pub(super) fn compared(&self, factor: usize) -> Compared {
         let mut views = self.level_views(factor);
         let with_index = self.index_weight.is_some();
@@ -169,8 +170,8 @@ impl<'a> Search<'a> {
         Compared { views, pairs }
     }
 
-    /// Searches one level: all heights, or those around what a coarser (or equal) level found; with `hits`, one for each view compared,
-    /// cells that a view does not see are left out.
+    /// Searches one level: all heights, or those around the candidates of a coarser (or equal) level; with `hits`, one
+    /// for each view compared, hidden cells of a view are left out.
     pub(super) fn level(&self, factor: usize, before: Option<&LevelResult>, hits: Option<&[FirstHits]>) -> LevelResult {
         let grid = self.grid.coarser(factor);
         let part = stage("views");
@@ -223,8 +224,8 @@ impl<'a> Search<'a> {
         }
     }
 
-    /// The height hypotheses of a level whose cells are `cell_m` wide: the pair with the widest base shifts by `step_cells` from one to the
-    /// next.
+    /// The height hypotheses of a level whose cells are `cell_m` wide: the pair with the widest base shifts by
+    /// `step_cells` from one to the next.
     fn heights(&self, cell_m: f32) -> HeightHypotheses {
         let PlaneSweepRequest { volume, parameters, .. } = self.request;
         let widest = pairs::widest_base_to_height(&self.pairs).max(LEAST_BASE_TO_HEIGHT as f32);
@@ -232,7 +233,7 @@ impl<'a> Search<'a> {
         HeightHypotheses::new(volume.altitude_min_m, volume.altitude_max_m, step_m)
     }
 
-    /// The search ranges around what a coarser (or equal) level found, and the guide image on its surface.
+    /// The search ranges around the candidates of a coarser (or equal) level, and the guide image on its surface.
     fn narrowed(
         &self,
         grid: &Grid,

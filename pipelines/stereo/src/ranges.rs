@@ -1,7 +1,7 @@
 //! The search range of each cell: a contiguous run of height levels, stored end to end in a flat volume.
 //!
-//! On the coarsest level of the pyramid every cell searches all heights; on finer ones only those around what the coarser level left
-//! as candidates, which is what makes the sweep fast.
+//! On the coarsest level of the pyramid every cell searches all heights; on finer ones only those around the candidates
+//! of the coarser level, which makes the sweep fast.
 
 use super::heights::HeightHypotheses;
 use heliosplat_grid::Grid;
@@ -27,9 +27,9 @@ impl SearchRanges {
 
     /// Ranges of a finer grid around the candidates of a coarser one, whose cells are `factor` times as wide.
     ///
-    /// `candidates` are the lowest and the highest candidate of each coarse cell, metres. A cell searches those of its parent and of the
-    /// parent's `reach` neighbours on each side, and `margin_m` more, so that an edge may move by some cells and both sides of a wall
-    /// stay in range.
+    /// `candidates` are the lowest and the highest candidate of each coarse cell, metres. A cell searches those of its
+    /// parent and of the parent's `reach` neighbours on each side, and `margin_m` more, so that an edge may move by
+    /// some cells and both sides of a wall stay in range.
     pub(super) fn around(
         grid: &Grid,
         heights: &HeightHypotheses,

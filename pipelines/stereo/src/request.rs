@@ -1,4 +1,4 @@
-//! What a plane sweep is asked: which part of space to search, and with which parameters.
+//! Request of a plane sweep: the part of space to search, and the parameters.
 
 use super::parameters::MatchingParameters;
 use super::volume::SearchVolume;
@@ -8,9 +8,10 @@ use heliosplat_grid::Grid;
 /// Where and how to look for the surface.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct PlaneSweepRequest {
-    /// What is searched.
+    /// The searched volume.
     pub volume: SearchVolume,
-    /// Where viewing directions are taken, metres: the middle of the volume, or of the whole ground of which it is a tile.
+    /// Point at which viewing directions are taken, metres: the middle of the volume, or of the whole ground of which
+    /// it is a tile.
     pub centre: Vec3,
     /// How views are matched.
     pub parameters: MatchingParameters,

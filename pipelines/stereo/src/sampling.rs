@@ -1,13 +1,14 @@
 //! Sampling a plane of pixels along a line of the ground: project, then interpolate.
 //!
-//! This is the inner loop of matching, so points are projected eight at a time and values are interpolated from the four pixels around.
-//! A camera's three forms are linear in the ground point, so along a line of cells each of them grows by a constant.
+//! This is the inner loop of matching, so points are projected eight at a time and values are interpolated from the
+//! four pixels around. A camera's three forms are linear in the ground point, so along a line of cells each of them
+//! grows by a constant.
 
 use heliosplat::fast::floor;
 use heliosplat::vectorised;
 
-/// Points of the ground at equal distances in a camera's three forms: the column of point k is `(u + k du) / (w + k dw)`, the row
-/// likewise with v.
+/// Points of the ground at equal distances in a camera's three forms: the column of point k is
+/// `(u + k du) / (w + k dw)`, the row likewise with v.
 pub(super) struct Line {
     /// The forms u, v, w at the first point.
     pub(super) start: [f32; 3],
@@ -65,8 +66,8 @@ impl Places {
 type Lanes = ([u32; POINTS], [f32; POINTS], [f32; POINTS], [u32; POINTS]);
 
 vectorised! {
-    /// Projects `count` points of a line into an image of `width × height` pixels, into `places` from `start` on. A few places behind the
-    /// last one lose what they were, so that lines are found in the order of their places.
+    /// Projects `count` points of a line into an image of `width × height` pixels, into `places` from `start` on. A few
+    /// places behind the last one are overwritten, so lines must be processed in the order of their places.
     pub(super) fn find(line: &Line, width: usize, height: usize, start: usize, count: usize, places: &mut Places) {
         let (columns, rows) = ((width - 1) as f32, (height - 1) as f32);
         let width = width as u32;
@@ -96,8 +97,8 @@ vectorised! {
 pub(super) const POINTS: usize = 8;
 
 vectorised! {
-    /// Bilinear values of a plane at the first `count` places; NaN outside the image and beside missing pixels. `out` has room for
-    /// [`POINTS`] more.
+    /// Bilinear values of a plane at the first `count` places; NaN outside the image and next to missing pixels. `out`
+    /// has room for [`POINTS`] more.
     pub(super) fn bilinear(pixels: &[f32], width: usize, places: &Places, count: usize, out: &mut [f32]) {
         for at in (0..count).step_by(POINTS) {
             let lists = (
@@ -139,8 +140,8 @@ vectorised! {
     }
 }
 
-/// Weights of four neighbours at a fraction of the way from the second to the third: the cubic of Catmull and Rom (1974), which keeps
-/// more detail than linear interpolation and treats all fractions more alike.
+/// Weights of four neighbours at a fraction of the way from the second to the third: the cubic of Catmull and Rom
+/// (1974), which keeps more detail than linear interpolation and treats all fractions more alike.
 pub(super) fn cubic_weights(t: f32) -> [f32; 4] {
     let (t2, t3) = (t * t, t * t * t);
     [

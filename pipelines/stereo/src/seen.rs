@@ -1,10 +1,11 @@
-//! Which views see a surface: how many of them show each cell at its altitude, and how far apart they stand.
+//! Visibility of a surface: the views that see each cell at its altitude, and their base-to-height ratio.
 //!
-//! One image alone says nothing of an altitude, so a cell that fewer than [`FEWEST_VIEWS`] see is not known, whatever was matched there.
-//! Views without parallax between them, such as an image and its copy, count as one.
-//! Where the data of images end, views meet at some altitudes only, and the sweep finds one of those, whatever the ground is. So a view
-//! counts where it would also show the place if that lay as low as the ground around. Pits of such mismatches do not count as ground. The
-//! caller says which cells stand, so that towers of them hide nothing.
+//! One image alone does not determine an altitude, so a cell visible in fewer than [`FEWEST_VIEWS`] is unknown,
+//! whatever was matched there. Views without parallax between them, such as an image and its copy, count as one. Where
+//! the data of images end, views overlap at some altitudes only, and the sweep finds one of those, whatever the ground
+//! is. So a view counts only where it would also show the place at the altitude of the ground around. Pits of such
+//! mismatches do not count as ground. The caller marks the cells that occlude others, so that towers of mismatches hide
+//! nothing.
 
 use super::views::parallax;
 use super::visibility::{FirstHits, Standing};
@@ -17,16 +18,18 @@ use rayon::prelude::*;
 
 /// Views that must see a cell for its altitude to be known.
 pub const FEWEST_VIEWS: u8 = 2;
-/// A cell counts as hidden when it lies at least this far below what hides it, metres: a kerb or a hedge hides nothing.
+/// A cell is hidden when it is at least this far below its occluder, metres: a kerb or a hedge hides nothing.
 const HIDDEN_M: f32 = 1.0;
 
-/// Side of the squares of which the median altitude is taken first, cells.
+/// Side of the squares for the first median of the altitudes, cells.
 const SQUARE: usize = 32;
-/// Share of a square's cells that must stand for its median to count, where any square has as many: fewer may be a single mismatch.
+/// Share of a square's cells that must stand for its median to count, where any square has as many: fewer may be a
+/// single mismatch.
 const LEAST_STANDING: f32 = 0.25;
-/// Squares each way of which the lowest is the ground around: 256 cells.
+/// Squares each way whose lowest altitude is that of the ground around: 256 cells.
 const REACH: usize = 8;
-/// Share of these squares that may lie lower: pits beside the common ground, where the search has run to the lowest altitude.
+/// Share of these squares that may be lower: pits outside the common ground, where the search has run to the lowest
+/// altitude.
 const PITS: f64 = 0.05;
 
 /// Altitudes on a ground grid whose row 0 is the northern one.
@@ -42,9 +45,9 @@ pub struct AltitudeGrid<'a> {
     pub cell_m: f32,
     /// Altitude of each cell, metres; NaN where none is known: such a cell is seen by no view.
     pub altitude_m: &'a [f32],
-    /// Altitude of what hides other cells, metres; NaN where nothing does.
+    /// Altitude of occluders, metres; NaN elsewhere.
     pub standing_m: &'a [f32],
-    /// What the altitudes can be off by, metres: a cell that lies less than this below another is not hidden by it.
+    /// Error of the altitudes, metres: a cell less than this below another is not hidden by it.
     pub resolution_m: f32,
 }
 
@@ -53,13 +56,14 @@ pub struct AltitudeGrid<'a> {
 pub struct Witnesses {
     /// How many there are; those without parallax between them count as one.
     pub views: Vec<u8>,
-    /// Their base-to-height ratio: that of the pair of views which finds an altitude as precisely as all of them together; 0 for fewer
-    /// than two.
+    /// Their base-to-height ratio: that of a pair of views with the altitude precision of all of them together; 0 for
+    /// fewer than two.
     pub base_to_height: Vec<f32>,
 }
 
-/// Which views see each cell: its centre projects into the image, onto a pixel of which `is_known` (view, pixel in row order) says
-/// that it has data, nothing higher stands before it, and the image has data of the place at the altitude of the lowest ground around, too.
+/// The views that see each cell. Its centre projects into the image, onto a pixel with data by `is_known` (view, pixel
+/// in row order); nothing higher is in front of it; and the image also has data at the place at the altitude of the
+/// lowest ground around.
 pub fn views_seeing(
     surface: &AltitudeGrid,
     cameras: &[ProjectiveCamera],
@@ -133,8 +137,8 @@ fn stations(cameras: &[ProjectiveCamera], grid: &Grid, altitude_m: &[f32]) -> Ve
     stations
 }
 
-/// Sums over the stations that see each cell. An altitude from n views whose parallaxes are p has the information Σ |p - mean|² (least
-/// squares, equal errors of position in each image), and that of a pair is half its squared base.
+/// Sums over the stations that see each cell. An altitude from n views whose parallaxes are p has the information Σ
+/// |p - mean|² (least squares, equal errors of position in each image), and that of a pair is half its squared base.
 struct ParallaxSums {
     views: Vec<u8>,
     sum: Vec<Vec2>,
@@ -226,7 +230,8 @@ mod tests {
     use super::*;
     use glam::DVec3;
 
-    /// A camera far away whose rays move `lean` metres east per metre of altitude, with pixels of a metre over `size` metres.
+    /// A camera far away whose rays move `lean` metres east per metre of altitude, with pixels of a metre over `size`
+    /// metres.
     fn camera(lean: f64, size: usize) -> ProjectiveCamera {
         let axis = DVec3::new(lean, 0.0, -1.0).normalize();
         let half = size as f64 / 2.0;
@@ -312,7 +317,7 @@ mod tests {
         const SIDE: usize = 8;
         let mut altitude = vec![0.0; SIDE * SIDE];
         altitude[9] = f32::NAN;
-        // Oblique: a ray over the unknown cell goes on to the lowest of what is known, and no further.
+        // Oblique: a ray over the unknown cell continues down to the lowest known altitude, and no further.
         let cameras = [camera(0.0, SIDE), camera(0.3, SIDE)];
         let seen = views_seeing(&surface(&altitude, SIDE), &cameras, &|view, pixel| {
             view == 0 || pixel != 20

@@ -1,8 +1,9 @@
 //! Semi-global matching on the ground grid (Hirschmüller 2008): eight paths of dynamic programming, summed.
 //!
-//! Each cell has its own search range, so a path first brings the costs of the cell before it into the range of the cell it enters;
-//! levels that the cell before did not search can only be reached by the large penalty. Where a guide image has an edge, the large
-//! penalty shrinks, so that altitude jumps where brightness does. Sums are 16-bit integers: the result does not depend on threads.
+//! Each cell has its own search range, so a path first brings the costs of the cell before it into the range of the
+//! cell it enters; levels that the cell before did not search can only be reached by the large penalty. Where a guide
+//! image has an edge, the large penalty shrinks, so that altitude jumps where brightness does. Sums are 16-bit
+//! integers: the result does not depend on threads.
 
 use super::ranges::SearchRanges;
 use heliosplat::vectorised;
@@ -14,7 +15,7 @@ const UNREACHABLE: u16 = 20_000;
 /// Columns that one task takes through a row: enough work to be worth sharing out.
 const CHUNK: usize = 64;
 
-/// What it costs to change altitude between neighbours.
+/// Penalties of a change of altitude between neighbours.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) struct Penalties {
     /// P1: one height step up or down, in units of cost (0..255).
@@ -227,8 +228,8 @@ vectorised! {
 }
 
 vectorised! {
-    /// `out[d] = cost[d] + min(before[d], before[d ± 1] + one, least + jump) - least`, `before` shifted by one; returns the
-    /// least of `out`.
+    /// `out[d] = cost[d] + min(before[d], before[d ± 1] + one, least + jump) -
+    /// least`, `before` shifted by one; returns the least of `out`.
     fn recurse(costs: &[u8], before: &[u16], least: u16, one: u16, jump: u16, out: &mut [u16]) -> u16 {
         let n = costs.len().min(out.len());
         let (below, same, above) = (&before[..n], &before[1..n + 1], &before[2..n + 2]);

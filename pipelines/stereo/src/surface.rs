@@ -1,4 +1,4 @@
-//! The initial surface: what the plane sweep finds, one altitude per cell.
+//! The initial surface, the result of the plane sweep: one altitude per cell.
 
 use super::seen::FEWEST_VIEWS;
 use glam::Vec3;
@@ -22,11 +22,11 @@ pub struct Surface {
     pub cell_m: f32,
     /// Altitude of each cell, metres; never NaN.
     pub altitude: Vec<f32>,
-    /// Altitude of what else may stand there, metres: above the altitude where the ground was preferred to what was matched, else the same.
+    /// Alternative altitude, metres: the matched one where the ground was preferred to it, else the altitude itself.
     pub above: Vec<f32>,
-    /// Confidence in each altitude as it was matched, before speckles were filled: 0 (a guess) to 1.
+    /// Confidence of each match, before speckles were filled: 0 (a guess) to 1.
     pub confidence: Vec<f32>,
-    /// Standard deviation of each altitude as it was matched, metres.
+    /// Standard deviation of each matched altitude, metres.
     pub deviation_m: Vec<f32>,
     /// Probability that each altitude was matched right to within two height steps, 0 to 1.
     pub probability: Vec<f32>,
@@ -36,7 +36,7 @@ pub struct Surface {
     pub views: Vec<u8>,
     /// Base-to-height ratio of these views, as [`Witnesses`](super::Witnesses) have it.
     pub base_to_height: Vec<f32>,
-    /// Step of the height hypotheses, metres: what the views can tell apart.
+    /// Step of the height hypotheses, metres: the height resolution of the views.
     pub resolution_m: f32,
     /// Cells whose altitude was not matched but taken from their neighbours.
     pub filled: Vec<bool>,
@@ -61,14 +61,14 @@ impl Surface {
         .all(|length| Some(length) == cells)
     }
 
-    /// Whether the altitude of a cell is known: at least [`FEWEST_VIEWS`] views see it there and agree better than by chance, and it is more
-    /// probable than all other altitudes together.
+    /// Whether the altitude of a cell is known: at least [`FEWEST_VIEWS`] views see it there and agree better than by
+    /// chance, and it is more probable than all other altitudes together.
     pub fn is_known(&self, cell: usize) -> bool {
         self.is_supported(cell) && self.probability[cell] >= KNOWN_PROBABILITY
     }
 
-    /// Whether at least [`FEWEST_VIEWS`] views see a cell at its altitude and agree better than by chance. How probable other altitudes are is
-    /// not asked.
+    /// Whether at least [`FEWEST_VIEWS`] views see a cell at its altitude and agree better than by chance. The
+    /// probability of other altitudes is not tested.
     pub fn is_supported(&self, cell: usize) -> bool {
         self.views[cell] >= FEWEST_VIEWS && self.matched[cell]
     }
@@ -110,8 +110,8 @@ impl Surface {
         )
     }
 
-    /// Altitude at a ground position, bilinear between cell centres and constant beyond the outermost ones; the cell's own where one of
-    /// the four is not known, so that guesses do not bend what is. `None` off the grid.
+    /// Altitude at a ground position, bilinear between cell centres and constant beyond the outermost ones; the cell's
+    /// own where one of the four is unknown, so that guesses do not distort it. `None` off the grid.
     pub fn altitude_at(&self, x_m: f32, y_m: f32) -> Option<f32> {
         let own = self.cell_at(x_m, y_m)?;
         let col = ((x_m - self.west_m) / self.cell_m - 0.5).clamp(0.0, self.width as f32 - 1.0);
@@ -135,7 +135,7 @@ impl Surface {
     }
 
     /// East and north slope of the surface at a cell (metres per metre), from the neighbour on the side where the
-    /// surface changes less, so that a wall does not tilt the roof and the ground beside it.
+    /// surface changes less, so that a wall does not tilt the roof and the ground next to it.
     pub fn slope(&self, col: usize, row: usize) -> (f32, f32) {
         let at = |c: usize, r: usize| self.altitude[r * self.width + c];
         let here = at(col, row);

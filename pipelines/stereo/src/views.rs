@@ -3,7 +3,8 @@
 use glam::{Vec2, Vec3};
 use heliosplat::{ProjectiveCamera, Raster};
 
-/// Rays flatter than this (the vertical part of their unit direction) count as this steep, so that parallax stays finite.
+/// Rays flatter than this (the vertical part of their unit direction) count as this steep, so that parallax stays
+/// finite.
 const FLATTEST_RAY: f32 = 1e-3;
 
 /// How far the pixel of `camera` that sees `centre` moves over the ground per metre of altitude: east, north.
@@ -18,7 +19,7 @@ pub(super) fn parallax(camera: &ProjectiveCamera, centre: Vec3) -> Vec2 {
         }
 }
 
-/// Where a view looks from and under which light: all that is known of it without its pixels.
+/// Viewing geometry and light of a view, without its pixels.
 #[derive(Debug, Clone, Copy)]
 pub struct ViewGeometry {
     /// Projects ground points (metres) into the image (pixels).
@@ -50,10 +51,10 @@ impl ViewGeometry {
 pub struct SweepView<'a> {
     /// Projects ground points (metres) into the image (pixels).
     pub camera: ProjectiveCamera,
-    /// Linear values, any number of bands, NaN where there is nothing; their mean is what is compared.
+    /// Linear values, any number of bands, NaN where missing; their mean is compared.
     pub image: &'a Raster,
-    /// Of the same size, one band: what tells things apart that are equally bright, such as a vegetation index.
-    /// [`plane_sweep`](super::plane_sweep()) compares it where its parameters say so.
+    /// Of the same size, one band: separates surfaces of equal brightness, such as a vegetation index.
+    /// [`plane_sweep`](super::plane_sweep()) compares it where its parameters include it.
     pub index: Option<&'a Raster>,
     /// Equal for views of one date: same shadows, same season.
     pub date_group: u32,

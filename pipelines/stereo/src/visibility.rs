@@ -1,6 +1,8 @@
-//! Visibility: for each pixel of a view, the altitude at which its ray meets the surface first; a point below that is hidden.
+//! Visibility: for each pixel of a view, the altitude at which its ray meets the surface first; a point below that is
+//! hidden.
 //!
-//! Rays are walked down over the grid in steps of less than a cell, from an altitude that the highest cells under them bound.
+//! Rays are walked down over the grid in steps of less than a cell, from an altitude that the highest cells under them
+//! bound.
 
 use heliosplat::ProjectiveCamera;
 use heliosplat_grid::{Grid, lowest_within};
@@ -15,14 +17,15 @@ pub(super) struct FirstHits {
 
 /// Side of a tile whose highest altitude bounds where a ray can start, cells.
 const TILE: usize = 16;
-/// Length of a step along a ray over the ground, cells: shorter than a cell, so that no cell is stepped over along an axis.
+/// Length of a step along a ray over the ground, cells: shorter than a cell, so that no cell is stepped over along an
+/// axis.
 const STEP_CELLS: f32 = 0.7;
 /// Rounds of lowering the start of a ray by the tiles under it.
 const BOUND_ROUNDS: usize = 2;
 /// Cells each way whose lowest altitude hides: a surface one cell too wide hides nothing.
 const EDGE_CELLS: usize = 1;
 
-/// A surface that hides what is below it.
+/// A surface as an occluder.
 pub(super) struct Standing {
     grid: Grid,
     altitude: Vec<f32>,
@@ -31,8 +34,8 @@ pub(super) struct Standing {
 }
 
 impl Standing {
-    /// Of the altitudes of a grid's cells (metres; `f32::MIN` where there is no surface). A point hides when it lies more than
-    /// `tolerance_m` above another.
+    /// Of the altitudes of a grid's cells (metres; `f32::MIN` where there is no surface). A point hides when it lies
+    /// more than `tolerance_m` above another.
     pub(super) fn new(grid: &Grid, altitude: &[f32], tolerance_m: f32) -> Self {
         let altitude = lowest_within((grid.width, grid.height), altitude, [EDGE_CELLS; 2]);
         Self {
@@ -138,13 +141,13 @@ fn first_hit(
     let (Some(mut start), Some(end)) = (at(highest.top_m), at(highest.bottom_m)) else {
         return f32::MIN;
     };
-    // Where little ground is looked at, most of an image shows what is beside it.
+    // For a small ground grid most rays of an image miss it.
     if grid.is_beside(start, end) {
         return f32::MIN;
     }
     for _ in 0..BOUND_ROUNDS {
-        // The higher the surface under the ray can be, the earlier the walk must begin; and the other way round.
-        // Where nothing is known under it there is nothing above the lowest of what is.
+        // The higher the surface under the ray can be, the earlier the walk must begin; and the other way round. Where
+        // nothing under it is known, the lowest known altitude is the bound.
         let top = highest.over(start, end).max(highest.bottom_m).min(start.z);
         start = at(top).unwrap_or(start);
     }

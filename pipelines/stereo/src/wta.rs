@@ -1,7 +1,7 @@
 //! Winner takes all: from summed costs to one altitude per cell, refined below the height step.
 //!
-//! The cheapest level wins; the parabola through it and its neighbours refines it (as Hirschmüller 2008 does for disparities), and how
-//! much worse the best distant alternative is says how much to trust it.
+//! The cheapest level wins; the parabola through it and its neighbours refines it (as Hirschmüller 2008 does for
+//! disparities), and the margin to the best distant alternative is its confidence.
 
 use super::heights::HeightHypotheses;
 use super::ranges::SearchRanges;
@@ -14,7 +14,7 @@ pub(super) struct HeightChoice {
     pub(super) altitude_m: f32,
     /// Lowest and highest altitude that stay candidates for the next search, metres.
     pub(super) candidates: (f32, f32),
-    /// How much worse the best distant alternative is, 0 (equal) to 1.
+    /// Margin to the best distant alternative, 0 (equal) to 1.
     pub(super) margin: f32,
     /// Standard deviation of the altitude, metres.
     pub(super) deviation_m: f32,
@@ -22,14 +22,14 @@ pub(super) struct HeightChoice {
     pub(super) probability: f32,
 }
 
-/// Levels beside the best that count as the same answer: its own valley of costs, not an alternative.
+/// Levels next to the best that belong to the same minimum of costs and are no alternative.
 const SAME_VALLEY: usize = 2;
-/// Summed cost by which a level is e times less probable than another: with it, and the spread of altitudes around a cell, about 68 % of
-/// the errors on `block` and `tiny`, seed 1, lie within one deviation (docs/lab/known.md).
+/// Summed cost by which a level is e times less probable than another: with it, and the spread of altitudes around a
+/// cell, about 68 % of the errors on `block` and `tiny`, seed 1, lie within one deviation (docs/lab/known.md).
 const COST_PER_E_FOLD: f32 = 30.0;
 
-/// Chooses an altitude for every cell. Local minima whose summed cost lies at most `tolerance` above the least stay candidates for the
-/// next search.
+/// Chooses an altitude for every cell. Local minima whose summed cost lies at most `tolerance` above the least stay
+/// candidates for the next search.
 pub(super) fn winner_takes_all(
     ranges: &SearchRanges,
     heights: &HeightHypotheses,
@@ -95,7 +95,7 @@ pub(super) fn winner(sums: &[u16], low: usize, heights: &HeightHypotheses, toler
     }
 }
 
-/// What the summed costs of a cell say of the level that was chosen, taken as negative logarithms of probabilities in units of
+/// Posterior of the chosen level, from the summed costs of a cell as negative logarithms of probabilities in units of
 /// [`COST_PER_E_FOLD`].
 struct Posterior {
     /// Root mean square distance from the chosen altitude, height steps.

@@ -12,23 +12,25 @@ const LEAST_M: f32 = 2.5;
 const SEED_GAIN: f32 = 0.03;
 /// Least ground of a segment, m².
 const LEAST_M2: f32 = 16.0;
-/// Cells whose census distances are as good as one independent one: windows overlap, and what is seen has a size.
+/// Number of cells whose census distances amount to one independent observation: windows overlap, and objects span
+/// several cells.
 const CELLS_OF_ONE: f32 = 5.0;
-/// Logarithm of likelihood of a pair's census distance that is 1 less: the difference between agreement and chance over the variance of
-/// distances, 0.12 / 0.15².
+/// Logarithm of likelihood of a pair's census distance that is 1 less: the difference between agreement and chance over
+/// the variance of distances, 0.12 / 0.15².
 const LIKELIHOOD_PER_DISTANCE: f32 = 5.3;
-/// Least logarithm of likelihood by matching: shadows say which of two states an image has, not that there are two.
+/// Least log-likelihood ratio by matching: shadows identify the state of an image, not the existence of two states.
 const LEAST_MATCHED: f32 = 5.0;
 /// Parameters that a segment adds: an altitude and a day.
 const PARAMETERS: f32 = 2.0;
-/// The same where no shadow tells the states apart: a place as well. Weak evidence at the rim of the images comes near to being accepted
-/// without it (docs/lab/change.md).
+/// The same where no shadow separates the states: one parameter more, a place. Without it weak evidence at the rim of
+/// the images is nearly accepted (docs/lab/change.md).
 const PARAMETERS_WITHOUT_SHADOWS: f32 = 3.0;
-/// What `criterion`, half of the difference of two Bayesian information criteria, has to exceed. A difference of 2 and less is "not worth
-/// more than a bare mention" (R. E. Kass, A. E. Raftery, Bayes factors, Journal of the American Statistical Association 90, 1995).
+/// Least `criterion`, half of the difference of two Bayesian information criteria. A difference of 2 and less is "not
+/// worth more than a bare mention" (R. E. Kass, A. E. Raftery, Bayes factors, Journal of the American Statistical
+/// Association 90, 1995).
 const LEAST_CRITERION: f32 = 1.0;
-/// Share of a segment's upper quartile of gains that a cell of it has at least: where half of the window lies beside the segment, about
-/// half of the gain is left.
+/// Least gain of a cell, as a share of its segment's upper quartile of gains: where half of the window is outside the
+/// segment, about half of the gain remains.
 const LEAST_SHARE: f32 = 0.45;
 
 /// Two states of some cells.
@@ -68,7 +70,7 @@ impl Side {
 }
 
 impl Split {
-    /// How much better two surfaces explain a cell than one, agreeing pairs.
+    /// Gain of two surfaces over one at a cell, in agreeing pairs.
     fn gain(&self, cell: usize) -> f32 {
         let gain = self.sides[0].gain[cell] + self.sides[1].gain[cell] - self.one[cell];
         // Nothing is known at the corners of the grid.
@@ -100,9 +102,9 @@ pub(super) struct CoarseSegment {
     pub(super) confidence: f32,
 }
 
-/// The segments that the Bayesian information criterion accepts.
-/// Cells that few images show (`shown` is false) are in none: there surfaces differ by which images happen to be compared.
-/// `by_shadows` is how much more likely two states make the shadows around a segment than one, a logarithm; `None` where they say nothing.
+/// The segments that the Bayesian information criterion accepts. Cells visible in few images (`shown` is false) are
+/// excluded: surfaces differ there by the selection of images. `by_shadows` is the log-likelihood ratio of two states
+/// to one from the shadows around a segment; `None` without evidence.
 pub(super) fn find(
     grid: &Grid,
     splits: &[Split],

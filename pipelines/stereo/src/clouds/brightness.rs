@@ -1,6 +1,7 @@
-//! How much brighter each view is than the ground in the sun, as the other views show it.
+//! Excess brightness of each view over the sunlit ground in the other views.
 //!
-//! Haze and exposure differ between images, so each is first brought to the scale of the median of all by a robust line.
+//! Haze and exposure differ between images, so each is first brought to the scale of the median of all by a robust
+//! line.
 
 use super::super::level::LevelView;
 use super::super::ortho;
@@ -13,9 +14,10 @@ use heliosplat_grid::Grid;
 use heliosplat_grid::statistics::upper_median;
 use rayon::prelude::*;
 
-/// One in so many of the other views may be clouded too where the ground in the sun is asked for.
+/// Most clouded views among the others, one in so many, in the estimate of the sunlit ground.
 const VIEWS_PER_CLOUD: usize = 8;
-/// Standard deviations beyond which a value has no weight in the robust line (Beaton and Tukey 1974: 95 % efficient for normal errors).
+/// Standard deviations beyond which a value has no weight in the robust line (Beaton and Tukey 1974: 95 % efficient for
+/// normal errors).
 const BIWEIGHT: f64 = 4.7;
 /// Standard deviation of normal errors in units of their median absolute deviation.
 const DEVIATION_OF_MEDIAN: f64 = 1.48;
@@ -30,9 +32,9 @@ const LEAST_VARIANCE: f64 = 1e-9;
 /// Least distance below the first hit at which a point is hidden, metres.
 const HIDDEN_M: f32 = 1.0;
 
-/// How much brighter each view is at each cell than the ground in the sun, relative to the mean of that ground and the view's median, in
-/// the band where that is least; NaN where the view does not see the cell or too few others do. Points more than `tolerance_m` below
-/// what a view sees first are hidden.
+/// Excess brightness of each view at each cell over the sunlit ground, relative to the mean of that ground and the
+/// view's median, in the band where it is least; NaN where the cell is hidden from the view or visible in too few
+/// others. Points more than `tolerance_m` below the first surface point of a view are hidden.
 pub(super) fn excess(
     views: &[SweepView],
     search: &Search,
@@ -68,7 +70,7 @@ pub(super) fn excess(
             for (least, (&value, sun)) in least.iter_mut().zip(scaled.iter().zip(&in_the_sun)) {
                 let sun = sun.beside(value);
                 let above = 2.0 * (value - sun) / (1.0 + sun.max(0.0));
-                // What is not known in one band stays unknown.
+                // A value missing in one band stays missing.
                 *least = if least.is_nan() || *least < above {
                     *least
                 } else {
@@ -80,8 +82,8 @@ pub(super) fn excess(
     least
 }
 
-/// The brightness of the ground in the sun at a cell, for each view that sees it: the brightest of the other views after those that may be
-/// clouded.
+/// The brightness of the ground in the sun at a cell, for each view that sees it: the brightest of the other views
+/// after those that may be clouded.
 struct InTheSun {
     /// The value of that rank among the other views where the view itself is brighter, NaN where too few see the cell.
     beside_brighter: f32,
@@ -177,7 +179,8 @@ fn on_one_scale(orthos: &[Vec<f32>]) -> Vec<Vec<f32>> {
         .collect()
 }
 
-/// Gain and offset of the line `to = gain · from + offset` by iteratively reweighted least squares with Tukey's biweight.
+/// Gain and offset of the line `to = gain · from + offset` by iteratively reweighted least squares with Tukey's
+/// biweight.
 fn line(from: &[f32], to: &[f32]) -> (f32, f32) {
     let pairs: Vec<(f64, f64)> = from
         .iter()

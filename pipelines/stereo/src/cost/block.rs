@@ -112,7 +112,8 @@ impl Scratch {
         }
     }
 
-    /// Averages the costs of a block with its margin over the aggregation window; those of the block itself come first afterwards.
+    /// Averages the costs of a block with its margin over the aggregation window; those of the block itself come first
+    /// afterwards.
     pub(super) fn average(&mut self, block: &Block, radius: usize) {
         if radius == 0 {
             return;

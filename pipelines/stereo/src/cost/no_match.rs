@@ -1,8 +1,8 @@
-//! The weight of the no-match cost of each cell: what is not seen must not win by chance.
+//! The weight of the no-match cost of each cell, so that hidden heights do not win by chance.
 //!
-//! It is a share of the weights of all comparisons between the views of the cell's own piece of ground, however many views the scene has
-//! elsewhere. Views count by what they would show at the middle of the search range: the weight must not depend on the height that is
-//! judged.
+//! It is a share of the weights of all comparisons between the views of the cell's own piece of ground, however many
+//! views the scene has elsewhere. Views count where they would show the middle of the search range: the weight must not
+//! depend on the height that is tested.
 
 use super::super::parameters::no_match_weight;
 use super::super::seen::pixel_of;

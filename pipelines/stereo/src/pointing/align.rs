@@ -1,8 +1,8 @@
-//! Pointing bias between the images: one shift per image, found by laying all images on a common surface.
+//! Pointing bias between the images: one shift per image, estimated by orthorectifying all images on a common surface.
 //!
-//! Raw vendor cameras disagree by up to several pixels. Across the epipolar lines that spoils every match; along them it
-//! is a change of altitude. Both are estimated from coarse to fine: sweep, lay the views on the surface, correlate each
-//! pair of them, spread the pairwise offsets over the views, repeat.
+//! Raw vendor cameras disagree by up to several pixels. Across the epipolar lines that spoils every match; along them
+//! it is a change of altitude. Both are estimated from coarse to fine: sweep, orthorectify the views, correlate each
+//! pair of them, distribute the pairwise offsets over the views, repeat.
 
 use crate::ortho;
 use crate::pairs::Pair;
@@ -16,7 +16,7 @@ use heliosplat_rpc::adjust::smallest_shifts;
 use nalgebra::{Matrix2x3, Vector2};
 use rayon::prelude::*;
 
-/// Offsets looked at, cells of the level each way.
+/// Searched offsets, cells of the level each way.
 const REACH: isize = 3;
 /// Rounds on each level: the second starts from a surface that the first has sharpened.
 const ROUNDS: usize = 2;
@@ -28,7 +28,7 @@ const COARSE_FACTOR: usize = 4;
 /// Shifts (columns, rows in pixels) that make the views agree, good to a pixel or two, a start for [`super::ties`]:
 /// `camera.shifted(shift[0], shift[1])` is the corrected camera.
 ///
-/// What the images cannot tell — a common translation of the scene in three dimensions — is left as the cameras have it:
+/// The images do not determine a common translation of the scene in three dimensions, which stays that of the cameras:
 /// of all equivalent sets of shifts this is the smallest. With two views only the shift across their epipolar lines
 /// remains.
 pub fn coarse_shifts(views: &[SweepView], request: &PlaneSweepRequest) -> Vec<[f32; 2]> {
@@ -105,8 +105,7 @@ fn normalise(grid: &Grid, values: &[f32]) -> Vec<f32> {
     out
 }
 
-/// How far (cells east, north) `b` shows what `a` shows, and the correlation there: where `a` looks, `b` must look that
-/// much further.
+/// Offset (cells east, north) of the content of `b` relative to `a`, `a(p) ≈ b(p + offset)`, and the correlation there.
 fn offset(grid: &Grid, a: &[f32], b: &[f32]) -> Option<(DVec2, f64)> {
     const SIDE: usize = 2 * REACH as usize + 1;
     let mut scores = [[0.0f64; SIDE]; SIDE];

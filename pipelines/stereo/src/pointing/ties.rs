@@ -1,15 +1,16 @@
 //! Tie points: points of the ground seen in several images, to hundredths of a pixel and without a learned matcher.
 //!
-//! A coarse search gives an approximate surface. Every view is sampled on its tangent plane at a ground point; there all views show the
-//! same patch up to small shifts: parallax of a wrong altitude along the epipolar line, pointing bias in any direction. One view is the
-//! reference of a point; in each other view the shift is found by normalised cross-correlation and checked by searching back (`patch`),
-//! then refined by least squares (`refine`; A. W. Gruen, *Adaptive least squares correlation*, 1985, with shifts only: the tangent plane
-//! has removed what an affine warp would). Points are corners of the reference's texture, one in each tile of the ground (`corners`), and
-//! the views take turns as the reference.
+//! A coarse search gives an approximate surface. Every view is sampled on its tangent plane at a ground point; there
+//! all views show the same patch up to small shifts: parallax of a wrong altitude along the epipolar line, pointing
+//! bias in any direction. One view is the reference of a point; in each other view the shift is found by normalised
+//! cross-correlation and checked by searching back (`patch`), then refined by least squares (`refine`; A. W. Gruen,
+//! *Adaptive least squares correlation*, 1985, with shifts only: the tangent plane replaces the affine warp). Points
+//! are corners of the reference's texture, one in each tile of the ground (`corners`), and the views take turns as the
+//! reference.
 //!
-//! Limits: shifts beyond `REACH` cells of the level are not found, so biases of many pixels need a coarse alignment first
-//! ([`super::align::coarse_shifts`]). The edge of a shadow that moved between dates matches well at a wrong place; the robust adjustment
-//! has to reject such sightings.
+//! Limits: shifts beyond `REACH` cells of the level are not found, so biases of many pixels need a coarse alignment
+//! first ([`super::align::coarse_shifts`]). The edge of a shadow that moved between dates matches well at a wrong
+//! place; the robust adjustment has to reject such sightings.
 
 mod corners;
 pub mod epipolar;
@@ -43,8 +44,8 @@ const STEEPEST: f32 = 1.0;
 const SAME_SURFACE_STEPS: f32 = 2.0;
 /// The same in cells.
 const SAME_SURFACE_CELLS: f32 = 1.5;
-/// Added to the diagonal of the tangent plane's normal equations (square metres for the slopes, a count of cells for the altitude): keeps
-/// them solvable where few cells take part.
+/// Added to the diagonal of the tangent plane's normal equations (square metres for the slopes, a count of cells for
+/// the altitude): keeps them solvable where few cells take part.
 const STIFFNESS: Vec3 = Vec3::new(1e-3, 1e-3, 1e-6);
 /// Least correlation of a sighting with its reference.
 const LEAST_SCORE: f32 = 0.75;
@@ -80,7 +81,8 @@ pub struct TieOptions {
     pub tiles: usize,
 }
 
-/// Finds tie points between the views, whose cameras must agree to about `REACH` cells. The same for any number of threads.
+/// Finds tie points between the views, whose cameras must agree to about `REACH` cells. The same for any number of
+/// threads.
 pub fn find_ties(views: &[SweepView], request: &PlaneSweepRequest, options: TieOptions) -> Vec<Tie> {
     let search = Search::new(views, request);
     let Some(found) = search.descend(SURFACE_FACTOR * options.factor, &|_| {}) else {
@@ -127,8 +129,8 @@ impl ApproximateSurface<'_> {
             .collect()
     }
 
-    /// The tangent plane at a ground position: altitude there and slopes east and north, from the cells around that belong to
-    /// the same surface.
+    /// The tangent plane at a ground position: altitude there and slopes east and north, from the cells around that
+    /// belong to the same surface.
     fn tangent_plane(&self, x_m: f32, y_m: f32) -> TangentPlane {
         let cell = self.grid.nearest(x_m, y_m);
         let (col, row) = ((cell % self.grid.width) as isize, (cell / self.grid.width) as isize);
@@ -176,7 +178,7 @@ impl TangentPlane {
     }
 }
 
-/// What tie points are matched with.
+/// Input of the matching of tie points.
 struct Matcher<'a> {
     views: &'a [SweepView<'a>],
     levels: &'a [LevelView],

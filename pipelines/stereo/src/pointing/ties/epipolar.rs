@@ -1,10 +1,11 @@
-//! Tie points of two images whose ground may lie at any altitude of a wide range: before a surface, a common frame or a pinhole camera is
-//! known.
+//! Tie points of two images whose ground may lie at any altitude of a wide range: before a surface, a common frame or a
+//! pinhole camera is known.
 //!
-//! A corner of the first image is projected into the second through the two rational cameras at the altitudes of the range: its epipolar
-//! curve, which is a straight line to a fraction of a pixel. Both images are resampled along it, in the first image's scale and orientation,
-//! so that the search is one of whole shifts along the line, and a few pixels across it for what the cameras' pointing is off. A match must
-//! correlate well, have no rival on the line, and lead back to the corner. Matches whose altitude no neighbour shares are dropped.
+//! A corner of the first image is projected into the second through the two rational cameras at the altitudes of the
+//! range: its epipolar curve, which is a straight line to a fraction of a pixel. Both images are resampled along it, in
+//! the first image's scale and orientation, so that the search is over integer shifts along the line, and a few pixels
+//! across it for the pointing error of the cameras. A match must correlate well, be unique on the line, and lead back
+//! to the corner. Matches whose altitude no neighbour shares are dropped.
 
 use super::patch::{LEAST_SPREAD, normalise};
 use super::{HALF, corners};
@@ -27,9 +28,9 @@ const CLOSURE_PX: usize = 1;
 const LONGEST_PX: f64 = 4096.0;
 /// Half the distance over which the change of scale and orientation between the images is measured, pixels.
 const JACOBIAN_PX: f64 = 8.0;
-/// Neighbours of a match that are asked whether they agree with it.
+/// Neighbours of a match that are tested for agreement with it.
 const NEIGHBOURS: usize = 8;
-/// How many of them have to.
+/// Least number of agreeing neighbours.
 const AGREEING: usize = 3;
 /// Neighbours agree within this, metres: a house.
 const AGREE_M: f64 = 15.0;
@@ -66,19 +67,19 @@ impl ReducedView<'_> {
         Vector2::new(one(at.col, self.first_px[0]), one(at.row, self.first_px[1]))
     }
 
-    /// Where this view shows what another shows at `at`, if that lies at an altitude, metres above the ellipsoid.
+    /// Position in this view of a point at `at` in another, if it is at an altitude, metres above the ellipsoid.
     fn place_of(&self, other: &Self, at: Vector2<f64>, altitude_m: f64) -> Option<Vector2<f64>> {
         let place = other.rpc.localise(other.in_file(at), altitude_m).ok()?;
         Some(self.reduced(self.rpc.project(place)))
     }
 
-    /// Bilinear value; `NaN` outside the image and beside missing pixels.
+    /// Bilinear value; `NaN` outside the image and next to missing pixels.
     fn sample(&self, at: Vector2<f64>) -> f32 {
         heliosplat_grid::bilinear(&self.image.values, (self.image.width, self.image.height), at.x, at.y)
     }
 }
 
-/// What is searched.
+/// Range of a search along epipolar lines.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct EpipolarSearch {
     /// Lowest and highest altitude, metres above the ellipsoid.
@@ -93,22 +94,23 @@ pub struct EpipolarSearch {
     pub gsd_m: f64,
 }
 
-/// What two images say about altitudes.
+/// Altitudes from tie points of two images.
 #[derive(Debug, Clone, PartialEq)]
 pub struct TiedAltitudes {
     /// Altitude of each tie point, metres above the ellipsoid.
     pub altitudes_m: Vec<f64>,
     /// Corners that were tried.
     pub tried: usize,
-    /// Those of them that found a match, whatever its neighbours say.
+    /// Corners with a match, before the test of neighbours.
     pub matched: usize,
     /// How far the second image is off across the epipolar line, pixels of the first image's file.
     pub across_px: f64,
-    /// Altitude per pixel of parallax, metres: a few times what the altitudes are off.
+    /// Altitude per pixel of parallax, metres: a few times the error of the altitudes.
     pub step_m: f64,
 }
 
-/// One match: the corner in the first image, its altitude, and how far off the line it was found, pixels of the reduced image.
+/// One match: the corner in the first image, its altitude, and how far off the line it was found, pixels of the reduced
+/// image.
 #[derive(Debug, Clone, Copy)]
 struct Match {
     at: Vector2<f64>,
@@ -148,8 +150,8 @@ pub fn tied_altitudes(first: &ReducedView, second: &ReducedView, search: &Epipol
     }
 }
 
-/// The epipolar line of a corner, and the frame along it in which both images are resampled: `u` along the line in the direction of rising
-/// altitude, `v` across it, pixels of the first image.
+/// The epipolar line of a corner, and the frame along it in which both images are resampled: `u` along the line in the
+/// direction of rising altitude, `v` across it, pixels of the first image.
 struct Line {
     corner: Vector2<f64>,
     /// Where the second image shows the corner at the middle of the range.
@@ -327,7 +329,8 @@ impl Strip {
         Scores { width, values }
     }
 
-    /// The root of the sum of squares about the mean of the patch at every shift; 0 where it is not whole or has no texture.
+    /// The root of the sum of squares about the mean of the patch at every shift; 0 where it is not whole or has no
+    /// texture.
     fn spreads(&self) -> Vec<f32> {
         let (width, height) = self.shifts;
         let count = (SIDE * SIDE) as f32;
@@ -478,7 +481,7 @@ mod tests {
         image
     }
 
-    /// What the images of two cameras say of altitudes from 0 to 1,000 m.
+    /// Tie points of the images of two cameras at altitudes from 0 to 1,000 m.
     fn tied(first: (&Rpc, &Raster), second: (&Rpc, &Raster)) -> TiedAltitudes {
         let view = |(rpc, image)| ReducedView {
             rpc,

@@ -19,7 +19,7 @@ const CLOSURE: isize = 1;
 /// Standard deviation below which a patch has no texture, as a share of its mean.
 pub(super) const LEAST_SPREAD: f32 = 5e-3;
 
-/// What a view shows around a point; NaN where it shows nothing.
+/// Samples of a view around a point; NaN where there are none.
 pub(super) struct Region {
     values: Vec<f32>,
 }
@@ -108,7 +108,7 @@ impl Region {
 
 const SHIFTS: usize = 2 * REACH as usize + 1;
 
-/// The correlations of a search and where the best of them lies.
+/// The correlations of a search and the position of the best.
 #[derive(Default)]
 struct Peak {
     scores: [[f32; SHIFTS]; SHIFTS],

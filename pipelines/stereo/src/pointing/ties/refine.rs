@@ -11,8 +11,8 @@ const LAST_STEP: f64 = 5e-3;
 /// A refined shift may not leave the cell it started from.
 const FARTHEST: f64 = 1.0;
 
-/// Gauss-Newton on the shift of the sampled patch against the template. Both are normalised, so the slopes that count are those
-/// perpendicular to the template itself: what brightness and contrast could do as well tells nothing of the shift.
+/// Gauss-Newton on the shift of the sampled patch against the template. Both are normalised, so the slopes are
+/// projected perpendicular to the template: changes of brightness and contrast carry no information about the shift.
 pub(super) fn refine(
     reference: &Region,
     template: &Template,
