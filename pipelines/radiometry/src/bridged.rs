@@ -1,14 +1,15 @@
-//! Ground between walls that the sweep has bridged: courts and alleys, in shade on most dates and of one colour, of which little is
-//! matched, so that the roofs beside them hold the surface up.
+//! Ground between walls that the sweep has bridged: shaded courts and alleys of uniform colour with few matches, so
+//! that the adjacent roofs hold the surface up.
 //!
-//! Parts of the surface of which the sweep is not sure are tested by their light. Either surface, as it is and with the part lowered to the
-//! ground around it, says which images see the part, where, and on which dates the sun reaches it. If a surface is right, places that are lit on
-//! some dates and in shade on others are brighter on the former. A part that is right as it is seldom has such a contrast when it is lowered:
-//! what is then taken for it lies elsewhere. Figures are in docs/lab/edges.md.
+//! Uncertain parts of the surface are tested by their light. Each of two surfaces, the current one and one with the
+//! part lowered to the ground around it, predicts the images and pixels that show the part, and the dates on which the
+//! sun reaches it. On the right surface, places lit on some dates and shaded on others are brighter when lit. A part
+//! that is right as it is seldom has such a contrast when lowered, since other ground is then sampled. Figures are in
+//! docs/lab/edges.md.
 //!
-//! Limits: a part of which less than a tenth and less than five square metres are lit on one date and in shade on another tells nothing, and stays
-//! as it is. A part takes the edges of roofs beside it along, which training puts back; a lowered cell says by its probability and deviation
-//! that it may be as high as it was matched.
+//! Limits: a part stays unchanged when less than a tenth of it and less than five square metres are both lit on one
+//! date and shaded on another. A part includes the edges of adjacent roofs, which training restores; the probability
+//! and deviation of a lowered cell include its matched altitude.
 
 use super::ground::{ground_below, ground_probability, is_sure};
 use super::suns::{angles_deg, bilinear, toward};
@@ -21,7 +22,7 @@ use heliosplat_stereo::SweepView;
 use heliosplat_stereo::change::Changes;
 use rayon::prelude::*;
 
-/// Least height above the ground of cells beside a part, metres.
+/// Least height above the ground of cells next to a part, metres.
 const LEAST_BESIDE_M: f32 = 2.0;
 /// Neighbours that differ by more belong to different parts, metres.
 const STEP_M: f32 = 3.0;
@@ -29,30 +30,31 @@ const STEP_M: f32 = 3.0;
 const LEAST_M2: f32 = 15.0;
 /// As far as shadows are followed, metres.
 const REACH_M: f32 = 60.0;
-/// Least contrast of lit and shaded dates on the lowered part, a natural logarithm: direct light is at least as strong as that of the sky.
+/// Least contrast of lit and shaded dates on the lowered part, a natural logarithm: direct light is at least as strong
+/// as that of the sky.
 const LEAST_CONTRAST: f32 = 0.65;
-/// How much more it is than on the part as it is.
+/// Least difference of the contrast from that on the current surface.
 const LEAST_GAIN: f32 = 0.5;
-/// Most contrast of a part as it is: training mends by itself what explains the light in part.
+/// Most contrast of a part on the current surface: training corrects partial explanations of the light itself.
 const MOST_CONTRAST_NOW: f32 = 0.4;
-/// Least share of a part's cells that are lit on one date and in shade on another, for the part to tell anything.
+/// Least share of a part's cells that are lit on one date and shaded on another.
 const LEAST_SHARE: f32 = 0.1;
-/// Ground of such cells from which on a part tells something whatever their share, m².
+/// Area of such cells that suffices whatever their share, m².
 const LEAST_TOLD_M2: f32 = 5.0;
-/// How far from a lowered cell the ground is that says how high it lies, metres each way (docs/lab/edges.md).
+/// Distance from a lowered cell within which the level of the ground is measured, metres each way (docs/lab/edges.md).
 const LEVEL_REACH_M: f32 = 18.0;
-/// Most height above the ground of what counts as ground, metres.
+/// Most height above the ground of cells that count as ground, metres.
 const MOST_ON_GROUND_M: f32 = 1.0;
 /// Least area of such ground, m².
 const LEAST_LEVEL_M2: f32 = 15.0;
-/// Probability that a lowered cell is ground: the share of the lowered cells that were right within two metres, `city` 11, 13, 14, 16 and
-/// `block` 21 (docs/lab/edges.md).
+/// Probability that a lowered cell is ground: the share of the lowered cells that were right within two metres, `city`
+/// 11, 13, 14, 16 and `block` 21 (docs/lab/edges.md).
 const LOWERED_PROBABILITY: f32 = 0.65;
-/// Share of an image's pixels that are darker than what the air adds.
+/// Share of an image's pixels that are darker than its path radiance.
 const DARKEST: f64 = 0.003;
-/// Brightness below which nothing is told apart, as a share of the image's median.
+/// Least brightness that is compared, as a share of the image's median.
 const LEAST_BRIGHTNESS: f32 = 0.02;
-/// One pixel in so many, each way, says how bright an image is.
+/// One pixel in so many, each way, samples the brightness of an image.
 const STRIDE: usize = 5;
 
 /// The parts of a surface that were lowered.
@@ -71,9 +73,9 @@ impl std::ops::AddAssign for Lowered {
     }
 }
 
-/// Lowers the parts of a surface that bridge ground, as the light of the `views` says; those without a sun say nothing. What changed between
-/// the images stays as it is, and the state of before (`changes`) follows the surface elsewhere. `None` where fewer than two suns are known,
-/// so that nothing can be told.
+/// Lowers the parts of a surface that bridge ground, by the light of the `views` with a known sun. Changed segments
+/// stay, and the state before a change (`changes`) follows the surface elsewhere. `None` where fewer than two suns are
+/// known, so that no test is possible.
 pub fn lower(views: &[SweepView], surface: &mut Surface, changes: &mut Changes) -> Option<Lowered> {
     let lights: Vec<Light> = views.par_iter().map(|view| Light::of(view, surface)).collect();
     if lights.iter().filter(|light| light.to_sun.is_some()).count() < 2 {
@@ -123,7 +125,7 @@ struct Light<'a> {
     to_sun: Option<Toward>,
     /// `None` from straight above, where nothing hides anything.
     to_camera: Option<Toward>,
-    /// What the air adds, and the median above it.
+    /// Path radiance, and the median above it.
     dark: f32,
     median: f32,
 }
@@ -151,7 +153,7 @@ impl<'a> Light<'a> {
         }
     }
 
-    /// What the view shows of a cell of a relief, which lies at `point`; `None` where it does not see it.
+    /// Value of the view at a cell of a relief with the centre `point`; `None` where it is hidden.
     fn sees(&self, relief: &Relief, cell: usize, point: Vec3) -> Option<f32> {
         if self.to_camera.as_ref().is_some_and(|to| relief.is_shaded(cell, to)) {
             return None;
@@ -161,8 +163,8 @@ impl<'a> Light<'a> {
     }
 }
 
-/// Altitude of the ground at cells to lower, in ascending order: the median of what was swept around them and is ground for sure. The ground
-/// below the surface, an opening, is that of the lowest cells around, and so of those that err most. No cell is raised.
+/// Altitude of the ground at cells to lower, in ascending order: the median of certain ground around them. The opening
+/// is not used, since it follows the lowest cells around, which have the largest errors. No cell is raised.
 fn levels(grid: &Grid, surface: &Surface, ground_m: &[f32], cells: &[usize]) -> Vec<f32> {
     let is_ground = |&cell: &usize| {
         let height_m = surface.altitude[cell] - ground_m[cell];
@@ -179,7 +181,7 @@ fn levels(grid: &Grid, surface: &Surface, ground_m: &[f32], cells: &[usize]) -> 
     cells.par_iter().map(level_m).collect()
 }
 
-/// Connected cells of which the sweep is not sure and that stand above the ground around them.
+/// Connected uncertain cells that are above the ground around them.
 fn parts(grid: &Grid, surface: &Surface, ground_m: &[f32], changes: &Changes) -> Vec<Vec<usize>> {
     let height_m = |cell: usize| surface.altitude[cell] - ground_m[cell];
     let unsure = |cell: usize| ground_probability(height_m(cell), || surface.probability[cell]).is_some();
@@ -202,7 +204,7 @@ fn parts(grid: &Grid, surface: &Surface, ground_m: &[f32], changes: &Changes) ->
     groups.map(whole).filter(|part| !part.is_empty()).collect()
 }
 
-/// Whether the light of a part, cells in ascending order, tells that it lies on the ground.
+/// Whether the light of a part (cells in ascending order) is that of ground.
 fn is_bridged(grid: &Grid, surface: &Surface, ground_m: &[f32], part: &[usize], lights: &[Light]) -> bool {
     let window = Window::around(grid, part);
     let now = window.contrast(grid, part, lights, &|cell| surface.altitude[cell]);
@@ -229,7 +231,7 @@ fn is_bridged(grid: &Grid, surface: &Surface, ground_m: &[f32], part: &[usize], 
     bridged
 }
 
-/// How much brighter cells are on the dates on which they are lit than on those on which they are in shade.
+/// Brightness of cells on the dates on which they are lit relative to those on which they are shaded.
 #[derive(Debug, Clone, Copy)]
 struct Contrast {
     /// Mean over the cells that are both, a natural logarithm.
@@ -238,7 +240,7 @@ struct Contrast {
     share: f32,
 }
 
-/// The ground around a part, as far as what stands on it shades and hides the part.
+/// The ground around a part, within the reach of shadows and occlusion on the part.
 struct Window {
     first: [usize; 2],
     size: (usize, usize),
@@ -312,10 +314,11 @@ mod tests {
     /// Azimuths and elevations of the suns of the images, degrees.
     const SUNS: [[f64; 2]; 5] = [[180.0, 50.0], [180.0, 65.0], [95.0, 40.0], [150.0, 45.0], [230.0, 60.0]];
 
-    /// Azimuths and elevations of their cameras as the ground sees them, degrees. The last looks over the northern houses, which hide 2.7 m of the court.
+    /// Azimuths and elevations of their cameras as the ground sees them, degrees. The last looks over the northern
+    /// houses, which hide 2.7 m of the court.
     const CAMERAS: [[f64; 2]; 5] = [[90.0, 75.0], [270.0, 80.0], [90.0, 85.0], [270.0, 89.95], [0.0, 75.0]];
 
-    /// Rows beside the houses where the sweep is too low, and their altitude there, metres.
+    /// Rows next to the houses where the sweep is too low, and their altitude there, metres.
     const BESIDE: [usize; 4] = [18, 19, 42, 43];
     const BESIDE_M: f32 = -0.9;
 
@@ -333,7 +336,7 @@ mod tests {
         Vec3::new((across * east) as f32, (across * north) as f32, up as f32)
     }
 
-    /// What a camera whose pixels are the cells at altitude 0 sees of `values` on a relief.
+    /// Image of `values` on a relief from a camera whose pixels are the cells at altitude 0.
     fn seen(height_m: &dyn Fn(usize) -> f32, values: &[f32], to_camera: Vec3) -> Raster {
         let mut image = Raster::filled(SIDE, SIDE, 1, 0.0);
         image.values = (0..SIDE * SIDE)
@@ -357,7 +360,8 @@ mod tests {
         ProjectiveCamera::new(u, v, [0.0; 3], (SIDE, SIDE), -to_camera.as_dvec3())
     }
 
-    /// What is left of the height of the court where the sweep bridged it unsurely, and images show it `court_m` high, of an `albedo`.
+    /// Remaining height of a court that the sweep bridged with low certainty, in images of a court `court_m` high with
+    /// an `albedo`.
     fn left_m(court_m: f32, albedo: f32) -> f32 {
         let cells = SIDE * SIDE;
         let height_m = |cell: usize| match cell {

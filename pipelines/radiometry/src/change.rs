@@ -1,14 +1,14 @@
-//! What the shadows around a segment say of its two states.
+//! Evidence of change from the shadows around a segment, for its two states.
 //!
-//! A house shades other ground than the lot on which it stands. Where the two states differ in that, and the ground shows in an image,
-//! its darkness tells which state the image has, whatever the other images show. So a side with a single pair of images, on which
-//! matching says little, has as many observations as it has dates.
+//! A house shades ground outside its own lot. Where the two states differ in that, and an image shows the ground, its
+//! darkness identifies the state in the image, independently of all other images. So a side with a single pair of
+//! images, for which matching has little evidence, has as many observations as dates.
 //!
-//! Darkness is measured against the other dates on which the same ground is lit. How likely each darkness is in the shadows that the
-//! surface of all images casts and in its sun is counted over the whole scene, so that mistakes of the surface, and dates that
-//! hardly differ, make the evidence as weak as it is.
+//! Darkness is measured against the other dates on which the same ground is lit. The likelihood of each darkness in the
+//! shadows of the surface of all images, and in its sun, is counted over the whole scene, so that errors of the
+//! surface, and dates that hardly differ, weaken the evidence accordingly.
 //!
-//! Limits: no date says more than `MOST_OF_DATE`; what a segment shades within itself is not asked.
+//! Limits: the evidence of a date is at most `MOST_OF_DATE`; shadows of a segment on itself are not used.
 
 use super::suns::{Darkness, angles_deg, toward};
 use heliosplat_grid::Grid;
@@ -24,10 +24,10 @@ const CLASSES: usize = 12;
 const DARKEST: f32 = 1.5;
 /// How far a sun may be too high and a cell that it lights still count as lit, degrees: edges of surfaces are ramps.
 const DOUBT_DEG: f64 = 3.0;
-/// Cells whose darkness is as good as one independent one: a patch of dark ground has a size. Twice as many accepted patterns that repeat, such
-/// as rows of trees, for buildings (docs/lab/change.md).
+/// Cells whose darkness is as good as one independent one: a patch of dark ground has a size. Twice as many accepted
+/// patterns that repeat, such as rows of trees, for buildings (docs/lab/change.md).
 const CELLS_OF_ONE: f32 = 2.5;
-/// Most that one date says, as a logarithm of likelihood.
+/// Most evidence of one date, as a logarithm of likelihood.
 const MOST_OF_DATE: f32 = 16.0;
 /// Longest shadow that is followed, metres.
 const REACH_M: f32 = 60.0;
@@ -37,12 +37,12 @@ struct Date {
     day: i32,
     azimuth_deg: f64,
     elevation_deg: f64,
-    /// How much darker each cell is than on other dates; NaN where that is unknown.
+    /// Darkness of each cell relative to other dates; NaN where unknown.
     darkness: Vec<f32>,
 }
 
-/// Divides `surface` in what stands before and after a day, as [`heliosplat_stereo::change::find`]; `days` are those of the views, days
-/// since 1970, and the shadows around each segment take part.
+/// Divides `surface` into the states before and after a day, as [`heliosplat_stereo::change::find`], including the
+/// shadows around each segment; `days` are those of the views, days since 1970.
 pub fn find(views: &[SweepView], days: &[i32], request: &PlaneSweepRequest, surface: &mut Surface) -> Changes {
     change::find(views, days, request, surface, |grid, altitude_m| {
         let shadows = Shadows::new(views, days, grid, altitude_m);
@@ -55,7 +55,7 @@ struct Shadows {
     grid: Grid,
     altitude_m: Vec<f32>,
     dates: Vec<Date>,
-    /// Logarithm of how much more likely each class of darkness is in shadow than in the sun.
+    /// Log-likelihood ratio of shadow to sun for each class of darkness.
     in_shadow: [f32; CLASSES],
 }
 
@@ -115,8 +115,8 @@ impl Shadows {
         }
     }
 
-    /// How much more likely the darkness around some cells is with two states, the change from one to the other on a day, than with the
-    /// better of the two on all dates: a logarithm. `None` where no date shows ground that tells them apart.
+    /// Log-likelihood ratio for the darkness around some cells: two states that change on a day, against the better of
+    /// the two on all dates. `None` where no date shows ground on which they differ.
     fn likelihood(&self, states: &States) -> Option<f32> {
         let States {
             cells,
@@ -215,7 +215,8 @@ mod tests {
         (cells, altitudes_m)
     }
 
-    /// The likelihood that the house is new on `day`, told by images in which it stands from `built` on; another house stands always.
+    /// The likelihood ratio that the house is new on `day`, from images in which it exists from `built` on; another
+    /// house always exists.
     fn likelihood(day: i32, built: i32) -> f32 {
         let grid = Grid::plain(SIDE, SIDE);
         let (cells, altitudes_m) = lot();

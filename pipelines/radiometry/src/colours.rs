@@ -1,5 +1,5 @@
-//! Colours to start from: per-image gain and offset, the path radiance of the reference image, and the albedo of each Gaussian, from what
-//! the views show of the start surface in the sun and in the shade.
+//! Initial colours: per-image gain and offset, the path radiance of the reference image, and the albedo of each
+//! Gaussian, from the pixels of the start surface in the sun and in the shade.
 
 use super::linear::ALBEDO_RANGE;
 use super::path_radiance::{self, Pair};
@@ -23,19 +23,19 @@ const LIT: f32 = 0.7;
 const SHADED: f32 = 0.1;
 /// Alpha below which a pixel is not covered by the start surface.
 const COVERED: f32 = 0.9;
-/// Opacity at which coverage is judged.
+/// Opacity at which coverage is measured.
 const SOLID: f32 = 0.99;
-/// Share of the sunlit value that a place in a shadow keeps at most; what keeps more was not in the shadow.
+/// Most brightness of a place in shadow relative to sunlit; brighter places were not in the shadow.
 const SHADE_MAX: f32 = 0.6;
 /// Share of the pairs of an image among which its shade is looked for: the narrowest range that holds so many.
 const SHADE_SHARE: f64 = 0.3;
-/// Fewest pairs that tell the shade of an image.
+/// Fewest pairs for the shade of an image.
 const FEWEST_SHADED: usize = 50;
 /// Pixels next to uncovered ones that do not count either.
 const EDGE_PX: usize = 3;
 
-/// What one view shows of every Gaussian: its pixel, where it is visible, and whether the sun reaches it. At the edge of a shadow it is
-/// neither lit nor shaded.
+/// A view's sample of a Gaussian: its pixel, where it is visible, and whether the sun reaches it. At the edge of a
+/// shadow it is neither lit nor shaded.
 struct Sample {
     pixel: Option<u32>,
     lit: bool,
@@ -127,16 +127,17 @@ fn cover(view: &mut View, maps: &Maps) {
     });
 }
 
-/// What a shadow is worth beside the same ground in the sun, for each view and band; `None` where the view does not tell.
+/// Brightness in shadow relative to the same ground in the sun, for each view and band; `None` where the view has too
+/// few pairs.
 pub type Shades = Vec<Vec<Option<f64>>>;
 
-/// Sets albedo and per-image colour of `parameters` from `views`, and the views' weights to what the surface covers. Returns what shadows
-/// are worth.
+/// Sets albedo and per-image colour of `parameters` from `views`, and restricts the views' weights to the surface.
+/// Returns the shades.
 pub fn initialise(model: &ShadowGs, parameters: &mut Parameters, views: &mut [View], sky: f32) -> Shades {
     let bands = model.options.bands;
     let mut occluders = Occluders::new(&parameters.gaussians);
     let mut shown = Vec::new();
-    // What training may make opaque counts as covered.
+    // Everything that training may make opaque counts as covered.
     let mut solid = parameters.clone();
     solid.gaussians.group_mut(OPACITY).fill(logit(SOLID));
     for view in views.iter_mut() {
@@ -218,7 +219,7 @@ fn densest(mut values: Vec<f32>) -> Option<f64> {
     Some(f64::from(0.5 * (narrowest[0] + narrowest[held - 1])))
 }
 
-/// What an image makes of the reference image's values.
+/// Map from the reference image's values to those of an image.
 #[derive(Clone, Copy)]
 struct Colour {
     gain: f32,
@@ -244,7 +245,7 @@ fn colours(model: &ShadowGs, shown: &[Vec<Sample>], views: &[View]) -> Vec<Vec<C
         .collect()
 }
 
-/// What all views show of the Gaussians.
+/// Samples of the Gaussians in all views.
 struct Shown<'a> {
     views: &'a [View],
     samples: Vec<Vec<Sample>>,
@@ -254,7 +255,7 @@ struct Shown<'a> {
 }
 
 impl Shown<'_> {
-    /// What view `v` shows of Gaussian `g` in band `k`, in the counts of the reference image.
+    /// Value of Gaussian `g` in view `v` and band `k`, in the counts of the reference image.
     fn value(&self, v: usize, g: usize, k: usize) -> Option<f32> {
         let value = self.views[v].image.plane(k)[self.samples[v][g].pixel? as usize];
         let Colour { gain, offset } = self.colours[v][k];
@@ -270,8 +271,9 @@ impl Shown<'_> {
         path_radiance::of_band((0..self.views.len()).map(pairs).collect())
     }
 
-    /// What ground in the shadows of view `v` is worth in band `k` beside the same ground in the sun. Where the surface is wrong, what
-    /// counts as shaded is lit; so this is the middle of the narrowest range that holds many pairs, not their median.
+    /// Brightness of shaded ground in view `v` and band `k` relative to the same ground in the sun. Where the surface
+    /// is wrong, lit ground counts as shaded; so this is the middle of the narrowest range with many pairs, not their
+    /// median.
     fn shade(&self, v: usize, k: usize, path_radiance: f32) -> Option<f64> {
         let gaussians = (0..self.samples[v].len()).into_par_iter().with_min_len(1024);
         let ratio = |g: usize| {
@@ -293,7 +295,7 @@ impl Shown<'_> {
         Some(Pair { lit, shaded })
     }
 
-    /// What each Gaussian is worth in the sun, in band `k`; `None` of those that fewer than two views show there.
+    /// Sunlit value of each Gaussian in band `k`; `None` where fewer than two views show it lit.
     fn lit(&self, k: usize) -> Vec<Option<[f32; 2]>> {
         let count = self.samples.first().map_or(0, Vec::len);
         let medians = |g: usize| {

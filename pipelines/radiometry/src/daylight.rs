@@ -1,4 +1,5 @@
-//! How bright sunlit and shaded level ground is under any sun, in counts of the reference image, as fitted to the images of a run.
+//! How bright sunlit and shaded level ground is under any sun, in counts of the reference image, as fitted to the
+//! images of a run.
 
 mod air;
 
@@ -14,26 +15,28 @@ pub struct Daylight {
     pub air: Vec<BandAir>,
     /// Elevation of the reference image's sun: the gauge.
     pub reference_elevation_rad: f64,
-    /// Share of what is known of each band's optical depth that the images said, 0 to 1; the rest is prior.
+    /// Share of the information on each band's optical depth that comes from the images, 0 to 1; the rest is prior.
     pub images_decide: Vec<f64>,
     /// Lowest and highest sun of the images, radians.
     pub suns_rad: [f64; 2],
-    /// Robust standard deviation of the images' own gains beside what their suns ask for, as a share: exposure and haze.
+    /// Robust standard deviation of the images' own gains relative to those expected from their suns, as a share:
+    /// exposure and haze.
     pub exposure_sigma: f64,
 }
 
 impl Daylight {
-    /// Brightness of sunlit level ground in band `k` under a sun, relative to that under the sun of the reference image.
+    /// Brightness of sunlit level ground in band `k` under a sun, relative to that under the sun of the reference
+    /// image.
     pub fn gain(&self, k: usize, elevation_rad: f64) -> f64 {
         self.air[k].level(elevation_rad) / self.air[k].level(self.reference_elevation_rad)
     }
 
-    /// What a shadow in band `k` is worth beside sunlit ground, 0 to 1.
+    /// Brightness of a shadow in band `k` relative to sunlit ground, 0 to 1.
     pub fn shade(&self, k: usize, elevation_rad: f64) -> f64 {
         self.air[k].shade(elevation_rad)
     }
 
-    /// Whether it is a light of `bands` bands that can be.
+    /// Whether its values are plausible, for `bands` bands.
     pub fn is_possible(&self, bands: usize) -> bool {
         let above = |elevation: &f64| elevation.is_finite() && *elevation > 0.0 && elevation.sin() > 0.0;
         self.air.len() == bands
@@ -45,7 +48,7 @@ impl Daylight {
             && self.exposure_sigma.is_finite()
     }
 
-    /// What it is and how far the images decided it, in words.
+    /// Its values and their share from images, in words.
     pub fn in_words(&self) -> String {
         let list = |value: &dyn Fn(usize) -> f64| {
             let values: Vec<String> = (0..self.air.len()).map(|k| format!("{:.2}", value(k))).collect();

@@ -1,28 +1,30 @@
-//! The ground below a surface, and what of the surface may be ground instead.
+//! The ground below a surface, and the probability that the surface is ground.
 
 use heliosplat_grid::opening;
 
-/// What is narrower than twice this stands on the ground, metres: two rows of houses and the court between them.
+/// Half of the largest width of structures on the ground, metres: two rows of houses and the court between them.
 const REACH_M: f32 = 12.0;
 /// Least height above the ground that makes another choice, metres.
 const LEAST_M: f32 = 3.0;
-/// Probability of an altitude from which on the sweep is sure of it.
+/// Least probability of a certain altitude.
 const SURE: f32 = 0.97;
 
-/// The ground below the surface `altitude_m`, NaN where it is unknown, on a grid of `(width, height)` cells: its opening.
+/// The ground below the surface `altitude_m`, NaN where it is unknown, on a grid of `(width, height)` cells: its
+/// opening.
 pub fn ground_below(size: (usize, usize), cell_m: f32, altitude_m: &[f32]) -> Vec<f32> {
     let reach = (REACH_M / cell_m).round() as usize;
     opening(size, altitude_m, [reach; 2])
 }
 
-/// Probability, 0 to 1, that a cell whose altitude is `height_m` above the ground around it is ground instead. `of_altitude` is the probability
-/// of that altitude. `None` where the cell is not high enough to be anything else, or where the sweep was sure of it.
+/// Probability, 0 to 1, that a cell whose altitude is `height_m` above the ground around it is ground instead.
+/// `of_altitude` is the probability of that altitude. `None` where the cell is too low to be anything else, or where
+/// its altitude was certain.
 pub fn ground_probability(height_m: f32, of_altitude: impl FnOnce() -> f32) -> Option<f32> {
     let probability = (height_m > LEAST_M).then(of_altitude)?;
     (probability < SURE).then_some(1.0 - probability)
 }
 
-/// Whether the sweep was sure of an altitude of this probability; not where that is NaN.
+/// Whether an altitude of this probability is certain; false for NaN.
 pub(crate) fn is_sure(probability: f32) -> bool {
     probability >= SURE
 }

@@ -1,10 +1,11 @@
-//! Albedo and colours of images by least squares: with the surface and the light fixed, images are linear in either. Both before training, and
-//! once more the albedo alone after it.
+//! Albedo and colours of images by least squares: with the surface and the light fixed, images are linear in either.
+//! Both before training, and once more the albedo alone after it.
 //!
-//! Colours: the affine map from what the model shows, before colours, to what the image shows, by normal equations with a ridge toward the
-//! colours there were. Albedo: one round of simultaneous iterative reconstruction (Gilbert 1972): a pixel's residual, over what the pixel would be were every
-//! albedo one, is spread over the Gaussians it is composed of, and each takes the weighted mean of what comes to it. Weights are those of
-//! the rasteriser under the traced light, so that each view says most of what it shows best.
+//! Colours: the affine map from the rendering without colours to the image, by normal equations with a ridge toward the
+//! current colours. Albedo: one round of simultaneous iterative reconstruction (Gilbert 1972): a pixel's residual,
+//! divided by the pixel's value for albedo one, is distributed over its Gaussians, and each takes the weighted mean of
+//! its shares. Weights are those of the rasteriser under the traced light, so that each view contributes most where it
+//! sees best.
 
 use heliosplat::Raster;
 use heliosplat::gaussians::Table;
@@ -18,25 +19,27 @@ use rayon::prelude::*;
 
 /// Least and greatest albedo.
 pub const ALBEDO_RANGE: (f32, f32) = (0.005, 3.0);
-/// A residual counts no more than this, in the images' units: larger ones are a fault of the surface, not of its colour.
+/// A residual counts no more than this, in the images' units: larger ones are a fault of the surface, not of its
+/// colour.
 const RESIDUAL_MAX: f32 = 0.15;
-/// A pixel that would be darker than this were every albedo one tells nothing.
+/// Least value of a pixel for albedo one; darker pixels are left out.
 const LEAST_RESPONSE: f32 = 0.05;
 /// Belief in the albedo that a Gaussian had, pixels in the sun.
 const PRIOR_PIXELS: f32 = 0.3;
 /// Belief in the colours that an image had, share of its pixels.
 const PRIOR_COLOUR: f64 = 1e-3;
-/// What a view of the round after training takes, in steps of the training (0.8 to 1.2 were seen).
+/// Time of a view of the round after training, in steps of the training (0.8 to 1.2 were measured).
 const FINISH_STEPS_PER_VIEW: f64 = 1.0;
 /// Pixels per parallel job; fixed, so that sums do not depend on the number of threads.
 const CHUNK: usize = 1 << 14;
 
-/// When a round is made, which says how residuals count.
+/// Time of a round, which determines the weighting of residuals.
 #[derive(Clone, Copy, PartialEq, Eq)]
 enum Round {
-    /// Before training the surface makes most of them. A pixel counts by the light on it.
+    /// Before training, when the surface causes most residuals. A pixel is weighted by the light on it.
     Before,
-    /// After training the albedo makes most of them. A pixel counts by the square of the light, as least squares have it.
+    /// After training, when the albedo causes most residuals. A pixel is weighted by the square of the light, as in
+    /// least squares.
     After,
 }
 
@@ -50,18 +53,19 @@ impl Round {
     }
 }
 
-/// Improves the albedo of every Gaussian by all `views` together, and the colours of each image but the reference: before training.
+/// Improves the albedo of every Gaussian by all `views` together, and the colours of each image but the reference:
+/// before training.
 pub fn begin(model: &ShadowGs, parameters: &mut Parameters, views: &[View]) {
     improve(model, parameters, views, Round::Before);
 }
 
-/// Improves the albedo of every Gaussian by all `views` together: after training, which leaves its level a few metres wide off
-/// (docs/lab/shadows.md). Colours stay.
+/// Improves the albedo of every Gaussian by all `views` together: after training, which leaves its level a few metres
+/// wide off (docs/lab/shadows.md). Colours stay.
 pub fn finish(model: &ShadowGs, parameters: &mut Parameters, views: &[View]) {
     improve(model, parameters, views, Round::After);
 }
 
-/// What [`finish`] takes with so many views, in steps of the training.
+/// Time of [`finish`] with `views` views, in steps of the training.
 pub fn finish_steps(views: usize) -> f64 {
     FINISH_STEPS_PER_VIEW * views as f64
 }
@@ -70,7 +74,7 @@ fn improve(model: &ShadowGs, parameters: &mut Parameters, views: &[View], round:
     let colours = round == Round::Before && model.options.image_colour;
     let plain = colours.then(|| without_colours(model, parameters));
     let mut globals = parameters.globals.clone();
-    // Gradients that are not asked for.
+    // Gradients that are not used.
     let mut unused = Parameters {
         gaussians: Table::zeros(Vec::new(), 0),
         globals: parameters.globals.zeros_like(),
@@ -153,7 +157,8 @@ fn without_colours(model: &ShadowGs, parameters: &Parameters) -> Parameters {
     plain
 }
 
-/// The affine colours of an image: a row for each band of the model and one for the offset, a column for each band of the image.
+/// The affine colours of an image: a row for each band of the model and one for the offset, a column for each band of
+/// the image.
 struct Colour(DMatrix<f64>);
 
 impl Colour {
@@ -179,8 +184,8 @@ impl Colour {
         }
     }
 
-    /// The colours that turn `plain`, what the model shows without any, into the image of `view`, where these, which show `image`, are not
-    /// far off already; `None` where the equations have no solution.
+    /// The colours that map `plain`, the rendering without colours, to the image of `view`, unless the current ones,
+    /// which give `image`, are close already; `None` where the equations have no solution.
     fn fitted(&self, plain: &Raster, image: &Raster, view: &View) -> Option<Self> {
         let truth = view.truth(image);
         let (bands, plane) = (image.bands, image.plane_len());
@@ -218,7 +223,7 @@ impl Colour {
     }
 }
 
-/// By how much the albedo that each pixel shows is off times what the pixel counts, and what it counts.
+/// Weighted albedo corrections of each pixel, and the weights.
 fn corrections(model: &ShadowGs, context: &Context, pass: &Pass, view: &View, round: Round) -> (Raster, Raster) {
     let image = pass.image();
     let truth = view.truth(&image);

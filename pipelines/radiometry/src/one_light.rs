@@ -1,17 +1,18 @@
-//! The air of images that all have one light.
+//! Path radiance and skylight for images that all have one light.
 //!
-//! Where suns differ, ground is seen in the sun and in the shade, and that tells its albedo, the path radiance and the sky. Under one light
-//! hardly any ground is, and a shadow may as well be dark ground: whatever sky and path radiance training begins with stay, and what they
-//! get wrong becomes albedo, in which the shadow shows under every other sun. Ground goes on across the border of a shadow, though. So
-//! the sky is that of clear air, and the path radiance that under which level ground in shadows is as bright as that beside it:
+//! Where suns differ, the same ground appears in the sun and in the shade, which determines its albedo, the path
+//! radiance and the sky. Under one light hardly any ground does, and a shadow may as well be dark ground: the initial
+//! sky and path radiance stay, and their errors become albedo, which shows the old shadow under every other sun. But
+//! ground continues across the border of a shadow. So the sky is that of clear air, and the path radiance that under
+//! which level ground in shadows is as bright as the ground next to it:
 //!
 //! ```text
 //! shaded = p + F L_shaded    sunlit = p + F L_sunlit        p = (shaded - r sunlit) / (1 - r)    r = L_shaded / L_sunlit
 //! ```
 //!
-//! for each shaded place and the sunlit ground around it, with `L = s + (1 - s) S` of the sky `s` and the traced share `S` of the sun.
-//! Which sky it is matters little for the brightness of shaded ground in the mean, because the path radiance makes up for it. What this
-//! buys is in docs/lab/shadows.md.
+//! for each shaded place and the sunlit ground around it, with `L = s + (1 - s) S` of the sky `s` and the traced share
+//! `S` of the sun. The choice of the sky has little effect on the mean brightness of shaded ground, because the path
+//! radiance compensates it. The gain is in docs/lab/shadows.md.
 
 use super::daylight::CLEAR;
 use super::linear::ALBEDO_RANGE;
@@ -26,11 +27,13 @@ use heliosplat_grid::statistics::upper_quantile;
 use heliosplat_scene::{ImageSun, crop};
 use rayon::prelude::*;
 
-/// Suns closer than this are one light, degrees of arc: the shadow of a house of 10 m moves by less than the ground that is left out along its border.
+/// Suns closer than this are one light, degrees of arc: the shadow of a house of 10 m moves by less than the ground
+/// that is left out along its border.
 const ONE_LIGHT_DEG: f64 = 10.0;
-/// Fewest images whose surface has shadows in the right places. With two images of a real city the shadows of towers became black (docs/lab/shadows.md).
+/// Fewest images whose surface has shadows in the right places. With two images of a real city the shadows of towers
+/// became black (docs/lab/shadows.md).
 const FEWEST_IMAGES: usize = 8;
-/// Share of the sun that reaches shaded ground at most, and sunlit ground at least. How much does reach it is accounted for.
+/// Largest share of the sun on shaded ground, and least on sunlit ground. The actual share enters the equations.
 const SHADED: f32 = 0.5;
 const SUNLIT: f32 = 0.5;
 /// Ground left out along the border of a shadow, metres.
@@ -43,15 +46,16 @@ const LEVEL: f32 = 0.35;
 const SAME_GROUND_M: f32 = 0.5;
 /// Fewest sunlit places around a shaded one.
 const FEWEST_SUNLIT: usize = 10;
-/// Fewest shaded places that tell anything.
+/// Fewest shaded places for an estimate.
 const FEWEST_PLACES: usize = 200;
-/// Share of the places that count: those whose path radiances lie closest together. Where the surface is wrong, what counts as shaded is not.
+/// Share of the places that is used: those whose path radiances are closest together. Where the surface is wrong,
+/// shaded places are not shaded.
 const COUNTED: f64 = 0.5;
-/// Share of the pixels that is darker than the darkest that counts.
+/// Share of the pixels below the darkest value that is used.
 const DARKEST: f64 = 0.005;
-/// Nothing in a shadow or at its border is brighter than this share of what is in the full sun.
+/// Most albedo of Gaussians in a shadow or at its border, as this quantile of those in the full sun.
 const BRIGHTEST: f64 = 0.99;
-/// Share of the sun that reaches what is in the full sun at least.
+/// Least share of the sun on Gaussians in the full sun.
 const FULL_SUN: f32 = 0.9;
 
 /// The one light of all images.
@@ -81,8 +85,9 @@ impl OneLight {
         })
     }
 
-    /// Gives `model` the air that level ground tells, as `nadir`, a camera of pixels of `gsd_m`, sees it; without enough of it nothing changes.
-    /// `darkest` bounds the path radiance of each band: before training, when many shadows are in wrong places.
+    /// Sets the air of `model` from level ground in the view of `nadir`, a camera of pixels of `gsd_m`; without enough
+    /// of it nothing changes. `darkest` bounds the path radiance of each band: before training, when many shadows are
+    /// in wrong places.
     pub fn settle(
         &self,
         model: &ShadowGs,
@@ -109,7 +114,7 @@ impl OneLight {
         let places = ground.places();
         if places.len() < FEWEST_PLACES {
             tracing::warn!(
-                "all images have one light, and {} places in shadows are too few to tell shadows from dark ground: relit images will show the old shadows",
+                "all images have one light, and {} shaded places are too few to separate shadows from dark ground: relit images will show the old shadows",
                 places.len()
             );
             return;
@@ -150,7 +155,8 @@ impl OneLight {
     }
 }
 
-/// What the darkest of the reference image is worth, band by band: the air adds no more than that (the dark-object subtraction of Chavez 1988).
+/// Darkest values of the reference image, band by band: an upper bound of the path radiance (the dark-object
+/// subtraction of Chavez 1988).
 pub fn darkest(image: &Raster) -> Vec<f32> {
     let of_band = |k: usize| {
         let mut known: Vec<f32> = image.plane(k).iter().copied().filter(|v| v.is_finite()).collect();
@@ -159,7 +165,8 @@ pub fn darkest(image: &Raster) -> Vec<f32> {
     (0..image.bands).into_par_iter().map(of_band).collect()
 }
 
-/// What is not in the full sun is no brighter than the brightest that is: there the shadow is wrong, and would leave a white spot.
+/// Limits Gaussians outside the full sun to the brightest in it: brighter ones are errors of the shadow, and would
+/// leave a white spot.
 fn bound(gaussians: &mut Table, visibility: &[f32], bands: usize) {
     let albedo = gaussians.group(ALBEDO);
     let brightest: Vec<f32> = (0..bands)
@@ -196,7 +203,7 @@ struct Ground {
     gsd_m: f64,
 }
 
-/// What a shaded place and the sunlit ground around it look like, band by band, and how much of the sun reaches them.
+/// Values of a shaded place and of the sunlit ground around it, band by band, and their shares of the sun.
 struct Place {
     shaded: Vec<f32>,
     sunlit: Vec<f32>,
@@ -260,8 +267,9 @@ impl Ground {
     }
 }
 
-/// The path radiance of a band under a sky of this share, not below zero: the mean of the half of all places that lie closest together, or
-/// the median of all if that is less. Too little leaves shaded ground too bright; too much leaves it without any albedo.
+/// The path radiance of a band under a sky of this share, not below zero: the mean of the half of all places that lie
+/// closest together, or the median of all if that is less. Too little leaves shaded ground too bright; too much leaves
+/// it without any albedo.
 fn path_radiance(places: &[Place], band: usize, sky: f32) -> f32 {
     let of_place = |place: &Place| {
         let [shaded, sunlit] = place.visibility.map(|visibility| sky + (1.0 - sky) * visibility);
@@ -310,7 +318,8 @@ mod tests {
         assert!(OneLight::of(&[], 0).is_none());
     }
 
-    /// Level ground of two materials in bands of 8 m, the eastern half of it in the shade; `wrong` of the shaded pixels are in the sun.
+    /// Level ground of two materials in bands of 8 m, its eastern half in the shade; `wrong` of the shaded pixels are
+    /// in the sun.
     fn ground(path_radiance: f32, sky: f32, wrong: usize) -> Ground {
         let side = 80;
         let shaded = |at: usize| at % side >= side / 2;

@@ -1,17 +1,18 @@
-//! The path radiance of the reference image: what the air adds to every pixel, lit or not.
+//! The path radiance of the reference image: the light that the air adds to every pixel, lit or not.
 //!
-//! Each image has a gain and an offset with respect to one of them, the reference. No difference between images tells the reference's own
-//! offset; left at zero, its path radiance counts as albedo, and no shadow can be darker than that. Shadows tell it: ground that is worth
-//! `x` in the sun is worth `y = p + s (x - p)` in a shadow, where `p` is the path radiance and `s` the share of the light that comes from
-//! the sky. With the least share that a sky can have, each pair of values gives an upper bound of `p`, and the least of these is taken:
-//! the dark-object subtraction of P. S. Chavez ("An improved dark-object subtraction technique for atmospheric scattering correction of
-//! multispectral data", Remote Sensing of Environment 24, 1988), with shadows as the dark objects.
+//! Each image has a gain and an offset with respect to one of them, the reference. No difference between images
+//! determines the reference's own offset; at zero, its path radiance counts as albedo, and no shadow can be darker than
+//! that. Shadows determine it: ground with the value `x` in the sun has the value `y = p + s (x - p)` in a shadow,
+//! where `p` is the path radiance and `s` the sky's share of the light. With the least possible share, each pair of
+//! values gives an upper bound of `p`, and the least of these is taken: the dark-object subtraction of P. S. Chavez
+//! ("An improved dark-object subtraction technique for atmospheric scattering correction of multispectral data", Remote
+//! Sensing of Environment 24, 1988), with shadows as the dark objects.
 
 use heliosplat_grid::statistics::upper_median;
 
 /// Least share of the light on level ground that comes from the sky: a clear one, in red and near infrared.
 const LEAST_SKY: f32 = 0.1;
-/// Share of the bound that is believed. What is subtracted too little costs less than what is subtracted too much, which leaves dark
+/// Share of the bound that is used. Subtracting too little costs less than subtracting too much, which leaves dark
 /// ground without albedo (docs/lab/faults.md).
 const BELIEVED: f32 = 0.85;
 /// Pairs of a bin; a bin's medians count, not single pairs.
@@ -19,17 +20,18 @@ const FEWEST_PAIRS: usize = 40;
 /// Most bins into which the pairs of one view are put, by the brightness of the ground in the sun.
 const MOST_BINS: usize = 12;
 
-/// What one place is worth in a band, in the counts of the reference image.
+/// Values of one place in a band, in the counts of the reference image.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) struct Pair {
-    /// In the sun, by two disjoint halves of the views that show it there: places are sorted by the one and measured by the other, so that
-    /// noise makes none of them look darker than it is.
+    /// In the sun, by two disjoint halves of the views that show it there: places are sorted by one half and measured
+    /// by the other, so that noise makes none of them look darker than it is.
     pub(crate) lit: [f32; 2],
     /// In the shadow.
     pub(crate) shaded: f32,
 }
 
-/// The path radiance of a band, in the counts of the reference image, from the pairs of each view; 0 where they do not tell.
+/// The path radiance of a band, in the counts of the reference image, from the pairs of each view; 0 where there are
+/// too few.
 pub(crate) fn of_band(pairs: Vec<Vec<Pair>>) -> f32 {
     let bounds = pairs.into_iter().flat_map(bounds);
     let least = bounds.fold(f32::INFINITY, f32::min);

@@ -1,8 +1,9 @@
-//! What the images themselves say of shadows, before any model knows: darkness, where something stands toward the sun.
+//! Shadow prior from the images, without a model: dark pixels with a structure toward the sun.
 //!
-//! The detector is radiometric (no network): in each image brightness falls into lit and dark (Otsu 1979 on its logarithm). Leaves are
-//! left out (they are dark and they shade themselves), and so is water; what is dark is a shadow only where the initial surface has
-//! something toward the sun to throw it, else nothing is said. ShadowGS uses the masks of a trained detector in the same place.
+//! The detector is radiometric (no network): Otsu's threshold (1979) on the logarithm of brightness divides each image
+//! into lit and dark. Leaves are left out (they are dark and shade themselves), and so is water; a dark pixel is a
+//! shadow only where the initial surface has an occluder toward the sun, else it has no prior. ShadowGS uses the masks
+//! of a trained detector in the same place.
 
 use glam::{Vec2, Vec3};
 use heliosplat::{ProjectiveCamera, Raster};
@@ -19,16 +20,17 @@ use std::path::{Path, PathBuf};
 const WATER: f32 = 0.4;
 /// Steps of the histogram of brightness.
 const STEPS: usize = 128;
-/// Natural logarithm of brightness around the threshold within which nothing is said.
+/// Natural logarithm of brightness around the threshold within which there is no prior.
 const DOUBT: f32 = 0.25;
-/// Least distance between the logarithms of what is lit and what is dark: less is no shadow.
+/// Least distance between the logarithms of lit and dark brightness: with less there is no shadow.
 const LEAST_CONTRAST: f32 = 0.5;
-/// How far below the line to the sun, metres, a thing may end and still count as throwing the shadow: edges of the initial surface are rough.
+/// How far below the line to the sun, metres, a thing may end and still count as throwing the shadow: edges of the
+/// initial surface are rough.
 const SLACK_M: f32 = 1.5;
 /// Rounds in which a ray finds the surface.
 const ROUNDS: usize = 8;
 
-/// Views from which on images need no prior: shadows then follow from what they agree on.
+/// Views from which on images need no prior, since they determine the shadows.
 pub const ENOUGH_VIEWS: usize = 8;
 
 /// Why a mask cannot be used.
@@ -51,7 +53,7 @@ pub enum MaskError {
     },
 }
 
-/// What bands tell leaves and water by.
+/// Bands that separate leaves and water.
 struct Bands<'a> {
     raster: &'a Raster,
     vegetation: Option<NormalisedDifference>,
@@ -74,7 +76,7 @@ impl<'a> Bands<'a> {
         self.raster.values[band * self.raster.plane_len() + pixel]
     }
 
-    /// Whether a pixel shows leaves; `false` where bands do not tell.
+    /// Whether a pixel shows leaves; `false` where the bands do not allow an index.
     fn vegetation(&self, pixel: usize) -> bool {
         let value = |band| self.value(band, pixel);
         match (self.vegetation, self.green) {
@@ -90,7 +92,7 @@ impl<'a> Bands<'a> {
     }
 }
 
-/// What radiometry alone says of each pixel of an image: 1 is lit, 0 in shadow, NaN neither.
+/// Radiometric class of each pixel of an image: 1 lit, 0 in shadow, NaN neither.
 fn by_brightness(kinds: &[BandKind], values: &Values, raster: &Raster) -> Vec<f32> {
     let bands = Bands::new(kinds, values, raster);
     let brightness: Vec<f32> = (0..raster.plane_len())
@@ -113,8 +115,8 @@ fn by_brightness(kinds: &[BandKind], values: &Values, raster: &Raster) -> Vec<f3
         .collect()
 }
 
-/// The value that best parts `values` in two (Otsu 1979: greatest variance between the classes), NaN left out; `None` where there is
-/// nothing to part or the parts are alike.
+/// The value that best parts `values` in two (Otsu 1979: greatest variance between the classes), NaN left out; `None`
+/// where there is nothing to part or the parts are alike.
 fn otsu(values: &[f32]) -> Option<f32> {
     let known = || values.iter().copied().filter(|v| v.is_finite());
     let (low, high) = known().fold((f32::INFINITY, f32::NEG_INFINITY), |(l, h), v| (l.min(v), h.max(v)));
@@ -127,7 +129,8 @@ fn otsu(values: &[f32]) -> Option<f32> {
     let total: f64 = histogram.iter().sum();
     let sum: f64 = histogram.iter().enumerate().map(|(step, n)| step as f64 * n).sum();
     let (mut below, mut sum_below) = (0.0, 0.0);
-    // The greatest variance, the first and the last step that have it (nothing lies between them), and how far apart the classes are.
+    // The greatest variance, the first and the last step that have it (nothing lies between them), and how far apart
+    // the classes are.
     let (mut most, mut steps, mut apart) = (0.0, (0, 0), 0.0);
     for (step, n) in histogram.iter().enumerate() {
         below += n;
@@ -158,7 +161,7 @@ fn met(camera: &ProjectiveCamera, surface: &Surface, col: f32, row: f32, top_m: 
     camera.point_at_altitude(col, row, z)
 }
 
-/// Whether something of the surface may stand between a point of it and the sun.
+/// Whether the surface may have an occluder between a point of it and the sun.
 fn may_be_shaded(surface: &Surface, point: Vec3, sun: Vec3, top_m: f32) -> bool {
     let flat = Vec2::new(sun.x, sun.y);
     let Some(toward) = flat.try_normalize() else {
@@ -179,8 +182,9 @@ fn may_be_shaded(surface: &Surface, point: Vec3, sun: Vec3, top_m: f32) -> bool 
     false
 }
 
-/// What each of `images` says is lit (1) or in shadow (0), NaN where it says nothing, pixel by pixel of its crop; `surface` is the
-/// initial one, `cameras` are those of the crops, and `suns` unit vectors toward the sun: nothing is said where there is none.
+/// Prior of each of `images`: lit (1) or in shadow (0), NaN without one, pixel by pixel of its crop; `surface` is the
+/// initial one, `cameras` are those of the crops, and `suns` unit vectors toward the sun, without which there is no
+/// prior.
 pub fn found(
     images: &[&SceneImage],
     rasters: &[&Raster],

@@ -1,16 +1,18 @@
-//! The sun of an image from the shadows it shows: the sun under which the shadows that the surface casts lie where the image is dark.
+//! The sun of an image from its shadows: the direction under which the cast shadows of the surface coincide with dark
+//! ground.
 //!
-//! The views are laid on the surface (`darkness`). What a cell is darker on one date than on the others, where these are lit, does not
-//! depend on its albedo. Where the others are lit follows from their own suns, so that all dates are searched in turns.
-//! For each azimuth one walk per cell toward the sun gives the elevation below which the cell lies in shadow (`horizon`), so that all
-//! elevations are scored together (`score`): the score is the correlation between cast shadow and darkness. The whole sky is searched,
-//! coarse to fine; suns that no day of the year has at the scene's latitude are left out. Views of one date share one sun.
+//! The views are orthorectified on the surface (`darkness`). The darkness of a cell on one date relative to the other
+//! dates on which it is lit does not depend on its albedo. Where it is lit on other dates follows from their own suns,
+//! so that all dates are searched in turns. For each azimuth one walk per cell toward the sun gives the elevation below
+//! which the cell is in shadow (`horizon`), so that all elevations are scored together (`score`): the score is the
+//! correlation between cast shadow and darkness. The whole sky is searched, coarse to fine; directions that the sun
+//! never has at the scene's latitude are left out. Views of one date share one sun.
 //!
-//! Blocks of ground are drawn again and again (bootstrap): the spread of the best sun is its standard deviation, and the best must beat
-//! the best of all others in the sky by several deviations of the difference. Without that nothing is believed.
+//! Blocks of ground are resampled (bootstrap): the spread of the best sun is its standard deviation, and the best must
+//! exceed the best of all others in the sky by several deviations of the difference. Otherwise it is rejected.
 //!
-//! Limits: level ground without anything on it says nothing; the surface must be right about what throws the shadows. The constants were
-//! chosen on synthetic sites of half a metre per cell.
+//! Limits: level ground without structures has no shadows; the surface must be right where it casts them. The constants
+//! were chosen on synthetic sites of half a metre per cell.
 
 mod darkness;
 mod horizon;
@@ -26,7 +28,7 @@ use horizon::{relief_of, sample};
 use rayon::prelude::*;
 use score::{BLOCKS, Moments, Sample, shaded_sums};
 
-/// Elevations that are searched, degrees: lower shadows leave the scene, higher ones hide under what throws them.
+/// Searched elevations, degrees: lower suns cast shadows out of the scene, higher ones under their occluders.
 const ELEVATIONS_DEG: [f64; 2] = [10.0, 85.0];
 /// Steps of azimuth and elevation of the search over the sky, degrees.
 const COARSE_DEG: [f64; 2] = [3.0, 1.0];
@@ -36,7 +38,8 @@ const FINE_DEG: f64 = 6.0;
 const FINE_STEPS: usize = 8;
 /// Suns at least this far from the best one count as others, degrees of arc: closer ones cast much the same shadows.
 const APART_DEG: f64 = 15.0;
-/// Largest declination that is searched, degrees: the inclination of the Earth's axis, and two degrees for the error of an estimate.
+/// Largest declination that is searched, degrees: the inclination of the Earth's axis, and two degrees for the error of
+/// an estimate.
 const DECLINATION_MAX_DEG: f64 = 23.44 + 2.0;
 /// How far a sun of another date may be too high, degrees, and a cell that it lights still count as lit.
 const DOUBT_DEG: f64 = 3.0;
@@ -44,21 +47,22 @@ const DOUBT_DEG: f64 = 3.0;
 const ROUNDS: usize = 6;
 /// Times that the blocks are drawn.
 const DRAWS: usize = 200;
-/// Least correlation of shadow and darkness on a swept surface: suns below it have been off by 3° to 6° with deviations of 1.1° to 1.5°
-/// (docs/lab/suns.md).
+/// Least correlation of shadow and darkness on a swept surface: suns below it have been off by 3° to 6° with deviations
+/// of 1.1° to 1.5° (docs/lab/suns.md).
 const LEAST_SCORE: f64 = 0.5;
 /// The same on a model's surface, where suns with less have been off by 5° to 8°, and with more by 2° at most.
 const LEAST_SCORE_OF_MODEL: f64 = 0.35;
 /// The best sun must beat the best other one by so many standard deviations of the difference.
 const LEAST_MARGIN: f64 = 3.0;
-/// Largest standard deviation of a sun that is believed, degrees: twice that is still of use to a trace.
+/// Largest standard deviation of an accepted sun, degrees: a trace tolerates twice that.
 const MOST_SIGMA_DEG: f64 = 1.6;
-/// What no bootstrap sees, degrees: roofs and walls that are swept too wide or too low everywhere move all shadows alike.
+/// Systematic error that no bootstrap measures, degrees: roofs and walls that are swept too wide or too low everywhere
+/// move all shadows alike.
 const SYSTEMATIC_DEG: f64 = 0.5;
-/// Most cells that are looked at.
+/// Most cells that are sampled.
 const MOST_CELLS: usize = 40_000;
 
-/// What the shadows say of a sun.
+/// A sun estimated from shadows.
 #[derive(Debug, Clone, Copy, PartialEq, serde::Serialize, serde::Deserialize)]
 pub struct ShadowSun {
     /// Azimuth, degrees clockwise from the frame's north, in [0, 360).
@@ -77,7 +81,7 @@ pub struct ShadowSun {
 }
 
 impl ShadowSun {
-    /// Whether it can be believed.
+    /// Whether it is accepted.
     pub fn is_decisive(&self) -> bool {
         let least = if self.of_model {
             LEAST_SCORE_OF_MODEL
@@ -93,9 +97,9 @@ impl ShadowSun {
     }
 }
 
-/// The suns of the views whose sun is unknown, from the shadows of `surface` on the cells that are `covered`, at a latitude in degrees;
-/// views of one date get the same one. `None` for views whose sun is known, and where nothing can be said at all. Whether what is
-/// returned can be believed is [`ShadowSun::is_decisive`].
+/// The suns of the views whose sun is unknown, from the shadows of `surface` on the cells that are `covered`, at a
+/// latitude in degrees; views of one date get the same one. `None` for views whose sun is known, and where there is no
+/// estimate. [`ShadowSun::is_decisive`] accepts or rejects an estimate.
 pub fn find_suns(
     views: &[SweepView],
     surface: &Surface,
@@ -196,7 +200,8 @@ impl Horizons {
         }
     }
 
-    /// Which cells a sun surely lights: also one that stands a step of the search further left or right, and lower by [`DOUBT_DEG`].
+    /// Which cells a sun surely lights: also one that stands a step of the search further left or right, and lower by
+    /// [`DOUBT_DEG`].
     fn lit(&self, [azimuth_deg, elevation_deg]: [f64; 2]) -> Vec<bool> {
         let step = (azimuth_deg.rem_euclid(360.0) / COARSE_DEG[0]).round() as usize % self.tangents.len();
         let tangent = (elevation_deg - DOUBT_DEG).to_radians().tan() as f32;

@@ -1,12 +1,13 @@
-//! The air of a scene from its images: optical depth and share of skylight of each band, for brightness under other suns.
+//! The air of a scene from its images: optical depth and share of skylight of each band, for brightness under other
+//! suns.
 //!
 //! Two kinds of evidence, both as logarithms:
-//! * what a shadow is worth beside sunlit ground, image by image. It does not depend on exposure;
-//! * how bright sunlit ground is beside the reference image. Exposure and haze are in it too, so its deviation is that of the images, and
-//!   never below [`EXPOSURE_SIGMA`].
+//! * brightness of shadows relative to sunlit ground, image by image. It does not depend on exposure;
+//! * brightness of sunlit ground relative to the reference image. It includes exposure and haze, so its deviation is
+//!   that of the images, and never below [`EXPOSURE_SIGMA`].
 //!
-//! Each band's `τ` and `κ` are the most probable ones under this evidence (Huber's loss) and a weak prior of clear air, found on a
-//! grid. How much the images said of `τ` follows from the curvatures with and without them.
+//! Each band's `τ` and `κ` are the most probable ones under this evidence (Huber's loss) and a weak prior of clear air,
+//! found on a grid. The images' share of the information on `τ` follows from the curvatures with and without them.
 
 use super::Daylight;
 use heliosplat::model::Parameters;
@@ -25,29 +26,30 @@ pub(crate) const CLEAR: BandAir = BandAir {
     sky_share: SKY_PRIOR.0,
 };
 
-/// Deviation of the logarithm of an image's shade: what a shadow is worth is measured where walls and errors of the surface are.
+/// Deviation of the logarithm of an image's shade, since shadows are measured near walls and errors of the surface.
 const SHADE_SIGMA: f64 = 0.25;
 /// Least deviation of the logarithm of an image's gain.
 const EXPOSURE_SIGMA: f64 = 0.1;
 /// Deviations beyond which evidence counts less than its square.
 const HUBER: f64 = 1.5;
-/// Grid of the search along each of the two, and how often it is refined around the best of it.
+/// Grid of the search along each of the two, and the number of refinements around its best point.
 const STEPS: usize = 40;
 const REFINEMENTS: usize = 2;
 
-/// What one image says.
+/// Evidence of one image.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Evidence {
     /// Elevation of the sun.
     pub elevation_rad: f64,
-    /// Shaded beside sunlit ground, per band; `None` where the image does not tell.
+    /// Shaded relative to sunlit ground, per band; `None` where the image has too few pairs.
     pub shade: Vec<Option<f64>>,
-    /// Sunlit ground beside that of the reference image, per band; `None` for the reference image, and where images have no colour of their own.
+    /// Sunlit ground relative to that of the reference image, per band; `None` for the reference image, and where
+    /// images have no colour of their own.
     pub gain: Vec<Option<f64>>,
 }
 
-/// The evidence of a trained model whose images have these elevations of the sun and these `shades`, measured before training: the
-/// skies that training begins with are too bright, and a short training does not change them much. Images without a sun say nothing.
+/// The evidence of a trained model with the images' elevations of the sun and their `shades`, measured before training:
+/// the initial skies are too bright, and a short training hardly changes them. Images without a sun are left out.
 pub fn evidence(
     model: &ShadowGs,
     parameters: &Parameters,
@@ -68,7 +70,8 @@ pub fn evidence(
     elevations_rad.iter().enumerate().filter_map(of_image).collect()
 }
 
-/// The light of day by the evidence of all images, in the gauge of a reference image whose sun stands so high. `None` without a sun.
+/// The light of day by the evidence of all images, in the gauge of a reference image whose sun stands so high. `None`
+/// without a sun.
 pub fn fit(evidence: &[Evidence], reference_elevation_rad: Option<f64>, bands: usize) -> Option<Daylight> {
     let reference = reference_elevation_rad.filter(|e| *e > 0.0)?;
     let up: Vec<&Evidence> = evidence.iter().filter(|e| e.elevation_rad > 0.0).collect();
@@ -207,7 +210,7 @@ fn prior_cost(air: &BandAir) -> f64 {
 mod tests {
     use super::*;
 
-    /// What images under these suns say of an air, with exposures that differ by up to `exposure`.
+    /// Evidence of images under these suns in an air, with exposures that differ by up to `exposure`.
     fn images(air: &BandAir, elevations_deg: &[f64], exposure: f64) -> Vec<Evidence> {
         let reference = elevations_deg.iter().copied().fold(0.0, f64::max).to_radians();
         let one = |(i, elevation_deg): (usize, &f64)| {
@@ -236,7 +239,7 @@ mod tests {
                 sky_share,
             };
             let light = fitted(&images(&air, &[25.0, 32.0, 41.0, 48.0, 55.0, 60.0, 66.0, 68.0], 0.1));
-            // The very clear air is where the prior pulls most: at 12 degrees, half of the lowest sun that it was told of.
+            // Very clear air is pulled most by the prior: at 12 degrees, half of the lowest sun in the evidence.
             for elevation_deg in [12.0, 30.0, 66.0f64] {
                 let e = elevation_deg.to_radians();
                 let expected = air.level(e) / air.level(light.reference_elevation_rad);

@@ -1,4 +1,4 @@
-//! How much darker each view shows the cells than the views of other dates do.
+//! Darkness of the cells in each view relative to the views of other dates.
 
 use super::horizon::toward;
 use glam::Vec3;
@@ -11,14 +11,15 @@ use rayon::prelude::*;
 
 /// Natural logarithm of brightness beyond which darker is not more of a shadow.
 const MOST: f32 = 1.5;
-/// Fewest views of other dates that say how bright a cell is.
+/// Fewest views of other dates for the brightness of a cell.
 const FEWEST_OTHERS: usize = 2;
-/// Quantile of the brightness of other dates that is taken as that in the sun: what is wrongly held for lit is darker.
+/// Quantile of the brightness of other dates that is taken as that in the sun: cells wrongly counted as lit are darker.
 const LIT_QUANTILE: f64 = 0.75;
 /// Half of the window whose mean stands for the other dates where there are none, metres.
 const WINDOW_M: f32 = 20.0;
 
-/// Logarithms of the brightness of the sampled cells in each view, less the view's median; NaN where it does not see them.
+/// Logarithms of the brightness of the sampled cells in each view, less the view's median; NaN where it does not see
+/// them.
 pub(crate) struct Darkness {
     brightness: Vec<Vec<f32>>,
     /// Columns and rows of the sampled cells in windows, for local means.
@@ -48,8 +49,9 @@ impl Darkness {
         }
     }
 
-    /// How much darker the views of a date show each cell than the others that see it `lit` (view by view, where that is known); NaN where
-    /// they do not see it, or no other sees it lit. Where fewer than two views of other dates are there at all, than the ground around.
+    /// Darkness of each cell in the views of a date relative to the others that see it `lit` (view by view, where that
+    /// is known); NaN where the cell is hidden, or no other view sees it lit. With fewer than two views of other dates
+    /// in all, relative to the ground around.
     pub(crate) fn of_date(&self, views: &[SweepView], date: u32, lit: &[Option<Vec<bool>>]) -> Vec<f32> {
         let is_own = |view: usize| views[view].date_group == date;
         let (own, others): (Vec<usize>, Vec<usize>) = (0..views.len()).partition(|&view| is_own(view));
@@ -134,7 +136,7 @@ fn seen(view: &SweepView, surface: &Surface, relief: &Relief, cells: &[usize]) -
         .collect()
 }
 
-/// The mean of the bands, bilinear; NaN outside and beside missing pixels.
+/// The mean of the bands, bilinear; NaN outside and next to missing pixels.
 pub(crate) fn bilinear(image: &Raster, col: f32, row: f32) -> f32 {
     let size = (image.width, image.height);
     let sum: f32 = (0..image.bands)

@@ -3,10 +3,10 @@
 use heliosplat_grid::relief::{Relief, Toward};
 use heliosplat_stereo::Surface;
 
-/// What stands less than this above a cell does not shade it, metres: the surface is rough.
+/// Heights less than this above a cell do not shade it, metres: the surface is rough.
 const LEAST_RISE_M: f32 = 1.0;
-/// How much nearer a wall stands than the first cell that has its height, cells: half of one where the surface is right, and edges of
-/// surfaces are ramps. By ablation, docs/lab/suns.md.
+/// Offset of a wall toward the cell from the first cell at its height, cells: half of one where the surface is right,
+/// and edges of surfaces are ramps. By ablation, docs/lab/suns.md.
 const WALL_CELLS: f32 = 0.75;
 
 /// The cells of a surface that are covered; the others are unknown.

@@ -1,4 +1,4 @@
-//! How well the shadows of a sun explain what is dark.
+//! Correlation of the shadows of a sun with dark ground.
 
 use heliosplat_grid::relief::Relief;
 
@@ -8,7 +8,7 @@ pub(super) const BLOCKS: usize = 8;
 /// A cell and how dark it is.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Sample {
-    /// Its place among the cells that are looked at.
+    /// Its index among the sampled cells.
     place: usize,
     block: usize,
     darkness: f64,
@@ -64,7 +64,8 @@ impl Moments {
         total
     }
 
-    /// Correlation between being one of the `shaded` among these cells, and darkness; 0 where there is nothing to correlate.
+    /// Correlation between being one of the `shaded` among these cells, and darkness; 0 where there is nothing to
+    /// correlate.
     pub(super) fn correlation(&self, shaded: &Self) -> f64 {
         let share = shaded.count / self.count;
         let mean = self.sum / self.count;
@@ -87,8 +88,8 @@ pub(super) fn all_sums(samples: &[Sample]) -> Vec<Moments> {
     sums
 }
 
-/// The cells in shadow for each of the rising `elevations_deg`, block by block, where `horizons` are those of all cells toward the sun's
-/// azimuth.
+/// The cells in shadow for each of the rising `elevations_deg`, block by block, where `horizons` are those of all cells
+/// toward the sun's azimuth.
 pub(super) fn shaded_sums(horizons: &[f32], samples: &[Sample], elevations_deg: &[f64]) -> Vec<Vec<Moments>> {
     let tangents: Vec<f32> = elevations_deg.iter().map(|e| e.to_radians().tan() as f32).collect();
     let mut sums = vec![vec![Moments::default(); BLOCKS * BLOCKS]; elevations_deg.len()];

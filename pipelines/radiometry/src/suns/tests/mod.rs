@@ -35,7 +35,7 @@ fn of_altitude(altitude: Vec<f32>) -> Surface {
     }
 }
 
-/// What a camera straight above sees under a sun: patches of albedo, a third as bright in shadow.
+/// Image of a camera straight above under a sun: patches of albedo, a third as bright in shadow.
 fn image(surface: &Surface, [azimuth_deg, elevation_deg]: [f64; 2]) -> Raster {
     let relief = relief_of(surface, &vec![true; SIDE * SIDE]);
     let toward = toward(azimuth_deg, 1.0);
