@@ -1,4 +1,4 @@
-//! A piece of a scene's ground, and what of each image shows it.
+//! A piece of a scene's ground, and the window of each image that shows it.
 
 use super::{Area, SceneError};
 use heliosplat_delivery::IndexImage;
@@ -6,7 +6,7 @@ use heliosplat_raster::{Crs, CrsTransform, Window};
 use heliosplat_rpc::{GeoPoint, LocalFrame};
 use nalgebra::Vector3;
 
-/// Ground around an area that is read with it, metres: the margin of a model, and what its pointing may be off.
+/// Margin of ground that is read around an area, metres: the margin of a model, and the error of the pointing.
 const MARGIN_M: f64 = 12.0;
 /// Pixels around that.
 const MARGIN_PX: f64 = 16.0;
@@ -15,11 +15,12 @@ const LEAST_PX: usize = 32;
 /// Points per edge of a rectangle that is taken from one system to another: its edges may be curved there.
 const POINTS_PER_EDGE: usize = 8;
 
-/// A rectangle of ground, as a user asks for it.
+/// A requested rectangle of ground.
 #[derive(Debug, Clone, PartialEq, serde::Serialize, serde::Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct AreaRequest {
-    /// West, south, east, north; in degrees west is above east where it crosses the antimeridian, as in GeoJSON (RFC 7946, 5.2).
+    /// West, south, east, north; in degrees west is above east where it crosses the antimeridian, as in GeoJSON (RFC
+    /// 7946, 5.2).
     pub bounds: [f64; 4],
     /// Their coordinate reference system; absent: longitude and latitude, degrees.
     #[serde(default, skip_serializing_if = "Option::is_none")]
@@ -35,10 +36,10 @@ impl std::fmt::Display for AreaRequest {
 }
 
 impl AreaRequest {
-    /// Whether it is a rectangle on Earth.
+    /// Checks that it is a rectangle on Earth.
     ///
     /// # Errors
-    /// A sentence that says why not.
+    /// A sentence with the reason.
     pub fn check(&self) -> Result<(), String> {
         let [west, south, east, north] = self.bounds;
         // Across the antimeridian west is above east; all the way around the Earth they were taken for each other.
@@ -147,7 +148,7 @@ impl std::fmt::Display for Area {
 }
 
 impl Area {
-    /// What two areas share; `None` when it is less than a metre wide.
+    /// The intersection of two areas; `None` when it is less than a metre wide.
     pub fn intersection(&self, other: &Self) -> Option<Self> {
         let shared = Self {
             west_m: self.west_m.max(other.west_m),
@@ -159,7 +160,8 @@ impl Area {
     }
 }
 
-/// The window of an image that shows an area between two ellipsoidal altitudes (metres), with a margin; `None` when it shows none of it.
+/// The window of an image that shows an area between two ellipsoidal altitudes (metres), with a margin; `None` when the
+/// image shows nothing of it.
 pub(super) fn window_over(
     image: &IndexImage,
     frame: &LocalFrame,
@@ -182,7 +184,7 @@ pub(super) fn window_over(
     }
     let (width, height) = image.size;
     let along = |axis: usize, size: usize| {
-        // `as` saturates: what lies before the image begins at its first pixel.
+        // `as` saturates: a window that begins before the image is cut at its first pixel.
         let first = (low[axis] - MARGIN_PX).floor().max(0.0) as usize;
         let end = ((high[axis] + MARGIN_PX).ceil().max(0.0) as usize + 1).min(size);
         (first, end.saturating_sub(first))
@@ -215,7 +217,7 @@ mod tests {
         assert!((place.lon_deg.abs() - 180.0).abs() < 1e-9 && (place.lat_deg + 17.0).abs() < 1e-9);
         let area = crossing.area(&LocalFrame::new(place)).expect("an area");
         assert!((area.east_m - area.west_m - 2130.0).abs() < 10.0, "{area}");
-        // The middle is on the side where most of it is.
+        // The centre is on the side with the larger part.
         let eastern = request([179.99, -17.0, -179.9, -16.9], None)
             .place(0.0)
             .expect("a place");

@@ -1,5 +1,5 @@
-//! The training images of a scene before it is known how high its ground lies: their cameras, the ground that two of them may share, and
-//! pixels averaged down. Enough to find the altitudes that the surface has.
+//! The training images of a scene whose altitude range is unknown: their cameras, the ground that two of them may
+//! share, and downscaled pixels. This suffices to estimate the altitudes of the surface.
 
 use super::cut::{footprint_of, gsd_m, localise, whole};
 use super::footprint::Footprint;
@@ -14,7 +14,7 @@ use nalgebra::{Vector2, Vector3};
 const ALTITUDES: usize = 33;
 /// Pixels around the shared ground that are read with it.
 const MARGIN_PX: f64 = 16.0;
-/// Fewer columns or rows tell nothing.
+/// Fewest columns or rows for a match.
 const LEAST_PX: usize = 32;
 
 /// The training images of an index.
@@ -96,10 +96,11 @@ impl<'a> SceneCameras<'a> {
         gsd_m(image, &whole(image), &self.frame, altitude_m)
     }
 
-    /// How far the ground that the middle of an image sees moves east and north per metre of altitude, between two altitudes, metres.
+    /// Displacement east and north of the ground point of an image's centre per metre of altitude, between two
+    /// altitudes, metres.
     ///
     /// # Errors
-    /// When its camera does not see one of them.
+    /// When its camera does not reach one of them.
     pub fn parallax(&self, image: usize, (low_m, high_m): (f64, f64)) -> Result<[f64; 2], SceneError> {
         let image = self.images[image];
         let (width, height) = image.size;
@@ -111,10 +112,11 @@ impl<'a> SceneCameras<'a> {
         Ok(moved.into())
     }
 
-    /// What of two images shows ground that they share at some altitude of a range, with a margin; `None` where they share none.
+    /// The windows of two images that show common ground at some altitude of a range, with a margin; `None` where there
+    /// is none.
     ///
     /// # Errors
-    /// When a camera does not see one of the altitudes.
+    /// When a camera does not reach one of the altitudes.
     pub fn shared_windows(
         &self,
         first: usize,
@@ -146,7 +148,7 @@ impl<'a> SceneCameras<'a> {
             let (low, high): ([f64; 2], [f64; 2]) = limits[index];
             let (width, height) = pair[index].size;
             let along = |axis: usize, size: usize| {
-                // `as` saturates: what lies before the image begins at its first pixel.
+                // `as` saturates: a window that begins before the image is cut at its first pixel.
                 let first = (low[axis] - MARGIN_PX).floor().max(0.0) as usize;
                 let end = ((high[axis] + MARGIN_PX).ceil().max(0.0) as usize + 1).min(size);
                 (first, end.saturating_sub(first))
@@ -163,7 +165,8 @@ impl<'a> SceneCameras<'a> {
         Ok(window(0).zip(window(1)).map(|(a, b)| [a, b]))
     }
 
-    /// The mean of the bands of a window of an image, `factor` by `factor` pixels averaged into one; `NaN` where nothing is known.
+    /// The mean of the bands of a window of an image, `factor` by `factor` pixels averaged into one; `NaN` where
+    /// nothing is known.
     ///
     /// # Errors
     /// When the pixels cannot be read.

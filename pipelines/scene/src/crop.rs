@@ -1,4 +1,4 @@
-//! What a view needs of an image: the crop that shows an area, its camera in f32, its sun, and its date.
+//! A view of an image: the crop that shows an area, its camera in f32, its sun, and its date.
 
 use crate::{Area, ImageSun, Scene, SceneImage};
 use glam::{DVec3, Vec3};
@@ -26,8 +26,8 @@ pub struct Crop {
 }
 
 impl Crop {
-    /// The smallest rectangle of an image that shows all of `area` between two altitudes (metres, scene frame); `None` when
-    /// the image shows none of it.
+    /// The smallest rectangle of an image that shows all of `area` between two altitudes (metres, scene frame); `None`
+    /// when the image shows none of it.
     pub fn of(image: &SceneImage, area: &Area, up_m: (f64, f64)) -> Option<Self> {
         let (mut low, mut high) = ([f64::INFINITY; 2], [f64::NEG_INFINITY; 2]);
         for x in [area.west_m, area.east_m] {
@@ -106,15 +106,17 @@ pub fn direction(sun: &ImageSun) -> Option<Vec3> {
     Some(Vec3::new(direction.x as f32, direction.y as f32, direction.z as f32))
 }
 
-/// Images taken within this time are of one pass under one light, seconds. A satellite 600 km up sees a place from 45 degrees before the
-/// nadir to 45 degrees behind it in some three minutes; in five the sun moves 1.25 degrees, and the shadow of a house by less than a pixel.
+/// Images taken within this time are of one pass under one light, seconds. A satellite 600 km up sees a place from 45
+/// degrees before the nadir to 45 degrees behind it in some three minutes; in five the sun moves 1.25 degrees, and the
+/// shadow of a house by less than a pixel.
 const PASS_S: i64 = 300;
-/// Suns of images without times that are closer than this are one light, degrees of arc: as far as the sun moves during a pass.
+/// Suns of images without times that are closer than this are one light, degrees of arc: as far as the sun moves during
+/// a pass.
 const ONE_SUN_DEG: f64 = 1.25;
 
-/// A number per image that two images share when they are of one pass and so under one light: taken within five minutes of the first of
-/// them; of images without times, under suns within 1.25 degrees of that of the first. An image of which neither is known is by
-/// itself: nothing says that its light is that of another. Numbers count up in the order of the images.
+/// Number of the pass of each image; images of one pass are under one light: taken within five minutes of the first of
+/// them, or, without times, under suns within 1.25 degrees of that of the first. An image without time and sun is a
+/// pass of its own, since its light is unknown. Numbers ascend in the order of the images.
 pub fn date_groups(images: &[&SceneImage]) -> Vec<u32> {
     let lights: Vec<_> = images.iter().map(|image| (image.time, image.sun.position)).collect();
     lights_in_groups(&lights)

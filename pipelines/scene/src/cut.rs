@@ -11,11 +11,11 @@ use heliosplat_rpc::{GeoPoint, LocalFrame};
 use nalgebra::Vector3;
 use std::path::Path;
 
-/// Share of an image's pixels below which a window of it is read instead of all of it.
+/// Share of an image's pixels below which only a window of it is read.
 const WORTH_READING_LESS: f64 = 0.75;
 /// An overlap smaller than this many pixels on a side is none.
 const LEAST_OVERLAP_PX: f64 = 16.0;
-/// Most bands of an image: the rasteriser renders them beside the sun visibility and a normal.
+/// Most bands of an image: the rasteriser also renders the sun visibility and a normal.
 const MOST_BANDS: usize = MOST_CHANNELS - 1 - 3;
 
 /// The part of an [`Index`] that is used.
@@ -29,7 +29,7 @@ pub struct Cut {
     pub area: Area,
     /// Its images, in the order of the index.
     pub images: Vec<CutImage>,
-    /// Whether it is a part of another cut: an image may have no pixels there.
+    /// Whether it is a part of another cut, in which case an image may have no pixels there.
     pub is_part: bool,
     /// Counts per unit of the pixels; `None` where the pixels decide.
     pub counts_per_unit: Option<f64>,
@@ -55,10 +55,11 @@ struct Placed<'a> {
 }
 
 impl Cut {
-    /// Cuts an index: the altitudes and the area that `options` ask for, or those of the index.
+    /// Cuts an index: the requested altitudes and area of `options`, or those of the index.
     ///
     /// # Errors
-    /// [`SceneError`] where bands differ, fewer than two images overlap or show the area, or altitudes are none.
+    /// [`SceneError`] where bands differ, fewer than two images overlap or show the area, or the altitude range is
+    /// empty.
     pub fn of(index: &Index, options: &IngestOptions, warnings: &mut Vec<String>) -> Result<Self, SceneError> {
         check_bands(&index.images)?;
         let altitude = index.altitudes(options.altitude_range_m, options.altitude_from_ties_m, warnings)?;
@@ -119,7 +120,7 @@ impl Cut {
                     }
                 });
             }
-            // What lies beyond the ground is left out where it is a good part of an image.
+            // Pixels beyond the ground are left out where they are a large part of an image.
             None => {
                 for placed in &mut images {
                     if let Some(window) = window_over(placed.image, &frame, &area, limits_m)
@@ -308,11 +309,13 @@ const UNLIKE: f64 = 1.5;
 /// Share by which a ground sampling distance may be rounded to one significant digit.
 const ROUNDED: f64 = 0.05;
 
-/// The median of `gsds` (metres, one at least), what at least half of the images resolve, in one significant digit where that is nearly
-/// the same and else in two: cells of 0.5 m coincide with those of other data, those of 0.51 m do not.
+/// The median of `gsds` (metres, one at least), the resolution that at least half of the images reach, rounded to one
+/// significant digit where that is nearly the same and else in two: cells of 0.5 m coincide with those of other data,
+/// those of 0.51 m do not.
 ///
-/// A surface is found from pairs, and a pair shows what its coarser image resolves: cells of a few finer images would be empty detail, those
-/// of the coarsest would lose what most images show. Of two middle ones of unlike images the finer counts where two images or more have it.
+/// A surface is matched from pairs, and a pair has the resolution of its coarser image: cells of a few finer images
+/// would add no detail, those of the coarsest would lose detail of most images. Of two different middle values the
+/// finer is used where two images or more have it.
 pub(super) fn nominal_gsd_m(mut gsds: Vec<f64>) -> f64 {
     let upper = upper_median(&mut gsds).unwrap_or(f64::NAN);
     gsds.sort_by(f64::total_cmp);

@@ -1,4 +1,4 @@
-//! Footprints on the ground: convex polygons, what they share, and the ground two views cover.
+//! Footprints on the ground: convex polygons, their intersections, and the ground covered by two views.
 
 use super::Area;
 

@@ -7,19 +7,19 @@ pub const VEGETATION_INDEX: f32 = 0.3;
 /// Excess green above which a pixel is taken for vegetation.
 pub const VEGETATION_GREEN: f32 = 0.08;
 
-/// Less light than this says nothing of colour.
+/// Least sum of values with a meaningful index.
 const DARKEST: f32 = 1e-3;
 
-/// `(a - b) / (a + b)` of two bands, near zero where both are dark: of near infrared and red the normalised difference vegetation index
-/// (Rouse et al. 1974), of green and near infrared the water index (McFeeters 1996). Of reflectance where gains are known, else of the
-/// values as they are.
+/// `(a - b) / (a + b)` of two bands, near zero where both are dark: of near infrared and red the normalised difference
+/// vegetation index (Rouse et al. 1974), of green and near infrared the water index (McFeeters 1996). Of reflectance
+/// where gains are known, else of the values as they are.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct NormalisedDifference {
     first: Term,
     second: Term,
 }
 
-/// A band of an index, and how its values become what the index compares.
+/// A band of an index, and the conversion of its values.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) struct Term {
     pub(super) band: usize,
@@ -32,7 +32,7 @@ impl NormalisedDifference {
         Self { first, second }
     }
 
-    /// The index of a pixel, of which `value` tells the value of each band.
+    /// The index of a pixel; `value` returns the value of a band.
     #[inline]
     pub fn of(&self, value: impl Fn(usize) -> f32) -> f32 {
         let [a, b] = [self.first, self.second].map(|term| term.scale * value(term.band) + term.offset);
@@ -40,8 +40,8 @@ impl NormalisedDifference {
     }
 }
 
-/// Excess green `(2g - r - b) / (r + g + b)` of red, green and blue, near zero where all are dark (Woebbecke et al., Color indices for weed
-/// identification, Transactions of the ASAE 38, 1995). Red and blue may be swapped.
+/// Excess green `(2g - r - b) / (r + g + b)` of red, green and blue, near zero where all are dark (Woebbecke et al.,
+/// Color indices for weed identification, Transactions of the ASAE 38, 1995). Red and blue may be swapped.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct ExcessGreen {
     /// Places of red, green and blue.
@@ -56,7 +56,7 @@ impl ExcessGreen {
         Some(Self { places })
     }
 
-    /// The index of a pixel, of which `value` tells the value of each band.
+    /// The index of a pixel; `value` returns the value of a band.
     #[inline]
     pub fn of(&self, value: impl Fn(usize) -> f32) -> f32 {
         let [red, green, blue] = self.places.map(value);
@@ -64,7 +64,7 @@ impl ExcessGreen {
     }
 }
 
-/// The index by which leaves are told from pavement.
+/// The index that separates leaves from pavement.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum VegetationIndex {
     /// The normalised difference vegetation index.
@@ -74,7 +74,7 @@ pub enum VegetationIndex {
 }
 
 impl VegetationIndex {
-    /// The index of a pixel, of which `value` tells the value of each band.
+    /// The index of a pixel; `value` returns the value of a band.
     #[inline]
     pub fn of(&self, value: impl Fn(usize) -> f32) -> f32 {
         match self {

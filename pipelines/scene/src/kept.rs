@@ -46,7 +46,7 @@ pub struct KeptImage {
     pub window: Crop,
     /// Places of the bands in the file.
     pub file_bands: Vec<usize>,
-    /// What they show.
+    /// Spectral bands.
     pub bands: Vec<BandKind>,
     /// Linear counts, or values encoded for display.
     pub counts: Counts,
@@ -125,7 +125,7 @@ impl KeptCut {
         Ok(())
     }
 
-    /// The same cut of the delivery as it is now.
+    /// The same cut of the current delivery.
     ///
     /// # Errors
     /// The first difference in words: an image that is gone or has changed, other bands, another camera.

@@ -1,4 +1,4 @@
-//! Which parts of an image have data, coarsely: enough to say who sees what without the image.
+//! Coarse mask of an image's data, which gives visibility without the image.
 
 /// Side of a tile, pixels.
 const TILE_PX: usize = 8;
@@ -11,7 +11,7 @@ pub struct KnownTiles {
 }
 
 impl KnownTiles {
-    /// The tiles of an image of `width` columns from what is known of its pixels; `None` where all of them are.
+    /// The tiles of an image of `width` columns from the mask of its pixels; `None` where all of them have data.
     pub fn of(width: usize, known: &[bool]) -> Option<Self> {
         if width == 0 || known.iter().all(|&known| known) {
             return None;
@@ -32,7 +32,7 @@ impl KnownTiles {
         })
     }
 
-    /// Whether the tile of a pixel (column, row) has data; what lies outside has none.
+    /// Whether the tile of a pixel (column, row) has data; there is none outside the image.
     pub fn at(&self, (col, row): (usize, usize)) -> bool {
         let tiles = self.rows.get(row / TILE_PX);
         tiles.is_some_and(|tiles| tiles.as_bytes().get(col / TILE_PX) == Some(&b'1'))

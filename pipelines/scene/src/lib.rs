@@ -1,7 +1,8 @@
 //! Index → [`Cut`] → pixels: the images of a delivery become a [`Scene`].
 //!
-//! [`Index::open`] finds and parses a delivery once; [`Cut::of`] chooses frame, ground, altitudes and windows without reading pixels;
-//! [`Scene::read`] reads the pixels of a cut. A run keeps its [`KeptCut`], from which the same pixels are read again.
+//! [`Index::open`] finds and parses a delivery once; [`Cut::of`] chooses frame, ground, altitudes and windows without
+//! reading pixels; [`Scene::read`] reads the pixels of a cut. A run keeps its [`KeptCut`], from which the same pixels
+//! are read again.
 
 mod area;
 pub mod cameras;
@@ -39,12 +40,13 @@ use nalgebra::Vector3;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
-/// What a user may say about a scene that its files do not.
+/// User settings of a scene that its files do not contain.
 #[derive(Debug, Clone, Default)]
 pub struct IngestOptions {
     /// Lowest and highest ellipsoidal altitude of the surface, metres.
     pub altitude_range_m: Option<(f64, f64)>,
-    /// The same as tie points between the images gave it; used where neither this nor a file of the scene states a range.
+    /// The same as tie points between the images gave it; used where neither this nor a file of the scene states a
+    /// range.
     pub altitude_from_ties_m: Option<(f64, f64)>,
     /// Which camera is used where two differ.
     pub rpc: RpcPreference,
@@ -63,15 +65,16 @@ pub struct SceneImage {
     pub split: Split,
     /// Pixels: counts divided by a robust per-scene maximum so that most lie in 0..1, linear; NaN where nodata.
     pub pixels: Arc<Raster>,
-    /// What each band of `pixels` is.
+    /// Kind of each band of `pixels`.
     pub bands: Vec<BandKind>,
-    /// What of the file was read: all of it, or what shows the area that was asked for.
+    /// The window of the file that was read: all of it, or the part that shows the requested area.
     pub window: Window,
     /// Its rational camera, in the file's pixel coordinates.
     pub rpc: Rpc,
     /// Where the camera was found: `image` (tag, or a sidecar GDAL knows) or a file name.
     pub rpc_source: String,
-    /// The pinhole camera fitted in the scene's frame over the window and the altitude range; it counts pixels of the window.
+    /// The pinhole camera fitted in the scene's frame over the window and the altitude range; it counts pixels of the
+    /// window.
     pub pinhole: PinholeFit,
     /// Acquisition time, if known.
     pub time: Option<jiff::Timestamp>,
@@ -83,7 +86,7 @@ pub struct SceneImage {
     pub gsd_m: f64,
     /// Data type of the file, as GDAL names it.
     pub data_type: String,
-    /// What its values are, and who says so.
+    /// Meaning of its values, and the source of that.
     pub values: Values,
 }
 
@@ -100,7 +103,7 @@ pub struct Area {
     pub north_m: f64,
 }
 
-/// Images with cameras and what is known of their suns, in one local frame.
+/// Images with cameras and suns, in one local frame.
 #[derive(Debug, Clone)]
 pub struct Scene {
     /// Folder or `scene.toml` it came from.
@@ -117,8 +120,8 @@ pub struct Scene {
     pub altitude_source: String,
     /// Ground covered by at least two training images (bounding rectangle at mid altitude).
     pub area: Area,
-    /// Nominal ground sampling distance, metres: the median of the training images, rounded so that cells of products are 0.5 m wide
-    /// and not 0.51, and lie on the grids of other data.
+    /// Nominal ground sampling distance, metres: the median of the training images, rounded so that cells of products
+    /// are 0.5 m wide and not 0.51, and lie on the grids of other data.
     pub gsd_m: f64,
     /// Counts per unit of `pixels`.
     pub counts_per_unit: f64,
@@ -133,7 +136,8 @@ pub struct Scene {
 }
 
 impl Scene {
-    /// Opens a folder of images, a `scene.toml`, or a folder of Sat-NeRF or EOGS, cuts it as `options` ask and reads its pixels.
+    /// Opens a folder of images, a `scene.toml`, or a folder of Sat-NeRF or EOGS, cuts it by `options` and reads its
+    /// pixels.
     ///
     /// # Errors
     /// The first [`SceneError`] found; nothing is written anywhere.
@@ -141,7 +145,7 @@ impl Scene {
         Self::of(&Index::open(path, options.rpc)?, options)
     }
 
-    /// Cuts an index as `options` ask and reads its pixels.
+    /// Cuts an index by `options` and reads its pixels.
     ///
     /// # Errors
     /// As [`Self::open`].
@@ -185,7 +189,7 @@ impl SceneImage {
         self.values.ndvi(&self.bands)
     }
 
-    /// What tells leaves in it; `None` without near infrared or all three colours, and of values for display.
+    /// Its index of leaves; `None` without near infrared or all three colours, and of values for display.
     pub fn vegetation_index(&self) -> Option<VegetationIndex> {
         self.values.vegetation_index(&self.bands)
     }

@@ -1,4 +1,4 @@
-//! The geometry of pairs of images: how far apart they look from, and how much ground they share.
+//! The geometry of pairs of images: base-to-height ratio and common ground.
 
 use super::{Finding, Scene, SceneImage, Severity};
 use heliosplat_rpc::parallax::MATCHING_PX;
@@ -69,7 +69,7 @@ impl Scene {
         pairs
     }
 
-    /// Whether an image shows each of some places of the area, at mid altitude.
+    /// Whether an image shows each of a grid of places of the area, at mid altitude.
     fn shown_by(&self, image: &SceneImage) -> Vec<bool> {
         let along = |low: f64, high: f64, step: usize| low + (high - low) * (step as f64 + 0.5) / STEPS as f64;
         let place = |i: usize| {
@@ -82,8 +82,8 @@ impl Scene {
         (0..STEPS * STEPS).map(|i| image.sees(place(i))).collect()
     }
 
-    /// A warning for each training image with the camera of another: over the whole range of altitudes, their rays part by less than
-    /// matching can measure.
+    /// A warning for each training image with the camera of another: over the whole range of altitudes, their rays part
+    /// by less than matching can measure.
     pub(super) fn warn_of_copies(&mut self) {
         let (low_m, high_m) = self.altitude_range_m;
         let measurable = MATCHING_PX * self.gsd_m / (high_m - low_m);

@@ -12,10 +12,11 @@ use std::path::Path;
 /// The share of values below the scene's unit: the brightest glints lie above 1.
 const UNIT_QUANTILE: f64 = 0.999;
 
-/// Reads the planned bands of a window of an image; transparent pixels and black borders become `NaN`, display values linear.
+/// Reads the planned bands of a window of an image; transparent pixels and black borders become `NaN`, display values
+/// linear.
 ///
-/// Satellite counts are proportional to radiance, with 8 bits too, unless `scene.toml` or the file (item `RADIOMETRY`) states that they
-/// are encoded for display.
+/// Satellite counts are proportional to radiance, with 8 bits too, unless `scene.toml` or the file (item `RADIOMETRY`)
+/// states that they are encoded for display.
 pub(super) fn read(image: &IndexImage, window: Window, warnings: &mut Vec<String>) -> Result<Raster, SceneError> {
     let file = image.file();
     let mut raster = file.read(window, &image.bands.file_bands)?;
@@ -34,8 +35,8 @@ pub(super) fn read(image: &IndexImage, window: Window, warnings: &mut Vec<String
     Ok(raster)
 }
 
-/// The value of white in an image encoded for display: the largest integer of its type; of floating point numbers 1, or 255 where they
-/// go beyond 1.
+/// The value of white in an image encoded for display: the largest integer of its type; of floating point numbers 1, or
+/// 255 where they go beyond 1.
 fn white_of(data_type: &str, raster: &Raster) -> f32 {
     match data_type {
         "UInt16" => f32::from(u16::MAX),
@@ -45,8 +46,8 @@ fn white_of(data_type: &str, raster: &Raster) -> f32 {
     }
 }
 
-/// The values of an image for display: as `scene.toml` or the file states, or, with eight bits and no metadata, where the values are
-/// clipped at the limits of eight bits. `raster` are its pixels.
+/// The values of an image for display: as `scene.toml` or the file states, or, with eight bits and no metadata, where
+/// the values are clipped at the limits of eight bits. `raster` are its pixels.
 pub(super) fn for_display(image: &IndexImage, raster: &Raster) -> Option<Values> {
     if image.counts == Counts::Display {
         return Some(Values::for_display(image.counts_source.as_deref()));
@@ -54,7 +55,7 @@ pub(super) fn for_display(image: &IndexImage, raster: &Raster) -> Option<Values>
     (image.has_unstated_bytes() && saturation::at_limits_of_eight_bits(raster)).then(|| Values::for_display(None))
 }
 
-/// The line that says that images stretched for display have no index, where their bands would make one.
+/// The warning that images stretched for display have no index, where their bands would allow one.
 pub(super) fn stretched(images: &[(String, Values)], bands: &[BandKind]) -> Option<String> {
     let found = images.iter().filter(|(_, values)| *values == Values::for_display(None));
     let first = found

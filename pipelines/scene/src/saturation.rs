@@ -1,4 +1,4 @@
-//! Values at which an image was clipped: the greatest say "at least this bright", the lowest "at most".
+//! Clipped values of an image: the greatest is a lower bound of the brightness, the lowest an upper bound.
 
 use heliosplat::Raster;
 use rayon::prelude::*;
@@ -44,8 +44,8 @@ fn share_where(image: &Raster, limits: &[f32], is_clipped: impl Fn(f32, f32) -> 
     clipped as f64 / known.max(1) as f64
 }
 
-/// Whether most bands of an image of eight bits were clipped at the least or the greatest that eight bits hold. Sensors have ten bits and
-/// more: their own saturation would lie anywhere.
+/// Whether most bands of an eight-bit image were clipped at the least or the greatest eight-bit value. Sensors have ten
+/// bits and more: their own saturation would be at other values.
 pub fn at_limits_of_eight_bits(image: &Raster) -> bool {
     let ends = ceilings(image).into_iter().zip(floors(image));
     let clipped = ends.filter(|(high, low)| *high == 255.0 || *low == 0.0);

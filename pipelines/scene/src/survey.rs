@@ -14,13 +14,14 @@ use rayon::prelude::*;
 pub struct Survey<'a> {
     /// The delivery.
     pub index: &'a Index,
-    /// The part of it that is used.
+    /// The cut of the index.
     pub cut: Cut,
     /// Corners of the training images on the ground.
     footprints: Vec<Footprint>,
     /// Lowest and highest ellipsoidal altitude the surface may have, metres.
     pub altitude_range_m: (f64, f64),
-    /// Largest base-to-height ratio of two training images in their middles, metres of relative parallax per metre of altitude.
+    /// Largest base-to-height ratio of two training images in their middles, metres of relative parallax per metre of
+    /// altitude.
     pub widest_base_to_height: f64,
     /// Nominal ground sampling distance, metres, as that of [`super::Scene`].
     pub gsd_m: f64,
@@ -28,7 +29,7 @@ pub struct Survey<'a> {
     pub bands: usize,
     /// Truth, where the scene brings it.
     pub truth: Truth,
-    /// Things a user should know that its files say, one line each.
+    /// Warnings from its files, one line each.
     pub warnings: Vec<String>,
 }
 
@@ -43,7 +44,7 @@ pub struct PartSurvey {
     pub largest: f64,
 }
 
-/// What a tile of a scene takes.
+/// Size and content of a tile of a scene.
 #[derive(Debug, Clone, Copy, PartialEq, serde::Serialize, serde::Deserialize)]
 pub struct TileSurvey {
     /// Its ground in a local frame at its middle, metres.
@@ -61,7 +62,7 @@ pub struct TileSurvey {
 }
 
 impl<'a> Survey<'a> {
-    /// The survey of an index, cut as `options` ask.
+    /// The survey of an index, cut by `options`.
     ///
     /// # Errors
     /// As [`Cut::of`].
@@ -143,7 +144,7 @@ impl<'a> Survey<'a> {
         Ok((frame, area, shown))
     }
 
-    /// What a tile takes; `None` where two training images do not show it.
+    /// Size and content of a tile; `None` where fewer than two training images show it.
     ///
     /// # Errors
     /// When its coordinates cannot be transformed.

@@ -6,7 +6,7 @@ use heliosplat_rpc::{GeoPoint, LocalFrame};
 use std::collections::BTreeMap;
 use std::path::Path;
 
-/// Takes out truth that lies on other ground than the scene, and says so. Truth without a place of its own is left to whoever reads it.
+/// Removes truth on other ground than the scene, with a warning. Truth without a position of its own is kept.
 pub(super) fn keep_if_here(truth: &mut Truth, frame: &LocalFrame, area: &Area, warnings: &mut Vec<String>) {
     let Some(path) = truth.dsm.as_deref() else { return };
     let Some(ground) = ground_of(path, frame) else { return };
@@ -62,7 +62,8 @@ fn ground_of(path: &Path, frame: &LocalFrame) -> Option<Area> {
 }
 
 impl Scene {
-    /// The error that was put into each image's camera (columns, rows, pixels), by its name; `None` where the scene does not know.
+    /// The error that was put into each image's camera (columns, rows, pixels), by its name; `None` where the scene has
+    /// none.
     pub fn true_camera_biases_px(&self) -> Option<BTreeMap<String, [f64; 2]>> {
         #[derive(serde::Deserialize)]
         struct Summary {

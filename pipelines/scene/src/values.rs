@@ -1,7 +1,7 @@
-//! What the values of an image are, and what they say of reflectance.
+//! Meaning of an image's values, and their conversion to reflectance.
 //!
-//! Pixels stay in counts: what is trained, matched and written depends on ratios within a band, which a gain leaves as they are, and
-//! models of before stay what they were. Only indices of two bands compare bands with each other, and only they take reflectance.
+//! Pixels stay in counts: training, matching and products depend on ratios within a band, which a gain does not change.
+//! Only indices of two bands compare bands with each other, and only they use reflectance.
 
 use super::BandKind;
 use super::indices::{ExcessGreen, NormalisedDifference, Term, VegetationIndex};
@@ -11,7 +11,7 @@ use heliosplat_rpc::sun::{SunPosition, earth_sun_distance_au};
 use jiff::Timestamp;
 use std::f64::consts::FRAC_PI_2;
 
-/// What values are, or can be turned into.
+/// Quantity of the values, or one they can be converted to.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, serde::Serialize, serde::Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum ValueKind {
@@ -19,7 +19,7 @@ pub enum ValueKind {
     Reflectance,
     /// Gains lead to radiance; the sun or the solar irradiance in the bands is not known.
     Radiance,
-    /// Nobody says.
+    /// Counts without a known calibration.
     #[default]
     Counts,
     /// A display curve or stretch was applied.
@@ -47,22 +47,23 @@ pub struct BandReflectance {
     pub offset: f32,
 }
 
-/// What the values of an image are, and who says so.
+/// Meaning of an image's values, and the source of that.
 #[derive(Debug, Clone, PartialEq, Default, serde::Serialize, serde::Deserialize)]
 pub struct Values {
-    /// What they are.
+    /// Their kind.
     pub kind: ValueKind,
-    /// The file that says so; `None` where none does.
+    /// The file that states it; `None` where none does.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub source: Option<String>,
-    /// How the values of each band become reflectance, of radiance without a known sun up to one factor for all bands; `None` for a band
-    /// without gain, empty where no band has one.
+    /// How the values of each band become reflectance, of radiance without a known sun up to one factor for all bands;
+    /// `None` for a band without gain, empty where no band has one.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub reflectance: Vec<Option<BandReflectance>>,
 }
 
 impl Values {
-    /// The normalised difference vegetation index of bands of these kinds; `None` without red and near infrared, and of values for display.
+    /// The normalised difference vegetation index of bands of these kinds; `None` without red and near infrared, and of
+    /// values for display.
     pub fn ndvi(&self, bands: &[BandKind]) -> Option<NormalisedDifference> {
         self.difference(bands, [BandKind::NearInfrared, BandKind::Red])
     }
@@ -72,7 +73,8 @@ impl Values {
         self.difference(bands, [BandKind::Green, BandKind::NearInfrared])
     }
 
-    /// What tells leaves in bands of these kinds: the vegetation index, else excess green; `None` of values for display.
+    /// The index of leaves for bands of these kinds: the vegetation index, else excess green; `None` of values for
+    /// display.
     pub fn vegetation_index(&self, bands: &[BandKind]) -> Option<VegetationIndex> {
         if self.kind == ValueKind::Display {
             return None;
@@ -81,7 +83,7 @@ impl Values {
         self.ndvi(bands).map(VegetationIndex::Infrared).or_else(green)
     }
 
-    /// Whether nothing is known of them.
+    /// Whether it is the default, without any information.
     pub fn is_unknown(&self) -> bool {
         *self == Self::default()
     }
@@ -104,7 +106,7 @@ impl Values {
         Some(NormalisedDifference::new(term(0), term(1)))
     }
 
-    /// For display, as `source` says; `None` where the values themselves say so.
+    /// For display, as stated in `source`; `None` where it follows from the values themselves.
     pub(super) fn for_display(source: Option<&str>) -> Self {
         Self {
             kind: ValueKind::Display,
@@ -113,7 +115,7 @@ impl Values {
         }
     }
 
-    /// What metadata say of bands of these kinds and places in their file, under a sun, in a scene of so many counts per unit.
+    /// From metadata, for bands of these kinds and places in their file, under a sun, in a scene of `counts_per_unit`.
     pub(super) fn of_metadata(found: &FoundRadiometry, bands: &FileBands, light: &Light, counts_per_unit: f64) -> Self {
         let source = Some(found.source.clone());
         let calibration = match &found.radiometry {
@@ -129,7 +131,8 @@ impl Values {
             let gain = (*gain)?;
             let gain = match calibration.quantity {
                 Quantity::Reflectance => gain,
-                // All bands of an image have one sun: without it reflectance is known up to one factor, which no index shows.
+                // All bands of an image have one sun: without it reflectance is known up to one factor, which no index
+                // shows.
                 Quantity::Radiance => gain.to_reflectance(elevation_rad.unwrap_or(FRAC_PI_2), light.distance_au())?,
             };
             Some(BandReflectance {
@@ -194,7 +197,8 @@ impl FileBands<'_> {
     }
 }
 
-/// The indices of a scene compare its images: unless all images have gains, none uses them. Returns the line that says so.
+/// The indices of a scene compare its images: unless all images have gains, none uses them. Returns the corresponding
+/// warning.
 pub(super) fn same_for_all(values: &mut [(String, Values)]) -> Option<String> {
     let with = |values: &Values| !values.reflectance.is_empty();
     let known = values.iter().filter(|(_, values)| with(values)).count();
