@@ -8,7 +8,7 @@ use heliosplat::Raster;
 use heliosplat_raster::{Crs, GeoTransform};
 use rayon::prelude::*;
 
-/// What is done to a prediction: its value at a cell is taken from `(col - columns, row - rows)` and `height_m` is added.
+/// Shift of a prediction: its value at a cell is taken from `(col - columns, row - rows)` and `height_m` is added.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct Shift {
     /// To the right, cells.
@@ -23,7 +23,7 @@ pub struct Shift {
 const RANGE: i64 = 5;
 /// The pyramid stops when its shorter side is this long, cells.
 const SMALLEST_SIDE: usize = 100;
-/// An overlap with a smaller share of the truth's known cells says nothing about the shift.
+/// Least overlap for a shift, as a share of the truth's known cells.
 const LEAST_OVERLAP: f64 = 0.25;
 
 impl Shift {
@@ -36,8 +36,8 @@ impl Shift {
     }
 }
 
-/// A raster (first band) moved by columns to the right and rows down: missing where it comes from outside or from missing
-/// cells.
+/// A raster (first band) moved by columns to the right and rows down: missing where it comes from outside or from
+/// missing cells.
 pub fn moved(raster: &Raster, columns: f64, rows: f64) -> Raster {
     let mut out = Raster::filled(raster.width, raster.height, 1, f32::NAN);
     let lines = out.values.par_chunks_mut(raster.width).enumerate();

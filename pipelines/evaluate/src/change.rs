@@ -6,15 +6,15 @@ use heliosplat_raster::{GeoRaster, RasterFile, dsm_bands};
 use jiff::civil::Date;
 use std::path::Path;
 
-/// Differences from here on belong to a segment, metres.
+/// Least difference of a changed cell, metres.
 const LEAST_M: f32 = 1.0;
 /// Least ground of a segment, m².
 const SEGMENT_M2: f64 = 30.0;
 /// Least mean difference of a segment, metres.
 const SEGMENT_M: f32 = 3.0;
 
-/// How well changes were found. Segments are connected cells (by their sides) that rose, or that fell, by more than 1 m, of at least
-/// 30 m² and 3 m on average.
+/// How well changes were found. Segments are connected cells (by their sides) that rose, or that fell, by more than 1
+/// m, of at least 30 m² and 3 m on average.
 #[derive(Debug, Clone, Copy, PartialEq, serde::Serialize)]
 pub struct ChangeScore {
     /// Share of the found area that changed in truth; absent where nothing was found.
@@ -33,7 +33,8 @@ pub struct ChangeScore {
     pub right_day: Option<f64>,
 }
 
-/// Compares a map of changes with the true one: first bands are differences (metres, last minus first), second ones days as YYYYMMDD.
+/// Compares a map of changes with the true one: first bands are differences (metres, last minus first), second ones
+/// days as YYYYMMDD.
 ///
 /// # Errors
 /// [`EvaluateError`], naming the file at fault.

@@ -1,8 +1,8 @@
-//! Errors of the ground by its distance to the nearest wall of the truth: surface models err most beside walls, and an error of the whole
-//! hides that.
+//! Errors of the ground by its distance to the nearest wall of the truth: surface models err most near walls, which the
+//! overall error hides.
 //!
-//! A wall is a side of a building's cell beside which the true surface drops by `WALL_FROM_M` or more to something that is no building.
-//! Without classes nobody knows what is ground, and there is nothing to say.
+//! A wall is a side of a building's cell at which the true surface drops by `WALL_FROM_M` or more to something that is
+//! no building. Without classes the ground is unknown, and there is no result.
 
 use super::metrics::{HeightErrors, statistics};
 use heliosplat::Raster;
@@ -77,7 +77,7 @@ fn distances(truth: &Raster, classes: &Raster, gsd_m: f64, reach_m: f64) -> Vec<
         if !is_wall(truth, classes, col, row) {
             continue;
         }
-        // Few cells are walls: they tell their surroundings.
+        // Walls are few, so each marks its surroundings.
         for r in row.saturating_sub(reach)..(row + reach + 1).min(height) {
             for c in col.saturating_sub(reach)..(col + reach + 1).min(width) {
                 // The wall is the side of the cell, half a cell before its centre.

@@ -1,9 +1,9 @@
 //! Rendered images against real ones: PSNR and SSIM over the pixels known in both.
 //!
-//! This is not the SSIM of the training loss (`heliosplat::loss::photometric`). A measure counts only windows that lie inside the
-//! image and hold no missing pixel. The loss must have a gradient at every pixel: its windows reach beyond the border, where it takes
-//! zeros, and it takes missing truth to be as rendered. It is also in `f32`, whose rounding of `E[x²] - E[x]²` in bright even areas
-//! is 1e-7 beside K2² = 9e-4, an error of the index up to 1e-4.
+//! This is not the SSIM of the training loss (`heliosplat::loss::photometric`). A metric counts only windows inside the
+//! image and without missing pixels. The loss must have a gradient at every pixel: its windows reach beyond the border,
+//! where it takes zeros, and it replaces missing truth by the rendering. It is also in `f32`, whose rounding of
+//! `E[x²] - E[x]²` in bright uniform areas is 1e-7 relative to K2² = 9e-4, an error of the index up to 1e-4.
 
 use heliosplat::Raster;
 use rayon::prelude::*;
@@ -20,8 +20,8 @@ pub struct ImageScore {
     pub ssim: f64,
 }
 
-/// Scores a rendered image against a real one of the same size, both in 0..1. `None` when no pixel is known in both. `rgb` are
-/// the planes of red, green and blue, where there are others too.
+/// Scores a rendered image against a real one of the same size, both in 0..1. `None` when no pixel is known in both.
+/// `rgb` are the planes of red, green and blue, where there are others too.
 pub fn score_image(rendered: &Raster, real: &Raster, rgb: Option<[usize; 3]>) -> Option<ImageScore> {
     let colours = |image: &Raster, rgb: [usize; 3]| Raster {
         bands: 3,
@@ -53,8 +53,8 @@ pub fn psnr(rendered: &Raster, real: &Raster) -> Option<f64> {
     (count > 0).then(|| psnr_db(sum / count as f64, 1.0))
 }
 
-/// Structural similarity (Wang et al. 2004): Gaussian window of 11 pixels, σ 1.5, K1 0.01, K2 0.03, peak 1. Only windows
-/// that lie inside the image and hold no missing pixel count; the mean is over those and all bands.
+/// Structural similarity (Wang et al. 2004): Gaussian window of 11 pixels, σ 1.5, K1 0.01, K2 0.03, peak 1. Only
+/// windows that lie inside the image and hold no missing pixel count; the mean is over those and all bands.
 pub fn ssim(rendered: &Raster, real: &Raster) -> Option<f64> {
     const RADIUS: usize = 5;
     let (width, height) = (real.width, real.height);

@@ -1,8 +1,8 @@
-//! How far a result is from truth: one evaluator, several named protocols, the protocol always beside the number.
+//! Errors of a result against truth: one evaluator with several named protocols; every number comes with its protocol.
 //!
-//! * `raw`: no registration; what a GIS user gets. Water counts.
-//! * `aligned`: the integer shift of largest normalised cross-correlation, then the mean height difference removed; water
-//!   (class 9) is taken out of the prediction before both, as Sat-NeRF and EOGS do.
+//! * `raw`: no registration, as a GIS user gets it. Water counts.
+//! * `aligned`: the integer shift of largest normalised cross-correlation, then the mean height difference removed;
+//!   water (class 9) is taken out of the prediction before both, as Sat-NeRF and EOGS do.
 //! * `aligned-water`: the same, but water takes part in the registration and is left out of the metric only.
 //! * `subpixel`: `aligned`, with the shift refined below a pixel.
 //!
@@ -51,7 +51,7 @@ pub enum Protocol {
 }
 
 impl Protocol {
-    /// Its name beside every number.
+    /// Its name, given with every number.
     pub fn name(self) -> &'static str {
         match self {
             Self::Raw => "raw",
@@ -88,7 +88,7 @@ pub enum EvaluateError {
         /// The coordinate system.
         name: String,
     },
-    /// A text that tells a truth raster's place and cannot be read.
+    /// The text with a truth raster's position cannot be read.
     #[error("{}: expected four numbers (easting, northing, size in pixels, metres per pixel), found none; correct or remove it", .0.display())]
     RegionText(PathBuf),
     /// Classes on another grid.
@@ -126,12 +126,12 @@ pub struct DsmEvaluation {
     pub wanted: Vec<bool>,
     /// Metres per pixel of the truth's grid.
     pub gsd_m: f64,
-    /// What a reader should know, one line each.
+    /// Warnings for the reader, one line each.
     pub warnings: Vec<String>,
 }
 
 impl DsmEvaluation {
-    /// Adds to the metrics which share of the wanted cells that `seen` says are seen the prediction does not know.
+    /// Adds to the metrics the share of wanted and visible (`seen`) cells that are unknown in the prediction.
     pub fn count_seen_unknown(&mut self, seen: &[bool]) {
         let cells = seen.iter().zip(&self.wanted).zip(self.errors.plane(0));
         let (mut all, mut unknown) = (0usize, 0usize);
@@ -207,9 +207,9 @@ pub fn evaluate_raster(
     })
 }
 
-/// Registers and subtracts: prediction minus truth on the truth's grid, and the shift that was applied. `None` when no cell is known in
-/// both. `prediction` gives the prediction on the truth's grid after a move of columns and rows, so that a move below a cell is
-/// interpolated once.
+/// Registers and subtracts: prediction minus truth on the truth's grid, and the shift that was applied. `None` when no
+/// cell is known in both. `prediction` gives the prediction on the truth's grid after a move of columns and rows, so
+/// that a move below a cell is interpolated once.
 fn register(
     prediction: &(impl Fn(f64, f64) -> Raster + Sync),
     truth: &Raster,

@@ -38,17 +38,18 @@ pub struct DsmMetrics {
     /// The same statistics by class, where classes are known.
     #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
     pub by_class: BTreeMap<String, HeightErrors>,
-    /// Ground, roads, bridges and buildings together, where classes are known: what stays as it is from season to season.
+    /// Ground, roads, bridges and buildings together, where classes are known: surfaces that do not change with the
+    /// season.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub ground_and_buildings: Option<HeightErrors>,
-    /// Share of the cells that at least two images see (on the true surface) whose altitude the prediction does not know, 0..1; absent
-    /// where it is not known who sees what.
+    /// Share of the cells visible in at least two images (on the true surface) whose altitude is unknown in the
+    /// prediction, 0..1; absent where the visibility is unknown.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub seen_unknown: Option<f64>,
     /// Errors of the ground by its distance to the nearest wall, where classes are known.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub edges: Vec<EdgeErrors>,
-    /// What the prediction's own standard deviations are worth, where it has them.
+    /// Quality of the prediction's own standard deviations, where it has them.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub uncertainty: Option<Uncertainty>,
 }

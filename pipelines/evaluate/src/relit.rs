@@ -1,12 +1,13 @@
 //! Relit images against truth under suns that no image had.
 //!
-//! * **One gain**: a gain and an offset per band, by least squares over all suns together. Whether a scene gets darker as its sun sinks
-//!   shows here alone: a gain per sun hides it.
-//! * **Own gain**: the same for each sun by itself, what remains to be seen once exposure is set by hand.
-//! * **Brightness**: mean of our values after the one gain, relative to that of the truth.
+//! * **One gain**: a gain and an offset per band, by least squares over all suns together. Only this one measures
+//!   whether a scene gets darker as its sun sinks, which a gain per sun hides.
+//! * **Own gain**: the same for each sun by itself, as after a manual exposure correction.
+//! * **Brightness**: mean of the predicted values after the one gain, relative to that of the truth.
 //! * **Shadows**: balanced error rate and intersection over union of the traced masks.
 //!
-//! The peak of PSNR is the 99.5th percentile of the brightest truth: the largest such percentile of all suns, over all bands.
+//! The peak of PSNR is the 99.5th percentile of the brightest truth: the largest such percentile of all suns, over all
+//! bands.
 
 use crate::image::psnr_db;
 use crate::shadow::ShadowCounts;
@@ -16,14 +17,14 @@ use heliosplat_grid::statistics::quantile;
 /// The quantile of the brightest truth that is the peak.
 const PEAK_QUANTILE: f64 = 0.995;
 
-/// What is compared under one sun; all rasters on one grid.
+/// Rasters compared under one sun, all on one grid.
 #[derive(Debug, Clone, Copy)]
 pub struct RelitPair<'a> {
     /// Our image, any unit that is linear in radiance.
     pub ours: &'a Raster,
     /// The true image, with as many bands; linear too.
     pub truth: &'a Raster,
-    /// Our mask: 1 in shadow, 0 in the sun; what lies between counts as the nearer one.
+    /// The predicted mask: 1 in shadow, 0 in the sun; values between are rounded.
     pub our_shadow: &'a Raster,
     /// The true mask.
     pub true_shadow: &'a Raster,
@@ -112,7 +113,8 @@ fn known<'a>(pair: &'a RelitPair, band: usize) -> impl Iterator<Item = (f64, f64
 struct Line;
 
 impl Line {
-    /// Gain and offset through one band of some pairs. Where ours is of one value, the gain is zero and the offset the truth's mean.
+    /// Gain and offset through one band of some pairs. Where ours is of one value, the gain is zero and the offset the
+    /// truth's mean.
     fn through<'a>(bands: impl Iterator<Item = (&'a RelitPair<'a>, usize)> + Clone) -> Option<[f64; 2]> {
         let values = || bands.clone().flat_map(|(pair, band)| known(pair, band));
         let (mut count, mut sums) = (0.0, [0.0; 2]);
@@ -134,7 +136,7 @@ impl Line {
     }
 }
 
-/// What is left between ours and truth after a gain and an offset per band.
+/// Difference of prediction and truth after a gain and an offset per band.
 struct Difference {
     mean_square: f64,
     /// Means over all bands.

@@ -17,7 +17,7 @@ pub struct Placement<'a> {
 }
 
 impl<'a> Placement<'a> {
-    /// Finds the places. Where one of the two does not say its coordinate system, both are taken to be in the same.
+    /// Computes the positions. Where one raster has no coordinate system, that of the other is assumed.
     ///
     /// # Errors
     /// When a coordinate system cannot be used.
@@ -49,9 +49,9 @@ impl<'a> Placement<'a> {
         })
     }
 
-    /// First band of the source on the target's grid, bilinear, `NaN` where nothing is known, after moving the source by
-    /// `columns` to the right and `rows` down (target cells). Between different coordinate systems the move is that of the
-    /// grid's centre: over a kilometre, 50 cells elsewhere differ by some thousandths of a cell.
+    /// First band of the source on the target's grid, bilinear, `NaN` where nothing is known, after moving the source
+    /// by `columns` to the right and `rows` down (target cells). Between different coordinate systems the move is that
+    /// of the grid's centre: over a kilometre, 50 cells elsewhere differ by some thousandths of a cell.
     pub fn moved(&self, columns: f64, rows: f64) -> Raster {
         self.moved_band(0, columns, rows)
     }

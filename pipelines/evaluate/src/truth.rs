@@ -1,4 +1,4 @@
-//! Truth rasters as they come: georeferenced, or placed by a text beside them as in DFC2019.
+//! Truth rasters as distributed: georeferenced, or positioned by a text file as in DFC2019.
 
 use super::EvaluateError;
 use heliosplat::Raster;
@@ -66,7 +66,7 @@ fn placed_by_text(path: &Path, raster: &Raster) -> Result<GeoTransform, Evaluate
     GeoTransform::from_region_text(&text, raster.height).ok_or(EvaluateError::RegionText(text_path))
 }
 
-/// The UTM zone in which a text counts that says none: the prediction's, or where that is in another system, the one it lies in.
+/// UTM zone of a text that has none: the prediction's, or where that is in another system, the zone of its position.
 fn utm_zone(prediction: &GeoRaster) -> Option<Crs> {
     let crs = prediction.crs.as_ref()?;
     if crs.name().contains("UTM zone") {

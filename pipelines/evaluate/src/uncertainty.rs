@@ -12,7 +12,8 @@ const FEWEST: usize = 100;
 /// `dsm.uncertainty` of `metrics.json`.
 #[derive(Debug, Clone, PartialEq, serde::Serialize, serde::Deserialize)]
 pub struct Uncertainty {
-    /// Spearman's rank correlation of standard deviation and absolute error, -1..1: whether uncertain cells are the wrong ones.
+    /// Spearman's rank correlation of standard deviation and absolute error, -1..1: whether uncertain cells are the
+    /// wrong ones.
     pub spearman: f64,
     /// Share of cells whose error is within one standard deviation, 0..1: 0.68 for normal errors with these deviations.
     pub within_one: f64,

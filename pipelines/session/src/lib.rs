@@ -1,6 +1,6 @@
-//! What every verb shares with the terminal: progress bars, log lines written around them, and whether the user wants it to stop.
+//! Terminal output of all verbs: progress bars, log lines written around them, and the user's request to stop.
 //!
-//! Libraries take a [`Session`] to report how far they are and to stop early; [`Session::quiet`] is for use without a terminal.
+//! Libraries take a [`Session`] to report progress and to stop early; [`Session::quiet`] is for use without a terminal.
 
 pub mod log;
 pub mod memory;
@@ -31,8 +31,8 @@ pub struct Session {
 }
 
 impl Session {
-    /// A session that SIGINT and SIGTERM stop: at once, or after [`Self::stop_gently`] when it asks for it; then a second signal ends the
-    /// process at once.
+    /// A session that SIGINT and SIGTERM stop: at once, or after a call of [`Self::stop_gently`] when the caller polls
+    /// [`Self::stopped`]; then a second signal ends the process at once.
     ///
     /// # Errors
     /// When the signal handler cannot be installed.
@@ -68,16 +68,16 @@ impl Session {
         self.gentle.load(Ordering::SeqCst)
     }
 
-    /// Whether the user asked to stop.
+    /// Whether the user requested a stop.
     pub fn stopped(&self) -> bool {
         self.stop.load(Ordering::SeqCst)
     }
 
-    /// Also stops when standard input ends: whoever started this process and holds the other end is gone, or asks for it.
+    /// Also stops when standard input ends, which means that the parent process has ended or requests a stop.
     pub fn stop_with_input(&self) {
         let session = self.clone();
         std::thread::spawn(move || {
-            // What comes is not for us; that it ends is.
+            // The input itself is ignored; only its end matters.
             let _ = std::io::copy(&mut std::io::stdin().lock(), &mut std::io::sink());
             session.stop.store(true, Ordering::SeqCst);
             if !session.saves() {
@@ -86,13 +86,13 @@ impl Session {
         });
     }
 
-    /// A line about something that runs beside others, its time and what it says; on a terminal only.
+    /// A line about one of several parallel tasks, its time and its message; on a terminal only.
     pub fn watch(&self, label: &str) -> Progress {
         self.bar(label, ProgressBar::no_length(), "{prefix} {elapsed} {msg}")
     }
 
-    /// A progress bar of `total` steps on a terminal. Elsewhere, for programs that read stderr and set `HELIOSPLAT_PROGRESS=lines`, a
-    /// line `progress LABEL N %` for each of a hundred.
+    /// A progress bar of `total` steps on a terminal. Elsewhere, for programs that read stderr and set
+    /// `HELIOSPLAT_PROGRESS=lines`, a line `progress LABEL N %` for each of a hundred.
     pub fn progress(&self, label: &str, total: u64) -> Progress {
         let style = "{prefix} [{bar:30}] {pos}/{len} {per_sec} left {eta} {msg}";
         self.bar(label, ProgressBar::new(total), style)
@@ -112,7 +112,7 @@ impl Session {
         let wanted = std::env::var_os(PROGRESS_VARIABLE).is_some_and(|value| value == "lines");
         let lines = wanted.then(|| Lines {
             label: label.to_owned(),
-            said: AtomicU64::new(0),
+            reported: AtomicU64::new(0),
         });
         Progress { bar, lines }
     }
@@ -129,8 +129,8 @@ pub struct Progress {
 #[derive(Debug)]
 struct Lines {
     label: String,
-    /// Hundredths that were said already.
-    said: AtomicU64,
+    /// Hundredths already reported.
+    reported: AtomicU64,
 }
 
 impl Lines {
@@ -139,7 +139,7 @@ impl Lines {
             return;
         };
         let hundredths = done.min(total).saturating_mul(100) / total;
-        if self.said.fetch_max(hundredths, Ordering::Relaxed) < hundredths {
+        if self.reported.fetch_max(hundredths, Ordering::Relaxed) < hundredths {
             log::line_on_stderr(&format!("progress {} {hundredths} %", self.label));
         }
     }
@@ -159,7 +159,7 @@ impl Progress {
         self.bar.set_length(total);
     }
 
-    /// Says something short beside the bar, such as the loss.
+    /// Shows a short message next to the bar, such as the loss.
     pub fn say(&self, message: &str) {
         self.bar.set_message(message.to_owned());
     }

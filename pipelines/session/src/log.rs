@@ -134,7 +134,8 @@ pub fn line_on_stderr(line: &str) {
     let _ = writeln!(Stderr, "{}", printable(line));
 }
 
-/// A text without control characters other than line ends and tabs: names of files may have them, terminals obey them, and no HTML allows them.
+/// A text without control characters other than line ends and tabs: names of files may have them, terminals obey them,
+/// and no HTML allows them.
 pub fn printable(text: &str) -> String {
     let is_control = |c: char| c.is_control() && c != '\n' && c != '\t';
     text.replace(is_control, "\u{fffd}")

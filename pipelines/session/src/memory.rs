@@ -1,6 +1,6 @@
-//! How much memory the machine has.
+//! Memory of the machine.
 
-/// Bytes of memory of this machine, or what its control group allows this process; `None` where the system does not tell.
+/// Bytes of memory of this machine, or the limit of its control group; `None` where the system does not report it.
 pub fn machine_bytes() -> Option<u64> {
     let installed = std::fs::read_to_string("/proc/meminfo").ok().as_deref().and_then(total);
     let allowed = [

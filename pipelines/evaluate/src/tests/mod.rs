@@ -205,7 +205,7 @@ fn a_dfc_truth_is_placed_by_its_text() {
     );
     let outcome = evaluate_dsm(&prediction_path, &truth_path, None, Protocol::Raw).expect("comparable");
     assert!(outcome.metrics.all.mae_m < 1e-6 && outcome.metrics.all.completeness == 1.0);
-    // Its text says no zone, and means UTM.
+    // Its text has no zone, and means UTM.
     assert!(outcome.warnings.is_empty(), "{:?}", outcome.warnings);
 }
 
