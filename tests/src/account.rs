@@ -1,7 +1,8 @@
-//! The project's own account of its numbers: the largest error of each formula against f64 over its domain, the error of the
-//! naive form beside it, and what the robust one costs.
+//! The project's account of its numbers: the largest error of each formula against f64 over its domain, the error of
+//! the naive form, and the cost of the robust one.
 //!
-//! The binary `stability` writes the account to `docs/numerics.md`; the test `account` holds every formula to its limit.
+//! The binary `stability` writes the account to `docs/numerics.md`; the test `account` holds every formula to its
+//! limit.
 
 mod geometry;
 mod light;
@@ -13,7 +14,7 @@ use std::time::Instant;
 /// The largest error seen, and where.
 #[derive(Debug, Clone, Default)]
 pub struct Worst {
-    /// The error; meant as its row says.
+    /// The error, as defined in its row.
     pub error: f64,
     /// Where it is that large.
     pub at: String,
@@ -53,9 +54,9 @@ pub struct Errors {
 /// One formula.
 #[derive(Debug, Clone)]
 pub struct Row {
-    /// What it is.
+    /// Name of the formula.
     pub formula: &'static str,
-    /// Where it was tried, and what its error is relative to.
+    /// The tested domain, and the reference of the error.
     pub domain: &'static str,
     /// The form in the code.
     pub robust: Errors,
@@ -68,7 +69,7 @@ pub struct Row {
 }
 
 impl Row {
-    /// Why the formula is not what it should be, if so.
+    /// The reason why the formula fails its limit, if it does.
     pub fn fault(&self) -> Option<String> {
         let exceeds = |worst: &Worst, limit: f64| worst.broken.is_some() || worst.error > limit;
         if exceeds(&self.robust.value, self.limit.0) {
@@ -98,7 +99,7 @@ impl Row {
     }
 }
 
-/// All formulas; `timed` says whether costs are measured too.
+/// All formulas; with `timed`, costs are measured too.
 pub fn rows(timed: bool) -> Vec<Row> {
     let mut rows = scalar::rows(timed);
     rows.extend(geometry::rows(timed));

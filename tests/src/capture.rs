@@ -1,5 +1,5 @@
-//! What the tests of models of objects share: a camera nearby, Gaussians around the origin, the engine's image of them with its
-//! gradients, and the image of the f64 reference.
+//! Common parts of the tests of models of objects: a camera nearby, Gaussians around the origin, the engine's image of
+//! them with its gradients, and the image of the f64 reference.
 
 use crate::reference::{self, Gaussian};
 use glam::{DVec3, Vec3};
@@ -23,7 +23,7 @@ pub fn flat(table: &Table) -> Flat {
     table.groups.iter().map(|g| wide(&g.values)).collect()
 }
 
-/// Places, sizes, rotations and opacities of what fits into the image; `uniform` draws between two bounds.
+/// Positions, sizes, rotations and opacities that fit into the image; `uniform` draws between two bounds.
 pub fn scatter(gaussians: &mut Table, uniform: &mut dyn FnMut(f32, f32) -> f32) {
     for i in 0..gaussians.count {
         for k in 0..3 {
@@ -37,7 +37,7 @@ pub fn scatter(gaussians: &mut Table, uniform: &mut dyn FnMut(f32, f32) -> f32) 
     }
 }
 
-/// A pinhole camera that looks at the origin from nearby, and where it stands.
+/// A pinhole camera that looks at the origin from nearby, and its position.
 pub fn camera() -> (ProjectiveCamera, Vector3<f64>) {
     let eye = DVec3::new(2.5, -1.5, 2.0);
     let axis = -eye.normalize();
@@ -63,7 +63,8 @@ pub fn reference_gaussians(flat: &Flat) -> Vec<Gaussian> {
         .collect()
 }
 
-/// The reference's image of Gaussians whose albedos are the colours that are seen, pixel after pixel: red, green, blue, coverage.
+/// The reference's image of Gaussians whose albedos are the colours that are seen, pixel after pixel: red, green, blue,
+/// coverage.
 pub fn reference_values(gaussians: &[Gaussian], camera: &ProjectiveCamera, background: [f32; 3]) -> Vec<f64> {
     let vec = |x: Vec3| Vector3::new(f64::from(x.x), f64::from(x.y), f64::from(x.z));
     let four = |x: Vec3, c: f32| [f64::from(x.x), f64::from(x.y), f64::from(x.z), f64::from(c)];
@@ -115,7 +116,8 @@ pub fn engine_values(
     (values, grads)
 }
 
-/// A network of two hidden layers of `width` units, the inputs joined in front of the second; weights `[input][output]`, then biases.
+/// A network of two hidden layers of `width` units, the inputs joined in front of the second; weights
+/// `[input][output]`, then biases.
 pub fn network(weights: &[f64], inputs: &[f64], width: usize, outputs: usize) -> Vec<f64> {
     let mut from = 0;
     let mut layer = |into: &[f64], outputs: usize| -> Vec<f64> {

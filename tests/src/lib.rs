@@ -1,4 +1,5 @@
-//! What the end-to-end tests share: a slow, obvious f64 reference of the engine's forward pass, and where things are.
+//! Common parts of the end-to-end tests: a slow, obvious f64 reference of the engine's forward pass, and the places of
+//! programs and files.
 
 pub mod account;
 pub mod canvas;

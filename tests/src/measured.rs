@@ -1,4 +1,4 @@
-//! The program run as a child of which is known how long it took and how much memory it held at most.
+//! The program run as a child, with its time and its peak memory.
 
 use crate::program::binary;
 use std::ffi::OsStr;
@@ -11,9 +11,9 @@ use std::time::{Duration, Instant};
 pub struct Measured {
     /// Its exit code; `None` when a signal ended it.
     pub code: Option<i32>,
-    /// What it wrote on stdout.
+    /// Its stdout.
     pub stdout: String,
-    /// What it wrote on stderr.
+    /// Its stderr.
     pub stderr: String,
     /// The most memory it held, bytes.
     pub peak_bytes: u64,

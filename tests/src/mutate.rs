@@ -3,7 +3,7 @@
 use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg32;
 
-/// What stands in place of a number.
+/// Replacements of a number.
 const NUMBERS: [&str; 16] = [
     "0",
     "-1",

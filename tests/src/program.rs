@@ -18,10 +18,12 @@ static BINARY: LazyLock<PathBuf> = LazyLock::new(|| match std::env::var_os("HELI
     }
 });
 
-/// The programs in the folder `examples`, built as the binary is: `cargo test --test examples` alone would not build them.
+/// The programs in the folder `examples`, built as the binary is: `cargo test --test examples` alone would not build
+/// them.
 static EXAMPLES: LazyLock<Vec<PathBuf>> = LazyLock::new(|| build(&["--examples"]));
 
-/// Builds programs of the workspace, which must be some. The packages are those of the tests, so that nothing is compiled twice.
+/// Builds programs of the workspace, which must be some. The packages are those of the tests, so that nothing is
+/// compiled twice.
 fn build(which: &[&str]) -> Vec<PathBuf> {
     let workspace = Path::new(env!("CARGO_MANIFEST_DIR")).join("..");
     let cargo = std::env::var_os("CARGO").unwrap_or_else(|| "cargo".into());

@@ -1,7 +1,6 @@
-//! Everything that reads bytes from outside, by name: what the fuzz targets call, and the ordinary tests over a corpus.
+//! All readers of outside bytes, by name: the targets of fuzzing, and of the ordinary tests over a corpus.
 //!
-//! A reader may refuse whatever it likes. It may not panic, not take its time, and not ask for more memory than its input
-//! justifies.
+//! A reader may refuse any input. It must not panic, run long, or allocate more memory than its input justifies.
 
 mod captures;
 pub mod images;
@@ -26,13 +25,13 @@ use std::collections::BTreeMap;
 pub struct Reader {
     /// Its name, which is also that of its fuzz target.
     pub name: &'static str,
-    /// Reads bytes and forgets what it read; tells whether it accepted them.
+    /// Reads bytes, drops the result, and returns whether they were accepted.
     pub read: fn(&[u8]) -> bool,
     /// Sound inputs.
     pub corpus: fn() -> Vec<Vec<u8>>,
 }
 
-/// All of them.
+/// All readers.
 pub const READERS: [Reader; 16] = [
     Reader {
         name: "camera_text",
@@ -196,7 +195,8 @@ pub fn model_json(bytes: &[u8]) -> bool {
     }
 }
 
-/// `transforms.json` of a capture beside whose file `r_0.png` to `r_2.png` lie; with the sizes of images, the cameras can be made.
+/// `transforms.json` of a capture in a folder with `r_0.png` to `r_2.png`; with the sizes of images, the cameras can be
+/// made.
 pub fn transforms_json(bytes: &[u8]) -> bool {
     match transforms::parse(&captures::folder().join("transforms.json"), bytes) {
         Ok(frames) => {

@@ -1,5 +1,5 @@
-//! The forward pass of the satellite model in f64, written to be obvious: every pixel loops over every Gaussian, every light
-//! ray meets every Gaussian. It shares no code with the engine.
+//! The forward pass of the satellite model in f64, written to be obvious: every pixel loops over every Gaussian, every
+//! light ray meets every Gaussian. It shares no code with the engine.
 
 use nalgebra::{Matrix2, Matrix3, Quaternion, UnitQuaternion, Vector2, Vector3};
 
@@ -14,7 +14,7 @@ pub struct Gaussian {
     pub rotation: [f64; 4],
     /// Opacity logit.
     pub opacity: f64,
-    /// Albedo per band, and behind it, where the model knows it, near-surface light per band.
+    /// Albedo per band, followed by near-surface light per band where the model has it.
     pub albedo: Vec<f64>,
 }
 
@@ -38,7 +38,7 @@ pub struct Camera {
 /// The light: a direction toward it (infinitely far).
 pub type Sun = Vector3<f64>;
 
-/// What a pixel shows.
+/// Values of a pixel.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Pixel {
     /// Composited albedo, and behind it near-surface light.
@@ -53,7 +53,7 @@ pub struct Pixel {
     pub depth: f64,
     /// `Σ w z²`.
     pub depth_square: f64,
-    /// Whether no splat's alpha is so near the least that counts that rounding decides.
+    /// Whether no splat's alpha is so near the threshold that rounding decides.
     pub settled: bool,
 }
 
@@ -195,7 +195,7 @@ pub fn transmittance(gaussians: &[Gaussian], origin: usize, sun: &Sun) -> f64 {
     transmittance_along(gaussians, origin, sun, f64::INFINITY)
 }
 
-/// Transmittance along a unit direction, from what peaks within `length`.
+/// Transmittance along a unit direction, from peaks within `length`.
 fn transmittance_along(gaussians: &[Gaussian], origin: usize, sun: &Sun, length: f64) -> f64 {
     let ray = ray(&gaussians[origin], sun);
     let others = gaussians.iter().enumerate().filter(|(i, _)| *i != origin);
@@ -212,8 +212,8 @@ pub fn transmittance_to_point(gaussians: &[Gaussian], origin: usize, light: &Vec
     transmittance_along(gaussians, origin, &offset.normalize(), offset.norm())
 }
 
-/// What [`transmittance`] may be where numbers have the precision of `f32`: occluders at the edge of what counts do or do not,
-/// and an alpha is known as well as the place of its Gaussian. `None` where even the ray is in doubt.
+/// Range of [`transmittance`] at the precision of `f32`: occluders at the edge of the threshold may count or not, and
+/// an alpha has the error of its Gaussian's position. `None` where even the ray is uncertain.
 pub fn transmittance_bounds(gaussians: &[Gaussian], origin: usize, sun: &Sun) -> Option<(f64, f64)> {
     let ray = ray(&gaussians[origin], sun);
     if ray.doubtful {

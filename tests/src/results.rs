@@ -1,7 +1,8 @@
-//! The page of results: which runs are measured, what is kept of each, and the tables that are made of them.
+//! The page of results: the measured runs, the values kept of each, and the tables made of them.
 //!
-//! Every run of the program is one [`Record`], a line of JSON in the work folder. The page is assembled from the records
-//! alone, so that arenas can be measured one after another, on different days, and a table is never written by hand.
+//! Every run of the program is one [`Record`], a line of JSON in the work folder. The page is assembled from the
+//! records alone, so that arenas can be measured one after another, on different days, and a table is never written by
+//! hand.
 
 mod arena;
 mod bench;
@@ -12,7 +13,7 @@ pub use arena::{Arena, Record};
 pub use page::page;
 pub use request::Request;
 
-/// Measures what has no record yet, then writes the page of all records of the program.
+/// Measures every run without a record, then writes the page of all records of the program.
 ///
 /// # Errors
 /// When the program cannot be run, a command fails that should not, or a file cannot be written.

@@ -30,11 +30,11 @@ pub struct View {
     pub sun_deg: Option<[f64; 2]>,
     /// Whether the GeoTIFF has an RPC.
     pub has_rpc: bool,
-    /// What it shows.
+    /// Its content.
     pub shows: Shows,
 }
 
-/// What an image shows.
+/// Content of an image.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Shows {
     /// Waves of brightness.
@@ -78,7 +78,7 @@ impl View {
         )
     }
 
-    /// Writes the GeoTIFF, and a JSON with what is known besides the camera if there is anything.
+    /// Writes the GeoTIFF, and a JSON with all metadata besides the camera if there are any.
     pub fn write(&self, folder: &Path) -> PathBuf {
         let path = folder.join(format!("{}.tif", self.name));
         let rpc: Vec<(String, String)> = if self.has_rpc {
@@ -121,8 +121,8 @@ impl View {
     }
 }
 
-/// A camera over a longitude and latitude (degrees) at 700 m: a parallel projection, columns to the east, rows to the south, `size_px` each way,
-/// whose image moves by `tilt` metres east and north per metre of height.
+/// A camera over a longitude and latitude (degrees) at 700 m: a parallel projection, columns to the east, rows to the
+/// south, `size_px` each way, whose image moves by `tilt` metres east and north per metre of height.
 pub fn parallel_camera(size_px: usize, gsd_m: f64, [longitude_deg, latitude_deg]: [f64; 2], tilt: [f64; 2]) -> Rpc {
     let half_m = size_px as f64 / 2.0 * gsd_m;
     let height_scale_m = 100.0;

@@ -1,7 +1,7 @@
 //! A pair of images of a town without end: as large as one likes, anywhere on Earth, made in seconds.
 //!
-//! Houses with flat roofs stand on rolling ground, textured by noise. Nothing is lit and nothing repeats; two parallel cameras look from
-//! two sides. It is there to be large: scenes that are like real ones are made by `heliosplat synth`.
+//! Houses with flat roofs stand on rolling ground, textured by noise. Nothing is lit and nothing repeats; two parallel
+//! cameras look from two sides. It is there to be large: scenes that are like real ones are made by `heliosplat synth`.
 
 use crate::scenes::parallel_camera;
 use heliosplat::Raster;
@@ -81,7 +81,7 @@ impl Pair {
     }
 }
 
-/// What a ray shows that meets the base at `at` (east, north, metres).
+/// Brightness along a ray that meets the base at `at` (east, north, metres).
 fn seen(at: [f64; 2], tilt: [f64; 2]) -> f64 {
     let ground = |z: f64| [0, 1].map(|axis| at[axis] - tilt[axis] * z);
     let below = |z: f64| surface(ground(z)) >= z;

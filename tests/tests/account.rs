@@ -18,7 +18,7 @@ fn every_formula_keeps_to_its_limit() {
 
 #[test]
 fn the_naive_forms_are_worse_where_it_matters() {
-    // Lanes are there for speed, and the clamp of Adam for what comes after; the others must gain something.
+    // Lanes are for speed, and the clamp of Adam for later steps; the others must gain something.
     let for_speed = ["`exp` in lanes", "`ln` in lanes", "`2^x`"];
     for row in account::rows(false)
         .iter()

@@ -10,7 +10,7 @@ use serde_json::Value;
 use std::fs;
 use std::path::Path;
 
-/// Takes the altitudes out of the JSONs of a scene: what is left allows half a kilometre up and down.
+/// Removes the altitudes from the JSONs of a scene, which leaves half a kilometre up and down.
 fn forget_altitudes(scene: &Path) {
     for entry in fs::read_dir(scene).expect("a folder") {
         let path = entry.expect("an entry").path();
@@ -46,7 +46,7 @@ fn a_scene_without_altitudes_is_searched_where_its_tie_points_lie() {
         "{}",
         found["warnings"]
     );
-    // What is said on the command line counts.
+    // The command line takes precedence.
     let (low_m, high_m) = ((middle_m - 60.0).round(), (middle_m + 60.0).round());
     let range = format!("--altitude={low_m},{high_m}");
     let given = json(&["inspect", &word, &range]);
@@ -61,7 +61,8 @@ fn a_scene_without_altitudes_is_searched_where_its_tie_points_lie() {
     assert!(swept["completeness"].as_f64().expect("a number") > 0.3, "{swept}");
 }
 
-/// Writes an image of `SIDE_PX` pixels each way that shows the view's ground from a corner at (`col`, `row`) on, and nothing else.
+/// Writes an image of `SIDE_PX` pixels each way that shows the view's ground from a corner at (`col`, `row`) on, and
+/// nothing else.
 fn on_a_canvas(view: &View, folder: &Path, (col, row): (usize, usize)) {
     let shown = view.write(folder);
     let small = RasterFile::open(&shown)

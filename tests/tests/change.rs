@@ -13,7 +13,7 @@ fn text(path: &Path) -> String {
     path.to_str().expect("an UTF-8 path").to_owned()
 }
 
-/// The change that `train` finds in a site of which a share of the houses comes or goes, as `metrics.json` says it.
+/// The change in `metrics.json` of a training, for a site of which a share of the houses is built or torn down.
 fn change(folder: &Path, share: &str) -> serde_json::Value {
     let (scene, run) = (text(&folder.join("scene")), text(&folder.join("run")));
     let words = format!("synth satellite --site tiny --seed 4 --views 12 --change {share} --out");
@@ -36,7 +36,8 @@ fn houses_that_come_and_go_are_found_with_their_days_and_both_states_stay() {
     }
     let mae_m = change["dsm_before"]["mae_m"].as_f64().expect("an error");
     assert!(mae_m < MAE_LIMIT_M, "{mae_m} m");
-    // The surface of a day before the first image is the old state: it differs from the last one by what `change.tif` says.
+    // The surface of a day before the first image is the old state: it differs from the last one by the values of
+    // `change.tif`.
     let run = folder.path().join("run");
     let before = folder.path().join("before.tif");
     json(&["dsm", &text(&run), "--out", &text(&before), "--at", "2000-01-01"]);

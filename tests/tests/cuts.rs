@@ -1,4 +1,5 @@
-//! A run is measured on the pixels that it was trained on: the same windows, cameras and scale, or it is refused in one line.
+//! A run is measured on the pixels that it was trained on: the same windows, cameras and scale, or it is refused in one
+//! line.
 
 use heliosplat_raster::write::{ImageSpec, Sample, write_geotiff};
 use heliosplat_raster::{RasterFile, Window};

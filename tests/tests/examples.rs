@@ -8,7 +8,7 @@ use heliosplat_synth::{SatelliteRequest, Site, write_satellite};
 use heliosplat_tests::program::example;
 use heliosplat_tests::scenes::{View, write_altitudes};
 
-/// What a program that must succeed prints on stdout.
+/// Stdout of a program that must succeed.
 fn said(name: &str, arguments: &[&str]) -> String {
     let assert = example(name, arguments).assert().success();
     String::from_utf8_lossy(&assert.get_output().stdout).into_owned()
@@ -73,7 +73,8 @@ fn the_surface_model_of_a_folder_is_near_the_truth() {
     assert!(metrics.all.mae_m < 1.5, "{}", metrics.all.mae_m);
 }
 
-/// A DSM of 60 x 60 cells of 0.5 m: a box of 10 m on level ground, 6 cells from east to west and 20 from north to south.
+/// A DSM of 60 x 60 cells of 0.5 m: a box of 10 m on level ground, 6 cells from east to west and 20 from north to
+/// south.
 fn a_box() -> Raster {
     let mut heights = Raster::filled(60, 60, 1, 700.0);
     for row in 20..40 {
@@ -90,7 +91,7 @@ fn the_shadow_of_a_box_is_as_long_as_its_height_and_the_sun_say() {
     let (dsm, mask) = (folder.path().join("dsm.tif"), folder.path().join("mask.tif"));
     write_altitudes(&dsm, &a_box(), 300_000.0, 4_160_000.0);
     let (dsm, out) = (dsm.display().to_string(), mask.display().to_string());
-    // Azimuth and elevation of the sun, degrees; the cells beside the box from its wall on, away from the sun.
+    // Azimuth and elevation of the sun, degrees; the cells next to the box from its wall on, away from the sun.
     type Cells = fn(usize) -> [usize; 2];
     let cases: [(&str, f64, Cells); 3] = [
         ("90", 50.0, |k| [29 - k, 30]),

@@ -1,4 +1,5 @@
-//! `export` of a run on a satellite scene: what is written, read back byte by byte and by public tools where they are there.
+//! `export` of a run on a satellite scene: the files, read back byte by byte and by public tools where these are
+//! installed.
 
 use heliosplat_rpc::frame::geo_from_ecef;
 use heliosplat_rpc::{GeoPoint, LocalFrame};
@@ -51,7 +52,7 @@ fn text(path: &Path) -> &str {
     path.to_str().expect("a plain path")
 }
 
-/// The document of a GLB file, whose chunks have to be as long as they say.
+/// The document of a GLB file, whose chunks must have their stated lengths.
 fn document(path: &Path) -> Value {
     let bytes = std::fs::read(path).expect("readable");
     let number = |at: usize| u32::from_le_bytes(bytes[at..at + 4].try_into().expect("four bytes")) as usize;
@@ -94,7 +95,7 @@ fn all_that_a_run_is_exported_as_lies_in_one_frame_that_stands_where_the_site_is
             one["bytes"].as_u64().expect("a size")
         );
     }
-    // The sidecar, the comments of the PLY and the glTF say the same.
+    // The sidecar, the comments of the PLY and the glTF agree.
     let sidecar = read_json(&out.path().join("a.ply.json"));
     assert_eq!(
         (&sidecar["anchor"], &sidecar["sun"]["elevation_deg"]),
@@ -134,7 +135,7 @@ fn all_that_a_run_is_exported_as_lies_in_one_frame_that_stands_where_the_site_is
         }
     }
 
-    // The tree: boxes hold what is in them, errors fall, every splat is in a leaf.
+    // The tree: boxes contain their splats, errors fall, every splat is in a leaf.
     let mut all = Vec::new();
     tiles(&tileset["root"], &folder, &mut all);
     let mut leaves = 0;
@@ -192,7 +193,7 @@ fn validate(files: &[PathBuf]) {
         .expect("node runs");
     assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
     let found = String::from_utf8_lossy(&output.stdout).into_owned();
-    // It does not know the names of KHR_gaussian_splatting yet, which are as that extension says.
+    // It does not support the names of KHR_gaussian_splatting yet, which follow that extension.
     let known = |line: &&str| line.contains("INVALID_ATTRIBUTE") && line.contains("/KHR_gaussian_splatting:");
     let wrong: Vec<&str> = found.lines().filter(|line| !known(line)).collect();
     assert!(wrong.is_empty(), "{wrong:?}");
@@ -221,7 +222,7 @@ fn the_same_run_is_exported_to_the_same_bytes_whatever_the_threads() {
     let [one, two] = ["one", "two"].map(|name| out.path().join(name));
     json(&arguments(&["--tiles", text(&one), "--threads", "1"]));
     json(&arguments(&["--tiles", text(&two), "--threads", "3"]));
-    // And again over what is there, but for what is not ours.
+    // Again over existing files, but for those of others.
     std::fs::write(two.join("index.html"), "my viewer").expect("written");
     json(&arguments(&["--tiles", text(&two)]));
     let mut names: Vec<_> = std::fs::read_dir(&one)

@@ -1,5 +1,4 @@
-//! What a user can get wrong: each gets one line that names the file and what to do, the right exit code, and nothing
-//! half-written.
+//! User errors: each gets one line that names the file and the remedy, the right exit code, and no half-written file.
 
 use heliosplat::train::TrainOptions;
 use heliosplat_fitting::request::{TrainOutcome, TrainRequest};
@@ -280,7 +279,8 @@ fn on_a_full_disk(arguments: &str, folder: &Path) -> Option<std::process::Output
     on_a_disk("size=32k", arguments, folder)
 }
 
-/// Runs a command whose output folder is a file system with these options; `None` where such a thing cannot be made here.
+/// Runs a command whose output folder is a file system with these options; `None` where such a thing cannot be made
+/// here.
 fn on_a_disk(options: &str, arguments: &str, folder: &Path) -> Option<std::process::Output> {
     let probe = format!("mount -t tmpfs -o {options} tmpfs \"$FOLDER\"");
     let unshare = |script: &str| {
@@ -300,7 +300,7 @@ fn on_a_disk(options: &str, arguments: &str, folder: &Path) -> Option<std::proce
     unshare(&script)
 }
 
-/// What is left of a command that must fail with exit code 1 because `file` finds no room.
+/// Files left by a command that must fail with exit code 1 because the disk is full at `file`.
 fn left_on_a_full_disk(arguments: &str, folder: &Path, file: &str) -> Option<String> {
     let Some(output) = on_a_full_disk(arguments, folder) else {
         println!("skipped: no small file system can be mounted here");
@@ -486,8 +486,8 @@ fn training_that_goes_astray_keeps_its_last_good_state_and_says_why_it_stopped()
     let home = scene(&[View::new(0), View::new(1), View::new(2)]);
     let run = home.path().join("run");
     let mut config = SatelliteConfig::resolve(Preset::Fast, &[], 1).expect("a preset");
-    // Rates that grow instead of falling, which no user can ask for: after some steps colours are so bright that gradients are no
-    // numbers any more.
+    // Rates that grow instead of falling, which no user can set: after some steps colours are so bright that gradients
+    // are not finite.
     config.train = TrainOptions {
         iterations: 120,
         epochs: 40,
@@ -525,7 +525,7 @@ fn training_that_goes_astray_keeps_its_last_good_state_and_says_why_it_stopped()
         serde_json::Value::Null,
         "it is not taken for finished"
     );
-    // What it says of the ground is of use: flat, and where it is.
+    // Its ground is usable: flat, and at the right place.
     let dsm = home.path().join("dsm.tif");
     heliosplat(&["dsm".as_ref(), run.as_os_str(), "--out".as_ref(), dsm.as_os_str()])
         .assert()

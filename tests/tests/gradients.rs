@@ -1,5 +1,5 @@
-//! The engine against the slow f64 reference: values to 1e-4, gradients to 1e-3 of central differences of the reference, per
-//! parameter group. The scenes keep away from exact ties in depth, where the order of two splats flips.
+//! The engine against the slow f64 reference: values to 1e-4, gradients to 1e-3 of central differences of the
+//! reference, per parameter group. The scenes keep away from exact ties in depth, where the order of two splats flips.
 
 use glam::{DVec3, Vec3};
 use heliosplat::gaussians::{FEATURES, LOG_SCALE, OPACITY, POSITION, ROTATION, Table, core_groups};
@@ -100,7 +100,7 @@ fn case_of(model: ShadowGs, seed: u64, count: usize, perspective: bool, antialia
     let mut functional: Vec<f64> = (0..SIZE * SIZE * (BANDS + 6))
         .map(|_| f64::from(uniform(-1.0, 1.0)))
         .collect();
-    // No loss asks for squared depths: their values are compared, and they have no gradients.
+    // No loss uses squared depths: their values are compared, and they have no gradients.
     functional
         .iter_mut()
         .skip(BANDS + 2)
@@ -332,7 +332,8 @@ fn gradients_match_central_differences_with_near_surface_light() {
     check_gradients(&case_of(model(true, 0), 13, 24, false, true));
 }
 
-/// Those to positions too: what the engine leaves out, the turning of the view with a Gaussian's place, is too little to see.
+/// Those to positions too: the engine leaves out the change of the viewing direction with a Gaussian's position, which
+/// is too small to show.
 #[test]
 fn gradients_match_central_differences_with_colours_that_change_with_the_view() {
     check_gradients(&case_of(model(false, 2), 14, 20, false, false));

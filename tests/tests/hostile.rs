@@ -1,5 +1,5 @@
-//! Inputs that somebody made to do harm: each gets one line that says what is wrong with it, exit code 2, in seconds and in little
-//! memory. Nothing outside of `--out` is written, and no address is called.
+//! Hostile inputs: each gets one line with the fault, exit code 2, in seconds and in little memory. Nothing outside of
+//! `--out` is written, and no network address is contacted.
 
 use gdal::raster::{Buffer, RasterCreationOptions};
 use gdal::{Dataset, DatasetOptions, DriverManager, GdalOpenFlags, Metadata};
@@ -23,7 +23,8 @@ const PEAK_MAX: u64 = 500 << 20;
 /// The most time, on a machine that is busy with other things.
 const LONGEST: Duration = Duration::from_secs(30);
 
-/// A hostile input: its name, how it is made in an empty folder (which gives the arguments), and what the refusal says.
+/// A hostile input: its name, the function that makes it in an empty folder and returns the arguments, and the text of
+/// the refusal.
 struct Case(&'static str, fn(&Path) -> Vec<OsString>, &'static str);
 
 const CASES: [Case; 38] = [
@@ -103,12 +104,12 @@ fn inspect(scene: &Path) -> Vec<OsString> {
     vec!["inspect".into(), scene.into()]
 }
 
-/// Two sound views, of which the second may be spoilt.
+/// Two valid views; the second may be spoilt.
 fn two_views(home: &Path) {
     write_scene(home, &[View::new(0), View::new(1)]);
 }
 
-/// Two sound views, and a third that has a camera in a JSON beside it and still needs its image.
+/// Two valid views, and a third that has a camera in a JSON but no image.
 fn missing_image(home: &Path) -> PathBuf {
     write_scene(home, &[View::new(0), View::new(1), View::new(2)]);
     let path = home.join("view_2.tif");
@@ -116,7 +117,7 @@ fn missing_image(home: &Path) -> PathBuf {
     path
 }
 
-/// Two sound views, of which the second has no camera yet.
+/// Two valid views; the second has no camera yet.
 fn missing_camera(home: &Path) {
     let bare = View {
         has_rpc: false,
@@ -221,7 +222,7 @@ fn pipe_image(home: &Path) -> Vec<OsString> {
     manifest(home, "pipe.tif")
 }
 
-/// A TIFF of eight bytes of pixels: its side, rows of each strip, and what its samples are (bits, compression, format).
+/// A TIFF of eight bytes of pixels: its side, rows of each strip, and its sample format (bits, compression, format).
 fn tiff(path: &Path, side: u32, rows: u32, [bits, compression, format]: [u32; 3]) {
     let entry = |tag: u16, kind: u16, value: u32| {
         let mut bytes = [tag.to_le_bytes(), kind.to_le_bytes()].concat();
@@ -229,7 +230,8 @@ fn tiff(path: &Path, side: u32, rows: u32, [bits, compression, format]: [u32; 3]
         bytes.extend_from_slice(&value.to_le_bytes());
         bytes
     };
-    // Width, height, bits, compression, grey, where the strip is, one band, rows of a strip, length of the strip, format of samples.
+    // Width, height, bits, compression, grey, where the strip is, one band, rows of a strip, length of the strip,
+    // format of samples.
     let entries = [
         entry(256, 4, side),
         entry(257, 4, side),
@@ -270,7 +272,7 @@ fn tiff_complex(home: &Path) -> Vec<OsString> {
     surface_of(home, 1, 1, [32, 1, 5])
 }
 
-/// A surface model that is not what it claims to be, measured against itself.
+/// A malformed surface model, measured against itself.
 fn surface_of(home: &Path, side: u32, rows: u32, samples: [u32; 3]) -> Vec<OsString> {
     tiff(&home.join("dsm.tif"), side, rows, samples);
     std::fs::write(home.join("dsm.tfw"), "0.5\n0\n0\n-0.5\n312000\n4160000\n").expect("written");
@@ -582,7 +584,7 @@ fn hostile_inputs_are_refused_in_one_line_in_seconds_and_in_little_memory() {
     assert!(wrong.is_empty(), "{}", wrong.join("\n"));
 }
 
-/// Three images large enough to be averaged, of which nobody states the altitude.
+/// Three images large enough to be averaged, without stated altitudes.
 fn averaged_views(home: &Path) {
     const SIDE: usize = 400;
     let mut raster = heliosplat::Raster::filled(SIDE, SIDE, 1, 0.0);
@@ -613,7 +615,7 @@ fn name_overviews(image: &Path, source: &str) {
     dataset.close().expect("written");
 }
 
-/// What a file may name as its overviews, for a server that listens at `address`.
+/// Names of overviews that a file may have, for a server that listens at `address`.
 fn foreign_overviews(address: &str, cache: &Path) -> Vec<String> {
     let (host, port) = address.split_once(':').expect("a port");
     let http = format!("http://{address}/a.tif");
@@ -682,7 +684,7 @@ fn overviews_that_a_file_names_are_never_opened() {
 /// A kind of file that never ends, and how it is made.
 type Kind = (&'static str, fn(&Path));
 
-/// GDAL opens what lies beside an image by itself: it waits for pipes, and reads texts whole.
+/// GDAL opens the sidecars of an image by itself: it waits for pipes, and reads texts whole.
 #[test]
 fn files_beside_an_image_that_never_end_are_refused_in_seconds_and_in_little_memory() {
     let kinds: [Kind; 3] = [
@@ -808,7 +810,7 @@ fn numbers_without_sense_are_refused_in_one_line() {
     }
 }
 
-/// What cannot be written is lost, and the exit code says so.
+/// A failed write loses the result, and the exit code reports it.
 #[test]
 fn a_result_that_cannot_be_written_to_stdout_is_a_failure() {
     let full = std::fs::File::options()
@@ -889,7 +891,7 @@ fn no_address_is_called_that_a_file_names() {
     let home = tempdir().expect("a temporary folder");
     two_views(home.path());
     let remote = format!("/vsicurl/{address}");
-    // Overviews and masks beside an image may stand in any file that its sidecar names.
+    // A sidecar may name any file for the overviews and masks of an image.
     let sidecar = format!(
         "<PAMDataset><Metadata domain=\"OVERVIEWS\"><MDI key=\"OVERVIEW_FILE\">{remote}</MDI></Metadata></PAMDataset>"
     );

@@ -1,4 +1,5 @@
-//! How scenes lie on disk: folders of Sat-NeRF and EOGS with images, cameras and truth apart, lists, `scene.toml`, crops.
+//! How scenes lie on disk: folders of Sat-NeRF and EOGS with images, cameras and truth apart, lists, `scene.toml`,
+//! crops.
 
 use heliosplat_raster::{ImageSpec, RasterFile, Sample, write_geotiff};
 use heliosplat_scene::{IngestOptions, RpcPreference, Scene, SceneError, Split, SunSource};
@@ -19,7 +20,8 @@ fn names(scene: &Scene, split: Split) -> Vec<&str> {
     of_split.map(|image| image.name.as_str()).collect()
 }
 
-/// `images/SITE/*.tif` without cameras, `rpcs/SITE/*.json` with them, `train.txt`, `test.txt` and `truth/SITE/SITE_DSM.tif`.
+/// `images/SITE/*.tif` without cameras, `rpcs/SITE/*.json` with them, `train.txt`, `test.txt` and
+/// `truth/SITE/SITE_DSM.tif`.
 fn eogs(home: &Path, site: &str) {
     let [images, cameras, truth] = ["images", "rpcs", "truth"].map(|name| home.join(name).join(site));
     parts(site, &images, &cameras, &truth);

@@ -1,4 +1,4 @@
-//! Time and memory that a user allows, and what they buy: `--time-budget`, `--memory`, `tradeoff`.
+//! Limits of time and memory, and their effect: `--time-budget`, `--memory`, `tradeoff`.
 
 use heliosplat_tests::program::{fault, heliosplat, json};
 use heliosplat_tests::scenes::{View, write_scene};

@@ -1,4 +1,5 @@
-//! What commands find in folders: inputs are never replaced, results of two commands never mixed, and what cannot be written is said.
+//! Existing files in folders: inputs are never replaced, results of two commands never mixed, and failed writes are
+//! reported.
 
 use heliosplat_tests::program::{binary, fault, heliosplat, json, tiny_scene};
 use std::collections::BTreeMap;
@@ -22,7 +23,7 @@ fn training(home: &Path, run: &str, more: &[&str]) -> Vec<String> {
     words.map(|word| in_folder(home, word)).collect()
 }
 
-/// `S` and `R` and what lies below them, as a path.
+/// `S` and `R` and paths below them, as a path.
 fn in_folder(home: &Path, word: &str) -> String {
     match word.split('/').next() {
         Some("S" | "R" | "out") => home.join(word).display().to_string(),

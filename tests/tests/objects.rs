@@ -1,4 +1,4 @@
-//! Captures of objects through the program: made, recognised, trained, measured, rendered; and what is wrong with them said.
+//! Captures of objects through the program: made, recognised, trained, measured, rendered; and their faults reported.
 
 use heliosplat_tests::program::{fault, heliosplat, json};
 use serde_json::{Value, json};
@@ -60,7 +60,7 @@ fn a_capture_is_recognised_trained_measured_and_rendered() {
     let wall_s: f64 = stages.iter().filter_map(|stage| stage["wall_s"].as_f64()).sum();
     let run_s = metrics["seconds"].as_f64().expect("seconds");
     assert!(wall_s <= run_s && wall_s > 0.8 * run_s, "{wall_s} of {run_s} s");
-    // What was saved is what was measured.
+    // The saved model is the measured one.
     let again = json(&["evaluate".as_ref(), run.as_os_str()]);
     let same = again.pointer("/test/psnr").and_then(Value::as_f64).expect("a score");
     assert!((same - psnr).abs() < 1e-9, "{same} {psnr}");
@@ -78,7 +78,7 @@ fn a_capture_is_recognised_trained_measured_and_rendered() {
     its_page_needs_nothing_else(&run, &metrics);
 }
 
-/// Training writes the page, `report` writes the same again, and its curve says how accurate the model was.
+/// Training writes the page, `report` writes the same again, and its curve has the accuracy of the model.
 fn its_page_needs_nothing_else(run: &Path, metrics: &Value) {
     let path = run.join("report.html");
     let page = std::fs::read_to_string(&path).expect("train writes it");
@@ -124,7 +124,8 @@ fn a_training_is_the_same_bytes_for_any_number_of_threads() {
     assert!(trained("1") == trained("3"));
 }
 
-/// A capture whose list of training images is changed must be refused by `inspect` and `train` with one line, and no run begun.
+/// A capture whose list of training images is changed must be refused by `inspect` and `train` with one line, and no
+/// run begun.
 fn refused(change: &dyn Fn(&mut Value, &Path), said: &[&str]) {
     let (capture, home) = (capture(3), tempdir().expect("a temporary folder"));
     let path = capture.path().join("transforms_train.json");
@@ -208,7 +209,7 @@ fn lights_of_a_capture_are_recognised_learnt_and_changed() {
     let score = |metrics: &Value, at: &str| metrics.pointer(at).and_then(Value::as_f64).expect("a score");
     let (near, far) = (score(&metrics, "/test/near/psnr"), score(&metrics, "/test/far/psnr"));
     assert!(near > 20.0 && far > 18.0, "{near} {far}");
-    // The same without shadows cannot explain what it sees.
+    // Without shadows the model cannot explain the images.
     let flat = home.path().join("flat");
     let without = train(
         capture.path(),
@@ -274,7 +275,7 @@ fn a_reflective_model_is_planned_trained_relit_and_exported() {
     let made = json(&arguments);
     assert!(made["noise_floor_db"].as_f64().is_some_and(|db| db > 20.0));
 
-    // Short fits are made, and what they say is what is done.
+    // Short fits are made, and their results decide.
     let planned = home.path().join("planned");
     let short = ["--set", "train.iterations=60", "--set", "model.pilot_steps=60"];
     let metrics = train(capture.path(), &planned, &short);

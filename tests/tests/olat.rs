@@ -1,5 +1,5 @@
-//! The one-light-at-a-time model against its f64 form: transmittance to point lights, values to 1e-4, gradients to 1e-3 of central
-//! differences, per parameter group.
+//! The one-light-at-a-time model against its f64 form: transmittance to point lights, values to 1e-4, gradients to 1e-3
+//! of central differences, per parameter group.
 
 use glam::Vec3;
 use heliosplat::ProjectiveCamera;
@@ -97,7 +97,7 @@ fn lobe(lambda: f64, mu: f64, sigma: f64, v: &Vector3<f64>) -> f64 {
     (-0.5 * (angle * ratio / sigma).powi(2)).exp() / (2f64.sqrt() * PI.powf(2.0 / 3.0) * sigma)
 }
 
-/// What Gaussian `i` reflects of a light of strength one that reaches it wholly.
+/// Reflection of Gaussian `i` under a light of strength one that reaches it wholly.
 fn reflected(case: &Case, gaussians: &Flat, globals: &Flat, i: usize) -> Vec<f64> {
     let position = Vector3::from_row_slice(&gaussians[POSITION][i * 3..i * 3 + 3]);
     let (to_light, to_eye) = (case.light - position, case.eye - position);
@@ -140,7 +140,7 @@ fn encoded(v: &Vector3<f64>) -> Vec<f64> {
         .collect()
 }
 
-/// The directions to light and eye, and what networks read of Gaussian `i` besides them.
+/// The directions to light and eye, and the other inputs of the networks for Gaussian `i`.
 fn around(case: &Case, gaussians: &Flat, i: usize) -> (Vector3<f64>, Vector3<f64>, Vector3<f64>, Vec<f64>) {
     let position = Vector3::from_row_slice(&gaussians[POSITION][i * 3..i * 3 + 3]);
     let embedding_group = case.model.embedding_group().expect("a network is on");
@@ -154,7 +154,7 @@ fn around(case: &Case, gaussians: &Flat, i: usize) -> (Vector3<f64>, Vector3<f64
     )
 }
 
-/// What scatters out of Gaussian `i`: the dipole as printed, with what the network predicts.
+/// Scattered light of Gaussian `i`: the dipole as printed, with the network's prediction.
 fn scattered(case: &Case, gaussians: &Flat, globals: &Flat, i: usize) -> Vec<f64> {
     let (position, to_light, to_eye, embedding) = around(case, gaussians, i);
     let normal = rotation(&gaussians[FRAME][i * 4..i * 4 + 4]).column(2).into_owned();

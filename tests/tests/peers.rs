@@ -1,4 +1,4 @@
-//! `scripts/compare_peers.py`: what is installed is measured beside heliosplat, what is not is named.
+//! `scripts/compare_peers.py`: installed peers are measured along with heliosplat, missing ones are named.
 #![cfg(unix)]
 
 use heliosplat_tests::program::{binary, json};

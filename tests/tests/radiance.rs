@@ -1,4 +1,5 @@
-//! The radiance model against its f64 form: values to 1e-4, gradients to 1e-3 of central differences, per parameter group.
+//! The radiance model against its f64 form: values to 1e-4, gradients to 1e-3 of central differences, per parameter
+//! group.
 
 use heliosplat::ProjectiveCamera;
 use heliosplat::gaussians::{FEATURES, POSITION, Table, core_groups};
@@ -140,7 +141,7 @@ fn a_colour_below_black_hears_what_would_make_it_brighter_and_nothing_else() {
     let mut case = case(3);
     case.parameters.gaussians.group_mut(FEATURES).fill(-4.0);
     let gradient = |case: &Case| -> Vec<f32> { engine(case).1.gaussians.group(FEATURES).to_vec() };
-    // All values above what is wanted: darker is asked for, and black cannot.
+    // All values above the target: the gradient asks for darker ones, which black cannot become.
     case.functional.fill(1.0);
     assert!(gradient(&case).iter().all(|&d| d == 0.0));
     case.functional.fill(-1.0);

@@ -1,4 +1,5 @@
-//! Every reader of outside bytes over a corpus and its damage: no panic, no hang, no memory beyond what the input justifies.
+//! Every reader of outside bytes over a corpus and mutations of it: no panic, no hang, no memory beyond that justified
+//! by the input.
 //!
 //! The same functions are the targets of `fuzz/`. `HELIOSPLAT_FUZZ_CASES=100000` tries more per input.
 
@@ -16,7 +17,7 @@ const BYTES_BESIDES: usize = 4 << 20;
 /// A reader that takes longer hangs, on any machine.
 const LONGEST: Duration = Duration::from_secs(20);
 
-// One test alone in this binary: what other tests allocate would be counted too.
+// One test alone in this binary: allocations of other tests would be counted too.
 #[test]
 fn readers_survive_whatever_they_are_given() {
     let cases = std::env::var("HELIOSPLAT_FUZZ_CASES").map_or(250, |n| n.parse().expect("a whole number"));

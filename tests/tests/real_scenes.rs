@@ -94,8 +94,8 @@ fn the_benchmark_is_read_as_it_is_published() {
     }
 }
 
-/// A face of the pyramid as a plane `height = slope · outward + along · sideways + apex`, by least squares with outliers left out
-/// round by round; `points` are outward, sideways, height.
+/// A face of the pyramid as a plane `height = slope · outward + along · sideways + apex`, by least squares with
+/// outliers left out round by round; `points` are outward, sideways, height.
 fn face(points: &[[f64; 3]]) -> nalgebra::Vector3<f64> {
     let mut kept: Vec<[f64; 3]> = points.to_vec();
     let mut plane = nalgebra::Vector3::zeros();

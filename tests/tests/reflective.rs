@@ -1,5 +1,5 @@
-//! The reflective model against its f64 form, written anew: values to 1e-4, gradients to 1e-3 of central differences, per parameter
-//! group; and that what is not glossy does not evaluate the decoder.
+//! The reflective model against its f64 form, written anew: values to 1e-4, gradients to 1e-3 of central differences,
+//! per parameter group. Surfaces that are not glossy must not evaluate the decoder.
 
 use heliosplat::ProjectiveCamera;
 use heliosplat::gaussians::{FEATURES, POSITION, Table, core_groups};
@@ -94,7 +94,8 @@ fn harmonics(d: &Vector3<f64>) -> [f64; 16] {
 const NODES: usize = 65;
 const FACETS: usize = 40;
 
-/// The split sum as it is defined (Karis 2013): of facets drawn from GGX, those that mirror light to the eye, with Schlick's masking.
+/// The split sum as it is defined (Karis 2013): of facets drawn from GGX, those that mirror light to the eye, with
+/// Schlick's masking.
 fn split_sum_at(roughness: f64, cosine: f64) -> [f64; 2] {
     let (normal, alpha, cosine) = (Vector3::z(), roughness.powi(2), cosine.max(1e-4));
     let eye = Vector3::new((1.0 - cosine.powi(2)).sqrt(), 0.0, cosine);
@@ -148,7 +149,7 @@ fn shown(display: bool, light: f64) -> f64 {
     }
 }
 
-/// What Gaussian `i` shows.
+/// Colour of Gaussian `i`.
 fn seen(case: &Case, gaussians: &Flat, globals: &Flat, i: usize) -> Vec<f64> {
     let part = |group: usize, width: usize| &gaussians[group][i * width..(i + 1) * width];
     let position = Vector3::from_row_slice(part(POSITION, 3));

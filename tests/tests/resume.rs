@@ -1,4 +1,4 @@
-//! Trainings that are interrupted: whatever stops them and whenever, what they end with is the same, byte for byte.
+//! Interrupted trainings: whatever stops them and whenever, the result is the same, byte for byte.
 
 use heliosplat::Raster;
 use heliosplat::bench_fixture::Site;
@@ -285,7 +285,7 @@ fn trainings_that_are_stopped_or_killed_end_with_the_same_bytes() {
     assert_eq!(output.status.code(), Some(2), "{line}");
     assert!(line.contains("build ") && line.contains("--overwrite"), "{line}");
 
-    // What was given then must be given now.
+    // The inputs must be those of the first call.
     let other = ["--resume", "--set", "train.position_rate_gsd=0.05"];
     let line = fault(&home.arguments(&run, &other), 2);
     assert!(
@@ -295,7 +295,7 @@ fn trainings_that_are_stopped_or_killed_end_with_the_same_bytes() {
     let line = fault(&home.arguments(&run, &["--resume", "--seed", "2"]), 2);
     assert!(line.contains("seed = 1") && line.contains("seed = 2"), "{line}");
 
-    // A truncated checkpoint is told from a whole one.
+    // A truncated checkpoint is detected.
     let damaged = home.run("damaged");
     std::fs::create_dir_all(damaged.join("checkpoint")).expect("made");
     let bytes = std::fs::read(checkpoint(&run)).expect("readable");
@@ -303,14 +303,14 @@ fn trainings_that_are_stopped_or_killed_end_with_the_same_bytes() {
     let line = fault(&home.arguments(&damaged, &["--resume"]), 2);
     assert!(line.contains("check sum") && line.contains("--overwrite"), "{line}");
 
-    // It continues without being asked.
+    // It continues without an option.
     let continued = heliosplat(&home.arguments(&run, &[])).assert().success();
     let said = String::from_utf8_lossy(&continued.get_output().stderr).into_owned();
     assert!(said.contains("continues at step "), "{said}");
     same_products(&whole, &run);
     assert!(!run.join("checkpoint").exists());
 
-    // A run that is finished is left as it is; a page that it was killed before writing is made.
+    // A finished run is left unchanged; a page that it could not write before it was killed is made.
     std::fs::remove_file(run.join("report.html")).expect("a page");
     let before = std::fs::metadata(run.join("model.ply"))
         .and_then(|data| data.modified())

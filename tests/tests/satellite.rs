@@ -80,8 +80,8 @@ fn a_tiny_site_becomes_a_surface_model_near_the_truth() {
     json(&["relight", &run_arg, "--out", &arg(&picture), "--sun", "250,25"]);
     assert!(dsm.is_file() && picture.is_file() && picture.with_file_name("evening_shadow.tif").is_file());
     fault(&["relight", &run_arg, "--out", &arg(&picture), "--sun", "250,-3"], 2);
-    // Brightness follows the sun: the sine of 25 degrees is 0.49 of that of 60; air and long shadows take some more, and the path radiance of
-    // the reference image, which is kept, adds to both.
+    // Brightness follows the sun: the sine of 25 degrees is 0.49 of that of 60; air and long shadows take some more,
+    // and the path radiance of the reference image, which is kept, adds to both.
     let high = folder.path().join("high.tif");
     let relit = json(&["relight", &run_arg, "--out", &arg(&high), "--sun", "250,60"]);
     assert!(

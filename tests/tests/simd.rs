@@ -9,7 +9,7 @@ fn a_training_gives_the_same_bytes_with_every_instruction_set() {
     let path = |name: &str| folder.path().join(name).to_str().expect("an UTF-8 path").to_owned();
     let scene = path("scene");
     json(&["synth", "satellite", "--site", "tiny", "--seed", "3", "--out", &scene]);
-    // A cap above what the processor has changes nothing.
+    // A cap above the processor's level changes nothing.
     let models = ["sse2", "avx2", "avx512"].map(|level| {
         let run = path(level);
         let train = [

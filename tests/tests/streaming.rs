@@ -21,7 +21,7 @@ fn town(centre_deg: [f64; 2]) -> (tempfile::TempDir, String) {
     (home, word)
 }
 
-/// Sweeps a scene into a file and says what `--json` does.
+/// Sweeps a scene into a file; returns the document of `--json`.
 fn swept(scene: &str, out: &Path, more: &[&str]) -> Value {
     let file = out.display().to_string();
     let words = ["dsm", scene, "--from", "sweep", "--out", file.as_str()];
@@ -36,8 +36,8 @@ fn number(of: &Value, pointer: &str) -> f64 {
     of.pointer(pointer).and_then(Value::as_f64).expect("a number")
 }
 
-/// Median steps of two rasters across each line between two columns, where both know both sides; of lines that are known for the most part.
-/// A wall that moves by a cell is in few places of a line; a seam is all along it.
+/// Median steps of two rasters across each line between two columns, over the rows known in both; of lines that are
+/// mostly known. A wall that moves by a cell is in few places of a line; a seam is all along it.
 fn steps_between_columns(one: &Raster, many: &Raster) -> Vec<[f64; 2]> {
     let steps = |col: usize| {
         let across =
@@ -102,7 +102,7 @@ fn a_pair_swept_in_tiles_is_that_swept_at_once_and_shows_no_seam() {
             assert!(many - one < 0.02, "line {line}: {one} m and {many} m");
         }
     }
-    // What is unknown is unknown in all bands, and nothing else is left in the folder.
+    // Unknown cells are unknown in all bands, and nothing else is left in the folder.
     for i in (0..many.plane_len()).filter(|&i| many.values[i].is_nan()) {
         assert!((1..4).all(|band| many.plane(band)[i].is_nan()));
     }

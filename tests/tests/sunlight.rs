@@ -46,7 +46,7 @@ fn read_json(path: &Path) -> Value {
 
 #[test]
 fn a_run_is_measured_under_suns_of_no_image_and_its_page_shows_it() {
-    // Training measures it already, without being asked.
+    // Training measures it already, without an option.
     let trained = read_json(&path("run/metrics.json"));
     let measured = json(&["evaluate", &shown(&path("run"))]);
     assert_eq!(trained["relit"], measured["relit"]);
@@ -130,7 +130,8 @@ fn sunshine_is_cloud_optimised_has_units_joins_the_catalogue_and_is_near_the_tru
     assert!(String::from_utf8_lossy(&said.get_output().stderr).contains("ends before it begins"));
 }
 
-/// In the mean within two and a half hours of what rays through the true site say: a run of seconds on four coarse views is no better.
+/// In the mean within two and a half hours of rays through the true site: a run of seconds on four coarse views is no
+/// better.
 fn near_the_truth(ours: &Path) {
     let truth = path("scene/truth/sun_hours.tif");
     let (our_file, true_file) = (

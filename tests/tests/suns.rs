@@ -1,4 +1,5 @@
-//! Scenes whose suns are unknown, all of them or some: everything that needs no sun works, and what needs one says so.
+//! Scenes whose suns are unknown, all of them or some: everything that needs no sun works, and everything else is
+//! refused with a message.
 
 use heliosplat_tests::program::{fault, json};
 use heliosplat_tests::scenes::{View, write_scene};

@@ -9,7 +9,7 @@ const TOWER_M: f32 = 18.0;
 /// Cells around a level one whose altitudes differ by less than [`LEVEL_M`]: edges are another matter.
 const REACH: isize = 2;
 const LEVEL_M: f32 = 0.6;
-/// Distance from a tower within which the ground is looked at, cells.
+/// Distance from a tower within which the ground is measured, cells.
 const AROUND: isize = 40;
 /// Errors beyond this are blunders, metres.
 const BLUNDER_M: f32 = 3.0;

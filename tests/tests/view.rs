@@ -1,5 +1,6 @@
-//! The page with the sun: what its scripts compute, run by node where there is one, and the page itself in Chromium where there is one.
-//! The sun is compared with `heliosplat sun`, shadows with a walk along each ray, which shares no code with them.
+//! The page with the sun: results of its scripts, run by node where it is installed, and the page itself in Chromium
+//! where it is installed. The sun is compared with `heliosplat sun`, shadows with a walk along each ray, which shares
+//! no code with them.
 
 use heliosplat::Raster;
 use heliosplat_products::nadir::NadirGrid;
@@ -27,7 +28,8 @@ const SUNS: [[f64; 2]; 6] = [
     [318.0, 60.0],
 ];
 
-/// Runs JavaScript with the page's scripts that need no browser; it gets `input` and calls `answer(object)`. `None` without node.
+/// Runs JavaScript with the page's scripts that need no browser; it gets `input` and calls `answer(object)`. `None`
+/// without node.
 fn node(input: &Value, script: &str) -> Option<Value> {
     if Command::new("node").arg("--version").output().is_err() {
         println!("skipped: no node");
@@ -50,7 +52,7 @@ fn node(input: &Value, script: &str) -> Option<Value> {
     Some(serde_json::from_slice(&output.stdout).expect("an answer"))
 }
 
-/// What a page carries.
+/// Data of a page.
 fn carried(page: &Path) -> Value {
     let text = std::fs::read_to_string(page).expect("a page");
     let (_, rest) = text
@@ -60,8 +62,9 @@ fn carried(page: &Path) -> Value {
     serde_json::from_str(scene).expect("JSON")
 }
 
-/// A slope with three houses, a tower, a ridge and an unknown corner behind a pole that is unknown, too. North of the equator, two degrees
-/// of longitude west of the zone's central meridian: grid north and true north differ by more than a degree.
+/// A slope with three houses, a tower, a ridge and an unknown corner behind a pole that is unknown, too. North of the
+/// equator, two degrees of longitude west of the zone's central meridian: grid north and true north differ by more than
+/// a degree.
 fn surface() -> Raster {
     let mut raster = Raster::filled(WIDTH, HEIGHT, 1, f32::NAN);
     for row in 0..HEIGHT {
@@ -115,7 +118,8 @@ fn page_of_surface(folder: &Path) -> (PathBuf, Value) {
     (page, scene)
 }
 
-/// Height at a place between cells: bilinear, but that of the nearest cell where a wall stands between them; NaN outside and where unknown.
+/// Height at a place between cells: bilinear, but that of the nearest cell where a wall stands between them; NaN
+/// outside and where unknown.
 fn height_at(raster: &Raster, col: f64, row: f64) -> f64 {
     let (c, r) = (col.floor(), row.floor());
     if c < 0.0 || r < 0.0 || c + 1.0 >= WIDTH as f64 || r + 1.0 >= HEIGHT as f64 {
@@ -310,7 +314,7 @@ fn the_sun_of_the_page_is_the_sun() {
         let number = |k: usize| said[k].as_f64().expect("a number");
         let elevation = sun.elevation_rad.to_degrees();
         let off = (number(0) - sun.azimuth_rad.to_degrees() + 180.0).rem_euclid(360.0) - 180.0;
-        // As angles on the sky: near the zenith an azimuth says little.
+        // As angles on the sky: near the zenith an azimuth is of little weight.
         let across = off * elevation.to_radians().cos();
         let distance = across.hypot(number(1) - elevation);
         assert!(distance < 0.02, "{time} {lat_deg} {lon_deg}: {distance} degrees");
@@ -343,7 +347,8 @@ fn the_sun_is_a_disc_with_half_shade_at_the_border_of_a_shadow() {
         .collect();
     // The cell at the foot of the wall is averaged with the sunlit top.
     let partly: Vec<usize> = (111..600).filter(|&col| (1..64).contains(&seen[col])).collect();
-    // At 45 degrees the tip is 100 m = 200 cells behind the wall, and the disc's radius spans 100 sqrt(2) rad / sin 45 degrees on the ground.
+    // At 45 degrees the tip is 100 m = 200 cells behind the wall, and the disc's radius spans 100 sqrt(2) rad / sin 45
+    // degrees on the ground.
     let width_m = 2.0 * 141.42 * 0.2666f64.to_radians() / 45.0f64.to_radians().sin();
     // Averaging with the neighbours adds a cell at either end.
     let expected = width_m / CELL_M + 1.0;
@@ -443,7 +448,8 @@ fn a_browser_shows_the_page_and_reports_what_node_finds() {
 fn a_run_has_its_page_and_its_report_links_it() {
     let folder = tempdir().expect("a temporary folder");
     let (scene, run) = (folder.path().join("scene"), folder.path().join("run"));
-    // As many views as the site has by default: with four, ten steps leave the Gaussians that masks are traced through unlike the surface.
+    // As many views as the site has by default: with four, ten steps leave the Gaussians that masks are traced through
+    // unlike the surface.
     let site = ["synth", "satellite", "--site", "tiny", "--seed", "1", "--out"].map(std::ffi::OsStr::new);
     json(&[site.to_vec(), vec![scene.as_ref()]].concat());
     let arguments: Vec<&std::ffi::OsStr> = vec!["train".as_ref(), scene.as_ref(), "--out".as_ref(), run.as_ref()];

@@ -79,8 +79,8 @@ fn naive_footprint(table: &Table, camera: &ProjectiveCamera) -> ([f32; 3], f32) 
     ([fy / filtered, -xy / filtered, fx / filtered], opacity)
 }
 
-/// Conic, dimming and slope over discs and needles from a twentieth of a pixel to thirty pixels, up to three hundred times as
-/// long as thick: what training allows, and several times beyond.
+/// Conic, dimming and slope over discs and needles from a twentieth of a pixel to thirty pixels, up to three hundred
+/// times as long as thick: the range that training allows, and several times beyond.
 fn footprint_rows(timed: bool) -> [Row; 4] {
     let (camera, wide_camera) = camera();
     let mut robust: [Errors; 4] = Default::default();

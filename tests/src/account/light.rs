@@ -1,4 +1,5 @@
-//! Light: the exponent of a ray that passes a Gaussian, the stack of layers above, the own sheet, a light at no distance.
+//! Light: the exponent of a ray that passes a Gaussian, the stack of layers above, the own sheet, a light at no
+//! distance.
 
 use super::{Errors, Row, Worst, ratio, steps};
 use crate::reference::{self, Gaussian};
@@ -246,7 +247,7 @@ fn layers_row() -> Row {
                 0.0
             };
             gradient.see((f64::from(gradients.group(OPACITY)[1]) - slope).abs(), at);
-            // The product without a bound, and its gradient by dividing it by what one layer leaves.
+            // The product without a bound, and its gradient by dividing it by the transmittance of one layer.
             let leaves = 1.0 - table.opacity(0);
             let product = (0..layers).fold(1.0f32, |s, _| s * leaves);
             naive
@@ -327,7 +328,8 @@ fn sheet_row() -> Row {
     }
 }
 
-/// The least transmittance of a table whose rays start in the centres of the Gaussians and count whatever peaks ahead; f32.
+/// The least transmittance of a table whose rays start in the centres of the Gaussians and count whatever peaks ahead;
+/// f32.
 fn least_from_centres(table: &Table, sun: Vec3) -> f32 {
     let whitened = |i: usize| Mat3::from_diagonal(table.scale(i).recip()) * table.rotation(i).transpose();
     let through = |origin: usize| -> f32 {

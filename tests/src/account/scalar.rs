@@ -251,7 +251,7 @@ fn quaternion_row() -> Row {
         let q = unit.map(|c| (c * 10f64.powi(exponent)) as f32);
         let length = q.iter().map(|&c| f64::from(c).powi(2)).sum::<f64>().sqrt();
         let at = || format!("‖q‖ = 1e{exponent}");
-        // Beyond what squares in f32 hold the quaternion counts as degenerate: then it is the identity, of length one.
+        // A quaternion whose square overflows f32 counts as degenerate and becomes the identity, of length one.
         let got = normalised(q).to_array().map(f64::from);
         let degenerate = got == [0.0, 0.0, 0.0, 1.0];
         let error = if degenerate && !(-11..=18).contains(&exponent) {

@@ -1,4 +1,4 @@
-//! What surfaces do with light: facets, lobes, what scatters, the table of split sums, lamps, displays.
+//! Reflection and transmission of surfaces: facets, lobes, scattering, the table of split sums, lamps, displays.
 
 use super::{Errors, Row, Worst, ratio, relative, steps};
 use glam::{DVec3, Vec3};
@@ -272,7 +272,7 @@ fn printed_dipole(s: f64, a: f64, r: f64) -> f64 {
     s / extinction / (4.0 * PI) * (pole(1.0 / extinction) + pole((1.0 + 4.0 / 3.0 * 2.602_064) / extinction))
 }
 
-/// Slope of the dipole to what absorbs, with `σ_tr` as a variable of its own, as its derivation suggests; f32.
+/// Slope of the dipole to the absorption, with `σ_tr` as a variable of its own, as its derivation suggests; f32.
 fn naive_dipole_slope(s: f32, a: f32, r: f32) -> f32 {
     let extinction = s + a;
     let transport = (3.0 * a * extinction).sqrt();
@@ -308,7 +308,7 @@ fn dipole_row() -> Row {
                 }
                 .profile(r);
                 value.see(relative(found.value.into(), exact, 1e-20), at);
-                // One-sided where next to nothing absorbs, and so small that the root has no say.
+                // One-sided at nearly zero absorption, with a step so small that the root has no effect.
                 let reach_square = wr * wr + (5.0 / (ws + wa)).powi(2);
                 let little = 1e-7 / (3.0 * (ws + wa) * reach_square);
                 let numeric = if wa > 1e4 * little {
@@ -391,7 +391,7 @@ fn display_row() -> Row {
         let found = display::encode(light);
         robust.0.see(relative(found.0.into(), exact, 1e-30), at);
         robust.1.see(relative(found.1.into(), slope, 0.0), at);
-        // The plain power: it is what it should be, and its slope is not to be had at nothing.
+        // The plain power has the right value, but no finite slope at zero.
         let power = light.powf(1.0 / 2.4);
         naive.0.see(relative(power.into(), wide.powf(1.0 / 2.4), 1e-30), at);
         naive.1.see(

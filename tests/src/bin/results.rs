@@ -3,7 +3,7 @@
 use heliosplat_tests::results::{self, Request};
 use std::process::ExitCode;
 
-/// What `--help` prints.
+/// The text of `--help`.
 const HELP: &str = "Measures the program on the arenas and writes the page of results
 
 Usage: results [--out FILE] [--program FILE] [--arenas A,B] [--seeds N,N] [--presets P,P] [--work DIR] [--page-only]

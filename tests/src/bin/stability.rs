@@ -3,7 +3,7 @@
 use heliosplat_tests::account;
 use std::path::{Path, PathBuf};
 
-/// What stands before the table.
+/// The text before the table.
 const BEFORE: &str = "# Numbers that hold at the extremes
 
 Written by `cargo run --release -p heliosplat-tests --bin stability`; all but the last column of the first table is the same every

@@ -18,7 +18,7 @@ use heliosplat_scene::Split;
 use std::path::Path;
 use std::sync::OnceLock;
 
-/// A folder with the images that [`transforms`] speak of; their contents are not read.
+/// A folder with the images named in [`transforms`]; their contents are not read.
 pub(super) fn folder() -> &'static Path {
     static FOLDER: OnceLock<tempfile::TempDir> = OnceLock::new();
     let folder = FOLDER.get_or_init(|| {

@@ -1,9 +1,9 @@
-//! The arenas: what each is, which numbers its table shows, and what is kept of one run.
+//! The arenas: description, columns of the table, and the values kept of a run.
 
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 
-/// What is measured on.
+/// A measured scene.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Arena {
@@ -47,7 +47,7 @@ impl Arena {
         matches!(self, Self::Olat | Self::Reflective)
     }
 
-    /// Heading, what the arena is, how it is measured, and the commands.
+    /// Heading, description of the arena, method of measurement, and commands.
     pub(super) fn head(self) -> [&'static str; 3] {
         match self {
             Self::Block => [
@@ -93,7 +93,7 @@ impl Arena {
         }
     }
 
-    /// What a reader must know of the columns.
+    /// Notes on the columns.
     pub(super) fn note(self) -> &'static str {
         match self {
             Self::Block | Self::City => {
@@ -165,7 +165,7 @@ pub(super) const SECONDS: &str = "seconds";
 /// Most memory that the command held, bytes.
 pub(super) const PEAK_BYTES: &str = "peak_bytes";
 
-/// What was measured in one run.
+/// Measurements of one run.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Record {
     /// Where.
@@ -174,7 +174,7 @@ pub struct Record {
     pub preset: String,
     /// The seed.
     pub seed: u64,
-    /// What the program says of its version.
+    /// Version that the program reports.
     pub version: String,
     /// Hash of the program's file: records of another program are not used.
     pub program: String,

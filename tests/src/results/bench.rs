@@ -1,4 +1,4 @@
-//! Running the program on the arenas, and keeping what was measured.
+//! Runs the program on the arenas and records the measurements.
 
 use super::arena::{Arena, PEAK_BYTES, Record, SECONDS};
 use super::request::Request;
@@ -84,7 +84,7 @@ impl<'a> Bench<'a> {
         }
     }
 
-    /// Measures what an arena has no record of.
+    /// Measures the runs of an arena that have no record.
     pub(super) fn measure(&self, arena: Arena, records: &mut Vec<Record>) -> Result<(), String> {
         let presets: Vec<&str> = match arena.is_object() {
             true => vec![OBJECT_PRESET],
@@ -266,7 +266,7 @@ impl<'a> Bench<'a> {
 
 /// Why an arena has no scene.
 enum NoScene {
-    /// It is not here, or the program does not take it: the page says so.
+    /// It is missing, or the program does not accept it: the page states that.
     Absent(String),
     /// Something went wrong.
     Fault(String),
@@ -298,7 +298,7 @@ fn numbers(arena: Arena, metrics: &Value, measured: &Measured) -> BTreeMap<Strin
     numbers
 }
 
-/// What the program said against a folder, without the place of the folder.
+/// The program's refusal of a folder, without the path of the folder.
 pub(super) fn refusal(stderr: &str, folder: &Path) -> String {
     let line = stderr.lines().find_map(|line| line.strip_prefix("error: "));
     let parent = folder.parent().unwrap_or(folder).display().to_string();

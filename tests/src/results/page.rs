@@ -4,7 +4,7 @@ use super::arena::{Arena, Column, Record};
 use super::request::PRESETS;
 use std::fmt::Write as _;
 
-/// What stands before the tables.
+/// The text before the tables.
 const HEAD: &str = "# Results
 
 Written by `cargo run --release -p heliosplat-tests --bin results`; no figure here is written by hand. Most constants and presets

@@ -1,4 +1,4 @@
-//! What is measured: the options of the command.
+//! Options of the command.
 
 use super::arena::Arena;
 use std::path::{Path, PathBuf};
@@ -8,7 +8,7 @@ const SEEDS: [u64; 3] = [11, 12, 13];
 /// The surface without training, then the presets of `train`.
 pub(super) const PRESETS: [&str; 4] = ["sweep", "fast", "balanced", "accurate"];
 
-/// What is asked for.
+/// Request of a page.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Request {
     /// The page.

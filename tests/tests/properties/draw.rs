@@ -10,7 +10,7 @@ use nalgebra::Vector3;
 use proptest::collection::vec;
 use proptest::prelude::*;
 
-/// A Gaussian as it is drawn.
+/// A Gaussian in the form in which it is drawn.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Drawn {
     position: [f32; 3],
@@ -112,7 +112,7 @@ pub(crate) fn direction(elevation_deg: f32, azimuth_deg: f32) -> Vec3 {
     Vec3::new(ce * sa, ce * ca, se).normalize()
 }
 
-/// A camera as it is drawn.
+/// A camera in the form in which it is drawn.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Looks {
     off_nadir_deg: f64,

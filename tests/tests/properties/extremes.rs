@@ -154,7 +154,7 @@ fn with_groups_of(model: &ShadowGs, table: heliosplat::gaussians::Table) -> heli
     out
 }
 
-/// Trains to the end; the steps done, and what stopped it.
+/// Trains to the end; returns the steps done, and the error that stopped it.
 fn run(combination: Combination) -> (usize, Option<TrainError>) {
     let Combination {
         model,

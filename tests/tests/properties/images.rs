@@ -1,4 +1,4 @@
-//! Losses on images and maps that nobody would choose: even ones, one saturated pixel, half of them missing, raw counts.
+//! Losses on degenerate images and maps: even ones, one saturated pixel, half of them missing, raw counts.
 
 use crate::config;
 use heliosplat::loss::geometry::depth_normal;
@@ -9,7 +9,8 @@ use heliosplat::{ProjectiveCamera, Raster};
 use proptest::collection::vec;
 use proptest::prelude::*;
 
-/// An image: even, noise, noise with one saturated pixel, half of it missing, raw 16-bit counts, infinities among the pixels.
+/// An image: even, noise, noise with one saturated pixel, half of it missing, raw 16-bit counts, infinities among the
+/// pixels.
 fn image(width: usize, height: usize) -> impl Strategy<Value = Raster> {
     let count = width * height;
     let noise = move || vec(0.0f32..1.0, count);
@@ -62,7 +63,7 @@ proptest! {
         let (value, gradient) = photometric(&rendered, &truth, &weight, lambda);
         let largest = rendered.values.iter().chain(&truth.values).filter(|v| v.is_finite()).fold(1.0f32, |a, &b| a.max(b.abs()));
         prop_assert!(value.is_finite() && value >= -1e-4, "{value}");
-        // What differs, and a structural part of two at most.
+        // The difference, and a structural part of two at most.
         prop_assert!(value <= 2.0 * f64::from(largest * (1.0 - lambda)) + 2.01, "{value} of values up to {largest}");
         let steepest = gradient.values.iter().fold(0.0f32, |a, &b| a.max(b.abs()));
         // The structural part is steepest where its variance is least, 2 / C2, over a window's brightness.

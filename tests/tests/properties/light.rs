@@ -156,8 +156,8 @@ fn a_slope_under_a_grazing_sun_is_lit_too() {
     }
 }
 
-/// Where the shadow of a wall `height` tall along x = 0 ends on the ground east of it, the sun in the west: where half of the
-/// light returns, along a line of ground discs.
+/// Position on the ground at which the shadow of a wall `height` tall along x = 0 ends, the sun in the west: where half
+/// of the light returns, along a line of ground discs.
 fn shadow_length_m(height: f32, elevation_deg: f32) -> f64 {
     use heliosplat::gaussians::{LOG_SCALE, OPACITY, POSITION, ROTATION, core_groups, logit};
     let expected = height / elevation_deg.to_radians().tan();

@@ -1,8 +1,8 @@
-//! Whatever legal extremes come in: no number that is not finite, no panic, nothing beyond what physics allows, the same answer
-//! as the slow reference where that is affordable, the same bytes for any number of threads.
+//! Properties under any legal input: finite numbers, no panic, physically possible values, the same result as the slow
+//! reference where that is affordable, the same bytes for any number of threads.
 //!
-//! A run is the same every time. `HELIOSPLAT_PROPERTY_FACTOR=20` draws twenty times as many cases, `HELIOSPLAT_PROPERTY_SEED=7`
-//! others.
+//! A run is the same every time. `HELIOSPLAT_PROPERTY_FACTOR=20` draws twenty times as many cases,
+//! `HELIOSPLAT_PROPERTY_SEED=7` others.
 
 mod draw;
 mod earth;
@@ -55,7 +55,7 @@ fn config(property: &str) -> Config {
     Config {
         cases: cases.saturating_mul(u32::try_from(factor).unwrap_or(u32::MAX)),
         rng_seed: RngSeed::Fixed(from_environment("HELIOSPLAT_PROPERTY_SEED", 6)),
-        // What fails once becomes a test of its own.
+        // Failing cases become tests of their own.
         failure_persistence: None,
         max_shrink_iters: 2000,
         ..Config::default()

@@ -1,4 +1,4 @@
-//! Formulas of one number, and what Adam makes of any gradient.
+//! Formulas of one number, and steps of Adam for any gradient.
 
 use crate::config;
 use heliosplat::fast;

@@ -1,4 +1,4 @@
-//! What surfaces do with light, at any roughness and in any medium; models of objects at the extremes, lamps among them.
+//! Light on surfaces of any roughness and medium; models of objects at the extremes, lamps among them.
 
 use crate::config;
 use crate::draw::{Drawn, extreme_gaussians, gaussians, looks, small_image, sun};

@@ -62,7 +62,7 @@ fn look(drawn: &[Drawn], camera: &ProjectiveCamera, sun: Vec3) -> Seen {
     }
 }
 
-/// What holds whatever is seen: shares are shares, colours are mixed and not made, nothing is lost from the numbers.
+/// Properties of any view: shares are shares, colours are mixed and not made, no number is lost.
 fn is_physical(seen: &Seen) -> Result<(), TestCaseError> {
     let (maps, ulps) = (&seen.maps, 1.0 + 1e-4);
     for i in 0..maps.alpha.len() {
@@ -122,7 +122,7 @@ proptest! {
     ) {
         let camera = looks.camera();
         let seen = look(&drawn, &camera, sun.unwrap_or(-camera.depth_axis));
-        // Nearby, what is a thousand kilometres large and a millimetre away is beyond numbers.
+        // Nearby, a Gaussian of a thousand kilometres at a distance of a millimetre overflows.
         prop_assert!(seen.non_finite == 0 || !looks.is_in_orbit(), "{} legal Gaussians were dropped", seen.non_finite);
         is_physical(&seen)?;
     }
