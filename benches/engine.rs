@@ -121,7 +121,7 @@ fn rays(criterion: &mut Criterion) {
     group.finish();
 }
 
-/// Whole steps, and how they grow with Gaussians, pixels and threads.
+/// Whole steps, by the number of Gaussians, pixels and threads.
 fn steps(criterion: &mut Criterion) {
     let mut group = criterion.benchmark_group("step");
     group.sample_size(10);

@@ -1,7 +1,7 @@
 //! A surface model from a folder of satellite images by the plane sweep, without training.
 //!
 //! Usage: `dsm_from_folder SCENE OUT.tif [LOW,HIGH]` (lowest and highest altitude of the surface, metres above the WGS
-//! 84 ellipsoid; without them the files of the scene say, or tie points between its images)
+//! 84 ellipsoid; by default from the files of the scene, or from tie points between its images)
 //!
 //! Writes a cloud-optimised GeoTIFF in the local UTM zone, with the cell size of the images, and prints a line about
 //! it.

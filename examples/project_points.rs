@@ -1,4 +1,4 @@
-//! Where points of the ground are in an image, and where the image says they are on the ground.
+//! Projects points of the ground into an image, and localises them again from there.
 //!
 //! Usage: `project_points IMAGE|RPCFILE LON,LAT,ALT...` (degrees, and metres above the WGS 84 ellipsoid)
 //!

@@ -82,7 +82,7 @@ impl<T: Copy + Default> Chunk<T> {
     }
 }
 
-/// Where each cell of a row begins in the row's list, and where the last ends: a prefix sum over the counts.
+/// Start of each cell in the row's list, and the end of the last: a prefix sum over the counts.
 pub(crate) fn cell_starts<'t, T: Copy + 't>(
     row: impl Iterator<Item = &'t [T]>,
     span: impl Fn(T) -> CellSpan,
@@ -105,9 +105,9 @@ pub(crate) fn cell_starts<'t, T: Copy + 't>(
 /// A row of cells and its part of the list of all cells.
 pub(crate) struct RowList<'l, T> {
     pub(crate) row: usize,
-    /// Where its cells begin in `list`.
+    /// Starts of its cells in `list`.
     pub(crate) starts: Vec<u32>,
-    /// Where `list` begins in the list of all.
+    /// Start of `list` in the list of all.
     pub(crate) base: u32,
     pub(crate) list: &'l mut [T],
 }

@@ -96,7 +96,7 @@ impl ProjectiveCamera {
         if ray.dot(self.depth_axis) < 0.0 { -ray } else { ray }
     }
 
-    /// Where all rays meet, metres; `None` when they are as good as parallel.
+    /// Common point of all rays, metres; `None` when they are nearly parallel.
     pub fn eye(&self) -> Option<Vec3> {
         // There both numerators and the denominator vanish: three equations linear in the point, solved in f64.
         let (u, v, w) = (self.u.as_dvec3(), self.v.as_dvec3(), self.w.as_dvec3());

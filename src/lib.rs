@@ -6,7 +6,7 @@
 //!
 //! # Map, in the order data flows
 //!
-//! | module | what it does |
+//! | module | content |
 //! |---|---|
 //! | [`gaussians`] | the parameter table: positions, log scales, rotations, opacities, and the groups a model adds |
 //! | [`camera`], [`light`], [`raster`] | projective camera, directional or point light, small planar image |
@@ -22,7 +22,7 @@
 //! | [`timeline`] | wall and processor seconds of the stages of a run |
 //! | [`bench_fixture`] | a standard site for benchmarks |
 //!
-//! Data goes down this list once; gradients retrace the same functions in reverse and live beside them.
+//! Data goes down this list once; gradients retrace the same functions in reverse and are next to them in the code.
 //!
 //! # Invariants
 //!

@@ -3,7 +3,7 @@
 
 use glam::Vec3;
 
-/// Where light comes from.
+/// A light source.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Light {
     /// Parallel light; unit vector toward the light.

@@ -129,7 +129,7 @@ pub trait SceneModel: Send + Sync {
     /// The groups of parameters shared by all Gaussians (a table of one element).
     fn global_parameters(&self) -> Vec<ParameterGroup>;
 
-    /// Which Gaussians there are in a view; `None`: all. Light passes through the others.
+    /// Gaussians present in a view; `None`: all. Light passes through the others.
     fn present(&self, _parameters: &Parameters, _appearance: Option<usize>) -> Option<Vec<bool>> {
         None
     }

@@ -5,7 +5,7 @@ use rayon::prelude::*;
 /// Values per parallel job, at least.
 const CHUNK: usize = 4096;
 
-/// So many default values.
+/// A vector of `count` default values.
 pub(crate) fn defaults<T: Default + Send>(count: usize) -> Vec<T> {
     let mut values = Vec::new();
     set_defaults(&mut values, count);

@@ -61,7 +61,7 @@ pub enum Lit<'a> {
         occluders: &'a Occluders,
         /// Transmittances of an earlier trace, one per Gaussian.
         known: &'a [f32],
-        /// Which Gaussians keep theirs.
+        /// Gaussians that keep theirs.
         kept: &'a [bool],
     },
 }
@@ -119,7 +119,7 @@ impl PassLight {
         }
     }
 
-    /// Of gradients to the transmittances of all splats those of the ones that were traced.
+    /// Selects the gradients of the traced splats from those of all splats.
     fn of_traced(&self, gradients: &[f32]) -> Vec<f32> {
         let places = self.places.par_iter().with_min_len(CHUNK);
         places.map(|&place| gradients[place as usize]).collect()

@@ -126,7 +126,7 @@ macro_rules! vectorised {
     };
 }
 
-/// Asks the cache for `items[index]`, which may lie beyond the end: then nothing happens.
+/// Prefetches `items[index]`; an index beyond the end has no effect.
 #[inline(always)]
 pub(crate) fn prefetch<T>(items: &[T], index: usize) {
     #[cfg(target_arch = "x86_64")]

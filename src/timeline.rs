@@ -27,7 +27,7 @@ pub struct Stage {
     pub wall_s: f64,
     /// Processor seconds of all threads of the process; zero where the system does not measure them.
     pub processor_s: f64,
-    /// Those of the leading thread, and of one that it waited for: work that ran on one core.
+    /// Processor seconds of the leading thread, and of one that it waited for: work that ran on one core.
     pub one_core_s: f64,
     /// Threads used: processor seconds per wall second.
     pub threads: f64,

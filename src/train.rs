@@ -68,7 +68,7 @@ pub struct StepReport {
     pub pairs: u64,
     /// Gaussians after the step.
     pub gaussians: usize,
-    /// Why the step was rejected, if it was.
+    /// Fault for which the step was rejected, if it was.
     pub rejected: Option<Fault>,
 }
 
@@ -233,7 +233,7 @@ impl<'a> Trainer<'a> {
         (!cached && self.views[index].light.is_some()) || self.consistency_is_due()
     }
 
-    /// Which gradients of light reach occluders in this step.
+    /// Gradients of light that reach occluders in this step.
     fn occluder_gradients(&self) -> OccluderGradients {
         match self.options.occluder_gradients {
             true => OccluderGradients::Sampled {

@@ -24,7 +24,7 @@ const BILLOW_M: f64 = 14.0;
 const PROBES: usize = 48;
 /// Pieces of the layer that are tried. One of several fits; if none does, the nearest is taken.
 const ATTEMPTS: usize = 400;
-/// How far from each other the pieces may lie, metres.
+/// Largest distance between the pieces, metres.
 const REACH_M: f64 = 20e3;
 
 /// Size of clouds, and the share of an image that they hide.
@@ -43,8 +43,8 @@ pub(crate) struct CloudSize {
 }
 
 impl CloudSize {
-    /// Fair-weather cumulus 15 to 60 m across, so that a site of 128 m has whole ones: something is hidden, most can be
-    /// seen. About a ninth of the layer lies above the edge.
+    /// Fair-weather cumulus 15 to 60 m across, so that a site of 128 m has whole ones and most of the ground is
+    /// visible. About a ninth of the layer is above the edge.
     pub(crate) const SMALL: CloudSize = CloudSize {
         wavelength_m: 75.0,
         width_share: 0.0,
@@ -72,7 +72,7 @@ pub(crate) struct CloudField {
     /// The longest wave of the noise, metres.
     wavelength_m: f64,
     altitude_m: f64,
-    /// Where in the noise the site lies, metres.
+    /// Position of the site in the noise, metres.
     offset_m: [f64; 2],
     /// Cosine and sine of the noise's turn: its lattice follows no street.
     turn: [f64; 2],
@@ -137,8 +137,8 @@ impl CloudField {
         }
     }
 
-    /// Where a line crosses the layer, in the noise's own axes. Rays of the sensor start below it: the line goes on
-    /// behind their start.
+    /// Intersection of a line with the layer, in the noise's own axes. Rays of the sensor start below it: the line
+    /// extends behind their start.
     fn crossing(&self, ray: &Ray) -> [f64; 2] {
         let point = ray.at((self.altitude_m - ray.origin.z) / ray.direction.z);
         let [cos, sin] = self.turn;
@@ -161,8 +161,8 @@ impl CloudField {
         self.size.veil * smoothstep(-0.5, 0.6, fractal(self.seed ^ 0x7E11, x, y, self.wavelength_m, 2))
     }
 
-    /// Where lines of sight spread evenly over an image cross the layer, and whether they lie in the middle half of
-    /// its width and height.
+    /// Intersections of the layer with lines of sight spread evenly over an image, and whether they are in the middle
+    /// half of its width and height.
     fn probes(&self, sensor: &Sensor, crop: &Crop) -> Vec<([f64; 2], bool)> {
         let share = |index: usize| (index as f64 + 0.5) / PROBES as f64;
         let inner = |index: usize| (0.25..0.75).contains(&share(index));

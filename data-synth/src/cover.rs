@@ -120,7 +120,7 @@ pub(crate) struct Waves {
     wind: [f64; 2],
     /// Mean square slope of all waves together.
     slope_variance: f64,
-    /// Where whitecaps begin on the noise that makes them.
+    /// Threshold of whitecaps in their noise.
     calm: f64,
 }
 

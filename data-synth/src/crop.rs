@@ -1,6 +1,6 @@
 //! The window of the sensor's full scene that an image is.
 
-/// Which part of the sensor's full scene an image is.
+/// The window of an image in the sensor's full scene.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) struct Crop {
     pub(crate) col0: f64,

@@ -15,7 +15,7 @@ pub(crate) fn bands_of(spectrum: &Spectrum, bands: BandSet) -> ([f32; 4], usize)
     }
 }
 
-/// How radiance becomes the numbers in a file.
+/// Conversion of radiance to the numbers in a file.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) struct Encoding {
     /// Counts per unit of radiance.

@@ -2,7 +2,7 @@
 
 use std::path::PathBuf;
 
-/// Why a scene could not be made.
+/// Reason why a scene could not be made.
 #[derive(Debug, thiserror::Error)]
 pub enum SynthError {
     /// A request that cannot be met.

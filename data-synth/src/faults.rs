@@ -63,7 +63,7 @@ impl Haze {
     }
 }
 
-/// How an image was stretched for display: `255 ((count - low) / (high - low))^(1 / gamma)`, clipped to 1..255.
+/// Stretch of an image for display: `255 ((count - low) / (high - low))^(1 / gamma)`, clipped to 1..255.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Stretch {
     /// The count of each band that becomes black.

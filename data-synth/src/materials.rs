@@ -37,7 +37,7 @@ pub(crate) struct Season {
     pub(crate) green: f64,
     /// 1 when leaves are at their most coloured.
     pub(crate) autumn: f64,
-    /// How dry the grass is, 0 to 1.
+    /// Dryness of the grass, 0 to 1.
     pub(crate) dry: f64,
 }
 
@@ -90,7 +90,7 @@ pub(crate) fn grey(level: f64) -> Spectrum {
 
 const WHITE_PAINT: [f64; 4] = [0.52, 0.52, 0.50, 0.50];
 
-/// Where on a surface: its own two coordinates in metres, and its own random number.
+/// Position on a surface: its own two coordinates in metres, and its own random number.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Spot {
     pub(crate) u: f64,

@@ -1,8 +1,7 @@
 //! Captures of an object with known shape, materials and light, made by a path tracer.
 //!
-//! Files are in the common format: `transforms_train.json` and `transforms_test.json` with images beside them. Normals
-//! of the held-out views, `(n + 1) / 2` in the frame of the cameras, and the number of the part at each pixel are in
-//! `truth/`.
+//! Files are in the common format: `transforms_train.json` and `transforms_test.json` with their images. Normals of the
+//! held-out views, `(n + 1) / 2` in the frame of the cameras, and the number of the part at each pixel are in `truth/`.
 
 mod material;
 mod request;

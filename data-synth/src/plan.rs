@@ -43,7 +43,7 @@ const FULL_SCENE_LEAST_PX: f64 = 2400.0;
 /// Common data of all images of one date.
 #[derive(Debug, Clone)]
 pub(crate) struct DatePlan {
-    /// When the first image of the date is taken.
+    /// Time of the first image of the date.
     pub(crate) time: Timestamp,
     pub(crate) season: Season,
     pub(crate) weather: Weather,
@@ -296,7 +296,7 @@ fn finish(views: &mut [ViewPlan], request: &SatelliteRequest) {
     bias(views, request);
 }
 
-/// Where a real camera stands as seen from the origin of `frame`, at the height of WorldView-3's orbit.
+/// Direction of a real camera from the origin of `frame`, at the height of WorldView-3's orbit.
 fn geometry_of(rpc: &Rpc, frame: &LocalFrame) -> Result<ViewGeometry, heliosplat_rpc::RpcError> {
     const ORBIT_M: f64 = 617e3;
     const EARTH_RADIUS_M: f64 = 6_371_000.0;

@@ -24,7 +24,7 @@ use heliosplat_rpc::sun::SunPosition;
 use nalgebra::Vector3;
 use std::f64::consts::PI;
 
-/// How far shadow and sky rays start from their surface, metres.
+/// Offset of the start of shadow and sky rays from their surface, metres.
 const SURFACE_BIAS_M: f64 = 1e-4;
 /// Sky beyond this distance counts as open, metres.
 const SKY_REACH_M: f64 = 80.0;

@@ -18,7 +18,7 @@ pub(crate) const GROUND: SurfaceId = u32::MAX;
 /// Hits nearer than this along a ray are the surface the ray starts on, metres.
 const SELF_HIT_M: f64 = 1e-6;
 
-/// Where a ray ends. The normal is a unit vector on the side the ray came from.
+/// End of a ray. The normal is a unit vector on the side the ray came from.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Hit {
     pub(crate) point: Vector3<f64>,

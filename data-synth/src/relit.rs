@@ -27,7 +27,7 @@ use rayon::prelude::*;
 
 /// Lowest and highest sun, degrees.
 const ELEVATIONS_DEG: [f64; 2] = [10.0, 70.0];
-/// How far suns stand to both sides of the meridian at most, degrees.
+/// Largest azimuth of suns on both sides of the meridian, degrees.
 const ASIDE_DEG: f64 = 90.0;
 /// A sun nearer than this to that of an image is drawn again, degrees.
 const APART_DEG: f64 = 8.0;
@@ -37,7 +37,7 @@ const DRAWS: usize = 40;
 pub(crate) const DAY: &str = "2016-03-20";
 /// Time between two suns of that day, seconds.
 const STEP_S: i64 = 360;
-/// How far shadow rays start from their surface, metres.
+/// Offset of the start of shadow rays from their surface, metres.
 const SURFACE_BIAS_M: f64 = 1e-4;
 
 /// Common data of all relit images of a scene.

@@ -20,7 +20,7 @@ const REACH: usize = 5;
 /// Rows rendered at a time.
 const ROWS_AT_ONCE: usize = 48;
 
-/// How to turn light into an image.
+/// Settings that turn light into an image.
 pub(crate) struct Exposure<'a> {
     pub(crate) sensor: &'a Sensor,
     pub(crate) crop: Crop,

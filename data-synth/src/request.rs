@@ -8,7 +8,7 @@ use std::path::PathBuf;
 /// Most suns of no image that truth is rendered under.
 const MOST_SUNS: usize = 100;
 
-/// How images are packed.
+/// Packing of images.
 #[cfg_attr(feature = "clap", derive(clap::ValueEnum))]
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
@@ -85,7 +85,7 @@ impl Site {
     }
 }
 
-/// Which bands the images have.
+/// Bands of the images.
 #[cfg_attr(feature = "clap", derive(clap::ValueEnum))]
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
@@ -180,7 +180,7 @@ pub struct SatelliteRequest {
     /// Cover of one half of the site, or a little more. Absent from the manifest if there is none.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub cover: Option<Cover>,
-    /// How images are packed. Absent from the manifest if each is one file.
+    /// Packing of images. Absent from the manifest if each is one file.
     #[serde(skip_serializing_if = "Delivery::is_whole")]
     pub delivery: Delivery,
     /// Suns of no image under which the site is rendered from straight above as truth. Absent from the manifest if
@@ -265,7 +265,7 @@ impl SatelliteRequest {
         }
     }
 
-    /// How many of `views` images are held out for testing: none below 4 views, one below 8, else two.
+    /// Number of `views` held out for testing: none below 4 views, one below 8, else two.
     pub fn test_count(views: usize) -> usize {
         match views {
             0..4 => 0,

@@ -205,7 +205,7 @@ fn light_of(
         .through(clouds)
 }
 
-/// How the light of an image becomes counts.
+/// Conversion of an image's light to counts.
 fn encoding_of(request: &SatelliteRequest, date: &DatePlan, view: &ViewPlan) -> Encoding {
     let mut gain = MEAN_GAIN * date.weather.exposure;
     if request.cover == Some(Cover::Snow) {

@@ -26,7 +26,7 @@ impl Surface {
         module.unwrap_or_else(|| self.material.albedo(at, season))
     }
 
-    /// Where on the surface a point is.
+    /// Texture coordinates of a point of the surface.
     pub(crate) fn spot(&self, point: Vector3<f64>) -> Spot {
         let offset = point - self.origin;
         Spot {

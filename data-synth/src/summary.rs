@@ -37,7 +37,7 @@ pub struct ImageSummary {
     pub name: String,
     /// Acquisition time, UTC.
     pub time: jiff::Timestamp,
-    /// Which of the dates.
+    /// Index of its date.
     pub date: usize,
     /// Whether it is listed in `test.txt`.
     pub held_out: bool,
@@ -71,7 +71,7 @@ pub struct ImageSummary {
     /// The haze of its date; absent from the manifest if there is none.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub haze: Option<Haze>,
-    /// How linear counts became display values; absent from the manifest if they did not.
+    /// Stretch of linear counts to display values; absent from the manifest without one.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub stretch: Option<Stretch>,
 }

@@ -154,11 +154,11 @@ pub(crate) fn write_change(
             [known_m, *day]
         })
         .collect();
-    let said = [about(
+    let metadata = [about(
         "what was built or torn down between the first and the last image: difference_m, last minus first; changed_at, the day of the first image that shows the new state (YYYYMMDD), 0 where nothing changed",
     )];
     let bands = ["difference_m", "changed_at"];
-    let change = on_grid(grid, Samples::F64(&values), &bands, &said, Some(NODATA));
+    let change = on_grid(grid, Samples::F64(&values), &bands, &metadata, Some(NODATA));
     write(&staging.path("truth/change.tif")?, &change)
 }
 

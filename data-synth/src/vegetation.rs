@@ -8,7 +8,7 @@ use nalgebra::Vector3;
 use rand::RngExt;
 use rand_pcg::Pcg64Mcg;
 
-/// How a tree grows.
+/// Shape of a tree.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) enum TreeKind {
     /// A round crown whose colour follows the seasons.

@@ -16,7 +16,7 @@ const FROZEN_STEPS: usize = 6;
 const TARGET_RESIDUAL_PX: f64 = 5e-10;
 /// Largest residual of the fast method; beyond it, the careful method is used.
 const ACCEPTED_RESIDUAL_PX: f64 = 2e-9;
-/// How far from its centre the first way is trusted, in the model's half ranges.
+/// Range of the fast method around the model's centre, half ranges.
 const TRUSTED_RANGE: f64 = 1.5;
 /// Half ranges of the ground that one of the image may span; sound models have 1.1.
 const TRUSTED_SPAN: f64 = 2.0;
@@ -159,7 +159,7 @@ impl Rpc {
         (ground, arrived)
     }
 
-    /// Where eight points of the ground lie in the image.
+    /// Image positions of eight points of the ground.
     #[inline(always)]
     fn look(&self, ground: &Ground) -> Image {
         let m = eight_monomials(ground);

@@ -57,7 +57,7 @@ pub fn geo_from_ecef(ecef_m: Vector3<f64>) -> GeoPoint {
 /// An ENU frame: metres east, north and up of `origin`.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct LocalFrame {
-    /// Where the frame stands.
+    /// Origin of the frame.
     pub origin: GeoPoint,
 }
 

@@ -9,7 +9,7 @@ use crate::rpc::wrapped_longitude_deg;
 use crate::rpc::{GeoPoint, ImagePoint, Rpc, RpcError};
 use nalgebra::{Matrix2, Vector2};
 
-/// A residual below this is as good as f64 allows; iteration stops.
+/// Residual at the precision of f64, at which iteration stops.
 const TARGET_RESIDUAL_PX: f64 = 2e-10;
 /// Largest residual of a solution, from rounding on a model with large coordinates.
 const ACCEPTED_RESIDUAL_PX: f64 = 1e-6;
@@ -23,7 +23,7 @@ const CONTINUATION_STEPS: usize = 16;
 /// Sound models have spans up to 1.1 (50 real models), models with a wrong fit 6 and more.
 const LARGEST_SPAN: f64 = 3.0;
 
-/// One localisation: the model at one height, and the image point wanted.
+/// One localisation: the model at one height, and the target image point.
 struct Problem<'a> {
     rpc: &'a Rpc,
     height: f64,
@@ -153,7 +153,7 @@ impl Problem<'_> {
                     break;
                 }
                 if residual_px < ACCEPTED_RESIDUAL_PX {
-                    // Rounding, not the step's length, stands in the way.
+                    // Rounding, not the step's length, prevents progress.
                     break;
                 }
                 step *= 0.5;

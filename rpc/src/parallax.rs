@@ -1,4 +1,4 @@
-//! How precisely images from different directions find altitudes.
+//! Precision of altitudes from images of different directions.
 //!
 //! A pair of images whose rays part by `b` metres per metre of altitude (the base-to-height ratio) turns an error of
 //! matching of `e` metres on the ground into one of `e / b` in altitude.

@@ -65,7 +65,7 @@ impl ProjectiveMap {
     }
 }
 
-/// A fitted map and how far it is from the RPC it stands for.
+/// A fitted map and its error relative to the RPC.
 #[derive(Debug, Clone, Copy, PartialEq, serde::Serialize, serde::Deserialize)]
 pub struct PinholeFit {
     /// The camera.

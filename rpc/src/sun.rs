@@ -40,10 +40,10 @@ impl SunPosition {
         }
     }
 
-    /// From degrees that somebody states: an azimuth from -360 to 720, an elevation from -90 to 90.
+    /// From stated degrees: an azimuth from -360 to 720, an elevation from -90 to 90.
     ///
     /// # Errors
-    /// A sentence, where they are outside of these ranges or not finite.
+    /// A sentence with the fault, where they are outside of these ranges or not finite.
     pub fn stated(azimuth_deg: f64, elevation_deg: f64) -> Result<Self, String> {
         match (-360.0..=720.0).contains(&azimuth_deg) && (-90.0..=90.0).contains(&elevation_deg) {
             true => Ok(Self::from_degrees(azimuth_deg, elevation_deg)),

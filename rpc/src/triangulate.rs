@@ -1,4 +1,5 @@
-//! Multi-view triangulation: the ground point whose projections lie nearest to where it was seen.
+//! Multi-view triangulation: the ground point with the smallest distances of its projections from the measured
+//! positions.
 
 use crate::frame::LocalFrame;
 use crate::rpc::{GeoPoint, ImagePoint, Rpc, RpcError};
@@ -7,7 +8,7 @@ use nalgebra::{Matrix2x3, Matrix3, Vector2, Vector3};
 /// A triangulated point.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Triangulation {
-    /// Where it is.
+    /// Its position.
     pub point: GeoPoint,
     /// Root mean square over the views of the residual's length, pixels.
     pub rms_px: f64,

@@ -1,4 +1,4 @@
-//! When an image was taken and where the sun stood, from every source.
+//! Time of acquisition and direction of the sun, from every source.
 
 mod common;
 

@@ -19,7 +19,7 @@ fn assert_same(name: &str, found: &Rpc, expected: &Rpc) {
 
 fn camera(folder: &Path, name: &str) -> Rpc {
     let rpc = read::rpc_from_text(name, &read_text(&folder.join(name))).unwrap_or_else(|e| panic!("{name}: {e}"));
-    // Whatever is read is a camera: its own centre goes to the ground and back.
+    // Every text is read as a valid camera: its own centre goes to the ground and back.
     let centre = ImagePoint {
         col: rpc.sample_offset,
         row: rpc.line_offset,
@@ -86,7 +86,7 @@ fn files_without_a_camera_are_clear_errors() {
         ("gdal/alos/summary.txt", "no camera recognised"),
         ("gdal/spot/METADATA.DIM", "Global_RFM"),
         ("gdal/dimap2/bundle/DIM_foo.XML", "Global_RFM"),
-        // Placeholders stand where numbers should.
+        // Placeholders in place of numbers.
         ("gdal/dimap2/bundle/RPC_foo.XML", "LAT_OFF is \"LAT_OFF\""),
         (
             "gdal/dimap2/primary_rpc_center_h/RPC_PNEO3_STD_x_1_1_F_1.XML",

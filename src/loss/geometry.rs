@@ -8,7 +8,7 @@ use rayon::prelude::*;
 /// Alpha below which a pixel has no depth.
 const ALPHA_SEEN: f32 = 0.5;
 
-/// How points follow from pixels and depths in one camera (Cramer's rule on the two pixel equations and the depth).
+/// Computes points from pixels and depths in one camera (Cramer's rule on the two pixel equations and the depth).
 struct Unprojection<'a>(&'a ProjectiveCamera);
 
 impl Unprojection<'_> {
@@ -31,8 +31,9 @@ impl Unprojection<'_> {
 /// Mean of `1 - N·Ñ` over the pixels whose four neighbours are seen; `N` from channels `normal_at..normal_at + 3`, `Ñ`
 /// from central differences of the expected depth. Adds `weight` times the gradient to `grads`.
 ///
-/// A pixel whose neighbours' depths differ by much more than `edge_m` metres stands on an edge, where the difference is
-/// a wall and not a slope; it counts less, `exp(-(range / edge_m)²)`, and the weight carries no gradient.
+/// A pixel whose neighbours' depths differ by much more than `edge_m` metres is on an edge, where the difference is a
+/// wall and not a slope. Its weight is reduced by the factor `exp(-(range / edge_m)²)`, and the weight carries no
+/// gradient.
 pub fn depth_normal(
     camera: &ProjectiveCamera,
     maps: &Maps,

@@ -53,7 +53,7 @@ pub fn prior(visibility: &[f32], lit: &[f32], mask: &[f32], weight: f32, d_visib
 pub struct ConsistencyPass<'a> {
     /// The view.
     pub camera: &'a ProjectiveCamera,
-    /// How Gaussians become splats.
+    /// Projection of Gaussians to splats.
     pub projection: &'a ProjectionOptions,
     /// Gradients of light that reach the occluders.
     pub occluder_gradients: OccluderGradients,
@@ -74,7 +74,7 @@ pub fn consistency(gaussians: &Table, projected: &Projected, pass: &ConsistencyP
     let rasteriser = Rasteriser::new(projected, pass.camera.width, pass.camera.height);
     let maps = rasteriser.forward(&traced.values, 1);
     let pixels = pass.camera.width * pass.camera.height;
-    // Where nothing is seen there is nothing to light: the shadow is alpha - Σ w S.
+    // Pixels without a surface have no light: the shadow is alpha - Σ w S.
     let shadow: f64 = maps
         .alpha
         .iter()

@@ -19,20 +19,20 @@ const ROUNDED: f32 = 0.02;
 /// Values per parallel job; fixed, so that sums do not depend on the number of threads.
 const CHUNK: usize = 4096;
 
-/// Which Gaussians are neighbours on one surface; each pair is in it from both sides.
+/// Neighbouring Gaussians on one surface; each pair is listed from both sides.
 #[derive(Debug, Clone, PartialEq, Default, serde::Serialize, serde::Deserialize)]
 pub struct Neighbours {
-    /// Where the neighbours of each Gaussian begin, and at last where they all end.
+    /// Start of each Gaussian's neighbours, and the end of the last ones.
     starts: Vec<u32>,
     of: Vec<u32>,
 }
 
 impl Neighbours {
-    /// The neighbours among Gaussians as they stand; `gsd_m` is the ground sampling distance, metres.
+    /// The neighbours among Gaussians at their current positions; `gsd_m` is the ground sampling distance, metres.
     pub fn new(gaussians: &Table, gsd_m: f32) -> Self {
         let reach_m = REACH_GSD * gsd_m;
-        // Row and column of a square as wide as neighbours are apart, rows first, so that squares side by side lie side
-        // by side.
+        // Row and column of a square as wide as the distance of neighbours, rows first, so that adjacent squares are
+        // adjacent in order.
         let square = |index: usize| {
             let p = gaussians.position(index);
             ((p.y / reach_m).floor() as i32, (p.x / reach_m).floor() as i32)
@@ -84,7 +84,7 @@ impl Neighbours {
         found
     }
 
-    /// Of how many Gaussians they are.
+    /// Number of Gaussians.
     pub fn count(&self) -> usize {
         self.starts.len().saturating_sub(1)
     }

@@ -38,7 +38,7 @@ pub struct Network {
 struct Layer {
     inputs: usize,
     outputs: usize,
-    /// Where its weights begin among all.
+    /// Start of its weights among all.
     from: usize,
     /// Whether the network's inputs are concatenated to the previous layer's outputs.
     joined: bool,

@@ -85,7 +85,7 @@ pub struct ReflectiveOptions {
     pub background: [f32; 3],
     /// Whether images have coverage as a fourth band.
     pub coverage: bool,
-    /// Which component is rendered.
+    /// The rendered component.
     pub shows: Component,
     /// Whether the view's light, of strength one, replaces the environment; for relighting only, there are no
     /// gradients.

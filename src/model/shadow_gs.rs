@@ -60,8 +60,8 @@ pub struct ShadowGsOptions {
     pub prior_weight: f32,
     /// Largest degree of the spherical harmonics of albedo and near-surface light, 0 to 3; 0: the same from everywhere.
     pub degree: usize,
-    /// The day of each image, days since 1970, where Gaussians stand on some days only; else empty. Then each Gaussian
-    /// has the first day on which it stands and the first on which it does not any more, which are not trained.
+    /// The day of each image, days since 1970, where some Gaussians exist on some days only; else empty. Each Gaussian
+    /// then has the first day of its existence and the first day after it, which are not trained.
     #[serde(skip_serializing_if = "Vec::is_empty")]
     pub days: Vec<f32>,
 }
@@ -104,12 +104,12 @@ pub const OFFSET: usize = 2;
 /// Index of the path radiance in the global table, where images have no colours.
 const PATH_RADIANCE: usize = 1;
 
-/// Name of the group of days on which a Gaussian stands: from the first until before the second, days since 1970.
+/// Name of the group of days on which a Gaussian exists: from the first until before the second, days since 1970.
 pub const DAYS: &str = "days";
-/// The days of a Gaussian that always stands.
+/// The days of a permanent Gaussian.
 pub const ALWAYS: [f32; 2] = [-1e6, 1e6];
 
-/// Which Gaussians stand on a day (days since 1970); `None` where they have no days.
+/// Gaussians that exist on a day (days since 1970); `None` where they have no days.
 pub fn standing(gaussians: &crate::gaussians::Table, day: f32) -> Option<Vec<bool>> {
     let days = gaussians.groups.iter().find(|group| group.spec.name == DAYS)?;
     let stands = |window: &[f32]| (window[0]..window[1]).contains(&day);
@@ -434,7 +434,7 @@ mod tests {
         use crate::gaussians::{LOG_SCALE, OPACITY, POSITION, ROTATION, Table, core_groups};
         use crate::light::Light;
         use crate::render::{PassOptions, render};
-        // A floor that always stands and a roof that stands from day 10 on, in images of days 5 and 15.
+        // A permanent floor and a roof that exists from day 10 on, in images of days 5 and 15.
         let model = ShadowGs::new(ShadowGsOptions {
             images: 2,
             days: vec![5.0, 15.0],

@@ -28,7 +28,7 @@ pub(super) struct ViewDirection {
 }
 
 impl ViewDirection {
-    /// Of a centre (metres) seen by a camera whose rays meet in `eye`; `None` for parallel rays.
+    /// Direction of a centre (metres) seen by a camera whose rays meet in `eye`; `None` for parallel rays.
     pub(super) fn new(eye: Option<Vec3>, camera: &ProjectiveCamera, position: Vec3) -> Self {
         // Parallel rays have no eye; their direction is the same everywhere.
         let offset = eye.map_or(camera.depth_axis, |eye| position - eye);

@@ -20,7 +20,7 @@ pub struct Adam {
 }
 
 impl Adam {
-    /// No memory yet, for tables shaped like `parameters`.
+    /// Zero moments, for tables shaped like `parameters`.
     pub fn new(parameters: &Table) -> Self {
         Self {
             first: parameters.zeros_like(),

@@ -18,7 +18,7 @@ pub(crate) const UNTIL_FRACTION: f32 = 0.6;
 /// Below this opacity a Gaussian goes: it takes a fiftieth of the light at most, and costs as much as any.
 const PRUNE_OPACITY: f32 = 0.02;
 
-/// When and how the number of Gaussians changes.
+/// Schedule and thresholds of density control.
 ///
 /// Fields that serde skips are not user settings: the program sets them for each kind of scene. Their defaults are for
 /// ground seen from satellites.
@@ -71,7 +71,7 @@ pub struct DensityStatistics {
     seen: Vec<u32>,
 }
 
-/// How a table was rebuilt.
+/// Rebuild of a table.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Rebuild {
     /// Old element of each new one.
@@ -239,7 +239,7 @@ mod tests {
             }
         );
         assert_eq!(gaussians.count, 3);
-        // The pair stands on both sides of where the one stood.
+        // The pair is on both sides of the original position.
         let (a, b) = (gaussians.position(1), gaussians.position(2));
         assert!(a != b && ((a + b) * 0.5 - Vec3::new(2.0, 0.0, 0.0)).length() < 1e-6);
     }

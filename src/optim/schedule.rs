@@ -1,4 +1,4 @@
-//! Learning rates: how fast each group of parameters is trained, and when.
+//! Learning rates of the groups of parameters, with their schedules.
 //!
 //! A model describes every group once, as a [`ParameterGroup`]: name, width, learning rate and schedule together. The
 //! trainer keeps these descriptions in the order of the table's groups, so no rate is ever looked up by name.
@@ -17,7 +17,7 @@ pub struct LearningRate {
 }
 
 impl LearningRate {
-    /// The group stays as it is.
+    /// The group does not change.
     pub const FROZEN: Self = Self::constant(0.0);
 
     /// The same rate at every step.
@@ -57,7 +57,7 @@ impl LearningRate {
 pub struct ParameterGroup {
     /// Name and width.
     pub spec: GroupSpec,
-    /// How fast it is trained, and when.
+    /// Its learning rate and schedule.
     pub rate: LearningRate,
 }
 

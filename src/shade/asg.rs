@@ -68,7 +68,7 @@ impl Lobe {
         let inverse = 1.0 / (self.sigma * self.sigma);
         let exponent = -0.5 * q * u * inverse;
         let value = FACTOR / self.sigma * exponent.exp();
-        // Of the exponent, times the value.
+        // Gradient of the exponent, times the value.
         let to_q = -0.5 * u * inverse * value;
         let to_u = -0.5 * q * inverse * value;
         LobeValue {

@@ -16,7 +16,7 @@ pub fn encode(light: f32) -> (f32, f32) {
     (1.055 * power - 0.055, 1.055 / 2.4 * power / light)
 }
 
-/// The light that a display value stands for.
+/// The light of a display value.
 #[inline]
 pub fn decode(value: f32) -> f32 {
     if value <= LINEAR_END_ENCODED {

@@ -81,7 +81,7 @@ mod tests {
                     let (h, ax, ay) = (h.as_dvec3().normalize(), f64::from(ax), f64::from(ay));
                     let tangent = (h.x / h.z / ax).powi(2) + (h.y / h.z / ay).powi(2);
                     let ggx = 1.0 / (PI * ax * ay * h.z.powi(4) * (1.0 + tangent).powi(2));
-                    // And as the paper has it, with the 1 + it lacks.
+                    // The form of the paper, without the `1 +`.
                     let (lambda, mu) = (1.0 / (ax * ax) - 1.0, 1.0 / (ay * ay) - 1.0);
                     let sum = 1.0 + lambda * h.x * h.x + mu * h.y * h.y;
                     let asg = ((1.0 + lambda) * (1.0 + mu)).sqrt() / (PI * sum * sum);

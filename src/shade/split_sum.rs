@@ -90,7 +90,7 @@ mod tests {
 
     #[test]
     fn the_sums_have_their_published_values() {
-        // Those come from 1024 random facets.
+        // Expected values from 1024 random facets.
         for (roughness, cosine, expected) in [
             (0.2, 0.5, [0.9282, 0.0310]),
             (0.2, 0.05, [0.2665, 0.3817]),

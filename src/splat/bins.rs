@@ -34,7 +34,7 @@ pub struct Bins {
 /// A splat in a tile.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub struct Entry {
-    /// Which splat.
+    /// Index of the splat.
     pub splat: u32,
     /// Index of the gradient record that the tile writes for it: like the list tile after tile, but by index within a
     /// tile, so that neighbours in the table of splats are neighbours in memory.

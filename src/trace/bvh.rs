@@ -224,7 +224,7 @@ pub enum SunVisibility {
 pub struct Occluders {
     /// The occluders, by Gaussian.
     pub list: Vec<Occluder>,
-    /// How parallel light is traced past them.
+    /// Tracer of parallel light.
     pub sun_visibility: SunVisibility,
     hierarchy: OnceLock<Hierarchy>,
 }

@@ -31,7 +31,7 @@ pub(super) struct HierarchyTrace {
 /// Some bundles.
 struct Chunk {
     bundles: Vec<Bundle>,
-    /// Where the hits of each bundle end in `hits`; they begin where those of the bundle before end.
+    /// End of each bundle's hits in `hits`; they begin at the end of the previous bundle's.
     hit_ends: Vec<u32>,
     hits: Vec<u32>,
 }

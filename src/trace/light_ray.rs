@@ -26,7 +26,7 @@ pub(super) struct LightRay {
     lift: Lift,
 }
 
-/// How far and along which own axis a ray was lifted off its surface.
+/// Lift of a ray off its surface: distance and axis.
 #[derive(Debug, Clone)]
 struct Lift {
     thin: usize,

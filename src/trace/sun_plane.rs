@@ -56,7 +56,7 @@ struct PlaneRay {
 /// Ellipses of about one size.
 struct Level {
     cells: Cells,
-    /// Where they begin in the list of all.
+    /// Their start in the list of all.
     first: usize,
     /// The largest half sizes.
     half_size: Vec2,

@@ -17,7 +17,7 @@ use std::borrow::Cow;
 /// Version of the layout of [`TrainerState`].
 pub const STATE_VERSION: u32 = 7;
 
-/// Why a state cannot be taken up.
+/// Reason why a state cannot be restored.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 #[error("the state is of another training: its {what} do not fit")]
 pub struct StateError {

@@ -5,7 +5,7 @@ use crate::model::{NamedLoss, Parameters, View};
 use crate::optim::ParameterGroup;
 use rayon::prelude::*;
 
-/// Gradients from here on are as good as infinite: Adam squares them, and the sum of squares must stay finite.
+/// Gradients from here on count as infinite: Adam squares them, and the sum of squares must stay finite.
 const GRADIENT_MAX: f32 = 1e18;
 
 /// The part of a step that is not finite.
@@ -19,7 +19,7 @@ pub enum Fault {
     Gradient(String),
 }
 
-/// Why training cannot begin, or not go on.
+/// Reason why training cannot begin or continue.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 pub enum TrainError {
     /// Too many steps in a row had numbers that are not finite.

@@ -12,7 +12,7 @@ const TILE: usize = 24;
 /// Relative progress that counts.
 const PROGRESS: f64 = 1e-3;
 
-/// How a run ended, as seen on the held-out tiles.
+/// End of a run, by the held-out tiles.
 #[derive(Debug, Clone, Copy, PartialEq, serde::Serialize, serde::Deserialize)]
 pub struct EarlyStop {
     /// Steps done.

@@ -44,7 +44,7 @@ pub struct TrainOptions {
     /// Epochs without progress on held-out tiles after which training stops; 0 is never, and then all pixels are
     /// learnt from. 0 in `fast`, 2 in the ablation.
     pub patience: usize,
-    /// How the number of Gaussians changes.
+    /// Density control.
     pub density: DensityOptions,
     /// Seed of everything random.
     #[serde(skip)]
@@ -103,7 +103,7 @@ impl Default for TrainOptions {
     }
 }
 
-/// How many times their own learning rate opacities, log scales and features move at, at most.
+/// Largest factor on the learning rates of opacities, log scales and features.
 const MOST_RATE_FACTOR: f32 = 8.0;
 /// Share of `own_rate_steps` below which a training is short: rates grow faster with fewer steps, and Adam remembers
 /// less.
@@ -178,7 +178,7 @@ impl TrainOptions {
         Ok(())
     }
 
-    /// How many times as many Gaussians as at the start there are at the end, at most.
+    /// Largest ratio of the final number of Gaussians to the initial one.
     pub fn growth(&self) -> f64 {
         let d = &self.density;
         let last = (UNTIL_FRACTION * self.iterations as f32) as usize;

@@ -16,7 +16,7 @@ use std::time::Instant;
 pub struct Worst {
     /// The error, as defined in its row.
     pub error: f64,
-    /// Where it is that large.
+    /// Arguments of that error.
     pub at: String,
     /// The first place where the result was no finite number.
     pub broken: Option<String>,
@@ -45,9 +45,9 @@ impl Worst {
 /// A form's errors.
 #[derive(Debug, Clone, Default)]
 pub struct Errors {
-    /// Of the value.
+    /// Largest error of the value.
     pub value: Worst,
-    /// Of the gradient; none where the formula has none or leaves it to others.
+    /// Largest error of the gradient; none where the formula has none or leaves it to others.
     pub gradient: Option<Worst>,
 }
 

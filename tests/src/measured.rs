@@ -17,9 +17,9 @@ pub struct Measured {
     pub stderr: String,
     /// The most memory it held, bytes.
     pub peak_bytes: u64,
-    /// Bytes that it read from files, its own executable among them.
+    /// Bytes read from files, its own executable among them.
     pub read_bytes: u64,
-    /// How long it took.
+    /// Its wall time.
     pub took: Duration,
 }
 

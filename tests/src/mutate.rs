@@ -73,7 +73,7 @@ fn damaged(mut bytes: Vec<u8>, random: &mut Pcg32) -> Vec<u8> {
     bytes
 }
 
-/// Where numbers begin and end in a text.
+/// Spans of the numbers in a text.
 fn number_spans(bytes: &[u8]) -> Vec<(usize, usize)> {
     let part = |b: u8| b.is_ascii_digit() || matches!(b, b'.' | b'+' | b'-' | b'e' | b'E');
     let mut spans = Vec::new();

@@ -18,7 +18,7 @@ pub const METRES_PER_DEGREE: f64 = 111_320.0;
 pub struct View {
     /// File name without extension.
     pub name: String,
-    /// How far the image moves east and north per metre of height, metres.
+    /// Displacement of the image east and north per metre of height, metres.
     pub tilt: [f64; 2],
     /// Centre of the image east and north of the scene's centre, metres.
     pub centre_m: [f64; 2],

@@ -1,7 +1,7 @@
-//! A pair of images of a town without end: as large as one likes, anywhere on Earth, made in seconds.
+//! A pair of images of a town without end: of any size, anywhere on Earth, made in seconds.
 //!
-//! Houses with flat roofs stand on rolling ground, textured by noise. Nothing is lit and nothing repeats; two parallel
-//! cameras look from two sides. It is there to be large: scenes that are like real ones are made by `heliosplat synth`.
+//! Houses with flat roofs on rolling ground, textured by noise. Nothing is lit and nothing repeats; two parallel
+//! cameras look from two sides. Its purpose is size; `heliosplat synth` makes realistic scenes.
 
 use crate::scenes::parallel_camera;
 use heliosplat::Raster;
@@ -28,7 +28,7 @@ pub struct Pair {
     pub gsd_m: f64,
     /// Longitude and latitude of their middle, degrees.
     pub centre_deg: [f64; 2],
-    /// How far both images move to the east and to the west per metre of height, metres.
+    /// Displacement of both images to the east and to the west per metre of height, metres.
     pub lean: f64,
 }
 

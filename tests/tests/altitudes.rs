@@ -37,7 +37,7 @@ fn a_scene_without_altitudes_is_searched_where_its_tie_points_lie() {
     assert_eq!(found["altitude_m"]["source"], "ties", "{}", found["altitude_m"]);
     let limit = |scene: &Value, end: &str| scene["altitude_m"][end].as_f64().expect("a number");
     let (low_m, high_m) = (limit(&found, "low"), limit(&found, "high"));
-    // The site's ground and roofs lie between those stated, well inside.
+    // The site's ground and roofs are well between the stated altitudes.
     let middle_m = 0.5 * (limit(&stated, "low") + limit(&stated, "high"));
     assert!(low_m < middle_m && middle_m < high_m, "{low_m} to {high_m}");
     assert!(high_m - low_m < 150.0, "{low_m} to {high_m} of a kilometre");

@@ -44,7 +44,7 @@ impl Trained {
         json(&[&words[..], &set, options].concat());
     }
 
-    /// How well the run shows its images.
+    /// Scores of the run's images.
     fn figures(&self) -> Value {
         let metrics = json(&["evaluate", &text(&self.run)]);
         assert!(metrics["train"]["psnr"].is_number(), "{metrics}");

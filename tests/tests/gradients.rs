@@ -148,7 +148,7 @@ fn flat(parameters: &Parameters) -> Flat {
     }
 }
 
-/// Where all rays of a camera meet: there both numerators and the denominator of its projection vanish.
+/// Common point of all rays of a camera: there both numerators and the denominator of its projection vanish.
 fn eye(camera: &reference::Camera) -> Vector3<f64> {
     let ([a, b, c, u], [d, e, f, v], w) = (camera.u, camera.v, camera.w);
     Matrix3::new(a, b, c, d, e, f, w.x, w.y, w.z)

@@ -1,4 +1,4 @@
-//! How scenes lie on disk: folders of Sat-NeRF and EOGS with images, cameras and truth apart, lists, `scene.toml`,
+//! Layouts of scenes on disk: folders of Sat-NeRF and EOGS with images, cameras and truth apart, lists, `scene.toml`,
 //! crops.
 
 use heliosplat_raster::{ImageSpec, RasterFile, Sample, write_geotiff};

@@ -158,7 +158,7 @@ fn the_pyramid_of_giza_stands() {
         let slope = plane.x.hypot(plane.y).atan().to_degrees();
         assert!((slope - 51.84).abs() < 2.0, "a face of {slope} degrees");
     }
-    // Where opposite faces are 145 m high: half the difference of their distances is how far the centre is off.
+    // Opposite faces at a height of 145 m: half the difference of their distances is the error of the centre.
     let distance = |plane: &nalgebra::Vector3<f64>| (145.0 - plane.z) / plane.x;
     for pair in [[0, 1], [2, 3]] {
         let off = 0.5 * (distance(&planes[pair[0]]) - distance(&planes[pair[1]]));

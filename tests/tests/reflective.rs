@@ -280,7 +280,7 @@ fn gradients_match_central_differences_of_the_f64_form() {
         let compare = |table: &Table, pick: &dyn Fn(&mut (Flat, Flat)) -> &mut Flat| {
             for (group, values) in table.groups.iter().enumerate() {
                 let (mut apart, mut norm) = (0.0, 0.0);
-                // Of a long group, some of its numbers.
+                // A sample of a long group.
                 let every = (values.values.len() / 80).max(1) | 1;
                 for (i, &analytic) in values.values.iter().enumerate().step_by(every) {
                     let (mut hi, mut lo) = (base.clone(), base.clone());

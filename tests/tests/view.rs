@@ -118,8 +118,8 @@ fn page_of_surface(folder: &Path) -> (PathBuf, Value) {
     (page, scene)
 }
 
-/// Height at a place between cells: bilinear, but that of the nearest cell where a wall stands between them; NaN
-/// outside and where unknown.
+/// Height at a place between cells: bilinear, but that of the nearest cell where a wall is between them; NaN outside
+/// and where unknown.
 fn height_at(raster: &Raster, col: f64, row: f64) -> f64 {
     let (c, r) = (col.floor(), row.floor());
     if c < 0.0 || r < 0.0 || c + 1.0 >= WIDTH as f64 || r + 1.0 >= HEIGHT as f64 {
@@ -260,7 +260,7 @@ fn unknown_cells_throw_no_shadow_and_have_none() {
     let (_, scene) = page_of_surface(folder.path());
     let Some(masks) = masks(&scene) else { return };
     for mask in &masks {
-        // The unknown pole stands on open ground; around it is nothing that reaches it.
+        // The unknown pole is on open ground; nothing around reaches it.
         for row in 86..98 {
             for col in 156..168 {
                 assert!(!mask[row * WIDTH + col] || masks[1][row * WIDTH + col], "{col} {row}");

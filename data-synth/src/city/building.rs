@@ -34,7 +34,7 @@ pub(crate) struct Building {
     pub(crate) seed: u64,
 }
 
-/// How far walls reach below the floor: more than any slope drops across a building.
+/// Depth of walls below the floor, metres: more than any slope drops across a building.
 const FOUNDATION_M: f64 = 8.0;
 
 impl Building {

@@ -8,7 +8,7 @@ use crate::raytrace::Hit;
 use crate::terrain::Relief;
 use std::collections::HashMap;
 
-/// How far carriageways lie below the pavements, metres.
+/// Depth of carriageways below the pavements, metres.
 const KERB_M: f64 = 0.12;
 /// Mean albedo of the sea; images have their own, with waves.
 const SEA: [f64; 4] = [0.028, 0.046, 0.050, 0.006];

@@ -35,7 +35,7 @@ const QUAY_M: f64 = 1.0;
 /// Side of a terrain cell, metres.
 const TERRAIN_CELL_M: f64 = 1.0;
 
-/// How large and how fine a city to make.
+/// Size and detail of a city.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct CityPlan {
     /// Half the side of the square that is built, metres.
@@ -54,7 +54,7 @@ pub(crate) struct City {
     trees: Vec<Tree>,
     hedges: Vec<Hedge>,
     car_slots: Vec<CarSlot>,
-    /// Which of the buildings stand on some dates only.
+    /// Buildings that exist on some dates only.
     changes: Changes,
 }
 

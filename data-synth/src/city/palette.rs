@@ -1,4 +1,4 @@
-//! The colours a city is built of, and how often each is chosen.
+//! The colours of a city, with their frequencies.
 
 use super::planner::Planner;
 use crate::materials::{Material, Spectrum, grey};

@@ -57,7 +57,7 @@ impl Plot {
         if self.along_u { [u + a, v + b] } else { [u - b, v + a] }
     }
 
-    /// On which side along the length the origin of the city lies: -1 or 1.
+    /// Side along the length on which the origin of the city is: -1 or 1.
     pub(crate) fn towards_centre(&self) -> f64 {
         let [u, v] = self.centre;
         if (if self.along_u { u } else { v }) > 0.0 {

@@ -12,7 +12,7 @@ impl Planner {
         self.wanted_trees.push((plot.uv(at[0], at[1]), radius_m, kind));
     }
 
-    /// Grows the trees that were wanted, except where a wall, another tree or water is in the way.
+    /// Grows the requested trees, except where a wall, another tree or water is in the way.
     pub(crate) fn grow(&mut self) {
         for (uv, radius_m, kind) in std::mem::take(&mut self.wanted_trees) {
             self.grow_one(uv, radius_m, kind);

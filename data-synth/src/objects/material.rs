@@ -169,7 +169,7 @@ impl SurfacePoint {
         share * lobe + (1.0 - share) * base
     }
 
-    /// How often the lobe is sampled and not the base.
+    /// Probability of sampling the lobe instead of the base.
     fn lobe_share(&self) -> f64 {
         match &self.gloss {
             None => 0.0,
@@ -178,7 +178,8 @@ impl SurfacePoint {
         }
     }
 
-    /// A direction toward which light matters, from three numbers in [0, 1); `None` when it lies below the surface.
+    /// A direction with a large contribution of light, from three numbers in [0, 1); `None` when it is below the
+    /// surface.
     pub(crate) fn sample(&self, to_eye: &Vector3<f64>, choice: f64, u: Vector2<f64>) -> Option<Vector3<f64>> {
         let light = if choice < self.lobe_share() {
             let [ax, ay] = self.gloss.as_ref().map_or([1.0; 2], |g| g.alpha);

@@ -1,4 +1,4 @@
-//! Which capture of an object to make.
+//! Request of a capture of an object.
 
 use crate::error::SynthError;
 

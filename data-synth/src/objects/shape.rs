@@ -33,7 +33,7 @@ pub(crate) struct Solid {
     pub(crate) own_from_world: Matrix3<f64>,
 }
 
-/// Where a ray meets a solid. `normal` points out of the solid; `own` is the point in the solid's frame.
+/// Intersection of a ray with a solid. `normal` points out of the solid; `own` is the point in the solid's frame.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Intersection {
     pub(crate) distance: f64,
@@ -165,7 +165,7 @@ mod tests {
         }
     }
 
-    /// How far a point in a shape's own frame is from its surface, nearly.
+    /// Approximate distance of a point in a shape's own frame from its surface.
     fn off(shape: Shape, p: &Vector3<f64>) -> f64 {
         match shape {
             Shape::Sphere { radius } => p.norm() - radius,

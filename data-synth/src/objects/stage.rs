@@ -15,7 +15,7 @@ const EYE_DISTANCE: f64 = 4.0;
 const LIGHT_DISTANCE: f64 = 4.0;
 /// Radiant intensity of a light: a white surface that faces it shows about one half.
 pub(crate) const LIGHT_STRENGTH: f64 = 25.0;
-/// Half of the sector of azimuths, radians, in which no light of training stands, and lights far from those do.
+/// Half of the sector of azimuths, radians, without lights of training; the lights far from those are in it.
 const DARK_SECTOR: f64 = PI / 5.0;
 /// Lights near those of training are this far from one, radians.
 const NEAR: f64 = 0.1;
@@ -123,7 +123,7 @@ fn parts(look: Look, dice: &mut Dice) -> Vec<Part> {
                 pattern: Pattern::Plain,
                 medium: Some(Medium {
                     extinction: 16.0,
-                    // Of many turns, little colour makes much.
+                    // Light is scattered many times, so a little colour has a large effect.
                     albedo: base.colours[0].map(|c| 0.9 + 0.09 * c),
                 }),
                 ..base

@@ -381,7 +381,7 @@ mod tests {
                 patches: Vec::new(),
             },
         };
-        // Where nothing is absorbed, an even environment is all that is seen; where something is, less.
+        // Without absorption only a uniform environment is visible; with absorption it is darker.
         let seen = look(&even, 0.3);
         assert!(
             (seen.x - 0.8).abs() < 0.01 && seen.y < 0.75 && seen.z < seen.y,

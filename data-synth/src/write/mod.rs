@@ -29,7 +29,7 @@ impl Staging {
         })
     }
 
-    /// Where a file is written until it is done; its folder exists.
+    /// Temporary path of a file until it is complete; its folder exists.
     pub(crate) fn path(&self, relative: &str) -> Result<PathBuf, SynthError> {
         let path = self.staged.join(relative);
         if let Some(folder) = path.parent() {

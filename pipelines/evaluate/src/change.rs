@@ -13,8 +13,8 @@ const SEGMENT_M2: f64 = 30.0;
 /// Least mean difference of a segment, metres.
 const SEGMENT_M: f32 = 3.0;
 
-/// How well changes were found. Segments are connected cells (by their sides) that rose, or that fell, by more than 1
-/// m, of at least 30 m² and 3 m on average.
+/// Precision and recall of changes. Segments are connected cells (by their sides) that rose, or that fell, by more than
+/// 1 m, of at least 30 m² and 3 m on average.
 #[derive(Debug, Clone, Copy, PartialEq, serde::Serialize)]
 pub struct ChangeScore {
     /// Share of the found area that changed in truth; absent where nothing was found.
@@ -106,7 +106,7 @@ fn score(width: usize, found: &[f32], truth: &[f32], days: Option<(&[f32], &[f32
     }
 }
 
-/// The cells of segments that count, and how many segments they are.
+/// The cells of segments that count, and the number of segments.
 fn segments(width: usize, difference_m: &[f32], cell_m2: f64) -> (Vec<bool>, usize) {
     let mut seen = vec![false; difference_m.len()];
     let mut inside = vec![false; difference_m.len()];

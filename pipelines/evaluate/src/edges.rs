@@ -9,7 +9,7 @@ use heliosplat::Raster;
 
 /// Drop of the true surface from which on the side of a building is a wall, metres.
 const WALL_FROM_M: f32 = 2.0;
-/// Where the bands of distance end, metres; the last one has no end.
+/// Upper ends of the bands of distance, metres; the last one has no end.
 const ENDS_M: [f64; 2] = [1.5, 4.0];
 
 /// LAS classes of the ground: ground and roads.

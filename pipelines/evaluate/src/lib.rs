@@ -35,7 +35,7 @@ use std::path::{Path, PathBuf};
 /// Water in LAS classes.
 const WATER: f32 = 9.0;
 
-/// How a prediction is registered to the truth before it is measured.
+/// Registration of a prediction to the truth before it is measured.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, serde::Serialize, serde::Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Protocol {
@@ -66,7 +66,7 @@ impl Protocol {
     }
 }
 
-/// Why two rasters cannot be compared.
+/// Reason why two rasters cannot be compared.
 #[derive(Debug, thiserror::Error)]
 pub enum EvaluateError {
     /// A raster that cannot be read or placed.

@@ -30,7 +30,7 @@ pub struct RelitPair<'a> {
     pub true_shadow: &'a Raster,
 }
 
-/// How well one sun is met.
+/// Scores of one sun.
 #[derive(Debug, Clone, Copy, PartialEq, serde::Serialize, serde::Deserialize)]
 pub struct RelitScore {
     /// PSNR of all bands after the one gain and offset per band, dB.

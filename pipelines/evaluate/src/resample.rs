@@ -5,7 +5,7 @@ use heliosplat_grid::bilinear_to_the_edge;
 use heliosplat_raster::{CrsTransform, GeoRaster, RasterError};
 use rayon::prelude::*;
 
-/// Where the cell centres of a target grid lie in a source raster.
+/// Positions of a target grid's cell centres in a source raster.
 pub struct Placement<'a> {
     source: &'a Raster,
     width: usize,

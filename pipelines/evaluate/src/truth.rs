@@ -22,7 +22,7 @@ pub(super) fn read(
     };
     if crs.is_none() {
         warnings.push(format!(
-            "{}: says no coordinate system; taken to be in the prediction's",
+            "{}: has no coordinate system; that of the prediction is assumed",
             path.display()
         ));
     }

@@ -6,7 +6,7 @@ use std::fmt::Write;
 
 /// Groups of cells of about equal size, from the smallest standard deviations to the largest.
 const GROUPS: usize = 10;
-/// Fewer cells than this are too few for statistics.
+/// Fewest cells for statistics.
 const FEWEST: usize = 100;
 
 /// `dsm.uncertainty` of `metrics.json`.

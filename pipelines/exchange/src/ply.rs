@@ -54,7 +54,7 @@ impl<'a> Rows<'a> {
             .lines()
             .find_map(|line| line.strip_prefix("element vertex "))
             .and_then(|n| n.trim().parse().ok())
-            .ok_or("it does not say how many Gaussians it holds")?;
+            .ok_or("it does not state its number of Gaussians")?;
         let columns = header
             .lines()
             .filter_map(|line| line.strip_prefix("property "))

@@ -10,7 +10,7 @@ use std::collections::BTreeMap;
 /// Name of the groups of spherical harmonics, by degree.
 const HARMONICS: &str = "sh_";
 
-/// Where a column of the file stands in the table.
+/// Place of a column of the file in the table.
 struct Column {
     name: String,
     group: usize,

@@ -76,7 +76,7 @@ impl Tile {
     }
 }
 
-/// Who made a tileset, as its `asset.generator` states it.
+/// Generator of a tileset, its `asset.generator`.
 pub const GENERATOR: &str = concat!("heliosplat ", env!("CARGO_PKG_VERSION"));
 
 /// Contents of the tiles.
@@ -181,7 +181,7 @@ impl Tile {
     }
 }
 
-/// How often so many are quartered until they are few enough.
+/// Number of divisions into quarters until the tiles are small enough.
 fn levels_above(count: usize, most: usize) -> usize {
     match count > most {
         true => 1 + levels_above(count.div_ceil(4), most),

@@ -49,7 +49,7 @@ impl Budget {
     }
 }
 
-/// How long a step takes, over the last epochs: steps that trace light take longer than those that do not.
+/// Time of a step, over the last epochs: steps that trace light take longer than others.
 #[derive(Debug)]
 pub struct Pace {
     last: VecDeque<f64>,
@@ -57,7 +57,7 @@ pub struct Pace {
 }
 
 impl Pace {
-    /// Of a training on `views` views.
+    /// The pace of a training on `views` views.
     pub fn new(views: usize) -> Self {
         Self {
             last: VecDeque::new(),

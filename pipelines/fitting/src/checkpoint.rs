@@ -27,7 +27,7 @@ const SPARING: u32 = 20;
 /// Name of the folder in a run, and of the file in it.
 const PLACE: [&str; 2] = ["checkpoint", "training.bin"];
 
-/// Why a checkpoint cannot be used, or not be written.
+/// Reason why a checkpoint cannot be used or written.
 #[derive(Debug, thiserror::Error)]
 pub enum CheckpointError {
     /// A file that is none, or not whole.
@@ -38,7 +38,7 @@ pub enum CheckpointError {
         /// The fault.
         reason: String,
     },
-    /// Of another training.
+    /// The checkpoint is of another training.
     #[error("{}: it is of another training ({difference}); give the same settings, or --overwrite to begin anew", path.display())]
     Other {
         /// The file.
@@ -87,7 +87,7 @@ pub struct LoadedCheckpoint<P> {
     pub trainer: TrainerState<'static>,
 }
 
-/// Where a run's checkpoint is.
+/// Path of a run's checkpoint.
 pub fn path_in(run: &Path) -> PathBuf {
     run.join(PLACE[0]).join(PLACE[1])
 }
@@ -169,8 +169,8 @@ fn difference(then: &str, now: &str) -> Option<String> {
         return None;
     }
     let mut pairs = then.lines().zip(now.lines());
-    let said = pairs.find(|(a, b)| a != b);
-    let (then, now) = said.unwrap_or(("less or more of it", "as it is now"));
+    let different = pairs.find(|(a, b)| a != b);
+    let (then, now) = different.unwrap_or(("less or more of it", "as it is now"));
     let short = |text: &str| text.chars().take(120).collect::<String>();
     Some(format!("then: {}, now: {}", short(then), short(now)))
 }

@@ -1,4 +1,4 @@
-//! The curve of a training: its losses, and how good the model was, step by step.
+//! The curve of a training: its losses and the accuracy of the model, step by step.
 
 use std::collections::BTreeMap;
 
@@ -17,7 +17,7 @@ pub struct CurvePoint {
     pub accuracy: Option<Accuracy>,
 }
 
-/// How good a model is while it is trained.
+/// Accuracy of a model during training.
 #[derive(Debug, Clone, Copy, Default, PartialEq, serde::Serialize, serde::Deserialize)]
 pub struct Accuracy {
     /// Mean height error against truth, protocol `raw`, metres.

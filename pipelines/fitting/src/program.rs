@@ -1,4 +1,4 @@
-//! Which build of the program runs: part of the identity of runs, checkpoints and units of a batch.
+//! Build of the running program: part of the identity of runs, checkpoints and units of a batch.
 
 use heliosplat::train::STATE_VERSION;
 use sha2::{Digest, Sha256};

@@ -31,7 +31,7 @@ pub struct TrainRequest {
     pub out: PathBuf,
     /// Preset that the configuration started from.
     pub preset: Preset,
-    /// When the program began: the time budget counts from here.
+    /// Start of the program, from which the time budget counts.
     pub begun: Instant,
     /// The time that the run may take, products included.
     pub time_budget: Option<Duration>,
@@ -75,7 +75,7 @@ pub struct TrainedRun<M> {
     pub model: M,
     /// Its `metrics.json`.
     pub metrics: Value,
-    /// How training ended: a run whose training gave up is written all the same.
+    /// End of the training: a run whose training failed is written too.
     pub ending: Ending,
     /// The right to write into its folder, until its pages are written.
     pub lock: Lock,

@@ -70,7 +70,7 @@ const OF_A_RUN: [&str; 40] = [
 /// Folders of its pictures.
 const PICTURES: [&str; 2] = ["relit", "views"];
 
-/// Why a run cannot be read or written.
+/// Reason why a run cannot be read or written.
 #[derive(Debug, thiserror::Error)]
 pub enum RunError {
     /// There is no such run.
@@ -211,7 +211,7 @@ fn remove_earlier(folder: &Path) -> Result<(), RunError> {
                 remove(&picture.path())?;
             }
         }
-        // It stays where the user keeps something in it.
+        // The folder stays where the user keeps other files in it.
         let _ = std::fs::remove_dir(&pictures);
     }
     Ok(())
@@ -276,7 +276,7 @@ pub fn create_folder(path: &Path) -> Result<(), RunError> {
     })
 }
 
-/// Which training is to begin.
+/// The training to begin.
 #[derive(Debug, Clone, Copy)]
 pub struct RunRequest<'a> {
     /// The user's request.
@@ -289,13 +289,13 @@ pub struct RunRequest<'a> {
 
 /// A folder in which a training begins or goes on; `P` is what a pipeline computes once before training starts.
 pub struct RunFolder<'a, P> {
-    /// When the training began, pauses not counted.
+    /// Start of the training, pauses not counted.
     pub begun: Instant,
     /// The time left to it.
     pub budget: Option<Budget>,
     /// Writes its checkpoints.
     pub checkpoints: CheckpointWriter<'a, P>,
-    /// Where it goes on from.
+    /// The checkpoint to continue from.
     pub checkpoint: Option<LoadedCheckpoint<P>>,
     /// Data for the end of the training.
     pub closing: Closing<'a>,

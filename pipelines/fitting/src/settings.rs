@@ -1,6 +1,6 @@
 //! Settings in layers: the defaults of a configuration, then the text of a preset, then the user's settings.
 
-/// Why a configuration cannot be used.
+/// Reason why a configuration cannot be used.
 #[derive(Debug, thiserror::Error)]
 pub enum ConfigError {
     /// A preset file that does not parse (a fault of the program, not of the user).

@@ -11,7 +11,7 @@ use serde::Serialize;
 use std::path::{Path, PathBuf};
 use std::time::Instant;
 
-/// Why a training came to nothing.
+/// Reason why a training failed.
 #[derive(Debug, thiserror::Error)]
 pub enum TrainingError {
     /// The trainer gave up before there was a model worth keeping.
@@ -44,7 +44,7 @@ const CURVE_EVERY: usize = 25;
 /// Approximate number of its points with an accuracy.
 const PROBES: usize = 12;
 
-/// How a fit that has a model to show ended.
+/// End of a fit with a model.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub enum Ending {
     /// As it should.
@@ -77,7 +77,7 @@ impl Ending {
 pub struct Trained {
     /// The best parameters.
     pub parameters: Parameters,
-    /// How many steps were taken, and which was the best.
+    /// Number of steps taken, and the best one.
     pub early_stop: EarlyStop,
     /// Steps rejected because of a number that is not finite.
     pub rejected: usize,
@@ -85,7 +85,7 @@ pub struct Trained {
     pub curve: Vec<CurvePoint>,
     /// The training views; held-out pixels have weight zero.
     pub views: Vec<View>,
-    /// How training ended.
+    /// End of the training.
     pub ending: Ending,
 }
 

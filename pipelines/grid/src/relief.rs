@@ -121,19 +121,18 @@ impl Relief {
         cells.iter().map(|&cell| self.horizon(cell, toward)).collect()
     }
 
-    /// Tangent of the highest elevation at which the surface stands against the sky in a direction; at least that of
-    /// the lowest elevation that matters.
+    /// Tangent of the elevation of the horizon in a direction; at least that of the lowest elevation that matters.
     pub fn horizon(&self, cell: usize, toward: &Toward) -> f32 {
         self.walk(cell, toward, false)
     }
 
-    /// Whether a cell is in the shadow of a sun that stands in a direction at the lowest elevation that matters;
-    /// `false` where its height is unknown.
+    /// Whether a cell is in the shadow of a sun in a direction at the lowest elevation that matters; `false` where its
+    /// height is unknown.
     pub fn is_shaded(&self, cell: usize, toward: &Toward) -> bool {
         self.is_known(cell) && self.walk(cell, toward, true) > toward.least
     }
 
-    /// Which cells are in the shadow of a sun, azimuth as in [`Toward::new`] and elevation in degrees.
+    /// The cells in the shadow of a sun, azimuth as in [`Toward::new`] and elevation in degrees.
     pub fn shadows(&self, azimuth_deg: f64, elevation_deg: f64) -> Vec<bool> {
         let toward = Toward::new(azimuth_deg, elevation_deg);
         let cells = (0..self.altitude.len()).into_par_iter().with_min_len(self.width.max(1));
@@ -186,7 +185,7 @@ impl Relief {
         } else {
             (c0 + (r0 + 1).min(self.height - 1) * self.width, fr)
         };
-        // Nothing is known to stand where one of the two is unknown.
+        // Unknown cells do not block the ray.
         let other = self.altitude[next];
         let altitude = if share == 0.0 {
             first

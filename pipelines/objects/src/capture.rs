@@ -47,7 +47,7 @@ pub struct Capture {
     pub source: PathBuf,
     /// The images, in the order of their lists.
     pub frames: Vec<Frame>,
-    /// Where the cameras look, in their frame: the origin of the model's.
+    /// Centre of the cameras' views, in their frame: the origin of the model's.
     pub centre: DVec3,
     /// Half of the side of the cube that cameras see, in their units.
     pub half_size: f64,
@@ -331,7 +331,7 @@ mod tests {
         write(folder.path(), "transforms_train.json", &list(9));
         write(folder.path(), "transforms_val.json", &list(3));
         assert_eq!((count(Split::Train), count(Split::Test)), (9, 3));
-        // Where there are images to test with, those to validate with are left alone.
+        // Images for validation are ignored where there are images for testing.
         write(folder.path(), "transforms_test.json", &list(5));
         assert_eq!((count(Split::Train), count(Split::Test)), (9, 5));
     }

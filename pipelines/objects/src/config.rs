@@ -4,7 +4,7 @@ use heliosplat::optim::DensityOptions;
 use heliosplat::train::TrainOptions;
 use heliosplat_fitting::settings::{ConfigError, Preset, resolve};
 
-/// How Gaussians start.
+/// Initial Gaussians.
 #[derive(Debug, Clone, PartialEq, serde::Serialize, serde::Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct StartOptions {
@@ -30,7 +30,7 @@ pub enum Background {
     Black,
 }
 
-/// Which model explains the images.
+/// Kind of model.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum ModelKind {

@@ -63,7 +63,7 @@ impl CaptureError {
     }
 }
 
-/// Why a capture did not become a run, or a run could not be measured.
+/// Reason why a capture did not become a run, or a run could not be measured.
 #[derive(Debug, thiserror::Error)]
 pub enum ObjectError {
     /// The capture.
@@ -80,11 +80,11 @@ pub enum ObjectError {
         "--memory: the images leave no room for {gaussians} Gaussians; give {needed_gib:.2}GiB or more, or fewer with --set start.gaussians={most}"
     )]
     Memory {
-        /// How many there should be.
+        /// Gaussians requested.
         gaussians: usize,
         /// Sufficient memory, GiB.
         needed_gib: f64,
-        /// How many there is room for.
+        /// Gaussians that fit.
         most: usize,
     },
     /// The course of a training.

@@ -32,7 +32,7 @@ const STRIDE: usize = 16;
 pub fn baked(model: &ObjectModel, light: Option<Light>) -> Result<Table, String> {
     let kind = match light {
         None if matches!(model.file.kind, Kind::Olat(_)) => {
-            return Err("a model of one light at a time shows nothing without one; say --light or --toward".into());
+            return Err("a model of one light at a time needs a light; give --light or --toward".into());
         }
         None => model.file.kind.clone(),
         Some(_) => {

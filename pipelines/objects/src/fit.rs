@@ -24,9 +24,9 @@ pub struct Fitted {
     pub model: ObjectModel,
     /// The fitted model and the reasons for it.
     pub plan: Plan,
-    /// How Gaussians started, in words.
+    /// Initialisation of the Gaussians, in words.
     pub start: &'static str,
-    /// How many did.
+    /// Initial number of Gaussians.
     pub started: usize,
     /// Steps done.
     pub iterations: usize,
@@ -36,7 +36,7 @@ pub struct Fitted {
     pub seconds: [f64; 2],
     /// The course of training.
     pub curve: Vec<CurvePoint>,
-    /// How training ended.
+    /// End of the training.
     pub ending: Ending,
 }
 

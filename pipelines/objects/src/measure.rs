@@ -58,8 +58,7 @@ pub fn is_linear(model: &ObjectModel) -> bool {
     model.file.encoding == Encoding::Linear || model.file.preparation.linear
 }
 
-/// Tells how well a model in training shows some of the images held out, which `file` describes; `None` without such
-/// images.
+/// Scores a model in training on some of the images held out; `file` describes the model. `None` without such images.
 pub(super) fn psnr_probe(capture: &Capture, file: ObjectFile) -> Option<Box<Probe<'_>>> {
     let held_out: Vec<&Frame> = capture.of(Split::Test).collect();
     let step = held_out.len().div_ceil(PROBED).max(1);

@@ -90,7 +90,7 @@ impl Mesh {
         out
     }
 
-    /// For each corner, one that stands for all that hang together with it.
+    /// For each corner, the representative of its connected component.
     fn pieces(&self) -> Vec<usize> {
         fn root(parent: &mut [usize], mut corner: usize) -> usize {
             while parent[corner] != corner {
@@ -226,7 +226,7 @@ impl Grid {
         });
     }
 
-    /// Where the mean distance is zero.
+    /// The surface at which the mean distance is zero.
     fn surface(&self) -> Mesh {
         let shape = RuntimeShape::<u32, 3>::new(self.size.map(|side| side as u32));
         let mut distances: Vec<f32> = self

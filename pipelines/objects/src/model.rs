@@ -140,7 +140,7 @@ pub struct ObjectFile {
     pub encoding: Encoding,
     /// Conversion of images to training data.
     pub preparation: Preparation,
-    /// How Gaussians become splats.
+    /// Projection of Gaussians to splats.
     pub projection: ProjectionOptions,
     /// The images.
     pub images: Vec<ObjectImage>,
@@ -197,7 +197,7 @@ impl ObjectModel {
             ..PassOptions::default()
         };
         let maps = render(model, &self.parameters, &camera, None, None, options).maps;
-        // Behind three colours stand the model's own normals, or those of the Gaussians.
+        // The first three channels are colours, followed by the model's own normals or those of the Gaussians.
         let mut out = Raster::filled(camera.width, camera.height, 3, 0.0);
         for i in 0..out.plane_len() {
             let n = [3, 4, 5].map(|k| maps.channels[k][i]);

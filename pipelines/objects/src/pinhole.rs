@@ -9,7 +9,7 @@ const FARTHEST: f64 = 1e6;
 /// A pinhole camera in the capture's own frame and units; pixel centres at integers.
 #[derive(Debug, Clone, Copy, PartialEq, serde::Serialize, serde::Deserialize)]
 pub struct Pinhole {
-    /// Where it stands.
+    /// Its position.
     pub eye: DVec3,
     /// Unit vector along columns.
     pub right: DVec3,

@@ -8,7 +8,7 @@ use std::path::Path;
 /// The longest side that is read, pixels.
 const LONGEST_SIDE: u32 = 16_384;
 
-/// How values stand for light.
+/// Encoding of light in values.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Encoding {

@@ -46,7 +46,7 @@ pub struct Plan {
     pub kind: ModelKind,
     /// Its parts.
     pub parts: Parts,
-    /// Why, in words.
+    /// The reason, in words.
     pub reason: String,
     /// The short fits that decided.
     pub trials: Vec<Trial>,
@@ -130,12 +130,12 @@ pub fn plan(capture: &Capture, config: &ObjectConfig, session: &Session) -> Resu
         ModelKind::Auto if lamps => (ModelKind::Olat, ModelKind::Olat),
         ModelKind::Auto => (ModelKind::Radiance, ModelKind::Reflective),
         ModelKind::Olat => (ModelKind::Olat, ModelKind::Olat),
-        told => {
+        kind => {
             let parts = Parts {
                 specular: config.model.specular,
                 ..Parts::default()
             };
-            return Ok(untried(told, parts, "as told"));
+            return Ok(untried(kind, parts, "as configured"));
         }
     };
     let olat = dull == ModelKind::Olat;

@@ -38,11 +38,11 @@ pub struct Seed {
 /// Gaussians at the start.
 #[derive(Debug, Clone)]
 pub struct Start {
-    /// Where they are.
+    /// Initial positions.
     pub seeds: Vec<Seed>,
     /// Standard deviation of each.
     pub spread: f32,
-    /// How they were found, in words.
+    /// The method, in words.
     pub how: &'static str,
 }
 
@@ -65,7 +65,7 @@ impl Sight<'_> {
     }
 }
 
-/// Where Gaussians start, for a cube of half side `half_size` around `centre`.
+/// Initial positions of Gaussians, for a cube of half side `half_size` around `centre`.
 pub fn start(frames: &[&Frame], centre: DVec3, half_size: f64, options: &StartOptions, seed: u64) -> Start {
     let sights: Vec<Sight> = frames
         .iter()

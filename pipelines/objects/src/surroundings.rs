@@ -17,7 +17,7 @@ use std::path::Path;
 /// A lamp and its colour, relative to a lamp of strength one.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Lamp {
-    /// Where it is.
+    /// Its direction or position.
     pub light: Light,
     /// Red, green and blue.
     pub colour: [f32; 3],
@@ -32,16 +32,16 @@ pub fn read(path: &Path) -> Result<Raster, CaptureError> {
     let picture = pixels::read(path)?;
     let mut light = picture.colour;
     for value in &mut light.values {
-        let told = if value.is_finite() { value.max(0.0) } else { 0.0 };
+        let radiance = if value.is_finite() { value.max(0.0) } else { 0.0 };
         *value = match picture.encoding {
-            Encoding::Display => display::decode(told),
-            Encoding::Linear => told,
+            Encoding::Display => display::decode(radiance),
+            Encoding::Linear => radiance,
         };
     }
     Ok(light)
 }
 
-/// Where light that falls on a place in the image comes from.
+/// Direction of the light at a position in the image.
 fn direction(col: f64, row: f64, width: usize, height: usize) -> DVec3 {
     let (azimuth, down) = (PI - 2.0 * PI * col / width as f64, PI * row / height as f64);
     DVec3::new(down.sin() * azimuth.cos(), down.sin() * azimuth.sin(), down.cos())

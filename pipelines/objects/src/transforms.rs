@@ -15,7 +15,7 @@ use std::path::{Component, Path, PathBuf};
 /// Most images of a capture.
 const MOST_FRAMES: usize = 100_000;
 
-/// Where a frame's intrinsics are taken from, before the size of its image is known.
+/// Source of a frame's intrinsics, before the size of its image is known.
 #[derive(Debug, Clone, Copy, PartialEq)]
 enum Intrinsics {
     /// Focal lengths and principal point, pixels with corners at integers.
@@ -30,7 +30,7 @@ enum Intrinsics {
 /// A point light of a frame.
 #[derive(Debug, Clone, Copy, PartialEq, serde::Serialize, serde::Deserialize)]
 pub struct PointLight {
-    /// Where it is, in the frame of the cameras.
+    /// Its position in the frame of the cameras.
     pub position: DVec3,
     /// Its intensity per colour, in the capture's own units; `None` where the files do not state it.
     pub intensity: Option<[f64; 3]>,
@@ -95,7 +95,7 @@ pub fn read(path: &Path) -> Result<Vec<FrameSpec>, CaptureError> {
 /// As [`read`].
 pub fn parse(path: &Path, text: &[u8]) -> Result<Vec<FrameSpec>, CaptureError> {
     let value: Value = serde_json::from_slice(text).map_err(|error| {
-        let remedy = "write the file anew; JSON knows no NaN and no infinity";
+        let remedy = "write the file anew; JSON has no NaN and no infinity";
         CaptureError::file(path, format!("it is not JSON ({error})"), remedy)
     })?;
     let folder = path.parent().unwrap_or(Path::new("."));
@@ -251,7 +251,7 @@ impl<'a> Reader<'a> {
         Err(format!("there is no image {written} (nor with .png, .exr or .jpg)"))
     }
 
-    /// Those of the frame, else those of the whole file.
+    /// Intrinsics of the frame, else of the whole file.
     fn intrinsics(&self, frame: &Object) -> Result<Intrinsics, String> {
         for from in [frame, self.top] {
             if let Some(value) = from.get("camera_intrinsics").filter(|v| !v.is_null()) {

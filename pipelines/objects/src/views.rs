@@ -17,8 +17,8 @@ const SAME_COLOUR: f32 = 0.02;
 /// Background of the images of `capture`, and the reason.
 pub fn background(capture: &Capture, wanted: Background) -> ([f32; 3], &'static str) {
     match wanted {
-        Background::White => ([1.0; 3], "as told"),
-        Background::Black => ([0.0; 3], "as told"),
+        Background::White => ([1.0; 3], "as configured"),
+        Background::Black => ([0.0; 3], "as configured"),
         Background::Auto if capture.has_coverage() => {
             let linear = capture.frames.iter().any(|f| f.picture.encoding == Encoding::Linear);
             if linear {

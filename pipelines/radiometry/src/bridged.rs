@@ -28,7 +28,7 @@ const LEAST_BESIDE_M: f32 = 2.0;
 const STEP_M: f32 = 3.0;
 /// Least ground of a part, m².
 const LEAST_M2: f32 = 15.0;
-/// As far as shadows are followed, metres.
+/// Longest shadow that is followed, metres.
 const REACH_M: f32 = 60.0;
 /// Least contrast of lit and shaded dates on the lowered part, a natural logarithm: direct light is at least as strong
 /// as that of the sky.
@@ -60,7 +60,7 @@ const STRIDE: usize = 5;
 /// The parts of a surface that were lowered.
 #[derive(Debug, Clone, Copy, PartialEq, Default, serde::Serialize, serde::Deserialize)]
 pub struct Lowered {
-    /// How many parts.
+    /// Number of parts.
     pub parts: usize,
     /// Their ground, m².
     pub area_m2: f64,
@@ -200,7 +200,7 @@ fn parts(grid: &Grid, surface: &Surface, ground_m: &[f32], changes: &Changes) ->
     };
     let least = (LEAST_M2 / (grid.cell_m * grid.cell_m)).ceil() as usize;
     let groups = grid.connected(&mask).into_iter().filter(|cells| cells.len() >= least);
-    // Of a part that changed nothing may be left.
+    // Nothing may remain of a part in a changed segment.
     groups.map(whole).filter(|part| !part.is_empty()).collect()
 }
 

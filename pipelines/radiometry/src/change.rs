@@ -22,10 +22,10 @@ use std::collections::BTreeSet;
 const CLASSES: usize = 12;
 /// Natural logarithm of brightness from which on darker is in the last class, and brighter in the first.
 const DARKEST: f32 = 1.5;
-/// How far a sun may be too high and a cell that it lights still count as lit, degrees: edges of surfaces are ramps.
+/// Tolerance of the elevation up to which a cell counts as lit, degrees: edges of surfaces are ramps.
 const DOUBT_DEG: f64 = 3.0;
-/// Cells whose darkness is as good as one independent one: a patch of dark ground has a size. Twice as many accepted
-/// patterns that repeat, such as rows of trees, for buildings (docs/lab/change.md).
+/// Number of cells whose darkness amounts to one independent observation: a patch of dark ground has a size. With twice
+/// as many, repeating patterns such as rows of trees were accepted as buildings (docs/lab/change.md).
 const CELLS_OF_ONE: f32 = 2.5;
 /// Most evidence of one date, as a logarithm of likelihood.
 const MOST_OF_DATE: f32 = 16.0;
@@ -60,7 +60,7 @@ struct Shadows {
 }
 
 impl Shadows {
-    /// Of views taken on `days`, on a surface of `altitude_m` in the cells of a grid.
+    /// The evidence of views taken on `days`, on a surface of `altitude_m` in the cells of a grid.
     fn new(views: &[SweepView], days: &[i32], grid: &Grid, altitude_m: &[f32]) -> Self {
         let surface = Surface {
             width: grid.width,

@@ -27,7 +27,7 @@ const COVERED: f32 = 0.9;
 const SOLID: f32 = 0.99;
 /// Most brightness of a place in shadow relative to sunlit; brighter places were not in the shadow.
 const SHADE_MAX: f32 = 0.6;
-/// Share of the pairs of an image among which its shade is looked for: the narrowest range that holds so many.
+/// Share of the pairs of an image that its shade is estimated from: the narrowest range with so many.
 const SHADE_SHARE: f64 = 0.3;
 /// Fewest pairs for the shade of an image.
 const FEWEST_SHADED: usize = 50;
@@ -226,7 +226,7 @@ struct Colour {
     offset: f32,
 }
 
-/// Of each view and band.
+/// The colours of each view and band.
 fn colours(model: &ShadowGs, shown: &[Vec<Sample>], views: &[View]) -> Vec<Vec<Colour>> {
     let reference = views
         .iter()
@@ -250,7 +250,7 @@ struct Shown<'a> {
     views: &'a [View],
     samples: Vec<Vec<Sample>>,
     colours: Vec<Vec<Colour>>,
-    /// Of each band and Gaussian the median of one half and of the other half of the views that show it in the sun.
+    /// Medians of two halves of the views that show a Gaussian in the sun, by band and Gaussian.
     lit: Vec<Vec<Option<[f32; 2]>>>,
 }
 
@@ -300,7 +300,7 @@ impl Shown<'_> {
         let count = self.samples.first().map_or(0, Vec::len);
         let medians = |g: usize| {
             let mut lit = [Vec::new(), Vec::new()];
-            // Which half has more views alternates.
+            // The larger half alternates.
             let mut half = g % 2;
             for view in (0..self.views.len()).filter(|&view| self.samples[view][g].lit) {
                 if let Some(value) = self.value(view, g, k) {

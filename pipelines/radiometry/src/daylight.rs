@@ -1,5 +1,5 @@
-//! How bright sunlit and shaded level ground is under any sun, in counts of the reference image, as fitted to the
-//! images of a run.
+//! Brightness of sunlit and shaded level ground under any sun, in counts of the reference image, fitted to the images
+//! of a run.
 
 mod air;
 
@@ -57,7 +57,7 @@ impl Daylight {
         let [low, high] = self.suns_rad.map(f64::to_degrees);
         let decided: f64 = self.images_decide.iter().sum::<f64>() / self.air.len().max(1) as f64;
         let mut text = format!(
-            "light of day, per band: optical depth {}, shadows under the sun of the reference image {} of sunlit ground; suns from {low:.0} to {high:.0} degrees decide {:.0} % of it",
+            "light of day, per band: optical depth {}, shadows under the sun of the reference image {} of sunlit ground; {:.0} % of it from suns at {low:.0} to {high:.0} degrees",
             list(&|k| self.air[k].optical_depth),
             list(&|k| self.shade(k, self.reference_elevation_rad)),
             100.0 * decided

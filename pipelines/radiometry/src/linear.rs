@@ -374,7 +374,7 @@ mod tests {
             ..ShadowGsOptions::default()
         });
         let mut right = ground(&model);
-        // Of the second image: band by band another gain, and an offset.
+        // The second image has another gain in each band, and an offset.
         right.globals.group_mut(COLOUR)[9..18].copy_from_slice(&[0.9, 0.0, 0.0, 0.0, 1.1, 0.0, 0.0, 0.0, 1.0]);
         right.globals.group_mut(OFFSET)[3..6].fill(0.02);
         let half = 0.25 * SIDE as f64;

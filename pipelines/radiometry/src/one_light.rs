@@ -38,7 +38,7 @@ const SHADED: f32 = 0.5;
 const SUNLIT: f32 = 0.5;
 /// Ground left out along the border of a shadow, metres.
 const MARGIN_M: f64 = 1.0;
-/// How far from it sunlit ground is compared with shaded ground, metres.
+/// Largest distance between shaded ground and the sunlit ground it is compared with, metres.
 const REACH_M: f64 = 6.0;
 /// Steepest level ground, metres of altitude for each metre.
 const LEVEL: f32 = 0.35;
@@ -60,7 +60,7 @@ const FULL_SUN: f32 = 0.9;
 
 /// The one light of all images.
 pub struct OneLight {
-    /// Of each image, in the order of their colours.
+    /// The light of each image, in the order of their colours.
     lights: Vec<Light>,
     reference: usize,
     elevation_rad: f64,
@@ -207,7 +207,7 @@ struct Ground {
 struct Place {
     shaded: Vec<f32>,
     sunlit: Vec<f32>,
-    /// Of the shaded place, and of the sunlit ground in the mean.
+    /// Share of the sun at the shaded place, and the mean over the sunlit ground.
     visibility: [f32; 2],
 }
 
@@ -222,7 +222,7 @@ impl Ground {
         (row - reach..=row + reach).all(|r| (col - reach..=col + reach).all(|c| test(r * width + c)))
     }
 
-    /// Which pixels are level ground whose light, and that of the pixels around, satisfies `lit`.
+    /// Mask of level ground on which the light, also that of the pixels around, satisfies `lit`.
     fn level(&self, lit: impl Fn(f32) -> bool + Sync) -> Vec<bool> {
         let margin = (MARGIN_M / self.gsd_m).round().max(1.0) as usize;
         let step_m = LEVEL * 2.0 * self.gsd_m as f32;

@@ -24,8 +24,8 @@ const STEPS: usize = 128;
 const DOUBT: f32 = 0.25;
 /// Least distance between the logarithms of lit and dark brightness: with less there is no shadow.
 const LEAST_CONTRAST: f32 = 0.5;
-/// How far below the line to the sun, metres, a thing may end and still count as throwing the shadow: edges of the
-/// initial surface are rough.
+/// Distance below the line to the sun, metres, within which an occluder still counts: edges of the initial surface are
+/// rough.
 const SLACK_M: f32 = 1.5;
 /// Rounds in which a ray finds the surface.
 const ROUNDS: usize = 8;
@@ -33,13 +33,13 @@ const ROUNDS: usize = 8;
 /// Views from which on images need no prior, since they determine the shadows.
 pub const ENOUGH_VIEWS: usize = 8;
 
-/// Why a mask cannot be used.
+/// Reason why a mask cannot be used.
 #[derive(Debug, thiserror::Error)]
 pub enum MaskError {
     /// A file that is missing or damaged.
     #[error("model.shadow_masks: {0}")]
     File(#[from] RasterError),
-    /// A mask that does not lie on its image.
+    /// A mask of another size than its image.
     #[error(
         "model.shadow_masks: {path} has {mask_px:?} pixels and its image {image_px:?}; a mask covers its image: 1 where it is lit, 0 in shadow"
     )]
@@ -48,7 +48,7 @@ pub enum MaskError {
         path: PathBuf,
         /// Its columns and rows.
         mask_px: (usize, usize),
-        /// Those of its image.
+        /// Columns and rows of its image.
         image_px: (usize, usize),
     },
 }
@@ -129,8 +129,8 @@ fn otsu(values: &[f32]) -> Option<f32> {
     let total: f64 = histogram.iter().sum();
     let sum: f64 = histogram.iter().enumerate().map(|(step, n)| step as f64 * n).sum();
     let (mut below, mut sum_below) = (0.0, 0.0);
-    // The greatest variance, the first and the last step that have it (nothing lies between them), and how far apart
-    // the classes are.
+    // The greatest variance, the first and the last step with it (no value is between them), and the distance of the
+    // classes.
     let (mut most, mut steps, mut apart) = (0.0, (0, 0), 0.0);
     for (step, n) in histogram.iter().enumerate() {
         below += n;
@@ -151,7 +151,7 @@ fn otsu(values: &[f32]) -> Option<f32> {
     (apart as f32 / scale > LEAST_CONTRAST).then(|| low + middle / scale)
 }
 
-/// Where the ray of a pixel meets the surface, roughly.
+/// Approximate intersection of a pixel's ray with the surface.
 fn met(camera: &ProjectiveCamera, surface: &Surface, col: f32, row: f32, top_m: f32) -> Option<Vec3> {
     let mut z = top_m;
     for _ in 0..ROUNDS {

@@ -41,7 +41,7 @@ const APART_DEG: f64 = 15.0;
 /// Largest declination that is searched, degrees: the inclination of the Earth's axis, and two degrees for the error of
 /// an estimate.
 const DECLINATION_MAX_DEG: f64 = 23.44 + 2.0;
-/// How far a sun of another date may be too high, degrees, and a cell that it lights still count as lit.
+/// Tolerance of the elevation of another date's sun up to which a cell counts as lit, degrees.
 const DOUBT_DEG: f64 = 3.0;
 /// Searches of the whole sky, each with the suns of the one before.
 const ROUNDS: usize = 6;
@@ -73,7 +73,7 @@ pub struct ShadowSun {
     pub sigma_deg: f64,
     /// Correlation between cast shadow and darkness, 0 to 1.
     pub score: f64,
-    /// By how many standard deviations the score beats that of the best sun elsewhere in the sky.
+    /// Difference of the score to that of the best sun elsewhere in the sky, standard deviations.
     pub margin: f64,
     /// Whether the shadows are those of a model's surface, which is sharper than a swept one.
     #[serde(default)]
@@ -123,7 +123,7 @@ pub fn find_suns(
     let mut samples: Vec<Vec<Sample>> = Vec::new();
     let mut sky: Vec<Option<Sky>> = Vec::new();
     for round in 0..ROUNDS {
-        // Where each view is lit, as far as its sun is known or was found in the round before.
+        // Cells lit in each view, where its sun is known or was found in the round before.
         let lit: Vec<Option<Vec<bool>>> = views
             .iter()
             .map(|view| {
@@ -200,7 +200,7 @@ impl Horizons {
         }
     }
 
-    /// Which cells a sun surely lights: also one that stands a step of the search further left or right, and lower by
+    /// Cells that a sun certainly lights: also after a change by a step of the search to either side, and down by
     /// [`DOUBT_DEG`].
     fn lit(&self, [azimuth_deg, elevation_deg]: [f64; 2]) -> Vec<bool> {
         let step = (azimuth_deg.rem_euclid(360.0) / COARSE_DEG[0]).round() as usize % self.tangents.len();

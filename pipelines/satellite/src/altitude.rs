@@ -112,7 +112,7 @@ pub fn resolve(index: &Index, options: &IngestOptions) -> Result<IngestOptions, 
 fn find(cameras: &SceneCameras) -> Result<Option<(f64, f64)>, SceneError> {
     let bound_m = cameras.range.limits_m();
     let mut pairs = pairs(cameras, bound_m)?;
-    // Where nothing is found on the coarsest images, their texture may be finer.
+    // Without a result on the coarsest images, finer ones are tried, whose texture may match.
     for finer in [1, 2, 4] {
         let Some(span) = search(cameras, &mut pairs, bound_m, 0, finer)? else {
             continue;
@@ -146,7 +146,7 @@ struct Pair {
     gsd_m: f64,
     /// Of the second.
     other_gsd_m: f64,
-    /// How far the second image is off across the epipolar lines, pixels of the first.
+    /// Offset of the second image across the epipolar lines, pixels of the first.
     across_px: f64,
     /// Pixels averaged into one at the first search, each way.
     factor: usize,
@@ -239,15 +239,15 @@ fn search(
     if altitudes_m.len() < FEWEST_TIES || (altitudes_m.len() as f64) < LEAST_AGREEING * matched as f64 {
         return Ok(None);
     }
-    let told = found.iter().filter(|ties| !ties.altitudes_m.is_empty());
-    let step_m = told.map(|ties| ties.step_m).fold(0.0, f64::max);
+    let with_ties = found.iter().filter(|ties| !ties.altitudes_m.is_empty());
+    let step_m = with_ties.map(|ties| ties.step_m).fold(0.0, f64::max);
     let low_m = quantile(&mut altitudes_m, TAIL);
     let high_m = quantile(&mut altitudes_m, 1.0 - TAIL);
     Ok(low_m.zip(high_m).map(|(low_m, high_m)| Span { low_m, high_m, step_m }))
 }
 
-/// How many pixels of two images are averaged into one, each way, so that both have about the resolution that `factor`
-/// gives the coarser one; images of like resolution have one factor.
+/// Number of pixels averaged into one, each way, for each of two images, so that both have about the resolution of the
+/// coarser one after `factor`; images of like resolution have one factor.
 fn factors_alike(factor: usize, gsds_m: [f64; 2]) -> [usize; 2] {
     let coarser_m = gsds_m[0].max(gsds_m[1]);
     let ratio = |gsd_m: f64| coarser_m / gsd_m;

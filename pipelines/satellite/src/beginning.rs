@@ -34,7 +34,7 @@ pub(super) struct Beginning {
 }
 
 impl Beginning {
-    /// Of the images of `ground` under `suns`, on the surface that was `found`.
+    /// The initial state for the images of `ground` under `suns`, on the surface `found`.
     ///
     /// # Errors
     /// [`SatelliteError`] when a user's shadow mask cannot be read.
@@ -86,7 +86,7 @@ pub(super) fn keep_known_suns(views: &mut Vec<View>) {
     views.retain(|view| view.light.is_some());
 }
 
-/// How a model of so many views of `scene` is trained.
+/// Training options of a model with so many views of `scene`.
 pub(super) fn train_options(config: &SatelliteConfig, scene: &Scene, views: usize) -> TrainOptions {
     TrainOptions {
         gsd_m: scene.gsd_m as f32,
@@ -96,8 +96,8 @@ pub(super) fn train_options(config: &SatelliteConfig, scene: &Scene, views: usiz
     }
 }
 
-/// The image whose colour is the model's: the one under the highest sun, where least lies in shadow; without any sun
-/// the first.
+/// The image whose colour is the model's: the one under the highest sun, with the least ground in shadow; without any
+/// sun the first.
 fn reference(suns: &[ImageSun]) -> usize {
     let elevation = |i: usize| suns[i].position.map_or(f64::NEG_INFINITY, |sun| sun.elevation_rad);
     (0..suns.len())

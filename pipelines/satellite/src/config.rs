@@ -10,7 +10,7 @@ use std::path::PathBuf;
 /// building at the largest.
 const CELL_GSD: std::ops::RangeInclusive<f64> = 0.25..=100.0;
 
-/// How Gaussians start on the swept surface. Lengths in cells, which are one ground sampling distance wide.
+/// Initial Gaussians on the swept surface. Lengths in cells, which are one ground sampling distance wide.
 #[derive(Debug, Clone, PartialEq, serde::Serialize, serde::Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct StartOptions {
@@ -31,7 +31,7 @@ impl Default for StartOptions {
     }
 }
 
-/// When the images' relative pointing is estimated and corrected.
+/// Correction of the images' relative pointing.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Align {
@@ -87,8 +87,8 @@ pub struct ModelOptions {
     pub opaqueness_weight: f32,
     /// Whether shadows that images show as dark places guide training: on with fewer than eight images, off with more.
     pub shadow_prior: Option<bool>,
-    /// Folder of masks that say what is lit (1) and what in shadow (0), `NAME.tif` for the image `NAME`, for users who
-    /// have some; in place of those that are found.
+    /// Folder of the user's masks of light (1) and shadow (0), `NAME.tif` for the image `NAME`, in place of the
+    /// detected ones.
     pub shadow_masks: Option<PathBuf>,
 }
 

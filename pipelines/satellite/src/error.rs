@@ -13,7 +13,7 @@ use heliosplat_rpc::parallax::LEAST_BASE_TO_HEIGHT;
 use heliosplat_scene::SceneError;
 use std::path::PathBuf;
 
-/// Why a satellite scene did not become a run, or a run could not be measured.
+/// Reason why a satellite scene did not become a run, or a run could not be measured.
 #[derive(Debug, thiserror::Error)]
 pub enum SatelliteError {
     /// The scene.
@@ -31,7 +31,7 @@ pub enum SatelliteError {
     /// Fewer than two images show the common ground.
     #[error("{images} of the scene's images show the ground that at least two have in common; two are needed")]
     TooFewViews {
-        /// How many do.
+        /// Number of images that show it.
         images: usize,
     },
     /// No two images look from far enough apart.
@@ -116,7 +116,7 @@ pub enum SatelliteError {
         path: PathBuf,
         /// Its bands.
         found: usize,
-        /// Those of the run.
+        /// Bands of the run.
         expected: usize,
     },
     /// Truth for relighting of another place.
@@ -146,7 +146,7 @@ pub enum SatelliteError {
     Adjust {
         /// The scene.
         scene: PathBuf,
-        /// Why not.
+        /// The reason.
         error: RpcError,
     },
     /// An adjusted camera that cannot be written as a rational one.
@@ -154,7 +154,7 @@ pub enum SatelliteError {
     CorrectedCamera {
         /// The image.
         image: PathBuf,
-        /// Why not.
+        /// The reason.
         error: RpcError,
     },
 }

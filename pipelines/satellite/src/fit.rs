@@ -60,7 +60,7 @@ pub struct Fitted {
     pub suns: Vec<ImageSun>,
     /// Names of the images trained on, in the order of their colours.
     pub images: Vec<String>,
-    /// Where each of these has data and no clouds; `None`: everywhere.
+    /// Tiles with data and without clouds of each of these; `None`: everywhere.
     pub known: Vec<Option<KnownTiles>>,
     /// Brightness of the ground under any sun; `None` without light.
     pub daylight: Option<Daylight>,
@@ -134,7 +134,7 @@ impl FitRequest<'_> {
         })
     }
 
-    /// Whether near-surface light, visibility and a normal can be rendered beside the bands.
+    /// Checks that near-surface light, visibility and a normal can be rendered along with the bands.
     fn check_channels(&self) -> Result<(), SatelliteError> {
         let bands = self.scene.bands().len();
         match self.decisions.near_light && 2 * bands + 1 + 3 > MOST_CHANNELS {

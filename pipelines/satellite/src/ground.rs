@@ -121,7 +121,7 @@ impl<'a> Ground<'a> {
         })
     }
 
-    /// Where the crops are seen from and under which sun, their cameras moved by `shifts` (columns, rows), pixels.
+    /// Viewing geometries and suns of the crops, their cameras moved by `shifts` (columns, rows), pixels.
     fn geometries(&self, shifts: &[[f32; 2]]) -> Vec<ViewGeometry> {
         (0..self.images.len())
             .map(|i| ViewGeometry {

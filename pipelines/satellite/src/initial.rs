@@ -36,7 +36,7 @@ const DOUBT: f32 = 0.1;
 /// Such a place is mostly ground (docs/lab/start.md).
 const DOUBTFUL_SHARE: f32 = 0.25;
 
-/// Where the discs stand and how they lie.
+/// Positions and orientations of the discs.
 struct Discs {
     cell_m: f32,
     position: Vec<f32>,
@@ -87,7 +87,7 @@ fn upright(outward: Vec3) -> Quat {
 
 /// Step down from a cell to a neighbour.
 struct Step {
-    /// How far the cell stands above its lowest side neighbour, metres.
+    /// Height of the cell above its lowest side neighbour, metres.
     drop_m: f32,
     /// The horizontal direction down the step.
     outward: Vec3,

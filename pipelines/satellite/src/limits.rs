@@ -33,7 +33,7 @@ impl std::ops::AddAssign for AtLimits {
 }
 
 impl AtLimits {
-    /// Those of a surface that was searched over the altitudes of `scene`; cells that fewer than two images see do not
+    /// Counts of a surface that was searched over the altitudes of `scene`; cells that fewer than two images see do not
     /// count.
     pub fn of(surface: &Surface, scene: &Scene) -> Self {
         let at = counted(surface, crop::altitude_range(scene));

@@ -54,8 +54,8 @@ pub fn dsm(
     Ok(Some(evaluation))
 }
 
-/// `metrics.json` as far as it follows from scene and model, with all that stands on any day; also draws pictures into
-/// the run's folder.
+/// Metrics (`metrics.json`) that follow from scene and model, with structures of all days; also draws pictures into the
+/// run's folder.
 pub fn metrics(scene: &Scene, whole: &LoadedModel, run: &Path, protocol: Protocol) -> Result<Value, SatelliteError> {
     let model = &whole.on_last();
     let mut out = json!({ "gaussians": model.parameters.gaussians.count, "suns": suns(&model.file.images) });
@@ -112,7 +112,7 @@ fn surface(
 struct Views {
     train: Vec<ImageScore>,
     test: Vec<ImageScore>,
-    /// Where the colours of the images held out come from.
+    /// Source of the colours of the images held out.
     colour: Option<&'static str>,
     shadows: ShadowCounts,
     traced: ShadowCounts,
@@ -204,7 +204,7 @@ struct View<'a> {
 struct Judged {
     held_out: bool,
     score: Option<ImageScore>,
-    /// Where its colours come from.
+    /// Source of its colours.
     colour: &'static str,
     /// Its shadows against the true mask: with the colours of the image, and as traced; `None` without a mask, and
     /// where it is held out.
@@ -265,7 +265,7 @@ fn suns(images: &[ModelImage]) -> Value {
     images.iter().map(sun).collect()
 }
 
-/// Where red, green and blue are, if there are other bands besides.
+/// Indices of red, green and blue, if there are other bands besides.
 fn colours_among(bands: &[BandKind]) -> Option<[usize; 3]> {
     let place = |kind: BandKind| bands.iter().position(|&band| band == kind);
     let rgb = [place(BandKind::Red)?, place(BandKind::Green)?, place(BandKind::Blue)?];
@@ -389,26 +389,26 @@ pub fn accuracy(metrics: &Value) -> Vec<String> {
         .pointer("/dsm/protocol")
         .and_then(Value::as_str)
         .unwrap_or("raw");
-    let mut say = |label: &str, value: Option<f64>, unit: &str| {
+    let mut add = |label: &str, value: Option<f64>, unit: &str| {
         if let Some(value) = value {
             lines.push(format!("{label:<14} {value:.3} {unit}"));
         }
     };
-    say(
+    add(
         "rejected steps",
         number("/rejected_steps").filter(|&n| n > 0.0),
         "(numbers that were not finite)",
     );
-    say("start MAE", number("/start/mae_m"), "m (raw, the initial surface)");
-    say("DSM MAE", number("/dsm/mae_m"), &format!("m ({protocol})"));
-    say(
+    add("start MAE", number("/start/mae_m"), "m (raw, the initial surface)");
+    add("DSM MAE", number("/dsm/mae_m"), &format!("m ({protocol})"));
+    add(
         "DSM MAE",
         number("/dsm/ground_and_buildings/mae_m"),
         &format!("m ({protocol}, ground, roads and buildings)"),
     );
-    say("DSM median", number("/dsm/median_m"), &format!("m ({protocol})"));
-    say("shadow BER", number("/shadow/ber").map(|b| 100.0 * b), "%");
-    say(
+    add("DSM median", number("/dsm/median_m"), &format!("m ({protocol})"));
+    add("shadow BER", number("/shadow/ber").map(|b| 100.0 * b), "%");
+    add(
         "... traced",
         number("/shadow/traced/ber").map(|b| 100.0 * b),
         "% (from geometry alone)",
@@ -419,32 +419,32 @@ pub fn accuracy(metrics: &Value) -> Vec<String> {
         number("/lowered/area_m2").filter(|&area| area > 0.0),
         "m² of shaded courtyards and alleys, after matching",
     );
-    say(
+    add(
         "changed",
         number("/change/segments").filter(|&count| count > 0.0),
         "buildings between the images",
     );
-    say(
+    add(
         "... precision",
         number("/change/truth/precision").map(|p| 100.0 * p),
         "% of the changed area found",
     );
-    say(
+    add(
         "... recall",
         number("/change/truth/recall").map(|r| 100.0 * r),
         "% of the changed area",
     );
-    say(
+    add(
         "DSM MAE",
         number("/change/dsm_before/mae_m"),
         "m (raw, at the first image)",
     );
-    say(
+    add(
         "relit PSNR",
         number("/relit/mean/psnr_one_gain_db"),
         "dB (suns of no image, one gain for all)",
     );
-    say(
+    add(
         "relit PSNR",
         number("/relit/mean/psnr_own_gain_db"),
         "dB (a gain for each sun)",
@@ -462,11 +462,11 @@ pub fn engine(metrics: &Value) -> Vec<String> {
     };
     say("PSNR train", number("/train/psnr"), "dB");
     let colour = metrics.pointer("/test/colour").and_then(Value::as_str).unwrap_or("");
-    say("PSNR held out", number("/test/psnr"), &format!("dB (colour {colour})"));
+    add("PSNR held out", number("/test/psnr"), &format!("dB (colour {colour})"));
     let colours = "dB (red, green, blue alone)";
-    say("PSNR held out", number("/test/psnr_rgb"), colours);
-    say("time", number("/seconds"), "s");
-    say(
+    add("PSNR held out", number("/test/psnr_rgb"), colours);
+    add("time", number("/seconds"), "s");
+    add(
         "memory",
         number("/peak_rss_bytes").map(|b| b / f64::from(1 << 20)),
         "MiB at most",

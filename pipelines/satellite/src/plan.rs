@@ -23,7 +23,7 @@ use heliosplat_stereo::{FEW_VIEWS, MatchingFacts, MatchingParameters, no_match_w
 /// Decisions for a scene.
 #[derive(Debug, Clone, PartialEq, serde::Serialize)]
 pub struct Decisions {
-    /// How the model is lit.
+    /// Lighting of the model.
     pub light: Light,
     /// Images whose sun stays unknown take no part in training.
     pub only_known_suns: bool,
@@ -39,7 +39,7 @@ pub struct Decisions {
     pub shadow_prior: bool,
     /// The plane sweep compares a vegetation index besides brightness.
     pub vegetation_index: bool,
-    /// When the images' relative pointing is corrected.
+    /// Correction of the images' relative pointing.
     pub align: Align,
     /// Gaussians have near-surface light.
     pub near_light: bool,
@@ -61,7 +61,7 @@ pub struct PlanItem {
     pub component: String,
     /// Whether it is on.
     pub on: bool,
-    /// Why, in one line.
+    /// The reason, in one line.
     pub reason: String,
 }
 
@@ -180,16 +180,16 @@ impl Decisions {
             (true, false) => Light::Known,
             (false, _) => Light::LeftOut,
         };
-        let mut say = |component: &str, on: bool, reason: String| {
+        let mut set = |component: &str, on: bool, reason: String| {
             let found = decisions.items.iter_mut().find(|item| item.component == component);
             if let Some(item) = found {
                 (item.on, item.reason) = (on, reason);
             }
         };
-        say(SUN, lit, light::search_in_words(suns, searched));
+        set(SUN, lit, light::search_in_words(suns, searched));
         decisions.only_known_suns = light::only_known(suns);
         if !lit {
-            say(
+            set(
                 SHADOW_PRIOR,
                 false,
                 "no sun is known: shadows cannot be traced to their casters".into(),
@@ -200,7 +200,7 @@ impl Decisions {
         decisions
     }
 
-    /// How the model is lit, and why.
+    /// Lighting of the model, with the reason.
     pub fn light_reason(&self) -> &str {
         let found = self.items.iter().find(|item| item.component == SUN);
         found.map_or("", |item| &item.reason)
@@ -247,7 +247,7 @@ impl Decisions {
                         "{images} views: areas much brighter in one view than the sunlit ground in the others are clouds, and left out"
                     )
                 } else {
-                    format!("{images} views are too few to tell clouds from ground")
+                    format!("{images} views are too few to separate clouds from ground")
                 },
             ),
             decided(
@@ -384,7 +384,7 @@ fn windows(parameters: &MatchingParameters) -> String {
     )
 }
 
-/// How the images' relative pointing is corrected.
+/// Correction of the images' relative pointing, in words.
 fn pointing_reason(align: Align) -> String {
     let method = "one shift per image is estimated from tie points";
     match align {

@@ -92,7 +92,7 @@ impl<'a> Preprocess<'a> {
         let part = stage("changes");
         let mut changes = changes(&ground, &rasters, &shifts_px, decisions, &request, &mut surface);
         drop(part);
-        let lowered = lower(&ground, &rasters, &shifts_px, &mut surface, &mut changes).inspect(say_lowered);
+        let lowered = lower(&ground, &rasters, &shifts_px, &mut surface, &mut changes).inspect(log_lowered);
         if let Some(warning) = AtLimits::of(&surface, scene).warning(scene.altitude_range_m) {
             tracing::warn!("{warning}");
         }
@@ -145,7 +145,7 @@ impl<'a> Preprocess<'a> {
             progress.set((100.0 * share) as u64);
         });
         *changed = changes(&self.ground, &rasters, shifts_px, decisions, &request, surface);
-        *lowered = lower(&self.ground, &rasters, shifts_px, surface, changed).inspect(say_lowered);
+        *lowered = lower(&self.ground, &rasters, shifts_px, surface, changed).inspect(log_lowered);
         seconds[1] += started.elapsed().as_secs_f64();
         true
     }
@@ -256,7 +256,7 @@ pub(super) fn lower(
 }
 
 /// Logs the lowered parts, if any.
-pub(super) fn say_lowered(lowered: &Lowered) {
+pub(super) fn log_lowered(lowered: &Lowered) {
     if lowered.parts > 0 {
         tracing::info!(
             "{} shaded courtyards or alleys ({:.0} m²) reopened after matching",

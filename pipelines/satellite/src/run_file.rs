@@ -37,7 +37,7 @@ pub struct RunFile {
     /// The requested piece of ground, if any.
     #[serde(default)]
     pub area: Option<AreaRequest>,
-    /// Which components the scene required, and why.
+    /// Components that the scene required, with reasons.
     pub plan: Vec<PlanItem>,
     /// The images, hashed.
     pub inputs: Vec<Input>,

@@ -96,7 +96,7 @@ fn found(scene: &Scene, swept: &Preprocess, surface: &Surface) -> Vec<Option<Sha
     found
 }
 
-/// Where an image stands among those of its scene.
+/// Index of an image in its scene.
 pub(super) fn place_in(scene: &Scene, image: &SceneImage) -> Option<usize> {
     scene.images.iter().position(|other| std::ptr::eq(other, image))
 }

@@ -30,7 +30,7 @@ const BYTES_PER_BLENDED_CELL: f64 = 64.0;
 /// Rows of the map that are blended at a time.
 pub(super) const ROWS_AT_ONCE: usize = 256;
 
-/// How a scene is swept.
+/// Plan of a sweep.
 #[derive(Debug, Clone)]
 pub struct SweepPlan {
     /// Width of a cell of the ground grid, metres.

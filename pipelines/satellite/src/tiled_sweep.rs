@@ -41,7 +41,7 @@ const PATCH_CELLS: f64 = 1000.0;
 
 /// A tiled sweep into a file.
 pub struct TiledSweep<'a> {
-    /// How it is swept.
+    /// Its configuration.
     pub config: &'a SatelliteConfig,
     /// The same scene with its pixels unread.
     pub survey: &'a Survey<'a>,
@@ -114,7 +114,7 @@ impl TiledSweep<'_> {
         if pieces.is_empty() {
             return Err(SatelliteError::TooFewViews { images: 0 });
         }
-        say_lowered(&lowered);
+        log_lowered(&lowered);
         if let Some(warning) = at_limits.warning(self.survey.altitude_range_m) {
             tracing::warn!("{warning}");
         }
@@ -217,7 +217,7 @@ impl TiledSweep<'_> {
     /// Makes the decisions for all tiles, on patches all over the ground.
     fn decide(&self) -> Result<Decided, SatelliteError> {
         let mut found: Option<(usize, Decisions, MatchingParameters)> = None;
-        let mut told: BTreeMap<String, Vec<[f32; 2]>> = BTreeMap::new();
+        let mut shifts_by_image: BTreeMap<String, Vec<[f32; 2]>> = BTreeMap::new();
         let mut refused = SatelliteError::TooFewViews { images: 0 };
         for area in self.patches() {
             let Some(scene) = self.open(&area)? else { continue };
@@ -230,7 +230,7 @@ impl TiledSweep<'_> {
                 }
             };
             let Some(matching) = decisions.matching else { continue };
-            // Where most images are seen, most is known of how they go together.
+            // The patch with the most images decides the matching.
             let images = ground.images.len();
             if found.as_ref().is_none_or(|(most, ..)| images > *most) {
                 found = Some((images, decisions.clone(), matching));
@@ -247,7 +247,7 @@ impl TiledSweep<'_> {
                 Ok(adjustment) => {
                     let shifts_px = adjust::shifts(&adjustment);
                     for (image, shift) in ground.images.iter().zip(shifts_px) {
-                        told.entry(image.name.clone()).or_default().push(shift);
+                        shifts_by_image.entry(image.name.clone()).or_default().push(shift);
                     }
                 }
                 Err(error) => tracing::debug!("no pointing from the ties of a patch: {error}"),
@@ -259,8 +259,10 @@ impl TiledSweep<'_> {
         if told.is_empty() && decisions.align != Align::Off {
             tracing::warn!("Too few tie points to refine the cameras; using them as delivered");
         }
-        let (names, shifts): (Vec<String>, Vec<[f32; 2]>) =
-            told.into_iter().map(|(name, shifts)| (name, middle(&shifts))).unzip();
+        let (names, shifts): (Vec<String>, Vec<[f32; 2]>) = shifts_by_image
+            .into_iter()
+            .map(|(name, shifts)| (name, middle(&shifts)))
+            .unzip();
         let shifts = worth_correcting(shifts, decisions.align);
         Ok(Decided {
             shifts_px: names.into_iter().zip(shifts).collect(),

@@ -187,7 +187,7 @@ fn identified(scene: &Scene, out: &Path) -> Result<KeptCut, SceneError> {
     Ok(cut)
 }
 
-/// All that decides a training, line by line: two of the same lines are the same training, wherever their files lie.
+/// Everything that determines a training, line by line: equal lines mean the same training, wherever their files are.
 fn identity(
     scene: &Scene,
     config: &SatelliteConfig,

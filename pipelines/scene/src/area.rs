@@ -10,7 +10,7 @@ use nalgebra::Vector3;
 const MARGIN_M: f64 = 12.0;
 /// Pixels around that.
 const MARGIN_PX: f64 = 16.0;
-/// Fewer columns or rows show nothing.
+/// Fewest columns or rows of a window.
 const LEAST_PX: usize = 32;
 /// Points per edge of a rectangle that is taken from one system to another: its edges may be curved there.
 const POINTS_PER_EDGE: usize = 8;
@@ -51,7 +51,7 @@ impl AreaRequest {
         let on_earth = [west, east].iter().all(|lon| lon.abs() <= 180.0) && south >= -90.0 && north <= 90.0;
         if self.crs.is_none() && !on_earth {
             return Err(format!(
-                "{self}: these are no degrees; say the system with EPSG:N at the end"
+                "{self}: these are no degrees; give the system with EPSG:N at the end"
             ));
         }
         if self.crs.is_none() && east - west > 180.0 {

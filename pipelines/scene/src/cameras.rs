@@ -22,14 +22,14 @@ pub struct SceneCameras<'a> {
     images: Vec<&'a IndexImage>,
     /// A frame near the scene.
     frame: LocalFrame,
-    /// The piece of ground wanted, corners in that frame, metres.
+    /// The requested piece of ground, corners in that frame, metres.
     wanted: Option<Footprint>,
     /// The range of altitudes that would be used without tie points.
     pub range: AltitudeRange,
 }
 
 impl<'a> SceneCameras<'a> {
-    /// Those of an index.
+    /// The cameras of an index.
     ///
     /// # Errors
     /// As [`super::Cut::of`].

@@ -188,7 +188,7 @@ impl Cut {
     }
 }
 
-/// All of an image.
+/// The window of a whole image.
 pub(super) fn whole(image: &IndexImage) -> Window {
     let (width, height) = image.size;
     Window {

@@ -49,7 +49,7 @@ pub struct ExcessGreen {
 }
 
 impl ExcessGreen {
-    /// That of bands of these kinds; `None` where a colour is missing.
+    /// The index for bands of these kinds; `None` where a colour is missing.
     pub fn new(bands: &[BandKind]) -> Option<Self> {
         let place = |kind: BandKind| bands.iter().position(|&band| band == kind);
         let places = [place(BandKind::Red)?, place(BandKind::Green)?, place(BandKind::Blue)?];

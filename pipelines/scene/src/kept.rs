@@ -11,7 +11,7 @@ use std::path::PathBuf;
 /// A cut that was read, with the identities of its files.
 #[derive(Debug, Clone, PartialEq, serde::Serialize, serde::Deserialize)]
 pub struct KeptCut {
-    /// Which camera counts where two differ.
+    /// Preference between two different cameras.
     pub rpc: RpcPreference,
     /// Origin of the frame.
     pub origin: GeoPoint,

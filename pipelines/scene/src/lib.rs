@@ -48,7 +48,7 @@ pub struct IngestOptions {
     /// The same as tie points between the images gave it; used where neither this nor a file of the scene states a
     /// range.
     pub altitude_from_ties_m: Option<(f64, f64)>,
-    /// Which camera is used where two differ.
+    /// Preference between two different cameras.
     pub rpc: RpcPreference,
     /// The piece of ground to model, if not all.
     pub area: Option<AreaRequest>,
@@ -71,14 +71,14 @@ pub struct SceneImage {
     pub window: Window,
     /// Its rational camera, in the file's pixel coordinates.
     pub rpc: Rpc,
-    /// Where the camera was found: `image` (tag, or a sidecar GDAL knows) or a file name.
+    /// Source of the camera: `image` (tag, or a sidecar that GDAL reads) or a file name.
     pub rpc_source: String,
     /// The pinhole camera fitted in the scene's frame over the window and the altitude range; it counts pixels of the
     /// window.
     pub pinhole: PinholeFit,
     /// Acquisition time, if known.
     pub time: Option<jiff::Timestamp>,
-    /// Where the sun stood: from the time where known, else from metadata, else unknown.
+    /// Direction of the sun: from the time where known, else from metadata, else unknown.
     pub sun: ImageSun,
     /// The sun as metadata state it, where they do.
     pub metadata_sun: Option<SunPosition>,
@@ -114,7 +114,7 @@ pub struct Scene {
     pub frame: LocalFrame,
     /// Lowest and highest ellipsoidal altitude the surface may have, metres.
     pub altitude_range_m: (f64, f64),
-    /// Where the altitude range comes from.
+    /// Source of the altitude range.
     pub altitude_known_from: AltitudeSource,
     /// The same in words.
     pub altitude_source: String,
@@ -170,8 +170,8 @@ impl Scene {
         self.images.first().map_or(&[], |image| &image.bands)
     }
 
-    /// How many training images see a point of the scene's frame (metres) inside their frame and on known pixels,
-    /// whatever stands in between.
+    /// Number of training images that show a point of the scene's frame (metres) inside their frame and on known
+    /// pixels, without regard to occlusion.
     pub fn views_covering(&self, east_m: f64, north_m: f64, up_m: f64) -> usize {
         let point = Vector3::new(east_m, north_m, up_m);
         self.training().filter(|image| image.sees(point)).count()

@@ -3,9 +3,9 @@
 use heliosplat::Raster;
 use rayon::prelude::*;
 
-/// So many pixels share the greatest value of a band where it is clipped: the brightest glint alone is not.
+/// Fewest pixels with the greatest value of a clipped band: the brightest glint alone has fewer.
 const FEWEST: usize = 16;
-/// So many times more pixels have it than the next value below, though greater values are rarer otherwise.
+/// Least ratio of their number to that of the next value below; without clipping greater values are rarer.
 const TIMES: usize = 2;
 
 /// The value at which each band of an image was clipped, infinite where it was not.

@@ -51,7 +51,7 @@ pub struct TileSurvey {
     pub area: Area,
     /// Images that show some of it.
     pub images: usize,
-    /// Those of them that are trained on.
+    /// Training images among them.
     pub training: usize,
     /// Share of it that at least two training images show.
     pub covered: f64,

@@ -1,4 +1,4 @@
-//! Truth of a scene: whether it lies on its ground, and the errors that were put into its cameras.
+//! Truth of a scene: the test whether it is on its ground, and the errors that were put into its cameras.
 
 use super::{Area, Scene, Truth};
 use heliosplat_raster::{Crs, CrsTransform, GeoTransform, RasterFile};
@@ -12,7 +12,7 @@ pub(super) fn keep_if_here(truth: &mut Truth, frame: &LocalFrame, area: &Area, w
     let Some(ground) = ground_of(path, frame) else { return };
     if ground.intersection(area).is_none() {
         warnings.push(format!(
-            "{}: this truth lies on other ground than the scene, left out",
+            "{}: this truth is on other ground than the scene, left out",
             path.display()
         ));
         truth.dsm = None;

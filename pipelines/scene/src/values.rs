@@ -38,12 +38,12 @@ impl ValueKind {
     }
 }
 
-/// How values of a band become reflectance: `scale · value + offset`, values in the scene's unit.
+/// Conversion of a band's values to reflectance: `scale · value + offset`, values in the scene's unit.
 #[derive(Debug, Clone, Copy, PartialEq, serde::Serialize, serde::Deserialize)]
 pub struct BandReflectance {
     /// Per unit.
     pub scale: f32,
-    /// Of a value of zero.
+    /// Reflectance of a value of zero.
     pub offset: f32,
 }
 
@@ -55,8 +55,8 @@ pub struct Values {
     /// The file that states it; `None` where none does.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub source: Option<String>,
-    /// How the values of each band become reflectance, of radiance without a known sun up to one factor for all bands;
-    /// `None` for a band without gain, empty where no band has one.
+    /// Conversion of the values of each band to reflectance, for radiance without a known sun up to one factor for all
+    /// bands; `None` for a band without gain, empty where no band has one.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub reflectance: Vec<Option<BandReflectance>>,
 }

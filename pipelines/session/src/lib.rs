@@ -43,13 +43,13 @@ impl Session {
             if signalled.stop.swap(true, Ordering::SeqCst) || !signalled.saves() {
                 std::process::exit(INTERRUPTED);
             }
-            log::line_on_stderr("stopping: saving what there is (once more to stop at once)");
+            log::line_on_stderr("stopping after the results are saved (press again to stop at once)");
         })
         .map_err(SessionError)?;
         Ok(session)
     }
 
-    /// A session nobody will stop, for tests and for use as a library.
+    /// A session without a stop, for tests and for use as a library.
     pub fn quiet() -> Self {
         Self::default()
     }
@@ -154,7 +154,7 @@ impl Progress {
         }
     }
 
-    /// Changes how many steps there are.
+    /// Changes the number of steps.
     pub fn set_total(&self, total: u64) {
         self.bar.set_length(total);
     }

@@ -1,4 +1,4 @@
-//! How well pairs of views agree on a given surface: census distances on images that are resampled to it.
+//! Agreement of pairs of views on a given surface: census distances on images that are resampled to it.
 
 use super::census::{self, COMPARISONS, Descriptors, RADIUS};
 use super::cost::CONTRAST_LIMIT;

@@ -147,14 +147,14 @@ pub fn find<L: Fn(&States) -> Option<f32>>(
     of_days.sort_unstable();
     of_days.dedup();
     for day in of_days {
-        let those: Vec<&CoarseSegment> = found.iter().filter(|segment| segment.day == day).collect();
-        let volume = around(&request.volume, &grid, &those);
+        let of_that_day: Vec<&CoarseSegment> = found.iter().filter(|segment| segment.day == day).collect();
+        let volume = around(&request.volume, &grid, &of_that_day);
         let request = PlaneSweepRequest { volume, ..*request };
         let sides = [false, true].map(|after| {
             let views = side(views, days, day, after);
             plane_sweep(&views, &matched_as(&views, &request), &|_| {})
         });
-        for segment in those {
+        for segment in of_that_day {
             changes.refine(segment, &grid, &sides, surface);
         }
     }
@@ -248,8 +248,8 @@ struct Update {
 }
 
 impl Update {
-    /// Of the surfaces of the two `sides` at a cell whose coarse altitudes are `hypothesis_m`; `None` where they do not
-    /// differ as the segment does.
+    /// Fine altitudes from the surfaces of the two `sides` at a cell whose coarse altitudes are `hypothesis_m`; `None`
+    /// where they do not differ as the segment does.
     fn of(
         cell: usize,
         hypothesis_m: [f32; 2],
@@ -282,7 +282,7 @@ impl Update {
     }
 }
 
-/// How well one surface and two explain the pairs, for each of the days (`candidates`, in order, at least one).
+/// Agreement of the pairs with one surface and with two, for each of the days (`candidates`, in order, at least one).
 fn splits(
     views: &[SweepView],
     days: &[i32],
@@ -351,7 +351,7 @@ fn on_surface<T>(
     })
 }
 
-/// How many of the days, in order, are not after the earlier image of a pair, and not after the later one.
+/// Number of the days, in order, that are not after the earlier image of a pair, and not after the later one.
 fn span(pair: &Pair, days: &[i32], candidates: &[i32]) -> [usize; 2] {
     let [a, b] = [pair.a, pair.b].map(|view| candidates.partition_point(|day| *day <= days[view]));
     [a.min(b), a.max(b)]
@@ -449,7 +449,7 @@ fn mean_known(values: &[f32]) -> Option<f32> {
     (count > 0).then(|| (sum / count as f64) as f32)
 }
 
-/// Where nearly all images show the ground of a grid.
+/// Cells of a grid that nearly all images show.
 fn shown(views: &[SweepView], grid: &Grid, surface: &Surface) -> Vec<bool> {
     let altitude = on_grid(grid, surface);
     let shows = |view: &SweepView, cell: usize| {

@@ -35,7 +35,7 @@ const BRIGHTER: f32 = 0.4;
 const LEAST_M2: f32 = 64.0;
 /// Margin around a cloud, metres: its soft edge is masked too.
 const EDGE_M: f32 = 4.0;
-/// A point counts as hidden when it lies this many height steps below the surface that its view sees first.
+/// A point counts as hidden when it is this many height steps below the surface first seen by its view.
 const HIDDEN_STEPS: f32 = 2.0;
 
 /// The pixels of each view that show a cloud, `[row][column]`; none with fewer than [`FEWEST_VIEWS`] views. Cameras may

@@ -25,11 +25,11 @@ const PITCH_CELLS: f32 = 0.25;
 const WINDOW_CELLS: usize = 5;
 /// Standard deviation of the weights in that window, cells.
 const WINDOW_SIGMA_CELLS: f32 = 2.0;
-/// Edges no further apart than this are combined, cells.
+/// Largest distance between edges that are combined, cells.
 const TOGETHER_CELLS: f32 = 4.0;
-/// And of directions that differ by less than the angle of this cosine.
+/// Least cosine between their directions.
 const SAME_DIRECTION: f32 = 0.9;
-/// And of upper altitudes that differ by less, metres.
+/// Largest difference of their upper altitudes, metres.
 const SAME_TOP_M: f32 = 1.0;
 /// Standard deviation of true edges about matched ones, cells (docs/lab/edges.md).
 const SIGMA_CELLS: f32 = 1.4;
@@ -195,7 +195,7 @@ impl Near {
     }
 }
 
-/// How far outward of where it was matched an edge lies, cells.
+/// Outward offset of an edge from its matched position, cells.
 fn offset_cells(edges: &[Edge], profiles: &[Profile], near: &Near, number: usize) -> f32 {
     let edge = &edges[number];
     let mut sum = [0.0; PROFILE];
@@ -218,8 +218,7 @@ fn offset_cells(edges: &[Edge], profiles: &[Profile], near: &Near, number: usize
     away(best.unwrap_or(PLACES))
 }
 
-/// The altitude of the other side of the nearest edge, for a cell that lies there; `None` for one that lies where it
-/// should.
+/// The altitude of the other side of the nearest edge, for a cell on the wrong side; `None` for other cells.
 fn other_side(
     grid: &Grid,
     altitude: &[f32],

@@ -1,4 +1,4 @@
-//! Which views are compared with which, and the weight of each comparison.
+//! Selection of the pairs of views to compare, and the weight of each comparison.
 //!
 //! A pair weighs more the longer its base, the more alike both views see a façade, and the more alike the light:
 //! `B/H / (B/H + 0.15)`, times a bell curve of the intersection angle, times a factor for dates.

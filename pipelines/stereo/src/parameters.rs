@@ -127,7 +127,7 @@ fn views_of_ground(views: &[ViewGeometry], volume: &SearchVolume) -> f32 {
     }
 }
 
-/// How far the parameters are those for many views: 0 up to [`FEW_VIEWS`], 1 from [`MANY_VIEWS`] on.
+/// Share of the parameters for many views: 0 up to [`FEW_VIEWS`], 1 from [`MANY_VIEWS`] on.
 fn many_views_share(views: f32) -> f32 {
     ((views - FEW_VIEWS) / (MANY_VIEWS - FEW_VIEWS)).clamp(0.0, 1.0)
 }
@@ -184,7 +184,7 @@ pub struct MatchingParameters {
     /// Difference of the guide image between neighbours, in its typical differences, that halves the cost of a jump
     /// there.
     pub guide_edge: f32,
-    /// Which heights remain candidates from one search to the next.
+    /// Heights that remain candidates from one search to the next.
     pub candidate_tolerance: CandidateTolerance,
     /// Reduction of the summed cost of the floor beneath an uncertain surface; 0 for none.
     pub floor_bonus: u16,

@@ -20,7 +20,7 @@ use heliosplat_grid::smooth_by_deviation;
 use heliosplat_grid::statistics::upper_median;
 use rayon::prelude::*;
 
-/// A point counts as hidden when it lies this many height steps below the surface that its view sees first, so that the
+/// A point counts as hidden when it lies this many height steps below the surface first seen by its view, so that the
 /// surface's own error of matching hides nothing.
 const HIDDEN_STEPS: f32 = 2.0;
 /// The same at least, metres.
@@ -202,7 +202,7 @@ fn above(matched: &[f32], altitude: &[f32], filled: &[bool]) -> Vec<f32> {
         .collect()
 }
 
-/// Which views see each cell of the surface where nothing but `standing` (metres, NaN for nothing) hides it.
+/// The views that see each cell of the surface, with only `standing` (metres, NaN for nothing) as an occluder.
 fn seen(views: &[LevelView], grid: &Grid, altitude: &[f32], standing: &[f32], step_m: f32) -> Witnesses {
     let cameras: Vec<ProjectiveCamera> = views.iter().map(|view| view.camera).collect();
     let surface = AltitudeGrid {

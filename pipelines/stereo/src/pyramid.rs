@@ -64,7 +64,7 @@ pub(super) struct LevelResult {
     pub(super) choices: Vec<HeightChoice>,
     /// Height hypotheses of this level.
     pub(super) heights: HeightHypotheses,
-    /// Those of each cell.
+    /// Search ranges of the cells.
     pub(super) ranges: SearchRanges,
     /// Summed costs of these.
     pub(super) sums: Vec<u16>,

@@ -64,7 +64,7 @@ impl SearchRanges {
         self.start[cell + 1] - self.start[cell]
     }
 
-    /// Where the values of a cell lie in the flat volume.
+    /// Range of a cell's values in the flat volume.
     pub(super) fn range(&self, cell: usize) -> Range<usize> {
         self.start[cell]..self.start[cell + 1]
     }

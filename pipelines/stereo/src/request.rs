@@ -5,7 +5,7 @@ use super::volume::SearchVolume;
 use glam::Vec3;
 use heliosplat_grid::Grid;
 
-/// Where and how to look for the surface.
+/// Volume and parameters of a search for the surface.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct PlaneSweepRequest {
     /// The searched volume.
@@ -13,7 +13,7 @@ pub struct PlaneSweepRequest {
     /// Point at which viewing directions are taken, metres: the middle of the volume, or of the whole ground of which
     /// it is a tile.
     pub centre: Vec3,
-    /// How views are matched.
+    /// Matching parameters.
     pub parameters: MatchingParameters,
 }
 

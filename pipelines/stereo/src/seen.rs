@@ -23,8 +23,8 @@ const HIDDEN_M: f32 = 1.0;
 
 /// Side of the squares for the first median of the altitudes, cells.
 const SQUARE: usize = 32;
-/// Share of a square's cells that must stand for its median to count, where any square has as many: fewer may be a
-/// single mismatch.
+/// Least share of a square's cells with an occluder for its median to count, where any square has as many: fewer may be
+/// a single mismatch.
 const LEAST_STANDING: f32 = 0.25;
 /// Squares each way whose lowest altitude is that of the ground around: 256 cells.
 const REACH: usize = 8;
@@ -54,7 +54,7 @@ pub struct AltitudeGrid<'a> {
 /// The views that see each cell of a surface.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct Witnesses {
-    /// How many there are; those without parallax between them count as one.
+    /// Number of views; those without parallax between them count as one.
     pub views: Vec<u8>,
     /// Their base-to-height ratio: that of a pair of views with the altitude precision of all of them together; 0 for
     /// fewer than two.

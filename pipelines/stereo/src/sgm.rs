@@ -193,7 +193,7 @@ impl Volume<'_> {
     }
 }
 
-/// Where a path enters a row.
+/// Entry of a path into a row.
 struct Entry {
     row: usize,
     previous_row: Option<usize>,

@@ -7,7 +7,7 @@ use heliosplat_grid::{Grid, lowest_within};
 /// Probability from which on an altitude is known: chance would not have it.
 const KNOWN_PROBABILITY: f32 = 0.5;
 
-/// Altitudes on a regular ground grid, with how far each can be trusted.
+/// Altitudes on a regular ground grid, with their uncertainties.
 #[derive(Debug, Clone, PartialEq, Default, serde::Serialize, serde::Deserialize)]
 pub struct Surface {
     /// Columns.

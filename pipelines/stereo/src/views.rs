@@ -7,7 +7,7 @@ use heliosplat::{ProjectiveCamera, Raster};
 /// finite.
 const FLATTEST_RAY: f32 = 1e-3;
 
-/// How far the pixel of `camera` that sees `centre` moves over the ground per metre of altitude: east, north.
+/// Displacement over the ground of the pixel of `camera` that sees `centre`, per metre of altitude: east, north.
 pub(super) fn parallax(camera: &ProjectiveCamera, centre: Vec3) -> Vec2 {
     let (col, row, _) = camera.project(centre);
     let ray = camera.ray_direction(col, row);

@@ -34,8 +34,8 @@ pub(super) struct Standing {
 }
 
 impl Standing {
-    /// Of the altitudes of a grid's cells (metres; `f32::MIN` where there is no surface). A point hides when it lies
-    /// more than `tolerance_m` above another.
+    /// The occluder from the altitudes of a grid's cells (metres; `f32::MIN` where there is no surface). A point hides
+    /// others that are more than `tolerance_m` below it.
     pub(super) fn new(grid: &Grid, altitude: &[f32], tolerance_m: f32) -> Self {
         let altitude = lowest_within((grid.width, grid.height), altitude, [EDGE_CELLS; 2]);
         Self {

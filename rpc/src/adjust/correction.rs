@@ -21,7 +21,7 @@ pub enum BiasModel {
 pub struct Correction {
     /// Columns and rows at the image's centre, pixels.
     pub shift_px: [f64; 2],
-    /// How the correction of columns (first) and rows (second) changes from the centre to the edge along columns and
+    /// Change of the correction of columns (first) and rows (second) from the centre to the edge, along columns and
     /// rows, pixels.
     pub slope_px: [[f64; 2]; 2],
     /// The image's centre, pixels.

@@ -6,7 +6,7 @@ use crate::rpc::{ImagePoint, Rpc, RpcError};
 
 /// Samples along columns, rows and heights for a refitted camera.
 const GRID: (usize, usize) = (13, 9);
-/// How far beyond its image a refitted camera holds, of the image's size.
+/// Validity of a refitted camera beyond its image, as a share of the image's size.
 const MARGIN: f64 = 0.1;
 
 /// A camera with a correction in it.

@@ -19,7 +19,7 @@ const FAR_OFF_MEDIANS: f64 = 4.0;
 /// Median below which no shift counts as an outlier, pixels: the usual spread of one vendor's cameras.
 const LEAST_MEDIAN_PX: f64 = 0.5;
 
-/// Of all sets of shifts (columns, rows) that differ by a translation of the scene, the smallest; and that translation,
+/// The smallest of all sets of shifts (columns, rows) that differ by a translation of the scene, and that translation,
 /// metres.
 ///
 /// `slopes` are the images' [`pixels_per_metre`]: shifts `s_i` and `s_i - slopes_i t` fit all ties alike for any `t`.

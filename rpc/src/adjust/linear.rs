@@ -19,7 +19,7 @@ pub(super) struct Linear {
     pub(super) from_centre: [f64; 2],
 }
 
-/// How a correction's parameters move the image there.
+/// Derivative of the image position by a correction's parameters.
 pub(super) fn basis<const K: usize>([u, v]: [f64; 2]) -> SMatrix<f64, 2, K> {
     let all = SMatrix::<f64, 2, 6>::new(1.0, 0.0, u, v, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, u, v);
     all.fixed_columns::<K>(0).into_owned()

@@ -31,7 +31,7 @@ pub(super) struct NormalEquations<const K: usize> {
 }
 
 impl<const K: usize> NormalEquations<K> {
-    /// The system at the corrections `now`; `seen` says which images have enough sightings to be corrected.
+    /// The system at the corrections `now`; `seen` marks the images with enough sightings to be corrected.
     pub(super) fn of(linear: &[Vec<Linear>], weights: &[Vec<f64>], now: &[Correction], seen: &[bool]) -> Self {
         let unknowns = K * now.len();
         let mut system = Self {

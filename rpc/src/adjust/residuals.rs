@@ -27,7 +27,7 @@ pub struct ResidualSize {
 pub struct ImageResiduals {
     /// All sightings.
     pub sightings: usize,
-    /// Those within three standard deviations.
+    /// Sightings within three standard deviations.
     pub good: usize,
     /// With the cameras as delivered.
     pub before: ResidualSize,
@@ -52,11 +52,11 @@ pub struct PairResiduals {
 /// Residual of one sighting.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct ResidualVector {
-    /// Which track.
+    /// Index of the track.
     pub track: usize,
-    /// Which image.
+    /// Index of the image.
     pub image: usize,
-    /// Where it was seen.
+    /// Measured position.
     pub at: ImagePoint,
     /// Seen minus projected with the cameras as delivered, columns and rows, pixels.
     pub before_px: [f64; 2],
@@ -75,7 +75,7 @@ pub(super) struct Sides {
 }
 
 impl Sides {
-    /// Which sightings of a track are good ones.
+    /// Marks the good sightings of a track.
     fn good(&self, after: &[Linear]) -> Vec<bool> {
         let lengths_px = robust::lengths_px(after).into_iter();
         lengths_px
@@ -167,8 +167,8 @@ pub(super) fn of_pairs(sides: &Sides) -> Vec<PairResiduals> {
         .collect()
 }
 
-/// How far the rays of two sightings pass each other, pixels: their four residuals along the one direction that no
-/// ground point can change.
+/// Distance between the rays of two sightings, pixels: their four residuals along the one direction that no ground
+/// point can change.
 fn passing_px(a: &Linear, b: &Linear) -> Option<f64> {
     let rows = [0, 1, 2, 3].map(|row| {
         if row < 2 {

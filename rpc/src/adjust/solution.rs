@@ -4,7 +4,7 @@ use super::correction::{BiasModel, Correction};
 use super::residuals::{ImageResiduals, PairResiduals, ResidualVector};
 use crate::rpc::GeoPoint;
 
-/// How to adjust; the default serves.
+/// Options of the adjustment; the default is suitable.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct AdjustOptions {
     /// Error model of the cameras.

@@ -16,12 +16,12 @@ pub struct AdjustImage<'a> {
     pub height: usize,
 }
 
-/// Where an image shows the point of a track.
+/// Position of a track's point in an image.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Sighting {
-    /// Which image.
+    /// Index of the image.
     pub image: usize,
-    /// Where in it, pixels.
+    /// Position, pixels.
     pub at: ImagePoint,
     /// Relative weight, 0 to 1: matches with a lower similarity are less precise.
     pub weight: f64,
@@ -30,8 +30,8 @@ pub struct Sighting {
 /// One ground point seen in several images.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Track {
-    /// About where it is: a few hundred metres off is near enough.
+    /// Approximate position: an error of a few hundred metres is allowed.
     pub near: GeoPoint,
-    /// Where it is seen; each image at most once.
+    /// Its positions in images; each image at most once.
     pub sightings: Vec<Sighting>,
 }

@@ -69,12 +69,12 @@ impl CalibratedBand {
     }
 }
 
-/// How counts of one band become radiance or reflectance: `scale · count + offset`.
+/// Conversion of one band's counts to radiance or reflectance: `scale · count + offset`.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Gain {
     /// Per count.
     pub scale: f64,
-    /// Of a count of zero.
+    /// Value of a count of zero.
     pub offset: f64,
     /// Solar irradiance in the band at one astronomical unit, W m⁻² µm⁻¹, where it is known.
     pub irradiance_w_m2_um: Option<f64>,

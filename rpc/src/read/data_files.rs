@@ -10,7 +10,7 @@ use roxmltree::Node;
 pub struct DataFile {
     /// Row and column of the tile that it is, counted from one.
     pub tile: [u32; 2],
-    /// Where it lies, relative to the DIMAP.
+    /// Its path, relative to the DIMAP.
     pub href: String,
 }
 

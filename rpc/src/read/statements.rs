@@ -18,7 +18,7 @@ pub(super) fn assignments(text: &str) -> Vec<Statement<'_>> {
     grouped(text).into_iter().map(|(_, statement)| statement).collect()
 }
 
-/// The same, each with the innermost group it stands in, empty outside of all.
+/// The same, each with its innermost group, empty outside of all.
 pub(super) fn grouped(text: &str) -> Vec<(&str, Statement<'_>)> {
     let mut statements = Vec::new();
     let mut groups = Vec::new();

@@ -1,4 +1,4 @@
-//! Where the tests find shared material, and how golden files become cameras.
+//! Shared material of the tests, and cameras from golden files.
 #![allow(dead_code, unreachable_pub)] // Each test binary uses its own part.
 
 pub mod push_broom;

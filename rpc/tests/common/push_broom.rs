@@ -42,7 +42,7 @@ impl PushBroom {
         let radius_m = ecef_from_geo(self.target).norm() + ORBIT_HEIGHT_M;
         let arc_rad = (image.row - half) * self.ground_sample_m / 6_371_000.0;
         let across_rad = (image.col - half) * self.ground_sample_m / ORBIT_HEIGHT_M;
-        // Where a sensor straight above would be, moved so that the middle pixel sees the target.
+        // Position of a sensor straight above, moved so that the middle pixel sees the target.
         let side_m = -ORBIT_HEIGHT_M * self.roll_rad.tan();
         let ahead_m = ORBIT_HEIGHT_M * self.pitch_rad.tan() / self.roll_rad.cos();
         let position_enu = Vector3::new(side_m, ahead_m, ORBIT_HEIGHT_M)

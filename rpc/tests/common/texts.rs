@@ -82,7 +82,7 @@ pub fn dimap_text(rpc: &Rpc, profile: &str, model: &str, direct: &str) -> String
         .zip(scalars(rpc))
         .map(|(key, value)| format!("<{key}>{value:e}</{key}>\n"))
         .collect();
-    // The direct model stands first, with the same tags and other numbers: it must not be taken.
+    // The direct model is first, with the same tags and other numbers: it must not be read.
     format!(
         "<?xml version=\"1.0\" encoding=\"UTF-8\"?>\n<Dimap_Document>\n<Metadata_Identification>\n\
          <METADATA_PROFILE>{profile}</METADATA_PROFILE></Metadata_Identification>\n<Rational_Function_Model>\n\

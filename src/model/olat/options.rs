@@ -30,7 +30,7 @@ pub struct OlatOptions {
     pub normal_weight: f32,
     /// Depths that differ by more than this are an edge, not a slope.
     pub normal_edge: f32,
-    /// Which component is rendered.
+    /// The rendered component.
     pub shows: Component,
 }
 

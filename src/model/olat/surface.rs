@@ -2,7 +2,7 @@
 //! Fresnel.
 //!
 //! [`LightGeometry`] holds the directions and the falloff, [`Surface`] the material, [`Lobes`] the shared specular
-//! basis. The formulas stand in the head of [`super`].
+//! basis. The formulas are in the documentation of [`super`].
 
 use crate::camera::ProjectiveCamera;
 use crate::gaussians::{normalised, rotation_backward, sigmoid};
@@ -16,7 +16,7 @@ use std::f32::consts::FRAC_1_PI;
 
 /// Lobes that all Gaussians share.
 pub const LOBES: usize = 8;
-/// How far the softened cosine reaches below zero.
+/// Depth of the softened cosine below zero.
 const SOFT: f32 = 0.01;
 /// `SOFT · (1 - 1/e)`: makes the function zero at -1.
 const SOFT_OFFSET: f32 = 0.006_321_206;

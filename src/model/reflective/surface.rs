@@ -89,7 +89,7 @@ pub(super) struct SurfaceGradient {
     pub(super) embedding: [f32; EMBEDDING_WIDTH],
 }
 
-/// How a camera sees a surface, and where its eye ray is reflected to.
+/// Viewing geometry of a surface, with the direction of the reflected eye ray.
 pub(super) struct ViewGeometry {
     frame: Mat3,
     to_eye: Vec3,

@@ -13,7 +13,7 @@ use glam::Vec3;
 /// Beginnings of the names of the groups with harmonics. Near-surface light has them only where it is on.
 const PARTS: [&str; 2] = ["albedo_sh_", "near_light_sh_"];
 
-/// How many of [`PARTS`] a model has.
+/// Number of [`PARTS`] in a model.
 fn parts(options: &ShadowGsOptions) -> usize {
     if options.near_light { 2 } else { 1 }
 }

@@ -17,10 +17,10 @@ struct TileState {
     transmittance: Plane,
     /// `G - Σ_{j≤i} w_j d_j`.
     rest: Plane,
-    /// `∂L/∂ ln α` and `∂L/∂z` of the splat at hand, by group.
+    /// `∂L/∂ ln α` and `∂L/∂z` of the current splat, by group.
     h: [Lane; GROUPS],
     m: [Lane; GROUPS],
-    /// Lane sums of the splat at hand: the gradients of its channels, then its moments.
+    /// Lane sums of the current splat: the gradients of its channels, then its moments.
     sums: [Lane; K_MAX + GEOMETRY],
 }
 

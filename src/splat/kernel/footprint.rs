@@ -1,5 +1,5 @@
-//! Which pixels of a tile a splat covers, and its alpha there: groups of eight pixels of a row, listed before they are
-//! worked on.
+//! Pixels of a tile that a splat covers, and its alpha there: groups of eight pixels of a row, listed before they are
+//! processed.
 
 use super::tile::{LANES, Lane, PLANE, STRIDE, TileFrame, least, most};
 use crate::fast::MAGIC;

@@ -8,7 +8,7 @@ pub const ALPHA_MAX: f32 = 0.99;
 /// 5 %.
 pub const DEPTH_FILTER_PX2: f32 = 0.05;
 
-/// How Gaussians become splats.
+/// Options of the projection of Gaussians to splats.
 #[derive(Debug, Clone, Copy, PartialEq, serde::Serialize, serde::Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct ProjectionOptions {

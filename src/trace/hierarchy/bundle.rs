@@ -57,7 +57,7 @@ impl Bundle {
 struct ClosestPoints {
     nearest: [Lane; 3],
     square: Lane,
-    /// How far along the ray they are, as a share of the way to the light.
+    /// Their distance along the ray, as a share of the way to the light.
     share: Lane,
     hit: [u32; BUNDLE],
 }

@@ -25,7 +25,7 @@ impl Axes {
         Self { right, up, light }
     }
 
-    /// Where a place of the scene stands on the plane.
+    /// Position of a point of the scene on the plane.
     #[inline(always)]
     pub(super) fn place(&self, position: Vec3) -> Vec2 {
         Vec2::new(self.right.dot(position), self.up.dot(position))

@@ -125,7 +125,7 @@ impl RayBlock {
     }
 }
 
-/// Rays sorted by where they stand on the plane.
+/// Rays sorted by their position on the plane.
 pub(super) struct RayGrid {
     cells: Cells,
     blocks: Vec<RayBlock>,

@@ -96,7 +96,7 @@ fn naive_transmittance(table: &Table, sun: Vec3) -> f32 {
     1.0 - table.opacity(1) * (-0.5 * (dd - dr * dr / rr)).exp()
 }
 
-/// Where light comes from, and how it is traced.
+/// Kind of light and tracer.
 #[derive(Clone, Copy, PartialEq)]
 enum By {
     SunPlane,

@@ -168,7 +168,7 @@ pub(super) const PEAK_BYTES: &str = "peak_bytes";
 /// Measurements of one run.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Record {
-    /// Where.
+    /// The arena.
     pub arena: Arena,
     /// The preset, or `sweep`.
     pub preset: String,
@@ -184,6 +184,6 @@ pub struct Record {
     pub machine: String,
     /// Numbers by their place in `metrics.json`, and wall seconds and peak bytes of the process.
     pub numbers: BTreeMap<String, f64>,
-    /// Why nothing could be measured, if so.
+    /// Reason why nothing could be measured, if so.
     pub not_run: Option<String>,
 }

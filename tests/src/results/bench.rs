@@ -92,7 +92,7 @@ impl<'a> Bench<'a> {
         };
         for &seed in &self.request.seeds {
             for &preset in &presets {
-                // Of a fixed scene the sweep is the same for every seed.
+                // The sweep of a fixed scene is the same for every seed.
                 let fixed = matches!(arena, Arena::CityB | Arena::Jax068) && preset == "sweep";
                 let same = |r: &Record| r.arena == arena && r.preset == preset && (fixed || r.seed == seed);
                 if records.iter().any(|r| same(r) && r.not_run.is_none()) {
@@ -264,7 +264,7 @@ impl<'a> Bench<'a> {
     }
 }
 
-/// Why an arena has no scene.
+/// Reason why an arena has no scene.
 enum NoScene {
     /// It is missing, or the program does not accept it: the page states that.
     Absent(String),

@@ -17,7 +17,7 @@ pub struct Request {
     pub program: PathBuf,
     /// Scenes, runs and records.
     pub work: PathBuf,
-    /// Where to measure.
+    /// Arenas to measure.
     pub arenas: Vec<Arena>,
     /// Seeds.
     pub seeds: Vec<u64>,

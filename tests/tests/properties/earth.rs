@@ -99,7 +99,7 @@ proptest! {
         prop_assert!((direction.norm() - 1.0).abs() < 1e-12);
         let again = SunPosition::from_direction_enu(direction).direction_enu();
         prop_assert!((again - direction).norm() < 1e-12);
-        // A metre to the east, over the date line too, it stands where it stood.
+        // A metre to the east, over the date line too, it is at the same place.
         let beside = GeoPoint { lon_deg: if at.lon_deg > 0.0 { at.lon_deg - 360.0 } else { at.lon_deg + 360.0 }, ..at };
         let other = sun_position(time, beside).direction_enu();
         prop_assert!((other - direction).norm() < 1e-9, "{other} against {direction}");

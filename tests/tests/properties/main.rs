@@ -15,7 +15,7 @@ mod view;
 
 use proptest::test_runner::{Config, RngSeed};
 
-/// How many cases every property draws at least.
+/// Least number of cases of every property.
 const CASES: [(&str, u32); 16] = [
     ("numbers", 2000),
     ("rates", 500),

@@ -120,7 +120,7 @@ proptest! {
     }
 }
 
-/// Where a model of an object is lit from.
+/// Position of the light of an object.
 #[derive(Debug, Clone, Copy)]
 enum Lamp {
     /// Parallel light.
@@ -129,7 +129,7 @@ enum Lamp {
     At(Vec3),
     /// In the very centre of the first Gaussian.
     InTheFirst,
-    /// Where the camera is.
+    /// At the camera.
     InTheEye,
     /// None.
     Off,

@@ -109,7 +109,7 @@ fn is_physical(seen: &Seen) -> Result<(), TestCaseError> {
     Ok(())
 }
 
-/// The sun of a case: its own, or one that stands behind the camera.
+/// The sun of a case: its own, or one behind the camera.
 fn sun_or_view() -> impl Strategy<Value = Option<Vec3>> {
     prop_oneof![3 => sun().prop_map(Some), 1 => Just(None)]
 }
@@ -169,7 +169,7 @@ proptest! {
             prop_assert!(seen.maps.alpha.iter().all(|&a| a == 0.0));
             return Ok(());
         }
-        // Light is tested by itself; splats that stand level to a hair may change places.
+        // Light is tested separately; splats of nearly equal depth may change places.
         let visibility = vec![1.0; exact.len()];
         let mut depths: Vec<f64> = exact.iter().map(|g| wide(camera.depth_axis).dot(&g.position)).collect();
         depths.sort_by(f64::total_cmp);

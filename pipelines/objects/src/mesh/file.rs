@@ -6,7 +6,7 @@ use heliosplat_exchange::glb::TooLarge;
 use heliosplat_exchange::mesh as gltf;
 use std::path::Path;
 
-/// How a mesh is written.
+/// File format of a mesh.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Format {
     /// Stanford's polygons, binary, little-endian.
@@ -16,7 +16,7 @@ pub enum Format {
 }
 
 impl Format {
-    /// The format that the ending of a file's name stands for.
+    /// The format by the extension of a file's name.
     pub fn of(path: &Path) -> Option<Self> {
         let ending = path.extension()?.to_str()?.to_ascii_lowercase();
         match ending.as_str() {

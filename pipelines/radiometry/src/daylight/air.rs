@@ -70,7 +70,7 @@ pub fn evidence(
     elevations_rad.iter().enumerate().filter_map(of_image).collect()
 }
 
-/// The light of day by the evidence of all images, in the gauge of a reference image whose sun stands so high. `None`
+/// The light of day by the evidence of all images, relative to a reference image with a sun of this elevation. `None`
 /// without a sun.
 pub fn fit(evidence: &[Evidence], reference_elevation_rad: Option<f64>, bands: usize) -> Option<Daylight> {
     let reference = reference_elevation_rad.filter(|e| *e > 0.0)?;

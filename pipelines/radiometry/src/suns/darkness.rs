@@ -15,7 +15,7 @@ const MOST: f32 = 1.5;
 const FEWEST_OTHERS: usize = 2;
 /// Quantile of the brightness of other dates that is taken as that in the sun: cells wrongly counted as lit are darker.
 const LIT_QUANTILE: f64 = 0.75;
-/// Half of the window whose mean stands for the other dates where there are none, metres.
+/// Half of the window whose mean replaces the other dates where there are none, metres.
 const WINDOW_M: f32 = 20.0;
 
 /// Logarithms of the brightness of the sampled cells in each view, less the view's median; NaN where it does not see

@@ -55,7 +55,7 @@ impl Moments {
         self.squares += times * other.squares;
     }
 
-    /// Of all blocks, each counted so many times.
+    /// The sums of all blocks, each with its number of repetitions.
     pub(super) fn weighted(blocks: &[Self], times: &[u32]) -> Self {
         let mut total = Self::default();
         for (block, &times) in blocks.iter().zip(times) {
@@ -129,7 +129,7 @@ impl Draws {
         Self { state: 1 }
     }
 
-    /// How many times each block is drawn.
+    /// Number of times each block is drawn.
     pub(super) fn next(&mut self) -> Vec<u32> {
         let blocks = BLOCKS * BLOCKS;
         let mut times = vec![0; blocks];

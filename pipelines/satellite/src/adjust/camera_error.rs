@@ -4,7 +4,7 @@ use heliosplat_rpc::adjust::{pixels_per_metre, smallest_shifts};
 use heliosplat_scene::{Scene, SceneImage};
 use nalgebra::{Vector2, Vector3};
 
-/// How far cameras are off, a common translation of the scene apart, which no image shows.
+/// Error of the cameras up to a common translation of the scene, which images do not determine.
 #[derive(Debug, Clone, PartialEq, serde::Serialize, serde::Deserialize)]
 pub struct CameraError {
     /// Root mean square of the images' errors as delivered, pixels.

@@ -33,7 +33,7 @@ pub struct AdjustedScene<'a> {
     pub ground: Ground<'a>,
     /// Corrections and residuals.
     pub adjustment: Adjustment,
-    /// How far each image's corrected camera, fitted anew, is off at most, pixels.
+    /// Largest error of fitting each image's corrected camera as an RPC, pixels.
     pub refit_px: Vec<f64>,
     /// The error against truth, where the scene has it.
     pub error: Option<CameraError>,

@@ -14,7 +14,7 @@ pub struct ImageVectors {
     pub height: usize,
     /// Their statistics.
     pub residuals: ImageResiduals,
-    /// All of its residuals, outliers too.
+    /// All of its residuals, with outliers.
     pub vectors: Vec<ResidualVector>,
 }
 

@@ -14,7 +14,7 @@ use serde_json::{Value, json};
 /// Height kept below and above the scene's range where a camera is fitted anew, metres.
 const HEIGHT_MARGIN_M: f64 = 100.0;
 
-/// Writes each image's corrected camera; returns how far a camera fitted anew is off at most, pixels (0 for shifts).
+/// Writes each image's corrected camera; returns the largest error of fitting it as an RPC, pixels (0 for shifts).
 pub(super) fn cameras(
     scene: &Scene,
     ground: &Ground,

@@ -10,9 +10,9 @@ pub(super) enum Index {
     NoBands,
     /// Values are for display.
     ForDisplay,
-    /// Of counts.
+    /// From counts.
     Counts,
-    /// Of reflectance.
+    /// From reflectance.
     Reflectance,
     /// Excess green, without near infrared.
     Green,

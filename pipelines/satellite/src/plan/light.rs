@@ -7,7 +7,7 @@ use heliosplat_scene::{ImageSun, SunSource};
 /// What makes suns known.
 const REMEDY: &str = "add acquisition times: .IMD, DIM_*.XML or .json files beside the images, or time = \"2016-04-23T08:34:00Z\" in scene.toml";
 
-/// How a model is lit.
+/// Lighting of a model.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, serde::Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Light {
@@ -28,7 +28,7 @@ impl Facts {
         }
     }
 
-    /// How the model will be lit, and why.
+    /// Expected lighting of the model, with the reason.
     pub(super) fn light_reason(&self) -> String {
         let &Self {
             images, dates, suns, ..

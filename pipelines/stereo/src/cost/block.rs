@@ -76,7 +76,7 @@ impl WideBlock {
 pub(super) struct Scratch {
     /// A view's samples, and room for the rest of the last few.
     pub(super) values: Vec<f32>,
-    /// Where they are taken.
+    /// Sampling positions.
     pub(super) places: Places,
     /// Descriptors of brightness, per view.
     pub(super) descriptors: Vec<Descriptors>,

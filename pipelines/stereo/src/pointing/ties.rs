@@ -32,7 +32,7 @@ use rayon::prelude::*;
 pub(super) const REACH: isize = 4;
 /// Half a patch, cells: 15 cells across.
 pub(super) const HALF: isize = 7;
-/// Cells of the patches per cell of the surface they lie on: patches are many cells wide, so a coarser surface serves.
+/// Cells of the patches per cell of their surface: patches are many cells wide, so a coarser surface suffices.
 const SURFACE_FACTOR: usize = 2;
 /// Radius of the median filter of that surface, its cells.
 const MEDIAN_RADIUS: usize = 2;
@@ -50,10 +50,10 @@ const STIFFNESS: Vec3 = Vec3::new(1e-3, 1e-3, 1e-6);
 /// Least correlation of a sighting with its reference.
 const LEAST_SCORE: f32 = 0.75;
 
-/// Where a view shows a tie point.
+/// Position of a tie point in a view.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Sighting {
-    /// Which view.
+    /// Index of the view.
     pub view: usize,
     /// Column in the view's image, pixels.
     pub col: f32,
@@ -68,11 +68,11 @@ pub struct Sighting {
 pub struct Tie {
     /// Its approximate position, metres in the frame of the cameras.
     pub near: Vec3,
-    /// Where it is seen; the reference comes first.
+    /// Its positions in views; the reference comes first.
     pub sightings: Vec<Sighting>,
 }
 
-/// How tie points are searched.
+/// Options of the search for tie points.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct TieOptions {
     /// Cells of the request per cell of the patches: 2 finds shifts of twice the size at half the precision.
@@ -111,7 +111,7 @@ pub fn find_ties(views: &[SweepView], request: &PlaneSweepRequest, options: TieO
         .collect()
 }
 
-/// The approximate surface that patches lie on.
+/// The approximate surface of the patches.
 struct ApproximateSurface<'a> {
     grid: Grid,
     altitude: &'a [f32],

@@ -7,7 +7,7 @@ use jiff::Timestamp;
 /// Time and sun of an acquisition, as far as they are known.
 #[derive(Debug, Clone, Copy, Default, PartialEq, serde::Serialize)]
 pub struct Acquisition {
-    /// When, UTC.
+    /// Time of acquisition, UTC.
     pub time: Option<Timestamp>,
     /// Azimuth of the sun as stated by the vendor, degrees clockwise from north, in [0, 360).
     pub sun_azimuth_deg: Option<f64>,

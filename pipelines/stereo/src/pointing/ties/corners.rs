@@ -1,4 +1,4 @@
-//! Where tie points are searched: on corners of the views' texture (Shi and Tomasi 1994), spread over the ground.
+//! Candidates of tie points: corners of the views' texture (Shi and Tomasi 1994), spread over the ground.
 
 use heliosplat_grid::Grid;
 use rayon::prelude::*;
@@ -8,8 +8,8 @@ const RADIUS: usize = 3;
 /// Least side of a tile, cells: smaller ones hold no corner of their own, since the structure tensor is summed over
 /// seven.
 const LEAST_TILE: usize = 4;
-/// By how many views the first reference moves from one row of tiles to the next: it shares no factor with most numbers
-/// of views, so one view's tiles do not stand in columns.
+/// Change of the first reference view from one row of tiles to the next: it shares no factor with most numbers of
+/// views, so one view's tiles do not form columns.
 const ROW_STEP: usize = 5;
 
 /// A cell worth matching and the view it is seen best in.

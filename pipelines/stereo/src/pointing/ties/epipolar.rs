@@ -84,9 +84,9 @@ impl ReducedView<'_> {
 pub struct EpipolarSearch {
     /// Lowest and highest altitude, metres above the ellipsoid.
     pub range_m: (f64, f64),
-    /// Where across the epipolar line matches are expected, pixels of the first image's file.
+    /// Expected offset of matches across the epipolar line, pixels of the first image's file.
     pub across_px: f64,
-    /// How far from there they are searched, pixels of the first image's file.
+    /// Largest distance of the search from there, pixels of the first image's file.
     pub reach_px: f64,
     /// Corners that are tried, about.
     pub corners: usize,
@@ -103,14 +103,13 @@ pub struct TiedAltitudes {
     pub tried: usize,
     /// Corners with a match, before the test of neighbours.
     pub matched: usize,
-    /// How far the second image is off across the epipolar line, pixels of the first image's file.
+    /// Offset of the second image across the epipolar line, pixels of the first image's file.
     pub across_px: f64,
     /// Altitude per pixel of parallax, metres: a few times the error of the altitudes.
     pub step_m: f64,
 }
 
-/// One match: the corner in the first image, its altitude, and how far off the line it was found, pixels of the reduced
-/// image.
+/// One match: the corner in the first image, its altitude, and its distance from the line, pixels of the reduced image.
 #[derive(Debug, Clone, Copy)]
 struct Match {
     at: Vector2<f64>,
@@ -154,7 +153,7 @@ pub fn tied_altitudes(first: &ReducedView, second: &ReducedView, search: &Epipol
 /// direction of rising altitude, `v` across it, pixels of the first image.
 struct Line {
     corner: Vector2<f64>,
-    /// Where the second image shows the corner at the middle of the range.
+    /// Position of the corner in the second image at the middle of the range.
     middle: Vector2<f64>,
     middle_m: f64,
     /// Unit vectors of `u` and `v` in the first image.
@@ -167,7 +166,7 @@ struct Line {
     shifts: usize,
     /// Longest shift across each way.
     across: usize,
-    /// Where across the line the search begins.
+    /// Start of the search across the line.
     offset: f64,
 }
 
@@ -220,7 +219,7 @@ impl Line {
     ) -> Option<(f64, f64)> {
         let place = |height_m: f64| second.place_of(first, corner, height_m);
         let (from, to) = (place(low_m)?, place(high_m)?);
-        // Where the line enters and leaves the image, as shares of its length (Liang and Barsky 1984).
+        // Parameters at which the line enters and leaves the image, as shares of its length (Liang and Barsky 1984).
         let (mut enters, mut leaves) = (0.0f64, 1.0f64);
         for (at, along, size) in [
             (from.x, to.x - from.x, second.image.width),

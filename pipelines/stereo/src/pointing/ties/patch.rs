@@ -29,7 +29,7 @@ pub(super) struct Template {
     pub(super) values: [f32; CELLS],
 }
 
-/// Where a patch was found: shift in cells (columns east, rows south) and correlation.
+/// Match of a patch: shift in cells (columns east, rows south) and correlation.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) struct Match {
     pub(super) shift: [f32; 2],

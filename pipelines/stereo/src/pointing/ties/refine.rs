@@ -51,7 +51,7 @@ fn sampled(shift: DVec2, sample: &dyn Fn(f32, f32) -> f32) -> Option<[f32; CELLS
     normalise(&mut patch).then_some(patch)
 }
 
-/// How the template changes with columns and rows, and the inverse of their products.
+/// Derivatives of the template along columns and rows, and the inverse of their products.
 struct Slopes {
     cols: [f32; CELLS],
     rows: [f32; CELLS],
