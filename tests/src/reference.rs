@@ -54,7 +54,7 @@ pub struct Pixel {
     /// `Σ w z²`.
     pub depth_square: f64,
     /// Whether no splat's alpha is so near the threshold that rounding decides.
-    pub settled: bool,
+    pub is_stable: bool,
 }
 
 const ALPHA_MIN: f64 = 1.0 / 255.0;
@@ -258,12 +258,12 @@ pub fn render(gaussians: &[Gaussian], camera: &Camera, visibility: &[f64], filte
                 alpha: 0.0,
                 depth: 0.0,
                 depth_square: 0.0,
-                settled: true,
+                is_stable: true,
             };
             for s in &splats {
                 let d = Vector2::new(col as f64, row as f64) - s.centre;
                 let raw = s.opacity * (-0.5 * (d.transpose() * s.conic * d)[0]).exp();
-                pixel.settled &= (raw / ALPHA_MIN - 1.0).abs() > DOUBT;
+                pixel.is_stable &= (raw / ALPHA_MIN - 1.0).abs() > DOUBT;
                 if raw < ALPHA_MIN {
                     continue;
                 }

@@ -311,16 +311,16 @@ pub struct Closing<'a> {
 }
 
 /// State of a folder at the request of a training.
-pub enum Opened<'a, P> {
+pub enum FolderState<'a, P> {
     /// This very training, finished: its metrics.
     Finished(Value),
     /// Nothing, or a checkpoint.
-    Open(Box<RunFolder<'a, P>>),
+    Ready(Box<RunFolder<'a, P>>),
 }
 
-impl<'a, P: Clone + Serialize + DeserializeOwned + 'static> Opened<'a, P> {
-    /// Looks into the folder of a run, and makes it where it is absent: better to hear now than after the training that
-    /// nothing can be written there.
+impl<'a, P: Clone + Serialize + DeserializeOwned + 'static> FolderState<'a, P> {
+    /// Looks into the folder of a run, and makes it where it is absent, so that a folder that cannot be written fails
+    /// before the training.
     ///
     /// # Errors
     /// When another process trains there, the folder holds a training that `earlier` keeps, the checkpoint is damaged
@@ -356,7 +356,7 @@ impl<'a, P: Clone + Serialize + DeserializeOwned + 'static> Opened<'a, P> {
         let before = checkpoint.as_ref().map_or(0.0, |checkpoint| checkpoint.log.elapsed_s);
         let before = Duration::try_from_secs_f64(before).unwrap_or_default();
         let begun = request.begun.checked_sub(before).unwrap_or(request.begun);
-        Ok(Self::Open(Box::new(RunFolder {
+        Ok(Self::Ready(Box::new(RunFolder {
             begun,
             budget: request.time_budget.map(|limit| Budget::new(begun, limit, steps_after)),
             checkpoints: CheckpointWriter::new(out, identity, request.checkpoint_every, begun),

@@ -107,7 +107,7 @@ impl Grid {
     }
 
     /// Whether the box of two ground positions lies outside the grid, at least a cell away from it.
-    pub fn is_beside(&self, a: Vec3, b: Vec3) -> bool {
+    pub fn is_outside(&self, a: Vec3, b: Vec3) -> bool {
         let (low, high) = (a.min(b), a.max(b));
         let east_m = self.west_m + (self.width + 1) as f32 * self.cell_m;
         let south_m = self.north_m - (self.height + 1) as f32 * self.cell_m;

@@ -15,7 +15,7 @@ use heliosplat_fitting::checkpoint::digest;
 use heliosplat_fitting::program::{build, identity_of_program};
 use heliosplat_fitting::request::{TrainOutcome, TrainRequest, TrainedRun};
 use heliosplat_fitting::run_folder::{
-    Input, Opened, RunError, RunFolder, RunRequest, create_folder, hash, peak_rss_bytes, resident_bytes,
+    FolderState, Input, RunError, RunFolder, RunRequest, create_folder, hash, peak_rss_bytes, resident_bytes,
 };
 use heliosplat_fitting::training::Ending;
 use heliosplat_session::Session;
@@ -79,13 +79,13 @@ pub fn train(
     }
     let inputs = hashes(&capture)?;
     let identity = identity(request, &config, &capture, &inputs)?;
-    let folder = match Opened::<Plan>::look(RunRequest {
+    let folder = match FolderState::<Plan>::look(RunRequest {
         request,
         identity: &identity,
         steps_after: steps_of_products(capture.frames.len()),
     })? {
-        Opened::Finished(metrics) => return Ok(TrainOutcome::FinishedBefore { metrics }),
-        Opened::Open(folder) => *folder,
+        FolderState::Finished(metrics) => return Ok(TrainOutcome::FinishedBefore { metrics }),
+        FolderState::Ready(folder) => *folder,
     };
     drop(part);
     let RunFolder {

@@ -23,7 +23,7 @@ use heliosplat_stereo::change::Changes;
 use rayon::prelude::*;
 
 /// Least height above the ground of cells next to a part, metres.
-const LEAST_BESIDE_M: f32 = 2.0;
+const LEAST_ADJACENT_M: f32 = 2.0;
 /// Neighbours that differ by more belong to different parts, metres.
 const STEP_M: f32 = 3.0;
 /// Least ground of a part, m².
@@ -40,7 +40,7 @@ const MOST_CONTRAST_NOW: f32 = 0.4;
 /// Least share of a part's cells that are lit on one date and shaded on another.
 const LEAST_SHARE: f32 = 0.1;
 /// Area of such cells that suffices whatever their share, m².
-const LEAST_TOLD_M2: f32 = 5.0;
+const LEAST_TESTED_M2: f32 = 5.0;
 /// Distance from a lowered cell within which the level of the ground is measured, metres each way (docs/lab/edges.md).
 const LEVEL_REACH_M: f32 = 18.0;
 /// Most height above the ground of cells that count as ground, metres.
@@ -193,7 +193,7 @@ fn parts(grid: &Grid, surface: &Surface, ground_m: &[f32], changes: &Changes) ->
     let mask: Vec<bool> = grid.cells().map(|cell| unsure(cell) && level(cell)).collect();
     let whole = |cells: Vec<usize>| {
         let mut part: Vec<usize> = cells.iter().flat_map(|&cell| grid.around(cell, 1)).collect();
-        part.retain(|&cell| height_m(cell) > LEAST_BESIDE_M && changes.at(cell).is_none());
+        part.retain(|&cell| height_m(cell) > LEAST_ADJACENT_M && changes.at(cell).is_none());
         part.sort_unstable();
         part.dedup();
         part
@@ -215,7 +215,7 @@ fn is_bridged(grid: &Grid, surface: &Surface, ground_m: &[f32], part: &[usize], 
     let now = now.map_or(0.0, |now| now.mean);
     let part_m2 = part.len() as f32 * grid.cell_m * grid.cell_m;
     let tells = |then: Contrast| {
-        let enough = then.share > LEAST_SHARE || then.share * part_m2 >= LEAST_TOLD_M2;
+        let enough = then.share > LEAST_SHARE || then.share * part_m2 >= LEAST_TESTED_M2;
         enough && then.mean > LEAST_CONTRAST && then.mean - now.max(0.0) > LEAST_GAIN
     };
     let bridged = now < MOST_CONTRAST_NOW && then.is_some_and(tells);

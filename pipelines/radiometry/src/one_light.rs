@@ -88,7 +88,7 @@ impl OneLight {
     /// Sets the air of `model` from level ground in the view of `nadir`, a camera of pixels of `gsd_m`; without enough
     /// of it nothing changes. `darkest` bounds the path radiance of each band: before training, when many shadows are
     /// in wrong places.
-    pub fn settle(
+    pub fn estimate_air(
         &self,
         model: &ShadowGs,
         parameters: &mut Parameters,
@@ -132,7 +132,7 @@ impl OneLight {
             path_radiance,
         };
         let visibility = self.visibility(model, parameters);
-        model.settle_air(parameters, &visibility, &air);
+        model.set_air(parameters, &visibility, &air);
         bound(&mut parameters.gaussians, &visibility, model.options.bands);
     }
 

@@ -14,7 +14,7 @@ use heliosplat_grid::statistics::upper_median;
 const LEAST_SKY: f32 = 0.1;
 /// Share of the bound that is used. Subtracting too little costs less than subtracting too much, which leaves dark
 /// ground without albedo (docs/lab/faults.md).
-const BELIEVED: f32 = 0.85;
+const BOUND_SHARE: f32 = 0.85;
 /// Pairs of a bin; a bin's medians count, not single pairs.
 const FEWEST_PAIRS: usize = 40;
 /// Most bins into which the pairs of one view are put, by the brightness of the ground in the sun.
@@ -36,7 +36,7 @@ pub(crate) fn of_band(pairs: Vec<Vec<Pair>>) -> f32 {
     let bounds = pairs.into_iter().flat_map(bounds);
     let least = bounds.fold(f32::INFINITY, f32::min);
     if least.is_finite() {
-        BELIEVED * least.max(0.0)
+        BOUND_SHARE * least.max(0.0)
     } else {
         0.0
     }
@@ -78,7 +78,7 @@ mod tests {
     fn shadows_tell_the_path_radiance() {
         for path_radiance in [0.0, 0.1, 0.3] {
             let found = of_band(vec![pairs(path_radiance, 0.15, 2000), pairs(path_radiance, 0.4, 2000)]);
-            let believed = BELIEVED * path_radiance;
+            let believed = BOUND_SHARE * path_radiance;
             assert!(
                 found >= believed - 0.005 && found < believed + 0.02,
                 "{found} for {path_radiance}"

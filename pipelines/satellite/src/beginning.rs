@@ -27,13 +27,13 @@ const OWN_RATE_STEPS: usize = 1600;
 const SMOOTHNESS_WEIGHT: f32 = 0.1;
 
 /// A model before its first step.
-pub(super) struct Beginning {
+pub(super) struct InitialState {
     pub(super) model: ShadowGs,
     pub(super) parameters: Parameters,
     pub(super) views: Vec<View>,
 }
 
-impl Beginning {
+impl InitialState {
     /// The initial state for the images of `ground` under `suns`, on the surface `found`.
     ///
     /// # Errors

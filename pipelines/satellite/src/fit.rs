@@ -1,6 +1,6 @@
 //! From a scene to a trained model: prepare, begin, colour, train, finish.
 
-use super::beginning::{self, Beginning, SKY};
+use super::beginning::{self, InitialState, SKY};
 use super::config::SatelliteConfig;
 use super::error::SatelliteError;
 use super::plan::{Decisions, Light};
@@ -72,7 +72,7 @@ pub struct Fitted {
 
 /// A model before its first step.
 struct Start {
-    beginning: Beginning,
+    beginning: InitialState,
     /// The suns of the images trained on.
     suns: Vec<ImageSun>,
     decisions: Decisions,
@@ -167,7 +167,7 @@ impl FitRequest<'_> {
         }
         let has_time = || self.budget.is_none_or(|budget| budget.spent() < BUDGET_FOR_SUNS);
         for _ in 0..MOST_SHORT_FITS {
-            if !has_time() || !suns::are_in_doubt(&swept.found.shadow_suns) {
+            if !has_time() || !suns::are_undecided(&swept.found.shadow_suns) {
                 break;
             }
             let altitude_m = short_fit::altitudes(self, &swept)?;
@@ -219,7 +219,7 @@ impl FitRequest<'_> {
     /// Gives Gaussians their albedo, and images their colours.
     fn colour(&self, start: &mut Start) -> Colours {
         let _part = stage("colours");
-        let Beginning {
+        let InitialState {
             model,
             parameters,
             views,
@@ -228,7 +228,7 @@ impl FitRequest<'_> {
         let one_light = OneLight::of(&start.suns, model.options.reference);
         if let Some(light) = &one_light {
             let darkest = one_light::darkest(&views[model.options.reference].image);
-            light.settle(model, parameters, &self.nadir(), self.scene.gsd_m, Some(&darkest));
+            light.estimate_air(model, parameters, &self.nadir(), self.scene.gsd_m, Some(&darkest));
         }
         linear::begin(model, parameters, views);
         Colours { shades, one_light }
@@ -243,7 +243,7 @@ impl FitRequest<'_> {
         state: Option<TrainerState>,
     ) -> Result<Trained, SatelliteError> {
         let _part = stage("train");
-        let Beginning {
+        let InitialState {
             model,
             parameters,
             views,
@@ -277,7 +277,7 @@ impl FitRequest<'_> {
         drop(part);
         let _part = stage("daylight");
         if let Some(light) = &colours.one_light {
-            light.settle(model, parameters, &self.nadir(), self.scene.gsd_m, None);
+            light.estimate_air(model, parameters, &self.nadir(), self.scene.gsd_m, None);
         }
         let elevation = |sun: &ImageSun| Some(sun.position?.elevation_rad);
         let elevations: Vec<Option<f64>> = start.suns.iter().map(elevation).collect();

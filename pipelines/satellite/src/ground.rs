@@ -212,11 +212,11 @@ pub(super) fn volume(area: &Area, up_m: (f64, f64), cell_m: f64) -> SearchVolume
 /// Share of an image's pixels at each end of their values that do not count as contrast.
 const TAIL: f64 = 0.01;
 /// Approximate number of pixels that sample the contrast of an image.
-const JUDGED_PIXELS: usize = 1 << 16;
+const CONTRAST_PIXELS: usize = 1 << 16;
 
 /// Whether nearly all known pixels have one value, in every band.
 fn is_flat(raster: &Raster) -> bool {
-    let step = (raster.width * raster.height / JUDGED_PIXELS).max(1);
+    let step = (raster.width * raster.height / CONTRAST_PIXELS).max(1);
     let spread = |band: usize| {
         let known = raster
             .plane(band)

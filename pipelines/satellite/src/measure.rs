@@ -119,17 +119,17 @@ struct Views {
 }
 
 impl Views {
-    fn add(&mut self, judged: Judged) {
-        if let Some(score) = judged.score {
-            if judged.held_out {
-                self.colour = Some(judged.colour);
+    fn add(&mut self, scores: ViewScores) {
+        if let Some(score) = scores.score {
+            if scores.held_out {
+                self.colour = Some(scores.colour);
                 self.test.push(score);
             } else {
                 self.train.push(score);
             }
         }
-        if let Some([asked, by_trace]) = judged.shadows {
-            self.shadows.add(asked);
+        if let Some([with_image, by_trace]) = scores.shadows {
+            self.shadows.add(with_image);
             self.traced.add(by_trace);
         }
     }
@@ -147,23 +147,23 @@ fn views(scene: &Scene, whole: &LoadedModel, model: &LoadedModel, run: &Path) ->
         let rendered = render_view(of_day.as_ref().unwrap_or(model), view.known, Some(&view.truth));
         Some((view, rendered))
     };
-    let judge = |(view, rendered): (View, RenderedView)| view.judge(scene, &rendered, rgb, run);
+    let measure = |(view, rendered): (View, RenderedView)| view.measure(scene, &rendered, rgb, run);
     let mut waiting: Option<(View, RenderedView)> = None;
     // While a view is rendered on all threads but for moments, the one before it is scored and drawn.
     for known in &model.file.images {
         let before = waiting.take();
-        let (judged, rendered) = beside(
-            || before.map(judge).transpose(),
+        let (scores, rendered) = beside(
+            || before.map(measure).transpose(),
             || {
                 let _part = stage("render");
                 render(known)
             },
         );
-        judged?.into_iter().for_each(|judged| out.add(judged));
+        scores?.into_iter().for_each(|scores| out.add(scores));
         waiting = rendered;
     }
-    if let Some(judged) = waiting.map(judge) {
-        out.add(judged?);
+    if let Some(scores) = waiting.map(measure) {
+        out.add(scores?);
     }
     Ok(out)
 }
@@ -201,7 +201,7 @@ struct View<'a> {
 }
 
 /// Scores of a view.
-struct Judged {
+struct ViewScores {
     held_out: bool,
     score: Option<ImageScore>,
     /// Source of its colours.
@@ -220,13 +220,13 @@ impl<'a> View<'a> {
     }
 
     /// Scores the view and draws it into the run's folder.
-    fn judge(
+    fn measure(
         &self,
         scene: &Scene,
         rendered: &RenderedView,
         rgb: Option<[usize; 3]>,
         run: &Path,
-    ) -> Result<Judged, SatelliteError> {
+    ) -> Result<ViewScores, SatelliteError> {
         let Self { known, image, truth } = self;
         let held_out = known.split == Split::Test;
         let mask = match scene.truth.shadows.iter().find(|(name, _)| *name == known.name) {
@@ -235,7 +235,7 @@ impl<'a> View<'a> {
         };
         let counts = |mask: &Raster| [&rendered.visibility, &rendered.traced].map(|lit| ShadowCounts::of(lit, mask));
         draw(run, &known.name, truth, rendered, mask.as_ref())?;
-        Ok(Judged {
+        Ok(ViewScores {
             held_out,
             score: score(rendered, truth, rgb),
             colour: rendered.colour.text(),

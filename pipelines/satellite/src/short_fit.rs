@@ -3,7 +3,7 @@
 //! Roofs of a swept surface are too wide and its walls lean, and its shadows have the same errors. A model of a few
 //! steps has its walls in the right place: shadows and dark ground agree better on it by half (docs/lab/suns.md).
 
-use super::beginning::{self, Beginning, SKY};
+use super::beginning::{self, InitialState, SKY};
 use super::error::SatelliteError;
 use super::fit::FitRequest;
 use super::preprocess::Preprocess;
@@ -37,11 +37,11 @@ pub(super) fn altitudes(request: &FitRequest, swept: &Preprocess) -> Result<Vec<
     tracing::info!("Short training to estimate the suns from shadows on a better surface");
     let Preprocess { ground, found } = swept;
     let (suns, decisions) = suns::decided(scene, ground, &found.shadow_suns, request.decisions);
-    let Beginning {
+    let InitialState {
         model,
         mut parameters,
         mut views,
-    } = Beginning::new(ground, found, &suns, &decisions, config)?;
+    } = InitialState::new(ground, found, &suns, &decisions, config)?;
     let mut options = beginning::train_options(config, scene, views.len());
     options.iterations = options.iterations.min(STEPS);
     options.patience = 0;

@@ -18,7 +18,7 @@ use heliosplat_fitting::budget::steps_of_products;
 use heliosplat_fitting::checkpoint::digest;
 use heliosplat_fitting::program::{build, identity_of_program};
 use heliosplat_fitting::request::{TrainOutcome, TrainRequest, TrainedRun};
-use heliosplat_fitting::run_folder::{Input, Opened, RunFolder, RunRequest};
+use heliosplat_fitting::run_folder::{FolderState, Input, RunFolder, RunRequest};
 use heliosplat_fitting::training::Ending;
 use heliosplat_products::change::ChangeMap;
 use heliosplat_products::dsm::{self, Dsm};
@@ -53,13 +53,13 @@ pub fn train(
     let cut = identified(scene, &request.out)?;
     let inputs = inputs_of(scene, &cut);
     let identity = identity(scene, &config, &decisions, request, &inputs)?;
-    let folder = match Opened::look(RunRequest {
+    let folder = match FolderState::look(RunRequest {
         request,
         identity: &identity,
         steps_after: steps_of_products(scene.images.len()) + linear::finish_steps(scene.training().count()),
     })? {
-        Opened::Finished(metrics) => return Ok(TrainOutcome::FinishedBefore { metrics }),
-        Opened::Open(folder) => *folder,
+        FolderState::Finished(metrics) => return Ok(TrainOutcome::FinishedBefore { metrics }),
+        FolderState::Ready(folder) => *folder,
     };
     drop(part);
     let RunFolder {

@@ -26,7 +26,7 @@ const WINDOW_CELLS: usize = 5;
 /// Standard deviation of the weights in that window, cells.
 const WINDOW_SIGMA_CELLS: f32 = 2.0;
 /// Largest distance between edges that are combined, cells.
-const TOGETHER_CELLS: f32 = 4.0;
+const SAME_EDGE_CELLS: f32 = 4.0;
 /// Least cosine between their directions.
 const SAME_DIRECTION: f32 = 0.9;
 /// Largest difference of their upper altitudes, metres.
@@ -34,7 +34,7 @@ const SAME_TOP_M: f32 = 1.0;
 /// Standard deviation of true edges about matched ones, cells (docs/lab/edges.md).
 const SIGMA_CELLS: f32 = 1.4;
 /// Fewest views for an edge: the median of two would be one of them.
-const FEWEST_TELLING: usize = 3;
+const FEWEST_PROFILES: usize = 3;
 /// Cells further from any edge than this stay on their side, cells.
 const REACH_CELLS: f32 = 3.0;
 
@@ -55,7 +55,7 @@ impl Edge {
 
     /// Whether two belong to one edge, so that their profiles are combined.
     fn same_edge_as(&self, other: &Edge) -> bool {
-        self.at.distance_squared(other.at) <= TOGETHER_CELLS * TOGETHER_CELLS
+        self.at.distance_squared(other.at) <= SAME_EDGE_CELLS * SAME_EDGE_CELLS
             && self.outward.dot(other.outward) >= SAME_DIRECTION
             && (self.upper_m - other.upper_m).abs() <= SAME_TOP_M
     }
@@ -68,7 +68,7 @@ type Profile = [f32; PROFILE];
 /// altitude of the other side. `step_m` is the step of the height hypotheses, metres. Moved cells keep the large
 /// deviation of their match.
 pub(super) fn place(grid: &Grid, views: &[LevelView], altitude: &mut [f32], step_m: f32) {
-    if views.len() < FEWEST_TELLING {
+    if views.len() < FEWEST_PROFILES {
         return;
     }
     let edges = find(grid, altitude, LEAST_STEP_M.max(LEAST_STEPS * step_m));
@@ -155,7 +155,7 @@ fn profile(grid: &Grid, views: &[LevelView], edge: &Edge) -> Profile {
         (mean.is_finite() && mean > 0.0).then(|| changes.map(|change| change / mean))
     };
     let changes: Vec<Profile> = views.iter().filter_map(of_view).collect();
-    if changes.len() < FEWEST_TELLING {
+    if changes.len() < FEWEST_PROFILES {
         return [0.0; PROFILE];
     }
     std::array::from_fn(|k| {
@@ -164,7 +164,7 @@ fn profile(grid: &Grid, views: &[LevelView], edge: &Edge) -> Profile {
     })
 }
 
-/// Edges by where they are: those of squares of [`TOGETHER_CELLS`] a side.
+/// Edges by where they are: those of squares of [`SAME_EDGE_CELLS`] a side.
 struct Near {
     squares: Grid,
     edges: Vec<Vec<usize>>,
@@ -172,7 +172,7 @@ struct Near {
 
 impl Near {
     fn new(grid: &Grid, edges: &[Edge]) -> Self {
-        let squares = grid.coarser(TOGETHER_CELLS as usize);
+        let squares = grid.coarser(SAME_EDGE_CELLS as usize);
         let mut of_square = vec![Vec::new(); squares.len()];
         for (number, edge) in edges.iter().enumerate() {
             of_square[Self::square(&squares, edge.at)].push(number);
@@ -184,11 +184,11 @@ impl Near {
     }
 
     fn square(squares: &Grid, at: Vec2) -> usize {
-        let of = |cells: f32, count: usize| ((cells / TOGETHER_CELLS) as usize).min(count - 1);
+        let of = |cells: f32, count: usize| ((cells / SAME_EDGE_CELLS) as usize).min(count - 1);
         of(at.y, squares.height) * squares.width + of(at.x, squares.width)
     }
 
-    /// All edges within [`TOGETHER_CELLS`] of a place, and some further ones.
+    /// All edges within [`SAME_EDGE_CELLS`] of a place, and some further ones.
     fn around(&self, at: Vec2) -> impl Iterator<Item = usize> {
         let squares = self.squares.around(Self::square(&self.squares, at), 1);
         squares.flat_map(|square| self.edges[square].iter().copied())

@@ -142,7 +142,7 @@ fn first_hit(
         return f32::MIN;
     };
     // For a small ground grid most rays of an image miss it.
-    if grid.is_beside(start, end) {
+    if grid.is_outside(start, end) {
         return f32::MIN;
     }
     for _ in 0..BOUND_ROUNDS {
@@ -216,7 +216,7 @@ mod tests {
         let (of_small, of_wide) = (hits(&small), hits(&wide));
         let beside = |pixel: usize| {
             let at = |z: f32| camera.point_at_altitude((pixel % 120) as f32, (pixel / 120) as f32, z);
-            at(9.0).zip(at(0.0)).is_some_and(|(a, b)| small.is_beside(a, b))
+            at(9.0).zip(at(0.0)).is_some_and(|(a, b)| small.is_outside(a, b))
         };
         let passing = (0..120 * 120).filter(|&pixel| beside(pixel)).count();
         assert!(passing > 120 * 120 / 2, "{passing}");

@@ -37,7 +37,7 @@ impl ShadowGs {
     /// The other images follow: their skies keep their ratio to that of the reference image, and their colours absorb
     /// the difference of the path radiance. Near-surface light stays. Images do not change where all of them have the
     /// same `S` and each pixel shows one Gaussian.
-    pub fn settle_air(&self, parameters: &mut Parameters, visibility: &[f32], air: &Air) {
+    pub fn set_air(&self, parameters: &mut Parameters, visibility: &[f32], air: &Air) {
         let bands = self.options.bands;
         let before = self.air(parameters);
         let sky: Vec<f32> = air.sky.iter().map(|&sky| sky.max(LEAST_SKY)).collect();
@@ -175,7 +175,7 @@ mod tests {
                 path_radiance: vec![0.05, 0.08, 0.11],
                 sky: vec![0.15, 0.2, 0.25],
             };
-            model.settle_air(&mut parameters, &visibility, &air);
+            model.set_air(&mut parameters, &visibility, &air);
             let now = model.air(&parameters);
             for k in 0..3 {
                 assert!((now.path_radiance[k] - air.path_radiance[k]).abs() < 1e-6);
@@ -218,7 +218,7 @@ mod tests {
             let shown = 0.06 + 0.4 * (0.1 + 0.9 * v);
             parameters.gaussians.group_mut(ALBEDO)[g] = shown / (0.3 + 0.7 * v);
         }
-        model.settle_air(&mut parameters, &visibility, &air);
+        model.set_air(&mut parameters, &visibility, &air);
         for albedo in parameters.gaussians.group(ALBEDO) {
             assert!((albedo - 0.4).abs() < 1e-5, "{albedo}");
         }

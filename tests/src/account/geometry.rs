@@ -131,7 +131,7 @@ fn footprint_rows(timed: bool) -> [Row; 4] {
                         let pixels =
                             reference::render(&[exact(&table, log_scale)], &wide_camera, &[1.0], 0.1f32.into(), true);
                         let alphas = Rasteriser::new(&projected, 64, 64).forward(&[], 0).alpha;
-                        for (i, pixel) in pixels.iter().enumerate().filter(|(_, pixel)| pixel.settled) {
+                        for (i, pixel) in pixels.iter().enumerate().filter(|(_, pixel)| pixel.is_stable) {
                             robust[3].value.see((f64::from(alphas[i]) - pixel.alpha).abs(), at);
                             let (x, y) = ((i % 64) as f32 - splat.col, (i / 64) as f32 - splat.row);
                             let [a, b, c] = plain_conic;

@@ -176,7 +176,7 @@ proptest! {
         prop_assume!(depths.windows(2).all(|pair| pair[1] - pair[0] > 1e-5));
         let pixels = reference::render(&exact, &reference_camera(&camera), &visibility, 0.1, true);
         let (mut error, mut norm) = ([0.0f64; 2], [0.0f64; 2]);
-        for (i, pixel) in pixels.iter().enumerate().filter(|(_, pixel)| pixel.settled) {
+        for (i, pixel) in pixels.iter().enumerate().filter(|(_, pixel)| pixel.is_stable) {
             let maps = &seen.maps;
             let pairs = [(0, maps.alpha[i], pixel.alpha), (0, maps.channels[0][i], pixel.albedo[0]), (1, maps.depth[i], pixel.depth)];
             for (of, engine, exact) in pairs {
