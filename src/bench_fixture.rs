@@ -2,7 +2,8 @@
 //! benches measure the engine's speed with it; nothing else uses it.
 //!
 //! A sheet of flat Gaussians over a town of blocks, spread over a square image seen from near the nadir. Its size in
-//! pixels and its number of Gaussians are free; the splats' sizes follow, so that about as many pairs fall on a pixel.
+//! pixels and its number of Gaussians are free; the splats' sizes follow, so that the number of splats per pixel is
+//! about constant.
 
 use crate::camera::ProjectiveCamera;
 use crate::gaussians::{LOG_SCALE, OPACITY, POSITION, ROTATION, Table, core_groups};

@@ -123,7 +123,8 @@ pub struct Running {
     _same_thread: std::marker::PhantomData<*const ()>,
 }
 
-/// Opens a stage within the innermost one that is open on this thread. One of the same name there goes on.
+/// Opens a stage within the innermost one that is open on this thread. An earlier stage of the same name there
+/// continues.
 pub fn stage(name: &'static str) -> Running {
     RECORD.with_borrow_mut(|record| {
         let depth = record.open.len();

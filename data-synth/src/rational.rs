@@ -5,8 +5,9 @@ use crate::ray::Ray;
 use heliosplat_rpc::{ImagePoint, LocalFrame, Rpc, RpcError};
 use nalgebra::Vector3;
 
-/// Distance between the nodes where rays are found from the camera, pixels. Between them rays are interpolated: over so
-/// few of the tens of thousands of pixels of its full scene a camera bends by far less than a thousandth of a pixel.
+/// Distance between the nodes where rays are computed from the camera, pixels. Rays between them are interpolated: over
+/// so few of the tens of thousands of pixels of a full scene a camera deviates from linear by far less than a
+/// thousandth of a pixel.
 const NODE_PX: f64 = 32.0;
 /// Heights above and below the frame's origin between which a ray is taken to be straight, metres.
 const SPAN_M: f64 = 150.0;

@@ -84,7 +84,7 @@ pub(crate) fn suns_deg(request: &SatelliteRequest, collection: &Collection) -> V
         .collect()
 }
 
-/// The elevation of one of so many suns, before they are shuffled, degrees; a single one stands in the middle.
+/// The elevation of sun `index` of `count`, before they are shuffled, degrees; a single one is in the middle.
 fn elevation_deg(index: usize, count: usize) -> f64 {
     let [low_deg, high_deg] = ELEVATIONS_DEG;
     let share = match count {

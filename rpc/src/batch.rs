@@ -1,8 +1,7 @@
 //! Many points through one camera: the same arithmetic as point by point, eight points side by side.
 //!
-//! Projection gives the very bits of [`Rpc::project`]. Localisation takes Newton's way from the model's centre, which
-//! nearly every point of a sound model needs no more than; whatever does not arrive there goes the careful way of
-//! [`Rpc::localise`].
+//! Projection gives the same bits as [`Rpc::project`]. Localisation runs Newton's method from the model's centre, which
+//! suffices for nearly every point of a valid model; other points go through the careful method of [`Rpc::localise`].
 
 use crate::polynomial::{gradient_horizontal, monomials, value};
 use crate::rpc::wrapped_longitude_deg;

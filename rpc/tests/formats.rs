@@ -1,4 +1,4 @@
-//! Real files of the formats users bring, against golden values where the same product is there.
+//! Real files of the supported formats, against golden values of the same products.
 
 mod common;
 

@@ -13,8 +13,8 @@ use rayon::prelude::*;
 const REACH_GSD: f32 = 1.25;
 /// Difference of altitude up to which they are, ground sampling distances: surfaces as steep as that are walls.
 const SAME_SURFACE_GSD: f32 = 1.5;
-/// Differences much smaller than this count by their square, in units of the feature, so that the gradient has no jump
-/// at zero.
+/// Differences much smaller than this have a quadratic penalty, in units of the feature, so that the gradient has no
+/// jump at zero.
 const ROUNDED: f32 = 0.02;
 /// Values per parallel job; fixed, so that sums do not depend on the number of threads.
 const CHUNK: usize = 4096;

@@ -61,7 +61,7 @@ const INITIAL_SCATTERED: f32 = 0.1;
 const NETWORK_OUTPUT_SCALE: f32 = 0.1;
 /// Initial F0: that of plastics and most other dielectrics.
 const DIELECTRIC_F0: f32 = 0.04;
-/// Initial specular colour: next to nothing.
+/// Initial specular colour, nearly zero.
 const INITIAL_SPECULAR: f32 = 0.02;
 
 /// The model.

@@ -15,7 +15,7 @@ use rand_pcg::Pcg32;
 /// Last step at which the number changes, as a fraction of all steps: new Gaussians need the remaining steps to
 /// converge.
 pub(crate) const UNTIL_FRACTION: f32 = 0.6;
-/// Below this opacity a Gaussian goes: it takes a fiftieth of the light at most, and costs as much as any.
+/// Gaussians below this opacity are pruned: they absorb a fiftieth of the light at most, at the cost of any other.
 const PRUNE_OPACITY: f32 = 0.02;
 
 /// Schedule and thresholds of density control.

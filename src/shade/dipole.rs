@@ -14,8 +14,7 @@ use std::f32::consts::PI;
 pub const ETA: f32 = 1.3;
 /// `(1 + F)/(1 - F)` of the internally reflected share `F(η) = -1.440/η² + 0.710/η + 0.668 + 0.0636 η` at [`ETA`].
 const A: f32 = 2.602_064;
-/// Coefficients beyond this count as this, per length: such a surface lets nothing in. Less extinction than its inverse
-/// counts as that.
+/// Largest coefficient, per length: beyond it a surface lets no light in. The least extinction is its inverse.
 const MOST: f32 = 1e9;
 /// Depths of transport beyond which nothing arrives: `e^-80` is 2e-35.
 const FAR: f32 = 80.0;

@@ -56,8 +56,8 @@ pub enum OccluderGradients {
     All,
     /// A sample with the gradients of all as its expectation (Russian roulette, Arvo and Kirk 1990): a ray whose
     /// gradient, to the logarithm of its transmittance, is smaller than half of the mean one is kept with the
-    /// probability of their ratio, and then counts as that half. Many rays are such, and of those in deep shade, which
-    /// meet most Gaussians, nearly all. For parallel light; point lights take all rays.
+    /// probability of their ratio, and then counts as that half. Many rays have such small gradients, and nearly all in
+    /// deep shade, which meet the most Gaussians. For parallel light; point lights take all rays.
     Sampled {
         /// Seed of the sample.
         seed: u64,

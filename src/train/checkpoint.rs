@@ -91,10 +91,10 @@ impl Trainer<'_> {
         }
     }
 
-    /// Takes up a state of a training that was made of the same views, model and options.
+    /// Restores the state of a training with the same views, model and options.
     ///
     /// # Errors
-    /// [`StateError`] when it does not fit; the trainer is as it was then.
+    /// [`StateError`] when it does not match; the trainer is then unchanged.
     pub fn restore(&mut self, state: TrainerState) -> Result<(), StateError> {
         self.check(&state)?;
         self.options.iterations = state.options.iterations;

@@ -74,7 +74,7 @@ impl Holdout {
             };
             let counts = |i: &usize| view.weight[*i] > 0.0;
             let mut out: Vec<u32> = Vec::new();
-            // A small image may be one tile: something must be left to learn from.
+            // A small image may be one tile: some pixels must remain for training.
             if (0..view.weight.len()).filter(counts).any(|i| !held_out(i)) {
                 out = (0..view.weight.len())
                     .filter(counts)

@@ -217,7 +217,7 @@ mod tests {
         );
     }
 
-    /// Options of a training of ground in so many steps.
+    /// Options of a training of ground in `iterations` steps.
     fn of_steps(iterations: usize) -> TrainOptions {
         TrainOptions {
             iterations,

@@ -222,7 +222,7 @@ fn the_same_run_is_exported_to_the_same_bytes_whatever_the_threads() {
     let [one, two] = ["one", "two"].map(|name| out.path().join(name));
     json(&arguments(&["--tiles", text(&one), "--threads", "1"]));
     json(&arguments(&["--tiles", text(&two), "--threads", "3"]));
-    // Again over existing files, but for those of others.
+    // Again over existing files; files of others stay.
     std::fs::write(two.join("index.html"), "my viewer").expect("written");
     json(&arguments(&["--tiles", text(&two)]));
     let mut names: Vec<_> = std::fs::read_dir(&one)

@@ -271,7 +271,7 @@ fn trainings_that_are_stopped_or_killed_end_with_the_same_bytes() {
     signal(&child, "KILL");
     child.wait().expect("ends");
 
-    // The same program must go on: a byte more at its end, which changes nothing else, is another build.
+    // The same program must continue: a byte more at its end, which changes nothing else, is another build.
     let other = home.run("heliosplat");
     std::fs::copy(binary(), &other).expect("copied");
     let mut file = std::fs::OpenOptions::new().append(true).open(&other).expect("writable");
@@ -322,7 +322,7 @@ fn trainings_that_are_stopped_or_killed_end_with_the_same_bytes() {
         .and_then(|data| data.modified())
         .expect("there");
     assert_eq!(before, after);
-    // Without a word it is not replaced, by whatever.
+    // Without an option it is never replaced.
     for more in [&[][..], &["--seed", "2"], &["--resume", "--seed", "2"]] {
         let line = fault(&home.arguments(&run, more), 2);
         assert!(line.contains("finished run") && line.contains("--overwrite"), "{line}");

@@ -1,4 +1,4 @@
-//! The same bytes whatever instructions the processor has: a whole training under each cap.
+//! The same bytes for any instruction set: a whole training under each cap.
 
 use heliosplat::simd::VARIABLE;
 use heliosplat_tests::program::{heliosplat, json};

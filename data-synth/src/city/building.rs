@@ -24,7 +24,7 @@ pub(crate) enum Roof {
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Building {
     pub(crate) footprint: Footprint,
-    /// Altitude of the ground floor, metres of the scene's frame; walls go on below it, into the ground.
+    /// Altitude of the ground floor, metres of the scene's frame; walls extend below it, into the ground.
     pub(crate) floor_z: f64,
     /// Eaves, or flat roof, above the floor, metres.
     pub(crate) eaves_m: f64,

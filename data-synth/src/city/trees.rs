@@ -7,7 +7,7 @@ use crate::vegetation::{Tree, TreeKind};
 use rand::RngExt;
 
 impl Planner {
-    /// Wants a tree at a place of a plot. It grows when [`Self::grow`] is called, if nothing is in its way by then.
+    /// Requests a tree at a place of a plot. [`Self::grow`] makes it if nothing is in its way.
     pub(crate) fn plant(&mut self, plot: &Plot, at: [f64; 2], radius_m: f64, kind: TreeKind) {
         self.wanted_trees.push((plot.uv(at[0], at[1]), radius_m, kind));
     }

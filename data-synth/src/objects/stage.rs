@@ -20,7 +20,7 @@ const DARK_SECTOR: f64 = PI / 5.0;
 /// Lights near those of training are this far from one, radians.
 const NEAR: f64 = 0.1;
 
-/// From where an image is taken, and its light where it has one of its own.
+/// Camera of an image, and its light where it has one of its own.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Shot {
     pub(crate) eye: Vector3<f64>,

@@ -190,9 +190,9 @@ impl Stage {
             * (cosine / density.max(1e-12))
     }
 
-    /// A random walk through the medium of a part, from the surface inward until it leaves: light that comes out here
-    /// went in there, for the way back is as likely. Both ways through the surface are matte, and nothing is turned
-    /// back inside. `None` when next to nothing is left.
+    /// A random walk through the medium of a part, from the surface inward until it leaves. Paths are reversible: light
+    /// that leaves here has entered there. Both interfaces are matte, without internal reflection. `None` when almost
+    /// no weight remains.
     fn random_walk(
         &self,
         part: usize,

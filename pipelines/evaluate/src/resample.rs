@@ -84,8 +84,8 @@ impl Placement<'_> {
     }
 }
 
-/// First band at a fractional pixel position. Missing neighbours make the value missing, except those whose weight is
-/// next to nothing; positions up to half a pixel outside take the edge's value.
+/// First band at a fractional pixel position. Missing neighbours make the value missing, except those with negligible
+/// weight; positions up to half a pixel outside take the edge's value.
 pub fn bilinear(raster: &Raster, col: f64, row: f64) -> f32 {
     bilinear_band(raster, 0, col, row)
 }

@@ -67,7 +67,7 @@ impl Builder {
         self.accessor(json!({"bufferView": view, "componentType": UNSIGNED_INT, "count": count, "type": "SCALAR"}))
     }
 
-    /// Adds an accessor without values of its own, which stand compressed elsewhere: vectors of `width` floats.
+    /// Adds an accessor of `width` floats without values of its own, for values compressed elsewhere.
     pub fn placeholder(&mut self, width: usize, count: usize) -> usize {
         let kind = kind(width);
         self.accessor(json!({"componentType": FLOAT, "count": count, "type": kind}))

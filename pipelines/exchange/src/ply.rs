@@ -1,5 +1,5 @@
-//! Binary PLY files of named float columns, one row for each Gaussian: how they are framed. Which columns there are is
-//! for those who keep models in them.
+//! Framing of binary PLY files of named float columns, one row for each Gaussian. The columns are defined by the
+//! callers.
 
 use std::fmt::Write;
 

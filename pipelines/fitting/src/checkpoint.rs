@@ -77,7 +77,7 @@ struct Contents<'a, P: Clone> {
     trainer: TrainerState<'a>,
 }
 
-/// The checkpoint of an interrupted training; `P` is what a pipeline computes once before training starts.
+/// The checkpoint of an interrupted training; `P` is the result of a pipeline's preprocessing.
 pub struct LoadedCheckpoint<P> {
     /// Results of preprocessing, which need not be computed again.
     pub preprocessed: Option<P>,

@@ -287,7 +287,7 @@ pub struct RunRequest<'a> {
     pub steps_after: f64,
 }
 
-/// A folder in which a training begins or goes on; `P` is what a pipeline computes once before training starts.
+/// A folder in which a training begins or continues; `P` is the result of a pipeline's preprocessing.
 pub struct RunFolder<'a, P> {
     /// Start of the training, pauses not counted.
     pub begun: Instant,
@@ -412,7 +412,7 @@ fn metrics_of(run: &Path) -> Option<Value> {
     serde_json::from_str(&bounded::read_text(&run.join(METRICS)).ok()?).ok()
 }
 
-/// The inputs that the `run.toml` of a run names, whatever its pipeline.
+/// The inputs listed in the `run.toml` of a run, whatever its pipeline.
 ///
 /// # Errors
 /// When it is missing or damaged.

@@ -14,7 +14,7 @@ use std::time::Instant;
 /// Reason why a training failed.
 #[derive(Debug, thiserror::Error)]
 pub enum TrainingError {
-    /// The trainer gave up before there was a model worth keeping.
+    /// Training failed before there was a usable model.
     #[error("training stopped: {0}")]
     Train(#[from] TrainError),
     /// A checkpoint is at fault, or cannot be written.
@@ -23,7 +23,7 @@ pub enum TrainingError {
     /// The user stopped it; a checkpoint keeps its state.
     #[error("stopped; the training is kept in {}/checkpoint, the same command continues", .0.display())]
     Interrupted(PathBuf),
-    /// It could not go on; the run holds the last good state.
+    /// Training could not continue; the run has the last good state.
     #[error("training stopped: {error}, in {}", out.display())]
     GaveUp {
         /// The cause.
@@ -51,7 +51,7 @@ pub enum Ending {
     Done,
     /// The user stopped it; its state is kept in a checkpoint.
     Interrupted,
-    /// Training could not go on; the model is the last good state.
+    /// Training could not continue; the model is the last good state.
     GaveUp(TrainError),
 }
 

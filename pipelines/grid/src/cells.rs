@@ -6,7 +6,7 @@ use rayon::prelude::*;
 /// Cells that one thread works on at a time, at least.
 const CELLS_PER_JOB: usize = 1024;
 
-/// The numbers of so many cells, on all threads.
+/// The indices of `cells` cells, on all threads.
 fn in_parallel(cells: usize) -> impl IndexedParallelIterator<Item = usize> {
     (0..cells).into_par_iter().with_min_len(CELLS_PER_JOB)
 }
@@ -121,7 +121,7 @@ impl Grid {
     }
 }
 
-/// The least of `values` within so many columns and rows each way of each cell of a grid of `(width, height)`: first
+/// The minimum of `values` within `columns` and `rows` each way of each cell of a grid of `(width, height)`: first
 /// along rows, then across them.
 pub fn lowest_within((width, height): (usize, usize), values: &[f32], [columns, rows]: [usize; 2]) -> Vec<f32> {
     let near = |at: usize, reach: usize, count: usize| at.saturating_sub(reach)..(at + reach + 1).min(count);

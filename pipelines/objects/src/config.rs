@@ -8,7 +8,7 @@ use heliosplat_fitting::settings::{ConfigError, Preset, resolve};
 #[derive(Debug, Clone, PartialEq, serde::Serialize, serde::Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct StartOptions {
-    /// About as many Gaussians: fewer for small images or little memory, more for large ones.
+    /// Approximate number of Gaussians: fewer for small images or little memory, more for large ones.
     pub gaussians: usize,
 }
 

@@ -40,11 +40,10 @@ pub struct Fitted {
     pub ending: Ending,
 }
 
-/// Fits a model to `capture`, or goes on from the `checkpoint` of a fit that was interrupted; `checkpoints` writes its
-/// state meanwhile.
+/// Fits a model to `capture`, or continues from the `checkpoint` of an interrupted fit; `checkpoints` writes its state.
 ///
 /// # Errors
-/// [`TrainingError`] when training gives up.
+/// [`TrainingError`] when training fails.
 pub fn fit(
     capture: &Capture,
     config: &ObjectConfig,

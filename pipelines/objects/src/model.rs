@@ -174,7 +174,7 @@ impl ObjectModel {
             for (k, behind) in behind.into_iter().enumerate() {
                 for (value, alpha) in seen.plane_mut(k).iter_mut().zip(&maps.alpha) {
                     let open = (1.0 - alpha) * behind;
-                    // The background is there once, whatever the lamps.
+                    // The background is added once, whatever the number of lamps.
                     *value = (*value - open) * lamp.colour[k] + if sum.is_none() { open } else { 0.0 };
                 }
             }

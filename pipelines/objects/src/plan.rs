@@ -120,10 +120,10 @@ impl Trials<'_> {
     }
 }
 
-/// Decides.
+/// Selects the model and its parts.
 ///
 /// # Errors
-/// [`TrainingError`] when a short fit cannot go on.
+/// [`TrainingError`] when a short fit fails.
 pub fn plan(capture: &Capture, config: &ObjectConfig, session: &Session) -> Result<Plan, TrainingError> {
     let lamps = lights_move(capture);
     let (dull, glossy) = match config.model.kind {

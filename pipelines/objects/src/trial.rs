@@ -14,7 +14,7 @@ use heliosplat_fitting::training::TrainingError;
 use heliosplat_scene::Split;
 use std::time::Instant;
 
-/// Every so many images of training one is kept aside.
+/// One in so many training images is held out.
 const ASIDE: usize = 6;
 /// With fewer images nothing is tried: those left would not do.
 pub(super) const LEAST_IMAGES: usize = 18;
@@ -63,7 +63,7 @@ fn smaller(view: View) -> View {
 /// A short fit of a kind of model with these parts.
 ///
 /// # Errors
-/// [`TrainingError`] when it cannot go on.
+/// [`TrainingError`] when it fails.
 pub(super) fn fit(
     capture: &Capture,
     config: &ObjectConfig,

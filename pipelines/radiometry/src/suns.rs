@@ -36,7 +36,7 @@ const COARSE_DEG: [f64; 2] = [3.0, 1.0];
 const FINE_DEG: f64 = 6.0;
 /// Steps from the middle of that window to its edge.
 const FINE_STEPS: usize = 8;
-/// Suns at least this far from the best one count as others, degrees of arc: closer ones cast much the same shadows.
+/// Least distance of other suns from the best one, degrees of arc: closer ones cast nearly the same shadows.
 const APART_DEG: f64 = 15.0;
 /// Largest declination that is searched, degrees: the inclination of the Earth's axis, and two degrees for the error of
 /// an estimate.
@@ -52,7 +52,7 @@ const DRAWS: usize = 200;
 const LEAST_SCORE: f64 = 0.5;
 /// The same on a model's surface, where suns with less have been off by 5° to 8°, and with more by 2° at most.
 const LEAST_SCORE_OF_MODEL: f64 = 0.35;
-/// The best sun must beat the best other one by so many standard deviations of the difference.
+/// Least difference of the scores of the best sun and of the best other one, in standard deviations of the difference.
 const LEAST_MARGIN: f64 = 3.0;
 /// Largest standard deviation of an accepted sun, degrees: a trace tolerates twice that.
 const MOST_SIGMA_DEG: f64 = 1.6;
@@ -305,7 +305,7 @@ fn refine(relief: &Relief, cells: &[usize], samples: &[Sample], sky: &Sky) -> Op
     });
     let all = score::all_sums(samples);
     let whole: Vec<u32> = vec![1; BLOCKS * BLOCKS];
-    // The best candidate for blocks that each count so many times.
+    // The best candidate for blocks with these numbers of repetitions.
     let best_of = |times: &[u32]| {
         let total = Moments::weighted(&all, times);
         let mut best: Option<(f64, usize, usize)> = None;

@@ -52,7 +52,7 @@ pub struct AdjustInput<'a> {
 }
 
 impl AdjustInput<'_> {
-    /// Finds ties and the corrections that make the images agree on them; `progress` hears the share done.
+    /// Finds ties and the corrections that make the images agree on them; `progress` receives the share done.
     ///
     /// # Errors
     /// [`RpcError::Invalid`] when there are too few ties.

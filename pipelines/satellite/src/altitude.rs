@@ -54,8 +54,8 @@ const COARSE_CELL_GSD: f64 = 4.0;
 /// Most times that a range is widened.
 pub(super) const ROUNDS: usize = 3;
 
-/// Reads a scene; where neither `options` nor its files state its altitudes, they are found by tie points, and widened
-/// where a coarse sweep between them shows that the surface goes on beyond.
+/// Reads a scene. Where neither `options` nor its files state its altitudes, they are estimated from tie points, and
+/// widened where the surface of a coarse sweep touches their limits.
 ///
 /// # Errors
 /// As [`Scene::open`].
@@ -152,7 +152,7 @@ struct Pair {
     factor: usize,
 }
 
-/// The pairs worth matching, best first.
+/// Pairs to match, best first.
 fn pairs(cameras: &SceneCameras, bound_m: (f64, f64)) -> Result<Vec<Pair>, SceneError> {
     let count = cameras.count();
     let middle_m = 0.5 * (bound_m.0 + bound_m.1);

@@ -86,7 +86,7 @@ pub(super) fn keep_known_suns(views: &mut Vec<View>) {
     views.retain(|view| view.light.is_some());
 }
 
-/// Training options of a model with so many views of `scene`.
+/// Training options of a model with `views` views of `scene`.
 pub(super) fn train_options(config: &SatelliteConfig, scene: &Scene, views: usize) -> TrainOptions {
     TrainOptions {
         gsd_m: scene.gsd_m as f32,

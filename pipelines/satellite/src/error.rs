@@ -81,7 +81,7 @@ pub enum SatelliteError {
         /// Height hypotheses of a cell.
         levels: usize,
     },
-    /// More bands than near-surface light of its own for each leaves room for.
+    /// The channels do not suffice for the bands and near-surface light of each.
     #[error(
         "model.near_light: {bands} bands of albedo and as many of near-surface light are more than the {most} channels of the rasteriser; leave it off, or give images of fewer bands"
     )]

@@ -95,12 +95,11 @@ pub fn nadir_camera(area: &Area, gsd_m: f64) -> ProjectiveCamera {
 }
 
 impl FitRequest<'_> {
-    /// Fits a model, or goes on from the `checkpoint` of a fit that was interrupted; `checkpoints` writes its state
-    /// meanwhile.
+    /// Fits a model, or continues from the `checkpoint` of an interrupted fit; `checkpoints` writes its state.
     ///
     /// # Errors
-    /// [`SatelliteError`] when too few images show the common ground, training gives up, or the state cannot be kept or
-    /// taken up.
+    /// [`SatelliteError`] when too few images show the common ground, training fails, or the state cannot be written or
+    /// restored.
     pub fn run(
         &self,
         mut checkpoints: CheckpointWriter<Preprocessed>,

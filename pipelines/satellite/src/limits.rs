@@ -3,10 +3,10 @@
 use heliosplat_scene::{Scene, crop};
 use heliosplat_stereo::{FEWEST_VIEWS, Surface};
 
-/// Confidence from which on a cell of a surface counts as matched: at lower ones, cells that matched by chance lie at
-/// the limits too (docs/lab/altitude.md).
+/// Least confidence of a matched cell: at lower ones, cells matched by chance are at the limits too
+/// (docs/lab/altitude.md).
 const CONFIDENT: f32 = 0.5;
-/// Share of the matched cells at a limit of the altitudes from which on the surface is taken to go on beyond.
+/// Share of the matched cells at a limit of the altitudes from which on the surface is assumed to extend beyond.
 const TOUCHING: f64 = 0.01;
 /// By which share of its width a range is widened on the side that the surface touches.
 const WIDENING: f64 = 0.5;

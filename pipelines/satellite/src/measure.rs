@@ -149,7 +149,7 @@ fn views(scene: &Scene, whole: &LoadedModel, model: &LoadedModel, run: &Path) ->
     };
     let measure = |(view, rendered): (View, RenderedView)| view.measure(scene, &rendered, rgb, run);
     let mut waiting: Option<(View, RenderedView)> = None;
-    // While a view is rendered on all threads but for moments, the one before it is scored and drawn.
+    // While one view is rendered on nearly all threads, the one before it is scored and drawn.
     for known in &model.file.images {
         let before = waiting.take();
         let (scores, rendered) = beside(

@@ -359,7 +359,7 @@ pub(super) fn adjustment_of_ties(
     input.adjust(BiasModel::Translation, &|_| {})
 }
 
-/// The same where `align` has them, or where they are large enough to be worth it; else none.
+/// The same where `align` is on or the shifts are large enough; else none.
 pub(super) fn worth_correcting(shifts_px: Vec<[f32; 2]>, align: Align) -> Vec<[f32; 2]> {
     let largest = shifts_px.iter().flatten().fold(0.0f32, |a, &b| a.max(b.abs()));
     tracing::info!("Largest correction of a camera: {largest:.2} px");

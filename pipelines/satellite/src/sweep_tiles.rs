@@ -18,10 +18,10 @@ const BLEND_CELLS: f64 = 32.0;
 /// Cells of the rim around the blended margin: the paths of semi-global matching forget their start within some tens of
 /// cells (docs/lab/streaming.md).
 const RIM_CELLS: f64 = 32.0;
-/// Cells of the coarsest level of the search are so many cells wide: tiles begin at multiples, so that all levels share
-/// one lattice.
+/// Width of a cell of the coarsest level of the search, cells: tiles begin at multiples, so that all levels share one
+/// lattice.
 const LATTICE: f64 = 8.0;
-/// Cores of fewer map cells each way are not worth their rims.
+/// Smallest core, map cells each way: smaller ones cost more for their rims.
 const LEAST_CORE: usize = 96;
 /// Points per edge of a tile that is taken from the map to the ground: its edges may be curved there.
 const POINTS_PER_EDGE: usize = 8;
@@ -177,7 +177,7 @@ impl<'a> Cutter<'a> {
         })
     }
 
-    /// The tiles of so many rows and columns, and the most bytes that the process holds at a time.
+    /// The tiles of `rows` and `cols`, and the most bytes that the process uses at a time.
     fn tiles(&self, (rows, cols): (usize, usize)) -> Result<(Vec<SweepTile>, f64), SatelliteError> {
         let metres_per_map_cell = self.grid.transform.pixel_size().0 * self.grid.crs.metres_per_unit();
         let blended = (BLEND_CELLS * self.cell_m / metres_per_map_cell).ceil() as usize;

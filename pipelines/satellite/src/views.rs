@@ -8,7 +8,7 @@ use heliosplat_scene::{ImageSun, SceneImage, saturation};
 use std::sync::Arc;
 
 /// The view of an image under `sun`, without its `clouds`; under an unknown sun everything counts as lit; `appearance`
-/// is its place among the images with a colour of their own. Every known pixel weighs one.
+/// is its index among the images with a colour of their own. Every known pixel has weight one.
 pub(crate) fn view(
     image: &SceneImage,
     sun: &ImageSun,

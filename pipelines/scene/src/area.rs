@@ -109,7 +109,7 @@ impl AreaRequest {
         })
     }
 
-    /// The rectangle of a local frame that holds it.
+    /// The bounding rectangle in a local frame.
     pub(super) fn area(&self, frame: &LocalFrame) -> Result<Area, SceneError> {
         let mut area = Area {
             west_m: f64::INFINITY,

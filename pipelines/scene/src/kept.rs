@@ -32,7 +32,7 @@ pub struct KeptImage {
     pub name: String,
     /// Its file, and the other files that its pixels come from.
     pub paths: Vec<PathBuf>,
-    /// The same files as they were; none where `pixels_sha256` stands for them.
+    /// Identities of the files; none where `pixels_sha256` replaces them.
     #[serde(default)]
     pub files: Vec<FileIdentity>,
     /// SHA-256 of the values that were read, where these are a part of the image or its file is on a virtual file system.
@@ -173,12 +173,12 @@ impl KeptCut {
 }
 
 impl KeptImage {
-    /// Whether all of it was read, from files on the disk.
+    /// Whether all of it was read, from files on disk.
     fn is_whole(&self) -> bool {
         (self.window.width, self.window.height) == self.size && !self.paths.iter().any(|path| is_virtual(path))
     }
 
-    /// The first difference to an image of now, in words.
+    /// The first difference to the current image, in words.
     fn difference(&self, now: &IndexImage) -> Option<String> {
         let path = now.path.display();
         let (width, height) = self.size;

@@ -112,7 +112,7 @@ fn blank(raster: &mut Raster, is_missing: impl Fn(usize) -> bool) {
 }
 
 /// Crops of rotated or orthorectified images have borders of zeros that no nodata value declares: zeros in all bands
-/// that hang together with the image's edge and are too many to be shadow.
+/// connected to the image's edge and too many to be shadow.
 fn blank_black_border(raster: &mut Raster, path: &Path, warnings: &mut Vec<String>) {
     const LEAST_SHARE: f64 = 0.005;
     let border = black_border(raster);

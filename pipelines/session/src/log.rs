@@ -16,7 +16,7 @@ pub(crate) static BARS: LazyLock<MultiProgress> = LazyLock::new(MultiProgress::n
 struct Stderr;
 
 impl Write for Stderr {
-    /// A line that cannot be written, because its reader is gone or the disk is full, is lost; the work goes on.
+    /// A line that cannot be written, because its reader has ended or the disk is full, is lost; the work continues.
     fn write(&mut self, bytes: &[u8]) -> std::io::Result<usize> {
         let _ = BARS.suspend(|| std::io::stderr().write_all(bytes));
         Ok(bytes.len())

@@ -114,7 +114,7 @@ vectorised! {
 const LANES: usize = 8;
 /// Rows and columns of a window.
 const SIDE: usize = 2 * RADIUS + 1;
-/// Values of one row that the windows of as many neighbouring cells reach.
+/// Values of one row within the windows of [`LANES`] neighbouring cells.
 const REACH: usize = LANES + 2 * RADIUS;
 
 /// Descriptors of a row of cells; `values` begins at the upper left corner of the first window.

@@ -78,7 +78,7 @@ impl LevelSurface<'_> {
         (grid, (0..grid.len()).map(of_cell).collect())
     }
 
-    /// Share by which the census distance of the views is less than by chance, over windows of so many cells each way;
+    /// Share by which the census distance of the views is less than by chance, over windows of `window` cells each way;
     /// NaN where less than half of a window is compared.
     fn evidence_within(&self, window: usize) -> Vec<f32> {
         let Compared { views, pairs } = self.search.compared(self.factor);
@@ -135,7 +135,7 @@ pub(super) fn is_match(evidence: f32, views: f32) -> bool {
     evidence.is_nan() || evidence >= least_evidence(views)
 }
 
-/// The least evidence of a match that so many views agree on.
+/// The least evidence of a match of `views` views.
 fn least_evidence(views: f32) -> f32 {
     let pairs = (0.5 * views * (views - 1.0)).max(1.0);
     LEAST_EVIDENCE + LEAST_EVIDENCE_OF_PAIR / pairs

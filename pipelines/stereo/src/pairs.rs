@@ -41,13 +41,13 @@ const ALIKE_ANGLE_RAD: f32 = 0.7;
 const OTHER_DATE: f32 = 0.5;
 /// Least of the cosine between two suns that counts: opposite shadows still leave roofs to compare.
 const LEAST_SUN_COSINE: f32 = 0.3;
-/// The cosine between two suns of which one is unknown: that of morning passes of two seasons, some 35 degrees apart.
+/// The cosine between two suns when one is unknown: that of morning passes of two seasons, some 35 degrees apart.
 const UNKNOWN_SUN_COSINE: f32 = 0.8;
 /// Partners that each view brings in, those of most weight; more only cost time.
 const PARTNERS: usize = 8;
 
-/// The comparisons worth making, in a fixed order; views without parallax between them agree at every altitude and are
-/// not compared.
+/// Pairs to compare, in a fixed order; views without parallax between them agree at every altitude and are not
+/// compared.
 pub(super) fn choose(views: &[ViewGeometry], centre: Vec3) -> Vec<Pair> {
     let mut chosen: Vec<(usize, usize)> = Vec::new();
     for a in 0..views.len() {

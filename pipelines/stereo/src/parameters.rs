@@ -58,8 +58,7 @@ const TOLERANCE_FEW: CandidateTolerance = CandidateTolerance {
     coarser: 80,
 };
 
-/// The same with many views. Finer levels have less left to decide: wider tolerances take time there and find nothing
-/// more.
+/// The same with many views. Finer levels have fewer decisions left: wider tolerances take time and find nothing more.
 const TOLERANCE_MANY: CandidateTolerance = CandidateTolerance {
     full_resolution: 80,
     half_resolution: 120,
@@ -132,7 +131,7 @@ fn many_views_share(views: f32) -> f32 {
     ((views - FEW_VIEWS) / (MANY_VIEWS - FEW_VIEWS)).clamp(0.0, 1.0)
 }
 
-/// Weight of the no-match (occlusion) cost of a cell that so many views show, as a share of the weights of all
+/// Weight of the no-match (occlusion) cost of a cell visible in `views` views, as a share of the weights of all
 /// comparisons between them.
 pub fn no_match_weight(views: f32) -> f32 {
     NO_MATCH_FEW + (NO_MATCH_MANY - NO_MATCH_FEW) * many_views_share(views)

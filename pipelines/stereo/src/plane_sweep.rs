@@ -34,7 +34,7 @@ const SPECKLE_CELLS: usize = 16;
 /// Probability above which an altitude is not in doubt.
 const SURE_PROBABILITY: f32 = 0.8;
 
-/// Finds the surface that the views agree on. `progress` hears the share done, 0 to 1.
+/// Finds the surface on which the views agree. `progress` receives the share done, 0 to 1.
 pub fn plane_sweep(views: &[SweepView], request: &PlaneSweepRequest, progress: &dyn Fn(f32)) -> Surface {
     let grid = request.grid();
     let search = Search::new(views, request).with_index();

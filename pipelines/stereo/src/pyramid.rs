@@ -28,7 +28,7 @@ const REACH_CELLS: usize = 2;
 const MARGIN_STEPS: f32 = 3.0;
 /// Coarsest cells of the pyramid, in cells of the request.
 const COARSEST: usize = 8;
-/// A level needs this many cells each way to be worth its own search.
+/// Fewest cells each way of a level with a search of its own.
 const FEWEST_CELLS: usize = 16;
 
 /// Pixels of two views that differ by more than this factor are of unlike resolution: looking aslant makes those of one
@@ -123,8 +123,8 @@ impl<'a> Search<'a> {
         factors
     }
 
-    /// Searches all levels down to `finest`; `progress` hears the factor of each when it is done. `None` when there is
-    /// nothing to search.
+    /// Searches all levels down to `finest`; `progress` receives the factor of each finished level. `None` without a
+    /// level to search.
     pub(super) fn descend(&self, finest: usize, progress: &dyn Fn(usize)) -> Option<LevelResult> {
         let mut found = None;
         for factor in self.factors(finest) {

@@ -12,7 +12,7 @@ use rayon::prelude::*;
 /// Path costs stay far below this: 255 plus the large penalty.
 const UNREACHABLE: u16 = 20_000;
 
-/// Columns that one task takes through a row: enough work to be worth sharing out.
+/// Columns that one task takes through a row: enough work for a task.
 const CHUNK: usize = 64;
 
 /// Penalties of a change of altitude between neighbours.

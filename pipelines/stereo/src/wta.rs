@@ -100,7 +100,7 @@ pub(super) fn winner(sums: &[u16], low: usize, heights: &HeightHypotheses, toler
 struct Posterior {
     /// Root mean square distance from the chosen altitude, height steps.
     deviation_levels: f32,
-    /// Probability of the levels of its own valley.
+    /// Probability of the levels of its own minimum of costs.
     probability: f32,
 }
 

@@ -328,7 +328,7 @@ fn sheet_row() -> Row {
     }
 }
 
-/// The least transmittance of a table whose rays start in the centres of the Gaussians and count whatever peaks ahead;
+/// The least transmittance of a table whose rays start in the centres of the Gaussians and include every peak ahead;
 /// f32.
 fn least_from_centres(table: &Table, sun: Vec3) -> f32 {
     let whitened = |i: usize| Mat3::from_diagonal(table.scale(i).recip()) * table.rotation(i).transpose();

@@ -299,7 +299,7 @@ fn adam_row() -> Row {
         if second > 1e-37 {
             robust.see(relative(parameters.group(0)[0].into(), exact, 1e-30), at);
         } else {
-            // No size to hold it to: it must be a number.
+            // Without a bound on the size: it must be finite.
             robust.see(if parameters.is_finite() { 0.0 } else { f64::NAN }, at);
         }
         let plain = f64::from(-0.01 * gradient / (gradient * gradient * 0.001).sqrt() * 0.001f32.sqrt());

@@ -296,7 +296,7 @@ fn dipole_row() -> Row {
             }
             for r in [0.0f32, 1e-3, 0.1, 0.7, 3.0] {
                 let [ws, wa, wr] = [s, a, r].map(f64::from);
-                // Depth in the medium beyond which nothing is left to be relative to.
+                // Depth in the medium beyond which the value is too small for a relative error.
                 if (3.0 * wa * (ws + wa)).sqrt() * wr > 30.0 {
                     continue;
                 }

@@ -26,7 +26,7 @@ proptest! {
         prop_assert!(sigmoid(low) <= sigmoid(high) * (1.0 + 3e-7) && softplus(low) <= softplus(high) * (1.0 + 3e-7));
         if x.abs() <= 12.0 {
             let back = logit(sigmoid(x));
-            // An ulp of a probability near one is all that is left of a large logit.
+            // The precision of a large logit is an ulp of a probability near one.
             prop_assert!((back - x).abs() <= 1e-6 + 1e-6 * x.abs() + 3e-7 * x.exp(), "{x}: {back}");
             prop_assert!((softplus_inverse(softplus(x)) - x).abs() <= 1e-3 + 1e-5 * (-x).exp(), "{x}");
         }

@@ -191,7 +191,7 @@ impl Band<'_> {
     }
 }
 
-/// Twice the negative logarithm of the probability of a value so many deviations off.
+/// Twice the negative logarithm of the probability of a value at a distance of `deviations`.
 fn huber(deviations: f64) -> f64 {
     let size = deviations.abs();
     match size <= HUBER {

@@ -23,7 +23,7 @@ pub(crate) fn toward(azimuth_deg: f64, lowest_deg: f64) -> Toward {
         .nearer(WALL_CELLS)
 }
 
-/// Known cells on a regular grid, at most about so many.
+/// Known cells on a regular grid, about `most` at most.
 pub(super) fn sample(relief: &Relief, most: usize) -> Vec<usize> {
     let cells = relief.width * relief.height;
     let stride = ((cells as f64 / most as f64).sqrt().ceil() as usize).max(1);

@@ -6,7 +6,7 @@ use heliosplat_scene::{SceneImage, Values};
 /// Availability and kind of the images' vegetation index.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum Index {
-    /// Near infrared is missing, and not all of red, green and blue are there.
+    /// Near infrared is missing, and at least one of red, green and blue.
     NoBands,
     /// Values are for display.
     ForDisplay,

@@ -12,7 +12,7 @@ const LEAST_TILE: usize = 4;
 /// views, so one view's tiles do not form columns.
 const ROW_STEP: usize = 5;
 
-/// A cell worth matching and the view it is seen best in.
+/// A corner, and the view that shows it best.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) struct Corner {
     /// The reference.
