@@ -199,7 +199,8 @@ impl<'a> Lighting<'a> {
         }
     }
 
-    /// Lists the occluders anew, traces a ray from each Gaussian, and takes the gradients of all; returns its rays.
+    /// Rebuilds the occluders, traces a ray from each Gaussian, and computes the gradients of all; returns the number
+    /// of rays.
     pub fn step(&mut self) -> usize {
         let gaussians = &self.site.parameters.gaussians;
         self.occluders.renew(gaussians);

@@ -112,7 +112,7 @@ pub(crate) struct RowList<'l, T> {
     pub(crate) list: &'l mut [T],
 }
 
-/// Splits the list of all cells into rows, and lists where every cell begins in it, and last where the list ends.
+/// Splits the list of all cells into rows, and lists the start of every cell in it and the end of the list.
 pub(crate) fn split_rows<T: Default + Send>(
     row_starts: Vec<Vec<u32>>,
     list: &mut Vec<T>,

@@ -265,7 +265,8 @@ impl Table {
         chunk.for_each(|mut chunk| chunk.add(0, gradient));
     }
 
-    /// Calls `make` for every range of `range` Gaussians, with its number and a way to add to a Gaussian of the range.
+    /// Calls `make` for every range of `range` Gaussians, with its number and a function that adds to a Gaussian of the
+    /// range.
     pub(crate) fn add_core_by_range(
         &mut self,
         range: usize,
@@ -277,7 +278,7 @@ impl Table {
     }
 }
 
-/// Calls `change` with every place in `indices`, which rise, and the value of that index, in parallel.
+/// Calls `change` in parallel with every place in `indices`, which ascend, and the value of that index.
 ///
 /// # Panics
 /// When the indices are not in ascending order.

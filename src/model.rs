@@ -64,8 +64,7 @@ pub struct View {
     pub appearance: usize,
     /// Weight of each pixel in the losses, 0 to 1, `[row][column]`.
     pub weight: Vec<f32>,
-    /// Prior of the sun's visibility: 1 where a pixel is thought to be lit, 0 in shadow, NaN where unknown;
-    /// `[row][column]`.
+    /// Prior of the sun's visibility: 1 where a pixel is probably lit, 0 in shadow, NaN where unknown; `[row][column]`.
     pub visibility_prior: Option<Vec<f32>>,
     /// Saturation value of each band: a pixel with it was that bright or brighter. Empty where no value is clipped.
     pub ceiling: Vec<f32>,

@@ -1,4 +1,5 @@
-//! New memory, set on all threads: the first write to a page is the dear one, since the system clears the page then.
+//! New memory, initialised on all threads: the first write to a page is expensive, since the system clears the page
+//! then.
 
 use rayon::prelude::*;
 

@@ -115,7 +115,7 @@ impl<'a> Trainer<'a> {
     /// `nadir` camera, the shadow consistency loss also applies with view and light at the zenith.
     ///
     /// # Errors
-    /// Without views, pixels that count or Gaussians, when an option has no meaning, or when `parameters` have other
+    /// Without views, pixels that count or Gaussians, when an option is out of range, or when `parameters` have other
     /// groups than the model or numbers that are not finite.
     pub fn new(
         model: &'a dyn SceneModel,
@@ -186,7 +186,8 @@ impl<'a> Trainer<'a> {
         self.rejected
     }
 
-    /// Mean absolute difference on the held-out tiles, as each view last saw its own; `None` where none are held out.
+    /// Mean absolute difference on the held-out tiles, from the latest visit of each view; `None` where none are held
+    /// out.
     pub fn held_out_l1(&self) -> Option<f64> {
         self.holdout.mean()
     }
@@ -196,7 +197,7 @@ impl<'a> Trainer<'a> {
         self.step >= self.options.iterations || self.holdout.stop()
     }
 
-    /// The state to keep: the best on held-out tiles when early stopping is on and saw one, else the last.
+    /// The final state: the best on held-out tiles when early stopping is on and has one, else the last.
     pub fn into_best(self) -> (Parameters, EarlyStop) {
         let (parameters, early_stop, _) = self.into_best_and_views();
         (parameters, early_stop)
@@ -248,8 +249,8 @@ impl<'a> Trainer<'a> {
     }
 
     /// Occluders are always those of the current step. A hierarchy over them, where one is used, is expensive to build:
-    /// it is refitted to them, and built anew after some steps or when Gaussians come or go. Light passes through those
-    /// that are not in the view.
+    /// it is refitted to them, and rebuilt after some steps or when the number of Gaussians changes. Light passes
+    /// through those that are not in the view.
     fn refresh_occluders(&mut self, view: usize) {
         if !self.model.needs_transmittance() {
             return;

@@ -205,8 +205,8 @@ fn through_both(one: f64, other: f64) -> f64 {
     one + other * (1.0 - one)
 }
 
-/// Width of an image where its lines of sight cross the layer, metres: of the square with the same area as the box
-/// around them.
+/// Width of an image at the intersections of its lines of sight with the layer, metres: that of the square with the
+/// area of their bounding box.
 fn width_m(probes: &[([f64; 2], bool)]) -> f64 {
     let span = |axis: usize| {
         let values = || probes.iter().map(|(place, _)| place[axis]);

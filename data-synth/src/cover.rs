@@ -1,4 +1,4 @@
-//! Half of a site under the sea or under snow, and the sea's look: waves that no two images have in common.
+//! Half of a site under the sea or under snow, and the surface of the sea: waves that differ in every image.
 
 use crate::materials::{Class, Spectrum};
 use crate::noise::{fractal, hash2, noise, smoothstep, stream};

@@ -341,7 +341,7 @@ fn image_width_px(request: &SatelliteRequest) -> f64 {
     }
 }
 
-/// Holds out images of dates that training images show too, at moderate angles, so that their weather can be known.
+/// Holds out images of dates with training images, at moderate angles, so that their weather is known from training.
 fn hold_out(views: &mut [ViewPlan], count: usize) {
     let images_of_date = |date: usize| views.iter().filter(|view| view.date == date).count();
     let mut candidates: Vec<(bool, f64, usize)> = (views.iter().enumerate())

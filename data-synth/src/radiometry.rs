@@ -39,7 +39,7 @@ const HAZE_PER_DEPTH: f64 = 0.042;
 /// Share of the light that a layer of haze takes from the sun's beam and that reaches the ground: droplets scatter
 /// forwards.
 const HAZE_FORWARDS: f64 = 0.65;
-/// Directions in which a surface looks for the light of others, along each of the two axes of the hemisphere.
+/// Directions sampled for interreflection, along each of the two axes of the hemisphere.
 const BOUNCE_STRATA: u64 = 2;
 /// Albedo of an average neighbourhood, half of which lies in shadow.
 const AROUND: [f64; 4] = [0.15, 0.14, 0.12, 0.24];

@@ -1,4 +1,4 @@
-//! A camera that is known as an RPC only: the real camera of a real image, through which a site is seen.
+//! A camera given only as an RPC: the real camera of a real image, applied to a synthetic site.
 
 use crate::crop::Crop;
 use crate::ray::Ray;
@@ -9,7 +9,7 @@ use nalgebra::Vector3;
 /// so few of the tens of thousands of pixels of a full scene a camera deviates from linear by far less than a
 /// thousandth of a pixel.
 const NODE_PX: f64 = 32.0;
-/// Heights above and below the frame's origin between which a ray is taken to be straight, metres.
+/// Heights above and below the frame's origin between which a ray is assumed to be straight, metres.
 const SPAN_M: f64 = 150.0;
 
 /// The camera of a crop, in the scene's frame. Lines and samples are those of the whole image.

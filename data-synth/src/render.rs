@@ -150,7 +150,7 @@ fn fine_row_of(scene: &LitScene, exposure: &Exposure, kernel: &[f32], fine_row: 
     }
 }
 
-/// The same ray, started just above the scene: 600 km of the way would cost digits in every intersection.
+/// The same ray, started just above the scene: starting 600 km away would cost digits in every intersection.
 pub(crate) fn lowered(ray: &Ray, tracer: &Tracer) -> Ray {
     let t = (tracer.top_m() - ray.origin.z) / ray.direction.z;
     Ray {

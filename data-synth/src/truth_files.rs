@@ -123,8 +123,8 @@ pub(crate) fn write_truth(
     staging.text("truth/dsm.txt", &text)
 }
 
-/// The surface at the first image, and what changed from there to the last: metres (last minus first), and the day
-/// (YYYYMMDD) of the first image that shows the new state, 0 where nothing is built or torn down.
+/// The surface at the first image, and its changes until the last: metres (last minus first), and the day (YYYYMMDD) of
+/// the first image of the new state, 0 where nothing is built or torn down.
 pub(crate) fn write_change(
     staging: &Staging,
     grid: &TruthGrid,

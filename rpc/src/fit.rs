@@ -17,7 +17,7 @@ const UNKNOWNS: usize = 39;
 const MAX_ROUNDS: usize = 20;
 /// A round that improves the sum of squares by less than this share is the last but one.
 const LAST_IMPROVEMENT: f64 = 1e-6;
-/// Standard deviation of the denominator's coefficients; those of real cameras are 0.001 to 0.1 as a rule.
+/// Standard deviation of the denominator's coefficients; those of real cameras are usually 0.001 to 0.1.
 const DENOMINATOR_SIGMA: f64 = 0.1;
 /// Damping per sample, on the diagonal of the normal equations, for terms of the highest order: fixes terms that the
 /// samples leave open (three heights cannot separate `H` from `HHH`). It slows the rounds and does not bias their
@@ -40,10 +40,10 @@ pub struct RpcFit {
     pub max_px: f64,
 }
 
-/// Fits an RPC to pairs of a ground point and where it is seen.
+/// Fits an RPC to pairs of a ground point and its image position.
 ///
 /// The samples should fill the volume the model is to be used in: a grid of the image at four heights or more. With
-/// fewer the model is only quadratic (three) or linear (two) in height. Outside the samples it means nothing.
+/// fewer the model is only quadratic (three) or linear (two) in height. Outside the samples it is not valid.
 ///
 /// # Errors
 /// [`RpcError::Invalid`] with fewer than [`FEWEST_SAMPLES`] samples, with values that are not finite, or with samples

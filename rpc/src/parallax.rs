@@ -6,6 +6,6 @@
 /// Error of matching between two images, pixels: residual pointing error and sub-pixel error (docs/lab/known.md).
 pub const MATCHING_PX: f64 = 0.2;
 
-/// Least base-to-height ratio of two images that show parallax. Below it, [`MATCHING_PX`] is an error of more than ten
-/// pixels in altitude: more than the houses and trees that a surface is to show.
+/// Least base-to-height ratio of two images with usable parallax. Below it, [`MATCHING_PX`] is an error of more than
+/// ten pixels in altitude: more than the height of houses and trees.
 pub const LEAST_BASE_TO_HEIGHT: f64 = 0.02;

@@ -92,8 +92,8 @@ pub struct Rpc {
 impl Rpc {
     /// Image position of a ground point.
     ///
-    /// Any finite point gives an answer, but it means something only near the ground the model was made for; where a
-    /// denominator vanishes the answer is not finite. Longitudes on the two sides of the date line are the same to it.
+    /// Any finite point gives a result, which is valid only near the ground that the model was made for; where a
+    /// denominator vanishes the result is not finite. Longitudes on the two sides of the date line are equivalent.
     pub fn project(&self, point: GeoPoint) -> ImagePoint {
         let m = monomials(self.normalised(point));
         let row = value(&self.line_numerator, &m) / value(&self.line_denominator, &m);

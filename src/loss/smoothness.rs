@@ -11,7 +11,7 @@ use rayon::prelude::*;
 /// Horizontal distance within which Gaussians are neighbours, ground sampling distances: the four around each on a
 /// grid.
 const REACH_GSD: f32 = 1.25;
-/// Difference of altitude up to which they are, ground sampling distances: surfaces as steep as that are walls.
+/// Largest difference of altitude between neighbours, ground sampling distances: surfaces as steep as that are walls.
 const SAME_SURFACE_GSD: f32 = 1.5;
 /// Differences much smaller than this have a quadratic penalty, in units of the feature, so that the gradient has no
 /// jump at zero.

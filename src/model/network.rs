@@ -16,7 +16,7 @@ const TILE: usize = 16;
 const ROWS: usize = 4;
 /// Rows of inputs that go through all layers at once; their gradients are summed by blocks, in order.
 const BLOCK: usize = 256;
-/// Slope of the rectifier below zero: small, but a unit that is off everywhere still gets a gradient.
+/// Slope of the rectifier below zero: small, but a unit that is always off still gets a gradient.
 const NEGATIVE_SLOPE: f32 = 0.01;
 
 /// Widths of a network.

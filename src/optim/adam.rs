@@ -34,7 +34,7 @@ impl Adam {
         self.first.is_finite() && self.second.is_finite()
     }
 
-    /// One step down `gradients`; `rates[group]` is each group's learning rate (a group of rate zero stays as it is).
+    /// One step down `gradients`; `rates[group]` is each group's learning rate (a group of rate zero does not change).
     pub fn step(&mut self, parameters: &mut Table, gradients: &Table, rates: &[f32]) {
         self.step_with(BETA1, parameters, gradients, rates);
     }
@@ -70,7 +70,7 @@ impl Adam {
     }
 
     /// Follows a rebuild of the table: element `i` of the new one was `sources[i]` of the old one; from `fresh` on,
-    /// elements are new and start without memory.
+    /// elements are new and start with zero moments.
     pub fn follow(&mut self, sources: &[u32], fresh: usize) {
         for table in [&mut self.first, &mut self.second] {
             *table = table.gather(sources);

@@ -2,10 +2,10 @@
 //!
 //! Self-shadowing: a surface is a sheet of overlapping flat Gaussians, and a ray that starts inside the sheet hits its
 //! own neighbours. Two rules keep a lit plane lit at every elevation without moving the base of shadows under an
-//! ordinary sun: the ray starts above the sheet, lifted along the origin's own thinnest axis (turned to the light) by
+//! ordinary sun. The ray starts above the sheet, lifted along the origin's own thinnest axis (turned to the light) by
 //! `LIFT · σ_min · (1 - cos θ)`, `θ` the angle between that axis and the light, so that a grazing ray clears the
-//! neighbours' whole reach and a steep one hardly moves; and only peaks further along the ray than the origin's own
-//! extent `sqrt(rᵀΣr)` count.
+//! neighbours' whole reach and a steep one hardly moves. Only peaks further along the ray than the origin's own extent
+//! `sqrt(rᵀΣr)` count.
 
 use super::bvh::Occluder;
 use crate::gaussians::{CoreGradient, rotation_backward};

@@ -1,5 +1,5 @@
-//! Visibility of the light cached between visits of a view: tracing is the dearest part of a step, and visibility
-//! changes slowly. A step with cached visibility has no gradients along the light.
+//! Visibility of the light cached between visits of a view: tracing is the most expensive part of a step, and
+//! visibility changes slowly. A step with cached visibility has no gradients along the light.
 
 use crate::gaussians::for_each_of;
 

@@ -38,7 +38,7 @@ pub struct TrainerState<'a> {
     /// Step at which the occluders were made, and the bounds that a hierarchy over them was built on: the places of
     /// Gaussians in it fix the order of products.
     occluders: Option<(usize, Option<Cow<'a, [Bounds]>>)>,
-    /// Neighbours as Gaussians stood when their number last changed, so they do not follow from the positions of now.
+    /// Neighbours at the last change of the number of Gaussians, so they do not follow from the current positions.
     neighbours: Option<Cow<'a, Neighbours>>,
     step: usize,
     rejected: usize,

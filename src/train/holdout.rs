@@ -1,5 +1,4 @@
-//! Early stopping: some tiles of every image are not learnt from; when they stop improving, training has begun to
-//! overfit.
+//! Early stopping: some tiles of every image are held out; when they stop improving, training has begun to overfit.
 
 use super::options::TrainOptions;
 use crate::model::{Parameters, View};
@@ -62,7 +61,8 @@ fn tile_draw(seed: u64, view: usize, column: usize, row: usize) -> f32 {
 }
 
 impl Holdout {
-    /// Holds tiles of `views` out: takes the weight from their pixels. Where nothing stops early, all are learnt from.
+    /// Holds tiles of `views` out: sets the weight of their pixels to zero. Without early stopping, all pixels are
+    /// trained on.
     pub(super) fn new(views: &mut [View], options: &TrainOptions) -> Self {
         let share = if options.patience > 0 { options.holdout } else { 0.0 };
         let mut held = Vec::new();

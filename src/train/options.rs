@@ -8,8 +8,8 @@ use crate::trace::SunVisibility;
 
 /// Options of a training run. Lengths are in ground sampling distances where they should follow the imagery.
 ///
-/// Fields that serde skips are no settings of users: they follow from the scene and its kind, and the program sets
-/// them. Their defaults are those of ground seen from satellites.
+/// Fields that serde skips are not user settings: they follow from the scene and its kind, and the program sets them.
+/// Their defaults are for ground seen from satellites.
 #[derive(Debug, Clone, PartialEq, serde::Serialize, serde::Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct TrainOptions {
@@ -41,8 +41,8 @@ pub struct TrainOptions {
     pub occluder_gradients: bool,
     /// Share of the steps spent on images of half size, at the beginning; 0 is off. 0.4 for ground, 0.15 for objects.
     pub pyramid_share: f32,
-    /// Epochs without progress on held-out tiles after which training stops; 0 is never, and then all pixels are
-    /// learnt from. 0 in `fast`, 2 in the ablation.
+    /// Epochs without progress on held-out tiles after which training stops; 0 is never, and all pixels are trained on.
+    /// 0 in `fast`, 2 in the ablation.
     pub patience: usize,
     /// Density control.
     pub density: DensityOptions,
@@ -130,8 +130,8 @@ impl TrainOptions {
         (root * steeper).clamp(1.0, MOST_RATE_FACTOR)
     }
 
-    /// Decay of Adam's first moment per step. Its memory of ten steps is a tenth and more of a short training, which it
-    /// then spends going where it no longer should: there memory is a fortieth of the steps, three at least.
+    /// Decay of Adam's first moment per step. Its memory of ten steps is a tenth and more of a short training, which
+    /// would follow outdated gradients; there memory is a fortieth of the steps, three at least.
     pub(super) fn beta1(&self) -> f32 {
         match self.shortness() < 1.0 {
             true => (1.0 - (1.0 - BETA1) / self.shortness()).max(LEAST_BETA1),

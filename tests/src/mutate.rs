@@ -1,4 +1,4 @@
-//! Damage to sound inputs, the same every time: cuts, flipped bits, numbers of other sizes, repetitions, depth.
+//! Damage to valid inputs, the same every time: cuts, flipped bits, numbers of other sizes, repetitions, depth.
 
 use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg32;

@@ -1,4 +1,4 @@
-//! Small satellite scenes to break: textured images over flat ground with simple, exact RPC cameras.
+//! Small satellite scenes for tests of faults: textured images over flat ground with simple, exact RPC cameras.
 
 use heliosplat::Raster;
 use heliosplat_raster::{Crs, GeoTransform, ImageSpec, Sample, write_geotiff};

@@ -1,4 +1,4 @@
-//! `heliosplat adjust`: biases that a scene was made with are found, and real cameras agree afterwards.
+//! `heliosplat adjust`: the biases of a synthetic scene are recovered, and real cameras agree afterwards.
 
 use heliosplat_tests::program::{heliosplat, json};
 use heliosplat_tests::shared::shared;

@@ -26,7 +26,7 @@ fn listing(folder: &Path) -> Vec<OsString> {
     names
 }
 
-/// Inspects and trains a broken scene: both must fail with the same line and leave the disk as it was.
+/// Inspects and trains a broken scene: both must fail with the same line and leave the disk unchanged.
 fn refused(scene: &Path, said: &[&str]) {
     let home = tempdir().expect("a temporary folder");
     let run = home.path().join("run");

@@ -50,7 +50,7 @@ fn range(width: usize, truth: &[f32], cell: usize, reach: isize) -> Option<(f32,
     })
 }
 
-/// Shares: of cells that are known, and of these that are right to a metre, and that are blunders.
+/// Shares: of known cells, and among these of those right to a metre, and of blunders.
 fn shares(cells: &[(f32, f32)]) -> (f64, f64, f64) {
     let errors: Vec<f32> = cells.iter().map(|(truth, found)| (found - truth).abs()).collect();
     let known = errors.iter().filter(|error| error.is_finite()).count() as f64;
@@ -98,7 +98,7 @@ fn a_tall_tower_has_a_whole_roof_and_the_ground_around_it_is_ground() {
         known > 0.99 && right > 0.95 && wrong < 0.01,
         "roofs: {known} {right} {wrong}"
     );
-    // 3.1 % blunders were seen, among them a bridged alley between the tower and a lower house (docs/lab/start.md).
+    // 3.1 % blunders were measured, among them a bridged alley between the tower and a lower house (docs/lab/start.md).
     let (known, right, wrong) = shares(&ground);
     assert!(
         known > 0.98 && right > 0.94 && wrong < 0.05,

@@ -448,8 +448,8 @@ fn a_browser_shows_the_page_and_reports_what_node_finds() {
 fn a_run_has_its_page_and_its_report_links_it() {
     let folder = tempdir().expect("a temporary folder");
     let (scene, run) = (folder.path().join("scene"), folder.path().join("run"));
-    // As many views as the site has by default: with four, ten steps leave the Gaussians that masks are traced through
-    // unlike the surface.
+    // As many views as the site has by default: with four, ten steps leave Gaussians that differ from the surface, and
+    // masks are traced through them.
     let site = ["synth", "satellite", "--site", "tiny", "--seed", "1", "--out"].map(std::ffi::OsStr::new);
     json(&[site.to_vec(), vec![scene.as_ref()]].concat());
     let arguments: Vec<&std::ffi::OsStr> = vec!["train".as_ref(), scene.as_ref(), "--out".as_ref(), run.as_ref()];

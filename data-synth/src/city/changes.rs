@@ -24,8 +24,8 @@ pub(crate) struct Changes {
 }
 
 impl Changes {
-    /// `share` of the larger buildings change, each on one of the dates `on`. Those that do are spread evenly outward
-    /// from the centre, so that every site has its share.
+    /// `share` of the larger buildings change, each on one of the dates `on`. They are spread evenly outward from the
+    /// centre, so that every site has some.
     pub(super) fn new(seed: u64, buildings: &[Building], share: f64, on: &[usize]) -> Self {
         let mut random = stream(seed, 0xC4A6);
         let area_m2 = |building: &Building| 4.0 * building.footprint.half[0] * building.footprint.half[1];

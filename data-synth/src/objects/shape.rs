@@ -119,8 +119,7 @@ fn torus(origin: &Vector3<f64>, direction: &Vector3<f64>, major: f64, minor: f64
     }
     let (first, last) = ((-b - root.sqrt()).max(0.0), (-b + root.sqrt()).min(limit));
     let mut t = first;
-    // A ray that starts on the surface first gets off it; one that comes from afar may well meet it where it enters the
-    // sphere.
+    // A ray that starts on the surface first moves off it; a ray from afar may hit it where it enters the sphere.
     if first == 0.0 && field(origin).abs() < 10.0 * SELF_HIT {
         t += 20.0 * SELF_HIT;
     }

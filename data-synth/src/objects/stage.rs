@@ -1,4 +1,4 @@
-//! The object, its light, and the poses of cameras and lights: all that a seed decides about a capture.
+//! The object, its light, and the poses of cameras and lights: everything in a capture that the seed determines.
 
 use super::material::{Colour, Gloss, Medium, PartMaterial, Pattern};
 use super::request::{Capture, Look, ObjectRequest};

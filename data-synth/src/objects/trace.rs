@@ -10,8 +10,8 @@ use std::f64::consts::PI;
 
 /// Turns of a path.
 const BOUNCES: usize = 3;
-/// Least width of lobes behind the first turn of a path: light that gloss throws on other surfaces is blurred, for a
-/// path finds a sharp reflection of a light once in a thousand and then as a speck (Kaplanyan and Dachsbacher 2013).
+/// Least width of lobes after the first bounce of a path: light reflected by gloss onto other surfaces is blurred,
+/// since a path finds a sharp reflection of a light once in a thousand, as a speck (Kaplanyan and Dachsbacher 2013).
 const LEAST_ALPHA: f64 = 0.5;
 
 /// Most turns of a walk through a medium.
@@ -162,8 +162,8 @@ impl Stage {
         sum
     }
 
-    /// Light of one direction from which a patch shines, weighed against the chance that the path goes there by itself
-    /// (balance heuristic, Veach and Guibas 1995).
+    /// Light from one sampled direction of a patch, weighted against the probability that the path samples it (balance
+    /// heuristic, Veach and Guibas 1995).
     fn patch_at(
         &self,
         point: &Vector3<f64>,

@@ -2,7 +2,7 @@
 //!
 //! Over a pyramid of halved rasters (means that ignore missing cells, until the shorter side is 100 cells or less) the
 //! integer shift with the largest NCC is searched within ±5 cells of twice the shift of the level above; then the mean
-//! height difference over the overlap is removed. This is the rule by which Sat-NeRF and EOGS are measured.
+//! height difference over the overlap is removed. Sat-NeRF and EOGS are evaluated this way.
 
 use heliosplat::Raster;
 use heliosplat_raster::{Crs, GeoTransform};
@@ -73,7 +73,7 @@ pub fn subpixel(truth: &Raster, prediction: &(impl Fn(f64, f64) -> Raster + Sync
     with_height(truth, &prediction(best.0, best.1), best.0, best.1)
 }
 
-/// A shift whose prediction has been moved already, completed by the mean height difference that is left.
+/// A shift whose prediction has been moved already, completed by the remaining mean height difference.
 fn with_height(truth: &Raster, moved: &Raster, columns: f64, rows: f64) -> Shift {
     let (mut sum, mut count) = (0.0, 0usize);
     for (want, got) in truth.plane(0).iter().zip(moved.plane(0)) {

@@ -29,7 +29,7 @@ pub struct ChangeScore {
     pub true_segments: usize,
     /// Segments found.
     pub found_segments: usize,
-    /// Share of the area found rightly whose day is the true one, to within a day; absent where either has no days.
+    /// Share of the correctly found area with the true day, to within a day; absent where either map has no days.
     pub right_day: Option<f64>,
 }
 

@@ -113,8 +113,8 @@ fn known<'a>(pair: &'a RelitPair, band: usize) -> impl Iterator<Item = (f64, f64
 struct Line;
 
 impl Line {
-    /// Gain and offset through one band of some pairs. Where ours is of one value, the gain is zero and the offset the
-    /// truth's mean.
+    /// Gain and offset through one band of some pairs. Where the prediction is constant, the gain is zero and the
+    /// offset the truth's mean.
     fn through<'a>(bands: impl Iterator<Item = (&'a RelitPair<'a>, usize)> + Clone) -> Option<[f64; 2]> {
         let values = || bands.clone().flat_map(|(pair, band)| known(pair, band));
         let (mut count, mut sums) = (0.0, [0.0; 2]);

@@ -3,8 +3,7 @@
 
 use std::fmt::Write;
 
-/// A header longer than this is none; a file that claims more rows than its bytes hold is refused before anything is
-/// allocated.
+/// Longest header; a file with more rows than its bytes hold is refused before any allocation.
 const HEADER_LIMIT: usize = 64 * 1024;
 const FORMAT: &str = "ply\nformat binary_little_endian 1.0\n";
 const END: &[u8] = b"end_header\n";

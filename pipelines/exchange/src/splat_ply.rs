@@ -1,6 +1,6 @@
 //! Gaussians as viewers of splats read them: binary PLY of named float columns, `f_dc_*` and `f_rest_*` (all of red,
-//! then green, then blue), opacity logit, log scales, quaternion with the scalar first. Columns of a model's own stand
-//! behind them.
+//! then green, then blue), opacity logit, log scales, quaternion with the scalar first. Further columns of a model
+//! follow.
 
 use crate::ply::{Rows, header};
 use heliosplat::gaussians::{FEATURES, GroupSpec, LOG_SCALE, OPACITY, POSITION, ROTATION, Table, core_groups};
@@ -55,7 +55,7 @@ fn columns(specs: &[GroupSpec]) -> Vec<Column> {
     all
 }
 
-/// The file of a table whose harmonics, if any, are its first groups of features; comments stand in its header.
+/// The file of a table whose harmonics, if any, are its first groups of features; comments are in its header.
 pub fn encode(gaussians: &Table, comments: &[String]) -> Vec<u8> {
     let specs: Vec<GroupSpec> = gaussians.groups.iter().map(|g| g.spec.clone()).collect();
     let columns = columns(&specs);

@@ -26,8 +26,8 @@ const REACH: f32 = 3.0;
 /// on the screen, so that a cell is at most two pixels wide.
 pub const ERROR_OF_CELL: f64 = 8.0;
 /// The same of splats: a cell is then 1.6 to 3.2 pixels wide. Merged splats have standard deviations of a third of a
-/// cell at least, and CesiumJS draws none whose standard deviations are both below 0.35 pixels, so that none is left
-/// out.
+/// cell at least, and CesiumJS omits splats whose standard deviations are both below 0.35 pixels, so that all are
+/// drawn.
 const ERROR_OF_SPLATS: f64 = 5.0;
 
 /// A tile and those below it.

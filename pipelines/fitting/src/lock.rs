@@ -9,7 +9,7 @@ use std::path::{Path, PathBuf};
 /// Name of the file that is locked.
 const FILE: &str = ".lock";
 
-/// The right to write into a folder; given back when dropped, or when the process ends, however it does.
+/// The right to write into a folder; released when dropped, or when the process ends in any way.
 #[derive(Debug)]
 pub struct Lock {
     /// None on a file system without locks: there the user keeps processes apart.

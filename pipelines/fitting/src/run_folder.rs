@@ -1,5 +1,4 @@
-//! The folder of a run: its inputs with hashes, its metrics, and one way for every training to begin in it, to be
-//! resumed, and to finish.
+//! The folder of a run: its inputs with hashes, its metrics, and the start, resumption and end of every training in it.
 
 use crate::budget::Budget;
 use crate::checkpoint::{self, CheckpointError, CheckpointWriter, LoadedCheckpoint};
@@ -372,7 +371,7 @@ impl<'a, P: Clone + Serialize + DeserializeOwned + 'static> FolderState<'a, P> {
 }
 
 impl Closing<'_> {
-    /// Removes the folder of a training that came to nothing, if it was made for it and is empty still.
+    /// Removes the folder of a failed training, if it was made for it and is still empty.
     pub fn discard(self) {
         if self.new {
             drop(self.lock);

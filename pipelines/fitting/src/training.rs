@@ -1,4 +1,4 @@
-//! The loop around a trainer: steps, a budget of time, points of a curve, checkpoints on the way, and how it ends.
+//! The training loop: steps, a budget of time, points of a curve, checkpoints, and the end.
 
 use crate::budget::{Budget, Pace};
 use crate::checkpoint::{CheckpointError, CheckpointWriter};
@@ -92,8 +92,8 @@ pub struct Trained {
 /// Trains to the end, or until the user or the time stops it.
 ///
 /// # Errors
-/// [`TrainingError::Train`] when the trainer gives up in its first steps, [`TrainingError::Checkpoint`] when an
-/// interrupted training cannot be kept.
+/// [`TrainingError::Train`] when the trainer fails in its first steps, [`TrainingError::Checkpoint`] when the state of
+/// an interrupted training cannot be written.
 pub fn train<P: Clone + Serialize>(
     mut trainer: Trainer,
     steps: usize,

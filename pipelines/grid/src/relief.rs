@@ -45,7 +45,8 @@ impl Toward {
     pub fn new(azimuth_deg: f64, lowest_deg: f64) -> Self {
         let (east, north) = azimuth_deg.to_radians().sin_cos();
         let longer = east.abs().max(north.abs());
-        // Along the grid is along it: the rounding of an angle must not lead off the first row or column.
+        // Directions along the grid stay exactly on it: the rounding of an angle must not leave the first row or
+        // column.
         let step = |along: f64| match (along / longer).abs() < 1e-9 {
             true => 0.0,
             false => (along / longer) as f32,

@@ -109,9 +109,9 @@ pub fn quantile<T: Real>(values: &mut [T], p: f64) -> Option<T> {
     ranked(values, ((last as f64 * p).round() as usize).min(last))
 }
 
-/// The value that the share `p` of all values comes before in order: of `n` values the one whose rank from 0 is
-/// `p · n`, rounded down. At `p` = 1/2 it is [`upper_median`]. A `p` outside of 0 to 1 counts as the nearer end. `None`
-/// of no values.
+/// The value with the share `p` of all values before it in order: of `n` values the one whose rank from 0 is `p · n`,
+/// rounded down. At `p` = 1/2 it is [`upper_median`]. A `p` outside of 0 to 1 counts as the nearer end. `None` of no
+/// values.
 pub fn upper_quantile<T: Real>(values: &mut [T], p: f64) -> Option<T> {
     let last = values.len().checked_sub(1)?;
     ranked(values, ((values.len() as f64 * p) as usize).min(last))

@@ -28,7 +28,7 @@ const PRIMAL_STEP: f32 = 1.0;
 const DUAL_STEP: f32 = 1.0 / (8.0 * PRIMAL_STEP);
 
 /// Replaces the altitudes of a grid of rows of `width` cells of `cell_m` metres by the most probable surface;
-/// `deviation_m` are their standard deviations, metres. Cells whose altitude is NaN stay unknown and pull at nothing.
+/// `deviation_m` are their standard deviations, metres. Cells whose altitude is NaN stay unknown and have no effect.
 pub fn smooth_by_deviation(width: usize, cell_m: f32, altitude_m: &mut [f32], deviation_m: &[f32]) {
     let mut known: Vec<f32> = altitude_m.iter().copied().filter(|z| z.is_finite()).collect();
     // Differences to a middle keep their digits where altitudes are in thousands.
@@ -149,7 +149,7 @@ mod tests {
         };
         let least = energy(&found);
         assert!(least < 0.5 * energy(&given), "{least} of {}", energy(&given));
-        // A minimum: no cell alone can be moved to a lower energy by more than rounding and the rest of the iteration.
+        // A minimum: moving a single cell lowers the energy by no more than rounding and the remaining iterations.
         for i in [5 * WIDTH + 5, 9 * WIDTH + 20, 20 * WIDTH + 20] {
             for by in [-0.2, 0.2] {
                 let mut moved = found.clone();

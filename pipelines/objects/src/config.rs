@@ -34,8 +34,8 @@ pub enum Background {
 #[derive(Debug, Clone, Copy, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum ModelKind {
-    /// `olat` where every image has a light and they are in different places; else `reflective` where short fits show
-    /// that gloss is needed, and `radiance` where not.
+    /// `olat` where every image has a light and they are in different places; else `reflective` where short fits find
+    /// gloss, and `radiance` where not.
     Auto,
     /// Colours as seen from anywhere, under the light of the photographs.
     Radiance,
@@ -64,7 +64,7 @@ pub struct ModelOptions {
     pub shadow: bool,
     /// Radius of the lights, in `olat`, in the capture's units: 0 for points, larger for lamps that are near.
     pub light_radius: f32,
-    /// Largest degree of the spherical harmonics: 3, or 0 for objects that look alike from everywhere.
+    /// Largest degree of the spherical harmonics: 3, or 0 for objects with the same colour from all directions.
     pub sh_degree: usize,
     /// Units of each hidden layer of all networks, 1 to 256: the papers have 64 (`reflective`), worth 0.1 to 0.3 dB in
     /// up to twice the time, and 256 (`olat`), 14 times the time (docs/lab/objects.md).

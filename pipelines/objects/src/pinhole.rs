@@ -75,8 +75,8 @@ impl Pinhole {
     }
 }
 
-/// The point nearest to the optical axes of all cameras: where captures of an object look. Axes that are parallel are
-/// taken to meet at `1` in front of their mean.
+/// The point nearest to the optical axes of all cameras: the centre of a capture. Parallel axes are assumed to meet at
+/// `1` in front of their mean.
 pub fn common_centre(cameras: &[Pinhole]) -> DVec3 {
     let count = cameras.len().max(1) as f64;
     let (mut matrix, mut vector, mut ahead) = (DMat3::ZERO, DVec3::ZERO, DVec3::ZERO);

@@ -12,10 +12,10 @@ use heliosplat_fitting::training::TrainingError;
 use heliosplat_scene::Split;
 use heliosplat_session::Session;
 
-/// Decibels on images kept aside by which a part must help besides being better beyond chance (docs/lab/objects.md).
+/// Least gain of a part on held-out images, decibels, in addition to its significance (docs/lab/objects.md).
 const LEAST_GAIN_DB: f64 = 0.05;
-/// The same where it needs a model of another kind, which takes four times as long: one of material gains a little on
-/// objects without any gloss too.
+/// The same where it needs a model of another kind, which takes four times as long: a model of material gains a little
+/// even on objects without gloss.
 const LEAST_GAIN_OF_KIND_DB: f64 = 0.5;
 
 /// Result of short fits with and without a part.
@@ -88,8 +88,8 @@ struct Trials<'a> {
 }
 
 impl Trials<'_> {
-    /// Fits `with`, and keeps it where it is better than the best so far. Where `also` is given, it differs from `with`
-    /// in nothing but the part, and `with` must be better than it too.
+    /// Fits `with`, and keeps it where it is better than the best so far. Where `also` is given, it
+    /// differs from `with` only in the part, and `with` must be better than it too.
     fn compare(&mut self, part: &str, with: Candidate, also: Option<Candidate>) -> Result<(), TrainingError> {
         let fit = |(kind, parts): Candidate| trial::fit(self.capture, self.config, kind, parts);
         let fitted = fit(with)?;

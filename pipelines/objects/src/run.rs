@@ -29,7 +29,7 @@ pub struct ObjectRun {
     pub plan: Option<Plan>,
 }
 
-/// Writes a run into `folder`, which must exist; `model.json` last, which makes the run a run.
+/// Writes a run into `folder`, which must exist; `model.json` last, which makes the folder a run.
 ///
 /// # Errors
 /// When a file cannot be written.

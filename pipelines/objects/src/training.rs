@@ -50,8 +50,8 @@ pub fn open(path: &Path, memory: Option<u64>) -> Result<Capture, ObjectError> {
 /// Trains a model of the capture in the folder `path` and writes its run.
 ///
 /// # Errors
-/// When the capture, the configuration or a limit is at fault, the user stops the training, or a file cannot be
-/// written.
+/// When the capture or the configuration is invalid, a limit is exceeded, the user stops the training, or a file cannot
+/// be written.
 pub fn train(
     path: &Path,
     mut config: ObjectConfig,

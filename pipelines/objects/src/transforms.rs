@@ -51,8 +51,8 @@ pub struct FrameSpec {
 }
 
 impl FrameSpec {
-    /// The camera of the frame, whose image turned out to be `size` pixels; intrinsics of an image declared larger or
-    /// smaller in both ways alike are scaled. A sentence when they do not fit.
+    /// The camera of the frame, whose image has `size` pixels; intrinsics of an image declared larger or smaller by one
+    /// factor are scaled. A sentence with the fault when they do not fit.
     pub fn camera(&self, size: [usize; 2]) -> Result<Pinhole, String> {
         let [width, height] = size.map(|n| n as f64);
         let (mut focal, principal) = match self.intrinsics {

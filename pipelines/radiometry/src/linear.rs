@@ -19,14 +19,14 @@ use rayon::prelude::*;
 
 /// Least and greatest albedo.
 pub const ALBEDO_RANGE: (f32, f32) = (0.005, 3.0);
-/// A residual counts no more than this, in the images' units: larger ones are a fault of the surface, not of its
-/// colour.
+/// Largest residual that is used, in the images' units: larger ones are clipped, since they are errors of the surface
+/// and not of its colour.
 const RESIDUAL_MAX: f32 = 0.15;
 /// Least value of a pixel for albedo one; darker pixels are left out.
 const LEAST_RESPONSE: f32 = 0.05;
-/// Belief in the albedo that a Gaussian had, pixels in the sun.
+/// Weight of a Gaussian's earlier albedo, pixels in the sun.
 const PRIOR_PIXELS: f32 = 0.3;
-/// Belief in the colours that an image had, share of its pixels.
+/// Weight of an image's earlier colours, share of its pixels.
 const PRIOR_COLOUR: f64 = 1e-3;
 /// Time of a view of the round after training, in steps of the training (0.8 to 1.2 were measured).
 const FINISH_STEPS_PER_VIEW: f64 = 1.0;
@@ -59,8 +59,8 @@ pub fn begin(model: &ShadowGs, parameters: &mut Parameters, views: &[View]) {
     improve(model, parameters, views, Round::Before);
 }
 
-/// Improves the albedo of every Gaussian by all `views` together: after training, which leaves its level a few metres
-/// wide off (docs/lab/shadows.md). Colours stay.
+/// Improves the albedo of every Gaussian by all `views` together: after training, which leaves errors of its level over
+/// a few metres (docs/lab/shadows.md). Colours stay.
 pub fn finish(model: &ShadowGs, parameters: &mut Parameters, views: &[View]) {
     improve(model, parameters, views, Round::After);
 }
@@ -245,7 +245,7 @@ fn corrections(model: &ShadowGs, context: &Context, pass: &Pass, view: &View, ro
     (corrections, told)
 }
 
-/// The view as it would be were every albedo one, or none; changes `maps`, those of the view, accordingly.
+/// The view for albedo one, or zero; changes `maps`, those of the view, accordingly.
 fn with_albedo(model: &ShadowGs, context: &Context, maps: &mut Maps, one: bool) -> Raster {
     let Maps { channels, alpha, .. } = &mut *maps;
     let albedo = channels[..model.options.bands].par_iter_mut();

@@ -10,14 +10,14 @@
 
 use heliosplat_grid::statistics::upper_median;
 
-/// Least share of the light on level ground that comes from the sky: a clear one, in red and near infrared.
+/// Least share of skylight in the light on level ground: a clear sky, in red and near infrared.
 const LEAST_SKY: f32 = 0.1;
 /// Share of the bound that is used. Subtracting too little costs less than subtracting too much, which leaves dark
 /// ground without albedo (docs/lab/faults.md).
 const BOUND_SHARE: f32 = 0.85;
 /// Pairs of a bin; a bin's medians count, not single pairs.
 const FEWEST_PAIRS: usize = 40;
-/// Most bins into which the pairs of one view are put, by the brightness of the ground in the sun.
+/// Most bins of one view's pairs, by the brightness of the ground in the sun.
 const MOST_BINS: usize = 12;
 
 /// Values of one place in a band, in the counts of the reference image.

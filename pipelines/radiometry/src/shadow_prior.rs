@@ -115,8 +115,8 @@ fn by_brightness(kinds: &[BandKind], values: &Values, raster: &Raster) -> Vec<f3
         .collect()
 }
 
-/// The value that best parts `values` in two (Otsu 1979: greatest variance between the classes), NaN left out; `None`
-/// where there is nothing to part or the parts are alike.
+/// Threshold that best divides `values` in two (Otsu 1979: greatest variance between the classes), NaN left out; `None`
+/// where there are no two classes or they are too similar.
 fn otsu(values: &[f32]) -> Option<f32> {
     let known = || values.iter().copied().filter(|v| v.is_finite());
     let (low, high) = known().fold((f32::INFINITY, f32::NEG_INFINITY), |(l, h), v| (l.min(v), h.max(v)));

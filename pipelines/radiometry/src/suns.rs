@@ -47,10 +47,10 @@ const DOUBT_DEG: f64 = 3.0;
 const ROUNDS: usize = 6;
 /// Times that the blocks are drawn.
 const DRAWS: usize = 200;
-/// Least correlation of shadow and darkness on a swept surface: suns below it have been off by 3° to 6° with deviations
-/// of 1.1° to 1.5° (docs/lab/suns.md).
+/// Least correlation of shadow and darkness on a swept surface: suns below it had errors of 3° to 6° with deviations of
+/// 1.1° to 1.5° (docs/lab/suns.md).
 const LEAST_SCORE: f64 = 0.5;
-/// The same on a model's surface, where suns with less have been off by 5° to 8°, and with more by 2° at most.
+/// The same on a model's surface, where suns below it had errors of 5° to 8°, and above it of 2° at most.
 const LEAST_SCORE_OF_MODEL: f64 = 0.35;
 /// Least difference of the scores of the best sun and of the best other one, in standard deviations of the difference.
 const LEAST_MARGIN: f64 = 3.0;

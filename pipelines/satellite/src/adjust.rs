@@ -30,7 +30,7 @@ const TILES: [usize; 2] = [900, 2000];
 /// Correlation at which a sighting counts nothing.
 const WORTHLESS_SCORE: f32 = 0.7;
 
-/// The ground of `scene` in all of its images, held-out ones too: their cameras are as wrong as the others.
+/// The ground of `scene` in all of its images, held-out ones too, whose cameras have the same errors.
 ///
 /// # Errors
 /// [`SatelliteError::TooFewViews`] when fewer than two images show the common ground.

@@ -46,7 +46,7 @@ const MARGIN_M: (f64, f64) = (15.0, 40.0);
 /// The same as a share of the span.
 const MARGIN_SHARE: f64 = 0.15;
 
-/// Ground sampling distances of two images that differ by more than this factor are made alike before matching.
+/// Ground sampling distances of two images that differ by more than this factor are equalised before matching.
 const UNLIKE: f64 = 1.5;
 
 /// Width of a cell of the coarse sweep, ground sampling distances.

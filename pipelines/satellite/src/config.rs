@@ -6,15 +6,15 @@ use heliosplat::train::{TrainError, TrainOptions};
 use heliosplat_fitting::settings::{ConfigError, Preset, resolve};
 use std::path::PathBuf;
 
-/// Widths of a cell that make sense, ground sampling distances: images show nothing finer than the least, and no
-/// building at the largest.
+/// Least and largest width of a cell, ground sampling distances: images resolve nothing finer than the least, and cells
+/// of the largest show no building.
 const CELL_GSD: std::ops::RangeInclusive<f64> = 0.25..=100.0;
 
 /// Initial Gaussians on the swept surface. Lengths in cells, which are one ground sampling distance wide.
 #[derive(Debug, Clone, PartialEq, serde::Serialize, serde::Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct StartOptions {
-    /// Width of a cell, ground sampling distances: one Gaussian per cell. 2 where memory or time is short, 1.5 in the
+    /// Width of a cell, ground sampling distances: one Gaussian per cell. 2 where memory or time is limited, 1.5 in the
     /// ablation.
     pub cell_gsd: f64,
     /// Opacity of Gaussians near a step, above ground that is laid under them: training decides which of the two is
@@ -68,24 +68,24 @@ impl Default for CameraOptions {
 pub struct ModelOptions {
     /// Per-image affine colour: on for images of more than one date, off for those of one.
     pub image_colour: Option<bool>,
-    /// Whether clouds are found before anything else and left out: on from five views on; off for images that are known
-    /// to be clear.
+    /// Whether clouds are detected first and left out: on from five views on; off for images that are known to be
+    /// clear.
     pub clouds: Option<bool>,
-    /// Whether ground that was built on or torn down between the images is searched: on where every image has a date,
-    /// and a day divides them with two or more on either side; off for ground that is known to have stayed.
+    /// Whether changed ground (built or torn down) is searched: on where every image has a date, and a day divides them
+    /// with two or more on either side; off for ground that is known to be unchanged.
     pub change: Option<bool>,
-    /// Whether values that images clip count as "at least": on where some are clipped.
+    /// Whether clipped values are lower bounds: on where some are clipped.
     pub saturation: Option<bool>,
     /// Near-surface light in shadows, per Gaussian: off, because no scene measured was better with it
     /// (docs/lab/planner.md).
     pub near_light: bool,
-    /// Largest degree of the spherical harmonics by which albedo (and near-surface light) changes with the viewing
-    /// direction: 0, the same from everywhere, for matt ground, up to 3 for ground that shines.
+    /// Largest degree of the spherical harmonics of albedo (and near-surface light) in the viewing direction: 0,
+    /// isotropic, for matt ground, up to 3 for glossy ground.
     pub sh_degree: usize,
-    /// Weight of the shadow opaqueness loss; 0, off, is better on every site measured (docs/lab/components.md), the
-    /// paper and the ablation have it.
+    /// Weight of the shadow opaqueness loss; 0, off, is better on every site measured (docs/lab/components.md). It is
+    /// on in the paper and in the ablation.
     pub opaqueness_weight: f32,
-    /// Whether shadows that images show as dark places guide training: on with fewer than eight images, off with more.
+    /// Whether shadows detected as dark places guide training: on with fewer than eight images, off with more.
     pub shadow_prior: Option<bool>,
     /// Folder of the user's masks of light (1) and shadow (0), `NAME.tif` for the image `NAME`, in place of the
     /// detected ones.

@@ -15,7 +15,7 @@ use heliosplat_stereo::height_levels;
 
 pub use super::sweep_memory::PROGRAM_BYTES;
 
-/// Gaussians per cell of the ground grid: walls and doubtful ground add to one each (1.3 to 2.3 were seen).
+/// Gaussians per cell of the ground grid: walls and uncertain ground add to one each (1.3 to 2.3 were measured).
 const GAUSSIANS_PER_CELL: f64 = 1.8;
 /// Tables of all parameters that training holds: values, gradients, two moments, the best state.
 const TABLES: f64 = 5.0;

@@ -145,7 +145,7 @@ impl FitRequest<'_> {
         }
     }
 
-    /// The swept surface and the suns found in shadows on it: those that were `kept`, if they are of this scene.
+    /// The swept surface and the suns estimated from its shadows: the `kept` ones, if they are of this scene.
     fn prepare(&self, kept: Option<Preprocessed>) -> Result<Preprocess<'_>, SatelliteError> {
         let &Self {
             scene,
@@ -178,7 +178,7 @@ impl FitRequest<'_> {
         Ok(swept)
     }
 
-    /// Sweeps again where suns found in shadows state which images are of one pass. Returns whether they do.
+    /// Sweeps again where suns estimated from shadows group the images into passes. Returns whether they do.
     fn sweep_under_found_suns(&self, swept: &mut Preprocess) -> bool {
         let suns = suns::of_ground(self.scene, &swept.ground, &swept.found.shadow_suns);
         swept.sweep_under(suns, self.scene, self.config, self.decisions, self.session)

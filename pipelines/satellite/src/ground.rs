@@ -107,8 +107,8 @@ impl<'a> Ground<'a> {
         crops.map(|(image, crop)| crop.cut(&image.pixels)).collect()
     }
 
-    /// Refuses an image whose crop shows nothing to match: nearly all of its pixels have one value in every band. Crops
-    /// without any known pixel pass; they are known to show nothing.
+    /// Refuses an image whose crop has no contrast: nearly all of its pixels have one value in every band. Crops
+    /// without any known pixel pass, since they are known to be empty.
     ///
     /// # Errors
     /// [`SatelliteError::NoContrast`] for the first such image.

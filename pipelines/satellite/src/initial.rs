@@ -14,7 +14,7 @@ use heliosplat_stereo::Surface;
 use heliosplat_stereo::change::Changes;
 use std::collections::BTreeSet;
 
-/// Standard deviation of a disc in the surface, cells: neighbours overlap until no light comes between them.
+/// Standard deviation of a disc in the surface, cells: neighbours overlap so that no light passes between them.
 const SPREAD_CELLS: f32 = 0.65;
 /// Standard deviation across the surface, cells: flat, but thick enough to be seen from the side.
 const THICKNESS_CELLS: f32 = 0.2;
@@ -28,12 +28,12 @@ const WALL_PITCH_CELLS: f32 = 2.0;
 const STEEPEST: f32 = 1.5;
 /// A step of fewer height steps of the plane sweep than this is noise and no wall.
 const WALL_FROM_STEPS: f32 = 3.0;
-/// Cells around a cell among which the lowest is the floor beneath it: near a step, and where the sweep was in doubt.
+/// Cells around a cell whose lowest is the floor beneath it: near a step, and where the sweep was uncertain.
 const FLOOR_CELLS: (usize, usize) = (4, 9);
 /// Confidence below which the sweep was in doubt.
 const DOUBT: f32 = 0.1;
-/// Share of the opacity at steps that a roof or crown has where the sweep was in doubt, or preferred the ground to it.
-/// Such a place is mostly ground (docs/lab/start.md).
+/// Share of the opacity at steps for a roof or crown where the sweep was uncertain, or preferred the ground to it. Such
+/// a place is mostly ground (docs/lab/start.md).
 const DOUBTFUL_SHARE: f32 = 0.25;
 
 /// Positions and orientations of the discs.

@@ -50,8 +50,8 @@ impl AtLimits {
         count as f64 / self.matched.max(1) as f64
     }
 
-    /// A range that is wider where the surface touches a limit of the one searched, metres above the ellipsoid; `None`
-    /// where it touches none.
+    /// The range widened where the surface touches a limit of it, metres above the ellipsoid; `None` where it touches
+    /// none.
     pub fn wider(&self, range_m: (f64, f64)) -> Option<(f64, f64)> {
         widened(self, range_m)
     }

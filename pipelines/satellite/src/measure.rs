@@ -335,7 +335,7 @@ pub(super) fn start_metrics(scene: &Scene, run: &Path, start: &Dsm, gsd_m: f64) 
     Ok(surface_metrics(&evaluation))
 }
 
-/// The numbers of an evaluation, and the absolute errors that 0 %, 5 % … 100 % of the cells stay within.
+/// The metrics of an evaluation, and the absolute errors at the quantiles 0 %, 5 % … 100 % of the cells.
 pub fn surface_metrics(evaluation: &DsmEvaluation) -> Value {
     const PARTS: usize = 20;
     let mut out = serde_json::to_value(&evaluation.metrics).unwrap_or_default();

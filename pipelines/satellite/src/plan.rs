@@ -73,8 +73,7 @@ struct Facts {
     suns: usize,
     /// Lowest and highest of these, degrees.
     suns_deg: (f64, f64),
-    /// Days that divide the images with enough of them on either side for two surfaces; `None` where an image has no
-    /// date.
+    /// Number of days with enough images on either side for two surfaces; `None` where an image has no date.
     dividing_days: Option<usize>,
     /// Input of the choice of the plane sweep's matching parameters, or the reason why nothing can be matched.
     matching: Result<MatchingFacts, String>,

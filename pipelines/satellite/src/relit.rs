@@ -111,8 +111,8 @@ fn onto(source: &GeoRaster, target: &GeoRaster) -> Result<Raster, SatelliteError
     })
 }
 
-/// Truth, ours after the one gain, and the truth with shadows that are missing (blue) or false (red); all suns in one
-/// stretch, so that pictures are as dark as their suns are low.
+/// Truth, the prediction after the one gain, and the truth with missing (blue) and false (red) shadows; all suns with
+/// one stretch, so that pictures get darker with lower suns.
 fn draw(compared: &[Compared], scores: &RelitScores, run: &Path) -> Result<(), SatelliteError> {
     let folder = run.join(PICTURES);
     create_folder(&folder)?;

@@ -92,7 +92,7 @@ pub fn model_images(scene: &Scene, fitted: &Fitted, margin_m: f64) -> Vec<ModelI
         .collect()
 }
 
-/// Writes model and configuration into `folder`, which must exist; `model.json` last, which makes the run a run.
+/// Writes model and configuration into `folder`, which must exist; `model.json` last, which makes the folder a run.
 ///
 /// # Errors
 /// When a file cannot be written.

@@ -24,7 +24,7 @@ const FEWEST_KNOWN: usize = 4;
 /// Altitudes of such a model on the cells of the swept surface, metres; NaN where it has none.
 ///
 /// # Errors
-/// [`SatelliteError`] when training gives up or does not fit into the memory that is given.
+/// [`SatelliteError`] when training fails or does not fit into the given memory.
 pub(super) fn altitudes(request: &FitRequest, swept: &Preprocess) -> Result<Vec<f32>, SatelliteError> {
     let _part = stage("short fit");
     let &FitRequest {

@@ -36,7 +36,7 @@ use std::path::Path;
 /// `ingest` is how the scene was read, which the run keeps.
 ///
 /// # Errors
-/// When a limit or a file of the scene is at fault, the user stops the training, or a file cannot be written.
+/// When a limit is exceeded, a file of the scene is invalid, the user stops the training, or a file cannot be written.
 pub fn train(
     scene: &Scene,
     ingest: &IngestOptions,

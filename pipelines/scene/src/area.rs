@@ -42,7 +42,7 @@ impl AreaRequest {
     /// A sentence with the reason.
     pub fn check(&self) -> Result<(), String> {
         let [west, south, east, north] = self.bounds;
-        // Across the antimeridian west is above east; all the way around the Earth they were taken for each other.
+        // Across the antimeridian west is above east; with all of the Earth's circumference the two would be confused.
         let crosses = self.crs.is_none() && west > east && self.unwrapped()[2] - west <= 180.0;
         let apart = west < east || crosses;
         if !(apart && south < north && self.bounds.iter().all(|v| v.is_finite())) {

@@ -303,7 +303,7 @@ fn least_overlap_m2(images: &[Placed], frame: &LocalFrame, altitude_m: f64) -> R
     Ok(LEAST_OVERLAP_PX.powi(2) * first.transpose()?.unwrap_or(0.0).powi(2))
 }
 
-/// Ground sampling distances that differ by more than this factor are not those of one kind of image.
+/// Largest ratio of ground sampling distances among images of one kind.
 const UNLIKE: f64 = 1.5;
 
 /// Share by which a ground sampling distance may be rounded to one significant digit.
@@ -346,7 +346,7 @@ fn training_footprints(images: &[Placed], frame: &LocalFrame, altitude_m: f64) -
         .collect()
 }
 
-/// Leaves out images that see no ground a training image sees; at least two training images must remain.
+/// Leaves out images that share no ground with a training image; at least two training images must remain.
 fn overlapping<'a>(
     images: Vec<Placed<'a>>,
     frame: &LocalFrame,

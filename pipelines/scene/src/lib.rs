@@ -45,7 +45,7 @@ use std::sync::Arc;
 pub struct IngestOptions {
     /// Lowest and highest ellipsoidal altitude of the surface, metres.
     pub altitude_range_m: Option<(f64, f64)>,
-    /// The same as tie points between the images gave it; used where neither this nor a file of the scene states a
+    /// Altitudes estimated from tie points between the images; used where neither this nor a file of the scene states a
     /// range.
     pub altitude_from_ties_m: Option<(f64, f64)>,
     /// Preference between two different cameras.
@@ -121,7 +121,7 @@ pub struct Scene {
     /// Ground covered by at least two training images (bounding rectangle at mid altitude).
     pub area: Area,
     /// Nominal ground sampling distance, metres: the median of the training images, rounded so that cells of products
-    /// are 0.5 m wide and not 0.51, and lie on the grids of other data.
+    /// are 0.5 m wide and not 0.51, and coincide with the grids of other data.
     pub gsd_m: f64,
     /// Counts per unit of `pixels`.
     pub counts_per_unit: f64,

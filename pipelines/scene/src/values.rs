@@ -131,8 +131,8 @@ impl Values {
             let gain = (*gain)?;
             let gain = match calibration.quantity {
                 Quantity::Reflectance => gain,
-                // All bands of an image have one sun: without it reflectance is known up to one factor, which no index
-                // shows.
+                // All bands of an image have one sun: without it reflectance is known up to one factor, which cancels
+                // in every index.
                 Quantity::Radiance => gain.to_reflectance(elevation_rad.unwrap_or(FRAC_PI_2), light.distance_au())?,
             };
             Some(BandReflectance {

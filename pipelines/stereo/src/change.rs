@@ -391,8 +391,8 @@ fn agreement(
     (0..days).map(|day| [0, 1, 2].map(|at| place(day, at))).collect()
 }
 
-/// Sums over pairs, cell by cell, for each day: of those before it, from it on, and across it. Each pair is added
-/// twice, however many days there are. A pair is from the first `span[0]` days on, across those up to `span[1]`, and
+/// Sums over pairs, cell by cell, for each day: of the pairs before it, from it on, and across it. Each pair is added
+/// twice, whatever the number of days. A pair is from the first `span[0]` days on, across those up to `span[1]`, and
 /// before the others.
 struct SumsOfDays {
     cells: usize,

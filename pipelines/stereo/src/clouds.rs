@@ -21,7 +21,7 @@ use rayon::prelude::*;
 
 /// Least number of views: with fewer the outlier cannot be identified.
 pub const FEWEST_VIEWS: usize = 5;
-/// Cells of the request per cell of the surface that the views are laid on: clouds need no more detail.
+/// Cells of the request per cell of the surface for orthorectification: clouds need no more detail.
 const FACTOR: usize = 2;
 /// Radius of the median filter of that surface, cells.
 const MEDIAN_RADIUS: usize = 2;
@@ -30,8 +30,7 @@ const WINDOW_M: f32 = 2.25;
 /// Least excess brightness of a cloud over the sunlit ground, relative to the mean of that ground and the view's
 /// median; bright roofs differ by less.
 const BRIGHTER: f32 = 0.4;
-/// Least area of a cloud, square metres: smaller patches are cars, or roofs that the coarse surface has in the wrong
-/// place.
+/// Least area of a cloud, square metres: smaller patches are cars, or roofs displaced on the coarse surface.
 const LEAST_M2: f32 = 64.0;
 /// Margin around a cloud, metres: its soft edge is masked too.
 const EDGE_M: f32 = 4.0;

@@ -30,8 +30,8 @@ const TRUNCATION: f32 = 0.36;
 /// (docs/lab/plane-sweep.md).
 const VALUE_TRUNCATION: f32 = 4.0;
 
-/// Differences from here on lie across the edge of a shadow or of another surface, in median differences between the
-/// neighbours around (docs/lab/plane-sweep.md).
+/// Contrast limit: larger differences are across the edge of a shadow or of another surface, in median differences
+/// between the neighbours around (docs/lab/plane-sweep.md).
 pub(super) const CONTRAST_LIMIT: f32 = 8.0;
 
 /// Input of the matching cost on one level.
@@ -110,8 +110,8 @@ impl MatchingCost<'_> {
         }
     }
 
-    /// The levels that some cell of a block searches, each with the smallest part of the block that holds those cells:
-    /// between the ground and the roofs there is often none, and then nothing need be compared.
+    /// The levels searched by some cell of a block, each with the smallest part of the block that contains those cells:
+    /// between the ground and the roofs there is often none, and nothing is compared.
     fn parts(&self, block: &Block, ranges: &SearchRanges) -> impl Iterator<Item = (usize, Block)> {
         let mut parts: BTreeMap<usize, Block> = BTreeMap::new();
         for row in block.row0..block.row1 {

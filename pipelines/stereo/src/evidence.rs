@@ -121,8 +121,8 @@ impl LevelSurface<'_> {
     }
 }
 
-/// Share by which a distance is less than by chance. Ground without any contrast agrees at every altitude, which is no
-/// evidence of one.
+/// Share by which a distance is less than by chance. Ground without any contrast agrees at every altitude, so its
+/// evidence is zero.
 fn share_less(found: f32, by_chance: f32) -> f32 {
     match by_chance == 0.0 {
         true => 0.0,
@@ -153,8 +153,8 @@ mod tests {
 
     const SIDE: usize = 96;
 
-    /// An image of level ground from straight above, a metre to a pixel. Its east is the same in every image, its west
-    /// another in each.
+    /// An image of level ground from straight above, a metre to a pixel. Its eastern half is the same in every image,
+    /// its western half differs.
     fn image(number: usize) -> Raster {
         let mut image = Raster::filled(SIDE, SIDE, 1, 0.0);
         for (pixel, value) in image.values.iter_mut().enumerate() {

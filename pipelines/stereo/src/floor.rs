@@ -14,7 +14,7 @@ use super::wta;
 use heliosplat_grid::{Grid, lowest_within};
 use rayon::prelude::*;
 
-/// Cells around a cell among which the lowest sure one is its floor: the shade of a house of two storeys.
+/// Cells around a cell whose lowest certain one is its floor: the shade of a house of two storeys.
 const REACH_CELLS: usize = 16;
 /// Margin from which on a cell's altitude is sure.
 const SURE_MARGIN: f32 = 0.15;
@@ -24,7 +24,7 @@ const PLACE: (usize, usize) = (2, 18);
 const ALIKE_M: f32 = 1.0;
 /// Least height above the floor, metres: less is a matter of the slope.
 const STEP_M: f32 = 1.0;
-/// Height hypotheses on both sides of the floor that are the floor too: it slopes, and sure cells err.
+/// Height hypotheses on both sides of the floor that belong to it: it slopes, and certain cells have errors.
 const SAME_LEVELS: usize = 3;
 
 /// Bonus before hidden views are left out, as a multiple of the final one: a roof over ground hides the ground from all
@@ -114,8 +114,8 @@ mod tests {
     use super::super::ranges::SearchRanges;
     use super::*;
 
-    /// Level ground with a strip two cells wide that matches best 6 m above it, by `gap` in summed cost better than at
-    /// the ground.
+    /// Level ground with a strip two cells wide that matches best 6 m above it, with a summed cost lower by `gap` than
+    /// at the ground.
     fn beside_a_wall(gap: u16) -> (Grid, LevelResult, MatchingParameters) {
         let grid = Grid::plain(24, 24);
         let heights = HeightHypotheses::new(0.0, 10.0, 0.5);

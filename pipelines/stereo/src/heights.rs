@@ -16,8 +16,8 @@ const MOST_LEVELS: usize = 8192;
 /// Least step, metres, so that the number of levels stays finite for any request.
 const LEAST_STEP_M: f32 = 1e-4;
 
-/// Most height hypotheses of a cell of `cell_m` metres over a range of altitudes, metres, where the widest base of two
-/// views has this ratio to their height.
+/// Most height hypotheses of a cell of `cell_m` metres over a range of altitudes, metres, for this base-to-height ratio
+/// of the widest base of two views.
 pub fn height_levels(range_m: f32, cell_m: f32, widest_base_to_height: f32) -> usize {
     let step_m = STEP_CELLS * cell_m / widest_base_to_height.max(LEAST_BASE_TO_HEIGHT as f32);
     HeightHypotheses::new(0.0, range_m, step_m).levels

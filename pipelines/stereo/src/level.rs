@@ -11,7 +11,7 @@ use glam::Vec3;
 use heliosplat::{ProjectiveCamera, Raster};
 use heliosplat_grid::statistics::upper_median;
 
-/// The smaller side of a level has at least this many pixels, however large the cells: fewer hold no window of the
+/// Least number of pixels of the smaller side of a level, however large the cells: fewer contain no window of the
 /// census.
 const FEWEST_PIXELS: usize = 8;
 

@@ -35,11 +35,11 @@ impl Pair {
 const FULL_WEIGHT: f32 = 64.0;
 /// Base-to-height ratio at which a pair has half of the weight of an infinitely long base.
 const HALF_WEIGHT_BASE: f32 = 0.15;
-/// Intersection angle at which surfaces have stopped looking alike (weight 1/e), radians: about 40 degrees.
+/// Intersection angle at which surfaces no longer look alike (weight 1/e), radians: about 40 degrees.
 const ALIKE_ANGLE_RAD: f32 = 0.7;
 /// Weight of a comparison across dates with the sun in one place, relative to one within a date.
 const OTHER_DATE: f32 = 0.5;
-/// Least of the cosine between two suns that counts: opposite shadows still leave roofs to compare.
+/// Least cosine between two suns that is used: opposite shadows still leave roofs to compare.
 const LEAST_SUN_COSINE: f32 = 0.3;
 /// The cosine between two suns when one is unknown: that of morning passes of two seasons, some 35 degrees apart.
 const UNKNOWN_SUN_COSINE: f32 = 0.8;
@@ -90,7 +90,7 @@ pub struct Widest {
     pub base_to_height: f32,
 }
 
-/// The two of `views`, two at least, that look from farthest apart at `centre` (metres in the frame of the cameras).
+/// The two of `views`, two at least, with the largest angle at `centre` (metres in the frame of the cameras).
 pub fn widest_base(views: &[ViewGeometry], centre: Vec3) -> Widest {
     let parallaxes: Vec<Vec2> = views.iter().map(|view| parallax(&view.camera, centre)).collect();
     let mut widest = Widest {

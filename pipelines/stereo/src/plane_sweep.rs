@@ -29,7 +29,7 @@ const HIDDEN_M: f32 = 1.0;
 const SAME_PATCH_CELLS: f32 = 2.0;
 /// The same in height steps.
 const SAME_PATCH_STEPS: f32 = 2.0;
-/// Patches of fewer cells are taken for mismatches: 16 are two metres across at half a metre a cell.
+/// Smallest patch that is no mismatch, cells: 16 are two metres across at half a metre a cell.
 const SPECKLE_CELLS: usize = 16;
 /// Probability above which an altitude is not in doubt.
 const SURE_PROBABILITY: f32 = 0.8;
@@ -169,8 +169,8 @@ fn tolerance_m(step_m: f32) -> f32 {
     HIDDEN_M.max(HIDDEN_STEPS * step_m)
 }
 
-/// Standard deviations of the altitudes, metres, none where one altitude is far more probable than all others: the few
-/// that remain are often far off, and it is not a surface between them that is in doubt.
+/// Standard deviations of the altitudes, metres, zero where one altitude is far more probable than all others: the
+/// alternatives are then often far away, and a surface between them is not plausible.
 fn doubts(choices: &[HeightChoice]) -> Vec<f32> {
     let doubt = |choice: &HeightChoice| match choice.probability > SURE_PROBABILITY {
         true => 0.0,
@@ -179,8 +179,8 @@ fn doubts(choices: &[HeightChoice]) -> Vec<f32> {
     choices.iter().map(doubt).collect()
 }
 
-/// Probabilities of the altitudes: of each cell the median of those around it that are as high, or its own where it is
-/// greater. A single cell in doubt on a sure roof is the roof.
+/// Probabilities of the altitudes: for each cell the median of those around it at its height, or its own where it is
+/// greater. A single uncertain cell on a certain roof belongs to the roof.
 fn shared(grid: &Grid, altitude: &[f32], same_patch_m: f32, choices: &[HeightChoice]) -> Vec<f32> {
     let of_cell = |cell: usize| {
         let as_high = |&near: &usize| (altitude[near] - altitude[cell]).abs() < same_patch_m;

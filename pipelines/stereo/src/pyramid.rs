@@ -31,8 +31,8 @@ const COARSEST: usize = 8;
 /// Fewest cells each way of a level with a search of its own.
 const FEWEST_CELLS: usize = 16;
 
-/// Pixels of two views that differ by more than this factor are of unlike resolution: looking aslant makes those of one
-/// camera differ by up to some 1.4.
+/// Pixels of two views that differ by more than this factor are of unlike resolution: oblique views of one camera
+/// differ by up to some 1.4.
 const UNLIKE: f32 = 1.5;
 
 /// The views that a level compares.

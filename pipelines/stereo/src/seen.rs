@@ -137,7 +137,7 @@ fn stations(cameras: &[ProjectiveCamera], grid: &Grid, altitude_m: &[f32]) -> Ve
     stations
 }
 
-/// Sums over the stations that see each cell. An altitude from n views whose parallaxes are p has the information Σ
+/// Sums over the viewpoints that see each cell. An altitude from n views whose parallaxes are p has the information Σ
 /// |p - mean|² (least squares, equal errors of position in each image), and that of a pair is half its squared base.
 struct ParallaxSums {
     views: Vec<u8>,

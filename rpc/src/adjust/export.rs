@@ -20,9 +20,9 @@ pub struct CorrectedRpc {
 
 /// The camera that projects as `rpc` with `correction` added.
 ///
-/// A shift goes into `LINE_OFF` and `SAMP_OFF` and is exact everywhere. Rotation and drift are no part of a rational
-/// camera of two denominators: a new one is fitted over the image with a tenth around it and over `heights_m`, and
-/// holds there only.
+/// A shift goes into `LINE_OFF` and `SAMP_OFF` and is exact everywhere. A rational camera of two denominators cannot
+/// contain rotation and drift: a new one is fitted over the image with a margin of a tenth and over `heights_m`, and is
+/// valid there only.
 ///
 /// # Errors
 /// When the camera to be refitted cannot be localised over its image.

@@ -13,8 +13,8 @@ pub fn pixels_per_metre(rpc: &Rpc, frame: &LocalFrame, enu_m: Vector3<f64>) -> M
     by_geo * geo_slope(frame, enu_m)
 }
 
-/// Shifts this many times as long as their median, or more, do not decide the translation of the scene: such a camera
-/// is wrong by itself.
+/// Shifts this many times as long as their median, or more, do not enter the translation of the scene: such a camera
+/// has an error of its own.
 const FAR_OFF_MEDIANS: f64 = 4.0;
 /// Median below which no shift counts as an outlier, pixels: the usual spread of one vendor's cameras.
 const LEAST_MEDIAN_PX: f64 = 0.5;

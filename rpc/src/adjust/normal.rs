@@ -8,7 +8,7 @@ use nalgebra::{DMatrix, DVector, Matrix3, SMatrix, SVector, Vector3};
 
 /// Prior standard deviation of shifts, pixels: weak, so that it fixes only unknowns that the ties leave open.
 pub const SHIFT_SIGMA_PX: f64 = 10.0;
-/// Standard deviation given to rotation and drift beforehand, pixels half an image from its centre.
+/// Prior standard deviation of rotation and drift, pixels half an image from its centre.
 pub const SLOPE_SIGMA_PX: f64 = 0.5;
 /// Standard deviation of a sighting that priors are weighed against, pixels.
 const SIGHTING_SIGMA_PX: f64 = 0.15;

@@ -3,9 +3,9 @@
 use super::linear::Linear;
 use heliosplat_grid::statistics::upper_median;
 
-/// Residuals, in standard deviations, at which a sighting counts a quarter. So near because errors of matching are not
-/// symmetric: shadows that moved by little pull all one way, and only the peak of the residuals' distribution is where
-/// the ground is.
+/// Residuals, in standard deviations, at which a sighting has a quarter of its weight. It is small because errors of
+/// matching are not symmetric: slightly moved shadows pull in one direction, and only the peak of the residuals'
+/// distribution is at the ground.
 const QUARTER_AT: f64 = 1.0;
 /// Residuals, in standard deviations, up to which a sighting is a good one.
 const GOOD_TO: f64 = 3.0;

@@ -263,8 +263,8 @@ pub(super) const LOG2_ALPHA_MIN: f32 = -7.994_353_3;
 /// `log2` of [`ALPHA_MAX`](super::project::ALPHA_MAX).
 pub(super) const LOG2_ALPHA_MAX: f32 = -0.014_499_57;
 
-/// `2^x` for `-126 < x < 127`, vectorisable: the nearest integer by a magic number and a polynomial for the rest
-/// (3e-6 relative, minimax). Outside, the value means nothing.
+/// `2^x` for `-126 < x < 127`, vectorisable: the nearest integer by a magic number and a polynomial for the rest (3e-6
+/// relative, minimax). Outside, the value is undefined.
 #[inline(always)]
 pub fn exp2(x: f32) -> f32 {
     let n = x + MAGIC;

@@ -86,9 +86,9 @@ impl ClosestPoints {
                     w.x_axis.z * v[0] + w.y_axis.z * v[1] + w.z_axis.z * v[2],
                 ]
             };
-            // First to where the ray passes the centre in the scene, then on from there in whitened space: a thin
-            // Gaussian far away would make small differences of large numbers of the way there. Errors along the ray do
-            // no harm, they move the foot.
+            // First to the point of the ray nearest the centre in the scene, then on from there in whitened space: for
+            // a thin Gaussian far away, a single step would lose the small differences of large numbers. Errors along
+            // the ray are harmless, they move the foot.
             let foot = -(along[0] * offset[0] + along[1] * offset[1] + along[2] * offset[2]);
             let beside = [
                 offset[0] + along[0] * foot,

@@ -361,7 +361,7 @@ fn frame_row() -> Row {
     }
 }
 
-/// Even images of any brightness against themselves with a hair of noise: SSIM's variances are rounding.
+/// Uniform images of any brightness against themselves with slight noise: SSIM's variances are rounding.
 fn window_row() -> Row {
     let size = 24;
     let (mut robust, mut naive) = (Worst::default(), Worst::default());

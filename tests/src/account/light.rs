@@ -1,5 +1,5 @@
-//! Light: the exponent of a ray that passes a Gaussian, the stack of layers above, the own sheet, a light at no
-//! distance.
+//! Light: the exponent of a ray that passes a Gaussian, the stack of layers above, self-shadowing, a light at distance
+//! zero.
 
 use super::{Errors, Row, Worst, ratio, steps};
 use crate::reference::{self, Gaussian};

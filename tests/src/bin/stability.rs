@@ -1,4 +1,4 @@
-//! Writes the project's own account of its numbers to `docs/numerics.md`, or to the file named as the only argument.
+//! Writes the account of the project's numbers to `docs/numerics.md`, or to the file named as the only argument.
 
 use heliosplat_tests::account;
 use std::path::{Path, PathBuf};

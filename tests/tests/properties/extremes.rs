@@ -1,4 +1,4 @@
-//! Training at the extremes ends in a model or in a clear error, and never silently in numbers that are none.
+//! Training at the extremes ends in a model or in a clear error, and never silently in numbers that are not finite.
 
 use crate::draw::{direction, extreme_gaussians, looks, parameters};
 use glam::{DVec3, Vec3};

@@ -64,8 +64,7 @@ impl Moments {
         total
     }
 
-    /// Correlation between being one of the `shaded` among these cells, and darkness; 0 where there is nothing to
-    /// correlate.
+    /// Correlation between membership of the `shaded` among these cells, and darkness; 0 where it is undefined.
     pub(super) fn correlation(&self, shaded: &Self) -> f64 {
         let share = shaded.count / self.count;
         let mean = self.sum / self.count;

@@ -46,7 +46,7 @@ impl Facts {
     }
 }
 
-/// Share of images with known suns from which on the others take no part in training: their shadows would be taken for
+/// Share of images with known suns from which on the others are left out of training: their shadows would become dark
 /// ground (docs/lab/suns.md).
 const SHARE_KNOWN: f64 = 0.75;
 

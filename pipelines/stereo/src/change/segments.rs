@@ -207,7 +207,7 @@ fn accepted(
 mod tests {
     use super::*;
 
-    /// A square of ten metres in the middle of thirty, where two surfaces explain `gain` pairs more than one.
+    /// A square of ten metres in the middle of thirty, where two surfaces explain `gain` more pairs than one.
     fn split(day: i32, gain: f32) -> Split {
         let inside = |cell: usize| (10..20).contains(&(cell % 30)) && (10..20).contains(&(cell / 30));
         let side = |top_m: f32| Side {

@@ -82,10 +82,11 @@ pub(super) fn excess(
     least
 }
 
-/// The brightness of the ground in the sun at a cell, for each view that sees it: the brightest of the other views
-/// after those that may be clouded.
+/// The brightness of the sunlit ground at a cell, for each view that sees it: the brightest of the other views after
+/// those that may be clouded.
 struct InTheSun {
-    /// The value of that rank among the other views where the view itself is brighter, NaN where too few see the cell.
+    /// The value of that rank among the other views where the view itself is brighter, NaN where the cell is visible in
+    /// too few.
     beside_brighter: f32,
     /// The same where the view itself is one of the darker ones.
     beside_darker: f32,
@@ -152,7 +153,7 @@ fn ortho_of_band(
     values
 }
 
-/// The views' values on the scale of their common median: the gain and offset of haze and exposure are taken out.
+/// The views' values on the scale of their common median: gain and offset of haze and exposure are removed.
 fn on_one_scale(orthos: &[Vec<f32>]) -> Vec<Vec<f32>> {
     let relative: Vec<Vec<f32>> = orthos
         .par_iter()

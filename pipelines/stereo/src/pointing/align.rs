@@ -80,7 +80,7 @@ fn residual_shifts(search: &Search, factor: usize) -> Option<Vec<DVec2>> {
     )
 }
 
-/// Values with the mean of their window taken off and divided by its spread, held to ±2; 0 where the window has holes.
+/// Values minus the mean of their window, divided by its spread, clamped to ±2; 0 where the window has holes.
 fn normalise(grid: &Grid, values: &[f32]) -> Vec<f32> {
     let mut out = vec![0.0; grid.len()];
     out.par_chunks_mut(grid.width).enumerate().for_each(|(row, line)| {
@@ -157,7 +157,7 @@ fn correlation(grid: &Grid, a: &[f32], b: &[f32], dc: isize, dr: isize) -> f64 {
     if count > 0.0 { sum / count } else { 0.0 }
 }
 
-/// Per-view moves whose differences fit the pairwise offsets (weighted least squares by Gauss–Seidel, mean zero).
+/// Per-view shifts whose differences fit the pairwise offsets (weighted least squares by Gauss–Seidel, mean zero).
 fn spread_over_views(views: usize, offsets: &[(Pair, (DVec2, f64))]) -> Vec<DVec2> {
     let mut moves = vec![DVec2::ZERO; views];
     for _ in 0..200 {

@@ -75,7 +75,7 @@ pub struct Tie {
 /// Options of the search for tie points.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct TieOptions {
-    /// Cells of the request per cell of the patches: 2 finds shifts of twice the size at half the precision.
+    /// Cells of the request per cell of the patches: 2 covers shifts of twice the size at half the precision.
     pub factor: usize,
     /// Tiles of the ground: at most one tie point is found in each.
     pub tiles: usize,

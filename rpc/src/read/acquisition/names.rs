@@ -72,8 +72,8 @@ fn plausible(time: Timestamp) -> Option<Timestamp> {
     (FIRST_YEAR..=LAST_YEAR).contains(&year).then_some(time)
 }
 
-/// The date tag of a TIFF (tag 306, `YYYY:MM:DD hh:mm:ss`), taken as UTC. Many programs write there when the file was
-/// made.
+/// The date tag of a TIFF (tag 306, `YYYY:MM:DD hh:mm:ss`), taken as UTC. Many programs write the time of the file
+/// there.
 pub fn tiff_date(text: &str) -> Option<Timestamp> {
     let (date, time) = text.trim().trim_end_matches('\0').split_once(' ')?;
     let civil: DateTime = format!("{}T{}", date.replace(':', "-"), time.trim()).parse().ok()?;

@@ -81,8 +81,8 @@ const GROUPS: [(&str, CalibratedBand); 5] = [
 ];
 
 /// From the items of an IMD by group and key, as GDAL's `IMD` domain has them (`BAND_R.absCalFactor`, `IMAGE_1.satId`).
-/// The factors hold for counts that nothing was done to: after an adjustment of the dynamic range (DRA) values are for
-/// display, and after a compensation of the atmosphere they are no radiance.
+/// The factors are for unprocessed counts: after an adjustment of the dynamic range (DRA) values are for display, and
+/// after a compensation of the atmosphere they are no radiance.
 pub fn gdal_domain(items: &BTreeMap<String, String>) -> Option<Radiometry> {
     let items: BTreeMap<String, &str> = items
         .iter()

@@ -61,7 +61,7 @@ fn every_dialect_says_the_same_camera_and_light() {
         ),
         Some([4.0, 5.0, 6.0]),
     );
-    // GS³: intrinsics of the frame over those of the file, a path on someone else's disk, one intensity.
+    // GS³: intrinsics of the frame over those of the file, an absolute path of another machine, one intensity.
     lit(
         only(
             json!({"camera_angle_x": 0.1, "frames": [{"file_path": "train/a", "img_path": "/elsewhere/a.png",

@@ -23,8 +23,8 @@ pub(super) struct Corner {
     pub(super) row: usize,
 }
 
-/// The sharpest corner of each of about `tiles` tiles. Views take turns as the reference, so that each has its share of
-/// the ties all over the ground; a view that does not show a tile leaves it to the next.
+/// The sharpest corner of each of about `tiles` tiles. Views take turns as the reference, so that each has ties all
+/// over the ground; a view that does not show a tile is replaced by the next.
 pub(super) fn choose(grid: &Grid, orthos: &[Vec<f32>], tiles: usize) -> Vec<Corner> {
     let strengths: Vec<Vec<f32>> = orthos.par_iter().map(|values| strength(grid, values)).collect();
     let side = ((grid.len() as f64 / tiles.max(1) as f64).sqrt().round() as usize).max(LEAST_TILE);
@@ -59,8 +59,8 @@ fn sharpest(grid: &Grid, strength: &[f32], (col0, row0): (usize, usize), side: u
     best.1
 }
 
-/// The smaller eigenvalue of the structure tensor (J. Shi, C. Tomasi, *Good features to track*, 1994): how well a shift
-/// in the worst direction shows. 0 where values are missing.
+/// The smaller eigenvalue of the structure tensor (J. Shi, C. Tomasi, *Good features to track*, 1994): the precision of
+/// a shift in the worst direction. 0 where values are missing.
 fn strength(grid: &Grid, values: &[f32]) -> Vec<f32> {
     let (width, height) = (grid.width, grid.height);
     let mut out = vec![0.0; grid.len()];
