@@ -6,7 +6,7 @@
 
 use std::sync::OnceLock;
 
-/// A set of instructions; each holds those before it.
+/// A set of instructions; each includes those before it.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
 pub enum Level {
     /// The level the binary is compiled for: SSE2 on x86-64.

@@ -451,7 +451,7 @@ impl<'a> Trainer<'a> {
             projection: &projection,
             occluder_gradients: self.occluder_gradients(),
             occluders,
-            // Asked for on one step in `consistency_every` only, so it weighs that much more there.
+            // Evaluated on one step in `consistency_every` only, with a weight larger by that factor.
             weight: self.options.consistency_weight * self.options.consistency_every.max(1) as f32,
         };
         consistency(gaussians, &projected, &pass, &mut self.gradients.gaussians)

@@ -22,7 +22,7 @@ const BILLOW_M: f64 = 14.0;
 
 /// Lines of sight along each side of an image that sample the shares.
 const PROBES: usize = 48;
-/// Pieces of the layer that are tried. One of several fits; if none does, the nearest is taken.
+/// Trial positions of the layer. One of several fits; if none does, the nearest is used.
 const ATTEMPTS: usize = 400;
 /// Largest distance between the pieces, metres.
 const REACH_M: f64 = 20e3;
@@ -119,7 +119,7 @@ impl CloudField {
         Self { offset_m, ..field }
     }
 
-    /// Share of the light along a line that the layer takes.
+    /// Share of the light along a line that the layer absorbs.
     pub(crate) fn opacity_along(&self, ray: &Ray) -> f64 {
         let place = self.crossing(ray);
         through_both(self.opacity(place), self.veil(place))

@@ -38,7 +38,7 @@ pub(crate) fn band_gains(seed: u64, image: usize) -> [f64; 4] {
 pub struct Haze {
     /// Optical depth `δ` in red, straight down.
     pub depth: f64,
-    /// Reflectance of a layer without end, which gives the airlight `A`.
+    /// Reflectance of an infinite layer, which determines the airlight `A`.
     pub airlight: f64,
 }
 

@@ -371,7 +371,7 @@ fn studio_of(request: &SatelliteRequest, collection: &Collection) -> Option<Stud
     })
 }
 
-/// The site under suns that no image has, with nothing that comes and goes.
+/// The site under suns that no image has, without cars and clouds.
 fn relight(
     staging: &Staging,
     request: &SatelliteRequest,

@@ -17,7 +17,7 @@ const TARGET_RESIDUAL_PX: f64 = 5e-10;
 const ACCEPTED_RESIDUAL_PX: f64 = 2e-9;
 /// Range of the fast method around the model's centre, half ranges.
 const TRUSTED_RANGE: f64 = 1.5;
-/// Half ranges of the ground that one of the image may span; sound models have 1.1.
+/// Half ranges of the ground that one of the image may span; valid models have 1.1.
 const TRUSTED_SPAN: f64 = 2.0;
 
 type Lane = [f64; LANES];

@@ -42,7 +42,7 @@ pub struct Transmittance {
     /// Gradient of the origin through the change in ray direction, see
     /// [`RayTransmittance`](super::occlusion::RayTransmittance); empty for parallel light.
     d_turn: Vec<Vec3>,
-    /// Gaussians hit by all rays together; without any there is nothing to go back to.
+    /// Gaussians hit by all rays together; without any the backward pass has no work.
     hits: u64,
     finder: Finder,
 }

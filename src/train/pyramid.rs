@@ -139,7 +139,7 @@ mod tests {
                 pyramid.level(&views, 0).view.image.width
             })
         };
-        // More steps than were thought may make training less far than it was.
+        // A later increase of the number of steps may make training less far than it was.
         assert_eq!(widths(0.5), [100, 100, 200, 200, 100]);
         assert_eq!(widths(0.0), [200; 5]);
     }

@@ -60,7 +60,7 @@ pub struct Row {
     pub domain: &'static str,
     /// The form in the code.
     pub robust: Errors,
-    /// Largest errors of value and gradient that it may have.
+    /// Largest errors of value and gradient allowed.
     pub limit: (f64, f64),
     /// The naive form.
     pub naive: Errors,
@@ -113,7 +113,7 @@ fn steps(low: f64, high: f64, count: usize) -> impl Iterator<Item = f64> {
     (0..count).map(move |i| low + (high - low) * i as f64 / (count - 1) as f64)
 }
 
-/// Time of `a` over that of `b`: the least of several turns each, taken in turn.
+/// Time of `a` over that of `b`: the least of several runs each, in alternation.
 fn ratio(timed: bool, mut a: impl FnMut(), mut b: impl FnMut()) -> Option<f64> {
     if !timed {
         return None;

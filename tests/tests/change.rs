@@ -1,4 +1,4 @@
-//! Buildings that come and go between the images, end to end on a tiny synthetic site.
+//! Buildings built and torn down between the images, end to end on a tiny synthetic site.
 
 use heliosplat_raster::RasterFile;
 use heliosplat_tests::program::json;

@@ -36,7 +36,7 @@ pub struct ObjectRequest {
     pub look: Look,
     /// Everything random follows from it.
     pub seed: u64,
-    /// Images to train with; `None` is as many as such captures usually have.
+    /// Images to train with; `None` for the usual number of such captures.
     pub views: Option<usize>,
     /// Images held out; for [`Capture::Olat`] one half with lights near those of training, one half far from them.
     pub held_out: Option<usize>,

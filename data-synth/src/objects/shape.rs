@@ -5,7 +5,7 @@ use nalgebra::{Matrix3, Vector3};
 
 /// Hits nearer than this along a ray are the surface that the ray starts on.
 const SELF_HIT: f64 = 1e-6;
-/// Steps after which a ray that creeps along a torus is taken to miss it.
+/// Steps after which a ray that creeps along a torus counts as a miss.
 const TORUS_STEPS: usize = 200;
 
 /// A shape around the origin of its own frame.

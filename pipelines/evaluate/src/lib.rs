@@ -230,7 +230,7 @@ fn register(
         Protocol::Subpixel => align::subpixel(truth, &|columns, rows| without_water(prediction(columns, rows))),
     };
     let moved = match protocol {
-        // Water is taken out where the prediction shows it, before it is moved: as Sat-NeRF and EOGS do.
+        // Water is removed from the prediction before it is moved, as in Sat-NeRF and EOGS.
         Protocol::Aligned => align::moved(&without_water(prediction(0.0, 0.0)), shift.columns, shift.rows),
         Protocol::Raw | Protocol::AlignedWater | Protocol::Subpixel => prediction(shift.columns, shift.rows),
     };

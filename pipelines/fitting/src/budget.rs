@@ -1,4 +1,4 @@
-//! Keeping a training within the time it was given.
+//! Keeping a training within its time limit.
 
 use std::collections::VecDeque;
 use std::time::{Duration, Instant};
@@ -32,7 +32,7 @@ impl Budget {
         }
     }
 
-    /// Steps in all that fit, when `done` are done and one takes `step_s` seconds.
+    /// Total number of steps that fit, when `done` are done and one takes `step_s` seconds.
     pub fn steps(&self, done: usize, step_s: f64) -> usize {
         done + self.steps_left(self.begun.elapsed().as_secs_f64(), step_s)
     }

@@ -12,7 +12,7 @@ const FILE: &str = ".lock";
 /// The right to write into a folder; released when dropped, or when the process ends in any way.
 #[derive(Debug)]
 pub struct Lock {
-    /// None on a file system without locks: there the user keeps processes apart.
+    /// None on a file system without locks: the user must then keep processes apart.
     held: Option<(PathBuf, File)>,
 }
 

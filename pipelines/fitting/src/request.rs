@@ -33,7 +33,7 @@ pub struct TrainRequest {
     pub preset: Preset,
     /// Start of the program, from which the time budget counts.
     pub begun: Instant,
-    /// The time that the run may take, products included.
+    /// The time limit of the run, products included.
     pub time_budget: Option<Duration>,
     /// The memory that the process may take, bytes.
     pub memory: Option<u64>,
@@ -60,7 +60,7 @@ impl TrainRequest {
 
 /// The outcome of a training; `M` is the model.
 pub enum TrainOutcome<M> {
-    /// The folder holds this very training, finished before.
+    /// The folder contains this very training, finished earlier.
     FinishedBefore {
         /// Its `metrics.json`.
         metrics: Value,

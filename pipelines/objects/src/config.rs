@@ -154,7 +154,7 @@ impl ObjectConfig {
     }
 }
 
-/// Parts of a model that may be there or not; short fits decide.
+/// Optional parts of a model; short fits decide.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, serde::Serialize, serde::Deserialize)]
 pub struct Parts {
     /// Whether surfaces are glossy, in kinds with that choice.

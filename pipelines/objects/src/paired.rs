@@ -7,7 +7,7 @@
 
 /// Fewest pieces for a standard error.
 const FEWEST_PIECES: usize = 5;
-/// Standard errors that a gain must be away from zero.
+/// Standard errors by which a gain must differ from zero.
 const STANDARD_ERRORS: f64 = 2.0;
 
 /// Squared errors of one piece, summed over its pixels.

@@ -16,7 +16,7 @@ use heliosplat_grid::statistics::upper_median;
 use heliosplat_scene::Split;
 use std::f32::consts::PI;
 
-/// Gaussians that leave the cube that cameras see by this much of it are pruned.
+/// Side of the cube outside which Gaussians are pruned, relative to the cube that the cameras see.
 const SLACK: f32 = 1.1;
 /// Opacity of the Gaussians at the start: half, for a hull is only about where the surface is.
 const OPACITY: f32 = 0.5;

@@ -24,7 +24,7 @@ const REACH: i64 = 2;
 /// Standard deviation of a Gaussian, cells.
 const SPREAD: f64 = 0.6;
 
-/// A Gaussian to be: its centre in the frame of the model, and the colour of the images there.
+/// A seed of a Gaussian: its centre in the frame of the model, and the colour of the images there.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Seed {
     /// Centre.

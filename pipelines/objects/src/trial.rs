@@ -16,7 +16,7 @@ use std::time::Instant;
 
 /// One in so many training images is held out.
 const ASIDE: usize = 6;
-/// With fewer images nothing is tried: those left would not do.
+/// Fewest images for a trial: with fewer the remaining ones would not suffice.
 pub(super) const LEAST_IMAGES: usize = 18;
 /// Factor by which short fits downscale images.
 const SMALLER: usize = 2;

@@ -161,7 +161,7 @@ fn agreement(adjustment: &Adjustment) -> usize {
     adjustment.images.iter().map(|image| image.good).sum()
 }
 
-/// The corrections' shifts as the engine takes them.
+/// The corrections' shifts in the form of the engine.
 pub fn shifts(adjustment: &Adjustment) -> Vec<[f32; 2]> {
     let shift = |c: &heliosplat_rpc::adjust::Correction| c.shift_px.map(|v| v as f32);
     adjustment.corrections.iter().map(shift).collect()

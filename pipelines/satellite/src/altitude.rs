@@ -16,7 +16,7 @@ use heliosplat_scene::{AltitudeSource, Index, IngestOptions, Scene, SceneError};
 use heliosplat_stereo::pointing::ties::epipolar::{EpipolarSearch, ReducedView, TiedAltitudes, tied_altitudes};
 use heliosplat_stereo::{MatchingParameters, Surface, plane_sweep, weight_of_geometry};
 
-/// Most pairs of images that are matched: a range takes no more.
+/// Most pairs of images that are matched; more do not improve a range.
 const MOST_PAIRS: usize = 8;
 /// Partners that each image has.
 const PARTNERS: usize = 2;

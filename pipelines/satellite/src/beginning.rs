@@ -81,7 +81,7 @@ impl InitialState {
     }
 }
 
-/// Leaves out the views under unknown suns, whose shadows would be taken for ground.
+/// Leaves out the views under unknown suns, whose shadows would become dark ground.
 pub(super) fn keep_known_suns(views: &mut Vec<View>) {
     views.retain(|view| view.light.is_some());
 }

@@ -1,4 +1,4 @@
-//! From a scene to a trained model: prepare, begin, colour, train, finish.
+//! From a scene to a trained model: prepare, initialise, colour, train, finish.
 
 use super::beginning::{self, InitialState, SKY};
 use super::config::SatelliteConfig;
@@ -26,7 +26,7 @@ use std::time::Instant;
 
 /// Short fits that are made for the sake of suns, at most: each finds fewer than the one before.
 const MOST_SHORT_FITS: usize = 3;
-/// Share of a limit of time after which none is begun.
+/// Share of a limit of time after which no short fit is begun.
 const BUDGET_FOR_SUNS: f64 = 0.3;
 
 /// A fit to be made.

@@ -169,7 +169,7 @@ fn value(compared: &[Compared], scores: &RelitScores) -> Value {
     })
 }
 
-/// `relit` of `metrics.json` as a table for people; empty where there is none.
+/// `relit` of `metrics.json` as a readable table; empty where there is none.
 pub fn table(relit: &Value) -> String {
     let Some(suns) = relit["suns"].as_array() else {
         return String::new();

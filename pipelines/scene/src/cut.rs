@@ -325,7 +325,7 @@ pub(super) fn nominal_gsd_m(mut gsds: Vec<f64>) -> f64 {
     } else {
         upper
     };
-    // Multiples of a whole divisor are nearer to decimals than those of a fraction are.
+    // Multiples of an integer divisor are nearer to decimals than those of a fraction.
     let in_digits = |digits: i32| {
         let per_unit = 10f64.powi(digits - 1 - median.log10().floor() as i32);
         (median * per_unit).round() / per_unit

@@ -2,9 +2,9 @@
 
 use super::BandKind;
 
-/// Vegetation index above which a pixel is taken for vegetation.
+/// Least vegetation index of vegetation.
 pub const VEGETATION_INDEX: f32 = 0.3;
-/// Excess green above which a pixel is taken for vegetation.
+/// Least excess green of vegetation.
 pub const VEGETATION_GREEN: f32 = 0.08;
 
 /// Least sum of values with a meaningful index.

@@ -55,7 +55,7 @@ const BLOCK_ROWS: usize = 32;
 const WINDOW: usize = 2;
 /// Ground around segments that is swept with them, metres: the reach of their occlusion and shadows.
 const AROUND_M: f32 = 24.0;
-/// Fine cells by which a coarse segment may be too small.
+/// Fine cells by which a coarse segment may be too small on each side.
 const GROWN_CELLS: usize = 2;
 /// Least difference of the two surfaces in a cell of a segment, metres.
 const LEAST_M: f32 = 1.5;
@@ -465,7 +465,7 @@ fn shown(views: &[SweepView], grid: &Grid, surface: &Surface) -> Vec<bool> {
     grid.cells().map(enough).collect()
 }
 
-/// The days on which images can be divided: each is the first of those after.
+/// The days that divide the images: each is the first day after the division.
 pub fn dividing_days(days: &[i32]) -> Vec<i32> {
     let mut all = days.to_vec();
     all.sort_unstable();

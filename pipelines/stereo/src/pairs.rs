@@ -43,7 +43,7 @@ const OTHER_DATE: f32 = 0.5;
 const LEAST_SUN_COSINE: f32 = 0.3;
 /// The cosine between two suns when one is unknown: that of morning passes of two seasons, some 35 degrees apart.
 const UNKNOWN_SUN_COSINE: f32 = 0.8;
-/// Partners that each view brings in, those of most weight; more only cost time.
+/// Partners of each view, those of the largest weight; more only cost time.
 const PARTNERS: usize = 8;
 
 /// Pairs to compare, in a fixed order; views without parallax between them agree at every altitude and are not

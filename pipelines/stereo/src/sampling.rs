@@ -93,7 +93,7 @@ vectorised! {
     }
 }
 
-/// Points that are worked on together: a register of AVX2 holds eight.
+/// Points that are processed together: a register of AVX2 has eight lanes.
 pub(super) const POINTS: usize = 8;
 
 vectorised! {
@@ -111,7 +111,7 @@ vectorised! {
                 debug_assert!(false, "no room for whole groups of places");
                 return;
             };
-            // Each corner of the places that there are, so that one check of an index does for all four.
+            // All corners of the existing places, so that one check of an index covers all four.
             let reached = index.iter().fold(0, |most, &i| if i > most { i } else { most }) as usize + 1;
             let corner = |step: usize| pixels.get(step..step + reached);
             let (Some(upper), Some(upper_right), Some(lower), Some(lower_right)) =

@@ -47,7 +47,7 @@ pub fn smallest_shifts(shifts: &[Vector2<f64>], slopes: &[Matrix2x3<f64>]) -> (V
     }
 }
 
-/// The translation of the scene, metres, that takes most of the `kept` shifts away.
+/// The translation of the scene, metres, that reduces the `kept` shifts most.
 fn translation(shifts: &[Vector2<f64>], slopes: &[Matrix2x3<f64>], kept: &[bool]) -> Vector3<f64> {
     let (mut normal, mut right) = (Matrix3::zeros(), Vector3::zeros());
     let all = shifts.iter().zip(slopes).zip(kept);

@@ -2,7 +2,7 @@
 
 use nalgebra::{Matrix2x3, SMatrix, Vector2};
 
-/// Weight that holds points where nothing else does, square pixels per square metre.
+/// Prior weight of points that the sightings do not determine, square pixels per square metre.
 pub(super) const POINT_HOLD: f64 = 1e-8;
 
 /// One sighting's residual at the current estimate, and its derivatives.

@@ -31,7 +31,7 @@ impl Request {
     /// The request of a command line.
     ///
     /// # Errors
-    /// An option or a value that there is not.
+    /// An unknown option or value.
     pub fn parse(words: &[String]) -> Result<Self, String> {
         let workspace = Path::new(env!("CARGO_MANIFEST_DIR")).join("..");
         let mut request = Self {

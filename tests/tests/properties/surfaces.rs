@@ -213,7 +213,7 @@ fn objects(
     let mut random = Pcg32::seed_from_u64(seed);
     let mut gaussians = gaussians(model.feature_groups(), drawn);
     fill(&mut gaussians, FEATURES, &mut random, 8);
-    // Networks and surroundings stay near where they begin; lobes go as far as anything.
+    // Networks and surroundings stay near their initial values; lobes take extreme ones.
     for group in &mut globals.groups {
         let lobes = group.spec.name.starts_with("lobe");
         for value in &mut group.values {

@@ -58,7 +58,7 @@ impl Side {
         }
     }
 
-    /// Takes a surface where it agrees better than those before it.
+    /// Replaces the surface where another agrees better.
     pub(super) fn consider(&mut self, gain: &[f32], altitude_m: &[f32]) {
         for cell in 0..gain.len() {
             if gain[cell] > self.gain[cell] {

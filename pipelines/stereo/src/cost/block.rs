@@ -26,7 +26,7 @@ impl Block {
         }
     }
 
-    /// Becomes the smallest block that holds another too.
+    /// Extends the block to the smallest one that also contains `other`.
     pub(super) fn grow(&mut self, other: &Self) {
         self.row0 = self.row0.min(other.row0);
         self.row1 = self.row1.max(other.row1);
