@@ -27,7 +27,7 @@ struct WalkExit {
 /// A light without extent.
 #[derive(Debug, Clone, Copy)]
 pub(crate) enum LightSource {
-    /// Parallel light from a unit direction; what it lays on a surface that faces it.
+    /// Parallel light from a unit direction; irradiance of a surface that faces it.
     Sun { toward: Vector3<f64>, strength: Colour },
     /// A point that radiates evenly; radiant intensity.
     Point { position: Vector3<f64>, strength: Colour },
