@@ -4,9 +4,10 @@ use assert_cmd::Command;
 use std::path::{Path, PathBuf};
 use std::sync::LazyLock;
 
-/// The binary belongs to another package, so cargo does not build it for us: it is built here, once per test process,
-/// which costs nothing when it is up to date. `HELIOSPLAT_BIN` names another one. With an example beside it cargo takes the features that
-/// dependencies have in tests, as it does for them; otherwise it compiles the whole workspace a second time.
+/// The program, built once per test process, since cargo does not build binaries of other packages for a test; that
+/// costs nothing when it is up to date. `HELIOSPLAT_BIN` names another one. It is built together with an example, so
+/// that cargo selects the features that dependencies have in tests; else it would compile the whole workspace a second
+/// time.
 static BINARY: LazyLock<PathBuf> = LazyLock::new(|| match std::env::var_os("HELIOSPLAT_BIN") {
     Some(path) => path.into(),
     None => {

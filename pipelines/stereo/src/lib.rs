@@ -18,9 +18,9 @@
 //! 8. `wta.rs`: the cheapest height of each cell, refined below the height step, with its confidence.
 //! 9. `visibility.rs`: at full resolution, cells hidden from a view are left out, and steps 6 to 8 are repeated.
 //! 10. `plane_sweep.rs`: [`plane_sweep()`] runs all this, then removes speckles (`postprocess.rs`) and smooths
-//!     uncertain heights ([`heliosplat_grid::smooth_by_deviation`]),
-//!     or smooths by planes where the base is short (`plane_smoothing.rs`), and places edges where the views change (`edges.rs`). The result
-//!     is a [`Surface`] (`surface.rs`).
+//!     uncertain heights ([`heliosplat_grid::smooth_by_deviation`]), or smooths by planes where the base is short
+//!     (`plane_smoothing.rs`), and places edges where the views change (`edges.rs`). The result is a [`Surface`]
+//!     (`surface.rs`).
 //! 11. `agreement.rs`, `evidence.rs`: the views are resampled to the surface, and cells where they agree no better than
 //!     by chance become unknown.
 //!
