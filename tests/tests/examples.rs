@@ -9,7 +9,7 @@ use heliosplat_tests::program::example;
 use heliosplat_tests::scenes::{View, write_altitudes};
 
 /// Stdout of a program that must succeed.
-fn said(name: &str, arguments: &[&str]) -> String {
+fn stdout(name: &str, arguments: &[&str]) -> String {
     let assert = example(name, arguments).assert().success();
     String::from_utf8_lossy(&assert.get_output().stdout).into_owned()
 }
@@ -27,7 +27,7 @@ fn projected_points_localise_back_to_where_they_were() {
     let arguments: Vec<&str> = std::iter::once(image.as_str())
         .chain(texts.iter().map(String::as_str))
         .collect();
-    let text = said("project_points", &arguments);
+    let text = stdout("project_points", &arguments);
     assert_eq!(text.lines().count(), points.len());
     for (line, [lon, lat, alt]) in text.lines().zip(points) {
         let numbers: Vec<f64> = line.split(' ').map(|word| word.parse().expect("a number")).collect();
@@ -58,7 +58,7 @@ fn the_surface_model_of_a_folder_is_near_the_truth() {
     };
     write_satellite(&request, &scene, &|_, _| {}).expect("a scene");
     let dsm = folder.path().join("dsm.tif");
-    let text = said(
+    let text = stdout(
         "dsm_from_folder",
         &[&scene.display().to_string(), &dsm.display().to_string()],
     );
@@ -99,7 +99,7 @@ fn the_shadow_of_a_box_is_as_long_as_its_height_and_the_sun_say() {
         ("180", 60.0, |k| [33, 19 - k]),
     ];
     for (azimuth, elevation_deg, beside) in cases {
-        said("cast_shadows", &[&dsm, azimuth, &elevation_deg.to_string(), &out]);
+        stdout("cast_shadows", &[&dsm, azimuth, &elevation_deg.to_string(), &out]);
         let shadows = GeoRaster::read(&mask).expect("a mask").raster;
         let dark = |k: usize| beside(k).map(|place| place.min(59));
         let length_cells = (0..20)

@@ -286,8 +286,11 @@ mod tests {
         let (tile, _) = grown(ground(10));
         let names = json!(["KHR_gaussian_splatting", "KHR_gaussian_splatting_compression_spz_2"]);
         let tileset = tileset(&tile, [0.0; 16], Contents::Splats, json!({}));
-        let said = &tileset["extensions"]["3DTILES_content_gltf"];
-        assert_eq!((&said["extensionsUsed"], &said["extensionsRequired"]), (&names, &names));
+        let extension = &tileset["extensions"]["3DTILES_content_gltf"];
+        assert_eq!(
+            (&extension["extensionsUsed"], &extension["extensionsRequired"]),
+            (&names, &names)
+        );
         assert_eq!(tileset["root"]["refine"], "REPLACE");
         assert_eq!(
             tileset["root"]["boundingVolume"]["box"].as_array().map(Vec::len),

@@ -297,26 +297,26 @@ mod tests {
     #[test]
     fn the_first_difference_between_two_trainings_is_told() {
         assert_eq!(difference("a\nb = 1\n", "a\nb = 1\n"), None);
-        let said = difference("a\nb = 1\nc", "a\nb = 2\nd").expect("they differ");
-        assert_eq!(said, "then: b = 1, now: b = 2");
+        let text = difference("a\nb = 1\nc", "a\nb = 2\nd").expect("they differ");
+        assert_eq!(text, "then: b = 1, now: b = 2");
         assert!(difference("a", "a\nb").is_some());
     }
 
     #[test]
     fn what_is_no_whole_checkpoint_is_refused_without_a_guess() {
-        let said = |bytes: &[u8]| match decode::<()>(bytes, "x") {
+        let message = |bytes: &[u8]| match decode::<()>(bytes, "x") {
             Err(Fault::Damaged(reason)) => reason,
             _ => String::new(),
         };
-        assert!(said(b"anything").contains("no checkpoint"));
-        assert!(said(MAGIC).contains("truncated"));
+        assert!(message(b"anything").contains("no checkpoint"));
+        assert!(message(MAGIC).contains("truncated"));
         let mut bytes = MAGIC.to_vec();
         bytes.extend([7; 100]);
-        assert!(said(&bytes).contains("check sum"));
+        assert!(message(&bytes).contains("check sum"));
         // A sum that is right about contents that are none.
         let mut bytes = MAGIC.to_vec();
         bytes.extend([255; 60]);
         bytes.extend(Sha256::digest([255; 60]));
-        assert!(!said(&bytes).is_empty());
+        assert!(!message(&bytes).is_empty());
     }
 }

@@ -89,7 +89,7 @@ fn scores(model: &ObjectModel, frames: &[&Frame], folder: Option<&Path>) -> Resu
             continue;
         };
         if let Some(folder) = folder {
-            let pair = beside(&picture(&compared.truth, model), &picture(&compared.rendered, model));
+            let pair = side_by_side(&picture(&compared.truth, model), &picture(&compared.rendered, model));
             write_png(&folder.join(format!("{}.png", file_name(&frame.name))), &pair)?;
         }
         all.extend(compared.score);
@@ -191,7 +191,7 @@ fn by_part(model: &ObjectModel, capture: &Capture, frames: &[&Frame]) -> Option<
     (angles > 0).then(|| json!({"mean_deg": angle / angles as f64, "parts": parts}))
 }
 
-fn beside(left: &RgbImage, right: &RgbImage) -> RgbImage {
+fn side_by_side(left: &RgbImage, right: &RgbImage) -> RgbImage {
     let width = left.width();
     RgbImage::from_fn(width + right.width(), left.height(), |col, row| {
         *if col < width {

@@ -71,14 +71,14 @@ impl OneLight {
     pub fn of(suns: &[ImageSun], reference: usize) -> Option<Self> {
         let directions: Option<Vec<_>> = suns.iter().map(crop::direction).collect();
         let directions = directions?;
-        let one = directions.iter().enumerate().all(|(i, a)| {
+        let is_one = directions.iter().enumerate().all(|(i, a)| {
             let others = directions[..i].iter();
             others
                 .into_iter()
                 .all(|b| f64::from(a.dot(*b)) > ONE_LIGHT_DEG.to_radians().cos())
         });
         let elevation_rad = suns.get(reference)?.position?.elevation_rad;
-        (one && suns.len() >= FEWEST_IMAGES).then(|| Self {
+        (is_one && suns.len() >= FEWEST_IMAGES).then(|| Self {
             lights: directions.into_iter().map(Light::Directional).collect(),
             reference,
             elevation_rad,

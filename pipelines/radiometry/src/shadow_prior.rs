@@ -258,15 +258,15 @@ mod tests {
         let (lit, dark) = ([0.9, 0.9, 0.9, 0.9], [0.2, 0.2, 0.25, 0.2]);
         let (leaves, water) = ([0.05, 0.08, 0.04, 0.4], [0.1, 0.15, 0.2, 0.02]);
         let raster = pixels(&[lit, lit, lit, dark, dark, leaves, water]);
-        let said = by_brightness(&KINDS, &Values::default(), &raster);
-        assert_eq!(said[..5], [1.0, 1.0, 1.0, 0.0, 0.0]);
-        assert!(said[5].is_nan() && said[6].is_nan());
+        let prior = by_brightness(&KINDS, &Values::default(), &raster);
+        assert_eq!(prior[..5], [1.0, 1.0, 1.0, 0.0, 0.0]);
+        assert!(prior[5].is_nan() && prior[6].is_nan());
     }
 
     #[test]
     fn an_even_image_says_nothing() {
-        let said = by_brightness(&KINDS, &Values::default(), &pixels(&[[0.5, 0.5, 0.5, 0.5]; 8]));
-        assert!(said.iter().all(|s| s.is_nan()));
+        let prior = by_brightness(&KINDS, &Values::default(), &pixels(&[[0.5, 0.5, 0.5, 0.5]; 8]));
+        assert!(prior.iter().all(|s| s.is_nan()));
         assert_eq!(otsu(&[f32::NAN; 4]), None);
     }
 

@@ -478,14 +478,14 @@ mod tests {
         ];
         let after = before.after_search(&suns, &[None, Some(shadow_sun(9.0)), None]);
         assert_eq!(after.light, Light::FromShadows);
-        let said = after.light_reason();
+        let text = after.light_reason();
         assert!(
-            said.contains("of 1 of 3 images are known") && said.contains("of 1 shadows give no direction"),
-            "{said}"
+            text.contains("of 1 of 3 images are known") && text.contains("of 1 shadows give no direction"),
+            "{text}"
         );
         assert!(
-            !after.only_known_suns && said.contains("count as lit everywhere"),
-            "{said}"
+            !after.only_known_suns && text.contains("count as lit everywhere"),
+            "{text}"
         );
     }
 
@@ -497,10 +497,10 @@ mod tests {
         let mut suns = [ImageSun::from_time(position); 4];
         suns[3] = ImageSun::unknown();
         let after = before.after_search(&suns, &[None; 4]);
-        let said = after.light_reason();
+        let text = after.light_reason();
         assert!(
-            after.only_known_suns && said.contains("take no part in training"),
-            "{said}"
+            after.only_known_suns && text.contains("take no part in training"),
+            "{text}"
         );
     }
 
@@ -563,21 +563,21 @@ mod tests {
             };
             scene.matching = Ok(matching);
             let parameters = MatchingParameters::choose(&matching);
-            let (radius, said) = (
+            let (radius, text) = (
                 parameters.aggregation_radius,
                 reason(&scene, &config, "start.cost_aggregation"),
             );
             assert_eq!(on(&scene, &config, "start.cost_aggregation"), radius > 0);
             let side = 2 * radius + 1;
             assert_eq!(
-                said.contains(&format!("averaged over {side} x {side} cells")),
+                text.contains(&format!("averaged over {side} x {side} cells")),
                 radius > 0,
-                "{said}"
+                "{text}"
             );
             assert_eq!(
-                said.contains("confidence"),
+                text.contains("confidence"),
                 parameters.adaptive_plane_radius.is_some(),
-                "{said}"
+                "{text}"
             );
         }
     }
@@ -597,7 +597,7 @@ mod tests {
     #[test]
     fn the_threshold_of_pointing_is_that_of_the_configuration() {
         let config = SatelliteConfig::default();
-        let said = reason(&facts(3, 1), &config, "cameras.align");
-        assert!(said.contains("tie points") && said.contains("0.1 px"), "{said}");
+        let text = reason(&facts(3, 1), &config, "cameras.align");
+        assert!(text.contains("tie points") && text.contains("0.1 px"), "{text}");
     }
 }

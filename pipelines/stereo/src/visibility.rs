@@ -214,15 +214,15 @@ mod tests {
             FirstHits::new(&camera, &standing).altitude
         };
         let (of_small, of_wide) = (hits(&small), hits(&wide));
-        let beside = |pixel: usize| {
+        let outside = |pixel: usize| {
             let at = |z: f32| camera.point_at_altitude((pixel % 120) as f32, (pixel / 120) as f32, z);
             at(9.0).zip(at(0.0)).is_some_and(|(a, b)| small.is_outside(a, b))
         };
-        let passing = (0..120 * 120).filter(|&pixel| beside(pixel)).count();
+        let passing = (0..120 * 120).filter(|&pixel| outside(pixel)).count();
         assert!(passing > 120 * 120 / 2, "{passing}");
         for pixel in 0..120 * 120 {
             assert_eq!(of_small[pixel] > f32::MIN, of_wide[pixel] > f32::MIN, "{pixel}");
-            assert!(!beside(pixel) || of_small[pixel] == f32::MIN, "{pixel}");
+            assert!(!outside(pixel) || of_small[pixel] == f32::MIN, "{pixel}");
         }
         assert!(of_small.iter().filter(|hit| **hit == 9.0).count() > 80);
     }

@@ -90,12 +90,12 @@ impl ClosestPoints {
             // a thin Gaussian far away, a single step would lose the small differences of large numbers. Errors along
             // the ray are harmless, they move the foot.
             let foot = -(along[0] * offset[0] + along[1] * offset[1] + along[2] * offset[2]);
-            let beside = [
+            let nearest = [
                 offset[0] + along[0] * foot,
                 offset[1] + along[1] * foot,
                 offset[2] + along[2] * foot,
             ];
-            let (e, d) = (whitened(beside), whitened(along));
+            let (e, d) = (whitened(nearest), whitened(along));
             let dd = d[0] * d[0] + d[1] * d[1] + d[2] * d[2];
             let further = -(e[0] * d[0] + e[1] * d[1] + e[2] * d[2]) / dd;
             let peak = foot + further;

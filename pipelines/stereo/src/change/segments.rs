@@ -115,8 +115,8 @@ pub(super) fn find(
     let mut taken = vec![false; grid.len()];
     for up in [false, true] {
         let best = |cell: usize| {
-            let those = splits.iter().filter(|split| split.differs(cell, up));
-            those.map(|split| split.gain(cell)).fold(f32::MIN, f32::max)
+            let differing = splits.iter().filter(|split| split.differs(cell, up));
+            differing.map(|split| split.gain(cell)).fold(f32::MIN, f32::max)
         };
         let seeds: Vec<bool> = (grid.cells())
             .map(|cell| shown[cell] && best(cell) > SEED_GAIN)

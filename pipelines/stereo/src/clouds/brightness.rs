@@ -68,7 +68,7 @@ pub(super) fn excess(
             .collect();
         least.par_iter_mut().zip(&scaled).for_each(|(least, scaled)| {
             for (least, (&value, sun)) in least.iter_mut().zip(scaled.iter().zip(&in_the_sun)) {
-                let sun = sun.beside(value);
+                let sun = sun.relative_to(value);
                 let above = 2.0 * (value - sun) / (1.0 + sun.max(0.0));
                 // A value missing in one band stays missing.
                 *least = if least.is_nan() || *least < above {
@@ -87,9 +87,9 @@ pub(super) fn excess(
 struct InTheSun {
     /// The value of that rank among the other views where the view itself is brighter, NaN where the cell is visible in
     /// too few.
-    beside_brighter: f32,
+    for_brighter: f32,
     /// The same where the view itself is one of the darker ones.
-    beside_darker: f32,
+    for_darker: f32,
 }
 
 impl InTheSun {
@@ -98,24 +98,24 @@ impl InTheSun {
         let others = known.len().saturating_sub(1);
         if others + 2 < FEWEST_VIEWS {
             return Self {
-                beside_brighter: f32::NAN,
-                beside_darker: f32::NAN,
+                for_brighter: f32::NAN,
+                for_darker: f32::NAN,
             };
         }
         known.sort_unstable_by(f32::total_cmp);
         let at = others - 2 - others / VIEWS_PER_CLOUD;
         Self {
-            beside_brighter: known[at],
-            beside_darker: known[at + 1],
+            for_brighter: known[at],
+            for_darker: known[at + 1],
         }
     }
 
-    /// Beside a view that shows this value.
-    fn beside(&self, value: f32) -> f32 {
-        if value > self.beside_brighter {
-            self.beside_brighter
+    /// The sunlit value to compare with a view that shows `value`.
+    fn relative_to(&self, value: f32) -> f32 {
+        if value > self.for_brighter {
+            self.for_brighter
         } else {
-            self.beside_darker
+            self.for_darker
         }
     }
 }
@@ -250,13 +250,13 @@ mod tests {
                 others.sort_by(f32::total_cmp);
                 let clouded = 1 + others.len() / VIEWS_PER_CLOUD;
                 assert_eq!(
-                    found.beside(values[view]),
+                    found.relative_to(values[view]),
                     others[others.len() - 1 - clouded],
                     "{view} of {count}"
                 );
             }
         }
         let few = InTheSun::of(&mut [0.5; FEWEST_VIEWS - 2]);
-        assert!(few.beside(0.5).is_nan());
+        assert!(few.relative_to(0.5).is_nan());
     }
 }

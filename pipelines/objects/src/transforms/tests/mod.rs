@@ -123,7 +123,7 @@ fn frames_that_are_wrong_are_named_with_what_is_wrong() {
         frame[key] = value;
         json!({"camera_angle_x": 0.7, "frames": [good.clone(), frame]})
     };
-    for (value, said) in [
+    for (value, fault) in [
         (with("file_path", json!("../../etc/passwd")), "points out of the folder"),
         (with("file_path", json!("/etc/passwd")), "points out of the folder"),
         (with("file_path", json!("train/c")), "no image train/c"),
@@ -139,9 +139,9 @@ fn frames_that_are_wrong_are_named_with_what_is_wrong() {
         (with("pl_pos", json!({"x": 1})), "3 finite numbers"),
         (with("w", json!("wide")), "not a number"),
     ] {
-        let error = frames(&value).expect_err(said).to_string();
+        let error = frames(&value).expect_err(fault).to_string();
         assert!(error.contains("transforms_train.json: frame 1: "), "{error}");
-        assert!(error.contains(said) && error.contains("correct or remove"), "{error}");
+        assert!(error.contains(fault) && error.contains("correct or remove"), "{error}");
     }
     let error = frames(&json!({"frames": []})).expect_err("nothing").to_string();
     assert!(error.contains("no image"), "{error}");
