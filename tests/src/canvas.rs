@@ -1,4 +1,5 @@
-//! Images as large as those of a satellite, of which next to nothing is on the disk: sparse GeoTIFFs in tiles, with rational cameras.
+//! Images as large as those of a satellite, of which next to nothing is on the disk: sparse GeoTIFFs in tiles, with
+//! rational cameras.
 
 use gdal::raster::{Buffer, RasterCreationOptions};
 use gdal::{Dataset, DriverManager, Metadata};
@@ -20,8 +21,8 @@ pub fn empty(path: &Path, size_px: usize, bands: usize, rpc: &Rpc) -> Dataset {
     image
 }
 
-/// Puts every image of a folder into the middle of a canvas of `size_px` by `size_px` pixels in another folder, with all that lies beside
-/// it. `rpc` reads the camera of an image.
+/// Puts every image of a folder into the middle of a canvas of `size_px` by `size_px` pixels in another folder, with
+/// all that lies beside it. `rpc` reads the camera of an image.
 pub fn scene(from: &Path, to: &Path, size_px: usize, rpc: &dyn Fn(&Path) -> Rpc) {
     std::fs::create_dir_all(to).expect("made");
     for entry in std::fs::read_dir(from).expect("listable").flatten() {

@@ -24,7 +24,8 @@ pub fn build() -> &'static str {
     })
 }
 
-/// Takes the build that another process computed of the same executable: an executable has more bytes than most units of a batch read.
+/// Takes the build that another process computed of the same executable: an executable has more bytes than most units
+/// of a batch read.
 pub fn recall_build(build: String) {
     BUILD.get_or_init(|| build);
 }

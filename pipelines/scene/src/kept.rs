@@ -35,7 +35,8 @@ pub struct KeptImage {
     /// Identities of the files; none where `pixels_sha256` replaces them.
     #[serde(default)]
     pub files: Vec<FileIdentity>,
-    /// SHA-256 of the values that were read, where these are a part of the image or its file is on a virtual file system.
+    /// SHA-256 of the values that were read, where these are a part of the image or its file is on a virtual file
+    /// system.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub pixels_sha256: Option<String>,
     /// Train or test.
@@ -92,8 +93,9 @@ impl KeptCut {
         }
     }
 
-    /// Notes size, time of change and hash of each file that pixels come from; known hashes are not computed again. The `images` that were
-    /// read in part, or from a virtual file system, count by their pixels: no more of a file is read for its identity than for itself.
+    /// Notes size, time of change and hash of each file that pixels come from; known hashes are not computed again. The
+    /// `images` that were read in part, or from a virtual file system, count by their pixels: no more of a file is read
+    /// for its identity than for itself.
     ///
     /// # Errors
     /// When a file cannot be read.
