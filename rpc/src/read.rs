@@ -28,8 +28,8 @@ pub use vendor_xml::{dimap, maxar_xml};
 use crate::rpc::Rpc;
 use kind::{TextKind, kind};
 
-/// The camera in `text`, its format recognised by content; `file_name` is for the error only. A text without any decimal point is read
-/// with decimal commas.
+/// The camera in `text`, its format recognised by content; `file_name` is for the error only. A text without any
+/// decimal point is read with decimal commas.
 ///
 /// # Errors
 /// [`ReadError::Unrecognised`] when it is no known format, else the error of the format's own reader.

@@ -18,7 +18,8 @@ pub(super) fn find(
     masks
 }
 
-/// Says what is left out of each crop of `ground`. An image whose camera contradicts the others looks cloudy wherever it is laid.
+/// Says what is left out of each crop of `ground`. An image whose camera contradicts the others looks cloudy wherever
+/// it is laid.
 pub(super) fn say(ground: &Ground, masks: &[Vec<bool>], contradicting: &[bool]) {
     for (place, (mask, image)) in masks.iter().zip(&ground.images).enumerate() {
         let share = 100.0 * share(mask);

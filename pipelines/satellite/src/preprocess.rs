@@ -312,8 +312,8 @@ pub fn open_and_sweep(
     Ok((scene, surface))
 }
 
-/// Corrections of the images' pointing, pixels, zero where the configuration or the estimate says so; and whether each image's ties
-/// contradict its camera.
+/// Corrections of the images' pointing, pixels, zero where the configuration excludes them or the estimate is too
+/// small; and whether each image's ties contradict its camera.
 fn align(
     ground: &Ground,
     rasters: &[Raster],
@@ -337,7 +337,7 @@ fn align(
     }
 }
 
-/// The images' pointing as tie points between them tell it.
+/// Adjustment of the images' pointing by tie points between them.
 ///
 /// # Errors
 /// When there are too few ties.

@@ -131,7 +131,7 @@ pub struct Scene {
     pub cut: KeptCut,
     /// Rows of the table of checks that hold; their messages are among the warnings.
     pub findings: Vec<Finding>,
-    /// Things a user should know (sun mismatch, unknown bands, images skipped), one line each.
+    /// Warnings (sun mismatch, unknown bands, images skipped), one line each.
     pub warnings: Vec<String>,
 }
 

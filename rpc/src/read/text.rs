@@ -72,8 +72,8 @@ const PVL: Dialect = Dialect {
     errors: ["errorBias", "errorRand"],
 };
 
-/// Where RPC00A (STDI-0002) has the coefficients that RPC00B has at these places: `1 L P H LP LH PH LPH LL PP HH LLL LLP LLH LPP PPP PPH LHH
-/// PHH HHH`.
+/// Indices in the order of RPC00A (STDI-0002) of RPC00B's coefficients; RPC00A has
+/// `1 L P H LP LH PH LPH LL PP HH LLL LLP LLH LPP PPP PPH LHH PHH HHH`.
 const OF_RPC00A: [usize; 20] = [0, 1, 2, 3, 4, 5, 6, 8, 9, 10, 7, 11, 14, 17, 12, 15, 18, 13, 16, 19];
 
 /// The camera of a file that states its specification, RPC00A or RPC00B: the order of the coefficients.

@@ -5,8 +5,8 @@ use heliosplat_scene::SceneImage;
 
 /// Share of an image's tie points that agree with the other images; below it, they agree by chance.
 const LEAST_AGREEING: f64 = 0.3;
-/// Raw cameras of vendors are off by up to this, pixels; an adjustment that moves one further has matched something else, or the camera is
-/// that of another image.
+/// Raw cameras of vendors are off by up to this, pixels; an adjustment that moves one further has matched something
+/// else, or the camera is that of another image.
 const FARTHEST_PX: f64 = 10.0;
 
 /// Whether each image's ties speak against its camera; says so, and where a correction is larger than vendors' errors.
