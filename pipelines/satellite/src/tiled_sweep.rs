@@ -13,7 +13,7 @@ use super::error::SatelliteError;
 use super::ground::{Ground, volume};
 use super::limits::AtLimits;
 use super::plan::Decisions;
-use super::preprocess::{adjustment_of_ties, clear_rasters, lower, say_lowered, sweep, worth_correcting};
+use super::preprocess::{adjustment_of_ties, clear_rasters, log_lowered, lower, sweep, worth_correcting};
 use super::sweep_tiles::{ROWS_AT_ONCE, SweepPlan, SweepTile, SweepTiling};
 use heliosplat::timeline::stage;
 use heliosplat_grid::statistics::upper_median;
