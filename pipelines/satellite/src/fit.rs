@@ -193,8 +193,8 @@ impl FitRequest<'_> {
         if decisions.light == Light::LeftOut || decisions.only_known_suns {
             tracing::warn!("{}", decisions.light_reason());
         }
-        let beginning = Beginning::new(ground, found, &suns, &decisions, config)?;
-        let Beginning { parameters, views, .. } = &beginning;
+        let beginning = InitialState::new(ground, found, &suns, &decisions, config)?;
+        let InitialState { parameters, views, .. } = &beginning;
         tracing::debug!(
             "start: {} Gaussians on {} cells",
             parameters.gaussians.count,

@@ -413,8 +413,8 @@ pub fn accuracy(metrics: &Value) -> Vec<String> {
         number("/shadow/traced/ber").map(|b| 100.0 * b),
         "% (from geometry alone)",
     );
-    say("shadows right", number("/shadow/accuracy").map(|a| 100.0 * a), "%");
-    say(
+    add("shadows right", number("/shadow/accuracy").map(|a| 100.0 * a), "%");
+    add(
         "reopened",
         number("/lowered/area_m2").filter(|&area| area > 0.0),
         "m² of shaded courtyards and alleys, after matching",
@@ -449,7 +449,7 @@ pub fn accuracy(metrics: &Value) -> Vec<String> {
         number("/relit/mean/psnr_own_gain_db"),
         "dB (a gain for each sun)",
     );
-    say("relit BER", number("/relit/mean/ber").map(|b| 100.0 * b), "% (traced)");
+    add("relit BER", number("/relit/mean/ber").map(|b| 100.0 * b), "% (traced)");
     lines
 }
 
@@ -457,10 +457,10 @@ pub fn accuracy(metrics: &Value) -> Vec<String> {
 pub fn engine(metrics: &Value) -> Vec<String> {
     let number = |pointer: &str| metrics.pointer(pointer).and_then(Value::as_f64);
     let mut lines = Vec::new();
-    let mut say = |label: &str, value: Option<f64>, unit: &str| {
+    let mut add = |label: &str, value: Option<f64>, unit: &str| {
         lines.extend(value.map(|value| format!("{label:<14} {value:.3} {unit}")));
     };
-    say("PSNR train", number("/train/psnr"), "dB");
+    add("PSNR train", number("/train/psnr"), "dB");
     let colour = metrics.pointer("/test/colour").and_then(Value::as_str).unwrap_or("");
     add("PSNR held out", number("/test/psnr"), &format!("dB (colour {colour})"));
     let colours = "dB (red, green, blue alone)";

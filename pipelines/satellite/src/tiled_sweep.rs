@@ -256,7 +256,7 @@ impl TiledSweep<'_> {
         let Some((_, decisions, matching)) = found else {
             return Err(refused);
         };
-        if told.is_empty() && decisions.align != Align::Off {
+        if shifts_by_image.is_empty() && decisions.align != Align::Off {
             tracing::warn!("Too few tie points to refine the cameras; using them as delivered");
         }
         let (names, shifts): (Vec<String>, Vec<[f32; 2]>) = shifts_by_image

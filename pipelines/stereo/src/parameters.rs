@@ -3,12 +3,13 @@
 //! [`MatchingFacts`] is the input: it follows from the cameras, dates and suns alone, so it is available before any
 //! pixel is read. [`MatchingParameters::choose`] makes the choice, and the search only uses the values.
 //!
-//! Three facts decide:
-//! - the number of views of a piece of ground: what [`MANY_VIEWS`] views agree on is seldom chance, so false matches need less protection;
-//!   between [`FEW_VIEWS`] and as many the parameters change in proportion;
-//! - the combined base-to-height ratio: noise in height grows with its inverse, and so does the window that averages it out;
-//!   few views get a window whatever their ratio: one to six comparisons of single cells find too many heights by chance;
-//! - whether every view has an index plane (a vegetation index): then it is compared beside brightness.
+//! Three facts determine the parameters:
+//! - the number of views of a piece of ground: [`MANY_VIEWS`] views seldom agree by chance, so false matches need less
+//!   protection; between [`FEW_VIEWS`] and as many the parameters change in proportion;
+//! - the combined base-to-height ratio: noise in height grows with its inverse, and so does the window that averages it
+//!   out; few views get a window whatever their ratio: one to six comparisons of single cells find too many heights by
+//!   chance;
+//! - whether every view has an index plane (a vegetation index): then it is compared along with brightness.
 //!
 //! Constants without a source were chosen by experiment; docs/lab/plane-sweep.md has the tables.
 

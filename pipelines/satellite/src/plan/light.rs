@@ -101,9 +101,9 @@ fn closest_in_words(suns: &[ImageSun], searched: &[Option<ShadowSun>]) -> String
         .max_by(|a, b| a.margin.total_cmp(&b.margin));
     match closest {
         Some(sun) => format!(
-            "shadows do not tell (at best correlation {:.2}, standard deviation {:.1} degrees, ahead of other suns by {:.1} deviations)",
+            "shadows are not decisive (at best correlation {:.2}, standard deviation {:.1} degrees, ahead of other suns by {:.1} deviations)",
             sun.score, sun.sigma_deg, sun.margin
         ),
-        None => "shadows tell nothing".to_owned(),
+        None => "shadows give no direction".to_owned(),
     }
 }
