@@ -1,7 +1,8 @@
 //! Whole small scenes of a terrain with known heights, with faults put in: a plain renderer and exact parallel cameras.
 //!
-//! The terrain is a slope with some buildings, of random albedo, under the sun of each date with cast shadows. Heights are known at each
-//! cell of a quarter of a metre, so that the error of a surface can be compared with the standard deviation that it states.
+//! The terrain is a slope with some buildings, of random albedo, under the sun of each date with cast shadows. Heights
+//! are known at each cell of a quarter of a metre, so that the error of a surface can be compared with the standard
+//! deviation that it states.
 
 use super::scenes::{METRES_PER_DEGREE, parallel_camera};
 use heliosplat::Raster;
@@ -204,7 +205,7 @@ impl Terrain {
         (low, high)
     }
 
-    /// What each cell sends out under a sun: all of its albedo without one, little in the shade.
+    /// Radiance of each cell under a sun: its albedo without a sun, a small part of it in the shade.
     fn lit(&self, toward: Option<[f64; 3]>) -> Vec<f32> {
         let Some([east, north, up]) = toward.filter(|toward| toward[2] > 0.1) else {
             return self.albedo.clone();
@@ -282,7 +283,7 @@ pub struct SceneRequest {
     pub views: usize,
     /// Width and height of the images, pixels.
     pub size: usize,
-    /// What is wrong.
+    /// Faults of the scene.
     pub faults: Vec<Fault>,
     /// Angle between the outermost images, degrees; drawn where `None`.
     pub convergence_deg: Option<f64>,

@@ -4,7 +4,7 @@ use super::Facts;
 use heliosplat_radiometry::suns::ShadowSun;
 use heliosplat_scene::{ImageSun, SunSource};
 
-/// What makes suns known.
+/// Remedy for unknown suns.
 const REMEDY: &str = "add acquisition times: .IMD, DIM_*.XML or .json files beside the images, or time = \"2016-04-23T08:34:00Z\" in scene.toml";
 
 /// Lighting of a model.
