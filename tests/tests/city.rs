@@ -3,7 +3,7 @@
 use heliosplat_scene::{RpcPreference, camera_of};
 use heliosplat_tests::canvas;
 use heliosplat_tests::measured::{Measured, run};
-use heliosplat_tests::program::{binary, json, tiny_scene};
+use heliosplat_tests::program::{binary, json};
 use heliosplat_tests::scenes::parallel_camera;
 use std::path::Path;
 use std::time::Duration;
@@ -75,7 +75,11 @@ name = \"sweep\"
     let plan: serde_json::Value = serde_json::from_str(&first.stdout).expect("JSON");
     let units = plan["units"].as_array().expect("units");
     // The grid is the smallest that holds the rectangle, which a map's north turns.
-    assert_eq!(units.len(), 442, "21 by 21 tiles and a mosaic");
+    assert_eq!(
+        units.len(),
+        443,
+        "a correction of the cameras, 21 by 21 tiles and a mosaic"
+    );
     // Kept: neither the delivery nor the executable is read once more.
     let again = batch(home.path(), &["--plan", "--json"]);
     assert_eq!(again.stdout, first.stdout);
@@ -98,7 +102,9 @@ name = \"sweep\"
 fn a_tile_reads_its_windows_and_a_finished_one_next_to_nothing() {
     let home = tempdir().expect("a temporary folder");
     let small = home.path().join("small");
-    tiny_scene(&small);
+    let words = "synth satellite --site tiny --seed 5 --views 4 --pointing-bias 3 --out";
+    let target = small.display().to_string();
+    json(&words.split(' ').chain([target.as_str()]).collect::<Vec<_>>());
     let camera = |path: &Path| camera_of(path, RpcPreference::Image).expect("a camera");
     canvas::scene(&small, &home.path().join("scene"), SMALL_CANVAS_PX, &camera);
     let manifest = "
@@ -138,6 +144,11 @@ set = { \"train.iterations\" = 4 }
         .iter()
         .filter_map(|unit| unit["id"].as_str())
         .collect();
+    // Cameras are corrected once, for the tiles of all presets.
+    let adjust: Vec<&&str> = ids.iter().filter(|id| id.ends_with("adjust")).collect();
+    assert_eq!(adjust, [&"site/first/adjust"]);
+    let corrected = batch(home.path(), &["--only", adjust[0]]);
+    assert!(corrected.read_bytes < BESIDES, "{} bytes", corrected.read_bytes);
     for preset in ["sweep", "fast"] {
         let tile = ids
             .iter()
@@ -149,6 +160,33 @@ set = { \"train.iterations\" = 4 }
         let again = batch(home.path(), &["--only", tile]);
         assert!(again.stdout.contains("finished before"), "{}", again.stdout);
         assert!(again.read_bytes < 10_000_000, "{preset}: {} bytes", again.read_bytes);
+    }
+    // The model of the tile has the corrections of the area for its own.
+    let read = |name: &str| -> serde_json::Value {
+        let text = std::fs::read(home.path().join("out/site/first").join(name)).expect("readable");
+        serde_json::from_slice(&text).expect("JSON")
+    };
+    let shared = read("adjust/cameras.json");
+    let shared = shared["shifts_px"].as_object().expect("shifts");
+    let largest = shared.values().flat_map(|shift| shift.as_array().into_iter().flatten());
+    let largest = largest
+        .filter_map(serde_json::Value::as_f64)
+        .fold(0.0, |most: f64, v| most.max(v.abs()));
+    assert!((1.0..20.0).contains(&largest), "{largest} px");
+    let tile = ids.iter().find(|id| id.contains("/fast/tile")).expect("a tile");
+    let tile = tile.trim_start_matches("site/first/");
+    let model = read(&format!("{tile}/run/model.json"));
+    let trained: Vec<&serde_json::Value> = model["images"].as_array().expect("images").iter().collect();
+    let trained = trained.into_iter().filter(|image| !image["appearance"].is_null());
+    let pairs: Vec<_> = trained
+        .map(|image| (&image["shift_px"], &shared[image["name"].as_str().expect("a name")]))
+        .collect();
+    assert!(pairs.len() >= 3, "{pairs:?}");
+    for (own, shared) in pairs {
+        for axis in 0..2 {
+            let [own, shared] = [own, shared].map(|shift| shift[axis].as_f64().expect("a number"));
+            assert!((own - shared).abs() < 1e-5, "{own} and {shared}");
+        }
     }
     // Surfaces of tiles without training become one.
     let out = home.path().join("out/site/first/sweep");

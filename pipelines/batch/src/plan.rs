@@ -8,6 +8,8 @@ use heliosplat_fitting::program::{build, executable, identity_of_program, recall
 use heliosplat_raster::bounded::read_bytes;
 use heliosplat_raster::write::write_atomically;
 use heliosplat_satellite::altitude;
+use heliosplat_satellite::config::{Align, SatelliteConfig};
+use heliosplat_satellite::estimate::sweep_estimate;
 use heliosplat_scene::survey::Survey;
 use heliosplat_scene::{AreaRequest, Hashes, Index, IngestOptions, RpcPreference, Seen, seen};
 use serde::de::DeserializeOwned;
@@ -24,6 +26,10 @@ const LEAST_BYTES: f64 = 200.0 * 1_048_576.0;
 const LEAST_S: f64 = 5.0;
 /// Seconds per Gaussian and step of a training on one core, roughly: how fast the machine is does not count.
 const STEP_S_PER_GAUSSIAN: f64 = 1.8e-6;
+/// Name of the unit that corrects the pointing of the images.
+const ADJUST: &str = "adjust";
+/// Seconds per pixel of the windows of an adjustment on one core.
+const ADJUST_S_PER_PIXEL: f64 = 2e-5;
 /// Seconds per pixel of the windows of a sweep on one core.
 const SWEEP_S_PER_PIXEL: f64 = 1e-5;
 /// Steps that take as long as the rest of a training does for each of its images: start, albedo, evaluation.
@@ -70,6 +76,8 @@ pub struct Unit {
 #[derive(Debug, Clone, PartialEq, serde::Serialize, serde::Deserialize)]
 #[serde(tag = "kind", rename_all = "snake_case")]
 pub enum Work {
+    /// Corrects the pointing of the images over the whole area.
+    Adjust(AdjustWork),
     /// Trains a tile and writes its surface model.
     Tile(TileWork),
     /// Makes one surface model of those of the tiles.
@@ -79,6 +87,23 @@ pub enum Work {
         /// Why.
         reason: String,
     },
+}
+
+/// The work of an adjustment.
+#[derive(Debug, Clone, PartialEq, serde::Serialize, serde::Deserialize)]
+pub struct AdjustWork {
+    /// The scene.
+    pub scene: PathBuf,
+    /// Ground on which ties are sought.
+    pub patches: Vec<AreaRequest>,
+    /// Lowest and highest ellipsoidal altitude, metres.
+    pub altitude_m: Option<[f64; 2]>,
+    /// The same as tie points gave it, where none is stated.
+    pub altitude_from_ties_m: Option<(f64, f64)>,
+    /// Which camera counts.
+    pub rpc: RpcPreference,
+    /// How images are matched.
+    pub preset: PresetEntry,
 }
 
 /// The work of a tile.
@@ -95,6 +120,8 @@ pub struct TileWork {
     pub altitude_from_ties_m: Option<(f64, f64)>,
     /// Which camera counts.
     pub rpc: RpcPreference,
+    /// The unit that corrected the pointing of its images; `None` where it corrects them itself.
+    pub cameras: Option<String>,
     /// How it is trained.
     pub preset: PresetEntry,
     /// Coordinate reference system of its surface model.
@@ -352,7 +379,17 @@ fn units_of(
             products: products_of(preset, &manifest.products),
             deliver: manifest.deliver.as_ref(),
         };
-        units.extend(combination.units(&tiling, &survey));
+        let cameras = match config.cameras.align != Align::Off && tiling.tiles.len() > 1 {
+            true => {
+                let id = format!("{}/{}/{ADJUST}", area.name, images.name);
+                if !units.iter().any(|unit: &Unit| unit.id == id) {
+                    units.push(combination.adjust(id.clone(), &tiling, &survey, &config));
+                }
+                units.iter().find(|unit| unit.id == id).cloned()
+            }
+            false => None,
+        };
+        units.extend(combination.units(&tiling, &survey, cameras.as_ref()));
     }
     Ok((units, index.files))
 }
@@ -396,9 +433,51 @@ struct Combination<'a> {
 }
 
 impl Combination<'_> {
-    fn units(&self, tiling: &Tiling, survey: &Survey) -> Vec<Unit> {
+    /// One correction of the pointing for all tiles, whatever their preset.
+    fn adjust(&self, id: String, tiling: &Tiling, survey: &Survey, config: &SatelliteConfig) -> Unit {
+        let patches = tiles::patches(tiling, survey.gsd_m);
+        let surveyed = patches.iter().filter_map(|patch| survey.tile(patch).ok()?);
+        let estimates: Vec<(f64, f64)> = surveyed
+            .map(|tile| (sweep_estimate(survey, &tile, config).peak_bytes, tile.pixels))
+            .collect();
+        let bytes = estimates.iter().map(|(bytes, _)| *bytes).fold(LEAST_BYTES, f64::max);
+        let pixels: f64 = estimates.iter().map(|(_, pixels)| pixels).sum();
+        let work = AdjustWork {
+            scene: self.images.scene.clone(),
+            patches,
+            altitude_m: self.area.altitude_m,
+            altitude_from_ties_m: self.altitude_from_ties_m,
+            rpc: self.images.preference(),
+            preset: self.preset.clone(),
+        };
+        let said = format!(
+            "{}adjust\n{:?} {:?} {:?} {:?}\n{}\n{}",
+            identity_of_program(),
+            work.patches,
+            work.altitude_m,
+            work.altitude_from_ties_m,
+            work.rpc,
+            self.config,
+            self.inputs
+        );
+        Unit {
+            id,
+            after: Vec::new(),
+            mem_mb: mebibytes(bytes),
+            runtime_s: (LEAST_S + ADJUST_S_PER_PIXEL * pixels).ceil() as u64,
+            key: digest(&said),
+            deliver: None,
+            work: Work::Adjust(work),
+        }
+    }
+
+    fn units(&self, tiling: &Tiling, survey: &Survey, cameras: Option<&Unit>) -> Vec<Unit> {
         let home = format!("{}/{}/{}", self.area.name, self.images.name, self.preset.name);
-        let mut units: Vec<Unit> = tiling.tiles.iter().map(|tile| self.tile(&home, tiling, tile)).collect();
+        let mut units: Vec<Unit> = tiling
+            .tiles
+            .iter()
+            .map(|tile| self.tile(&home, tiling, tile, cameras))
+            .collect();
         let tiles: Vec<MosaicTile> = tiling
             .tiles
             .iter()
@@ -446,13 +525,14 @@ impl Combination<'_> {
         units
     }
 
-    fn tile(&self, home: &str, tiling: &Tiling, tile: &tiles::Tile) -> Unit {
+    fn tile(&self, home: &str, tiling: &Tiling, tile: &tiles::Tile, cameras: Option<&Unit>) -> Unit {
         let work = TileWork {
             scene: self.images.scene.clone(),
             area: tile.area.clone(),
             altitude_m: self.area.altitude_m,
             altitude_from_ties_m: self.altitude_from_ties_m,
             rpc: self.images.preference(),
+            cameras: cameras.map(|unit| unit.id.clone()),
             preset: self.preset.clone(),
             crs: tiling.crs.clone(),
             gsd_m: tiling.gsd_m,
@@ -465,8 +545,9 @@ impl Combination<'_> {
             },
         };
         let said = format!(
-            "{}tile\n{} {:?} {:?} {:?} {} {} {:?} {:?}\n{}\n{}",
+            "{}tile\n{:?} {} {:?} {:?} {:?} {} {} {:?} {:?}\n{}\n{}",
             identity_of_program(),
+            cameras.map(|unit| &unit.key),
             work.area,
             work.altitude_m,
             work.altitude_from_ties_m,
@@ -480,7 +561,7 @@ impl Combination<'_> {
         );
         Unit {
             id: format!("{home}/{}", tile.name()),
-            after: Vec::new(),
+            after: work.cameras.iter().cloned().collect(),
             mem_mb: mebibytes(tile.estimate.peak_bytes.max(LEAST_BYTES)),
             runtime_s: (LEAST_S + tile_s(tile)).ceil() as u64,
             key: digest(&said),

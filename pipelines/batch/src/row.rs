@@ -16,6 +16,7 @@ pub fn pending(unit: &Unit, out: &Path) -> Row {
     Row {
         unit: unit.id.clone(),
         kind: match unit.work {
+            Work::Adjust(_) => "adjust",
             Work::Tile(_) => "tile",
             Work::Mosaic(_) => "mosaic",
             Work::Refused { .. } => "refused",

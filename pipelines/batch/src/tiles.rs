@@ -17,6 +17,10 @@ use std::collections::BTreeSet;
 const BYTES_PER_PIXEL: f64 = 4.0 * 1.5;
 /// Cores are not cut smaller than this many metres: then the overlap would be most of a tile.
 pub(super) const LEAST_SIDE_M: f64 = 24.0;
+/// Ground sampling distances each way of a patch on which ties are sought, at most.
+const PATCH_CELLS: f64 = 800.0;
+/// Most patches each way.
+const MOST_PATCHES: f64 = 5.0;
 /// Most tiles of an area.
 const MOST_TILES: usize = 100_000;
 
@@ -228,6 +232,24 @@ fn too_far(request: &Request, tiles: &[Tile], (rows, cols): (usize, usize)) -> R
     Ok(None)
 }
 
+/// Squares all over an area on which the pointing of its images is looked at.
+pub(super) fn patches(tiling: &Tiling, gsd_m: f64) -> Vec<AreaRequest> {
+    let [west, south, east, north] = tiling.bounds;
+    let side = |from: f64, to: f64| (to - from).min(PATCH_CELLS * gsd_m);
+    let (wide, high) = (side(west, east), side(south, north));
+    let along = |from: f64, to: f64, side: f64| {
+        let count = ((to - from) / side).floor().clamp(1.0, MOST_PATCHES);
+        (0..count as usize).map(move |k| from + (k as f64 + 0.5) * (to - from) / count - 0.5 * side)
+    };
+    let rows = along(south, north, high);
+    let patch = |x: f64, y: f64| AreaRequest {
+        bounds: [x, y, x + wide, y + high],
+        crs: Some(tiling.crs.clone()),
+    };
+    rows.flat_map(|y| along(west, east, wide).map(move |x| patch(x, y)))
+        .collect()
+}
+
 /// The outer north-western corner of a grid.
 fn corner(grid: &GridSpec) -> [f64; 2] {
     let six = grid.transform.to_gdal();
@@ -257,4 +279,29 @@ fn too_much(options: &TileOptions, estimate: &Estimate) -> Option<TooMuch> {
         what: format!("{:.2} GiB of {:.2}", gib(estimate.peak_bytes), gib(memory)),
         remedy: "give more tiles.memory or less tiles.overlap_m",
     })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn patches_lie_all_over_a_city_and_one_holds_a_small_site() {
+        let tiling = |side_m: f64| Tiling {
+            crs: "EPSG:32637".into(),
+            gsd_m: 0.5,
+            bounds: [0.0, 0.0, side_m, side_m],
+            size: (1, 1),
+            tiles: Vec::new(),
+        };
+        let city = patches(&tiling(10_000.0), 0.5);
+        assert_eq!(city.len(), 25);
+        assert_eq!(city[0].bounds, [800.0, 800.0, 1200.0, 1200.0]);
+        assert_eq!(city[24].bounds, [8800.0, 8800.0, 9200.0, 9200.0]);
+        let site = patches(&tiling(300.0), 0.5);
+        assert_eq!(
+            site.iter().map(|patch| patch.bounds).collect::<Vec<_>>(),
+            [[0.0, 0.0, 300.0, 300.0]]
+        );
+    }
 }

@@ -2,7 +2,7 @@
 
 use super::BatchError;
 use super::mosaic::mosaic;
-use super::plan::{MosaicWork, TileWork, Unit, Units, Work};
+use super::plan::{AdjustWork, MosaicWork, TileWork, Unit, Units, Work};
 use super::products::{self, RUN};
 use super::stamp::{Output, STAMP, Stamp, claim, finished};
 use heliosplat_evaluate::{Protocol, error_map, evaluate_dsm, evaluate_raster};
@@ -16,7 +16,8 @@ use heliosplat_products::{dsm, model, seams};
 use heliosplat_raster::bounded::read_text;
 use heliosplat_raster::preview;
 use heliosplat_raster::write::{deliver, write_atomically};
-use heliosplat_satellite::config::SatelliteConfig;
+use heliosplat_satellite::adjust::{SharedCameras, shared_cameras};
+use heliosplat_satellite::config::{Align, SatelliteConfig};
 use heliosplat_satellite::run_file::CUT;
 use heliosplat_satellite::training::train;
 use heliosplat_satellite::{measure, preprocess};
@@ -28,6 +29,8 @@ use std::time::{Duration, Instant};
 
 /// Name of the file that says which work a folder was last used for.
 const BEGUN: &str = "begun.txt";
+/// Name of the file of the corrections that all tiles share.
+const CAMERAS: &str = "cameras.json";
 /// Name of a page.
 const REPORT: &str = report::FILE;
 /// Name of the page with the sun.
@@ -63,7 +66,8 @@ pub fn do_unit(
     begin(&folder, unit)?;
     let begun = Instant::now();
     let (outputs, metrics) = match &unit.work {
-        Work::Tile(work) => tile(work, unit, &folder, checkpoint_every, session)?,
+        Work::Adjust(work) => adjust(work, &folder, session)?,
+        Work::Tile(work) => tile(work, unit, (out, &folder), checkpoint_every, session)?,
         Work::Mosaic(work) => mosaic_unit(work, unit, out, &folder)?,
         Work::Refused { reason } => return Err(BatchError::Refused(reason.clone())),
     };
@@ -113,7 +117,7 @@ type Done = (Vec<String>, Value);
 fn tile(
     work: &TileWork,
     unit: &Unit,
-    folder: &Path,
+    (out, folder): (&Path, &Path),
     checkpoint_every: Duration,
     session: &Session,
 ) -> Result<Done, BatchError> {
@@ -138,7 +142,19 @@ fn tile(
     for warning in &scene.warnings {
         tracing::warn!("{warning}");
     }
-    let (preset, config) = (work.preset.parsed()?, work.preset.config()?);
+    let (preset, mut config) = (work.preset.parsed()?, work.preset.config()?);
+    if let Some(unit) = &work.cameras {
+        let path = out.join(unit).join(CAMERAS);
+        let io = |reason| BatchError::Io {
+            path: path.clone(),
+            reason,
+        };
+        let text = read_text(&path).map_err(|error| io(std::io::Error::other(error.to_string())))?;
+        let cameras: SharedCameras = serde_json::from_str(&text).map_err(|error| io(error.into()))?;
+        // An empty map would have the tile look for itself.
+        config.cameras.align = Align::Off;
+        config.cameras.shifts_px = cameras.shifts_px;
+    }
     if work.preset.is_sweep() {
         return swept(&scene, work, &config, folder, session);
     }
@@ -187,6 +203,21 @@ fn tile(
     let there = of_run.iter().filter(|name| run.join(name).is_file());
     outputs.extend(there.map(|name| format!("{RUN}/{name}")));
     Ok((outputs, metrics))
+}
+
+/// One correction of the pointing of each image.
+fn adjust(work: &AdjustWork, folder: &Path, session: &Session) -> Result<Done, BatchError> {
+    let options = IngestOptions {
+        altitude_range_m: work.altitude_m.map(|[low, high]| (low, high)),
+        altitude_from_ties_m: work.altitude_from_ties_m,
+        rpc: work.rpc,
+        area: None,
+    };
+    let index = Index::open(&work.scene, work.rpc)?;
+    let cameras = shared_cameras(&index, &options, &work.patches, &work.preset.config()?, session)?;
+    let metrics = serde_json::to_value(&cameras).unwrap_or_default();
+    write_atomically(&folder.join(CAMERAS), format!("{metrics:#}\n").as_bytes())?;
+    Ok((vec![CAMERAS.into()], metrics))
 }
 
 /// The pixels of a tile; images that have none there are left out.

@@ -8,11 +8,13 @@
 pub mod camera_error;
 mod contradiction;
 mod report;
+mod shared;
 mod vectors;
 mod write;
 
 pub(crate) use contradiction::contradicting;
 pub use report::{AdjustRequest, AdjustedScene, adjust_scene};
+pub use shared::{SharedCameras, shared_cameras};
 pub use vectors::ImageVectors;
 
 use super::error::SatelliteError;
@@ -57,11 +59,19 @@ impl AdjustInput<'_> {
     /// # Errors
     /// [`RpcError::Invalid`] when there are too few ties.
     pub fn adjust(&self, model: BiasModel, progress: &dyn Fn(f32)) -> Result<Adjustment, RpcError> {
+        self.tied(model, progress).map(|(adjustment, _)| adjustment)
+    }
+
+    /// The same, and the ties, whose sightings count the pixels of what was read of each image.
+    ///
+    /// # Errors
+    /// As [`Self::adjust`].
+    fn tied(&self, model: BiasModel, progress: &dyn Fn(f32)) -> Result<(Adjustment, Vec<Track>), RpcError> {
         let coarse = coarse_shifts(self.views, &self.ground.request(self.cell_m, self.matching));
         progress(0.1);
         let half = self.at_half_resolution(&coarse)?;
         progress(0.5);
-        let full = self.round(&shifts(&half), 1, model)?;
+        let (full, tracks) = self.round(&shifts(&half), 1, model)?;
         progress(1.0);
         if !full.converged {
             tracing::warn!(
@@ -70,14 +80,17 @@ impl AdjustInput<'_> {
             );
         }
         tracing::info!("cameras adjusted: {} ties, {:.2} px", full.points.len(), full.sigma_px);
-        Ok(full)
+        Ok((full, tracks))
     }
 
     /// The better of two adjustments: from the coarse shifts and from none.
     fn at_half_resolution(&self, coarse: &[[f32; 2]]) -> Result<Adjustment, RpcError> {
         let none = vec![[0.0; 2]; self.views.len()];
-        let from_coarse = self.round(coarse, 0, BiasModel::Translation);
-        let from_none = self.round(&none, 0, BiasModel::Translation);
+        let of = |shifts: &[[f32; 2]]| {
+            self.round(shifts, 0, BiasModel::Translation)
+                .map(|(adjustment, _)| adjustment)
+        };
+        let (from_coarse, from_none) = (of(coarse), of(&none));
         match (from_coarse, from_none) {
             (Ok(a), Ok(b)) => Ok(if agreement(&a) < agreement(&b) { b } else { a }),
             (Ok(a), Err(_)) => Ok(a),
@@ -87,7 +100,7 @@ impl AdjustInput<'_> {
 
     /// Ties between the cameras moved by `shifts`, at half (0) or full (1) resolution, and the adjustment of the
     /// delivered ones.
-    fn round(&self, shifts: &[[f32; 2]], level: usize, model: BiasModel) -> Result<Adjustment, RpcError> {
+    fn round(&self, shifts: &[[f32; 2]], level: usize, model: BiasModel) -> Result<(Adjustment, Vec<Track>), RpcError> {
         let moved: Vec<SweepView> = self
             .views
             .iter()
@@ -128,7 +141,7 @@ impl AdjustInput<'_> {
             sigma_px = adjustment.sigma_px,
             "adjustment"
         );
-        Ok(adjustment)
+        Ok((adjustment, tracks))
     }
 
     fn track(&self, tie: &Tie) -> Track {

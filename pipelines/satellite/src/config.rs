@@ -4,6 +4,7 @@
 use heliosplat::shade::sh::MAX_DEGREE;
 use heliosplat::train::{TrainError, TrainOptions};
 use heliosplat_fitting::settings::{ConfigError, Preset, resolve};
+use std::collections::BTreeMap;
 use std::path::PathBuf;
 
 /// Least and largest width of a cell, ground sampling distances: images resolve nothing finer than the least, and cells
@@ -54,11 +55,17 @@ pub struct CameraOptions {
     /// Relative pointing, from tie points and a robust adjustment. `off` where cameras were adjusted already, `on` to
     /// correct even less than a tenth of a pixel.
     pub align: Align,
+    /// Corrections that were found before, columns and rows by image name, pixels; where there are any, none are looked for.
+    #[serde(skip_serializing_if = "BTreeMap::is_empty")]
+    pub shifts_px: BTreeMap<String, [f32; 2]>,
 }
 
 impl Default for CameraOptions {
     fn default() -> Self {
-        Self { align: Align::Auto }
+        Self {
+            align: Align::Auto,
+            shifts_px: BTreeMap::new(),
+        }
     }
 }
 

@@ -3,7 +3,7 @@
 use super::adjust::{self, AdjustInput};
 use super::altitude;
 use super::clouds;
-use super::config::{Align, SatelliteConfig, THRESHOLD_PX};
+use super::config::{Align, CameraOptions, SatelliteConfig, THRESHOLD_PX};
 use super::error::SatelliteError;
 use super::ground::Ground;
 use super::limits::AtLimits;
@@ -15,7 +15,7 @@ use heliosplat_radiometry::change;
 use heliosplat_radiometry::suns::ShadowSun;
 use heliosplat_rpc::RpcError;
 use heliosplat_rpc::adjust::{Adjustment, BiasModel};
-use heliosplat_scene::{AltitudeSource, ImageSun, Index, IngestOptions, Scene};
+use heliosplat_scene::{AltitudeSource, ImageSun, Index, IngestOptions, Scene, SceneImage};
 use heliosplat_session::Session;
 use heliosplat_stereo::change::Changes;
 use heliosplat_stereo::{MatchingParameters, PlaneSweepRequest, Surface, SweepView, plane_sweep};
@@ -74,7 +74,7 @@ impl<'a> Preprocess<'a> {
         ground.check_contrast(&rasters)?;
         drop(part);
         let part = stage("ties");
-        let (shifts_px, contradicting) = align(&ground, &rasters, decisions.align, matching, scene.gsd_m);
+        let (shifts_px, contradicting) = align(&ground, &rasters, &config.cameras, matching, scene.gsd_m);
         drop(part);
         if decisions.clouds && shifts_px.iter().flatten().any(|shift| shift.abs() > CLOUDS_AGAIN_PX) {
             let _part = stage("clouds");
@@ -317,10 +317,15 @@ pub fn open_and_sweep(
 fn align(
     ground: &Ground,
     rasters: &[Raster],
-    align: Align,
+    cameras: &CameraOptions,
     matching: MatchingParameters,
     gsd_m: f64,
 ) -> (Vec<[f32; 2]>, Vec<bool>) {
+    let (align, known) = (cameras.align, &cameras.shifts_px);
+    if !known.is_empty() {
+        let shift = |image: &&SceneImage| known.get(&image.name).copied().unwrap_or_default();
+        return (ground.images.iter().map(shift).collect(), Vec::new());
+    }
     let none = (vec![[0.0; 2]; ground.images.len()], Vec::new());
     if align == Align::Off {
         return none;
