@@ -120,7 +120,7 @@ fn documents_that_the_code_names_are_there() {
 #[test]
 fn the_readme_is_short() {
     let text = std::fs::read_to_string(root().join("README.md")).expect("a README");
-    assert!(text.lines().count() <= 120, "{} lines", text.lines().count());
+    assert!(text.lines().count() <= 100, "{} lines", text.lines().count());
 }
 
 #[test]
