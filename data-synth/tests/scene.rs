@@ -58,7 +58,7 @@ fn the_same_request_gives_the_same_bytes_for_any_number_of_threads() {
         bytes_of(folder.path())
     };
     let (one, three) = (with_threads(1), with_threads(3));
-    assert!(one.len() == 3 * 3 + 7, "{:?}", one.keys());
+    assert!(one.len() == 3 * 3 + 8, "{:?}", one.keys());
     assert_eq!(one.keys().collect::<Vec<_>>(), three.keys().collect::<Vec<_>>());
     for (name, bytes) in &one {
         assert!(*bytes == three[name], "{name} differs between 1 and 3 threads");

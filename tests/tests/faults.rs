@@ -354,7 +354,7 @@ fn training_onto_a_full_disk_is_exit_code_1_and_leaves_no_half_run() {
         full.display()
     );
     if let Some(left) = left_on_a_full_disk(&arguments, &full, "model.ply") {
-        assert_eq!(left.trim(), "run", "an empty folder at most: {left}");
+        assert_eq!(left.trim(), "run\nrun/log.txt", "the log at most: {left}");
     }
 }
 
@@ -376,10 +376,10 @@ fn a_training_whose_checkpoints_find_no_room_goes_on_and_leaves_none_half_writte
     assert_eq!(output.status.code(), Some(1), "{said}");
     assert!(said.contains("no checkpoint") && said.contains("model.ply"), "{said}");
     let left = String::from_utf8_lossy(&output.stdout).into_owned();
-    let folders = ["run", "run/checkpoint"];
+    let expected = ["run", "run/checkpoint", "run/log.txt"];
     assert!(
-        left.lines().all(|line| folders.contains(&line)),
-        "folders at most: {left}"
+        left.lines().all(|line| expected.contains(&line)),
+        "folders and the log at most: {left}"
     );
 }
 

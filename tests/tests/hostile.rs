@@ -897,7 +897,12 @@ fn no_address_is_called_that_a_file_names() {
     );
     std::fs::write(home.path().join("view_0.tif.aux.xml"), sidecar).expect("written");
     std::fs::write(home.path().join("view_1.tif.ovr"), virtual_text(&remote)).expect("written");
-    std::fs::write(home.path().join("view_1.tif.msk"), virtual_text(&remote)).expect("written");
+    let mask = home.path().join("view_1.tif.msk");
+    std::fs::write(&mask, virtual_text(&remote)).expect("written");
+    let seen = measured::run(&inspect(home.path()), LONGEST);
+    assert_eq!(seen.code, Some(2), "{}", seen.stderr);
+    assert!(seen.stderr.contains("view_1.tif.msk"), "{}", seen.stderr);
+    std::fs::remove_file(&mask).expect("removed");
     let seen = measured::run(&inspect(home.path()), LONGEST);
     assert_eq!(seen.code, Some(0), "{}", seen.stderr);
     for (name, text) in [
