@@ -165,8 +165,8 @@ fn the_page_of_a_mosaic_keeps_what_comes_from_outside_as_text_and_looks_nowhere_
     });
     std::fs::write(folder.join("mosaic.json"), said.to_string()).expect("written");
     // Tiles without a training have no page to link to.
-    std::fs::create_dir_all(home.path().join("a/tile-r0c1/run")).expect("made");
-    std::fs::write(home.path().join("a/tile-r0c1/run/report.html"), "a page").expect("written");
+    std::fs::create_dir_all(home.path().join("tile-r0c1/run")).expect("made");
+    std::fs::write(home.path().join("tile-r0c1/run/report.html"), "a page").expect("written");
     let path = mosaic::write(&folder).expect("a page");
     let page = std::fs::read_to_string(path).expect("readable");
     assert!(!page.contains("<img src=x") && !page.contains("<script") && !page.contains("http"));
