@@ -69,8 +69,7 @@ const TOLERANCE_MANY: CandidateTolerance = CandidateTolerance {
 /// Combined base-to-height ratio above which costs of single cells resolve heights; below it the radius of the window
 /// is the quotient.
 const SINGLE_CELL_BASE_TO_HEIGHT: f32 = 0.8;
-/// Least radius of the aggregation window, cells, up to [`FEW_VIEWS`]; one view more and single cells are as good
-/// (docs/lab/plane-sweep.md).
+/// Least radius of the aggregation window, cells, up to [`FEW_VIEWS`]; with more views single cells are better (docs/lab/plane-sweep.md).
 const FEW_VIEWS_RADIUS: f32 = 2.0;
 /// Largest radius of the aggregation window, cells; reached at a combined base-to-height ratio of 0.133.
 const LARGEST_RADIUS: f32 = 6.0;
@@ -231,7 +230,7 @@ impl MatchingParameters {
 /// matches with the inverse of the number of comparisons.
 fn aggregation_radius(facts: &MatchingFacts) -> usize {
     let of_base = SINGLE_CELL_BASE_TO_HEIGHT / facts.combined_base_to_height.max(LEAST_BASE_TO_HEIGHT as f32);
-    let of_views = FEW_VIEWS_RADIUS * (FEW_VIEWS + 1.0 - facts.views).clamp(0.0, 1.0);
+    let of_views = if facts.views <= FEW_VIEWS { FEW_VIEWS_RADIUS } else { 0.0 };
     of_base.max(of_views).min(LARGEST_RADIUS) as usize
 }
 
