@@ -230,7 +230,11 @@ impl MatchingParameters {
 /// matches with the inverse of the number of comparisons.
 fn aggregation_radius(facts: &MatchingFacts) -> usize {
     let of_base = SINGLE_CELL_BASE_TO_HEIGHT / facts.combined_base_to_height.max(LEAST_BASE_TO_HEIGHT as f32);
-    let of_views = if facts.views <= FEW_VIEWS { FEW_VIEWS_RADIUS } else { 0.0 };
+    let of_views = if facts.views <= FEW_VIEWS {
+        FEW_VIEWS_RADIUS
+    } else {
+        0.0
+    };
     of_base.max(of_views).min(LARGEST_RADIUS) as usize
 }
 
