@@ -796,13 +796,24 @@ fn a_run_inside_of_a_delivery_is_no_scene() {
 #[test]
 fn masks_of_planet_are_masks_of_their_images() {
     let home = tempdir().expect("a temporary folder");
+    // Neither clear nor snow; snow.
+    let is_unusable = |col: usize, row: usize| row < SIZE_PX / 2 && col < SIZE_PX / 2;
+    let is_snow = |col: usize, row: usize| row < SIZE_PX / 2 && col >= SIZE_PX / 2;
     for view in views() {
         let image = View {
             name: format!("{}_basic_panchromatic_dn", view.name),
             ..view.clone()
         };
         image.write(home.path());
-        let mask = Raster::filled(SIZE_PX, SIZE_PX, 8, 1.0);
+        let mut mask = Raster::filled(SIZE_PX, SIZE_PX, 8, 1.0);
+        for (index, (col, row)) in (0..SIZE_PX * SIZE_PX).map(|index| (index, (index % SIZE_PX, index / SIZE_PX))) {
+            mask.plane_mut(0)[index] = if is_unusable(col, row) || is_snow(col, row) {
+                0.0
+            } else {
+                1.0
+            };
+            mask.plane_mut(1)[index] = if is_snow(col, row) { 1.0 } else { 0.0 };
+        }
         let path = home.path().join(format!("{}_basic_panchromatic_udm2.tif", view.name));
         write_geotiff(&path, &ImageSpec::plain(&mask), Sample::U8).expect("written");
     }
@@ -816,6 +827,23 @@ fn masks_of_planet_are_masks_of_their_images() {
         );
         assert!(index.files.contains(mask));
     }
+    let scene = open(home.path()).expect("a scene");
+    for image in &scene.images {
+        let window = image.window;
+        for (col, row) in (0..window.height).flat_map(|row| (0..window.width).map(move |col| (col, row))) {
+            let missing = image.pixels.at(0, col, row).is_nan();
+            assert_eq!(
+                missing,
+                is_unusable(col + window.col0, row + window.row0),
+                "{col} {row}"
+            );
+        }
+    }
+    assert!(
+        scene.warnings.iter().any(|warning| warning.contains("unusable")),
+        "{:?}",
+        scene.warnings
+    );
 }
 
 /// Writes bands of a view, each with one value, as a file of its own.

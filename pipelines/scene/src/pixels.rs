@@ -5,7 +5,7 @@ use heliosplat::Raster;
 use heliosplat::shade::display;
 use heliosplat_delivery::{Counts, IndexImage};
 use heliosplat_grid::statistics::quantile;
-use heliosplat_raster::Window;
+use heliosplat_raster::{RasterFile, Window};
 use rayon::prelude::*;
 use std::path::Path;
 
@@ -21,6 +21,9 @@ pub(super) fn read(image: &IndexImage, window: Window, warnings: &mut Vec<String
     let file = image.file();
     let mut raster = file.read(window, &image.bands.file_bands)?;
     drop(file);
+    if let Some(mask) = &image.usable_mask {
+        blank_unusable(&mut raster, mask, image, window, warnings)?;
+    }
     blank_black_border(&mut raster, &image.path, warnings);
     let known_and_lit = raster.values.iter().any(|&value| value.is_finite() && value > 0.0);
     if !known_and_lit {
@@ -109,6 +112,46 @@ fn blank(raster: &mut Raster, is_missing: impl Fn(usize) -> bool) {
             raster.values[band * plane + index] = f32::NAN;
         }
     }
+}
+
+/// Makes pixels missing that Planet's mask states to be unusable: in the first version (`udm`, bits) each that is not 0, in the second
+/// (`udm2`) each that is neither clear (band 1) nor snow (band 2).
+///
+/// Source: Planet, "Usable Data Masks (UDM2)", <https://docs.planet.com/data/imagery/udm/>.
+fn blank_unusable(
+    raster: &mut Raster,
+    path: &Path,
+    image: &IndexImage,
+    window: Window,
+    warnings: &mut Vec<String>,
+) -> Result<(), SceneError> {
+    let file = RasterFile::open(path)?;
+    if file.size() != image.size {
+        warnings.push(format!(
+            "{}: not of the size of {}; this mask is not applied",
+            path.display(),
+            image.path.display()
+        ));
+        return Ok(());
+    }
+    let is_second = file.bands.len() > 1;
+    let mask = file.read(window, if is_second { &[0, 1] } else { &[0] })?;
+    let plane = mask.plane_len();
+    let unusable = |index: usize| match is_second {
+        true => mask.values[index] == 0.0 && mask.values[plane + index] == 0.0,
+        false => mask.values[index] != 0.0,
+    };
+    let count = (0..plane).filter(|&index| unusable(index)).count();
+    if count > 0 {
+        let share = 100.0 * count as f64 / plane as f64;
+        warnings.push(format!(
+            "{}: {share:.1} % of the pixels are unusable by {}",
+            image.path.display(),
+            path.display()
+        ));
+    }
+    blank(raster, unusable);
+    Ok(())
 }
 
 /// Crops of rotated or orthorectified images have borders of zeros that no nodata value declares: zeros in all bands
