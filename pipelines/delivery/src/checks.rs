@@ -3,7 +3,6 @@
 
 use super::camera::{self, Cameras, FoundCamera};
 use super::draft::Draft;
-use super::index::middle;
 use super::{RpcPreference, acquisition};
 use heliosplat_raster::CrsTransform;
 use heliosplat_rpc::{GeoPoint, ImagePoint};
@@ -282,7 +281,7 @@ fn another_size(draft: &Draft, _: RpcPreference) -> Option<Found> {
 
 /// The time of acquisition, and the angles that metadata state, against day and night.
 fn sun_below_horizon(draft: &Draft, _: RpcPreference) -> Option<Found> {
-    let (origin, elevation_deg) = acquisition::night(&draft.acquisition, middle(draft)?)?;
+    let (origin, elevation_deg) = acquisition::night(&draft.acquisition, draft.middle()?)?;
     Some(Found {
         value: Some(elevation_deg),
         bound: Some(0.0),

@@ -5,8 +5,8 @@ use super::calibration::FoundRadiometry;
 use super::camera::Cameras;
 use super::entry::ImageEntry;
 use heliosplat_raster::RasterFile;
-use heliosplat_rpc::Rpc;
 use heliosplat_rpc::read::acquisition::Acquisition;
+use heliosplat_rpc::{GeoPoint, ImagePoint, Rpc};
 use std::path::PathBuf;
 
 /// An image whose file is open and whose metadata are read.
@@ -26,4 +26,14 @@ pub(super) struct Draft {
     pub(super) radiometry: Option<FoundRadiometry>,
     /// The multispectral image it is pansharpened with.
     pub(super) multispectral: Option<PathBuf>,
+}
+
+impl Draft {
+    /// The ground at the middle of the image, at the height offset of its RPC.
+    pub(super) fn middle(&self) -> Option<GeoPoint> {
+        let (width, height) = self.file.size();
+        let (col, row) = (width as f64 / 2.0, height as f64 / 2.0);
+        let at = ImagePoint { col, row };
+        self.rpc.localise(at, self.rpc.height_offset_m).ok()
+    }
 }

@@ -12,7 +12,7 @@ use super::{
 };
 use heliosplat_raster::{Crs, RasterError, RasterFile, is_virtual};
 use heliosplat_rpc::read::acquisition::Acquisition;
-use heliosplat_rpc::{GeoPoint, ImagePoint, Rpc};
+use heliosplat_rpc::{GeoPoint, Rpc};
 use serde::Serialize;
 use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
@@ -89,7 +89,7 @@ impl Index {
         let mut layout = layout::find(path, &folders)?;
         let mut warnings = std::mem::take(&mut layout.warnings);
         let mut drafts = drafts::read_all(&layout, rpc, &folders, &mut warnings)?;
-        if let Some(at) = drafts.first().and_then(middle) {
+        if let Some(at) = drafts.first().and_then(Draft::middle) {
             weak_times::fill(&mut drafts, at, &mut warnings);
             // Every product needs it, at the end of hours of training.
             if let Err(error @ RasterError::ProjDatabase(_)) = Crs::utm(at) {
@@ -224,16 +224,6 @@ impl IndexImage {
         let sigma_deg = sun.sigma_deg.filter(|_| !self.time_of_tag);
         ImageSun { sigma_deg, ..sun }
     }
-}
-
-/// The ground that the middle of an image shows, near enough to tell day from night.
-pub(super) fn middle(draft: &Draft) -> Option<GeoPoint> {
-    let (width, height) = draft.file.size();
-    let (col, row) = (width as f64 / 2.0, height as f64 / 2.0);
-    draft
-        .rpc
-        .localise(ImagePoint { col, row }, draft.rpc.height_offset_m)
-        .ok()
 }
 
 /// The line that states how eight-bit values without metadata are taken.

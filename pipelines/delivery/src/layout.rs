@@ -5,7 +5,8 @@ use super::entry::ImageEntry;
 use super::files::{Folders, IMAGE_EXTENSIONS, file_name, has_extension, is_own_folder, neighbours, stem};
 use super::manifest::{Counts, Manifest, reject_address};
 use super::satnerf::{self, JsonIndex};
-use super::tiles::{self, ImageFiles};
+use super::stacks;
+use super::tiles::ImageFiles;
 use super::{BandKind, SceneError, Split, Truth, pair_names, relit_truth, truth};
 use heliosplat_raster::{is_virtual, list_virtual};
 use std::collections::BTreeSet;
@@ -151,7 +152,7 @@ fn from_folder(folder: &Path, folders: &Folders) -> Result<Layout, SceneError> {
     if images.is_empty() {
         return Err(SceneError::Empty(folder.to_owned()));
     }
-    let (images, mut partners) = pair_names::by_name(tiles::joined(images, folders)?);
+    let (images, mut partners) = pair_names::by_name(stacks::images(images, folders)?);
     let lists = match (lists, index.folder()) {
         (None, Some(json_folder)) => SplitLists::read(json_folder)?,
         (lists, _) => lists,
@@ -383,7 +384,7 @@ fn delivered(candidates: &[(PathBuf, Option<String>)], folders: &Folders) -> Res
     let mut all = Vec::new();
     for (folder, _) in candidates {
         let images = folders.images(folder)?;
-        if pair_names::by_name(tiles::joined(images.clone(), folders)?).0.len() > 1 {
+        if pair_names::by_name(stacks::images(images.clone(), folders)?).0.len() > 1 {
             return Ok(None);
         }
         all.extend(images);

@@ -83,7 +83,7 @@ mod tests {
     use std::path::Path;
 
     fn paired(names: &[&str]) -> (Vec<String>, Vec<(String, String)>) {
-        let files = super::super::tiles::joined(
+        let files = super::super::stacks::images(
             names.iter().map(PathBuf::from).collect(),
             &super::super::files::Folders::default(),
         )

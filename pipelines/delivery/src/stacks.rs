@@ -1,8 +1,9 @@
 //! The bands of one acquisition in several files as vendors' names tell them: `…_RGB_…` and `…_NED_…` of Pleiades Neo, `…_red_…`, `…_grn_…`,
 //! `…_blu_…` and `…_nir_…` of GeoEye.
 
-use super::files::stem;
-use super::tiles::ImageFiles;
+use super::SceneError;
+use super::files::{Folders, stem};
+use super::tiles::{self, ImageFiles};
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
@@ -32,13 +33,16 @@ fn part_of(name: &str) -> Option<(usize, String)> {
     Some((which, parts.join("_")))
 }
 
-/// The bands of the files of an image that a name says are of one acquisition.
-pub(super) fn band_names(path: &Path) -> &'static [&'static str] {
-    part_of(&stem(path)).map_or(&[], |(which, _)| PARTS[which].1)
+/// Files as images: the tiles of one image are one, and so are the files of its bands.
+///
+/// # Errors
+/// As [`tiles::joined`].
+pub(super) fn images(files: Vec<PathBuf>, folders: &Folders) -> Result<Vec<ImageFiles>, SceneError> {
+    Ok(joined(tiles::joined(files, folders)?))
 }
 
 /// Joins images whose names differ in the bands alone, where these are red, green and blue in files of their own, or RGB and NED.
-pub(super) fn joined(images: Vec<ImageFiles>) -> Vec<ImageFiles> {
+fn joined(images: Vec<ImageFiles>) -> Vec<ImageFiles> {
     let mut groups: BTreeMap<(PathBuf, String), BTreeMap<usize, usize>> = BTreeMap::new();
     for (index, image) in images.iter().enumerate() {
         if let Some((which, rest)) = part_of(&stem(&image.path)) {
@@ -62,11 +66,14 @@ pub(super) fn joined(images: Vec<ImageFiles>) -> Vec<ImageFiles> {
         match first_of(index) {
             None => out.push(image.clone()),
             Some(files) if files.values().next() == Some(&index) => {
-                let more = files.values().skip(1).map(|other| images[*other].clone());
-                out.push(ImageFiles {
-                    more: more.collect(),
-                    ..image.clone()
+                let mut named = files.iter().map(|(which, file)| ImageFiles {
+                    bands: PARTS[*which].1,
+                    ..images[*file].clone()
                 });
+                out.extend(named.next().map(|first| ImageFiles {
+                    more: named.collect(),
+                    ..first
+                }));
             }
             Some(_) => {}
         }

@@ -1,7 +1,7 @@
 //! Images that their vendor cut into tiles: `…_R1C1.TIF`, `…_R1C2.TIF` … of Airbus, `…_R1C1-…` with a `.TIL` of Maxar.
 
 use super::files::{Folders, has_extension, stem};
-use super::{SceneError, dimap, stacks};
+use super::{SceneError, dimap};
 use heliosplat_raster::{RasterFile, Tile};
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
@@ -17,6 +17,8 @@ pub(super) struct ImageFiles {
     pub(super) step_px: Option<[usize; 2]>,
     /// Files of the same pixels with further bands.
     pub(super) more: Vec<Self>,
+    /// Names of its own bands, where it is one of several such files.
+    pub(super) bands: &'static [&'static str],
 }
 
 impl ImageFiles {
@@ -27,6 +29,7 @@ impl ImageFiles {
             tiles: BTreeMap::new(),
             step_px: None,
             more: Vec::new(),
+            bands: &[],
         }
     }
 
@@ -38,9 +41,8 @@ impl ImageFiles {
         let mut files = Vec::with_capacity(1 + self.more.len());
         for image in std::iter::once(self).chain(&self.more) {
             let mut file = image.open_bands(folders)?;
-            let names = stacks::band_names(&image.path);
-            if names.len() == file.bands.len() {
-                let named = file.bands.iter_mut().zip(names);
+            if image.bands.len() == file.bands.len() {
+                let named = file.bands.iter_mut().zip(image.bands);
                 named.for_each(|(band, name)| band.description = (*name).to_owned());
             }
             files.push(file);
@@ -159,7 +161,7 @@ pub(super) fn product_name(name: &str) -> Option<String> {
     tile_of(name).map(|(_, rest)| rest)
 }
 
-/// Files as images: the tiles of one image are one, as a DIMAP beside them lists them, else as their names tell; so are files of its bands.
+/// Files as images: the tiles of one image are one, as a DIMAP beside them lists them, else by their names.
 ///
 /// # Errors
 /// [`SceneError::MissingTile`] when a DIMAP lists a tile that is not there.
@@ -176,6 +178,7 @@ pub(super) fn joined(files: Vec<PathBuf>, folders: &Folders) -> Result<Vec<Image
             tiles: listed.tiles,
             step_px: listed.step_px,
             more: Vec::new(),
+            bands: &[],
         });
     }
     let places: BTreeMap<PathBuf, usize> = files.iter().cloned().zip(0..).collect();
@@ -183,7 +186,7 @@ pub(super) fn joined(files: Vec<PathBuf>, folders: &Folders) -> Result<Vec<Image
         files.into_iter().filter(|path| !taken.contains(path)).collect(),
     ));
     images.sort_by_key(|image| places.get(&image.path).copied());
-    Ok(stacks::joined(images))
+    Ok(images)
 }
 
 /// The tiles of one image as their names tell.
@@ -209,6 +212,7 @@ fn by_names(files: Vec<PathBuf>) -> Vec<ImageFiles> {
                 path,
                 step_px: None,
                 more: Vec::new(),
+                bands: &[],
             }),
             Some(_) => {}
         }

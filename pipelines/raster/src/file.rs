@@ -3,7 +3,7 @@
 use super::pansharpen::Pansharpening;
 use super::stacked::Stack;
 use super::tiled::Mosaic;
-use super::{Crs, GeoTransform, RasterError, bounded, masks, messages, siblings};
+use super::{BandInfo, Colour, Crs, GeoTransform, RasterError, Window, bounded, masks, messages, siblings};
 use gdal::raster::{ColorInterpretation, GdalDataType};
 use gdal::{Dataset, DatasetOptions, GdalOpenFlags, Metadata};
 use heliosplat::Raster;
@@ -32,57 +32,6 @@ const SAMPLES_AT_ONCE: usize = 1 << 22;
 fn names_other_files(path: &Path) -> bool {
     let start = bounded::read_start(path, 256);
     String::from_utf8_lossy(&start).contains("<VRTDataset")
-}
-
-/// What a band's colour interpretation says it shows.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Colour {
-    /// Grey, or nothing said.
-    Grey,
-    /// Red.
-    Red,
-    /// Green.
-    Green,
-    /// Blue.
-    Blue,
-    /// Opacity.
-    Alpha,
-    /// Indices into a colour table.
-    Palette,
-    /// Nothing said.
-    Undefined,
-}
-
-/// One band of a file.
-#[derive(Debug, Clone, PartialEq)]
-pub struct BandInfo {
-    /// Its description, empty where the file has none.
-    pub description: String,
-    /// Its colour interpretation.
-    pub colour: Colour,
-    /// GDAL's name of the data type, such as `UInt16`.
-    pub data_type: String,
-    /// The unit of its values, empty where the file says none.
-    pub unit: String,
-    /// The value that means "nothing here".
-    pub nodata: Option<f64>,
-    /// What a count is multiplied with to get to the unit, where the file says so.
-    pub scale: Option<f64>,
-    /// What is added then, where the file says so.
-    pub offset: Option<f64>,
-}
-
-/// A pixel window: first column and row, columns and rows.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub struct Window {
-    /// First column.
-    pub col0: usize,
-    /// First row.
-    pub row0: usize,
-    /// Columns.
-    pub width: usize,
-    /// Rows.
-    pub height: usize,
 }
 
 /// An open raster file, or several that are one image.

@@ -4,6 +4,7 @@
 //! turned here and nowhere else: missing values become `NaN`, and GDAL's pixel corners become our pixel centres at
 //! integers (the items of GDAL's `RPC` metadata domain are RPC00B's own and already count from pixel centres).
 
+mod band;
 pub mod bounded;
 pub mod crs;
 mod drivers;
@@ -23,8 +24,9 @@ pub mod temporary;
 pub mod tiled;
 pub mod write;
 
+pub use band::{BandInfo, Colour, Window};
 pub use crs::{Crs, CrsTransform};
-pub use file::{BandInfo, Colour, GeoRaster, RasterFile, Window, is_virtual, list_virtual};
+pub use file::{GeoRaster, RasterFile, is_virtual, list_virtual};
 pub use geoid::Geoid;
 pub use grid::{EnuGrid, GeoTransform, GridSpec};
 pub use pansharpen::GridRelation;

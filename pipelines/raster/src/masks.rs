@@ -2,8 +2,7 @@
 //!
 //! GDAL looks for a mask under the file's own name only, and opens it with the registered formats.
 
-use super::file::Window;
-use super::{RasterError, bounded};
+use super::{RasterError, Window, bounded};
 use gdal::Dataset;
 use gdal::errors::Result;
 use gdal::raster::RasterBand;

@@ -4,7 +4,8 @@
 //! columns and rows, which the caller knows from their cameras.
 
 use super::RasterError;
-use super::file::{Pixels, RasterFile, Window};
+use super::Window;
+use super::file::{Pixels, RasterFile};
 use heliosplat::Raster;
 use rayon::prelude::*;
 

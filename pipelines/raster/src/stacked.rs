@@ -1,7 +1,8 @@
 //! The bands of one image that its vendor wrote into several files, read as one.
 
 use super::RasterError;
-use super::file::{Pixels, RasterFile, Window};
+use super::Window;
+use super::file::{Pixels, RasterFile};
 
 impl RasterFile {
     /// Files of equal size as one image that has the bands of all; path and metadata are those of the first.

@@ -1,7 +1,8 @@
 //! An image that its vendor cut into tiles, read as one.
 
 use super::RasterError;
-use super::file::{Pixels, RasterFile, Window};
+use super::Window;
+use super::file::{Pixels, RasterFile};
 use std::path::PathBuf;
 
 /// The last column and row that a tile may begin at: images have no more.

@@ -8,13 +8,11 @@
 pub mod camera_error;
 mod contradiction;
 mod report;
-mod shared;
 mod vectors;
 mod write;
 
 pub(crate) use contradiction::contradicting;
 pub use report::{AdjustRequest, AdjustedScene, adjust_scene};
-pub use shared::{SharedCameras, shared_cameras};
 pub use vectors::ImageVectors;
 
 use super::error::SatelliteError;
@@ -66,7 +64,7 @@ impl AdjustInput<'_> {
     ///
     /// # Errors
     /// As [`Self::adjust`].
-    fn tied(&self, model: BiasModel, progress: &dyn Fn(f32)) -> Result<(Adjustment, Vec<Track>), RpcError> {
+    pub(crate) fn tied(&self, model: BiasModel, progress: &dyn Fn(f32)) -> Result<(Adjustment, Vec<Track>), RpcError> {
         let coarse = coarse_shifts(self.views, &self.ground.request(self.cell_m, self.matching));
         progress(0.1);
         let half = self.at_half_resolution(&coarse)?;

@@ -21,6 +21,7 @@ pub mod preprocess;
 mod probe;
 pub mod relit;
 pub mod run_file;
+pub mod shared_cameras;
 mod short_fit;
 mod suns;
 mod sweep_memory;

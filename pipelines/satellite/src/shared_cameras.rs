@@ -3,7 +3,7 @@
 //! Tiles that find their pointing each by themselves have datums that differ by what ties of one tile leave open. One solve has one gauge,
 //! and an image that a tile shows in a corner is corrected by all that it shows.
 
-use super::AdjustInput;
+use crate::adjust::AdjustInput;
 use crate::config::SatelliteConfig;
 use crate::error::SatelliteError;
 use crate::ground::Ground;
