@@ -43,11 +43,7 @@ PHRASES = {
 NOT_YET = {
     ("length", "docs/guide/your-images.md"),
     ("long line", "docs/guide/batch.md"),
-    ("long line", "docs/guide/dsm.md"),
-    ("long line", "docs/guide/first-run.md"),
-    ("long line", "docs/guide/products.md"),
     ("long line", "docs/guide/your-images.md"),
-    ("phrase", "docs/guide/dsm.md"),
     ("phrase", "docs/guide/your-images.md"),
 }
 
