@@ -74,7 +74,7 @@ pub(super) fn sun(image: &Path, known: &Acquisition, at: GeoPoint, warnings: &mu
     found
 }
 
-/// Whether a sun stands between horizon and zenith. Degrees become radians and degrees again.
+/// True if a sun stands between horizon and zenith, within the rounding of degrees to radians and back.
 fn is_day(sun: &SunPosition) -> bool {
     let elevation_deg = sun.elevation_rad.to_degrees();
     elevation_deg > 0.0 && elevation_deg <= 90.0 + 1e-9

@@ -2,7 +2,7 @@
 
 use super::SceneError;
 
-/// Where the range of altitudes comes from.
+/// Source of the range of altitudes.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum AltitudeSource {
@@ -21,7 +21,7 @@ pub struct AltitudeRange {
     pub low_m: f64,
     /// Highest.
     pub high_m: f64,
-    /// Where they come from.
+    /// Their source.
     pub source: AltitudeSource,
     /// The same in words.
     pub words: String,
@@ -34,7 +34,7 @@ impl AltitudeRange {
     }
 }
 
-/// What one image's files say about altitude, metres above the ellipsoid.
+/// Altitudes in the files of one image, metres above the ellipsoid.
 #[derive(Debug, Clone, Copy, PartialEq, serde::Serialize)]
 pub struct Stated {
     /// `min_alt` and `max_alt` of a Sat-NeRF JSON.
@@ -43,14 +43,14 @@ pub struct Stated {
     pub rpc_m: (f64, f64),
 }
 
-/// What is said about the altitudes of a whole scene, metres above the ellipsoid.
+/// Altitudes stated for a whole scene, metres above the ellipsoid.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub(super) struct Said {
     /// The user's.
     pub(super) option_m: Option<(f64, f64)>,
     /// That of `scene.toml`.
     pub(super) manifest_m: Option<(f64, f64)>,
-    /// What tie points gave.
+    /// Range of the tie points.
     pub(super) ties_m: Option<(f64, f64)>,
 }
 

@@ -1,4 +1,4 @@
-//! What the bands of a file show: read from descriptions and colour interpretation, guessed from their number last.
+//! Kinds of the bands of a file: read from descriptions and colour interpretation, guessed from their number last.
 
 use super::files::{Folders, has_extension, stem};
 use super::sidecars::belonging_texts;
@@ -7,16 +7,16 @@ use heliosplat_raster::{BandInfo, Colour, RasterFile};
 use heliosplat_rpc::read::calibration::CalibratedBand;
 use serde::Serialize;
 
-/// Which bands of a file become which bands of the scene.
+/// Bands of a file that become bands of the scene.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct BandPlan {
     /// 0-based bands of the file, in the order red, green, blue, near infrared where those are known.
     pub file_bands: Vec<usize>,
-    /// What they are.
+    /// Their kinds.
     pub kinds: Vec<BandKind>,
     /// A band of opacity.
     pub alpha: Option<usize>,
-    /// What had to be assumed.
+    /// Assumptions, in words.
     #[serde(skip)]
     pub(super) assumption: Option<String>,
 }

@@ -1,4 +1,4 @@
-//! What metadata say of the values of an image: gains, or that a display curve was applied.
+//! Calibration of pixel values in the metadata: gains, or a display curve.
 
 use super::SceneError;
 use super::entry::ImageEntry;
@@ -7,7 +7,7 @@ use super::sidecars::describing_texts;
 use heliosplat_raster::RasterFile;
 use heliosplat_rpc::read::calibration::{self, Calibration, Radiometry};
 
-/// What is said, and where.
+/// Calibration and its source.
 #[derive(Debug, Clone, PartialEq, serde::Serialize)]
 pub struct FoundRadiometry {
     /// Gains, or a display curve.
@@ -35,7 +35,7 @@ pub(super) fn find(
     }))
 }
 
-/// What the image file says: in its description, in GDAL's `IMD` domain, or by a scale and a unit of every band.
+/// Calibration in the image file: in its description, in GDAL's `IMD` domain, or by a scale and a unit of every band.
 fn in_image(file: &RasterFile) -> Option<Radiometry> {
     let described = || calibration::from_text(file.domain("").get("TIFFTAG_IMAGEDESCRIPTION")?);
     let scales = || {

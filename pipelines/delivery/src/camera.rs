@@ -10,7 +10,7 @@ use heliosplat_rpc::{ImagePoint, Rpc, read};
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
-/// How far a crop may be from whole pixels, pixels: offsets are written with two decimals.
+/// Largest distance of a crop's origin from whole pixels, pixels: offsets are written with two decimals.
 const WHOLE_PX: f64 = 0.02;
 
 /// A camera and where it comes from.
@@ -106,7 +106,7 @@ pub(super) fn find(
     })
 }
 
-/// Where a map-projected file lies. Frames that were fitted to the corners of a raw image, as those of NITF headers, are turned against the
+/// Geotransform and system of a map-projected file. Frames that were fitted to the corners of a raw image, as those of NITF headers, are turned against the
 /// axes of the map and may be off by hundreds of pixels.
 pub(super) fn map_frame(file: &RasterFile) -> Option<(GeoTransform, Crs)> {
     let transform = file.geo_transform()?;
@@ -172,7 +172,7 @@ fn of_files(file: &RasterFile, json: Option<&Path>, folders: &Folders) -> Result
     Ok((found, unread))
 }
 
-/// Whether a file holds a camera and nothing else, by its name in lower case.
+/// True if the name (in lower case) is that of a file with a camera alone.
 fn is_camera_file(name: &str) -> bool {
     let is_xml = name.starts_with("rpc_") && name.ends_with(".xml");
     is_xml
@@ -207,7 +207,7 @@ pub(super) fn of_vendor(file: &RasterFile, folders: &Folders) -> Result<Option<R
     Ok(all.into_iter().next().map(|camera| camera.rpc))
 }
 
-/// Whether an image with these two cameras is a crop whose tag was moved with it while the sidecar of the whole image was copied along:
+/// True if an image with these two cameras is a crop whose tag was moved with it while the sidecar of the whole image was copied along:
 /// the tag is the sidecar moved by whole pixels, right and down, to a place where the image ends inside of what the sidecar is made for.
 fn is_of_crop(tag: &Rpc, sidecar: &Rpc, (width, height): (usize, usize)) -> bool {
     let (right, bottom) = (width as f64 - 1.0, height as f64 - 1.0);
@@ -230,7 +230,7 @@ fn is_of_crop(tag: &Rpc, sidecar: &Rpc, (width, height): (usize, usize)) -> bool
     corners.iter().all(is_whole) && is_inside
 }
 
-/// Where a file's pixels lie in the image its RPC is for.
+/// Place of a file's pixels in the image of its RPC.
 #[derive(Debug, Clone, Copy, PartialEq)]
 struct CropInFull {
     /// Column and row of the full image that the outer corner of the first pixel falls on, counted from the full image's

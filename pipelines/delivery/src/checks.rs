@@ -9,7 +9,7 @@ use heliosplat_rpc::{GeoPoint, ImagePoint};
 use serde::Serialize;
 use std::path::{Path, PathBuf};
 
-/// Whether a delivery can be used in spite of a finding.
+/// Consequence of a finding for the delivery.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Severity {
@@ -253,7 +253,7 @@ fn unread(draft: &Draft, _: RpcPreference) -> Option<Found> {
     )))
 }
 
-/// How far vendors' scales are from half the size of an image.
+/// Largest relative difference between an RPC's scale and half the size of its image.
 const LIKE: f64 = 0.02;
 
 /// The size of the image against the rows and columns that its RPC is made for. A crop lies anywhere in these; an image that was reduced
@@ -292,7 +292,7 @@ fn sun_below_horizon(draft: &Draft, _: RpcPreference) -> Option<Found> {
 }
 
 impl FoundCamera {
-    /// Whether the image of another camera shows ground that this one is made for, with a margin as wide as that.
+    /// True if the image of another camera shows ground of this one's domain, with a margin as wide as the domain.
     fn sees_ground_of(&self, other: &Self, (width, height): (usize, usize)) -> bool {
         let (col, row) = (width as f64 / 2.0, height as f64 / 2.0);
         let Ok(ground) = other.rpc.localise(ImagePoint { col, row }, other.rpc.height_offset_m) else {

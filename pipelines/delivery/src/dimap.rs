@@ -6,7 +6,7 @@ use heliosplat_rpc::read::{DataFile, DataFiles, data_files};
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Component, Path, PathBuf};
 
-/// How their names begin, in lower case.
+/// Beginnings of their names, in lower case.
 pub(super) const PREFIX: &str = "dim_";
 
 /// The tiles of one image.
@@ -46,7 +46,7 @@ impl Dimaps {
     }
 }
 
-/// Where a listed file lies: at or below the folder of its DIMAP, never elsewhere.
+/// Path of a listed file: at or below the folder of its DIMAP, never elsewhere.
 fn place(folder: &Path, file: &DataFile) -> Option<PathBuf> {
     let relative = Path::new(&file.href);
     let below = relative

@@ -20,7 +20,7 @@ pub(super) struct Draft {
     /// Columns and rows that the cameras are for.
     pub(super) camera_size: (usize, usize),
     pub(super) acquisition: Acquisition,
-    /// Whether its time is that of a TIFF date tag, whose time zone is unknown.
+    /// True if its time is that of a TIFF date tag, whose time zone is unknown.
     pub(super) time_of_tag: bool,
     /// Calibration of its bands.
     pub(super) radiometry: Option<FoundRadiometry>,

@@ -13,7 +13,7 @@ pub(super) struct ImageEntry {
     pub(super) split: Split,
     /// Sat-NeRF-like JSON that names it.
     pub(super) json: Option<PathBuf>,
-    /// What `scene.toml` says of it.
+    /// Its entry in `scene.toml`.
     pub(super) said: Option<ManifestImage>,
     /// The file at `path`, or the tiles whose first it is.
     pub(super) tiles: ImageFiles,

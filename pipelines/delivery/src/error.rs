@@ -1,4 +1,4 @@
-//! What can be wrong with a scene: one line each, naming the file and the remedy.
+//! Errors of a scene: one line each, with the file and the remedy.
 
 use heliosplat_raster::RasterError;
 use heliosplat_rpc::RpcError;
@@ -22,9 +22,9 @@ pub enum SceneError {
     TooManyBands {
         /// The first image.
         path: PathBuf,
-        /// How many it has.
+        /// Its number of bands.
         bands: usize,
-        /// How many it may have.
+        /// Largest number of bands.
         most: usize,
     },
     /// A folder that cannot be listed, a text that cannot be read.
@@ -59,7 +59,7 @@ pub enum SceneError {
     Manifest {
         /// The file.
         path: PathBuf,
-        /// What is wrong and what to do.
+        /// Reason and remedy.
         reason: String,
     },
     /// An image that is listed but not there.
@@ -67,7 +67,7 @@ pub enum SceneError {
     MissingImage {
         /// The image's name as listed.
         image: String,
-        /// Where it is listed.
+        /// File that lists it.
         listed_in: PathBuf,
     },
     /// A tile that a DIMAP lists and that is not there.
@@ -102,7 +102,7 @@ pub enum SceneError {
         path: PathBuf,
         /// Ellipsoidal height tried, metres.
         height_m: f64,
-        /// What failed.
+        /// Failed operation.
         source: RpcError,
     },
     /// Bands that differ between images.
@@ -124,7 +124,7 @@ pub enum SceneError {
         pan: PathBuf,
         /// The multispectral image.
         multispectral: PathBuf,
-        /// What speaks against it.
+        /// Reason against it.
         reason: String,
     },
     /// A colour table instead of measured values.
@@ -160,7 +160,7 @@ pub enum SceneError {
         low_m: f64,
         /// Upper end, metres.
         high_m: f64,
-        /// Where it comes from.
+        /// Its source.
         origin: String,
     },
     /// A raster that cannot be read.
@@ -169,7 +169,7 @@ pub enum SceneError {
 }
 
 impl SceneError {
-    /// Whether the user's input is at fault (exit code 2) rather than the machine (exit code 1).
+    /// True if the input is at fault (exit code 2), false if the machine is (exit code 1).
     pub fn is_input_fault(&self) -> bool {
         match self {
             Self::Raster(error) => error.is_input_fault(),

@@ -11,7 +11,7 @@ use std::rc::Rc;
 /// Extensions of images, in lower case.
 pub(super) const IMAGE_EXTENSIONS: [&str; 6] = ["tif", "tiff", "jp2", "ntf", "nitf", "img"];
 
-/// What one opening has seen of the file system: each folder is listed once, each text read once, each DIMAP parsed once.
+/// Folders, texts and DIMAPs of one opening: each folder is listed once, each text read once, each DIMAP parsed once.
 #[derive(Debug, Default)]
 pub(super) struct Folders {
     listed: RefCell<BTreeMap<PathBuf, Rc<Vec<Entry>>>>,
@@ -129,7 +129,7 @@ fn listed(folder: &Path) -> Result<Vec<Entry>, SceneError> {
     Ok(found)
 }
 
-/// Whether a raster is truth by its name, not an image: `*_DSM.tif`, `*_CLS.tif`, `*_DTM.tif` and our own names.
+/// True if a raster is truth by its name, not an image: `*_DSM.tif`, `*_CLS.tif`, `*_DTM.tif` and our own names.
 pub(super) fn is_truth(path: &Path) -> bool {
     let name = stem(path).to_lowercase();
     let ends = ["_dsm", "_dtm", "_cls", "_cls_v2", "_agl", "_water"];
@@ -176,7 +176,7 @@ pub(super) fn own_output(file: &heliosplat_raster::RasterFile) -> Option<String>
     })
 }
 
-/// Whether this program wrote a folder: a run, products, or a batch.
+/// True if this program wrote the folder: a run, products, or a batch.
 pub(super) fn is_own_folder(folder: &Path) -> bool {
     let ours = |name: &str| {
         let start = bounded::read_start(&folder.join(name), 1 << 16);
@@ -190,9 +190,9 @@ pub(super) fn is_own_folder(folder: &Path) -> bool {
 
 /// Names of folders, in lower case, under which DFC2019, Sat-NeRF and EOGS publish one part of a scene each.
 const PUBLISHED_NAMES: [&str; 7] = ["dfc2019", "root_dir", "images", "img", "imgs", "truth", "cameras"];
-/// How such names begin where they are numbered or say what is inside: `Track3-RGB-crops`, `crops_rpcs_ba_v2`, `rpcs_raw`.
+/// Beginnings of such names with a number or a content: `Track3-RGB-crops`, `crops_rpcs_ba_v2`, `rpcs_raw`.
 const PUBLISHED_BEGINNINGS: [&str; 3] = ["track3", "crops_rpcs", "rpcs"];
-/// How far above a folder its other half is looked for under such names: `root_dir/crops_rpcs_raw/JAX_068` and
+/// Levels above a folder up to which its other half is sought under such names: `root_dir/crops_rpcs_raw/JAX_068` and
 /// `DFC2019/Track3-RGB-crops/JAX_068` meet three levels up.
 const LEVELS_UP: usize = 4;
 
@@ -236,7 +236,7 @@ pub(super) fn file_name(path: &Path) -> String {
     path.file_name().unwrap_or_default().to_string_lossy().into_owned()
 }
 
-/// Whether a path has one of the extensions, in upper or lower case.
+/// True if a path has one of the extensions, in upper or lower case.
 pub(super) fn has_extension(path: &Path, extensions: &[&str]) -> bool {
     let extension = path.extension().unwrap_or_default().to_string_lossy().to_lowercase();
     extensions.contains(&extension.as_str())

@@ -27,7 +27,7 @@ pub struct FileIdentity {
 }
 
 impl FileIdentity {
-    /// Whether the file is as it was: of the same size and time of change, or of the same content. A file that is gone is not.
+    /// True if the file is unchanged: of the same size and time of change, or of the same content. A file that is gone is not.
     pub fn is_unchanged(&self) -> bool {
         let now = seen(&self.path);
         now == self.seen || (now.bytes == self.seen.bytes && hash(&self.path).is_ok_and(|sha256| sha256 == self.sha256))
@@ -68,7 +68,7 @@ pub struct Seen {
     changed_ns: u128,
 }
 
-/// What can be seen of a file without reading it; nothing of one that is not there.
+/// Size and time of change of a file, without reading it; `None` if it does not exist.
 pub fn seen(path: &Path) -> Seen {
     let data = std::fs::metadata(path).ok();
     let changed = data.as_ref().and_then(|data| data.modified().ok());

@@ -23,7 +23,7 @@ use std::sync::{Mutex, MutexGuard, PoisonError};
 pub struct Index {
     /// The folder or `scene.toml`.
     pub source: PathBuf,
-    /// Which camera counts where two differ.
+    /// The preferred camera where two differ.
     pub rpc: RpcPreference,
     /// Its images, in the order of the folder or the manifest.
     pub images: Vec<IndexImage>,
@@ -62,7 +62,7 @@ pub struct IndexImage {
     pub rpc_source: String,
     /// Time and stated sun.
     pub acquisition: Acquisition,
-    /// Whether the time is that of a TIFF date tag, whose time zone is unknown.
+    /// True if the time is that of a TIFF date tag, whose time zone is unknown.
     pub time_of_tag: bool,
     /// Calibration of the bands.
     pub radiometry: Option<FoundRadiometry>,
@@ -212,7 +212,7 @@ impl IndexImage {
         self.file.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// Whether it has eight bits and no metadata state what they mean.
+    /// True if it has eight bits without metadata on their meaning.
     pub fn has_unstated_bytes(&self) -> bool {
         self.data_type == "Byte" && self.radiometry.is_none() && self.counts_source.is_none()
     }

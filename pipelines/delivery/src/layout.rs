@@ -1,4 +1,4 @@
-//! Which files make up a scene: a `scene.toml`, a folder of images, or the folders of Sat-NeRF and EOGS, where images,
+//! Files of a scene: a `scene.toml`, a folder of images, or the folders of Sat-NeRF and EOGS, where images,
 //! cameras (JSON) and truth may lie in folders of their own.
 
 use super::entry::ImageEntry;
@@ -234,7 +234,7 @@ fn cameras_beside(
     Ok(index)
 }
 
-/// How good the cameras of a folder are by its path: 0 bundle-adjusted, 1 unknown, 2 raw; and the name that says so, of whose
+/// Quality of the cameras of a folder by its path: 0 bundle-adjusted, 1 unknown, 2 raw; and the name that says so, of whose
 /// versions the last in the alphabet counts. `crops_rpcs_ba_v2/JAX_068` is `(0, "crops_rpcs_ba_v2")`.
 fn camera_kind(folder: &Path) -> (u8, String) {
     for name in folder
@@ -288,7 +288,7 @@ impl CameraFolder {
         Self { path, index, place }
     }
 
-    /// Whether both are cameras of the same images, of different kinds.
+    /// True if both are cameras of the same images, of different kinds.
     fn is_same_scene(&self, other: &Self) -> bool {
         self.place == other.place && self.index.shares_an_image(&other.index)
     }
@@ -371,7 +371,7 @@ fn scene_folder(folder: &Path, folders: &Folders, warnings: &mut Vec<String>) ->
     }
 }
 
-/// Where a scene lies.
+/// Location of a scene.
 struct Home {
     folder: PathBuf,
     /// Its images, where they lie in folders of their own below it.

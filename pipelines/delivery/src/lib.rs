@@ -51,7 +51,7 @@ use heliosplat_rpc::read::calibration::CalibratedBand;
 use std::path::{Path, PathBuf};
 use tiles::ImageFiles;
 
-/// What a band shows, as far as the file tells.
+/// Kind of a band, as stated by the file.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum BandKind {
@@ -95,7 +95,7 @@ impl BandKind {
     }
 }
 
-/// Whether an image is trained on or held out.
+/// Use of an image: trained on or held out.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Split {
@@ -105,7 +105,7 @@ pub enum Split {
     Test,
 }
 
-/// Which camera of an image comes first; where it has none of this kind, the next one counts.
+/// Preferred kind of camera; an image without it takes the next kind.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, serde::Serialize, serde::Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum RpcPreference {

@@ -11,9 +11,9 @@ use std::path::{Path, PathBuf};
 pub(super) struct Manifest {
     /// Lowest and highest ellipsoidal altitude, metres.
     pub(super) altitude_range_m: Option<[f64; 2]>,
-    /// What the bands of every file are, in file order.
+    /// Bands of every file, in file order.
     pub(super) bands: Option<Vec<BandKind>>,
-    /// Whether values are proportional to radiance or encoded for display (sRGB); absent: as each file says.
+    /// Values proportional to radiance, or encoded for display (sRGB); absent: as each file states.
     pub(super) counts: Option<Counts>,
     /// The images.
     #[serde(default)]
@@ -22,7 +22,7 @@ pub(super) struct Manifest {
     pub(super) truth: Option<ManifestTruth>,
 }
 
-/// What pixel values mean.
+/// Meaning of pixel values.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Counts {
@@ -73,7 +73,7 @@ pub(super) struct ManifestTruth {
 }
 
 impl Manifest {
-    /// What the text says, its paths as it has them.
+    /// Contents of the text, with its paths unchanged.
     pub(super) fn parse(text: &str) -> Result<Self, String> {
         let manifest: Self = toml::from_str(text).map_err(|error| one_line(&error, text))?;
         if manifest.images.is_empty() {

@@ -6,14 +6,14 @@ use super::tiles::ImageFiles;
 use std::collections::BTreeMap;
 use std::path::PathBuf;
 
-/// Which half of a bundle a name says a file is.
+/// Half of a bundle, by name.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 enum Half {
     Panchromatic,
     Multispectral,
 }
 
-/// What a file's name says of a bundle: its half, and the rest of the name, which both halves have in common.
+/// A bundle in a file's name: its half, and the rest of the name, which both halves have in common.
 fn half_of(name: &str) -> Option<(Half, String)> {
     let mut half = None;
     let name = name.to_uppercase();
@@ -33,7 +33,7 @@ fn half_of(name: &str) -> Option<(Half, String)> {
     Some((half?, rest.join("_")))
 }
 
-/// What one part of a name says, and what stands for it in both halves.
+/// Half in one part of a name, and the placeholder for it in both halves.
 fn half_of_part(part: &str) -> Option<(Half, String)> {
     use Half::{Multispectral, Panchromatic};
     let both = |half: Half, rest: &str| Some((half, format!("*{rest}")));

@@ -72,7 +72,7 @@ pub(super) fn with_colours(
     })
 }
 
-/// Where the pixels of a panchromatic image lie in the multispectral one.
+/// Place of the panchromatic pixels in the multispectral image.
 struct Found {
     relation: GridRelation,
     /// Largest distance from it, multispectral pixels.
@@ -82,7 +82,7 @@ struct Found {
 }
 
 impl Found {
-    /// What speaks against one acquisition, if anything does.
+    /// Reason against a common acquisition, if there is one.
     fn fault(&self) -> Option<String> {
         let [across, down] = self.relation.scale.map(|scale| 1.0 / scale);
         if !RATIOS.contains(&across) || !RATIOS.contains(&down) {

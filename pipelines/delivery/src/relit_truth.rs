@@ -15,7 +15,7 @@ const MOST_SUNS: usize = 10_000;
 /// The truth under one sun.
 #[derive(Debug, Clone, PartialEq)]
 pub struct RelitTruth {
-    /// Where the sun stands.
+    /// Position of the sun.
     pub sun: SunPosition,
     /// The image.
     pub image: PathBuf,

@@ -79,7 +79,7 @@ impl JsonIndex {
         Ok(index)
     }
 
-    /// Whether the folder had none.
+    /// True if the folder had none.
     pub(super) fn is_empty(&self) -> bool {
         self.by_image.is_empty()
     }
@@ -92,7 +92,7 @@ impl JsonIndex {
         self
     }
 
-    /// How many of the images are described here.
+    /// Number of images that are described here.
     pub(super) fn count_of(&self, images: &[PathBuf]) -> usize {
         images
             .iter()
@@ -100,7 +100,7 @@ impl JsonIndex {
             .count()
     }
 
-    /// Whether both describe an image of the same name.
+    /// True if both describe an image of the same name.
     pub(super) fn shares_an_image(&self, other: &Self) -> bool {
         self.by_image.keys().any(|image| other.by_image.contains_key(image))
     }

@@ -2,7 +2,7 @@
 
 use heliosplat_rpc::sun::SunPosition;
 
-/// Where an image's sun comes from.
+/// Source of an image's sun.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, serde::Serialize, serde::Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum SunSource {
@@ -38,11 +38,11 @@ const METADATA_SIGMA_DEG: f64 = 0.2;
 /// The sun of one image.
 #[derive(Debug, Clone, Copy, PartialEq, Default, serde::Serialize, serde::Deserialize)]
 pub struct ImageSun {
-    /// Where it stood; `None` where that is unknown.
+    /// Its position; `None` if unknown.
     pub position: Option<SunPosition>,
     /// Standard deviation of its direction, degrees; `None` where it is unknown.
     pub sigma_deg: Option<f64>,
-    /// Who says so.
+    /// Its source.
     pub source: SunSource,
 }
 

@@ -125,7 +125,7 @@ impl ImageFiles {
     }
 }
 
-/// How many tiles lie before the one of this number, counted from one.
+/// Number of tiles before the one of this number, counted from one.
 fn before(number: u32) -> usize {
     number.saturating_sub(1) as usize
 }

@@ -37,7 +37,7 @@ impl Truth {
     }
 }
 
-/// What the names of all images begin with, up to an underscore: `JAX_068` of `JAX_068_001_RGB` and `JAX_068_012_RGB`.
+/// Common beginning of the names of all images, up to an underscore: `JAX_068` of `JAX_068_001_RGB` and `JAX_068_012_RGB`.
 fn area_of(images: &[String]) -> Option<String> {
     let first = images.first()?;
     let shared = images.iter().fold(first.as_str(), |shared, name| {

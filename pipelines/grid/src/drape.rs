@@ -6,7 +6,8 @@
 //! cloth simulation", Remote Sensing 8, 2016) on a pyramid of grids, as in Lallement et al., "Bulldozer, a free open source scalable software
 //! for DTM extraction", ISPRS Archives XLIII-B4, 2022. The implementation is our own.
 //!
-//! Limits: what is wider than `WIDEST_M` is ground; cliffs and the rim of steep ground (from 0.3 on) are too low; below buildings on a slope the ground is a smooth span.
+//! Limits: what is wider than `WIDEST_M` is ground; cliffs and the rim of steep ground (from 0.3 on) are too low;
+//! below buildings on a slope the ground is a smooth span.
 
 use rayon::prelude::*;
 

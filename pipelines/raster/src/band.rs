@@ -1,6 +1,6 @@
 //! The bands of a raster file as it states them, and windows of its pixels.
 
-/// What a band's colour interpretation says it shows.
+/// Colour interpretation of a band.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Colour {
     /// Grey, or nothing said.
@@ -32,9 +32,9 @@ pub struct BandInfo {
     pub unit: String,
     /// The value that means "nothing here".
     pub nodata: Option<f64>,
-    /// What a count is multiplied with to get to the unit, where the file says so.
+    /// Factor from counts to the unit, if the file states it.
     pub scale: Option<f64>,
-    /// What is added then, where the file says so.
+    /// Offset after the factor, if the file states it.
     pub offset: Option<f64>,
 }
 

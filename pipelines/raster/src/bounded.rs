@@ -13,7 +13,7 @@ pub const MODEL_MAX: u64 = 16 << 30;
 /// The bytes of a file of at most `limit` bytes.
 ///
 /// # Errors
-/// What the operating system says; also where the path is no regular file, or the file is larger.
+/// Errors of the operating system; also if the path is no regular file, or the file is larger.
 pub fn read_bytes(path: &Path, limit: u64) -> Result<Vec<u8>> {
     let refused = |text: String| Error::new(ErrorKind::InvalidData, text);
     // Asked before opening: opening a pipe already waits.

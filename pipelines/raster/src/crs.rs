@@ -121,12 +121,12 @@ impl Crs {
         &self.wkt
     }
 
-    /// Whether heights are tied to a vertical datum of their own; without, they are ellipsoidal.
+    /// True if the system has a vertical datum; heights are ellipsoidal otherwise.
     pub fn has_vertical_datum(&self) -> bool {
         self.vertical
     }
 
-    /// Whether its coordinates are longitude and latitude in degrees.
+    /// True if its coordinates are longitude and latitude in degrees.
     pub fn is_geographic(&self) -> bool {
         self.geographic
     }
@@ -142,7 +142,7 @@ impl Crs {
     }
 }
 
-/// What parses a definition; `None` where it is of no known kind or names files.
+/// Parser of a definition; `None` if it is of no known kind or names files.
 fn parser(definition: &str) -> Option<fn(&str) -> gdal::errors::Result<SpatialRef>> {
     let is_word =
         |text: &str| !text.is_empty() && text.bytes().all(|byte| byte.is_ascii_alphanumeric() || byte == b'_');
@@ -177,7 +177,7 @@ fn metres_per_height(reference: &SpatialRef) -> Option<f64> {
         .filter(|metres: &f64| metres.is_finite() && *metres > 0.0)
 }
 
-/// Whether the vertical part of a WKT is the height above the ellipsoid. No code says so: heights above an ellipsoid are no system of their own in
+/// True if the vertical part of a WKT is the height above the ellipsoid. No code states it: heights above an ellipsoid are no system of their own in
 /// EPSG, and programs that state them (CARS) write a name.
 fn is_above_ellipsoid(wkt: &str) -> bool {
     let name_of = |keyword: &str| wkt.split_once(keyword)?.1.split('"').next();

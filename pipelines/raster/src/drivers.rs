@@ -68,7 +68,7 @@ pub(super) fn restrict() {
 /// The driver of rasters in memory.
 ///
 /// # Errors
-/// Where this GDAL has none.
+/// Without such a driver in this GDAL.
 #[allow(unsafe_code, reason = "the crate gdal keeps no driver that is not registered")]
 pub(super) fn memory() -> gdal::errors::Result<Driver> {
     match MEMORY.get() {

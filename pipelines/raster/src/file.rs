@@ -28,7 +28,7 @@ const SAMPLES_PER_BYTE: u128 = 1000;
 /// the next band.
 const SAMPLES_AT_ONCE: usize = 1 << 22;
 
-/// Whether a file that was not opened is one of GDAL's virtual rasters.
+/// True if a file that was not opened is one of GDAL's virtual rasters.
 fn names_other_files(path: &Path) -> bool {
     let start = bounded::read_start(path, 256);
     String::from_utf8_lossy(&start).contains("<VRTDataset")
@@ -47,7 +47,7 @@ pub struct RasterFile {
     pub bands: Vec<BandInfo>,
 }
 
-/// Where the pixels of an image come from.
+/// Source of the pixels of an image.
 pub(super) enum Pixels {
     /// One file.
     File(Dataset),
@@ -59,7 +59,7 @@ pub(super) enum Pixels {
     Pansharpened(Box<Pansharpening>),
 }
 
-/// Whether a path is on one of GDAL's virtual file systems, such as `/vsizip/` and `/vsis3/`.
+/// True if a path is on one of GDAL's virtual file systems, such as `/vsizip/` and `/vsis3/`.
 pub fn is_virtual(path: &Path) -> bool {
     path.to_string_lossy().starts_with("/vsi")
 }
@@ -77,7 +77,7 @@ pub const REMOTE: [&str; 9] = [
     "/vsihdfs",
 ];
 
-/// Whether a path leads to the network, also from within another virtual file system (`/vsizip//vsicurl/…`).
+/// True if a path leads to the network, also from within another virtual file system (`/vsizip//vsicurl/…`).
 pub fn is_remote(path: &Path) -> bool {
     let text = path.to_string_lossy();
     is_virtual(path) && (REMOTE.iter().any(|system| text.contains(system)) || text.contains("://"))
@@ -246,7 +246,7 @@ impl RasterFile {
         alone.map_or_else(|_| BTreeMap::new(), |alone| items(&alone, name))
     }
 
-    /// Where the pixels lie in map coordinates; `None` without georeferencing. Some writers store the identity where they know nothing:
+    /// Geotransform of the pixels; `None` without georeferencing. Some writers store the identity where they know nothing:
     /// without a coordinate system it is no georeferencing either.
     pub fn geo_transform(&self) -> Option<GeoTransform> {
         let six = messages::collect(|| self.dataset().geo_transform()).ok()?;
@@ -504,7 +504,7 @@ fn colour(interpretation: ColorInterpretation) -> Colour {
 pub struct GeoRaster {
     /// Values; `NaN` where nothing is known.
     pub raster: Raster,
-    /// Where the pixels lie.
+    /// Place of the pixels.
     pub transform: GeoTransform,
     /// In which coordinates; `None` where the file does not say.
     pub crs: Option<Crs>,

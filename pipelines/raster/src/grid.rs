@@ -1,4 +1,4 @@
-//! Where pixels lie: geotransforms with pixel centres at integers, map grids, and their way to the local frame.
+//! Places of pixels: geotransforms with pixel centres at integers, map grids, and their way to the local frame.
 
 use super::{Crs, CrsTransform, RasterError};
 use heliosplat_rpc::{GeoPoint, LocalFrame};
@@ -106,7 +106,7 @@ pub struct GridSpec {
     pub width: usize,
     /// Rows.
     pub height: usize,
-    /// Where the pixels lie.
+    /// Place of the pixels.
     pub transform: GeoTransform,
     /// In which coordinates.
     pub crs: Crs,

@@ -36,7 +36,7 @@ pub use write::{Bytes, ImageSpec, Sample, copy_with_rpc, write_atomically, write
 
 use std::path::{Path, PathBuf};
 
-/// What can go wrong with a raster file. Every message names the file and what to do about it.
+/// Errors of raster files. Every message names the file and the remedy.
 #[derive(Debug, thiserror::Error)]
 pub enum RasterError {
     /// No such file.
@@ -55,7 +55,7 @@ pub enum RasterError {
     NotAnImage {
         /// The file.
         path: PathBuf,
-        /// What GDAL said.
+        /// Message of GDAL.
         reason: String,
     },
     /// A recognised image whose pixels cannot be read.
@@ -63,7 +63,7 @@ pub enum RasterError {
     Damaged {
         /// The file.
         path: PathBuf,
-        /// What GDAL said.
+        /// Message of GDAL.
         reason: String,
     },
     /// Heights in a unit that is no known length.
@@ -80,9 +80,9 @@ pub enum RasterError {
     /// A coordinate reference system PROJ does not know.
     #[error("coordinate reference system '{definition}' is not usable ({reason}); give a projected one as EPSG:N")]
     UnknownCrs {
-        /// What was asked for.
+        /// The request.
         definition: String,
-        /// What PROJ said.
+        /// Message of PROJ.
         reason: String,
     },
     /// PROJ's database of coordinate systems is missing or not one.
@@ -95,7 +95,7 @@ pub enum RasterError {
     Transform {
         /// The target.
         crs: String,
-        /// What PROJ said.
+        /// Message of PROJ.
         reason: String,
     },
     /// A geoid whose grid PROJ does not find.
@@ -138,7 +138,7 @@ pub enum RasterError {
 }
 
 impl RasterError {
-    /// Whether the user's input is at fault, rather than the machine's disk or rights.
+    /// True if the input is at fault, false if the machine's disk or rights are.
     pub fn is_input_fault(&self) -> bool {
         !matches!(
             self,

@@ -1,4 +1,4 @@
-//! What GDAL says: kept per thread for our error messages, sent to the log, never printed by GDAL itself.
+//! Messages of GDAL: kept per thread for our error messages, sent to the log, never printed by GDAL itself.
 
 use gdal::config::set_error_handler;
 use gdal::errors::CplErrType;

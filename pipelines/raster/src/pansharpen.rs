@@ -9,7 +9,7 @@ use super::file::{Pixels, RasterFile};
 use heliosplat::Raster;
 use rayon::prelude::*;
 
-/// Where the pixels of one image lie in another, along columns and along rows: `other = scale · own + offset`, pixel centres at integers.
+/// Place of the pixels of one image in another, along columns and along rows: `other = scale · own + offset`, pixel centres at integers.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct GridRelation {
     /// Pixels of the other image per pixel.
@@ -75,7 +75,7 @@ impl Pansharpening {
     }
 }
 
-/// Where pixels take their values from along one axis of another image.
+/// Sources of pixel values along one axis of another image.
 struct Taps {
     /// First pixel of the other image that is read, and how many are.
     first: usize,

@@ -8,7 +8,7 @@ use image::{ImageFormat, Rgb, RgbImage};
 use std::io::Cursor;
 use std::path::Path;
 
-/// What pictures show where nothing is known.
+/// Colour of unknown cells in pictures.
 const UNKNOWN: Rgb<u8> = Rgb([40, 40, 48]);
 
 /// Writes a picture as PNG, whole or not at all.

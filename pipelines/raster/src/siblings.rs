@@ -8,12 +8,12 @@ use std::path::Path;
 
 /// The longest text beside an image that GDAL may read, bytes. Its XML parser takes some twelve times as much memory.
 const TEXT_MAX: u64 = 16 << 20;
-/// How the names of texts end that GDAL reads whole.
+/// Ends of the names of texts that GDAL reads whole.
 const TEXTS: [&str; 17] = [
     ".xml", ".imd", ".rpb", ".rpc", ".dim", ".til", ".pvl", ".att", ".eph", ".geo", ".pass", ".hdr", ".prj", ".clr",
     ".stx", ".tab", ".man",
 ];
-/// What the names of other texts contain.
+/// Parts of the names of other texts.
 const TEXT_NAMES: [&str; 5] = ["rpc", "metadata", "mtl", "summary", "hdr"];
 /// Nodes of an HFA file that are looked at.
 const NODES_MAX: usize = 100_000;
@@ -80,7 +80,7 @@ pub(super) fn check(path: &Path) -> Result<Option<Vec<String>>, RasterError> {
     Ok(Some(names))
 }
 
-/// Whether an HFA file (Erdas Imagine) says that its pixels are in a file of another folder: the node `ExternalRasterDMS` names it. `None`
+/// True if the pixels of an HFA file (Erdas Imagine) are in a file of another folder: the node `ExternalRasterDMS` names it. `None`
 /// where the file is of another format or ends early.
 fn hfa_leads_away(mut file: File) -> Option<bool> {
     let mut at = |place: u32, length: usize| -> Option<Vec<u8>> {

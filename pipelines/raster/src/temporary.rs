@@ -10,7 +10,7 @@ use std::path::{Path, PathBuf};
 use std::sync::Mutex;
 use tempfile::{Builder, NamedTempFile, TempDir};
 
-/// How their names begin.
+/// Beginning of their names.
 const PREFIX: &str = ".heliosplat-part-";
 /// Symbolic links that are followed, as many as Linux follows.
 const LINKS: usize = 40;
@@ -89,7 +89,7 @@ impl TemporaryFolder {
         }
     }
 
-    /// Where it is.
+    /// Its path.
     pub fn path(&self) -> &Path {
         self.folder.path()
     }

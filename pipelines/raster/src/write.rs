@@ -12,7 +12,7 @@ use std::io::Write;
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicU64, Ordering};
 
-/// What stands for "nothing known" in the float rasters we write.
+/// No-data value of the float rasters that we write.
 pub const NODATA: f32 = -9999.0;
 
 /// A raster to write and what is to be said about it.
@@ -24,7 +24,7 @@ pub struct ImageSpec<'a> {
     pub band_descriptions: &'a [&'a str],
     /// One unit per band, or none at all.
     pub band_units: &'a [&'a str],
-    /// Where it lies on the map, if it does.
+    /// Its place on the map, if it has one.
     pub georeference: Option<(&'a GeoTransform, &'a Crs)>,
     /// Items of the default metadata domain.
     pub metadata: &'a [(String, String)],
@@ -57,7 +57,7 @@ pub enum Sample {
     F32,
 }
 
-/// What the bytes of an 8-bit raster are.
+/// Meaning of the bytes of an 8-bit raster.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Bytes {
     /// Yes and no: 1, 0, and 255 where nothing is known. Overviews show what most pixels are.
@@ -67,7 +67,7 @@ pub enum Bytes {
 }
 
 impl Bytes {
-    /// What stands for "nothing known".
+    /// No-data value.
     pub fn nodata(self) -> u8 {
         match self {
             Self::Mask => 255,
