@@ -1,4 +1,4 @@
-//! What Python calls: arrays in, arrays out, with the interpreter's lock released while numbers are crunched.
+//! Functions of the Python module: arrays in, arrays out, with the interpreter's lock released during computation.
 //!
 //! The module is private to the Python package beside it (`heliosplat/`), which brings arrays to the shapes and types that are asked for
 //! here: one-dimensional or two-dimensional, contiguous. Nothing in it links GDAL.

@@ -28,7 +28,7 @@ const TAIL: u64 = 4096;
 /// Longest line of a log that is shown.
 const SHOWN: usize = 70;
 
-/// What is done, and how.
+/// Units of a batch and the settings they run with.
 pub struct Batch<'a> {
     /// The units.
     pub plan: &'a Plan,

@@ -28,14 +28,14 @@ pub struct Layer {
     rasters: Vec<Option<Raster>>,
 }
 
-/// How tiles become one.
+/// Rule that merges the rasters of overlapping tiles.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Merge {
     /// The mean.
     Mean,
     /// Yes or no, as most of the weight says.
     Majority,
-    /// What the tile of most weight says: what has no mean, such as days.
+    /// Value of the tile with the largest weight, for rasters without a mean, such as days.
     Heaviest,
 }
 
@@ -96,8 +96,8 @@ impl Layer {
         gains
     }
 
-    /// How tiles differ where two overlap and show one surface: the two, the median of the logarithm of the first over the second, and
-    /// how many cells tell it.
+    /// Ratios of a band in the overlaps of tiles, over cells where both tiles show the same surface: indices of the two
+    /// tiles, median of the natural logarithm of first over second, number of cells.
     fn ratios(&self, pieces: &[Piece], band: usize, gsd_m: f32) -> Vec<(usize, usize, f64, usize)> {
         let span = |a: usize, b: usize, axis: usize| {
             let (p, q) = (pieces[a].bounds[axis], pieces[b].bounds[axis]);

@@ -37,13 +37,13 @@ pub enum BatchError {
     Manifest {
         /// The file.
         path: PathBuf,
-        /// What is wrong with it and what to do.
+        /// Description of the fault and its remedy.
         reason: String,
     },
     /// No such unit.
     #[error("--only {unit}: the plan has no such unit; see them with --plan")]
     NoUnit {
-        /// What was asked for.
+        /// Name of the requested unit.
         unit: String,
     },
     /// A unit that waits for another.
@@ -51,7 +51,7 @@ pub enum BatchError {
     NotYet {
         /// The unit.
         unit: String,
-        /// What it waits for.
+        /// Name of the unit that must be finished before it.
         after: String,
     },
     /// An area that cannot be cut so that its tiles fit.
@@ -61,9 +61,9 @@ pub enum BatchError {
         area: String,
         /// Side of the smallest tiles tried, metres.
         side_m: f64,
-        /// What they take too much of.
+        /// Exceeded limit, as text: memory or camera residual.
         what: String,
-        /// What to do.
+        /// Remedy, as text for the user.
         remedy: &'static str,
     },
     /// An area that no two images show.
@@ -118,7 +118,7 @@ pub enum BatchError {
     Io {
         /// The file.
         path: PathBuf,
-        /// What the operating system says.
+        /// Error of the operating system.
         reason: std::io::Error,
     },
 }

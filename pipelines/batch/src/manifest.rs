@@ -16,7 +16,8 @@ use std::path::{Path, PathBuf};
 
 /// Longest name of an area, a set of images or a preset.
 const LONGEST_NAME: usize = 64;
-/// Where products may be copied to: not to the disk, where nothing but the folder of the batch is written.
+/// Prefixes of the object stores that products may be copied to. Paths on disk are refused: a batch writes only to its
+/// own folder.
 const OBJECT_STORES: [&str; 7] = [
     "/vsis3/",
     "/vsigs/",
@@ -27,17 +28,17 @@ const OBJECT_STORES: [&str; 7] = [
     "/vsiwebhdfs/",
 ];
 
-/// What is to be done.
+/// Manifest of a batch: areas, images, presets and products.
 #[derive(Debug, Clone, PartialEq, serde::Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Manifest {
     /// Folder on an object store, as GDAL names it, that products are copied to.
     #[serde(default)]
     pub deliver: Option<String>,
-    /// How areas are cut.
+    /// Tiling of the areas.
     #[serde(default)]
     pub tiles: TileOptions,
-    /// What is made of models.
+    /// Products of tiles and mosaics.
     #[serde(default)]
     pub products: ProductOptions,
     /// Pieces of ground; without any, all that the images show.
@@ -50,7 +51,7 @@ pub struct Manifest {
     pub presets: Vec<PresetEntry>,
 }
 
-/// How areas are cut into tiles.
+/// Tiling of areas.
 #[derive(Debug, Clone, PartialEq, serde::Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct TileOptions {
@@ -78,7 +79,7 @@ impl Default for TileOptions {
     }
 }
 
-/// What is made of models, of tiles as of mosaics.
+/// Products of tiles and mosaics.
 #[derive(Debug, Clone, Default, PartialEq, serde::Serialize, serde::Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct ProductOptions {
@@ -86,11 +87,11 @@ pub struct ProductOptions {
     pub dsm_only: bool,
     /// Azimuth and elevation of the sun of a relit ortho image, degrees; absent: there is none.
     pub sun: Option<[f64; 2]>,
-    /// What heights of mosaics are above; absent: the ellipsoid.
+    /// Geoid that heights of mosaics refer to; absent: the ellipsoid.
     pub geoid: Option<Geoid>,
     /// Days whose hours of sun mosaics get, `FROM/TO` or one day; absent: none.
     pub sun_hours: Option<String>,
-    /// Whether mosaics get 3D Tiles: splats, and the textured surface.
+    /// True if mosaics get 3D Tiles: splats, and the textured surface.
     pub globe: bool,
 }
 
@@ -118,7 +119,7 @@ pub struct ImagesEntry {
     pub name: String,
     /// A scene as `train` takes it; relative to the manifest.
     pub scene: PathBuf,
-    /// Which camera counts where two differ: `json` or `image`.
+    /// Preferred camera model where the sources of an image differ: `json`, `image`, `sidecar` or `tag`.
     pub rpc: Option<String>,
 }
 
@@ -134,7 +135,7 @@ pub struct PresetEntry {
     /// Seed of everything random.
     #[serde(default = "first_seed")]
     pub seed: u64,
-    /// What it changes, as `--set` does.
+    /// Overrides of its settings, as `--set` takes them.
     #[serde(default)]
     pub set: BTreeMap<String, toml::Value>,
 }
@@ -152,7 +153,7 @@ impl PresetEntry {
         self.preset.as_deref().unwrap_or(&self.name)
     }
 
-    /// Whether it makes surface models without training.
+    /// True if it makes surface models without training.
     pub fn is_sweep(&self) -> bool {
         self.base() == SWEEP
     }
@@ -195,7 +196,7 @@ impl AreaEntry {
 }
 
 impl ImagesEntry {
-    /// Which camera counts where two differ.
+    /// Preferred camera model where the sources of an image differ.
     pub fn preference(&self) -> RpcPreference {
         match self.rpc.as_deref() {
             Some("image") => RpcPreference::Image,
@@ -214,7 +215,7 @@ impl TileOptions {
 }
 
 impl Manifest {
-    /// What the text of a manifest says, checked; its paths as it has them.
+    /// Manifest parsed from its text and checked; paths stay as written.
     ///
     /// # Errors
     /// A sentence that says what is wrong, and where.

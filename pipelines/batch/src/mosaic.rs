@@ -13,7 +13,7 @@ use std::path::Path;
 pub struct Mosaic {
     /// The surface model.
     pub dsm: Dsm,
-    /// Where it lies, without any vertical datum.
+    /// Grid of the mosaic, without any vertical datum.
     pub grid: GridSpec,
     /// The tiles.
     pub pieces: Vec<Piece>,

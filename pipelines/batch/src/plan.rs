@@ -58,7 +58,7 @@ pub struct Plan {
 pub struct Unit {
     /// Its name, and its folder below the batch's: area, images, preset, part.
     pub id: String,
-    /// What it is.
+    /// Task of the unit.
     pub work: Work,
     /// The units that must be finished before.
     pub after: Vec<String>,
@@ -72,7 +72,7 @@ pub struct Unit {
     pub deliver: Option<String>,
 }
 
-/// What a unit does.
+/// Task of a unit.
 #[derive(Debug, Clone, PartialEq, serde::Serialize, serde::Deserialize)]
 #[serde(tag = "kind", rename_all = "snake_case")]
 pub enum Work {
@@ -100,9 +100,9 @@ pub struct AdjustWork {
     pub altitude_m: Option<[f64; 2]>,
     /// The same as tie points gave it, where none is stated.
     pub altitude_from_ties_m: Option<(f64, f64)>,
-    /// Which camera counts.
+    /// Preferred camera model of the images.
     pub rpc: RpcPreference,
-    /// How images are matched.
+    /// Preset of the image matching.
     pub preset: PresetEntry,
 }
 
@@ -118,17 +118,17 @@ pub struct TileWork {
     /// The same as tie points between the images of the whole area gave it, where none is stated.
     #[serde(default)]
     pub altitude_from_ties_m: Option<(f64, f64)>,
-    /// Which camera counts.
+    /// Preferred camera model of the images.
     pub rpc: RpcPreference,
     /// The unit that corrected the pointing of its images; `None` where it corrects them itself.
     pub cameras: Option<String>,
-    /// How it is trained.
+    /// Preset of the training.
     pub preset: PresetEntry,
     /// Coordinate reference system of its surface model.
     pub crs: String,
     /// Width of a cell of it, metres.
     pub gsd_m: f64,
-    /// What is made of its model.
+    /// Products of the model.
     pub products: ProductOptions,
 }
 
@@ -147,7 +147,7 @@ pub struct MosaicWork {
     pub truth: Option<PathBuf>,
     /// Classes, where the scene has them.
     pub classes: Option<PathBuf>,
-    /// What is made of it.
+    /// Products of the mosaic.
     pub products: ProductOptions,
 }
 
@@ -162,7 +162,7 @@ pub struct MosaicTile {
     pub bounds: [f64; 4],
 }
 
-/// What a plan was made of; when it has not changed, neither has the plan.
+/// Inputs of a plan: program build, executable, manifest and files. A plan is kept while they are unchanged.
 #[derive(Debug, Clone, PartialEq, serde::Serialize, serde::Deserialize)]
 struct Made {
     build: String,
@@ -223,7 +223,7 @@ fn read_part<T: DeserializeOwned>(path: &Path, made: &str) -> Option<T> {
 }
 
 impl Made {
-    /// What the kept plan was made of, if it is of this program and this manifest, and the files are as they were.
+    /// Inputs of the plan kept in `out`; `None` if the program, the manifest or one of the files has changed.
     fn kept(out: &Path, manifest: &str) -> Option<Self> {
         let made: Self = serde_json::from_slice(&read_bytes(&out.join(PARTS).join(MADE), FILE_MAX).ok()?).ok()?;
         if made.executable == seen(&executable()) {
@@ -536,7 +536,7 @@ impl Combination<'_> {
             preset: self.preset.clone(),
             crs: tiling.crs.clone(),
             gsd_m: tiling.gsd_m,
-            // What is made of the whole surface alone is nothing to a tile.
+            // Products of the whole surface are left to the mosaic.
             products: ProductOptions {
                 geoid: None,
                 sun_hours: None,

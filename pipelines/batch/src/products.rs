@@ -1,4 +1,4 @@
-//! What units give to a GIS: the products of a tile's model, and the same of the whole mosaic, merged from them.
+//! GIS products of units: those of a tile's model, and those of the whole mosaic, merged from its tiles.
 
 use super::BatchError;
 use super::layers::{Layer, Merge};
@@ -34,7 +34,7 @@ const SPLATS: &str = "splats";
 const SURFACE: &str = "surface";
 /// Widest picture, pixels.
 const PICTURE_PX: usize = 1600;
-/// What shadows are painted in.
+/// Colour of shadows in pictures: red, green, blue.
 const SHADOW: [u8; 3] = [40, 80, 255];
 
 /// Name of a unit's STAC item.
@@ -68,7 +68,7 @@ pub fn of_tile(
     Ok(set.names)
 }
 
-/// What the models of some tiles say of bands and images.
+/// Model files (bands, images, changes) of the tiles of a mosaic, and their run folders.
 struct Models {
     files: Vec<ModelFile>,
     runs: Vec<PathBuf>,

@@ -6,7 +6,7 @@ use heliosplat_pages::summary::{Row, State};
 use serde_json::Value;
 use std::path::{Path, PathBuf};
 
-/// Where the log of a unit is.
+/// Path of the log of a unit.
 pub fn log_of(out: &Path, unit: &Unit) -> PathBuf {
     out.join(&unit.id).join("log.txt")
 }

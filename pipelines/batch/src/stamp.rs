@@ -1,4 +1,4 @@
-//! What says that a unit is finished, and that its inputs are what they were.
+//! Stamps of finished units, with a key of their inputs.
 
 use super::plan::Unit;
 use heliosplat_fitting::lock::Lock;
@@ -12,7 +12,7 @@ use std::time::Duration;
 /// Name of the stamp in a unit's folder.
 pub const STAMP: &str = "unit.json";
 
-/// What a unit leaves when it is finished; written last.
+/// Stamp of a finished unit, written after all its products.
 #[derive(Debug, Clone, PartialEq, serde::Serialize, serde::Deserialize)]
 pub struct Stamp {
     /// The unit.
@@ -28,7 +28,7 @@ pub struct Stamp {
     pub seconds: f64,
     /// Most memory it used, bytes.
     pub peak_rss_bytes: u64,
-    /// What was measured.
+    /// Metrics, such as errors of the surface model.
     pub metrics: Value,
 }
 

@@ -50,9 +50,9 @@ pub struct Tile {
     pub core: [f64; 4],
     /// Its core and what it shares.
     pub area: AreaRequest,
-    /// What it takes.
+    /// Ground, images and pixels of the tile.
     pub survey: TileSurvey,
-    /// What training it will take.
+    /// Estimated Gaussians, memory and steps of its training.
     pub estimate: Estimate,
 }
 
@@ -63,7 +63,7 @@ impl Tile {
     }
 }
 
-/// What is tiled, and under which limits.
+/// Area and images to tile, and the limits of a tile.
 pub struct Request<'a> {
     /// Name of the area, for errors.
     pub name: &'a str,
@@ -73,9 +73,9 @@ pub struct Request<'a> {
     pub survey: &'a Survey<'a>,
     /// The limits.
     pub options: &'a TileOptions,
-    /// How tiles are swept and trained.
+    /// Settings of the plane sweep and the training.
     pub config: &'a SatelliteConfig,
-    /// Whether they are trained.
+    /// True if the tiles are trained.
     pub trains: bool,
 }
 
@@ -137,7 +137,7 @@ fn at_first(request: &Request, grid: &GridSpec, gsd_m: f64) -> (usize, usize) {
     (parts(grid.height), parts(grid.width))
 }
 
-/// What tiles take too much of, and what to do.
+/// Exceeded limit of a tile and its remedy, as text.
 struct TooMuch {
     what: String,
     remedy: &'static str,
@@ -207,8 +207,9 @@ fn try_cut(
     }))
 }
 
-/// Whether pinhole cameras are too far off in the tiles in the middle, at the corners and at the edges of the area. All tiles are of one
-/// size, and a rational camera bends alike from one to the next; a tile states its own residual when it is done.
+/// Excessive residual of the pinhole cameras against the rational ones, pixels, if any, measured in the tiles in the
+/// middle, at the corners and at the edges of the area. All tiles have one size, and the distortion of a rational
+/// camera is similar from one tile to the next; a finished tile states its own residual.
 fn too_far(request: &Request, tiles: &[Tile], (rows, cols): (usize, usize)) -> Result<Option<TooMuch>, BatchError> {
     let along = |count: usize| [count / 2, 0, count - 1];
     let places = along(rows)

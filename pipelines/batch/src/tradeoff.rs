@@ -11,7 +11,7 @@ use serde_json::Value;
 use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
 
-/// What is run.
+/// Trainings of a trade-off between time and accuracy: scenes, presets and seeds.
 #[derive(Debug, Clone)]
 pub struct Sweep {
     /// The scenes, all with every point.
@@ -22,7 +22,7 @@ pub struct Sweep {
     pub seeds: u64,
     /// Threads of each training; all where not said.
     pub threads: Option<usize>,
-    /// Where runs and results go.
+    /// Folder of the runs and results.
     pub out: PathBuf,
 }
 

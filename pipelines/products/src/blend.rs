@@ -47,7 +47,7 @@ impl Piece {
         }
     }
 
-    /// How much a cell counts by its place alone: 1 in the core, 0 at the edge, one half on the line between two cores.
+    /// Weight of a cell by its position: 1 in the core, 0 at the edge, one half on the line between two cores.
     fn taper(&self, col: isize, row: isize) -> f32 {
         let along = |axis: usize, at: isize| {
             let ([first, end], [core_first, core_end]) = (self.bounds[axis], self.core[axis]);
@@ -92,14 +92,14 @@ pub fn blend(pieces: &[Piece], (width, height): (usize, usize), gsd_m: f32) -> R
     raster
 }
 
-/// What a tile says of a cell.
+/// Values of a cell in one tile, with their weight.
 #[derive(Debug, Clone, Copy)]
 pub struct Said {
     /// The tile.
     pub piece: usize,
     /// Altitude, standard deviation, coverage, views.
     values: [f32; BANDS],
-    /// How much they count.
+    /// Blending weight: taper over variance, 1/m².
     pub weight: f32,
 }
 

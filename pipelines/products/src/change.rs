@@ -1,4 +1,5 @@
-//! What changed between the images of a model: the difference of its surface on the last day and on the first, and when it changed.
+//! Map of changes between the images of a model: surface on the last day minus surface on the first, and date of the
+//! change.
 
 use crate::dsm::{Dsm, seen_of};
 use crate::model::LoadedModel;
@@ -134,7 +135,7 @@ impl ChangeMap {
         }
     }
 
-    /// How a band is shown.
+    /// QGIS style of a band.
     pub fn style(&self, band: usize) -> Style {
         let values = self.raster.plane(band);
         match band {

@@ -38,7 +38,7 @@ pub const UNITS: [&str; 4] = ["metre", "metre", "1", "1"];
 /// not average it out.
 const LONGEST_BASE_TO_HEIGHT: f32 = 1.0;
 
-/// What altitudes are above where no geoid is said.
+/// Vertical reference of altitudes without a geoid.
 const ELLIPSOID: &str = "WGS84 ellipsoid";
 
 /// Places of the bands.
@@ -52,9 +52,9 @@ const VIEWS: usize = 3;
 pub struct Dsm {
     /// The four bands.
     pub raster: Raster,
-    /// Where they lie.
+    /// Grid of the raster.
     pub grid: GridSpec,
-    /// What altitudes are above: a geoid, or the ellipsoid.
+    /// Geoid that altitudes refer to; `None`: the ellipsoid.
     pub geoid: Option<Geoid>,
 }
 
@@ -71,7 +71,7 @@ pub struct SurfaceFacts {
     pub heights_m: [f32; 2],
     /// Median standard deviation, metres; absent where none is known.
     pub deviation_m: Option<f32>,
-    /// What heights are above.
+    /// Name of the vertical reference of heights.
     pub above: String,
 }
 
@@ -124,7 +124,7 @@ pub(crate) fn seen_of(nadir: &NadirGrid, model: &LoadedModel) -> Dsm {
     dsm
 }
 
-/// What is seen of `model` from straight above, without any light.
+/// Nadir maps of `model`, rendered without light.
 pub fn maps(model: &LoadedModel, nadir: &NadirGrid) -> Maps {
     let Rendering { maps, .. } = render(
         &model.model,
@@ -339,7 +339,7 @@ impl Dsm {
         }
     }
 
-    /// Whether the file at `path` holds the same altitudes on the same grid above the same datum.
+    /// True if the file at `path` holds the same altitudes on the same grid above the same datum.
     pub fn is_in(&self, path: &Path) -> bool {
         let same = |file: &GeoRaster| {
             let altitudes = self.raster.plane(ALTITUDE).iter().zip(file.raster.plane(0));
@@ -357,7 +357,7 @@ impl Dsm {
         known as f64 / self.raster.plane_len().max(1) as f64
     }
 
-    /// What its altitudes are above.
+    /// Name of the vertical datum of its altitudes.
     pub fn vertical_datum(&self) -> &'static str {
         self.geoid.map_or(ELLIPSOID, Geoid::name)
     }
@@ -453,7 +453,7 @@ pub fn files(name: &str) -> Vec<String> {
         .collect()
 }
 
-/// How a band is shown that has these values.
+/// QGIS style of a band with these values.
 pub(crate) fn style(band: usize, values: &[f32]) -> Style {
     match band {
         ALTITUDE => Style::heights(values),

@@ -33,7 +33,7 @@ use textured::{Dressed, Ground};
 /// Name of the file that a folder of tiles begins with.
 pub const TILESET: &str = "tileset.json";
 
-/// What is asked for; at least one of the files.
+/// Files to export; at least one.
 #[derive(Debug, Clone, Default)]
 pub struct Request {
     /// Splats as viewers and editors of splats read them.
@@ -44,7 +44,7 @@ pub struct Request {
     pub mesh: Option<PathBuf>,
     /// A folder for 3D Tiles.
     pub tiles: Option<PathBuf>,
-    /// Whether the tiles hold the textured surface, and not splats.
+    /// True if the tiles hold the textured surface instead of splats.
     pub tiles_of_mesh: bool,
     /// The sun of the splats; that of the reference image by default.
     pub sun: Option<SunPosition>,
@@ -53,9 +53,9 @@ pub struct Request {
 /// A file or folder that was written.
 #[derive(Debug, Clone, serde::Serialize)]
 pub struct Written {
-    /// What it is: `ply`, `splats`, `mesh`, `tiles`.
+    /// Kind of the file: `ply`, `splats`, `mesh`, `tiles`.
     pub kind: &'static str,
-    /// Where it is.
+    /// Path of the file or folder.
     pub path: PathBuf,
     /// Its size, of a folder that of all its files.
     pub bytes: u64,
@@ -71,12 +71,12 @@ pub struct Written {
     pub levels: usize,
 }
 
-/// What was written, and under which light.
+/// Exported files and their metadata.
 #[derive(Debug, Clone, serde::Serialize)]
 pub struct Export {
     /// The files and folders.
     pub written: Vec<Written>,
-    /// What is said in them: the anchor of the frame, and of splats the sun and the stretch.
+    /// Metadata in the files: the anchor of the frame, and for splats the sun and the display stretch.
     pub said: Value,
 }
 
@@ -104,7 +104,7 @@ impl From<RunError> for ExportError {
 }
 
 impl ExportError {
-    /// Whether what the user gave is at fault, rather than the machine.
+    /// True if the input of the user is at fault, and not the machine.
     pub fn is_input_fault(&self) -> bool {
         match self {
             Self::Light(error) => error.is_input_fault(),
@@ -129,7 +129,7 @@ pub fn ecef_from_enu(frame: &LocalFrame) -> [f64; 16] {
     matrix
 }
 
-/// Where a local frame stands.
+/// Anchor of a local frame: origin, datum and axes.
 pub fn anchor(frame: &LocalFrame) -> Value {
     let origin = frame.origin;
     json!({
@@ -140,7 +140,7 @@ pub fn anchor(frame: &LocalFrame) -> Value {
     })
 }
 
-/// What is exported.
+/// Source of an export.
 #[derive(Clone, Copy)]
 pub enum Subject<'s> {
     /// A run.

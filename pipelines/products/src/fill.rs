@@ -8,7 +8,7 @@ use heliosplat_grid::statistics::upper_quantile;
 use std::cmp::{Ordering, Reverse};
 use std::collections::BinaryHeap;
 
-/// Which of the altitudes around a cell it takes.
+/// Quantile of the neighbouring altitudes that fills an unknown cell.
 const QUARTILE: f64 = 0.25;
 
 /// Gives altitudes to the unknown cells (NaN) of a raster of `width` columns that known ones enclose; returns which.

@@ -1,4 +1,4 @@
-//! What the deviation of a model's surface owes to the sweep that it started from.
+//! Uncertainty of the initial sweep, added to the standard deviation of the surface of a model.
 //!
 //! Training settles on one surface, and where nothing is matched, as in a court that lies in shade, its rays meet nothing
 //! else: the spread along them is small, however wrong the surface is. The sweep knows better how sure its choice was. If an altitude has
@@ -21,7 +21,7 @@ const UNKNOWN: f32 = 0.5;
 /// Cells per parallel job.
 const CHUNK: usize = 1024;
 
-/// How sure the sweep was of the altitudes that a model started from.
+/// Probability (0 to 1) of the altitudes from the sweep that a model started from, on their grid.
 pub(crate) struct StartProbability {
     nadir: NadirGrid,
     values: Vec<f32>,

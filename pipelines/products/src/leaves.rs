@@ -1,4 +1,4 @@
-//! Which Gaussians are leaves, by the colours of what they stand in.
+//! Classification of Gaussians as leaves by the vegetation index of their cell.
 //!
 //! The albedo of one Gaussian says little: those of one crown differ, and walls beside it have something of its colour. So the index of the
 //! albedo is composited from straight above, as depths are, and averaged over neighbouring cells. A Gaussian is leaves where its cell is.
@@ -17,20 +17,20 @@ use rayon::prelude::*;
 const GREEN: f32 = 0.04;
 /// Height above the ground from which a green cell is leaves, metres.
 const RAISED_M: f32 = 3.0;
-/// What is narrower than twice this stands on the ground, metres.
+/// Half width of the opening that finds the ground, metres: objects narrower than twice this are removed.
 const GROUND_REACH_M: f32 = 12.0;
 
-/// What tells leaves by the albedo of Gaussians.
+/// Vegetation index of the albedo of Gaussians.
 pub(super) struct LeafIndex<'a> {
     index: VegetationIndex,
     gaussians: &'a Table,
     bands: usize,
-    /// What each band is divided by.
+    /// White reference of each band, which divides its albedo.
     white: Vec<f32>,
 }
 
 impl<'a> LeafIndex<'a> {
-    /// What `index` tells of these, whose albedo has so many `bands`.
+    /// Index of these Gaussians, whose albedo has `bands` bands.
     pub(super) fn new(index: VegetationIndex, gaussians: &'a Table, bands: usize) -> Self {
         let albedo = gaussians.group(ALBEDO);
         let white = |band: usize| match index {
@@ -54,7 +54,7 @@ impl<'a> LeafIndex<'a> {
         self.index.of(|band| albedo[band] / self.white[band]).clamp(-1.0, 1.0)
     }
 
-    /// Whether each Gaussian is leaves, from what `nadir`, a camera that looks straight down, sees of them.
+    /// Leaf mask of the Gaussians, from their image `seen` by `nadir`, a camera that looks straight down.
     pub(super) fn leaves(&self, nadir: &ProjectiveCamera, seen: &FromAbove) -> Vec<bool> {
         let cells = self.cells((nadir.width, nadir.height), seen);
         let leaf = |gaussian: usize| {
@@ -71,7 +71,7 @@ impl<'a> LeafIndex<'a> {
             .collect()
     }
 
-    /// Whether the surface of each cell is leaves.
+    /// Leaf mask of the cells.
     fn cells(&self, (width, height): (usize, usize), seen: &FromAbove) -> Vec<bool> {
         let reach = (seen.gsd_m / seen.cell_m).round() as usize;
         let near = |at: usize, count: usize| at.saturating_sub(reach)..(at + reach + 1).min(count);
@@ -101,7 +101,7 @@ impl<'a> LeafIndex<'a> {
     }
 }
 
-/// What is seen from above of the Gaussians; NaN where they do not cover a cell.
+/// Nadir image of the Gaussians; NaN where they do not cover a cell.
 pub(super) struct FromAbove {
     /// Their index, composited.
     pub index: Vec<f32>,

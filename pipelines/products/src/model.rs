@@ -36,7 +36,7 @@ pub struct ModelImage {
     pub crop: Crop,
     /// Correction of its pointing, pixels.
     pub shift_px: [f32; 2],
-    /// Where the rectangle has data and no clouds; `None`: everywhere.
+    /// Tiles of the rectangle with data and without clouds; `None`: all of it.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub known: Option<KnownTiles>,
     /// Its sun; `None` where it is unknown.
@@ -45,7 +45,7 @@ pub struct ModelImage {
     /// Standard deviation of its sun's direction, degrees.
     #[serde(default)]
     pub sun_sigma_deg: Option<f64>,
-    /// Where its sun comes from.
+    /// Source of its sun.
     #[serde(default)]
     pub sun_source: SunSource,
     /// When it was taken, if known.
@@ -53,7 +53,7 @@ pub struct ModelImage {
     pub time: Option<jiff::Timestamp>,
 }
 
-/// What `model.json` says of changes.
+/// Changes in `model.json`.
 #[derive(Debug, Clone, PartialEq, serde::Serialize, serde::Deserialize)]
 pub struct ModelChanges {
     /// Days on which the images could be divided, days since 1970.
@@ -72,9 +72,9 @@ pub struct ModelFile {
     /// SHA-256 of `model.ply`, hexadecimal; absent in models of versions that did not state it.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub gaussians_sha256: Option<String>,
-    /// What the model is made of.
+    /// Options of the model: bands, images, loss weights.
     pub options: ShadowGsOptions,
-    /// What all Gaussians share.
+    /// Parameters shared by all Gaussians.
     pub globals: Table,
     /// Origin of the local east-north-up frame.
     pub origin: GeoPoint,
@@ -86,19 +86,19 @@ pub struct ModelFile {
     pub gsd_m: f64,
     /// Counts of the files per unit of the model's colours.
     pub counts_per_unit: f64,
-    /// How Gaussians become splats.
+    /// Options of the projection of Gaussians to splats.
     pub projection: ProjectionOptions,
-    /// What the bands are.
+    /// Kinds of the bands.
     pub bands: Vec<BandKind>,
-    /// What the values of the image are whose colour is the model's.
+    /// Radiometric quantity of the reference image, whose colour is the model's.
     #[serde(default, skip_serializing_if = "Values::is_unknown")]
     pub values: Values,
-    /// How bright its ground is under any sun; `None` without light, and in models of versions that did not know it.
+    /// Brightness of the ground as a function of the sun; `None` without light, and in models of older versions.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub daylight: Option<Daylight>,
     /// The images.
     pub images: Vec<ModelImage>,
-    /// What changed between the images; absent where that cannot be told.
+    /// Changes between the images; absent where they cannot be determined.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub changes: Option<ModelChanges>,
 }
@@ -109,12 +109,12 @@ impl ModelFile {
         self.values.ndvi(&self.bands)
     }
 
-    /// What tells leaves by the model's colours, if they do.
+    /// Index that separates leaves by the model's colours, if there is one.
     pub fn vegetation_index(&self) -> Option<VegetationIndex> {
         self.values.vegetation_index(&self.bands)
     }
 
-    /// Whether the model was trained with light: the sun of at least one of its images was known.
+    /// True if the model was trained with light: the sun of at least one of its images was known.
     pub fn has_light(&self) -> bool {
         let mut trained = self.images.iter().filter(|image| image.appearance.is_some());
         trained.any(|image| image.sun.is_some())
@@ -128,7 +128,7 @@ pub const START: &str = "start.tif";
 pub struct LoadedModel {
     /// The folder.
     pub folder: PathBuf,
-    /// What `model.json` says.
+    /// Content of `model.json`.
     pub file: ModelFile,
     /// The model.
     pub model: ShadowGs,
@@ -139,7 +139,7 @@ pub struct LoadedModel {
 }
 
 impl LoadedModel {
-    /// How products look at the model: as training did.
+    /// Rendering options of products, the same as in training.
     pub fn pass_options(&self) -> PassOptions {
         PassOptions {
             projection: self.file.projection,
@@ -149,7 +149,7 @@ impl LoadedModel {
     }
 }
 
-/// What the `model.json` of a run says.
+/// Content of the `model.json` of a run.
 ///
 /// # Errors
 /// When it is missing or damaged.

@@ -12,7 +12,7 @@ const NORMALS: usize = 3;
 const PIXELS_MAX: f64 = (1u64 << 30) as f64;
 
 impl ModelFile {
-    /// What the text of a `model.json` says, checked.
+    /// Model file parsed from the text of a `model.json` and checked.
     ///
     /// # Errors
     /// A sentence that says what is wrong with it.
@@ -92,8 +92,8 @@ fn check_options(options: &ShadowGsOptions) -> Result<(), String> {
     Ok(())
 }
 
-/// Whether the shared parameters are those of the options: nothing is made of the options before that is known. Models of a version that
-/// knew no path radiance of images without colours get the one that they had: none.
+/// True if the shared parameters match the options; checked before anything is allocated by the options. Images without
+/// colours in models of older versions, which had no path radiance, get zeros.
 fn complete(globals: &mut Table, options: &ShadowGsOptions) -> bool {
     let per_image = options.bands * options.bands + 2 * options.bands;
     if options.images.checked_mul(per_image).is_none() || globals.count != 1 {

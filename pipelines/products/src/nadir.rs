@@ -108,7 +108,7 @@ impl NadirGrid {
         Ok((Self::on(&place, grid)?, frame))
     }
 
-    /// Where the next column and the next row lie at the grid's middle, metres east and north of the local frame.
+    /// Vectors from a cell to the next column and row at the grid's middle, metres east and north of the local frame.
     pub fn cell_vectors_m(&self, height_m: f64) -> CellVectors {
         let (col, row) = (0.5 * self.grid.width as f64, 0.5 * self.grid.height as f64);
         let at = |col: f64, row: f64| self.enu.enu(col, row, height_m);
@@ -159,7 +159,7 @@ fn nadir_camera(enu: &EnuGrid, grid: &GridSpec, height_m: f64) -> ProjectiveCame
     ProjectiveCamera::new(row(0), row(1), [0.0; 3], (grid.width, grid.height), -DVec3::Z)
 }
 
-/// Where the next column and the next row lie, metres east and north.
+/// Vectors from a cell to the next column and row, metres east and north.
 #[derive(Debug, Clone, Copy)]
 pub struct CellVectors {
     /// Of one column.

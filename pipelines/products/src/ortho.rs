@@ -1,4 +1,4 @@
-//! What lies straight below, on a map grid: albedo, vegetation, hillshade.
+//! Ortho products on a map grid: albedo, vegetation, hillshade.
 
 use super::surface::ALPHA_KNOWN;
 use crate::model::LoadedModel;
@@ -22,7 +22,7 @@ pub fn albedo(model: &LoadedModel, maps: &Maps) -> Raster {
     out
 }
 
-/// Where an albedo is that of vegetation: 1, else 0, `NaN` where nothing is known.
+/// Vegetation mask of an albedo: 1 for vegetation, else 0, `NaN` where the albedo is unknown.
 pub fn vegetation(albedo: &Raster, index: NormalisedDifference) -> Raster {
     let plane = albedo.plane_len();
     let values = (0..plane).map(|pixel| {

@@ -164,7 +164,7 @@ fn points(model: &LoadedModel, crs: &Crs, geoid: Option<Geoid>) -> Result<Vec<Po
             return_number: 1,
             number_of_returns: 1,
             is_synthetic: true,
-            // How high its vegetation is follows when all points are known.
+            // Vegetation height is classified later, when all points are known.
             classification: if green {
                 Classification::HighVegetation
             } else {

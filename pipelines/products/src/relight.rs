@@ -64,7 +64,7 @@ pub enum RelightError {
 }
 
 impl RelightError {
-    /// Whether what the user gave is at fault, rather than the machine.
+    /// True if the input of the user is at fault, and not the machine.
     pub fn is_input_fault(&self) -> bool {
         match self {
             Self::Run(error) => error.is_input_fault(),
@@ -100,18 +100,18 @@ pub struct Relit {
     grid: Option<GridSpec>,
 }
 
-/// Where a model is looked at from, to be put under suns.
+/// Camera from which a model is relit under suns.
 ///
-/// From straight above a place is as dark as two ways to trace its shadows say, in the mean: through the Gaussians, from each that is seen, and over the
-/// surface model, whose altitudes are levelled. Both err at borders, and not alike (docs/lab/shadows.md). From elsewhere it is the
-/// Gaussians alone.
+/// From straight above, visibility is the weighted mean of two traces: through the Gaussians, from each that is seen,
+/// and over the surface model, whose altitudes are smoothed. Their errors at shadow borders differ
+/// (docs/lab/shadows.md). Other views use the trace through the Gaussians alone.
 pub struct Viewpoint<'a> {
     model: &'a LoadedModel,
     camera: ProjectiveCamera,
     above: Option<Above>,
 }
 
-/// What is known of a place that is seen from straight above.
+/// Grid and surface of a nadir view.
 struct Above {
     grid: GridSpec,
     /// The surface, if there is light to throw shadows.
@@ -197,7 +197,7 @@ impl<'a> Viewpoint<'a> {
         self.above.as_ref()?.surface.as_ref()
     }
 
-    /// What is seen, with its shadows under `sun`.
+    /// Maps of the view with the shadows cast under `sun`, and the light of that sun.
     fn traced(&self, sun: &SunPosition) -> Result<(Light, Maps), RelightError> {
         let model = self.model;
         let light = light_of(model, sun)?;
@@ -270,8 +270,8 @@ fn mask_of(mut visibility: Raster, shaded_below: f32) -> Raster {
     visibility
 }
 
-/// What `maps`, traced under the light of `sun`, look like there: with the irradiance and the sky of that sun, in units of the model's
-/// colours.
+/// Image of `maps`, traced under the light of `sun`, with the irradiance and the sky light of that sun, in units of the
+/// model's colours.
 ///
 /// # Errors
 /// [`RelightError::OldLight`] for a model that does not know these.

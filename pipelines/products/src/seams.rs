@@ -1,4 +1,5 @@
-//! What a mosaic's borders look like: steps there beside steps elsewhere, and what tiles say of the ground they share.
+//! Seams of a mosaic: height steps across tile borders beside steps elsewhere, and differences between overlapping
+//! tiles.
 
 use super::blend::Piece;
 use heliosplat::Raster;
@@ -9,7 +10,7 @@ use std::collections::BTreeSet;
 /// Steps between neighbouring cells.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct Steps {
-    /// How many were measured.
+    /// Number of steps.
     pub count: usize,
     /// Mean, metres.
     pub mean_m: f64,
@@ -21,7 +22,7 @@ pub struct Steps {
     pub above_1m: f64,
 }
 
-/// How two tiles differ where they overlap.
+/// Altitude difference of two tiles in their overlap.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Difference {
     /// The two.
@@ -49,7 +50,7 @@ pub struct Seams {
     pub border_within_tiles: Option<Steps>,
     /// Share of the lines of the interior whose mean step is at least the border's.
     pub interior_lines_above_border: Option<f64>,
-    /// How tiles differ where they overlap.
+    /// Differences of tiles in their overlaps.
     pub overlaps: Vec<Difference>,
 }
 

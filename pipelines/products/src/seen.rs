@@ -1,4 +1,4 @@
-//! How many of the images that a model was trained on see each cell of a surface.
+//! Number of training images that see each cell of a surface.
 
 use crate::model::{ModelFile, ModelImage};
 use crate::nadir::NadirGrid;

@@ -16,14 +16,14 @@ use std::collections::BTreeMap;
 use std::path::Path;
 use std::time::SystemTime;
 
-/// What is asked of the products of a run.
+/// Settings of the products of a run.
 #[derive(Debug, Clone, Default)]
 pub struct Request {
     /// Ground sampling distance, metres; that of the images by default.
     pub gsd_m: Option<f64>,
     /// Coordinate system; the local UTM zone by default.
     pub crs: Option<String>,
-    /// What heights are above; the ellipsoid by default.
+    /// Geoid that heights refer to; the ellipsoid by default.
     pub geoid: Option<Geoid>,
     /// The sun of the relit ortho image, if there is to be one.
     pub sun: Option<SunPosition>,
@@ -72,7 +72,7 @@ fn shaded_dates(model: &LoadedModel) -> Vec<(String, SunPosition)> {
     }
 }
 
-/// How many steps [`write()`] reports.
+/// Number of steps that [`write()`] reports.
 pub fn steps(model: &LoadedModel) -> u64 {
     4 + shaded_dates(model).len() as u64
 }

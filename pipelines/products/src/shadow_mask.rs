@@ -17,7 +17,7 @@ const REACH_PX: usize = 4;
 /// Least noise of an image, in units of its values.
 const LEAST_NOISE: f32 = 1e-3;
 
-/// What is known of an image; rasters of one size.
+/// Rasters of an image that its shadow mask is made from, all of one size.
 pub struct Evidence<'a> {
     /// Share of the sun that reaches each pixel by the trace, `NaN` where nothing is known.
     pub traced: &'a Raster,

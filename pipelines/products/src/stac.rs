@@ -1,4 +1,4 @@
-//! What products are, for catalogues: a STAC 1.1 Item for the products of a run, a Collection for several, with the extensions
+//! STAC 1.1 metadata of products: an Item for the products of a run, a Collection for several, with the extensions
 //! projection, raster and view (stacspec.org, stac-extensions.github.io).
 
 use super::style::located;
@@ -28,7 +28,7 @@ pub struct Band<'a> {
     pub unit: &'a str,
 }
 
-/// How a file holds the values of a raster.
+/// Encoding of the values of a raster in a file.
 #[derive(Debug, Clone, Copy)]
 pub enum Numbers {
     /// As they are; nodata -9999.
@@ -176,7 +176,7 @@ pub(crate) fn kept(earlier: &Value, item: &Value, folder: &Path) -> Map<String, 
     kept.map(|(key, asset)| (key.clone(), asset.clone())).collect()
 }
 
-/// What an item is about.
+/// Subject of an item.
 #[derive(Debug, Clone)]
 pub struct About<'a> {
     /// Its name.
@@ -185,7 +185,7 @@ pub struct About<'a> {
     pub grid: &'a GridSpec,
     /// Ground sampling distance, metres.
     pub gsd_m: f64,
-    /// What heights are above.
+    /// Vertical datum of heights.
     pub vertical_datum: &'a str,
     /// When the images were taken, in any order; not empty.
     pub times: &'a [Timestamp],
@@ -356,7 +356,7 @@ fn geometry(corners: &[[f64; 2]; 4]) -> Value {
     json!({"type": "MultiPolygon", "coordinates": [[closed(before)], [closed(after)]]})
 }
 
-/// What of a ring lies west (`sign` 1) or east (-1) of 180 degrees.
+/// Part of a ring west (`sign` 1) or east (-1) of 180 degrees; points are longitude and latitude, degrees.
 fn side(ring: &[[f64; 2]], sign: f64) -> Vec<[f64; 2]> {
     let beyond = |point: &[f64; 2]| sign * (point[0] - 180.0);
     let mut out = Vec::with_capacity(ring.len() + 2);

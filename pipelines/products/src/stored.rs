@@ -36,7 +36,8 @@ impl StoredPiece {
         Ok(Self { file, outline: piece })
     }
 
-    /// What of it shows some rows of the mosaic, which then begins at the first of them; `None` where it shows none.
+    /// Part of the piece in some rows of the mosaic, with row numbers from the first of them; `None` where there is
+    /// none.
     fn rows(&self, rows: &Range<isize>) -> Result<Option<Piece>, RasterError> {
         let Piece {
             unit,

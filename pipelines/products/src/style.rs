@@ -1,5 +1,5 @@
-//! How QGIS shows a product: a style file (`.qml`) beside each raster, which QGIS applies when the raster is opened, and a layer file
-//! (`.qlr`) that opens all rasters of a folder as one group.
+//! QGIS styles of products: a style file (`.qml`) beside each raster, which QGIS applies when the raster is opened, and
+//! a layer file (`.qlr`) that opens all rasters of a folder as one group.
 //!
 //! The renderers are templates in `style/`, in the words of QGIS 3.22, which later versions read; ranges are filled in from the values.
 
@@ -24,20 +24,20 @@ const SUN: [&str; 5] = ["#1b1b4d", "#5e3c8b", "#c0527f", "#f28e55", "#fdf3b0"];
 /// From what fell to what rose.
 const FELL_AND_ROSE: [&str; 5] = ["#2166ac", "#92c5de", "#f7f7f7", "#f4a582", "#b2182b"];
 
-/// What is shown.
+/// Style of a raster layer, with the range of its values.
 #[derive(Debug, Clone, PartialEq)]
 pub enum Style {
     /// Altitudes by colour.
     Heights([f32; 2]),
     /// Amounts of something by colour, hours of sun for one.
     Amounts([f32; 2]),
-    /// What rose and what fell by colour, up to this much.
+    /// Positive and negative differences by colour, from minus to plus this value.
     Differences(f32),
     /// Grey between two values.
     Shades([f32; 2]),
     /// Red, green and blue from these bands, from 1, between two values.
     Colours([usize; 3], [f32; 2]),
-    /// What is marked, in this colour over what is below.
+    /// Mask: label and colour of the marked cells; the others show the layers below.
     Mask(&'static str, &'static str),
 }
 
@@ -78,7 +78,7 @@ impl Style {
         Self::Mask(name, if name == "vegetation" { "#2e8b3a" } else { "#14143c" })
     }
 
-    /// Whether a group opens with the layer shown.
+    /// True if the layer is visible when its group is opened.
     fn is_shown(&self) -> bool {
         matches!(self, Self::Heights(_) | Self::Shades(_))
     }

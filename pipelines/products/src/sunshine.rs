@@ -1,8 +1,8 @@
 //! Products of light for planners: hours of direct sun, sky view factor, and irradiation under a clear sky.
 //!
 //! All three come from the surface model. For each of `SECTORS` azimuths one sweep finds how high the surface stands against the sky,
-//! seen from every cell; a sun in that sector lights the cell while it stands higher. What lies beyond the model shades nothing, and
-//! light that other surfaces reflect is not counted.
+//! seen from every cell; a sun in that sector lights the cell while it stands higher. Terrain beyond the model casts no
+//! shadow, and light reflected by other surfaces is not counted.
 //!
 //! Sky view factor of an inclined surface: J. Dozier and J. Frew, "Rapid calculation of terrain parameters for radiation modeling from
 //! digital elevation data", IEEE Trans. Geosci. Remote Sensing 28(5), 1990.
@@ -39,7 +39,7 @@ pub struct Sunshine {
     pub irradiation: Raster,
 }
 
-/// What one cell has gathered.
+/// Sums of one cell over the azimuth sectors.
 #[derive(Debug, Clone, Copy, Default)]
 struct Gathered {
     hours: f64,

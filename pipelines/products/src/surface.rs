@@ -1,4 +1,4 @@
-//! How high Gaussians reach in the cells of a grid, seen from straight above.
+//! Altitude of the surface of Gaussians in the cells of a grid, seen from straight above.
 //!
 //! One look through the middle of every cell errs beside walls, for two reasons:
 //! * Gaussians let light through independently of each other, but those of a wall stand one below the other. Ten of them, each of
@@ -8,10 +8,10 @@
 //! * A cell has as many altitudes as places, and the middle one is what a cell is said to have. So every cell is looked at in
 //!   3 x 3 places.
 //!
-//! What the rays through a cell meet at many altitudes is in doubt, and takes the altitude of the sure cells around
-//! ([`smooth_by_deviation`]); but crowns are as rough as they look.
+//! Cells whose rays meet surfaces at many altitudes are uncertain, and take the altitude of the certain cells around
+//! them ([`smooth_by_deviation`]); crowns keep their roughness.
 //!
-//! What each is worth is in docs/lab/surface.md.
+//! Ablations are in docs/lab/surface.md.
 
 use crate::leaves::{FromAbove, LeafIndex};
 use crate::model::LoadedModel;
@@ -42,9 +42,9 @@ pub struct SurfaceGaussians<'a> {
     pub gaussians: &'a Table,
     /// Bands of their albedo.
     pub bands: usize,
-    /// What tells leaves by these, if they do.
+    /// Vegetation index that separates leaves by these bands, if there is one.
     pub leaves: Option<VegetationIndex>,
-    /// How they become splats.
+    /// Options of their projection to splats.
     pub projection: ProjectionOptions,
     /// Ground sampling distance of the images that they were trained on, metres.
     pub gsd_m: f32,
@@ -72,7 +72,7 @@ impl<'a> From<&'a LoadedModel> for SurfaceGaussians<'a> {
     }
 }
 
-/// What is known of a cell.
+/// Coverage, altitude and spread of a cell.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) struct Cell {
     /// Accumulated alpha, 0 to 1.

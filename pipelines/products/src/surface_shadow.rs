@@ -47,11 +47,11 @@ pub struct SurfaceShadows {
     cells: CellVectors,
 }
 
-/// Which way a sweep goes over the grid.
+/// Direction and steps of a sweep over the grid.
 struct Sweep {
-    /// Whether its lines are rows.
+    /// True if its lines are rows.
     by_row: bool,
-    /// Whether it begins with the last line.
+    /// True if it begins with the last line.
     from_last: bool,
     /// Lines, and cells of a line.
     lines: usize,
@@ -60,13 +60,13 @@ struct Sweep {
     aside: f64,
     /// Metres from line to line along a ray's way over the ground.
     step_m: f32,
-    /// What the sun's rays fall from line to line, metres.
+    /// Drop of the sun's rays from line to line, metres.
     drop_m: f32,
     /// Height that the sun's radius spans per line between a cell and what shades it, metres.
     blur_m: f32,
 }
 
-/// What a ray carries from line to line.
+/// State of a ray, carried from line to line.
 #[derive(Clone, Copy)]
 struct Ray {
     /// Altitude below which it is dark, metres.
@@ -107,7 +107,7 @@ impl SurfaceShadows {
         self.averaged(&lit)
     }
 
-    /// How the surface is swept under a sun; `None` where it stands in the zenith and nothing casts a shadow.
+    /// Sweep of the surface under a sun; `None` where the sun stands in the zenith and nothing casts a shadow.
     fn sweep(&self, sun: &SunPosition) -> Option<Sweep> {
         let (sin, cos) = sun.elevation_rad.sin_cos();
         if self.up_m.is_empty() || cos < 1e-4 {

@@ -24,11 +24,11 @@ pub struct RenderedView {
     /// The same after the image itself was asked where exactly shadows end ([`Evidence`]); as traced without the image, or
     /// without an image of its day among those of training.
     pub visibility: Raster,
-    /// Where its colours come from.
+    /// Source of its colours.
     pub colour: Colouring,
 }
 
-/// Where the colours of a rendered view come from.
+/// Source of the colours of a rendered view.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Colouring {
     /// Trained on the image itself.
@@ -97,7 +97,7 @@ pub fn render_view(model: &LoadedModel, image: &ModelImage, truth: Option<&Raste
             }
         }
     }
-    // What another image's colours say of this one's light is not to be believed.
+    // Only colours of the image itself or of the same day are evidence of its light; those of other images are not.
     let own = truth.filter(|_| appearance.is_some() && light.is_some());
     let visibility = own.map(|image| {
         let context = Context {

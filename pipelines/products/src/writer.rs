@@ -28,7 +28,7 @@ const OF_RUN: &str = "../dsm.tif";
 const THUMBNAIL: &str = "thumbnail.png";
 const THUMBNAIL_PX: usize = 512;
 
-/// What an item says besides its assets.
+/// Metadata of an item besides its assets.
 #[derive(Debug, Clone)]
 pub struct Said<'a> {
     /// Its name.
@@ -41,7 +41,7 @@ pub struct Said<'a> {
     pub collection: Option<(&'a str, &'a str)>,
 }
 
-/// What was written.
+/// Written products.
 #[derive(Debug)]
 pub struct Set {
     /// The STAC item.
@@ -396,7 +396,7 @@ impl<'a> Writer<'a> {
         if let Some(assets) = item["assets"].as_object_mut() {
             assets.extend(kept);
         }
-        // What was written last lies on top.
+        // The last written layer lies on top.
         let layers: Vec<Layer> = kept_layers
             .into_iter()
             .chain(self.layers.iter().rev().cloned())

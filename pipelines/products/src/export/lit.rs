@@ -33,7 +33,7 @@ const WHITE: f64 = 0.995;
 /// Values of each band that the display of a mosaic is found from, about.
 const DISPLAY_VALUES: usize = 4_000_000;
 
-/// How values become display values: linearly from black to white, then by the curve of sRGB.
+/// Display stretch: linear from black to white, then the sRGB curve.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Display {
     /// The bands that are red, green and blue; the first one thrice where there is no colour.
@@ -82,7 +82,7 @@ fn shown(kinds: &[BandKind]) -> [usize; 3] {
 pub struct Lit {
     /// The splats, in the local frame.
     pub splats: Vec<Splat>,
-    /// How they became display values.
+    /// Display stretch of their colours.
     pub display: Display,
     /// The sun; `None` where the model knows no light, and shows the ground as it was photographed.
     pub sun: Option<SunPosition>,
@@ -159,7 +159,7 @@ impl Lit {
         })
     }
 
-    /// What is said of them in files.
+    /// Metadata of the splats in files: sun angles, degrees, and display stretch, counts.
     pub(super) fn said(&self) -> Value {
         let counts = |value: f32| f64::from(value) * self.counts_per_unit;
         let sun = self.sun.map(|sun| {
@@ -218,7 +218,7 @@ fn reference_sun(file: &ModelFile) -> Option<SunPosition> {
         .or_else(|| trained().find_map(|image| image.sun))
 }
 
-/// What is seen from straight above, in the model's units; NaN where nothing is.
+/// Nadir image in the model's units; NaN where alpha is below one half.
 fn from_above(model: &LoadedModel, light: Option<(SunPosition, Light)>) -> Result<Raster, RelightError> {
     let nadir = NadirGrid::new(&model.into(), model.file.gsd_m, None)?;
     let seen = render(
@@ -258,7 +258,7 @@ fn colours(model: &LoadedModel, lit_by: Option<(SunPosition, Light)>) -> Result<
         Some(light) => transmittance(&Occluders::new(gaussians), &all.gaussian, &light).values,
         None => vec![1.0; gaussians.count],
     };
-    // What it looks like from straight above it looks like from everywhere.
+    // The colour of a Gaussian does not depend on the direction of view, so a nadir camera serves for all.
     let camera = ProjectiveCamera::nadir(0.0, 0.0, 1.0, (gaussians.count, 1));
     let context = Context {
         parameters: &model.parameters,

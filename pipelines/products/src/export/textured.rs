@@ -86,7 +86,7 @@ impl Ground {
         }
     }
 
-    /// What is said of it in files.
+    /// Metadata of the surface in files: display stretch of the albedo, and width of a cell, metres.
     pub(super) fn said(&self) -> Value {
         json!({"albedo": {"black": 0.0, "white": self.white, "curve": "sRGB"}, "cell_m": self.cell_m})
     }
@@ -130,7 +130,7 @@ impl Ground {
             return Ok(None);
         }
         let Some(dressed) = self.dressed(&Part { from, to, step }, Value::Null)? else {
-            // What a coarse look misses, thinner than its step, a finer one would show; but it is next to nothing.
+            // Parts thinner than the step appear at finer levels only, and are too small to matter.
             return Ok(None);
         };
         let mut tile = Tile {

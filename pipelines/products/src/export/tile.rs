@@ -15,7 +15,7 @@ pub struct MosaicTile {
     pub run: PathBuf,
     /// First and one past last column and row of the mosaic of its core.
     pub core: [[isize; 2]; 2],
-    /// What its colours are multiplied by, band by band; one where there is none.
+    /// Gains of its colours, band by band; missing gains are 1.
     pub gains: Vec<f64>,
 }
 
@@ -28,8 +28,8 @@ impl MosaicTile {
         }
     }
 
-    /// Whether a place of the mosaic's frame lies on the core, or beside it by less than [`OVERLAP_CELLS`]. `nadir` is the camera whose pixels are
-    /// the mosaic's cells.
+    /// True if a position in the mosaic's frame lies on the core, or beside it by less than [`OVERLAP_CELLS`]. `nadir`
+    /// is the camera whose pixels are the mosaic's cells.
     pub(super) fn holds(&self, nadir: &ProjectiveCamera, position: Vec3) -> bool {
         let (col, row, _) = nadir.project(position);
         // Cells have their middles at integers.

@@ -8,7 +8,7 @@ use heliosplat::Raster;
 use heliosplat_grid::PlaneFit;
 use rayon::prelude::*;
 
-/// How far around a cell its plane is fitted, metres.
+/// Radius of the neighbourhood that the plane of a cell is fitted to, metres.
 const REACH_M: f64 = 1.5;
 /// A cell takes part whose altitude differs by no more than this plus [`STEEPEST`] times its distance, metres.
 const ROUGHNESS_M: f64 = 0.25;
@@ -40,7 +40,7 @@ impl Facets {
         }
     }
 
-    /// Whether the altitude of a cell is known.
+    /// True if the altitude of a cell is known.
     pub(super) fn is_known(&self, cell: usize) -> bool {
         self.up_m[cell].is_finite()
     }

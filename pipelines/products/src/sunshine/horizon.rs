@@ -1,4 +1,4 @@
-//! How high a surface stands against the sky, seen from all of its cells, in one direction.
+//! Horizon elevation of all cells of a surface in one direction.
 //!
 //! Lines run over the grid away from the sun; each cell lies on one of them, at most half a cell aside. Along a line only the upper convex
 //! hull of what was passed can be the horizon of what follows, so a sweep takes time proportional to the number of cells, however far
@@ -7,7 +7,7 @@
 use super::facets::Facets;
 use crate::nadir::CellVectors;
 
-/// How far above its plane a cell looks out, metres: what is lower is roughness.
+/// Height of the viewpoint of a cell above its plane, metres; lower relief is treated as roughness.
 const LIFT_M: f64 = 0.1;
 
 /// A surface whose horizons are sought.
@@ -20,9 +20,9 @@ pub(super) struct Horizons<'a> {
 struct Lines {
     /// Direction toward the sun: east, north.
     sun: [f64; 2],
-    /// Whether steps go along columns.
+    /// True if steps go along columns.
     by_col: bool,
-    /// Whether the sun stands on the side of the last column or row.
+    /// True if the sun stands on the side of the last column or row.
     from_last: bool,
     /// Steps of a line.
     steps: usize,

@@ -1,4 +1,4 @@
-//! Where the sun stands on the days of a period, by azimuth, and what a surface gets of it above a horizon.
+//! Sun positions on the days of a period, by azimuth, and the sunshine of a surface above a horizon.
 
 use super::clear_sky::{LINKE_TURBIDITY, irradiance};
 use heliosplat_rpc::GeoPoint;
@@ -57,7 +57,7 @@ impl FromStr for Period {
     }
 }
 
-/// What lies above a horizon in one sector.
+/// Sunshine above a horizon in one azimuth sector, summed over the period.
 #[derive(Debug, Clone, Copy, Default)]
 pub(super) struct Seen {
     /// Hours of sun.
@@ -120,12 +120,12 @@ impl Suns {
         self.days as f64
     }
 
-    /// What the whole sky gives level ground over the period, Wh/m².
+    /// Diffuse irradiation of level ground under the whole sky over the period, Wh/m².
     pub(super) fn diffuse_wh_m2(&self) -> f64 {
         self.diffuse_wh_m2
     }
 
-    /// What is seen in a sector above a horizon, the tangent of its elevation.
+    /// Sunshine in a sector above a horizon, given as the tangent of its elevation.
     pub(super) fn above(&self, sector: usize, tangent: f64) -> Seen {
         let suns = &self.sectors[sector];
         match suns.partition_point(|(sun, _)| *sun > tangent) {
