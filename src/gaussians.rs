@@ -127,7 +127,7 @@ impl Table {
         }
     }
 
-    /// Whether every value is finite.
+    /// True if every value is finite.
     pub fn is_finite(&self) -> bool {
         self.groups.iter().all(|g| g.values.iter().all(|v| v.is_finite()))
     }

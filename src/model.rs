@@ -43,7 +43,7 @@ impl Parameters {
         }
     }
 
-    /// Whether every number is finite.
+    /// True if every number is finite.
     pub fn is_finite(&self) -> bool {
         self.gaussians.is_finite() && self.globals.is_finite()
     }
@@ -146,7 +146,7 @@ pub trait SceneModel: Send + Sync {
     /// Rasterised channels the model writes into the features.
     fn channels(&self) -> usize;
 
-    /// Whether features need the transmittance toward the light.
+    /// True if features need the transmittance toward the light.
     fn needs_transmittance(&self) -> bool;
 
     /// Writes the channels of every splat: `out[splat * stride + channel]`.

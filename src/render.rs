@@ -28,7 +28,7 @@ pub struct PassOptions {
     pub projection: ProjectionOptions,
     /// Gradients of light that reach the occluders.
     pub occluder_gradients: OccluderGradients,
-    /// Whether three channels with the splats' normals follow the model's.
+    /// True if three channels with the splats' normals follow the model's.
     pub normals: bool,
     /// Composited depths along rays besides their mean.
     pub depths: Depths,

@@ -192,7 +192,7 @@ impl<'a> Trainer<'a> {
         self.holdout.mean()
     }
 
-    /// Whether all steps are done, or the held-out tiles stopped improving.
+    /// True if all steps are done, or the held-out tiles stopped improving.
     pub fn finished(&self) -> bool {
         self.step >= self.options.iterations || self.holdout.stop()
     }
@@ -226,7 +226,7 @@ impl<'a> Trainer<'a> {
         self.order[place]
     }
 
-    /// Whether this step traces light: for its view, or for shadow consistency.
+    /// True if this step traces light: for its view, or for shadow consistency.
     fn light_is_due(&self, index: usize) -> bool {
         let cached = self.cached_visibility[index]
             .as_ref()

@@ -16,7 +16,7 @@ const FILLED_M: [f64; 2] = [8.0, 4.95];
 const CELLS: [f64; 4] = [0.030, 0.034, 0.055, 0.045];
 const FRAME: f64 = 0.35;
 
-/// Whether a roof of this material, with this random number of its own, carries panels.
+/// True if a roof of this material carries panels; `seed` is the roof's own random number.
 pub(crate) fn carried_by(material: &Material, seed: u32) -> bool {
     let sound = matches!(
         material,
@@ -25,7 +25,7 @@ pub(crate) fn carried_by(material: &Material, seed: u32) -> bool {
     sound && hash2(u64::from(seed), 0x501A).is_multiple_of(ROOFS_PER_PANELS)
 }
 
-/// Whether a module lies at a spot of a roof that carries panels.
+/// True if a module lies at a spot of a roof that carries panels.
 pub(crate) fn on_module(at: Spot) -> bool {
     let place = inner(at);
     (0..2).all(|axis| place[axis] > 0.0 && place[axis].rem_euclid(ARRAY_M[axis]) < FILLED_M[axis])

@@ -64,9 +64,9 @@ pub(crate) struct ViewPlan {
     pub(crate) aim_px: [f64; 2],
     /// Constant error (column, row) added to the RPC, pixels: the truth for bias correction.
     pub(crate) rpc_bias_px: [f64; 2],
-    /// Whether the image is held out for testing.
+    /// True if the image is held out for testing.
     pub(crate) held_out: bool,
-    /// Whether clouds are in view.
+    /// True if clouds are in view.
     pub(crate) cloudy: bool,
     /// The camera, where it is that of a real image.
     pub(crate) known: Option<Rpc>,

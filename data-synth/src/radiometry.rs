@@ -74,9 +74,9 @@ pub(crate) struct Light {
     season: Season,
     weather: Weather,
     clouds: Option<CloudField>,
-    /// Whether the light that surfaces reflect reaches others.
+    /// True if surfaces receive light that others reflect.
     bounce: bool,
-    /// Whether glossy surfaces are glossy.
+    /// True if glossy surfaces are rendered with their gloss.
     glossy: bool,
     /// The waves of the sea, where there is one.
     waves: Option<Waves>,
@@ -94,11 +94,11 @@ pub(crate) struct LitScene<'a> {
 pub(crate) struct Sample {
     /// Radiance at the satellite.
     pub(crate) radiance: Spectrum,
-    /// Whether more than half of the sun's beam reaches the visible surface, or would without the cloud before it.
+    /// True if more than half of the sun's beam reaches the visible surface, or would without the cloud before it.
     pub(crate) lit: bool,
     /// Share of the surface's light that a cloud takes on the way to the satellite.
     pub(crate) clouded: f64,
-    /// Whether the ray ends on the sea.
+    /// True if the ray ends on the sea.
     pub(crate) sea: bool,
 }
 

@@ -210,7 +210,7 @@ impl<'a> Tracer<'a> {
         best.map(|(t, found)| self.hit(ray, t, found))
     }
 
-    /// Whether anything lies on the ray within `reach_m`.
+    /// True if anything lies on the ray within `reach_m`.
     pub(crate) fn occluded(&self, ray: &Ray, reach_m: f64) -> bool {
         let mut blocked = false;
         self.walk(ray, reach_m, |cell, t_in, t_out| {

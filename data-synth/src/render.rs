@@ -29,7 +29,7 @@ pub(crate) struct Exposure<'a> {
     pub(crate) encoding: Encoding,
     /// Gain of each of the renderer's bands relative to the encoding's.
     pub(crate) band_gains: [f64; 4],
-    /// Whether pixels that see the sea are missing.
+    /// True if pixels that see the sea are missing.
     pub(crate) sea_is_missing: bool,
     pub(crate) seed: u64,
 }
@@ -53,7 +53,7 @@ struct FineRow {
     lit: Vec<u8>,
     /// Sum of the cloud opacities of each pixel's samples.
     clouded: Vec<f64>,
-    /// Whether any sample in a pixel's point spread sees the sea.
+    /// One flag for each pixel, true if any sample in its point spread sees the sea.
     sea: Vec<bool>,
 }
 

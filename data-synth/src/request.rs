@@ -240,12 +240,12 @@ impl SatelliteRequest {
         self.dates.unwrap_or(self.site.default_dates()).min(self.view_count())
     }
 
-    /// Whether the scene has a fault.
+    /// True if the scene has a fault.
     pub fn has(&self, fault: Fault) -> bool {
         self.faults.contains(&fault)
     }
 
-    /// Whether pixels may see a sea.
+    /// True if the scene has a sea.
     pub(crate) fn has_sea(&self) -> bool {
         matches!(self.cover, Some(Cover::Sea | Cover::Nodata))
     }

@@ -14,7 +14,7 @@ pub(crate) struct Surface {
     pub(crate) origin: Vector3<f64>,
     pub(crate) along_u: Vector3<f64>,
     pub(crate) along_v: Vector3<f64>,
-    /// Whether solar panels lie on it.
+    /// True if solar panels lie on the surface.
     pub(crate) panels: bool,
 }
 

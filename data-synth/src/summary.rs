@@ -39,7 +39,7 @@ pub struct ImageSummary {
     pub time: jiff::Timestamp,
     /// Index of its date.
     pub date: usize,
-    /// Whether it is listed in `test.txt`.
+    /// True if the image is listed in `test.txt`.
     pub held_out: bool,
     /// Columns and rows.
     pub size_px: [usize; 2],

@@ -26,7 +26,7 @@ pub(crate) struct Truth {
     pub(crate) albedo: Vec<f32>,
     /// 1 where sea or snow covers the cell's centre.
     pub(crate) cover: Vec<u8>,
-    /// Whether the cell's centre lies well outside of sea and snow.
+    /// One flag for each cell, true if its centre lies well outside of sea and snow.
     pub(crate) bare: Vec<bool>,
     /// 1 where the cell's centre would be glossy.
     pub(crate) glossy: Vec<u8>,

@@ -16,7 +16,7 @@ const FALSE_NORTHING_SOUTH_M: f64 = 10_000_000.0;
 pub struct UtmZone {
     /// 1 to 60.
     pub number: u8,
-    /// Whether northings start at 10 000 km.
+    /// True if northings start at 10 000 km.
     pub south: bool,
 }
 

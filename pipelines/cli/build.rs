@@ -4,7 +4,7 @@
 use std::path::Path;
 use std::process::Command;
 
-/// What the program is made of, below the root of the checkout.
+/// Sources of the program, relative to the root of the checkout.
 const SOURCES: [&str; 6] = ["Cargo.lock", "Cargo.toml", "data-synth", "pipelines", "rpc", "src"];
 
 fn main() {

@@ -55,7 +55,7 @@ struct Start {
     inverse: Inverse,
     row_by_h: f64,
     col_by_h: f64,
-    /// Whether its scales and its polynomials agree.
+    /// True if the model's scales and its polynomials agree.
     trusted: bool,
 }
 

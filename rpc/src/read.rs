@@ -79,7 +79,7 @@ fn with_points(file_name: &str, text: &str) -> Result<Rpc, ReadError> {
     }
 }
 
-/// Whether a list of assignments holds a camera and not only image metadata.
+/// True if a list of assignments holds a camera and not only image metadata.
 fn has_rpc_assignments(text: &str) -> bool {
     ["lineOffset", "lineNumCoef", "lineNumeratorCoefficients"]
         .iter()

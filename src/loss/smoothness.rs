@@ -89,7 +89,7 @@ impl Neighbours {
         self.starts.len().saturating_sub(1)
     }
 
-    /// Whether every number is in its range, as after reading a checkpoint.
+    /// True if every number is in its range; tested after reading a checkpoint.
     pub fn is_whole(&self) -> bool {
         let count = self.count() as u32;
         self.starts.first().is_none_or(|first| *first == 0)

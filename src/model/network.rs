@@ -40,7 +40,7 @@ struct Layer {
     outputs: usize,
     /// Start of its weights among all.
     from: usize,
-    /// Whether the network's inputs are concatenated to the previous layer's outputs.
+    /// True if the network's inputs are concatenated to the previous layer's outputs.
     joined: bool,
 }
 

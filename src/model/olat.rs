@@ -126,7 +126,7 @@ impl Olat {
         }
     }
 
-    /// Whether normals are rasterised, behind the colours.
+    /// True if normals are rasterised, behind the colours.
     fn shows_normals(&self) -> bool {
         self.options.normal_weight > 0.0 || self.options.shows == Component::Normal
     }

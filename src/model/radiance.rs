@@ -30,7 +30,7 @@ pub struct RadianceOptions {
     pub degree: usize,
     /// Colour behind everything.
     pub background: [f32; 3],
-    /// Whether images have coverage as a fourth band.
+    /// True if images have coverage as a fourth band.
     pub coverage: bool,
 }
 

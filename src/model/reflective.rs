@@ -65,7 +65,7 @@ const NETWORK_OUTPUT_SCALE: f32 = 0.1;
 #[derive(Debug, Clone, PartialEq, serde::Serialize, serde::Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct ReflectiveOptions {
-    /// Whether surfaces are glossy.
+    /// True if surfaces are glossy.
     pub specular: bool,
     /// Largest degree of the harmonics of light, 0 to 3.
     pub degree: usize,
@@ -79,15 +79,15 @@ pub struct ReflectiveOptions {
     pub normal_weight: f32,
     /// Depth range, in units of length, beyond which neighbouring pixels are an edge for that.
     pub normal_edge: f32,
-    /// Whether images hold display values.
+    /// True if images hold display values.
     pub display: bool,
     /// Colour behind everything.
     pub background: [f32; 3],
-    /// Whether images have coverage as a fourth band.
+    /// True if images have coverage as a fourth band.
     pub coverage: bool,
     /// The rendered component.
     pub shows: Component,
-    /// Whether the view's light, of strength one, replaces the environment; for relighting only, there are no
+    /// True if the view's light, of strength one, replaces the environment; for relighting only, there are no
     /// gradients.
     pub lit: bool,
 }
@@ -246,7 +246,7 @@ impl Reflective {
         prepared.views.iter().map(ViewGeometry::normal).collect()
     }
 
-    /// Whether normals are rasterised, behind the colours.
+    /// True if normals are rasterised, behind the colours.
     fn shows_normals(&self) -> bool {
         self.options.normal_weight > 0.0 || self.options.shows == Component::Normal
     }

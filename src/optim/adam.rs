@@ -29,7 +29,7 @@ impl Adam {
         }
     }
 
-    /// Whether every moment is a finite number.
+    /// True if every moment is a finite number.
     pub fn is_finite(&self) -> bool {
         self.first.is_finite() && self.second.is_finite()
     }

@@ -91,7 +91,7 @@ impl DensityStatistics {
         }
     }
 
-    /// Whether the statistics are of `count` Gaussians.
+    /// True if the statistics belong to `count` Gaussians.
     pub(crate) fn fits(&self, count: usize) -> bool {
         self.gradient.len() == count && self.seen.len() == count
     }

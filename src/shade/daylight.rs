@@ -35,7 +35,7 @@ pub struct BandAir {
 }
 
 impl BandAir {
-    /// Whether both numbers are in their plausible ranges.
+    /// True if both numbers are in their plausible ranges.
     pub fn is_possible(&self) -> bool {
         let within = |value: f64, [least, most]: [f64; 2]| (least..=most).contains(&value);
         within(self.optical_depth, OPTICAL_DEPTHS) && within(self.sky_share, SKY_SHARES)

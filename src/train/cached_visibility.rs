@@ -21,7 +21,7 @@ pub(super) struct CachedVisibility {
 }
 
 impl CachedVisibility {
-    /// Whether every list has an entry for each of `count` Gaussians.
+    /// True if every list has an entry for each of `count` Gaussians.
     pub(super) fn is_of(&self, count: usize) -> bool {
         self.values.len() == count && self.negligible.len() == count
     }
@@ -58,7 +58,7 @@ impl CachedVisibility {
         }
     }
 
-    /// Whether one more step may use it, where a view is traced once in `light_every` steps.
+    /// True if one more step may use the cache, where a view is traced once in `light_every` steps.
     pub(super) fn is_fresh(&self, light_every: usize) -> bool {
         self.uses < light_every
     }

@@ -53,7 +53,7 @@ impl TrainerState<'_> {
     }
 }
 
-/// Whether two tables have the same groups, and every group of `table` its full length.
+/// True if two tables have the same groups, and every group of `table` its full length.
 fn same_groups(table: &Table, like: &Table) -> bool {
     let whole = |(group, like): (&crate::gaussians::Group, &crate::gaussians::Group)| {
         group.spec == like.spec && Some(group.values.len()) == group.spec.width.checked_mul(table.count)

@@ -109,7 +109,7 @@ pub(super) fn check_start(parameters: &Parameters) -> Result<(), TrainError> {
     }
 }
 
-/// Whether the groups of `parameters` are those that the model describes, in its order: learning rates go by that
+/// Checks that the groups of `parameters` are those that the model describes, in its order: learning rates go by that
 /// order.
 pub(super) fn check_groups(
     model: &'static str,
@@ -128,7 +128,7 @@ pub(super) fn check_groups(
     }
 }
 
-/// Whether any pixel of any view counts.
+/// Checks that some pixel of some view counts.
 pub(super) fn check_pixels(views: &[View]) -> Result<(), TrainError> {
     let counts = |view: &View| {
         (0..view.image.plane_len())

@@ -36,7 +36,7 @@ pub struct TrainOptions {
     /// Search for the Gaussians between a Gaussian and the sun: `plane`, grids on the plane normal to the sun, or
     /// `bvh`, the bounding volume hierarchy, which takes half as long again and gives the same light to 0.002.
     pub sun_visibility: SunVisibility,
-    /// Whether gradients of light reach the occluders; without them only the start of rays moves. Off in the ablation;
+    /// True if gradients of light reach the occluders; without them only the start of rays moves. Off in the ablation;
     /// this part has the largest effect.
     pub occluder_gradients: bool,
     /// Share of the steps spent on images of half size, at the beginning; 0 is off. 0.4 for ground, 0.15 for objects.

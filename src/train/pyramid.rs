@@ -19,7 +19,7 @@ pub(super) struct Pyramid {
 pub(super) struct PyramidLevel<'a> {
     /// A view or its coarser image; its weights are those to train with.
     pub(super) view: &'a View,
-    /// Whether it is the view at full size.
+    /// True if the view has its full size.
     pub(super) full_size: bool,
 }
 

@@ -53,7 +53,7 @@ pub struct Pixel {
     pub depth: f64,
     /// `Σ w z²`.
     pub depth_square: f64,
-    /// Whether no splat's alpha is so near the threshold that rounding decides.
+    /// True if no splat's alpha is so near the threshold that rounding decides.
     pub is_stable: bool,
 }
 
@@ -144,7 +144,7 @@ pub fn project(g: &Gaussian, index: usize, camera: &Camera, filter: f64, antiali
 struct Ray {
     start: Vector3<f64>,
     bias: f64,
-    /// Whether rounding may turn the axis that the start was lifted along.
+    /// True if rounding may turn the axis that the start was lifted along.
     doubtful: bool,
 }
 

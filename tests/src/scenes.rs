@@ -28,7 +28,7 @@ pub struct View {
     pub date: Option<&'static str>,
     /// Azimuth and elevation of the sun in the JSON, degrees, if any.
     pub sun_deg: Option<[f64; 2]>,
-    /// Whether the GeoTIFF has an RPC.
+    /// True if the GeoTIFF has an RPC.
     pub has_rpc: bool,
     /// Its content.
     pub shows: Shows,

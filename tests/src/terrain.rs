@@ -25,7 +25,7 @@ use tracing::field::{Field, Visit};
 use tracing::span::{Attributes, Id, Record};
 use tracing::{Event, Level, Metadata, Subscriber};
 
-/// Where the terrain lies, degrees, and the altitude of its middle, metres.
+/// Longitude and latitude of the terrain, degrees, and altitude of its middle, metres.
 const PLACE: [f64; 2] = [36.91, 37.58];
 const GROUND_M: f64 = 700.0;
 /// Width of a cell of the terrain, metres, and cells each way.
@@ -274,7 +274,7 @@ fn raise(rng: &mut Pcg32, height_m: &mut [f32], albedo: &mut [f32], [wide, high]
     }
 }
 
-/// How a scene is made.
+/// Parameters of a scene.
 #[derive(Debug, Clone)]
 pub struct SceneRequest {
     /// Everything random follows from it.
@@ -358,7 +358,7 @@ impl Visit for Warnings {
     }
 }
 
-/// How a surface compares with the truth.
+/// Comparison of a surface with the truth.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Compared {
     /// Cells that are known.
@@ -411,7 +411,8 @@ fn swept(request: &SceneRequest, folder: &Path) -> Result<Compared, String> {
     Ok(compare(&dsm, &[&terrain, &other], scene.warnings))
 }
 
-/// Where something changed either surface is right: few images do not say which is the last.
+/// Compares a surface with the truth. On changed ground both terrains are right: few images do not determine which is
+/// the last.
 fn compare(dsm: &Dsm, terrains: &[&Terrain; 2], warnings: Vec<String>) -> Compared {
     let to_lon_lat = CrsTransform::to_lon_lat(&dsm.grid.crs).expect("a coordinate system");
     let per_longitude = METRES_PER_DEGREE * PLACE[1].to_radians().cos();

@@ -350,8 +350,8 @@ fn halve(path: &Path) {
     fs::write(&json, said.to_string()).expect("written");
 }
 
-/// How many times the error of the surface swept from fine images alone that of a scene may be of which half of the images are twice as
-/// coarse (docs/lab/deliveries.md).
+/// Largest ratio of the error of the swept surface with every second image twice as coarse to the error with all images
+/// fine (docs/lab/deliveries.md).
 const MIXED_TIMES: f64 = 1.5;
 
 #[test]
@@ -427,7 +427,7 @@ fn copies_of_one_image_are_refused_and_one_among_others_is_named() {
     );
 }
 
-/// What `inspect` says of a scene: the codes of its findings, and all of it.
+/// Finding codes and full output of `inspect` for a scene.
 fn inspected(folder: &Path, more: &[&str]) -> (Vec<String>, Value) {
     let word = folder.display().to_string();
     let arguments: Vec<&str> = ["inspect", &word].into_iter().chain(more.iter().copied()).collect();

@@ -1,5 +1,5 @@
-//! What a run gives to a GIS, read back with GDAL and a LAS reader: georeference, bands, nodata, overviews, layout, and whether the
-//! STAC item says the same of them as the files do.
+//! Products of a run for a GIS, read back with GDAL and a LAS reader: georeference, bands, nodata, overviews, layout,
+//! and the agreement of the STAC item with the files.
 
 use gdal::raster::ColorInterpretation;
 use gdal::{Dataset, Metadata};
@@ -240,7 +240,7 @@ fn values_make_sense(out: &Path) {
     }
 }
 
-/// What STAC 1.1 requires of every item.
+/// Fields that STAC 1.1 requires of every item.
 fn required_fields(item: &Value) {
     assert_eq!(item["type"], "Feature");
     assert_eq!(item["stac_version"], "1.1.0");

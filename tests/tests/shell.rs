@@ -1,4 +1,4 @@
-//! What the command line says of itself to shells and to `man`.
+//! Descriptions of the command line for shells and for `man`.
 
 use heliosplat_tests::program::{heliosplat, json};
 use heliosplat_tests::scenes::{View, write_scene};

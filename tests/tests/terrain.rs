@@ -28,7 +28,7 @@ fn swept(request: &SceneRequest) -> Result<Compared, String> {
     made_and_swept(request, folder.path())
 }
 
-/// Whether so many known cells are so wrong that nobody could have expected it.
+/// True if enough cells are known, and a share of them above `WRONG` is off by more than four standard deviations.
 fn is_wrong(found: &Compared) -> bool {
     found.known >= FEWEST && 1.0 - found.within[2] > WRONG
 }

@@ -13,7 +13,7 @@ const LEAST_M2: f64 = 30.0;
 struct Change {
     /// The first date that shows the new state.
     date: usize,
-    /// Whether it is built then; else it is torn down.
+    /// True if the building is built on that date, false if it is torn down.
     built: bool,
 }
 
@@ -49,7 +49,7 @@ impl Changes {
         Self { of_building }
     }
 
-    /// Whether a building stands on a date.
+    /// True if a building stands on a date.
     pub(super) fn stands(&self, building: usize, date: usize) -> bool {
         let change = self.of_building.get(building).copied().flatten();
         change.is_none_or(|change| (date >= change.date) == change.built)

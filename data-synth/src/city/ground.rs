@@ -131,12 +131,12 @@ impl Ground {
         (self.covered).map_or(f64::NEG_INFINITY, |covered| covered.inside_m(x, y))
     }
 
-    /// Whether a place is covered by sea or snow.
+    /// True if a place is covered by sea or snow.
     pub(crate) fn is_covered(&self, x: f64, y: f64) -> bool {
         self.inside_cover_m(x, y) > 0.0
     }
 
-    /// Whether a place lies in the sea.
+    /// True if a place lies in the sea.
     pub(crate) fn is_sea(&self, x: f64, y: f64) -> bool {
         matches!(self.covered, Some(Covered::Sea(_))) && self.is_covered(x, y)
     }

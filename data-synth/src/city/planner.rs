@@ -35,7 +35,7 @@ pub(crate) struct Plot {
     pub(crate) centre: [f64; 2],
     /// Half length and half width, metres.
     pub(crate) half: [f64; 2],
-    /// Whether `a` runs along u.
+    /// True if `a` runs along u.
     along_u: bool,
 }
 

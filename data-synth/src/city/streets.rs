@@ -79,7 +79,7 @@ impl Block {
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) struct Street {
     pub(crate) centre: [f64; 2],
-    /// Whether it runs along u.
+    /// True if the street runs along u.
     pub(crate) along_u: bool,
     pub(crate) half_length: f64,
     pub(crate) half_width: f64,

@@ -13,7 +13,7 @@ use std::path::{Path, PathBuf};
 /// Heading of the options about a scene.
 const SCENE: &str = "Scene options";
 
-/// What a user may say about a scene that its files do not.
+/// Facts of a scene that its files do not state.
 #[derive(Debug, Clone, Args)]
 pub struct IngestArgs {
     /// Lowest and highest altitude of the surface, metres above the ellipsoid
@@ -22,7 +22,7 @@ pub struct IngestArgs {
     /// Only this piece of ground: longitudes and latitudes, or with EPSG:N at the end coordinates of that system
     #[arg(long, help_heading = SCENE, value_name = "WEST,SOUTH,EAST,NORTH[,EPSG:N]", value_parser = parse::area, allow_hyphen_values = true)]
     pub area: Option<AreaRequest>,
-    /// Which camera of an image comes first
+    /// Preferred source of an image's camera
     #[arg(long, help_heading = SCENE, value_name = "SOURCE", default_value = "json")]
     pub rpc: RpcName,
 }

@@ -14,7 +14,7 @@ use std::io::{ErrorKind, Write};
 use std::process::ExitCode;
 use std::sync::LazyLock;
 
-/// What `--version` says. The build only where it is asked for: finding it reads the whole executable.
+/// Text of `--version`. It contains the build only if requested: finding it reads the whole executable.
 static VERSION: LazyLock<String> = LazyLock::new(|| {
     let (gdal, proj) = library_versions();
     let is_asked = std::env::args_os().any(|argument| argument == "--version" || argument == "-V");
@@ -46,7 +46,7 @@ pub struct Cli {
     /// Threads to use [default: all cores]
     #[arg(long, global = true, value_name = "N", help_heading = GENERAL)]
     pub threads: Option<usize>,
-    /// What to do
+    /// Verb to run
     #[command(subcommand)]
     pub command: Command,
 }
@@ -126,7 +126,7 @@ pub enum Command {
     /// Use an image's RPC camera by hand
     #[command(after_help = "Example: echo '36.91 37.58 700' | heliosplat rpc project image.tif")]
     Rpc(rpc::RpcArgs),
-    /// Where the sun stands: azimuth and geometric elevation, degrees
+    /// Compute the position of the sun: azimuth and geometric elevation, degrees
     #[command(after_help = "Example: heliosplat sun --time 2016-04-23T08:34:00Z --place 37.58,36.91,700")]
     Sun(sun::SunArgs),
     /// Train scenes in many ways: what time, memory and each component buy
@@ -251,7 +251,7 @@ fn print_line(text: &str) -> Result<(), CliError> {
     checked(writeln!(out, "{text}").and_then(|()| out.flush()))
 }
 
-/// Whether stdout was written; a reader that went away (`| head`) is no failure.
+/// Outcome of writing to stdout; a reader that went away (`| head`) is no failure.
 fn checked(written: std::io::Result<()>) -> Result<(), CliError> {
     match written {
         Err(error) if error.kind() != ErrorKind::BrokenPipe => Err(CliError::Failed(format!(

@@ -22,7 +22,7 @@ macro_rules! names {
 }
 
 names! {
-    /// How much time a training may take for how good a result.
+    /// Trade-off of training time against quality.
     PresetName for heliosplat_fitting::settings::Preset {
         /// Seconds: do the images fit together at all? Of satellite scenes only.
         Preview,
@@ -48,7 +48,7 @@ names! {
 }
 
 names! {
-    /// Which camera of an image comes first; where it has none of this kind, the next one counts.
+    /// Preferred source of an image's camera; if the image has none of this kind, the next one counts.
     RpcName for heliosplat_scene::RpcPreference {
         /// A Sat-NeRF JSON, then the file beside the image, then its tag
         Json,
@@ -62,7 +62,7 @@ names! {
 }
 
 names! {
-    /// How a prediction is registered to the truth before it is measured.
+    /// Registration of a prediction to the truth before it is measured.
     ProtocolName for heliosplat_evaluate::Protocol {
         /// Not at all.
         Raw,
@@ -76,7 +76,7 @@ names! {
 }
 
 names! {
-    /// What may be wrong with a camera.
+    /// Error model of a camera.
     BiasName for heliosplat_rpc::adjust::BiasModel {
         /// A shift of the whole image
         Translation,

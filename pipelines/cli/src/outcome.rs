@@ -1,4 +1,4 @@
-//! What a verb ends in: an [`Outcome`], or a [`CliError`] with the exit code that it stands for.
+//! Results of a verb: an [`Outcome`], or a [`CliError`] with its exit code.
 
 use heliosplat_batch::BatchError;
 use heliosplat_evaluate::EvaluateError;
@@ -16,7 +16,7 @@ use heliosplat_satellite::SatelliteError;
 use heliosplat_scene::SceneError;
 use heliosplat_session::SessionError;
 
-/// What a verb has to say when it is done.
+/// Result of a finished verb.
 #[derive(Debug, Clone)]
 pub struct Outcome {
     /// For machines.

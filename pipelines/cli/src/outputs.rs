@@ -85,14 +85,14 @@ fn folder_of(path: &Path) -> &Path {
     }
 }
 
-/// What two paths to one file or folder share; `None` where there is none.
+/// Identity of a file or folder, equal for all paths to it; `None` if it does not exist.
 #[cfg(unix)]
 fn identity(path: &Path) -> Option<(u64, u64)> {
     use std::os::unix::fs::MetadataExt;
     std::fs::metadata(path).ok().map(|data| (data.dev(), data.ino()))
 }
 
-/// What two paths to one file or folder share; `None` where there is none.
+/// Identity of a file or folder, equal for all paths to it; `None` if it does not exist.
 #[cfg(not(unix))]
 fn identity(path: &Path) -> Option<PathBuf> {
     std::fs::canonicalize(path).ok()

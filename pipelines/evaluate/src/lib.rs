@@ -104,7 +104,7 @@ pub enum EvaluateError {
 }
 
 impl EvaluateError {
-    /// Whether the user's input is at fault rather than the machine.
+    /// True if the user's input is at fault rather than the machine.
     pub fn is_input_fault(&self) -> bool {
         match self {
             Self::Raster(error) => error.is_input_fault(),

@@ -52,7 +52,7 @@ pub enum CheckpointError {
 }
 
 impl CheckpointError {
-    /// Whether the user's input is at fault, rather than the machine.
+    /// True if the user's input is at fault, rather than the machine.
     pub fn is_input_fault(&self) -> bool {
         !matches!(self, Self::Write(_))
     }

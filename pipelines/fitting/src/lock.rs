@@ -49,7 +49,7 @@ impl Drop for Lock {
     }
 }
 
-/// Whether an open file is the one of this path.
+/// True if an open file is the one at this path.
 fn is_at(file: &File, path: &Path) -> Result<bool> {
     #[cfg(unix)]
     {

@@ -114,7 +114,7 @@ pub enum RunError {
 }
 
 impl RunError {
-    /// Whether the user's input is at fault, rather than the machine.
+    /// True if the user's input is at fault, rather than the machine.
     pub fn is_input_fault(&self) -> bool {
         match self {
             Self::NotARun(_) | Self::Damaged { .. } | Self::Exists(_) | Self::Busy(_) => true,

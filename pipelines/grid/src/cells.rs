@@ -106,7 +106,7 @@ impl Grid {
         groups
     }
 
-    /// Whether the box of two ground positions lies outside the grid, at least a cell away from it.
+    /// True if the box of two ground positions lies outside the grid, at least a cell away from it.
     pub fn is_outside(&self, a: Vec3, b: Vec3) -> bool {
         let (low, high) = (a.min(b), a.max(b));
         let east_m = self.west_m + (self.width + 1) as f32 * self.cell_m;
@@ -114,7 +114,7 @@ impl Grid {
         high.x < self.west_m - self.cell_m || low.x > east_m || low.y > self.north_m + self.cell_m || high.y < south_m
     }
 
-    /// Whether a ground position lies on the grid.
+    /// True if a ground position lies on the grid.
     pub fn contains(&self, x_m: f32, y_m: f32) -> bool {
         let (col, row) = ((x_m - self.west_m) / self.cell_m, (self.north_m - y_m) / self.cell_m);
         col >= 0.0 && row >= 0.0 && col < self.width as f32 && row < self.height as f32

@@ -99,7 +99,7 @@ impl Level {
         }
     }
 
-    /// Where the cloth begins on the coarsest grid: the lowest of the cells around.
+    /// Initial cloth on the coarsest grid, metres: for each cell the lowest altitude of the cells around.
     fn lowest_around(&self) -> Vec<f32> {
         let known: Vec<f32> = self
             .surface

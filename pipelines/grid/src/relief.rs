@@ -112,7 +112,7 @@ impl Relief {
         (0..across * down).into_par_iter().map(highest).collect()
     }
 
-    /// Whether the height of a cell is known.
+    /// True if the height of a cell is known.
     pub fn is_known(&self, cell: usize) -> bool {
         self.altitude[cell].is_finite()
     }
@@ -127,7 +127,7 @@ impl Relief {
         self.walk(cell, toward, false)
     }
 
-    /// Whether a cell is in the shadow of a sun in a direction at the lowest elevation that matters; `false` where its
+    /// True if a cell is in the shadow of a sun in a direction at the lowest elevation that matters; `false` where its
     /// height is unknown.
     pub fn is_shaded(&self, cell: usize, toward: &Toward) -> bool {
         self.is_known(cell) && self.walk(cell, toward, true) > toward.least

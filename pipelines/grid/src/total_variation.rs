@@ -1,6 +1,6 @@
 //! Total-variation smoothing of heights weighted by their standard deviations.
 //!
-//! Where matching fails, on a lawn or between crowns, altitudes are noise and their deviations large. The most probable
+//! Altitudes are noise and their deviations large where matching fails, on a lawn or between crowns. The most probable
 //! surface under independent errors and a prior of few and small steps minimises
 //!
 //! ```text

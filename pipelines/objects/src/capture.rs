@@ -12,7 +12,7 @@ use std::path::{Path, PathBuf};
 
 /// Default limit of the memory for images, bytes.
 pub const IMAGE_BYTES: u64 = 8 << 30;
-/// Where no file lists held-out images, every eighth image is held out, as in NeRF and its successors.
+/// Interval of held-out images if no file lists them: every eighth image, as in NeRF and its successors.
 const HOLD_EVERY: usize = 8;
 /// Files of a capture and the use of their images. Images for validation are ignored where there are images for
 /// testing.
@@ -57,7 +57,7 @@ pub struct Capture {
     pub warnings: Vec<String>,
 }
 
-/// Whether `path` is a capture: a `transforms` file, or a folder with one.
+/// True if `path` is a capture: a `transforms` file, or a folder with one.
 pub fn is_capture(path: &Path) -> bool {
     if path.is_file() {
         let name = path.file_name().and_then(|n| n.to_str()).unwrap_or_default();
@@ -151,7 +151,7 @@ impl Capture {
         self.frames.iter().filter(move |f| f.split == split)
     }
 
-    /// Whether all images come with their coverage.
+    /// True if all images come with their coverage.
     pub fn has_coverage(&self) -> bool {
         self.frames.iter().all(|f| f.picture.coverage.is_some())
     }

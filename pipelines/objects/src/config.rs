@@ -51,15 +51,15 @@ pub enum ModelKind {
 pub struct ModelOptions {
     /// The kind, where the user overrides the choice by the images.
     pub kind: ModelKind,
-    /// Whether surfaces may be glossy. They are glossy where that is needed, see [`super::plan`], or where `kind` names
+    /// True if surfaces may be glossy. They are glossy where that is needed, see [`super::plan`], or where `kind` names
     /// the model.
     pub specular: bool,
-    /// Whether light may scatter under surfaces, in `olat`; as for gloss.
+    /// True if light may scatter under surfaces, in `olat`; as for gloss.
     pub scattering: bool,
-    /// Whether a network refines shadows, in `olat`: on for matt objects (1.9 dB), off for metal, where it gains
+    /// True if a network refines shadows, in `olat`: on for matt objects (1.9 dB), off for metal, where it gains
     /// nothing. Short fits do not measure it.
     pub refined_shadow: bool,
-    /// Whether the light that reaches surfaces is traced, in `olat`; off in the comparison of docs/lab/objects.md, for
+    /// True if the light that reaches surfaces is traced, in `olat`; off in the comparison of docs/lab/objects.md, for
     /// a sixth of the time.
     pub shadow: bool,
     /// Radius of the lights, in `olat`, in the capture's units: 0 for points, larger for lamps that are near.
@@ -157,9 +157,9 @@ impl ObjectConfig {
 /// Optional parts of a model; short fits decide.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, serde::Serialize, serde::Deserialize)]
 pub struct Parts {
-    /// Whether surfaces are glossy, in kinds with that choice.
+    /// True if surfaces are glossy, in kinds with that choice.
     pub specular: bool,
-    /// Whether light scatters under surfaces.
+    /// True if light scatters under surfaces.
     pub scattering: bool,
 }
 

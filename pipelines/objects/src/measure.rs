@@ -53,7 +53,7 @@ pub fn compare(model: &ObjectModel, frame: &Frame) -> Option<Compared> {
     })
 }
 
-/// Whether a model's values are in proportion to light.
+/// True if a model's values are in proportion to light.
 pub fn is_linear(model: &ObjectModel) -> bool {
     model.file.encoding == Encoding::Linear || model.file.preparation.linear
 }

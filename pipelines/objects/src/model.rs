@@ -268,7 +268,7 @@ pub(super) fn damaged(path: &Path, reason: impl ToString) -> RunError {
     }
 }
 
-/// Whether a folder contains a run on a capture, finished or not, or a model of one without its run.
+/// True if a folder contains a run on a capture, finished or not, or a model of one without its run.
 pub fn is_object_run(folder: &Path) -> bool {
     let (run, model) = (folder.join("run.toml"), folder.join("model.json"));
     if !run.is_file() {

@@ -45,7 +45,7 @@ fn reader(path: &Path) -> Result<ImageReader<std::io::BufReader<std::fs::File>>,
     }
 }
 
-/// Whether a file has far fewer bytes than its pixels need (a decompression bomb): photographs and renderings have a
+/// True if a file has far fewer bytes than its pixels need (a decompression bomb): photographs and renderings have a
 /// tenth of a byte a pixel or more.
 fn is_bomb(path: &Path, pixels: u64) -> bool {
     const FREE: u64 = 1 << 22;

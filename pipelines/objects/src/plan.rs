@@ -35,7 +35,7 @@ pub struct Trial {
     pub step_time_ratio: f64,
     /// Numbers that it adds to each Gaussian.
     pub numbers_per_gaussian: i64,
-    /// Whether the model has it.
+    /// True if the model has the part.
     pub taken: bool,
 }
 
@@ -52,7 +52,7 @@ pub struct Plan {
     pub trials: Vec<Trial>,
 }
 
-/// Whether every image of training has a light, and they are in different places.
+/// True if every training image has a light, and the lights are in different places.
 fn lights_move(capture: &Capture) -> bool {
     let lights: Vec<_> = capture
         .of(Split::Train)

@@ -61,9 +61,9 @@ fn border(capture: &Capture) -> Option<[f32; 3]> {
 pub struct Preparation {
     /// Background of the object.
     pub background: [f32; 3],
-    /// Whether coverage becomes a fourth band.
+    /// True if coverage becomes a fourth band.
     pub coverage: bool,
-    /// Whether display values become linear ones.
+    /// True if display values become linear ones.
     pub linear: bool,
     /// Intensity of a light that counts as one, where lights count.
     pub unit_light: Option<[f64; 3]>,

@@ -1,4 +1,4 @@
-//! What all HTML pages and SVG pictures share: the document, one stylesheet, inline pictures, charts.
+//! Shared parts of all HTML pages and SVG pictures: the document, one stylesheet, inline pictures, charts.
 //!
 //! A page is one file that fetches nothing, readable on a phone, in light and dark mode. Text goes through [`maud`], which
 //! escapes it by type; only the stylesheet is inserted as it is.

@@ -136,7 +136,7 @@ fn pages_s(metrics: &Value) -> f64 {
 /// Writes the pages of a run that was trained now by `write`, and adds the time that they took to its `metrics`, in memory and in its folder.
 ///
 /// # Errors
-/// What `write` returns, and when the metrics cannot be written.
+/// The error of `write`, and an error if the metrics cannot be written.
 pub fn add_report<T, E: From<RunError>>(
     folder: &Path,
     metrics: &mut Value,
@@ -182,7 +182,7 @@ fn page_of(title: &str, sections: &[Markup]) -> String {
     document(title, &html! { @for section in sections { (section) } })
 }
 
-/// What stands below the head of the page; also draws the calibration plot.
+/// Sections below the head of the page; also draws the calibration plot.
 fn sections(run: &Contents) -> Result<Vec<Markup>, RunError> {
     let uncertainty = &run.folder.metrics["dsm"]["uncertainty"];
     if let Ok(uncertainty) = Uncertainty::deserialize(uncertainty) {

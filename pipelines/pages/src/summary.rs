@@ -5,7 +5,7 @@ use maud::{Markup, html};
 use serde_json::{Value, json};
 use std::fmt::Write;
 
-/// Where a unit stands.
+/// Status of a unit.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, serde::Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum State {
@@ -19,7 +19,7 @@ pub enum State {
     Skipped,
     /// Failed; its log says why.
     Failed,
-    /// What it waits for failed.
+    /// A unit that it depends on failed.
     Blocked,
 }
 
@@ -36,17 +36,17 @@ impl State {
         }
     }
 
-    /// Whether its products are there.
+    /// True if the unit's products exist.
     pub fn is_done(self) -> bool {
         matches!(self, Self::Done | Self::Skipped)
     }
 
-    /// Whether they will not be.
+    /// True if the unit failed or depends on a failed one.
     pub fn is_lost(self) -> bool {
         matches!(self, Self::Failed | Self::Blocked)
     }
 
-    /// Whether nothing more will come of it now.
+    /// True if the status will not change any more.
     pub fn is_final(self) -> bool {
         self.is_done() || self.is_lost()
     }
@@ -59,7 +59,7 @@ pub struct Row {
     pub unit: String,
     /// `tile`, `mosaic`, or `refused` where the scene cannot be used.
     pub kind: &'static str,
-    /// Where it stands.
+    /// Status.
     pub state: State,
     /// Seconds it took, pauses not counted.
     pub seconds: Option<f64>,
@@ -75,7 +75,7 @@ pub struct Row {
     pub log: String,
     /// Why it failed.
     pub error: Option<String>,
-    /// What was measured.
+    /// Metrics of the unit.
     pub metrics: Value,
 }
 

@@ -63,7 +63,7 @@ pub enum ViewError {
 }
 
 impl ViewError {
-    /// Whether what the user gave is at fault, rather than the machine.
+    /// True if the user's input is at fault, rather than the machine.
     pub fn is_input_fault(&self) -> bool {
         match self {
             Self::Object(_) | Self::Nothing { .. } | Self::NoCrs(_) => true,
@@ -78,7 +78,7 @@ impl ViewError {
 /// A page that was written.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Written {
-    /// Where.
+    /// Path of the file.
     pub path: PathBuf,
     /// Its size, bytes.
     pub bytes: usize,
@@ -86,7 +86,7 @@ pub struct Written {
     pub size: (usize, usize),
 }
 
-/// What a folder shows: that of a run, or of a mosaic of a batch.
+/// Exhibit of the run or of the batch mosaic in a folder.
 ///
 /// # Errors
 /// When the folder holds neither, or a file of it cannot be read.

@@ -204,7 +204,7 @@ fn parts(grid: &Grid, surface: &Surface, ground_m: &[f32], changes: &Changes) ->
     groups.map(whole).filter(|part| !part.is_empty()).collect()
 }
 
-/// Whether the light of a part (cells in ascending order) is that of ground.
+/// True if the light of a part (cells in ascending order) is that of ground.
 fn is_bridged(grid: &Grid, surface: &Surface, ground_m: &[f32], part: &[usize], lights: &[Light]) -> bool {
     let window = Window::around(grid, part);
     let now = window.contrast(grid, part, lights, &|cell| surface.altitude[cell]);

@@ -36,7 +36,7 @@ impl Daylight {
         self.air[k].shade(elevation_rad)
     }
 
-    /// Whether its values are plausible, for `bands` bands.
+    /// True if the values are plausible, for `bands` bands.
     pub fn is_possible(&self, bands: usize) -> bool {
         let above = |elevation: &f64| elevation.is_finite() && *elevation > 0.0 && elevation.sin() > 0.0;
         self.air.len() == bands

@@ -24,7 +24,7 @@ pub fn ground_probability(height_m: f32, of_altitude: impl FnOnce() -> f32) -> O
     (probability < SURE).then_some(1.0 - probability)
 }
 
-/// Whether an altitude of this probability is certain; false for NaN.
+/// True if an altitude of this probability is certain; false for NaN.
 pub(crate) fn is_sure(probability: f32) -> bool {
     probability >= SURE
 }

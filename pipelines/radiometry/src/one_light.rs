@@ -1,6 +1,6 @@
 //! Path radiance and skylight for images that all have one light.
 //!
-//! Where suns differ, the same ground appears in the sun and in the shade, which determines its albedo, the path
+//! The same ground appears in the sun and in the shade where suns differ, which determines its albedo, the path
 //! radiance and the sky. Under one light hardly any ground does, and a shadow may as well be dark ground: the initial
 //! sky and path radiance stay, and their errors become albedo, which shows the old shadow under every other sun. But
 //! ground continues across the border of a shadow. So the sky is that of clear air, and the path radiance that under
@@ -212,7 +212,7 @@ struct Place {
 }
 
 impl Ground {
-    /// Whether all pixels within `reach` of a pixel, corners included, satisfy `test`.
+    /// True if all pixels within `reach` of a pixel, corners included, satisfy `test`.
     fn all_around(&self, at: usize, reach: usize, test: impl Fn(usize) -> bool) -> bool {
         let (width, height) = (self.image.width, self.image.height);
         let (col, row) = (at % width, at / width);

@@ -76,7 +76,7 @@ impl<'a> Bands<'a> {
         self.raster.values[band * self.raster.plane_len() + pixel]
     }
 
-    /// Whether a pixel shows leaves; `false` where the bands do not allow an index.
+    /// True if a pixel shows leaves; `false` where the bands do not allow an index.
     fn vegetation(&self, pixel: usize) -> bool {
         let value = |band| self.value(band, pixel);
         match (self.vegetation, self.green) {
@@ -161,7 +161,7 @@ fn met(camera: &ProjectiveCamera, surface: &Surface, col: f32, row: f32, top_m: 
     camera.point_at_altitude(col, row, z)
 }
 
-/// Whether the surface may have an occluder between a point of it and the sun.
+/// True if the surface may have an occluder between a point of it and the sun.
 fn may_be_shaded(surface: &Surface, point: Vec3, sun: Vec3, top_m: f32) -> bool {
     let flat = Vec2::new(sun.x, sun.y);
     let Some(toward) = flat.try_normalize() else {

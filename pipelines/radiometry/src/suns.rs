@@ -75,13 +75,13 @@ pub struct ShadowSun {
     pub score: f64,
     /// Difference of the score to that of the best sun elsewhere in the sky, standard deviations.
     pub margin: f64,
-    /// Whether the shadows are those of a model's surface, which is sharper than a swept one.
+    /// True if the shadows are those of a model's surface, which is sharper than a swept one.
     #[serde(default)]
     pub of_model: bool,
 }
 
 impl ShadowSun {
-    /// Whether it is accepted.
+    /// True if the sun is accepted.
     pub fn is_decisive(&self) -> bool {
         let least = if self.of_model {
             LEAST_SCORE_OF_MODEL
@@ -91,7 +91,7 @@ impl ShadowSun {
         self.score >= least && self.beats_others() && self.sigma_deg <= MOST_SIGMA_DEG
     }
 
-    /// Whether no sun elsewhere in the sky explains the shadows as well.
+    /// True if no sun elsewhere in the sky explains the shadows as well.
     pub fn beats_others(&self) -> bool {
         self.margin >= LEAST_MARGIN
     }
@@ -167,7 +167,7 @@ fn apart_deg(a: [f64; 3], b: [f64; 3]) -> f64 {
     dot.clamp(-1.0, 1.0).acos().to_degrees()
 }
 
-/// Whether a day of the year has the sun there: its declination is not beyond the tropics.
+/// True if the sun is in this direction on some day of the year: its declination is within the tropics.
 fn is_possible(azimuth_deg: f64, elevation_deg: f64, latitude_deg: f64) -> bool {
     let [_, north, up] = direction(azimuth_deg, elevation_deg);
     let (sin_lat, cos_lat) = latitude_deg.to_radians().sin_cos();

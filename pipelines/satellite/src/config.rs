@@ -75,13 +75,13 @@ impl Default for CameraOptions {
 pub struct ModelOptions {
     /// Per-image affine colour: on for images of more than one date, off for those of one.
     pub image_colour: Option<bool>,
-    /// Whether clouds are detected first and left out: on from five views on; off for images that are known to be
+    /// Detection of clouds, which are left out of training: on from five views on; off for images that are known to be
     /// clear.
     pub clouds: Option<bool>,
-    /// Whether changed ground (built or torn down) is searched: on where every image has a date, and a day divides them
-    /// with two or more on either side; off for ground that is known to be unchanged.
+    /// Search for changed ground (built or torn down): on if every image has a date and a day divides them with two or
+    /// more on either side; off for ground that is known to be unchanged.
     pub change: Option<bool>,
-    /// Whether clipped values are lower bounds: on where some are clipped.
+    /// Use of clipped values as lower bounds: on if some values are clipped.
     pub saturation: Option<bool>,
     /// Near-surface light in shadows, per Gaussian: off, because no scene measured was better with it
     /// (docs/lab/planner.md).
@@ -92,7 +92,7 @@ pub struct ModelOptions {
     /// Weight of the shadow opaqueness loss; 0, off, is better on every site measured (docs/lab/components.md). It is
     /// on in the paper and in the ablation.
     pub opaqueness_weight: f32,
-    /// Whether shadows detected as dark places guide training: on with fewer than eight images, off with more.
+    /// Guidance of training by shadows detected as dark places: on with fewer than eight images, off with more.
     pub shadow_prior: Option<bool>,
     /// Folder of the user's masks of light (1) and shadow (0), `NAME.tif` for the image `NAME`, in place of the
     /// detected ones.
@@ -152,7 +152,7 @@ impl SatelliteConfig {
         Ok(config)
     }
 
-    /// Whether every value means something.
+    /// Checks that every value is valid.
     fn check(&self) -> Result<(), ConfigError> {
         if let Err(TrainError::Option {
             option,

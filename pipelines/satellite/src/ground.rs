@@ -214,7 +214,7 @@ const TAIL: f64 = 0.01;
 /// Approximate number of pixels that sample the contrast of an image.
 const CONTRAST_PIXELS: usize = 1 << 16;
 
-/// Whether nearly all known pixels have one value, in every band.
+/// True if nearly all known pixels have one value, in every band.
 fn is_flat(raster: &Raster) -> bool {
     let step = (raster.width * raster.height / CONTRAST_PIXELS).max(1);
     let spread = |band: usize| {

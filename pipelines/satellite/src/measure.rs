@@ -381,7 +381,7 @@ pub fn summary(metrics: &Value) -> String {
     [accuracy(metrics), engine(metrics)].concat().join("\n")
 }
 
-/// How far a run is from the truth of its scene, a line each.
+/// Accuracy of a run against the truth of its scene, one line for each metric.
 pub fn accuracy(metrics: &Value) -> Vec<String> {
     let number = |pointer: &str| metrics.pointer(pointer).and_then(Value::as_f64);
     let mut lines = Vec::new();
@@ -453,7 +453,7 @@ pub fn accuracy(metrics: &Value) -> Vec<String> {
     lines
 }
 
-/// How well a run shows its images, and the time and memory it took, a line each.
+/// Image quality of a run, its time and its memory, one line for each metric.
 pub fn engine(metrics: &Value) -> Vec<String> {
     let number = |pointer: &str| metrics.pointer(pointer).and_then(Value::as_f64);
     let mut lines = Vec::new();

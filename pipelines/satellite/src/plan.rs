@@ -59,7 +59,7 @@ pub struct Decisions {
 pub struct PlanItem {
     /// Its name: that of the configuration, where it can be set.
     pub component: String,
-    /// Whether it is on.
+    /// True if the component is on.
     pub on: bool,
     /// The reason, in one line.
     pub reason: String,

@@ -37,7 +37,7 @@ pub(super) fn search_again(scene: &Scene, swept: &mut Preprocess, altitude_m: &[
     more
 }
 
-/// Whether shadows give some sun a direction that is not decisive: a better surface may decide it.
+/// True if shadows give some sun a direction that is not decisive: a better surface may decide it.
 pub(super) fn are_undecided(searched: &[Option<ShadowSun>]) -> bool {
     let in_doubt = |sun: &ShadowSun| !sun.is_decisive() && sun.beats_others();
     searched.iter().flatten().any(in_doubt)

@@ -78,7 +78,7 @@ impl<'a> SceneCameras<'a> {
         &self.images[image].rpc
     }
 
-    /// Whether two images are of one UTC day, as far as their times are known.
+    /// True if two images are of one UTC day, as far as their times are known.
     pub fn same_day(&self, first: usize, second: usize) -> bool {
         let day = |image: usize| {
             let time = self.images[image].acquisition.time;

@@ -29,7 +29,7 @@ pub struct Cut {
     pub area: Area,
     /// Its images, in the order of the index.
     pub images: Vec<CutImage>,
-    /// Whether it is a part of another cut, in which case an image may have no pixels there.
+    /// True if the cut is a part of another cut, in which case an image may have no pixels there.
     pub is_part: bool,
     /// Counts per unit of the pixels; `None` where the pixels decide.
     pub counts_per_unit: Option<f64>,

@@ -51,7 +51,7 @@ impl Footprint {
         Self(kept)
     }
 
-    /// Whether a point lies inside.
+    /// True if a point lies inside.
     pub(super) fn contains(&self, point: [f64; 2]) -> bool {
         let count = self.0.len();
         count > 2

@@ -175,7 +175,7 @@ impl KeptCut {
 }
 
 impl KeptImage {
-    /// Whether all of it was read, from files on disk.
+    /// True if the whole image was read, from files on disk.
     fn is_whole(&self) -> bool {
         (self.window.width, self.window.height) == self.size && !self.paths.iter().any(|path| is_virtual(path))
     }

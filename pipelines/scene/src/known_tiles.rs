@@ -32,7 +32,7 @@ impl KnownTiles {
         })
     }
 
-    /// Whether the tile of a pixel (column, row) has data; there is none outside the image.
+    /// True if the tile of a pixel (column, row) has data; there is none outside the image.
     pub fn at(&self, (col, row): (usize, usize)) -> bool {
         let tiles = self.rows.get(row / TILE_PX);
         tiles.is_some_and(|tiles| tiles.as_bytes().get(col / TILE_PX) == Some(&b'1'))

@@ -194,7 +194,7 @@ impl SceneImage {
         self.values.vegetation_index(&self.bands)
     }
 
-    /// Whether a point of the scene's frame projects onto a known pixel.
+    /// True if a point of the scene's frame projects onto a known pixel.
     pub fn sees(&self, enu_m: Vector3<f64>) -> bool {
         let [col, row] = self.pinhole.map.project(enu_m).map(f64::round);
         let inside = col >= 0.0 && row >= 0.0 && col < self.pixels.width as f64 && row < self.pixels.height as f64;

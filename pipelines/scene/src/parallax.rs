@@ -69,7 +69,7 @@ impl Scene {
         pairs
     }
 
-    /// Whether an image shows each of a grid of places of the area, at mid altitude.
+    /// One flag for each of a grid of places of the area, at mid altitude, true if the image shows the place.
     fn shown_by(&self, image: &SceneImage) -> Vec<bool> {
         let along = |low: f64, high: f64, step: usize| low + (high - low) * (step as f64 + 0.5) / STEPS as f64;
         let place = |i: usize| {

@@ -44,7 +44,7 @@ fn share_where(image: &Raster, limits: &[f32], is_clipped: impl Fn(f32, f32) -> 
     clipped as f64 / known.max(1) as f64
 }
 
-/// Whether most bands of an eight-bit image were clipped at the least or the greatest eight-bit value. Sensors have ten
+/// True if most bands of an eight-bit image were clipped at the least or the greatest eight-bit value. Sensors have ten
 /// bits and more: their own saturation would be at other values.
 pub fn at_limits_of_eight_bits(image: &Raster) -> bool {
     let ends = ceilings(image).into_iter().zip(floors(image));

@@ -83,7 +83,7 @@ impl Values {
         self.ndvi(bands).map(VegetationIndex::Infrared).or_else(green)
     }
 
-    /// Whether it is the default, without any information.
+    /// True if the values are the default, without any information.
     pub fn is_unknown(&self) -> bool {
         *self == Self::default()
     }

@@ -68,7 +68,7 @@ impl Session {
         self.gentle.load(Ordering::SeqCst)
     }
 
-    /// Whether the user requested a stop.
+    /// True if the user requested a stop.
     pub fn stopped(&self) -> bool {
         self.stop.load(Ordering::SeqCst)
     }

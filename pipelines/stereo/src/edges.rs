@@ -53,7 +53,7 @@ impl Edge {
         (self.upper_m + self.lower_m) / 2.0
     }
 
-    /// Whether two belong to one edge, so that their profiles are combined.
+    /// True if both belong to one edge, so that their profiles are combined.
     fn same_edge_as(&self, other: &Edge) -> bool {
         self.at.distance_squared(other.at) <= SAME_EDGE_CELLS * SAME_EDGE_CELLS
             && self.outward.dot(other.outward) >= SAME_DIRECTION

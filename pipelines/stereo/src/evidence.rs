@@ -130,7 +130,7 @@ fn share_less(found: f32, by_chance: f32) -> f32 {
     }
 }
 
-/// Whether `evidence` suffices for a match of `views` views. Cells without comparisons pass; other tests remain.
+/// True if `evidence` suffices for a match of `views` views. Cells without comparisons pass; other tests remain.
 pub(super) fn is_match(evidence: f32, views: f32) -> bool {
     evidence.is_nan() || evidence >= least_evidence(views)
 }

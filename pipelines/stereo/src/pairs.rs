@@ -13,7 +13,7 @@ pub(super) struct Pair {
     pub(super) a: usize,
     pub(super) b: usize,
     pub(super) weight: u32,
-    /// Whether both views are of one date.
+    /// True if both views are of one date.
     pub(super) same_date: bool,
     /// Base-to-height ratio: ground metres of relative parallax per metre of altitude.
     pub(super) base_to_height: f32,

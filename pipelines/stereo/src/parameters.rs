@@ -85,7 +85,7 @@ pub struct MatchingFacts {
     /// Combined base-to-height ratio, metres per metre: the root of the sum of its squares over the pairs of views that
     /// are compared.
     pub combined_base_to_height: f32,
-    /// Whether every view has an index plane.
+    /// True if every view has an index plane.
     pub has_index: bool,
 }
 

@@ -30,7 +30,7 @@ pub struct Surface {
     pub deviation_m: Vec<f32>,
     /// Probability that each altitude was matched right to within two height steps, 0 to 1.
     pub probability: Vec<f32>,
-    /// Whether the views agree there better than by chance.
+    /// One flag for each cell, true if the views agree there better than by chance.
     pub matched: Vec<bool>,
     /// Number of views that see each cell at its altitude.
     pub views: Vec<u8>,
@@ -43,7 +43,7 @@ pub struct Surface {
 }
 
 impl Surface {
-    /// Whether every cell has its altitude, its confidence and its flag.
+    /// True if every cell has its altitude, its confidence and its flag.
     pub fn is_whole(&self) -> bool {
         let cells = self.width.checked_mul(self.height);
         [
@@ -61,13 +61,13 @@ impl Surface {
         .all(|length| Some(length) == cells)
     }
 
-    /// Whether the altitude of a cell is known: at least [`FEWEST_VIEWS`] views see it there and agree better than by
+    /// True if the altitude of a cell is known: at least [`FEWEST_VIEWS`] views see it there and agree better than by
     /// chance, and it is more probable than all other altitudes together.
     pub fn is_known(&self, cell: usize) -> bool {
         self.is_supported(cell) && self.probability[cell] >= KNOWN_PROBABILITY
     }
 
-    /// Whether at least [`FEWEST_VIEWS`] views see a cell at its altitude and agree better than by chance. The
+    /// True if at least [`FEWEST_VIEWS`] views see a cell at its altitude and agree better than by chance. The
     /// probability of other altitudes is not tested.
     pub fn is_supported(&self, cell: usize) -> bool {
         self.views[cell] >= FEWEST_VIEWS && self.matched[cell]
@@ -89,7 +89,7 @@ impl Surface {
         }
     }
 
-    /// Whether the ground position lies on the grid.
+    /// True if the ground position lies on the grid.
     pub fn contains(&self, x_m: f32, y_m: f32) -> bool {
         self.cell_at(x_m, y_m).is_some()
     }

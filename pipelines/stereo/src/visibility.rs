@@ -122,7 +122,7 @@ impl FirstHits {
         }
     }
 
-    /// Whether a point that projects into a pixel lies behind the surface.
+    /// True if a point that projects into a pixel lies behind the surface.
     #[inline]
     pub(super) fn hides(&self, pixel: usize, altitude_m: f32) -> bool {
         altitude_m + self.tolerance_m < self.altitude[pixel]

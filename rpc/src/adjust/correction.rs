@@ -59,7 +59,7 @@ impl Correction {
         }
     }
 
-    /// Whether it is the same all over the image.
+    /// True if the correction is the same all over the image.
     pub fn is_translation(&self) -> bool {
         self.slope_px == [[0.0; 2]; 2]
     }

@@ -31,7 +31,7 @@ pub(super) struct BlockAdjustment<'a> {
     images: &'a [AdjustImage<'a>],
     tracks: Vec<&'a Track>,
     frame: &'a LocalFrame,
-    /// Whether an image has enough sightings to be corrected.
+    /// One flag for each image, true if it has enough sightings to be corrected.
     seen: Vec<bool>,
 }
 

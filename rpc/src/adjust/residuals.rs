@@ -62,7 +62,7 @@ pub struct ResidualVector {
     pub before_px: [f64; 2],
     /// With the corrections.
     pub after_px: [f64; 2],
-    /// Whether it is one of the good ones.
+    /// True if the sighting is a good one.
     pub good: bool,
 }
 

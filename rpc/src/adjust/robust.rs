@@ -41,7 +41,7 @@ pub(super) fn weight(length_px: f64, sigma_px: f64) -> f64 {
     (1.0 + scaled * scaled).powi(-2)
 }
 
-/// Whether a residual of this length is one of a good sighting.
+/// True if a residual of this length belongs to a good sighting.
 pub(super) fn is_good(length_px: f64, sigma_px: f64) -> bool {
     length_px <= GOOD_TO * sigma_px
 }

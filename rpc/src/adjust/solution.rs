@@ -35,7 +35,7 @@ pub struct Adjustment {
     pub sigma_px: f64,
     /// Rounds it took.
     pub rounds: usize,
-    /// Whether the corrections came to rest before the last round allowed.
+    /// True if the corrections came to rest before the last round allowed.
     pub converged: bool,
     /// Residuals of each image.
     pub images: Vec<ImageResiduals>,

@@ -182,7 +182,7 @@ pub fn fixed_width(text: &str) -> Result<Rpc, ReadError> {
     camera(&dialect, &OrderedSource { values: &values })
 }
 
-/// Whether a text looks like [`fixed_width`]: nothing but numbers run together.
+/// True if a text looks like [`fixed_width`]: nothing but numbers run together.
 pub(super) fn looks_fixed_width(text: &str) -> bool {
     let text = text.trim_end();
     let first = text.get(..6).and_then(number);

@@ -105,7 +105,7 @@ impl OlatOptions {
         network(SHADOW_INPUTS, 1, self.width.max(1), self.hidden.max(1))
     }
 
-    /// Whether a network that reads the material embedding is on.
+    /// True if a network that reads the material embedding is on.
     fn has_embedding(&self) -> bool {
         self.scattering || self.refined
     }

@@ -4,13 +4,13 @@
 #[derive(Debug, Clone, PartialEq, serde::Serialize, serde::Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct OlatOptions {
-    /// Whether surfaces are glossy.
+    /// True if surfaces are glossy.
     pub specular: bool,
-    /// Whether the light that reaches a surface is traced.
+    /// True if the light that reaches a surface is traced.
     pub shadow: bool,
-    /// Whether light scatters under the surface.
+    /// True if light scatters under the surface.
     pub scattering: bool,
-    /// Whether the shadow network refines the traced shadows.
+    /// True if the shadow network refines the traced shadows.
     pub refined: bool,
     /// Units of the hidden layers of both networks.
     pub width: usize,
@@ -20,7 +20,7 @@ pub struct OlatOptions {
     pub half_size: f32,
     /// Colour behind everything.
     pub background: [f32; 3],
-    /// Whether images have coverage as a fourth band.
+    /// True if images have coverage as a fourth band.
     pub coverage: bool,
     /// Distance at which a light of strength one counts as one.
     pub distance: f32,

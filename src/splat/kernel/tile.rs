@@ -123,7 +123,7 @@ pub(super) fn store(values: &mut Plane, at: usize, lane: Lane) {
     values[at..at + LANES].copy_from_slice(&lane);
 }
 
-/// Whether every pixel of the tile is opaque.
+/// True if every pixel of the tile is opaque.
 #[inline(always)]
 pub(super) fn is_opaque(transmittance: &Plane) -> bool {
     let mut highest = [0.0f32; LANES];

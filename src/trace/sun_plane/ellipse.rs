@@ -103,7 +103,7 @@ impl Ellipse {
         }
     }
 
-    /// Whether it occludes anything.
+    /// True if the ellipse occludes anything.
     #[inline(always)]
     pub(super) fn exists(&self) -> bool {
         self.reach_square > 0.0

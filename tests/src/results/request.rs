@@ -23,7 +23,7 @@ pub struct Request {
     pub seeds: Vec<u64>,
     /// Presets, and `sweep`.
     pub presets: Vec<String>,
-    /// Whether only the page is written.
+    /// True if only the page is written.
     pub page_only: bool,
 }
 

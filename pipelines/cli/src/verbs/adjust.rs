@@ -22,13 +22,13 @@ pub struct AdjustArgs {
     /// Folder for the corrected cameras, adjustment.json and adjustment.svg, made if absent
     #[arg(long, value_name = "DIR")]
     pub out: PathBuf,
-    /// What may be wrong with a camera
+    /// Error model of the cameras
     #[arg(long, value_enum, default_value = "translation")]
     pub model: BiasName,
     /// Also write copies of the images with the corrected camera in their GeoTIFF tag: the folder is then a scene
     #[arg(long)]
     pub images: bool,
-    /// What is said about the scene
+    /// Scene options
     #[command(flatten)]
     pub ingest: IngestArgs,
 }

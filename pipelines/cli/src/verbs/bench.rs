@@ -22,7 +22,7 @@ const CHANNELS: usize = 4;
 const POINTS: usize = 1_000_000;
 /// Points per parallel job.
 const BLOCK: usize = 4096;
-/// How long one rate is measured.
+/// Least time for the measurement of one rate.
 const PATIENCE: Duration = Duration::from_secs(4);
 
 /// Seconds of the quickest of some runs: the one that other work on the machine disturbed least.
@@ -65,7 +65,7 @@ fn camera_rates() -> (f64, f64) {
     (POINTS as f64 / project, POINTS as f64 / localise)
 }
 
-/// What compositing costs, nanoseconds per pair, forward and backward, and pairs per pixel.
+/// Cost of compositing, nanoseconds per pair, forward and backward, and number of pairs per pixel.
 fn splat_rates(site: &Site) -> (f64, f64, f64) {
     let projected = project(&site.parameters.gaussians, &site.camera, &ProjectionOptions::default());
     let rasteriser = Rasteriser::new(&projected, SIZE_PX, SIZE_PX);

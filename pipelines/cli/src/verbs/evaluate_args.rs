@@ -10,7 +10,7 @@ use heliosplat_raster::write_atomically;
 use std::fmt::Write;
 use std::path::PathBuf;
 
-/// What to compare, and how.
+/// Inputs and options of `evaluate`.
 #[derive(Debug, Args)]
 pub struct EvaluateArgs {
     /// A run, measured against the truth of its scene
@@ -25,7 +25,7 @@ pub struct EvaluateArgs {
     /// LAS classes on the truth's grid
     #[arg(long, value_name = "FILE", requires = "truth")]
     pub classes: Option<PathBuf>,
-    /// How the DSM is registered to the truth before it is measured
+    /// Registration of the DSM to the truth before it is measured
     #[arg(long, value_name = "NAME", default_value = "raw")]
     pub protocol: ProtocolName,
     /// Folder of images from above under suns that no image had (`relit.json`, `relit_K.tif`, `relit_K_shadow.tif`) [default: the scene's own]

@@ -74,7 +74,7 @@ pub(crate) fn of_satellite(args: &ExportArgs) -> Result<Outcome, CliError> {
     })
 }
 
-/// What is exported.
+/// Source of an export.
 enum Source {
     Run(Box<LoadedModel>),
     Mosaic(Box<Mosaic>),

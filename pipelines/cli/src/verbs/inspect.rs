@@ -13,7 +13,7 @@ use serde_json::{Value, json};
 use std::fmt::Write;
 use std::path::PathBuf;
 
-/// Which scene.
+/// Scene to inspect.
 #[derive(Debug, Args)]
 pub struct InspectArgs {
     /// A folder of images, several image files, a scene.toml, a folder of Sat-NeRF or EOGS, or one with transforms_train.json
@@ -47,7 +47,7 @@ pub(crate) fn run(args: &InspectArgs) -> Result<Outcome, CliError> {
     Ok(Outcome { json, text })
 }
 
-/// What each preset will take.
+/// Estimated cost of a training with each preset.
 fn estimates(scene: &Scene) -> Result<Vec<(&'static str, Estimate)>, CliError> {
     let of = |preset: Preset| {
         let config = SatelliteConfig::resolve(preset, &[], 1)?;
@@ -66,7 +66,7 @@ fn estimates_table(estimates: &[(&str, Estimate)]) -> String {
     text
 }
 
-/// How many training images see the points of a grid over the scene's area, at mid altitude.
+/// Number of training images that see the points of a grid over the scene's area, at mid altitude.
 struct Coverage {
     /// Shares of the area seen by at least 1, 2, 3 … images.
     at_least: Vec<f64>,
@@ -199,7 +199,7 @@ fn pairs_table(mut pairs: Vec<ImagePair>) -> String {
     text
 }
 
-/// What the values of the images are, and who says so, such as `reflectance (12 images, a.IMD and others)`.
+/// Kinds of the images' values and their sources, such as `reflectance (12 images, a.IMD and others)`.
 fn values_in_words(images: &[SceneImage]) -> String {
     let mut kinds: Vec<(&Values, usize)> = Vec::new();
     for image in images {

@@ -25,7 +25,7 @@ pub struct TrainArgs {
     /// Folder of the run, made if absent
     #[arg(long, value_name = "RUN")]
     pub out: PathBuf,
-    /// How much time for how good a result [default: balanced]
+    /// Trade-off of time against quality [default: balanced]
     #[arg(long, value_enum)]
     pub preset: Option<PresetName>,
     /// Take as many steps as fit into this time, products included, such as 90s, 5m, 1h30m
@@ -49,13 +49,13 @@ pub struct TrainArgs {
     /// Time between two checkpoints; 0 keeps one after every step
     #[arg(long, value_parser = parse::duration, value_name = "TIME", default_value = "60s")]
     pub checkpoint_every: Duration,
-    /// What is said about the scene
+    /// Scene options
     #[command(flatten)]
     pub ingest: IngestArgs,
 }
 
 impl TrainArgs {
-    /// What happens to an earlier training in the folder.
+    /// Handling of an earlier training in the folder.
     pub(super) fn earlier(&self) -> Earlier {
         match (self.overwrite, self.resume) {
             (true, _) => Earlier::Overwrite,
@@ -77,7 +77,7 @@ pub struct DsmArgs {
     /// The GeoTIFF to write
     #[arg(long, value_name = "FILE.tif")]
     pub out: PathBuf,
-    /// What the surface is taken from [default: model; of image files their sweep]
+    /// Source of the surface [default: model; for image files: sweep]
     #[arg(long, value_enum)]
     pub from: Option<DsmSource>,
     /// Ground sampling distance, metres [default: that of the images]
@@ -98,12 +98,12 @@ pub struct DsmArgs {
     /// With --from sweep, stay below this much memory, such as 4GiB: a scene that takes more is swept in tiles [default: half of the machine's]
     #[arg(long, value_parser = parse::bytes, value_name = "SIZE")]
     pub memory: Option<u64>,
-    /// What is said about the scene
+    /// Scene options
     #[command(flatten)]
     pub ingest: IngestArgs,
 }
 
-/// What a surface model is taken from.
+/// Source of a surface model.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
 pub enum DsmSource {
     /// The trained model of a run.
@@ -153,7 +153,7 @@ pub struct RenderArgs {
     /// Folder to write to
     #[arg(long, value_name = "DIR")]
     pub out: PathBuf,
-    /// Which views
+    /// Views to render
     #[arg(long, value_enum, default_value = "test")]
     pub split: RenderSplit,
     /// Also write the parts of the light, where a model knows them: diffuse, specular, shadow
@@ -184,7 +184,7 @@ impl TrainArgs {
     }
 }
 
-/// Which views are rendered.
+/// Views to render.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
 pub enum RenderSplit {
     /// Those trained on.
@@ -196,7 +196,7 @@ pub enum RenderSplit {
 }
 
 impl RenderSplit {
-    /// Whether views of a split are among them.
+    /// True if the views of a split are rendered.
     pub(crate) fn holds(self, split: Split) -> bool {
         match self {
             Self::Train => split == Split::Train,

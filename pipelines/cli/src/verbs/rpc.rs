@@ -8,7 +8,7 @@ use heliosplat_scene::camera_of;
 use std::io::{BufRead, Read};
 use std::path::PathBuf;
 
-/// Which direction.
+/// Direction of the projection.
 #[derive(Debug, Args)]
 pub struct RpcArgs {
     #[command(subcommand)]
@@ -26,13 +26,13 @@ enum Direction {
     Localise(CameraArgs),
 }
 
-/// Which camera.
+/// Camera to use.
 #[derive(Debug, Args)]
 struct CameraArgs {
     /// An image with an RPC, or an RPC file (.RPB, _RPC.TXT, RPC_*.XML, Maxar .XML, Sat-NeRF .json)
     #[arg(value_name = "IMAGE|RPCFILE")]
     camera: PathBuf,
-    /// Which camera counts where an image's own RPC and a Sat-NeRF JSON differ
+    /// Preferred source of the camera if an image's own RPC and a Sat-NeRF JSON differ
     #[arg(long, value_name = "SOURCE", default_value = "json")]
     rpc: RpcName,
 }

@@ -6,7 +6,7 @@ use clap::Args;
 use heliosplat_rpc::GeoPoint;
 use heliosplat_rpc::sun::sun_position;
 
-/// Where and when.
+/// Time and place.
 #[derive(Debug, Args)]
 pub struct SunArgs {
     /// Moment, RFC 3339

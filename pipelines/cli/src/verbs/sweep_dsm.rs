@@ -28,7 +28,7 @@ pub(super) enum SweptSurface {
         surface: Box<Dsm>,
         /// Width of a cell, metres.
         gsd_m: f64,
-        /// What `--json` says of the memory it took.
+        /// Limit, plan and peak of the sweep's memory, bytes, for `--json`.
         memory: Value,
         /// Things a user should know of the scene, one line each.
         warnings: Vec<String>,

@@ -12,7 +12,7 @@ use std::cell::RefCell;
 use std::fmt::Write;
 use std::path::{Path, PathBuf};
 
-/// What to make.
+/// Scene to make.
 #[derive(Debug, Args)]
 pub struct SynthArgs {
     /// Kind of scene
@@ -42,7 +42,7 @@ pub struct SynthArgs {
     /// Width and height of every image, pixels [default: what covers the site; 200 for objects]
     #[arg(long, value_name = "PX")]
     size: Option<usize>,
-    /// What an object's middle is made of
+    /// Material of an object's middle
     #[arg(long, value_enum, default_value = "matte")]
     look: Look,
     /// Paths per pixel of an object's images; a power of two is best
@@ -66,10 +66,10 @@ pub struct SynthArgs {
     /// Faults of real images, separated by commas
     #[arg(long, value_enum, value_delimiter = ',', value_name = "LIST")]
     faults: Vec<Fault>,
-    /// What covers one half of a satellite scene
+    /// Cover of one half of a satellite scene
     #[arg(long, value_enum)]
     cover: Option<Cover>,
-    /// How the images of a satellite scene are packed
+    /// Packaging of the images of a satellite scene
     #[arg(long, value_enum, default_value = "whole")]
     delivery: Delivery,
     /// Also render a satellite scene from straight above under N suns of no image, 10 to 70 degrees high, as truth for `evaluate`

@@ -21,7 +21,7 @@ const DOT: f64 = 5.0;
 pub struct Theme {
     /// Text.
     pub text: &'static str,
-    /// What stands back: reference lines, frames.
+    /// Reference lines and frames.
     pub faint: &'static str,
     /// The grid.
     pub grid: &'static str,
@@ -49,7 +49,7 @@ pub const FILE: Theme = Theme {
     series: ["#b5561c", "#2a6f97", "#666", "#1b1b1b"],
 };
 
-/// How values are spread along an axis.
+/// Mapping of values to positions along an axis.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Scale {
     /// Evenly.
@@ -61,18 +61,18 @@ pub enum Scale {
 /// One axis.
 #[derive(Debug, Clone, Copy)]
 pub struct Axis<'a> {
-    /// What it shows, with the unit.
+    /// Quantity shown, with its unit.
     pub label: &'a str,
     /// Value at its beginning.
     pub low: f64,
     /// Value at its end.
     pub high: f64,
-    /// How values are spread.
+    /// Mapping of values to positions.
     pub scale: Scale,
 }
 
 impl Axis<'_> {
-    /// Where a value lies: 0 at the beginning, 1 at the end, values beyond at the nearer of the two.
+    /// Position of a value along the axis: 0 at its beginning, 1 at its end; values beyond are clamped.
     fn share(&self, value: f64) -> f64 {
         let share = match self.scale {
             Scale::Linear => (value - self.low) / (self.high - self.low),
@@ -131,7 +131,7 @@ fn logarithmic_ticks(low: f64, high: f64) -> Vec<(f64, String)> {
 /// A line through points.
 #[derive(Debug, Clone)]
 pub struct Line {
-    /// What it is; no legend where empty.
+    /// Name in the legend; a line without a name is left out of it.
     pub name: String,
     /// Its points, from left to right; those that are not finite are left out.
     pub points: Vec<(f64, f64)>,
@@ -140,11 +140,11 @@ pub struct Line {
 /// A dot with a label beside it.
 #[derive(Debug, Clone)]
 pub struct Dot<'a> {
-    /// Where it is.
+    /// Position, in the units of the two axes.
     pub at: (f64, f64),
-    /// What it is: shown where there is room, and when pointed at.
+    /// Label, drawn if there is room, and always shown as a tooltip.
     pub label: &'a str,
-    /// Whether it is filled.
+    /// True if the dot is filled.
     pub filled: bool,
 }
 
@@ -269,7 +269,7 @@ impl Chart<'_> {
         }
     }
 
-    /// How much of the lines lies within an area: a count of points along them.
+    /// Number of sample points of the lines within an area.
     fn lines_within(&self, area: &Area) -> usize {
         let samples = self
             .lines
@@ -321,7 +321,7 @@ fn between(ends: &[(f64, f64)]) -> impl Iterator<Item = (f64, f64)> + use<> {
     })
 }
 
-/// Where the label of a dot may stand, the best first: its anchor and place, and the area it takes.
+/// Candidate places of a dot's label, best first: anchor and position, and the area that the label covers.
 fn labels_around((x, y): (f64, f64), width: f64) -> [((&'static str, f64, f64), Area); 4] {
     let label = |anchor: &'static str, left: f64, x: f64, baseline: f64| {
         let area = Area([left, left + width, baseline - 10.0, baseline + 3.0]);

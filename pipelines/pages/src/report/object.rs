@@ -108,7 +108,7 @@ fn light(model: &ObjectModel) -> Markup {
     section("Light components", body)
 }
 
-/// Which model was chosen, and the short fits that decided.
+/// Chosen model, and the short fits that decided.
 fn plan(run: &ObjectRun) -> Markup {
     let Some(plan) = &run.plan else { return html! {} };
     let kind = serde_json::to_value(plan.kind).unwrap_or_default();

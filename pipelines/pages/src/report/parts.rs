@@ -56,7 +56,7 @@ pub(super) fn sun_page(folder: &Folder) -> Markup {
     }
 }
 
-/// What was trained, and the main numbers.
+/// Origin of the run, and its main metrics.
 pub(super) fn head(run: &Contents) -> Markup {
     let measured = &run.folder;
     let protocol = measured.metrics.pointer("/dsm/protocol").and_then(Value::as_str);
@@ -118,7 +118,7 @@ pub(super) fn surface(run: &Folder) -> Markup {
     }
 }
 
-/// How much of the initial surface was lowered; nothing where none was.
+/// Area of the initial surface that was lowered; empty if there is none.
 fn lowered(run: &Folder) -> Markup {
     let lowered = |key: &str| run.number(&format!("/lowered/{key}")).filter(|&count| count > 0.0);
     html! {
@@ -265,7 +265,7 @@ pub(super) fn accuracy(run: &Folder) -> Markup {
     section("Accuracy against truth", body)
 }
 
-/// Which components the scene required, and why.
+/// Components of the model, each with the reason for its use or absence.
 pub(super) fn plan(run: &Contents) -> Markup {
     html! {
         h2 { "Component plan" }

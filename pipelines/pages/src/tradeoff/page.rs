@@ -6,7 +6,7 @@ use crate::page::chart::{Axis, Chart, Dot, Line, Scale, range};
 use crate::page::{MIB, document, number};
 use maud::{Markup, html};
 
-/// How the results were made.
+/// Origin of the results.
 #[derive(Debug, Clone)]
 pub struct Making<'a> {
     /// The command that made it.

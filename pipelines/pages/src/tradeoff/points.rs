@@ -1,4 +1,4 @@
-//! What is tried: named points, each a preset and some changes to it.
+//! Named points of the comparison, each a preset and some changes to it.
 
 use heliosplat_fitting::settings::Preset;
 use heliosplat_satellite::config::SatelliteConfig;
@@ -7,7 +7,7 @@ use std::path::{Path, PathBuf};
 
 /// The points that are tried unless the user brings others.
 const STANDARD: &str = include_str!("tradeoff.toml");
-/// What each component of the method is worth, in its own right.
+/// Points that measure the contribution of each component of the method.
 const ABLATION: &str = include_str!("ablation.toml");
 
 /// Why a list of points cannot be used.
@@ -18,7 +18,7 @@ pub enum PointsError {
     Io {
         /// The file.
         path: PathBuf,
-        /// What the operating system says.
+        /// Error of the operating system.
         reason: std::io::Error,
     },
     /// A file that is not a list of points.
@@ -26,7 +26,7 @@ pub enum PointsError {
     Parse {
         /// The file.
         path: PathBuf,
-        /// What is wrong.
+        /// Description of the fault.
         reason: String,
     },
     /// `--only` leaves nothing.
@@ -34,7 +34,7 @@ pub enum PointsError {
     Nothing(String, String),
 }
 
-/// Which seeds a point runs with.
+/// Seeds that a point runs with.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, serde::Serialize, serde::Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Seeds {
@@ -51,20 +51,20 @@ pub enum Seeds {
 pub struct Point {
     /// Its name: letters, digits and hyphens.
     pub name: String,
-    /// What it varies.
+    /// Axis of the comparison that the point belongs to.
     pub axis: String,
     /// The preset it begins with.
     pub preset: String,
     /// The point it is compared with.
     #[serde(default)]
     pub base: Option<String>,
-    /// Which seeds it runs with.
+    /// Seeds of its runs.
     #[serde(default)]
     pub seeds: Seeds,
-    /// What it changes, as `--set` does.
+    /// Changes to the preset, as in `--set`.
     #[serde(default)]
     pub set: BTreeMap<String, toml::Value>,
-    /// What it asks, in a few words.
+    /// Purpose of the point, in a few words.
     pub why: String,
 }
 

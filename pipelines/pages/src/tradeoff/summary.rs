@@ -4,7 +4,7 @@ use super::Row;
 use super::points::Point;
 use std::collections::BTreeMap;
 
-/// What accuracy means on these scenes.
+/// Measure of accuracy for the scenes.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, serde::Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Quality {
@@ -28,7 +28,7 @@ impl Quality {
         }
     }
 
-    /// What it is called on an axis.
+    /// Label of the measure on an axis.
     pub fn label(self) -> &'static str {
         match self {
             Self::DsmMae => "DSM mean absolute error, m (raw)",
@@ -37,7 +37,7 @@ impl Quality {
         }
     }
 
-    /// Whether less of it is better.
+    /// True if lower values are better.
     pub fn less_is_better(self) -> bool {
         self == Self::DsmMae
     }
@@ -117,11 +117,11 @@ pub struct Comparison {
     pub peak_bytes: Spread,
     /// More of the quality's number.
     pub quality: Spread,
-    /// Whether the difference in quality is beyond twice its standard error; unknown below three pairs.
+    /// True if the difference in quality exceeds twice its standard error; `None` below three pairs.
     pub clear: Option<bool>,
 }
 
-/// What the trainings of a point have in common.
+/// Statistics of the trainings of a point.
 #[derive(Debug, Clone, PartialEq, serde::Serialize)]
 pub struct PointSummary {
     /// The point.
@@ -152,7 +152,7 @@ pub struct PointSummary {
 /// All that follows.
 #[derive(Debug, Clone, PartialEq, serde::Serialize)]
 pub struct Summary {
-    /// What accuracy means here.
+    /// Measure of accuracy.
     pub quality: Quality,
     /// The points, in their order.
     pub points: Vec<PointSummary>,

@@ -11,7 +11,7 @@ use maud::{DOCTYPE, Markup, PreEscaped, html};
 use rayon::prelude::*;
 use serde_json::{Value, json};
 
-/// What the page may do: run its own script, show its own pictures, and nothing with any network.
+/// Content security policy: the page may run its own script and show its own pictures, without any network access.
 const POLICY: &str = "default-src 'none'; script-src 'unsafe-inline'; style-src 'unsafe-inline'; img-src data: blob:";
 /// Most bytes of what a page carries; its own sources are some seventy thousand more.
 const BYTES_MAX: usize = 3_900_000;
@@ -161,7 +161,7 @@ fn layer(layer: &Layer) -> Option<Value> {
     Some(out)
 }
 
-/// What is looked at, and what is said over it.
+/// Map view, with the title and the controls over it.
 fn stage(exhibit: &Exhibit) -> Markup {
     html! {
         main id="stage" {

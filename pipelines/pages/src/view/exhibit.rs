@@ -1,4 +1,4 @@
-//! What a page shows, as rasters on one grid.
+//! Content of a page, as rasters on one grid.
 
 use super::layer::Layer;
 use heliosplat::Raster;
@@ -16,18 +16,18 @@ const SKYLIGHT: f32 = 0.25;
 /// Elevations of the sun at which a page has the light of day, degrees; close together where air mass changes fast.
 const ELEVATIONS_DEG: [f64; 12] = [1.0, 3.0, 5.0, 8.0, 12.0, 17.0, 24.0, 32.0, 42.0, 55.0, 70.0, 90.0];
 
-/// What a page shows. All rasters have the size of the grid.
+/// Content of a page. All rasters have the size of the grid.
 #[derive(Debug, Clone)]
 pub struct Exhibit {
-    /// What it is called.
+    /// Title of the page.
     pub title: String,
-    /// Where the cells lie.
+    /// Grid of the cells.
     pub grid: GridSpec,
     /// Metres per cell.
     pub gsd_m: f64,
     /// Altitudes, metres; NaN where unknown.
     pub altitude: Raster,
-    /// What altitudes are above.
+    /// Vertical datum of the altitudes; empty if unknown.
     pub vertical_datum: String,
     /// Albedo, one band or red, green and blue, linear; NaN where unknown.
     pub albedo: Option<Raster>,

@@ -2,7 +2,7 @@
 
 use heliosplat::Raster;
 
-/// How the values of a map become colours.
+/// Colour ramp of a map.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Ramp {
     /// From blue over white to red; zero is white.
@@ -35,7 +35,7 @@ pub struct Layer {
     pub unit: &'static str,
     /// Its colours.
     pub ramp: Ramp,
-    /// What has the ends of the ramp.
+    /// Values at the two ends of the ramp.
     pub range: [f32; 2],
     /// Its values; NaN where unknown.
     pub values: Raster,

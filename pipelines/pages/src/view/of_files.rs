@@ -1,4 +1,4 @@
-//! What the page of a surface model in a file shows, from wherever it comes.
+//! Content of the page of a surface model in a file, whatever its source.
 
 use super::ViewError;
 use super::exhibit::{Exhibit, Light, coloured, shown};

@@ -1,4 +1,4 @@
-//! What the page of a batch's mosaic shows, from the products in its folder.
+//! Content of the page of a batch's mosaic, from the products in its folder.
 
 use super::ViewError;
 use super::exhibit::{Exhibit, Light, TracedDate};
@@ -13,7 +13,7 @@ use heliosplat_rpc::sun::SunPosition;
 use serde_json::Value;
 use std::path::{Path, PathBuf};
 
-/// What shadow masks of dates are called: `shadow_DATE.tif`.
+/// Prefix of the shadow masks of dates: `shadow_DATE.tif`.
 const SHADOWS: &str = "shadow_";
 
 /// Gathers what the page of a mosaic shows. `run` is a run of one of its tiles, whose light counts; where it is not said, the first

@@ -1,4 +1,5 @@
-//! What the page of a run shows: its surface, albedo and light, the shadows traced for its dates, and what is wrong with it.
+//! Content of the page of a run: its surface, albedo and light, the shadows traced for its dates, and the maps of its
+//! height errors.
 
 use super::ViewError;
 use super::exhibit::{Exhibit, Light, TracedDate, coloured, shown};

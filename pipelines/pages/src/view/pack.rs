@@ -37,7 +37,7 @@ pub(super) struct Heights {
     pub step_m: f32,
     /// The steps.
     pub data: String,
-    /// Which cells are known: a mask.
+    /// Mask of the known cells.
     pub known: String,
 }
 
@@ -85,7 +85,7 @@ fn steps(altitude: &Raster, low_m: f32, step_m: f32) -> Vec<u16> {
     altitude.plane(0).iter().map(step).collect()
 }
 
-/// What cell `i` is expected to be, from those before it.
+/// Prediction of cell `i` from its left, upper and upper-left neighbours (median edge detector).
 fn predicted(steps: &[u16], width: usize, i: usize) -> u16 {
     match (i % width, i / width) {
         (0, 0) => 0,

@@ -1,4 +1,4 @@
-//! Where the cells of a page lie: on the map, on the Earth, and how the sun's direction becomes one across cells.
+//! Place of a page's cells on the map and on the Earth, and the direction of the sun across cells.
 //!
 //! The sun's azimuth counts from true north. The columns of a projected grid point to grid north, which differs by the meridian
 //! convergence, up to some degrees in UTM. So the page gets the change of column and row per metre to the true east and north, which
@@ -12,7 +12,7 @@ use serde::Serialize;
 /// Metres over which the direction of north is measured.
 const STEP_M: f64 = 10.0;
 
-/// Where a grid lies.
+/// Place of a grid on the Earth.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub(super) struct Place {
     /// Longitude of the middle, degrees.

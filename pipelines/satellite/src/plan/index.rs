@@ -39,7 +39,7 @@ impl Index {
         }
     }
 
-    /// Whether there is one.
+    /// True if there is an index.
     pub(super) fn is_there(self) -> bool {
         matches!(self, Self::Counts | Self::Reflectance | Self::Green)
     }

@@ -50,7 +50,7 @@ impl Facts {
 /// ground (docs/lab/suns.md).
 const SHARE_KNOWN: f64 = 0.75;
 
-/// Whether images whose sun stays unknown take no part in training.
+/// True if images whose sun stays unknown are excluded from training.
 pub(super) fn only_known(suns: &[ImageSun]) -> bool {
     let known = suns.iter().filter(|sun| sun.position.is_some()).count();
     known < suns.len() && known as f64 >= SHARE_KNOWN * suns.len() as f64

@@ -37,7 +37,7 @@ impl Acquisition {
         }
     }
 
-    /// Whether it has no value.
+    /// True if no value is known.
     pub fn is_empty(&self) -> bool {
         *self == Self::default()
     }

@@ -9,7 +9,7 @@ use heliosplat_raster::{GeoRaster, GridSpec, RasterFile, bounded};
 use serde::Deserialize;
 use std::path::Path;
 
-/// What `mosaic.json` says of the tiles.
+/// Tiles and products in `mosaic.json`.
 #[derive(Deserialize)]
 struct Told {
     pieces: Vec<Piece>,

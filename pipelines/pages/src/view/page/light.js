@@ -12,7 +12,8 @@ function lightAt(table, elevation) {
   return { sun: mix(table.sun), shade: mix(table.shade) };
 }
 
-/// What a byte of the albedo's picture becomes when 0 to 64 parts of the sun reach it: `table[(band * 65 + visible) * 256 + byte]`.
+/// Table of display bytes for each byte of the albedo's picture and 0 to 64 visible parts of the sun:
+/// `table[(band * 65 + visible) * 256 + byte]`.
 function relitTable(scene, elevation) {
   const { sun, shade } = lightAt(scene.light, elevation);
   const { black } = scene.albedo;

@@ -49,8 +49,8 @@ function smoothed(sums, along, across, out) {
   return out;
 }
 
-/// What sweeps over a field of `{width, height, z}`, metres, NaN where unknown. `east` and `north` are the changes of column and row per
-/// metre; `caster` holds the numbers of pipelines/products/src/surface_shadow.rs.
+/// Shadow sweep over a field of `{width, height, z}`, metres, NaN where unknown. `east` and `north` are the changes of
+/// column and row per metre; `caster` holds the numbers of pipelines/products/src/surface_shadow.rs.
 function sweeper(field, east, north, caster) {
   const { sun_radius_rad: radius, steep, edge_cells: edge, lift_m: lift, low_m: low } = caster;
   const { width, height, z } = field;

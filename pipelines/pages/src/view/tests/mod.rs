@@ -1,4 +1,4 @@
-//! What a page carries and may do. How it casts shadows is tested where programs can run it: `tests/tests/view.rs`.
+//! Content and permissions of a page. Its shadows are tested where programs can run it: `tests/tests/view.rs`.
 
 use super::exhibit::{CELLS_MAX, averaged};
 use super::*;
