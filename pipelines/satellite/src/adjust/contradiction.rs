@@ -9,7 +9,7 @@ const LEAST_AGREEING: f64 = 0.3;
 /// else, or the camera is that of another image.
 const FARTHEST_PX: f64 = 10.0;
 
-/// Whether each image's ties speak against its camera; says so, and where a correction is larger than vendors' errors.
+/// One flag per image, true if its ties contradict its camera. Warns of these, and of corrections beyond `FARTHEST_PX`.
 pub(crate) fn contradicting(images: &[&SceneImage], adjustment: &Adjustment) -> Vec<bool> {
     let ties = adjustment.images.iter().zip(&adjustment.corrections);
     let mut found = Vec::with_capacity(images.len());

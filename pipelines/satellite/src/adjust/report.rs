@@ -23,7 +23,7 @@ pub struct AdjustRequest<'a> {
     pub out: &'a Path,
     /// Error model of the cameras.
     pub model: BiasModel,
-    /// Whether copies of the images with the corrected cameras are written too.
+    /// True if copies of the images with the corrected cameras are written too.
     pub images: bool,
 }
 
