@@ -15,19 +15,25 @@ const TARGET_RESIDUAL_PX: f64 = 2e-10;
 const ACCEPTED_RESIDUAL_PX: f64 = 1e-6;
 /// The same with longitude and latitude rounded to f64, 2 nm.
 const ACCEPTED_REPROJECTION_PX: f64 = 1e-5;
-/// Longest Newton step, in the model's half ranges: the area itself is two across.
-const LONGEST_STEP: f64 = 1.0;
 const MAX_ITERATIONS: usize = 60;
 const MAX_HALVINGS: usize = 14;
 const CONTINUATION_STEPS: usize = 16;
-/// Sound models have spans up to 1.1 (50 real models), models with a wrong fit 6 and more.
+/// Sound models have spans up to 1.4 (50 real models), models with a wrong fit 6 and more. Models whose scales are not
+/// those of their image have any.
 const LARGEST_SPAN: f64 = 3.0;
+/// Largest change of the slope between the centre and a solution, relative to the slope itself, where the span is too
+/// large: at one, the linear part of the model means nothing any more. It is at most 0.09 over sound images, whatever
+/// their scales, and 11 over an image of a wrong fit.
+const LARGEST_BEND: f64 = 1.0;
 
 /// One localisation: the model at one height, and the target image point.
 struct Problem<'a> {
     rpc: &'a Rpc,
     height: f64,
     target: Vector2<f64>,
+    /// Longest Newton step, in the model's half ranges: the area itself is two across, or as far as the linear part of
+    /// the model places the target where the scales are not those of the image.
+    longest: f64,
 }
 
 /// Normalised (row, column) and its derivatives by normalised longitude and latitude.
@@ -50,8 +56,9 @@ impl Rpc {
             row: point.row,
             height_m,
         };
-        let problem = Problem {
+        let mut problem = Problem {
             rpc: self,
+            longest: 1.0,
             height: (height_m - self.height_offset_m) / self.height_scale_m,
             target: Vector2::new(
                 (point.row - self.line_offset) / self.line_scale,
@@ -69,15 +76,20 @@ impl Rpc {
         if !span.is_finite() {
             return Err(failure());
         }
-        if span > LARGEST_SPAN {
-            return Err(RpcError::Inconsistent { span });
-        }
-        let linear_start = limited(inverse * (problem.target - centre.image), 2.0);
+        let linear_start = inverse * (problem.target - centre.image);
+        problem.longest = problem.longest.max(linear_start.norm() / 2.0);
         let solution = problem
             .newton(linear_start)
             .or_else(|| problem.continuation(centre.image))
-            .or_else(|| problem.grid_of_starts())
-            .ok_or_else(failure)?;
+            .or_else(|| problem.grid_of_starts());
+        if span > LARGEST_SPAN {
+            let bend = |at| (inverse * problem.evaluate(at).slope - Matrix2::identity()).abs().max();
+            let is_straight = solution.is_some_and(|at| bend(at) < LARGEST_BEND);
+            if !is_straight {
+                return Err(RpcError::Inconsistent { span });
+            }
+        }
+        let solution = solution.ok_or_else(failure)?;
         let ground = GeoPoint {
             lon_deg: wrapped_longitude_deg(solution.x * self.longitude_scale_deg + self.longitude_offset_deg),
             lat_deg: solution.y * self.latitude_scale_deg + self.latitude_offset_deg,
@@ -140,7 +152,7 @@ impl Problem<'_> {
             let Some(inverse) = here.slope.try_inverse() else {
                 break;
             };
-            let mut step = limited(inverse * (self.target - here.image), LONGEST_STEP);
+            let mut step = limited(inverse * (self.target - here.image), self.longest);
             let mut improved = false;
             for _ in 0..MAX_HALVINGS {
                 let there = self.evaluate(ground + step);

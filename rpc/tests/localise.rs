@@ -168,15 +168,82 @@ fn what_cannot_be_localised_is_a_clear_error() {
     assert!(collapsed.localise(ImagePoint { col: 5.0, row: 5.0 }, 0.0).is_err());
 }
 
+/// Exponents of longitude, latitude and height in the order of the coefficients.
+const POWERS: [[i32; 3]; 20] = [
+    [0, 0, 0],
+    [1, 0, 0],
+    [0, 1, 0],
+    [0, 0, 1],
+    [1, 1, 0],
+    [1, 0, 1],
+    [0, 1, 1],
+    [2, 0, 0],
+    [0, 2, 0],
+    [0, 0, 2],
+    [1, 1, 1],
+    [3, 0, 0],
+    [1, 2, 0],
+    [1, 0, 2],
+    [2, 1, 0],
+    [0, 3, 0],
+    [0, 1, 2],
+    [2, 0, 1],
+    [0, 2, 1],
+    [0, 0, 3],
+];
+
+/// The same camera with other scales: those of the ground `ground` times, those of the image `image` times as large.
+fn rescaled(rpc: &Rpc, ground: [f64; 3], image: [f64; 2]) -> Rpc {
+    let term = |of: usize| (0..3).map(|axis| ground[axis].powi(POWERS[of][axis])).product::<f64>();
+    let polynomial = |values: &[f64; 20], by: f64| std::array::from_fn(|of| values[of] * term(of) * by);
+    Rpc {
+        longitude_scale_deg: rpc.longitude_scale_deg * ground[0],
+        latitude_scale_deg: rpc.latitude_scale_deg * ground[1],
+        height_scale_m: rpc.height_scale_m * ground[2],
+        sample_scale: rpc.sample_scale * image[0],
+        line_scale: rpc.line_scale * image[1],
+        sample_numerator: polynomial(&rpc.sample_numerator, 1.0 / image[0]),
+        sample_denominator: polynomial(&rpc.sample_denominator, 1.0),
+        line_numerator: polynomial(&rpc.line_numerator, 1.0 / image[1]),
+        line_denominator: polynomial(&rpc.line_denominator, 1.0),
+        ..rpc.clone()
+    }
+}
+
 #[test]
-fn a_model_whose_image_spans_far_more_than_its_ground_is_refused_when_localised() {
+fn scales_of_no_image_make_an_equivalent_camera() {
+    for rpc in CAMERAS.iter() {
+        for (ground, image) in [
+            ([0.05; 3], [1.0; 2]),
+            ([1.0; 3], [1e5; 2]),
+            ([20.0, 20.0, 1.0], [1.0; 2]),
+            ([-0.05, 0.05, 1.0], [1.0, 0.01]),
+            ([0.05; 3], [1e5; 2]),
+            ([1e5; 3], [1e5; 2]),
+        ] {
+            let odd = rescaled(rpc, ground, image);
+            for (col, row) in [(0.0, 0.0), (3_999.0, 0.0), (2_000.0, 1_000.0), (3_999.0, 3_999.0)] {
+                let at = ImagePoint { col, row };
+                let expected = rpc.localise(at, 300.0).expect("localises");
+                let found = odd.localise(at, 300.0).unwrap_or_else(|error| panic!("{ground:?} {image:?}: {error}"));
+                assert!((found.lat_deg - expected.lat_deg).abs() < 1e-10, "{found:?} {expected:?}");
+                assert!((found.lon_deg - expected.lon_deg).abs() < 1e-8, "{found:?} {expected:?}");
+            }
+        }
+    }
+}
+
+#[test]
+fn a_model_that_bends_far_more_over_its_image_than_it_slopes_is_refused_when_localised() {
     let rpc = &CAMERAS[0];
-    let inconsistent = Rpc {
+    let mut inconsistent = Rpc {
         sample_numerator: rpc.sample_numerator.map(|c| c * 0.1),
         ..rpc.clone()
     };
+    // The cubic term of the longitude.
+    inconsistent.sample_numerator[11] += 0.02;
     let image = ImagePoint {
-        col: rpc.sample_offset,
+        col: rpc.sample_offset + rpc.sample_scale,
         row: rpc.line_offset,
     };
     match inconsistent.localise(image, 100.0) {

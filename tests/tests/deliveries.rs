@@ -711,6 +711,52 @@ fn the_date_that_gdal_writes_into_every_nitf_is_no_time_and_no_sun_is_needed_for
     assert_eq!(codes, ["sun-below-horizon"]);
 }
 
+/// The same parallel camera with other scales: those of the ground `ground` times, those of the image `image` times as large.
+fn rescaled(rpc: &Rpc, ground: f64, image: f64) -> Rpc {
+    let numerator = |values: &[f64; 20]| {
+        std::array::from_fn(|term| values[term] / image * if (1..4).contains(&term) { ground } else { 1.0 })
+    };
+    Rpc {
+        latitude_scale_deg: rpc.latitude_scale_deg * ground,
+        longitude_scale_deg: rpc.longitude_scale_deg * ground,
+        height_scale_m: rpc.height_scale_m * ground,
+        line_scale: rpc.line_scale * image,
+        sample_scale: rpc.sample_scale * image,
+        line_numerator: numerator(&rpc.line_numerator),
+        sample_numerator: numerator(&rpc.sample_numerator),
+        ..rpc.clone()
+    }
+}
+
+#[test]
+fn equivalent_cameras_of_odd_scales_make_the_same_surface() {
+    let home = tempdir().expect("a temporary folder");
+    let views = tagged(home.path());
+    let (word, out) = (home.path().display().to_string(), home.path().join("out"));
+    fs::create_dir(&out).expect("made");
+    let surface = |name: &str| {
+        let path = out.join(name);
+        let dsm = path.display().to_string();
+        json(&["dsm", &word, "--from", "sweep", "--altitude", "690,720", "--out", &dsm]);
+        let file = RasterFile::open(&path).expect("a surface");
+        let raster = file.read_all().expect("values");
+        raster.plane(0).to_vec()
+    };
+    let plain = surface("plain.tif");
+    for (ground, image) in [(0.05, 1.0), (1.0, 1e5), (1e5, 1.0), (20.0, 0.05), (1e-3, 1e-3)] {
+        for view in &views {
+            let path = home.path().join(format!("{}.tif", view.name));
+            retag(&path, Some(&rescaled(&view.rpc(), ground, image)), None, &[]);
+        }
+        let (codes, _) = inspected(home.path(), &["--altitude", "690,720"]);
+        assert!(codes.is_empty(), "{codes:?}");
+        let odd = surface("odd.tif");
+        assert_eq!(odd.len(), plain.len(), "{ground} {image}");
+        let apart = plain.iter().zip(&odd).filter(|(a, b)| a.is_nan() != b.is_nan() || (*a - *b).abs() > 1e-3);
+        assert_eq!(apart.count(), 0, "{ground} {image}");
+    }
+}
+
 #[test]
 fn an_image_that_was_halved_without_its_rpc_is_named() {
     let home = tempdir().expect("a temporary folder");

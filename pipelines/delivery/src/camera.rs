@@ -306,13 +306,17 @@ fn nitf_chip(items: &BTreeMap<String, String>) -> Option<CropInFull> {
     (!is_whole).then_some(crop)
 }
 
+/// Half of the heights that surfaces on Earth have, metres: more says nothing of two cameras.
+const HEIGHTS_M: f64 = 4500.0;
+
 /// Largest distance between two cameras over an image, pixels; `None` where the first cannot be localised.
 pub(super) fn apart_px(a: &Rpc, b: &Rpc, (width, height): (usize, usize)) -> Option<f64> {
     let (right, bottom) = (width as f64 - 1.0, height as f64 - 1.0);
     let mut largest: f64 = 0.0;
     for (col, row) in [(0.0, 0.0), (right, 0.0), (0.0, bottom), (right, bottom)] {
-        for step in [-0.5, 0.5] {
-            let height_m = a.height_offset_m + step * a.height_scale_m;
+        let half_m = (0.5 * a.height_scale_m.abs()).min(HEIGHTS_M);
+        for step_m in [-half_m, half_m] {
+            let height_m = a.height_offset_m + step_m;
             let ground = a.localise(ImagePoint { col, row }, height_m).ok()?;
             let seen = b.project(ground);
             largest = largest.max((seen.col - col).hypot(seen.row - row));

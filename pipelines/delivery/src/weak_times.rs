@@ -113,9 +113,11 @@ fn tilt(rpc: &Rpc) -> Option<[f64; 2]> {
         };
         rpc.localise(middle, height_m).ok()
     };
-    let (low, high) = (at(rpc.height_offset_m)?, at(rpc.height_offset_m + rpc.height_scale_m)?);
+    // Not the model's own half range, which is any number where its scales are odd.
+    let step_m = 100.0;
+    let (low, high) = (at(rpc.height_offset_m)?, at(rpc.height_offset_m + step_m)?);
     let moved = LocalFrame::new(low).enu_from_geo(high);
-    Some([moved.x, moved.y].map(|metres| metres / rpc.height_scale_m))
+    Some([moved.x, moved.y].map(|metres| metres / step_m))
 }
 
 /// The date tag of a file, and when the file was written.
