@@ -79,7 +79,10 @@ fn a_model_that_contradicts_its_own_scales_is_a_clear_error_where_it_bends() {
     }
     for (image, truth) in localisation_table(&golden) {
         match rpc.localise(image, truth.height_m) {
-            Ok(ground) => assert!(distance_px(rpc.project(ground), rpc.project(truth)) < 1e-3, "{ground:?}"),
+            Ok(ground) => assert!(
+                distance_px(rpc.project(ground), rpc.project(truth)) < 1e-3,
+                "{ground:?}"
+            ),
             Err(error) => assert!(matches!(error, RpcError::Inconsistent { .. }), "{error}"),
         }
     }

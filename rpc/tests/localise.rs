@@ -225,9 +225,17 @@ fn scales_of_no_image_make_an_equivalent_camera() {
             for (col, row) in [(0.0, 0.0), (3_999.0, 0.0), (2_000.0, 1_000.0), (3_999.0, 3_999.0)] {
                 let at = ImagePoint { col, row };
                 let expected = rpc.localise(at, 300.0).expect("localises");
-                let found = odd.localise(at, 300.0).unwrap_or_else(|error| panic!("{ground:?} {image:?}: {error}"));
-                assert!((found.lat_deg - expected.lat_deg).abs() < 1e-10, "{found:?} {expected:?}");
-                assert!((found.lon_deg - expected.lon_deg).abs() < 1e-8, "{found:?} {expected:?}");
+                let found = odd
+                    .localise(at, 300.0)
+                    .unwrap_or_else(|error| panic!("{ground:?} {image:?}: {error}"));
+                assert!(
+                    (found.lat_deg - expected.lat_deg).abs() < 1e-10,
+                    "{found:?} {expected:?}"
+                );
+                assert!(
+                    (found.lon_deg - expected.lon_deg).abs() < 1e-8,
+                    "{found:?} {expected:?}"
+                );
             }
         }
     }

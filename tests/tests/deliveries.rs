@@ -752,7 +752,10 @@ fn equivalent_cameras_of_odd_scales_make_the_same_surface() {
         assert!(codes.is_empty(), "{codes:?}");
         let odd = surface("odd.tif");
         assert_eq!(odd.len(), plain.len(), "{ground} {image}");
-        let apart = plain.iter().zip(&odd).filter(|(a, b)| a.is_nan() != b.is_nan() || (*a - *b).abs() > 1e-3);
+        let apart = plain
+            .iter()
+            .zip(&odd)
+            .filter(|(a, b)| a.is_nan() != b.is_nan() || (*a - *b).abs() > 1e-3);
         assert_eq!(apart.count(), 0, "{ground} {image}");
     }
 }
